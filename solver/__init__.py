@@ -1,0 +1,1 @@
+"""Bodies, contact, time stepping and one drop: the mechanics, knowing nothing of meshes or studies."""

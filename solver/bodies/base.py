@@ -1,0 +1,84 @@
+"""What a body must offer to the stepper, and where and how it can touch."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Protocol, runtime_checkable
+
+import numpy as np
+from mpi4py import MPI
+from numpy.typing import NDArray
+from scipy.sparse import csr_matrix
+
+Array = NDArray[np.float64]
+Rows = Array | csr_matrix
+
+
+@dataclass(frozen=True)
+class ContactPoints:
+    """The points of the end section that can touch, as operators on a body's unknowns.
+
+    ``normal`` (n, dofs) gives the upward displacement of each point, ``pressure`` (n, dofs) the
+    section area times the normal pressure -σ_zz there, both for the unknowns that this rank owns.
+    ``weights`` (n,) are the points' shares of the area and sum to 1, ``xy_m`` (n, 2) their place
+    on the section. ``traction_scale_N`` is E A / h with h the length of the cell at the tip: the
+    stiffness against which Nitsche's stabilisation is measured, times ``degree`` squared.
+    """
+
+    normal: Rows
+    pressure: Rows
+    weights: Array
+    xy_m: Array
+    traction_scale_N_m: float
+    comm: MPI.Intracomm = field(default_factory=lambda: MPI.COMM_SELF)
+
+    def _reduce(self, local: Array) -> Array:
+        if self.comm.size == 1:
+            return local
+        return self.comm.allreduce(local)
+
+    def heights(self, u: Array) -> Array:
+        """Upward displacement of every point (n,), the same on every rank."""
+        return self._reduce(self.normal @ u)
+
+    def pressures(self, u: Array) -> Array:
+        """Section area times normal pressure at every point (n,), in N, the same on every rank."""
+        return self._reduce(self.pressure @ u)
+
+    def tip_height(self, u: Array) -> float:
+        """Mean upward displacement of the end section."""
+        return float(self.weights @ self.heights(u))
+
+
+@runtime_checkable
+class Body(Protocol):
+    """A linear body M, K with Rayleigh damping alpha M + beta K, free in space.
+
+    Unknowns are vectors of the entries that this rank owns. ``lift`` is the rigid upward
+    translation by 1 m.
+    """
+
+    name: str
+    n_dofs: int
+    mass_kg: float
+    alpha_1_s: float
+    beta_s: float
+    contact: ContactPoints
+    lift: Array
+
+    def mass(self, x: Array) -> Array:
+        """M x."""
+        ...
+
+    def stiffness(self, x: Array) -> Array:
+        """K x."""
+        ...
+
+    def factor(self, c_mass: float, c_stiffness: float) -> Callable[[Array], Array]:
+        """A function that solves (c_mass M + c_stiffness K) x = b."""
+        ...
+
+    def dot(self, x: Array, y: Array) -> float:
+        """Inner product over all ranks."""
+        ...

@@ -1,0 +1,110 @@
+"""The bristle as a beam: three-node quadratic Timoshenko elements, as in BEAM189.
+
+Unknowns of a node: displacements u_x, u_y, u_z and rotations θ_x, θ_y, θ_z; the axis is z.
+Shear strains are u_x' - θ_y and u_y' + θ_x. Two Gauss points integrate the stiffness (a quadratic
+Timoshenko element locks with three), three the consistent mass, rotary inertia included.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..bristle import Bristle
+from ..errors import InputError
+from .base import Array, ContactPoints
+from .modal import ModalBody, modal_form
+
+NODE_UNKNOWNS = 6
+UX, UY, UZ, RX, RY, RZ = range(NODE_UNKNOWNS)
+
+
+def shape(xi: float) -> tuple[Array, Array]:
+    """Quadratic Lagrange functions at ξ ∈ [-1, 1] and their ξ-derivatives, nodes -1, 0, 1."""
+    value = np.array([0.5 * xi * (xi - 1.0), 1.0 - xi * xi, 0.5 * xi * (xi + 1.0)])
+    return value, np.array([xi - 0.5, -2.0 * xi, xi + 0.5])
+
+
+def beam_matrices(bristle: Bristle, n_elements: int) -> tuple[Array, Array]:
+    """Mass and stiffness (n, n) of the free beam, n = 6 (2 ``n_elements`` + 1)."""
+    if n_elements < 1:
+        raise InputError(f"the beam needs at least one element, not {n_elements}")
+    mat, sec = bristle.material, bristle.section
+    shear = sec.shear_coefficient(mat.poisson) * mat.shear_modulus_Pa * sec.area_m2
+    polar = sec.second_moment_x_m4 + sec.second_moment_y_m4
+    # strains: u_x' - θ_y, u_y' + θ_x, u_z', θ_x', θ_y', θ_z'
+    rigidity = np.array(
+        [
+            shear,
+            shear,
+            mat.youngs_Pa * sec.area_m2,
+            mat.youngs_Pa * sec.second_moment_y_m4,
+            mat.youngs_Pa * sec.second_moment_x_m4,
+            mat.shear_modulus_Pa * sec.torsion_m4,
+        ]
+    )
+    area, iy, ix = sec.area_m2, sec.second_moment_y_m4, sec.second_moment_x_m4
+    inertia = mat.density_kg_m3 * np.array([area, area, area, iy, ix, polar])
+    half = 0.5 * bristle.length_m / n_elements
+
+    element = 3 * NODE_UNKNOWNS
+    k_element = np.zeros((element, element))
+    for xi, weight in zip(*np.polynomial.legendre.leggauss(2), strict=True):
+        value, slope = shape(xi)
+        strain = np.kron(slope / half, np.eye(NODE_UNKNOWNS))
+        strain[UX, RY::NODE_UNKNOWNS] -= value
+        strain[UY, RX::NODE_UNKNOWNS] += value
+        k_element += weight * half * strain.T @ (rigidity[:, None] * strain)
+    m_element = np.zeros((element, element))
+    for xi, weight in zip(*np.polynomial.legendre.leggauss(3), strict=True):
+        value = np.kron(shape(xi)[0], np.eye(NODE_UNKNOWNS))
+        m_element += weight * half * value.T @ (inertia[:, None] * value)
+
+    n = NODE_UNKNOWNS * (2 * n_elements + 1)
+    mass, stiffness = np.zeros((n, n)), np.zeros((n, n))
+    for e in range(n_elements):
+        span = slice(2 * NODE_UNKNOWNS * e, 2 * NODE_UNKNOWNS * e + element)
+        mass[span, span] += m_element
+        stiffness[span, span] += k_element
+    return mass, stiffness
+
+
+def beam_contact(bristle: Bristle, n_elements: int, *, face: bool) -> ContactPoints:
+    """The end section's points (``face``), or the one on the axis as in the paper."""
+    section, youngs = bristle.section, bristle.material.youngs_Pa
+    if face:
+        xy, weights = section.contact_points()
+    else:
+        xy, weights = np.zeros((1, 2)), np.ones(1)
+    n = NODE_UNKNOWNS * (2 * n_elements + 1)
+    half = 0.5 * bristle.length_m / n_elements
+    slope = shape(-1.0)[1] / half
+    normal, pressure = np.zeros((len(xy), n)), np.zeros((len(xy), n))
+    # u_z(x, y) = u_z - x θ_y + y θ_x
+    for unknown, factor in ((UZ, np.ones(len(xy))), (RY, -xy[:, 0]), (RX, xy[:, 1])):
+        normal[:, unknown] = factor
+        columns = unknown + NODE_UNKNOWNS * np.arange(3)
+        pressure[:, columns] = -youngs * section.area_m2 * np.outer(factor, slope)
+    return ContactPoints(
+        normal=normal,
+        pressure=pressure,
+        weights=weights,
+        xy_m=xy,
+        traction_scale_N_m=4.0 * youngs * section.area_m2 / (2.0 * half),
+    )
+
+
+def beam_body(bristle: Bristle, n_elements: int, *, face: bool = True) -> ModalBody:
+    """The free beam of ``n_elements`` in all its modes (Vanegas-Useche et al. use sixteen)."""
+    mass, stiffness = beam_matrices(bristle, n_elements)
+    lift = np.zeros(len(mass))
+    lift[UZ::NODE_UNKNOWNS] = 1.0
+    return modal_form(
+        "beam",
+        mass,
+        stiffness,
+        lift,
+        beam_contact(bristle, n_elements, face=face),
+        bristle.material.alpha_1_s,
+        bristle.material.beta_s,
+        n_rigid=6,
+    )

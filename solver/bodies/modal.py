@@ -1,0 +1,84 @@
+"""A body in modal coordinates: every system is diagonal, free flight has a closed form."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import eigh
+
+from .base import Array, ContactPoints
+
+
+@dataclass(frozen=True)
+class ModalBody:
+    """Modes (mass-normalised) with squared angular frequencies ``omega2`` (n,); zero is rigid.
+
+    ``contact`` and ``lift`` are expressed in modal coordinates. ``n_dofs`` counts the unknowns of
+    the discretisation that the modes came from or, for a reduced body, the modes themselves.
+    """
+
+    name: str
+    omega2: Array
+    lift: Array
+    contact: ContactPoints
+    alpha_1_s: float
+    beta_s: float
+
+    @property
+    def n_dofs(self) -> int:
+        return len(self.omega2)
+
+    @property
+    def mass_kg(self) -> float:
+        return float(self.lift @ self.lift)
+
+    def mass(self, x: Array) -> Array:
+        return x
+
+    def stiffness(self, x: Array) -> Array:
+        return self.omega2 * x
+
+    def factor(self, c_mass: float, c_stiffness: float) -> Callable[[Array], Array]:
+        inverse = 1.0 / (c_mass + c_stiffness * self.omega2)
+        return lambda b: (inverse * b.T).T
+
+    def dot(self, x: Array, y: Array) -> float:
+        return float(x @ y)
+
+
+def modal_form(
+    name: str,
+    mass: NDArray[np.float64],
+    stiffness: NDArray[np.float64],
+    lift: Array,
+    contact: ContactPoints,
+    alpha_1_s: float,
+    beta_s: float,
+    n_rigid: int,
+) -> ModalBody:
+    """All modes of dense M, K (n, n); the ``n_rigid`` lowest are rigid and get frequency zero.
+
+    ``lift`` (n,) and the rows of ``contact`` are given for the physical unknowns. Raises
+    ValueError where the ``n_rigid`` lowest frequencies are not small against the next one.
+    """
+    omega2, modes = eigh(stiffness, mass)
+    if n_rigid < len(omega2) and abs(omega2[:n_rigid]).max(initial=0.0) > 1e-4 * omega2[n_rigid]:
+        raise ValueError(f"{name}: fewer than {n_rigid} rigid motions: ω² = {omega2[: n_rigid + 1]}")
+    omega2 = np.concatenate([np.zeros(n_rigid), omega2[n_rigid:]])
+    return ModalBody(
+        name=name,
+        omega2=omega2,
+        lift=modes.T @ (mass @ lift),
+        contact=ContactPoints(
+            normal=np.asarray(contact.normal @ modes),
+            pressure=np.asarray(contact.pressure @ modes),
+            weights=contact.weights,
+            xy_m=contact.xy_m,
+            traction_scale_N_m=contact.traction_scale_N_m,
+        ),
+        alpha_1_s=alpha_1_s,
+        beta_s=beta_s,
+    )

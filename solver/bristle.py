@@ -1,0 +1,201 @@
+"""What falls: the section, length and material of a bristle, and what follows from them."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from . import paper
+from .errors import InputError
+
+Array = NDArray[np.float64]
+
+
+def positive(name: str, value: float) -> None:
+    """Raise InputError unless ``value`` is a finite positive number."""
+    if not (math.isfinite(value) and value > 0.0):
+        raise InputError(f"{name} must be a positive number, not {value}")
+
+
+class Section(Protocol):
+    """A cross-section centred on the axis: x is its thin side, y its wide side."""
+
+    @property
+    def area_m2(self) -> float: ...
+
+    @property
+    def second_moment_x_m4(self) -> float:
+        """The integral of x² (bending toward x)."""
+        ...
+
+    @property
+    def second_moment_y_m4(self) -> float:
+        """The integral of y² (bending toward y)."""
+        ...
+
+    @property
+    def torsion_m4(self) -> float:
+        """St. Venant's torsion constant J."""
+        ...
+
+    def shear_coefficient(self, poisson: float) -> float:
+        """Timoshenko's shear coefficient."""
+        ...
+
+    def contact_points(self) -> tuple[Array, Array]:
+        """Points (n, 2) of the end section that can touch, edge included, and area weights (n,)."""
+        ...
+
+
+@dataclass(frozen=True)
+class Rectangle:
+    """A flat wire, ``thickness_m`` along x and ``width_m`` along y."""
+
+    thickness_m: float = paper.THICKNESS_M
+    width_m: float = paper.WIDTH_M
+
+    def __post_init__(self) -> None:
+        positive("thickness", self.thickness_m)
+        positive("width", self.width_m)
+
+    @property
+    def area_m2(self) -> float:
+        return self.thickness_m * self.width_m
+
+    @property
+    def second_moment_x_m4(self) -> float:
+        return self.width_m * self.thickness_m**3 / 12.0
+
+    @property
+    def second_moment_y_m4(self) -> float:
+        return self.thickness_m * self.width_m**3 / 12.0
+
+    @cached_property
+    def torsion_m4(self) -> float:
+        """St. Venant's series (Timoshenko and Goodier, Theory of Elasticity, art. 109)."""
+        a, b = sorted((self.thickness_m, self.width_m))
+        n = np.arange(1, 200, 2)
+        series = np.sum(np.tanh(n * math.pi * b / (2.0 * a)) / n**5.0)
+        return float(a**3 * b / 3.0 * (1.0 - 192.0 * a / (math.pi**5 * b) * series))
+
+    def shear_coefficient(self, poisson: float) -> float:
+        """Cowper (1966), rectangle: 10(1+ν)/(12+11ν)."""
+        return 10.0 * (1.0 + poisson) / (12.0 + 11.0 * poisson)
+
+    def contact_points(self) -> tuple[Array, Array]:
+        """Gauss-Lobatto points, 5 by 5: exact to the seventh degree, edges and corners included."""
+        x, w = gauss_lobatto(5)
+        points = np.stack(
+            np.meshgrid(0.5 * self.thickness_m * x, 0.5 * self.width_m * x, indexing="ij"), -1
+        ).reshape(-1, 2)
+        return points, np.outer(w, w).ravel() / 4.0
+
+
+@dataclass(frozen=True)
+class Circle:
+    """A round wire."""
+
+    diameter_m: float
+
+    def __post_init__(self) -> None:
+        positive("diameter", self.diameter_m)
+
+    @property
+    def area_m2(self) -> float:
+        return math.pi * self.diameter_m**2 / 4.0
+
+    @property
+    def second_moment_x_m4(self) -> float:
+        return math.pi * self.diameter_m**4 / 64.0
+
+    @property
+    def second_moment_y_m4(self) -> float:
+        return self.second_moment_x_m4
+
+    @property
+    def torsion_m4(self) -> float:
+        return 2.0 * self.second_moment_x_m4
+
+    def shear_coefficient(self, poisson: float) -> float:
+        """Cowper (1966), circle: 6(1+ν)/(7+6ν)."""
+        return 6.0 * (1.0 + poisson) / (7.0 + 6.0 * poisson)
+
+    def contact_points(self) -> tuple[Array, Array]:
+        """The centre and two rings of eight, the rim among them: exact to the third degree.
+
+        With the mass of the disc on the centre and on the rings at r = R√½ and r = R, the weights
+        that integrate 1, r² and r⁴ are 1/6, 4/6 and 1/6 (Simpson's rule in r²).
+        """
+        radius = 0.5 * self.diameter_m
+        angle = np.arange(8) * (math.pi / 4.0)
+        ring = np.stack([np.cos(angle), np.sin(angle)], -1)
+        points = np.vstack([[[0.0, 0.0]], math.sqrt(0.5) * radius * ring, radius * ring])
+        return points, np.concatenate([[1 / 6], np.full(8, 4 / 48), np.full(8, 1 / 48)])
+
+
+def gauss_lobatto(n: int) -> tuple[Array, Array]:
+    """The n-point Gauss-Lobatto rule on [-1, 1]: points (n,), weights (n,) that sum to 2."""
+    legendre = np.polynomial.legendre.Legendre.basis(n - 1)
+    x = np.concatenate([[-1.0], np.sort(legendre.deriv().roots().real), [1.0]])
+    return x, 2.0 / (n * (n - 1) * legendre(x) ** 2)
+
+
+@dataclass(frozen=True)
+class Material:
+    """Linear elastic material with Rayleigh damping C = alpha M + beta K."""
+
+    youngs_Pa: float = paper.YOUNGS_PA
+    poisson: float = paper.POISSON
+    density_kg_m3: float = paper.DENSITY_KG_M3
+    alpha_1_s: float = paper.ALPHA_1_S
+    beta_s: float = paper.BETA_S
+
+    def __post_init__(self) -> None:
+        positive("Young's modulus", self.youngs_Pa)
+        positive("density", self.density_kg_m3)
+        if not -1.0 < self.poisson < 0.5:
+            raise InputError(f"Poisson's ratio must lie between -1 and 0.5, not {self.poisson}")
+        for name, value in (("alpha", self.alpha_1_s), ("beta", self.beta_s)):
+            if not (math.isfinite(value) and value >= 0.0):
+                raise InputError(f"Rayleigh damping {name} must be zero or more, not {value}")
+
+    @property
+    def shear_modulus_Pa(self) -> float:
+        return self.youngs_Pa / (2.0 * (1.0 + self.poisson))
+
+    @property
+    def lame_Pa(self) -> tuple[float, float]:
+        """Lamé's constants λ and μ."""
+        e, nu = self.youngs_Pa, self.poisson
+        return e * nu / ((1.0 + nu) * (1.0 - 2.0 * nu)), self.shear_modulus_Pa
+
+    @property
+    def bar_speed_m_s(self) -> float:
+        """Speed of axial waves in a thin bar, √(E/ρ)."""
+        return math.sqrt(self.youngs_Pa / self.density_kg_m3)
+
+
+@dataclass(frozen=True)
+class Bristle:
+    """A straight prismatic bristle; its axis is z, its lower tip at z = 0."""
+
+    length_m: float = paper.LENGTH_M
+    section: Section = field(default_factory=Rectangle)
+    material: Material = field(default_factory=Material)
+
+    def __post_init__(self) -> None:
+        positive("length", self.length_m)
+
+    @property
+    def mass_kg(self) -> float:
+        return self.material.density_kg_m3 * self.section.area_m2 * self.length_m
+
+    @property
+    def axial_period_s(self) -> float:
+        """Period of the first free-free axial mode, 2L/c, which is also how long a rigid impact lasts."""
+        return 2.0 * self.length_m / self.material.bar_speed_m_s

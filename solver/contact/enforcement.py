@@ -1,0 +1,182 @@
+"""How a contact law is enforced over a step: penalty, augmented Lagrangian, Nitsche.
+
+All three meet the body through one scalar per contact point, the *drive*
+
+    s = τ p̂(u, v) - g(u),
+
+with the gap g, the section area times the body's own normal pressure p̂ = -A σ_zz (viscous part
+included) and a compliance τ. The force per area share follows from the law through τ in series,
+and acts along Q = N - θ τ S (N the rows of upward displacement, S those of p̂):
+
+- penalty: τ = 0; the law acts on the gap alone.
+- Nitsche: τ = h / (γ₀ E A), the Robin form of Juntunen and Stenberg (Math. Comp. 78, 2009), which
+  turns into penalty where 1/Kn ≫ τ and into Nitsche's method for Signorini's condition where
+  Kn → ∞; θ = 1, 0, -1 are the symmetric, incomplete and skew variants of Chouly, Hild and Renard
+  (SIAM J. Numer. Anal. 51, 2013). θ ≠ 0 adds -θ τ Sᵀ w S to the stiffness.
+- augmented Lagrangian: τ = 0 and a multiplier per point, updated until the law holds exactly
+  (proximal form of Rockafellar, Math. Oper. Res. 1, 1976); Kn = ∞ is Signorini's condition.
+
+Over a step the force is the discrete gradient of the contact potential (Gonzalez, J. Nonlinear
+Sci. 6, 1996), so that an elastic law does no net work; schemes that dissipate take the
+interpolated force instead.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from enum import StrEnum
+
+import numpy as np
+
+from ..bodies.base import Array, ContactPoints
+from ..errors import ComputationError
+from .laws import ContactLaw
+
+NEWTON_LIMIT = 60
+AUGMENTATION_LIMIT = 200
+RELATIVE_TOLERANCE = 1e-11
+
+
+class Enforcement(StrEnum):
+    PENALTY = "penalty"
+    AUGMENTED = "augmented"
+    NITSCHE = "nitsche"
+
+
+@dataclass(frozen=True)
+class ContactMethod:
+    """A law, the way it is enforced, and that way's constants.
+
+    ``theta`` (1, 0 or -1) and ``gamma0`` (dimensionless; 10 is safe for every θ, the inverse
+    inequality's constant being about 1 in units of the polynomial degree squared) belong to
+    Nitsche, ``augmentation`` (in units of the stiffness of the tip's cell) to the augmented
+    Lagrangian.
+    """
+
+    law: ContactLaw
+    enforcement: Enforcement = Enforcement.PENALTY
+    theta: int = 0
+    gamma0: float = 10.0
+    augmentation: float = 1.0
+
+    def __post_init__(self) -> None:
+        if self.theta not in (-1, 0, 1):
+            raise ValueError(f"theta must be 1, 0 or -1, not {self.theta}")
+        if self.enforcement is Enforcement.PENALTY and math.isinf(self.law.kn_N_m):
+            raise ValueError("penalty needs a finite Kn; take nitsche or augmented for a rigid plane")
+
+    def compliance_m_N(self, points: ContactPoints) -> float:
+        """τ (m/N)."""
+        if self.enforcement is not Enforcement.NITSCHE:
+            return 0.0
+        return 1.0 / (self.gamma0 * points.traction_scale_N_m)
+
+
+@dataclass
+class StepContact:
+    """Solves for the contact forces of one step, given how the drive answers to them.
+
+    ``response`` (n, n): d drive(end of step) / d force. ``end_weight`` is the share of the end of
+    the step in an interpolated force, or None for the discrete gradient.
+    """
+
+    method: ContactMethod
+    series_m_N: float
+    response: Array
+    end_weight: float | None
+    multiplier: Array
+    scale_N_m: float
+    iterations: int = 0
+
+    def solve(self, drive_start: Array, drive_free: Array) -> Array:
+        """Forces per area share (n,) in N that act over the step.
+
+        ``drive_free`` is the drive at the end of the step without contact forces over it.
+        Raises ComputationError where Newton's or the multiplier iteration does not converge.
+        """
+        if max(drive_start.max(), drive_free.max()) <= 0.0 and not self.multiplier.any():
+            return np.zeros_like(drive_free)
+        if self.method.enforcement is Enforcement.AUGMENTED:
+            return self._augment(drive_start, drive_free)
+        return self._newton(drive_start, drive_free, self.response, self.series_m_N, self.end_weight)
+
+    def _augment(self, drive_start: Array, drive_free: Array) -> Array:
+        soft = 1.0 / (self.method.augmentation * self.scale_N_m)
+        rigid = math.isinf(self.method.law.kn_N_m)
+        multiplier = self.multiplier
+        for _ in range(AUGMENTATION_LIMIT):
+            shifted = drive_free + soft * multiplier
+            if rigid:  # the end of the step obeys Signorini's condition: no potential to average
+                force = self._newton(drive_start, shifted, self.response, soft, 1.0, start=0.0)
+            else:
+                response = self.response - soft * np.eye(len(multiplier))
+                force = self._newton(drive_start, shifted, response, 0.0, self.end_weight)
+            change = np.abs(force - multiplier).max()
+            multiplier = force
+            if change <= RELATIVE_TOLERANCE * (np.abs(force).max() + 1e-300):
+                self.multiplier = multiplier
+                return force
+        raise ComputationError(
+            f"the augmented Lagrangian did not converge in {AUGMENTATION_LIMIT} updates "
+            f"(last change {change:.3g} N); raise its augmentation parameter or shorten the ITS"
+        )
+
+    def _newton(
+        self,
+        drive_start: Array,
+        drive_free: Array,
+        response: Array,
+        series_m_N: float,
+        end_weight: float | None,
+        start: float = 1.0,
+    ) -> Array:
+        law = self.method.law
+        force = np.array(self.multiplier)
+        start_force = start * law.force(drive_start, series_m_N)
+        start_energy = law.potential(drive_start, series_m_N)
+        identity = np.eye(len(force))
+        size = np.abs(law.force(drive_free, series_m_N)).max() + np.abs(start_force).max()
+        for iteration in range(NEWTON_LIMIT):
+            drive = drive_free + response @ force
+            target = law.force(drive, series_m_N)
+            slope = law.tangent(drive, series_m_N)
+            if end_weight is None:
+                target, slope = self._discrete_gradient(
+                    drive_start, drive, start_energy, target, slope, series_m_N
+                )
+            else:
+                target = end_weight * target + (1.0 - end_weight) * start_force
+                slope = end_weight * slope
+            residual = force - target
+            if np.abs(residual).max() <= RELATIVE_TOLERANCE * size:
+                self.iterations += iteration
+                return np.asarray(target)
+            step = np.linalg.solve(identity - slope[:, None] * response, residual)
+            force = force - (step if iteration < NEWTON_LIMIT // 2 else 0.5 * step)
+        raise ComputationError(
+            f"the contact forces did not converge in {NEWTON_LIMIT} Newton steps "
+            f"(residual {np.abs(residual).max():.3g} N of {size:.3g} N); shorten the ITS"
+        )
+
+    def _discrete_gradient(
+        self,
+        start: Array,
+        end: Array,
+        start_energy: Array,
+        end_force: Array,
+        end_slope: Array,
+        series_m_N: float,
+    ) -> tuple[Array, Array]:
+        """Mean force over the step and its derivative by the drive at the end."""
+        law = self.method.law
+        change = end - start
+        near = np.abs(change) <= 1e-5 * np.maximum(np.abs(start), np.abs(end))
+        safe = np.where(near, 1.0, change)
+        mean = (law.potential(end, series_m_N) - start_energy) / safe
+        slope = (end_force - mean) / safe
+        if near.any():
+            middle = 0.5 * (start + end)
+            mean = np.where(near, law.force(middle, series_m_N), mean)
+            slope = np.where(near, 0.5 * law.tangent(middle, series_m_N), slope)
+        return mean, slope

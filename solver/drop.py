@@ -1,0 +1,312 @@
+"""One drop: free fall, impact after impact, exact flight between them."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import Protocol
+
+import numpy as np
+
+from .bodies.base import Array, Body
+from .bodies.modal import ModalBody
+from .contact.enforcement import ContactMethod
+from .energy import Budget, flight_energy, marching_energy, step_loss
+from .errors import ComputationError
+from .impact import History, Observer, Touch, march_touch, observe
+from .time.flight import Flight
+from .time.march import Marcher
+from .time.scheme import TimeScheme
+
+# Touches that follow each other within this many axial periods (2L/c each) are one impact.
+SETTLE_PERIODS = 10.0
+TOUCH_LIMIT = 10_000
+FLIGHT_ROWS = 200
+
+
+class FlightFrame(Protocol):
+    """A body together with the modal coordinates in which it flies."""
+
+    @property
+    def body(self) -> Body: ...
+
+    @property
+    def modal(self) -> ModalBody: ...
+
+    def to_modal(self, x: Array) -> Array:
+        """Modal coordinates of the body's vector ``x``."""
+        ...
+
+    def from_modal(self, q: Array) -> Array:
+        """The body's vector of modal coordinates ``q``."""
+        ...
+
+
+@dataclass(frozen=True)
+class ModalFrame:
+    """A body that is modal already."""
+
+    modal: ModalBody
+
+    @property
+    def body(self) -> ModalBody:
+        return self.modal
+
+    def to_modal(self, x: Array) -> Array:
+        return x
+
+    def from_modal(self, q: Array) -> Array:
+        return q
+
+
+@dataclass(frozen=True)
+class DropPlan:
+    """What to simulate: from which height, with which contact, steps and end.
+
+    ``until_s`` is a time after release, or None to end after the first rebound; ``impact_only``
+    ends at the last release of the first impact. ``axial_period_s`` separates impacts.
+    """
+
+    height_m: float
+    method: ContactMethod
+    its_s: float
+    gravity_m_s2: float
+    axial_period_s: float
+    scheme: TimeScheme = field(default_factory=TimeScheme.average)
+    until_s: float | None = None
+    impact_only: bool = False
+
+
+@dataclass
+class DropResult:
+    """What a drop gave; names and units as in result.json."""
+
+    impact_speed_m_s: float
+    rebound_ratio: float | None
+    rebound_height_m: float | None
+    contact_time_s: float
+    n_contacts: int
+    peak_force_N: float
+    impulse_N_s: float
+    max_penetration_m: float
+    time_to_max_penetration_s: float
+    cm_velocity_after_m_s: float
+    n_dofs: int
+    n_steps: int
+    energy: Budget
+    history: History
+    numbers: dict[str, float] = field(default_factory=dict)
+
+
+@dataclass
+class Impact:
+    """The touches of one impact, and the flight that follows it."""
+
+    touches: list[Touch]
+    flight: Flight
+    energy_after: Energy
+    next_touch_s: float
+    material_loss_J: float
+
+    @property
+    def release_s(self) -> float:
+        return self.touches[-1].release_s
+
+
+def free_fall(height_m: float, gravity_m_s2: float, alpha_1_s: float) -> tuple[float, float]:
+    """Time and speed of a rigid fall from rest through ``height_m`` (Eq. 1 where alpha is zero)."""
+    if alpha_1_s == 0.0:
+        speed = math.sqrt(2.0 * gravity_m_s2 * height_m)
+        return speed / gravity_m_s2, speed
+    from scipy.optimize import brentq
+
+    def fallen(t: float) -> float:
+        return gravity_m_s2 * (t + math.expm1(-alpha_1_s * t) / alpha_1_s) / alpha_1_s - height_m
+
+    late = math.sqrt(2.0 * height_m / gravity_m_s2) + 2.0 * height_m * alpha_1_s / gravity_m_s2
+    t = float(brentq(fallen, 0.0, 2.0 * late, xtol=1e-16))
+    return t, -gravity_m_s2 * math.expm1(-alpha_1_s * t) / alpha_1_s
+
+
+def simulate(
+    frame: FlightFrame,
+    plan: DropPlan,
+    marcher: Marcher | None = None,
+    observer: Observer | None = None,
+) -> DropResult:
+    """One drop by events: exact flight between impacts, only the impacts are marched.
+
+    ``marcher`` may be one made before for the same body, contact, scheme, ITS and gravity (its
+    factor is then used again). Raises ComputationError where a step does not converge.
+    """
+    body, g = frame.body, plan.gravity_m_s2
+    marcher = marcher or Marcher(body, plan.method, plan.scheme, plan.its_s, g)
+    history = History()
+    fall_s, speed = free_fall(plan.height_m, g, body.alpha_1_s)
+    initial = body.mass_kg * g * plan.height_m
+    loss = initial - 0.5 * body.mass_kg * speed**2 if body.alpha_1_s else 0.0
+    _record_fall(history, plan, fall_s, body.alpha_1_s)
+
+    t, u, v = fall_s, np.zeros_like(body.lift), -speed * body.lift
+    end_s = math.inf if plan.until_s is None else plan.until_s
+    if end_s <= fall_s:
+        raise ComputationError(f"the drop ends at {end_s:g} s, before it touches at {fall_s:g} s")
+    impacts: list[Impact] = []
+    rebound: float | None = None
+    while True:
+        impact = _impact(frame, marcher, plan, history, t, u, v, observer, end_s)
+        impacts.append(impact)
+        loss += impact.material_loss_J
+        now = impact.energy_after
+        if plan.impact_only:
+            break
+        flight = impact.flight
+        stop = min(impact.next_touch_s, end_s)
+        if len(impacts) == 1:
+            tip = frame.modal.contact.weights @ frame.modal.contact.normal
+            rebound = flight.apex(tip, impact.next_touch_s)[1]
+        _record_flight(history, frame.modal, flight, impact.release_s, stop)
+        q, qv = flight.state(stop)
+        after = flight_energy(frame.modal, q, qv, g)
+        if body.alpha_1_s or body.beta_s:
+            loss += now.total_J - after.total_J
+        now = after
+        if plan.until_s is None or stop >= end_s:
+            break
+        t, u, v = stop, frame.from_modal(q), frame.from_modal(qv)
+    first = impacts[0]
+    depths = [(touch.max_penetration_m, touch) for touch in first.touches]
+    deepest = max(depths, key=lambda item: item[0])[1]
+    return DropResult(
+        impact_speed_m_s=speed,
+        rebound_ratio=None if rebound is None else rebound / plan.height_m,
+        rebound_height_m=rebound,
+        contact_time_s=first.release_s - first.touches[0].start_s,
+        n_contacts=len(first.touches),
+        peak_force_N=max(touch.peak_force_N for touch in first.touches),
+        impulse_N_s=sum(touch.impulse_N_s for touch in first.touches),
+        max_penetration_m=deepest.max_penetration_m,
+        time_to_max_penetration_s=deepest.start_s
+        + deepest.max_penetration_s
+        - first.touches[0].start_s,
+        cm_velocity_after_m_s=first.flight.centre_velocity(first.release_s),
+        n_dofs=body.n_dofs,
+        n_steps=sum(touch.n_steps for impact in impacts for touch in impact.touches),
+        energy=Budget.close(initial, now, loss),
+        history=history,
+    )
+
+
+def _impact(
+    frame: FlightFrame,
+    marcher: Marcher,
+    plan: DropPlan,
+    history: History,
+    t: float,
+    u: Array,
+    v: Array,
+    observer: Observer | None,
+    end_s: float,
+) -> Impact:
+    """Touch after touch until the next one would be further away than ringing can explain."""
+    rows = np.asarray(frame.modal.contact.normal)
+    g = plan.gravity_m_s2
+    damped = bool(marcher.body.alpha_1_s or marcher.body.beta_s)
+    touches: list[Touch] = []
+    loss = 0.0
+    for _ in range(TOUCH_LIMIT):
+        touch = march_touch(marcher, marcher.start(t, u, v), history, observer, end_s)
+        touches.append(touch)
+        loss += touch.material_loss_J
+        state = touch.state
+        q, qv = frame.to_modal(state.u), frame.to_modal(state.v)
+        flight = Flight(frame.modal, state.t_s, q, qv, g)
+        again = flight.next_touch(rows, state.t_s + SETTLE_PERIODS * plan.axial_period_s)
+        if again is None or again >= end_s:
+            break
+        energy = flight_energy(frame.modal, q, qv, g).total_J
+        q, qv = flight.state(again)
+        if damped:
+            loss += energy - flight_energy(frame.modal, q, qv, g).total_J
+        t, u, v = again, frame.from_modal(q), frame.from_modal(qv)
+    else:
+        raise ComputationError(f"more than {TOUCH_LIMIT} touches in one impact; shorten the ITS")
+    upward = max(flight.centre_velocity(state.t_s), 0.0)
+    ringing = float(flight.ringing(rows, np.array([state.t_s]))[0])
+    longest = state.t_s + 2.0 * upward / g + math.sqrt(8.0 * ringing / g) + 1e-3
+    landing = flight.next_touch(rows, longest) if again is None else again
+    return Impact(
+        touches=touches,
+        flight=flight,
+        energy_after=flight_energy(frame.modal, q, qv, g),
+        next_touch_s=longest if landing is None else landing,
+        material_loss_J=loss,
+    )
+
+
+def _record_fall(history: History, plan: DropPlan, fall_s: float, alpha_1_s: float) -> None:
+    for t in np.linspace(0.0, fall_s, FLIGHT_ROWS, endpoint=False):
+        if alpha_1_s:
+            fallen = plan.gravity_m_s2 * (t + math.expm1(-alpha_1_s * t) / alpha_1_s) / alpha_1_s
+        else:
+            fallen = 0.5 * plan.gravity_m_s2 * t * t
+        height = plan.height_m - fallen
+        history.rows.append((float(t), height, height, 0.0, 0.0))
+
+
+def _record_flight(
+    history: History, modal: ModalBody, flight: Flight, start_s: float, stop_s: float
+) -> None:
+    """Tip and centre of mass at equal times; the marched step in which it was released stays."""
+    rows = np.vstack([modal.contact.weights @ modal.contact.normal, modal.lift / modal.mass_kg])
+    start_s = max(start_s, history.rows[-1][0])
+    times = np.linspace(start_s, stop_s, FLIGHT_ROWS + 1)[1:]
+    for t, (tip, centre) in zip(times, flight.observe(rows, times), strict=True):
+        history.rows.append((float(t), float(tip), float(centre), 0.0, max(-float(tip), 0.0)))
+
+
+def march_plainly(frame: FlightFrame, plan: DropPlan, until_s: float) -> DropResult:
+    """The same drop marched at constant ITS from release on, no event used: to check ``simulate``."""
+    body, g = frame.body, plan.gravity_m_s2
+    marcher = Marcher(body, plan.method, plan.scheme, plan.its_s, g)
+    history, forces = History(), []
+    state = marcher.start(0.0, plan.height_m * body.lift, np.zeros_like(body.lift))
+    loss = impulse = 0.0
+    velocity = []
+    none = np.zeros_like(body.contact.weights)
+    observe(marcher, state, none, history)
+    for _ in range(math.ceil(until_s / plan.its_s)):
+        before = state
+        state, force = marcher.step(before)
+        loss += step_loss(marcher, before, state)
+        observe(marcher, state, force, history)
+        forces.append(float(body.contact.weights @ force))
+        velocity.append(body.dot(body.lift, state.mv) / body.mass_kg)
+    rows, force = history.array(), np.array(forces)
+    active = np.flatnonzero(force > 0.0)
+    if not len(active):
+        raise ComputationError(f"nothing touched within {until_s:g} s")
+    settle = SETTLE_PERIODS * plan.axial_period_s / plan.its_s
+    gaps = np.flatnonzero(np.diff(active) > settle)
+    last = active[gaps[0]] if len(gaps) else active[-1]
+    second = active[gaps[0] + 1] if len(gaps) else len(force)
+    impulse = float(plan.its_s * force[: last + 1].sum())
+    rebound = float(rows[last + 1 : second + 1, 1].max(initial=0.0))
+    window = rows[active[0] : last + 2]
+    deepest = int(np.argmax(window[:, 4]))
+    return DropResult(
+        impact_speed_m_s=-velocity[max(active[0] - 1, 0)],
+        rebound_ratio=rebound / plan.height_m,
+        rebound_height_m=rebound,
+        contact_time_s=float((last - active[0] + 1) * plan.its_s),
+        n_contacts=1 + int(np.sum(np.diff(active[active <= last]) > 1)),
+        peak_force_N=float(window[:, 3].max()),
+        impulse_N_s=impulse,
+        max_penetration_m=float(window[deepest, 4]),
+        time_to_max_penetration_s=float(window[deepest, 0] - rows[active[0], 0]),
+        cm_velocity_after_m_s=velocity[last],
+        n_dofs=body.n_dofs,
+        n_steps=len(force),
+        energy=Budget.close(body.mass_kg * g * plan.height_m, marching_energy(marcher, state), loss),
+        history=history,
+    )
