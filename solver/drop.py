@@ -21,6 +21,8 @@ from .time.scheme import TimeScheme
 # Touches that follow each other within this many axial periods (2L/c each) are one impact.
 SETTLE_PERIODS = 10.0
 TOUCH_LIMIT = 10_000
+# Largest error estimate of a reduced body, in units of the impact speed, that is let through.
+REDUCTION_LIMIT = 1e-3
 FLIGHT_ROWS = 200
 
 
@@ -79,7 +81,11 @@ class DropPlan:
 
 @dataclass
 class DropResult:
-    """What a drop gave; names and units as in result.json."""
+    """What a drop gave; names and units as in result.json.
+
+    ``reduction_error`` bounds what a reduced body got wrong against the full order by the end of
+    the first impact, in units of the impact speed; None for bodies that leave nothing out.
+    """
 
     impact_speed_m_s: float
     rebound_ratio: float | None
@@ -95,7 +101,7 @@ class DropResult:
     n_steps: int
     energy: Budget
     history: History
-    numbers: dict[str, float] = field(default_factory=dict)
+    reduction_error: float | None = None
 
 
 @dataclass
@@ -194,7 +200,21 @@ def simulate(
         n_steps=sum(touch.n_steps for impact in impacts for touch in impact.touches),
         energy=Budget.close(initial, now, loss),
         history=history,
+        reduction_error=_reduction_error(body, first, speed),
     )
+
+
+def _reduction_error(body: Body, impact: Impact, speed_m_s: float) -> float | None:
+    """The estimate of a reduced body; ComputationError where it is too large to trust."""
+    if body.defect is None:
+        return None
+    error = sum(touch.defect for touch in impact.touches) / (math.sqrt(body.mass_kg) * speed_m_s)
+    if error > REDUCTION_LIMIT:
+        raise ComputationError(
+            f"the reduced body may be off by {error:.2g} of the impact speed, more than "
+            f"{REDUCTION_LIMIT:g}: give it more modes, or take the solid itself"
+        )
+    return error
 
 
 def _impact(

@@ -32,7 +32,8 @@ class Touch:
     """One touch: when it began and ended, and what it did.
 
     ``force_N`` and ``penetration_m`` are greatest values at the ends of steps, the latter refined
-    by a parabola through its neighbours; ``state`` is the first one after release.
+    by a parabola through its neighbours; ``state`` is the first one after release. ``defect``
+    bounds the energy norm in √J of what a reduced body got wrong.
     """
 
     start_s: float
@@ -43,6 +44,7 @@ class Touch:
     max_penetration_m: float
     max_penetration_s: float
     material_loss_J: float
+    defect: float
     n_steps: int
 
 
@@ -88,16 +90,19 @@ def march_touch(
     """
     weights = marcher.body.contact.weights
     state, first_row = start, len(history.rows)
-    peak = impulse = loss = 0.0
+    peak = impulse = loss = defect = 0.0
     release = start.t_s
     none = np.zeros_like(weights)
     observe(marcher, start, none, history)
+    if observer is not None:
+        observer(start, none)
     for count in range(1, STEP_LIMIT):
         before = state
         state, force = marcher.step(before)
         if not np.isfinite(state.drive).all():
             raise ComputationError(f"the motion is not finite at t = {state.t_s:.6g} s; shorten the ITS")
         loss += step_loss(marcher, before, state)
+        defect += marcher.step_defect(before, state, force)
         total = float(weights @ force)
         impulse += marcher.its_s * total
         now = observe(marcher, state, force, history)
@@ -108,7 +113,18 @@ def march_touch(
             release = _release_time(before, state)
         if total == 0.0 or (now == 0.0 and state.drive.max() <= 0.0) or state.t_s >= until_s:
             depth, when = _deepest(history.array()[first_row:])
-            return Touch(start.t_s, release, state, peak, impulse, depth, when - start.t_s, loss, count)
+            return Touch(
+                start_s=start.t_s,
+                release_s=release,
+                state=state,
+                peak_force_N=peak,
+                impulse_N_s=impulse,
+                max_penetration_m=depth,
+                max_penetration_s=when - start.t_s,
+                material_loss_J=loss,
+                defect=defect,
+                n_steps=count,
+            )
     raise ComputationError(f"still in contact after {STEP_LIMIT} steps of {marcher.its_s:g} s")
 
 

@@ -51,6 +51,14 @@ class ContactPoints:
         return float(self.weights @ self.heights(u))
 
 
+class StepDefect(Protocol):
+    """How far a step of a reduced body is from the full order's (see modal.Defect)."""
+
+    def energy_norm(
+        self, force: Array, motion: Array, c_mass: float, c_stiffness: float
+    ) -> float: ...
+
+
 @runtime_checkable
 class Body(Protocol):
     """A linear body M, K with Rayleigh damping alpha M + beta K, free in space.
@@ -66,6 +74,7 @@ class Body(Protocol):
     beta_s: float
     contact: ContactPoints
     lift: Array
+    defect: StepDefect | None
 
     def mass(self, x: Array) -> Array:
         """M x."""

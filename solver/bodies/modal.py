@@ -13,11 +13,37 @@ from .base import Array, ContactPoints
 
 
 @dataclass(frozen=True)
+class Defect:
+    """What the reduced body leaves of the full order's equation of motion, measured by its energy.
+
+    Modes satisfy the equation projected on themselves; left over is
+    R_f (w P) - R_k (u + β v), with R_f = Qᵀ - M V Vᵀ Qᵀ and R_k = K V - M V Λ. ``gram`` holds
+    [R_f, R_k]ᵀ A⁻¹ [R_f, R_k] for A = s M + K, s = ``shift_1_s2``.
+    """
+
+    gram: Array
+    shift_1_s2: float
+
+    def energy_norm(
+        self, force: Array, motion: Array, c_mass: float, c_stiffness: float
+    ) -> float:
+        """Bound on √(rᵀ (c_mass M + c_stiffness K)⁻¹ r), r being what a step leaves over.
+
+        ``force`` (points,) is w P in N, ``motion`` (modes,) is u + β v where equilibrium is taken.
+        The effective matrix is no softer than min(c_mass/s, c_stiffness) times A.
+        """
+        left = np.concatenate([force, -motion])
+        squared = max(float(left @ self.gram @ left), 0.0)
+        return float(np.sqrt(squared / min(c_mass / self.shift_1_s2, c_stiffness)))
+
+
+@dataclass(frozen=True)
 class ModalBody:
     """Modes (mass-normalised) with squared angular frequencies ``omega2`` (n,); zero is rigid.
 
     ``contact`` and ``lift`` are expressed in modal coordinates. ``n_dofs`` counts the unknowns of
     the discretisation that the modes came from or, for a reduced body, the modes themselves.
+    ``defect`` is what a reduced body leaves out, None where the modes are complete.
     """
 
     name: str
@@ -26,6 +52,7 @@ class ModalBody:
     contact: ContactPoints
     alpha_1_s: float
     beta_s: float
+    defect: Defect | None = None
 
     @property
     def n_dofs(self) -> int:

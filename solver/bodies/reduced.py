@@ -1,9 +1,9 @@
 """The solid in a few modes: Krylov vectors from its contact loads, and how far off they are.
 
-Starting vectors are the response of the solid to pressure on its tip; each further block is the
-response (K + s M)⁻¹ M of the last (Nour-Omid and Clough, Earthquake Eng. Struct. Dyn. 12, 1984).
-With s the shift of the time scheme's own effective matrix, the full order's march from a rigid
-fall stays in exactly this space, so the basis is right for the motion it is asked for.
+The first vector is the solid's response to a pressure on its tip, each further one the response
+(K + s M)⁻¹ M of the last (Nour-Omid and Clough, Earthquake Eng. Struct. Dyn. 12, 1984). With s
+the shift of the time scheme's own effective matrix, the full order's march from a rigid fall stays
+in exactly this space, so the basis is right for the motion it is asked for.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from scipy.linalg import eigh
 
 from ..errors import ComputationError
 from .base import Array, ContactPoints
-from .modal import ModalBody
+from .modal import Defect, ModalBody
 from .solid import SolidBody
 
 DEFLATED = 1e-10
@@ -41,61 +41,57 @@ class ReducedModel:
         return self.basis @ q
 
 
-def load_patterns(contact: ContactPoints, degree: int) -> Array:
-    """Pressures over the tip (n, patterns): products of powers of x and y up to ``degree``."""
-    x, y = (contact.xy_m / np.abs(contact.xy_m).max(axis=0).clip(1e-300)).T
-    powers = [x**i * y**j for i in range(degree + 1) for j in range(degree + 1 - i)]
-    return np.stack(powers, axis=1)
-
-
 def krylov_basis(
-    solid: SolidBody, solve: Callable[[Array], Array], loads: Array, n_vectors: int
+    solid: SolidBody, solve: Callable[[Array], Array], n_krylov: int
 ) -> tuple[Array, Array]:
-    """M-orthonormal (n_local, 6 + ``n_vectors``): rigid motions, then Krylov blocks; and M times it.
+    """M-orthonormal basis (n_local, k), and M times it.
 
-    ``loads`` (n_local, b) start it. Directions that carry nothing new are dropped, so fewer
-    vectors may come back.
+    Rigid motions; ``n_krylov`` Krylov vectors of a uniform pressure on the tip; and the response
+    to each contact point alone, without which an uneven pressure would meet a tip too stiff.
+    Directions that carry nothing new are dropped.
     """
-    limit = 6 + n_vectors
+    contact = solid.contact
+    local = solve(contact.normal.T.toarray())
+    limit = 6 + n_krylov + local.shape[1]
     basis, images = (np.empty((solid.n_local, limit), order="F") for _ in range(2))
     count = 0
 
-    def add(x: Array) -> Array | None:
+    def add(x: Array) -> bool:
         nonlocal count
-        if count == limit:
-            return None
         size = np.sqrt(solid.dot(x, solid.mass(x)))
         for _ in range(2):
             x = x - basis[:, :count] @ _total(solid, images[:, :count].T @ x)
         image = solid.mass(x)
         norm = np.sqrt(max(solid.dot(x, image), 0.0))
         if norm <= DEFLATED * size:
-            return None
+            return False
         basis[:, count], images[:, count] = x / norm, image / norm
         count += 1
-        return x / norm
+        return True
 
     for motion in solid.rigid_motions().T:
         add(motion)
-    block = [solve(load) for load in loads.T]
-    while count < limit and block:
-        kept = [v for x in block if (v := add(x)) is not None]
-        block = [solve(solid.mass(v)) for v in kept] if count < limit else []
+    vector = local @ contact.weights
+    for _ in range(n_krylov):
+        if not add(vector):
+            break
+        vector = solve(images[:, count - 1])
+    for response in local.T:
+        add(response)
     return basis[:, :count], images[:, :count]
 
 
 def reduce_solid(
-    solid: SolidBody, shift_1_s2: float, n_vectors: int = 40, load_degree: int = 0
+    solid: SolidBody, shift_1_s2: float, n_krylov: int = 24
 ) -> ReducedModel:
-    """The solid in ``n_vectors`` Krylov vectors and its rigid motions, in modal form.
+    """The solid in rigid motions, ``n_krylov`` Krylov vectors and its tip's own responses.
 
     ``shift_1_s2`` is s above. Raises ComputationError where the reduced stiffness is not
     positive semidefinite.
     """
     solve = solid.factor(shift_1_s2, 1.0)
     contact = solid.contact
-    loads = contact.normal.T @ (contact.weights[:, None] * load_patterns(contact, load_degree))
-    basis, images = krylov_basis(solid, solve, loads, n_vectors)
+    basis, images = krylov_basis(solid, solve, n_krylov)
     stiff = np.stack([solid.stiffness(v) for v in basis.T], axis=1)
     reduced = _total(solid, basis.T @ stiff)
     reduced[:6, :] = reduced[:, :6] = 0.0
@@ -104,20 +100,23 @@ def reduce_solid(
     omega2[np.argsort(np.abs(omega2))[:6]] = 0.0
     if omega2.min() < -1e-12 * scale:
         raise ComputationError(f"the reduced stiffness is not semidefinite: ω² = {omega2.min():.3g}")
-    basis, images = basis @ modes, images @ modes
+    basis, images, stiff = basis @ modes, images @ modes, stiff @ modes
+    normal, pressure = contact.heights(basis), contact.pressures(basis)
+    left_over = np.hstack([contact.normal.T.toarray() - images @ normal.T, stiff - images * omega2])
     modal = ModalBody(
         name="reduced",
         omega2=omega2,
         lift=_total(solid, images.T @ solid.lift),
         contact=ContactPoints(
-            normal=contact.heights(basis),
-            pressure=contact.pressures(basis),
+            normal=normal,
+            pressure=pressure,
             weights=contact.weights,
             xy_m=contact.xy_m,
             traction_scale_N_m=contact.traction_scale_N_m,
         ),
         alpha_1_s=solid.alpha_1_s,
         beta_s=solid.beta_s,
+        defect=Defect(_total(solid, left_over.T @ solve(left_over)), shift_1_s2),
     )
     return ReducedModel(solid, modal, basis, images)
 

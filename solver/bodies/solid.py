@@ -32,6 +32,7 @@ class SolidBody:
     """
 
     name = "solid"
+    defect = None
 
     def __init__(
         self,
@@ -100,12 +101,26 @@ class SolidBody:
 
         def solve(b: Array) -> Array:
             if b.ndim == 2:
-                return np.stack([solve(column) for column in b.T], axis=1)
+                return self._solve_block(solver, b) / scale
             right.array[:] = b
             solver.solve(right, left)
             return left.array / scale
 
         return solve
+
+    def _solve_block(self, solver: PETSc.KSP, b: Array) -> Array:
+        """All columns of ``b`` (n, m) at once: several times faster than one by one."""
+        sizes = ((self.n_local, None), (None, b.shape[1]))
+        right = PETSc.Mat().createDense(sizes, comm=self.comm)
+        right.setUp()
+        right.getDenseArray()[:] = b
+        right.assemble()
+        left = right.duplicate()
+        solver.matSolve(right, left)
+        x = left.getDenseArray().copy()
+        right.destroy()
+        left.destroy()
+        return x
 
     def _factored(self, c_mass: float, c_stiffness: float) -> PETSc.KSP:
         matrix = self.stiffness_matrix.copy()

@@ -48,21 +48,24 @@ class Enforcement(StrEnum):
 class ContactMethod:
     """A law, the way it is enforced, and that way's constants.
 
-    ``theta`` (1, 0 or -1) and ``gamma0`` (dimensionless; 10 is safe for every θ, the inverse
-    inequality's constant being about 1 in units of the polynomial degree squared) belong to
-    Nitsche, ``augmentation`` (in units of the stiffness of the tip's cell) to the augmented
+    ``theta`` (1, 0 or -1) and ``gamma0`` belong to Nitsche. τ = 1 / (γ₀ times the stiffness of
+    the tip's cell times the polynomial degree squared), so that γ₀ = 1 is the constant of the
+    inverse inequality at which the symmetric form stops being positive; much larger values make a
+    rigid contact chatter. ``augmentation`` (in units of that stiffness) belongs to the augmented
     Lagrangian.
     """
 
     law: ContactLaw
     enforcement: Enforcement = Enforcement.PENALTY
     theta: int = 0
-    gamma0: float = 10.0
+    gamma0: float = 1.5
     augmentation: float = 1.0
 
     def __post_init__(self) -> None:
         if self.theta not in (-1, 0, 1):
             raise ValueError(f"theta must be 1, 0 or -1, not {self.theta}")
+        if not self.gamma0 >= 1.0:
+            raise ValueError(f"gamma0 must be at least 1, not {self.gamma0}")
         if self.enforcement is Enforcement.PENALTY and math.isinf(self.law.kn_N_m):
             raise ValueError("penalty needs a finite Kn; take nitsche or augmented for a rigid plane")
 
@@ -88,6 +91,7 @@ class StepContact:
     multiplier: Array
     scale_N_m: float
     iterations: int = 0
+    largest_N: float = 0.0
 
     def solve(self, drive_start: Array, drive_free: Array) -> Array:
         """Forces per area share (n,) in N that act over the step.
@@ -114,7 +118,8 @@ class StepContact:
                 force = self._newton(drive_start, shifted, response, 0.0, self.end_weight)
             change = np.abs(force - multiplier).max()
             multiplier = force
-            if change <= RELATIVE_TOLERANCE * (np.abs(force).max() + 1e-300):
+            self.largest_N = max(self.largest_N, float(np.abs(force).max()))
+            if change <= RELATIVE_TOLERANCE * self.largest_N:
                 self.multiplier = multiplier
                 return force
         raise ComputationError(

@@ -129,19 +129,19 @@ class Flight:
         """The first time in (t0, ``until_s``] at which a row comes down through zero, or None."""
         if until_s <= self.t0_s:
             return None
-        edges = self._windows(rows, until_s)
         above = False
-        for start, end in edges:
+        for start, end in self._windows(rows, until_s):
+            above = above or start > self.t0_s
             step = min(self._sampling_s(rows, start), (end - start) / 8.0)
             count = int(np.ceil((end - start) / step)) + 1
-            t = np.linspace(start, end, count)
-            low = self._lowest(rows, t)
-            above = above or start > self.t0_s
-            for first in range(count - 1):
-                above = above or low[first] > 0.0
-                if above and low[first + 1] <= 0.0:
-                    left = t[first] if low[first] > 0.0 else t[first] - step
-                    return self._root(rows, left, t[first + 1])
+            for first in range(0, count - 1, CHUNK):
+                t = start + step * np.arange(first, min(first + CHUNK, count - 1) + 1)
+                low = self._lowest(rows, t)
+                for i in range(len(t) - 1):
+                    above = above or low[i] > 0.0
+                    if above and low[i + 1] <= 0.0:
+                        left = t[i] if low[i] > 0.0 else t[i] - step
+                        return self._root(rows, left, t[i + 1])
         return None
 
     def _lowest(self, rows: Array, t: Array) -> Array:

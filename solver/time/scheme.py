@@ -28,6 +28,17 @@ class TimeScheme:
         if self.alpha_m > self.alpha_f or self.alpha_f > 0.5:
             raise ValueError("generalised-alpha is stable for alpha_m <= alpha_f <= 1/2 only")
 
+    def effective(self, its_s: float, alpha_1_s: float, beta_s: float) -> tuple[float, float]:
+        """c_M and c_K (s²) of the effective matrix c_M M + c_K K that a step solves with.
+
+        Their ratio c_M / c_K (1/s²) is the shift of a Krylov basis made for this march.
+        """
+        weight = 1.0 - self.alpha_f
+        return (
+            (1.0 - self.alpha_m) + weight * self.gamma * its_s * alpha_1_s,
+            weight * (self.gamma * its_s * beta_s + self.beta * its_s * its_s),
+        )
+
     @classmethod
     def average(cls) -> TimeScheme:
         """Average acceleration with equilibrium at mid-step: the default; conserves energy.

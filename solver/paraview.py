@@ -1,0 +1,246 @@
+"""Which fields of a solid's impact does ParaView get, and when?
+
+    writer = FieldWriter(solid, out / "fields", marcher, every=None, max_frames=200)
+    with writer:
+        simulate(frame, plan, marcher, observer=writer)
+        writer.write_flight(frame, plan.gravity_m_s2)
+
+In the folder: ``solid.bp`` with displacement, velocity, axial and von Mises stress on the nodes of
+the solution (a cell of degree 2 stays one, with its 27 nodes); ``tip.bp`` with contact pressure,
+gap and displacement on the nodes of the tip's face; ``frames.csv`` with time and phase of each
+frame. The .bp are ADIOS2's BP4 with VTX' schema: ParaView reads them with ADIOS2VTXReader, in
+parallel if need be. Every frame is on the disk when ``write`` returns, so a run that is killed
+leaves all of them readable.
+"""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable
+from enum import StrEnum
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+import numpy as np
+from dolfinx import fem
+from dolfinx.io import VTXMeshPolicy, VTXWriter
+
+from .bodies.base import Array
+from .bodies.solid import SolidBody
+from .drop import FlightFrame
+from .errors import ComputationError
+from .impact import instant_force
+from .nodal_stress import VOIGT, NodalStress, von_mises
+from .time.flight import Flight
+from .time.march import Marcher, State
+from .tip_face import TipFace
+
+SOLID_FILE, TIP_FILE, FRAMES_FILE = "solid.bp", "tip.bp", "frames.csv"
+FRAMES_PER_PERIOD = 40
+AXIAL = VOIGT.index((2, 2))
+
+
+class Phase(StrEnum):
+    """What the body was doing at a frame."""
+
+    TOUCH = "touch"
+    CONTACT = "contact"
+    RELEASE = "release"
+    FLIGHT = "flight"
+
+
+class FieldWriter:
+    """Writes frames of a solid's motion while it is marched: an observer of ``simulate``.
+
+    Displacement is total: it includes the rigid motion, so that the tip's z displacement is its
+    height above the plane. ``pressure_Pa`` is the contact force at a point over the area it stands
+    for; its integral over the face is the contact force. With ``marcher`` it is the force at the
+    frame's own instant, without it the mean over the step before.
+
+    A frame is written at the touch (where the observer is shown it), then ``every`` steps, and at
+    release. Left out, ``every`` gives 40 frames in the time in which a wave runs up and back, at
+    most one per step. When half of ``max_frames`` are written ``every`` doubles, and again after
+    each further twentieth, so a contact a hundred times longer than expected is covered to its
+    end. No more than ``max_frames`` are written during contact, the last of them at a release;
+    frames of the flight come on top.
+
+    The mesh goes with every frame: with ``mesh_once`` the files are two thirds as large, but
+    ParaView's reader shows nothing when the first frame that it is asked for is not the first of
+    the file (seen in 5.13), as happens when a file is opened at a later time or from a saved state.
+
+    ``expand`` maps a state's vectors to the solid's unknowns, for a body that stands for the
+    solid: with a reduced model it is ``ReducedModel.from_modal``.
+
+    Construction, every call, ``write…`` and ``close`` are collective over the solid's ranks; forms
+    are compiled in construction alone. What the folder holds of an earlier run is replaced.
+    """
+
+    def __init__(
+        self,
+        solid: SolidBody,
+        folder: Path,
+        marcher: Marcher | None = None,
+        *,
+        every: int | None = None,
+        max_frames: int = 200,
+        expand: Callable[[Array], Array] | None = None,
+        mesh_once: bool = False,
+    ) -> None:
+        if every is not None and every < 1:
+            raise ValueError(f"every must be 1 or more steps, not {every}")
+        if max_frames < 2:
+            raise ValueError(f"max_frames must be 2 or more, not {max_frames}")
+        self.solid, self.folder, self.comm = solid, Path(folder), solid.comm
+        self.times_s: list[float] = []
+        self._marcher, self._expand = marcher, expand
+        self._every = every or _default_stride(solid, marcher)
+        self._max_frames, self._next_doubling = max_frames, max_frames // 2
+        self._n_contact, self._since = 0, self._every
+        self._phase: Phase | None = None
+        self._last: State | None = None
+        self._none = np.zeros_like(solid.contact.weights)
+        self._make_fields()
+        self._open(VTXMeshPolicy.reuse if mesh_once else VTXMeshPolicy.update)
+
+    def _make_fields(self) -> None:
+        space = self.solid.space
+        scalar = fem.functionspace(self.solid.domain, ("Lagrange", self.solid.order))
+        same = np.array_equal(scalar.dofmap.list, space.dofmap.list)
+        if not self.comm.allreduce(int(same)) == self.comm.size:
+            raise ComputationError("scalar and vector nodes are numbered differently")
+        self.displacement = fem.Function(space, name="displacement_m")
+        self.velocity = fem.Function(space, name="velocity_m_s")
+        self.axial_stress = fem.Function(scalar, name="axial_stress_Pa")
+        self.von_mises = fem.Function(scalar, name="von_mises_Pa")
+        self._stress = NodalStress(self.displacement, self.solid.material)
+        self._tip = TipFace(self.solid)
+
+    def _open(self, policy: VTXMeshPolicy) -> None:
+        if self.comm.rank == 0:
+            self.folder.mkdir(parents=True, exist_ok=True)
+            for name in (SOLID_FILE, TIP_FILE):
+                shutil.rmtree(self.folder / name, ignore_errors=True)
+            (self.folder / FRAMES_FILE).write_text("frame,t_s,phase\n")
+        self.comm.barrier()
+        body = [self.displacement, self.velocity, self.axial_stress, self.von_mises]
+        self._writers = [
+            VTXWriter(
+                fields[0].function_space.mesh.comm,
+                self.folder / name,
+                fields,
+                engine="BP4",
+                mesh_policy=policy,
+            )
+            for name, fields in ((SOLID_FILE, body), (TIP_FILE, self._tip.fields))
+        ]
+
+    def __call__(self, state: State, step_force: Array) -> None:
+        """Take note of a step; ``step_force`` (n contact points,) in N per area share."""
+        force = step_force
+        if self._marcher is not None and step_force.any():
+            force = instant_force(self._marcher, state, step_force)
+        self._last, self._since = state, self._since + 1
+        self._phase = self._next_phase(state, step_force, force)
+        due = self._since >= self._every or self._phase is not Phase.CONTACT
+        kept = 0 if self._phase is Phase.RELEASE else 1
+        if due and self._n_contact < self._max_frames - kept:
+            self.write(state.t_s, state.u, state.v, force, self._phase)
+            self._count()
+
+    def _next_phase(self, state: State, step_force: Array, force: Array) -> Phase:
+        free = not step_force.any() or (not force.any() and state.drive.max() <= 0.0)
+        if not free:
+            return Phase.CONTACT
+        return Phase.RELEASE if self._phase is Phase.CONTACT else Phase.TOUCH
+
+    def _count(self) -> None:
+        self._since, self._n_contact = 0, self._n_contact + 1
+        if self._n_contact >= self._next_doubling:
+            self._every *= 2
+            self._next_doubling += max(self._max_frames // 20, 1)
+
+    def write(
+        self,
+        t_s: float,
+        u: Array,
+        v: Array,
+        force: Array | None = None,
+        phase: Phase = Phase.CONTACT,
+    ) -> None:
+        """Write one frame of any state: ``u``, ``v`` as in State, ``force`` (n,) in N or none.
+
+        A frame that is not later than the last one is left out, since ParaView wants increasing
+        times. Raises ValueError after ``close``.
+        """
+        if not self._writers:
+            raise ValueError(f"the fields in {self.folder} are closed")
+        if self.times_s and t_s <= self.times_s[-1]:
+            return
+        for function, values in ((self.displacement, u), (self.velocity, v)):
+            function.x.array[: self.solid.n_local] = self._expand(values) if self._expand else values
+            function.x.scatter_forward()
+        stress = self._stress()
+        self.axial_stress.x.array[:] = stress[:, AXIAL]
+        self.von_mises.x.array[:] = von_mises(stress)
+        self._tip.update(self.displacement, self._none if force is None else force)
+        for writer in self._writers:
+            writer.write(t_s)
+        if self.comm.rank == 0:
+            with (self.folder / FRAMES_FILE).open("a") as table:
+                table.write(f"{len(self.times_s)},{t_s!r},{phase}\n")
+        self.times_s.append(t_s)
+
+    def write_flight(
+        self,
+        frame: FlightFrame,
+        gravity_m_s2: float,
+        duration_s: float | None = None,
+        n_frames: int = 80,
+    ) -> None:
+        """Write ``n_frames`` of the flight after the last state seen, to show the wave run on.
+
+        ``frame`` is what ``simulate`` flew in; ``duration_s`` is, left out, two axial periods.
+        Raises ValueError where no step was seen.
+        """
+        if self._last is None:
+            raise ValueError("there is no flight before the first step")
+        start, body = self._last.t_s, frame.modal
+        u, v = frame.to_modal(self._last.u), frame.to_modal(self._last.v)
+        flight = Flight(body, start, u, v, gravity_m_s2)
+        if duration_s is None:
+            duration_s = 2.0 * axial_period_s(self.solid)
+        for t in np.linspace(start, start + duration_s, n_frames + 1)[1:]:
+            q, qv = flight.state(float(t))
+            self.write(float(t), frame.from_modal(q), frame.from_modal(qv), None, Phase.FLIGHT)
+
+    def close(self) -> None:
+        """Finish the files; frames can no longer be added. Safe to call again. Collective."""
+        for writer in self._writers:
+            writer.close()
+        self._writers = []
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        # one rank that failed alone would wait in close for the others, who never come
+        if error is None or self.comm.size == 1:
+            self.close()
+
+
+def axial_period_s(solid: SolidBody) -> float:
+    """Time 2L/c in which an axial wave runs up the solid and back. Collective."""
+    top = solid.comm.allreduce(solid.domain.geometry.x[:, 2].max(initial=0.0), max)
+    return 2.0 * float(top) / solid.material.bar_speed_m_s
+
+
+def _default_stride(solid: SolidBody, marcher: Marcher | None) -> int:
+    if marcher is None:
+        return 1
+    return max(1, round(axial_period_s(solid) / FRAMES_PER_PERIOD / marcher.its_s))
