@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from typing import Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from .bodies.base import Array, Body
 from .bodies.modal import ModalBody
@@ -18,8 +19,6 @@ from .time.flight import Flight
 from .time.march import Marcher
 from .time.scheme import TimeScheme
 
-# Touches that follow each other within this many axial periods (2L/c each) are one impact.
-SETTLE_PERIODS = 10.0
 TOUCH_LIMIT = 10_000
 # Largest error estimate of a reduced body, in units of the impact speed, that is let through.
 REDUCTION_LIMIT = 1e-3
@@ -66,14 +65,13 @@ class DropPlan:
     """What to simulate: from which height, with which contact, steps and end.
 
     ``until_s`` is a time after release, or None to end after the first rebound; ``impact_only``
-    ends at the last release of the first impact. ``axial_period_s`` separates impacts.
+    ends at the last release of the first impact.
     """
 
     height_m: float
     method: ContactMethod
     its_s: float
     gravity_m_s2: float
-    axial_period_s: float
     scheme: TimeScheme = field(default_factory=TimeScheme.average)
     until_s: float | None = None
     impact_only: bool = False
@@ -228,7 +226,11 @@ def _impact(
     observer: Observer | None,
     end_s: float,
 ) -> Impact:
-    """Touch after touch until the next one would be further away than ringing can explain."""
+    """Touch after touch, until the centre of mass has turned to fall again before the next one.
+
+    A tip that rings down onto the plane while the centre of mass still rises belongs to the same
+    impact.
+    """
     rows = np.asarray(frame.modal.contact.normal)
     g = plan.gravity_m_s2
     damped = bool(marcher.body.alpha_1_s or marcher.body.beta_s)
@@ -241,25 +243,25 @@ def _impact(
         state = touch.state
         q, qv = frame.to_modal(state.u), frame.to_modal(state.v)
         flight = Flight(frame.modal, state.t_s, q, qv, g)
-        again = flight.next_touch(rows, state.t_s + SETTLE_PERIODS * plan.axial_period_s)
-        if again is None or again >= end_s:
+        rising = flight.centre_velocity(state.t_s)
+        ringing = float(flight.ringing(rows, np.array([state.t_s]))[0])
+        longest = state.t_s + 2.0 * max(rising, 0.0) / g + math.sqrt(8.0 * ringing / g) + 1e-3
+        again = flight.next_touch(rows, longest)
+        landing = longest if again is None else again
+        if landing >= end_s or (rising > 0.0 and flight.centre_velocity(landing) <= 0.0):
             break
         energy = flight_energy(frame.modal, q, qv, g).total_J
-        q, qv = flight.state(again)
+        q, qv = flight.state(landing)
         if damped:
             loss += energy - flight_energy(frame.modal, q, qv, g).total_J
-        t, u, v = again, frame.from_modal(q), frame.from_modal(qv)
+        t, u, v = landing, frame.from_modal(q), frame.from_modal(qv)
     else:
         raise ComputationError(f"more than {TOUCH_LIMIT} touches in one impact; shorten the ITS")
-    upward = max(flight.centre_velocity(state.t_s), 0.0)
-    ringing = float(flight.ringing(rows, np.array([state.t_s]))[0])
-    longest = state.t_s + 2.0 * upward / g + math.sqrt(8.0 * ringing / g) + 1e-3
-    landing = flight.next_touch(rows, longest) if again is None else again
     return Impact(
         touches=touches,
         flight=flight,
         energy_after=flight_energy(frame.modal, q, qv, g),
-        next_touch_s=longest if landing is None else landing,
+        next_touch_s=landing,
         material_loss_J=loss,
     )
 
@@ -285,6 +287,17 @@ def _record_flight(
         history.rows.append((float(t), float(tip), float(centre), 0.0, max(-float(tip), 0.0)))
 
 
+def _first_impact(active: NDArray[np.intp], velocity: Array) -> tuple[int, int]:
+    """Last step of contact of the first impact, and the first of the second (or the end).
+
+    ``active`` (k,) are the steps with contact, ``velocity`` the centre's after each step.
+    """
+    for end, start in zip(active[:-1], active[1:], strict=True):
+        if start > end + 1 and velocity[end] > 0.0 and velocity[start - 1] <= 0.0:
+            return int(end), int(start)
+    return int(active[-1]), len(velocity)
+
+
 def march_plainly(frame: FlightFrame, plan: DropPlan, until_s: float) -> DropResult:
     """The same drop marched at constant ITS from release on, no event used: to check ``simulate``."""
     body, g = frame.body, plan.gravity_m_s2
@@ -306,10 +319,7 @@ def march_plainly(frame: FlightFrame, plan: DropPlan, until_s: float) -> DropRes
     active = np.flatnonzero(force > 0.0)
     if not len(active):
         raise ComputationError(f"nothing touched within {until_s:g} s")
-    settle = SETTLE_PERIODS * plan.axial_period_s / plan.its_s
-    gaps = np.flatnonzero(np.diff(active) > settle)
-    last = active[gaps[0]] if len(gaps) else active[-1]
-    second = active[gaps[0] + 1] if len(gaps) else len(force)
+    last, second = _first_impact(active, np.array(velocity))
     impulse = float(plan.its_s * force[: last + 1].sum())
     rebound = float(rows[last + 1 : second + 1, 1].max(initial=0.0))
     window = rows[active[0] : last + 2]

@@ -111,7 +111,8 @@ def march_touch(
             observer(state, force)
         if total > 0.0:
             release = _release_time(before, state)
-        if total == 0.0 or (now == 0.0 and state.drive.max() <= 0.0) or state.t_s >= until_s:
+        free = total == 0.0 or (now == 0.0 and state.drive.max() <= 0.0)
+        if (free and _leaving(marcher, state)) or state.t_s >= until_s:
             depth, when = _deepest(history.array()[first_row:])
             return Touch(
                 start_s=start.t_s,
@@ -126,6 +127,12 @@ def march_touch(
                 n_steps=count,
             )
     raise ComputationError(f"still in contact after {STEP_LIMIT} steps of {marcher.its_s:g} s")
+
+
+def _leaving(marcher: Marcher, state: State) -> bool:
+    """Whether every point is above the plane or on its way up."""
+    contact = marcher.body.contact
+    return bool(np.all((contact.heights(state.u) > 0.0) | (contact.heights(state.v) > 0.0)))
 
 
 def _release_time(before: State, after: State) -> float:

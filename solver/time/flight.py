@@ -30,8 +30,8 @@ class Flight:
         self._pull = -gravity_m_s2 * body.lift
         damping = body.alpha_1_s + body.beta_s * body.omega2
         root = np.sqrt((damping**2 - 4.0 * body.omega2).astype(complex))
-        # a mode that is critically damped to the last bit would have no second exponential
-        root = np.where(~rigid & (np.abs(root) < 1e-9 * damping), 1e-9 * damping + 0j, root)
+        # critically damped modes have no second exponential; split roots err by the split squared
+        root = np.where(~rigid & (np.abs(root) < 1e-6 * damping), 1e-6 * damping + 0j, root)
         # the smaller root from the product of both, free of cancellation
         self._fast = -0.5 * (damping + root)
         self._slow = np.divide(
@@ -126,7 +126,10 @@ class Flight:
         return np.asarray(self._fall(t, self._rigid)[0] @ row[self._rigid])
 
     def next_touch(self, rows: Array, until_s: float) -> float | None:
-        """The first time in (t0, ``until_s``] at which a row comes down through zero, or None."""
+        """The first time in (t0, ``until_s``] at which a row comes down through zero, or None.
+
+        A row that starts below zero, on its way up, touches when it turns down before it got out.
+        """
         if until_s <= self.t0_s:
             return None
         above = False
@@ -142,6 +145,8 @@ class Flight:
                     if above and low[i + 1] <= 0.0:
                         left = t[i] if low[i] > 0.0 else t[i] - step
                         return self._root(rows, left, t[i + 1])
+                    if not above and low[i + 1] < low[i]:
+                        return float(t[i + 1])
         return None
 
     def _lowest(self, rows: Array, t: Array) -> Array:

@@ -1,0 +1,54 @@
+"""What several test modules share: the paper's bristle, and small solids made once."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from bristle.solver.bristle import Bristle, Material, Rectangle
+from mpi4py import MPI
+
+
+@pytest.fixture(scope="session")
+def bristle() -> Bristle:
+    return Bristle()
+
+
+@pytest.fixture(scope="session")
+def make_solid():
+    """A function that builds (and remembers) a solid: cells, length, order, material, section."""
+    from bristle.meshes import geometry
+    from bristle.meshes.distribute import to_dolfinx
+    from bristle.solver.bodies.solid import SolidBody
+
+    made: dict = {}
+
+    def build(
+        cells=(1, 2, 24),
+        length_m=0.02,
+        order=2,
+        material=None,
+        section=None,
+        comm=MPI.COMM_WORLD,
+        geometry_order=1,
+    ) -> SolidBody:
+        material = material or Material()
+        section = section or Rectangle()
+        key = (cells, length_m, order, material, section, comm.size, geometry_order)
+        if key not in made:
+            if isinstance(section, Rectangle):
+                shape = geometry.Rectangle(section.thickness_m, section.width_m)
+            else:
+                shape = geometry.Wire(section.diameter_m)
+            spec = geometry.MeshSpec(length_m, shape, cells, geometry_order)
+            domain, _, facets = to_dolfinx(spec, comm)
+            made[key] = SolidBody(domain, facets, int(geometry.Tag.TIP), material, order)
+        return made[key]
+
+    yield build
+    for solid in made.values():
+        solid.close()
+
+
+@pytest.fixture
+def rng() -> np.random.Generator:
+    return np.random.default_rng(20)

@@ -1,0 +1,191 @@
+"""Does a drop give what the paper gave, what independent methods give, and itself another way?"""
+
+import math
+
+import numpy as np
+import pytest
+from bristle.solver import paper
+from bristle.solver.bodies.analytic import analytic_drop, quarter_period_s
+from bristle.solver.bodies.beam import beam_body
+from bristle.solver.bristle import Bristle, Material
+from bristle.solver.contact.enforcement import ContactMethod, Enforcement
+from bristle.solver.contact.laws import Linear
+from bristle.solver.drop import DropPlan, ModalFrame, free_fall, march_plainly, simulate
+from bristle.solver.errors import ComputationError
+from bristle.solver.time.scheme import TimeScheme
+from reference import modal_series_rebound, rate
+
+pytestmark = pytest.mark.serial
+G = paper.GRAVITY_M_S2
+
+
+@pytest.fixture(scope="module")
+def beam(bristle):
+    return ModalFrame(beam_body(bristle, paper.ELEMENTS))
+
+
+def drop(frame, kn, height=0.05, its=paper.ITS_S, **kwargs):
+    method = kwargs.pop("method", None) or ContactMethod(Linear(kn))
+    return simulate(frame, DropPlan(height, method, its, G, **kwargs))
+
+
+@pytest.mark.parametrize("height", paper.HEIGHTS_M)
+def test_the_papers_rebound_at_three_stiffnesses(beam, height):
+    """0.65 at 2 MN/m; about 0.3 at 100 and about 1 at 0.01, which the paper gives to one digit."""
+    assert drop(beam, 2e6, height).rebound_ratio == pytest.approx(0.65, abs=0.01)
+    assert drop(beam, 1e8, height).rebound_ratio == pytest.approx(0.3, abs=0.05)
+    assert drop(beam, 1e4, height).rebound_ratio == pytest.approx(1.0, abs=0.005)
+
+
+@pytest.mark.parametrize("kn", [1e5, 2e6, 1e7])
+def test_against_an_independent_modal_series(beam, bristle, kn):
+    """Exact cosine modes of a rod under an adaptive integrator share nothing with the program."""
+    other = modal_series_rebound(
+        kn,
+        0.05,
+        mass=bristle.mass_kg,
+        length=bristle.length_m,
+        speed=bristle.material.bar_speed_m_s,
+        beta=bristle.material.beta_s,
+        gravity=G,
+    )
+    ours = drop(beam, kn, its=1e-7)
+    assert ours.rebound_ratio == pytest.approx(other["rebound_ratio"], rel=5e-4)
+    assert ours.contact_time_s == pytest.approx(other["contact_time_s"], rel=1e-3)
+    assert ours.peak_force_N == pytest.approx(other["peak_force_N"], rel=1e-3)
+
+
+def test_soft_contact_tends_to_the_mass_on_a_spring(bristle):
+    """Undamped and soft against the bar, the bristle is rigid: Eqs. 3 and 8, gravity's share aside."""
+    stiff = Bristle(material=Material(beta_s=0.0))
+    frame = ModalFrame(beam_body(stiff, 8))
+    errors = []
+    for kn in (4e3, 1e3):
+        height = 50.0 * 4e3 / kn  # a fast impact, so that weight is small against the force
+        ours = drop(frame, kn, height, its=quarter_period_s(stiff.mass_kg, kn) / 400)
+        eqs = analytic_drop(stiff.mass_kg, kn, height, G)
+        names = ("contact_time_s", "peak_force_N", "max_penetration_m", "time_to_max_penetration_s")
+        errors.append(max(abs(getattr(ours, n) / getattr(eqs, n) - 1.0) for n in names))
+        assert ours.impulse_N_s == pytest.approx(eqs.impulse_N_s, rel=5e-3)
+    assert errors[1] < 0.5 * errors[0]
+    assert errors[1] < 2e-3
+
+
+def test_equations_of_the_paper_as_printed():
+    """Eq. 8 gives the printed 0.82 ms at 0.01 MN/m, and 0.0082 ms (printed 0.01) at 100 MN/m."""
+    assert quarter_period_s(paper.MASS_KG, 1e4) == pytest.approx(0.82e-3, abs=0.005e-3)
+    assert quarter_period_s(paper.MASS_KG, 1e8) == pytest.approx(0.01e-3, abs=0.005e-3)
+    speed = analytic_drop(paper.MASS_KG, 2e6, 0.05, G).impact_speed_m_s
+    assert speed == pytest.approx(math.sqrt(2 * 9.8 * 0.05), rel=1e-14)
+
+
+@pytest.mark.parametrize("kn", [1e5, 2e6, 2e7])
+def test_three_enforcements_agree(beam, kn):
+    """Within the 0.2 % asked for, at the same stiffness; peak force within 1 %."""
+    reference = drop(beam, kn)
+    for enforcement, theta in (
+        (Enforcement.AUGMENTED, 0),
+        (Enforcement.NITSCHE, 1),
+        (Enforcement.NITSCHE, 0),
+        (Enforcement.NITSCHE, -1),
+    ):
+        other = drop(beam, kn, method=ContactMethod(Linear(kn), enforcement, theta=theta))
+        assert other.rebound_ratio == pytest.approx(reference.rebound_ratio, rel=2e-3)
+        assert other.contact_time_s == pytest.approx(reference.contact_time_s, rel=2e-3)
+        assert other.peak_force_N == pytest.approx(reference.peak_force_N, rel=1e-2)
+
+
+@pytest.mark.parametrize("kn", [1e5, 2e6])
+def test_second_order_in_the_time_step(beam, kn):
+    fine = drop(beam, kn, its=1e-8)
+    steps = [1.6e-6, 8e-7, 4e-7]
+    for name in ("rebound_ratio", "max_penetration_m", "impulse_N_s"):
+        errors = [abs(getattr(drop(beam, kn, its=h), name) - getattr(fine, name)) for h in steps]
+        assert rate(steps, errors) > 1.6, name
+
+
+def test_few_elements_give_one_per_cent(bristle):
+    """The paper: fewer than sixteen elements suffice."""
+    fine = drop(ModalFrame(beam_body(bristle, 64)), 2e6)
+    coarse = drop(ModalFrame(beam_body(bristle, 8)), 2e6)
+    assert coarse.rebound_ratio == pytest.approx(fine.rebound_ratio, rel=1e-2)
+    assert coarse.peak_force_N == pytest.approx(fine.peak_force_N, rel=1e-2)
+
+
+@pytest.mark.parametrize("kn", [1e4, 2e6, 1e8])
+@pytest.mark.parametrize("beta", [0.0, 1e-8, paper.BETA_S])
+def test_energy_closes(kn, beta):
+    """To rounding; the issue asks for 1e-6 of the energy of the impact."""
+    frame = ModalFrame(beam_body(Bristle(material=Material(beta_s=beta)), 16))
+    result = drop(frame, kn, until_s=0.25)
+    assert result.energy.closure_relative < 1e-10
+    assert result.energy.initial_J == pytest.approx(frame.modal.mass_kg * G * 0.05, rel=1e-12)
+    if beta == 0.0:
+        assert result.energy.material_loss_J == 0.0
+        assert result.energy.kinetic_J + result.energy.strain_J + result.energy.potential_J + (
+            result.energy.contact_J
+        ) == pytest.approx(result.energy.initial_J, rel=1e-10)
+
+
+def test_momentum_balance_of_the_first_impact(beam):
+    result = drop(beam, 2e6)
+    mass = beam.modal.mass_kg
+    gained = mass * (result.cm_velocity_after_m_s + result.impact_speed_m_s)
+    assert gained == pytest.approx(
+        result.impulse_N_s - mass * G * result.contact_time_s, rel=1e-10
+    )
+
+
+@pytest.mark.parametrize(("kn", "beta"), [(2e6, paper.BETA_S), (2e5, 1e-8)])
+def test_events_agree_with_plain_marching(kn, beta):
+    """0.2 s marched at a constant ITS from release on, against flight and impact windows.
+
+    The march meets the plane somewhere within a step: first order in the ITS is what it can give.
+    """
+    frame = ModalFrame(beam_body(Bristle(material=Material(beta_s=beta)), 8))
+    plan = DropPlan(0.01, ContactMethod(Linear(kn)), 5e-6, G)
+    events = simulate(frame, plan)
+    plain = march_plainly(frame, plan, 0.13)
+    assert plain.rebound_ratio == pytest.approx(events.rebound_ratio, rel=5e-3)
+    assert plain.peak_force_N == pytest.approx(events.peak_force_N, rel=5e-3)
+    assert plain.impulse_N_s == pytest.approx(events.impulse_N_s, rel=2e-3)
+    assert plain.contact_time_s == pytest.approx(events.contact_time_s, abs=2 * 5e-6)
+    assert plain.n_contacts == events.n_contacts
+    assert plain.energy.closure_relative < 1e-9
+
+
+def test_history_is_continuous_in_time_and_ends_where_asked(beam):
+    result = drop(beam, 2e6, until_s=0.3)
+    rows = result.history.array()
+    t = rows[:, 0]
+    assert (np.diff(t) >= 0.0).all()
+    assert t[0] == 0.0
+    assert t[-1] == pytest.approx(0.3, abs=paper.ITS_S)
+    assert rows[0, 1] == pytest.approx(0.05, rel=1e-12)
+    # no jump larger than the fastest motion allows
+    assert np.abs(np.diff(rows[:, 2])).max() <= 1.01 * result.impact_speed_m_s * np.diff(t).max()
+    # the second rebound is lower than the first
+    first = rows[(t > 0.101) & (t < 0.26), 1].max()
+    assert first == pytest.approx(result.rebound_height_m, rel=2e-3)
+
+
+def test_mass_proportional_damping_slows_the_fall():
+    """v = (g/α)(1 - exp(-α t)); small α tends to Eq. 1."""
+    t, speed = free_fall(0.05, G, 3.0)
+    fallen = G / 3.0 * (t - (1.0 - math.exp(-3.0 * t)) / 3.0)
+    assert fallen == pytest.approx(0.05, rel=1e-10)
+    assert speed == pytest.approx(G / 3.0 * (1.0 - math.exp(-3.0 * t)), rel=1e-10)
+    assert free_fall(0.05, G, 1e-9)[1] == pytest.approx(math.sqrt(2 * G * 0.05), rel=1e-6)
+
+
+@pytest.mark.parametrize("scheme", [TimeScheme.newmark(), TimeScheme.generalised(0.8)])
+def test_other_schemes_agree_and_report_their_energy_defect(beam, scheme):
+    fine = drop(beam, 2e6, its=1e-7)
+    other = drop(beam, 2e6, its=1e-6, scheme=scheme)
+    assert other.rebound_ratio == pytest.approx(fine.rebound_ratio, rel=2e-3)
+    assert 0.0 < other.energy.closure_relative < 1e-2
+
+
+def test_a_drop_that_ends_before_it_touches_is_refused(beam):
+    with pytest.raises(ComputationError, match="before it touches"):
+        drop(beam, 2e6, until_s=0.05)

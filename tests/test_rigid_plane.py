@@ -1,0 +1,152 @@
+"""Does contact reach Signorini's limit: bouncing elastic bars whose motion is known exactly?
+
+Solutions jump, and a scheme of second order spreads a jump over a width that shrinks as h^(2/3):
+times, the tip's displacement and the impulse given so far follow that rate. (The force itself
+rings about its plateau at the frequency of the last cell; its mean is what converges.)
+"""
+
+import math
+
+import numpy as np
+import pytest
+from bristle.solver.bodies.beam import beam_body
+from bristle.solver.bristle import Bristle, Material
+from bristle.solver.contact.enforcement import ContactMethod, Enforcement
+from bristle.solver.contact.laws import Linear
+from bristle.solver.drop import DropPlan, ModalFrame, simulate
+from bristle.solver.time.march import Marcher
+from bristle.solver.time.scheme import TimeScheme
+from reference import rate, rod
+from scipy.integrate import cumulative_trapezoid
+
+pytestmark = pytest.mark.serial
+JUMP_RATE = 2.0 / 3.0
+
+
+def rigid(theta=0, enforcement=Enforcement.NITSCHE):
+    return ContactMethod(Linear(math.inf), enforcement, theta=theta)
+
+
+@pytest.mark.parametrize("theta", [1, 0, -1])
+def test_undamped_bristle_on_a_rigid_plane(theta):
+    """Contact lasts 2L/c at the force ρ c A v and turns the speed round: impulse 2 m v."""
+    bristle = Bristle(material=Material(beta_s=0.0))
+    period, gravity, height = bristle.axial_period_s, 9.8, 2.0
+    speed = math.sqrt(2.0 * gravity * height)
+    mat = bristle.material
+    plateau = mat.density_kg_m3 * mat.bar_speed_m_s * bristle.section.area_m2 * speed
+    sizes = np.array([16, 48, 144])
+    errors = {"impulse": [], "rebound": [], "time": []}
+    for n in sizes:
+        body = beam_body(bristle, int(n), face=False)
+        plan = DropPlan(
+            height, rigid(theta), period / n / 8, gravity, impact_only=True
+        )
+        result = simulate(ModalFrame(body), plan)
+        impulse = 2.0 * body.mass_kg * speed + body.mass_kg * gravity * period
+        errors["impulse"].append(abs(result.impulse_N_s / impulse - 1.0))
+        errors["rebound"].append(abs(result.cm_velocity_after_m_s / speed - 1.0))
+        errors["time"].append(abs(result.contact_time_s / period - 1.0))
+        rows = result.history.array()
+        first = rows[np.argmax(rows[:, 3] > 0.0), 0]
+        inside = (rows[:, 0] > first + 0.1 * period) & (rows[:, 0] < first + 0.9 * period)
+        mean = rows[inside, 3].mean() / plateau
+    assert mean == pytest.approx(1.0, abs=2e-3)
+    for name, values in errors.items():
+        # the width of the spread front, in units of the period
+        assert values[-1] < 144.0**-JUMP_RATE, name
+    assert rate(1.0 / sizes, errors["rebound"]) > 0.5 * JUMP_RATE
+
+
+def falling_bar(n, theta, enforcement=Enforcement.NITSCHE):
+    """Doyen, Ern and Piperno (SIAM J. Sci. Comput. 33, 2011), Sec. 4: L 10, E 900, ρ 1, g 10, from 5."""
+    body = rod(n, length=10.0, youngs=900.0, density=1.0, degree=2)
+    crossing = 10.0 / 30.0
+    plan = DropPlan(
+        5.0, rigid(theta, enforcement), crossing / n / 4, 10.0, impact_only=True
+    )
+    return body, simulate(ModalFrame(body), plan), crossing
+
+
+@pytest.mark.parametrize("theta", [1, 0, -1])
+def test_falling_bar_of_doyen_ern_and_piperno(theta):
+    """In the falling frame the plane rises as v t + ½ g t²: p = ρ c (v + g t) until 2L/c."""
+    sizes, errors, totals = [20, 80, 320], [], []
+    for n in sizes:
+        body, result, crossing = falling_bar(n, theta)
+        assert result.impact_speed_m_s == pytest.approx(10.0, rel=1e-12)
+        duration = 2.0 * crossing
+        impulse = 2.0 * body.mass_kg * 10.0 + body.mass_kg * 10.0 * duration
+        totals.append(abs(result.impulse_N_s / impulse - 1.0))
+        rows = result.history.array()
+        rows = rows[(rows[:, 0] >= 1.0) & (rows[:, 0] <= 1.0 + duration)]
+        after = rows[:, 0] - 1.0
+        given = cumulative_trapezoid(rows[:, 3], after, initial=0.0)
+        exact = 30.0 * (10.0 * after + 5.0 * after**2)
+        errors.append(math.sqrt(np.mean((given - exact) ** 2)) / impulse)
+    sizes = 1.0 / np.array(sizes)
+    assert (np.array(totals) < sizes**JUMP_RATE).all()
+    assert rate(sizes, errors) > 0.85 * JUMP_RATE
+    assert result.cm_velocity_after_m_s == pytest.approx(10.0, abs=10.0 * 320.0**-JUMP_RATE)
+
+
+def test_falling_bar_under_the_augmented_lagrangian():
+    body, result, crossing = falling_bar(80, 0, Enforcement.AUGMENTED)
+    impulse = 2.0 * body.mass_kg * 10.0 + body.mass_kg * 10.0 * 2.0 * crossing
+    assert result.impulse_N_s == pytest.approx(impulse, rel=80.0**-JUMP_RATE)
+    assert result.max_penetration_m < 1e-10
+
+
+def period_three(n, theta, periods=2):
+    """The clamped bar of Chouly, Hild and Renard (ESAIM: M2AN 49, 2015), period 3.
+
+    Compressed to ½ and released at rest, its tip falls for 1, stays on the plane for 1 under the
+    pressure ½, and rises for 1. Returns errors (root mean square) of displacement and impulse.
+    """
+    body = rod(n, degree=1, clamped_top=True)
+    compressed = linear_start(body)
+    marcher = Marcher(body, rigid(theta), TimeScheme.average(), 0.5 / n, 0.0)
+    state = marcher.start(0.0, compressed, np.zeros_like(compressed))
+    tip, given, times = [], [], []
+    for _ in range(round(3.0 * periods / marcher.its_s)):
+        state, force = marcher.step(state)
+        times.append(state.t_s)
+        tip.append(float(body.contact.heights(state.u)[0]))
+        given.append(marcher.its_s * float(force[0]))
+    phase = np.mod(times, 3.0)
+    height = np.where(phase < 1.0, 0.5 - 0.5 * phase, np.where(phase < 2.0, 0.0, 0.5 * phase - 1.0))
+    pushed = 0.5 * (np.floor_divide(times, 3.0) + np.clip(phase - 1.0, 0.0, 1.0))
+    return (
+        math.sqrt(np.mean((np.array(tip) - height) ** 2)),
+        math.sqrt(np.mean((np.cumsum(given) - pushed) ** 2)),
+    )
+
+
+def linear_start(body):
+    """Modal coordinates of u = ½ (1 - z): what a steady push of ½ at the tip makes of E A = 1."""
+    return 0.5 * body.contact.normal[0] / body.omega2
+
+
+@pytest.mark.parametrize("theta", [1, 0, -1])
+def test_period_three_bar_of_chouly_hild_and_renard(theta):
+    sizes = np.array([64, 256, 1024])
+    errors = np.array([period_three(int(n), theta) for n in sizes])
+    # the coarsest is not yet asymptotic
+    assert rate(1.0 / sizes[1:], errors[1:, 0]) > 0.85 * JUMP_RATE
+    assert rate(1.0 / sizes[1:], errors[1:, 1]) > 0.85 * JUMP_RATE
+    assert errors[-1, 0] < 5e-3
+
+
+def test_penalty_tends_to_the_rigid_limit():
+    """Kn → ∞ from below: impulse and contact time come to 2 m v and 2L/c at first order in 1/Kn."""
+    bristle = Bristle(material=Material(beta_s=0.0))
+    body = ModalFrame(beam_body(bristle, 64, face=False))
+    period = bristle.axial_period_s
+    tip = bristle.material.youngs_Pa * bristle.section.area_m2 / bristle.length_m
+    stiffness, errors = np.array([4.0, 16.0, 64.0]), []
+    for ratio in stiffness:
+        method = ContactMethod(Linear(ratio * tip))
+        plan = DropPlan(2.0, method, period / 2000, 9.8, impact_only=True)
+        errors.append(abs(simulate(body, plan).contact_time_s / period - 1.0))
+    assert errors[0] > errors[1] > errors[2]
+    assert errors[2] < 0.05

@@ -1,0 +1,221 @@
+"""Are the time scheme, the march and the flight right: against exact motion and each other?"""
+
+import math
+
+import numpy as np
+import pytest
+from bristle.solver.bodies.modal import ModalBody
+from bristle.solver.contact.enforcement import ContactMethod, Enforcement
+from bristle.solver.contact.laws import Linear
+from bristle.solver.time.flight import Flight
+from bristle.solver.time.march import Marcher
+from bristle.solver.time.scheme import TimeScheme
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from reference import rate, rod
+from scipy.linalg import expm
+
+pytestmark = pytest.mark.serial
+SCHEMES = [
+    TimeScheme.average(),
+    TimeScheme.newmark(),
+    TimeScheme.generalised(0.9),
+    TimeScheme.generalised(0.5),
+    TimeScheme.generalised(0.0),
+]
+AWAY = ContactMethod(Linear(1.0))
+
+
+def march(body, scheme, its, u, v, end, gravity=0.0, method=AWAY):
+    marcher = Marcher(body, method, scheme, its, gravity)
+    state = marcher.start(0.0, u, v)
+    for _ in range(round(end / its)):
+        state, _ = marcher.step(state)
+    return state
+
+
+@pytest.mark.parametrize("scheme", SCHEMES, ids=lambda s: s.name)
+@pytest.mark.parametrize("beta", [0.0, 0.02])
+def test_second_order_in_displacement_velocity_and_acceleration(scheme, beta):
+    """The first axial mode of a free rod (d'Alembert's standing wave), held high above the plane."""
+    body = rod(40, degree=2, beta=beta)
+    omega = math.sqrt(body.omega2[1])
+    start = np.zeros_like(body.lift)
+    start[1] = 1e-3
+    u0 = start + 1.0 * body.lift
+    end = 2.3
+    decay = 0.5 * beta * omega**2
+    ring = math.sqrt(omega**2 - decay**2)
+    power = complex(-decay, ring)
+    # u = Re(c e^{λt}) with u(0) = 1 and u'(0) = 0
+    amount = 1e-3 * complex(1.0, -decay / ring)
+    exact = [(amount * power**k * np.exp(power * end)).real for k in (0, 1, 2)]
+    steps = (0.02, 0.01, 0.005)
+    errors = {"u": [], "v": [], "a": []}
+    for its in steps:
+        state = march(body, scheme, its, u0, np.zeros_like(u0), end)
+        when = end
+        errors["u"].append(abs(state.u[1] - exact[0]))
+        errors["v"].append(abs(state.v[1] - exact[1]))
+        if not scheme.conserving:
+            # generalised-alpha's acceleration belongs to the instant shifted by αf - αm
+            when = end + (scheme.alpha_m - scheme.alpha_f) * its
+            shifted = (amount * power**2 * np.exp(power * when)).real
+            errors["a"].append(abs(state.a[1] - shifted))
+    assert 1.8 < rate(steps, errors["u"]) < 2.3
+    assert 1.8 < rate(steps, errors["v"]) < 2.3
+    if errors["a"]:
+        assert rate(steps, errors["a"]) > 1.7
+
+
+@pytest.mark.parametrize("rho", [0.0, 0.5, 0.8, 1.0])
+def test_spectral_radius_at_infinite_frequency(rho):
+    scheme = TimeScheme.generalised(rho)
+    body = rod(4, degree=1)
+    stiff = ModalBody("stiff", np.array([1e16]), np.zeros(1), body.contact, 0.0, 0.0)
+    marcher = Marcher(stiff_contactless(stiff), AWAY, scheme, 1.0, 0.0)
+    columns = []
+    for u, v, a in np.eye(3):
+        state = marcher.start(0.0, np.array([u]), np.array([v]))
+        state.a, state.ma, state.ka = (np.array([a]), np.array([a]), 1e16 * np.array([a]))
+        after, _ = marcher.step(state)
+        columns.append([after.u[0], after.v[0], after.a[0]])
+    # a double root at infinity: its square root of rounding limits what can be asked
+    assert np.abs(np.linalg.eigvals(np.array(columns).T)).max() == pytest.approx(rho, abs=2e-2)
+
+
+def stiff_contactless(body):
+    from dataclasses import replace
+
+    contact = replace(body.contact, normal=np.zeros((1, 1)), pressure=np.zeros((1, 1)))
+    return replace(body, contact=contact)
+
+
+@pytest.mark.parametrize("beta", [0.0, 1e-3])
+def test_mean_force_balances_momentum_of_the_centre_of_mass(beta):
+    """Impulse minus weight is the change of momentum, to rounding, while it touches."""
+    body = rod(20, degree=2, beta=beta)
+    marcher = Marcher(body, ContactMethod(Linear(50.0)), TimeScheme.average(), 0.01, 0.3)
+    state = marcher.start(0.0, np.zeros_like(body.lift), -0.1 * body.lift)
+    impulse = 0.0
+    for _ in range(60):
+        state, force = marcher.step(state)
+        impulse += marcher.its_s * float(force.sum())
+    momentum = float(body.lift @ state.v) + 0.1 * body.mass_kg
+    assert impulse > 0.1
+    assert momentum == pytest.approx(impulse - 0.3 * body.mass_kg * 0.6, abs=1e-12)
+
+
+@pytest.mark.parametrize(
+    "method",
+    [
+        ContactMethod(Linear(50.0)),
+        ContactMethod(Linear(math.inf), Enforcement.NITSCHE, theta=1, gamma0=2.0),
+        ContactMethod(Linear(50.0), Enforcement.NITSCHE, theta=1, gamma0=2.0),
+        ContactMethod(Linear(50.0), Enforcement.AUGMENTED),
+    ],
+    ids=lambda m: f"{m.enforcement}-{m.law.kn_N_m:g}",
+)
+def test_conserving_scheme_conserves_energy_through_opening_and_closing(method):
+    """Undamped, 600 steps, many touches: the total stays to rounding, whatever the step."""
+    from bristle.solver.energy import marching_energy
+
+    body = rod(12, degree=2)
+    marcher = Marcher(body, method, TimeScheme.average(), 0.037, 0.2)
+    state = marcher.start(0.0, 0.05 * body.lift, -0.3 * body.lift)
+    first, touched, was = marching_energy(marcher, state).total_J, 0, False
+    for _ in range(600):
+        state, force = marcher.step(state)
+        touched += bool(force.any()) and not was
+        was = bool(force.any())
+        total = marching_energy(marcher, state).total_J
+        assert total == pytest.approx(first, rel=1e-9)
+    assert touched >= 3
+
+
+def test_plain_newmark_makes_or_loses_energy_and_says_so():
+    from bristle.solver.energy import marching_energy
+
+    body = rod(12, degree=2)
+    marcher = Marcher(body, ContactMethod(Linear(50.0)), TimeScheme.newmark(), 0.037, 0.2)
+    state = marcher.start(0.0, 0.05 * body.lift, -0.3 * body.lift)
+    first = marching_energy(marcher, state).total_J
+    for _ in range(600):
+        state, _ = marcher.step(state)
+    assert abs(marching_energy(marcher, state).total_J / first - 1.0) > 1e-6
+
+
+@given(
+    omega=st.floats(1e-2, 1e4),
+    zeta=st.floats(0.0, 30.0),
+    t=st.floats(1e-6, 2.0),
+    seed=st.integers(0, 1000),
+)
+@settings(max_examples=200, deadline=None)
+def test_flight_of_one_mode_is_the_matrix_exponential(omega, zeta, t, seed):
+    """Under-, over- and critically damped alike, a rigid motion beside it, gravity on both."""
+    u, v = np.random.default_rng(seed).normal(size=(2, 2))
+    beta = 2.0 * zeta / omega
+    contact = rod(1).contact
+    body = ModalBody("two", np.array([0.0, omega**2]), np.array([1.0, 0.7]), contact, 0.0, beta)
+    flight = Flight(body, 0.0, u, v, 2.0)
+    got_u, got_v = flight.state(t)
+    system = np.array([[0.0, 1.0, 0.0], [-(omega**2), -beta * omega**2, -2.0 * 0.7], [0, 0, 0]])
+    wanted = expm(system * t) @ np.array([u[1], v[1], 1.0])
+    assert got_u[1] == pytest.approx(wanted[0], rel=1e-6, abs=1e-7)
+    assert got_v[1] == pytest.approx(wanted[1], rel=1e-6, abs=1e-7 * max(omega, 1.0))
+    assert got_u[0] == pytest.approx(u[0] + v[0] * t - t * t, rel=1e-12, abs=1e-12)
+
+
+@pytest.mark.parametrize("alpha", [0.0, 0.7])
+def test_flight_agrees_with_the_march_at_second_order(alpha):
+    from dataclasses import replace
+
+    body = replace(rod(6, degree=2, beta=0.01), alpha_1_s=alpha)
+    rng = np.random.default_rng(3)
+    u = body.lift + 1e-3 * rng.normal(size=len(body.lift)) / (1.0 + body.omega2)
+    v = 1e-2 * rng.normal(size=len(body.lift)) / np.sqrt(1.0 + body.omega2)
+    exact = Flight(body, 0.0, u, v, 0.1).state(1.0)
+    steps = (4e-3, 2e-3, 1e-3)
+    errors = []
+    for its in steps:
+        state = march(body, TimeScheme.average(), its, u, v, 1.0, gravity=0.1)
+        errors.append(np.abs(np.concatenate([state.u - exact[0], state.v - exact[1]])).max())
+    assert rate(steps, errors) > 1.9
+
+
+def test_next_touch_is_found_where_a_dense_sampling_finds_it():
+    body = rod(8, degree=2)
+    rows = body.contact.normal
+    for seed in range(10):
+        rng = np.random.default_rng(seed)
+        u = 0.01 * body.lift + 2e-3 * rng.normal(size=len(body.lift)) / (1.0 + body.omega2)
+        v = rng.uniform(0.0, 0.02) * body.lift
+        flight = Flight(body, 0.0, u, v, 0.05)
+        t = np.linspace(0.0, 3.0, 60_001)
+        low = flight.observe(rows, t)[:, 0]
+        down = np.flatnonzero((low[:-1] > 0.0) & (low[1:] <= 0.0))
+        found = flight.next_touch(rows, 3.0)
+        if not len(down):
+            assert found is None
+            continue
+        assert found == pytest.approx(t[down[0]], abs=2.0 * t[1])
+        assert flight.observe(rows, np.array([found]))[0, 0] == pytest.approx(0.0, abs=1e-12)
+
+
+def test_apex_is_the_highest_point_of_a_dense_sampling():
+    body = rod(8, degree=2, beta=1e-3)
+    row = body.contact.normal[0]
+    for seed in range(6):
+        rng = np.random.default_rng(seed)
+        u = 1e-3 * rng.normal(size=len(body.lift)) / (1.0 + body.omega2)
+        flight = Flight(body, 0.0, u, 0.1 * body.lift, 0.05)
+        t = np.linspace(0.0, 4.0, 80_001)
+        highest = flight.observe(row[None, :], t)[:, 0].max()
+        assert flight.apex(row, 4.0)[1] == pytest.approx(highest, rel=1e-6)
+
+
+@pytest.mark.parametrize("bad", [-0.1, 1.1, float("nan")])
+def test_impossible_spectral_radius_is_refused(bad):
+    with pytest.raises(ValueError, match="rho_inf"):
+        TimeScheme.generalised(bad)
