@@ -16,6 +16,7 @@ leaves all of them readable.
 from __future__ import annotations
 
 import shutil
+import time
 from collections.abc import Callable
 from enum import StrEnum
 from pathlib import Path
@@ -38,6 +39,7 @@ from .tip_face import TipFace
 
 SOLID_FILE, TIP_FILE, FRAMES_FILE = "solid.bp", "tip.bp", "frames.csv"
 FRAMES_PER_PERIOD = 40
+FAREWELL_S = 5.0
 AXIAL = VOIGT.index((2, 2))
 
 
@@ -117,12 +119,10 @@ class FieldWriter:
         self._tip = TipFace(self.solid)
 
     def _open(self, policy: VTXMeshPolicy) -> None:
-        if self.comm.rank == 0:
-            self.folder.mkdir(parents=True, exist_ok=True)
-            for name in (SOLID_FILE, TIP_FILE):
-                shutil.rmtree(self.folder / name, ignore_errors=True)
-            (self.folder / FRAMES_FILE).write_text("frame,t_s,phase\n")
-        self.comm.barrier()
+        refused = self.comm.bcast(self._clear() if self.comm.rank == 0 else None)
+        if refused:
+            raise ComputationError(f"the fields cannot be written to {self.folder}: {refused}")
+        self._failing = self.comm.Dup()
         body = [self.displacement, self.velocity, self.axial_stress, self.von_mises]
         self._writers = [
             VTXWriter(
@@ -134,6 +134,17 @@ class FieldWriter:
             )
             for name, fields in ((SOLID_FILE, body), (TIP_FILE, self._tip.fields))
         ]
+
+    def _clear(self) -> str | None:
+        """Make the folder ready; returns why that is not possible, or None."""
+        try:
+            self.folder.mkdir(parents=True, exist_ok=True)
+            for name in (SOLID_FILE, TIP_FILE):
+                shutil.rmtree(self.folder / name, ignore_errors=True)
+            (self.folder / FRAMES_FILE).write_text("frame,t_s,phase\n")
+        except OSError as error:
+            return error.strerror or str(error)
+        return None
 
     def __call__(self, state: State, step_force: Array) -> None:
         """Take note of a step; ``step_force`` (n contact points,) in N per area share."""
@@ -216,9 +227,12 @@ class FieldWriter:
 
     def close(self) -> None:
         """Finish the files; frames can no longer be added. Safe to call again. Collective."""
+        if not self._writers:
+            return
         for writer in self._writers:
             writer.close()
         self._writers = []
+        self._failing.Free()
 
     def __enter__(self) -> Self:
         return self
@@ -229,9 +243,18 @@ class FieldWriter:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        # one rank that failed alone would wait in close for the others, who never come
-        if error is None or self.comm.size == 1:
+        if error is None or self._all_failed():
             self.close()
+
+    def _all_failed(self) -> bool:
+        """Whether all ranks are here within seconds: alone, one would wait in close for ever."""
+        arrived = self._failing.Ibarrier()
+        patience = time.monotonic() + FAREWELL_S
+        while not arrived.Test():
+            if time.monotonic() > patience:
+                return False
+            time.sleep(0.01)
+        return True
 
 
 def axial_period_s(solid: SolidBody) -> float:

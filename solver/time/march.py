@@ -47,9 +47,8 @@ def effective_coefficients(body: Body, scheme: TimeScheme, its_s: float) -> tupl
 class Marcher:
     """Marches a body in contact with the plane at constant ``its_s``.
 
-    The effective matrix c_M M + c_K K is factored once; a step costs one product with M, one with
-    K, one solve, and a small problem for the contact forces through the compliance of the contact
-    points. The upward contact force on the body is Qᵀ (w P) with P the force per area share.
+    The effective matrix c_M M + c_K K is factored once; a step costs one solve, one product with
+    M, and a small problem for the contact forces through the compliance of the contact points. The upward contact force on the body is Qᵀ (w P) with P the force per area share.
     """
 
     def __init__(
@@ -170,12 +169,14 @@ class Marcher:
         if not force.any():
             a, u, v, drive = a_free, u_free, v_free, drive_free
         else:
+            rhs = rhs + self._forcing @ force
             change = self._compliance @ force
             a = a_free + change
             u = u_free + scheme.beta * h * h * change
             v = v_free + scheme.gamma * h * change
             drive = drive_free + self.contact.response @ force
-        ma, ka = body.mass(a), self.stiffness(a)
+        ma = body.mass(a)
+        ka = (rhs - self._c_mass * ma) / self._c_stiffness  # from the equation just solved
         du0, du1 = h * h * (0.5 - scheme.beta), h * h * scheme.beta
         dv0, dv1 = h * (1.0 - scheme.gamma), h * scheme.gamma
         later = State(
