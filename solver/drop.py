@@ -15,7 +15,7 @@ from .contact.enforcement import ContactMethod
 from .energy import Budget, flight_energy, marching_energy, step_loss
 from .errors import ComputationError
 from .impact import History, Observer, Touch, march_touch, observe
-from .time.flight import Flight
+from .time.flight import Flight, Rows
 from .time.march import Marcher
 from .time.scheme import TimeScheme
 
@@ -231,7 +231,7 @@ def _impact(
     A tip that rings down onto the plane while the centre of mass still rises belongs to the same
     impact.
     """
-    rows = np.asarray(frame.modal.contact.normal)
+    rows = _clearance(marcher, frame.modal)
     g = plan.gravity_m_s2
     damped = bool(marcher.body.alpha_1_s or marcher.body.beta_s)
     touches: list[Touch] = []
@@ -266,6 +266,16 @@ def _impact(
     )
 
 
+def _clearance(marcher: Marcher, modal: ModalBody) -> Rows:
+    """How far each point is from being pushed: minus the drive that contact acts upon."""
+    points, tau = modal.contact, marcher.tau
+    normal = np.asarray(points.normal)
+    if not tau:
+        return Rows(normal)
+    pressure = tau * np.asarray(points.pressure)
+    return Rows(normal - pressure, -modal.beta_s * pressure)
+
+
 def _record_fall(history: History, plan: DropPlan, fall_s: float, alpha_1_s: float) -> None:
     for t in np.linspace(0.0, fall_s, FLIGHT_ROWS, endpoint=False):
         if alpha_1_s:
@@ -280,7 +290,9 @@ def _record_flight(
     history: History, modal: ModalBody, flight: Flight, start_s: float, stop_s: float
 ) -> None:
     """Tip and centre of mass at equal times; the marched step in which it was released stays."""
-    rows = np.vstack([modal.contact.weights @ modal.contact.normal, modal.lift / modal.mass_kg])
+    rows = Rows(
+        np.vstack([modal.contact.weights @ modal.contact.normal, modal.lift / modal.mass_kg])
+    )
     start_s = max(start_s, history.rows[-1][0])
     times = np.linspace(start_s, stop_s, FLIGHT_ROWS + 1)[1:]
     for t, (tip, centre) in zip(times, flight.observe(rows, times), strict=True):

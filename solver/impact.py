@@ -71,7 +71,7 @@ def observe(marcher: Marcher, state: State, step_force: Array, history: History)
 
 def instant_force(marcher: Marcher, state: State, step_force: Array) -> Array:
     """Force per area share at the end of a step; a rigid plane's multiplier is the step's own."""
-    if np.isinf(marcher.method.law.kn_N_m) and marcher.tau == 0.0:
+    if _is_multiplier(marcher):
         return step_force
     return marcher.end_force(state)
 
@@ -111,9 +111,9 @@ def march_touch(
             observer(state, force)
         if total > 0.0:
             release = _release_time(before, state)
-        free = total == 0.0 or (now == 0.0 and state.drive.max() <= 0.0)
+        free = total == 0.0 or (now == 0.0 and not _is_multiplier(marcher))
         if (free and _leaving(marcher, state)) or state.t_s >= until_s:
-            depth, when = _deepest(history.array()[first_row:])
+            depth, when = _deepest(np.array(history.rows[first_row:]))
             return Touch(
                 start_s=start.t_s,
                 release_s=release,
@@ -130,9 +130,19 @@ def march_touch(
 
 
 def _leaving(marcher: Marcher, state: State) -> bool:
-    """Whether every point is above the plane or on its way up."""
+    """Whether every point is clear, or on its way to be.
+
+    A rigid plane under a multiplier has points that rest on it without a push.
+    """
+    if not _is_multiplier(marcher):
+        return bool(state.drive.max() <= 0.0)
     contact = marcher.body.contact
     return bool(np.all((contact.heights(state.u) > 0.0) | (contact.heights(state.v) > 0.0)))
+
+
+def _is_multiplier(marcher: Marcher) -> bool:
+    """Whether contact is a multiplier on a rigid plane, its drive being zero while it pushes."""
+    return bool(np.isinf(marcher.method.law.kn_N_m)) and marcher.tau == 0.0
 
 
 def _release_time(before: State, after: State) -> float:

@@ -2,9 +2,9 @@
 
 The stress of a finite element displacement jumps from cell to cell, and at the nodes it is at its
 worst. It is most accurate at the p × p × p Gauss points of a cell of degree p (Barlow, Int. J.
-Numer. Methods Eng. 10, 1976; Zienkiewicz and Zhu, ibid. 33, 1992). So it is evaluated there, carried
-to the nodes by the polynomial of degree p - 1 through these points, and averaged over the cells
-that meet at a node. In one material the true stress is continuous, and so is the field that
+Numer. Methods Eng. 10, 1976; Zienkiewicz and Zhu, ibid. 33, 1992). So it is evaluated there,
+carried to the nodes by the polynomial of degree p - 1 through these points, and averaged over the
+cells that meet at a node. In one material the true stress is continuous, and so is the field that
 results. It lives on the nodes of the displacement, hence one file holds both and a picture can be
 warped by one and coloured by the other. A displacement of degree p gives its stress exactly, where
 the cells are not curved.
@@ -32,7 +32,8 @@ class NodalStress:
         space = displacement.function_space
         self._domain = space.mesh
         element = space.element.basix_element
-        points, _ = basix.make_quadrature(basix.CellType.hexahedron, 2 * element.degree - 1)
+        rule = basix.make_quadrature(basix.CellType.hexahedron, 2 * element.degree - 1)
+        points = np.asarray(rule[0])
         sigma = stress(displacement, material)
         components = ufl.as_vector([sigma[i, j] for i, j in VOIGT])
         self._expression = fem.Expression(components, points)
@@ -73,8 +74,8 @@ def extrapolation(element: basix.finite_element.FiniteElement, points: Array) ->
         basix.LagrangeVariant.gll_warped,
         discontinuous=True,
     )
-    at_points = through.tabulate(0, points)[0, :, :, 0]
-    at_nodes = through.tabulate(0, element.points)[0, :, :, 0]
+    at_points = np.asarray(through.tabulate(0, points))[0, :, :, 0]
+    at_nodes = np.asarray(through.tabulate(0, np.asarray(element.points)))[0, :, :, 0]
     return np.linalg.solve(at_points.T, at_nodes.T).T
 
 

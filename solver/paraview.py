@@ -188,8 +188,9 @@ class FieldWriter:
             raise ValueError(f"the fields in {self.folder} are closed")
         if self.times_s and t_s <= self.times_s[-1]:
             return
-        for function, values in ((self.displacement, u), (self.velocity, v)):
-            function.x.array[: self.solid.n_local] = self._expand(values) if self._expand else values
+        for function, given in ((self.displacement, u), (self.velocity, v)):
+            values = self._expand(given) if self._expand else given
+            function.x.array[: self.solid.n_local] = values
             function.x.scatter_forward()
         stress = self._stress()
         self.axial_stress.x.array[:] = stress[:, AXIAL]

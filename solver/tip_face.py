@@ -58,7 +58,7 @@ class TipFace:
 def _area(domain: mesh.Mesh, solid: SolidBody) -> float:
     degree = 2 * domain.geometry.cmap.degree
     dx = ufl.Measure("dx", domain=domain, metadata={"quadrature_degree": degree})
-    form = fem.form(fem.Constant(domain, 1.0) * dx)
+    form = fem.form(fem.Constant(domain, np.float64(1.0)) * dx)
     return float(solid.comm.allreduce(fem.assemble_scalar(form)))
 
 

@@ -47,7 +47,6 @@ def a_step(enforcement, law, response, end_weight=None, series=0.0, **kwargs):
         response=response,
         end_weight=end_weight,
         multiplier=np.zeros(len(response)),
-        scale_N_m=2e8,
     )
 
 

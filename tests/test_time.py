@@ -7,7 +7,7 @@ import pytest
 from bristle.solver.bodies.modal import ModalBody
 from bristle.solver.contact.enforcement import ContactMethod, Enforcement
 from bristle.solver.contact.laws import Linear
-from bristle.solver.time.flight import Flight
+from bristle.solver.time.flight import Flight, Rows
 from bristle.solver.time.march import Marcher
 from bristle.solver.time.scheme import TimeScheme
 from hypothesis import given, settings
@@ -186,7 +186,7 @@ def test_flight_agrees_with_the_march_at_second_order(alpha):
 
 def test_next_touch_is_found_where_a_dense_sampling_finds_it():
     body = rod(8, degree=2)
-    rows = body.contact.normal
+    rows = Rows(body.contact.normal)
     for seed in range(10):
         rng = np.random.default_rng(seed)
         u = 0.01 * body.lift + 2e-3 * rng.normal(size=len(body.lift)) / (1.0 + body.omega2)
@@ -211,7 +211,7 @@ def test_apex_is_the_highest_point_of_a_dense_sampling():
         u = 1e-3 * rng.normal(size=len(body.lift)) / (1.0 + body.omega2)
         flight = Flight(body, 0.0, u, 0.1 * body.lift, 0.05)
         t = np.linspace(0.0, 4.0, 80_001)
-        highest = flight.observe(row[None, :], t)[:, 0].max()
+        highest = flight.observe(Rows(row[None, :]), t)[:, 0].max()
         assert flight.apex(row, 4.0)[1] == pytest.approx(highest, rel=1e-6)
 
 

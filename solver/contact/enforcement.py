@@ -36,6 +36,9 @@ from .laws import ContactLaw
 NEWTON_LIMIT = 60
 AUGMENTATION_LIMIT = 200
 RELATIVE_TOLERANCE = 1e-11
+MULTIPLIER_TOLERANCE = 1e-9
+# Patterns of force that a body answers less than this share of the softest count as rigid.
+STIFFEST = 1e-2
 
 
 class Enforcement(StrEnum):
@@ -51,15 +54,16 @@ class ContactMethod:
     ``theta`` (1, 0 or -1) and ``gamma0`` belong to Nitsche. τ = 1 / (γ₀ times the stiffness of
     the tip's cell times the polynomial degree squared), so that γ₀ = 1 is the constant of the
     inverse inequality at which the symmetric form stops being positive; much larger values make a
-    rigid contact chatter. ``augmentation`` (in units of that stiffness) belongs to the augmented
-    Lagrangian.
+    rigid contact chatter. ``augmentation`` belongs to the augmented Lagrangian: its parameter in
+    units of what the body itself resists with over a step, so that an update of the multiplier
+    leaves about one part in ``augmentation`` of the error, whatever the mesh and the ITS.
     """
 
     law: ContactLaw
     enforcement: Enforcement = Enforcement.PENALTY
     theta: int = 0
     gamma0: float = 1.5
-    augmentation: float = 1.0
+    augmentation: float = 10.0
 
     def __post_init__(self) -> None:
         if self.theta not in (-1, 0, 1):
@@ -89,7 +93,6 @@ class StepContact:
     response: Array
     end_weight: float | None
     multiplier: Array
-    scale_N_m: float
     iterations: int = 0
     largest_N: float = 0.0
 
@@ -106,7 +109,8 @@ class StepContact:
         return self._newton(drive_start, drive_free, self.response, self.series_m_N, self.end_weight)
 
     def _augment(self, drive_start: Array, drive_free: Array) -> Array:
-        soft = 1.0 / (self.method.augmentation * self.scale_N_m)
+        answers = np.abs(np.linalg.eigvals(self.response))
+        soft = max(answers.min(), STIFFEST * answers.max()) / self.method.augmentation
         rigid = math.isinf(self.method.law.kn_N_m)
         multiplier = self.multiplier
         for _ in range(AUGMENTATION_LIMIT):
@@ -119,7 +123,7 @@ class StepContact:
             change = np.abs(force - multiplier).max()
             multiplier = force
             self.largest_N = max(self.largest_N, float(np.abs(force).max()))
-            if change <= RELATIVE_TOLERANCE * self.largest_N:
+            if change <= MULTIPLIER_TOLERANCE * self.largest_N:
                 self.multiplier = multiplier
                 return force
         raise ComputationError(

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import brentq, minimize_scalar
@@ -9,10 +11,23 @@ from scipy.optimize import brentq, minimize_scalar
 from ..bodies.base import Array
 from ..bodies.modal import ModalBody
 
+Complex = NDArray[np.complex128]
 SAMPLES_PER_PERIOD = 16
 CHUNK = 2048
 # Far below the rounding of a height of millimetres.
 NEGLIGIBLE_M = 1e-19
+
+
+@dataclass(frozen=True)
+class Rows:
+    """What is watched in flight: ``of_u`` (m, n) of the displacement, ``of_v`` of the velocity."""
+
+    of_u: Array
+    of_v: Array | None = None
+
+    def along(self, power: Complex) -> Complex | Array:
+        """Rows (m, n) for modes that go as exp(``power`` t)."""
+        return self.of_u if self.of_v is None else self.of_u + power * self.of_v
 
 
 class Flight:
@@ -45,10 +60,10 @@ class Flight:
         self._slow_part = self._slow_part - np.where(rigid, 0.0, self._static_slow(gap))
         self._fast_part = self._fast_part - np.where(rigid, 0.0, self._static_fast(gap))
 
-    def _static_fast(self, gap: NDArray[np.complex128]) -> NDArray[np.complex128]:
+    def _static_fast(self, gap: Complex) -> Complex:
         return -self._slow * self._forced / gap
 
-    def _static_slow(self, gap: NDArray[np.complex128]) -> NDArray[np.complex128]:
+    def _static_slow(self, gap: Complex) -> Complex:
         return self._forced - self._static_fast(gap)
 
     def state(self, t_s: float) -> tuple[Array, Array]:
@@ -79,42 +94,49 @@ class Flight:
             v0 * np.exp(-alpha * t) + pull * decayed,
         )
 
-    def observe(self, rows: Array, t_s: Array) -> Array:
-        """``rows`` (m, n) of the displacement at increasing times ``t_s`` (k,): (k, m)."""
+    def observe(self, rows: Rows, t_s: Array) -> Array:
+        """``rows`` at increasing times ``t_s`` (k,): (k, m)."""
         t = np.asarray(t_s) - self.t0_s
-        rigid = rows[:, self._rigid]
-        out = self._fall(t, self._rigid)[0] @ rigid.T + rows @ self._forced
+        height, speed = self._fall(t, self._rigid)
+        out = height @ rows.of_u[:, self._rigid].T + rows.of_u @ self._forced
+        if rows.of_v is not None:
+            out += speed @ rows.of_v[:, self._rigid].T
         alive = self._alive(rows, float(t[0]))
         for first in range(0, len(t) if len(alive) else 0, CHUNK):
             part = slice(first, first + CHUNK)
-            for power, amount in ((self._fast, self._fast_part), (self._slow, self._slow_part)):
+            for power, amount in self._waves():
                 wave = amount[alive] * np.exp(np.multiply.outer(t[part], power[alive]))
-                out[part] += (wave @ rows[:, alive].T).real
+                out[part] += (wave @ rows.along(power)[:, alive].T).real
         return np.asarray(out)
 
-    def _sway(self, rows: Array, t: float) -> Array:
+    def _waves(self) -> tuple[tuple[Complex, Complex], ...]:
+        """Exponents and amounts of the two exponentials of every mode."""
+        return (self._fast, self._fast_part), (self._slow, self._slow_part)
+
+    def _sway(self, rows: Rows, t: float) -> Array:
         """How far each elastic mode (n,) can still move any of ``rows``, ``t`` after the start."""
         size = np.zeros(len(self._rigid))
-        for power, amount in ((self._fast, self._fast_part), (self._slow, self._slow_part)):
-            size += np.abs(amount) * np.exp(power.real * t)
-        return np.where(self._rigid, 0.0, np.abs(rows).max(axis=0) * size)
+        for power, amount in self._waves():
+            reach = np.abs(rows.along(power)).max(axis=0)
+            size += reach * np.abs(amount) * np.exp(power.real * t)
+        return np.where(self._rigid, 0.0, size)
 
-    def _alive(self, rows: Array, t: float) -> NDArray[np.intp]:
+    def _alive(self, rows: Rows, t: float) -> NDArray[np.intp]:
         """The elastic modes that still matter to ``rows``, ``t`` after the start."""
         return np.flatnonzero(self._sway(rows, t) > NEGLIGIBLE_M)
 
-    def ringing(self, rows: Array, t_s: Array) -> Array:
-        """A bound (k,) in m on how far ringing moves any of ``rows`` (m, n) from ``t_s`` (k,) on."""
+    def ringing(self, rows: Rows, t_s: Array) -> Array:
+        """A bound (k,) in m on how far ringing moves any of ``rows`` from ``t_s`` (k,) on."""
         t = np.asarray(t_s) - self.t0_s
         alive = self._alive(rows, float(t[0]))
-        reach = np.abs(rows[:, alive]).max(axis=0, initial=0.0)
         bound = np.zeros_like(t)
-        for power, amount in ((self._fast, self._fast_part), (self._slow, self._slow_part)):
+        for power, amount in self._waves():
+            reach = np.abs(rows.along(power)[:, alive]).max(axis=0, initial=0.0)
             decay = np.exp(np.multiply.outer(t, power[alive].real))
             bound += decay @ (reach * np.abs(amount[alive]))
         return bound
 
-    def _sampling_s(self, rows: Array, start_s: float) -> float:
+    def _sampling_s(self, rows: Rows, start_s: float) -> float:
         """A time step that resolves the fastest oscillation that matters from ``start_s`` on."""
         sway = self._sway(rows, start_s - self.t0_s)
         loud = sway > max(1e-3 * sway.max(initial=0.0), NEGLIGIBLE_M)
@@ -125,7 +147,7 @@ class Flight:
         """Height of the rigid motion along ``row`` (n,) at times ``t`` after the start."""
         return np.asarray(self._fall(t, self._rigid)[0] @ row[self._rigid])
 
-    def next_touch(self, rows: Array, until_s: float) -> float | None:
+    def next_touch(self, rows: Rows, until_s: float) -> float | None:
         """The first time in (t0, ``until_s``] at which a row comes down through zero, or None.
 
         A row that starts below zero, on its way up, touches when it turns down before it got out.
@@ -149,10 +171,10 @@ class Flight:
                         return float(t[i + 1])
         return None
 
-    def _lowest(self, rows: Array, t: Array) -> Array:
+    def _lowest(self, rows: Rows, t: Array) -> Array:
         return np.asarray(self.observe(rows, t).min(axis=1))
 
-    def _root(self, rows: Array, left: float, right: float) -> float:
+    def _root(self, rows: Rows, left: float, right: float) -> float:
         def lowest(t: float) -> float:
             return float(self._lowest(rows, np.array([t]))[0])
 
@@ -162,10 +184,10 @@ class Flight:
             return left
         return float(brentq(lowest, left, right, xtol=1e-16, rtol=8.9e-16))
 
-    def _windows(self, rows: Array, until_s: float) -> list[tuple[float, float]]:
+    def _windows(self, rows: Rows, until_s: float) -> list[tuple[float, float]]:
         """Intervals in which ringing could bring a row down to zero."""
         grid = np.linspace(0.0, until_s - self.t0_s, 513)
-        height = self._fall(grid, self._rigid)[0] @ rows[:, self._rigid].T
+        height = self._fall(grid, self._rigid)[0] @ rows.of_u[:, self._rigid].T
         slack = self.ringing(rows, self.t0_s + grid)
         near = height.min(axis=1) <= 2.0 * slack + 1e-12
         # the parabola may cross zero between two grid points: take the neighbours in
@@ -182,7 +204,7 @@ class Flight:
 
     def apex(self, row: Array, until_s: float) -> tuple[float, float]:
         """Time and height of the highest point of ``row`` (n,) in [t0, ``until_s``]."""
-        rows = row[None, :]
+        rows = Rows(row[None, :])
         grid = np.linspace(0.0, until_s - self.t0_s, 513)
         height = self._ballistic(grid, row)
         slack = self.ringing(rows, self.t0_s + grid)

@@ -107,7 +107,6 @@ class Marcher:
             response=response,
             end_weight=None if scheme.conserving else 1.0 - scheme.alpha_f,
             multiplier=np.zeros(len(points.weights)),
-            scale_N_m=points.traction_scale_N_m,
         )
 
     def stiffness(self, x: Array) -> Array:
