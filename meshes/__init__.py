@@ -1,0 +1,1 @@
+"""What does the bristle look like as hexahedra, and is that mesh sound?"""

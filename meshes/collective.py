@@ -1,0 +1,53 @@
+"""How does work of one rank end on all ranks, be it with a result or with an error?"""
+
+from __future__ import annotations
+
+import pickle
+from collections.abc import Callable
+from typing import Any, TypeVar
+
+from mpi4py import MPI
+
+Result = TypeVar("Result")
+
+
+def run_on_one_rank(comm: MPI.Intracomm, action: Callable[[], Result], rank: int = 0) -> Result:
+    """Run `action` on `rank` alone and give all ranks its result; collective.
+
+    Parameters
+    ----------
+    comm : communicator whose ranks all call this
+    action : work that communicates with nobody; its result must be picklable
+    rank : the rank that works, while the others wait
+
+    Returns
+    -------
+    The result of `action`, on every rank.
+
+    Raises
+    ------
+    Whatever `action` raises, on every rank, so that no rank waits for one that has given up; a
+    `RuntimeError` with the same message where the error itself cannot be sent.
+    """
+    result: Any = None
+    error: Exception | None = None
+    if comm.rank == rank:
+        try:
+            result = action()
+        except Exception as raised:  # whatever it is, the others wait for it
+            error = raised
+    outcome = (result, _sendable(error)) if comm.rank == rank else None
+    result, sent_error = comm.bcast(outcome, root=rank)
+    if error is not None:
+        raise error
+    if sent_error is not None:
+        raise sent_error
+    return result
+
+
+def _sendable(error: Exception | None) -> Exception | None:
+    try:
+        copy = pickle.loads(pickle.dumps(error))
+    except Exception:  # an error class may fail in any way when it is unpickled
+        return RuntimeError(str(error))
+    return error if str(copy) == str(error) else RuntimeError(str(error))

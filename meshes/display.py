@@ -1,0 +1,127 @@
+"""Where can VTK draw when there is no screen?
+
+Debian's VTK draws through X11 alone and takes the whole process down where it finds no X server.
+So it draws in a process of its own, on an Xvfb that lives as long as the drawing.
+"""
+
+from __future__ import annotations
+
+import os
+import select
+import shutil
+import signal
+import subprocess
+import tempfile
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from typing import IO
+
+START_TIMEOUT_S = 30.0
+STOP_TIMEOUT_S = 5.0
+
+
+class DrawingError(RuntimeError):
+    """A picture could not be drawn."""
+
+
+@contextmanager
+def display_environment() -> Iterator[dict[str, str]]:
+    """Provide the environment variables of a process that is to draw.
+
+    A private Xvfb is started where one is installed, else the caller's own DISPLAY is taken.  The
+    server ends with the block, with its last client, or with this process, whichever is first.
+
+    Raises
+    ------
+    DrawingError : neither is there, or Xvfb does not start
+    """
+    xvfb = shutil.which("Xvfb")
+    if xvfb is None:
+        if not os.environ.get("DISPLAY"):
+            raise DrawingError("There is no display to draw on: install Xvfb or set DISPLAY.")
+        yield dict(os.environ)
+        return
+    with tempfile.TemporaryFile() as log:
+        server, display = _start(xvfb, log)
+        try:
+            yield {**os.environ, "DISPLAY": display}
+        finally:
+            _stop(server)
+
+
+def run_drawing(command: Sequence[str], timeout_s: float = 300.0) -> None:
+    """Run a command that draws, on a display of its own.
+
+    Raises
+    ------
+    DrawingError : there is no display, or the command fails, dies or takes more than `timeout_s`;
+        with the last line that it wrote to standard error
+    """
+    with display_environment() as environment:
+        try:
+            done = subprocess.run(
+                command,
+                env=environment,
+                stdin=subprocess.DEVNULL,
+                capture_output=True,
+                text=True,
+                errors="replace",
+                timeout=timeout_s,
+            )
+        except subprocess.TimeoutExpired as error:
+            raise DrawingError(f"Drawing took more than {timeout_s:g} s.") from error
+    if done.returncode != 0:
+        said = done.stderr.strip().splitlines() or [f"exit status {done.returncode}"]
+        died = f"{signal.Signals(-done.returncode).name}, " if done.returncode < 0 else ""
+        raise DrawingError(f"Drawing failed: {died}{said[-1]}")
+
+
+def _start(xvfb: str, log: IO[bytes]) -> tuple[subprocess.Popen, str]:
+    """Start Xvfb on a display number that it finds free itself, and wait until it is ready."""
+    setpriv = shutil.which("setpriv")
+    # Without this, a killed caller would leave a server behind that no client ever used.
+    with_parent = [setpriv, "--pdeathsig", "TERM"] if setpriv else []
+    command = [*with_parent, xvfb, "-terminate", "-nolisten", "tcp", "-screen", "0", "640x480x24"]
+    ready, write_end = os.pipe()
+    try:
+        try:
+            server = subprocess.Popen(
+                [*command, "-displayfd", str(write_end)],
+                pass_fds=(write_end,),
+                stdin=subprocess.DEVNULL,
+                stdout=log,
+                stderr=log,
+            )
+        finally:
+            os.close(write_end)
+        try:
+            return server, f":{_read_number(ready)}"
+        except BaseException:
+            _stop(server)
+            raise
+    except (DrawingError, OSError) as error:
+        log.seek(0)
+        said = log.read().decode(errors="replace").strip().splitlines() or [str(error)]
+        raise DrawingError(f"Xvfb did not start: {said[-1]}") from error
+    finally:
+        os.close(ready)
+
+
+def _read_number(ready: int) -> str:
+    answer = b""
+    while not answer.endswith(b"\n"):
+        readable, _, _ = select.select([ready], [], [], START_TIMEOUT_S)
+        chunk = os.read(ready, 64) if readable else b""
+        if not chunk:
+            raise DrawingError("no display number")
+        answer += chunk
+    return answer.decode().strip()
+
+
+def _stop(server: subprocess.Popen) -> None:
+    server.terminate()
+    try:
+        server.wait(STOP_TIMEOUT_S)
+    except subprocess.TimeoutExpired:
+        server.kill()
+        server.wait()

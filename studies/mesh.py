@@ -1,0 +1,100 @@
+"""What files does `bristle mesh` leave behind, and what do they say?"""
+
+from __future__ import annotations
+
+import shutil
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from mpi4py import MPI
+
+from bristle.meshes.check import check_model
+from bristle.meshes.collective import run_on_one_rank
+from bristle.meshes.convert import read_msh, write_msh, write_vtu
+from bristle.meshes.geometry import MeshSpec
+from bristle.meshes.hexahedra import build_model, gmsh_model
+from bristle.meshes.picture import write_picture
+from bristle.meshes.quality import MeshQuality, measure_quality, write_csv
+
+
+def run_mesh(spec: MeshSpec, out: Path, comm: MPI.Intracomm = MPI.COMM_WORLD) -> dict[str, Any]:
+    """Mesh a bristle and write ``bristle.msh``, ``bristle.vtu``, ``quality.csv``, ``mesh.png``.
+
+    Rank 0 does it while the others wait; collective over `comm`.  The files are made in a hidden
+    folder inside `out` and moved into place when all four are there, so that a failure leaves what
+    was there before.
+
+    Parameters
+    ----------
+    spec : the bristle
+    out : folder, made where it is missing
+
+    Returns
+    -------
+    summary : `spec` (SI), `files` (name: path), `quality` (as `MeshQuality`), `wall_s`; plain
+        numbers, strings, lists and dicts alone; the same on every rank
+
+    Raises
+    ------
+    MeshError : gmsh failed or the mesh is not what was asked for
+    DrawingError : the picture could not be drawn
+    OSError : `out` cannot be written
+    """
+    return run_on_one_rank(comm, lambda: _write_all(spec, Path(out)))
+
+
+def _write_all(spec: MeshSpec, out: Path) -> dict[str, Any]:
+    started = time.perf_counter()
+    names, quality = _in_place(out, lambda folder: _make(spec, folder))
+    return {
+        "spec": {**asdict(spec), "cells": list(spec.cells), "shape": type(spec.section).__name__},
+        "files": {name: str(out / name) for name in names},
+        "quality": asdict(quality),
+        "wall_s": time.perf_counter() - started,
+    }
+
+
+def _make(spec: MeshSpec, folder: Path) -> MeshQuality:
+    with gmsh_model():
+        build_model(spec)
+        check_model(spec)
+        quality = measure_quality(spec)
+        write_msh(folder / "bristle.msh")
+    write_vtu(read_msh(folder / "bristle.msh"), folder / "bristle.vtu")
+    write_csv(quality, folder / "quality.csv")
+    write_picture(folder / "bristle.vtu", folder / "mesh.png")
+    return quality
+
+
+def _in_place(out: Path, make: Callable[[Path], MeshQuality]) -> tuple[list[str], MeshQuality]:
+    """Let `make` fill a folder beside its destination, then move its files; return their names."""
+    existing = next(parent for parent in (out, *out.parents) if parent.exists())
+    out.mkdir(parents=True, exist_ok=True)
+    folder = Path(tempfile.mkdtemp(prefix=".mesh-", dir=out))
+    try:
+        result = make(folder)
+        names = sorted(path.name for path in folder.iterdir())
+        for name in names:
+            (folder / name).replace(out / name)
+        return names, result
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
+        _remove_empty(out, down_to=existing)
+
+
+def _remove_empty(folder: Path, down_to: Path) -> None:
+    """Remove a folder and its parents as far as they are empty and were not there before."""
+    while folder != down_to and not any(folder.iterdir()):
+        folder.rmdir()
+        folder = folder.parent
+
+
+if __name__ == "__main__":
+    from .cli import main
+
+    sys.exit(main(["mesh", *sys.argv[1:]]))

@@ -1,0 +1,254 @@
+"""Does `bristle mesh` leave all of its files or none, on any number of ranks, with no screen?"""
+
+import os
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+import pyvista
+from mpi4py import MPI
+
+from bristle.meshes import display
+from bristle.meshes.check import MeshError
+from bristle.meshes.collective import run_on_one_rank
+from bristle.meshes.convert import read_msh, read_vtu, write_msh
+from bristle.meshes.display import DrawingError, display_environment, run_drawing
+from bristle.meshes.geometry import MeshSpec, Rectangle, Wire
+from bristle.meshes.hexahedra import build_model, gmsh_model
+from bristle.meshes.picture import outside, round_length_mm, write_picture
+from bristle.meshes.quality import read_csv
+from bristle.studies import mesh as mesh_study
+from bristle.studies.mesh import run_mesh
+
+COMM = MPI.COMM_WORLD
+FILES = ["bristle.msh", "bristle.vtu", "mesh.png", "quality.csv"]
+SPEC = MeshSpec(0.02, Rectangle(), (1, 4, 10), geometry_order=2)
+
+
+@pytest.fixture
+def out(tmp_path):
+    """Return a folder that is the same on every rank and does not exist yet."""
+    return COMM.bcast(tmp_path, root=0) / "a" / "b"
+
+
+def listing(folder):
+    """Return the names in a folder, seen when every rank has come here."""
+    return run_on_one_rank(COMM, lambda: sorted(path.name for path in folder.iterdir()))
+
+
+def is_running(pid):
+    """Return whether a process exists and is no zombie."""
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()[0] != "Z"
+    except FileNotFoundError:
+        return False
+
+
+@pytest.mark.parametrize(
+    "spec", [SPEC, MeshSpec(0.02, Wire(1e-3), (2, 1, 6), geometry_order=1)], ids=["2", "wire-1"]
+)
+def test_all_files_are_there_and_agree(out, spec):
+    summary = run_mesh(spec, out)
+    assert listing(out) == FILES
+    assert summary["files"] == {name: str(out / name) for name in FILES}
+    assert summary["quality"]["n_cells"] == spec.n_cells
+    assert COMM.bcast(summary) == summary
+    quality = read_csv(out / "quality.csv")
+    assert vars(quality) == summary["quality"]
+    for mesh in (read_msh(out / "bristle.msh"), read_vtu(out / "bristle.vtu")):
+        assert len(mesh.points) == quality.n_nodes
+        assert len(mesh.cells[0].data) == spec.n_cells
+    image = pyvista.read(out / "mesh.png")
+    assert image.dimensions[:2] == (1600, 900)
+    assert is_drawn(image)
+
+
+def is_drawn(image):
+    """Return whether both halves show white ground, the grey of the side, the tip, and edges."""
+    width, height, _ = image.dimensions
+    pixels = image.point_data.active_scalars.reshape(height, width, -1)[:, :, :3].astype(int)
+    wanted = [(255, 255, 255), (0xC9, 0xD3, 0xDC), (0xD9, 0x82, 0x2B), (0, 0, 0)]
+    return all(
+        np.count_nonzero(np.abs(half - colour).max(axis=2) <= 2) > 300
+        for half in (pixels[:, : width // 2], pixels[:, width // 2 :])
+        for colour in wanted
+    )
+
+
+def test_same_spec_gives_the_same_files(out):
+    contents = []
+    for _ in range(2):
+        run_mesh(SPEC, out)
+        contents.append({name: (out / name).read_bytes() for name in FILES if name != "mesh.png"})
+        COMM.barrier()
+    assert contents[0] == contents[1]
+
+
+@pytest.mark.parametrize("stage", ["build_model", "measure_quality", "write_vtu", "write_picture"])
+def test_failure_leaves_what_was_there(out, stage, monkeypatch):
+    def fail(*_):
+        raise OSError(28, f"no space for {stage}")
+
+    monkeypatch.setattr(mesh_study, stage, fail)
+    root = out.parent.parent
+    with pytest.raises(OSError, match=f"no space for {stage}"):
+        run_mesh(SPEC, out)
+    assert listing(root) == []
+
+    run_on_one_rank(COMM, lambda: out.mkdir(parents=True))
+    run_on_one_rank(COMM, lambda: (out / "mesh.png").write_text("older"))
+    with pytest.raises(OSError, match=f"no space for {stage}"):
+        run_mesh(SPEC, out)
+    assert listing(out) == ["mesh.png"]
+    assert (out / "mesh.png").read_text() == "older"
+
+
+def test_unsound_mesh_writes_nothing(out, monkeypatch):
+    build = mesh_study.build_model
+    other = MeshSpec(0.02, Rectangle(), (1, 1, 1))
+    monkeypatch.setattr(mesh_study, "build_model", lambda _: build(other))
+    with pytest.raises(MeshError, match="hexahedra"):
+        run_mesh(SPEC, out)
+    assert listing(out.parent.parent) == []
+
+
+def test_older_files_are_replaced_and_strangers_kept(out):
+    run_on_one_rank(COMM, lambda: out.mkdir(parents=True))
+    run_on_one_rank(COMM, lambda: (out / "quality.csv").write_text("older"))
+    run_on_one_rank(COMM, lambda: (out / "notes.txt").write_text("mine"))
+    run_mesh(SPEC, out)
+    assert listing(out) == sorted([*FILES, "notes.txt"])
+    assert read_csv(out / "quality.csv").n_cells == SPEC.n_cells
+
+
+def test_a_file_in_the_place_of_the_folder_is_an_error(out):
+    run_on_one_rank(COMM, lambda: out.parent.mkdir())
+    run_on_one_rank(COMM, lambda: out.write_text("a file"))
+    with pytest.raises(FileExistsError):
+        run_mesh(SPEC, out)
+    assert out.read_text() == "a file"
+
+
+@pytest.mark.serial
+def test_display_ends_with_its_block():
+    with display_environment() as environment:
+        assert environment["DISPLAY"].startswith(":")
+        (server,) = servers()
+        assert is_running(server)
+    assert servers() == []
+    with pytest.raises(KeyError), display_environment():
+        raise KeyError
+    assert servers() == []
+
+
+def servers():
+    """Return the Xvfb processes that are children of this one."""
+    children = Path(f"/proc/self/task/{os.getpid()}/children").read_text().split()
+    names = {pid: Path(f"/proc/{pid}/comm").read_text().strip() for pid in children}
+    return [pid for pid, name in names.items() if name == "Xvfb"]
+
+
+@pytest.mark.serial
+def test_display_ends_when_its_caller_is_killed():
+    # No MPI in there: under mpirun it would pass for one of the ranks.
+    program = (
+        "import time\n"
+        "from pathlib import Path\n"
+        "from bristle.meshes.display import display_environment\n"
+        "with display_environment():\n"
+        "    print(Path('/proc/thread-self/children').read_text(), flush=True)\n"
+        "    time.sleep(60)\n"
+    )
+    caller = subprocess.Popen(
+        [sys.executable, "-c", program],
+        stdout=subprocess.PIPE,
+        text=True,
+    )
+    server = caller.stdout.readline().strip()
+    assert is_running(server)
+    caller.kill()
+    caller.wait()
+    caller.stdout.close()
+    deadline = time.monotonic() + 10
+    while is_running(server) and time.monotonic() < deadline:
+        time.sleep(0.05)
+    assert not is_running(server)
+
+
+@pytest.mark.serial
+def test_drawing_that_cannot_be_says_why(tmp_path, monkeypatch):
+    with pytest.raises(DrawingError, match=r"Drawing failed: .*missing\.vtu"):
+        write_picture(tmp_path / "missing.vtu", tmp_path / "a.png")
+    with pytest.raises(DrawingError, match="Drawing failed: SIGABRT"):
+        run_drawing([sys.executable, "-c", "import os; os.abort()"])
+    with pytest.raises(DrawingError, match="more than 0.2 s"):
+        run_drawing([sys.executable, "-c", "import time; time.sleep(60)"], timeout_s=0.2)
+    assert servers() == []
+
+    xvfb = tmp_path / "Xvfb"
+    xvfb.write_text("#!/bin/sh\necho cannot open fonts >&2\nexit 1\n")
+    xvfb.chmod(0o755)
+    monkeypatch.setattr(display.shutil, "which", lambda name: str(xvfb) if name == "Xvfb" else None)
+    with pytest.raises(DrawingError, match="Xvfb did not start: cannot open fonts"):
+        run_drawing(["true"])
+
+    monkeypatch.setattr(display.shutil, "which", lambda name: None)
+    monkeypatch.delenv("DISPLAY", raising=False)
+    with pytest.raises(DrawingError, match="install Xvfb or set DISPLAY"):
+        run_drawing(["true"])
+    monkeypatch.setenv("DISPLAY", ":77")
+    with display_environment() as environment:
+        assert environment["DISPLAY"] == ":77"
+
+
+@pytest.mark.parametrize(
+    ("limit", "length"),
+    [(2.08, 2), (1.0, 1), (0.999, 0.5), (168.25, 100), (49.9, 20), (0.02, 0.02)],
+)
+def test_scale_bars_are_round(limit, length):
+    assert round_length_mm(limit) == pytest.approx(length)
+
+
+def surface_of(spec, folder):
+    """Return the outside of a mesh of `spec`."""
+    with gmsh_model():
+        build_model(spec)
+        write_msh(folder / "a.msh")
+    return outside(read_msh(folder / "a.msh"))
+
+
+@pytest.mark.parametrize("order", [1, 2])
+def test_close_up_ends_with_a_whole_cell(tmp_path, order):
+    spec = MeshSpec(0.02, Rectangle(), (1, 2, 10), order)
+    surface = surface_of(spec, tmp_path)
+    # Layers end at 0, 2, 4 … 20 mm.
+    for height, end in ((3.0, 4.0), (4.0, 4.0), (25.0, 20.0)):
+        part = surface.below(height)
+        assert part.points_mm[part.pieces][:, :, 2].max() == pytest.approx(end)
+        assert part.points_mm[part.edges][:, :, 2].max() == pytest.approx(end)
+
+
+def test_compressed_axis_keeps_the_section(tmp_path):
+    surface = surface_of(SPEC, tmp_path)
+    squeezed = surface.compressed(10)
+    assert surface.length_mm == pytest.approx(20)
+    assert squeezed.length_mm == pytest.approx(2)
+    assert squeezed.width_mm == pytest.approx(2.08)
+
+
+def test_thinning_keeps_both_ends_and_the_lines_along(tmp_path):
+    surface = surface_of(MeshSpec(0.02, Rectangle(), (1, 1, 100)), tmp_path)
+
+    def rings_and_lengths(thing):
+        z = thing.points_mm[thing.edges][:, :, 2]
+        flat = np.ptp(z, axis=1) < 1e-9
+        return np.unique(np.round(z[flat, 0], 6)), np.count_nonzero(~flat)
+
+    rings, lengths = rings_and_lengths(surface.thinned(10))
+    assert (rings[0], rings[-1]) == (0, 20)
+    assert 10 <= len(rings) <= 12
+    assert lengths == rings_and_lengths(surface)[1]
+    assert len(rings_and_lengths(surface.thinned(1000))[0]) == 101
