@@ -1,1 +1,1 @@
-"""Bodies, contact, time stepping and one drop: the mechanics, knowing nothing of meshes or studies."""
+"""Bodies, contact, time stepping and one drop: the mechanics, apart from meshes and studies."""

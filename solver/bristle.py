@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from . import paper
 from .errors import InputError
 
-Array = NDArray[np.float64]
+Array = NDArray[np.floating]
 
 
 def positive(name: str, value: float) -> None:
@@ -197,5 +197,5 @@ class Bristle:
 
     @property
     def axial_period_s(self) -> float:
-        """Period of the first free-free axial mode, 2L/c, which is also how long a rigid impact lasts."""
+        """Period 2L/c of the first free-free axial mode; a rigid impact lasts as long."""
         return 2.0 * self.length_m / self.material.bar_speed_m_s

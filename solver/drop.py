@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from dataclasses import dataclass, field
 from typing import Protocol
@@ -12,7 +13,7 @@ from numpy.typing import NDArray
 from .bodies.base import Array, Body
 from .bodies.modal import ModalBody
 from .contact.enforcement import ContactMethod
-from .energy import Budget, flight_energy, marching_energy, step_loss
+from .energy import Budget, Energy, flight_energy, marching_energy, step_loss
 from .errors import ComputationError
 from .impact import History, Observer, Touch, march_touch, observe
 from .time.flight import Flight, Rows
@@ -151,7 +152,9 @@ def simulate(
     loss = initial - 0.5 * body.mass_kg * speed**2 if body.alpha_1_s else 0.0
     _record_fall(history, plan, fall_s, body.alpha_1_s)
 
-    t, u, v = fall_s, np.zeros_like(body.lift), -speed * body.lift
+    t = fall_s
+    u: Array = np.zeros_like(body.lift)
+    v: Array = -speed * body.lift
     end_s = math.inf if plan.until_s is None else plan.until_s
     if end_s <= fall_s:
         raise ComputationError(f"the drop ends at {end_s:g} s, before it touches at {fall_s:g} s")
@@ -295,8 +298,9 @@ def _record_flight(
     )
     start_s = max(start_s, history.rows[-1][0])
     times = np.linspace(start_s, stop_s, FLIGHT_ROWS + 1)[1:]
-    for t, (tip, centre) in zip(times, flight.observe(rows, times), strict=True):
-        history.rows.append((float(t), float(tip), float(centre), 0.0, max(-float(tip), 0.0)))
+    tip, centre = flight.observe(rows, times).T
+    table = np.stack([times, tip, centre, 0.0 * times, np.maximum(-tip, 0.0)], axis=1)
+    history.rows.extend(tuple(map(float, row)) for row in table)
 
 
 def _first_impact(active: NDArray[np.intp], velocity: Array) -> tuple[int, int]:
@@ -304,14 +308,14 @@ def _first_impact(active: NDArray[np.intp], velocity: Array) -> tuple[int, int]:
 
     ``active`` (k,) are the steps with contact, ``velocity`` the centre's after each step.
     """
-    for end, start in zip(active[:-1], active[1:], strict=True):
+    for end, start in itertools.pairwise(active):
         if start > end + 1 and velocity[end] > 0.0 and velocity[start - 1] <= 0.0:
             return int(end), int(start)
     return int(active[-1]), len(velocity)
 
 
 def march_plainly(frame: FlightFrame, plan: DropPlan, until_s: float) -> DropResult:
-    """The same drop marched at constant ITS from release on, no event used: to check ``simulate``."""
+    """The same drop marched at constant ITS from release on, to check ``simulate``."""
     body, g = frame.body, plan.gravity_m_s2
     marcher = Marcher(body, plan.method, plan.scheme, plan.its_s, g)
     history, forces = History(), []
@@ -349,6 +353,8 @@ def march_plainly(frame: FlightFrame, plan: DropPlan, until_s: float) -> DropRes
         cm_velocity_after_m_s=velocity[last],
         n_dofs=body.n_dofs,
         n_steps=len(force),
-        energy=Budget.close(body.mass_kg * g * plan.height_m, marching_energy(marcher, state), loss),
+        energy=Budget.close(
+            body.mass_kg * g * plan.height_m, marching_energy(marcher, state), loss
+        ),
         history=history,
     )

@@ -100,7 +100,9 @@ def march_touch(
         before = state
         state, force = marcher.step(before)
         if not np.isfinite(state.drive).all():
-            raise ComputationError(f"the motion is not finite at t = {state.t_s:.6g} s; shorten the ITS")
+            raise ComputationError(
+                f"the motion is not finite at t = {state.t_s:.6g} s; shorten the ITS"
+            )
         loss += step_loss(marcher, before, state)
         defect += marcher.step_defect(before, state, force)
         total = float(weights @ force)
@@ -146,7 +148,7 @@ def _is_multiplier(marcher: Marcher) -> bool:
 
 
 def _release_time(before: State, after: State) -> float:
-    """The end of a step with contact, or the instant in it at which the last drive falls to zero."""
+    """The end of a step with contact, or the instant in it at which its drive falls to zero."""
     first, last = float(before.drive.max()), float(after.drive.max())
     if last >= 0.0 or first <= last:
         return after.t_s

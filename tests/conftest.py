@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from bristle.solver.bristle import Bristle, Material, Rectangle
 from mpi4py import MPI
+
+from bristle.solver.bristle import Bristle, Material, Rectangle
 
 
 @pytest.fixture(scope="session")

@@ -7,11 +7,12 @@ from pathlib import Path
 
 import adios2
 import numpy as np
+from mpi4py import MPI
+
 from bristle.meshes.distribute import to_dolfinx
 from bristle.meshes.geometry import MeshSpec, Tag
 from bristle.solver.bodies.solid import SolidBody
 from bristle.solver.bristle import Material
-from mpi4py import MPI
 
 COMM = MPI.COMM_WORLD
 LENGTH_M = 0.02

@@ -5,12 +5,13 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from bristle.solver.bodies.base import ContactPoints
-from bristle.solver.bodies.modal import ModalBody, modal_form
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 from scipy.optimize import brentq
 from scipy.special import jv
+
+from bristle.solver.bodies.base import ContactPoints
+from bristle.solver.bodies.modal import ModalBody, modal_form
 
 
 def rate(sizes, errors) -> float:
@@ -84,7 +85,9 @@ def rod(
     x, w = np.polynomial.legendre.leggauss(degree + 1)
     powers = np.arange(degree + 1)
     value = (x[:, None] ** powers) @ vandermonde
-    slope = (powers * np.where(powers > 0, x[:, None] ** np.maximum(powers - 1, 0), 0.0)) @ vandermonde
+    slope = (
+        powers * np.where(powers > 0, x[:, None] ** np.maximum(powers - 1, 0), 0.0)
+    ) @ vandermonde
     slope = slope * 2.0 / h
     mass, stiffness = np.zeros((nodes, nodes)), np.zeros((nodes, nodes))
     for e in range(n_elements):

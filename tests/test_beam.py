@@ -4,10 +4,11 @@ import math
 
 import numpy as np
 import pytest
+from reference import free_free_timoshenko_hz, rate
+
 from bristle.solver.bodies.beam import beam_body
 from bristle.solver.bristle import Bristle, Circle, Material, Rectangle
 from bristle.solver.errors import InputError
-from reference import free_free_timoshenko_hz, rate
 
 pytestmark = pytest.mark.serial
 BEAMS = [Bristle(), Bristle(0.05, Circle(2e-3)), Bristle(0.03, Rectangle(1e-3, 3e-3))]
@@ -58,7 +59,11 @@ def test_axial_bending_and_torsion_frequencies_converge_at_fourth_order(bristle)
     found = [frequencies_hz(bristle, n) for n in sizes]
     sec = bristle.section
     exact = [axial_hz(bristle, 1), axial_hz(bristle, 3), torsion_hz(bristle, 2)]
-    exact += [bending_hz(bristle, moment, n) for moment in (sec.second_moment_x_m4, sec.second_moment_y_m4) for n in (1, 2)]
+    exact += [
+        bending_hz(bristle, moment, n)
+        for moment in (sec.second_moment_x_m4, sec.second_moment_y_m4)
+        for n in (1, 2)
+    ]
     for wanted in exact:
         errors = [abs(nearest(f, wanted) / wanted - 1.0) for f in found]
         assert errors[-1] < 2e-5, wanted

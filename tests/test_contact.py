@@ -4,12 +4,13 @@ import math
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
 from bristle.solver.bodies.base import ContactPoints
 from bristle.solver.contact.enforcement import ContactMethod, Enforcement, StepContact
 from bristle.solver.contact.laws import Linear
 from bristle.solver.errors import ComputationError
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 pytestmark = pytest.mark.serial
 LAWS = [Linear(2e6), Linear(1e4), Linear(1e8)]

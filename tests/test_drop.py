@@ -4,6 +4,8 @@ import math
 
 import numpy as np
 import pytest
+from reference import modal_series_rebound, rate
+
 from bristle.solver import paper
 from bristle.solver.bodies.analytic import analytic_drop, quarter_period_s
 from bristle.solver.bodies.beam import beam_body
@@ -13,7 +15,6 @@ from bristle.solver.contact.laws import Linear
 from bristle.solver.drop import DropPlan, ModalFrame, free_fall, march_plainly, simulate
 from bristle.solver.errors import ComputationError
 from bristle.solver.time.scheme import TimeScheme
-from reference import modal_series_rebound, rate
 
 pytestmark = pytest.mark.serial
 G = paper.GRAVITY_M_S2
@@ -56,7 +57,7 @@ def test_against_an_independent_modal_series(beam, bristle, kn):
 
 
 def test_soft_contact_tends_to_the_mass_on_a_spring(bristle):
-    """Undamped and soft against the bar, the bristle is rigid: Eqs. 3 and 8, gravity's share aside."""
+    """Undamped and soft against the bar, the bristle is rigid: Eqs. 3 and 8 but for its weight."""
     stiff = Bristle(material=Material(beta_s=0.0))
     frame = ModalFrame(beam_body(stiff, 8))
     errors = []
@@ -131,9 +132,7 @@ def test_momentum_balance_of_the_first_impact(beam):
     result = drop(beam, 2e6)
     mass = beam.modal.mass_kg
     gained = mass * (result.cm_velocity_after_m_s + result.impact_speed_m_s)
-    assert gained == pytest.approx(
-        result.impulse_N_s - mass * G * result.contact_time_s, rel=1e-10
-    )
+    assert gained == pytest.approx(result.impulse_N_s - mass * G * result.contact_time_s, rel=1e-10)
 
 
 @pytest.mark.parametrize(("kn", "beta"), [(2e6, paper.BETA_S), (2e5, 1e-8)])

@@ -5,12 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import ufl
-from bristle.meshes.geometry import Wire
-from bristle.solver.bodies.solid import stress
-from bristle.solver.nodal_stress import NodalStress, von_mises
 from dolfinx import fem
 from field_files import solid_of
 from mpi4py import MPI
+
+from bristle.meshes.geometry import Wire
+from bristle.solver.bodies.solid import stress
+from bristle.solver.nodal_stress import NodalStress, von_mises
 
 LINEAR = np.array([[1.0, 0.3, -0.2], [0.4, -0.7, 0.5], [0.1, 0.6, -0.9]])
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import shutil
 import signal
 import subprocess
@@ -13,6 +12,13 @@ from pathlib import Path
 import adios2
 import numpy as np
 import pytest
+from dolfinx import fem, geometry
+from field_files import COMM, MATERIAL, blocks_of, phases, solid_of, times_of, written
+from matplotlib.image import imread
+from mpi4py import MPI
+from pvbatch import needs_pvbatch, run_pvbatch
+from scipy.spatial import cKDTree
+
 from bristle.meshes.geometry import Wire
 from bristle.solver.bodies.reduced import reduce_solid
 from bristle.solver.contact.enforcement import ContactMethod
@@ -21,12 +27,6 @@ from bristle.solver.drop import DropPlan, ModalFrame, simulate
 from bristle.solver.errors import ComputationError
 from bristle.solver.paraview import FieldWriter, Phase
 from bristle.solver.time.march import Marcher
-from dolfinx import fem, geometry
-from field_files import COMM, MATERIAL, blocks_of, phases, solid_of, times_of, written
-from matplotlib.image import imread
-from mpi4py import MPI
-from pvbatch import needs_pvbatch, run_pvbatch
-from scipy.spatial import cKDTree
 
 KN_N_M, ITS_S, GRAVITY_M_S2 = 2e6, 5e-7, 9.8
 LAGRANGE_HEXAHEDRON, LAGRANGE_QUADRILATERAL = 72, 70
@@ -264,7 +264,7 @@ def test_the_writer_refuses_nonsense(shared_path):
 
 def test_a_failing_run_closes_its_files(shared_path):
     solid = solid_of()
-    with pytest.raises(RuntimeError, match="of all ranks"):  # noqa: SIM117
+    with pytest.raises(RuntimeError, match="of all ranks"):  # noqa: PT012, SIM117
         with FieldWriter(solid, shared_path) as writer:
             writer.write(1.0, solid.lift, solid.lift)
             raise RuntimeError("of all ranks")
@@ -332,10 +332,10 @@ def test_many_writers_leave_no_open_files(tmp_path):
             writer.write(0.0, solid.lift, solid.lift)
 
     one()
-    before = len(os.listdir("/proc/self/fd"))
+    before = len(list(Path("/proc/self/fd").iterdir()))
     for _ in range(5):
         one()
-    assert len(os.listdir("/proc/self/fd")) == before
+    assert len(list(Path("/proc/self/fd").iterdir())) == before
     solid.close()
 
 

@@ -9,6 +9,9 @@ import math
 
 import numpy as np
 import pytest
+from reference import rate, rod
+from scipy.integrate import cumulative_trapezoid
+
 from bristle.solver.bodies.beam import beam_body
 from bristle.solver.bristle import Bristle, Material
 from bristle.solver.contact.enforcement import ContactMethod, Enforcement
@@ -16,8 +19,6 @@ from bristle.solver.contact.laws import Linear
 from bristle.solver.drop import DropPlan, ModalFrame, simulate
 from bristle.solver.time.march import Marcher
 from bristle.solver.time.scheme import TimeScheme
-from reference import rate, rod
-from scipy.integrate import cumulative_trapezoid
 
 pytestmark = pytest.mark.serial
 JUMP_RATE = 2.0 / 3.0
@@ -39,9 +40,7 @@ def test_undamped_bristle_on_a_rigid_plane(theta):
     errors = {"impulse": [], "rebound": [], "time": []}
     for n in sizes:
         body = beam_body(bristle, int(n), face=False)
-        plan = DropPlan(
-            height, rigid(theta), period / n / 8, gravity, impact_only=True
-        )
+        plan = DropPlan(height, rigid(theta), period / n / 8, gravity, impact_only=True)
         result = simulate(ModalFrame(body), plan)
         impulse = 2.0 * body.mass_kg * speed + body.mass_kg * gravity * period
         errors["impulse"].append(abs(result.impulse_N_s / impulse - 1.0))
@@ -59,12 +58,10 @@ def test_undamped_bristle_on_a_rigid_plane(theta):
 
 
 def falling_bar(n, theta, enforcement=Enforcement.NITSCHE):
-    """Doyen, Ern and Piperno (SIAM J. Sci. Comput. 33, 2011), Sec. 4: L 10, E 900, ρ 1, g 10, from 5."""
+    """Doyen, Ern and Piperno (SIAM J. Sci. Comput. 33, 2011): L 10, E 900, ρ 1, g 10, from 5."""
     body = rod(n, length=10.0, youngs=900.0, density=1.0, degree=2)
     crossing = 10.0 / 30.0
-    plan = DropPlan(
-        5.0, rigid(theta, enforcement), crossing / n / 4, 10.0, impact_only=True
-    )
+    plan = DropPlan(5.0, rigid(theta, enforcement), crossing / n / 4, 10.0, impact_only=True)
     return body, simulate(ModalFrame(body), plan), crossing
 
 

@@ -4,16 +4,17 @@ import math
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from reference import rate, rod
+from scipy.linalg import expm
+
 from bristle.solver.bodies.modal import ModalBody
 from bristle.solver.contact.enforcement import ContactMethod, Enforcement
 from bristle.solver.contact.laws import Linear
 from bristle.solver.time.flight import Flight, Rows
 from bristle.solver.time.march import Marcher
 from bristle.solver.time.scheme import TimeScheme
-from hypothesis import given, settings
-from hypothesis import strategies as st
-from reference import rate, rod
-from scipy.linalg import expm
 
 pytestmark = pytest.mark.serial
 SCHEMES = [
@@ -37,7 +38,7 @@ def march(body, scheme, its, u, v, end, gravity=0.0, method=AWAY):
 @pytest.mark.parametrize("scheme", SCHEMES, ids=lambda s: s.name)
 @pytest.mark.parametrize("beta", [0.0, 0.02])
 def test_second_order_in_displacement_velocity_and_acceleration(scheme, beta):
-    """The first axial mode of a free rod (d'Alembert's standing wave), held high above the plane."""
+    """The first axial mode of a free rod, d'Alembert's standing wave, far above the plane."""
     body = rod(40, degree=2, beta=beta)
     omega = math.sqrt(body.omega2[1])
     start = np.zeros_like(body.lift)

@@ -91,4 +91,4 @@ def _history(
     )
     inside = np.concatenate([0.0 * down, depth, 0.0 * up])
     table = np.stack([t, tip, tip, kn_N_m * inside, inside], axis=1)
-    return History([tuple(row) for row in table.tolist()])
+    return History([tuple(map(float, row)) for row in table])

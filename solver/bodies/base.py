@@ -4,15 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Protocol, runtime_checkable
+from typing import Any, Protocol
 
 import numpy as np
 from mpi4py import MPI
 from numpy.typing import NDArray
-from scipy.sparse import csr_matrix
 
-Array = NDArray[np.float64]
-Rows = Array | csr_matrix
+Array = NDArray[np.floating]
+SparseOrDense = Any  # a NumPy array or a SciPy sparse matrix; both know `@` and `.T`
 
 
 @dataclass(frozen=True)
@@ -26,8 +25,8 @@ class ContactPoints:
     stiffness against which Nitsche's stabilisation is measured, times ``degree`` squared.
     """
 
-    normal: Rows
-    pressure: Rows
+    normal: SparseOrDense
+    pressure: SparseOrDense
     weights: Array
     xy_m: Array
     traction_scale_N_m: float
@@ -59,7 +58,6 @@ class StepDefect(Protocol):
     ) -> float: ...
 
 
-@runtime_checkable
 class Body(Protocol):
     """A linear body M, K with Rayleigh damping alpha M + beta K, free in space.
 
@@ -67,14 +65,22 @@ class Body(Protocol):
     translation by 1 m.
     """
 
-    name: str
-    n_dofs: int
-    mass_kg: float
-    alpha_1_s: float
-    beta_s: float
-    contact: ContactPoints
-    lift: Array
-    defect: StepDefect | None
+    @property
+    def name(self) -> str: ...
+    @property
+    def n_dofs(self) -> int: ...
+    @property
+    def mass_kg(self) -> float: ...
+    @property
+    def alpha_1_s(self) -> float: ...
+    @property
+    def beta_s(self) -> float: ...
+    @property
+    def contact(self) -> ContactPoints: ...
+    @property
+    def lift(self) -> Array: ...
+    @property
+    def defect(self) -> StepDefect | None: ...
 
     def mass(self, x: Array) -> Array:
         """M x."""

@@ -6,7 +6,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import eigh
 
 from .base import Array, ContactPoints
@@ -24,9 +23,7 @@ class Defect:
     gram: Array
     shift_1_s2: float
 
-    def energy_norm(
-        self, force: Array, motion: Array, c_mass: float, c_stiffness: float
-    ) -> float:
+    def energy_norm(self, force: Array, motion: Array, c_mass: float, c_stiffness: float) -> float:
         """Bound on √(rᵀ (c_mass M + c_stiffness K)⁻¹ r), r being what a step leaves over.
 
         ``force`` (points,) is w P in N, ``motion`` (modes,) is u + β v where equilibrium is taken.
@@ -78,8 +75,8 @@ class ModalBody:
 
 def modal_form(
     name: str,
-    mass: NDArray[np.float64],
-    stiffness: NDArray[np.float64],
+    mass: Array,
+    stiffness: Array,
     lift: Array,
     contact: ContactPoints,
     alpha_1_s: float,
@@ -93,7 +90,9 @@ def modal_form(
     """
     omega2, modes = eigh(stiffness, mass)
     if n_rigid < len(omega2) and abs(omega2[:n_rigid]).max(initial=0.0) > 1e-4 * omega2[n_rigid]:
-        raise ValueError(f"{name}: fewer than {n_rigid} rigid motions: ω² = {omega2[: n_rigid + 1]}")
+        raise ValueError(
+            f"{name}: fewer than {n_rigid} rigid motions: ω² = {omega2[: n_rigid + 1]}"
+        )
     omega2 = np.concatenate([np.zeros(n_rigid), omega2[n_rigid:]])
     return ModalBody(
         name=name,

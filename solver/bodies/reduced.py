@@ -71,7 +71,7 @@ def krylov_basis(
 
     for motion in solid.rigid_motions().T:
         add(motion)
-    vector = local @ contact.weights
+    vector: Array = local @ contact.weights
     for _ in range(n_krylov):
         if not add(vector):
             break
@@ -81,9 +81,7 @@ def krylov_basis(
     return basis[:, :count], images[:, :count]
 
 
-def reduce_solid(
-    solid: SolidBody, shift_1_s2: float, n_krylov: int = 24
-) -> ReducedModel:
+def reduce_solid(solid: SolidBody, shift_1_s2: float, n_krylov: int = 24) -> ReducedModel:
     """The solid in rigid motions, ``n_krylov`` Krylov vectors and its tip's own responses.
 
     ``shift_1_s2`` is s above. Raises ComputationError where the reduced stiffness is not
@@ -99,7 +97,9 @@ def reduce_solid(
     scale = omega2.max()
     omega2[np.argsort(np.abs(omega2))[:6]] = 0.0
     if omega2.min() < -1e-12 * scale:
-        raise ComputationError(f"the reduced stiffness is not semidefinite: ω² = {omega2.min():.3g}")
+        raise ComputationError(
+            f"the reduced stiffness is not semidefinite: ω² = {omega2.min():.3g}"
+        )
     basis, images, stiff = basis @ modes, images @ modes, stiff @ modes
     normal, pressure = contact.heights(basis), contact.pressures(basis)
     left_over = np.hstack([contact.normal.T.toarray() - images @ normal.T, stiff - images * omega2])

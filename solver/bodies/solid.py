@@ -64,7 +64,7 @@ class SolidBody:
         # Jacobian adds to that on curved cells only
         degree = 2 * self.order + 2 * (self.domain.geometry.cmap.degree - 1)
         dx = ufl.Measure("dx", domain=self.domain, metadata={"quadrature_degree": degree})
-        density = fem.Constant(self.domain, self.material.density_kg_m3)
+        density = fem.Constant(self.domain, PETSc.ScalarType(self.material.density_kg_m3))
         form_k = fem.form(ufl.inner(stress(u, self.material), ufl.sym(ufl.grad(v))) * dx)
         form_m = fem.form(density * ufl.inner(u, v) * dx)
         self.stiffness_matrix = fem_petsc.assemble_matrix(form_k)
@@ -136,10 +136,14 @@ class SolidBody:
         try:
             solver.setUp()
         except PETSc.Error as error:
-            raise ComputationError(f"MUMPS could not factor the effective matrix: {error}") from error
+            raise ComputationError(
+                f"MUMPS could not factor the effective matrix: {error}"
+            ) from error
         status = preconditioner.getFactorMatrix().getMumpsInfog(1)
         if status < 0:
-            raise ComputationError(f"MUMPS could not factor the effective matrix: INFOG(1) = {status}")
+            raise ComputationError(
+                f"MUMPS could not factor the effective matrix: INFOG(1) = {status}"
+            )
         matrix.destroy()
         return solver
 

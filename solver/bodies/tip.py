@@ -39,7 +39,9 @@ def tip_contact(
     raises ComputationError where no rank has a facet of the tip.
     """
     comm = space.mesh.comm
-    found = [point for part in comm.allgather(facet_points(space, facets, material)) for point in part]
+    found = [
+        point for part in comm.allgather(facet_points(space, facets, material)) for point in part
+    ]
     if not found:
         raise ComputationError("no facet of the mesh carries the tip's tag")
     keys = np.round([point.xy_m / SAME_POINT_M for point in found]).astype(np.int64)
@@ -56,7 +58,9 @@ def tip_contact(
         pressure=_owned_rows(space, found, index, shares * total, [p.pressure_Pa for p in found]),
         weights=areas / total,
         xy_m=unique * SAME_POINT_M,
-        traction_scale_N_m=degree**2 * (lam + 2.0 * mu) * total
+        traction_scale_N_m=degree**2
+        * (lam + 2.0 * mu)
+        * total
         / min(point.cell_length_m for point in found),
         comm=comm,
     )
@@ -111,16 +115,19 @@ def _points_of_facet(
         map_.degree,
         basix.LagrangeVariant(map_.variant),
     )
-    rule, weights = basix.make_quadrature(
-        basix.CellType.quadrilateral, 2 * element.degree - 1, rule=basix.QuadratureType.gll
+    rule, weights = map(
+        np.asarray,
+        basix.make_quadrature(
+            basix.CellType.quadrilateral, 2 * element.degree - 1, rule=basix.QuadratureType.gll
+        ),
     )
-    corners = basix.geometry(basix.CellType.hexahedron)
+    corners = np.asarray(basix.geometry(basix.CellType.hexahedron), dtype=float)
     corner = corners[basix.topology(basix.CellType.hexahedron)[2][facet]]
     tangents = np.stack([corner[1] - corner[0], corner[2] - corner[0]])
     reference = corner[0] + rule @ tangents
     geometry = domain.geometry.x[domain.geometry.dofmap[cell]]
-    shapes = coordinate.tabulate(1, reference)[..., 0]
-    functions = element.tabulate(1, reference)[..., 0]
+    shapes = np.asarray(coordinate.tabulate(1, reference), dtype=float)[..., 0]
+    functions = np.asarray(element.tabulate(1, reference), dtype=float)[..., 0]
     nodes = space.dofmap.index_map.local_to_global(space.dofmap.cell_dofs(cell))
     column = (3 * nodes[:, None] + np.arange(3)).ravel()
     length = float(np.ptp(geometry[:, 2]))
@@ -133,7 +140,7 @@ def _points_of_facet(
         normal[:, 2] = functions[0, q]
         pressure = -lam * gradient.T
         pressure[:, 2] -= 2.0 * mu * gradient[2]
-        area = weight * np.linalg.norm(np.cross(*(tangents @ jacobian)))
+        area = float(weight) * float(np.linalg.norm(np.cross(*(tangents @ jacobian))))
         place = shapes[0, q] @ geometry[:, :2]
         points.append(FacetPoint(place, area, length, column, normal.ravel(), pressure.ravel()))
     return points

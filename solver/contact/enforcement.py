@@ -71,7 +71,9 @@ class ContactMethod:
         if not self.gamma0 >= 1.0:
             raise ValueError(f"gamma0 must be at least 1, not {self.gamma0}")
         if self.enforcement is Enforcement.PENALTY and math.isinf(self.law.kn_N_m):
-            raise ValueError("penalty needs a finite Kn; take nitsche or augmented for a rigid plane")
+            raise ValueError(
+                "penalty needs a finite Kn; take nitsche or augmented for a rigid plane"
+            )
 
     def compliance_m_N(self, points: ContactPoints) -> float:
         """τ (m/N)."""
@@ -106,7 +108,9 @@ class StepContact:
             return np.zeros_like(drive_free)
         if self.method.enforcement is Enforcement.AUGMENTED:
             return self._augment(drive_start, drive_free)
-        return self._newton(drive_start, drive_free, self.response, self.series_m_N, self.end_weight)
+        return self._newton(
+            drive_start, drive_free, self.response, self.series_m_N, self.end_weight
+        )
 
     def _augment(self, drive_start: Array, drive_free: Array) -> Array:
         answers = np.abs(np.linalg.eigvals(self.response))

@@ -20,7 +20,10 @@ class ContactLaw(Protocol):
     Nitsche (series = its stabilisation) and the augmented Lagrangian (series = 1/r) alike.
     """
 
-    kn_N_m: float
+    @property
+    def kn_N_m(self) -> float:
+        """Stiffness in N/m that the law is called by; infinite on a rigid plane."""
+        ...
 
     def force(self, drive: Array, series_m_N: float) -> Array:
         """Force (n,) in N."""

@@ -37,7 +37,9 @@ class Flight:
     overdamped modes alike); a rigid motion falls, damped by α. Times are absolute, in s.
     """
 
-    def __init__(self, body: ModalBody, t0_s: float, u: Array, v: Array, gravity_m_s2: float) -> None:
+    def __init__(
+        self, body: ModalBody, t0_s: float, u: Array, v: Array, gravity_m_s2: float
+    ) -> None:
         self.body, self.t0_s = body, t0_s
         self._u0, self._v0 = u, v
         rigid = body.omega2 == 0.0
@@ -82,7 +84,7 @@ class Flight:
         return float(self.body.lift[self._rigid] @ velocity) / self.body.mass_kg
 
     def _fall(self, t: Array, which: NDArray[np.bool_]) -> tuple[Array, Array]:
-        """Rigid motions at times ``t`` after the start: displacement and velocity (times, motions)."""
+        """Rigid displacements and velocities (times, motions) at times ``t`` after the start."""
         alpha = self.body.alpha_1_s
         u0, v0, pull = self._u0[which], self._v0[which], self._pull[which]
         t = t[:, None]

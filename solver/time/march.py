@@ -48,11 +48,17 @@ class Marcher:
     """Marches a body in contact with the plane at constant ``its_s``.
 
     The effective matrix c_M M + c_K K is factored once; a step costs one solve, one product with
-    M, and a small problem for the contact forces through the compliance of the contact points. The upward contact force on the body is Qᵀ (w P) with P the force per area share.
+    M, and a small problem for the contact forces through the compliance of the contact points. The
+    upward contact force on the body is Qᵀ (w P) with P the force per area share.
     """
 
     def __init__(
-        self, body: Body, method: ContactMethod, scheme: TimeScheme, its_s: float, gravity_m_s2: float
+        self,
+        body: Body,
+        method: ContactMethod,
+        scheme: TimeScheme,
+        its_s: float,
+        gravity_m_s2: float,
     ) -> None:
         self.body, self.method, self.scheme, self.its_s = body, method, scheme, its_s
         self.gravity_m_s2 = gravity_m_s2
@@ -134,8 +140,8 @@ class Marcher:
         mu, mv, ku, kv = body.mass(u), body.mass(v), self.stiffness(u), self.stiffness(v)
         drive = self.drive(u, v)
         self.contact.multiplier = np.zeros_like(drive)
+        a: Array = -self.gravity_m_s2 * body.lift
         if self.scheme.conserving:
-            a = -self.gravity_m_s2 * body.lift
             ma = -self.gravity_m_s2 * self._mass_lift
         else:
             force = self.method.law.force(drive, self.tau)

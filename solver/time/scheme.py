@@ -24,7 +24,9 @@ class TimeScheme:
     def __post_init__(self) -> None:
         middle = (self.alpha_m, self.alpha_f, self.beta, self.gamma) == (0.5, 0.5, 0.25, 0.5)
         if self.conserving and not middle:
-            raise ValueError("a conserving contact force asks for the average acceleration at mid-step")
+            raise ValueError(
+                "a conserving contact force asks for the average acceleration at mid-step"
+            )
         if self.alpha_m > self.alpha_f or self.alpha_f > 0.5:
             raise ValueError("generalised-alpha is stable for alpha_m <= alpha_f <= 1/2 only")
 
