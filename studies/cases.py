@@ -1,0 +1,234 @@
+"""What do cases share, and how is one of them computed?
+
+A `Workshop` keeps what is dear: a mesh and its matrices, a factor, a reduced basis, a beam's
+modes, and the marchers made of them, so that cases that differ in stiffness or height alone cost
+their march and nothing else.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Hashable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, fields, replace
+from types import TracebackType
+from typing import Self, cast
+
+from mpi4py import MPI
+
+from ..meshes.check import MeshError
+from ..meshes.distribute import to_dolfinx
+from ..meshes.geometry import Tag
+from ..solver.bodies.analytic import analytic_drop
+from ..solver.bodies.base import ContactPoints
+from ..solver.bodies.beam import beam_body
+from ..solver.bodies.modal import ModalBody
+from ..solver.bodies.reduced import ReducedModel, reduce_solid
+from ..solver.bodies.solid import SolidBody
+from ..solver.bristle import Bristle
+from ..solver.drop import DropResult, FlightFrame, ModalFrame, march_plainly, simulate
+from ..solver.errors import ComputationError
+from ..solver.impact import History, Observer
+from ..solver.time.march import Marcher
+from .choices import Model, Tip, Until
+from .config import DropInputs
+from .limits import marching_time_s
+
+PARTS = ("mesh", "assemble", "factor", "march")
+Timings = dict[str, float]
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """All that a case needs before its first step."""
+
+    frame: FlightFrame
+    marcher: Marcher
+
+
+class Workshop:
+    """Computes cases on ``comm``, and keeps what they share until ``close``.
+
+    A solid, and the reduced model made from it, are built by all ranks together. Once `prepare`
+    has been called on all of them, cases of modal bodies (analytic, beam, reduced) communicate
+    no more, so each rank may run its own. The basis of a reduced model is made for the case's own
+    ITS, or for ``basis_its_s`` where that is given, and then serves every ITS.
+    """
+
+    def __init__(self, comm: MPI.Intracomm, basis_its_s: float | None = None) -> None:
+        self.comm, self.basis_its_s = comm, basis_its_s
+        self._kept: dict[Hashable, object] = {}
+        self._solids: list[SolidBody] = []
+        self._spent = dict.fromkeys(PARTS, 0.0)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Free what PETSc holds; nothing that was handed out can be used afterwards."""
+        for solid in self._solids:
+            solid.close()
+        self._solids.clear()
+        self._kept.clear()
+
+    def prepare(self, inputs: DropInputs) -> Prepared | None:
+        """Build what ``inputs`` needs and is not there yet; None for the analytic model.
+
+        Raises ComputationError where the mesh, its matrices or the factor cannot be made.
+        """
+        if inputs.model is Model.ANALYTIC:
+            return None
+        make: dict[Model, Callable[[DropInputs], tuple[FlightFrame, Hashable]]] = {
+            Model.BEAM: self._beam,
+            Model.REDUCED: self._modal,
+            Model.SOLID: self._reduced,
+        }
+        frame, key = make[inputs.model](inputs)
+        return Prepared(frame, self._marcher(inputs, frame, key))
+
+    def run(
+        self,
+        inputs: DropInputs,
+        observer: Observer | None = None,
+        prepared: Prepared | None = None,
+    ) -> tuple[DropResult, Timings]:
+        """One case: its result and the seconds since the last one, by part and in total.
+
+        ``prepared`` is what `prepare` gave, where the observer was made for its marcher.
+        Collective for the solid. Raises ComputationError.
+        """
+        prepared = prepared or self.prepare(inputs)
+        with self._timed("march"):
+            if prepared is None:
+                result = _analytic(inputs)
+            elif inputs.march:
+                result = _marched(inputs, prepared.frame)
+            else:
+                plan = inputs.drop_plan()
+                result = simulate(prepared.frame, plan, prepared.marcher, observer)
+        return result, self.take_timings()
+
+    def take_timings(self) -> Timings:
+        """Seconds spent since the last call, by part and in total."""
+        spent, self._spent = self._spent, dict.fromkeys(PARTS, 0.0)
+        return {**spent, "total": sum(spent.values())}
+
+    @contextmanager
+    def _timed(self, part: str) -> Iterator[None]:
+        started = time.perf_counter()
+        try:
+            yield
+        finally:
+            self._spent[part] += time.perf_counter() - started
+
+    def _keep[Thing](self, key: Hashable, make: Callable[[], Thing]) -> Thing:
+        if key not in self._kept:
+            self._kept[key] = make()
+        return self._kept[key]  # type: ignore[return-value]
+
+    def _beam(self, inputs: DropInputs) -> tuple[ModalFrame, Hashable]:
+        bristle, face = inputs.bristle(), inputs.tip is Tip.FACE
+        key = ("beam", bristle, inputs.elements, face)
+        with self._timed("assemble"):
+            frame = self._keep(key, lambda: _beam_frame(bristle, inputs.elements, face=face))
+        return frame, key
+
+    def _solid(self, inputs: DropInputs) -> tuple[SolidBody, Hashable]:
+        key = ("solid", inputs.mesh_spec(), inputs.bristle().material, inputs.order)
+        return self._keep(key, lambda: self._make_solid(inputs)), key
+
+    def _make_solid(self, inputs: DropInputs) -> SolidBody:
+        with self._timed("mesh"):
+            try:
+                domain, _, facets = to_dolfinx(inputs.mesh_spec(), self.comm)
+            except MeshError as error:
+                raise ComputationError(f"the mesh could not be made: {error}") from error
+        with self._timed("assemble"):
+            solid = SolidBody(domain, facets, int(Tag.TIP), inputs.bristle().material, inputs.order)
+        self._solids.append(solid)
+        return solid
+
+    def _reduced(self, inputs: DropInputs) -> tuple[ReducedModel, Hashable]:
+        """The solid at full order, flying in the coordinates of its reduced model."""
+        solid, solid_key = self._solid(inputs)
+        c_mass, c_stiffness = inputs.time_scheme().effective(
+            self.basis_its_s or inputs.its_s, inputs.alpha_1_s, inputs.beta_s
+        )
+        shift = c_mass / c_stiffness
+        key = (solid_key, "reduced", shift, inputs.modes)
+        with self._timed("factor"):
+            return self._keep(key, lambda: reduce_solid(solid, shift, inputs.modes)), key
+
+    def _modal(self, inputs: DropInputs) -> tuple[ModalFrame, Hashable]:
+        """The reduced model alone, the same to the last bit on every rank."""
+        model, key = self._reduced(inputs)
+        key = (key, "modal")
+        return self._keep(key, lambda: ModalFrame(self._same_on_all(model.modal))), key
+
+    def _same_on_all(self, modal: ModalBody) -> ModalBody:
+        points = {field.name: getattr(modal.contact, field.name) for field in fields(modal.contact)}
+        del points["comm"]  # a communicator cannot be sent
+        modal, points = self.comm.bcast((replace(modal, contact=cast(ContactPoints, None)), points))
+        return replace(modal, contact=ContactPoints(**points, comm=MPI.COMM_SELF))
+
+    def _marcher(self, inputs: DropInputs, frame: FlightFrame, frame_key: Hashable) -> Marcher:
+        """A marcher for this law; those that differ in Kn alone share factor and compliance."""
+        method, scheme = inputs.contact_method(), inputs.time_scheme()
+        same = (method.enforcement, method.theta, method.gamma0, method.augmentation)
+        key = ("marcher", frame_key, same, scheme, inputs.its_s, inputs.gravity_m_s2)
+        with self._timed("factor"):
+            marcher = self._keep(
+                key,
+                lambda: Marcher(frame.body, method, scheme, inputs.its_s, inputs.gravity_m_s2),
+            )
+            return marcher.with_law(method.law)
+
+
+def _beam_frame(bristle: Bristle, elements: int, *, face: bool) -> ModalFrame:
+    try:
+        return ModalFrame(beam_body(bristle, elements, face=face))
+    except ValueError as error:
+        raise ComputationError(
+            f"{error}: bending is lost in round-off; the beam is too slender, shorten --length"
+        ) from error
+
+
+def _marched(inputs: DropInputs, frame: FlightFrame) -> DropResult:
+    """The drop marched at constant ITS from release on."""
+    result = march_plainly(frame, inputs.drop_plan(), marching_time_s(inputs))
+    if inputs.until is Until.IMPACT:
+        return replace(result, rebound_ratio=None, rebound_height_m=None)
+    return result
+
+
+def _analytic(inputs: DropInputs) -> DropResult:
+    """Eqs. 1 to 8, up to the end of the impact where no more is asked for."""
+    result = analytic_drop(
+        inputs.bristle().mass_kg, inputs.kn_N_m, inputs.height_m, inputs.gravity_m_s2
+    )
+    if inputs.until is not Until.IMPACT:
+        return result
+    fall_s = math.sqrt(2.0 * inputs.height_m / inputs.gravity_m_s2)
+    end_s = (fall_s + result.contact_time_s) * (1.0 + 1e-12)
+    rows = [row for row in result.history.rows if row[0] <= end_s]
+    return replace(result, rebound_ratio=None, rebound_height_m=None, history=History(rows))
+
+
+def run_case(
+    inputs: DropInputs, comm: MPI.Intracomm = MPI.COMM_WORLD, observer: Observer | None = None
+) -> tuple[DropResult, Timings]:
+    """One case by itself: its result, and the seconds of mesh, assemble, factor, march, total.
+
+    Collective over ``comm`` for the reduced and the full solid. Raises ComputationError.
+    """
+    with Workshop(comm) as workshop:
+        return workshop.run(inputs, observer)

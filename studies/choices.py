@@ -1,0 +1,70 @@
+"""Among what can a user choose: models, schemes, ends of a run, effects by name."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+
+
+class Model(StrEnum):
+    """The bodies that a drop can be computed with."""
+
+    ANALYTIC = "analytic"
+    BEAM = "beam"
+    REDUCED = "reduced"
+    SOLID = "solid"
+
+    @property
+    def meshed(self) -> bool:
+        """Whether it needs a mesh of hexahedra."""
+        return self in (Model.REDUCED, Model.SOLID)
+
+
+class Contact(StrEnum):
+    """How the contact law is enforced; the values are those of solver.contact.enforcement."""
+
+    PENALTY = "penalty"
+    AUGMENTED = "augmented"
+    NITSCHE = "nitsche"
+
+
+class Scheme(StrEnum):
+    """The time schemes of solver.time.scheme."""
+
+    AVERAGE = "average"
+    NEWMARK = "newmark"
+    GENERALISED = "generalised"
+
+
+class Tip(StrEnum):
+    """What meets the surface: the end section point by point, or one node on the axis."""
+
+    FACE = "face"
+    POINT = "point"
+
+
+class Until(StrEnum):
+    """Where a drop ends, other than at a given time."""
+
+    IMPACT = "impact"
+    REBOUND = "rebound"
+
+
+EFFECTS = (
+    "air_drag",
+    "release_velocity",
+    "height_offset",
+    "scale_error",
+    "clock_error",
+    "contact_damping",
+    "hunt_crossley",
+    "stiffening_contact",
+    "plastic_contact",
+    "adhesion",
+    "material_damping",
+    "hysteretic_damping",
+    "lateral_inertia",
+    "bristle_tilt",
+    "surface_slope",
+    "surface_phases",
+    "wear",
+)

@@ -1,0 +1,223 @@
+"""Which commands does `bristle` have?
+
+Only what is light is imported here; a command imports what it needs when it runs.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from ..solver.errors import ComputationError
+from . import __version__
+from .ending import run
+from .flags import (
+    BODY_FLAGS,
+    DISCRETISATION_FLAGS,
+    DROP_FLAGS,
+    ITS_FLAG,
+    LISTS_FLAGS,
+    MESH_FLAGS,
+    SHARED_FLAGS,
+)
+from .options import Config, Debug, Resume, out_option, takes
+
+app = typer.Typer(
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    rich_markup_mode="markdown",
+    context_settings={"help_option_names": ["-h", "--help"]},
+    epilog="Start with: bristle drop. Then: bristle drop --help",
+)
+
+
+@app.callback(invoke_without_command=True)
+def root(
+    context: typer.Context,
+    version: Annotated[bool, typer.Option("--version", help="Print the version.")] = False,
+    debug: Debug = False,
+) -> None:
+    """Impact of a steel bristle on a rigid plane: a 3-D solid, its reduced model, and a beam."""
+    if version:
+        print(f"bristle {__version__}")
+        raise typer.Exit
+    if context.invoked_subcommand is None:
+        print(context.get_help())
+        raise typer.Exit
+
+
+@app.command()
+@takes((ITS_FLAG, *DISCRETISATION_FLAGS))
+def reproduce(
+    given: dict[str, Any],
+    config: Config = None,
+    out: Annotated[Path, out_option("results/reproduce")] = Path("results/reproduce"),
+    debug: Debug = False,
+) -> None:
+    """Every figure and table of the paper, 1-D and 3-D side by side, on one page: report.html.
+
+    Example: mpirun -n 2 bristle reproduce --out results/reproduce
+    """
+    from .campaign import Setup
+    from .config import DropInputs
+    from .reproduce import run_reproduce
+    from .sources import inputs_of
+
+    flags = (ITS_FLAG, *DISCRETISATION_FLAGS)
+    base = inputs_of(DropInputs, given, flags, config, ignored=(*DROP_FLAGS, *LISTS_FLAGS))
+    done = run_reproduce(out, Setup(base))
+    print(f"{done.n_cases} drops in {done.wall_s:.0f} s: {done.report}")
+
+
+@app.command()
+@takes(DROP_FLAGS)
+def drop(
+    given: dict[str, Any],
+    config: Config = None,
+    out: Annotated[Path, out_option("results/drop")] = Path("results/drop"),
+    resume: Resume = False,
+    debug: Debug = False,
+) -> None:
+    """One drop. All values are in SI units, angles in degrees.
+
+    Example: bristle drop --model solid --kn 2e6 --height 0.05 --out results/paper
+    """
+    from .config import DropInputs
+    from .drop import run_drop, summary
+    from .sources import inputs_of
+
+    document = run_drop(inputs_of(DropInputs, given, DROP_FLAGS, config), out, resume=resume)
+    for name, value in summary(document):
+        print(f"{name:<24}{value}")
+    print(f"{'result':<24}{out / 'result.json'}")
+
+
+@app.command()
+@takes((*LISTS_FLAGS, *SHARED_FLAGS))
+def sweep(
+    given: dict[str, Any],
+    config: Config = None,
+    out: Annotated[Path, out_option("results/sweep")] = Path("results/sweep"),
+    resume: Resume = False,
+    debug: Debug = False,
+) -> None:
+    """Normal contact stiffness times height (Fig. 13): a table, and the tip's height over time.
+
+    Without lists: the paper's eleven Kn and five heights, with the beam and the reduced solid.
+
+    Example: mpirun -n 2 bristle sweep --models beam,reduced --kn 1e5,2e6,1e8 --heights 0.01,0.05
+    """
+    from .sources import inputs_of
+    from .study import STUDY_FLAGS, StudyInputs
+    from .sweep import run_sweep
+
+    run_sweep(inputs_of(StudyInputs, given, STUDY_FLAGS, config), out, resume=resume)
+
+
+@app.command()
+@takes((*LISTS_FLAGS, *SHARED_FLAGS))
+def its(
+    given: dict[str, Any],
+    config: Config = None,
+    out: Annotated[Path, out_option("results/its")] = Path("results/its"),
+    resume: Resume = False,
+    debug: Debug = False,
+) -> None:
+    """The integration time step: what each quantity needs, against stiffness.
+
+    Without lists: seven steps from 1e-7 to 1e-4 s, the paper's eleven Kn, one height.
+
+    Example: bristle its --models beam --kn 1e5,2e6,1e8 --its 1e-4,1e-5,1e-6,1e-7
+    """
+    from .its import ItsInputs, run_its
+    from .sources import inputs_of
+    from .study import STUDY_FLAGS
+
+    run_its(inputs_of(ItsInputs, given, STUDY_FLAGS, config), out, resume=resume)
+
+
+@app.command()
+@takes((*BODY_FLAGS, *MESH_FLAGS))
+def mesh(
+    given: dict[str, Any],
+    config: Config = None,
+    out: Annotated[Path, out_option("results/mesh")] = Path("results/mesh"),
+    debug: Debug = False,
+) -> None:
+    """The hexahedral bristle: .msh, a copy that ParaView opens, a quality table, a picture.
+
+    Example: bristle mesh --diameter 1e-3 --cells 2 1 200 --grading 4
+    """
+    from ..meshes.check import MeshError
+    from ..meshes.display import DrawingError
+    from .config import MeshInputs
+    from .files import prepare_folder_together
+    from .mesh import run_mesh
+    from .sources import inputs_of
+
+    flags = (*BODY_FLAGS, *MESH_FLAGS)
+    inputs = inputs_of(MeshInputs, given, flags, config, ignored=(*DROP_FLAGS, *LISTS_FLAGS))
+    prepare_folder_together(out)
+    try:
+        summary = run_mesh(inputs.mesh_spec(), out)
+    except (MeshError, DrawingError) as error:
+        raise ComputationError(str(error)) from error
+    print(f"{summary['quality']['n_cells']} cells, {summary['quality']['n_nodes']} nodes")
+    for path in summary["files"].values():
+        print(path)
+
+
+@app.command()
+def calibrate(
+    dataset: Annotated[
+        str, typer.Argument(metavar="DATASET", help="Folder of a dataset, or 'paper'.")
+    ],
+    out: Annotated[Path, out_option("results/calibrate")] = Path("results/calibrate"),
+    seed: Annotated[int, typer.Option(min=0, help="Of the bootstrap.")] = 0,
+    level: Annotated[float, typer.Option(min=0.5, max=0.999, help="Level of the intervals.")] = 0.9,
+    debug: Debug = False,
+) -> None:
+    """Normal contact stiffness, with its interval, from measured drops.
+
+    Example: bristle calibrate paper --out results/calibrate
+    """
+    from .calibrate import run_calibrate
+
+    run_calibrate(dataset, out, seed=seed, level=level)
+    print(out / "report.html")
+
+
+@app.command()
+def view(
+    result: Annotated[Path, typer.Argument(metavar="RESULT", help="Folder of a drop's result.")],
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="DIR",
+            help="Folder for the pictures. [default: RESULT/view]",
+            show_default=False,
+        ),
+    ] = None,
+    debug: Debug = False,
+) -> None:
+    """Pictures and an animation of a result, and a script that opens it in ParaView.
+
+    Example: bristle view results/drop
+    """
+    from .view import run_view
+
+    for path in run_view(result, out):
+        print(path)
+
+
+def main(args: Sequence[str] | None = None) -> int:
+    """Run the command line; returns the exit status, see `ending.run`."""
+    return run(typer.main.get_command(app), list(sys.argv[1:] if args is None else args))
+
+
+if __name__ == "__main__":
+    sys.exit(main())

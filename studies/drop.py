@@ -1,0 +1,136 @@
+"""What happens in one drop? Writes `result.json`, `history.csv`, and the solid's ParaView series.
+
+Also a script: ``mpirun -n 2 python3 -m bristle.studies.drop --model solid``.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from mpi4py import MPI
+
+from ..meshes.collective import run_on_one_rank
+from ..solver.bodies.solid import SolidBody
+from ..solver.drop import DropResult
+from . import results
+from .cases import Timings, Workshop
+from .choices import Model
+from .config import DropInputs
+from .files import folder_in_place, prepare_folder, remove_folder
+from .limits import input_warnings, result_warnings
+from .progress import say, warn, working
+
+FIELDS = "fields"
+
+
+def run_drop(
+    inputs: DropInputs, out: Path, comm: MPI.Intracomm = MPI.COMM_WORLD, *, resume: bool = False
+) -> dict[str, Any]:
+    """Compute a drop into the folder ``out``; returns what result.json holds, on every rank.
+
+    With ``resume`` a finished result of the same inputs and version is kept, and returned.
+    Collective. Raises InputError where ``out`` cannot be used or holds another drop's result, and
+    ComputationError; what ``out`` held before is then still there.
+    """
+    out = Path(out)
+    there = run_on_one_rank(comm, lambda: _prepare(inputs, out, resume))
+    if there is not None:
+        say(f"{out / results.RESULT_FILE} is finished already, nothing to do")
+        return there
+    warnings = input_warnings(inputs)
+    for message in warnings:
+        warn(message)
+    result, timings = _compute(inputs, out, comm)
+    for message in result_warnings(inputs, result):
+        warnings.append(message)
+        warn(message)
+    memory = results.peak_rss_MB(comm)
+    document = results.drop_document(inputs, result, timings, warnings, memory, comm.size)
+    return run_on_one_rank(comm, lambda: results.write_drop(out, document, result))
+
+
+def _prepare(inputs: DropInputs, out: Path, resume: bool) -> dict[str, Any] | None:
+    prepare_folder(out)
+    if not resume:
+        return None
+    path = out / results.RESULT_FILE
+    there = results.read_document(path)
+    if there is not None:
+        results.check_same(path, there, inputs)
+    return there
+
+
+def _compute(inputs: DropInputs, out: Path, comm: MPI.Intracomm) -> tuple[DropResult, Timings]:
+    with Workshop(comm) as workshop:
+        if inputs.model.meshed:
+            with working(f"building the {inputs.model} model"):
+                workshop.prepare(inputs)
+        with working(f"dropping the {inputs.model} model from {inputs.height_m:g} m"):
+            if inputs.model is Model.SOLID and inputs.write_fields and not inputs.march:
+                return _with_fields(workshop, inputs, out / FIELDS, comm)
+            done = workshop.run(inputs)
+    run_on_one_rank(comm, lambda: remove_folder(out / FIELDS))
+    return done
+
+
+def _with_fields(
+    workshop: Workshop, inputs: DropInputs, folder: Path, comm: MPI.Intracomm
+) -> tuple[DropResult, Timings]:
+    """The drop of a solid with its fields written for ParaView."""
+    from ..solver.paraview import FieldWriter
+
+    prepared = workshop.prepare(inputs)
+    assert prepared is not None
+    assert isinstance(prepared.frame.body, SolidBody)
+    with (
+        _made_together(folder, comm) as made,
+        FieldWriter(
+            prepared.frame.body, made, prepared.marcher, every=inputs.write_every
+        ) as writer,
+    ):
+        done = workshop.run(inputs, writer, prepared=prepared)
+        writer.write_flight(prepared.frame, inputs.gravity_m_s2)
+        return done
+
+
+@contextmanager
+def _made_together(folder: Path, comm: MPI.Intracomm) -> Iterator[Path]:
+    """`files.folder_in_place`, made and put in place by rank 0."""
+    context = folder_in_place(folder)
+    made = run_on_one_rank(comm, context.__enter__)
+    try:
+        yield made
+    except BaseException:
+        if comm.rank == 0:
+            context.__exit__(*sys.exc_info())
+        raise
+    run_on_one_rank(comm, lambda: context.__exit__(None, None, None) and None)
+
+
+def summary(document: dict[str, Any]) -> list[tuple[str, str]]:
+    """The few numbers of a result that a user looks for first, as names and texts."""
+    shown = (
+        ("impact speed", "impact_speed_m_s", 1.0, "m/s"),
+        ("rebound ratio y1/y0", "rebound_ratio", 1.0, ""),
+        ("rebound height", "rebound_height_m", 1e3, "mm"),
+        ("contact time", "contact_time_s", 1e3, "ms"),
+        ("peak force", "peak_force_N", 1.0, "N"),
+        ("greatest penetration", "max_penetration_m", 1e6, "µm"),
+    )
+    rows = [
+        (name, f"{scale * document[key]:.4g} {unit}".strip())
+        for name, key, scale, unit in shown
+        if document[key] is not None
+    ]
+    rows.append(("energy closes to", f"{document['energy']['closure_relative']:.1g}"))
+    return [*rows, ("wall time", f"{document['wall_s']['total']:.3g} s")]
+
+
+if __name__ == "__main__":
+    from .cli import main
+
+    sys.exit(main(["drop", *sys.argv[1:]]))

@@ -1,0 +1,112 @@
+"""Which pictures and which animation show a result?"""
+
+from __future__ import annotations
+
+import json
+import os
+import tempfile
+from pathlib import Path
+from typing import Any
+
+from mpi4py import MPI
+
+from ..meshes.collective import run_on_one_rank
+from ..meshes.display import DrawingError
+from ..solver.errors import ComputationError, InputError
+from ..solver.paraview import SOLID_FILE
+from .figures import picture
+from .files import prepare_folder, write_picture
+from .results import HISTORY_FILE, RESULT_FILE
+
+FIELDS_FOLDER = "fields"
+VIEW_FOLDER = "view"
+
+
+def run_view(
+    result_dir: Path, out: Path | None = None, comm: MPI.Intracomm = MPI.COMM_WORLD
+) -> list[Path]:
+    """Draw a drop's result; returns what was written, the same on every rank. Collective.
+
+    Into ``out`` (``view`` in the result's folder, where it is left out) come ``history`` (.svg and
+    .png), and for a solid with fields ``space-time``, ``wave``, ``tip-stress`` (each .svg and
+    .png) and ``wave.gif``; ``open_in_paraview.py`` comes into the result's own folder, beside the
+    fields. What was there before is replaced when everything is drawn.
+
+    Raises
+    ------
+    InputError : there is no result, or a file of it is not what this program writes
+    ComputationError : drawing failed, for instance since there is no display
+    """
+    return run_on_one_rank(comm, lambda: _view(Path(result_dir), out))
+
+
+def _view(result: Path, out: Path | None) -> list[Path]:
+    document = read_result(result)
+    # matplotlib and VTK take a second to import, which other commands need not wait for
+    from .history_picture import history_figure, read_history, touch_time_s
+
+    history = read_history(result / HISTORY_FILE)
+    target = Path(out) if out is not None else result / VIEW_FOLDER
+    prepare_folder(target)
+    with tempfile.TemporaryDirectory(prefix=".view-", dir=target) as name:
+        folder = Path(name)
+        write_picture(folder / "history", picture(history_figure(history, document)))
+        beside: list[Path] = []
+        if (result / FIELDS_FOLDER).is_dir():
+            beside = _view_fields(result, document, touch_time_s(history), folder)
+        return _moved(folder, target) + beside
+
+
+def read_result(result: Path) -> dict[str, Any]:
+    """The result.json of a folder. Raises InputError where there is none, or it is none."""
+    path = result / RESULT_FILE
+    if not result.is_dir():
+        raise InputError(f"{result}: there is no such folder")
+    try:
+        document = json.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise InputError(f"{result}: no {RESULT_FILE} here: this is no result of a drop") from None
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"{path}: cannot be read: {error}") from error
+    except json.JSONDecodeError as error:
+        raise InputError(f"{path}:{error.lineno}: not a result: {error.msg}") from error
+    if not isinstance(document, dict) or "model" not in document:
+        raise InputError(f"{path}: not a result of this program: it names no model")
+    return document
+
+
+def _view_fields(
+    result: Path, document: dict[str, Any], touch_s: float, folder: Path
+) -> list[Path]:
+    """Fill ``folder`` with the pictures of a solid; returns what was written beside the result."""
+    from .field_series import FieldSeries
+    from .paraview_state import write_state_script
+    from .wave import read_wave
+    from .wave_pictures import draw_wave, space_time_figure
+
+    with FieldSeries(result / FIELDS_FOLDER / SOLID_FILE) as series:
+        wave = read_wave(series, touch_s)
+        try:
+            figures = draw_wave(series, wave, folder)
+        except DrawingError as error:
+            raise ComputationError(f"the bristle could not be drawn: {error}") from error
+    figures["space-time"] = space_time_figure(wave, _bar_speed_m_s(document))
+    for name, figure in figures.items():
+        write_picture(folder / name, picture(figure))
+    return [write_state_script(result, FIELDS_FOLDER, wave, touch_s)]
+
+
+def _bar_speed_m_s(document: dict[str, Any]) -> float | None:
+    """Speed of a wave in a thin bar of the result's material, where its inputs tell it."""
+    inputs = document.get("inputs") or {}
+    try:
+        return float((inputs["youngs_Pa"] / inputs["density_kg_m3"]) ** 0.5)
+    except (KeyError, TypeError, ZeroDivisionError):
+        return None
+
+
+def _moved(folder: Path, target: Path) -> list[Path]:
+    names = sorted(path.name for path in folder.iterdir())
+    for name in names:
+        os.replace(folder / name, target / name)
+    return [target / name for name in names]

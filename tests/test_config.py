@@ -1,0 +1,373 @@
+"""Does a run do what flags, file and defaults ask for, and refuse what makes no sense?"""
+
+import json
+import math
+import re
+from pathlib import Path
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from bristle.meshes.geometry import MeshSpec, Wire
+from bristle.solver import paper
+from bristle.solver.bristle import Bristle, Circle
+from bristle.solver.contact.enforcement import Enforcement
+from bristle.solver.errors import InputError
+from bristle.solver.time.scheme import TimeScheme
+from bristle.studies.choices import EFFECTS, Contact, Model, Until
+from bristle.studies.config import DropInputs, MeshInputs
+from bristle.studies.files import to_json
+from bristle.studies.flags import BODY_FLAGS, DROP_FLAGS, LISTS_FLAGS, MESH_FLAGS
+from bristle.studies.its import ItsInputs
+from bristle.studies.limits import count_unknowns, input_warnings
+from bristle.studies.results import plain_inputs
+from bristle.studies.sources import checked, flag_source, inputs_of, read_config
+from bristle.studies.study import STUDY_FLAGS, StudyInputs
+
+NUMBERS = {flag.field: flag for flag in DROP_FLAGS if flag.kind in (float, int)}
+CONTRACT_FLAGS = (
+    "model contact kn height its length width thickness diameter youngs poisson density beta alpha "
+    "gravity tilt slope friction tip elements cells order until effect"
+)
+
+
+def drop(**values):
+    return checked(DropInputs, values)
+
+
+def config(tmp_path, text, name="bristle.toml"):
+    path = tmp_path / name
+    path.write_text(text)
+    return path
+
+
+def from_file(path, given=None):
+    return inputs_of(DropInputs, given or {}, DROP_FLAGS, path)
+
+
+def test_every_flag_of_the_contract_is_there():
+    assert set(CONTRACT_FLAGS.split()) <= {flag.name for flag in DROP_FLAGS}
+    assert [flag.name for flag in LISTS_FLAGS] == ["models", "kn", "heights", "its"]
+
+
+@pytest.mark.parametrize("flag", DROP_FLAGS, ids=lambda flag: flag.name)
+def test_help_tells_the_true_default(flag):
+    default = DropInputs.model_fields[flag.field].default
+    assert default == flag.default
+    resolved = getattr(DropInputs(contact="nitsche", scheme="generalised"), flag.field)
+    first = re.match(r"-?\d[\d.e+-]*", flag.default_text())
+    if flag.kind in (float, int) and flag.default_text() and flag.name != "write-every":
+        assert float(first.group()) == pytest.approx(resolved, rel=1e-3)
+
+
+def test_defaults_are_the_papers():
+    inputs = DropInputs()
+    assert inputs.bristle() == Bristle()
+    assert (inputs.kn_N_m, inputs.height_m, inputs.its_s) == (2e6, 0.05, 1e-5)
+    assert (inputs.tilt_deg, inputs.slope_deg, inputs.contact) == (0.0, 0.0, "penalty")
+    assert inputs.mesh_spec() == MeshSpec()
+    assert StudyInputs().kn_N_m == paper.KN_N_M
+    assert StudyInputs().heights_m == paper.HEIGHTS_M
+    assert len(StudyInputs().cases()) == 2 * len(paper.KN_N_M) * len(paper.HEIGHTS_M)
+    assert ItsInputs().heights_m == (0.05,)
+
+
+def test_choices_are_the_solvers():
+    assert [member.value for member in Contact] == [member.value for member in Enforcement]
+    assert len(set(EFFECTS)) == len(EFFECTS)
+
+
+@pytest.mark.parametrize(
+    ("values", "option"),
+    [
+        ({"kn_N_m": math.inf}, "--kn"),
+        ({"kn_N_m": math.nan}, "--kn"),
+        ({"kn_N_m": 0.0}, "--kn"),
+        ({"kn_N_m": 0.01}, "--kn"),
+        ({"kn_N_m": 1e15}, "--kn"),
+        ({"height_m": -0.05}, "--height"),
+        ({"height_m": 0.0}, "--height"),
+        ({"height_m": "0.05"}, "--height"),
+        ({"height_m": True}, "--height"),
+        ({"its_s": 1.0}, "--its"),
+        ({"its_s": 1e-11}, "--its"),
+        ({"its_s": 1e-8, "march": True}, "--its"),
+        ({"poisson": 0.5}, "--poisson"),
+        ({"youngs_Pa": 5000.0}, "--youngs"),
+        ({"alpha_1_s": 1e-30}, "--alpha"),
+        ({"alpha_1_s": 5e4}, "--alpha"),
+        ({"gravity_m_s2": 0.0}, "--gravity"),
+        ({"tilt_deg": 2.0}, "--tilt"),
+        ({"slope_deg": -1.0}, "--slope"),
+        ({"diameter_m": 1e-3, "width_m": 1e-3}, "--width"),
+        ({"diameter_m": 1e-3, "thickness_m": 1e-3}, "--thickness"),
+        ({"theta": 1}, "--theta"),
+        ({"theta": 2, "contact": "nitsche"}, "--theta"),
+        ({"gamma0": 10.0}, "--gamma0"),
+        ({"rho_inf": 0.5}, "--rho-inf"),
+        ({"rho_inf": 1.5, "scheme": "generalised"}, "--rho-inf"),
+        ({"scheme": "euler"}, "--scheme"),
+        ({"contact": "glue"}, "--contact"),
+        ({"model": "shell"}, "--model"),
+        ({"model": "solid", "tip": "point"}, "--tip"),
+        ({"model": "reduced", "tip": "point"}, "--tip"),
+        ({"model": "solid", "cells": (1, 4)}, "--cells"),
+        ({"model": "solid", "cells": (0, 4, 3)}, "--cells"),
+        ({"model": "solid", "cells": (1.0, 4, 3)}, "--cells"),
+        ({"model": "solid", "cells": (300, 300, 300)}, "--cells"),
+        ({"model": "solid", "grading": 1e6}, "--cells"),
+        ({"order": 3}, "--order"),
+        ({"elements": 0}, "--elements"),
+        ({"elements": 100_000}, "--elements"),
+        ({"model": "analytic", "contact": "nitsche"}, "--contact"),
+        ({"model": "analytic", "march": True}, "--march"),
+        ({"model": "analytic", "until": 0.2}, "--until"),
+        ({"until": 0.05}, "--until"),
+        ({"until": "later"}, "--until"),
+        ({"until": 1e9}, "--until"),
+        ({"until": True}, "--until"),
+        ({"effects": ["air_drag:cd=1"]}, "--effect"),
+        ({"effects": ["air_dragg"]}, "--effect"),
+        ({"effects": ["wear:rate"]}, "--effect"),
+        ({"effects": ["wear:rate=x"]}, "--effect"),
+        ({"effects": "wear"}, "--effect"),
+    ],
+    ids=str,
+)
+def test_nonsense_is_refused_by_the_name_of_its_option(values, option):
+    with pytest.raises(InputError, match=f"^{re.escape(option)}: "):
+        drop(**values)
+
+
+def test_a_misspelt_effect_is_told_the_right_name():
+    with pytest.raises(InputError, match="did you mean air_drag"):
+        drop(effects=["air_dragg:cd=1"])
+
+
+@given(
+    st.dictionaries(
+        st.sampled_from(sorted(NUMBERS)),
+        st.one_of(st.floats(), st.integers(), st.booleans(), st.text(max_size=4)),
+        min_size=1,
+        max_size=3,
+    )
+)
+@settings(max_examples=400, deadline=None)
+def test_any_number_gives_a_sound_model_or_one_clear_refusal(values):
+    try:
+        inputs = drop(**values)
+    except InputError as error:
+        option = str(error).split(":", 1)[0]
+        assert option in {flag.option for flag in DROP_FLAGS}
+        return
+    for field in values:
+        value = getattr(inputs, field)
+        assert value is None or math.isfinite(value)
+    assert inputs.bristle().mass_kg > 0.0
+    assert inputs.drop_plan().height_m == inputs.height_m
+
+
+def test_an_infinite_stiffness_is_for_those_who_can_use_it():
+    for contact in ("nitsche", "augmented"):
+        assert math.isinf(drop(kn_N_m="inf", contact=contact).contact_method().law.kn_N_m)
+
+
+def test_what_depends_on_other_options_is_resolved():
+    nitsche = drop(contact="nitsche")
+    assert (nitsche.theta, nitsche.gamma0) == (0, 10.0)
+    assert DropInputs().theta is None
+    wire = drop(diameter_m=1e-3)
+    assert (wire.width_m, wire.thickness_m, wire.geometry_order) == (None, None, 2)
+    assert wire.mesh_spec().section == Wire(1e-3)
+    assert wire.bristle().section == Circle(1e-3)
+
+
+def test_the_wires_mass_is_that_of_a_cylinder():
+    wire = drop(diameter_m=1.2e-3, length_m=0.1, density_kg_m3=7000.0).bristle()
+    assert wire.mass_kg == pytest.approx(7000.0 * 0.1 * math.pi * 0.6e-3**2, rel=1e-14)
+
+
+def test_plans_follow_until():
+    assert drop(until="impact").drop_plan().impact_only
+    rebound = drop(until="rebound").drop_plan()
+    assert (rebound.until_s, rebound.impact_only) == (None, False)
+    assert drop(until="0.3").drop_plan().until_s == 0.3
+    assert drop(until=Until.IMPACT).until is Until.IMPACT
+
+
+@pytest.mark.parametrize("scheme", ["average", "newmark", "generalised"])
+def test_schemes_reach_the_solver(scheme):
+    rho = {"rho_inf": 0.3} if scheme == "generalised" else {}
+    expected = {
+        "average": TimeScheme.average(),
+        "newmark": TimeScheme.newmark(),
+        "generalised": TimeScheme.generalised(0.3),
+    }
+    assert drop(scheme=scheme, **rho).drop_plan().scheme == expected[scheme]
+
+
+def test_the_effective_matrix_of_newmarks_average_acceleration():
+    # a = 4/h² Δu and v = 2/h Δu at the end of the step: 4/h² M + 2/h C + K, up to a factor
+    h, alpha, beta = 1e-5, 3.0, 2e-6
+    c_mass, c_stiffness = TimeScheme.newmark().effective(h, alpha, beta)
+    shift = (4.0 / h**2 + 2.0 * alpha / h) / (1.0 + 2.0 * beta / h)
+    assert c_mass / c_stiffness == pytest.approx(shift, rel=1e-13)
+    c_mass, c_stiffness = TimeScheme.average().effective(h, alpha, beta)
+    assert c_mass / c_stiffness == pytest.approx(shift, rel=1e-13)
+
+
+def test_flags_win_over_the_file_and_the_file_over_defaults(tmp_path):
+    path = config(tmp_path, 'kn = 1e6\nheight = 0.02\nmodel = "analytic"\ncells = [1, 2, 30]\n')
+    inputs = from_file(path, {"kn": 3e6})
+    assert (inputs.kn_N_m, inputs.height_m, inputs.its_s) == (3e6, 0.02, paper.ITS_S)
+    assert (inputs.model, inputs.cells) == (Model.ANALYTIC, (1, 2, 30))
+
+
+def test_keys_may_have_dashes_underscores_or_units(tmp_path):
+    path = config(tmp_path, 'scheme = "generalised"\nrho_inf = 0.5\nkn_N_m = 1e6\n')
+    assert from_file(path).rho_inf == 0.5
+    path = config(tmp_path, 'scheme = "generalised"\nrho-inf = 0.5\n')
+    assert from_file(path).rho_inf == 0.5
+
+
+def test_a_flag_takes_what_hangs_on_it_out_of_the_file(tmp_path):
+    flat = config(tmp_path, "width = 2e-3\nthickness = 1e-3\n")
+    assert from_file(flat, {"diameter": 1e-3}).width_m is None
+    nitsche = config(tmp_path, 'contact = "nitsche"\ntheta = 1\n')
+    assert from_file(nitsche, {"contact": "penalty"}).theta is None
+
+
+@pytest.mark.parametrize(
+    ("text", "line", "says"),
+    [
+        ("kn = 1e6\n\nheigth = 0.02\n", 3, "heigth: unknown key; did you mean height"),
+        ("# kn = 5\nkn = -1e6\n", 2, "kn: must be greater"),
+        ('its = 1e-6\nheight = "high"\n', 2, "height: must be a number, not 'high'"),
+        ('\n"height" = nan\n', 2, "height: must be a finite number"),
+        ("kn = 1e6\nkn = 2e6\n", 2, "not valid TOML"),
+        ("kn = 1e6\nheight 0.05\n", 2, "not valid TOML"),
+        ("[contact]\nkn = 1e6\n", 1, "contact: must be"),
+        ("kn = 1e6\n[[bodies]]\nkn = 1e6\n", 2, "bodies: unknown key"),
+        ("height = 0.05\ntilt = 3.0\n", 2, "tilt: a leaning bristle"),
+        ("theta = 1\n", 1, "theta: belongs to"),
+        ("kn = 1e6\nkn_N_m = 1e6\n", 2, "kn_N_m: given twice"),
+        ('effect = [\n  "wear:a=1",\n]\n', 1, "effect: asks for wear"),
+    ],
+    ids=str,
+)
+def test_a_wrong_file_is_told_by_file_and_line(tmp_path, text, line, says):
+    path = config(tmp_path, text)
+    with pytest.raises(InputError) as caught:
+        from_file(path)
+    assert str(caught.value).startswith(f"{path}:{line}: {says}")
+
+
+@pytest.mark.parametrize("make", ["missing", "folder", "binary"])
+def test_an_unreadable_file_is_told_by_name(tmp_path, make):
+    path = tmp_path / "bristle.toml"
+    if make == "folder":
+        path.mkdir()
+    elif make == "binary":
+        path.write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(InputError, match=re.escape(f"--config {path}: cannot be read")):
+        from_file(path)
+
+
+@pytest.mark.parametrize(
+    "values",
+    [
+        {},
+        {"model": "solid", "diameter_m": 1e-3, "cells": (2, 1, 9)},
+        {"contact": "nitsche", "kn_N_m": math.inf, "theta": -1, "gamma0": 3.0},
+        {"scheme": "generalised", "rho_inf": 0.0, "until": 0.4},
+        {"until": "impact", "march": True, "write_every": 7, "write_fields": False},
+    ],
+    ids=str,
+)
+def test_inputs_survive_their_own_file(tmp_path, values):
+    inputs = drop(**values)
+    path = config(tmp_path, to_json({"inputs": plain_inputs(inputs)}), "result.json")
+    assert from_file(path) == inputs
+
+
+@pytest.mark.parametrize(
+    ("text", "says"), [("{", ":1: not valid JSON"), ("[]", ":1: not a result")]
+)
+def test_a_json_that_is_no_result_is_refused(tmp_path, text, says):
+    path = config(tmp_path, text, "result.json")
+    with pytest.raises(InputError, match=re.escape(f"{path}{says}")):
+        from_file(path)
+
+
+def test_lists_come_as_text_list_or_alone(tmp_path):
+    given = {"models": "beam, analytic", "kn": "1e5,2e6,1e5", "heights": "0.01"}
+    inputs = checked(StudyInputs, flag_source(given, STUDY_FLAGS).values)
+    cases = inputs.cases()
+    assert [(c.model, c.kn_N_m) for c in cases] == [
+        ("analytic", 1e5),
+        ("analytic", 2e6),
+        ("beam", 1e5),
+        ("beam", 2e6),
+    ]
+    path = config(tmp_path, 'kn = [1e5, 2e6]\nmodel = "beam"\nheight = 0.02\nits = 1e-6\n')
+    inputs = inputs_of(StudyInputs, {}, STUDY_FLAGS, path)
+    assert (inputs.models, inputs.heights_m, inputs.its_s) == (("beam",), (0.02,), (1e-6,))
+
+
+@pytest.mark.parametrize(
+    ("given", "option"),
+    [
+        ({"kn": "1e5,,2e6"}, "--kn"),
+        ({"kn": "1e5,soft"}, "--kn"),
+        ({"kn": "1e5,-1"}, "--kn"),
+        ({"kn": "inf"}, "--kn"),
+        ({"models": "beam,shell"}, "--models"),
+        ({"heights": ""}, "--heights"),
+        ({"its": "1e-5,nan"}, "--its"),
+    ],
+    ids=str,
+)
+def test_a_wrong_list_is_told_by_its_option(given, option):
+    with pytest.raises(InputError, match=f"^{option}: "):
+        inputs_of(StudyInputs, given, STUDY_FLAGS, None).cases()
+
+
+def test_a_mesh_passes_over_what_does_not_concern_it(tmp_path):
+    path = config(tmp_path, "kn = 1e6\ncells = [1, 2, 9]\nlength = 0.1\n")
+    flags = (*BODY_FLAGS, *MESH_FLAGS)
+    spec = inputs_of(MeshInputs, {}, flags, path, ignored=DROP_FLAGS).mesh_spec()
+    assert (spec.cells, spec.length_m) == ((1, 2, 9), 0.1)
+    with pytest.raises(InputError, match="unknown key"):
+        inputs_of(MeshInputs, {}, flags, config(tmp_path, "knn = 1\n"), ignored=DROP_FLAGS)
+
+
+@pytest.mark.parametrize("order", [1, 2])
+@pytest.mark.parametrize("section", [{}, {"diameter_m": 1e-3}], ids=str)
+def test_unknowns_are_counted_before_they_are_made(order, section):
+    from dolfinx import fem
+    from mpi4py import MPI
+
+    from bristle.meshes.distribute import to_dolfinx
+
+    inputs = drop(cells=(2, 3, 4), order=order, **section)
+    domain, _, _ = to_dolfinx(inputs.mesh_spec(), MPI.COMM_SELF)
+    space = fem.functionspace(domain, ("Lagrange", order, (3,)))
+    made = space.dofmap.index_map.size_global * space.dofmap.index_map_bs
+    assert count_unknowns(inputs) == made
+
+
+def test_a_coarse_step_is_warned_of_with_value_limit_and_remedy():
+    (warning,) = input_warnings(drop(kn_N_m=1e8))
+    assert "1e-05" in warning
+    assert "8.21e-06" in warning
+    remedy = float(re.search(r"--its (\S+) or less", warning).group(1))
+    assert input_warnings(drop(kn_N_m=1e8, its_s=remedy)) == []
+    assert input_warnings(DropInputs()) == []
+
+
+def test_read_config_names_its_origin(tmp_path):
+    path = config(tmp_path, "\nkn = 1e6\n")
+    source = read_config(Path(path), DROP_FLAGS)
+    assert source.origins == {"kn_N_m": f"{path}:2: kn"}
+    assert json.loads(to_json(source.values)) == {"kn_N_m": 1e6}
