@@ -11,7 +11,9 @@ from mpi4py import MPI
 Result = TypeVar("Result")
 
 
-def run_on_one_rank(comm: MPI.Intracomm, action: Callable[[], Result], rank: int = 0) -> Result:
+def run_on_one_rank[Result](
+    comm: MPI.Intracomm, action: Callable[[], Result], rank: int = 0
+) -> Result:
     """Run `action` on `rank` alone and give all ranks its result; collective.
 
     Parameters

@@ -21,6 +21,8 @@ from .time.march import Marcher
 from .time.scheme import TimeScheme
 
 TOUCH_LIMIT = 10_000
+# A body of more than its modes is marched, not flown, to a touch that is so few steps away.
+WAIT_STEPS = 100
 # Largest error estimate of a reduced body, in units of the impact speed, that is let through.
 REDUCTION_LIMIT = 1e-3
 FLIGHT_ROWS = 200
@@ -112,6 +114,7 @@ class Impact:
     energy_after: Energy
     next_touch_s: float
     material_loss_J: float
+    n_steps: int
 
     @property
     def release_s(self) -> float:
@@ -198,7 +201,7 @@ def simulate(
         - first.touches[0].start_s,
         cm_velocity_after_m_s=first.flight.centre_velocity(first.release_s),
         n_dofs=body.n_dofs,
-        n_steps=sum(touch.n_steps for impact in impacts for touch in impact.touches),
+        n_steps=sum(impact.n_steps for impact in impacts),
         energy=Budget.close(initial, now, loss),
         history=history,
         reduction_error=_reduction_error(body, first, speed),
@@ -239,8 +242,9 @@ def _impact(
     damped = bool(marcher.body.alpha_1_s or marcher.body.beta_s)
     touches: list[Touch] = []
     loss = 0.0
+    start, wait = marcher.start(t, u, v), 0.0
     for _ in range(TOUCH_LIMIT):
-        touch = march_touch(marcher, marcher.start(t, u, v), history, observer, end_s)
+        touch = march_touch(marcher, start, history, observer, end_s, wait)
         touches.append(touch)
         loss += touch.material_loss_J
         state = touch.state
@@ -253,19 +257,24 @@ def _impact(
         landing = longest if again is None else again
         if landing >= end_s or (rising > 0.0 and flight.centre_velocity(landing) <= 0.0):
             break
+        if frame.body is not frame.modal and landing - state.t_s < WAIT_STEPS * plan.its_s:
+            # the full order holds more than its modes: no flight for the sake of a few steps
+            start, wait = state, landing
+            continue
         energy = flight_energy(frame.modal, q, qv, g).total_J
         q, qv = flight.state(landing)
         if damped:
             loss += energy - flight_energy(frame.modal, q, qv, g).total_J
-        t, u, v = landing, frame.from_modal(q), frame.from_modal(qv)
+        start, wait = marcher.start(landing, frame.from_modal(q), frame.from_modal(qv)), 0.0
     else:
         raise ComputationError(f"more than {TOUCH_LIMIT} touches in one impact; shorten the ITS")
     return Impact(
-        touches=touches,
+        touches=[touch for touch in touches if touch.impulse_N_s > 0.0],
         flight=flight,
         energy_after=flight_energy(frame.modal, q, qv, g),
         next_touch_s=landing,
         material_loss_J=loss,
+        n_steps=sum(touch.n_steps for touch in touches),
     )
 
 

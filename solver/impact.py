@@ -82,9 +82,11 @@ def march_touch(
     history: History,
     observer: Observer | None = None,
     until_s: float = np.inf,
+    wait_s: float = 0.0,
 ) -> Touch:
     """March from the instant of touch until the tip is free again, or past ``until_s``.
 
+    With ``wait_s`` the start may still be free of the plane: a touch is awaited until that time.
     Raises ComputationError where contact forces do not converge, motion is not finite, or the tip
     is still in contact after a number of steps that no impact needs.
     """
@@ -114,7 +116,8 @@ def march_touch(
         if total > 0.0:
             release = _release_time(before, state)
         free = total == 0.0 or (now == 0.0 and not _is_multiplier(marcher))
-        if (free and _leaving(marcher, state)) or state.t_s >= until_s:
+        done = free and state.t_s >= wait_s and _leaving(marcher, state)
+        if done or state.t_s >= until_s:
             depth, when = _deepest(np.array(history.rows[first_row:]))
             return Touch(
                 start_s=start.t_s,

@@ -120,7 +120,7 @@ class Inputs(BaseModel):
             _default(data, "thickness_m", paper.THICKNESS_M)
         _default(data, "geometry_order", 1 if data.get("diameter_m") is None else 2)
         if data.get("contact") == Contact.NITSCHE:
-            _default(data, "theta", 0)
+            _default(data, "theta", 1)
             _default(data, "gamma0", flags.GAMMA0)
         if data.get("scheme") == Scheme.GENERALISED:
             _default(data, "rho_inf", flags.RHO_INF)

@@ -74,7 +74,7 @@ LOOKS: dict[str, Look] = {
 }
 
 
-def styled(draw: Callable[P, Figure]) -> Callable[P, Figure]:
+def styled[**P](draw: Callable[P, Figure]) -> Callable[P, Figure]:
     """A drawing function that runs under the project's style."""
 
     @wraps(draw)

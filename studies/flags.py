@@ -18,7 +18,7 @@ DROP, TIME, MESH, OUTPUT = "Drop", "Time", "Discretisation", "Files"
 CELLS = (1, 4, 337)
 MODES = 40
 RHO_INF = 0.8
-GAMMA0 = 10.0
+GAMMA0 = 2.0
 
 
 @dataclass(frozen=True)
@@ -180,7 +180,7 @@ CONTACT_FLAGS = (
         CONTACT,
         "Nitsche's variant: 1 symmetric, 0 incomplete, -1 skew.",
         "1|0|-1",
-        "0",
+        "1",
     ),
     Flag(
         "gamma0",

@@ -54,7 +54,7 @@ def flag_source(given: Mapping[str, Any], flags: Iterable[Flag]) -> Source:
     return found
 
 
-def checked(
+def checked[Checked: BaseModel](
     kind: type[Checked], values: Mapping[str, Any], origins: Mapping[str, str] = {}
 ) -> Checked:
     """A ``kind`` of these values; InputError names where the first wrong one came from."""
@@ -152,7 +152,7 @@ def _line_of(text: str, key: str) -> int:
     return 1
 
 
-def inputs_of(
+def inputs_of[Checked: BaseModel](
     kind: type[Checked],
     given: Mapping[str, Any],
     flags: Iterable[Flag],

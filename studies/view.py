@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import tempfile
 from pathlib import Path
 from typing import Any
@@ -108,5 +107,5 @@ def _bar_speed_m_s(document: dict[str, Any]) -> float | None:
 def _moved(folder: Path, target: Path) -> list[Path]:
     names = sorted(path.name for path in folder.iterdir())
     for name in names:
-        os.replace(folder / name, target / name)
+        (folder / name).replace(target / name)
     return [target / name for name in names]

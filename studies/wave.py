@@ -25,8 +25,8 @@ class Wave:
 
     ``times_s`` (frames,) from the first touch, ``z_m`` (levels,) upward, ``axial_stress_Pa``
     (frames, levels) on the axis; ``greatest_axial_Pa`` of all nodes and frames,
-    ``tip_von_mises_Pa`` (frames,) the greatest near the tip; ``low_m``, ``high_m`` (frames, 3) of the displacement;
-    ``size_m`` (3,) of the bristle.
+    ``tip_von_mises_Pa`` (frames,) the greatest near the tip; ``low_m``, ``high_m`` (frames, 3) of
+    the displacement; ``size_m`` (3,) of the bristle.
     """
 
     times_s: Array

@@ -104,17 +104,16 @@ def rod(
         pressure=pressure[:, keep],
         weights=np.ones(1),
         xy_m=np.zeros((1, 2)),
-        traction_scale_N_m=degree**2 * youngs * area / h,
     )
     return modal_form(
         "rod",
         mass[keep, keep],
         stiffness[keep, keep],
+        np.ones((nodes, 0 if clamped_top else 1))[keep],
         np.ones(nodes)[keep],
         contact,
         0.0,
         beta,
-        n_rigid=0 if clamped_top else 1,
     )
 
 

@@ -6,9 +6,14 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from reference import rod
 
-from bristle.solver.bodies.base import ContactPoints
-from bristle.solver.contact.enforcement import ContactMethod, Enforcement, StepContact
+from bristle.solver.contact.enforcement import (
+    ContactMethod,
+    Enforcement,
+    StepContact,
+    inverse_constant_N_m,
+)
 from bristle.solver.contact.laws import Linear
 from bristle.solver.errors import ComputationError
 
@@ -113,11 +118,22 @@ def test_nonconvergence_names_the_iteration_and_what_to_try():
         step.solve(np.array([0.0]), np.array([1e-5]))
 
 
-def test_nitsche_compliance_stands_on_the_cell_at_the_tip():
-    points = ContactPoints(np.ones((1, 1)), np.ones((1, 1)), np.ones(1), np.zeros((1, 2)), 8e8)
-    assert ContactMethod(Linear(1.0)).compliance_m_N(points) == 0.0
+@pytest.mark.parametrize("degree", [1, 2])
+def test_inverse_constant_of_a_rod_is_known_and_sharp(degree):
+    """p̂² ≤ C uᵀ K u with C = degree² E A / h, reached by the last element alone."""
+    body = rod(8, length=2.0, youngs=3.0, degree=degree)
+    assert inverse_constant_N_m(body) == pytest.approx(degree**2 * 3.0 / 0.25, rel=1e-3)
+    for theta_tau, positive in ((0.99, True), (1.02, False)):
+        term = theta_tau / inverse_constant_N_m(body) * body.contact.pressure.T
+        stiffness = np.diag(body.omega2) - term @ body.contact.pressure
+        assert (np.linalg.eigvalsh(stiffness).min() > -1e-6 * body.omega2.max()) == positive
+
+
+def test_only_nitsche_has_a_compliance():
+    body = rod(8)
+    assert ContactMethod(Linear(1.0)).compliance_m_N(body) == 0.0
     nitsche = ContactMethod(Linear(1.0), Enforcement.NITSCHE, gamma0=2.0)
-    assert nitsche.compliance_m_N(points) == pytest.approx(1.0 / 16e8, rel=1e-14)
+    assert nitsche.compliance_m_N(body) == pytest.approx(1.0 / 16.0, rel=1e-3)
 
 
 @pytest.mark.parametrize(

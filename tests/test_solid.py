@@ -158,7 +158,9 @@ def test_full_order_and_reduced_bounce_alike(make_solid, method):
     plan = DropPlan(0.05, ContactMethod(Linear(2e6), method), its, 9.8)
     full = simulate(reduced, plan)
     small = simulate(ModalFrame(reduced.modal), plan)
-    assert small.rebound_ratio == pytest.approx(full.rebound_ratio, rel=1e-7)
+    # Nitsche's forces act along the pressure's rows too, which the basis was not made from
+    close = 1e-6 if method is Enforcement.NITSCHE else 1e-7
+    assert small.rebound_ratio == pytest.approx(full.rebound_ratio, rel=close)
     assert small.peak_force_N == pytest.approx(full.peak_force_N, rel=1e-6)
     assert full.reduction_error is None
     speed_error = abs(small.cm_velocity_after_m_s - full.cm_velocity_after_m_s)
@@ -174,7 +176,7 @@ def test_error_estimate_bounds_the_error_and_refuses_a_poor_basis(make_solid):
     plan = DropPlan(0.05, ContactMethod(Linear(2e7)), its, 9.8)
     fine = simulate(reduce_solid(solid, shift(solid, its), 40), plan)
     estimates = []
-    for n in (16, 20, 24, 32):
+    for n in (6, 8, 10):
         modal = reduce_solid(solid, shift(solid, its), n).modal
         result = simulate(ModalFrame(modal), plan)
         error = abs(result.cm_velocity_after_m_s - fine.cm_velocity_after_m_s)

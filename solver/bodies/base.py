@@ -21,15 +21,13 @@ class ContactPoints:
     ``normal`` (n, dofs) gives the upward displacement of each point, ``pressure`` (n, dofs) the
     section area times the normal pressure -σ_zz there, both for the unknowns that this rank owns.
     ``weights`` (n,) are the points' shares of the area and sum to 1, ``xy_m`` (n, 2) their place
-    on the section. ``traction_scale_N`` is E A / h with h the length of the cell at the tip: the
-    stiffness against which Nitsche's stabilisation is measured, times ``degree`` squared.
+    on the section.
     """
 
     normal: SparseOrDense
     pressure: SparseOrDense
     weights: Array
     xy_m: Array
-    traction_scale_N_m: float
     comm: MPI.Intracomm = field(default_factory=lambda: MPI.COMM_SELF)
 
     def _reduce(self, local: Array) -> Array:

@@ -89,22 +89,30 @@ def beam_contact(bristle: Bristle, n_elements: int, *, face: bool) -> ContactPoi
         pressure=pressure,
         weights=weights,
         xy_m=xy,
-        traction_scale_N_m=4.0 * youngs * section.area_m2 / (2.0 * half),
     )
 
 
 def beam_body(bristle: Bristle, n_elements: int, *, face: bool = True) -> ModalBody:
     """The free beam of ``n_elements`` in all its modes (Vanegas-Useche et al. use sixteen)."""
     mass, stiffness = beam_matrices(bristle, n_elements)
-    lift = np.zeros(len(mass))
-    lift[UZ::NODE_UNKNOWNS] = 1.0
+    rigid = rigid_motions(bristle, n_elements)
     return modal_form(
         "beam",
         mass,
         stiffness,
-        lift,
+        rigid,
+        rigid[:, UZ],
         beam_contact(bristle, n_elements, face=face),
         bristle.material.alpha_1_s,
         bristle.material.beta_s,
-        n_rigid=6,
     )
+
+
+def rigid_motions(bristle: Bristle, n_elements: int) -> Array:
+    """Translations x, y, z and rotations about x, y, z through the middle (n, 6)."""
+    z = np.linspace(-0.5, 0.5, 2 * n_elements + 1) * bristle.length_m
+    motions = np.zeros((len(z), NODE_UNKNOWNS, NODE_UNKNOWNS))
+    motions[:, range(NODE_UNKNOWNS), range(NODE_UNKNOWNS)] = 1.0
+    motions[:, UY, RX] = -z
+    motions[:, UX, RY] = z
+    return motions.reshape(-1, NODE_UNKNOWNS)

@@ -6,7 +6,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import eigh
+from scipy.linalg import eigh, orth
+from scipy.sparse.csgraph import connected_components
 
 from .base import Array, ContactPoints
 
@@ -77,23 +78,32 @@ def modal_form(
     name: str,
     mass: Array,
     stiffness: Array,
+    rigid: Array,
     lift: Array,
     contact: ContactPoints,
     alpha_1_s: float,
     beta_s: float,
-    n_rigid: int,
 ) -> ModalBody:
-    """All modes of dense M, K (n, n); the ``n_rigid`` lowest are rigid and get frequency zero.
+    """All modes of dense M, K (n, n), the motions ``rigid`` (n, r) having frequency zero.
 
-    ``lift`` (n,) and the rows of ``contact`` are given for the physical unknowns. Raises
-    ValueError where the ``n_rigid`` lowest frequencies are not small against the next one.
+    Unknowns that do not act on each other (axial motion, torsion, the two bendings) are solved
+    apart, so that the rounding of fast ones does not reach slow ones. ``lift`` (n,) and the rows
+    of ``contact`` are given for the physical unknowns. Raises ValueError where ``rigid`` strains
+    the body, or rounding hides the lowest elastic mode.
     """
-    omega2, modes = eigh(stiffness, mass)
-    if n_rigid < len(omega2) and abs(omega2[:n_rigid]).max(initial=0.0) > 1e-4 * omega2[n_rigid]:
-        raise ValueError(
-            f"{name}: fewer than {n_rigid} rigid motions: ω² = {omega2[: n_rigid + 1]}"
+    n_groups, group = connected_components((mass != 0.0) | (stiffness != 0.0), directed=False)
+    omega2, modes = np.zeros(len(lift)), np.zeros_like(mass)
+    first = 0
+    for number in range(n_groups):
+        own = np.flatnonzero(group == number)
+        last = first + len(own)
+        block = np.ix_(own, own)
+        omega2[first:last], modes[own, first:last] = _modes_of_group(
+            name, mass[block], stiffness[block], rigid[own]
         )
-    omega2 = np.concatenate([np.zeros(n_rigid), omega2[n_rigid:]])
+        first = last
+    order = np.argsort(omega2, kind="stable")
+    omega2, modes = omega2[order], modes[:, order]
     return ModalBody(
         name=name,
         omega2=omega2,
@@ -103,8 +113,34 @@ def modal_form(
             pressure=np.asarray(contact.pressure @ modes),
             weights=contact.weights,
             xy_m=contact.xy_m,
-            traction_scale_N_m=contact.traction_scale_N_m,
         ),
         alpha_1_s=alpha_1_s,
         beta_s=beta_s,
     )
+
+
+def _modes_of_group(name: str, mass: Array, stiffness: Array, rigid: Array) -> tuple[Array, Array]:
+    """Squared frequencies (n,) and modes (n, n), rigid motions first and exact.
+
+    The eigenvalues of (K, M) are good to rounding of the greatest: slow modes drown. Those of
+    (M, K) are their inverses, good for the slow ones. Each serves for its half of the decades.
+    """
+    still = orth(rigid)
+    if np.abs(stiffness @ still).max(initial=0.0) > 1e-9 * np.abs(stiffness).max():
+        raise ValueError(f"{name}: a rigid motion strains the body")
+    still = still @ np.linalg.inv(np.linalg.cholesky(still.T @ mass @ still)).T
+    held = mass @ still
+    omega2, modes = eigh(stiffness, mass)
+    inverse, slow = eigh(mass, stiffness + omega2[-1] * held @ held.T)
+    middle = np.sqrt(inverse[-1] / omega2[-1])
+    n_slow, n_rigid = int(np.sum(inverse > middle)), still.shape[1]
+    if np.finfo(float).eps * len(omega2) * omega2[-1] * middle > 0.01:
+        raise ValueError(f"{name}: rounding hides the slowest modes")
+    slow = slow[:, : -n_slow - 1 : -1] / np.sqrt(inverse[: -n_slow - 1 : -1])
+    slow = slow - still @ (held.T @ slow)
+    known = np.hstack([still, slow])
+    fast = modes[:, n_rigid + n_slow :]
+    fast = fast - known @ (known.T @ mass @ fast)
+    omega2[:n_rigid] = 0.0
+    omega2[n_rigid : n_rigid + n_slow] = 1.0 / inverse[: -n_slow - 1 : -1]
+    return omega2, np.hstack([known, fast])

@@ -112,7 +112,6 @@ def reduce_solid(solid: SolidBody, shift_1_s2: float, n_krylov: int = 24) -> Red
             pressure=pressure,
             weights=contact.weights,
             xy_m=contact.xy_m,
-            traction_scale_N_m=contact.traction_scale_N_m,
         ),
         alpha_1_s=solid.alpha_1_s,
         beta_s=solid.beta_s,

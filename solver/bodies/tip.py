@@ -23,7 +23,6 @@ class FacetPoint:
 
     xy_m: Array
     area_m2: float
-    cell_length_m: float
     column: NDArray[np.int64]
     normal: Array
     pressure_Pa: Array
@@ -51,17 +50,11 @@ def tip_contact(
     areas = np.bincount(index, weights=shares)
     total = areas.sum()
     shares = shares / areas[index]
-    lam, mu = material.lame_Pa
-    degree = space.element.basix_element.degree
     return ContactPoints(
         normal=_owned_rows(space, found, index, shares, [p.normal for p in found]),
         pressure=_owned_rows(space, found, index, shares * total, [p.pressure_Pa for p in found]),
         weights=areas / total,
         xy_m=unique * SAME_POINT_M,
-        traction_scale_N_m=degree**2
-        * (lam + 2.0 * mu)
-        * total
-        / min(point.cell_length_m for point in found),
         comm=comm,
     )
 
@@ -130,7 +123,6 @@ def _points_of_facet(
     functions = np.asarray(element.tabulate(1, reference), dtype=float)[..., 0]
     nodes = space.dofmap.index_map.local_to_global(space.dofmap.cell_dofs(cell))
     column = (3 * nodes[:, None] + np.arange(3)).ravel()
-    length = float(np.ptp(geometry[:, 2]))
     lam, mu = material.lame_Pa
     points = []
     for q, weight in enumerate(weights):
@@ -142,5 +134,5 @@ def _points_of_facet(
         pressure[:, 2] -= 2.0 * mu * gradient[2]
         area = float(weight) * float(np.linalg.norm(np.cross(*(tangents @ jacobian))))
         place = shapes[0, q] @ geometry[:, :2]
-        points.append(FacetPoint(place, area, length, column, normal.ravel(), pressure.ravel()))
+        points.append(FacetPoint(place, area, column, normal.ravel(), pressure.ravel()))
     return points

@@ -9,10 +9,11 @@ included) and a compliance τ. The force per area share follows from the law thr
 and acts along Q = N - θ τ S (N the rows of upward displacement, S those of p̂):
 
 - penalty: τ = 0; the law acts on the gap alone.
-- Nitsche: τ = h / (γ₀ E A), the Robin form of Juntunen and Stenberg (Math. Comp. 78, 2009), which
-  turns into penalty where 1/Kn ≫ τ and into Nitsche's method for Signorini's condition where
-  Kn → ∞; θ = 1, 0, -1 are the symmetric, incomplete and skew variants of Chouly, Hild and Renard
-  (SIAM J. Numer. Anal. 51, 2013). θ ≠ 0 adds -θ τ Sᵀ w S to the stiffness.
+- Nitsche: τ = 1 / (γ₀ C), C the constant of the inverse inequality Σ w p̂² ≤ C uᵀ K u (of the
+  order of E A over the length of the tip's cell), the Robin form of Juntunen and Stenberg (Math.
+  Comp. 78, 2009), which turns into penalty where 1/Kn ≫ τ and into Nitsche's method for Signorini's
+  condition where Kn → ∞; θ = 1, 0, -1 are the symmetric, incomplete and skew variants of Chouly,
+  Hild and Renard (SIAM J. Numer. Anal. 51, 2013). θ ≠ 0 adds -θ τ Sᵀ w S to the stiffness.
 - augmented Lagrangian: τ = 0 and a multiplier per point, updated until the law holds exactly
   (proximal form of Rockafellar, Math. Oper. Res. 1, 1976); Kn = ∞ is Signorini's condition.
 
@@ -29,7 +30,7 @@ from enum import StrEnum
 
 import numpy as np
 
-from ..bodies.base import Array, ContactPoints
+from ..bodies.base import Array, Body
 from ..errors import ComputationError
 from .laws import ContactLaw
 
@@ -39,6 +40,7 @@ RELATIVE_TOLERANCE = 1e-11
 MULTIPLIER_TOLERANCE = 1e-9
 # Patterns of force that a body answers less than this share of the softest count as rigid.
 STIFFEST = 1e-2
+SHIFT = 1e-4
 
 
 class Enforcement(StrEnum):
@@ -47,22 +49,38 @@ class Enforcement(StrEnum):
     NITSCHE = "nitsche"
 
 
+def inverse_constant_N_m(body: Body) -> float:
+    """The smallest C with Σ w p̂(u)² ≤ C uᵀ K u for every motion u of the body.
+
+    It is the largest eigenvalue of S K⁻¹ Sᵀ weighted by w. Rigid motions have no pressure, so a
+    shift of K by a little of M, far below the tip's own frequency, makes K invertible and changes
+    C by about as little.
+    """
+    points = body.contact
+    rows = np.asarray(points.pressure.T @ points.weights)
+    local = body.dot(rows, body.stiffness(rows)) / body.dot(rows, body.mass(rows))
+    rows = points.pressure.toarray() if hasattr(points.pressure, "toarray") else points.pressure
+    answers = points.pressures(body.factor(SHIFT * local, 1.0)(np.ascontiguousarray(rows.T)))
+    root = np.sqrt(points.weights)
+    return float(np.linalg.eigvalsh(root[:, None] * answers * root).max())
+
+
 @dataclass(frozen=True)
 class ContactMethod:
     """A law, the way it is enforced, and that way's constants.
 
-    ``theta`` (1, 0 or -1) and ``gamma0`` belong to Nitsche. τ = 1 / (γ₀ times the stiffness of
-    the tip's cell times the polynomial degree squared), so that γ₀ = 1 is the constant of the
-    inverse inequality at which the symmetric form stops being positive; much larger values make a
-    rigid contact chatter. ``augmentation`` belongs to the augmented Lagrangian: its parameter in
+    ``theta`` (1, 0 or -1) and ``gamma0`` belong to Nitsche. At γ₀ = 1 the symmetric form (θ = 1)
+    stops being positive; much larger values make a rigid contact chatter. The symmetric form alone
+    has a potential, so it alone conserves energy; the others can gain energy from a rigid plane.
+    ``augmentation`` belongs to the augmented Lagrangian: its parameter in
     units of what the body itself resists with over a step, so that an update of the multiplier
     leaves about one part in ``augmentation`` of the error, whatever the mesh and the ITS.
     """
 
     law: ContactLaw
     enforcement: Enforcement = Enforcement.PENALTY
-    theta: int = 0
-    gamma0: float = 1.5
+    theta: int = 1
+    gamma0: float = 2.0
     augmentation: float = 10.0
 
     def __post_init__(self) -> None:
@@ -75,11 +93,11 @@ class ContactMethod:
                 "penalty needs a finite Kn; take nitsche or augmented for a rigid plane"
             )
 
-    def compliance_m_N(self, points: ContactPoints) -> float:
+    def compliance_m_N(self, body: Body) -> float:
         """τ (m/N)."""
         if self.enforcement is not Enforcement.NITSCHE:
             return 0.0
-        return 1.0 / (self.gamma0 * points.traction_scale_N_m)
+        return 1.0 / (self.gamma0 * inverse_constant_N_m(body))
 
 
 @dataclass

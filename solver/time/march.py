@@ -63,7 +63,7 @@ class Marcher:
         self.body, self.method, self.scheme, self.its_s = body, method, scheme, its_s
         self.gravity_m_s2 = gravity_m_s2
         points = body.contact
-        self.tau = method.compliance_m_N(points)
+        self.tau = method.compliance_m_N(body)
         self._symmetric = method.theta * self.tau
         self._mass_lift = body.mass(body.lift)
         self._c_mass, self._c_stiffness = scheme.effective(its_s, body.alpha_1_s, body.beta_s)
