@@ -21,7 +21,8 @@ from .time.march import Marcher
 from .time.scheme import TimeScheme
 
 TOUCH_LIMIT = 10_000
-# A body of more than its modes is marched, not flown, to a touch that is so few steps away.
+# A touch so few steps away is marched to, not flown to: it costs little, and the full order, which
+# holds more than the modes that it flies in, loses nothing.
 WAIT_STEPS = 100
 # Largest error estimate of a reduced body, in units of the impact speed, that is let through.
 REDUCTION_LIMIT = 1e-3
@@ -257,8 +258,7 @@ def _impact(
         landing = longest if again is None else again
         if landing >= end_s or (rising > 0.0 and flight.centre_velocity(landing) <= 0.0):
             break
-        if frame.body is not frame.modal and landing - state.t_s < WAIT_STEPS * plan.its_s:
-            # the full order holds more than its modes: no flight for the sake of a few steps
+        if landing - state.t_s < WAIT_STEPS * plan.its_s:
             start, wait = state, landing
             continue
         energy = flight_energy(frame.modal, q, qv, g).total_J

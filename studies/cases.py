@@ -31,7 +31,7 @@ from ..solver.drop import DropResult, FlightFrame, ModalFrame, march_plainly, si
 from ..solver.errors import ComputationError
 from ..solver.impact import History, Observer
 from ..solver.time.march import Marcher
-from .choices import Model, Tip, Until
+from .choices import Contact, Model, Tip, Until
 from .config import DropInputs
 from .limits import marching_time_s
 
@@ -164,9 +164,13 @@ class Workshop:
             self.basis_its_s or inputs.its_s, inputs.alpha_1_s, inputs.beta_s
         )
         shift = c_mass / c_stiffness
-        key = (solid_key, "reduced", shift, inputs.modes)
+        tractions = inputs.contact is Contact.NITSCHE
+        key = (solid_key, "reduced", shift, inputs.modes, tractions)
         with self._timed("factor"):
-            return self._keep(key, lambda: reduce_solid(solid, shift, inputs.modes)), key
+            model = self._keep(
+                key, lambda: reduce_solid(solid, shift, inputs.modes, tractions=tractions)
+            )
+        return model, key
 
     def _modal(self, inputs: DropInputs) -> tuple[ModalFrame, Hashable]:
         """The reduced model alone, the same to the last bit on every rank."""

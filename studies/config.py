@@ -16,7 +16,7 @@ from ..meshes import geometry
 from ..solver import paper
 from ..solver.bodies.analytic import quarter_period_s
 from ..solver.bristle import Bristle, Circle, Material, Rectangle
-from ..solver.contact.enforcement import ContactMethod, Enforcement
+from ..solver.contact.enforcement import GAMMA0, GAMMA0_RIGID, ContactMethod, Enforcement
 from ..solver.contact.laws import Linear
 from ..solver.drop import DropPlan
 from ..solver.time.scheme import TimeScheme
@@ -121,7 +121,6 @@ class Inputs(BaseModel):
         _default(data, "geometry_order", 1 if data.get("diameter_m") is None else 2)
         if data.get("contact") == Contact.NITSCHE:
             _default(data, "theta", 1)
-            _default(data, "gamma0", flags.GAMMA0)
         if data.get("scheme") == Scheme.GENERALISED:
             _default(data, "rho_inf", flags.RHO_INF)
         return data
@@ -206,6 +205,16 @@ class DropInputs(Inputs):
     write_fields: Truth = True
     write_every: Annotated[int, whole(1, 1_000_000)] | None = None
 
+    @model_validator(mode="before")
+    @classmethod
+    def _stabilise(cls, data: Any) -> Any:
+        """Fill in what depends on the stiffness."""
+        if isinstance(data, dict) and data.get("contact") == Contact.NITSCHE:
+            data = dict(data)
+            rigid = read_kn(data.get("kn_N_m")) == math.inf
+            _default(data, "gamma0", GAMMA0_RIGID if rigid else GAMMA0)
+        return data
+
     @model_validator(mode="after")
     def _possible(self) -> Self:
         """Refuse what no run could give a sensible answer to."""
@@ -238,7 +247,7 @@ class DropInputs(Inputs):
     def contact_method(self) -> ContactMethod:
         """The contact law and its enforcement."""
         law, how = Linear(self.kn_N_m), Enforcement(self.contact.value)
-        if self.theta is None or self.gamma0 is None:
+        if self.theta is None:
             return ContactMethod(law, how)
         return ContactMethod(law, how, theta=self.theta, gamma0=self.gamma0)
 

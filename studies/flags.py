@@ -18,7 +18,6 @@ DROP, TIME, MESH, OUTPUT = "Drop", "Time", "Discretisation", "Files"
 CELLS = (1, 4, 337)
 MODES = 40
 RHO_INF = 0.8
-GAMMA0 = 2.0
 
 
 @dataclass(frozen=True)
@@ -190,7 +189,7 @@ CONTACT_FLAGS = (
         CONTACT,
         "Nitsche's stabilisation.",
         "NUMBER",
-        f"{GAMMA0:g}",
+        "10, or 2 on a rigid plane",
     ),
 )
 PLACE_FLAGS = (

@@ -175,7 +175,8 @@ def test_an_infinite_stiffness_is_for_those_who_can_use_it():
 
 def test_what_depends_on_other_options_is_resolved():
     nitsche = drop(contact="nitsche")
-    assert (nitsche.theta, nitsche.gamma0) == (1, 2.0)
+    assert (nitsche.theta, nitsche.gamma0) == (1, 10.0)
+    assert drop(contact="nitsche", kn_N_m="inf").gamma0 == 2.0
     assert DropInputs().theta is None
     wire = drop(diameter_m=1e-3)
     assert (wire.width_m, wire.thickness_m, wire.geometry_order) == (None, None, 2)

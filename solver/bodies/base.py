@@ -81,7 +81,7 @@ class Body(Protocol):
     def defect(self) -> StepDefect | None: ...
 
     def mass(self, x: Array) -> Array:
-        """M x."""
+        """M x, for one vector (n,) or the columns of (n, m)."""
         ...
 
     def stiffness(self, x: Array) -> Array:

@@ -16,9 +16,9 @@ from .base import Array, ContactPoints
 class Defect:
     """What the reduced body leaves of the full order's equation of motion, measured by its energy.
 
-    Modes satisfy the equation projected on themselves; left over is
-    R_f (w P) - R_k (u + β v), with R_f = Qᵀ - M V Vᵀ Qᵀ and R_k = K V - M V Λ. ``gram`` holds
-    [R_f, R_k]ᵀ A⁻¹ [R_f, R_k] for A = s M + K, s = ``shift_1_s2``.
+    Modes satisfy the equation projected on themselves; left over is R_f f - R_k (u + β v), with
+    R_f = Fᵀ - M V Vᵀ Fᵀ, F the rows of height and of pressure, and R_k = K V - M V Λ. ``gram``
+    holds [R_f, R_k]ᵀ A⁻¹ [R_f, R_k] for A = s M + K, s = ``shift_1_s2``.
     """
 
     gram: Array
@@ -27,7 +27,8 @@ class Defect:
     def energy_norm(self, force: Array, motion: Array, c_mass: float, c_stiffness: float) -> float:
         """Bound on √(rᵀ (c_mass M + c_stiffness K)⁻¹ r), r being what a step leaves over.
 
-        ``force`` (points,) is w P in N, ``motion`` (modes,) is u + β v where equilibrium is taken.
+        ``force`` (2 points,) is f: what acts along the rows of height in N, and along those of
+        pressure in m; ``motion`` (modes,) is u + β v where equilibrium is taken.
         The effective matrix is no softer than min(c_mass/s, c_stiffness) times A.
         """
         left = np.concatenate([force, -motion])
@@ -92,7 +93,8 @@ def modal_form(
     the body, or rounding hides the lowest elastic mode.
     """
     n_groups, group = connected_components((mass != 0.0) | (stiffness != 0.0), directed=False)
-    omega2, modes = np.zeros(len(lift)), np.zeros_like(mass)
+    omega2: Array = np.zeros(len(lift))
+    modes: Array = np.zeros_like(mass)
     first = 0
     for number in range(n_groups):
         own = np.flatnonzero(group == number)

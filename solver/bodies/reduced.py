@@ -42,55 +42,71 @@ class ReducedModel:
 
 
 def krylov_basis(
-    solid: SolidBody, solve: Callable[[Array], Array], n_krylov: int
+    solid: SolidBody, solve: Callable[[Array], Array], n_krylov: int, *, tractions: bool = False
 ) -> tuple[Array, Array]:
     """M-orthonormal basis (n_local, k), and M times it.
 
     Rigid motions; ``n_krylov`` Krylov vectors of a uniform pressure on the tip; and the response
-    to each contact point alone, without which an uneven pressure would meet a tip too stiff.
-    Directions that carry nothing new are dropped.
+    to a force at each contact point alone, without which an uneven pressure would meet a tip too
+    stiff, and with ``tractions`` to the rows of the pressure, along which Nitsche's method pushes
+    too. Directions that carry nothing new are dropped.
     """
     contact = solid.contact
-    local = solve(contact.normal.T.toarray())
-    limit = 6 + n_krylov + local.shape[1]
-    basis, images = (np.empty((solid.n_local, limit), order="F") for _ in range(2))
-    count = 0
-
-    def add(x: Array) -> bool:
-        nonlocal count
-        size = np.sqrt(solid.dot(x, solid.mass(x)))
-        for _ in range(2):
-            x = x - basis[:, :count] @ _total(solid, images[:, :count].T @ x)
-        image = solid.mass(x)
-        norm = np.sqrt(max(solid.dot(x, image), 0.0))
-        if norm <= DEFLATED * size:
-            return False
-        basis[:, count], images[:, count] = x / norm, image / norm
-        count += 1
-        return True
-
-    for motion in solid.rigid_motions().T:
-        add(motion)
-    vector: Array = local @ contact.weights
+    local = solve(_loads(contact, tractions))
+    basis, images = _orthonormal(solid, solid.rigid_motions(), None)
+    vector: Array = local[:, : len(contact.weights)] @ contact.weights
     for _ in range(n_krylov):
-        if not add(vector):
+        new, image = _orthonormal(solid, vector[:, None], (basis, images))
+        if not new.size:
             break
-        vector = solve(images[:, count - 1])
-    for response in local.T:
-        add(response)
-    return basis[:, :count], images[:, :count]
+        basis, images = np.hstack([basis, new]), np.hstack([images, image])
+        vector = solve(image[:, 0])
+    new, image = _orthonormal(solid, local, (basis, images))
+    return np.hstack([basis, new]), np.hstack([images, image])
 
 
-def reduce_solid(solid: SolidBody, shift_1_s2: float, n_krylov: int = 24) -> ReducedModel:
+def _loads(contact: ContactPoints, tractions: bool) -> Array:
+    """The forces (n_local, points or twice as many) that contact can put on the solid."""
+    loads = contact.normal.T.toarray()
+    return np.hstack([loads, contact.pressure.T.toarray()]) if tractions else loads
+
+
+def _orthonormal(
+    solid: SolidBody, vectors: Array, against: tuple[Array, Array] | None
+) -> tuple[Array, Array]:
+    """What ``vectors`` (n_local, m) hold beyond ``against``, M-orthonormal, and M times it.
+
+    Twice, since what is left of nearly dependent vectors is mostly rounding the first time.
+    """
+    vectors = vectors / np.sqrt(_columns(solid, vectors, solid.mass(vectors)))
+    for _ in range(2):
+        if against is not None:
+            vectors = vectors - against[0] @ _total(solid, against[1].T @ vectors)
+        image = solid.mass(vectors)
+        size, turn = eigh(_total(solid, vectors.T @ image))
+        keep = size > max(DEFLATED * size.max(initial=0.0), DEFLATED**2)
+        turn = turn[:, keep] / np.sqrt(size[keep])
+        vectors, image = vectors @ turn, image @ turn
+    return vectors, image
+
+
+def _columns(solid: SolidBody, x: Array, y: Array) -> Array:
+    """Inner products of the columns of ``x`` with those of ``y`` (m,)."""
+    return _total(solid, np.einsum("ij,ij->j", x, y))
+
+
+def reduce_solid(
+    solid: SolidBody, shift_1_s2: float, n_krylov: int = 24, *, tractions: bool = False
+) -> ReducedModel:
     """The solid in rigid motions, ``n_krylov`` Krylov vectors and its tip's own responses.
 
-    ``shift_1_s2`` is s above. Raises ComputationError where the reduced stiffness is not
-    positive semidefinite.
+    ``shift_1_s2`` is s above; ``tractions`` is for Nitsche's method, see `krylov_basis`. Raises
+    ComputationError where the reduced stiffness is not positive semidefinite.
     """
     solve = solid.factor(shift_1_s2, 1.0)
     contact = solid.contact
-    basis, images = krylov_basis(solid, solve, n_krylov)
-    stiff = np.stack([solid.stiffness(v) for v in basis.T], axis=1)
+    basis, images = krylov_basis(solid, solve, n_krylov, tractions=tractions)
+    stiff = solid.stiffness(basis)
     reduced = _total(solid, basis.T @ stiff)
     reduced[:6, :] = reduced[:, :6] = 0.0
     omega2, modes = eigh(0.5 * (reduced + reduced.T))
@@ -102,7 +118,8 @@ def reduce_solid(solid: SolidBody, shift_1_s2: float, n_krylov: int = 24) -> Red
         )
     basis, images, stiff = basis @ modes, images @ modes, stiff @ modes
     normal, pressure = contact.heights(basis), contact.pressures(basis)
-    left_over = np.hstack([contact.normal.T.toarray() - images @ normal.T, stiff - images * omega2])
+    loads = _loads(contact, tractions=True) - images @ np.vstack([normal, pressure]).T
+    left_over = np.hstack([loads, stiff - images * omega2])
     modal = ModalBody(
         name="reduced",
         omega2=omega2,

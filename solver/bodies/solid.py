@@ -81,6 +81,13 @@ class SolidBody:
         return self._product(self.stiffness_matrix, x)
 
     def _product(self, matrix: PETSc.Mat, x: Array) -> Array:
+        if x.ndim == 2:
+            dense = self._dense(x)
+            result = matrix.matMult(dense)
+            y = result.getDenseArray().copy()
+            dense.destroy()
+            result.destroy()
+            return y
         self._x.array[:] = x
         matrix.mult(self._x, self._y)
         return self._y.array.copy()
@@ -110,17 +117,21 @@ class SolidBody:
 
     def _solve_block(self, solver: PETSc.KSP, b: Array) -> Array:
         """All columns of ``b`` (n, m) at once: several times faster than one by one."""
-        sizes = ((self.n_local, None), (None, b.shape[1]))
-        right = PETSc.Mat().createDense(sizes, comm=self.comm)
-        right.setUp()
-        right.getDenseArray()[:] = b
-        right.assemble()
+        right = self._dense(b)
         left = right.duplicate()
         solver.matSolve(right, left)
         x = left.getDenseArray().copy()
         right.destroy()
         left.destroy()
         return x
+
+    def _dense(self, x: Array) -> PETSc.Mat:
+        """A PETSc copy of this rank's rows ``x`` (n_local, m)."""
+        dense = PETSc.Mat().createDense(((self.n_local, None), (None, x.shape[1])), comm=self.comm)
+        dense.setUp()
+        dense.getDenseArray()[:] = x
+        dense.assemble()
+        return dense
 
     def _factored(self, c_mass: float, c_stiffness: float) -> PETSc.KSP:
         matrix = self.stiffness_matrix.copy()

@@ -41,12 +41,18 @@ MULTIPLIER_TOLERANCE = 1e-9
 # Patterns of force that a body answers less than this share of the softest count as rigid.
 STIFFEST = 1e-2
 SHIFT = 1e-4
+GAMMA0, GAMMA0_RIGID = 10.0, 2.0
 
 
 class Enforcement(StrEnum):
     PENALTY = "penalty"
     AUGMENTED = "augmented"
     NITSCHE = "nitsche"
+
+
+def default_gamma0(kn_N_m: float) -> float:
+    """Nitsche's γ₀ where none is given."""
+    return GAMMA0_RIGID if math.isinf(kn_N_m) else GAMMA0
 
 
 def inverse_constant_N_m(body: Body) -> float:
@@ -69,24 +75,25 @@ def inverse_constant_N_m(body: Body) -> float:
 class ContactMethod:
     """A law, the way it is enforced, and that way's constants.
 
-    ``theta`` (1, 0 or -1) and ``gamma0`` belong to Nitsche. At γ₀ = 1 the symmetric form (θ = 1)
-    stops being positive; much larger values make a rigid contact chatter. The symmetric form alone
-    has a potential, so it alone conserves energy; the others can gain energy from a rigid plane.
-    ``augmentation`` belongs to the augmented Lagrangian: its parameter in
-    units of what the body itself resists with over a step, so that an update of the multiplier
-    leaves about one part in ``augmentation`` of the error, whatever the mesh and the ITS.
+    ``theta`` (1, 0 or -1) and ``gamma0`` belong to Nitsche. The symmetric form (θ = 1) alone has a
+    potential, so it alone conserves energy; the others can gain it from a rigid plane. At γ₀ = 1
+    it stops being positive; larger values are closer to the law, and make a rigid contact chatter,
+    so None stands for `GAMMA0` where Kn is finite and for `GAMMA0_RIGID` where it is not.
+    ``augmentation`` belongs to the augmented Lagrangian: its parameter in units of what the body
+    itself resists with over a step, so that an update of the multiplier leaves about one part in
+    ``augmentation`` of the error, whatever the mesh and the ITS.
     """
 
     law: ContactLaw
     enforcement: Enforcement = Enforcement.PENALTY
     theta: int = 1
-    gamma0: float = 2.0
+    gamma0: float | None = None
     augmentation: float = 10.0
 
     def __post_init__(self) -> None:
         if self.theta not in (-1, 0, 1):
             raise ValueError(f"theta must be 1, 0 or -1, not {self.theta}")
-        if not self.gamma0 >= 1.0:
+        if self.gamma0 is not None and not self.gamma0 >= 1.0:
             raise ValueError(f"gamma0 must be at least 1, not {self.gamma0}")
         if self.enforcement is Enforcement.PENALTY and math.isinf(self.law.kn_N_m):
             raise ValueError(
@@ -97,7 +104,8 @@ class ContactMethod:
         """τ (m/N)."""
         if self.enforcement is not Enforcement.NITSCHE:
             return 0.0
-        return 1.0 / (self.gamma0 * inverse_constant_N_m(body))
+        gamma0 = self.gamma0 or default_gamma0(self.law.kn_N_m)
+        return 1.0 / (gamma0 * inverse_constant_N_m(body))
 
 
 @dataclass

@@ -211,9 +211,11 @@ class Marcher:
         part = 1.0 - self.scheme.alpha_f
         u = part * after.u + self.scheme.alpha_f * before.u
         v = part * after.v + self.scheme.alpha_f * before.v
+        motion, points = u + self.body.beta_s * v, self.body.contact
+        along_pressure = self._symmetric * (points.pressures(motion) - force)
         norm = self.body.defect.energy_norm(
-            self.body.contact.weights * force,
-            u + self.body.beta_s * v,
+            np.concatenate([points.weights * force, points.weights * along_pressure]),
+            motion,
             self._c_mass,
             self._c_stiffness,
         )
