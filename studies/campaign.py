@@ -102,7 +102,7 @@ def _built(case: DropInputs) -> DropInputs | None:
         kn_N_m=paper.KN_CHOSEN_N_M,
         height_m=paper.HEIGHTS_M[-1],
         its_s=paper.ITS_S,
-        contact=Contact.PENALTY,
+        contact=Contact.NITSCHE if case.contact is Contact.NITSCHE else Contact.PENALTY,
         theta=None,
         gamma0=None,
     )

@@ -16,6 +16,9 @@ DOCKER = ROOT / "docker"
 RUN = str(DOCKER / "run")
 ON_DEBIAN = shutil.which("dpkg-query") is not None and Path("/etc/bristle-environment").exists()
 
+# an MPI rank's children would take its place in the job
+pytestmark = pytest.mark.serial
+
 
 def package_list() -> list[str]:
     lines = (DOCKER / "packages").read_text().splitlines()
@@ -132,7 +135,6 @@ def test_standard_input_and_arguments(tmp_path: Path) -> None:
     assert run("pwd", "-P", cwd=tmp_path).stdout == f"{tmp_path.resolve()}\n"
 
 
-@pytest.mark.serial
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_signals_reach_the_command_once(number: signal.Signals) -> None:
     code = (
@@ -160,7 +162,6 @@ def test_the_package_is_the_live_repository(tmp_path: Path) -> None:
     assert Path(command).resolve() == DOCKER / "live/bin/bristle"
 
 
-@pytest.mark.serial
 def test_two_ranks_without_a_warning() -> None:
     code = (
         "from mpi4py import MPI; c = MPI.COMM_WORLD; n = c.allreduce(c.rank + 1);"
@@ -173,7 +174,6 @@ def test_two_ranks_without_a_warning() -> None:
         assert result.stderr == ""
 
 
-@pytest.mark.serial
 def test_a_failing_rank_ends_the_job() -> None:
     code = (
         "import os; from mpi4py import MPI; c = MPI.COMM_WORLD\n"

@@ -163,8 +163,11 @@ def test_flight_of_one_mode_is_the_matrix_exponential(omega, zeta, t, seed):
     got_u, got_v = flight.state(t)
     system = np.array([[0.0, 1.0, 0.0], [-(omega**2), -beta * omega**2, -2.0 * 0.7], [0, 0, 0]])
     wanted = expm(system * t) @ np.array([u[1], v[1], 1.0])
-    assert got_u[1] == pytest.approx(wanted[0], rel=1e-6, abs=1e-7)
-    assert got_v[1] == pytest.approx(wanted[1], rel=1e-6, abs=1e-7 * max(omega, 1.0))
+    # near critical damping two nearly equal exponentials cancel to about 1e-9 of what moves,
+    # the sag under gravity among it
+    moves = np.abs(u[1]) + np.abs(v[1]) / omega + 1.4 / omega**2
+    assert got_u[1] == pytest.approx(wanted[0], abs=1e-8 * moves)
+    assert got_v[1] == pytest.approx(wanted[1], abs=1e-8 * moves * omega * max(1.0, zeta))
     assert got_u[0] == pytest.approx(u[0] + v[0] * t - t * t, rel=1e-12, abs=1e-12)
 
 
