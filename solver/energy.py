@@ -7,7 +7,6 @@ from dataclasses import asdict, dataclass
 import numpy as np
 
 from .bodies.modal import ModalBody
-from .contact.enforcement import ContactMethod
 from .time.march import Marcher, State
 
 
@@ -62,7 +61,9 @@ def marching_energy(marcher: Marcher, state: State) -> Energy:
     """Energy of a state on the march; Nitsche's boundary terms count as contact."""
     body, method = marcher.body, marcher.method
     points = body.contact
-    potential = method.law.potential(state.drive, marcher.tau) if not _rigid(method) else 0.0
+    potential = (
+        method.law.potential(state.drive, marcher.tau) if not marcher.rigid_multiplier else 0.0
+    )
     contact = float(np.sum(points.weights * potential))
     strain = 0.5 * body.dot(state.u, state.ku)
     if method.theta and marcher.tau:
@@ -75,11 +76,6 @@ def marching_energy(marcher: Marcher, state: State) -> Energy:
         potential_J=marcher.gravity_m_s2 * body.dot(body.lift, state.mu),
         contact_J=contact,
     )
-
-
-def _rigid(method: ContactMethod) -> bool:
-    """A multiplier on a rigid plane stores nothing."""
-    return np.isinf(method.law.kn_N_m) and method.enforcement == "augmented"
 
 
 def step_loss(marcher: Marcher, before: State, after: State) -> float:

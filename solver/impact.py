@@ -71,7 +71,7 @@ def observe(marcher: Marcher, state: State, step_force: Array, history: History)
 
 def instant_force(marcher: Marcher, state: State, step_force: Array) -> Array:
     """Force per area share at the end of a step; a rigid plane's multiplier is the step's own."""
-    if _is_multiplier(marcher):
+    if marcher.rigid_multiplier:
         return step_force
     return marcher.end_force(state)
 
@@ -115,7 +115,7 @@ def march_touch(
             observer(state, force)
         if total > 0.0:
             release = _release_time(before, state)
-        free = total == 0.0 or (now == 0.0 and not _is_multiplier(marcher))
+        free = total == 0.0 or (now == 0.0 and not marcher.rigid_multiplier)
         done = free and state.t_s >= wait_s and _leaving(marcher, state)
         if done or state.t_s >= until_s:
             depth, when = _deepest(np.array(history.rows[first_row:]))
@@ -139,15 +139,10 @@ def _leaving(marcher: Marcher, state: State) -> bool:
 
     A rigid plane under a multiplier has points that rest on it without a push.
     """
-    if not _is_multiplier(marcher):
+    if not marcher.rigid_multiplier:
         return bool(state.drive.max() <= 0.0)
     contact = marcher.body.contact
     return bool(np.all((contact.heights(state.u) > 0.0) | (contact.heights(state.v) > 0.0)))
-
-
-def _is_multiplier(marcher: Marcher) -> bool:
-    """Whether contact is a multiplier on a rigid plane, its drive being zero while it pushes."""
-    return bool(np.isinf(marcher.method.law.kn_N_m)) and marcher.tau == 0.0
 
 
 def _release_time(before: State, after: State) -> float:

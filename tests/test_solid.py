@@ -14,14 +14,14 @@ from bristle.solver.contact.enforcement import ContactMethod, Enforcement
 from bristle.solver.contact.laws import Linear
 from bristle.solver.drop import DropPlan, ModalFrame, simulate
 from bristle.solver.errors import ComputationError
-from bristle.solver.time.march import Marcher, effective_coefficients
+from bristle.solver.time.march import Marcher
 from bristle.solver.time.scheme import TimeScheme
 
 WIRE = Circle(2e-3)
 
 
 def shift(solid, its):
-    c_mass, c_stiffness = effective_coefficients(solid, TimeScheme.average(), its)
+    c_mass, c_stiffness = TimeScheme.average().effective(its, solid.alpha_1_s, solid.beta_s)
     return c_mass / c_stiffness
 
 

@@ -37,13 +37,6 @@ class State:
     drive: Array
 
 
-def effective_coefficients(body: Body, scheme: TimeScheme, its_s: float) -> tuple[float, float]:
-    """c_M and c_K of the effective matrix c_M M + c_K K of a step; the unknown is acceleration."""
-    weight = 1.0 - scheme.alpha_f
-    c_mass = (1.0 - scheme.alpha_m) + weight * scheme.gamma * its_s * body.alpha_1_s
-    return c_mass, weight * (scheme.gamma * its_s * body.beta_s + scheme.beta * its_s**2)
-
-
 class Marcher:
     """Marches a body in contact with the plane at constant ``its_s``.
 
@@ -73,6 +66,11 @@ class Marcher:
         self._forcing = np.ascontiguousarray((points.weights[:, None] * direction).T)
         self._compliance = self._solve(self._forcing)
         self.contact = self._step_contact()
+
+    @property
+    def rigid_multiplier(self) -> bool:
+        """Whether contact is a multiplier on a rigid plane: no energy in it, its drive zero."""
+        return math.isinf(self.method.law.kn_N_m) and self.tau == 0.0
 
     def with_law(self, law: ContactLaw) -> Marcher:
         """The same march under another law: factor and compliance are shared."""
