@@ -1,0 +1,237 @@
+"""What does a bristle's tip land on: how high, how inclined and how stiff is a rough surface there?
+
+A `Surface` is a tile that repeats in x and y without end.  It is rigid in shape, a height over
+z = 0; what gives way is the local contact law, whose stiffness follows the phase that is touched.
+Vanegas-Useche, Abdel-Wahab and Parker, CMC 56(1), 2018, name it as what a better model needs.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+from numbers import Integral
+
+import numpy as np
+import numpy.typing as npt
+from scipy import fft, ndimage
+from scipy.interpolate import NdBSpline
+
+from .geometry import _require_positive
+from .surface_heights import Roughness, random_heights
+from .surface_phases import Composite, random_phases
+from .surface_stiffness import contact_modulus_Pa
+
+Array = npt.NDArray[np.float64]
+
+FEWEST_NODES = 4
+"""Along each side: a cubic spline spans four."""
+
+
+@dataclass(frozen=True)
+class Patch:
+    """A surface seen at n places.
+
+    heights_m (n,), unit normals (n, 3) that point up, youngs_Pa (n,) and poisson (n,).
+    """
+
+    heights_m: Array
+    normals: Array
+    youngs_Pa: Array
+    poisson: Array
+
+
+@dataclass(frozen=True)
+class SurfaceStatistics:
+    """What a report says of a surface.
+
+    rms_height_m is about the tile's own mean; correlation_length_m is where the autocorrelation,
+    averaged over directions, first falls to 1/e (None: a plane, or it never does within half the
+    tile); rms_slope_x and rms_slope_y are of the surface that `Surface.patch` sees; fractions maps
+    each phase's name to its part of the area.
+    """
+
+    rms_height_m: float
+    correlation_length_m: float | None
+    rms_slope_x: float
+    rms_slope_y: float
+    fractions: dict[str, float]
+
+
+@dataclass(frozen=True, eq=False)
+class Surface:
+    """A periodic height field and the phases on it.
+
+    Node (j, i) is at x = i spacing, y = j spacing, and the tile repeats after nx and ny spacings.
+    Between nodes the height is the periodic bicubic spline, whose slope and curvature are
+    continuous; the phase is that of the nearest node.  The arrays cannot be written to.
+
+    Parameters
+    ----------
+    heights_m : (ny, nx), m
+    spacing_m : grid spacing in x and y, m
+    phase : (ny, nx), which of the composite's phases is at each node
+    composite : the phases
+
+    Raises
+    ------
+    ValueError : shapes differ, fewer than four nodes along a side, a height is not finite, or a
+        phase is not in the composite
+    """
+
+    heights_m: Array
+    spacing_m: float
+    phase: npt.NDArray[np.uint8]
+    composite: Composite
+
+    def __post_init__(self) -> None:
+        _require_positive("spacing_m", self.spacing_m)
+        heights, phase = np.array(self.heights_m, dtype=float), np.array(self.phase)
+        if heights.ndim != 2 or min(heights.shape) < FEWEST_NODES:
+            raise ValueError(
+                f"heights_m must be a grid of at least {FEWEST_NODES} × {FEWEST_NODES} nodes, "
+                f"not of shape {heights.shape}."
+            )
+        if not np.isfinite(heights).all():
+            j, i = np.argwhere(~np.isfinite(heights))[0]
+            raise ValueError(f"heights_m[{j}, {i}] is {heights[j, i]}, not a height.")
+        if phase.shape != heights.shape or phase.dtype.kind not in "iu":
+            raise ValueError(
+                f"phase must be whole numbers of shape {heights.shape}, "
+                f"not {phase.dtype} of shape {phase.shape}."
+            )
+        n_phases = len(self.composite.phases)
+        if phase.min() < 0 or phase.max() >= n_phases:
+            raise ValueError(
+                f"phase must be 0 to {n_phases - 1}, not {phase.min()} to {phase.max()}."
+            )
+        for name, array in (("heights_m", heights), ("phase", phase.astype(np.uint8))):
+            array.flags.writeable = False
+            object.__setattr__(self, name, array)
+
+    @property
+    def size_m(self) -> tuple[float, float]:
+        """Periods in x and y, m."""
+        ny, nx = self.heights_m.shape
+        return nx * self.spacing_m, ny * self.spacing_m
+
+    @property
+    def ceiling_m(self) -> float:
+        """A height that no place of the surface is above, m (the spline's convex hull)."""
+        return float(self._coefficients.max())
+
+    @cached_property
+    def _coefficients(self) -> Array:
+        return ndimage.spline_filter(self.heights_m, order=3, mode="grid-wrap")
+
+    @cached_property
+    def _spline(self) -> NdBSpline:
+        """Height over (y, x) in spacings, each from 0 to the number of nodes."""
+        # The B-spline centred on a node reaches two spacings to either side.
+        knots = tuple(np.arange(n + 7.0) - 3.0 for n in self.heights_m.shape)
+        return NdBSpline(knots, np.pad(self._coefficients, (1, 2), mode="wrap"), 3)
+
+    def patch(self, x_m: npt.ArrayLike, y_m: npt.ArrayLike) -> Patch:
+        """See the surface at places (x, y), m, each (n,) and anywhere in the plane.
+
+        The normals are those of the very heights that are returned: (-∂h/∂x, -∂h/∂y, 1), to unit
+        length.
+
+        Raises
+        ------
+        ValueError : x and y are not of one length, or not finite
+        """
+        x, y = np.asarray(x_m, dtype=float), np.asarray(y_m, dtype=float)
+        if x.ndim != 1 or x.shape != y.shape:
+            raise ValueError(f"x_m and y_m must both be (n,), not {x.shape} and {y.shape}.")
+        places = np.column_stack([y, x]) / self.spacing_m
+        if not np.isfinite(places).all():
+            raise ValueError("x_m and y_m must be finite.")
+        places = np.mod(places, self.heights_m.shape)
+        rise_x = self._spline(places, nu=(0, 1)) / self.spacing_m
+        rise_y = self._spline(places, nu=(1, 0)) / self.spacing_m
+        normals = np.column_stack([-rise_x, -rise_y, np.ones_like(rise_x)])
+        normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+        j, i = np.mod(np.floor(places + 0.5).astype(np.intp), self.heights_m.shape).T
+        phase = self.phase[j, i]
+        return Patch(
+            heights_m=self._spline(places),
+            normals=normals,
+            youngs_Pa=self.composite.youngs_Pa[phase],
+            poisson=self.composite.poisson[phase],
+        )
+
+    @property
+    def fractions(self) -> Array:
+        """Part of the area that each phase of the composite has, shape (phases,)."""
+        counts = np.bincount(self.phase.ravel(), minlength=len(self.composite.phases))
+        return counts / self.phase.size
+
+    def mean_contact_modulus_Pa(self, bristle_youngs_Pa: float, bristle_poisson: float) -> float:
+        """Area-mean of the contact modulus with a bristle, Pa: see `contact_stiffness_factor`."""
+        moduli = contact_modulus_Pa(
+            self.composite.youngs_Pa, self.composite.poisson, bristle_youngs_Pa, bristle_poisson
+        )
+        return float(self.fractions @ moduli)
+
+    def statistics(self) -> SurfaceStatistics:
+        """Measure the tile."""
+        slopes = [self._rms_slope(axis) for axis in (1, 0)]
+        names = [phase.name for phase in self.composite.phases]
+        return SurfaceStatistics(
+            rms_height_m=float(self.heights_m.std()),
+            correlation_length_m=self._correlation_length_m(),
+            rms_slope_x=slopes[0],
+            rms_slope_y=slopes[1],
+            fractions=dict(zip(names, map(float, self.fractions), strict=True)),
+        )
+
+    def _rms_slope(self, axis: int) -> float:
+        """Root mean square over the nodes of the spline's slope along an axis."""
+        slope = ndimage.correlate1d(self._coefficients, [-0.5, 0, 0.5], axis, mode="wrap")
+        slope = ndimage.correlate1d(slope, [1 / 6, 4 / 6, 1 / 6], 1 - axis, mode="wrap")
+        return math.sqrt(np.mean(np.square(slope))) / self.spacing_m
+
+    def _correlation_length_m(self) -> float | None:
+        ny, nx = self.heights_m.shape
+        deviation = self.heights_m - self.heights_m.mean()
+        variance = np.mean(deviation**2)
+        if variance <= (1e-12 * np.abs(self.heights_m).max()) ** 2:
+            return None
+        power = np.abs(fft.rfft2(deviation)) ** 2
+        correlation = fft.irfft2(power, s=(ny, nx)) / (variance * deviation.size)
+        lag = np.hypot(*np.meshgrid(fft.fftfreq(nx, 1 / nx), fft.fftfreq(ny, 1 / ny)))
+        ring = np.rint(lag).astype(int).ravel()
+        counts = np.bincount(ring)
+        radius = np.bincount(ring, lag.ravel()) / counts
+        mean = np.bincount(ring, correlation.ravel()) / counts
+        fallen = np.flatnonzero(mean[: min(nx, ny) // 2 + 1] <= 1 / math.e)
+        if not len(fallen):
+            return None
+        last = slice(fallen[0] - 1, fallen[0] + 1)
+        return float(np.interp(-1 / math.e, -mean[last], radius[last])) * self.spacing_m
+
+
+def make_surface(
+    roughness: Roughness, composite: Composite, size_m: float, spacing_m: float, seed: int
+) -> Surface:
+    """Draw a square surface; the same seed gives the same surface.
+
+    Heights and phases are independent, and each depends on the seed and its own parameters alone.
+
+    Parameters
+    ----------
+    size_m : period, m: a whole number of spacings, and at least `Roughness.shortest_period_m`
+    spacing_m : grid spacing, m: at most a third of the correlation length and of any grain
+    seed : from 0
+
+    Raises
+    ------
+    ValueError : a value is out of its range; the words say what would do
+    """
+    if isinstance(seed, bool) or not isinstance(seed, Integral) or seed < 0:
+        raise ValueError(f"seed must be a whole number from 0, not {seed!r}.")
+    for_heights, for_phases = np.random.default_rng(int(seed)).spawn(2)
+    heights = random_heights(roughness, size_m, spacing_m, for_heights)
+    phase = random_phases(composite, heights.shape, spacing_m, for_phases)
+    return Surface(heights, spacing_m, phase, composite)

@@ -1,0 +1,221 @@
+"""What is a surface composed of, and which phase lies where on it?
+
+Grains are shrunken Voronoi cells: seeds are spread evenly (a few of Lloyd's steps) over what is
+still matrix, and a place belongs to a grain where it is nearer to its own seed than to the next
+one by more than a threshold, which is chosen so that the fraction comes out.  Coarse grains first,
+then finer ones between them.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from numbers import Real
+
+import numpy as np
+import numpy.typing as npt
+from scipy.spatial import cKDTree
+
+from .geometry import _require_positive
+
+Array = npt.NDArray[np.float64]
+
+CELLS_PER_GRAIN = 3
+"""Fewest grid spacings across a grain."""
+PERIOD_IN_GRAINS = 4.0
+"""Grains are laid out on a tile at least this many of the largest one long."""
+LLOYD_STEPS = 4
+SAMPLES, SAMPLES_PER_GRAIN = 250_000, 30
+"""Points on which seeds are evened out and thresholds found: at least so many."""
+
+
+@dataclass(frozen=True)
+class Phase:
+    """One material of a composite surface.
+
+    Parameters
+    ----------
+    name : what tables and pictures call it
+    youngs_Pa, poisson : elastic constants
+    area_fraction : its part of the surface, in (0, 1]
+    grain_size_m : diameter of the circle that has a grain's mean area, m; None for the matrix
+
+    Raises
+    ------
+    ValueError : a value is out of its range
+    """
+
+    name: str
+    youngs_Pa: float
+    poisson: float
+    area_fraction: float
+    grain_size_m: float | None = None
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.name, str) or not self.name.strip():
+            raise ValueError(f"name of a phase must be a word, not {self.name!r}.")
+        _require_positive(f"{self.name}: youngs_Pa", self.youngs_Pa)
+        _require_positive(f"{self.name}: area_fraction", self.area_fraction)
+        if self.area_fraction > 1:
+            raise ValueError(
+                f"{self.name}: area_fraction must be at most 1, not {self.area_fraction!r}."
+            )
+        ratio = self.poisson
+        if isinstance(ratio, bool) or not isinstance(ratio, Real) or not -1 < float(ratio) <= 0.5:
+            raise ValueError(f"{self.name}: poisson must be above -1 and at most 0.5, not {ratio}.")
+        if self.grain_size_m is not None:
+            _require_positive(f"{self.name}: grain_size_m", self.grain_size_m)
+
+
+CONCRETE = (
+    Phase("cement", youngs_Pa=12e9, poisson=0.2, area_fraction=0.30),
+    Phase("fine aggregate", youngs_Pa=80e9, poisson=0.2, area_fraction=0.28, grain_size_m=0.6e-3),
+    Phase("coarse aggregate", youngs_Pa=69e9, poisson=0.2, area_fraction=0.42, grain_size_m=9.5e-3),
+)
+"""Concrete whose aggregate is laid bare by wear.
+
+Young's moduli: Vanegas-Useche, Abdel-Wahab and Parker, CMC 56(1), 2018, what a better model needs.
+The rest is assumed.  Fractions: 70 % aggregate, two fifths of it fine, inside the 60 to 75 % by
+volume of ordinary mixes (Kosmatka and Wilson, Design and Control of Concrete Mixtures, Portland
+Cement Association); on a plane section area fractions are volume fractions (Delesse).  Grain
+sizes: sieves in the middle of fine (below 4.75 mm) and coarse aggregate (ASTM C33).  Poisson's
+ratios: a common value for all three.
+"""
+
+
+@dataclass(frozen=True)
+class Composite:
+    """The phases of a surface: one matrix and any number of aggregates; concrete by default.
+
+    Parameters
+    ----------
+    phases : in the order of the phase numbers on a surface
+
+    Raises
+    ------
+    ValueError : not one matrix, a name twice, or fractions whose sum is not 1
+    """
+
+    phases: tuple[Phase, ...] = CONCRETE
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "phases", tuple(self.phases))
+        if not all(isinstance(phase, Phase) for phase in self.phases):
+            raise ValueError(f"phases must be Phase records, not {self.phases!r}.")
+        if [phase.grain_size_m for phase in self.phases].count(None) != 1:
+            raise ValueError("a composite has exactly one matrix, a phase without grain_size_m.")
+        if len(self.phases) > 255:
+            raise ValueError("a composite has at most 255 phases.")
+        names = [phase.name for phase in self.phases]
+        if len(set(names)) < len(names):
+            raise ValueError(f"phases must have different names, not {', '.join(names)}.")
+        total = math.fsum(phase.area_fraction for phase in self.phases)
+        if not math.isclose(total, 1.0, abs_tol=1e-6):
+            raise ValueError(f"the area fractions must sum to 1, not {total:g}.")
+
+    @property
+    def youngs_Pa(self) -> Array:
+        """Young's modulus of each phase, Pa."""
+        return np.array([phase.youngs_Pa for phase in self.phases], dtype=float)
+
+    @property
+    def poisson(self) -> Array:
+        """Poisson's ratio of each phase."""
+        return np.array([phase.poisson for phase in self.phases], dtype=float)
+
+    @property
+    def matrix(self) -> int:
+        """Number of the phase between the grains."""
+        return [phase.grain_size_m for phase in self.phases].index(None)
+
+    @property
+    def aggregates(self) -> list[tuple[int, float, float]]:
+        """Number, grain size (m) and area fraction of each aggregate, the coarsest first."""
+        found = [
+            (number, phase.grain_size_m, phase.area_fraction)
+            for number, phase in enumerate(self.phases)
+            if phase.grain_size_m is not None
+        ]
+        return sorted(found, key=lambda aggregate: -aggregate[1])
+
+
+def random_phases(
+    composite: Composite, shape: tuple[int, ...], spacing_m: float, rng: np.random.Generator
+) -> npt.NDArray[np.uint8]:
+    """Lay out the grains and return the phase number at every node, shape (ny, nx).
+
+    A tile that is at least `PERIOD_IN_GRAINS` of the coarsest grains long has the composite's
+    fractions, to about 0.003, and grains that go on across its edges.  A shorter one is a window
+    on such a tile: its fractions are random, right only on the average over many.
+
+    Raises
+    ------
+    ValueError : the grid is too coarse for the finest grains
+    """
+    for number, grain, _ in reversed(composite.aggregates):
+        if spacing_m * CELLS_PER_GRAIN > grain * (1 + 1e-9):
+            raise ValueError(
+                f"spacing_m {spacing_m:g} is too coarse for the {composite.phases[number].name}: "
+                f"grains of {grain:g} m need {grain / CELLS_PER_GRAIN:.4g} m or less."
+            )
+    phase = np.full(shape[0] * shape[1], composite.matrix, dtype=np.uint8)
+    if not composite.aggregates:
+        return phase.reshape(shape)
+    coarsest = composite.aggregates[0][1]
+    period = np.maximum(np.array(shape[::-1]) * spacing_m, PERIOD_IN_GRAINS * coarsest)
+    y, x = np.divmod(np.arange(len(phase)), shape[1])
+    nodes = np.column_stack([x, y]) * spacing_m
+    samples = _even_points(period, composite)
+    left = 1.0
+    is_matrix = np.ones(len(nodes), dtype=bool)
+    for number, grain, fraction in composite.aggregates:
+        count = max(1, round(fraction * period.prod() / (math.pi / 4 * grain**2)))
+        cells = _Cells(_spread_seeds(samples, count, period, rng), period)
+        depth = cells.depth(samples)
+        threshold = np.quantile(depth, 1 - min(1.0, fraction / left))
+        samples = samples[depth <= threshold]
+        left -= fraction
+        taken = np.flatnonzero(is_matrix)
+        taken = taken[cells.depth(nodes[taken]) > threshold]
+        phase[taken] = number
+        is_matrix[taken] = False
+    return phase.reshape(shape)
+
+
+class _Cells:
+    """Voronoi cells of seeds on a torus."""
+
+    def __init__(self, seeds: Array, period: Array) -> None:
+        images = [seeds + period * (i, j) for i in (-1, 0, 1) for j in (-1, 0, 1)]
+        self._tree = cKDTree(np.concatenate(images))
+
+    def depth(self, points: Array) -> Array:
+        """How much nearer each point is to its own seed than to the next, m; 0 on an edge."""
+        nearest, _ = self._tree.query(points, k=2)
+        return nearest[:, 1] - nearest[:, 0]
+
+
+def _even_points(period: Array, composite: Composite) -> Array:
+    """A square grid of points that fills the tile."""
+    grains = sum(
+        fraction * period.prod() / (math.pi / 4 * grain**2)
+        for _, grain, fraction in composite.aggregates
+    )
+    step = math.sqrt(period.prod() / max(SAMPLES, SAMPLES_PER_GRAIN * grains))
+    axes = [(np.arange(n := math.ceil(length / step)) + 0.5) / n * length for length in period]
+    return np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, 2)
+
+
+def _spread_seeds(points: Array, count: int, period: Array, rng: np.random.Generator) -> Array:
+    """Choose `count` of the points and move each to the middle of those nearest to it."""
+    seeds = points[rng.choice(len(points), count, replace=False)]
+    for _ in range(LLOYD_STEPS):
+        _, owner = cKDTree(seeds, boxsize=period).query(points)
+        away = points - seeds[owner]
+        away -= period * np.round(away / period)
+        n_owned = np.maximum(np.bincount(owner, minlength=count), 1)
+        for axis in (0, 1):
+            seeds[:, axis] += np.bincount(owner, away[:, axis], count) / n_owned
+        seeds = np.mod(seeds, period)
+        seeds[seeds >= period * (1 - 1e-15)] = 0.0  # a box is half open, a rounded mod is not
+    return seeds

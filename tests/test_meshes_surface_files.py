@@ -1,0 +1,234 @@
+"""Does a surface come back from its file, and does a broken file say where it is broken?"""
+
+import zipfile
+
+import meshio
+import numpy as np
+import pytest
+from matplotlib import colors, image
+
+from bristle.meshes.surface import make_surface
+from bristle.meshes.surface_files import Edges, Measured, read_surface, save_surface, write_vtu
+from bristle.meshes.surface_heights import Roughness
+from bristle.meshes.surface_phases import Composite, Phase
+from bristle.meshes.surface_picture import PHASE_COLOURS, write_picture
+
+pytestmark = pytest.mark.serial
+
+STONE = Composite((Phase("stone", 50e9, 0.2, 1.0),))
+MORTAR = Composite(
+    (Phase("cement", 12e9, 0.25, 0.4), Phase("sand", 80e9, 0.2, 0.6, grain_size_m=0.5e-3))
+)
+AS_IT_IS = Measured(edges=Edges.PERIODIC, level=False, composite=STONE)
+
+
+@pytest.fixture
+def surface():
+    return make_surface(Roughness(20e-6, 0.2e-3), MORTAR, 2e-3, 50e-6, seed=3)
+
+
+@pytest.fixture
+def heights(rng):
+    drawn = rng.normal(size=(6, 5)) * 1e-6
+    return drawn - drawn.mean()
+
+
+def write_points(path, heights, spacing, rng, separator=" ", origin=(3e-3, -1e-3)):
+    ny, nx = heights.shape
+    j, i = np.divmod(rng.permutation(nx * ny), nx)
+    x, y = origin[0] + i * spacing, origin[1] + j * spacing
+    lines = [
+        separator.join(map(repr, map(float, row))) for row in np.column_stack([x, y, heights[j, i]])
+    ]
+    path.write_text("\n".join(lines))
+
+
+# --- our own files ----------------------------------------------------------------------------
+
+
+def test_saved_surface_comes_back_bit_for_bit(surface, tmp_path):
+    save_surface(surface, tmp_path / "a.npz")
+    again = read_surface(tmp_path / "a.npz")
+    assert np.array_equal(again.heights_m, surface.heights_m)
+    assert np.array_equal(again.phase, surface.phase)
+    assert (again.spacing_m, again.composite) == (surface.spacing_m, MORTAR)
+    with pytest.raises(ValueError, match="nothing of `measured` applies"):
+        read_surface(tmp_path / "a.npz", Measured())
+    with pytest.raises(ValueError, match="is saved as .npz"):
+        save_surface(surface, tmp_path / "a.csv")
+
+
+def test_paraview_copy_holds_heights_and_phases(surface, tmp_path):
+    write_vtu(surface, tmp_path / "a.vtu")
+    mesh = meshio.vtu.read(tmp_path / "a.vtu")
+    ny, nx = surface.heights_m.shape
+    (block,) = mesh.cells
+    assert (block.type, len(block.data)) == ("quad", (ny - 1) * (nx - 1))
+    j, i = np.divmod(np.arange(ny * nx), nx)
+    assert mesh.points[:, :2] == pytest.approx(np.column_stack([i, j]) * surface.spacing_m)
+    assert np.array_equal(mesh.points[:, 2], surface.heights_m.ravel())
+    assert np.array_equal(mesh.point_data["phase"], surface.phase.ravel())
+    youngs = MORTAR.youngs_Pa[surface.phase.ravel()]
+    assert np.array_equal(mesh.point_data["youngs_Pa"], youngs)
+    corners = mesh.points[block.data]
+    up = np.cross(corners[:, 2] - corners[:, 0], corners[:, 3] - corners[:, 1])[:, 2]
+    assert up == pytest.approx(2 * surface.spacing_m**2)
+
+
+def test_picture_shows_both_phases(surface, tmp_path):
+    write_picture(surface, tmp_path / "a.png")
+    pixels = image.imread(tmp_path / "a.png")[:, :, :3]
+    right = pixels[:, pixels.shape[1] // 2 :]
+    for colour in PHASE_COLOURS[:2]:
+        near = np.abs(right - colors.to_rgb(colour)).max(axis=2) < 0.01
+        assert near.mean() > 0.1
+    assert len(np.unique(pixels[:, : pixels.shape[1] // 2].reshape(-1, 3), axis=0)) > 100
+
+
+# --- measured maps ----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("separator", [" ", "\t", ",", "; "])
+@pytest.mark.parametrize("kind", ["matrix", "points"])
+def test_text_kinds_give_the_same_surface(heights, kind, separator, rng, tmp_path):
+    path = tmp_path / "a.txt"
+    if kind == "points":
+        write_points(path, heights, 2e-5, rng, separator)
+    else:
+        rows = [separator.join(map(repr, map(float, row))) for row in heights]
+        path.write_text("\n".join(["# measured", "# spacing_m = 2e-5", "", *rows]))
+    made = read_surface(path, AS_IT_IS)
+    assert made.heights_m == pytest.approx(heights, abs=1e-18)
+    assert made.spacing_m == pytest.approx(2e-5, rel=1e-9)
+
+
+def test_units_column_names_and_a_spacing_from_outside(heights, rng, tmp_path):
+    points, matrix, arrays = (tmp_path / name for name in ("a.csv", "b.csv", "c.npz"))
+    write_points(points, heights * 1e6, 20.0, rng, ",")
+    points.write_text("x,y,z\n" + points.read_text())
+    in_um = Measured(unit_m=1e-6, edges="periodic", level=False, composite=STONE)
+    assert read_surface(points, in_um).heights_m == pytest.approx(heights, abs=1e-18)
+    assert read_surface(points, in_um).spacing_m == pytest.approx(2e-5)
+    np.savetxt(matrix, heights, delimiter=",")
+    np.savez(arrays, heights_m=heights, spacing_m=1.0)
+    outside = Measured(spacing_m=3e-5, edges="periodic", level=False, composite=STONE)
+    for path in (matrix, arrays):
+        assert read_surface(path, outside).spacing_m == 3e-5
+        assert read_surface(path, outside).heights_m == pytest.approx(heights, abs=1e-18)
+    assert read_surface(arrays, AS_IT_IS).spacing_m == 1.0
+
+
+def test_a_tilted_map_is_levelled_and_goes_on_by_its_mirror_image(tmp_path):
+    ny, nx = 12, 9
+    x, y = np.arange(nx), np.arange(ny)[:, None]
+    ripple = np.where((x + y) % 2, 1e-7, -1e-7) * np.ones((ny, nx))
+    np.savez(tmp_path / "a.npz", heights_m=5.0 + 0.01 * x - 0.02 * y, spacing_m=1e-5)
+    flat = read_surface(tmp_path / "a.npz", Measured(composite=STONE))
+    assert flat.heights_m == pytest.approx(np.zeros((22, 16)), abs=1e-14)
+    np.savez(tmp_path / "b.npz", heights_m=5.0 + ripple, spacing_m=1e-5)
+    made = read_surface(tmp_path / "b.npz", Measured(level=False, composite=STONE))
+    assert made.heights_m[:ny, :nx] == pytest.approx(ripple - ripple.mean(), abs=1e-14)
+    # Even about both edges: the first and the last row and column.
+    for axis, n in ((0, ny), (1, nx)):
+        assert np.array_equal(made.heights_m, np.roll(np.flip(made.heights_m, axis), 1, axis))
+        turned = np.roll(np.flip(made.heights_m, axis), 2 * n - 1, axis)
+        assert np.array_equal(made.heights_m, turned)
+
+
+def test_measured_maps_get_phases_of_the_composite(tmp_path):
+    np.savez(tmp_path / "a.npz", heights_m=np.zeros((80, 80)), spacing_m=50e-6)
+    made = read_surface(tmp_path / "a.npz", Measured(composite=MORTAR, seed=4))
+    assert made.fractions == pytest.approx([0.4, 0.6], abs=0.01)
+    again = read_surface(tmp_path / "a.npz", Measured(composite=MORTAR, seed=4))
+    assert np.array_equal(again.phase, made.phase)
+    assert read_surface(tmp_path / "a.npz").composite == Composite()
+
+
+# --- broken files -----------------------------------------------------------------------------
+
+GRID = "".join(f"{x} {y} 0\n" for x in range(5) for y in range(5))
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", "a.txt: there are no numbers in it"),
+        ("# nothing\nx y z\n", "there are no numbers in it"),
+        ("1 2 3 4\n1 2 3\n", "a.txt:2: 3 numbers where line 1 has 4"),
+        ("# h\n\n1 2 3 4\n1 2 x 4\n", "a.txt:4: 'x' is not a number"),
+        ("1 2 3 4\na b c d\n", "a.txt:2: 'a' is not a number"),
+        ("1;2;3,5;4\n", "a.txt:1: '3,5' is not a number"),
+        ("1,2,,4\n", "a.txt:1: '' is not a number"),
+        ("1 2 3 4\n1 2 nan 4\n", "a.txt:2: 'nan' is not a height; fill"),
+        ("# spacing_m = 0\n1 2 3 4\n", "a.txt:1: spacing_m must be positive"),
+        ("# spacing_m = wide\n1 2 3 4\n", "a.txt:1: 'wide' is not a number"),
+        ("1 2 3 4\n" * 4, "a matrix of 4 × 4 heights needs a spacing"),
+        ("# spacing_m = 1\n" + "1 2 3 4 5\n" * 3, "at least 4 × 4 heights is needed, not 3 × 5"),
+        ("# spacing_m = 1\n" + GRID, "has its spacing from its points"),
+        (GRID + "2 3 1\n", "a.txt:26: the same point as in line 14"),
+        (
+            GRID.replace("1 2 0\n", ""),
+            "1 points of the 5 × 5 grid are missing, .* x = 1 m, y = 2 m",
+        ),
+        (GRID.replace("3 3 0\n", "3.2 3 0\n"), "a.txt:19: x = 3.2 m is not on the grid"),
+        (GRID.replace(" 4 0\n", " 5 0\n"), "5 points of the 6 × 5 grid are missing"),
+        ("".join(f"1 {y} 0\n" for y in range(5)), "all points have the same x"),
+        ("".join(f"{2 * x} {y} 0\n" for x in range(5) for y in range(5)), "2 m in x and 1 m in y"),
+        (GRID.replace("4 ", "1e5 "), "too scattered"),
+    ],
+)
+def test_broken_text_is_refused_with_its_line(text, message, tmp_path):
+    path = tmp_path / "a.txt"
+    path.write_text(text)
+    with pytest.raises(ValueError, match=message) as refused:
+        read_surface(path, Measured(composite=STONE))
+    assert str(refused.value).startswith(str(path))
+
+
+def test_other_broken_files_are_refused(surface, heights, tmp_path):
+    path = tmp_path / "a.npz"
+
+    def refuse(message, **arrays):
+        if arrays:
+            np.savez(path, **arrays)
+        with pytest.raises(ValueError, match=message):
+            read_surface(path)
+
+    refuse("no array heights_m, only z", z=heights)
+    refuse("no array spacing_m", heights_m=heights)
+    refuse("spacing_m must be one number, not 2", heights_m=heights, spacing_m=[1.0, 2.0])
+    refuse("spacing_m must be positive", heights_m=heights, spacing_m=-1.0)
+    refuse("not finite", heights_m=heights * np.nan, spacing_m=1.0)
+    refuse("heights_m holds <U1, not numbers", heights_m=np.full((5, 5), "a"), spacing_m=1.0)
+    refuse("4 × 4 heights is needed, not 30", heights_m=heights.ravel(), spacing_m=1.0)
+    refuse("too coarse for the fine aggregate", heights_m=heights, spacing_m=1.0)
+    refuse("Object arrays", heights_m=np.array([{}, 1], dtype=object), spacing_m=1.0)
+    refuse("phase needs phase_name", heights_m=heights, spacing_m=1.0, phase=heights.astype(int))
+    save_surface(surface, path)
+    with np.load(path) as archive:
+        saved = dict(archive)
+    refuse("phase must be 0 to 1, not 2 to 3", **(saved | {"phase": saved["phase"] + 2}))
+    refuse("youngs_Pa must be a number", **(saved | {"phase_youngs_Pa": np.array(["a", "b"])}))
+    refuse("a.npz: .*shorter", **(saved | {"phase_poisson": np.zeros(1)}))
+    whole = path.read_bytes()
+    path.write_bytes(whole[: len(whole) // 2])
+    refuse("is not a file of plain arrays")
+    path.write_bytes(b"")
+    refuse("is not a file of plain arrays")
+    with path.open("wb") as file:
+        np.save(file, heights)
+    refuse("is not a file of plain arrays")
+    with zipfile.ZipFile(path, "w") as archive:
+        archive.writestr("heights_m.txt", "1")
+    refuse("no array heights_m")
+    (tmp_path / "a.csv").write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(ValueError, match="is not a text file"):
+        read_surface(tmp_path / "a.csv")
+    with pytest.raises(ValueError, match="from .npz, .csv or .txt, not '.stl'"):
+        read_surface(tmp_path / "a.stl")
+    with pytest.raises(FileNotFoundError):
+        read_surface(tmp_path / "none.csv")
+    with pytest.raises(ValueError, match="unit_m must be positive"):
+        Measured(unit_m=0.0)
+    with pytest.raises(ValueError, match="'folded' is not a valid Edges"):
+        Measured(edges="folded")
