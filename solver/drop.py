@@ -15,8 +15,11 @@ from .bodies.modal import ModalBody
 from .contact.enforcement import ContactMethod
 from .energy import Budget, Energy, flight_energy, marching_energy, step_loss
 from .errors import ComputationError
+from .ground import Ground, just_touched, place
 from .impact import History, Observer, Touch, march_touch, observe
-from .time.flight import Flight, Rows
+from .rigid import Pose, leaning
+from .time.ballistics import rigid_part
+from .time.flight import Flight, flyer
 from .time.march import Marcher
 from .time.scheme import TimeScheme
 
@@ -68,8 +71,10 @@ class ModalFrame:
 class DropPlan:
     """What to simulate: from which height, with which contact, steps and end.
 
-    ``until_s`` is a time after release, or None to end after the first rebound; ``impact_only``
-    ends at the last release of the first impact.
+    The bristle leans by ``tilt_deg`` toward its thin side and ``tilt_wide_deg`` toward its wide one,
+    over ``ground`` (None: a horizontal plane), and falls ``height_m`` before a point of its tip
+    touches. ``until_s`` is a time after release, or None to end after the first rebound;
+    ``impact_only`` ends at the last release of the first impact.
     """
 
     height_m: float
@@ -79,13 +84,21 @@ class DropPlan:
     scheme: TimeScheme = field(default_factory=TimeScheme.average)
     until_s: float | None = None
     impact_only: bool = False
+    tilt_deg: float = 0.0
+    tilt_wide_deg: float = 0.0
+    ground: Ground | None = None
 
 
 @dataclass
 class DropResult:
     """What a drop gave; names and units as in result.json.
 
-    ``reduction_error`` bounds what a reduced body got wrong against the full order by the end of
+    ``rebound_height_m`` is the greatest height of the lower tip's middle over where it first
+    touched, ``cm_rebound_height_m`` that of the centre of mass over where it was then, both before
+    the second impact. ``velocity_after_m_s`` (3,) of the centre of mass and ``spin_after_rad_s``
+    (3,), about body axes, are those after the last release of the first impact.
+    ``friction_impulse_N_s`` is the size of the impulse across the normal one. ``reduction_error``
+    bounds what a reduced body got wrong against the full order by the end of
     the first impact, in units of the impact speed; None for bodies that leave nothing out.
     """
 
@@ -103,19 +116,30 @@ class DropResult:
     n_steps: int
     energy: Budget
     history: History
+    cm_rebound_height_m: float | None
+    velocity_after_m_s: tuple[float, ...]
+    spin_after_rad_s: tuple[float, ...]
+    friction_impulse_N_s: float
     reduction_error: float | None = None
 
 
 @dataclass
 class Impact:
-    """The touches of one impact, and the flight that follows it."""
+    """The touches of one impact, and the flight that follows it.
+
+    ``top_m`` and ``centre_top_m`` are the greatest heights of the tip and of the centre of mass
+    between its touches.
+    """
 
     touches: list[Touch]
     flight: Flight
     energy_after: Energy
     next_touch_s: float
     material_loss_J: float
+    friction_loss_J: float
     n_steps: int
+    top_m: float
+    centre_top_m: float
 
     @property
     def release_s(self) -> float:
@@ -143,70 +167,83 @@ def simulate(
     marcher: Marcher | None = None,
     observer: Observer | None = None,
 ) -> DropResult:
-    """One drop by events: exact flight between impacts, only the impacts are marched.
+    """Simulate a drop: contact is marched, flight is exact.
 
-    ``marcher`` may be one made before for the same body, contact, scheme, ITS and gravity (its
-    factor is then used again). Raises ComputationError where a step does not converge.
+    ``marcher`` may be handed in to share factors between drops; it must be made for the plan.
+    ``observer`` sees every marched state. Raises ComputationError.
     """
     body, g = frame.body, plan.gravity_m_s2
     marcher = marcher or Marcher(body, plan.method, plan.scheme, plan.its_s, g)
-    history = History()
+    stage = _Stage(frame, marcher, plan, observer)
+    history = stage.history
     fall_s, speed = free_fall(plan.height_m, g, body.alpha_1_s)
     initial = body.mass_kg * g * plan.height_m
     loss = initial - 0.5 * body.mass_kg * speed**2 if body.alpha_1_s else 0.0
+    rubbed = 0.0
     _record_fall(history, plan, fall_s, body.alpha_1_s)
-
-    t = fall_s
-    u: Array = np.zeros_like(body.lift)
-    v: Array = -speed * body.lift
-    end_s = math.inf if plan.until_s is None else plan.until_s
+    end_s = stage.end_s
     if end_s <= fall_s:
         raise ComputationError(f"the drop ends at {end_s:g} s, before it touches at {fall_s:g} s")
+
+    t, pose = fall_s, stage.first_pose
+    u: Array = np.zeros(len(body.translation))
+    v: Array = body.translation @ (-speed * pose.rotation[2])
     impacts: list[Impact] = []
     rebound: float | None = None
+    centre_rebound: float | None = None
     while True:
-        impact = _impact(frame, marcher, plan, history, t, u, v, observer, end_s)
+        impact = stage.impact(t, pose, u, v)
         impacts.append(impact)
         loss += impact.material_loss_J
+        rubbed += impact.friction_loss_J
         now = impact.energy_after
         if plan.impact_only:
             break
         flight = impact.flight
         stop = min(impact.next_touch_s, end_s)
         if len(impacts) == 1:
-            tip = frame.modal.contact.weights @ frame.modal.contact.normal
-            rebound = flight.apex(tip, impact.next_touch_s)[1]
-        _record_flight(history, frame.modal, flight, impact.release_s, stop)
-        q, qv = flight.state(stop)
-        after = flight_energy(frame.modal, q, qv, g)
+            top = flight.apex(impact.next_touch_s)[1] - stage.datum_m
+            rebound = max(top, impact.top_m)
+            centre_rebound = max(_centre_top(flight, impact.next_touch_s), impact.centre_top_m)
+        _record_flight(history, flight, impact.touches[-1].release_s, stop, stage)
+        after = flight_energy(flight, stop)
         if body.alpha_1_s or body.beta_s:
             loss += now.total_J - after.total_J
         now = after
         if plan.until_s is None or stop >= end_s:
             break
+        pose, q, qv = flight.state(stop)
         t, u, v = stop, frame.from_modal(q), frame.from_modal(qv)
     first = impacts[0]
-    depths = [(touch.max_penetration_m, touch) for touch in first.touches]
-    deepest = max(depths, key=lambda item: item[0])[1]
+    touches = first.touches
+    deepest = max(touches, key=lambda touch: touch.max_penetration_m)
+    velocity = first.flight.centre(first.release_s)[1]
     return DropResult(
         impact_speed_m_s=speed,
         rebound_ratio=None if rebound is None else rebound / plan.height_m,
         rebound_height_m=rebound,
-        contact_time_s=first.release_s - first.touches[0].start_s,
-        n_contacts=len(first.touches),
-        peak_force_N=max(touch.peak_force_N for touch in first.touches),
-        impulse_N_s=sum(touch.impulse_N_s for touch in first.touches),
+        contact_time_s=first.release_s - touches[0].start_s,
+        n_contacts=len(touches),
+        peak_force_N=max(touch.peak_force_N for touch in touches),
+        impulse_N_s=sum(touch.impulse_N_s for touch in touches),
         max_penetration_m=deepest.max_penetration_m,
-        time_to_max_penetration_s=deepest.start_s
-        + deepest.max_penetration_s
-        - first.touches[0].start_s,
-        cm_velocity_after_m_s=first.flight.centre_velocity(first.release_s),
+        time_to_max_penetration_s=deepest.start_s + deepest.max_penetration_s - touches[0].start_s,
+        cm_velocity_after_m_s=float(velocity[2]),
         n_dofs=body.n_dofs,
         n_steps=sum(impact.n_steps for impact in impacts),
-        energy=Budget.close(initial, now, loss),
+        energy=Budget.close(initial, now, loss, rubbed),
         history=history,
+        cm_rebound_height_m=centre_rebound,
+        velocity_after_m_s=tuple(map(float, velocity)),
+        spin_after_rad_s=tuple(map(float, first.flight.turned(first.release_s)[1])),
+        friction_impulse_N_s=sum(_across(touch) for touch in touches),
         reduction_error=_reduction_error(body, first, speed),
     )
+
+
+def _across(touch: Touch) -> float:
+    """Size of a touch's impulse beyond the normal one."""
+    return math.sqrt(max(float(touch.push_N_s @ touch.push_N_s) - touch.impulse_N_s**2, 0.0))
 
 
 def _reduction_error(body: Body, impact: Impact, speed_m_s: float) -> float | None:
@@ -222,70 +259,100 @@ def _reduction_error(body: Body, impact: Impact, speed_m_s: float) -> float | No
     return error
 
 
-def _impact(
-    frame: FlightFrame,
-    marcher: Marcher,
-    plan: DropPlan,
-    history: History,
-    t: float,
-    u: Array,
-    v: Array,
-    observer: Observer | None,
-    end_s: float,
-) -> Impact:
-    """Touch after touch, until the centre of mass has turned to fall again before the next one.
-
-    A tip that rings down onto the plane while the centre of mass still rises belongs to the same
-    impact.
-    """
-    rows = _clearance(marcher, frame.modal)
-    g = plan.gravity_m_s2
-    damped = bool(marcher.body.alpha_1_s or marcher.body.beta_s)
-    touches: list[Touch] = []
-    loss = 0.0
-    start, wait = marcher.start(t, u, v), 0.0
-    for _ in range(TOUCH_LIMIT):
-        touch = march_touch(marcher, start, history, observer, end_s, wait)
-        touches.append(touch)
-        loss += touch.material_loss_J
-        state = touch.state
-        q, qv = frame.to_modal(state.u), frame.to_modal(state.v)
-        flight = Flight(frame.modal, state.t_s, q, qv, g)
-        rising = flight.centre_velocity(state.t_s)
-        ringing = float(flight.ringing(rows, np.array([state.t_s]))[0])
-        longest = state.t_s + 2.0 * max(rising, 0.0) / g + math.sqrt(8.0 * ringing / g) + 1e-3
-        again = flight.next_touch(rows, longest)
-        landing = longest if again is None else again
-        if landing >= end_s or (rising > 0.0 and flight.centre_velocity(landing) <= 0.0):
-            break
-        if landing - state.t_s < WAIT_STEPS * plan.its_s:
-            start, wait = state, landing
-            continue
-        energy = flight_energy(frame.modal, q, qv, g).total_J
-        q, qv = flight.state(landing)
-        if damped:
-            loss += energy - flight_energy(frame.modal, q, qv, g).total_J
-        start, wait = marcher.start(landing, frame.from_modal(q), frame.from_modal(qv)), 0.0
-    else:
-        raise ComputationError(f"more than {TOUCH_LIMIT} touches in one impact; shorten the ITS")
-    return Impact(
-        touches=[touch for touch in touches if touch.impulse_N_s > 0.0],
-        flight=flight,
-        energy_after=flight_energy(frame.modal, q, qv, g),
-        next_touch_s=landing,
-        material_loss_J=loss,
-        n_steps=sum(touch.n_steps for touch in touches),
+def _centre_top(flight: Flight, until_s: float) -> float:
+    """Greatest height of the centre of mass in a flight up to ``until_s``."""
+    speed, g, alpha = (
+        flight.centre_velocity(flight.t0_s),
+        flight.gravity_m_s2,
+        flight.body.alpha_1_s,
     )
+    rise = 0.0
+    if speed > 0.0:
+        rise = speed / g if alpha == 0.0 else math.log1p(alpha * speed / g) / alpha
+    return float(flight.centre(min(flight.t0_s + rise, until_s))[0][2])
 
 
-def _clearance(marcher: Marcher, modal: ModalBody) -> Rows:
-    """How far each point is from being pushed: minus the drive that contact acts upon."""
-    points, tau = modal.contact, marcher.tau
-    normal = np.asarray(points.normal)
-    if not tau:
-        return Rows(normal)
-    pressure = tau * np.asarray(points.pressure)
-    return Rows(normal - pressure, -modal.beta_s * pressure)
+class _Stage:
+    """A body over its ground: what the impacts of one drop share."""
+
+    def __init__(
+        self, frame: FlightFrame, marcher: Marcher, plan: DropPlan, observer: Observer | None
+    ) -> None:
+        self.frame, self.marcher, self.plan, self.observer = frame, marcher, plan, observer
+        self.history = History()
+        self.end_s = math.inf if plan.until_s is None else plan.until_s
+        points = frame.body.contact
+        attitude = leaning(plan.tilt_deg, plan.tilt_wide_deg)
+        self.first_pose = Pose(np.zeros(3), attitude)
+        ground = plan.ground or Ground.plane(len(points.weights))
+        self.ground = just_touched(ground, self.first_pose, points)
+        self.datum_m = place(self.ground, self.first_pose, points).tip_m
+        self._flyer = flyer(frame.modal, marcher.tau)
+
+    def impact(self, t: float, pose: Pose, u: Array, v: Array) -> Impact:
+        """Touch after touch, until the centre of mass has turned to fall before the next one.
+
+        A tip that rings down onto the plane while the centre of mass still rises belongs to the
+        same impact.
+        """
+        frame, g, its = self.frame, self.plan.gravity_m_s2, self.plan.its_s
+        body = frame.body
+        damped = bool(body.alpha_1_s or body.beta_s)
+        touches: list[Touch] = []
+        loss, top, centre_top = 0.0, -math.inf, -math.inf
+        wait = t
+        self._place(pose)
+        for _ in range(TOUCH_LIMIT):
+            touch = march_touch(
+                self.marcher, t, u, v, self.history, self.observer, self.end_s, wait
+            )
+            touches.append(touch)
+            loss += touch.material_loss_J
+            released = touch.end_s
+            q, qv = frame.to_modal(touch.u), frame.to_modal(touch.v)
+            flight = Flight(frame.modal, pose, released, q, qv, g, self._flyer)
+            rising = flight.centre_velocity(released)
+            ringing = flight.ringing_m()
+            longest = released + 2.0 * max(rising, 0.0) / g + math.sqrt(8.0 * ringing / g) + 1e-3
+            longest += 2.0 * self._swing_s(flight)
+            again = flight.next_touch(self.ground, longest)
+            landing = longest if again is None else again
+            if landing >= self.end_s or (rising > 0.0 and flight.centre_velocity(landing) <= 0.0):
+                break
+            if landing - released < WAIT_STEPS * its:
+                t, u, v, wait = released, touch.u, touch.v, landing
+                continue
+            top = max(top, flight.apex(landing)[1] - self.datum_m)
+            centre_top = max(centre_top, _centre_top(flight, landing))
+            energy = flight_energy(flight, released).total_J
+            if damped:
+                loss += energy - flight_energy(flight, landing).total_J
+            pose, q, qv = flight.state(landing)
+            t, u, v, wait = landing, frame.from_modal(q), frame.from_modal(qv), landing
+            self._place(pose)
+        else:
+            raise ComputationError(
+                f"more than {TOUCH_LIMIT} touches in one impact; shorten the ITS"
+            )
+        return Impact(
+            touches=[touch for touch in touches if touch.impulse_N_s > 0.0],
+            flight=flight,
+            energy_after=flight_energy(flight, released),
+            next_touch_s=landing,
+            material_loss_J=loss,
+            friction_loss_J=sum(touch.friction_loss_J for touch in touches),
+            n_steps=sum(touch.n_steps for touch in touches),
+            top_m=top,
+            centre_top_m=centre_top,
+        )
+
+    def _place(self, pose: Pose) -> None:
+        self.marcher.place(place(self.ground, pose, self.frame.body.contact, self.datum_m))
+
+    def _swing_s(self, flight: Flight) -> float:
+        """How long the tip can stay up because the bristle turns: a touch is sure to come then."""
+        far = float(np.abs(flight.motion.places[:, 2]).max())
+        return math.sqrt(8.0 * far / flight.gravity_m_s2)
 
 
 def _record_fall(history: History, plan: DropPlan, fall_s: float, alpha_1_s: float) -> None:
@@ -299,17 +366,15 @@ def _record_fall(history: History, plan: DropPlan, fall_s: float, alpha_1_s: flo
 
 
 def _record_flight(
-    history: History, modal: ModalBody, flight: Flight, start_s: float, stop_s: float
+    history: History, flight: Flight, start_s: float, stop_s: float, stage: _Stage
 ) -> None:
     """Tip and centre of mass at equal times; the marched step in which it was released stays."""
-    rows = Rows(
-        np.vstack([modal.contact.weights @ modal.contact.normal, modal.lift / modal.mass_kg])
-    )
     start_s = max(start_s, history.rows[-1][0])
     times = np.linspace(start_s, stop_s, FLIGHT_ROWS + 1)[1:]
-    tip, centre = flight.observe(rows, times).T
-    table = np.stack([times, tip, centre, 0.0 * times, np.maximum(-tip, 0.0)], axis=1)
-    history.rows.extend(tuple(map(float, row)) for row in table)
+    heights = flight.trace(stage.ground, times)
+    for t, (tip, centre, clear) in zip(times, heights, strict=True):
+        row = (t, tip - stage.datum_m, centre, 0.0, max(-clear, 0.0))
+        history.rows.append(tuple(map(float, row)))
 
 
 def _first_impact(active: NDArray[np.intp], velocity: Array) -> tuple[int, int]:
@@ -324,33 +389,42 @@ def _first_impact(active: NDArray[np.intp], velocity: Array) -> tuple[int, int]:
 
 
 def march_plainly(frame: FlightFrame, plan: DropPlan, until_s: float) -> DropResult:
-    """The same drop marched at constant ITS from release on, to check ``simulate``."""
+    """The same drop marched at constant ITS from release on, to check ``simulate``.
+
+    Rotation is linearised about the release.
+    """
     body, g = frame.body, plan.gravity_m_s2
     marcher = Marcher(body, plan.method, plan.scheme, plan.its_s, g)
-    history, forces = History(), []
-    state = marcher.start(0.0, plan.height_m * body.lift, np.zeros_like(body.lift))
-    loss = impulse = 0.0
-    velocity = []
-    none = np.zeros_like(body.contact.weights)
-    observe(marcher, state, none, history)
+    stage = _Stage(frame, marcher, plan, None)
+    marcher.place(place(stage.ground, stage.first_pose, body.contact, stage.datum_m))
+    lift = body.translation @ marcher.ground.up
+    history = History()
+    state = marcher.start(0.0, plan.height_m * lift, np.zeros_like(lift))
+    loss = rubbed = 0.0
+    normal, pushes, velocities = [], [], []
+    observe(marcher, state, np.zeros((len(body.contact.weights), 3)), history)
     for _ in range(math.ceil(until_s / plan.its_s)):
         before = state
-        state, force = marcher.step(before)
+        state, force, friction = marcher.step(before)
         loss += step_loss(marcher, before, state)
+        rubbed += friction
         observe(marcher, state, force, history)
-        forces.append(float(body.contact.weights @ force))
-        velocity.append(body.dot(body.lift, state.mv) / body.mass_kg)
-    rows, force = history.array(), np.array(forces)
-    active = np.flatnonzero(force > 0.0)
+        normal.append(float(body.contact.weights @ force[:, 0]))
+        pushes.append(body.contact.weights @ marcher.along_axes(force))
+        velocities.append([body.dot(axis, state.mv) for axis in body.translation.T])
+    rows, total = history.array(), np.array(normal)
+    active = np.flatnonzero(total > 0.0)
     if not len(active):
         raise ComputationError(f"nothing touched within {until_s:g} s")
-    last, second = _first_impact(active, np.array(velocity))
-    impulse = float(plan.its_s * force[: last + 1].sum())
+    velocity = np.array(velocities) @ stage.first_pose.rotation.T / body.mass_kg
+    last, second = _first_impact(active, velocity[:, 2])
+    impulse = float(plan.its_s * total[: last + 1].sum())
+    push = plan.its_s * np.sum(pushes[: last + 1], axis=0)
     rebound = float(rows[last + 1 : second + 1, 1].max(initial=0.0))
     window = rows[active[0] : last + 2]
     deepest = int(np.argmax(window[:, 4]))
     return DropResult(
-        impact_speed_m_s=-velocity[max(active[0] - 1, 0)],
+        impact_speed_m_s=-float(velocity[max(active[0] - 1, 0), 2]),
         rebound_ratio=rebound / plan.height_m,
         rebound_height_m=rebound,
         contact_time_s=float((last - active[0] + 1) * plan.its_s),
@@ -359,11 +433,17 @@ def march_plainly(frame: FlightFrame, plan: DropPlan, until_s: float) -> DropRes
         impulse_N_s=impulse,
         max_penetration_m=float(window[deepest, 4]),
         time_to_max_penetration_s=float(window[deepest, 0] - rows[active[0], 0]),
-        cm_velocity_after_m_s=velocity[last],
+        cm_velocity_after_m_s=float(velocity[last, 2]),
         n_dofs=body.n_dofs,
-        n_steps=len(force),
+        n_steps=len(total),
         energy=Budget.close(
-            body.mass_kg * g * plan.height_m, marching_energy(marcher, state), loss
+            body.mass_kg * g * plan.height_m, marching_energy(marcher, state), loss, rubbed
         ),
         history=history,
+        cm_rebound_height_m=float(rows[last + 1 : second + 1, 2].max(initial=0.0)),
+        velocity_after_m_s=tuple(map(float, velocity[last])),
+        spin_after_rad_s=tuple(
+            map(float, rigid_part(flyer(frame.modal), frame.to_modal(state.v))[1])
+        ),
+        friction_impulse_N_s=math.sqrt(max(float(push @ push) - impulse**2, 0.0)),
     )

@@ -6,13 +6,13 @@ from dataclasses import asdict, dataclass
 
 import numpy as np
 
-from .bodies.modal import ModalBody
+from .time.flight import Flight
 from .time.march import Marcher, State
 
 
 @dataclass
 class Energy:
-    """Energy at one instant in J; ``potential_J`` is zero with the unstrained tip on the plane."""
+    """Energy at one instant in J; ``potential_J`` is zero where the tip first touches."""
 
     kinetic_J: float
     strain_J: float
@@ -43,37 +43,42 @@ class Budget:
     closure_relative: float
 
     @classmethod
-    def close(cls, initial_J: float, now: Energy, material_loss_J: float) -> Budget:
+    def close(
+        cls, initial_J: float, now: Energy, material_loss_J: float, friction_loss_J: float = 0.0
+    ) -> Budget:
         """Close the budget: what neither remains nor was dissipated by physics is numerical."""
-        numerical = initial_J - now.total_J - material_loss_J
+        numerical = initial_J - now.total_J - material_loss_J - friction_loss_J
         return cls(
             initial_J=initial_J,
             **asdict(now),
             material_loss_J=material_loss_J,
             contact_loss_J=0.0,
-            friction_loss_J=0.0,
+            friction_loss_J=friction_loss_J,
             numerical_J=numerical,
             closure_relative=abs(numerical) / initial_J,
         )
 
 
 def marching_energy(marcher: Marcher, state: State) -> Energy:
-    """Energy of a state on the march; Nitsche's boundary terms count as contact."""
+    """Energy of a state on the march; Nitsche's boundary terms and friction's springs are contact's.
+
+    ``potential_J`` is zero where the tip first touches.
+    """
     body, method = marcher.body, marcher.method
     points = body.contact
-    potential = (
-        method.law.potential(state.drive, marcher.tau) if not marcher.rigid_multiplier else 0.0
-    )
-    contact = float(np.sum(points.weights * potential))
+    contact = marcher.contact.spring_energy_J()
+    if not marcher.rigid_multiplier:
+        stored = method.law.potential(state.drive[:, 0], marcher.tau, marcher.ground.scale)
+        contact += float(points.weights @ stored)
     strain = 0.5 * body.dot(state.u, state.ku)
     if method.theta and marcher.tau:
         boundary = 0.5 * method.theta * marcher.tau
-        boundary *= float(points.weights @ points.pressures(state.u) ** 2)
+        boundary *= float(points.weights @ np.sum(points.tractions(state.u) ** 2, axis=1))
         strain, contact = strain + boundary, contact - boundary
     return Energy(
         kinetic_J=0.5 * body.dot(state.v, state.mv),
         strain_J=strain,
-        potential_J=marcher.gravity_m_s2 * body.dot(body.lift, state.mu),
+        potential_J=marcher.gravity_m_s2 * body.mass_kg * marcher.heights(state)[1],
         contact_J=contact,
     )
 
@@ -88,10 +93,12 @@ def step_loss(marcher: Marcher, before: State, after: State) -> float:
     return marcher.its_s * loss
 
 
-def flight_energy(body: ModalBody, u: np.ndarray, v: np.ndarray, gravity_m_s2: float) -> Energy:
-    """Energy of a modal state (u, v) in flight."""
+def flight_energy(flight: Flight, t_s: float) -> Energy:
+    """Energy in flight; ``potential_J`` is zero where the tip first touches."""
+    body = flight.body
+    pose, u, v = flight.state(t_s)
     return Energy(
         kinetic_J=0.5 * float(v @ v),
         strain_J=0.5 * float(u @ (body.omega2 * u)),
-        potential_J=gravity_m_s2 * float(body.lift @ u),
+        potential_J=flight.gravity_m_s2 * body.mass_kg * float(pose.position_m[2]),
     )

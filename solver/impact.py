@@ -8,8 +8,11 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from .bodies.base import Array
+from .bodies.modal import ModalBody
+from .contact.enforcement import Enforcement
 from .energy import step_loss
 from .errors import ComputationError
+from .time import modal_march
 from .time.march import Marcher, State
 
 HISTORY_COLUMNS = ("t_s", "tip_y_m", "cm_y_m", "force_N", "penetration_m")
@@ -32,18 +35,23 @@ class Touch:
     """One touch: when it began and ended, and what it did.
 
     ``force_N`` and ``penetration_m`` are greatest values at the ends of steps, the latter refined
-    by a parabola through its neighbours; ``state`` is the first one after release. ``defect``
-    bounds the energy norm in √J of what a reduced body got wrong.
+    by a parabola through its neighbours; ``push_N_s`` (3,) is the impulse along body axes, friction
+    included; ``u`` and ``v`` are the first state after release. ``defect`` bounds the energy norm
+    in √J of what a reduced body got wrong.
     """
 
     start_s: float
     release_s: float
-    state: State
+    end_s: float
+    u: Array
+    v: Array
     peak_force_N: float
     impulse_N_s: float
+    push_N_s: Array
     max_penetration_m: float
     max_penetration_s: float
     material_loss_J: float
+    friction_loss_J: float
     defect: float
     n_steps: int
 
@@ -52,63 +60,62 @@ Observer = Callable[[State, Array], None]
 
 
 def observe(marcher: Marcher, state: State, step_force: Array, history: History) -> float:
-    """Append the state to the history; returns the total contact force at that instant in N."""
-    body = marcher.body
-    heights = body.contact.heights(state.u)
-    force = float(body.contact.weights @ instant_force(marcher, state, step_force))
-    centre = body.dot(body.lift, state.mu) / body.mass_kg
-    history.rows.append(
-        (
-            state.t_s,
-            float(body.contact.weights @ heights),
-            centre,
-            force,
-            max(-float(heights.min()), 0.0),
-        )
-    )
+    """Append the state to the history; returns the normal contact force at that instant in N.
+
+    ``step_force`` (n, 3) is that of the step before, along the points' local frames.
+    """
+    force = float(marcher.body.contact.weights @ instant_force(marcher, state, step_force))
+    deepest = max(-float(marcher.gaps(state.u).min()), 0.0)
+    history.rows.append((state.t_s, *marcher.heights(state), force, deepest))
     return force
 
 
 def instant_force(marcher: Marcher, state: State, step_force: Array) -> Array:
-    """Force per area share at the end of a step; a rigid plane's multiplier is the step's own."""
+    """Normal force per area share (n,) at the end of a step; on a rigid plane the step's own."""
     if marcher.rigid_multiplier:
-        return step_force
-    return marcher.end_force(state)
+        return step_force[:, 0]
+    return marcher.normal_force(state.drive)
 
 
 def march_touch(
     marcher: Marcher,
-    start: State,
+    t_s: float,
+    u: Array,
+    v: Array,
     history: History,
     observer: Observer | None = None,
     until_s: float = np.inf,
     wait_s: float = 0.0,
 ) -> Touch:
-    """March from the instant of touch until the tip is free again, or past ``until_s``.
+    """March from (u, v) at ``t_s`` until the tip is free again, or past ``until_s``.
 
     With ``wait_s`` the start may still be free of the plane: a touch is awaited until that time.
     Raises ComputationError where contact forces do not converge, motion is not finite, or the tip
     is still in contact after a number of steps that no impact needs.
     """
+    if observer is None and compiled(marcher):
+        return _march_compiled(marcher, t_s, u, v, history, until_s, wait_s)
+    start = marcher.start(t_s, u, v)
     weights = marcher.body.contact.weights
     state, first_row = start, len(history.rows)
-    peak = impulse = loss = defect = 0.0
-    release = start.t_s
-    none = np.zeros_like(weights)
+    peak = impulse = loss = defect = rubbed = 0.0
+    push: Array = np.zeros(3)
+    release = t_s
+    none = np.zeros((len(weights), 3))
     observe(marcher, start, none, history)
     if observer is not None:
         observer(start, none)
     for count in range(1, STEP_LIMIT):
         before = state
-        state, force = marcher.step(before)
+        state, force, friction = marcher.step(before)
         if not np.isfinite(state.drive).all():
-            raise ComputationError(
-                f"the motion is not finite at t = {state.t_s:.6g} s; shorten the ITS"
-            )
+            raise _not_finite(state.t_s)
         loss += step_loss(marcher, before, state)
+        rubbed += friction
         defect += marcher.step_defect(before, state, force)
-        total = float(weights @ force)
+        total = float(weights @ force[:, 0])
         impulse += marcher.its_s * total
+        push = push + marcher.its_s * (weights @ marcher.along_axes(force))
         now = observe(marcher, state, force, history)
         peak = max(peak, now)
         if observer is not None:
@@ -118,20 +125,98 @@ def march_touch(
         free = total == 0.0 or (now == 0.0 and not marcher.rigid_multiplier)
         done = free and state.t_s >= wait_s and _leaving(marcher, state)
         if done or state.t_s >= until_s:
+            if done:
+                rubbed += marcher.contact.spring_energy_J()
             depth, when = _deepest(np.array(history.rows[first_row:]))
             return Touch(
-                start_s=start.t_s,
+                start_s=t_s,
                 release_s=release,
-                state=state,
+                end_s=state.t_s,
+                u=state.u,
+                v=state.v,
                 peak_force_N=peak,
                 impulse_N_s=impulse,
+                push_N_s=push,
                 max_penetration_m=depth,
-                max_penetration_s=when - start.t_s,
+                max_penetration_s=when - t_s,
                 material_loss_J=loss,
+                friction_loss_J=rubbed,
                 defect=defect,
                 n_steps=count,
             )
-    raise ComputationError(f"still in contact after {STEP_LIMIT} steps of {marcher.its_s:g} s")
+    raise _too_long(marcher)
+
+
+def compiled(marcher: Marcher) -> bool:
+    """Whether the compiled march serves: modes, the conserving scheme, a law that acts on gaps."""
+    return (
+        isinstance(marcher.body, ModalBody)
+        and marcher.scheme.conserving
+        and marcher.method.enforcement is not Enforcement.NITSCHE
+        and not marcher.rigid_multiplier
+    )
+
+
+def _march_compiled(
+    marcher: Marcher,
+    t_s: float,
+    u: Array,
+    v: Array,
+    history: History,
+    until_s: float,
+    wait_s: float,
+) -> Touch:
+    """`march_touch` of a modal body in compiled code."""
+    modes, touching = marcher.tables()
+    body = marcher.body
+    marched = modal_march.march(
+        modes,
+        touching,
+        np.ascontiguousarray(u),
+        np.ascontiguousarray(v),
+        max(wait_s - t_s, 0.0),
+        until_s - t_s,
+        STEP_LIMIT,
+        True,
+        body.defect is not None,
+    )
+    if marched.status == modal_march.NOT_CONVERGED:
+        raise ComputationError(
+            f"the contact forces did not converge at t = {t_s + marched.count * modes.its:.6g} s; "
+            "shorten the ITS"
+        )
+    if marched.status == modal_march.NOT_FINITE:
+        raise _not_finite(t_s + marched.count * modes.its)
+    if marched.status == modal_march.TOO_LONG:
+        raise _too_long(marcher)
+    times = t_s + modes.its * np.arange(marched.count + 1)
+    rows = np.column_stack([times, marched.history])
+    history.rows.extend(map(tuple, rows.tolist()))
+    depth, when = _deepest(rows)
+    return Touch(
+        start_s=t_s,
+        release_s=t_s + marched.release,
+        end_s=float(times[-1]),
+        u=marched.u,
+        v=marched.v,
+        peak_force_N=marched.peak,
+        impulse_N_s=marched.impulse,
+        push_N_s=marched.push,
+        max_penetration_m=depth,
+        max_penetration_s=when - t_s,
+        material_loss_J=marched.material_loss,
+        friction_loss_J=marched.friction_loss,
+        defect=marcher.march_defect(marched.forces, marched.motions),
+        n_steps=marched.count,
+    )
+
+
+def _not_finite(t_s: float) -> ComputationError:
+    return ComputationError(f"the motion is not finite at t = {t_s:.6g} s; shorten the ITS")
+
+
+def _too_long(marcher: Marcher) -> ComputationError:
+    return ComputationError(f"still in contact after {STEP_LIMIT} steps of {marcher.its_s:g} s")
 
 
 def _leaving(marcher: Marcher, state: State) -> bool:
@@ -140,14 +225,14 @@ def _leaving(marcher: Marcher, state: State) -> bool:
     A rigid plane under a multiplier has points that rest on it without a push.
     """
     if not marcher.rigid_multiplier:
-        return bool(state.drive.max() <= 0.0)
-    contact = marcher.body.contact
-    return bool(np.all((contact.heights(state.u) > 0.0) | (contact.heights(state.v) > 0.0)))
+        return bool(state.drive[:, 0].max() <= 0.0)
+    rising = marcher.gaps(state.v) - marcher.ground.gaps_m
+    return bool(np.all((marcher.gaps(state.u) > 0.0) | (rising > 0.0)))
 
 
 def _release_time(before: State, after: State) -> float:
     """The end of a step with contact, or the instant in it at which its drive falls to zero."""
-    first, last = float(before.drive.max()), float(after.drive.max())
+    first, last = float(before.drive[:, 0].max()), float(after.drive[:, 0].max())
     if last >= 0.0 or first <= last:
         return after.t_s
     share = max(first, 0.0) / (first - last)

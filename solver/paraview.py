@@ -31,6 +31,7 @@ from .bodies.base import Array
 from .bodies.solid import SolidBody
 from .drop import FlightFrame
 from .errors import ComputationError
+from .ground import Placement, place
 from .impact import instant_force
 from .nodal_stress import VOIGT, NodalStress, von_mises
 from .time.flight import Flight
@@ -55,8 +56,9 @@ class Phase(StrEnum):
 class FieldWriter:
     """Writes frames of a solid's motion while it is marched: an observer of ``simulate``.
 
-    Displacement is total: it includes the rigid motion, so that the tip's z displacement is its
-    height above the plane. ``pressure_Pa`` is the contact force at a point over the area it stands
+    Displacement is total: it carries the mesh, which stands upright, to where the body is, rotation
+    included, so that the tip's z displacement is its height over where it first touched. Stresses
+    stand along the body's own axes. ``pressure_Pa`` is the contact force at a point over the area it stands
     for; its integral over the face is the contact force. With ``marcher`` it is the force at the
     frame's own instant, without it the mean over the step before.
 
@@ -101,7 +103,10 @@ class FieldWriter:
         self._n_contact, self._since = 0, self._every
         self._phase: Phase | None = None
         self._last: State | None = None
-        self._none = np.zeros_like(solid.contact.weights)
+        points = solid.contact
+        self._none = np.zeros_like(points.weights)
+        self._placement = marcher.ground if marcher else Placement.upright(points)
+        self._nodes = solid.space.tabulate_dof_coordinates()[: solid.n_local // 3]
         self._make_fields()
         self._open(VTXMeshPolicy.reuse if mesh_once else VTXMeshPolicy.update)
 
@@ -147,10 +152,12 @@ class FieldWriter:
         return None
 
     def __call__(self, state: State, step_force: Array) -> None:
-        """Take note of a step; ``step_force`` (n contact points,) in N per area share."""
-        force = step_force
-        if self._marcher is not None and step_force.any():
-            force = instant_force(self._marcher, state, step_force)
+        """Take note of a step; ``step_force`` (n contact points, 3) in N per area share."""
+        force = step_force[:, 0]
+        if self._marcher is not None:
+            self._placement = self._marcher.ground
+            if step_force.any():
+                force = instant_force(self._marcher, state, step_force)
         self._last, self._since = state, self._since + 1
         self._phase = self._next_phase(state, step_force, force)
         due = self._since >= self._every or self._phase is not Phase.CONTACT
@@ -160,7 +167,7 @@ class FieldWriter:
             self._count()
 
     def _next_phase(self, state: State, step_force: Array, force: Array) -> Phase:
-        free = not step_force.any() or (not force.any() and state.drive.max() <= 0.0)
+        free = not step_force.any() or (not force.any() and state.drive[:, 0].max() <= 0.0)
         if not free:
             return Phase.CONTACT
         return Phase.RELEASE if self._phase is Phase.CONTACT else Phase.TOUCH
@@ -179,7 +186,9 @@ class FieldWriter:
         force: Array | None = None,
         phase: Phase = Phase.CONTACT,
     ) -> None:
-        """Write one frame of any state: ``u``, ``v`` as in State, ``force`` (n,) in N or none.
+        """Write one frame of any state: ``u``, ``v`` as in State, normal ``force`` (n,) in N or none.
+
+        The body stands where the marcher last placed it.
 
         A frame that is not later than the last one is left out, since ParaView wants increasing
         times. Raises ValueError after ``close``.
@@ -188,20 +197,35 @@ class FieldWriter:
             raise ValueError(f"the fields in {self.folder} are closed")
         if self.times_s and t_s <= self.times_s[-1]:
             return
-        for function, given in ((self.displacement, u), (self.velocity, v)):
-            values = self._expand(given) if self._expand else given
-            function.x.array[: self.solid.n_local] = values
-            function.x.scatter_forward()
+        if self._expand:
+            u, v = self._expand(u), self._expand(v)
+        self._fill(self.displacement, u)
         stress = self._stress()
         self.axial_stress.x.array[:] = stress[:, AXIAL]
         self.von_mises.x.array[:] = von_mises(stress)
-        self._tip.update(self.displacement, self._none if force is None else force)
+        gaps = self._placement.gaps(self.solid.contact.displacements(u))
+        rotation = self._placement.pose.rotation
+        self._fill(self.displacement, self._carried(u))
+        self._fill(self.velocity, (v.reshape(-1, 3) @ rotation.T).ravel())
+        self._tip.update(self.displacement, self._none if force is None else force, gaps)
         for writer in self._writers:
             writer.write(t_s)
         if self.comm.rank == 0:
             with (self.folder / FRAMES_FILE).open("a") as table:
                 table.write(f"{len(self.times_s)},{t_s!r},{phase}\n")
         self.times_s.append(t_s)
+
+    def _fill(self, function: fem.Function, values: Array) -> None:
+        function.x.array[: self.solid.n_local] = values
+        function.x.scatter_forward()
+
+    def _carried(self, u: Array) -> Array:
+        """Displacement of the upright mesh to the body's place, ``u`` on top of it."""
+        pose = self._placement.pose
+        arm = self._nodes - self.solid.centre_m + u.reshape(-1, 3)
+        place = arm @ pose.rotation.T + pose.position_m
+        place[:, 2] -= self._placement.datum_m
+        return np.asarray(place - self._nodes).ravel()
 
     def write_flight(
         self,
@@ -219,11 +243,13 @@ class FieldWriter:
             raise ValueError("there is no flight before the first step")
         start, body = self._last.t_s, frame.modal
         u, v = frame.to_modal(self._last.u), frame.to_modal(self._last.v)
-        flight = Flight(body, start, u, v, gravity_m_s2)
+        placed = self._placement
+        flight = Flight(body, placed.pose, start, u, v, gravity_m_s2)
         if duration_s is None:
             duration_s = 2.0 * axial_period_s(self.solid)
         for t in np.linspace(start, start + duration_s, n_frames + 1)[1:]:
-            q, qv = flight.state(float(t))
+            pose, q, qv = flight.state(float(t))
+            self._placement = place(placed.ground, pose, self.solid.contact, placed.datum_m)
             self.write(float(t), frame.from_modal(q), frame.from_modal(qv), None, Phase.FLIGHT)
 
     def close(self) -> None:

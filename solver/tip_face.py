@@ -23,7 +23,7 @@ class TipFace:
     """
 
     def __init__(self, solid: SolidBody) -> None:
-        domain, self._contact = solid.domain, solid.contact
+        domain, contact = solid.domain, solid.contact
         facets = solid.facet_tags.find(solid.tip_tag)
         self.domain = mesh.create_submesh(domain, domain.topology.dim - 1, facets)[0]
         scalar = fem.functionspace(self.domain, ("Lagrange", solid.order))
@@ -32,7 +32,7 @@ class TipFace:
         self.gap = fem.Function(scalar, name="gap_m")
         self.displacement = fem.Function(vector, name="displacement_m")
         nodes = scalar.tabulate_dof_coordinates()
-        self._point = _nearest(self._contact.xy_m, nodes[:, :2])
+        self._point = _nearest(contact.xy_m, nodes[:, :2])
         self._node = _nearest(solid.space.tabulate_dof_coordinates(), nodes)
         self.area_m2 = _area(self.domain, solid)
 
@@ -41,18 +41,13 @@ class TipFace:
         """Displacement, pressure, gap."""
         return [self.displacement, self.pressure, self.gap]
 
-    def update(self, displacement: fem.Function, force: Array) -> None:
-        """Take the solid's ``displacement`` and the contact ``force`` (n,) in N per area share."""
-        owned = displacement.x.array[: self._owned(displacement)]
-        self.gap.x.array[:] = self._contact.heights(owned)[self._point]
+    def update(self, displacement: fem.Function, force: Array, gaps_m: Array) -> None:
+        """Take the solid's ``displacement``, and at the contact points the normal ``force`` (n,) in
+        N per area share and the gaps (n,)."""
+        self.gap.x.array[:] = gaps_m[self._point]
         self.pressure.x.array[:] = force[self._point] / self.area_m2
         moved = displacement.x.array.reshape(-1, 3)[self._node]
         self.displacement.x.array[:] = moved.ravel()
-
-    @staticmethod
-    def _owned(function: fem.Function) -> int:
-        dofmap = function.function_space.dofmap
-        return dofmap.index_map.size_local * dofmap.index_map_bs
 
 
 def _area(domain: mesh.Mesh, solid: SolidBody) -> float:

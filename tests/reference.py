@@ -95,25 +95,23 @@ def rod(
         mass[span, span] += density * area * h / 2.0 * value.T @ (w[:, None] * value)
         stiffness[span, span] += youngs * area * h / 2.0 * slope.T @ (w[:, None] * slope)
     end = (powers * (-1.0) ** np.maximum(powers - 1, 0)) @ vandermonde * 2.0 / h
-    normal, pressure = np.zeros((1, nodes)), np.zeros((1, nodes))
-    normal[0, 0] = 1.0
-    pressure[0, : degree + 1] = -youngs * area * end
+    tip, traction = np.zeros((1, nodes)), np.zeros((3, nodes))
+    tip[0, 0] = 1.0
+    traction[2, : degree + 1] = -youngs * area * end
     keep = slice(0, nodes - 1 if clamped_top else nodes)
     contact = ContactPoints(
-        normal=normal[:, keep],
-        pressure=pressure[:, keep],
+        coordinates=tip[:, keep],
+        support=np.zeros((1, 1), dtype=np.int64),
+        shapes=np.array([[[0.0], [0.0], [1.0]]]),
+        traction=traction[:, keep],
         weights=np.ones(1),
-        xy_m=np.zeros((1, 2)),
+        places_m=np.array([[0.0, 0.0, -0.5 * length]]),
     )
+    rigid = np.zeros((nodes, 6))
+    if not clamped_top:
+        rigid[:, 2] = 1.0
     return modal_form(
-        "rod",
-        mass[keep, keep],
-        stiffness[keep, keep],
-        np.ones((nodes, 0 if clamped_top else 1))[keep],
-        np.ones(nodes)[keep],
-        contact,
-        0.0,
-        beta,
+        "rod", mass[keep, keep], stiffness[keep, keep], rigid[keep], contact, 0.0, beta
     )
 
 

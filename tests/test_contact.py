@@ -14,7 +14,8 @@ from bristle.solver.contact.enforcement import (
     StepContact,
     inverse_constant_N_m,
 )
-from bristle.solver.contact.laws import Linear
+from bristle.solver.contact.laws import Coulomb, Linear, mindlin_ratio
+from bristle.solver.contact.step import commit, new_section, point_force
 from bristle.solver.errors import ComputationError
 
 pytestmark = pytest.mark.serial
@@ -46,20 +47,36 @@ def test_compliance_in_series_is_taken_off_the_penetration(law):
     assert law.force(drive - series * force, 0.0) == pytest.approx(force, rel=1e-12)
 
 
-def a_step(enforcement, law, response, end_weight=None, series=0.0, **kwargs):
+def a_step(enforcement, law, response, end_weight=None, mu=0.0, few=False, **kwargs):
+    """A step of points whose drives answer by ``response`` (3 n, 3 n), directly or by a section."""
+    n = len(response) // 3
+    weights = np.full(n, 1.0 / n)
+    none = np.zeros((0, 0))
+    support = np.arange(3 * n).reshape(n, 3)
+    values = np.tile(np.eye(3), (n, 1, 1))
+    section = new_section(support, values, -response * n if few else none)
     return StepContact(
-        method=ContactMethod(law, enforcement, **kwargs),
-        series_m_N=series,
+        method=ContactMethod(law, enforcement, friction=Coulomb(mu), **kwargs),
+        series_m_N=0.0,
         response=response,
+        section=section,
+        weights=weights,
+        scale=np.ones(n),
         end_weight=end_weight,
-        multiplier=np.zeros(len(response)),
     )
 
 
 def some_response(n, size, rng):
     """A body's answer to forces: negative definite, as every body's is."""
-    root = rng.normal(size=(n, n))
-    return -size * (root @ root.T + 0.1 * np.eye(n))
+    root = rng.normal(size=(3 * n, 3 * n))
+    return -size * (root @ root.T / 3.0 + 0.1 * np.eye(3 * n))
+
+
+def some_drives(n, start, free, rng):
+    drives = 1e-5 * rng.normal(size=(2, n, 3))
+    drives[0, :, 0] += start
+    drives[1, :, 0] += free
+    return drives
 
 
 @pytest.mark.parametrize("enforcement", [Enforcement.PENALTY, Enforcement.AUGMENTED])
@@ -69,53 +86,144 @@ def test_step_force_is_the_discrete_gradient_of_the_potential(enforcement, seed,
     """Force times the change of drive is the change of the stored energy, point by point."""
     rng = np.random.default_rng(seed)
     law, n = Linear(2e6), 4
-    drive0 = start + 1e-5 * rng.normal(size=n)
-    drive_free = free + 1e-5 * rng.normal(size=n)
-    step = a_step(enforcement, law, some_response(n, 1e-8, rng))
+    drive0, drive_free = some_drives(n, start, free, rng)
+    response = some_response(n, 1e-8, rng)
+    step = a_step(enforcement, law, response, few=True)
     force = step.solve(drive0, drive_free)
-    drive1 = drive_free + step.response @ force
-    stored = law.potential(drive1, 0.0) - law.potential(drive0, 0.0)
+    drive1 = drive_free + (response @ force.ravel()).reshape(n, 3)
+    stored = law.potential(drive1[:, 0], 0.0) - law.potential(drive0[:, 0], 0.0)
     size = np.abs(law.force(np.array([2e-4]), 0.0)).max() * 1e-4
-    assert force * (drive1 - drive0) == pytest.approx(stored, abs=1e-9 * size)
-    assert (force >= -1e-6).all()
+    assert force[:, 0] * (drive1 - drive0)[:, 0] == pytest.approx(stored, abs=1e-9 * size)
+    assert (force[:, 0] >= -1e-6).all()
+    assert not force[:, 1:].any()
+
+
+@given(seed=st.integers(0, 10_000), free=reals, mu=st.sampled_from([0.0, 0.3, 1.0]))
+@settings(max_examples=60, deadline=None)
+def test_both_solvers_find_the_same_forces(seed, free, mu):
+    """Newton's method on the section's coordinates and on the points' own drives."""
+    rng = np.random.default_rng(seed)
+    n = 5
+    drive0, drive_free = some_drives(n, 1e-5, free, rng)
+    response = some_response(n, 1e-8, rng)
+    forces = []
+    for few in (True, False):
+        step = a_step(Enforcement.PENALTY, Linear(2e6), response, mu=mu, few=few)
+        forces.append(step.solve(drive0, drive_free))
+    assert forces[0] == pytest.approx(forces[1], rel=1e-8, abs=1e-8)
 
 
 @given(seed=st.integers(0, 10_000), free=reals)
 @settings(max_examples=60, deadline=None)
-def test_augmented_lagrangian_on_a_rigid_plane_obeys_signorini(seed, free):
+def test_augmented_lagrangian_on_a_rigid_plane_obeys_signorini_and_coulomb(seed, free):
     rng = np.random.default_rng(seed)
-    n = 4
-    drive_free = free + 1e-5 * rng.normal(size=n)
-    step = a_step(Enforcement.AUGMENTED, Linear(math.inf), some_response(n, 1e-8, rng))
-    force = step.solve(np.zeros(n), drive_free)
-    gap = -(drive_free + step.response @ force)
-    size = np.abs(drive_free).max()
-    assert (force >= 0.0).all()
-    assert (gap >= -1e-9 * size).all()
-    assert np.abs(force * gap).max() <= 1e-8 * size * max(np.abs(force).max(), 1.0)
+    n, mu = 4, 0.4
+    _, drive_free = some_drives(n, 0.0, free, rng)
+    response = some_response(n, 1e-8, rng)
+    step = a_step(Enforcement.AUGMENTED, Linear(math.inf), response, mu=mu, few=True)
+    force = step.solve(np.zeros((n, 3)), drive_free)
+    end = drive_free + (response @ force.ravel()).reshape(n, 3)
+    gap, slip = -end[:, 0], end[:, 1:]
+    size, largest = np.abs(drive_free).max(), max(np.abs(force).max(), 1.0)
+    normal, friction = force[:, 0], force[:, 1:]
+    assert (normal >= 0.0).all()
+    assert (gap >= -1e-7 * size).all()
+    assert np.abs(normal * gap).max() <= 1e-7 * size * largest
+    pull = np.linalg.norm(friction, axis=1)
+    assert (pull <= mu * normal + 1e-7 * largest).all()
+    sticking = pull < mu * normal - 1e-6 * largest
+    assert np.abs(slip[sticking]).max(initial=0.0) <= 1e-6 * size
+    # where it slides, friction pulls against the slip (the drive runs backwards)
+    across = friction[:, 0] * slip[:, 1] - friction[:, 1] * slip[:, 0]
+    assert np.abs(across).max() <= 1e-6 * size * largest
+    assert (np.sum(friction * slip, axis=1) >= -1e-7 * size * largest).all()
 
 
 @pytest.mark.parametrize("end_weight", [1.0, 0.6, None])
-def test_augmented_lagrangian_converges_to_penalty_at_the_same_stiffness(end_weight, rng):
+@pytest.mark.parametrize("mu", [0.0, 0.5])
+def test_augmented_lagrangian_converges_to_penalty_at_the_same_stiffness(end_weight, mu, rng):
     response = some_response(3, 1e-8, rng)
-    start, free = np.array([1e-6, -1e-6, 2e-6]), np.array([2e-5, 1e-5, -3e-5])
+    start, free = some_drives(3, 1e-6, 1e-5, rng)
     forces = [
-        a_step(enforcement, Linear(5e6), response, end_weight).solve(start, free)
+        a_step(enforcement, Linear(5e6), response, end_weight, mu, few=True).solve(start, free)
         for enforcement in (Enforcement.PENALTY, Enforcement.AUGMENTED)
     ]
-    assert forces[1] == pytest.approx(forces[0], rel=1e-8, abs=1e-6)
+    assert forces[1] == pytest.approx(forces[0], rel=1e-7, abs=1e-6)
+
+
+POINTS = {
+    "open": (-2e-5, -1e-5, 0.0),
+    "closing": (-1e-5, 2e-5, 1e-6),
+    "opening": (2e-5, -1e-5, 1e-6),
+    "sticking": (1e-5, 2e-5, 1e-6),
+    "sliding": (1e-5, 2e-5, 4e-5),
+    "just before it slides": (1e-5, 1e-5, 0.999 * 2e-5 * 0.5 / mindlin_ratio(0.28)),
+    "just after it slides": (1e-5, 1e-5, 1.001 * 2e-5 * 0.5 / mindlin_ratio(0.28)),
+}
+
+
+@pytest.mark.parametrize("state", POINTS)
+@pytest.mark.parametrize("end_weight", [0.0, 1.0, 0.6])
+@pytest.mark.parametrize("soft", [0.0, 1e-7])
+def test_tangent_of_a_point_against_finite_differences(state, end_weight, soft):
+    """Open, closing, sticking, sliding, and on either side of the switch; penalty and augmented."""
+    s0, s1, slip = POINTS[state]
+    kn, mu, step = 2e6, 0.5, 1e-11
+    kt = mindlin_ratio(0.28) * kn
+    law = Linear(kn).parameters
+    start = np.array([s0, 0.0, 0.0])
+    elongation, multiplier = np.array([2e-7, -1e-7]), np.array([3.0, 0.5, -0.2])
+
+    def force(end):
+        out, slope = np.zeros(3), np.zeros((3, 3))
+        point_force(
+            law, kt, mu, 1.0, 0.0, start, end, elongation, end_weight, soft, multiplier, out, slope
+        )
+        return out, slope
+
+    end = np.array([s1, 0.8 * slip, -0.6 * slip])
+    slope = force(end)[1]
+    for k in range(3):
+        shift = step * np.eye(3)[k]
+        wanted = (force(end + shift)[0] - force(end - shift)[0]) / (2.0 * step)
+        assert slope[:, k] == pytest.approx(wanted, rel=1e-4, abs=1e-4 * kn)
+
+
+@given(seed=st.integers(0, 10_000))
+@settings(max_examples=60, deadline=None)
+def test_friction_never_gives_energy_and_its_spring_closes_the_books(seed):
+    """Over a random walk: work of friction is what it took plus what its spring holds."""
+    rng = np.random.default_rng(seed)
+    kn, mu = 2e6, 0.4
+    kt, law = mindlin_ratio(0.28) * kn, Linear(kn).parameters
+    elongation, none = np.zeros(2), np.zeros(3)
+    start, work, lost = np.array([1e-5, 0.0, 0.0]), 0.0, 0.0
+    for _ in range(40):
+        end = start + 1e-5 * rng.normal(size=3)
+        out, slope = np.zeros(3), np.zeros((3, 3))
+        point_force(law, kt, mu, 1.0, 0.0, start, end, elongation, 0.0, 0.0, none, out, slope)
+        assert math.hypot(out[1], out[2]) <= mu * max(out[0], 0.0) * (1.0 + 1e-12) + 1e-15
+        took = commit(law, kt, 1.0, 0.0, start, end, out, elongation, 0.0)
+        assert took >= -1e-18
+        work += out[1:] @ (end - start)[1:]
+        lost += took
+        start = end
+    held = 0.5 * kt * elongation @ elongation
+    assert work == pytest.approx(lost + held, rel=1e-9, abs=1e-15)
 
 
 def test_nothing_touches_nothing_pushes():
-    step = a_step(Enforcement.PENALTY, Linear(2e6), -1e-8 * np.eye(2))
-    assert not step.solve(np.array([-1e-3, -1e-3]), np.array([-1e-9, -1e-3])).any()
+    step = a_step(Enforcement.PENALTY, Linear(2e6), -1e-8 * np.eye(6))
+    above = np.array([[-1e-3, 0.0, 0.0], [-1e-9, 0.0, 0.0]])
+    assert not step.solve(above, above).any()
 
 
-def test_nonconvergence_names_the_iteration_and_what_to_try():
+@pytest.mark.parametrize("few", [True, False])
+def test_nonconvergence_names_the_iteration_and_what_to_try(few):
     """A response that grows with the force can have no equilibrium."""
-    step = a_step(Enforcement.PENALTY, Linear(2e6), np.array([[2e-6]]), end_weight=1.0)
+    step = a_step(Enforcement.PENALTY, Linear(2e6), 2e-6 * np.eye(3), end_weight=1.0, few=few)
     with pytest.raises(ComputationError, match="did not converge.*shorten the ITS"):
-        step.solve(np.array([0.0]), np.array([1e-5]))
+        step.solve(np.zeros((1, 3)), np.array([[1e-5, 0.0, 0.0]]))
 
 
 @pytest.mark.parametrize("degree", [1, 2])
@@ -124,8 +232,8 @@ def test_inverse_constant_of_a_rod_is_known_and_sharp(degree):
     body = rod(8, length=2.0, youngs=3.0, degree=degree)
     assert inverse_constant_N_m(body) == pytest.approx(degree**2 * 3.0 / 0.25, rel=1e-3)
     for theta_tau, positive in ((0.99, True), (1.02, False)):
-        term = theta_tau / inverse_constant_N_m(body) * body.contact.pressure.T
-        stiffness = np.diag(body.omega2) - term @ body.contact.pressure
+        term = theta_tau / inverse_constant_N_m(body) * body.contact.traction.T
+        stiffness = np.diag(body.omega2) - term @ body.contact.traction
         assert (np.linalg.eigvalsh(stiffness).min() > -1e-6 * body.omega2.max()) == positive
 
 

@@ -105,7 +105,7 @@ def test_order_nodes_and_values_are_kept(shared_path, order, section):
 def test_a_rigid_height_is_in_the_displacement_and_no_stress(shared_path):
     solid = solid_of()
     with FieldWriter(solid, shared_path) as writer:
-        writer.write(0.0, 0.01 * solid.lift, solid.lift)
+        writer.write(0.0, 0.01 * solid.translation[:, 2], solid.translation[:, 2])
     COMM.barrier()
     found = written(shared_path / "solid.bp", "displacement_m", 0)["values"]
     assert found == pytest.approx(np.tile([0.0, 0.0, 0.01], (len(found), 1)), abs=1e-15)
@@ -240,7 +240,7 @@ def test_no_form_is_compiled_while_frames_are_written(shared_path, monkeypatch):
     monkeypatch.setattr(fem, "Expression", refuse)
     with writer:
         for k in range(3):
-            writer.write(k, solid.lift, solid.lift)
+            writer.write(k, solid.translation[:, 2], solid.translation[:, 2])
     solid.close()
 
 
@@ -253,12 +253,12 @@ def test_the_writer_refuses_nonsense(shared_path):
     with FieldWriter(solid, shared_path) as writer:
         with pytest.raises(ValueError, match="first step"):
             writer.write_flight(None, GRAVITY_M_S2)
-        writer.write(1.0, solid.lift, solid.lift)
-        writer.write(1.0, solid.lift, solid.lift)
+        writer.write(1.0, solid.translation[:, 2], solid.translation[:, 2])
+        writer.write(1.0, solid.translation[:, 2], solid.translation[:, 2])
         assert writer.times_s == [1.0]
     writer.close()
     with pytest.raises(ValueError, match="closed"):
-        writer.write(2.0, solid.lift, solid.lift)
+        writer.write(2.0, solid.translation[:, 2], solid.translation[:, 2])
     solid.close()
 
 
@@ -266,10 +266,10 @@ def test_a_failing_run_closes_its_files(shared_path):
     solid = solid_of()
     with pytest.raises(RuntimeError, match="of all ranks"):  # noqa: PT012, SIM117
         with FieldWriter(solid, shared_path) as writer:
-            writer.write(1.0, solid.lift, solid.lift)
+            writer.write(1.0, solid.translation[:, 2], solid.translation[:, 2])
             raise RuntimeError("of all ranks")
     with pytest.raises(ValueError, match="closed"):
-        writer.write(2.0, solid.lift, solid.lift)
+        writer.write(2.0, solid.translation[:, 2], solid.translation[:, 2])
     COMM.barrier()
     assert times_of(shared_path / "solid.bp") == [1.0]
     solid.close()
@@ -304,7 +304,7 @@ def test_an_earlier_run_is_replaced(tmp_path):
     for times in ((0.0, 1.0, 2.0), (5.0,)):
         with FieldWriter(solid, tmp_path) as writer:
             for t in times:
-                writer.write(t, solid.lift, solid.lift)
+                writer.write(t, solid.translation[:, 2], solid.translation[:, 2])
     assert times_of(tmp_path / "solid.bp") == [5.0]
     assert len(phases(tmp_path)) == 1
     solid.close()
@@ -316,7 +316,7 @@ def test_the_mesh_goes_with_every_frame_unless_told_otherwise(tmp_path, mesh_onc
     solid = solid_of(comm=MPI.COMM_SELF)
     with FieldWriter(solid, tmp_path, mesh_once=mesh_once) as writer:
         for k in range(3):
-            writer.write(k, solid.lift, solid.lift)
+            writer.write(k, solid.translation[:, 2], solid.translation[:, 2])
     with adios2.FileReader(str(tmp_path / "solid.bp")) as file:
         found = [len(file.engine.blocks_info("connectivity", k)) for k in range(3)]
     assert found == meshes
@@ -329,7 +329,7 @@ def test_many_writers_leave_no_open_files(tmp_path):
 
     def one():
         with FieldWriter(solid, tmp_path) as writer:
-            writer.write(0.0, solid.lift, solid.lift)
+            writer.write(0.0, solid.translation[:, 2], solid.translation[:, 2])
 
     one()
     before = len(list(Path("/proc/self/fd").iterdir()))
@@ -347,7 +347,7 @@ from pathlib import Path
 solid = t.solid_of()
 writer = t.FieldWriter(solid, Path({folder!r}))
 for k in range(4):
-    writer.write(float(k), k * solid.lift, solid.lift)
+    writer.write(float(k), k * solid.translation[:, 2], solid.translation[:, 2])
 os.kill(os.getpid(), signal.SIGKILL)
 """
 

@@ -105,10 +105,10 @@ def period_three(n, theta, periods=2):
     state = marcher.start(0.0, compressed, np.zeros_like(compressed))
     tip, given, times = [], [], []
     for _ in range(round(3.0 * periods / marcher.its_s)):
-        state, force = marcher.step(state)
+        state, force, _ = marcher.step(state)
         times.append(state.t_s)
-        tip.append(float(body.contact.heights(state.u)[0]))
-        given.append(marcher.its_s * float(force[0]))
+        tip.append(float(body.contact.displacements(state.u)[0, 2]))
+        given.append(marcher.its_s * float(force[0, 0]))
     phase = np.mod(times, 3.0)
     height = np.where(phase < 1.0, 0.5 - 0.5 * phase, np.where(phase < 2.0, 0.0, 0.5 * phase - 1.0))
     pushed = 0.5 * (np.floor_divide(times, 3.0) + np.clip(phase - 1.0, 0.0, 1.0))
@@ -120,7 +120,7 @@ def period_three(n, theta, periods=2):
 
 def linear_start(body):
     """Modal coordinates of u = ½ (1 - z): what a steady push of ½ at the tip makes of E A = 1."""
-    return 0.5 * body.contact.normal[0] / body.omega2
+    return 0.5 * body.contact.coordinates[0] / body.omega2
 
 
 @pytest.mark.parametrize("theta", [1, 0, -1])

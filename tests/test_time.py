@@ -1,6 +1,7 @@
 """Are the time scheme, the march and the flight right: against exact motion and each other?"""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -12,7 +13,9 @@ from scipy.linalg import expm
 from bristle.solver.bodies.modal import ModalBody
 from bristle.solver.contact.enforcement import ContactMethod, Enforcement
 from bristle.solver.contact.laws import Linear
-from bristle.solver.time.flight import Flight, Rows
+from bristle.solver.ground import Ground, just_touched
+from bristle.solver.rigid import Pose
+from bristle.solver.time.flight import Flight
 from bristle.solver.time.march import Marcher
 from bristle.solver.time.scheme import TimeScheme
 
@@ -31,7 +34,7 @@ def march(body, scheme, its, u, v, end, gravity=0.0, method=AWAY):
     marcher = Marcher(body, method, scheme, its, gravity)
     state = marcher.start(0.0, u, v)
     for _ in range(round(end / its)):
-        state, _ = marcher.step(state)
+        state = marcher.step(state).state
     return state
 
 
@@ -41,9 +44,9 @@ def test_second_order_in_displacement_velocity_and_acceleration(scheme, beta):
     """The first axial mode of a free rod, d'Alembert's standing wave, far above the plane."""
     body = rod(40, degree=2, beta=beta)
     omega = math.sqrt(body.omega2[1])
-    start = np.zeros_like(body.lift)
+    start = np.zeros(len(body.omega2))
     start[1] = 1e-3
-    u0 = start + 1.0 * body.lift
+    u0 = start + 1.0 * body.translation[:, 2]
     end = 2.3
     decay = 0.5 * beta * omega**2
     ring = math.sqrt(omega**2 - decay**2)
@@ -73,23 +76,18 @@ def test_second_order_in_displacement_velocity_and_acceleration(scheme, beta):
 def test_spectral_radius_at_infinite_frequency(rho):
     scheme = TimeScheme.generalised(rho)
     body = rod(4, degree=1)
-    stiff = ModalBody("stiff", np.array([1e16]), np.zeros(1), body.contact, 0.0, 0.0)
-    marcher = Marcher(stiff_contactless(stiff), AWAY, scheme, 1.0, 0.0)
+    none, contact = np.zeros((1, 3)), body.contact
+    contact = replace(contact, coordinates=np.zeros((1, 1)), traction=np.zeros((3, 1)))
+    stiff = ModalBody("stiff", np.array([1e16]), none, none, contact, 0.0, 0.0)
+    marcher = Marcher(stiff, AWAY, scheme, 1.0, 0.0)
     columns = []
     for u, v, a in np.eye(3):
         state = marcher.start(0.0, np.array([u]), np.array([v]))
         state.a, state.ma, state.ka = (np.array([a]), np.array([a]), 1e16 * np.array([a]))
-        after, _ = marcher.step(state)
+        after = marcher.step(state).state
         columns.append([after.u[0], after.v[0], after.a[0]])
     # a double root at infinity: its square root of rounding limits what can be asked
     assert np.abs(np.linalg.eigvals(np.array(columns).T)).max() == pytest.approx(rho, abs=2e-2)
-
-
-def stiff_contactless(body):
-    from dataclasses import replace
-
-    contact = replace(body.contact, normal=np.zeros((1, 1)), pressure=np.zeros((1, 1)))
-    return replace(body, contact=contact)
 
 
 @pytest.mark.parametrize("beta", [0.0, 1e-3])
@@ -97,12 +95,12 @@ def test_mean_force_balances_momentum_of_the_centre_of_mass(beta):
     """Impulse minus weight is the change of momentum, to rounding, while it touches."""
     body = rod(20, degree=2, beta=beta)
     marcher = Marcher(body, ContactMethod(Linear(50.0)), TimeScheme.average(), 0.01, 0.3)
-    state = marcher.start(0.0, np.zeros_like(body.lift), -0.1 * body.lift)
+    state = marcher.start(0.0, np.zeros(len(body.omega2)), -0.1 * body.translation[:, 2])
     impulse = 0.0
     for _ in range(60):
-        state, force = marcher.step(state)
+        state, force, _ = marcher.step(state)
         impulse += marcher.its_s * float(force.sum())
-    momentum = float(body.lift @ state.v) + 0.1 * body.mass_kg
+    momentum = float(body.translation[:, 2] @ state.v) + 0.1 * body.mass_kg
     assert impulse > 0.1
     assert momentum == pytest.approx(impulse - 0.3 * body.mass_kg * 0.6, abs=1e-12)
 
@@ -123,10 +121,10 @@ def test_conserving_scheme_conserves_energy_through_opening_and_closing(method):
 
     body = rod(12, degree=2)
     marcher = Marcher(body, method, TimeScheme.average(), 0.037, 0.2)
-    state = marcher.start(0.0, 0.05 * body.lift, -0.3 * body.lift)
+    state = marcher.start(0.0, 0.05 * body.translation[:, 2], -0.3 * body.translation[:, 2])
     first, touched, was = marching_energy(marcher, state).total_J, 0, False
     for _ in range(600):
-        state, force = marcher.step(state)
+        state, force, _ = marcher.step(state)
         touched += bool(force.any()) and not was
         was = bool(force.any())
         total = marching_energy(marcher, state).total_J
@@ -139,10 +137,10 @@ def test_plain_newmark_makes_or_loses_energy_and_says_so():
 
     body = rod(12, degree=2)
     marcher = Marcher(body, ContactMethod(Linear(50.0)), TimeScheme.newmark(), 0.037, 0.2)
-    state = marcher.start(0.0, 0.05 * body.lift, -0.3 * body.lift)
+    state = marcher.start(0.0, 0.05 * body.translation[:, 2], -0.3 * body.translation[:, 2])
     first = marching_energy(marcher, state).total_J
     for _ in range(600):
-        state, _ = marcher.step(state)
+        state = marcher.step(state).state
     assert abs(marching_energy(marcher, state).total_J / first - 1.0) > 1e-6
 
 
@@ -154,32 +152,35 @@ def test_plain_newmark_makes_or_loses_energy_and_says_so():
 )
 @settings(max_examples=200, deadline=None)
 def test_flight_of_one_mode_is_the_matrix_exponential(omega, zeta, t, seed):
-    """Under-, over- and critically damped alike, a rigid motion beside it, gravity on both."""
+    """Under-, over- and critically damped alike, a rigid motion that falls beside it."""
     u, v = np.random.default_rng(seed).normal(size=(2, 2))
     beta = 2.0 * zeta / omega
-    contact = rod(1).contact
-    body = ModalBody("two", np.array([0.0, omega**2]), np.array([1.0, 0.7]), contact, 0.0, beta)
-    flight = Flight(body, 0.0, u, v, 2.0)
-    got_u, got_v = flight.state(t)
-    system = np.array([[0.0, 1.0, 0.0], [-(omega**2), -beta * omega**2, -2.0 * 0.7], [0, 0, 0]])
-    wanted = expm(system * t) @ np.array([u[1], v[1], 1.0])
-    # near critical damping two nearly equal exponentials cancel to about 1e-9 of what moves,
-    # the sag under gravity among it
-    moves = np.abs(u[1]) + np.abs(v[1]) / omega + 1.4 / omega**2
+    translation = np.array([[0.0, 0.0, 1.0], [0.0, 0.0, 0.0]])
+    squares = np.array([0.0, omega**2])
+    still = np.zeros((2, 3))
+    body = ModalBody("two", squares, translation, still, rod(1).contact, 0.0, beta)
+    flight = Flight(body, Pose.upright(), 0.0, u, v, 2.0)
+    pose, got_u, got_v = flight.state(t)
+    system = np.array([[0.0, 1.0], [-(omega**2), -beta * omega**2]])
+    wanted = expm(system * t) @ np.array([u[1], v[1]])
+    # near critical damping two nearly equal exponentials cancel to about 1e-9 of what moves
+    moves = np.abs(u[1]) + np.abs(v[1]) / omega
     assert got_u[1] == pytest.approx(wanted[0], abs=1e-8 * moves)
     assert got_v[1] == pytest.approx(wanted[1], abs=1e-8 * moves * omega * max(1.0, zeta))
-    assert got_u[0] == pytest.approx(u[0] + v[0] * t - t * t, rel=1e-12, abs=1e-12)
+    assert pose.position_m[2] == pytest.approx(u[0] + v[0] * t - t * t, rel=1e-12, abs=1e-12)
+    assert got_v[0] == pytest.approx(v[0] - 2.0 * t, rel=1e-12, abs=1e-12)
 
 
 @pytest.mark.parametrize("alpha", [0.0, 0.7])
 def test_flight_agrees_with_the_march_at_second_order(alpha):
-    from dataclasses import replace
-
     body = replace(rod(6, degree=2, beta=0.01), alpha_1_s=alpha)
     rng = np.random.default_rng(3)
-    u = body.lift + 1e-3 * rng.normal(size=len(body.lift)) / (1.0 + body.omega2)
-    v = 1e-2 * rng.normal(size=len(body.lift)) / np.sqrt(1.0 + body.omega2)
-    exact = Flight(body, 0.0, u, v, 0.1).state(1.0)
+    u = body.translation[:, 2] + 1e-3 * rng.normal(size=len(body.translation[:, 2])) / (
+        1.0 + body.omega2
+    )
+    v = 1e-2 * rng.normal(size=len(body.translation[:, 2])) / np.sqrt(1.0 + body.omega2)
+    pose, elastic, speed = Flight(body, Pose.upright(), 0.0, u, v, 0.1).state(1.0)
+    exact = elastic + body.translation[:, 2] * pose.position_m[2], speed
     steps = (4e-3, 2e-3, 1e-3)
     errors = []
     for its in steps:
@@ -190,33 +191,34 @@ def test_flight_agrees_with_the_march_at_second_order(alpha):
 
 def test_next_touch_is_found_where_a_dense_sampling_finds_it():
     body = rod(8, degree=2)
-    rows = Rows(body.contact.normal)
+    ground = just_touched(Ground.plane(1), Pose.upright(), body.contact)
     for seed in range(10):
         rng = np.random.default_rng(seed)
-        u = 0.01 * body.lift + 2e-3 * rng.normal(size=len(body.lift)) / (1.0 + body.omega2)
-        v = rng.uniform(0.0, 0.02) * body.lift
-        flight = Flight(body, 0.0, u, v, 0.05)
+        u = 0.01 * body.translation[:, 2] + 2e-3 * rng.normal(size=len(body.translation[:, 2])) / (
+            1.0 + body.omega2
+        )
+        v = rng.uniform(0.0, 0.02) * body.translation[:, 2]
+        flight = Flight(body, Pose.upright(), 0.0, u, v, 0.05)
         t = np.linspace(0.0, 3.0, 60_001)
-        low = flight.observe(rows, t)[:, 0]
+        low = flight.trace(ground, t)[:, 2]
         down = np.flatnonzero((low[:-1] > 0.0) & (low[1:] <= 0.0))
-        found = flight.next_touch(rows, 3.0)
+        found = flight.next_touch(ground, 3.0)
         if not len(down):
             assert found is None
             continue
         assert found == pytest.approx(t[down[0]], abs=2.0 * t[1])
-        assert flight.observe(rows, np.array([found]))[0, 0] == pytest.approx(0.0, abs=1e-12)
+        assert flight.trace(ground, np.array([found]))[0, 2] == pytest.approx(0.0, abs=1e-12)
 
 
 def test_apex_is_the_highest_point_of_a_dense_sampling():
     body = rod(8, degree=2, beta=1e-3)
-    row = body.contact.normal[0]
     for seed in range(6):
         rng = np.random.default_rng(seed)
-        u = 1e-3 * rng.normal(size=len(body.lift)) / (1.0 + body.omega2)
-        flight = Flight(body, 0.0, u, 0.1 * body.lift, 0.05)
+        u = 1e-3 * rng.normal(size=len(body.translation[:, 2])) / (1.0 + body.omega2)
+        flight = Flight(body, Pose.upright(), 0.0, u, 0.1 * body.translation[:, 2], 0.05)
         t = np.linspace(0.0, 4.0, 80_001)
-        highest = flight.observe(Rows(row[None, :]), t)[:, 0].max()
-        assert flight.apex(row, 4.0)[1] == pytest.approx(highest, rel=1e-6)
+        highest = flight.trace(Ground.plane(1), t)[:, 0].max() + 0.5
+        assert flight.apex(4.0)[1] + 0.5 == pytest.approx(highest, rel=3e-6)
 
 
 @pytest.mark.parametrize("bad", [-0.1, 1.1, float("nan")])

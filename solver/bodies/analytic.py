@@ -67,6 +67,10 @@ def analytic_drop(
             numerical_J=0.0,
             closure_relative=0.0,
         ),
+        cm_rebound_height_m=height_m,
+        velocity_after_m_s=(0.0, 0.0, speed),
+        spin_after_rad_s=(0.0, 0.0, 0.0),
+        friction_impulse_N_s=0.0,
         history=_history(mass_kg, kn_N_m, height_m, gravity_m_s2, 2.0 * quarter),
     )
 

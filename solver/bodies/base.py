@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any, Protocol
 
 import numpy as np
@@ -18,49 +19,75 @@ SparseOrDense = Any  # a NumPy array or a SciPy sparse matrix; both know `@` and
 class ContactPoints:
     """The points of the end section that can touch, as operators on a body's unknowns.
 
-    ``normal`` (n, dofs) gives the upward displacement of each point, ``pressure`` (n, dofs) the
-    section area times the normal pressure -σ_zz there, both for the unknowns that this rank owns.
-    ``weights`` (n,) are the points' shares of the area and sum to 1, ``xy_m`` (n, 2) their place
-    on the section.
+    The section moves with few coordinates: ``coordinates`` (r, dofs) of the unknowns that this rank
+    owns, a tip node's displacements and rotations, or the displacements of the nodes of a face.
+    Point i is displaced by ``shapes[i]`` (3, s), along body axes, times the entries ``support[i]``
+    (s,) of them. Row 3 i + k of ``traction`` (3 n, dofs) gives the section area times the traction
+    that the body's own stress asks for along axis k (a force on the body in N). ``weights`` (n,)
+    are the points' shares of the area and sum to 1; ``places_m`` (n, 3) are where they stand, from
+    the centre of mass, in body axes.
     """
 
-    normal: SparseOrDense
-    pressure: SparseOrDense
+    coordinates: SparseOrDense
+    support: NDArray[np.int64]
+    shapes: Array
+    traction: SparseOrDense
     weights: Array
-    xy_m: Array
+    places_m: Array
     comm: MPI.Intracomm = field(default_factory=lambda: MPI.COMM_SELF)
 
+    @cached_property
+    def rows(self) -> Array:
+        """Displacement of every point along every axis by the coordinates (3 n, r)."""
+        n, s = self.support.shape
+        dense = np.zeros((3 * n, self.coordinates.shape[0]))
+        for i in range(n):
+            for a in range(s):
+                dense[3 * i : 3 * i + 3, self.support[i, a]] += self.shapes[i, :, a]
+        return dense
+
+    @cached_property
+    def displacement(self) -> SparseOrDense:
+        """Displacement of every point along every axis by this rank's unknowns (3 n, dofs)."""
+        return self.rows @ dense_of(self.coordinates)
+
     def _reduce(self, local: Array) -> Array:
-        if self.comm.size == 1:
-            return local
-        return self.comm.allreduce(local)
+        return self.comm.allreduce(local) if self.comm.size > 1 else local
 
-    def heights(self, u: Array) -> Array:
-        """Upward displacement of every point (n,), the same on every rank."""
-        return self._reduce(self.normal @ u)
+    def displacements(self, u: Array) -> Array:
+        """Displacement of every point (n, 3), of columns (n, 3, m), the same on every rank."""
+        moved = self.rows @ self._reduce(self.coordinates @ u)
+        return np.asarray(moved).reshape(len(self.weights), 3, *u.shape[1:])
 
-    def pressures(self, u: Array) -> Array:
-        """Section area times normal pressure at every point (n,), in N, the same on every rank."""
-        return self._reduce(self.pressure @ u)
+    def tractions(self, u: Array) -> Array:
+        """Section area times traction at every point (n, 3) in N, the same on every rank."""
+        seen = self._reduce(self.traction @ u)
+        return np.asarray(seen).reshape(len(self.weights), 3, *u.shape[1:])
 
-    def tip_height(self, u: Array) -> float:
-        """Mean upward displacement of the end section."""
-        return float(self.weights @ self.heights(u))
+    @property
+    def xy_m(self) -> Array:
+        """Places on the section (n, 2)."""
+        return self.places_m[:, :2]
+
+
+def dense_of(rows: SparseOrDense) -> Array:
+    """Rows as a NumPy array."""
+    return rows.toarray() if hasattr(rows, "toarray") else np.asarray(rows)
 
 
 class StepDefect(Protocol):
     """How far a step of a reduced body is from the full order's (see modal.Defect)."""
 
-    def energy_norm(
-        self, force: Array, motion: Array, c_mass: float, c_stiffness: float
-    ) -> float: ...
+    def energy_norms(
+        self, forces: Array, motions: Array, c_mass: float, c_stiffness: float
+    ) -> Array: ...
 
 
 class Body(Protocol):
     """A linear body M, K with Rayleigh damping alpha M + beta K, free in space.
 
-    Unknowns are vectors of the entries that this rank owns. ``lift`` is the rigid upward
-    translation by 1 m.
+    Unknowns are vectors of the entries that this rank owns, in body axes. ``translation`` (dofs,
+    3) are the rigid translations by 1 m.
     """
 
     @property
@@ -76,7 +103,7 @@ class Body(Protocol):
     @property
     def contact(self) -> ContactPoints: ...
     @property
-    def lift(self) -> Array: ...
+    def translation(self) -> Array: ...
     @property
     def defect(self) -> StepDefect | None: ...
 

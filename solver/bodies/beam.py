@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..bristle import Bristle
+from ..bristle import CONTACT_POINTS, Bristle
 from ..errors import InputError
 from .base import Array, ContactPoints
 from .modal import ModalBody, modal_form
@@ -68,32 +68,53 @@ def beam_matrices(bristle: Bristle, n_elements: int) -> tuple[Array, Array]:
     return mass, stiffness
 
 
-def beam_contact(bristle: Bristle, n_elements: int, *, face: bool) -> ContactPoints:
-    """The end section's points (``face``), or the one on the axis as in the paper."""
-    section, youngs = bristle.section, bristle.material.youngs_Pa
+def beam_contact(
+    bristle: Bristle, n_elements: int, *, face: bool, points: int = CONTACT_POINTS
+) -> ContactPoints:
+    """The end section's ``points`` across each side (``face``), or the one on the axis."""
+    section, material = bristle.section, bristle.material
     if face:
-        xy, weights = section.contact_points()
+        xy, weights = section.contact_points(points)
     else:
         xy, weights = np.zeros((1, 2)), np.ones(1)
     n = NODE_UNKNOWNS * (2 * n_elements + 1)
-    half = 0.5 * bristle.length_m / n_elements
-    slope = shape(-1.0)[1] / half
-    normal, pressure = np.zeros((len(xy), n)), np.zeros((len(xy), n))
-    # u_z(x, y) = u_z - x θ_y + y θ_x
-    for unknown, factor in ((UZ, np.ones(len(xy))), (RY, -xy[:, 0]), (RX, xy[:, 1])):
-        normal[:, unknown] = factor
+    x, y = xy.T
+    # u_x - y θ_z, u_y + x θ_z, u_z - x θ_y + y θ_x
+    shapes = np.zeros((len(xy), 3, NODE_UNKNOWNS))
+    shapes[:, [0, 1, 2], [UX, UY, UZ]] = 1.0
+    shapes[:, 0, RZ], shapes[:, 1, RZ] = -y, x
+    shapes[:, 2, RY], shapes[:, 2, RX] = -x, y
+    # the stress of the tip's strains; that of torsion is spread so that its moment is right
+    slope = shape(-1.0)[1] / (0.5 * bristle.length_m / n_elements)
+    shear = section.shear_coefficient(material.poisson) * material.shear_modulus_Pa
+    polar = section.second_moment_x_m4 + section.second_moment_y_m4
+    twist = material.shear_modulus_Pa * section.torsion_m4 / polar
+    stiffness = np.array([shear, shear, material.youngs_Pa])
+    traction = np.zeros((len(xy), 3, n))
+    for axis, unknown in ((0, UX), (0, RZ), (1, UY), (1, RZ), (2, UZ), (2, RY), (2, RX)):
+        factor = shapes[:, axis, unknown] * (twist if unknown == RZ else stiffness[axis])
         columns = unknown + NODE_UNKNOWNS * np.arange(3)
-        pressure[:, columns] = -youngs * section.area_m2 * np.outer(factor, slope)
+        traction[:, axis, columns] -= section.area_m2 * np.outer(factor, slope)
+    traction[:, 0, RY] += section.area_m2 * shear
+    traction[:, 1, RX] -= section.area_m2 * shear
     return ContactPoints(
-        normal=normal,
-        pressure=pressure,
+        coordinates=np.eye(NODE_UNKNOWNS, n),
+        support=np.tile(np.arange(NODE_UNKNOWNS), (len(xy), 1)),
+        shapes=shapes,
+        traction=traction.reshape(-1, n),
         weights=weights,
-        xy_m=xy,
+        places_m=np.column_stack([xy, np.full(len(xy), -0.5 * bristle.length_m)]),
     )
 
 
-def beam_body(bristle: Bristle, n_elements: int, *, face: bool = True) -> ModalBody:
-    """The free beam of ``n_elements`` in all its modes (Vanegas-Useche et al. use sixteen)."""
+def beam_body(
+    bristle: Bristle, n_elements: int, *, face: bool = True, points: int = CONTACT_POINTS
+) -> ModalBody:
+    """The free beam of ``n_elements`` in all its modes (Vanegas-Useche et al. use sixteen).
+
+    It touches with ``points`` across each side of its end section (``face``), or, as in the paper,
+    with the node on the axis.
+    """
     mass, stiffness = beam_matrices(bristle, n_elements)
     rigid = rigid_motions(bristle, n_elements)
     return modal_form(
@@ -101,15 +122,14 @@ def beam_body(bristle: Bristle, n_elements: int, *, face: bool = True) -> ModalB
         mass,
         stiffness,
         rigid,
-        rigid[:, UZ],
-        beam_contact(bristle, n_elements, face=face),
+        beam_contact(bristle, n_elements, face=face, points=points),
         bristle.material.alpha_1_s,
         bristle.material.beta_s,
     )
 
 
 def rigid_motions(bristle: Bristle, n_elements: int) -> Array:
-    """Translations x, y, z and rotations about x, y, z through the middle (n, 6)."""
+    """Translations along x, y, z and rotations about them through the middle (n, 6)."""
     z = np.linspace(-0.5, 0.5, 2 * n_elements + 1) * bristle.length_m
     motions = np.zeros((len(z), NODE_UNKNOWNS, NODE_UNKNOWNS))
     motions[:, range(NODE_UNKNOWNS), range(NODE_UNKNOWNS)] = 1.0

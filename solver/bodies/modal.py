@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
+from mpi4py import MPI
 from scipy.linalg import eigh, orth
 from scipy.sparse.csgraph import connected_components
 
@@ -17,37 +18,41 @@ class Defect:
     """What the reduced body leaves of the full order's equation of motion, measured by its energy.
 
     Modes satisfy the equation projected on themselves; left over is R_f f - R_k (u + β v), with
-    R_f = Fᵀ - M V Vᵀ Fᵀ, F the rows of height and of pressure, and R_k = K V - M V Λ. ``gram``
+    R_f = Fᵀ - M V Vᵀ Fᵀ, F the section's coordinates and rows of traction, R_k = K V - M V Λ. ``gram``
     holds [R_f, R_k]ᵀ A⁻¹ [R_f, R_k] for A = s M + K, s = ``shift_1_s2``.
     """
 
     gram: Array
     shift_1_s2: float
 
-    def energy_norm(self, force: Array, motion: Array, c_mass: float, c_stiffness: float) -> float:
-        """Bound on √(rᵀ (c_mass M + c_stiffness K)⁻¹ r), r being what a step leaves over.
+    def energy_norms(
+        self, forces: Array, motions: Array, c_mass: float, c_stiffness: float
+    ) -> Array:
+        """Bounds (k,) on √(rᵀ (c_mass M + c_stiffness K)⁻¹ r), r being what a step leaves over.
 
-        ``force`` (2 points,) is f: what acts along the rows of height in N, and along those of
-        pressure in m; ``motion`` (modes,) is u + β v where equilibrium is taken.
+        ``forces`` (k, r + 3 points) are f: what acts along the section's coordinates, and along the
+        rows of traction in m; ``motions`` (k, modes) are u + β v where equilibrium is taken.
         The effective matrix is no softer than min(c_mass/s, c_stiffness) times A.
         """
-        left = np.concatenate([force, -motion])
-        squared = max(float(left @ self.gram @ left), 0.0)
-        return float(np.sqrt(squared / min(c_mass / self.shift_1_s2, c_stiffness)))
+        left = np.hstack([forces, -motions])
+        squared = np.maximum(np.einsum("ki,ki->k", left @ self.gram, left), 0.0)
+        return np.asarray(np.sqrt(squared / min(c_mass / self.shift_1_s2, c_stiffness)))
 
 
 @dataclass(frozen=True)
 class ModalBody:
     """Modes (mass-normalised) with squared angular frequencies ``omega2`` (n,); zero is rigid.
 
-    ``contact`` and ``lift`` are expressed in modal coordinates. ``n_dofs`` counts the unknowns of
-    the discretisation that the modes came from or, for a reduced body, the modes themselves.
-    ``defect`` is what a reduced body leaves out, None where the modes are complete.
+    ``contact`` and the rigid motions are expressed in modal coordinates: ``translation`` (n, 3) by
+    1 m along body axes, ``rotation`` (n, 3) by 1 rad about them through the centre of mass; a
+    motion that the body does not have is zero. ``defect`` is what a reduced body leaves out, None
+    where the modes are complete.
     """
 
     name: str
     omega2: Array
-    lift: Array
+    translation: Array
+    rotation: Array
     contact: ContactPoints
     alpha_1_s: float
     beta_s: float
@@ -59,7 +64,12 @@ class ModalBody:
 
     @property
     def mass_kg(self) -> float:
-        return float(self.lift @ self.lift)
+        return float(np.sum(self.translation[:, 2] ** 2))
+
+    @property
+    def inertia_kg_m2(self) -> Array:
+        """Principal moments (3,) about body axes."""
+        return np.sum(self.rotation**2, axis=0)
 
     def mass(self, x: Array) -> Array:
         return x
@@ -80,20 +90,20 @@ def modal_form(
     mass: Array,
     stiffness: Array,
     rigid: Array,
-    lift: Array,
     contact: ContactPoints,
     alpha_1_s: float,
     beta_s: float,
 ) -> ModalBody:
-    """All modes of dense M, K (n, n), the motions ``rigid`` (n, r) having frequency zero.
+    """All modes of dense M, K (n, n), given for the physical unknowns as are ``contact``'s rows.
 
-    Unknowns that do not act on each other (axial motion, torsion, the two bendings) are solved
-    apart, so that the rounding of fast ones does not reach slow ones. ``lift`` (n,) and the rows
-    of ``contact`` are given for the physical unknowns. Raises ValueError where ``rigid`` strains
-    the body, or rounding hides the lowest elastic mode.
+    ``rigid`` (n, 6) are translations along and rotations about body axes through the centre of
+    mass, of frequency zero; a column of zeros is a motion that the body does not have. Unknowns
+    that do not act on each other (axial motion, torsion, the two bendings) are solved apart, so
+    that the rounding of fast ones does not reach slow ones. Raises ValueError where ``rigid``
+    strains the body, or rounding hides the lowest elastic mode.
     """
     n_groups, group = connected_components((mass != 0.0) | (stiffness != 0.0), directed=False)
-    omega2: Array = np.zeros(len(lift))
+    omega2: Array = np.zeros(len(mass))
     modes: Array = np.zeros_like(mass)
     first = 0
     for number in range(n_groups):
@@ -106,18 +116,30 @@ def modal_form(
         first = last
     order = np.argsort(omega2, kind="stable")
     omega2, modes = omega2[order], modes[:, order]
+    still = modes.T @ (mass @ rigid)
+    still[omega2 > 0.0] = 0.0
     return ModalBody(
         name=name,
         omega2=omega2,
-        lift=modes.T @ (mass @ lift),
-        contact=ContactPoints(
-            normal=np.asarray(contact.normal @ modes),
-            pressure=np.asarray(contact.pressure @ modes),
-            weights=contact.weights,
-            xy_m=contact.xy_m,
-        ),
+        translation=still[:, :3],
+        rotation=still[:, 3:],
+        contact=in_modes(contact, modes),
         alpha_1_s=alpha_1_s,
         beta_s=beta_s,
+    )
+
+
+def in_modes(contact: ContactPoints, modes: Array) -> ContactPoints:
+    """The contact points seen by the coordinates of ``modes`` (n_local, m), on every rank."""
+    moved = contact.coordinates @ modes
+    if contact.comm.size > 1:
+        moved = contact.comm.allreduce(moved)
+    traction = contact.tractions(modes).reshape(3 * len(contact.weights), -1)
+    return replace(
+        contact,
+        coordinates=np.ascontiguousarray(moved),
+        traction=np.ascontiguousarray(traction),
+        comm=MPI.COMM_SELF,
     )
 
 
@@ -127,7 +149,7 @@ def _modes_of_group(name: str, mass: Array, stiffness: Array, rigid: Array) -> t
     The eigenvalues of (K, M) are good to rounding of the greatest: slow modes drown. Those of
     (M, K) are their inverses, good for the slow ones. Each serves for its half of the decades.
     """
-    still = orth(rigid)
+    still = orth(rigid) if rigid.any() else np.zeros((len(mass), 0))
     if np.abs(stiffness @ still).max(initial=0.0) > 1e-9 * np.abs(stiffness).max():
         raise ValueError(f"{name}: a rigid motion strains the body")
     still = still @ np.linalg.inv(np.linalg.cholesky(still.T @ mass @ still)).T

@@ -10,7 +10,7 @@ from dolfinx import fem, mesh
 from dolfinx.fem import petsc as fem_petsc
 from petsc4py import PETSc
 
-from ..bristle import Material
+from ..bristle import CONTACT_POINTS, Material
 from ..errors import ComputationError
 from .base import Array
 from .tip import tip_contact
@@ -26,7 +26,7 @@ def stress(u: ufl.core.expr.Expr, material: Material) -> ufl.core.expr.Expr:
 class SolidBody:
     """Linear elastic solid on a hexahedral mesh, its axis along z, its tip facets tagged.
 
-    ``order`` is the polynomial degree, 1 or 2. Matrices are distributed over the mesh's
+    ``order`` is the polynomial degree, 1 or 2; ``points`` see `tip_contact`. Matrices are distributed over the mesh's
     communicator; vectors are this rank's owned unknowns. Forms take their quadrature degree from
     the degree of their integrand on straight cells. ``close`` frees what PETSc holds.
     """
@@ -41,6 +41,7 @@ class SolidBody:
         tip_tag: int,
         material: Material,
         order: int = 2,
+        points: int = CONTACT_POINTS,
     ) -> None:
         self.domain, self.facet_tags, self.tip_tag = domain, facet_tags, tip_tag
         self.material, self.order = material, order
@@ -53,10 +54,13 @@ class SolidBody:
         self._solvers: dict[tuple[float, bool], PETSc.KSP] = {}
         self._assemble()
         self._x, self._y = self.stiffness_matrix.createVecs()
-        self.lift = np.zeros(self.n_local)
-        self.lift[2::3] = 1.0
-        self.mass_kg = self.dot(self.lift, self.mass(self.lift))
-        self.contact = tip_contact(self.space, facet_tags.find(tip_tag), material)
+        self.translation = np.tile(np.eye(3), (self.n_local // 3, 1))
+        weight = self.mass(np.ascontiguousarray(self.translation[:, 2]))
+        self.mass_kg = self.dot(self.translation[:, 2], weight)
+        self.centre_m = self._centre(weight[2::3])
+        self.contact = tip_contact(
+            self.space, facet_tags.find(tip_tag), material, self.centre_m, points
+        )
 
     def _assemble(self) -> None:
         u, v = ufl.TrialFunction(self.space), ufl.TestFunction(self.space)
@@ -175,14 +179,20 @@ class SolidBody:
         return local if self.comm.size == 1 else float(self.comm.allreduce(local))
 
     def rigid_motions(self) -> Array:
-        """The six rigid motions (n_local, 6): translations x, y, z, rotations about x, y, z."""
-        x = self.space.tabulate_dof_coordinates()[: self.n_local // 3]
+        """Translations along x, y, z and rotations about them through the centre (n_local, 6)."""
+        x = self._coordinates() - self.centre_m
         motions = np.zeros((len(x), 3, 6))
         motions[:, [0, 1, 2], [0, 1, 2]] = 1.0
-        centre = np.array([0.0, 0.0, 0.5 * self.comm.allreduce(x[:, 2].max(initial=0.0), max)])
         for axis in range(3):
-            motions[:, :, 3 + axis] = np.cross(np.eye(3)[axis], x - centre)
+            motions[:, :, 3 + axis] = np.cross(np.eye(3)[axis], x)
         return motions.reshape(self.n_local, 6)
+
+    def _coordinates(self) -> Array:
+        return np.asarray(self.space.tabulate_dof_coordinates()[: self.n_local // 3])
+
+    def _centre(self, weight: Array) -> Array:
+        """Centre of mass (3,), the nodes' shares of the mass being ``weight``."""
+        return np.asarray(self.comm.allreduce(weight @ self._coordinates())) / self.mass_kg
 
 
 def without_zeros(matrix: PETSc.Mat) -> PETSc.Mat:

@@ -1,43 +1,40 @@
 """How a contact law is enforced over a step: penalty, augmented Lagrangian, Nitsche.
 
-All three meet the body through one scalar per contact point, the *drive*
+All three meet the body through one vector per contact point, the *drive*
 
-    s = τ p̂(u, v) - g(u),
+    d = τ t̂(u, v) - D u,
 
-with the gap g, the section area times the body's own normal pressure p̂ = -A σ_zz (viscous part
-included) and a compliance τ. The force per area share follows from the law through τ in series,
-and acts along Q = N - θ τ S (N the rows of upward displacement, S those of p̂):
+with the point's displacement D u, the section area times the body's own traction there t̂ = T u
+(viscous part included) and a compliance τ. Along the plane's normal, less the gap, it is the
+penetration that the law sees; along the tangents it strains the spring of friction. The force per
+area share follows through τ in series, and acts along Q = D - θ τ T:
 
 - penalty: τ = 0; the law acts on the gap alone.
-- Nitsche: τ = 1 / (γ₀ C), C the constant of the inverse inequality Σ w p̂² ≤ C uᵀ K u (of the
+- Nitsche: τ = 1 / (γ₀ C), C the constant of the inverse inequality Σ w t̂² ≤ C uᵀ K u (of the
   order of E A over the length of the tip's cell), the Robin form of Juntunen and Stenberg (Math.
   Comp. 78, 2009), which turns into penalty where 1/Kn ≫ τ and into Nitsche's method for Signorini's
   condition where Kn → ∞; θ = 1, 0, -1 are the symmetric, incomplete and skew variants of Chouly,
-  Hild and Renard (SIAM J. Numer. Anal. 51, 2013). θ ≠ 0 adds -θ τ Sᵀ w S to the stiffness.
+  Hild and Renard (SIAM J. Numer. Anal. 51, 2013), with friction as in Chouly (J. Math. Anal. Appl.
+  411, 2014). θ ≠ 0 adds -θ τ Tᵀ w T to the stiffness.
 - augmented Lagrangian: τ = 0 and a multiplier per point, updated until the law holds exactly
   (proximal form of Rockafellar, Math. Oper. Res. 1, 1976); Kn = ∞ is Signorini's condition.
 
-Over a step the force is the discrete gradient of the contact potential (Gonzalez, J. Nonlinear
-Sci. 6, 1996), so that an elastic law does no net work; schemes that dissipate take the
-interpolated force instead.
+What a step does with it is in contact.step.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import StrEnum
 
 import numpy as np
 
 from ..bodies.base import Array, Body
 from ..errors import ComputationError
-from .laws import ContactLaw
+from . import step
+from .laws import ContactLaw, Coulomb
 
-NEWTON_LIMIT = 60
-AUGMENTATION_LIMIT = 200
-RELATIVE_TOLERANCE = 1e-11
-MULTIPLIER_TOLERANCE = 1e-9
 # Patterns of force that a body answers less than this share of the softest count as rigid.
 STIFFEST = 1e-2
 SHIFT = 1e-4
@@ -56,24 +53,26 @@ def default_gamma0(kn_N_m: float) -> float:
 
 
 def inverse_constant_N_m(body: Body) -> float:
-    """The smallest C with Σ w p̂(u)² ≤ C uᵀ K u for every motion u of the body.
+    """The smallest C with Σ w t̂(u)² ≤ C uᵀ K u for every motion u of the body.
 
-    It is the largest eigenvalue of S K⁻¹ Sᵀ weighted by w. Rigid motions have no pressure, so a
+    It is the largest eigenvalue of T K⁻¹ Tᵀ weighted by w. Rigid motions have no pressure, so a
     shift of K by a little of M, far below the tip's own frequency, makes K invertible and changes
     C by about as little.
     """
     points = body.contact
-    rows = np.asarray(points.pressure.T @ points.weights)
-    local = body.dot(rows, body.stiffness(rows)) / body.dot(rows, body.mass(rows))
-    rows = points.pressure.toarray() if hasattr(points.pressure, "toarray") else points.pressure
-    answers = points.pressures(body.factor(SHIFT * local, 1.0)(np.ascontiguousarray(rows.T)))
-    root = np.sqrt(points.weights)
+    rows = points.traction
+    rows = rows.toarray() if hasattr(rows, "toarray") else np.asarray(rows)
+    push = np.ascontiguousarray(rows[2::3].T @ points.weights)
+    local = body.dot(push, body.stiffness(push)) / body.dot(push, body.mass(push))
+    answers = points.tractions(body.factor(SHIFT * local, 1.0)(np.ascontiguousarray(rows.T)))
+    root = np.sqrt(np.repeat(points.weights, 3))
+    answers = answers.reshape(len(root), len(root))
     return float(np.linalg.eigvalsh(root[:, None] * answers * root).max())
 
 
 @dataclass(frozen=True)
 class ContactMethod:
-    """A law, the way it is enforced, and that way's constants.
+    """A law with its friction, the way it is enforced, and that way's constants.
 
     ``theta`` (1, 0 or -1) and ``gamma0`` belong to Nitsche. The symmetric form (θ = 1) alone has a
     potential, so it alone conserves energy; the others can gain it from a rigid plane. At γ₀ = 1
@@ -89,6 +88,7 @@ class ContactMethod:
     theta: int = 1
     gamma0: float | None = None
     augmentation: float = 10.0
+    friction: Coulomb = field(default_factory=Coulomb)
 
     def __post_init__(self) -> None:
         if self.theta not in (-1, 0, 1):
@@ -100,6 +100,11 @@ class ContactMethod:
                 "penalty needs a finite Kn; take nitsche or augmented for a rigid plane"
             )
 
+    @property
+    def kt_N_m(self) -> float:
+        """Tangential stiffness of the whole face."""
+        return self.friction.kt_over_kn * self.law.kn_N_m
+
     def compliance_m_N(self, body: Body) -> float:
         """τ (m/N)."""
         if self.enforcement is not Enforcement.NITSCHE:
@@ -110,112 +115,121 @@ class ContactMethod:
 
 @dataclass
 class StepContact:
-    """Solves for the contact forces of one step, given how the drive answers to them.
+    """Solves for the contact forces of one step, given how the drives answer to them.
 
-    ``response`` (n, n): d drive(end of step) / d force. ``end_weight`` is the share of the end of
-    the step in an interpolated force, or None for the discrete gradient.
+    Where the law acts on displacements alone the ``section`` says how; with Nitsche ``response``
+    (3 n, 3 n) is the change of drive at the end of the step by unit forces, both along the points'
+    local frames. ``scale`` (n,) is each point's stiffness over the law's.
+    ``end_weight`` is None for the discrete gradient, else the weight of the end of the step.
+    ``multiplier`` (n, 3) belongs to the augmented Lagrangian, ``elongation`` (n, 2) to friction.
     """
 
     method: ContactMethod
     series_m_N: float
     response: Array
+    section: step.Section
+    weights: Array
+    scale: Array
     end_weight: float | None
-    multiplier: Array
-    iterations: int = 0
-    largest_N: float = 0.0
 
-    def solve(self, drive_start: Array, drive_free: Array) -> Array:
-        """Forces per area share (n,) in N that act over the step.
+    def __post_init__(self) -> None:
+        self._law = self.method.law.parameters
+        self._weight = step.CONSERVING if self.end_weight is None else self.end_weight
+        self.soft = self._augmentation() if self._augmented else 0.0
+        self.reset()
 
-        ``drive_free`` is the drive at the end of the step without contact forces over it.
-        Raises ComputationError where Newton's or the multiplier iteration does not converge.
-        """
-        if max(drive_start.max(), drive_free.max()) <= 0.0 and not self.multiplier.any():
-            return np.zeros_like(drive_free)
-        if self.method.enforcement is Enforcement.AUGMENTED:
-            return self._augment(drive_start, drive_free)
-        return self._newton(
-            drive_start, drive_free, self.response, self.series_m_N, self.end_weight
-        )
+    @property
+    def _augmented(self) -> bool:
+        return self.method.enforcement is Enforcement.AUGMENTED
 
-    def _augment(self, drive_start: Array, drive_free: Array) -> Array:
-        answers = np.abs(np.linalg.eigvals(self.response))
+    def _augmentation(self) -> float:
+        """The proximal compliance: what the body answers with itself, or less."""
+        section, n = self.section, len(self.weights)
+        rows = np.zeros((n, len(section.response)))
+        for i in range(n):
+            np.add.at(rows[i], section.support[i], section.values[i, 0])
+        answers = np.abs(np.linalg.eigvals(rows @ section.response @ (rows.T * self.weights)))
         soft = max(answers.min(), STIFFEST * answers.max()) / self.method.augmentation
-        rigid = math.isinf(self.method.law.kn_N_m)
-        multiplier = self.multiplier
-        for _ in range(AUGMENTATION_LIMIT):
-            shifted = drive_free + soft * multiplier
-            if rigid:  # the end of the step obeys Signorini's condition: no potential to average
-                force = self._newton(drive_start, shifted, self.response, soft, 1.0, start=0.0)
-            else:
-                response = self.response - soft * np.eye(len(multiplier))
-                force = self._newton(drive_start, shifted, response, 0.0, self.end_weight)
-            change = np.abs(force - multiplier).max()
-            multiplier = force
-            self.largest_N = max(self.largest_N, float(np.abs(force).max()))
-            if change <= MULTIPLIER_TOLERANCE * self.largest_N:
-                self.multiplier = multiplier
-                return force
-        raise ComputationError(
-            f"the augmented Lagrangian did not converge in {AUGMENTATION_LIMIT} updates "
-            f"(last change {change:.3g} N); raise its augmentation parameter or shorten the ITS"
-        )
+        return float(soft)
 
-    def _newton(
-        self,
-        drive_start: Array,
-        drive_free: Array,
-        response: Array,
-        series_m_N: float,
-        end_weight: float | None,
-        start: float = 1.0,
-    ) -> Array:
-        law = self.method.law
-        force = np.array(self.multiplier)
-        start_force = start * law.force(drive_start, series_m_N)
-        start_energy = law.potential(drive_start, series_m_N)
-        identity = np.eye(len(force))
-        size = np.abs(law.force(drive_free, series_m_N)).max() + np.abs(start_force).max()
-        for iteration in range(NEWTON_LIMIT):
-            drive = drive_free + response @ force
-            target = law.force(drive, series_m_N)
-            slope = law.tangent(drive, series_m_N)
-            if end_weight is None:
-                target, slope = self._discrete_gradient(
-                    drive_start, drive, start_energy, target, slope, series_m_N
-                )
-            else:
-                target = end_weight * target + (1.0 - end_weight) * start_force
-                slope = end_weight * slope
-            residual = force - target
-            if np.abs(residual).max() <= RELATIVE_TOLERANCE * size:
-                self.iterations += iteration
-                return np.asarray(target)
-            step = np.linalg.solve(identity - slope[:, None] * response, residual)
-            force = force - (step if iteration < NEWTON_LIMIT // 2 else 0.5 * step)
-        raise ComputationError(
-            f"the contact forces did not converge in {NEWTON_LIMIT} Newton steps "
-            f"(residual {np.abs(residual).max():.3g} N of {size:.3g} N); shorten the ITS"
-        )
+    def reset(self) -> None:
+        """Forget what earlier contact left: multipliers and the springs of friction."""
+        n = len(self.weights)
+        self.multiplier: Array = np.zeros((n, 3))
+        self.elongation: Array = np.zeros((n, 2))
+        self.end: Array = np.zeros((n, 3))
+        self.iterations = 0
 
-    def _discrete_gradient(
-        self,
-        start: Array,
-        end: Array,
-        start_energy: Array,
-        end_force: Array,
-        end_slope: Array,
-        series_m_N: float,
-    ) -> tuple[Array, Array]:
-        """Mean force over the step and its derivative by the drive at the end."""
-        law = self.method.law
-        change = end - start
-        near = np.abs(change) <= 1e-5 * np.maximum(np.abs(start), np.abs(end))
-        safe = np.where(near, 1.0, change)
-        mean = (law.potential(end, series_m_N) - start_energy) / safe
-        slope = (end_force - mean) / safe
-        if near.any():
-            middle = 0.5 * (start + end)
-            mean = np.where(near, law.force(middle, series_m_N), mean)
-            slope = np.where(near, 0.5 * law.tangent(middle, series_m_N), slope)
-        return mean, slope
+    def solve(self, start: Array, free: Array) -> Array:
+        """Forces per area share (n, 3) in N that act over the step, along the local frames.
+
+        ``start`` and ``free`` (n, 3) are the drives at its start, and at its end without contact
+        forces; those with them are left in ``end``. Raises ComputationError where Newton's or the
+        multiplier's iteration does not converge.
+        """
+        force = np.zeros_like(free)
+        if max(start[:, 0].max(), free[:, 0].max()) <= 0.0 and not self.multiplier.any():
+            self.end = free
+            return force
+        self.end = np.empty_like(free)
+        count = step.solve_step(
+            self._law,
+            self.method.kt_N_m,
+            self.method.friction.mu,
+            self.scale,
+            self.series_m_N,
+            self.weights,
+            self.section,
+            self.response,
+            start,
+            free,
+            self.elongation,
+            self._weight,
+            self.soft,
+            self.multiplier,
+            force,
+            self.end,
+        )
+        if count == -2:
+            raise ComputationError(
+                f"the augmented Lagrangian did not converge in {step.AUGMENTATION_LIMIT} updates; "
+                "raise its augmentation parameter or shorten the ITS"
+            )
+        if count < 0:
+            raise ComputationError(
+                f"the contact forces did not converge in {step.NEWTON_LIMIT} Newton steps; "
+                "shorten the ITS"
+            )
+        self.iterations += count
+        return force
+
+    def commit(self, start: Array, force: Array) -> float:
+        """Let friction's springs follow the step that was solved; returns its loss in J."""
+        if self.method.friction.mu == 0.0:
+            return 0.0
+        loss = 0.0
+        for i, weight in enumerate(self.weights):
+            loss += weight * step.commit(
+                self._law,
+                self.method.kt_N_m,
+                self.scale[i],
+                self.series_m_N,
+                start[i],
+                self.end[i],
+                force[i],
+                self.elongation[i],
+                self._weight,
+            )
+        return float(loss)
+
+    def spring_energy_J(self) -> float:
+        """What the springs of friction hold."""
+        if self.method.friction.mu == 0.0:
+            return 0.0
+        energy = 0.0
+        for weight, scale, elongation in zip(
+            self.weights, self.scale, self.elongation, strict=True
+        ):
+            k = step.tangential_stiffness(self.method.kt_N_m, scale, self.series_m_N)
+            energy += 0.0 if math.isinf(k) else 0.5 * weight * k * float(elongation @ elongation)
+        return energy

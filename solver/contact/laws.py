@@ -1,4 +1,8 @@
-"""Which pressure a penetration makes: contact laws, elastic ones with their potentials."""
+"""Which force a penetration and a slip make: contact laws and friction, with their potentials.
+
+The scalar functions are compiled, for the loops over contact points and steps; the classes carry
+parameters and speak numpy.
+"""
 
 from __future__ import annotations
 
@@ -7,8 +11,27 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
+from numba import njit
 
+from .. import paper
 from ..bodies.base import Array
+
+LINEAR = 0.0
+
+
+@njit(cache=True)
+def elastic(
+    law: Array, scale: float, drive: float, series_m_N: float
+) -> tuple[float, float, float]:
+    """Force in N, its tangent in N/m and its potential in J of an elastic law.
+
+    ``law`` holds the kind of law and its parameters, ``scale`` is the point's own stiffness over
+    the law's; ``drive`` and ``series_m_N`` as in `ContactLaw`.
+    """
+    if drive <= 0.0:
+        return 0.0, 0.0, 0.0
+    stiffness = 1.0 / (1.0 / (scale * law[1]) + series_m_N)
+    return stiffness * drive, stiffness, 0.5 * stiffness * drive * drive
 
 
 class ContactLaw(Protocol):
@@ -25,15 +48,20 @@ class ContactLaw(Protocol):
         """Stiffness in N/m that the law is called by; infinite on a rigid plane."""
         ...
 
-    def force(self, drive: Array, series_m_N: float) -> Array:
-        """Force (n,) in N."""
+    @property
+    def parameters(self) -> Array:
+        """What `elastic` reads: the kind of law, then its numbers."""
         ...
 
-    def potential(self, drive: Array, series_m_N: float) -> Array:
+    def force(self, drive: Array, series_m_N: float, scale: Array | float = 1.0) -> Array:
+        """Force (n,) in N; ``scale`` (n,) is each point's stiffness over the law's."""
+        ...
+
+    def potential(self, drive: Array, series_m_N: float, scale: Array | float = 1.0) -> Array:
         """The antiderivative of ``force`` in ``drive`` (n,) in J, zero out of contact."""
         ...
 
-    def tangent(self, drive: Array, series_m_N: float) -> Array:
+    def tangent(self, drive: Array, series_m_N: float, scale: Array | float = 1.0) -> Array:
         """d force / d drive (n,) in N/m."""
         ...
 
@@ -48,14 +76,50 @@ class Linear:
         if math.isnan(self.kn_N_m) or self.kn_N_m <= 0.0:
             raise ValueError(f"Kn must be positive, not {self.kn_N_m}")
 
-    def _stiffness(self, series_m_N: float) -> float:
-        return 1.0 / (1.0 / self.kn_N_m + series_m_N)
+    @property
+    def parameters(self) -> Array:
+        return np.array([LINEAR, self.kn_N_m])
 
-    def force(self, drive: Array, series_m_N: float) -> Array:
-        return self._stiffness(series_m_N) * np.maximum(drive, 0.0)
+    def _of_points(
+        self, which: int, drive: Array, series_m_N: float, scale: Array | float
+    ) -> Array:
+        drive, scale = np.broadcast_arrays(drive, np.asarray(scale, dtype=float))
+        law = self.parameters
+        pairs = zip(scale.ravel(), drive.ravel(), strict=True)
+        values = [elastic(law, s, d, series_m_N)[which] for s, d in pairs]
+        return np.array(values).reshape(drive.shape)
 
-    def potential(self, drive: Array, series_m_N: float) -> Array:
-        return 0.5 * self._stiffness(series_m_N) * np.maximum(drive, 0.0) ** 2
+    def force(self, drive: Array, series_m_N: float, scale: Array | float = 1.0) -> Array:
+        return self._of_points(0, drive, series_m_N, scale)
 
-    def tangent(self, drive: Array, series_m_N: float) -> Array:
-        return np.where(drive > 0.0, self._stiffness(series_m_N), 0.0)
+    def tangent(self, drive: Array, series_m_N: float, scale: Array | float = 1.0) -> Array:
+        return self._of_points(1, drive, series_m_N, scale)
+
+    def potential(self, drive: Array, series_m_N: float, scale: Array | float = 1.0) -> Array:
+        return self._of_points(2, drive, series_m_N, scale)
+
+
+def mindlin_ratio(poisson: float) -> float:
+    """Tangential over normal stiffness of an elastic contact that sticks: 2(1-ν)/(2-ν).
+
+    Mindlin, J. Appl. Mech. 16 (1949); the same for every contour that is nearly round.
+    """
+    return 2.0 * (1.0 - poisson) / (2.0 - poisson)
+
+
+@dataclass(frozen=True)
+class Coulomb:
+    """Coulomb friction behind an elastic tangential spring: true stick, no creep.
+
+    Friction is at most ``mu`` times the normal force. The spring's stiffness is ``kt_over_kn``
+    times Kn, by default Mindlin's ratio for the paper's steel; a rigid plane has a rigid spring.
+    """
+
+    mu: float = 0.0
+    kt_over_kn: float = mindlin_ratio(paper.POISSON)
+
+    def __post_init__(self) -> None:
+        if not (math.isfinite(self.mu) and self.mu >= 0.0):
+            raise ValueError(f"the coefficient of friction must be zero or more, not {self.mu}")
+        if not self.kt_over_kn > 0.0:
+            raise ValueError(f"Kt / Kn must be positive, not {self.kt_over_kn}")

@@ -6,12 +6,17 @@ import copy
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
-from ..bodies.base import Array, Body
+from ..bodies.base import Array, Body, dense_of
+from ..bodies.modal import ModalBody
 from ..contact.enforcement import ContactMethod, StepContact
-from ..contact.laws import ContactLaw
+from ..contact.laws import ContactLaw, Coulomb
+from ..contact.step import new_section
+from ..ground import Placement
+from .modal_march import Modes, Touching
 from .scheme import TimeScheme
 
 
@@ -20,7 +25,7 @@ class State:
     """Motion at one instant with the products that the next step and the energies need.
 
     All arrays hold this rank's unknowns. ``ku`` and its like are with the stiffness that the
-    scheme sees (Nitsche's symmetric term included). ``drive`` (n contact points,) see
+    scheme sees (Nitsche's symmetric term included). ``drive`` (n contact points, 3) see
     contact.enforcement.
     """
 
@@ -37,12 +42,23 @@ class State:
     drive: Array
 
 
+class Step(NamedTuple):
+    """What a step gave: the state after it, the contact forces per area share over it (n, 3) in N
+    along the points' local frames, and what friction took in J."""
+
+    state: State
+    force: Array
+    friction_loss_J: float
+
+
 class Marcher:
-    """Marches a body in contact with the plane at constant ``its_s``.
+    """Marches a body in contact with the ground at constant ``its_s``.
 
     The effective matrix c_M M + c_K K is factored once; a step costs one solve, one product with
     M, and a small problem for the contact forces through the compliance of the contact points. The
-    upward contact force on the body is Qᵀ (w P) with P the force per area share.
+    contact force on the body is Qᵀ (w P) with P the force per area share. Where the body stands
+    over which ground is said by ``place``; at first it is upright on a horizontal plane, unstrained
+    points just touching.
     """
 
     def __init__(
@@ -58,13 +74,23 @@ class Marcher:
         points = body.contact
         self.tau = method.compliance_m_N(body)
         self._symmetric = method.theta * self.tau
-        self._mass_lift = body.mass(body.lift)
+        self._mass_translation = body.mass(np.ascontiguousarray(body.translation))
         self._c_mass, self._c_stiffness = scheme.effective(its_s, body.alpha_1_s, body.beta_s)
         self._solve = self._factor()
-        direction = points.normal - self._symmetric * points.pressure
-        direction = direction.toarray() if hasattr(direction, "toarray") else direction
-        self._forcing = np.ascontiguousarray((points.weights[:, None] * direction).T)
+        forcing = [dense_of(points.coordinates).T]
+        if self._symmetric:
+            forcing.append(dense_of(points.traction).T)
+        self._forcing = np.ascontiguousarray(np.hstack(forcing))
         self._compliance = self._solve(self._forcing)
+        self._answer = self._answers()
+        self._modes: Modes | None = None
+        self.place(Placement.upright(points))
+
+    def place(self, placement: Placement) -> None:
+        """Say where the body stands over which ground; contact begins anew."""
+        self.ground = placement
+        self._pull = -self.gravity_m_s2 * (self.body.translation @ placement.up)
+        self._weight = -self.gravity_m_s2 * (self._mass_translation @ placement.up)
         self.contact = self._step_contact()
 
     @property
@@ -72,10 +98,11 @@ class Marcher:
         """Whether contact is a multiplier on a rigid plane: no energy in it, its drive zero."""
         return math.isinf(self.method.law.kn_N_m) and self.tau == 0.0
 
-    def with_law(self, law: ContactLaw) -> Marcher:
-        """The same march under another law: factor and compliance are shared."""
+    def with_law(self, law: ContactLaw, friction: Coulomb | None = None) -> Marcher:
+        """The same march under another law and friction: factor and compliance are shared."""
         other = copy.copy(self)
-        other.method = replace(self.method, law=law)
+        friction = self.method.friction if friction is None else friction
+        other.method = replace(self.method, law=law, friction=friction)
         other.contact = other._step_contact()
         return other
 
@@ -85,32 +112,65 @@ class Marcher:
         if self._symmetric == 0.0:
             return solve
         points = self.body.contact
-        rows = points.pressure
-        rows = rows.toarray() if hasattr(rows, "toarray") else np.asarray(rows)
+        rows = dense_of(points.traction)
         columns = solve(np.ascontiguousarray(rows.T))
-        capacitance = np.diag(1.0 / (self._c_stiffness * self._symmetric * points.weights))
-        capacitance = capacitance - points.pressures(columns)
+        weights = np.repeat(points.weights, 3)
+        capacitance = np.diag(1.0 / (self._c_stiffness * self._symmetric * weights))
+        capacitance = capacitance - points.tractions(columns).reshape(len(rows), -1)
 
         def corrected(b: Array) -> Array:
             x = solve(b)
-            return np.asarray(x + columns @ np.linalg.solve(capacitance, points.pressures(x)))
+            seen = points.tractions(x).reshape(len(rows), *x.shape[1:])
+            return np.asarray(x + columns @ np.linalg.solve(capacitance, seen))
 
         return corrected
 
-    def _step_contact(self) -> StepContact:
+    def _answers(self) -> Array:
+        """How the section's coordinates answer to loads along them at the end of a step (r, r).
+
+        With Nitsche, how the drives along body axes answer to the points' forces (3 n, 3 n).
+        """
         points, h, scheme = self.body.contact, self.its_s, self.scheme
         du, dv = scheme.beta * h * h, scheme.gamma * h
-        response = -du * points.heights(self._compliance)
+        if not self.tau:
+            moved = points.coordinates @ self._compliance
+            if points.comm.size > 1:
+                moved = points.comm.allreduce(moved)
+            return np.ascontiguousarray(du * moved)
+        n = 3 * len(points.weights)
+        answer = -du * points.displacements(self._compliance)
+        answer += self.tau * (du + self.body.beta_s * dv) * points.tractions(self._compliance)
+        pushes = np.stack([self._loads(unit.reshape(-1, 3)) for unit in np.eye(n)], axis=1)
+        return np.ascontiguousarray(answer.reshape(n, -1) @ pushes)
+
+    def _loads(self, force: Array) -> Array:
+        """Forces (n, 3) along body axes per area share, as amounts of the columns that force."""
+        points = self.body.contact
+        weighted = (points.weights[:, None] * force).ravel()
+        loads = points.rows.T @ weighted
+        return np.concatenate([loads, -self._symmetric * weighted]) if self._symmetric else loads
+
+    def _step_contact(self) -> StepContact:
+        points, scheme, frames = self.body.contact, self.scheme, self.ground.frames
+        n = len(points.weights)
+        none = np.zeros((0, 0))
         if self.tau:
-            response = response + self.tau * (du + self.body.beta_s * dv) * points.pressures(
-                self._compliance
-            )
+            answer = self._answer.reshape(n, 3, n, 3)
+            local = np.einsum("iax,ixjy,jby->iajb", frames, answer, frames, optimize=True)
+            response = np.ascontiguousarray(local.reshape(3 * n, 3 * n))
+            section = new_section(points.support, points.shapes, none)
+        else:
+            response = none
+            values = np.einsum("iax,ixs->ias", frames, points.shapes)
+            section = new_section(points.support, values, self._answer)
         return StepContact(
             method=self.method,
             series_m_N=self.tau,
             response=response,
+            section=section,
+            weights=points.weights,
+            scale=self.ground.scale,
             end_weight=None if scheme.conserving else 1.0 - scheme.alpha_f,
-            multiplier=np.zeros(len(points.weights)),
         )
 
     def stiffness(self, x: Array) -> Array:
@@ -119,15 +179,33 @@ class Marcher:
         if self._symmetric == 0.0:
             return kx
         points = self.body.contact
-        return kx - self._symmetric * (points.pressure.T @ (points.weights * points.pressures(x)))
+        push = (points.weights[:, None] * points.tractions(x)).ravel()
+        return kx - self._symmetric * (points.traction.T @ push)
 
     def drive(self, u: Array, v: Array) -> Array:
-        """The drive s (n contact points,) of contact.enforcement."""
+        """The drive (n, 3) of contact.enforcement along the points' local frames."""
         points = self.body.contact
-        s = -points.heights(u)
+        moved = -points.displacements(u)
         if self.tau:
-            s = s + self.tau * points.pressures(u + self.body.beta_s * v)
-        return s
+            moved = moved + self.tau * points.tractions(u + self.body.beta_s * v)
+        drive = np.einsum("iax,ix->ia", self.ground.frames, moved)
+        drive[:, 0] -= self.ground.gaps_m
+        return drive
+
+    def gaps(self, u: Array) -> Array:
+        """The gap (n,) in m between every contact point and the ground."""
+        return self.ground.gaps(self.body.contact.displacements(u))
+
+    def heights(self, state: State) -> tuple[float, float]:
+        """Heights in m of the middle of the end section and of the centre of mass."""
+        body, up = self.body, self.ground.up
+        tip = body.contact.weights @ body.contact.displacements(state.u) @ up
+        raised = body.dot(body.translation @ up, state.mu) / body.mass_kg
+        return self.ground.tip_m + float(tip), self.ground.centre_m + raised
+
+    def along_axes(self, force: Array) -> Array:
+        """Forces (n, 3) that stand along the points' local frames, along body axes."""
+        return np.einsum("iax,ia->ix", self.ground.frames, force)
 
     def start(self, t_s: float, u: Array, v: Array) -> State:
         """State for displacement ``u`` and velocity ``v``, its acceleration from equilibrium.
@@ -137,19 +215,20 @@ class Marcher:
         body = self.body
         mu, mv, ku, kv = body.mass(u), body.mass(v), self.stiffness(u), self.stiffness(v)
         drive = self.drive(u, v)
-        self.contact.multiplier = np.zeros_like(drive)
-        a: Array = -self.gravity_m_s2 * body.lift
+        self.contact.reset()
+        a: Array = self._pull
         if self.scheme.conserving:
-            ma = -self.gravity_m_s2 * self._mass_lift
+            ma = self._weight
         else:
-            force = self.method.law.force(drive, self.tau)
-            ma = -self.gravity_m_s2 * self._mass_lift + self._forcing @ force
+            force = np.zeros_like(drive)
+            force[:, 0] = self.normal_force(drive)
+            ma = self._weight + self._forcing @ self._loads(self.along_axes(force))
             ma = ma - body.alpha_1_s * mv - body.beta_s * kv - ku
             a = body.factor(1.0, 0.0)(ma)
         return State(t_s, u, v, a, mu, mv, ma, ku, kv, self.stiffness(a), drive)
 
-    def step(self, now: State) -> tuple[State, Array]:
-        """The next state, and the contact forces per area share (n,) in N over the step.
+    def step(self, now: State) -> Step:
+        """The next state and how contact brought it about.
 
         Raises ComputationError where the contact forces do not converge.
         """
@@ -157,7 +236,7 @@ class Marcher:
         part = 1.0 - scheme.alpha_f
         early_v, early_u = part * h * (1.0 - scheme.gamma), part * h * h * (0.5 - scheme.beta)
         rhs = (
-            -self.gravity_m_s2 * self._mass_lift
+            self._weight
             - scheme.alpha_m * now.ma
             - (now.ku + part * h * now.kv + early_u * now.ka)
             - body.beta_s * (now.kv + early_v * now.ka)
@@ -172,12 +251,13 @@ class Marcher:
         if not force.any():
             a, u, v, drive = a_free, u_free, v_free, drive_free
         else:
-            rhs = rhs + self._forcing @ force
-            change = self._compliance @ force
+            push = self._loads(self.along_axes(force))
+            rhs = rhs + self._forcing @ push
+            change = self._compliance @ push
             a = a_free + change
             u = u_free + scheme.beta * h * h * change
             v = v_free + scheme.gamma * h * change
-            drive = drive_free + self.contact.response @ force
+            drive = self.contact.end
         ma = body.mass(a)
         ka = (rhs - self._c_mass * ma) / self._c_stiffness  # from the equation just solved
         du0, du1 = h * h * (0.5 - scheme.beta), h * h * scheme.beta
@@ -195,7 +275,7 @@ class Marcher:
             ka=ka,
             drive=drive,
         )
-        return later, force
+        return Step(later, force, self.contact.commit(now.drive, force))
 
     def step_defect(self, before: State, after: State, force: Array) -> float:
         """Bound on the energy norm √(2E) of what a reduced body's step got wrong, in √J.
@@ -210,15 +290,65 @@ class Marcher:
         u = part * after.u + self.scheme.alpha_f * before.u
         v = part * after.v + self.scheme.alpha_f * before.v
         motion, points = u + self.body.beta_s * v, self.body.contact
-        along_pressure = self._symmetric * (points.pressures(motion) - force)
-        norm = self.body.defect.energy_norm(
-            np.concatenate([points.weights * force, points.weights * along_pressure]),
-            motion,
-            self._c_mass,
-            self._c_stiffness,
+        push, weights = self.along_axes(force), points.weights[:, None]
+        along_traction = self._symmetric * (points.tractions(motion) - push)
+        loads = points.rows.T @ (weights * push).ravel()
+        pushes = np.concatenate([loads, (weights * along_traction).ravel()])
+        norms = self.body.defect.energy_norms(
+            pushes[None], motion[None], self._c_mass, self._c_stiffness
         )
-        return self.its_s / math.sqrt(2.0) * norm
+        return self.its_s / math.sqrt(2.0) * float(norms[0])
 
-    def end_force(self, state: State) -> Array:
-        """Contact forces per area share (n,) in N at the instant of ``state``, from the law."""
-        return self.method.law.force(state.drive, self.tau)
+    def normal_force(self, drive: Array) -> Array:
+        """Normal forces per area share (n,) in N that the law asks for at a drive (n, 3)."""
+        return self.method.law.force(drive[:, 0], self.tau, self.ground.scale)
+
+    def march_defect(self, forces: Array, motions: Array) -> float:
+        """`step_defect` summed over steps: forces (steps, 3 n) along body axes and the mid-step
+        u + β v (steps, modes), for methods that act on displacements alone."""
+        if self.body.defect is None or not len(forces):
+            return 0.0
+        points = self.body.contact
+        weighted = forces * np.repeat(points.weights, 3)
+        pushes = np.hstack([weighted @ points.rows, np.zeros_like(weighted)])
+        norms = self.body.defect.energy_norms(pushes, motions, self._c_mass, self._c_stiffness)
+        return float(self.its_s / math.sqrt(2.0) * norms.sum())
+
+    def tables(self) -> tuple[Modes, Touching]:
+        """What the compiled march reads, for a modal body under the conserving scheme."""
+        body, contact, ground, h = self.body, self.contact, self.ground, self.its_s
+        assert isinstance(body, ModalBody)
+        if self._modes is None:
+            points = body.contact
+            damping = body.alpha_1_s + body.beta_s * body.omega2
+            tip = np.einsum(
+                "i,ixr->xr", points.weights, points.rows.reshape(len(points.weights), 3, -1)
+            )
+            self._modes = Modes(
+                its=h,
+                omega2=body.omega2,
+                damping=damping,
+                admittance=1.0 / (1.0 + 0.5 * h * damping + 0.25 * h * h * body.omega2),
+                translation=np.ascontiguousarray(body.translation),
+                along=np.ascontiguousarray(points.coordinates),
+                support=points.support,
+                shapes=np.ascontiguousarray(points.shapes),
+                tip=np.ascontiguousarray(tip @ points.coordinates),
+                weights=points.weights,
+                answer=self._answer,
+                mass=body.mass_kg,
+            )
+        touching = Touching(
+            law=self.method.law.parameters,
+            kt=self.method.kt_N_m,
+            mu=self.method.friction.mu,
+            soft=contact.soft,
+            frames=np.ascontiguousarray(ground.frames),
+            gaps=ground.gaps_m,
+            scale=ground.scale,
+            up=ground.up,
+            tip_m=ground.tip_m,
+            centre_m=ground.centre_m,
+            gravity=self.gravity_m_s2,
+        )
+        return self._modes, touching

@@ -1,0 +1,284 @@
+"""One touch of a modal body under the conserving scheme, marched in compiled code.
+
+The implicit midpoint rule per mode, with the contact forces of contact.step: what `Marcher` does
+for any body and scheme, for the one case that most drops are.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from ..bodies.base import Array
+from ..contact.laws import elastic
+from ..contact.step import (
+    CONSERVING,
+    Section,
+    commit,
+    new_section,
+    section_gathers,
+    section_moves,
+    solve_step,
+    tangential_stiffness,
+)
+
+RELEASED, UNTIL, TOO_LONG, NOT_CONVERGED, NOT_FINITE = 0, 1, 2, 3, 4
+
+
+class Modes(NamedTuple):
+    """A body's modes and contact points, and how they answer over a step of ``its`` s.
+
+    ``along`` (r, modes) are the section's coordinates, ``support`` and ``shapes`` as in ContactPoints;
+    ``tip`` (3, modes) is the section's mean displacement. ``answer`` is Marcher's. ``admittance`` (modes,) = 1/(1 + ½ h c + ¼ h² ω²).
+    """
+
+    its: float
+    omega2: Array
+    damping: Array
+    admittance: Array
+    translation: Array
+    along: Array
+    support: NDArray[np.int64]
+    shapes: Array
+    tip: Array
+    weights: Array
+    answer: Array
+    mass: float
+
+
+class Touching(NamedTuple):
+    """The contact law at the points, and where the body stands: see Marcher and Placement."""
+
+    law: Array
+    kt: float
+    mu: float
+    soft: float
+    frames: Array
+    gaps: Array
+    scale: Array
+    up: Array
+    tip_m: float
+    centre_m: float
+    gravity: float
+
+
+class Marched(NamedTuple):
+    """What a march gave. ``slid`` is the greatest slip of any point, ``push`` (3,) the impulse along
+    body axes; ``first_end`` and ``count`` in steps. ``history`` (steps + 1, 4): tip and centre
+    heights, force, penetration."""
+
+    status: int
+    count: int
+    release: float
+    impulse: float
+    push: Array
+    peak: float
+    material_loss: float
+    friction_loss: float
+    spring: float
+    u: Array
+    v: Array
+    history: Array
+    forces: Array
+    motions: Array
+
+
+@njit(cache=True)
+def local_section(modes: Modes, frames: Array) -> Section:
+    """The section as contact.step sees it, along the points' local ``frames`` (n, 3, 3)."""
+    n, s = modes.support.shape
+    values = np.zeros((n, 3, s))
+    for i in range(n):
+        for a in range(3):
+            for x in range(3):
+                factor = frames[i, a, x]
+                for c in range(s):
+                    values[i, a, c] += factor * modes.shapes[i, x, c]
+    return new_section(modes.support, values, modes.answer)
+
+
+@njit(cache=True)
+def drives(modes: Modes, section: Section, gaps: Array, u: Array, drive: Array) -> None:
+    """Write the drive (n, 3) of every point along its local frame."""
+    section_moves(section, modes.along @ u, drive)
+    for i in range(len(gaps)):
+        for a in range(3):
+            drive[i, a] = -drive[i, a]
+        drive[i, 0] -= gaps[i]
+
+
+@njit(cache=True)
+def march(
+    modes: Modes,
+    touching: Touching,
+    u: Array,
+    v: Array,
+    wait: float,
+    until: float,
+    limit: int,
+    keep: bool,
+    keep_states: bool,
+) -> Marched:
+    """March from the state (u, v) until all points are clear after ``wait`` s, or past ``until`` s.
+
+    Times count from the start. With ``keep`` the history is kept, with ``keep_states`` also the
+    forces (steps, 3 n) along body axes per area share and the mid-step u + β v (steps, modes) that
+    a reduced body's defect is measured by, β taken as damping over ω² where α is zero.
+    """
+    h = modes.its
+    n, m = len(modes.weights), len(u)
+    section = local_section(modes, touching.frames)
+    response = np.zeros((0, 0))
+    pull = -touching.gravity * (modes.translation @ touching.up)
+    lift = (modes.translation @ touching.up) / modes.mass
+    tip = modes.tip.T @ touching.up
+    stiff = modes.damping + 0.5 * h * modes.omega2
+    elongation = np.zeros((n, 2))
+    multiplier = np.zeros((n, 3))
+    force = np.zeros((n, 3))
+    end = np.zeros((n, 3))
+    drive = np.zeros((n, 3))
+    free = np.zeros((n, 3))
+    drives(modes, section, touching.gaps, u, drive)
+    size = 64
+    history = np.zeros((size if keep else 1, 4))
+    forces = np.zeros((size if keep_states else 1, 3 * n))
+    motions = np.zeros((size if keep_states else 1, m))
+    push = np.zeros(3)
+    release = impulse = peak = loss = rubbed = 0.0
+    status, count = TOO_LONG, 0
+    if keep:
+        history[0, 0] = touching.tip_m + tip @ u
+        history[0, 1] = touching.centre_m + lift @ u
+        history[0, 3] = max(drive[:, 0].max(), 0.0)
+    for count in range(1, limit + 1):
+        a = modes.admittance * (pull - modes.omega2 * u - stiff * v)
+        later = u + h * v + (0.5 * h * h) * a
+        drives(modes, section, touching.gaps, later, free)
+        total = now = 0.0
+        touches = drive[:, 0].max() > 0.0 or free[:, 0].max() > 0.0
+        if not touches and touching.soft > 0.0:
+            touches = np.abs(multiplier).max() > 0.0
+        if touches:
+            done = solve_step(
+                touching.law,
+                touching.kt,
+                touching.mu,
+                touching.scale,
+                0.0,
+                modes.weights,
+                section,
+                response,
+                drive,
+                free,
+                elongation,
+                CONSERVING,
+                touching.soft,
+                multiplier,
+                force,
+                end,
+            )
+            if done < 0:
+                status = NOT_CONVERGED
+                break
+            loads = section_gathers(section, modes.weights, force)
+            change = modes.admittance * (modes.along.T @ loads)
+            a += change
+            later += (0.5 * h * h) * change
+            for i in range(n):
+                total += modes.weights[i] * force[i, 0]
+                if touching.mu > 0.0:
+                    rubbed += modes.weights[i] * commit(
+                        touching.law,
+                        touching.kt,
+                        touching.scale[i],
+                        0.0,
+                        drive[i],
+                        end[i],
+                        force[i],
+                        elongation[i],
+                        CONSERVING,
+                    )
+                now += (
+                    modes.weights[i] * elastic(touching.law, touching.scale[i], end[i, 0], 0.0)[0]
+                )
+        else:
+            force[:, :] = 0.0
+            end[:, :] = free
+        fast = v + h * a
+        for j in range(m):
+            middle = 0.5 * (v[j] + fast[j])
+            loss += h * modes.damping[j] * middle * middle
+        if keep_states:
+            if count > len(forces):
+                forces = np.concatenate((forces, np.zeros_like(forces)))
+                motions = np.concatenate((motions, np.zeros_like(motions)))
+            for i in range(n):
+                for x in range(3):
+                    for c in range(3):
+                        forces[count - 1, 3 * i + x] += touching.frames[i, c, x] * force[i, c]
+            for j in range(m):
+                beta = modes.damping[j] / modes.omega2[j] if modes.omega2[j] > 0.0 else 0.0
+                motions[count - 1, j] = 0.5 * (u[j] + later[j]) + 0.5 * beta * (v[j] + fast[j])
+        if total > 0.0:
+            impulse += h * total
+            for i in range(n):
+                for x in range(3):
+                    for c in range(3):
+                        share = modes.weights[i] * touching.frames[i, c, x]
+                        push[x] += h * share * force[i, c]
+            release = count * h
+            first, last = drive[:, 0].max(), end[:, 0].max()
+            if last < 0.0 and first > last:
+                release = h * (count - 1 + max(first, 0.0) / (first - last))
+        peak = max(peak, now)
+        u, v = later, fast
+        drive[:, :] = end
+        if keep:
+            if count >= len(history):
+                history = np.concatenate((history, np.zeros_like(history)))
+            history[count, 0] = touching.tip_m + tip @ u
+            history[count, 1] = touching.centre_m + lift @ u
+            history[count, 2] = now
+            history[count, 3] = max(drive[:, 0].max(), 0.0)
+        if not math.isfinite(drive[:, 0].sum()):
+            status = NOT_FINITE
+            break
+        if drive[:, 0].max() <= 0.0 and now == 0.0 and count * h >= wait:
+            status = RELEASED
+            break
+        if count * h >= until:
+            status = UNTIL
+            break
+    spring = 0.0
+    if touching.mu > 0.0 and not math.isinf(touching.kt):
+        for i in range(n):
+            k = tangential_stiffness(touching.kt, touching.scale[i], 0.0)
+            squared = elongation[i, 0] ** 2 + elongation[i, 1] ** 2
+            spring += 0.5 * modes.weights[i] * k * squared
+    if status == RELEASED:
+        # what the springs of friction still hold is lost with the touch
+        rubbed += spring
+        spring = 0.0
+    kept = count + 1 if keep else 0
+    stated = count if keep_states else 0
+    return Marched(
+        status,
+        count,
+        release,
+        impulse,
+        push,
+        peak,
+        loss,
+        rubbed,
+        spring,
+        u,
+        v,
+        history[:kept],
+        forces[:stated],
+        motions[:stated],
+    )
