@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numba import njit
 
 from .bodies.base import Array, ContactPoints
+from .compiled import njit
 from .rigid import Pose
 
 
@@ -68,7 +68,7 @@ class Placement:
         return np.asarray(self.gaps_m + np.einsum("ix,ix->i", self.frames[:, 0], displacements))
 
 
-@njit(cache=True)
+@njit
 def local_frames(
     normals: Array, offsets: Array, position: Array, rotation: Array, places: Array
 ) -> tuple[Array, Array]:

@@ -11,15 +11,16 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from .compiled import njit
 
 Array = NDArray[np.floating]
 # Angle of one Runge-Kutta step; its error is about angle⁵/120.
 STEP_RAD = 0.02
 
 
-@njit(cache=True)
+@njit
 def matrix_of(q: Array) -> Array:
     """Rotation matrix (3, 3) of a unit quaternion (4,)."""
     w, x, y, z = q[0], q[1], q[2], q[3]
@@ -30,7 +31,7 @@ def matrix_of(q: Array) -> Array:
     return r
 
 
-@njit(cache=True)
+@njit
 def product(p: Array, q: Array) -> Array:
     """Quaternion of the rotation ``q`` followed by ``p``."""
     out = np.empty(4)
@@ -41,7 +42,7 @@ def product(p: Array, q: Array) -> Array:
     return out
 
 
-@njit(cache=True)
+@njit
 def turn(vector: Array) -> Array:
     """Quaternion of the rotation vector (3,) in rad."""
     angle = math.sqrt(vector[0] ** 2 + vector[1] ** 2 + vector[2] ** 2)
@@ -52,7 +53,7 @@ def turn(vector: Array) -> Array:
     return out
 
 
-@njit(cache=True)
+@njit
 def _rates(q: Array, w: Array, inertia: Array) -> tuple[Array, Array]:
     """Rates of attitude and angular velocity without torque: Euler's equations."""
     spin = np.empty(4)
@@ -65,7 +66,7 @@ def _rates(q: Array, w: Array, inertia: Array) -> tuple[Array, Array]:
     return 0.5 * product(q, spin), dw
 
 
-@njit(cache=True)
+@njit
 def free_rotation(
     q: Array, w: Array, inertia: Array, alpha_1_s: float, start_s: float, end_s: float
 ) -> tuple[Array, Array]:
@@ -100,7 +101,7 @@ def free_rotation(
     return q, w * slowed
 
 
-@njit(cache=True)
+@njit
 def fallen(
     position: Array, velocity: Array, gravity_m_s2: float, alpha_1_s: float, t: float
 ) -> tuple[Array, Array]:

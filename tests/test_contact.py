@@ -15,7 +15,14 @@ from bristle.solver.contact.enforcement import (
     inverse_constant_N_m,
 )
 from bristle.solver.contact.laws import Coulomb, Linear, mindlin_ratio
-from bristle.solver.contact.step import commit, new_section, point_force
+from bristle.solver.contact.step import (
+    CONSERVING,
+    Points,
+    commit,
+    new_section,
+    point_force,
+    spring_energy,
+)
 from bristle.solver.errors import ComputationError
 
 pytestmark = pytest.mark.serial
@@ -171,15 +178,15 @@ def test_tangent_of_a_point_against_finite_differences(state, end_weight, soft):
     kn, mu, step = 2e6, 0.5, 1e-11
     kt = mindlin_ratio(0.28) * kn
     law = Linear(kn).parameters
-    start = np.array([s0, 0.0, 0.0])
-    elongation, multiplier = np.array([2e-7, -1e-7]), np.array([3.0, 0.5, -0.2])
+    start = np.array([[s0, 0.0, 0.0]])
+    elongation, multiplier = np.array([[2e-7, -1e-7]]), np.array([[3.0, 0.5, -0.2]])
+
+    points = Points(law, kt, mu, np.ones(1), 0.0, np.ones(1), end_weight, soft)
 
     def force(end):
-        out, slope = np.zeros(3), np.zeros((3, 3))
-        point_force(
-            law, kt, mu, 1.0, 0.0, start, end, elongation, end_weight, soft, multiplier, out, slope
-        )
-        return out, slope
+        out, slope = np.zeros((1, 3)), np.zeros((1, 3, 3))
+        point_force(points, 0, start, end[None], elongation, multiplier, out, slope)
+        return out[0], slope[0]
 
     end = np.array([s1, 0.8 * slip, -0.6 * slip])
     slope = force(end)[1]
@@ -196,20 +203,20 @@ def test_friction_never_gives_energy_and_its_spring_closes_the_books(seed):
     rng = np.random.default_rng(seed)
     kn, mu = 2e6, 0.4
     kt, law = mindlin_ratio(0.28) * kn, Linear(kn).parameters
-    elongation, none = np.zeros(2), np.zeros(3)
-    start, work, lost = np.array([1e-5, 0.0, 0.0]), 0.0, 0.0
+    points = Points(law, kt, mu, np.ones(1), 0.0, np.ones(1), CONSERVING, 0.0)
+    elongation, none = np.zeros((1, 2)), np.zeros((1, 3))
+    start, work, lost = np.array([[1e-5, 0.0, 0.0]]), 0.0, 0.0
+    out, slope = np.zeros((1, 3)), np.zeros((1, 3, 3))
     for _ in range(40):
-        end = start + 1e-5 * rng.normal(size=3)
-        out, slope = np.zeros(3), np.zeros((3, 3))
-        point_force(law, kt, mu, 1.0, 0.0, start, end, elongation, 0.0, 0.0, none, out, slope)
-        assert math.hypot(out[1], out[2]) <= mu * max(out[0], 0.0) * (1.0 + 1e-12) + 1e-15
-        took = commit(law, kt, 1.0, 0.0, start, end, out, elongation, 0.0)
-        assert took >= -1e-18
-        work += out[1:] @ (end - start)[1:]
+        end = start + 1e-5 * rng.normal(size=(1, 3))
+        point_force(points, 0, start, end, elongation, none, out, slope)
+        assert math.hypot(*out[0, 1:]) <= mu * max(out[0, 0], 0.0) * (1.0 + 1e-12) + 1e-15
+        took = commit(points, start, end, out, elongation)
+        assert took >= -1e-16  # of about 1e-3 that go through the spring
+        work += float(out[0, 1:] @ (end - start)[0, 1:])
         lost += took
         start = end
-    held = 0.5 * kt * elongation @ elongation
-    assert work == pytest.approx(lost + held, rel=1e-9, abs=1e-15)
+    assert work == pytest.approx(lost + spring_energy(points, elongation), rel=1e-9, abs=1e-15)
 
 
 def test_nothing_touches_nothing_pushes():

@@ -31,10 +31,11 @@ class Defect:
         """Bounds (k,) on √(rᵀ (c_mass M + c_stiffness K)⁻¹ r), r being what a step leaves over.
 
         ``forces`` (k, r + 3 points) are f: what acts along the section's coordinates, and along the
-        rows of traction in m; ``motions`` (k, modes) are u + β v where equilibrium is taken.
+        rows of traction in m (left out where the basis knows none); ``motions`` (k, modes) are u + β v where equilibrium is taken.
         The effective matrix is no softer than min(c_mass/s, c_stiffness) times A.
         """
-        left = np.hstack([forces, -motions])
+        known = self.gram.shape[0] - motions.shape[1]
+        left = np.hstack([forces[:, :known], -motions])
         squared = np.maximum(np.einsum("ki,ki->k", left @ self.gram, left), 0.0)
         return np.asarray(np.sqrt(squared / min(c_mass / self.shift_1_s2, c_stiffness)))
 

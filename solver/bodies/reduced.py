@@ -15,7 +15,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import eigh
+from scipy.linalg import block_diag, eigh
 
 from ..errors import ComputationError
 from .base import Array, ContactPoints, dense_of
@@ -28,23 +28,64 @@ SLOW_SHIFTS = (1.0, 1e4)
 N_SLOW = 6
 
 
+class Basis:
+    """M-orthonormal vectors (n_local, count) that grow, and M times them (``images``)."""
+
+    def __init__(self, solid: SolidBody, capacity: int) -> None:
+        self.solid, self.count = solid, 0
+        self._vectors: Array = np.empty((solid.n_local, capacity), order="F")
+        self._images: Array = np.empty((solid.n_local, capacity), order="F")
+
+    @property
+    def vectors(self) -> Array:
+        return self._vectors[:, : self.count]
+
+    @property
+    def images(self) -> Array:
+        return self._images[:, : self.count]
+
+    def extend(self, vectors: Array) -> Array:
+        """Add what ``vectors`` (n_local, m) hold beyond the basis; returns M times what came in.
+
+        Twice, since what is left of nearly dependent vectors is mostly rounding the first time.
+        """
+        solid = self.solid
+        image = solid.mass(vectors)
+        size = np.sqrt(_total(solid, np.einsum("ij,ij->j", vectors, image)))
+        vectors, image = vectors / size, image / size
+        for _ in range(2):
+            if self.count:
+                part = _total(solid, self.images.T @ vectors)
+                vectors = vectors - self.vectors @ part
+                image = solid.mass(vectors)
+            size, turn = eigh(_total(solid, vectors.T @ image))
+            keep = size > max(DEFLATED * size.max(initial=0.0), DEFLATED**2)
+            turn = turn[:, keep] / np.sqrt(size[keep])
+            vectors, image = vectors @ turn, image @ turn
+        last = self.count + vectors.shape[1]
+        self._vectors[:, self.count : last] = vectors
+        self._images[:, self.count : last] = image
+        self.count = last
+        return image
+
+
 @dataclass(frozen=True)
 class ReducedModel:
     """The reduced body, and the way between it and the solid.
 
-    ``basis`` (n_local, k) holds mass-normalised modes, ``mass_basis`` is M times it.
+    Its modes are the vectors of the ``basis`` times ``turn`` (k, k).
     """
 
     body: SolidBody
     modal: ModalBody
-    basis: Array
-    mass_basis: Array
+    basis: Basis
+    turn: Array
 
     def to_modal(self, x: Array) -> Array:
-        return _total(self.body, self.mass_basis.T @ x)
+        return np.asarray(self.turn.T @ _total(self.body, self.basis.images.T @ x))
 
     def from_modal(self, q: Array) -> Array:
-        return self.basis @ q
+        return np.asarray(self.basis.vectors @ (self.turn @ q))
 
 
 def krylov_basis(
@@ -54,62 +95,57 @@ def krylov_basis(
     *,
     leaning: bool = False,
     tractions: bool = False,
-) -> tuple[Array, Array]:
-    """M-orthonormal basis (n_local, k), and M times it.
+) -> Basis:
+    """The basis of the reduced body.
 
-    Rigid motions; ``n_krylov`` Krylov vectors of each load: a uniform pressure on the tip or, for a
-    ``leaning`` body, the resultants of its tractions; and the response to a force at each contact
-    point alone (along all axes where it leans), without which an uneven pressure would meet a tip
-    too stiff, and with ``tractions`` to the rows of the traction, along which Nitsche's method
-    pushes too. Directions that carry nothing new are dropped.
+    Rigid motions; ``n_krylov`` Krylov vectors of a uniform pressure on the tip or, for a
+    ``leaning`` body, half as many of each resultant of its tractions; and the response to a force at
+    each node of the face (along all axes where it leans), without which an uneven pressure would
+    meet a tip too stiff, and with ``tractions`` to the rows of the traction, along which Nitsche's
+    method pushes too. Directions that carry nothing new are dropped.
     """
-    basis = _orthonormal(solid, solid.rigid_motions(), None)
     loads = _resultants(solid.contact) if leaning else _resultants(solid.contact)[:, 2:3]
-    basis = _extended(solid, basis, solve, loads, n_krylov)
-    if leaning:
-        for shift in _slow_shifts(solid):
-            basis = _extended(solid, basis, solid.factor(shift, 1.0), loads, N_SLOW)
-    local = solve(_loads(solid.contact, leaning=leaning, tractions=tractions))
-    new = _orthonormal(solid, local, basis)
-    return np.hstack([basis[0], new[0]]), np.hstack([basis[1], new[1]])
-
-
-def _extended(
-    solid: SolidBody,
-    basis: tuple[Array, Array],
-    solve: Callable[[Array], Array],
-    loads: Array,
-    depth: int,
-) -> tuple[Array, Array]:
-    """``basis`` with ``depth`` Krylov vectors of every load (n_local, m)."""
-    for _ in range(depth):
-        new, image = _orthonormal(solid, solve(loads), basis)
-        if not new.size:
-            break
-        basis = np.hstack([basis[0], new]), np.hstack([basis[1], image])
-        loads = image
+    own = _loads(solid.contact, leaning=leaning, tractions=tractions)
+    shifts = _slow_shifts(solid) if leaning else ()
+    depth = (n_krylov + 1) // 2 if leaning else n_krylov
+    most = 6 + loads.shape[1] * (depth + N_SLOW * len(shifts)) + own.shape[1]
+    basis = Basis(solid, most)
+    basis.extend(np.asfortranarray(solid.rigid_motions()))
+    _extend_krylov(basis, solve, loads, depth)
+    for shift in shifts:
+        _extend_krylov(basis, solid.factor(shift, 1.0), loads, N_SLOW)
+    basis.extend(solve(own))
     return basis
+
+
+def _extend_krylov(basis: Basis, solve: Callable[[Array], Array], loads: Array, depth: int) -> None:
+    """Add ``depth`` Krylov vectors of every load (n_local, m)."""
+    for _ in range(depth):
+        loads = basis.extend(solve(loads))
+        if not loads.size:
+            return
 
 
 def _resultants(contact: ContactPoints) -> Array:
     """Loads (n_local, 6) of uniform traction along x, y, z and of linear ones about x, y, z."""
-    rows = contact.displacement.reshape(len(contact.weights), 3, -1)
     x, y = contact.xy_m.T / np.abs(contact.xy_m).max()
-    forces = [contact.weights @ rows[:, axis] for axis in range(3)]
-    about_x = (contact.weights * y) @ rows[:, 2]
-    about_y = (contact.weights * x) @ rows[:, 2]
-    about_z = (contact.weights * x) @ rows[:, 1] - (contact.weights * y) @ rows[:, 0]
-    return np.stack([*forces, about_x, about_y, about_z], axis=1)
+    forces = np.zeros((6, len(contact.weights), 3))
+    forces[range(3), :, range(3)] = 1.0
+    forces[3, :, 2], forces[4, :, 2] = y, x
+    forces[5, :, 0], forces[5, :, 1] = -y, x
+    weighted = (forces * contact.weights[:, None]).reshape(6, -1)
+    return np.asfortranarray(contact.coordinates.T @ (contact.rows.T @ weighted.T))
 
 
 def _slow_shifts(solid: SolidBody) -> tuple[float, ...]:
     """Shifts (1/s²) at the slowest bending of a thin bar of this mass and stiffness, and above."""
     rigid = solid.rigid_motions()
-    inertia = _columns(solid, rigid[:, 3:5], solid.mass(np.ascontiguousarray(rigid[:, 3:5])))
+    turned = np.asfortranarray(rigid[:, 3:])
+    moments = _total(solid, np.einsum("ij,ij->j", turned, solid.mass(turned)))
+    inertia, twist = moments[:2], moments[2]
     length = np.sqrt(12.0 * inertia.max() / solid.mass_kg)
     axial = (np.pi / length) ** 2 * solid.material.youngs_Pa / solid.material.density_kg_m3
     # the radius of gyration of the section from how bending and torsion inertia compare
-    twist = _columns(solid, rigid[:, 5:], solid.mass(np.ascontiguousarray(rigid[:, 5:])))[0]
     slow = axial * (twist / inertia.max())
     return tuple(slow * np.array(SLOW_SHIFTS))
 
@@ -120,31 +156,7 @@ def _loads(contact: ContactPoints, *, leaning: bool, tractions: bool) -> Array:
     rows = dense_of(contact.coordinates)
     if tractions:
         rows = np.vstack([rows, dense_of(contact.traction)])
-    return np.ascontiguousarray((rows if leaning else rows[2::3]).T)
-
-
-def _orthonormal(
-    solid: SolidBody, vectors: Array, against: tuple[Array, Array] | None
-) -> tuple[Array, Array]:
-    """What ``vectors`` (n_local, m) hold beyond ``against``, M-orthonormal, and M times it.
-
-    Twice, since what is left of nearly dependent vectors is mostly rounding the first time.
-    """
-    vectors = vectors / np.sqrt(_columns(solid, vectors, solid.mass(vectors)))
-    for _ in range(2):
-        if against is not None:
-            vectors = vectors - against[0] @ _total(solid, against[1].T @ vectors)
-        image = solid.mass(vectors)
-        size, turn = eigh(_total(solid, vectors.T @ image))
-        keep = size > max(DEFLATED * size.max(initial=0.0), DEFLATED**2)
-        turn = turn[:, keep] / np.sqrt(size[keep])
-        vectors, image = vectors @ turn, image @ turn
-    return vectors, image
-
-
-def _columns(solid: SolidBody, x: Array, y: Array) -> Array:
-    """Inner products of the columns of ``x`` with those of ``y`` (m,)."""
-    return _total(solid, np.einsum("ij,ij->j", x, y))
+    return np.asfortranarray((rows if leaning else rows[2::3]).T)
 
 
 def reduce_solid(
@@ -163,35 +175,38 @@ def reduce_solid(
     """
     solve = solid.factor(shift_1_s2, 1.0)
     contact = solid.contact
-    basis, images = krylov_basis(solid, solve, n_krylov, leaning=leaning, tractions=tractions)
-    stiff = solid.stiffness(basis)
-    reduced = _total(solid, basis.T @ stiff)
+    grown = krylov_basis(solid, solve, n_krylov, leaning=leaning, tractions=tractions)
+    stiff = solid.stiffness(grown.vectors)
+    reduced = _total(solid, grown.vectors.T @ stiff)
+    reduced = 0.5 * (reduced + reduced.T)
     reduced[:6, :] = reduced[:, :6] = 0.0
-    omega2, modes = eigh(0.5 * (reduced + reduced.T))
+    omega2, modes = eigh(reduced)
     scale = omega2.max()
     omega2[np.argsort(np.abs(omega2))[:6]] = 0.0
     if omega2.min() < -1e-12 * scale:
         raise ComputationError(
             f"the reduced stiffness is not semidefinite: ω² = {omega2.min():.3g}"
         )
-    basis, images, stiff = basis @ modes, images @ modes, stiff @ modes
-    seen = in_modes(contact, basis)
-    loads = _loads(contact, leaning=True, tractions=True)
-    loads = loads - images @ np.vstack([seen.coordinates, seen.traction]).T
-    left_over = np.hstack([loads, stiff - images * omega2])
-    rigid = _total(solid, images.T @ solid.rigid_motions())
+    own = in_modes(contact, grown.vectors)
+    rows = np.vstack([own.coordinates, own.traction]) if tractions else own.coordinates
+    loads = _loads(contact, leaning=True, tractions=tractions) - grown.images @ rows.T
+    # K V Q - M V Q Λ = (K V - M V H) Q, where H Q = Q Λ
+    left_over = np.asfortranarray(np.hstack([loads, stiff - grown.images @ reduced]))
+    gram = _total(solid, left_over.T @ solve(left_over))
+    to_modes = block_diag(np.eye(len(rows)), modes)
+    rigid = modes.T @ _total(solid, grown.images.T @ solid.rigid_motions())
     rigid[omega2 > 0.0] = 0.0
     modal = ModalBody(
         name="reduced",
         omega2=omega2,
         translation=rigid[:, :3],
         rotation=rigid[:, 3:],
-        contact=seen,
+        contact=in_modes(own, modes),
         alpha_1_s=solid.alpha_1_s,
         beta_s=solid.beta_s,
-        defect=Defect(_total(solid, left_over.T @ solve(left_over)), shift_1_s2),
+        defect=Defect(to_modes.T @ gram @ to_modes, shift_1_s2),
     )
-    return ReducedModel(solid, modal, basis, images)
+    return ReducedModel(solid, modal, grown, modes)
 
 
 def _total(solid: SolidBody, x: Array) -> Array:

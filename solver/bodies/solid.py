@@ -88,7 +88,7 @@ class SolidBody:
         if x.ndim == 2:
             dense = self._dense(x)
             result = matrix.matMult(dense)
-            y = result.getDenseArray().copy()
+            y = result.getDenseArray().copy(order="F")
             dense.destroy()
             result.destroy()
             return y
@@ -124,7 +124,7 @@ class SolidBody:
         right = self._dense(b)
         left = right.duplicate()
         solver.matSolve(right, left)
-        x = left.getDenseArray().copy()
+        x = left.getDenseArray().copy(order="F")
         right.destroy()
         left.destroy()
         return x

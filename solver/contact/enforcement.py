@@ -133,9 +133,16 @@ class StepContact:
     end_weight: float | None
 
     def __post_init__(self) -> None:
-        self._law = self.method.law.parameters
-        self._weight = step.CONSERVING if self.end_weight is None else self.end_weight
-        self.soft = self._augmentation() if self._augmented else 0.0
+        self.points = step.Points(
+            law=self.method.law.parameters,
+            kt=self.method.kt_N_m,
+            mu=self.method.friction.mu,
+            scale=self.scale,
+            series=self.series_m_N,
+            weights=self.weights,
+            end_weight=step.CONSERVING if self.end_weight is None else self.end_weight,
+            soft=self._augmentation() if self._augmented else 0.0,
+        )
         self.reset()
 
     @property
@@ -173,19 +180,12 @@ class StepContact:
             return force
         self.end = np.empty_like(free)
         count = step.solve_step(
-            self._law,
-            self.method.kt_N_m,
-            self.method.friction.mu,
-            self.scale,
-            self.series_m_N,
-            self.weights,
+            self.points,
             self.section,
             self.response,
             start,
             free,
             self.elongation,
-            self._weight,
-            self.soft,
             self.multiplier,
             force,
             self.end,
@@ -205,31 +205,8 @@ class StepContact:
 
     def commit(self, start: Array, force: Array) -> float:
         """Let friction's springs follow the step that was solved; returns its loss in J."""
-        if self.method.friction.mu == 0.0:
-            return 0.0
-        loss = 0.0
-        for i, weight in enumerate(self.weights):
-            loss += weight * step.commit(
-                self._law,
-                self.method.kt_N_m,
-                self.scale[i],
-                self.series_m_N,
-                start[i],
-                self.end[i],
-                force[i],
-                self.elongation[i],
-                self._weight,
-            )
-        return float(loss)
+        return float(step.commit(self.points, start, self.end, force, self.elongation))
 
     def spring_energy_J(self) -> float:
         """What the springs of friction hold."""
-        if self.method.friction.mu == 0.0:
-            return 0.0
-        energy = 0.0
-        for weight, scale, elongation in zip(
-            self.weights, self.scale, self.elongation, strict=True
-        ):
-            k = step.tangential_stiffness(self.method.kt_N_m, scale, self.series_m_N)
-            energy += 0.0 if math.isinf(k) else 0.5 * weight * k * float(elongation @ elongation)
-        return energy
+        return float(step.spring_energy(self.points, self.elongation))

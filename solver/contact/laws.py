@@ -11,15 +11,15 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-from numba import njit
 
 from .. import paper
 from ..bodies.base import Array
+from ..compiled import njit
 
 LINEAR = 0.0
 
 
-@njit(cache=True)
+@njit
 def elastic(
     law: Array, scale: float, drive: float, series_m_N: float
 ) -> tuple[float, float, float]:
@@ -30,7 +30,9 @@ def elastic(
     """
     if drive <= 0.0:
         return 0.0, 0.0, 0.0
-    stiffness = 1.0 / (1.0 / (scale * law[1]) + series_m_N)
+    stiffness = scale * law[1]
+    if series_m_N > 0.0:
+        stiffness = 1.0 / (1.0 / stiffness + series_m_N)
     return stiffness * drive, stiffness, 0.5 * stiffness * drive * drive
 
 

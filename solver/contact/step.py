@@ -22,14 +22,14 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from ..bodies.base import Array
+from ..compiled import njit
 from .laws import elastic
 
 NEWTON_LIMIT = 200
-TOLERANCE = 1e-12
+TOLERANCE = 1e-11
 # Newton's inverse is renewed where an iteration leaves more than this share of the residual.
 SLOW = 0.2
 # A step that does not lessen the residual is halved down to this share of it.
@@ -39,7 +39,7 @@ MULTIPLIER_TOLERANCE = 1e-9
 CONSERVING = 0.0
 
 
-@njit(cache=True)
+@njit
 def _mean_normal(
     law: Array, scale: float, series: float, start: float, end: float, end_weight: float
 ) -> tuple[float, float]:
@@ -56,7 +56,7 @@ def _mean_normal(
     return mean, (force1 - mean) / change
 
 
-@njit(cache=True)
+@njit
 def normal_force(
     law: Array,
     scale: float,
@@ -86,16 +86,14 @@ def normal_force(
     return force, slope / (1.0 + soft * slope)
 
 
-@njit(cache=True)
+@njit
 def tangential_stiffness(kt: float, scale: float, series: float) -> float:
     """The tangential spring seen through the compliance ``series``; infinite where both allow."""
-    compliance = series
-    if not math.isinf(kt):
-        compliance += 1.0 / (scale * kt)
-    return math.inf if compliance == 0.0 else 1.0 / compliance
+    stiffness = scale * kt
+    return 1.0 / (1.0 / stiffness + series) if series > 0.0 else stiffness
 
 
-@njit(cache=True)
+@njit
 def friction_force(
     stiffness: float,
     limit: float,
@@ -124,122 +122,186 @@ def friction_force(
     return limit * t0 / size, limit * t1 / size, part / compliance * limit / size, True
 
 
-@njit(cache=True)
-def point_force(
+class Points(NamedTuple):
+    """The law at the contact points over one step: what all of a step's functions read.
+
+    ``law`` see contact.laws, ``kt`` and ``mu`` are friction's, ``scale`` (n,) the points' stiffness
+    over the law's, ``series`` Nitsche's compliance, ``soft`` that of the augmented Lagrangian.
+    ``end_weight`` is `CONSERVING` or the weight of the end of the step.
+    """
+
+    law: Array
+    kt: float
+    mu: float
+    scale: Array
+    series: float
+    weights: Array
+    end_weight: float
+    soft: float
+
+
+@njit
+def pushes(
     law: Array,
     kt: float,
     mu: float,
     scale: float,
     series: float,
+    end_weight: float,
+    soft: float,
+    start: float,
+    end: float,
+    slip0: float,
+    slip1: float,
+    e0: float,
+    e1: float,
+    m: float,
+    m0: float,
+    m1: float,
+) -> tuple[float, float, float, float, float, float, float, float, float]:
+    """Force N, T of one point over a step, and its derivatives by the drive at the end.
+
+    ``start`` and ``end`` are the normal drives, the slips how far the tangential ones go over the
+    step, (e0, e1) friction's spring, (m, m0, m1) the multiplier. The derivatives are dN/ds,
+    dT0/d0, dT1/d1, dT0/d1 = dT1/d0, dT0/ds, dT1/ds.
+    """
+    normal, k = normal_force(law, scale, series, start, end, end_weight, soft, m)
+    if mu == 0.0 or normal <= 0.0:
+        return normal, 0.0, 0.0, k, 0.0, 0.0, 0.0, 0.0, 0.0
+    part, weight, at_end, k_end = 1.0, 1.0, normal, k
+    rigid = math.isinf(law[1])
+    if end_weight == CONSERVING and not rigid:
+        part = 0.5
+    elif not rigid:
+        weight = end_weight
+        at_end, k_end, _ = elastic(law, scale, end, series)
+    stiffness = tangential_stiffness(kt, scale, series)
+    t0, t1, stick, slides = friction_force(
+        stiffness, mu * at_end, e0, e1, slip0, slip1, part, soft, m0, m1
+    )
+    f0, f1 = weight * t0, weight * t1
+    if weight != 1.0 and start > 0.0:
+        f0 += (1.0 - weight) * stiffness * e0
+        f1 += (1.0 - weight) * stiffness * e1
+    k_t = weight * stick
+    if not slides:
+        return normal, f0, f1, k, k_t, k_t, 0.0, 0.0, 0.0
+    size = math.sqrt(t0 * t0 + t1 * t1)
+    if size == 0.0:
+        return normal, f0, f1, k, 0.0, 0.0, 0.0, 0.0, 0.0
+    d0, d1 = t0 / size, t1 / size
+    lean = weight * mu * k_end
+    return (
+        normal,
+        f0,
+        f1,
+        k,
+        k_t * (1.0 - d0 * d0),
+        k_t * (1.0 - d1 * d1),
+        -k_t * d0 * d1,
+        lean * d0,
+        lean * d1,
+    )
+
+
+@njit
+def point_force(
+    points: Points,
+    i: int,
     start: Array,
     end: Array,
     elongation: Array,
-    end_weight: float,
-    soft: float,
     multiplier: Array,
     force: Array,
     slope: Array,
 ) -> None:
-    """Force (3,) of one point over a step and its derivative (3, 3) by the drive at the end.
+    """Write force (n, 3) of point ``i`` over a step and its derivative (n, 3, 3) by the drive.
 
-    ``start`` and ``end`` (3,) are the drives; ``force`` and ``slope`` are written.
+    ``start`` and ``end`` (n, 3) are the drives, ``elongation`` (n, 2) that of friction's springs,
+    ``multiplier`` (n, 3) the augmented Lagrangian's.
     """
-    normal, k = normal_force(law, scale, series, start[0], end[0], end_weight, soft, multiplier[0])
-    force[0] = normal
-    force[1] = force[2] = 0.0
-    slope[:, :] = 0.0
-    slope[0, 0] = k
-    if mu == 0.0 or normal <= 0.0:
-        return
-    conserving = end_weight == CONSERVING
-    part, weight, at_end, k_end = 1.0, 1.0, normal, k
-    rigid = math.isinf(law[1])
-    if conserving and not rigid:
-        part = 0.5
-    elif not rigid:
-        weight = end_weight
-        at_end, k_end, _ = elastic(law, scale, end[0], series)
-    stiffness = tangential_stiffness(kt, scale, series)
-    t0, t1, stick, slides = friction_force(
-        stiffness,
-        mu * at_end,
-        elongation[0],
-        elongation[1],
-        end[1] - start[1],
-        end[2] - start[2],
-        part,
-        soft,
-        multiplier[1],
-        multiplier[2],
+    f, f0, f1, k, k00, k11, k01, k0, k1 = pushes(
+        points.law,
+        points.kt,
+        points.mu,
+        points.scale[i],
+        points.series,
+        points.end_weight,
+        points.soft,
+        start[i, 0],
+        end[i, 0],
+        end[i, 1] - start[i, 1],
+        end[i, 2] - start[i, 2],
+        elongation[i, 0],
+        elongation[i, 1],
+        multiplier[i, 0],
+        multiplier[i, 1],
+        multiplier[i, 2],
     )
-    force[1], force[2] = weight * t0, weight * t1
-    if weight != 1.0 and start[0] > 0.0:
-        force[1] += (1.0 - weight) * stiffness * elongation[0]
-        force[2] += (1.0 - weight) * stiffness * elongation[1]
-    if not slides:
-        slope[1, 1] = slope[2, 2] = weight * stick
-        return
-    size = math.hypot(t0, t1)
-    if size == 0.0:
-        return
-    d0, d1 = t0 / size, t1 / size
-    slope[1, 1] = weight * stick * (1.0 - d0 * d0)
-    slope[2, 2] = weight * stick * (1.0 - d1 * d1)
-    slope[1, 2] = slope[2, 1] = -weight * stick * d0 * d1
-    slope[1, 0] = weight * mu * k_end * d0
-    slope[2, 0] = weight * mu * k_end * d1
+    force[i, 0], force[i, 1], force[i, 2] = f, f0, f1
+    slope[i, 0, 0], slope[i, 0, 1], slope[i, 0, 2] = k, 0.0, 0.0
+    slope[i, 1, 0], slope[i, 1, 1], slope[i, 1, 2] = k0, k00, k01
+    slope[i, 2, 0], slope[i, 2, 1], slope[i, 2, 2] = k1, k01, k11
 
 
-@njit(cache=True)
-def commit(
-    law: Array,
-    kt: float,
-    scale: float,
-    series: float,
-    start: Array,
-    end: Array,
-    force: Array,
-    elongation: Array,
-    end_weight: float,
-) -> float:
-    """Let the spring's elongation (2,) follow a step; returns what friction took, in J.
+@njit
+def commit(points: Points, start: Array, end: Array, force: Array, elongation: Array) -> float:
+    """Let friction's springs ``elongation`` (n, 2) follow a step; returns what it took, in J.
 
     Where the normal force has ended, what is left in the spring is lost.
     """
-    stiffness = tangential_stiffness(kt, scale, series)
-    slip0, slip1 = end[1] - start[1], end[2] - start[2]
-    if math.isinf(stiffness):
-        return float(force[1] * slip0 + force[2] * slip1)
-    before = 0.5 * stiffness * (elongation[0] ** 2 + elongation[1] ** 2)
-    if force[0] <= 0.0:
-        elongation[0] = elongation[1] = 0.0
-        return float(before)
-    work = force[1] * slip0 + force[2] * slip1
-    if end_weight == CONSERVING:
-        elongation[0] = 2.0 * force[1] / stiffness - elongation[0]
-        elongation[1] = 2.0 * force[2] / stiffness - elongation[1]
-    else:
-        for k in range(2):
-            part = 1.0 - end_weight if start[0] > 0.0 else 0.0
-            old = part * stiffness * elongation[k]
-            elongation[k] = (force[1 + k] - old) / (end_weight * stiffness)
-    after = 0.5 * stiffness * (elongation[0] ** 2 + elongation[1] ** 2)
-    return float(work - (after - before))
+    taken = 0.0
+    if points.mu == 0.0:
+        return taken
+    weight, weights, scale = points.end_weight, points.weights, points.scale
+    kt, series = points.kt, points.series
+    for i in range(len(weights)):
+        e0, e1 = elongation[i, 0], elongation[i, 1]
+        if force[i, 0] <= 0.0 and e0 == 0.0 and e1 == 0.0:
+            continue
+        stiffness = tangential_stiffness(kt, scale[i], series)
+        pull0, pull1 = force[i, 1], force[i, 2]
+        work = pull0 * (end[i, 1] - start[i, 1]) + pull1 * (end[i, 2] - start[i, 2])
+        if math.isinf(stiffness):
+            taken += weights[i] * work
+            continue
+        before = 0.5 * stiffness * (e0 * e0 + e1 * e1)
+        if force[i, 0] <= 0.0:
+            elongation[i, 0] = elongation[i, 1] = 0.0
+            taken += weights[i] * before
+            continue
+        if weight == CONSERVING:
+            e0, e1 = 2.0 * pull0 / stiffness - e0, 2.0 * pull1 / stiffness - e1
+        else:
+            old = (1.0 - weight) * stiffness if start[i, 0] > 0.0 else 0.0
+            e0 = (pull0 - old * e0) / (weight * stiffness)
+            e1 = (pull1 - old * e1) / (weight * stiffness)
+        elongation[i, 0], elongation[i, 1] = e0, e1
+        after = 0.5 * stiffness * (e0 * e0 + e1 * e1)
+        taken += weights[i] * (work - (after - before))
+    return taken
 
 
-@njit(cache=True)
+@njit
+def spring_energy(points: Points, elongation: Array) -> float:
+    """What the springs of friction hold, in J."""
+    held = 0.0
+    if points.mu == 0.0 or math.isinf(points.kt):
+        return held
+    for i in range(len(points.weights)):
+        stiffness = tangential_stiffness(points.kt, points.scale[i], points.series)
+        squared = elongation[i, 0] ** 2 + elongation[i, 1] ** 2
+        held += 0.5 * points.weights[i] * stiffness * squared
+    return held
+
+
+@njit
 def solve_dense(
-    law: Array,
-    kt: float,
-    mu: float,
-    scale: Array,
-    series: float,
+    points: Points,
     response: Array,
     start: Array,
     free: Array,
     elongation: Array,
-    end_weight: float,
-    soft: float,
     multiplier: Array,
     force: Array,
     end: Array,
@@ -250,32 +312,29 @@ def solve_dense(
     the forces. Newton's method on the drives of the points that touch; points that come to touch
     join. Returns the number of iterations, or minus one where they do not converge.
     """
-    n = len(scale)
-    width = 3 if mu > 0.0 else 1
+    n = len(points.weights)
+    width = 3 if points.mu > 0.0 else 1
     active = np.zeros(n, dtype=np.bool_)
     for i in range(n):
-        shifted = free[i, 0] + soft * multiplier[i, 0]
-        active[i] = start[i, 0] > 0.0 or shifted > 0.0
+        active[i] = start[i, 0] > 0.0 or free[i, 0] + points.soft * multiplier[i, 0] > 0.0
     end[:, :] = free
     force[:, :] = 0.0
+    slopes = np.zeros((n, 3, 3))
     total = 0
     if not active.any():
         return 0
     for _ in range(n + 1):
-        points = np.flatnonzero(active)
-        size = width * len(points)
+        touching = np.flatnonzero(active)
+        size = width * len(touching)
         index = np.empty(size, dtype=np.int64)
-        for p in range(len(points)):
+        for p in range(len(touching)):
             for c in range(width):
-                index[width * p + c] = 3 * points[p] + c
+                index[width * p + c] = 3 * touching[p] + c
         block = np.empty((size, size))
         for a in range(size):
             for b in range(size):
                 block[a, b] = response[index[a], index[b]]
-        pushed = np.empty(size)
-        slopes = np.empty((len(points), 3, 3))
-        x = np.empty(size)
-        base = np.empty(size)
+        pushed, x, base, step = np.empty(size), np.empty(size), np.empty(size), np.zeros(size)
         reach = 0.0
         for a in range(size):
             i, c = index[a] // 3, index[a] % 3
@@ -283,29 +342,13 @@ def solve_dense(
             reach = max(reach, abs(free[i, c] - start[i, c]), abs(free[i, 0]))
         done = False
         before, share = math.inf, 1.0
-        step = np.zeros(size)
         for _ in range(NEWTON_LIMIT):
-            for p in range(len(points)):
-                i = points[p]
-                for c in range(width):
-                    end[i, c] = x[width * p + c]
-                point_force(
-                    law,
-                    kt,
-                    mu,
-                    scale[i],
-                    series,
-                    start[i],
-                    end[i],
-                    elongation[i],
-                    end_weight,
-                    soft,
-                    multiplier[i],
-                    force[i],
-                    slopes[p],
-                )
-                for c in range(width):
-                    pushed[width * p + c] = force[i, c]
+            for a in range(size):
+                end[index[a] // 3, index[a] % 3] = x[a]
+            for i in touching:
+                point_force(points, i, start, end, elongation, multiplier, force, slopes)
+            for a in range(size):
+                pushed[a] = force[index[a] // 3, index[a] % 3]
             residual = x - base - block @ pushed
             total += 1
             change = np.abs(residual).max()
@@ -318,10 +361,10 @@ def solve_dense(
                 continue
             before, share = change, 1.0
             jacobian = np.eye(size)
-            for p in range(len(points)):
+            for p in range(len(touching)):
                 for c in range(width):
                     for d in range(width):
-                        s = slopes[p, c, d]
+                        s = slopes[touching[p], c, d]
                         if s != 0.0:
                             for a in range(size):
                                 jacobian[a, width * p + d] -= block[a, width * p + c] * s
@@ -333,7 +376,7 @@ def solve_dense(
         flat = end.reshape(-1)
         flat[:] = free.reshape(-1) + response @ force.reshape(-1)
         for i in range(n):
-            if not active[i] and end[i, 0] + soft * multiplier[i, 0] > 0.0:
+            if not active[i] and end[i, 0] + points.soft * multiplier[i, 0] > 0.0:
                 active[i] = joined = True
         if not joined:
             return total
@@ -346,7 +389,8 @@ class Section(NamedTuple):
     The drive of point i changes by -``values[i]`` (3, s) times the entries ``support[i]`` (s,) of z,
     and z answers by ``response`` (r, r) to the points' forces gathered along the same rows.
     ``inverse`` (r, r) is Newton's, kept from step to step while it serves; ``ready`` (1,) says
-    whether there is one.
+    whether there is one. ``whole`` says that every point moves with all coordinates in their order,
+    ``widest`` (r,) bounds how far a unit of each moves any point.
     """
 
     support: NDArray[np.int64]
@@ -354,82 +398,92 @@ class Section(NamedTuple):
     response: Array
     inverse: Array
     ready: NDArray[np.bool_]
+    whole: bool
+    widest: Array
 
 
-@njit(cache=True)
+@njit
 def new_section(support: NDArray[np.int64], values: Array, response: Array) -> Section:
     """A section without an inverse yet; an empty ``response`` says that there is none."""
     inverse = np.zeros_like(response)
-    return Section(support, values, response, inverse, np.zeros(1, dtype=np.bool_))
+    whole = support.shape[1] == len(response)
+    widest = np.zeros(len(response))
+    for i in range(len(support)):
+        for a in range(support.shape[1]):
+            whole = whole and support[i, a] == a
+            for c in range(3):
+                if len(response):
+                    reach = abs(values[i, c, a])
+                    widest[support[i, a]] = max(widest[support[i, a]], reach)
+    ready = np.zeros(1, dtype=np.bool_)
+    return Section(support, values, response, inverse, ready, whole, widest)
 
 
-@njit(cache=True)
-def section_moves(section: Section, z: Array, moved: Array) -> None:
-    """Write what ``z`` moves the points by along their local frames (n, 3)."""
+@njit
+def section_moves(section: Section, z: Array, axes: int, moved: Array) -> None:
+    """Write what ``z`` moves the points by along the first ``axes`` of their frames (n, 3)."""
     n, s = section.support.shape
+    support, values = section.support, section.values
     for i in range(n):
-        for c in range(3):
+        for c in range(axes):
             total = 0.0
             for a in range(s):
-                total += section.values[i, c, a] * z[section.support[i, a]]
+                total += values[i, c, a] * z[support[i, a]]
             moved[i, c] = total
 
 
-@njit(cache=True)
+@njit
 def section_gathers(section: Section, weights: Array, force: Array) -> Array:
     """Forces (n, 3) along the local frames as loads (r,) on the section's coordinates."""
     n, s = section.support.shape
+    support, values = section.support, section.values
     gathered = np.zeros(len(section.response))
     for i in range(n):
+        if force[i, 0] == 0.0:
+            continue
         for c in range(3):
             pushed = weights[i] * force[i, c]
             if pushed != 0.0:
                 for a in range(s):
-                    gathered[section.support[i, a]] += section.values[i, c, a] * pushed
+                    gathered[support[i, a]] += values[i, c, a] * pushed
     return gathered
 
 
-@njit(cache=True)
-def _section_inverse(section: Section, weights: Array, slopes: Array) -> None:
+@njit
+def _section_inverse(section: Section, weights: Array, force: Array, slopes: Array) -> None:
     """Write the inverse of d(residual)/dz where points push back with ``slopes`` (n, 3, 3)."""
     n, s = section.support.shape
     r = len(section.response)
     stiff = np.zeros((r, r))
     left = np.empty((3, s))
     for i in range(n):
-        if slopes[i, 0, 0] == 0.0:
+        if force[i, 0] == 0.0 and slopes[i, 0, 0] == 0.0:
             continue
-        for d in range(3):
+        axes = 3 if slopes[i, 1, 1] != 0.0 or slopes[i, 2, 2] != 0.0 else 1
+        for d in range(axes):
             for a in range(s):
                 total = 0.0
                 for c in range(3):
                     total += section.values[i, c, a] * slopes[i, c, d]
                 left[d, a] = weights[i] * total
         for a in range(s):
-            row = stiff[section.support[i, a]]
-            for d in range(3):
+            row = section.support[i, a]
+            for d in range(axes):
                 factor = left[d, a]
                 if factor != 0.0:
                     for b in range(s):
-                        row[section.support[i, b]] += factor * section.values[i, d, b]
+                        stiff[row, section.support[i, b]] += factor * section.values[i, d, b]
     section.inverse[:, :] = np.linalg.inv(np.eye(r) + section.response @ stiff)
     section.ready[0] = True
 
 
-@njit(cache=True)
+@njit
 def solve_section(
-    law: Array,
-    kt: float,
-    mu: float,
-    scale: Array,
-    series: float,
-    weights: Array,
+    points: Points,
     section: Section,
     start: Array,
     free: Array,
     elongation: Array,
-    end_weight: float,
-    soft: float,
     multiplier: Array,
     force: Array,
     end: Array,
@@ -438,47 +492,70 @@ def solve_section(
 
     Newton's method on these; its inverse is renewed where it makes the residual fall too slowly.
     """
-    n, r = len(scale), len(section.response)
-    z = np.zeros(r)
-    moved = np.empty((n, 3))
-    slopes = np.empty((n, 3, 3))
+    n, r = len(points.weights), len(section.response)
+    law, kt, mu, series = points.law, points.kt, points.mu, points.series
+    end_weight, soft, scale = points.end_weight, points.soft, points.scale
+    axes = 3 if mu > 0.0 else 1
+    z = section.response @ section_gathers(section, points.weights, force)
+    step = np.zeros(r)
+    moved = np.zeros((n, 3))
+    slopes = np.zeros((n, 3, 3))
     reach = 0.0
     for i in range(n):
-        for c in range(3):
-            reach = max(reach, abs(free[i, c] - start[i, c]), abs(free[i, 0]))
+        reach = max(reach, abs(free[i, 0] - start[i, 0]), abs(free[i, 0]))
+        for c in range(1, axes):
+            reach = max(reach, abs(free[i, c] - start[i, c]))
     before, share = math.inf, 1.0
-    step = np.zeros(r)
     for iteration in range(NEWTON_LIMIT):
-        section_moves(section, z, moved)
+        section_moves(section, z, axes, moved)
         for i in range(n):
-            for c in range(3):
-                end[i, c] = free[i, c] - moved[i, c]
-            point_force(
+            normal = free[i, 0] - moved[i, 0]
+            m = multiplier[i, 0]
+            if normal + soft * m <= 0.0 and start[i, 0] <= 0.0 and m == 0.0:
+                force[i, 0] = force[i, 1] = force[i, 2] = 0.0
+                slopes[i, 0, 0] = slopes[i, 1, 1] = slopes[i, 2, 2] = 0.0
+                continue
+            f, f0, f1, k, k00, k11, k01, k0, k1 = pushes(
                 law,
                 kt,
                 mu,
                 scale[i],
                 series,
-                start[i],
-                end[i],
-                elongation[i],
                 end_weight,
                 soft,
-                multiplier[i],
-                force[i],
-                slopes[i],
+                start[i, 0],
+                normal,
+                free[i, 1] - moved[i, 1] - start[i, 1],
+                free[i, 2] - moved[i, 2] - start[i, 2],
+                elongation[i, 0],
+                elongation[i, 1],
+                m,
+                multiplier[i, 1],
+                multiplier[i, 2],
             )
-        residual = z - section.response @ section_gathers(section, weights, force)
-        section_moves(section, residual, moved)
-        change = np.abs(moved).max()
+            force[i, 0], force[i, 1], force[i, 2] = f, f0, f1
+            slopes[i, 0, 0] = k
+            if mu > 0.0:
+                slopes[i, 1, 0], slopes[i, 1, 1], slopes[i, 1, 2] = k0, k00, k01
+                slopes[i, 2, 0], slopes[i, 2, 1], slopes[i, 2, 2] = k1, k01, k11
+        residual = z - section.response @ section_gathers(section, points.weights, force)
+        section_moves(section, residual, axes, moved)
+        change = 0.0
+        for i in range(n):
+            for c in range(axes):
+                change = max(change, abs(moved[i, c]))
         if change <= TOLERANCE * reach:
+            section_moves(section, z, 3, moved)
+            for i in range(n):
+                for c in range(3):
+                    end[i, c] = free[i, c] - moved[i, c]
             return iteration + 1
         if change >= before and share > SHORTEST:
             share *= 0.5
             z += share * step
             continue
         if not section.ready[0] or change > SLOW * before:
-            _section_inverse(section, weights, slopes)
+            _section_inverse(section, points.weights, force, slopes)
         before, share = change, 1.0
         step = section.inverse @ residual
         z -= step
@@ -486,72 +563,146 @@ def solve_section(
     return -1
 
 
-@njit(cache=True)
+@njit
+def solve_rigid_section(
+    points: Points,
+    section: Section,
+    start: Array,
+    free: Array,
+    elongation: Array,
+    multiplier: Array,
+    force: Array,
+    end: Array,
+) -> int:
+    """As `solve_section`, where every point moves with all coordinates in their order.
+
+    One pass over the points an iteration; points that do not touch cost one product.
+    """
+    n, r = len(points.weights), len(section.response)
+    law, kt, mu, series = points.law, points.kt, points.mu, points.series
+    end_weight, soft, scale, weights = (
+        points.end_weight,
+        points.soft,
+        points.scale,
+        points.weights,
+    )
+    values, response = section.values, section.response
+    axes = 3 if mu > 0.0 else 1
+    widest = section.widest
+    z = response @ section_gathers(section, weights, force)
+    step, gathered = np.zeros(r), np.zeros(r)
+    stiff = np.zeros((r, r))
+    reach = 0.0
+    for i in range(n):
+        reach = max(reach, abs(free[i, 0]))
+        for c in range(axes):
+            reach = max(reach, abs(free[i, c] - start[i, c]))
+    before, share = math.inf, 1.0
+    for iteration in range(NEWTON_LIMIT):
+        gathered[:] = 0.0
+        stiff[:, :] = 0.0
+        for i in range(n):
+            normal = free[i, 0]
+            for a in range(r):
+                normal -= values[i, 0, a] * z[a]
+            m = multiplier[i, 0]
+            if normal + soft * m <= 0.0 and start[i, 0] <= 0.0 and m == 0.0:
+                force[i, 0] = force[i, 1] = force[i, 2] = 0.0
+                continue
+            slip0 = slip1 = 0.0
+            if mu > 0.0:
+                slip0, slip1 = free[i, 1] - start[i, 1], free[i, 2] - start[i, 2]
+                for a in range(r):
+                    slip0 -= values[i, 1, a] * z[a]
+                    slip1 -= values[i, 2, a] * z[a]
+            f, f0, f1, k, k00, k11, k01, k0, k1 = pushes(
+                law,
+                kt,
+                mu,
+                scale[i],
+                series,
+                end_weight,
+                soft,
+                start[i, 0],
+                normal,
+                slip0,
+                slip1,
+                elongation[i, 0],
+                elongation[i, 1],
+                m,
+                multiplier[i, 1],
+                multiplier[i, 2],
+            )
+            force[i, 0], force[i, 1], force[i, 2] = f, f0, f1
+            w = weights[i]
+            for a in range(r):
+                v0 = values[i, 0, a]
+                total, left = f * v0, k * v0
+                if mu > 0.0:
+                    v1, v2 = values[i, 1, a], values[i, 2, a]
+                    total += f0 * v1 + f1 * v2
+                    left += k0 * v1 + k1 * v2
+                    left1, left2 = w * (k00 * v1 + k01 * v2), w * (k01 * v1 + k11 * v2)
+                    for b in range(r):
+                        stiff[a, b] += left1 * values[i, 1, b] + left2 * values[i, 2, b]
+                gathered[a] += w * total
+                left *= w
+                for b in range(r):
+                    stiff[a, b] += left * values[i, 0, b]
+        residual = z - response @ gathered
+        change = 0.0
+        for a in range(r):
+            change += widest[a] * abs(residual[a])
+        if change <= TOLERANCE * reach:
+            for i in range(n):
+                for c in range(3):
+                    total = free[i, c]
+                    for a in range(r):
+                        total -= values[i, c, a] * z[a]
+                    end[i, c] = total
+            return iteration + 1
+        if change >= before and share > SHORTEST:
+            share *= 0.5
+            z += share * step
+            continue
+        before, share = change, 1.0
+        step = np.linalg.solve(np.eye(r) + response @ stiff, residual)
+        z -= step
+    return -1
+
+
+@njit
 def solve_step(
-    law: Array,
-    kt: float,
-    mu: float,
-    scale: Array,
-    series: float,
-    weights: Array,
+    points: Points,
     section: Section,
     response: Array,
     start: Array,
     free: Array,
     elongation: Array,
-    end_weight: float,
-    soft: float,
     multiplier: Array,
     force: Array,
     end: Array,
 ) -> int:
-    """`solve_section` where the ``section`` has coordinates, else `solve_dense`.
+    """By way of the ``section`` where it has coordinates, else by `solve_dense`.
 
-    With ``soft``, ``multiplier`` (n, 3) is updated until it is the force itself: until an update
-    changes no force by more than `MULTIPLIER_TOLERANCE` of the largest. Minus two where that takes
-    too long.
+    Where ``points`` are soft, ``multiplier`` (n, 3) is updated until it is the force itself: until
+    an update changes no force by more than `MULTIPLIER_TOLERANCE` of the largest. Minus two where
+    that takes too long.
     """
     total = 0
     for _ in range(AUGMENTATION_LIMIT):
-        if len(section.response):
-            done = solve_section(
-                law,
-                kt,
-                mu,
-                scale,
-                series,
-                weights,
-                section,
-                start,
-                free,
-                elongation,
-                end_weight,
-                soft,
-                multiplier,
-                force,
-                end,
+        if section.whole:
+            done = solve_rigid_section(
+                points, section, start, free, elongation, multiplier, force, end
             )
+        elif len(section.response):
+            done = solve_section(points, section, start, free, elongation, multiplier, force, end)
         else:
-            done = solve_dense(
-                law,
-                kt,
-                mu,
-                scale,
-                series,
-                response,
-                start,
-                free,
-                elongation,
-                end_weight,
-                soft,
-                multiplier,
-                force,
-                end,
-            )
+            done = solve_dense(points, response, start, free, elongation, multiplier, force, end)
         if done < 0:
             return -1
         total += done
-        if soft == 0.0:
+        if points.soft == 0.0:
             return total
         change = np.abs(force - multiplier).max()
         multiplier[:, :] = force

@@ -11,21 +11,24 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from ..bodies.base import Array
+from ..compiled import njit
 from ..rigid import fallen, free_rotation, matrix_of, product, turn
 
 Complex = NDArray[np.complex128]
 SAMPLES_PER_PERIOD = 16
 # Oscillations below this share of the largest do not set the shortest step.
 LOUD = 1e-3
-# What ringing may be left out of a search in sum; roots and maxima are then refined with all of it.
-TOUCH_SEARCH_M = 1e-9
-APEX_SEARCH_M = 1e-7
+# What ringing may be left out of a search; roots and maxima are refined with all but rounding.
+TOUCH_SEARCH_M = 1e-8
+APEX_SEARCH_M = 5e-7
 BISECTIONS = 200
-COMPACT_EVERY = 32
+ROUNDING_M = 1e-13
+COMPACT_EVERY = 8
+LOOKS = 8
+GOLDEN_STEPS = 16
 
 
 class Motion(NamedTuple):
@@ -79,7 +82,7 @@ class Flyer(NamedTuple):
     tip_place: Array
 
 
-@njit(cache=True)
+@njit
 def rigid_part(flyer: Flyer, x: Array) -> tuple[Array, Array]:
     """Translation and rotation (3,) in body axes that modal coordinates ``x`` hold."""
     shift, angle = np.zeros(3), np.zeros(3)
@@ -94,7 +97,7 @@ def rigid_part(flyer: Flyer, x: Array) -> tuple[Array, Array]:
     return shift, angle
 
 
-@njit(cache=True)
+@njit
 def launch(
     flyer: Flyer, position: Array, attitude: Array, u: Array, v: Array, gravity: float
 ) -> tuple[Motion, Complex, NDArray[np.int64]]:
@@ -144,7 +147,7 @@ def launch(
     return motion, amounts, modes
 
 
-@njit(cache=True)
+@njit
 def exponentials(
     omega2: Array, alpha: float, beta: float, u: Array, v: Array
 ) -> tuple[Complex, Complex, NDArray[np.int64]]:
@@ -181,7 +184,7 @@ def exponentials(
     return powers[:count], amounts[:count], modes[:count]
 
 
-@njit(cache=True)
+@njit
 def _waves(powers: Complex, t: float) -> Complex:
     out = np.empty(len(powers), dtype=np.complex128)
     for i in range(len(powers)):
@@ -190,7 +193,7 @@ def _waves(powers: Complex, t: float) -> Complex:
     return out
 
 
-@njit(cache=True)
+@njit
 def _real_product(shapes: Complex, waves: Complex) -> Array:
     out = np.zeros(len(shapes))
     for i in range(len(shapes)):
@@ -201,7 +204,7 @@ def _real_product(shapes: Complex, waves: Complex) -> Array:
     return out
 
 
-@njit(cache=True)
+@njit
 def displacements(motion: Motion, t: float) -> Array:
     """Elastic displacement of every point (n, 3) in body axes, ``t`` after the start."""
     moved = _real_product(motion.shapes, _waves(motion.powers, t))
@@ -210,7 +213,7 @@ def displacements(motion: Motion, t: float) -> Array:
     return moved.reshape(-1, 3)
 
 
-@njit(cache=True)
+@njit
 def lowest(motion: Motion, normals: Array, offsets: Array, t: float, attitude: Array) -> float:
     """The smallest clearance of any point from its plane."""
     position, _ = fallen(motion.position, motion.velocity, motion.gravity, motion.alpha, t)
@@ -228,7 +231,7 @@ def lowest(motion: Motion, normals: Array, offsets: Array, t: float, attitude: A
     return least
 
 
-@njit(cache=True)
+@njit
 def tip_height(motion: Motion, t: float, attitude: Array) -> float:
     """Height of the middle of the end section."""
     position, _ = fallen(motion.position, motion.velocity, motion.gravity, motion.alpha, t)
@@ -240,9 +243,27 @@ def tip_height(motion: Motion, t: float, attitude: Array) -> float:
     return float(height)
 
 
-@njit(cache=True)
-def speed_limit(motion: Motion, t: float) -> tuple[float, float]:
-    """The greatest speed that any point can have at ``t``, and a time that resolves its ringing."""
+@njit
+def resolving(motion: Motion, t: float) -> float:
+    """A time that resolves the fastest motion that is not much quieter than the largest."""
+    largest = 0.0
+    for e in range(len(motion.powers)):
+        largest = max(largest, motion.reach[e] * math.exp(motion.powers[e].real * t))
+    fastest = math.sqrt(motion.spin[0] ** 2 + motion.spin[1] ** 2 + motion.spin[2] ** 2)
+    for e in range(len(motion.powers)):
+        swing = motion.reach[e] * math.exp(motion.powers[e].real * t)
+        if swing > LOUD * largest:
+            fastest = max(fastest, abs(motion.powers[e].imag))
+    return 2.0 * math.pi / fastest / SAMPLES_PER_PERIOD if fastest > 0.0 else math.inf
+
+
+@njit
+def safe_time(motion: Motion, t: float, way: float) -> float:
+    """A time in which no point moves by more than ``way``.
+
+    Slow exponentials move at their speed; fast ones by twice their reach and no more, whatever the
+    time. Which count as fast is chosen to make the time longest: ``powers`` rise in size.
+    """
     _, velocity = fallen(motion.position, motion.velocity, motion.gravity, motion.alpha, t)
     limit = math.sqrt(velocity[0] ** 2 + velocity[1] ** 2 + velocity[2] ** 2)
     far, wide = 0.0, 0.0
@@ -251,25 +272,28 @@ def speed_limit(motion: Motion, t: float) -> tuple[float, float]:
         far = max(far, abs(motion.places[i, 2]))
     tumbling = math.hypot(motion.spin[0], motion.spin[1])
     limit += tumbling * math.hypot(far, wide) + abs(motion.spin[2]) * wide
-    largest = 0.0
-    swing = np.empty(len(motion.powers))
+    fast = 0.0
     for e in range(len(motion.powers)):
-        swing[e] = motion.reach[e] * math.exp(motion.powers[e].real * t)
-        limit += swing[e] * abs(motion.powers[e])
-        largest = max(largest, swing[e])
-    fastest = 0.0
-    for e in range(len(motion.powers)):
-        if swing[e] > LOUD * largest:
-            fastest = max(fastest, abs(motion.powers[e].imag))
-    spin = math.sqrt(motion.spin[0] ** 2 + motion.spin[1] ** 2 + motion.spin[2] ** 2)
-    fastest = max(fastest, spin)
-    resolved = 2.0 * math.pi / fastest / SAMPLES_PER_PERIOD if fastest > 0.0 else math.inf
-    return limit, resolved
+        fast += 2.0 * motion.reach[e] * math.exp(motion.powers[e].real * t)
+    longest = 0.0
+    for e in range(len(motion.powers) + 1):
+        left = way - fast
+        if left > 0.0:
+            time = 2.0 * left / (limit + math.sqrt(limit * limit + 2.0 * motion.gravity * left))
+            longest = max(longest, time)
+        if e < len(motion.powers):
+            swing = motion.reach[e] * math.exp(motion.powers[e].real * t)
+            fast -= 2.0 * swing
+            limit += swing * abs(motion.powers[e])
+    return longest
 
 
-@njit(cache=True)
+@njit
 def without_quiet(motion: Motion, t: float, allowed: float) -> Motion:
-    """The motion from ``t`` on without exponentials that together move nothing by ``allowed``."""
+    """The motion from ``t`` on without exponentials that together move nothing by ``allowed``.
+
+    The others come out by rising size of their powers.
+    """
     swing = motion.reach.copy()
     for e in range(len(swing)):
         swing[e] *= math.exp(motion.powers[e].real * t)
@@ -280,7 +304,8 @@ def without_quiet(motion: Motion, t: float, allowed: float) -> Motion:
         if total > allowed:
             break
         dropped += 1
-    keep = np.sort(order[dropped:])
+    keep = order[dropped:]
+    keep = keep[np.argsort(np.abs(motion.powers[keep]))]
     return Motion(
         motion.position,
         motion.velocity,
@@ -299,12 +324,12 @@ def without_quiet(motion: Motion, t: float, allowed: float) -> Motion:
     )
 
 
-@njit(cache=True)
+@njit
 def _attitude(motion: Motion, attitude: Array, spin: Array, start: float, end: float) -> Array:
     return free_rotation(attitude, spin, motion.inertia, motion.alpha, start, end)[0]
 
 
-@njit(cache=True)
+@njit
 def next_touch(motion: Motion, normals: Array, offsets: Array, until: float) -> float:
     """The first time in (0, ``until``] at which a point comes down through its plane, or infinity.
 
@@ -317,31 +342,28 @@ def next_touch(motion: Motion, normals: Array, offsets: Array, until: float) -> 
     clear = lowest(some, normals, offsets, t, attitude)
     above = False
     count = 0
-    _, shortest = speed_limit(some, t)
+    shortest = min(resolving(some, t), until / 8.0)
     while t < until:
         if count == COMPACT_EVERY:
-            some = without_quiet(motion, t, TOUCH_SEARCH_M)
-            _, shortest = speed_limit(some, t)
+            some = without_quiet(some, t, 0.1 * TOUCH_SEARCH_M)
+            shortest = min(resolving(some, t), until / 8.0)
             count = 0
         count += 1
-        limit, _ = speed_limit(some, t)
-        step = min(shortest, until / 8.0)
-        if clear > 0.0:
-            safe = 2.0 * clear / (limit + math.sqrt(limit * limit + 2.0 * motion.gravity * clear))
-            step = max(step, safe)
+        step = max(shortest, safe_time(some, t, clear))
         later = min(t + step, until)
         turned, spun = free_rotation(attitude, spin, motion.inertia, motion.alpha, t, later)
         then = lowest(some, normals, offsets, later, turned)
         above = above or clear > 0.0
         if above and then <= 0.0:
-            return _root(motion, normals, offsets, t, later, attitude, spin)
+            near = without_quiet(motion, t, ROUNDING_M)
+            return _root(near, normals, offsets, t, later, attitude, spin)
         if not above and then < clear:
             return later
         t, clear, attitude, spin = later, then, turned, spun
     return math.inf
 
 
-@njit(cache=True)
+@njit
 def _root(
     motion: Motion,
     normals: Array,
@@ -385,66 +407,90 @@ def _root(
     return right
 
 
-@njit(cache=True)
+@njit
+def _rigid_apex(motion: Motion, until: float) -> float:
+    """When the centre of mass is highest in [0, ``until``]."""
+    speed = motion.velocity[2]
+    if speed <= 0.0:
+        return 0.0
+    if motion.alpha == 0.0:
+        return min(speed / motion.gravity, until)
+    return min(math.log1p(motion.alpha * speed / motion.gravity) / motion.alpha, until)
+
+
+@njit
 def apex(motion: Motion, until: float) -> tuple[float, float]:
     """Time and height of the highest place of the tip in [0, ``until``].
 
-    Times from which the height could not reach the best so far are stepped over.
+    Times from which the height could not reach the best so far are stepped over. A first look at
+    equal times and around the centre's own apex makes the best good from the start.
     """
     some = without_quiet(motion, 0.0, APEX_SEARCH_M)
-    attitude, spin = motion.attitude, motion.spin
-    t, best_t = 0.0, 0.0
+    shortest = min(resolving(some, 0.0), until / 64.0)
+    best, best_t, width = -math.inf, 0.0, until / LOOKS
+    top = _rigid_apex(motion, until)
+    for look in range(2):
+        attitude, spin, t = motion.attitude, motion.spin, 0.0
+        start, spacing = 0.0, until / LOOKS
+        if look:
+            start, spacing = max(best_t - until / LOOKS, 0.0), 2.0 * until / LOOKS / LOOKS
+        if not look:
+            turned = _attitude(motion, attitude, spin, 0.0, top)
+            best, best_t = tip_height(some, top, turned), top
+        for i in range(LOOKS + 1):
+            later = min(start + i * spacing, until)
+            attitude, spin = free_rotation(attitude, spin, motion.inertia, motion.alpha, t, later)
+            t = later
+            height = tip_height(some, t, attitude)
+            if height > best:
+                best, best_t, width = height, t, spacing
+    attitude, spin, t = motion.attitude, motion.spin, 0.0
     height = tip_height(some, t, attitude)
-    best = height
-    best_attitude, best_spin, before = attitude, spin, 0.0
-    _, shortest = speed_limit(some, t)
-    shortest = min(shortest, until / 64.0)
     count = 0
-    last = 0.0
     while t < until:
         if count == COMPACT_EVERY:
-            some = without_quiet(motion, t, APEX_SEARCH_M)
-            _, shortest = speed_limit(some, t)
-            shortest = min(shortest, until / 64.0)
+            some = without_quiet(some, t, 0.1 * APEX_SEARCH_M)
+            shortest = min(resolving(some, t), until / 64.0)
             count = 0
         count += 1
-        limit, _ = speed_limit(some, t)
-        rise = best - height
-        safe = 2.0 * rise / (limit + math.sqrt(limit * limit + 2.0 * motion.gravity * rise))
-        later = min(t + max(shortest, safe), until)
-        turned, spun = free_rotation(attitude, spin, motion.inertia, motion.alpha, t, later)
-        height = tip_height(some, later, turned)
+        step = max(shortest, safe_time(some, t, best - height))
+        later = min(t + step, until)
+        attitude, spin = free_rotation(attitude, spin, motion.inertia, motion.alpha, t, later)
+        height = tip_height(some, later, attitude)
         if height > best:
-            best, best_t, before = height, later, t
-            best_attitude, best_spin, last = attitude, spin, later - t
-        t, attitude, spin = later, turned, spun
-    # golden section around the best sample
-    left, right = before, min(best_t + last, until)
-    if right <= left:
-        return 0.0, tip_height(motion, 0.0, motion.attitude)
+            best, best_t, width = height, later, step
+        t = later
+    near = without_quiet(motion, max(best_t - width, 0.0), ROUNDING_M)
+    return _refined(near, max(best_t - width, 0.0), best_t, min(best_t + width, until))
+
+
+@njit
+def _refined(motion: Motion, left: float, best: float, right: float) -> tuple[float, float]:
+    """Time and height of the highest place between ``left`` and ``right``, by golden section."""
+    start = left
+    attitude, spin = free_rotation(
+        motion.attitude, motion.spin, motion.inertia, motion.alpha, 0.0, start
+    )
+    exact = tip_height(motion, best, _attitude(motion, attitude, spin, start, best))
     golden = 0.5 * (math.sqrt(5.0) - 1.0)
     a, b = right - golden * (right - left), left + golden * (right - left)
-    at_a = tip_height(motion, a, _attitude(motion, best_attitude, best_spin, before, a))
-    at_b = tip_height(motion, b, _attitude(motion, best_attitude, best_spin, before, b))
-    for _ in range(40):
+    at_a = tip_height(motion, a, _attitude(motion, attitude, spin, start, a))
+    at_b = tip_height(motion, b, _attitude(motion, attitude, spin, start, b))
+    for _ in range(GOLDEN_STEPS):
         if at_a >= at_b:
             right, b, at_b = b, a, at_a
             a = right - golden * (right - left)
-            at_a = tip_height(motion, a, _attitude(motion, best_attitude, best_spin, before, a))
+            at_a = tip_height(motion, a, _attitude(motion, attitude, spin, start, a))
         else:
             left, a, at_a = a, b, at_b
             b = left + golden * (right - left)
-            at_b = tip_height(motion, b, _attitude(motion, best_attitude, best_spin, before, b))
+            at_b = tip_height(motion, b, _attitude(motion, attitude, spin, start, b))
     middle = 0.5 * (left + right)
-    at = tip_height(motion, middle, _attitude(motion, best_attitude, best_spin, before, middle))
-    edge = _attitude(motion, best_attitude, best_spin, before, best_t)
-    exact = tip_height(motion, best_t, edge)
-    if exact > at:
-        return best_t, exact
-    return middle, at
+    at = tip_height(motion, middle, _attitude(motion, attitude, spin, start, middle))
+    return (best, exact) if exact > at else (middle, at)
 
 
-@njit(cache=True)
+@njit
 def trace(motion: Motion, normals: Array, offsets: Array, times: Array) -> Array:
     """Heights of the tip's middle and of the centre, and the lowest clearance at times (k,)."""
     out = np.empty((len(times), 3))
@@ -460,7 +506,7 @@ def trace(motion: Motion, normals: Array, offsets: Array, times: Array) -> Array
     return out
 
 
-@njit(cache=True)
+@njit
 def landing(
     flyer: Flyer, motion: Motion, amounts: Complex, modes: NDArray[np.int64], t: float
 ) -> tuple[Array, Array, Array, Array]:

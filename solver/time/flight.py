@@ -8,6 +8,7 @@ velocity over the frequency of bending) is left out.
 from __future__ import annotations
 
 import math
+
 import numpy as np
 
 from ..bodies.base import Array

@@ -339,13 +339,9 @@ class Marcher:
                 mass=body.mass_kg,
             )
         touching = Touching(
-            law=self.method.law.parameters,
-            kt=self.method.kt_N_m,
-            mu=self.method.friction.mu,
-            soft=contact.soft,
+            points=contact.points,
             frames=np.ascontiguousarray(ground.frames),
             gaps=ground.gaps_m,
-            scale=ground.scale,
             up=ground.up,
             tip_m=ground.tip_m,
             centre_m=ground.centre_m,

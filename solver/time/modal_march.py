@@ -10,20 +10,20 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from ..bodies.base import Array
+from ..compiled import njit
 from ..contact.laws import elastic
 from ..contact.step import (
-    CONSERVING,
+    Points,
     Section,
     commit,
     new_section,
     section_gathers,
     section_moves,
     solve_step,
-    tangential_stiffness,
+    spring_energy,
 )
 
 RELEASED, UNTIL, TOO_LONG, NOT_CONVERGED, NOT_FINITE = 0, 1, 2, 3, 4
@@ -53,13 +53,9 @@ class Modes(NamedTuple):
 class Touching(NamedTuple):
     """The contact law at the points, and where the body stands: see Marcher and Placement."""
 
-    law: Array
-    kt: float
-    mu: float
-    soft: float
+    points: Points
     frames: Array
     gaps: Array
-    scale: Array
     up: Array
     tip_m: float
     centre_m: float
@@ -87,7 +83,7 @@ class Marched(NamedTuple):
     motions: Array
 
 
-@njit(cache=True)
+@njit
 def local_section(modes: Modes, frames: Array) -> Section:
     """The section as contact.step sees it, along the points' local ``frames`` (n, 3, 3)."""
     n, s = modes.support.shape
@@ -101,17 +97,17 @@ def local_section(modes: Modes, frames: Array) -> Section:
     return new_section(modes.support, values, modes.answer)
 
 
-@njit(cache=True)
-def drives(modes: Modes, section: Section, gaps: Array, u: Array, drive: Array) -> None:
+@njit
+def drives(along: Array, section: Section, gaps: Array, u: Array, drive: Array) -> None:
     """Write the drive (n, 3) of every point along its local frame."""
-    section_moves(section, modes.along @ u, drive)
+    section_moves(section, along @ u, 3, drive)
     for i in range(len(gaps)):
         for a in range(3):
             drive[i, a] = -drive[i, a]
         drive[i, 0] -= gaps[i]
 
 
-@njit(cache=True)
+@njit
 def march(
     modes: Modes,
     touching: Touching,
@@ -129,21 +125,25 @@ def march(
     forces (steps, 3 n) along body axes per area share and the mid-step u + β v (steps, modes) that
     a reduced body's defect is measured by, β taken as damping over ω² where α is zero.
     """
-    h = modes.its
-    n, m = len(modes.weights), len(u)
-    section = local_section(modes, touching.frames)
+    h, weights, frames = modes.its, modes.weights, touching.frames
+    omega2, damping = modes.omega2, modes.damping
+    admittance, along = modes.admittance, modes.along
+    n, m = len(weights), len(u)
+    points = touching.points
+    law, scale, gaps = points.law, points.scale, touching.gaps
+    section = local_section(modes, frames)
     response = np.zeros((0, 0))
     pull = -touching.gravity * (modes.translation @ touching.up)
     lift = (modes.translation @ touching.up) / modes.mass
     tip = modes.tip.T @ touching.up
-    stiff = modes.damping + 0.5 * h * modes.omega2
+    stiff = damping + 0.5 * h * omega2
     elongation = np.zeros((n, 2))
     multiplier = np.zeros((n, 3))
     force = np.zeros((n, 3))
     end = np.zeros((n, 3))
     drive = np.zeros((n, 3))
     free = np.zeros((n, 3))
-    drives(modes, section, touching.gaps, u, drive)
+    drives(along, section, gaps, u, drive)
     size = 64
     history = np.zeros((size if keep else 1, 4))
     forces = np.zeros((size if keep_states else 1, 3 * n))
@@ -156,63 +156,36 @@ def march(
         history[0, 1] = touching.centre_m + lift @ u
         history[0, 3] = max(drive[:, 0].max(), 0.0)
     for count in range(1, limit + 1):
-        a = modes.admittance * (pull - modes.omega2 * u - stiff * v)
+        a = admittance * (pull - omega2 * u - stiff * v)
         later = u + h * v + (0.5 * h * h) * a
-        drives(modes, section, touching.gaps, later, free)
+        drives(along, section, gaps, later, free)
         total = now = 0.0
         touches = drive[:, 0].max() > 0.0 or free[:, 0].max() > 0.0
-        if not touches and touching.soft > 0.0:
+        if not touches and points.soft > 0.0:
             touches = np.abs(multiplier).max() > 0.0
         if touches:
             done = solve_step(
-                touching.law,
-                touching.kt,
-                touching.mu,
-                touching.scale,
-                0.0,
-                modes.weights,
-                section,
-                response,
-                drive,
-                free,
-                elongation,
-                CONSERVING,
-                touching.soft,
-                multiplier,
-                force,
-                end,
+                points, section, response, drive, free, elongation, multiplier, force, end
             )
             if done < 0:
                 status = NOT_CONVERGED
                 break
-            loads = section_gathers(section, modes.weights, force)
-            change = modes.admittance * (modes.along.T @ loads)
+            loads = section_gathers(section, weights, force)
+            change = admittance * (along.T @ loads)
             a += change
             later += (0.5 * h * h) * change
+            rubbed += commit(points, drive, end, force, elongation)
             for i in range(n):
-                total += modes.weights[i] * force[i, 0]
-                if touching.mu > 0.0:
-                    rubbed += modes.weights[i] * commit(
-                        touching.law,
-                        touching.kt,
-                        touching.scale[i],
-                        0.0,
-                        drive[i],
-                        end[i],
-                        force[i],
-                        elongation[i],
-                        CONSERVING,
-                    )
-                now += (
-                    modes.weights[i] * elastic(touching.law, touching.scale[i], end[i, 0], 0.0)[0]
-                )
+                total += weights[i] * force[i, 0]
+                if end[i, 0] > 0.0:
+                    now += weights[i] * elastic(law, scale[i], end[i, 0], 0.0)[0]
         else:
             force[:, :] = 0.0
             end[:, :] = free
         fast = v + h * a
         for j in range(m):
             middle = 0.5 * (v[j] + fast[j])
-            loss += h * modes.damping[j] * middle * middle
+            loss += h * damping[j] * middle * middle
         if keep_states:
             if count > len(forces):
                 forces = np.concatenate((forces, np.zeros_like(forces)))
@@ -220,17 +193,19 @@ def march(
             for i in range(n):
                 for x in range(3):
                     for c in range(3):
-                        forces[count - 1, 3 * i + x] += touching.frames[i, c, x] * force[i, c]
+                        forces[count - 1, 3 * i + x] += frames[i, c, x] * force[i, c]
             for j in range(m):
-                beta = modes.damping[j] / modes.omega2[j] if modes.omega2[j] > 0.0 else 0.0
+                beta = damping[j] / omega2[j] if omega2[j] > 0.0 else 0.0
                 motions[count - 1, j] = 0.5 * (u[j] + later[j]) + 0.5 * beta * (v[j] + fast[j])
         if total > 0.0:
             impulse += h * total
             for i in range(n):
-                for x in range(3):
+                if force[i, 0] > 0.0:
                     for c in range(3):
-                        share = modes.weights[i] * touching.frames[i, c, x]
-                        push[x] += h * share * force[i, c]
+                        share = h * weights[i] * force[i, c]
+                        push[0] += share * frames[i, c, 0]
+                        push[1] += share * frames[i, c, 1]
+                        push[2] += share * frames[i, c, 2]
             release = count * h
             first, last = drive[:, 0].max(), end[:, 0].max()
             if last < 0.0 and first > last:
@@ -254,12 +229,7 @@ def march(
         if count * h >= until:
             status = UNTIL
             break
-    spring = 0.0
-    if touching.mu > 0.0 and not math.isinf(touching.kt):
-        for i in range(n):
-            k = tangential_stiffness(touching.kt, touching.scale[i], 0.0)
-            squared = elongation[i, 0] ** 2 + elongation[i, 1] ** 2
-            spring += 0.5 * modes.weights[i] * k * squared
+    spring = spring_energy(points, elongation)
     if status == RELEASED:
         # what the springs of friction still hold is lost with the touch
         rubbed += spring

@@ -1,0 +1,56 @@
+"""How is numerical code compiled, and where is the result kept?
+
+Numba keeps compiled functions on disk but looks at their own file alone to see whether they are
+stale. The cache's folder is therefore named after all of the package's sources.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import shutil
+import tempfile
+from pathlib import Path
+from typing import Any, Protocol, cast
+
+import numba
+
+KEPT = 4
+
+
+class Decorator(Protocol):
+    """What leaves a function's signature as it is."""
+
+    def __call__[Function](self, function: Function) -> Function: ...
+
+
+def cache_folder() -> Path:
+    """The folder for this version of the sources, under the user's cache or, failing that, /tmp."""
+    digest = hashlib.sha256()
+    for path in sorted(Path(__file__).parent.rglob("*.py")):
+        digest.update(path.read_bytes())
+    home = os.environ.get("NUMBA_CACHE_DIR") or os.environ.get("XDG_CACHE_HOME")
+    name = digest.hexdigest()[:16]
+    for root in (Path(home) if home else Path.home() / ".cache", Path(tempfile.gettempdir())):
+        folder = root / "bristle" / f"compiled-{os.getuid()}" / name
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+        except OSError:
+            continue
+        if os.access(folder, os.W_OK):
+            _forget_old(folder)
+            return folder
+    return Path(tempfile.mkdtemp(prefix="bristle-"))
+
+
+def _forget_old(folder: Path) -> None:
+    """Drop the caches of sources that were used longest ago."""
+    folder.touch()
+    others = sorted(folder.parent.iterdir(), key=lambda path: path.stat().st_mtime)
+    for path in others[:-KEPT]:
+        shutil.rmtree(path, ignore_errors=True)
+
+
+numba.config.CACHE_DIR = str(cache_folder())
+
+njit = cast(Decorator, numba.njit(cache=True, nogil=True))
