@@ -372,9 +372,9 @@ def _record_flight(
     start_s = max(start_s, history.rows[-1][0])
     times = np.linspace(start_s, stop_s, FLIGHT_ROWS + 1)[1:]
     heights = flight.trace(stage.ground, times)
-    for t, (tip, centre, clear) in zip(times, heights, strict=True):
-        row = (t, tip - stage.datum_m, centre, 0.0, max(-clear, 0.0))
-        history.rows.append(tuple(map(float, row)))
+    tip, centre, clear = heights.T
+    rows = [times, tip - stage.datum_m, centre, 0.0 * times, np.maximum(-clear, 0.0)]
+    history.rows.extend(tuple(map(float, row)) for row in np.stack(rows, axis=1))
 
 
 def _first_impact(active: NDArray[np.intp], velocity: Array) -> tuple[int, int]:

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
 
+from .bodies.axis import shortening
 from .bodies.base import Array
 from .bodies.modal import ModalBody
 from .contact.enforcement import Enforcement
@@ -93,6 +95,11 @@ def march_touch(
     Raises ComputationError where contact forces do not converge, motion is not finite, or the tip
     is still in contact after a number of steps that no impact needs.
     """
+    if body_bends(marcher) and (observer is not None or not compiled(marcher)):
+        raise ComputationError(
+            "a body of second order is marched by compiled code alone: take the conserving scheme, "
+            "penalty or the augmented Lagrangian at a finite Kn, and no fields"
+        )
     if observer is None and compiled(marcher):
         return _march_compiled(marcher, t_s, u, v, history, until_s, wait_s)
     start = marcher.start(t_s, u, v)
@@ -147,6 +154,11 @@ def march_touch(
     raise _too_long(marcher)
 
 
+def body_bends(marcher: Marcher) -> bool:
+    """Whether the body is of second order in slope."""
+    return isinstance(marcher.body, ModalBody) and marcher.body.axis is not None
+
+
 def compiled(marcher: Marcher) -> bool:
     """Whether the compiled march serves: modes, the conserving scheme, a law that acts on gaps."""
     return (
@@ -178,7 +190,7 @@ def _march_compiled(
         until_s - t_s,
         STEP_LIMIT,
         True,
-        body.defect is not None,
+        body.defect is not None and body.axis is None,
     )
     if marched.status == modal_march.NOT_CONVERGED:
         raise ComputationError(
@@ -191,7 +203,7 @@ def _march_compiled(
         raise _too_long(marcher)
     times = t_s + modes.its * np.arange(marched.count + 1)
     rows = np.column_stack([times, marched.history])
-    history.rows.extend(map(tuple, rows.tolist()))
+    history.rows.extend(tuple(map(float, row)) for row in rows)
     depth, when = _deepest(rows)
     return Touch(
         start_s=t_s,
@@ -206,9 +218,22 @@ def _march_compiled(
         max_penetration_s=when - t_s,
         material_loss_J=marched.material_loss,
         friction_loss_J=marched.friction_loss,
-        defect=marcher.march_defect(marched.forces, marched.motions),
+        defect=_defect(marcher, marched, np.ascontiguousarray(u), np.ascontiguousarray(v)),
         n_steps=marched.count,
     )
+
+
+def _defect(marcher: Marcher, marched: modal_march.Marched, u: Array, v: Array) -> float:
+    """The reduced body's bound; of second order, that of the linear body's march from the same
+    start, since the basis answers for contact loads."""
+    body = marcher.body
+    assert isinstance(body, ModalBody)
+    if body.defect is not None and body.axis is not None:
+        modes, touching = marcher.tables()
+        linear = modes._replace(axis=shortening(None, body.omega2))
+        limit = marched.count + STEP_LIMIT // 1000
+        marched = modal_march.march(linear, touching, u, v, 0.0, math.inf, limit, False, True)
+    return marcher.march_defect(marched.forces, marched.motions)
 
 
 def _not_finite(t_s: float) -> ComputationError:

@@ -54,16 +54,32 @@ def turn(vector: Array) -> Array:
 
 
 @njit
-def _rates(q: Array, w: Array, inertia: Array) -> tuple[Array, Array]:
+def _rates(
+    q: tuple[float, float, float, float], w: tuple[float, float, float], inertia: Array
+) -> tuple[tuple[float, float, float, float], tuple[float, float, float]]:
     """Rates of attitude and angular velocity without torque: Euler's equations."""
-    spin = np.empty(4)
-    spin[0], spin[1], spin[2], spin[3] = 0.0, w[0], w[1], w[2]
-    dw = np.zeros(3)
-    for i in range(3):
-        j, k = (i + 1) % 3, (i + 2) % 3
-        if inertia[i] > 0.0:
-            dw[i] = (inertia[j] - inertia[k]) * w[j] * w[k] / inertia[i]
-    return 0.5 * product(q, spin), dw
+    dw0 = (inertia[1] - inertia[2]) * w[1] * w[2] / inertia[0] if inertia[0] > 0.0 else 0.0
+    dw1 = (inertia[2] - inertia[0]) * w[2] * w[0] / inertia[1] if inertia[1] > 0.0 else 0.0
+    dw2 = (inertia[0] - inertia[1]) * w[0] * w[1] / inertia[2] if inertia[2] > 0.0 else 0.0
+    dq0 = 0.5 * (-q[1] * w[0] - q[2] * w[1] - q[3] * w[2])
+    dq1 = 0.5 * (q[0] * w[0] + q[2] * w[2] - q[3] * w[1])
+    dq2 = 0.5 * (q[0] * w[1] - q[1] * w[2] + q[3] * w[0])
+    dq3 = 0.5 * (q[0] * w[2] + q[1] * w[1] - q[2] * w[0])
+    return (dq0, dq1, dq2, dq3), (dw0, dw1, dw2)
+
+
+@njit
+def _ahead4(
+    q: tuple[float, float, float, float], h: float, d: tuple[float, float, float, float]
+) -> tuple[float, float, float, float]:
+    return q[0] + h * d[0], q[1] + h * d[1], q[2] + h * d[2], q[3] + h * d[3]
+
+
+@njit
+def _ahead3(
+    w: tuple[float, float, float], h: float, d: tuple[float, float, float]
+) -> tuple[float, float, float]:
+    return w[0] + h * d[0], w[1] + h * d[1], w[2] + h * d[2]
 
 
 @njit
@@ -90,15 +106,20 @@ def free_rotation(
         return product(q, turn(w * duration)), w * slowed
     n = int(math.ceil(size * abs(duration) / STEP_RAD))
     h = duration / n
+    # tuples, not arrays: nothing is allocated in the loop
+    p, v = (q[0], q[1], q[2], q[3]), (w[0], w[1], w[2])
     for _ in range(n):
-        q1, w1 = _rates(q, w, inertia)
-        q2, w2 = _rates(q + 0.5 * h * q1, w + 0.5 * h * w1, inertia)
-        q3, w3 = _rates(q + 0.5 * h * q2, w + 0.5 * h * w2, inertia)
-        q4, w4 = _rates(q + h * q3, w + h * w3, inertia)
-        q = q + h / 6.0 * (q1 + 2.0 * q2 + 2.0 * q3 + q4)
-        w = w + h / 6.0 * (w1 + 2.0 * w2 + 2.0 * w3 + w4)
-        q = q / math.sqrt(q[0] ** 2 + q[1] ** 2 + q[2] ** 2 + q[3] ** 2)
-    return q, w * slowed
+        p1, v1 = _rates(p, v, inertia)
+        p2, v2 = _rates(_ahead4(p, 0.5 * h, p1), _ahead3(v, 0.5 * h, v1), inertia)
+        p3, v3 = _rates(_ahead4(p, 0.5 * h, p2), _ahead3(v, 0.5 * h, v2), inertia)
+        p4, v4 = _rates(_ahead4(p, h, p3), _ahead3(v, h, v3), inertia)
+        p = _ahead4(_ahead4(p, h / 6.0, p1), h / 3.0, p2)
+        p = _ahead4(_ahead4(p, h / 3.0, p3), h / 6.0, p4)
+        v = _ahead3(_ahead3(v, h / 6.0, v1), h / 3.0, v2)
+        v = _ahead3(_ahead3(v, h / 3.0, v3), h / 6.0, v4)
+        size = math.sqrt(p[0] ** 2 + p[1] ** 2 + p[2] ** 2 + p[3] ** 2)
+        p = (p[0] / size, p[1] / size, p[2] / size, p[3] / size)
+    return np.array(p), np.array(v) * slowed
 
 
 @njit

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, Protocol
 
@@ -68,6 +68,16 @@ class ContactPoints:
     def xy_m(self) -> Array:
         """Places on the section (n, 2)."""
         return self.places_m[:, :2]
+
+
+def with_offsets(contact: ContactPoints, offsets_m: Array) -> ContactPoints:
+    """The points moved up the axis by ``offsets_m`` (n,), for an end face that is not flat.
+
+    Only where they stand changes, not how the body moves them or resists there.
+    """
+    places = contact.places_m.copy()
+    places[:, 2] += offsets_m
+    return replace(contact, places_m=places)
 
 
 def dense_of(rows: SparseOrDense) -> Array:

@@ -11,6 +11,7 @@ import numpy as np
 
 from ..bristle import CONTACT_POINTS, Bristle
 from ..errors import InputError
+from .axis import Axis
 from .base import Array, ContactPoints
 from .modal import ModalBody, modal_form
 
@@ -107,13 +108,33 @@ def beam_contact(
     )
 
 
+def beam_axis(bristle: Bristle, n_elements: int) -> Axis:
+    """Axial strain and slopes at the Gauss points that integrate the stiffness."""
+    half = 0.5 * bristle.length_m / n_elements
+    n, points = NODE_UNKNOWNS * (2 * n_elements + 1), np.polynomial.legendre.leggauss(2)
+    rows = np.zeros((3, n_elements, len(points[0]), n))
+    for e in range(n_elements):
+        for k, xi in enumerate(points[0]):
+            for which, unknown in enumerate((UZ, UX, UY)):
+                columns = NODE_UNKNOWNS * (2 * e + np.arange(3)) + unknown
+                rows[which, e, k, columns] = shape(xi)[1] / half
+    strain, slope_x, slope_y = rows.reshape(3, -1, n)
+    stretch = bristle.material.youngs_Pa * bristle.section.area_m2
+    return Axis(strain, slope_x, slope_y, np.tile(points[1] * half * stretch, n_elements))
+
+
 def beam_body(
-    bristle: Bristle, n_elements: int, *, face: bool = True, points: int = CONTACT_POINTS
+    bristle: Bristle,
+    n_elements: int,
+    *,
+    face: bool = True,
+    points: int = CONTACT_POINTS,
+    second_order: bool = False,
 ) -> ModalBody:
     """The free beam of ``n_elements`` in all its modes (Vanegas-Useche et al. use sixteen).
 
     It touches with ``points`` across each side of its end section (``face``), or, as in the paper,
-    with the node on the axis.
+    with the node on the axis. ``second_order`` see bodies.axis.
     """
     mass, stiffness = beam_matrices(bristle, n_elements)
     rigid = rigid_motions(bristle, n_elements)
@@ -125,6 +146,7 @@ def beam_body(
         beam_contact(bristle, n_elements, face=face, points=points),
         bristle.material.alpha_1_s,
         bristle.material.beta_s,
+        beam_axis(bristle, n_elements) if second_order else None,
     )
 
 

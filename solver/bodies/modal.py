@@ -10,6 +10,7 @@ from mpi4py import MPI
 from scipy.linalg import eigh, orth
 from scipy.sparse.csgraph import connected_components
 
+from .axis import Axis
 from .base import Array, ContactPoints
 
 
@@ -47,7 +48,7 @@ class ModalBody:
     ``contact`` and the rigid motions are expressed in modal coordinates: ``translation`` (n, 3) by
     1 m along body axes, ``rotation`` (n, 3) by 1 rad about them through the centre of mass; a
     motion that the body does not have is zero. ``defect`` is what a reduced body leaves out, None
-    where the modes are complete.
+    where the modes are complete. With an ``axis`` contact is marched to second order in slope.
     """
 
     name: str
@@ -58,6 +59,7 @@ class ModalBody:
     alpha_1_s: float
     beta_s: float
     defect: Defect | None = None
+    axis: Axis | None = None
 
     @property
     def n_dofs(self) -> int:
@@ -94,6 +96,7 @@ def modal_form(
     contact: ContactPoints,
     alpha_1_s: float,
     beta_s: float,
+    axis: Axis | None = None,
 ) -> ModalBody:
     """All modes of dense M, K (n, n), given for the physical unknowns as are ``contact``'s rows.
 
@@ -127,6 +130,7 @@ def modal_form(
         contact=in_modes(contact, modes),
         alpha_1_s=alpha_1_s,
         beta_s=beta_s,
+        axis=None if axis is None else axis.in_modes(modes),
     )
 
 

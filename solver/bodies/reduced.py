@@ -16,8 +16,10 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.linalg import block_diag, eigh
+from scipy.sparse import csr_matrix
 
 from ..errors import ComputationError
+from .axis import Axis
 from .base import Array, ContactPoints, dense_of
 from .modal import Defect, ModalBody, in_modes
 from .solid import SolidBody
@@ -26,6 +28,7 @@ DEFLATED = 1e-10
 # Shifts of a leaning body's slow motion, in units of its slowest bending's squared frequency.
 SLOW_SHIFTS = (1.0, 1e4)
 N_SLOW = 6
+AXIS_POINTS = 128
 
 
 class Basis:
@@ -166,11 +169,12 @@ def reduce_solid(
     *,
     leaning: bool = False,
     tractions: bool = False,
+    second_order: bool = False,
 ) -> ReducedModel:
     """The solid in rigid motions, ``n_krylov`` Krylov vectors a load and its tip's own responses.
 
     ``shift_1_s2`` is s above; ``leaning`` is for bristles that touch other than upright,
-    ``tractions`` for Nitsche's method, see `krylov_basis`. Raises ComputationError where the
+    ``tractions`` for Nitsche's method, see `krylov_basis`; ``second_order`` see bodies.axis. Raises ComputationError where the
     reduced stiffness is not positive semidefinite.
     """
     solve = solid.factor(shift_1_s2, 1.0)
@@ -205,8 +209,32 @@ def reduce_solid(
         alpha_1_s=solid.alpha_1_s,
         beta_s=solid.beta_s,
         defect=Defect(to_modes.T @ gram @ to_modes, shift_1_s2),
+        axis=solid_axis(solid, grown.vectors).in_modes(modes) if second_order else None,
     )
     return ReducedModel(solid, modal, grown, modes)
+
+
+def solid_axis(solid: SolidBody, vectors: Array) -> Axis:
+    """Axial strain and slopes of the section's mean displacement for ``vectors`` (n_local, k).
+
+    Between `AXIS_POINTS` + 1 layers of nodes at most; nodes count by their share of the mass.
+    """
+    place = solid.space.tabulate_dof_coordinates()[: solid.n_local // 3, 2]
+    share = solid.mass(np.ascontiguousarray(solid.translation[:, 2]))[2::3]
+    layers = np.unique(np.concatenate(solid.comm.allgather(np.round(place, 9))))
+    chosen = np.unique(np.linspace(0, len(layers) - 1, AXIS_POINTS + 1).round().astype(int))
+    layer = np.searchsorted(layers, np.round(place, 9))
+    slot = np.searchsorted(chosen, layer)
+    own = np.flatnonzero(chosen[np.minimum(slot, len(chosen) - 1)] == layer)
+    pick = csr_matrix((share[own], (slot[own], own)), (len(chosen), len(place)))
+    total = _total(solid, np.asarray(pick.sum(axis=1)))
+    height = np.diff((_total(solid, pick @ place[:, None]) / total)[:, 0])
+    rows = []
+    for axis in (2, 0, 1):
+        mean = _total(solid, pick @ vectors[axis::3]) / total
+        rows.append(np.diff(mean, axis=0) / height[:, None])
+    stretch = solid.material.youngs_Pa * solid.mass_kg / solid.material.density_kg_m3
+    return Axis(*rows, stretch / height.sum() * height)
 
 
 def _total(solid: SolidBody, x: Array) -> Array:

@@ -130,7 +130,7 @@ def launch(
             shapes[i, j] = value
     motion = Motion(
         start,
-        matrix_of(turned) @ speed,
+        matrix_of(attitude) @ speed,
         turned,
         spin,
         flyer.inertia,

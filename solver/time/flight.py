@@ -23,14 +23,14 @@ def flyer(body: ModalBody, tau_m_N: float = 0.0) -> ballistics.Flyer:
     (contact.enforcement)."""
     points = body.contact
     weights, rows = points.weights, points.rows
-    along: Array = np.ascontiguousarray(points.coordinates)
-    moved = rows @ along
+    along: Array = np.asarray(points.coordinates)
+    moved: Array = rows @ along
     tip = np.einsum("i,ixm->xm", weights, moved.reshape(len(weights), 3, -1))
-    with_speed = np.zeros((0, 0))
-    reach_speed = np.zeros(len(body.omega2))
+    with_speed: Array = np.zeros((0, 0))
+    reach_speed: Array = np.zeros(len(body.omega2))
     if tau_m_N:
         along, rows = moved - tau_m_N * points.traction, np.zeros((0, 0))
-        moved, with_speed = along, -tau_m_N * body.beta_s * np.ascontiguousarray(points.traction)
+        moved, with_speed = along, -tau_m_N * body.beta_s * np.asarray(points.traction)
         reach_speed = _reach(with_speed)
     places = np.ascontiguousarray(points.places_m, dtype=float)
     return ballistics.Flyer(
@@ -42,7 +42,7 @@ def flyer(body: ModalBody, tau_m_N: float = 0.0) -> ballistics.Flyer:
         inertia=body.inertia_kg_m2,
         mass=body.mass_kg,
         along=np.ascontiguousarray(along),
-        with_speed=with_speed,
+        with_speed=np.ascontiguousarray(with_speed),
         rows=np.ascontiguousarray(rows),
         reach=_reach(moved),
         reach_speed=reach_speed,

@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ..bodies.axis import shortening
 from ..bodies.base import Array, Body, dense_of
 from ..bodies.modal import ModalBody
 from ..contact.enforcement import ContactMethod, StepContact
@@ -337,6 +338,7 @@ class Marcher:
                 weights=points.weights,
                 answer=self._answer,
                 mass=body.mass_kg,
+                axis=shortening(body.axis, body.omega2),
             )
         touching = Touching(
             points=contact.points,

@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ..bodies.axis import Shortening, second_order_force, shortened
 from ..bodies.base import Array
 from ..compiled import njit
 from ..contact.laws import elastic
@@ -26,6 +27,8 @@ from ..contact.step import (
     spring_energy,
 )
 
+# The second-order force of a step is found by iteration, to this share of itself.
+COUPLED, COUPLING_LIMIT = 1e-9, 100
 RELEASED, UNTIL, TOO_LONG, NOT_CONVERGED, NOT_FINITE = 0, 1, 2, 3, 4
 
 
@@ -33,7 +36,7 @@ class Modes(NamedTuple):
     """A body's modes and contact points, and how they answer over a step of ``its`` s.
 
     ``along`` (r, modes) are the section's coordinates, ``support`` and ``shapes`` as in ContactPoints;
-    ``tip`` (3, modes) is the section's mean displacement. ``answer`` is Marcher's. ``admittance`` (modes,) = 1/(1 + ½ h c + ¼ h² ω²).
+    ``tip`` (3, modes) is the section's mean displacement. ``answer`` is Marcher's, ``axis`` bodies.axis'. ``admittance`` (modes,) = 1/(1 + ½ h c + ¼ h² ω²).
     """
 
     its: float
@@ -48,6 +51,7 @@ class Modes(NamedTuple):
     weights: Array
     answer: Array
     mass: float
+    axis: Shortening
 
 
 class Touching(NamedTuple):
@@ -143,6 +147,14 @@ def march(
     end = np.zeros((n, 3))
     drive = np.zeros((n, 3))
     free = np.zeros((n, 3))
+    axis = modes.axis
+    bends = len(axis.weights) > 0
+    bend = np.zeros(m)
+    if bends:
+        du, dv = shortened(axis, u, v)
+        u, v = u + du, v + dv
+    seen = axis.rows @ u
+    after = seen
     drives(along, section, gaps, u, drive)
     size = 64
     history = np.zeros((size if keep else 1, 4))
@@ -156,32 +168,59 @@ def march(
         history[0, 1] = touching.centre_m + lift @ u
         history[0, 3] = max(drive[:, 0].max(), 0.0)
     for count in range(1, limit + 1):
-        a = admittance * (pull - omega2 * u - stiff * v)
-        later = u + h * v + (0.5 * h * h) * a
-        drives(along, section, gaps, later, free)
+        a0 = admittance * (pull - omega2 * u - stiff * v)
         total = now = 0.0
-        touches = drive[:, 0].max() > 0.0 or free[:, 0].max() > 0.0
-        if not touches and points.soft > 0.0:
-            touches = np.abs(multiplier).max() > 0.0
-        if touches:
-            done = solve_step(
-                points, section, response, drive, free, elongation, multiplier, force, end
-            )
-            if done < 0:
-                status = NOT_CONVERGED
+        touches, coupled, done = False, False, 0
+        before, share = bend, 1.0
+        for turn in range(COUPLING_LIMIT):
+            a = a0 + admittance * bend
+            later = u + h * v + (0.5 * h * h) * a
+            drives(along, section, gaps, later, free)
+            touches = drive[:, 0].max() > 0.0 or free[:, 0].max() > 0.0
+            if not touches and points.soft > 0.0:
+                touches = np.abs(multiplier).max() > 0.0
+            if touches:
+                done = solve_step(
+                    points, section, response, drive, free, elongation, multiplier, force, end
+                )
+                if done < 0:
+                    break
+                loads = section_gathers(section, weights, force)
+                change = admittance * (along.T @ loads)
+                a += change
+                later += (0.5 * h * h) * change
+            else:
+                force[:, :] = 0.0
+                end[:, :] = free
+            if not bends:
+                coupled = True
                 break
-            loads = section_gathers(section, weights, force)
-            change = admittance * (along.T @ loads)
-            a += change
-            later += (0.5 * h * h) * change
+            after = axis.rows @ later
+            newer = second_order_force(axis, seen, after)
+            size = max(np.abs(newer).max(), np.abs(pull).max())
+            apart = np.abs(newer - bend).max()
+            coupled = apart <= COUPLED * size
+            if coupled:
+                break
+            # Aitken's relaxation (Küttler and Wall, Comput. Mech. 43, 2008)
+            left = newer - bend
+            change_of = left - before
+            size = np.sum(admittance * change_of * change_of)
+            if turn > 0 and size > 0.0:
+                share *= -np.sum(admittance * before * change_of) / size
+                share = min(max(share, 0.05), 1.0)
+            before = left
+            bend = bend + share * left
+        if done < 0 or not coupled:
+            status = NOT_CONVERGED
+            break
+        seen = after
+        if touches:
             rubbed += commit(points, drive, end, force, elongation)
             for i in range(n):
                 total += weights[i] * force[i, 0]
                 if end[i, 0] > 0.0:
                     now += weights[i] * elastic(law, scale[i], end[i, 0], 0.0)[0]
-        else:
-            force[:, :] = 0.0
-            end[:, :] = free
         fast = v + h * a
         for j in range(m):
             middle = 0.5 * (v[j] + fast[j])
@@ -234,6 +273,9 @@ def march(
         # what the springs of friction still hold is lost with the touch
         rubbed += spring
         spring = 0.0
+    if bends:
+        du, dv = shortened(axis, u, v)
+        u, v = u - du, v - dv
     kept = count + 1 if keep else 0
     stated = count if keep_states else 0
     return Marched(

@@ -1,0 +1,101 @@
+"""The axis of a slender body: how axial force and slope act on each other.
+
+A bristle that leans is hit by a force far above the load at which it would buckle slowly, so the
+moment of that force about the deflected axis matters even within one impact. To second order in the
+slope the axial strain is u' + ½ (w_x'² + w_y'²) (von Kármán's), which couples bending with the axial
+motion; the strain energy beyond the linear one is
+
+    ½ Σ E A Δz ((e + q)² - e²),    e = u',  q = ½ (w_x'² + w_y'²).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from ..compiled import njit
+from .base import Array
+
+
+@dataclass(frozen=True)
+class Axis:
+    """Rows over a body's unknowns at points of its axis: axial ``strain`` (g, dofs), ``slope_x`` and
+    ``slope_y`` (g, dofs), and ``weights_N_m`` (g,): E A times the length each point stands for."""
+
+    strain: Array
+    slope_x: Array
+    slope_y: Array
+    weights_N_m: Array
+
+    def in_modes(self, modes: Array) -> Axis:
+        """Seen by the coordinates of ``modes`` (dofs, m)."""
+        return Axis(
+            self.strain @ modes, self.slope_x @ modes, self.slope_y @ modes, self.weights_N_m
+        )
+
+
+class Shortening(NamedTuple):
+    """What compiled code reads of an axis: the rows stacked (3 g, modes), and 1/ω² (modes,), zero
+    for rigid modes. No rows where the body is linear."""
+
+    rows: Array
+    weights: Array
+    flexibility: Array
+
+
+def shortening(axis: Axis | None, omega2: Array) -> Shortening:
+    """The tables of an ``axis``, or empty ones."""
+    if axis is None:
+        return Shortening(np.zeros((0, len(omega2))), np.zeros(0), np.zeros(len(omega2)))
+    rows = np.vstack([axis.strain, axis.slope_x, axis.slope_y])
+    soft = np.divide(1.0, omega2, out=np.zeros_like(omega2), where=omega2 > 0.0)
+    return Shortening(np.ascontiguousarray(rows), np.asarray(axis.weights_N_m, dtype=float), soft)
+
+
+@njit
+def second_order_force(axis: Shortening, before: Array, after: Array) -> Array:
+    """Force (modes,) over a step of what the energy holds beyond the linear one.
+
+    ``before`` and ``after`` are `seen` at its ends. The discrete gradient of the energy (Simo and
+    Tarnow, ZAMP 43, 1992: mean strain, slope at mid-step), so that the step conserves it.
+    """
+    g = len(axis.weights)
+    pull = np.empty(3 * g)
+    for i in range(g):
+        x0, y0, x1, y1 = before[g + i], before[2 * g + i], after[g + i], after[2 * g + i]
+        q = 0.25 * (x0 * x0 + y0 * y0 + x1 * x1 + y1 * y1)
+        force = axis.weights[i] * (0.5 * (before[i] + after[i]) + q)
+        pull[i] = -axis.weights[i] * q
+        pull[g + i] = -force * 0.5 * (x0 + x1)
+        pull[2 * g + i] = -force * 0.5 * (y0 + y1)
+    return axis.rows.T @ pull
+
+
+@njit
+def second_order_energy(axis: Shortening, seen: Array) -> float:
+    """What the strain energy holds beyond the linear one, in J, at ``seen`` (3 g,) = rows @ u."""
+    g = len(axis.weights)
+    total = 0.0
+    for i in range(g):
+        q = 0.5 * (seen[g + i] ** 2 + seen[2 * g + i] ** 2)
+        total += 0.5 * axis.weights[i] * (2.0 * seen[i] + q) * q
+    return total
+
+
+@njit
+def shortened(axis: Shortening, u: Array, v: Array) -> tuple[Array, Array]:
+    """How much (u, v) must change for slopes to shorten the axis that they do not strain.
+
+    A linear body's slopes leave its length as it is; one of second order that bends freely draws
+    its ends together by ∫ q. The change is the static answer of the axis to the strain -q.
+    """
+    g = len(axis.weights)
+    seen, speed = axis.rows @ u, axis.rows @ v
+    pull, push = np.zeros(3 * g), np.zeros(3 * g)
+    for i in range(g):
+        x, y = seen[g + i], seen[2 * g + i]
+        pull[i] = -axis.weights[i] * 0.5 * (x * x + y * y)
+        push[i] = -axis.weights[i] * (x * speed[g + i] + y * speed[2 * g + i])
+    return axis.flexibility * (axis.rows.T @ pull), axis.flexibility * (axis.rows.T @ push)

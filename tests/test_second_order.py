@@ -1,0 +1,158 @@
+"""Does axial force bend a leaning bristle as it should: Euler's load, energy, finite strain?"""
+
+import math
+
+import numpy as np
+import pytest
+from mpi4py import MPI
+from scipy.linalg import eigh
+
+from bristle.solver.bodies.axis import (
+    second_order_energy,
+    second_order_force,
+    shortened,
+    shortening,
+)
+from bristle.solver.bodies.beam import UX, UY, beam_axis, beam_body, beam_matrices
+from bristle.solver.bodies.reduced import reduce_solid, solid_axis
+from bristle.solver.bristle import Bristle, Material
+from bristle.solver.contact.enforcement import ContactMethod
+from bristle.solver.contact.laws import Coulomb, Linear
+from bristle.solver.drop import DropPlan, ModalFrame, simulate
+from bristle.solver.finite.impact import impact, seen_from_body
+from bristle.solver.rigid import leaning, matrix_of
+from bristle.solver.time.scheme import TimeScheme
+
+G = 9.8
+MEASURED = Material(beta_s=1e-8)
+
+
+@pytest.mark.serial
+@pytest.mark.parametrize(("unknown", "slope"), [(UX, "slope_x"), (UY, "slope_y")])
+def test_euler_load_of_a_pinned_bristle(bristle, unknown, slope):
+    """P = π² E I / L², less Timoshenko's shear: P / (1 + P / k G A) (Theory of Elastic Stability)."""
+    n = 16
+    _, stiffness = beam_matrices(bristle, n)
+    axis = beam_axis(bristle, n)
+    rows = getattr(axis, slope)
+    stretch = bristle.material.youngs_Pa * bristle.section.area_m2
+    load = rows.T @ (axis.weights_N_m[:, None] / stretch * rows)  # of unit axial force
+    keep = [
+        i for i in range(len(stiffness)) if i % 6 == unknown or i % 6 == (4 if unknown == UX else 3)
+    ]
+    ends = {unknown, len(stiffness) - 6 + unknown}
+    keep = np.array([i for i in keep if i not in ends])
+    block = np.ix_(keep, keep)
+    inverse = eigh(load[block], stiffness[block], eigvals_only=True)
+    section = bristle.section
+    moment = section.second_moment_x_m4 if unknown == UX else section.second_moment_y_m4
+    euler = math.pi**2 * bristle.material.youngs_Pa * moment / bristle.length_m**2
+    assert 1.0 / inverse[-1] == pytest.approx(euler, rel=2e-4)
+
+
+@pytest.mark.serial
+def test_force_is_the_discrete_gradient_of_the_energy(bristle, rng):
+    body = beam_body(bristle, 6, second_order=True)
+    axis = shortening(body.axis, body.omega2)
+    for _ in range(20):
+        u0, u1 = rng.normal(size=(2, len(body.omega2))) / (1e4 + np.sqrt(body.omega2))
+        seen0, seen1 = axis.rows @ u0, axis.rows @ u1
+        force = second_order_force(axis, seen0, seen1)
+        gained = second_order_energy(axis, seen1) - second_order_energy(axis, seen0)
+        size = np.abs(force * (u1 - u0)).sum()
+        assert force @ (u1 - u0) == pytest.approx(-gained, abs=1e-12 * size)
+
+
+@pytest.mark.serial
+def test_free_bending_shortens_the_axis_and_does_not_strain_it(bristle):
+    """In a pure bend of slope s the ends come together by ½ ∫ s², and the true strain vanishes."""
+    body = beam_body(bristle, 32, second_order=True)
+    axis = shortening(body.axis, body.omega2)
+    slopes = np.linalg.norm(body.axis.slope_x, axis=0)
+    bending = np.flatnonzero((body.omega2 > 0.0) & (slopes > 1e-6 * slopes.max()))[0]
+    u = np.zeros(len(body.omega2))
+    u[bending] = 0.02 / np.abs(body.axis.slope_x[:, bending]).max()
+    du, _ = shortened(axis, u, np.zeros_like(u))
+    q = 0.5 * (body.axis.slope_x @ u) ** 2
+    strain = body.axis.strain @ (u + du) + q
+    assert np.abs(strain).mean() < 0.02 * q.mean()
+    assert second_order_energy(axis, axis.rows @ (u + du)) == pytest.approx(
+        -0.5 * body.axis.weights_N_m @ q**2, rel=0.02
+    )
+
+
+def test_axis_of_a_solid_sees_strain_and_slope(make_solid):
+    solid = make_solid((1, 2, 24), 0.05)
+    x = solid.space.tabulate_dof_coordinates()[: solid.n_local // 3]
+    fields = np.zeros((len(x), 3, 3))
+    fields[:, 2, 0] = 1e-3 * x[:, 2]
+    fields[:, 0, 1], fields[:, 1, 2] = 0.02 * x[:, 2], 0.03 * x[:, 2]
+    axis = solid_axis(solid, fields.reshape(-1, 3))
+    n = len(axis.weights_N_m)
+    assert axis.strain == pytest.approx(np.outer(np.ones(n), [1e-3, 0, 0]), abs=1e-12)
+    assert axis.slope_x == pytest.approx(np.outer(np.ones(n), [0, 0.02, 0]), abs=1e-12)
+    assert axis.slope_y == pytest.approx(np.outer(np.ones(n), [0, 0, 0.03]), abs=1e-12)
+    length = 207e9 * 0.5e-3 * 2.08e-3 * 0.05
+    assert axis.weights_N_m.sum() == pytest.approx(length, rel=1e-9)
+
+
+def drop(body, tilt, mu=0.0, its=1e-5):
+    method = ContactMethod(Linear(2e6), friction=Coulomb(mu))
+    plan = DropPlan(0.05, method, its, G, tilt_deg=tilt, impact_only=True)
+    return simulate(ModalFrame(body), plan)
+
+
+@pytest.mark.serial
+def test_upright_nothing_changes(bristle):
+    linear, curved = (drop(beam_body(bristle, 16, second_order=s), 0.0) for s in (False, True))
+    assert curved.cm_velocity_after_m_s == pytest.approx(linear.cm_velocity_after_m_s, rel=1e-9)
+
+
+@pytest.mark.serial
+def test_small_impacts_are_linear():
+    """The share of speed lost to the coupling falls with the height, at the same ratio of gaps."""
+    lost = []
+    for scale in (1.0, 0.1):
+        kept = []
+        for second_order in (False, True):
+            body = beam_body(Bristle(material=MEASURED), 16, face=False, second_order=second_order)
+            method = ContactMethod(Linear(2e6))
+            plan = DropPlan(0.05 * scale**2, method, 1e-5, G, tilt_deg=2.0, impact_only=True)
+            result = simulate(ModalFrame(body), plan)
+            kept.append(result.cm_velocity_after_m_s / result.impact_speed_m_s)
+        lost.append(kept[0] - kept[1])
+    assert lost[0] > 0.05
+    assert lost[1] == pytest.approx(0.1 * lost[0], rel=0.25)
+
+
+@pytest.mark.parametrize(("tilt", "mu"), [(1.0, 0.0), (2.0, 0.0), (5.0, 0.5)])
+def test_against_finite_strain(make_solid, tilt, mu):
+    """The total-Lagrangian solid shares no code with the modes; gravity is left out of its speed."""
+    cells, its = (1, 2, 84), 1e-5
+    solid = make_solid(cells, 0.3365, material=MEASURED, comm=MPI.COMM_SELF)
+    rotation = matrix_of(leaning(tilt))
+    plane = seen_from_body(rotation)
+    finite = impact(
+        solid.domain,
+        solid.facet_tags,
+        solid.tip_tag,
+        MEASURED,
+        2,
+        normal=plane,
+        gravity_m_s2=0.0 * plane,
+        velocity_m_s=-math.sqrt(2.0 * G * 0.05) * plane,
+        kn_N_m=2e6,
+        friction=mu,
+        its_s=its,
+        clear_s=2e-4,
+    )
+    c_mass, c_stiffness = TimeScheme.average().effective(its, 0.0, 1e-8)
+    shift = c_mass / c_stiffness
+    bodies = [
+        reduce_solid(solid, shift, 40, leaning=True, second_order=True).modal,
+        beam_body(Bristle(material=MEASURED), 16, second_order=True),
+    ]
+    for body in bodies:
+        ours = drop(body, tilt, mu)
+        kept = ours.cm_velocity_after_m_s + G * ours.contact_time_s
+        assert kept / ours.impact_speed_m_s == pytest.approx(finite.speed_kept, abs=6e-3)
