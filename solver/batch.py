@@ -97,6 +97,7 @@ class Outcome(NamedTuple):
     spin_z_rad_s: Array
     material_loss_J: Array
     friction_loss_J: Array
+    contact_loss_J: Array
     closure_relative: Array
     n_steps: Array
 
@@ -165,7 +166,7 @@ def one_drop(
     v = -speed * (flyer.translation @ rotation[2])
     initial = modes.mass * gravity * height
     top = centre_top = -math.inf
-    loss = rubbed = impulse = peak = 0.0
+    loss = rubbed = spent = impulse = peak = 0.0
     first = -1.0
     last = now = wait = 0.0
     touches = steps = 0
@@ -185,6 +186,7 @@ def one_drop(
         steps += done.count
         loss += done.material_loss
         rubbed += done.friction_loss
+        spent += done.contact_loss
         if done.impulse > 0.0:
             touches += 1
             impulse += done.impulse
@@ -229,8 +231,9 @@ def one_drop(
     out[3], out[4], out[5], out[6] = last - first, touches, peak, impulse
     out[7], out[8], out[9] = motion.spin[0], motion.spin[1], motion.spin[2]
     out[10], out[11] = loss, rubbed
-    out[12] = abs(initial - left - loss - rubbed) / initial
-    out[13] = steps
+    out[12] = spent
+    out[13] = abs(initial - left - loss - rubbed - spent) / initial
+    out[14] = steps
     return modal_march.RELEASED
 
 
@@ -264,6 +267,7 @@ def many_drops(
             points.weights,
             points.end_weight,
             points.soft,
+            points.drag,
         )
         status[i] = one_drop(
             modes,

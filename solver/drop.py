@@ -137,6 +137,7 @@ class Impact:
     next_touch_s: float
     material_loss_J: float
     friction_loss_J: float
+    contact_loss_J: float
     n_steps: int
     top_m: float
     centre_top_m: float
@@ -179,7 +180,7 @@ def simulate(
     fall_s, speed = free_fall(plan.height_m, g, body.alpha_1_s)
     initial = body.mass_kg * g * plan.height_m
     loss = initial - 0.5 * body.mass_kg * speed**2 if body.alpha_1_s else 0.0
-    rubbed = 0.0
+    rubbed = spent = 0.0
     _record_fall(history, plan, fall_s, body.alpha_1_s)
     end_s = stage.end_s
     if end_s <= fall_s:
@@ -196,6 +197,7 @@ def simulate(
         impacts.append(impact)
         loss += impact.material_loss_J
         rubbed += impact.friction_loss_J
+        spent += impact.contact_loss_J
         now = impact.energy_after
         if plan.impact_only:
             break
@@ -231,7 +233,7 @@ def simulate(
         cm_velocity_after_m_s=float(velocity[2]),
         n_dofs=body.n_dofs,
         n_steps=sum(impact.n_steps for impact in impacts),
-        energy=Budget.close(initial, now, loss, rubbed),
+        energy=Budget.close(initial, now, loss, rubbed, spent),
         history=history,
         cm_rebound_height_m=centre_rebound,
         velocity_after_m_s=tuple(map(float, velocity)),
@@ -341,6 +343,7 @@ class _Stage:
             next_touch_s=landing,
             material_loss_J=loss,
             friction_loss_J=sum(touch.friction_loss_J for touch in touches),
+            contact_loss_J=sum(touch.contact_loss_J for touch in touches),
             n_steps=sum(touch.n_steps for touch in touches),
             top_m=top,
             centre_top_m=centre_top,
@@ -400,12 +403,13 @@ def march_plainly(frame: FlightFrame, plan: DropPlan, until_s: float) -> DropRes
     lift = body.translation @ marcher.ground.up
     history = History()
     state = marcher.start(0.0, plan.height_m * lift, np.zeros_like(lift))
-    loss = rubbed = 0.0
+    loss = rubbed = spent = 0.0
     normal, pushes, velocities = [], [], []
     observe(marcher, state, np.zeros((len(body.contact.weights), 3)), history)
     for _ in range(math.ceil(until_s / plan.its_s)):
         before = state
-        state, force, friction = marcher.step(before)
+        state, force, friction, damped = marcher.step(before)
+        spent += damped
         loss += step_loss(marcher, before, state)
         rubbed += friction
         observe(marcher, state, force, history)
@@ -437,7 +441,7 @@ def march_plainly(frame: FlightFrame, plan: DropPlan, until_s: float) -> DropRes
         n_dofs=body.n_dofs,
         n_steps=len(total),
         energy=Budget.close(
-            body.mass_kg * g * plan.height_m, marching_energy(marcher, state), loss, rubbed
+            body.mass_kg * g * plan.height_m, marching_energy(marcher, state), loss, rubbed, spent
         ),
         history=history,
         cm_rebound_height_m=float(rows[last + 1 : second + 1, 2].max(initial=0.0)),

@@ -44,15 +44,20 @@ class Budget:
 
     @classmethod
     def close(
-        cls, initial_J: float, now: Energy, material_loss_J: float, friction_loss_J: float = 0.0
+        cls,
+        initial_J: float,
+        now: Energy,
+        material_loss_J: float,
+        friction_loss_J: float = 0.0,
+        contact_loss_J: float = 0.0,
     ) -> Budget:
         """Close the budget: what neither remains nor was dissipated by physics is numerical."""
-        numerical = initial_J - now.total_J - material_loss_J - friction_loss_J
+        numerical = initial_J - now.total_J - material_loss_J - friction_loss_J - contact_loss_J
         return cls(
             initial_J=initial_J,
             **asdict(now),
             material_loss_J=material_loss_J,
-            contact_loss_J=0.0,
+            contact_loss_J=contact_loss_J,
             friction_loss_J=friction_loss_J,
             numerical_J=numerical,
             closure_relative=abs(numerical) / initial_J,

@@ -54,6 +54,7 @@ class Touch:
     max_penetration_s: float
     material_loss_J: float
     friction_loss_J: float
+    contact_loss_J: float
     defect: float
     n_steps: int
 
@@ -105,7 +106,7 @@ def march_touch(
     start = marcher.start(t_s, u, v)
     weights = marcher.body.contact.weights
     state, first_row = start, len(history.rows)
-    peak = impulse = loss = defect = rubbed = 0.0
+    peak = impulse = loss = defect = rubbed = spent = 0.0
     push: Array = np.zeros(3)
     release = t_s
     none = np.zeros((len(weights), 3))
@@ -114,7 +115,8 @@ def march_touch(
         observer(start, none)
     for count in range(1, STEP_LIMIT):
         before = state
-        state, force, friction = marcher.step(before)
+        state, force, friction, damped = marcher.step(before)
+        spent += damped
         if not np.isfinite(state.drive).all():
             raise _not_finite(state.t_s)
         loss += step_loss(marcher, before, state)
@@ -124,7 +126,7 @@ def march_touch(
         impulse += marcher.its_s * total
         push = push + marcher.its_s * (weights @ marcher.along_axes(force))
         now = observe(marcher, state, force, history)
-        peak = max(peak, now)
+        peak = max(peak, total if marcher.contact.points.drag > 0.0 else now)
         if observer is not None:
             observer(state, force)
         if total > 0.0:
@@ -148,6 +150,7 @@ def march_touch(
                 max_penetration_s=when - t_s,
                 material_loss_J=loss,
                 friction_loss_J=rubbed,
+                contact_loss_J=spent,
                 defect=defect,
                 n_steps=count,
             )
@@ -218,6 +221,7 @@ def _march_compiled(
         max_penetration_s=when - t_s,
         material_loss_J=marched.material_loss,
         friction_loss_J=marched.friction_loss,
+        contact_loss_J=marched.contact_loss,
         defect=_defect(marcher, marched, np.ascontiguousarray(u), np.ascontiguousarray(v)),
         n_steps=marched.count,
     )

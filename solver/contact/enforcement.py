@@ -131,6 +131,7 @@ class StepContact:
     weights: Array
     scale: Array
     end_weight: float | None
+    its_s: float = 1.0
 
     def __post_init__(self) -> None:
         self.points = step.Points(
@@ -142,6 +143,7 @@ class StepContact:
             weights=self.weights,
             end_weight=step.CONSERVING if self.end_weight is None else self.end_weight,
             soft=self._augmentation() if self._augmented else 0.0,
+            drag=self.method.law.damping_N_s_m / self.its_s,
         )
         self.reset()
 
@@ -206,6 +208,10 @@ class StepContact:
     def commit(self, start: Array, force: Array) -> float:
         """Let friction's springs follow the step that was solved; returns its loss in J."""
         return float(step.commit(self.points, start, self.end, force, self.elongation))
+
+    def contact_loss_J(self, start: Array, force: Array) -> float:
+        """What the law's dashpot took in the step that was solved."""
+        return float(step.contact_loss(self.points, start, self.end, force))
 
     def spring_energy_J(self) -> float:
         """What the springs of friction hold."""

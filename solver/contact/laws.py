@@ -37,7 +37,7 @@ def elastic(
 
 
 class ContactLaw(Protocol):
-    """An elastic law seen through a compliance in series.
+    """An elastic law seen through a compliance in series, with a dashpot beside it.
 
     Per unit of area share, ``force`` is what a total force would be were the whole face like this
     point. ``drive`` (m) is the penetration that the point would have without the compliance
@@ -55,8 +55,13 @@ class ContactLaw(Protocol):
         """What `elastic` reads: the kind of law, then its numbers."""
         ...
 
+    @property
+    def damping_N_s_m(self) -> float:
+        """Force per speed of penetration while it touches; contact never pulls."""
+        ...
+
     def force(self, drive: Array, series_m_N: float, scale: Array | float = 1.0) -> Array:
-        """Force (n,) in N; ``scale`` (n,) is each point's stiffness over the law's."""
+        """Elastic force (n,) in N; ``scale`` (n,) is each point's stiffness over the law's."""
         ...
 
     def potential(self, drive: Array, series_m_N: float, scale: Array | float = 1.0) -> Array:
@@ -82,6 +87,10 @@ class Linear:
     def parameters(self) -> Array:
         return np.array([LINEAR, self.kn_N_m])
 
+    @property
+    def damping_N_s_m(self) -> float:
+        return 0.0
+
     def _of_points(
         self, which: int, drive: Array, series_m_N: float, scale: Array | float
     ) -> Array:
@@ -99,6 +108,22 @@ class Linear:
 
     def potential(self, drive: Array, series_m_N: float, scale: Array | float = 1.0) -> Array:
         return self._of_points(2, drive, series_m_N, scale)
+
+
+@dataclass(frozen=True)
+class Damped(Linear):
+    """A spring Kn and a dashpot beside it (Kelvin and Voigt): loss that lies in the contact."""
+
+    c_N_s_m: float = 0.0
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not (math.isfinite(self.c_N_s_m) and self.c_N_s_m >= 0.0):
+            raise ValueError(f"contact damping must be zero or more, not {self.c_N_s_m}")
+
+    @property
+    def damping_N_s_m(self) -> float:
+        return self.c_N_s_m
 
 
 def mindlin_ratio(poisson: float) -> float:

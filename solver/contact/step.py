@@ -41,9 +41,33 @@ CONSERVING = 0.0
 
 @njit
 def _mean_normal(
+    law: Array,
+    drag: float,
+    scale: float,
+    series: float,
+    start: float,
+    end: float,
+    end_weight: float,
+) -> tuple[float, float]:
+    """Normal force over a step and its derivative by the drive at the end.
+
+    The dashpot's is ``drag`` (damping over the step) times the change of penetration; together
+    with the spring it pushes or does nothing.
+    """
+    mean, slope = _mean_elastic(law, scale, series, start, end, end_weight)
+    if drag > 0.0 and (start > 0.0 or end > 0.0):
+        mean += scale * drag * (max(end, 0.0) - max(start, 0.0))
+        slope += scale * drag if end > 0.0 else 0.0
+        if mean <= 0.0:
+            return 0.0, 0.0
+    return mean, slope
+
+
+@njit
+def _mean_elastic(
     law: Array, scale: float, series: float, start: float, end: float, end_weight: float
 ) -> tuple[float, float]:
-    """Normal force over a step and its derivative by the drive at the end."""
+    """The spring's part of the normal force over a step, and its derivative."""
     force1, slope1, energy1 = elastic(law, scale, end, series)
     force0, _, energy0 = elastic(law, scale, start, series)
     if end_weight != CONSERVING:
@@ -59,6 +83,7 @@ def _mean_normal(
 @njit
 def normal_force(
     law: Array,
+    drag: float,
     scale: float,
     series: float,
     start: float,
@@ -69,7 +94,7 @@ def normal_force(
 ) -> tuple[float, float]:
     """Normal force over a step and its derivative by the drive at the end, multiplier included."""
     if soft == 0.0:
-        return _mean_normal(law, scale, series, start, end, end_weight)
+        return _mean_normal(law, drag, scale, series, start, end, end_weight)
     if math.isinf(law[1]):  # Signorini's condition holds at the end of the step
         force, slope, _ = elastic(law, scale, end + soft * multiplier, series + soft)
         return force, slope
@@ -77,7 +102,7 @@ def normal_force(
     slope = 0.0
     for _ in range(NEWTON_LIMIT):
         mean, slope = _mean_normal(
-            law, scale, series, start, end + soft * (multiplier - force), end_weight
+            law, drag, scale, series, start, end + soft * (multiplier - force), end_weight
         )
         step = (mean - force) / (1.0 + soft * slope)
         force += step
@@ -126,7 +151,8 @@ class Points(NamedTuple):
     """The law at the contact points over one step: what all of a step's functions read.
 
     ``law`` see contact.laws, ``kt`` and ``mu`` are friction's, ``scale`` (n,) the points' stiffness
-    over the law's, ``series`` Nitsche's compliance, ``soft`` that of the augmented Lagrangian.
+    over the law's, ``series`` Nitsche's compliance, ``soft`` that of the augmented Lagrangian,
+    ``drag`` the law's damping over the time step.
     ``end_weight`` is `CONSERVING` or the weight of the end of the step.
     """
 
@@ -138,11 +164,13 @@ class Points(NamedTuple):
     weights: Array
     end_weight: float
     soft: float
+    drag: float = 0.0
 
 
 @njit
 def pushes(
     law: Array,
+    drag: float,
     kt: float,
     mu: float,
     scale: float,
@@ -165,7 +193,7 @@ def pushes(
     step, (e0, e1) friction's spring, (m, m0, m1) the multiplier. The derivatives are dN/ds,
     dT0/d0, dT1/d1, dT0/d1 = dT1/d0, dT0/ds, dT1/ds.
     """
-    normal, k = normal_force(law, scale, series, start, end, end_weight, soft, m)
+    normal, k = normal_force(law, drag, scale, series, start, end, end_weight, soft, m)
     if mu == 0.0 or normal <= 0.0:
         return normal, 0.0, 0.0, k, 0.0, 0.0, 0.0, 0.0, 0.0
     part, weight, at_end, k_end = 1.0, 1.0, normal, k
@@ -222,6 +250,7 @@ def point_force(
     """
     f, f0, f1, k, k00, k11, k01, k0, k1 = pushes(
         points.law,
+        points.drag,
         points.kt,
         points.mu,
         points.scale[i],
@@ -279,6 +308,21 @@ def commit(points: Points, start: Array, end: Array, force: Array, elongation: A
         elongation[i, 0], elongation[i, 1] = e0, e1
         after = 0.5 * stiffness * (e0 * e0 + e1 * e1)
         taken += weights[i] * (work - (after - before))
+    return taken
+
+
+@njit
+def contact_loss(points: Points, start: Array, end: Array, force: Array) -> float:
+    """What the law's dashpot took in a step, in J: the work on it that its spring does not hold."""
+    taken = 0.0
+    if points.drag == 0.0:
+        return taken
+    for i in range(len(points.weights)):
+        if start[i, 0] > 0.0 or end[i, 0] > 0.0:
+            held = elastic(points.law, points.scale[i], end[i, 0], points.series)[2]
+            held -= elastic(points.law, points.scale[i], start[i, 0], points.series)[2]
+            work = force[i, 0] * (end[i, 0] - start[i, 0])
+            taken += points.weights[i] * (work - held)
     return taken
 
 
@@ -494,6 +538,7 @@ def solve_section(
     """
     n, r = len(points.weights), len(section.response)
     law, kt, mu, series = points.law, points.kt, points.mu, points.series
+    drag = points.drag
     end_weight, soft, scale = points.end_weight, points.soft, points.scale
     axes = 3 if mu > 0.0 else 1
     z = section.response @ section_gathers(section, points.weights, force)
@@ -517,6 +562,7 @@ def solve_section(
                 continue
             f, f0, f1, k, k00, k11, k01, k0, k1 = pushes(
                 law,
+                drag,
                 kt,
                 mu,
                 scale[i],
@@ -580,6 +626,7 @@ def solve_rigid_section(
     """
     n, r = len(points.weights), len(section.response)
     law, kt, mu, series = points.law, points.kt, points.mu, points.series
+    drag = points.drag
     end_weight, soft, scale, weights = (
         points.end_weight,
         points.soft,
@@ -617,6 +664,7 @@ def solve_rigid_section(
                     slip1 -= values[i, 2, a] * z[a]
             f, f0, f1, k, k00, k11, k01, k0, k1 = pushes(
                 law,
+                drag,
                 kt,
                 mu,
                 scale[i],

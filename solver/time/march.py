@@ -45,11 +45,12 @@ class State:
 
 class Step(NamedTuple):
     """What a step gave: the state after it, the contact forces per area share over it (n, 3) in N
-    along the points' local frames, and what friction took in J."""
+    along the points' local frames, and what friction and contact's dashpot took in J."""
 
     state: State
     force: Array
     friction_loss_J: float
+    contact_loss_J: float
 
 
 class Marcher:
@@ -172,6 +173,7 @@ class Marcher:
             weights=points.weights,
             scale=self.ground.scale,
             end_weight=None if scheme.conserving else 1.0 - scheme.alpha_f,
+            its_s=self.its_s,
         )
 
     def stiffness(self, x: Array) -> Array:
@@ -276,7 +278,8 @@ class Marcher:
             ka=ka,
             drive=drive,
         )
-        return Step(later, force, self.contact.commit(now.drive, force))
+        friction = self.contact.commit(now.drive, force)
+        return Step(later, force, friction, self.contact.contact_loss_J(now.drive, force))
 
     def step_defect(self, before: State, after: State, force: Array) -> float:
         """Bound on the energy norm √(2E) of what a reduced body's step got wrong, in √J.

@@ -20,6 +20,7 @@ from ..contact.step import (
     Points,
     Section,
     commit,
+    contact_loss,
     new_section,
     section_gathers,
     section_moves,
@@ -79,6 +80,7 @@ class Marched(NamedTuple):
     peak: float
     material_loss: float
     friction_loss: float
+    contact_loss: float
     spring: float
     u: Array
     v: Array
@@ -161,7 +163,7 @@ def march(
     forces = np.zeros((size if keep_states else 1, 3 * n))
     motions = np.zeros((size if keep_states else 1, m))
     push = np.zeros(3)
-    release = impulse = peak = loss = rubbed = 0.0
+    release = impulse = peak = loss = rubbed = spent = 0.0
     status, count = TOO_LONG, 0
     if keep:
         history[0, 0] = touching.tip_m + tip @ u
@@ -217,6 +219,7 @@ def march(
         seen = after
         if touches:
             rubbed += commit(points, drive, end, force, elongation)
+            spent += contact_loss(points, drive, end, force)
             for i in range(n):
                 total += weights[i] * force[i, 0]
                 if end[i, 0] > 0.0:
@@ -249,7 +252,7 @@ def march(
             first, last = drive[:, 0].max(), end[:, 0].max()
             if last < 0.0 and first > last:
                 release = h * (count - 1 + max(first, 0.0) / (first - last))
-        peak = max(peak, now)
+        peak = max(peak, total if points.drag > 0.0 else now)
         u, v = later, fast
         drive[:, :] = end
         if keep:
@@ -287,6 +290,7 @@ def march(
         peak,
         loss,
         rubbed,
+        spent,
         spring,
         u,
         v,
