@@ -105,7 +105,7 @@ def period_three(n, theta, periods=2):
     state = marcher.start(0.0, compressed, np.zeros_like(compressed))
     tip, given, times = [], [], []
     for _ in range(round(3.0 * periods / marcher.its_s)):
-        state, force, _ = marcher.step(state)
+        state, force, *_ = marcher.step(state)
         times.append(state.t_s)
         tip.append(float(body.contact.displacements(state.u)[0, 2]))
         given.append(marcher.its_s * float(force[0, 0]))
