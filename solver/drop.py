@@ -28,7 +28,7 @@ TOUCH_LIMIT = 10_000
 # holds more than the modes that it flies in, loses nothing.
 WAIT_STEPS = 100
 # Largest error estimate of a reduced body, in units of the impact speed, that is let through.
-REDUCTION_LIMIT = 1e-3
+REDUCTION_LIMIT = 5e-3
 FLIGHT_ROWS = 200
 
 

@@ -11,6 +11,7 @@ in bending afterwards, far below s: its space is a rational one (Ruhe, Linear Al
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -25,9 +26,11 @@ from .modal import Defect, ModalBody, in_modes
 from .solid import SolidBody
 
 DEFLATED = 1e-10
-# Shifts of a leaning body's slow motion, in units of its slowest bending's squared frequency.
-SLOW_SHIFTS = (1.0, 1e4)
-N_SLOW = 6
+# Of a leaning body: Krylov vectors of each load at the time scheme's shift, as a share of those
+# asked for; and shifts of its slow motion, in units of its slowest bending's squared frequency,
+# each with how many vectors of a load. Long impacts (soft contact) live on these.
+SHARE = 0.3
+SLOW = ((1.0, 16), (1e4, 16))
 AXIS_POINTS = 128
 
 
@@ -102,7 +105,7 @@ def krylov_basis(
     """The basis of the reduced body.
 
     Rigid motions; ``n_krylov`` Krylov vectors of a uniform pressure on the tip or, for a
-    ``leaning`` body, half as many of each resultant of its tractions; and the response to a force at
+    ``leaning`` body, `SHARE` as many of each resultant of its tractions, and of slow motion; and the response to a force at
     each node of the face (along all axes where it leans), without which an uneven pressure would
     meet a tip too stiff, and with ``tractions`` to the rows of the traction, along which Nitsche's
     method pushes too. Directions that carry nothing new are dropped.
@@ -110,13 +113,14 @@ def krylov_basis(
     loads = _resultants(solid.contact) if leaning else _resultants(solid.contact)[:, 2:3]
     own = _loads(solid.contact, leaning=leaning, tractions=tractions)
     shifts = _slow_shifts(solid) if leaning else ()
-    depth = (n_krylov + 1) // 2 if leaning else n_krylov
-    most = 6 + loads.shape[1] * (depth + N_SLOW * len(shifts)) + own.shape[1]
+    depth = math.ceil(SHARE * n_krylov) if leaning else n_krylov
+    slow = sum(n for _, n in shifts)
+    most = 6 + loads.shape[1] * (depth + slow) + own.shape[1]
     basis = Basis(solid, most)
     basis.extend(np.asfortranarray(solid.rigid_motions()))
     _extend_krylov(basis, solve, loads, depth)
-    for shift in shifts:
-        _extend_krylov(basis, solid.factor(shift, 1.0), loads, N_SLOW)
+    for shift, n in shifts:
+        _extend_krylov(basis, solid.factor(shift, 1.0), loads, n)
     basis.extend(solve(own))
     return basis
 
@@ -140,8 +144,9 @@ def _resultants(contact: ContactPoints) -> Array:
     return np.asfortranarray(contact.coordinates.T @ (contact.rows.T @ weighted.T))
 
 
-def _slow_shifts(solid: SolidBody) -> tuple[float, ...]:
-    """Shifts (1/s²) at the slowest bending of a thin bar of this mass and stiffness, and above."""
+def _slow_shifts(solid: SolidBody) -> tuple[tuple[float, int], ...]:
+    """Shifts (1/s²) at the slowest bending of a thin bar of this mass and stiffness, and above,
+    and how many vectors of each."""
     rigid = solid.rigid_motions()
     turned = np.asfortranarray(rigid[:, 3:])
     moments = _total(solid, np.einsum("ij,ij->j", turned, solid.mass(turned)))
@@ -150,7 +155,7 @@ def _slow_shifts(solid: SolidBody) -> tuple[float, ...]:
     axial = (np.pi / length) ** 2 * solid.material.youngs_Pa / solid.material.density_kg_m3
     # the radius of gyration of the section from how bending and torsion inertia compare
     slow = axial * (twist / inertia.max())
-    return tuple(slow * np.array(SLOW_SHIFTS))
+    return tuple((slow * factor, n) for factor, n in SLOW)
 
 
 def _loads(contact: ContactPoints, *, leaning: bool, tractions: bool) -> Array:
