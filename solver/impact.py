@@ -12,7 +12,7 @@ from .bodies.axis import shortening
 from .bodies.base import Array
 from .bodies.modal import ModalBody
 from .contact.enforcement import Enforcement
-from .energy import step_loss
+from .energy import marching_energy, step_loss
 from .errors import ComputationError
 from .time import modal_march
 from .time.march import Marcher, State
@@ -38,7 +38,8 @@ class Touch:
 
     ``force_N`` and ``penetration_m`` are greatest values at the ends of steps, the latter refined
     by a parabola through its neighbours; ``push_N_s`` (3,) is the impulse along body axes, friction
-    included; ``u`` and ``v`` are the first state after release. ``defect`` bounds the energy norm
+    included; ``u`` and ``v`` are the first state after release. ``contact_J`` is what contact still
+    holds where the march ended before that. ``defect`` bounds the energy norm
     in √J of what a reduced body got wrong.
     """
 
@@ -55,6 +56,7 @@ class Touch:
     material_loss_J: float
     friction_loss_J: float
     contact_loss_J: float
+    contact_J: float
     defect: float
     n_steps: int
 
@@ -134,8 +136,10 @@ def march_touch(
         free = total == 0.0 or (now == 0.0 and not marcher.rigid_multiplier)
         done = free and state.t_s >= wait_s and _leaving(marcher, state)
         if done or state.t_s >= until_s:
+            held = marching_energy(marcher, state).contact_J
             if done:
                 rubbed += marcher.contact.spring_energy_J()
+                held -= marcher.contact.spring_energy_J()
             depth, when = _deepest(np.array(history.rows[first_row:]))
             return Touch(
                 start_s=t_s,
@@ -151,6 +155,7 @@ def march_touch(
                 material_loss_J=loss,
                 friction_loss_J=rubbed,
                 contact_loss_J=spent,
+                contact_J=held,
                 defect=defect,
                 n_steps=count,
             )
@@ -183,7 +188,6 @@ def _march_compiled(
 ) -> Touch:
     """`march_touch` of a modal body in compiled code."""
     modes, touching = marcher.tables()
-    body = marcher.body
     marched = modal_march.march(
         modes,
         touching,
@@ -193,7 +197,7 @@ def _march_compiled(
         until_s - t_s,
         STEP_LIMIT,
         True,
-        body.defect is not None and body.axis is None,
+        marcher.body.defect is not None and not body_bends(marcher),
     )
     if marched.status == modal_march.NOT_CONVERGED:
         raise ComputationError(
@@ -222,6 +226,7 @@ def _march_compiled(
         material_loss_J=marched.material_loss,
         friction_loss_J=marched.friction_loss,
         contact_loss_J=marched.contact_loss,
+        contact_J=marched.spring + _pressed(marcher, marched.u, marched.v),
         defect=_defect(marcher, marched, np.ascontiguousarray(u), np.ascontiguousarray(v)),
         n_steps=marched.count,
     )
@@ -238,6 +243,13 @@ def _defect(marcher: Marcher, marched: modal_march.Marched, u: Array, v: Array) 
         limit = marched.count + STEP_LIMIT // 1000
         marched = modal_march.march(linear, touching, u, v, 0.0, math.inf, limit, False, True)
     return marcher.march_defect(marched.forces, marched.motions)
+
+
+def _pressed(marcher: Marcher, u: Array, v: Array) -> float:
+    """What the contact law holds at a state, in J."""
+    drive = marcher.drive(u, v)[:, 0]
+    stored = marcher.method.law.potential(drive, marcher.tau, marcher.ground.scale)
+    return float(marcher.body.contact.weights @ stored)
 
 
 def _not_finite(t_s: float) -> ComputationError:

@@ -11,8 +11,10 @@ from ..solver.drop import DropResult
 from .cases import Workshop
 from .choices import Contact, Model, Tip
 from .config import DropInputs
+from .flags import FLAT
 from .parallel import share_out
 from .report import Section
+from .stance import ANGLES
 
 Results = Mapping[DropInputs, DropResult]
 Tick = Callable[[], None]
@@ -95,10 +97,17 @@ def compute(
 
 
 def _built(case: DropInputs) -> DropInputs | None:
-    """The plainest case with the same body, where all ranks must build that together."""
+    """The plainest case with the same body, where all ranks must build that together.
+
+    How far it leans makes no other body, only that it does.
+    """
     if case.model is not Model.REDUCED:
         return None
+    upright = dict.fromkeys(ANGLES, 0.0) | {"tip_shape": FLAT}
     return case.changed(
+        **upright | ({"tilt_deg": 1.0} if case.leaning else {}),
+        friction=paper.FRICTION,
+        kt_ratio=None,
         kn_N_m=paper.KN_CHOSEN_N_M,
         height_m=paper.HEIGHTS_M[-1],
         its_s=paper.ITS_S,

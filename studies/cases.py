@@ -7,13 +7,14 @@ their march and nothing else.
 
 from __future__ import annotations
 
+import copy
 import math
 import time
 from collections.abc import Callable, Hashable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, fields, replace
 from types import TracebackType
-from typing import Self, cast
+from typing import Any, Self, cast
 
 from mpi4py import MPI
 
@@ -21,7 +22,7 @@ from ..meshes.check import MeshError
 from ..meshes.distribute import to_dolfinx
 from ..meshes.geometry import Tag
 from ..solver.bodies.analytic import analytic_drop
-from ..solver.bodies.base import ContactPoints
+from ..solver.bodies.base import ContactPoints, with_offsets
 from ..solver.bodies.beam import beam_body
 from ..solver.bodies.modal import ModalBody
 from ..solver.bodies.reduced import ReducedModel, reduce_solid
@@ -33,10 +34,18 @@ from ..solver.impact import History, Observer
 from ..solver.time.march import Marcher
 from .choices import Contact, Model, Tip, Until
 from .config import DropInputs
+from .flags import FLAT
 from .limits import marching_time_s
+from .stance import StandingMarcher, face_offsets_m
 
 PARTS = ("mesh", "assemble", "factor", "march")
 Timings = dict[str, float]
+# What a drop that ends with its first impact has not seen.
+NO_REBOUND: dict[str, Any] = {
+    "rebound_ratio": None,
+    "rebound_height_m": None,
+    "cm_rebound_height_m": None,
+}
 
 
 @dataclass(frozen=True)
@@ -90,7 +99,7 @@ class Workshop:
         make: dict[Model, Callable[[DropInputs], tuple[FlightFrame, Hashable]]] = {
             Model.BEAM: self._beam,
             Model.REDUCED: self._modal,
-            Model.SOLID: self._reduced,
+            Model.SOLID: self._full,
         }
         frame, key = make[inputs.model](inputs)
         return Prepared(frame, self._marcher(inputs, frame, key))
@@ -113,7 +122,7 @@ class Workshop:
             elif inputs.march:
                 result = _marched(inputs, prepared.frame)
             else:
-                plan = inputs.drop_plan()
+                plan = inputs.drop_plan(_n_points(prepared.frame))
                 result = simulate(prepared.frame, plan, prepared.marcher, observer)
         return result, self.take_timings()
 
@@ -137,13 +146,17 @@ class Workshop:
 
     def _beam(self, inputs: DropInputs) -> tuple[ModalFrame, Hashable]:
         bristle, face = inputs.bristle(), inputs.tip is Tip.FACE
-        key = ("beam", bristle, inputs.elements, face)
+        points = inputs.contact_points
+        key = ("beam", bristle, inputs.elements, face, points)
         with self._timed("assemble"):
-            frame = self._keep(key, lambda: _beam_frame(bristle, inputs.elements, face=face))
-        return frame, key
+            frame = self._keep(
+                key, lambda: _beam_frame(bristle, inputs.elements, face=face, points=points)
+            )
+        return self._shaped(inputs, frame, key)
 
     def _solid(self, inputs: DropInputs) -> tuple[SolidBody, Hashable]:
-        key = ("solid", inputs.mesh_spec(), inputs.bristle().material, inputs.order)
+        material, points = inputs.bristle().material, inputs.contact_points
+        key = ("solid", inputs.mesh_spec(), material, inputs.order, points)
         return self._keep(key, lambda: self._make_solid(inputs)), key
 
     def _make_solid(self, inputs: DropInputs) -> SolidBody:
@@ -153,22 +166,37 @@ class Workshop:
             except MeshError as error:
                 raise ComputationError(f"the mesh could not be made: {error}") from error
         with self._timed("assemble"):
-            solid = SolidBody(domain, facets, int(Tag.TIP), inputs.bristle().material, inputs.order)
+            solid = SolidBody(
+                domain,
+                facets,
+                int(Tag.TIP),
+                inputs.bristle().material,
+                inputs.order,
+                inputs.contact_points,
+            )
         self._solids.append(solid)
         return solid
 
-    def _reduced(self, inputs: DropInputs) -> tuple[ReducedModel, Hashable]:
+    def _full(self, inputs: DropInputs) -> tuple[ReducedModel, Hashable]:
         """The solid at full order, flying in the coordinates of its reduced model."""
+        return self._shaped(inputs, *self._reduced(inputs))
+
+    def _reduced(self, inputs: DropInputs) -> tuple[ReducedModel, Hashable]:
+        """The solid and its reduced model, whatever the shape of the tip."""
         solid, solid_key = self._solid(inputs)
         c_mass, c_stiffness = inputs.time_scheme().effective(
             self.basis_its_s or inputs.its_s, inputs.alpha_1_s, inputs.beta_s
         )
         shift = c_mass / c_stiffness
         tractions = inputs.contact is Contact.NITSCHE
-        key = (solid_key, "reduced", shift, inputs.modes, tractions)
+        leaning = inputs.leaning
+        key = (solid_key, "reduced", shift, inputs.modes, leaning, tractions)
         with self._timed("factor"):
             model = self._keep(
-                key, lambda: reduce_solid(solid, shift, inputs.modes, tractions=tractions)
+                key,
+                lambda: reduce_solid(
+                    solid, shift, inputs.modes, leaning=leaning, tractions=tractions
+                ),
             )
         return model, key
 
@@ -176,7 +204,17 @@ class Workshop:
         """The reduced model alone, the same to the last bit on every rank."""
         model, key = self._reduced(inputs)
         key = (key, "modal")
-        return self._keep(key, lambda: ModalFrame(self._same_on_all(model.modal))), key
+        frame = self._keep(key, lambda: ModalFrame(self._same_on_all(model.modal)))
+        return self._shaped(inputs, frame, key)
+
+    def _shaped[Frame: (ModalFrame, ReducedModel)](
+        self, inputs: DropInputs, frame: Frame, key: Hashable
+    ) -> tuple[Frame, Hashable]:
+        """``frame`` with the end face of ``inputs``, and its key."""
+        if inputs.tip_shape == FLAT:
+            return frame, key
+        key = (key, inputs.tip_shape)
+        return self._keep(key, lambda: _with_face(frame, inputs)), key
 
     def _same_on_all(self, modal: ModalBody) -> ModalBody:
         points = {field.name: getattr(modal.contact, field.name) for field in fields(modal.contact)}
@@ -185,21 +223,46 @@ class Workshop:
         return replace(modal, contact=ContactPoints(**points, comm=MPI.COMM_SELF))
 
     def _marcher(self, inputs: DropInputs, frame: FlightFrame, frame_key: Hashable) -> Marcher:
-        """A marcher for this law; those that differ in Kn alone share factor and compliance."""
+        """A marcher for this case; those that differ in Kn, friction or lean alone share factor
+        and compliance."""
         method, scheme = inputs.contact_method(), inputs.time_scheme()
         same = (method.enforcement, method.theta, method.gamma0, method.augmentation)
         key = ("marcher", frame_key, same, scheme, inputs.its_s, inputs.gravity_m_s2)
         with self._timed("factor"):
             marcher = self._keep(
                 key,
-                lambda: Marcher(frame.body, method, scheme, inputs.its_s, inputs.gravity_m_s2),
+                lambda: StandingMarcher(
+                    frame.body, method, scheme, inputs.its_s, inputs.gravity_m_s2
+                ),
             )
-            return marcher.with_law(method.law)
+            return marcher.with_law(method.law, method.friction)
 
 
-def _beam_frame(bristle: Bristle, elements: int, *, face: bool) -> ModalFrame:
+def _n_points(frame: FlightFrame) -> int:
+    return len(frame.body.contact.weights)
+
+
+def _with_face[Frame: (ModalFrame, ReducedModel)](frame: Frame, inputs: DropInputs) -> Frame:
+    """The same body with the points of its end face where the tip's shape puts them.
+
+    A solid's mesh stays flat, and shares what PETSc holds with the body that it is a copy of.
+    """
+    shape, section = inputs.face(), inputs.end_section()
+
+    def shaped(contact: ContactPoints) -> ContactPoints:
+        return with_offsets(contact, face_offsets_m(shape, section, contact.xy_m))
+
+    modal = replace(frame.modal, contact=shaped(frame.modal.contact))
+    if isinstance(frame, ModalFrame):
+        return ModalFrame(modal)
+    solid = copy.copy(frame.body)
+    solid.contact = shaped(solid.contact)
+    return replace(frame, body=solid, modal=modal)
+
+
+def _beam_frame(bristle: Bristle, elements: int, *, face: bool, points: int) -> ModalFrame:
     try:
-        return ModalFrame(beam_body(bristle, elements, face=face))
+        return ModalFrame(beam_body(bristle, elements, face=face, points=points))
     except ValueError as error:
         raise ComputationError(
             f"{error}: bending is lost in round-off; the beam is too slender, shorten --length"
@@ -208,10 +271,9 @@ def _beam_frame(bristle: Bristle, elements: int, *, face: bool) -> ModalFrame:
 
 def _marched(inputs: DropInputs, frame: FlightFrame) -> DropResult:
     """The drop marched at constant ITS from release on."""
-    result = march_plainly(frame, inputs.drop_plan(), marching_time_s(inputs))
-    if inputs.until is Until.IMPACT:
-        return replace(result, rebound_ratio=None, rebound_height_m=None)
-    return result
+    plan = inputs.drop_plan(_n_points(frame))
+    result = march_plainly(frame, plan, marching_time_s(inputs))
+    return replace(result, **NO_REBOUND) if inputs.until is Until.IMPACT else result
 
 
 def _analytic(inputs: DropInputs) -> DropResult:
@@ -224,7 +286,7 @@ def _analytic(inputs: DropInputs) -> DropResult:
     fall_s = math.sqrt(2.0 * inputs.height_m / inputs.gravity_m_s2)
     end_s = (fall_s + result.contact_time_s) * (1.0 + 1e-12)
     rows = [row for row in result.history.rows if row[0] <= end_s]
-    return replace(result, rebound_ratio=None, rebound_height_m=None, history=History(rows))
+    return replace(result, **NO_REBOUND, history=History(rows))
 
 
 def run_case(

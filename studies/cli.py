@@ -25,6 +25,7 @@ from .flags import (
     SHARED_FLAGS,
 )
 from .options import Config, Debug, Resume, out_option, takes
+from .scatter_flags import SCATTER_FLAGS
 
 app = typer.Typer(
     add_completion=False,
@@ -84,7 +85,9 @@ def drop(
 ) -> None:
     """One drop. All values are in SI units, angles in degrees.
 
-    Example: bristle drop --model solid --kn 2e6 --height 0.05 --out results/paper
+    A leaning bristle slides, bends and turns: --tilt, --slope and --friction say how.
+
+    Example: bristle drop --model solid --kn 2e6 --height 0.05 --tilt 2 --out results/leaning
     """
     from .config import DropInputs
     from .drop import run_drop, summary
@@ -138,6 +141,29 @@ def its(
     from .study import STUDY_FLAGS
 
     run_its(inputs_of(ItsInputs, given, STUDY_FLAGS, config), out, resume=resume)
+
+
+@app.command()
+@takes(SCATTER_FLAGS)
+def scatter(
+    given: dict[str, Any],
+    config: Config = None,
+    out: Annotated[Path, out_option("results/scatter")] = Path("results/scatter"),
+    resume: Resume = False,
+    debug: Debug = False,
+) -> None:
+    """Thousands of drops that lean by chance onto a rough, composite surface: how y1/y0 scatters.
+
+    Without options: the reduced solid, 2000 drops from the paper's five heights.
+
+    Example: mpirun -n 2 bristle scatter --drops 2000 --tilt-std 2 --beta 1e-8
+    """
+    from .scatter import run_scatter
+    from .scatter_inputs import ScatterInputs
+    from .sources import inputs_of
+
+    ignored = (*DROP_FLAGS, *LISTS_FLAGS)
+    run_scatter(inputs_of(ScatterInputs, given, SCATTER_FLAGS, config, ignored), out, resume=resume)
 
 
 @app.command()

@@ -13,14 +13,17 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, model_valida
 from pydantic_core import PydanticCustomError
 
 from ..meshes import geometry
+from ..meshes.tip_shape import TipShape, parse_tip_shape
 from ..solver import paper
 from ..solver.bodies.analytic import quarter_period_s
 from ..solver.bristle import Bristle, Circle, Material, Rectangle
 from ..solver.contact.enforcement import GAMMA0, GAMMA0_RIGID, ContactMethod, Enforcement
-from ..solver.contact.laws import Linear
+from ..solver.contact.laws import Coulomb, Linear, mindlin_ratio
 from ..solver.drop import DropPlan
+from ..solver.ground import Ground
+from ..solver.rigid import slope_normal
 from ..solver.time.scheme import TimeScheme
-from . import flags, limits
+from . import flags, limits, stance
 from .choices import Contact, Model, Scheme, Tip, Until
 from .effects import EffectInput, read_effects
 
@@ -45,6 +48,14 @@ def read_until(value: Any) -> Any:
     return seconds
 
 
+def read_tip_shape(value: Any) -> Any:
+    """The shape of the end face as text, once it is one that `parse_tip_shape` knows."""
+    if isinstance(value, str):
+        value = value.strip()
+        parse_tip_shape(value)
+    return value
+
+
 def between(low: float, high: float) -> Any:
     """A finite number from ``low`` to ``high``."""
     return Field(strict=True, ge=low, le=high, allow_inf_nan=False)
@@ -63,7 +74,8 @@ def above_zero(high: float) -> Any:
 Count = Annotated[int, whole(1, 100_000)]
 Degree = Annotated[int, whole(1, 2)]
 Size = Annotated[float, between(1e-6, 1.0)]
-Angle = Annotated[float, between(-90.0, 90.0)]
+Tilt = Annotated[float, between(-limits.TILT_DEG, limits.TILT_DEG)]
+Slope = Annotated[float, between(-limits.SLOPE_DEG, limits.SLOPE_DEG)]
 Kn = Annotated[float, Field(strict=True, ge=1e-3), BeforeValidator(read_kn)]
 Height = Annotated[float, between(1e-7, 1e3)]
 Its = Annotated[float, between(1e-12, 1.0)]
@@ -81,7 +93,10 @@ class Inputs(BaseModel):
 
     contact: Contact = Contact.PENALTY
     friction: Annotated[float, between(0.0, 100.0)] = paper.FRICTION
+    kt_ratio: Annotated[float, between(1e-6, 1e6)] | None = None
     tip: Tip = Tip.FACE
+    tip_shape: Annotated[str, BeforeValidator(read_tip_shape)] = flags.FLAT
+    contact_points: Annotated[int, whole(3, limits.CONTACT_POINTS)] = flags.CONTACT_POINTS
     theta: Annotated[int, whole(-1, 1)] | None = None
     gamma0: Annotated[float, above_zero(1e6)] | None = None
     length_m: Annotated[float, between(1e-4, 100.0)] = paper.LENGTH_M
@@ -94,8 +109,10 @@ class Inputs(BaseModel):
     beta_s: Annotated[float, between(0.0, 1.0)] = paper.BETA_S
     alpha_1_s: Annotated[float, between(0.0, 1e6)] = paper.ALPHA_1_S
     gravity_m_s2: Annotated[float, between(1e-4, 1e4)] = paper.GRAVITY_M_S2
-    tilt_deg: Angle = 0.0
-    slope_deg: Angle = 0.0
+    tilt_deg: Tilt = 0.0
+    tilt_wide_deg: Tilt = 0.0
+    slope_deg: Slope = 0.0
+    slope_wide_deg: Slope = 0.0
     until: Annotated[Until | float, BeforeValidator(read_until)] = Until.REBOUND
     effects: Annotated[tuple[EffectInput, ...], BeforeValidator(read_effects)] = ()
     scheme: Scheme = Scheme.AVERAGE
@@ -119,6 +136,9 @@ class Inputs(BaseModel):
             _default(data, "width_m", paper.WIDTH_M)
             _default(data, "thickness_m", paper.THICKNESS_M)
         _default(data, "geometry_order", 1 if data.get("diameter_m") is None else 2)
+        poisson = data.get("poisson", paper.POISSON)
+        if isinstance(poisson, float) and -1.0 < poisson < 0.5:
+            _default(data, "kt_ratio", mindlin_ratio(poisson))
         if data.get("contact") == Contact.NITSCHE:
             _default(data, "theta", 1)
         if data.get("scheme") == Scheme.GENERALISED:
@@ -132,9 +152,6 @@ class Inputs(BaseModel):
             for field in ("width_m", "thickness_m"):
                 if getattr(self, field) is not None:
                     refuse(field, "a round wire has a --diameter and neither width nor thickness")
-        for field, name in (("tilt_deg", "a leaning bristle"), ("slope_deg", "a sloping surface")):
-            if getattr(self, field):
-                refuse(field, f"{name} comes with the next version; only 0 can be computed yet")
         if 0.0 < self.alpha_1_s < limits.ALPHA_1_S:
             refuse("alpha_1_s", f"less than {limits.ALPHA_1_S:g} 1/s is lost in round-off; take 0")
         for field in ("theta", "gamma0"):
@@ -142,7 +159,33 @@ class Inputs(BaseModel):
                 refuse(field, "belongs to --contact nitsche")
         if self.rho_inf is not None and self.scheme is not Scheme.GENERALISED:
             refuse("rho_inf", "belongs to --scheme generalised")
+        self._check_tip()
+        stance.check_lean(self, refuse)
         return self
+
+    def _check_tip(self) -> None:
+        """Refuse an end face that is no face, or does not fit on the section."""
+        if self.tip_shape == flags.FLAT:
+            return
+        if self.tip is Tip.POINT:
+            refuse("tip_shape", "a tip that touches with a point has no face; take --tip face")
+        try:
+            self.face().offset_m([0.0], [0.0], self.end_section())
+        except ValueError as error:
+            refuse("tip_shape", str(error))
+
+    @property
+    def leaning(self) -> bool:
+        """Whether the tip can slide: something leans, or the tip is not flat.
+
+        A flat tip that lands upright on a level surface is pushed along its axis alone; friction
+        is left out there, and a reduced model needs no bending.
+        """
+        return any(getattr(self, name) for name in stance.ANGLES) or self.tip_shape != flags.FLAT
+
+    def face(self) -> TipShape:
+        """The shape of the end face."""
+        return parse_tip_shape(self.tip_shape)
 
     def bristle(self) -> Bristle:
         """The body that falls."""
@@ -156,14 +199,15 @@ class Inputs(BaseModel):
 
     def mesh_spec(self) -> geometry.MeshSpec:
         """The mesh of hexahedra; ValueError where gmsh could not make it."""
-        section = (
-            geometry.Rectangle(*self._sides_m())
-            if self.diameter_m is None
-            else geometry.Wire(self.diameter_m)
-        )
         return geometry.MeshSpec(
-            self.length_m, section, self.cells, self.geometry_order or 1, self.grading
+            self.length_m, self.end_section(), self.cells, self.geometry_order or 1, self.grading
         )
+
+    def end_section(self) -> geometry.Rectangle | geometry.Wire:
+        """The section as meshes and shapes of tips know it."""
+        if self.diameter_m is None:
+            return geometry.Rectangle(*self._sides_m())
+        return geometry.Wire(self.diameter_m)
 
     def _sides_m(self) -> tuple[float, float]:
         """Thickness and width of a flat wire."""
@@ -243,16 +287,28 @@ class DropInputs(Inputs):
             refuse("alpha_1_s", f"{only}: it has no damping")
         if not isinstance(self.until, Until):
             refuse("until", f"{only}: it ends with impact or rebound")
+        for field in stance.ANGLES:
+            if getattr(self, field):
+                refuse(field, f"{only}: it falls upright on a level surface")
+        if self.tip_shape != flags.FLAT:
+            refuse("tip_shape", f"{only}: it has no end face")
+
+    def friction_law(self) -> Coulomb:
+        """Friction, none where nothing can slide."""
+        ratio = mindlin_ratio(self.poisson) if self.kt_ratio is None else self.kt_ratio
+        return Coulomb(self.friction if self.leaning else 0.0, ratio)
 
     def contact_method(self) -> ContactMethod:
-        """The contact law and its enforcement."""
+        """The contact law with friction, and its enforcement."""
         law, how = Linear(self.kn_N_m), Enforcement(self.contact.value)
+        friction = self.friction_law()
         if self.theta is None:
-            return ContactMethod(law, how)
-        return ContactMethod(law, how, theta=self.theta, gamma0=self.gamma0)
+            return ContactMethod(law, how, friction=friction)
+        return ContactMethod(law, how, theta=self.theta, gamma0=self.gamma0, friction=friction)
 
-    def drop_plan(self) -> DropPlan:
-        """What solver.drop.simulate is to do."""
+    def drop_plan(self, n_points: int) -> DropPlan:
+        """What solver.drop.simulate is to do with a body of ``n_points`` that can touch."""
+        normal = slope_normal(self.slope_deg, self.slope_wide_deg)
         return DropPlan(
             height_m=self.height_m,
             method=self.contact_method(),
@@ -261,6 +317,9 @@ class DropInputs(Inputs):
             scheme=self.time_scheme(),
             until_s=None if isinstance(self.until, Until) else self.until,
             impact_only=self.until is Until.IMPACT,
+            tilt_deg=self.tilt_deg,
+            tilt_wide_deg=self.tilt_wide_deg,
+            ground=Ground.plane(n_points, normal),
         )
 
     def contact_s(self) -> float:

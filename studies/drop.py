@@ -21,8 +21,10 @@ from .cases import Timings, Workshop
 from .choices import Model
 from .config import DropInputs
 from .files import folder_in_place, prepare_folder, remove_folder
+from .flags import FLAT
 from .limits import input_warnings, result_warnings
 from .progress import say, warn, working
+from .stance import ANGLES
 
 FIELDS = "fields"
 
@@ -113,6 +115,10 @@ def _made_together(folder: Path, comm: MPI.Intracomm) -> Iterator[Path]:
 
 def summary(document: dict[str, Any]) -> list[tuple[str, str]]:
     """The few numbers of a result that a user looks for first, as names and texts."""
+    leaning = any(document["inputs"][name] for name in ANGLES) or (
+        document["inputs"]["tip_shape"] != FLAT
+    )
+    loss_J = document["energy"]["friction_loss_J"]
     shown = (
         ("impact speed", "impact_speed_m_s", 1.0, "m/s"),
         ("rebound ratio y1/y0", "rebound_ratio", 1.0, ""),
@@ -126,8 +132,17 @@ def summary(document: dict[str, Any]) -> list[tuple[str, str]]:
         for name, key, scale, unit in shown
         if document[key] is not None
     ]
+    if leaning:
+        rows += [("touches", str(document["n_contacts"])), *_centre(document)]
+    if loss_J:
+        rows.append(("lost to friction", f"{1e6 * loss_J:.3g} µJ"))
     rows.append(("energy closes to", f"{document['energy']['closure_relative']:.1g}"))
     return [*rows, ("wall time", f"{document['wall_s']['total']:.3g} s")]
+
+
+def _centre(document: dict[str, Any]) -> list[tuple[str, str]]:
+    ratio = document["cm_rebound_ratio"]
+    return [] if ratio is None else [("centre of mass y1/y0", f"{ratio:.4g}")]
 
 
 if __name__ == "__main__":

@@ -18,6 +18,11 @@ DROP, TIME, MESH, OUTPUT = "Drop", "Time", "Discretisation", "Files"
 CELLS = (1, 4, 337)
 MODES = 40
 RHO_INF = 0.8
+# solver.bristle.CONTACT_POINTS, which cannot be imported without numpy.
+CONTACT_POINTS = 9
+FLAT = "flat"
+# Mindlin's 2(1-nu)/(2-nu), see solver.contact.laws.
+KT_RATIO = 2.0 * (1.0 - paper.POISSON) / (2.0 - paper.POISSON)
 
 
 @dataclass(frozen=True)
@@ -159,8 +164,20 @@ CONTACT_FLAGS = (
         float,
         paper.FRICTION,
         CONTACT,
-        "Coulomb's coefficient; an upright drop does not slip, so it changes nothing there.",
+        "Coulomb's coefficient. It acts where something leans (--tilt, --slope) or the tip is not "
+        "flat; a flat tip that lands upright on a level surface does not slide, and friction is "
+        "left out there.",
         "MU",
+    ),
+    Flag(
+        "kt-ratio",
+        "kt_ratio",
+        float,
+        None,
+        CONTACT,
+        "Tangential over normal contact stiffness, where there is friction.",
+        "RATIO",
+        f"{KT_RATIO:.4g} for steel, Mindlin's 2(1-nu)/(2-nu)",
     ),
     Flag(
         "tip",
@@ -169,7 +186,29 @@ CONTACT_FLAGS = (
         Tip.FACE,
         CONTACT,
         "The end section meets the surface point by point, or, as in the paper, with one node on "
-        "the axis (beam only).",
+        "the axis (beam only; right for upright drops alone).",
+    ),
+    Flag(
+        "tip-shape",
+        "tip_shape",
+        str,
+        FLAT,
+        CONTACT,
+        "The end face: flat, chamfer:width=M,angle=DEG, rounded:radius=M, or "
+        "worn:angle=DEG,direction=DEG, standing back most toward that direction from the thin "
+        "side. It shifts where contact points stand, for the gap alone: the body keeps its mass "
+        "and stiffness, and the solid its flat mesh.",
+        "SHAPE",
+    ),
+    Flag(
+        "contact-points",
+        "contact_points",
+        int,
+        CONTACT_POINTS,
+        CONTACT,
+        "Points across each side of the end section that can touch, its edges among them; the "
+        "solid has at least as many.",
+        "N",
     ),
     Flag(
         "theta",
@@ -200,7 +239,16 @@ PLACE_FLAGS = (
         float,
         0.0,
         DROP,
-        "Lean of the bristle toward its thin side; only 0 in this version.",
+        "How far the bristle's upper end leans toward its thin side, from vertical.",
+        "DEGREES",
+    ),
+    Flag(
+        "tilt-wide",
+        "tilt_wide_deg",
+        float,
+        0.0,
+        DROP,
+        "The same toward its wide side.",
         "DEGREES",
     ),
     Flag(
@@ -209,7 +257,16 @@ PLACE_FLAGS = (
         float,
         0.0,
         DROP,
-        "Slope of the surface toward the thin side; only 0 in this version.",
+        "How far the surface's normal leans toward the thin side, from vertical.",
+        "DEGREES",
+    ),
+    Flag(
+        "slope-wide",
+        "slope_wide_deg",
+        float,
+        0.0,
+        DROP,
+        "The same toward the wide side.",
         "DEGREES",
     ),
     Flag(
@@ -257,7 +314,9 @@ TIME_FLAGS = (
         bool,
         False,
         TIME,
-        "March all of the drop at ITS, to check the exact flight between impacts.",
+        "March all of the drop at ITS, to check the exact flight between impacts. Rotation is "
+        "linearised about the release, so a leaning bristle is right only while it has turned "
+        "little.",
     ),
 )
 FIELD_FLAGS = (

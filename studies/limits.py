@@ -8,13 +8,17 @@ from typing import TYPE_CHECKING
 
 from ..solver.bodies.analytic import quarter_period_s
 from ..solver.drop import DropResult, free_fall
-from .choices import Contact, Model, Scheme, Until
+from .choices import Contact, Model, Scheme, Tip, Until
+from .stance import lean_deg, narrow_zone, slowest_bending_1_s
 
 if TYPE_CHECKING:
     from .config import DropInputs, Inputs
 
 ELEMENTS = 1000
 MODES = 1000
+CONTACT_POINTS = 33
+TILT_DEG = 80.0
+SLOPE_DEG = 60.0
 UNKNOWNS = 10_000_000
 STEPS = 2_000_000
 # Far above any tip's own stiffness; beyond it a penetration is lost in the rounding of heights.
@@ -30,6 +34,12 @@ REST = 20.0
 STRAIN = 0.1
 CLOSURE = 1e-6
 REDUCTION = 1e-4
+# Lean in degrees up to which small strain and rotation in contact are taken to be enough.
+LINEAR_LEAN_DEG = 10.0
+# Angular velocity over the slowest bending's: what turning does to ringing is left out of flight.
+SPIN = 0.1
+# Lean at which the side or the upper end reaches the surface.
+FALLEN_DEG = 90.0
 
 Refuse = Callable[[str, str], None]
 
@@ -121,7 +131,13 @@ def marching_time_s(inputs: DropInputs) -> float:
 
 def input_warnings(inputs: DropInputs) -> list[str]:
     """What a user should know before the run: value, limit, and what to change."""
-    if inputs.model is Model.ANALYTIC or math.isinf(inputs.kn_N_m):
+    if inputs.model is Model.ANALYTIC:
+        return []
+    return [*_step_warnings(inputs), *_lean_warnings(inputs)]
+
+
+def _step_warnings(inputs: DropInputs) -> list[str]:
+    if math.isinf(inputs.kn_N_m):
         return []
     quarter_s = quarter_period_s(inputs.bristle().mass_kg, inputs.kn_N_m)
     if inputs.its_s <= quarter_s:
@@ -133,12 +149,29 @@ def input_warnings(inputs: DropInputs) -> list[str]:
     ]
 
 
+def _lean_warnings(inputs: DropInputs) -> list[str]:
+    found = []
+    lean = lean_deg(inputs)
+    if lean > LINEAR_LEAN_DEG * (1.0 + 1e-9):
+        found.append(
+            f"the bristle leans by {lean:.3g} degrees against the surface's normal; contact takes "
+            f"strain and rotation as small, which is not known to be enough above "
+            f"{LINEAR_LEAN_DEG:g}: lean it less, or take the result as an estimate"
+        )
+    if inputs.tip is Tip.POINT and inputs.leaning and inputs.friction:
+        found.append(
+            f"--tip point with --friction {inputs.friction:g} and a lean: the answer of a single "
+            "point that sticks has no limit as --elements and --its are refined; take --tip face"
+        )
+    return found
+
+
 def result_warnings(inputs: DropInputs, result: DropResult) -> list[str]:
     """What a user should know of the result."""
     found = []
     rigid = inputs.contact is Contact.AUGMENTED and math.isinf(inputs.kn_N_m)
     closure = result.energy.closure_relative
-    if inputs.scheme is Scheme.AVERAGE and not rigid and closure > CLOSURE:
+    if inputs.scheme is Scheme.AVERAGE and not rigid and not closure <= CLOSURE:
         found.append(
             f"the energy budget closes to {closure:.2g} of the impact's energy only, where this "
             f"scheme should keep {CLOSURE:g}; shorten --its"
@@ -148,6 +181,52 @@ def result_warnings(inputs: DropInputs, result: DropResult) -> list[str]:
         found.append(
             f"the reduced model is off by about {error:.2g}, more than {REDUCTION:g}; "
             f"raise --modes above {inputs.modes} or take --model solid"
+        )
+    if inputs.leaning:
+        found += [*_zone_warnings(inputs, result), *_turning_warnings(inputs, result)]
+    return found
+
+
+def _zone_warnings(inputs: DropInputs, result: DropResult) -> list[str]:
+    """A contact zone that falls between the contact points."""
+    if inputs.tip is Tip.POINT or math.isinf(inputs.kn_N_m):
+        return []
+    depth = result.max_penetration_m
+    found = narrow_zone(inputs, depth)
+    if found is None:
+        return []
+    width, spacing = found
+    more = range(inputs.contact_points + 1, CONTACT_POINTS + 1)
+    enough = next((n for n in more if narrow_zone(inputs, depth, n) is None), None)
+    remedy = "lean it less" if enough is None else f"take --contact-points {enough} or more"
+    return [
+        f"the surface is touched over about {1e6 * width:.3g} µm next to the edge, less than the "
+        f"{1e6 * spacing:.3g} µm from there to the next of --contact-points "
+        f"{inputs.contact_points}: force and penetration depend on their number; {remedy}"
+    ]
+
+
+def _turning_warnings(inputs: DropInputs, result: DropResult) -> list[str]:
+    """A flight in which the bristle turns too fast, or too far, for what is computed of it."""
+    found = []
+    spin = math.hypot(*result.spin_after_rad_s)
+    slowest = slowest_bending_1_s(inputs.bristle())
+    if spin > SPIN * slowest:
+        found.append(
+            f"after the impact the bristle turns at {spin:.3g} rad/s, above {SPIN * slowest:.3g}, "
+            f"{SPIN:g} of its slowest bending's {slowest:.3g} rad/s: what turning does to its "
+            "ringing is left out of the flight, so later touches and the tip's height are rough; "
+            "trust the centre of mass, or lower --height"
+        )
+    airborne_s = 2.0 * result.cm_velocity_after_m_s / inputs.gravity_m_s2
+    tumbled = math.degrees(math.hypot(*result.spin_after_rad_s[:2]) * airborne_s)
+    lean = lean_deg(inputs)
+    if result.rebound_ratio is not None and lean + tumbled > FALLEN_DEG:
+        found.append(
+            f"after the impact the bristle turns by about {tumbled:.3g} degrees before it comes "
+            f"down; with its lean of {lean:.3g} that may exceed {FALLEN_DEG:g}, and its side or "
+            "upper end, which cannot touch here, would come first: take the velocities after the "
+            "impact, or lower --height"
         )
     return found
 

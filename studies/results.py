@@ -36,6 +36,11 @@ NUMBERS = (
     "cm_velocity_after_m_s",
     "n_dofs",
     "n_steps",
+    "cm_rebound_height_m",
+    "cm_rebound_ratio",
+    "velocity_after_m_s",
+    "spin_after_rad_s",
+    "friction_impulse_N_s",
 )
 
 
@@ -59,7 +64,7 @@ def drop_document(
         "inputs": plain_inputs(inputs),
         "model": inputs.model.value,
         "contact": inputs.contact.value,
-        **{name: getattr(result, name) for name in NUMBERS},
+        **{name: number(name, inputs, result) for name in NUMBERS},
         "energy": asdict(result.energy),
         "reduction_error": result.reduction_error,
         "warnings": warnings,
@@ -67,6 +72,17 @@ def drop_document(
         "peak_rss_MB": peak_rss_MB,
         "ranks": ranks,
     }
+
+
+def number(name: str, inputs: DropInputs, result: DropResult) -> Any:
+    """What a result.json or a table holds under ``name`` of a drop."""
+    if name == "cm_rebound_ratio":
+        height = result.cm_rebound_height_m
+        return None if height is None else height / inputs.height_m
+    if name == "friction_loss_J":
+        return result.energy.friction_loss_J
+    value = getattr(result, name)
+    return list(value) if isinstance(value, tuple) else value
 
 
 def write_drop(out: Path, document: dict[str, Any], result: DropResult) -> dict[str, Any]:

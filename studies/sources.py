@@ -15,16 +15,20 @@ from pydantic import BaseModel, ValidationError
 
 from ..solver.errors import InputError
 from .flags import DROP_FLAGS, LISTS_FLAGS, Flag
+from .scatter_flags import OWN_FLAGS
 
 Checked = TypeVar("Checked", bound=BaseModel)
-OPTIONS = {flag.field: flag.option for flag in (*DROP_FLAGS, *LISTS_FLAGS)}
+OPTIONS = {flag.field: flag.option for flag in (*OWN_FLAGS, *DROP_FLAGS, *LISTS_FLAGS)}
 
 DEPENDENTS = {
     "diameter_m": ("width_m", "thickness_m", "geometry_order"),
     "width_m": ("diameter_m", "geometry_order"),
     "thickness_m": ("diameter_m", "geometry_order"),
     "contact": ("theta", "gamma0"),
+    "poisson": ("kt_ratio",),
     "scheme": ("rho_inf",),
+    "flat": ("rms_height_m", "correlation_length_m", "surface"),
+    "surface": ("rms_height_m", "correlation_length_m", "flat"),
 }
 
 

@@ -50,6 +50,9 @@ COLUMNS = (
     "n_steps",
     "n_dofs",
     "reduction_error",
+    "cm_rebound_ratio",
+    "friction_impulse_N_s",
+    "friction_loss_J",
 )
 CURVE_POINTS = 120
 
@@ -240,7 +243,7 @@ def _row(workshop: Workshop, inputs: DropInputs, curves: bool) -> Row:
         "energy_closure": result.energy.closure_relative,
         "wall_s": timings["total"],
     }
-    row |= {name: getattr(result, name) for name in COLUMNS if name not in row}
+    row |= {name: results.number(name, inputs, result) for name in COLUMNS if name not in row}
     row["warnings"] = [*input_warnings(inputs), *result_warnings(inputs, result)]
     if curves:
         row["curve"] = _curve(result)

@@ -96,8 +96,12 @@ def test_every_option_of_help_is_accepted_by_name():
         (["--cells", "1", "2", "x"], "--cells: 'x' is not a valid integer"),
         (["--elements", "1.5"], "--elements: '1.5' is not a valid integer"),
         (["--diameter", "1e-3", "--width", "1e-3"], "--width: a round wire"),
-        (["--tilt", "2"], "--tilt: a leaning bristle comes with the next version"),
-        (["--slope", "-2"], "--slope: a sloping surface comes with the next version"),
+        (["--tilt", "81"], "--tilt: must be less than or equal to 80"),
+        (["--slope", "-61"], "--slope: must be greater than or equal to -60"),
+        (["--tilt", "50", "--slope", "-50"], "--tilt: tilt and slope together lean the bristle"),
+        (["--model", "analytic", "--tilt", "2"], "--tilt: the analytic model is a mass on"),
+        (["--tip-shape", "round"], "--tip-shape: tip shape 'round' is not known"),
+        (["--contact-points", "2"], "--contact-points: must be greater"),
         (["--effect", "air_drag:cd=1"], "--effect: asks for air_drag"),
         (["--effect", "gravity_waves"], "--effect: names an unknown effect"),
         (["--until", "tomorrow"], "--until: must be impact, rebound or a time"),
@@ -188,6 +192,35 @@ def test_a_drop_says_what_it_found_and_where(tmp_path):
     assert math.isclose(document["impact_speed_m_s"], math.sqrt(2 * 9.8 * 0.02))
 
 
+def test_a_leaning_drop_says_what_it_found(tmp_path):
+    status, out, lines = run("drop", "--tilt", "2", "--out", tmp_path / "a")
+    assert status == 0
+    assert not any("warning" in line for line in lines)
+    document = json.loads((tmp_path / "a/result.json").read_text())
+    shown = {line[:24].strip(): line[24:] for line in out.splitlines()}
+    assert shown["touches"] == str(document["n_contacts"])
+    assert float(shown["centre of mass y1/y0"]) == pytest.approx(
+        document["cm_rebound_height_m"] / 0.05, rel=1e-3
+    )
+    assert float(shown["lost to friction"].split()[0]) == pytest.approx(
+        1e6 * document["energy"]["friction_loss_J"], rel=1e-2
+    )
+    assert document["energy"]["closure_relative"] < 1e-9
+    _, upright, _ = run("drop", "--out", tmp_path / "b")
+    assert "touches" not in upright
+    assert "friction" not in upright
+
+
+def test_a_bristle_that_falls_over_is_told_so(tmp_path):
+    status, _, lines = run("drop", "--tilt", "60", "--out", tmp_path / "out")
+    assert status == 1
+    assert lines[-1].startswith("bristle: error: the bristle falls over: ")
+    # its first touches alone can still be had
+    fall_s = math.sqrt(2 * 0.05 / 9.8)
+    status, _, _ = run("drop", "--tilt", "60", "--until", fall_s + 2e-3, "--out", tmp_path / "out")
+    assert status == 0
+
+
 def test_a_result_repeats_itself(tmp_path):
     run("drop", "--out", tmp_path / "a", "--kn", "3e6", "--until", "0.25", "--elements", "6")
     status, _, _ = run("drop", "--config", tmp_path / "a/result.json", "--out", tmp_path / "b")
@@ -207,6 +240,8 @@ def test_resume_on_the_command_line(tmp_path):
     assert "nothing to do" in out
     message = refused("drop", "--out", tmp_path / "a", "--resume", "--height", "0.02")
     assert "--height is 0.05 there, 0.02 is asked for" in message
+    message = refused("drop", "--out", tmp_path / "a", "--resume", "--tilt", "2")
+    assert "--tilt is 0.0 there, 2.0 is asked for" in message
 
 
 def test_the_default_folder_is_results(tmp_path, monkeypatch):

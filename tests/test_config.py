@@ -5,13 +5,15 @@ import math
 import re
 from pathlib import Path
 
+import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from bristle.meshes.geometry import MeshSpec, Wire
 from bristle.solver import paper
-from bristle.solver.bristle import Bristle, Circle
+from bristle.solver.bodies.beam import beam_body
+from bristle.solver.bristle import CONTACT_POINTS, Bristle, Circle
 from bristle.solver.contact.enforcement import Enforcement
 from bristle.solver.errors import InputError
 from bristle.solver.time.scheme import TimeScheme
@@ -23,12 +25,19 @@ from bristle.studies.its import ItsInputs
 from bristle.studies.limits import count_unknowns, input_warnings
 from bristle.studies.results import plain_inputs
 from bristle.studies.sources import checked, flag_source, inputs_of, read_config
+from bristle.studies.stance import (
+    face_offsets_m,
+    lean_deg,
+    narrow_zone,
+    slowest_bending_1_s,
+)
 from bristle.studies.study import STUDY_FLAGS, StudyInputs
 
 NUMBERS = {flag.field: flag for flag in DROP_FLAGS if flag.kind in (float, int)}
 CONTRACT_FLAGS = (
     "model contact kn height its length width thickness diameter youngs poisson density beta alpha "
-    "gravity tilt slope friction tip elements cells order until effect"
+    "gravity tilt slope friction tip elements cells order until effect "
+    "tilt-wide slope-wide kt-ratio tip-shape contact-points"
 )
 
 
@@ -98,8 +107,25 @@ def test_choices_are_the_solvers():
         ({"alpha_1_s": 1e-30}, "--alpha"),
         ({"alpha_1_s": 5e4}, "--alpha"),
         ({"gravity_m_s2": 0.0}, "--gravity"),
-        ({"tilt_deg": 2.0}, "--tilt"),
-        ({"slope_deg": -1.0}, "--slope"),
+        ({"tilt_deg": 80.5}, "--tilt"),
+        ({"tilt_wide_deg": -81.0}, "--tilt-wide"),
+        ({"slope_deg": -61.0}, "--slope"),
+        ({"slope_wide_deg": math.nan}, "--slope-wide"),
+        ({"tilt_deg": 60.0, "slope_deg": -25.0}, "--tilt"),
+        ({"tilt_wide_deg": 60.0, "slope_wide_deg": -25.0}, "--tilt-wide"),
+        ({"model": "analytic", "tilt_deg": 1.0}, "--tilt"),
+        ({"model": "analytic", "slope_wide_deg": 1.0}, "--slope-wide"),
+        ({"model": "analytic", "tip_shape": "worn:angle=1"}, "--tip-shape"),
+        ({"friction": -0.1}, "--friction"),
+        ({"kt_ratio": 0.0}, "--kt-ratio"),
+        ({"contact_points": 2}, "--contact-points"),
+        ({"contact_points": 34}, "--contact-points"),
+        ({"contact_points": 9.0}, "--contact-points"),
+        ({"tip_shape": "round"}, "--tip-shape"),
+        ({"tip_shape": "rounded"}, "--tip-shape"),
+        ({"tip_shape": "rounded:radius=1e-3"}, "--tip-shape"),
+        ({"tip_shape": "worn:angle=5", "tip": "point"}, "--tip-shape"),
+        ({"tip_shape": 5}, "--tip-shape"),
         ({"diameter_m": 1e-3, "width_m": 1e-3}, "--width"),
         ({"diameter_m": 1e-3, "thickness_m": 1e-3}, "--thickness"),
         ({"theta": 1}, "--theta"),
@@ -165,7 +191,7 @@ def test_any_number_gives_a_sound_model_or_one_clear_refusal(values):
         value = getattr(inputs, field)
         assert value is None or math.isfinite(value)
     assert inputs.bristle().mass_kg > 0.0
-    assert inputs.drop_plan().height_m == inputs.height_m
+    assert inputs.drop_plan(1).height_m == inputs.height_m
 
 
 def test_an_infinite_stiffness_is_for_those_who_can_use_it():
@@ -189,11 +215,78 @@ def test_the_wires_mass_is_that_of_a_cylinder():
     assert wire.mass_kg == pytest.approx(7000.0 * 0.1 * math.pi * 0.6e-3**2, rel=1e-14)
 
 
+@pytest.mark.parametrize(
+    ("values", "leaning"),
+    [
+        ({}, False),
+        ({"tip": "point"}, False),
+        ({"tilt_deg": 1e-3}, True),
+        ({"tilt_wide_deg": -1.0}, True),
+        # square to a surface that slopes, it still slides down it
+        ({"tilt_deg": 2.0, "slope_deg": 2.0}, True),
+        ({"tip_shape": "worn:angle=1"}, True),
+    ],
+    ids=str,
+)
+def test_friction_acts_where_something_can_slide(values, leaning):
+    inputs = drop(friction=0.3, kt_ratio=0.7, **values)
+    assert inputs.leaning is leaning
+    friction = inputs.contact_method().friction
+    assert (friction.mu, friction.kt_over_kn) == (0.3 if leaning else 0.0, 0.7)
+    assert inputs.drop_plan(4).method.friction == friction
+
+
+def test_the_tangential_stiffness_is_mindlins_unless_given(tmp_path):
+    assert drop(poisson=0.3).kt_ratio == pytest.approx(1.4 / 1.7)
+    assert drop(poisson=0.3, kt_ratio=0.5).kt_ratio == 0.5
+    written = to_json({"inputs": plain_inputs(drop(poisson=0.3))})
+    path = config(tmp_path, written, "result.json")
+    assert from_file(path, {"poisson": 0.0}).kt_ratio == pytest.approx(1.0)
+
+
+def test_lean_and_slope_reach_the_solver():
+    plan = drop(tilt_deg=3.0, tilt_wide_deg=-1.0, slope_deg=5.0, slope_wide_deg=2.0).drop_plan(4)
+    assert (plan.tilt_deg, plan.tilt_wide_deg) == (3.0, -1.0)
+    assert plan.ground.normals.shape == (4, 3)
+    normal = plan.ground.normals[0]
+    assert np.degrees(np.arctan2(normal[:2], normal[2])) == pytest.approx([5.0, 2.0])
+
+
+@pytest.mark.parametrize(
+    ("values", "lean"),
+    [
+        ({"tilt_deg": 3.0}, 3.0),
+        ({"slope_deg": -3.0}, 3.0),
+        ({"tilt_deg": 3.0, "slope_deg": -4.0}, 7.0),
+        ({"tilt_wide_deg": 3.0, "slope_wide_deg": 3.0}, 0.0),
+        ({"tilt_deg": 45.0, "tilt_wide_deg": 45.0}, math.degrees(math.atan(math.sqrt(2.0)))),
+    ],
+    ids=str,
+)
+def test_lean_counts_from_the_surfaces_normal(values, lean):
+    assert lean_deg(drop(**values)) == pytest.approx(lean, abs=1e-9)
+
+
+def test_contact_points_are_the_solvers_unless_asked_for():
+    assert DropInputs().contact_points == CONTACT_POINTS
+
+
+def test_a_worn_face_stands_back_toward_its_direction_only():
+    points, _ = Circle(1e-3).contact_points(9)
+    shape = drop(tip_shape="worn:angle=5,direction=180").face()
+    # a mesh of a wire, and rounding, put points a little outside
+    for places in (points, points * (1.0 + 1e-4)):
+        back = face_offsets_m(shape, Wire(1e-3), places)
+        assert back.min() == pytest.approx(0.0, abs=1e-15)
+        assert back.max() == pytest.approx(1e-3 * math.tan(math.radians(5.0)))
+        assert back[np.argmin(places[:, 0])] == back.max()
+
+
 def test_plans_follow_until():
-    assert drop(until="impact").drop_plan().impact_only
-    rebound = drop(until="rebound").drop_plan()
+    assert drop(until="impact").drop_plan(1).impact_only
+    rebound = drop(until="rebound").drop_plan(1)
     assert (rebound.until_s, rebound.impact_only) == (None, False)
-    assert drop(until="0.3").drop_plan().until_s == 0.3
+    assert drop(until="0.3").drop_plan(1).until_s == 0.3
     assert drop(until=Until.IMPACT).until is Until.IMPACT
 
 
@@ -205,7 +298,7 @@ def test_schemes_reach_the_solver(scheme):
         "newmark": TimeScheme.newmark(),
         "generalised": TimeScheme.generalised(0.3),
     }
-    assert drop(scheme=scheme, **rho).drop_plan().scheme == expected[scheme]
+    assert drop(scheme=scheme, **rho).drop_plan(1).scheme == expected[scheme]
 
 
 def test_the_effective_matrix_of_newmarks_average_acceleration():
@@ -250,7 +343,7 @@ def test_a_flag_takes_what_hangs_on_it_out_of_the_file(tmp_path):
         ("kn = 1e6\nheight 0.05\n", 2, "not valid TOML"),
         ("[contact]\nkn = 1e6\n", 1, "contact: must be"),
         ("kn = 1e6\n[[bodies]]\nkn = 1e6\n", 2, "bodies: unknown key"),
-        ("height = 0.05\ntilt = 3.0\n", 2, "tilt: a leaning bristle"),
+        ("height = 0.05\ntilt = 93.0\n", 2, "tilt: must be less than or equal to 80"),
         ("theta = 1\n", 1, "theta: belongs to"),
         ("kn = 1e6\nkn_N_m = 1e6\n", 2, "kn_N_m: given twice"),
         ('effect = [\n  "wear:a=1",\n]\n', 1, "effect: asks for wear"),
@@ -283,6 +376,7 @@ def test_an_unreadable_file_is_told_by_name(tmp_path, make):
         {"contact": "nitsche", "kn_N_m": math.inf, "theta": -1, "gamma0": 3.0},
         {"scheme": "generalised", "rho_inf": 0.0, "until": 0.4},
         {"until": "impact", "march": True, "write_every": 7, "write_fields": False},
+        {"tilt_deg": 2.0, "slope_wide_deg": -3.0, "poisson": 0.3, "tip_shape": "worn:angle=2"},
     ],
     ids=str,
 )
@@ -365,6 +459,38 @@ def test_a_coarse_step_is_warned_of_with_value_limit_and_remedy():
     remedy = float(re.search(r"--its (\S+) or less", warning).group(1))
     assert input_warnings(drop(kn_N_m=1e8, its_s=remedy)) == []
     assert input_warnings(DropInputs()) == []
+
+
+def test_a_strong_lean_and_a_sliding_point_are_warned_of():
+    (warning,) = input_warnings(drop(tilt_deg=8.0, slope_deg=-4.0))
+    assert "leans by 12 degrees" in warning
+    assert "above 10" in warning
+    assert input_warnings(drop(tilt_deg=8.0)) == []
+    (warning,) = input_warnings(drop(tilt_deg=2.0, tip="point"))
+    assert warning.startswith("--tip point with --friction 0.5")
+    assert "--tip face" in warning
+    assert input_warnings(drop(tilt_deg=2.0, tip="point", friction=0.0)) == []
+    assert input_warnings(drop(tip="point")) == []
+
+
+def test_a_zone_narrower_than_the_points_distance_is_found():
+    # 5 µm deep at 20 degrees: 15 µm from the edge; nine Lobatto points leave 25 µm there
+    inputs = drop(tilt_deg=20.0)
+    width, spacing = narrow_zone(inputs, 5e-6)
+    assert width == pytest.approx(5e-6 / math.sin(math.radians(20.0)), rel=1e-9)
+    assert spacing == pytest.approx(0.25e-3 * (1.0 - 0.8997579954), rel=1e-6)
+    assert narrow_zone(inputs, 10e-6) is None
+    assert narrow_zone(inputs, 5e-6, 17) is None
+    assert narrow_zone(DropInputs(), 1e-9) is None
+    # worn to the lean, the face lies flat
+    assert narrow_zone(drop(tilt_deg=20.0, tip_shape="worn:angle=20"), 5e-6) is None
+    assert narrow_zone(drop(tilt_deg=-20.0, tip_shape="worn:angle=20"), 5e-6) is not None
+
+
+def test_the_slowest_bending_is_the_beams():
+    beam = beam_body(Bristle(), 16)
+    slowest = math.sqrt(beam.omega2[beam.omega2 > 0.0].min())
+    assert slowest_bending_1_s(Bristle()) == pytest.approx(slowest, rel=1e-4)
 
 
 def test_read_config_names_its_origin(tmp_path):

@@ -29,6 +29,7 @@ from bristle.solver.paraview import FieldWriter, Phase
 from bristle.solver.time.march import Marcher
 
 KN_N_M, ITS_S, GRAVITY_M_S2 = 2e6, 5e-7, 9.8
+ROUNDING_M = 1e-16  # of a place on the bristle, from which its displacement is a difference
 LAGRANGE_HEXAHEDRON, LAGRANGE_QUADRILATERAL = 72, 70
 
 
@@ -98,7 +99,7 @@ def test_order_nodes_and_values_are_kept(shared_path, order, section):
         scale = np.abs(expected).max()
         assert found["values"] == pytest.approx(expected, rel=0, abs=1e-9 * scale)
     at_rest = written(path, "displacement_m", 0)
-    assert not at_rest["values"].any()
+    assert at_rest["values"] == pytest.approx(0.0, abs=ROUNDING_M)
     solid.close()
 
 
@@ -168,9 +169,10 @@ def test_pressure_integrates_to_the_force_and_gap_is_the_height(shared_path):
             assert force == pytest.approx(by_time[t][3], rel=1e-9, abs=1e-9)
             moved = blocks_of(file, "displacement_m", step)
             for heights, displacement in zip(gap, moved, strict=True):
-                assert heights[:, 0] == pytest.approx(displacement[:, 2], abs=1e-18)
+                assert heights[:, 0] == pytest.approx(displacement[:, 2], abs=ROUNDING_M)
             lowest = min(heights.min(initial=np.inf) for heights in gap)
-            assert max(-lowest, 0.0) == pytest.approx(by_time[t][4], abs=1e-18)
+            # there are contact points between the nodes, and one of them may be deeper
+            assert max(-lowest, 0.0) == pytest.approx(by_time[t][4], rel=1e-4, abs=ROUNDING_M)
     impact.solid.close()
 
 

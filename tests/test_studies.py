@@ -4,7 +4,9 @@ import csv
 import json
 import math
 import os
+import re
 import tomllib
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -20,9 +22,11 @@ from bristle.studies.cases import Workshop, run_case
 from bristle.studies.config import DropInputs
 from bristle.studies.convergence import Need, limit, need
 from bristle.studies.drop import run_drop
+from bristle.studies.field_series import FieldSeries
 from bristle.studies.files import folder_in_place, to_csv, to_json, write_atomically
 from bristle.studies.its import ItsInputs, run_its
 from bristle.studies.journal import Journal
+from bristle.studies.limits import result_warnings
 from bristle.studies.parallel import share_out
 from bristle.studies.sources import checked
 from bristle.studies.study import COLUMNS, StudyInputs
@@ -33,7 +37,9 @@ SMALL = {"cells": (1, 1, 20)}
 CONTRACT_KEYS = (
     "schema version inputs model contact impact_speed_m_s rebound_ratio rebound_height_m "
     "contact_time_s n_contacts peak_force_N impulse_N_s max_penetration_m "
-    "time_to_max_penetration_s cm_velocity_after_m_s n_dofs n_steps energy wall_s peak_rss_MB ranks"
+    "time_to_max_penetration_s cm_velocity_after_m_s n_dofs n_steps energy wall_s peak_rss_MB "
+    "ranks "
+    "cm_rebound_height_m cm_rebound_ratio velocity_after_m_s spin_after_rad_s friction_impulse_N_s"
 )
 ENERGY_KEYS = (
     "initial_J kinetic_J strain_J potential_J contact_J material_loss_J contact_loss_J "
@@ -140,6 +146,158 @@ def test_a_workshop_tells_its_bodies_apart():
             shared, _ = workshop.run(drop(**change))
             alone, _ = run_case(drop(**change), COMM)
             assert shared.peak_force_N == alone.peak_force_N
+
+
+# leaning
+
+
+def test_reduced_and_solid_agree_where_they_lean_and_the_beam_nearly():
+    for values in ({"tilt_deg": 2.0}, {"tilt_wide_deg": 2.0, "slope_deg": -1.0}):
+        found = [run_case(drop(model=m, **values), COMM)[0] for m in ("reduced", "solid", "beam")]
+        reduced, solid, beam = found
+        assert reduced.cm_velocity_after_m_s == pytest.approx(solid.cm_velocity_after_m_s, rel=1e-6)
+        assert reduced.velocity_after_m_s == pytest.approx(solid.velocity_after_m_s, abs=1e-6)
+        assert beam.cm_velocity_after_m_s == pytest.approx(solid.cm_velocity_after_m_s, rel=0.02)
+        for result in found:
+            assert result.energy.friction_loss_J > 0.0
+            assert result.energy.closure_relative < 1e-9
+
+
+@serial
+@pytest.mark.parametrize("side", ["", "_wide"])
+@pytest.mark.parametrize("model", ["beam", "reduced"])
+def test_a_lean_to_the_other_side_is_the_mirror_image(model, side):
+    axis = 1 if side else 0
+    there, back = (
+        run_case(drop(model=model, **{f"tilt{side}_deg": tilt}))[0] for tilt in (3.0, -3.0)
+    )
+    assert back.n_contacts == there.n_contacts
+    assert back.cm_rebound_height_m == pytest.approx(there.cm_rebound_height_m, rel=1e-7)
+    assert back.friction_impulse_N_s == pytest.approx(there.friction_impulse_N_s, rel=1e-6)
+    assert abs(there.velocity_after_m_s[axis]) > 1e-3
+    assert back.velocity_after_m_s[axis] == pytest.approx(-there.velocity_after_m_s[axis], rel=1e-6)
+    assert back.spin_after_rad_s[1 - axis] == pytest.approx(
+        -there.spin_after_rad_s[1 - axis], rel=1e-6
+    )
+    assert abs(there.velocity_after_m_s[1 - axis]) < 1e-6
+
+
+@serial
+@pytest.mark.parametrize("side", ["", "_wide"])
+def test_a_slope_is_a_tilt_the_other_way_but_for_gravity(side):
+    """Without friction, what it does along the normal is the same for the same speed along it."""
+    angle = math.radians(2.0)
+    tilt, _ = run_case(drop(friction=0.0, **{f"tilt{side}_deg": 2.0}))
+    higher = 0.05 / math.cos(angle) ** 2
+    slope, _ = run_case(drop(friction=0.0, height_m=higher, **{f"slope{side}_deg": -2.0}))
+    normal = np.array([0.0, -math.sin(angle), math.cos(angle)])
+    normal = normal if side else normal[[1, 0, 2]]
+    away = float(normal @ slope.velocity_after_m_s)
+    assert away == pytest.approx(tilt.cm_velocity_after_m_s, rel=1e-3)
+    assert slope.contact_time_s == pytest.approx(tilt.contact_time_s, rel=1e-3)
+    # and down the slope it goes on as it came
+    along = np.array(slope.velocity_after_m_s) - away * normal
+    assert np.linalg.norm(along) == pytest.approx(
+        slope.impact_speed_m_s * math.sin(angle), rel=1e-2
+    )
+    tilt, _ = run_case(drop(friction=0.0, **{f"tilt{side}_deg": 0.5}))
+    slope, _ = run_case(drop(friction=0.0, **{f"slope{side}_deg": -0.5}))
+    assert slope.rebound_ratio == pytest.approx(tilt.rebound_ratio, abs=1e-3)
+
+
+@serial
+def test_a_tip_worn_to_its_lean_lands_flat():
+    flat, _ = run_case(drop(friction=0.0))
+    worn, _ = run_case(drop(friction=0.0, tilt_deg=2.0, tip_shape="worn:angle=2"))
+    edge, _ = run_case(drop(friction=0.0, tilt_deg=-2.0, tip_shape="worn:angle=2"))
+    upright, _ = run_case(drop(friction=0.0, tilt_deg=4.0))
+    assert worn.max_penetration_m == pytest.approx(flat.max_penetration_m, rel=0.1)
+    assert edge.max_penetration_m == pytest.approx(upright.max_penetration_m, rel=0.1)
+
+
+def test_a_shaped_tip_is_the_same_for_solid_and_reduced():
+    shape = {"tilt_deg": 2.0, "tip_shape": "chamfer:width=1e-4,angle=30"}
+    with Workshop(COMM) as workshop:
+        flat, _ = workshop.run(drop(model="solid", tilt_deg=2.0))
+        solid, _ = workshop.run(drop(model="solid", **shape))
+        reduced, _ = workshop.run(drop(model="reduced", **shape))
+        again, _ = workshop.run(drop(model="solid", tilt_deg=2.0))
+    assert solid.peak_force_N == pytest.approx(reduced.peak_force_N, rel=1e-6)
+    assert abs(solid.peak_force_N / flat.peak_force_N - 1.0) > 1e-3
+    assert again.peak_force_N == pytest.approx(flat.peak_force_N, rel=1e-12)
+
+
+def test_a_workshop_tells_leans_frictions_and_faces_apart():
+    changes = (
+        {},
+        {"tilt_deg": 2.0},
+        {"tilt_deg": 2.0, "friction": 0.0},
+        {"tilt_deg": 2.0, "kt_ratio": 0.2},
+        {"tilt_deg": 2.0, "contact_points": 5},
+        {"tilt_deg": 2.0, "tip_shape": "rounded:radius=1e-4"},
+        {"slope_deg": -2.0},
+        {"tilt_wide_deg": 2.0},
+        {},
+    )
+    seen = []
+    with Workshop(COMM) as workshop:
+        for change in changes:
+            shared, _ = workshop.run(drop(**change))
+            alone, _ = run_case(drop(**change), COMM)
+            assert shared.peak_force_N == alone.peak_force_N
+            assert shared.velocity_after_m_s == alone.velocity_after_m_s
+            seen.append(shared.velocity_after_m_s)
+    assert len(set(seen)) == len(changes) - 1
+
+
+@serial
+@pytest.mark.parametrize("contact", ["augmented", "nitsche"])
+def test_every_enforcement_leans(contact):
+    penalty, _ = run_case(drop(tilt_deg=3.0, its_s=2e-6))
+    other, _ = run_case(drop(tilt_deg=3.0, its_s=2e-6, contact=contact))
+    assert other.cm_velocity_after_m_s == pytest.approx(penalty.cm_velocity_after_m_s, rel=0.01)
+
+
+@serial
+def test_the_plain_march_leans_too():
+    values = {"tilt_deg": 2.0, "height_m": 1e-3, "elements": 4, "its_s": 2e-6, "until": "impact"}
+    events, _ = run_case(drop(**values))
+    plain, _ = run_case(drop(**values, march=True))
+    assert plain.cm_velocity_after_m_s == pytest.approx(events.cm_velocity_after_m_s, rel=0.01)
+    assert plain.friction_impulse_N_s == pytest.approx(events.friction_impulse_N_s, rel=0.03)
+    assert (plain.rebound_ratio, plain.cm_rebound_height_m) == (None, None)
+
+
+@serial
+def test_a_bristle_that_turns_fast_is_warned_of():
+    inputs = drop(tilt_deg=2.0)
+    result, _ = run_case(inputs)
+    assert result_warnings(inputs, result) == []
+    fast = replace(result, spin_after_rad_s=(0.0, 0.0, 150.0))
+    (warning,) = result_warnings(inputs, fast)
+    assert "turns at 150 rad/s, above 14.7" in warning
+    over = replace(result, spin_after_rad_s=(0.0, 12.0, 0.0))
+    (warning,) = result_warnings(inputs, over)
+    assert re.search(r"turns by about 1\d\d degrees before it comes down", warning)
+    shallow = replace(result, max_penetration_m=5e-6)
+    (warning,) = result_warnings(drop(tilt_deg=20.0), shallow)
+    remedy = int(re.search(r"take --contact-points (\d+)", warning).group(1))
+    assert result_warnings(drop(tilt_deg=20.0, contact_points=remedy), shallow) == []
+
+
+def test_a_leaning_solids_fields_carry_its_lean(out):
+    document = run_drop(drop(model="solid", tilt_deg=2.0, slope_wide_deg=1.0), out, COMM)
+    COMM.Barrier()
+    assert document["n_contacts"] >= 1
+    with FieldSeries(out / "fields" / "solid.bp") as series:
+        nodes = series.nodes_m
+        moved = nodes + series.read("displacement_m", 0)
+    top, tip = (moved[np.isclose(nodes[:, 2], z)].mean(axis=0) for z in (0.3365, 0.0))
+    lean = math.tan(math.radians(2.0))
+    axis = np.array([lean, 0.0, 1.0]) / math.hypot(lean, 1.0)
+    assert top - tip == pytest.approx(0.3365 * axis, abs=1e-9)
+    assert tip[2] == pytest.approx(0.0, abs=1e-9)
+    assert (out / "fields" / "tip.bp").exists()
 
 
 # results
@@ -323,6 +481,7 @@ def test_a_sweep_is_the_same_as_its_drops(out):
     order = [(row["model"], float(row["kn_N_m"])) for row in rows]
     models = ("analytic", "beam", "reduced", "solid")
     assert order == [(model, kn) for model in models for kn in (1e5, 2e6)]
+    assert list(COLUMNS[-3:]) == ["cm_rebound_ratio", "friction_impulse_N_s", "friction_loss_J"]
     for row in rows:
         case = drop(model=row["model"], kn_N_m=float(row["kn_N_m"]), height_m=0.01)
         alone, _ = run_case(case, COMM)
@@ -353,13 +512,31 @@ def test_a_sweep_over_ranks_gives_the_serial_table(tmp_path, ranks):
     assert done.stdout.count("24 cases in") == 1
     one, many = (read_table(tmp_path / name / "table.csv") for name in ("one", "many"))
     assert len(one) == len(many) == 24
-    own = {"wall_s", "energy_closure", "reduction_error"}
+    own = {"wall_s", "energy_closure", "reduction_error", "friction_impulse_N_s"}
     for a, b in zip(one, many, strict=True):
+        assert float(b["friction_impulse_N_s"]) < 1e-8  # upright: rounding
         for name in set(COLUMNS) - own:
             try:
                 assert float(b[name]) == pytest.approx(float(a[name]), rel=1e-7)
             except ValueError:
                 assert b[name] == a[name]
+
+
+@serial
+def test_a_leaning_sweep_over_ranks_gives_the_serial_table(tmp_path):
+    run_sweep(
+        sweep(models="beam,reduced", tilt_deg=2.0, cells=(1, 1, 12), elements=4), tmp_path / "one"
+    )
+    options = ["--models=beam,reduced", "--kn=1e5,2e6", "--heights=0.01", "--tilt=2"]
+    options += ["--cells", "1", "1", "12", "--elements", "4", "--out", tmp_path / "many"]
+    done = mpirun(2, "-m", "bristle.studies.sweep", *options)
+    assert done.returncode == 0, done.stderr
+    one, many = (read_table(tmp_path / name / "table.csv") for name in ("one", "many"))
+    assert len(one) == len(many) == 4
+    for a, b in zip(one, many, strict=True):
+        assert float(b["friction_loss_J"]) > 0.0
+        for name in ("rebound_ratio", "cm_rebound_ratio", "peak_force_N", "friction_loss_J"):
+            assert float(b[name]) == pytest.approx(float(a[name]), rel=1e-6)
 
 
 @serial

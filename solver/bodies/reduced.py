@@ -234,12 +234,13 @@ def solid_axis(solid: SolidBody, vectors: Array) -> Axis:
     pick = csr_matrix((share[own], (slot[own], own)), (len(chosen), len(place)))
     total = _total(solid, np.asarray(pick.sum(axis=1)))
     height = np.diff((_total(solid, pick @ place[:, None]) / total)[:, 0])
-    rows = []
-    for axis in (2, 0, 1):
+
+    def slope(axis: int) -> Array:
         mean = _total(solid, pick @ vectors[axis::3]) / total
-        rows.append(np.diff(mean, axis=0) / height[:, None])
+        return np.asarray(np.diff(mean, axis=0) / height[:, None])
+
     stretch = solid.material.youngs_Pa * solid.mass_kg / solid.material.density_kg_m3
-    return Axis(*rows, stretch / height.sum() * height)
+    return Axis(slope(2), slope(0), slope(1), stretch / height.sum() * height)
 
 
 def _total(solid: SolidBody, x: Array) -> Array:

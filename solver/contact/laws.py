@@ -97,7 +97,7 @@ class Linear:
         drive, scale = np.broadcast_arrays(drive, np.asarray(scale, dtype=float))
         law = self.parameters
         pairs = zip(scale.ravel(), drive.ravel(), strict=True)
-        values = [elastic(law, s, d, series_m_N)[which] for s, d in pairs]
+        values = [elastic(law, float(s), float(d), series_m_N)[which] for s, d in pairs]
         return np.array(values).reshape(drive.shape)
 
     def force(self, drive: Array, series_m_N: float, scale: Array | float = 1.0) -> Array:

@@ -378,7 +378,8 @@ def solve_dense(
         for a in range(size):
             for b in range(size):
                 block[a, b] = response[index[a], index[b]]
-        pushed, x, base, step = np.empty(size), np.empty(size), np.empty(size), np.zeros(size)
+        pushed, x, base = np.empty(size), np.empty(size), np.empty(size)
+        step: Array = np.zeros(size)
         reach = 0.0
         for a in range(size):
             i, c = index[a] // 3, index[a] % 3
@@ -542,7 +543,7 @@ def solve_section(
     end_weight, soft, scale = points.end_weight, points.soft, points.scale
     axes = 3 if mu > 0.0 else 1
     z = section.response @ section_gathers(section, points.weights, force)
-    step = np.zeros(r)
+    step: Array = np.zeros(r)
     moved = np.zeros((n, 3))
     slopes = np.zeros((n, 3, 3))
     reach = 0.0
@@ -637,7 +638,8 @@ def solve_rigid_section(
     axes = 3 if mu > 0.0 else 1
     widest = section.widest
     z = response @ section_gathers(section, weights, force)
-    step, gathered = np.zeros(r), np.zeros(r)
+    step: Array = np.zeros(r)
+    gathered = np.zeros(r)
     stiff = np.zeros((r, r))
     reach = 0.0
     for i in range(n):
