@@ -13,25 +13,32 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from .bodies.base import Array
+from .bodies.base import Array, ContactPoints
+from .bodies.modal import ModalBody
 from .compiled import njit
 from .contact.step import Points
-from .drop import TOUCH_LIMIT, WAIT_STEPS
+from .drop import TOUCH_LIMIT, WAIT_STEPS, slowest_period_s
 from .errors import ComputationError
 from .ground import local_frames
 from .impact import STEP_LIMIT, compiled
-from .rigid import leaning, matrix_of
+from .rigid import free_rotation, leaning, matrix_of
 from .time import ballistics, modal_march
-from .time.ballistics import Flyer, apex, landing, launch, next_touch
+from .time.ballistics import Chart, Flyer, apex, chart, landing, launch_by, next_touch
 from .time.flight import flyer
 from .time.march import Marcher
 from .time.modal_march import Modes, Touching, march
 
+TOO_MANY = 5
 FAILURES = {
     modal_march.NOT_CONVERGED: "the contact forces did not converge; shorten the ITS",
     modal_march.NOT_FINITE: "the motion is not finite; shorten the ITS",
     modal_march.TOO_LONG: f"still in contact after {STEP_LIMIT} steps",
+    TOO_MANY: f"more than {TOUCH_LIMIT} touches in one impact; shorten the ITS",
 }
+
+
+# Motion below this share of the largest is rounding.
+ROUNDING = 1e-12
 
 
 @dataclass(frozen=True)
@@ -62,6 +69,20 @@ class Drops:
             **{field.name: getattr(self, field.name)[first:last] for field in fields(self)}
         )
 
+    def chosen(self, which: NDArray[np.bool_], n_points: int | None = None) -> Drops:
+        """The drops ``which`` (drops,) says, with their first ``n_points`` points alone."""
+        values = {field.name: getattr(self, field.name)[which] for field in fields(self)}
+        for name in ("normals", "rises_m", "scale"):
+            values[name] = values[name][:, :n_points]
+        return Drops(**values)
+
+    def upright(self) -> NDArray[np.bool_]:
+        """Which drops (drops,) meet a flat horizontal ground upright, equally stiff all over."""
+        still = (self.tilt_deg == 0.0) & (self.tilt_wide_deg == 0.0)
+        level = (self.normals == [0.0, 0.0, 1.0]).all(axis=(1, 2))
+        flat = (self.rises_m == self.rises_m[:, :1]).all(axis=1)
+        return still & level & flat & (self.scale == self.scale[:, :1]).all(axis=1)
+
     @classmethod
     def on_plane(
         cls,
@@ -79,7 +100,9 @@ class Drops:
         n = len(columns[0])
         normals = np.zeros((n, n_points, 3))
         normals[..., 2] = 1.0
-        return cls(*columns, normals, np.zeros((n, n_points)), np.ones((n, n_points)))
+        height, tilt, tilt_wide, kn, friction = columns
+        rises, scale = np.zeros((n, n_points)), np.ones((n, n_points))
+        return cls(height, tilt, tilt_wide, kn, friction, normals, rises, scale)
 
 
 class Outcome(NamedTuple):
@@ -104,12 +127,16 @@ class Outcome(NamedTuple):
 
 @njit
 def _plane_offsets(normals: Array, rises: Array, rotation: Array, places: Array) -> Array:
-    """Offsets (n,) of planes through the points of a body in the origin, the first just touching."""
+    """Offsets (n,) of planes through the points of a body in the origin, one just touching."""
     n = len(places)
     offsets = np.empty(n)
     clear = math.inf
+    at = np.empty(3)
     for i in range(n):
-        at = rotation @ places[i]
+        for c in range(3):
+            at[c] = 0.0
+            for d in range(3):
+                at[c] += rotation[c, d] * places[i, d]
         # the plane under the point lies where a flat ground would, raised
         height = rises[i]
         offsets[i] = normals[i, 0] * at[0] + normals[i, 1] * at[1] + normals[i, 2] * height
@@ -143,27 +170,32 @@ def _energy(omega2: Array, u: Array, v: Array, weight: float, height: float) -> 
 def one_drop(
     modes: Modes,
     flyer: Flyer,
+    table: Chart,
     points: Points,
     attitude: Array,
     height: float,
     normals: Array,
     rises: Array,
     gravity: float,
+    slowest: float,
     out: Array,
 ) -> int:
-    """Write what one drop gives to ``out``, in the order of `Outcome`; the status of the march."""
-    n, m = len(modes.weights), len(modes.omega2)
+    """Write what one drop gives to ``out``, in the order of `Outcome`; the status of the march.
+
+    ``slowest`` is the period of the body's slowest mode.
+    """
+    m = len(modes.omega2)
     alpha, beta = flyer.alpha, flyer.beta
     speed = math.sqrt(2.0 * gravity * height)
-    position = np.zeros(3)
+    position: Array = np.zeros(3)
     rotation = matrix_of(attitude)
     offsets = _plane_offsets(normals, rises, rotation, flyer.places)
     datum = 0.0
     for k in range(3):
         datum += rotation[2, k] * flyer.tip_place[k]
     far = np.abs(flyer.places[:, 2]).max()
-    u = np.zeros(m)
-    v = -speed * (flyer.translation @ rotation[2])
+    u: Array = np.zeros(m)
+    v: Array = -speed * (flyer.translation @ rotation[2])
     initial = modes.mass * gravity * height
     top = centre_top = -math.inf
     loss = rubbed = spent = impulse = peak = 0.0
@@ -183,7 +215,7 @@ def one_drop(
         )
         if done.status != modal_march.RELEASED:
             return done.status
-        steps += done.count
+        steps += done.steps
         loss += done.material_loss
         rubbed += done.friction_loss
         spent += done.contact_loss
@@ -194,15 +226,17 @@ def one_drop(
             if first < 0.0:
                 first = now
             last = now + done.release
-        now += done.count * modes.its
-        motion, amounts, which = launch(flyer, position, attitude, done.u, done.v, gravity)
+        now += done.steps * modes.its
+        motion = launch_by(table, flyer, position, attitude, done.u, done.v, gravity)
         rising = motion.velocity[2]
         ringing = motion.reach.sum()
         longest = 2.0 * max(rising, 0.0) / gravity + math.sqrt(8.0 * ringing / gravity) + 1e-3
         longest += 2.0 * math.sqrt(8.0 * far / gravity)
         after = min(next_touch(motion, normals, offsets, longest), longest)
         falls = ballistics.fallen(motion.position, motion.velocity, gravity, alpha, after)[1][2]
-        ends = rising > 0.0 and falls <= 0.0
+        # a centre that falls on is done when the bristle has had time to ring and not come back
+        turned = rising > 0.0 and falls <= 0.0
+        ends = turned or (rising <= 0.0 and after > slowest)
         if not ends and after < WAIT_STEPS * modes.its:
             u, v, wait = done.u, done.v, now + after
             placed = True
@@ -216,20 +250,20 @@ def one_drop(
             break
         before = _energy(modes.omega2, done.u, done.v, weight, 0.0)
         before += weight * (position[2] + (rotation @ ballistics.rigid_part(flyer, done.u)[0])[2])
-        position, attitude, u, v = landing(flyer, motion, amounts, which, after)
+        position, attitude, u, v = landing(flyer, motion, motion.amounts, motion.modes, after)
         if alpha > 0.0 or beta > 0.0:
             loss += before - _energy(modes.omega2, u, v, weight, position[2])
         now += after
         wait = now
         placed = False
     else:
-        return modal_march.TOO_LONG
+        return TOO_MANY
     left = _energy(modes.omega2, done.u, done.v, weight, motion.position[2])
     back = last - now
     out[0], out[1] = top, centre_top
     out[2] = ballistics.fallen(motion.position, motion.velocity, gravity, alpha, back)[1][2]
     out[3], out[4], out[5], out[6] = last - first, touches, peak, impulse
-    out[7], out[8], out[9] = motion.spin[0], motion.spin[1], motion.spin[2]
+    out[7:10] = free_rotation(motion.attitude, motion.spin, flyer.inertia, alpha, 0.0, back)[1]
     out[10], out[11] = loss, rubbed
     out[12] = spent
     out[13] = abs(initial - left - loss - rubbed - spent) / initial
@@ -244,6 +278,7 @@ def many_drops(
     points: Points,
     kt_over_kn: float,
     gravity: float,
+    slowest: float,
     kn: Array,
     mu: Array,
     attitude: Array,
@@ -255,6 +290,7 @@ def many_drops(
     status: NDArray[np.int64],
 ) -> None:
     """`one_drop` for every entry, ``out`` (drops, …) and ``status`` (drops,) written."""
+    table = chart(flyer)
     for i in range(len(height)):
         law = points.law.copy()
         law[1] = kn[i]
@@ -272,12 +308,14 @@ def many_drops(
         status[i] = one_drop(
             modes,
             flyer,
+            table,
             own,
             attitude[i],
             height[i],
             normals[i],
             rises[i],
             gravity,
+            slowest,
             out[i],
         )
 
@@ -293,20 +331,55 @@ def drop_many(marcher: Marcher, drops: Drops) -> Outcome:
             "many drops at once need a body in modes, the conserving scheme, and penalty or the "
             "augmented Lagrangian at a finite Kn"
         )
-    modes, touching = marcher.tables()
-    attitude = np.array(
-        [leaning(*pair) for pair in zip(drops.tilt_deg, drops.tilt_wide_deg, strict=True)]
-    ).reshape(-1, 4)
-    out = np.zeros((len(drops), len(Outcome._fields)))
-    status = np.zeros(len(drops), dtype=np.int64)
     if marcher.body.alpha_1_s:
         raise ComputationError("many drops at once need alpha = 0")
+    assert isinstance(marcher.body, ModalBody)
+    out = np.zeros((len(drops), len(Outcome._fields)))
+    status = np.zeros(len(drops), dtype=np.int64)
+    column = as_column(marcher.body)
+    upright = drops.upright() if column is not None else np.zeros(len(drops), dtype=bool)
+    if column is not None and upright.any():
+        own = Marcher(column, marcher.method, marcher.scheme, marcher.its_s, marcher.gravity_m_s2)
+        _drop(own, drops.chosen(upright, 1), marcher, upright, out, status)
+    if not upright.all():
+        _drop(marcher, drops.chosen(~upright), marcher, ~upright, out, status)
+    failed = np.flatnonzero(status != modal_march.RELEASED)
+    if len(failed):
+        raise ComputationError(f"drop {failed[0]}: {FAILURES[int(status[failed[0]])]}")
+    return Outcome(*out.T)
+
+
+def _drop(
+    marcher: Marcher,
+    drops: Drops,
+    method: Marcher,
+    where: NDArray[np.bool_],
+    out: Array,
+    status: NDArray[np.int64],
+) -> None:
+    """Run ``drops`` and write what they give to the rows ``where`` of ``out`` and ``status``.
+
+    Contact's constants are those of ``method``, which ``marcher`` may see through fewer points.
+    """
+    assert isinstance(marcher.body, ModalBody)
+    assert isinstance(method.body, ModalBody)
+    modes, touching = marcher.tables()
+    constants = method.tables()[1].points
+    attitude = np.array(
+        [
+            leaning(float(thin), float(wide))
+            for thin, wide in zip(drops.tilt_deg, drops.tilt_wide_deg, strict=True)
+        ]
+    ).reshape(-1, 4)
+    rows = np.zeros((len(drops), out.shape[1]))
+    codes = np.zeros(len(drops), dtype=np.int64)
     many_drops(
         modes,
         flyer(marcher.body),
-        touching.points,
+        touching.points._replace(soft=constants.soft),
         marcher.method.friction.kt_over_kn,
         marcher.gravity_m_s2,
+        slowest_period_s(method.body),
         np.ascontiguousarray(drops.kn_N_m),
         np.ascontiguousarray(drops.mu),
         attitude,
@@ -314,10 +387,46 @@ def drop_many(marcher: Marcher, drops: Drops) -> Outcome:
         np.ascontiguousarray(drops.normals),
         np.ascontiguousarray(drops.rises_m),
         np.ascontiguousarray(drops.scale),
-        out,
-        status,
+        rows,
+        codes,
     )
-    failed = np.flatnonzero(status != modal_march.RELEASED)
-    if len(failed):
-        raise ComputationError(f"drop {failed[0]}: {FAILURES[int(status[failed[0]])]}")
-    return Outcome(*out.T)
+    out[where], status[where] = rows, codes
+
+
+def as_column(body: ModalBody) -> ModalBody | None:
+    """The body as upright drops on a flat ground see it, or None where they see more.
+
+    A section that such a ground pushes along the axis alone, every point alike, is one point, and
+    only the modes that move it so are loaded.
+    """
+    points = body.contact
+    n = len(points.weights)
+    moved = (points.rows @ points.coordinates).reshape(n, 3, -1)
+    pushed = points.weights @ moved[:, 2]
+    own = np.abs(pushed) > ROUNDING * np.abs(pushed).max()
+    seen = moved[:, :, own]
+    seen[:, 2] -= pushed[own]
+    flat = np.ptp(points.places_m[:, 2]) == 0.0
+    if not flat or np.abs(seen).max() > ROUNDING * np.abs(pushed).max():
+        return None
+    if np.abs(body.translation[~own, 2]).max(initial=0.0) > 0.0:
+        return None
+    translation = np.zeros_like(body.translation[own])
+    translation[:, 2] = body.translation[own, 2]
+    point = ContactPoints(
+        coordinates=np.ascontiguousarray(pushed[None, own]),
+        support=np.zeros((1, 1), dtype=np.int64),
+        shapes=np.array([[[0.0], [0.0], [1.0]]]),
+        traction=np.zeros((3, int(own.sum()))),
+        weights=np.ones(1),
+        places_m=(points.weights @ points.places_m)[None],
+    )
+    return ModalBody(
+        name=body.name,
+        omega2=body.omega2[own],
+        translation=translation,
+        rotation=np.zeros_like(body.rotation[own]),
+        contact=point,
+        alpha_1_s=body.alpha_1_s,
+        beta_s=body.beta_s,
+    )

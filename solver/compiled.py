@@ -10,12 +10,13 @@ import hashlib
 import os
 import shutil
 import tempfile
+import time
 from pathlib import Path
-from typing import Any, Protocol, cast
+from typing import Protocol, cast
 
 import numba
 
-KEPT = 4
+KEPT_S = 7 * 86400.0
 
 
 class Decorator(Protocol):
@@ -44,11 +45,11 @@ def cache_folder() -> Path:
 
 
 def _forget_old(folder: Path) -> None:
-    """Drop the caches of sources that were used longest ago."""
+    """Drop caches that no process has begun with for a week."""
     folder.touch()
-    others = sorted(folder.parent.iterdir(), key=lambda path: path.stat().st_mtime)
-    for path in others[:-KEPT]:
-        shutil.rmtree(path, ignore_errors=True)
+    for path in folder.parent.iterdir():
+        if time.time() - path.stat().st_mtime > KEPT_S:
+            shutil.rmtree(path, ignore_errors=True)
 
 
 numba.config.CACHE_DIR = str(cache_folder())

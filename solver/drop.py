@@ -72,8 +72,9 @@ class ModalFrame:
 class DropPlan:
     """What to simulate: from which height, with which contact, steps and end.
 
-    The bristle leans by ``tilt_deg`` toward its thin side and ``tilt_wide_deg`` toward its wide one,
-    over ``ground`` (None: a horizontal plane), and falls ``height_m`` before a point of its tip
+    The bristle leans by ``tilt_deg`` toward its thin side and ``tilt_wide_deg`` toward its wide
+    one, over ``ground`` (None: a horizontal plane), and falls ``height_m`` before a point of its
+    tip
     touches. ``until_s`` is a time after release, or None to end after the first rebound;
     ``impact_only`` ends at the last release of the first impact.
     """

@@ -65,7 +65,8 @@ class Budget:
 
 
 def marching_energy(marcher: Marcher, state: State) -> Energy:
-    """Energy of a state on the march; Nitsche's boundary terms and friction's springs are contact's.
+    """Energy of a state on the march; Nitsche's boundary terms and friction's springs are
+    contact's.
 
     ``potential_J`` is zero where the tip first touches.
     """

@@ -201,14 +201,14 @@ def _march_compiled(
     )
     if marched.status == modal_march.NOT_CONVERGED:
         raise ComputationError(
-            f"the contact forces did not converge at t = {t_s + marched.count * modes.its:.6g} s; "
+            f"the contact forces did not converge at t = {t_s + marched.steps * modes.its:.6g} s; "
             "shorten the ITS"
         )
     if marched.status == modal_march.NOT_FINITE:
-        raise _not_finite(t_s + marched.count * modes.its)
+        raise _not_finite(t_s + marched.steps * modes.its)
     if marched.status == modal_march.TOO_LONG:
         raise _too_long(marcher)
-    times = t_s + modes.its * np.arange(marched.count + 1)
+    times = t_s + modes.its * np.arange(marched.steps + 1)
     rows = np.column_stack([times, marched.history])
     history.rows.extend(tuple(map(float, row)) for row in rows)
     depth, when = _deepest(rows)
@@ -228,7 +228,7 @@ def _march_compiled(
         contact_loss_J=marched.contact_loss,
         contact_J=marched.spring + _pressed(marcher, marched.u, marched.v),
         defect=_defect(marcher, marched, np.ascontiguousarray(u), np.ascontiguousarray(v)),
-        n_steps=marched.count,
+        n_steps=marched.steps,
     )
 
 
@@ -240,7 +240,7 @@ def _defect(marcher: Marcher, marched: modal_march.Marched, u: Array, v: Array) 
     if body.defect is not None and body.axis is not None:
         modes, touching = marcher.tables()
         linear = modes._replace(axis=shortening(None, body.omega2))
-        limit = marched.count + STEP_LIMIT // 1000
+        limit = marched.steps + STEP_LIMIT // 1000
         marched = modal_march.march(linear, touching, u, v, 0.0, math.inf, limit, False, True)
     return marcher.march_defect(marched.forces, marched.motions)
 

@@ -58,8 +58,9 @@ class FieldWriter:
 
     Displacement is total: it carries the mesh, which stands upright, to where the body is, rotation
     included, so that the tip's z displacement is its height over where it first touched. Stresses
-    stand along the body's own axes. ``pressure_Pa`` is the contact force at a point over the area it stands
-    for; its integral over the face is the contact force. With ``marcher`` it is the force at the
+    stand along the body's own axes. ``pressure_Pa`` is the contact force at a point over the area
+    it stands for; its integral over the face is the contact force. With ``marcher`` it is the force
+    at the
     frame's own instant, without it the mean over the step before.
 
     A frame is written at the touch (where the observer is shown it), then ``every`` steps, and at
@@ -186,7 +187,8 @@ class FieldWriter:
         force: Array | None = None,
         phase: Phase = Phase.CONTACT,
     ) -> None:
-        """Write one frame of any state: ``u``, ``v`` as in State, normal ``force`` (n,) in N or none.
+        """Write one frame of any state: ``u``, ``v`` as in State, normal ``force`` (n,) in N or
+        none.
 
         The body stands where the marcher last placed it.
 

@@ -104,7 +104,7 @@ def free_rotation(
     largest = max(abs(w[0]), abs(w[1]), abs(w[2]))
     if abs(w[0]) + abs(w[1]) + abs(w[2]) - largest <= 1e-13 * largest:
         return product(q, turn(w * duration)), w * slowed
-    n = int(math.ceil(size * abs(duration) / STEP_RAD))
+    n = math.ceil(size * abs(duration) / STEP_RAD)
     h = duration / n
     # tuples, not arrays: nothing is allocated in the loop
     p, v = (q[0], q[1], q[2], q[3]), (w[0], w[1], w[2])

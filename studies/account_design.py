@@ -104,9 +104,7 @@ FILM_NOISE = 0.5e-3 * math.sqrt(2.0) / HEIGHT_M
 CAMERA = "a telephone's slow motion, 240 frames/s, read to 0.5 mm"
 
 INSTRUMENTS = (
-    Instrument(
-        "y1/y0 again, fast film", "", f"50 mm, as before; {CAMERA}", 1, FILM_NOISE, _ratio
-    ),
+    Instrument("y1/y0 again, fast film", "", f"50 mm, as before; {CAMERA}", 1, FILM_NOISE, _ratio),
     Instrument(
         "y1/y0 with a lean of 2°",
         "",
@@ -238,9 +236,7 @@ def readings(
     """
     trial = trial or Trial()
     settings = tuple(dict.fromkeys(each.setting for each in instruments))
-    jobs = [
-        (each, setting, d) for each in fits for setting in settings for d in range(trial.draws)
-    ]
+    jobs = [(each, setting, d) for each in fits for setting in settings for d in range(trial.draws)]
     pieces: dict[int, dict[str, Array]] = {}
 
     def work(i: int) -> dict[str, Array]:

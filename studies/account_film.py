@@ -95,21 +95,17 @@ class Moments(NamedTuple):
 
 # The band's ends are mean ± 1.645 standard deviations to two decimals: 0.90 is the normal's own.
 PUBLISHED = Moments(
-    *map(
-        np.float64,
-        (
-            paper.RATIO_MEAN,
-            paper.RATIO_STD,
-            paper.RATIO_MEAN,
-            paper.R2_LINEAR,
-            paper.R2_QUADRATIC,
-            0.90,
-        ),
-    )
+    mean=np.array(paper.RATIO_MEAN),
+    std=np.array(paper.RATIO_STD),
+    slope=np.array(paper.RATIO_MEAN),
+    r2_linear=np.array(paper.R2_LINEAR),
+    r2_quadratic=np.array(paper.R2_QUADRATIC),
+    share=np.array(0.90),
 )
 FITTED = ("mean", "log std", "slope", "log(1 - R²)", "cube root of the quadratic's share")
-# Half a unit of the last digit printed, as the standard deviation of a uniform error.
-ROUNDING = np.array([0.01, 0.01 / paper.RATIO_STD, 0.01, 1e-4 / 0.27, 0.0]) / math.sqrt(12.0)
+# What printing leaves open: a uniform error as wide as one unit of the last digit.
+_UNITS = (0.01, 0.01 / paper.RATIO_STD, 0.01, 1e-4 / (1.0 - paper.R2_LINEAR), 0.0)
+ROUNDING = np.array(_UNITS) / math.sqrt(12.0)
 
 
 def moments(y0_m: Array, y1_m: Array) -> Moments:
@@ -175,7 +171,7 @@ def r2_definitions(film: Film, sets: int = 4000, seed: int = 7326) -> list[R2Def
     random = np.random.default_rng(seed)
     y0 = planned_heights_m()
     chance = random.standard_normal((4, sets, len(y0)))
-    blur = np.mean((film.spread_low_m**2 + film.sigma_m**2 * (1 + 0.65**2)) / y0**2)
+    blur = np.mean((film.spread_low_m**2 + film.sigma_m**2 * (1.0 + paper.RATIO_MEAN**2)) / y0**2)
     own = math.sqrt(max(paper.RATIO_STD**2 - blur, 0.0))
     ratio = paper.RATIO_MEAN + np.mean(film.mean_low_m / y0) + own * chance[3]
     x, y = film.read(y0, np.maximum(ratio, 0.0) * y0, chance[:3])
@@ -184,13 +180,15 @@ def r2_definitions(film: Film, sets: int = 4000, seed: int = 7326) -> list[R2Def
         base = y.mean(axis=-1, keepdims=True) if about != "zero" else 0.0
         total = np.sum((y - base) ** 2, axis=-1)
         linear = 1.0 - _left(x, y, (1,)) / total
+        low, high = np.percentile(linear, (5.0, 95.0))
         for name, powers in (("a y0 + b y0²", (1, 2)), ("a + b y0 + c y0²", (0, 1, 2))):
             gain = 1.0 - _left(x, y, powers) / total - linear
             found.append(
                 R2Definition(
                     about,
                     name,
-                    *map(float, np.percentile(linear, (5.0, 95.0))),
+                    float(low),
+                    float(high),
                     two_sided(linear, paper.R2_LINEAR),
                     float(np.median(gain)),
                     two_sided(gain, paper.R2_QUADRATIC - paper.R2_LINEAR),

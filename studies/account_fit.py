@@ -124,10 +124,10 @@ class Fit:
         return self.points[random.choice(len(self.points), n, p=self.weights)]
 
     def at_bound(self, i: int) -> bool:
-        """Whether the interval of parameter ``i`` ends where its bounds do."""
-        parameter, (low, high) = self.account.parameters[i], self.interval[i]
-        ends = parameter.ladder(2)
-        return bool(np.isclose(low, ends[0], atol=1e-9) or np.isclose(high, ends[1]))
+        """Whether the best value or the interval of parameter ``i`` ends where its bounds do."""
+        low, high = self.account.parameters[i].ladder(2)
+        ends = (self.best[i], *self.interval[i])
+        return any(bool(np.isclose(end, (low, high), atol=1e-9).any()) for end in ends)
 
 
 def fit(
@@ -146,8 +146,10 @@ def fit(
     def predicted(values: Sequence[float], drawn: Drawn) -> Predicted:
         return predict(vector(moments(*films(account, values, library, film, drawn))))
 
-    ladders = [p.ladder(4 * effort.coarse if _alone(account) else effort.coarse)
-               for p in account.parameters]
+    ladders = [
+        p.ladder(4 * effort.coarse if _alone(account) else effort.coarse)
+        for p in account.parameters
+    ]
     points, deviance = _scan(ladders, lambda v: predicted(v, drawn.first(effort.few)), seen)
     ladders = _closer(account, ladders, points, deviance, effort.fine)
     points, deviance = _scan(ladders, lambda v: predicted(v, drawn), seen)

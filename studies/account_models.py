@@ -19,7 +19,7 @@ from .account_library import Conditions, Grid, damped_law
 
 MEASURED_BETA_S = 1e-8
 HEIGHTS_M = (0.01, 0.025, 0.05)
-MOST_LEAN_DEG = 10.0
+MOST_LEAN_DEG = 8.0
 # Standard normal numbers that a drop's conditions may use.
 CHANCES = 2
 
@@ -110,9 +110,9 @@ LEAN = Parameter(
     "lean",
     "°",
     0.0,
-    6.0,
+    5.0,
     2.0,
-    "standard deviation about each axis; a bristle let go by hand; more than 6° would be seen",
+    "standard deviation about each axis; a bristle let go by hand; more would be seen",
 )
 FRICTION = Parameter(
     "friction",
@@ -140,7 +140,7 @@ DASHPOT = Parameter(
     0.5,
     200.0,
     dashpot_for(paper.RATIO_MEAN),
-    "from no loss to nearly all; declared gives 0.65 to a rigid bristle on a spring of 2 MN/m",
+    "around the bristle's wave impedance, 42; declared gives 0.65 to a rigid bristle at 2 MN/m",
     logarithmic=True,
 )
 DASHPOT_SPREAD = Parameter(
@@ -153,15 +153,16 @@ DASHPOT_SPREAD = Parameter(
 )
 
 # The tables' points: closer where y1/y0 bends.
-LEANS_DEG = (0.0, 0.5, 1.0, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 6.0, 7.0, 8.5, 10.0)
+LEANS_DEG = (0.0, 0.5, 1.0, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0)
 SIDES_DEG = (0.0, 15.0, 30.0, 45.0, 60.0, 75.0, 90.0)
 SLIPS = (0.0, 0.25, 0.5, 0.7, 0.85, 1.0, 1.3, 2.0)
 KNS_N_M = tuple(float(kn) for kn in np.geomspace(1e3, 1e10, 43))
 DASHPOTS_N_S_M = tuple(float(c) for c in np.geomspace(0.1, 1000.0, 25))
 FEW_DASHPOTS_N_S_M = tuple(float(c) for c in np.geomspace(0.5, 200.0, 7))
-FEW_LEANS_DEG = (0.0, 1.0, 2.0, 3.0, 4.5, 6.0, 8.0, 10.0)
+FEW_LEANS_DEG = (0.0, 1.0, 2.0, 3.0, 4.5, 6.0, 8.0)
 FEW_SIDES_DEG = (0.0, 22.5, 45.0, 67.5, 90.0)
-FEW_KNS_N_M = tuple(float(kn) for kn in np.geomspace(1e3, 1e10, 22))
+# Softer and damped, a contact holds the bristle for good.
+DAMPED_KNS_N_M = tuple(float(kn) for kn in np.geomspace(1e5, 1e10, 21))
 
 
 def lean_of(tilt_deg: Array, wide_deg: Array) -> tuple[Array, Array]:
@@ -174,6 +175,9 @@ def lean_of(tilt_deg: Array, wide_deg: Array) -> tuple[Array, Array]:
     return size, np.degrees(np.arctan2(y, x))
 
 
+UPRIGHT = Grid(paper.BETA_S, kn_N_m=KNS_N_M)
+
+
 @dataclass(frozen=True)
 class OneStiffness:
     """A: the paper's. Strong material damping; flat, vertical; one Kn."""
@@ -182,7 +186,7 @@ class OneStiffness:
     title: str = "the paper's damping, upright, one Kn"
     beta_s: float = paper.BETA_S
     parameters: tuple[Parameter, ...] = (KN,)
-    grid: Grid = Grid(paper.BETA_S, kn_N_m=KNS_N_M)
+    grid: Grid = UPRIGHT
 
     def conditions(
         self, values: Sequence[float], height_m: Array, chance: Array, lean_deg: float = 0.0
@@ -200,7 +204,7 @@ class ScatteredStiffness:
     title: str = "the paper's damping, upright, Kn scattered"
     beta_s: float = paper.BETA_S
     parameters: tuple[Parameter, ...] = (KN_MEDIAN, KN_SPREAD)
-    grid: Grid = Grid(paper.BETA_S, kn_N_m=KNS_N_M)
+    grid: Grid = UPRIGHT
 
     def conditions(
         self, values: Sequence[float], height_m: Array, chance: Array, lean_deg: float = 0.0
@@ -233,7 +237,11 @@ class Leaning:
 
 @dataclass(frozen=True)
 class DampedContact:
-    """C: measured damping; a dashpot in the contact takes the energy, Kn is scattered."""
+    """C: measured damping; a dashpot in the contact takes the energy, Kn is scattered.
+
+    A dashpot takes most where it is as hard to move as the bristle's axial waves, ρ c A = 42 N s/m;
+    a much stronger one stands still and takes nothing.
+    """
 
     key: str = "C"
     title: str = "contact loss, upright, Kn scattered"
@@ -242,12 +250,12 @@ class DampedContact:
 
     @property
     def grid(self) -> Grid:
-        return Grid(self.beta_s, kn_N_m=FEW_KNS_N_M, damping_N_s_m=DASHPOTS_N_S_M)
+        return Grid(self.beta_s, kn_N_m=DAMPED_KNS_N_M, damping_N_s_m=DASHPOTS_N_S_M)
 
     def conditions(
         self, values: Sequence[float], height_m: Array, chance: Array, lean_deg: float = 0.0
     ) -> Conditions:
-        kn = _scattered(paper.KN_CHOSEN_N_M, values[1], chance[0], KNS_N_M)
+        kn = _scattered(paper.KN_CHOSEN_N_M, values[1], chance[0], DAMPED_KNS_N_M)
         return Conditions.of(height_m, kn_N_m=kn, damping_N_s_m=values[0], lean_deg=lean_deg)
 
 
@@ -298,9 +306,7 @@ class DampedLeaning:
         return Conditions.of(height_m, lean_deg=size, side_deg=side, damping_N_s_m=values[0])
 
 
-def _scattered(
-    median: float, decades: float, chance: Array, within: tuple[float, ...]
-) -> Array:
+def _scattered(median: float, decades: float, chance: Array, within: tuple[float, ...]) -> Array:
     """Log-normal values, held to the ends of ``within``."""
     exponent = math.log10(median) + decades * chance
     return np.asarray(10.0 ** np.clip(exponent, math.log10(within[0]), math.log10(within[-1])))

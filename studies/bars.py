@@ -17,7 +17,7 @@ from matplotlib.figure import Figure as Drawing
 from ..solver.drop import DropResult
 from ..solver.rigid import leaning, matrix_of
 from .campaign import Results, Setup
-from .choices import Tip
+from .choices import Deflection, Tip, Until
 from .config import DropInputs
 from .figures import BLACK, SERIES, panels, picture, styled
 from .report import Column, Figure, Section, Table, Value, show
@@ -70,7 +70,8 @@ class Bars:
             tip=Tip.POINT,
             elements=48,
             its_s=ITS_S,
-            until="impact",
+            until=Until.IMPACT,
+            deflection=Deflection.SMALL,
             gravity_m_s2=self.setup.base.gravity_m_s2,
         )
 
@@ -90,7 +91,11 @@ class Bars:
                 Column("kept", "speed of the centre kept"),
                 Column("rigid", "rigid bar"),
             ),
-            [self._row(results, length, lean) for length in self.lengths_m for lean in self.leans_deg],
+            [
+                self._row(results, length, lean)
+                for length in self.lengths_m
+                for lean in self.leans_deg
+            ],
             "A rigid bar keeps e = 1 at every inclination, in one touch.",
         )
         lowest = {
@@ -149,9 +154,7 @@ def _drawing(leans_deg: tuple[float, ...], curves: dict[float, list[float]]) -> 
     figure, axes = panels()
     ax = axes[0, 0]
     ax.axhline(1.0, color=BLACK, lw=0.8, ls="--", label="rigid bar")
-    for (length, values), colour, marker in zip(
-        curves.items(), SERIES, "os^vDxP", strict=False
-    ):
+    for (length, values), colour, marker in zip(curves.items(), SERIES, "os^vDxP", strict=False):
         ax.plot(leans_deg, values, color=colour, marker=marker, label=f"{1e3 * length:g} mm")
     ax.set(xlabel="lean from vertical (°)", ylabel="restitution e of the tip", ylim=(0.0, None))
     ax.legend(ncols=3, loc="lower right")

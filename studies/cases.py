@@ -147,10 +147,14 @@ class Workshop:
     def _beam(self, inputs: DropInputs) -> tuple[ModalFrame, Hashable]:
         bristle, face = inputs.bristle(), inputs.tip is Tip.FACE
         points = inputs.contact_points
-        key = ("beam", bristle, inputs.elements, face, points)
+        bends = inputs.second_order
+        key = ("beam", bristle, inputs.elements, face, points, bends)
         with self._timed("assemble"):
             frame = self._keep(
-                key, lambda: _beam_frame(bristle, inputs.elements, face=face, points=points)
+                key,
+                lambda: _beam_frame(
+                    bristle, inputs.elements, face=face, points=points, second_order=bends
+                ),
             )
         return self._shaped(inputs, frame, key)
 
@@ -195,7 +199,12 @@ class Workshop:
             model = self._keep(
                 key,
                 lambda: reduce_solid(
-                    solid, shift, inputs.modes, leaning=leaning, tractions=tractions
+                    solid,
+                    shift,
+                    inputs.modes,
+                    leaning=leaning,
+                    tractions=tractions,
+                    second_order=leaning,
                 ),
             )
         return model, key
@@ -205,6 +214,9 @@ class Workshop:
         model, key = self._reduced(inputs)
         key = (key, "modal")
         frame = self._keep(key, lambda: ModalFrame(self._same_on_all(model.modal)))
+        if not inputs.second_order:
+            key = (key, "small")
+            frame = self._keep(key, lambda: ModalFrame(replace(frame.modal, axis=None)))
         return self._shaped(inputs, frame, key)
 
     def _shaped[Frame: (ModalFrame, ReducedModel)](
@@ -260,9 +272,13 @@ def _with_face[Frame: (ModalFrame, ReducedModel)](frame: Frame, inputs: DropInpu
     return replace(frame, body=solid, modal=modal)
 
 
-def _beam_frame(bristle: Bristle, elements: int, *, face: bool, points: int) -> ModalFrame:
+def _beam_frame(
+    bristle: Bristle, elements: int, *, face: bool, points: int, second_order: bool
+) -> ModalFrame:
     try:
-        return ModalFrame(beam_body(bristle, elements, face=face, points=points))
+        return ModalFrame(
+            beam_body(bristle, elements, face=face, points=points, second_order=second_order)
+        )
     except ValueError as error:
         raise ComputationError(
             f"{error}: bending is lost in round-off; the beam is too slender, shorten --length"

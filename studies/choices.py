@@ -42,6 +42,13 @@ class Tip(StrEnum):
     POINT = "point"
 
 
+class Deflection(StrEnum):
+    """How far bending goes into a leaning body's equations: see solver.bodies.axis."""
+
+    SMALL = "small"
+    SECOND_ORDER = "second-order"
+
+
 class Until(StrEnum):
     """Where a drop ends, other than at a given time."""
 

@@ -24,7 +24,7 @@ from ..solver.ground import Ground
 from ..solver.rigid import slope_normal
 from ..solver.time.scheme import TimeScheme
 from . import flags, limits, stance
-from .choices import Contact, Model, Scheme, Tip, Until
+from .choices import Contact, Deflection, Model, Scheme, Tip, Until
 from .effects import EffectInput, read_effects
 
 
@@ -95,6 +95,7 @@ class Inputs(BaseModel):
     friction: Annotated[float, between(0.0, 100.0)] = paper.FRICTION
     kt_ratio: Annotated[float, between(1e-6, 1e6)] | None = None
     tip: Tip = Tip.FACE
+    deflection: Deflection | None = None
     tip_shape: Annotated[str, BeforeValidator(read_tip_shape)] = flags.FLAT
     contact_points: Annotated[int, whole(3, limits.CONTACT_POINTS)] = flags.CONTACT_POINTS
     theta: Annotated[int, whole(-1, 1)] | None = None
@@ -272,8 +273,31 @@ class DropInputs(Inputs):
             self._check_analytic()
         if self.model.meshed:
             self.check_meshed()
+        if self.deflection is Deflection.SECOND_ORDER and not self._may_bend:
+            refuse(
+                "deflection",
+                "second-order is for the beam and the reduced solid, under --scheme average, with "
+                "penalty or augmented at a finite --kn, and not with --march",
+            )
         limits.check_drop(self, refuse)
         return self
+
+    @property
+    def _may_bend(self) -> bool:
+        return (
+            self.model in (Model.BEAM, Model.REDUCED)
+            and self.scheme is Scheme.AVERAGE
+            and self.contact is not Contact.NITSCHE
+            and math.isfinite(self.kn_N_m)
+            and not self.march
+        )
+
+    @property
+    def second_order(self) -> bool:
+        """Whether the axial force acts on the slope: where it is asked for, or matters and can."""
+        if self.deflection is None:
+            return self.leaning and self._may_bend
+        return self.deflection is Deflection.SECOND_ORDER
 
     def _check_analytic(self) -> None:
         only = "the analytic model is a mass on a spring without loss"

@@ -10,7 +10,7 @@ from enum import StrEnum
 from typing import Any
 
 from ..solver import paper
-from .choices import Contact, Model, Scheme, Tip
+from .choices import Contact, Deflection, Model, Scheme, Tip
 
 MODEL, CONTACT, BODY = "Model", "Contact", "Bristle"
 DROP, TIME, MESH, OUTPUT = "Drop", "Time", "Discretisation", "Files"
@@ -158,6 +158,16 @@ DISCRETISATION_FLAGS = (
 )
 CONTACT_FLAGS = (
     Flag("contact", "contact", Contact, Contact.PENALTY, CONTACT, "How contact is enforced."),
+    Flag(
+        "deflection",
+        "deflection",
+        Deflection,
+        None,
+        MODEL,
+        "small: linear bodies. second-order: the axial force acts on the slope, as in a column, "
+        "for beam and reduced under --scheme average; the solid is linear.",
+        shown="second-order where the bristle leans",
+    ),
     Flag(
         "friction",
         "friction",

@@ -56,7 +56,7 @@ COLUMNS = (
 class Campaign:
     """Which impacts to compare; ``cells`` and ITS are the same for all models."""
 
-    leans_deg: tuple[float, ...] = (0.0, 0.5, 1.0, 2.0, 3.0, 5.0, 10.0)
+    leans_deg: tuple[float, ...] = (0.0, 0.5, 1.0, 2.0, 5.0)
     frictions: tuple[float, ...] = (0.0, paper.FRICTION)
     heights_m: tuple[float, ...] = (0.01, 0.05)
     cells: tuple[int, int, int] = (1, 2, 168)

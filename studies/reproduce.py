@@ -16,6 +16,8 @@ from mpi4py import MPI
 from ..meshes.collective import run_on_one_rank
 from ..solver import paper
 from . import __version__
+from .account import AccountStudy
+from .bars import Bars
 from .campaign import Results, Setup, Study, compute
 from .cases import Workshop
 from .config import DropInputs
@@ -25,10 +27,12 @@ from .enforcements import Enforcements
 from .files import prepare_folder
 from .heights import Figure13
 from .knstudy import Figures10To12, KnStudy
+from .leaning import Leaning
 from .peaktime import PeakTime
 from .progress import progress
 from .report import Report, Section, Verdict, write_report
 from .sources import OPTIONS
+from .sticking import Sticking
 from .timesteps import StepStudy
 
 
@@ -55,6 +59,10 @@ def paper_studies(setup: Setup) -> list[Study]:
         ElementStudy(setup),
         StepStudy(setup),
         PeakTime(setup),
+        Leaning(setup),
+        Sticking(setup),
+        Bars(setup),
+        AccountStudy(),
     ]
 
 
@@ -77,6 +85,9 @@ def run_reproduce(
     studies = paper_studies(setup) if studies is None else list(studies)
     cases = list(dict.fromkeys(case for study in studies for case in study.cases()))
     results = _compute(cases, setup, comm)
+    for study in studies:
+        if isinstance(study, AccountStudy):
+            study.prepare(comm)
 
     def write() -> Reproduction:
         sections = tuple(study.section(results) for study in studies)

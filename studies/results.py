@@ -64,6 +64,7 @@ def drop_document(
         "inputs": plain_inputs(inputs),
         "model": inputs.model.value,
         "contact": inputs.contact.value,
+        "deflection": "second-order" if inputs.second_order else "small",
         **{name: number(name, inputs, result) for name in NUMBERS},
         "energy": asdict(result.energy),
         "reduction_error": result.reduction_error,

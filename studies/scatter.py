@@ -115,8 +115,8 @@ class _Scene:
             result = simulate(ModalFrame(self.body), plan, self.marcher)
         except ComputationError as error:
             raise ComputationError(f"drop {number}: {error}") from error
-        ratio = Outcome(*row).rebound_height_m / plan.height_m
-        return result.reduction_error, abs(float((result.rebound_ratio or 0.0) - ratio))
+        ratio = row[Outcome._fields.index("rebound_height_m")] / plan.height_m
+        return result.reduction_error, abs((result.rebound_ratio or 0.0) - ratio)
 
 
 def _attempt(

@@ -134,8 +134,8 @@ def ground_under(
     over the drop's own place, and turned into the bristle's axes.
     """
     shape = len(released), len(points.weights)
-    leans = zip(released.tilt_deg.tolist(), released.tilt_wide_deg.tolist(), strict=True)
-    attitudes = [leaning(*pair) for pair in leans]
+    leans = zip(released.tilt_deg, released.tilt_wide_deg, strict=True)
+    attitudes = [leaning(float(thin), float(wide)) for thin, wide in leans]
     rotations = np.array([matrix_of(attitude) for attitude in attitudes])
     places = np.einsum("dxy,iy->dix", rotations, points.places_m)[..., :2]
     if surface is None:

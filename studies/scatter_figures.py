@@ -26,9 +26,8 @@ def histogram_figure(ratio: Array) -> Figure:
     top = max(1.3, float(ratio.max()))
     bottom = min(0.0, float(ratio.min()))
     ax.axvspan(low, high, color=SKY, alpha=0.18, lw=0, label=f"measured 90 %: {low:g} to {high:g}")
-    ax.hist(
-        ratio, np.linspace(bottom, top, 61).tolist(), density=True, color=BLUE, label="predicted"
-    )
+    edges = list(map(float, np.linspace(bottom, top, 61)))
+    ax.hist(ratio, edges, density=True, color=BLUE, label="predicted")
     x = np.linspace(bottom, top, 300)
     ax.plot(
         x,

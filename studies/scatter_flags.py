@@ -27,7 +27,7 @@ TILT_STD_DEG = 1.0
 RMS_HEIGHT_M = 50e-6
 CORRELATION_LENGTH_M = 5e-3
 
-_TAKEN = ("tip", "friction", "kt-ratio", "tip-shape", "contact-points", "contact")
+_TAKEN = ("deflection", "tip", "friction", "kt-ratio", "tip-shape", "contact-points", "contact")
 _PLACES = ("gravity", "tilt", "tilt-wide")
 
 OWN_FLAGS = (

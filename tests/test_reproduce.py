@@ -10,6 +10,11 @@ import pytest
 from mpi4py import MPI
 
 from bristle.solver import paper
+from bristle.studies.account import AccountStudy
+from bristle.studies.account_design import Trial
+from bristle.studies.account_findings import Plan
+from bristle.studies.account_fit import Effort
+from bristle.studies.account_models import OneStiffness, ScatteredDashpot, ScatteredStiffness
 from bristle.studies.campaign import Setup, compute
 from bristle.studies.cases import Workshop
 from bristle.studies.config import DropInputs
@@ -31,6 +36,9 @@ def small() -> tuple[Setup, list]:
     kn = (1e4, 2e6, 1e8)
     setup = Setup(base, kn, (0.01, 0.05), (0.05,), (2e6,))
     study = KnStudy(setup, GRID)
+    accounts = (OneStiffness(), ScatteredStiffness(), ScatteredDashpot())
+    effort = Effort(5, 7, 40, 60, 100)
+    plan = Plan(accounts, effort=effort, rough=effort, trial=Trial(2, 4))
     return setup, [
         Figure9(setup),
         Figures10To12(study),
@@ -41,6 +49,7 @@ def small() -> tuple[Setup, list]:
         ElementStudy(setup, (2, 8, 16), 24),
         StepStudy(setup, 200),
         PeakTime(setup, (1e4, 1e6, 1e8)),
+        AccountStudy(plan),
     ]
 
 
@@ -65,7 +74,7 @@ def test_every_section_is_on_the_page_and_none_is_empty(done, page):
     assert [type(study) for study in small()[1]] == [
         type(study) for study in paper_studies(Setup(DropInputs()))
     ]
-    assert len(done.sections) == 9
+    assert len(done.sections) == 10
     for section in done.sections:
         assert f'<section id="{section.ident}"' in page
         assert section.text

@@ -31,14 +31,6 @@ from bristle.studies.scatter import run_scatter
 from bristle.studies.scatter_conditions import draw, ground_of, ground_surface, ground_under
 from bristle.studies.scatter_flags import SCATTER_FLAGS
 from bristle.studies.scatter_inputs import ScatterInputs
-from bristle.studies.scatter_statistics import (
-    first_order,
-    percentile_interval,
-    r_squared,
-    sampled,
-    share_interval,
-    spread,
-)
 from bristle.studies.sources import checked, inputs_of
 
 pytestmark = pytest.mark.serial
@@ -210,77 +202,6 @@ def test_draws_have_the_distributions_that_are_stated():
         assert np.mean(values) == pytest.approx(0.5 * end, abs=4.0 * end / math.sqrt(12.0 * n))
 
 
-# statistics with known answers
-
-
-def test_spread_of_a_normal_sample():
-    rng = np.random.default_rng(1)
-    n = 4000
-    found = spread(0.65 + 0.1 * rng.standard_normal(n), rng)
-    error = 0.1 / math.sqrt(n)
-    assert found.mean.estimate == pytest.approx(0.65, abs=4 * error)
-    assert found.mean.high - found.mean.low == pytest.approx(2 * 1.645 * error, rel=0.05)
-    std_error = 0.1 / math.sqrt(2 * n)
-    assert found.std.high - found.std.low == pytest.approx(2 * 1.645 * std_error, rel=0.15)
-    for each, z in zip(found.percentiles, (-1.645, 0.0, 1.645), strict=True):
-        assert each.low <= each.estimate <= each.high
-        assert each.estimate == pytest.approx(0.65 + 0.1 * z, abs=0.01)
-    assert found.in_band.estimate == pytest.approx(1.0, abs=2e-3)
-    assert abs(found.skewness) < 0.2
-
-
-def test_spread_of_equal_drops_is_none():
-    found = spread(np.full(20, 0.7), np.random.default_rng(0))
-    assert found.std.estimate == 0.0
-    assert found.mean.low == found.mean.high == pytest.approx(0.7)
-    assert found.skewness is None
-    assert first_order(np.full(20, 0.7), np.arange(20.0), np.random.default_rng(0)) is None
-
-
-def test_percentile_interval_holds_what_it_promises():
-    rng = np.random.default_rng(2)
-    intervals = [percentile_interval(rng.random(80), 50.0) for _ in range(800)]
-    held = np.mean([each.low <= 0.5 <= each.high for each in intervals])
-    assert held == pytest.approx(0.92, abs=0.035)  # 90 % or a little more: drops are whole
-    assert percentile_interval(rng.random(20), 5.0).low == -math.inf
-    everything = share_interval(20, 20)
-    assert everything.high == 1.0
-    # Wilson's lower end n/(n + z²)
-    assert everything.low == pytest.approx(20 / (20 + 1.6449**2), rel=1e-3)
-
-
-def test_shares_of_a_sum_are_its_variances():
-    rng = np.random.default_rng(3)
-    x, y, z = rng.uniform(-1.0, 1.0, (3, 6000))
-    ratio = 0.6 * x**2 * math.sqrt(45.0 / 4.0) + 0.8 * np.sign(y)
-    found = [first_order(ratio, factor, rng).estimate for factor in (x, y, z)]
-    np.testing.assert_allclose(found, [0.36, 0.64, 0.0], atol=0.03)
-    levels = first_order(ratio, (y > 0.0).astype(float), rng)
-    assert levels.low < 0.64 < levels.high
-
-
-def test_samples_of_26_have_the_standard_errors_of_26():
-    rng = np.random.default_rng(4)
-    y0 = np.resize(paper.HEIGHTS_M, 5000)
-    ratio = paper.RATIO_MEAN + paper.RATIO_STD * rng.standard_normal(5000)
-    mean, std, slope, r2 = sampled(y0, ratio * y0, rng)
-    assert mean.std == pytest.approx(paper.RATIO_STD / math.sqrt(26), rel=0.03)
-    assert std.mean == pytest.approx(paper.RATIO_STD * (1 - 1 / (4 * 25)), rel=0.03)
-    for each in (mean, std, slope):
-        assert each.p_value > 0.5
-    assert r2.low < r2.mean < r2.high < 1.0
-    none = sampled(y0, 0.9 * y0, rng)
-    assert none[1].p_value < 1e-3
-    assert none[0].p_value < 1e-3
-    assert r_squared(y0, 0.9 * y0) == pytest.approx(1.0)
-    assert math.isnan(r_squared(np.ones(5), np.full(5, 0.7)))
-    line = np.array([1.0, 2.0, 3.0])
-    y = np.array([1.0, 3.0, 2.0])
-    a = 13.0 / 14.0
-    left = (1 - a) ** 2 + (3 - 2 * a) ** 2 + (2 - 3 * a) ** 2
-    assert r_squared(line, y) == pytest.approx(1.0 - left / 2.0)
-
-
 # the command
 
 
@@ -316,7 +237,8 @@ def test_what_a_scatter_leaves(done):
     assert document["statistics"]["mean"]["estimate"] == pytest.approx(ratio.mean())
     assert document["statistics"]["std"]["estimate"] == pytest.approx(ratio.std(ddof=1))
     assert ratio.std() > 0.01
-    assert column(rows, "closure_relative").max() < 1e-8
+    # with the axial force on the slope a step closes to what its iteration leaves
+    assert column(rows, "closure_relative").max() < 1e-3
     assert document["check"]["n"] == 8
     assert document["check"]["difference"] < 1e-9
     assert document["drops_per_second"] > 0.0
@@ -384,7 +306,9 @@ def test_a_drop_that_fails_is_left_out_and_told(tmp_path, monkeypatch):
 @pytest.mark.parametrize("model", ["beam", "reduced"])
 def test_ranks_change_nothing(tmp_path, model):
     options = f"--model {model} --elements 4 --cells 1 1 20 --contact-points 3 --drops 110".split()
-    run = mpirun(2, "-m", "bristle.studies.scatter", *options, "--out", tmp_path / "2")
+    run = mpirun(
+        2, "-m", "bristle.studies.scatter", *options, "--out", tmp_path / "2", timeout_s=400.0
+    )
     assert run.returncode == 0, run.stderr
     inputs = scatter(model=model, cells=(1, 1, 20), contact_points=3, drops=110)
     run_scatter(inputs, tmp_path / "1", MPI.COMM_SELF)

@@ -2,8 +2,8 @@
 
 A bristle that leans is hit by a force far above the load at which it would buckle slowly, so the
 moment of that force about the deflected axis matters even within one impact. To second order in the
-slope the axial strain is u' + ½ (w_x'² + w_y'²) (von Kármán's), which couples bending with the axial
-motion; the strain energy beyond the linear one is
+slope the axial strain is u' + ½ (w_x'² + w_y'²) (von Kármán's), which couples bending with the
+axial motion; the strain energy beyond the linear one is
 
     ½ Σ E A Δz ((e + q)² - e²),    e = u',  q = ½ (w_x'² + w_y'²).
 """
@@ -21,7 +21,8 @@ from .base import Array
 
 @dataclass(frozen=True)
 class Axis:
-    """Rows over a body's unknowns at points of its axis: axial ``strain`` (g, dofs), ``slope_x`` and
+    """Rows over a body's unknowns at points of its axis: axial ``strain`` (g, dofs), ``slope_x``
+    and
     ``slope_y`` (g, dofs), and ``weights_N_m`` (g,): E A times the length each point stands for."""
 
     strain: Array

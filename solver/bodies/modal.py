@@ -19,8 +19,8 @@ class Defect:
     """What the reduced body leaves of the full order's equation of motion, measured by its energy.
 
     Modes satisfy the equation projected on themselves; left over is R_f f - R_k (u + β v), with
-    R_f = Fᵀ - M V Vᵀ Fᵀ, F the section's coordinates and rows of traction, R_k = K V - M V Λ. ``gram``
-    holds [R_f, R_k]ᵀ A⁻¹ [R_f, R_k] for A = s M + K, s = ``shift_1_s2``.
+    R_f = Fᵀ - M V Vᵀ Fᵀ, F the section's coordinates and rows of traction, R_k = K V - M V Λ.
+    ``gram`` holds [R_f, R_k]ᵀ A⁻¹ [R_f, R_k] for A = s M + K, s = ``shift_1_s2``.
     """
 
     gram: Array
@@ -32,8 +32,9 @@ class Defect:
         """Bounds (k,) on √(rᵀ (c_mass M + c_stiffness K)⁻¹ r), r being what a step leaves over.
 
         ``forces`` (k, r + 3 points) are f: what acts along the section's coordinates, and along the
-        rows of traction in m (left out where the basis knows none); ``motions`` (k, modes) are u + β v where equilibrium is taken.
-        The effective matrix is no softer than min(c_mass/s, c_stiffness) times A.
+        rows of traction in m (left out where the basis knows none); ``motions`` (k, modes) are u +
+        β v where equilibrium is taken. The effective matrix is no softer than min(c_mass/s,
+        c_stiffness) times A.
         """
         known = self.gram.shape[0] - motions.shape[1]
         left = np.hstack([forces[:, :known], -motions])

@@ -105,8 +105,9 @@ def krylov_basis(
     """The basis of the reduced body.
 
     Rigid motions; ``n_krylov`` Krylov vectors of a uniform pressure on the tip or, for a
-    ``leaning`` body, `SHARE` as many of each resultant of its tractions, and of slow motion; and the response to a force at
-    each node of the face (along all axes where it leans), without which an uneven pressure would
+    ``leaning`` body, `SHARE` as many of each resultant of its tractions, and of slow motion; and
+    the response to a force at each node of the face (along all axes where it leans), without which
+    an uneven pressure would
     meet a tip too stiff, and with ``tractions`` to the rows of the traction, along which Nitsche's
     method pushes too. Directions that carry nothing new are dropped.
     """
@@ -179,8 +180,8 @@ def reduce_solid(
     """The solid in rigid motions, ``n_krylov`` Krylov vectors a load and its tip's own responses.
 
     ``shift_1_s2`` is s above; ``leaning`` is for bristles that touch other than upright,
-    ``tractions`` for Nitsche's method, see `krylov_basis`; ``second_order`` see bodies.axis. Raises ComputationError where the
-    reduced stiffness is not positive semidefinite.
+    ``tractions`` for Nitsche's method, see `krylov_basis`; ``second_order`` see bodies.axis. Raises
+    ComputationError where the reduced stiffness is not positive semidefinite.
     """
     solve = solid.factor(shift_1_s2, 1.0)
     contact = solid.contact

@@ -26,8 +26,9 @@ def stress(u: ufl.core.expr.Expr, material: Material) -> ufl.core.expr.Expr:
 class SolidBody:
     """Linear elastic solid on a hexahedral mesh, its axis along z, its tip facets tagged.
 
-    ``order`` is the polynomial degree, 1 or 2; ``points`` see `tip_contact`. Matrices are distributed over the mesh's
-    communicator; vectors are this rank's owned unknowns. Forms take their quadrature degree from
+    ``order`` is the polynomial degree, 1 or 2; ``points`` see `tip_contact`. Matrices are
+    distributed over the mesh's communicator; vectors are this rank's owned unknowns. Forms take
+    their quadrature degree from
     the degree of their integrand on straight cells. ``close`` frees what PETSc holds.
     """
 

@@ -7,13 +7,13 @@ slides backwards. The force on the body along the same axes is (N, T): N from th
 spring of stiffness Kt that elongates with the drive and gives way at μ N (return mapping, Wriggers,
 Computational Contact Mechanics, 2006, Sec. 9.1, here at mid-step).
 
-Over a step of the conserving scheme N is the discrete gradient of the normal potential and T that of
-the spring's (Gonzalez, J. Nonlinear Sci. 6, 1996): elastic contact does no net work, and sliding
+Over a step of the conserving scheme N is the discrete gradient of the normal potential and T that
+of the spring's (Gonzalez, J. Nonlinear Sci. 6, 1996): elastic contact does no net work, and sliding
 takes μ N times the slip, never less than zero. Schemes with an ``end_weight`` take the law at the
 end of the step and interpolate.
 
-``soft`` is the compliance of an augmented Lagrangian in its proximal form: forces then see the drive
-plus soft × (multiplier - force).
+``soft`` is the compliance of an augmented Lagrangian in its proximal form: forces then see the
+drive plus soft × (multiplier - force).
 """
 
 from __future__ import annotations
@@ -431,11 +431,12 @@ def solve_dense(
 class Section(NamedTuple):
     """How contact points move with the coordinates z (r,) of the section, and these with force.
 
-    The drive of point i changes by -``values[i]`` (3, s) times the entries ``support[i]`` (s,) of z,
-    and z answers by ``response`` (r, r) to the points' forces gathered along the same rows.
+    The drive of point i changes by -``values[i]`` (3, s) times the entries ``support[i]`` (s,) of
+    z, and z answers by ``response`` (r, r) to the points' forces gathered along the same rows.
     ``inverse`` (r, r) is Newton's, kept from step to step while it serves; ``ready`` (1,) says
     whether there is one. ``whole`` says that every point moves with all coordinates in their order,
-    ``widest`` (r,) bounds how far a unit of each moves any point.
+    ``widest`` (r,) bounds how far a unit of each moves any point. ``guess`` (2, r) holds z
+    after the step before and how that changed it, from which a rigid section's iteration starts.
     """
 
     support: NDArray[np.int64]
@@ -445,6 +446,7 @@ class Section(NamedTuple):
     ready: NDArray[np.bool_]
     whole: bool
     widest: Array
+    guess: Array
 
 
 @njit
@@ -461,7 +463,8 @@ def new_section(support: NDArray[np.int64], values: Array, response: Array) -> S
                     reach = abs(values[i, c, a])
                     widest[support[i, a]] = max(widest[support[i, a]], reach)
     ready = np.zeros(1, dtype=np.bool_)
-    return Section(support, values, response, inverse, ready, whole, widest)
+    guess = np.zeros((2, len(response)))
+    return Section(support, values, response, inverse, ready, whole, widest, guess)
 
 
 @njit
@@ -634,13 +637,15 @@ def solve_rigid_section(
         points.scale,
         points.weights,
     )
-    values, response = section.values, section.response
+    values, response, z = section.values, section.response, section.guess[0]
     axes = 3 if mu > 0.0 else 1
     widest = section.widest
-    z = response @ section_gathers(section, weights, force)
     step: Array = np.zeros(r)
-    gathered = np.zeros(r)
-    stiff = np.zeros((r, r))
+    gathered, residual, old = np.empty(r), np.empty(r), z.copy()
+    jacobian = np.empty((r, r))
+    slopes = np.empty((n, 6))
+    for a in range(r):  # as the step before changed it
+        z[a] += section.guess[1, a]
     reach = 0.0
     for i in range(n):
         reach = max(reach, abs(free[i, 0]))
@@ -649,7 +654,6 @@ def solve_rigid_section(
     before, share = math.inf, 1.0
     for iteration in range(NEWTON_LIMIT):
         gathered[:] = 0.0
-        stiff[:, :] = 0.0
         for i in range(n):
             normal = free[i, 0]
             for a in range(r):
@@ -657,6 +661,7 @@ def solve_rigid_section(
             m = multiplier[i, 0]
             if normal + soft * m <= 0.0 and start[i, 0] <= 0.0 and m == 0.0:
                 force[i, 0] = force[i, 1] = force[i, 2] = 0.0
+                slopes[i, 0] = 0.0
                 continue
             slip0 = slip1 = 0.0
             if mu > 0.0:
@@ -684,28 +689,26 @@ def solve_rigid_section(
                 multiplier[i, 2],
             )
             force[i, 0], force[i, 1], force[i, 2] = f, f0, f1
+            slopes[i, 0], slopes[i, 1], slopes[i, 2] = k, k00, k11
+            slopes[i, 3], slopes[i, 4], slopes[i, 5] = k01, k0, k1
             w = weights[i]
             for a in range(r):
-                v0 = values[i, 0, a]
-                total, left = f * v0, k * v0
-                if mu > 0.0:
-                    v1, v2 = values[i, 1, a], values[i, 2, a]
-                    total += f0 * v1 + f1 * v2
-                    left += k0 * v1 + k1 * v2
-                    left1, left2 = w * (k00 * v1 + k01 * v2), w * (k01 * v1 + k11 * v2)
-                    for b in range(r):
-                        stiff[a, b] += left1 * values[i, 1, b] + left2 * values[i, 2, b]
-                gathered[a] += w * total
-                left *= w
-                for b in range(r):
-                    stiff[a, b] += left * values[i, 0, b]
-        residual = z - response @ gathered
+                gathered[a] += w * f * values[i, 0, a]
+            if mu > 0.0:
+                for a in range(r):
+                    gathered[a] += w * (f0 * values[i, 1, a] + f1 * values[i, 2, a])
         change = 0.0
         for a in range(r):
-            change += widest[a] * abs(residual[a])
+            total = z[a]
+            for b in range(r):
+                total -= response[a, b] * gathered[b]
+            residual[a] = total
+            change += widest[a] * abs(total)
         if change <= TOLERANCE * reach:
+            for a in range(r):
+                section.guess[1, a] = z[a] - old[a]
             for i in range(n):
-                for c in range(3):
+                for c in range(axes):
                     total = free[i, c]
                     for a in range(r):
                         total -= values[i, c, a] * z[a]
@@ -713,12 +716,82 @@ def solve_rigid_section(
             return iteration + 1
         if change >= before and share > SHORTEST:
             share *= 0.5
-            z += share * step
+            for a in range(r):
+                z[a] += share * step[a]
             continue
         before, share = change, 1.0
-        step = np.linalg.solve(np.eye(r) + response @ stiff, residual)
-        z -= step
+        _section_jacobian(section, weights, slopes, axes, jacobian)
+        _eliminate(jacobian, residual, step)
+        for a in range(r):
+            z[a] -= step[a]
+    section.guess[:] = 0.0
     return -1
+
+
+@njit
+def _section_jacobian(
+    section: Section, weights: Array, slopes: Array, axes: int, jacobian: Array
+) -> None:
+    """Write d(residual)/dz (r, r) where points push back with `pushes`' ``slopes`` (n, 6)."""
+    n, r = len(weights), len(section.response)
+    values, response = section.values, section.response
+    stiff, row = np.zeros((r, r)), np.empty(r)
+    for i in range(n):
+        k = weights[i] * slopes[i, 0]
+        if k == 0.0:
+            continue
+        for a in range(r):
+            left = k * values[i, 0, a]
+            for b in range(r):
+                stiff[a, b] += left * values[i, 0, b]
+        if axes == 1:
+            continue
+        w = weights[i]
+        k00, k11, k01 = w * slopes[i, 1], w * slopes[i, 2], w * slopes[i, 3]
+        k0, k1 = w * slopes[i, 4], w * slopes[i, 5]
+        for a in range(r):
+            v1, v2 = values[i, 1, a], values[i, 2, a]
+            left, left1, left2 = k0 * v1 + k1 * v2, k00 * v1 + k01 * v2, k01 * v1 + k11 * v2
+            for b in range(r):
+                pushed = left * values[i, 0, b] + left1 * values[i, 1, b] + left2 * values[i, 2, b]
+                stiff[a, b] += pushed
+    for a in range(r):
+        row[:] = 0.0
+        for c in range(r):
+            for b in range(r):
+                row[b] += response[a, c] * stiff[c, b]
+        for b in range(r):
+            jacobian[a, b] = row[b]
+        jacobian[a, a] += 1.0
+
+
+@njit
+def _eliminate(matrix: Array, right: Array, x: Array) -> None:
+    """Solve ``matrix`` x = ``right`` by Gauss's elimination with pivots; the matrix is used up.
+
+    For the handful of unknowns of a rigid section, where LAPACK's overhead is most of a step.
+    """
+    n = len(right)
+    x[:] = right
+    for k in range(n):
+        p = k
+        for i in range(k + 1, n):
+            if abs(matrix[i, k]) > abs(matrix[p, k]):
+                p = i
+        if p != k:
+            for j in range(k, n):
+                matrix[k, j], matrix[p, j] = matrix[p, j], matrix[k, j]
+            x[k], x[p] = x[p], x[k]
+        for i in range(k + 1, n):
+            factor = matrix[i, k] / matrix[k, k]
+            if factor != 0.0:
+                for j in range(k + 1, n):
+                    matrix[i, j] -= factor * matrix[k, j]
+                x[i] -= factor * x[k]
+    for k in range(n - 1, -1, -1):
+        for j in range(k + 1, n):
+            x[k] -= matrix[k, j] * x[j]
+        x[k] /= matrix[k, k]
 
 
 @njit

@@ -36,8 +36,10 @@ RELEASED, UNTIL, TOO_LONG, NOT_CONVERGED, NOT_FINITE = 0, 1, 2, 3, 4
 class Modes(NamedTuple):
     """A body's modes and contact points, and how they answer over a step of ``its`` s.
 
-    ``along`` (r, modes) are the section's coordinates, ``support`` and ``shapes`` as in ContactPoints;
-    ``tip`` (3, modes) is the section's mean displacement. ``answer`` is Marcher's, ``axis`` bodies.axis'. ``admittance`` (modes,) = 1/(1 + ½ h c + ¼ h² ω²).
+    ``along`` (r, modes) are the section's coordinates, ``support`` and ``shapes`` as in
+    ContactPoints;
+    ``tip`` (3, modes) is the section's mean displacement. ``answer`` is Marcher's, ``axis``
+    bodies.axis'. ``admittance`` (modes,) = 1/(1 + ½ h c + ¼ h² ω²).
     """
 
     its: float
@@ -68,12 +70,13 @@ class Touching(NamedTuple):
 
 
 class Marched(NamedTuple):
-    """What a march gave. ``slid`` is the greatest slip of any point, ``push`` (3,) the impulse along
-    body axes; ``first_end`` and ``count`` in steps. ``history`` (steps + 1, 4): tip and centre
+    """What a march gave. ``slid`` is the greatest slip of any point, ``push`` (3,) the impulse
+    along body axes; ``first_end`` and ``count`` in steps. ``history`` (steps + 1, 4): tip and
+    centre
     heights, force, penetration."""
 
     status: int
-    count: int
+    steps: int
     release: float
     impulse: float
     push: Array
@@ -104,13 +107,19 @@ def local_section(modes: Modes, frames: Array) -> Section:
 
 
 @njit
-def drives(along: Array, section: Section, gaps: Array, u: Array, drive: Array) -> None:
-    """Write the drive (n, 3) of every point along its local frame."""
-    section_moves(section, along @ u, 3, drive)
+def drives(along: Array, section: Section, gaps: Array, u: Array, axes: int, drive: Array) -> float:
+    """Write the drive of every point along the first ``axes`` of its local frame (n, 3).
+
+    Returns the greatest along the normal.
+    """
+    section_moves(section, along @ u, axes, drive)
+    most = -math.inf
     for i in range(len(gaps)):
-        for a in range(3):
+        for a in range(axes):
             drive[i, a] = -drive[i, a]
         drive[i, 0] -= gaps[i]
+        most = max(most, drive[i, 0])
+    return most
 
 
 @njit
@@ -151,17 +160,23 @@ def march(
     free = np.zeros((n, 3))
     axis = modes.axis
     bends = len(axis.weights) > 0
-    bend = np.zeros(m)
+    bend: Array = np.zeros(m)
     if bends:
         du, dv = shortened(axis, u, v)
         u, v = u + du, v + dv
     seen = axis.rows @ u
     after = seen
-    drives(along, section, gaps, u, drive)
+    # without friction nobody asks for tangential drives
+    axes = 3 if points.mu > 0.0 else 1
+    deepest = drives(along, section, gaps, u, axes, drive)
+    a: Array = np.empty(m)
+    a0, later, fast = np.empty(m), np.empty(m), np.empty(m)
+    u, v = u.copy(), v.copy()
+    middle, weighted = np.empty(m), np.empty(m)
     size = 64
-    history = np.zeros((size if keep else 1, 4))
-    forces = np.zeros((size if keep_states else 1, 3 * n))
-    motions = np.zeros((size if keep_states else 1, m))
+    history: Array = np.zeros((size if keep else 1, 4))
+    forces: Array = np.zeros((size if keep_states else 1, 3 * n))
+    motions: Array = np.zeros((size if keep_states else 1, m))
     push = np.zeros(3)
     release = impulse = peak = loss = rubbed = spent = 0.0
     status, count = TOO_LONG, 0
@@ -170,15 +185,17 @@ def march(
         history[0, 1] = touching.centre_m + lift @ u
         history[0, 3] = max(drive[:, 0].max(), 0.0)
     for count in range(1, limit + 1):
-        a0 = admittance * (pull - omega2 * u - stiff * v)
+        for j in range(m):
+            a0[j] = admittance[j] * (pull[j] - omega2[j] * u[j] - stiff[j] * v[j])
         total = now = 0.0
         touches, coupled, done = False, False, 0
-        before, share = bend, 1.0
+        before: Array = bend
+        share = 1.0
         for turn in range(COUPLING_LIMIT):
-            a = a0 + admittance * bend
-            later = u + h * v + (0.5 * h * h) * a
-            drives(along, section, gaps, later, free)
-            touches = drive[:, 0].max() > 0.0 or free[:, 0].max() > 0.0
+            for j in range(m):
+                a[j] = a0[j] + admittance[j] * bend[j]
+                later[j] = u[j] + h * v[j] + (0.5 * h * h) * a[j]
+            touches = max(drives(along, section, gaps, later, axes, free), deepest) > 0.0
             if not touches and points.soft > 0.0:
                 touches = np.abs(multiplier).max() > 0.0
             if touches:
@@ -188,9 +205,11 @@ def march(
                 if done < 0:
                     break
                 loads = section_gathers(section, weights, force)
-                change = admittance * (along.T @ loads)
-                a += change
-                later += (0.5 * h * h) * change
+                pushed = loads @ along
+                for j in range(m):
+                    change = admittance[j] * pushed[j]
+                    a[j] += change
+                    later[j] += (0.5 * h * h) * change
             else:
                 force[:, :] = 0.0
                 end[:, :] = free
@@ -207,9 +226,9 @@ def march(
             # Aitken's relaxation (Küttler and Wall, Comput. Mech. 43, 2008)
             left = newer - bend
             change_of = left - before
-            size = np.sum(admittance * change_of * change_of)
-            if turn > 0 and size > 0.0:
-                share *= -np.sum(admittance * before * change_of) / size
+            squared = float(np.sum(admittance * change_of * change_of))
+            if turn > 0 and squared > 0.0:
+                share *= -float(np.sum(admittance * before * change_of)) / squared
                 share = min(max(share, 0.05), 1.0)
             before = left
             bend = bend + share * left
@@ -224,10 +243,11 @@ def march(
                 total += weights[i] * force[i, 0]
                 if end[i, 0] > 0.0:
                     now += weights[i] * elastic(law, scale[i], end[i, 0], 0.0)[0]
-        fast = v + h * a
         for j in range(m):
-            middle = 0.5 * (v[j] + fast[j])
-            loss += h * damping[j] * middle * middle
+            fast[j] = v[j] + h * a[j]
+            middle[j] = 0.5 * (v[j] + fast[j])
+            weighted[j] = h * damping[j] * middle[j]
+        loss += float(weighted @ middle)
         if keep_states:
             if count > len(forces):
                 forces = np.concatenate((forces, np.zeros_like(forces)))
@@ -249,12 +269,16 @@ def march(
                         push[1] += share * frames[i, c, 1]
                         push[2] += share * frames[i, c, 2]
             release = count * h
-            first, last = drive[:, 0].max(), end[:, 0].max()
+            first, last = deepest, end[:, 0].max()
             if last < 0.0 and first > last:
                 release = h * (count - 1 + max(first, 0.0) / (first - last))
         peak = max(peak, total if points.drag > 0.0 else now)
-        u, v = later, fast
+        u[:], v[:] = later, fast
         drive[:, :] = end
+        deepest, sum_of_drives = -math.inf, 0.0
+        for i in range(n):
+            deepest = max(deepest, drive[i, 0])
+            sum_of_drives += drive[i, 0]
         if keep:
             if count >= len(history):
                 history = np.concatenate((history, np.zeros_like(history)))
@@ -262,10 +286,10 @@ def march(
             history[count, 1] = touching.centre_m + lift @ u
             history[count, 2] = now
             history[count, 3] = max(drive[:, 0].max(), 0.0)
-        if not math.isfinite(drive[:, 0].sum()):
+        if not math.isfinite(sum_of_drives):
             status = NOT_FINITE
             break
-        if drive[:, 0].max() <= 0.0 and now == 0.0 and count * h >= wait:
+        if deepest <= 0.0 and now == 0.0 and count * h >= wait:
             status = RELEASED
             break
         if count * h >= until:

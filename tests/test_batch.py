@@ -1,0 +1,140 @@
+"""Do many drops at once give what each gives alone?"""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from bristle.solver.batch import Drops, as_column, drop_many
+from bristle.solver.bodies.beam import beam_body
+from bristle.solver.bodies.reduced import reduce_solid
+from bristle.solver.bristle import Bristle, Material
+from bristle.solver.contact.enforcement import ContactMethod, Enforcement
+from bristle.solver.contact.laws import Coulomb, Linear
+from bristle.solver.drop import DropPlan, ModalFrame, simulate
+from bristle.solver.errors import ComputationError
+from bristle.solver.time.march import Marcher
+from bristle.solver.time.scheme import TimeScheme
+
+pytestmark = pytest.mark.serial
+G, ITS = 9.8, 1e-5
+
+
+def method_of(kn, mu, enforcement=Enforcement.PENALTY):
+    return ContactMethod(Linear(kn), enforcement=enforcement, friction=Coulomb(mu))
+
+
+def marcher_of(body, enforcement=Enforcement.PENALTY):
+    return Marcher(body, method_of(2e6, 0.5, enforcement), TimeScheme.average(), ITS, G)
+
+
+def leaning_drops(body, rng, count, spread_deg=5.0, **fixed):
+    values = {
+        "height_m": rng.uniform(0.01, 0.05, count),
+        "kn_N_m": 10.0 ** rng.uniform(5.0, 7.0, count),
+        "tilt_deg": rng.uniform(-spread_deg, spread_deg, count),
+        "tilt_wide_deg": rng.uniform(-spread_deg, spread_deg, count),
+        "mu": rng.choice([0.0, 0.2, 0.5], count),
+    }
+    return Drops.on_plane(len(body.contact.weights), **(values | fixed))
+
+
+def alone(body, drops, i, enforcement=Enforcement.PENALTY):
+    method = method_of(drops.kn_N_m[i], drops.mu[i], enforcement)
+    plan = DropPlan(drops.height_m[i], method, ITS, G)
+    plan = replace(plan, tilt_deg=drops.tilt_deg[i], tilt_wide_deg=drops.tilt_wide_deg[i])
+    return simulate(ModalFrame(body), plan)
+
+
+def assert_the_same(body, drops, outcome, enforcement=Enforcement.PENALTY, rel=1e-9, tip_m=0.0):
+    for i in range(len(drops)):
+        one = alone(body, drops, i, enforcement)
+        height, speed = drops.height_m[i], one.impact_speed_m_s
+        assert outcome.n_contacts[i] == one.n_contacts
+        assert outcome.n_steps[i] == one.n_steps
+        top = pytest.approx(one.rebound_height_m, abs=rel * height + tip_m)
+        assert outcome.rebound_height_m[i] == top
+        top = pytest.approx(one.cm_rebound_height_m, abs=rel * height)
+        assert outcome.cm_rebound_height_m[i] == top
+        for name in ("contact_time_s", "peak_force_N", "impulse_N_s"):
+            assert getattr(outcome, name)[i] == pytest.approx(getattr(one, name), rel=rel)
+        velocity = outcome.cm_velocity_after_m_s[i]
+        assert velocity == pytest.approx(one.cm_velocity_after_m_s, abs=rel * speed)
+        spin = [getattr(outcome, f"spin_{axis}_rad_s")[i] for axis in "xyz"]
+        assert spin == pytest.approx(one.spin_after_rad_s, abs=1e2 * rel)
+        assert outcome.friction_loss_J[i] == pytest.approx(
+            one.energy.friction_loss_J, abs=rel * one.energy.initial_J
+        )
+    assert outcome.closure_relative.max() < 1e-9
+
+
+@pytest.mark.parametrize("face", [True, False], ids=["face", "point"])
+@pytest.mark.parametrize("beta_s", [1.07e-5, 1e-8])
+def test_leaning_beams_fall_as_one_alone(beta_s, face, rng):
+    body = beam_body(Bristle(material=Material(beta_s=beta_s)), 8, face=face)
+    drops = leaning_drops(body, rng, 12)
+    assert_the_same(body, drops, drop_many(marcher_of(body), drops))
+
+
+def test_drops_that_touch_several_times(rng):
+    """Stiff, hardly damped and far from upright; one chatters without end, here and alone."""
+    body = beam_body(Bristle(material=Material(beta_s=1e-8)), 8)
+    drops = leaning_drops(body, rng, 12, 20.0, kn_N_m=1e8)
+    with pytest.raises(ComputationError, match="drop 5: more than .* touches"):
+        drop_many(marcher_of(body), drops)
+    with pytest.raises(ComputationError, match="more than .* touches"):
+        alone(body, drops, 5)
+    drops = drops.chosen(np.arange(12) != 5)
+    outcome = drop_many(marcher_of(body), drops)
+    assert outcome.n_contacts.max() > 10
+    # what rounding does to one touch grows with every other
+    assert_the_same(body, drops, outcome, rel=1e-7)
+
+
+def test_the_augmented_lagrangian(rng):
+    body = beam_body(Bristle(material=Material(beta_s=1.07e-5)), 6)
+    drops = leaning_drops(body, rng, 4, 3.0, kn_N_m=2e6)
+    outcome = drop_many(marcher_of(body, Enforcement.AUGMENTED), drops)
+    assert_the_same(body, drops, outcome, Enforcement.AUGMENTED, rel=1e-6)
+
+
+def test_a_reduced_solid(make_solid, rng):
+    solid = make_solid()
+    shift = 4.0 / ITS**2
+    body = reduce_solid(solid, shift, 12, leaning=True).modal
+    drops = leaning_drops(body, rng, 4, 3.0)
+    assert_the_same(body, drops, drop_many(marcher_of(body), drops))
+
+
+@pytest.mark.parametrize("enforcement", [Enforcement.PENALTY, Enforcement.AUGMENTED])
+def test_upright_drops_are_those_of_a_column(enforcement, rng):
+    """All points alike are one point; leaning drops among them change nothing."""
+    body = beam_body(Bristle(material=Material(beta_s=1e-8)), 8)
+    assert as_column(body) is not None
+    tilt = np.where(np.arange(8) % 2, rng.uniform(1.0, 3.0, 8), 0.0)
+    drops = leaning_drops(body, rng, 8, tilt_deg=tilt, tilt_wide_deg=0.0, kn_N_m=2e6)
+    outcome = drop_many(marcher_of(body, enforcement), drops)
+    rel = 1e-9 if enforcement is Enforcement.PENALTY else 1e-6
+    # of crests of the ringing that are equal to nanometres, rounding chooses the highest
+    assert_the_same(body, drops, outcome, enforcement, rel, tip_m=1e-8)
+
+
+def test_a_solid_is_no_column(make_solid):
+    assert as_column(reduce_solid(make_solid(), 4.0 / ITS**2, 12, leaning=True).modal) is None
+
+
+def test_outcomes_do_not_depend_on_what_else_is_dropped(rng):
+    body = beam_body(Bristle(material=Material(beta_s=1.07e-5)), 6)
+    drops = leaning_drops(body, rng, 9, tilt_deg=[0.0, 2.0, 0.0] * 3, tilt_wide_deg=0.0)
+    together = drop_many(marcher_of(body), drops)
+    parts = [drop_many(marcher_of(body), drops.part(i, i + 3)) for i in (0, 3, 6)]
+    for whole, *pieces in zip(together, *parts, strict=True):
+        assert np.array_equal(whole, np.concatenate(pieces))
+
+
+def test_a_drop_that_fails_is_named(rng):
+    body = beam_body(Bristle(material=Material(beta_s=1.07e-5)), 6)
+    drops = leaning_drops(body, rng, 4)
+    drops.height_m[2] = np.nan
+    with pytest.raises(ComputationError, match="drop 2: "):
+        drop_many(marcher_of(body), drops)
