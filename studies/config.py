@@ -296,7 +296,8 @@ class DropInputs(Inputs):
     def second_order(self) -> bool:
         """Whether the axial force acts on the slope: where it is asked for, or matters and can."""
         if self.deflection is None:
-            return self.leaning and self._may_bend
+            gentle = stance.lean_deg(self) <= limits.LINEAR_LEAN_DEG
+            return self.leaning and gentle and self._may_bend
         return self.deflection is Deflection.SECOND_ORDER
 
     def _check_analytic(self) -> None:

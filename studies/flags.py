@@ -166,7 +166,7 @@ CONTACT_FLAGS = (
         MODEL,
         "small: linear bodies. second-order: the axial force acts on the slope, as in a column, "
         "for beam and reduced under --scheme average; the solid is linear.",
-        shown="second-order where the bristle leans",
+        shown="second-order where it leans, up to 10 degrees",
     ),
     Flag(
         "friction",

@@ -333,6 +333,15 @@ def test_nothing_depends_on_ranks_or_chunks():
 @serial
 def test_two_ranks_give_what_one_gives():
     done = mpirun(
-        2, "-m", "pytest", "-q", "-p", "no:cacheprovider", __file__, "-k", "ranks_or_chunks"
+        2,
+        "-m",
+        "pytest",
+        "-q",
+        "-p",
+        "no:cacheprovider",
+        __file__,
+        "-k",
+        "ranks_or_chunks",
+        timeout_s=400.0,
     )
     assert done.returncode == 0, done.stdout + done.stderr
