@@ -80,7 +80,9 @@ class Workshop:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        self.close()
+        # PETSc frees on all ranks together: one that failed alone would wait there for ever
+        if error is None or self.comm.size == 1:
+            self.close()
 
     def close(self) -> None:
         """Free what PETSc holds; nothing that was handed out can be used afterwards."""

@@ -156,18 +156,18 @@ def _step_warnings(inputs: DropInputs) -> list[str]:
 def _lean_warnings(inputs: DropInputs) -> list[str]:
     found = []
     lean = lean_deg(inputs)
-    if lean > SMALL_LEAN_DEG and not inputs.second_order:
-        found.append(
-            f"the bristle leans by {lean:.3g} degrees and is linear here, which leaves out the "
-            f"axial force on its slope: above {SMALL_LEAN_DEG:g} a tip that slides keeps too much "
-            "speed, by a tenth of it at 2 degrees; take the beam or the reduced solid with "
-            "--deflection second-order"
-        )
     if lean > LINEAR_LEAN_DEG * (1.0 + 1e-9):
         found.append(
             f"the bristle leans by {lean:.3g} degrees against the surface's normal; contact takes "
             f"strain and rotation as small, which is not known to be enough above "
             f"{LINEAR_LEAN_DEG:g}: lean it less, or take the result as an estimate"
+        )
+    elif lean > SMALL_LEAN_DEG and not inputs.second_order:
+        found.append(
+            f"the bristle leans by {lean:.3g} degrees and is linear here, which leaves out the "
+            f"axial force on its slope: above {SMALL_LEAN_DEG:g} a tip that slides keeps too much "
+            "speed, by a tenth of it at 2 degrees; take the beam or the reduced solid with "
+            "--deflection second-order"
         )
     if inputs.tip is Tip.POINT and inputs.leaning and inputs.friction:
         found.append(

@@ -31,6 +31,10 @@ class Sticking:
     """A bristle that leans by 5° on a plane with μ = 0.5, refined in every way."""
 
     setup: Setup
+    elements: tuple[int, ...] = ELEMENTS
+    its_s: tuple[float, ...] = ITS_S
+    cells: tuple[tuple[int, int, int], ...] = CELLS
+    points: tuple[int, ...] = POINTS
 
     def _case(self, model: str = Model.BEAM, tip: Tip = Tip.FACE, **changes: Any) -> DropInputs:
         return self.setup.case(
@@ -50,23 +54,25 @@ class Sticking:
         families: dict[str, list[tuple[str, DropInputs]]] = {}
         for tip in (Tip.POINT, Tip.FACE):
             families[f"beam, {tip}: elements, ITS 0.002 ms"] = [
-                (str(n), self._case(tip=tip, elements=n, its_s=2e-6)) for n in ELEMENTS
+                (str(n), self._case(tip=tip, elements=n, its_s=2e-6)) for n in self.elements
             ]
             families[f"beam, {tip}: ITS (ms), 32 elements"] = [
-                (f"{1e3 * its:g}", self._case(tip=tip, elements=32, its_s=its)) for its in ITS_S
+                (f"{1e3 * its:g}", self._case(tip=tip, elements=32, its_s=its))
+                for its in self.its_s
             ]
             families[f"beam, {tip}: Kt/Kn, 32 elements, ITS 0.002 ms"] = [
                 (f"{r:g}", self._case(tip=tip, elements=32, its_s=2e-6, kt_ratio=r))
                 for r in KT_RATIOS
             ]
         families["beam, face: points across the section, ITS 0.002 ms"] = [
-            (str(n), self._case(elements=32, its_s=2e-6, contact_points=n)) for n in POINTS
+            (str(n), self._case(elements=32, its_s=2e-6, contact_points=n)) for n in self.points
         ]
         families["3-D reduced: cells"] = [
-            (" × ".join(map(str, cells)), self._case(Model.REDUCED, cells=cells)) for cells in CELLS
+            (" × ".join(map(str, cells)), self._case(Model.REDUCED, cells=cells))
+            for cells in self.cells
         ]
         families["3-D reduced: ITS (ms)"] = [
-            (f"{1e3 * its:g}", self._case(Model.REDUCED, its_s=its)) for its in ITS_S[:3]
+            (f"{1e3 * its:g}", self._case(Model.REDUCED, its_s=its)) for its in self.its_s[:3]
         ]
         return families
 

@@ -54,14 +54,20 @@ def test_compliance_in_series_is_taken_off_the_penetration(law):
     assert law.force(drive - series * force, 0.0) == pytest.approx(force, rel=1e-12)
 
 
-def a_step(enforcement, law, response, end_weight=None, mu=0.0, few=False, **kwargs):
-    """A step of points whose drives answer by ``response`` (3 n, 3 n), directly or by a section."""
+def a_step(enforcement, law, response, end_weight=None, mu=0.0, few=False, whole=False, **kwargs):
+    """A step of points whose drives answer by ``response`` (3 n, 3 n), directly or by a section.
+
+    Every point of a ``whole`` section moves with all of its coordinates.
+    """
     n = len(response) // 3
     weights = np.full(n, 1.0 / n)
     none = np.zeros((0, 0))
     support = np.arange(3 * n).reshape(n, 3)
     values = np.tile(np.eye(3), (n, 1, 1))
-    section = new_section(support, values, -response * n if few else none)
+    if whole:
+        support = np.tile(np.arange(3 * n), (n, 1))
+        values = np.eye(3 * n).reshape(n, 3, 3 * n)
+    section = new_section(support, values, -response * n if few or whole else none)
     return StepContact(
         method=ContactMethod(law, enforcement, friction=Coulomb(mu), **kwargs),
         series_m_N=0.0,
@@ -107,17 +113,21 @@ def test_step_force_is_the_discrete_gradient_of_the_potential(enforcement, seed,
 
 @given(seed=st.integers(0, 10_000), free=reals, mu=st.sampled_from([0.0, 0.3, 1.0]))
 @settings(max_examples=60, deadline=None)
-def test_both_solvers_find_the_same_forces(seed, free, mu):
-    """Newton's method on the section's coordinates and on the points' own drives."""
+def test_all_solvers_find_the_same_forces_and_drives(seed, free, mu):
+    """Newton's method on the section's coordinates, few or all, and on the points' drives."""
     rng = np.random.default_rng(seed)
     n = 5
     drive0, drive_free = some_drives(n, 1e-5, free, rng)
     response = some_response(n, 1e-8, rng)
     forces = []
-    for few in (True, False):
-        step = a_step(Enforcement.PENALTY, Linear(2e6), response, mu=mu, few=few)
+    for few, whole in ((False, False), (True, False), (False, True)):
+        step = a_step(Enforcement.PENALTY, Linear(2e6), response, mu=mu, few=few, whole=whole)
         forces.append(step.solve(drive0, drive_free))
-    assert forces[0] == pytest.approx(forces[1], rel=1e-8, abs=1e-8)
+        answer = (response @ forces[-1].ravel()).reshape(n, 3)
+        if forces[-1].any():
+            assert step.end == pytest.approx(drive_free + answer, rel=1e-8, abs=1e-15)
+    assert forces[1] == pytest.approx(forces[0], rel=1e-8, abs=1e-8)
+    assert forces[2] == pytest.approx(forces[0], rel=1e-8, abs=1e-8)
 
 
 @given(seed=st.integers(0, 10_000), free=reals)

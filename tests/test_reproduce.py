@@ -15,6 +15,7 @@ from bristle.studies.account_design import Trial
 from bristle.studies.account_findings import Plan
 from bristle.studies.account_fit import Effort
 from bristle.studies.account_models import OneStiffness, ScatteredDashpot, ScatteredStiffness
+from bristle.studies.bars import Bars
 from bristle.studies.campaign import Setup, compute
 from bristle.studies.cases import Workshop
 from bristle.studies.config import DropInputs
@@ -23,8 +24,10 @@ from bristle.studies.elements import ElementStudy, fewest
 from bristle.studies.enforcements import Enforcements
 from bristle.studies.heights import Figure13, track
 from bristle.studies.knstudy import Figures10To12, KnStudy
+from bristle.studies.leaning import Leaning
 from bristle.studies.peaktime import PeakTime, departs_at
 from bristle.studies.reproduce import command_of, paper_studies, run_reproduce
+from bristle.studies.sticking import Sticking
 from bristle.studies.timesteps import StepStudy
 
 GRID = (1e3, 1e4, 1e5, 3e5, 1e6, 2e6, 4e6, 1e7, 1e8, 1e9, 1e10)
@@ -49,6 +52,9 @@ def small() -> tuple[Setup, list]:
         ElementStudy(setup, (2, 8, 16), 24),
         StepStudy(setup, 200),
         PeakTime(setup, (1e4, 1e6, 1e8)),
+        Leaning(setup, (0.0, 2.0)),
+        Sticking(setup, (4, 8), (1e-5, 5e-6), ((1, 1, 20), (1, 1, 40)), (3, 5)),
+        Bars(setup, (0.1, 0.2), (0.0, 20.0)),
         AccountStudy(plan),
     ]
 
@@ -74,12 +80,21 @@ def test_every_section_is_on_the_page_and_none_is_empty(done, page):
     assert [type(study) for study in small()[1]] == [
         type(study) for study in paper_studies(Setup(DropInputs()))
     ]
-    assert len(done.sections) == 10
+    assert len(done.sections) == 13
     for section in done.sections:
         assert f'<section id="{section.ident}"' in page
         assert section.text
         assert section.tables or section.figures
-    for name in ("fig9", "fig10to12", "fig13", "kn-from-ratio", "elements", "eq8"):
+    for name in (
+        "fig9",
+        "fig10to12",
+        "fig13",
+        "kn-from-ratio",
+        "elements",
+        "eq8",
+        "leaning",
+        "sticking",
+    ):
         assert (done.report.parent / "figures" / f"{name}.svg").stat().st_size > 1000
         assert (done.report.parent / "figures" / f"{name}.png").stat().st_size > 1000
 

@@ -153,6 +153,7 @@ def test_a_workshop_tells_its_bodies_apart():
 
 def test_reduced_and_solid_agree_where_they_lean_and_the_beam_nearly():
     for values in ({"tilt_deg": 2.0}, {"tilt_wide_deg": 2.0, "slope_deg": -1.0}):
+        values["deflection"] = "small"  # the solid is linear
         found = [run_case(drop(model=m, **values), COMM)[0] for m in ("reduced", "solid", "beam")]
         reduced, solid, beam = found
         assert reduced.cm_velocity_after_m_s == pytest.approx(solid.cm_velocity_after_m_s, rel=1e-6)
@@ -216,15 +217,24 @@ def test_a_tip_worn_to_its_lean_lands_flat():
 
 
 def test_a_shaped_tip_is_the_same_for_solid_and_reduced():
-    shape = {"tilt_deg": 2.0, "tip_shape": "chamfer:width=1e-4,angle=30"}
+    lean = {"tilt_deg": 2.0, "deflection": "small"}  # the solid is linear
+    shape = {**lean, "tip_shape": "chamfer:width=1e-4,angle=30"}
     with Workshop(COMM) as workshop:
-        flat, _ = workshop.run(drop(model="solid", tilt_deg=2.0))
+        flat, _ = workshop.run(drop(model="solid", **lean))
         solid, _ = workshop.run(drop(model="solid", **shape))
         reduced, _ = workshop.run(drop(model="reduced", **shape))
-        again, _ = workshop.run(drop(model="solid", tilt_deg=2.0))
+        again, _ = workshop.run(drop(model="solid", **lean))
     assert solid.peak_force_N == pytest.approx(reduced.peak_force_N, rel=1e-6)
     assert abs(solid.peak_force_N / flat.peak_force_N - 1.0) > 1e-3
     assert again.peak_force_N == pytest.approx(flat.peak_force_N, rel=1e-12)
+
+
+def test_a_stiff_hold_that_newton_jumps_across_is_found_by_stiffening_it():
+    """A tip that leans and sticks behind springs a thousand times stiffer than contact's."""
+    values = {"kt_ratio": 1000.0, "beta_s": 1e-8, "tilt_deg": 5.0, "its_s": 2e-6, "elements": 32}
+    result, _ = run_case(drop(**values, deflection="small", until="impact"))
+    assert result.energy.friction_loss_J > 0.0
+    assert result.energy.closure_relative < 1e-6
 
 
 def test_a_workshop_tells_leans_frictions_and_faces_apart():
@@ -270,7 +280,7 @@ def test_the_plain_march_leans_too():
 
 @serial
 def test_a_bristle_that_turns_fast_is_warned_of():
-    inputs = drop(tilt_deg=2.0)
+    inputs = drop(tilt_deg=2.0, deflection="small")
     result, _ = run_case(inputs)
     assert result_warnings(inputs, result) == []
     fast = replace(result, spin_after_rad_s=(0.0, 0.0, 150.0))
@@ -310,7 +320,7 @@ def test_result_has_the_contracts_keys(out):
     assert written == json.loads(to_json(document))
     promised = set(CONTRACT_KEYS.split())
     assert promised <= set(written)
-    assert set(written) - promised == {"warnings", "reduction_error"}
+    assert set(written) - promised == {"warnings", "reduction_error", "deflection"}
     assert list(written["energy"]) == ENERGY_KEYS.split()
     assert list(written["wall_s"]) == ["mesh", "assemble", "factor", "march", "total"]
     assert isinstance(written["schema"], int)

@@ -34,6 +34,8 @@ TOLERANCE = 1e-11
 SLOW = 0.2
 # A step that does not lessen the residual is halved down to this share of it.
 SHORTEST = 0.1
+# Stages, and the factor between them, of `_solve_by_stiffening`.
+STIFFENING_STAGES, STIFFENING = 8, 3.0
 AUGMENTATION_LIMIT = 200
 MULTIPLIER_TOLERANCE = 1e-9
 CONSERVING = 0.0
@@ -708,7 +710,7 @@ def solve_rigid_section(
             for a in range(r):
                 section.guess[1, a] = z[a] - old[a]
             for i in range(n):
-                for c in range(axes):
+                for c in range(3):
                     total = free[i, c]
                     for a in range(r):
                         total -= values[i, c, a] * z[a]
@@ -795,6 +797,67 @@ def _eliminate(matrix: Array, right: Array, x: Array) -> None:
 
 
 @njit
+def _solve_at_once(
+    points: Points,
+    section: Section,
+    response: Array,
+    start: Array,
+    free: Array,
+    elongation: Array,
+    multiplier: Array,
+    force: Array,
+    end: Array,
+) -> int:
+    """By way of the ``section`` where it has coordinates, else by `solve_dense`."""
+    if section.whole:
+        return solve_rigid_section(points, section, start, free, elongation, multiplier, force, end)
+    if len(section.response):
+        return solve_section(points, section, start, free, elongation, multiplier, force, end)
+    return solve_dense(points, response, start, free, elongation, multiplier, force, end)
+
+
+@njit
+def _solve_by_stiffening(
+    points: Points,
+    section: Section,
+    response: Array,
+    start: Array,
+    free: Array,
+    elongation: Array,
+    multiplier: Array,
+    force: Array,
+    end: Array,
+) -> int:
+    """As `_solve_at_once`, friction's springs brought to their stiffness in stages.
+
+    A stiff spring has so narrow a zone between sticking and sliding either way that Newton's method
+    may jump across it for ever; each stage starts where a softer one ended.
+    """
+    force[:, :] = 0.0
+    total = 0
+    for stage in range(STIFFENING_STAGES, -1, -1):
+        eased = Points(
+            points.law,
+            points.kt * STIFFENING**-stage,
+            points.mu,
+            points.scale,
+            points.series,
+            points.weights,
+            points.end_weight,
+            points.soft,
+            points.drag,
+        )
+        section.guess[1, :] = 0.0
+        done = _solve_at_once(
+            eased, section, response, start, free, elongation, multiplier, force, end
+        )
+        if done < 0:
+            return -1
+        total += done
+    return total
+
+
+@njit
 def solve_step(
     points: Points,
     section: Section,
@@ -806,22 +869,21 @@ def solve_step(
     force: Array,
     end: Array,
 ) -> int:
-    """By way of the ``section`` where it has coordinates, else by `solve_dense`.
+    """Forces ``force`` and drives at the end ``end`` (n, 3) of one step; returns the iterations.
 
     Where ``points`` are soft, ``multiplier`` (n, 3) is updated until it is the force itself: until
-    an update changes no force by more than `MULTIPLIER_TOLERANCE` of the largest. Minus two where
-    that takes too long.
+    an update changes no force by more than `MULTIPLIER_TOLERANCE` of the largest. Minus one where
+    Newton's method fails, minus two where the updates take too long.
     """
     total = 0
     for _ in range(AUGMENTATION_LIMIT):
-        if section.whole:
-            done = solve_rigid_section(
-                points, section, start, free, elongation, multiplier, force, end
+        done = _solve_at_once(
+            points, section, response, start, free, elongation, multiplier, force, end
+        )
+        if done < 0 and points.mu > 0.0 and not math.isinf(points.kt):
+            done = _solve_by_stiffening(
+                points, section, response, start, free, elongation, multiplier, force, end
             )
-        elif len(section.response):
-            done = solve_section(points, section, start, free, elongation, multiplier, force, end)
-        else:
-            done = solve_dense(points, response, start, free, elongation, multiplier, force, end)
         if done < 0:
             return -1
         total += done
