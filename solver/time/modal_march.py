@@ -136,7 +136,8 @@ def march(
 ) -> Marched:
     """March from the state (u, v) until all points are clear after ``wait`` s, or past ``until`` s.
 
-    Times count from the start. With ``keep`` the history is kept, with ``keep_states`` also the
+    Times count from the start; at most ``limit`` times is a step solved, or solved again for what
+    couples it. With ``keep`` the history is kept, with ``keep_states`` also the
     forces (steps, 3 n) along body axes per area share and the mid-step u + β v (steps, modes) that
     a reduced body's defect is measured by, β taken as damping over ω² where α is zero.
     """
@@ -179,7 +180,7 @@ def march(
     motions: Array = np.zeros((size if keep_states else 1, m))
     push = np.zeros(3)
     release = impulse = peak = loss = rubbed = spent = 0.0
-    status, count = TOO_LONG, 0
+    status, count, solved = TOO_LONG, 0, 0
     if keep:
         history[0, 0] = touching.tip_m + tip @ u
         history[0, 1] = touching.centre_m + lift @ u
@@ -234,6 +235,9 @@ def march(
             bend = bend + share * left
         if done < 0 or not coupled:
             status = NOT_CONVERGED
+            break
+        solved += turn + 1
+        if solved > limit:
             break
         seen = after
         if touches:
