@@ -1,0 +1,111 @@
+"""What is an effect: a named piece of physics, its parameters, and the one place where it enters?
+
+An effect is a small frozen class. It changes one field of a `Scene`, which is all that a drop is
+made of; beam, reduced and full solid are built from the same scene, so what was found with the
+beam is switched on in three dimensions by the same object.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from enum import StrEnum
+from typing import ClassVar
+
+from ..contact.laws import ContactLaw, Coulomb, Linear
+from ..errors import InputError
+
+
+class Place(StrEnum):
+    """Where an effect enters."""
+
+    RELEASE = "release"
+    FLIGHT = "flight"
+    BODY = "body"
+    CONTACT = "contact law"
+    SURFACE = "surface"
+    OBSERVATION = "observation"
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """A number that an effect or a model has.
+
+    ``null`` is the value at which the effect is absent, ``low`` and ``high`` are its bounds,
+    ``typical`` is a size worth starting from. ``logarithmic`` ones are equally likely by their
+    logarithm. ``why`` says where the bounds come from.
+    """
+
+    name: str
+    unit: str
+    low: float
+    high: float
+    typical: float
+    null: float = 0.0
+    logarithmic: bool = False
+    why: str = ""
+
+
+@dataclass(frozen=True)
+class Scene:
+    """All that one drop is made of and seen by, before effects and after them.
+
+    ``order`` counts drops from zero in the order they were made. ``chance`` are standard normal
+    numbers of this drop for effects that differ from drop to drop. ``loss_factor`` is the loss
+    per radian of every elastic mode over twice its energy, independent of frequency.
+    ``drag_kg_m`` is drag force over the square of the speed. Heights are seen as
+    ``y_scale`` × (true + ``y_offset_m``), times as ``t_scale`` × true.
+    """
+
+    height_m: float = 0.05
+    order: int = 0
+    chance: tuple[float, ...] = (1.0, 0.0)
+    release_speed_m_s: float = 0.0
+    drag_kg_m: float = 0.0
+    beta_s: float = 0.0
+    loss_factor: float = 0.0
+    lateral_inertia: bool = False
+    law: ContactLaw = Linear(2e6)
+    friction: Coulomb = Coulomb()
+    tilt_deg: float = 0.0
+    tilt_wide_deg: float = 0.0
+    slope_deg: float = 0.0
+    slope_wide_deg: float = 0.0
+    y_offset_m: float = 0.0
+    y_scale: float = 1.0
+    t_scale: float = 1.0
+
+
+@dataclass(frozen=True)
+class Effect:
+    """Base of effects: fields are the parameters' values, in their order.
+
+    A subclass says its ``name``, ``title``, ``place``, the ``kinds`` of datasets that can carry
+    it, ``source`` and ``parameters``, and overrides `enter`. ``random`` effects differ from drop
+    to drop by `Scene.chance`.
+    """
+
+    name: ClassVar[str]
+    title: ClassVar[str]
+    place: ClassVar[Place]
+    kinds: ClassVar[frozenset[str]]
+    source: ClassVar[str]
+    parameters: ClassVar[tuple[Parameter, ...]]
+    random: ClassVar[bool] = False
+
+    def __post_init__(self) -> None:
+        for parameter in self.parameters:
+            value = getattr(self, parameter.name)
+            if not parameter.low <= value <= parameter.high:
+                raise InputError(
+                    f"--effect {self.name}: {parameter.name} must lie between {parameter.low:g} "
+                    f"and {parameter.high:g} {parameter.unit}".rstrip()
+                    + f", not {value:g}"
+                )
+
+    def values(self) -> tuple[float, ...]:
+        """The parameters' values, in their order."""
+        return tuple(getattr(self, field.name) for field in fields(self))
+
+    def enter(self, scene: Scene) -> Scene:
+        """The scene with this effect in it."""
+        raise NotImplementedError

@@ -1,0 +1,84 @@
+"""What does the loop need to know of a dataset: values, models that predict them, and no more.
+
+Kinds of datasets (drops, tracks, forces, waves, falls) each build a `Problem`; detection,
+attribution and verdict are written once and see only this.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...solver.bristle import Array
+from ...solver.effects.base import Parameter
+
+
+class Model(Protocol):
+    """The baseline, or the baseline with one or several effects in it.
+
+    ``effects`` names them. ``parameters`` are the baseline's free ones first, then the effects',
+    each with bounds and the value at which it is absent. What differs by chance from group to group
+    is integrated over ``weights`` (nodes,), which sum to one; one node where nothing does.
+    """
+
+    @property
+    def effects(self) -> tuple[str, ...]: ...
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]: ...
+
+    @property
+    def weights(self) -> Array: ...
+
+    def predict(self, theta: Array) -> Array:
+        """Whitened predictions (..., nodes, rows) for parameters (..., p).
+
+        Defined within the parameters' bounds; smooth enough for finite differences.
+        """
+        ...
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """A measurement that could be made next.
+
+    ``models`` builds, for the names of effects, a `Model` that predicts what it would give, and
+    ``rows`` says how many whitened values that is.
+    """
+
+    change: str
+    models: Callable[[tuple[str, ...]], Model]
+
+
+@dataclass(frozen=True)
+class Problem:
+    """A dataset, whitened by its declared noise, and the models that may explain it.
+
+    ``values`` (rows,) are in units of their standard deviation; ``scale`` (rows,) turns a whitened
+    residual back into ``unit`` (values of several units: each its own, ``quantity`` (rows,) names
+    it). ``group`` (rows,) numbers the drop, fall or pass that a row belongs to: groups are
+    independent, rows of one group need not be. ``covariates`` (name: (rows,)) are what residuals
+    are looked at against: height, speed, order, phase, time. ``candidates`` are all effects, alone,
+    that a dataset of this kind can carry; ``combine`` builds the model of several at once.
+    ``confirm``, where it is not None, gives whitened predictions of the baseline and of a fitted
+    model by the 3-D model, for the rows of the groups asked for.
+    """
+
+    values: Array
+    scale: Array
+    unit: str
+    quantity: NDArray[np.str_]
+    group: NDArray[np.int64]
+    covariates: Mapping[str, Array]
+    baseline: Model
+    candidates: Sequence[Model]
+    combine: Callable[[tuple[str, ...]], Model]
+    experiments: Sequence[Experiment] = ()
+    confirm: Callable[[tuple[str, ...], Array, NDArray[np.int64]], Array] | None = None
+    confirm_why: str = ""
+    sigma_declared: bool = True
+    notes: Mapping[str, Any] = field(default_factory=dict)
