@@ -7,10 +7,11 @@ beam is switched on in three dimensions by the same object.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from enum import StrEnum
 from typing import ClassVar
 
+from .. import paper
 from ..contact.laws import ContactLaw, Coulomb, Linear
 from ..errors import InputError
 
@@ -64,8 +65,8 @@ class Scene:
     beta_s: float = 0.0
     loss_factor: float = 0.0
     lateral_inertia: bool = False
-    law: ContactLaw = Linear(2e6)
-    friction: Coulomb = Coulomb()
+    law: ContactLaw = field(default_factory=lambda: Linear(paper.KN_CHOSEN_N_M))
+    friction: Coulomb = field(default_factory=Coulomb)
     tilt_deg: float = 0.0
     tilt_wide_deg: float = 0.0
     slope_deg: float = 0.0
@@ -104,7 +105,7 @@ class Effect:
 
     def values(self) -> tuple[float, ...]:
         """The parameters' values, in their order."""
-        return tuple(getattr(self, field.name) for field in fields(self))
+        return tuple(getattr(self, each.name) for each in fields(self))
 
     def enter(self, scene: Scene) -> Scene:
         """The scene with this effect in it."""

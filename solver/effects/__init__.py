@@ -1,0 +1,1 @@
+"""Effects: named pieces of physics that a first model lacks."""

@@ -1,0 +1,1 @@
+"""The loop: from measurements to the effect that the model lacks."""
