@@ -1,0 +1,140 @@
+"""Which effects explain the data, how probably, and which can these data never tell apart?
+
+Every candidate is refitted in full from the best points of its ladder, under the noise that suits
+it; posterior weights follow from evidence on an equal footing. Effects whose predictions another
+can imitate, refit included, to less than `APART` are one class.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from scipy.cluster.hierarchy import fcluster, linkage
+from scipy.spatial.distance import squareform
+
+from ...solver.bristle import Array
+from .fit import Fitted, settle
+from .ladder import Ladder
+from .noise import Ints
+from .posterior import Posterior, posterior
+from .sample import Sample
+
+CREDIBLE = 0.95
+STARTS = 3
+# Two effects of size REFERENCE_D that differ by less than APART, in expected sigma after refit,
+# differ by less than two nats.
+REFERENCE_D, APART = 8.0, 2.0
+
+
+def candidate(
+    data: Sample, base: Fitted, rungs: Ladder, likely: Ints, rng: np.random.Generator
+) -> Posterior:
+    """Full refit and evidence of one candidate; ``likely`` are noises worth trying first."""
+    count = rungs.u.shape[0]
+    logs = data.noises.prior[likely] + data.log_likelihood(
+        data.values[None],
+        rungs.predicted,
+        np.asarray(rungs.model.weights),
+        (np.zeros((1, 1), np.int64), np.arange(count)[:, None], likely[None]),
+    )
+    best = logs.max(axis=1)
+    order: list[int] = []
+    for point in np.argsort(-best):
+        if all(rungs.ray[point] != rungs.ray[other] for other in order):
+            order.append(int(point))
+        if len(order) == STARTS:
+            break
+    noise = int(likely[np.argmax(logs[order[0]])])
+    fitted, shares = settle(data, rungs.model, rungs.u[order], noise)
+    return posterior(data, base, fitted, shares, rng)
+
+
+def weights(posteriors: Sequence[Posterior]) -> Array:
+    """Posterior probabilities (models,) with equal priors."""
+    logs = np.array([each.log_evidence for each in posteriors])
+    mass = np.exp(logs - logs.max())
+    return np.asarray(mass / mass.sum())
+
+
+def credible(shares: Array, level: float = CREDIBLE) -> list[int]:
+    """The smallest set of models with at least this probability, likeliest first."""
+    order = np.argsort(-shares)
+    enough = int(np.searchsorted(np.cumsum(shares[order]), level - 1e-12)) + 1
+    return [int(i) for i in order[:enough]]
+
+
+def classes(data: Sample, base: Fitted, ladders: Sequence[Ladder]) -> list[tuple[str, ...]]:
+    """Groups of candidates that these data cannot tell apart at `REFERENCE_D` (or as far as their
+    bounds let them go), by complete linkage: every two of a group are alike, both ways."""
+    seen = [each for each in ladders if each.d.max() > APART]
+    if len(seen) < 2:
+        return []
+    apart = np.zeros((len(seen), len(seen)))
+    for i, one in enumerate(seen):
+        for j, two in enumerate(seen):
+            if i != j:
+                apart[i, j] = _imitated(data, base, one, two)
+    apart = np.maximum(apart, apart.T)
+    label = fcluster(linkage(squareform(apart, checks=False), "complete"), APART, "distance")
+    groups = [
+        tuple(seen[k].name for k in np.flatnonzero(label == each)) for each in np.unique(label)
+    ]
+    return sorted(group for group in groups if len(group) > 1)
+
+
+def moments(data: Sample, rungs: Ladder, points: Ints) -> tuple[Array, Array]:
+    """Mean (points, rows) and covariance with noise (points, rows, rows) of predictions."""
+    w = np.asarray(rungs.model.weights)
+    predicted = rungs.predicted[points]
+    mean = np.einsum("j,kjr->kr", w, predicted)
+    part = (predicted - mean[:, None]) * np.sqrt(w)[:, None]
+    same = data.group[:, None] == data.group[None, :]
+    cov = np.einsum("kjr,kjs->krs", part, part, optimize=True) * same
+    return mean, cov + np.eye(data.values.size)
+
+
+def _imitated(data: Sample, base: Fitted, one: Ladder, two: Ladder) -> float:
+    """The largest distance, over rays of the first effect at the reference size, at which the
+    second effect stays from it at best."""
+    worst = 0.0
+    slopes = base.mean_slopes
+    project = np.eye(slopes.shape[0]) - slopes @ np.linalg.pinv(slopes)
+    plain = np.asarray(one.model.weights).size == 1 and np.asarray(two.model.weights).size == 1
+    for ray in np.unique(one.ray):
+        mine = np.flatnonzero(one.ray == ray)
+        point = mine[np.argmin(np.abs(one.d[mine] - REFERENCE_D))]
+        if one.d[point] < APART:
+            continue
+        if plain:
+            target = project @ (one.mean()[point] - base.mean)
+            nearest = _nearest(target, (two.mean() - base.mean) @ project)
+        else:
+            nearest = _nearest_scatter(data, one, int(point), two)
+        worst = max(worst, nearest)
+    return worst
+
+
+def _nearest(target: Array, others: Array) -> float:
+    """Distance from a target (rows,) to scaled others (points, rows): steps of a ladder are wide,
+    so each point also stands for its neighbourhood of sizes."""
+    size = np.maximum(np.sum(others**2, axis=1), 1e-12)
+    amount = np.clip(others @ target / size, 0.6, 1.6)
+    return float(np.sqrt(np.min(np.sum((target - amount[:, None] * others) ** 2, axis=1))))
+
+
+def _nearest_scatter(data: Sample, one: Ladder, point: int, two: Ladder) -> float:
+    """Square root of twice the least divergence of jointly normal predictions."""
+    mean, cov = moments(data, one, np.array([point]))
+    close = np.argsort(np.abs(two.d - one.d[point]))[:24]
+    means, covs = moments(data, two, close)
+    inverse = np.linalg.inv(covs)
+    shift = means - mean
+    twice = (
+        np.einsum("krs,sr->k", inverse, cov[0])
+        - data.values.size
+        + np.linalg.slogdet(covs)[1]
+        - np.linalg.slogdet(cov)[1]
+        + np.einsum("kr,krs,ks->k", shift, inverse, shift)
+    )
+    return float(np.sqrt(max(twice.min(), 0.0)))

@@ -1,0 +1,271 @@
+"""Which parameters of a model do the data want, how sharply, and which can they not see?
+
+Levenberg-Marquardt on the likelihood that is summed over nodes, many starts at once. Gradient and
+curvature are those of the complete data, averaged over the nodes, less what not knowing the node
+loses (Louis, J. R. Stat. Soc. B 44 (1982) 226); robust noises enter by their influence and their
+weights (IRLS; Huber and Ronchetti, §7). Parameters are scaled to the unit box of their bounds,
+logarithmic ones by their logarithm.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...solver.bristle import Array
+from ...solver.effects.base import Parameter
+from .noise import influence, score_table
+from .problem import Model
+from .sample import Sample
+
+ITERATIONS = 14
+# A uniform parameter on the unit box has this precision: data that add less do not see it.
+BOX_PRECISION = 12.0
+
+
+def to_theta(parameters: tuple[Parameter, ...], u: Array) -> Array:
+    """Parameters (..., p) at points of the unit box (..., p)."""
+    out = np.empty_like(u)
+    for i, each in enumerate(parameters):
+        x = np.clip(u[..., i], 0.0, 1.0)
+        if each.logarithmic:
+            value = each.low * (each.high / each.low) ** x
+        else:
+            value = each.low + (each.high - each.low) * x
+        out[..., i] = np.clip(value, each.low, each.high)
+    return out
+
+
+def to_box(parameter: Parameter, value: float) -> float:
+    """Where in [0, 1] a value lies; beyond the bounds, at the nearer one."""
+    if parameter.logarithmic:
+        if value <= parameter.low:
+            return 0.0
+        where = np.log(value / parameter.low) / np.log(parameter.high / parameter.low)
+    else:
+        where = (value - parameter.low) / (parameter.high - parameter.low)
+    return float(np.clip(where, 0.0, 1.0))
+
+
+@dataclass(frozen=True)
+class Fitted:
+    """A model at its likeliest parameters under one noise.
+
+    ``u``, ``theta`` (p,); ``information`` (p, p) by unit-box coordinates; ``predicted`` (nodes,
+    rows of the sample), ``slopes`` (nodes, rows, p); ``unseen`` names the parameters in directions
+    that the data do not see.
+    """
+
+    model: Model
+    u: Array
+    theta: Array
+    log_likelihood: float
+    noise: int
+    information: Array
+    predicted: Array
+    slopes: Array
+    unseen: tuple[str, ...]
+
+    @property
+    def effects(self) -> tuple[str, ...]:
+        return self.model.effects
+
+    @property
+    def mean(self) -> Array:
+        """Predicted mean over nodes (rows,)."""
+        return np.asarray(self.model.weights @ self.predicted)
+
+    @property
+    def spread(self) -> Array:
+        """Standard deviation of one row over nodes (rows,), without noise."""
+        return np.sqrt(self.model.weights @ (self.predicted - self.mean) ** 2)
+
+    @property
+    def mean_slopes(self) -> Array:
+        """Slopes of the mean (rows, p)."""
+        return np.einsum("j,jrp->rp", self.model.weights, self.slopes)
+
+
+def differentiate(data: Sample, model: Model, u: Array, step: Array) -> tuple[Array, Array]:
+    """Predictions (starts, nodes, rows) and slopes (starts, nodes, rows, p) by differences.
+
+    ``u`` (starts, p), ``step`` (starts, p) in the unit box; steps point inward at a bound.
+    """
+    p = u.shape[1]
+    signed = np.where(u + step > 1.0, -step, step)
+    points = np.repeat(u[:, None, :], p + 1, axis=1)
+    for i in range(p):
+        points[:, i + 1, i] += signed[:, i]
+    all_ = data.predict(model, to_theta(model.parameters, points))
+    base = all_[:, 0]
+    slopes = (all_[:, 1:] - base[:, None]) / signed[:, :, None, None]
+    return base, np.moveaxis(slopes, 1, -1)
+
+
+def _newton(
+    data: Sample, model: Model, values: Array, base: Array, slopes: Array, noise: int
+) -> tuple[Array, Array]:
+    """Gradient (starts, p) and curvature (starts, p, p) of minus the log likelihood."""
+    grid, weights = data.noises, np.asarray(model.weights)
+    residual = values - base
+    centre = np.einsum("j,sjr->sr", weights, residual)
+    e = grid.filtered(residual, centre[:, None, :], noise)
+    mean_slope = np.einsum("j,sjrp->srp", weights, slopes)
+    before, stretch = grid.before[noise], grid.stretch[noise]
+    kept = np.where(
+        (grid.previous >= 0)[:, None], mean_slope[:, grid.previous] * before[:, None], 0.0
+    )
+    tangent = (slopes - kept[:, None]) * stretch[:, None]
+    shape = int(grid.shape[noise])
+    psi = influence(e, shape)
+    curve = np.where(np.abs(e) > 1e-6, psi / np.where(e == 0, 1.0, e), 1.0)
+    curve = np.maximum(curve, 0.05)
+    if weights.size == 1:
+        t = tangent[:, 0]
+        gradient = -np.einsum("sr,srp->sp", psi[:, 0], t)
+        return gradient, np.einsum("sr,srp,srq->spq", curve[:, 0], t, t, optimize=True)
+    share = node_shares(data, e, weights, shape)
+    first = data.starts[:-1]
+    scores = np.add.reduceat(psi[..., None] * tangent, first, axis=2)
+    mean_score = np.einsum("sjg,sjgp->sgp", share, scores)
+    by_row = share[:, :, data.group]
+    complete = np.einsum("sjr,sjrp,sjrq->spq", by_row * curve, tangent, tangent, optimize=True)
+    lost = np.einsum("sjg,sjgp,sjgq->spq", share, scores, scores, optimize=True)
+    lost -= np.einsum("sgp,sgq->spq", mean_score, mean_score)
+    outer = np.einsum("sgp,sgq->spq", mean_score, mean_score)
+    exact = complete - lost
+    # Far from the optimum the exact curvature need not be positive; the scores' own always is.
+    bad = np.linalg.eigvalsh(exact)[:, 0] <= 1e-3 * np.trace(exact, axis1=1, axis2=2)
+    return -mean_score.sum(axis=1), np.where(bad[:, None, None], outer, exact)
+
+
+def node_shares(data: Sample, e: Array, weights: Array, shape: int) -> Array:
+    """Probability (starts, nodes, groups) of each node, from filtered residuals of each."""
+    from .noise import REACH, STEP, log_density
+
+    table = log_density()[shape]
+    x = np.minimum(np.abs(e), REACH) / STEP
+    density = table[x.astype(np.int64)] - np.maximum(np.abs(e) - REACH, 0.0) * REACH
+    logs = np.add.reduceat(density, data.starts[:-1], axis=-1) + np.log(weights)[:, None]
+    logs -= logs.max(axis=-2, keepdims=True)
+    mass = np.exp(logs)
+    return mass / mass.sum(axis=-2, keepdims=True)
+
+
+def fit(
+    data: Sample, model: Model, starts: Array, noise: int, iterations: int = ITERATIONS
+) -> Fitted:
+    """The likeliest parameters from several starts (starts, p) in the unit box, noise given."""
+    u = np.clip(np.atleast_2d(np.asarray(starts, dtype=float)), 0.0, 1.0)
+    count, p = u.shape
+    weights = np.asarray(model.weights)
+    case = np.arange(count)
+    zero = np.zeros(count, dtype=np.int64)
+    values = data.values[None, :]
+
+    def likelihood(base: Array) -> Array:
+        return data.log_likelihood(values, base, weights, (zero, case, zero + noise))
+
+    step = np.full((count, p), 1e-4)
+    base, slopes = differentiate(data, model, u, step)
+    height = likelihood(base)
+    damping = np.full(count, 1e-2)
+    for _ in range(iterations):
+        gradient, curve = _newton(data, model, values[:, None, :], base, slopes, noise)
+        move = _bounded_step(u, gradient, curve, damping)
+        trial = np.clip(u + move, 0.0, 1.0)
+        if np.all(np.abs(trial - u) < 1e-9):
+            break
+        size = np.sqrt(np.maximum(np.einsum("spp->sp", curve), 1e-30))
+        trial_base, trial_slopes = differentiate(
+            data, model, trial, np.clip(0.05 / size, 1e-7, 1e-3)
+        )
+        found = likelihood(trial_base)
+        better = found >= height
+        gain = np.where(better, found - height, 0.0)
+        u = np.where(better[:, None], trial, u)
+        base = np.where(better[:, None, None], trial_base, base)
+        slopes = np.where(better[:, None, None, None], trial_slopes, slopes)
+        height = np.where(better, found, height)
+        done = better & (gain < 1e-5)
+        damping = np.where(better, damping / 8, np.minimum(damping * 8, 1e8))
+        if np.all(done | (damping > 1e5)):
+            break
+    best = int(np.argmax(height))
+    return _finish(data, model, u[best], base[best], slopes[best], float(height[best]), noise)
+
+
+def _bounded_step(u: Array, gradient: Array, curve: Array, damping: Array) -> Array:
+    """A damped Newton step in which parameters that push against their bound stay."""
+    p = u.shape[1]
+    stuck = ((u <= 0) & (gradient > 0)) | ((u >= 1) & (gradient < 0))
+    scale = np.maximum(np.einsum("spp->sp", curve), 1e-8)
+    matrix = curve + (damping[:, None] * scale)[:, :, None] * np.eye(p) + 1e-6 * np.eye(p)
+    open_ = ~stuck
+    matrix = np.where(open_[:, :, None] & open_[:, None, :], matrix, np.eye(p)[None])
+    return -np.linalg.solve(matrix, np.where(open_, gradient, 0.0)[..., None])[..., 0]
+
+
+def _finish(
+    data: Sample, model: Model, u: Array, base: Array, slopes: Array, height: float, noise: int
+) -> Fitted:
+    _, curve = _newton(data, model, data.values[None, None, :], base[None], slopes[None], noise)
+    information = curve[0]
+    if np.asarray(model.weights).size == 1:
+        information = expected_information(data, slopes[0], noise)
+    names = [each.name for each in model.parameters]
+    values, vectors = np.linalg.eigh(information)
+    unseen = {
+        names[i]
+        for k in range(len(names))
+        if values[k] < BOX_PRECISION
+        for i in np.flatnonzero(np.abs(vectors[:, k]) > 0.3)
+    }
+    return Fitted(
+        model=model,
+        u=u,
+        theta=to_theta(model.parameters, u),
+        log_likelihood=height,
+        noise=noise,
+        information=information,
+        predicted=base,
+        slopes=slopes,
+        unseen=tuple(name for name in names if name in unseen),
+    )
+
+
+def expected_information(data: Sample, slopes: Array, noise: int) -> Array:
+    """Fisher information (p, p) of slopes (rows, p) under a noise."""
+    grid = data.noises
+    tangent = filtered_slopes(data, slopes, noise)
+    return score_table()[1][grid.shape[noise]] * tangent.T @ tangent
+
+
+def filtered_slopes(data: Sample, slopes: Array, noise: int) -> Array:
+    """Slopes (rows, p) as the noise sees them: freed of the previous row, in core scales."""
+    return data.noises.filtered(slopes.T, slopes.T, noise).T
+
+
+def likely_noise(data: Sample, fitted: Fitted) -> tuple[int, Array]:
+    """The likeliest noise at these predictions, and the posterior weights of all (noises,)."""
+    count = data.noises.scale.size
+    zero = np.zeros(count, dtype=np.int64)
+    logs = data.noises.prior + data.log_likelihood(
+        data.values[None],
+        fitted.predicted[None],
+        np.asarray(fitted.model.weights),
+        (zero, zero, np.arange(count)),
+    )
+    mass = np.exp(logs - logs.max())
+    return int(np.argmax(logs)), mass / mass.sum()
+
+
+def settle(data: Sample, model: Model, starts: Array, noise: int = 0) -> tuple[Fitted, Array]:
+    """Fit, choose the noise, fit again; returns the posterior weights of the noises too."""
+    fitted = fit(data, model, starts, noise)
+    best, shares = likely_noise(data, fitted)
+    if best != noise:
+        fitted = fit(data, model, fitted.u, best, iterations=6)
+        _, shares = likely_noise(data, fitted)
+    return fitted, shares

@@ -1,0 +1,251 @@
+"""What do these data say the model lacks? The loop from a `Problem` to a `Finding`."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from . import attribute, openset
+from .detect import Detection, detect
+from .experiment import next_experiment
+from .finding import Evidence, Finding, Interval, Test, Verdict
+from .fit import Fitted, likely_noise, settle, to_box
+from .heldout import judge, split
+from .ladder import Ladder, ladder
+from .noise import Ints
+from .openset import Left
+from .posterior import Posterior, posterior
+from .problem import Problem
+from .sample import Sample, estimated_units, sample
+
+ALARM = 0.03
+LEFT_ALARM = 0.02
+# A pair must leave less doubt than a single effect, since there are so many pairs.
+PAIR_LEFT = 0.10
+EACH_NEEDED_D = 4.0
+
+
+@dataclass(frozen=True)
+class Answer:
+    """Verdict, the models reported, likeliest first, their weights, and what the best leaves."""
+
+    verdict: Verdict
+    reported: tuple[Posterior, ...]
+    weights: tuple[float, ...]
+    left: Left
+    tried: tuple[tuple[Posterior, float | None], ...]
+
+
+def find(problem: Problem, seed: int = 0, alarm: float = ALARM) -> Finding:
+    """Run the loop: hold out, fit, detect, attribute, test what is left, judge.
+
+    ``alarm`` is the rate at which data that lack nothing are said to lack something. The same
+    problem, seed and rate give the same finding to the bit.
+    """
+    fitted_groups, held_groups = split(problem, seed)
+    data = _sample(problem, fitted_groups)
+    rng = np.random.default_rng([seed, 2])
+    starts = _spread(problem)
+    base, shares = settle(data, problem.baseline, starts)
+    ladders = [ladder(data, base, model) for model in problem.candidates]
+    detection = detect(data, base, shares, ladders, rng, alarm)
+    baseline = posterior(data, base, base, shares, rng)
+    if detection.p_value > alarm:
+        answer = _adequate(data, baseline, rng)
+    else:
+        answer = _explain(problem, data, base, shares, ladders, detection, rng)
+    final = answer.reported[0] if answer.reported else baseline
+    unit = np.ones(problem.values.size)
+    unit[:] = _units(problem, data)
+    held = None
+    if held_groups.size:
+        apart = sample(problem, held_groups, unit)
+        held = judge(problem, data, baseline, final, apart, rng)
+    tied = answer.reported if answer.verdict is Verdict.AMBIGUOUS else ()
+    return Finding(
+        verdict=answer.verdict,
+        effects=_names(answer),
+        weights=_weights(answer),
+        together=tuple(x.fitted.effects for x in answer.reported if len(x.fitted.effects) > 1),
+        statistic=detection.statistic,
+        p_value=detection.p_value,
+        open_set_p_value=answer.left.p_value,
+        tests=tuple(Test(*each) for each in detection.table),
+        tests_after=tuple(Test(*each) for each in answer.left.table),
+        parameters=_parameters(final),
+        unidentified=final.fitted.unseen,
+        classes=tuple(attribute.classes(data, base, ladders)),
+        detectable=detection.detectable,
+        needed_d=detection.needed_d,
+        evidences=_evidences(answer, baseline),
+        noise=data.noises.describe(final.fitted.noise),
+        held_out=held,
+        next_experiment=next_experiment(problem, tied),
+        model_effects=final.fitted.effects,
+        theta=final.fitted.theta,
+        rows=data.rows,
+        residual_before=detection.residual,
+        residual_after=data.values - final.fitted.mean,
+        covariates=data.covariates,
+        seed=seed,
+        alarm=alarm,
+    )
+
+
+def _sample(problem: Problem, groups: Ints) -> Sample:
+    """The rows to fit; where sigma is not declared, in units of the scatter that they show."""
+    data = sample(problem, groups)
+    if problem.sigma_declared:
+        return data
+    first, _ = settle(data, problem.baseline, _spread(problem))
+    everywhere = np.asarray(problem.baseline.weights) @ np.asarray(
+        problem.baseline.predict(first.theta)
+    )
+    return sample(problem, groups, estimated_units(problem, groups, everywhere))
+
+
+def _units(problem: Problem, data: Sample) -> np.ndarray:
+    """The unit of each of the problem's rows, by its quantity."""
+    unit = np.ones(problem.values.size)
+    for row, value in zip(data.rows, data.unit, strict=True):
+        unit[problem.quantity == problem.quantity[row]] = value
+    return unit
+
+
+def _spread(problem: Problem) -> np.ndarray:
+    """Starts (starts, p) for the baseline: its typical values, and corners drawn inward."""
+    several = problem.baseline.parameters
+    usual = np.array([to_box(each, each.typical) for each in several])
+    return np.stack([usual, np.full(usual.size, 0.25), np.full(usual.size, 0.75)])
+
+
+def _adequate(data: Sample, baseline: Posterior, rng: np.random.Generator) -> Answer:
+    left = openset.left_over(data, baseline, baseline.fitted, [], rng)
+    return Answer(Verdict.ADEQUATE, (), (), left, ())
+
+
+def _explain(
+    problem: Problem,
+    data: Sample,
+    base: Fitted,
+    shares: np.ndarray,
+    ladders: Sequence[Ladder],
+    detection: Detection,
+    rng: np.random.Generator,
+) -> Answer:
+    """Single effects first; pairs where none of them leaves nothing; else unknown."""
+    likely = np.flatnonzero((shares > 3e-3) | (np.arange(shares.size) == 0))
+    singles = [attribute.candidate(data, base, each, likely, rng) for each in ladders]
+    weights = attribute.weights(singles)
+    chosen = attribute.credible(weights)
+    tests: dict[int, Left] = {
+        i: openset.left_over(data, singles[i], base, ladders, rng) for i in chosen
+    }
+    tried = tuple(
+        (each, tests[i].p_value if i in tests else None) for i, each in enumerate(singles)
+    )
+    passing = [i for i in chosen if tests[i].p_value > LEFT_ALARM]
+    if passing:
+        total = weights[passing].sum()
+        verdict = Verdict.EFFECT if len(passing) == 1 else Verdict.AMBIGUOUS
+        return Answer(
+            verdict,
+            tuple(singles[i] for i in passing),
+            tuple(float(weights[i] / total) for i in passing),
+            tests[passing[0]],
+            tried,
+        )
+    pairs = _pairs(problem, data, base, ladders, singles, rng)
+    if pairs is not None:
+        reported, shares_, left, more = pairs
+        verdict = Verdict.EFFECT if len(reported) == 1 else Verdict.AMBIGUOUS
+        return Answer(verdict, reported, shares_, left, tried + more)
+    return Answer(Verdict.UNKNOWN, (), (), tests[chosen[0]], tried)
+
+
+def _pairs(
+    problem: Problem,
+    data: Sample,
+    base: Fitted,
+    ladders: Sequence[Ladder],
+    singles: Sequence[Posterior],
+    rng: np.random.Generator,
+) -> (
+    tuple[
+        tuple[Posterior, ...], tuple[float, ...], Left, tuple[tuple[Posterior, float | None], ...]
+    ]
+    | None
+):
+    """Pairs that leave nothing and in which each effect is needed, with their weights."""
+    names = openset.likely_pairs(data, base, ladders, singles)
+    if not names:
+        return None
+    both = [openset.pair(problem, data, base, each, singles, ladders, rng) for each in names]
+    weights = attribute.weights(both)
+    chosen = attribute.credible(weights)
+    alone = max(each.log_evidence for each in singles)
+    kept: list[tuple[int, Left]] = []
+    for i in chosen:
+        if both[i].log_evidence < alone + EACH_NEEDED_D**2 / 2:
+            continue
+        left = openset.left_over(data, both[i], base, ladders, rng)
+        if left.p_value > PAIR_LEFT:
+            kept.append((i, left))
+    if not kept:
+        return None
+    total = sum(float(weights[i]) for i, _ in kept)
+    found = {i: left.p_value for i, left in kept}
+    return (
+        tuple(both[i] for i, _ in kept),
+        tuple(float(weights[i]) / total for i, _ in kept),
+        kept[0][1],
+        tuple((each, found.get(i)) for i, each in enumerate(both)),
+    )
+
+
+def _names(answer: Answer) -> tuple[str, ...]:
+    return tuple(dict.fromkeys(n for each in answer.reported for n in each.fitted.effects))
+
+
+def _weights(answer: Answer) -> dict[str, float]:
+    """Probability that an effect is there: of all reported models that have it."""
+    out: dict[str, float] = dict.fromkeys(_names(answer), 0.0)
+    for each, weight in zip(answer.reported, answer.weights, strict=True):
+        for name in each.fitted.effects:
+            out[name] += weight
+    return out
+
+
+def _parameters(final: Posterior) -> dict[str, Interval]:
+    out: dict[str, Interval] = {}
+    for i, each in enumerate(final.fitted.model.parameters):
+        low, high = final.interval(i)
+        name = each.name if each.name not in out else f"{each.name}_{i}"
+        out[name] = Interval(float(final.fitted.theta[i]), low, high, each.unit)
+    return out
+
+
+def _evidences(answer: Answer, baseline: Posterior) -> tuple[Evidence, ...]:
+    """The baseline and every model tried; weights among those with as many effects."""
+    models = [(baseline, None), *answer.tried]
+    out = []
+    for each, left in models:
+        same = [x for x, _ in models if len(x.fitted.effects) == len(each.fitted.effects)]
+        top = max(x.log_evidence for x in same)
+        mass = sum(np.exp(x.log_evidence - top) for x in same)
+        out.append(
+            Evidence(
+                each.fitted.effects,
+                each.log_evidence,
+                float(np.exp(each.log_evidence - top) / mass),
+                each.d,
+                left,
+                tuple(float(x) for x in each.fitted.theta),
+            )
+        )
+    return tuple(out)
+
+
+__all__ = ["ALARM", "find", "likely_noise"]

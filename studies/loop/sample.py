@@ -1,0 +1,131 @@
+"""Which rows are looked at together, in which order, and in which units?
+
+A `Sample` is a problem's rows of some groups, sorted by group, with the noises that they may have.
+Where sigma is not declared, each quantity is first brought to unit scatter: by replicates (groups
+of the same covariate height), else by successive differences (von Neumann 1941), both by medians.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...solver.bristle import Array
+from .noise import Chain, Ints, Noises, log_likelihood, noises
+from .problem import Model, Problem
+
+# Covariates that say in which order values were made, the finest first.
+WITHIN = ("time", "phase")
+BETWEEN = ("order",)
+HEIGHT = ("height", "speed")
+
+
+@dataclass(frozen=True)
+class Sample:
+    """Rows of some groups: ``rows`` numbers them in the problem; all else is by row here.
+
+    ``unit`` (rows,) multiplies whitened values where sigma is estimated. ``starts`` (groups + 1,).
+    ``kind`` numbers the quantity of each row.
+    """
+
+    rows: Ints
+    values: Array
+    unit: Array
+    starts: Ints
+    group: Ints
+    kind: Ints
+    covariates: dict[str, Array]
+    noises: Noises
+
+    def pick(self, predicted: Array) -> Array:
+        """Predictions (..., rows) of these rows from those of all the problem's rows."""
+        return predicted[..., self.rows] * self.unit
+
+    def predict(self, model: Model, theta: Array) -> Array:
+        """Predictions (..., nodes, rows) at parameters (..., p)."""
+        return self.pick(np.asarray(model.predict(theta), dtype=float))
+
+    def log_likelihood(
+        self, values: Array, predicted: Array, weights: Array, at: tuple[Ints, Ints, Ints]
+    ) -> Array:
+        """See `noise.log_likelihood`; ``at`` are numbers into values, predictions, noises."""
+        return log_likelihood(values, predicted, weights, self.starts, self.noises, at)
+
+
+def sample(problem: Problem, groups: Ints, unit: Array | None = None) -> Sample:
+    """The rows of these groups. ``unit`` (rows of the problem,) overrides what is estimated."""
+    rows = np.flatnonzero(np.isin(problem.group, groups))
+    rows = rows[np.argsort(problem.group[rows], kind="stable")]
+    names, kinds = np.unique(problem.quantity, return_inverse=True)
+    del names
+    kind = kinds[rows].astype(np.int64)
+    label = problem.group[rows]
+    starts = np.concatenate([[0], np.flatnonzero(np.diff(label)) + 1, [rows.size]])
+    covariates = {name: np.asarray(x, dtype=float)[rows] for name, x in problem.covariates.items()}
+    chain = _chain(label, kind, covariates)
+    scaling = np.ones(rows.size) if unit is None else unit[rows]
+    return Sample(
+        rows=rows,
+        values=problem.values[rows] * scaling,
+        unit=scaling,
+        starts=starts.astype(np.int64),
+        group=np.repeat(np.arange(starts.size - 1), np.diff(starts)),
+        kind=kind,
+        covariates=covariates,
+        noises=noises(chain, problem.sigma_declared),
+    )
+
+
+def _chain(label: Ints, kind: Ints, covariates: dict[str, Array]) -> Chain:
+    """The row before each: within its group where a quantity has several rows there, else in the
+    order in which groups were made; always of the same quantity."""
+    rows = label.size
+    previous = np.full(rows, -1, dtype=np.int64)
+    gap = np.ones(rows)
+    order = next((covariates[n] for n in BETWEEN if n in covariates), label.astype(float))
+    fine = next((covariates[n] for n in WITHIN if n in covariates), np.arange(rows, dtype=float))
+    for each in np.unique(kind):
+        mine = np.flatnonzero(kind == each)
+        several = np.unique(label[mine]).size < mine.size
+        key = (fine[mine], label[mine]) if several else (order[mine],)
+        mine = mine[np.lexsort(key)]
+        same = label[mine[1:]] == label[mine[:-1]] if several else np.ones(mine.size - 1, bool)
+        previous[mine[1:]] = np.where(same, mine[:-1], -1)
+        if not several:
+            gap[mine[1:]] = np.maximum(np.diff(order[mine]), 1.0)
+    return Chain(previous, gap)
+
+
+def estimated_units(problem: Problem, groups: Ints, fitted: Array) -> Array:
+    """One over the scatter of each row's quantity, in whitened units, from residuals (rows,).
+
+    Replicates first; where no two groups share a height, differences of neighbours. The relative
+    error of a scale from n values is about 1.2 / √n.
+    """
+    unit = np.ones(problem.values.size)
+    residual = problem.values - fitted
+    height = next((problem.covariates[n] for n in HEIGHT if n in problem.covariates), None)
+    chosen = np.isin(problem.group, groups)
+    for name in np.unique(problem.quantity):
+        mine = np.flatnonzero((problem.quantity == name) & chosen)
+        spread = _replicate_spread(residual[mine], None if height is None else height[mine])
+        unit[problem.quantity == name] = 1 / max(spread, 1e-12)
+    return unit
+
+
+def _replicate_spread(residual: Array, height: Array | None) -> float:
+    pieces = []
+    if height is not None:
+        for level in np.unique(height):
+            same = residual[height == level]
+            if same.size >= 3:
+                pieces.append((same - np.median(same)) * np.sqrt(same.size / (same.size - 1)))
+        ordered = residual[np.argsort(height, kind="stable")]
+    else:
+        ordered = residual
+    if sum(piece.size for piece in pieces) >= 10:
+        return float(1.4826 * np.median(np.abs(np.concatenate(pieces))))
+    if ordered.size < 3:
+        return 1.0
+    return float(1.4826 * np.median(np.abs(np.diff(ordered))) / np.sqrt(2))

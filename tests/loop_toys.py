@@ -1,0 +1,252 @@
+"""Which small problems have a known truth? Drops at five heights, fifteen effects, one baseline."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from bristle.solver.effects.base import Parameter
+from bristle.studies.loop.problem import Experiment, Problem
+
+HEIGHTS = np.array([10.0, 20.0, 30.0, 40.0, 50.0])
+Field = Callable[[np.ndarray, np.ndarray], np.ndarray]
+
+
+@dataclass(frozen=True)
+class Design:
+    """Drops: height (rows,), order (rows,), quantity (rows,), group (rows,)."""
+
+    height: np.ndarray
+    order: np.ndarray
+    quantity: np.ndarray
+    group: np.ndarray
+
+    @property
+    def x(self) -> np.ndarray:
+        return (self.height - 30.0) / 20.0
+
+    @property
+    def t(self) -> np.ndarray:
+        return 2 * self.order / self.order.max() - 1
+
+
+def design(rng: np.random.Generator, drops: int = 48, quantities: int = 2) -> Design:
+    """Heights in a random order, each drop measured in one to three quantities."""
+    height = rng.permutation(np.resize(HEIGHTS, drops))
+    return Design(
+        np.repeat(height, quantities),
+        np.repeat(np.arange(drops), quantities),
+        np.tile(np.arange(quantities), drops),
+        np.repeat(np.arange(drops), quantities),
+    )
+
+
+# By quantity (rebound, contact time, peak force): how each toy effect looks against height and order.
+def _by(quantity: np.ndarray, *columns: np.ndarray) -> np.ndarray:
+    return np.choose(quantity, [np.broadcast_to(c, quantity.shape) for c in columns])
+
+
+def fields(d: Design) -> dict[str, np.ndarray]:
+    """Unit responses (rows,) of the toy's deterministic effects; some are alike."""
+    h, x, t, q = d.height / 30.0, d.x, d.t, d.quantity
+    one = np.ones_like(x)
+    return {
+        "drag": _by(q, -(h**2), 0 * x, 0 * x),
+        "offset": _by(q, one / h, 0 * x, 0 * x),
+        "scale": _by(q, h, 0 * x, 0 * x),
+        "clock": _by(q, 0 * x, one, 0 * x),
+        "dashpot": _by(q, -h, 0.3 * one, 0.5 * h),
+        "crossley": _by(q, -(h**1.5), 0.25 * h**0.5, 0.4 * h),
+        "stiffening": _by(q, 0.1 * x, -(h**-0.2) + 0.2 * x, h**1.2),
+        "plastic": _by(q, -np.sqrt(np.maximum(h - 0.5, 0)), 0.5 * x, -(h**0.5)),
+        "adhesion": _by(q, -1 / h, 0.5 / h, 0 * x),
+        "rayleigh": _by(q, -1.02 * h, 0.29 * one, 0.49 * h),
+        "hysteretic": _by(q, -h, 0 * x, 0.8 * h),
+        "wear": _by(q, t, -0.3 * t, 0.2 * t),
+        "release": _by(q, h**0.5, 0.1 * x, 0.4 * h**0.5),
+    }
+
+
+SCALED = {"slope": (1.0, 0.2, 0.5), "phases": (0.3, 1.0, -0.6)}
+
+
+@dataclass(frozen=True)
+class Toy:
+    """A model whose mean adds up fields times amounts; saturating where ``curved``."""
+
+    effects: tuple[str, ...]
+    parameters: tuple[Parameter, ...]
+    weights: np.ndarray
+    base: np.ndarray
+    parts: tuple[tuple[np.ndarray, bool], ...]
+    chance: tuple[np.ndarray, np.ndarray] | None = None
+
+    def predict(self, theta: np.ndarray) -> np.ndarray:
+        theta = np.asarray(theta, dtype=float)
+        # Logarithmic stiffness moves everything, a little bent.
+        s = np.log(theta[..., 0:1])
+        mean = s * self.base + 0.02 * s**2 * self.base
+        for i, (field, curved) in enumerate(self.parts):
+            a = theta[..., 1 + i : 2 + i]
+            mean = mean + (20 * np.tanh(a / 20) if curved else a) * field
+        if self.chance is None:
+            return mean[..., None, :]
+        nodes, field = self.chance
+        amount = theta[..., -1][..., None, None]
+        return mean[..., None, :] + amount * nodes[:, None] * field
+
+
+def model(d: Design, names: tuple[str, ...], two: bool = True) -> Toy:
+    """The toy model with these effects."""
+    base = 40.0 * _by(d.quantity, 1.0 * d.height / 30, -0.5 + 0 * d.x, 0.4 * d.height / 30)
+    known = fields(d)
+    several = [Parameter("kn", "N/m", 0.05, 20.0, 1.0, 1.0, logarithmic=True)]
+    parts, chance, weights = [], None, np.ones(1)
+    for name in [n for n in names if n not in SCALED]:
+        low = -200.0 if name in ("offset", "scale", "clock", "wear", "release") else 0.0
+        several.append(Parameter(name, "1", low, 200.0, 2.0))
+        parts.append((known[name], name in ("crossley", "plastic")))
+    for name in [n for n in names if n in SCALED]:
+        nodes, weights = np.polynomial.hermite_e.hermegauss(9)
+        weights = weights / weights.sum()
+        several.append(Parameter(name, "1", 0.0, 12.0, 1.0))
+        field = _by(d.quantity, *SCALED[name]) * d.height / 30
+        chance = (nodes, field)
+    ordered = tuple(n for n in names if n not in SCALED) + tuple(n for n in names if n in SCALED)
+    del two
+    return Toy(ordered, tuple(several), weights, base, tuple(parts), chance)
+
+
+NAMES = (*fields(design(np.random.default_rng(0))), *SCALED)
+UNLISTED: dict[str, Field] = {
+    "bump": lambda d: _by(d.quantity, np.cos(2.5 * d.x), -np.cos(2.5 * d.x), 0 * d.x),
+    "wave": lambda d: _by(d.quantity, np.sin(6 * d.t), 0 * d.x, 0 * d.x),
+    "step": lambda d: _by(d.quantity, 0 * d.x, np.where(d.height > 35, 1.0, 0), 0 * d.x),
+}
+
+
+def project(field: np.ndarray, tangent: np.ndarray) -> np.ndarray:
+    """What refitting along tangent (rows, p) leaves of a field (rows,)."""
+    return field - tangent @ np.linalg.lstsq(tangent, field, rcond=None)[0]
+
+
+def noise(rng: np.random.Generator, d: Design, how: str = "normal") -> np.ndarray:
+    """Unit noise (rows,), or what a dataset did not declare."""
+    e = rng.standard_normal(d.height.size)
+    if how == "t3":
+        return rng.standard_t(3, e.size)
+    if how == "t3 scaled":
+        return rng.standard_t(3, e.size) / np.sqrt(3)
+    if how == "outliers":
+        return np.where(rng.random(e.size) < 0.05, 6 * np.sign(e) + e, e)
+    if how == "ar1":
+        rho = 0.5
+        for each in np.unique(d.quantity):
+            mine = np.flatnonzero(d.quantity == each)
+            for a, b in zip(mine[:-1], mine[1:], strict=True):
+                e[b] = rho * e[a] + np.sqrt(1 - rho**2) * e[b]
+    if how == "double":
+        return 1.6 * e
+    return e
+
+
+def problem(
+    seed: int,
+    truth: dict[str, float] | None = None,
+    how: str = "normal",
+    unlisted: tuple[str, float] | None = None,
+    drops: int = 48,
+    quantities: int = 2,
+    candidates: tuple[str, ...] = NAMES,
+    declared: bool = True,
+) -> tuple[Problem, dict[str, float]]:
+    """A problem and the true amounts. ``truth`` gives d of each effect: it is turned into the
+    amount whose projected whitened size is d."""
+    rng = np.random.default_rng([7, seed])
+    d = design(rng, drops, quantities)
+    kn = float(np.exp(rng.uniform(-0.5, 0.5)))
+    tangent = np.asarray(model(d, ()).base)[:, None]
+    mean = model(d, ()).predict(np.array([kn]))[0]
+    amounts: dict[str, float] = {"kn": kn}
+    for name, size in (truth or {}).items():
+        if name in SCALED:
+            field = _by(d.quantity, *SCALED[name]) * d.height / 30
+            amounts[name] = _scatter_amount(d, field, size)
+            z = rng.standard_normal(d.group.max() + 1)[d.group]
+            mean = mean + amounts[name] * z * field
+        else:
+            field = fields(d)[name]
+            a = size / np.linalg.norm(project(field, tangent))
+            amounts[name] = float(a)
+            mean = mean + a * field
+    if unlisted is not None:
+        field = UNLISTED[unlisted[0]](d)
+        span = [tangent] + [fields(d)[n][:, None] for n in NAMES if n not in SCALED]
+        mean = mean + unlisted[1] * field / _perp(field, span)
+    values = mean + noise(rng, d, how)
+    guess = 1.0 if declared else 2.5
+    singles = [model(d, (name,)) for name in candidates]
+    made = Problem(
+        values=values if declared else values / guess,
+        scale=np.full(values.size, 0.1),
+        unit="mm",
+        quantity=np.array(["y1", "time", "force"])[d.quantity],
+        group=d.group.astype(np.int64),
+        covariates={"height": d.height, "order": d.order.astype(float)},
+        baseline=model(d, ()) if declared else Shrunk(model(d, ()), guess),
+        candidates=singles if declared else [Shrunk(m, guess) for m in singles],
+        combine=lambda names: model(d, names) if declared else Shrunk(model(d, names), guess),
+        experiments=[
+            Experiment("more heights", lambda names: model(_wider(d), names)),
+            Experiment("the same again", lambda names: model(d, names)),
+        ],
+        sigma_declared=declared,
+    )
+    return made, amounts
+
+
+@dataclass(frozen=True)
+class Shrunk:
+    """A toy in units of a sigma that was only guessed."""
+
+    toy: Toy
+    guess: float
+
+    @property
+    def effects(self) -> tuple[str, ...]:
+        return self.toy.effects
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        return self.toy.parameters
+
+    @property
+    def weights(self) -> np.ndarray:
+        return self.toy.weights
+
+    def predict(self, theta: np.ndarray) -> np.ndarray:
+        return self.toy.predict(theta) / self.guess
+
+
+def _wider(d: Design) -> Design:
+    return Design(d.height * 4, d.order, d.quantity, d.group)
+
+
+def _perp(field: np.ndarray, span: list[np.ndarray]) -> float:
+    """Distance of a field to the nearest single effect beside the baseline."""
+    return min(
+        float(np.linalg.norm(project(field, np.hstack([span[0], each])))) for each in span[1:]
+    )
+
+
+def _scatter_amount(d: Design, field: np.ndarray, size: float) -> float:
+    """The amount at which twice the divergence from no scatter is size²."""
+    low, high = 0.0, 100.0
+    power = np.bincount(d.group, field**2)
+    for _ in range(60):
+        a = (low + high) / 2
+        c = a**2 * power
+        low, high = (a, high) if np.sum(c - np.log1p(c)) < size**2 else (low, a)
+    return a
