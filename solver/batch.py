@@ -185,7 +185,7 @@ def one_drop(
     ``slowest`` is the period of the body's slowest mode.
     """
     m = len(modes.omega2)
-    alpha, beta = flyer.alpha, flyer.beta
+    alpha, damped = flyer.alpha, flyer.damping.max() > 0.0
     speed = math.sqrt(2.0 * gravity * height)
     position: Array = np.zeros(3)
     rotation = matrix_of(attitude)
@@ -251,7 +251,7 @@ def one_drop(
         before = _energy(modes.omega2, done.u, done.v, weight, 0.0)
         before += weight * (position[2] + (rotation @ ballistics.rigid_part(flyer, done.u)[0])[2])
         position, attitude, u, v = landing(flyer, motion, motion.amounts, motion.modes, after)
-        if alpha > 0.0 or beta > 0.0:
+        if damped:
             loss += before - _energy(modes.omega2, u, v, weight, position[2])
         now += after
         wait = now
@@ -429,4 +429,5 @@ def as_column(body: ModalBody) -> ModalBody | None:
         contact=point,
         alpha_1_s=body.alpha_1_s,
         beta_s=body.beta_s,
+        loss_factor=body.loss_factor,
     )

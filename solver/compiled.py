@@ -1,7 +1,7 @@
 """How is numerical code compiled, and where is the result kept?
 
 Numba keeps compiled functions on disk but looks at their own file alone to see whether they are
-stale. The cache's folder is therefore named after all of the package's sources.
+stale. The cache's folder is therefore named after all sources that compiled code may read from.
 """
 
 from __future__ import annotations
@@ -17,6 +17,8 @@ from typing import Protocol, cast
 import numba
 
 KEPT_S = 7 * 86400.0
+# Folders of the package that compiled code takes nothing from.
+APART = ("effects", "finite")
 
 
 class Decorator(Protocol):
@@ -28,8 +30,10 @@ class Decorator(Protocol):
 def cache_folder() -> Path:
     """The folder for this version of the sources, under the user's cache or, failing that, /tmp."""
     digest = hashlib.sha256()
-    for path in sorted(Path(__file__).parent.rglob("*.py")):
-        digest.update(path.read_bytes())
+    here = Path(__file__).parent
+    for path in sorted(here.rglob("*.py")):
+        if path.relative_to(here).parts[0] not in APART:
+            digest.update(path.read_bytes())
     home = os.environ.get("NUMBA_CACHE_DIR") or os.environ.get("XDG_CACHE_HOME")
     name = digest.hexdigest()[:16]
     for root in (Path(home) if home else Path.home() / ".cache", Path(tempfile.gettempdir())):

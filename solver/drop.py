@@ -15,6 +15,7 @@ from .bodies.modal import ModalBody
 from .contact.enforcement import ContactMethod
 from .energy import Budget, Energy, flight_energy, marching_energy, step_loss
 from .errors import ComputationError
+from .fall import dragged_fall, dragged_path, free_fall, risen
 from .ground import Ground, just_touched, place
 from .impact import History, Observer, Touch, march_touch, observe
 from .rigid import Pose, leaning
@@ -76,7 +77,9 @@ class DropPlan:
     one, over ``ground`` (None: a horizontal plane), and falls ``height_m`` before a point of its
     tip
     touches. ``until_s`` is a time after release, or None to end after the first rebound;
-    ``impact_only`` ends at the last release of the first impact.
+    ``impact_only`` ends at the last release of the first impact. ``release_speed_m_s`` is the
+    downward speed at the start, ``drag_kg_m`` the air's drag over the square of the speed: exact in
+    the fall, and in the rebound of a bristle that does not turn.
     """
 
     height_m: float
@@ -89,6 +92,8 @@ class DropPlan:
     tilt_deg: float = 0.0
     tilt_wide_deg: float = 0.0
     ground: Ground | None = None
+    release_speed_m_s: float = 0.0
+    drag_kg_m: float = 0.0
 
 
 @dataclass
@@ -149,19 +154,13 @@ class Impact:
         return self.touches[-1].release_s
 
 
-def free_fall(height_m: float, gravity_m_s2: float, alpha_1_s: float) -> tuple[float, float]:
-    """Time and speed of a rigid fall from rest through ``height_m`` (Eq. 1 where alpha is zero)."""
-    if alpha_1_s == 0.0:
-        speed = math.sqrt(2.0 * gravity_m_s2 * height_m)
-        return speed / gravity_m_s2, speed
-    from scipy.optimize import brentq
-
-    def fallen(t: float) -> float:
-        return gravity_m_s2 * (t + math.expm1(-alpha_1_s * t) / alpha_1_s) / alpha_1_s - height_m
-
-    late = math.sqrt(2.0 * height_m / gravity_m_s2) + 2.0 * height_m * alpha_1_s / gravity_m_s2
-    t = float(brentq(fallen, 0.0, 2.0 * late, xtol=1e-16))
-    return t, -gravity_m_s2 * math.expm1(-alpha_1_s * t) / alpha_1_s
+def _fall(plan: DropPlan, body: Body) -> tuple[float, float]:
+    if not (plan.release_speed_m_s or plan.drag_kg_m):
+        return free_fall(plan.height_m, plan.gravity_m_s2, body.alpha_1_s)
+    if body.alpha_1_s:
+        raise ComputationError("alpha damping excludes air drag and a speed at release")
+    drag = plan.drag_kg_m / body.mass_kg
+    return dragged_fall(plan.height_m, plan.gravity_m_s2, plan.release_speed_m_s, drag)
 
 
 def simulate(
@@ -179,11 +178,12 @@ def simulate(
     marcher = marcher or Marcher(body, plan.method, plan.scheme, plan.its_s, g)
     stage = _Stage(frame, marcher, plan, observer)
     history = stage.history
-    fall_s, speed = free_fall(plan.height_m, g, body.alpha_1_s)
-    initial = body.mass_kg * g * plan.height_m
-    loss = initial - 0.5 * body.mass_kg * speed**2 if body.alpha_1_s else 0.0
+    fall_s, speed = _fall(plan, body)
+    initial = body.mass_kg * (g * plan.height_m + 0.5 * plan.release_speed_m_s**2)
+    lossy = body.alpha_1_s or plan.drag_kg_m
+    loss = initial - 0.5 * body.mass_kg * speed**2 if lossy else 0.0
     rubbed = spent = 0.0
-    _record_fall(history, plan, fall_s, body.alpha_1_s)
+    _record_fall(history, plan, fall_s, body)
     end_s = stage.end_s
     if end_s <= fall_s:
         raise ComputationError(f"the drop ends at {end_s:g} s, before it touches at {fall_s:g} s")
@@ -209,9 +209,12 @@ def simulate(
             top = flight.apex(impact.next_touch_s)[1] - stage.datum_m
             rebound = max(top, impact.top_m)
             centre_rebound = max(_centre_top(flight, impact.next_touch_s), impact.centre_top_m)
+            rebound, centre_rebound = (
+                risen(height, plan.drag_kg_m / body.mass_kg) for height in (rebound, centre_rebound)
+            )
         _record_flight(history, flight, impact.touches[-1].release_s, stop, stage)
         after = flight_energy(flight, stop)
-        if body.alpha_1_s or body.beta_s:
+        if frame.modal.damping_1_s.any():
             loss += now.total_J - now.contact_J - after.total_J
         now = replace(after, contact_J=now.contact_J)
         if plan.until_s is None or stop >= end_s:
@@ -308,8 +311,7 @@ class _Stage:
         same impact.
         """
         frame, g, its = self.frame, self.plan.gravity_m_s2, self.plan.its_s
-        body = frame.body
-        damped = bool(body.alpha_1_s or body.beta_s)
+        damped = bool(frame.modal.damping_1_s.any())
         touches: list[Touch] = []
         loss, top, centre_top = 0.0, -math.inf, -math.inf
         wait = t
@@ -371,12 +373,16 @@ class _Stage:
         return math.sqrt(8.0 * far / flight.gravity_m_s2)
 
 
-def _record_fall(history: History, plan: DropPlan, fall_s: float, alpha_1_s: float) -> None:
+def _record_fall(history: History, plan: DropPlan, fall_s: float, body: Body) -> None:
+    alpha, g, v0 = body.alpha_1_s, plan.gravity_m_s2, plan.release_speed_m_s
+    drag = plan.drag_kg_m / body.mass_kg
     for t in np.linspace(0.0, fall_s, FLIGHT_ROWS, endpoint=False):
-        if alpha_1_s:
-            fallen = plan.gravity_m_s2 * (t + math.expm1(-alpha_1_s * t) / alpha_1_s) / alpha_1_s
+        if alpha:
+            fallen = g * (t + math.expm1(-alpha * t) / alpha) / alpha
+        elif drag:
+            fallen = dragged_path(float(t), g, v0, drag)
         else:
-            fallen = 0.5 * plan.gravity_m_s2 * t * t
+            fallen = v0 * t + 0.5 * g * t * t
         height = plan.height_m - fallen
         history.rows.append((float(t), height, height, 0.0, 0.0))
 

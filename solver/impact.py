@@ -103,6 +103,11 @@ def march_touch(
             "a body of second order is marched by compiled code alone: take the conserving scheme, "
             "penalty or the augmented Lagrangian at a finite Kn, and no fields"
         )
+    if isinstance(marcher.body, ModalBody) and marcher.body.loss_factor and not compiled(marcher):
+        raise ComputationError(
+            "a loss factor belongs to modes marched by compiled code: take the conserving scheme, "
+            "penalty or the augmented Lagrangian at a finite Kn, and no fields"
+        )
     if observer is None and compiled(marcher):
         return _march_compiled(marcher, t_s, u, v, history, until_s, wait_s)
     start = marcher.start(t_s, u, v)

@@ -8,7 +8,6 @@ their march and nothing else.
 from __future__ import annotations
 
 import copy
-import math
 import time
 from collections.abc import Callable, Hashable, Iterator
 from contextlib import contextmanager
@@ -28,12 +27,15 @@ from ..solver.bodies.modal import ModalBody
 from ..solver.bodies.reduced import ReducedModel, reduce_solid
 from ..solver.bodies.solid import SolidBody
 from ..solver.bristle import Bristle
-from ..solver.drop import DropResult, FlightFrame, ModalFrame, march_plainly, simulate
+from ..solver.drop import DropPlan, DropResult, FlightFrame, ModalFrame, march_plainly, simulate
+from ..solver.effects.base import Scene
 from ..solver.errors import ComputationError
+from ..solver.fall import dragged_fall, risen
 from ..solver.impact import History, Observer
 from ..solver.time.march import Marcher
 from .choices import Contact, Model, Tip, Until
 from .config import DropInputs
+from .effects import Entered, entered, seen
 from .flags import FLAT
 from .limits import marching_time_s
 from .stance import StandingMarcher, face_offsets_m
@@ -52,6 +54,8 @@ NO_REBOUND: dict[str, Any] = {
 class Prepared:
     """All that a case needs before its first step."""
 
+    inputs: DropInputs
+    scene: Scene
     frame: FlightFrame
     marcher: Marcher
 
@@ -98,13 +102,24 @@ class Workshop:
         """
         if inputs.model is Model.ANALYTIC:
             return None
-        make: dict[Model, Callable[[DropInputs], tuple[FlightFrame, Hashable]]] = {
-            Model.BEAM: self._beam,
-            Model.REDUCED: self._modal,
-            Model.SOLID: self._full,
-        }
-        frame, key = make[inputs.model](inputs)
-        return Prepared(frame, self._marcher(inputs, frame, key))
+        now = entered(inputs)
+        frame, key = self._frame(now)
+        return Prepared(now.inputs, now.scene, frame, self._marcher(now, frame, key))
+
+    def _frame(self, now: Entered) -> tuple[FlightFrame, Hashable]:
+        inputs, scene = now.inputs, now.scene
+        if inputs.model is Model.SOLID:
+            return self._full(inputs)
+        if inputs.model is Model.BEAM:
+            frame, key = self._beam(inputs, scene.lateral_inertia)
+        else:
+            frame, key = self._modal(inputs)
+        loss = scene.loss_factor
+        if loss:
+            key = (key, "loss factor", loss)
+            lossless = frame.modal
+            frame = self._keep(key, lambda: ModalFrame(replace(lossless, loss_factor=loss)))
+        return frame, key
 
     def run(
         self,
@@ -120,13 +135,16 @@ class Workshop:
         prepared = prepared or self.prepare(inputs)
         with self._timed("march"):
             if prepared is None:
-                result = _analytic(inputs)
-            elif inputs.march:
-                result = _marched(inputs, prepared.frame)
+                now = entered(inputs)
+                result, scene = _analytic(now), now.scene
             else:
-                plan = inputs.drop_plan(_n_points(prepared.frame))
-                result = simulate(prepared.frame, plan, prepared.marcher, observer)
-        return result, self.take_timings()
+                scene, inputs = prepared.scene, prepared.inputs
+                plan = inputs.drop_plan(_n_points(prepared.frame), scene)
+                if inputs.march:
+                    result = _marched(inputs, prepared.frame, plan)
+                else:
+                    result = simulate(prepared.frame, plan, prepared.marcher, observer)
+        return seen(result, scene), self.take_timings()
 
     def take_timings(self) -> Timings:
         """Seconds spent since the last call, by part and in total."""
@@ -146,16 +164,23 @@ class Workshop:
             self._kept[key] = make()
         return self._kept[key]  # type: ignore[return-value]
 
-    def _beam(self, inputs: DropInputs) -> tuple[ModalFrame, Hashable]:
+    def _beam(
+        self, inputs: DropInputs, lateral_inertia: float = 0.0
+    ) -> tuple[ModalFrame, Hashable]:
         bristle, face = inputs.bristle(), inputs.tip is Tip.FACE
         points = inputs.contact_points
         bends = inputs.second_order
-        key = ("beam", bristle, inputs.elements, face, points, bends)
+        key = ("beam", bristle, inputs.elements, face, points, bends, lateral_inertia)
         with self._timed("assemble"):
             frame = self._keep(
                 key,
                 lambda: _beam_frame(
-                    bristle, inputs.elements, face=face, points=points, second_order=bends
+                    bristle,
+                    inputs.elements,
+                    face=face,
+                    points=points,
+                    second_order=bends,
+                    lateral_inertia=lateral_inertia,
                 ),
             )
         return self._shaped(inputs, frame, key)
@@ -236,10 +261,11 @@ class Workshop:
         modal, points = self.comm.bcast((replace(modal, contact=cast(ContactPoints, None)), points))
         return replace(modal, contact=ContactPoints(**points, comm=MPI.COMM_SELF))
 
-    def _marcher(self, inputs: DropInputs, frame: FlightFrame, frame_key: Hashable) -> Marcher:
+    def _marcher(self, now: Entered, frame: FlightFrame, frame_key: Hashable) -> Marcher:
         """A marcher for this case; those that differ in Kn, friction or lean alone share factor
         and compliance."""
-        method, scheme = inputs.contact_method(), inputs.time_scheme()
+        inputs = now.inputs
+        method, scheme = inputs.contact_method(now.scene.law), inputs.time_scheme()
         same = (method.enforcement, method.theta, method.gamma0, method.augmentation)
         key = ("marcher", frame_key, same, scheme, inputs.its_s, inputs.gravity_m_s2)
         with self._timed("factor"):
@@ -274,37 +300,54 @@ def _with_face[Frame: (ModalFrame, ReducedModel)](frame: Frame, inputs: DropInpu
     return replace(frame, body=solid, modal=modal)
 
 
-def _beam_frame(
-    bristle: Bristle, elements: int, *, face: bool, points: int, second_order: bool
-) -> ModalFrame:
+def _beam_frame(bristle: Bristle, elements: int, **how: Any) -> ModalFrame:
     try:
-        return ModalFrame(
-            beam_body(bristle, elements, face=face, points=points, second_order=second_order)
-        )
+        return ModalFrame(beam_body(bristle, elements, **how))
     except ValueError as error:
         raise ComputationError(
             f"{error}: bending is lost in round-off; the beam is too slender, shorten --length"
         ) from error
 
 
-def _marched(inputs: DropInputs, frame: FlightFrame) -> DropResult:
+def _marched(inputs: DropInputs, frame: FlightFrame, plan: DropPlan) -> DropResult:
     """The drop marched at constant ITS from release on."""
-    plan = inputs.drop_plan(_n_points(frame))
     result = march_plainly(frame, plan, marching_time_s(inputs))
     return replace(result, **NO_REBOUND) if inputs.until is Until.IMPACT else result
 
 
-def _analytic(inputs: DropInputs) -> DropResult:
+def _analytic(now: Entered) -> DropResult:
     """Eqs. 1 to 8, up to the end of the impact where no more is asked for."""
-    result = analytic_drop(
-        inputs.bristle().mass_kg, inputs.kn_N_m, inputs.height_m, inputs.gravity_m_s2
-    )
+    inputs, scene = now.inputs, now.scene
+    mass, g = inputs.bristle().mass_kg, inputs.gravity_m_s2
+    drag, start = scene.drag_kg_m / mass, scene.release_speed_m_s
+    if drag or start:
+        result = _launched(inputs, start, drag)
+    else:
+        result = analytic_drop(mass, inputs.kn_N_m, inputs.height_m, g)
     if inputs.until is not Until.IMPACT:
         return result
-    fall_s = math.sqrt(2.0 * inputs.height_m / inputs.gravity_m_s2)
+    fall_s, _ = dragged_fall(inputs.height_m, g, start, drag)
     end_s = (fall_s + result.contact_time_s) * (1.0 + 1e-12)
     rows = [row for row in result.history.rows if row[0] <= end_s]
     return replace(result, **NO_REBOUND, history=History(rows))
+
+
+def _launched(inputs: DropInputs, speed_m_s: float, drag_1_m: float) -> DropResult:
+    """The drop from rest that touches as fast; its history begins where both are together."""
+    g, height = inputs.gravity_m_s2, inputs.height_m
+    fall_s, speed = dragged_fall(height, g, speed_m_s, drag_1_m)
+    same = speed * speed / (2.0 * g)
+    result = analytic_drop(inputs.bristle().mass_kg, inputs.kn_N_m, same, g)
+    ahead = speed / g - fall_s
+    rows = [(row[0] - ahead, *row[1:]) for row in result.history.rows if row[0] >= ahead]
+    top = risen(same, drag_1_m)
+    return replace(
+        result,
+        rebound_height_m=top,
+        cm_rebound_height_m=top,
+        rebound_ratio=top / height,
+        history=History(rows),
+    )
 
 
 def run_case(

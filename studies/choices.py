@@ -1,4 +1,4 @@
-"""Among what can a user choose: models, schemes, ends of a run, effects by name."""
+"""Among what can a user choose: models, schemes, ends of a run."""
 
 from __future__ import annotations
 
@@ -54,24 +54,3 @@ class Until(StrEnum):
 
     IMPACT = "impact"
     REBOUND = "rebound"
-
-
-EFFECTS = (
-    "air_drag",
-    "release_velocity",
-    "height_offset",
-    "scale_error",
-    "clock_error",
-    "contact_damping",
-    "hunt_crossley",
-    "stiffening_contact",
-    "plastic_contact",
-    "adhesion",
-    "material_damping",
-    "hysteretic_damping",
-    "lateral_inertia",
-    "bristle_tilt",
-    "surface_slope",
-    "surface_phases",
-    "wear",
-)

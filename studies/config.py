@@ -18,14 +18,15 @@ from ..solver import paper
 from ..solver.bodies.analytic import quarter_period_s
 from ..solver.bristle import Bristle, Circle, Material, Rectangle
 from ..solver.contact.enforcement import GAMMA0, GAMMA0_RIGID, ContactMethod, Enforcement
-from ..solver.contact.laws import Coulomb, Linear, mindlin_ratio
+from ..solver.contact.laws import ContactLaw, Coulomb, Linear, mindlin_ratio
 from ..solver.drop import DropPlan
+from ..solver.effects.base import Scene
 from ..solver.ground import Ground
 from ..solver.rigid import slope_normal
 from ..solver.time.scheme import TimeScheme
 from . import flags, limits, stance
 from .choices import Contact, Deflection, Model, Scheme, Tip, Until
-from .effects import EffectInput, read_effects
+from .effects import EffectInput, check_effects, read_effects, scene_of
 
 
 def read_kn(value: Any) -> Any:
@@ -279,6 +280,7 @@ class DropInputs(Inputs):
                 "second-order is for the beam and the reduced solid, under --scheme average, with "
                 "penalty or augmented at a finite --kn, and not with --march",
             )
+        check_effects(self, refuse)
         limits.check_drop(self, refuse)
         return self
 
@@ -323,20 +325,24 @@ class DropInputs(Inputs):
         ratio = mindlin_ratio(self.poisson) if self.kt_ratio is None else self.kt_ratio
         return Coulomb(self.friction if self.leaning else 0.0, ratio)
 
-    def contact_method(self) -> ContactMethod:
-        """The contact law with friction, and its enforcement."""
-        law, how = Linear(self.kn_N_m), Enforcement(self.contact.value)
+    def contact_method(self, law: ContactLaw | None = None) -> ContactMethod:
+        """The contact law (None: linear) with friction, and its enforcement."""
+        law, how = law or Linear(self.kn_N_m), Enforcement(self.contact.value)
         friction = self.friction_law()
         if self.theta is None:
             return ContactMethod(law, how, friction=friction)
         return ContactMethod(law, how, theta=self.theta, gamma0=self.gamma0, friction=friction)
 
-    def drop_plan(self, n_points: int) -> DropPlan:
-        """What solver.drop.simulate is to do with a body of ``n_points`` that can touch."""
+    def drop_plan(self, n_points: int, scene: Scene | None = None) -> DropPlan:
+        """What solver.drop.simulate is to do with a body of ``n_points`` that can touch.
+
+        ``scene`` has what effects changed beyond the options.
+        """
+        scene = scene or scene_of(self)
         normal = slope_normal(self.slope_deg, self.slope_wide_deg)
         return DropPlan(
             height_m=self.height_m,
-            method=self.contact_method(),
+            method=self.contact_method(scene.law),
             its_s=self.its_s,
             gravity_m_s2=self.gravity_m_s2,
             scheme=self.time_scheme(),
@@ -345,6 +351,8 @@ class DropInputs(Inputs):
             tilt_deg=self.tilt_deg,
             tilt_wide_deg=self.tilt_wide_deg,
             ground=Ground.plane(n_points, normal),
+            release_speed_m_s=scene.release_speed_m_s,
+            drag_kg_m=scene.drag_kg_m,
         )
 
     def contact_s(self) -> float:

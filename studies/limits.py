@@ -7,7 +7,8 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 from ..solver.bodies.analytic import quarter_period_s
-from ..solver.drop import DropResult, free_fall
+from ..solver.drop import DropResult
+from ..solver.fall import free_fall
 from .choices import Contact, Model, Scheme, Tip, Until
 from .stance import lean_deg, narrow_zone, slowest_bending_1_s
 

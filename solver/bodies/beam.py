@@ -25,8 +25,14 @@ def shape(xi: float) -> tuple[Array, Array]:
     return value, np.array([xi - 0.5, -2.0 * xi, xi + 0.5])
 
 
-def beam_matrices(bristle: Bristle, n_elements: int) -> tuple[Array, Array]:
-    """Mass and stiffness (n, n) of the free beam, n = 6 (2 ``n_elements`` + 1)."""
+def beam_matrices(
+    bristle: Bristle, n_elements: int, lateral_inertia: float = 0.0
+) -> tuple[Array, Array]:
+    """Mass and stiffness (n, n) of the free beam, n = 6 (2 ``n_elements`` + 1).
+
+    ``lateral_inertia`` is the share of Love's correction: the kinetic energy ½ ρ ν² I_p ∫ u_z'² of
+    a section that bulges as it is compressed (Love, Mathematical Theory of Elasticity, § 278).
+    """
     if n_elements < 1:
         raise InputError(f"the beam needs at least one element, not {n_elements}")
     mat, sec = bristle.material, bristle.section
@@ -45,6 +51,7 @@ def beam_matrices(bristle: Bristle, n_elements: int) -> tuple[Array, Array]:
     )
     area, iy, ix = sec.area_m2, sec.second_moment_y_m4, sec.second_moment_x_m4
     inertia = mat.density_kg_m3 * np.array([area, area, area, iy, ix, polar])
+    bulging = lateral_inertia * mat.density_kg_m3 * mat.poisson**2 * polar
     half = 0.5 * bristle.length_m / n_elements
 
     element = 3 * NODE_UNKNOWNS
@@ -59,6 +66,8 @@ def beam_matrices(bristle: Bristle, n_elements: int) -> tuple[Array, Array]:
     for xi, weight in zip(*np.polynomial.legendre.leggauss(3), strict=True):
         value = np.kron(shape(xi)[0], np.eye(NODE_UNKNOWNS))
         m_element += weight * half * value.T @ (inertia[:, None] * value)
+        bulge = np.kron(shape(xi)[1] / half, np.eye(NODE_UNKNOWNS)[UZ])
+        m_element += weight * half * bulging * np.outer(bulge, bulge)
 
     n = NODE_UNKNOWNS * (2 * n_elements + 1)
     mass, stiffness = np.zeros((n, n)), np.zeros((n, n))
@@ -130,13 +139,15 @@ def beam_body(
     face: bool = True,
     points: int = CONTACT_POINTS,
     second_order: bool = False,
+    lateral_inertia: float = 0.0,
 ) -> ModalBody:
     """The free beam of ``n_elements`` in all its modes (Vanegas-Useche et al. use sixteen).
 
     It touches with ``points`` across each side of its end section (``face``), or, as in the paper,
-    with the node on the axis. ``second_order`` see bodies.axis.
+    with the node on the axis. ``second_order`` see bodies.axis,
+    ``lateral_inertia`` see `beam_matrices`.
     """
-    mass, stiffness = beam_matrices(bristle, n_elements)
+    mass, stiffness = beam_matrices(bristle, n_elements, lateral_inertia)
     rigid = rigid_motions(bristle, n_elements)
     return modal_form(
         "beam",

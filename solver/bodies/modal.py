@@ -50,6 +50,7 @@ class ModalBody:
     1 m along body axes, ``rotation`` (n, 3) by 1 rad about them through the centre of mass; a
     motion that the body does not have is zero. ``defect`` is what a reduced body leaves out, None
     where the modes are complete. With an ``axis`` contact is marched to second order in slope.
+    ``loss_factor`` η damps every elastic mode by η ω beside Rayleigh's damping.
     """
 
     name: str
@@ -61,10 +62,18 @@ class ModalBody:
     beta_s: float
     defect: Defect | None = None
     axis: Axis | None = None
+    loss_factor: float = 0.0
 
     @property
     def n_dofs(self) -> int:
         return len(self.omega2)
+
+    @property
+    def damping_1_s(self) -> Array:
+        """Viscous damping (modes,): Rayleigh's α + β ω², and η ω for a loss factor η."""
+        return (
+            self.alpha_1_s + self.beta_s * self.omega2 + self.loss_factor * np.sqrt(self.omega2)
+        )
 
     @property
     def mass_kg(self) -> float:

@@ -12,7 +12,7 @@ from enum import StrEnum
 from typing import ClassVar
 
 from .. import paper
-from ..contact.laws import ContactLaw, Coulomb, Linear
+from ..contact.laws import ContactLaw, Linear
 from ..errors import InputError
 
 
@@ -53,7 +53,8 @@ class Scene:
     ``order`` counts drops from zero in the order they were made. ``chance`` are standard normal
     numbers of this drop for effects that differ from drop to drop. ``loss_factor`` is the loss
     per radian of every elastic mode over twice its energy, independent of frequency.
-    ``drag_kg_m`` is drag force over the square of the speed. Heights are seen as
+    ``front_m2`` is the area that goes first, ``drag_kg_m`` drag force over the square of the speed,
+    ``lateral_inertia`` the share of Love's correction that a beam has. Heights are seen as
     ``y_scale`` × (true + ``y_offset_m``), times as ``t_scale`` × true.
     """
 
@@ -61,12 +62,12 @@ class Scene:
     order: int = 0
     chance: tuple[float, ...] = (1.0, 0.0)
     release_speed_m_s: float = 0.0
+    front_m2: float = paper.WIDTH_M * paper.THICKNESS_M
     drag_kg_m: float = 0.0
     beta_s: float = 0.0
     loss_factor: float = 0.0
-    lateral_inertia: bool = False
+    lateral_inertia: float = 0.0
     law: ContactLaw = field(default_factory=lambda: Linear(paper.KN_CHOSEN_N_M))
-    friction: Coulomb = field(default_factory=Coulomb)
     tilt_deg: float = 0.0
     tilt_wide_deg: float = 0.0
     slope_deg: float = 0.0

@@ -50,13 +50,13 @@ class Flyer(NamedTuple):
     ``along`` (k, modes) are the coordinates in which the points move, ``with_speed`` (k, modes)
     what the velocity adds to them (empty where nothing); displacements are ``rows`` (3 n, k) times
     these, or these themselves where ``rows`` is empty. ``reach`` and ``reach_speed`` (modes,) bound
-    how
-    far a unit of each moves any point, ``tip`` (3, modes) is the section's mean displacement.
+    how far a unit of each moves any point, ``damping`` (modes,) is each one's own, ``alpha`` that
+    of rigid motion too, ``tip`` (3, modes) is the section's mean displacement.
     """
 
     omega2: Array
     alpha: float
-    beta: float
+    damping: Array
     translation: Array
     rotation: Array
     inertia: Array
@@ -161,7 +161,7 @@ def rigid_part(flyer: Flyer, x: Array) -> tuple[Array, Array]:
 
 @njit
 def _exponentials(
-    omega2: Array, alpha: float, beta: float
+    omega2: Array, dampings: Array
 ) -> tuple[Complex, NDArray[np.int64], Complex, Complex]:
     """``powers``, ``modes``, ``by_u`` and ``by_v`` of a chart; rigid modes are left out."""
     n = len(omega2)
@@ -172,7 +172,7 @@ def _exponentials(
     for i in range(n):
         if omega2[i] == 0.0:
             continue
-        damping = alpha + beta * omega2[i]
+        damping = dampings[i]
         inside = damping * damping - 4.0 * omega2[i]
         # critically damped modes have no second exponential; split roots err by the split squared
         if abs(inside) < 1e-12 * damping * damping:
@@ -234,7 +234,7 @@ def _left_over(moved: Array, fitted: Array) -> Array:
 @njit
 def chart(flyer: Flyer) -> Chart:
     """The chart of a flyer."""
-    powers, modes, by_u, by_v = _exponentials(flyer.omega2, flyer.alpha, flyer.beta)
+    powers, modes, by_u, by_v = _exponentials(flyer.omega2, flyer.damping)
     moved = flyer.rows @ flyer.along if flyer.rows.size else flyer.along
     stiff = _rigid_rows(flyer.places)
     nearest = np.linalg.pinv(stiff)

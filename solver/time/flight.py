@@ -36,7 +36,7 @@ def flyer(body: ModalBody, tau_m_N: float = 0.0) -> ballistics.Flyer:
     return ballistics.Flyer(
         omega2=body.omega2,
         alpha=body.alpha_1_s,
-        beta=body.beta_s,
+        damping=body.damping_1_s,
         translation=np.ascontiguousarray(body.translation),
         rotation=np.ascontiguousarray(body.rotation),
         inertia=body.inertia_kg_m2,

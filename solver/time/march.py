@@ -110,7 +110,12 @@ class Marcher:
 
     def _factor(self) -> Callable[[Array], Array]:
         """Solver of the effective matrix, Nitsche's low-rank term by Woodbury's identity."""
-        solve = self.body.factor(self._c_mass, self._c_stiffness)
+        body, scheme = self.body, self.scheme
+        solve = body.factor(self._c_mass, self._c_stiffness)
+        if isinstance(body, ModalBody) and body.loss_factor:
+            share = (1.0 - scheme.alpha_f) * scheme.gamma * self.its_s * body.loss_factor
+            entries = self._c_mass + self._c_stiffness * body.omega2 + share * np.sqrt(body.omega2)
+            return lambda b: (b.T / entries).T
         if self._symmetric == 0.0:
             return solve
         points = self.body.contact
@@ -324,7 +329,7 @@ class Marcher:
         assert isinstance(body, ModalBody)
         if self._modes is None:
             points = body.contact
-            damping = body.alpha_1_s + body.beta_s * body.omega2
+            damping = body.damping_1_s
             tip = np.einsum(
                 "i,ixr->xr", points.weights, points.rows.reshape(len(points.weights), 3, -1)
             )

@@ -1,0 +1,117 @@
+"""What is different about how and where the bristle lands, from drop to drop?"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+from ..contact.laws import Linear
+from ..errors import InputError
+from .base import Effect, Parameter, Place, Scene
+
+LANDING = frozenset({"drops", "tracks", "forces"})
+# Drops over which wear is counted.
+WEAR_DROPS = 100.0
+MOST_SLOPE_DEG = 10.0
+
+
+@dataclass(frozen=True)
+class BristleTilt(Effect):
+    """The bristle leans toward its thin side, by the same in every drop."""
+
+    tilt_deg: float = 2.0
+
+    name = "bristle_tilt"
+    title = "a bristle that leans"
+    place = Place.RELEASE
+    kinds = LANDING
+    source = "the paper's discussion: bristles are not vertical"
+    parameters = (
+        Parameter("tilt_deg", "°", 0.0, 8.0, 2.0, why="more than 8° anybody would have seen"),
+    )
+
+    def enter(self, scene: Scene) -> Scene:
+        return replace(scene, tilt_deg=scene.tilt_deg + self.tilt_deg)
+
+
+@dataclass(frozen=True)
+class SurfaceSlope(Effect):
+    """An asperity's slope under the tip, another in each drop, with Coulomb friction.
+
+    Slopes toward the thin and the wide side are normal with this standard deviation.
+    """
+
+    std_deg: float = 3.0
+
+    name = "surface_slope"
+    title = "asperity slopes"
+    place = Place.SURFACE
+    kinds = LANDING
+    source = "the paper's discussion: a rough surface; Nayak, J. Lubr. Tech. 93 (1971)"
+    parameters = (
+        Parameter("std_deg", "°", 0.0, 8.0, 3.0, why="rms slope of concrete at a tip's size"),
+    )
+    random = True
+
+    def enter(self, scene: Scene) -> Scene:
+        thin, wide = (
+            max(-MOST_SLOPE_DEG, min(MOST_SLOPE_DEG, self.std_deg * chance))
+            for chance in scene.chance[:2]
+        )
+        return replace(
+            scene,
+            slope_deg=scene.slope_deg + thin,
+            slope_wide_deg=scene.slope_wide_deg + wide,
+        )
+
+
+def _stiffer(scene: Scene, decades: float) -> Scene:
+    """The scene with Kn times 10^decades under a linear law."""
+    if type(scene.law) is not Linear:
+        raise InputError("--effect: a stiffness that varies goes before a law of its own")
+    return replace(scene, law=Linear(scene.law.kn_N_m * 10.0**decades))
+
+
+@dataclass(frozen=True)
+class SurfacePhases(Effect):
+    """Cement here, aggregate there: a contact stiffness of its own in each drop, log-normal."""
+
+    std_decades: float = 0.3
+
+    name = "surface_phases"
+    title = "stiffness that differs from drop to drop"
+    place = Place.SURFACE
+    kinds = LANDING
+    source = "the paper's phases: cement 12 GPa, coarse aggregate 69 GPa, fine aggregate 80 GPa"
+    parameters = (
+        Parameter("std_decades", "decades", 0.0, 1.0, 0.3, why="12 to 80 GPa are 0.8 decades"),
+    )
+    random = True
+
+    def enter(self, scene: Scene) -> Scene:
+        return _stiffer(scene, self.std_decades * scene.chance[0])
+
+
+@dataclass(frozen=True)
+class Wear(Effect):
+    """Contact grows stiffer or softer with the order of drops: a tip or a surface that wears."""
+
+    decades: float = 0.3
+
+    name = "wear"
+    title = "drift with the order of drops"
+    place = Place.SURFACE
+    kinds = LANDING
+    source = "Archard, J. Appl. Phys. 24 (1953): wear in proportion to the number of contacts"
+    parameters = (
+        Parameter(
+            "decades",
+            "decades per 100 drops",
+            -4.0,
+            4.0,
+            0.5,
+            why="of Kn; a tip that wears flat or a surface that crumbles",
+        ),
+    )
+
+    def enter(self, scene: Scene) -> Scene:
+        return _stiffer(scene, self.decades * scene.order / WEAR_DROPS)

@@ -1,0 +1,71 @@
+"""How long and how fast does a body fall before it touches, and how high does it rise after?"""
+
+from __future__ import annotations
+
+import math
+
+from .errors import ComputationError
+
+
+def free_fall(height_m: float, gravity_m_s2: float, alpha_1_s: float) -> tuple[float, float]:
+    """Time and speed of a rigid fall from rest through ``height_m`` (Eq. 1 where alpha is zero)."""
+    if alpha_1_s == 0.0:
+        speed = math.sqrt(2.0 * gravity_m_s2 * height_m)
+        return speed / gravity_m_s2, speed
+    from scipy.optimize import brentq
+
+    def fallen(t: float) -> float:
+        return gravity_m_s2 * (t + math.expm1(-alpha_1_s * t) / alpha_1_s) / alpha_1_s - height_m
+
+    late = math.sqrt(2.0 * height_m / gravity_m_s2) + 2.0 * height_m * alpha_1_s / gravity_m_s2
+    t = float(brentq(fallen, 0.0, 2.0 * late, xtol=1e-16))
+    return t, -gravity_m_s2 * math.expm1(-alpha_1_s * t) / alpha_1_s
+
+
+def dragged_fall(
+    height_m: float, gravity_m_s2: float, speed_m_s: float, drag_1_m: float
+) -> tuple[float, float]:
+    """Time and speed of a fall through ``height_m`` that starts with a downward speed.
+
+    ``drag_1_m`` is quadratic drag over mass. An upward start rises first. The speed follows v' = g
+    - k v², whose solution is v_∞ tanh (tan on the way up), v_∞² = g / k.
+    """
+    g, k, v0 = gravity_m_s2, drag_1_m, speed_m_s
+    if k == 0.0:
+        speed = math.sqrt(v0 * v0 + 2.0 * g * height_m)
+        return (speed - v0) / g, speed
+    limit = math.sqrt(g / k)
+    early = 0.0
+    if v0 < 0.0:
+        early = math.atan(-v0 / limit) * limit / g
+        height_m += math.log1p(v0 * v0 / limit**2) / (2.0 * k)
+        v0 = 0.0
+    if v0 >= limit:
+        raise ComputationError(
+            f"the bristle is released at {v0:g} m/s, above its {limit:.3g} m/s of steady fall"
+        )
+    # v∞² - v² = (v∞² - v0²) exp(-2 k h), without cancellation
+    speed = math.sqrt(v0 * v0 - (limit**2 - v0 * v0) * math.expm1(-2.0 * k * height_m))
+    # atanh(v/v∞) - atanh(v0/v∞) by its addition theorem
+    turned = math.atanh((speed - v0) * limit / (limit**2 - speed * v0))
+    return early + turned * limit / g, speed
+
+
+def risen(height_m: float, drag_1_m: float) -> float:
+    """How high a body comes that would rise ``height_m`` without drag ``drag_1_m`` over mass."""
+    return height_m if drag_1_m == 0.0 else math.log1p(2.0 * drag_1_m * height_m) / (2.0 * drag_1_m)
+
+
+def dragged_path(t_s: float, gravity_m_s2: float, speed_m_s: float, drag_1_m: float) -> float:
+    """Distance fallen after ``t_s``, negative while an upward start is above its origin."""
+    limit = math.sqrt(gravity_m_s2 / drag_1_m)
+    rate = gravity_m_s2 / limit
+    if speed_m_s >= 0.0:
+        start = math.atanh(speed_m_s / limit)
+        return math.log(math.cosh(start + rate * t_s) / math.cosh(start)) / drag_1_m
+    start = math.atan(speed_m_s / limit)
+    turning = -start / rate
+    if t_s <= turning:
+        return math.log(math.cos(start) / math.cos(start + rate * t_s)) / drag_1_m
+    down = math.log(math.cosh(rate * (t_s - turning))) / drag_1_m
+    return math.log(math.cos(start)) / drag_1_m + down
