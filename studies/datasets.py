@@ -36,7 +36,9 @@ BODY_KEYS = {
     "damping_beta_s": paper.BETA_S,
     "damping_alpha_1_s": paper.ALPHA_1_S,
 }
-MEASUREMENT_KEYS = ("file", "sigma_y_mm", "sigma_t_s", "sigma_force_N", "fps", "gravity_m_s2")
+NUMBER_KEYS = ("sigma_y_mm", "sigma_t_s", "sigma_force_N", "fps", "gravity_m_s2")
+WAVE_KEYS = ("signal", "gauge_x_m", "unit", "baseline_until_s", "first_pass_s", "predict_s")
+MEASUREMENT_KEYS = ("file", *NUMBER_KEYS, *WAVE_KEYS)
 
 
 @dataclass(frozen=True)
@@ -63,6 +65,11 @@ class Manifest:
     def table(self) -> Path:
         """The measurement's table, which must lie in the folder."""
         return inside(self.folder, self.measurement.get("file", "drops.csv"))
+
+    def wrong(self, key: str, message: str) -> InputError:
+        """An error that names the line of ``dataset.toml`` where ``key`` stands."""
+        path = self.folder / "dataset.toml"
+        return _wrong(path, read_text(path), key, message)
 
 
 @dataclass(frozen=True)
@@ -105,7 +112,7 @@ def read_manifest(folder: Path) -> Manifest:
     _refuse_misspelt(path, text, parts["measurement"], MEASUREMENT_KEYS)
     kn = _number(path, text, parts["contact"], "kn_N_m", None)
     measurement = dict(parts["measurement"])
-    for key in MEASUREMENT_KEYS[1:]:
+    for key in NUMBER_KEYS:
         if key in measurement:
             measurement[key] = _number(path, text, measurement, key, None)
     if not isinstance(measurement.get("file", ""), str):

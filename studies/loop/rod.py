@@ -24,7 +24,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ...solver.bristle import Array, Bristle, Circle
+from ...solver.bristle import Array, Bristle, Circle, Rectangle
+from ...solver.errors import InputError
 
 Complex = NDArray[np.complex128]
 
@@ -41,12 +42,14 @@ class Rod:
 
     @classmethod
     def of(cls, bar: Bristle) -> Rod:
-        """The rod of a bar's length, section and Poisson's ratio."""
+        """The rod of a bar's length, section and Poisson's ratio; InputError for other sections."""
         section = bar.section
         if isinstance(section, Circle):
             polar = section.diameter_m**2 / 8.0
-        else:
+        elif isinstance(section, Rectangle):
             polar = (section.thickness_m**2 + section.width_m**2) / 12.0
+        else:
+            raise InputError("lateral inertia is known of round and rectangular sections only")
         return cls(bar.length_m, bar.material.poisson**2 * polar)
 
     def wave_number(
@@ -74,10 +77,11 @@ def attached_mass(
     frequency_Hz: Array | float,
     loss_factor: Array | float,
 ) -> Complex:
-    """What a mass on a lossy spring at each end adds to the phase κL of one pass (..., frequencies).
+    """What a mass on a lossy spring at each end adds to the phase κL of one pass.
 
-    ``share`` is the mass at one end over the bar's, ``frequency_Hz`` its own frequency on a rigid
-    bar and ``loss_factor`` the viscous loss of its spring there. The mass pulls with the impedance
+    The result is (..., frequencies). ``share`` is the mass at one end over the bar's,
+    ``frequency_Hz`` its own frequency on a rigid bar and ``loss_factor`` the viscous loss of its
+    spring there. The mass pulls with the impedance
     Z = iωm (1 + iωη/ω₀) / (1 − (ω/ω₀)² + iωη/ω₀) on a bar of impedance ρcA = M c / L, which returns
     −(1 − z) / (1 + z) of a wave of stress, z = Z L / (M c) (Graff, chapter 2; den Hartog,
     Mechanical Vibrations, 4th ed. 1956, chapter 3, for Z).

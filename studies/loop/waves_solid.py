@@ -17,8 +17,8 @@ from ...meshes.distribute import to_dolfinx
 from ...solver.bodies.base import dense_of
 from ...solver.bodies.reduced import reduce_solid
 from ...solver.bodies.solid import SolidBody
-from ...solver.bristle import Array, Bristle, Rectangle
-from ...solver.errors import ComputationError
+from ...solver.bristle import Array, Bristle, Circle, Rectangle
+from ...solver.errors import ComputationError, InputError
 from .rod import Complex
 
 LEVELS, ACROSS, VECTORS = 128, 2, 60
@@ -42,16 +42,16 @@ class SolidPhases:
         size = powers[-1]
         excess = number / modes - 1.0
         # relative weights: slow modes have a tiny excess, and it counts as much
-        coefficients = np.linalg.lstsq(
-            powers / size / x2[:, None], excess / x2, rcond=None
-        )[0]
+        coefficients = np.linalg.lstsq(powers / size / x2[:, None], excess / x2, rcond=None)[0]
         self.coefficients = coefficients / size
 
     def __call__(self, plain: Complex) -> Complex:
         x2 = plain**2
         beyond = np.abs(x2) > (np.pi * self.modes[-1]) ** 2
         # no polynomial is to be trusted further out: there the excess grows as it does at the last
-        x2 = np.where(beyond, x2 / np.maximum(np.abs(x2), 1e-300) * (np.pi * self.modes[-1]) ** 2, x2)
+        x2 = np.where(
+            beyond, x2 / np.maximum(np.abs(x2), 1e-300) * (np.pi * self.modes[-1]) ** 2, x2
+        )
         excess = sum(a * x2 ** (i + 1) for i, a in enumerate(self.coefficients))
         return np.asarray(plain * (1.0 + excess))
 
@@ -66,8 +66,10 @@ def solid_phases(bar: Bristle, modes: int = 20) -> SolidPhases:
     shape: geometry.Rectangle | geometry.Wire
     if isinstance(section, Rectangle):
         shape = geometry.Rectangle(section.thickness_m, section.width_m)
-    else:
+    elif isinstance(section, Circle):
         shape = geometry.Wire(section.diameter_m)
+    else:
+        raise InputError("a solid is meshed of round and rectangular sections only")
     spec = geometry.MeshSpec(bar.length_m, shape, (ACROSS, ACROSS, LEVELS), 1)
     domain, _, facets = to_dolfinx(spec, MPI.COMM_SELF)
     solid = SolidBody(domain, facets, int(geometry.Tag.TIP), bar.material, 2)
