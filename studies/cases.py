@@ -11,12 +11,14 @@ import copy
 import time
 from collections.abc import Callable, Hashable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
+from pathlib import Path
 from types import TracebackType
-from typing import Any, Self, cast
+from typing import Any, Self
 
 from mpi4py import MPI
 
+from ..meshes import geometry
 from ..meshes.check import MeshError
 from ..meshes.distribute import to_dolfinx
 from ..meshes.geometry import Tag
@@ -26,12 +28,14 @@ from ..solver.bodies.beam import beam_body
 from ..solver.bodies.modal import ModalBody
 from ..solver.bodies.reduced import ReducedModel, reduce_solid
 from ..solver.bodies.solid import SolidBody
+from ..solver.bodies.stored import from_arrays, to_arrays
 from ..solver.bristle import Bristle
 from ..solver.drop import DropPlan, DropResult, FlightFrame, ModalFrame, march_plainly, simulate
 from ..solver.effects.base import Scene
 from ..solver.errors import ComputationError
 from ..solver.fall import dragged_fall, risen
 from ..solver.impact import History, Observer
+from ..solver.kept import load, sources, store
 from ..solver.time.march import Marcher
 from .choices import Contact, Model, Tip, Until
 from .config import DropInputs
@@ -215,32 +219,31 @@ class Workshop:
     def _reduced(self, inputs: DropInputs) -> tuple[ReducedModel, Hashable]:
         """The solid and its reduced model, whatever the shape of the tip."""
         solid, solid_key = self._solid(inputs)
+        how = self._basis(inputs)
+        key = (solid_key, "reduced", *how.items())
+        with self._timed("factor"):
+            model = self._keep(key, lambda: reduce_solid(solid, second_order=how["leaning"], **how))
+        return model, key
+
+    def _basis(self, inputs: DropInputs) -> dict[str, Any]:
+        """What `reduce_solid` is told beside the solid."""
         c_mass, c_stiffness = inputs.time_scheme().effective(
             self.basis_its_s or inputs.its_s, inputs.alpha_1_s, inputs.beta_s
         )
-        shift = c_mass / c_stiffness
-        tractions = inputs.contact is Contact.NITSCHE
-        leaning = inputs.leaning
-        key = (solid_key, "reduced", shift, inputs.modes, leaning, tractions)
-        with self._timed("factor"):
-            model = self._keep(
-                key,
-                lambda: reduce_solid(
-                    solid,
-                    shift,
-                    inputs.modes,
-                    leaning=leaning,
-                    tractions=tractions,
-                    second_order=leaning,
-                ),
-            )
-        return model, key
+        return {
+            "shift_1_s2": c_mass / c_stiffness,
+            "n_krylov": inputs.modes,
+            "leaning": inputs.leaning,
+            "tractions": inputs.contact is Contact.NITSCHE,
+        }
 
     def _modal(self, inputs: DropInputs) -> tuple[ModalFrame, Hashable]:
-        """The reduced model alone, the same to the last bit on every rank."""
-        model, key = self._reduced(inputs)
-        key = (key, "modal")
-        frame = self._keep(key, lambda: ModalFrame(self._same_on_all(model.modal)))
+        """The reduced model alone, the same to the last bit on every rank; kept from run to run."""
+        how = tuple(self._basis(inputs).items())
+        material, points = inputs.bristle().material, inputs.contact_points
+        made_by = (sources(Path(geometry.__file__).parent), self.comm.size)
+        key = ("modal", inputs.mesh_spec(), material, inputs.order, points, how, *made_by)
+        frame = self._keep(key, lambda: ModalFrame(self._stored(inputs, str(key))))
         if not inputs.second_order:
             key = (key, "small")
             frame = self._keep(key, lambda: ModalFrame(replace(frame.modal, axis=None)))
@@ -255,11 +258,15 @@ class Workshop:
         key = (key, inputs.tip_shape)
         return self._keep(key, lambda: _with_face(frame, inputs)), key
 
-    def _same_on_all(self, modal: ModalBody) -> ModalBody:
-        points = {field.name: getattr(modal.contact, field.name) for field in fields(modal.contact)}
-        del points["comm"]  # a communicator cannot be sent
-        modal, points = self.comm.bcast((replace(modal, contact=cast(ContactPoints, None)), points))
-        return replace(modal, contact=ContactPoints(**points, comm=MPI.COMM_SELF))
+    def _stored(self, inputs: DropInputs, key: str) -> ModalBody:
+        """The reduced solid as an earlier run stored it, else made and stored."""
+        arrays = self.comm.bcast(load(key) if self.comm.rank == 0 else None)
+        if arrays is None:
+            modal = self._reduced(inputs)[0].modal
+            arrays = self.comm.bcast(to_arrays(modal) if self.comm.rank == 0 else None)
+            if self.comm.rank == 0:
+                store(key, arrays)
+        return from_arrays(arrays)
 
     def _marcher(self, now: Entered, frame: FlightFrame, frame_key: Hashable) -> Marcher:
         """A marcher for this case; those that differ in Kn, friction or lean alone share factor

@@ -1,0 +1,154 @@
+"""What do a stiffness and effects predict for every drop of a dataset?"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from ...solver.bristle import Array
+from ...solver.effects.base import Effect, Parameter
+from ...solver.effects.library import EFFECTS
+from ...solver.effects.release import AIR_KG_M3
+from ...solver.effects.surface import WEAR_DROPS
+from .response import Axis, Bench, Tables
+
+# Nodes of chance: stiffness by its normal deviate, slope by its size and direction.
+DEVIATES = np.linspace(-3.25, 3.25, 53)
+SIZES = np.linspace(0.1, 3.5, 18)
+DIRECTIONS_DEG = (9.0, 27.0, 45.0, 63.0, 81.0)
+
+
+@dataclass(frozen=True)
+class Drops:
+    """Drops as they were measured: ``y0_m``, ``order`` (drops,), and which quantities (of
+    `response.QUANTITIES`) were."""
+
+    bench: Bench
+    y0_m: Array
+    order: Array
+    quantities: tuple[int, ...]
+
+    def __len__(self) -> int:
+        return len(self.y0_m)
+
+
+@dataclass(frozen=True)
+class DropModel:
+    """The baseline with ``effects`` in: a `Model` of whitened rows, drop after drop.
+
+    ``whiten`` (drops, q, q) takes residuals of a drop to independent ones of unit variance.
+    """
+
+    drops: Drops
+    tables: Tables
+    kn: Parameter
+    effects: tuple[str, ...]
+    whiten: Array
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        return (self.kn, *(p for name in self.effects for p in self._of(name)))
+
+    def _of(self, name: str) -> tuple[Parameter, ...]:
+        return tuple(self.tables.bounded(each) for each in EFFECTS[name].parameters)
+
+    @cached_property
+    def _chance(self) -> tuple[Array, Array]:
+        """Deviates (nodes, 3) of stiffness, size and direction of slope; weights (nodes,)."""
+        stiff, sizes, sides = np.zeros(1), np.zeros(1), np.zeros(1)
+        stiff_weights = size_weights = np.ones(1)
+        if "surface_phases" in self.effects:
+            stiff, stiff_weights = DEVIATES, np.exp(-0.5 * DEVIATES**2)
+        if "surface_slope" in self.effects:
+            sizes, size_weights = SIZES, SIZES * np.exp(-0.5 * SIZES**2)
+            sides = np.array(DIRECTIONS_DEG)
+        if len(stiff) > 1 and len(sizes) > 1:  # both at once: every third of either is enough
+            stiff, stiff_weights = stiff[1::3], stiff_weights[1::3]
+            sizes, size_weights, sides = sizes[1::3], size_weights[1::3], sides[::2]
+        grid = np.meshgrid(stiff, sizes, sides, indexing="ij")
+        weights = np.einsum("i,j,k->ijk", stiff_weights, size_weights, np.ones(len(sides)))
+        nodes = np.stack([each.ravel() for each in grid], axis=1)
+        return nodes, weights.ravel() / weights.sum()
+
+    @property
+    def weights(self) -> Array:
+        return self._chance[1]
+
+    def predict(self, theta: Array) -> Array:
+        """Whitened predictions (..., nodes, rows) for parameters (..., p)."""
+        measured = self.measured(theta)
+        rows = np.einsum("dqr,...dr->...dq", self.whiten, measured)
+        return np.asarray(rows.reshape(*rows.shape[:-2], -1))
+
+    def measured(self, theta: Array) -> Array:
+        """What instruments show, in SI (..., nodes, drops, quantities)."""
+        theta = np.asarray(theta, dtype=float)
+        given = self._given(theta)
+        drops, bench = self.drops, self.drops.bench
+        nodes = self._chance[0]
+
+        def value(name: str) -> Array | float:
+            return given[name][..., None, None] if name in given else 0.0
+
+        scale, offset = 1.0 + value("scale_error"), value("height_offset")
+        height = np.maximum(drops.y0_m / scale - offset, 1e-5)
+        drag = 0.5 * AIR_KG_M3 * bench.bristle.section.area_m2 * value("air_drag")
+        same = fallen(
+            height, bench.gravity_m_s2, value("release_velocity"), drag / bench.bristle.mass_kg
+        )
+        decades = value("wear") * (drops.order / WEAR_DROPS)
+        decades = decades + value("surface_phases") * nodes[:, :1]
+        kn = theta[..., 0][..., None, None] * 10.0**decades
+        same, kn = np.broadcast_arrays(same, kn)
+        logs = self.tables.plain.at(same, kn)
+        for name in self.effects:
+            if name == "surface_slope":
+                lean = value(name) * nodes[:, 1:2]
+                logs = logs + self.tables.change(name, same, kn, lean, nodes[:, 2:3])
+            elif name in self.tables.simulated:
+                logs = logs + self.tables.change(name, same, kn, value(name))
+        top, time, force = np.exp(logs) * self.tables.rigid(same, kn)
+        top = risen(top, drag / bench.bristle.mass_kg)
+        clock = 1.0 + value("clock_error")
+        seen = (scale * (top + offset), clock * time, force + 0.0 * clock)
+        full = np.broadcast_shapes(*(each.shape for each in seen), (len(nodes), len(drops)))
+        chosen = [np.broadcast_to(seen[q], full) for q in drops.quantities]
+        return np.stack(chosen, axis=-1)
+
+    def _given(self, theta: Array) -> Mapping[str, Array]:
+        """The effects' values by name (each has one parameter)."""
+        return {name: theta[..., 1 + i] for i, name in enumerate(self.effects)}
+
+
+def fallen(
+    height_m: Array, gravity_m_s2: float, speed_m_s: Array | float, drag: Array | float
+) -> Array:
+    """Height of the fall from rest in a vacuum that ends as fast (see solver.fall)."""
+    g, v0 = gravity_m_s2, np.asarray(speed_m_s)
+    k = np.maximum(drag, 1e-12)
+    limit2 = g / k
+    up = np.log1p(v0**2 / limit2) / (2.0 * k)
+    height = np.where(v0 < 0.0, height_m + up, height_m)
+    start2 = np.where(v0 < 0.0, 0.0, v0**2)
+    return np.asarray((start2 - (limit2 - start2) * np.expm1(-2.0 * k * height)) / (2.0 * g))
+
+
+def risen(height_m: Array, drag: Array | float) -> Array:
+    """How high a body comes that would rise ``height_m`` without drag over mass (1/m)."""
+    k = np.maximum(drag, 1e-12)
+    return np.asarray(np.log1p(2.0 * k * height_m) / (2.0 * k))
+
+
+def axis_of(parameter: Parameter, n: int) -> Axis:
+    """The side of a table for an effect's parameter."""
+    return Axis(parameter.low, parameter.high, n, "log" if parameter.logarithmic else "even")
+
+
+def effect_at(name: str, value: float) -> Effect:
+    """The effect at one value of its parameter."""
+    kind: type[Effect] = EFFECTS[name]
+    parameter = kind.parameters[0]
+    return kind(**{parameter.name: float(np.clip(value, parameter.low, parameter.high))})

@@ -1,0 +1,139 @@
+"""What does a dataset of drops say, as a problem for the loop?
+
+Rows are, drop after drop, the height after the impact and, where they were measured, the contact
+time and the peak force. The height before it is measured too: its error is carried into all rows
+of its drop, through the baseline's slope.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from ...solver.bristle import Array
+from ...solver.effects.base import Parameter
+from ...solver.effects.library import EFFECTS
+from ...solver.errors import InputError
+from .. import datasets
+from .drop_model import DropModel, Drops
+from .problem import Problem
+from .response import KN_RANGE_N_M, Bench, Tables
+
+KIND = "drops"
+# A contact stiffness that is declared is taken as known to this share.
+KN_KNOWN = 0.02
+# Uncertainty taken for heights where none is declared, until the scatter says better.
+SIGMA_M = 1e-3
+SCALES = (1e3, 1e6, 1.0)
+NAMES = ("y1 (mm)", "contact time (µs)", "peak force (N)")
+
+
+def drops_problem(data: datasets.Drops) -> Problem:
+    """The problem of a dataset of drops. Raises InputError where it cannot be one."""
+    manifest = data.manifest
+    measured, sigmas, notes = _measured(data)
+    bench = bench_for(data.y0_m, data)
+    drops = Drops(bench, data.y0_m, data.drop - data.drop[0], tuple(measured))
+    tables = Tables(bench)
+    values = np.stack([measured[q] for q in drops.quantities], axis=1)
+    keep = np.isfinite(values).all(axis=1)
+    if not keep.all():
+        drops = replace(drops, y0_m=drops.y0_m[keep], order=drops.order[keep])
+        values = values[keep]
+    kn = stiffness(manifest.kn_N_m)
+    plain = DropModel(drops, tables, kn, (), np.eye(len(measured))[None].repeat(len(values), 0))
+    whiten = _whitening(plain, values, np.array([sigmas[q] for q in drops.quantities]))
+    n_q = len(drops.quantities)
+
+    def model(effects: Sequence[str]) -> DropModel:
+        return DropModel(drops, tables, kn, tuple(effects), whiten)
+
+    # the last row of a Cholesky factor's inverse has its own scale on the diagonal
+    scale = np.array([SCALES[q] for q in drops.quantities]) / np.einsum("dqq->dq", whiten)
+    return Problem(
+        values=np.einsum("dqr,dr->dq", whiten, values).ravel(),
+        scale=scale.ravel(),
+        unit="mm",
+        quantity=np.tile(np.array([NAMES[q] for q in drops.quantities]), len(values)),
+        group=np.repeat(np.arange(len(values)), n_q),
+        covariates={
+            "height": np.repeat(drops.y0_m, n_q),
+            "order": np.repeat(drops.order, n_q).astype(float),
+        },
+        baseline=model(()),
+        candidates=[model((name,)) for name in carried(KIND, drops.quantities)],
+        combine=model,
+        sigma_declared=data.sigma_y_m is not None,
+        notes=notes,
+    )
+
+
+def carried(kind: str, quantities: Sequence[int]) -> list[str]:
+    """The effects that such data can carry at all."""
+    names = [name for name, effect in EFFECTS.items() if kind in effect.kinds]
+    if 1 not in quantities:  # no times: nothing shows a clock
+        names.remove("clock_error")
+    return names
+
+
+def stiffness(declared_N_m: float | None) -> Parameter:
+    """Kn as the baseline's free parameter, held where the dataset declares it."""
+    low, high = KN_RANGE_N_M
+    if declared_N_m is not None:
+        low, high = declared_N_m * (1.0 - KN_KNOWN), declared_N_m * (1.0 + KN_KNOWN)
+    typical = math.sqrt(low * high) if declared_N_m is not None else 2e6
+    return Parameter("kn_N_m", "N/m", low, high, typical, null=typical, logarithmic=True)
+
+
+def bench_for(y0_m: Array, data: datasets.Drops) -> Bench:
+    """Where the tables are made: heights rounded outward, so that others can use them again."""
+    manifest = data.manifest
+    step = 0.005
+    lowest = max(step * math.floor(0.6 * float(y0_m.min()) / step), 0.002)
+    highest = step * math.ceil(1.25 * float(y0_m.max()) / step)
+    return Bench(manifest.bristle, manifest.gravity_m_s2, lowest, highest)
+
+
+def _measured(
+    data: datasets.Drops,
+) -> tuple[dict[int, Array], dict[int, float], dict[str, str]]:
+    """Quantities with an uncertainty, that uncertainty, and what was left aside."""
+    measured, notes = {0: data.y1_m}, {}
+    sigmas = {0: data.sigma_y_m or SIGMA_M}
+    declared = data.manifest.measurement
+    for q, values, key in (
+        (1, data.contact_time_s, "sigma_t_s"),
+        (2, data.peak_force_N, "sigma_force_N"),
+    ):
+        if values is None:
+            continue
+        if key not in declared:
+            notes[NAMES[q]] = f"left aside: the dataset declares no {key}"
+            continue
+        measured[q], sigmas[q] = values, float(declared[key])
+    if len(data.y1_m) < 6:
+        raise InputError(
+            f"{data.manifest.table()}: {len(data.y1_m)} drops; the loop needs six or more"
+        )
+    return measured, sigmas, notes
+
+
+def _whitening(plain: DropModel, values: Array, sigmas: Array) -> Array:
+    """Per drop, the inverse Cholesky factor of noise and of the error of y0, (drops, q, q)."""
+    drops = plain.drops
+    ladder = np.geomspace(plain.kn.low, plain.kn.high, 200)[:, None]
+    predicted = plain.measured(ladder)[:, 0]
+    miss = (((predicted - values) / sigmas) ** 2).sum(axis=2)
+    best = ladder[int(np.argmin(np.median(miss, axis=1)))]
+    step = 1e-3 * drops.y0_m
+    ends = [
+        replace(plain, drops=replace(drops, y0_m=drops.y0_m + sign * step)).measured(best)[0]
+        for sign in (-1.0, 1.0)
+    ]
+    slope = (ends[1] - ends[0]) / (2.0 * step)[:, None]
+    moved = sigmas[0] * slope
+    covariance = np.diag(sigmas**2) + np.einsum("dq,dr->dqr", moved, moved)
+    return np.linalg.inv(np.linalg.cholesky(covariance))

@@ -1,0 +1,314 @@
+"""How does a drop answer to height, stiffness and one effect's size: a table of simulated drops.
+
+Each effect that only a simulation can tell the result of has a table of its own: drops of the beam
+over speed of impact, stiffness and the effect's parameter, with cubic splines between. Where
+several of these act together in one model, their ratios to the plain table are multiplied: near
+enough to choose by, and checked by direct simulation afterwards.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache
+from pathlib import Path
+
+import numpy as np
+from scipy.ndimage import map_coordinates, spline_filter
+
+from ...solver import paper
+from ...solver.batch import Drops, drop_many
+from ...solver.bodies.beam import beam_body
+from ...solver.bodies.modal import ModalBody
+from ...solver.bristle import Array, Bristle
+from ...solver.contact.enforcement import ContactMethod
+from ...solver.contact.laws import Coulomb, Linear, mindlin_ratio
+from ...solver.effects import library
+from ...solver.effects.base import Parameter, Scene
+from ...solver.effects.library import EFFECTS
+from ...solver.effects.surface import MOST_SLOPE_DEG
+from ...solver.errors import ComputationError
+from ...solver.kept import kept, sources
+from ...solver.rigid import slope_normal
+from ...solver.time.march import Marcher
+from ...solver.time.scheme import TimeScheme
+
+# What a table holds of a drop, and what is measured of it.
+QUANTITIES = ("y1_m", "contact_time_s", "peak_force_N")
+# Softer and damped, a contact may hold the bristle for good.
+KN_RANGE_N_M = (1e5, 1e8)
+KN_NODES = 25
+LEAN_KN_NODES = 9
+HEIGHT_NODES = 4
+EFFECT_NODES = 9
+LEAN_NODES = 7
+SLOPE_NODES = 6
+SIDE_NODES = 4
+# Steps of an impact: y1/y0 is then off by less than a thousandth (study of ITS).
+ITS_S = 5e-6
+SHORTEST_ITS_S = 5e-7
+POINTS = 5
+EFFECT_FILES = Path(library.__file__).parent
+SHORTER = (0.5, 0.2)
+
+
+@lru_cache(maxsize=8)
+def beam_of(bristle: Bristle) -> ModalBody:
+    """The beam that tables are made with, to second order in its slope."""
+    return beam_body(bristle, paper.ELEMENTS, points=POINTS, second_order=True)
+
+
+def its_s(bristle: Bristle, kn_N_m: float) -> float:
+    """A step that resolves the spring: an eightieth of the mass' quarter period on it."""
+    quarter = 0.5 * math.pi * math.sqrt(bristle.mass_kg / kn_N_m)
+    return float(f"{min(ITS_S, max(quarter / 12.0, SHORTEST_ITS_S)):.0e}")
+
+
+def drops_of(
+    body: ModalBody, scenes: Sequence[Scene], gravity_m_s2: float, its: float, friction: float
+) -> Array:
+    """What drops of these scenes give, (scenes, quantities); all share law, damping and losses.
+
+    Heights are those of a fall from rest in a vacuum. Raises ComputationError.
+    """
+    first = scenes[0]
+    body = replace(body, beta_s=first.beta_s, loss_factor=first.loss_factor)
+    # a drop that lands upright on a level surface does not slide
+    leans = any(
+        (s.tilt_deg, s.tilt_wide_deg, s.slope_deg, s.slope_wide_deg) != (0.0,) * 4 for s in scenes
+    )
+    mu = friction if leans else 0.0
+    ratio = mindlin_ratio(paper.POISSON)
+    marcher = Marcher(
+        body,
+        ContactMethod(first.law, friction=Coulomb(mu, ratio)),
+        TimeScheme.average(),
+        its,
+        gravity_m_s2,
+    )
+    n = len(body.contact.weights)
+    drops = Drops.on_plane(
+        n,
+        height_m=np.array([s.height_m for s in scenes]),
+        kn_N_m=np.array([s.law.kn_N_m for s in scenes]),
+        tilt_deg=np.array([s.tilt_deg for s in scenes]),
+        tilt_wide_deg=np.array([s.tilt_wide_deg for s in scenes]),
+        mu=mu,
+    )
+    normals = np.array([slope_normal(s.slope_deg, s.slope_wide_deg) for s in scenes])
+    drops = replace(drops, normals=np.repeat(normals[:, None, :], n, axis=1))
+    found = drop_many(marcher, drops)
+    return np.stack([found.rebound_height_m, found.contact_time_s, found.peak_force_N], axis=1)
+
+
+@dataclass(frozen=True)
+class Axis:
+    """Equally spaced values along a table's side, by themselves, their logarithm or their root."""
+
+    low: float
+    high: float
+    n: int
+    how: str = "even"
+
+    def _to(self, x: Array | float) -> Array:
+        x = np.asarray(x, dtype=float)
+        return np.log(x) if self.how == "log" else np.sqrt(x) if self.how == "root" else x
+
+    def nodes(self) -> Array:
+        """The values (n,)."""
+        even = np.linspace(self._to(self.low), self._to(self.high), self.n)
+        return np.exp(even) if self.how == "log" else even**2 if self.how == "root" else even
+
+    def where(self, x: Array) -> Array:
+        """Places of ``x`` in units of the spacing, held to the ends."""
+        low, high = self._to(self.low), self._to(self.high)
+        inside = self._to(np.clip(x, self.low, self.high))
+        return np.asarray((inside - low) * ((self.n - 1) / (high - low)))
+
+
+@dataclass(frozen=True)
+class Table:
+    """Simulated drops over ``axes``, the first two speed of impact (as height) and stiffness.
+
+    ``coefficients`` (quantities, ...) are those of cubic splines through the logarithm of each
+    quantity over what a rigid bristle that loses nothing would give.
+    """
+
+    axes: tuple[Axis, ...]
+    coefficients: Array
+
+    def at(self, *places: Array) -> Array:
+        """Logarithms (quantities, ...) at places along the axes, arrays that broadcast."""
+        spots = np.broadcast_arrays(
+            *(axis.where(x) for axis, x in zip(self.axes, places, strict=True))
+        )
+        flat = np.stack([np.ravel(spot) for spot in spots])
+        values = [
+            map_coordinates(part, flat, order=3, mode="nearest", prefilter=False)
+            for part in self.coefficients
+        ]
+        return np.stack(values).reshape(len(values), *spots[0].shape)
+
+
+def reference(height_m: Array, kn_N_m: Array, mass_kg: float, gravity_m_s2: float) -> Array:
+    """What a rigid bristle on Kn gives, (quantities, ...): Eqs. 3 and 8 of the paper."""
+    speed = np.sqrt(2.0 * gravity_m_s2 * height_m)
+    time = math.pi * np.sqrt(mass_kg / kn_N_m)
+    return np.stack(np.broadcast_arrays(height_m, time, speed * np.sqrt(kn_N_m * mass_kg)))
+
+
+@dataclass(frozen=True)
+class Bench:
+    """Where tables are made: the body, gravity and friction, and the heights to cover."""
+
+    bristle: Bristle
+    gravity_m_s2: float
+    lowest_m: float
+    highest_m: float
+    kn_range_N_m: tuple[float, float] = KN_RANGE_N_M
+    friction: float = paper.FRICTION
+
+    def plain(self) -> Scene:
+        """A drop without effects."""
+        return Scene(beta_s=self.bristle.material.beta_s, front_m2=self.bristle.section.area_m2)
+
+    def _axes(self, leaning: bool) -> tuple[Axis, Axis]:
+        low, high = self.kn_range_N_m
+        n = LEAN_KN_NODES if leaning else KN_NODES
+        return Axis(self.lowest_m, self.highest_m, HEIGHT_NODES, "root"), Axis(low, high, n, "log")
+
+    def table(
+        self,
+        name: str,
+        sides: Sequence[Axis],
+        change: Callable[[Scene, tuple[float, ...]], Scene],
+        leaning: bool,
+    ) -> Table:
+        """Drops over height, stiffness and ``sides``; ``change`` puts a point of these in.
+
+        ``name`` tells tables on the same sides apart: they are kept from run to run. Raises
+        ComputationError where drops fail at all time steps.
+        """
+        axes = (*self._axes(leaning), *sides)
+        key = f"{name} {axes} {self} {sources(EFFECT_FILES)} {ITS_S, SHORTEST_ITS_S, POINTS}"
+        made = kept(key, lambda: {"coefficients": self._filled(axes, change)})
+        return Table(axes, made["coefficients"])
+
+    def _filled(
+        self, axes: tuple[Axis, ...], change: Callable[[Scene, tuple[float, ...]], Scene]
+    ) -> Array:
+        """Spline coefficients (quantities, ...) of a table."""
+        sides = axes[2:]
+        heights, kns = axes[0].nodes(), [float(kn) for kn in axes[1].nodes()]
+        steps: dict[float, list[int]] = {}
+        for j, kn in enumerate(kns):
+            steps.setdefault(its_s(self.bristle, kn), []).append(j)
+        shape = tuple(axis.n for axis in axes)
+        out = np.empty((*shape, len(QUANTITIES)))
+        for index in itertools.product(*(range(axis.n) for axis in sides)):
+            point = tuple(float(axis.nodes()[i]) for axis, i in zip(sides, index, strict=True))
+            for columns in steps.values():
+                scenes = [
+                    change(replace(self.plain(), height_m=float(h), law=Linear(kns[j])), point)
+                    for h in heights
+                    for j in columns
+                ]
+                rows = self._drops(scenes).reshape(len(heights), len(columns), -1)
+                out[(slice(None), columns, *index)] = rows
+        grid = np.meshgrid(heights, kns, indexing="ij")
+        rigid = reference(*grid, self.bristle.mass_kg, self.gravity_m_s2)
+        rigid = rigid.reshape(len(QUANTITIES), *shape[:2], *(1,) * len(sides))
+        logs = np.log(np.moveaxis(out, -1, 0) / rigid)
+        return np.stack([spline_filter(part, order=3, mode="nearest") for part in logs])
+
+    def _drops(self, scenes: Sequence[Scene]) -> Array:
+        step = its_s(self.bristle, scenes[0].law.kn_N_m)
+        body = beam_of(self.bristle)
+        for part in (1.0, *SHORTER):
+            try:
+                return drops_of(body, scenes, self.gravity_m_s2, part * step, self.friction)
+            except ComputationError as error:
+                failure = error
+        raise failure
+
+
+SIMULATED = (
+    "contact_damping",
+    "hunt_crossley",
+    "stiffening_contact",
+    "plastic_contact",
+    "adhesion",
+    "material_damping",
+    "hysteretic_damping",
+    "bristle_tilt",
+    "surface_slope",
+)
+LEANING = ("bristle_tilt", "surface_slope")
+
+
+@dataclass(frozen=True)
+class Tables:
+    """The tables of a bench, each made when it is first asked for."""
+
+    bench: Bench
+
+    @property
+    def simulated(self) -> tuple[str, ...]:
+        """Effects whose result only a simulation can tell."""
+        return SIMULATED
+
+    def bounded(self, parameter: Parameter) -> Parameter:
+        """The parameter with the absence that this body declares."""
+        if parameter.name == "beta_s":
+            return replace(parameter, null=self.bench.bristle.material.beta_s)
+        return parameter
+
+    @cached_property
+    def plain(self) -> Table:
+        return self.bench.table("plain", (), lambda scene, _: scene, False)
+
+    @cached_property
+    def _made(self) -> dict[str, Table]:
+        return {}
+
+    def of(self, name: str) -> Table:
+        """The table of an effect; raises ComputationError where its drops fail."""
+        if name not in self._made:
+            self._made[name] = self._make(name)
+        return self._made[name]
+
+    def _make(self, name: str) -> Table:
+        kind = EFFECTS[name]
+        only = kind.parameters[0]
+        if name == "surface_slope":
+            sides = (Axis(0.0, MOST_SLOPE_DEG, SLOPE_NODES), Axis(0.0, 90.0, SIDE_NODES))
+            return self.bench.table(name, sides, _sloping, True)
+        n = LEAN_NODES if name in LEANING else EFFECT_NODES
+        axis = Axis(only.low, only.high, n, "log" if only.logarithmic else "even")
+
+        def change(scene: Scene, point: tuple[float, ...]) -> Scene:
+            value = min(max(point[0], only.low), only.high)
+            return kind(**{only.name: value}).enter(scene)
+
+        return self.bench.table(name, (axis,), change, name in LEANING)
+
+    def change(self, name: str, height_m: Array, kn_N_m: Array, *value: Array | float) -> Array:
+        """By how much an effect changes the logarithms of all quantities (quantities, ...)."""
+        table = self.of(name)
+        absent = [np.asarray(0.0)] * len(value)
+        if name != "surface_slope":
+            absent = [np.asarray(self.bounded(EFFECTS[name].parameters[0]).null)]
+        now = table.at(*np.broadcast_arrays(height_m, kn_N_m, *value))
+        return now - table.at(*np.broadcast_arrays(height_m, kn_N_m, *absent))
+
+    def rigid(self, height_m: Array, kn_N_m: Array) -> Array:
+        """See `reference`."""
+        return reference(height_m, kn_N_m, self.bench.bristle.mass_kg, self.bench.gravity_m_s2)
+
+
+def _sloping(scene: Scene, point: tuple[float, ...]) -> Scene:
+    steep, side = math.tan(math.radians(point[0])), math.radians(point[1])
+    thin, wide = math.atan(steep * math.cos(side)), math.atan(steep * math.sin(side))
+    return replace(scene, slope_deg=math.degrees(thin), slope_wide_deg=math.degrees(wide))
