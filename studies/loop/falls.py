@@ -50,7 +50,7 @@ BIN_S = 0.05
 LEAST_DRAG_1_M = 1e-9
 ROUNDED_TOGETHER = 10.0
 """By how much averaging betters the rounding of a reading, at best."""
-NODES = np.linspace(-3.5, 3.5, 71)
+NODES = np.linspace(-3.0, 3.0, 41)
 LIBRARY = ("air_drag", "release_velocity", "scale_error", "clock_error")
 
 

@@ -34,6 +34,8 @@ __all__ = ["LIBRARY", "WaveModel", "Waves", "read_waves", "relative_residual", "
 LIBRARY = ("material_damping", "hysteretic_damping", "lateral_inertia", "clock_error")
 LEAST_BETA_S = 1e-11
 GAUGE_ERROR_M = 0.005
+AT_ONCE = 256
+"""Parameters that are predicted together: more would not fit the cache, then the memory."""
 LATER = 1
 """Passes after the last window that are carried on too: their fronts may reach into it."""
 
@@ -44,10 +46,10 @@ def baseline_parameters(data: Waves) -> tuple[Parameter, ...]:
     """The baseline's free parameters: speed of slow waves, and where the gauge really sits."""
     speed = data.manifest.bristle.material.bar_speed_m_s
     modulus = "handbook moduli and densities of one alloy differ by this much"
-    placed = "a gauge is glued on by hand"
+    placed, off = "a gauge is glued on by hand", GAUGE_ERROR_M + data.off_centre_m
     return (
         Parameter("wave_speed_m_s", "m/s", 0.95 * speed, 1.05 * speed, speed, speed, why=modulus),
-        Parameter("gauge_offset_m", "m", -GAUGE_ERROR_M, GAUGE_ERROR_M, 0.0005, why=placed),
+        Parameter("gauge_offset_m", "m", -off, off, 0.0005, why=placed),
     )
 
 
@@ -131,7 +133,13 @@ class WaveModel:
 
     def predict(self, theta: Array) -> Array:
         """Whitened predictions (..., 1, rows) for parameters (..., p)."""
-        return self.propagation.rows(self.ratio(theta))[..., None, :]
+        theta = np.asarray(theta, dtype=float)
+        flat = theta.reshape(-1, theta.shape[-1])
+        parts = [
+            self.propagation.rows(self.ratio(flat[i : i + AT_ONCE]))
+            for i in range(0, len(flat), AT_ONCE)
+        ]
+        return np.concatenate(parts).reshape(*theta.shape[:-1], 1, -1)
 
 
 def wave_problem(data: Waves, library: Sequence[str] = LIBRARY) -> Problem:

@@ -17,6 +17,9 @@ from ...solver.errors import InputError
 from ..dataset_tables import column, read_table
 from ..datasets import Manifest, read_manifest
 
+NEAR_MIDDLE = 0.1
+"""How far from mid-length a gauge may lie, in half lengths."""
+
 
 @dataclass(frozen=True)
 class Waves:
@@ -24,7 +27,8 @@ class Waves:
 
     ``difference`` (samples,) is half the difference of two gauges on opposite faces, less its
     offset, or None where there is one. Both are in ``unit``. ``first_pass_s`` and ``predict_s``
-    are (begin, end).
+    are (begin, end). ``off_centre_m`` is by how much the gauge is said to lie off mid-length,
+    toward whichever end.
     """
 
     manifest: Manifest
@@ -35,6 +39,7 @@ class Waves:
     baseline_until_s: float
     first_pass_s: tuple[float, float]
     predict_s: tuple[float, float]
+    off_centre_m: float
 
     @property
     def step_s(self) -> float:
@@ -81,7 +86,19 @@ def read_waves(folder: Path) -> Waves:
         baseline_until_s=until,
         first_pass_s=first,
         predict_s=predict,
+        off_centre_m=_off_centre(manifest),
     )
+
+
+def _off_centre(manifest: Manifest) -> float:
+    middle = 0.5 * manifest.bristle.length_m
+    place = manifest.measurement.get("gauge_x_m", middle)
+    off = abs(_number(manifest, "gauge_x_m", place) - middle)
+    if off > NEAR_MIDDLE * middle:
+        raise manifest.wrong(
+            "gauge_x_m", f"must be near mid-length, {middle:g}: passes overlap elsewhere"
+        )
+    return off
 
 
 def _signal(manifest: Manifest) -> tuple[str, ...]:

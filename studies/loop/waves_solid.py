@@ -21,10 +21,10 @@ from ...solver.bristle import Array, Bristle, Circle, Rectangle
 from ...solver.errors import ComputationError, InputError
 from .rod import Complex
 
-LEVELS, ACROSS, VECTORS = 128, 2, 60
-SHIFT = 10.0
+LEVELS, ACROSS, VECTORS = 160, 2, 80
+SHIFT = 14.0
 """Where the Krylov vectors are best: at this mode's frequency."""
-DEGREE = 3
+DEGREE = 4
 
 
 class SolidPhases:
@@ -57,7 +57,7 @@ class SolidPhases:
 
 
 @lru_cache(maxsize=4)
-def solid_phases(bar: Bristle, modes: int = 20) -> SolidPhases:
+def solid_phases(bar: Bristle, modes: int = 28) -> SolidPhases:
     """From the first axial ``modes`` of a solid of the bar's section, length and material.
 
     Raises ComputationError where fewer are found in the reduced solid.
