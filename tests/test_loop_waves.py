@@ -189,15 +189,15 @@ def test_predicts_a_modal_series_of_the_free_rod_to_its_noise(made):
     # one pass alone could not tell the speed from the gauge's place
     theta = fit(model, problem.values, problem.group <= 3)
     assert theta[0] == pytest.approx(SPEED, rel=5e-4)
-    assert theta[2] == pytest.approx(2e-8, rel=0.3)
+    assert theta[3] == pytest.approx(2e-8, rel=0.3)
     held = problem.group > 3
     residual = (model.predict(theta)[0] - problem.values)[held]
     # noise of the driving pass comes on top: twice the variance at most, chance aside
     assert np.mean(residual**2) < 2.5
     absent = problem.baseline
-    start = [SPEED, 0.0]
+    start = [SPEED, 0.0, 1.0]
     assert np.mean((absent.predict(np.array(start))[0] - problem.values)[held] ** 2) > 100.0
-    exact = np.array([SPEED, 0.0, 2e-8])
+    exact = np.array([SPEED, 0.0, 1.0, 2e-8])
     assert relative_residual(model, exact) < 0.02
 
 
@@ -210,7 +210,7 @@ def test_noise_is_that_of_the_mean_of_two_gauges(made):
 def test_rows_are_the_components_of_the_prediction_in_time(made):
     problem = wave_problem(made)
     model = problem.combine(("material_damping", "lateral_inertia"))
-    theta = np.array([SPEED, 3e-4, 3e-8, 1.0])
+    theta = np.array([SPEED, 3e-4, 1.02, 3e-8, 1.0])
     whole = model.propagation
     in_time = whole.in_time(model.ratio(theta))
     pieces = [whole.basis @ in_time[i : i + whole.window] for i in whole.starts()]
@@ -221,10 +221,10 @@ def test_rows_are_the_components_of_the_prediction_in_time(made):
 
 def test_models_are_vectorised_and_nested(made):
     problem = wave_problem(made)
-    start = np.array([SPEED, 2e-4])
+    start = np.array([SPEED, 2e-4, 1.0])
     plain = problem.baseline.predict(start)
     for model in problem.candidates:
-        absent = np.concatenate([start, [p.null for p in model.parameters[2:]]])
+        absent = np.concatenate([start, [p.null for p in model.parameters[3:]]])
         np.testing.assert_allclose(model.predict(absent), plain, atol=1e-9)
         many = np.stack([absent, absent * 1.01])[:, None].repeat(3, axis=1)
         assert model.predict(many).shape == (2, 3, 1, len(problem.values))
@@ -236,8 +236,8 @@ def test_a_clock_that_runs_wrong_is_another_speed(made):
     clock = problem.combine(("material_damping", "clock_error"))
     plain = problem.combine(("material_damping",))
     beta = 1e-20 + 1e-11
-    fast = clock.predict(np.array([SPEED, 0.0, beta, 0.01]))
-    slow = plain.predict(np.array([SPEED / 1.01, 0.0, beta * 1.01]))
+    fast = clock.predict(np.array([SPEED, 0.0, 1.0, beta, 0.01]))
+    slow = plain.predict(np.array([SPEED / 1.01, 0.0, 1.0, beta * 1.01]))
     assert np.abs(fast - slow).max() < 1e-3 * np.abs(slow).max()
 
 
@@ -311,7 +311,7 @@ def test_measured_passes_refute_the_declared_damping(measured):
     theta, after = residuals(measured, ("material_damping",), held)
     assert before > 0.9
     assert after < 0.25 * before
-    assert theta[2] < 1e-7
+    assert theta[3] < 1e-7
     # the declared modulus is right to its tolerance, and the gauge where it is said to be
     assert theta[0] == pytest.approx(np.sqrt(71.7e9 / 2810.0), rel=0.01)
     assert abs(theta[1]) < 2e-3
