@@ -51,7 +51,7 @@ LEAST_DRAG_1_M = 1e-9
 ROUNDED_TOGETHER = 10.0
 """By how much averaging betters the rounding of a reading, at best."""
 NODES = np.linspace(-3.0, 3.0, 41)
-LIBRARY = ("air_drag", "release_velocity", "scale_error", "clock_error")
+LIBRARY = ("air_drag", "drag_scatter", "release_velocity", "scale_error", "clock_error")
 
 
 @dataclass(frozen=True)
@@ -203,7 +203,7 @@ EFFECT_PARAMETERS: dict[str, tuple[Parameter, ...]] = {
         Parameter("scatter", "", 0.0, 0.5, 0.15, why="a flat body falls broadside or edge on"),
     ),
 }
-"""By effect. ``drag_scatter`` stands outside the project's list: see `fall_problem`."""
+"""By effect. Only ``drag_scatter`` is not among the names that drops have as well."""
 
 
 @dataclass(frozen=True)
@@ -268,8 +268,8 @@ class FallModel:
 def fall_problem(data: Falls, library: Sequence[str] = LIBRARY) -> Problem:
     """The falls as a `Problem`; ``library`` names the candidates.
 
-    ``combine`` also takes ``height_offset``, which is the baseline's fall time by another name,
-    and ``drag_scatter``, a drag that differs from fall to fall, of use with ``air_drag`` only.
+    ``drag_scatter``, a drag that differs from fall to fall, shows with ``air_drag`` only.
+    ``combine`` also takes ``height_offset``, which is the baseline's fall time by another name.
     """
     bins = in_bins(data)
     combine = _combine(bins)
