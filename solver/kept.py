@@ -60,9 +60,9 @@ def store(key: str, arrays: Mapping[str, Array]) -> None:
 
 
 @lru_cache(maxsize=8)
-def sources(folder: Path) -> str:
-    """A digest of a folder's sources, for keys of what they make."""
-    files = sorted(Path(folder).rglob("*.py"))
+def sources(*paths: Path) -> str:
+    """A digest of source files, and of all in folders, for keys of what they make."""
+    files = [file for path in paths for file in (sorted(path.rglob("*.py")) or [path])]
     return hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest()[:16]
 
 

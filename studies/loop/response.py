@@ -16,7 +16,6 @@ from functools import cached_property, lru_cache
 from pathlib import Path
 
 import numpy as np
-from scipy.ndimage import map_coordinates, spline_filter
 
 from ...solver import paper
 from ...solver.batch import Drops, drop_many
@@ -34,6 +33,7 @@ from ...solver.kept import kept, sources
 from ...solver.rigid import slope_normal
 from ...solver.time.march import Marcher
 from ...solver.time.scheme import TimeScheme
+from .spline import coefficients, evaluate
 
 # What a table holds of a drop, and what is measured of it.
 QUANTITIES = ("y1_m", "contact_time_s", "peak_force_N")
@@ -50,7 +50,7 @@ SIDE_NODES = 4
 ITS_S = 5e-6
 SHORTEST_ITS_S = 5e-7
 POINTS = 5
-EFFECT_FILES = Path(library.__file__).parent
+MADE_BY = (Path(library.__file__).parent, Path(__file__), Path(__file__).with_name("spline.py"))
 SHORTER = (0.5, 0.2)
 
 
@@ -132,7 +132,7 @@ class Axis:
 class Table:
     """Simulated drops over ``axes``, the first two speed of impact (as height) and stiffness.
 
-    ``coefficients`` (quantities, ...) are those of cubic splines through the logarithm of each
+    ``coefficients`` (..., quantities) are those of cubic splines through the logarithm of each
     quantity over what a rigid bristle that loses nothing would give.
     """
 
@@ -144,12 +144,11 @@ class Table:
         spots = np.broadcast_arrays(
             *(axis.where(x) for axis, x in zip(self.axes, places, strict=True))
         )
-        flat = np.stack([np.ravel(spot) for spot in spots])
-        values = [
-            map_coordinates(part, flat, order=3, mode="nearest", prefilter=False)
-            for part in self.coefficients
-        ]
-        return np.stack(values).reshape(len(values), *spots[0].shape)
+        flat = np.stack([np.ravel(spot) for spot in spots], axis=1)
+        sizes = np.array(self.coefficients.shape[:-1])
+        out = np.empty((len(flat), len(QUANTITIES)))
+        evaluate(self.coefficients.reshape(-1, len(QUANTITIES)), sizes, flat, out)
+        return np.asarray(out.T.reshape(len(QUANTITIES), *spots[0].shape))
 
 
 def reference(height_m: Array, kn_N_m: Array, mass_kg: float, gravity_m_s2: float) -> Array:
@@ -192,14 +191,14 @@ class Bench:
         ComputationError where drops fail at all time steps.
         """
         axes = (*self._axes(leaning), *sides)
-        key = f"{name} {axes} {self} {sources(EFFECT_FILES)} {ITS_S, SHORTEST_ITS_S, POINTS}"
+        key = f"{name} {axes} {self} {sources(*MADE_BY)}"
         made = kept(key, lambda: {"coefficients": self._filled(axes, change)})
         return Table(axes, made["coefficients"])
 
     def _filled(
         self, axes: tuple[Axis, ...], change: Callable[[Scene, tuple[float, ...]], Scene]
     ) -> Array:
-        """Spline coefficients (quantities, ...) of a table."""
+        """Spline coefficients (..., quantities) of a table."""
         sides = axes[2:]
         heights, kns = axes[0].nodes(), [float(kn) for kn in axes[1].nodes()]
         steps: dict[float, list[int]] = {}
@@ -220,8 +219,8 @@ class Bench:
         grid = np.meshgrid(heights, kns, indexing="ij")
         rigid = reference(*grid, self.bristle.mass_kg, self.gravity_m_s2)
         rigid = rigid.reshape(len(QUANTITIES), *shape[:2], *(1,) * len(sides))
-        logs = np.log(np.moveaxis(out, -1, 0) / rigid)
-        return np.stack([spline_filter(part, order=3, mode="nearest") for part in logs])
+        logs = np.log(out / np.moveaxis(rigid, 0, -1))
+        return coefficients(logs, len(axes))
 
     def _drops(self, scenes: Sequence[Scene]) -> Array:
         step = its_s(self.bristle, scenes[0].law.kn_N_m)
