@@ -218,6 +218,60 @@ def calibrate(
 
 
 @app.command()
+def synth(
+    effect: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="NAME:PARAM=VALUE,…", help="An effect that the dataset hides; repeatable."
+        ),
+    ] = None,
+    unlisted: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME=STRENGTH",
+            help="One that no list has: session-shift, height-ripple or alternation, with its "
+            "relative strength on the height after.",
+        ),
+    ] = None,
+    drops: Annotated[int, typer.Option(min=6, max=10_000, help="How many.")] = 48,
+    kn: Annotated[float, typer.Option(min=2e5, max=5e7, help="Contact stiffness, N/m.")] = 2e6,
+    noise: Annotated[
+        str, typer.Option(help="gaussian, heavy-tailed, outliers or autocorrelated.")
+    ] = "gaussian",
+    sigma_y: Annotated[
+        float, typer.Option(min=1e-6, max=1e-2, help="Standard error of a height, m.")
+    ] = 3e-4,
+    heights_only: Annotated[
+        bool, typer.Option("--heights-only", help="No contact times and forces.")
+    ] = False,
+    seed: Annotated[int, typer.Option(min=0, help="Of release, chance and errors.")] = 0,
+    out: Annotated[Path, out_option("results/synth")] = Path("results/synth"),
+    truth: Annotated[
+        Path, typer.Option(metavar="FILE", help="Where the truth goes, outside the dataset.")
+    ] = Path("results/synth-truth.json"),
+    debug: Debug = False,
+) -> None:
+    """A dataset of drops with an effect in it that it does not declare, by the reduced solid.
+
+    Example: bristle synth --effect contact_damping:c_N_s_m=5 --out results/mystery
+    """
+    from .synth import recipe_of, run_synth
+
+    recipe = recipe_of(
+        effect or [],
+        unlisted,
+        n_drops=drops,
+        kn_N_m=kn,
+        noise=noise,
+        sigma_y_m=sigma_y,
+        sensors=not heights_only,
+        seed=seed,
+    )
+    run_synth(recipe, out, truth)
+    print(out / "dataset.toml")
+
+
+@app.command()
 def view(
     result: Annotated[Path, typer.Argument(metavar="RESULT", help="Folder of a drop's result.")],
     out: Annotated[

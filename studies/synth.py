@@ -1,0 +1,280 @@
+"""What would be measured if a bristle had an effect in it that its dataset does not declare?
+
+The drops are those of the reduced solid; what reads the dataset fits the beam. The truth goes into
+a file elsewhere.
+"""
+
+from __future__ import annotations
+
+import csv
+import hashlib
+import io
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from enum import StrEnum
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..solver import paper
+from ..solver.bodies.modal import ModalBody
+from ..solver.bristle import Array, Bristle, Material
+from ..solver.contact.laws import Linear
+from ..solver.effects.base import Effect, Scene
+from ..solver.effects.library import enter_all
+from ..solver.errors import InputError
+from ..solver.fall import dragged_fall, risen
+from . import __version__
+from .effects import EffectInput, read_effects
+from .files import prepare_folder, to_json, write_atomically
+from .loop.response import drops_of, its_s
+
+COLUMNS = ("drop", "y0_mm", "y1_mm", "contact_time_ms", "peak_force_N")
+# Releases by hand: the height is known as measured, not as meant.
+RELEASE_STD_M = 5e-4
+# Steps of the generator, finer than the loop's.
+FINER = 0.5
+
+
+class Noise(StrEnum):
+    """How errors of measurement are distributed, at the declared standard deviation.
+
+    Heavy-tailed ones are Student's of three degrees of freedom, one in twenty is five times as
+    large among outliers, and those of neighbouring drops correlate by a half.
+    """
+
+    GAUSSIAN = "gaussian"
+    HEAVY = "heavy-tailed"
+    OUTLIERS = "outliers"
+    CORRELATED = "autocorrelated"
+
+
+class Strange(StrEnum):
+    """Effects that no list has: of them the loop can only say that something is missing."""
+
+    SHIFT = "session-shift"
+    RIPPLE = "height-ripple"
+    ALTERNATION = "alternation"
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """What a made dataset holds. ``strange`` has a relative ``strength`` on the height after."""
+
+    effects: tuple[Effect, ...] = ()
+    strange: Strange | None = None
+    strength: float = 0.0
+    n_drops: int = 48
+    heights_m: tuple[float, ...] = paper.HEIGHTS_M
+    kn_N_m: float = paper.KN_CHOSEN_N_M
+    sigma_y_m: float = 3e-4
+    sigma_t_s: float = 2e-6
+    sigma_force_N: float = 0.5
+    noise: Noise = Noise.GAUSSIAN
+    sensors: bool = True
+    friction: float = paper.FRICTION
+    seed: int = 0
+
+
+def reduced_body() -> ModalBody:
+    """The paper's bristle as a reduced solid that may lean; collective."""
+    from mpi4py import MPI
+
+    from .cases import Workshop
+    from .config import DropInputs
+
+    with Workshop(MPI.COMM_WORLD) as workshop:
+        inputs = DropInputs.model_validate({"model": "reduced", "tilt_deg": 2.0, "its_s": 2e-6})
+        prepared = workshop.prepare(inputs)
+    assert prepared is not None
+    return prepared.frame.modal
+
+
+@dataclass(frozen=True)
+class Made:
+    """A dataset and its truth: ``measured`` and ``true`` (drops, 4) are y0, y1, contact time and
+    peak force as read, and as an instrument without noise would read them."""
+
+    recipe: Recipe
+    measured: Array
+    true: Array
+
+
+def make(recipe: Recipe, body: ModalBody) -> Made:
+    """Drop, disturb, measure. The same recipe gives the same numbers."""
+    chance, errors = (
+        np.random.default_rng([recipe.seed, 1]),
+        np.random.default_rng([recipe.seed, 2]),
+    )
+    cycle = -(-recipe.n_drops // len(recipe.heights_m))
+    meant = chance.permutation(np.repeat(recipe.heights_m, cycle)[: recipe.n_drops])
+    heights = np.maximum(meant + RELEASE_STD_M * chance.normal(size=recipe.n_drops), 1e-3)
+    scenes = [
+        enter_all(
+            Scene(
+                height_m=float(height),
+                order=i,
+                chance=tuple(map(float, chance.normal(size=2))),
+                beta_s=body.beta_s,
+                law=Linear(recipe.kn_N_m),
+            ),
+            recipe.effects,
+        )
+        for i, height in enumerate(heights)
+    ]
+    true = _seen(scenes, recipe, body)
+    true[:, 1] *= 1.0 + recipe.strength * _pattern(recipe.strange, heights)
+    sigma = np.array([recipe.sigma_y_m, recipe.sigma_y_m, recipe.sigma_t_s, recipe.sigma_force_N])
+    measured = true + sigma * _errors(recipe.noise, true.shape, errors)
+    measured[:, :2] = np.maximum(measured[:, :2], [1e-4, 0.0])
+    return Made(recipe, measured, true)
+
+
+def _seen(scenes: Sequence[Scene], recipe: Recipe, body: ModalBody) -> Array:
+    """What a perfect reading of the instruments gives of these drops (drops, 4)."""
+    g, mass = paper.GRAVITY_M_S2, body.mass_kg
+    falls = []
+    for scene in scenes:
+        _, speed = dragged_fall(scene.height_m, g, scene.release_speed_m_s, scene.drag_kg_m / mass)
+        falls.append(replace(scene, height_m=speed * speed / (2.0 * g)))
+    bristle = Bristle(material=Material(beta_s=body.beta_s))
+    steps = [FINER * its_s(bristle, scene.law.kn_N_m) for scene in falls]
+    out = np.empty((len(scenes), 4))
+    for step in sorted(set(steps)):
+        members = [i for i, each in enumerate(steps) if each == step]
+        out[members, 1:] = drops_of(body, [falls[i] for i in members], g, step, recipe.friction)
+    for i, scene in enumerate(scenes):
+        top = risen(out[i, 1], scene.drag_kg_m / mass)
+        out[i, 0] = scene.y_scale * (scene.height_m + scene.y_offset_m)
+        out[i, 1] = scene.y_scale * (top + scene.y_offset_m)
+        out[i, 2] *= scene.t_scale
+    return out
+
+
+def _pattern(strange: Strange | None, heights_m: Array) -> Array:
+    """The relative change (drops,) that an unlisted effect of strength one makes."""
+    n = len(heights_m)
+    if strange is Strange.SHIFT:
+        return np.where(np.arange(n) < n // 2, 0.0, 1.0)
+    if strange is Strange.RIPPLE:
+        return np.asarray(np.sin(2.0 * math.pi * heights_m / 0.02))
+    if strange is Strange.ALTERNATION:
+        return np.where(np.arange(n) % 2 == 0, 1.0, -1.0)
+    return np.zeros(n)
+
+
+def _errors(noise: Noise, shape: tuple[int, int], rng: np.random.Generator) -> Array:
+    """Errors of unit standard deviation, drop after drop."""
+    plain = rng.normal(size=shape)
+    if noise is Noise.HEAVY:
+        return rng.standard_t(3.0, size=shape) / math.sqrt(3.0)
+    if noise is Noise.OUTLIERS:
+        return plain * np.where(rng.random(shape) < 0.05, 5.0, 1.0)
+    if noise is Noise.CORRELATED:
+        for i in range(1, shape[0]):
+            plain[i] = 0.5 * plain[i - 1] + math.sqrt(0.75) * plain[i]
+    return plain
+
+
+def table_of(made: Made) -> str:
+    """The dataset's table as CSV, in the units of CONTRACT.md."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    columns = COLUMNS if made.recipe.sensors else COLUMNS[:3]
+    writer.writerow(columns)
+    scale = np.array([1e3, 1e3, 1e3, 1.0])
+    for i, row in enumerate(made.measured * scale):
+        writer.writerow([i + 1, *(f"{value:.6g}" for value in row[: len(columns) - 1])])
+    return text.getvalue()
+
+
+def manifest_of(recipe: Recipe) -> str:
+    """The dataset's dataset.toml, which declares the instruments and no effect."""
+    lines = [
+        "[dataset]",
+        'title = "Made drops of a bristle"',
+        'kind = "drops"',
+        f'source = "bristle synth {__version__}"',
+        'licence = "CC0-1.0"',
+        "",
+        "[measurement]",
+        'file = "drops.csv"',
+        f"sigma_y_mm = {1e3 * recipe.sigma_y_m:g}",
+    ]
+    if recipe.sensors:
+        lines += [
+            f"sigma_t_s = {recipe.sigma_t_s:g}",
+            f"sigma_force_N = {recipe.sigma_force_N:g}",
+        ]
+    return "\n".join([*lines, f"gravity_m_s2 = {paper.GRAVITY_M_S2:g}"]) + "\n"
+
+
+def truth_of(made: Made) -> dict[str, Any]:
+    """What is behind the dataset, and which table it belongs to."""
+    recipe = made.recipe
+    return {
+        "schema": "bristle-truth-1",
+        "version": __version__,
+        "table_sha256": hashlib.sha256(table_of(made).encode()).hexdigest(),
+        "effects": [EffectInput.of(effect).model_dump() for effect in recipe.effects],
+        "unlisted": None if recipe.strange is None else str(recipe.strange),
+        "strength": recipe.strength,
+        "kn_N_m": recipe.kn_N_m,
+        "noise": str(recipe.noise),
+        "seed": recipe.seed,
+        "without_noise": [[float(x) for x in row] for row in made.true],
+        "columns": ["y0_m", "y1_m", "contact_time_s", "peak_force_N"],
+    }
+
+
+def write_dataset(made: Made, folder: Path, truth: Path) -> None:
+    """Write the dataset into ``folder``, its truth to the file ``truth`` outside it.
+
+    Raises InputError where the truth would lie in the dataset's folder.
+    """
+    if folder.resolve() in (truth.resolve(), *truth.resolve().parents):
+        raise InputError(
+            f"--truth {truth}: lies in the dataset's own folder, where it would be seen"
+        )
+    prepare_folder(folder)
+    truth.parent.mkdir(parents=True, exist_ok=True)
+    write_atomically(truth, to_json(truth_of(made)) + "\n")
+    write_atomically(folder / "drops.csv", table_of(made))
+    write_atomically(folder / "dataset.toml", manifest_of(made.recipe))
+
+
+def recipe_of(effects: Sequence[str], unlisted: str | None, **values: Any) -> Recipe:
+    """The recipe of a command line. Raises InputError naming the option."""
+    try:
+        listed = tuple(each.effect() for each in read_effects(list(effects)))
+    except ValueError as error:
+        raise InputError(f"--effect: {error}") from None
+    try:
+        values["noise"] = Noise(values["noise"])
+    except ValueError:
+        raise InputError(f"--noise: must be one of {', '.join(Noise)}") from None
+    strange, strength = None, 0.0
+    if unlisted is not None:
+        name, _, value = unlisted.partition("=")
+        try:
+            strange, strength = Strange(name), float(value)
+        except ValueError:
+            strength = math.nan
+        if strange is None or not abs(strength) < 1.0:
+            raise InputError(
+                f"--unlisted: must be NAME=STRENGTH, NAME one of {', '.join(Strange)}, STRENGTH "
+                f"between -1 and 1, not '{unlisted}'"
+            )
+    return Recipe(listed, strange, strength, **values)
+
+
+def run_synth(recipe: Recipe, out: Path, truth: Path) -> None:
+    """Make the dataset of ``recipe``; collective. Raises InputError, ComputationError."""
+    from mpi4py import MPI
+
+    from ..meshes.collective import run_on_one_rank
+
+    body = reduced_body()
+    run_on_one_rank(MPI.COMM_WORLD, lambda: write_dataset(make(recipe, body), out, truth))
