@@ -46,8 +46,9 @@ class Drops:
     """What differs between drops, arrays of one entry (or row) a drop.
 
     ``normals`` (drops, points, 3) and ``rises_m`` (drops, points) are the ground's planes under the
-    tip: each passes through its point of the end section, raised by ``rises_m``; the ground as a
-    whole is moved until the first point touches. ``scale`` (drops, points) is the stiffness there
+    tip: each passes through the place over or under its point of the end section where the ground
+    is ``rises_m`` above its mean (so for a slope these are the slope's own heights); the ground as
+    a whole is moved until the first point touches. ``scale`` (drops, points) is the stiffness there
     over ``kn_N_m``.
     """
 

@@ -30,7 +30,7 @@ from ...solver.effects.library import EFFECTS
 from ...solver.effects.surface import MOST_SLOPE_DEG
 from ...solver.errors import ComputationError
 from ...solver.kept import kept, sources
-from ...solver.rigid import slope_normal
+from ...solver.rigid import leaning, matrix_of, slope_normal
 from ...solver.time.march import Marcher
 from ...solver.time.scheme import TimeScheme
 from .spline import coefficients, evaluate
@@ -47,7 +47,7 @@ LEAN_NODES = 7
 SLOPE_NODES = 6
 SIDE_NODES = 4
 # Steps of an impact: y1/y0 is then off by less than a thousandth (study of ITS).
-ITS_S = 5e-6
+ITS_S = 2e-6
 SHORTEST_ITS_S = 5e-7
 POINTS = 5
 MADE_BY = (Path(library.__file__).parent, Path(__file__), Path(__file__).with_name("spline.py"))
@@ -98,7 +98,10 @@ def drops_of(
         mu=mu,
     )
     normals = np.array([slope_normal(s.slope_deg, s.slope_wide_deg) for s in scenes])
-    drops = replace(drops, normals=np.repeat(normals[:, None, :], n, axis=1))
+    turns = np.array([matrix_of(leaning(s.tilt_deg, s.tilt_wide_deg)) for s in scenes])
+    at = np.einsum("sxk,nk->snx", turns, body.contact.places_m)
+    rises = -np.einsum("sx,snx->sn", normals[:, :2], at[..., :2]) / normals[:, 2:]
+    drops = replace(drops, normals=np.repeat(normals[:, None, :], n, axis=1), rises_m=rises)
     found = drop_many(marcher, drops)
     return np.stack([found.rebound_height_m, found.contact_time_s, found.peak_force_N], axis=1)
 
