@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -43,8 +44,8 @@ def design(rng: np.random.Generator, drops: int = 48, quantities: int = 2) -> De
     )
 
 
-# By quantity (rebound, contact time, peak force): how each toy effect looks against height and order.
 def _by(quantity: np.ndarray, *columns: np.ndarray) -> np.ndarray:
+    """Rows by quantity: rebound, contact time, peak force."""
     return np.choose(quantity, [np.broadcast_to(c, quantity.shape) for c in columns])
 
 
@@ -98,7 +99,7 @@ class Toy:
         return mean[..., None, :] + amount * nodes[:, None] * field
 
 
-def model(d: Design, names: tuple[str, ...], two: bool = True) -> Toy:
+def model(d: Design, names: tuple[str, ...]) -> Toy:
     """The toy model with these effects."""
     base = 40.0 * _by(d.quantity, 1.0 * d.height / 30, -0.5 + 0 * d.x, 0.4 * d.height / 30)
     known = fields(d)
@@ -115,14 +116,13 @@ def model(d: Design, names: tuple[str, ...], two: bool = True) -> Toy:
         field = _by(d.quantity, *SCALED[name]) * d.height / 30
         chance = (nodes, field)
     ordered = tuple(n for n in names if n not in SCALED) + tuple(n for n in names if n in SCALED)
-    del two
     return Toy(ordered, tuple(several), weights, base, tuple(parts), chance)
 
 
 NAMES = (*fields(design(np.random.default_rng(0))), *SCALED)
 UNLISTED: dict[str, Field] = {
     "bump": lambda d: _by(d.quantity, np.cos(2.5 * d.x), -np.cos(2.5 * d.x), 0 * d.x),
-    "wave": lambda d: _by(d.quantity, np.sin(6 * d.t), 0 * d.x, 0 * d.x),
+    "wave": lambda d: _by(d.quantity, np.sin(3.3 * d.t), 0 * d.x, 0 * d.x),
     "step": lambda d: _by(d.quantity, 0 * d.x, np.where(d.height > 35, 1.0, 0), 0 * d.x),
 }
 
@@ -145,7 +145,7 @@ def noise(rng: np.random.Generator, d: Design, how: str = "normal") -> np.ndarra
         rho = 0.5
         for each in np.unique(d.quantity):
             mine = np.flatnonzero(d.quantity == each)
-            for a, b in zip(mine[:-1], mine[1:], strict=True):
+            for a, b in itertools.pairwise(mine):
                 e[b] = rho * e[a] + np.sqrt(1 - rho**2) * e[b]
     if how == "double":
         return 1.6 * e
@@ -203,6 +203,7 @@ def problem(
             Experiment("the same again", lambda names: model(d, names)),
         ],
         sigma_declared=declared,
+        notes={"mean": mean if declared else mean / guess},
     )
     return made, amounts
 

@@ -7,7 +7,8 @@ can imitate, refit included, to less than `APART` are one class.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.cluster.hierarchy import fcluster, linkage
@@ -70,31 +71,58 @@ def classes(data: Sample, base: Fitted, ladders: Sequence[Ladder]) -> list[tuple
     seen = [each for each in ladders if each.d.max() > APART]
     if len(seen) < 2:
         return []
+    known = {each.name: moments(data, each) for each in seen}
     apart = np.zeros((len(seen), len(seen)))
     for i, one in enumerate(seen):
         for j, two in enumerate(seen):
             if i != j:
-                apart[i, j] = _imitated(data, base, one, two)
-    apart = np.maximum(apart, apart.T)
-    label = fcluster(linkage(squareform(apart, checks=False), "complete"), APART, "distance")
+                apart[i, j] = _imitated(data, base, one, two, known)
+    both = np.maximum(apart, apart.T)
+    label = fcluster(linkage(squareform(both, checks=False), "complete"), APART, "distance")
     groups = [
         tuple(seen[k].name for k in np.flatnonzero(label == each)) for each in np.unique(label)
     ]
     return sorted(group for group in groups if len(group) > 1)
 
 
-def moments(data: Sample, rungs: Ladder, points: Ints) -> tuple[Array, Array]:
-    """Mean (points, rows) and covariance with noise (points, rows, rows) of predictions."""
+@dataclass(frozen=True)
+class Moments:
+    """Jointly normal rows of each group: ``mean`` (points, rows), and for groups of one size
+    ``covariance`` and ``inverse`` (points, groups, size, size); ``log_det`` (points,)."""
+
+    mean: Array
+    covariance: tuple[Array, ...]
+    inverse: tuple[Array, ...]
+    log_det: Array
+
+
+def blocks(data: Sample) -> list[Ints]:
+    """Row numbers (groups, size) of all groups of each size."""
+    sizes = np.diff(data.starts)
+    return [
+        data.starts[:-1][sizes == size][:, None] + np.arange(size)[None]
+        for size in np.unique(sizes)
+    ]
+
+
+def moments(data: Sample, rungs: Ladder) -> Moments:
+    """Moments of a ladder's predictions with unit noise added."""
     w = np.asarray(rungs.model.weights)
-    predicted = rungs.predicted[points]
-    mean = np.einsum("j,kjr->kr", w, predicted)
-    part = (predicted - mean[:, None]) * np.sqrt(w)[:, None]
-    same = data.group[:, None] == data.group[None, :]
-    cov = np.einsum("kjr,kjs->krs", part, part, optimize=True) * same
-    return mean, cov + np.eye(data.values.size)
+    mean = rungs.mean()
+    covariance, inverse = [], []
+    log_det = np.zeros(mean.shape[0])
+    for rows in blocks(data):
+        part = (rungs.predicted - mean[:, None])[:, :, rows] * np.sqrt(w)[:, None, None]
+        cov = np.einsum("kjgr,kjgs->kgrs", part, part) + np.eye(rows.shape[1])
+        covariance.append(cov)
+        inverse.append(np.linalg.inv(cov))
+        log_det += np.linalg.slogdet(cov)[1].sum(axis=1)
+    return Moments(mean, tuple(covariance), tuple(inverse), log_det)
 
 
-def _imitated(data: Sample, base: Fitted, one: Ladder, two: Ladder) -> float:
+def _imitated(
+    data: Sample, base: Fitted, one: Ladder, two: Ladder, known: Mapping[str, Moments]
+) -> float:
     """The largest distance, over rays of the first effect at the reference size, at which the
     second effect stays from it at best."""
     worst = 0.0
@@ -110,7 +138,7 @@ def _imitated(data: Sample, base: Fitted, one: Ladder, two: Ladder) -> float:
             target = project @ (one.mean()[point] - base.mean)
             nearest = _nearest(target, (two.mean() - base.mean) @ project)
         else:
-            nearest = _nearest_scatter(data, one, int(point), two)
+            nearest = _nearest_scatter(data, known[one.name], int(point), known[two.name])
         worst = max(worst, nearest)
     return worst
 
@@ -123,18 +151,12 @@ def _nearest(target: Array, others: Array) -> float:
     return float(np.sqrt(np.min(np.sum((target - amount[:, None] * others) ** 2, axis=1))))
 
 
-def _nearest_scatter(data: Sample, one: Ladder, point: int, two: Ladder) -> float:
+def _nearest_scatter(data: Sample, one: Moments, point: int, two: Moments) -> float:
     """Square root of twice the least divergence of jointly normal predictions."""
-    mean, cov = moments(data, one, np.array([point]))
-    close = np.argsort(np.abs(two.d - one.d[point]))[:24]
-    means, covs = moments(data, two, close)
-    inverse = np.linalg.inv(covs)
-    shift = means - mean
-    twice = (
-        np.einsum("krs,sr->k", inverse, cov[0])
-        - data.values.size
-        + np.linalg.slogdet(covs)[1]
-        - np.linalg.slogdet(cov)[1]
-        + np.einsum("kr,krs,ks->k", shift, inverse, shift)
-    )
+    twice = two.log_det - one.log_det[point] - data.values.size
+    shift = two.mean - one.mean[point]
+    for rows, cov, inverse in zip(blocks(data), one.covariance, two.inverse, strict=True):
+        twice = twice + np.einsum("kgrs,gsr->k", inverse, cov[point])
+        part = shift[:, rows]
+        twice += np.einsum("kgr,kgrs,kgs->k", part, inverse, part, optimize=True)
     return float(np.sqrt(max(twice.min(), 0.0)))

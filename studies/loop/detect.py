@@ -15,15 +15,18 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.special import logsumexp
 
 from ...solver.bristle import Array
 from .family import corrected, family, p_values
-from .fit import Fitted, filtered_slopes
+from .fit import Fitted, filtered_slopes, to_theta
 from .ladder import Ladder, explored_shares
 from .noise import Ints, influence, score_table
 from .sample import Sample
+from .smooth import plain_heights, smooth_heights, smooth_names
 
 SETS = 499
+OCCAM = 2.5
 POWER_QUANTILE = 1.2815515655446004
 
 
@@ -61,6 +64,57 @@ def kept_noises(data: Sample, shares: Array) -> Ints:
     kept = shares > 3e-3
     kept[0] = True
     return np.flatnonzero(kept)
+
+
+def shared_noise(data: Sample, base: Fitted, ladders: list[Ladder]) -> tuple[Array, float]:
+    """Posterior weights of the noises (noises,) over all that may be there, and nothing; and the
+    log evidence of a smooth misfit over none.
+
+    A noise that fits only because it swallows an effect must not calibrate the tests that look for
+    the effect. So each noise is weighted by the evidence that it has with nothing missing (half
+    the prior), with each candidate at its best ladder point, and with a smooth misfit; what a
+    parameter costs is `OCCAM`.
+    """
+    every = np.arange(data.noises.scale.size)
+    slopes = base.mean_slopes
+    tests = family(data)
+    residual = np.concatenate(
+        [
+            refit(data, (data.values - base.mean)[None], slopes, every[n : n + 1]).residual
+            for n in every
+        ]
+    )
+    nothing = np.diagonal(plain_heights(data, residual, every))
+    rival = np.diagonal(smooth_heights(data, tests, residual, slopes, every), axis1=0, axis2=2)
+    others = [rival - np.log(max(rival.shape[0], 1))]
+    # Noises that differ little see the same points as best: those of a few noises are enough.
+    few = every[:: max(every.size // 12, 1)]
+    for each in ladders:
+        weights = np.asarray(each.model.weights)
+        shift = each.predicted - base.mean
+        points = np.arange(each.d.size)
+        coarse = data.log_likelihood(
+            residual, shift, weights, (few[None], points[:, None], few[None])
+        )
+        order = np.argsort(-(coarse + data.noises.prior[few]).max(axis=0))
+        best = np.unique(np.argmax(coarse, axis=0)[order[:4]])
+        fine = data.log_likelihood(
+            residual, shift, weights, (every[None], best[:, None], every[None])
+        )
+        cost = OCCAM * each.ends.shape[2]
+        others.append((fine.max(axis=0) + data.noises.prior - cost)[None])
+    stacked = np.concatenate(others)
+    total = np.logaddexp(
+        nothing, np.logaddexp.reduce(stacked, axis=0) - np.log(max(len(ladders) + 1, 1))
+    )
+    mass = np.exp(total - total.max())
+    return np.asarray(mass / mass.sum()), _gain(rival, nothing)
+
+
+def _gain(rival: Array, nothing: Array) -> float:
+    if rival.shape[0] == 0:
+        return -np.inf
+    return float(logsumexp(rival) - np.log(rival.shape[0]) - logsumexp(nothing))
 
 
 def refit(data: Sample, residual: Array, slopes: Array, among: Ints) -> Refitted:
@@ -146,20 +200,22 @@ def detect(
     slopes = base.mean_slopes
     found = refit(data, values - base.mean, slopes, among)
     tests = family(data)
-    columns = [tests(found.standard)]
+    rival = smooth_heights(data, tests, found.residual, slopes, among).max(axis=2)
+    columns = [tests(found.standard), rival - found.height[:, None]]
     points: dict[str, Ints] = {}
     for each in ladders:
         ratio, point = ratios(data, found, base.mean, each, among)
         columns.append(ratio[:, None])
         points[each.name] = point[:1]
     table = np.concatenate(columns, axis=1)
-    names = [*tests.names, *(each.name for each in ladders)]
+    smooth = [f"any function of {name}" for name in smooth_names(tests)]
+    names = [*tests.names, *smooth, *(each.name for each in ladders)]
+    first = len(tests.names) + len(smooth)
     single, simulated = p_values(table[0], table[1:])
     p_value, least = corrected(single, simulated)
     threshold = float(np.quantile(least, alarm))
     needed = {
-        each.name: _needed_d(table[1:, len(tests.names) + i], threshold)
-        for i, each in enumerate(ladders)
+        each.name: _needed_d(table[1:, first + i], threshold) for i, each in enumerate(ladders)
     }
     return Detection(
         statistic=names[int(np.argmin(single))],
@@ -177,13 +233,14 @@ def detect(
 
 def _needed_d(simulated: Array, threshold: float) -> float:
     """The d whose likelihood ratio, (d + normal)² / 2, passes the threshold in 9 of 10 sets."""
-    ordered = np.sort(simulated)
-    edge = ordered[int(0.9 * ordered.size)]
-    beyond = ordered[ordered > edge] - edge
+    edge = float(np.quantile(simulated, 0.9))
+    beyond = simulated[simulated > edge] - edge
     if beyond.size < 5 or edge <= 0:
         ratio = float(max(edge, -np.log(threshold)))
     else:
-        ratio = float(edge + beyond.mean() * np.log(max(beyond.size / ordered.size / threshold, 1)))
+        ratio = float(
+            edge + beyond.mean() * np.log(max(beyond.size / simulated.size / threshold, 1))
+        )
     return float(np.sqrt(2 * ratio) + POWER_QUANTILE)
 
 
@@ -193,9 +250,8 @@ def _magnitude(candidate: Ladder, d: float) -> float | None:
     several = candidate.model.parameters[own:]
     shares = explored_shares(candidate)
     best: float | None = None
-    from .fit import to_theta
-
-    for way, (begin, end) in zip(candidate.way, candidate.ends, strict=True):
+    for ray in range(candidate.ends.shape[0]):
+        way, begin, end = candidate.way[ray], candidate.ends[ray, 0], candidate.ends[ray, 1]
         moving = np.flatnonzero(np.abs(end - begin) > 1e-9)
         if moving.size != 1 or way[-1] < d:
             continue

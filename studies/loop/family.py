@@ -1,12 +1,13 @@
 """By which numbers are residuals looked at, whatever made them?
 
-One family, declared here and nowhere else: their size (omnibus), and against every covariate trend,
-curvature, smooth shape (Neyman's smooth test with weights falling as a Gaussian process' do) and
-trend of their scatter; runs in order; correlation within a group. Residuals are Winsorised by the
-influence of the noise that they have, so that no outlier decides. Large means suspicious.
+One family, declared here and nowhere else: their size (omnibus), each quantity's level, and against
+every covariate trend, curvature, smooth shape (Neyman's smooth test with weights falling as a
+Gaussian process' do) and trend of their scatter; runs in order; correlation within a group.
+Residuals are Winsorised by the influence of the noise that they have, so that no outlier decides.
+Large is suspicious.
 
-Sources: Rayner, Thas and Best, Smooth Tests of Goodness of Fit (2009); Hart, Nonparametric Smoothing
-and Lack-of-Fit Tests (1997), §5.
+Sources: Rayner, Thas and Best, Smooth Tests of Goodness of Fit (2009); Hart, Nonparametric
+Smoothing and Lack-of-Fit Tests (1997), §5.
 """
 
 from __future__ import annotations
@@ -19,23 +20,24 @@ from ...solver.bristle import Array
 from .noise import Ints
 from .sample import Sample
 
-DEGREES = 4
+DEGREES = 5
 
 
 @dataclass(frozen=True)
 class Family:
     """The statistics' ``names`` and what they need: per covariate orthonormal ``shapes``
-    (shapes, rows) with their ``degree``."""
+    (shapes, rows) with their ``degree``, and each quantity's ``levels`` (quantities, rows)."""
 
     names: tuple[str, ...]
     bases: tuple[tuple[Array, Array], ...]
+    levels: Array
     previous: Ints
     pairs: tuple[Ints, Ints]
 
     def __call__(self, u: Array) -> Array:
         """Statistics (sets, names) of standardised residuals (sets, rows)."""
         square = u**2 - np.mean(u**2, axis=1, keepdims=True)
-        columns = [np.sum(u**2, axis=1)]
+        columns = [np.sum(u**2, axis=1), np.sum((u @ self.levels.T) ** 2, axis=1)]
         for shapes, degree in self.bases:
             loads = (u @ shapes.T) ** 2
             columns.append(loads[:, degree == 1].sum(axis=1))
@@ -53,7 +55,7 @@ class Family:
 
 def family(data: Sample) -> Family:
     """The family for these rows; covariates that order the rows alike count once."""
-    names = ["omnibus"]
+    names = ["omnibus", "level"]
     bases: list[tuple[Array, Array]] = []
     seen: list[Array] = []
     for name, x in data.covariates.items():
@@ -81,8 +83,10 @@ def family(data: Sample) -> Family:
                     second.append(j)
     if first_:
         names.append("shared within a group")
+    kinds = np.unique(data.kind)
     pairs = (np.array(first_, dtype=np.int64), np.array(second, dtype=np.int64))
-    return Family(tuple(names), tuple(bases), previous, pairs)
+    levels = np.stack([(data.kind == k) / np.sqrt(np.sum(data.kind == k)) for k in kinds])
+    return Family(tuple(names), tuple(bases), levels, previous, pairs)
 
 
 def _basis(x: Array, kind: Ints) -> tuple[Array, Array]:

@@ -9,6 +9,7 @@ from typing import Any
 
 from ...solver.bristle import Array
 from .heldout import HeldOut
+from .noise import Ints
 
 
 class Verdict(StrEnum):
@@ -67,8 +68,9 @@ class Finding:
 
     ``rows`` numbers the problem's rows that were fitted; ``residual_before``, ``residual_after``
     are theirs in sigma, ``covariates`` what they are drawn against. ``theta`` are the reported
-    model's parameters, ``model_effects`` its effects. ``detectable`` and ``needed_d``: magnitude
-    and size at which an effect is detected nine times in ten.
+    model's parameters, ``model_effects`` its effects. ``log_evidence_unlisted``: of some smooth
+    misfit that no effect names, on the scale of ``evidences``. ``detectable`` and ``needed_d``:
+    magnitude and size at which an effect is detected nine times in ten.
     """
 
     verdict: Verdict
@@ -86,12 +88,13 @@ class Finding:
     detectable: Mapping[str, float | None]
     needed_d: Mapping[str, float]
     evidences: tuple[Evidence, ...]
+    log_evidence_unlisted: float
     noise: Mapping[str, float | str]
     held_out: HeldOut | None
     next_experiment: Proposal | None
     model_effects: tuple[str, ...]
     theta: Array
-    rows: Array
+    rows: Ints
     residual_before: Array
     residual_after: Array
     covariates: Mapping[str, Array]

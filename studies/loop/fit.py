@@ -157,7 +157,7 @@ def fit(
     data: Sample, model: Model, starts: Array, noise: int, iterations: int = ITERATIONS
 ) -> Fitted:
     """The likeliest parameters from several starts (starts, p) in the unit box, noise given."""
-    u = np.clip(np.atleast_2d(np.asarray(starts, dtype=float)), 0.0, 1.0)
+    u: Array = np.clip(np.atleast_2d(np.asarray(starts, dtype=float)), 0.0, 1.0)
     count, p = u.shape
     weights = np.asarray(model.weights)
     case = np.arange(count)
@@ -170,7 +170,7 @@ def fit(
     step = np.full((count, p), 1e-4)
     base, slopes = differentiate(data, model, u, step)
     height = likelihood(base)
-    damping = np.full(count, 1e-2)
+    damping = np.asarray(np.full(count, 1e-2))
     for _ in range(iterations):
         gradient, curve = _newton(data, model, values[:, None, :], base, slopes, noise)
         move = _bounded_step(u, gradient, curve, damping)

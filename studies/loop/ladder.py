@@ -56,7 +56,8 @@ def ladder(data: Sample, base: Fitted, model: Model) -> Ladder:
     _, _, d = _refitted(data, base, model, e.reshape(-1, e.shape[-1]))
     way = np.maximum.accumulate(d.reshape(e.shape[:2]), axis=1)
     chosen, rays = [], []
-    for ray, (begin, end) in enumerate(ends):
+    for ray in range(ends.shape[0]):
+        begin, end = ends[ray, 0], ends[ray, 1]
         for where in _crossings(explored, way[ray]):
             chosen.append(begin + where * (end - begin))
             rays.append(ray)
@@ -76,7 +77,7 @@ def _crossings(explored: Array, way: Array) -> list[float]:
         return [1.0]
     levels = LEVELS[way[-1] * 0.97 > LEVELS]
     at = np.exp(np.interp(np.log(levels), np.log(way[known]), np.log(explored[known]), left=np.nan))
-    # Below the first explored point d is in proportion, or to the square for scatter: either will do.
+    # Below the first explored point: in proportion, exact enough to step from.
     low = np.isnan(at)
     at[low] = explored[known][0] * levels[low] / way[known][0]
     return [*at.tolist(), 1.0]
@@ -116,9 +117,9 @@ def _refitted(
     own, count = base.u.size, effect.shape[0]
     weights = np.asarray(model.weights)
     target = base.mean
-    u = np.concatenate([np.repeat(base.u[None], count, axis=0), effect], axis=1)
+    u: Array = np.concatenate([np.repeat(base.u[None], count, axis=0), effect], axis=1)
     best_u = u.copy()
-    best = np.full(count, np.inf)
+    best = np.asarray(np.full(count, np.inf))
     kept: Array | None = None
     step = np.clip(0.05 / np.sqrt(np.maximum(np.diag(base.information), 1e-12)), 1e-6, 1e-3)
     for turn in range(REFITS):

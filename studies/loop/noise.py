@@ -29,14 +29,14 @@ SHAPES = ("gaussian", "t5", "t3", "outliers")
 OUTLIER_SHARE, OUTLIER_WIDTH = 0.06, 6.0
 # Scales by shape, in declared standard deviations, and the prior weight that a shape gets.
 DECLARED: dict[str, tuple[float, tuple[float, ...]]] = {
-    "gaussian": (0.10, (1.12, 1.25, 1.4, 1.6, 1.85, 2.2, 2.7, 3.3, 4.0)),
-    "t5": (0.05, (0.78, 0.9, 1.0, 1.15, 1.3)),
-    "t3": (0.05, (0.58, 0.7, 0.85, 1.0, 1.25, 1.6)),
-    "outliers": (0.10, (1.0, 1.15, 1.35, 1.6)),
+    "gaussian": (0.02, (1.12, 1.25, 1.4, 1.6, 1.85, 2.2, 2.7, 3.3, 4.0)),
+    "t5": (0.04, (0.78, 0.9, 1.0, 1.15)),
+    "t3": (0.06, (0.58, 0.7, 0.85, 1.0, 1.2)),
+    "outliers": (0.08, (1.0, 1.15)),
 }
 FREE = tuple(float(s) for s in np.geomspace(0.3, 2.5, 14))
 CORRELATIONS = (0.0, 0.15, 0.3, 0.45, 0.6, 0.75)
-UNCORRELATED = 0.6
+UNCORRELATED = 0.75
 
 
 @cache

@@ -18,6 +18,7 @@ from .detect import kept_noises, refit, simulate
 from .family import corrected, family, p_values
 from .fit import Fitted, settle, to_box
 from .ladder import Ladder
+from .noise import influence, score_table
 from .posterior import Posterior, posterior
 from .problem import Problem
 from .sample import Sample
@@ -25,6 +26,8 @@ from .sample import Sample
 SETS = 299
 PAIRS_TRIED = 6
 DIRECTION_D = 6.0
+# Log likelihood that two effects must gain over one before they are tried where one suffices.
+PAIR_GAIN = 4.0
 
 
 @dataclass(frozen=True)
@@ -98,36 +101,81 @@ def left_over(
 
 
 def likely_pairs(
-    data: Sample, base: Fitted, ladders: Sequence[Ladder], singles: Sequence[Posterior]
+    data: Sample,
+    base: Fitted,
+    ladders: Sequence[Ladder],
+    singles: Sequence[Posterior],
+    one_suffices: bool,
 ) -> list[tuple[str, str]]:
     """Pairs whose directions together, each in its own sense, fit the baseline's residuals best.
 
     The three likeliest effects alone with every other, and the pairs that add up best at all.
     """
     owners, shifts = directions(base, ladders)
-    slopes = base.mean_slopes
+    best = dict(_named(singles))
+    likeliest = sorted(best, key=lambda name: -best[name].log_evidence)[:3]
+    alone = max(
+        each.fitted.log_likelihood + data.noises.prior[each.fitted.noise] for each in singles
+    )
+    wanted = alone + PAIR_GAIN if one_suffices else -np.inf
+    height: dict[tuple[str, str], float] = {}
+    for noise in _noises_to_try(data, best[likeliest[0]].fitted.noise):
+        for key, found in _pair_heights(data, base, owners, shifts, noise).items():
+            height[key] = max(height.get(key, -np.inf), found)
+    order = [k for k in sorted(height, key=lambda k: (-height[k], k)) if height[k] > wanted]
+    order = order[:PAIRS_TRIED]
+    if one_suffices:
+        return order
+    # What scatters is not seen in the mean: with the likeliest single effects it is tried anyway.
+    scatter = [x.name for x in ladders if np.asarray(x.model.weights).size > 1]
+    several = sorted(scatter, key=lambda name: -best[name].log_evidence)[:2]
+    for name in several:
+        for other in likeliest:
+            pair_ = (other, name)
+            if other not in scatter and pair_ not in order and pair_[::-1] not in order:
+                order.append(pair_)
+    return order
+
+
+def _noises_to_try(data: Sample, noise: int) -> list[int]:
+    """This noise, the same without correlation, and the plainest: another effect that is not yet
+    in the model may have been taken for either."""
+    grid = data.noises
+    same = (grid.shape == grid.shape[noise]) & (grid.scale == grid.scale[noise])
+    plain = np.flatnonzero((grid.shape == 0) & (grid.correlation == 0))
+    return sorted(
+        {
+            noise,
+            int(np.flatnonzero(same & (grid.correlation == 0))[0]),
+            int(plain[np.argmin(np.abs(grid.scale[plain] - 1))]),
+        }
+    )
+
+
+def _pair_heights(
+    data: Sample, base: Fitted, owners: list[str], shifts: Array, noise: int
+) -> dict[tuple[str, str], float]:
+    """Log likelihood with prior of each pair of effects with the amounts that suit best, one
+    Newton step from none, under one noise; pairs in which one is not wanted are left out."""
+    grid = data.noises
+    one = np.array([noise])
+    found = refit(data, (data.values - base.mean)[None], base.mean_slopes, one)
+    slopes = grid.filtered(base.mean_slopes.T, base.mean_slopes.T, noise).T
     project = np.eye(slopes.shape[0]) - slopes @ np.linalg.pinv(slopes)
-    along = shifts @ project
-    gram = along @ along.T
-    target = along @ (data.values - base.mean)
-    gain: dict[tuple[str, str], float] = {}
+    along = grid.filtered(shifts, shifts, noise) @ project
+    shape = int(grid.shape[noise])
+    gram = along @ along.T * score_table()[1][shape]
+    residual = grid.filtered(found.residual[0], found.residual[0], noise)
+    target = along @ influence(residual, shape)
+    out: dict[tuple[str, str], float] = {}
     for i in range(len(owners)):
         for j in range(i + 1, len(owners)):
-            if owners[i] == owners[j]:
-                continue
-            found = _two(gram[i, i], gram[j, j], gram[i, j], target[i], target[j])
-            key = (owners[i], owners[j])
-            gain[key] = max(gain.get(key, 0.0), found)
-    best = {name: each.log_evidence for name, each in _named(singles)}
-    scatter = {x.name for x in ladders if np.asarray(x.model.weights).size > 1}
-    likeliest = sorted(best, key=lambda name: -best[name])[:3]
-    for name in scatter:
-        for other in likeliest:
-            if name != other and not scatter & {name} - {name}:
-                key = next((k for k in gain if set(k) == {name, other}), (name, other))
-                gain[key] = max(gain.get(key, 0.0), best[other] + best[name])
-    order = sorted(gain, key=lambda key: (-gain[key], key))
-    return [key for key in order if gain[key] > 0][:PAIRS_TRIED]
+            if owners[i] != owners[j]:
+                gain = _two(gram[i, i], gram[j, j], gram[i, j], target[i], target[j])
+                key = (owners[i], owners[j])
+                if gain > 0:
+                    out[key] = max(out.get(key, -np.inf), float(found.height[0]) + gain)
+    return out
 
 
 def _named(singles: Sequence[Posterior]) -> list[tuple[str, Posterior]]:
@@ -146,14 +194,13 @@ def _two(aa: float, bb: float, ab: float, ta: float, tb: float) -> float:
 
 def pair(
     problem: Problem,
-    data: Sample,
-    base: Fitted,
+    several: tuple[Sample, Fitted, np.random.Generator],
     names: tuple[str, str],
     singles: Sequence[Posterior],
     ladders: Sequence[Ladder],
-    rng: np.random.Generator,
 ) -> Posterior:
     """Refit two effects at once, from what each was alone, halves of it, and a small one."""
+    data, base, rng = several
     model = problem.combine(names)
     alone = dict(_named(singles))
     own = base.u.size

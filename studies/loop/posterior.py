@@ -1,11 +1,11 @@
-"""How probable is a model, and how uncertain are its parameters, once all that it could be is summed?
+"""How probable is a model, how uncertain its parameters, once all that it could be is summed?
 
 Importance sampling from Student's t at the likeliest point, once adapted, with a tenth of the
 points spread over the whole box; noises are summed with their priors. So bounds, skewness and
 scatter need no approximation (Owen and Zhou, J. Am. Stat. Assoc. 95 (2000) 135: defensive mixture).
 
 Evidence compares effects on an equal footing. Bounds are wide where little is known, and a prior
-spread over them would favour whoever bounded his effect tightly. The prior is therefore one of size:
+spread over them would favour whoever bounded his effect tightly. The prior is one of size:
 Cauchy in the whitened, projected effect (Zellner and Siow 1980; Bayarri et al., Ann. Statist. 40
 (2012) 1550), the same for all; a direction that the data do not see costs nothing.
 """
@@ -55,10 +55,10 @@ def posterior(
     counts = (128, 384) if weights.size == 1 else (96, 192)
     noise = np.flatnonzero(shares > 2e-3)
     p = fitted.u.size
-    centre, cov = fitted.u, np.linalg.inv(fitted.information + BOX_PRECISION * np.eye(p)) * 1.2
-    u = np.empty((0, p))
-    target = np.empty(0)
-    proposal = np.empty(0)
+    centre = np.asarray(fitted.u)
+    cov = np.linalg.inv(fitted.information + BOX_PRECISION * np.eye(p)) * 1.2
+    u = np.asarray(fitted.u[None])
+    target = proposal = np.asarray(fitted.u)
     for turn, count in enumerate(counts):
         u, proposal = _propose(centre, cov, count, rng)
         inside = np.all((u >= 0) & (u <= 1), axis=1)

@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from . import attribute, openset
-from .detect import Detection, detect
+from .detect import detect, shared_noise
 from .experiment import next_experiment
 from .finding import Evidence, Finding, Interval, Test, Verdict
-from .fit import Fitted, likely_noise, settle, to_box
+from .fit import Fitted, settle, to_box
 from .heldout import judge, split
 from .ladder import Ladder, ladder
 from .noise import Ints
@@ -22,9 +22,11 @@ from .sample import Sample, estimated_units, sample
 
 ALARM = 0.03
 LEFT_ALARM = 0.02
-# A pair must leave less doubt than a single effect, since there are so many pairs.
-PAIR_LEFT = 0.10
-EACH_NEEDED_D = 4.0
+# A pair must gain more over a single effect than its own parameters cost, since there are so many
+# pairs: 2 nats for their number, 2 since a wrong name is worse; over a smooth misfit, 2 in all.
+PAIR_LEFT = 0.05
+PAIR_COST = 4.0
+UNLISTED_MARGIN = 1.0
 
 
 @dataclass(frozen=True)
@@ -50,12 +52,16 @@ def find(problem: Problem, seed: int = 0, alarm: float = ALARM) -> Finding:
     starts = _spread(problem)
     base, shares = settle(data, problem.baseline, starts)
     ladders = [ladder(data, base, model) for model in problem.candidates]
-    detection = detect(data, base, shares, ladders, rng, alarm)
+    spread, gain = shared_noise(data, base, ladders)
+    detection = detect(data, base, spread, ladders, rng, alarm)
     baseline = posterior(data, base, base, shares, rng)
+    unlisted = baseline.log_evidence + gain
     if detection.p_value > alarm:
         answer = _adequate(data, baseline, rng)
     else:
-        answer = _explain(problem, data, base, shares, ladders, detection, rng)
+        likely = np.flatnonzero((spread > 3e-3) | (np.arange(spread.size) == 0))
+        known = Known(problem, data, base, baseline, ladders, likely, unlisted, rng)
+        answer = _explain(known, detection.p_value, alarm)
     final = answer.reported[0] if answer.reported else baseline
     unit = np.ones(problem.values.size)
     unit[:] = _units(problem, data)
@@ -80,6 +86,7 @@ def find(problem: Problem, seed: int = 0, alarm: float = ALARM) -> Finding:
         detectable=detection.detectable,
         needed_d=detection.needed_d,
         evidences=_evidences(answer, baseline),
+        log_evidence_unlisted=unlisted,
         noise=data.noises.describe(final.fitted.noise),
         held_out=held,
         next_experiment=next_experiment(problem, tied),
@@ -121,23 +128,44 @@ def _spread(problem: Problem) -> np.ndarray:
     return np.stack([usual, np.full(usual.size, 0.25), np.full(usual.size, 0.75)])
 
 
-def _adequate(data: Sample, baseline: Posterior, rng: np.random.Generator) -> Answer:
-    left = openset.left_over(data, baseline, baseline.fitted, [], rng)
-    return Answer(Verdict.ADEQUATE, (), (), left, ())
-
-
-def _explain(
-    problem: Problem,
+def _adequate(
     data: Sample,
-    base: Fitted,
-    shares: np.ndarray,
-    ladders: Sequence[Ladder],
-    detection: Detection,
+    baseline: Posterior,
     rng: np.random.Generator,
+    tried: tuple[tuple[Posterior, float | None], ...] = (),
 ) -> Answer:
-    """Single effects first; pairs where none of them leaves nothing; else unknown."""
-    likely = np.flatnonzero((shares > 3e-3) | (np.arange(shares.size) == 0))
-    singles = [attribute.candidate(data, base, each, likely, rng) for each in ladders]
+    left = openset.left_over(data, baseline, baseline.fitted, [], rng)
+    return Answer(Verdict.ADEQUATE, (), (), left, tried)
+
+
+@dataclass(frozen=True)
+class Known:
+    """What has been worked out before the verdict."""
+
+    problem: Problem
+    data: Sample
+    base: Fitted
+    baseline: Posterior
+    ladders: Sequence[Ladder]
+    likely: Ints
+    unlisted: float
+    rng: np.random.Generator
+
+
+def _explain(known: Known, p_value: float, alarm: float) -> Answer:
+    """Single effects first; pairs where they explain more; unknown where no name holds.
+
+    A weak alarm for which neither an effect nor any smooth misfit is likelier than the baseline
+    is a false one. A smooth misfit likelier than the best effect refuses the effect.
+    """
+    data, base, ladders, rng = known.data, known.base, known.ladders, known.rng
+    singles = [attribute.candidate(data, base, each, known.likely, rng) for each in ladders]
+    best = max((each.log_evidence for each in singles), default=-np.inf)
+    if max(best, known.unlisted) < known.baseline.log_evidence and p_value > alarm / 6:
+        return _adequate(data, known.baseline, rng, tuple((each, None) for each in singles))
+    if not singles:
+        left = openset.left_over(data, known.baseline, base, [], rng)
+        return Answer(Verdict.UNKNOWN, (), (), left, ())
     weights = attribute.weights(singles)
     chosen = attribute.credible(weights)
     tests: dict[int, Left] = {
@@ -147,57 +175,48 @@ def _explain(
         (each, tests[i].p_value if i in tests else None) for i, each in enumerate(singles)
     )
     passing = [i for i in chosen if tests[i].p_value > LEFT_ALARM]
+    if known.unlisted > best + UNLISTED_MARGIN:
+        passing = []
+    pairs = _pairs(known, singles, best, bool(passing))
+    if pairs is not None:
+        verdict = Verdict.EFFECT if len(pairs.reported) == 1 else Verdict.AMBIGUOUS
+        return Answer(verdict, pairs.reported, pairs.weights, pairs.left, tried + pairs.tried)
     if passing:
         total = weights[passing].sum()
-        verdict = Verdict.EFFECT if len(passing) == 1 else Verdict.AMBIGUOUS
         return Answer(
-            verdict,
+            Verdict.EFFECT if len(passing) == 1 else Verdict.AMBIGUOUS,
             tuple(singles[i] for i in passing),
             tuple(float(weights[i] / total) for i in passing),
             tests[passing[0]],
             tried,
         )
-    pairs = _pairs(problem, data, base, ladders, singles, rng)
-    if pairs is not None:
-        reported, shares_, left, more = pairs
-        verdict = Verdict.EFFECT if len(reported) == 1 else Verdict.AMBIGUOUS
-        return Answer(verdict, reported, shares_, left, tried + more)
     return Answer(Verdict.UNKNOWN, (), (), tests[chosen[0]], tried)
 
 
 def _pairs(
-    problem: Problem,
-    data: Sample,
-    base: Fitted,
-    ladders: Sequence[Ladder],
-    singles: Sequence[Posterior],
-    rng: np.random.Generator,
-) -> (
-    tuple[
-        tuple[Posterior, ...], tuple[float, ...], Left, tuple[tuple[Posterior, float | None], ...]
-    ]
-    | None
-):
-    """Pairs that leave nothing and in which each effect is needed, with their weights."""
-    names = openset.likely_pairs(data, base, ladders, singles)
+    known: Known, singles: Sequence[Posterior], best: float, one_suffices: bool
+) -> Answer | None:
+    """Pairs that leave nothing, explain more than one effect and more than any smooth misfit."""
+    data, base = known.data, known.base
+    names = openset.likely_pairs(data, base, known.ladders, singles, one_suffices)
     if not names:
         return None
-    both = [openset.pair(problem, data, base, each, singles, ladders, rng) for each in names]
+    several = (data, base, known.rng)
+    both = [openset.pair(known.problem, several, each, singles, known.ladders) for each in names]
     weights = attribute.weights(both)
-    chosen = attribute.credible(weights)
-    alone = max(each.log_evidence for each in singles)
+    needed = max(best, known.unlisted - PAIR_COST / 2) + PAIR_COST
     kept: list[tuple[int, Left]] = []
-    for i in chosen:
-        if both[i].log_evidence < alone + EACH_NEEDED_D**2 / 2:
-            continue
-        left = openset.left_over(data, both[i], base, ladders, rng)
-        if left.p_value > PAIR_LEFT:
-            kept.append((i, left))
+    for i in attribute.credible(weights):
+        if both[i].log_evidence > needed:
+            left = openset.left_over(data, both[i], base, known.ladders, known.rng)
+            if left.p_value > PAIR_LEFT:
+                kept.append((i, left))
     if not kept:
         return None
     total = sum(float(weights[i]) for i, _ in kept)
     found = {i: left.p_value for i, left in kept}
-    return (
+    return Answer(
+        Verdict.EFFECT,
         tuple(both[i] for i, _ in kept),
         tuple(float(weights[i]) / total for i, _ in kept),
         kept[0][1],
@@ -246,6 +265,3 @@ def _evidences(answer: Answer, baseline: Posterior) -> tuple[Evidence, ...]:
             )
         )
     return tuple(out)
-
-
-__all__ = ["ALARM", "find", "likely_noise"]
