@@ -16,11 +16,12 @@ from numpy.typing import NDArray
 from .bodies.base import Array, ContactPoints
 from .bodies.modal import ModalBody
 from .compiled import njit
+from .contact.normal import PLASTIC
 from .contact.step import Points
 from .drop import TOUCH_LIMIT, WAIT_STEPS, slowest_period_s
 from .errors import ComputationError
 from .ground import local_frames
-from .impact import STEP_LIMIT, compiled
+from .impact import STAYING, STEP_LIMIT, compiled
 from .rigid import free_rotation, leaning, matrix_of
 from .time import ballistics, modal_march
 from .time.ballistics import Chart, Flyer, apex, chart, landing, launch_by, next_touch
@@ -32,7 +33,7 @@ TOO_MANY = 5
 FAILURES = {
     modal_march.NOT_CONVERGED: "the contact forces did not converge; shorten the ITS",
     modal_march.NOT_FINITE: "the motion is not finite; shorten the ITS",
-    modal_march.TOO_LONG: f"still in contact after {STEP_LIMIT} steps",
+    modal_march.TOO_LONG: "still in contact after as many steps as no touch takes",
     TOO_MANY: f"more than {TOUCH_LIMIT} touches in one impact; shorten the ITS",
 }
 
@@ -206,21 +207,20 @@ def one_drop(
     placed = True
     weight = modes.mass * gravity
     frames, gaps = local_frames(normals, offsets, position, rotation, flyer.places)
+    limit = STEP_LIMIT // STAYING if points.law[0] >= PLASTIC else STEP_LIMIT
     for _ in range(TOUCH_LIMIT):
         if not placed:
             rotation = matrix_of(attitude)
             frames, gaps = local_frames(normals, offsets, position, rotation, flyer.places)
         touching = Touching(points, frames, gaps, rotation[2].copy(), 0.0, 0.0, gravity)
-        done = march(
-            modes, touching, u, v, max(wait - now, 0.0), math.inf, STEP_LIMIT, False, False
-        )
+        done = march(modes, touching, u, v, max(wait - now, 0.0), math.inf, limit, False, False)
         if done.status != modal_march.RELEASED:
             return done.status
         steps += done.steps
         loss += done.material_loss
         rubbed += done.friction_loss
         spent += done.contact_loss
-        if done.impulse > 0.0:
+        if done.impulse != 0.0:
             touches += 1
             impulse += done.impulse
             peak = max(peak, done.peak)

@@ -352,7 +352,7 @@ class _Stage:
                 f"more than {TOUCH_LIMIT} touches in one impact; shorten the ITS"
             )
         return Impact(
-            touches=[touch for touch in touches if touch.impulse_N_s > 0.0],
+            touches=[touch for touch in touches if touch.impulse_N_s != 0.0],
             flight=flight,
             energy_after=replace(flight_energy(flight, released), contact_J=touch.contact_J),
             next_touch_s=landing,

@@ -65,8 +65,8 @@ class Budget:
 
 
 def marching_energy(marcher: Marcher, state: State) -> Energy:
-    """Energy of a state on the march; Nitsche's boundary terms and friction's springs are
-    contact's.
+    """Energy of the latest state on the march; Nitsche's boundary terms and friction's springs
+    are contact's.
 
     ``potential_J`` is zero where the tip first touches.
     """
@@ -74,7 +74,9 @@ def marching_energy(marcher: Marcher, state: State) -> Energy:
     points = body.contact
     contact = marcher.contact.spring_energy_J()
     if not marcher.rigid_multiplier:
-        stored = method.law.potential(state.drive[:, 0], marcher.tau, marcher.ground.scale)
+        memory = marcher.contact.memory[:, 2]
+        drive, scale = state.drive[:, 0], marcher.ground.scale
+        stored = method.law.potential(drive, marcher.tau, scale, memory)
         contact += float(points.weights @ stored)
     strain = 0.5 * body.dot(state.u, state.ku)
     if method.theta and marcher.tau:

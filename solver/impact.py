@@ -12,6 +12,7 @@ from .bodies.axis import shortening
 from .bodies.base import Array
 from .bodies.modal import ModalBody
 from .contact.enforcement import Enforcement
+from .contact.normal import PLASTIC
 from .energy import marching_energy, step_loss
 from .errors import ComputationError
 from .time import modal_march
@@ -19,6 +20,9 @@ from .time.march import Marcher, State
 
 HISTORY_COLUMNS = ("t_s", "tip_y_m", "cm_y_m", "force_N", "penetration_m")
 STEP_LIMIT = 2_000_000
+# What adhesion holds, or what has no speed to leave its indentation, stays: waiting for its release
+# is given up so much sooner.
+STAYING = 100
 
 
 @dataclass
@@ -120,7 +124,8 @@ def march_touch(
     observe(marcher, start, none, history)
     if observer is not None:
         observer(start, none)
-    for count in range(1, STEP_LIMIT):
+    limit = step_limit(marcher, until_s)
+    for count in range(1, limit):
         before = state
         state, force, friction, damped = marcher.step(before)
         spent += damped
@@ -136,8 +141,8 @@ def march_touch(
         peak = max(peak, total if marcher.contact.points.drag > 0.0 else now)
         if observer is not None:
             observer(state, force)
-        if total > 0.0:
-            release = _release_time(before, state)
+        if total > 0.0 or (total < 0.0 and marcher.method.law.pulls):
+            release = before.t_s + marcher.contact.share * (state.t_s - before.t_s)
         free = total == 0.0 or (now == 0.0 and not marcher.rigid_multiplier)
         done = free and state.t_s >= wait_s and _leaving(marcher, state)
         if done or state.t_s >= until_s:
@@ -164,12 +169,18 @@ def march_touch(
                 defect=defect,
                 n_steps=count,
             )
-    raise _too_long(marcher)
+    raise _too_long(marcher, limit)
 
 
 def body_bends(marcher: Marcher) -> bool:
     """Whether the body is of second order in slope."""
     return isinstance(marcher.body, ModalBody) and marcher.body.axis is not None
+
+
+def step_limit(marcher: Marcher, until_s: float) -> int:
+    """How many steps a touch may take that is to end before ``until_s``."""
+    stays = marcher.method.law.parameters[0] >= PLASTIC and math.isinf(until_s)
+    return STEP_LIMIT // STAYING if stays else STEP_LIMIT
 
 
 def compiled(marcher: Marcher) -> bool:
@@ -193,6 +204,7 @@ def _march_compiled(
 ) -> Touch:
     """`march_touch` of a modal body in compiled code."""
     modes, touching = marcher.tables()
+    limit = step_limit(marcher, until_s)
     marched = modal_march.march(
         modes,
         touching,
@@ -200,7 +212,7 @@ def _march_compiled(
         np.ascontiguousarray(v),
         max(wait_s - t_s, 0.0),
         until_s - t_s,
-        STEP_LIMIT,
+        limit,
         True,
         marcher.body.defect is not None and not body_bends(marcher),
     )
@@ -212,7 +224,7 @@ def _march_compiled(
     if marched.status == modal_march.NOT_FINITE:
         raise _not_finite(t_s + marched.steps * modes.its)
     if marched.status == modal_march.TOO_LONG:
-        raise _too_long(marcher)
+        raise _too_long(marcher, limit)
     times = t_s + modes.its * np.arange(marched.steps + 1)
     rows = np.column_stack([times, marched.history])
     history.rows.extend(tuple(map(float, row)) for row in rows)
@@ -231,7 +243,7 @@ def _march_compiled(
         material_loss_J=marched.material_loss,
         friction_loss_J=marched.friction_loss,
         contact_loss_J=marched.contact_loss,
-        contact_J=marched.spring + _pressed(marcher, marched.u, marched.v),
+        contact_J=marched.spring + _pressed(marcher, marched),
         defect=_defect(marcher, marched, np.ascontiguousarray(u), np.ascontiguousarray(v)),
         n_steps=marched.steps,
     )
@@ -250,10 +262,10 @@ def _defect(marcher: Marcher, marched: modal_march.Marched, u: Array, v: Array) 
     return marcher.march_defect(marched.forces, marched.motions)
 
 
-def _pressed(marcher: Marcher, u: Array, v: Array) -> float:
-    """What the contact law holds at a state, in J."""
-    drive = marcher.drive(u, v)[:, 0]
-    stored = marcher.method.law.potential(drive, marcher.tau, marcher.ground.scale)
+def _pressed(marcher: Marcher, marched: modal_march.Marched) -> float:
+    """What the contact law holds at the end of a march, in J."""
+    drive, scale = marcher.drive(marched.u, marched.v)[:, 0], marcher.ground.scale
+    stored = marcher.method.law.potential(drive, marcher.tau, scale, marched.memory[:, 2])
     return float(marcher.body.contact.weights @ stored)
 
 
@@ -261,28 +273,19 @@ def _not_finite(t_s: float) -> ComputationError:
     return ComputationError(f"the motion is not finite at t = {t_s:.6g} s; shorten the ITS")
 
 
-def _too_long(marcher: Marcher) -> ComputationError:
-    return ComputationError(f"still in contact after {STEP_LIMIT} steps of {marcher.its_s:g} s")
+def _too_long(marcher: Marcher, limit: int) -> ComputationError:
+    return ComputationError(f"still in contact after {limit} steps of {marcher.its_s:g} s")
 
 
 def _leaving(marcher: Marcher, state: State) -> bool:
-    """Whether every point is clear, or on its way to be.
+    """Whether every point is clear and none is held, or on its way to be.
 
     A rigid plane under a multiplier has points that rest on it without a push.
     """
     if not marcher.rigid_multiplier:
-        return bool(state.drive[:, 0].max() <= 0.0)
+        return bool(state.drive[:, 0].max() <= 0.0) and not marcher.contact.holds()
     rising = marcher.gaps(state.v) - marcher.ground.gaps_m
     return bool(np.all((marcher.gaps(state.u) > 0.0) | (rising > 0.0)))
-
-
-def _release_time(before: State, after: State) -> float:
-    """The end of a step with contact, or the instant in it at which its drive falls to zero."""
-    first, last = float(before.drive[:, 0].max()), float(after.drive[:, 0].max())
-    if last >= 0.0 or first <= last:
-        return after.t_s
-    share = max(first, 0.0) / (first - last)
-    return before.t_s + share * (after.t_s - before.t_s)
 
 
 def _deepest(rows: Array) -> tuple[float, float]:

@@ -19,7 +19,7 @@ area share follows through τ in series, and acts along Q = D - θ τ T:
 - augmented Lagrangian: τ = 0 and a multiplier per point, updated until the law holds exactly
   (proximal form of Rockafellar, Math. Oper. Res. 1, 1976); Kn = ∞ is Signorini's condition.
 
-What a step does with it is in contact.step.
+What a step does with it is in contact.step and contact.solve.
 """
 
 from __future__ import annotations
@@ -32,8 +32,9 @@ import numpy as np
 
 from ..bodies.base import Array, Body
 from ..errors import ComputationError
-from . import step
+from . import solve, step
 from .laws import ContactLaw, Coulomb
+from .normal import CONSERVING
 
 # Patterns of force that a body answers less than this share of the softest count as rigid.
 STIFFEST = 1e-2
@@ -99,6 +100,15 @@ class ContactMethod:
             raise ValueError(
                 "penalty needs a finite Kn; take nitsche or augmented for a rigid plane"
             )
+        if self.law.conserving_only and self.enforcement is Enforcement.NITSCHE:
+            raise ValueError(
+                f"{type(self.law).__name__} contact is not formulated for nitsche; take penalty"
+            )
+        if self.law.pulls and self.enforcement is Enforcement.AUGMENTED:
+            raise ValueError(
+                f"{type(self.law).__name__} contact lets go with a jump, which the multiplier of "
+                "augmented cannot follow; take penalty"
+            )
 
     @property
     def kt_N_m(self) -> float:
@@ -121,7 +131,8 @@ class StepContact:
     (3 n, 3 n) is the change of drive at the end of the step by unit forces, both along the points'
     local frames. ``scale`` (n,) is each point's stiffness over the law's.
     ``end_weight`` is None for the discrete gradient, else the weight of the end of the step.
-    ``multiplier`` (n, 3) belongs to the augmented Lagrangian, ``elongation`` (n, 2) to friction.
+    ``multiplier`` (n, 3) belongs to the augmented Lagrangian, ``memory`` (n, 3) to friction and the
+    law. ``share`` is the part of the step before in which there was contact.
     """
 
     method: ContactMethod
@@ -134,6 +145,10 @@ class StepContact:
     its_s: float = 1.0
 
     def __post_init__(self) -> None:
+        if self.method.law.conserving_only and self.end_weight is not None:
+            raise ValueError(
+                f"{type(self.method.law).__name__} contact needs the conserving scheme, the average"
+            )
         self.points = step.Points(
             law=self.method.law.parameters,
             kt=self.method.kt_N_m,
@@ -141,9 +156,9 @@ class StepContact:
             scale=self.scale,
             series=self.series_m_N,
             weights=self.weights,
-            end_weight=step.CONSERVING if self.end_weight is None else self.end_weight,
+            end_weight=CONSERVING if self.end_weight is None else self.end_weight,
             soft=self._augmentation() if self._augmented else 0.0,
-            drag=self.method.law.damping_N_s_m / self.its_s,
+            drag=self.method.law.damping / self.its_s,
         )
         self.reset()
 
@@ -162,12 +177,12 @@ class StepContact:
         return float(soft)
 
     def reset(self) -> None:
-        """Forget what earlier contact left: multipliers and the springs of friction."""
+        """Forget what earlier contact left: multipliers, friction's springs, the law's memory."""
         n = len(self.weights)
         self.multiplier: Array = np.zeros((n, 3))
-        self.elongation: Array = np.zeros((n, 2))
+        self.memory: Array = np.zeros((n, 3))
         self.end: Array = np.zeros((n, 3))
-        self.iterations = 0
+        self.iterations, self.share = 0, 1.0
 
     def solve(self, start: Array, free: Array) -> Array:
         """Forces per area share (n, 3) in N that act over the step, along the local frames.
@@ -177,42 +192,49 @@ class StepContact:
         multiplier's iteration does not converge.
         """
         force = np.zeros_like(free)
-        if max(start[:, 0].max(), free[:, 0].max()) <= 0.0 and not self.multiplier.any():
+        clear = max(start[:, 0].max(), free[:, 0].max()) <= 0.0 and not self.multiplier.any()
+        if clear and not self.holds():
+            self.memory[:, 2] = 0.0  # the next touch meets a fresh place
             self.end = free
             return force
         self.end = np.empty_like(free)
-        count = step.solve_step(
+        count = solve.solve_step(
             self.points,
             self.section,
             self.response,
             start,
             free,
-            self.elongation,
+            self.memory,
             self.multiplier,
             force,
             self.end,
         )
         if count == -2:
             raise ComputationError(
-                f"the augmented Lagrangian did not converge in {step.AUGMENTATION_LIMIT} updates; "
+                f"the augmented Lagrangian did not converge in {solve.AUGMENTATION_LIMIT} updates; "
                 "raise its augmentation parameter or shorten the ITS"
             )
         if count < 0:
             raise ComputationError(
-                f"the contact forces did not converge in {step.NEWTON_LIMIT} Newton steps; "
+                f"the contact forces did not converge in {solve.NEWTON_LIMIT} Newton steps; "
                 "shorten the ITS"
             )
         self.iterations += count
         return force
 
-    def commit(self, start: Array, force: Array) -> float:
-        """Let friction's springs follow the step that was solved; returns its loss in J."""
-        return float(step.commit(self.points, start, self.end, force, self.elongation))
+    def commit(self, start: Array, force: Array) -> tuple[float, float]:
+        """Let friction's springs and the law's memory follow the step that was solved.
 
-    def contact_loss_J(self, start: Array, force: Array) -> float:
-        """What the law's dashpot took in the step that was solved."""
-        return float(step.contact_loss(self.points, start, self.end, force))
+        Returns what friction and what the law took, in J.
+        """
+        self.share = float(step.share_in_contact(self.points, start, self.end, force, self.memory))
+        friction = float(step.commit(self.points, start, self.end, force, self.memory))
+        return friction, float(step.settle(self.points, start, self.end, force, self.memory))
+
+    def holds(self) -> bool:
+        """Whether adhesion holds a point."""
+        return bool(step.holds(self.points, self.memory))
 
     def spring_energy_J(self) -> float:
         """What the springs of friction hold."""
-        return float(step.spring_energy(self.points, self.elongation))
+        return float(step.spring_energy(self.points, self.memory))

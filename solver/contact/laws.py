@@ -1,48 +1,34 @@
 """Which force a penetration and a slip make: contact laws and friction, with their potentials.
 
-The scalar functions are compiled, for the loops over contact points and steps; the classes carry
-parameters and speak numpy.
+The classes carry parameters and speak numpy; what they do at a point is compiled, in
+contact.normal.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Protocol
+from typing import ClassVar, Protocol
 
 import numpy as np
 
 from .. import paper
 from ..bodies.base import Array
-from ..compiled import njit
+from .normal import ADHESIVE, HUNT_CROSSLEY, LINEAR, PLASTIC, STIFFENING, elastic
 
-LINEAR = 0.0
-
-
-@njit
-def elastic(
-    law: Array, scale: float, drive: float, series_m_N: float
-) -> tuple[float, float, float]:
-    """Force in N, its tangent in N/m and its potential in J of an elastic law.
-
-    ``law`` holds the kind of law and its parameters, ``scale`` is the point's own stiffness over
-    the law's; ``drive`` and ``series_m_N`` as in `ContactLaw`.
-    """
-    if drive <= 0.0:
-        return 0.0, 0.0, 0.0
-    stiffness = scale * law[1]
-    if series_m_N > 0.0:
-        stiffness = 1.0 / (1.0 / stiffness + series_m_N)
-    return stiffness * drive, stiffness, 0.5 * stiffness * drive * drive
+# Where a stiffening law has the secant stiffness Kn: a penetration of the paper's drops.
+REFERENCE_M = 2e-5
 
 
 class ContactLaw(Protocol):
-    """An elastic law seen through a compliance in series, with a dashpot beside it.
+    """A law seen through a compliance in series, with damping beside it.
 
     Per unit of area share, ``force`` is what a total force would be were the whole face like this
     point. ``drive`` (m) is the penetration that the point would have without the compliance
     ``series_m_N``: penetration = drive - series × force. So a law serves penalty (series = 0),
     Nitsche (series = its stabilisation) and the augmented Lagrangian (series = 1/r) alike.
+    ``scale`` (n,) is each point's stiffness over the law's, ``memory`` (n,) what a law with memory
+    remembers of it (contact.normal): nothing, where it has not been touched.
     """
 
     @property
@@ -52,29 +38,130 @@ class ContactLaw(Protocol):
 
     @property
     def parameters(self) -> Array:
-        """What `elastic` reads: the kind of law, then its numbers."""
+        """What contact.normal reads: the kind of law, Kn, then its other numbers."""
         ...
 
     @property
-    def damping_N_s_m(self) -> float:
-        """Force per speed of penetration while it touches; contact never pulls."""
+    def damping(self) -> float:
+        """What multiplies the speed of penetration: N s/m of a dashpot, s/m of Hunt and Crossley's
+        law. Contact with damping never pulls."""
         ...
 
-    def force(self, drive: Array, series_m_N: float, scale: Array | float = 1.0) -> Array:
-        """Elastic force (n,) in N; ``scale`` (n,) is each point's stiffness over the law's."""
+    @property
+    def conserving_only(self) -> bool:
+        """Whether it is stated for the conserving scheme and a drive without compliance alone."""
         ...
 
-    def potential(self, drive: Array, series_m_N: float, scale: Array | float = 1.0) -> Array:
-        """The antiderivative of ``force`` in ``drive`` (n,) in J, zero out of contact."""
+    @property
+    def pulls(self) -> bool:
+        """Whether its force may pull, and so end with a jump."""
         ...
 
-    def tangent(self, drive: Array, series_m_N: float, scale: Array | float = 1.0) -> Array:
+    def force(
+        self,
+        drive: Array,
+        series_m_N: float,
+        scale: Array | float = 1.0,
+        memory: Array | float = 0.0,
+    ) -> Array:
+        """Force (n,) in N, without damping."""
+        ...
+
+    def potential(
+        self,
+        drive: Array,
+        series_m_N: float,
+        scale: Array | float = 1.0,
+        memory: Array | float = 0.0,
+    ) -> Array:
+        """What is stored (n,) in J: the antiderivative of ``force`` in ``drive``, zero out of
+        contact. Beyond yield it holds what flowed too, beyond pull-off what was let go, until
+        ``memory`` says that these have happened."""
+        ...
+
+    def tangent(
+        self,
+        drive: Array,
+        series_m_N: float,
+        scale: Array | float = 1.0,
+        memory: Array | float = 0.0,
+    ) -> Array:
         """d force / d drive (n,) in N/m."""
         ...
 
 
+class _Compiled:
+    """What all laws share: numpy's view of contact.normal, and the answers of an elastic law."""
+
+    conserving_only: ClassVar[bool] = False
+    pulls: ClassVar[bool] = False
+
+    @property
+    def parameters(self) -> Array:
+        raise NotImplementedError
+
+    @property
+    def damping(self) -> float:
+        return 0.0
+
+    def _of_points(
+        self,
+        which: int,
+        drive: Array,
+        series_m_N: float,
+        scale: Array | float,
+        memory: Array | float,
+    ) -> Array:
+        law = self.parameters
+        every = np.broadcast_arrays(
+            np.asarray(drive, dtype=float),
+            np.asarray(scale, dtype=float),
+            np.asarray(memory, dtype=float),
+        )
+        like = every[0].shape
+        values = [
+            elastic(law, float(s), float(d), series_m_N, float(m))[which]
+            for d, s, m in zip(*(each.ravel() for each in every), strict=True)
+        ]
+        return np.array(values).reshape(like)
+
+    def force(
+        self,
+        drive: Array,
+        series_m_N: float,
+        scale: Array | float = 1.0,
+        memory: Array | float = 0.0,
+    ) -> Array:
+        return self._of_points(0, drive, series_m_N, scale, memory)
+
+    def tangent(
+        self,
+        drive: Array,
+        series_m_N: float,
+        scale: Array | float = 1.0,
+        memory: Array | float = 0.0,
+    ) -> Array:
+        return self._of_points(1, drive, series_m_N, scale, memory)
+
+    def potential(
+        self,
+        drive: Array,
+        series_m_N: float,
+        scale: Array | float = 1.0,
+        memory: Array | float = 0.0,
+    ) -> Array:
+        return self._of_points(2, drive, series_m_N, scale, memory)
+
+
+def _check(what: str, value: float, least: float = 0.0, *, included: bool = False) -> None:
+    above = value >= least if included else value > least
+    if not (above and math.isfinite(value)):
+        words = f"{least:g} or more" if included else f"more than {least:g}"
+        raise ValueError(f"{what} must be finite and {words}, not {value}")
+
+
 @dataclass(frozen=True)
-class Linear:
+class Linear(_Compiled):
     """Force = Kn × penetration (Eq. 3 of the paper); Kn = ∞ is Signorini's rigid contact."""
 
     kn_N_m: float
@@ -87,28 +174,6 @@ class Linear:
     def parameters(self) -> Array:
         return np.array([LINEAR, self.kn_N_m])
 
-    @property
-    def damping_N_s_m(self) -> float:
-        return 0.0
-
-    def _of_points(
-        self, which: int, drive: Array, series_m_N: float, scale: Array | float
-    ) -> Array:
-        drive, scale = np.broadcast_arrays(drive, np.asarray(scale, dtype=float))
-        law = self.parameters
-        pairs = zip(scale.ravel(), drive.ravel(), strict=True)
-        values = [elastic(law, float(s), float(d), series_m_N)[which] for s, d in pairs]
-        return np.array(values).reshape(drive.shape)
-
-    def force(self, drive: Array, series_m_N: float, scale: Array | float = 1.0) -> Array:
-        return self._of_points(0, drive, series_m_N, scale)
-
-    def tangent(self, drive: Array, series_m_N: float, scale: Array | float = 1.0) -> Array:
-        return self._of_points(1, drive, series_m_N, scale)
-
-    def potential(self, drive: Array, series_m_N: float, scale: Array | float = 1.0) -> Array:
-        return self._of_points(2, drive, series_m_N, scale)
-
 
 @dataclass(frozen=True)
 class Damped(Linear):
@@ -118,12 +183,110 @@ class Damped(Linear):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if not (math.isfinite(self.c_N_s_m) and self.c_N_s_m >= 0.0):
-            raise ValueError(f"contact damping must be zero or more, not {self.c_N_s_m}")
+        _check("contact damping", self.c_N_s_m, included=True)
 
     @property
-    def damping_N_s_m(self) -> float:
+    def damping(self) -> float:
         return self.c_N_s_m
+
+
+@dataclass(frozen=True)
+class Stiffening(_Compiled):
+    """Force = Kn δref (δ/δref)^p: grows faster than the penetration δ, and gives all of it back.
+
+    p = 1 is `Linear`, 3/2 Hertz's sphere (J. reine angew. Math. 92, 1882), up to about 3 asperities
+    that touch one after another. Kn is the secant stiffness at the penetration ``reference_m``.
+    """
+
+    kn_N_m: float
+    exponent: float = 1.5
+    reference_m: float = REFERENCE_M
+
+    def __post_init__(self) -> None:
+        _check("Kn of a stiffening contact", self.kn_N_m)
+        _check("the reference penetration", self.reference_m)
+        if not 1.0 <= self.exponent <= 3.0:
+            raise ValueError(f"the contact's exponent must be 1 to 3, not {self.exponent}")
+
+    @property
+    def parameters(self) -> Array:
+        return np.array([STIFFENING, self.kn_N_m, self.exponent, self.reference_m])
+
+
+@dataclass(frozen=True)
+class HuntCrossley(_Compiled):
+    """Force = Kn δ (1 + λ dδ/dt), never pulling: loss that grows with the penetration δ.
+
+    Hunt and Crossley, J. Appl. Mech. 42 (1975), with the power one: unlike a dashpot's, its force
+    begins and ends at zero. For small λ a mass that comes with v goes with v (1 - ⅔ λ v).
+    """
+
+    kn_N_m: float
+    damping_s_m: float
+
+    conserving_only: ClassVar[bool] = True
+
+    def __post_init__(self) -> None:
+        _check("Kn of a damped contact", self.kn_N_m)
+        _check("Hunt and Crossley's damping", self.damping_s_m, included=True)
+
+    @property
+    def parameters(self) -> Array:
+        return np.array([HUNT_CROSSLEY, self.kn_N_m])
+
+    @property
+    def damping(self) -> float:
+        return self.damping_s_m
+
+
+@dataclass(frozen=True)
+class Plastic(_Compiled):
+    """Elastic and perfectly plastic along the normal (Johnson, Contact Mechanics, 1985, Ch. 6).
+
+    The force grows with Kn up to ``yield_N``; from there on the place is indented for good, and
+    unloading goes with Kn again. ``yield_N`` is the force at which the whole face yields; each
+    point yields at the same traction, however stiff its place. The indentation is remembered
+    through one touch, as long as any point of the tip is in contact or in its indentation: the next
+    touch meets a fresh place, since a bristle does not come down twice on the same microns.
+    """
+
+    kn_N_m: float
+    yield_N: float
+
+    conserving_only: ClassVar[bool] = True
+
+    def __post_init__(self) -> None:
+        _check("Kn of a plastic contact", self.kn_N_m)
+        _check("the yield force", self.yield_N)
+
+    @property
+    def parameters(self) -> Array:
+        return np.array([PLASTIC, self.kn_N_m, self.yield_N])
+
+
+@dataclass(frozen=True)
+class Adhesive(_Compiled):
+    """A spring Kn that, once touched, also holds: it pulls with up to ``pull_off_N``, then lets go.
+
+    Letting go takes the spring's energy F²/(2 Kn), whose size is the work of adhesion of Johnson,
+    Kendall and Roberts (Proc. R. Soc. A 324, 1971) were it all lost; the way in costs nothing.
+    ``pull_off_N`` is the force at which the whole face lets go; each point does at the same
+    traction, however stiff its place. A touch ends when no point is held.
+    """
+
+    kn_N_m: float
+    pull_off_N: float
+
+    conserving_only: ClassVar[bool] = True
+    pulls: ClassVar[bool] = True
+
+    def __post_init__(self) -> None:
+        _check("Kn of an adhesive contact", self.kn_N_m)
+        _check("the pull-off force", self.pull_off_N, included=True)
+
+    @property
+    def parameters(self) -> Array:
+        return np.array([ADHESIVE, self.kn_N_m, self.pull_off_N])
 
 
 def mindlin_ratio(poisson: float) -> float:

@@ -45,7 +45,7 @@ class State:
 
 class Step(NamedTuple):
     """What a step gave: the state after it, the contact forces per area share over it (n, 3) in N
-    along the points' local frames, and what friction and contact's dashpot took in J."""
+    along the points' local frames, and what friction and the contact law took in J."""
 
     state: State
     force: Array
@@ -283,8 +283,7 @@ class Marcher:
             ka=ka,
             drive=drive,
         )
-        friction = self.contact.commit(now.drive, force)
-        return Step(later, force, friction, self.contact.contact_loss_J(now.drive, force))
+        return Step(later, force, *self.contact.commit(now.drive, force))
 
     def step_defect(self, before: State, after: State, force: Array) -> float:
         """Bound on the energy norm √(2E) of what a reduced body's step got wrong, in √J.
@@ -309,8 +308,10 @@ class Marcher:
         return self.its_s / math.sqrt(2.0) * float(norms[0])
 
     def normal_force(self, drive: Array) -> Array:
-        """Normal forces per area share (n,) in N that the law asks for at a drive (n, 3)."""
-        return self.method.law.force(drive[:, 0], self.tau, self.ground.scale)
+        """Normal forces per area share (n,) in N that the law asks for at a drive (n, 3), after all
+        that has been marched."""
+        memory = self.contact.memory[:, 2]
+        return self.method.law.force(drive[:, 0], self.tau, self.ground.scale, memory)
 
     def march_defect(self, forces: Array, motions: Array) -> float:
         """`step_defect` summed over steps: forces (steps, 3 n) along body axes and the mid-step

@@ -1,6 +1,6 @@
 """One touch of a modal body under the conserving scheme, marched in compiled code.
 
-The implicit midpoint rule per mode, with the contact forces of contact.step: what `Marcher` does
+The implicit midpoint rule per mode, with the contact forces of contact.solve: what `Marcher` does
 for any body and scheme, for the one case that most drops are.
 """
 
@@ -15,16 +15,16 @@ from numpy.typing import NDArray
 from ..bodies.axis import Shortening, second_order_force, shortened
 from ..bodies.base import Array
 from ..compiled import njit
-from ..contact.laws import elastic
+from ..contact.normal import PLASTIC, elastic
+from ..contact.solve import section_gathers, section_moves, solve_step
 from ..contact.step import (
     Points,
     Section,
     commit,
-    contact_loss,
+    holds,
     new_section,
-    section_gathers,
-    section_moves,
-    solve_step,
+    settle,
+    share_in_contact,
     spring_energy,
 )
 
@@ -85,6 +85,7 @@ class Marched(NamedTuple):
     friction_loss: float
     contact_loss: float
     spring: float
+    memory: Array
     u: Array
     v: Array
     history: Array
@@ -146,6 +147,7 @@ def march(
     admittance, along = modes.admittance, modes.along
     n, m = len(weights), len(u)
     points = touching.points
+    remembers = points.law[0] >= PLASTIC
     law, scale, gaps = points.law, points.scale, touching.gaps
     section = local_section(modes, frames)
     response = np.zeros((0, 0))
@@ -153,7 +155,7 @@ def march(
     lift = (modes.translation @ touching.up) / modes.mass
     tip = modes.tip.T @ touching.up
     stiff = damping + 0.5 * h * omega2
-    elongation = np.zeros((n, 2))
+    memory = np.zeros((n, 3))
     multiplier = np.zeros((n, 3))
     force = np.zeros((n, 3))
     end = np.zeros((n, 3))
@@ -189,7 +191,7 @@ def march(
         for j in range(m):
             a0[j] = admittance[j] * (pull[j] - omega2[j] * u[j] - stiff[j] * v[j])
         total = now = 0.0
-        touches, coupled, done = False, False, 0
+        acts, touches, coupled, done = False, False, False, 0
         before: Array = bend
         share = 1.0
         for turn in range(COUPLING_LIMIT):
@@ -197,11 +199,12 @@ def march(
                 a[j] = a0[j] + admittance[j] * bend[j]
                 later[j] = u[j] + h * v[j] + (0.5 * h * h) * a[j]
             touches = max(drives(along, section, gaps, later, axes, free), deepest) > 0.0
+            touches = touches or (remembers and holds(points, memory))
             if not touches and points.soft > 0.0:
                 touches = np.abs(multiplier).max() > 0.0
             if touches:
                 done = solve_step(
-                    points, section, response, drive, free, elongation, multiplier, force, end
+                    points, section, response, drive, free, memory, multiplier, force, end
                 )
                 if done < 0:
                     break
@@ -241,12 +244,21 @@ def march(
             break
         seen = after
         if touches:
-            rubbed += commit(points, drive, end, force, elongation)
-            spent += contact_loss(points, drive, end, force)
             for i in range(n):
                 total += weights[i] * force[i, 0]
-                if end[i, 0] > 0.0:
-                    now += weights[i] * elastic(law, scale[i], end[i, 0], 0.0)[0]
+            acts = total > 0.0 or (remembers and total < 0.0)
+            if acts:
+                release = count * h
+                if remembers or end[:, 0].max() < 0.0:
+                    release = h * (count - 1 + share_in_contact(points, drive, end, force, memory))
+            rubbed += commit(points, drive, end, force, memory)
+            if remembers or points.drag > 0.0:
+                spent += settle(points, drive, end, force, memory)
+            for i in range(n):
+                if end[i, 0] > 0.0 or remembers:
+                    now += weights[i] * elastic(law, scale[i], end[i, 0], 0.0, memory[i, 2])[0]
+        elif remembers:
+            memory[:, 2] = 0.0  # the next touch meets a fresh place
         for j in range(m):
             fast[j] = v[j] + h * a[j]
             middle[j] = 0.5 * (v[j] + fast[j])
@@ -263,19 +275,15 @@ def march(
             for j in range(m):
                 beta = damping[j] / omega2[j] if omega2[j] > 0.0 else 0.0
                 motions[count - 1, j] = 0.5 * (u[j] + later[j]) + 0.5 * beta * (v[j] + fast[j])
-        if total > 0.0:
+        if acts:
             impulse += h * total
             for i in range(n):
-                if force[i, 0] > 0.0:
+                if force[i, 0] != 0.0:
                     for c in range(3):
                         share = h * weights[i] * force[i, c]
                         push[0] += share * frames[i, c, 0]
                         push[1] += share * frames[i, c, 1]
                         push[2] += share * frames[i, c, 2]
-            release = count * h
-            first, last = deepest, end[:, 0].max()
-            if last < 0.0 and first > last:
-                release = h * (count - 1 + max(first, 0.0) / (first - last))
         peak = max(peak, total if points.drag > 0.0 else now)
         u[:], v[:] = later, fast
         drive[:, :] = end
@@ -293,13 +301,13 @@ def march(
         if not math.isfinite(sum_of_drives):
             status = NOT_FINITE
             break
-        if deepest <= 0.0 and now == 0.0 and count * h >= wait:
+        if deepest <= 0.0 and now == 0.0 and count * h >= wait and not holds(points, memory):
             status = RELEASED
             break
         if count * h >= until:
             status = UNTIL
             break
-    spring = spring_energy(points, elongation)
+    spring = spring_energy(points, memory)
     if status == RELEASED:
         # what the springs of friction still hold is lost with the touch
         rubbed += spring
@@ -320,6 +328,7 @@ def march(
         rubbed,
         spent,
         spring,
+        memory,
         u,
         v,
         history[:kept],

@@ -1,0 +1,369 @@
+"""Do contact laws with a curve, a loss or a memory keep their books at every point, in every march?
+
+Tangents against finite differences, random walks, random steps of several points, friction beside
+them, and the three marches against one another.
+"""
+
+import itertools
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from contact_law_helpers import (
+    ENFORCED,
+    KN,
+    LAWS,
+    MASS,
+    MOST,
+    OMEGA,
+    SPEED,
+    marcher_of,
+    mass_on_a_foot,
+)
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from bristle.solver.batch import Drops, drop_many
+from bristle.solver.bodies.beam import beam_body
+from bristle.solver.bristle import Bristle, Material
+from bristle.solver.contact.enforcement import ContactMethod, Enforcement, StepContact
+from bristle.solver.contact.laws import (
+    Adhesive,
+    Coulomb,
+    HuntCrossley,
+    Linear,
+    Plastic,
+    Stiffening,
+    mindlin_ratio,
+)
+from bristle.solver.contact.step import (
+    CONSERVING,
+    Points,
+    commit,
+    new_section,
+    point_force,
+    settle,
+    spring_energy,
+)
+from bristle.solver.drop import DropPlan, ModalFrame, simulate
+from bristle.solver.impact import History, march_touch
+from bristle.solver.time.march import Marcher
+from bristle.solver.time.scheme import TimeScheme
+
+pytestmark = pytest.mark.serial
+G, ITS = 9.8, 1e-6
+DEEP = SPEED / OMEGA
+PULL = 0.6 * MOST / KN
+# law, memory, drives at the start and the end of a step; lengths in units of DEEP
+REGIMES = {
+    "open": (Stiffening(KN, 1.5), 0.0, -0.2, -0.1),
+    "stiffening, closing": (Stiffening(KN, 2.5), 0.0, -0.1, 0.4),
+    "stiffening, closed": (Stiffening(KN, 1.5), 0.0, 0.3, 0.4),
+    "stiffening, hardly moved": (Stiffening(KN, 1.5), 0.0, 0.3, 0.3 + 1e-9),
+    "stiffening, opening": (Stiffening(KN, 1.5), 0.0, 0.3, -0.1),
+    "damped, closing": (HuntCrossley(KN, 0.4), 0.0, -0.1, 0.4),
+    "damped, rising": (HuntCrossley(KN, 0.4), 0.0, 0.5, 0.49),
+    "damped, opening": (HuntCrossley(KN, 0.4), 0.0, 0.01, -0.01),
+    "damped, would pull": (HuntCrossley(KN, 0.4), 0.0, 0.5, 0.1),
+    "elastic": (Plastic(KN, 0.4 * MOST), 0.0, 0.1, 0.3),
+    "starts to yield": (Plastic(KN, 0.4 * MOST), 0.0, 0.3, 0.5),
+    "just before it yields": (Plastic(KN, 0.4 * MOST), 0.0, 0.3, 0.4 - 1e-4),
+    "just after it yields": (Plastic(KN, 0.4 * MOST), 0.0, 0.3, 0.4 + 1e-4),
+    "yielding": (Plastic(KN, 0.4 * MOST), 0.3 * DEEP, 0.7, 0.8),
+    "unloading": (Plastic(KN, 0.4 * MOST), 0.3 * DEEP, 0.7, 0.6),
+    "in its indentation": (Plastic(KN, 0.4 * MOST), 0.3 * DEEP, 0.25, 0.1),
+    "leaves its indentation": (Plastic(KN, 0.4 * MOST), 0.3 * DEEP, 0.35, 0.2),
+    "not held": (Adhesive(KN, 0.6 * MOST), 0.0, -0.2, -0.1),
+    "touching": (Adhesive(KN, 0.6 * MOST), 0.0, -0.1, 0.2),
+    "held": (Adhesive(KN, 0.6 * MOST), 1.0, 0.1, -0.2),
+    "just before it lets go": (Adhesive(KN, 0.6 * MOST), 1.0, -0.5, -0.6 + 1e-4),
+    "just after it lets go": (Adhesive(KN, 0.6 * MOST), 1.0, -0.5, -0.6 - 1e-4),
+    "lets go": (Adhesive(KN, 0.6 * MOST), 1.0, -0.3, -0.8),
+    "lets go from above": (Adhesive(KN, 0.6 * MOST), 1.0, 0.3, -0.8),
+}
+
+
+def pulls(regime):
+    return REGIMES[regime][0].pulls
+
+
+def points_of(law, mu=0.5, soft=0.0, n=1, its=ITS):
+    kt = mindlin_ratio(0.28) * KN
+    weights = np.full(n, 1.0 / n)
+    drag = law.damping / its
+    return Points(law.parameters, kt, mu, np.ones(n), 0.0, weights, CONSERVING, soft, drag)
+
+
+def pushed(points, start, end, memory, multiplier):
+    force, slope = np.zeros((1, 3)), np.zeros((1, 3, 3))
+    point_force(points, 0, start[None], end[None], memory, multiplier, force, slope)
+    return force[0], slope[0]
+
+
+@pytest.mark.parametrize(
+    ("regime", "soft"), [(r, s) for r in REGIMES for s in (0.0, 1e-7) if not (s and pulls(r))]
+)
+@pytest.mark.parametrize("slip", [0.0, 1e-3, 3.0])
+def test_tangent_of_a_point_against_finite_differences(regime, soft, slip):
+    """Open, closed, yielding, unloading, held and at the switches; sticking and sliding."""
+    law, kept, s0, s1 = REGIMES[regime]
+    points = points_of(law, soft=soft, its=DEEP / SPEED / 10.0)
+    start, step = np.array([s0 * DEEP, 0.0, 0.0]), 1e-7 * DEEP
+    end = np.array([s1, 0.8 * slip, -0.6 * slip]) * np.array([DEEP, DEEP, DEEP])
+    memory, multiplier = np.array([[2e-8, -1e-8, kept]]), np.array([[0.3, 0.05, -0.02]])
+    slope = pushed(points, start, end, memory, multiplier)[1]
+    for k in range(3):
+        shift = step * np.eye(3)[k]
+        after = pushed(points, start, end + shift, memory, multiplier)[0]
+        before = pushed(points, start, end - shift, memory, multiplier)[0]
+        wanted = (after - before) / (2.0 * step)
+        assert slope[:, k] == pytest.approx(wanted, rel=1e-4, abs=1e-5 * KN)
+
+
+@pytest.mark.parametrize("regime", [r for r in REGIMES if not r.startswith("damped")])
+def test_force_over_a_step_is_the_mean_along_the_way(regime):
+    """∫ F dδ over the change, by a thousand small steps with the memory renewed after each."""
+    law, kept, s0, s1 = REGIMES[regime]
+    points, none = points_of(law, mu=0.0), np.zeros((1, 3))
+    memory, fine = np.array([[0.0, 0.0, kept]]), np.array([[0.0, 0.0, kept]])
+    ends = [np.array([s * DEEP, 0.0, 0.0]) for s in np.linspace(s0, s1, 1001)]
+    work = took = 0.0
+    for start, end in itertools.pairwise(ends):
+        force = pushed(points, start, end, fine, none)[0]
+        work += force[0] * (end - start)[0]
+        took += settle(points, start[None], end[None], force[None], fine)
+    force = pushed(points, ends[0], ends[-1], memory, none)[0]
+    size = KN * DEEP**2
+    assert force[0] * (ends[-1] - ends[0])[0] == pytest.approx(work, abs=1e-11 * size)
+    loss = settle(points, ends[0][None], ends[-1][None], force[None], memory)
+    assert loss == pytest.approx(took, abs=1e-11 * size)
+    assert memory == pytest.approx(fine, abs=1e-12)
+
+
+@pytest.mark.parametrize("law", LAWS, ids=str)
+@pytest.mark.parametrize("mu", [0.0, 0.4])
+@given(seed=st.integers(0, 100_000), stride=st.floats(0.01, 1.0))
+@settings(max_examples=60, deadline=None)
+def test_a_random_walk_loses_never_less_than_nothing_and_closes(law, mu, seed, stride):
+    """Work done on a point = what law and friction took + what they store, step by step."""
+    rng = np.random.default_rng(seed)
+    points, none = points_of(law, mu=mu, its=DEEP / SPEED / 10.0), np.zeros((1, 3))
+    memory, start = np.zeros((1, 3)), np.zeros(3)
+    work = lost = 0.0
+    size = KN * DEEP**2
+    for _ in range(40):
+        end = start + stride * DEEP * rng.normal(size=3)
+        # a pull back to the surface, without which it would walk away from it
+        end[0] *= 0.8
+        force = pushed(points, start, end, memory, none)[0]
+        held = memory[0, 2]
+        if isinstance(law, Plastic):
+            assert 0.0 <= force[0] <= law.yield_N * (1.0 + 1e-12)
+        elif isinstance(law, Adhesive):
+            assert force[0] >= -law.pull_off_N * (1.0 + 1e-12)
+        else:
+            assert force[0] >= 0.0
+        assert np.hypot(*force[1:]) <= mu * max(force[0], 0.0) * (1.0 + 1e-12) + 1e-15
+        rubbed = commit(points, start[None], end[None], force[None], memory)
+        took = settle(points, start[None], end[None], force[None], memory)
+        assert min(rubbed, took) >= -1e-13 * size
+        if isinstance(law, Plastic):
+            yielded = law.yield_N * (memory[0, 2] - held)
+            assert took == pytest.approx(yielded, abs=1e-10 * size)
+        if isinstance(law, Adhesive):
+            gone = 0.5 * law.pull_off_N**2 / KN if held > memory[0, 2] else 0.0
+            assert took == pytest.approx(gone, abs=1e-13 * size)
+        if isinstance(law, Stiffening):
+            assert took == 0.0
+        work += float(force @ (end - start))
+        lost += rubbed + took
+        start = end
+    stored = law.potential(start[:1], 0.0, 1.0, memory[:, 2])[0] + spring_energy(points, memory)
+    # elastic over a step too short for its difference: SHORT² of what is stored
+    assert work == pytest.approx(lost + stored, abs=1e-9 * size)
+
+
+@pytest.mark.parametrize(("law", "enforcement"), ENFORCED, ids=str)
+@given(seed=st.integers(0, 100_000), mu=st.sampled_from([0.0, 0.4]))
+@settings(max_examples=40, deadline=None)
+def test_steps_of_several_points_find_their_forces_and_lose_no_less_than_nothing(
+    law, enforcement, seed, mu
+):
+    """A row of steps of four coupled points, by each of the solvers on a section."""
+    rng, n = np.random.default_rng(seed), 4
+    root = rng.normal(size=(3 * n, 3 * n))
+    response = -2e-8 * (root @ root.T / 3.0 + 0.1 * np.eye(3 * n))
+    frees = DEEP * rng.normal(size=(6, n, 3))
+    forces = []
+    for kind in ("few", "whole"):
+        support, values = np.arange(3 * n).reshape(n, 3), np.tile(np.eye(3), (n, 1, 1))
+        if kind == "whole":
+            support = np.tile(np.arange(3 * n), (n, 1))
+            values = np.eye(3 * n).reshape(n, 3, 3 * n)
+        contact = StepContact(
+            method=ContactMethod(law, enforcement, friction=Coulomb(mu)),
+            series_m_N=0.0,
+            response=response,
+            section=new_section(support, values, -response * n),
+            weights=np.full(n, 1.0 / n),
+            scale=np.ones(n),
+            end_weight=None,
+            its_s=DEEP / SPEED,
+        )
+        start, seen = np.zeros((n, 3)), []
+        for free in frees:
+            force = contact.solve(start, free)
+            end = free + (response @ force.ravel()).reshape(n, 3)
+            if force.any():
+                assert contact.end == pytest.approx(end, rel=1e-8, abs=1e-9 * DEEP)
+            took = contact.commit(start, force)
+            # the multiplier is found to 1e-9 of the force
+            close = 1e-13 if enforcement is Enforcement.PENALTY else 1e-8
+            assert min(took) >= -close * KN * DEEP**2
+            start = contact.end
+            seen.append(force)
+        forces.append(np.array(seen))
+    if not law.pulls:  # where a point may hold on or let go, either is an answer
+        assert forces[1] == pytest.approx(forces[0], rel=1e-6, abs=1e-6 * MOST)
+
+
+# --- marches ------------------------------------------------------------------------------------
+
+
+def bristles(beta_s=1e-6):
+    return beam_body(Bristle(material=Material(beta_s=beta_s)), 6, points=3)
+
+
+def scaled(law, kn):
+    """The law at another Kn, and forces weak enough that they act in a drop from millimetres."""
+    law = replace(law, kn_N_m=kn)
+    if isinstance(law, Plastic):
+        return replace(law, yield_N=12.0)
+    return replace(law, pull_off_N=8.0) if isinstance(law, Adhesive) else law
+
+
+def drop(body, law, tilt, mu, enforcement=Enforcement.PENALTY, **options):
+    method = ContactMethod(law, enforcement, friction=Coulomb(mu))
+    plan = DropPlan(0.02, method, 2e-6, G, tilt_deg=tilt, impact_only=True)
+    return simulate(ModalFrame(body), plan, **options)
+
+
+@pytest.mark.parametrize("tilt", [0.0, 2.0])
+@pytest.mark.parametrize("law", LAWS, ids=str)
+def test_python_and_compiled_march_agree_and_the_budget_closes(law, tilt):
+    body, law = bristles(), scaled(law, 1e6)
+    results = [drop(body, law, tilt, 0.3, observer=seen) for seen in (None, lambda *_: None)]
+    compiled, python = results
+    assert compiled.n_contacts == python.n_contacts
+    assert compiled.n_steps == python.n_steps
+    for name in ("contact_time_s", "peak_force_N", "impulse_N_s", "max_penetration_m"):
+        assert getattr(compiled, name) == pytest.approx(getattr(python, name), rel=1e-7)
+    speed = compiled.impact_speed_m_s
+    assert compiled.velocity_after_m_s == pytest.approx(python.velocity_after_m_s, abs=1e-8 * speed)
+    for result in results:
+        assert result.energy.closure_relative < 1e-9
+    initial = compiled.energy.initial_J
+    lost = compiled.energy.contact_loss_J
+    assert lost == pytest.approx(python.energy.contact_loss_J, abs=1e-8 * initial)
+    if not isinstance(law, Stiffening):
+        assert lost > 1e-3 * initial
+
+
+@pytest.mark.parametrize("law", [law for law in LAWS if not law.pulls], ids=str)
+def test_the_augmented_lagrangian_finds_the_same_drop(law):
+    body, law = bristles(), scaled(law, 1e6)
+    penalty, augmented = (
+        drop(body, law, 1.0, 0.3, enforcement)
+        for enforcement in (Enforcement.PENALTY, Enforcement.AUGMENTED)
+    )
+    speed = penalty.impact_speed_m_s
+    close = pytest.approx(penalty.velocity_after_m_s, abs=1e-6 * speed)
+    assert augmented.velocity_after_m_s == close
+    assert augmented.energy.contact_loss_J == pytest.approx(
+        penalty.energy.contact_loss_J, abs=1e-6 * penalty.energy.initial_J
+    )
+    assert augmented.energy.closure_relative < 1e-9
+
+
+@pytest.mark.parametrize("law", LAWS, ids=str)
+def test_many_drops_are_as_each_alone(law, rng):
+    """Vertical ones, seen as a column, and leaning ones, each with its own Kn and friction."""
+    body, n, its = bristles(1.07e-5), 6, 5e-6
+    kn = 10.0 ** rng.uniform(5.7, 6.3, n)
+    tilt, mu = np.array([0.0, 1.0, 0.0, 3.0, -2.0, 0.0]), np.array([0.0, 0.3] * 3)
+    height = rng.uniform(0.01, 0.04, n)
+    drops = Drops.on_plane(9, height_m=height, kn_N_m=kn, tilt_deg=tilt, mu=mu)
+    method = ContactMethod(scaled(law, 1e6), friction=Coulomb(0.5))
+    together = drop_many(Marcher(body, method, TimeScheme.average(), its, G), drops)
+    for i in range(n):
+        method = ContactMethod(scaled(law, kn[i]), friction=Coulomb(mu[i]))
+        plan = DropPlan(height[i], method, its, G, tilt_deg=tilt[i])
+        one = simulate(ModalFrame(body), plan)
+        assert together.n_contacts[i] == one.n_contacts
+        assert together.n_steps[i] == one.n_steps
+        for name in ("contact_time_s", "peak_force_N", "impulse_N_s", "cm_rebound_height_m"):
+            assert getattr(together, name)[i] == pytest.approx(getattr(one, name), rel=1e-8)
+        assert together.contact_loss_J[i] == pytest.approx(
+            one.energy.contact_loss_J, abs=1e-9 * one.energy.initial_J
+        )
+    assert together.closure_relative.max() < 1e-9
+
+
+def test_a_full_solid_yields_and_holds(make_solid):
+    """The march of any body: the budget of a solid closes, its contact takes energy."""
+    solid = make_solid((1, 1, 6), order=1)
+    kept = {}
+    for law in (Linear(1e6), Plastic(1e6, 3.0), Adhesive(1e6, 3.0)):
+        marcher = Marcher(solid, ContactMethod(law), TimeScheme.average(), 2e-6, 0.0)
+        v = -0.5 * solid.translation[:, 2]
+        touch = march_touch(marcher, 0.0, np.zeros_like(v), np.ascontiguousarray(v), History())
+        kept[type(law)] = touch.impulse_N_s
+        assert (touch.contact_loss_J > 1e-6) == (not isinstance(law, Linear))
+        energy = 0.5 * solid.dot(touch.v, solid.mass(touch.v))
+        energy += 0.5 * solid.dot(touch.u, solid.stiffness(touch.u))
+        before = 0.5 * solid.dot(v, solid.mass(np.ascontiguousarray(v)))
+        lost = touch.contact_loss_J + touch.material_loss_J
+        assert energy + lost == pytest.approx(before, rel=1e-9)
+    assert kept[Plastic] < kept[Linear]
+    assert kept[Adhesive] < kept[Linear]
+
+
+def test_friction_has_nothing_to_hold_on_to_while_contact_pulls():
+    """A held point drags nothing along, and its spring's energy is counted as lost."""
+    law = Adhesive(KN, 0.6 * MOST)
+    points, none = points_of(law), np.zeros((1, 3))
+    memory = np.array([[2e-8, 0.0, 1.0]])
+    before = spring_energy(points, memory)
+    start, end = np.array([-0.1 * DEEP, 0.0, 0.0]), np.array([-0.2 * DEEP, 1e-6, 0.0])
+    force = pushed(points, start, end, memory, none)[0]
+    assert force[0] == pytest.approx(-0.15 * DEEP * KN, rel=1e-12)
+    assert not force[1:].any()
+    assert commit(points, start[None], end[None], force[None], memory) == before > 0.0
+    assert memory.tolist() == [[0.0, 0.0, 1.0]]
+
+
+def test_softer_places_yield_at_the_same_traction():
+    """Half as stiff a place bears the same most, and is indented less."""
+    law = Plastic(KN, 0.4 * MOST)
+    points = points_of(law, mu=0.0)._replace(scale=np.array([0.5]))
+    start, end, memory = np.zeros(3), np.array([2.0 * DEEP, 0.0, 0.0]), np.zeros((1, 3))
+    force = pushed(points, start, end, memory, np.zeros((1, 3)))[0]
+    settle(points, start[None], end[None], force[None], memory)
+    assert law.force(end[:1], 0.0, 0.5, memory[:, 2])[0] == pytest.approx(law.yield_N, rel=1e-12)
+    assert memory[0, 2] == pytest.approx(2.0 * DEEP - 0.8 * DEEP, rel=1e-12)
+
+
+def test_the_mass_march_agrees_with_its_own_python_march():
+    """History rows included, on seven unequal points."""
+    for law in LAWS:
+        rows = []
+        for seen in (None, lambda *_: None):
+            marcher = marcher_of(law, math.pi / OMEGA / 60, body=mass_on_a_foot(7))
+            history = History()
+            v = np.full(1, -math.sqrt(MASS) * SPEED)
+            march_touch(marcher, 0.0, np.zeros(1), v, history, seen)
+            rows.append(history.array())
+        assert rows[0].shape == rows[1].shape
+        size = np.abs(rows[1]).max(axis=0)
+        assert (np.abs(rows[0] - rows[1]) <= 1e-9 * size).all()

@@ -1,0 +1,275 @@
+"""Do stiffening, damped, plastic and adhesive contact throw a mass back as their closed forms say?
+
+A mass of one mode, without gravity, comes to a plane with a known speed. What it does is compared
+with formulas, or with an integration that shares no code with the program.
+"""
+
+import math
+
+import numpy as np
+import pytest
+from contact_law_helpers import (
+    ENFORCED,
+    KN,
+    LAWS,
+    MASS,
+    OMEGA,
+    SPEED,
+    bounce,
+    kept_by_hunt_crossley,
+    marcher_of,
+    mass_on_a_foot,
+    spring_time,
+)
+from reference import rate
+from scipy.special import beta
+
+from bristle.solver.contact.enforcement import ContactMethod, Enforcement
+from bristle.solver.contact.laws import Adhesive, HuntCrossley, Linear, Plastic, Stiffening
+from bristle.solver.energy import marching_energy
+from bristle.solver.errors import ComputationError
+from bristle.solver.impact import History, march_touch
+from bristle.solver.time.scheme import TimeScheme
+
+pytestmark = pytest.mark.serial
+ENFORCEMENTS = [Enforcement.PENALTY, Enforcement.AUGMENTED]
+# A half wave of the spring on this many steps: the scheme is of second order in 1/STEPS, with a
+# constant of order π²/12 for the period and π²/4 for what is sampled at the ends of steps.
+STEPS = 1000
+CLOSE = 10.0 / STEPS**2
+ITS = math.pi / OMEGA / STEPS
+
+
+def after(law, its=ITS, **options):
+    """The touch, the share of its speed with which the mass leaves, and what was seen."""
+    touch, history = bounce(law, its, **options)
+    return touch, float(touch.v[0]) / (math.sqrt(MASS) * SPEED), history
+
+
+# --- closed forms -------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("exponent", [1.0, 1.5, 2.0, 3.0])
+def test_time_and_depth_of_a_bounce_on_a_power_law(exponent):
+    """δ = ((p+1) m v² / 2c)^(1/(p+1)), T = 2 δ/v B(1/(p+1), ½)/(p+1); Hertz: 2.94 δ/v."""
+    law = Stiffening(KN, exponent, 1e-5)
+    c, p = KN * 1e-5 ** (1.0 - exponent), exponent + 1.0
+    depth = (0.5 * p * MASS * SPEED**2 / c) ** (1.0 / p)
+    time = 2.0 * depth / SPEED * float(beta(1.0 / p, 0.5)) / p
+    if exponent == 1.5:  # Johnson, Contact Mechanics, Eq. 11.24
+        assert time == pytest.approx(2.94 * depth / SPEED, rel=2e-3)
+    touch, kept, _ = after(law, time / STEPS)
+    # the frequency at the deepest point is up to √p of the mean one, and its square is what counts
+    close = 4.0 * exponent * CLOSE
+    assert touch.max_penetration_m == pytest.approx(depth, rel=close)
+    assert touch.release_s == pytest.approx(time, rel=close)
+    assert touch.peak_force_N == pytest.approx(c * depth**exponent, rel=close)
+    assert kept == pytest.approx(1.0, abs=1e-12)
+
+
+@pytest.mark.parametrize("enforcement", ENFORCEMENTS)
+def test_stiffening_with_exponent_one_is_linear(enforcement):
+    rows = [
+        bounce(law, 10.0 * ITS, enforcement=enforcement)[1].array()
+        for law in (Stiffening(KN, 1.0), Linear(KN))
+    ]
+    size = np.abs(rows[1]).max(axis=0)
+    # the multiplier is found to 1e-9 of the force by either law's own iteration
+    close = 1e-12 if enforcement is Enforcement.PENALTY else 1e-7
+    assert (np.abs(rows[0] - rows[1]) <= close * size).all()
+
+
+@pytest.mark.parametrize("lost", [0.05, 0.3, 1.0, 3.0])
+def test_restitution_of_hunt_and_crossley(lost):
+    """Against their equation, integrated; ``lost`` is λ v."""
+    law = HuntCrossley(KN, lost / SPEED)
+    touch, kept, _ = after(law)
+    wanted, time, peak = kept_by_hunt_crossley(lost / SPEED)
+    # a damped bounce turns over in less time than the spring's half wave
+    close = 4.0 * (1.0 + lost) ** 2 * CLOSE
+    assert kept == pytest.approx(wanted, rel=close)
+    assert touch.release_s == pytest.approx(time, rel=close)
+    # a force averaged over a step
+    assert touch.peak_force_N == pytest.approx(peak, rel=close)
+    assert touch.contact_loss_J == pytest.approx(0.5 * MASS * SPEED**2 * (1.0 - kept**2), rel=1e-11)
+
+
+def test_little_hunt_and_crossley_damping_takes_two_thirds_of_lambda_v():
+    kept = [after(HuntCrossley(KN, share / SPEED))[1] for share in (1e-3, 2e-3)]
+    slopes = [(1.0 - kept[0]) / 1e-3, (1.0 - kept[1]) / 2e-3]
+    # linear in λ v, extrapolated to zero
+    assert 2.0 * slopes[0] - slopes[1] == pytest.approx(2.0 / 3.0, abs=1e-5)
+
+
+@pytest.mark.parametrize("enforcement", ENFORCEMENTS)
+@pytest.mark.parametrize("share", [0.1, 0.5, 0.9])
+def test_a_mass_yields_at_the_yield_force_and_leaves_with_what_the_spring_held(share, enforcement):
+    """Y/√(Kn m) is the speed it leaves with; ½ m v² - Y²/2Kn went into the indentation, over Y."""
+    most = share * SPEED * math.sqrt(KN * MASS)
+    touch, kept, history = after(Plastic(KN, most), enforcement=enforcement)
+    held, energy = 0.5 * most**2 / KN, 0.5 * MASS * SPEED**2
+    indented = (energy - held) / most
+    # the deepest point is met at the end of a step only, and what is held there is off by as much
+    close = CLOSE / share**2
+    assert touch.peak_force_N == pytest.approx(most, rel=1e-7)
+    assert kept == pytest.approx(share, rel=close)
+    assert touch.contact_loss_J == pytest.approx(energy - held, rel=1e-7 + close * share**2)
+    assert touch.contact_loss_J / most == pytest.approx(indented, rel=1e-7 + close)
+    depth = touch.max_penetration_m
+    assert depth == pytest.approx(indented + most / KN, rel=2.0 * close)
+    # the force begins, ends at the indentation, and the mass is thrown off there
+    rows = history.array()
+    leaving = np.flatnonzero(rows[:, 3] > 0.0)[-1]
+    step = SPEED * ITS
+    assert indented - step <= rows[leaving + 1, 4] <= indented + step
+    assert np.interp(touch.release_s, rows[:, 0], rows[:, 4]) == pytest.approx(
+        indented, abs=close * depth
+    )
+
+
+def test_below_yield_plastic_contact_is_linear():
+    most = 1.001 * SPEED * math.sqrt(KN * MASS)
+    touch, kept, history = after(Plastic(KN, most))
+    linear = bounce(Linear(KN), ITS)[1].array()
+    assert history.array() == pytest.approx(linear, rel=1e-9, abs=1e-15)
+    assert abs(touch.contact_loss_J) < 1e-13 * MASS * SPEED**2
+    assert kept == pytest.approx(1.0, abs=1e-12)
+
+
+@pytest.mark.parametrize("share", [0.0, 0.1, 0.5, 0.9])
+def test_adhesion_takes_the_energy_of_the_spring_that_lets_go(share):
+    """Speed √(v² - F²/(Kn m)) to rounding, at whatever ITS, after ½ + asin(F/F₀)/π half waves."""
+    most = share * SPEED * math.sqrt(KN * MASS)
+    time = spring_time(share)
+    for its in (ITS, 20.0 * ITS):
+        touch, kept, history = after(Adhesive(KN, most), its)
+        assert kept == pytest.approx(math.sqrt(1.0 - share**2), rel=1e-10)
+        assert touch.contact_loss_J == pytest.approx(0.5 * most**2 / KN, abs=1e-12 * SPEED**2)
+        assert touch.impulse_N_s == pytest.approx(MASS * SPEED * (1.0 + kept), rel=1e-9)
+        # it lets go with a speed; the slower, the longer a step's error is seen
+        steps = math.pi / OMEGA / its
+        close = 10.0 / steps**2 / math.sqrt(1.0 - share**2)
+        assert touch.release_s == pytest.approx(time, rel=close)
+        pulled = -history.array()[:, 3].min()
+        assert pulled <= most * (1.0 + 1e-12)
+        assert pulled >= most - KN * SPEED * its
+
+
+def test_a_mass_that_never_lets_go_is_named():
+    """Soon: nobody waits for two million steps of it."""
+    with pytest.raises(ComputationError, match="still in contact after 20000 steps"):
+        bounce(Adhesive(KN, 1.01 * SPEED * math.sqrt(KN * MASS)), ITS)
+
+
+def test_stronger_adhesion_than_the_bounce_holds():
+    """It swings about the plane as on a spring of both signs, and no energy goes."""
+    most = 1.01 * SPEED * math.sqrt(KN * MASS)
+    periods = 3.25
+    touch, history = bounce(Adhesive(KN, most), ITS, until_s=periods * 2.0 * math.pi / OMEGA)
+    assert touch.contact_loss_J == pytest.approx(0.0, abs=1e-12 * MASS * SPEED**2)
+    assert touch.contact_J == pytest.approx(0.5 * MASS * SPEED**2, rel=1e-5)
+    rows = history.array()
+    force = SPEED * math.sqrt(KN * MASS) * np.sin(OMEGA * rows[:, 0])
+    # the phase falls behind by (ω h)²/12 a radian
+    behind = (OMEGA * ITS) ** 2 / 12.0 * OMEGA * rows[-1, 0]
+    assert np.abs(rows[:, 3] - force).max() <= 1.1 * behind * np.abs(force).max()
+
+
+# --- order, energy ------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("law", LAWS, ids=str)
+def test_second_order_in_the_its(law):
+    """Where the mass is long after: root mean square over phases of the first touch in a step."""
+    period = math.pi / OMEGA
+    steps = np.array([24, 48, 96, 192])
+    late = 2.5 * period
+
+    def place(its, gap_m):
+        marcher = marcher_of(law, its, gap_m=gap_m)
+        u, v = np.zeros(1), np.full(1, -math.sqrt(MASS) * SPEED)
+        end = late + gap_m / SPEED
+        touch = march_touch(marcher, 0.0, u, v, History(), until_s=np.inf, wait_s=end)
+        return (touch.u[0] + touch.v[0] * (end - touch.end_s)) / math.sqrt(MASS) + gap_m
+
+    # half a step of the coarsest march apart from one another, so no phase is special
+    gaps = SPEED * period / steps[0] * (np.arange(12) + 0.37) / 12.0
+    exact = place(period / 6000, 0.0)
+    errors = [
+        math.sqrt(np.mean([(place(period / n, gap) - exact) ** 2 for gap in gaps])) for n in steps
+    ]
+    assert rate(1.0 / steps, errors) == pytest.approx(2.0, abs=0.2)
+
+
+@pytest.mark.parametrize(("law", "enforcement"), ENFORCED, ids=str)
+def test_energy_closes_step_by_step_and_no_step_gains(law, enforcement):
+    marcher = marcher_of(law, 20.0 * ITS, enforcement=enforcement)
+    energy = 0.5 * MASS * SPEED**2
+    state = marcher.start(0.0, np.zeros(1), np.full(1, -math.sqrt(MASS) * SPEED))
+    lost, pressed = 0.0, 0.0
+    for _ in range(100):
+        step = marcher.step(state)
+        state = step.state
+        # the multiplier is found to 1e-9 of the force
+        assert step.contact_loss_J >= -(1e-15 if enforcement is Enforcement.PENALTY else 1e-8)
+        lost += step.contact_loss_J
+        now = marching_energy(marcher, state)
+        pressed = max(pressed, now.contact_J)
+        assert now.total_J + lost == pytest.approx(energy, rel=1e-10)
+    assert pressed > 0.1 * energy
+    assert state.v[0] > 0.0
+    assert now.contact_J == 0.0
+
+
+def test_a_touch_meets_a_fresh_place():
+    """Twice the same march: nothing is remembered from the first to the second."""
+    marcher = marcher_of(Plastic(KN, 0.3 * SPEED * math.sqrt(KN * MASS)), ITS)
+    for seen in (None, lambda *_: None):
+        touches = [
+            march_touch(
+                marcher, 0.0, np.zeros(1), np.full(1, -math.sqrt(MASS) * SPEED), History(), seen
+            )
+            for _ in range(2)
+        ]
+        assert touches[0].v == touches[1].v
+        assert touches[0].contact_loss_J == touches[1].contact_loss_J > 0.0
+
+
+# --- points -------------------------------------------------------------------------------------
+
+
+def test_a_face_of_points_is_one_point_where_all_are_alike():
+    """A total force: many points of it yield and let go as the whole does."""
+    for law in LAWS:
+        one, many = (bounce(law, 10.0 * ITS, body=mass_on_a_foot(n))[0] for n in (1, 7))
+        assert many.v == pytest.approx(one.v, rel=1e-9)
+        assert many.peak_force_N == pytest.approx(one.peak_force_N, rel=1e-9)
+        assert many.contact_loss_J == pytest.approx(one.contact_loss_J, rel=1e-9, abs=1e-15)
+
+
+@pytest.mark.parametrize(
+    ("build", "word"),
+    [
+        (lambda: Stiffening(math.inf, 1.5), "Kn"),
+        (lambda: Stiffening(1e6, 0.9), "exponent"),
+        (lambda: Stiffening(1e6, 3.1), "exponent"),
+        (lambda: Stiffening(1e6, math.nan), "exponent"),
+        (lambda: Stiffening(1e6, 2.0, 0.0), "reference"),
+        (lambda: HuntCrossley(math.inf, 0.1), "Kn"),
+        (lambda: HuntCrossley(1e6, -0.1), "damping"),
+        (lambda: Plastic(math.inf, 1.0), "Kn"),
+        (lambda: Plastic(1e6, 0.0), "yield"),
+        (lambda: Adhesive(math.inf, 1.0), "Kn"),
+        (lambda: Adhesive(1e6, -1.0), "pull-off"),
+        (lambda: Adhesive(1e6, math.inf), "pull-off"),
+        (lambda: ContactMethod(HuntCrossley(1e6, 0.1), Enforcement.NITSCHE), "HuntCrossley.*nitsc"),
+        (lambda: ContactMethod(Plastic(1e6, 1.0), Enforcement.NITSCHE), "Plastic.*nitsche"),
+        (lambda: ContactMethod(Adhesive(1e6, 1.0), Enforcement.NITSCHE), "Adhesive.*nitsche"),
+        (lambda: ContactMethod(Adhesive(1e6, 1.0), Enforcement.AUGMENTED), "Adhesive.*augmented"),
+        (lambda: marcher_of(Plastic(1e6, 1.0), ITS, scheme=TimeScheme.newmark()), "conserving"),
+        (lambda: marcher_of(HuntCrossley(1e6, 0.1), ITS, scheme=TimeScheme.newmark()), "conserv"),
+    ],
+)
+def test_impossible_contact_is_refused(build, word):
+    with pytest.raises(ValueError, match=word):
+        build()
