@@ -20,7 +20,7 @@ from ...solver.errors import InputError
 from .. import datasets
 from .drop_model import DropModel, Drops
 from .problem import Problem
-from .response import KN_RANGE_N_M, Bench, Tables
+from .response import Bench, Tables
 
 KIND = "drops"
 # A contact stiffness that is declared is taken as known to this share.
@@ -37,16 +37,21 @@ def drops_problem(data: datasets.Drops) -> Problem:
     measured, sigmas, notes = _measured(data)
     bench = bench_for(data.y0_m, data)
     drops = Drops(bench, data.y0_m, data.drop - data.drop[0], tuple(measured))
-    tables = Tables(bench)
     values = np.stack([measured[q] for q in drops.quantities], axis=1)
     keep = np.isfinite(values).all(axis=1)
     if not keep.all():
         drops = replace(drops, y0_m=drops.y0_m[keep], order=drops.order[keep])
         values = values[keep]
-    kn = stiffness(manifest.kn_N_m)
-    plain = DropModel(drops, tables, kn, (), np.eye(len(measured))[None].repeat(len(values), 0))
-    whiten = _whitening(plain, values, np.array([sigmas[q] for q in drops.quantities]))
+    unwhitened = np.eye(len(measured))[None].repeat(len(values), 0)
+    wide = DropModel(drops, Tables(bench), stiffness(manifest.kn_N_m, bench), (), unwhitened)
+    sigma = np.array([sigmas[q] for q in drops.quantities])
+    start = _start(wide, values, sigma)
+    bench = bench.about(start)
+    tables, kn = Tables(bench), stiffness(manifest.kn_N_m, bench)
+    drops = replace(drops, bench=bench)
+    whiten = _whitening(DropModel(drops, tables, kn, (), unwhitened), start, sigma)
     n_q = len(drops.quantities)
+    number = (drops.order + data.drop[0]).astype(np.int64)
 
     def model(effects: Sequence[str]) -> DropModel:
         return DropModel(drops, tables, kn, tuple(effects), whiten)
@@ -58,7 +63,7 @@ def drops_problem(data: datasets.Drops) -> Problem:
         scale=scale.ravel(),
         unit="mm",
         quantity=np.tile(np.array([NAMES[q] for q in drops.quantities]), len(values)),
-        group=np.repeat(np.arange(len(values)), n_q),
+        group=np.repeat(number, n_q),
         covariates={
             "height": np.repeat(drops.y0_m, n_q),
             "order": np.repeat(drops.order, n_q).astype(float),
@@ -66,9 +71,17 @@ def drops_problem(data: datasets.Drops) -> Problem:
         baseline=model(()),
         candidates=[model((name,)) for name in carried(KIND, drops.quantities)],
         combine=model,
+        confirm=lambda effects, theta, groups: _solid(model(effects), theta, groups, number),
         sigma_declared=data.sigma_y_m is not None,
         notes=notes,
     )
+
+
+def _solid(model: DropModel, theta: Array, groups: Array, number: Array) -> Array:
+    """Whitened predictions by the 3-D model for the rows of drops numbered ``groups``."""
+    from .drops_solid import whitened_solid
+
+    return whitened_solid(model, theta, groups, number)
 
 
 def carried(kind: str, quantities: Sequence[int]) -> list[str]:
@@ -79,12 +92,12 @@ def carried(kind: str, quantities: Sequence[int]) -> list[str]:
     return names
 
 
-def stiffness(declared_N_m: float | None) -> Parameter:
+def stiffness(declared_N_m: float | None, bench: Bench) -> Parameter:
     """Kn as the baseline's free parameter, held where the dataset declares it."""
-    low, high = KN_RANGE_N_M
+    low, high = bench.kn_range_N_m
     if declared_N_m is not None:
         low, high = declared_N_m * (1.0 - KN_KNOWN), declared_N_m * (1.0 + KN_KNOWN)
-    typical = math.sqrt(low * high) if declared_N_m is not None else 2e6
+    typical = math.sqrt(low * high)
     return Parameter("kn_N_m", "N/m", low, high, typical, null=typical, logarithmic=True)
 
 
@@ -121,16 +134,20 @@ def _measured(
     return measured, sigmas, notes
 
 
-def _whitening(plain: DropModel, values: Array, sigmas: Array) -> Array:
-    """Per drop, the inverse Cholesky factor of noise and of the error of y0, (drops, q, q)."""
-    drops = plain.drops
-    ladder = np.geomspace(plain.kn.low, plain.kn.high, 200)[:, None]
-    predicted = plain.measured(ladder)[:, 0]
+def _start(plain: DropModel, values: Array, sigmas: Array) -> float:
+    """The stiffness of the baseline that the middle of the drops asks for."""
+    ladder = np.geomspace(plain.kn.low, plain.kn.high, 400)
+    predicted = plain.measured(ladder[:, None])[:, 0]
     miss = (((predicted - values) / sigmas) ** 2).sum(axis=2)
-    best = ladder[int(np.argmin(np.median(miss, axis=1)))]
+    return float(ladder[int(np.argmin(np.median(miss, axis=1)))])
+
+
+def _whitening(plain: DropModel, kn_N_m: float, sigmas: Array) -> Array:
+    """Per drop, the inverse Cholesky factor of noise and of the error of y0, (drops, q, q)."""
+    drops, at = plain.drops, np.array([kn_N_m])
     step = 1e-3 * drops.y0_m
     ends = [
-        replace(plain, drops=replace(drops, y0_m=drops.y0_m + sign * step)).measured(best)[0]
+        replace(plain, drops=replace(drops, y0_m=drops.y0_m + sign * step)).measured(at)[0]
         for sign in (-1.0, 1.0)
     ]
     slope = (ends[1] - ends[0]) / (2.0 * step)[:, None]

@@ -14,11 +14,12 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from pathlib import Path
+from typing import ClassVar
 
 import numpy as np
 
 from ...solver import paper
-from ...solver.batch import Drops, drop_many
+from ...solver.batch import Drops, Outcome, drop_many
 from ...solver.bodies.beam import beam_body
 from ...solver.bodies.modal import ModalBody
 from ...solver.bristle import Array, Bristle
@@ -39,12 +40,14 @@ from .spline import coefficients, evaluate
 QUANTITIES = ("y1_m", "contact_time_s", "peak_force_N")
 # Softer and damped, a contact may hold the bristle for good.
 KN_RANGE_N_M = (1e5, 1e8)
-KN_NODES = 25
+KN_NODES = 33
 LEAN_KN_NODES = 9
+# Decades to each side of the stiffness that the baseline has.
+KN_DECADES = 1.0
 HEIGHT_NODES = 4
-EFFECT_NODES = 9
-LEAN_NODES = 7
-SLOPE_NODES = 6
+EFFECT_NODES = 17
+LEAN_NODES = 10
+SLOPE_NODES = 8
 SIDE_NODES = 4
 # Steps of an impact: y1/y0 is then off by less than a thousandth (study of ITS).
 ITS_S = 2e-6
@@ -69,7 +72,15 @@ def its_s(bristle: Bristle, kn_N_m: float) -> float:
 def drops_of(
     body: ModalBody, scenes: Sequence[Scene], gravity_m_s2: float, its: float, friction: float
 ) -> Array:
-    """What drops of these scenes give, (scenes, quantities); all share law, damping and losses.
+    """What is measured of `outcomes_of` these scenes, (scenes, quantities)."""
+    found = outcomes_of(body, scenes, gravity_m_s2, its, friction)
+    return np.stack([found.rebound_height_m, found.contact_time_s, found.peak_force_N], axis=1)
+
+
+def outcomes_of(
+    body: ModalBody, scenes: Sequence[Scene], gravity_m_s2: float, its: float, friction: float
+) -> Outcome:
+    """What drops of these scenes give, arrays (scenes,); all share law, damping and losses.
 
     Heights are those of a fall from rest in a vacuum. Raises ComputationError.
     """
@@ -102,8 +113,7 @@ def drops_of(
     at = np.einsum("sxk,nk->snx", turns, body.contact.places_m)
     rises = -np.einsum("sx,snx->sn", normals[:, :2], at[..., :2]) / normals[:, 2:]
     drops = replace(drops, normals=np.repeat(normals[:, None, :], n, axis=1), rises_m=rises)
-    found = drop_many(marcher, drops)
-    return np.stack([found.rebound_height_m, found.contact_time_s, found.peak_force_N], axis=1)
+    return drop_many(marcher, drops)
 
 
 @dataclass(frozen=True)
@@ -163,7 +173,11 @@ def reference(height_m: Array, kn_N_m: Array, mass_kg: float, gravity_m_s2: floa
 
 @dataclass(frozen=True)
 class Bench:
-    """Where tables are made: the body, gravity and friction, and the heights to cover."""
+    """Where tables are made: the body, gravity and friction, and the heights to cover.
+
+    Data that show other quantities of a drop have a bench that overrides `seen` and `reference`,
+    and names its own source in ``made_by``.
+    """
 
     bristle: Bristle
     gravity_m_s2: float
@@ -171,6 +185,22 @@ class Bench:
     highest_m: float
     kn_range_N_m: tuple[float, float] = KN_RANGE_N_M
     friction: float = paper.FRICTION
+    made_by: ClassVar[tuple[Path, ...]] = MADE_BY
+
+    def seen(self, scenes: Sequence[Scene], its: float) -> Array:
+        """Three positive quantities of drops of these scenes (scenes, quantities)."""
+        return drops_of(beam_of(self.bristle), scenes, self.gravity_m_s2, its, self.friction)
+
+    def reference(self, height_m: Array, kn_N_m: Array) -> Array:
+        """What the quantities (quantities, ...) are measured by."""
+        return reference(height_m, kn_N_m, self.bristle.mass_kg, self.gravity_m_s2)
+
+    def about(self, kn_N_m: float) -> Bench:
+        """The bench for stiffnesses near one, which is rounded so that others share its tables."""
+        middle = round(2.0 * math.log10(kn_N_m)) / 2.0
+        low, high = self.kn_range_N_m
+        near = (10.0 ** (middle - KN_DECADES), 10.0 ** (middle + KN_DECADES))
+        return replace(self, kn_range_N_m=(max(low, near[0]), min(high, near[1])))
 
     def plain(self) -> Scene:
         """A drop without effects."""
@@ -194,7 +224,7 @@ class Bench:
         ComputationError where drops fail at all time steps.
         """
         axes = (*self._axes(leaning), *sides)
-        key = f"{name} {axes} {self} {sources(*MADE_BY)}"
+        key = f"{name} {axes} {self} {sources(*self.made_by)}"
         made = kept(key, lambda: {"coefficients": self._filled(axes, change)})
         return Table(axes, made["coefficients"])
 
@@ -220,17 +250,16 @@ class Bench:
                 rows = self._drops(scenes).reshape(len(heights), len(columns), -1)
                 out[(slice(None), columns, *index)] = rows
         grid = np.meshgrid(heights, kns, indexing="ij")
-        rigid = reference(*grid, self.bristle.mass_kg, self.gravity_m_s2)
+        rigid = self.reference(*grid)
         rigid = rigid.reshape(len(QUANTITIES), *shape[:2], *(1,) * len(sides))
         logs = np.log(out / np.moveaxis(rigid, 0, -1))
         return coefficients(logs, len(axes))
 
     def _drops(self, scenes: Sequence[Scene]) -> Array:
         step = its_s(self.bristle, scenes[0].law.kn_N_m)
-        body = beam_of(self.bristle)
         for part in (1.0, *SHORTER):
             try:
-                return drops_of(body, scenes, self.gravity_m_s2, part * step, self.friction)
+                return self.seen(scenes, part * step)
             except ComputationError as error:
                 failure = error
         raise failure
@@ -285,10 +314,11 @@ class Tables:
         kind = EFFECTS[name]
         only = kind.parameters[0]
         if name == "surface_slope":
-            sides = (Axis(0.0, MOST_SLOPE_DEG, SLOPE_NODES), Axis(0.0, 90.0, SIDE_NODES))
+            sides = (Axis(0.0, MOST_SLOPE_DEG, SLOPE_NODES, "root"), Axis(0.0, 90.0, SIDE_NODES))
             return self.bench.table(name, sides, _sloping, True)
         n = LEAN_NODES if name in LEANING else EFFECT_NODES
-        axis = Axis(only.low, only.high, n, "log" if only.logarithmic else "even")
+        how = "log" if only.logarithmic else "root" if name in LEANING else "even"
+        axis = Axis(only.low, only.high, n, how)
 
         def change(scene: Scene, point: tuple[float, ...]) -> Scene:
             value = min(max(point[0], only.low), only.high)
@@ -306,8 +336,8 @@ class Tables:
         return now - table.at(*np.broadcast_arrays(height_m, kn_N_m, *absent))
 
     def rigid(self, height_m: Array, kn_N_m: Array) -> Array:
-        """See `reference`."""
-        return reference(height_m, kn_N_m, self.bench.bristle.mass_kg, self.bench.gravity_m_s2)
+        """See `Bench.reference`."""
+        return self.bench.reference(height_m, kn_N_m)
 
 
 def _sloping(scene: Scene, point: tuple[float, ...]) -> Scene:
