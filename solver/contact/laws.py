@@ -268,8 +268,8 @@ class Plastic(_Compiled):
 class Adhesive(_Compiled):
     """A spring Kn that, once touched, also holds: it pulls with up to ``pull_off_N``, then lets go.
 
-    Letting go takes the spring's energy F²/(2 Kn), whose size is the work of adhesion of Johnson,
-    Kendall and Roberts (Proc. R. Soc. A 324, 1971) were it all lost; the way in costs nothing.
+    The pull-off force is that of Johnson, Kendall and Roberts (Proc. R. Soc. A 324, 1971) in its
+    simplest form: touching costs nothing, letting go takes the spring's energy F²/(2 Kn).
     ``pull_off_N`` is the force at which the whole face lets go; each point does at the same
     traction, however stiff its place. A touch ends when no point is held.
     """

@@ -16,7 +16,8 @@ from ..bodies.axis import Shortening, second_order_force, shortened
 from ..bodies.base import Array
 from ..compiled import njit
 from ..contact.normal import PLASTIC, elastic
-from ..contact.solve import section_gathers, section_moves, solve_step
+from ..contact.section import section_gathers, section_moves
+from ..contact.solve import solve_step
 from ..contact.step import (
     Points,
     Section,
