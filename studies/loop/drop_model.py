@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
@@ -33,6 +34,27 @@ class Drops:
 
     def __len__(self) -> int:
         return len(self.y0_m)
+
+
+class Bounced(NamedTuple):
+    """Fall and bounce of drops, true and not as read.
+
+    Heights of the release, of the fall from rest in a vacuum that ends as fast, and of the rise in
+    a vacuum; speed at release, drag over mass, stiffness; contact time and the third quantity of
+    the tables; scale and zero of the heights, and rate of the clock, by which all is read.
+    """
+
+    height_m: Array
+    same_m: Array
+    speed_m_s: Array
+    drag_1_m: Array
+    kn_N_m: Array
+    top_m: Array
+    contact_s: Array
+    third: Array
+    scale: Array
+    offset_m: Array
+    clock: Array
 
 
 @dataclass(frozen=True)
@@ -83,8 +105,8 @@ class DropModel:
         rows = np.einsum("dqr,...dr->...dq", self.whiten, measured)
         return np.asarray(rows.reshape(*rows.shape[:-2], -1))
 
-    def measured(self, theta: Array) -> Array:
-        """What instruments show, in SI (..., nodes, drops, quantities)."""
+    def bounced(self, theta: Array) -> Bounced:
+        """What happened in each drop, arrays that broadcast to (..., nodes, drops)."""
         theta = np.asarray(theta, dtype=float)
         given = self._given(theta)
         drops, bench = self.drops, self.drops.bench
@@ -110,11 +132,29 @@ class DropModel:
                 logs = logs + self.tables.change(name, same, kn, lean, nodes[:, 2:3])
             elif name in self.tables.simulated:
                 logs = logs + self.tables.change(name, same, kn, value(name))
-        top, time, force = np.exp(logs) * self.tables.rigid(same, kn)
-        top = risen(top, drag / bench.bristle.mass_kg)
-        clock = 1.0 + value("clock_error")
-        seen = (scale * (top + offset), clock * time, force + 0.0 * clock)
-        full = np.broadcast_shapes(*(each.shape for each in seen), (len(nodes), len(drops)))
+        top, time, third = np.exp(logs) * self.tables.rigid(same, kn)
+        return Bounced(
+            height_m=height,
+            same_m=same,
+            speed_m_s=np.asarray(value("release_velocity")),
+            drag_1_m=np.asarray(drag / bench.bristle.mass_kg),
+            kn_N_m=kn,
+            top_m=top,
+            contact_s=time,
+            third=third,
+            scale=np.asarray(scale),
+            offset_m=np.asarray(offset),
+            clock=np.asarray(1.0 + value("clock_error")),
+        )
+
+    def measured(self, theta: Array) -> Array:
+        """What instruments show, in SI (..., nodes, drops, quantities)."""
+        drops = self.drops
+        b = self.bounced(theta)
+        top = risen(b.top_m, b.drag_1_m)
+        seen = (b.scale * (top + b.offset_m), b.clock * b.contact_s, b.third + 0.0 * b.clock)
+        nodes = len(self.weights)
+        full = np.broadcast_shapes(*(each.shape for each in seen), (nodes, len(drops)))
         chosen = [np.broadcast_to(seen[q], full) for q in drops.quantities]
         return np.stack(chosen, axis=-1)
 
