@@ -26,6 +26,8 @@ STARTS = 3
 # Two effects of size REFERENCE_D that differ by less than APART, in expected sigma after refit,
 # differ by less than two nats.
 REFERENCE_D, APART = 8.0, 2.0
+# Rows of a group that joint covariances take; records in time have many that say the same.
+LONG = 12
 
 
 def candidate(
@@ -97,12 +99,19 @@ class Moments:
 
 
 def blocks(data: Sample) -> list[Ints]:
-    """Row numbers (groups, size) of all groups of each size."""
+    """Row numbers (groups, size) of all groups of each size; long ones are thinned to `LONG`."""
     sizes = np.diff(data.starts)
     return [
-        data.starts[:-1][sizes == size][:, None] + np.arange(size)[None]
+        data.starts[:-1][sizes == size][:, None]
+        + np.unique(np.linspace(0, size - 1, min(size, LONG)).astype(np.int64))[None]
         for size in np.unique(sizes)
     ]
+
+
+def thinning(data: Sample) -> list[float]:
+    """How many rows each kept row of `blocks` stands for."""
+    sizes = np.unique(np.diff(data.starts))
+    return [float(size / min(size, LONG)) for size in sizes]
 
 
 def moments(data: Sample, rungs: Ladder) -> Moments:
@@ -111,8 +120,10 @@ def moments(data: Sample, rungs: Ladder) -> Moments:
     mean = rungs.mean()
     covariance, inverse = [], []
     log_det = np.zeros(mean.shape[0])
-    for rows in blocks(data):
+    stood_for = thinning(data)
+    for i, rows in enumerate(blocks(data)):
         part = (rungs.predicted - mean[:, None])[:, :, rows] * np.sqrt(w)[:, None, None]
+        part *= np.sqrt(stood_for[i])
         cov = np.einsum("kjgr,kjgs->kgrs", part, part) + np.eye(rows.shape[1])
         covariance.append(cov)
         inverse.append(np.linalg.inv(cov))
@@ -153,10 +164,11 @@ def _nearest(target: Array, others: Array) -> float:
 
 def _nearest_scatter(data: Sample, one: Moments, point: int, two: Moments) -> float:
     """Square root of twice the least divergence of jointly normal predictions."""
-    twice = two.log_det - one.log_det[point] - data.values.size
+    twice = two.log_det - one.log_det[point]
     shift = two.mean - one.mean[point]
-    for rows, cov, inverse in zip(blocks(data), one.covariance, two.inverse, strict=True):
-        twice = twice + np.einsum("kgrs,gsr->k", inverse, cov[point])
-        part = shift[:, rows]
+    each = zip(blocks(data), thinning(data), one.covariance, two.inverse, strict=True)
+    for rows, stood_for, cov, inverse in each:
+        twice = twice + np.einsum("kgrs,gsr->k", inverse, cov[point]) - rows.size
+        part = shift[:, rows] * np.sqrt(stood_for)
         twice += np.einsum("kgr,kgrs,kgs->k", part, inverse, part, optimize=True)
     return float(np.sqrt(max(twice.min(), 0.0)))

@@ -27,6 +27,7 @@ from .smooth import plain_heights, smooth_heights, smooth_names
 
 SETS = 499
 OCCAM = 2.5
+MOST_NOISES = 12
 POWER_QUANTILE = 1.2815515655446004
 
 
@@ -61,9 +62,8 @@ class Detection:
 
 def kept_noises(data: Sample, shares: Array) -> Ints:
     """Noises that the data leave a chance, and always the declared one."""
-    kept = shares > 3e-3
-    kept[0] = True
-    return np.flatnonzero(kept)
+    order = np.argsort(-shares, kind="stable")[:MOST_NOISES]
+    return np.unique(np.concatenate([[0], order[shares[order] > 3e-3]]))
 
 
 def shared_noise(data: Sample, base: Fitted, ladders: list[Ladder]) -> tuple[Array, float]:

@@ -21,6 +21,8 @@ from .noise import Ints
 from .sample import Sample
 
 DEGREES = 5
+# Longer groups are records in time, whose runs show what their rows share.
+MOST_SHARED = 6
 
 
 @dataclass(frozen=True)
@@ -76,6 +78,8 @@ def family(data: Sample) -> Family:
         names.append("runs")
     first_, second = [], []
     for begin, end in zip(data.starts[:-1], data.starts[1:], strict=True):
+        if end - begin > MOST_SHARED:
+            continue
         for i in range(int(begin), int(end)):
             for j in range(i + 1, int(end)):
                 if data.kind[i] != data.kind[j]:

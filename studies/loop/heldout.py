@@ -72,6 +72,8 @@ def judge(
     """Errors of baseline and final model on the held-out rows of the main quantity."""
     main = str(problem.quantity[0])
     mine = np.flatnonzero(problem.quantity[held.rows] == main)
+    if not mine.size:
+        mine = np.arange(held.rows.size)
     rows = held.rows[mine]
     scale = problem.scale[rows] / held.unit[mine]
     values = held.values[mine] * scale

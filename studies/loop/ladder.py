@@ -22,6 +22,7 @@ from .sample import Sample
 LEVELS = np.array([1.0, 1.5, 2.2, 3.0, 4.0, 5.5, 7.5, 10.0, 14.0, 20.0, 30.0, 60.0, 120.0])
 EXPLORED = np.concatenate([np.geomspace(3e-5, 0.7, 17), [1.0]])
 REFITS = 3
+MOST_VALUES = 70_000
 
 
 @dataclass(frozen=True)
@@ -61,6 +62,10 @@ def ladder(data: Sample, base: Fitted, model: Model) -> Ladder:
         for where in _crossings(explored, way[ray]):
             chosen.append(begin + where * (end - begin))
             rays.append(ray)
+    # Scatter costs as many predictions as it has nodes.
+    cost = len(chosen) * np.asarray(model.weights).size * data.values.size
+    stride = min(max(1, round(cost / MOST_VALUES)), 6)
+    chosen, rays = chosen[::stride], rays[::stride]
     u, predicted, d = _refitted(data, base, model, np.array(chosen))
     return Ladder(model, u, predicted, d, np.array(rays, dtype=np.int64), way, ends)
 

@@ -24,6 +24,7 @@ from .sample import Sample
 
 TYPICAL_D = 6.0
 DEGREES = 5.0
+MOST_NOISES = 16
 
 
 @dataclass(frozen=True)
@@ -53,7 +54,8 @@ def posterior(
     """Sample a fitted model's parameters; ``shares`` are the noises' weights at the fit."""
     weights = np.asarray(fitted.model.weights)
     counts = (128, 384) if weights.size == 1 else (96, 192)
-    noise = np.flatnonzero(shares > 2e-3)
+    order = np.argsort(-shares, kind="stable")[:MOST_NOISES]
+    noise = np.sort(order[shares[order] > 2e-3])
     p = fitted.u.size
     centre = np.asarray(fitted.u)
     cov = np.linalg.inv(fitted.information + BOX_PRECISION * np.eye(p)) * 1.2

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from . import attribute, openset
-from .detect import detect, shared_noise
+from .detect import detect, kept_noises, shared_noise
 from .experiment import next_experiment
 from .finding import Evidence, Finding, Interval, Test, Verdict
 from .fit import Fitted, settle, to_box
@@ -27,6 +27,8 @@ LEFT_ALARM = 0.02
 PAIR_LEFT = 0.05
 PAIR_COST = 4.0
 UNLISTED_MARGIN = 1.0
+# Evidence, in nats, without which an alarm that is not strong is taken for a false one.
+LIKELIER = 1.0
 
 
 @dataclass(frozen=True)
@@ -59,7 +61,7 @@ def find(problem: Problem, seed: int = 0, alarm: float = ALARM) -> Finding:
     if detection.p_value > alarm:
         answer = _adequate(data, baseline, rng)
     else:
-        likely = np.flatnonzero((spread > 3e-3) | (np.arange(spread.size) == 0))
+        likely = kept_noises(data, spread)
         known = Known(problem, data, base, baseline, ladders, likely, unlisted, rng)
         answer = _explain(known, detection.p_value, alarm)
     final = answer.reported[0] if answer.reported else baseline
@@ -156,12 +158,13 @@ def _explain(known: Known, p_value: float, alarm: float) -> Answer:
     """Single effects first; pairs where they explain more; unknown where no name holds.
 
     A weak alarm for which neither an effect nor any smooth misfit is likelier than the baseline
-    is a false one. A smooth misfit likelier than the best effect refuses the effect.
+    by `LIKELIER` is a false one. A smooth misfit likelier than the best effect refuses the effect.
     """
     data, base, ladders, rng = known.data, known.base, known.ladders, known.rng
     singles = [attribute.candidate(data, base, each, known.likely, rng) for each in ladders]
     best = max((each.log_evidence for each in singles), default=-np.inf)
-    if max(best, known.unlisted) < known.baseline.log_evidence and p_value > alarm / 6:
+    likelier = max(best, known.unlisted) - known.baseline.log_evidence
+    if likelier < LIKELIER and p_value > alarm / 6:
         return _adequate(data, known.baseline, rng, tuple((each, None) for each in singles))
     if not singles:
         left = openset.left_over(data, known.baseline, base, [], rng)
