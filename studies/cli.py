@@ -14,6 +14,7 @@ import typer
 
 from ..solver.errors import ComputationError
 from . import __version__
+from .closeloop_flags import LOOP_FLAGS
 from .ending import run
 from .flags import (
     BODY_FLAGS,
@@ -269,6 +270,32 @@ def synth(
     )
     run_synth(recipe, out, truth)
     print(out / "dataset.toml")
+
+
+@app.command("close-loop")
+@takes(LOOP_FLAGS)
+def close_loop(
+    given: dict[str, Any],
+    dataset: Annotated[Path, typer.Argument(metavar="DATASET", help="Folder of a dataset.")],
+    config: Config = None,
+    out: Annotated[Path, out_option("results/close-loop")] = Path("results/close-loop"),
+    debug: Debug = False,
+) -> None:
+    """What the model lacks to explain measured data, and the error before and after it is added.
+
+    Fits the model to the dataset (kinds: drops, tracks, forces, waves, falls), tests what is left,
+    traces it to an effect or says that no known one explains it, and judges on held-out data.
+
+    Example: bristle close-loop my-drops --seed 1 --out results/my-drops
+    """
+    from .closeloop import LoopInputs, run_close_loop, summary
+    from .sources import inputs_of
+
+    ignored = (*DROP_FLAGS, *LISTS_FLAGS)
+    inputs = inputs_of(LoopInputs, given, LOOP_FLAGS, config, ignored)
+    for name, value in summary(run_close_loop(dataset, out, inputs)):
+        print(f"{name:<24}{value}")
+    print(f"{'page':<24}{out / 'report.html'}")
 
 
 @app.command()

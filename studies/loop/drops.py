@@ -19,6 +19,7 @@ from ...solver.effects.library import EFFECTS
 from ...solver.errors import InputError
 from .. import datasets
 from .drop_model import DropModel, Drops
+from .noise import Ints
 from .problem import Problem
 from .response import Bench, Tables
 
@@ -77,7 +78,7 @@ def drops_problem(data: datasets.Drops) -> Problem:
     )
 
 
-def _solid(model: DropModel, theta: Array, groups: Array, number: Array) -> Array:
+def _solid(model: DropModel, theta: Array, groups: Ints, number: Ints) -> Array:
     """Whitened predictions by the 3-D model for the rows of drops numbered ``groups``."""
     from .drops_solid import whitened_solid
 
