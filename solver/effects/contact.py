@@ -98,12 +98,12 @@ class PlasticContact(Effect):
         Parameter(
             "yield_N",
             "N",
-            2.0,
+            5.0,
             200.0,
             20.0,
             null=200.0,
             logarithmic=True,
-            why="from a twentieth of the paper's impact force, 41 N, to five times it",
+            why="from an eighth of the paper's impact force, 41 N, to five times it",
         ),
     )
 
@@ -123,7 +123,9 @@ class Adhesion(Effect):
     kinds = TOUCHING
     source = "Johnson, Kendall and Roberts, Proc. R. Soc. A 324 (1971): a pull-off force"
     parameters = (
-        Parameter("pull_off_N", "N", 0.0, 40.0, 5.0, why="up to what the impact pushes with"),
+        Parameter(
+            "pull_off_N", "N", 0.0, 20.0, 5.0, why="up to half of what the impact pushes with"
+        ),
     )
 
     def enter(self, scene: Scene) -> Scene:

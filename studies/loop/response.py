@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import ClassVar
 
 import numpy as np
+from scipy.ndimage import distance_transform_edt
 
 from ...solver import paper
 from ...solver.batch import Drops, Outcome, drop_many
@@ -24,7 +25,14 @@ from ...solver.bodies.beam import beam_body
 from ...solver.bodies.modal import ModalBody
 from ...solver.bristle import Array, Bristle
 from ...solver.contact.enforcement import ContactMethod
-from ...solver.contact.laws import Coulomb, Linear, mindlin_ratio
+from ...solver.contact.laws import (
+    Adhesive,
+    ContactLaw,
+    Coulomb,
+    Linear,
+    Plastic,
+    mindlin_ratio,
+)
 from ...solver.effects import library
 from ...solver.effects.base import Parameter, Scene
 from ...solver.effects.library import EFFECTS
@@ -80,10 +88,24 @@ def drops_of(
 def outcomes_of(
     body: ModalBody, scenes: Sequence[Scene], gravity_m_s2: float, its: float, friction: float
 ) -> Outcome:
-    """What drops of these scenes give, arrays (scenes,); all share law, damping and losses.
+    """What drops of these scenes give, arrays (scenes,); all share damping and losses.
 
     Heights are those of a fall from rest in a vacuum. Raises ComputationError.
     """
+    alike: dict[ContactLaw, list[int]] = {}
+    for i, scene in enumerate(scenes):
+        alike.setdefault(replace(scene.law, kn_N_m=1.0), []).append(i)  # type: ignore[type-var]
+    out = np.empty((len(Outcome._fields), len(scenes)))
+    for members in alike.values():
+        part = [scenes[i] for i in members]
+        out[:, members] = _under_one_law(body, part, gravity_m_s2, its, friction)
+    return Outcome(*out)
+
+
+def _under_one_law(
+    body: ModalBody, scenes: Sequence[Scene], gravity_m_s2: float, its: float, friction: float
+) -> Outcome:
+    """`outcomes_of` scenes whose laws differ in Kn alone."""
     first = scenes[0]
     body = replace(body, beta_s=first.beta_s, loss_factor=first.loss_factor)
     # a drop that lands upright on a level surface does not slide
@@ -164,7 +186,9 @@ class Table:
         return np.asarray(out.T.reshape(len(QUANTITIES), *spots[0].shape))
 
 
-def reference(height_m: Array, kn_N_m: Array, mass_kg: float, gravity_m_s2: float) -> Array:
+def reference(
+    height_m: Array | float, kn_N_m: Array | float, mass_kg: float, gravity_m_s2: float
+) -> Array:
     """What a rigid bristle on Kn gives, (quantities, ...): Eqs. 3 and 8 of the paper."""
     speed = np.sqrt(2.0 * gravity_m_s2 * height_m)
     time = math.pi * np.sqrt(mass_kg / kn_N_m)
@@ -253,16 +277,39 @@ class Bench:
         rigid = self.reference(*grid)
         rigid = rigid.reshape(len(QUANTITIES), *shape[:2], *(1,) * len(sides))
         logs = np.log(out / np.moveaxis(rigid, 0, -1))
-        return coefficients(logs, len(axes))
+        return coefficients(_mended(logs), len(axes))
 
     def _drops(self, scenes: Sequence[Scene]) -> Array:
+        """What these drops give; NaN for one that fails, or stays on the surface for good."""
         step = its_s(self.bristle, scenes[0].law.kn_N_m)
-        for part in (1.0, *SHORTER):
+        try:
+            return self.seen(scenes, step)
+        except ComputationError:
+            n = len(scenes)
+        if n > 1:
+            return np.vstack([self._drops(scenes[: n // 2]), self._drops(scenes[n // 2 :])])
+        for part in SHORTER:
             try:
                 return self.seen(scenes, part * step)
-            except ComputationError as error:
-                failure = error
-        raise failure
+            except ComputationError:
+                continue
+        return np.full((1, len(QUANTITIES)), np.nan)
+
+
+def _mended(logs: Array) -> Array:
+    """A table with what failed as at the nearest place where it did not.
+
+    Raises ComputationError where more than half of it failed.
+    """
+    lost = ~np.isfinite(logs).all(axis=-1)
+    if not lost.any():
+        return logs
+    if lost.mean() > 0.5:
+        raise ComputationError(
+            f"{lost.sum()} of {lost.size} drops of a table failed: the effect's bounds are too wide"
+        )
+    nearest = distance_transform_edt(lost, return_distances=False, return_indices=True)
+    return np.asarray(logs[tuple(nearest)])
 
 
 SIMULATED = (
@@ -277,6 +324,13 @@ SIMULATED = (
     "surface_slope",
 )
 LEANING = ("bristle_tilt", "surface_slope")
+# Forces that count against the force of the impact: in units of v √(Kn m), from where a bristle is
+# held for good to where nothing is changed.
+HELD: dict[str, tuple[type, float, float]] = {
+    "adhesion": (Adhesive, 0.0, 0.4),
+    "plastic_contact": (Plastic, 0.06, 0.8),
+}
+HELD_NODES = 9
 
 
 @dataclass(frozen=True)
@@ -316,6 +370,10 @@ class Tables:
         if name == "surface_slope":
             sides = (Axis(0.0, MOST_SLOPE_DEG, SLOPE_NODES, "root"), Axis(0.0, 90.0, SIDE_NODES))
             return self.bench.table(name, sides, _sloping, True)
+        if name in HELD:
+            return self.bench.table(
+                name, (Axis(*HELD[name][1:], HELD_NODES),), self._held(name), False
+            )
         n = LEAN_NODES if name in LEANING else EFFECT_NODES
         how = "log" if only.logarithmic else "root" if name in LEANING else "even"
         axis = Axis(only.low, only.high, n, how)
@@ -326,12 +384,30 @@ class Tables:
 
         return self.bench.table(name, (axis,), change, name in LEANING)
 
+    def _held(self, name: str) -> Callable[[Scene, tuple[float, ...]], Scene]:
+        """Puts a law in whose force is a share of the impact's."""
+        law = HELD[name][0]
+
+        def change(scene: Scene, point: tuple[float, ...]) -> Scene:
+            kn = scene.law.kn_N_m
+            whole = reference(
+                scene.height_m, kn, self.bench.bristle.mass_kg, self.bench.gravity_m_s2
+            )[2]
+            return replace(scene, law=law(kn, point[0] * float(whole)))
+
+        return change
+
     def change(self, name: str, height_m: Array, kn_N_m: Array, *value: Array | float) -> Array:
         """By how much an effect changes the logarithms of all quantities (quantities, ...)."""
         table = self.of(name)
         absent = [np.asarray(0.0)] * len(value)
         if name != "surface_slope":
             absent = [np.asarray(self.bounded(EFFECTS[name].parameters[0]).null)]
+        if name in HELD:
+            whole = reference(
+                height_m, kn_N_m, self.bench.bristle.mass_kg, self.bench.gravity_m_s2
+            )[2]
+            value, absent = (value[0] / whole,), [absent[0] / whole]
         now = table.at(*np.broadcast_arrays(height_m, kn_N_m, *value))
         return now - table.at(*np.broadcast_arrays(height_m, kn_N_m, *absent))
 
