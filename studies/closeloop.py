@@ -29,7 +29,8 @@ from .files import prepare_folder, to_json, write_atomically
 from .loop.finding import Finding
 from .loop.problem import Problem
 from .loop.run import find
-from .progress import working
+from .parallel import share_out
+from .progress import progress, working
 
 SCHEMA = "bristle-close-loop-1"
 VERDICT_FILE = "verdict.json"
@@ -78,16 +79,48 @@ def run_close_loop(
     result does not depend on the number of ranks. Raises InputError where the dataset or an option
     is wrong, ComputationError where a simulation fails; nothing is written then.
     """
-    asked = inputs or LoopInputs()
-    return run_on_one_rank(comm, lambda: _run(Path(dataset), Path(out), asked))
+    asked, dataset = inputs or LoopInputs(), Path(dataset)
+    if comm.size > 1 and not asked.no_3d:
+        importlib.import_module("petsc4py.PETSc")  # starts on all ranks together or not at all
+    manifest = run_on_one_rank(comm, lambda: read_manifest(dataset))
+    first = run_on_one_rank(comm, lambda: _Alone(problem_of(manifest) if comm.rank == 0 else None))
+    problem = first.problem or problem_of(manifest)
+    _simulate(problem, comm)
+    return run_on_one_rank(comm, lambda: _run(manifest, problem, Path(out), asked))
 
 
-def _run(dataset: Path, out: Path, inputs: LoopInputs) -> dict[str, Any]:
+class _Alone:
+    """A problem that stays on the rank that made it: it cannot be sent."""
+
+    def __init__(self, problem: Problem | None = None) -> None:
+        self.problem = problem
+
+    def __reduce__(self) -> tuple[type[_Alone], tuple[()]]:
+        return _Alone, ()
+
+
+def _simulate(problem: Problem, comm: MPI.Intracomm) -> None:
+    """Have every candidate predict once, dealt out over the ranks.
+
+    Some of them first simulate thousands of drops, which are then kept on the disk for all ranks
+    and for the next run. Collective; raises ComputationError where they fail.
+    """
+    candidates = problem.candidates
+
+    def predict(i: int) -> None:
+        typical = [each.typical for each in candidates[i].parameters]
+        candidates[i].predict(np.array(typical))
+
+    if comm.rank:
+        share_out(comm, len(candidates), predict, lambda i, nothing: None)
+        return
+    with progress("Effects simulated", len(candidates)) as advance:
+        share_out(comm, len(candidates), predict, lambda i, nothing: advance())
+
+
+def _run(manifest: Manifest, problem: Problem, out: Path, inputs: LoopInputs) -> dict[str, Any]:
     from .closeloop_page import write_page
 
-    manifest = read_manifest(dataset)
-    with working(f"reading {manifest.kind}, simulating them where they were not before"):
-        problem = problem_of(manifest)
     with _folder_for(out):
         closed = close(manifest, problem, inputs)
         content = verdict(closed)
@@ -102,6 +135,8 @@ def close(manifest: Manifest, problem: Problem, inputs: LoopInputs) -> Closed:
         finding = find(problem, inputs.seed, inputs.alarm)
     if inputs.no_3d:
         return Closed(manifest, inputs, problem, finding, Confirmation(None, LEFT_OUT))
+    if problem.confirm is None:
+        return Closed(manifest, inputs, problem, finding, confirm(problem, finding))
     with working("confirming in three dimensions"):
         return Closed(manifest, inputs, problem, finding, confirm(problem, finding))
 

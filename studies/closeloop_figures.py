@@ -105,7 +105,7 @@ def tests_figure(before: Sequence[Test], after: Sequence[Test], corrected: float
     ax.axvline(corrected, color=GREY, ls=":", lw=1.0, label="corrected for all tests, before")
     _named(ax, [name.replace("_", " ") for name in names])
     ax.set(xscale="log", xlabel="p-value of the test alone", xlim=(None, 1.3))
-    ax.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), fontsize=7)
+    figure.legend(loc="outside upper right", fontsize=7, ncols=3)
     return figure
 
 
@@ -149,7 +149,7 @@ def evidence_figure(evidences: Sequence[Evidence], unlisted: float) -> Figure:
     ):
         ax.plot([], [], "o", color=colour, label=label)
     ax.plot([], [], color=PURPLE, ls="--", lw=1.0, label="some smooth misfit without a name")
-    ax.legend(loc="upper left", bbox_to_anchor=(0.0, -0.35), fontsize=7, ncols=2)
+    figure.legend(loc="outside upper right", fontsize=7, ncols=2)
     return figure
 
 
