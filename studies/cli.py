@@ -299,6 +299,27 @@ def close_loop(
 
 
 @app.command()
+def bench(
+    what: Annotated[
+        str, typer.Argument(metavar="loop", help="The loop on datasets whose truth is hidden.")
+    ],
+    datasets: Annotated[
+        int, typer.Option(min=1, max=10_000, help="How many datasets a row of the table.")
+    ] = 100,
+    out: Annotated[Path, out_option("results/bench-loop")] = Path("results/bench-loop"),
+    resume: Resume = False,
+    debug: Debug = False,
+) -> None:
+    """How often does the loop find what is missing? A table with exact intervals, beside rivals.
+
+    Example: mpirun -n 2 bristle bench loop --datasets 20 --out results/bench-loop
+    """
+    from .loopbench_run import run_bench
+
+    print(run_bench(what, datasets, out, resume=resume))
+
+
+@app.command()
 def view(
     result: Annotated[Path, typer.Argument(metavar="RESULT", help="Folder of a drop's result.")],
     out: Annotated[

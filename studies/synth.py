@@ -27,6 +27,7 @@ from ..solver.effects.library import enter_all
 from ..solver.errors import InputError
 from ..solver.fall import dragged_fall, risen
 from . import __version__
+from .datasets import Drops, Manifest
 from .effects import EffectInput, read_effects
 from .files import prepare_folder, to_json, write_atomically
 from .loop.response import drops_of, its_s
@@ -125,7 +126,7 @@ def make(recipe: Recipe, body: ModalBody) -> Made:
         for i, height in enumerate(heights)
     ]
     true = _seen(scenes, recipe, body)
-    true[:, 1] *= 1.0 + recipe.strength * _pattern(recipe.strange, heights)
+    true[:, 1] *= 1.0 + recipe.strength * pattern(recipe.strange, heights)
     sigma = np.array([recipe.sigma_y_m, recipe.sigma_y_m, recipe.sigma_t_s, recipe.sigma_force_N])
     measured = true + sigma * _errors(recipe.noise, true.shape, errors)
     measured[:, :2] = np.maximum(measured[:, :2], [1e-4, 0.0])
@@ -153,7 +154,7 @@ def _seen(scenes: Sequence[Scene], recipe: Recipe, body: ModalBody) -> Array:
     return out
 
 
-def _pattern(strange: Strange | None, heights_m: Array) -> Array:
+def pattern(strange: Strange | None, heights_m: Array) -> Array:
     """The relative change (drops,) that an unlisted effect of strength one makes."""
     n = len(heights_m)
     if strange is Strange.SHIFT:
@@ -278,3 +279,32 @@ def run_synth(recipe: Recipe, out: Path, truth: Path) -> None:
 
     body = reduced_body()
     run_on_one_rank(MPI.COMM_WORLD, lambda: write_dataset(make(recipe, body), out, truth))
+
+
+def read_made(made: Made) -> Drops:
+    """The dataset as reading its files would give it, without a disk between."""
+    recipe, rows = made.recipe, np.loadtxt(io.StringIO(table_of(made)), delimiter=",", skiprows=1)
+    measurement = {"sigma_y_mm": 1e3 * recipe.sigma_y_m}
+    if recipe.sensors:
+        measurement |= {"sigma_t_s": recipe.sigma_t_s, "sigma_force_N": recipe.sigma_force_N}
+    manifest = Manifest(
+        folder=Path(),
+        title="made",
+        kind="drops",
+        source="",
+        licence="",
+        bristle=Bristle(),
+        declared=(),
+        kn_N_m=None,
+        measurement=measurement,
+    )
+    return Drops(
+        manifest=manifest,
+        drop=rows[:, 0],
+        y0_m=1e-3 * rows[:, 1],
+        y1_m=1e-3 * rows[:, 2],
+        contact_time_s=1e-3 * rows[:, 3] if recipe.sensors else None,
+        peak_force_N=rows[:, 4] if recipe.sensors else None,
+        session=None,
+        sigma_y_m=recipe.sigma_y_m,
+    )

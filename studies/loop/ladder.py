@@ -70,6 +70,11 @@ def ladder(data: Sample, base: Fitted, model: Model) -> Ladder:
     return Ladder(model, u, predicted, d, np.array(rays, dtype=np.int64), way, ends)
 
 
+def size_at(data: Sample, base: Fitted, model: Model, effect: Array) -> float:
+    """d of an effect at one point (q,) of its unit box, the baseline refitted."""
+    return float(_refitted(data, base, model, np.asarray(effect)[None])[2][0])
+
+
 def explored_shares(found: Ladder) -> Array:
     """How far along their ray, from 0 to 1, the points of ``way`` lie."""
     return EXPLORED if found.way.shape[1] == EXPLORED.size else EXPLORED[5::2]

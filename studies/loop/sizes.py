@@ -13,11 +13,14 @@ import numpy as np
 from ...solver.bristle import Array
 from .fit import Fitted, fit, to_box, to_theta
 from .heldout import split
-from .ladder import explored_shares, ladder
+from .ladder import explored_shares, ladder, size_at
 from .problem import Model, Problem
 from .sample import Sample, sample
 
 GAUSSIAN = 0
+# Halvings to a value of the wanted size, and how near is near enough.
+BISECTIONS = 12
+CLOSE = 0.02
 
 
 def clean(problem: Problem, theta: Array, seed: int) -> tuple[Sample, Fitted]:
@@ -37,10 +40,16 @@ def value_for(data: Sample, base: Fitted, model: Model, d: float, way: int) -> f
     sizes, shares = found.way[ray], explored_shares(found)
     if sizes[-1] < d:
         return None
-    known = sizes > 1e-9
-    share = np.exp(np.interp(np.log(d), np.log(sizes[known]), np.log(shares[known])))
+    above = int(np.argmax(sizes >= d))
+    low, high = (shares[above - 1] if above else 0.0), shares[above]
     begin, end = found.ends[ray]
     own = base.u.size
+    for _ in range(BISECTIONS):
+        share = 0.5 * (low + high)
+        reached = size_at(data, base, model, begin + share * (end - begin))
+        low, high = (share, high) if reached < d else (low, share)
+        if abs(reached / d - 1.0) < CLOSE:
+            break
     return float(to_theta(model.parameters[own:], begin + share * (end - begin))[0])
 
 
