@@ -22,21 +22,11 @@ def noise_table(rows: Rows) -> Table:
     problem, noise = rows.closed.problem, rows.closed.finding.noise
     chosen: list[Value] = [noise["shape"], noise["scale"], noise["correlation"]]
     lines: list[list[Value]] = []
-    for name in dict.fromkeys(problem.quantity.tolist()):
+    for name in dict.fromkeys(map(str, problem.quantity)):
         mine = problem.quantity == name
         sigma = float(np.median(problem.scale[mine] / rows.unit[mine]))
         own = problem.unit if name == problem.quantity[0] else ""
-        lines.append(
-            [
-                name,
-                int(mine.sum()),
-                sigma,
-                own,
-                noise["shape"],
-                noise["scale"],
-                noise["correlation"],
-            ]
-        )
+        lines.append([name, int(mine.sum()), sigma, own, *chosen])
     head = (
         Column("quantity", "Quantity"),
         Column("values", "Values"),
