@@ -35,6 +35,8 @@ from .loop.response import drops_of, its_s
 COLUMNS = ("drop", "y0_mm", "y1_mm", "contact_time_ms", "peak_force_N")
 # Releases by hand: the height is known as measured, not as meant.
 RELEASE_STD_M = 5e-4
+# Of the unlisted ripple; no multiple of the heights' spacing, which would hide it.
+RIPPLE_M = 0.032
 # Steps of the generator, finer than the loop's.
 FINER = 0.5
 
@@ -160,7 +162,7 @@ def pattern(strange: Strange | None, heights_m: Array) -> Array:
     if strange is Strange.SHIFT:
         return np.where(np.arange(n) < n // 2, 0.0, 1.0)
     if strange is Strange.RIPPLE:
-        return np.asarray(np.sin(2.0 * math.pi * heights_m / 0.02))
+        return np.asarray(np.sin(2.0 * math.pi * heights_m / RIPPLE_M))
     if strange is Strange.ALTERNATION:
         return np.where(np.arange(n) % 2 == 0, 1.0, -1.0)
     return np.zeros(n)
