@@ -64,10 +64,9 @@ def residual_figure(rows: Rows) -> Figure:
     quantity = rows.closed.problem.quantity
     names = list(dict.fromkeys(quantity.tolist()))
     figure, axes = panels(len(covariates), 2, height_in=0.4 + 1.9 * len(covariates))
-    for column, (predicted, words, colour) in enumerate(
-        ((rows.before, "before", BEFORE), (rows.after, "after", AFTER))
+    for column, (residual, words, colour) in enumerate(
+        ((rows.left_before, "before", BEFORE), (rows.left_after, "after", AFTER))
     ):
-        residual = rows.residuals(predicted)
         for line, (covariate, x) in enumerate(covariates):
             ax: Axes = axes[line, column]
             ax.axhspan(-2, 2, color=SKY, alpha=0.2, lw=0)

@@ -135,7 +135,7 @@ def _quantity(rows: Rows) -> str:
 
 def _noise(rows: Rows) -> Section:
     problem, finding = rows.closed.problem, rows.closed.finding
-    before, after = rows.residuals(rows.before), rows.residuals(rows.after)
+    before, after = rows.left_before, rows.left_after
     declared = (
         "Values are compared in units of their declared or measured standard deviation."
         if problem.sigma_declared
@@ -209,8 +209,8 @@ def _residuals(rows: Rows) -> Section:
     text = [
         f"What the fitted baseline leaves (left) and what is left with what was found in it "
         f"(right), against {against}; the band is ±2 standard deviations. Held-out values are "
-        "among them. Effects that differ by chance show in the spread: their residuals are those "
-        "of the mean.",
+        "among them. Where an effect differs by chance, a value stands at the normal quantile that "
+        "it has among all that the model predicts.",
     ]
     drawn = _figure(
         "residuals",
@@ -325,7 +325,7 @@ def _left(rows: Rows) -> Section:
         "Sorted residuals of the fitted rows against normal quantiles: on the line nothing is left "
         "but noise as declared.",
     ]
-    before, after = (np.sort(x) for x in (finding.residual_before, finding.residual_after))
+    before, after = (np.sort(x[finding.rows]) for x in (rows.left_before, rows.left_after))
     expected = ndtri((np.arange(len(before)) + 0.5) / len(before))
     drawn = _figure(
         "left",

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import log_ndtr, logsumexp, ndtri_exp
 
 from ..solver.bristle import Array
 from ..solver.effects.library import EFFECTS
@@ -90,9 +91,30 @@ class Rows:
                 unit[problem.quantity == name] = ratio
         return unit
 
-    def residuals(self, predicted: Array) -> Array:
-        """Residuals (rows,) in standard deviations."""
-        return np.asarray((self.closed.problem.values - predicted) * self.unit)
+    @cached_property
+    def left_before(self) -> Array:
+        """What the baseline leaves of each value (rows,), in standard deviations."""
+        return self._left(self.closed.problem.baseline, self.closed.finding.evidences[0].theta)
+
+    @cached_property
+    def left_after(self) -> Array:
+        """What the reported model leaves of each value (rows,), in standard deviations."""
+        finding, problem = self.closed.finding, self.closed.problem
+        if not finding.model_effects:
+            return self.left_before
+        return self._left(problem.combine(finding.model_effects), finding.theta)
+
+    def _left(self, model: Model, theta: Array | tuple[float, ...]) -> Array:
+        """Residuals (rows,) in standard deviations; where a model has chance in it, the normal
+        quantile of the value among all that it predicts with that chance and noise."""
+        predicted = np.asarray(model.predict(np.asarray(theta, dtype=float)))
+        left = (self.closed.problem.values - predicted) * self.unit
+        if len(left) == 1:
+            return np.asarray(left[0])
+        weights = np.asarray(model.weights)[:, None]
+        below = logsumexp(log_ndtr(left), b=weights, axis=0)
+        above = logsumexp(log_ndtr(-left), b=weights, axis=0)
+        return np.where(below < above, ndtri_exp(below), -ndtri_exp(above))
 
     def measured(self, whitened: Array) -> Array:
         """Values (rows,) in the problem's unit; of the main quantity only."""

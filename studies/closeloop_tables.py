@@ -84,7 +84,7 @@ def fit_table(rows: Rows) -> Table:
 def residual_table(rows: Rows) -> Table:
     """Residuals of every row in standard deviations."""
     problem = rows.closed.problem
-    before, after = rows.residuals(rows.before), rows.residuals(rows.after)
+    before, after = rows.left_before, rows.left_after
     columns = (
         Column("group", "Drop, fall or pass"),
         Column("quantity", "Quantity"),

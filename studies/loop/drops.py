@@ -8,7 +8,7 @@ of its drop, through the baseline's slope.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -19,6 +19,7 @@ from ...solver.effects.library import EFFECTS
 from ...solver.errors import InputError
 from .. import datasets
 from .drop_model import DropModel, Drops
+from .drops_experiments import experiments
 from .noise import Ints
 from .problem import Problem
 from .response import Bench, Tables
@@ -57,6 +58,11 @@ def drops_problem(data: datasets.Drops) -> Problem:
     def model(effects: Sequence[str]) -> DropModel:
         return DropModel(drops, tables, kn, tuple(effects), whiten)
 
+    def proposed(other: Drops, known: Mapping[int, float], effects: tuple[str, ...]) -> DropModel:
+        each = np.array([known[q] for q in other.quantities])
+        bare = DropModel(other, tables, kn, (), np.eye(len(each))[None].repeat(len(other), 0))
+        return replace(bare, effects=effects, whiten=_whitening(bare, start, each))
+
     # the last row of a Cholesky factor's inverse has its own scale on the diagonal
     scale = np.array([SCALES[q] for q in drops.quantities]) / np.einsum("dqq->dq", whiten)
     return Problem(
@@ -72,6 +78,7 @@ def drops_problem(data: datasets.Drops) -> Problem:
         baseline=model(()),
         candidates=[model((name,)) for name in carried(KIND, drops.quantities)],
         combine=model,
+        experiments=experiments(drops, sigmas, proposed),
         confirm=lambda effects, theta, groups: _solid(model(effects), theta, groups, number),
         sigma_declared=data.sigma_y_m is not None,
         notes=notes,
