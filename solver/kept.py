@@ -13,6 +13,7 @@ import zipfile
 from collections.abc import Callable, Mapping
 from functools import lru_cache
 from pathlib import Path
+from typing import Any, cast
 
 import numpy as np
 
@@ -52,7 +53,7 @@ def store(key: str, arrays: Mapping[str, Array]) -> None:
         path.parent.mkdir(exist_ok=True)
         with tempfile.NamedTemporaryFile(dir=path.parent, suffix=".part", delete=False) as part:
             try:
-                np.savez(part, **{KEY: np.array(key)}, **arrays)
+                np.savez(part, **cast(dict[str, Any], {KEY: np.array(key), **arrays}))
             except BaseException:
                 Path(part.name).unlink()
                 raise

@@ -242,6 +242,7 @@ class Workshop:
         how = tuple(self._basis(inputs).items())
         material, points = inputs.bristle().material, inputs.contact_points
         made_by = (sources(Path(geometry.__file__).parent), self.comm.size)
+        key: Hashable
         key = ("modal", inputs.mesh_spec(), material, inputs.order, points, how, *made_by)
         frame = self._keep(key, lambda: ModalFrame(self._stored(inputs, str(key))))
         if not inputs.second_order:

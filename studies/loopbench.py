@@ -16,7 +16,9 @@ import numpy as np
 
 from ..solver.bodies.modal import ModalBody
 from ..solver.bristle import Array
+from ..solver.effects.base import Effect
 from ..solver.effects.library import EFFECTS
+from .loop.drop_model import effect_at
 from .loop.drops import drops_problem
 from .loop.problem import Model, Problem
 from .loop.run import find
@@ -175,13 +177,13 @@ def _sized(
     names = list(rng.permutation(NAMED))
     if row.listed == 1:  # every effect in its turn
         names = [NAMED[case.number % len(NAMED)]]
-    chosen = []
+    chosen: list[Effect] = []
     for name in names:
         model = _model(problem, name)
         clash = EFFECTS[name].place in [each.place for each in chosen]
         value = None if clash else value_for(data, base, model, row.d, int(rng.integers(2)))
         if value is not None:
-            chosen.append(EFFECTS[name](value))
+            chosen.append(effect_at(name, value))
         if len(chosen) == row.listed:
             return replace(recipe, effects=tuple(chosen)), row.d
     return None
@@ -191,7 +193,7 @@ def _strange(
     case: Case, recipe: Recipe, problem: Problem, data: Any, base: Any, rng: np.random.Generator
 ) -> tuple[Recipe, float] | None:
     """An unlisted effect of the strength whose share beyond all listed ones has the row's size."""
-    strange = list(Strange)[case.number % len(Strange)]
+    strange = tuple(Strange.__members__.values())[case.number % len(Strange)]
     sign = float(rng.choice([-1.0, 1.0]))
     strength = 0.02
     for _ in range(4):

@@ -130,7 +130,7 @@ def make(recipe: Recipe, body: ModalBody) -> Made:
     true = _seen(scenes, recipe, body)
     true[:, 1] *= 1.0 + recipe.strength * pattern(recipe.strange, heights)
     sigma = np.array([recipe.sigma_y_m, recipe.sigma_y_m, recipe.sigma_t_s, recipe.sigma_force_N])
-    measured = true + sigma * _errors(recipe.noise, true.shape, errors)
+    measured = true + sigma * _errors(recipe.noise, (len(true), 4), errors)
     measured[:, :2] = np.maximum(measured[:, :2], [1e-4, 0.0])
     return Made(recipe, measured, true)
 
