@@ -140,7 +140,7 @@ def evidence_figure(evidences: Sequence[Evidence], unlisted: float) -> Figure:
     if np.isfinite(unlisted):
         ax.axvline(unlisted - base, color=PURPLE, ls="--", lw=1.0)
     _named(ax, [names_of(each.effects) for each in evidences])
-    ax.set(xscale="symlog", xlabel="log evidence over the baseline's (nats)")
+    ax.set(xscale="symlog", xlabel="log evidence gained on the baseline (nats)")
     for colour, label in (
         (GREEN, "leaves nothing"),
         (ORANGE, "leaves something"),
