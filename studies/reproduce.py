@@ -28,6 +28,7 @@ from .files import prepare_folder
 from .heights import Figure13
 from .knstudy import Figures10To12, KnStudy
 from .leaning import Leaning
+from .loop_section import LoopOnPaper
 from .peaktime import PeakTime
 from .progress import progress
 from .report import Report, Section, Verdict, write_report
@@ -63,6 +64,7 @@ def paper_studies(setup: Setup) -> list[Study]:
         Sticking(setup),
         Bars(setup),
         AccountStudy(),
+        LoopOnPaper(),
     ]
 
 

@@ -25,6 +25,7 @@ from bristle.studies.enforcements import Enforcements
 from bristle.studies.heights import Figure13, track
 from bristle.studies.knstudy import Figures10To12, KnStudy
 from bristle.studies.leaning import Leaning
+from bristle.studies.loop_section import LoopOnPaper
 from bristle.studies.peaktime import PeakTime, departs_at
 from bristle.studies.reproduce import command_of, paper_studies, run_reproduce
 from bristle.studies.sticking import Sticking
@@ -56,6 +57,7 @@ def small() -> tuple[Setup, list]:
         Sticking(setup, (4, 8), (1e-5, 5e-6), ((1, 1, 20), (1, 1, 40)), (3, 5)),
         Bars(setup, (0.1, 0.2), (0.0, 20.0)),
         AccountStudy(plan),
+        LoopOnPaper(),
     ]
 
 
@@ -80,7 +82,7 @@ def test_every_section_is_on_the_page_and_none_is_empty(done, page):
     assert [type(study) for study in small()[1]] == [
         type(study) for study in paper_studies(Setup(DropInputs()))
     ]
-    assert len(done.sections) == 13
+    assert len(done.sections) == 14
     for section in done.sections:
         assert f'<section id="{section.ident}"' in page
         assert section.text
