@@ -36,12 +36,12 @@ class Drops:
         return len(self.y0_m)
 
 
-class Bounced(NamedTuple):
-    """Fall and bounce of drops, true and not as read.
+class Landing(NamedTuple):
+    """How drops fell and were read, arrays that broadcast to (..., nodes, drops).
 
-    Heights of the release, of the fall from rest in a vacuum that ends as fast, and of the rise in
-    a vacuum; speed at release, drag over mass, stiffness; contact time and the third quantity of
-    the tables; scale and zero of the heights, and rate of the clock, by which all is read.
+    Heights of the release, and of the fall from rest in a vacuum that ends as fast; speed at
+    release, drag over mass, stiffness; scale and zero of the heights, and rate of the clock, by
+    which all is read.
     """
 
     height_m: Array
@@ -49,9 +49,6 @@ class Bounced(NamedTuple):
     speed_m_s: Array
     drag_1_m: Array
     kn_N_m: Array
-    top_m: Array
-    contact_s: Array
-    third: Array
     scale: Array
     offset_m: Array
     clock: Array
@@ -80,8 +77,11 @@ class DropModel:
     @cached_property
     def _chance(self) -> tuple[Array, Array]:
         """Deviates (nodes, 3) of stiffness, size and direction of slope; weights (nodes,)."""
-        stiff, sizes, sides = np.zeros(1), np.zeros(1), np.zeros(1)
-        stiff_weights = size_weights = np.ones(1)
+        stiff: Array = np.zeros(1)
+        sizes: Array = np.zeros(1)
+        sides: Array = np.zeros(1)
+        stiff_weights: Array = np.ones(1)
+        size_weights: Array = np.ones(1)
         if "surface_phases" in self.effects:
             stiff, stiff_weights = DEVIATES, np.exp(-0.5 * DEVIATES**2)
         if "surface_slope" in self.effects:
@@ -105,8 +105,8 @@ class DropModel:
         rows = np.einsum("dqr,...dr->...dq", self.whiten, measured)
         return np.asarray(rows.reshape(*rows.shape[:-2], -1))
 
-    def bounced(self, theta: Array) -> Bounced:
-        """What happened in each drop, arrays that broadcast to (..., nodes, drops)."""
+    def answer(self, theta: Array) -> tuple[Landing, Array]:
+        """How each drop landed, and what the tables say of it (quantities, ..., nodes, drops)."""
         theta = np.asarray(theta, dtype=float)
         given = self._given(theta)
         drops, bench = self.drops, self.drops.bench
@@ -132,27 +132,32 @@ class DropModel:
                 logs = logs + self.tables.change(name, same, kn, lean, nodes[:, 2:3])
             elif name in self.tables.simulated:
                 logs = logs + self.tables.change(name, same, kn, value(name))
-        top, time, third = np.exp(logs) * self.tables.rigid(same, kn)
-        return Bounced(
+        landing = Landing(
             height_m=height,
             same_m=same,
             speed_m_s=np.asarray(value("release_velocity")),
             drag_1_m=np.asarray(drag / bench.bristle.mass_kg),
             kn_N_m=kn,
-            top_m=top,
-            contact_s=time,
-            third=third,
             scale=np.asarray(scale),
             offset_m=np.asarray(offset),
             clock=np.asarray(1.0 + value("clock_error")),
         )
+        return landing, logs
+
+    def bounced(self, theta: Array) -> tuple[Landing, Array]:
+        """How each drop landed, and the tables' quantities in SI (quantities, ..., nodes, drops).
+
+        The first is the rise in a vacuum.
+        """
+        landing, logs = self.answer(theta)
+        return landing, np.exp(logs) * self.tables.rigid(landing.same_m, landing.kn_N_m)
 
     def measured(self, theta: Array) -> Array:
         """What instruments show, in SI (..., nodes, drops, quantities)."""
         drops = self.drops
-        b = self.bounced(theta)
-        top = risen(b.top_m, b.drag_1_m)
-        seen = (b.scale * (top + b.offset_m), b.clock * b.contact_s, b.third + 0.0 * b.clock)
+        b, (top, time, force) = self.bounced(theta)
+        top = risen(top, b.drag_1_m)
+        seen = (b.scale * (top + b.offset_m), b.clock * time, force + 0.0 * b.clock)
         nodes = len(self.weights)
         full = np.broadcast_shapes(*(each.shape for each in seen), (nodes, len(drops)))
         chosen = [np.broadcast_to(seen[q], full) for q in drops.quantities]

@@ -186,19 +186,19 @@ class TrackModel:
     def features(self, theta: Array) -> Array:
         """What `track_rows` calls r, a, d, b, h of every drop (..., nodes, drops, 5)."""
         model = self.drops
-        b = model.bounced(theta)
+        b, (vacuum, touching, lighter) = model.bounced(theta)
         g, y0 = model.drops.bench.gravity_m_s2, model.drops.y0_m
         speed = np.sqrt(2.0 * g * b.same_m)
         lasted = 2.0 * b.height_m / np.maximum(speed + b.speed_m_s, 1e-3)
         # a parabola of the same height, start and end: drag bends it by less than can be seen
         falling = (speed - b.speed_m_s) / lasted
-        slowed = g * np.maximum(2.0 - b.third, LEAST_GRAVITY)
-        top = risen(b.top_m, b.drag_1_m)
-        up = np.sqrt(2.0 * slowed * b.top_m)
-        slowed = slowed * b.top_m / top
+        slowed = g * np.maximum(2.0 - lighter, LEAST_GRAVITY)
+        top = risen(vacuum, b.drag_1_m)
+        up = np.sqrt(2.0 * slowed * vacuum)
+        slowed = slowed * vacuum / top
         seen_top = np.maximum(b.scale * (top + b.offset_m), 1e-6)
         seen_slowed = b.scale * slowed / b.clock**2
-        apex = b.clock * (lasted + b.contact_s + up / slowed)
+        apex = b.clock * (lasted + touching + up / slowed)
         # the parabola is highest before, or with a speed upward after, the release
         apex = apex + b.clock * b.speed_m_s / falling
         left = apex - np.sqrt(2.0 * seen_top / seen_slowed)
