@@ -20,6 +20,7 @@ from mpi4py import MPI
 from pydantic import BaseModel, ConfigDict
 
 from ..meshes.collective import run_on_one_rank
+from ..solver.errors import InputError
 from . import __version__
 from .closeloop_confirm import LEFT_OUT, Confirmation, confirm
 from .closeloop_flags import ALARM
@@ -82,11 +83,21 @@ def run_close_loop(
     asked, dataset = inputs or LoopInputs(), Path(dataset)
     if comm.size > 1 and not asked.no_3d:
         importlib.import_module("petsc4py.PETSc")  # starts on all ranks together or not at all
-    manifest = run_on_one_rank(comm, lambda: read_manifest(dataset))
+    manifest = run_on_one_rank(comm, lambda: _begun(dataset, Path(out)))
     first = run_on_one_rank(comm, lambda: _Alone(problem_of(manifest) if comm.rank == 0 else None))
     problem = first.problem or problem_of(manifest)
     _simulate(problem, comm)
     return run_on_one_rank(comm, lambda: _run(manifest, problem, Path(out), asked))
+
+
+def _begun(dataset: Path, out: Path) -> Manifest:
+    """The dataset's declarations; InputError where they or ``out`` are no good, long before both
+    are needed."""
+    manifest = read_manifest(dataset)
+    there = next(each for each in (out.absolute(), *out.absolute().parents) if each.exists())
+    if not there.is_dir():
+        raise InputError(f"--out {out}: {there} is a file, not a folder")
+    return manifest
 
 
 class _Alone:

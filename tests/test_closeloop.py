@@ -41,6 +41,8 @@ SECTIONS = (
     "noise", "baseline", "residuals", "tests", "detectable", "evidence", "attribution", "left",
     "held-out", "solid", "next",
 )  # fmt: skip
+# As in the README's example.
+README_BETA_S = 6.9e-9
 NASTY = "<script>alert(1)</script> & drops"
 COUNT = 40
 SIGMA_MM = 0.3
@@ -218,7 +220,7 @@ def test_wrong_options_end_with_2(worn, tmp_path, capsys):
     for options, words in (
         (["--alarm", "2"], "--alarm: must be less than or equal to 0.3"),
         (["--seed", "-1"], "--seed: must be greater than or equal to 0"),
-        (["--out", str(dataset / "drops.csv")], "there is a file of that name"),
+        (["--out", str(dataset / "drops.csv")], "is a file, not a folder"),
     ):
         assert main(["close-loop", str(dataset), *options]) == 2
         assert words in capsys.readouterr().err.splitlines()[-1]
@@ -268,6 +270,8 @@ def test_the_measured_bar_lacks_its_damping_and_the_solid_confirms_it(tmp_path):
     assert content["verdict"] in ("effect", "ambiguous", "unknown")
     assert content["detection"]["p_value"] < 0.03
     if content["verdict"] == "effect":
+        beta = content["parameters"]["beta_s"]
+        assert beta["low"] < README_BETA_S < beta["high"]
         assert "material_damping" in content["effects"]
         for errors in (content["held_out"], content["confirmed_in_3d"]):
             assert errors["rms_after"] < 0.25 * errors["rms_before"]
