@@ -28,18 +28,17 @@ ROWS: dict[str, dict[str, Any]] = {
     "clean, 3 quantities": {"quantities": 3},
     "clean, 1 quantity": {"quantities": 1},
     "clean, ar1": {"how": "ar1"},
-    "clean, t3": {"how": "t3"},
     "clean, t3 scaled": {"how": "t3 scaled"},
     "clean, outliers": {"how": "outliers"},
-    "clean, sigma x1.6": {"how": "double"},
     "clean, sigma free": {"declared": False},
     "single d=8": {"d": 8.0},
     "single d=8, 3 quantities": {"d": 8.0, "quantities": 3},
     "single d=12": {"d": 12.0},
     "scatter d=8": {"d": 8.0, "of": tuple(toys.SCALED)},
     "single d=8, ar1": {"d": 8.0, "how": "ar1"},
-    "single d=8, t3": {"d": 8.0, "how": "t3"},
+    "single d=8, t3 scaled": {"d": 8.0, "how": "t3 scaled"},
     "single d=8, sigma free": {"d": 8.0, "declared": False},
+    "scatter of 1.6 sigma": {"how": "double"},
     "unlisted d=8": {"unlisted": 8.0},
     "unlisted d=16": {"unlisted": 16.0},
     "pair d=8 + 8": {"d": 8.0, "two": True},
@@ -60,7 +59,7 @@ def one(task: tuple[str, int]) -> tuple[str, dict[str, float]]:
         size = options.pop("d")
         truth = {of[i]: size for i in chosen}
     if "unlisted" in options:
-        options["unlisted"] = (list(toys.UNLISTED)[seed % 3], options["unlisted"])
+        options["unlisted"] = (list(toys.UNLISTED)[seed % len(toys.UNLISTED)], options["unlisted"])
     made, amounts = toys.problem(seed, truth, **options)
     begin = time.perf_counter()
     found = find(made, seed=seed)

@@ -124,6 +124,8 @@ UNLISTED: dict[str, Field] = {
     "bump": lambda d: _by(d.quantity, np.cos(2.5 * d.x), -np.cos(2.5 * d.x), 0 * d.x),
     "wave": lambda d: _by(d.quantity, np.sin(3.3 * d.t), 0 * d.x, 0 * d.x),
     "step": lambda d: _by(d.quantity, 0 * d.x, np.where(d.height > 35, 1.0, 0), 0 * d.x),
+    "session": lambda d: _by(d.quantity, np.where(d.t > 0, d.height / 30, 0.0), 0 * d.x, 0 * d.x),
+    "alternation": lambda d: _by(d.quantity, d.height / 30 * (-1.0) ** d.order, 0 * d.x, 0 * d.x),
 }
 
 

@@ -23,7 +23,7 @@ from .fit import Fitted, filtered_slopes, to_theta
 from .ladder import Ladder, explored_shares
 from .noise import Ints, influence, score_table
 from .sample import Sample
-from .smooth import plain_heights, smooth_heights, smooth_names
+from .smooth import plain_heights, rival_heights, rival_names
 
 SETS = 499
 OCCAM = 2.5
@@ -68,11 +68,11 @@ def kept_noises(data: Sample, shares: Array) -> Ints:
 
 def shared_noise(data: Sample, base: Fitted, ladders: list[Ladder]) -> tuple[Array, float]:
     """Posterior weights of the noises (noises,) over all that may be there, and nothing; and the
-    log evidence of a smooth misfit over none.
+    log evidence of something unlisted over nothing.
 
     A noise that fits only because it swallows an effect must not calibrate the tests that look for
     the effect. So each noise is weighted by the evidence that it has with nothing missing (half
-    the prior), with each candidate at its best ladder point, and with a smooth misfit; what a
+    the prior), with each candidate at its best ladder point, and with each unlisted rival; what a
     parameter costs is `OCCAM`.
     """
     every = np.arange(data.noises.scale.size)
@@ -84,8 +84,10 @@ def shared_noise(data: Sample, base: Fitted, ladders: list[Ladder]) -> tuple[Arr
             for n in every
         ]
     )
-    nothing = np.diagonal(plain_heights(data, residual, every))
-    rival = np.diagonal(smooth_heights(data, tests, residual, slopes, every), axis1=0, axis2=2)
+    nothing = np.array(
+        [plain_heights(data, residual[n : n + 1], every[n : n + 1])[0, 0] for n in every]
+    )
+    rival = rival_heights(data, tests, residual[:, None], slopes, every)[0]
     others = [rival - np.log(max(rival.shape[0], 1))]
     # Noises that differ little see the same points as best: those of a few noises are enough.
     few = every[:: max(every.size // 12, 1)]
@@ -200,7 +202,7 @@ def detect(
     slopes = base.mean_slopes
     found = refit(data, values - base.mean, slopes, among)
     tests = family(data)
-    rival = smooth_heights(data, tests, found.residual, slopes, among).max(axis=2)
+    rival = rival_heights(data, tests, found.residual, slopes, among).max(axis=2)
     columns = [tests(found.standard), rival - found.height[:, None]]
     points: dict[str, Ints] = {}
     for each in ladders:
@@ -208,9 +210,9 @@ def detect(
         columns.append(ratio[:, None])
         points[each.name] = point[:1]
     table = np.concatenate(columns, axis=1)
-    smooth = [f"any function of {name}" for name in smooth_names(tests)]
-    names = [*tests.names, *smooth, *(each.name for each in ladders)]
-    first = len(tests.names) + len(smooth)
+    unlisted = rival_names(data, tests)
+    names = [*tests.names, *unlisted, *(each.name for each in ladders)]
+    first = len(tests.names) + len(unlisted)
     single, simulated = p_values(table[0], table[1:])
     p_value, least = corrected(single, simulated)
     threshold = float(np.quantile(least, alarm))

@@ -2,7 +2,8 @@
 
 One family, declared here and nowhere else: their size (omnibus), each quantity's level, and against
 every covariate trend, curvature, smooth shape (Neyman's smooth test with weights falling as a
-Gaussian process' do) and trend of their scatter; runs in order; correlation within a group.
+Gaussian process' do) and trend of their scatter; scatter of one quantity; runs and alternation in
+order; correlation within a group.
 Residuals are Winsorised by the influence of the noise that they have, so that no outlier decides.
 Large is suspicious.
 
@@ -21,6 +22,8 @@ from .noise import Ints
 from .sample import Sample
 
 DEGREES = 5
+# Values of a covariate nearer than this share of its range are meant to be the same.
+NEAR = 0.04
 # Longer groups are records in time, whose runs show what their rows share.
 MOST_SHARED = 6
 
@@ -40,6 +43,9 @@ class Family:
         """Statistics (sets, names) of standardised residuals (sets, rows)."""
         square = u**2 - np.mean(u**2, axis=1, keepdims=True)
         columns = [np.sum(u**2, axis=1), np.sum((u @ self.levels.T) ** 2, axis=1)]
+        columns.append(
+            np.max(u**2 @ (self.levels.T != 0) / np.sum(self.levels != 0, axis=1), axis=1)
+        )
         for shapes, degree in self.bases:
             loads = (u @ shapes.T) ** 2
             columns.append(loads[:, degree == 1].sum(axis=1))
@@ -49,7 +55,8 @@ class Family:
             columns.append(np.abs(square @ shapes[degree == 1].sum(axis=0)))
         linked = np.flatnonzero(self.previous >= 0)
         if linked.size:
-            columns.append(np.sum(u[:, linked] * u[:, self.previous[linked]], axis=1))
+            runs = np.sum(u[:, linked] * u[:, self.previous[linked]], axis=1)
+            columns += [runs, -runs]
         if self.pairs[0].size:
             columns.append(np.abs(np.sum(u[:, self.pairs[0]] * u[:, self.pairs[1]], axis=1)))
         return np.stack(columns, axis=1)
@@ -57,7 +64,7 @@ class Family:
 
 def family(data: Sample) -> Family:
     """The family for these rows; covariates that order the rows alike count once."""
-    names = ["omnibus", "level"]
+    names = ["omnibus", "level", "scatter of a quantity"]
     bases: list[tuple[Array, Array]] = []
     seen: list[Array] = []
     for name, x in data.covariates.items():
@@ -75,7 +82,7 @@ def family(data: Sample) -> Family:
         names.append(f"scatter with {name}")
     previous = data.noises.previous
     if np.any(previous >= 0):
-        names.append("runs")
+        names += ["runs", "alternation"]
     first_, second = [], []
     for begin, end in zip(data.starts[:-1], data.starts[1:], strict=True):
         if end - begin > MOST_SHARED:
@@ -94,16 +101,16 @@ def family(data: Sample) -> Family:
 
 
 def _basis(x: Array, kind: Ints) -> tuple[Array, Array]:
-    """Orthonormal polynomials of the covariate's ranks, each quantity's own (shapes, rows)."""
+    """Orthonormal polynomials of the covariate's levels, each quantity's own (shapes, rows)."""
     shapes: list[Array] = []
     degrees: list[int] = []
     for each in np.unique(kind):
         mine = np.flatnonzero(kind == each)
-        levels, rank = np.unique(x[mine], return_inverse=True)
-        most = min(DEGREES, levels.size - 1)
+        rank = _levels(x[mine])
+        most = min(DEGREES, int(rank.max(initial=0)))
         if most < 1 or mine.size < 4:
             continue
-        t = rank / (levels.size - 1) * 2 - 1
+        t = rank / rank.max() * 2 - 1
         q, _ = np.linalg.qr(np.vander(t, most + 1, increasing=True))
         for degree in range(1, most + 1):
             shape = np.zeros(x.size)
@@ -112,6 +119,17 @@ def _basis(x: Array, kind: Ints) -> tuple[Array, Array]:
             shapes.append(shape)
             degrees.append(degree)
     return np.array(shapes).reshape(-1, x.size), np.array(degrees, dtype=np.int64)
+
+
+def _levels(x: Array) -> Ints:
+    """Ranks (rows,) of values, those as good as repeated counted as one where all fall into such
+    levels: ranks within a level would bend a function of the covariate where it is flat."""
+    values, rank = np.unique(x, return_inverse=True)
+    near = NEAR * (values[-1] - values[0])
+    level = np.concatenate([[0], np.cumsum(np.diff(values) > near)])
+    spans = [np.ptp(values[level == k]) for k in np.unique(level)]
+    repeated = level[-1] >= 2 and max(spans) <= 2 * near
+    return np.asarray(level[rank] if repeated else rank)
 
 
 def p_values(observed: Array, simulated: Array) -> tuple[Array, Array]:

@@ -1,9 +1,11 @@
 """Which noise may the values have, and how likely are residuals under it?
 
-A dataset declares a standard deviation, and no more. Tails, outliers, correlation from drop to drop
-and a declared sigma that is too small would each look like an effect, so they are hypotheses of
-their own: a grid of noises, weighted by the data under every model alike. Noise does not scale
-with height and is not shared by the rows of a drop; scatter effects are, which tells them apart.
+A dataset declares a standard deviation, and no more. Tails, outliers and correlation from drop to
+drop would each look like an effect, so they are hypotheses of their own: a grid of noises, weighted
+by the data under every model alike. A declared sigma is trusted to a tenth: heavy tails come with
+about that standard deviation, outliers with a core of that size, and scatter beyond it is something
+that the model lacks. Noise does not scale with height and is not shared by the rows of a drop;
+scatter effects are, which tells them apart.
 
 Every density is tabulated once, so the compiled kernel costs one look-up a row, whatever the shape.
 Scale mixtures against outliers: Huber and Ronchetti, Robust Statistics (2009), §4; Student's t:
@@ -29,10 +31,10 @@ SHAPES = ("gaussian", "t5", "t3", "outliers")
 OUTLIER_SHARE, OUTLIER_WIDTH = 0.06, 6.0
 # Scales by shape, in declared standard deviations, and the prior weight that a shape gets.
 DECLARED: dict[str, tuple[float, tuple[float, ...]]] = {
-    "gaussian": (0.02, (1.12, 1.25, 1.4, 1.6, 1.85, 2.2, 2.7, 3.3, 4.0)),
-    "t5": (0.04, (0.78, 0.9, 1.0, 1.15)),
-    "t3": (0.06, (0.58, 0.7, 0.85, 1.0, 1.2)),
-    "outliers": (0.08, (1.0, 1.15)),
+    "gaussian": (0.06, (1.05, 1.1)),
+    "t5": (0.04, (0.73, 0.78, 0.85)),
+    "t3": (0.06, (0.52, 0.58, 0.65, 0.72)),
+    "outliers": (0.08, (0.9, 1.0, 1.08)),
 }
 FREE = tuple(float(s) for s in np.geomspace(0.3, 2.5, 14))
 CORRELATIONS = (0.0, 0.15, 0.3, 0.45, 0.6, 0.75)
@@ -91,7 +93,7 @@ class Noises:
 
     ``before`` (noises, rows) is the share of the previous row's residual that is expected again,
     ``stretch`` (noises, rows) divides what is left to its own standard deviation, ``constant``
-    (noises,) is the log determinant of both.
+    (noises,) is the log determinant of both. ``declared``: scatter beyond these is none of them.
     """
 
     shape: Ints
@@ -102,6 +104,7 @@ class Noises:
     before: Array
     stretch: Array
     constant: Array
+    declared: bool
 
     def describe(self, which: int) -> dict[str, float | str]:
         """Shape, core scale in declared standard deviations, and lag-one correlation."""
@@ -187,6 +190,7 @@ def noises(sequence: Chain, declared: bool) -> Noises:
         before=before,
         stretch=stretch,
         constant=np.sum(np.log(stretch), axis=1),
+        declared=declared,
     )
 
 
