@@ -133,7 +133,8 @@ def test_sharing_changes_no_result():
     assert timings["mesh"] == timings["assemble"] == 0.0
     for case, shared in zip(cases, together, strict=True):
         alone, timings = run_case(case, COMM)
-        assert timings["mesh"] > 0.0
+        # a reduced solid is kept from run to run, the solid itself is not
+        assert timings["mesh"] > 0.0 or case.model == "reduced"
         assert timings["total"] == pytest.approx(sum(timings.values()) - timings["total"])
         assert shared.rebound_ratio == pytest.approx(alone.rebound_ratio, rel=1e-9)
         assert shared.peak_force_N == pytest.approx(alone.peak_force_N, rel=1e-9)
