@@ -28,6 +28,8 @@ from .smooth import plain_heights, rival_heights, rival_names
 SETS = 499
 OCCAM = 2.5
 MOST_NOISES = 12
+# Noises under which unlisted rivals are looked at in every simulated set.
+RIVAL_NOISES = 5
 POWER_QUANTILE = 1.2815515655446004
 
 
@@ -202,7 +204,8 @@ def detect(
     slopes = base.mean_slopes
     found = refit(data, values - base.mean, slopes, among)
     tests = family(data)
-    rival = rival_heights(data, tests, found.residual, slopes, among).max(axis=2)
+    likeliest = np.sort(among[np.argsort(-shares[among], kind="stable")[:RIVAL_NOISES]])
+    rival = rival_heights(data, tests, found.residual, slopes, likeliest).max(axis=2)
     columns = [tests(found.standard), rival - found.height[:, None]]
     points: dict[str, Ints] = {}
     for each in ladders:

@@ -28,6 +28,8 @@ PAIRS_TRIED = 6
 DIRECTION_D = 6.0
 # Log likelihood that two effects must gain over one before they are tried where one suffices.
 PAIR_GAIN = 4.0
+# What two effects may gain together beyond the sum of what each gains alone.
+JOINT_GAIN = 6.0
 
 
 @dataclass(frozen=True)
@@ -106,18 +108,18 @@ def likely_pairs(
     ladders: Sequence[Ladder],
     singles: Sequence[Posterior],
     one_suffices: bool,
+    reached: float = -np.inf,
 ) -> list[tuple[str, str]]:
     """Pairs whose directions together, each in its own sense, fit the baseline's residuals best.
 
-    The three likeliest effects alone with every other, and the pairs that add up best at all.
+    Those that add up best; where one effect does not suffice, also the likeliest ones with what
+    scatters. Log likelihoods with prior below ``reached`` are not worth a fit.
     """
     owners, shifts = directions(base, ladders)
     best = dict(_named(singles))
     likeliest = sorted(best, key=lambda name: -best[name].log_evidence)[:3]
-    alone = max(
-        each.fitted.log_likelihood + data.noises.prior[each.fitted.noise] for each in singles
-    )
-    wanted = alone + PAIR_GAIN if one_suffices else -np.inf
+    alone = max(_height(data, each.fitted) for each in singles)
+    wanted = max(alone + PAIR_GAIN, reached) if one_suffices else reached
     height: dict[tuple[str, str], float] = {}
     for noise in _noises_to_try(data, best[likeliest[0]].fitted.noise):
         for key, found in _pair_heights(data, base, owners, shifts, noise).items():
@@ -129,12 +131,21 @@ def likely_pairs(
     # What scatters is not seen in the mean: with the likeliest single effects it is tried anyway.
     scatter = [x.name for x in ladders if np.asarray(x.model.weights).size > 1]
     several = sorted(scatter, key=lambda name: -best[name].log_evidence)[:2]
+    gained = {name: _height(data, each.fitted) - _height(data, base) for name, each in best.items()}
+    missing = reached - _height(data, base) - JOINT_GAIN
     for name in several:
         for other in likeliest:
             pair_ = (other, name)
+            if gained[other] + gained[name] < missing:
+                continue
             if other not in scatter and pair_ not in order and pair_[::-1] not in order:
                 order.append(pair_)
     return order
+
+
+def _height(data: Sample, fitted: Fitted) -> float:
+    """Log likelihood with the noise's prior."""
+    return float(fitted.log_likelihood + data.noises.prior[fitted.noise])
 
 
 def _noises_to_try(data: Sample, noise: int) -> list[int]:

@@ -23,10 +23,12 @@ from .sample import Sample, estimated_units, sample
 ALARM = 0.03
 LEFT_ALARM = 0.02
 # A pair must gain more over a single effect than its own parameters cost, since there are so many
-# pairs: 2 nats for their number, 2 since a wrong name is worse; over a smooth misfit, 2 in all.
+# pairs: 2 nats for their number, 2 since a wrong name is worse; over something unlisted, 2 in all.
 PAIR_LEFT = 0.05
 PAIR_COST = 4.0
 UNLISTED_MARGIN = 1.0
+# Nats that a full fit may gain over one Newton step, and its noises over the likeliest one.
+REACHED = 4.0
 # Evidence, in nats, without which an alarm that is not strong is taken for a false one.
 LIKELIER = 1.0
 
@@ -157,8 +159,9 @@ class Known:
 def _explain(known: Known, p_value: float, alarm: float) -> Answer:
     """Single effects first; pairs where they explain more; unknown where no name holds.
 
-    A weak alarm for which neither an effect nor any smooth misfit is likelier than the baseline
-    by `LIKELIER` is a false one. A smooth misfit likelier than the best effect refuses the effect.
+    A weak alarm for which neither an effect nor anything unlisted is likelier than the baseline
+    by `LIKELIER` is a false one. Something unlisted that is likelier than the best effect refuses
+    the effect.
     """
     data, base, ladders, rng = known.data, known.base, known.ladders, known.rng
     singles = [attribute.candidate(data, base, each, known.likely, rng) for each in ladders]
@@ -199,15 +202,18 @@ def _explain(known: Known, p_value: float, alarm: float) -> Answer:
 def _pairs(
     known: Known, singles: Sequence[Posterior], best: float, one_suffices: bool
 ) -> Answer | None:
-    """Pairs that leave nothing, explain more than one effect and more than any smooth misfit."""
+    """Pairs that leave nothing, explain more than one effect and more than anything unlisted."""
     data, base = known.data, known.base
-    names = openset.likely_pairs(data, base, known.ladders, singles, one_suffices)
+    needed = max(best, known.unlisted - PAIR_COST / 2) + PAIR_COST
+    plain = known.baseline.fitted
+    own_cost = plain.log_likelihood + data.noises.prior[plain.noise] - known.baseline.log_evidence
+    wanted = needed + own_cost - REACHED
+    names = openset.likely_pairs(data, base, known.ladders, singles, one_suffices, wanted)
     if not names:
         return None
     several = (data, base, known.rng)
     both = [openset.pair(known.problem, several, each, singles, known.ladders) for each in names]
     weights = attribute.weights(both)
-    needed = max(best, known.unlisted - PAIR_COST / 2) + PAIR_COST
     kept: list[tuple[int, Left]] = []
     for i in attribute.credible(weights):
         if both[i].log_evidence > needed:
