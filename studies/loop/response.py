@@ -277,7 +277,7 @@ class Bench:
         rigid = self.reference(*grid)
         rigid = rigid.reshape(len(QUANTITIES), *shape[:2], *(1,) * len(sides))
         logs = np.log(out / np.moveaxis(rigid, 0, -1))
-        return coefficients(_mended(logs), len(axes))
+        return coefficients(mended(logs), len(axes))
 
     def _drops(self, scenes: Sequence[Scene]) -> Array:
         """What these drops give; NaN for one that fails, or stays on the surface for good."""
@@ -296,7 +296,7 @@ class Bench:
         return np.full((1, len(QUANTITIES)), np.nan)
 
 
-def _mended(logs: Array) -> Array:
+def mended(logs: Array) -> Array:
     """A table with what failed as at the nearest place where it did not.
 
     Raises ComputationError where more than half of it failed.
@@ -309,7 +309,7 @@ def _mended(logs: Array) -> Array:
             f"{lost.sum()} of {lost.size} drops of a table failed: the effect's bounds are too wide"
         )
     nearest = distance_transform_edt(lost, return_distances=False, return_indices=True)
-    return np.asarray(logs[tuple(nearest)])
+    return np.asarray(logs[(*np.asarray(nearest),)])
 
 
 SIMULATED = (

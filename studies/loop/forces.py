@@ -1,0 +1,340 @@
+"""What do records of impact force say, as a problem for the loop?
+
+Dataset kind ``forces``: force over time of each drop, on a clock that some trigger started, and the
+height of each drop in ``drops.csv`` beside it. A record is brought to the amounts of a few shapes
+that simulated histories have (`force_curves`), free of the trigger's time (`force_rows`); that is
+impulse, peak, duration, asymmetry and all else in them that noise leaves to be seen. The error of
+the height goes into all rows of its drop, since force grows with the speed of impact. Where
+``drops.csv`` has the height after the impact, it is a row more.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...solver.bristle import Array
+from ...solver.effects.base import Parameter
+from ...solver.errors import InputError
+from ..dataset_tables import column, inside, optional_column, read_table
+from ..datasets import Manifest, read_manifest
+from .drop_model import DropModel, Drops, risen
+from .drops import carried, stiffness
+from .force_curves import (
+    CELLS,
+    SHAPES,
+    CurveBench,
+    ForceBench,
+    ForceTables,
+    plain_curves,
+    table_errors,
+    with_shapes,
+)
+from .force_rows import Placed, Record, Rows, place, rows
+from .problem import Problem
+from .response import KN_RANGE_N_M, SIMULATED, Bench, Tables
+
+KIND = "forces"
+HEIGHTS = "drops.csv"
+LEAST_DROPS = 6
+LEAST_SAMPLES = 12
+SIGMA_N = 1.0
+"""Uncertainty taken for a force where none is declared and no sample shows it."""
+MOST_TRIED = 400
+TRUSTED = 3.0
+"""A shape is used where the tables' error of it is at most this many of the errors that the records
+of all drops together leave it with; the first few always are."""
+LEAST_SHAPES = 4
+REBOUND = "y1 (mm)"
+
+
+@dataclass(frozen=True)
+class Forces:
+    """Samples of all drops, one after the other: ``t_s``, ``force_N`` (samples,).
+
+    ``begins`` (drops + 1,) says where each drop's samples begin; ``drop``, ``y0_m`` (drops,), and
+    ``y1_m`` (drops,) or None. ``sigma_N`` and ``sigma_y_m`` are declared, or None.
+    """
+
+    manifest: Manifest
+    drop: NDArray[np.int64]
+    y0_m: Array
+    y1_m: Array | None
+    t_s: Array
+    force_N: Array
+    begins: NDArray[np.int64]
+    sigma_N: float | None
+    sigma_y_m: float | None
+
+    @property
+    def pieces(self) -> list[slice]:
+        """The samples of each drop."""
+        return [slice(a, b) for a, b in pairwise(self.begins)]
+
+
+def read_forces(folder: Path) -> Forces:
+    """Read a dataset of kind ``forces``; six drops or more of twelve samples or more.
+
+    Raises InputError naming file and line of the first value that cannot be used.
+    """
+    manifest = read_manifest(folder)
+    if manifest.kind != KIND:
+        raise manifest.wrong("kind", f"is {manifest.kind}, not {KIND}")
+    name = manifest.measurement.get("file")
+    if not isinstance(name, str) or name == HEIGHTS:
+        raise manifest.wrong("file", f"must name the table of the forces, beside {HEIGHTS}")
+    path = manifest.table()
+    lines = read_table(path, required=("drop", "t_s", "force_N"))
+    drop = column(path, lines, "drop", whole=True).astype(np.int64)
+    times, force = column(path, lines, "t_s"), column(path, lines, "force_N")
+    step = np.diff(drop)
+    if np.any(step < 0):
+        line = lines[int(np.flatnonzero(step < 0)[0]) + 1][0]
+        raise InputError(f"{path}:{line}: drop must count upwards in the order they were made")
+    late = np.flatnonzero((step == 0) & (np.diff(times) <= 0.0))
+    if len(late):
+        raise InputError(f"{path}:{lines[late[0] + 1][0]}: t_s must grow within a drop")
+    begins = np.concatenate([[0], np.flatnonzero(step) + 1, [len(lines)]]).astype(np.int64)
+    for begin, end in pairwise(begins):
+        if end - begin < LEAST_SAMPLES:
+            where = f"{path}:{lines[begin][0]}: drop {drop[begin]}"
+            raise InputError(f"{where} has {end - begin} samples; {LEAST_SAMPLES} are needed")
+        if not force[begin:end].max() > 0.0:
+            raise InputError(f"{path}:{lines[begin][0]}: drop {drop[begin]} never presses")
+    if len(begins) - 1 < LEAST_DROPS:
+        raise InputError(f"{path}: {len(begins) - 1} drops; the loop needs six or more")
+    numbers = drop[begins[:-1]]
+    y0, y1 = _heights(manifest, path, [lines[b][0] for b in begins[:-1]], numbers)
+    declared = manifest.measurement
+    return Forces(
+        manifest=manifest,
+        drop=numbers,
+        y0_m=y0,
+        y1_m=y1,
+        t_s=times,
+        force_N=force,
+        begins=begins,
+        sigma_N=declared.get("sigma_force_N"),
+        sigma_y_m=1e-3 * declared["sigma_y_mm"] if "sigma_y_mm" in declared else None,
+    )
+
+
+def _heights(
+    manifest: Manifest, table: Path, lines: list[int], numbers: NDArray[np.int64]
+) -> tuple[Array, Array | None]:
+    """Heights before and after, of the drops that have a record."""
+    path = inside(manifest.folder, HEIGHTS)
+    rows_read = read_table(path, required=("drop", "y0_mm"))
+    drop = column(path, rows_read, "drop", whole=True).astype(np.int64)
+    again = np.flatnonzero(np.diff(drop) <= 0)
+    if len(again):
+        line = rows_read[again[0] + 1][0]
+        raise InputError(f"{path}:{line}: drop must count upwards in the order they were made")
+    y0 = 1e-3 * column(path, rows_read, "y0_mm", above=0.0)
+    y1 = optional_column(path, rows_read, "y1_mm", 1e-3)
+    of = {int(number): i for i, number in enumerate(drop)}
+    for line, number in zip(lines, numbers, strict=True):
+        if int(number) not in of:
+            raise InputError(f"{table}:{line}: drop {number} has no height in {HEIGHTS}")
+    chosen = np.array([of[int(number)] for number in numbers])
+    after = None if y1 is None or not np.isfinite(y1[chosen]).all() else y1[chosen]
+    return y0[chosen], after
+
+
+@dataclass(frozen=True)
+class ForceModel:
+    """A `Model` of the rows of records: ``weights_of`` (rows, features), ``group`` (rows,).
+
+    Features are the amounts of the shapes in N, and the height after the impact in m where there is
+    a ``rebound`` to predict it.
+    """
+
+    drops: DropModel
+    rebound: DropModel | None
+    weights_of: Array
+    group: NDArray[np.int64]
+
+    @property
+    def effects(self) -> tuple[str, ...]:
+        return self.drops.effects
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        return self.drops.parameters
+
+    @property
+    def weights(self) -> Array:
+        return self.drops.weights
+
+    def predict(self, theta: Array) -> Array:
+        """Whitened predictions (..., nodes, rows) for parameters (..., p)."""
+        features = self.features(theta)
+        return np.asarray(
+            np.einsum("...rf,rf->...r", features[..., self.group, :], self.weights_of)
+        )
+
+    def features(self, theta: Array) -> Array:
+        """Amounts of shapes in N and the height after in m (..., nodes, drops, features)."""
+        landing, amounts = self.drops.answer(theta)
+        gravity = self.drops.drops.bench.gravity_m_s2
+        found = list(np.sqrt(2.0 * gravity * landing.same_m) * amounts)
+        if self.rebound is not None:
+            after, (top, *_) = self.rebound.bounced(theta)
+            found.append(after.scale * (risen(top, after.drag_1_m) + after.offset_m))
+        full = (*np.shape(theta)[:-1], len(self.weights), len(self.drops.drops))
+        return np.stack([np.broadcast_to(each, full) for each in found], axis=-1)
+
+    def having(self, effects: tuple[str, ...]) -> ForceModel:
+        """The same with effects in it."""
+        rebound = self.rebound and replace(self.rebound, effects=effects)
+        return replace(self, drops=replace(self.drops, effects=effects), rebound=rebound)
+
+
+def forces_problem(data: Forces, library: Sequence[str] | None = None) -> Problem:
+    """The problem of a dataset of forces; ``library`` names the candidates, None means all.
+
+    ``combine`` takes the candidates alone. Raises InputError where it cannot be a problem.
+    """
+    records, sigma = _records(data)
+    names = carried(KIND, (0, 1)) if library is None else list(library)
+    wide = _bench(data, KN_RANGE_N_M)
+    kn = data.manifest.kn_N_m or _start(records, wide)
+    near = _bench(data, wide.around(kn))
+    bench = with_shapes(near, names)
+    tables = ForceTables(bench)
+    tried = _tried(bench, tables, names)
+    speed = np.sqrt(2.0 * data.manifest.gravity_m_s2 * data.y0_m)
+    usual = np.sqrt(np.mean((tried @ bench.shapes.T / CELLS) ** 2, axis=0))
+    samples = float(np.median([bench.length_s / np.median(np.diff(r.t_s)) for r in records]))
+    errors = np.median(speed) * table_errors(tables, names, kn)
+    trusted = errors * math.sqrt(samples * len(records)) < TRUSTED * sigma
+    trusted[:LEAST_SHAPES] = True
+    placed = [place(record, tried, bench.cell_s) for record in records]
+    made = [
+        rows(record, at, tried[at.which], bench.shapes, bench.cell_s, v * usual, trusted)
+        for record, at, v in zip(records, placed, speed, strict=True)
+    ]
+    order = data.drop - data.drop[0]
+    whiten = np.zeros((len(order), 0, 0))
+    drops = Drops(bench, data.y0_m, order, ())
+    stiff = stiffness(data.manifest.kn_N_m, bench)
+    rebound = None
+    if data.y1_m is not None and data.sigma_y_m is not None:
+        own = Bench(
+            bench.bristle, bench.gravity_m_s2, bench.lowest_m, bench.highest_m, bench.kn_range_N_m
+        )
+        rebound = DropModel(Drops(own, data.y0_m, order, (0,)), Tables(own), stiff, (), whiten)
+    y1 = data.y1_m if rebound is not None else None
+    values, weights, known = _together(made, data.y0_m, y1, data.sigma_y_m)
+    leading = [
+        np.append(each.leading, SHAPES)[: len(v)] for each, v in zip(made, values, strict=True)
+    ]
+    group = np.repeat(np.arange(len(made)), [len(each) for each in values])
+    kinds = np.concatenate(leading)
+    titles = np.array([*(f"shape {k + 1} of the force (N)" for k in range(SHAPES)), REBOUND])
+    plain = ForceModel(
+        DropModel(drops, tables, stiff, (), whiten), rebound, np.concatenate(weights), group
+    )
+    return Problem(
+        values=np.concatenate(values),
+        scale=np.where(kinds == SHAPES, 1e3, 1.0) / np.concatenate(known),
+        unit="N",
+        quantity=titles[kinds],
+        group=data.drop[group],
+        covariates={"height": data.y0_m[group], "order": order[group].astype(float)},
+        baseline=plain,
+        candidates=[plain.having((name,)) for name in names],
+        combine=lambda effects: plain.having(tuple(effects)),
+        confirm_why="records are compared with the beam's tables; the solid follows its drops",
+        sigma_declared=data.sigma_N is not None,
+        notes={
+            "sigma_force_N": sigma,
+            "shapes": int(trusted.sum()),
+            "touch_s": [at.touch_s for at in placed],
+            "left": float(sum(each.left for each in made)),
+            "freedom": int(sum(each.freedom for each in made)),
+        },
+    )
+
+
+def _together(
+    made: list[Rows], y0_m: Array, y1_m: Array | None, sigma_y_m: float | None
+) -> tuple[list[Array], list[Array], list[Array]]:
+    """Values, weights and how well each row is known, with the error of y0 in all of a drop."""
+    values: list[Array] = []
+    weights: list[Array] = []
+    known: list[Array] = []
+    for i, each in enumerate(made):
+        sizes, own, value = each.known, each.weights, each.values
+        # force grows with the root of the height, the rebound with the height
+        moved: Array = 0.5 * value / y0_m[i]
+        if y1_m is not None and sigma_y_m is not None:
+            own = np.pad(own, ((0, 1), (0, 1)))
+            own[-1, -1] = 1.0 / sigma_y_m
+            value = np.append(value, y1_m[i] / sigma_y_m)
+            moved = np.append(moved, value[-1] / y0_m[i])
+            sizes = np.append(sizes, 1.0 / sigma_y_m)
+        moved = moved * (sigma_y_m or 0.0)
+        factor = np.linalg.cholesky(np.eye(len(value)) + np.outer(moved, moved))
+        values.append(np.linalg.solve(factor, value))
+        weights.append(np.linalg.solve(factor, own))
+        known.append(sizes / np.diag(factor))
+    return values, weights, known
+
+
+def _records(data: Forces) -> tuple[list[Record], float]:
+    """The records, and the deviation of a sample: declared, or that before the force rises."""
+    sigma = data.sigma_N
+    if sigma is None:
+        quiet = []
+        for piece in data.pieces:
+            force = data.force_N[piece]
+            first = int(np.argmax(force > 0.2 * force.max()))
+            quiet.append(force[: max(first // 2, 0)])
+        before = np.concatenate(quiet)
+        sigma = float(before.std()) if len(before) > 30 and before.std() > 0.0 else SIGMA_N
+    return [Record(data.t_s[p], data.force_N[p], float(sigma)) for p in data.pieces], float(sigma)
+
+
+def _bench(data: Forces, kn_range_N_m: tuple[float, float]) -> ForceBench:
+    """Heights rounded outward, and a time in which the softest contact ends."""
+    step, manifest = 0.005, data.manifest
+    lowest = max(step * math.floor(0.6 * float(data.y0_m.min()) / step), 0.002)
+    highest = step * math.ceil(1.25 * float(data.y0_m.max()) / step)
+    softest = math.pi * math.sqrt(manifest.bristle.mass_kg / kn_range_N_m[0])
+    material = manifest.bristle.material
+    passes = manifest.bristle.length_m / math.sqrt(material.youngs_Pa / material.density_kg_m3)
+    length = float(f"{1.4 * softest + 3.0 * passes:.2g}")
+    return ForceBench(
+        manifest.bristle,
+        manifest.gravity_m_s2,
+        lowest,
+        highest,
+        kn_range_N_m,
+        length_s=length,
+    )
+
+
+def _start(records: list[Record], wide: ForceBench) -> float:
+    """The stiffness of the baseline that the middle of the drops asks for."""
+    plain = plain_curves(wide)
+    kns = np.tile(plain.axes[1].nodes(), plain.axes[0].n)
+    curves = plain.values.reshape(-1, CELLS)
+    best: list[Placed] = [place(record, curves, wide.cell_s) for record in records[::3]]
+    return float(np.exp(np.median([np.log(kns[each.which]) for each in best])))
+
+
+def _tried(bench: CurveBench, tables: ForceTables, names: list[str]) -> Array:
+    """Histories (histories, cells) that a record is laid over: some of every table."""
+    amounts, rng = [], np.random.default_rng(0)
+    for table in (tables.plain, *(tables.of(name) for name in names if name in SIMULATED)):
+        places = np.meshgrid(*(axis.nodes() for axis in table.axes), indexing="ij")
+        found = table.at(*places).reshape(SHAPES, -1).T
+        amounts.append(rng.permutation(found)[:MOST_TRIED])
+    return np.asarray(np.concatenate(amounts) @ bench.shapes)
