@@ -10,18 +10,20 @@ in this.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ...solver.bristle import Array
 
-BEST = 6
+BEST, BEST_COARSE = 6, 24
+"""Histories that are tried at finer times, and how many where samples are too coarse to choose."""
 LEAST_KNOWN = 0.5
 """A row is kept where its shape's usual amount is more than this share of its error."""
 BEFORE = 0.1
 FINE = 41
+CLEARLY = 12.0
 FULL = 4
 """Samples for every shape from which the shapes themselves say what moving a record does."""
 
@@ -77,8 +79,22 @@ def at_times(curves: Array, cell_s: float, since_s: Array) -> Array:
     return np.asarray(np.where(inside, mixed, 0.0))
 
 
-def place(record: Record, curves: Array, cell_s: float) -> Placed:
-    """Where the touch lies, by the best of ``curves`` (curves, cells), each of free size."""
+def place(record: Record, curves: Array, cell_s: float, plain: int) -> Placed:
+    """Where the touch lies, by the best of ``curves`` (curves, cells), each of free size.
+
+    The first ``plain`` of them are preferred to any other that is not clearly better: few samples
+    can be met by odd histories at odd times.
+    """
+    best = _placed(record, curves[:plain], cell_s)
+    if plain < len(curves):
+        other = _placed(record, curves[plain:], cell_s)
+        if other.misfit + CLEARLY * record.sigma_N**2 < best.misfit:
+            return replace(other, which=other.which + plain)
+    return best
+
+
+def _placed(record: Record, curves: Array, cell_s: float) -> Placed:
+    """The best of ``curves`` at its best time."""
     step = max(float(np.median(np.diff(record.t_s))), cell_s)
     begin, end = float(record.t_s[0]), float(record.t_s[-1])
     grid = np.arange(begin, end + step, step)
@@ -93,7 +109,8 @@ def place(record: Record, curves: Array, cell_s: float) -> Placed:
     gain = np.maximum(together, 0.0) ** 2 / np.maximum((own**2).sum(axis=1), 1e-300)[:, None]
     gain[:, ~allowed] = 0.0
     at = gain.argmax(axis=1)
-    order = np.argsort(-gain[np.arange(len(curves)), at])[:BEST]
+    count = BEST if step < 4.0 * cell_s else BEST_COARSE
+    order = np.argsort(-gain[np.arange(len(curves)), at])[:count]
     found = []
     for i in order:
         middle = begin + float(shifts[at[i]]) * step - 0.5 * step

@@ -183,7 +183,7 @@ class ForceModel:
         """Amounts of shapes in N and the height after in m (..., nodes, drops, features)."""
         landing, amounts = self.drops.answer(theta)
         gravity = self.drops.drops.bench.gravity_m_s2
-        found = list(np.sqrt(2.0 * gravity * landing.same_m) * amounts)
+        found: list[Array] = list(np.sqrt(2.0 * gravity * landing.same_m) * amounts)
         if self.rebound is not None:
             after, (top, *_) = self.rebound.bounced(theta)
             found.append(after.scale * (risen(top, after.drag_1_m) + after.offset_m))
@@ -208,14 +208,14 @@ def forces_problem(data: Forces, library: Sequence[str] | None = None) -> Proble
     near = _bench(data, wide.around(kn))
     bench = with_shapes(near, names)
     tables = ForceTables(bench)
-    tried = _tried(bench, tables, names)
+    tried, plain_ones = _tried(bench, tables, names)
     speed = np.sqrt(2.0 * data.manifest.gravity_m_s2 * data.y0_m)
     usual = np.sqrt(np.mean((tried @ bench.shapes.T / CELLS) ** 2, axis=0))
     samples = float(np.median([bench.length_s / np.median(np.diff(r.t_s)) for r in records]))
     errors = np.median(speed) * table_errors(tables, names, kn)
     trusted = errors * math.sqrt(samples * len(records)) < TRUSTED * sigma
     trusted[:LEAST_SHAPES] = True
-    placed = [place(record, tried, bench.cell_s) for record in records]
+    placed = [place(record, tried, bench.cell_s, plain_ones) for record in records]
     made = [
         rows(record, at, tried[at.which], bench.shapes, bench.cell_s, v * usual, trusted)
         for record, at, v in zip(records, placed, speed, strict=True)
@@ -326,15 +326,23 @@ def _start(records: list[Record], wide: ForceBench) -> float:
     plain = plain_curves(wide)
     kns = np.tile(plain.axes[1].nodes(), plain.axes[0].n)
     curves = plain.values.reshape(-1, CELLS)
-    best: list[Placed] = [place(record, curves, wide.cell_s) for record in records[::3]]
+    best: list[Placed] = [
+        place(record, curves, wide.cell_s, len(curves)) for record in records[::3]
+    ]
     return float(np.exp(np.median([np.log(kns[each.which]) for each in best])))
 
 
-def _tried(bench: CurveBench, tables: ForceTables, names: list[str]) -> Array:
-    """Histories (histories, cells) that a record is laid over: some of every table."""
+def _tried(bench: CurveBench, tables: ForceTables, names: list[str]) -> tuple[Array, int]:
+    """Histories (histories, cells) that a record is laid over: some of every table.
+
+    How many of them, the first ones, have no effect in them.
+    """
     amounts, rng = [], np.random.default_rng(0)
     for table in (tables.plain, *(tables.of(name) for name in names if name in SIMULATED)):
-        places = np.meshgrid(*(axis.nodes() for axis in table.axes), indexing="ij")
+        nodes = [axis.nodes() for axis in table.axes]
+        if table is tables.plain:  # linear: all heights give one history over speed
+            nodes[0] = nodes[0][-1:]
+        places = np.meshgrid(*nodes, indexing="ij")
         found = table.at(*places).reshape(SHAPES, -1).T
         amounts.append(rng.permutation(found)[:MOST_TRIED])
-    return np.asarray(np.concatenate(amounts) @ bench.shapes)
+    return np.asarray(np.concatenate(amounts) @ bench.shapes), len(amounts[0])
