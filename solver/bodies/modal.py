@@ -71,9 +71,7 @@ class ModalBody:
     @property
     def damping_1_s(self) -> Array:
         """Viscous damping (modes,): Rayleigh's α + β ω², and η ω for a loss factor η."""
-        return (
-            self.alpha_1_s + self.beta_s * self.omega2 + self.loss_factor * np.sqrt(self.omega2)
-        )
+        return self.alpha_1_s + self.beta_s * self.omega2 + self.loss_factor * np.sqrt(self.omega2)
 
     @property
     def mass_kg(self) -> float:

@@ -14,7 +14,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from pathlib import Path
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 from scipy.ndimage import distance_transform_edt
@@ -272,7 +272,8 @@ class Bench:
                     for j in columns
                 ]
                 rows = self._drops(scenes).reshape(len(heights), len(columns), -1)
-                out[(slice(None), columns, *index)] = rows
+                place: tuple[Any, ...] = (slice(None), columns, *index)
+                out[place] = rows
         grid = np.meshgrid(heights, kns, indexing="ij")
         rigid = self.reference(*grid)
         rigid = rigid.reshape(len(QUANTITIES), *shape[:2], *(1,) * len(sides))
