@@ -24,7 +24,7 @@ from .loop.problem import Model, Problem
 from .loop.run import find
 from .loop.sizes import clean, d_beyond, value_for
 from .loopbench_rivals import rivals
-from .synth import Noise, Recipe, Strange, make, read_made
+from .synth import Made, Noise, Recipe, Strange, make, read_made
 
 # Effects that drops with contact times and forces can carry and show.
 NAMED = tuple(
@@ -38,13 +38,17 @@ KN_N_M = (1e6, 4e6)
 
 @dataclass(frozen=True)
 class Row:
-    """A kind of dataset: how many effects of which size, listed or not, and which noise."""
+    """A kind of dataset: how many effects of which size, listed or not, and which noise.
+
+    ``apart``: all drops of one height are held out instead of some of every height.
+    """
 
     name: str
     listed: int = 0
     d: float = 0.0
     unlisted: bool = False
     noise: Noise = Noise.GAUSSIAN
+    apart: bool = False
 
 
 ROWS = (
@@ -57,6 +61,7 @@ ROWS = (
     Row("unlisted, d = 8", d=8.0, unlisted=True),
     Row("unlisted, d = 16", d=16.0, unlisted=True),
     Row("two effects, d = 8 each", listed=2, d=PAIR_D),
+    Row("one effect, d = 16, one height held out", listed=1, d=16.0, apart=True),
 )
 
 
@@ -109,7 +114,7 @@ def run_case(case: Case, body: ModalBody) -> Outcome | None:
     recipe, d = sized
     made = make(recipe, body)
     started = time.perf_counter()
-    problem = drops_problem(read_made(made))
+    problem = _problem(case, made)
     found = find(problem, seed=case.seed)
     wall = time.perf_counter() - started
     truth = tuple(effect.name for effect in recipe.effects)
@@ -143,6 +148,19 @@ def run_case(case: Case, body: ModalBody) -> Outcome | None:
     )
 
 
+def _problem(case: Case, made: Made) -> Problem:
+    """What the loop is given of a made dataset."""
+    problem = drops_problem(read_made(made))
+    if not case.row.apart:
+        return problem
+    height = np.random.default_rng([case.seed, 8]).choice(made.recipe.heights_m)
+    middle = problem.covariates["height"]
+    near = np.abs(middle - height) == np.min(
+        [np.abs(middle - each) for each in made.recipe.heights_m], axis=0
+    )
+    return replace(problem, held=tuple(int(group) for group in np.unique(problem.group[near])))
+
+
 def _told(true: Array, measured: Array) -> Array:
     """The height after (drops,) that the truth gives for the height before as it was read."""
     return np.asarray(true[:, 1] / true[:, 0] * measured[:, 0])
@@ -170,7 +188,7 @@ def _sized(
     if not row.d:
         return recipe, 0.0
     plain = make(recipe, body)
-    problem = drops_problem(read_made(plain))
+    problem = _problem(case, plain)
     data, base = clean(problem, np.array([recipe.kn_N_m]), case.seed)
     if row.unlisted:
         return _strange(case, recipe, problem, data, base, rng)

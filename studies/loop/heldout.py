@@ -1,8 +1,8 @@
 """How well does a model predict groups that took no part, before and after the effect is added?
 
-A quarter of the groups, at least two, are chosen by the seed before anything is fitted: sorted by
-height, one of each four neighbours, so that every height is tried. Whole groups, since rows of one
-drop share its chance.
+Where the problem names no groups to hold out, a quarter of them, at least two, are chosen by the
+seed before anything is fitted: sorted by height, one of each four neighbours, so that every height
+is tried. Whole groups, since rows of one drop share its chance.
 """
 
 from __future__ import annotations
@@ -46,6 +46,9 @@ def split(problem: Problem, seed: int) -> tuple[Ints, Ints]:
     """Groups for fitting and groups held out."""
     rng = np.random.default_rng([seed, 1])
     groups = np.unique(problem.group)
+    if problem.held is not None:
+        apart = np.isin(groups, problem.held)
+        return groups[~apart], groups[apart]
     if groups.size < 4:
         return groups, groups[:0]
     height = next((problem.covariates[n] for n in HEIGHT if n in problem.covariates), None)

@@ -64,6 +64,7 @@ class Problem:
     independent, rows of one group need not be. ``covariates`` (name: (rows,)) are what residuals
     are looked at against: height, speed, order, phase, time. ``candidates`` are all effects, alone,
     that a dataset of this kind can carry; ``combine`` builds the model of several at once.
+    ``held`` are groups to be held out; where it is None, they are chosen by the seed.
     ``confirm``, where it is not None, gives whitened predictions of the baseline and of a fitted
     model by the 3-D model, for the rows of the groups asked for.
     """
@@ -78,6 +79,7 @@ class Problem:
     candidates: Sequence[Model]
     combine: Callable[[tuple[str, ...]], Model]
     experiments: Sequence[Experiment] = ()
+    held: tuple[int, ...] | None = None
     confirm: Callable[[tuple[str, ...], Array, NDArray[np.int64]], Array] | None = None
     confirm_why: str = ""
     sigma_declared: bool = True
