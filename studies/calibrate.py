@@ -19,10 +19,10 @@ from ..solver import paper
 from ..solver.bristle import Array, Bristle
 from ..solver.errors import InputError
 from . import __version__
-from .curve import GRID_N_M, RatioCurve, RatioModel, beam_model, mean_curve
-from .datasets import Drops, read_drops
-from .estimate import LEVEL, Interval, RatioEstimate, estimate_ratio, paper_ratio
-from .files import prepare_folder, to_json, write_atomically
+from .calibration.curve import GRID_N_M, RatioCurve, RatioModel, beam_model, mean_curve
+from .calibration.estimate import LEVEL, Interval, RatioEstimate, estimate_ratio, paper_ratio
+from .data.datasets import Drops, read_drops
+from .running.files import prepare_folder, to_json, write_atomically
 
 PAPER = "paper"
 SCHEMA = "bristle-calibrate-1"
@@ -214,7 +214,7 @@ def run_calibrate(
 def _run(
     source: str, out: Path, seed: int, level: float, model: RatioModel | None
 ) -> dict[str, Any]:
-    from .calibrate_report import write_calibration
+    from .calibration.page import write_calibration
 
     if not 0.5 <= level < 1.0:
         raise InputError(f"level must lie between 0.5 and 1, not {level}")

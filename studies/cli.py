@@ -14,9 +14,9 @@ import typer
 
 from ..solver.errors import ComputationError
 from . import __version__
-from .closeloop_flags import LOOP_FLAGS
-from .ending import run
-from .flags import (
+from .closeloop.flags import LOOP_FLAGS
+from .command.ending import run
+from .command.flags import (
     BODY_FLAGS,
     DISCRETISATION_FLAGS,
     DROP_FLAGS,
@@ -25,8 +25,8 @@ from .flags import (
     MESH_FLAGS,
     SHARED_FLAGS,
 )
-from .options import Config, Debug, Resume, out_option, takes
-from .scatter_flags import SCATTER_FLAGS
+from .command.options import Config, Debug, Resume, out_option, takes
+from .scatter.flags import SCATTER_FLAGS
 
 app = typer.Typer(
     add_completion=False,
@@ -64,10 +64,10 @@ def reproduce(
 
     Example: mpirun -n 2 bristle reproduce --out results/reproduce
     """
-    from .campaign import Setup
-    from .config import DropInputs
+    from .command.config import DropInputs
+    from .command.sources import inputs_of
     from .reproduce import run_reproduce
-    from .sources import inputs_of
+    from .running.campaign import Setup
 
     flags = (ITS_FLAG, *DISCRETISATION_FLAGS)
     base = inputs_of(DropInputs, given, flags, config, ignored=(*DROP_FLAGS, *LISTS_FLAGS))
@@ -90,9 +90,9 @@ def drop(
 
     Example: bristle drop --model solid --kn 2e6 --height 0.05 --tilt 2 --out results/leaning
     """
-    from .config import DropInputs
+    from .command.config import DropInputs
+    from .command.sources import inputs_of
     from .drop import run_drop, summary
-    from .sources import inputs_of
 
     document = run_drop(inputs_of(DropInputs, given, DROP_FLAGS, config), out, resume=resume)
     for name, value in summary(document):
@@ -115,8 +115,8 @@ def sweep(
 
     Example: mpirun -n 2 bristle sweep --models beam,reduced --kn 1e5,2e6,1e8 --heights 0.01,0.05
     """
-    from .sources import inputs_of
-    from .study import STUDY_FLAGS, StudyInputs
+    from .command.sources import inputs_of
+    from .running.study import STUDY_FLAGS, StudyInputs
     from .sweep import run_sweep
 
     run_sweep(inputs_of(StudyInputs, given, STUDY_FLAGS, config), out, resume=resume)
@@ -137,9 +137,9 @@ def its(
 
     Example: bristle its --models beam --kn 1e5,2e6,1e8 --its 1e-4,1e-5,1e-6,1e-7
     """
+    from .command.sources import inputs_of
     from .its import ItsInputs, run_its
-    from .sources import inputs_of
-    from .study import STUDY_FLAGS
+    from .running.study import STUDY_FLAGS
 
     run_its(inputs_of(ItsInputs, given, STUDY_FLAGS, config), out, resume=resume)
 
@@ -159,9 +159,9 @@ def scatter(
 
     Example: mpirun -n 2 bristle scatter --drops 2000 --tilt-std 2 --beta 1e-8
     """
-    from .scatter import run_scatter
-    from .scatter_inputs import ScatterInputs
-    from .sources import inputs_of
+    from .command.sources import inputs_of
+    from .scatter.inputs import ScatterInputs
+    from .scatter.run import run_scatter
 
     ignored = (*DROP_FLAGS, *LISTS_FLAGS)
     run_scatter(inputs_of(ScatterInputs, given, SCATTER_FLAGS, config, ignored), out, resume=resume)
@@ -181,10 +181,10 @@ def mesh(
     """
     from ..meshes.check import MeshError
     from ..meshes.display import DrawingError
-    from .config import MeshInputs
-    from .files import prepare_folder_together
+    from .command.config import MeshInputs
+    from .command.sources import inputs_of
     from .mesh import run_mesh
-    from .sources import inputs_of
+    from .running.files import prepare_folder_together
 
     flags = (*BODY_FLAGS, *MESH_FLAGS)
     inputs = inputs_of(MeshInputs, given, flags, config, ignored=(*DROP_FLAGS, *LISTS_FLAGS))
@@ -288,8 +288,8 @@ def close_loop(
 
     Example: bristle close-loop my-drops --seed 1 --out results/my-drops
     """
-    from .closeloop import LoopInputs, run_close_loop, summary
-    from .sources import inputs_of
+    from .closeloop.run import LoopInputs, run_close_loop, summary
+    from .command.sources import inputs_of
 
     ignored = (*DROP_FLAGS, *LISTS_FLAGS)
     inputs = inputs_of(LoopInputs, given, LOOP_FLAGS, config, ignored)
@@ -314,7 +314,7 @@ def bench(
 
     Example: mpirun -n 2 bristle bench loop --datasets 20 --out results/bench-loop
     """
-    from .loopbench_run import run_bench
+    from .bench.loop_run import run_bench
 
     print(run_bench(what, datasets, out, resume=resume))
 

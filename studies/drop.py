@@ -16,15 +16,15 @@ from mpi4py import MPI
 from ..meshes.collective import run_on_one_rank
 from ..solver.bodies.solid import SolidBody
 from ..solver.drop import DropResult
-from . import results
-from .cases import Timings, Workshop
-from .choices import Model
-from .config import DropInputs
-from .files import folder_in_place, prepare_folder, remove_folder
-from .flags import FLAT
-from .limits import input_warnings, result_warnings
-from .progress import say, warn, working
-from .stance import ANGLES
+from .command.choices import Model
+from .command.config import DropInputs
+from .command.flags import FLAT
+from .command.limits import input_warnings, result_warnings
+from .running import results
+from .running.cases import Timings, Workshop
+from .running.files import folder_in_place, prepare_folder, remove_folder
+from .running.progress import say, warn, working
+from .sections.stance import ANGLES
 
 FIELDS = "fields"
 

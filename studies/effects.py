@@ -15,11 +15,11 @@ from ..solver.drop import DropResult
 from ..solver.effects.base import Effect, Place, Scene
 from ..solver.effects.library import EFFECTS, enter_all
 from ..solver.errors import InputError
-from .choices import Contact, Model, Scheme
-from .stance import ANGLES
+from .command.choices import Contact, Model, Scheme
+from .sections.stance import ANGLES
 
 if TYPE_CHECKING:
-    from .config import DropInputs
+    from .command.config import DropInputs
 
 
 class EffectInput(BaseModel):

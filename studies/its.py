@@ -16,12 +16,12 @@ from mpi4py import MPI
 
 from ..solver import paper
 from ..solver.bodies.analytic import quarter_period_s
-from .config import Height, Its
-from .convergence import Limit, Need, limit, need
-from .figures import picture
-from .files import to_csv, write_atomically, write_picture
-from .its_figures import error_figure, need_figure
-from .study import Numbers, Row, Study, StudyInputs, run_study
+from .command.config import Height, Its
+from .page.figures import picture
+from .page.figures_its import error_figure, need_figure
+from .running.files import to_csv, write_atomically, write_picture
+from .running.study import Numbers, Row, Study, StudyInputs, run_study
+from .sections.convergence import Limit, Need, limit, need
 
 ITS_S = (1e-4, 3e-5, 1e-5, 3e-6, 1e-6, 3e-7, 1e-7)
 GOAL = 0.01

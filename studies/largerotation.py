@@ -31,9 +31,9 @@ from ..solver.drop import DropPlan, FlightFrame, ModalFrame, simulate
 from ..solver.finite.impact import impact, seen_from_body
 from ..solver.rigid import leaning, matrix_of
 from ..solver.time.scheme import TimeScheme
-from .files import prepare_folder, write_atomically
-from .progress import progress, say
-from .report import Column, Table
+from .page.report import Column, Table
+from .running.files import prepare_folder, write_atomically
+from .running.progress import progress, say
 
 BETA_S = 1e-8
 ELEMENTS = 32

@@ -16,25 +16,25 @@ from mpi4py import MPI
 from ..meshes.collective import run_on_one_rank
 from ..solver import paper
 from . import __version__
-from .account import AccountStudy
-from .bars import Bars
-from .campaign import Results, Setup, Study, compute
-from .cases import Workshop
-from .config import DropInputs
-from .crosscheck import CrossCheck, Figure9
-from .elements import ElementStudy
-from .enforcements import Enforcements
-from .files import prepare_folder
-from .heights import Figure13
-from .knstudy import Figures10To12, KnStudy
-from .leaning import Leaning
-from .loop_section import LoopOnPaper
-from .peaktime import PeakTime
-from .progress import progress
-from .report import Report, Section, Verdict, write_report
-from .sources import OPTIONS
-from .sticking import Sticking
-from .timesteps import StepStudy
+from .account.run import AccountStudy
+from .command.config import DropInputs
+from .command.sources import OPTIONS
+from .page.report import Report, Section, Verdict, write_report
+from .running.campaign import Results, Setup, Study, compute
+from .running.cases import Workshop
+from .running.files import prepare_folder
+from .running.progress import progress
+from .sections.bars import Bars
+from .sections.crosscheck import CrossCheck, Figure9
+from .sections.elements import ElementStudy
+from .sections.enforcements import Enforcements
+from .sections.heights import Figure13
+from .sections.knstudy import Figures10To12, KnStudy
+from .sections.leaning import Leaning
+from .sections.loop_section import LoopOnPaper
+from .sections.peaktime import PeakTime
+from .sections.sticking import Sticking
+from .sections.timesteps import StepStudy
 
 
 @dataclass(frozen=True)

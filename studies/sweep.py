@@ -14,11 +14,11 @@ from typing import Any
 import numpy as np
 from mpi4py import MPI
 
-from .choices import Model
-from .figures import picture
-from .figures_paper import height_figure
-from .files import write_picture
-from .study import Row, Study, StudyInputs, run_study
+from .command.choices import Model
+from .page.figures import picture
+from .page.figures_paper import height_figure
+from .running.files import write_picture
+from .running.study import Row, Study, StudyInputs, run_study
 
 FIGURE = "heights"
 MARKERS = 60

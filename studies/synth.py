@@ -27,10 +27,10 @@ from ..solver.effects.library import enter_all
 from ..solver.errors import InputError
 from ..solver.fall import dragged_fall, risen
 from . import __version__
-from .datasets import Drops, Manifest
+from .data.datasets import Drops, Manifest
 from .effects import EffectInput, read_effects
-from .files import prepare_folder, to_json, write_atomically
 from .loop.response import drops_of, its_s
+from .running.files import prepare_folder, to_json, write_atomically
 
 COLUMNS = ("drop", "y0_mm", "y1_mm", "contact_time_ms", "peak_force_N")
 # Releases by hand: the height is known as measured, not as meant.
@@ -85,8 +85,8 @@ def reduced_body() -> ModalBody:
     """The paper's bristle as a reduced solid that may lean; collective."""
     from mpi4py import MPI
 
-    from .cases import Workshop
-    from .config import DropInputs
+    from .command.config import DropInputs
+    from .running.cases import Workshop
 
     with Workshop(MPI.COMM_WORLD) as workshop:
         inputs = DropInputs.model_validate({"model": "reduced", "tilt_deg": 2.0, "its_s": 2e-6})

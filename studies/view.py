@@ -13,9 +13,9 @@ from ..meshes.collective import run_on_one_rank
 from ..meshes.display import DrawingError
 from ..solver.errors import ComputationError, InputError
 from ..solver.paraview import SOLID_FILE
-from .figures import picture
-from .files import prepare_folder, write_picture
-from .results import HISTORY_FILE, RESULT_FILE
+from .page.figures import picture
+from .running.files import prepare_folder, write_picture
+from .running.results import HISTORY_FILE, RESULT_FILE
 
 FIELDS_FOLDER = "fields"
 VIEW_FOLDER = "view"
@@ -42,7 +42,7 @@ def run_view(
 def _view(result: Path, out: Path | None) -> list[Path]:
     document = read_result(result)
     # matplotlib and VTK take a second to import, which other commands need not wait for
-    from .history_picture import history_figure, read_history, touch_time_s
+    from .page.history_picture import history_figure, read_history, touch_time_s
 
     history = read_history(result / HISTORY_FILE)
     target = Path(out) if out is not None else result / VIEW_FOLDER
@@ -78,10 +78,10 @@ def _view_fields(
     result: Path, document: dict[str, Any], touch_s: float, folder: Path
 ) -> list[Path]:
     """Fill ``folder`` with the pictures of a solid; returns what was written beside the result."""
-    from .field_series import FieldSeries
-    from .paraview_state import write_state_script
-    from .wave import read_wave
-    from .wave_pictures import draw_wave, space_time_figure
+    from .viewing.field_series import FieldSeries
+    from .viewing.paraview_state import write_state_script
+    from .viewing.wave import read_wave
+    from .viewing.wave_pictures import draw_wave, space_time_figure
 
     with FieldSeries(result / FIELDS_FOLDER / SOLID_FILE) as series:
         wave = read_wave(series, touch_s)

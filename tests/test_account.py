@@ -13,8 +13,8 @@ from mpi4py import MPI
 
 from bristle.solver import paper
 from bristle.solver.errors import InputError
-from bristle.studies import account_models as models
-from bristle.studies.account_design import (
+from bristle.studies.account import models as models
+from bristle.studies.account.design import (
     INSTRUMENTS,
     Spread,
     Trial,
@@ -24,7 +24,7 @@ from bristle.studies.account_design import (
     readings,
     spread,
 )
-from bristle.studies.account_film import (
+from bristle.studies.account.film import (
     PUBLISHED,
     Film,
     moments,
@@ -33,9 +33,9 @@ from bristle.studies.account_film import (
     through_origin,
     vector,
 )
-from bristle.studies.account_findings import Plan, compute
-from bristle.studies.account_fit import Drawn, Effort, films, fit, p_value, predict
-from bristle.studies.account_library import (
+from bristle.studies.account.findings import Plan, compute
+from bristle.studies.account.fit import Drawn, Effort, films, fit, p_value, predict
+from bristle.studies.account.library import (
     Conditions,
     Library,
     bristle_of,

@@ -17,15 +17,15 @@ from bristle.solver.contact.laws import Linear
 from bristle.solver.drop import DropPlan, ModalFrame, simulate
 from bristle.solver.errors import ComputationError, InputError
 from bristle.studies.calibrate import calibrate, run_calibrate, stiffness_interval
-from bristle.studies.curve import RatioCurve, beam_model, mean_curve, ratio_curve
-from bristle.studies.datasets import read_drops, read_manifest
-from bristle.studies.estimate import (
+from bristle.studies.calibration.curve import RatioCurve, beam_model, mean_curve, ratio_curve
+from bristle.studies.calibration.estimate import (
     Interval,
     estimate_ratio,
     height_trend,
     paper_ratio,
     slope_interval,
 )
+from bristle.studies.data.datasets import read_drops, read_manifest
 
 pytestmark = pytest.mark.serial
 

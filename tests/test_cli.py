@@ -18,7 +18,7 @@ from hypothesis import strategies as st
 
 from bristle.studies import drop as drop_study
 from bristle.studies.cli import main
-from bristle.studies.flags import DROP_FLAGS
+from bristle.studies.command.flags import DROP_FLAGS
 
 pytestmark = pytest.mark.serial
 

@@ -20,9 +20,10 @@ from bristle.solver.bristle import Bristle
 from bristle.solver.contact.laws import Linear
 from bristle.solver.effects.library import EFFECTS, enter_all
 from bristle.solver.errors import ComputationError
-from bristle.studies import closeloop, datasets
 from bristle.studies.cli import main
-from bristle.studies.closeloop_directions import directions
+from bristle.studies.closeloop import run as closeloop
+from bristle.studies.closeloop.directions import directions
+from bristle.studies.data import datasets
 from bristle.studies.loop import drops as drops_module
 from bristle.studies.loop.drops import drops_problem
 from bristle.studies.loop.drops_solid import chances, solid_drops

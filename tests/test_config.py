@@ -17,21 +17,21 @@ from bristle.solver.bristle import CONTACT_POINTS, Bristle, Circle
 from bristle.solver.contact.enforcement import Enforcement
 from bristle.solver.errors import InputError
 from bristle.solver.time.scheme import TimeScheme
-from bristle.studies.choices import Contact, Model, Until
-from bristle.studies.config import DropInputs, MeshInputs
-from bristle.studies.files import to_json
-from bristle.studies.flags import BODY_FLAGS, DROP_FLAGS, LISTS_FLAGS, MESH_FLAGS
+from bristle.studies.command.choices import Contact, Model, Until
+from bristle.studies.command.config import DropInputs, MeshInputs
+from bristle.studies.command.flags import BODY_FLAGS, DROP_FLAGS, LISTS_FLAGS, MESH_FLAGS
+from bristle.studies.command.limits import count_unknowns, input_warnings
+from bristle.studies.command.sources import checked, flag_source, inputs_of, read_config
 from bristle.studies.its import ItsInputs
-from bristle.studies.limits import count_unknowns, input_warnings
-from bristle.studies.results import plain_inputs
-from bristle.studies.sources import checked, flag_source, inputs_of, read_config
-from bristle.studies.stance import (
+from bristle.studies.running.files import to_json
+from bristle.studies.running.results import plain_inputs
+from bristle.studies.running.study import STUDY_FLAGS, StudyInputs
+from bristle.studies.sections.stance import (
     face_offsets_m,
     lean_deg,
     narrow_zone,
     slowest_bending_1_s,
 )
-from bristle.studies.study import STUDY_FLAGS, StudyInputs
 
 NUMBERS = {flag.field: flag for flag in DROP_FLAGS if flag.kind in (float, int)}
 CONTRACT_FLAGS = (

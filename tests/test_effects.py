@@ -18,9 +18,9 @@ from bristle.solver.effects.library import EFFECTS, enter_all
 from bristle.solver.errors import InputError
 from bristle.solver.fall import dragged_fall, dragged_path, risen
 from bristle.solver.kept import kept, load, store
-from bristle.studies.cases import Workshop
-from bristle.studies.config import DropInputs
+from bristle.studies.command.config import DropInputs
 from bristle.studies.effects import EffectInput, entered
+from bristle.studies.running.cases import Workshop
 
 pytestmark = pytest.mark.serial
 NAMES = (

@@ -7,8 +7,8 @@ import pytest
 from scipy.stats import chi2
 
 from bristle.solver import paper
-from bristle.studies.account_film import Film, planned_heights_m
-from bristle.studies.loop_section import LoopOnPaper, _log_sf, needed_mm, scatters
+from bristle.studies.account.film import Film, planned_heights_m
+from bristle.studies.sections.loop_section import LoopOnPaper, _log_sf, needed_mm, scatters
 
 pytestmark = pytest.mark.serial
 

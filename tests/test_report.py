@@ -9,8 +9,8 @@ from html.parser import HTMLParser
 
 import pytest
 
-from bristle.studies.figures import Picture, panels, picture, spread, styled
-from bristle.studies.report import (
+from bristle.studies.page.figures import Picture, panels, picture, spread, styled
+from bristle.studies.page.report import (
     Column,
     Comparison,
     Figure,

@@ -10,26 +10,26 @@ import pytest
 from mpi4py import MPI
 
 from bristle.solver import paper
-from bristle.studies.account import AccountStudy
-from bristle.studies.account_design import Trial
-from bristle.studies.account_findings import Plan
-from bristle.studies.account_fit import Effort
-from bristle.studies.account_models import OneStiffness, ScatteredDashpot, ScatteredStiffness
-from bristle.studies.bars import Bars
-from bristle.studies.campaign import Setup, compute
-from bristle.studies.cases import Workshop
-from bristle.studies.config import DropInputs
-from bristle.studies.crosscheck import CrossCheck, Figure9, window
-from bristle.studies.elements import ElementStudy, fewest
-from bristle.studies.enforcements import Enforcements
-from bristle.studies.heights import Figure13, track
-from bristle.studies.knstudy import Figures10To12, KnStudy
-from bristle.studies.leaning import Leaning
-from bristle.studies.loop_section import LoopOnPaper
-from bristle.studies.peaktime import PeakTime, departs_at
+from bristle.studies.account.design import Trial
+from bristle.studies.account.findings import Plan
+from bristle.studies.account.fit import Effort
+from bristle.studies.account.models import OneStiffness, ScatteredDashpot, ScatteredStiffness
+from bristle.studies.account.run import AccountStudy
+from bristle.studies.command.config import DropInputs
 from bristle.studies.reproduce import command_of, paper_studies, run_reproduce
-from bristle.studies.sticking import Sticking
-from bristle.studies.timesteps import StepStudy
+from bristle.studies.running.campaign import Setup, compute
+from bristle.studies.running.cases import Workshop
+from bristle.studies.sections.bars import Bars
+from bristle.studies.sections.crosscheck import CrossCheck, Figure9, window
+from bristle.studies.sections.elements import ElementStudy, fewest
+from bristle.studies.sections.enforcements import Enforcements
+from bristle.studies.sections.heights import Figure13, track
+from bristle.studies.sections.knstudy import Figures10To12, KnStudy
+from bristle.studies.sections.leaning import Leaning
+from bristle.studies.sections.loop_section import LoopOnPaper
+from bristle.studies.sections.peaktime import PeakTime, departs_at
+from bristle.studies.sections.sticking import Sticking
+from bristle.studies.sections.timesteps import StepStudy
 
 GRID = (1e3, 1e4, 1e5, 3e5, 1e6, 2e6, 4e6, 1e7, 1e8, 1e9, 1e10)
 

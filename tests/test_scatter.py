@@ -23,15 +23,15 @@ from bristle.solver.ground import Ground
 from bristle.solver.rigid import leaning, matrix_of, slope_normal
 from bristle.solver.time.march import Marcher
 from bristle.solver.time.scheme import TimeScheme
-from bristle.studies import scatter as scatter_study
-from bristle.studies.cases import run_case
-from bristle.studies.config import DropInputs
-from bristle.studies.flags import DROP_FLAGS, LISTS_FLAGS
-from bristle.studies.scatter import run_scatter
-from bristle.studies.scatter_conditions import draw, ground_of, ground_surface, ground_under
-from bristle.studies.scatter_flags import SCATTER_FLAGS
-from bristle.studies.scatter_inputs import ScatterInputs
-from bristle.studies.sources import checked, inputs_of
+from bristle.studies.command.config import DropInputs
+from bristle.studies.command.flags import DROP_FLAGS, LISTS_FLAGS
+from bristle.studies.command.sources import checked, inputs_of
+from bristle.studies.running.cases import run_case
+from bristle.studies.scatter import run as scatter_study
+from bristle.studies.scatter.conditions import draw, ground_of, ground_surface, ground_under
+from bristle.studies.scatter.flags import SCATTER_FLAGS
+from bristle.studies.scatter.inputs import ScatterInputs
+from bristle.studies.scatter.run import run_scatter
 
 pytestmark = pytest.mark.serial
 STEEL = paper.YOUNGS_PA, paper.POISSON

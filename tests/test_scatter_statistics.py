@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from bristle.solver import paper
-from bristle.studies.scatter_statistics import (
+from bristle.studies.scatter.statistics import (
     first_order,
     percentile_interval,
     r_squared,

@@ -16,21 +16,22 @@ from mpi4py import MPI
 
 from bristle.solver.bodies.analytic import quarter_period_s
 from bristle.solver.errors import ComputationError, InputError
-from bristle.studies import __version__, files, results
+from bristle.studies import __version__
 from bristle.studies import drop as drop_study
-from bristle.studies.cases import Workshop, run_case
-from bristle.studies.config import DropInputs
-from bristle.studies.convergence import Need, limit, need
+from bristle.studies.command.config import DropInputs
+from bristle.studies.command.limits import result_warnings
+from bristle.studies.command.sources import checked
 from bristle.studies.drop import run_drop
-from bristle.studies.field_series import FieldSeries
-from bristle.studies.files import folder_in_place, to_csv, to_json, write_atomically
 from bristle.studies.its import ItsInputs, run_its
-from bristle.studies.journal import Journal
-from bristle.studies.limits import result_warnings
-from bristle.studies.parallel import share_out
-from bristle.studies.sources import checked
-from bristle.studies.study import COLUMNS, StudyInputs
+from bristle.studies.running import files, results
+from bristle.studies.running.cases import Workshop, run_case
+from bristle.studies.running.files import folder_in_place, to_csv, to_json, write_atomically
+from bristle.studies.running.journal import Journal
+from bristle.studies.running.parallel import share_out
+from bristle.studies.running.study import COLUMNS, StudyInputs
+from bristle.studies.sections.convergence import Need, limit, need
 from bristle.studies.sweep import run_sweep
+from bristle.studies.viewing.field_series import FieldSeries
 
 COMM = MPI.COMM_WORLD
 SMALL = {"cells": (1, 1, 20)}
@@ -346,8 +347,8 @@ def test_history_and_numbers_tell_one_story(out):
 
 @serial
 def test_a_run_repeats_from_its_own_result(out, tmp_path):
-    from bristle.studies.flags import DROP_FLAGS
-    from bristle.studies.sources import inputs_of
+    from bristle.studies.command.flags import DROP_FLAGS
+    from bristle.studies.command.sources import inputs_of
 
     first = run_drop(drop(model="reduced", kn_N_m=5e6, until=0.3), out)
     again = inputs_of(DropInputs, {}, DROP_FLAGS, out / "result.json")

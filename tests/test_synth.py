@@ -14,7 +14,7 @@ from bristle.solver.contact.laws import Linear
 from bristle.solver.effects.base import Scene
 from bristle.solver.effects.library import EFFECTS
 from bristle.solver.errors import InputError
-from bristle.studies.datasets import read_drops
+from bristle.studies.data.datasets import read_drops
 from bristle.studies.loop.drop_model import fallen, risen
 from bristle.studies.loop.response import Axis, Bench, Tables, drops_of
 from bristle.studies.loop.spline import coefficients, evaluate

@@ -25,12 +25,12 @@ from bristle.solver.errors import InputError
 from bristle.solver.impact import HISTORY_COLUMNS
 from bristle.solver.paraview import FieldWriter, Phase
 from bristle.solver.time.march import Marcher
-from bristle.studies.field_series import FieldSeries
-from bristle.studies.history_picture import read_history, touch_time_s
-from bristle.studies.paraview_state import SCRIPT_FILE
+from bristle.studies.page.history_picture import read_history, touch_time_s
 from bristle.studies.view import run_view
-from bristle.studies.wave import axis_nodes, read_wave
-from bristle.studies.wave_pictures import plan_drawing, space_time_figure
+from bristle.studies.viewing.field_series import FieldSeries
+from bristle.studies.viewing.paraview_state import SCRIPT_FILE
+from bristle.studies.viewing.wave import axis_nodes, read_wave
+from bristle.studies.viewing.wave_pictures import plan_drawing, space_time_figure
 
 COMM = MPI.COMM_WORLD
 LENGTH_M, HEIGHT_M, ITS_S, GRAVITY_M_S2 = 0.05, 0.02, 2.5e-7, 9.8
@@ -274,7 +274,7 @@ def test_a_spoilt_result_is_named_and_nothing_is_left(result, spoil, message):
 @pytest.mark.serial
 @needs_pvbatch
 def test_paraview_opens_the_result_in_one_step_wherever_it_is(result, tmp_path):
-    from bristle.studies.paraview_state import write_state_script
+    from bristle.studies.viewing.paraview_state import write_state_script
 
     history = read_history(result / "history.csv")
     touch = touch_time_s(history)

@@ -17,7 +17,7 @@ from ...solver.bristle import Array
 from ...solver.effects.base import Parameter
 from ...solver.effects.library import EFFECTS
 from ...solver.errors import InputError
-from .. import datasets
+from ..data import datasets
 from .drop_model import DropModel, Drops
 from .drops_experiments import experiments
 from .noise import Ints

@@ -22,9 +22,9 @@ from ...solver.drop import ModalFrame
 from ...solver.effects.base import Effect, Scene
 from ...solver.effects.library import EFFECTS, enter_all
 from ...solver.errors import ComputationError
-from ..cases import Workshop
-from ..choices import Model
-from ..sources import checked
+from ..command.choices import Model
+from ..command.sources import checked
+from ..running.cases import Workshop
 from .drop_model import DropModel, effect_at, fallen, risen
 from .response import ITS_S, QUANTITIES, SHORTER, Bench, drops_of, its_s
 
@@ -41,7 +41,7 @@ ANY_LEAN_DEG = 1.0
 @lru_cache(maxsize=4)
 def solid_of(bristle: Bristle, gravity_m_s2: float, leaning: bool) -> ModalBody:
     """The solid of a bristle, reduced; kept from run to run. Raises ComputationError."""
-    from ..config import DropInputs
+    from ..command.config import DropInputs
 
     section, material = bristle.section, bristle.material
     sides: dict[str, float] = {}

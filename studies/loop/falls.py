@@ -42,8 +42,8 @@ from scipy.optimize import least_squares
 from ...solver.bristle import Array
 from ...solver.effects.base import Parameter
 from ...solver.errors import InputError
-from ..dataset_tables import column, read_table
-from ..datasets import Manifest, read_manifest
+from ..data.datasets import Manifest, read_manifest
+from ..data.tables import column, read_table
 from .problem import Problem
 
 BIN_S = 0.05

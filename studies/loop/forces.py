@@ -22,8 +22,8 @@ from numpy.typing import NDArray
 from ...solver.bristle import Array
 from ...solver.effects.base import Parameter
 from ...solver.errors import InputError
-from ..dataset_tables import column, inside, optional_column, read_table
-from ..datasets import Manifest, read_manifest
+from ..data.datasets import Manifest, read_manifest
+from ..data.tables import column, inside, optional_column, read_table
 from .drop_model import DropModel, Drops, risen
 from .drops import carried, stiffness
 from .force_curves import (

@@ -30,8 +30,8 @@ from numpy.typing import NDArray
 from ...solver.bristle import Array
 from ...solver.effects.base import Parameter, Scene
 from ...solver.errors import InputError
-from ..dataset_tables import column, read_table
-from ..datasets import Manifest, read_manifest
+from ..data.datasets import Manifest, read_manifest
+from ..data.tables import column, read_table
 from .drop_model import DropModel, Drops, risen
 from .drops import SIGMA_M, carried, stiffness
 from .problem import Experiment, Problem

@@ -14,8 +14,8 @@ import numpy as np
 
 from ...solver.bristle import Array
 from ...solver.errors import InputError
-from ..dataset_tables import column, read_table
-from ..datasets import Manifest, read_manifest
+from ..data.datasets import Manifest, read_manifest
+from ..data.tables import column, read_table
 
 NEAR_MIDDLE = 0.1
 """How far from mid-length a gauge may lie, in half lengths."""

@@ -1,0 +1,1 @@
+"""Contact stiffness from measured drops."""

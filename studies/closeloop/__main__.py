@@ -1,0 +1,7 @@
+"""The folder as a script: ``python3 -m bristle.studies.closeloop``."""
+
+import sys
+
+from ..cli import main
+
+sys.exit(main(["close-loop", *sys.argv[1:]]))

@@ -1,0 +1,88 @@
+"""Does the 3-D model, with the effect switched on, predict what was held out as well?"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ...solver.bristle import Array
+from ...solver.errors import BristleError
+from ..loop.finding import Finding
+from ..loop.noise import Ints
+from ..loop.problem import Problem
+
+LEFT_OUT = "left out on request (--no-3d)"
+NOTHING_HELD = "too few groups to hold any out"
+
+
+@dataclass(frozen=True)
+class Solid:
+    """Held-out values of the main quantity and what the 3-D model predicts of them, (rows,) in
+    ``unit``; ``rows`` number them in the problem."""
+
+    unit: str
+    rows: Ints
+    values: Array
+    before: Array
+    after: Array
+
+    @property
+    def rms_before(self) -> float:
+        return float(np.sqrt(np.mean((self.values - self.before) ** 2)))
+
+    @property
+    def rms_after(self) -> float:
+        return float(np.sqrt(np.mean((self.values - self.after) ** 2)))
+
+
+@dataclass(frozen=True)
+class Confirmation:
+    """What the 3-D model says, or why it says nothing."""
+
+    solid: Solid | None
+    why: str | None = None
+
+    def keys(self) -> dict[str, Any]:
+        """``confirmed_in_3d`` and ``confirmed_in_3d_why`` of verdict.json."""
+        if self.solid is None:
+            return {"confirmed_in_3d": None, "confirmed_in_3d_why": self.why}
+        errors = {"rms_before": self.solid.rms_before, "rms_after": self.solid.rms_after}
+        return {
+            "confirmed_in_3d": {**errors, "unit": self.solid.unit},
+            "confirmed_in_3d_why": None,
+        }
+
+
+def confirm(problem: Problem, finding: Finding) -> Confirmation:
+    """Baseline and reported model by `Problem.confirm` on the held-out groups.
+
+    A 3-D model that cannot be made or that fails is an answer with its reason, not an error: the
+    verdict stands without it.
+    """
+    if problem.confirm is None:
+        return Confirmation(None, problem.confirm_why or "there is no 3-D model of such data")
+    if finding.held_out is None:
+        return Confirmation(None, NOTHING_HELD)
+    groups = np.array(finding.held_out.groups, dtype=np.int64)
+    rows = np.flatnonzero(np.isin(problem.group, groups))
+    base = np.array(finding.evidences[0].theta)
+    try:
+        before = problem.confirm((), base, groups)
+        after = before
+        if finding.model_effects:
+            after = problem.confirm(finding.model_effects, finding.theta, groups)
+    except BristleError as error:
+        return Confirmation(None, f"the 3-D model failed: {error}")
+    main = problem.quantity[rows] == problem.quantity[0]
+    scale = problem.scale[rows][main]
+    return Confirmation(
+        Solid(
+            unit=problem.unit,
+            rows=rows[main],
+            values=problem.values[rows][main] * scale,
+            before=before[main] * scale,
+            after=after[main] * scale,
+        )
+    )

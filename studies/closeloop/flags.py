@@ -1,0 +1,22 @@
+"""Which options does `bristle close-loop` have beside its dataset?"""
+
+from __future__ import annotations
+
+from ..command.flags import OUTPUT, Flag
+
+LOOP = "Loop"
+ALARM = 0.03
+
+LOOP_FLAGS = (
+    Flag("seed", "seed", int, 0, LOOP, "Of what is held out and of all that is drawn.", "N"),
+    Flag(
+        "alarm",
+        "alarm",
+        float,
+        ALARM,
+        LOOP,
+        "How often data that lack nothing may be said to lack something, over all tests together.",
+        "RATE",
+    ),
+    Flag("no-3d", "no_3d", bool, False, OUTPUT, "Leave out the confirmation by the 3-D model."),
+)

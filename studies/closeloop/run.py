@@ -1,0 +1,241 @@
+"""What does the model lack to explain a dataset, and how much better is it with that in?
+
+`bristle close-loop DATASET`. Reads a dataset of any kind, runs the loop (studies.loop), confirms
+what it found with the 3-D model, and writes verdict.json and one page. Also a script:
+``python3 -m bristle.studies.closeloop DATASET``.
+"""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+from mpi4py import MPI
+from pydantic import BaseModel, ConfigDict
+
+from ...meshes.collective import run_on_one_rank
+from ...solver.errors import InputError
+from .. import __version__
+from ..command.config import Truth, between, whole
+from ..data.datasets import Manifest, read_manifest
+from ..loop.finding import Finding
+from ..loop.problem import Problem
+from ..loop.run import find
+from ..running.files import prepare_folder, to_json, write_atomically
+from ..running.parallel import share_out
+from ..running.progress import progress, working
+from .confirm import LEFT_OUT, Confirmation, confirm
+from .flags import ALARM
+
+SCHEMA = "bristle-close-loop-1"
+VERDICT_FILE = "verdict.json"
+# By kind, where a dataset is read and where it is made a problem: module of studies and function.
+KINDS = {
+    "drops": (("datasets", "read_drops"), ("loop.drops", "drops_problem")),
+    "tracks": (("loop.tracks", "read_tracks"), ("loop.tracks", "tracks_problem")),
+    "forces": (("loop.forces", "read_forces"), ("loop.forces", "forces_problem")),
+    "waves": (("loop.waves", "read_waves"), ("loop.waves", "wave_problem")),
+    "falls": (("loop.falls", "read_falls"), ("loop.falls", "fall_problem")),
+}
+
+
+class LoopInputs(BaseModel):
+    """Every option of `bristle close-loop`, checked."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    seed: Annotated[int, whole(0, 2**32 - 1)] = 0
+    alarm: Annotated[float, between(1e-3, 0.3)] = ALARM
+    no_3d: Truth = False
+
+
+@dataclass(frozen=True)
+class Closed:
+    """A loop that ran: what was asked, the data as a problem, what was found, and in 3-D."""
+
+    manifest: Manifest
+    inputs: LoopInputs
+    problem: Problem
+    finding: Finding
+    confirmation: Confirmation
+
+
+def run_close_loop(
+    dataset: Path,
+    out: Path,
+    inputs: LoopInputs | None = None,
+    *,
+    comm: MPI.Intracomm = MPI.COMM_WORLD,
+) -> dict[str, Any]:
+    """Run the loop on the dataset in a folder; write ``verdict.json``, ``report.html``, its tables
+    and figures into ``out``.
+
+    Returns what verdict.json holds. Collective: rank 0 works, with solids of its own, so that the
+    result does not depend on the number of ranks. Raises InputError where the dataset or an option
+    is wrong, ComputationError where a simulation fails; nothing is written then.
+    """
+    asked, dataset = inputs or LoopInputs(), Path(dataset)
+    if comm.size > 1 and not asked.no_3d:
+        importlib.import_module("petsc4py.PETSc")  # starts on all ranks together or not at all
+    manifest = run_on_one_rank(comm, lambda: _begun(dataset, Path(out)))
+    first = run_on_one_rank(comm, lambda: _Alone(problem_of(manifest) if comm.rank == 0 else None))
+    problem = first.problem or problem_of(manifest)
+    _simulate(problem, comm)
+    return run_on_one_rank(comm, lambda: _run(manifest, problem, Path(out), asked))
+
+
+def _begun(dataset: Path, out: Path) -> Manifest:
+    """The dataset's declarations; InputError where they or ``out`` are no good, long before both
+    are needed."""
+    manifest = read_manifest(dataset)
+    there = next(each for each in (out.absolute(), *out.absolute().parents) if each.exists())
+    if not there.is_dir():
+        raise InputError(f"--out {out}: {there} is a file, not a folder")
+    return manifest
+
+
+class _Alone:
+    """A problem that stays on the rank that made it: it cannot be sent."""
+
+    def __init__(self, problem: Problem | None = None) -> None:
+        self.problem = problem
+
+    def __reduce__(self) -> tuple[type[_Alone], tuple[()]]:
+        return _Alone, ()
+
+
+def _simulate(problem: Problem, comm: MPI.Intracomm) -> None:
+    """Have every candidate predict once, dealt out over the ranks.
+
+    Some of them first simulate thousands of drops, which are then kept on the disk for all ranks
+    and for the next run. Collective; raises ComputationError where they fail.
+    """
+    candidates = problem.candidates
+
+    def predict(i: int) -> None:
+        typical = [each.typical for each in candidates[i].parameters]
+        candidates[i].predict(np.array(typical))
+
+    if comm.rank:
+        share_out(comm, len(candidates), predict, lambda i, nothing: None)
+        return
+    with progress("Effects simulated", len(candidates)) as advance:
+        share_out(comm, len(candidates), predict, lambda i, nothing: advance())
+
+
+def _run(manifest: Manifest, problem: Problem, out: Path, inputs: LoopInputs) -> dict[str, Any]:
+    from .page import write_page
+
+    with _folder_for(out):
+        closed = close(manifest, problem, inputs)
+        content = verdict(closed)
+        write_page(closed, out, __version__)
+        write_atomically(out / VERDICT_FILE, to_json(content) + "\n")
+    return content
+
+
+def close(manifest: Manifest, problem: Problem, inputs: LoopInputs) -> Closed:
+    """Run the loop on a problem, and confirm with the 3-D model what it found."""
+    with working("looking for what the model lacks"):
+        finding = find(problem, inputs.seed, inputs.alarm)
+    if inputs.no_3d:
+        return Closed(manifest, inputs, problem, finding, Confirmation(None, LEFT_OUT))
+    if problem.confirm is None:
+        return Closed(manifest, inputs, problem, finding, confirm(problem, finding))
+    with working("confirming in three dimensions"):
+        return Closed(manifest, inputs, problem, finding, confirm(problem, finding))
+
+
+def problem_of(manifest: Manifest) -> Problem:
+    """The dataset, read and made a problem. Raises InputError, also for a kind without a model."""
+    read, make = (_function(manifest, *where) for where in KINDS[manifest.kind])
+    made: Problem = make(read(manifest.folder))
+    return made
+
+
+def _function(manifest: Manifest, module: str, name: str) -> Callable[[Any], Any]:
+    """A function of studies, imported only now."""
+    try:
+        found = importlib.import_module(f".{module}", __package__)
+        function: Callable[[Any], Any] = getattr(found, name)
+    except (ModuleNotFoundError, AttributeError):
+        message = f"is {manifest.kind}: the loop cannot read such data yet"
+        raise manifest.wrong("kind", message) from None
+    return function
+
+
+def verdict(closed: Closed) -> dict[str, Any]:
+    """What ``verdict.json`` holds: CONTRACT.md's keys, and what repeats and explains the run."""
+    finding, problem = closed.finding, closed.problem
+    return {
+        "schema": SCHEMA,
+        "version": __version__,
+        **finding.verdict_json(),
+        **closed.confirmation.keys(),
+        "kind": closed.manifest.kind,
+        "title": closed.manifest.title,
+        "n_groups": len(np.unique(problem.group)),
+        "n_values": len(problem.values),
+        "alarm": finding.alarm,
+        "tests": [_test(each) for each in finding.tests],
+        "tests_after": [_test(each) for each in finding.tests_after],
+        "evidence": [
+            {
+                "effects": list(each.effects),
+                "log_evidence": each.log_evidence,
+                "left_p_value": each.left_p_value,
+            }
+            for each in finding.evidences
+        ],
+        "inputs": closed.inputs.model_dump(),
+    }
+
+
+def _test(test: Any) -> dict[str, Any]:
+    return {"name": test.name, "value": test.value, "p_value": test.p_value}
+
+
+@contextmanager
+def _folder_for(out: Path) -> Iterator[None]:
+    """``out`` as a folder to write into; where the block fails, new folders go again."""
+    new = [each for each in (out, *out.parents) if not each.exists()]
+    prepare_folder(out)
+    try:
+        yield
+    except BaseException:
+        for each in new:
+            try:
+                each.rmdir()
+            except OSError:
+                break
+        raise
+
+
+def summary(content: dict[str, Any]) -> list[tuple[str, str]]:
+    """Name and value of what a terminal shows."""
+    held, solid = content["held_out"], content["confirmed_in_3d"]
+    names = [f"{name} ({content['weights'][name]:.2f})" for name in content["effects"]]
+    rows = [("verdict", content["verdict"])]
+    if names:
+        rows.append(("effects", ", ".join(names)))
+    rows.append(("something is missing", f"p = {content['detection']['p_value']:.2g}"))
+    rows.append(("something is left", f"p = {content['open_set']['p_value']:.2g}"))
+    for name, each in content["parameters"].items():
+        value = f"{each['estimate']:.4g} ({each['low']:.4g} to {each['high']:.4g}) {each['unit']}"
+        rows.append((name, value.rstrip()))
+    if held:
+        rows.append(("held-out error", _change(held, held["unit"])))
+    if solid:
+        rows.append(("the same in 3-D", _change(solid, solid["unit"])))
+    if content["next_experiment"]:
+        rows.append(("measure next", content["next_experiment"]["change"]))
+    return rows
+
+
+def _change(errors: dict[str, Any], unit: str) -> str:
+    return f"{errors['rms_before']:.3g} to {errors['rms_after']:.3g} {unit}"

@@ -1,0 +1,378 @@
+"""What is a run asked to do, and does it make sense?
+
+Values arrive from flags, a configuration file or a program, are checked here once, and leave as
+frozen models in SI units that know how to become the solver's objects.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Annotated, Any, Self
+
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, model_validator
+from pydantic_core import PydanticCustomError
+
+from ...meshes import geometry
+from ...meshes.tip_shape import TipShape, parse_tip_shape
+from ...solver import paper
+from ...solver.bodies.analytic import quarter_period_s
+from ...solver.bristle import Bristle, Circle, Material, Rectangle
+from ...solver.contact.enforcement import GAMMA0, GAMMA0_RIGID, ContactMethod, Enforcement
+from ...solver.contact.laws import ContactLaw, Coulomb, Linear, mindlin_ratio
+from ...solver.drop import DropPlan
+from ...solver.effects.base import Scene
+from ...solver.ground import Ground
+from ...solver.rigid import slope_normal
+from ...solver.time.scheme import TimeScheme
+from ..effects import EffectInput, check_effects, read_effects, scene_of
+from ..sections import stance
+from . import flags, limits
+from .choices import Contact, Deflection, Model, Scheme, Tip, Until
+
+
+def read_kn(value: Any) -> Any:
+    """A stiffness, infinity also as text, since JSON has no other way to write it."""
+    return math.inf if value in ("inf", "Infinity") else value
+
+
+def read_until(value: Any) -> Any:
+    """`impact`, `rebound` or a time after release in s, also as text."""
+    if isinstance(value, str) and value in tuple(Until):
+        return Until(value)
+    try:
+        seconds = math.nan if isinstance(value, bool) else float(value)
+    except (TypeError, ValueError):
+        seconds = math.nan
+    if not 0.0 < seconds <= limits.UNTIL_S:
+        raise ValueError(
+            f"must be impact, rebound or a time in seconds up to {limits.UNTIL_S:g}, not {value!r}"
+        )
+    return seconds
+
+
+def read_tip_shape(value: Any) -> Any:
+    """The shape of the end face as text, once it is one that `parse_tip_shape` knows."""
+    if isinstance(value, str):
+        value = value.strip()
+        parse_tip_shape(value)
+    return value
+
+
+def between(low: float, high: float) -> Any:
+    """A finite number from ``low`` to ``high``."""
+    return Field(strict=True, ge=low, le=high, allow_inf_nan=False)
+
+
+def whole(low: int, high: int) -> Any:
+    """A whole number from ``low`` to ``high``."""
+    return Field(strict=True, ge=low, le=high)
+
+
+def above_zero(high: float) -> Any:
+    """A positive number up to ``high``."""
+    return Field(strict=True, gt=0.0, le=high, allow_inf_nan=False)
+
+
+Count = Annotated[int, whole(1, 100_000)]
+Degree = Annotated[int, whole(1, 2)]
+Size = Annotated[float, between(1e-6, 1.0)]
+Tilt = Annotated[float, between(-limits.TILT_DEG, limits.TILT_DEG)]
+Slope = Annotated[float, between(-limits.SLOPE_DEG, limits.SLOPE_DEG)]
+Kn = Annotated[float, Field(strict=True, ge=1e-3), BeforeValidator(read_kn)]
+Height = Annotated[float, between(1e-7, 1e3)]
+Its = Annotated[float, between(1e-12, 1.0)]
+Truth = Annotated[bool, Field(strict=True)]
+
+
+class Inputs(BaseModel):
+    """What a drop and a sweep share. SI units; angles in degrees.
+
+    What is None in the command line's defaults is resolved here, so that a model holds everything
+    that its run depends on.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    contact: Contact = Contact.PENALTY
+    friction: Annotated[float, between(0.0, 100.0)] = paper.FRICTION
+    kt_ratio: Annotated[float, between(1e-6, 1e6)] | None = None
+    tip: Tip = Tip.FACE
+    deflection: Deflection | None = None
+    tip_shape: Annotated[str, BeforeValidator(read_tip_shape)] = flags.FLAT
+    contact_points: Annotated[int, whole(3, limits.CONTACT_POINTS)] = flags.CONTACT_POINTS
+    theta: Annotated[int, whole(-1, 1)] | None = None
+    gamma0: Annotated[float, above_zero(1e6)] | None = None
+    length_m: Annotated[float, between(1e-4, 100.0)] = paper.LENGTH_M
+    width_m: Size | None = None
+    thickness_m: Size | None = None
+    diameter_m: Size | None = None
+    youngs_Pa: Annotated[float, between(1e3, 1e14)] = paper.YOUNGS_PA
+    poisson: Annotated[float, between(-0.99, 0.4999)] = paper.POISSON
+    density_kg_m3: Annotated[float, between(0.1, 1e6)] = paper.DENSITY_KG_M3
+    beta_s: Annotated[float, between(0.0, 1.0)] = paper.BETA_S
+    alpha_1_s: Annotated[float, between(0.0, 1e6)] = paper.ALPHA_1_S
+    gravity_m_s2: Annotated[float, between(1e-4, 1e4)] = paper.GRAVITY_M_S2
+    tilt_deg: Tilt = 0.0
+    tilt_wide_deg: Tilt = 0.0
+    slope_deg: Slope = 0.0
+    slope_wide_deg: Slope = 0.0
+    until: Annotated[Until | float, BeforeValidator(read_until)] = Until.REBOUND
+    effects: Annotated[tuple[EffectInput, ...], BeforeValidator(read_effects)] = ()
+    scheme: Scheme = Scheme.AVERAGE
+    rho_inf: Annotated[float, between(0.0, 1.0)] | None = None
+    march: Truth = False
+    elements: Annotated[int, whole(1, limits.ELEMENTS)] = paper.ELEMENTS
+    cells: tuple[Count, Count, Count] = flags.CELLS
+    geometry_order: Degree | None = None
+    grading: Annotated[float, between(1e-6, 1e6)] = 1.0
+    order: Degree = 2
+    modes: Annotated[int, whole(1, limits.MODES)] = flags.MODES
+
+    @model_validator(mode="before")
+    @classmethod
+    def _resolve(cls, data: Any) -> Any:
+        """Fill in what depends on other options."""
+        if not isinstance(data, dict):
+            return data
+        data = dict(data)
+        if data.get("diameter_m") is None:
+            _default(data, "width_m", paper.WIDTH_M)
+            _default(data, "thickness_m", paper.THICKNESS_M)
+        _default(data, "geometry_order", 1 if data.get("diameter_m") is None else 2)
+        poisson = data.get("poisson", paper.POISSON)
+        if isinstance(poisson, float) and -1.0 < poisson < 0.5:
+            _default(data, "kt_ratio", mindlin_ratio(poisson))
+        if data.get("contact") == Contact.NITSCHE:
+            _default(data, "theta", 1)
+        if data.get("scheme") == Scheme.GENERALISED:
+            _default(data, "rho_inf", flags.RHO_INF)
+        return data
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Self:
+        """Refuse options that contradict each other, and what this version cannot do."""
+        if self.diameter_m is not None:
+            for field in ("width_m", "thickness_m"):
+                if getattr(self, field) is not None:
+                    refuse(field, "a round wire has a --diameter and neither width nor thickness")
+        if 0.0 < self.alpha_1_s < limits.ALPHA_1_S:
+            refuse("alpha_1_s", f"less than {limits.ALPHA_1_S:g} 1/s is lost in round-off; take 0")
+        for field in ("theta", "gamma0"):
+            if getattr(self, field) is not None and self.contact is not Contact.NITSCHE:
+                refuse(field, "belongs to --contact nitsche")
+        if self.rho_inf is not None and self.scheme is not Scheme.GENERALISED:
+            refuse("rho_inf", "belongs to --scheme generalised")
+        self._check_tip()
+        stance.check_lean(self, refuse)
+        return self
+
+    def _check_tip(self) -> None:
+        """Refuse an end face that is no face, or does not fit on the section."""
+        if self.tip_shape == flags.FLAT:
+            return
+        if self.tip is Tip.POINT:
+            refuse("tip_shape", "a tip that touches with a point has no face; take --tip face")
+        try:
+            self.face().offset_m([0.0], [0.0], self.end_section())
+        except ValueError as error:
+            refuse("tip_shape", str(error))
+
+    @property
+    def leaning(self) -> bool:
+        """Whether the tip can slide: something leans, or the tip is not flat.
+
+        A flat tip that lands upright on a level surface is pushed along its axis alone; friction
+        is left out there, and a reduced model needs no bending.
+        """
+        return any(getattr(self, name) for name in stance.ANGLES) or self.tip_shape != flags.FLAT
+
+    def face(self) -> TipShape:
+        """The shape of the end face."""
+        return parse_tip_shape(self.tip_shape)
+
+    def bristle(self) -> Bristle:
+        """The body that falls."""
+        section = (
+            Rectangle(*self._sides_m()) if self.diameter_m is None else Circle(self.diameter_m)
+        )
+        material = Material(
+            self.youngs_Pa, self.poisson, self.density_kg_m3, self.alpha_1_s, self.beta_s
+        )
+        return Bristle(self.length_m, section, material)
+
+    def mesh_spec(self) -> geometry.MeshSpec:
+        """The mesh of hexahedra; ValueError where gmsh could not make it."""
+        return geometry.MeshSpec(
+            self.length_m, self.end_section(), self.cells, self.geometry_order or 1, self.grading
+        )
+
+    def end_section(self) -> geometry.Rectangle | geometry.Wire:
+        """The section as meshes and shapes of tips know it."""
+        if self.diameter_m is None:
+            return geometry.Rectangle(*self._sides_m())
+        return geometry.Wire(self.diameter_m)
+
+    def _sides_m(self) -> tuple[float, float]:
+        """Thickness and width of a flat wire."""
+        return self.thickness_m or paper.THICKNESS_M, self.width_m or paper.WIDTH_M
+
+    def time_scheme(self) -> TimeScheme:
+        """The time scheme with its constants."""
+        if self.scheme is Scheme.GENERALISED and self.rho_inf is not None:
+            return TimeScheme.generalised(self.rho_inf)
+        return TimeScheme.newmark() if self.scheme is Scheme.NEWMARK else TimeScheme.average()
+
+    def check_meshed(self) -> None:
+        """Refuse what the solid cannot be or cannot do."""
+        if self.tip is Tip.POINT:
+            refuse("tip", "the solid meets the surface with its face only; point is the beam's")
+        try:
+            self.mesh_spec()
+        except ValueError as error:
+            refuse("cells", str(error))
+        limits.check_unknowns(self, refuse)
+
+
+class MeshInputs(Inputs):
+    """A mesh alone; what does not concern it keeps its default."""
+
+    @model_validator(mode="after")
+    def _meshable(self) -> Self:
+        self.check_meshed()
+        return self
+
+
+class DropInputs(Inputs):
+    """One drop: every option of `bristle drop`, resolved and checked."""
+
+    model: Model = Model.BEAM
+    kn_N_m: Kn = paper.KN_CHOSEN_N_M
+    height_m: Height = paper.HEIGHTS_M[-1]
+    its_s: Its = paper.ITS_S
+    write_fields: Truth = True
+    write_every: Annotated[int, whole(1, 1_000_000)] | None = None
+
+    @model_validator(mode="before")
+    @classmethod
+    def _stabilise(cls, data: Any) -> Any:
+        """Fill in what depends on the stiffness."""
+        if isinstance(data, dict) and data.get("contact") == Contact.NITSCHE:
+            data = dict(data)
+            rigid = read_kn(data.get("kn_N_m")) == math.inf
+            _default(data, "gamma0", GAMMA0_RIGID if rigid else GAMMA0)
+        return data
+
+    @model_validator(mode="after")
+    def _possible(self) -> Self:
+        """Refuse what no run could give a sensible answer to."""
+        if math.isinf(self.kn_N_m) and self.contact is Contact.PENALTY:
+            refuse(
+                "kn_N_m", "penalty needs a finite stiffness; take --contact nitsche or augmented"
+            )
+        if limits.KN_N_M < self.kn_N_m < math.inf:
+            refuse("kn_N_m", f"above {limits.KN_N_M:g} N/m take inf, with nitsche or augmented")
+        if self.model is Model.ANALYTIC:
+            self._check_analytic()
+        if self.model.meshed:
+            self.check_meshed()
+        if self.deflection is Deflection.SECOND_ORDER and not self._may_bend:
+            refuse(
+                "deflection",
+                "second-order is for the beam and the reduced solid, under --scheme average, with "
+                "penalty or augmented at a finite --kn, and not with --march",
+            )
+        check_effects(self, refuse)
+        limits.check_drop(self, refuse)
+        return self
+
+    @property
+    def _may_bend(self) -> bool:
+        return (
+            self.model in (Model.BEAM, Model.REDUCED)
+            and self.scheme is Scheme.AVERAGE
+            and self.contact is not Contact.NITSCHE
+            and math.isfinite(self.kn_N_m)
+            and not self.march
+        )
+
+    @property
+    def second_order(self) -> bool:
+        """Whether the axial force acts on the slope: where it is asked for, or matters and can."""
+        if self.deflection is None:
+            gentle = stance.lean_deg(self) <= limits.LINEAR_LEAN_DEG
+            return self.leaning and gentle and self._may_bend
+        return self.deflection is Deflection.SECOND_ORDER
+
+    def _check_analytic(self) -> None:
+        only = "the analytic model is a mass on a spring without loss"
+        if self.contact is not Contact.PENALTY:
+            refuse("contact", f"{only}: it has penalty contact only")
+        if self.scheme is not Scheme.AVERAGE:
+            refuse("scheme", f"{only}: it has no time scheme")
+        if self.march:
+            refuse("march", f"{only}: it is not marched")
+        if self.alpha_1_s:
+            refuse("alpha_1_s", f"{only}: it has no damping")
+        if not isinstance(self.until, Until):
+            refuse("until", f"{only}: it ends with impact or rebound")
+        for field in stance.ANGLES:
+            if getattr(self, field):
+                refuse(field, f"{only}: it falls upright on a level surface")
+        if self.tip_shape != flags.FLAT:
+            refuse("tip_shape", f"{only}: it has no end face")
+
+    def friction_law(self) -> Coulomb:
+        """Friction, none where nothing can slide."""
+        ratio = mindlin_ratio(self.poisson) if self.kt_ratio is None else self.kt_ratio
+        return Coulomb(self.friction if self.leaning else 0.0, ratio)
+
+    def contact_method(self, law: ContactLaw | None = None) -> ContactMethod:
+        """The contact law (None: linear) with friction, and its enforcement."""
+        law, how = law or Linear(self.kn_N_m), Enforcement(self.contact.value)
+        friction = self.friction_law()
+        if self.theta is None:
+            return ContactMethod(law, how, friction=friction)
+        return ContactMethod(law, how, theta=self.theta, gamma0=self.gamma0, friction=friction)
+
+    def drop_plan(self, n_points: int, scene: Scene | None = None) -> DropPlan:
+        """What solver.drop.simulate is to do with a body of ``n_points`` that can touch.
+
+        ``scene`` has what effects changed beyond the options.
+        """
+        scene = scene or scene_of(self)
+        normal = slope_normal(self.slope_deg, self.slope_wide_deg)
+        return DropPlan(
+            height_m=self.height_m,
+            method=self.contact_method(scene.law),
+            its_s=self.its_s,
+            gravity_m_s2=self.gravity_m_s2,
+            scheme=self.time_scheme(),
+            until_s=None if isinstance(self.until, Until) else self.until,
+            impact_only=self.until is Until.IMPACT,
+            tilt_deg=self.tilt_deg,
+            tilt_wide_deg=self.tilt_wide_deg,
+            ground=Ground.plane(n_points, normal),
+            release_speed_m_s=scene.release_speed_m_s,
+            drag_kg_m=scene.drag_kg_m,
+        )
+
+    def contact_s(self) -> float:
+        """About how long an impact lasts: half a period on the spring, and one of the bar."""
+        bristle = self.bristle()
+        return 2.0 * quarter_period_s(bristle.mass_kg, self.kn_N_m) + bristle.axial_period_s
+
+    def changed(self, **values: Any) -> DropInputs:
+        """The same drop with other ``values``, checked again; InputError as in `sources`."""
+        from .sources import checked
+
+        return checked(DropInputs, {**self.model_dump(), **values})
+
+
+def refuse(field: str, message: str) -> None:
+    """End validation with a message about ``field``."""
+    raise PydanticCustomError("bristle", "{message}", {"field": field, "message": message})
+
+
+def _default(data: dict[str, Any], key: str, value: Any) -> None:
+    if data.get(key) is None:
+        data[key] = value

@@ -1,0 +1,171 @@
+"""Where does each value come from: a flag, a line of a file; and who is told when it is wrong?"""
+
+from __future__ import annotations
+
+import difflib
+import json
+import re
+import tomllib
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, TypeVar
+
+from pydantic import BaseModel, ValidationError
+
+from ...solver.errors import InputError
+from ..scatter.flags import OWN_FLAGS
+from .flags import DROP_FLAGS, LISTS_FLAGS, Flag
+
+Checked = TypeVar("Checked", bound=BaseModel)
+OPTIONS = {flag.field: flag.option for flag in (*OWN_FLAGS, *DROP_FLAGS, *LISTS_FLAGS)}
+
+DEPENDENTS = {
+    "diameter_m": ("width_m", "thickness_m", "geometry_order"),
+    "width_m": ("diameter_m", "geometry_order"),
+    "thickness_m": ("diameter_m", "geometry_order"),
+    "contact": ("theta", "gamma0"),
+    "poisson": ("kt_ratio",),
+    "scheme": ("rho_inf",),
+    "flat": ("rms_height_m", "correlation_length_m", "surface"),
+    "surface": ("rms_height_m", "correlation_length_m", "flat"),
+}
+
+
+@dataclass
+class Source:
+    """Values by field of the inputs, and how each is to be named to the user."""
+
+    values: dict[str, Any] = field(default_factory=dict)
+    origins: dict[str, str] = field(default_factory=dict)
+
+    def over(self, other: Source) -> Source:
+        """These values over those of ``other``, where what depends on a value goes with it."""
+        gone = {below for above in self.values for below in DEPENDENTS.get(above, ())}
+        kept = {key: value for key, value in other.values.items() if key not in gone}
+        return Source(kept | self.values, other.origins | self.origins)
+
+
+def flag_source(given: Mapping[str, Any], flags: Iterable[Flag]) -> Source:
+    """What stands on the command line: ``given`` by parameter, None where it does not."""
+    found = Source()
+    for flag in flags:
+        value = given.get(flag.parameter)
+        if value is None or (flag.kind is list and not value):
+            continue
+        found.values[flag.field] = value
+        found.origins[flag.field] = flag.option
+    return found
+
+
+def checked[Checked: BaseModel](
+    kind: type[Checked], values: Mapping[str, Any], origins: Mapping[str, str] = {}
+) -> Checked:
+    """A ``kind`` of these values; InputError names where the first wrong one came from."""
+    try:
+        return kind(**values)
+    except ValidationError as error:
+        first = error.errors(include_url=False)[0]
+        name, message = _explain(first)
+        origin = origins.get(name, OPTIONS.get(name, name))
+        raise InputError(f"{origin}: {message}") from error
+
+
+def _explain(error: Any) -> tuple[str, str]:
+    """The field and what is wrong with it, in the user's words."""
+    if error["type"] == "bristle":
+        return error["ctx"]["field"], error["ctx"]["message"]
+    name = str(error["loc"][0]) if error["loc"] else "inputs"
+    if error["type"] == "extra_forbidden":
+        return name, "is no known input"
+    if error["type"] == "value_error":
+        return name, str(error["ctx"]["error"])
+    if name == "cells" and error["type"] in ("missing", "too_long", "tuple_type"):
+        return name, "must be three whole numbers NX NY NZ"
+    message = error["msg"].replace("Input should be", "must be").replace("a valid", "a")
+    return name, f"{message}, not {error['input']!r}"
+
+
+def read_config(path: Path, flags: Iterable[Flag], ignored: Iterable[Flag] = ()) -> Source:
+    """A TOML file with the flags' names as keys, or a result of this program to repeat.
+
+    Keys of ``ignored`` flags may be there and are passed over. Raises InputError, with file and
+    line, where it cannot be read or holds an unknown key.
+    """
+    try:
+        text = path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        reason = error.strerror if isinstance(error, OSError) else "it is not text"
+        raise InputError(f"--config {path}: cannot be read: {reason}") from error
+    data = _parse_result(path, text) if path.suffix == ".json" else _parse_toml(path, text)
+    fields, passed_over = _fields_by_key(flags), _fields_by_key(ignored)
+    found = Source()
+    for key, value in data.items():
+        if key in passed_over and key not in fields:
+            continue
+        place = f"{path}:{_line_of(text, key)}: {key}"
+        name = fields.get(key)
+        if name is None:
+            near = difflib.get_close_matches(key, fields, 1)
+            hint = f"; did you mean {near[0]}?" if near else ""
+            raise InputError(f"{place}: unknown key{hint}")
+        if name in found.values:
+            raise InputError(f"{place}: given twice, also as {found.origins[name]}")
+        found.values[name], found.origins[name] = value, place
+    return found
+
+
+def _fields_by_key(flags: Iterable[Flag]) -> dict[str, str]:
+    """Every spelling of a key, and the field that it sets."""
+    found = {}
+    for flag in flags:
+        alias = (flag.alias or flag.option).removeprefix("--")
+        for key in (flag.name, flag.parameter, flag.field, alias):
+            found[key] = flag.field
+    return found
+
+
+def _parse_toml(path: Path, text: str) -> dict[str, Any]:
+    try:
+        return tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        place = re.search(r"\(at line (\d+), column \d+\)", str(error))
+        line = place.group(1) if place else text.count("\n") + 1
+        reason = re.sub(r" \(at .*\)$", "", str(error))
+        raise InputError(f"{path}:{line}: not valid TOML: {reason}") from error
+
+
+def _parse_result(path: Path, text: str) -> dict[str, Any]:
+    try:
+        data = json.loads(text)
+    except json.JSONDecodeError as error:
+        raise InputError(f"{path}:{error.lineno}: not valid JSON: {error.msg}") from error
+    inputs = data.get("inputs") if isinstance(data, dict) else None
+    if not isinstance(inputs, dict):
+        raise InputError(f"{path}:1: not a result of this program: it has no inputs")
+    return {key: value for key, value in inputs.items() if value is not None}
+
+
+def _line_of(text: str, key: str) -> int:
+    """The line on which ``key`` is set or opens a table, from 1."""
+    name = rf"[\"']?{re.escape(key)}[\"']?"
+    setting = re.compile(rf"^\s*(\[+\s*{name}\s*[\].]|{name}\s*[=.:])")
+    for number, line in enumerate(text.splitlines(), start=1):
+        if setting.match(line):
+            return number
+    return 1
+
+
+def inputs_of[Checked: BaseModel](
+    kind: type[Checked],
+    given: Mapping[str, Any],
+    flags: Iterable[Flag],
+    config: Path | None,
+    ignored: Iterable[Flag] = (),
+) -> Checked:
+    """Inputs from the command line over a configuration file over the defaults; InputError."""
+    flags = tuple(flags)
+    found = flag_source(given, flags)
+    if config is not None:
+        found = found.over(read_config(config, flags, ignored))
+    return checked(kind, found.values, found.origins)

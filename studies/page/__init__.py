@@ -1,0 +1,1 @@
+"""Pages and figures: how they look, and how they become files."""

@@ -1,0 +1,117 @@
+"""How are many cases computed once each, spread over the ranks, with progress?"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+from ...solver import paper
+from ...solver.drop import DropResult
+from ..command.choices import Contact, Model, Tip
+from ..command.config import DropInputs
+from ..command.flags import FLAT
+from ..page.report import Section
+from ..sections.stance import ANGLES
+from .cases import Workshop
+from .parallel import share_out
+
+Results = Mapping[DropInputs, DropResult]
+Tick = Callable[[], None]
+
+
+@dataclass(frozen=True)
+class Setup:
+    """What the studies of one reproduction share.
+
+    ``base`` has the bristle, the discretisations and ITS; ``full_kn_N_m`` are the stiffnesses for
+    which the full-order solid runs at ``top_m``, the height at which studies need only one.
+    """
+
+    base: DropInputs
+    kn_N_m: tuple[float, ...] = paper.KN_N_M
+    heights_m: tuple[float, ...] = paper.HEIGHTS_M
+    fig9_heights_m: tuple[float, ...] = paper.FIG9_HEIGHTS_M
+    full_kn_N_m: tuple[float, ...] = paper.KN_N_M
+    chosen_N_m: float = paper.KN_CHOSEN_N_M
+
+    @property
+    def top_m(self) -> float:
+        return max(self.heights_m)
+
+    @property
+    def its_s(self) -> float:
+        return self.base.its_s
+
+    @property
+    def ends_N_m(self) -> tuple[float, ...]:
+        """The softest, the chosen and the stiffest contact."""
+        return tuple(dict.fromkeys((min(self.kn_N_m), self.chosen_N_m, max(self.kn_N_m))))
+
+    def case(
+        self, model: str, kn_N_m: float, height_m: float | None = None, **changes: Any
+    ) -> DropInputs:
+        """One drop; the beam touches with the node on its axis, as in the paper."""
+        tip = Tip.POINT if model == Model.BEAM else Tip.FACE
+        values = {"model": model, "kn_N_m": float(kn_N_m), "tip": tip, **changes}
+        return self.base.changed(height_m=height_m or self.top_m, **values)
+
+
+class Study(Protocol):
+    """A section of the report: which drops it needs, and what it says of them."""
+
+    def cases(self) -> list[DropInputs]:
+        """Every drop that ``section`` will look up."""
+        ...
+
+    def section(self, results: Results) -> Section:
+        """The section with its figures and tables."""
+        ...
+
+
+def compute(
+    cases: Iterable[DropInputs], workshop: Workshop, tick: Tick = lambda: None
+) -> dict[DropInputs, DropResult]:
+    """Every different case once; all results on rank 0, which calls ``tick`` after each.
+
+    Bodies in modes run on one rank each, the full-order solid on all together. Collective; a
+    ComputationError is raised on every rank.
+    """
+    distinct = list(dict.fromkeys(cases))
+    solid = [case for case in distinct if case.model is Model.SOLID]
+    modal = [case for case in distinct if case.model is not Model.SOLID]
+    results: dict[DropInputs, DropResult] = {}
+
+    def take(i: int, result: DropResult) -> None:
+        results[modal[i]] = result
+        tick()
+
+    for case in solid:
+        results[case], _ = workshop.run(case)
+        tick()
+    for first in dict.fromkeys(map(_built, modal)):
+        if first is not None:
+            workshop.prepare(first)
+    share_out(workshop.comm, len(modal), lambda i: workshop.run(modal[i])[0], take)
+    return results
+
+
+def _built(case: DropInputs) -> DropInputs | None:
+    """The plainest case with the same body, where all ranks must build that together.
+
+    How far it leans makes no other body, only that it does.
+    """
+    if case.model is not Model.REDUCED:
+        return None
+    upright = dict.fromkeys(ANGLES, 0.0) | {"tip_shape": FLAT}
+    return case.changed(
+        **upright | ({"tilt_deg": 1.0} if case.leaning else {}),
+        friction=paper.FRICTION,
+        kt_ratio=None,
+        kn_N_m=paper.KN_CHOSEN_N_M,
+        height_m=paper.HEIGHTS_M[-1],
+        its_s=paper.ITS_S,
+        contact=Contact.NITSCHE if case.contact is Contact.NITSCHE else Contact.PENALTY,
+        theta=None,
+        gamma0=None,
+    )

@@ -1,0 +1,369 @@
+"""What do cases share, and how is one of them computed?
+
+A `Workshop` keeps what is dear: a mesh and its matrices, a factor, a reduced basis, a beam's
+modes, and the marchers made of them, so that cases that differ in stiffness or height alone cost
+their march and nothing else.
+"""
+
+from __future__ import annotations
+
+import copy
+import time
+from collections.abc import Callable, Hashable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+from mpi4py import MPI
+
+from ...meshes import geometry
+from ...meshes.check import MeshError
+from ...meshes.distribute import to_dolfinx
+from ...meshes.geometry import Tag
+from ...solver.bodies.analytic import analytic_drop
+from ...solver.bodies.base import ContactPoints, with_offsets
+from ...solver.bodies.beam import beam_body
+from ...solver.bodies.modal import ModalBody
+from ...solver.bodies.reduced import ReducedModel, reduce_solid
+from ...solver.bodies.solid import SolidBody
+from ...solver.bodies.stored import from_arrays, to_arrays
+from ...solver.bristle import Bristle
+from ...solver.drop import DropPlan, DropResult, FlightFrame, ModalFrame, march_plainly, simulate
+from ...solver.effects.base import Scene
+from ...solver.errors import ComputationError
+from ...solver.fall import dragged_fall, risen
+from ...solver.impact import History, Observer
+from ...solver.kept import load, sources, store
+from ...solver.time.march import Marcher
+from ..command.choices import Contact, Model, Tip, Until
+from ..command.config import DropInputs
+from ..command.flags import FLAT
+from ..command.limits import marching_time_s
+from ..effects import Entered, entered, seen
+from ..sections.stance import StandingMarcher, face_offsets_m
+
+PARTS = ("mesh", "assemble", "factor", "march")
+Timings = dict[str, float]
+# What a drop that ends with its first impact has not seen.
+NO_REBOUND: dict[str, Any] = {
+    "rebound_ratio": None,
+    "rebound_height_m": None,
+    "cm_rebound_height_m": None,
+}
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """All that a case needs before its first step."""
+
+    inputs: DropInputs
+    scene: Scene
+    frame: FlightFrame
+    marcher: Marcher
+
+
+class Workshop:
+    """Computes cases on ``comm``, and keeps what they share until ``close``.
+
+    A solid, and the reduced model made from it, are built by all ranks together. Once `prepare`
+    has been called on all of them, cases of modal bodies (analytic, beam, reduced) communicate
+    no more, so each rank may run its own. The basis of a reduced model is made for the case's own
+    ITS, or for ``basis_its_s`` where that is given, and then serves every ITS.
+    """
+
+    def __init__(self, comm: MPI.Intracomm, basis_its_s: float | None = None) -> None:
+        self.comm, self.basis_its_s = comm, basis_its_s
+        self._kept: dict[Hashable, object] = {}
+        self._solids: list[SolidBody] = []
+        self._spent = dict.fromkeys(PARTS, 0.0)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        # PETSc frees on all ranks together: one that failed alone would wait there for ever
+        if error is None or self.comm.size == 1:
+            self.close()
+
+    def close(self) -> None:
+        """Free what PETSc holds; nothing that was handed out can be used afterwards."""
+        for solid in self._solids:
+            solid.close()
+        self._solids.clear()
+        self._kept.clear()
+
+    def prepare(self, inputs: DropInputs) -> Prepared | None:
+        """Build what ``inputs`` needs and is not there yet; None for the analytic model.
+
+        Raises ComputationError where the mesh, its matrices or the factor cannot be made.
+        """
+        if inputs.model is Model.ANALYTIC:
+            return None
+        now = entered(inputs)
+        frame, key = self._frame(now)
+        return Prepared(now.inputs, now.scene, frame, self._marcher(now, frame, key))
+
+    def _frame(self, now: Entered) -> tuple[FlightFrame, Hashable]:
+        inputs, scene = now.inputs, now.scene
+        if inputs.model is Model.SOLID:
+            return self._full(inputs)
+        if inputs.model is Model.BEAM:
+            frame, key = self._beam(inputs, scene.lateral_inertia)
+        else:
+            frame, key = self._modal(inputs)
+        loss = scene.loss_factor
+        if loss:
+            key = (key, "loss factor", loss)
+            lossless = frame.modal
+            frame = self._keep(key, lambda: ModalFrame(replace(lossless, loss_factor=loss)))
+        return frame, key
+
+    def run(
+        self,
+        inputs: DropInputs,
+        observer: Observer | None = None,
+        prepared: Prepared | None = None,
+    ) -> tuple[DropResult, Timings]:
+        """One case: its result and the seconds since the last one, by part and in total.
+
+        ``prepared`` is what `prepare` gave, where the observer was made for its marcher.
+        Collective for the solid. Raises ComputationError.
+        """
+        prepared = prepared or self.prepare(inputs)
+        with self._timed("march"):
+            if prepared is None:
+                now = entered(inputs)
+                result, scene = _analytic(now), now.scene
+            else:
+                scene, inputs = prepared.scene, prepared.inputs
+                plan = inputs.drop_plan(_n_points(prepared.frame), scene)
+                if inputs.march:
+                    result = _marched(inputs, prepared.frame, plan)
+                else:
+                    result = simulate(prepared.frame, plan, prepared.marcher, observer)
+        return seen(result, scene), self.take_timings()
+
+    def take_timings(self) -> Timings:
+        """Seconds spent since the last call, by part and in total."""
+        spent, self._spent = self._spent, dict.fromkeys(PARTS, 0.0)
+        return {**spent, "total": sum(spent.values())}
+
+    @contextmanager
+    def _timed(self, part: str) -> Iterator[None]:
+        started = time.perf_counter()
+        try:
+            yield
+        finally:
+            self._spent[part] += time.perf_counter() - started
+
+    def _keep[Thing](self, key: Hashable, make: Callable[[], Thing]) -> Thing:
+        if key not in self._kept:
+            self._kept[key] = make()
+        return self._kept[key]  # type: ignore[return-value]
+
+    def _beam(
+        self, inputs: DropInputs, lateral_inertia: float = 0.0
+    ) -> tuple[ModalFrame, Hashable]:
+        bristle, face = inputs.bristle(), inputs.tip is Tip.FACE
+        points = inputs.contact_points
+        bends = inputs.second_order
+        key = ("beam", bristle, inputs.elements, face, points, bends, lateral_inertia)
+        with self._timed("assemble"):
+            frame = self._keep(
+                key,
+                lambda: _beam_frame(
+                    bristle,
+                    inputs.elements,
+                    face=face,
+                    points=points,
+                    second_order=bends,
+                    lateral_inertia=lateral_inertia,
+                ),
+            )
+        return self._shaped(inputs, frame, key)
+
+    def _solid(self, inputs: DropInputs) -> tuple[SolidBody, Hashable]:
+        material, points = inputs.bristle().material, inputs.contact_points
+        key = ("solid", inputs.mesh_spec(), material, inputs.order, points)
+        return self._keep(key, lambda: self._make_solid(inputs)), key
+
+    def _make_solid(self, inputs: DropInputs) -> SolidBody:
+        with self._timed("mesh"):
+            try:
+                domain, _, facets = to_dolfinx(inputs.mesh_spec(), self.comm)
+            except MeshError as error:
+                raise ComputationError(f"the mesh could not be made: {error}") from error
+        with self._timed("assemble"):
+            solid = SolidBody(
+                domain,
+                facets,
+                int(Tag.TIP),
+                inputs.bristle().material,
+                inputs.order,
+                inputs.contact_points,
+            )
+        self._solids.append(solid)
+        return solid
+
+    def _full(self, inputs: DropInputs) -> tuple[ReducedModel, Hashable]:
+        """The solid at full order, flying in the coordinates of its reduced model."""
+        return self._shaped(inputs, *self._reduced(inputs))
+
+    def _reduced(self, inputs: DropInputs) -> tuple[ReducedModel, Hashable]:
+        """The solid and its reduced model, whatever the shape of the tip."""
+        solid, solid_key = self._solid(inputs)
+        how = self._basis(inputs)
+        key = (solid_key, "reduced", *how.items())
+        with self._timed("factor"):
+            model = self._keep(key, lambda: reduce_solid(solid, second_order=how["leaning"], **how))
+        return model, key
+
+    def _basis(self, inputs: DropInputs) -> dict[str, Any]:
+        """What `reduce_solid` is told beside the solid."""
+        c_mass, c_stiffness = inputs.time_scheme().effective(
+            self.basis_its_s or inputs.its_s, inputs.alpha_1_s, inputs.beta_s
+        )
+        return {
+            "shift_1_s2": c_mass / c_stiffness,
+            "n_krylov": inputs.modes,
+            "leaning": inputs.leaning,
+            "tractions": inputs.contact is Contact.NITSCHE,
+        }
+
+    def _modal(self, inputs: DropInputs) -> tuple[ModalFrame, Hashable]:
+        """The reduced model alone, the same to the last bit on every rank; kept from run to run."""
+        how = tuple(self._basis(inputs).items())
+        material, points = inputs.bristle().material, inputs.contact_points
+        made_by = (sources(Path(geometry.__file__).parent), self.comm.size)
+        key: Hashable
+        key = ("modal", inputs.mesh_spec(), material, inputs.order, points, how, *made_by)
+        frame = self._keep(key, lambda: ModalFrame(self._stored(inputs, str(key))))
+        if not inputs.second_order:
+            key = (key, "small")
+            frame = self._keep(key, lambda: ModalFrame(replace(frame.modal, axis=None)))
+        return self._shaped(inputs, frame, key)
+
+    def _shaped[Frame: (ModalFrame, ReducedModel)](
+        self, inputs: DropInputs, frame: Frame, key: Hashable
+    ) -> tuple[Frame, Hashable]:
+        """``frame`` with the end face of ``inputs``, and its key."""
+        if inputs.tip_shape == FLAT:
+            return frame, key
+        key = (key, inputs.tip_shape)
+        return self._keep(key, lambda: _with_face(frame, inputs)), key
+
+    def _stored(self, inputs: DropInputs, key: str) -> ModalBody:
+        """The reduced solid as an earlier run stored it, else made and stored."""
+        arrays = self.comm.bcast(load(key) if self.comm.rank == 0 else None)
+        if arrays is None:
+            modal = self._reduced(inputs)[0].modal
+            arrays = self.comm.bcast(to_arrays(modal) if self.comm.rank == 0 else None)
+            if self.comm.rank == 0:
+                store(key, arrays)
+        return from_arrays(arrays)
+
+    def _marcher(self, now: Entered, frame: FlightFrame, frame_key: Hashable) -> Marcher:
+        """A marcher for this case; those that differ in Kn, friction or lean alone share factor
+        and compliance."""
+        inputs = now.inputs
+        method, scheme = inputs.contact_method(now.scene.law), inputs.time_scheme()
+        same = (method.enforcement, method.theta, method.gamma0, method.augmentation)
+        key = ("marcher", frame_key, same, scheme, inputs.its_s, inputs.gravity_m_s2)
+        with self._timed("factor"):
+            marcher = self._keep(
+                key,
+                lambda: StandingMarcher(
+                    frame.body, method, scheme, inputs.its_s, inputs.gravity_m_s2
+                ),
+            )
+            return marcher.with_law(method.law, method.friction)
+
+
+def _n_points(frame: FlightFrame) -> int:
+    return len(frame.body.contact.weights)
+
+
+def _with_face[Frame: (ModalFrame, ReducedModel)](frame: Frame, inputs: DropInputs) -> Frame:
+    """The same body with the points of its end face where the tip's shape puts them.
+
+    A solid's mesh stays flat, and shares what PETSc holds with the body that it is a copy of.
+    """
+    shape, section = inputs.face(), inputs.end_section()
+
+    def shaped(contact: ContactPoints) -> ContactPoints:
+        return with_offsets(contact, face_offsets_m(shape, section, contact.xy_m))
+
+    modal = replace(frame.modal, contact=shaped(frame.modal.contact))
+    if isinstance(frame, ModalFrame):
+        return ModalFrame(modal)
+    solid = copy.copy(frame.body)
+    solid.contact = shaped(solid.contact)
+    return replace(frame, body=solid, modal=modal)
+
+
+def _beam_frame(bristle: Bristle, elements: int, **how: Any) -> ModalFrame:
+    try:
+        return ModalFrame(beam_body(bristle, elements, **how))
+    except ValueError as error:
+        raise ComputationError(
+            f"{error}: bending is lost in round-off; the beam is too slender, shorten --length"
+        ) from error
+
+
+def _marched(inputs: DropInputs, frame: FlightFrame, plan: DropPlan) -> DropResult:
+    """The drop marched at constant ITS from release on."""
+    result = march_plainly(frame, plan, marching_time_s(inputs))
+    return replace(result, **NO_REBOUND) if inputs.until is Until.IMPACT else result
+
+
+def _analytic(now: Entered) -> DropResult:
+    """Eqs. 1 to 8, up to the end of the impact where no more is asked for."""
+    inputs, scene = now.inputs, now.scene
+    mass, g = inputs.bristle().mass_kg, inputs.gravity_m_s2
+    drag, start = scene.drag_kg_m / mass, scene.release_speed_m_s
+    if drag or start:
+        result = _launched(inputs, start, drag)
+    else:
+        result = analytic_drop(mass, inputs.kn_N_m, inputs.height_m, g)
+    if inputs.until is not Until.IMPACT:
+        return result
+    fall_s, _ = dragged_fall(inputs.height_m, g, start, drag)
+    end_s = (fall_s + result.contact_time_s) * (1.0 + 1e-12)
+    rows = [row for row in result.history.rows if row[0] <= end_s]
+    return replace(result, **NO_REBOUND, history=History(rows))
+
+
+def _launched(inputs: DropInputs, speed_m_s: float, drag_1_m: float) -> DropResult:
+    """The drop from rest that touches as fast; its history begins where both are together."""
+    g, height = inputs.gravity_m_s2, inputs.height_m
+    fall_s, speed = dragged_fall(height, g, speed_m_s, drag_1_m)
+    same = speed * speed / (2.0 * g)
+    result = analytic_drop(inputs.bristle().mass_kg, inputs.kn_N_m, same, g)
+    ahead = speed / g - fall_s
+    rows = [(row[0] - ahead, *row[1:]) for row in result.history.rows if row[0] >= ahead]
+    top = risen(same, drag_1_m)
+    return replace(
+        result,
+        rebound_height_m=top,
+        cm_rebound_height_m=top,
+        rebound_ratio=top / height,
+        history=History(rows),
+    )
+
+
+def run_case(
+    inputs: DropInputs, comm: MPI.Intracomm = MPI.COMM_WORLD, observer: Observer | None = None
+) -> tuple[DropResult, Timings]:
+    """One case by itself: its result, and the seconds of mesh, assemble, factor, march, total.
+
+    Collective over ``comm`` for the reduced and the full solid. Raises ComputationError.
+    """
+    with Workshop(comm) as workshop:
+        return workshop.run(inputs, observer)

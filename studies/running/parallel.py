@@ -1,0 +1,165 @@
+"""Who speaks among the ranks, how does work reach them, and how does a failing job end on all?"""
+
+from __future__ import annotations
+
+import os
+import sys
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, TextIO
+
+from ...solver.errors import BristleError
+
+# Set by Open MPI, and by the launchers of MPICH and its kin.
+SIZE_VARIABLES = ("OMPI_COMM_WORLD_SIZE", "PMI_SIZE")
+RANK_VARIABLES = ("OMPI_COMM_WORLD_RANK", "PMI_RANK")
+# Ranks that fail together reach the end within this time of each other.
+GRACE_S = 5.0
+
+
+def launched_ranks() -> int:
+    """How many ranks the launcher started, without starting MPI."""
+    return _number(SIZE_VARIABLES, 1)
+
+
+def speaks() -> bool:
+    """Whether this process is rank 0, without starting MPI."""
+    return _number(RANK_VARIABLES, 0) == 0
+
+
+def _number(names: Sequence[str], default: int) -> int:
+    for name in names:
+        if os.environ.get(name, "").isdigit():
+            return int(os.environ[name])
+    return default
+
+
+@contextmanager
+def rank_0_speaks() -> Iterator[None]:
+    """Standard output and error of the other ranks go nowhere inside the block."""
+    if speaks():
+        yield
+        return
+    kept = sys.stdout, sys.stderr
+    with Path(os.devnull).open("w") as nowhere:
+        sys.stdout = sys.stderr = nowhere
+        try:
+            yield
+        finally:
+            sys.stdout, sys.stderr = kept
+
+
+@dataclass(frozen=True)
+class Ending:
+    """How a command ended on one rank: its exit status and the lines for standard error."""
+
+    status: int = 0
+    message: str = ""
+
+    def tell(self, stream: TextIO | None = None) -> None:
+        """Print the message, on standard error where no other stream is given."""
+        if self.message:
+            print(self.message, file=stream or sys.stderr, flush=True)
+
+
+class Ranks:
+    """The ranks of a job, from before its work until they have agreed on how it ended."""
+
+    def __init__(self) -> None:
+        self._comm: Any = None
+        if launched_ranks() > 1:
+            from mpi4py import MPI
+
+            # of its own, so that a lone failing rank's messages meet no other's collective call
+            self._comm = MPI.COMM_WORLD.Dup()
+
+    def finish(self, ending: Ending) -> int:
+        """The job's exit status. Where one rank failed and others still work, the job is aborted.
+
+        Rank 0 tells what happened; collective unless a rank fails alone.
+        """
+        if self._comm is None:
+            ending.tell()
+            return ending.status
+        arrived = self._comm.Ibarrier()
+        if ending.status and not _test_for(arrived, GRACE_S):
+            ending.tell(sys.__stderr__)  # also where this rank is silent otherwise
+            self._comm.Abort(ending.status)
+        arrived.Wait()
+        endings = self._comm.allgather(ending)
+        worst = next((each for each in endings if each.status), ending)
+        if self._comm.rank == 0:
+            worst.tell()
+        self._comm.Barrier()  # nobody leaves before rank 0 has spoken: mpirun would end it
+        return worst.status
+
+
+def _test_for(request: Any, seconds: float) -> bool:
+    """Whether ``request`` is completed within the time."""
+    until = time.monotonic() + seconds
+    while not request.Test():
+        if time.monotonic() > until:
+            return False
+        time.sleep(0.01)
+    return True
+
+
+def share_out(
+    comm: Any,
+    count: int,
+    work: Callable[[int], Any],
+    take: Callable[[int, Any], None],
+) -> None:
+    """Do ``work(i)`` for i < ``count``, dealt out over the ranks; rank 0 takes what comes of it.
+
+    Rank 0 calls ``take(i, result)`` as results arrive, in no fixed order. ``work`` must not
+    communicate. A rank that fails with a BristleError goes on with its other cases; at the end the
+    failure with the smallest i is raised on all ranks. Collective.
+    """
+    mine = range(comm.rank, count, comm.size)
+    failed: dict[int, BristleError] = {}
+    if comm.rank:
+        sent = [comm.isend((i, *_attempt(work, i)), dest=0) for i in mine]
+        for request in sent:
+            request.wait()
+    else:
+        _collect(comm, count, mine, work, take, failed)
+    failed = comm.bcast(failed)
+    if failed:
+        raise failed[min(failed)]
+
+
+def _attempt(work: Callable[[int], Any], i: int) -> tuple[Any, BristleError | None]:
+    try:
+        return work(i), None
+    except BristleError as error:
+        return None, error
+
+
+def _collect(
+    comm: Any,
+    count: int,
+    mine: Sequence[int],
+    work: Callable[[int], Any],
+    take: Callable[[int, Any], None],
+    failed: dict[int, BristleError],
+) -> None:
+    """Rank 0's part: its own share, and between its cases what the others have sent."""
+
+    def note(i: int, result: Any, error: BristleError | None) -> None:
+        if error is None:
+            take(i, result)
+        else:
+            failed[i] = error
+
+    awaited = count - len(mine)
+    for i in mine:
+        note(i, *_attempt(work, i))
+        while awaited and comm.iprobe():
+            note(*comm.recv())
+            awaited -= 1
+    for _ in range(awaited):
+        note(*comm.recv())

@@ -1,0 +1,146 @@
+"""What does a drop leave behind: `result.json` and `history.csv`, whole or not at all."""
+
+from __future__ import annotations
+
+import json
+import resource
+from collections.abc import Mapping
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from mpi4py import MPI
+from pydantic import BaseModel
+
+from ...solver.drop import DropResult
+from ...solver.errors import InputError
+from ...solver.impact import HISTORY_COLUMNS
+from .. import __version__
+from ..command.config import DropInputs
+from ..command.sources import OPTIONS
+from .cases import Timings
+from .files import to_csv, to_json, write_atomically
+
+SCHEMA = 1
+RESULT_FILE, HISTORY_FILE = "result.json", "history.csv"
+NUMBERS = (
+    "impact_speed_m_s",
+    "rebound_ratio",
+    "rebound_height_m",
+    "contact_time_s",
+    "n_contacts",
+    "peak_force_N",
+    "impulse_N_s",
+    "max_penetration_m",
+    "time_to_max_penetration_s",
+    "cm_velocity_after_m_s",
+    "n_dofs",
+    "n_steps",
+    "cm_rebound_height_m",
+    "cm_rebound_ratio",
+    "velocity_after_m_s",
+    "spin_after_rad_s",
+    "friction_impulse_N_s",
+)
+
+
+def plain_inputs(inputs: BaseModel) -> dict[str, Any]:
+    """Inputs as they stand in a file, from which `--config` reads them again."""
+    return json.loads(to_json(inputs.model_dump(mode="python")))
+
+
+def drop_document(
+    inputs: DropInputs,
+    result: DropResult,
+    wall_s: Timings,
+    warnings: list[str],
+    peak_rss_MB: float,
+    ranks: int,
+) -> dict[str, Any]:
+    """All of result.json."""
+    return {
+        "schema": SCHEMA,
+        "version": __version__,
+        "inputs": plain_inputs(inputs),
+        "model": inputs.model.value,
+        "contact": inputs.contact.value,
+        "deflection": "second-order" if inputs.second_order else "small",
+        **{name: number(name, inputs, result) for name in NUMBERS},
+        "energy": asdict(result.energy),
+        "reduction_error": result.reduction_error,
+        "warnings": warnings,
+        "wall_s": dict(wall_s),
+        "peak_rss_MB": peak_rss_MB,
+        "ranks": ranks,
+    }
+
+
+def number(name: str, inputs: DropInputs, result: DropResult) -> Any:
+    """What a result.json or a table holds under ``name`` of a drop."""
+    if name == "cm_rebound_ratio":
+        height = result.cm_rebound_height_m
+        return None if height is None else height / inputs.height_m
+    if name == "friction_loss_J":
+        return result.energy.friction_loss_J
+    value = getattr(result, name)
+    return list(value) if isinstance(value, tuple) else value
+
+
+def write_drop(out: Path, document: dict[str, Any], result: DropResult) -> dict[str, Any]:
+    """Write history.csv, then result.json, into ``out``; for one rank. Returns ``document``."""
+    history = to_csv(HISTORY_COLUMNS, list(result.history.array()))
+    write_atomically(out / HISTORY_FILE, history)
+    write_atomically(out / RESULT_FILE, to_json(document) + "\n")
+    return document
+
+
+def read_document(path: Path) -> dict[str, Any] | None:
+    """A result, or None where there is none; InputError where it is not one of this program."""
+    try:
+        text = path.read_text(encoding="utf-8")
+    except FileNotFoundError:
+        return None
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"--resume {path}: cannot be read: {error}") from error
+    try:
+        document = json.loads(text)
+    except json.JSONDecodeError as error:
+        raise InputError(f"--resume {path}:{error.lineno}: not a result: {error.msg}") from error
+    if not isinstance(document, dict) or not isinstance(document.get("inputs"), dict):
+        raise InputError(f"--resume {path}: not a result of this program: it has no inputs")
+    return document
+
+
+def check_same(path: Path, there: Mapping[str, Any], inputs: BaseModel) -> None:
+    """InputError that names the first difference between what is ``there`` and what is asked."""
+    if there.get("version") != __version__:
+        raise InputError(
+            f"--resume {path}: made by version {there.get('version')}, this is {__version__}; "
+            f"choose another --out"
+        )
+    old, new = there["inputs"], plain_inputs(inputs)
+    for key in [*new, *(key for key in old if key not in new)]:
+        if old.get(key) != new.get(key):
+            raise InputError(
+                f"--resume {path}: {OPTIONS.get(key, key)} is {_shown(old.get(key))} there, "
+                f"{_shown(new.get(key))} is asked for; choose another --out"
+            )
+
+
+def _shown(value: Any) -> str:
+    return value if isinstance(value, str) else json.dumps(value)
+
+
+def peak_rss_MB(comm: MPI.Intracomm) -> float:
+    """Greatest resident memory in MB (10⁶ bytes), summed over the ranks; collective."""
+    return float(comm.allreduce(_own_peak_MB()))
+
+
+def _own_peak_MB() -> float:
+    """From the kernel's account of this program; getrusage also counts what it was forked from."""
+    try:
+        status = Path("/proc/self/status").read_text()
+        line = next(line for line in status.splitlines() if line.startswith("VmHWM:"))
+        return int(line.split()[1]) * 1024 / 1e6
+    except (OSError, StopIteration):
+        return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024 / 1e6

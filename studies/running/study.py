@@ -1,0 +1,293 @@
+"""How are the many cases of a study computed, kept and put into a table?"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, Self
+
+import numpy as np
+from mpi4py import MPI
+from pydantic import BeforeValidator, model_validator
+
+from ...meshes.collective import run_on_one_rank
+from ...solver import paper
+from ...solver.drop import DropResult
+from .. import __version__
+from ..command.choices import Model
+from ..command.config import DropInputs, Height, Inputs, Its, Kn
+from ..command.flags import LISTS_FLAGS, SHARED_FLAGS
+from ..command.limits import input_warnings, result_warnings
+from ..command.sources import checked
+from . import results
+from .cases import Timings, Workshop
+from .files import prepare_folder, to_csv, to_json, write_atomically
+from .journal import Journal
+from .parallel import share_out
+from .progress import progress, say, warn, working
+
+STUDY_FLAGS = (*LISTS_FLAGS, *SHARED_FLAGS)
+CASES = 100_000
+TABLE_FILE = "table.csv"
+COLUMNS = (
+    "model",
+    "contact",
+    "kn_N_m",
+    "y0_m",
+    "its_s",
+    "rebound_ratio",
+    "contact_time_s",
+    "peak_force_N",
+    "max_penetration_m",
+    "energy_closure",
+    "wall_s",
+    "time_to_max_penetration_s",
+    "impulse_N_s",
+    "cm_velocity_after_m_s",
+    "n_contacts",
+    "n_steps",
+    "n_dofs",
+    "reduction_error",
+    "cm_rebound_ratio",
+    "friction_impulse_N_s",
+    "friction_loss_J",
+)
+CURVE_POINTS = 120
+
+Row = dict[str, Any]
+
+
+def read_list(value: Any) -> Any:
+    """Items of a text separated by commas, of a list, or one alone."""
+    if isinstance(value, str):
+        value = [item.strip() for item in value.split(",")]
+    return tuple(value) if isinstance(value, list | tuple) else (value,)
+
+
+def read_numbers(value: Any) -> Any:
+    """Numbers of a text separated by commas, of a list, or one alone."""
+    return tuple(_number(item) for item in read_list(value))
+
+
+def _number(item: Any) -> Any:
+    try:
+        return float(item) if isinstance(item, str) else item
+    except ValueError:
+        raise ValueError(f"must be numbers separated by commas; '{item}' is none") from None
+
+
+Models = Annotated[tuple[Model, ...], BeforeValidator(read_list)]
+Numbers = BeforeValidator(read_numbers)
+
+
+class StudyInputs(Inputs):
+    """Lists of models, stiffnesses, heights and time steps: a case for each combination."""
+
+    models: Models = (Model.BEAM, Model.REDUCED)
+    kn_N_m: Annotated[tuple[Kn, ...], Numbers] = paper.KN_N_M
+    heights_m: Annotated[tuple[Height, ...], Numbers] = paper.HEIGHTS_M
+    its_s: Annotated[tuple[Its, ...], Numbers] = (paper.ITS_S,)
+
+    @model_validator(mode="after")
+    def _few_enough(self) -> Self:
+        lists = (self.models, self.kn_N_m, self.heights_m, self.its_s)
+        if math.prod(map(len, lists)) > CASES:
+            raise ValueError(f"the lists make more than {CASES:,} cases")
+        return self
+
+    def cases(self) -> list[DropInputs]:
+        """Every combination once, in the order of the table; InputError where one is impossible."""
+        own = set(StudyInputs.model_fields) - set(Inputs.model_fields)
+        shared = self.model_dump(exclude=own)
+        return [
+            checked(
+                DropInputs,
+                {**shared, "model": model, "kn_N_m": kn, "height_m": height, "its_s": its},
+            )
+            for model in sorted(set(self.models), key=list(Model).index)
+            for kn in sorted(set(self.kn_N_m))
+            for height in sorted(set(self.heights_m))
+            for its in sorted(set(self.its_s), reverse=True)
+        ]
+
+
+@dataclass(frozen=True)
+class Study:
+    """What tells one study from another: its name, its result, and what it makes of its rows.
+
+    ``finish`` writes figures and further tables into a folder, on one rank, and returns what the
+    study's JSON says besides. With ``curves`` rows have the tip's path over time, for figures.
+    ``basis_its_s`` is the ITS that reduced models are made for, or None for each case's own.
+    """
+
+    name: str
+    finish: Callable[[Sequence[Row], Path], dict[str, Any]]
+    curves: bool = False
+    basis_its_s: float | None = None
+
+    @property
+    def document(self) -> str:
+        return f"{self.name}.json"
+
+
+def run_study(
+    study: Study,
+    inputs: StudyInputs,
+    out: Path,
+    comm: MPI.Intracomm = MPI.COMM_WORLD,
+    *,
+    resume: bool = False,
+) -> None:
+    """Compute every case and write table.csv, the study's own files, and last its JSON.
+
+    Cases of modal bodies are dealt out over the ranks, those of the solid computed by all of them
+    together. With ``resume`` finished cases in ``out`` are kept. Collective. Raises InputError
+    where ``out`` cannot be used or holds another study, and ComputationError.
+    """
+    out, started = Path(out), time.perf_counter()
+    cases = inputs.cases()
+    journal = Journal(out, inputs)
+    done = run_on_one_rank(comm, lambda: _prepare(study, inputs, journal, out, resume))
+    if done is None:
+        say(f"{out / study.document} is finished already, nothing to do")
+        return
+    if done:
+        say(f"{len(done)} of {len(cases)} cases are there already")
+    shared = _compute(study, cases, comm, journal, done)
+    spent = {"shared": shared["total"]}
+    facts = {"wall_s": spent, "peak_rss_MB": results.peak_rss_MB(comm), "ranks": comm.size}
+
+    def write() -> None:
+        rows = [done[i] for i in range(len(cases))]
+        spent["cases"] = sum(row["wall_s"] for row in rows)
+        extra = study.finish(rows, out)
+        spent["total"] = time.perf_counter() - started
+        _write(study, inputs, rows, {**extra, **facts}, out)
+
+    run_on_one_rank(comm, write)
+    if comm.rank == 0:
+        journal.finish()
+        say(f"{len(cases)} cases in {out / TABLE_FILE}")
+
+
+def _prepare(
+    study: Study, inputs: StudyInputs, journal: Journal, out: Path, resume: bool
+) -> dict[int, Row] | None:
+    """Cases that are done, or None where all of the study is."""
+    prepare_folder(out)
+    if not resume:
+        journal.begin()
+        return {}
+    document = results.read_document(out / study.document)
+    if document is not None:
+        results.check_same(out / study.document, document, inputs)
+        return None
+    return journal.resume()
+
+
+def _compute(
+    study: Study,
+    cases: Sequence[DropInputs],
+    comm: MPI.Intracomm,
+    journal: Journal,
+    done: dict[int, Row],
+) -> Timings:
+    """Fill ``done`` on rank 0 with what is missing; the seconds of what the cases shared."""
+    missing = [i for i in range(len(cases)) if i not in done]
+    modal = [i for i in missing if cases[i].model is not Model.SOLID]
+    solid = [i for i in missing if cases[i].model is Model.SOLID]
+    with (
+        Workshop(comm, study.basis_its_s) as workshop,
+        progress(study.name, len(cases), done=len(done)) as advance,
+    ):
+
+        def take(i: int, row: Row) -> None:
+            done[i] = row
+            journal.add(i, row)
+            advance()
+
+        _build_together(workshop, [cases[i] for i in modal])
+        shared = workshop.take_timings()
+        share_out(
+            comm,
+            len(modal),
+            lambda k: _row(workshop, cases[modal[k]], study.curves),
+            lambda k, row: take(modal[k], row),
+        )
+        for i in solid:
+            row = _row(workshop, cases[i], study.curves)
+            if comm.rank == 0:
+                take(i, row)
+    return shared
+
+
+def _build_together(workshop: Workshop, cases: Iterable[DropInputs]) -> None:
+    """Build what takes all ranks, so that cases of modal bodies need no communication later."""
+    reduced = [case for case in cases if case.model is Model.REDUCED]
+    if reduced:
+        with working("building the reduced model"):
+            for case in {case.its_s: case for case in reduced}.values():
+                workshop.prepare(case)
+
+
+def _row(workshop: Workshop, inputs: DropInputs, curves: bool) -> Row:
+    result, timings = workshop.run(inputs)
+    row: Row = {
+        "model": inputs.model.value,
+        "contact": inputs.contact.value,
+        "kn_N_m": inputs.kn_N_m,
+        "y0_m": inputs.height_m,
+        "its_s": inputs.its_s,
+        "energy_closure": result.energy.closure_relative,
+        "wall_s": timings["total"],
+    }
+    row |= {name: results.number(name, inputs, result) for name in COLUMNS if name not in row}
+    row["warnings"] = [*input_warnings(inputs), *result_warnings(inputs, result)]
+    if curves:
+        row["curve"] = _curve(result)
+    return row
+
+
+def _curve(result: DropResult) -> dict[str, list[float]]:
+    """The tip's height over time, with an impact thinned to what a figure can show."""
+    rows = result.history.array()
+    touching = np.flatnonzero(rows[:, 3] > 0.0)
+    keep = np.arange(len(rows))
+    if len(touching) > CURVE_POINTS:
+        inside = np.linspace(touching[0], touching[-1], CURVE_POINTS).astype(int)
+        keep = np.unique(np.concatenate([keep[: touching[0]], inside, keep[touching[-1] :]]))
+    t, y = ([float(f"{x:.8g}") for x in rows[keep, i]] for i in (0, 1))
+    return {"t_s": t, "tip_y_m": y}
+
+
+def _write(
+    study: Study, inputs: StudyInputs, rows: Sequence[Row], facts: Mapping[str, Any], out: Path
+) -> None:
+    """Write the table, then the study's JSON, which says that all is there."""
+    table = to_csv(COLUMNS, [[row[name] for name in COLUMNS] for row in rows])
+    write_atomically(out / TABLE_FILE, table)
+    warnings = _warnings(rows)
+    if warnings:
+        warn(f"{len(warnings)} of {len(rows)} cases have warnings, see {out / study.document}")
+    document = {
+        "schema": results.SCHEMA,
+        "version": __version__,
+        "inputs": results.plain_inputs(inputs),
+        "n_cases": len(rows),
+        **facts,
+        "warnings": warnings,
+    }
+    write_atomically(out / study.document, to_json(document) + "\n")
+
+
+def _warnings(rows: Iterable[Row]) -> list[dict[str, Any]]:
+    """The cases with warnings: which, and what."""
+    keys = ("model", "kn_N_m", "y0_m", "its_s")
+    return [
+        {**{key: row[key] for key in keys}, "warnings": row["warnings"]}
+        for row in rows
+        if row["warnings"]
+    ]

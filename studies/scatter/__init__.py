@@ -1,0 +1,1 @@
+"""Thousands of drops that lean by chance onto a rough, composite surface."""

@@ -1,0 +1,60 @@
+"""How do all ranks come to hold the same body, to the last bit, and the same surface?"""
+
+from __future__ import annotations
+
+from dataclasses import fields, replace
+from typing import Any, cast
+
+from mpi4py import MPI
+
+from ...meshes.surface import Surface
+from ...solver.bodies.base import ContactPoints
+from ...solver.bodies.modal import ModalBody
+from ...solver.time.march import Marcher
+from ..command.config import DropInputs
+from ..running.cases import Timings, Workshop
+from .conditions import ground_surface
+from .inputs import ScatterInputs
+
+
+def prepared(inputs: ScatterInputs, comm: MPI.Intracomm) -> tuple[Marcher, Surface | None, Timings]:
+    """A marcher of the body, the surface, and the seconds that the body took; collective.
+
+    One rank alone makes the body, since what comes of a factorisation depends in its last bits on
+    how many share it; another makes the surface at the same time. Raises InputError and
+    ComputationError, on all ranks.
+    """
+    drop = inputs.drop()
+    made: Any = None
+    surface: Surface | None = None
+    error: Exception | None = None
+    last = comm.size - 1
+    try:
+        if comm.rank == 0:
+            made = _body(drop)
+        if comm.rank == last:
+            surface = ground_surface(inputs)
+    except Exception as raised:  # whatever it is, the others wait for it
+        error = raised
+    failures = [each for each in comm.allgather(error) if each is not None]
+    if failures:
+        raise error or failures[0]
+    body, timings, points = comm.bcast(made, 0)
+    surface = comm.bcast(surface, last)
+    body = replace(body, contact=ContactPoints(**points, comm=MPI.COMM_SELF))
+    marcher = Marcher(
+        body, drop.contact_method(), drop.time_scheme(), drop.its_s, drop.gravity_m_s2
+    )
+    return marcher, surface, timings
+
+
+def _body(drop: DropInputs) -> tuple[ModalBody, Timings, dict[str, Any]]:
+    """The body without its contact points, and these without their communicator: to be sent."""
+    with Workshop(MPI.COMM_SELF) as workshop:
+        ready = workshop.prepare(drop)
+        assert ready is not None
+        modal = ready.frame.modal
+        timings = workshop.take_timings()
+    points = {field.name: getattr(modal.contact, field.name) for field in fields(modal.contact)}
+    del points["comm"]
+    return replace(modal, contact=cast(ContactPoints, None)), timings, points

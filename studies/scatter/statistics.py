@@ -1,0 +1,223 @@
+"""What do many predicted drops say: how y1/y0 is spread, by what, and is the measurement usual?
+
+Statistics alone: nothing here knows of a model.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import stats
+
+from ...solver import paper
+from ...solver.bristle import Array
+from ..calibration.estimate import LEVEL, Interval
+
+RESAMPLED, RESAMPLED_SHARES = 1000, 200
+SAMPLES = 10_000
+# Bins of equal count for a factor's conditional means; each has at least so many drops.
+BINS, IN_A_BIN = 20, 10
+PERCENTILES = (5.0, 50.0, 95.0)
+# A standard deviation below this is rounding.
+SAME = 1e-9
+
+
+@dataclass(frozen=True)
+class Spread:
+    """The distribution of y1/y0 over ``n`` drops, each number with its interval."""
+
+    n: int
+    mean: Interval
+    std: Interval
+    percentiles: tuple[Interval, ...]
+    in_band: Interval
+    skewness: float | None
+    above_one: float
+
+
+@dataclass(frozen=True)
+class Share:
+    """What one input has to do with y1/y0.
+
+    ``first_order`` is the part of the variance of y1/y0 that goes with the input: the variance of
+    its conditional mean (first-order index of Sobol'). ``correlation`` is Spearman's, with the
+    input's size where its sign means a direction.
+    """
+
+    name: str
+    first_order: Interval | None
+    correlation: float | None
+
+
+@dataclass(frozen=True)
+class Sampled:
+    """A statistic of samples as large as the paper's: its distribution, and where the measured
+    value falls. ``p_value`` is two-sided, twice the smaller tail, and no less than the number of
+    samples can show."""
+
+    name: str
+    measured: float
+    mean: float
+    std: float
+    low: float
+    high: float
+    below: float
+
+    @property
+    def p_value(self) -> float:
+        return min(1.0, 2.0 * min(self.below, 1.0 - self.below))
+
+
+def spread(ratio: Array, random: np.random.Generator, level: float = LEVEL) -> Spread:
+    """The distribution of ``ratio`` (n,).
+
+    The mean's interval is Student's, the standard deviation's the bootstrap's percentiles, a
+    percentile's between two drops in order (binomial), a share's Wilson's.
+    """
+    n = len(ratio)
+    same = n < 2 or float(np.std(ratio)) < SAME
+    centre = float(np.mean(ratio))
+    if same:
+        mean, std = Interval(centre, centre, centre, level), Interval(0.0, 0.0, 0.0, level)
+    else:
+        half = float(stats.t.ppf(0.5 + 0.5 * level, n - 1)) * float(stats.sem(ratio))
+        mean = Interval(centre, centre - half, centre + half, level)
+        resampled = [np.std(random.choice(ratio, n), ddof=1) for _ in range(RESAMPLED)]
+        std = Interval(float(np.std(ratio, ddof=1)), *_tails(np.array(resampled), level), level)
+    low, high = paper.RATIO_BAND_90
+    inside = int(np.sum((ratio >= low) & (ratio <= high)))
+    return Spread(
+        n=n,
+        mean=mean,
+        std=std,
+        percentiles=tuple(percentile_interval(ratio, p, level) for p in PERCENTILES),
+        in_band=share_interval(inside, n, level),
+        skewness=None if same else float(stats.skew(ratio)),
+        above_one=float(np.mean(ratio > 1.0)),
+    )
+
+
+def percentile_interval(values: Array, percent: float, level: float = LEVEL) -> Interval:
+    """A percentile, and the two drops in order between which it lies at ``level`` or more.
+
+    An end is infinite where there are too few drops to bound it.
+    """
+    ordered = np.sort(values)
+    n, tail = len(ordered), 0.5 * (1.0 - level)
+    below = int(stats.binom.ppf(tail, n, percent / 100.0))
+    above = int(stats.binom.ppf(1.0 - tail, n, percent / 100.0))
+    low = float(ordered[below - 1]) if below >= 1 else -math.inf
+    high = float(ordered[above]) if above < n else math.inf
+    return Interval(float(np.percentile(ordered, percent)), low, high, level)
+
+
+def share_interval(count: int, n: int, level: float = LEVEL) -> Interval:
+    """``count`` of ``n`` with Wilson's interval (J. Am. Stat. Assoc. 22, 1927)."""
+    found = stats.binomtest(count, n).proportion_ci(level, method="wilson")
+    return Interval(count / n, float(found.low), float(found.high), level)
+
+
+def _tails(values: Array, level: float) -> tuple[float, float]:
+    tail = 50.0 * (1.0 - level)
+    low, high = np.percentile(values, [tail, 100.0 - tail])
+    return float(low), float(high)
+
+
+def shares(
+    ratio: Array, factors: Mapping[str, Array], random: np.random.Generator, level: float = LEVEL
+) -> list[Share]:
+    """The share of each factor (n,) in the variance of ``ratio`` (n,).
+
+    Shares of dependent factors overlap, and what factors do together is in none of them.
+    """
+    return [
+        Share(name, first_order(ratio, factor, random, level), _rank_correlation(ratio, factor))
+        for name, factor in factors.items()
+    ]
+
+
+def first_order(
+    ratio: Array, factor: Array, random: np.random.Generator, level: float = LEVEL
+) -> Interval | None:
+    """Part of the variance that the means within bins of equal count explain, None without bins.
+
+    Of the variance within bins and in all, each by its degrees of freedom (Kelley's ε², Proc. Natl.
+    Acad. Sci. 21, 1935), so that a factor without effect gives 0 on average; the interval is
+    normal with the bootstrap's standard error.
+    """
+    levels = np.unique(factor)
+    if len(levels) < 2 or float(np.std(ratio)) < SAME or len(ratio) < 2 * IN_A_BIN:
+        return None
+    if len(levels) <= BINS:
+        bins = np.searchsorted(levels, factor)
+    else:
+        count = min(BINS, len(ratio) // IN_A_BIN)
+        bins = np.argsort(np.argsort(factor, kind="stable")) * count // len(factor)
+    estimate, n = _explained(ratio, bins), len(ratio)
+    picks = (random.integers(0, n, n) for _ in range(RESAMPLED_SHARES))
+    error = np.std([_explained(ratio[pick], bins[pick]) for pick in picks])
+    half = float(stats.norm.ppf(0.5 + 0.5 * level) * error)
+    return Interval(estimate, estimate - half, estimate + half, level)
+
+
+def _explained(ratio: Array, bins: NDArray[np.intp]) -> float:
+    count = np.bincount(bins)
+    means = np.bincount(bins, ratio) / np.maximum(count, 1)
+    within = float(np.sum((ratio - means[bins]) ** 2)) / (len(ratio) - np.count_nonzero(count))
+    return 1.0 - within / float(np.var(ratio, ddof=1))
+
+
+def _rank_correlation(ratio: Array, factor: Array) -> float | None:
+    if len(ratio) < 3 or float(np.std(ratio)) < SAME or np.ptp(factor) == 0.0:
+        return None
+    signed = factor.min() < 0.0 < factor.max()
+    return float(stats.spearmanr(ratio, np.abs(factor) if signed else factor).statistic)
+
+
+def r_squared(y0_m: Array, y1_m: Array) -> Array:
+    """R² of y1 = a y0 about the mean of y1, along the last axis; NaN where all y1 are the same."""
+    slope = through_origin(y0_m, y1_m)
+    left = np.sum((y1_m - slope[..., None] * y0_m) ** 2, axis=-1)
+    about = np.sum((y1_m - y1_m.mean(axis=-1, keepdims=True)) ** 2, axis=-1)
+    about = np.where(about > SAME**2 * np.sum(y1_m**2, axis=-1), about, np.nan)
+    return np.asarray(1.0 - left / about)
+
+
+def through_origin(y0_m: Array, y1_m: Array) -> Array:
+    """The slope a of y1 = a y0 by least squares, along the last axis."""
+    return np.asarray(np.sum(y0_m * y1_m, axis=-1) / np.sum(y0_m * y0_m, axis=-1))
+
+
+def sampled(
+    y0_m: Array, y1_m: Array, random: np.random.Generator, level: float = LEVEL
+) -> list[Sampled]:
+    """Mean, spread, slope and R² of samples of the paper's size, drawn from the drops (n,).
+
+    With replacement: the drops stand for all that could be.
+    """
+    pick = random.integers(0, len(y0_m), (SAMPLES, paper.N_DROPS))
+    before, after = y0_m[pick], y1_m[pick]
+    ratio = after / before
+    found: tuple[tuple[str, float, Callable[[], Array]], ...] = (
+        ("mean", paper.RATIO_MEAN, lambda: ratio.mean(axis=1)),
+        ("std", paper.RATIO_STD, lambda: ratio.std(axis=1, ddof=1)),
+        ("slope", paper.RATIO_MEAN, lambda: through_origin(before, after)),
+        ("r_squared", paper.R2_LINEAR, lambda: r_squared(before, after)),
+    )
+    return [_sampled(name, measured, values(), level) for name, measured, values in found]
+
+
+def _sampled(name: str, measured: float, values: Array, level: float) -> Sampled:
+    values = values[np.isfinite(values)]
+    if not len(values):
+        return Sampled(name, measured, *[math.nan] * 5)
+    # the measured value is one more of its kind; half of what ties counts to either side
+    less = np.sum(values < measured) + 0.5 * np.sum(values == measured)
+    below = float(less + 0.5) / (len(values) + 1)
+    return Sampled(
+        name, measured, float(values.mean()), float(values.std()), *_tails(values, level), below
+    )

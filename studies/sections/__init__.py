@@ -1,0 +1,1 @@
+"""Sections of the page of `bristle reproduce`, a question each."""

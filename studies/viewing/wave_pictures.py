@@ -1,0 +1,214 @@
+"""How does the wave run through a solid bristle: stills, an animation, and over height and time?"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import Normalize
+from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
+from numpy.typing import NDArray
+from PIL import Image
+
+from ..page.figures import BLACK, BLUE, GREY, panels, styled
+from .bristle_drawing import COLOURS, TIP_COLOURS, Drawing, Pixels, draw_bristle
+from .field_series import FieldSeries
+from .wave import Wave
+
+N_STILLS = 6
+N_ANIMATED = 60
+FRAME_MS = 100
+ANIMATION_DPI = 110
+WIDTH_TO_HEIGHT = 0.16
+STRESS = "axial stress (MPa), pressure is negative"
+
+
+def plan_drawing(wave: Wave) -> tuple[Drawing, list[int]]:
+    """What to draw of a wave, and which of the drawn frames are the stills."""
+    last = len(wave.times_s) - 1
+    frames = np.unique(np.linspace(0, last, N_ANIMATED).round().astype(int))
+    share = (np.arange(N_STILLS) + 0.5) / N_STILLS
+    instants = wave.times_s[0] + share * (wave.times_s[-1] - wave.times_s[0])
+    stills = np.abs(wave.times_s[frames][:, None] - instants).argmin(axis=0)
+    tip_frame = int(np.argmax(wave.tip_von_mises_Pa))
+    drawing = Drawing(
+        frames=frames.tolist(),
+        side=wave.side,
+        window_m=wave.window_m,
+        width_to_height=WIDTH_TO_HEIGHT,
+        exaggeration=wave.exaggeration,
+        limit_Pa=wave.greatest_axial_Pa or 1.0,
+        tip_frame=tip_frame,
+        tip_limit_Pa=float(wave.tip_von_mises_Pa[tip_frame]) or 1.0,
+    )
+    return drawing, np.unique(stills).tolist()
+
+
+def draw_wave(series: FieldSeries, wave: Wave, folder: Path) -> dict[str, Figure]:
+    """Draw ``wave``, which was read from ``series``: figures by name, wave.gif in ``folder``.
+
+    Raises
+    ------
+    DrawingError : there is no display, or drawing failed
+    """
+    drawing, stills = plan_drawing(wave)
+    images, tip = draw_bristle(series, drawing)
+    animate(wave, drawing, images, folder / "wave.gif")
+    return {
+        "wave": stills_figure(wave, drawing, [(drawing.frames[i], images[i]) for i in stills]),
+        "tip-stress": tip_figure(wave, drawing, tip),
+    }
+
+
+@styled
+def space_time_figure(wave: Wave, bar_speed_m_s: float | None) -> Figure:
+    """Axial stress on the axis over height and time, with the path of a wave in a thin bar."""
+    figure, axes = panels(height_in=3.6)
+    plot = axes[0, 0]
+    limit = wave.greatest_axial_Pa / 1e6 or 1.0
+    time, z = wave.times_s * 1e6, wave.z_m * 1e3
+    shading = "gouraud" if len(time) > 1 else "nearest"
+    mesh = plot.pcolormesh(
+        z,
+        time,
+        wave.axial_stress_Pa / 1e6,
+        cmap=COLOURS,
+        vmin=-limit,
+        vmax=limit,
+        shading=shading,
+        rasterized=True,
+    )
+    if bar_speed_m_s:
+        _wave_path(plot, wave, bar_speed_m_s)
+    released = [t for t, phase in zip(time, wave.phases, strict=False) if phase == "release"]
+    for number, t in enumerate(released):
+        label = "release" if number == 0 else None
+        plot.axhline(t, color=GREY, linewidth=0.8, linestyle=":", label=label)
+    plot.set_xlim(z[0], z[-1])
+    plot.set_ylim(min(time[0], 0.0), time[-1])
+    plot.set_xlabel("height above the tip (mm)")
+    plot.set_ylabel("time since touch (µs)")
+    if plot.get_legend_handles_labels()[0]:
+        figure.legend(loc="outside upper left", ncols=2)
+    figure.colorbar(mesh, ax=plot, label=STRESS)
+    return figure
+
+
+def _wave_path(plot: Axes, wave: Wave, speed_m_s: float) -> None:
+    """Up and down again at the bar's speed, from the touch on."""
+    length, end = wave.size_m[2], wave.times_s[-1]
+    turns = np.arange(int(end * speed_m_s / length) + 2)
+    plot.plot(
+        1e3 * length * (turns % 2),
+        1e6 * turns * length / speed_m_s,
+        color=BLACK,
+        linewidth=0.8,
+        linestyle="--",
+        label="speed of a thin bar",
+    )
+
+
+@styled
+def stills_figure(wave: Wave, drawing: Drawing, stills: list[tuple[int, Pixels]]) -> Figure:
+    """The bristle at some instants side by side, true to a scale in each direction."""
+    figure, axes = panels(1, len(stills), height_in=4.6, sharey=True)
+    for plot, (frame, image) in zip(axes[0], stills, strict=True):
+        _show_bristle(plot, drawing, image)
+        plot.set_title(f"{wave.times_s[frame] * 1e6:.0f} µs", loc="center")
+        plot.set_xlabel("xy"[drawing.side] + " (mm)")
+    axes[0, 0].set_ylabel(_height_label(drawing))
+    figure.colorbar(_colours(drawing), ax=axes, label=STRESS)
+    figure.suptitle("Time since touch", x=0.02, ha="left", fontsize=9.0)
+    return figure
+
+
+@styled
+def tip_figure(wave: Wave, drawing: Drawing, image: Pixels) -> Figure:
+    """The tip in true proportions when its stress is greatest."""
+    figure, axes = panels(height_in=4.2)
+    plot = axes[0, 0]
+    plot.imshow(image)
+    plot.set_axis_off()
+    when = wave.times_s[drawing.tip_frame] * 1e6
+    plot.set_title(f"The tip in true proportions, from below, {when:.1f} µs after touch")
+    colours = ScalarMappable(Normalize(0.0, drawing.tip_limit_Pa / 1e6), TIP_COLOURS)
+    figure.colorbar(colours, ax=plot, label="von Mises stress (MPa)")
+    return figure
+
+
+def _show_bristle(plot: Axes, drawing: Drawing, image: Pixels) -> None:
+    left, right, bottom, top = (1e3 * edge for edge in drawing.window_m)
+    plot.imshow(image, extent=(left, right, bottom, top), aspect="auto")
+    plot.axhspan(bottom, 0.0, color="#dddddd", zorder=0.5)
+    plot.axhline(0.0, color=BLACK, linewidth=1.0)
+    plot.set_ylim(bottom, top)
+    plot.set_xlim(left, right)
+    plot.xaxis.set_major_locator(MaxNLocator(nbins=2, symmetric=True, min_n_ticks=2))
+
+
+def _height_label(drawing: Drawing) -> str:
+    return f"height (mm), displacement × {drawing.exaggeration:g}"
+
+
+def _colours(drawing: Drawing) -> ScalarMappable:
+    limit = drawing.limit_Pa / 1e6
+    return ScalarMappable(Normalize(-limit, limit), COLOURS)
+
+
+@styled
+def _animation_figure(wave: Wave, drawing: Drawing, image: Pixels) -> Figure:
+    """One frame of the animation, drawn for the first frame; its artists are then updated."""
+    figure, axes = panels(1, 2, height_in=4.4, width_ratios=[1, 3])
+    bristle, profile = axes[0]
+    _show_bristle(bristle, drawing, image)
+    bristle.set_xlabel("xy"[drawing.side] + " (mm)")
+    bristle.set_ylabel(_height_label(drawing))
+    limit = 1.05 * drawing.limit_Pa / 1e6
+    profile.plot(np.zeros_like(wave.z_m), wave.z_m * 1e3, color=BLUE)
+    profile.axvline(0.0, color=GREY, linewidth=0.7)
+    profile.set_xlim(-limit, limit)
+    profile.set_ylim(0.0, wave.z_m[-1] * 1e3)
+    profile.set_xlabel("axial stress on the axis (MPa)")
+    profile.set_ylabel("height above the tip (mm)")
+    figure.suptitle(" ", fontsize=9.0)
+    return figure
+
+
+def animate(wave: Wave, drawing: Drawing, images: list[Pixels], gif: Path) -> None:
+    """Write the bristle beside the stress on its axis, frame after frame, as a GIF that repeats."""
+    figure = _animation_figure(wave, drawing, images[0])
+    canvas = FigureCanvasAgg(figure)
+    figure.set_dpi(ANIMATION_DPI)
+    bristle, profile = figure.axes
+    canvas.draw()
+    # the layout is settled, and settling it anew for each frame would take longer than drawing
+    figure.set_layout_engine("none")
+    title, pictures = figure.texts[0], []
+    for frame, image in zip(drawing.frames, images, strict=True):
+        bristle.images[0].set_data(image)
+        profile.lines[0].set_xdata(wave.axial_stress_Pa[frame] / 1e6)
+        phase = f", {wave.phases[frame]}" if frame < len(wave.phases) else ""
+        title.set_text(f"{wave.times_s[frame] * 1e6:.1f} µs after touch{phase}")
+        canvas.draw()
+        pictures.append(np.asarray(canvas.buffer_rgba())[..., :3].copy())
+    write_gif(pictures, gif)
+
+
+def write_gif(pictures: list[NDArray[np.uint8]], gif: Path) -> None:
+    """Write pictures (height, width, 3) as a GIF that repeats, all in the same 256 colours.
+
+    One palette for all keeps colours from flickering, and takes a tenth of the time of one each.
+    """
+    sample = Image.fromarray(np.concatenate(pictures[:: max(1, len(pictures) // 8)]))
+    palette = sample.quantize(256)
+    frames = [
+        Image.fromarray(picture).quantize(palette=palette, dither=Image.Dither.NONE)
+        for picture in pictures
+    ]
+    frames[0].save(
+        gif, format="GIF", save_all=True, append_images=frames[1:], duration=FRAME_MS, loop=0
+    )
