@@ -347,7 +347,7 @@ LONE = """
 import sys, time
 import click
 from bristle.solver.errors import ComputationError
-from bristle.studies.ending import run
+from bristle.studies.command.ending import run
 from mpi4py import MPI
 
 @click.command()

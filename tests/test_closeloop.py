@@ -227,15 +227,6 @@ def test_wrong_options_end_with_2(worn, tmp_path, capsys):
         assert words in capsys.readouterr().err.splitlines()[-1]
 
 
-def test_a_kind_that_cannot_be_read_yet_is_an_input_error(tmp_path, monkeypatch, capsys):
-    (tmp_path / "dataset.toml").write_text("[dataset]\nkind = 'forces'\n")
-    absent = ("loop.not_there", "read")
-    monkeypatch.setitem(closeloop.KINDS, "forces", (absent, absent))
-    assert main(["close-loop", str(tmp_path), "--out", str(tmp_path / "out")]) == 2
-    assert "dataset.toml:2: kind is forces" in capsys.readouterr().err.splitlines()[-1]
-    assert not (tmp_path / "out").exists()
-
-
 def test_a_loop_that_fails_ends_with_1_and_keeps_what_was_there(worn, tmp_path, monkeypatch):
     def fail(*arguments):
         raise ComputationError("no")

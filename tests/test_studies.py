@@ -717,7 +717,7 @@ def test_version_is_the_packages():
 @serial
 def test_memory_is_this_programs_own():
     code = (
-        "from mpi4py import MPI; from bristle.studies.results import peak_rss_MB;"
+        "from mpi4py import MPI; from bristle.studies.running.results import peak_rss_MB;"
         "a = peak_rss_MB(MPI.COMM_WORLD); x = b'x' * 200_000_000;"
         "print(peak_rss_MB(MPI.COMM_WORLD) - a)"
     )

@@ -8,7 +8,7 @@ what it found with the 3-D model, and writes verdict.json and one page. Also a s
 from __future__ import annotations
 
 import importlib
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -34,14 +34,6 @@ from .flags import ALARM
 
 SCHEMA = "bristle-close-loop-1"
 VERDICT_FILE = "verdict.json"
-# By kind, where a dataset is read and where it is made a problem: module of studies and function.
-KINDS = {
-    "drops": (("datasets", "read_drops"), ("loop.drops", "drops_problem")),
-    "tracks": (("loop.tracks", "read_tracks"), ("loop.tracks", "tracks_problem")),
-    "forces": (("loop.forces", "read_forces"), ("loop.forces", "forces_problem")),
-    "waves": (("loop.waves", "read_waves"), ("loop.waves", "wave_problem")),
-    "falls": (("loop.falls", "read_falls"), ("loop.falls", "fall_problem")),
-}
 
 
 class LoopInputs(BaseModel):
@@ -152,21 +144,31 @@ def close(manifest: Manifest, problem: Problem, inputs: LoopInputs) -> Closed:
 
 
 def problem_of(manifest: Manifest) -> Problem:
-    """The dataset, read and made a problem. Raises InputError, also for a kind without a model."""
-    read, make = (_function(manifest, *where) for where in KINDS[manifest.kind])
-    made: Problem = make(read(manifest.folder))
-    return made
+    """The dataset, read and made a problem. Raises InputError."""
+    folder = manifest.folder
+    match manifest.kind:
+        case "drops":
+            from ..data.datasets import read_drops
+            from ..loop.drops import drops_problem
 
+            return drops_problem(read_drops(folder))
+        case "tracks":
+            from ..loop.tracks import read_tracks, tracks_problem
 
-def _function(manifest: Manifest, module: str, name: str) -> Callable[[Any], Any]:
-    """A function of studies, imported only now."""
-    try:
-        found = importlib.import_module(f".{module}", __package__)
-        function: Callable[[Any], Any] = getattr(found, name)
-    except (ModuleNotFoundError, AttributeError):
-        message = f"is {manifest.kind}: the loop cannot read such data yet"
-        raise manifest.wrong("kind", message) from None
-    return function
+            return tracks_problem(read_tracks(folder))
+        case "forces":
+            from ..loop.forces import forces_problem, read_forces
+
+            return forces_problem(read_forces(folder))
+        case "waves":
+            from ..loop.waves import read_waves, wave_problem
+
+            return wave_problem(read_waves(folder))
+        case "falls":
+            from ..loop.falls import fall_problem, read_falls
+
+            return fall_problem(read_falls(folder))
+    raise manifest.wrong("kind", f"is {manifest.kind}: the loop cannot read such data")
 
 
 def verdict(closed: Closed) -> dict[str, Any]:
