@@ -1,11 +1,10 @@
-"""What the tests compare with: exact solutions and methods that share no code with the program."""
+"""Exact solutions, and bodies made with no code of the program."""
 
 from __future__ import annotations
 
 import math
 
 import numpy as np
-from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 from scipy.optimize import brentq
 from scipy.special import jv
@@ -113,46 +112,3 @@ def rod(
     return modal_form(
         "rod", mass[keep, keep], stiffness[keep, keep], rigid[keep], contact, 0.0, beta
     )
-
-
-def modal_series_rebound(kn, height, *, mass, length, speed, beta, gravity, n_modes=80) -> dict:
-    """A bristle's upright bounce from the exact cosine modes of a rod, integrated by LSODA.
-
-    Modes above ``n_modes`` have no inertia that matters: together they are a spring and, since
-    damping is proportional to stiffness, a dashpot beside it that relaxes in the time ``beta``.
-    """
-    n = np.arange(1, n_modes + 1)
-    omega = n * math.pi * speed / length
-    damping = beta * omega**2
-    # static compliance of a free rod at its end, relative to the centre of mass: L / (3 E A)
-    stiffness = mass * speed**2 / length**2  # E A / L
-    rest = 1.0 / (3.0 * stiffness) - np.sum(2.0 / (mass * omega**2))
-
-    def tip(y: np.ndarray) -> float:
-        return float(y[0] + math.sqrt(2.0) * y[1 : n_modes + 1].sum() + y[-1])
-
-    def motion(_t: float, y: np.ndarray) -> np.ndarray:
-        pushed = kn * max(-tip(y), 0.0)
-        q, v = y[1 : n_modes + 1], y[n_modes + 2 : -1]
-        out = np.empty_like(y)
-        out[0], out[1 : n_modes + 1] = y[n_modes + 1], v
-        out[n_modes + 1] = pushed / mass - gravity
-        out[n_modes + 2 : -1] = math.sqrt(2.0) * pushed / mass - damping * v - omega**2 * q
-        out[-1] = (rest * pushed - y[-1]) / beta
-        return out
-
-    def released(t: float, y: np.ndarray) -> float:
-        return -1.0 if t < 1e-7 else tip(y)
-
-    released.terminal, released.direction = True, 1.0
-    y = np.zeros(2 * n_modes + 3)
-    y[n_modes + 1] = -math.sqrt(2.0 * gravity * height)
-    run = solve_ivp(motion, (0.0, 0.01), y, "LSODA", events=released, rtol=1e-9, atol=1e-14)
-    up = run.y[n_modes + 1, -1]
-    forces = np.array([kn * max(-tip(column), 0.0) for column in run.y.T])
-    centre = run.y[0, -1]
-    return {
-        "contact_time_s": float(run.t[-1]),
-        "rebound_ratio": float((up**2 / (2.0 * gravity) + centre) / height),
-        "peak_force_N": float(forces.max()),
-    }
