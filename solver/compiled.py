@@ -11,6 +11,7 @@ import os
 import shutil
 import tempfile
 import time
+from functools import cache
 from pathlib import Path
 from typing import Protocol, cast
 
@@ -27,8 +28,12 @@ class Decorator(Protocol):
     def __call__[Function](self, function: Function) -> Function: ...
 
 
+@cache
 def cache_folder() -> Path:
-    """The folder for this version of the sources, under the user's cache or, failing that, /tmp."""
+    """The folder for this version of the sources, under the user's cache or, failing that, /tmp.
+
+    It is looked for once: what a process makes belongs to the sources that it began with.
+    """
     digest = hashlib.sha256()
     here = Path(__file__).parent
     for path in sorted(here.rglob("*.py")):
