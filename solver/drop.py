@@ -210,7 +210,8 @@ def simulate(
             rebound = max(top, impact.top_m)
             centre_rebound = max(_centre_top(flight, impact.next_touch_s), impact.centre_top_m)
             rebound, centre_rebound = (
-                risen(height, plan.drag_kg_m / body.mass_kg) for height in (rebound, centre_rebound)
+                float(risen(height, plan.drag_kg_m / body.mass_kg))
+                for height in (rebound, centre_rebound)
             )
         _record_flight(history, flight, impact.touches[-1].release_s, stop, stage)
         after = flight_energy(flight, stop)

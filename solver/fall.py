@@ -4,7 +4,13 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+
+from .bodies.base import Array
 from .errors import ComputationError
+
+LEAST_DRAG_1_M = 1e-12
+"""With less drag over mass a body moves as in a vacuum: 1 m changes by one part in 10^12."""
 
 
 def free_fall(height_m: float, gravity_m_s2: float, alpha_1_s: float) -> tuple[float, float]:
@@ -14,11 +20,11 @@ def free_fall(height_m: float, gravity_m_s2: float, alpha_1_s: float) -> tuple[f
         return speed / gravity_m_s2, speed
     from scipy.optimize import brentq
 
-    def fallen(t: float) -> float:
+    def beyond(t: float) -> float:
         return gravity_m_s2 * (t + math.expm1(-alpha_1_s * t) / alpha_1_s) / alpha_1_s - height_m
 
     late = math.sqrt(2.0 * height_m / gravity_m_s2) + 2.0 * height_m * alpha_1_s / gravity_m_s2
-    t = float(brentq(fallen, 0.0, 2.0 * late, xtol=1e-16))
+    t = float(brentq(beyond, 0.0, 2.0 * late, xtol=1e-16))
     return t, -gravity_m_s2 * math.expm1(-alpha_1_s * t) / alpha_1_s
 
 
@@ -28,32 +34,64 @@ def dragged_fall(
     """Time and speed of a fall through ``height_m`` that starts with a downward speed.
 
     ``drag_1_m`` is quadratic drag over mass. An upward start rises first. The speed follows v' = g
-    - k v², whose solution is v_∞ tanh (tan on the way up), v_∞² = g / k.
+    - k v², whose solution is v_∞ tanh (tan on the way up), v_∞² = g / k. Raises ComputationError
+    where the start is faster than v_∞.
     """
     g, k, v0 = gravity_m_s2, drag_1_m, speed_m_s
-    if k == 0.0:
-        speed = math.sqrt(v0 * v0 + 2.0 * g * height_m)
+    speed = math.sqrt(_end_speed2(height_m, g, v0, k))
+    if k < LEAST_DRAG_1_M:
         return (speed - v0) / g, speed
     limit = math.sqrt(g / k)
-    early = 0.0
-    if v0 < 0.0:
-        early = math.atan(-v0 / limit) * limit / g
-        height_m += math.log1p(v0 * v0 / limit**2) / (2.0 * k)
-        v0 = 0.0
     if v0 >= limit:
         raise ComputationError(
             f"the bristle is released at {v0:g} m/s, above its {limit:.3g} m/s of steady fall"
         )
-    # v∞² - v² = (v∞² - v0²) exp(-2 k h), without cancellation
-    speed = math.sqrt(v0 * v0 - (limit**2 - v0 * v0) * math.expm1(-2.0 * k * height_m))
+    early = math.atan(-min(v0, 0.0) / limit) * limit / g
+    v0 = max(v0, 0.0)
     # atanh(v/v∞) - atanh(v0/v∞) by its addition theorem
     turned = math.atanh((speed - v0) * limit / (limit**2 - speed * v0))
     return early + turned * limit / g, speed
 
 
-def risen(height_m: float, drag_1_m: float) -> float:
-    """How high a body comes that would rise ``height_m`` without drag ``drag_1_m`` over mass."""
-    return height_m if drag_1_m == 0.0 else math.log1p(2.0 * drag_1_m * height_m) / (2.0 * drag_1_m)
+def fallen(
+    height_m: Array | float,
+    gravity_m_s2: float,
+    speed_m_s: Array | float,
+    drag_1_m: Array | float,
+) -> Array:
+    """Height of the fall from rest in a vacuum that ends as fast as `dragged_fall`.
+
+    Arrays broadcast. A start above the speed of steady fall is slowed.
+    """
+    return _end_speed2(height_m, gravity_m_s2, speed_m_s, drag_1_m) / (2.0 * gravity_m_s2)
+
+
+def _end_speed2(
+    height_m: Array | float,
+    gravity_m_s2: float,
+    speed_m_s: Array | float,
+    drag_1_m: Array | float,
+) -> Array:
+    """The square of the speed at the end of `dragged_fall`, of arrays that broadcast."""
+    h, v0 = np.asarray(height_m), np.asarray(speed_m_s)
+    k = np.maximum(drag_1_m, LEAST_DRAG_1_M)
+    limit2 = gravity_m_s2 / k
+    higher = h + np.where(v0 < 0.0, np.log1p(v0**2 / limit2) / (2.0 * k), 0.0)
+    start2 = np.where(v0 < 0.0, 0.0, v0**2)
+    # v∞² - v² = (v∞² - v0²) exp(-2 k h), without cancellation
+    slowed = start2 - (limit2 - start2) * np.expm1(-2.0 * k * higher)
+    freely = v0**2 + 2.0 * gravity_m_s2 * h
+    return np.where(np.asarray(drag_1_m) < LEAST_DRAG_1_M, freely, slowed)
+
+
+def risen(height_m: Array | float, drag_1_m: Array | float) -> Array:
+    """How high a body comes that would rise ``height_m`` without drag ``drag_1_m`` over mass.
+
+    Arrays broadcast.
+    """
+    k = np.maximum(drag_1_m, LEAST_DRAG_1_M)
+    slowed = np.log1p(2.0 * k * height_m) / (2.0 * k)
+    return np.where(np.asarray(drag_1_m) < LEAST_DRAG_1_M, height_m, slowed)
 
 
 def dragged_path(t_s: float, gravity_m_s2: float, speed_m_s: float, drag_1_m: float) -> float:

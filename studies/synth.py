@@ -25,7 +25,7 @@ from ..solver.contact.laws import Linear
 from ..solver.effects.base import Effect, Scene
 from ..solver.effects.library import enter_all
 from ..solver.errors import InputError
-from ..solver.fall import dragged_fall, risen
+from ..solver.fall import fallen, risen
 from . import __version__
 from .data.datasets import Drops, Manifest
 from .effects import EffectInput, read_effects
@@ -138,20 +138,26 @@ def make(recipe: Recipe, body: ModalBody) -> Made:
 def _seen(scenes: Sequence[Scene], recipe: Recipe, body: ModalBody) -> Array:
     """What a perfect reading of the instruments gives of these drops (drops, 4)."""
     g, mass = paper.GRAVITY_M_S2, body.mass_kg
-    falls = []
-    for scene in scenes:
-        _, speed = dragged_fall(scene.height_m, g, scene.release_speed_m_s, scene.drag_kg_m / mass)
-        falls.append(replace(scene, height_m=speed * speed / (2.0 * g)))
+    drag = np.array([scene.drag_kg_m for scene in scenes]) / mass
+    same = fallen(
+        np.array([scene.height_m for scene in scenes]),
+        g,
+        np.array([scene.release_speed_m_s for scene in scenes]),
+        drag,
+    )
+    falls = [
+        replace(scene, height_m=float(height)) for scene, height in zip(scenes, same, strict=True)
+    ]
     bristle = Bristle(material=Material(beta_s=body.beta_s))
     steps = [FINER * its_s(bristle, scene.law.kn_N_m) for scene in falls]
     out = np.empty((len(scenes), 4))
     for step in sorted(set(steps)):
         members = [i for i, each in enumerate(steps) if each == step]
         out[members, 1:] = drops_of(body, [falls[i] for i in members], g, step, recipe.friction)
+    out[:, 1] = risen(out[:, 1], drag)
     for i, scene in enumerate(scenes):
-        top = risen(out[i, 1], scene.drag_kg_m / mass)
         out[i, 0] = scene.y_scale * (scene.height_m + scene.y_offset_m)
-        out[i, 1] = scene.y_scale * (top + scene.y_offset_m)
+        out[i, 1] = scene.y_scale * (out[i, 1] + scene.y_offset_m)
         out[i, 2] *= scene.t_scale
     return out
 

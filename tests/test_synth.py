@@ -14,8 +14,8 @@ from bristle.solver.contact.laws import Linear
 from bristle.solver.effects.base import Scene
 from bristle.solver.effects.library import EFFECTS
 from bristle.solver.errors import InputError
+from bristle.solver.fall import dragged_fall, fallen, risen
 from bristle.studies.data.datasets import read_drops
-from bristle.studies.loop.drop_model import fallen, risen
 from bristle.studies.loop.response import Axis, Bench, Tables, drops_of
 from bristle.studies.loop.spline import coefficients, evaluate
 from bristle.studies.synth import (
@@ -175,10 +175,7 @@ def test_a_slope_is_a_slope_of_the_ground_not_of_each_point(body):
 @given(height=st.floats(1e-3, 0.1), speed=st.floats(-0.5, 0.5), drag=st.floats(1e-6, 1.0))
 @settings(max_examples=50, deadline=None)
 def test_falls_of_many_drops_are_those_of_one(height, speed, drag):
-    from bristle.solver.fall import dragged_fall
-    from bristle.solver.fall import risen as one_risen
-
     _, end = dragged_fall(height, paper.GRAVITY_M_S2, speed, drag)
     many = fallen(np.array([height]), paper.GRAVITY_M_S2, speed, drag)
     assert many[0] == pytest.approx(end**2 / (2.0 * paper.GRAVITY_M_S2), rel=1e-6)
-    assert risen(np.array([height]), drag)[0] == pytest.approx(one_risen(height, drag), rel=1e-6)
+    assert risen(np.array([height]), drag)[0] == pytest.approx(risen(height, drag), rel=1e-6)

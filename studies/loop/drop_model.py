@@ -14,7 +14,8 @@ from ...solver.effects.base import Effect, Parameter
 from ...solver.effects.library import EFFECTS
 from ...solver.effects.release import AIR_KG_M3
 from ...solver.effects.surface import WEAR_DROPS
-from .response import Axis, Bench, Tables
+from ...solver.fall import fallen, risen
+from .response import Bench, Tables
 
 # Nodes of chance: stiffness by its normal deviate, slope by its size and direction.
 DEVIATES = np.linspace(-3.25, 3.25, 53)
@@ -166,30 +167,6 @@ class DropModel:
     def _given(self, theta: Array) -> Mapping[str, Array]:
         """The effects' values by name (each has one parameter)."""
         return {name: theta[..., 1 + i] for i, name in enumerate(self.effects)}
-
-
-def fallen(
-    height_m: Array, gravity_m_s2: float, speed_m_s: Array | float, drag: Array | float
-) -> Array:
-    """Height of the fall from rest in a vacuum that ends as fast (see solver.fall)."""
-    g, v0 = gravity_m_s2, np.asarray(speed_m_s)
-    k = np.maximum(drag, 1e-12)
-    limit2 = g / k
-    up = np.log1p(v0**2 / limit2) / (2.0 * k)
-    height = np.where(v0 < 0.0, height_m + up, height_m)
-    start2 = np.where(v0 < 0.0, 0.0, v0**2)
-    return np.asarray((start2 - (limit2 - start2) * np.expm1(-2.0 * k * height)) / (2.0 * g))
-
-
-def risen(height_m: Array, drag: Array | float) -> Array:
-    """How high a body comes that would rise ``height_m`` without drag over mass (1/m)."""
-    k = np.maximum(drag, 1e-12)
-    return np.asarray(np.log1p(2.0 * k * height_m) / (2.0 * k))
-
-
-def axis_of(parameter: Parameter, n: int) -> Axis:
-    """The side of a table for an effect's parameter."""
-    return Axis(parameter.low, parameter.high, n, "log" if parameter.logarithmic else "even")
 
 
 def effect_at(name: str, value: float) -> Effect:

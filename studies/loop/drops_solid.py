@@ -22,10 +22,11 @@ from ...solver.drop import ModalFrame
 from ...solver.effects.base import Effect, Scene
 from ...solver.effects.library import EFFECTS, enter_all
 from ...solver.errors import ComputationError
+from ...solver.fall import fallen, risen
 from ..command.choices import Model
 from ..command.sources import checked
 from ..running.cases import Workshop
-from .drop_model import DropModel, effect_at, fallen, risen
+from .drop_model import DropModel, effect_at
 from .response import ITS_S, QUANTITIES, SHORTER, Bench, drops_of, its_s
 
 # Deviates of chance, with weights that sum to one: five of a normal number (Gauss and Hermite;
@@ -121,7 +122,7 @@ def scenes_of(
             scene = replace(scene, chance=own)
             scene = enter_all(scene, [effect])
         same = fallen(
-            np.asarray(height),
+            height,
             bench.gravity_m_s2,
             scene.release_speed_m_s,
             scene.drag_kg_m / bench.bristle.mass_kg,

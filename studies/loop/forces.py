@@ -22,9 +22,10 @@ from numpy.typing import NDArray
 from ...solver.bristle import Array
 from ...solver.effects.base import Parameter
 from ...solver.errors import InputError
+from ...solver.fall import risen
 from ..data.datasets import Manifest, read_manifest
 from ..data.tables import column, inside, optional_column, read_table
-from .drop_model import DropModel, Drops, risen
+from .drop_model import DropModel, Drops
 from .drops import carried, stiffness
 from .force_curves import (
     CELLS,

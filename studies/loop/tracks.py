@@ -30,9 +30,10 @@ from numpy.typing import NDArray
 from ...solver.bristle import Array
 from ...solver.effects.base import Parameter, Scene
 from ...solver.errors import InputError
+from ...solver.fall import risen
 from ..data.datasets import Manifest, read_manifest
 from ..data.tables import column, read_table
-from .drop_model import DropModel, Drops, risen
+from .drop_model import DropModel, Drops
 from .drops import SIGMA_M, carried, stiffness
 from .problem import Experiment, Problem
 from .response import MADE_BY, Bench, Tables, beam_of, outcomes_of, reference

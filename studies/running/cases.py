@@ -348,7 +348,7 @@ def _launched(inputs: DropInputs, speed_m_s: float, drag_1_m: float) -> DropResu
     result = analytic_drop(inputs.bristle().mass_kg, inputs.kn_N_m, same, g)
     ahead = speed / g - fall_s
     rows = [(row[0] - ahead, *row[1:]) for row in result.history.rows if row[0] >= ahead]
-    top = risen(same, drag_1_m)
+    top = float(risen(same, drag_1_m))
     return replace(
         result,
         rebound_height_m=top,
