@@ -16,12 +16,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from ...solver import paper
 from ...solver.bristle import Array, Bristle, Circle, Material, Rectangle, Section
 from ...solver.errors import InputError
-from .tables import column, inside, optional_column, read_table, read_text
+from .tables import check_order, column, inside, optional_column, read_table, read_text
 
 KINDS = ("drops", "tracks", "forces", "waves", "falls")
 PARTS = ("dataset", "body", "contact", "measurement")
@@ -143,10 +141,7 @@ def read_drops(folder: Path) -> Drops:
     if len(rows) < 3:
         raise InputError(f"{path}: {len(rows)} drops; a mean and its interval need three or more")
     drop = column(path, rows, "drop", whole=True)
-    again = np.flatnonzero(np.diff(drop) <= 0)
-    if len(again):
-        line = rows[again[0] + 1][0]
-        raise InputError(f"{path}:{line}: drop must count upwards in the order they were made")
+    check_order(path, rows, "drop", drop)
     y0 = column(path, rows, "y0_mm", above=0.0)
     y1 = column(path, rows, "y1_mm", least=0.0)
     sigma = manifest.measurement.get("sigma_y_mm")

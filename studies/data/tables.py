@@ -9,6 +9,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ...solver.bristle import Array
 from ...solver.errors import InputError
@@ -91,6 +92,36 @@ def column(
             if not good(values[i]):
                 raise InputError(f"{path}:{line}: {name} must be {words}, not {row[name]}")
     return values
+
+
+def check_order(
+    path: Path, rows: Rows, name: str, numbers: Array | NDArray[np.int64], repeated: bool = False
+) -> None:
+    """InputError at the first of ``numbers`` (rows,) that does not count upwards.
+
+    A number may stand in several rows that follow each other where it may be ``repeated``.
+    """
+    step = np.diff(numbers)
+    wrong = np.flatnonzero(step < 0 if repeated else step <= 0)
+    if len(wrong):
+        line = rows[wrong[0] + 1][0]
+        raise InputError(f"{path}:{line}: {name} must count upwards in the order they were made")
+
+
+def group_begins(
+    path: Path, rows: Rows, name: str, numbers: NDArray[np.int64], t_s: Array
+) -> NDArray[np.int64]:
+    """Where each group of rows of one number begins, and where the last ends (groups + 1,).
+
+    Raises InputError where ``numbers`` (rows,) do not count upwards, or times ``t_s`` (rows,) do
+    not grow within a group; ``name`` is what a group is.
+    """
+    check_order(path, rows, name, numbers, repeated=True)
+    step = np.diff(numbers)
+    late = np.flatnonzero((step == 0) & (np.diff(t_s) <= 0.0))
+    if len(late):
+        raise InputError(f"{path}:{rows[late[0] + 1][0]}: t_s must grow within a {name}")
+    return np.concatenate([[0], np.flatnonzero(step) + 1, [len(rows)]]).astype(np.int64)
 
 
 def optional_column(path: Path, rows: Rows, name: str, unit: float) -> Array | None:

@@ -43,7 +43,7 @@ from ...solver.bristle import Array
 from ...solver.effects.base import Parameter
 from ...solver.errors import InputError
 from ..data.datasets import Manifest, read_manifest
-from ..data.tables import column, read_table
+from ..data.tables import column, group_begins, read_table
 from .problem import Problem
 
 BIN_S = 0.05
@@ -92,14 +92,7 @@ def read_falls(folder: Path) -> Falls:
     rows = read_table(path, required=("fall", "t_s", "a_m_s2"))
     fall = column(path, rows, "fall", whole=True).astype(np.int64)
     times, reading = column(path, rows, "t_s"), column(path, rows, "a_m_s2")
-    step = np.diff(fall)
-    if np.any(step < 0):
-        line = rows[int(np.flatnonzero(step < 0)[0]) + 1][0]
-        raise InputError(f"{path}:{line}: fall must count upwards in the order they were made")
-    late = np.flatnonzero((step == 0) & (np.diff(times) <= 0.0))
-    if len(late):
-        raise InputError(f"{path}:{rows[late[0] + 1][0]}: t_s must grow within a fall")
-    begins = np.concatenate([[0], np.flatnonzero(step) + 1, [len(rows)]]).astype(np.int64)
+    begins = group_begins(path, rows, "fall", fall, times)
     if len(begins) < 4:
         raise InputError(f"{path}: {len(begins) - 1} falls; at least three are needed")
     for begin, size in zip(begins, np.diff(begins), strict=False):

@@ -24,7 +24,7 @@ from ...solver.effects.base import Parameter
 from ...solver.errors import InputError
 from ...solver.fall import risen
 from ..data.datasets import Manifest, read_manifest
-from ..data.tables import column, inside, optional_column, read_table
+from ..data.tables import check_order, column, group_begins, inside, optional_column, read_table
 from .drop_model import DropModel, Drops
 from .drops import carried, stiffness
 from .force_curves import (
@@ -94,14 +94,7 @@ def read_forces(folder: Path) -> Forces:
     lines = read_table(path, required=("drop", "t_s", "force_N"))
     drop = column(path, lines, "drop", whole=True).astype(np.int64)
     times, force = column(path, lines, "t_s"), column(path, lines, "force_N")
-    step = np.diff(drop)
-    if np.any(step < 0):
-        line = lines[int(np.flatnonzero(step < 0)[0]) + 1][0]
-        raise InputError(f"{path}:{line}: drop must count upwards in the order they were made")
-    late = np.flatnonzero((step == 0) & (np.diff(times) <= 0.0))
-    if len(late):
-        raise InputError(f"{path}:{lines[late[0] + 1][0]}: t_s must grow within a drop")
-    begins = np.concatenate([[0], np.flatnonzero(step) + 1, [len(lines)]]).astype(np.int64)
+    begins = group_begins(path, lines, "drop", drop, times)
     for begin, end in pairwise(begins):
         if end - begin < LEAST_SAMPLES:
             where = f"{path}:{lines[begin][0]}: drop {drop[begin]}"
@@ -133,10 +126,7 @@ def _heights(
     path = inside(manifest.folder, HEIGHTS)
     rows_read = read_table(path, required=("drop", "y0_mm"))
     drop = column(path, rows_read, "drop", whole=True).astype(np.int64)
-    again = np.flatnonzero(np.diff(drop) <= 0)
-    if len(again):
-        line = rows_read[again[0] + 1][0]
-        raise InputError(f"{path}:{line}: drop must count upwards in the order they were made")
+    check_order(path, rows_read, "drop", drop)
     y0 = 1e-3 * column(path, rows_read, "y0_mm", above=0.0)
     y1 = optional_column(path, rows_read, "y1_mm", 1e-3)
     of = {int(number): i for i, number in enumerate(drop)}

@@ -32,7 +32,7 @@ from ...solver.effects.base import Parameter, Scene
 from ...solver.errors import InputError
 from ...solver.fall import risen
 from ..data.datasets import Manifest, read_manifest
-from ..data.tables import column, read_table
+from ..data.tables import column, group_begins, read_table
 from .drop_model import DropModel, Drops
 from .drops import SIGMA_M, carried, stiffness
 from .problem import Experiment, Problem
@@ -102,14 +102,7 @@ def read_tracks(folder: Path) -> Tracks:
     rows = read_table(path, required=("drop", "t_s", "y_mm"))
     drop = column(path, rows, "drop", whole=True).astype(np.int64)
     times, y = column(path, rows, "t_s"), 1e-3 * column(path, rows, "y_mm")
-    step = np.diff(drop)
-    if np.any(step < 0):
-        line = rows[int(np.flatnonzero(step < 0)[0]) + 1][0]
-        raise InputError(f"{path}:{line}: drop must count upwards in the order they were made")
-    late = np.flatnonzero((step == 0) & (np.diff(times) <= 0.0))
-    if len(late):
-        raise InputError(f"{path}:{rows[late[0] + 1][0]}: t_s must grow within a drop")
-    begins = np.concatenate([[0], np.flatnonzero(step) + 1, [len(rows)]]).astype(np.int64)
+    begins = group_begins(path, rows, "drop", drop, times)
     for begin, end in pairwise(begins):
         if end - begin < LEAST_FRAMES:
             where = f"{path}:{rows[begin][0]}: drop {drop[begin]}"
