@@ -21,17 +21,15 @@ from ...solver.bodies.beam import beam_body
 from ...solver.bristle import Array, Bristle, Material
 from ...solver.contact import laws
 from ...solver.contact.enforcement import ContactMethod
-from ...solver.errors import ComputationError
 from ...solver.time.march import Marcher
 from ...solver.time.scheme import TimeScheme
 from ..calibration.curve import short_its_s
 from ..running.parallel import share_out
+from ..running.retry import drop_by_drop
 
 POINTS = 5
 # The budget closes to the ITS's error, some 10^-3; where energy is made it is off by far more.
 CLOSURE = 0.02
-# Parts of the ITS that are tried where contact forces do not converge.
-SHORTER = (0.5, 0.2)
 CHUNK = 120
 
 
@@ -117,25 +115,17 @@ def drops_under(conditions: Conditions, bristle: Bristle) -> Outcome:
 
 
 def _rows(at: Conditions, bristle: Bristle, its_s: float, damping_N_s_m: float) -> Array:
-    """Rows of `Outcome` (fields, n) at one ITS; a drop that fails gets ever shorter ones.
+    """Rows of `Outcome` (fields, n) at one ITS, or at shorter ones for drops that fail.
 
     One that fails at all of them has NaN and an energy budget that does not close.
     """
-    try:
-        return _marched(at, _marcher(bristle, its_s, damping_N_s_m))
-    except ComputationError:
-        n = len(at.height_m)
-    if n > 1:
-        halves = slice(n // 2), slice(n // 2, n)
-        return np.hstack([_rows(at.take(half), bristle, its_s, damping_N_s_m) for half in halves])
-    for shorter in SHORTER:
-        try:
-            return _marched(at, _marcher(bristle, its_s * shorter, damping_N_s_m))
-        except ComputationError:
-            continue
-    row = np.full((len(Outcome._fields), 1), np.nan)
-    row[Outcome._fields.index("closure_relative")] = np.inf
-    return row
+    failed = np.full(len(Outcome._fields), np.nan)
+    failed[Outcome._fields.index("closure_relative")] = np.inf
+
+    def run(which: slice, its: float) -> Array:
+        return _marched(at.take(which), _marcher(bristle, its, damping_N_s_m)).T
+
+    return drop_by_drop(run, len(at.height_m), its_s, failed).T
 
 
 def _marched(at: Conditions, marcher: Marcher) -> Array:

@@ -26,8 +26,9 @@ from ...solver.fall import fallen, risen
 from ..command.choices import Model
 from ..command.sources import checked
 from ..running.cases import Workshop
+from ..running.retry import with_shorter_its
 from .drop_model import DropModel, effect_at
-from .response import ITS_S, QUANTITIES, SHORTER, Bench, drops_of, its_s
+from .response import ITS_S, QUANTITIES, Bench, drops_of, its_s
 
 # Deviates of chance, with weights that sum to one: five of a normal number (Gauss and Hermite;
 # exact to the ninth moment), and for a slope three sizes (of its square, Gauss and Laguerre) in
@@ -163,13 +164,10 @@ def solid_drops(model: DropModel, theta: Array, which: Sequence[int]) -> Array:
 def _simulated(body: ModalBody, scenes: Sequence[Scene], bench: Bench) -> Array:
     """As the tables are made (`response.Bench`), with shorter steps where a drop fails."""
     stiffest = max(scene.law.kn_N_m for scene in scenes)
-    step = its_s(bench.bristle, stiffest)
-    for part in (1.0, *SHORTER):
-        try:
-            return drops_of(body, scenes, bench.gravity_m_s2, part * step, bench.friction)
-        except ComputationError as error:
-            failure = error
-    raise failure
+    return with_shorter_its(
+        lambda its: drops_of(body, scenes, bench.gravity_m_s2, its, bench.friction),
+        its_s(bench.bristle, stiffest),
+    )
 
 
 def whitened_solid(

@@ -34,6 +34,7 @@ from ...solver.errors import ComputationError
 from ...solver.ground import Ground
 from ...solver.kept import kept, sources
 from ...solver.rigid import slope_normal
+from ..running.retry import with_shorter_its
 from .response import HELD, MADE_BY, SIMULATED, Axis, Bench, Table, Tables, beam_of, its_s, mended
 from .spline import coefficients, evaluate
 
@@ -48,7 +49,6 @@ HELD_NODES = 25
 KN_DECADES = 0.5
 # Steps of a march, of an upright bristle and of one that leans, which is slower.
 ITS_S, LEAN_ITS_S = 5e-7, 2e-6
-SHORTER = (1.0, 0.5, 0.2)
 SHAPES = 24
 """A multiple of three, which `spline.evaluate` takes at a time."""
 CLOCK = "clock_error"
@@ -142,20 +142,14 @@ class ForceBench(Bench):
         step = min(step, LEAN_ITS_S if leans(scene) else ITS_S) / finer
         edges = self.cell_s * np.arange(CELLS + 1)
         speed = math.sqrt(2.0 * self.gravity_m_s2 * scene.height_m)
-        for part in SHORTER:
-            try:
-                t, impulse = force_history(
-                    self.bristle,
-                    scene,
-                    self.gravity_m_s2,
-                    self.friction,
-                    part * step,
-                    self.length_s,
-                )
-            except ComputationError:
-                continue
-            return np.asarray(np.diff(np.interp(edges, t, impulse)) / (self.cell_s * speed))
-        return np.full(CELLS, np.nan)
+        g, mu = self.gravity_m_s2, self.friction
+        try:
+            t, impulse = with_shorter_its(
+                lambda its: force_history(self.bristle, scene, g, mu, its, self.length_s), step
+            )
+        except ComputationError:
+            return np.full(CELLS, np.nan)
+        return np.asarray(np.diff(np.interp(edges, t, impulse)) / (self.cell_s * speed))
 
     def curves(self, name: str, sides: Sequence[Axis], change: Change, leaning: bool) -> Curves:
         """Histories over height, stiffness and ``sides``, kept from run to run."""

@@ -42,6 +42,8 @@ from ...solver.kept import kept, sources
 from ...solver.rigid import leaning, matrix_of, slope_normal
 from ...solver.time.march import Marcher
 from ...solver.time.scheme import TimeScheme
+from ..running import retry
+from ..running.retry import drop_by_drop
 from .spline import coefficients, evaluate
 
 # What a table holds of a drop, and what is measured of it.
@@ -61,8 +63,12 @@ SIDE_NODES = 4
 ITS_S = 2e-6
 SHORTEST_ITS_S = 5e-7
 POINTS = 5
-MADE_BY = (Path(library.__file__).parent, Path(__file__), Path(__file__).with_name("spline.py"))
-SHORTER = (0.5, 0.2)
+MADE_BY = (
+    Path(library.__file__).parent,
+    Path(__file__),
+    Path(__file__).with_name("spline.py"),
+    Path(retry.__file__),
+)
 
 
 @lru_cache(maxsize=8)
@@ -283,18 +289,10 @@ class Bench:
     def _drops(self, scenes: Sequence[Scene]) -> Array:
         """What these drops give; NaN for one that fails, or stays on the surface for good."""
         step = its_s(self.bristle, scenes[0].law.kn_N_m)
-        try:
-            return self.seen(scenes, step)
-        except ComputationError:
-            n = len(scenes)
-        if n > 1:
-            return np.vstack([self._drops(scenes[: n // 2]), self._drops(scenes[n // 2 :])])
-        for part in SHORTER:
-            try:
-                return self.seen(scenes, part * step)
-            except ComputationError:
-                continue
-        return np.full((1, len(QUANTITIES)), np.nan)
+        failed = np.full(len(QUANTITIES), np.nan)
+        return drop_by_drop(
+            lambda which, its: self.seen(scenes[which], its), len(scenes), step, failed
+        )
 
 
 def mended(logs: Array) -> Array:
