@@ -29,7 +29,7 @@ from ..solver.fall import fallen, risen
 from . import __version__
 from .data.datasets import Drops, Manifest
 from .effects import EffectInput, read_effects
-from .loop.response import drops_of, its_s
+from .loop.table_drops import drops_of, its_s
 from .running.files import prepare_folder, to_json, write_atomically
 
 COLUMNS = ("drop", "y0_mm", "y1_mm", "contact_time_ms", "peak_force_N")

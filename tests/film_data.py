@@ -14,7 +14,7 @@ from bristle.solver.bristle import Bristle
 from bristle.solver.contact.laws import Linear
 from bristle.solver.effects.base import Scene
 from bristle.solver.effects.library import EFFECTS, enter_all
-from bristle.studies.loop.response import beam_of, its_s, outcomes_of
+from bristle.studies.loop.table_drops import beam_of, its_s, outcomes_of
 
 GRAVITY = 9.81
 HEIGHTS_M = (0.02, 0.03, 0.04, 0.05)

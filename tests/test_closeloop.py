@@ -27,7 +27,8 @@ from bristle.studies.data import datasets
 from bristle.studies.loop import drops as drops_module
 from bristle.studies.loop.drops import drops_problem
 from bristle.studies.loop.drops_solid import chances, solid_drops
-from bristle.studies.loop.response import Bench, beam_of, drops_of
+from bristle.studies.loop.response import Bench
+from bristle.studies.loop.table_drops import beam_of, drops_of
 
 pytestmark = pytest.mark.serial
 

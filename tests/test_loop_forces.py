@@ -17,8 +17,8 @@ from bristle.solver.effects.library import EFFECTS
 from bristle.solver.errors import InputError
 from bristle.studies.loop.force_curves import force_history
 from bristle.studies.loop.forces import forces_problem, read_forces
-from bristle.studies.loop.response import beam_of, outcomes_of
 from bristle.studies.loop.run import find
+from bristle.studies.loop.table_drops import beam_of, outcomes_of
 
 KN = 2e6
 SIGMA_N = 0.5

@@ -16,8 +16,10 @@ from bristle.solver.effects.library import EFFECTS
 from bristle.solver.errors import InputError
 from bristle.solver.fall import dragged_fall, fallen, risen
 from bristle.studies.data.datasets import read_drops
-from bristle.studies.loop.response import Axis, Bench, Tables, drops_of
+from bristle.studies.loop.response import Bench, Tables
 from bristle.studies.loop.spline import coefficients, evaluate
+from bristle.studies.loop.table import Axis
+from bristle.studies.loop.table_drops import drops_of
 from bristle.studies.synth import (
     Noise,
     Recipe,

@@ -26,7 +26,7 @@ DIRECTIONS_DEG = (9.0, 27.0, 45.0, 63.0, 81.0)
 @dataclass(frozen=True)
 class Drops:
     """Drops as they were measured: ``y0_m``, ``order`` (drops,), and which quantities (of
-    `response.QUANTITIES`) were."""
+    `table.QUANTITIES`) were."""
 
     bench: Bench
     y0_m: Array

@@ -22,7 +22,7 @@ Build = Callable[[Drops, Mapping[int, float], tuple[str, ...]], DropModel]
 def experiments(drops: Drops, sigmas: Mapping[int, float], build: Build) -> list[Experiment]:
     """Measurements that differ from ``drops`` in what is measured, how well, and from where.
 
-    ``sigmas`` holds the standard deviation of each quantity (of `response.QUANTITIES`) in SI;
+    ``sigmas`` holds the standard deviation of each quantity (of `table.QUANTITIES`) in SI;
     ``build`` makes the model of such drops with effects in it.
     """
 

@@ -28,7 +28,9 @@ from ..command.sources import checked
 from ..running.cases import Workshop
 from ..running.retry import with_shorter_its
 from .drop_model import DropModel, effect_at
-from .response import ITS_S, QUANTITIES, Bench, drops_of, its_s
+from .response import Bench
+from .table import QUANTITIES
+from .table_drops import ITS_S, drops_of, its_s
 
 # Deviates of chance, with weights that sum to one: five of a normal number (Gauss and Hermite;
 # exact to the ninth moment), and for a slope three sizes (of its square, Gauss and Laguerre) in

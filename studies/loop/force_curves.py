@@ -1,6 +1,6 @@
 """Which force does a bristle press with while it hits, over height, stiffness and an effect's size?
 
-Tables like `response.Table`, of whole histories in place of three numbers: the vertical force over
+Tables like `table.Table`, of whole histories in place of three numbers: the vertical force over
 the speed of impact, its mean in each of `CELLS` equal times from the first touch. All tables of a
 dataset together are brought to a few shapes, those that carry most of their variance (singular
 value decomposition), and hold the amounts of these: a history is their sum.
@@ -35,8 +35,10 @@ from ...solver.ground import Ground
 from ...solver.kept import kept, sources
 from ...solver.rigid import slope_normal
 from ..running.retry import with_shorter_its
-from .response import HELD, MADE_BY, SIMULATED, Axis, Bench, Table, Tables, beam_of, its_s, mended
+from .response import HELD, MADE_BY, SIMULATED, Bench, Tables
 from .spline import coefficients, evaluate
+from .table import Axis, Table, mended
+from .table_drops import beam_of, its_s
 
 CELLS = 640
 HEIGHT_NODES = 4

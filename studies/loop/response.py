@@ -12,42 +12,26 @@ import itertools
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, lru_cache
+from functools import cached_property
 from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
-from scipy.ndimage import distance_transform_edt
 
 from ...solver import paper
-from ...solver.batch import Drops, Outcome, drop_many
-from ...solver.bodies.beam import beam_body
-from ...solver.bodies.modal import ModalBody
 from ...solver.bristle import Array, Bristle
-from ...solver.contact.enforcement import ContactMethod
-from ...solver.contact.laws import (
-    Adhesive,
-    ContactLaw,
-    Coulomb,
-    Linear,
-    Plastic,
-    mindlin_ratio,
-)
+from ...solver.contact.laws import Adhesive, Linear, Plastic
 from ...solver.effects import library
 from ...solver.effects.base import Parameter, Scene
 from ...solver.effects.library import EFFECTS
 from ...solver.effects.surface import MOST_SLOPE_DEG
-from ...solver.errors import ComputationError
 from ...solver.kept import kept, sources
-from ...solver.rigid import leaning, matrix_of, slope_normal
-from ...solver.time.march import Marcher
-from ...solver.time.scheme import TimeScheme
 from ..running import retry
-from ..running.retry import drop_by_drop
-from .spline import coefficients, evaluate
+from . import spline, table, table_drops
+from .spline import coefficients
+from .table import QUANTITIES, Axis, Table, mended
+from .table_drops import beam_of, drops_of, its_s
 
-# What a table holds of a drop, and what is measured of it.
-QUANTITIES = ("y1_m", "contact_time_s", "peak_force_N")
 # Softer and damped, a contact may hold the bristle for good.
 KN_RANGE_N_M = (1e5, 1e8)
 KN_NODES = 33
@@ -59,137 +43,15 @@ EFFECT_NODES = 17
 LEAN_NODES = 10
 SLOPE_NODES = 8
 SIDE_NODES = 4
-# Steps of an impact: y1/y0 is then off by less than a thousandth (study of ITS).
-ITS_S = 2e-6
-SHORTEST_ITS_S = 5e-7
-POINTS = 5
+# What tables come from beside the solver, whose sources name the folder that they are kept in.
 MADE_BY = (
     Path(library.__file__).parent,
-    Path(__file__),
-    Path(__file__).with_name("spline.py"),
+    Path(table_drops.__file__),
     Path(retry.__file__),
+    Path(table.__file__),
+    Path(spline.__file__),
+    Path(__file__),
 )
-
-
-@lru_cache(maxsize=8)
-def beam_of(bristle: Bristle) -> ModalBody:
-    """The beam that tables are made with, to second order in its slope."""
-    return beam_body(bristle, paper.ELEMENTS, points=POINTS, second_order=True)
-
-
-def its_s(bristle: Bristle, kn_N_m: float) -> float:
-    """A step that resolves the spring: an eightieth of the mass' quarter period on it."""
-    quarter = 0.5 * math.pi * math.sqrt(bristle.mass_kg / kn_N_m)
-    return float(f"{min(ITS_S, max(quarter / 12.0, SHORTEST_ITS_S)):.0e}")
-
-
-def drops_of(
-    body: ModalBody, scenes: Sequence[Scene], gravity_m_s2: float, its: float, friction: float
-) -> Array:
-    """What is measured of `outcomes_of` these scenes, (scenes, quantities)."""
-    found = outcomes_of(body, scenes, gravity_m_s2, its, friction)
-    return np.stack([found.rebound_height_m, found.contact_time_s, found.peak_force_N], axis=1)
-
-
-def outcomes_of(
-    body: ModalBody, scenes: Sequence[Scene], gravity_m_s2: float, its: float, friction: float
-) -> Outcome:
-    """What drops of these scenes give, arrays (scenes,); all share damping and losses.
-
-    Heights are those of a fall from rest in a vacuum. Raises ComputationError.
-    """
-    alike: dict[ContactLaw, list[int]] = {}
-    for i, scene in enumerate(scenes):
-        alike.setdefault(replace(scene.law, kn_N_m=1.0), []).append(i)  # type: ignore[type-var]
-    out = np.empty((len(Outcome._fields), len(scenes)))
-    for members in alike.values():
-        part = [scenes[i] for i in members]
-        out[:, members] = _under_one_law(body, part, gravity_m_s2, its, friction)
-    return Outcome(*out)
-
-
-def _under_one_law(
-    body: ModalBody, scenes: Sequence[Scene], gravity_m_s2: float, its: float, friction: float
-) -> Outcome:
-    """`outcomes_of` scenes whose laws differ in Kn alone."""
-    first = scenes[0]
-    body = replace(body, beta_s=first.beta_s, loss_factor=first.loss_factor)
-    # a drop that lands upright on a level surface does not slide
-    leans = any(
-        (s.tilt_deg, s.tilt_wide_deg, s.slope_deg, s.slope_wide_deg) != (0.0,) * 4 for s in scenes
-    )
-    mu = friction if leans else 0.0
-    ratio = mindlin_ratio(paper.POISSON)
-    marcher = Marcher(
-        body,
-        ContactMethod(first.law, friction=Coulomb(mu, ratio)),
-        TimeScheme.average(),
-        its,
-        gravity_m_s2,
-    )
-    n = len(body.contact.weights)
-    drops = Drops.on_plane(
-        n,
-        height_m=np.array([s.height_m for s in scenes]),
-        kn_N_m=np.array([s.law.kn_N_m for s in scenes]),
-        tilt_deg=np.array([s.tilt_deg for s in scenes]),
-        tilt_wide_deg=np.array([s.tilt_wide_deg for s in scenes]),
-        mu=mu,
-    )
-    normals = np.array([slope_normal(s.slope_deg, s.slope_wide_deg) for s in scenes])
-    turns = np.array([matrix_of(leaning(s.tilt_deg, s.tilt_wide_deg)) for s in scenes])
-    at = np.einsum("sxk,nk->snx", turns, body.contact.places_m)
-    rises = -np.einsum("sx,snx->sn", normals[:, :2], at[..., :2]) / normals[:, 2:]
-    drops = replace(drops, normals=np.repeat(normals[:, None, :], n, axis=1), rises_m=rises)
-    return drop_many(marcher, drops)
-
-
-@dataclass(frozen=True)
-class Axis:
-    """Equally spaced values along a table's side, by themselves, their logarithm or their root."""
-
-    low: float
-    high: float
-    n: int
-    how: str = "even"
-
-    def _to(self, x: Array | float) -> Array:
-        x = np.asarray(x, dtype=float)
-        return np.log(x) if self.how == "log" else np.sqrt(x) if self.how == "root" else x
-
-    def nodes(self) -> Array:
-        """The values (n,)."""
-        even = np.linspace(self._to(self.low), self._to(self.high), self.n)
-        return np.exp(even) if self.how == "log" else even**2 if self.how == "root" else even
-
-    def where(self, x: Array) -> Array:
-        """Places of ``x`` in units of the spacing, held to the ends."""
-        low, high = self._to(self.low), self._to(self.high)
-        inside = self._to(np.clip(x, self.low, self.high))
-        return np.asarray((inside - low) * ((self.n - 1) / (high - low)))
-
-
-@dataclass(frozen=True)
-class Table:
-    """Simulated drops over ``axes``, the first two speed of impact (as height) and stiffness.
-
-    ``coefficients`` (..., quantities) are those of cubic splines through the logarithm of each
-    quantity over what a rigid bristle that loses nothing would give.
-    """
-
-    axes: tuple[Axis, ...]
-    coefficients: Array
-
-    def at(self, *places: Array) -> Array:
-        """Logarithms (quantities, ...) at places along the axes, arrays that broadcast."""
-        spots = np.broadcast_arrays(
-            *(axis.where(x) for axis, x in zip(self.axes, places, strict=True))
-        )
-        flat = np.stack([np.ravel(spot) for spot in spots], axis=1)
-        sizes = np.array(self.coefficients.shape[:-1])
-        out = np.empty((len(flat), len(QUANTITIES)))
-        evaluate(self.coefficients.reshape(-1, len(QUANTITIES)), sizes, flat, out)
-        return np.asarray(out.T.reshape(len(QUANTITIES), *spots[0].shape))
 
 
 def reference(
@@ -290,25 +152,9 @@ class Bench:
         """What these drops give; NaN for one that fails, or stays on the surface for good."""
         step = its_s(self.bristle, scenes[0].law.kn_N_m)
         failed = np.full(len(QUANTITIES), np.nan)
-        return drop_by_drop(
+        return retry.drop_by_drop(
             lambda which, its: self.seen(scenes[which], its), len(scenes), step, failed
         )
-
-
-def mended(logs: Array) -> Array:
-    """A table with what failed as at the nearest place where it did not.
-
-    Raises ComputationError where more than half of it failed.
-    """
-    lost = ~np.isfinite(logs).all(axis=-1)
-    if not lost.any():
-        return logs
-    if lost.mean() > 0.5:
-        raise ComputationError(
-            f"{lost.sum()} of {lost.size} drops of a table failed: the effect's bounds are too wide"
-        )
-    nearest = distance_transform_edt(lost, return_distances=False, return_indices=True)
-    return np.asarray(logs[(*np.asarray(nearest),)])
 
 
 SIMULATED = (

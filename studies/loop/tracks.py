@@ -36,7 +36,8 @@ from ..data.tables import column, group_begins, read_table
 from .drop_model import DropModel, Drops
 from .drops import SIGMA_M, carried, stiffness
 from .problem import Experiment, Problem
-from .response import MADE_BY, Bench, Tables, beam_of, outcomes_of, reference
+from .response import MADE_BY, Bench, Tables, reference
+from .table_drops import beam_of, outcomes_of
 from .track_rows import (
     FALL,
     NEAR_RELEASE_S,

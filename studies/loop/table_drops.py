@@ -1,0 +1,101 @@
+"""How are drops of given scenes simulated for a table: with which body, at which step?"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import lru_cache
+
+import numpy as np
+
+from ...solver import paper
+from ...solver.batch import Drops, Outcome, drop_many
+from ...solver.bodies.analytic import quarter_period_s
+from ...solver.bodies.beam import beam_body
+from ...solver.bodies.modal import ModalBody
+from ...solver.bristle import Array, Bristle
+from ...solver.contact.enforcement import ContactMethod
+from ...solver.contact.laws import ContactLaw, Coulomb, mindlin_ratio
+from ...solver.effects.base import Scene
+from ...solver.rigid import leaning, matrix_of, slope_normal
+from ...solver.time.march import Marcher
+from ...solver.time.scheme import TimeScheme
+
+# Steps of an impact: against 0.05 µs, y1/y0 and the contact time of an upright beam are then off
+# by less than a thousandth from 0.1 to 100 MN/m, its peak force by up to 2 % above 3 MN/m.
+ITS_S = 2e-6
+SHORTEST_ITS_S = 5e-7
+POINTS = 5
+
+
+@lru_cache(maxsize=8)
+def beam_of(bristle: Bristle) -> ModalBody:
+    """The beam that tables are made with, to second order in its slope."""
+    return beam_body(bristle, paper.ELEMENTS, points=POINTS, second_order=True)
+
+
+def its_s(bristle: Bristle, kn_N_m: float) -> float:
+    """A step that resolves the spring: a twelfth of the mass' quarter period on it."""
+    quarter = quarter_period_s(bristle.mass_kg, kn_N_m)
+    return float(f"{min(ITS_S, max(quarter / 12.0, SHORTEST_ITS_S)):.0e}")
+
+
+def drops_of(
+    body: ModalBody, scenes: Sequence[Scene], gravity_m_s2: float, its: float, friction: float
+) -> Array:
+    """What is measured of `outcomes_of` these scenes, (scenes, quantities)."""
+    found = outcomes_of(body, scenes, gravity_m_s2, its, friction)
+    return np.stack([found.rebound_height_m, found.contact_time_s, found.peak_force_N], axis=1)
+
+
+def outcomes_of(
+    body: ModalBody, scenes: Sequence[Scene], gravity_m_s2: float, its: float, friction: float
+) -> Outcome:
+    """What drops of these scenes give, arrays (scenes,); all share damping and losses.
+
+    Heights are those of a fall from rest in a vacuum. Raises ComputationError.
+    """
+    alike: dict[ContactLaw, list[int]] = {}
+    for i, scene in enumerate(scenes):
+        alike.setdefault(replace(scene.law, kn_N_m=1.0), []).append(i)  # type: ignore[type-var]
+    out = np.empty((len(Outcome._fields), len(scenes)))
+    for members in alike.values():
+        part = [scenes[i] for i in members]
+        out[:, members] = _under_one_law(body, part, gravity_m_s2, its, friction)
+    return Outcome(*out)
+
+
+def _under_one_law(
+    body: ModalBody, scenes: Sequence[Scene], gravity_m_s2: float, its: float, friction: float
+) -> Outcome:
+    """`outcomes_of` scenes whose laws differ in Kn alone."""
+    first = scenes[0]
+    body = replace(body, beta_s=first.beta_s, loss_factor=first.loss_factor)
+    # a drop that lands upright on a level surface does not slide
+    leans = any(
+        (s.tilt_deg, s.tilt_wide_deg, s.slope_deg, s.slope_wide_deg) != (0.0,) * 4 for s in scenes
+    )
+    mu = friction if leans else 0.0
+    ratio = mindlin_ratio(paper.POISSON)
+    marcher = Marcher(
+        body,
+        ContactMethod(first.law, friction=Coulomb(mu, ratio)),
+        TimeScheme.average(),
+        its,
+        gravity_m_s2,
+    )
+    n = len(body.contact.weights)
+    drops = Drops.on_plane(
+        n,
+        height_m=np.array([s.height_m for s in scenes]),
+        kn_N_m=np.array([s.law.kn_N_m for s in scenes]),
+        tilt_deg=np.array([s.tilt_deg for s in scenes]),
+        tilt_wide_deg=np.array([s.tilt_wide_deg for s in scenes]),
+        mu=mu,
+    )
+    normals = np.array([slope_normal(s.slope_deg, s.slope_wide_deg) for s in scenes])
+    turns = np.array([matrix_of(leaning(s.tilt_deg, s.tilt_wide_deg)) for s in scenes])
+    at = np.einsum("sxk,nk->snx", turns, body.contact.places_m)
+    rises = -np.einsum("sx,snx->sn", normals[:, :2], at[..., :2]) / normals[:, 2:]
+    drops = replace(drops, normals=np.repeat(normals[:, None, :], n, axis=1), rises_m=rises)
+    return drop_many(marcher, drops)
