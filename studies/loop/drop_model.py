@@ -8,6 +8,7 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ...solver.bristle import Array
 from ...solver.effects.base import Effect, Parameter
@@ -56,17 +57,16 @@ class Landing(NamedTuple):
 
 
 @dataclass(frozen=True)
-class DropModel:
-    """The baseline with ``effects`` in: a `Model` of whitened rows, drop after drop.
+class BounceModel:
+    """The baseline with ``effects`` in, up to what data show of it: the base of `Model` classes.
 
-    ``whiten`` (drops, q, q) takes residuals of a drop to independent ones of unit variance.
+    ``kn`` is the baseline's free parameter. A subclass adds `predict`.
     """
 
     drops: Drops
     tables: Tables
     kn: Parameter
     effects: tuple[str, ...]
-    whiten: Array
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
@@ -99,12 +99,6 @@ class DropModel:
     @property
     def weights(self) -> Array:
         return self._chance[1]
-
-    def predict(self, theta: Array) -> Array:
-        """Whitened predictions (..., nodes, rows) for parameters (..., p)."""
-        measured = self.measured(theta)
-        rows = np.einsum("dqr,...dr->...dq", self.whiten, measured)
-        return np.asarray(rows.reshape(*rows.shape[:-2], -1))
 
     def answer(self, theta: Array) -> tuple[Landing, Array]:
         """How each drop landed, and what the tables say of it (quantities, ..., nodes, drops)."""
@@ -153,6 +147,26 @@ class DropModel:
         landing, logs = self.answer(theta)
         return landing, np.exp(logs) * self.tables.rigid(landing.same_m, landing.kn_N_m)
 
+    def _given(self, theta: Array) -> Mapping[str, Array]:
+        """The effects' values by name (each has one parameter)."""
+        return {name: theta[..., 1 + i] for i, name in enumerate(self.effects)}
+
+
+@dataclass(frozen=True)
+class DropModel(BounceModel):
+    """A `Model` of whitened quantities, drop after drop.
+
+    ``whiten`` (drops, q, q) takes residuals of a drop to independent ones of unit variance.
+    """
+
+    whiten: Array
+
+    def predict(self, theta: Array) -> Array:
+        """Whitened predictions (..., nodes, rows) for parameters (..., p)."""
+        measured = self.measured(theta)
+        rows = np.einsum("dqr,...dr->...dq", self.whiten, measured)
+        return np.asarray(rows.reshape(*rows.shape[:-2], -1))
+
     def measured(self, theta: Array) -> Array:
         """What instruments show, in SI (..., nodes, drops, quantities)."""
         drops = self.drops
@@ -164,9 +178,27 @@ class DropModel:
         chosen = [np.broadcast_to(seen[q], full) for q in drops.quantities]
         return np.stack(chosen, axis=-1)
 
-    def _given(self, theta: Array) -> Mapping[str, Array]:
-        """The effects' values by name (each has one parameter)."""
-        return {name: theta[..., 1 + i] for i, name in enumerate(self.effects)}
+
+@dataclass(frozen=True)
+class FeatureModel(BounceModel):
+    """A `Model` of rows that are sums of a drop's features; a subclass says `features`.
+
+    ``weights_of`` (rows, features) of the sums, ``group`` (rows,) which drop a row is of.
+    """
+
+    weights_of: Array
+    group: NDArray[np.int64]
+
+    def predict(self, theta: Array) -> Array:
+        """Whitened predictions (..., nodes, rows) for parameters (..., p)."""
+        features = self.features(theta)
+        return np.asarray(
+            np.einsum("...rf,rf->...r", features[..., self.group, :], self.weights_of)
+        )
+
+    def features(self, theta: Array) -> Array:
+        """Features of every drop (..., nodes, drops, features)."""
+        raise NotImplementedError
 
 
 def effect_at(name: str, value: float) -> Effect:

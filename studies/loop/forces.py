@@ -20,12 +20,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...solver.bristle import Array
-from ...solver.effects.base import Parameter
 from ...solver.errors import InputError
 from ...solver.fall import risen
 from ..data.datasets import Manifest, read_manifest
 from ..data.tables import check_order, column, group_begins, inside, optional_column, read_table
-from .drop_model import DropModel, Drops
+from .drop_model import BounceModel, Drops, FeatureModel
 from .drops import carried, stiffness
 from .force_curves import (
     CELLS,
@@ -139,52 +138,30 @@ def _heights(
 
 
 @dataclass(frozen=True)
-class ForceModel:
-    """A `Model` of the rows of records: ``weights_of`` (rows, features), ``group`` (rows,).
+class ForceModel(FeatureModel):
+    """A `Model` of the rows of records.
 
     Features are the amounts of the shapes in N, and the height after the impact in m where there is
     a ``rebound`` to predict it.
     """
 
-    drops: DropModel
-    rebound: DropModel | None
-    weights_of: Array
-    group: NDArray[np.int64]
-
-    @property
-    def effects(self) -> tuple[str, ...]:
-        return self.drops.effects
-
-    @property
-    def parameters(self) -> tuple[Parameter, ...]:
-        return self.drops.parameters
-
-    @property
-    def weights(self) -> Array:
-        return self.drops.weights
-
-    def predict(self, theta: Array) -> Array:
-        """Whitened predictions (..., nodes, rows) for parameters (..., p)."""
-        features = self.features(theta)
-        return np.asarray(
-            np.einsum("...rf,rf->...r", features[..., self.group, :], self.weights_of)
-        )
+    rebound: BounceModel | None
 
     def features(self, theta: Array) -> Array:
         """Amounts of shapes in N and the height after in m (..., nodes, drops, features)."""
-        landing, amounts = self.drops.answer(theta)
-        gravity = self.drops.drops.bench.gravity_m_s2
+        landing, amounts = self.answer(theta)
+        gravity = self.drops.bench.gravity_m_s2
         found: list[Array] = list(np.sqrt(2.0 * gravity * landing.same_m) * amounts)
         if self.rebound is not None:
             after, (top, *_) = self.rebound.bounced(theta)
             found.append(after.scale * (risen(top, after.drag_1_m) + after.offset_m))
-        full = (*np.shape(theta)[:-1], len(self.weights), len(self.drops.drops))
+        full = (*np.shape(theta)[:-1], len(self.weights), len(self.drops))
         return np.stack([np.broadcast_to(each, full) for each in found], axis=-1)
 
     def having(self, effects: tuple[str, ...]) -> ForceModel:
         """The same with effects in it."""
         rebound = self.rebound and replace(self.rebound, effects=effects)
-        return replace(self, drops=replace(self.drops, effects=effects), rebound=rebound)
+        return replace(self, effects=effects, rebound=rebound)
 
 
 def forces_problem(data: Forces, library: Sequence[str] | None = None) -> Problem:
@@ -212,7 +189,6 @@ def forces_problem(data: Forces, library: Sequence[str] | None = None) -> Proble
         for record, at, v in zip(records, placed, speed, strict=True)
     ]
     order = data.drop - data.drop[0]
-    whiten = np.zeros((len(order), 0, 0))
     drops = Drops(bench, data.y0_m, order, ())
     stiff = stiffness(data.manifest.kn_N_m, bench)
     rebound = None
@@ -220,7 +196,7 @@ def forces_problem(data: Forces, library: Sequence[str] | None = None) -> Proble
         own = Bench(
             bench.bristle, bench.gravity_m_s2, bench.lowest_m, bench.highest_m, bench.kn_range_N_m
         )
-        rebound = DropModel(Drops(own, data.y0_m, order, (0,)), Tables(own), stiff, (), whiten)
+        rebound = BounceModel(Drops(own, data.y0_m, order, (0,)), Tables(own), stiff, ())
     y1 = data.y1_m if rebound is not None else None
     values, weights, known = _together(made, data.y0_m, y1, data.sigma_y_m)
     leading = [
@@ -229,9 +205,7 @@ def forces_problem(data: Forces, library: Sequence[str] | None = None) -> Proble
     group = np.repeat(np.arange(len(made)), [len(each) for each in values])
     kinds = np.concatenate(leading)
     titles = np.array([*(f"shape {k + 1} of the force (N)" for k in range(SHAPES)), REBOUND])
-    plain = ForceModel(
-        DropModel(drops, tables, stiff, (), whiten), rebound, np.concatenate(weights), group
-    )
+    plain = ForceModel(drops, tables, stiff, (), np.concatenate(weights), group, rebound)
     return Problem(
         values=np.concatenate(values),
         scale=np.where(kinds == SHAPES, 1e3, 1.0) / np.concatenate(known),

@@ -28,12 +28,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...solver.bristle import Array
-from ...solver.effects.base import Parameter, Scene
+from ...solver.effects.base import Scene
 from ...solver.errors import InputError
 from ...solver.fall import risen
 from ..data.datasets import Manifest, read_manifest
 from ..data.tables import column, group_begins, read_table
-from .drop_model import DropModel, Drops
+from .drop_model import Drops, FeatureModel
 from .drops import SIGMA_M, carried, stiffness
 from .problem import Experiment, Problem
 from .response import MADE_BY, Bench, Tables, reference
@@ -152,37 +152,13 @@ class TrackBench(Bench):
 
 
 @dataclass(frozen=True)
-class TrackModel:
-    """A `Model` of the rows of films: ``weights_of`` (rows, features) and ``group`` (rows,)."""
-
-    drops: DropModel
-    weights_of: Array
-    group: NDArray[np.int64]
-
-    @property
-    def effects(self) -> tuple[str, ...]:
-        return self.drops.effects
-
-    @property
-    def parameters(self) -> tuple[Parameter, ...]:
-        return self.drops.parameters
-
-    @property
-    def weights(self) -> Array:
-        return self.drops.weights
-
-    def predict(self, theta: Array) -> Array:
-        """Whitened predictions (..., nodes, rows) for parameters (..., p)."""
-        features = self.features(theta)
-        return np.asarray(
-            np.einsum("...rf,rf->...r", features[..., self.group, :], self.weights_of)
-        )
+class TrackModel(FeatureModel):
+    """A `Model` of the rows of films."""
 
     def features(self, theta: Array) -> Array:
         """What `track_rows` calls r, a, d, b, h of every drop (..., nodes, drops, 5)."""
-        model = self.drops
-        b, (vacuum, touching, lighter) = model.bounced(theta)
-        g, y0 = model.drops.bench.gravity_m_s2, model.drops.y0_m
+        b, (vacuum, touching, lighter) = self.bounced(theta)
+        g, y0 = self.drops.bench.gravity_m_s2, self.drops.y0_m
         speed = np.sqrt(2.0 * g * b.same_m)
         lasted = 2.0 * b.height_m / np.maximum(speed + b.speed_m_s, 1e-3)
         # a parabola of the same height, start and end: drag bends it by less than can be seen
@@ -231,7 +207,7 @@ def tracks_problem(data: Tracks) -> Problem:
     plain = _model(drops, data.manifest.kn_N_m, tracks)
 
     def combine(effects: tuple[str, ...]) -> TrackModel:
-        return replace(plain, drops=replace(plain.drops, effects=tuple(effects)))
+        return replace(plain, effects=tuple(effects))
 
     def filmed_faster(effects: tuple[str, ...]) -> TrackModel:
         faster = [_faster(films[i], each) for i, each in zip(kept, tracks, strict=True)]
@@ -270,8 +246,7 @@ def tracks_problem(data: Tracks) -> Problem:
 def _model(drops: Drops, kn_N_m: float | None, tracks: Sequence[Track]) -> TrackModel:
     """The baseline of these films."""
     kn = stiffness(kn_N_m, drops.bench)
-    whiten = np.zeros((len(drops), 0, 0))
-    return TrackModel(DropModel(drops, Tables(drops.bench), kn, (), whiten), *_rows(tracks))
+    return TrackModel(drops, Tables(drops.bench), kn, (), *_rows(tracks))
 
 
 def _rows(tracks: Sequence[Track]) -> tuple[Array, NDArray[np.int64]]:
@@ -282,7 +257,7 @@ def _rows(tracks: Sequence[Track]) -> tuple[Array, NDArray[np.int64]]:
 
 def _start(plain: TrackModel, tracks: Sequence[Track]) -> float:
     """The stiffness of the baseline that the middle of the drops asks for."""
-    kn = plain.drops.kn
+    kn = plain.kn
     ladder = np.geomspace(kn.low, kn.high, 400)
     rise = np.array([each.features[0] for each in tracks])
     miss = np.abs(plain.features(ladder[:, None])[:, 0, :, 0] - rise)
