@@ -20,11 +20,11 @@ from bristle.studies.loop.falls import (
     EFFECT_PARAMETERS,
     FallModel,
     fall_problem,
-    read_falls,
     rms_of_samples,
     since_rest,
     speed,
 )
+from bristle.studies.loop.falls_record import read_falls
 
 MEASURED = Path(__file__).resolve().parents[2] / "shared" / "data" / "falls-phone"
 GRAVITY = 9.8

@@ -16,7 +16,8 @@ from bristle.solver.bristle import Bristle
 from bristle.solver.effects.library import EFFECTS
 from bristle.solver.errors import InputError
 from bristle.studies.loop.force_curves import force_history
-from bristle.studies.loop.forces import forces_problem, read_forces
+from bristle.studies.loop.forces import forces_problem
+from bristle.studies.loop.forces_record import read_forces
 from bristle.studies.loop.run import find
 from bristle.studies.loop.table_drops import beam_of, outcomes_of
 

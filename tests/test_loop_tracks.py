@@ -18,7 +18,8 @@ from bristle.solver.effects.library import EFFECTS
 from bristle.solver.errors import InputError
 from bristle.studies.loop.run import find
 from bristle.studies.loop.track_rows import FEATURES, Film, track
-from bristle.studies.loop.tracks import NAMES, read_tracks, tracks_problem
+from bristle.studies.loop.tracks import NAMES, tracks_problem
+from bristle.studies.loop.tracks_record import read_tracks
 
 KN = 2e6
 SIGMA_MM = 0.5

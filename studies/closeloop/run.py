@@ -153,11 +153,13 @@ def problem_of(manifest: Manifest) -> Problem:
 
             return drops_problem(read_drops(folder))
         case "tracks":
-            from ..loop.tracks import read_tracks, tracks_problem
+            from ..loop.tracks import tracks_problem
+            from ..loop.tracks_record import read_tracks
 
             return tracks_problem(read_tracks(folder))
         case "forces":
-            from ..loop.forces import forces_problem, read_forces
+            from ..loop.forces import forces_problem
+            from ..loop.forces_record import read_forces
 
             return forces_problem(read_forces(folder))
         case "waves":
@@ -165,7 +167,8 @@ def problem_of(manifest: Manifest) -> Problem:
 
             return wave_problem(read_waves(folder))
         case "falls":
-            from ..loop.falls import fall_problem, read_falls
+            from ..loop.falls import fall_problem
+            from ..loop.falls_record import read_falls
 
             return fall_problem(read_falls(folder))
     raise manifest.wrong("kind", f"is {manifest.kind}: the loop cannot read such data")

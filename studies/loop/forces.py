@@ -13,17 +13,11 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
-from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ...solver.bristle import Array
-from ...solver.errors import InputError
 from ...solver.fall import risen
-from ..data.datasets import Manifest, read_manifest
-from ..data.tables import check_order, column, group_begins, inside, optional_column, read_table
 from .drop_model import BounceModel, Drops, FeatureModel
 from .drops import carried, stiffness
 from .force_curves import (
@@ -37,13 +31,10 @@ from .force_curves import (
     with_shapes,
 )
 from .force_rows import Placed, Record, Rows, place, rows
+from .forces_record import KIND, Forces
 from .problem import Problem
 from .response import KN_RANGE_N_M, SIMULATED, Bench, Tables
 
-KIND = "forces"
-HEIGHTS = "drops.csv"
-LEAST_DROPS = 6
-LEAST_SAMPLES = 12
 SIGMA_N = 1.0
 """Uncertainty taken for a force where none is declared and no sample shows it."""
 MOST_TRIED = 400
@@ -52,89 +43,6 @@ TRUSTED = 3.0
 of all drops together leave it with; the first few always are."""
 LEAST_SHAPES = 4
 REBOUND = "y1 (mm)"
-
-
-@dataclass(frozen=True)
-class Forces:
-    """Samples of all drops, one after the other: ``t_s``, ``force_N`` (samples,).
-
-    ``begins`` (drops + 1,) says where each drop's samples begin; ``drop``, ``y0_m`` (drops,), and
-    ``y1_m`` (drops,) or None. ``sigma_N`` and ``sigma_y_m`` are declared, or None.
-    """
-
-    manifest: Manifest
-    drop: NDArray[np.int64]
-    y0_m: Array
-    y1_m: Array | None
-    t_s: Array
-    force_N: Array
-    begins: NDArray[np.int64]
-    sigma_N: float | None
-    sigma_y_m: float | None
-
-    @property
-    def pieces(self) -> list[slice]:
-        """The samples of each drop."""
-        return [slice(a, b) for a, b in pairwise(self.begins)]
-
-
-def read_forces(folder: Path) -> Forces:
-    """Read a dataset of kind ``forces``; six drops or more of twelve samples or more.
-
-    Raises InputError naming file and line of the first value that cannot be used.
-    """
-    manifest = read_manifest(folder)
-    if manifest.kind != KIND:
-        raise manifest.wrong("kind", f"is {manifest.kind}, not {KIND}")
-    name = manifest.measurement.get("file")
-    if not isinstance(name, str) or name == HEIGHTS:
-        raise manifest.wrong("file", f"must name the table of the forces, beside {HEIGHTS}")
-    path = manifest.table()
-    lines = read_table(path, required=("drop", "t_s", "force_N"))
-    drop = column(path, lines, "drop", whole=True).astype(np.int64)
-    times, force = column(path, lines, "t_s"), column(path, lines, "force_N")
-    begins = group_begins(path, lines, "drop", drop, times)
-    for begin, end in pairwise(begins):
-        if end - begin < LEAST_SAMPLES:
-            where = f"{path}:{lines[begin][0]}: drop {drop[begin]}"
-            raise InputError(f"{where} has {end - begin} samples; {LEAST_SAMPLES} are needed")
-        if not force[begin:end].max() > 0.0:
-            raise InputError(f"{path}:{lines[begin][0]}: drop {drop[begin]} never presses")
-    if len(begins) - 1 < LEAST_DROPS:
-        raise InputError(f"{path}: {len(begins) - 1} drops; the loop needs six or more")
-    numbers = drop[begins[:-1]]
-    y0, y1 = _heights(manifest, path, [lines[b][0] for b in begins[:-1]], numbers)
-    declared = manifest.measurement
-    return Forces(
-        manifest=manifest,
-        drop=numbers,
-        y0_m=y0,
-        y1_m=y1,
-        t_s=times,
-        force_N=force,
-        begins=begins,
-        sigma_N=declared.get("sigma_force_N"),
-        sigma_y_m=1e-3 * declared["sigma_y_mm"] if "sigma_y_mm" in declared else None,
-    )
-
-
-def _heights(
-    manifest: Manifest, table: Path, lines: list[int], numbers: NDArray[np.int64]
-) -> tuple[Array, Array | None]:
-    """Heights before and after, of the drops that have a record."""
-    path = inside(manifest.folder, HEIGHTS)
-    rows_read = read_table(path, required=("drop", "y0_mm"))
-    drop = column(path, rows_read, "drop", whole=True).astype(np.int64)
-    check_order(path, rows_read, "drop", drop)
-    y0 = 1e-3 * column(path, rows_read, "y0_mm", above=0.0)
-    y1 = optional_column(path, rows_read, "y1_mm", 1e-3)
-    of = {int(number): i for i, number in enumerate(drop)}
-    for line, number in zip(lines, numbers, strict=True):
-        if int(number) not in of:
-            raise InputError(f"{table}:{line}: drop {number} has no height in {HEIGHTS}")
-    chosen = np.array([of[int(number)] for number in numbers])
-    after = None if y1 is None or not np.isfinite(y1[chosen]).all() else y1[chosen]
-    return y0[chosen], after
 
 
 @dataclass(frozen=True)

@@ -20,7 +20,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
 from pathlib import Path
 from typing import ClassVar
 
@@ -31,8 +30,7 @@ from ...solver.bristle import Array
 from ...solver.effects.base import Scene
 from ...solver.errors import InputError
 from ...solver.fall import risen
-from ..data.datasets import Manifest, read_manifest
-from ..data.tables import column, group_begins, read_table
+from ..data.datasets import Manifest
 from .drop_model import Drops, FeatureModel
 from .drops import SIGMA_M, carried, stiffness
 from .problem import Experiment, Problem
@@ -51,10 +49,8 @@ from .track_rows import (
     reduced,
     track,
 )
+from .tracks_record import KIND, LEAST_DROPS, Tracks
 
-KIND = "tracks"
-LEAST_DROPS = 6
-LEAST_FRAMES = 6
 NAMES = (
     "y1 (mm)",
     "gravity of the rise (%)",
@@ -65,72 +61,6 @@ NAMES = (
 FASTER_FPS = 250.0
 LEAST_GRAVITY = 0.05
 """Of the rise's apparent gravity over g: a bristle that spins faster turns over."""
-
-
-@dataclass(frozen=True)
-class Tracks:
-    """Frames of all drops, one after the other: ``drop``, ``t_s``, ``y_m`` (frames,).
-
-    ``begins`` (drops + 1,) says where each drop's frames begin. Times are those of the table.
-    ``sigma_y_m`` is the declared uncertainty of a height or None, ``sigma_t_s`` that of a time.
-    """
-
-    manifest: Manifest
-    drop: NDArray[np.int64]
-    t_s: Array
-    y_m: Array
-    begins: NDArray[np.int64]
-    sigma_y_m: float | None
-    sigma_t_s: float
-
-    @property
-    def pieces(self) -> list[slice]:
-        """The rows of each drop."""
-        return [slice(a, b) for a, b in pairwise(self.begins)]
-
-
-def read_tracks(folder: Path) -> Tracks:
-    """Read a dataset of kind ``tracks``; six drops or more of six frames or more.
-
-    Raises InputError naming file and line of the first value that cannot be used.
-    """
-    manifest = read_manifest(folder)
-    if manifest.kind != KIND:
-        raise manifest.wrong("kind", f"is {manifest.kind}, not {KIND}")
-    if not isinstance(manifest.measurement.get("file"), str):
-        raise manifest.wrong("file", "must name the table of the tracks")
-    path = manifest.table()
-    rows = read_table(path, required=("drop", "t_s", "y_mm"))
-    drop = column(path, rows, "drop", whole=True).astype(np.int64)
-    times, y = column(path, rows, "t_s"), 1e-3 * column(path, rows, "y_mm")
-    begins = group_begins(path, rows, "drop", drop, times)
-    for begin, end in pairwise(begins):
-        if end - begin < LEAST_FRAMES:
-            where = f"{path}:{rows[begin][0]}: drop {drop[begin]}"
-            raise InputError(f"{where} has {end - begin} frames; {LEAST_FRAMES} or more are needed")
-    if len(begins) - 1 < LEAST_DROPS:
-        raise InputError(f"{path}: {len(begins) - 1} drops; the loop needs six or more")
-    _frame_rate(manifest, path, rows[1][0], times[: begins[1]])
-    sigma = manifest.measurement.get("sigma_y_mm")
-    return Tracks(
-        manifest=manifest,
-        drop=drop,
-        t_s=times,
-        y_m=y,
-        begins=begins,
-        sigma_y_m=None if sigma is None else 1e-3 * float(sigma),
-        sigma_t_s=float(manifest.measurement.get("sigma_t_s", 0.0)),
-    )
-
-
-def _frame_rate(manifest: Manifest, path: Path, line: int, times: Array) -> None:
-    """InputError where the first film's frames are nearer than the declared rate has them."""
-    fps = manifest.measurement.get("fps")
-    nearest = float(np.diff(times).min())
-    if fps is not None and nearest * float(fps) < 0.5:
-        raise InputError(
-            f"{path}:{line}: frames {nearest:g} s apart are more than the declared {fps:g} a second"
-        )
 
 
 @dataclass(frozen=True)
