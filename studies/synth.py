@@ -85,14 +85,9 @@ def reduced_body() -> ModalBody:
     """The paper's bristle as a reduced solid that may lean; collective."""
     from mpi4py import MPI
 
-    from .command.config import DropInputs
-    from .running.cases import Workshop
+    from .loop.drops_solid import reduced_solid
 
-    with Workshop(MPI.COMM_WORLD) as workshop:
-        inputs = DropInputs.model_validate({"model": "reduced", "tilt_deg": 2.0, "its_s": 2e-6})
-        prepared = workshop.prepare(inputs)
-    assert prepared is not None
-    return prepared.frame.modal
+    return reduced_solid(Bristle(), paper.GRAVITY_M_S2, True, MPI.COMM_WORLD)
 
 
 @dataclass(frozen=True)

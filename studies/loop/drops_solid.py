@@ -44,7 +44,17 @@ ANY_LEAN_DEG = 1.0
 
 @lru_cache(maxsize=4)
 def solid_of(bristle: Bristle, gravity_m_s2: float, leaning: bool) -> ModalBody:
-    """The solid of a bristle, reduced; kept from run to run. Raises ComputationError."""
+    """This rank's own `reduced_solid`."""
+    return reduced_solid(bristle, gravity_m_s2, leaning, MPI.COMM_SELF)
+
+
+def reduced_solid(
+    bristle: Bristle, gravity_m_s2: float, leaning: bool, comm: MPI.Intracomm
+) -> ModalBody:
+    """The solid of a bristle, reduced, to be upright or to lean; kept from run to run.
+
+    Collective over ``comm``. Raises ComputationError.
+    """
     from ..command.config import DropInputs
 
     section, material = bristle.section, bristle.material
@@ -69,7 +79,7 @@ def solid_of(bristle: Bristle, gravity_m_s2: float, leaning: bool) -> ModalBody:
             "tilt_deg": ANY_LEAN_DEG if leaning else 0.0,
         },
     )
-    with Workshop(MPI.COMM_SELF) as workshop:
+    with Workshop(comm) as workshop:
         prepared = workshop.prepare(inputs)
         if prepared is None or not isinstance(prepared.frame, ModalFrame):
             raise ComputationError("the solid could not be reduced to its modes")

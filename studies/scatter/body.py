@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import fields, replace
-from typing import Any, cast
+from typing import Any
 
 from mpi4py import MPI
 
 from ...meshes.surface import Surface
-from ...solver.bodies.base import ContactPoints
-from ...solver.bodies.modal import ModalBody
+from ...solver.bodies.base import Array
+from ...solver.bodies.stored import from_arrays, to_arrays
 from ...solver.time.march import Marcher
 from ..command.config import DropInputs
 from ..running.cases import Timings, Workshop
@@ -39,22 +38,21 @@ def prepared(inputs: ScatterInputs, comm: MPI.Intracomm) -> tuple[Marcher, Surfa
     failures = [each for each in comm.allgather(error) if each is not None]
     if failures:
         raise error or failures[0]
-    body, timings, points = comm.bcast(made, 0)
+    arrays, timings = comm.bcast(made, 0)
     surface = comm.bcast(surface, last)
-    body = replace(body, contact=ContactPoints(**points, comm=MPI.COMM_SELF))
     marcher = Marcher(
-        body, drop.contact_method(), drop.time_scheme(), drop.its_s, drop.gravity_m_s2
+        from_arrays(arrays),
+        drop.contact_method(),
+        drop.time_scheme(),
+        drop.its_s,
+        drop.gravity_m_s2,
     )
     return marcher, surface, timings
 
 
-def _body(drop: DropInputs) -> tuple[ModalBody, Timings, dict[str, Any]]:
-    """The body without its contact points, and these without their communicator: to be sent."""
+def _body(drop: DropInputs) -> tuple[dict[str, Array], Timings]:
+    """The body as arrays, to be sent."""
     with Workshop(MPI.COMM_SELF) as workshop:
         ready = workshop.prepare(drop)
         assert ready is not None
-        modal = ready.frame.modal
-        timings = workshop.take_timings()
-    points = {field.name: getattr(modal.contact, field.name) for field in fields(modal.contact)}
-    del points["comm"]
-    return replace(modal, contact=cast(ContactPoints, None)), timings, points
+        return to_arrays(ready.frame.modal), workshop.take_timings()
