@@ -17,7 +17,8 @@ from scipy.stats import chi2
 from bristle.solver.effects.library import EFFECTS
 from bristle.solver.errors import InputError
 from bristle.studies.loop.run import find
-from bristle.studies.loop.track_rows import FEATURES, Film, track
+from bristle.studies.loop.track_rows import FEATURES, Film
+from bristle.studies.loop.track_search import track
 from bristle.studies.loop.tracks import NAMES, tracks_problem
 from bristle.studies.loop.tracks_record import read_tracks
 

@@ -38,7 +38,6 @@ from .response import MADE_BY, Bench, Tables, reference
 from .table_drops import beam_of, outcomes_of
 from .track_rows import (
     FALL,
-    NEAR_RELEASE_S,
     PLAIN,
     REST,
     RISE,
@@ -47,8 +46,8 @@ from .track_rows import (
     events,
     positions,
     reduced,
-    track,
 )
+from .track_search import NEAR_RELEASE_S, track
 from .tracks_record import KIND, LEAST_DROPS, Tracks
 
 NAMES = (
