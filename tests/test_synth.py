@@ -181,3 +181,18 @@ def test_falls_of_many_drops_are_those_of_one(height, speed, drag):
     many = fallen(np.array([height]), paper.GRAVITY_M_S2, speed, drag)
     assert many[0] == pytest.approx(end**2 / (2.0 * paper.GRAVITY_M_S2), rel=1e-6)
     assert risen(np.array([height]), drag)[0] == pytest.approx(risen(height, drag), rel=1e-6)
+
+
+@given(height=st.floats(1e-3, 0.1), speed=st.floats(0.0, 0.5), drag=st.floats(1e-6, 1.0))
+@settings(max_examples=50, deadline=None)
+def test_drops_that_fall_in_different_ways_do_not_mix(height, speed, drag):
+    """v² = v0² + 2 g y without drag; thrown up, a drop ends as one let go where it turned."""
+    g = paper.GRAVITY_M_S2
+    starts, drags = np.array([speed, speed, -speed, 0.0]), np.array([0.0, drag, drag, drag])
+    turning = height + np.log1p(drag * speed**2 / g) / (2.0 * drag)
+    found = fallen(np.array([height, height, height, turning]), g, starts, drags)
+    assert found[0] == pytest.approx(height + speed**2 / (2.0 * g), rel=1e-12)
+    assert found[2] == pytest.approx(found[3], rel=1e-12)
+    assert found[1] <= found[0] * (1.0 + 1e-12)
+    assert risen(found, drags)[0] == found[0]
+    assert np.all(risen(found[1:], drag) < found[1:])
