@@ -13,6 +13,7 @@ from .bodies.base import Array
 from .bodies.modal import ModalBody
 from .contact.enforcement import Enforcement
 from .contact.normal import PLASTIC
+from .contact.step import share_under_drag
 from .energy import marching_energy, step_loss
 from .errors import ComputationError
 from .time import modal_march
@@ -117,7 +118,7 @@ def march_touch(
     start = marcher.start(t_s, u, v)
     weights = marcher.body.contact.weights
     state, first_row = start, len(history.rows)
-    peak = impulse = loss = defect = rubbed = spent = 0.0
+    peak = impulse = loss = defect = rubbed = spent = last = 0.0
     push: Array = np.zeros(3)
     release = t_s
     none = np.zeros((len(weights), 3))
@@ -142,7 +143,11 @@ def march_touch(
         if observer is not None:
             observer(state, force)
         if total > 0.0 or (total < 0.0 and marcher.method.law.pulls):
-            release = before.t_s + marcher.contact.share * (state.t_s - before.t_s)
+            share = marcher.contact.share
+            if marcher.contact.points.drag > 0.0 and state.drive[:, 0].max() > 0.0:
+                share = float(share_under_drag(last, total))
+            release = before.t_s + share * (state.t_s - before.t_s)
+        last = total
         free = total == 0.0 or (now == 0.0 and not marcher.rigid_multiplier)
         done = free and state.t_s >= wait_s and _leaving(marcher, state)
         if done or state.t_s >= until_s:

@@ -25,7 +25,7 @@ from reference import rate
 from scipy.special import beta
 
 from bristle.solver.contact.enforcement import ContactMethod, Enforcement
-from bristle.solver.contact.laws import Adhesive, HuntCrossley, Linear, Plastic, Stiffening
+from bristle.solver.contact.laws import Adhesive, Damped, HuntCrossley, Linear, Plastic, Stiffening
 from bristle.solver.energy import marching_energy
 from bristle.solver.errors import ComputationError
 from bristle.solver.impact import History, march_touch
@@ -77,6 +77,21 @@ def test_stiffening_with_exponent_one_is_linear(enforcement):
     # the multiplier is found to 1e-9 of the force by either law's own iteration
     close = 1e-12 if enforcement is Enforcement.PENALTY else 1e-7
     assert (np.abs(rows[0] - rows[1]) <= close * size).all()
+
+
+@pytest.mark.parametrize("compiled", [True, False])
+@pytest.mark.parametrize("zeta", [0.02, 0.2, 0.6])
+def test_a_dashpot_ends_the_force_while_it_is_still_pressed(zeta, compiled):
+    """T = (π - atan2(2ζ√(1-ζ²), 1-2ζ²))/ω_d and restitution exp(-ζ ω T): Schwager and Pöschel,
+    Granular Matter 9, 2007."""
+    root = math.sqrt(1.0 - zeta**2)
+    time = (math.pi - math.atan2(2.0 * zeta * root, 1.0 - 2.0 * zeta**2)) / (OMEGA * root)
+    law = Damped(KN, 2.0 * zeta * math.sqrt(KN * MASS))
+    for steps in (100, 133, 171):  # the end falls anywhere within a step
+        options = {} if compiled else {"observer": lambda state, force: None}
+        touch, kept, _ = after(law, math.pi / OMEGA / steps, **options)
+        assert touch.release_s == pytest.approx(time, rel=10.0 / steps**2 / root**2)
+        assert kept == pytest.approx(math.exp(-zeta * OMEGA * time), rel=10.0 / steps**2 / root**2)
 
 
 @pytest.mark.parametrize("lost", [0.05, 0.3, 1.0, 3.0])

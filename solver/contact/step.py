@@ -257,6 +257,18 @@ def share_in_contact(
 
 
 @njit
+def share_under_drag(before: float, total: float) -> float:
+    """The share of a step after which a force that drag ends while it is still pressed has ended.
+
+    ``before`` and ``total`` are the mean forces of the step before and of this one, in N: the force
+    goes on as straight as it came down. Up to half a step more than the step, since the next one
+    has a mean of nothing.
+    """
+    falling = before - total
+    return 0.5 + min(total / falling, 1.0) if falling > 0.0 else 1.0
+
+
+@njit
 def spring_energy(points: Points, memory: Array) -> float:
     """What the springs of friction hold, in J."""
     held = 0.0

@@ -26,6 +26,7 @@ from ..contact.step import (
     new_section,
     settle,
     share_in_contact,
+    share_under_drag,
     spring_energy,
 )
 
@@ -182,7 +183,7 @@ def march(
     forces: Array = np.zeros((size if keep_states else 1, 3 * n))
     motions: Array = np.zeros((size if keep_states else 1, m))
     push = np.zeros(3)
-    release = impulse = peak = loss = rubbed = spent = 0.0
+    release = impulse = peak = loss = rubbed = spent = last = 0.0
     status, count, solved = TOO_LONG, 0, 0
     if keep:
         history[0, 0] = touching.tip_m + tip @ u
@@ -250,7 +251,9 @@ def march(
             acts = total > 0.0 or (remembers and total < 0.0)
             if acts:
                 release = count * h
-                if remembers or end[:, 0].max() < 0.0:
+                if points.drag > 0.0 and end[:, 0].max() > 0.0:
+                    release = h * (count - 1 + share_under_drag(last, total))
+                elif remembers or end[:, 0].max() < 0.0:
                     release = h * (count - 1 + share_in_contact(points, drive, end, force, memory))
             rubbed += commit(points, drive, end, force, memory)
             if remembers or points.drag > 0.0:
@@ -286,6 +289,7 @@ def march(
                         push[1] += share * frames[i, c, 1]
                         push[2] += share * frames[i, c, 2]
         peak = max(peak, total if points.drag > 0.0 else now)
+        last = total
         u[:], v[:] = later, fast
         drive[:, :] = end
         deepest, sum_of_drives = -math.inf, 0.0
