@@ -16,7 +16,7 @@ import numpy as np
 from ...solver.bristle import Array
 from .detect import kept_noises, refit, simulate
 from .family import corrected, family, p_values
-from .fit import Fitted, settle, to_box
+from .fit import Fitted, settle, to_box, to_theta
 from .ladder import Ladder
 from .noise import influence, score_table
 from .posterior import Posterior, posterior
@@ -28,7 +28,9 @@ PAIRS_TRIED = 6
 DIRECTION_D = 6.0
 # Log likelihood that two effects must gain over one before they are tried where one suffices.
 PAIR_GAIN = 4.0
-# What two effects may gain together beyond the sum of what each gains alone.
+# Shares of the way to a bound at which scatter beside another effect is looked at.
+AMOUNTS = np.array([0.03, 0.1, 0.3, 1.0])
+# What a refit of both may gain beyond one effect as it was alone with another beside it.
 JOINT_GAIN = 6.0
 
 
@@ -103,6 +105,7 @@ def left_over(
 
 
 def likely_pairs(
+    problem: Problem,
     data: Sample,
     base: Fitted,
     ladders: Sequence[Ladder],
@@ -129,18 +132,36 @@ def likely_pairs(
     if one_suffices:
         return order
     # What scatters is not seen in the mean: with the likeliest single effects it is tried anyway.
-    scatter = [x.name for x in ladders if np.asarray(x.model.weights).size > 1]
-    several = sorted(scatter, key=lambda name: -best[name].log_evidence)[:2]
-    gained = {name: _height(data, each.fitted) - _height(data, base) for name, each in best.items()}
-    missing = reached - _height(data, base) - JOINT_GAIN
-    for name in several:
+    scatter = [x for x in ladders if np.asarray(x.model.weights).size > 1]
+    several = sorted(scatter, key=lambda rungs: -best[rungs.name].log_evidence)[:2]
+    alike = {rungs.name for rungs in scatter}
+    for rungs in several:
         for other in likeliest:
-            pair_ = (other, name)
-            if gained[other] + gained[name] < missing:
+            pair_ = (other, rungs.name)
+            if other in alike or pair_ in order or pair_[::-1] in order:
                 continue
-            if other not in scatter and pair_ not in order and pair_[::-1] not in order:
+            if _beside(problem, data, best[other].fitted, rungs)[0] > reached - JOINT_GAIN:
                 order.append(pair_)
     return order
+
+
+def _beside(problem: Problem, data: Sample, alone: Fitted, rungs: Ladder) -> tuple[float, Array]:
+    """Log likelihood with prior of a fitted effect with one that scatters beside it, as much of it
+    as suits best, and where in the unit box that is; nothing is refitted."""
+    model = problem.combine((*alone.effects, rungs.name))
+    begin, end = rungs.ends[:, None, 0], rungs.ends[:, None, 1]
+    amounts = np.reshape(begin + AMOUNTS[:, None] * (end - begin), (-1, begin.shape[-1]))
+    points = np.hstack([np.tile(alone.u, (len(amounts), 1)), amounts])
+    predicted = data.predict(model, to_theta(model.parameters, points))
+    noises = np.arange(data.noises.scale.size)
+    logs = data.noises.prior + data.log_likelihood(
+        data.values[None],
+        predicted,
+        np.asarray(model.weights),
+        (np.zeros((1, 1), np.int64), np.arange(len(points))[:, None], noises[None]),
+    )
+    best = logs.max(axis=1)
+    return float(best.max()), points[int(np.argmax(best))]
 
 
 def _height(data: Sample, fitted: Fitted) -> float:
@@ -210,7 +231,8 @@ def pair(
     singles: Sequence[Posterior],
     ladders: Sequence[Ladder],
 ) -> Posterior:
-    """Refit two effects at once, from what each was alone, halves of it, and a small one."""
+    """Refit two effects at once, from what each was alone, halves of it, and a small one; where
+    the second one scatters, also from what suits beside the first."""
     data, base, rng = several
     model = problem.combine(names)
     alone = dict(_named(singles))
@@ -231,5 +253,7 @@ def pair(
         each = rungs[name]
         small.append(each.u[int(np.argmin(np.abs(each.d - DIRECTION_D))), own:])
     starts.append(np.concatenate(small))
+    if np.asarray(rungs[names[1]].model.weights).size > 1:
+        starts.append(_beside(problem, data, alone[names[0]].fitted, rungs[names[1]])[1])
     fitted, shares = settle(data, model, np.array(starts), alone[best].fitted.noise)
     return posterior(data, base, fitted, shares, rng)

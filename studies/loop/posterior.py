@@ -18,13 +18,18 @@ import numpy as np
 from scipy.special import gammaln, logsumexp
 
 from ...solver.bristle import Array
-from .fit import BOX_PRECISION, Fitted, to_box, to_theta
+from .fit import BOX_PRECISION, Fitted, fit, to_box, to_theta
 from .ladder import size
+from .noise import Ints
 from .sample import Sample
 
 TYPICAL_D = 6.0
 DEGREES = 5.0
 MOST_NOISES = 16
+# Turns of adaptation, until so many points count; and how many a parameter a covariance needs.
+TURNS, ENOUGH, FEW = 7, 100.0, 6.0
+# Nats by which a point must be likelier than the fit for another fit from there.
+RUGGED = 0.1
 
 
 @dataclass(frozen=True)
@@ -59,9 +64,8 @@ def posterior(
     p = fitted.u.size
     centre = np.asarray(fitted.u)
     cov = np.linalg.inv(fitted.information + BOX_PRECISION * np.eye(p)) * 1.2
-    u = np.asarray(fitted.u[None])
-    target = proposal = np.asarray(fitted.u)
-    for turn, count in enumerate(counts):
+    count, *later = counts
+    for turn in range(TURNS):
         u, proposal = _propose(centre, cov, count, rng)
         inside = np.all((u >= 0) & (u <= 1), axis=1)
         theta = to_theta(fitted.model.parameters, u[inside])
@@ -72,16 +76,13 @@ def posterior(
             weights,
             (np.zeros((1, 1), np.int64), np.arange(theta.shape[0])[:, None], noise[None]),
         )
-        target = np.full(count, -np.inf)
-        target[inside] = logsumexp(logs, axis=1)
-        if turn == 0:
-            w = np.exp(target - proposal - np.max(target - proposal))
-            w /= w.sum()
-            if 1 / np.sum(w**2) > 2 * p + 3:
-                centre = w @ u
-                apart = u - centre
-                cov = (apart * w[:, None]).T @ apart * 1.15 + 1e-12 * np.eye(p)
-    ratio = target - proposal
+        fitted = _climbed(data, fitted, u[inside], logs, noise)
+        ratio: Array = np.full(count, -np.inf)
+        ratio[inside] = logsumexp(logs, axis=1) - proposal[inside]
+        if turn > 0 and _effective(ratio) > ENOUGH:
+            break
+        centre, cov = _adapted(u, ratio)
+        count = later[0]
     w = np.exp(ratio - ratio.max())
     integral = float(ratio.max() + np.log(w.mean()))
     w /= w.sum()
@@ -98,6 +99,40 @@ def posterior(
         shares=shares,
         effective=float(1 / np.sum(w**2)),
     )
+
+
+def _climbed(data: Sample, fitted: Fitted, u: Array, logs: Array, noise: Ints) -> Fitted:
+    """The fit, or a better one from the best of points (points, p) whose log likelihoods with prior
+    are ``logs`` (points, noises): likelihoods summed over few nodes are rugged."""
+    if not logs.size:
+        return fitted
+    best, which = np.unravel_index(int(np.argmax(logs)), logs.shape)
+    prior = data.noises.prior
+    if logs[best, which] <= fitted.log_likelihood + prior[fitted.noise] + RUGGED:
+        return fitted
+    found = fit(data, fitted.model, u[best], int(noise[which]))
+    better = found.log_likelihood + prior[found.noise]
+    return found if better > fitted.log_likelihood + prior[fitted.noise] else fitted
+
+
+def _effective(ratio: Array) -> float:
+    """The effective number of points with these log weights."""
+    w = np.exp(ratio - ratio.max())
+    return float(w.sum() ** 2 / np.sum(w**2))
+
+
+def _adapted(u: Array, ratio: Array) -> tuple[Array, Array]:
+    """Mean and covariance for the next proposal; weights are flattened until enough points count
+    (Cappé et al., Stat. Comput. 18, 2008: adaptive importance sampling)."""
+    p = u.shape[1]
+    power = 1.0
+    while _effective(power * ratio) < FEW * p + 3 and power > 1e-3:
+        power *= 0.7
+    w = np.exp(power * (ratio - ratio.max()))
+    w /= w.sum()
+    centre = w @ u
+    apart = u - centre
+    return centre, (apart * w[:, None]).T @ apart * 1.15 + 1e-12 * np.eye(p)
 
 
 def _propose(

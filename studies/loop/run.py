@@ -208,7 +208,9 @@ def _pairs(
     plain = known.baseline.fitted
     own_cost = plain.log_likelihood + data.noises.prior[plain.noise] - known.baseline.log_evidence
     wanted = needed + own_cost - REACHED
-    names = openset.likely_pairs(data, base, known.ladders, singles, one_suffices, wanted)
+    names = openset.likely_pairs(
+        known.problem, data, base, known.ladders, singles, one_suffices, wanted
+    )
     if not names:
         return None
     several = (data, base, known.rng)
