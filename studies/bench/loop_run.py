@@ -11,16 +11,16 @@ from mpi4py import MPI
 from pydantic import BaseModel, ConfigDict
 
 from ...meshes.collective import run_on_one_rank
-from ...solver.errors import InputError
 from ..running.files import prepare_folder, to_csv, to_json, write_atomically
 from ..running.journal import Journal
 from ..running.parallel import share_out
 from ..running.progress import progress
 from ..synth import reduced_body
 from .loop_cases import ROWS, Case, run_case
+from .loop_page import page
 from .loop_table import Line, table
 
-TARGETS = ("loop",)
+DATASETS = 100
 
 
 class BenchInputs(BaseModel):
@@ -32,23 +32,20 @@ class BenchInputs(BaseModel):
     rows: tuple[str, ...] = tuple(row.name for row in ROWS)
 
 
-def run_bench(
-    what: str,
-    datasets: int,
+def run_loop(
     out: Path,
     *,
+    datasets: int = DATASETS,
     resume: bool = False,
     comm: MPI.Intracomm = MPI.COMM_WORLD,
 ) -> str:
-    """Run ``datasets`` cases of every row and write table.csv and outcomes.json; the table.
+    """Run ``datasets`` cases of every row; write table.csv, outcomes.json, report.html; the table.
 
     With ``resume`` finished cases in ``out`` are kept. Collective. Raises InputError,
     ComputationError.
     """
-    if what not in TARGETS:
-        raise InputError(f"{what}: there is {', '.join(TARGETS)} to be measured")
     started = time.perf_counter()
-    journal = Journal(out, BenchInputs(what=what))
+    journal = Journal(out, BenchInputs(what="loop"))
     done = run_on_one_rank(comm, lambda: _prepare(journal, out, resume))
     body = reduced_body()
     cases = [Case(row, number) for number in range(datasets) for row in ROWS]
@@ -62,7 +59,7 @@ def run_bench(
 
         share_out(comm, len(open_), lambda position: _found(cases[open_[position]], body), take)
     outcomes = [done[i] for i in range(len(cases))] if comm.rank == 0 else []
-    return str(run_on_one_rank(comm, lambda: _tell(outcomes, out, journal, started)))
+    return str(run_on_one_rank(comm, lambda: _tell(outcomes, out, journal, started, comm.size)))
 
 
 def _prepare(journal: Journal, out: Path, resume: bool) -> dict[int, dict[str, Any]]:
@@ -80,16 +77,19 @@ def _found(case: Case, body: Any) -> dict[str, Any]:
     return asdict(outcome)
 
 
-def _tell(outcomes: list[dict[str, Any]], out: Path, journal: Journal, started: float) -> str:
+def _tell(
+    outcomes: list[dict[str, Any]], out: Path, journal: Journal, started: float, ranks: int
+) -> str:
     lines = table(outcomes)
     names = [field.name for field in fields(Line)]
     rows = [[getattr(line, name) for name in names] for line in lines]
     write_atomically(out / "table.csv", to_csv(names, rows))
     write_atomically(out / "outcomes.json", to_json(outcomes))
+    page(lines, outcomes, out, ranks)
     journal.finish()
     wall = time.perf_counter() - started
     told = [_line(line) for line in lines]
-    return "\n".join([*told, f"{len(outcomes)} datasets in {wall:.0f} s: {out / 'table.csv'}"])
+    return "\n".join([*told, f"{len(outcomes)} datasets in {wall:.0f} s: {out / 'report.html'}"])
 
 
 def _line(line: Line) -> str:

@@ -1,0 +1,209 @@
+"""Which programs compute the same impact, how is each called, and what does it answer?"""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from ...solver import paper
+from ...solver.compiled import cache_folder
+from ..command.flags import MODES
+
+REFERENCES = Path(__file__).resolve().parents[2] / "tests" / "reference"
+QUANTITIES = ("rebound_ratio", "contact_time_s", "peak_force_N")
+HEIGHT_M = 0.05
+# what mpirun, or MPI in this very process, left in the environment
+LAUNCHERS = ("OMPI_", "PMIX_", "PMI_", "PRTE_")
+KEPT = ("OMPI_MCA_", "OMPI_ALLOW_", "PRTE_MCA_", "PRTE_ALLOW_")
+ABSENT_STATUS = 3
+
+
+@dataclass(frozen=True)
+class Physics:
+    """One impact: an upright drop from 50 mm on Kn = 2 MN/m, with the damping ``beta_s``."""
+
+    name: str
+    beta_s: float
+    kn_N_m: float = paper.KN_CHOSEN_N_M
+    height_m: float = HEIGHT_M
+
+    def options(self, its_s: float) -> list[str]:
+        """As all programs take them."""
+        own = {"its": its_s, "kn": self.kn_N_m, "height": self.height_m, "beta": self.beta_s}
+        return [text for name, value in own.items() for text in (f"--{name}", repr(value))]
+
+
+DAMPED = Physics("damped", paper.BETA_S)
+UNDAMPED = Physics("undamped", 0.0)
+
+
+@dataclass(frozen=True)
+class Setting:
+    """What a program is asked; ``modes`` are the Krylov vectors of this program's reduced solid."""
+
+    physics: Physics
+    cells: tuple[int, int, int]
+    its_s: float
+    modes: int = MODES
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What came of a call: the quantities, and what they cost; or why there is nothing.
+
+    ``further_s`` is what one more drop costs in the same process.
+    """
+
+    found: dict[str, float]
+    wall_s: float = 0.0
+    further_s: float | None = None
+    peak_rss_MB: float = 0.0
+    why_not: str = ""
+
+
+@dataclass(frozen=True)
+class Program:
+    """A program of the table; ``model`` is that of this one, ``script`` a reference's.
+
+    With ``fresh`` nothing that earlier processes stored of a body is there. ``physics`` are the
+    names of what it can compute.
+    """
+
+    name: str
+    model: str = ""
+    script: str = ""
+    fresh: bool = True
+    physics: tuple[str, ...] = (DAMPED.name, UNDAMPED.name)
+
+    def absent(self) -> str:
+        """Why it cannot be run here; empty where it can."""
+        if self.script and not (REFERENCES / self.script).exists():
+            return "not here: reference programs are kept in the repository, in tests/reference"
+        if self.script == "calculix.py" and shutil.which("ccx") is None:
+            return "not installed: ccx is not on PATH"
+        return ""
+
+    def answer(self, setting: Setting, place: Bench, further: bool = False) -> Answer:
+        """Run it once, as a process of its own; with ``further`` one of this program's is
+        followed by a second process that makes one drop after another."""
+        options = setting.physics.options(setting.its_s)
+        options += ["--cells", *map(str, setting.cells)]
+        if self.script:
+            return _reference(place, [str(REFERENCES / self.script), *options])
+        if self.fresh:
+            place.forget()
+        options += ["--model", self.model, "--modes", str(setting.modes)]
+        return _own(place, options, further and self.fresh)
+
+
+PROGRAMS = (
+    Program("bristle, solid", model="solid"),
+    Program("bristle, reduced", model="reduced"),
+    Program("bristle, reduced, kept", model="reduced", fresh=False),
+    Program("bristle, beam", model="beam"),
+    Program("dolfinx, naive", script="naive_dolfinx.py", physics=(DAMPED.name,)),
+    Program("scipy, plain", script="plain_scipy.py"),
+    Program("CalculiX", script="calculix.py", physics=(UNDAMPED.name,)),
+)
+
+
+class Bench:
+    """Where processes run: a folder for their files and a cache of their own.
+
+    The cache begins with what is compiled already, so that no program is charged for compiling.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self._compiled = folder.joinpath("cache", *cache_folder().parts[-3:])
+        ignore = shutil.ignore_patterns("arrays", "*.part")
+        shutil.copytree(cache_folder(), self._compiled, ignore=ignore)
+
+    def forget(self) -> None:
+        """Drop what processes have stored of bodies."""
+        shutil.rmtree(self._compiled / "arrays", ignore_errors=True)
+
+    def environment(self) -> dict[str, str]:
+        """That of a process which nobody launched as a rank, on one thread."""
+        kept = {
+            name: value
+            for name, value in os.environ.items()
+            if not name.startswith(LAUNCHERS) or name.startswith(KEPT)
+        }
+        package = str(Path(__file__).absolute().parents[3])
+        path = os.pathsep.join(filter(None, (package, kept.get("PYTHONPATH", ""))))
+        threads = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
+        cache = {"NUMBA_CACHE_DIR": str(self.folder / "cache")}
+        return {**kept, **threads, **cache, "PYTHONPATH": path}
+
+    def run(self, arguments: list[str]) -> tuple[subprocess.CompletedProcess[str], Answer]:
+        """Run the interpreter with ``arguments`` under `launch`, and say what it cost."""
+        cost = self.folder / "cost.json"
+        cost.unlink(missing_ok=True)
+        launch = [sys.executable, "-I", "-S", str(Path(__file__).with_name("launch.py"))]
+        with subprocess.Popen(
+            [*launch, str(cost), sys.executable, *arguments],
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            env=self.environment(),
+            cwd=self.folder,
+        ) as process:
+            try:
+                out, told = process.communicate()
+            except BaseException:
+                process.terminate()
+                process.wait()
+                raise
+        done = subprocess.CompletedProcess(arguments, process.returncode, out, told)
+        if done.returncode or not cost.exists():
+            lines = (told.strip() or f"ended with status {done.returncode}").splitlines()
+            return done, Answer({}, why_not=f"failed: {lines[-1]}")
+        spent = json.loads(cost.read_text(encoding="utf-8"))
+        return done, Answer({}, spent["wall_s"], None, spent["peak_rss_MB"])
+
+
+def bench_folder() -> tempfile.TemporaryDirectory[str]:
+    """A folder that goes when the benchmark has ended."""
+    return tempfile.TemporaryDirectory(prefix="bristle-bench-")
+
+
+def _reference(place: Bench, arguments: list[str]) -> Answer:
+    done, cost = place.run(arguments)
+    if cost.why_not:
+        return cost
+    try:
+        said = json.loads(done.stdout.splitlines()[-1])
+        return Answer(_picked(said), cost.wall_s, said["wall_s"], cost.peak_rss_MB)
+    except (IndexError, KeyError, ValueError):
+        return Answer({}, why_not="failed: its last line is no result")
+
+
+def _own(place: Bench, options: list[str], further: bool) -> Answer:
+    """`bristle drop` as a user has it."""
+    out = place.folder / "drop"
+    drop = ["-m", "bristle.studies.cli", "drop", "--no-fields", *options]
+    _, cost = place.run([*drop, "--out", str(out)])
+    if cost.why_not:
+        return cost
+    result = json.loads((out / "result.json").read_text(encoding="utf-8"))
+    result["rebound_ratio"] = result["cm_rebound_ratio"]
+    further_s = None
+    if further:
+        done, again = place.run(["-m", "bristle.studies.bench.further", *options])
+        if again.why_not:
+            return again
+        further_s = json.loads(done.stdout.splitlines()[-1])["further_s"]
+    return Answer(_picked(result), cost.wall_s, further_s, cost.peak_rss_MB)
+
+
+def _picked(said: dict[str, Any]) -> dict[str, float]:
+    return {name: said[name] for name in (*QUANTITIES, "n_steps", "n_dofs")}

@@ -1,0 +1,181 @@
+"""Do the benchmarks measure what they say, and say what they measured?"""
+
+import csv
+import json
+import sys
+from dataclasses import replace
+
+import pytest
+from commands import bristle, mpirun, python
+
+from bristle.studies.bench import launch, peers, programs
+from bristle.studies.bench.loop_cases import ROWS
+from bristle.studies.bench.loop_page import bounds, page, within
+from bristle.studies.bench.loop_table import table
+from bristle.studies.bench.peers_table import Point, converged, reached
+from bristle.studies.bench.programs import DAMPED, QUANTITIES, Setting
+
+pytestmark = pytest.mark.serial
+
+
+def point(its_s: float, error: float, wall_s: float, further_s: float | None = None) -> Point:
+    errors = dict.fromkeys(QUANTITIES, error)
+    setting = Setting(DAMPED, (1, 1, 4), its_s)
+    return Point("one", setting, {}, errors, wall_s, wall_s, wall_s, further_s, 100.0, 1)
+
+
+def test_time_at_equal_error_follows_a_power_law():
+    # error h², time 1/h + the rest: 1 % is at h = 0.1
+    own = [point(h, h**2, 1.0 / h, 0.1 / h) for h in (0.4, 0.2, 0.05)]
+    assert reached(own, 1e-2).time_s == pytest.approx(10.0)
+    assert reached(own, 1e-2, further=True).time_s == pytest.approx(1.0)
+
+
+def test_an_error_that_no_setting_comes_near_is_not_extrapolated():
+    assert reached([point(0.4, 0.16, 2.5), point(0.2, 0.04, 5.0)], 1e-3).time_s is None
+    assert reached([point(0.4, 0.16, 2.5)], 0.2, further=True).time_s is None
+
+
+def test_an_error_that_was_small_by_luck_and_grows_again_does_not_count():
+    own = [point(0.4, 0.001, 2.5), point(0.2, 0.04, 5.0), point(0.1, 0.001, 10.0)]
+    assert 5.0 < reached(own, 1e-2).time_s < 10.0
+
+
+def test_where_the_longest_its_is_near_enough_less_time_may_do():
+    found = reached([point(0.4, 0.001, 2.5), point(0.2, 0.0005, 5.0)], 1e-2)
+    assert (found.time_s, found.coarsest) == (2.5, True)
+
+
+def test_the_converged_value_is_free_of_second_order_error():
+    coarse, fine = (dict.fromkeys(QUANTITIES, 2.0 + 8.0 * h**2) for h in (0.1, 0.05))
+    rod = dict.fromkeys(QUANTITIES, 2.002)
+    for said in (converged(coarse, fine, rod), converged(coarse, fine, {})):
+        assert said.values == pytest.approx(dict.fromkeys(QUANTITIES, 2.0))
+    assert converged(coarse, fine, rod).unsure["peak_force_N"] == pytest.approx(1e-3)
+    assert converged(coarse, fine, {}).unsure["peak_force_N"] == pytest.approx(1e-2)
+
+
+def test_a_process_is_charged_for_its_own_memory_and_time(tmp_path):
+    # from within a process that is large itself
+    inner = [sys.executable, "-I", "-S", launch.__file__]
+    script = f"""
+import json, subprocess
+own = bytearray(b"x") * 400_000_000
+for name, code in (("small", "pass"), ("large", "x = bytearray(b'x') * 200_000_000"),
+                   ("slow", "import time; time.sleep(0.5)"), ("wrong", "raise SystemExit(3)")):
+    cost = r"{tmp_path}/" + name
+    status = subprocess.run([*{inner!r}, cost, r"{sys.executable}", "-c", code]).returncode
+    print(json.dumps([status, json.load(open(cost))]))
+"""
+    done = python("-c", script)
+    assert done.returncode == 0, done.stderr
+    small, large, slow, wrong = map(json.loads, done.stdout.splitlines())
+    assert small[1]["peak_rss_MB"] < 100.0
+    assert 200.0 < large[1]["peak_rss_MB"] < 300.0
+    assert slow[1]["wall_s"] >= 0.5
+    assert [each[0] for each in (small, large, slow, wrong)] == [0, 0, 0, 3]
+
+
+def test_what_is_not_there_is_said(monkeypatch, tmp_path):
+    monkeypatch.setenv("PATH", str(tmp_path))
+    by_name = {each.name: each for each in programs.PROGRAMS}
+    assert by_name["CalculiX"].absent().startswith("not installed")
+    assert not by_name["scipy, plain"].absent()
+    monkeypatch.setattr(programs, "REFERENCES", tmp_path)
+    assert "tests/reference" in by_name["scipy, plain"].absent()
+    assert not by_name["bristle, beam"].absent()
+
+
+@pytest.mark.slow
+def test_peers_on_a_tiny_mesh(monkeypatch, tmp_path):
+    few = [each for each in programs.PROGRAMS if each.name in ("bristle, beam", "scipy, plain")]
+    broken = replace(few[0], name="broken", model="", script="impact.py")
+    gone = replace(broken, name="gone", script="nothing.py")
+    monkeypatch.setattr(peers, "PROGRAMS", (*few, broken, gone))
+    monkeypatch.setattr("bristle.studies.bench.peers_text.PROGRAMS", (*few, broken, gone))
+    block = peers.Block(DAMPED, (1, 1, 4), (1e-5, 5e-6))
+    said = peers.run_peers(tmp_path, repeats=2, blocks=(block,))
+    with (tmp_path / "points.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert [(row["program"], float(row["its_s"])) for row in rows] == [
+        (name, its) for its in (1e-5, 5e-6) for name in ("bristle, beam", "scipy, plain")
+    ]
+    for row in rows:
+        assert float(row["wall_low_s"]) <= float(row["wall_s"]) <= float(row["wall_high_s"])
+        assert 0.0 < float(row["further_s"]) < float(row["wall_s"])
+        assert row["repeats"] == "2"
+    # both are of second order: half the ITS leaves a quarter of the error, or nearly
+    for far, near in zip(rows[:2], rows[2:], strict=True):
+        assert float(near["rebound_ratio_error"]) < 0.4 * float(far["rebound_ratio_error"])
+    assert "gone" in said
+    assert "not here" in said
+    assert "no result" in said
+    html = (tmp_path / "report.html").read_text()
+    assert "Time at equal error" in html
+    assert "not here" in html
+    assert len(json.loads((tmp_path / "runs.json").read_text())) == 12
+
+
+def test_names_and_options_that_do_not_belong_are_refused(tmp_path):
+    done = bristle("bench", "speed", "--out", tmp_path)
+    assert done.returncode == 2
+    assert done.stderr.splitlines()[-1].startswith("bristle: error: speed: there is peers, ")
+    done = bristle("bench", "--datasets", 3, "--out", tmp_path)
+    assert done.returncode == 2
+    assert "--datasets: belongs to bench loop, not to bench peers" in done.stderr
+    done = mpirun(2, "-m", "bristle.studies.cli", "bench", "--out", tmp_path)
+    assert done.returncode == 2
+    assert "without mpirun" in done.stderr
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    ("target", "inside", "outside"),
+    [("≤ 5 %", 0.05, 0.051), ("≥ 0.8", 0.8, 0.79), ("87 to 93 %", 0.9, 0.94)],
+)
+def test_targets_are_read_as_they_are_written(target, inside, outside):
+    assert within(target, inside)
+    assert not within(target, outside)
+
+
+def test_every_target_of_the_loop_can_be_read():
+    for line in table([outcome(row.name, 0) for row in ROWS]):
+        low, high = bounds(line.target) if line.target else (0.0, 1.0)
+        assert low < high
+
+
+def outcome(row: str, number: int, **other) -> dict:
+    said = {
+        "row": row,
+        "number": number,
+        "truth": ["adhesion"],
+        "verdict": "effect",
+        "effects": ["adhesion"],
+        "same": ["adhesion"],
+        "classes": [],
+        "covered": [True, False],
+        "before": 2.0,
+        "after": 1.1,
+        "oracle": 1.0,
+        "rivals": {"BIC": "adhesion"},
+    }
+    return said | other
+
+
+def test_the_loops_page_tells_rates_targets_and_what_is_missed(tmp_path):
+    row = "one effect, d = 8"
+    outcomes = [outcome(row, i, effects=["wear"] if i < 3 else ["adhesion"]) for i in range(10)]
+    page(table(outcomes), outcomes, tmp_path, 1)
+    html = (tmp_path / "report.html").read_text()
+    assert "Missed: one effect, d = 8, true class first: 70.0\u00a0%, asked for ≥ 90 %." in html
+    with (tmp_path / "tables" / "rivals.csv").open() as file:
+        told = next(csv.DictReader(file))
+    assert (float(told["BIC"]), float(told["the_loop"])) == (100.0, 70.0)
+    with (tmp_path / "tables" / "held-out.csv").open() as file:
+        assert [float(each["after_mm"]) for each in csv.DictReader(file)] == [1.1] * 10
+
+
+def test_a_page_of_outcomes_without_any_effect_has_no_held_out_part(tmp_path):
+    outcomes = [outcome("clean", 0, verdict="adequate", effects=[], before=None, after=None)]
+    page(table(outcomes), outcomes, tmp_path, 1)
+    assert "Held-out" not in (tmp_path / "report.html").read_text()
