@@ -61,28 +61,7 @@ def posterior(
     counts = (128, 384) if weights.size == 1 else (96, 192)
     order = np.argsort(-shares, kind="stable")[:MOST_NOISES]
     noise = np.sort(order[shares[order] > 2e-3])
-    p = fitted.u.size
-    centre = np.asarray(fitted.u)
-    cov = np.linalg.inv(fitted.information + BOX_PRECISION * np.eye(p)) * 1.2
-    count, *later = counts
-    for turn in range(TURNS):
-        u, proposal = _propose(centre, cov, count, rng)
-        inside = np.all((u >= 0) & (u <= 1), axis=1)
-        theta = to_theta(fitted.model.parameters, u[inside])
-        predicted = data.predict(fitted.model, theta)
-        logs = data.noises.prior[noise] + data.log_likelihood(
-            data.values[None],
-            predicted,
-            weights,
-            (np.zeros((1, 1), np.int64), np.arange(theta.shape[0])[:, None], noise[None]),
-        )
-        fitted = _climbed(data, fitted, u[inside], logs, noise)
-        ratio: Array = np.full(count, -np.inf)
-        ratio[inside] = logsumexp(logs, axis=1) - proposal[inside]
-        if turn > 0 and _effective(ratio) > ENOUGH:
-            break
-        centre, cov = _adapted(u, ratio)
-        count = later[0]
+    fitted, u, ratio = _sampled(data, fitted, noise, counts, rng)
     w = np.exp(ratio - ratio.max())
     integral = float(ratio.max() + np.log(w.mean()))
     w /= w.sum()
@@ -99,6 +78,38 @@ def posterior(
         shares=shares,
         effective=float(1 / np.sum(w**2)),
     )
+
+
+def _sampled(
+    data: Sample,
+    fitted: Fitted,
+    noise: Ints,
+    counts: tuple[int, int],
+    rng: np.random.Generator,
+) -> tuple[Fitted, Array, Array]:
+    """The fit, or a better one; points (points, p); and their log weights."""
+    p = fitted.u.size
+    centre = np.asarray(fitted.u)
+    cov: Array = np.asarray(np.linalg.inv(fitted.information + BOX_PRECISION * np.eye(p)) * 1.2)
+    for turn in range(TURNS):
+        count = counts[min(turn, 1)]
+        u, proposal = _propose(centre, cov, count, rng)
+        inside = np.all((u >= 0) & (u <= 1), axis=1)
+        theta = to_theta(fitted.model.parameters, u[inside])
+        predicted = data.predict(fitted.model, theta)
+        logs = data.noises.prior[noise] + data.log_likelihood(
+            data.values[None],
+            predicted,
+            np.asarray(fitted.model.weights),
+            (np.zeros((1, 1), np.int64), np.arange(theta.shape[0])[:, None], noise[None]),
+        )
+        fitted = _climbed(data, fitted, u[inside], logs, noise)
+        ratio: Array = np.full(count, -np.inf)
+        ratio[inside] = logsumexp(logs, axis=1) - proposal[inside]
+        if turn > 0 and _effective(ratio) > ENOUGH:
+            break
+        centre, cov = _adapted(u, ratio)
+    return fitted, u, ratio
 
 
 def _climbed(data: Sample, fitted: Fitted, u: Array, logs: Array, noise: Ints) -> Fitted:

@@ -11,7 +11,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any, ClassVar
@@ -68,7 +68,7 @@ class Bench:
     """Where tables are made: the body, gravity and friction, and the heights to cover.
 
     Data that show other quantities of a drop have a bench that overrides `seen` and `reference`,
-    and names its own source in ``made_by``.
+    and names its own source in ``made_by``; ``shows_falls`` says that they show how it fell.
     """
 
     bristle: Bristle
@@ -78,6 +78,7 @@ class Bench:
     kn_range_N_m: tuple[float, float] = KN_RANGE_N_M
     friction: float = paper.FRICTION
     made_by: ClassVar[tuple[Path, ...]] = MADE_BY
+    shows_falls: ClassVar[bool] = False
 
     def seen(self, scenes: Sequence[Scene], its: float) -> Array:
         """Three positive quantities of drops of these scenes (scenes, quantities)."""
@@ -169,13 +170,13 @@ SIMULATED = (
     "surface_slope",
 )
 LEANING = ("bristle_tilt", "surface_slope")
-# Forces that count against the force of the impact: in units of v √(Kn m), from where a bristle is
-# held for good to where nothing is changed.
+# Forces that count against the greatest force of the same drop without them, and the shares of it
+# that matter: below, a bristle stays for good; a yield force beyond changes nothing, to the point.
 HELD: dict[str, tuple[type, float, float]] = {
-    "adhesion": (Adhesive, 0.0, 0.4),
-    "plastic_contact": (Plastic, 0.06, 0.8),
+    "adhesion": (Adhesive, 0.0, 0.5),
+    "plastic_contact": (Plastic, 0.06, 1.0),
 }
-HELD_NODES = 9
+HELD_NODES = 17
 
 
 @dataclass(frozen=True)
@@ -190,9 +191,12 @@ class Tables:
         return SIMULATED
 
     def bounded(self, parameter: Parameter) -> Parameter:
-        """The parameter with the absence that this body declares."""
+        """The parameter with the absence that this body declares, and as far as drops show it."""
         if parameter.name == "beta_s":
             return replace(parameter, null=self.bench.bristle.material.beta_s)
+        if parameter.name == "speed_m_s" and not self.bench.shows_falls:
+            # thrown up, it comes back as fast
+            return replace(parameter, low=0.0)
         return parameter
 
     @cached_property
@@ -230,17 +234,28 @@ class Tables:
         return self.bench.table(name, (axis,), change, name in LEANING)
 
     def _held(self, name: str) -> Callable[[Scene, tuple[float, ...]], Scene]:
-        """Puts a law in whose force is a share of the impact's."""
+        """Puts a law in whose force is a share of the drop's greatest."""
         law = HELD[name][0]
 
         def change(scene: Scene, point: tuple[float, ...]) -> Scene:
             kn = scene.law.kn_N_m
-            whole = reference(
-                scene.height_m, kn, self.bench.bristle.mass_kg, self.bench.gravity_m_s2
-            )[2]
-            return replace(scene, law=law(kn, point[0] * float(whole)))
+            most = self._peak_N(np.array(scene.height_m), np.array(kn))
+            return replace(scene, law=law(kn, point[0] * float(most)))
 
         return change
+
+    @cached_property
+    def _upright(self) -> Table:
+        """Drops without effects as a `Bench` of drops has them, whatever this bench shows."""
+        own = {each.name: getattr(self.bench, each.name) for each in fields(Bench)}
+        return Tables(Bench(**own)).plain
+
+    def _peak_N(self, height_m: Array, kn_N_m: Array) -> Array:
+        """The greatest force of drops without effects."""
+        height_m, kn_N_m = np.broadcast_arrays(height_m, kn_N_m)
+        mass, gravity = self.bench.bristle.mass_kg, self.bench.gravity_m_s2
+        rigid = reference(height_m, kn_N_m, mass, gravity)[2]
+        return np.asarray(rigid * np.exp(self._upright.at(height_m, kn_N_m)[2]))
 
     def change(self, name: str, height_m: Array, kn_N_m: Array, *value: Array | float) -> Array:
         """By how much an effect changes the logarithms of all quantities (quantities, ...)."""
@@ -249,10 +264,8 @@ class Tables:
         if name != "surface_slope":
             absent = [np.asarray(self.bounded(EFFECTS[name].parameters[0]).null)]
         if name in HELD:
-            whole = reference(
-                height_m, kn_N_m, self.bench.bristle.mass_kg, self.bench.gravity_m_s2
-            )[2]
-            value, absent = (value[0] / whole,), [absent[0] / whole]
+            most = self._peak_N(height_m, kn_N_m)
+            value, absent = (value[0] / most,), [absent[0] / most]
         now = table.at(*np.broadcast_arrays(height_m, kn_N_m, *value))
         return now - table.at(*np.broadcast_arrays(height_m, kn_N_m, *absent))
 

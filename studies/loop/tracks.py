@@ -67,6 +67,7 @@ class TrackBench(Bench):
     """Tables of rise, contact time, and one plus L ω²/(2 g) of the bristle's turning after."""
 
     made_by: ClassVar[tuple[Path, ...]] = (*MADE_BY, Path(__file__))
+    shows_falls: ClassVar[bool] = True
 
     def seen(self, scenes: Sequence[Scene], its: float) -> Array:
         body = beam_of(self.bristle)
