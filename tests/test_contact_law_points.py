@@ -21,7 +21,7 @@ from contact_law_helpers import (
     marcher_of,
     mass_on_a_foot,
 )
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from bristle.solver.batch import Drops, drop_many
@@ -186,6 +186,7 @@ def test_a_random_walk_loses_never_less_than_nothing_and_closes(law, mu, seed, s
 
 @pytest.mark.parametrize(("law", "enforcement"), ENFORCED, ids=str)
 @given(seed=st.integers(0, 100_000), mu=st.sampled_from([0.0, 0.4]))
+@example(seed=58271, mu=0.0)  # a force so small that rounding keeps its multiplier from settling
 @settings(max_examples=40, deadline=None)
 def test_steps_of_several_points_find_their_forces_and_lose_no_less_than_nothing(
     law, enforcement, seed, mu

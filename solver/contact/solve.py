@@ -17,6 +17,8 @@ from .step import Points, Section, holds, point_force, recalled
 STIFFENING_STAGES, STIFFENING = 8, 3.0
 AUGMENTATION_LIMIT = 200
 MULTIPLIER_TOLERANCE = 1e-9
+# Of a drive that some sums of four products make.
+ROUNDING = 1e-14
 
 
 @njit
@@ -229,8 +231,9 @@ def solve_step(
     """Forces ``force`` and drives at the end ``end`` (n, 3) of one step; returns the iterations.
 
     Where ``points`` are soft, ``multiplier`` (n, 3) is updated until it is the force itself: until
-    an update changes no force by more than `MULTIPLIER_TOLERANCE` of the largest. Minus one where
-    Newton's method fails, minus two where the updates take too long.
+    an update changes no force by more than `MULTIPLIER_TOLERANCE` of the largest, or no drive by
+    more than rounding. Minus one where Newton's method fails, minus two where the updates take too
+    long.
     """
     total = 0
     for _ in range(AUGMENTATION_LIMIT):
@@ -252,6 +255,7 @@ def solve_step(
             return total
         change = np.abs(force - multiplier).max()
         multiplier[:, :] = force
-        if change <= MULTIPLIER_TOLERANCE * np.abs(force).max():
+        resolved = ROUNDING * np.abs(free).max() / points.soft
+        if change <= max(MULTIPLIER_TOLERANCE * np.abs(force).max(), resolved):
             return total
     return -2
