@@ -88,7 +88,7 @@ def _section(value: Converged, own: Sequence[Point]) -> Section:
     text = (
         f"Converged: y1/y0 = {show(ratio, 6)}, contact time {show(1e6 * contact, 6)} µs, peak "
         f"force {show(peak, 6)} N; by Richardson's extrapolation of this program's reduced solid "
-        f"to no ITS, on twice the cells. Sure to {unsure} %: {unsure_words(value)}.",
+        f"to no ITS, on the finest mesh. Sure to {unsure} %: {unsure_words(value)}.",
     )
     data = _points(name, own)
     drawn = Figure(
