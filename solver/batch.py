@@ -7,7 +7,8 @@ height, ground, stiffness and friction.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields
+from collections.abc import Callable
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -38,6 +39,8 @@ FAILURES = {
 }
 
 
+# Parts of the ITS that are tried where contact forces do not converge.
+SHORTER = (0.5, 0.2)
 # Motion below this share of the largest is rounding.
 ROUNDING = 1e-12
 
@@ -50,7 +53,8 @@ class Drops:
     tip: each passes through the place over or under its point of the end section where the ground
     is ``rises_m`` above its mean (so for a slope these are the slope's own heights); the ground as
     a whole is moved until the first point touches. ``scale`` (drops, points) is the stiffness there
-    over ``kn_N_m``.
+    over ``kn_N_m``. ``laws`` (drops, parameters), where it is given, has the other numbers of the
+    contact law too, in the order of `ContactLaw.parameters`.
     """
 
     height_m: Array
@@ -61,22 +65,31 @@ class Drops:
     normals: Array
     rises_m: Array
     scale: Array
+    laws: Array | None = None
 
     def __len__(self) -> int:
         return len(self.height_m)
 
     def part(self, first: int, last: int) -> Drops:
         """Drops ``first`` to ``last`` - 1."""
-        return Drops(
-            **{field.name: getattr(self, field.name)[first:last] for field in fields(self)}
-        )
+        which = np.zeros(len(self), dtype=bool)
+        which[first:last] = True
+        return self.chosen(which)
 
     def chosen(self, which: NDArray[np.bool_], n_points: int | None = None) -> Drops:
         """The drops ``which`` (drops,) says, with their first ``n_points`` points alone."""
-        values = {field.name: getattr(self, field.name)[which] for field in fields(self)}
-        for name in ("normals", "rises_m", "scale"):
-            values[name] = values[name][:, :n_points]
-        return Drops(**values)
+        first = slice(n_points)
+        return Drops(
+            self.height_m[which],
+            self.tilt_deg[which],
+            self.tilt_wide_deg[which],
+            self.kn_N_m[which],
+            self.mu[which],
+            self.normals[which, first],
+            self.rises_m[which, first],
+            self.scale[which, first],
+            None if self.laws is None else self.laws[which],
+        )
 
     def upright(self) -> NDArray[np.bool_]:
         """Which drops (drops,) meet a flat horizontal ground upright, equally stiff all over."""
@@ -280,7 +293,7 @@ def many_drops(
     kt_over_kn: float,
     gravity: float,
     slowest: float,
-    kn: Array,
+    laws: Array,
     mu: Array,
     attitude: Array,
     height: Array,
@@ -293,11 +306,9 @@ def many_drops(
     """`one_drop` for every entry, ``out`` (drops, …) and ``status`` (drops,) written."""
     table = chart(flyer)
     for i in range(len(height)):
-        law = points.law.copy()
-        law[1] = kn[i]
         own = Points(
-            law,
-            kt_over_kn * kn[i],
+            laws[i],
+            kt_over_kn * laws[i, 1],
             mu[i],
             scale[i],
             points.series,
@@ -324,9 +335,33 @@ def many_drops(
 def drop_many(marcher: Marcher, drops: Drops) -> Outcome:
     """Every drop, of ``marcher``'s body at its ITS; arrays (drops,) in `Outcome`.
 
-    The marcher's law gives all but Kn, its friction all but μ. Raises ComputationError where the
-    marcher's method is not one for compiled code, or a drop fails, which it names.
+    The marcher's law gives all but Kn (and its damping, even where ``drops`` has laws of its kind
+    of its own), its friction all but μ. Raises ComputationError where the marcher's method is not
+    one for compiled code, or a drop fails, which it names.
     """
+    out, status = _dropped(marcher, drops)
+    failed = np.flatnonzero(status != modal_march.RELEASED)
+    if len(failed):
+        raise ComputationError(f"drop {failed[0]}: {FAILURES[int(status[failed[0]])]}")
+    return Outcome(*out.T)
+
+
+def drop_each(marcher_at: Callable[[float], Marcher], drops: Drops, its_s: float) -> Outcome:
+    """As `drop_many`, at the marcher's ITS ``its_s`` or, drop by drop, at the longest part of it
+    that serves; NaN where none does, or where a bristle stays in contact for good.
+    """
+    out, status = _dropped(marcher_at(its_s), drops)
+    for part in SHORTER:
+        again = (status != modal_march.RELEASED) & (status != modal_march.TOO_LONG)
+        if not again.any():
+            break
+        out[again], status[again] = _dropped(marcher_at(part * its_s), drops.chosen(again))
+    out[status != modal_march.RELEASED] = np.nan
+    return Outcome(*out.T)
+
+
+def _dropped(marcher: Marcher, drops: Drops) -> tuple[Array, NDArray[np.int64]]:
+    """What `drop_many` and `drop_each` give, (drops, fields), and how each drop ended."""
     if not compiled(marcher):
         raise ComputationError(
             "many drops at once need a body in modes, the conserving scheme, and penalty or the "
@@ -344,10 +379,7 @@ def drop_many(marcher: Marcher, drops: Drops) -> Outcome:
         _drop(own, drops.chosen(upright, 1), marcher, upright, out, status)
     if not upright.all():
         _drop(marcher, drops.chosen(~upright), marcher, ~upright, out, status)
-    failed = np.flatnonzero(status != modal_march.RELEASED)
-    if len(failed):
-        raise ComputationError(f"drop {failed[0]}: {FAILURES[int(status[failed[0]])]}")
-    return Outcome(*out.T)
+    return out, status
 
 
 def _drop(
@@ -372,6 +404,9 @@ def _drop(
             for thin, wide in zip(drops.tilt_deg, drops.tilt_wide_deg, strict=True)
         ]
     ).reshape(-1, 4)
+    laws = np.tile(touching.points.law, (len(drops), 1)) if drops.laws is None else drops.laws
+    laws = np.array(laws)
+    laws[:, 1] = drops.kn_N_m
     rows = np.zeros((len(drops), out.shape[1]))
     codes = np.zeros(len(drops), dtype=np.int64)
     many_drops(
@@ -381,7 +416,7 @@ def _drop(
         marcher.method.friction.kt_over_kn,
         marcher.gravity_m_s2,
         slowest_period_s(method.body),
-        np.ascontiguousarray(drops.kn_N_m),
+        laws,
         np.ascontiguousarray(drops.mu),
         attitude,
         np.ascontiguousarray(drops.height_m),

@@ -5,14 +5,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bristle.solver.batch import Drops, as_column, drop_many
+from bristle.solver import batch
+from bristle.solver.batch import Drops, as_column, drop_each, drop_many
 from bristle.solver.bodies.beam import beam_body
 from bristle.solver.bodies.reduced import reduce_solid
 from bristle.solver.bristle import Bristle, Material
 from bristle.solver.contact.enforcement import ContactMethod, Enforcement
-from bristle.solver.contact.laws import Coulomb, Linear
+from bristle.solver.contact.laws import Adhesive, Coulomb, Linear, Plastic
 from bristle.solver.drop import DropPlan, ModalFrame, simulate
 from bristle.solver.errors import ComputationError
+from bristle.solver.time import modal_march
 from bristle.solver.time.march import Marcher
 from bristle.solver.time.scheme import TimeScheme
 
@@ -24,8 +26,8 @@ def method_of(kn, mu, enforcement=Enforcement.PENALTY):
     return ContactMethod(Linear(kn), enforcement=enforcement, friction=Coulomb(mu))
 
 
-def marcher_of(body, enforcement=Enforcement.PENALTY):
-    return Marcher(body, method_of(2e6, 0.5, enforcement), TimeScheme.average(), ITS, G)
+def marcher_of(body, enforcement=Enforcement.PENALTY, its=ITS):
+    return Marcher(body, method_of(2e6, 0.5, enforcement), TimeScheme.average(), its, G)
 
 
 def leaning_drops(body, rng, count, spread_deg=5.0, **fixed):
@@ -130,6 +132,57 @@ def test_outcomes_do_not_depend_on_what_else_is_dropped(rng):
     parts = [drop_many(marcher_of(body), drops.part(i, i + 3)) for i in (0, 3, 6)]
     for whole, *pieces in zip(together, *parts, strict=True):
         assert np.array_equal(whole, np.concatenate(pieces))
+
+
+def test_drops_have_laws_of_their_own(rng):
+    body = beam_body(Bristle(material=Material(beta_s=1e-6)), 6)
+    drops = leaning_drops(body, rng, 6, kn_N_m=2e6, mu=0.5)
+    own = [Plastic(2e6, force) for force in rng.uniform(5.0, 60.0, 6)]
+    marcher = marcher_of(body).with_law(own[0])
+    many = drop_many(marcher, replace(drops, laws=np.array([law.parameters for law in own])))
+    for i, law in enumerate(own):
+        one = drop_many(marcher.with_law(law), drops.part(i, i + 1))
+        for whole, single in zip(many, one, strict=True):
+            assert whole[i] == single[0]
+
+
+def test_each_drop_takes_the_longest_step_that_serves(rng, monkeypatch):
+    body = beam_body(Bristle(material=Material(beta_s=1.07e-5)), 6)
+    drops, failing = leaning_drops(body, rng, 5), {1.0: [1, 3, 4], 0.5: [3, 4], 0.2: [4]}
+    made, real = [], batch._dropped
+
+    def dropped(marcher, some):
+        out, status = real(marcher, some)
+        part = round(marcher.its_s / ITS, 6)
+        made.append((part, len(some)))
+        status[np.isin(some.height_m, drops.height_m[failing[part]])] = modal_march.NOT_CONVERGED
+        return out, status
+
+    monkeypatch.setattr(batch, "_dropped", dropped)
+    found = drop_each(lambda its: marcher_of(body, its=its), drops, ITS)
+    monkeypatch.undo()
+    assert made == [(1.0, 5), (0.5, 3), (0.2, 2)]
+    for i, part in ((0, 1.0), (1, 0.5), (2, 1.0), (3, 0.2)):
+        single = drop_many(marcher_of(body, its=part * ITS), drops.part(i, i + 1))
+        assert found.rebound_height_m[i] == single.rebound_height_m[0]
+    assert np.isnan(found.rebound_height_m[4])
+
+
+def test_a_drop_that_stays_for_good_is_not_tried_again(rng):
+    body = beam_body(Bristle(material=Material(beta_s=1.07e-5)), 6)
+    drops = leaning_drops(body, rng, 2, tilt_deg=0.0, tilt_wide_deg=0.0, kn_N_m=2e6, mu=0.0)
+    laws = [Adhesive(2e6, force) for force in (1.0, 1e3)]
+    asked = []
+
+    def marcher_at(its):
+        asked.append(its)
+        return marcher_of(body, its=its).with_law(laws[0])
+
+    own = replace(drops, laws=np.array([law.parameters for law in laws]))
+    found = drop_each(marcher_at, own, ITS)
+    assert asked == [ITS]
+    assert np.isfinite(found.rebound_height_m[0])
+    assert np.isnan(found.rebound_height_m[1])
 
 
 def test_a_drop_that_fails_is_named(rng):

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...solver import paper
-from ...solver.batch import Drops, Outcome, drop_many
+from ...solver.batch import Drops, Outcome, drop_each
 from ...solver.bodies.beam import beam_body
 from ...solver.bristle import Array, Bristle, Material
 from ...solver.contact import laws
@@ -25,7 +25,6 @@ from ...solver.time.march import Marcher
 from ...solver.time.scheme import TimeScheme
 from ..calibration.curve import short_its_s
 from ..running.parallel import share_out
-from ..running.retry import drop_by_drop
 
 POINTS = 5
 # The budget closes to the ITS's error, some 10^-3; where energy is made it is off by far more.
@@ -119,26 +118,22 @@ def _rows(at: Conditions, bristle: Bristle, its_s: float, damping_N_s_m: float) 
 
     One that fails at all of them has NaN and an energy budget that does not close.
     """
-    failed = np.full(len(Outcome._fields), np.nan)
-    failed[Outcome._fields.index("closure_relative")] = np.inf
 
-    def run(which: slice, its: float) -> Array:
-        return _marched(at.take(which), _marcher(bristle, its, damping_N_s_m)).T
+    def marcher_at(its: float) -> Marcher:
+        return _marcher(bristle, its, damping_N_s_m)
 
-    return drop_by_drop(run, len(at.height_m), its_s, failed).T
-
-
-def _marched(at: Conditions, marcher: Marcher) -> Array:
     tilt, wide = at.tilts_deg
     drops = Drops.on_plane(
-        len(marcher.body.contact.weights),
+        len(marcher_at(its_s).body.contact.weights),
         height_m=at.height_m,
         kn_N_m=at.kn_N_m,
         tilt_deg=tilt,
         tilt_wide_deg=wide,
         mu=at.mu,
     )
-    return np.array(drop_many(marcher, drops))
+    found = drop_each(marcher_at, drops, its_s)
+    closure = np.nan_to_num(found.closure_relative, nan=np.inf)
+    return np.array(found._replace(closure_relative=closure))
 
 
 def _its_s(bristle: Bristle, kn_N_m: float) -> float:

@@ -26,7 +26,6 @@ from ...solver.effects.base import Parameter, Scene
 from ...solver.effects.library import EFFECTS
 from ...solver.effects.surface import MOST_SLOPE_DEG
 from ...solver.kept import kept, sources
-from ..running import retry
 from . import spline, table, table_drops
 from .spline import coefficients
 from .table import QUANTITIES, Axis, Table, mended
@@ -47,7 +46,6 @@ SIDE_NODES = 4
 MADE_BY = (
     Path(library.__file__).parent,
     Path(table_drops.__file__),
-    Path(retry.__file__),
     Path(table.__file__),
     Path(spline.__file__),
     Path(__file__),
@@ -81,8 +79,10 @@ class Bench:
     shows_falls: ClassVar[bool] = False
 
     def seen(self, scenes: Sequence[Scene], its: float) -> Array:
-        """Three positive quantities of drops of these scenes (scenes, quantities)."""
-        return drops_of(beam_of(self.bristle), scenes, self.gravity_m_s2, its, self.friction)
+        """Three positive quantities of drops of these scenes (scenes, quantities); NaN for one that
+        fails, or stays on the surface for good."""
+        body = beam_of(self.bristle)
+        return drops_of(body, scenes, self.gravity_m_s2, its, self.friction, lenient=True)
 
     def reference(self, height_m: Array, kn_N_m: Array) -> Array:
         """What the quantities (quantities, ...) are measured by."""
@@ -134,13 +134,13 @@ class Bench:
         out = np.empty((*shape, len(QUANTITIES)))
         for index in itertools.product(*(range(axis.n) for axis in sides)):
             point = tuple(float(axis.nodes()[i]) for axis, i in zip(sides, index, strict=True))
-            for columns in steps.values():
+            for its, columns in steps.items():
                 scenes = [
                     change(replace(self.plain(), height_m=float(h), law=Linear(kns[j])), point)
                     for h in heights
                     for j in columns
                 ]
-                rows = self._drops(scenes).reshape(len(heights), len(columns), -1)
+                rows = self.seen(scenes, its).reshape(len(heights), len(columns), -1)
                 place: tuple[Any, ...] = (slice(None), columns, *index)
                 out[place] = rows
         grid = np.meshgrid(heights, kns, indexing="ij")
@@ -148,14 +148,6 @@ class Bench:
         rigid = rigid.reshape(len(QUANTITIES), *shape[:2], *(1,) * len(sides))
         logs = np.log(out / np.moveaxis(rigid, 0, -1))
         return coefficients(mended(logs), len(axes))
-
-    def _drops(self, scenes: Sequence[Scene]) -> Array:
-        """What these drops give; NaN for one that fails, or stays on the surface for good."""
-        step = its_s(self.bristle, scenes[0].law.kn_N_m)
-        failed = np.full(len(QUANTITIES), np.nan)
-        return retry.drop_by_drop(
-            lambda which, its: self.seen(scenes[which], its), len(scenes), step, failed
-        )
 
 
 SIMULATED = (

@@ -9,13 +9,13 @@ from functools import lru_cache
 import numpy as np
 
 from ...solver import paper
-from ...solver.batch import Drops, Outcome, drop_many
+from ...solver.batch import Drops, Outcome, drop_each, drop_many
 from ...solver.bodies.analytic import quarter_period_s
 from ...solver.bodies.beam import beam_body
 from ...solver.bodies.modal import ModalBody
 from ...solver.bristle import Array, Bristle
 from ...solver.contact.enforcement import ContactMethod
-from ...solver.contact.laws import ContactLaw, Coulomb, mindlin_ratio
+from ...solver.contact.laws import Coulomb, mindlin_ratio
 from ...solver.effects.base import Scene
 from ...solver.rigid import leaning, matrix_of, slope_normal
 from ...solver.time.march import Marcher
@@ -41,34 +41,52 @@ def its_s(bristle: Bristle, kn_N_m: float) -> float:
 
 
 def drops_of(
-    body: ModalBody, scenes: Sequence[Scene], gravity_m_s2: float, its: float, friction: float
+    body: ModalBody,
+    scenes: Sequence[Scene],
+    gravity_m_s2: float,
+    its: float,
+    friction: float,
+    *,
+    lenient: bool = False,
 ) -> Array:
     """What is measured of `outcomes_of` these scenes, (scenes, quantities)."""
-    found = outcomes_of(body, scenes, gravity_m_s2, its, friction)
+    found = outcomes_of(body, scenes, gravity_m_s2, its, friction, lenient=lenient)
     return np.stack([found.rebound_height_m, found.contact_time_s, found.peak_force_N], axis=1)
 
 
 def outcomes_of(
-    body: ModalBody, scenes: Sequence[Scene], gravity_m_s2: float, its: float, friction: float
+    body: ModalBody,
+    scenes: Sequence[Scene],
+    gravity_m_s2: float,
+    its: float,
+    friction: float,
+    *,
+    lenient: bool = False,
 ) -> Outcome:
     """What drops of these scenes give, arrays (scenes,); all share damping and losses.
 
-    Heights are those of a fall from rest in a vacuum. Raises ComputationError.
+    Heights are those of a fall from rest in a vacuum. ComputationError where a drop fails or,
+    ``lenient``, what `drop_each` makes of it.
     """
-    alike: dict[ContactLaw, list[int]] = {}
+    alike: dict[tuple[type, float], list[int]] = {}
     for i, scene in enumerate(scenes):
-        alike.setdefault(replace(scene.law, kn_N_m=1.0), []).append(i)  # type: ignore[type-var]
+        alike.setdefault((type(scene.law), scene.law.damping), []).append(i)
     out = np.empty((len(Outcome._fields), len(scenes)))
     for members in alike.values():
         part = [scenes[i] for i in members]
-        out[:, members] = _under_one_law(body, part, gravity_m_s2, its, friction)
+        out[:, members] = _under_one_law(body, part, gravity_m_s2, its, friction, lenient)
     return Outcome(*out)
 
 
 def _under_one_law(
-    body: ModalBody, scenes: Sequence[Scene], gravity_m_s2: float, its: float, friction: float
+    body: ModalBody,
+    scenes: Sequence[Scene],
+    gravity_m_s2: float,
+    its: float,
+    friction: float,
+    lenient: bool,
 ) -> Outcome:
-    """`outcomes_of` scenes whose laws differ in Kn alone."""
+    """`outcomes_of` scenes whose laws are of one kind and damping."""
     first = scenes[0]
     body = replace(body, beta_s=first.beta_s, loss_factor=first.loss_factor)
     # a drop that lands upright on a level surface does not slide
@@ -77,13 +95,11 @@ def _under_one_law(
     )
     mu = friction if leans else 0.0
     ratio = mindlin_ratio(paper.POISSON)
-    marcher = Marcher(
-        body,
-        ContactMethod(first.law, friction=Coulomb(mu, ratio)),
-        TimeScheme.average(),
-        its,
-        gravity_m_s2,
-    )
+    method = ContactMethod(first.law, friction=Coulomb(mu, ratio))
+
+    def marcher_at(its_s: float) -> Marcher:
+        return Marcher(body, method, TimeScheme.average(), its_s, gravity_m_s2)
+
     n = len(body.contact.weights)
     drops = Drops.on_plane(
         n,
@@ -97,5 +113,10 @@ def _under_one_law(
     turns = np.array([matrix_of(leaning(s.tilt_deg, s.tilt_wide_deg)) for s in scenes])
     at = np.einsum("sxk,nk->snx", turns, body.contact.places_m)
     rises = -np.einsum("sx,snx->sn", normals[:, :2], at[..., :2]) / normals[:, 2:]
-    drops = replace(drops, normals=np.repeat(normals[:, None, :], n, axis=1), rises_m=rises)
-    return drop_many(marcher, drops)
+    drops = replace(
+        drops,
+        normals=np.repeat(normals[:, None, :], n, axis=1),
+        rises_m=rises,
+        laws=np.array([s.law.parameters for s in scenes]),
+    )
+    return drop_each(marcher_at, drops, its) if lenient else drop_many(marcher_at(its), drops)
