@@ -8,7 +8,9 @@ what it found with the 3-D model, and writes verdict.json and one page. Also a s
 from __future__ import annotations
 
 import importlib
+import os
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -102,10 +104,11 @@ class _Alone:
 
 
 def _simulate(problem: Problem, comm: MPI.Intracomm) -> None:
-    """Have every candidate predict once, dealt out over the ranks.
+    """Have every candidate predict once, dealt out over the ranks or, of one, over its threads.
 
-    Some of them first simulate thousands of drops, which are then kept on the disk for all ranks
-    and for the next run. Collective; raises ComputationError where they fail.
+    Some of them first simulate thousands of drops, in compiled code that lets other threads run,
+    which are then kept on the disk for all ranks and for the next run. Collective; raises
+    ComputationError where they fail.
     """
     candidates = problem.candidates
 
@@ -117,6 +120,11 @@ def _simulate(problem: Problem, comm: MPI.Intracomm) -> None:
         share_out(comm, len(candidates), predict, lambda i, nothing: None)
         return
     with progress("Effects simulated", len(candidates)) as advance:
+        if comm.size == 1:
+            with ThreadPoolExecutor(os.process_cpu_count()) as threads:
+                for _ in threads.map(predict, range(len(candidates))):
+                    advance()
+            return
         share_out(comm, len(candidates), predict, lambda i, nothing: advance())
 
 
