@@ -14,7 +14,6 @@ from typing import Any
 from mpi4py import MPI
 
 from ..meshes.collective import run_on_one_rank
-from ..solver.bodies.solid import SolidBody
 from ..solver.drop import DropResult
 from .command.choices import Model
 from .command.config import DropInputs
@@ -83,6 +82,7 @@ def _with_fields(
     workshop: Workshop, inputs: DropInputs, folder: Path, comm: MPI.Intracomm
 ) -> tuple[DropResult, Timings]:
     """The drop of a solid with its fields written for ParaView."""
+    from ..solver.bodies.solid import SolidBody
     from ..solver.paraview import FieldWriter
 
     prepared = workshop.prepare(inputs)

@@ -14,20 +14,16 @@ from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Self
+from typing import TYPE_CHECKING, Any, Self
 
 from mpi4py import MPI
 
 from ...meshes import geometry
-from ...meshes.check import MeshError
-from ...meshes.distribute import to_dolfinx
 from ...meshes.geometry import Tag
 from ...solver.bodies.analytic import analytic_drop
 from ...solver.bodies.base import ContactPoints, with_offsets
 from ...solver.bodies.beam import beam_body
 from ...solver.bodies.modal import ModalBody
-from ...solver.bodies.reduced import ReducedModel, reduce_solid
-from ...solver.bodies.solid import SolidBody
 from ...solver.bodies.stored import from_arrays, to_arrays
 from ...solver.bristle import Bristle
 from ...solver.drop import DropPlan, DropResult, FlightFrame, ModalFrame, march_plainly, simulate
@@ -43,6 +39,10 @@ from ..command.flags import FLAT
 from ..command.limits import marching_time_s
 from ..effects import Entered, entered, seen
 from ..sections.stance import StandingMarcher, face_offsets_m
+
+if TYPE_CHECKING:  # dolfinx and gmsh, which a beam does without
+    from ...solver.bodies.reduced import ReducedModel
+    from ...solver.bodies.solid import SolidBody
 
 PARTS = ("mesh", "assemble", "factor", "march")
 Timings = dict[str, float]
@@ -195,6 +195,10 @@ class Workshop:
         return self._keep(key, lambda: self._make_solid(inputs)), key
 
     def _make_solid(self, inputs: DropInputs) -> SolidBody:
+        from ...meshes.check import MeshError
+        from ...meshes.distribute import to_dolfinx
+        from ...solver.bodies.solid import SolidBody
+
         with self._timed("mesh"):
             try:
                 domain, _, facets = to_dolfinx(inputs.mesh_spec(), self.comm)
@@ -218,6 +222,8 @@ class Workshop:
 
     def _reduced(self, inputs: DropInputs) -> tuple[ReducedModel, Hashable]:
         """The solid and its reduced model, whatever the shape of the tip."""
+        from ...solver.bodies.reduced import reduce_solid
+
         solid, solid_key = self._solid(inputs)
         how = self._basis(inputs)
         key = (solid_key, "reduced", *how.items())
