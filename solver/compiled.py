@@ -6,6 +6,8 @@ stale. The cache's folder is therefore named after all sources that compiled cod
 
 from __future__ import annotations
 
+import contextlib
+import fcntl
 import hashlib
 import os
 import shutil
@@ -13,9 +15,10 @@ import tempfile
 import time
 from functools import cache
 from pathlib import Path
-from typing import Protocol, cast
+from typing import Any, Protocol, cast
 
 import numba
+from numba.core import caching
 
 KEPT_S = 7 * 86400.0
 # Folders of the package that compiled code takes nothing from.
@@ -39,17 +42,23 @@ def cache_folder() -> Path:
     for path in sorted(here.rglob("*.py")):
         if path.relative_to(here).parts[0] not in APART:
             digest.update(path.read_bytes())
+    folder = writable_folder("compiled", digest.hexdigest()[:16])
+    _forget_old(folder)
+    return folder
+
+
+def writable_folder(kind: str, name: str = "") -> Path:
+    """The user's folder ``name`` of a ``kind``, made where it can be: under the cache, under /tmp,
+    or for this process alone."""
     home = os.environ.get("NUMBA_CACHE_DIR") or os.environ.get("XDG_CACHE_HOME")
-    name = digest.hexdigest()[:16]
     for root in (Path(home) if home else Path.home() / ".cache", Path(tempfile.gettempdir())):
-        folder = root / "bristle" / f"compiled-{os.getuid()}" / name
+        folder = root / "bristle" / f"{kind}-{os.getuid()}" / name
         try:
             folder.mkdir(parents=True, exist_ok=True)
+            tempfile.TemporaryFile(dir=folder).close()  # root may write, but not where nobody may
         except OSError:
             continue
-        if os.access(folder, os.W_OK):
-            _forget_old(folder)
-            return folder
+        return folder
     return Path(tempfile.mkdtemp(prefix="bristle-"))
 
 
@@ -61,6 +70,21 @@ def _forget_old(folder: Path) -> None:
             shutil.rmtree(path, ignore_errors=True)
 
 
+class _Index(caching.IndexDataCacheFile):
+    """Numba's list of what is compiled of a function, by one process at a time.
+
+    Two that compile it for different types at once would give both the same file, and a third
+    would take the code of one for the other's.
+    """
+
+    def save(self, key: Any, data: Any) -> None:
+        with (cache_folder() / "lock").open("w") as file:
+            with contextlib.suppress(OSError):  # a file system without locks
+                fcntl.flock(file, fcntl.LOCK_EX)
+            super().save(key, data)
+
+
 numba.config.CACHE_DIR = str(cache_folder())
+caching.IndexDataCacheFile = _Index
 
 njit = cast(Decorator, numba.njit(cache=True, nogil=True))

@@ -21,6 +21,7 @@ from scipy.sparse import csr_matrix
 from .bodies.base import Array
 from .bodies.solid import stress
 from .bristle import Material
+from .forms import expression
 
 VOIGT = ((0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1))
 
@@ -36,7 +37,7 @@ class NodalStress:
         points = np.asarray(rule[0])
         sigma = stress(displacement, material)
         components = ufl.as_vector([sigma[i, j] for i, j in VOIGT])
-        self._expression = fem.Expression(components, points)
+        self._expression = expression(components, points)
         self._to_nodes = extrapolation(element, points)
         self._cells = np.arange(space.mesh.topology.index_map(3).size_local, dtype=np.int32)
         nodes = space.dofmap.list[: len(self._cells)]

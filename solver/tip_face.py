@@ -12,6 +12,7 @@ from .bodies.base import Array
 from .bodies.solid import SolidBody
 from .bodies.tip import SAME_POINT_M
 from .errors import ComputationError
+from .forms import form
 
 
 class TipFace:
@@ -53,8 +54,8 @@ class TipFace:
 def _area(domain: mesh.Mesh, solid: SolidBody) -> float:
     degree = 2 * domain.geometry.cmap.degree
     dx = ufl.Measure("dx", domain=domain, metadata={"quadrature_degree": degree})
-    form = fem.form(fem.Constant(domain, np.float64(1.0)) * dx)
-    return float(solid.comm.allreduce(fem.assemble_scalar(form)))
+    area = form(fem.Constant(domain, np.float64(1.0)) * dx)
+    return float(solid.comm.allreduce(fem.assemble_scalar(area)))
 
 
 def _nearest(candidates: Array, places: Array) -> NDArray[np.intp]:

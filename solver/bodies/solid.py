@@ -12,13 +12,16 @@ from petsc4py import PETSc
 
 from ..bristle import CONTACT_POINTS, Material
 from ..errors import ComputationError
+from ..forms import form
 from .base import Array
 from .tip import tip_contact
 
 
 def stress(u: ufl.core.expr.Expr, material: Material) -> ufl.core.expr.Expr:
-    """Cauchy stress of small strain, isotropic."""
-    lam, mu = material.lame_Pa
+    """Cauchy stress of small strain, isotropic. The material is data of the form, not part of it:
+    one compiled form serves all."""
+    domain = ufl.domain.extract_unique_domain(u)
+    lam, mu = (fem.Constant(domain, PETSc.ScalarType(value)) for value in material.lame_Pa)
     strain = ufl.sym(ufl.grad(u))
     return lam * ufl.tr(strain) * ufl.Identity(3) + 2.0 * mu * strain
 
@@ -70,8 +73,8 @@ class SolidBody:
         degree = 2 * self.order + 2 * (self.domain.geometry.cmap.degree - 1)
         dx = ufl.Measure("dx", domain=self.domain, metadata={"quadrature_degree": degree})
         density = fem.Constant(self.domain, PETSc.ScalarType(self.material.density_kg_m3))
-        form_k = fem.form(ufl.inner(stress(u, self.material), ufl.sym(ufl.grad(v))) * dx)
-        form_m = fem.form(density * ufl.inner(u, v) * dx)
+        form_k = form(ufl.inner(stress(u, self.material), ufl.sym(ufl.grad(v))) * dx)
+        form_m = form(density * ufl.inner(u, v) * dx)
         self.stiffness_matrix = fem_petsc.assemble_matrix(form_k)
         self.stiffness_matrix.assemble()
         full = fem_petsc.assemble_matrix(form_m)

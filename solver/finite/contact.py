@@ -7,7 +7,6 @@ from dataclasses import dataclass, field
 
 import numpy as np
 import ufl
-from dolfinx import fem
 from dolfinx.fem import petsc as fem_petsc
 from numpy.typing import NDArray
 from petsc4py import PETSc
@@ -15,6 +14,7 @@ from petsc4py import PETSc
 from ..bodies.base import Array
 from ..bristle import positive
 from ..errors import ComputationError, InputError
+from ..forms import form
 from .solid import FiniteSolid
 
 NEWTON_LIMIT = 60
@@ -189,7 +189,7 @@ class TipPoints:
             subdomain_data=solid.facet_tags,
             metadata={"quadrature_rule": "GLL", "quadrature_degree": 2 * solid.order - 1},
         )(solid.tip_tag)
-        vector = fem_petsc.assemble_vector(fem.form(ufl.TestFunction(solid.space)[2] * tip))
+        vector = fem_petsc.assemble_vector(form(ufl.TestFunction(solid.space)[2] * tip))
         vector.ghostUpdate(addv=PETSc.InsertMode.ADD, mode=PETSc.ScatterMode.REVERSE)
         areas = vector.array[2::3].copy()
         vector.destroy()

@@ -14,6 +14,7 @@ from ..bodies.base import Array
 from ..bodies.solid import without_zeros
 from ..bristle import Material
 from ..errors import ComputationError
+from ..forms import form
 
 
 def green_strain(u: ufl.core.expr.Expr) -> ufl.core.expr.Expr:
@@ -88,13 +89,11 @@ class FiniteSolid:
         density = fem.Constant(domain, real(material.density_kg_m3))
         tangent = ufl.derivative(force, self._d, trial)
         mass = density * ufl.inner(trial, test) * dx
-        self._force_form = fem.form(force)
-        self._tangent_form = fem.form(tangent + self._inertia * mass)
-        self._energy_form = fem.form(0.5 * ufl.inner(stress(strain, material), strain) * dx)
-        self._loss_form = fem.form(
-            self._rate * ufl.inner(stress(increase, material), increase) * dx
-        )
-        full = fem_petsc.assemble_matrix(fem.form(mass))
+        self._force_form = form(force)
+        self._tangent_form = form(tangent + self._inertia * mass)
+        self._energy_form = form(0.5 * ufl.inner(stress(strain, material), strain) * dx)
+        self._loss_form = form(self._rate * ufl.inner(stress(increase, material), increase) * dx)
+        full = fem_petsc.assemble_matrix(form(mass))
         full.assemble()
         self.mass_matrix = without_zeros(full)
         full.destroy()

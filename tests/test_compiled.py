@@ -1,0 +1,128 @@
+"""Does compiling end well when others compile the same, are killed, or nothing can be written?"""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import pytest
+from commands import environment, mpirun, python
+
+pytestmark = pytest.mark.serial
+
+# a form of one cell: the volume of a block, 2 m high
+FORM = """
+import numpy as np
+from dolfinx import fem, mesh
+from mpi4py import MPI
+from bristle.solver.forms import form
+import ufl
+comm = MPI.COMM_WORLD
+corners = [np.zeros(3), np.array([1.0, 1.0, 2.0])]
+block = mesh.create_box(comm, corners, [1, 1, 2], mesh.CellType.hexahedron)
+volume = fem.assemble_scalar(form(fem.Constant(block, 1.0) * ufl.dx(block)))
+total = comm.allreduce(volume)
+if comm.rank == 0:
+    print(total)
+"""
+# many further types of one function, as numba keeps them
+INDEX = """
+import sys
+from pathlib import Path
+from bristle.solver.compiled import numba
+from numba.core import caching
+folder, name, other = sys.argv[1:]
+index = caching.IndexDataCacheFile(folder, "function", "stamp")
+Path(folder, name).touch()
+while not Path(folder, other).exists():
+    pass  # both begin together
+for i in range(60):
+    index.save((name, i), [name, i])
+"""
+
+
+@pytest.fixture
+def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """An empty cache folder for the processes that a test starts."""
+    folder = tmp_path / "cache"
+    folder.mkdir()
+    monkeypatch.delenv("NUMBA_CACHE_DIR", raising=False)
+    monkeypatch.setenv("XDG_CACHE_HOME", str(folder))
+    return folder
+
+
+def at_once(*starts: Callable[[], subprocess.CompletedProcess[str]]) -> list[str]:
+    """What processes print that are started together, all of which must end well."""
+    with ThreadPoolExecutor(len(starts)) as pool:
+        done = [each.result() for each in [pool.submit(start) for start in starts]]
+    assert [each.returncode for each in done] == [0] * len(done), [each.stderr for each in done]
+    return [each.stdout.strip() for each in done]
+
+
+def compiled(cache: Path) -> list[str]:
+    return sorted(path.suffix for path in cache.rglob("libffcx*") if path.is_file())
+
+
+def test_cold_processes_compile_once_between_them(cache):
+    assert at_once(*[lambda: python("-c", FORM)] * 3) == ["2.0"] * 3
+    assert compiled(cache) == [".c", ".cached", ".o", ".so"]
+
+
+def test_cold_ranks_of_two_jobs_compile_once_between_them(cache):
+    assert at_once(*[lambda: mpirun(2, "-c", FORM)] * 2) == ["2.0"] * 2
+    assert compiled(cache) == [".c", ".cached", ".o", ".so"]
+
+
+def test_what_was_compiled_is_not_compiled_again(cache):
+    at_once(lambda: python("-c", FORM))
+    (library,) = cache.rglob("libffcx*.so")
+    before = library.stat().st_mtime_ns
+    at_once(lambda: python("-c", FORM))
+    assert library.stat().st_mtime_ns == before
+
+
+def test_a_killed_compile_is_made_anew(cache):
+    process = subprocess.Popen([sys.executable, "-c", FORM], env=environment(), text=True)
+    until = time.monotonic() + 60.0
+    while ".c" not in compiled(cache) and time.monotonic() < until:
+        time.sleep(0.005)
+    os.kill(process.pid, signal.SIGKILL)
+    process.wait()
+    assert ".cached" not in compiled(cache)
+    assert ".c" in compiled(cache)
+    assert at_once(lambda: python("-c", FORM)) == ["2.0"]
+    assert ".cached" in compiled(cache)
+
+
+@pytest.mark.parametrize("where", ["a file", "/proc/nowhere"])
+def test_a_cache_that_cannot_be_written_is_done_without(where, tmp_path, monkeypatch):
+    (tmp_path / "a file").touch()
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / where))
+    monkeypatch.setenv("TMPDIR", str(tmp_path))
+    monkeypatch.delenv("NUMBA_CACHE_DIR", raising=False)
+    assert at_once(lambda: python("-c", FORM)) == ["2.0"]
+    assert compiled(tmp_path) == [".c", ".cached", ".o", ".so"]
+
+
+def test_no_type_of_a_function_is_lost_where_two_compile_it_at_once(cache, tmp_path):
+    folder = tmp_path / "index"
+    folder.mkdir()
+    at_once(
+        lambda: python("-c", INDEX, folder, "one", "other"),
+        lambda: python("-c", INDEX, folder, "other", "one"),
+    )
+    check = """
+import sys
+from bristle.solver.compiled import numba
+from numba.core import caching
+index = caching.IndexDataCacheFile(sys.argv[1], "function", "stamp")
+keys = [(name, i) for name in ("one", "other") for i in range(60)]
+print(sum(index.load(key) == list(key) for key in keys))
+"""
+    assert at_once(lambda: python("-c", check, folder)) == ["120"]
