@@ -1,0 +1,121 @@
+"""Does a solid on several ranks send what the model of its communication says?"""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+import pytest
+from mpi4py import MPI
+from petsc4py import PETSc
+
+from bristle.solver.contact.enforcement import ContactMethod, Enforcement
+from bristle.solver.contact.laws import Linear
+from bristle.solver.impact import History, march_touch
+from bristle.solver.time.march import Marcher
+from bristle.solver.time.scheme import TimeScheme
+from bristle.studies.bench import communication
+from bristle.studies.bench.communication import Bar, Machine
+
+COMM = MPI.COMM_WORLD
+MACHINE = Machine(latency_s=1e-6, bandwidth_B_s=5e9, memory_B_s=8e9)
+
+
+def ghosts(matrix: PETSc.Mat) -> int:
+    """Unknowns of other ranks that a product needs."""
+    first, last = matrix.getOwnershipRangeColumn()
+    columns = np.unique(matrix.getValuesCSR()[1])
+    return int(((columns < first) | (columns >= last)).sum())
+
+
+@pytest.mark.parametrize("cells", [(1, 2, 24), (1, 2, 48), (2, 3, 24)])
+@pytest.mark.parametrize("order", [1, 2])
+def test_a_cut_is_a_cross_section_whatever_the_length(make_solid, cells, order):
+    solid, bar = make_solid(cells=cells, order=order), Bar(cells, order)
+    assert solid.n_dofs == bar.unknowns
+    needed = COMM.allgather(ghosts(solid.stiffness_matrix))
+    touched = [communication.neighbours(rank, COMM.size) for rank in range(COMM.size)]
+    assert sum(needed) <= sum(touched) * bar.most_ghosts
+    # somebody lacks each node of a plane that is cut
+    assert sum(needed) >= (COMM.size - 1) * bar.plane
+
+
+def test_messages_and_bytes_of_a_product_are_those_counted(make_solid):
+    solid = make_solid(cells=(1, 2, 24))
+    vector = np.ones(solid.n_local)
+    solid.mass(vector)
+    PETSc.Log.begin()
+    event = PETSc.Log.Event("MatMult")
+    before = event.getPerfInfo()
+    for _ in range(5):
+        solid.mass(vector)
+    after = event.getPerfInfo()
+    # PETSc counts a message with its sender and with its receiver
+    messages = COMM.allreduce(after["numMessages"] - before["numMessages"]) / 2 / 5
+    sent_B = COMM.allreduce(after["messageLength"] - before["messageLength"]) / 2 / 5
+    assert after["count"] - before["count"] == 5
+    assert messages == sum(communication.neighbours(rank, COMM.size) for rank in range(COMM.size))
+    assert sent_B == communication.BYTES * COMM.allreduce(ghosts(solid.mass_matrix))
+
+
+class Counted:
+    """A communicator that counts reductions."""
+
+    def __init__(self, comm: MPI.Intracomm) -> None:
+        self._comm, self.count = comm, 0
+
+    def __getattr__(self, name: str):
+        if name in ("allreduce", "Allreduce"):
+            self.count += 1
+        return getattr(self._comm, name)
+
+
+def test_reductions_of_a_step_are_those_counted(make_solid, monkeypatch):
+    solid = make_solid(cells=(1, 2, 24))
+    method = ContactMethod(Linear(2e6), Enforcement.PENALTY)
+    marcher = Marcher(solid, method, TimeScheme.average(), 1e-6, 9.81)
+    comm = Counted(COMM)
+    # one rank alone does without; it is counted as two would
+    size = max(COMM.size, 2)
+    monkeypatch.setattr(comm, "size", size, raising=False)
+    monkeypatch.setattr(solid, "comm", comm)
+    object.__setattr__(solid.contact, "comm", comm)
+    try:
+        counts = []
+        for end_s in (2.5e-6, 7.5e-6):
+            comm.count = 0
+            start = np.zeros(solid.n_local), -solid.translation[:, 2].copy()
+            touch = march_touch(marcher, 0.0, *start, History(), until_s=end_s)
+            counts.append((touch.n_steps, comm.count))
+    finally:
+        object.__setattr__(solid.contact, "comm", COMM)
+    (few, count_few), (many, count_many) = counts
+    assert many > few
+    assert count_many - count_few == communication.ALLREDUCES * (many - few)
+
+
+def test_efficiency_falls_with_ranks_and_grows_with_length():
+    short, long = Bar((1, 4, 337)), Bar((1, 4, 3370))
+    ranks = [1, 2, 4, 8, 16, 32]
+    falling = [communication.efficiency(short, n, MACHINE) for n in ranks]
+    assert falling[0] == 1.0
+    assert all(a > b for a, b in itertools.pairwise(falling))
+    assert communication.waiting_s(short, 8, MACHINE) == communication.waiting_s(long, 8, MACHINE)
+    assert communication.last_ranks(long, 0.85, MACHINE) > communication.last_ranks(
+        short, 0.85, MACHINE
+    )
+
+
+@pytest.mark.parametrize("share", communication.SHARES)
+@pytest.mark.parametrize("cells", communication.SIZES)
+def test_scaling_ends_where_efficiency_falls_under_the_share(cells, share):
+    bar = Bar(cells)
+    ranks = communication.last_ranks(bar, share, MACHINE)
+    assert ranks == 1 or communication.efficiency(bar, ranks, MACHINE) >= share
+    if 2 * ranks <= cells[2]:
+        assert communication.efficiency(bar, 2 * ranks, MACHINE) < share
+
+
+def test_the_sizes_are_those_asked_for():
+    unknowns = [Bar(cells).unknowns for cells in communication.SIZES]
+    np.testing.assert_allclose(unknowns, [5e4, 5e5, 3e6], rtol=0.1)
