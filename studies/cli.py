@@ -25,7 +25,7 @@ from .command.flags import (
     MESH_FLAGS,
     SHARED_FLAGS,
 )
-from .command.options import Config, Debug, Resume, out_option, takes
+from .command.options import Config, Debug, RanksPerCase, Resume, out_option, takes
 from .scatter.flags import SCATTER_FLAGS
 
 app = typer.Typer(
@@ -58,6 +58,7 @@ def reproduce(
     given: dict[str, Any],
     config: Config = None,
     out: Annotated[Path, out_option("results/reproduce")] = Path("results/reproduce"),
+    ranks_per_case: RanksPerCase = None,
     debug: Debug = False,
 ) -> None:
     """Every figure and table of the paper, 1-D and 3-D side by side, on one page: report.html.
@@ -71,7 +72,7 @@ def reproduce(
 
     flags = (ITS_FLAG, *DISCRETISATION_FLAGS)
     base = inputs_of(DropInputs, given, flags, config, ignored=(*DROP_FLAGS, *LISTS_FLAGS))
-    done = run_reproduce(out, Setup(base))
+    done = run_reproduce(out, Setup(base), ranks_per_case=ranks_per_case)
     print(f"{done.n_cases} drops in {done.wall_s:.0f} s: {done.report}")
 
 
@@ -107,6 +108,7 @@ def sweep(
     config: Config = None,
     out: Annotated[Path, out_option("results/sweep")] = Path("results/sweep"),
     resume: Resume = False,
+    ranks_per_case: RanksPerCase = None,
     debug: Debug = False,
 ) -> None:
     """Normal contact stiffness times height (Fig. 13): a table, and the tip's height over time.
@@ -119,7 +121,8 @@ def sweep(
     from .running.study import STUDY_FLAGS, StudyInputs
     from .sweep import run_sweep
 
-    run_sweep(inputs_of(StudyInputs, given, STUDY_FLAGS, config), out, resume=resume)
+    inputs = inputs_of(StudyInputs, given, STUDY_FLAGS, config)
+    run_sweep(inputs, out, resume=resume, ranks_per_case=ranks_per_case)
 
 
 @app.command()
@@ -129,6 +132,7 @@ def its(
     config: Config = None,
     out: Annotated[Path, out_option("results/its")] = Path("results/its"),
     resume: Resume = False,
+    ranks_per_case: RanksPerCase = None,
     debug: Debug = False,
 ) -> None:
     """The integration time step: what each quantity needs, against stiffness.
@@ -141,7 +145,8 @@ def its(
     from .its import ItsInputs, run_its
     from .running.study import STUDY_FLAGS
 
-    run_its(inputs_of(ItsInputs, given, STUDY_FLAGS, config), out, resume=resume)
+    inputs = inputs_of(ItsInputs, given, STUDY_FLAGS, config)
+    run_its(inputs, out, resume=resume, ranks_per_case=ranks_per_case)
 
 
 @app.command()

@@ -50,7 +50,12 @@ class ItsInputs(StudyInputs):
 
 
 def run_its(
-    inputs: ItsInputs, out: Path, comm: MPI.Intracomm = MPI.COMM_WORLD, *, resume: bool = False
+    inputs: ItsInputs,
+    out: Path,
+    comm: MPI.Intracomm = MPI.COMM_WORLD,
+    *,
+    resume: bool = False,
+    ranks_per_case: int | None = None,
 ) -> None:
     """Compute the study into the folder ``out``; see `study.run_study`.
 
@@ -63,7 +68,8 @@ def run_its(
     def finish(rows: Sequence[Row], folder: Path) -> dict[str, Any]:
         return _finish(rows, mass_kg, folder)
 
-    run_study(Study("its", finish, basis_its_s=paper.ITS_S), inputs, out, comm, resume=resume)
+    study = Study("its", finish, basis_its_s=paper.ITS_S)
+    run_study(study, inputs, out, comm, resume=resume, ranks_per_case=ranks_per_case)
 
 
 def group(rows: Sequence[Row]) -> dict[Key, list[Row]]:

@@ -74,6 +74,7 @@ def run_reproduce(
     studies: Sequence[Study] | None = None,
     *,
     comm: MPI.Intracomm = MPI.COMM_WORLD,
+    ranks_per_case: int | None = None,
 ) -> Reproduction:
     """Compute everything and write ``report.html``, ``tables/`` and ``figures/`` into ``out``.
 
@@ -86,7 +87,7 @@ def run_reproduce(
     setup = setup or Setup(DropInputs())
     studies = paper_studies(setup) if studies is None else list(studies)
     cases = list(dict.fromkeys(case for study in studies for case in study.cases()))
-    results = _compute(cases, setup, comm)
+    results = _compute(cases, setup, comm, ranks_per_case)
     for study in studies:
         if isinstance(study, AccountStudy):
             study.prepare(comm)
@@ -100,12 +101,14 @@ def run_reproduce(
     return run_on_one_rank(comm, write)
 
 
-def _compute(cases: list[DropInputs], setup: Setup, comm: MPI.Intracomm) -> Results:
+def _compute(
+    cases: list[DropInputs], setup: Setup, comm: MPI.Intracomm, ranks_per_case: int | None
+) -> Results:
     with Workshop(comm, basis_its_s=setup.its_s) as workshop:
         if comm.rank:
-            return compute(cases, workshop)
+            return compute(cases, workshop, ranks_per_case=ranks_per_case)
         with progress("Drops", len(cases)) as advance:
-            return compute(cases, workshop, advance)
+            return compute(cases, workshop, advance, ranks_per_case)
 
 
 def command_of(setup: Setup, out: Path) -> str:

@@ -25,10 +25,16 @@ MARKERS = 60
 
 
 def run_sweep(
-    inputs: StudyInputs, out: Path, comm: MPI.Intracomm = MPI.COMM_WORLD, *, resume: bool = False
+    inputs: StudyInputs,
+    out: Path,
+    comm: MPI.Intracomm = MPI.COMM_WORLD,
+    *,
+    resume: bool = False,
+    ranks_per_case: int | None = None,
 ) -> None:
     """Compute the sweep into the folder ``out``; see `study.run_study`."""
-    run_study(Study("sweep", _finish, curves=True), inputs, out, comm, resume=resume)
+    study = Study("sweep", _finish, curves=True)
+    run_study(study, inputs, out, comm, resume=resume, ranks_per_case=ranks_per_case)
 
 
 def _finish(rows: Sequence[Row], out: Path) -> dict[str, Any]:

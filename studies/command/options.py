@@ -32,6 +32,18 @@ Resume = Annotated[
         rich_help_panel=OUTPUT,
     ),
 ]
+RanksPerCase = Annotated[
+    int | None,
+    typer.Option(
+        "--ranks-per-case",
+        min=1,
+        metavar="N",
+        help="MPI ranks that share one solid, while the others have other cases. "
+        "[default: what should end first]",
+        show_default=False,
+        rich_help_panel=OUTPUT,
+    ),
+]
 Debug = Annotated[
     bool, typer.Option("--debug", help="Show the traceback of an error.", rich_help_panel=OUTPUT)
 ]

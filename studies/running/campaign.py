@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -14,6 +14,7 @@ from ..command.flags import FLAT
 from ..page.report import Section
 from ..sections.stance import ANGLES
 from .cases import Workshop
+from .groups import run_solids
 from .parallel import share_out
 
 Results = Mapping[DropInputs, DropResult]
@@ -70,29 +71,33 @@ class Study(Protocol):
 
 
 def compute(
-    cases: Iterable[DropInputs], workshop: Workshop, tick: Tick = lambda: None
+    cases: Iterable[DropInputs],
+    workshop: Workshop,
+    tick: Tick = lambda: None,
+    ranks_per_case: int | None = None,
 ) -> dict[DropInputs, DropResult]:
     """Every different case once; all results on rank 0, which calls ``tick`` after each.
 
-    Bodies in modes run on one rank each, the full-order solid on all together. Collective; a
-    ComputationError is raised on every rank.
+    Bodies in modes run on one rank each, the full-order solid on groups of ranks
+    (`groups.run_solids`). Collective; a ComputationError is raised on every rank.
     """
     distinct = list(dict.fromkeys(cases))
     solid = [case for case in distinct if case.model is Model.SOLID]
     modal = [case for case in distinct if case.model is not Model.SOLID]
     results: dict[DropInputs, DropResult] = {}
 
-    def take(i: int, result: DropResult) -> None:
-        results[modal[i]] = result
-        tick()
+    def taking(those: Sequence[DropInputs]) -> Callable[[int, DropResult], None]:
+        def take(i: int, result: DropResult) -> None:
+            results[those[i]] = result
+            tick()
 
-    for case in solid:
-        results[case], _ = workshop.run(case)
-        tick()
+        return take
+
+    run_solids(workshop, solid, lambda own, case: own.run(case)[0], taking(solid), ranks_per_case)
     for first in dict.fromkeys(map(_built, modal)):
         if first is not None:
             workshop.prepare(first)
-    share_out(workshop.comm, len(modal), lambda i: workshop.run(modal[i])[0], take)
+    share_out(workshop.comm, len(modal), lambda i: workshop.run(modal[i])[0], taking(modal))
     return results
 
 

@@ -189,9 +189,16 @@ class Workshop:
             )
         return self._shaped(inputs, frame, key)
 
-    def _solid(self, inputs: DropInputs) -> tuple[SolidBody, Hashable]:
+    def body_key(self, inputs: DropInputs) -> Hashable:
+        """Equal for cases of the solid that share all that is dear to build."""
+        return (*self._solid_key(inputs), *self._basis(inputs).items())
+
+    def _solid_key(self, inputs: DropInputs) -> tuple[Hashable, ...]:
         material, points = inputs.bristle().material, inputs.contact_points
-        key = ("solid", inputs.mesh_spec(), material, inputs.order, points)
+        return ("solid", inputs.mesh_spec(), material, inputs.order, points)
+
+    def _solid(self, inputs: DropInputs) -> tuple[SolidBody, Hashable]:
+        key = self._solid_key(inputs)
         return self._keep(key, lambda: self._make_solid(inputs)), key
 
     def _make_solid(self, inputs: DropInputs) -> SolidBody:

@@ -22,12 +22,17 @@ GRACE_S = 5.0
 
 def launched_ranks() -> int:
     """How many ranks the launcher started, without starting MPI."""
-    return _number(SIZE_VARIABLES, 1)
+    return _number((*SIZE_VARIABLES, *_by_slurm("SLURM_STEP_NUM_TASKS")), 1)
 
 
 def speaks() -> bool:
     """Whether this process is rank 0, without starting MPI."""
-    return _number(RANK_VARIABLES, 0) == 0
+    return _number((*RANK_VARIABLES, *_by_slurm("SLURM_PROCID")), 0) == 0
+
+
+def _by_slurm(name: str) -> Sequence[str]:
+    """``name`` in a task that srun launched as a rank, through PMIx; a script has it too."""
+    return (name,) if "PMIX_RANK" in os.environ else ()
 
 
 def _number(names: Sequence[str], default: int) -> int:
@@ -85,7 +90,7 @@ class Ranks:
             ending.tell()
             return ending.status
         arrived = self._comm.Ibarrier()
-        if ending.status and not _test_for(arrived, GRACE_S):
+        if ending.status and not done_within(arrived, GRACE_S):
             ending.tell(sys.__stderr__)  # also where this rank is silent otherwise
             self._comm.Abort(ending.status)
         arrived.Wait()
@@ -97,7 +102,7 @@ class Ranks:
         return worst.status
 
 
-def _test_for(request: Any, seconds: float) -> bool:
+def done_within(request: Any, seconds: float) -> bool:
     """Whether ``request`` is completed within the time."""
     until = time.monotonic() + seconds
     while not request.Test():
@@ -112,17 +117,30 @@ def share_out(
     count: int,
     work: Callable[[int], Any],
     take: Callable[[int, Any], None],
+    group: Any = None,
+    hands: Sequence[Sequence[int]] | None = None,
 ) -> None:
     """Do ``work(i)`` for i < ``count``, dealt out over the ranks; rank 0 takes what comes of it.
 
     Rank 0 calls ``take(i, result)`` as results arrive, in no fixed order. ``work`` must not
-    communicate. A rank that fails with a BristleError goes on with its other cases; at the end the
-    failure with the smallest i is raised on all ranks. Collective.
+    communicate, or only over ``group``, a part of ``comm`` with rank 0 of it in the first: then
+    ``hands`` are the cases of each group, in the order of the groups' first ranks. A rank that
+    fails with a BristleError goes on with its other cases; at the end the failure with the
+    smallest i is raised on all ranks. Collective.
     """
-    mine = range(comm.rank, count, comm.size)
+    leads = group is None or group.rank == 0
+    mine: Sequence[int] = range(comm.rank, count, comm.size)
+    if hands is not None:
+        leaders = [rank for rank, leading in enumerate(comm.allgather(leads)) if leading]
+        leader = comm.rank if group is None else group.bcast(comm.rank)
+        mine = hands[leaders.index(leader)]
     failed: dict[int, BristleError] = {}
     if comm.rank:
-        sent = [comm.isend((i, *_attempt(work, i)), dest=0) for i in mine]
+        sent = []
+        for i in mine:
+            done = i, *_attempt(work, i)
+            if leads:
+                sent.append(comm.isend(done, dest=0))
         for request in sent:
             request.wait()
     else:

@@ -25,6 +25,7 @@ from ..command.sources import checked
 from . import results
 from .cases import Timings, Workshop
 from .files import prepare_folder, to_csv, to_json, write_atomically
+from .groups import run_solids
 from .journal import Journal
 from .parallel import share_out
 from .progress import progress, say, warn, working
@@ -140,12 +141,13 @@ def run_study(
     comm: MPI.Intracomm = MPI.COMM_WORLD,
     *,
     resume: bool = False,
+    ranks_per_case: int | None = None,
 ) -> None:
     """Compute every case and write table.csv, the study's own files, and last its JSON.
 
-    Cases of modal bodies are dealt out over the ranks, those of the solid computed by all of them
-    together. With ``resume`` finished cases in ``out`` are kept. Collective. Raises InputError
-    where ``out`` cannot be used or holds another study, and ComputationError.
+    Cases of modal bodies are dealt out over the ranks, those of the solid over groups of ranks
+    (`groups.run_solids`). With ``resume`` finished cases in ``out`` are kept. Collective. Raises
+    InputError where ``out`` cannot be used or holds another study, and ComputationError.
     """
     out, started = Path(out), time.perf_counter()
     cases = inputs.cases()
@@ -156,7 +158,7 @@ def run_study(
         return
     if done:
         say(f"{len(done)} of {len(cases)} cases are there already")
-    shared = _compute(study, cases, comm, journal, done)
+    shared = _compute(study, cases, comm, journal, done, ranks_per_case)
     spent = {"shared": shared["total"]}
     facts = {"wall_s": spent, "peak_rss_MB": results.peak_rss_MB(comm), "ranks": comm.size}
 
@@ -194,6 +196,7 @@ def _compute(
     comm: MPI.Intracomm,
     journal: Journal,
     done: dict[int, Row],
+    ranks_per_case: int | None,
 ) -> Timings:
     """Fill ``done`` on rank 0 with what is missing; the seconds of what the cases shared."""
     missing = [i for i in range(len(cases)) if i not in done]
@@ -217,10 +220,13 @@ def _compute(
             lambda k: _row(workshop, cases[modal[k]], study.curves),
             lambda k, row: take(modal[k], row),
         )
-        for i in solid:
-            row = _row(workshop, cases[i], study.curves)
-            if comm.rank == 0:
-                take(i, row)
+        run_solids(
+            workshop,
+            [cases[i] for i in solid],
+            lambda own, case: _row(own, case, study.curves),
+            lambda k, row: take(solid[k], row),
+            ranks_per_case,
+        )
     return shared
 
 

@@ -1,0 +1,193 @@
+"""How many ranks share one full-order solid, and which group of ranks computes which case?
+
+One solid on all ranks waits for messages in every step; a solid for each group of ranks, or for
+each rank alone, does not, but every group builds its own mesh, factor and basis. The number of
+groups is the one that a plain estimate of all this says ends first (`best_sizes`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Hashable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from typing import Any, cast
+
+from mpi4py import MPI
+
+from ...meshes.collective import run_on_one_rank
+from ...solver.errors import BristleError, InputError
+from ..command.config import DropInputs
+from ..command.limits import count_unknowns, marching_time_s
+from .cases import Workshop
+from .parallel import GRACE_S, done_within, share_out
+
+# What building mesh, matrices, factor and basis costs, in steps of the same solid.
+BUILDING_STEPS = 250.0
+# What a further rank adds to the time of a step, as a share of the step on one rank over that many.
+WAITING = 0.15
+# Unknowns that a rank's share of matrices, factor and basis may have: about 6 GB.
+UNKNOWNS_PER_RANK = 500_000
+
+
+@dataclass(frozen=True)
+class Load:
+    """What a case costs in steps, how many unknowns it has, and the body that it is built on."""
+
+    steps: float
+    unknowns: int
+    body: Hashable
+
+
+def group_sizes(ranks: int, ranks_per_case: int) -> list[int]:
+    """Ranks of each group: ``ranks_per_case``, and what is left over one by one on top."""
+    count = max(ranks // ranks_per_case, 1)
+    return [ranks // count + (i < ranks % count) for i in range(count)]
+
+
+def deal(loads: Sequence[Load], sizes: Sequence[int]) -> tuple[list[list[int]], float]:
+    """The cases of each group, and when the last group ends (in steps of one rank).
+
+    Single cases, or all cases of a body as one: whichever ends first.
+    """
+    alone = [[i] for i in range(len(loads))]
+    by_body: dict[Hashable, list[int]] = {}
+    for i, load in enumerate(loads):
+        by_body.setdefault(load.body, []).append(i)
+    dealt = (_deal(loads, lots, sizes) for lots in (alone, list(by_body.values())))
+    return min(dealt, key=lambda each: each[1])
+
+
+def _deal(
+    loads: Sequence[Load], lots: Sequence[Sequence[int]], sizes: Sequence[int]
+) -> tuple[list[list[int]], float]:
+    """Each lot of cases of one body, longest first, where it ends first (Graham, SIAM J. Appl.
+    Math. 17, 1969), with the body that is built there already or is not."""
+    hands: list[list[int]] = [[] for _ in sizes]
+    ends, built = [0.0] * len(sizes), [set[Hashable]() for _ in sizes]
+    steps = [sum(loads[i].steps for i in lot) for lot in lots]
+    for k in sorted(range(len(lots)), key=lambda k: (-steps[k], k)):
+        body = loads[lots[k][0]].body
+        after = [
+            end + (steps[k] + BUILDING_STEPS * (body not in there)) / _speed(size)
+            for end, size, there in zip(ends, sizes, built, strict=True)
+        ]
+        first = min(range(len(sizes)), key=lambda g: (after[g], g))
+        hands[first] += lots[k]
+        built[first].add(body)
+        ends[first] = after[first]
+    return hands, max(ends, default=0.0)
+
+
+def _speed(ranks: int) -> float:
+    """How much faster than one rank a group of ``ranks`` makes its steps."""
+    return ranks / (1.0 + WAITING * (ranks - 1))
+
+
+def best_sizes(loads: Sequence[Load], ranks: int) -> list[int]:
+    """Sizes of the groups with which `deal` ends first, of those whose ranks have memory enough."""
+    largest = max((load.unknowns for load in loads), default=0)
+    least = min(max(-(-largest // UNKNOWNS_PER_RANK), 1), ranks)
+    choices = [group_sizes(ranks, n) for n in range(ranks, least - 1, -1)]
+    return min(choices, key=lambda sizes: deal(loads, sizes)[1])
+
+
+class Groups:
+    """The ranks of ``world`` in groups of these ``sizes``, consecutive ranks together."""
+
+    def __init__(self, world: MPI.Intracomm, sizes: Sequence[int]) -> None:
+        owner = [group for group, size in enumerate(sizes) for _ in range(size)]
+        self.world, self.sizes, self.mine = world, tuple(sizes), owner[world.rank]
+        self.comm = world if len(sizes) == 1 else cast(MPI.Intracomm, world.Split(self.mine))
+        # so that the barrier of a rank that failed alone meets no other's collective call
+        self._after = self.comm.Dup()
+
+    def together(self, work: Callable[[], Any]) -> Any:
+        """``work()``, done by all ranks of the group; a rank that fails alone ends the job."""
+        try:
+            result = work()
+        except BristleError as error:
+            if not done_within(self._after.Ibarrier(), GRACE_S):
+                raise RuntimeError(str(error)) from error
+            raise
+        self._after.Barrier()
+        return result
+
+    def close(self) -> None:
+        """Free the communicators; collective."""
+        self._after.Free()
+        if self.comm is not self.world:
+            self.comm.Free()
+
+
+def run_solids(
+    workshop: Workshop,
+    cases: Sequence[DropInputs],
+    work: Callable[[Workshop, DropInputs], Any],
+    take: Callable[[int, Any], None],
+    ranks_per_case: int | None = None,
+) -> None:
+    """``work`` for every case of the solid at full order, over groups of the workshop's ranks.
+
+    Rank 0 takes results as `parallel.share_out` says. Without ``ranks_per_case`` the groups are
+    those of `best_sizes`. ``workshop`` itself serves where all ranks are one group. Collective;
+    raises InputError where there are fewer ranks than a case is to have, and ComputationError.
+    """
+    if not cases:
+        return
+    world = workshop.comm
+    loads = [load_of(case, workshop) for case in cases]
+    if ranks_per_case is None:
+        sizes = best_sizes(loads, world.size)
+    elif ranks_per_case <= world.size:
+        sizes = group_sizes(world.size, ranks_per_case)
+    else:
+        raise InputError(f"--ranks-per-case: there are {world.size} ranks, not {ranks_per_case}")
+    hands, _ = deal(loads, sizes)
+    with _grouped(workshop, sizes, cases) as (groups, own):
+        share_out(
+            world,
+            len(cases),
+            lambda i: groups.together(lambda: work(own, cases[i])),
+            take,
+            groups.comm,
+            hands,
+        )
+
+
+@contextmanager
+def _grouped(
+    workshop: Workshop, sizes: Sequence[int], cases: Sequence[DropInputs]
+) -> Iterator[tuple[Groups, Workshop]]:
+    """The groups, and the workshop of this rank's."""
+    groups = Groups(workshop.comm, sizes)
+    if len(sizes) == 1:
+        yield groups, workshop
+    else:
+        compile_forms(workshop.comm, cases)
+        with Workshop(groups.comm, workshop.basis_its_s) as own:
+            yield groups, own
+    groups.close()
+
+
+def compile_forms(comm: MPI.Intracomm, cases: Sequence[DropInputs]) -> None:
+    """Have one rank compile every form that the solids need, before the ranks split; collective.
+
+    A form is the same whatever the number of cells and the material, so one cell will do.
+    """
+    from ...meshes.distribute import Tag, to_dolfinx
+    from ...solver.bodies.solid import SolidBody
+
+    small = {(replace(case.mesh_spec(), cells=(1, 1, 1)), case.order) for case in cases}
+
+    def build() -> None:
+        for spec, order in small:
+            domain, _, facets = to_dolfinx(spec, MPI.COMM_SELF)
+            SolidBody(domain, facets, int(Tag.TIP), cases[0].bristle().material, order).close()
+
+    run_on_one_rank(comm, build)
+
+
+def load_of(case: DropInputs, workshop: Workshop) -> Load:
+    """What a case of the solid at full order is expected to cost."""
+    marched_s = marching_time_s(case) if case.march else case.contact_s()
+    return Load(marched_s / case.its_s, count_unknowns(case), workshop.body_key(case))
