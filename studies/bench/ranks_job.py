@@ -1,0 +1,120 @@
+"""What does one job of `ranks` measure, on the ranks that mpirun gave it?
+
+``mpirun -n 2 python3 -m bristle.studies.bench.ranks_job '{"kind": "solids", …}'`` prints one line
+of JSON.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+import time
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from mpi4py import MPI
+
+from ..command.choices import Model
+from ..command.config import DropInputs
+from ..running.cases import Timings, Workshop
+from ..running.groups import run_solids
+
+MESSAGES = 2000
+LARGE_B = 1 << 22
+TRIAD = 1 << 23
+
+
+def solids(
+    comm: MPI.Intracomm,
+    cells: tuple[int, int, int],
+    cases: int,
+    per_case: int,
+    kn_N_m: float,
+) -> dict[str, Any]:
+    """Seconds from before the first mesh to the last result, and of the slowest group's marches.
+
+    All cases take the same steps: heights alone differ.
+    """
+    heights = np.linspace(0.03, 0.05, cases)
+    inputs = [
+        DropInputs(model=Model.SOLID, cells=cells, height_m=float(h), kn_N_m=kn_N_m)
+        for h in heights
+    ]
+    spent: dict[int, float] = {}
+    steps: dict[int, int] = {}
+    place: dict[int, int] = {}
+
+    def work(workshop: Workshop, case: DropInputs) -> tuple[Timings, int, int]:
+        result, timings = workshop.run(case)
+        return timings, result.n_steps, comm.rank
+
+    def take(i: int, found: tuple[Timings, int, int]) -> None:
+        timings, steps[i], place[i] = found
+        spent[i] = timings["march"]
+
+    with Workshop(comm) as workshop:
+        comm.Barrier()
+        started = time.perf_counter()
+        run_solids(workshop, inputs, work, take, per_case)
+        comm.Barrier()
+        total = time.perf_counter() - started
+    by_group = [sum(spent[i] for i in spent if place[i] == rank) for rank in set(place.values())]
+    marched = max(by_group, default=0.0)
+    return {"total_s": total, "march_s": marched, "steps": sum(steps.values())}
+
+
+def ping(comm: MPI.Intracomm) -> dict[str, Any]:
+    """A message's latency and bandwidth between the first two ranks, and a rank's share of memory.
+
+    Half of a round trip's median; the triad a = b + s c, all ranks at once, moves 24 bytes a time.
+    """
+    found = {"latency_s": _one_way_s(comm, 8, MESSAGES)}
+    found["bandwidth_B_s"] = LARGE_B / _one_way_s(comm, LARGE_B, MESSAGES // 50)
+    a, b, c = np.zeros(TRIAD), np.ones(TRIAD), np.ones(TRIAD)
+
+    def triad() -> None:
+        np.multiply(c, 3.0, out=a)
+        np.add(a, b, out=a)
+
+    comm.Barrier()
+    # two passes over three arrays of eight bytes, less what is read again: 16 + 24 bytes
+    found["memory_B_s"] = 40.0 * TRIAD / comm.allreduce(_median_s(triad, 5), MPI.MAX)
+    return found
+
+
+def _one_way_s(comm: MPI.Intracomm, size_B: int, times: int) -> float:
+    """Half of the median round trip of a message between ranks 0 and 1."""
+    buffer = np.zeros(size_B, np.uint8)
+
+    def trip() -> None:
+        if comm.rank == 0:
+            comm.Send(buffer, 1)
+            comm.Recv(buffer, 1)
+        elif comm.rank == 1:
+            comm.Recv(buffer, 0)
+            comm.Send(buffer, 0)
+
+    return 0.5 * float(comm.bcast(_median_s(trip, times)))
+
+
+def _median_s(action: Callable[[], None], times: int) -> float:
+    spent = []
+    for _ in range(times):
+        started = time.perf_counter()
+        action()
+        spent.append(time.perf_counter() - started)
+    return float(np.median(spent))
+
+
+def main(arguments: dict[str, Any]) -> None:
+    """Run the job and print what it found, from rank 0."""
+    comm = MPI.COMM_WORLD
+    kind = arguments.pop("kind")
+    found = ping(comm) if kind == "ping" else solids(comm, **arguments)
+    if comm.rank == 0:
+        print(json.dumps(found), flush=True)
+
+
+if __name__ == "__main__":
+    main(json.loads(sys.argv[1]))
