@@ -27,7 +27,8 @@ print(json.dumps([status, sorted({name.partition('.')[0] for name in sys.modules
 
 def loaded(*arguments: object) -> tuple[int, set[str]]:
     """Exit status of a command, and the packages that its process has loaded at the end."""
-    result = python("-c", CODE, *arguments)
+    # cold, compiled code takes its time
+    result = python("-c", CODE, *arguments, timeout_s=500.0)
     status, names = json.loads(result.stdout.splitlines()[-1])
     return status, set(names)
 
