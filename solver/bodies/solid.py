@@ -14,6 +14,7 @@ from ..bristle import CONTACT_POINTS, Material
 from ..errors import ComputationError
 from ..forms import form
 from .base import Array
+from .cut import MOST_ON_CUTS, CutFactor
 from .tip import tip_contact
 
 
@@ -55,7 +56,8 @@ class SolidBody:
         index_map, block = self.space.dofmap.index_map, self.space.dofmap.index_map_bs
         self.n_local = index_map.size_local * block
         self.n_dofs = index_map.size_global * block
-        self._solvers: dict[tuple[float, bool], PETSc.KSP] = {}
+        self._solvers: dict[tuple[float, bool], PETSc.KSP | CutFactor] = {}
+        self._on_cuts = self._shared()
         self._assemble()
         self._x, self._y = self.stiffness_matrix.createVecs()
         self.translation = np.tile(np.eye(3), (self.n_local // 3, 1))
@@ -112,6 +114,8 @@ class SolidBody:
         if key not in self._solvers:
             self._solvers[key] = self._factored(ratio, 1.0 if stiff else 0.0)
         solver = self._solvers[key]
+        if isinstance(solver, CutFactor):
+            return lambda b: solver.solve(b) / scale
         right, left = self._x.duplicate(), self._x.duplicate()
 
         def solve(b: Array) -> Array:
@@ -141,10 +145,21 @@ class SolidBody:
         dense.assemble()
         return dense
 
-    def _factored(self, c_mass: float, c_stiffness: float) -> PETSc.KSP:
+    def _shared(self) -> Array:
+        """Which of this rank's unknowns (n_local,) a cell of another rank has too."""
+        index_map, block = self.space.dofmap.index_map, self.space.dofmap.index_map_bs
+        others = index_map.index_to_dest_ranks()
+        return np.repeat(np.diff(others.offsets)[: index_map.size_local] > 0, block)
+
+    def _factored(self, c_mass: float, c_stiffness: float) -> PETSc.KSP | CutFactor:
         matrix = self.stiffness_matrix.copy()
         matrix.scale(c_stiffness)
         matrix.axpy(c_mass, self.mass_matrix, structure=PETSc.Mat.Structure.SUBSET_NONZERO_PATTERN)
+        n_cuts = self.comm.allreduce(int(self._on_cuts.sum()))
+        if 0 < n_cuts <= MOST_ON_CUTS:
+            cut = CutFactor(matrix, self._on_cuts, self.comm)
+            matrix.destroy()
+            return cut
         matrix.setOption(PETSc.Mat.Option.SPD, True)
         solver = PETSc.KSP().create(self.comm)
         solver.setOperators(matrix)
