@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import numpy as np
 from mpi4py import MPI
+from numpy.typing import NDArray
 from petsc4py import PETSc
 from scipy.linalg import cho_factor, cho_solve
 from scipy.sparse import csr_matrix
@@ -29,7 +30,7 @@ class CutFactor:
     them no part may touch another. Collective. Raises ComputationError where a factor fails.
     """
 
-    def __init__(self, matrix: PETSc.Mat, shared: Array, comm: MPI.Intracomm) -> None:
+    def __init__(self, matrix: PETSc.Mat, shared: NDArray[np.bool_], comm: MPI.Intracomm) -> None:
         self.comm, self._shared, self._inside = comm, np.flatnonzero(shared), ~shared
         first, last = matrix.getOwnershipRange()
         offsets, columns, values = matrix.getValuesCSR()

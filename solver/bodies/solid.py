@@ -8,6 +8,7 @@ import numpy as np
 import ufl
 from dolfinx import fem, mesh
 from dolfinx.fem import petsc as fem_petsc
+from numpy.typing import NDArray
 from petsc4py import PETSc
 
 from ..bristle import CONTACT_POINTS, Material
@@ -113,9 +114,10 @@ class SolidBody:
         key = (float(f"{ratio:.12e}"), stiff)
         if key not in self._solvers:
             self._solvers[key] = self._factored(ratio, 1.0 if stiff else 0.0)
-        solver = self._solvers[key]
-        if isinstance(solver, CutFactor):
-            return lambda b: solver.solve(b) / scale
+        made = self._solvers[key]
+        if isinstance(made, CutFactor):
+            return lambda b: made.solve(b) / scale
+        solver: PETSc.KSP = made
         right, left = self._x.duplicate(), self._x.duplicate()
 
         def solve(b: Array) -> Array:
@@ -145,7 +147,7 @@ class SolidBody:
         dense.assemble()
         return dense
 
-    def _shared(self) -> Array:
+    def _shared(self) -> NDArray[np.bool_]:
         """Which of this rank's unknowns (n_local,) a cell of another rank has too."""
         index_map, block = self.space.dofmap.index_map, self.space.dofmap.index_map_bs
         others = index_map.index_to_dest_ranks()

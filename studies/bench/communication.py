@@ -4,11 +4,12 @@ A slender bar is cut across its length into P parts. A cut is one plane of nodes
 the bar's length: n = (p NX + 1)(p NY + 1) nodes of degree p, s = 3 n unknowns. The bar has
 N = s (p NZ + 1).
 
-Local work is bound by memory, so it is counted in bytes. A step of the conserving march is
+Local work is counted in the bytes that it reads and writes. A step of the conserving march is
   * one solve with the factor L, read once forward and once backward. In any order that runs along
     the bar or halves it, an unknown is eliminated while about the p planes of a layer of cells, and
     the plane behind, wait: nnz(L) = N s (p + 1) / 2 on average, eight bytes each, no indices to
-    speak of since they come in dense blocks. Once again each way: 16 nnz(L).
+    speak of since they come in dense blocks. Once again each way: 16 nnz(L), at a rate of its own
+    (`Machine.solve_B_s`), since dense blocks are small and their order is no stream.
   * one product with M: three directions apart, each node coupled to all of its layers,
     (2 p + 1) n / 2 on average but no more than the (2 p + 1)³ of its cells: 12 bytes each.
   * `VECTORS` reads and writes of a vector in the time scheme.
@@ -19,18 +20,23 @@ Communication of a step is
   * `ALLREDUCES` of a few numbers: the tip's motion, which one rank has, and the energies'. Each
     takes ⌈log₂ P⌉ rounds of a message (recursive doubling; Thakur, Rabenseifner and Gropp, Int. J.
     High Perform. Comput. Appl. 19, 2005);
-  * the solve's separators: planes between the parts, in a tree of ⌈log₂ P⌉ levels. Forward and
-    backward, each level passes a vector of 2 s on, and works on a dense block of 3 s × s that no
-    other rank can help with.
+  * the solve's cuts (`solver.bodies.cut`): one more such sum, of all cuts' s (P - 1) unknowns, and
+    their dense factor, 8 (s (P - 1))² bytes, which every rank reads. How a part answers to its cuts
+    is read in each solve as well: 8 N s / P bytes a cut, at most two.
+  * where there are more than `MOST_ON_CUTS` unknowns on cuts: MUMPS' separators, planes between the
+    parts in a tree of ⌈log₂ P⌉ levels. Forward and backward, each level passes a vector of 2 s on,
+    and works on a dense block of 3 s × s that no other rank can help with.
 
-So E(P) = T(1) / (P T(P)), T(P) = local(1)/P + waiting(P): waiting grows like log P and like s², is
-the same for long bars and short ones, and the P at which E falls under a share is found here.
+So E(P) = T(1) / (P T(P)), T(P) = local(P) + waiting(P). Waiting is the same for long bars and short
+ones, so the P at which E falls under a share grows with N; it is found here.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+
+from ...solver.bodies.cut import MOST_ON_CUTS
 
 BYTES = 8
 VECTORS = 60
@@ -43,11 +49,13 @@ MOST_RANKS = 1 << 20
 
 @dataclass(frozen=True)
 class Machine:
-    """What a message costs (s, and bytes per s), and how fast a rank reads memory (bytes per s)."""
+    """What a message costs (s, and bytes per s), and how fast a rank reads memory as a stream, and
+    a factor in a solve (bytes per s)."""
 
     latency_s: float
     bandwidth_B_s: float
     memory_B_s: float
+    solve_B_s: float
 
     def message_s(self, size_B: float) -> float:
         return self.latency_s + size_B / self.bandwidth_B_s
@@ -90,10 +98,21 @@ class Bar:
         return self.plane * (self.order + 1)
 
 
-def local_B(bar: Bar) -> float:
-    """Bytes that a step reads and writes on one rank."""
-    vectors = VECTORS * BYTES * bar.unknowns
-    return 2.0 * BYTES * bar.factor_entries + 12.0 * bar.mass_entries + vectors
+def solve_B(bar: Bar) -> float:
+    """Bytes of the factor that a solve reads on one rank."""
+    return 2.0 * BYTES * bar.factor_entries
+
+
+def stream_B(bar: Bar, ranks: int = 1) -> float:
+    """Bytes that all ranks together read and write in a step beside the factors of their parts."""
+    cuts = min(ranks - 1, 2) if on_cuts(bar, ranks) else 0
+    answers = BYTES * bar.unknowns * bar.plane * cuts
+    return 12.0 * bar.mass_entries + VECTORS * BYTES * bar.unknowns + answers
+
+
+def on_cuts(bar: Bar, ranks: int) -> bool:
+    """Whether parts are factored by themselves."""
+    return bar.plane * (ranks - 1) <= MOST_ON_CUTS
 
 
 def neighbours(rank: int, ranks: int) -> int:
@@ -108,14 +127,20 @@ def waiting_s(bar: Bar, ranks: int, machine: Machine) -> float:
     levels = math.ceil(math.log2(ranks))
     scatter = min(ranks - 1, 2) * machine.message_s(BYTES * bar.most_ghosts)
     reduce = ALLREDUCES * levels * machine.message_s(3 * BYTES * bar.plane)
-    passed = 2 * levels * machine.message_s(2 * BYTES * bar.plane)
-    alone = 2 * levels * BYTES * 3 * bar.plane**2 / machine.memory_B_s
+    if on_cuts(bar, ranks):
+        cuts = bar.plane * (ranks - 1)
+        passed = levels * machine.message_s(BYTES * cuts)
+        alone = BYTES * cuts**2 / machine.memory_B_s
+    else:
+        passed = 2 * levels * machine.message_s(2 * BYTES * bar.plane)
+        alone = 2 * levels * BYTES * 3 * bar.plane**2 / machine.memory_B_s
     return scatter + reduce + passed + alone
 
 
 def step_s(bar: Bar, ranks: int, machine: Machine) -> float:
     """A step of the solid at full order on so many ranks, in s."""
-    return local_B(bar) / machine.memory_B_s / ranks + waiting_s(bar, ranks, machine)
+    local = solve_B(bar) / machine.solve_B_s + stream_B(bar, ranks) / machine.memory_B_s
+    return local / ranks + waiting_s(bar, ranks, machine)
 
 
 def efficiency(bar: Bar, ranks: int, machine: Machine) -> float:
@@ -147,7 +172,7 @@ def prediction(machine: Machine) -> list[dict[str, float]]:
                 "unknowns": bar.unknowns,
                 "step_s": step_s(bar, 1, machine),
                 "cut_B": BYTES * bar.most_ghosts,
-                "local_B": local_B(bar),
+                "local_B": solve_B(bar) + stream_B(bar),
                 **ends,
             }
         )

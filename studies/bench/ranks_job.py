@@ -15,14 +15,21 @@ from typing import Any
 import numpy as np
 from mpi4py import MPI
 
+from ...meshes.distribute import Tag, to_dolfinx
+from ...solver.bodies.solid import SolidBody
+from ...solver.bristle import Material
 from ..command.choices import Model
 from ..command.config import DropInputs
 from ..running.cases import Timings, Workshop
 from ..running.groups import run_solids
+from .communication import Bar, solve_B
 
 MESSAGES = 2000
 LARGE_B = 1 << 22
 TRIAD = 1 << 23
+# A solid whose factor no cache holds, and the shift of a step of 0.01 ms.
+SOLVED = (1, 4, 337)
+SHIFT_1_S2 = 4e10
 
 
 def solids(
@@ -65,9 +72,10 @@ def solids(
 
 
 def ping(comm: MPI.Intracomm) -> dict[str, Any]:
-    """A message's latency and bandwidth between the first two ranks, and a rank's share of memory.
+    """A message's latency and bandwidth between the first two ranks, and how fast ranks read memory
+    and a factor, all at once.
 
-    Half of a round trip's median; the triad a = b + s c, all ranks at once, moves 24 bytes a time.
+    Half of a round trip's median; the slowest rank's median of a triad and of a solve.
     """
     found = {"latency_s": _one_way_s(comm, 8, MESSAGES)}
     found["bandwidth_B_s"] = LARGE_B / _one_way_s(comm, LARGE_B, MESSAGES // 50)
@@ -79,8 +87,20 @@ def ping(comm: MPI.Intracomm) -> dict[str, Any]:
 
     comm.Barrier()
     # two passes over three arrays of eight bytes, less what is read again: 16 + 24 bytes
+    found["solve_B_s"] = solve_B(Bar(SOLVED)) / comm.allreduce(_solve_s(), MPI.MAX)
     found["memory_B_s"] = 40.0 * TRIAD / comm.allreduce(_median_s(triad, 5), MPI.MAX)
     return found
+
+
+def _solve_s() -> float:
+    """A solve on this rank alone."""
+    spec = DropInputs(model=Model.SOLID, cells=SOLVED).mesh_spec()
+    domain, _, facets = to_dolfinx(spec, MPI.COMM_SELF)
+    solid = SolidBody(domain, facets, int(Tag.TIP), Material())
+    solve, load = solid.factor(SHIFT_1_S2, 1.0), np.ones(solid.n_local)
+    spent = _median_s(lambda: solve(load), 15)
+    solid.close()
+    return spent
 
 
 def _one_way_s(comm: MPI.Intracomm, size_B: int, times: int) -> float:
@@ -98,7 +118,7 @@ def _one_way_s(comm: MPI.Intracomm, size_B: int, times: int) -> float:
     return 0.5 * float(comm.bcast(_median_s(trip, times)))
 
 
-def _median_s(action: Callable[[], None], times: int) -> float:
+def _median_s(action: Callable[[], object], times: int) -> float:
     spent = []
     for _ in range(times):
         started = time.perf_counter()
