@@ -124,9 +124,11 @@ def test_efficiency_falls_with_ranks_and_grows_with_length():
     assert falling[0] == 1.0
     assert all(a > b for a, b in itertools.pairwise(falling))
     assert communication.waiting_s(short, 8, MACHINE) == communication.waiting_s(long, 8, MACHINE)
-    assert communication.last_ranks(long, 0.85, MACHINE) > communication.last_ranks(
-        short, 0.85, MACHINE
-    )
+    for n in ranks[1:]:
+        shares = [communication.efficiency(bar, n, MACHINE) for bar in (short, long)]
+        assert shares[0] < shares[1]
+    ends = [communication.last_ranks(bar, 0.5, MACHINE) for bar in (short, long)]
+    assert ends[0] < ends[1]
 
 
 @pytest.mark.parametrize("share", communication.SHARES)
