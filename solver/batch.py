@@ -22,13 +22,14 @@ from .contact.step import Points
 from .drop import TOUCH_LIMIT, WAIT_STEPS, slowest_period_s
 from .errors import ComputationError
 from .ground import local_frames
-from .impact import STAYING, STEP_LIMIT, compiled
+from .impact import compiled
 from .rigid import free_rotation, leaning, matrix_of
 from .time import ballistics, modal_march
 from .time.ballistics import Chart, Flyer, apex, chart, landing, launch_by, next_touch
 from .time.flight import flyer
 from .time.march import Marcher
 from .time.modal_march import Modes, Touching, march
+from .touch import STAYING, STEP_LIMIT
 
 TOO_MANY = 5
 FAILURES = {

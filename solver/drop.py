@@ -2,27 +2,26 @@
 
 from __future__ import annotations
 
-import itertools
 import math
 from dataclasses import dataclass, field, replace
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from .bodies.base import Array, Body
 from .bodies.modal import ModalBody
+from .checkpoint import Checkpoint
 from .contact.enforcement import ContactMethod
-from .energy import Budget, Energy, flight_energy, marching_energy, step_loss
+from .energy import Budget, Energy, flight_energy
 from .errors import ComputationError
 from .fall import dragged_fall, dragged_path, free_fall, risen
 from .ground import Ground, just_touched, place
-from .impact import History, Observer, Touch, march_touch, observe
+from .impact import march_touch
 from .rigid import Pose, leaning
-from .time.ballistics import rigid_part
 from .time.flight import Flight, flyer
 from .time.march import Marcher
 from .time.scheme import TimeScheme
+from .touch import History, Observer, Touch
 
 TOUCH_LIMIT = 10_000
 # A touch so few steps away is marched to, not flown to: it costs little, and the full order, which
@@ -168,15 +167,17 @@ def simulate(
     plan: DropPlan,
     marcher: Marcher | None = None,
     observer: Observer | None = None,
+    checkpoint: Checkpoint | None = None,
 ) -> DropResult:
     """Simulate a drop: contact is marched, flight is exact.
 
     ``marcher`` may be handed in to share factors between drops; it must be made for the plan.
-    ``observer`` sees every marched state. Raises ComputationError.
+    ``observer`` sees every marched state. What is marched step by step goes on from
+    ``checkpoint``. Raises ComputationError.
     """
     body, g = frame.body, plan.gravity_m_s2
     marcher = marcher or Marcher(body, plan.method, plan.scheme, plan.its_s, g)
-    stage = _Stage(frame, marcher, plan, observer)
+    stage = Stage(frame, marcher, plan, observer, checkpoint)
     history = stage.history
     fall_s, speed = _fall(plan, body)
     initial = body.mass_kg * (g * plan.height_m + 0.5 * plan.release_speed_m_s**2)
@@ -286,13 +287,19 @@ def slowest_period_s(body: ModalBody) -> float:
     return float(2.0 * math.pi / math.sqrt(elastic.min())) if len(elastic) else 0.0
 
 
-class _Stage:
+class Stage:
     """A body over its ground: what the impacts of one drop share."""
 
     def __init__(
-        self, frame: FlightFrame, marcher: Marcher, plan: DropPlan, observer: Observer | None
+        self,
+        frame: FlightFrame,
+        marcher: Marcher,
+        plan: DropPlan,
+        observer: Observer | None = None,
+        checkpoint: Checkpoint | None = None,
     ) -> None:
-        self.frame, self.marcher, self.plan, self.observer = frame, marcher, plan, observer
+        self.frame, self.marcher, self.plan = frame, marcher, plan
+        self.observer, self.checkpoint = observer, checkpoint
         self.history = History()
         self.end_s = math.inf if plan.until_s is None else plan.until_s
         points = frame.body.contact
@@ -319,7 +326,15 @@ class _Stage:
         self._place(pose)
         for _ in range(TOUCH_LIMIT):
             touch = march_touch(
-                self.marcher, t, u, v, self.history, self.observer, self.end_s, wait
+                self.marcher,
+                t,
+                u,
+                v,
+                self.history,
+                self.observer,
+                self.end_s,
+                wait,
+                self.checkpoint,
             )
             touches.append(touch)
             loss += touch.material_loss_J
@@ -389,7 +404,7 @@ def _record_fall(history: History, plan: DropPlan, fall_s: float, body: Body) ->
 
 
 def _record_flight(
-    history: History, flight: Flight, start_s: float, stop_s: float, stage: _Stage
+    history: History, flight: Flight, start_s: float, stop_s: float, stage: Stage
 ) -> None:
     """Tip and centre of mass at equal times; the marched step in which it was released stays."""
     start_s = max(start_s, history.rows[-1][0])
@@ -398,76 +413,3 @@ def _record_flight(
     tip, centre, clear = heights.T
     rows = [times, tip - stage.datum_m, centre, 0.0 * times, np.maximum(-clear, 0.0)]
     history.rows.extend(tuple(map(float, row)) for row in np.stack(rows, axis=1))
-
-
-def _first_impact(active: NDArray[np.intp], velocity: Array) -> tuple[int, int]:
-    """Last step of contact of the first impact, and the first of the second (or the end).
-
-    ``active`` (k,) are the steps with contact, ``velocity`` the centre's after each step.
-    """
-    for end, start in itertools.pairwise(active):
-        if start > end + 1 and velocity[end] > 0.0 and velocity[start - 1] <= 0.0:
-            return int(end), int(start)
-    return int(active[-1]), len(velocity)
-
-
-def march_plainly(frame: FlightFrame, plan: DropPlan, until_s: float) -> DropResult:
-    """The same drop marched at constant ITS from release on, to check ``simulate``.
-
-    Rotation is linearised about the release.
-    """
-    body, g = frame.body, plan.gravity_m_s2
-    marcher = Marcher(body, plan.method, plan.scheme, plan.its_s, g)
-    stage = _Stage(frame, marcher, plan, None)
-    marcher.place(place(stage.ground, stage.first_pose, body.contact, stage.datum_m))
-    lift = body.translation @ marcher.ground.up
-    history = History()
-    state = marcher.start(0.0, plan.height_m * lift, np.zeros_like(lift))
-    loss = rubbed = spent = 0.0
-    normal, pushes, velocities = [], [], []
-    observe(marcher, state, np.zeros((len(body.contact.weights), 3)), history)
-    for _ in range(math.ceil(until_s / plan.its_s)):
-        before = state
-        state, force, friction, damped = marcher.step(before)
-        spent += damped
-        loss += step_loss(marcher, before, state)
-        rubbed += friction
-        observe(marcher, state, force, history)
-        normal.append(float(body.contact.weights @ force[:, 0]))
-        pushes.append(body.contact.weights @ marcher.along_axes(force))
-        velocities.append([body.dot(axis, state.mv) for axis in body.translation.T])
-    rows, total = history.array(), np.array(normal)
-    active = np.flatnonzero(total > 0.0)
-    if not len(active):
-        raise ComputationError(f"nothing touched within {until_s:g} s")
-    velocity = np.array(velocities) @ stage.first_pose.rotation.T / body.mass_kg
-    last, second = _first_impact(active, velocity[:, 2])
-    impulse = float(plan.its_s * total[: last + 1].sum())
-    push = plan.its_s * np.sum(pushes[: last + 1], axis=0)
-    rebound = float(rows[last + 1 : second + 1, 1].max(initial=0.0))
-    window = rows[active[0] : last + 2]
-    deepest = int(np.argmax(window[:, 4]))
-    return DropResult(
-        impact_speed_m_s=-float(velocity[max(active[0] - 1, 0), 2]),
-        rebound_ratio=rebound / plan.height_m,
-        rebound_height_m=rebound,
-        contact_time_s=float((last - active[0] + 1) * plan.its_s),
-        n_contacts=1 + int(np.sum(np.diff(active[active <= last]) > 1)),
-        peak_force_N=float(window[:, 3].max()),
-        impulse_N_s=impulse,
-        max_penetration_m=float(window[deepest, 4]),
-        time_to_max_penetration_s=float(window[deepest, 0] - rows[active[0], 0]),
-        cm_velocity_after_m_s=float(velocity[last, 2]),
-        n_dofs=body.n_dofs,
-        n_steps=len(total),
-        energy=Budget.close(
-            body.mass_kg * g * plan.height_m, marching_energy(marcher, state), loss, rubbed, spent
-        ),
-        history=history,
-        cm_rebound_height_m=float(rows[last + 1 : second + 1, 2].max(initial=0.0)),
-        velocity_after_m_s=tuple(map(float, velocity[last])),
-        spin_after_rad_s=tuple(
-            map(float, rigid_part(flyer(frame.modal), frame.to_modal(state.v))[1])
-        ),
-        friction_impulse_N_s=math.sqrt(max(float(push @ push) - impulse**2, 0.0)),
-    )

@@ -29,14 +29,15 @@ from dolfinx.io import VTXMeshPolicy, VTXWriter
 
 from .bodies.base import Array
 from .bodies.solid import SolidBody
+from .checkpoint import Checkpoint, Mark, under
 from .drop import FlightFrame
 from .errors import ComputationError
 from .ground import Placement, place
-from .impact import instant_force
 from .nodal_stress import VOIGT, NodalStress, von_mises
 from .time.flight import Flight
 from .time.march import Marcher, State
 from .tip_face import TipFace
+from .touch import instant_force
 
 SOLID_FILE, TIP_FILE, FRAMES_FILE = "solid.bp", "tip.bp", "frames.csv"
 FRAMES_PER_PERIOD = 40
@@ -51,6 +52,9 @@ class Phase(StrEnum):
     CONTACT = "contact"
     RELEASE = "release"
     FLIGHT = "flight"
+
+
+PHASES = tuple(Phase.__members__.values())
 
 
 class FieldWriter:
@@ -74,6 +78,9 @@ class FieldWriter:
     ParaView's reader shows nothing when the first frame that it is asked for is not the first of
     the file (seen in 5.13), as happens when a file is opened at a later time or from a saved state.
 
+    Frames of contact are kept in ``checkpoint``, so that a run that goes on from it shows them
+    again.
+
     ``expand`` maps a state's vectors to the solid's unknowns, for a body that stands for the
     solid: with a reduced model it is ``ReducedModel.from_modal``.
 
@@ -91,6 +98,7 @@ class FieldWriter:
         max_frames: int = 200,
         expand: Callable[[Array], Array] | None = None,
         mesh_once: bool = False,
+        checkpoint: Checkpoint | None = None,
     ) -> None:
         if every is not None and every < 1:
             raise ValueError(f"every must be 1 or more steps, not {every}")
@@ -98,7 +106,7 @@ class FieldWriter:
             raise ValueError(f"max_frames must be 2 or more, not {max_frames}")
         self.solid, self.folder, self.comm = solid, Path(folder), solid.comm
         self.times_s: list[float] = []
-        self._marcher, self._expand = marcher, expand
+        self._marcher, self._expand, self._checkpoint = marcher, expand, checkpoint
         self._every = every or _default_stride(solid, marcher)
         self._max_frames, self._next_doubling = max_frames, max_frames // 2
         self._n_contact, self._since = 0, self._every
@@ -164,8 +172,31 @@ class FieldWriter:
         due = self._since >= self._every or self._phase is not Phase.CONTACT
         kept = 0 if self._phase is Phase.RELEASE else 1
         if due and self._n_contact < self._max_frames - kept:
+            if self._checkpoint is not None:
+                shown = {"t_s": state.t_s, "u": state.u, "v": state.v, "force": force}
+                phase = PHASES.index(self._phase)
+                arrays = {name: np.asarray(value) for name, value in shown.items()}
+                self._checkpoint.keep_frame(arrays | {"phase": np.array(phase)})
             self.write(state.t_s, state.u, state.v, force, self._phase)
             self._count()
+
+    def memory(self) -> dict[str, Array]:
+        """Which frames were due so far, see `touch.Observer`."""
+        phase = -1 if self._phase is None else PHASES.index(self._phase)
+        counts = [self._every, self._next_doubling, self._n_contact, self._since, phase]
+        return {"counts": np.array(counts)}
+
+    def recall(self, mark: Mark, state: State) -> None:
+        """Write the frames that were kept, and go on counting."""
+        if self._marcher is not None:
+            self._placement = self._marcher.ground
+        for frame in mark.frames:
+            phase = PHASES[int(frame["phase"])]
+            self.write(float(frame["t_s"]), frame["u"], frame["v"], frame["force"], phase)
+        counts = dict(under("observer", mark.arrays))["counts"]
+        self._every, self._next_doubling, self._n_contact, self._since = map(int, counts[:4])
+        self._phase = PHASES[int(counts[4])] if counts[4] >= 0 else None
+        self._last = state
 
     def _next_phase(self, state: State, step_force: Array, force: Array) -> Phase:
         free = not step_force.any() or (not force.any() and state.drive[:, 0].max() <= 0.0)

@@ -23,6 +23,7 @@ from .command.flags import (
     ITS_FLAG,
     LISTS_FLAGS,
     MESH_FLAGS,
+    OUTPUT,
     SHARED_FLAGS,
 )
 from .command.options import Config, Debug, RanksPerCase, Resume, out_option, takes
@@ -83,6 +84,16 @@ def drop(
     config: Config = None,
     out: Annotated[Path, out_option("results/drop")] = Path("results/drop"),
     resume: Resume = False,
+    keep: Annotated[
+        float,
+        typer.Option(
+            "--keep",
+            metavar="SECONDS",
+            min=0.0,
+            help="How often a march in steps is kept, for --resume to go on from.",
+            rich_help_panel=OUTPUT,
+        ),
+    ] = 60.0,
     debug: Debug = False,
 ) -> None:
     """One drop. All values are in SI units, angles in degrees.
@@ -95,7 +106,8 @@ def drop(
     from .command.sources import inputs_of
     from .drop import run_drop, summary
 
-    document = run_drop(inputs_of(DropInputs, given, DROP_FLAGS, config), out, resume=resume)
+    inputs = inputs_of(DropInputs, given, DROP_FLAGS, config)
+    document = run_drop(inputs, out, resume=resume, keep_s=keep)
     for name, value in summary(document):
         print(f"{name:<24}{value}")
     print(f"{'result':<24}{out / 'result.json'}")

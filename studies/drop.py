@@ -9,31 +9,46 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
 from mpi4py import MPI
 
 from ..meshes.collective import run_on_one_rank
+from ..solver.checkpoint import Checkpoint
 from ..solver.drop import DropResult
+from . import __version__
 from .command.choices import Model
 from .command.config import DropInputs
 from .command.flags import FLAT
 from .command.limits import input_warnings, result_warnings
+from .command.sources import OPTIONS
 from .running import results
-from .running.cases import Timings, Workshop
+from .running.cases import Prepared, Timings, Workshop
 from .running.files import folder_in_place, prepare_folder, remove_folder
 from .running.progress import say, warn, working
 from .sections.stance import ANGLES
 
-FIELDS = "fields"
+if TYPE_CHECKING:
+    from ..solver.bodies.solid import SolidBody
+
+FIELDS, CHECKPOINT = "fields", "checkpoint"
+# Seconds between the marks of a long march.
+KEEP_S = 60.0
 
 
 def run_drop(
-    inputs: DropInputs, out: Path, comm: MPI.Intracomm = MPI.COMM_WORLD, *, resume: bool = False
+    inputs: DropInputs,
+    out: Path,
+    comm: MPI.Intracomm = MPI.COMM_WORLD,
+    *,
+    resume: bool = False,
+    keep_s: float = KEEP_S,
 ) -> dict[str, Any]:
     """Compute a drop into the folder ``out``; returns what result.json holds, on every rank.
 
-    With ``resume`` a finished result of the same inputs and version is kept, and returned.
+    With ``resume`` a finished result of the same inputs and version is kept, and returned; one that
+    was interrupted while it was marched step by step goes on from its last mark, made every
+    ``keep_s`` seconds.
     Collective. Raises InputError where ``out`` cannot be used or holds another drop's result, and
     ComputationError; what ``out`` held before is then still there.
     """
@@ -45,13 +60,15 @@ def run_drop(
     warnings = input_warnings(inputs)
     for message in warnings:
         warn(message)
-    result, timings = _compute(inputs, out, comm)
+    result, timings = _compute(inputs, out, comm, Keeping(out / CHECKPOINT, keep_s, resume))
     for message in result_warnings(inputs, result):
         warnings.append(message)
         warn(message)
     memory = results.peak_rss_MB(comm)
     document = results.drop_document(inputs, result, timings, warnings, memory, comm.size)
-    return run_on_one_rank(comm, lambda: results.write_drop(out, document, result))
+    written = run_on_one_rank(comm, lambda: results.write_drop(out, document, result))
+    run_on_one_rank(comm, lambda: remove_folder(out / CHECKPOINT))
+    return written
 
 
 def _prepare(inputs: DropInputs, out: Path, resume: bool) -> dict[str, Any] | None:
@@ -65,36 +82,62 @@ def _prepare(inputs: DropInputs, out: Path, resume: bool) -> dict[str, Any] | No
     return there
 
 
-def _compute(inputs: DropInputs, out: Path, comm: MPI.Intracomm) -> tuple[DropResult, Timings]:
+class Keeping(NamedTuple):
+    """Where and how often a march is kept, and whether it goes on."""
+
+    folder: Path
+    every_s: float
+    resume: bool
+
+    def checkpoint(
+        self, inputs: DropInputs, prepared: Prepared | None, comm: MPI.Intracomm
+    ) -> Checkpoint | None:
+        """The checkpoint of a march in steps; None for one that compiled code is done with soon."""
+        if prepared is None or not (inputs.model is Model.SOLID or inputs.march):
+            return None
+        made_for = {OPTIONS.get(k, k): str(v) for k, v in results.plain_inputs(inputs).items()}
+        made_for["version"] = __version__
+        if inputs.model is Model.SOLID:
+            made_for["mesh"] = cast("SolidBody", prepared.frame.body).digest()
+        return Checkpoint(self.folder, comm, made_for, every_s=self.every_s, resume=self.resume)
+
+
+def _compute(
+    inputs: DropInputs, out: Path, comm: MPI.Intracomm, keeping: Keeping
+) -> tuple[DropResult, Timings]:
     with Workshop(comm) as workshop:
         if inputs.model.meshed:
             with working(f"building the {inputs.model} model"):
                 workshop.prepare(inputs)
+        prepared = workshop.prepare(inputs)
+        checkpoint = keeping.checkpoint(inputs, prepared, comm)
         with working(f"dropping the {inputs.model} model from {inputs.height_m:g} m"):
             if inputs.model is Model.SOLID and inputs.write_fields and not inputs.march:
-                return _with_fields(workshop, inputs, out / FIELDS, comm)
-            done = workshop.run(inputs)
+                assert prepared is not None
+                return _with_fields(workshop, inputs, prepared, checkpoint, out / FIELDS)
+            done = workshop.run(inputs, prepared=prepared, checkpoint=checkpoint)
     run_on_one_rank(comm, lambda: remove_folder(out / FIELDS))
     return done
 
 
 def _with_fields(
-    workshop: Workshop, inputs: DropInputs, folder: Path, comm: MPI.Intracomm
+    workshop: Workshop,
+    inputs: DropInputs,
+    prepared: Prepared,
+    checkpoint: Checkpoint | None,
+    folder: Path,
 ) -> tuple[DropResult, Timings]:
     """The drop of a solid with its fields written for ParaView."""
     from ..solver.bodies.solid import SolidBody
     from ..solver.paraview import FieldWriter
 
-    prepared = workshop.prepare(inputs)
-    assert prepared is not None
-    assert isinstance(prepared.frame.body, SolidBody)
+    body, every = prepared.frame.body, inputs.write_every
+    assert isinstance(body, SolidBody)
     with (
-        _made_together(folder, comm) as made,
-        FieldWriter(
-            prepared.frame.body, made, prepared.marcher, every=inputs.write_every
-        ) as writer,
+        _made_together(folder, workshop.comm) as made,
+        FieldWriter(body, made, prepared.marcher, every=every, checkpoint=checkpoint) as writer,
     ):
-        done = workshop.run(inputs, writer, prepared=prepared)
+        done = workshop.run(inputs, writer, prepared, checkpoint)
         writer.write_flight(prepared.frame, inputs.gravity_m_s2)
         return done
 

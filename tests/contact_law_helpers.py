@@ -13,10 +13,11 @@ from bristle.solver.bodies.modal import ModalBody
 from bristle.solver.contact.enforcement import ContactMethod, Enforcement
 from bristle.solver.contact.laws import Adhesive, HuntCrossley, Plastic, Stiffening
 from bristle.solver.ground import Ground, place
-from bristle.solver.impact import History, march_touch
+from bristle.solver.impact import march_touch
 from bristle.solver.rigid import Pose, leaning
 from bristle.solver.time.march import Marcher
 from bristle.solver.time.scheme import TimeScheme
+from bristle.solver.touch import History
 
 # The paper's bristle, about: 1.4 g come with 1 m/s onto 2 MN/m, and press 53 N into 26 μm.
 MASS, SPEED, KN = 1.4e-3, 1.0, 2e6

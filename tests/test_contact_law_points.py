@@ -47,9 +47,10 @@ from bristle.solver.contact.step import (
     spring_energy,
 )
 from bristle.solver.drop import DropPlan, ModalFrame, simulate
-from bristle.solver.impact import History, march_touch
+from bristle.solver.impact import march_touch
 from bristle.solver.time.march import Marcher
 from bristle.solver.time.scheme import TimeScheme
+from bristle.solver.touch import History
 
 pytestmark = pytest.mark.serial
 G, ITS = 9.8, 1e-6

@@ -28,8 +28,9 @@ from bristle.solver.contact.enforcement import ContactMethod, Enforcement
 from bristle.solver.contact.laws import Adhesive, Damped, HuntCrossley, Linear, Plastic, Stiffening
 from bristle.solver.energy import marching_energy
 from bristle.solver.errors import ComputationError
-from bristle.solver.impact import History, march_touch
+from bristle.solver.impact import march_touch
 from bristle.solver.time.scheme import TimeScheme
+from bristle.solver.touch import History
 
 pytestmark = pytest.mark.serial
 ENFORCEMENTS = [Enforcement.PENALTY, Enforcement.AUGMENTED]

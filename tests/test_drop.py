@@ -12,9 +12,10 @@ from bristle.solver.bodies.beam import beam_body
 from bristle.solver.bristle import Bristle, Material
 from bristle.solver.contact.enforcement import ContactMethod, Enforcement
 from bristle.solver.contact.laws import Damped, Linear
-from bristle.solver.drop import DropPlan, ModalFrame, march_plainly, simulate
+from bristle.solver.drop import DropPlan, ModalFrame, simulate
 from bristle.solver.errors import ComputationError
 from bristle.solver.fall import free_fall
+from bristle.solver.plain_march import march_plainly
 from bristle.solver.time.scheme import TimeScheme
 
 pytestmark = pytest.mark.serial

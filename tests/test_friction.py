@@ -19,10 +19,11 @@ from bristle.solver.contact.laws import Coulomb, Linear
 from bristle.solver.contact.step import CONSERVING, Points, point_force
 from bristle.solver.energy import marching_energy
 from bristle.solver.ground import Ground, place
-from bristle.solver.impact import History, march_touch
+from bristle.solver.impact import march_touch
 from bristle.solver.rigid import Pose, leaning, slope_normal
 from bristle.solver.time.march import Marcher
 from bristle.solver.time.scheme import TimeScheme
+from bristle.solver.touch import History
 
 pytestmark = pytest.mark.serial
 G = 9.8

@@ -10,8 +10,9 @@ from reference import rate
 
 from bristle.solver.bristle import Circle, Rectangle
 from bristle.solver.contact.enforcement import Enforcement
-from bristle.solver.drop import march_plainly, simulate
+from bristle.solver.drop import simulate
 from bristle.solver.ground import Ground
+from bristle.solver.plain_march import march_plainly
 from bristle.solver.rigid import leaning, matrix_of, slope_normal
 
 pytestmark = pytest.mark.serial

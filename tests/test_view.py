@@ -22,9 +22,9 @@ from bristle.solver.contact.enforcement import ContactMethod
 from bristle.solver.contact.laws import Linear
 from bristle.solver.drop import DropPlan, simulate
 from bristle.solver.errors import InputError
-from bristle.solver.impact import HISTORY_COLUMNS
 from bristle.solver.paraview import FieldWriter, Phase
 from bristle.solver.time.march import Marcher
+from bristle.solver.touch import HISTORY_COLUMNS
 from bristle.studies.page.history_picture import read_history, touch_time_s
 from bristle.studies.view import run_view
 from bristle.studies.viewing.field_series import FieldSeries

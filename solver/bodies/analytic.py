@@ -8,7 +8,7 @@ import numpy as np
 
 from ..drop import DropResult
 from ..energy import Budget
-from ..impact import History
+from ..touch import History
 
 SAMPLES = 400
 

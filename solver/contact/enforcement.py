@@ -25,10 +25,13 @@ What a step does with it is in contact.step and contact.solve.
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..bodies.base import Array, Body
 from ..errors import ComputationError
@@ -183,6 +186,29 @@ class StepContact:
         self.memory: Array = np.zeros((n, 3))
         self.end: Array = np.zeros((n, 3))
         self.iterations, self.share = 0, 1.0
+
+    def kept(self) -> dict[str, NDArray[Any]]:
+        """What the next step needs of the steps before, as arrays by name."""
+        section = self.section
+        return {
+            "multiplier": self.multiplier,
+            "memory": self.memory,
+            "end": self.end,
+            "share": np.array(self.share),
+            "iterations": np.array(self.iterations),
+            "inverse": section.inverse,
+            "ready": section.ready,
+            "guess": section.guess,
+        }
+
+    def recall(self, arrays: Mapping[str, Array]) -> None:
+        """Go on from what `kept` gave."""
+        self.multiplier = arrays["multiplier"].copy()
+        self.memory, self.end = arrays["memory"].copy(), arrays["end"].copy()
+        self.share, self.iterations = float(arrays["share"]), int(arrays["iterations"])
+        self.section.inverse[...] = arrays["inverse"]
+        self.section.ready[...] = arrays["ready"]
+        self.section.guess[...] = arrays["guess"]
 
     def solve(self, start: Array, free: Array) -> Array:
         """Forces per area share (n, 3) in N that act over the step, along the local frames.

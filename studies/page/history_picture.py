@@ -10,7 +10,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from ...solver.errors import InputError
-from ...solver.impact import HISTORY_COLUMNS
+from ...solver.touch import HISTORY_COLUMNS
 from ..viewing.field_series import Array
 from .figures import BLACK, BLUE, GREY, ORANGE, VERMILION, panels, styled
 

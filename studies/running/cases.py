@@ -26,13 +26,15 @@ from ...solver.bodies.beam import beam_body
 from ...solver.bodies.modal import ModalBody
 from ...solver.bodies.stored import from_arrays, to_arrays
 from ...solver.bristle import Bristle
-from ...solver.drop import DropPlan, DropResult, FlightFrame, ModalFrame, march_plainly, simulate
+from ...solver.checkpoint import Checkpoint
+from ...solver.drop import DropPlan, DropResult, FlightFrame, ModalFrame, simulate
 from ...solver.effects.base import Scene
 from ...solver.errors import ComputationError
 from ...solver.fall import dragged_fall, risen
-from ...solver.impact import History, Observer
 from ...solver.kept import load, sources, store
+from ...solver.plain_march import march_plainly
 from ...solver.time.march import Marcher
+from ...solver.touch import History, Observer
 from ..command.choices import Contact, Model, Tip, Until
 from ..command.config import DropInputs
 from ..command.flags import FLAT
@@ -130,10 +132,12 @@ class Workshop:
         inputs: DropInputs,
         observer: Observer | None = None,
         prepared: Prepared | None = None,
+        checkpoint: Checkpoint | None = None,
     ) -> tuple[DropResult, Timings]:
         """One case: its result and the seconds since the last one, by part and in total.
 
-        ``prepared`` is what `prepare` gave, where the observer was made for its marcher.
+        ``prepared`` is what `prepare` gave, where the observer was made for its marcher. What is
+        marched step by step goes on from ``checkpoint``.
         Collective for the solid. Raises ComputationError.
         """
         prepared = prepared or self.prepare(inputs)
@@ -145,9 +149,10 @@ class Workshop:
                 scene, inputs = prepared.scene, prepared.inputs
                 plan = inputs.drop_plan(_n_points(prepared.frame), scene)
                 if inputs.march:
-                    result = _marched(inputs, prepared.frame, plan)
+                    result = _marched(inputs, prepared.frame, plan, checkpoint)
                 else:
-                    result = simulate(prepared.frame, plan, prepared.marcher, observer)
+                    marcher = prepared.marcher
+                    result = simulate(prepared.frame, plan, marcher, observer, checkpoint)
         return seen(result, scene), self.take_timings()
 
     def take_timings(self) -> Timings:
@@ -330,9 +335,11 @@ def _beam_frame(bristle: Bristle, elements: int, **how: Any) -> ModalFrame:
         ) from error
 
 
-def _marched(inputs: DropInputs, frame: FlightFrame, plan: DropPlan) -> DropResult:
+def _marched(
+    inputs: DropInputs, frame: FlightFrame, plan: DropPlan, checkpoint: Checkpoint | None
+) -> DropResult:
     """The drop marched at constant ITS from release on."""
-    result = march_plainly(frame, plan, marching_time_s(inputs))
+    result = march_plainly(frame, plan, marching_time_s(inputs), checkpoint)
     return replace(result, **NO_REBOUND) if inputs.until is Until.IMPACT else result
 
 

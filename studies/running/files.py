@@ -7,6 +7,7 @@ import io
 import json
 import math
 import os
+import re
 import shutil
 import tempfile
 from collections.abc import Iterable, Iterator, Sequence
@@ -20,10 +21,20 @@ if TYPE_CHECKING:
     from ..page.figures import Picture
 
 
+# What `write_atomically` and `folder_in_place` call things until they are whole.
+UNFINISHED = re.compile(r"\..+-[a-z0-9_]{8}")
+
+
 def prepare_folder(out: Path) -> None:
-    """Make ``out`` where it is missing; InputError where it is a file or cannot be written."""
+    """Make ``out`` where it is missing; InputError where it is a file or cannot be written.
+
+    What a run that was killed left there unfinished is removed.
+    """
     try:
         out.mkdir(parents=True, exist_ok=True)
+        for path in out.iterdir():
+            if UNFINISHED.fullmatch(path.name):
+                remove_folder(path) if path.is_dir() else path.unlink(missing_ok=True)
         with tempfile.TemporaryFile(dir=out):
             pass
     except (FileExistsError, NotADirectoryError):

@@ -14,7 +14,7 @@ from pydantic import BaseModel
 
 from ...solver.drop import DropResult
 from ...solver.errors import InputError
-from ...solver.impact import HISTORY_COLUMNS
+from ...solver.touch import HISTORY_COLUMNS
 from .. import __version__
 from ..command.config import DropInputs
 from ..command.sources import OPTIONS

@@ -1,0 +1,238 @@
+"""What is kept of a long run, so that an interrupted one goes on to the bit where it was?
+
+A run consists of marches in a fixed order: the touches of a drop, or one march throughout. Of each
+march its latest *mark* is kept, everything that its next step needs; what lies between marches is
+computed again, which gives the same again. Each rank has files of its own, plain arrays (no
+pickles) with a version and a checksum. A mark counts where all ranks have it whole.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import shutil
+import tempfile
+import time
+import zipfile
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, cast
+
+import numpy as np
+
+from .bodies.base import Array
+from .errors import ComputationError, InputError
+
+if TYPE_CHECKING:
+    from mpi4py import MPI
+
+SCHEMA = "bristle-checkpoint-1"
+HEADER = "header"
+# Steps between looks at the clock, which ranks share.
+LOOK = 16
+
+
+@dataclass(frozen=True)
+class Mark:
+    """What was kept of one march: after how many ``steps``, whether it was ``done``, ``arrays`` by
+    name, and the ``frames`` that an observer had kept by then, in order."""
+
+    steps: int
+    done: bool
+    arrays: Mapping[str, Array]
+    frames: list[Mapping[str, Array]]
+
+
+class Checkpoint:
+    """The marks of one run in ``folder``, at least ``every_s`` seconds apart.
+
+    ``made_for`` names what the run depends on; with ``resume`` the marks of an earlier run are
+    taken up, and InputError names what is not the same. Without, they are removed. All methods are
+    collective over ``comm``.
+    """
+
+    def __init__(
+        self,
+        folder: Path,
+        comm: MPI.Intracomm,
+        made_for: Mapping[str, str],
+        *,
+        every_s: float = 60.0,
+        resume: bool = False,
+    ) -> None:
+        self.folder, self.comm, self.every_s = Path(folder), comm, every_s
+        self._made_for = {**made_for, "number of ranks": str(comm.size)}
+        self._march, self._frames = -1, 0
+        self._looks, self._last_s = 0, time.monotonic()
+        self._there: dict[int, tuple[int, bool, int]] = {}
+        if resume and self._agreed(self.folder.is_dir()):
+            self._there = self._whole_marks()
+        else:
+            self._together(self._cleared, alone=True)
+
+    def begin(self) -> Mark | None:
+        """Say that the next march begins; what was kept of it, or None."""
+        self._march += 1
+        found = self._there.get(self._march)
+        if found is None:
+            return None
+        steps, done, last = found
+        arrays = self._read(self._mark(self._march, steps))[1]
+        frames: list[Mapping[str, Array]] = []
+        while self._frames < last:
+            frames.append(self._read(self._frame(self._frames))[1])
+            self._frames += 1
+        return Mark(steps, done, arrays, frames)
+
+    def due(self) -> bool:
+        """Whether a mark is to be made after this step."""
+        self._looks += 1
+        if self._looks % LOOK:
+            return False
+        late = time.monotonic() - self._last_s >= self.every_s
+        return bool(self.comm.bcast(late if self.comm.rank == 0 else None))
+
+    def save(self, steps: int, arrays: Mapping[str, Array], *, done: bool = False) -> None:
+        """Make the running march's mark; ComputationError where the disk does not take it."""
+        path = self._mark(self._march, steps)
+        header = {"march": self._march, "steps": steps, "done": done, "frames": self._frames}
+        self._together(lambda: self._write(path, header, arrays))
+        for old in self.folder.glob(f"march-{self._march}-*-{self.comm.rank}.npz"):
+            if old != path:
+                old.unlink(missing_ok=True)
+        self._last_s = time.monotonic()
+
+    def keep_frame(self, arrays: Mapping[str, Array]) -> None:
+        """Keep what an observer has just shown, to be shown again."""
+        path, header = self._frame(self._frames), {"march": self._march}
+        self._together(lambda: self._write(path, header, arrays))
+        self._frames += 1
+
+    def remove(self) -> None:
+        """The run has ended well: nothing is kept."""
+        self.comm.Barrier()
+        if self.comm.rank == 0:
+            shutil.rmtree(self.folder, ignore_errors=True)
+
+    # --- files ----------------------------------------------------------------------------------
+
+    def _mark(self, march: int, steps: int) -> Path:
+        return self.folder / f"march-{march}-{steps}-{self.comm.rank}.npz"
+
+    def _frame(self, number: int) -> Path:
+        return self.folder / f"frame-{number}-{self.comm.rank}.npz"
+
+    def _write(self, path: Path, header: Mapping[str, Any], arrays: Mapping[str, Array]) -> None:
+        text = json.dumps(
+            {
+                "schema": SCHEMA,
+                "made_for": self._made_for,
+                **header,
+                "sha256": _digest(arrays),
+            }
+        )
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.NamedTemporaryFile(dir=path.parent, suffix=".part", delete=False) as part:
+            beside = Path(part.name)
+            try:
+                np.savez(part, **cast(dict[str, Any], {HEADER: np.array(text), **arrays}))
+                part.flush()
+            except BaseException:
+                beside.unlink()
+                raise
+        beside.replace(path)
+
+    def _read(self, path: Path) -> tuple[dict[str, Any], dict[str, Array]]:
+        """Header and arrays of a file; ValueError or OSError where it is not whole."""
+        try:
+            with np.load(path, allow_pickle=False) as file:
+                header = json.loads(str(file[HEADER]))
+                arrays = {name: file[name] for name in file.files if name != HEADER}
+        except (KeyError, EOFError, zipfile.BadZipFile, json.JSONDecodeError) as error:
+            raise ValueError(f"{path} is not whole") from error
+        if header.get("schema") != SCHEMA:
+            raise ValueError(f"{path} is no {SCHEMA}")
+        if header.get("sha256") != _digest(arrays):
+            raise ValueError(f"{path} is not what was written")
+        return header, arrays
+
+    def _cleared(self) -> None:
+        if self.folder.exists():
+            shutil.rmtree(self.folder)
+
+    def _whole_marks(self) -> dict[int, tuple[int, bool, int]]:
+        """By march: steps, whether it was done, and frames by then, of marks that all ranks have.
+
+        Marches count up to the first that lacks one. Files of other runs are refused.
+        """
+        mine, wrong = set(), None
+        for path in sorted(self.folder.glob(f"march-*-{self.comm.rank}.npz")):
+            try:
+                header, _ = self._read(path)
+            except (OSError, ValueError):
+                continue
+            wrong = wrong or self._difference(header["made_for"])
+            mine.add((header["march"], header["steps"], header["done"], header["frames"]))
+        for other in self.comm.allgather(wrong):
+            if other:
+                raise InputError(f"{self.folder}: {other}; remove it, or leave --resume out")
+        every = set.intersection(*self.comm.allgather(mine))
+        latest: dict[int, tuple[int, bool, int]] = {}
+        for march, steps, done, frames in sorted(every):
+            latest[march] = (steps, done, frames)
+        there: dict[int, tuple[int, bool, int]] = {}
+        for march in range(len(latest)):
+            if march not in latest or not self._has_frames(latest[march][2]):
+                break
+            there[march] = latest[march]
+            if not latest[march][1]:
+                break
+        return there
+
+    def _has_frames(self, count: int) -> bool:
+        return self._agreed(all(self._frame(i).exists() for i in range(count)))
+
+    def _difference(self, made_for: Mapping[str, str]) -> str | None:
+        for name in {**self._made_for, **made_for}:
+            if made_for.get(name) != self._made_for.get(name):
+                return f"was kept for another {name}"
+        return None
+
+    # --- ranks ----------------------------------------------------------------------------------
+
+    def _agreed(self, mine: bool) -> bool:
+        return all(self.comm.allgather(mine))
+
+    def _together(self, work: Callable[[], None], *, alone: bool = False) -> None:
+        """Do ``work`` on every rank, or the first ``alone``; fail on all where one fails."""
+        problem = None
+        if not alone or self.comm.rank == 0:
+            try:
+                work()
+            except OSError as error:
+                problem = error.strerror or str(error)
+        for told in self.comm.allgather(problem):
+            if told:
+                raise ComputationError(f"the march cannot be kept in {self.folder}: {told}")
+
+
+def _digest(arrays: Mapping[str, Array]) -> str:
+    found = hashlib.sha256()
+    for name in sorted(arrays):
+        array = np.ascontiguousarray(arrays[name])
+        found.update(f"{name} {array.dtype.str} {array.shape}".encode())
+        found.update(array.tobytes())
+    return found.hexdigest()
+
+
+def prefixed(prefix: str, arrays: Mapping[str, Any]) -> dict[str, Array]:
+    """Arrays under names of their own among others'."""
+    return {f"{prefix}.{name}": np.asarray(value) for name, value in arrays.items()}
+
+
+def under(prefix: str, arrays: Mapping[str, Array]) -> Iterator[tuple[str, Array]]:
+    """What `prefixed` gave."""
+    for name, value in arrays.items():
+        if name.startswith(f"{prefix}."):
+            yield name.removeprefix(f"{prefix}."), value

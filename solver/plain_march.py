@@ -1,0 +1,107 @@
+"""The drop marched at constant ITS from release on: what `drop.simulate` is checked against."""
+
+from __future__ import annotations
+
+import itertools
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .bodies.base import Array
+from .checkpoint import Checkpoint
+from .drop import DropPlan, DropResult, FlightFrame, Stage
+from .energy import Budget, marching_energy, step_loss
+from .errors import ComputationError
+from .ground import place
+from .stepwise import kept_state, recalled_state
+from .time.ballistics import rigid_part
+from .time.flight import flyer
+from .time.march import Marcher
+from .touch import History, observe
+
+
+def _first_impact(active: NDArray[np.intp], velocity: Array) -> tuple[int, int]:
+    """Last step of contact of the first impact, and the first of the second (or the end).
+
+    ``active`` (k,) are the steps with contact, ``velocity`` the centre's after each step.
+    """
+    for end, start in itertools.pairwise(active):
+        if start > end + 1 and velocity[end] > 0.0 and velocity[start - 1] <= 0.0:
+            return int(end), int(start)
+    return int(active[-1]), len(velocity)
+
+
+def march_plainly(
+    frame: FlightFrame, plan: DropPlan, until_s: float, checkpoint: Checkpoint | None = None
+) -> DropResult:
+    """The same drop marched at constant ITS from release on, to check ``simulate``.
+
+    Rotation is linearised about the release. It goes on from ``checkpoint``.
+    """
+    body, g = frame.body, plan.gravity_m_s2
+    marcher = Marcher(body, plan.method, plan.scheme, plan.its_s, g)
+    stage = Stage(frame, marcher, plan)
+    marcher.place(place(stage.ground, stage.first_pose, body.contact, stage.datum_m))
+    lift = body.translation @ marcher.ground.up
+    history = History()
+    sums: Array = np.zeros(3)
+    mark = checkpoint.begin() if checkpoint else None
+    if mark is None:
+        state = marcher.start(0.0, plan.height_m * lift, np.zeros_like(lift))
+        observe(marcher, state, np.zeros((len(body.contact.weights), 3)), history)
+        steps: list[Array] = []
+    else:
+        state = recalled_state(mark, marcher)
+        history.rows.extend(tuple(map(float, row)) for row in mark.arrays["rows"])
+        sums, steps = mark.arrays["sums"].copy(), list(mark.arrays["steps"])
+    count = math.ceil(until_s / plan.its_s)
+    for number in range(len(steps) + 1, count + 1):
+        before = state
+        state, force, friction, damped = marcher.step(before)
+        sums += (step_loss(marcher, before, state), friction, damped)
+        observe(marcher, state, force, history)
+        velocity = [body.dot(axis, state.mv) for axis in body.translation.T]
+        pushed = body.contact.weights @ marcher.along_axes(force)
+        steps.append(np.array([body.contact.weights @ force[:, 0], *pushed, *velocity]))
+        if checkpoint and (number == count or checkpoint.due()):
+            kept = {"rows": history.array(), "sums": sums, "steps": np.array(steps)}
+            checkpoint.save(number, kept_state(marcher, state) | kept, done=number == count)
+    made = np.array(steps)
+    total, pushes, velocities = made[:, 0], made[:, 1:4], made[:, 4:]
+    loss, rubbed, spent = map(float, sums)
+    rows = history.array()
+    active = np.flatnonzero(total > 0.0)
+    if not len(active):
+        raise ComputationError(f"nothing touched within {until_s:g} s")
+    speeds = velocities @ stage.first_pose.rotation.T / body.mass_kg
+    last, second = _first_impact(active, speeds[:, 2])
+    impulse = float(plan.its_s * total[: last + 1].sum())
+    push = plan.its_s * np.sum(pushes[: last + 1], axis=0)
+    rebound = float(rows[last + 1 : second + 1, 1].max(initial=0.0))
+    window = rows[active[0] : last + 2]
+    deepest = int(np.argmax(window[:, 4]))
+    return DropResult(
+        impact_speed_m_s=-float(speeds[max(active[0] - 1, 0), 2]),
+        rebound_ratio=rebound / plan.height_m,
+        rebound_height_m=rebound,
+        contact_time_s=float((last - active[0] + 1) * plan.its_s),
+        n_contacts=1 + int(np.sum(np.diff(active[active <= last]) > 1)),
+        peak_force_N=float(window[:, 3].max()),
+        impulse_N_s=impulse,
+        max_penetration_m=float(window[deepest, 4]),
+        time_to_max_penetration_s=float(window[deepest, 0] - rows[active[0], 0]),
+        cm_velocity_after_m_s=float(speeds[last, 2]),
+        n_dofs=body.n_dofs,
+        n_steps=len(total),
+        energy=Budget.close(
+            body.mass_kg * g * plan.height_m, marching_energy(marcher, state), loss, rubbed, spent
+        ),
+        history=history,
+        cm_rebound_height_m=float(rows[last + 1 : second + 1, 2].max(initial=0.0)),
+        velocity_after_m_s=tuple(map(float, speeds[last])),
+        spin_after_rad_s=tuple(
+            map(float, rigid_part(flyer(frame.modal), frame.to_modal(state.v))[1])
+        ),
+        friction_impulse_N_s=math.sqrt(max(float(push @ push) - impulse**2, 0.0)),
+    )

@@ -1,0 +1,181 @@
+"""One touch of any body, marched step by step, and kept so that it can go on."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, fields
+
+import numpy as np
+
+from .bodies.base import Array
+from .checkpoint import Checkpoint, Mark, prefixed, under
+from .contact.step import share_under_drag
+from .energy import marching_energy, step_loss
+from .time.march import Marcher, State
+from .touch import (
+    History,
+    Observer,
+    Touch,
+    deepest,
+    not_finite,
+    observe,
+    step_limit,
+    too_long,
+)
+
+
+@dataclass
+class Sums:
+    """What has come together on the way; ``last_N`` is the force of the step before, ``released``
+    says that the tip is free again."""
+
+    release_s: float
+    released: bool = False
+    peak_N: float = 0.0
+    impulse_N_s: float = 0.0
+    push_N_s: Array = field(default_factory=lambda: np.zeros(3))
+    loss_J: float = 0.0
+    friction_J: float = 0.0
+    contact_J: float = 0.0
+    defect: float = 0.0
+    last_N: float = 0.0
+
+
+def march_stepwise(
+    marcher: Marcher,
+    t_s: float,
+    u: Array,
+    v: Array,
+    history: History,
+    observer: Observer | None,
+    until_s: float,
+    wait_s: float,
+    checkpoint: Checkpoint | None,
+) -> Touch:
+    """`impact.march_touch`, in steps of the marcher."""
+    first_row = len(history.rows)
+    mark = checkpoint.begin() if checkpoint else None
+    if mark is None:
+        count, sums, state, done = 0, Sums(t_s), marcher.start(t_s, u, v), False
+        none = np.zeros((len(marcher.body.contact.weights), 3))
+        observe(marcher, state, none, history)
+        if observer is not None:
+            observer(state, none)
+    else:
+        count, done = mark.steps, mark.done
+        sums, state = _recalled(mark, marcher, history)
+        if observer is not None:
+            observer.recall(mark, state)
+    limit = step_limit(marcher, until_s)
+    while not done:
+        count += 1
+        if count >= limit:
+            raise too_long(marcher, limit)
+        state = _step(marcher, state, sums, history, observer, wait_s)
+        done = sums.released or state.t_s >= until_s
+        if checkpoint and (done or checkpoint.due()):
+            rows = np.array(history.rows[first_row:])
+            kept = _kept(marcher, state, sums, rows, observer)
+            checkpoint.save(count, kept, done=done)
+    held = marching_energy(marcher, state).contact_J
+    if sums.released:
+        spring = marcher.contact.spring_energy_J()
+        sums.friction_J += spring
+        held -= spring
+    depth, when = deepest(np.array(history.rows[first_row:]))
+    return Touch(
+        start_s=t_s,
+        release_s=sums.release_s,
+        end_s=state.t_s,
+        u=state.u,
+        v=state.v,
+        peak_force_N=sums.peak_N,
+        impulse_N_s=sums.impulse_N_s,
+        push_N_s=sums.push_N_s,
+        max_penetration_m=depth,
+        max_penetration_s=when - t_s,
+        material_loss_J=sums.loss_J,
+        friction_loss_J=sums.friction_J,
+        contact_loss_J=sums.contact_J,
+        contact_J=held,
+        defect=sums.defect,
+        n_steps=count,
+    )
+
+
+def _step(
+    marcher: Marcher,
+    before: State,
+    sums: Sums,
+    history: History,
+    observer: Observer | None,
+    wait_s: float,
+) -> State:
+    """The state after a step from ``before``; what it did comes into ``sums`` and ``history``."""
+    contact, weights = marcher.contact, marcher.body.contact.weights
+    state, force, friction, damped = marcher.step(before)
+    if not np.isfinite(state.drive).all():
+        raise not_finite(state.t_s)
+    total = float(weights @ force[:, 0])
+    now = observe(marcher, state, force, history)
+    if observer is not None:
+        observer(state, force)
+    sums.contact_J += damped
+    sums.loss_J += step_loss(marcher, before, state)
+    sums.friction_J += friction
+    sums.defect += marcher.step_defect(before, state, force)
+    sums.impulse_N_s += marcher.its_s * total
+    sums.push_N_s = sums.push_N_s + marcher.its_s * (weights @ marcher.along_axes(force))
+    sums.peak_N = max(sums.peak_N, total if contact.points.drag > 0.0 else now)
+    if total > 0.0 or (total < 0.0 and marcher.method.law.pulls):
+        share = contact.share
+        if contact.points.drag > 0.0 and state.drive[:, 0].max() > 0.0:
+            share = float(share_under_drag(sums.last_N, total))
+        sums.release_s = before.t_s + share * (state.t_s - before.t_s)
+    sums.last_N = total
+    free = total == 0.0 or (now == 0.0 and not marcher.rigid_multiplier)
+    sums.released = free and state.t_s >= wait_s and _leaving(marcher, state)
+    return state
+
+
+def _leaving(marcher: Marcher, state: State) -> bool:
+    """Whether every point is clear and none is held, or on its way to be.
+
+    A rigid plane under a multiplier has points that rest on it without a push.
+    """
+    if not marcher.rigid_multiplier:
+        return bool(state.drive[:, 0].max() <= 0.0) and not marcher.contact.holds()
+    rising = marcher.gaps(state.v) - marcher.ground.gaps_m
+    return bool(np.all((marcher.gaps(state.u) > 0.0) | (rising > 0.0)))
+
+
+def _kept(
+    marcher: Marcher, state: State, sums: Sums, rows: Array, observer: Observer | None
+) -> dict[str, Array]:
+    """Everything that the next step, and the touch, will need."""
+    return {
+        **kept_state(marcher, state),
+        **prefixed("sums", {each.name: getattr(sums, each.name) for each in fields(sums)}),
+        **prefixed("observer", observer.memory() if observer is not None else {}),
+        "rows": rows,
+    }
+
+
+def _recalled(mark: Mark, marcher: Marcher, history: History) -> tuple[Sums, State]:
+    """What `_kept` was given; the rows come back into ``history``."""
+    history.rows.extend(tuple(map(float, row)) for row in mark.arrays["rows"])
+    sums = Sums(0.0)
+    for name, value in under("sums", mark.arrays):
+        setattr(sums, name, value.copy() if value.ndim else value.item())
+    return sums, recalled_state(mark, marcher)
+
+
+def kept_state(marcher: Marcher, state: State) -> dict[str, Array]:
+    """The state and what contact remembers, as arrays by name."""
+    return {**prefixed("state", vars(state)), **prefixed("contact", marcher.contact.kept())}
+
+
+def recalled_state(mark: Mark, marcher: Marcher) -> State:
+    """The state that `kept_state` was given; contact remembers again."""
+    marcher.contact.recall(dict(under("contact", mark.arrays)))
+    state = dict(under("state", mark.arrays))
+    return State(t_s=float(state.pop("t_s")), **state)

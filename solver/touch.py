@@ -1,0 +1,124 @@
+"""What is seen and kept of one touch, however it is marched."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import Protocol
+
+import numpy as np
+
+from .bodies.base import Array
+from .checkpoint import Mark
+from .contact.normal import PLASTIC
+from .errors import ComputationError
+from .time.march import Marcher, State
+
+HISTORY_COLUMNS = ("t_s", "tip_y_m", "cm_y_m", "force_N", "penetration_m")
+STEP_LIMIT = 2_000_000
+# What adhesion holds, or what has no speed to leave its indentation, stays: waiting for its release
+# is given up so much sooner.
+STAYING = 100
+
+
+@dataclass
+class History:
+    """What was seen over time: rows of ``HISTORY_COLUMNS``."""
+
+    rows: list[tuple[float, ...]] = field(default_factory=list)
+
+    def array(self) -> Array:
+        """(times, 5) in the order of HISTORY_COLUMNS."""
+        return np.array(self.rows).reshape(-1, len(HISTORY_COLUMNS))
+
+
+@dataclass
+class Touch:
+    """One touch: when it began and ended, and what it did.
+
+    ``force_N`` and ``penetration_m`` are greatest values at the ends of steps, the latter refined
+    by a parabola through its neighbours; ``push_N_s`` (3,) is the impulse along body axes, friction
+    included; ``u`` and ``v`` are the first state after release. ``contact_J`` is what contact still
+    holds where the march ended before that. ``defect`` bounds the energy norm
+    in √J of what a reduced body got wrong.
+    """
+
+    start_s: float
+    release_s: float
+    end_s: float
+    u: Array
+    v: Array
+    peak_force_N: float
+    impulse_N_s: float
+    push_N_s: Array
+    max_penetration_m: float
+    max_penetration_s: float
+    material_loss_J: float
+    friction_loss_J: float
+    contact_loss_J: float
+    contact_J: float
+    defect: float
+    n_steps: int
+
+
+class Observer(Protocol):
+    """What sees every marched state, and the step's forces (n, 3) along the points' frames.
+
+    The rest is asked of it only where a march is kept, see solver.checkpoint.
+    """
+
+    def __call__(self, state: State, step_force: Array) -> None: ...
+
+    def memory(self) -> dict[str, Array]:
+        """What it needs to go on."""
+        ...
+
+    def recall(self, mark: Mark, state: State) -> None:
+        """Go on from what ``mark`` kept of it, the march being at ``state``."""
+        ...
+
+
+def observe(marcher: Marcher, state: State, step_force: Array, history: History) -> float:
+    """Append the state to the history; returns the normal contact force at that instant in N.
+
+    ``step_force`` (n, 3) is that of the step before, along the points' local frames.
+    """
+    force = float(marcher.body.contact.weights @ instant_force(marcher, state, step_force))
+    deepest = max(-float(marcher.gaps(state.u).min()), 0.0)
+    history.rows.append((state.t_s, *marcher.heights(state), force, deepest))
+    return force
+
+
+def instant_force(marcher: Marcher, state: State, step_force: Array) -> Array:
+    """Normal force per area share (n,) at the end of a step; on a rigid plane the step's own."""
+    if marcher.rigid_multiplier:
+        return step_force[:, 0]
+    return marcher.normal_force(state.drive)
+
+
+def step_limit(marcher: Marcher, until_s: float) -> int:
+    """How many steps a touch may take that is to end before ``until_s``."""
+    stays = marcher.method.law.parameters[0] >= PLASTIC and math.isinf(until_s)
+    return STEP_LIMIT // STAYING if stays else STEP_LIMIT
+
+
+def not_finite(t_s: float) -> ComputationError:
+    return ComputationError(f"the motion is not finite at t = {t_s:.6g} s; shorten the ITS")
+
+
+def too_long(marcher: Marcher, limit: int) -> ComputationError:
+    return ComputationError(f"still in contact after {limit} steps of {marcher.its_s:g} s")
+
+
+def deepest(rows: Array) -> tuple[float, float]:
+    """Greatest penetration and its time, by the parabola through the deepest three instants."""
+    t, depth = rows[:, 0], rows[:, 4]
+    i = int(np.argmax(depth))
+    if i == 0 or i == len(t) - 1:
+        return float(depth[i]), float(t[i])
+    left, mid, right = depth[i - 1 : i + 2]
+    curvature = left - 2.0 * mid + right
+    if curvature >= 0.0:
+        return float(mid), float(t[i])
+    shift = 0.5 * (left - right) / curvature
+    return float(mid - 0.25 * (left - right) * shift), float(t[i] + shift * (t[i + 1] - t[i]))

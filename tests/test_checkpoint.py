@@ -1,0 +1,294 @@
+"""Does a march that was interrupted anywhere go on to the bit, and are foreign marks refused?"""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from commands import environment
+from mpi4py import MPI
+
+from bristle.solver.bodies.beam import beam_body
+from bristle.solver.bristle import Bristle, Material
+from bristle.solver.checkpoint import Checkpoint
+from bristle.solver.contact.enforcement import ContactMethod, Enforcement
+from bristle.solver.contact.laws import Adhesive, Coulomb, Damped, Linear, Plastic
+from bristle.solver.drop import DropPlan, ModalFrame, simulate
+from bristle.solver.errors import ComputationError, InputError
+from bristle.solver.plain_march import march_plainly
+from bristle.solver.time.march import Marcher
+from bristle.solver.time.scheme import TimeScheme
+from bristle.studies.cli import main
+
+G, KN, ITS = 9.8, 2e6, 1e-5
+MADE_FOR = {"--kn": "2000000.0", "mesh": "one"}
+METHODS = [
+    ContactMethod(Linear(KN), friction=Coulomb(0.3)),
+    ContactMethod(Linear(KN), Enforcement.AUGMENTED, friction=Coulomb(0.3)),
+    ContactMethod(Linear(KN), Enforcement.NITSCHE),
+    ContactMethod(Damped(KN, 3.0)),
+    ContactMethod(Plastic(KN, 20.0)),
+    ContactMethod(Adhesive(KN, 3.0)),
+]
+
+
+class Interrupted(Exception):
+    pass
+
+
+class Seer:
+    """An observer that notes what it sees, and stops the run at a step."""
+
+    def __init__(self, stop=None):
+        self.seen, self.stop = [], stop
+
+    def __call__(self, state, force):
+        if self.stop is not None and len(self.seen) >= self.stop:
+            raise Interrupted
+        self.seen.append((state.t_s, float(np.abs(state.u).sum()), float(force.sum())))
+
+    def memory(self):
+        return {"seen": np.array(self.seen)}
+
+    def recall(self, mark, state):
+        self.seen = [tuple(row) for row in mark.arrays["observer.seen"]]
+
+
+@pytest.fixture
+def folder(tmp_path):
+    return MPI.COMM_WORLD.bcast(tmp_path) / "checkpoint"
+
+
+def eager(folder, comm=MPI.COMM_WORLD, made_for=MADE_FOR, **options):
+    """A checkpoint that makes a mark at each look at its clock."""
+    return Checkpoint(folder, comm, made_for, every_s=0.0, **options)
+
+
+def frame(points=3):
+    return ModalFrame(beam_body(Bristle(material=Material(beta_s=1e-7)), 6, points=points))
+
+
+def plan_of(method, **changes):
+    plan = DropPlan(0.01, method, ITS, G, tilt_deg=2.0, tilt_wide_deg=1.0)
+    return replace(plan, **changes)
+
+
+def the_same(one, two):
+    """Whether two results are equal to the last bit."""
+    for name, value in vars(one).items():
+        other = getattr(two, name)
+        if name == "history":
+            assert np.array_equal(value.array(), other.array())
+        else:
+            assert value == other, name
+
+
+@pytest.mark.parametrize("method", METHODS, ids=str)
+@pytest.mark.parametrize("share", [0.02, 0.4, 0.97])
+def test_a_drop_goes_on_to_the_bit(method, share, folder):
+    body, plan, whole = frame(), plan_of(method), Seer()
+    uninterrupted = simulate(body, plan, observer=whole)
+    stop = int(share * len(whole.seen))
+    with pytest.raises(Interrupted):
+        simulate(body, plan, observer=Seer(stop), checkpoint=eager(folder))
+    again = Seer()
+    the_same(simulate(body, plan, None, again, eager(folder, resume=True)), uninterrupted)
+    assert again.seen == whole.seen
+
+
+def test_every_touch_of_a_drop_goes_on(folder):
+    """Interrupted again and again, each time a little later than where it had come to."""
+    body = frame(2)
+    plan = plan_of(ContactMethod(Linear(1e8)), its_s=1e-6, until_s=0.12)
+    whole = Seer()
+    uninterrupted = simulate(body, plan, observer=whole)
+    resume, stop = False, len(whole.seen) // 5
+    while True:
+        seer = Seer(stop)
+        try:
+            result = simulate(body, plan, None, seer, eager(folder, resume=resume))
+            break
+        except Interrupted:
+            assert seer.seen == whole.seen[: len(seer.seen)]
+            resume, stop = True, stop + len(whole.seen) // 5
+    the_same(result, uninterrupted)
+    assert seer.seen == whole.seen
+    assert len({path.name.split("-")[1] for path in folder.glob("march-*")}) > 1
+
+
+def test_the_solid_at_full_order_goes_on_to_the_bit(make_solid, folder):
+    """On as many ranks as there are."""
+    from bristle.solver.bodies.reduced import reduce_solid
+
+    solid = make_solid(cells=(1, 1, 12), order=1)
+    body = reduce_solid(solid, 4.0 / ITS**2, 12, leaning=True)
+    plan = DropPlan(0.01, ContactMethod(Linear(KN), friction=Coulomb(0.3)), 1e-6, G, tilt_deg=1.0)
+    marcher = Marcher(solid, plan.method, TimeScheme.average(), plan.its_s, G)
+    whole = Seer()
+    uninterrupted = simulate(body, plan, marcher, whole)
+    half = Seer(len(whole.seen) // 2)
+    with pytest.raises(Interrupted):
+        simulate(body, plan, marcher, half, eager(folder))
+    again = Seer()
+    the_same(simulate(body, plan, marcher, again, eager(folder, resume=True)), uninterrupted)
+    assert again.seen == whole.seen
+
+
+@pytest.mark.parametrize("share", [0.1, 0.9])
+def test_a_plain_march_goes_on_to_the_bit(share, folder, monkeypatch):
+    body, plan = frame(), plan_of(METHODS[0], its_s=1e-4)
+    uninterrupted = march_plainly(body, plan, 0.13)
+    step, left = Marcher.step, [int(share * uninterrupted.n_steps)]
+
+    def stops(marcher, state):
+        left[0] -= 1
+        if left[0] < 0:
+            raise Interrupted
+        return step(marcher, state)
+
+    monkeypatch.setattr(Marcher, "step", stops)
+    with pytest.raises(Interrupted):
+        march_plainly(body, plan, 0.13, eager(folder))
+    left[0] = int((1.0 - share) * uninterrupted.n_steps) + 20
+    the_same(march_plainly(body, plan, 0.13, eager(folder, resume=True)), uninterrupted)
+
+
+# --- files ----------------------------------------------------------------------------------------
+
+
+def two_marks(folder, made_for=MADE_FOR):
+    """Marks of two marches, the second not done, and what they hold."""
+    kept = eager(folder, made_for=made_for)
+    arrays = {"x": np.arange(6.0).reshape(2, 3), "n": np.array(3)}
+    for march, done in ((0, True), (1, False)):
+        assert kept.begin() is None
+        kept.keep_frame({"u": np.full(2, float(march))})
+        kept.save(10 * march + 5, arrays, done=done)
+    return arrays
+
+
+def test_marks_come_back_with_their_frames(folder):
+    arrays = two_marks(folder)
+    again = eager(folder, resume=True)
+    for march, done in ((0, True), (1, False)):
+        mark = again.begin()
+        assert (mark.steps, mark.done) == (10 * march + 5, done)
+        assert mark.arrays.keys() == arrays.keys()
+        assert all(np.array_equal(mark.arrays[name], arrays[name]) for name in arrays)
+        assert [frame["u"][0] for frame in mark.frames] == [float(march)]
+    assert again.begin() is None
+
+
+def test_without_resume_an_earlier_run_is_forgotten(folder):
+    two_marks(folder)
+    assert eager(folder).begin() is None
+    assert not folder.exists()
+
+
+@pytest.mark.parametrize(
+    ("made_for", "named"),
+    [
+        ({**MADE_FOR, "--kn": "3e6"}, "--kn"),
+        ({**MADE_FOR, "mesh": "another"}, "mesh"),
+        ({**MADE_FOR, "--tilt": "1.0"}, "--tilt"),
+        ({"mesh": "one"}, "--kn"),
+    ],
+    ids=str,
+)
+def test_marks_of_another_run_are_refused_by_name(folder, made_for, named):
+    two_marks(folder)
+    with pytest.raises(InputError, match=f"was kept for another {named}; remove it"):
+        eager(folder, made_for=made_for, resume=True)
+
+
+@pytest.mark.serial
+def test_marks_of_other_ranks_are_refused(folder):
+    two_marks(folder)
+    for path in folder.iterdir():
+        with np.load(path) as file:
+            arrays = dict(file)
+        header = json.loads(str(arrays["header"]))
+        header["made_for"]["number of ranks"] = "2"
+        np.savez(path, **{**arrays, "header": np.array(json.dumps(header))})
+    with pytest.raises(InputError, match="another number of ranks"):
+        eager(folder, resume=True)
+
+
+@pytest.mark.serial
+@pytest.mark.parametrize("how", ["cut", "changed", "emptied", "pickled"])
+def test_a_damaged_mark_counts_for_nothing(folder, how):
+    two_marks(folder)
+    path = folder / "march-1-15-0.npz"
+    content = path.read_bytes()
+    if how == "cut":
+        path.write_bytes(content[: len(content) // 2])
+    elif how == "emptied":
+        path.write_bytes(b"")
+    else:
+        with np.load(path) as file:
+            arrays = dict(file)
+        arrays["x"] = arrays["x"] + 1e-9 if how == "changed" else np.array([print], dtype=object)
+        np.savez(path, **arrays)
+    again = eager(folder, resume=True)
+    assert again.begin().done
+    assert again.begin() is None
+
+
+@pytest.mark.serial
+def test_a_disk_that_is_full_ends_the_run_with_a_word(folder, monkeypatch):
+    kept = eager(folder)
+    kept.begin()
+
+    def full(*arguments, **options):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(np, "savez", full)
+    with pytest.raises(ComputationError, match="kept in .*checkpoint: No space left on device"):
+        kept.save(1, {"x": np.zeros(3)})
+    assert not list(folder.iterdir())
+
+
+# --- whole runs -----------------------------------------------------------------------------------
+
+SOLID = ["drop", "--model", "solid", "--cells", "1", "1", "40", "--its", "1e-6", "--keep", "0"]
+
+
+def told(out):
+    """Everything that a drop's folder holds, but times and memory."""
+    document = json.loads((out / "result.json").read_text())
+    for name in ("wall_s", "peak_rss_MB"):
+        del document[name]
+    return document, (out / "history.csv").read_text(), (out / "fields/frames.csv").read_text()
+
+
+@pytest.mark.serial
+@pytest.mark.slow
+@pytest.mark.parametrize("after_marks", [1, 4])
+def test_a_killed_solid_resumes_to_the_bit(tmp_path, after_marks):
+    whole, out = tmp_path / "whole", tmp_path / "killed"
+    assert main([*SOLID, "--out", str(whole)]) == 0
+    process = subprocess.Popen(
+        [sys.executable, "-m", "bristle.studies.cli", *SOLID, "--out", str(out)],
+        stderr=subprocess.DEVNULL,
+        stdout=subprocess.DEVNULL,
+        env=environment(),
+    )
+    marks, patience = set(), time.monotonic() + 120.0
+    while len(marks) < after_marks and process.poll() is None and time.monotonic() < patience:
+        marks |= {path.name for path in Path(out).glob("checkpoint/march-*.npz")}
+        time.sleep(0.002)
+    os.kill(process.pid, signal.SIGKILL)
+    process.wait()
+    assert not (out / "result.json").exists()
+    assert marks
+    assert main([*SOLID, "--out", str(out), "--resume"]) == 0
+    assert told(out) == told(whole)
+    assert sorted(path.name for path in out.iterdir()) == sorted(
+        path.name for path in whole.iterdir()
+    )
