@@ -1,8 +1,9 @@
 """How probable is a model, how uncertain its parameters, once all that it could be is summed?
 
-Importance sampling from Student's t at the likeliest point, once adapted, with a tenth of the
-points spread over the whole box; noises are summed with their priors. So bounds, skewness and
-scatter need no approximation (Owen and Zhou, J. Am. Stat. Assoc. 95 (2000) 135: defensive mixture).
+Importance sampling from Student's t at the likeliest point, adapted until enough points count,
+with a tenth of them spread over the whole box; noises are summed with their priors. So bounds,
+skewness and scatter need no approximation (Owen and Zhou, J. Am. Stat. Assoc. 95 (2000) 135:
+defensive mixture).
 
 Evidence compares effects on an equal footing. Bounds are wide where little is known, and a prior
 spread over them would favour whoever bounded his effect tightly. The prior is one of size:
@@ -26,6 +27,8 @@ from .sample import Sample
 TYPICAL_D = 6.0
 DEGREES = 5.0
 MOST_NOISES = 16
+# The first proposal's covariance over that of the fit, whose curvature a kink may make too large.
+WIDER = 2.5
 # Turns of adaptation, until so many points count; and how many a parameter a covariance needs.
 TURNS, ENOUGH, FEW = 7, 100.0, 6.0
 # Nats by which a point must be likelier than the fit for another fit from there.
@@ -87,13 +90,18 @@ def _sampled(
     counts: tuple[int, int],
     rng: np.random.Generator,
 ) -> tuple[Fitted, Array, Array]:
-    """The fit, or a better one; points (points, p); and their log weights."""
-    p = fitted.u.size
-    centre = np.asarray(fitted.u)
-    cov: Array = np.asarray(np.linalg.inv(fitted.information + BOX_PRECISION * np.eye(p)) * 1.2)
+    """The fit, or a better one; points (points, p); and their log weights.
+
+    Points of all turns count, each under the mixture of all proposals, so a proposal that has
+    shrunk to the wrong place cannot pass for the whole (Cornuet et al., Scand. J. Stat. 39, 2012).
+    """
+    centre, cov = _about(fitted)
+    proposals: list[Proposal] = []
+    points: list[Array] = []
+    targets: list[Array] = []
     for turn in range(TURNS):
-        count = counts[min(turn, 1)]
-        u, proposal = _propose(centre, cov, count, rng)
+        proposals.append(Proposal(centre, np.linalg.cholesky(cov), counts[min(turn, 1)]))
+        u = proposals[-1].draw(rng)
         inside = np.all((u >= 0) & (u <= 1), axis=1)
         theta = to_theta(fitted.model.parameters, u[inside])
         predicted = data.predict(fitted.model, theta)
@@ -103,13 +111,25 @@ def _sampled(
             np.asarray(fitted.model.weights),
             (np.zeros((1, 1), np.int64), np.arange(theta.shape[0])[:, None], noise[None]),
         )
-        fitted = _climbed(data, fitted, u[inside], logs, noise)
-        ratio: Array = np.full(count, -np.inf)
-        ratio[inside] = logsumexp(logs, axis=1) - proposal[inside]
+        before, fitted = fitted, _climbed(data, fitted, u[inside], logs, noise)
+        target = np.full(len(u), -np.inf)
+        target[inside] = logsumexp(logs, axis=1)
+        points.append(u)
+        targets.append(target)
+        every = np.concatenate(points)
+        shares = np.array([each.count for each in proposals]) / len(every)
+        densities = np.array([each.log_density(every) for each in proposals])
+        ratio = np.concatenate(targets) - logsumexp(densities, b=shares[:, None], axis=0)
         if turn > 0 and _effective(ratio) > ENOUGH:
             break
-        centre, cov = _adapted(u, ratio)
-    return fitted, u, ratio
+        centre, cov = _adapted(every, ratio) if fitted is before else _about(fitted)
+    return fitted, every, np.asarray(ratio)
+
+
+def _about(fitted: Fitted) -> tuple[Array, Array]:
+    """Centre and covariance of a proposal about a fit."""
+    precision = fitted.information + BOX_PRECISION * np.eye(fitted.u.size)
+    return np.asarray(fitted.u), np.asarray(np.linalg.inv(precision) * WIDER)
 
 
 def _climbed(data: Sample, fitted: Fitted, u: Array, logs: Array, noise: Ints) -> Fitted:
@@ -146,29 +166,40 @@ def _adapted(u: Array, ratio: Array) -> tuple[Array, Array]:
     return centre, (apart * w[:, None]).T @ apart * 1.15 + 1e-12 * np.eye(p)
 
 
-def _propose(
-    centre: Array, cov: Array, count: int, rng: np.random.Generator
-) -> tuple[Array, Array]:
-    """Points (count, p) and their log densities under nine tenths t, one tenth uniform."""
-    p = centre.size
-    factor = np.linalg.cholesky(cov)
-    normal = rng.standard_normal((count, p))
-    scale = np.sqrt(rng.chisquare(DEGREES, count) / DEGREES)
-    u = centre + (normal / scale[:, None]) @ factor.T
-    wide = np.arange(count) % 10 == 9
-    u[wide] = rng.random((int(wide.sum()), p))
-    z = np.linalg.solve(factor, (u - centre).T)
-    student = (
-        gammaln((DEGREES + p) / 2)
-        - gammaln(DEGREES / 2)
-        - 0.5 * p * np.log(DEGREES * np.pi)
-        - np.sum(np.log(np.diag(factor)))
-        - (DEGREES + p) / 2 * np.log1p(np.sum(z**2, axis=0) / DEGREES)
-    )
-    share = wide.mean()
-    inside = np.all((u >= 0) & (u <= 1), axis=1)
-    flat = np.where(inside, np.log(max(share, 1e-300)), -np.inf)
-    return u, np.logaddexp(np.log(1 - share) + student, flat)
+@dataclass(frozen=True)
+class Proposal:
+    """Nine tenths Student's t about ``centre`` (p,) with the ``factor`` (p, p) of its scale, one
+    tenth uniform in the unit box; ``count`` points."""
+
+    centre: Array
+    factor: Array
+    count: int
+
+    def draw(self, rng: np.random.Generator) -> Array:
+        """The points (count, p)."""
+        p = self.centre.size
+        normal = rng.standard_normal((self.count, p))
+        scale = np.sqrt(rng.chisquare(DEGREES, self.count) / DEGREES)
+        u = self.centre + (normal / scale[:, None]) @ self.factor.T
+        wide = np.arange(self.count) % 10 == 9
+        u[wide] = rng.random((int(wide.sum()), p))
+        return np.asarray(u)
+
+    def log_density(self, u: Array) -> Array:
+        """At points (points, p)."""
+        p = self.centre.size
+        z = np.linalg.solve(self.factor, (u - self.centre).T)
+        student = (
+            gammaln((DEGREES + p) / 2)
+            - gammaln(DEGREES / 2)
+            - 0.5 * p * np.log(DEGREES * np.pi)
+            - np.sum(np.log(np.diag(self.factor)))
+            - (DEGREES + p) / 2 * np.log1p(np.sum(z**2, axis=0) / DEGREES)
+        )
+        inside = np.all((u >= 0) & (u <= 1), axis=1)
+        wide = (self.count // 10) / self.count
+        flat = np.where(inside, np.log(wide), -np.inf)
+        return np.logaddexp(np.log(1 - wide) + student, flat)
 
 
 def _log_prior(fitted: Fitted, own: int, d: float) -> float:
