@@ -22,7 +22,7 @@ from ..loop.drop_model import effect_at
 from ..loop.drops import drops_problem
 from ..loop.problem import Model, Problem
 from ..loop.run import find
-from ..loop.sizes import clean, d_beyond, value_for
+from ..loop.sizes import clean, d_beyond, value_for, values_beyond
 from ..synth import Made, Noise, Recipe, Strange, make, read_made
 from .loop_rivals import rivals
 
@@ -40,7 +40,8 @@ KN_N_M = (1e6, 4e6)
 class Row:
     """A kind of dataset: how many effects of which size, listed or not, and which noise.
 
-    ``apart``: all drops of one height are held out instead of some of every height.
+    ``apart``: all drops of one height are held out instead of some of every height. ``beyond``: two
+    effects have their size together, beyond what any single one explains of both; nothing scatters.
     """
 
     name: str
@@ -49,6 +50,7 @@ class Row:
     unlisted: bool = False
     noise: Noise = Noise.GAUSSIAN
     apart: bool = False
+    beyond: bool = False
 
 
 ROWS = (
@@ -62,6 +64,7 @@ ROWS = (
     Row("unlisted, d = 16", d=16.0, unlisted=True),
     Row("two effects, d = 8 each", listed=2, d=PAIR_D),
     Row("one effect, d = 16, one height held out", listed=1, d=16.0, apart=True),
+    Row("two effects, d = 8 beyond any one", listed=2, d=PAIR_D, beyond=True),
 )
 
 
@@ -199,11 +202,21 @@ def _sized(
     for name in names:
         model = _model(problem, name)
         clash = EFFECTS[name].place in [each.place for each in chosen]
+        clash |= row.beyond and np.asarray(model.weights).size > 1
         value = None if clash else value_for(data, base, model, row.d, int(rng.integers(2)))
         if value is not None:
             chosen.append(effect_at(name, value))
-        if len(chosen) == row.listed:
+        if len(chosen) < row.listed:
+            continue
+        if not row.beyond:
             return replace(recipe, effects=tuple(chosen)), row.d
+        one, two = ((effect.name, effect.values()[0]) for effect in chosen)
+        pair, alone = (one[0], two[0]), (one[1], two[1])
+        found = values_beyond(problem, data, base, pair, alone, row.d)
+        if found is not None:
+            effects = tuple(map(effect_at, pair, found))
+            return replace(recipe, effects=effects), row.d
+        chosen.pop()
     return None
 
 

@@ -127,6 +127,9 @@ def likely_pairs(
     for noise in _noises_to_try(data, best[likeliest[0]].fitted.noise):
         for key, found in _pair_heights(data, base, owners, shifts, noise).items():
             height[key] = max(height.get(key, -np.inf), found)
+    for name in likeliest:
+        for key, found in _added_heights(data, best[name].fitted, base, owners, shifts).items():
+            height[key] = max(height.get(key, -np.inf), found)
     order = [k for k in sorted(height, key=lambda k: (-height[k], k)) if height[k] > wanted]
     order = order[:PAIRS_TRIED]
     if one_suffices:
@@ -207,6 +210,31 @@ def _pair_heights(
                 key = (owners[i], owners[j])
                 if gain > 0:
                     out[key] = max(out.get(key, -np.inf), float(found.height[0]) + gain)
+    return out
+
+
+def _added_heights(
+    data: Sample, alone: Fitted, base: Fitted, owners: list[str], shifts: Array
+) -> dict[tuple[str, str], float]:
+    """Log likelihood with prior of a fitted effect with each other one beside it, as much of that
+    as suits best, one Newton step from none; where it is not wanted, left out."""
+    grid, noise = data.noises, alone.noise
+    spread = np.sqrt(1 + alone.spread**2)
+    slopes = grid.filtered((alone.mean_slopes / spread[:, None]).T, alone.mean_slopes.T, noise).T
+    project = np.eye(slopes.shape[0]) - slopes @ np.linalg.pinv(slopes)
+    along = grid.filtered(shifts / spread, shifts, noise) @ project
+    shape = int(grid.shape[noise])
+    residual = (data.values - alone.mean) / spread
+    target = along @ influence(grid.filtered(residual, residual, noise), shape)
+    size = np.sum(along**2, axis=1) * score_table()[1][shape]
+    order = list(dict.fromkeys(owners))
+    out: dict[tuple[str, str], float] = {}
+    for other, load, own in zip(owners, target, size, strict=True):
+        if other == alone.effects[0] or load <= 0.0 or own < 1e-6:
+            continue
+        one, two = sorted((alone.effects[0], other), key=order.index)
+        height = _height(data, alone) + 0.5 * float(load**2 / own)
+        out[one, two] = max(out.get((one, two), -np.inf), height)
     return out
 
 

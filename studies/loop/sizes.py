@@ -1,7 +1,8 @@
 """How large must an effect be for these data to show it with a given size d?
 
 d is the noise-whitened norm of what an effect changes, after projecting out what fitting the
-baseline absorbs; for an unlisted effect, what any listed one absorbs too (`d_beyond`).
+baseline absorbs; for an unlisted effect, what any listed one absorbs too (`d_beyond`); for two
+effects together also what any single one explains of both (`values_beyond`).
 """
 
 from __future__ import annotations
@@ -21,6 +22,8 @@ GAUSSIAN = 0
 # Halvings to a value of the wanted size, and how near is near enough.
 BISECTIONS = 12
 CLOSE = 0.02
+# The same for two effects at once.
+TURNS, NEAR = 8, 0.05
 
 
 def clean(problem: Problem, theta: Array, seed: int) -> tuple[Sample, Fitted]:
@@ -53,14 +56,48 @@ def value_for(data: Sample, base: Fitted, model: Model, d: float, way: int) -> f
     return float(to_theta(model.parameters[own:], begin + share * (end - begin))[0])
 
 
+def values_beyond(
+    problem: Problem,
+    data: Sample,
+    base: Fitted,
+    names: tuple[str, str],
+    values: tuple[float, float],
+    d: float,
+) -> tuple[float, float] | None:
+    """Parameters of two effects that together show with ``d`` beyond every single one.
+
+    Found along the way from absence of both through ``values``; None where it ends before.
+    """
+    own = base.u.size
+    both = problem.combine(names)
+    null = np.array([to_box(p, p.null) for p in both.parameters[own:]])
+    way = np.array([to_box(p, v) for p, v in zip(both.parameters[own:], values, strict=True)])
+    way -= null
+    share = 1.0
+    for _ in range(TURNS):
+        u = null + share * way
+        if (u < 0.0).any() or (u > 1.0).any():
+            return None
+        theta = to_theta(both.parameters, np.concatenate([base.u, u])[None])
+        mean = np.asarray(both.weights) @ data.predict(both, theta)[0]
+        seen = _left(problem, data, base, mean)
+        if abs(seen / d - 1.0) < NEAR:
+            return float(theta[0, own]), float(theta[0, own + 1])
+        share *= float(np.clip(d / max(seen, 1e-9), 0.4, 2.5))
+    return None
+
+
 def d_beyond(problem: Problem, data: Sample, base: Fitted, change: Array) -> float:
     """What no listed effect absorbs of a ``change`` (rows of the problem,), whitened."""
-    values = base.mean + change[data.rows] * data.unit
+    return _left(problem, data, base, base.mean + change[data.rows] * data.unit)
+
+
+def _left(problem: Problem, data: Sample, base: Fitted, values: Array) -> float:
+    """What no single listed effect explains of ``values`` (rows of the sample,)."""
     moved = replace(data, values=values)
     left = np.inf
     for model in (problem.baseline, *problem.candidates):
-        starts = _starts(model, base)
-        fitted = fit(moved, model, starts, GAUSSIAN)
+        fitted = fit(moved, model, _starts(model, base), GAUSSIAN)
         left = min(left, float(np.sum((values - fitted.mean) ** 2)))
     return float(np.sqrt(left))
 
