@@ -19,7 +19,7 @@ from bristle.studies.data.datasets import read_drops
 from bristle.studies.loop.response import Bench, Tables
 from bristle.studies.loop.spline import coefficients, evaluate
 from bristle.studies.loop.table import Axis
-from bristle.studies.loop.table_drops import drops_of
+from bristle.studies.loop.table_drops import drops_of, its_s
 from bristle.studies.synth import (
     Noise,
     Recipe,
@@ -144,7 +144,9 @@ def test_an_axis_knows_where_its_nodes_are(how):
     assert axis.where(np.array([-1.0 if how == "even" else 0.1, 100.0])) == pytest.approx([0, 6])
 
 
-@pytest.mark.parametrize("name", ["contact_damping", "hunt_crossley", "stiffening_contact"])
+@pytest.mark.parametrize(
+    "name", ["contact_damping", "hunt_crossley", "stiffening_contact", "plastic_contact"]
+)
 def test_a_table_is_the_simulation_between_its_nodes(name):
     """To a tenth of what the instruments of a made dataset show of 48 drops."""
     bench = Bench(Bristle(), paper.GRAVITY_M_S2, 0.005, 0.065).about(2e6)
@@ -158,7 +160,7 @@ def test_a_table_is_the_simulation_between_its_nodes(name):
         where = np.asarray(height), np.asarray(kn)
         logs = tables.plain.at(*where) + tables.change(name, *where, value)
         told = np.exp(logs) * tables.rigid(*where)
-        (direct,) = bench._drops([kind(value).enter(scene)])
+        (direct,) = bench.seen([kind(value).enter(scene)], its_s(Bristle(), kn))
         assert told[0] == pytest.approx(direct[0], rel=1e-3)
         assert told[2] == pytest.approx(direct[2], rel=2e-3)
 

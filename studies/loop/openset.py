@@ -227,7 +227,7 @@ def _added_heights(
     residual = (data.values - alone.mean) / spread
     target = along @ influence(grid.filtered(residual, residual, noise), shape)
     size = np.sum(along**2, axis=1) * score_table()[1][shape]
-    order = list(dict.fromkeys(owners))
+    order = list(dict.fromkeys([*owners, *alone.effects]))
     out: dict[tuple[str, str], float] = {}
     for other, load, own in zip(owners, target, size, strict=True):
         if other == alone.effects[0] or load <= 0.0 or own < 1e-6:
