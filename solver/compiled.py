@@ -88,3 +88,5 @@ numba.config.CACHE_DIR = str(cache_folder())
 caching.IndexDataCacheFile = _Index
 
 njit = cast(Decorator, numba.njit(cache=True, nogil=True))
+# Sums may be taken in any order: for long runs, which vector units then add up side by side.
+fast = cast(Decorator, numba.njit(cache=True, nogil=True, fastmath=True))

@@ -12,12 +12,13 @@ from hypothesis import strategies as st
 
 from bristle.meshes.geometry import MeshSpec, Wire
 from bristle.solver import paper
+from bristle.solver.bodies import linear
 from bristle.solver.bodies.beam import beam_body
 from bristle.solver.bristle import CONTACT_POINTS, Bristle, Circle
 from bristle.solver.contact.enforcement import Enforcement
 from bristle.solver.errors import InputError
 from bristle.solver.time.scheme import TimeScheme
-from bristle.studies.command.choices import Contact, Model, Until
+from bristle.studies.command.choices import Contact, Model, Solver, Until
 from bristle.studies.command.config import DropInputs, MeshInputs
 from bristle.studies.command.flags import BODY_FLAGS, DROP_FLAGS, LISTS_FLAGS, MESH_FLAGS
 from bristle.studies.command.limits import count_unknowns, input_warnings
@@ -84,6 +85,7 @@ def test_defaults_are_the_papers():
 
 def test_choices_are_the_solvers():
     assert [member.value for member in Contact] == [member.value for member in Enforcement]
+    assert [member.value for member in Solver] == [member.value for member in linear.Solver]
 
 
 @pytest.mark.parametrize(

@@ -30,4 +30,4 @@ def test_a_solve_gives_back_what_was_multiplied(make_solid, cells, order):
 def test_a_cut_has_a_cross_section_of_unknowns(make_solid):
     for length in (24, 48):
         solid = make_solid(cells=(1, 2, length))
-        assert COMM.allreduce(int(solid._on_cuts.sum())) == (COMM.size - 1) * 3 * 3 * 5
+        assert COMM.allreduce(int(solid.on_cuts.sum())) == (COMM.size - 1) * 3 * 3 * 5

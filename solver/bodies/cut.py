@@ -18,6 +18,7 @@ from scipy.sparse import csr_matrix
 
 from ..errors import ComputationError
 from .base import Array
+from .chain import WIDEST, ChainFactor, lay_out
 
 # Unknowns of all cuts together, whose dense factor every rank holds and reads in each solve.
 MOST_ON_CUTS = 3000
@@ -27,10 +28,13 @@ class CutFactor:
     """Cholesky factor of a symmetric positive definite ``matrix`` distributed over ``comm``.
 
     ``shared`` (n_local,) marks this rank's unknowns that a cell of another rank has too; without
-    them no part may touch another. Collective. Raises ComputationError where a factor fails.
+    them no part may touch another. ``heights_m`` (n_local,) are places along the
+    axis. Collective. Raises ComputationError where a factor fails.
     """
 
-    def __init__(self, matrix: PETSc.Mat, shared: NDArray[np.bool_], comm: MPI.Intracomm) -> None:
+    def __init__(
+        self, matrix: PETSc.Mat, shared: NDArray[np.bool_], heights_m: Array, comm: MPI.Intracomm
+    ) -> None:
         self.comm, self._shared, self._inside = comm, np.flatnonzero(shared), ~shared
         first, last = matrix.getOwnershipRange()
         offsets, columns, values = matrix.getValuesCSR()
@@ -42,7 +46,8 @@ class CutFactor:
         coupling = inside[:, cuts]
         self._touched = np.unique(coupling.indices)
         self._coupling = coupling[:, self._touched]
-        self._part = _Part(inside[:, first + np.flatnonzero(self._inside)])
+        own = inside[:, first + np.flatnonzero(self._inside)]
+        self._part = _part(own, heights_m[self._inside])
         # the sparse columns as dense right-hand sides: a few cross-sections
         self._answer = self._part.solve(self._coupling.toarray(order="F"))
         schur = np.zeros((self.n_cuts, self.n_cuts))
@@ -69,19 +74,34 @@ class CutFactor:
         x[self._shared] = motion[self._own]
         return x
 
-    def destroy(self) -> None:
+    def close(self) -> None:
         """Free what PETSc holds."""
-        self._part.destroy()
+        if isinstance(self._part, _MumpsPart):
+            self._part.close()
 
 
-class _Part:
-    """MUMPS' factor of one rank's own matrix, which may be empty."""
+def _part(rows: csr_matrix, heights_m: Array) -> _Nothing | ChainFactor | _MumpsPart:
+    """A factor of one rank's own matrix."""
+    if not len(heights_m):
+        return _Nothing()
+    layout = lay_out(rows.indptr, rows.indices, heights_m)
+    if layout.entries > WIDEST * len(heights_m):
+        return _MumpsPart(rows)
+    return ChainFactor(layout, [(rows.indptr, rows.indices, rows.data, 1.0, 1)])
+
+
+class _Nothing:
+    """Of a rank whose unknowns are all on cuts."""
+
+    def solve(self, b: Array) -> Array:
+        return b
+
+
+class _MumpsPart:
+    """MUMPS' factor of a part that is not slender."""
 
     def __init__(self, rows: csr_matrix) -> None:
         n = rows.shape[0]
-        self._solver: PETSc.KSP | None = None
-        if n == 0:
-            return
         index = [part.astype(PETSc.IntType) for part in (rows.indptr, rows.indices)]
         matrix = PETSc.Mat().createAIJ((n, n), csr=(*index, rows.data), comm=MPI.COMM_SELF)
         matrix.setOption(PETSc.Mat.Option.SPD, True)
@@ -102,8 +122,6 @@ class _Part:
         matrix.destroy()
 
     def solve(self, b: Array) -> Array:
-        if self._solver is None:
-            return b
         if b.ndim == 1:
             self._x.array[:] = b
             self._solver.solve(self._x, self._y)
@@ -117,6 +135,6 @@ class _Part:
         left.destroy()
         return x
 
-    def destroy(self) -> None:
-        for thing in (self._solver, self._x, self._y) if self._solver else ():
+    def close(self) -> None:
+        for thing in (self._solver, self._x, self._y):
             thing.destroy()

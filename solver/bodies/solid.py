@@ -1,22 +1,24 @@
-"""The bristle as a 3-D solid: dolfinx Lagrange hexahedra, PETSc matrices, one MUMPS factor."""
+"""The bristle as a 3-D solid: dolfinx Lagrange hexahedra and their matrices."""
 
 from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable
+from functools import cached_property
 
 import numpy as np
 import ufl
 from dolfinx import fem, mesh
-from dolfinx.fem import petsc as fem_petsc
+from mpi4py import MPI
 from numpy.typing import NDArray
 from petsc4py import PETSc
 
 from ..bristle import CONTACT_POINTS, Material
-from ..errors import ComputationError
 from ..forms import form
 from .base import Array
-from .cut import MOST_ON_CUTS, CutFactor
+from .chain import Layout, Rows, lay_out
+from .linear import LinearSolver, Method, Solver, choose, dense, make_solver
+from .matrices import NodeMass, degree_of_products, stiffness_matrix
 from .tip import tip_contact
 
 
@@ -32,10 +34,10 @@ def stress(u: ufl.core.expr.Expr, material: Material) -> ufl.core.expr.Expr:
 class SolidBody:
     """Linear elastic solid on a hexahedral mesh, its axis along z, its tip facets tagged.
 
-    ``order`` is the polynomial degree, 1 or 2; ``points`` see `tip_contact`. Matrices are
-    distributed over the mesh's communicator; vectors are this rank's owned unknowns. Forms take
-    their quadrature degree from
-    the degree of their integrand on straight cells. ``close`` frees what PETSc holds.
+    ``order`` is the polynomial degree, 1 or 2; ``points`` see `tip_contact`; ``solver`` see
+    `linear.choose`. Matrices are distributed over the mesh's communicator; vectors are this rank's
+    owned unknowns. ``factorisations`` counts what `factor` had to make. ``close`` frees what PETSc
+    holds.
     """
 
     name = "solid"
@@ -49,17 +51,18 @@ class SolidBody:
         material: Material,
         order: int = 2,
         points: int = CONTACT_POINTS,
+        solver: Solver = Solver.AUTO,
     ) -> None:
         self.domain, self.facet_tags, self.tip_tag = domain, facet_tags, tip_tag
-        self.material, self.order = material, order
+        self.material, self.order, self.solver = material, order, solver
         self.alpha_1_s, self.beta_s = material.alpha_1_s, material.beta_s
         self.comm = domain.comm
         self.space = fem.functionspace(domain, ("Lagrange", order, (3,)))
         index_map, block = self.space.dofmap.index_map, self.space.dofmap.index_map_bs
         self.n_local = index_map.size_local * block
         self.n_dofs = index_map.size_global * block
-        self._solvers: dict[tuple[float, bool], PETSc.KSP | CutFactor] = {}
-        self._on_cuts = self._shared()
+        self.factorisations = 0
+        self._solvers: dict[tuple[float, bool], LinearSolver] = {}
         self._assemble()
         self._x, self._y = self.stiffness_matrix.createVecs()
         self.translation = np.tile(np.eye(3), (self.n_local // 3, 1))
@@ -72,21 +75,20 @@ class SolidBody:
 
     def _assemble(self) -> None:
         u, v = ufl.TrialFunction(self.space), ufl.TestFunction(self.space)
-        # products of shape functions reach twice the degree along each axis, and the geometry's
-        # Jacobian adds to that on curved cells only
-        degree = 2 * self.order + 2 * (self.domain.geometry.cmap.degree - 1)
-        dx = ufl.Measure("dx", domain=self.domain, metadata={"quadrature_degree": degree})
-        density = fem.Constant(self.domain, PETSc.ScalarType(self.material.density_kg_m3))
-        form_k = form(ufl.inner(stress(u, self.material), ufl.sym(ufl.grad(v))) * dx)
-        form_m = form(density * ufl.inner(u, v) * dx)
-        self.stiffness_matrix = fem_petsc.assemble_matrix(form_k)
-        self.stiffness_matrix.assemble()
-        full = fem_petsc.assemble_matrix(form_m)
-        full.assemble()
-        self.mass_matrix = without_zeros(full)
-        full.destroy()
+        metadata = {"quadrature_degree": degree_of_products(self.space)}
+        dx = ufl.Measure("dx", domain=self.domain, metadata=metadata)
+        energy = form(ufl.inner(stress(u, self.material), ufl.sym(ufl.grad(v))) * dx)
+        self.stiffness_matrix, self._rows = stiffness_matrix(energy)
+        self.node_mass = NodeMass(self.space, self.material.density_kg_m3)
+
+    @cached_property
+    def mass_matrix(self) -> PETSc.Mat:
+        """M over all unknowns, for PETSc and SLEPc."""
+        return self.node_mass.vector_matrix()
 
     def mass(self, x: Array) -> Array:
+        if self.comm.size == 1:
+            return self.node_mass.times(x)
         return self._product(self.mass_matrix, x)
 
     def stiffness(self, x: Array) -> Array:
@@ -94,106 +96,95 @@ class SolidBody:
 
     def _product(self, matrix: PETSc.Mat, x: Array) -> Array:
         if x.ndim == 2:
-            dense = self._dense(x)
-            result = matrix.matMult(dense)
+            columns = dense(self.comm, x)
+            result = matrix.matMult(columns)
             y = result.getDenseArray().copy(order="F")
-            dense.destroy()
+            columns.destroy()
             result.destroy()
             return y
         self._x.array[:] = x
         matrix.mult(self._x, self._y)
         return self._y.array.copy()
 
-    def factor(self, c_mass: float, c_stiffness: float) -> Callable[[Array], Array]:
-        """Cholesky factor of c_mass M + c_stiffness K by MUMPS; solves for (n,) or (n, m).
+    @cached_property
+    def layout(self) -> Layout | None:
+        """The order of a factor along the axis; None on several ranks."""
+        if self._rows is None:
+            return None
+        return lay_out(*self._rows[:2], self.heights_m)
 
-        Pairs with the same ratio share one factor, kept until ``release_factors``. Raises
-        ComputationError where MUMPS fails.
-        """
-        stiff = c_stiffness > 0.0
-        ratio, scale = (c_mass / c_stiffness, c_stiffness) if stiff else (1.0, c_mass)
-        key = (float(f"{ratio:.12e}"), stiff)
-        if key not in self._solvers:
-            self._solvers[key] = self._factored(ratio, 1.0 if stiff else 0.0)
-        made = self._solvers[key]
-        if isinstance(made, CutFactor):
-            return lambda b: made.solve(b) / scale
-        solver: PETSc.KSP = made
-        right, left = self._x.duplicate(), self._x.duplicate()
+    @property
+    def heights_m(self) -> Array:
+        """Where this rank's unknowns are along the axis (n_local,)."""
+        return np.repeat(self._coordinates()[:, 2], 3)
 
-        def solve(b: Array) -> Array:
-            if b.ndim == 2:
-                return self._solve_block(solver, b) / scale
-            right.array[:] = b
-            solver.solve(right, left)
-            return left.array / scale
+    @cached_property
+    def method(self) -> Method:
+        """How effective matrices are solved with."""
+        chained = None if self.layout is None else self.layout.entries
+        cuts = self.comm.allreduce(int(self.on_cuts.sum()))
+        return choose(self.solver, self.n_dofs, chained, cuts)
 
-        return solve
-
-    def _solve_block(self, solver: PETSc.KSP, b: Array) -> Array:
-        """All columns of ``b`` (n, m) at once: several times faster than one by one."""
-        right = self._dense(b)
-        left = right.duplicate()
-        solver.matSolve(right, left)
-        x = left.getDenseArray().copy(order="F")
-        right.destroy()
-        left.destroy()
-        return x
-
-    def _dense(self, x: Array) -> PETSc.Mat:
-        """A PETSc copy of this rank's rows ``x`` (n_local, m)."""
-        dense = PETSc.Mat().createDense(((self.n_local, None), (None, x.shape[1])), comm=self.comm)
-        dense.setUp()
-        dense.getDenseArray()[:] = x
-        dense.assemble()
-        return dense
-
-    def _shared(self) -> NDArray[np.bool_]:
+    @cached_property
+    def on_cuts(self) -> NDArray[np.bool_]:
         """Which of this rank's unknowns (n_local,) a cell of another rank has too."""
         index_map, block = self.space.dofmap.index_map, self.space.dofmap.index_map_bs
         others = index_map.index_to_dest_ranks()
         return np.repeat(np.diff(others.offsets)[: index_map.size_local] > 0, block)
 
-    def _factored(self, c_mass: float, c_stiffness: float) -> PETSc.KSP | CutFactor:
+    @cached_property
+    def stiffest_1_s2(self) -> float:
+        """The greatest ratio of the diagonals of K and M."""
+        ratio = self.stiffness_matrix.getDiagonal().array / self.mass_matrix.getDiagonal().array
+        return float(self.comm.allreduce(ratio.max(initial=0.0), MPI.MAX))
+
+    def factor(self, c_mass: float, c_stiffness: float) -> Callable[[Array], Array]:
+        """What solves (c_mass M + c_stiffness K) x = b for (n,) or (n, m), see `linear`.
+
+        Pairs with the same ratio share one factor, kept until ``release_factors``. Raises
+        ComputationError where it cannot be made.
+        """
+        stiff = c_stiffness > 0.0
+        ratio, scale = (c_mass / c_stiffness, c_stiffness) if stiff else (1.0, c_mass)
+        key = (float(f"{ratio:.12e}"), stiff)
+        if key not in self._solvers:
+            self._solvers[key] = make_solver(self, self.method, ratio, 1.0 if stiff else 0.0)
+            self.factorisations += 1
+        solver = self._solvers[key]
+
+        def solve(b: Array) -> Array:
+            x = solver.solve(b)
+            x /= scale
+            return x
+
+        return solve
+
+    def parts(
+        self, c_mass: float, c_stiffness: float
+    ) -> list[tuple[Rows, Rows, Array, float, int]]:
+        """c_mass M + c_stiffness K for `ChainFactor`, on one rank alone."""
+        assert self._rows is not None
+        return [(*self._rows, c_stiffness, 1), (*self.node_mass.rows, c_mass, 3)]
+
+    def effective_matrix(self, c_mass: float, c_stiffness: float) -> PETSc.Mat:
+        """c_mass M + c_stiffness K as a matrix of its own."""
         matrix = self.stiffness_matrix.copy()
         matrix.scale(c_stiffness)
         matrix.axpy(c_mass, self.mass_matrix, structure=PETSc.Mat.Structure.SUBSET_NONZERO_PATTERN)
-        n_cuts = self.comm.allreduce(int(self._on_cuts.sum()))
-        if 0 < n_cuts <= MOST_ON_CUTS:
-            cut = CutFactor(matrix, self._on_cuts, self.comm)
-            matrix.destroy()
-            return cut
         matrix.setOption(PETSc.Mat.Option.SPD, True)
-        solver = PETSc.KSP().create(self.comm)
-        solver.setOperators(matrix)
-        solver.setType(PETSc.KSP.Type.PREONLY)
-        preconditioner = solver.getPC()
-        preconditioner.setType(PETSc.PC.Type.CHOLESKY)
-        preconditioner.setFactorSolverType("mumps")
-        try:
-            solver.setUp()
-        except PETSc.Error as error:
-            raise ComputationError(
-                f"MUMPS could not factor the effective matrix: {error}"
-            ) from error
-        status = preconditioner.getFactorMatrix().getMumpsInfog(1)
-        if status < 0:
-            raise ComputationError(
-                f"MUMPS could not factor the effective matrix: INFOG(1) = {status}"
-            )
-        matrix.destroy()
-        return solver
+        return matrix
 
     def release_factors(self) -> None:
         """Free every factor made so far; solvers handed out before must not be used again."""
         for solver in self._solvers.values():
-            solver.destroy()
+            solver.close()
         self._solvers.clear()
 
     def close(self) -> None:
         """Free matrices, vectors and factors; the body cannot be used afterwards."""
         self.release_factors()
-        for thing in (self.stiffness_matrix, self.mass_matrix, self._x, self._y):
+        made = [self.mass_matrix] if "mass_matrix" in self.__dict__ else []
+        for thing in (self.stiffness_matrix, self._x, self._y, *made):
             thing.destroy()
 
     def digest(self) -> str:
@@ -222,14 +213,3 @@ class SolidBody:
     def _centre(self, weight: Array) -> Array:
         """Centre of mass (3,), the nodes' shares of the mass being ``weight``."""
         return np.asarray(self.comm.allreduce(weight @ self._coordinates())) / self.mass_kg
-
-
-def without_zeros(matrix: PETSc.Mat) -> PETSc.Mat:
-    """A copy that stores no zeros: a vector mass matrix couples no two directions."""
-    start, column, value = matrix.getValuesCSR()
-    keep = value != 0.0
-    counts = np.add.reduceat(np.append(keep, False), start[:-1]) * (np.diff(start) > 0)
-    offsets = np.concatenate([[0], np.cumsum(counts)]).astype(PETSc.IntType)
-    return PETSc.Mat().createAIJ(
-        matrix.getSizes(), csr=(offsets, column[keep], value[keep]), comm=matrix.comm
-    )

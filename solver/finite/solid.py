@@ -11,7 +11,7 @@ from dolfinx.fem import petsc as fem_petsc
 from petsc4py import PETSc
 
 from ..bodies.base import Array
-from ..bodies.solid import without_zeros
+from ..bodies.matrices import NodeMass
 from ..bristle import Material
 from ..errors import ComputationError
 from ..forms import form
@@ -93,10 +93,7 @@ class FiniteSolid:
         self._tangent_form = form(tangent + self._inertia * mass)
         self._energy_form = form(0.5 * ufl.inner(stress(strain, material), strain) * dx)
         self._loss_form = form(self._rate * ufl.inner(stress(increase, material), increase) * dx)
-        full = fem_petsc.assemble_matrix(form(mass))
-        full.assemble()
-        self.mass_matrix = without_zeros(full)
-        full.destroy()
+        self.mass_matrix = NodeMass(space, material.density_kg_m3).vector_matrix()
         self.tangent_matrix = fem_petsc.create_matrix(self._tangent_form)
         self._force = fem_petsc.create_vector(self._force_form)
 

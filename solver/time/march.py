@@ -9,14 +9,16 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
+from scipy.sparse import issparse, vstack
 
 from ..bodies.axis import shortening
-from ..bodies.base import Array, Body, dense_of
+from ..bodies.base import Array, Body, SparseOrDense, dense_of
 from ..bodies.modal import ModalBody
 from ..contact.enforcement import ContactMethod, StepContact
 from ..contact.laws import ContactLaw, Coulomb
 from ..contact.step import new_section
 from ..ground import Placement
+from .advance import balance, combine, newmark, residue
 from .modal_march import Modes, Touching
 from .scheme import TimeScheme
 
@@ -79,11 +81,8 @@ class Marcher:
         self._mass_translation = body.mass(np.ascontiguousarray(body.translation))
         self._c_mass, self._c_stiffness = scheme.effective(its_s, body.alpha_1_s, body.beta_s)
         self._solve = self._factor()
-        forcing = [dense_of(points.coordinates).T]
-        if self._symmetric:
-            forcing.append(dense_of(points.traction).T)
-        self._forcing = np.ascontiguousarray(np.hstack(forcing))
-        self._compliance = self._solve(self._forcing)
+        self._forcing = self._columns()
+        self._compliance = np.asfortranarray(self._solve(dense_of(self._forcing)))
         self._answer = self._answers()
         self._modes: Modes | None = None
         self.place(Placement.upright(points))
@@ -93,6 +92,7 @@ class Marcher:
         self.ground = placement
         self._pull = -self.gravity_m_s2 * (self.body.translation @ placement.up)
         self._weight = -self.gravity_m_s2 * (self._mass_translation @ placement.up)
+        self._lift = self.body.translation @ placement.up
         self.contact = self._step_contact()
 
     @property
@@ -107,6 +107,14 @@ class Marcher:
         other.method = replace(self.method, law=law, friction=friction)
         other.contact = other._step_contact()
         return other
+
+    def _columns(self) -> SparseOrDense:
+        """What contact pushes along: columns over this rank's unknowns, sparse where rows are."""
+        points = self.body.contact
+        rows = [points.coordinates, points.traction] if self._symmetric else [points.coordinates]
+        if all(issparse(part) for part in rows):
+            return vstack(rows, format="csr").T.tocsc()
+        return np.ascontiguousarray(np.vstack([dense_of(part) for part in rows]).T)
 
     def _factor(self) -> Callable[[Array], Array]:
         """Solver of the effective matrix, Nitsche's low-rank term by Woodbury's identity."""
@@ -208,7 +216,7 @@ class Marcher:
         """Heights in m of the middle of the end section and of the centre of mass."""
         body, up = self.body, self.ground.up
         tip = body.contact.weights @ body.contact.displacements(state.u) @ up
-        raised = body.dot(body.translation @ up, state.mu) / body.mass_kg
+        raised = body.dot(self._lift, state.mu) / body.mass_kg
         return self.ground.tip_m + float(tip), self.ground.centre_m + raised
 
     def along_axes(self, force: Array) -> Array:
@@ -243,43 +251,40 @@ class Marcher:
         body, scheme, h = self.body, self.scheme, self.its_s
         part = 1.0 - scheme.alpha_f
         early_v, early_u = part * h * (1.0 - scheme.gamma), part * h * h * (0.5 - scheme.beta)
-        rhs = (
-            self._weight
-            - scheme.alpha_m * now.ma
-            - (now.ku + part * h * now.kv + early_u * now.ka)
-            - body.beta_s * (now.kv + early_v * now.ka)
+        rhs = balance(
+            self._weight,
+            (now.ku, now.mv, now.ma, now.kv, now.ka),
+            (
+                body.alpha_1_s,
+                scheme.alpha_m + body.alpha_1_s * early_v,
+                part * h + body.beta_s,
+                early_u + body.beta_s * early_v,
+            ),
         )
-        if body.alpha_1_s:
-            rhs = rhs - body.alpha_1_s * (now.mv + early_v * now.ma)
-        a_free = self._solve(rhs)
-        u_free = now.u + h * now.v + h * h * ((0.5 - scheme.beta) * now.a + scheme.beta * a_free)
-        v_free = now.v + h * ((1.0 - scheme.gamma) * now.a + scheme.gamma * a_free)
-        drive_free = self.drive(u_free, v_free)
-        force = self.contact.solve(now.drive, drive_free)
-        if not force.any():
-            a, u, v, drive = a_free, u_free, v_free, drive_free
-        else:
+        a = self._solve(rhs)
+        u, v = newmark(now.u, now.v, now.a, a, h, scheme.beta, scheme.gamma)
+        drive = self.drive(u, v)
+        force = self.contact.solve(now.drive, drive)
+        if force.any():
             push = self._loads(self.along_axes(force))
-            rhs = rhs + self._forcing @ push
-            change = self._compliance @ push
-            a = a_free + change
-            u = u_free + scheme.beta * h * h * change
-            v = v_free + scheme.gamma * h * change
+            rhs += self._forcing @ push
+            combine(a, self._compliance, push)
+            u, v = newmark(now.u, now.v, now.a, a, h, scheme.beta, scheme.gamma)
             drive = self.contact.end
         ma = body.mass(a)
-        ka = (rhs - self._c_mass * ma) / self._c_stiffness  # from the equation just solved
-        du0, du1 = h * h * (0.5 - scheme.beta), h * h * scheme.beta
-        dv0, dv1 = h * (1.0 - scheme.gamma), h * scheme.gamma
+        ka = residue(rhs, ma, self._c_mass, self._c_stiffness)
+        mu, mv = newmark(now.mu, now.mv, now.ma, ma, h, scheme.beta, scheme.gamma)
+        ku, kv = newmark(now.ku, now.kv, now.ka, ka, h, scheme.beta, scheme.gamma)
         later = State(
             t_s=now.t_s + h,
             u=u,
             v=v,
             a=a,
-            mu=now.mu + h * now.mv + du0 * now.ma + du1 * ma,
-            mv=now.mv + dv0 * now.ma + dv1 * ma,
+            mu=mu,
+            mv=mv,
             ma=ma,
-            ku=now.ku + h * now.kv + du0 * now.ka + du1 * ka,
-            kv=now.kv + dv0 * now.ka + dv1 * ka,
+            ku=ku,
+            kv=kv,
             ka=ka,
             drive=drive,
         )

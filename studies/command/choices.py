@@ -49,6 +49,14 @@ class Deflection(StrEnum):
     SECOND_ORDER = "second-order"
 
 
+class Solver(StrEnum):
+    """What solves a solid's equations; the values are those of solver.bodies.linear."""
+
+    AUTO = "auto"
+    DIRECT = "direct"
+    ITERATIVE = "iterative"
+
+
 class Until(StrEnum):
     """Where a drop ends, other than at a given time."""
 

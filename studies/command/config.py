@@ -27,7 +27,7 @@ from ...solver.time.scheme import TimeScheme
 from ..effects import EffectInput, check_effects, read_effects, scene_of
 from ..sections import stance
 from . import flags, limits
-from .choices import Contact, Deflection, Model, Scheme, Tip, Until
+from .choices import Contact, Deflection, Model, Scheme, Solver, Tip, Until
 
 
 def read_kn(value: Any) -> Any:
@@ -126,6 +126,7 @@ class Inputs(BaseModel):
     geometry_order: Degree | None = None
     grading: Annotated[float, between(1e-6, 1e6)] = 1.0
     order: Degree = 2
+    solver: Solver = Solver.AUTO
     modes: Annotated[int, whole(1, limits.MODES)] = flags.MODES
 
     @model_validator(mode="before")

@@ -10,7 +10,7 @@ from enum import StrEnum
 from typing import Any
 
 from ...solver import paper
-from .choices import Contact, Deflection, Model, Scheme, Tip
+from .choices import Contact, Deflection, Model, Scheme, Solver, Tip
 
 MODEL, CONTACT, BODY = "Model", "Contact", "Bristle"
 DROP, TIME, MESH, OUTPUT = "Drop", "Time", "Discretisation", "Files"
@@ -154,6 +154,14 @@ DISCRETISATION_FLAGS = (
     Flag("elements", "elements", int, paper.ELEMENTS, MESH, "Elements of the beam.", "N"),
     *MESH_FLAGS,
     Flag("order", "order", int, 2, MESH, "Polynomial degree of the solid.", "1|2"),
+    Flag(
+        "solver",
+        "solver",
+        Solver,
+        Solver.AUTO,
+        MESH,
+        "Of the solid's equations: auto is direct as long as a factor takes less than 8 GB.",
+    ),
     Flag("modes", "modes", int, MODES, MESH, "Krylov vectors of the reduced solid.", "N"),
 )
 CONTACT_FLAGS = (

@@ -200,7 +200,7 @@ class Workshop:
 
     def _solid_key(self, inputs: DropInputs) -> tuple[Hashable, ...]:
         material, points = inputs.bristle().material, inputs.contact_points
-        return ("solid", inputs.mesh_spec(), material, inputs.order, points)
+        return ("solid", inputs.mesh_spec(), material, inputs.order, points, inputs.solver)
 
     def _solid(self, inputs: DropInputs) -> tuple[SolidBody, Hashable]:
         key = self._solid_key(inputs)
@@ -209,6 +209,7 @@ class Workshop:
     def _make_solid(self, inputs: DropInputs) -> SolidBody:
         from ...meshes.check import MeshError
         from ...meshes.distribute import to_dolfinx
+        from ...solver.bodies.linear import Solver
         from ...solver.bodies.solid import SolidBody
 
         with self._timed("mesh"):
@@ -224,6 +225,7 @@ class Workshop:
                 inputs.bristle().material,
                 inputs.order,
                 inputs.contact_points,
+                Solver(inputs.solver.value),
             )
         self._solids.append(solid)
         return solid
@@ -261,7 +263,8 @@ class Workshop:
         material, points = inputs.bristle().material, inputs.contact_points
         made_by = (sources(Path(geometry.__file__).parent), self.comm.size)
         key: Hashable
-        key = ("modal", inputs.mesh_spec(), material, inputs.order, points, how, *made_by)
+        solid = (inputs.mesh_spec(), material, inputs.order, points, inputs.solver.value)
+        key = ("modal", *solid, how, *made_by)
         frame = self._keep(key, lambda: ModalFrame(self._stored(inputs, str(key))))
         if not inputs.second_order:
             key = (key, "small")

@@ -1,0 +1,109 @@
+"""How are a solid's stiffness and mass assembled and kept?
+
+A vector mass matrix is the scalar one for each direction alike. Only that is assembled: a ninth of
+the numbers, read once for all three directions.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import scipy.sparse as sp
+import ufl
+from dolfinx import fem, la
+from dolfinx.fem import petsc as fem_petsc
+from numpy.typing import NDArray
+from petsc4py import PETSc
+
+from ..compiled import fast
+from ..errors import ComputationError
+from ..forms import form
+from .base import Array
+
+Rows = tuple[NDArray[np.integer], NDArray[np.integer], Array]
+
+
+def degree_of_products(space: fem.FunctionSpace) -> int:
+    """Quadrature degree for products of shape functions or of their gradients.
+
+    They reach twice the degree along each axis, and the geometry's Jacobian adds to that on curved
+    cells only.
+    """
+    order: int = space.element.basix_element.degree
+    return 2 * order + 2 * (space.mesh.geometry.cmap.degree - 1)
+
+
+def stiffness_matrix(energy: fem.Form) -> tuple[PETSc.Mat, Rows | None]:
+    """The matrix of the form ``energy``, and on one rank its compressed rows, sharing memory."""
+    if energy.mesh.comm.size > 1:
+        matrix = fem_petsc.assemble_matrix(energy)
+        matrix.assemble()
+        return matrix, None
+    own = fem.assemble_matrix(energy, block_mode=la.BlockMode.expanded)
+    rows = (own.indptr.astype(PETSc.IntType), own.indices, own.data)
+    n = len(rows[0]) - 1
+    matrix = PETSc.Mat().createAIJWithArrays(((n, n), (n, n)), rows, bsize=3, comm=energy.mesh.comm)
+    return matrix, rows
+
+
+class NodeMass:
+    """The mass matrix of a vector ``space`` by its nodes: rows (m + 1,), columns and values.
+
+    Rows are this rank's, columns are global. Collective.
+    """
+
+    def __init__(self, space: fem.FunctionSpace, density_kg_m3: float) -> None:
+        domain = space.mesh
+        scalar = fem.functionspace(domain, ("Lagrange", space.element.basix_element.degree))
+        if not np.array_equal(scalar.dofmap.list, space.dofmap.list):
+            raise ComputationError("dolfinx numbers the nodes of scalars and of vectors apart")
+        u, v = ufl.TrialFunction(scalar), ufl.TestFunction(scalar)
+        dx = ufl.Measure(
+            "dx", domain=domain, metadata={"quadrature_degree": degree_of_products(space)}
+        )
+        density = fem.Constant(domain, PETSc.ScalarType(density_kg_m3))
+        inertia = form(density * ufl.inner(u, v) * dx)
+        self.comm = domain.comm
+        self.rows: Rows
+        if self.comm.size == 1:
+            own = fem.assemble_matrix(inertia)
+            self.rows = (own.indptr.astype(PETSc.IntType), own.indices, own.data)
+        else:
+            matrix = fem_petsc.assemble_matrix(inertia)
+            matrix.assemble()
+            self.rows = matrix.getValuesCSR()
+            matrix.destroy()
+        self.n_nodes = scalar.dofmap.index_map.size_global
+
+    def times(self, x: Array) -> Array:
+        """M x for (n,) or (n, k), on one rank alone."""
+        y = np.empty(x.shape, order="F")
+        for own, product in ((x, y),) if x.ndim == 1 else zip(x.T, y.T, strict=True):
+            _times(*self.rows, np.ascontiguousarray(own).reshape(-1, 3), product.reshape(-1, 3))
+        return y
+
+    def vector_matrix(self) -> PETSc.Mat:
+        """The matrix over vectors, as PETSc has it."""
+        first, column, value = self.rows
+        local = sp.csr_matrix((value, column, first), (len(first) - 1, self.n_nodes))
+        full = sp.kron(local, sp.eye_array(3), format="csr")
+        sizes = ((full.shape[0], full.shape[1]),) * 2
+        if self.comm.size > 1:
+            sizes = ((full.shape[0], None),) * 2
+        index = PETSc.IntType
+        csr = (full.indptr.astype(index), full.indices.astype(index), full.data)
+        return PETSc.Mat().createAIJ(sizes, csr=csr, comm=self.comm)
+
+
+@fast
+def _times(
+    first: NDArray[np.integer], column: NDArray[np.integer], value: Array, x: Array, y: Array
+) -> None:
+    for i in range(len(first) - 1):
+        a = b = c = 0.0
+        # without a sign, so that no index is looked at for being negative: twice as fast
+        for k in range(np.uint64(first[i]), np.uint64(first[i + 1])):
+            j, m = np.uint64(column[k]), value[k]
+            a += m * x[j, 0]
+            b += m * x[j, 1]
+            c += m * x[j, 2]
+        y[i, 0], y[i, 1], y[i, 2] = a, b, c
