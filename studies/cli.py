@@ -320,14 +320,21 @@ def bench(
     what: Annotated[
         str,
         typer.Argument(
-            metavar="[peers|loop]",
+            metavar="[peers|loop|step|sizes|ranks]",
             help="peers: time, memory and error beside other programs of the same impact. "
-            "loop: the loop on datasets whose truth is hidden.",
+            "loop: the loop on datasets whose truth is hidden. step: what a step of the solid "
+            "costs. sizes: time and memory against unknowns. ranks: what more ranks gain.",
         ),
     ] = "peers",
     repeats: Annotated[
         int | None,
-        typer.Option(min=1, max=100, help="peers: how often each is timed. [default: 3]"),
+        typer.Option(min=1, max=100, help="peers, step, ranks: how often each is timed."),
+    ] = None,
+    largest: Annotated[
+        int | None, typer.Option(min=1, help="sizes: the most unknowns. [default: 3000000]")
+    ] = None,
+    most: Annotated[
+        int | None, typer.Option(min=1, help="ranks: the most ranks. [default: the cores]")
     ] = None,
     datasets: Annotated[
         int | None,
@@ -357,7 +364,13 @@ def bench(
     """
     from .bench.targets import run_bench
 
-    given = {"repeats": repeats, "datasets": datasets, "resume": resume}
+    given = {
+        "repeats": repeats,
+        "largest": largest,
+        "most": most,
+        "datasets": datasets,
+        "resume": resume,
+    }
     print(run_bench(what, out, given))
 
 

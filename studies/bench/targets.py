@@ -30,9 +30,30 @@ def _loop(out: Path, **given: Any) -> str:
     return run_loop(out, **given)
 
 
+def _step(out: Path, **given: Any) -> str:
+    from .step import run_step
+
+    return run_step(out, **given)
+
+
+def _sizes(out: Path, **given: Any) -> str:
+    from .sizes import run_sizes
+
+    return run_sizes(out, **given)
+
+
+def _ranks(out: Path, **given: Any) -> str:
+    from .ranks import run_ranks
+
+    return run_ranks(out, **given)
+
+
 TARGETS = {
     "peers": Target(_peers, ("repeats",)),
     "loop": Target(_loop, ("datasets", "resume")),
+    "step": Target(_step, ("repeats",)),
+    "sizes": Target(_sizes, ("largest",)),
+    "ranks": Target(_ranks, ("repeats", "most")),
 }
 
 
