@@ -7,7 +7,6 @@ what it found with the 3-D model, and writes verdict.json and one page. Also a s
 
 from __future__ import annotations
 
-import importlib
 import os
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -29,7 +28,7 @@ from ..loop.finding import Finding
 from ..loop.problem import Problem
 from ..loop.run import find
 from ..running.files import prepare_folder, to_json, write_atomically
-from ..running.parallel import share_out
+from ..running.parallel import share_out, start_petsc
 from ..running.progress import progress, working
 from .confirm import LEFT_OUT, Confirmation, confirm
 from .flags import ALARM
@@ -74,8 +73,8 @@ def run_close_loop(
     is wrong, ComputationError where a simulation fails; nothing is written then.
     """
     asked, dataset = inputs or LoopInputs(), Path(dataset)
-    if comm.size > 1 and not asked.no_3d:
-        importlib.import_module("petsc4py.PETSc")  # starts on all ranks together or not at all
+    if not asked.no_3d:
+        start_petsc(comm)
     manifest = run_on_one_rank(comm, lambda: _begun(dataset, Path(out)))
     first = run_on_one_rank(comm, lambda: _Alone(problem_of(manifest) if comm.rank == 0 else None))
     problem = first.problem or problem_of(manifest)

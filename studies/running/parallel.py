@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import os
 import sys
 import time
@@ -9,9 +10,12 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TextIO
+from typing import TYPE_CHECKING, Any, TextIO
 
 from ...solver.errors import BristleError
+
+if TYPE_CHECKING:
+    from mpi4py import MPI
 
 # Set by Open MPI, and by the launchers of MPICH and its kin.
 SIZE_VARIABLES = ("OMPI_COMM_WORLD_SIZE", "PMI_SIZE")
@@ -28,6 +32,12 @@ def launched_ranks() -> int:
 def speaks() -> bool:
     """Whether this process is rank 0, without starting MPI."""
     return _number((*RANK_VARIABLES, *_by_slurm("SLURM_PROCID")), 0) == 0
+
+
+def start_petsc(comm: MPI.Intracomm) -> None:
+    """Start PETSc before one rank alone needs it: on all ranks together, or it never ends."""
+    if comm.size > 1:
+        importlib.import_module("petsc4py.PETSc")
 
 
 def _by_slurm(name: str) -> Sequence[str]:

@@ -12,6 +12,7 @@ from ...solver.bodies.stored import from_arrays, to_arrays
 from ...solver.time.march import Marcher
 from ..command.config import DropInputs
 from ..running.cases import Timings, Workshop
+from ..running.parallel import start_petsc
 from .conditions import ground_surface
 from .inputs import ScatterInputs
 
@@ -24,6 +25,8 @@ def prepared(inputs: ScatterInputs, comm: MPI.Intracomm) -> tuple[Marcher, Surfa
     ComputationError, on all ranks.
     """
     drop = inputs.drop()
+    if drop.model.meshed:
+        start_petsc(comm)
     made: Any = None
     surface: Surface | None = None
     error: Exception | None = None
