@@ -34,13 +34,8 @@ def candidate(
     data: Sample, base: Fitted, rungs: Ladder, likely: Ints, rng: np.random.Generator
 ) -> Posterior:
     """Full refit and evidence of one candidate; ``likely`` are noises worth trying first."""
-    count = rungs.u.shape[0]
-    logs = data.noises.prior[likely] + data.log_likelihood(
-        data.values[None],
-        rungs.predicted,
-        np.asarray(rungs.model.weights),
-        (np.zeros((1, 1), np.int64), np.arange(count)[:, None], likely[None]),
-    )
+    shares = np.asarray(rungs.model.weights)
+    logs = data.heights(data.values[None], rungs.predicted, shares, likely)
     best = logs.max(axis=1)
     order: list[int] = []
     for point in np.argsort(-best):

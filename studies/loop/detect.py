@@ -146,13 +146,7 @@ def refit(data: Sample, residual: Array, slopes: Array, among: Ints) -> Refitted
 
 
 def _choose(data: Sample, residual: Array, among: Ints) -> tuple[Ints, Array]:
-    zero = np.zeros((1, residual.shape[1]))
-    logs = data.noises.prior[among] + data.log_likelihood(
-        residual,
-        zero[:, None],
-        np.ones(1),
-        (np.arange(residual.shape[0])[:, None], np.zeros((1, 1), np.int64), among[None]),
-    )
+    logs = plain_heights(data, residual, among)
     best = np.argmax(logs, axis=1)
     return among[best], logs[np.arange(best.size), best]
 

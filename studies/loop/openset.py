@@ -157,12 +157,7 @@ def _beside(problem: Problem, data: Sample, alone: Fitted, rungs: Ladder) -> tup
     points = np.hstack([np.tile(alone.u, (len(amounts), 1)), amounts])
     predicted = data.predict(model, to_theta(model.parameters, points))
     noises = np.arange(data.noises.scale.size)
-    logs = data.noises.prior + data.log_likelihood(
-        data.values[None],
-        predicted,
-        np.asarray(model.weights),
-        (np.zeros((1, 1), np.int64), np.arange(len(points))[:, None], noises[None]),
-    )
+    logs = data.heights(data.values[None], predicted, np.asarray(model.weights), noises)
     best = logs.max(axis=1)
     return float(best.max()), points[int(np.argmax(best))]
 

@@ -105,21 +105,17 @@ def _sampled(
         inside = np.all((u >= 0) & (u <= 1), axis=1)
         theta = to_theta(fitted.model.parameters, u[inside])
         predicted = data.predict(fitted.model, theta)
-        logs = data.noises.prior[noise] + data.log_likelihood(
-            data.values[None],
-            predicted,
-            np.asarray(fitted.model.weights),
-            (np.zeros((1, 1), np.int64), np.arange(theta.shape[0])[:, None], noise[None]),
-        )
+        shares = np.asarray(fitted.model.weights)
+        logs = data.heights(data.values[None], predicted, shares, noise)
         before, fitted = fitted, _climbed(data, fitted, u[inside], logs, noise)
         target = np.full(len(u), -np.inf)
         target[inside] = logsumexp(logs, axis=1)
         points.append(u)
         targets.append(target)
         every = np.concatenate(points)
-        shares = np.array([each.count for each in proposals]) / len(every)
+        parts = np.array([each.count for each in proposals]) / len(every)
         densities = np.array([each.log_density(every) for each in proposals])
-        ratio = np.concatenate(targets) - logsumexp(densities, b=shares[:, None], axis=0)
+        ratio = np.concatenate(targets) - logsumexp(densities, b=parts[:, None], axis=0)
         if turn > 0 and _effective(ratio) > ENOUGH:
             break
         centre, cov = _adapted(every, ratio) if fitted is before else _about(fitted)

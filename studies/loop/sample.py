@@ -52,6 +52,14 @@ class Sample:
         """See `noise.log_likelihood`; ``at`` are numbers into values, predictions, noises."""
         return log_likelihood(values, predicted, weights, self.starts, self.noises, at)
 
+    def heights(self, values: Array, predicted: Array, weights: Array, among: Ints) -> Array:
+        """Log likelihoods with prior (n, noises) under the noises ``among``.
+
+        Of ``values`` (n, rows) and ``predicted`` (n, nodes, rows), in pairs; one serves all.
+        """
+        at = (np.arange(len(values))[:, None], np.arange(len(predicted))[:, None], among[None])
+        return self.noises.prior[among] + self.log_likelihood(values, predicted, weights, at)
+
 
 def sample(problem: Problem, groups: Ints, unit: Array | None = None) -> Sample:
     """The rows of these groups. ``unit`` (rows of the problem,) overrides what is estimated."""
