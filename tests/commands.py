@@ -7,19 +7,14 @@ import subprocess
 import sys
 from pathlib import Path
 
+from bristle.studies.running.parallel import unlaunched
+
 LIVE = Path(__file__).parents[1] / "docker" / "live"
-# what mpirun, or MPI in the testing process itself, left in the environment
-LAUNCHERS = ("OMPI_", "PMIX_", "PMI_", "PRTE_")
-KEPT = ("OMPI_MCA_", "OMPI_ALLOW_", "PRTE_MCA_", "PRTE_ALLOW_")
 
 
 def environment() -> dict[str, str]:
     """The environment of a command that nobody launched as a rank, this repository importable."""
-    kept = {
-        name: value
-        for name, value in os.environ.items()
-        if not name.startswith(LAUNCHERS) or name.startswith(KEPT)
-    }
+    kept = unlaunched()
     path = [str(LIVE), kept.get("PYTHONPATH", "")]
     return {**kept, "PYTHONPATH": os.pathsep.join(filter(None, path)), "OMP_NUM_THREADS": "1"}
 

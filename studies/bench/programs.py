@@ -15,13 +15,11 @@ from typing import Any
 from ...solver import paper
 from ...solver.compiled import cache_folder
 from ..command.flags import MODES
+from ..running.parallel import unlaunched
 
 REFERENCES = Path(__file__).resolve().parents[2] / "tests" / "reference"
 QUANTITIES = ("rebound_ratio", "contact_time_s", "peak_force_N")
 HEIGHT_M = 0.05
-# what mpirun, or MPI in this very process, left in the environment
-LAUNCHERS = ("OMPI_", "PMIX_", "PMI_", "PRTE_")
-KEPT = ("OMPI_MCA_", "OMPI_ALLOW_", "PRTE_MCA_", "PRTE_ALLOW_")
 ABSENT_STATUS = 3
 
 
@@ -132,11 +130,7 @@ class Bench:
 
     def environment(self) -> dict[str, str]:
         """That of a process which nobody launched as a rank, on one thread."""
-        kept = {
-            name: value
-            for name, value in os.environ.items()
-            if not name.startswith(LAUNCHERS) or name.startswith(KEPT)
-        }
+        kept = unlaunched()
         package = str(Path(__file__).absolute().parents[3])
         path = os.pathsep.join(filter(None, (package, kept.get("PYTHONPATH", ""))))
         threads = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}

@@ -18,13 +18,10 @@ from typing import Any
 
 from ...solver.errors import ComputationError, InputError
 from ..running.files import prepare_folder, to_csv, to_json, write_atomically
-from ..running.parallel import launched_ranks
+from ..running.parallel import launched_ranks, unlaunched
 from ..running.progress import progress
 from .communication import Machine, prediction
 
-# What mpirun, or MPI in this process, leaves in the environment, and what of it is the user's.
-LAUNCHERS = ("OMPI_", "PMIX_", "PMI_", "PRTE_")
-KEPT = ("OMPI_MCA_", "OMPI_ALLOW_", "PRTE_MCA_", "PRTE_ALLOW_")
 # Cells of the one large solid (172 000 unknowns), and of the many.
 LARGE, SMALL = (2, 8, 337), (1, 4, 337)
 CASES_PER_GROUP = 3
@@ -138,7 +135,7 @@ def launch(ranks: int, arguments: dict[str, Any]) -> dict[str, Any]:
             command,
             capture_output=True,
             text=True,
-            env=environment(),
+            env=unlaunched(),
             stdin=subprocess.DEVNULL,
             timeout=TIMEOUT_S,
             check=True,
@@ -152,15 +149,6 @@ def launch(ranks: int, arguments: dict[str, Any]) -> dict[str, Any]:
         told = getattr(error, "stderr", None) or str(error)
         last = [line for line in told.splitlines() if line.strip()][-1:]
         raise ComputationError(f"a job on {ranks} ranks failed: {' '.join(last)}") from error
-
-
-def environment() -> dict[str, str]:
-    """This process' environment without what would make a child a rank of its job."""
-    return {
-        name: value
-        for name, value in os.environ.items()
-        if not name.startswith(LAUNCHERS) or name.startswith(KEPT)
-    }
 
 
 def _rows(times: dict[Job, list[dict[str, Any]]], cores: int) -> Iterator[dict[str, Any]]:
