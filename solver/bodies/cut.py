@@ -19,6 +19,7 @@ from scipy.sparse import csr_matrix
 from ..errors import ComputationError
 from .base import Array
 from .chain import WIDEST, ChainFactor, lay_out
+from .mumps import Mumps
 
 # Unknowns of all cuts together, whose dense factor every rank holds and reads in each solve.
 MOST_ON_CUTS = 3000
@@ -76,18 +77,29 @@ class CutFactor:
 
     def close(self) -> None:
         """Free what PETSc holds."""
-        if isinstance(self._part, _MumpsPart):
+        if isinstance(self._part, Mumps):
             self._part.close()
 
 
-def _part(rows: csr_matrix, heights_m: Array) -> _Nothing | ChainFactor | _MumpsPart:
+def _part(rows: csr_matrix, heights_m: Array) -> _Nothing | ChainFactor | Mumps:
     """A factor of one rank's own matrix."""
     if not len(heights_m):
         return _Nothing()
     layout = lay_out(rows.indptr, rows.indices, heights_m)
     if layout.entries > WIDEST * len(heights_m):
-        return _MumpsPart(rows)
+        return _by_mumps(rows)
     return ChainFactor(layout, [(rows.indptr, rows.indices, rows.data, 1.0, 1)])
+
+
+def _by_mumps(rows: csr_matrix) -> Mumps:
+    """A part that is not slender."""
+    index = [part.astype(PETSc.IntType) for part in (rows.indptr, rows.indices)]
+    matrix = PETSc.Mat().createAIJ(rows.shape, csr=(*index, rows.data), comm=MPI.COMM_SELF)
+    matrix.setOption(PETSc.Mat.Option.SPD, True)
+    try:
+        return Mumps(matrix)
+    finally:
+        matrix.destroy()
 
 
 class _Nothing:
@@ -95,46 +107,3 @@ class _Nothing:
 
     def solve(self, b: Array) -> Array:
         return b
-
-
-class _MumpsPart:
-    """MUMPS' factor of a part that is not slender."""
-
-    def __init__(self, rows: csr_matrix) -> None:
-        n = rows.shape[0]
-        index = [part.astype(PETSc.IntType) for part in (rows.indptr, rows.indices)]
-        matrix = PETSc.Mat().createAIJ((n, n), csr=(*index, rows.data), comm=MPI.COMM_SELF)
-        matrix.setOption(PETSc.Mat.Option.SPD, True)
-        solver = PETSc.KSP().create(MPI.COMM_SELF)
-        solver.setOperators(matrix)
-        solver.setType(PETSc.KSP.Type.PREONLY)
-        preconditioner = solver.getPC()
-        preconditioner.setType(PETSc.PC.Type.CHOLESKY)
-        preconditioner.setFactorSolverType("mumps")
-        try:
-            solver.setUp()
-        except PETSc.Error as error:
-            raise ComputationError(f"MUMPS could not factor a part: {error}") from error
-        status = preconditioner.getFactorMatrix().getMumpsInfog(1)
-        if status < 0:
-            raise ComputationError(f"MUMPS could not factor a part: INFOG(1) = {status}")
-        self._solver, (self._x, self._y) = solver, matrix.createVecs()
-        matrix.destroy()
-
-    def solve(self, b: Array) -> Array:
-        if b.ndim == 1:
-            self._x.array[:] = b
-            self._solver.solve(self._x, self._y)
-            return self._y.array.copy()
-        right = PETSc.Mat().createDense(b.shape, array=np.asfortranarray(b), comm=MPI.COMM_SELF)
-        right.assemble()
-        left = right.duplicate()
-        self._solver.matSolve(right, left)
-        x = left.getDenseArray().copy(order="F")
-        right.destroy()
-        left.destroy()
-        return x
-
-    def close(self) -> None:
-        for thing in (self._solver, self._x, self._y):
-            thing.destroy()

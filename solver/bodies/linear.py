@@ -18,6 +18,7 @@ from ..errors import ComputationError
 from .base import Array
 from .chain import WIDEST, ChainFactor
 from .cut import MOST_ON_CUTS, CutFactor
+from .mumps import Krylov, Mumps
 
 if TYPE_CHECKING:
     from .solid import SolidBody
@@ -112,76 +113,6 @@ class Chain:
         """Memory goes with the last reference."""
 
 
-class Krylov:
-    """What solvers of PETSc share."""
-
-    def __init__(self, matrix: PETSc.Mat) -> None:
-        self.comm, self.n_local = matrix.comm, matrix.getLocalSize()[0]
-        self.solver = PETSc.KSP().create(matrix.comm)
-        self.solver.setOperators(matrix)
-        self._right, self._left = matrix.createVecs()
-
-    def solve(self, b: Array) -> Array:
-        if b.ndim == 2:
-            return self._solve_block(b)
-        self._right.array[:] = b
-        self.solver.solve(self._right, self._left)
-        self._check()
-        return np.array(self._left.array)
-
-    def _solve_block(self, b: Array) -> Array:
-        x = np.empty(b.shape, order="F")
-        for k in range(b.shape[1]):
-            x[:, k] = self.solve(b[:, k])
-        return x
-
-    def _check(self) -> None:
-        """Raise ComputationError where the last solve failed."""
-
-    def close(self) -> None:
-        """Free what PETSc holds."""
-        for thing in (self.solver, self._right, self._left):
-            thing.destroy()
-
-
-class Mumps(Krylov):
-    """Cholesky factor of a positive definite matrix by MUMPS, on any number of ranks."""
-
-    def __init__(self, matrix: PETSc.Mat) -> None:
-        super().__init__(matrix)
-        self.solver.setType(PETSc.KSP.Type.PREONLY)
-        preconditioner = self.solver.getPC()
-        preconditioner.setType(PETSc.PC.Type.CHOLESKY)
-        preconditioner.setFactorSolverType("mumps")
-        try:
-            self.solver.setUp()
-        except PETSc.Error as error:
-            raise ComputationError(
-                f"MUMPS could not factor the effective matrix: {error}"
-            ) from error
-        status = preconditioner.getFactorMatrix().getMumpsInfog(1)
-        if status < 0:
-            raise ComputationError(
-                f"MUMPS could not factor the effective matrix: INFOG(1) = {status}"
-            )
-
-    @property
-    def entries(self) -> int:
-        """Numbers in the factor; MUMPS counts in millions where there are many (INFOG(29))."""
-        count = self.solver.getPC().getFactorMatrix().getMumpsInfog(29)
-        return int(count) if count >= 0 else -1_000_000 * int(count)
-
-    def _solve_block(self, b: Array) -> Array:
-        """All columns at once: several times faster than one by one."""
-        right = dense(self.comm, b)
-        left = right.duplicate()
-        self.solver.matSolve(right, left)
-        x = left.getDenseArray().copy(order="F")
-        right.destroy()
-        left.destroy()
-        return x
-
-
 class Iterative(Krylov):
     """Conjugate gradients to `TOLERANCE` in the energy norm.
 
@@ -236,12 +167,3 @@ def _orthonormal(solid: SolidBody, matrix: PETSc.Mat) -> list[PETSc.Vec]:
         vector.array[:] = motion
         vectors.append(vector)
     return vectors
-
-
-def dense(comm: PETSc.Comm, x: Array) -> PETSc.Mat:
-    """A PETSc copy of this rank's rows ``x`` (n_local, m)."""
-    matrix = PETSc.Mat().createDense(((len(x), None), (None, x.shape[1])), comm=comm)
-    matrix.setUp()
-    matrix.getDenseArray()[:] = x
-    matrix.assemble()
-    return matrix

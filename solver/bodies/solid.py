@@ -17,8 +17,9 @@ from ..bristle import CONTACT_POINTS, Material
 from ..forms import form
 from .base import Array
 from .chain import Layout, Rows, lay_out
-from .linear import LinearSolver, Method, Solver, choose, dense, make_solver
+from .linear import LinearSolver, Method, Solver, choose, make_solver
 from .matrices import NodeMass, degree_of_products, stiffness_matrix
+from .mumps import dense
 from .tip import tip_contact
 
 

@@ -12,6 +12,7 @@ from petsc4py import PETSc
 
 from ..bodies.base import Array
 from ..bodies.matrices import NodeMass
+from ..bodies.mumps import factor, solve_columns, take_mumps
 from ..bristle import Material
 from ..errors import ComputationError
 from ..forms import form
@@ -144,17 +145,9 @@ class FiniteSolid:
         matrix = self.tangent(u, d, its_s)
         if self._solver is None:
             self._solver = PETSc.KSP().create(self.comm)
-            self._solver.setType(PETSc.KSP.Type.PREONLY)
-            self._solver.getPC().setType(PETSc.PC.Type.LU)
-            self._solver.getPC().setFactorSolverType("mumps")
+            take_mumps(self._solver, PETSc.PC.Type.LU)
         self._solver.setOperators(matrix)
-        try:
-            self._solver.setUp()
-        except PETSc.Error as error:
-            raise ComputationError(f"MUMPS could not factor the tangent: {error}") from error
-        status = self._solver.getPC().getFactorMatrix().getMumpsInfog(1)
-        if status < 0:
-            raise ComputationError(f"MUMPS could not factor the tangent: INFOG(1) = {status}")
+        factor(self._solver, "the tangent")
         return self._solve
 
     def _solve(self, b: Array) -> Array:
@@ -164,17 +157,7 @@ class FiniteSolid:
             self._x.array[:] = b
             self._solver.solve(self._x, self._y)
             return self._y.array.copy()
-        shape = ((self.n_local, None), (None, b.shape[1]))
-        right = PETSc.Mat().createDense(shape, comm=self.comm)
-        right.setUp()
-        right.getDenseArray()[:] = b
-        right.assemble()
-        left = right.duplicate()
-        self._solver.matSolve(right, left)
-        x = left.getDenseArray().copy()
-        right.destroy()
-        left.destroy()
-        return x
+        return np.ascontiguousarray(solve_columns(self._solver, b))
 
     def close(self) -> None:
         """Free matrices, vectors and the factor; the body cannot be used afterwards."""

@@ -20,7 +20,8 @@ from mpi4py import MPI
 from ...meshes.distribute import to_dolfinx
 from ...meshes.geometry import MeshSpec, Rectangle, Tag
 from ...solver import paper
-from ...solver.bodies.linear import Chain, Method, Mumps, Solver, make_solver
+from ...solver.bodies.linear import Chain, Method, Solver, make_solver
+from ...solver.bodies.mumps import Mumps
 from ...solver.bodies.solid import SolidBody
 from ...solver.bristle import Material
 from ...solver.compiled import fast
