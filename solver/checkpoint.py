@@ -11,18 +11,17 @@ from __future__ import annotations
 import hashlib
 import json
 import shutil
-import tempfile
 import time
-import zipfile
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from .bodies.base import Array
 from .errors import ComputationError, InputError
+from .kept import read_arrays, write_arrays
 
 if TYPE_CHECKING:
     from mpi4py import MPI
@@ -65,6 +64,7 @@ class Checkpoint:
         self._made_for = {**made_for, "number of ranks": str(comm.size)}
         self._march, self._frames = -1, 0
         self._looks, self._last_s = 0, time.monotonic()
+        self._waiting: list[tuple[Path, dict[str, Any], Mapping[str, Array]]] = []
         self._there: dict[int, tuple[int, bool, int]] = {}
         if resume and self._agreed(self.folder.is_dir()):
             self._there = self._whole_marks()
@@ -88,16 +88,19 @@ class Checkpoint:
     def due(self) -> bool:
         """Whether a mark is to be made after this step."""
         self._looks += 1
-        if self._looks % LOOK:
-            return False
-        late = time.monotonic() - self._last_s >= self.every_s
-        return bool(self.comm.bcast(late if self.comm.rank == 0 else None))
+        return self._looks % LOOK == 0 and self._late()
 
     def save(self, steps: int, arrays: Mapping[str, Array], *, done: bool = False) -> None:
-        """Make the running march's mark; ComputationError where the disk does not take it."""
+        """Make the running march's mark; ComputationError where the disk does not take it.
+
+        That of a march that is ``done`` before one is due waits in memory, as frames do.
+        """
         path = self._mark(self._march, steps)
         header = {"march": self._march, "steps": steps, "done": done, "frames": self._frames}
-        self._together(lambda: self._write(path, header, arrays))
+        self._waiting.append((path, header, _copied(arrays)))
+        if done and not self._late():
+            return
+        self._together(self._write_waiting)
         for old in self.folder.glob(f"march-{self._march}-*-{self.comm.rank}.npz"):
             if old != path:
                 old.unlink(missing_ok=True)
@@ -106,14 +109,12 @@ class Checkpoint:
     def keep_frame(self, arrays: Mapping[str, Array]) -> None:
         """Keep what an observer has just shown, to be shown again."""
         path, header = self._frame(self._frames), {"march": self._march}
-        self._together(lambda: self._write(path, header, arrays))
+        self._waiting.append((path, header, _copied(arrays)))
         self._frames += 1
 
-    def remove(self) -> None:
-        """The run has ended well: nothing is kept."""
-        self.comm.Barrier()
-        if self.comm.rank == 0:
-            shutil.rmtree(self.folder, ignore_errors=True)
+    def _late(self) -> bool:
+        late = time.monotonic() - self._last_s >= self.every_s
+        return bool(self.comm.bcast(late if self.comm.rank == 0 else None))
 
     # --- files ----------------------------------------------------------------------------------
 
@@ -122,6 +123,11 @@ class Checkpoint:
 
     def _frame(self, number: int) -> Path:
         return self.folder / f"frame-{number}-{self.comm.rank}.npz"
+
+    def _write_waiting(self) -> None:
+        while self._waiting:
+            self._write(*self._waiting[0])
+            del self._waiting[0]
 
     def _write(self, path: Path, header: Mapping[str, Any], arrays: Mapping[str, Array]) -> None:
         text = json.dumps(
@@ -132,25 +138,12 @@ class Checkpoint:
                 "sha256": _digest(arrays),
             }
         )
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.NamedTemporaryFile(dir=path.parent, suffix=".part", delete=False) as part:
-            beside = Path(part.name)
-            try:
-                np.savez(part, **cast(dict[str, Any], {HEADER: np.array(text), **arrays}))
-                part.flush()
-            except BaseException:
-                beside.unlink()
-                raise
-        beside.replace(path)
+        write_arrays(path, {HEADER: np.array(text), **arrays})
 
     def _read(self, path: Path) -> tuple[dict[str, Any], dict[str, Array]]:
         """Header and arrays of a file; ValueError or OSError where it is not whole."""
-        try:
-            with np.load(path, allow_pickle=False) as file:
-                header = json.loads(str(file[HEADER]))
-                arrays = {name: file[name] for name in file.files if name != HEADER}
-        except (KeyError, EOFError, zipfile.BadZipFile, json.JSONDecodeError) as error:
-            raise ValueError(f"{path} is not whole") from error
+        arrays = read_arrays(path)
+        header = json.loads(str(arrays.pop(HEADER, "{}")))
         if header.get("schema") != SCHEMA:
             raise ValueError(f"{path} is no {SCHEMA}")
         if header.get("sha256") != _digest(arrays):
@@ -215,6 +208,10 @@ class Checkpoint:
         for told in self.comm.allgather(problem):
             if told:
                 raise ComputationError(f"the march cannot be kept in {self.folder}: {told}")
+
+
+def _copied(arrays: Mapping[str, Array]) -> dict[str, Array]:
+    return {name: np.array(array) for name, array in arrays.items()}
 
 
 def _digest(arrays: Mapping[str, Array]) -> str:

@@ -37,27 +37,38 @@ def kept(key: str, make: Callable[[], Mapping[str, Array]]) -> dict[str, Array]:
 
 def load(key: str) -> dict[str, Array] | None:
     """What was stored under ``key``, or None."""
-    try:
-        with np.load(_path(key), allow_pickle=False) as file:
-            if str(file[KEY]) == key:
-                return {name: file[name] for name in file.files if name != KEY}
-    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
-        pass
+    with contextlib.suppress(OSError, ValueError):
+        arrays = read_arrays(_path(key))
+        if str(arrays.pop(KEY, None)) == key:
+            return arrays
     return None
 
 
 def store(key: str, arrays: Mapping[str, Array]) -> None:
     """Keep ``arrays``; a disk that is full or may not be written keeps nothing."""
-    path = _path(key)
     with contextlib.suppress(OSError):
-        path.parent.mkdir(exist_ok=True)
-        with tempfile.NamedTemporaryFile(dir=path.parent, suffix=".part", delete=False) as part:
-            try:
-                np.savez(part, **cast(dict[str, Any], {KEY: np.array(key), **arrays}))
-            except BaseException:
-                Path(part.name).unlink()
-                raise
-        Path(part.name).replace(path)
+        write_arrays(_path(key), {KEY: np.array(key), **arrays})
+
+
+def read_arrays(path: Path) -> dict[str, Array]:
+    """The plain arrays of a file; OSError, or ValueError where it is not whole."""
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            return {name: file[name] for name in file.files}
+    except (KeyError, EOFError, zipfile.BadZipFile) as error:
+        raise ValueError(f"{path} is not whole") from error
+
+
+def write_arrays(path: Path, arrays: Mapping[str, Array]) -> None:
+    """Write arrays beside ``path``, then give the file its name; OSError."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with tempfile.NamedTemporaryFile(dir=path.parent, suffix=".part", delete=False) as part:
+        try:
+            np.savez(part, **cast(dict[str, Any], dict(arrays)))
+        except BaseException:
+            Path(part.name).unlink()
+            raise
+    Path(part.name).replace(path)
 
 
 @lru_cache(maxsize=8)
