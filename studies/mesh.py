@@ -21,6 +21,8 @@ from bristle.meshes.hexahedra import build_model, gmsh_model
 from bristle.meshes.picture import write_picture
 from bristle.meshes.quality import MeshQuality, measure_quality, write_csv
 
+from .running.files import UNFINISHED
+
 
 def run_mesh(spec: MeshSpec, out: Path, comm: MPI.Intracomm = MPI.COMM_WORLD) -> dict[str, Any]:
     """Mesh a bristle and write ``bristle.msh``, ``bristle.vtu``, ``quality.csv``, ``mesh.png``.
@@ -75,7 +77,7 @@ def _in_place(out: Path, make: Callable[[Path], MeshQuality]) -> tuple[list[str]
     """Let `make` fill a folder beside its destination, then move its files; return their names."""
     existing = next(parent for parent in (out, *out.parents) if parent.exists())
     out.mkdir(parents=True, exist_ok=True)
-    folder = Path(tempfile.mkdtemp(prefix=".mesh-", dir=out))
+    folder = Path(tempfile.mkdtemp(prefix=UNFINISHED, dir=out))
     try:
         result = make(folder)
         names = sorted(path.name for path in folder.iterdir())

@@ -730,3 +730,21 @@ def test_files_module_makes_nested_folders(out):
         files.prepare_folder(out / "a" / "b")
         assert (out / "a" / "b").is_dir()
         assert not any((out / "a" / "b").iterdir())
+
+
+@serial
+def test_what_a_killed_run_left_goes_and_what_the_user_hid_stays(tmp_path, monkeypatch):
+    mine = tmp_path / ".my-settings"
+    mine.write_text("keep")
+    monkeypatch.setattr(files.Path, "replace", _refuse)
+    monkeypatch.setattr(files.Path, "unlink", lambda path, missing_ok=False: None)
+    with pytest.raises(OSError, match="killed here"):
+        write_atomically(tmp_path / "result.json", "{}")
+    monkeypatch.undo()
+    assert len(list(tmp_path.iterdir())) == 2
+    files.prepare_folder(tmp_path)
+    assert list(tmp_path.iterdir()) == [mine]
+
+
+def _refuse(path, target):
+    raise OSError("killed here")

@@ -7,7 +7,6 @@ import io
 import json
 import math
 import os
-import re
 import shutil
 import tempfile
 from collections.abc import Iterable, Iterator, Sequence
@@ -21,8 +20,8 @@ if TYPE_CHECKING:
     from ..page.figures import Picture
 
 
-# What `write_atomically` and `folder_in_place` call things until they are whole.
-UNFINISHED = re.compile(r"\..+-[a-z0-9_]{8}")
+# How the names of things begin until they are whole.
+UNFINISHED = ".bristle-unfinished-"
 
 
 def prepare_folder(out: Path) -> None:
@@ -33,7 +32,7 @@ def prepare_folder(out: Path) -> None:
     try:
         out.mkdir(parents=True, exist_ok=True)
         for path in out.iterdir():
-            if UNFINISHED.fullmatch(path.name):
+            if path.name.startswith(UNFINISHED):
                 remove_folder(path) if path.is_dir() else path.unlink(missing_ok=True)
         with tempfile.TemporaryFile(dir=out):
             pass
@@ -62,7 +61,7 @@ def write_picture(stem: Path, drawn: Picture) -> list[str]:
 
 def write_atomically(path: Path, content: str | bytes) -> None:
     """Write ``content`` beside ``path``, see it on the disk, then give it its name."""
-    handle, name = tempfile.mkstemp(prefix=f".{path.name}-", dir=path.parent)
+    handle, name = tempfile.mkstemp(prefix=f"{UNFINISHED}{path.name}-", dir=path.parent)
     beside = Path(name)
     try:
         with os.fdopen(handle, "wb") as file:
@@ -79,12 +78,12 @@ def write_atomically(path: Path, content: str | bytes) -> None:
 @contextmanager
 def folder_in_place(folder: Path) -> Iterator[Path]:
     """A new folder to fill, which takes the place of ``folder`` when the block ends well."""
-    made = Path(tempfile.mkdtemp(prefix=f".{folder.name}-", dir=folder.parent))
+    made = Path(tempfile.mkdtemp(prefix=f"{UNFINISHED}{folder.name}-", dir=folder.parent))
     try:
         made.chmod(0o777 & ~_umask())
         yield made
         if folder.exists():
-            old = Path(tempfile.mkdtemp(prefix=f".{folder.name}-old-", dir=folder.parent))
+            old = Path(tempfile.mkdtemp(prefix=f"{UNFINISHED}{folder.name}-", dir=folder.parent))
             folder.replace(old)
             made.replace(folder)
             shutil.rmtree(old, ignore_errors=True)
