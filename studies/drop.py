@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
@@ -106,10 +106,9 @@ def _compute(
     inputs: DropInputs, out: Path, comm: MPI.Intracomm, keeping: Keeping
 ) -> tuple[DropResult, Timings]:
     with Workshop(comm) as workshop:
-        if inputs.model.meshed:
-            with working(f"building the {inputs.model} model"):
-                workshop.prepare(inputs)
-        prepared = workshop.prepare(inputs)
+        building = working(f"building the {inputs.model} model")
+        with building if inputs.model.meshed else nullcontext():
+            prepared = workshop.prepare(inputs)
         checkpoint = keeping.checkpoint(inputs, prepared, comm)
         with working(f"dropping the {inputs.model} model from {inputs.height_m:g} m"):
             if inputs.model is Model.SOLID and inputs.write_fields and not inputs.march:

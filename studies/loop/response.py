@@ -240,7 +240,8 @@ class Tables:
     def _upright(self) -> Table:
         """Drops without effects as a `Bench` of drops has them, whatever this bench shows."""
         own = {each.name: getattr(self.bench, each.name) for each in fields(Bench)}
-        return Tables(Bench(**own)).plain
+        upright = Bench(**own)
+        return self.plain if upright == self.bench else Tables(upright).plain
 
     def _peak_N(self, height_m: Array, kn_N_m: Array) -> Array:
         """The greatest force of drops without effects."""
