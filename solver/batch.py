@@ -23,12 +23,14 @@ from .drop import TOUCH_LIMIT, WAIT_STEPS, slowest_period_s
 from .errors import ComputationError
 from .ground import local_frames
 from .impact import compiled
-from .rigid import free_rotation, leaning, matrix_of
-from .time import ballistics, modal_march
-from .time.ballistics import Chart, Flyer, apex, chart, landing, launch_by, next_touch
+from .rigid import fallen, free_rotation, leaning, matrix_of
+from .time import modal_march
+from .time.apex import apex
 from .time.flight import flyer
 from .time.march import Marcher
 from .time.modal_march import Modes, Touching, march
+from .time.motion import Chart, Flyer, chart, landing, launch, rigid_part
+from .time.touchdown import next_touch
 from .touch import STAYING, STEP_LIMIT
 
 TOO_MANY = 5
@@ -171,7 +173,7 @@ def _top_of_centre(
     rise = 0.0
     if speed > 0.0:
         rise = speed / gravity if alpha == 0.0 else math.log1p(alpha * speed / gravity) / alpha
-    return float(ballistics.fallen(position, velocity, gravity, alpha, min(rise, t))[0][2])
+    return float(fallen(position, velocity, gravity, alpha, min(rise, t))[0][2])
 
 
 @njit
@@ -242,13 +244,13 @@ def one_drop(
                 first = now
             last = now + done.release
         now += done.steps * modes.its
-        motion = launch_by(table, flyer, position, attitude, done.u, done.v, gravity)
+        motion = launch(table, flyer, position, attitude, done.u, done.v, gravity)
         rising = motion.velocity[2]
         ringing = motion.reach.sum()
         longest = 2.0 * max(rising, 0.0) / gravity + math.sqrt(8.0 * ringing / gravity) + 1e-3
         longest += 2.0 * math.sqrt(8.0 * far / gravity)
         after = min(next_touch(motion, normals, offsets, longest), longest)
-        falls = ballistics.fallen(motion.position, motion.velocity, gravity, alpha, after)[1][2]
+        falls = fallen(motion.position, motion.velocity, gravity, alpha, after)[1][2]
         # a centre that falls on is done when the bristle has had time to ring and not come back
         turned = rising > 0.0 and falls <= 0.0
         ends = turned or (rising <= 0.0 and after > slowest)
@@ -264,8 +266,8 @@ def one_drop(
         if ends:
             break
         before = _energy(modes.omega2, done.u, done.v, weight, 0.0)
-        before += weight * (position[2] + (rotation @ ballistics.rigid_part(flyer, done.u)[0])[2])
-        position, attitude, u, v = landing(flyer, motion, motion.amounts, motion.modes, after)
+        before += weight * (position[2] + (rotation @ rigid_part(flyer, done.u)[0])[2])
+        position, attitude, u, v = landing(motion, after)
         if damped:
             loss += before - _energy(modes.omega2, u, v, weight, position[2])
         now += after
@@ -276,7 +278,7 @@ def one_drop(
     left = _energy(modes.omega2, done.u, done.v, weight, motion.position[2])
     back = last - now
     out[0], out[1] = top, centre_top
-    out[2] = ballistics.fallen(motion.position, motion.velocity, gravity, alpha, back)[1][2]
+    out[2] = fallen(motion.position, motion.velocity, gravity, alpha, back)[1][2]
     out[3], out[4], out[5], out[6] = last - first, touches, peak, impulse
     out[7:10] = free_rotation(motion.attitude, motion.spin, flyer.inertia, alpha, 0.0, back)[1]
     out[10], out[11] = loss, rubbed

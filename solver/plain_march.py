@@ -15,9 +15,9 @@ from .energy import Budget, marching_energy, step_loss
 from .errors import ComputationError
 from .ground import place
 from .stepwise import kept_state, recalled_state
-from .time.ballistics import rigid_part
 from .time.flight import flyer
 from .time.march import Marcher
+from .time.motion import rigid_part
 from .touch import History, observe
 
 

@@ -15,10 +15,13 @@ from ..bodies.base import Array
 from ..bodies.modal import ModalBody
 from ..ground import Ground
 from ..rigid import Pose, fallen, free_rotation
-from . import ballistics
+from .apex import apex
+from .clearance import trace
+from .motion import Flyer, chart, landing, launch
+from .touchdown import next_touch
 
 
-def flyer(body: ModalBody, tau_m_N: float = 0.0) -> ballistics.Flyer:
+def flyer(body: ModalBody, tau_m_N: float = 0.0) -> Flyer:
     """A body as flight sees it: its contact points, or with ``tau_m_N`` minus their drive
     (contact.enforcement)."""
     points = body.contact
@@ -33,7 +36,7 @@ def flyer(body: ModalBody, tau_m_N: float = 0.0) -> ballistics.Flyer:
         moved, with_speed = along, -tau_m_N * body.beta_s * np.asarray(points.traction)
         reach_speed = _reach(with_speed)
     places = np.ascontiguousarray(points.places_m, dtype=float)
-    return ballistics.Flyer(
+    return Flyer(
         omega2=body.omega2,
         alpha=body.alpha_1_s,
         damping=body.damping_1_s,
@@ -72,12 +75,13 @@ class Flight:
         u: Array,
         v: Array,
         gravity_m_s2: float,
-        known: ballistics.Flyer | None = None,
+        known: Flyer | None = None,
     ) -> None:
         self.body, self.t0_s, self.gravity_m_s2 = body, t0_s, gravity_m_s2
-        self._flyer = flyer(body) if known is None else known
-        self.motion, self._amounts, self._modes = ballistics.launch(
-            self._flyer,
+        known = flyer(body) if known is None else known
+        self.motion = launch(
+            chart(known),
+            known,
             np.asarray(pose.position_m, dtype=float),
             pose.attitude,
             np.ascontiguousarray(u),
@@ -115,17 +119,13 @@ class Flight:
 
         The displacement is elastic alone; the velocity has the rigid one too.
         """
-        position, attitude, u, v = ballistics.landing(
-            self._flyer, self.motion, self._amounts, self._modes, t_s - self.t0_s
-        )
+        position, attitude, u, v = landing(self.motion, t_s - self.t0_s)
         return Pose(position, attitude), u, v
 
     def trace(self, ground: Ground, t_s: Array) -> Array:
         """Heights of the tip's middle and of the centre, and the smallest clearance: (k, 3)."""
         return np.asarray(
-            ballistics.trace(
-                self.motion, ground.normals, ground.offsets_m, np.asarray(t_s) - self.t0_s
-            )
+            trace(self.motion, ground.normals, ground.offsets_m, np.asarray(t_s) - self.t0_s)
         )
 
     def ringing_m(self) -> float:
@@ -139,12 +139,10 @@ class Flight:
         """
         if until_s <= self.t0_s:
             return None
-        after = ballistics.next_touch(
-            self.motion, ground.normals, ground.offsets_m, until_s - self.t0_s
-        )
+        after = next_touch(self.motion, ground.normals, ground.offsets_m, until_s - self.t0_s)
         return None if math.isinf(after) else self.t0_s + after
 
     def apex(self, until_s: float) -> tuple[float, float]:
         """Time and height of the highest place of the tip's middle in [t0, ``until_s``]."""
-        after, height = ballistics.apex(self.motion, until_s - self.t0_s)
+        after, height = apex(self.motion, until_s - self.t0_s)
         return self.t0_s + after, height

@@ -1,0 +1,136 @@
+"""When does a body in flight touch next? Compiled.
+
+By conservative advancement, see `clearance`; a shortest step resolves the fastest oscillation that
+is left.
+"""
+
+from __future__ import annotations
+
+import math
+
+from ..bodies.base import Array
+from ..compiled import njit
+from ..rigid import free_rotation
+from .clearance import bending_bound, clearance_of, slant_bound
+from .motion import Motion
+from .ringing import COMPACT_EVERY, ROUNDING_M, Ring, grown, in_sight, ring_of
+
+# What ringing may be left out of the search; the root is refined with all but rounding.
+TOUCH_SEARCH_M = 1e-8
+ROOT_STEPS = 100
+
+
+@njit
+def next_touch(motion: Motion, normals: Array, offsets: Array, until: float) -> float:
+    """The first time in (0, ``until``] at which a point comes down through its plane, or infinity.
+
+    A point that starts below its plane, on its way up, touches when it turns down before it got
+    out.
+    """
+    flyer = motion.flyer
+    t = 0.0
+    attitude, spin = motion.attitude, motion.spin
+    ring, rows, slack = _search_ring(motion, t, slant_bound(motion, attitude, normals, until))
+    seen = len(ring.decay)
+    above = False
+    before, age = -math.inf, 0
+    later, turned, spun = t, attitude, spin
+    while True:
+        # look at `later`, as closely as what comes out calls for
+        while True:
+            clear, _, safe = clearance_of(
+                motion,
+                ring,
+                seen,
+                rows,
+                normals,
+                offsets,
+                later,
+                turned,
+                spun,
+                ring.beyond[seen] + slack,
+                bending_bound(motion, ring, seen, later, flyer.places, spun),
+            )
+            more = in_sight(ring, clear)
+            if more <= seen:
+                break
+            seen = more
+        if later > 0.0:
+            if above and clear <= 0.0:
+                found = _root(motion, normals, offsets, t, later, attitude, spin)
+                if not math.isinf(found):
+                    return found
+            elif not above and clear < before:
+                return later
+        if later >= until:
+            return math.inf
+        above = above or clear > 0.0
+        t, attitude, spin, before = later, turned, spun, clear
+        if age == COMPACT_EVERY:
+            slant = slant_bound(motion, attitude, normals, until - t)
+            ring, rows, slack = _search_ring(motion, t, slant)
+            age = 0
+        age += 1
+        seen = min(in_sight(ring, clear), len(ring.decay))
+        later = min(t + max(min(ring.finest, until / 8.0), safe), until)
+        turned, spun = free_rotation(attitude, spin, flyer.inertia, flyer.alpha, t, later)
+
+
+@njit
+def _search_ring(motion: Motion, t: float, slant: float) -> tuple[Ring, Array, float]:
+    """The ring to search the next touch with, the points' rows on it, and what it may be off by.
+
+    The section is taken as rigid, unless it is not nearly so.
+    """
+    flyer, slack = motion.flyer, 0.0
+    for j in range(len(motion.rest)):
+        slack += motion.rest[j] * grown(motion.powers[j], t)
+    if slack <= TOUCH_SEARCH_M:
+        ring = ring_of(motion, t, TOUCH_SEARCH_M, slant, motion.chart.fit, motion.chart.fit_speed)
+        return ring, motion.chart.stiff, slack
+    ring = ring_of(motion, t, TOUCH_SEARCH_M, slant, flyer.along, flyer.with_speed)
+    return ring, flyer.rows, 0.0
+
+
+@njit
+def _root(
+    motion: Motion,
+    normals: Array,
+    offsets: Array,
+    left: float,
+    right: float,
+    attitude: Array,
+    spin: Array,
+) -> float:
+    """Where the lowest clearance falls through zero about [left, right], or infinity: Newton's
+    method, kept in a bracket.
+
+    ``attitude`` and ``spin`` are those at ``left``. What saw the fall may have left something out,
+    so that the bracket may have to be widened.
+    """
+    flyer = motion.flyer
+    start, furthest = left, right + (right - left)
+    ring = ring_of(motion, left, ROUNDING_M, 1.0, flyer.along, flyer.with_speed)
+    seen = len(ring.decay)
+    at, bracketed = right, False
+    for _ in range(ROOT_STEPS):
+        turned, spun = free_rotation(attitude, spin, flyer.inertia, flyer.alpha, start, at)
+        clear, rate, _ = clearance_of(
+            motion, ring, seen, flyer.rows, normals, offsets, at, turned, spun, 0.0, 0.0
+        )
+        if clear > 0.0:
+            left = at
+        else:
+            bracketed, right = True, at
+        newton = at - clear / rate if rate < 0.0 else math.inf
+        if clear == 0.0 or abs(newton - at) <= 4e-16 * at:
+            return at
+        if not bracketed:
+            if newton > furthest:
+                return math.inf
+        elif not left < newton < right:
+            newton = 0.5 * (left + right)
+            if right - left <= 4e-16 * right:
+                return right
+        at = newton
+    return at
