@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import shlex
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -17,8 +16,8 @@ from ..meshes.collective import run_on_one_rank
 from ..solver import paper
 from . import __version__
 from .account.run import AccountStudy
+from .command.again import command_line
 from .command.config import DropInputs
-from .command.sources import OPTIONS
 from .page.report import Report, Section, Verdict, write_report
 from .running.campaign import Results, Setup, Study, compute
 from .running.cases import Workshop
@@ -95,7 +94,8 @@ def run_reproduce(
     def write() -> Reproduction:
         sections = tuple(study.section(results) for study in studies)
         wall = time.perf_counter() - started
-        page = build_report(setup, sections, len(cases), wall, comm.size, command_of(setup, out))
+        command = command_line("reproduce", setup.base, DropInputs(), out)
+        page = build_report(setup, sections, len(cases), wall, comm.size, command)
         return Reproduction(write_report(page, out), len(cases), wall, sections)
 
     return run_on_one_rank(comm, write)
@@ -109,17 +109,6 @@ def _compute(
             return compute(cases, workshop, ranks_per_case=ranks_per_case)
         with progress("Drops", len(cases)) as advance:
             return compute(cases, workshop, advance, ranks_per_case)
-
-
-def command_of(setup: Setup, out: Path) -> str:
-    """The command line that makes the same page."""
-    usual = DropInputs()
-    words = ["bristle", "reproduce"]
-    for field, option in OPTIONS.items():
-        value = getattr(setup.base, field, None)
-        if field in DropInputs.model_fields and value != getattr(usual, field):
-            words += [option, *map(str, value if isinstance(value, tuple) else (value,))]
-    return shlex.join([*words, "--out", str(out)])
 
 
 def build_report(

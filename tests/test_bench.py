@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import pytest
 from commands import bristle, mpirun, python
+from made_outcomes import outcome
 
 from bristle.studies.bench import launch, peers, programs
 from bristle.studies.bench.loop_cases import ROWS
@@ -142,24 +143,6 @@ def test_every_target_of_the_loop_can_be_read():
     for line in table([outcome(row.name, 0) for row in ROWS]):
         low, high = bounds(line.target) if line.target else (0.0, 1.0)
         assert low < high
-
-
-def outcome(row: str, number: int, **other) -> dict:
-    said = {
-        "row": row,
-        "number": number,
-        "truth": ["adhesion"],
-        "verdict": "effect",
-        "effects": ["adhesion"],
-        "same": ["adhesion"],
-        "classes": [],
-        "covered": [True, False],
-        "before": 2.0,
-        "after": 1.1,
-        "oracle": 1.0,
-        "rivals": {"BIC": "adhesion"},
-    }
-    return said | other
 
 
 def test_the_loops_page_tells_rates_targets_and_what_is_missed(tmp_path):

@@ -8,57 +8,18 @@ import re
 import numpy as np
 import pytest
 from mpi4py import MPI
+from small_reproduction import small
 
 from bristle.solver import paper
-from bristle.studies.account.design import Trial
-from bristle.studies.account.findings import Plan
-from bristle.studies.account.fit import Effort
-from bristle.studies.account.models import OneStiffness, ScatteredDashpot, ScatteredStiffness
-from bristle.studies.account.run import AccountStudy
+from bristle.studies.command.again import command_line
 from bristle.studies.command.config import DropInputs
-from bristle.studies.reproduce import command_of, paper_studies, run_reproduce
+from bristle.studies.reproduce import paper_studies, run_reproduce
 from bristle.studies.running.campaign import Setup, compute
 from bristle.studies.running.cases import Workshop
-from bristle.studies.sections.bars import Bars
-from bristle.studies.sections.crosscheck import CrossCheck, Figure9, window
-from bristle.studies.sections.elements import ElementStudy, fewest
-from bristle.studies.sections.enforcements import Enforcements
-from bristle.studies.sections.heights import Figure13, track
-from bristle.studies.sections.knstudy import Figures10To12, KnStudy
-from bristle.studies.sections.leaning import Leaning
-from bristle.studies.sections.loop_section import LoopOnPaper
-from bristle.studies.sections.peaktime import PeakTime, departs_at
-from bristle.studies.sections.sticking import Sticking
-from bristle.studies.sections.timesteps import StepStudy
-
-GRID = (1e3, 1e4, 1e5, 3e5, 1e6, 2e6, 4e6, 1e7, 1e8, 1e9, 1e10)
-
-
-def small() -> tuple[Setup, list]:
-    """A coarse solid, few stiffnesses, one height."""
-    base = DropInputs(cells=(1, 1, 60))
-    kn = (1e4, 2e6, 1e8)
-    setup = Setup(base, kn, (0.01, 0.05), (0.05,), (2e6,))
-    study = KnStudy(setup, GRID)
-    accounts = (OneStiffness(), ScatteredStiffness(), ScatteredDashpot())
-    effort = Effort(5, 7, 40, 60, 100)
-    plan = Plan(accounts, effort=effort, rough=effort, trial=Trial(2, 4))
-    return setup, [
-        Figure9(setup),
-        Figures10To12(study),
-        study,
-        Figure13(setup),
-        CrossCheck(setup),
-        Enforcements(setup),
-        ElementStudy(setup, (2, 8, 16), 24),
-        StepStudy(setup, 200),
-        PeakTime(setup, (1e4, 1e6, 1e8)),
-        Leaning(setup, (0.0, 2.0)),
-        Sticking(setup, (4, 8), (1e-5, 5e-6), ((1, 1, 20), (1, 1, 40)), (3, 5)),
-        Bars(setup, (0.1, 0.2), (0.0, 20.0)),
-        AccountStudy(plan),
-        LoopOnPaper(),
-    ]
+from bristle.studies.sections.crosscheck import window
+from bristle.studies.sections.elements import fewest
+from bristle.studies.sections.heights import track
+from bristle.studies.sections.peaktime import departs_at
 
 
 @pytest.fixture(scope="module")
@@ -197,8 +158,8 @@ def test_the_whole_reproduction_takes_less_than_two_minutes(tmp_path):
 
 @pytest.mark.serial
 def test_the_command_line_names_what_is_not_usual(tmp_path):
-    setup = Setup(DropInputs(cells=(1, 1, 60), its_s=2e-5))
-    command = command_of(setup, tmp_path)
+    inputs = DropInputs(cells=(1, 1, 60), its_s=2e-5)
+    command = command_line("reproduce", inputs, DropInputs(), tmp_path)
     assert command.startswith("bristle reproduce ")
     assert "--cells 1 1 60" in command
     assert "--its 2e-05" in command

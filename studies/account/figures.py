@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Mapping, Sequence
 
 import numpy as np
@@ -11,10 +12,11 @@ from scipy.stats import norm
 
 from ...solver import paper
 from ...solver.bristle import Array
-from ..page.figures import BLACK, GREY, SERIES, SKY, VERMILION, panels, styled
+from ..page.figures import BLACK, GREY, SERIES, SKY, SMALLEST, VERMILION, panels, styled
 
 EDGES = np.linspace(-0.1, 1.3, 57)
 TOP_MM = 55.0
+TITLE_WIDTH = 34
 
 
 def density(ratio: Array) -> Array:
@@ -31,14 +33,14 @@ def distribution_figure(densities: Mapping[str, Array]) -> Figure:
     One panel an account, so that black and white print and any colour vision can tell them apart.
     """
     rows = (len(densities) + 1) // 2
-    figure, axes = panels(rows, 2, height_in=0.5 + 1.45 * rows, sharex=True, sharey=True)
+    figure, axes = panels(rows, 2, height_in=0.5 + 1.55 * rows, sharex=True, sharey=True)
     middle = 0.5 * (EDGES[1:] + EDGES[:-1])
     for ax, (name, values), colour in zip(_flat(axes), densities.items(), SERIES, strict=False):
         ax.axvspan(*paper.RATIO_BAND_90, color=SKY, alpha=0.18, lw=0)
         ax.plot(middle, norm.pdf(middle, paper.RATIO_MEAN, paper.RATIO_STD), color=BLACK, lw=0.9)
         ax.fill_between(middle, values, color=colour, alpha=0.35, lw=0, step="mid")
         ax.plot(middle, values, color=colour, drawstyle="steps-mid")
-        ax.set_title(name, fontsize=6.3)
+        ax.set_title(textwrap.fill(name, TITLE_WIDTH), fontsize=SMALLEST)
         ax.set(xlim=(EDGES[0], EDGES[-1]), ylim=(0, 4))
     _trim(axes, len(densities))
     figure.supxlabel("y1/y0 as filmed", fontsize=9)
@@ -60,7 +62,7 @@ def clouds_figure(clouds: Mapping[str, tuple[Array, Array]]) -> Figure:
         ax.plot(1e3 * y0, 1e3 * y1, "o", color=colour, fillstyle="none", ms=3.0)
         known = [[1e3 * height] for height in paper.KNOWN_DROP_M]
         ax.plot(*known, "D", color=VERMILION if colour != VERMILION else BLACK, ms=3.5)
-        ax.set_title(name, fontsize=6.3)
+        ax.set_title(textwrap.fill(name, TITLE_WIDTH), fontsize=SMALLEST)
         ax.set(xlim=(0, TOP_MM), ylim=(0, TOP_MM))
     _trim(axes, len(clouds))
     figure.supxlabel("height before impact y0 (mm)", fontsize=9)

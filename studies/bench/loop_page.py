@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import shlex
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -15,7 +16,9 @@ from ..page.figures import (
     BLACK,
     BLUE,
     GREY,
+    MARKERS,
     SERIES,
+    SMALLEST,
     VERMILION,
     panels,
     picture,
@@ -46,7 +49,7 @@ def page(lines: Sequence[Line], outcomes: Outcomes, out: Path, ranks: int) -> No
         title="How often the loop is right",
         lead=f"{len(outcomes)} datasets whose truth the loop does not see, {datasets} of a kind.",
         version=__version__,
-        command=f"bristle bench loop --datasets {datasets}",
+        command=shlex.join([*f"bristle bench loop --datasets {datasets} --out".split(), str(out)]),
         headline=_headline(aimed),
         facts=[("Ranks", str(ranks)), *facts()],
         sections=[
@@ -88,7 +91,7 @@ def _rates(aimed: Sequence[Line], lines: Sequence[Line]) -> Section:
     data = _table("rates", "Every rate with its target", lines)
     drawn = Figure(
         "rates",
-        "Shares with their intervals; the grey bars are what is asked for. Orange misses it.",
+        "Shares with their intervals; the grey bars are what is asked for. A cross misses it.",
         picture(rates_figure(shares)),
         "Shares with intervals and targets",
         data,
@@ -174,17 +177,18 @@ def _table(name: str, caption: str, lines: Sequence[Line]) -> Table:
 @styled
 def rates_figure(lines: Sequence[Line]) -> Drawing:
     """A dot with its interval for every share that has a target, over the target's range."""
-    figure, axes = panels(height_in=1.0 + 0.2 * len(lines))
+    figure, axes = panels(height_in=1.0 + 0.28 * len(lines))
     ax: Axes = axes[0, 0]
     for place, line in enumerate(lines):
         low, high = (100.0 * min(max(end, 0.0), 1.0) for end in bounds(line.target))
         ax.barh(place, high - low, left=low, height=0.7, color=GREY, alpha=0.25, lw=0)
-        colour = BLUE if within(line.target, line.value) else VERMILION
+        good = within(line.target, line.value)
+        colour = BLUE if good else VERMILION
         if line.low is not None and line.high is not None:
             ax.plot([100.0 * line.low, 100.0 * line.high], [place, place], color=colour, lw=1.0)
-        ax.plot(100.0 * line.value, place, "o", color=colour)
-    ax.set_yticks(range(len(lines)), [f"{line.row}: {line.quantity}" for line in lines])
-    ax.tick_params(axis="y", labelsize=5.5)
+        ax.plot(100.0 * line.value, place, "o" if good else "X", color=colour, ms=5.0)
+    names = [f"{line.row}:\n{line.quantity}" for line in lines]
+    ax.set_yticks(range(len(lines)), names, fontsize=SMALLEST, linespacing=0.95)
     ax.set(xlim=(-2, 102), ylim=(len(lines) - 0.4, -0.6), xlabel="share of datasets (%)")
     return figure
 
@@ -199,7 +203,8 @@ def held_out_figure(outcomes: Sequence[dict[str, Any]]) -> Drawing:
         before, after = (
             [each[key] / each["oracle"] for each in own] for key in ("before", "after")
         )
-        ax.plot(before, after, ".", color=SERIES[number % len(SERIES)], label=name)
+        colour, marker = SERIES[number % len(SERIES)], MARKERS[number % len(MARKERS)]
+        ax.plot(before, after, marker, color=colour, fillstyle="none", ms=3.0, label=name)
     ax.axline((1.0, 1.0), slope=1.0, color=BLACK, lw=0.8)
     ax.axhline(1.0, color=GREY, lw=0.8, ls="--")
     ax.set(xscale="log", yscale="log", xlabel="before, over what the truth leaves")

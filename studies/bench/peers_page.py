@@ -3,19 +3,19 @@
 from __future__ import annotations
 
 import math
+import shlex
 from collections.abc import Sequence
 from pathlib import Path
 
 from matplotlib.figure import Figure as Drawing
 
 from .. import __version__
-from ..page.figures import GREY, SERIES, panels, picture, plain_ticks, styled
+from ..page.figures import GREY, MARKERS, SERIES, panels, picture, plain_ticks, styled
 from ..page.report import Column, Figure, Report, Section, Table, Value, percent, show, write_report
 from .peers_table import LEVELS, Converged, Point, Run, blocks, by_program, reached
 from .peers_text import absences, cells_words, time_words, unsure_words
 from .programs import PROGRAMS, QUANTITIES
 
-MARKERS = ("o", "s", "D", "^", "v", "P", "X")
 TITLES = {
     "damped": "With the paper's damping",
     "undamped": "Without damping",
@@ -49,7 +49,7 @@ def page(
         title="This program beside others",
         lead="Time, memory and error of programs that compute the same impact.",
         version=__version__,
-        command=f"bristle bench peers --repeats {repeats}",
+        command=shlex.join([*f"bristle bench peers --repeats {repeats} --out".split(), str(out)]),
         headline=_headline(found),
         facts=about,
         sections=[*sections, Section("how", "How it was measured", (*HOW, *absences(runs)))],

@@ -28,7 +28,7 @@ def write_calibration(found: Calibration, out: Path, version: str) -> Path:
         title=title,
         lead="The normal contact stiffness at which a beam model rebounds as the drops did.",
         version=version,
-        command=_command(found),
+        command=_command(found, out),
         headline=headline(found),
         facts=facts,
         sections=sections,
@@ -50,9 +50,10 @@ def headline(found: Calibration) -> list[str]:
     ]
 
 
-def _command(found: Calibration) -> str:
-    level = f" --level {found.kn.level:g}" if found.kn.level != LEVEL else ""
-    return f"bristle calibrate {shlex.quote(found.source)} --seed {found.seed}{level}"
+def _command(found: Calibration, out: Path) -> str:
+    words = ["bristle", "calibrate", found.source, "--seed", str(found.seed)]
+    words += ["--level", f"{found.kn.level:g}"] if found.kn.level != LEVEL else []
+    return shlex.join([*words, "--out", str(out)])
 
 
 def _ratio_section(found: Calibration) -> Section:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -11,12 +12,30 @@ from matplotlib.figure import Figure
 from ...solver.bristle import Array
 from ..loop.finding import Evidence, Finding, Test
 from ..loop.heldout import HeldOut
-from ..page.figures import BLACK, BLUE, GREEN, GREY, ORANGE, PURPLE, SKY, VERMILION, panels, styled
+from ..page.figures import (
+    BLACK,
+    BLUE,
+    GREEN,
+    GREY,
+    MARKERS,
+    ORANGE,
+    PURPLE,
+    SKY,
+    SMALLEST,
+    VERMILION,
+    panels,
+    styled,
+)
 from .confirm import Solid
 from .rows import Rows, names_of, title_of
 
 BEFORE, AFTER = VERMILION, BLUE
-MARKERS = ("o", "s", "^", "D", "v")
+LEAVES = ("leaves something", "leaves nothing")
+KINDS: dict[str, dict[str, Any]] = {
+    "leaves nothing": {"color": GREEN, "marker": "o", "ls": "none"},
+    "leaves something": {"color": ORANGE, "marker": "X", "ls": "none"},
+    "not asked": {"color": GREY, "marker": "s", "ls": "none", "fillstyle": "none"},
+}
 LINE_IN, EDGES_IN = 0.2, 0.9
 FARTHEST = 1e3
 
@@ -84,7 +103,7 @@ def residual_figure(rows: Rows) -> Figure:
                 )
             ax.set(xlabel=covariate.words, ylabel="residual (σ)", title=words if not line else "")
     if len(names) > 1:
-        axes[0, 0].legend(fontsize=7)
+        axes[0, 0].legend(fontsize=SMALLEST)
     return figure
 
 
@@ -104,7 +123,7 @@ def tests_figure(before: Sequence[Test], after: Sequence[Test], corrected: float
     ax.axvline(corrected, color=GREY, ls=":", lw=1.0, label="corrected for all tests, before")
     _named(ax, [name.replace("_", " ") for name in names])
     ax.set(xscale="log", xlabel="p-value of the test alone", xlim=(None, 1.3))
-    figure.legend(loc="outside upper right", fontsize=7, ncols=3)
+    figure.legend(loc="outside upper right", fontsize=SMALLEST, ncols=3)
     return figure
 
 
@@ -115,8 +134,8 @@ def detectable_figure(shares: Sequence[tuple[str, float | None]]) -> Figure:
     ax: Axes = axes[0, 0]
     for i, (_, share) in enumerate(shares):
         if share is None:
-            ax.text(0.01, i, "at no size within its bounds", fontsize=7, color=GREY, va="center",
-                    transform=ax.get_yaxis_transform())  # fmt: skip
+            words, across = "at no size within its bounds", ax.get_yaxis_transform()
+            ax.text(0.01, i, words, size=SMALLEST, color=GREY, va="center", transform=across)
         else:
             ax.plot([share], [i], "o", color=BLUE)
     ax.axvline(1.0, color=GREY, ls=":", lw=1.0)
@@ -135,20 +154,16 @@ def evidence_figure(evidences: Sequence[Evidence], unlisted: float) -> Figure:
     base = evidences[0].log_evidence
     for i, each in enumerate(evidences):
         left = each.left_p_value
-        kind = GREY if left is None else GREEN if left > 0.02 else ORANGE
-        ax.plot([each.log_evidence - base], [i], "o", color=kind)
+        kind = "not asked" if left is None else LEAVES[left > 0.02]
+        ax.plot([each.log_evidence - base], [i], **KINDS[kind])
     if np.isfinite(unlisted):
         ax.axvline(unlisted - base, color=PURPLE, ls="--", lw=1.0)
     _named(ax, [names_of(each.effects) for each in evidences])
     ax.set(xscale="symlog", xlabel="log evidence gained on the baseline (nats)")
-    for colour, label in (
-        (GREEN, "leaves nothing"),
-        (ORANGE, "leaves something"),
-        (GREY, "not asked"),
-    ):
-        ax.plot([], [], "o", color=colour, label=label)
+    for label, look in KINDS.items():
+        ax.plot([], [], label=label, **look)
     ax.plot([], [], color=PURPLE, ls="--", lw=1.0, label="some smooth misfit without a name")
-    figure.legend(loc="outside upper right", fontsize=7, ncols=2)
+    figure.legend(loc="outside upper right", fontsize=SMALLEST, ncols=2)
     return figure
 
 
@@ -196,7 +211,7 @@ def held_figure(held: HeldOut, quantity: str, labels: Sequence[int]) -> Figure:
     starts = [i for i in range(len(labels)) if i == 0 or labels[i] != labels[i - 1]]
     ax.set_xticks(starts, [str(labels[i]) for i in starts])
     ax.set(xlabel="held-out drop, fall or pass (its number)", ylabel=quantity)
-    ax.legend(loc="upper left", bbox_to_anchor=(0.0, 1.16), ncols=4, fontsize=7)
+    ax.legend(loc="upper left", bbox_to_anchor=(0.0, 1.16), ncols=4, fontsize=SMALLEST)
     return figure
 
 
@@ -216,5 +231,5 @@ def solid_figure(solid: Solid, quantity: str) -> Figure:
 
 def _named(ax: Axes, names: Sequence[str]) -> None:
     """Names down the left side, the first on top."""
-    ax.set_yticks(range(len(names)), names, fontsize=7)
+    ax.set_yticks(range(len(names)), names, fontsize=SMALLEST)
     ax.set_ylim(len(names) - 0.4, -0.6)

@@ -29,7 +29,7 @@ ALWAYS = "The held-out groups were chosen by the seed before anything was fitted
 
 def write_page(closed: Closed, out: Path, version: str) -> Path:
     """Write ``report.html``, ``tables/`` and ``figures/`` into ``out``; returns the page's path."""
-    page = page_of(closed, version)
+    page = page_of(closed, out, version)
     path = write_report(page, out)
     drawn = {figure.name for section in page.sections for figure in section.figures}
     for name in set(SOMETIMES) - drawn:  # of an earlier run
@@ -38,7 +38,7 @@ def write_page(closed: Closed, out: Path, version: str) -> Path:
     return path
 
 
-def page_of(closed: Closed, version: str) -> Report:
+def page_of(closed: Closed, out: Path, version: str) -> Report:
     """The page: each step of the loop a section."""
     rows, manifest = Rows(closed), closed.manifest
     facts = [
@@ -55,7 +55,7 @@ def page_of(closed: Closed, version: str) -> Report:
         lead="From measured data the model is fitted, what it leaves is traced to an effect that "
         "it lacks, and the error is told before and after on data that took no part.",
         version=version,
-        command=_command(closed),
+        command=_command(closed, out),
         headline=headline(closed),
         facts=facts,
         sections=[
@@ -74,11 +74,11 @@ def page_of(closed: Closed, version: str) -> Report:
     )
 
 
-def _command(closed: Closed) -> str:
+def _command(closed: Closed, out: Path) -> str:
     asked = closed.inputs
     words = ["bristle", "close-loop", str(closed.manifest.folder), "--seed", str(asked.seed)]
     words += ["--alarm", f"{asked.alarm:g}", *(["--no-3d"] if asked.no_3d else [])]
-    return shlex.join(words)
+    return shlex.join([*words, "--out", str(out)])
 
 
 def headline(closed: Closed) -> list[str]:

@@ -57,6 +57,10 @@ STYLE: dict[str, Any] = {
 BLUE, ORANGE, GREEN, VERMILION = "#0072B2", "#E69F00", "#009E73", "#D55E00"
 PURPLE, SKY, BLACK, GREY = "#CC79A7", "#56B4E9", "#000000", "#777777"
 SERIES = (BLUE, VERMILION, GREEN, PURPLE, ORANGE, SKY, BLACK)
+# As many, since colour alone tells nothing to some, nor on a black and white print.
+MARKERS = ("o", "s", "^", "D", "v", "P", "X")
+# Points. On a phone a figure is about as wide as it is in print; less cannot be read there.
+SMALLEST = 7.0
 
 
 @dataclass(frozen=True)
@@ -117,7 +121,7 @@ def end_labels(
     heights: Sequence[float],
     labels: Sequence[str],
     colours: Sequence[Any],
-    size: float = 7.0,
+    size: float = SMALLEST,
 ) -> None:
     """Write ``labels`` right of the axes at ``heights`` (data units), moved apart where needed."""
     low, high = axes.get_ylim()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -10,7 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from ..sections.convergence import Need
-from .figures import BLACK, GREY, LOOKS, panels, stiffness_label, styled
+from .figures import BLACK, GREY, LOOKS, SERIES, panels, stiffness_label, styled
 from .figures_paper import sequence
 
 Key = tuple[str, float, float]
@@ -58,12 +59,13 @@ def need_figure(
     """The longest good ITS against Kn, a panel per quantity, beside Eq. 8 and the paper's choice.
 
     An arrow up or down marks a bound: the longest or the shortest step that was computed.
+    Solids have open markers.
     """
     shown = [name for name in quantities if any(n == name for n, _ in needs)]
     models = _models(needs)
     stiffnesses = np.array(sorted(kn for kn in rule_s if rule_s[kn] > 0.0))
     figure, axes = panels(len(shown), 1, height_in=0.7 + 1.9 * len(shown), sharex=True, sharey=True)
-    colours = dict(zip(LOOKS, sequence(len(LOOKS)), strict=True))
+    colours = dict(zip(LOOKS, SERIES, strict=False))
     for ax, name in zip(axes[:, 0], shown, strict=True):
         for model in models:
             _need_points(ax, needs, name, model, colours[model])
@@ -81,7 +83,7 @@ def need_figure(
 
 
 def _need_points(
-    ax: Axes, needs: Mapping[tuple[str, Key], Need], name: str, model: str, colour: object
+    ax: Axes, needs: Mapping[tuple[str, Key], Need], name: str, model: str, colour: Any
 ) -> None:
     points = sorted(
         (kn, need.its_s, need.bound)
@@ -93,9 +95,9 @@ def _need_points(
     line = {**look.line, "marker": None}
     ax.loglog(kn / 1e6, 1e3 * its_s, color=colour, label=look.label, **line)
     for k, h, bound in points:
-        ax.plot(
-            k / 1e6, 1e3 * h, color=colour, marker=UNBOUNDED[bound], fillstyle="none", ls="none"
-        )
+        solid = model in ("reduced", "solid")
+        fill, size = ("none", 5.0) if solid else ("full", 3.0)
+        ax.plot(k / 1e6, 1e3 * h, UNBOUNDED[bound], color=colour, fillstyle=fill, ms=size)
 
 
 def _models(keyed: Mapping[tuple[str, Key], object]) -> list[str]:

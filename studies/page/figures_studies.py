@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from ...solver.bristle import Array
-from .figures import GREY, SERIES, panels, stiffness_label, styled
+from .figures import GREY, SERIES, SMALLEST, panels, stiffness_label, styled
 
 PERCENT = 100.0
 FLOOR = 1e-4
@@ -41,7 +41,7 @@ def element_figure(
         ax.set_title(quantity)
         ax.set(ylabel="error (%)", ylim=(FLOOR, None))
     last = axes[-1, 0]
-    last.set_xticks(list(elements), [str(n) for n in elements], fontsize=7)
+    last.set_xticks(list(elements), [str(n) for n in elements], fontsize=SMALLEST)
     last.minorticks_off()
     last.set(xlabel="beam elements")
     axes[-1, 0].legend(loc="upper right", title="Kn", title_fontsize=8)

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from ...solver.errors import InputError
 from ...solver.touch import HISTORY_COLUMNS
 from ..viewing.field_series import Array
-from .figures import BLACK, BLUE, GREY, ORANGE, VERMILION, panels, styled
+from .figures import BLACK, BLUE, GREY, ORANGE, SMALLEST, VERMILION, panels, styled
 
 MARGIN = 0.1
 
@@ -88,7 +88,7 @@ def history_figure(history: dict[str, Array], document: dict[str, Any]) -> Figur
         textcoords="offset points",
         ha="right",
         va="top",
-        fontsize=7.0,
+        fontsize=SMALLEST,
         color=GREY,
     )
     height.set_title(_title(document))

@@ -76,13 +76,16 @@ class Table:
 
 @dataclass(frozen=True)
 class Figure:
-    """A picture with the table that it was drawn from; ``name`` is that of its files."""
+    """A picture with the table that it was drawn from; ``name`` is that of its files.
+
+    ``alt`` says what is to be seen to who cannot see it.
+    """
 
     name: str
     caption: str
     picture: Picture
     alt: str
-    data: Table | None = None
+    data: Table
 
     def inline(self) -> Markup:
         """The picture as an element of the page."""
@@ -154,7 +157,7 @@ class Report:
         """Every table of the page, those behind figures included, each once."""
         found: dict[str, Table] = {}
         for section in self.sections:
-            behind = [figure.data for figure in section.figures if figure.data is not None]
+            behind = [figure.data for figure in section.figures]
             for table in (*section.tables, *behind):
                 if found.setdefault(table.name, table) is not table:
                     raise ValueError(f"two tables are named {table.name}")

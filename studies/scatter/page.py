@@ -11,6 +11,8 @@ from ...meshes.surface import Surface
 from ...solver import paper
 from .. import __version__
 from ..calibration.estimate import Interval
+from ..command.again import command_line
+from ..command.sources import checked
 from ..page.figures import picture
 from ..page.report import Column, Figure, Report, Section, Table, percent, show, write_report
 from .conditions import RESAMPLES, SAMPLES, generator
@@ -50,10 +52,21 @@ def write_scatter(
     parts = shares(ratio, {name: everything[name] for name in FACTORS}, random)
     samples = sampled(y0, y1, generator(inputs.seed, SAMPLES))
     slope = float(through_origin(y0, y1))
-    cloud = picture(cloud_figure(y0, y1, slope, generator(inputs.seed, RESAMPLES, 1)))
+    cloud = Figure(
+        "cloud",
+        _CLOUD,
+        picture(cloud_figure(y0, y1, slope, generator(inputs.seed, RESAMPLES, 1))),
+        "Height after against height before of every drop, and two straight lines",
+        Table(
+            "heights",
+            "Heights of every drop before and after",
+            (Column("y0_mm", "y0", "mm"), Column("y1_mm", "y1", "mm")),
+            [[1e3 * float(a), 1e3 * float(b)] for a, b in zip(y0, y1, strict=True)],
+        ),
+    )
     sections = [
         _spread_section(said, found),
-        _measured_section(samples, Figure("cloud", _CLOUD, cloud, "y1 against y0")),
+        _measured_section(samples, cloud),
         _causes_section(parts, found),
         _conditions_section(inputs, surface, check),
     ]
@@ -61,7 +74,7 @@ def write_scatter(
         title="Scatter of the rebound",
         lead=f"{said.n} drops of bristles that lean by chance onto {_ground_words(inputs)}.",
         version=__version__,
-        command="bristle scatter --config scatter.json",
+        command=command_line("scatter", inputs, checked(ScatterInputs, {}), out),
         headline=headline(said, samples),
         facts=_facts(inputs, found),
         sections=sections,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -78,6 +79,7 @@ class PeakTime:
             "solid, and the two values printed in the paper.",
             drawn,
             "Time to greatest penetration against Kn",
+            _figure_table(grid, rule, beam, dict(points), printed),
         )
         off = departs_at(grid, beam / rule)
         where = "nowhere on this grid" if off is None else f"from {off / 1e6:.2g} MN/m on"
@@ -202,3 +204,38 @@ class PeakTime:
                 )
             )
         return rows
+
+
+def _figure_table(
+    grid_N_m: Array,
+    rule_s: Array,
+    beam_s: Array,
+    solid_s: Mapping[float, float],
+    printed_s: Mapping[float, float],
+) -> Table:
+    curves: dict[str, Mapping[float, float]] = {
+        "rule": dict(zip(map(float, grid_N_m), rule_s, strict=True)),
+        "beam": dict(zip(map(float, grid_N_m), beam_s, strict=True)),
+        "solid": solid_s,
+        "printed": printed_s,
+    }
+    stiffnesses = sorted({kn for curve in curves.values() for kn in curve})
+    return Table(
+        "eq8_figure",
+        "Time from touch to greatest penetration.",
+        (
+            Column("kn_MN_m", "Kn", "MN/m", 3),
+            Column("tp_rule_us", "Eq. 8", "µs"),
+            Column("tp_beam_us", "1-D", "µs"),
+            Column("tp_solid_us", "3-D", "µs"),
+            Column("tp_printed_us", "printed", "µs"),
+        ),
+        [
+            (kn / 1e6, *(_microseconds(curve.get(kn)) for curve in curves.values()))
+            for kn in stiffnesses
+        ],
+    )
+
+
+def _microseconds(seconds: float | None) -> float | None:
+    return None if seconds is None else 1e6 * float(seconds)

@@ -93,6 +93,7 @@ class StepStudy:
             f"misses by up to {percent(force[0])} (at {stiffness_label(force[1])}).",
             *self._rule_words(needs),
         ]
+        needed = self._need_table(needs)
         figures = [
             Figure(
                 "its-error",
@@ -106,6 +107,7 @@ class StepStudy:
                 f"Longest ITS that keeps the error within {percent(GOAL, 0)}, beside Eq. 8.",
                 picture(need_figure(needs, QUANTITIES, self._rules(), s.its_s)),
                 "Longest good time step against Kn",
+                needed,
             ),
         ]
         comparisons = [
@@ -122,7 +124,7 @@ class StepStudy:
             text,
             comparisons,
             figures,
-            [self._need_table(needs)],
+            [needed],
         )
 
     def _rules(self) -> dict[float, float]:
