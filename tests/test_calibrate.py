@@ -26,6 +26,7 @@ from bristle.studies.calibration.estimate import (
     slope_interval,
 )
 from bristle.studies.data.datasets import read_drops, read_manifest
+from bristle.studies.loop.drops import bench_for
 
 pytestmark = pytest.mark.serial
 
@@ -245,6 +246,12 @@ def test_what_a_dataset_leaves_out_is_the_paper_s(folder):
     assert manifest.declared == ("length_m",)
     assert manifest.kn_N_m == 1e6
     assert manifest.gravity_m_s2 == paper.GRAVITY_M_S2
+    assert manifest.friction == paper.FRICTION
+
+
+def test_friction_that_is_declared_is_what_drops_are_simulated_with(folder):
+    drops = read_drops(folder(GOOD, "[contact]\nfriction = 0.0\n"))
+    assert bench_for(drops.y0_m, drops).friction == 0.0
 
 
 def test_optional_columns_and_units(folder):

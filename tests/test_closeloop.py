@@ -85,6 +85,23 @@ def test_the_verdict_has_the_keys_of_the_contract_and_names_what_is_missing(worn
     assert "--no-3d" in content["confirmed_in_3d_why"]
 
 
+def test_a_difference_between_sessions_is_seen_and_no_effect_is_named_for_it(tmp_path, quick):
+    """Of two that alternate at random, the second reads lower by some errors of measurement."""
+    folder = write_drops(tmp_path / "data")
+    head, *rows = (folder / "drops.csv").read_text().split()
+    second = np.random.default_rng(5).random(len(rows)) < 0.5
+    for i, row in enumerate(rows):
+        drop, y0, y1 = row.split(",")
+        lower = 5.0 * SIGMA_MM if second[i] else 0.0
+        rows[i] = f"{drop},{y0},{float(y1) - lower:.4f},{'b' if second[i] else 'a'}"
+    (folder / "drops.csv").write_text("\n".join([f"{head},session", *rows, ""]))
+    out = tmp_path / "out"
+    assert main(["close-loop", str(folder), "--out", str(out), "--no-3d"]) == 0
+    content = read_strictly(out / "verdict.json")
+    assert content["verdict"] == "unknown"
+    assert "session" in content["detection"]["statistic"]
+
+
 def test_the_page_has_every_step_with_its_table_and_escapes_the_title(worn):
     page = (worn[1] / "report.html").read_text()
     for section in SECTIONS:

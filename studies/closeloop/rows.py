@@ -38,6 +38,7 @@ COVARIATES = {
         Covariate("height", "height before the impact", "mm", 1e3),
         Covariate("speed", "speed of impact", "m/s"),
         Covariate("order", "order of measurement"),
+        Covariate("session", "session"),
         Covariate("time", "time", "s"),
         Covariate("frequency", "frequency", "kHz", 1e-3),
         Covariate("phase", "phase"),

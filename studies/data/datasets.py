@@ -43,7 +43,8 @@ MEASUREMENT_KEYS = ("file", *NUMBER_KEYS, *WAVE_KEYS)
 class Manifest:
     """A ``dataset.toml``: its folder, what it declares, and the body that this makes.
 
-    ``kn_N_m`` is None where it is not declared; ``declared`` names the body's keys that are.
+    ``kn_N_m`` is None where it is not declared, ``friction`` then the paper's; ``declared`` names
+    the body's keys that are.
     """
 
     folder: Path
@@ -55,6 +56,7 @@ class Manifest:
     declared: tuple[str, ...]
     kn_N_m: float | None
     measurement: Mapping[str, Any]
+    friction: float = paper.FRICTION
 
     @property
     def gravity_m_s2(self) -> float:
@@ -106,7 +108,7 @@ def read_manifest(folder: Path) -> Manifest:
     if kind not in KINDS:
         raise _wrong(path, text, "kind", f"must be one of {', '.join(KINDS)}, not {kind!r}")
     _refuse_misspelt(path, text, parts["body"], tuple(BODY_KEYS), all_known=True)
-    _refuse_misspelt(path, text, parts["contact"], ("kn_N_m",))
+    _refuse_misspelt(path, text, parts["contact"], ("kn_N_m", "friction"))
     _refuse_misspelt(path, text, parts["measurement"], MEASUREMENT_KEYS)
     kn = _number(path, text, parts["contact"], "kn_N_m", None)
     measurement = dict(parts["measurement"])
@@ -125,6 +127,7 @@ def read_manifest(folder: Path) -> Manifest:
         declared=tuple(sorted(parts["body"])),
         kn_N_m=kn,
         measurement=measurement,
+        friction=_number(path, text, parts["contact"], "friction", paper.FRICTION) or 0.0,
     )
 
 
@@ -197,7 +200,7 @@ def _number(
         raise _wrong(path, text, key, f"must be a number, not {value!r}")
     if not math.isfinite(value):
         raise _wrong(path, text, key, f"must be finite, not {value}")
-    zero_is_fine = key in ("damping_beta_s", "damping_alpha_1_s", "poisson_ratio")
+    zero_is_fine = key in ("damping_beta_s", "damping_alpha_1_s", "poisson_ratio", "friction")
     if value <= 0.0 and not zero_is_fine:
         raise _wrong(path, text, key, f"must be positive, not {value}")
     return float(value)

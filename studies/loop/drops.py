@@ -12,6 +12,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ...solver.bristle import Array
 from ...solver.effects.base import Parameter
@@ -71,10 +72,7 @@ def drops_problem(data: datasets.Drops) -> Problem:
         unit="mm",
         quantity=np.tile(np.array([NAMES[q] for q in drops.quantities]), len(values)),
         group=np.repeat(number, n_q),
-        covariates={
-            "height": np.repeat(drops.y0_m, n_q),
-            "order": np.repeat(drops.order, n_q).astype(float),
-        },
+        covariates=_covariates(data, drops, keep),
         baseline=model(()),
         candidates=[model((name,)) for name in carried(KIND, drops.quantities)],
         combine=model,
@@ -90,6 +88,15 @@ def _solid(model: DropModel, theta: Array, groups: Ints, number: Ints) -> Array:
     from .drops_solid import whitened_solid
 
     return whitened_solid(model, theta, groups, number)
+
+
+def _covariates(data: datasets.Drops, drops: Drops, keep: NDArray[np.bool_]) -> dict[str, Array]:
+    """By name (rows,); sessions are numbered as they first come."""
+    found = {"height": drops.y0_m, "order": drops.order.astype(float)}
+    if data.session is not None:
+        number = {name: float(i) for i, name in enumerate(dict.fromkeys(data.session))}
+        found["session"] = np.array([number[name] for name in data.session])[keep]
+    return {name: np.repeat(values, len(drops.quantities)) for name, values in found.items()}
 
 
 def carried(kind: str, quantities: Sequence[int]) -> list[str]:
@@ -115,7 +122,8 @@ def bench_for(y0_m: Array, data: datasets.Drops) -> Bench:
     step = 0.005
     lowest = max(step * math.floor(0.6 * float(y0_m.min()) / step), 0.002)
     highest = step * math.ceil(1.25 * float(y0_m.max()) / step)
-    return Bench(manifest.bristle, manifest.gravity_m_s2, lowest, highest)
+    bristle, gravity = manifest.bristle, manifest.gravity_m_s2
+    return Bench(bristle, gravity, lowest, highest, friction=manifest.friction)
 
 
 def _measured(

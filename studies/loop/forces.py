@@ -33,7 +33,7 @@ from .force_curves import (
 from .force_rows import Placed, Record, Rows, place, rows
 from .forces_record import KIND, Forces
 from .problem import Problem
-from .response import KN_RANGE_N_M, SIMULATED, Bench, Tables
+from .response import KN_RANGE_N_M, SIMULATED, Tables
 
 SIGMA_N = 1.0
 """Uncertainty taken for a force where none is declared and no sample shows it."""
@@ -101,9 +101,7 @@ def forces_problem(data: Forces, library: Sequence[str] | None = None) -> Proble
     stiff = stiffness(data.manifest.kn_N_m, bench)
     rebound = None
     if data.y1_m is not None and data.sigma_y_m is not None:
-        own = Bench(
-            bench.bristle, bench.gravity_m_s2, bench.lowest_m, bench.highest_m, bench.kn_range_N_m
-        )
+        own = bench.of_drops()
         rebound = BounceModel(Drops(own, data.y0_m, order, (0,)), Tables(own), stiff, ())
     y1 = data.y1_m if rebound is not None else None
     values, weights, known = _together(made, data.y0_m, y1, data.sigma_y_m)
@@ -190,6 +188,7 @@ def _bench(data: Forces, kn_range_N_m: tuple[float, float]) -> ForceBench:
         lowest,
         highest,
         kn_range_N_m,
+        friction=manifest.friction,
         length_s=length,
     )
 

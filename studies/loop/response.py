@@ -95,6 +95,10 @@ class Bench:
         near = (10.0 ** (middle - KN_DECADES), 10.0 ** (middle + KN_DECADES))
         return replace(self, kn_range_N_m=(max(low, near[0]), min(high, near[1])))
 
+    def of_drops(self) -> Bench:
+        """The same place for plain drops, whatever this bench shows."""
+        return Bench(**{each.name: getattr(self, each.name) for each in fields(Bench)})
+
     def plain(self) -> Scene:
         """A drop without effects."""
         return Scene(beta_s=self.bristle.material.beta_s, front_m2=self.bristle.section.area_m2)
@@ -239,8 +243,7 @@ class Tables:
     @cached_property
     def _upright(self) -> Table:
         """Drops without effects as a `Bench` of drops has them, whatever this bench shows."""
-        own = {each.name: getattr(self.bench, each.name) for each in fields(Bench)}
-        upright = Bench(**own)
+        upright = self.bench.of_drops()
         return self.plain if upright == self.bench else Tables(upright).plain
 
     def _peak_N(self, height_m: Array, kn_N_m: Array) -> Array:

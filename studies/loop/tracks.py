@@ -216,7 +216,13 @@ def _bench(manifest: Manifest, y0_m: Array) -> TrackBench:
     step = 0.005
     lowest = max(step * np.floor(0.6 * float(y0_m.min()) / step), 0.002)
     highest = step * np.ceil(1.25 * float(y0_m.max()) / step)
-    return TrackBench(manifest.bristle, manifest.gravity_m_s2, float(lowest), float(highest))
+    return TrackBench(
+        manifest.bristle,
+        manifest.gravity_m_s2,
+        float(lowest),
+        float(highest),
+        friction=manifest.friction,
+    )
 
 
 def _faster(film: Film, found: Track) -> Track:
