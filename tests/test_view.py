@@ -27,6 +27,7 @@ from bristle.solver.time.march import Marcher
 from bristle.solver.touch import HISTORY_COLUMNS
 from bristle.studies.page.history_picture import read_history, touch_time_s
 from bristle.studies.view import run_view
+from bristle.studies.viewing.bristle_drawing import OUTLINE
 from bristle.studies.viewing.field_series import FieldSeries
 from bristle.studies.viewing.paraview_state import SCRIPT_FILE
 from bristle.studies.viewing.wave import axis_nodes, read_wave
@@ -118,6 +119,9 @@ def test_all_pictures_of_a_solid(result):
     still = np.asarray(imread(result / "view" / "wave.png"))[..., :3]
     bluish = (still[..., 2] - still[..., 0] > 0.3).mean()
     assert bluish > 0.01
+    # the rim of the bristle, also where it has no stress
+    grey = np.abs(still - OUTLINE).max(axis=-1) < 0.02
+    assert grey.sum(axis=0).max() > 200
     film = imageio.imread(result / "view" / "wave.gif").astype(float)
     assert film.ndim == 4
     assert len(film) > 30
@@ -289,3 +293,8 @@ def test_paraview_opens_the_result_in_one_step_wherever_it_is(result, tmp_path):
     for half in (picture[:, :690], picture[:, 710:]):
         drawn = (half.min(axis=-1) < 0.9).mean()
         assert 0.05 < drawn < 0.9
+    # the whole is pressed at this instant, so blue, and stands upright on the grey plane
+    blue = picture[:, :550, 2] - picture[:, :550, 0] > 0.2
+    rows, columns = np.flatnonzero(blue.any(axis=1)), np.flatnonzero(blue.any(axis=0))
+    assert np.ptp(rows) > 2 * np.ptp(columns) > 100
+    assert blue[rows[0] : rows[-1], columns[0] : columns[-1]].mean() > 0.5

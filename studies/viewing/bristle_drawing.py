@@ -20,6 +20,7 @@ import numpy as np
 import pyvista
 from matplotlib.image import imread
 from numpy.typing import NDArray
+from scipy.ndimage import binary_erosion
 
 from ...meshes.display import run_drawing
 
@@ -33,6 +34,7 @@ TIP_WIDTHS = 1.6
 FAR = 10.0
 """Distance of the camera, in widths of what it sees."""
 COLOURS, TIP_COLOURS = "RdBu_r", "viridis"
+OUTLINE, OUTLINE_PIXELS = 0.35, 2
 TIP_FROM = (-1.0, -0.8, -0.6)
 """Toward the camera: the tip is seen from below."""
 
@@ -76,8 +78,21 @@ def draw_bristle(
         (folder / DRAWING_FILE).write_text(json.dumps(asdict(drawing)))
         np.savez(folder / NUMBERS_FILE, **_numbers(series, drawing))
         run_drawing([sys.executable, "-m", __name__, str(folder)], timeout_s)
-        frames = [imread(folder / f"{i}.png")[..., :3] for i in range(len(drawing.frames))]
+        images = [imread(folder / f"{i}.png")[..., :3] for i in range(len(drawing.frames))]
+        frames = [outlined(image) for image in images]
         return frames, imread(folder / "tip.png")[..., :3]
+
+
+def outlined(image: Pixels) -> Pixels:
+    """What is drawn on white with a grey rim: where there is no stress it is all but white.
+
+    A bristle so thin in its picture that the rim would cover its colours has none.
+    """
+    drawn = (image < 1.0).any(axis=-1)
+    inside = binary_erosion(drawn, iterations=OUTLINE_PIXELS)
+    if inside.sum() < 0.5 * drawn.sum():
+        return image
+    return np.where((drawn & ~inside)[..., None], np.float32(OUTLINE), image)
 
 
 def _numbers(series: FieldSeries, drawing: Drawing) -> dict[str, Any]:

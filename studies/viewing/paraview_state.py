@@ -146,7 +146,7 @@ def build():
     scene.UpdateAnimationUsingDataTimeSteps()
     scene.AnimationTime = SETTINGS["time_s"]
     for view in (whole, close):
-        clock = Show(AnnotateTimeFilter(Input=solid), view)
+        clock = Show(AnnotateTimeFilter(Input=solid, Format="{time:.6f} s after release"), view)
         clock.Color, clock.FontSize = [0.0, 0.0, 0.0], 14
         clock.WindowLocation = "Upper Left Corner"
         Render(view)

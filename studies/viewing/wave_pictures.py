@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+from matplotlib import colormaps
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.cm import ScalarMappable
@@ -147,7 +148,7 @@ def _show_bristle(plot: Axes, drawing: Drawing, image: Pixels) -> None:
     plot.axhline(0.0, color=BLACK, linewidth=1.0)
     plot.set_ylim(bottom, top)
     plot.set_xlim(left, right)
-    plot.xaxis.set_major_locator(MaxNLocator(nbins=2, symmetric=True, min_n_ticks=2))
+    plot.xaxis.set_major_locator(MaxNLocator(nbins=2, prune="both", steps=[1, 2, 5, 10]))
 
 
 def _height_label(drawing: Drawing) -> str:
@@ -162,7 +163,7 @@ def _colours(drawing: Drawing) -> ScalarMappable:
 @styled
 def _animation_figure(wave: Wave, drawing: Drawing, image: Pixels) -> Figure:
     """One frame of the animation, drawn for the first frame; its artists are then updated."""
-    figure, axes = panels(1, 2, height_in=4.4, width_ratios=[1, 3])
+    figure, axes = panels(1, 2, height_in=4.4, width_ratios=[1, 2.4])
     bristle, profile = axes[0]
     _show_bristle(bristle, drawing, image)
     bristle.set_xlabel("xy"[drawing.side] + " (mm)")
@@ -174,6 +175,7 @@ def _animation_figure(wave: Wave, drawing: Drawing, image: Pixels) -> Figure:
     profile.set_ylim(0.0, wave.z_m[-1] * 1e3)
     profile.set_xlabel("axial stress on the axis (MPa)")
     profile.set_ylabel("height above the tip (mm)")
+    figure.colorbar(_colours(drawing), ax=bristle, label=STRESS)
     figure.suptitle(" ", fontsize=9.0)
     return figure
 
@@ -183,7 +185,7 @@ def animate(wave: Wave, drawing: Drawing, images: list[Pixels], gif: Path) -> No
     figure = _animation_figure(wave, drawing, images[0])
     canvas = FigureCanvasAgg(figure)
     figure.set_dpi(ANIMATION_DPI)
-    bristle, profile = figure.axes
+    bristle, profile, _ = figure.axes
     canvas.draw()
     # the layout is settled, and settling it anew for each frame would take longer than drawing
     figure.set_layout_engine("none")
@@ -202,8 +204,11 @@ def write_gif(pictures: list[NDArray[np.uint8]], gif: Path) -> None:
     """Write pictures (height, width, 3) as a GIF that repeats, all in the same 256 colours.
 
     One palette for all keeps colours from flickering, and takes a tenth of the time of one each.
+    Every tone of the stress has its share of it, however seldom it is.
     """
-    sample = Image.fromarray(np.concatenate(pictures[:: max(1, len(pictures) // 8)]))
+    tones = colormaps[COLOURS](np.linspace(0.0, 1.0, pictures[0].shape[1]))[:, :3]
+    tones = np.tile((255.0 * tones).round().astype(np.uint8), (pictures[0].shape[0], 1, 1))
+    sample = Image.fromarray(np.concatenate([tones, *pictures[:: max(1, len(pictures) // 8)]]))
     palette = sample.quantize(256)
     frames = [
         Image.fromarray(picture).quantize(palette=palette, dither=Image.Dither.NONE)
