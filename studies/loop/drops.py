@@ -41,7 +41,7 @@ def drops_problem(data: datasets.Drops) -> Problem:
     bench = bench_for(data.y0_m, data)
     drops = Drops(bench, data.y0_m, data.drop - data.drop[0], tuple(measured))
     values = np.stack([measured[q] for q in drops.quantities], axis=1)
-    keep = np.isfinite(values).all(axis=1)
+    keep = np.asarray(np.isfinite(values).all(axis=1))
     if not keep.all():
         drops = replace(drops, y0_m=drops.y0_m[keep], order=drops.order[keep])
         values = values[keep]
