@@ -225,3 +225,14 @@ def _run(
     write_calibration(found, out, __version__)
     write_atomically(out / "calibrate.json", to_json(content) + "\n")
     return content
+
+
+def told(content: dict[str, Any]) -> list[tuple[str, str]]:
+    """Name and value of what a terminal shows of a summary."""
+    ratio, kn = content["rebound_ratio"], Stiffness(**content["kn_N_m"])
+    estimate = "none fits" if kn.estimate is None else f"{kn.estimate / 1e6:.3g} MN/m"
+    return [
+        ("drops", str(content["n_drops"])),
+        ("y1/y0", f"{ratio['estimate']:.3f} ({ratio['low']:.3f} to {ratio['high']:.3f})"),
+        ("Kn", f"{estimate} ({kn.words()})"),
+    ]

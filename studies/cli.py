@@ -5,6 +5,7 @@ Only what is light is imported here; a command imports what it needs when it run
 
 from __future__ import annotations
 
+import shlex
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -29,12 +30,26 @@ from .command.flags import (
 from .command.options import Config, Debug, RanksPerCase, Resume, out_option, takes
 from .scatter.flags import SCATTER_FLAGS
 
+# Paragraphs, since typer joins lines.
+FIRST_STEPS = "\n\n".join(
+    (
+        "Each command ends with the file to look at, has `--help` with an example, and writes "
+        "into results/ where you are, or into `--out`. **Start with:**",
+        "1. `bristle drop`: one drop of the beam, in seconds; the result goes into results/drop",
+        "1. `bristle view results/drop`: its pictures; after `bristle drop --model solid` "
+        "also the wave, as a film and in ParaView",
+        "1. `bristle reproduce`: the paper's figures beside ours, about two minutes; open "
+        "results/reproduce/report.html in any browser",
+        "1. `bristle close-loop FOLDER`: what the model lacks to explain your own measurements; "
+        "README.md says how to write them down",
+    )
+)
 app = typer.Typer(
     add_completion=False,
     pretty_exceptions_enable=False,
     rich_markup_mode="markdown",
     context_settings={"help_option_names": ["-h", "--help"]},
-    epilog="Start with: bristle drop. Then: bristle drop --help",
+    epilog=FIRST_STEPS,
 )
 
 
@@ -111,6 +126,7 @@ def drop(
     for name, value in summary(document):
         print(f"{name:<24}{value}")
     print(f"{'result':<24}{out / 'result.json'}")
+    print(f"{'pictures of it':<24}{shlex.join(['bristle', 'view', str(out)])}")
 
 
 @app.command()
@@ -211,7 +227,9 @@ def mesh(
     except (MeshError, DrawingError) as error:
         raise ComputationError(str(error)) from error
     print(f"{summary['quality']['n_cells']} cells, {summary['quality']['n_nodes']} nodes")
-    for path in summary["files"].values():
+    for path in sorted(
+        map(Path, summary["files"].values()), key=lambda path: path.suffix == ".png"
+    ):
         print(path)
 
 
@@ -229,10 +247,11 @@ def calibrate(
 
     Example: bristle calibrate paper --out results/calibrate
     """
-    from .calibrate import run_calibrate
+    from .calibrate import run_calibrate, told
 
-    run_calibrate(dataset, out, seed=seed, level=level)
-    print(out / "report.html")
+    for name, value in told(run_calibrate(dataset, out, seed=seed, level=level)):
+        print(f"{name:<24}{value}")
+    print(f"{'page':<24}{out / 'report.html'}")
 
 
 @app.command()
@@ -286,7 +305,9 @@ def synth(
         seed=seed,
     )
     run_synth(recipe, out, truth)
-    print(out / "dataset.toml")
+    print(f"{'dataset':<24}{out / 'dataset.toml'}")
+    print(f"{'what is in it':<24}{truth}")
+    print(f"{'to look for it':<24}{shlex.join(['bristle', 'close-loop', str(out)])}")
 
 
 @app.command("close-loop")

@@ -6,7 +6,7 @@ Also a script: ``mpirun -n 2 python3 -m bristle.studies.drop --model solid``.
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, cast
@@ -25,7 +25,8 @@ from .command.sources import OPTIONS
 from .running import results
 from .running.cases import Prepared, Timings, Workshop
 from .running.files import folder_in_place, prepare_folder, remove_folder
-from .running.progress import say, warn, working
+from .running.progress import progress, say, warn, working
+from .running.steps import Watched, steps_of_contact
 from .sections.stance import ANGLES
 
 if TYPE_CHECKING:
@@ -110,13 +111,32 @@ def _compute(
         with building if inputs.model.meshed else nullcontext():
             prepared = workshop.prepare(inputs)
         checkpoint = keeping.checkpoint(inputs, prepared, comm)
-        with working(f"dropping the {inputs.model} model from {inputs.height_m:g} m"):
-            if inputs.model is Model.SOLID and inputs.write_fields and not inputs.march:
-                assert prepared is not None
-                return _with_fields(workshop, inputs, prepared, checkpoint, out / FIELDS)
-            done = workshop.run(inputs, prepared=prepared, checkpoint=checkpoint)
+        if inputs.model is Model.SOLID and not inputs.march:
+            assert prepared is not None
+            done = _marched_solid(workshop, inputs, prepared, checkpoint, out / FIELDS)
+            if inputs.write_fields:
+                return done
+        else:
+            with working(f"dropping the {inputs.model} model from {inputs.height_m:g} m"):
+                done = workshop.run(inputs, prepared=prepared, checkpoint=checkpoint)
     run_on_one_rank(comm, lambda: remove_folder(out / FIELDS))
     return done
+
+
+def _marched_solid(
+    workshop: Workshop,
+    inputs: DropInputs,
+    prepared: Prepared,
+    checkpoint: Checkpoint | None,
+    folder: Path,
+) -> tuple[DropResult, Timings]:
+    """The drop of a solid, with its fields where they are asked for."""
+    expected = steps_of_contact(inputs.bristle(), inputs.kn_N_m, inputs.its_s)
+    with progress("contact of the solid, expected steps", expected) as advance:
+        if inputs.write_fields:
+            return _with_fields(workshop, inputs, prepared, checkpoint, folder, advance)
+        watched = Watched(inputs.its_s, advance, None)
+        return workshop.run(inputs, watched, prepared, checkpoint)
 
 
 def _with_fields(
@@ -125,6 +145,7 @@ def _with_fields(
     prepared: Prepared,
     checkpoint: Checkpoint | None,
     folder: Path,
+    advance: Callable[..., None],
 ) -> tuple[DropResult, Timings]:
     """The drop of a solid with its fields written for ParaView."""
     from ..solver.bodies.solid import SolidBody
@@ -136,7 +157,8 @@ def _with_fields(
         _made_together(folder, workshop.comm) as made,
         FieldWriter(body, made, prepared.marcher, every=every, checkpoint=checkpoint) as writer,
     ):
-        done = workshop.run(inputs, writer, prepared, checkpoint)
+        watched = Watched(inputs.its_s, advance, writer)
+        done = workshop.run(inputs, watched, prepared, checkpoint)
         writer.write_flight(prepared.frame, inputs.gravity_m_s2)
         return done
 

@@ -66,7 +66,11 @@ def test_without_arguments_it_says_what_to_do_next():
     status, out, _ = run()
     assert status == 0
     assert all(command in out for command in COMMANDS)
-    assert "Start with: bristle drop" in out
+    words = " ".join(out.split())
+    steps = ["bristle drop:", "bristle view results/drop", "bristle reproduce", "close-loop FOLDER"]
+    places = [words.index(step) for step in steps]
+    assert places == sorted(places)
+    assert "results/reproduce/report.html" in words
 
 
 @pytest.mark.parametrize("command", COMMANDS)

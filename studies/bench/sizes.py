@@ -24,6 +24,7 @@ from ...solver import paper
 from ...solver.errors import ComputationError
 from ...solver.time.scheme import TimeScheme
 from ..running.files import prepare_folder, to_csv, to_json, write_atomically
+from ..running.progress import note
 
 if TYPE_CHECKING:
     from ...solver.bodies.solid import SolidBody
@@ -140,7 +141,9 @@ def run_sizes(out: Path, largest: int = 3_000_000) -> str:
     """
     prepare_folder(out)
     lines, failed = [], []
-    for series, cells, solver in _cases(largest):
+    cases = list(_cases(largest))
+    for number, (series, cells, solver) in enumerate(cases, 1):
+        note(f"size {number} of {len(cases)}: {unknowns(cells)} unknowns, {solver}")
         try:
             lines.append(_apart(series, cells, solver))
         except ComputationError as error:

@@ -30,6 +30,7 @@ from ...solver.contact.laws import Linear
 from ...solver.time.march import Marcher
 from ...solver.time.scheme import TimeScheme
 from ..running.files import prepare_folder, to_csv, to_json, write_atomically
+from ..running.progress import progress
 
 BODIES = (((1, 4, 337), 2), ((2, 8, 337), 2), ((1, 4, 337), 1))
 REPEATS = 15
@@ -185,7 +186,11 @@ def run_step(
     Everything runs on one rank and one thread.
     """
     prepare_folder(out)
-    lines = [step_line(cells, order, repeats) for cells, order in bodies]
+    lines = []
+    with progress("Bodies", len(bodies)) as advance:
+        for cells, order in bodies:
+            lines.append(step_line(cells, order, repeats))
+            advance()
     names = [field.name for field in fields(Line)]
     write_atomically(out / "step.csv", to_csv(names, [list(asdict(x).values()) for x in lines]))
     write_atomically(out / "step.json", to_json([asdict(x) for x in lines]))

@@ -33,19 +33,19 @@ def _loop(out: Path, **given: Any) -> str:
 def _step(out: Path, **given: Any) -> str:
     from .step import run_step
 
-    return run_step(out, **given)
+    return f"{run_step(out, **given)}\n{'table':<24}{out / 'step.csv'}"
 
 
 def _sizes(out: Path, **given: Any) -> str:
     from .sizes import run_sizes
 
-    return run_sizes(out, **given)
+    return f"{run_sizes(out, **given)}\n{'table':<24}{out / 'sizes.csv'}"
 
 
 def _ranks(out: Path, **given: Any) -> str:
     from .ranks import run_ranks
 
-    return run_ranks(out, **given)
+    return f"{run_ranks(out, **given)}\n{'table':<24}{out / 'ranks.csv'}"
 
 
 TARGETS = {

@@ -13,10 +13,13 @@ PLAIN_EVERY_S = 10.0
 
 
 @contextmanager
-def progress(title: str, total: int, *, done: int = 0) -> Iterator[Callable[[], None]]:
-    """A function to call once per finished piece of ``total``, of which ``done`` are already."""
+def progress(title: str, total: int, *, done: int = 0) -> Iterator[Callable[..., None]]:
+    """A function to call for each finished piece of ``total``, of which ``done`` are already.
+
+    It takes how many they are, where it is not one. Both forms tell the time that is left.
+    """
     if not speaks():
-        yield lambda: None
+        yield lambda count=1: None
     elif sys.stderr.isatty():
         with _bar(title, total, done) as advance:
             yield advance
@@ -25,14 +28,14 @@ def progress(title: str, total: int, *, done: int = 0) -> Iterator[Callable[[], 
 
 
 @contextmanager
-def _bar(title: str, total: int, done: int) -> Iterator[Callable[[], None]]:
+def _bar(title: str, total: int, done: int) -> Iterator[Callable[..., None]]:
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeRemainingColumn
 
     columns = ("{task.description}", BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
         task = bar.add_task(title, total=total, completed=done)
-        yield lambda: bar.advance(task)
+        yield lambda count=1: bar.advance(task, count)
 
 
 class _Lines:
@@ -40,25 +43,41 @@ class _Lines:
 
     def __init__(self, title: str, total: int, done: int) -> None:
         self.title, self.total, self.done = title, total, done
+        self._began, self._before = time.monotonic(), done
         self._say()
 
-    def advance(self) -> None:
-        self.done += 1
+    def advance(self, count: int = 1) -> None:
+        self.done += count
         if self.done == self.total or time.monotonic() - self._said > PLAIN_EVERY_S:
             self._say()
 
     def _say(self) -> None:
-        note(f"{self.title}: {self.done} of {self.total}")
         self._said = time.monotonic()
+        made, left = self.done - self._before, self.total - self.done
+        words = ""
+        if made > 0 and left > 0:
+            words = f", {duration(left * (self._said - self._began) / made)} left"
+        note(f"{self.title}: {self.done} of {self.total}{words}")
+
+
+def duration(seconds: float) -> str:
+    """A time as a person says it, such as ``about 3 min``."""
+    for size, unit in ((3600.0, "h"), (60.0, "min")):
+        if seconds >= 1.5 * size:
+            return f"about {seconds / size:.0f} {unit}"
+    return f"about {max(seconds, 1.0):.0f} s"
 
 
 @contextmanager
 def working(title: str) -> Iterator[None]:
-    """Say what is under way while the block runs."""
+    """Say what is under way while the block runs, and on a terminal for how long already."""
     if speaks() and sys.stderr.isatty():
         from rich.console import Console
+        from rich.progress import Progress, SpinnerColumn, TimeElapsedColumn
 
-        with Console(stderr=True).status(title):
+        columns = (SpinnerColumn(), "{task.description}", TimeElapsedColumn())
+        with Progress(*columns, console=Console(stderr=True), transient=True) as shown:
+            shown.add_task(title, total=None)
             yield
     else:
         note(f"{title} …")

@@ -188,7 +188,7 @@ def run_scatter(
     run_on_one_rank(comm, write)
     if comm.rank == 0:
         journal.finish()
-        say(f"{inputs.drops} drops in {out / DOCUMENT}")
+        say(f"{inputs.drops} drops: {out / 'report.html'}")
 
 
 def _prepare(

@@ -1,0 +1,58 @@
+"""How far has the march of a solid come, and when may it end?"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+from ...solver.bodies.analytic import quarter_period_s
+from ...solver.bodies.base import Array
+from ...solver.bristle import Bristle
+from ...solver.checkpoint import Mark
+from ...solver.time.march import State
+from ...solver.touch import Observer
+
+
+def steps_of_contact(bristle: Bristle, kn_N_m: float, its_s: float) -> int:
+    """About how many steps contact takes, upright.
+
+    A rigid bristle on the spring takes half a period, 2 (tp - ti) of Eq. 8; an elastic one on a
+    rigid plane that of a wave up and down. The root of their squares is right at either end.
+    """
+    spring = 2.0 * quarter_period_s(bristle.mass_kg, kn_N_m) if math.isfinite(kn_N_m) else 0.0
+    return math.ceil(math.hypot(spring, bristle.axial_period_s) / its_s)
+
+
+class Watched:
+    """An observer of ``simulate`` that tells of every step, around another one or none.
+
+    ``advance`` is called with the number of steps since it was last called.
+    """
+
+    def __init__(self, its_s: float, advance: Callable[..., None], inner: Observer | None) -> None:
+        self._its_s, self._advance, self._inner = its_s, advance, inner
+        self._began_s, self._told = math.nan, 0
+
+    def __call__(self, state: State, step_force: Array) -> None:
+        if math.isnan(self._began_s):
+            self._began_s = state.t_s
+        self._tell(state)
+        if self._inner is not None:
+            self._inner(state, step_force)
+
+    def memory(self) -> dict[str, Array]:
+        """What the inner one needs to go on: counting starts anew."""
+        return {} if self._inner is None else self._inner.memory()
+
+    def recall(self, mark: Mark, state: State) -> None:
+        """Go on after the steps that were kept."""
+        self._began_s = state.t_s - mark.steps * self._its_s
+        self._tell(state)
+        if self._inner is not None:
+            self._inner.recall(mark, state)
+
+    def _tell(self, state: State) -> None:
+        done = round((state.t_s - self._began_s) / self._its_s)
+        if done > self._told:
+            self._advance(done - self._told)
+            self._told = done
