@@ -20,6 +20,7 @@ def outcome(row: str, number: int, **other: Any) -> dict[str, Any]:
         "verdict": "effect",
         "effects": ["adhesion"],
         "same": ["adhesion"],
+        "ideal": [1.0, 1.0],
         "classes": [],
         "covered": [True, False],
         "before": 2.0,

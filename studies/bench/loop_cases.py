@@ -24,6 +24,7 @@ from ..loop.problem import Model, Problem
 from ..loop.run import find
 from ..loop.sizes import clean, d_beyond, value_for, values_beyond
 from ..synth import Made, Noise, Recipe, Strange, make, read_made
+from .loop_ideal import Ideal, ideal_set
 from .loop_rivals import rivals
 
 # Effects that drops with contact times and forces can carry and show.
@@ -82,7 +83,11 @@ class Case:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What was said of a case, and what is true. Errors of held-out drops are in mm."""
+    """What was said of a case, and what is true. Errors of held-out drops are in mm.
+
+    ``ideal``: the mean size of an ideal reader's set and how often it holds the truth, for one
+    effect that is listed.
+    """
 
     row: str
     number: int
@@ -102,6 +107,7 @@ class Outcome:
     oracle: float | None
     rivals: dict[str, str]
     wall_s: float
+    ideal: Ideal | None
 
 
 def run_case(case: Case, body: ModalBody) -> Outcome | None:
@@ -148,7 +154,19 @@ def run_case(case: Case, body: ModalBody) -> Outcome | None:
         oracle=oracle,
         rivals=rivals(problem, case.seed),
         wall_s=wall,
+        ideal=ideal(case, recipe, problem),
     )
+
+
+def ideal(case: Case, recipe: Recipe, problem: Problem) -> Ideal | None:
+    """The ideal reader's set, see `loop_ideal`; None but for one effect that is listed."""
+    if case.row.listed != 1:
+        return None
+    kn, effect = np.array([recipe.kn_N_m]), recipe.effects[0]
+    data, base = clean(problem, kn, case.seed)
+    theta = np.append(kn, effect.values()[0])
+    model = _model(problem, effect.name)
+    return ideal_set(problem, data, base, model, theta, case.row.d, case.seed)
 
 
 def _problem(case: Case, made: Made) -> Problem:

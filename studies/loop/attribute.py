@@ -50,7 +50,11 @@ def candidate(
 
 def weights(posteriors: Sequence[Posterior]) -> Array:
     """Posterior probabilities (models,) with equal priors."""
-    logs = np.array([each.log_evidence for each in posteriors])
+    return weights_of(np.array([each.log_evidence for each in posteriors]))
+
+
+def weights_of(logs: Array) -> Array:
+    """Probabilities (models,) from log evidences, with equal priors."""
     mass = np.exp(logs - logs.max())
     return np.asarray(mass / mass.sum())
 

@@ -48,8 +48,8 @@ class Ladder:
         return np.einsum("j,kjr->kr", np.asarray(self.model.weights), self.predicted)
 
 
-def ladder(data: Sample, base: Fitted, model: Model) -> Ladder:
-    """The ladder of one candidate above the fitted baseline."""
+def ladder(data: Sample, base: Fitted, model: Model, levels: Array = LEVELS) -> Ladder:
+    """The ladder of one candidate above the fitted baseline, with rungs at sizes ``levels``."""
     own = base.u.size
     ends = _rays(model, own)
     explored = EXPLORED if np.asarray(model.weights).size == 1 else EXPLORED[5::2]
@@ -59,7 +59,7 @@ def ladder(data: Sample, base: Fitted, model: Model) -> Ladder:
     chosen, rays = [], []
     for ray in range(ends.shape[0]):
         begin, end = ends[ray, 0], ends[ray, 1]
-        for where in _crossings(explored, way[ray]):
+        for where in _crossings(explored, way[ray], levels):
             chosen.append(begin + where * (end - begin))
             rays.append(ray)
     # Scatter costs as many predictions as it has nodes.
@@ -80,12 +80,12 @@ def explored_shares(found: Ladder) -> Array:
     return EXPLORED if found.way.shape[1] == EXPLORED.size else EXPLORED[5::2]
 
 
-def _crossings(explored: Array, way: Array) -> list[float]:
-    """Where along a ray the levels of d are crossed, and its end."""
+def _crossings(explored: Array, way: Array, levels: Array) -> list[float]:
+    """Where along a ray the ``levels`` of d are crossed, and its end."""
     known = way > 1e-9
     if not known.any():
         return [1.0]
-    levels = LEVELS[way[-1] * 0.97 > LEVELS]
+    levels = levels[way[-1] * 0.97 > levels]
     at = np.exp(np.interp(np.log(levels), np.log(way[known]), np.log(explored[known]), left=np.nan))
     # Below the first explored point: in proportion, exact enough to step from.
     low = np.isnan(at)
