@@ -43,20 +43,23 @@ class _Lines:
 
     def __init__(self, title: str, total: int, done: int) -> None:
         self.title, self.total, self.done = title, total, done
-        self._began, self._before = time.monotonic(), done
+        self._first: tuple[float, int] | None = None
         self._say()
 
     def advance(self, count: int = 1) -> None:
         self.done += count
+        # what is built before the first is not what the others take
+        self._first = self._first or (time.monotonic(), self.done)
         if self.done == self.total or time.monotonic() - self._said > PLAIN_EVERY_S:
             self._say()
 
     def _say(self) -> None:
         self._said = time.monotonic()
-        made, left = self.done - self._before, self.total - self.done
         words = ""
-        if made > 0 and left > 0:
-            words = f", {duration(left * (self._said - self._began) / made)} left"
+        if self._first is not None and self._first[1] < self.done < self.total:
+            began, before = self._first
+            each = (self._said - began) / (self.done - before)
+            words = f", {duration((self.total - self.done) * each)} left"
         note(f"{self.title}: {self.done} of {self.total}{words}")
 
 
