@@ -1,4 +1,4 @@
-"""The folder as a script: ``python3 -m bristle.studies.closeloop``."""
+"""The folder as a script: ``python3 -m bristle.studies.closeloop DATASET``."""
 
 import sys
 
