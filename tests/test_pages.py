@@ -27,6 +27,8 @@ pytestmark = [pytest.mark.serial, needs_chromium]
 
 PAGES = ("reproduce", "close-loop", "scatter", "calibrate", "calibrate-paper", "peers", "loop")
 PHONE, DESK = 390, 1280
+# A4 between the margins.
+SHEET = 688
 TITLE = "<img src=x onerror=alert(1)> drops"
 # CSS pixels: text to read, text in a drawing, and what a finger must hit (WCAG 2.2, 2.5.8).
 TEXT_PX, LABEL_PX, TARGET_PX = 14.0, 7.0, 24.0
@@ -159,14 +161,19 @@ def test_every_link_leads_somewhere(shown):
 
 def test_on_paper_there_is_all_but_what_is_only_for_a_screen(pages, tab):
     for name in PAGES:
-        tab.open(pages / name / "report.html", DESK)
+        tab.open(pages / name / "report.html", SHEET)
         tab.ask("Emulation.setEmulatedMedia", media="print")
         hidden = tab.run(
             "[...document.querySelectorAll('figure > svg, figcaption, .behind, pre, table')]"
             ".filter(each => !each.checkVisibility() && !each.closest('details')).length"
         )
+        cut = tab.run(WIDE.replace("svg, .scroll", "svg"))
+        cards = tab.run(
+            "[...document.querySelectorAll('.compare tr')]"
+            ".filter(row => getComputedStyle(row).display !== 'table-row').length"
+        )
         tab.ask("Emulation.setEmulatedMedia", media="")
-        assert hidden == 0
+        assert (hidden, cut, cards) == (0, [], 0), name
         sheets = tab.print()
         assert sheets.startswith(b"%PDF")
         assert len(re.findall(rb"/Type\s*/Page\b", sheets)) >= 1

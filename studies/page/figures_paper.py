@@ -24,6 +24,8 @@ from .figures import (
 )
 
 Curve = tuple[Array, Array]
+# Of viridis: what is lighter is hardly seen on white.
+LIGHTEST = 0.75
 
 
 @styled
@@ -85,9 +87,9 @@ def height_figure(histories: Mapping[tuple[str, float, float], Curve]) -> Figure
 
 
 def sequence(n: int) -> list[tuple[float, ...]]:
-    """``n`` colours from dark to light, told apart with any colour vision."""
+    """``n`` colours from dark to light, told apart with any colour vision and on white."""
     shades = matplotlib.colormaps["viridis"]
-    return [shades(x) for x in np.linspace(0.0, 0.88, n)]
+    return [shades(x) for x in np.linspace(0.0, LIGHTEST, n)]
 
 
 @styled
