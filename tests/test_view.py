@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import math
 import shutil
 
 import imageio.v3 as imageio
@@ -23,6 +24,7 @@ from bristle.solver.contact.laws import Linear
 from bristle.solver.drop import DropPlan, simulate
 from bristle.solver.errors import InputError
 from bristle.solver.paraview import FieldWriter, Phase
+from bristle.solver.rigid import leaning, matrix_of
 from bristle.solver.time.march import Marcher
 from bristle.solver.touch import HISTORY_COLUMNS
 from bristle.studies.page.history_picture import read_history, touch_time_s
@@ -30,7 +32,8 @@ from bristle.studies.view import run_view
 from bristle.studies.viewing.bristle_drawing import OUTLINE
 from bristle.studies.viewing.field_series import FieldSeries
 from bristle.studies.viewing.paraview_state import SCRIPT_FILE
-from bristle.studies.viewing.wave import axis_nodes, read_wave
+from bristle.studies.viewing.stand import Stand
+from bristle.studies.viewing.wave import axis_nodes, read_wave, round_factor
 from bristle.studies.viewing.wave_pictures import plan_drawing, space_time_figure
 
 COMM = MPI.COMM_WORLD
@@ -176,7 +179,8 @@ def test_the_window_holds_every_frame(dropped, wave):
     assert drawing.exaggeration > 1.0
     with FieldSeries(dropped / "fields" / "solid.bp") as series:
         for frame in drawing.frames:
-            moved = series.nodes_m + drawing.exaggeration * series.read("displacement_m", frame)
+            motion = wave.stand.moved(series.nodes_m, series.read("displacement_m", frame))
+            moved = series.nodes_m + drawing.exaggeration * motion
             assert left < moved[:, drawing.side].min() <= moved[:, drawing.side].max() < right
             assert bottom < moved[:, 2].min() <= moved[:, 2].max() < top
 
@@ -191,6 +195,38 @@ def test_space_time_diagram_has_both_axes_and_the_path_of_the_wave(wave):
     assert path[:3] == pytest.approx(
         np.array([[0.0, 0.0], [LENGTH_M * 1e3, 0.5e6 * PERIOD_S], [0.0, 1e6 * PERIOD_S]])
     )
+
+
+def test_a_stand_is_taken_off_and_what_bends_is_left(rng):
+    turn = np.asarray(matrix_of(leaning(7.0, -3.0)))
+    nodes = rng.uniform(-1.0, 1.0, (40, 3)) * [2.5e-4, 1e-3, 0.1]
+    shift = np.array([1e-3, -2e-3, 5e-3])
+    rigid = nodes @ turn.T + shift - nodes
+    stand = Stand.of(nodes, rigid)
+    assert stand.turn == pytest.approx(turn, abs=1e-12)
+    assert stand.lean_deg == pytest.approx(math.degrees(math.acos(turn[2, 2])))
+    assert np.abs(stand.moved(nodes, rigid)).max() < 1e-15
+    bent = np.zeros_like(nodes)
+    bent[:, 0] = nodes[:, 2] ** 2
+    moved = stand.moved(nodes, (nodes + bent) @ turn.T + shift - nodes)
+    assert moved == pytest.approx(bent, abs=1e-15)
+
+
+@pytest.mark.parametrize("side", [0, 1])
+def test_the_plane_is_where_the_ground_is_for_a_leaning_bristle(side):
+    turn, shift = np.asarray(matrix_of(leaning(20.0, 5.0))), np.array([0.01, 0.02, 0.003])
+    lateral = np.array([-1e-3, 0.0, 2e-3])
+    own = np.zeros((3, 3))
+    own[:, side], own[:, 2] = lateral, Stand(turn, shift).plane_m(side, lateral)
+    assert (own @ turn.T + shift)[:, 2] == pytest.approx(np.zeros(3), abs=1e-15)
+
+
+@pytest.mark.parametrize(
+    ("wanted", "there", "factor"),
+    [(1.0, 3.0, 1.0), (1.0, 1.0, 1.0), (7.0, 1.0, 5.0), (0.3, 1e-3, 200.0), (1.0, 0.0, 1.0)],
+)
+def test_what_is_small_is_made_larger_by_round_factors(wanted, there, factor):
+    assert round_factor(wanted, there) == pytest.approx(factor)
 
 
 def test_axis_nodes_are_one_per_level():

@@ -26,6 +26,7 @@ from ...meshes.display import run_drawing
 
 if TYPE_CHECKING:
     from .field_series import FieldSeries
+    from .stand import Stand
 
 PIXELS_PER_HEIGHT = 720
 TIP_PIXELS = (700, 720)
@@ -49,9 +50,10 @@ class Drawing:
     """What to draw: which frames, how large displacements, in which window and colours.
 
     ``side`` is 0 or 1, the lateral axis that runs to the right. ``window_m`` (left, right, bottom,
-    top) is in that axis and z, after displacements are multiplied by ``exaggeration``; z is
-    compressed so that the picture gets ``width_to_height``. ``limit_Pa`` is the stress at either
-    end of the colours. ``tip_frame`` is drawn near the tip in true proportions.
+    top) is in that axis and z, after displacements are multiplied by ``exaggeration`` and the
+    section by ``widening``; z is compressed so that the picture gets ``width_to_height``.
+    ``limit_Pa`` is the stress at either end of the colours. ``tip_frame`` is drawn near the tip in
+    true proportions.
     """
 
     frames: list[int]
@@ -59,15 +61,18 @@ class Drawing:
     window_m: tuple[float, float, float, float]
     width_to_height: float
     exaggeration: float
+    widening: float
     limit_Pa: float
     tip_frame: int
     tip_limit_Pa: float
 
 
 def draw_bristle(
-    series: FieldSeries, drawing: Drawing, timeout_s: float = 600.0
+    series: FieldSeries, stand: Stand, drawing: Drawing, timeout_s: float = 600.0
 ) -> tuple[list[Pixels], Pixels]:
     """The frames as images (height, width, 3) in [0, 1], and the close-up of the tip.
+
+    Frames show displacements from the ``stand``.
 
     Raises
     ------
@@ -76,7 +81,7 @@ def draw_bristle(
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         (folder / DRAWING_FILE).write_text(json.dumps(asdict(drawing)))
-        np.savez(folder / NUMBERS_FILE, **_numbers(series, drawing))
+        np.savez(folder / NUMBERS_FILE, **_numbers(series, stand, drawing))
         run_drawing([sys.executable, "-m", __name__, str(folder)], timeout_s)
         images = [imread(folder / f"{i}.png")[..., :3] for i in range(len(drawing.frames))]
         frames = [outlined(image) for image in images]
@@ -95,13 +100,16 @@ def outlined(image: Pixels) -> Pixels:
     return np.where((drawn & ~inside)[..., None], np.float32(OUTLINE), image)
 
 
-def _numbers(series: FieldSeries, drawing: Drawing) -> dict[str, Any]:
+def _numbers(series: FieldSeries, stand: Stand, drawing: Drawing) -> dict[str, Any]:
     """What the program needs of a series."""
     return {
         "nodes_m": series.nodes_m,
         "cells": series.cells,
         "cell_type": series.cell_type,
-        "displacement_m": [series.read("displacement_m", frame) for frame in drawing.frames],
+        "displacement_m": [
+            stand.moved(series.nodes_m, series.read("displacement_m", frame))
+            for frame in drawing.frames
+        ],
         "axial_stress_Pa": [series.read("axial_stress_Pa", frame) for frame in drawing.frames],
         "tip_displacement_m": series.read("displacement_m", drawing.tip_frame),
         "von_mises_Pa": series.read("von_mises_Pa", drawing.tip_frame),
@@ -155,9 +163,11 @@ def _draw(numbers: Mapping[str, Any], drawing: Drawing, folder: Path) -> None:
     plotter.enable_parallel_projection()  # type: ignore[call-arg]
     _aim_from_the_side(plotter, drawing, squeeze)
     limits = (-drawing.limit_Pa, drawing.limit_Pa)
+    widened = np.ones(3)
+    widened[drawing.side] = drawing.widening
     states = zip(numbers["displacement_m"], numbers["axial_stress_Pa"], strict=True)
     for number, (displacement, stress) in enumerate(states):
-        moved = nodes + drawing.exaggeration * displacement
+        moved = nodes * widened + drawing.exaggeration * displacement
         _show(plotter, body.at(moved * [1.0, 1.0, squeeze], stress), COLOURS, limits)
         plotter.camera.clipping_range = (0.1 * FAR * (right - left), 10.0 * FAR * (right - left))
         plotter.screenshot(str(folder / f"{number}.png"))

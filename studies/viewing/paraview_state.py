@@ -177,7 +177,7 @@ def write_state_script(result: Path, fields: str, wave: Wave, touch_s: float) ->
         "length_m": float(wave.size_m[2]),
         "width_m": width,
         "compression": max(1.0, float(wave.size_m[2]) / (WHOLE_WIDTHS * width)),
-        "exaggeration": wave.exaggeration,
+        "exaggeration": wave.world_exaggeration,
         "axial_limit_Pa": wave.greatest_axial_Pa or 1.0,
         "von_mises_limit_Pa": float(wave.tip_von_mises_Pa[frame]) or 1.0,
         "time_s": float(wave.times_s[frame] + touch_s),

@@ -25,6 +25,7 @@ N_ANIMATED = 60
 FRAME_MS = 100
 ANIMATION_DPI = 110
 WIDTH_TO_HEIGHT = 0.16
+UPRIGHT_DEG = 0.05
 STRESS = "axial stress (MPa), pressure is negative"
 
 
@@ -42,6 +43,7 @@ def plan_drawing(wave: Wave) -> tuple[Drawing, list[int]]:
         window_m=wave.window_m,
         width_to_height=WIDTH_TO_HEIGHT,
         exaggeration=wave.exaggeration,
+        widening=wave.widening,
         limit_Pa=wave.greatest_axial_Pa or 1.0,
         tip_frame=tip_frame,
         tip_limit_Pa=float(wave.tip_von_mises_Pa[tip_frame]) or 1.0,
@@ -57,7 +59,7 @@ def draw_wave(series: FieldSeries, wave: Wave, folder: Path) -> dict[str, Figure
     DrawingError : there is no display, or drawing failed
     """
     drawing, stills = plan_drawing(wave)
-    images, tip = draw_bristle(series, drawing)
+    images, tip = draw_bristle(series, wave.stand, drawing)
     animate(wave, drawing, images, folder / "wave.gif")
     return {
         "wave": stills_figure(wave, drawing, [(drawing.frames[i], images[i]) for i in stills]),
@@ -118,10 +120,10 @@ def stills_figure(wave: Wave, drawing: Drawing, stills: list[tuple[int, Pixels]]
     """The bristle at some instants side by side, true to a scale in each direction."""
     figure, axes = panels(1, len(stills), height_in=4.6, sharey=True)
     for plot, (frame, image) in zip(axes[0], stills, strict=True):
-        _show_bristle(plot, drawing, image)
+        _show_bristle(plot, wave, drawing, image)
         plot.set_title(f"{wave.times_s[frame] * 1e6:.0f} µs", loc="center")
         plot.set_xlabel("xy"[drawing.side] + " (mm)")
-    axes[0, 0].set_ylabel(_height_label(drawing))
+    axes[0, 0].set_ylabel(_height_label(wave, drawing))
     figure.colorbar(_colours(drawing), ax=axes, label=STRESS)
     figure.suptitle("Time since touch", x=0.02, ha="left", fontsize=9.0)
     return figure
@@ -141,18 +143,25 @@ def tip_figure(wave: Wave, drawing: Drawing, image: Pixels) -> Figure:
     return figure
 
 
-def _show_bristle(plot: Axes, drawing: Drawing, image: Pixels) -> None:
+def _show_bristle(plot: Axes, wave: Wave, drawing: Drawing, image: Pixels) -> None:
     left, right, bottom, top = (1e3 * edge for edge in drawing.window_m)
     plot.imshow(image, extent=(left, right, bottom, top), aspect="auto")
-    plot.axhspan(bottom, 0.0, color="#dddddd", zorder=0.5)
-    plot.axhline(0.0, color=BLACK, linewidth=1.0)
+    ends = np.array([left, right])
+    ground = 1e3 * wave.stand.plane_m(drawing.side, 1e-3 * ends)
+    plot.fill_between(ends, ground, bottom, color="#dddddd", zorder=0.5, linewidth=0)
+    plot.plot(ends, ground, color=BLACK, linewidth=1.0)
     plot.set_ylim(bottom, top)
     plot.set_xlim(left, right)
     plot.xaxis.set_major_locator(MaxNLocator(nbins=2, prune="both", steps=[1, 2, 5, 10]))
 
 
-def _height_label(drawing: Drawing) -> str:
-    return f"height (mm), displacement × {drawing.exaggeration:g}"
+def _height_label(wave: Wave, drawing: Drawing) -> str:
+    scale = f"displacement × {drawing.exaggeration:g}"
+    if drawing.widening > 1.0:
+        scale += f", width × {drawing.widening:g}"
+    if wave.stand.lean_deg > UPRIGHT_DEG:
+        return f"along the bristle, which leans {wave.stand.lean_deg:.3g}° (mm)\n{scale}"
+    return f"height (mm), {scale}"
 
 
 def _colours(drawing: Drawing) -> ScalarMappable:
@@ -165,9 +174,9 @@ def _animation_figure(wave: Wave, drawing: Drawing, image: Pixels) -> Figure:
     """One frame of the animation, drawn for the first frame; its artists are then updated."""
     figure, axes = panels(1, 2, height_in=4.4, width_ratios=[1, 2.4])
     bristle, profile = axes[0]
-    _show_bristle(bristle, drawing, image)
+    _show_bristle(bristle, wave, drawing, image)
     bristle.set_xlabel("xy"[drawing.side] + " (mm)")
-    bristle.set_ylabel(_height_label(drawing))
+    bristle.set_ylabel(_height_label(wave, drawing))
     limit = 1.05 * drawing.limit_Pa / 1e6
     profile.plot(np.zeros_like(wave.z_m), wave.z_m * 1e3, color=BLUE)
     profile.axvline(0.0, color=GREY, linewidth=0.7)
