@@ -15,6 +15,7 @@ from ..solver.errors import ComputationError, InputError
 from ..solver.paraview import SOLID_FILE
 from .page.figures import picture
 from .running.files import prepare_folder, write_picture
+from .running.progress import note
 from .running.results import HISTORY_FILE, RESULT_FILE
 
 FIELDS_FOLDER = "fields"
@@ -53,6 +54,8 @@ def _view(result: Path, out: Path | None) -> list[Path]:
         beside: list[Path] = []
         if (result / FIELDS_FOLDER).is_dir():
             beside = _view_fields(result, document, touch_time_s(history), folder)
+        else:
+            note(f"{result} has no fields: for pictures of the wave, drop it with --model solid")
         return _moved(folder, target) + beside
 
 

@@ -99,11 +99,12 @@ def residual_figure(rows: Rows) -> Figure:
                     color=colour,
                     fillstyle="none",
                     ms=3,
-                    label=name,
                 )
             ax.set(xlabel=covariate.words, ylabel="residual (σ)", title=words if not line else "")
     if len(names) > 1:
-        axes[0, 0].legend(fontsize=SMALLEST)
+        for name, marker in zip(names, MARKERS * len(names), strict=False):
+            figure.axes[0].plot([], [], marker, color=BLACK, fillstyle="none", ms=3, label=name)
+        figure.legend(loc="outside upper center", ncols=2, fontsize=SMALLEST)
     return figure
 
 
@@ -200,17 +201,19 @@ def left_figure(expected: Array, before: Array, after: Array) -> Figure:
 
 @styled
 def held_figure(held: HeldOut, quantity: str, labels: Sequence[int]) -> Figure:
-    """Held-out values, what was predicted of them before and after, and its 90 % intervals."""
+    """What was predicted of held-out values before and after, with 90 % intervals, less them."""
     figure, axes = panels(height_in=3.4)
     ax: Axes = axes[0, 0]
     x = np.arange(len(held.values))
-    ax.vlines(x, held.low, held.high, color=SKY, lw=4, alpha=0.7, label="90 % interval, after")
-    ax.plot(x, held.before, "x", color=BEFORE, label="before")
-    ax.plot(x, held.after, "s", color=AFTER, fillstyle="none", label="after")
-    ax.plot(x, held.values, ".", color=BLACK, label="measured")
+    low, high = held.low - held.values, held.high - held.values
+    ax.vlines(x, low, high, color=SKY, lw=4, alpha=0.7, label="90 % interval, after")
+    ax.plot(x, held.before - held.values, "x", color=BEFORE, label="before")
+    ax.plot(x, held.after - held.values, "s", color=AFTER, fillstyle="none", label="after")
+    ax.axhline(0.0, color=BLACK, lw=0.8, label="measured")
     starts = [i for i in range(len(labels)) if i == 0 or labels[i] != labels[i - 1]]
     ax.set_xticks(starts, [str(labels[i]) for i in starts])
-    ax.set(xlabel="held-out drop, fall or pass (its number)", ylabel=quantity)
+    ax.set(xlabel="held-out drop, fall or pass (its number)")
+    ax.set_ylabel(f"predicted less measured: {quantity}")
     ax.legend(loc="upper left", bbox_to_anchor=(0.0, 1.16), ncols=4, fontsize=SMALLEST)
     return figure
 

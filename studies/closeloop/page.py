@@ -356,9 +356,10 @@ def _held(rows: Rows) -> Section:
     labels = [int(problem.group[row]) for row in held.rows]
     drawn = _figure(
         "held-out",
-        "Held-out values (dots), predicted before and after, with 90 % intervals after.",
+        "What is predicted of held-out values before and after, with 90 % intervals after, less "
+        "what was measured.",
         figures.held_figure(held, _quantity(rows), labels),
-        "Held-out values with predictions before and after",
+        "Errors of predictions of held-out values before and after",
         tables.held_table(rows),
     )
     return Section("held-out", title, text, figures=[drawn], tables=[errors])
