@@ -48,7 +48,11 @@ def film(name: str, folder: Path) -> None:
     rng = np.random.default_rng(SEED)
     scenes = film_data.scenes(DROPS, KN_N_M, {"bristle_tilt": LEAN_DEG}, rng)
     films = [film_data.film(scene, rng, fps=FILMS[name]) for scene in scenes]
-    film_data.write(folder / name, films, f"sigma_y_mm = 0.5\nfps = {FILMS[name]}\n")
+    film_data.write(folder / name, films, "")
+    declared = readme.blocks("toml")[0]
+    assert "fps = 25\n" in declared
+    declared = declared.replace("fps = 25\n", f"fps = {FILMS[name]}\n")
+    (folder / name / "dataset.toml").write_text(declared)
 
 
 @pytest.mark.parametrize("name", FILMS)
@@ -139,7 +143,8 @@ def test_scatter_is_as_the_table_says(row, tmp_path):
     beta, friction, lean = re.findall(r"β = ([\de.-]+) s, ([\d.]+), ([\d.]+)°", what)[0]
     command = ["scatter", "--beta", beta, "--friction", friction, "--tilt-std", lean]
     assert main([*command, "--out", str(tmp_path)]) == 0
-    said = json.loads((tmp_path / "scatter.json").read_text())["statistics"]
+    document = json.loads((tmp_path / "scatter.json").read_text())
+    said = document["statistics"]
     mean, spread = ratio.split(" ± ")
     low, high = band.split(" to ")
     assert readme.agree(mean, said["mean"]["estimate"])
@@ -148,6 +153,11 @@ def test_scatter_is_as_the_table_says(row, tmp_path):
     assert readme.agree(high, said["percentiles"]["p95"]["estimate"])
     share = 100.0 * said["share_in_0.30_to_1.00"]["estimate"]
     assert readme.agree(inside.removesuffix(" %"), share)
+    if (lean, friction) == ("2", "0"):
+        likely = [float(p) for p in re.findall(r"p from ([\d.]+) to ([\d.]+)", readme.TEXT)[0]]
+        found = [each["p_value"] for each in document["samples_of_26"].values()]
+        assert readme.agree(f"{likely[0]:.1f}", min(found))
+        assert readme.agree(f"{likely[1]:.1f}", max(found))
 
 
 @pytest.mark.parametrize(
