@@ -19,9 +19,12 @@ from commands import bristle, mpirun
 from matplotlib.image import imread
 from mpi4py import MPI
 
+from bristle.solver import paper
 from bristle.studies.cli import main
+from bristle.studies.command.config import DropInputs
 from bristle.studies.largerotation import Campaign
 from bristle.studies.reproduce import run_reproduce
+from bristle.studies.running.cases import run_case
 
 pytestmark = [pytest.mark.serial, pytest.mark.campaign, pytest.mark.timeout(3600)]
 
@@ -105,6 +108,17 @@ def test_the_table_of_leaning_and_what_is_said_of_it():
         if friction > 0.0:
             models = [row[name] for name in ("beam_linear", *COLUMNS[:3])]
             assert max(abs(kept - row["finite"]) for kept in models) < 2e-3
+
+
+def test_what_the_change_to_linear_flight_leaves_over():
+    told = re.findall(r"at most (\S+) of the energy at 2°, (\S+) at 5°, from 50 mm", readme.TEXT)
+    for lean_deg, shown in zip((2.0, 5.0), told[0], strict=True):
+        left = [
+            run_case(DropInputs(model=model, beta_s=beta, tilt_deg=lean_deg, friction=0.0))[0]
+            for model in ("beam", "reduced")
+            for beta in (paper.BETA_S, 1e-8)
+        ]
+        assert readme.agree(shown, max(each.energy.closure_relative for each in left))
 
 
 def test_what_it_found(tmp_path):
