@@ -84,8 +84,9 @@ def observe(marcher: Marcher, state: State, step_force: Array, history: History)
     ``step_force`` (n, 3) is that of the step before, along the points' local frames.
     """
     force = float(marcher.body.contact.weights @ instant_force(marcher, state, step_force))
-    deepest = max(-float(marcher.gaps(state.u).min()), 0.0)
-    history.rows.append((state.t_s, *marcher.heights(state), force, deepest))
+    moved = marcher.body.contact.displacements(state.u)
+    deepest = max(-float(marcher.ground.gaps(moved).min()), 0.0)
+    history.rows.append((state.t_s, *marcher.heights(state, moved), force, deepest))
     return force
 
 

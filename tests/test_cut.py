@@ -7,6 +7,7 @@ import pytest
 from mpi4py import MPI
 
 from bristle.solver.bodies.cut import CutFactor
+from bristle.studies.bench.step import bar_solid
 
 COMM = MPI.COMM_WORLD
 
@@ -31,3 +32,21 @@ def test_a_cut_has_a_cross_section_of_unknowns(make_solid):
     for length in (24, 48):
         solid = make_solid(cells=(1, 2, length))
         assert COMM.allreduce(int(solid.on_cuts.sum())) == (COMM.size - 1) * 3 * 3 * 5
+
+
+def test_parts_together_read_no_more_than_a_whole_bar(make_solid):
+    """But for what a part between two cuts needs of the farther."""
+    cells = (1, 2, 48)
+    whole, _ = bar_solid(cells, 2)
+    solid = make_solid(cells=cells)
+    solid.factor(1e12, 1.0)
+    (solver,) = solid._solvers.values()
+    if COMM.size == 1:
+        read, far = solver.factor.layout.entries, 0
+    else:
+        read, far = solver.part.factor.layout.entries, len(solver.part._far)
+    assert COMM.allreduce(read) <= whole.layout.entries
+    planes = COMM.allgather(far)
+    assert sorted(planes) == sorted([0] * min(COMM.size, 2) + [3 * 3 * 5] * (COMM.size - 2))
+    solid.release_factors()
+    whole.close()

@@ -52,7 +52,11 @@ class ContactPoints:
         return self.rows @ dense_of(self.coordinates)
 
     def _reduce(self, local: Array) -> Array:
-        return self.comm.allreduce(local) if self.comm.size > 1 else local
+        if self.comm.size == 1:
+            return local
+        total = np.empty_like(local)
+        self.comm.Allreduce(np.ascontiguousarray(local), total)
+        return total
 
     def displacements(self, u: Array) -> Array:
         """Displacement of every point (n, 3), of columns (n, 3, m), the same on every rank."""

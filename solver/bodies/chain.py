@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg.blas import dsyrk, dtrsm
+from scipy.linalg.blas import dgemm, dsyrk, dtrmm, dtrsm
 from scipy.linalg.lapack import dpotrf, dtrtri
 
 from ..compiled import fast, njit
@@ -27,8 +27,10 @@ SAME_LEVEL = 1e-7  # over the body's length
 WIDEST = 600
 # Runs start and end at multiples of these, so that vector units leave few remainders.
 TRIANGLE, BELOW = 4, 8
-# Right-hand sides that share one reading of a panel.
-TOGETHER = 16
+# Right-hand sides that share one reading of a panel, BLAS being no faster with more.
+TOGETHER = 64
+# Up to so many are quicker one by one.
+FEW = 3
 
 Index = NDArray[np.int64]
 Rows = NDArray[np.integer]
@@ -38,9 +40,9 @@ Rows = NDArray[np.integer]
 class Layout:
     """How unknowns are ordered and cut into panels.
 
-    ``order`` (n,) are the unknowns in the order of elimination, ``place`` (n,) its inverse. Panel i
-    has the columns ``starts[i]`` to ``starts[i + 1]`` and rows down to ``ends[i]``. ``offsets``
-    say where panels begin in the factor.
+    ``order`` (n,) are the unknowns in the order of elimination, ``place`` (n + last,) its inverse.
+    Panel i has the columns ``starts[i]`` to ``starts[i + 1]`` and rows down to ``ends[i]``.
+    ``offsets`` say where panels begin in the factor. ``last`` unknowns more are not eliminated.
     """
 
     order: Index
@@ -48,6 +50,7 @@ class Layout:
     starts: Index
     ends: Index
     offsets: Index
+    last: int
 
     @property
     def entries(self) -> int:
@@ -55,24 +58,31 @@ class Layout:
         return int(self.offsets[-1])
 
 
-def lay_out(first: Rows, column: Rows, height: Array) -> Layout:
-    """The layout for a symmetric pattern in compressed rows and unknowns at ``height`` (n,)."""
+def lay_out(first: Rows, column: Rows, height: Array, last: int = 0) -> Layout:
+    """The layout for a symmetric pattern in compressed rows and unknowns at ``height`` (n,).
+
+    Columns from n on are those of ``last`` unknowns that stay when all others are eliminated. They
+    belong below the lowest.
+    """
+    n = len(height)
     order = np.argsort(-height, kind="stable")
     steps = np.diff(height[order]) < -SAME_LEVEL * np.ptp(height)
-    level = np.empty(len(order), dtype=np.int64)
+    level = np.empty(n + last, dtype=np.int64)
     level[order] = np.concatenate([[0], np.cumsum(steps)])
-    count = int(level.max()) + 1
+    count = int(level[:n].max()) + 1
+    level[n:] = count
     reach = np.maximum.accumulate(_reach(first, column, level, count))
-    edges = np.concatenate([[0], np.cumsum(np.bincount(level, minlength=count))])
+    edges = np.concatenate([[0], np.cumsum(np.bincount(level, minlength=count + 1))])
     # levels that reach equally far are one slice: nothing more is filled, and panels are longer
     heads = np.flatnonzero(np.concatenate([[True], reach[1:] != reach[:-1]]))
-    starts, ends = np.append(edges[heads], len(order)), edges[reach[heads] + 1]
+    starts, ends = np.append(edges[heads], n), edges[reach[heads] + 1]
     width = np.diff(starts)
     below = _rounded(ends - starts[1:], BELOW)
     sizes = [_triangle(int(w)) + int(w * m) for w, m in zip(width, below, strict=True)]
-    place = np.empty_like(order)
-    place[order] = np.arange(len(order))
-    return Layout(order, place, starts, ends, np.concatenate([[0], np.cumsum(sizes)]))
+    place = np.arange(n + last)
+    place[order] = np.arange(n)
+    offsets = np.concatenate([[0], np.cumsum(sizes)])
+    return Layout(order, place, starts, ends, offsets, last)
 
 
 def _rounded[Count: (int, Index)](count: Count, step: int) -> Count:
@@ -100,8 +110,9 @@ class ChainFactor:
 
     ``parts`` are matrices in compressed rows, each (first, column, value, weight, block), that add
     up to the matrix: a ``block`` of 3 says that rows and columns are nodes, and that each entry
-    stands for itself times the unit matrix of three directions. Raises ComputationError where the
-    matrix is not positive definite.
+    stands for itself times the unit matrix of three directions. Rows of the layout's ``last``
+    unknowns are not asked for; ``left`` (last, last) is what elimination adds to their own matrix.
+    Raises ComputationError where the matrix is not positive definite.
     """
 
     def __init__(self, layout: Layout, parts: list[tuple[Rows, Rows, Array, float, int]]) -> None:
@@ -125,24 +136,89 @@ class ChainFactor:
                 below = dtrsm(1.0, own, front[width:, :width], side=1, lower=1, trans_a=1)
                 window = dsyrk(-1.0, below, beta=1.0, c=window, lower=1, overwrite_c=1)
             _pack(self.data[layout.offsets[i] : layout.offsets[i + 1]], inverse, below)
+        self.left = np.zeros((layout.last, layout.last))
+        self.left[: len(window), : len(window)] = np.tril(window) + np.tril(window, -1).T
 
     def solve(self, b: Array) -> Array:
-        """x (n,) or (n, m) for right-hand sides ``b`` of the same shape."""
-        columns = b.reshape(len(b), -1)
-        x = np.empty(columns.shape, order="F")
-        for k in range(0, columns.shape[1], TOGETHER):
-            self._solve(columns[:, k : k + TOGETHER], x[:, k : k + TOGETHER])
-        return x[:, 0] if b.ndim == 1 else x
+        """x (n,) or (n, m) for right-hand sides ``b`` of the same shape, nothing being left out."""
+        return self.backward(self.forward(b)[0], b[:0])
 
-    def _solve(self, b: Array, x: Array) -> None:
+    def forward(self, b: Array) -> tuple[list[Array], Array]:
+        """What `backward` goes on from, and what elimination adds to the right-hand sides of the
+        last unknowns (last,) or (last, m)."""
+        n, last = len(self.layout.order), self.layout.last
+        columns = b if b.ndim == 2 else b[:, None]
+        step = TOGETHER if columns.shape[1] > FEW else 1
+        works = []
+        left = np.zeros((last, columns.shape[1]))
+        for k in range(0, columns.shape[1], step):
+            work = self._gathered(columns[:, k : k + step])
+            if len(work) == 1:
+                _forward(self.data, self.layout.offsets, self.layout.starts, work[0])
+            else:
+                self._forward_block(work)
+            left[:, k : k + step] = work[:, n : n + last].T
+            works.append(work)
+        return works, left[:, 0] if b.ndim == 1 else left
+
+    def backward(self, works: list[Array], motion: Array) -> Array:
+        """x (n,) or (n, m), the last unknowns being ``motion`` (last,) or (last, m)."""
+        n, columns = len(self.layout.order), motion if motion.ndim == 2 else motion[:, None]
+        x = np.empty((n, columns.shape[1]), order="F")
+        done = 0
+        for work in works:
+            own = slice(done, done + len(work))
+            done += len(work)
+            work[:, n : n + len(motion)] = columns[:, own].T
+            if len(work) == 1:
+                _backward(self.data, self.layout.offsets, self.layout.starts, work[0])
+            else:
+                self._backward_block(work)
+            _scatter(x[:, own], work, self.layout.order)
+        return x[:, 0] if motion.ndim == 1 else x
+
+    def _gathered(self, b: Array) -> Array:
+        """Right-hand sides (m, n and some zeros), the unknowns in the order of elimination."""
+        zeros = self.layout.last + TRIANGLE + BELOW
+        work = np.empty((b.shape[1], len(b) + zeros), order="F")
+        _gather(work, b, self.layout.order)
+        return work
+
+    def _forward_block(self, work: Array) -> None:
+        """Every panel once for all of ``work`` (m, n and some zeros), in Fortran's order."""
+        starts, triangle = self.layout.starts, self._triangle_space()
+        for i in range(len(starts) - 1):
+            inverse, below = self._panel(i, triangle)
+            start, stop = starts[i], starts[i + 1]
+            own = work[:, start:stop]
+            dtrmm(1.0, inverse, own, side=1, lower=1, trans_a=1, overwrite_b=1)
+            if len(below):
+                rest = work[:, stop : stop + len(below)]
+                dgemm(-1.0, own, below, beta=1.0, c=rest, trans_b=1, overwrite_c=1)
+
+    def _backward_block(self, work: Array) -> None:
+        starts, triangle = self.layout.starts, self._triangle_space()
+        for i in range(len(starts) - 2, -1, -1):
+            inverse, below = self._panel(i, triangle)
+            start, stop = starts[i], starts[i + 1]
+            own = work[:, start:stop]
+            if len(below):
+                rest = work[:, stop : stop + len(below)]
+                dgemm(-1.0, rest, below, beta=1.0, c=own, overwrite_c=1)
+            dtrmm(1.0, inverse, own, side=1, lower=1, overwrite_b=1)
+
+    def _triangle_space(self) -> Array:
+        return np.empty(int(np.diff(self.layout.starts).max(initial=0)) ** 2)
+
+    def _panel(self, i: int, space: Array) -> tuple[Array, Array]:
+        """A slice's inverse triangle (w, w) in ``space``, above which anything stands, and what
+        lies below it, with zeros."""
         layout = self.layout
-        work = np.zeros((b.shape[1], len(b) + TRIANGLE + BELOW))
-        for k in range(len(work)):
-            _gather(work[k], np.ascontiguousarray(b[:, k]), layout.order)
-        _forward(self.data, layout.offsets, layout.starts, work)
-        _backward(self.data, layout.offsets, layout.starts, work)
-        for k in range(len(work)):
-            _scatter(x[:, k], work[k], layout.order)
+        width = int(layout.starts[i + 1] - layout.starts[i])
+        panel = self.data[layout.offsets[i] : layout.offsets[i + 1]]
+        packed = _unpack(panel, space, width)
+        inverse = space[: width * width].reshape(width, width).T
+        return inverse, panel[packed:].reshape(width, -1).T
 
 
 @njit
@@ -184,15 +260,33 @@ def _pack(panel: Array, inverse: Array, below: Array) -> None:
 
 
 @njit
-def _gather(y: Array, b: Array, order: Index) -> None:
-    for i in range(len(order)):
-        y[i] = b[order[i]]
+def _unpack(panel: Array, triangle: Array, width: int) -> int:
+    """Spread the lower triangle to columns of as many numbers; returns how many it took."""
+    deep = -(-width // TRIANGLE) * TRIANGLE
+    k = 0
+    for c in range(width):
+        top = c // TRIANGLE * TRIANGLE
+        column = triangle[c * width + c : (c + 1) * width]
+        packed = panel[k + c - top : k + width - top]
+        for r in range(len(column)):
+            column[r] = packed[r]
+        k += deep - top
+    return k
 
 
 @njit
-def _scatter(x: Array, y: Array, order: Index) -> None:
+def _gather(work: Array, b: Array, order: Index) -> None:
     for i in range(len(order)):
-        x[order[i]] = y[i]
+        for k in range(len(work)):
+            work[k, i] = b[order[i], k]
+    work[:, len(order) :] = 0.0
+
+
+@njit
+def _scatter(x: Array, work: Array, order: Index) -> None:
+    for i in range(len(order)):
+        for k in range(len(work)):
+            x[order[i], k] = work[k, i]
 
 
 @fast
@@ -210,8 +304,7 @@ def _product(x: Array, y: Array) -> float:
 
 
 @njit
-def _forward(data: Array, offsets: Index, starts: Index, work: Array) -> None:
-    """Every panel once for all rows of ``work`` (m, n and some zeros), while it is near."""
+def _forward(data: Array, offsets: Index, starts: Index, y: Array) -> None:
     longest = 0
     for i in range(len(offsets) - 1):
         longest = max(longest, starts[i + 1] - starts[i])
@@ -219,43 +312,35 @@ def _forward(data: Array, offsets: Index, starts: Index, work: Array) -> None:
     for i in range(len(offsets) - 1):
         start, width = starts[i], starts[i + 1] - starts[i]
         deep = -(-width // TRIANGLE) * TRIANGLE
-        triangle = offsets[i]
+        own[:deep] = 0.0
+        k = offsets[i]
         for c in range(width):
-            triangle += deep - c // TRIANGLE * TRIANGLE
-        tall = (offsets[i + 1] - triangle) // width
-        for column in range(len(work)):
-            y = work[column]
-            own[:deep] = 0.0
-            k = offsets[i]
-            for c in range(width):
-                r = c // TRIANGLE * TRIANGLE
-                _add_to(own[r:deep], y[start + c], data[k : k + deep - r])
-                k += deep - r
-            y[start : start + width] = own[:width]
-            below = y[start + width : start + width + tall]
-            for c in range(width):
-                _add_to(below, -own[c], data[k : k + tall])
-                k += tall
+            r = c // TRIANGLE * TRIANGLE
+            _add_to(own[r:deep], y[start + c], data[k : k + deep - r])
+            k += deep - r
+        y[start : start + width] = own[:width]
+        tall = (offsets[i + 1] - k) // width
+        below = y[start + width : start + width + tall]
+        for c in range(width):
+            _add_to(below, -own[c], data[k : k + tall])
+            k += tall
 
 
 @njit
-def _backward(data: Array, offsets: Index, starts: Index, work: Array) -> None:
+def _backward(data: Array, offsets: Index, starts: Index, y: Array) -> None:
     for i in range(len(offsets) - 2, -1, -1):
         start, width = starts[i], starts[i + 1] - starts[i]
         deep = -(-width // TRIANGLE) * TRIANGLE
-        triangle = offsets[i]
+        k = offsets[i]
         for c in range(width):
-            triangle += deep - c // TRIANGLE * TRIANGLE
-        tall = (offsets[i + 1] - triangle) // width
-        for column in range(len(work)):
-            y = work[column]
-            below = y[start + width : start + width + tall]
-            k = triangle
-            for c in range(width):
-                y[start + c] -= _product(data[k : k + tall], below)
-                k += tall
-            k = offsets[i]
-            for c in range(width):
-                r = c // TRIANGLE * TRIANGLE
-                y[start + c] = _product(data[k : k + deep - r], y[start + r : start + deep])
-                k += deep - r
+            k += deep - c // TRIANGLE * TRIANGLE
+        tall = (offsets[i + 1] - k) // width
+        below = y[start + width : start + width + tall]
+        for c in range(width):
+            y[start + c] -= _product(data[k : k + tall], below)
+            k += tall
+        k = offsets[i]
+        for c in range(width):
+            r = c // TRIANGLE * TRIANGLE
+            y[start + c] = _product(data[k : k + deep - r], y[start + r : start + deep])
+            k += deep - r

@@ -46,9 +46,10 @@ def stiffness_matrix(energy: fem.Form) -> tuple[PETSc.Mat, Rows | None]:
 
 
 class NodeMass:
-    """The mass matrix of a vector ``space`` by its nodes: rows (m + 1,), columns and values.
+    """The mass matrix of a vector ``space`` by its nodes.
 
-    Rows are this rank's, columns are global. Collective.
+    ``rows`` are offsets (m + 1,), columns and values of this rank's rows; columns count its own
+    nodes, and then those of other ranks that it couples to. Collective.
     """
 
     def __init__(self, space: fem.FunctionSpace, density_kg_m3: float) -> None:
@@ -61,30 +62,36 @@ class NodeMass:
             "dx", domain=domain, metadata={"quadrature_degree": degree_of_products(space)}
         )
         density = fem.Constant(domain, PETSc.ScalarType(density_kg_m3))
-        inertia = form(density * ufl.inner(u, v) * dx)
-        self.comm = domain.comm
-        self.rows: Rows
-        if self.comm.size == 1:
-            own = fem.assemble_matrix(inertia)
-            self.rows = (own.indptr.astype(PETSc.IntType), own.indices, own.data)
-        else:
-            matrix = fem_petsc.assemble_matrix(inertia)
-            matrix.assemble()
-            self.rows = matrix.getValuesCSR()
-            matrix.destroy()
-        self.n_nodes = scalar.dofmap.index_map.size_global
+        own = fem.assemble_matrix(form(density * ufl.inner(u, v) * dx))
+        own.scatter_reverse()
+        self.comm, self.columns = domain.comm, own.index_map(1)
+        first = own.indptr[: self.columns.size_local + 1].astype(PETSc.IntType)
+        self.rows: Rows = (first, own.indices[: first[-1]], own.data[: first[-1]])
+        self._moved = la.vector(self.columns, 3)
 
     def times(self, x: Array) -> Array:
-        """M x for (n,) or (n, k), on one rank alone."""
+        """M x for this rank's (n,) or (n, k); collective."""
         y = np.empty(x.shape, order="F")
-        for own, product in ((x, y),) if x.ndim == 1 else zip(x.T, y.T, strict=True):
-            _times(*self.rows, np.ascontiguousarray(own).reshape(-1, 3), product.reshape(-1, 3))
+        columns, products = (x[None], y[None]) if x.ndim == 1 else (x.T, y.T)
+        for k in range(len(columns)):
+            own, product = self._with_others(columns[k]), products[k]
+            _times(*self.rows, own.reshape(-1, 3), product.reshape(-1, 3))
         return y
+
+    def _with_others(self, x: Array) -> Array:
+        """``x`` (n,) and what rows need of other ranks' unknowns."""
+        if self.comm.size == 1:
+            return np.ascontiguousarray(x)
+        self._moved.array[: len(x)] = x
+        self._moved.scatter_forward()
+        return np.asarray(self._moved.array)
 
     def vector_matrix(self) -> PETSc.Mat:
         """The matrix over vectors, as PETSc has it."""
         first, column, value = self.rows
-        local = sp.csr_matrix((value, column, first), (len(first) - 1, self.n_nodes))
+        nodes = self.columns.local_to_global(column)
+        n = self.columns.size_global
+        local = sp.csr_matrix((value, nodes, first), (len(first) - 1, n))
         full = sp.kron(local, sp.eye_array(3), format="csr")
         sizes = ((full.shape[0], full.shape[1]),) * 2
         if self.comm.size > 1:

@@ -88,9 +88,7 @@ class SolidBody:
         return self.node_mass.vector_matrix()
 
     def mass(self, x: Array) -> Array:
-        if self.comm.size == 1:
-            return self.node_mass.times(x)
-        return self._product(self.mass_matrix, x)
+        return self.node_mass.times(x)
 
     def stiffness(self, x: Array) -> Array:
         return self._product(self.stiffness_matrix, x)

@@ -212,10 +212,15 @@ class Marcher:
         """The gap (n,) in m between every contact point and the ground."""
         return self.ground.gaps(self.body.contact.displacements(u))
 
-    def heights(self, state: State) -> tuple[float, float]:
-        """Heights in m of the middle of the end section and of the centre of mass."""
+    def heights(self, state: State, moved: Array | None = None) -> tuple[float, float]:
+        """Heights in m of the middle of the end section and of the centre of mass.
+
+        ``moved`` (n, 3) is how the points are displaced, where that is known.
+        """
         body, up = self.body, self.ground.up
-        tip = body.contact.weights @ body.contact.displacements(state.u) @ up
+        if moved is None:
+            moved = body.contact.displacements(state.u)
+        tip = body.contact.weights @ moved @ up
         raised = body.dot(self._lift, state.mu) / body.mass_kg
         return self.ground.tip_m + float(tip), self.ground.centre_m + raised
 

@@ -21,8 +21,8 @@ Communication of a step is
     takes ⌈log₂ P⌉ rounds of a message (recursive doubling; Thakur, Rabenseifner and Gropp, Int. J.
     High Perform. Comput. Appl. 19, 2005);
   * the solve's cuts (`solver.bodies.cut`): one more such sum, of all cuts' s (P - 1) unknowns, and
-    their dense factor, 8 (s (P - 1))² bytes, which every rank reads. How a part answers to its cuts
-    is read in each solve as well: 8 N s / P bytes a cut, at most two.
+    their dense factor, 8 (s (P - 1))² bytes, which every rank reads. A part between two cuts also
+    reads how it answers to one of them, forward and back: 16 N s / P bytes.
   * where there are more than `MOST_ON_CUTS` unknowns on cuts: MUMPS' separators, planes between the
     parts in a tree of ⌈log₂ P⌉ levels. Forward and backward, each level passes a vector of 2 s on,
     and works on a dense block of 3 s × s that no other rank can help with.
@@ -40,7 +40,7 @@ from ...solver.bodies.cut import MOST_ON_CUTS
 
 BYTES = 8
 VECTORS = 60
-ALLREDUCES = 5
+ALLREDUCES = 4
 # The paper's bristle in cells of degree 2: about 5e4, 5e5 and 3e6 unknowns.
 SIZES = ((1, 4, 337), (2, 8, 1011), (4, 16, 1685))
 SHARES = (0.85, 0.5)
@@ -105,8 +105,8 @@ def solve_B(bar: Bar) -> float:
 
 def stream_B(bar: Bar, ranks: int = 1) -> float:
     """Bytes that all ranks together read and write in a step beside the factors of their parts."""
-    cuts = min(ranks - 1, 2) if on_cuts(bar, ranks) else 0
-    answers = BYTES * bar.unknowns * bar.plane * cuts
+    between = max(ranks - 2, 0) / ranks if on_cuts(bar, ranks) else 0.0
+    answers = 2.0 * BYTES * bar.unknowns * bar.plane * between
     return 12.0 * bar.mass_entries + VECTORS * BYTES * bar.unknowns + answers
 
 
