@@ -9,12 +9,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Hashable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any, cast
 
 from mpi4py import MPI
 
-from ...meshes.collective import run_on_one_rank
 from ...solver.errors import BristleError, InputError
 from ..command.config import DropInputs
 from ..command.limits import count_unknowns, marching_time_s
@@ -143,7 +142,7 @@ def run_solids(
     else:
         raise InputError(f"--ranks-per-case: there are {world.size} ranks, not {ranks_per_case}")
     hands, _ = deal(loads, sizes)
-    with _grouped(workshop, sizes, cases) as (groups, own):
+    with _grouped(workshop, sizes) as (groups, own):
         share_out(
             world,
             len(cases),
@@ -155,36 +154,15 @@ def run_solids(
 
 
 @contextmanager
-def _grouped(
-    workshop: Workshop, sizes: Sequence[int], cases: Sequence[DropInputs]
-) -> Iterator[tuple[Groups, Workshop]]:
+def _grouped(workshop: Workshop, sizes: Sequence[int]) -> Iterator[tuple[Groups, Workshop]]:
     """The groups, and the workshop of this rank's."""
     groups = Groups(workshop.comm, sizes)
     if len(sizes) == 1:
         yield groups, workshop
     else:
-        compile_forms(workshop.comm, cases)
         with Workshop(groups.comm, workshop.basis_its_s) as own:
             yield groups, own
     groups.close()
-
-
-def compile_forms(comm: MPI.Intracomm, cases: Sequence[DropInputs]) -> None:
-    """Have one rank compile every form that the solids need, before the ranks split; collective.
-
-    A form is the same whatever the number of cells and the material, so one cell will do.
-    """
-    from ...meshes.distribute import Tag, to_dolfinx
-    from ...solver.bodies.solid import SolidBody
-
-    small = {(replace(case.mesh_spec(), cells=(1, 1, 1)), case.order) for case in cases}
-
-    def build() -> None:
-        for spec, order in small:
-            domain, _, facets = to_dolfinx(spec, MPI.COMM_SELF)
-            SolidBody(domain, facets, int(Tag.TIP), cases[0].bristle().material, order).close()
-
-    run_on_one_rank(comm, build)
 
 
 def load_of(case: DropInputs, workshop: Workshop) -> Load:
