@@ -112,6 +112,14 @@ def test_results_are_the_same_whatever_the_groups(tmp_path):
                 np.testing.assert_allclose(mine[1:], theirs[1:], rtol=1e-9)
 
 
+@pytest.mark.serial
+def test_reduced_solids_of_several_steps_are_each_built_by_all_ranks(tmp_path):
+    """Two ranks that meet in different cases would wait for each other, or take each other's."""
+    for mine, theirs in zip(computed(tmp_path, 2, 1), computed(tmp_path, 1, 1), strict=True):
+        assert mine[0] == theirs[0]
+        np.testing.assert_allclose(mine[1:], theirs[1:], rtol=1e-9)
+
+
 LONE = """
 import sys
 from mpi4py import MPI

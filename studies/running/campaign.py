@@ -94,17 +94,18 @@ def compute(
         return take
 
     run_solids(workshop, solid, lambda own, case: own.run(case)[0], taking(solid), ranks_per_case)
-    for first in dict.fromkeys(map(_built, modal)):
+    for first in dict.fromkeys(_built(case, workshop.basis_its_s) for case in modal):
         if first is not None:
             workshop.prepare(first)
     share_out(workshop.comm, len(modal), lambda i: workshop.run(modal[i])[0], taking(modal))
     return results
 
 
-def _built(case: DropInputs) -> DropInputs | None:
+def _built(case: DropInputs, basis_its_s: float | None) -> DropInputs | None:
     """The plainest case with the same body, where all ranks must build that together.
 
-    How far it leans makes no other body, only that it does.
+    How far it leans makes no other body, only that it does; nor does its ITS where
+    ``basis_its_s`` serves all.
     """
     if case.model is not Model.REDUCED:
         return None
@@ -115,7 +116,7 @@ def _built(case: DropInputs) -> DropInputs | None:
         kt_ratio=None,
         kn_N_m=paper.KN_CHOSEN_N_M,
         height_m=paper.HEIGHTS_M[-1],
-        its_s=paper.ITS_S,
+        its_s=basis_its_s or case.its_s,
         contact=Contact.NITSCHE if case.contact is Contact.NITSCHE else Contact.PENALTY,
         theta=None,
         gamma0=None,
