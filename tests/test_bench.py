@@ -7,9 +7,19 @@ from dataclasses import replace
 
 import pytest
 from commands import bristle, mpirun, python
-from made_outcomes import outcome
+from made_outcomes import growing, outcome, shared_out, steps
 
-from bristle.studies.bench import launch, peers, programs
+from bristle.solver.errors import InputError
+from bristle.studies.bench import (
+    launch,
+    peers,
+    programs,
+    ranks_page,
+    sizes,
+    sizes_page,
+    step_page,
+)
+from bristle.studies.bench.communication import prediction
 from bristle.studies.bench.loop_cases import ROWS
 from bristle.studies.bench.loop_page import bounds, page, within
 from bristle.studies.bench.loop_table import table
@@ -162,3 +172,42 @@ def test_a_page_of_outcomes_without_any_effect_has_no_held_out_part(tmp_path):
     outcomes = [outcome("clean", 0, verdict="adequate", effects=[], before=None, after=None)]
     page(table(outcomes), outcomes, tmp_path, 1)
     assert "Held-out" not in (tmp_path / "report.html").read_text()
+
+
+def told(folder, name: str) -> list[dict[str, str]]:
+    with (folder / "tables" / f"{name}.csv").open() as file:
+        return list(csv.DictReader(file))
+
+
+def test_a_steps_page_tells_readings_and_solves(tmp_path):
+    step_page.page(steps(), tmp_path, 3, [])
+    html = (tmp_path / "report.html").read_text()
+    assert "9.00 ms or 2.2 readings of the factor, a step 1.110 solves, 1.330 in contact" in html
+    assert f"bristle bench step --repeats 3 --out {tmp_path}" in html
+    assert [float(row["solve_ms"]) for row in told(tmp_path, "step")] == [9.0, 18.0]
+
+
+def test_the_page_of_sizes_tells_exponents_and_what_failed(tmp_path):
+    lines = growing()
+    sizes_page.page(lines, sizes.exponents(lines), ["compact: no memory"], tmp_path, 200_000, [])
+    html = (tmp_path / "report.html").read_text()
+    assert "Along, chain: a step grows with the unknowns to the power 1.00" in html
+    assert "Compact, mumps: a step grows with the unknowns to the power 1.33" in html
+    assert "Not done: compact: no memory." in html
+    assert len(told(tmp_path, "sizes")) == len(lines)
+
+
+def test_the_page_of_ranks_holds_efficiency_against_goal_and_memory(tmp_path):
+    rows, machine, memory = shared_out()
+    ranks_page.page(rows, machine, memory, prediction(machine), tmp_path, 3, [])
+    html = (tmp_path / "report.html").read_text()
+    said = "One large solid on 2 ranks: efficiency 90\u00a0% of the march, 90\u00a0% of the whole"
+    assert f"{said} (asked for 85\u00a0%, memory allows 90\u00a0%)." in html
+    assert [row["memory_allows"] for row in told(tmp_path, "ranks")].count("0.9") == 3
+    assert len(told(tmp_path, "predicted")) == 3
+
+
+def test_sizes_that_are_all_too_large_are_refused(tmp_path):
+    with pytest.raises(InputError, match="--largest"):
+        sizes.run_sizes(tmp_path / "none", largest=10)
+    assert not (tmp_path / "none").exists()

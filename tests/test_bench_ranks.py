@@ -9,7 +9,7 @@ import pytest
 
 from bristle.solver.errors import ComputationError, InputError
 from bristle.studies.bench import ranks
-from bristle.studies.bench.ranks import Job, jobs, launch, run_ranks
+from bristle.studies.bench.ranks import Job, Memory, jobs, launch, run_ranks
 
 TINY = (1, 2, 12)
 
@@ -32,7 +32,9 @@ def test_an_ideal_job_is_fully_efficient():
         few: [{"total_s": 8.0, "march_s": 6.0}],
         many: [{"total_s": 10.0, "march_s": 6.0}],
     }
-    rows = list(ranks._rows(times, 2))
+    memory = Memory(2, 9e9, 1e10, 8e9, 1e10)
+    rows = list(ranks._rows(times, 2, memory))
+    assert [row["memory_allows"] for row in rows] == [None, 0.8, None, 0.8]
     assert [row["efficiency"] for row in rows] == [1.0, 1.0, 1.0, 0.8]
     assert [row["efficiency_march"] for row in rows] == [1.0, 1.0, 1.0, 1.0]
 
@@ -62,4 +64,6 @@ def test_the_benchmark_writes_what_it_prints(tmp_path):
     steps = {job["runs"][0]["steps"] / job["cases"] for job in document["all_times"]}
     assert len(steps) == 1
     assert document["machine"]["latency_s"] > 0.0
+    assert min(document["memory"].values()) > 0.0
+    assert "What more ranks gain" in (tmp_path / "report.html").read_text()
     assert all(f"{float(row['total_s']):.2f}" in text for row in rows)

@@ -12,20 +12,30 @@ from pathlib import Path
 import pytest
 from browser import Browser, browser, needs_chromium
 from made_drops import QUICK, write_drops
-from made_outcomes import outcomes_of_every_row, points_of_every_program
+from made_outcomes import (
+    growing,
+    outcomes_of_every_row,
+    points_of_every_program,
+    shared_out,
+    steps,
+)
 from mpi4py import MPI
 from small_reproduction import small
 
 from bristle.solver.effects.library import EFFECTS
-from bristle.studies.bench import loop_page, peers_page
+from bristle.studies.bench import loop_page, peers_page, ranks_page, sizes_page, step_page
+from bristle.studies.bench.communication import prediction
 from bristle.studies.bench.loop_table import table
+from bristle.studies.bench.sizes import exponents
 from bristle.studies.cli import main
 from bristle.studies.loop import drops as drops_module
 from bristle.studies.reproduce import run_reproduce
 
 pytestmark = [pytest.mark.serial, needs_chromium]
 
-PAGES = ("reproduce", "close-loop", "scatter", "calibrate", "calibrate-paper", "peers", "loop")
+COMMANDS = ("reproduce", "close-loop", "scatter", "calibrate", "calibrate-paper")
+BENCHES = ("peers", "loop", "step", "sizes", "ranks")
+PAGES = (*COMMANDS, *BENCHES)
 PHONE, DESK = 390, 1280
 # A4 between the margins.
 SHEET = 688
@@ -92,7 +102,13 @@ def pages(tmp_path_factory) -> Path:
     outcomes = outcomes_of_every_row()
     loop_page.page(table(outcomes), outcomes, folder / "loop", 2)
     found, converged, runs = points_of_every_program()
-    peers_page.page(found, converged, runs, folder / "peers", 5, [("Machine", "none")])
+    about = [("Machine", "none")]
+    peers_page.page(found, converged, runs, folder / "peers", 5, about)
+    step_page.page(steps(), folder / "step", 3, about)
+    sizes_page.page(growing(), exponents(growing()), [], folder / "sizes", 200_000, about)
+    rows, machine, memory = shared_out()
+    foretold = prediction(machine)
+    ranks_page.page(rows, machine, memory, foretold, folder / "ranks", 3, about)
     return folder
 
 

@@ -21,6 +21,7 @@ from ..running.files import prepare_folder, to_csv, to_json, write_atomically
 from ..running.parallel import launched_ranks, unlaunched
 from ..running.progress import progress
 from .communication import Machine, prediction
+from .machine import facts, load
 
 # Cells of the one large solid (172 000 unknowns), and of the many.
 LARGE, SMALL = (2, 8, 337), (1, 4, 337)
@@ -31,7 +32,7 @@ GOALS = {"one": 0.85, "many": 0.95, "mixed": 0.95}
 TIMEOUT_S = 3600.0
 COLUMNS = (
     "kind", "ranks", "ranks_per_case", "cases", "total_s", "march_s", "efficiency",
-    "efficiency_march", "goal", "oversubscribed",
+    "efficiency_march", "goal", "memory_allows", "oversubscribed",
 )  # fmt: skip
 
 
@@ -60,6 +61,23 @@ class Job:
         return float(self.ranks) if self.kind == "one" else 1.0
 
 
+@dataclass(frozen=True)
+class Memory:
+    """Bytes per s that each of ``ranks`` reads as a stream and in a solve: all at once, and one of
+    them while the others wait."""
+
+    ranks: int
+    memory_B_s: float
+    memory_alone_B_s: float
+    solve_B_s: float
+    solve_alone_B_s: float
+
+    @property
+    def allows(self) -> float:
+        """The efficiency of ranks that do nothing but solve, each for itself."""
+        return self.solve_B_s / self.solve_alone_B_s
+
+
 def jobs(
     most: int, large: tuple[int, int, int] = LARGE, small: tuple[int, int, int] = SMALL
 ) -> list[Job]:
@@ -81,7 +99,7 @@ def run_ranks(
     large: tuple[int, int, int] = LARGE,
     small: tuple[int, int, int] = SMALL,
 ) -> str:
-    """Measure, write ranks.csv and ranks.json into ``out``, and return the table as text.
+    """Measure, write ranks.csv, ranks.json and report.html into ``out``; the table as text.
 
     All jobs are run ``repeats`` times in turns; the least time of each counts. ``most`` ranks:
     left out, as many as there are cores. Raises InputError under mpirun, ComputationError where a
@@ -89,18 +107,25 @@ def run_ranks(
     """
     if launched_ranks() > 1:
         raise InputError("bench ranks: starts mpirun itself, and is not to be run under mpirun")
+    from .ranks_page import page
+
     prepare_folder(out)
+    about = [load(), *facts()]
     cores = len(os.sched_getaffinity(0))
-    todo = jobs(most or max(cores, 2), large, small)
+    most = most or max(cores, 2)
+    todo = jobs(most, large, small)
     times: dict[Job, list[dict[str, Any]]] = {job: [] for job in todo}
-    with progress("Jobs", repeats * len(todo) + 1) as advance:
-        machine = Machine(**launch(2, {"kind": "ping"}))
+    with progress("Jobs", repeats * len(todo) + 2) as advance:
+        sent = launch(2, {"kind": "ping"})
         advance()
+        memory = Memory(**launch(min(most, cores), {"kind": "memory"}))
+        advance()
+        machine = Machine(**sent, memory_B_s=memory.memory_B_s, solve_B_s=memory.solve_B_s)
         for _ in range(repeats):
             for job in todo:
                 times[job].append(launch(job.ranks, _arguments(job)))
                 advance()
-    rows = list(_rows(times, cores))
+    rows = list(_rows(times, cores, memory))
     predicted = prediction(machine)
     table = [[row[name] for name in COLUMNS] for row in rows]
     write_atomically(out / "ranks.csv", to_csv(COLUMNS, table))
@@ -109,11 +134,13 @@ def run_ranks(
         "repeats": repeats,
         "rows": rows,
         "machine": asdict(machine),
+        "memory": asdict(memory),
         "predicted": predicted,
         "all_times": [{**asdict(job), "runs": runs} for job, runs in times.items()],
     }
     write_atomically(out / "ranks.json", to_json(document) + "\n")
-    return "\n".join([*_told(rows, cores), "", *_foretold(machine, predicted)])
+    page(rows, machine, memory, predicted, out, repeats, about)
+    return "\n".join([*_told(rows, cores), "", *_foretold(machine, memory, predicted)])
 
 
 def _arguments(job: Job) -> dict[str, Any]:
@@ -151,7 +178,9 @@ def launch(ranks: int, arguments: dict[str, Any]) -> dict[str, Any]:
         raise ComputationError(f"a job on {ranks} ranks failed: {' '.join(last)}") from error
 
 
-def _rows(times: dict[Job, list[dict[str, Any]]], cores: int) -> Iterator[dict[str, Any]]:
+def _rows(
+    times: dict[Job, list[dict[str, Any]]], cores: int, memory: Memory
+) -> Iterator[dict[str, Any]]:
     best = {
         job: {name: min(run[name] for run in runs) for name in ("total_s", "march_s")}
         for job, runs in times.items()
@@ -167,6 +196,7 @@ def _rows(times: dict[Job, list[dict[str, Any]]], cores: int) -> Iterator[dict[s
             "efficiency": base["total_s"] / found["total_s"] / job.ideal,
             "efficiency_march": base["march_s"] / found["march_s"] / job.ideal,
             "goal": GOALS[job.kind],
+            "memory_allows": memory.allows if job.ranks == memory.ranks else None,
             "oversubscribed": job.ranks > cores,
             "spread": _spread([run["total_s"] for run in times[job]]),
         }
@@ -184,13 +214,28 @@ def _told(rows: Sequence[dict[str, Any]], cores: int) -> Iterator[str]:
         line += f"{row['total_s']:>9.2f}{row['march_s']:>9.2f}"
         shares = f"{100 * row['efficiency']:.0f} %, march {100 * row['efficiency_march']:.0f} %"
         why = f" ({row['ranks']} ranks on {cores} cores)" if row["oversubscribed"] else ""
-        yield f"{line}  {shares}, goal {100 * row['goal']:.0f} %{why}"
+        bound = row["memory_allows"]
+        allowed = "" if bound is None else f", memory allows {100 * bound:.0f} %"
+        yield f"{line}  {shares}, goal {100 * row['goal']:.0f} %{allowed}{why}"
 
 
-def _foretold(machine: Machine, predicted: Sequence[dict[str, float]]) -> Iterator[str]:
+def _foretold(
+    machine: Machine, memory: Memory, predicted: Sequence[dict[str, float]]
+) -> Iterator[str]:
     yield (
         f"a message takes {1e6 * machine.latency_s:.2f} µs and 1 s per "
-        f"{machine.bandwidth_B_s / 1e9:.2f} GB; a rank reads {machine.memory_B_s / 1e9:.2f} GB/s"
+        f"{machine.bandwidth_B_s / 1e9:.2f} GB"
+    )
+    alone, together, solve_alone, solve_together = (
+        f"{rate / 1e9:.2f}"
+        for rate in (
+            *(memory.memory_alone_B_s, memory.memory_B_s),
+            *(memory.solve_alone_B_s, memory.solve_B_s),
+        )
+    )
+    yield (
+        f"a rank reads {alone} GB/s alone, {together} where {memory.ranks} do; "
+        f"a factor {solve_alone} and {solve_together}"
     )
     yield f"{'unknowns':>10}{'step ms':>9}{'a cut kB':>10}{'85 % to':>9}{'50 % to':>9}  predicted"
     for row in predicted:

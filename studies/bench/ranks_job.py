@@ -25,6 +25,7 @@ from ..running.groups import run_solids
 from .communication import Bar, solve_B
 
 MESSAGES = 2000
+READINGS = 15
 LARGE_B = 1 << 22
 TRIAD = 1 << 23
 # A solid whose factor no cache holds, and the shift of a step of 0.01 ms.
@@ -72,35 +73,40 @@ def solids(
 
 
 def ping(comm: MPI.Intracomm) -> dict[str, Any]:
-    """A message's latency and bandwidth between the first two ranks, and how fast ranks read memory
-    and a factor, all at once.
-
-    Half of a round trip's median; the slowest rank's median of a triad and of a solve.
-    """
+    """A message's latency and bandwidth between the first two ranks: half of a round trip's
+    median."""
     found = {"latency_s": _one_way_s(comm, 8, MESSAGES)}
     found["bandwidth_B_s"] = LARGE_B / _one_way_s(comm, LARGE_B, MESSAGES // 50)
+    return found
+
+
+def memory(comm: MPI.Intracomm) -> dict[str, Any]:
+    """How fast ranks read memory and a factor: the first while the others wait, and all at once.
+
+    The medians of a triad and of a solve; of all at once the slowest rank's.
+    """
     a, b, c = np.zeros(TRIAD), np.ones(TRIAD), np.ones(TRIAD)
 
     def triad() -> None:
         np.multiply(c, 3.0, out=a)
         np.add(a, b, out=a)
 
-    comm.Barrier()
-    # two passes over three arrays of eight bytes, less what is read again: 16 + 24 bytes
-    found["solve_B_s"] = solve_B(Bar(SOLVED)) / comm.allreduce(_solve_s(), MPI.MAX)
-    found["memory_B_s"] = 40.0 * TRIAD / comm.allreduce(_median_s(triad, 5), MPI.MAX)
-    return found
-
-
-def _solve_s() -> float:
-    """A solve on this rank alone."""
     spec = DropInputs(model=Model.SOLID, cells=SOLVED).mesh_spec()
     domain, _, facets = to_dolfinx(spec, MPI.COMM_SELF)
     solid = SolidBody(domain, facets, int(Tag.TIP), Material())
     solve, load = solid.factor(SHIFT_1_S2, 1.0), np.ones(solid.n_local)
-    spent = _median_s(lambda: solve(load), 15)
+    found: dict[str, Any] = {"ranks": comm.size}
+    # two passes over three arrays of eight bytes, less what is read again: 16 + 24 bytes
+    for name, size_B, act in (
+        ("memory", 40.0 * TRIAD, triad),
+        ("solve", solve_B(Bar(SOLVED)), lambda: solve(load)),
+    ):
+        alone = _median_s(act, READINGS) if comm.rank == 0 else 0.0
+        found[f"{name}_alone_B_s"] = size_B / comm.bcast(alone)
+        comm.Barrier()
+        found[f"{name}_B_s"] = size_B / comm.allreduce(_median_s(act, READINGS), MPI.MAX)
     solid.close()
-    return spent
+    return found
 
 
 def _one_way_s(comm: MPI.Intracomm, size_B: int, times: int) -> float:
@@ -131,7 +137,9 @@ def main(arguments: dict[str, Any]) -> None:
     """Run the job and print what it found, from rank 0."""
     comm = MPI.COMM_WORLD
     kind = arguments.pop("kind")
-    found = ping(comm) if kind == "ping" else solids(comm, **arguments)
+    jobs: dict[str, Callable[..., dict[str, Any]]]
+    jobs = {"ping": ping, "memory": memory, "solids": solids}
+    found = jobs[kind](comm, **arguments)
     if comm.rank == 0:
         print(json.dumps(found), flush=True)
 

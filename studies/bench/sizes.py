@@ -21,10 +21,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ...solver import paper
-from ...solver.errors import ComputationError
+from ...solver.errors import ComputationError, InputError
 from ...solver.time.scheme import TimeScheme
 from ..running.files import prepare_folder, to_csv, to_json, write_atomically
 from ..running.progress import note
+from .machine import facts, load
 
 if TYPE_CHECKING:
     from ...solver.bodies.solid import SolidBody
@@ -135,13 +136,19 @@ def unknowns(cells: tuple[int, int, int]) -> int:
 
 
 def run_sizes(out: Path, largest: int = 3_000_000) -> str:
-    """Every size up to ``largest`` unknowns; writes sizes.csv and sizes.json, returns the table.
+    """Every size up to ``largest`` unknowns; writes sizes.csv, sizes.json and report.html into
+    ``out``; the table.
 
     A size that the machine cannot do is told, and the rest goes on.
     """
-    prepare_folder(out)
-    lines, failed = [], []
+    from .sizes_page import page
+
     cases = list(_cases(largest))
+    if not cases:
+        raise InputError(f"--largest: the smallest size has more unknowns than {largest}")
+    prepare_folder(out)
+    about = [load(), *facts()]
+    lines, failed = [], []
     for number, (series, cells, solver) in enumerate(cases, 1):
         note(f"size {number} of {len(cases)}: {unknowns(cells)} unknowns, {solver}")
         try:
@@ -154,6 +161,7 @@ def run_sizes(out: Path, largest: int = 3_000_000) -> str:
         write_atomically(out / "sizes.csv", to_csv(names, rows))
         document = {"lines": [asdict(x) for x in lines], "exponents": growth, "failed": failed}
         write_atomically(out / "sizes.json", to_json(document))
+    page(lines, growth, failed, out, largest, about)
     return "\n".join([*map(_told, lines), *_growth(growth), *failed])
 
 

@@ -31,6 +31,7 @@ from ...solver.time.march import Marcher
 from ...solver.time.scheme import TimeScheme
 from ..running.files import prepare_folder, to_csv, to_json, write_atomically
 from ..running.progress import progress
+from .machine import facts, load
 
 BODIES = (((1, 4, 337), 2), ((2, 8, 337), 2), ((1, 4, 337), 1))
 REPEATS = 15
@@ -181,11 +182,14 @@ def run_step(
     bodies: tuple[tuple[tuple[int, int, int], int], ...] = BODIES,
     repeats: int = REPEATS,
 ) -> str:
-    """Measure ``bodies`` (cells, order), write step.csv and step.json into ``out``; the table.
+    """Measure ``bodies`` (cells, order); write step.csv, step.json, report.html; the table.
 
     Everything runs on one rank and one thread.
     """
+    from .step_page import page
+
     prepare_folder(out)
+    about = [load(), *facts()]
     lines = []
     with progress("Bodies", len(bodies)) as advance:
         for cells, order in bodies:
@@ -194,6 +198,7 @@ def run_step(
     names = [field.name for field in fields(Line)]
     write_atomically(out / "step.csv", to_csv(names, [list(asdict(x).values()) for x in lines]))
     write_atomically(out / "step.json", to_json([asdict(x) for x in lines]))
+    page(lines, out, repeats, about)
     return "\n".join(_told(line) for line in lines)
 
 
