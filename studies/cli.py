@@ -236,7 +236,10 @@ def mesh(
 @app.command()
 def calibrate(
     dataset: Annotated[
-        str, typer.Argument(metavar="DATASET", help="Folder of a dataset, or 'paper'.")
+        str,
+        typer.Argument(
+            metavar="DATASET", help="Folder of a dataset, or 'paper'.", show_default=False
+        ),
     ],
     out: Annotated[Path, out_option("results/calibrate")] = Path("results/calibrate"),
     seed: Annotated[int, typer.Option(min=0, help="Of the bootstrap.")] = 0,
@@ -259,7 +262,9 @@ def synth(
     effect: Annotated[
         list[str] | None,
         typer.Option(
-            metavar="NAME:PARAM=VALUE,…", help="An effect that the dataset hides; repeatable."
+            metavar="NAME:PARAM=VALUE,…",
+            help="An effect that the dataset hides; repeatable.",
+            show_default=False,
         ),
     ] = None,
     unlisted: Annotated[
@@ -268,6 +273,7 @@ def synth(
             metavar="NAME=STRENGTH",
             help="One that no list has: session-shift, height-ripple or alternation, with its "
             "relative strength on the height after.",
+            show_default=False,
         ),
     ] = None,
     drops: Annotated[int, typer.Option(min=6, max=10_000, help="How many.")] = 48,
@@ -314,7 +320,9 @@ def synth(
 @takes(LOOP_FLAGS)
 def close_loop(
     given: dict[str, Any],
-    dataset: Annotated[Path, typer.Argument(metavar="DATASET", help="Folder of a dataset.")],
+    dataset: Annotated[
+        Path, typer.Argument(metavar="DATASET", help="Folder of a dataset.", show_default=False)
+    ],
     config: Config = None,
     out: Annotated[Path, out_option("results/close-loop")] = Path("results/close-loop"),
     debug: Debug = False,
@@ -349,18 +357,30 @@ def bench(
     ] = "peers",
     repeats: Annotated[
         int | None,
-        typer.Option(min=1, max=100, help="peers, step, ranks: how often each is timed."),
+        typer.Option(
+            min=1,
+            max=100,
+            help="peers, step, ranks: how often each is timed. [default: 3; step: 15]",
+            show_default=False,
+        ),
     ] = None,
     largest: Annotated[
-        int | None, typer.Option(min=1, help="sizes: the most unknowns. [default: 3000000]")
+        int | None,
+        typer.Option(
+            min=1, help="sizes: the most unknowns. [default: 3000000]", show_default=False
+        ),
     ] = None,
     most: Annotated[
-        int | None, typer.Option(min=1, help="ranks: the most ranks. [default: the cores]")
+        int | None,
+        typer.Option(min=1, help="ranks: the most ranks. [default: the cores]", show_default=False),
     ] = None,
     datasets: Annotated[
         int | None,
         typer.Option(
-            min=1, max=10_000, help="loop: how many datasets a row of the table. [default: 100]"
+            min=1,
+            max=10_000,
+            help="loop: how many datasets a row of the table. [default: 100]",
+            show_default=False,
         ),
     ] = None,
     out: Annotated[
@@ -397,7 +417,10 @@ def bench(
 
 @app.command()
 def view(
-    result: Annotated[Path, typer.Argument(metavar="RESULT", help="Folder of a drop's result.")],
+    result: Annotated[
+        Path,
+        typer.Argument(metavar="RESULT", help="Folder of a drop's result.", show_default=False),
+    ],
     out: Annotated[
         Path | None,
         typer.Option(

@@ -80,6 +80,11 @@ def test_every_command_shows_an_example(command):
     assert re.search(rf"Example: .*bristle {command}", " ".join(out.split()))
 
 
+@pytest.mark.parametrize("command", COMMANDS)
+def test_no_help_tells_a_default_that_is_none(command):
+    assert "None]" not in run(command, "--help")[1]
+
+
 def test_every_option_of_help_is_accepted_by_name():
     _, out, _ = run("drop", "--help")
     assert {flag.option for flag in DROP_FLAGS} <= set(re.findall(r"--[a-z0-9-]+", out))
