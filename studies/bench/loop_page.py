@@ -186,7 +186,7 @@ def rates_figure(lines: Sequence[Line]) -> Drawing:
         colour = BLUE if good else VERMILION
         if line.low is not None and line.high is not None:
             ax.plot([100.0 * line.low, 100.0 * line.high], [place, place], color=colour, lw=1.0)
-        ax.plot(100.0 * line.value, place, "o" if good else "X", color=colour, ms=5.0)
+        ax.plot(100.0 * line.value, place, "o" if good else "x", color=colour, ms=5.0, mew=1.6)
     names = [f"{line.row}:\n{line.quantity}" for line in lines]
     ax.set_yticks(range(len(lines)), names, fontsize=SMALLEST, linespacing=0.95)
     ax.set(xlim=(-2, 102), ylim=(len(lines) - 0.4, -0.6), xlabel="share of datasets (%)")

@@ -171,6 +171,9 @@ def _drawing(curves: dict[str, tuple[np.ndarray, np.ndarray]]) -> Drawing:
     looks = [{"ls": ":", "marker": "x"}, {"ls": "-", "marker": "o"}, LOOKS["reduced"].line]
     for (name, (steps, values)), colour, look in zip(curves.items(), SERIES, looks, strict=False):
         ax.semilogx(1e3 * steps, values, color=colour, label=name, **look)
+    tried = np.unique(np.concatenate([1e3 * steps for steps, _ in curves.values()]))
+    ax.set_xticks(tried, [f"{step:g}" for step in tried])
+    ax.minorticks_off()
     every = np.concatenate([values for _, values in curves.values()])
     room = max(0.02, 0.2 * float(np.ptp(every)))
     ax.set(
