@@ -33,19 +33,19 @@ def _loop(out: Path, **given: Any) -> str:
 def _step(out: Path, **given: Any) -> str:
     from .step import run_step
 
-    return f"{run_step(out, **given)}\n{'table':<24}{out / 'step.csv'}"
+    return f"{run_step(out, **given)}\n{'page':<24}{out / 'report.html'}"
 
 
 def _sizes(out: Path, **given: Any) -> str:
     from .sizes import run_sizes
 
-    return f"{run_sizes(out, **given)}\n{'table':<24}{out / 'sizes.csv'}"
+    return f"{run_sizes(out, **given)}\n{'page':<24}{out / 'report.html'}"
 
 
 def _ranks(out: Path, **given: Any) -> str:
     from .ranks import run_ranks
 
-    return f"{run_ranks(out, **given)}\n{'table':<24}{out / 'ranks.csv'}"
+    return f"{run_ranks(out, **given)}\n{'page':<24}{out / 'report.html'}"
 
 
 TARGETS = {
