@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import tempfile
 from pathlib import Path
 from typing import Any
@@ -13,8 +12,9 @@ from ..meshes.collective import run_on_one_rank
 from ..meshes.display import DrawingError
 from ..solver.errors import ComputationError, InputError
 from ..solver.paraview import SOLID_FILE
+from .data.texts import exists, parse_json, read_text
 from .page.figures import picture
-from .running.files import prepare_folder, write_picture
+from .running.files import UNFINISHED, prepare_folder, write_picture
 from .running.progress import note
 from .running.results import HISTORY_FILE, RESULT_FILE
 
@@ -48,7 +48,7 @@ def _view(result: Path, out: Path | None) -> list[Path]:
     history = read_history(result / HISTORY_FILE)
     target = Path(out) if out is not None else result / VIEW_FOLDER
     prepare_folder(target)
-    with tempfile.TemporaryDirectory(prefix=".view-", dir=target) as name:
+    with tempfile.TemporaryDirectory(prefix=UNFINISHED, dir=target) as name:
         folder = Path(name)
         write_picture(folder / "history", picture(history_figure(history, document)))
         beside: list[Path] = []
@@ -64,14 +64,9 @@ def read_result(result: Path) -> dict[str, Any]:
     path = result / RESULT_FILE
     if not result.is_dir():
         raise InputError(f"{result}: there is no such folder")
-    try:
-        document = json.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        raise InputError(f"{result}: no {RESULT_FILE} here: this is no result of a drop") from None
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: cannot be read: {error}") from error
-    except json.JSONDecodeError as error:
-        raise InputError(f"{path}:{error.lineno}: not a result: {error.msg}") from error
+    if not exists(path):
+        raise InputError(f"{result}: no {RESULT_FILE} here: this is no result of a drop")
+    document = parse_json(path, read_text(path))
     if not isinstance(document, dict) or "model" not in document:
         raise InputError(f"{path}: not a result of this program: it names no model")
     return document

@@ -294,7 +294,7 @@ def spoil_column(folder):
     ("spoil", "message"),
     [
         (lambda f: (f / "result.json").unlink(), "no result.json here"),
-        (spoil_json, r"result.json:2: not a result"),
+        (spoil_json, r"result.json:2: not valid JSON"),
         (spoil_model, "names no model"),
         (lambda f: (f / "history.csv").unlink(), "history.csv: cannot be read"),
         (spoil_history, r"history.csv:4: could not convert"),

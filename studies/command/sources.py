@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import difflib
-import json
 import re
-import tomllib
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -14,6 +12,7 @@ from typing import Any, TypeVar
 from pydantic import BaseModel, ValidationError
 
 from ...solver.errors import InputError
+from ..data.texts import parse_json, parse_toml, quoted, read_text
 from ..scatter.flags import OWN_FLAGS
 from .flags import DROP_FLAGS, LISTS_FLAGS, Flag
 
@@ -83,7 +82,7 @@ def _explain(error: Any) -> tuple[str, str]:
     if name == "cells" and error["type"] in ("missing", "too_long", "tuple_type"):
         return name, "must be three whole numbers NX NY NZ"
     message = error["msg"].replace("Input should be", "must be").replace("a valid", "a")
-    return name, f"{message}, not {error['input']!r}"
+    return name, f"{message}, not {quoted(error['input'])}"
 
 
 def read_config(path: Path, flags: Iterable[Flag], ignored: Iterable[Flag] = ()) -> Source:
@@ -93,11 +92,10 @@ def read_config(path: Path, flags: Iterable[Flag], ignored: Iterable[Flag] = ())
     line, where it cannot be read or holds an unknown key.
     """
     try:
-        text = path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        reason = error.strerror if isinstance(error, OSError) else "it is not text"
-        raise InputError(f"--config {path}: cannot be read: {reason}") from error
-    data = _parse_result(path, text) if path.suffix == ".json" else _parse_toml(path, text)
+        text = read_text(path)
+    except InputError as error:
+        raise InputError(f"--config {error}") from error
+    data = _parse_result(path, text) if path.suffix == ".json" else parse_toml(path, text)
     fields, passed_over = _fields_by_key(flags), _fields_by_key(ignored)
     found = Source()
     for key, value in data.items():
@@ -125,21 +123,8 @@ def _fields_by_key(flags: Iterable[Flag]) -> dict[str, str]:
     return found
 
 
-def _parse_toml(path: Path, text: str) -> dict[str, Any]:
-    try:
-        return tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        place = re.search(r"\(at line (\d+), column \d+\)", str(error))
-        line = place.group(1) if place else text.count("\n") + 1
-        reason = re.sub(r" \(at .*\)$", "", str(error))
-        raise InputError(f"{path}:{line}: not valid TOML: {reason}") from error
-
-
 def _parse_result(path: Path, text: str) -> dict[str, Any]:
-    try:
-        data = json.loads(text)
-    except json.JSONDecodeError as error:
-        raise InputError(f"{path}:{error.lineno}: not valid JSON: {error.msg}") from error
+    data = parse_json(path, text)
     inputs = data.get("inputs") if isinstance(data, dict) else None
     if not isinstance(inputs, dict):
         raise InputError(f"{path}:1: not a result of this program: it has no inputs")

@@ -8,33 +8,45 @@ file and line. What a dataset leaves out is the paper's bristle.
 from __future__ import annotations
 
 import difflib
-import math
 import re
-import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from ...solver import paper
-from ...solver.bristle import Array, Bristle, Circle, Material, Rectangle, Section
+from ...solver.bristle import Array, Bristle
 from ...solver.errors import InputError
+from ..command import limits
+from ..command.config import Inputs
+from ..command.sources import checked
 from .tables import check_order, column, inside, optional_column, read_table, read_text
+from .texts import finite, parse_toml, printable, quoted
 
 KINDS = ("drops", "tracks", "forces", "waves", "falls")
 PARTS = ("dataset", "body", "contact", "measurement")
+# The keys of a body, and the inputs of a drop that have their bounds.
 BODY_KEYS = {
-    "length_m": paper.LENGTH_M,
-    "width_m": paper.WIDTH_M,
-    "thickness_m": paper.THICKNESS_M,
-    "diameter_m": None,
-    "youngs_modulus_Pa": paper.YOUNGS_PA,
-    "poisson_ratio": paper.POISSON,
-    "density_kg_m3": paper.DENSITY_KG_M3,
-    "damping_beta_s": paper.BETA_S,
-    "damping_alpha_1_s": paper.ALPHA_1_S,
+    "length_m": "length_m",
+    "width_m": "width_m",
+    "thickness_m": "thickness_m",
+    "diameter_m": "diameter_m",
+    "youngs_modulus_Pa": "youngs_Pa",
+    "poisson_ratio": "poisson",
+    "density_kg_m3": "density_kg_m3",
+    "damping_beta_s": "beta_s",
+    "damping_alpha_1_s": "alpha_1_s",
 }
-NUMBER_KEYS = ("sigma_y_mm", "sigma_t_s", "sigma_force_N", "fps", "gravity_m_s2")
+# Beyond these no instrument is meant.
+NUMBER_KEYS = {
+    "sigma_y_mm": (1e-6, 1e6),
+    "sigma_t_s": (1e-12, 1e3),
+    "sigma_force_N": (1e-9, 1e9),
+    "fps": (1e-3, 1e9),
+    "gravity_m_s2": (1e-4, 1e4),
+}
+KN_N_M, FRICTION = (1.0, limits.KN_N_M), (0.0, 100.0)
+MOST_LETTERS = 1000
 WAVE_KEYS = ("signal", "gauge_x_m", "unit", "baseline_until_s", "first_pass_s", "predict_s")
 MEASUREMENT_KEYS = ("file", *NUMBER_KEYS, *WAVE_KEYS)
 
@@ -96,38 +108,37 @@ def read_manifest(folder: Path) -> Manifest:
     Raises InputError where it is missing, is no TOML, or declares something unusable.
     """
     folder = Path(folder)
-    path = folder / "dataset.toml"
+    path = inside(folder, "dataset.toml")
     text = read_text(path)
-    try:
-        tree = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        raise InputError(f"{path}: not valid TOML: {error}") from error
+    tree = parse_toml(path, text)
     parts = {name: _part(path, tree, name) for name in PARTS}
     about = parts["dataset"]
     kind = about.get("kind")
     if kind not in KINDS:
-        raise _wrong(path, text, "kind", f"must be one of {', '.join(KINDS)}, not {kind!r}")
+        raise _wrong(path, text, "kind", f"must be one of {', '.join(KINDS)}, not {quoted(kind)}")
     _refuse_misspelt(path, text, parts["body"], tuple(BODY_KEYS), all_known=True)
     _refuse_misspelt(path, text, parts["contact"], ("kn_N_m", "friction"))
     _refuse_misspelt(path, text, parts["measurement"], MEASUREMENT_KEYS)
-    kn = _number(path, text, parts["contact"], "kn_N_m", None)
+    kn = _number(path, text, parts["contact"], "kn_N_m", KN_N_M)
+    friction = _number(path, text, parts["contact"], "friction", FRICTION)
     measurement = dict(parts["measurement"])
-    for key in NUMBER_KEYS:
+    for key, between in NUMBER_KEYS.items():
         if key in measurement:
-            measurement[key] = _number(path, text, measurement, key, None)
+            measurement[key] = _number(path, text, measurement, key, between)
     if not isinstance(measurement.get("file", ""), str):
         raise _wrong(path, text, "file", "must be the name of a file")
+    words = {key: _words(path, text, about, key) for key in ("title", "source", "licence")}
     return Manifest(
         folder=folder,
-        title=str(about.get("title", folder.name)),
+        title=words["title"] or folder.resolve().name,
         kind=kind,
-        source=str(about.get("source", "")),
-        licence=str(about.get("licence", "")),
+        source=words["source"],
+        licence=words["licence"],
         bristle=_bristle(path, text, parts["body"]),
         declared=tuple(sorted(parts["body"])),
         kn_N_m=kn,
         measurement=measurement,
-        friction=_number(path, text, parts["contact"], "friction", paper.FRICTION) or 0.0,
+        friction=paper.FRICTION if friction is None else friction,
     )
 
 
@@ -190,37 +201,40 @@ def _refuse_misspelt(
             raise _wrong(path, text, key, f"is not known; known are {', '.join(known)}")
 
 
+def _words(path: Path, text: str, part: Mapping[str, Any], key: str) -> str:
+    """A text of ``[dataset]`` on one line, without what would steer a terminal."""
+    words = part.get(key, "")
+    if not isinstance(words, str) or len(words) > MOST_LETTERS:
+        raise _wrong(path, text, key, f"must be a text of at most {MOST_LETTERS} letters")
+    return printable(words)
+
+
 def _number(
-    path: Path, text: str, part: Mapping[str, Any], key: str, default: float | None
+    path: Path, text: str, part: Mapping[str, Any], key: str, between: tuple[float, float]
 ) -> float | None:
     if key not in part:
-        return default
-    value = part[key]
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        raise _wrong(path, text, key, f"must be a number, not {value!r}")
-    if not math.isfinite(value):
-        raise _wrong(path, text, key, f"must be finite, not {value}")
-    zero_is_fine = key in ("damping_beta_s", "damping_alpha_1_s", "poisson_ratio", "friction")
-    if value <= 0.0 and not zero_is_fine:
-        raise _wrong(path, text, key, f"must be positive, not {value}")
-    return float(value)
+        return None
+    number = finite(part[key])
+    if number is None:
+        raise _wrong(path, text, key, f"must be a finite number, not {quoted(part[key])}")
+    low, high = between
+    if number <= 0.0 < low:
+        raise _wrong(path, text, key, f"must be positive, not {number:g}")
+    if not low <= number <= high:
+        raise _wrong(path, text, key, f"must lie between {low:g} and {high:g}, not {number:g}")
+    return number
 
 
 def _bristle(path: Path, text: str, part: Mapping[str, Any]) -> Bristle:
+    """The body that is declared, within the bounds of a drop's inputs."""
     if "diameter_m" in part and {"width_m", "thickness_m"} & set(part):
         raise _wrong(path, text, "diameter_m", "excludes width_m and thickness_m")
-    n = {key: _number(path, text, part, key, default) or 0.0 for key, default in BODY_KEYS.items()}
-    try:
-        section: Section = Rectangle(n["thickness_m"], n["width_m"])
-        if "diameter_m" in part:
-            section = Circle(n["diameter_m"])
-        material = Material(
-            youngs_Pa=n["youngs_modulus_Pa"],
-            poisson=n["poisson_ratio"],
-            density_kg_m3=n["density_kg_m3"],
-            alpha_1_s=n["damping_alpha_1_s"],
-            beta_s=n["damping_beta_s"],
-        )
-        return Bristle(n["length_m"], section, material)
-    except InputError as error:
-        raise InputError(f"{path}: [body]: {error}") from error
+    values, origins = {}, {}
+    for key, value in part.items():
+        number = finite(value)
+        if number is None:
+            raise _wrong(path, text, key, f"must be a finite number, not {quoted(value)}")
+        line = _line(text, key)
+        values[BODY_KEYS[key]] = number
+        origins[BODY_KEYS[key]] = f"{path}{'' if line is None else f':{line}'}: {key}"
+    return checked(Inputs, values, origins).bristle()

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import io
 import math
 from collections.abc import Callable
 from pathlib import Path
@@ -13,57 +12,74 @@ from numpy.typing import NDArray
 
 from ...solver.bristle import Array
 from ...solver.errors import InputError
+from . import texts
+from .texts import quoted
 
-TABLE_BYTES = 50_000_000
+MOST_ROWS = 1_000_000
+# Beyond it nothing is a measurement in the units of a table, and squares still are numbers.
+LARGEST = 1e12
 Rows = list[tuple[int, dict[str, str]]]
 
 
 def inside(folder: Path, name: str) -> Path:
     """The path of file ``name`` in ``folder``; InputError where it leads out of it."""
     root = folder.resolve()
-    path = (root / name).resolve()
+    try:
+        path = (root / name).resolve()
+    except (OSError, ValueError) as error:  # ValueError: a zero byte in it
+        raise InputError(f"{folder / 'dataset.toml'}: file {quoted(name)}: {error}") from error
     if not path.is_relative_to(root) or path == root:
         raise InputError(
-            f"{folder / 'dataset.toml'}: file {name!r} lies outside the dataset's folder"
+            f"{folder / 'dataset.toml'}: file {quoted(name)} lies outside the dataset's folder"
         )
     return folder / name
 
 
 def read_table(path: Path, required: tuple[str, ...]) -> Rows:
     """Rows of a CSV with their line numbers; lines that are empty or start with # are skipped."""
-    lines = list(enumerate(read_text(path).splitlines(), start=1))
+    lines = list(enumerate(_lines(read_text(path)), start=1))
     lines = [(n, line) for n, line in lines if line.strip() and not line.lstrip().startswith("#")]
     if not lines:
         raise InputError(f"{path}: no table in it")
-    head = [name.strip() for name in _cells(lines[0][1])]
+    if len(lines) > MOST_ROWS:
+        raise InputError(f"{path}: {len(lines)} rows; there can be {MOST_ROWS}")
     where = f"{path}:{lines[0][0]}"
+    head = [name.strip() for name in _cells(where, lines[0][1])]
     missing = [name for name in required if name not in head]
     if missing:
-        raise InputError(f"{where}: no column {missing[0]}; there are {', '.join(head)}")
+        raise InputError(f"{where}: no column {missing[0]}; there are {quoted(', '.join(head))}")
     if len(set(head)) != len(head):
         raise InputError(f"{where}: a column appears twice")
     rows = []
     for number, line in lines[1:]:
-        cells = [cell.strip() for cell in _cells(line)]
+        cells = [cell.strip() for cell in _cells(f"{path}:{number}", line)]
         if len(cells) != len(head):
             raise InputError(f"{path}:{number}: {len(cells)} values under {len(head)} columns")
         rows.append((number, dict(zip(head, cells, strict=True))))
+    if not rows:
+        raise InputError(f"{path}: no rows under the columns")
     return rows
 
 
-def _cells(line: str) -> list[str]:
-    return next(csv.reader(io.StringIO(line)), [])
+def _lines(text: str) -> list[str]:
+    """Lines as editors count them; str.splitlines knows further ends of lines."""
+    return text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
+
+
+def _cells(where: str, line: str) -> list[str]:
+    try:
+        return next(csv.reader([line], strict=True), [])
+    except csv.Error as error:
+        raise InputError(f"{where}: no row of a CSV table: {error}") from error
 
 
 def read_text(path: Path) -> str:
-    try:
-        if path.stat().st_size > TABLE_BYTES:
-            raise InputError(f"{path}: larger than {TABLE_BYTES // 1_000_000} MB")
-        return path.read_text(encoding="utf-8-sig")
-    except FileNotFoundError as error:
-        raise InputError(f"{path}: no such file") from error
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: cannot be read as text: {error}") from error
+    """The text of a dataset's file; InputError where there is none, or it is no plain file."""
+    if not texts.exists(path):
+        raise InputError(f"{path}: no such file")
+    if not path.is_file():
+        raise InputError(f"{path}: is not a plain file")
+    return texts.read_text(path)
 
 
 def column(
@@ -75,7 +91,10 @@ def column(
     least: float | None = None,
     whole: bool = False,
 ) -> Array:
-    checks: list[tuple[Callable[[float], bool], str]] = [(math.isfinite, "a finite number")]
+    checks: list[tuple[Callable[[float], bool], str]] = [
+        (math.isfinite, "a finite number"),
+        (lambda x: abs(x) <= LARGEST, f"at most {LARGEST:g} in size"),
+    ]
     if above is not None:
         checks.append((lambda x: x > above, f"more than {above:g}"))
     if least is not None:
@@ -85,13 +104,20 @@ def column(
     values = np.empty(len(rows))
     for i, (line, row) in enumerate(rows):
         try:
-            values[i] = float(row[name])
+            values[i] = _number(row[name])
         except ValueError as error:
-            raise InputError(f"{path}:{line}: {name} is no number: {row[name]!r}") from error
+            raise InputError(f"{path}:{line}: {name} is no number: {quoted(row[name])}") from error
         for good, words in checks:
             if not good(values[i]):
-                raise InputError(f"{path}:{line}: {name} must be {words}, not {row[name]}")
+                raise InputError(f"{path}:{line}: {name} must be {words}, not {row[name][:80]}")
     return values
+
+
+def _number(text: str) -> float:
+    """A number as tables write it; Python's own notation takes more, 1_0 for ten."""
+    if "_" in text or not text.isascii():
+        raise ValueError(text)
+    return float(text)
 
 
 def check_order(

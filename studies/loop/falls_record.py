@@ -65,7 +65,11 @@ def read_falls(folder: Path) -> Falls:
         raise InputError(f"{path}: {len(begins) - 1} falls; at least three are needed")
     for begin, size in zip(begins, np.diff(begins), strict=False):
         duration = times[begin + size - 1] - times[begin]
+        where = f"{path}:{rows[begin][0]}: fall {fall[begin]}"
+        if size * BIN_S < 2.0 * duration:
+            raise InputError(
+                f"{where} has {size} samples in {duration:g} s; {2 / BIN_S:g} a second are needed"
+            )
         if size < 20 or duration < 4 * BIN_S:
-            where = f"{path}:{rows[begin][0]}: fall {fall[begin]}"
             raise InputError(f"{where} has {size} samples in {duration:g} s; too short a record")
     return Falls(manifest, fall, times, reading, begins)

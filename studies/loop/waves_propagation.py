@@ -26,6 +26,8 @@ from .waves_record import Waves
 
 STANDS_OUT = 2.0
 """How far the first pass must rise above the noise for a frequency to be used."""
+LEAST_WINDOW = 16
+"""Samples of a pass."""
 BEYOND = 4.0
 """Frequencies that are propagated, in units of the highest used: windows mix neighbours."""
 
@@ -55,7 +57,13 @@ class Propagation:
     def window(self) -> int:
         """Samples of the window of one pass."""
         begin, end = self.data.predict_s
-        return int((end - begin) / self.n_passes / self.data.step_s)
+        samples = int((end - begin) / self.n_passes / self.data.step_s)
+        if samples < LEAST_WINDOW:
+            raise self.data.manifest.wrong(
+                "predict_s",
+                f"has {samples} samples a pass of the declared bar; {LEAST_WINDOW} are needed",
+            )
+        return samples
 
     def starts(self) -> list[int]:
         """The first sample of each window."""

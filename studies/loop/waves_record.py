@@ -6,7 +6,7 @@ bar from lanl/HopPyBar (examples/mini-Kolsky/PMMA-13, BSD-3-Clause).
 
 from __future__ import annotations
 
-import math
+import re
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -16,7 +16,9 @@ from ...solver.bristle import Array
 from ...solver.errors import InputError
 from ..data.datasets import Manifest, read_manifest
 from ..data.tables import column, read_table
+from ..data.texts import finite, quoted
 
+UNIT = re.compile(r"[\w%°/·*^.() -]{1,20}")
 NEAR_MIDDLE = 0.1
 """How far from mid-length a gauge may lie, in half lengths."""
 
@@ -82,7 +84,7 @@ def read_waves(folder: Path) -> Waves:
         times_s=times,
         signal=gauges.mean(axis=0),
         difference=0.5 * (gauges[0] - gauges[1]) if len(names) == 2 else None,
-        unit=str(manifest.measurement.get("unit", "V")),
+        unit=_unit(manifest),
         baseline_until_s=until,
         first_pass_s=first,
         predict_s=predict,
@@ -101,6 +103,14 @@ def _off_centre(manifest: Manifest) -> float:
     return off
 
 
+def _unit(manifest: Manifest) -> str:
+    """The unit, as labels of figures can show it: a dollar would begin a formula there."""
+    unit = manifest.measurement.get("unit", "V")
+    if not isinstance(unit, str) or not UNIT.fullmatch(unit):
+        raise manifest.wrong("unit", f"must be a unit such as V or µm/m, not {quoted(unit)}")
+    return unit
+
+
 def _signal(manifest: Manifest) -> tuple[str, ...]:
     names = manifest.measurement.get("signal")
     names = [names] if isinstance(names, str) else names
@@ -113,9 +123,10 @@ def _signal(manifest: Manifest) -> tuple[str, ...]:
 
 
 def _number(manifest: Manifest, key: str, value: object) -> float:
-    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
-        raise manifest.wrong(key, f"must be a finite number, not {value!r}")
-    return float(value)
+    number = finite(value)
+    if number is None:
+        raise manifest.wrong(key, f"must be a finite number, not {quoted(value)}")
+    return number
 
 
 def _window(manifest: Manifest, key: str) -> tuple[float, float]:

@@ -18,6 +18,7 @@ from ...solver.touch import HISTORY_COLUMNS
 from .. import __version__
 from ..command.config import DropInputs
 from ..command.sources import OPTIONS
+from ..data.texts import exists, parse_json, quoted, read_text
 from .cases import Timings
 from .files import to_csv, to_json, write_atomically
 
@@ -96,16 +97,12 @@ def write_drop(out: Path, document: dict[str, Any], result: DropResult) -> dict[
 
 def read_document(path: Path) -> dict[str, Any] | None:
     """A result, or None where there is none; InputError where it is not one of this program."""
-    try:
-        text = path.read_text(encoding="utf-8")
-    except FileNotFoundError:
+    if not exists(path):
         return None
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"--resume {path}: cannot be read: {error}") from error
     try:
-        document = json.loads(text)
-    except json.JSONDecodeError as error:
-        raise InputError(f"--resume {path}:{error.lineno}: not a result: {error.msg}") from error
+        document = parse_json(path, read_text(path))
+    except InputError as error:
+        raise InputError(f"--resume {error}") from error
     if not isinstance(document, dict) or not isinstance(document.get("inputs"), dict):
         raise InputError(f"--resume {path}: not a result of this program: it has no inputs")
     return document
@@ -115,8 +112,8 @@ def check_same(path: Path, there: Mapping[str, Any], inputs: BaseModel) -> None:
     """InputError that names the first difference between what is ``there`` and what is asked."""
     if there.get("version") != __version__:
         raise InputError(
-            f"--resume {path}: made by version {there.get('version')}, this is {__version__}; "
-            f"choose another --out"
+            f"--resume {path}: made by version {quoted(there.get('version'))}, "
+            f"this is {__version__}; choose another --out"
         )
     old, new = there["inputs"], plain_inputs(inputs)
     for key in [*new, *(key for key in old if key not in new)]:
@@ -128,7 +125,7 @@ def check_same(path: Path, there: Mapping[str, Any], inputs: BaseModel) -> None:
 
 
 def _shown(value: Any) -> str:
-    return value if isinstance(value, str) else json.dumps(value)
+    return value if isinstance(value, str) else quoted(value)
 
 
 def peak_rss_MB(comm: MPI.Intracomm) -> float:

@@ -225,5 +225,5 @@ def _show(
 
 if __name__ == "__main__":
     where = Path(sys.argv[1])
-    with np.load(where / NUMBERS_FILE) as loaded:
+    with np.load(where / NUMBERS_FILE, allow_pickle=False) as loaded:
         _draw(dict(loaded), Drawing(**json.loads((where / DRAWING_FILE).read_text())), where)
