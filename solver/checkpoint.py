@@ -26,7 +26,7 @@ from .kept import read_arrays, write_arrays
 if TYPE_CHECKING:
     from mpi4py import MPI
 
-SCHEMA = "bristle-checkpoint-1"
+SCHEMA = "bristle-checkpoint-2"
 HEADER = "header"
 # Steps between looks at the clock, which ranks share.
 LOOK = 16
@@ -62,7 +62,7 @@ class Checkpoint:
     ) -> None:
         self.folder, self.comm, self.every_s = Path(folder), comm, every_s
         self._made_for = {**made_for, "number of ranks": str(comm.size)}
-        self._march, self._frames = -1, 0
+        self._march, self._frames, self._whole_frames = -1, 0, 0
         self._looks, self._last_s = 0, time.monotonic()
         self._waiting: list[tuple[Path, dict[str, Any], Mapping[str, Array]]] = []
         self._there: dict[int, tuple[int, bool, int]] = {}
@@ -130,23 +130,17 @@ class Checkpoint:
             del self._waiting[0]
 
     def _write(self, path: Path, header: Mapping[str, Any], arrays: Mapping[str, Array]) -> None:
-        text = json.dumps(
-            {
-                "schema": SCHEMA,
-                "made_for": self._made_for,
-                **header,
-                "sha256": _digest(arrays),
-            }
-        )
+        said = {"schema": SCHEMA, "made_for": self._made_for, **header}
+        text = json.dumps({**said, "sha256": _digest(said, arrays)})
         write_arrays(path, {HEADER: np.array(text), **arrays})
 
     def _read(self, path: Path) -> tuple[dict[str, Any], dict[str, Array]]:
         """Header and arrays of a file; ValueError or OSError where it is not whole."""
         arrays = read_arrays(path)
         header = json.loads(str(arrays.pop(HEADER, "{}")))
-        if header.get("schema") != SCHEMA:
+        if not isinstance(header, dict) or header.get("schema") != SCHEMA:
             raise ValueError(f"{path} is no {SCHEMA}")
-        if header.get("sha256") != _digest(arrays):
+        if header.pop("sha256", None) != _digest(header, arrays):
             raise ValueError(f"{path} is not what was written")
         return header, arrays
 
@@ -184,7 +178,14 @@ class Checkpoint:
         return there
 
     def _has_frames(self, count: int) -> bool:
-        return self._agreed(all(self._frame(i).exists() for i in range(count)))
+        """Whether all ranks have so many frames whole."""
+        try:
+            for i in range(self._whole_frames, count):
+                self._read(self._frame(i))
+                self._whole_frames = i + 1
+        except (OSError, ValueError):
+            return self._agreed(False)
+        return self._agreed(True)
 
     def _difference(self, made_for: Mapping[str, str]) -> str | None:
         for name in {**self._made_for, **made_for}:
@@ -214,8 +215,8 @@ def _copied(arrays: Mapping[str, Array]) -> dict[str, Array]:
     return {name: np.array(array) for name, array in arrays.items()}
 
 
-def _digest(arrays: Mapping[str, Array]) -> str:
-    found = hashlib.sha256()
+def _digest(header: Mapping[str, Any], arrays: Mapping[str, Array]) -> str:
+    found = hashlib.sha256(json.dumps(header, sort_keys=True).encode())
     for name in sorted(arrays):
         array = np.ascontiguousarray(arrays[name])
         found.update(f"{name} {array.dtype.str} {array.shape}".encode())

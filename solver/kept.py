@@ -8,8 +8,10 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
+import os
 import tempfile
-import zipfile
+import threading
+import time
 from collections.abc import Callable, Mapping
 from functools import lru_cache
 from pathlib import Path
@@ -21,6 +23,11 @@ from .bodies.base import Array
 from .compiled import cache_folder
 
 KEY = "key"
+# Held while a file is written, by one thread at a time.
+WRITING = threading.Lock()
+PART = ".part"
+# No file takes so long to write.
+PART_S = 3600.0
 
 
 def kept(key: str, make: Callable[[], Mapping[str, Array]]) -> dict[str, Array]:
@@ -47,6 +54,7 @@ def load(key: str) -> dict[str, Array] | None:
 def store(key: str, arrays: Mapping[str, Array]) -> None:
     """Keep ``arrays``; a disk that is full or may not be written keeps nothing."""
     with contextlib.suppress(OSError):
+        _forget_parts(_path(key).parent)
         write_arrays(_path(key), {KEY: np.array(key), **arrays})
 
 
@@ -54,21 +62,38 @@ def read_arrays(path: Path) -> dict[str, Array]:
     """The plain arrays of a file; OSError, or ValueError where it is not whole."""
     try:
         with np.load(path, allow_pickle=False) as file:
-            return {name: file[name] for name in file.files}
-    except (KeyError, EOFError, zipfile.BadZipFile) as error:
+            arrays = {name: file[name] for name in file.files}
+    except OSError:
+        raise
+    except Exception as error:  # readers of zip files fail in many ways on what is none
         raise ValueError(f"{path} is not whole") from error
+    if not all(isinstance(array, np.ndarray) for array in arrays.values()):
+        raise ValueError(f"{path} holds more than arrays")
+    return arrays
 
 
 def write_arrays(path: Path, arrays: Mapping[str, Array]) -> None:
-    """Write arrays beside ``path``, then give the file its name; OSError."""
+    """Write arrays beside ``path``, see them on the disk, then give the file its name; OSError."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    with tempfile.NamedTemporaryFile(dir=path.parent, suffix=".part", delete=False) as part:
-        try:
+    handle, name = tempfile.mkstemp(dir=path.parent, suffix=PART)
+    try:
+        with WRITING, os.fdopen(handle, "wb") as part:
             np.savez(part, **cast(dict[str, Any], dict(arrays)))
-        except BaseException:
-            Path(part.name).unlink()
-            raise
-    Path(part.name).replace(path)
+            part.flush()
+            os.fsync(part.fileno())
+        Path(name).replace(path)
+    except BaseException:
+        Path(name).unlink(missing_ok=True)
+        raise
+
+
+@lru_cache(maxsize=8)
+def _forget_parts(folder: Path) -> None:
+    """Remove, once, what runs that were killed left half-written."""
+    for part in folder.glob(f"*{PART}"):
+        with contextlib.suppress(OSError):
+            if time.time() - part.stat().st_mtime > PART_S:
+                part.unlink()
 
 
 @lru_cache(maxsize=8)

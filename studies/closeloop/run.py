@@ -27,7 +27,7 @@ from ..data.datasets import Manifest, read_manifest
 from ..loop.finding import Finding
 from ..loop.problem import Problem
 from ..loop.run import find
-from ..running.files import prepare_folder, to_json, write_atomically
+from ..running.files import prepare_folder, to_json, together, write_atomically
 from ..running.parallel import share_out, start_petsc
 from ..running.progress import progress, working
 from .confirm import LEFT_OUT, Confirmation, confirm
@@ -120,9 +120,15 @@ def _simulate(problem: Problem, comm: MPI.Intracomm) -> None:
         return
     with progress("Effects simulated", len(candidates)) as advance:
         if comm.size == 1:
-            with ThreadPoolExecutor(os.process_cpu_count()) as threads:
+            threads = ThreadPoolExecutor(os.process_cpu_count())
+            try:
                 for _ in threads.map(predict, range(len(candidates))):
                     advance()
+            except BaseException as error:
+                # who is interrupted does not wait for what threads compute
+                threads.shutdown(not isinstance(error, KeyboardInterrupt), cancel_futures=True)
+                raise
+            threads.shutdown()
             return
         share_out(comm, len(candidates), predict, lambda i, nothing: advance())
 
@@ -133,8 +139,9 @@ def _run(manifest: Manifest, problem: Problem, out: Path, inputs: LoopInputs) ->
     with _folder_for(out):
         closed = close(manifest, problem, inputs)
         content = verdict(closed)
-        write_page(closed, out, __version__)
-        write_atomically(out / VERDICT_FILE, to_json(content) + "\n")
+        with together(out, VERDICT_FILE):
+            write_page(closed, out, __version__)
+            write_atomically(out / VERDICT_FILE, to_json(content) + "\n")
     return content
 
 

@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
+import errno
+import os
 import re
-import signal
 import sys
 import traceback
-from collections.abc import Iterator
-from contextlib import contextmanager
+from io import TextIOWrapper
 
 import click
 
 from ...solver.errors import BristleError
+from ..data.texts import printable
+from ..running.interrupts import INTERRUPTED, heard, interruptible, leave
 from ..running.parallel import Ending, Ranks, rank_0_speaks
 
-INTERRUPTED = 130
+LONGEST = 1000
 
 
 def run(command: click.Command, arguments: list[str]) -> int:
@@ -23,13 +25,18 @@ def run(command: click.Command, arguments: list[str]) -> int:
     0 done, 1 the computation failed, 2 the input is wrong, 130 interrupted. An error ends with one
     line on standard error, from rank 0 alone unless another rank fails by itself.
     """
-    with rank_0_speaks(), _terminable():
+    _open_streams()
+    with interruptible(), rank_0_speaks():
         ranks = Ranks()
         try:
             ending = _attempt(command, arguments)
         except KeyboardInterrupt:
+            heard()
             ending = Ending(INTERRUPTED, "bristle: interrupted")
-        return ranks.finish(ending)
+        status = ranks.finish(ending)
+    if ranks.alone:
+        leave(status)
+    return status
 
 
 def _attempt(command: click.Command, arguments: list[str]) -> Ending:
@@ -44,10 +51,14 @@ def _attempt(command: click.Command, arguments: list[str]) -> Ending:
     except click.Abort:
         raise KeyboardInterrupt from None
     except BrokenPipeError:
-        sys.stdout = None  # whoever read it has gone: no use to flush it at exit
-        return Ending(1, "bristle: error: standard output was closed before the end")
+        return _deaf("standard output was closed before the end", debug)
+    except SystemExit:  # so ends click where its output is a pipe that nobody reads any more
+        return _deaf("standard output was closed before the end", debug)
     except OSError as error:
-        return _failed(1, f"{error.filename or 'file'}: {error.strerror or error}", debug)
+        if error.filename is None:
+            return _deaf(f"standard output: {error.strerror or error}", debug)
+        status = 2 if error.errno == errno.ENAMETOOLONG else 1
+        return _failed(status, f"{error.filename or 'file'}: {error.strerror or error}", debug)
     except MemoryError:
         return _failed(1, "there is not enough memory; take fewer --cells or more ranks", debug)
     except Exception as error:
@@ -56,13 +67,35 @@ def _attempt(command: click.Command, arguments: list[str]) -> Ending:
     return Ending(status if isinstance(status, int) else 0, _interruption(status))
 
 
+def _open_streams() -> None:
+    """Have streams that take whatever is said, also where the user closed them (>&-)."""
+    for name in ("stdout", "stderr"):
+        stream = getattr(sys, name)
+        if stream is None:
+            setattr(sys, name, open(os.devnull, "w", encoding="utf-8"))  # noqa: PTH123, SIM115
+        elif isinstance(stream, TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")
+
+
+def _deaf(message: str, debug: bool) -> Ending:
+    """The end of a command that nobody reads; there is nothing left to flush at exit."""
+    ending = _failed(1, message, debug)
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.__stdout__.fileno() if sys.__stdout__ else 1)
+    return ending
+
+
 def _interruption(status: object) -> str:
     return "bristle: interrupted" if status == INTERRUPTED else ""
 
 
 def _failed(status: int, message: str, debug: bool) -> Ending:
-    line = f"bristle: error: {' '.join(message.split())}"
+    line = f"bristle: error: {_shortened(printable(message))}"
     return Ending(status, f"{traceback.format_exc()}{line}" if debug else line)
+
+
+def _shortened(line: str) -> str:
+    """A line that a screen can hold, with its two ends."""
+    return line if len(line) <= LONGEST else f"{line[: LONGEST // 2]} … {line[-LONGEST // 2 :]}"
 
 
 def _usage(error: click.ClickException) -> str:
@@ -78,21 +111,3 @@ def _usage(error: click.ClickException) -> str:
         r"^Got unexpected extra arguments? \((.*)\)$", r"\1: not expected here", message
     )
     return re.sub(r"^No such command '(.*)'$", r"\1: there is no such command", message)
-
-
-@contextmanager
-def _terminable() -> Iterator[None]:
-    """A polite end (SIGTERM, as mpirun sends it) cleans up like one from the keyboard."""
-
-    def stop(number: int, frame: object) -> None:
-        raise KeyboardInterrupt
-
-    try:
-        before = signal.signal(signal.SIGTERM, stop)
-    except ValueError:  # not in the main thread
-        yield
-        return
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGTERM, before)

@@ -1,8 +1,9 @@
-"""How does a file come to its place whole, or not at all?"""
+"""How do files come to their places whole and together, or not at all?"""
 
 from __future__ import annotations
 
 import csv
+import errno
 import io
 import json
 import math
@@ -11,10 +12,12 @@ import shutil
 import tempfile
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ...solver.errors import InputError
+from ...solver.errors import ComputationError, InputError
+from .interrupts import uninterrupted
 
 if TYPE_CHECKING:
     from ..page.figures import Picture
@@ -33,7 +36,7 @@ def prepare_folder(out: Path) -> None:
         out.mkdir(parents=True, exist_ok=True)
         for path in out.iterdir():
             if path.name.startswith(UNFINISHED):
-                remove_folder(path) if path.is_dir() else path.unlink(missing_ok=True)
+                remove(path)
         with tempfile.TemporaryFile(dir=out):
             pass
     except (FileExistsError, NotADirectoryError):
@@ -60,42 +63,144 @@ def write_picture(stem: Path, drawn: Picture) -> list[str]:
 
 
 def write_atomically(path: Path, content: str | bytes) -> None:
-    """Write ``content`` beside ``path``, see it on the disk, then give it its name."""
-    handle, name = tempfile.mkstemp(prefix=f"{UNFINISHED}{path.name}-", dir=path.parent)
-    beside = Path(name)
+    """Write ``content`` beside ``path``, see it on the disk, then give it its name.
+
+    Inside `together` it gets its name with the others. Raises ComputationError where the disk does
+    not take it.
+    """
+    place = _place(path)
     try:
-        with os.fdopen(handle, "wb") as file:
-            file.write(content.encode() if isinstance(content, str) else content)
-            file.flush()
-            os.fsync(file.fileno())
-        beside.chmod(0o666 & ~_umask())
-        beside.replace(path)
-    except BaseException:
-        beside.unlink(missing_ok=True)
-        raise
+        place.parent.mkdir(parents=True, exist_ok=True)
+        handle, name = tempfile.mkstemp(prefix=f"{UNFINISHED}{path.name}-", dir=place.parent)
+        beside = Path(name)
+        try:
+            with os.fdopen(handle, "wb") as file:
+                file.write(content.encode() if isinstance(content, str) else content)
+                file.flush()
+                os.fsync(file.fileno())
+            beside.chmod(0o666 & ~_umask())
+            beside.replace(place)
+        except BaseException:
+            beside.unlink(missing_ok=True)
+            raise
+    except OSError as error:
+        raise cannot_write(path, error) from error
 
 
 @contextmanager
 def folder_in_place(folder: Path) -> Iterator[Path]:
-    """A new folder to fill, which takes the place of ``folder`` when the block ends well."""
+    """A new folder to fill, which takes the place of ``folder`` when the block ends well.
+
+    Inside `together` it does so with the others.
+    """
     made = Path(tempfile.mkdtemp(prefix=f"{UNFINISHED}{folder.name}-", dir=folder.parent))
     try:
         made.chmod(0o777 & ~_umask())
         yield made
-        if folder.exists():
-            old = Path(tempfile.mkdtemp(prefix=f"{UNFINISHED}{folder.name}-", dir=folder.parent))
-            folder.replace(old)
-            made.replace(folder)
-            shutil.rmtree(old, ignore_errors=True)
+        waiting = _waiting_for(folder)
+        if waiting is None:
+            with uninterrupted():
+                _replace_folder(made, folder)
         else:
-            made.replace(folder)
-    finally:
+            waiting.folders.append((made, folder))
+    except BaseException:
         shutil.rmtree(made, ignore_errors=True)
+        raise
 
 
-def remove_folder(folder: Path) -> None:
-    """Remove a folder of an earlier result, if it is there."""
-    shutil.rmtree(folder, ignore_errors=True)
+def remove(path: Path) -> None:
+    """Remove a folder or file of an earlier result, if it is there; in `together`, at its end."""
+    waiting = _waiting_for(path)
+    if waiting is not None:
+        waiting.folders.append((None, path))
+    elif path.is_dir():
+        shutil.rmtree(path, ignore_errors=True)
+    else:
+        path.unlink(missing_ok=True)
+
+
+@dataclass
+class _Waiting:
+    """What waits for its place in ``out``: files in ``made``, those named ``last`` at the end, and
+    before them folders, each with what takes its place (None: it is removed)."""
+
+    out: Path
+    made: Path
+    last: list[str]
+    folders: list[tuple[Path | None, Path]] = field(default_factory=list)
+
+    def place(self) -> None:
+        files = sorted(path.relative_to(self.made) for path in self.made.rglob("*"))
+        files = [path for path in files if (self.made / path).is_file()]
+        for path in files:
+            if (self.out / path).is_dir():
+                raise IsADirectoryError(errno.EISDIR, f"{path} is a folder there", str(path))
+            (self.out / path).parent.mkdir(parents=True, exist_ok=True)
+        with uninterrupted():
+            for made, folder in self.folders:
+                _replace_folder(made, folder)
+            for path in sorted(files, key=lambda path: str(path) in self.last):
+                (self.made / path).replace(self.out / path)
+
+
+_open: list[_Waiting] = []
+
+
+@contextmanager
+def together(out: Path, *last: str) -> Iterator[None]:
+    """What the block writes into ``out`` takes its place when the block ends well, else nothing.
+
+    The files named ``last`` come last, since they say that all is there. A block inside another of
+    the same folder joins it. Raises ComputationError where the disk does not take them.
+    """
+    for outer in _open:
+        if outer.out == out:
+            outer.last.extend(last)
+            yield
+            return
+    try:
+        waiting = _Waiting(out, Path(tempfile.mkdtemp(prefix=UNFINISHED, dir=out)), list(last))
+    except OSError as error:
+        raise cannot_write(out, error) from error
+    _open.append(waiting)
+    try:
+        yield
+        waiting.place()
+    except OSError as error:
+        raise cannot_write(out, error) from error
+    finally:
+        _open.remove(waiting)
+        for made in (waiting.made, *(made for made, _ in waiting.folders if made)):
+            shutil.rmtree(made, ignore_errors=True)
+
+
+def _waiting_for(path: Path) -> _Waiting | None:
+    return next((each for each in reversed(_open) if path.is_relative_to(each.out)), None)
+
+
+def _place(path: Path) -> Path:
+    """Where a file is written to, for now."""
+    waiting = _waiting_for(path)
+    if waiting is None or path.is_relative_to(waiting.made):
+        return path
+    return waiting.made / path.relative_to(waiting.out)
+
+
+def _replace_folder(made: Path | None, folder: Path) -> None:
+    """``made`` for what is in its place, which goes."""
+    old = None
+    if folder.exists():
+        old = Path(tempfile.mkdtemp(prefix=f"{UNFINISHED}{folder.name}-", dir=folder.parent))
+        folder.replace(old / folder.name)
+    if made is not None:
+        made.replace(folder)
+    if old is not None:
+        shutil.rmtree(old, ignore_errors=True)
+
+
+def cannot_write(path: Path, error: OSError) -> ComputationError:
+    """What is said where the disk is full, or may not be written."""
+    return ComputationError(f"{path}: cannot be written: {error.strerror or error}")
 
 
 def to_json(document: Any, indent: int | None = 2) -> str:

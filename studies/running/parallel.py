@@ -103,6 +103,11 @@ class Ranks:
             # of its own, so that a lone failing rank's messages meet no other's collective call
             self._comm = MPI.COMM_WORLD.Dup()
 
+    @property
+    def alone(self) -> bool:
+        """Whether this is the only rank."""
+        return self._comm is None
+
     def finish(self, ending: Ending) -> int:
         """The job's exit status. Where one rank failed and others still work, the job is aborted.
 
