@@ -22,7 +22,7 @@ from . import __version__
 from .calibration.curve import GRID_N_M, RatioCurve, RatioModel, beam_model, mean_curve
 from .calibration.estimate import LEVEL, Interval, RatioEstimate, estimate_ratio, paper_ratio
 from .data.datasets import Drops, read_drops
-from .running.files import prepare_folder, to_json, write_atomically
+from .running.files import prepare_folder, to_json, together, write_atomically
 
 PAPER = "paper"
 SCHEMA = "bristle-calibrate-1"
@@ -222,8 +222,9 @@ def _run(
     found = calibrate(drops, model, seed=seed, level=level)
     content = summary(found, __version__)
     prepare_folder(out)
-    write_calibration(found, out, __version__)
-    write_atomically(out / "calibrate.json", to_json(content) + "\n")
+    with together(out, "calibrate.json"):
+        write_calibration(found, out, __version__)
+        write_atomically(out / "calibrate.json", to_json(content) + "\n")
     return content
 
 

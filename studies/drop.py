@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, nullcontext
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
@@ -24,7 +24,7 @@ from .command.limits import input_warnings, result_warnings
 from .command.sources import OPTIONS
 from .running import results
 from .running.cases import Prepared, Timings, Workshop
-from .running.files import folder_in_place, prepare_folder, remove_folder
+from .running.files import folder_in_place, prepare_folder, remove, together
 from .running.progress import progress, say, warn, working
 from .running.steps import Watched, steps_of_contact
 from .sections.stance import ANGLES
@@ -61,14 +61,16 @@ def run_drop(
     warnings = input_warnings(inputs)
     for message in warnings:
         warn(message)
-    result, timings = _compute(inputs, out, comm, Keeping(out / CHECKPOINT, keep_s, resume))
-    for message in result_warnings(inputs, result):
-        warnings.append(message)
-        warn(message)
-    memory = results.peak_rss_MB(comm)
-    document = results.drop_document(inputs, result, timings, warnings, memory, comm.size)
-    written = run_on_one_rank(comm, lambda: results.write_drop(out, document, result))
-    run_on_one_rank(comm, lambda: remove_folder(out / CHECKPOINT))
+    with _by_rank_0(together(out, results.RESULT_FILE), comm):
+        keeping = Keeping(out / CHECKPOINT, keep_s, resume)
+        result, timings = _compute(inputs, out, comm, keeping)
+        for message in result_warnings(inputs, result):
+            warnings.append(message)
+            warn(message)
+        memory = results.peak_rss_MB(comm)
+        document = results.drop_document(inputs, result, timings, warnings, memory, comm.size)
+        written = run_on_one_rank(comm, lambda: results.write_drop(out, document, result))
+    run_on_one_rank(comm, lambda: remove(out / CHECKPOINT))
     return written
 
 
@@ -119,7 +121,7 @@ def _compute(
         else:
             with working(f"dropping the {inputs.model} model from {inputs.height_m:g} m"):
                 done = workshop.run(inputs, prepared=prepared, checkpoint=checkpoint)
-    run_on_one_rank(comm, lambda: remove_folder(out / FIELDS))
+    run_on_one_rank(comm, lambda: remove(out / FIELDS))
     return done
 
 
@@ -154,7 +156,7 @@ def _with_fields(
     body, every = prepared.frame.body, inputs.write_every
     assert isinstance(body, SolidBody)
     with (
-        _made_together(folder, workshop.comm) as made,
+        _by_rank_0(folder_in_place(folder), workshop.comm) as made,
         FieldWriter(body, made, prepared.marcher, every=every, checkpoint=checkpoint) as writer,
     ):
         watched = Watched(inputs.its_s, advance, writer)
@@ -164,9 +166,8 @@ def _with_fields(
 
 
 @contextmanager
-def _made_together(folder: Path, comm: MPI.Intracomm) -> Iterator[Path]:
-    """`files.folder_in_place`, made and put in place by rank 0."""
-    context = folder_in_place(folder)
+def _by_rank_0[Made](context: AbstractContextManager[Made], comm: MPI.Intracomm) -> Iterator[Made]:
+    """What rank 0 enters and leaves for all; one that fails alone leaves nobody waiting."""
     made = run_on_one_rank(comm, context.__enter__)
     try:
         yield made

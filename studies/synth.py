@@ -30,13 +30,15 @@ from . import __version__
 from .data.datasets import Drops, Manifest
 from .effects import EffectInput, read_effects
 from .loop.table_drops import drops_of, its_s
-from .running.files import prepare_folder, to_json, write_atomically
+from .running.files import prepare_folder, to_json, together, write_atomically
 
 COLUMNS = ("drop", "y0_mm", "y1_mm", "contact_time_ms", "peak_force_N")
 # Releases by hand: the height is known as measured, not as meant.
 RELEASE_STD_M = 5e-4
 # Of the unlisted ripple; no multiple of the heights' spacing, which would hide it.
 RIPPLE_M = 0.032
+# How the source of a made dataset begins.
+MADE = 'source = "bristle synth'
 # Steps of the generator, finer than the loop's.
 FINER = 0.5
 
@@ -200,7 +202,7 @@ def manifest_of(recipe: Recipe) -> str:
         "[dataset]",
         'title = "Made drops of a bristle"',
         'kind = "drops"',
-        f'source = "bristle synth {__version__}"',
+        f'{MADE} {__version__}"',
         'licence = "CC0-1.0"',
         "",
         "[measurement]",
@@ -233,20 +235,37 @@ def truth_of(made: Made) -> dict[str, Any]:
     }
 
 
-def write_dataset(made: Made, folder: Path, truth: Path) -> None:
-    """Write the dataset into ``folder``, its truth to the file ``truth`` outside it.
+def prepare_dataset(folder: Path, truth: Path) -> None:
+    """Make ``folder``, and see that a dataset and its truth can be written.
 
-    Raises InputError where the truth would lie in the dataset's folder.
+    Raises InputError where the truth would lie in the dataset's folder, or there is a dataset that
+    is measured.
     """
     if folder.resolve() in (truth.resolve(), *truth.resolve().parents):
         raise InputError(
             f"--truth {truth}: lies in the dataset's own folder, where it would be seen"
         )
     prepare_folder(folder)
-    truth.parent.mkdir(parents=True, exist_ok=True)
-    write_atomically(truth, to_json(truth_of(made)) + "\n")
-    write_atomically(folder / "drops.csv", table_of(made))
-    write_atomically(folder / "dataset.toml", manifest_of(made.recipe))
+    if (
+        truth.is_dir()
+        or not next(each for each in truth.absolute().parents if each.exists()).is_dir()
+    ):
+        raise InputError(f"--truth {truth}: there can be no such file")
+    there = folder / "dataset.toml"
+    if there.exists() and MADE not in there.read_text(encoding="utf-8", errors="replace"):
+        raise InputError(f"--out {folder}: holds a dataset that was not made by bristle synth")
+
+
+def write_dataset(made: Made, folder: Path, truth: Path) -> None:
+    """Write the dataset into ``folder``, its truth to the file ``truth`` outside it.
+
+    Raises InputError as `prepare_dataset` does.
+    """
+    prepare_dataset(folder, truth)
+    with together(folder, "dataset.toml"):
+        write_atomically(folder / "drops.csv", table_of(made))
+        write_atomically(folder / "dataset.toml", manifest_of(made.recipe))
+        write_atomically(truth, to_json(truth_of(made)) + "\n")
 
 
 def recipe_of(effects: Sequence[str], unlisted: str | None, **values: Any) -> Recipe:
@@ -280,6 +299,7 @@ def run_synth(recipe: Recipe, out: Path, truth: Path) -> None:
 
     from ..meshes.collective import run_on_one_rank
 
+    run_on_one_rank(MPI.COMM_WORLD, lambda: prepare_dataset(out, truth))
     body = reduced_body()
     run_on_one_rank(MPI.COMM_WORLD, lambda: write_dataset(make(recipe, body), out, truth))
 

@@ -297,11 +297,13 @@ def test_what_nobody_foresaw_ends_with_1_and_a_hint(tmp_path, monkeypatch):
 
 def test_a_full_disk_ends_with_1_and_the_file(tmp_path, monkeypatch):
     def fail(*args, **kwargs):
-        raise OSError(28, "No space left on device", "out/result.json")
+        raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(drop_study.results, "write_drop", fail)
     status, _, lines = run("drop", "--out", tmp_path / "out")
-    assert (status, lines[-1]) == (1, "bristle: error: out/result.json: No space left on device")
+    said = f"bristle: error: {tmp_path / 'out'}: cannot be written: No space left on device"
+    assert (status, lines[-1]) == (1, said)
+    assert not list((tmp_path / "out").iterdir())
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])

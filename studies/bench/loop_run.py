@@ -11,7 +11,7 @@ from mpi4py import MPI
 from pydantic import BaseModel, ConfigDict
 
 from ...meshes.collective import run_on_one_rank
-from ..running.files import prepare_folder, to_csv, to_json, write_atomically
+from ..running.files import prepare_folder, to_csv, to_json, together, write_atomically
 from ..running.journal import Journal
 from ..running.parallel import share_out
 from ..running.progress import progress
@@ -53,8 +53,7 @@ def run_loop(
     with progress("Datasets", len(cases), done=len(cases) - len(open_)) as advance:
 
         def take(position: int, found: dict[str, Any]) -> None:
-            journal.add(open_[position], found)
-            done[open_[position]] = found
+            done[open_[position]] = journal.add(open_[position], found)
             advance()
 
         share_out(comm, len(open_), lambda position: _found(cases[open_[position]], body), take)
@@ -83,9 +82,10 @@ def _tell(
     lines = table(outcomes)
     names = [field.name for field in fields(Line)]
     rows = [[getattr(line, name) for name in names] for line in lines]
-    write_atomically(out / "table.csv", to_csv(names, rows))
-    write_atomically(out / "outcomes.json", to_json(outcomes))
-    page(lines, outcomes, out, ranks)
+    with together(out, "outcomes.json"):
+        write_atomically(out / "table.csv", to_csv(names, rows))
+        write_atomically(out / "outcomes.json", to_json(outcomes))
+        page(lines, outcomes, out, ranks)
     journal.finish()
     wall = time.perf_counter() - started
     told = [_line(line) for line in lines]

@@ -16,7 +16,7 @@ from mpi4py import MPI
 
 from ...solver.errors import ComputationError, InputError
 from ..command.flags import MODES
-from ..running.files import prepare_folder, to_csv, to_json, write_atomically
+from ..running.files import prepare_folder, to_csv, to_json, together, write_atomically
 from ..running.progress import progress
 from .machine import facts, load
 from .peers_page import page
@@ -88,9 +88,10 @@ def run_peers(out: Path, repeats: int = REPEATS, blocks: tuple[Block, ...] = BLO
                 advance()
     _check_own(runs)
     found = points(runs, to)
-    write_atomically(out / "points.csv", _csv(found))
-    write_atomically(out / "runs.json", to_json([asdict(run) for run in runs]) + "\n")
-    page(found, to, runs, out, repeats, about)
+    with together(out, "runs.json"):
+        write_atomically(out / "points.csv", _csv(found))
+        write_atomically(out / "runs.json", to_json([asdict(run) for run in runs]) + "\n")
+        page(found, to, runs, out, repeats, about)
     wall = time.perf_counter() - started
     return told(found, to, runs) + f"\n{len(runs)} calls in {wall:.0f} s: {out / 'report.html'}"
 

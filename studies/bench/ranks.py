@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from ...solver.errors import ComputationError, InputError
-from ..running.files import prepare_folder, to_csv, to_json, write_atomically
+from ..running.files import prepare_folder, to_csv, to_json, together, write_atomically
 from ..running.parallel import launched_ranks, unlaunched
 from ..running.progress import progress
 from .communication import Machine, prediction
@@ -128,7 +128,6 @@ def run_ranks(
     rows = list(_rows(times, cores, memory))
     predicted = prediction(machine)
     table = [[row[name] for name in COLUMNS] for row in rows]
-    write_atomically(out / "ranks.csv", to_csv(COLUMNS, table))
     document = {
         "cores": cores,
         "repeats": repeats,
@@ -138,8 +137,10 @@ def run_ranks(
         "predicted": predicted,
         "all_times": [{**asdict(job), "runs": runs} for job, runs in times.items()],
     }
-    write_atomically(out / "ranks.json", to_json(document) + "\n")
-    page(rows, machine, memory, predicted, out, repeats, about)
+    with together(out, "ranks.json"):
+        write_atomically(out / "ranks.csv", to_csv(COLUMNS, table))
+        write_atomically(out / "ranks.json", to_json(document) + "\n")
+        page(rows, machine, memory, predicted, out, repeats, about)
     return "\n".join([*_told(rows, cores), "", *_foretold(machine, memory, predicted)])
 
 

@@ -23,7 +23,7 @@ import numpy as np
 from ...solver import paper
 from ...solver.errors import ComputationError, InputError
 from ...solver.time.scheme import TimeScheme
-from ..running.files import prepare_folder, to_csv, to_json, write_atomically
+from ..running.files import prepare_folder, to_csv, to_json, together, write_atomically
 from ..running.progress import note
 from .machine import facts, load
 
@@ -158,9 +158,10 @@ def run_sizes(out: Path, largest: int = 3_000_000) -> str:
         names = [field.name for field in fields(Line)]
         growth = exponents(lines)
         rows = [list(asdict(line).values()) for line in lines]
-        write_atomically(out / "sizes.csv", to_csv(names, rows))
         document = {"lines": [asdict(x) for x in lines], "exponents": growth, "failed": failed}
-        write_atomically(out / "sizes.json", to_json(document))
+        with together(out, "sizes.json"):
+            write_atomically(out / "sizes.csv", to_csv(names, rows))
+            write_atomically(out / "sizes.json", to_json(document))
     page(lines, growth, failed, out, largest, about)
     return "\n".join([*map(_told, lines), *_growth(growth), *failed])
 

@@ -29,7 +29,7 @@ from ...solver.contact.enforcement import ContactMethod
 from ...solver.contact.laws import Linear
 from ...solver.time.march import Marcher
 from ...solver.time.scheme import TimeScheme
-from ..running.files import prepare_folder, to_csv, to_json, write_atomically
+from ..running.files import prepare_folder, to_csv, to_json, together, write_atomically
 from ..running.progress import progress
 from .machine import facts, load
 
@@ -196,9 +196,11 @@ def run_step(
             lines.append(step_line(cells, order, repeats))
             advance()
     names = [field.name for field in fields(Line)]
-    write_atomically(out / "step.csv", to_csv(names, [list(asdict(x).values()) for x in lines]))
-    write_atomically(out / "step.json", to_json([asdict(x) for x in lines]))
-    page(lines, out, repeats, about)
+    rows = [list(asdict(line).values()) for line in lines]
+    with together(out, "step.json"):
+        write_atomically(out / "step.csv", to_csv(names, rows))
+        write_atomically(out / "step.json", to_json([asdict(x) for x in lines]))
+        page(lines, out, repeats, about)
     return "\n".join(_told(line) for line in lines)
 
 

@@ -12,6 +12,7 @@ from scipy.special import ndtri
 from ..loop.finding import Verdict
 from ..page.figures import picture
 from ..page.report import Figure, Report, Section, Table, percent, show, write_report
+from ..running.files import remove
 from . import figures as figures
 from . import tables as tables
 from .directions import Direction, directions
@@ -34,7 +35,7 @@ def write_page(closed: Closed, out: Path, version: str) -> Path:
     drawn = {figure.name for section in page.sections for figure in section.figures}
     for name in set(SOMETIMES) - drawn:  # of an earlier run
         for ending in (".svg", ".png"):
-            (out / "figures" / f"{name}{ending}").unlink(missing_ok=True)
+            remove(out / "figures" / f"{name}{ending}")
     return path
 
 

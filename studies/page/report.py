@@ -19,11 +19,13 @@ from pathlib import Path
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
 
-from ..running.files import write_atomically, write_picture
+from ..running.files import together, write_atomically, write_picture
 from .figures import Picture, inline_svg
 
 TEMPLATES = Path(__file__).parent / "templates"
 ROWS_SHOWN = 120
+# How a text begins that a spreadsheet would compute.
+FORMULA = ("=", "+", "-", "@", "\t", "\r")
 
 Value = float | int | str | bool | None
 
@@ -199,6 +201,8 @@ def _plain(value: Value) -> str:
         return ""
     if isinstance(value, bool):
         return str(value).lower()
+    if isinstance(value, str):
+        return f"'{value}" if value.startswith(FORMULA) else value
     return repr(value) if isinstance(value, float) else str(value)
 
 
@@ -241,15 +245,13 @@ def render_report(report: Report) -> str:
 def write_report(report: Report, folder: Path) -> Path:
     """Write ``report.html``, its tables as ``tables/*.csv``, its figures as ``figures/*.svg|png``.
 
-    The page is made first and put in place last; each file replaces an older one in one move.
+    All replace older ones together, the page last.
     """
-    page = render_report(report)
-    for part in ("tables", "figures"):
-        (folder / part).mkdir(parents=True, exist_ok=True)
-    for table in report.tables():
-        write_atomically(folder / "tables" / f"{table.name}.csv", table.csv_text())
-    for figure in (figure for section in report.sections for figure in section.figures):
-        write_picture(folder / "figures" / figure.name, figure.picture)
-    path = folder / "report.html"
-    write_atomically(path, page)
+    page, path = render_report(report), folder / "report.html"
+    with together(folder, path.name):
+        for table in report.tables():
+            write_atomically(folder / "tables" / f"{table.name}.csv", table.csv_text())
+        for figure in (figure for section in report.sections for figure in section.figures):
+            write_picture(folder / "figures" / figure.name, figure.picture)
+        write_atomically(path, page)
     return path

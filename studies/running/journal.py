@@ -1,11 +1,13 @@
 """Which cases of a study are done, when it is taken up again after an interruption?
 
 One JSON line per finished case, on the disk before the next is begun. The first line holds the
-version and the inputs; a last line that is torn counts for nothing.
+version and the inputs. Each has a checksum: one that is torn, or not what was written, counts for
+nothing.
 """
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
 from pathlib import Path
@@ -14,9 +16,11 @@ from typing import Any
 from pydantic import BaseModel
 
 from .. import __version__
-from .files import to_json, write_atomically
+from .files import cannot_write, write_atomically
+from .interrupts import uninterrupted
 from .results import check_same, plain_inputs
 
+SCHEMA, CHECK = "bristle-journal-1", "sha256"
 JOURNAL, PREVIOUS = "cases.jsonl", "cases.previous.jsonl"
 
 
@@ -36,40 +40,72 @@ class Journal:
     def resume(self) -> dict[int, dict[str, Any]]:
         """What is done already, by number; InputError where it was done with other inputs."""
         lines = _whole_lines(self.path)
-        if not lines:
+        head = lines[0] if lines and lines[0].get("schema") == SCHEMA else None
+        if head is None:
             self.begin()
             return {}
-        check_same(self.path, lines[0], self._inputs)
+        check_same(self.path, head, self._inputs)
         self._write(lines[1:])
         return {line["case"]: line["found"] for line in lines[1:]}
 
-    def add(self, number: int, found: dict[str, Any]) -> None:
-        """Note a finished case."""
-        line = to_json({"case": number, "found": found}, indent=None) + "\n"
-        with self.path.open("a", encoding="utf-8") as file:
-            file.write(line)
-            file.flush()
-            os.fsync(file.fileno())
+    def add(self, number: int, found: dict[str, Any]) -> dict[str, Any]:
+        """Note a finished case; what `resume` will say of it, so that both go on with the same.
+
+        Raises ComputationError where the disk does not take it.
+        """
+        line = _line({"case": number, "found": found})
+        try:
+            with uninterrupted(), self.path.open("ab", buffering=0) as file:
+                end = file.tell()
+                try:
+                    left = memoryview(line)
+                    while left:  # what does not fit raises when it is tried again
+                        left = left[file.write(left) :]
+                    os.fsync(file.fileno())
+                except OSError:
+                    file.truncate(end)
+                    raise
+        except OSError as error:
+            raise cannot_write(self.path, error) from error
+        noted: dict[str, Any] = json.loads(line)["found"]
+        return noted
 
     def finish(self) -> None:
         """Give up what an earlier study left: this one's results are complete."""
         self.previous.unlink(missing_ok=True)
 
     def _write(self, lines: list[dict[str, Any]]) -> None:
-        head = {"version": __version__, "inputs": plain_inputs(self._inputs)}
-        text = "".join(to_json(line, indent=None) + "\n" for line in [head, *lines])
-        write_atomically(self.path, text)
+        head = {
+            "schema": SCHEMA,
+            "version": __version__,
+            "inputs": plain_inputs(self._inputs),
+        }
+        write_atomically(self.path, b"".join(map(_line, [head, *lines])))
+
+
+def _line(content: dict[str, Any]) -> bytes:
+    """A line with the checksum of all else in it; infinity stays a number, unlike in results."""
+    plain = json.loads(json.dumps(content, default=lambda array: array.tolist()))
+    return json.dumps({**plain, CHECK: _digest(plain)}).encode() + b"\n"
+
+
+def _digest(content: dict[str, Any]) -> str:
+    return hashlib.sha256(json.dumps(content).encode()).hexdigest()[:16]
 
 
 def _whole_lines(path: Path) -> list[dict[str, Any]]:
+    """Lines that are what was written."""
     try:
-        text = path.read_text(encoding="utf-8")
+        content = path.read_bytes()
     except FileNotFoundError:
         return []
     lines: list[dict[str, Any]] = []
-    for line in text.splitlines():
+    for line in content.split(b"\n"):
         try:
-            lines.append(json.loads(line))
-        except json.JSONDecodeError:
-            break
+            found = json.loads(line)
+            check = found.pop(CHECK)
+            if check == _digest(found):
+                lines.append(found)
+        except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
+            continue
     return lines

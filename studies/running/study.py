@@ -24,7 +24,7 @@ from ..command.limits import input_warnings, result_warnings
 from ..command.sources import checked
 from . import results
 from .cases import Timings, Workshop
-from .files import prepare_folder, to_csv, to_json, write_atomically
+from .files import prepare_folder, to_csv, to_json, together, write_atomically
 from .groups import run_solids
 from .journal import Journal
 from .parallel import share_out
@@ -162,6 +162,7 @@ def run_study(
     spent = {"shared": shared["total"]}
     facts = {"wall_s": spent, "peak_rss_MB": results.peak_rss_MB(comm), "ranks": comm.size}
 
+    @together(out, study.document)
     def write() -> None:
         rows = [done[i] for i in range(len(cases))]
         spent["cases"] = sum(row["wall_s"] for row in rows)
@@ -208,8 +209,7 @@ def _compute(
     ):
 
         def take(i: int, row: Row) -> None:
-            done[i] = row
-            journal.add(i, row)
+            done[i] = journal.add(i, row)
             advance()
 
         _build_together(workshop, [cases[i] for i in modal])

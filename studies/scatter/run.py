@@ -27,7 +27,7 @@ from .. import __version__
 from ..command.config import DropInputs
 from ..command.limits import input_warnings
 from ..running import results
-from ..running.files import prepare_folder, to_csv, to_json, write_atomically
+from ..running.files import prepare_folder, to_csv, to_json, together, write_atomically
 from ..running.journal import Journal
 from ..running.parallel import share_out
 from ..running.progress import progress, say, working
@@ -162,6 +162,7 @@ def run_scatter(
     found = run_on_one_rank(comm, lambda: _gather(scene, done))
     ranks, peak = comm.size, results.peak_rss_MB(comm)
 
+    @together(out, DOCUMENT)
     def write() -> None:
         writing = time.perf_counter()
         extra = write_scatter(inputs, found, check, surface, out)
@@ -216,8 +217,7 @@ def _compute(
     with progress("scatter", n_chunks, done=n_chunks - len(missing)) as advance:
 
         def take(k: int, chunk: Chunk) -> None:
-            done[missing[k]] = chunk
-            journal.add(missing[k], chunk)
+            done[missing[k]] = journal.add(missing[k], chunk)
             advance()
 
         share_out(comm, len(missing), lambda k: scene.chunk(missing[k]), take)
