@@ -141,8 +141,6 @@ def run_sizes(out: Path, largest: int = 3_000_000) -> str:
 
     A size that the machine cannot do is told, and the rest goes on.
     """
-    from .sizes_page import page
-
     cases = list(_cases(largest))
     if not cases:
         raise InputError(f"--largest: the smallest size has more unknowns than {largest}")
@@ -162,6 +160,9 @@ def run_sizes(out: Path, largest: int = 3_000_000) -> str:
         with together(out, "sizes.json"):
             write_atomically(out / "sizes.csv", to_csv(names, rows))
             write_atomically(out / "sizes.json", to_json(document))
+    # not before: a child's peak has in it what its parent held
+    from .sizes_page import page
+
     page(lines, growth, failed, out, largest, about)
     return "\n".join([*map(_told, lines), *_growth(growth), *failed])
 
