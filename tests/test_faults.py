@@ -17,7 +17,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from bristle.solver import kept
-from bristle.solver.errors import ComputationError
+from bristle.solver.errors import ComputationError, InputError
 from bristle.studies.command.config import DropInputs
 from bristle.studies.running import files
 from bristle.studies.running.journal import JOURNAL, Journal
@@ -122,6 +122,7 @@ def test_a_damaged_journal_gives_back_what_is_whole(tmp_path, data):
     noted = journal(tmp_path)
     path = tmp_path / JOURNAL
     content = bytearray(path.read_bytes())
+    head = content.index(b"\n")
     at = data.draw(st.integers(0, len(content) - 1))
     how = data.draw(st.sampled_from(["flip", "cut", "insert"]))
     if how == "flip":
@@ -131,11 +132,14 @@ def test_a_damaged_journal_gives_back_what_is_whole(tmp_path, data):
     else:
         content[at:at] = data.draw(st.binary(min_size=1, max_size=20))
     path.write_bytes(content)
-    again = Journal(tmp_path, DropInputs()).resume()
+    try:
+        again = Journal(tmp_path, DropInputs()).resume()
+    except InputError:  # the first line, without which nothing is known of the others
+        assert at <= head
+        return
     assert all(repr(noted[number]) == repr(found) for number, found in again.items())
-    first_line = path.read_bytes().split(b"\n")[0]
-    if at > len(first_line) + 1 and how == "flip":
-        assert len(again) == 2
+    if how == "flip":
+        assert len(again) >= 1
 
 
 def test_a_full_disk_leaves_a_journal_whole(tmp_path, monkeypatch):

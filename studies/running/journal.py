@@ -15,6 +15,7 @@ from typing import Any
 
 from pydantic import BaseModel
 
+from ...solver.errors import InputError
 from .. import __version__
 from .files import cannot_write, write_atomically
 from .interrupts import uninterrupted
@@ -38,13 +39,18 @@ class Journal:
         self._write([])
 
     def resume(self) -> dict[int, dict[str, Any]]:
-        """What is done already, by number; InputError where it was done with other inputs."""
-        lines = _whole_lines(self.path)
-        head = lines[0] if lines and lines[0].get("schema") == SCHEMA else None
-        if head is None:
+        """What is done already, by number; InputError where it was done with other inputs, or what
+        is there is no journal of this version, whose first line is always whole."""
+        if not self.path.exists():
             self.begin()
             return {}
-        check_same(self.path, head, self._inputs)
+        lines = _whole_lines(self.path)
+        if not lines or lines[0].get("schema") != SCHEMA:
+            raise InputError(
+                f"--resume {self.path}: is no {SCHEMA}, or its first line is damaged; "
+                "choose another --out, or leave --resume out"
+            )
+        check_same(self.path, lines[0], self._inputs)
         self._write(lines[1:])
         return {line["case"]: line["found"] for line in lines[1:]}
 
@@ -95,12 +101,8 @@ def _digest(content: dict[str, Any]) -> str:
 
 def _whole_lines(path: Path) -> list[dict[str, Any]]:
     """Lines that are what was written."""
-    try:
-        content = path.read_bytes()
-    except FileNotFoundError:
-        return []
     lines: list[dict[str, Any]] = []
-    for line in content.split(b"\n"):
+    for line in path.read_bytes().split(b"\n"):
         try:
             found = json.loads(line)
             check = found.pop(CHECK)
