@@ -411,6 +411,7 @@ def test_a_rank_that_dies_ends_the_job(tmp_path, number):
 
 # --- campaign -------------------------------------------------------------------------------------
 
+SHORT = ("--height", "0.01", "--until", "0.1")
 LONG = {
     "solid": [
         "drop",
@@ -425,7 +426,7 @@ LONG = {
         "--keep",
         "0",
     ],
-    "march": ["drop", "--march", "--its", "2e-6", "--keep", "0"],
+    "march": ["drop", "--march", *SHORT, "--its", "1e-5", "--keep", "0"],
     "sweep": ["sweep", *SMALL, "--models", "beam,reduced,solid", "--kn", "1e5,2e6,1e8"],
     "its": ["its", *SMALL, "--models", "beam,reduced", "--kn", "1e5,2e6"],
     "scatter": ["scatter", *SMALL, "--drops", "1500"],
