@@ -86,12 +86,16 @@ def hidden(folder):
     )
 
 
+# ADIOS2's own files that hold when a frame was written.
+WRITTEN_WHEN = ("md.idx", "profiling.json")
+
+
 def told(out):
     """Everything that a result holds, file by file, but times and memory."""
     return {
         str(path.relative_to(out)): _content(path)
         for path in sorted(Path(out).rglob("*"))
-        if path.is_file() and path.suffix not in (".png", ".bp")
+        if path.is_file() and path.suffix != ".png" and path.name not in WRITTEN_WHEN
     }
 
 
