@@ -25,6 +25,7 @@ from .running.files import prepare_folder
 from .running.progress import progress
 from .sections.bars import Bars
 from .sections.crosscheck import CrossCheck, Figure9
+from .sections.doubts import doubts
 from .sections.elements import ElementStudy
 from .sections.enforcements import Enforcements
 from .sections.heights import Figure13
@@ -92,7 +93,7 @@ def run_reproduce(
             study.prepare(comm)
 
     def write() -> Reproduction:
-        sections = tuple(study.section(results) for study in studies)
+        sections = (*(study.section(results) for study in studies), doubts(results))
         wall = time.perf_counter() - started
         command = command_line("reproduce", setup.base, DropInputs(), out)
         page = build_report(setup, sections, len(cases), wall, comm.size, command)

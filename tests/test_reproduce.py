@@ -43,7 +43,10 @@ def test_every_section_is_on_the_page_and_none_is_empty(done, page):
     assert [type(study) for study in small()[1]] == [
         type(study) for study in paper_studies(Setup(DropInputs()))
     ]
-    assert len(done.sections) == 14
+    assert len(done.sections) == 14 + 1
+    assert done.sections[-1].ident == "warnings"
+    (table,) = done.sections[-1].tables
+    assert any("degrees against the surface's normal" in row[-1] for row in table.rows)
     for section in done.sections:
         assert f'<section id="{section.ident}"' in page
         assert section.text

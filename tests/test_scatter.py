@@ -298,6 +298,7 @@ def test_a_drop_that_fails_is_left_out_and_told(tmp_path, monkeypatch):
     assert "7" not in [row["drop"] for row in rows]
     assert len(rows) == 129
     assert "1 of 130 drops failed" in document["warnings"][-1]
+    assert "1 of 130 drops failed" in (tmp_path / "report.html").read_text()
     bad = np.append(bad, draw(scatter(), (0.038, 0.038), 0, 130).tilt_deg[[20]])
     with pytest.raises(ComputationError, match="2 of 130 drops failed, the first is drop 7"):
         run_scatter(scatter(drops=130), tmp_path, MPI.COMM_SELF)

@@ -297,6 +297,20 @@ def test_a_bristle_that_turns_fast_is_warned_of():
     assert result_warnings(drop(tilt_deg=20.0, contact_points=remedy), shallow) == []
 
 
+@serial
+def test_a_patch_that_one_cell_covers_is_warned_of():
+    """20 µm deep at 5 degrees: 20 µm / tan 5° = 229 µm from the edge, of 500 µm in one cell."""
+    result, _ = run_case(drop())
+    deep = replace(result, max_penetration_m=20e-6)
+    leaning = {"model": "reduced", "tilt_deg": 5.0}
+    (warning,) = result_warnings(drop(**leaning), deep)
+    assert "over about 229 µm, less than the 500 µm of one cell" in warning
+    remedy = tuple(map(int, re.search(r"--cells (\d+) (\d+) (\d+)", warning).groups()))
+    assert remedy == (3, *SMALL["cells"][1:])
+    assert result_warnings(checked(DropInputs, {**leaning, "cells": remedy}), deep) == []
+    assert result_warnings(drop(tilt_deg=5.0), deep) == []
+
+
 def test_a_leaning_solids_fields_carry_its_lean(out):
     document = run_drop(drop(model="solid", tilt_deg=2.0, slope_wide_deg=1.0), out, COMM)
     COMM.Barrier()

@@ -7,10 +7,12 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 from ...solver.bodies.analytic import quarter_period_s
+from ...solver.bristle import Rectangle
 from ...solver.drop import DropResult
 from ...solver.fall import free_fall
-from ..sections.stance import lean_deg, narrow_zone, slowest_bending_1_s
+from ..sections.stance import lean_deg, narrow_zone, slowest_bending_1_s, surface_normal
 from .choices import Contact, Model, Scheme, Tip, Until
+from .flags import FLAT
 
 if TYPE_CHECKING:
     from .config import DropInputs, Inputs
@@ -196,7 +198,8 @@ def result_warnings(inputs: DropInputs, result: DropResult) -> list[str]:
             f"raise --modes above {inputs.modes} or take --model solid"
         )
     if inputs.leaning:
-        found += [*_zone_warnings(inputs, result), *_turning_warnings(inputs, result)]
+        found += [*_zone_warnings(inputs, result), *_patch_warnings(inputs, result)]
+        found += _turning_warnings(inputs, result)
     return found
 
 
@@ -217,6 +220,32 @@ def _zone_warnings(inputs: DropInputs, result: DropResult) -> list[str]:
         f"{1e6 * spacing:.3g} µm from there to the next of --contact-points "
         f"{inputs.contact_points}: force and penetration depend on their number; {remedy}"
     ]
+
+
+def _patch_warnings(inputs: DropInputs, result: DropResult) -> list[str]:
+    """A contact patch that one cell covers."""
+    section = inputs.bristle().section
+    if not isinstance(section, Rectangle) or inputs.tip_shape != FLAT:
+        return []
+    if not inputs.model.meshed or math.isinf(inputs.kn_N_m):
+        return []
+    found = []
+    normal = surface_normal(inputs)
+    sides = (section.thickness_m, section.width_m)
+    for axis, (side, toward) in enumerate(zip(sides, ("thin", "wide"), strict=True)):
+        cell = side / inputs.cells[axis]
+        rise = abs(normal[axis]) / normal[2]
+        width = result.max_penetration_m / rise if rise else side
+        if width < min(cell, side) * (1.0 - 1e-9):
+            cells = list(inputs.cells)
+            cells[axis] = math.ceil(side / width)
+            found.append(
+                f"toward the {toward} side the surface is touched over about {1e6 * width:.3g} µm, "
+                f"less than the {1e6 * cell:.3g} µm of one cell: stress about the contact is not "
+                f"resolved, though Kn rules its force; for stress take --cells "
+                f"{' '.join(map(str, cells))} or more"
+            )
+    return found
 
 
 def _turning_warnings(inputs: DropInputs, result: DropResult) -> list[str]:

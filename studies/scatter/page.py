@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -41,7 +42,12 @@ UNUSUAL = 0.05
 
 
 def write_scatter(
-    inputs: ScatterInputs, found: Scatter, check: Check, surface: Surface | None, out: Path
+    inputs: ScatterInputs,
+    found: Scatter,
+    check: Check,
+    surface: Surface | None,
+    warnings: Sequence[str],
+    out: Path,
 ) -> dict[str, Any]:
     """Write ``report.html``, ``figures/`` and ``tables/``; returns the statistics for the JSON."""
     random = generator(inputs.seed, RESAMPLES)
@@ -69,6 +75,7 @@ def write_scatter(
         _measured_section(samples, cloud),
         _causes_section(parts, found),
         _conditions_section(inputs, surface, check),
+        *([Section("warnings", "What deserves doubt", warnings)] if warnings else []),
     ]
     page = Report(
         title="Scatter of the rebound",

@@ -165,7 +165,8 @@ def run_scatter(
     @together(out, DOCUMENT)
     def write() -> None:
         writing = time.perf_counter()
-        extra = write_scatter(inputs, found, check, surface, out)
+        warnings = _warnings(drop, found, inputs)
+        extra = write_scatter(inputs, found, check, surface, warnings, out)
         write_atomically(out / TABLE, to_csv(COLUMNS, rows(found)))
         spent["write"] = time.perf_counter() - writing
         spent["total"] = time.perf_counter() - started
@@ -178,7 +179,7 @@ def run_scatter(
             "failed": found.failed,
             **extra,
             "check": asdict(check),
-            "warnings": _warnings(drop, found, inputs),
+            "warnings": warnings,
             "drops_per_second": fresh / dropping_s if fresh else None,
             "wall_s": spent,
             "peak_rss_MB": peak,
