@@ -99,6 +99,8 @@ def pages(tmp_path_factory) -> Path:
         ):
             assert main([command, *rest, "--out", str(folder / command)]) == 0
     assert main(["calibrate", "paper", "--out", str(folder / "calibrate-paper")]) == 0
+    for bench in BENCHES:
+        (folder / bench).mkdir()
     outcomes = outcomes_of_every_row()
     loop_page.page(table(outcomes), outcomes, folder / "loop", 2)
     found, converged, runs = points_of_every_program()
