@@ -27,7 +27,7 @@ from ..page.figures import (
     styled,
 )
 from .confirm import Solid
-from .rows import Rows, names_of, title_of
+from .rows import COUNTING, Rows, names_of, title_of
 
 BEFORE, AFTER = VERMILION, BLUE
 LEAVES = ("leaves something", "leaves nothing")
@@ -62,10 +62,10 @@ def noise_figure(before: Array, after: Array, bins: Array) -> Figure:
 
 @styled
 def fit_figure(rows: Rows, quantity: str) -> Figure:
-    """Measured values of the main quantity and the baseline's, against the first covariate."""
+    """The main quantity as measured, and the baseline's, against what it was measured at."""
     figure, axes = panels(height_in=3.2)
     ax: Axes = axes[0, 0]
-    covariate, x = rows.covariates[0]
+    covariate, x = next(each for each in rows.covariates if each[0].name not in COUNTING)
     mine = rows.main
     values = rows.measured(rows.closed.problem.values)[mine]
     ax.plot(x[mine], values, "o", color=BLACK, fillstyle="none", label="measured")

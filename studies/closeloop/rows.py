@@ -44,6 +44,8 @@ COVARIATES = {
         Covariate("phase", "phase"),
     )
 }
+# Those that only number the measurements.
+COUNTING = ("order", "session")
 
 
 @dataclass(frozen=True)
