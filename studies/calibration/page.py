@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import shlex
 from pathlib import Path
 
 from ...solver import paper
 from ..calibrate import PAPER, Calibration, Stiffness
+from ..command.again import into
 from ..page.figures import picture
 from ..page.figures_calibrate import curve_figure, measured_figure
 from ..page.report import Column, Figure, Report, Section, Table, write_report
@@ -51,9 +51,8 @@ def headline(found: Calibration) -> list[str]:
 
 
 def _command(found: Calibration, out: Path) -> str:
-    words = ["bristle", "calibrate", found.source, "--seed", str(found.seed)]
-    words += ["--level", f"{found.kn.level:g}"] if found.kn.level != LEVEL else []
-    return shlex.join([*words, "--out", str(out)])
+    level = ["--level", f"{found.kn.level:g}"] if found.kn.level != LEVEL else []
+    return into(out, "calibrate", found.source, "--seed", found.seed, *level)
 
 
 def _ratio_section(found: Calibration) -> Section:

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import shlex
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.special import ndtri
 
+from ..command.again import into
 from ..loop.finding import Verdict
 from ..page.figures import picture
 from ..page.report import Figure, Report, Section, Table, percent, show, write_report
@@ -77,9 +77,9 @@ def page_of(closed: Closed, out: Path, version: str) -> Report:
 
 def _command(closed: Closed, out: Path) -> str:
     asked = closed.inputs
-    words = ["bristle", "close-loop", str(closed.manifest.folder), "--seed", str(asked.seed)]
-    words += ["--alarm", f"{asked.alarm:g}", *(["--no-3d"] if asked.no_3d else [])]
-    return shlex.join([*words, "--out", str(out)])
+    options = ["--seed", asked.seed, "--alarm", f"{asked.alarm:g}"]
+    options += ["--no-3d"] if asked.no_3d else []
+    return into(out, "close-loop", closed.manifest.folder, *options)
 
 
 def headline(closed: Closed) -> list[str]:
