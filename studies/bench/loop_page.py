@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import shlex
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -11,7 +10,6 @@ from typing import Any
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure as Drawing
 
-from .. import __version__
 from ..page.figures import (
     BLACK,
     BLUE,
@@ -25,10 +23,11 @@ from ..page.figures import (
     plain_ticks,
     styled,
 )
-from ..page.report import Column, Figure, Report, Section, Table, Value, percent, write_report
+from ..page.report import Column, Figure, Section, Table, Value, percent
 from .loop_cases import ROWS
 from .loop_table import LEVEL, Line, Outcomes
 from .machine import facts
+from .page import write_page
 
 RIVAL = "right by "
 HOW = (
@@ -45,21 +44,20 @@ def page(lines: Sequence[Line], outcomes: Outcomes, out: Path, ranks: int) -> No
     """Write report.html with its figures and tables into ``out``."""
     aimed = [line for line in lines if line.target]
     datasets = 1 + max((each["number"] for each in outcomes), default=-1)
-    report = Report(
+    write_page(
+        out,
         title="How often the loop is right",
         lead=f"{len(outcomes)} datasets whose truth the loop does not see, {datasets} of a kind.",
-        version=__version__,
-        command=shlex.join([*f"bristle bench loop --datasets {datasets} --out".split(), str(out)]),
+        command=("loop", "--datasets", datasets),
         headline=_headline(aimed),
         facts=[("Ranks", str(ranks)), *facts()],
         sections=[
             _rates(aimed, lines),
             _rivals([line for line in lines if line.quantity.startswith(RIVAL)]),
             *_held_out(outcomes),
-            Section("how", "How it was measured", HOW),
         ],
+        how=HOW,
     )
-    write_report(report, out)
 
 
 def within(target: str, value: float) -> bool:

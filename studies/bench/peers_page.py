@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import math
-import shlex
 from collections.abc import Sequence
 from pathlib import Path
 
 from matplotlib.figure import Figure as Drawing
 
-from .. import __version__
 from ..page.figures import GREY, MARKERS, SERIES, panels, picture, plain_ticks, styled
-from ..page.report import Column, Figure, Report, Section, Table, Value, percent, show, write_report
+from ..page.report import Column, Figure, Section, Table, Value, percent, show
+from .page import write_page
 from .peers_table import LEVELS, Converged, Point, Run, blocks, by_program, reached
 from .peers_text import absences, cells_words, time_words, unsure_words
 from .programs import PROGRAMS, QUANTITIES
@@ -45,16 +44,16 @@ def page(
 ) -> None:
     """Write report.html with its figures and tables into ``out``; ``about`` is the machine."""
     sections = [_section(to[own[0].setting.physics.name], own) for own in blocks(found)]
-    report = Report(
+    write_page(
+        out,
         title="This program beside others",
         lead="Time, memory and error of programs that compute the same impact.",
-        version=__version__,
-        command=shlex.join([*f"bristle bench peers --repeats {repeats} --out".split(), str(out)]),
+        command=("peers", "--repeats", repeats),
         headline=_headline(found),
         facts=about,
-        sections=[*sections, Section("how", "How it was measured", (*HOW, *absences(runs)))],
+        sections=sections,
+        how=(*HOW, *absences(runs)),
     )
-    write_report(report, out)
 
 
 def _headline(found: Sequence[Point]) -> list[str]:

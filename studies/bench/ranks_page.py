@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shlex
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -10,7 +9,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from matplotlib.figure import Figure as Drawing
 
-from .. import __version__
 from ..page.figures import (
     BLACK,
     BLUE,
@@ -24,7 +22,8 @@ from ..page.figures import (
     plain_ticks,
     styled,
 )
-from ..page.report import Column, Figure, Report, Section, Table, percent, show, write_report
+from ..page.report import Column, Figure, Section, Table, percent, show
+from .page import write_page
 
 if TYPE_CHECKING:
     from .communication import Machine
@@ -70,20 +69,19 @@ def page(
         "Two lines of ranks that rise with the number of unknowns",
         _predictions(predicted),
     )
-    report = Report(
+    write_page(
+        out,
         title="What more ranks gain",
         lead="One large solid over ranks, many of them dealt out, and groups of ranks.",
-        version=__version__,
-        command=shlex.join([*f"bristle bench ranks --repeats {repeats} --out".split(), str(out)]),
+        command=("ranks", "--repeats", repeats),
         headline=[_sentence(row) for row in rows if not _base(row)],
         facts=[*about, *_facts(machine, memory)],
         sections=[
             Section("efficiency", "Measured", figures=[measured]),
             Section("scaling", "Where scaling ends", figures=[ends]),
-            Section("how", "How it was measured", HOW),
         ],
+        how=HOW,
     )
-    write_report(report, out)
 
 
 def _base(row: Mapping[str, Any]) -> bool:

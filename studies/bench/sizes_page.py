@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shlex
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -10,9 +9,9 @@ from typing import TYPE_CHECKING, Any
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure as Drawing
 
-from .. import __version__
 from ..page.figures import MARKERS, SERIES, panels, picture, plain_ticks, styled
-from ..page.report import Column, Figure, Report, Section, Table, Value, show, write_report
+from ..page.report import Column, Figure, Section, Table, Value, show
+from .page import write_page
 
 if TYPE_CHECKING:
     from .sizes import Line
@@ -51,19 +50,18 @@ def page(
     )
     text = [f"Not done: {each}." for each in failed]
     grown = [_growth(exponents)] if exponents else []
-    report = Report(
+    write_page(
+        out,
         title="Time and memory against size",
         lead="The solid at full order, from small to large.",
-        version=__version__,
-        command=shlex.join([*f"bristle bench sizes --largest {largest} --out".split(), str(out)]),
+        command=("sizes", "--largest", largest),
         headline=[_sentence(name, found) for name, found in exponents.items()],
         facts=about,
         sections=[
             Section("sizes", "Sizes", text, figures=[drawn] if lines else [], tables=grown),
-            Section("how", "How it was measured", HOW),
         ],
+        how=HOW,
     )
-    write_report(report, out)
 
 
 def _sentence(name: str, found: Mapping[str, float]) -> str:

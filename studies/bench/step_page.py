@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shlex
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -10,9 +9,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from matplotlib.figure import Figure as Drawing
 
-from .. import __version__
 from ..page.figures import BLACK, GREY, SERIES, SMALLEST, panels, picture, styled
-from ..page.report import Column, Figure, Report, Section, Table, show, write_report
+from ..page.report import Column, Figure, Section, Table, show
+from .page import write_page
 
 if TYPE_CHECKING:
     from .step import Line
@@ -54,19 +53,18 @@ def page(lines: Sequence[Line], out: Path, repeats: int, about: Sequence[tuple[s
         "Bars of times by body, and of their ratios beside the goals",
         _table(lines),
     )
-    report = Report(
+    write_page(
+        out,
         title="What a step costs",
         lead="A time step of the solid at full order, over a solve and over reading memory.",
-        version=__version__,
-        command=shlex.join([*f"bristle bench step --repeats {repeats} --out".split(), str(out)]),
+        command=("step", "--repeats", repeats),
         headline=[_sentence(line) for line in lines],
         facts=about,
         sections=[
             Section("step", "A step and its parts", text, figures=[drawn]),
-            Section("how", "How it was measured", HOW),
         ],
+        how=HOW,
     )
-    write_report(report, out)
 
 
 def _sentence(line: Line) -> str:
