@@ -1,7 +1,7 @@
 """How much faster are more ranks, with one large solid, with many, and with groups of ranks?
 
-``python3 -m bristle.studies.bench.ranks`` starts mpirun itself; it is not to be run under mpirun.
-Beside what is measured stands what the model of `communication` says of larger machines.
+`bristle bench ranks` starts mpirun itself; it is not to be run under mpirun. Beside what is
+measured stands what the model of `communication` says of larger machines.
 """
 
 from __future__ import annotations
@@ -244,7 +244,3 @@ def _foretold(
             f"{row['unknowns']:>10.0f}{1e3 * row['step_s']:>9.1f}{row['cut_B'] / 1e3:>10.1f}"
             f"{row['ranks_at_85']:>9.0f}{row['ranks_at_50']:>9.0f}   ranks"
         )
-
-
-if __name__ == "__main__":
-    print(run_ranks(Path(sys.argv[1] if len(sys.argv) > 1 else "results/bench-ranks")))

@@ -1,7 +1,7 @@
 """How do time and memory of the full-order solid grow with its size?
 
-Each size runs in a process of its own, so that its greatest memory is its own. Also a script:
-``python3 -m bristle.studies.bench.sizes --largest 3e6 --out results/bench/sizes``.
+`bristle bench sizes` asks it. Each size runs in a process of its own, so that its greatest memory
+is its own: this file as a script.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import time
 from collections.abc import Callable, Iterable
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -185,7 +185,8 @@ def _cases(largest: int) -> Iterable[tuple[str, tuple[int, int, int], str]]:
 def _apart(series: str, cells: tuple[int, int, int], solver: str) -> Line:
     """`size_line` in a process of its own; ComputationError where that does not end well."""
     command = [sys.executable, "-m", __spec__.name, "--one", series, solver, *map(str, cells)]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    one_thread = {"OMP_NUM_THREADS": "1", **os.environ}
+    done = subprocess.run(command, capture_output=True, text=True, check=False, env=one_thread)
     if done.returncode:
         last = (done.stderr.strip().splitlines() or ["nothing said"])[-1]
         raise ComputationError(f"ended with status {done.returncode}: {last}")
@@ -237,23 +238,11 @@ def _growth(growth: dict[str, dict[str, float]]) -> list[str]:
 
 
 def main(arguments: list[str]) -> None:
-    """The script."""
-    from argparse import ArgumentParser
-
-    parser = ArgumentParser(description=__doc__)
-    parser.add_argument("--out", type=Path, default=Path("results/bench/sizes"))
-    parser.add_argument("--largest", type=float, default=3e6, help="unknowns [default: 3e6]")
-    parser.add_argument("--one", nargs=5, help="series, solver and cells of a single size")
-    given = parser.parse_args(arguments)
-    if given.one:
-        series, solver, *cells = given.one
-        x, y, z = map(int, cells)
-        line: dict[str, Any] = asdict(size_line(series, (x, y, z), solver))
-        print(json.dumps(line))
-        return
-    print(run_sizes(given.out, int(given.largest)), f"written to {given.out}", sep="\n")
+    """Print the line of one size, as `_apart` asks for it."""
+    _, series, solver, *cells = arguments
+    x, y, z = map(int, cells)
+    print(json.dumps(asdict(size_line(series, (x, y, z), solver))))
 
 
 if __name__ == "__main__":
-    os.environ.setdefault("OMP_NUM_THREADS", "1")
     main(sys.argv[1:])

@@ -1,13 +1,11 @@
 """What does a step of the full-order solid cost, over a triangular solve and over reading memory?
 
-Also a script: ``python3 -m bristle.studies.bench.step --out results/bench/step``.
+`bristle bench step` asks it.
 """
 
 from __future__ import annotations
 
 import math
-import os
-import sys
 import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, fields
@@ -214,19 +212,3 @@ def _told(line: Line) -> str:
         f"  step {line.step_ms:.2f} ms free, {line.contact_step_ms:.2f} ms in contact: "
         f"{line.step_over_solve:.2f} and {line.contact_step_over_solve:.2f} solves (goal 1.3)"
     )
-
-
-def main(arguments: list[str]) -> None:
-    """The script."""
-    from argparse import ArgumentParser
-
-    parser = ArgumentParser(description=__doc__)
-    parser.add_argument("--out", type=Path, default=Path("results/bench/step"))
-    parser.add_argument("--repeats", type=int, default=REPEATS)
-    given = parser.parse_args(arguments)
-    print(run_step(given.out, repeats=given.repeats), f"written to {given.out}", sep="\n")
-
-
-if __name__ == "__main__":
-    os.environ.setdefault("OMP_NUM_THREADS", "1")
-    main(sys.argv[1:])
