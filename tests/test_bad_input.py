@@ -329,7 +329,7 @@ def test_a_unit_is_one_that_labels_can_show(tmp_path, unit):
 
 
 def test_a_bar_too_short_for_its_record_is_named(tmp_path):
-    tree = manifest("waves", body={"length_m": 0.002})
+    tree = manifest("waves", body={"length_m": 0.002, "width_m": 0.5e-3})
     folder = write_dataset(tmp_path / "data", "waves", tree)
     status, _, lines = run("close-loop", folder, "--out", tmp_path / "out")
     assert status == 2

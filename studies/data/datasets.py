@@ -22,6 +22,7 @@ from ..command.config import Inputs
 from ..command.sources import checked
 from .tables import check_order, column, inside, optional_column, read_table, read_text
 from .texts import finite, parse_toml, printable, quoted
+from .units import check_contact_times, check_heights, check_peaks, doubtful_body, larger_sigma
 
 KINDS = ("drops", "tracks", "forces", "waves", "falls")
 PARTS = ("dataset", "body", "contact", "measurement")
@@ -43,7 +44,7 @@ NUMBER_KEYS = {
     "sigma_t_s": (1e-12, 1e3),
     "sigma_force_N": (1e-9, 1e9),
     "fps": (1e-3, 1e9),
-    "gravity_m_s2": (1e-4, 1e4),
+    "gravity_m_s2": (1e-2, 5e3),
 }
 KN_N_M, FRICTION = (1.0, limits.KN_N_M), (0.0, 100.0)
 MOST_LETTERS = 1000
@@ -82,6 +83,12 @@ class Manifest:
         """An error that names the line of ``dataset.toml`` where ``key`` stands."""
         path = self.folder / "dataset.toml"
         return _wrong(path, read_text(path), key, message)
+
+    def check_sigma(self, key: str, unit: float, values: Array) -> None:
+        """InputError where the uncertainty ``key`` exceeds all ``values``, in ``unit`` of it."""
+        sigma = self.measurement.get(key)
+        if larger_sigma(sigma, values / unit):
+            raise self.wrong(key, f"of {sigma:g} is more than any value measured; is the unit so?")
 
 
 @dataclass(frozen=True)
@@ -159,13 +166,25 @@ def read_drops(folder: Path) -> Drops:
     y0 = column(path, rows, "y0_mm", above=0.0)
     y1 = column(path, rows, "y1_mm", least=0.0)
     sigma = manifest.measurement.get("sigma_y_mm")
+    times = optional_column(path, rows, "contact_time_ms", 1e-3)
+    peaks = optional_column(path, rows, "peak_force_N", 1.0)
+    lines = [line for line, _ in rows]
+    check_heights(path, lines, 1e-3 * y0, 1e-3 * y1)
+    manifest.check_sigma("sigma_y_mm", 1e-3, 1e-3 * y0)
+    if times is not None:
+        check_contact_times(path, lines, "contact_time_ms", times, manifest.bristle)
+        manifest.check_sigma("sigma_t_s", 1.0, times)
+    if peaks is not None:
+        gravity = manifest.gravity_m_s2
+        check_peaks(path, lines, "peak_force_N", peaks, 1e-3 * y0, manifest.bristle, gravity)
+        manifest.check_sigma("sigma_force_N", 1.0, peaks)
     return Drops(
         manifest=manifest,
         drop=drop,
         y0_m=1e-3 * y0,
         y1_m=1e-3 * y1,
-        contact_time_s=optional_column(path, rows, "contact_time_ms", 1e-3),
-        peak_force_N=optional_column(path, rows, "peak_force_N", 1.0),
+        contact_time_s=times,
+        peak_force_N=peaks,
         session=tuple(row["session"] for _, row in rows) if "session" in rows[0][1] else None,
         sigma_y_m=None if sigma is None else 1e-3 * sigma,
     )
@@ -237,4 +256,8 @@ def _bristle(path: Path, text: str, part: Mapping[str, Any]) -> Bristle:
         line = _line(text, key)
         values[BODY_KEYS[key]] = number
         origins[BODY_KEYS[key]] = f"{path}{'' if line is None else f':{line}'}: {key}"
-    return checked(Inputs, values, origins).bristle()
+    bristle = checked(Inputs, values, origins).bristle()
+    doubt = doubtful_body(bristle, part)
+    if doubt is not None:
+        raise _wrong(path, text, *doubt)
+    return bristle

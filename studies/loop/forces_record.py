@@ -13,11 +13,13 @@ from ...solver.bristle import Array
 from ...solver.errors import InputError
 from ..data.datasets import Manifest, read_manifest
 from ..data.tables import check_order, column, group_begins, inside, optional_column, read_table
+from ..data.units import check_contact_times, check_heights, check_peaks
 
 KIND = "forces"
 HEIGHTS = "drops.csv"
 LEAST_DROPS = 6
 LEAST_SAMPLES = 12
+PULSE = 0.2
 
 
 @dataclass(frozen=True)
@@ -71,7 +73,7 @@ def read_forces(folder: Path) -> Forces:
     numbers = drop[begins[:-1]]
     y0, y1 = _heights(manifest, path, [lines[b][0] for b in begins[:-1]], numbers)
     declared = manifest.measurement
-    return Forces(
+    data = Forces(
         manifest=manifest,
         drop=numbers,
         y0_m=y0,
@@ -82,6 +84,29 @@ def read_forces(folder: Path) -> Forces:
         sigma_N=declared.get("sigma_force_N"),
         sigma_y_m=1e-3 * declared["sigma_y_mm"] if "sigma_y_mm" in declared else None,
     )
+    _check_units(data, path, [line for line, _ in lines])
+    return data
+
+
+def _check_units(data: Forces, path: Path, lines: list[int]) -> None:
+    """InputError where forces or times cannot be in N and s."""
+    manifest, gravity = data.manifest, data.manifest.gravity_m_s2
+    at = [piece.start + int(np.argmax(data.force_N[piece])) for piece in data.pieces]
+    peaks, there = data.force_N[at], [lines[i] for i in at]
+    check_peaks(path, there, "force_N", peaks, data.y0_m, manifest.bristle, gravity)
+    lasting = np.array([_lasting_s(data.t_s[p], data.force_N[p]) for p in data.pieces])
+    check_contact_times(path, there, "t_s", lasting, manifest.bristle)
+    manifest.check_sigma("sigma_force_N", 1.0, data.force_N)
+    manifest.check_sigma("sigma_y_mm", 1e-3, data.y0_m)
+
+
+def _lasting_s(t_s: Array, force_N: Array) -> float:
+    """How long the force is more than a fifth of its greatest value, about that."""
+    peak = int(np.argmax(force_N))
+    low = np.flatnonzero(force_N <= PULSE * force_N[peak])
+    begin = low[low < peak].max(initial=-1) + 1
+    end = low[low > peak].min(initial=len(t_s))
+    return float((end - begin) * np.median(np.diff(t_s)))
 
 
 def _heights(
@@ -94,6 +119,7 @@ def _heights(
     check_order(path, rows_read, "drop", drop)
     y0 = 1e-3 * column(path, rows_read, "y0_mm", above=0.0)
     y1 = optional_column(path, rows_read, "y1_mm", 1e-3)
+    check_heights(path, [line for line, _ in rows_read], y0, y1)
     of = {int(number): i for i, number in enumerate(drop)}
     for line, number in zip(lines, numbers, strict=True):
         if int(number) not in of:

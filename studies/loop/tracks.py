@@ -126,7 +126,7 @@ def tracks_problem(data: Tracks) -> Problem:
     if len(tracks) < LEAST_DROPS:
         raise InputError(
             f"{data.manifest.table()}: {len(tracks)} of {len(every)} films show rest, fall and "
-            "rise unmistakably; the loop needs six or more"
+            "rise unmistakably; the loop needs six or more. Is t_s in s, and y_mm in mm?"
         )
     y0 = np.array([each.y0_m for each in tracks])
     numbers = data.drop[data.begins[:-1]][kept]

@@ -13,6 +13,7 @@ from ...solver.bristle import Array
 from ...solver.errors import InputError
 from ..data.datasets import Manifest, read_manifest
 from ..data.tables import column, group_begins, read_table
+from ..data.units import check_marks
 
 KIND = "tracks"
 LEAST_DROPS = 6
@@ -63,6 +64,8 @@ def read_tracks(folder: Path) -> Tracks:
     if len(begins) - 1 < LEAST_DROPS:
         raise InputError(f"{path}: {len(begins) - 1} drops; the loop needs six or more")
     _frame_rate(manifest, path, rows[1][0], times[: begins[1]])
+    check_marks(path, [line for line, _ in rows], y)
+    manifest.check_sigma("sigma_y_mm", 1e-3, y)
     sigma = manifest.measurement.get("sigma_y_mm")
     return Tracks(
         manifest=manifest,
