@@ -75,9 +75,9 @@ class Campaign:
         bristle, shift = Bristle(material=material), c_mass / c_stiffness
         frames: list[FlightFrame] = [
             ModalFrame(beam_body(bristle, ELEMENTS)),
-            ModalFrame(reduce_solid(solid, shift, 40, leaning=True).modal),
+            ModalFrame(reduce_solid(solid, shift, 40, leaning=True).bounded()),
             ModalFrame(beam_body(bristle, ELEMENTS, second_order=True)),
-            ModalFrame(reduce_solid(solid, shift, 40, leaning=True, second_order=True).modal),
+            ModalFrame(reduce_solid(solid, shift, 40, leaning=True, second_order=True).bounded()),
         ]
         cases = [
             (height, mu, lean)

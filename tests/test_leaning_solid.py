@@ -48,7 +48,7 @@ def test_full_order_and_reduced_lean_alike(models, beta, lean, mu, monkeypatch):
     model = models[beta]
     the_plan = plan(mu=mu, tilt_deg=lean[0], tilt_wide_deg=lean[1], impact_only=False)
     full = simulate(model, the_plan)
-    small = simulate(ModalFrame(model.modal), the_plan)
+    small = simulate(ModalFrame(model.bounded()), the_plan)
     off = differences(full, small)
     assert off.max() < 1e-4
     assert off[:3].max() <= small.reduction_error + 1e-9
@@ -64,7 +64,7 @@ def test_full_order_and_reduced_lean_alike(models, beta, lean, mu, monkeypatch):
 
 @pytest.mark.serial
 def test_with_the_papers_damping_the_bound_lets_a_leaning_body_pass(models):
-    result = simulate(ModalFrame(models[Material().beta_s].modal), plan(mu=0.3, tilt_deg=5.0))
+    result = simulate(ModalFrame(models[Material().beta_s].bounded()), plan(mu=0.3, tilt_deg=5.0))
     assert 0.0 < result.reduction_error < 1e-4
 
 
@@ -133,7 +133,7 @@ def test_a_rigid_plane_with_friction_obeys_signorini_and_coulomb(make_solid, lea
 @pytest.mark.serial
 def test_the_march_of_a_reduced_solid_is_the_general_one(models):
     """With its bound: compiled and general give the same."""
-    frame = ModalFrame(models[Material().beta_s].modal)
+    frame = ModalFrame(models[Material().beta_s].bounded())
     the_plan = plan(mu=0.3, tilt_deg=3.0, tilt_wide_deg=1.0)
     compiled = simulate(frame, the_plan)
     general = simulate(frame, the_plan, observer=lambda state, force: None)

@@ -11,9 +11,10 @@ from bristle.solver.bodies.beam import beam_body
 from bristle.solver.bodies.reduced import reduce_solid
 from bristle.solver.bristle import Bristle, Circle, Material, Rectangle
 from bristle.solver.contact.enforcement import ContactMethod, Enforcement
-from bristle.solver.contact.laws import Linear
+from bristle.solver.contact.laws import Coulomb, Linear
 from bristle.solver.drop import DropPlan, ModalFrame, simulate
 from bristle.solver.errors import ComputationError
+from bristle.solver.time import march
 from bristle.solver.time.march import Marcher
 from bristle.solver.time.scheme import TimeScheme
 
@@ -158,7 +159,7 @@ def test_full_order_and_reduced_bounce_alike(make_solid, method):
     reduced = reduce_solid(solid, shift(solid, its), 24)
     plan = DropPlan(0.05, ContactMethod(Linear(2e6), method), its, 9.8)
     full = simulate(reduced, plan)
-    small = simulate(ModalFrame(reduced.modal), plan)
+    small = simulate(ModalFrame(reduced.bounded()), plan)
     # Nitsche's forces act along the pressure's rows too, which the basis was not made from
     close = 1e-6 if method is Enforcement.NITSCHE else 1e-7
     assert small.rebound_ratio == pytest.approx(full.rebound_ratio, rel=close)
@@ -178,13 +179,13 @@ def test_error_estimate_bounds_the_error_and_refuses_a_poor_basis(make_solid):
     fine = simulate(reduce_solid(solid, shift(solid, its), 40), plan)
     estimates = []
     for n in (6, 8, 10):
-        modal = reduce_solid(solid, shift(solid, its), n).modal
+        modal = reduce_solid(solid, shift(solid, its), n).bounded()
         result = simulate(ModalFrame(modal), plan)
         error = abs(result.cm_velocity_after_m_s - fine.cm_velocity_after_m_s)
         assert error / fine.impact_speed_m_s <= result.reduction_error
         estimates.append(result.reduction_error)
     assert estimates[-1] < 0.1 * estimates[0]
-    poor = reduce_solid(solid, shift(solid, its), 2).modal
+    poor = reduce_solid(solid, shift(solid, its), 2).bounded()
     with pytest.raises(ComputationError, match="more modes"):
         simulate(ModalFrame(poor), plan)
 
@@ -236,6 +237,24 @@ def test_ranks_do_not_matter(make_solid):
     assert shared.rebound_ratio == pytest.approx(alone.rebound_ratio, rel=1e-9)
     assert shared.peak_force_N == pytest.approx(alone.peak_force_N, rel=1e-9)
     assert shared.energy.material_loss_J == pytest.approx(alone.energy.material_loss_J, rel=1e-7)
+
+
+def test_responses_to_contact_are_kept_or_solved_for_alike(make_solid, monkeypatch):
+    """An edge first, with friction: every point is pushed every way."""
+    its = 1e-6
+    solid = make_solid((1, 2, 24), 0.05)
+    reduced = reduce_solid(solid, shift(solid, its), 24, leaning=True)
+    method = ContactMethod(Linear(2e6), friction=Coulomb(0.5))
+    plan = DropPlan(0.05, method, its, 9.8, impact_only=True, tilt_deg=1.0)
+    results = []
+    for most in (math.inf, 0):
+        monkeypatch.setattr(march, "MOST_KEPT", most)
+        results.append(simulate(reduced, plan))
+    kept, solved = results
+    assert solved.n_steps == kept.n_steps
+    assert solved.cm_velocity_after_m_s == pytest.approx(kept.cm_velocity_after_m_s, rel=1e-9)
+    assert solved.peak_force_N == pytest.approx(kept.peak_force_N, rel=1e-9)
+    assert solved.energy.friction_loss_J == pytest.approx(kept.energy.friction_loss_J, rel=1e-7)
 
 
 def test_one_factor_serves_every_stiffness_and_law(make_solid):

@@ -12,16 +12,16 @@ in bending afterwards, far below s: its space is a rational one (Ruhe, Linear Al
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.linalg import block_diag, eigh
-from scipy.sparse import csr_matrix
+from scipy.linalg import eigh
+from scipy.sparse import csc_matrix, csr_matrix, vstack
 
 from ..errors import ComputationError
 from .axis import Axis
-from .base import Array, ContactPoints, dense_of
+from .base import Array, ContactPoints
 from .modal import Defect, ModalBody, in_modes
 from .solid import SolidBody
 
@@ -32,23 +32,24 @@ DEFLATED = 1e-10
 SHARE = 0.3
 SLOW = ((1.0, 16), (1e4, 16))
 AXIS_POINTS = 128
+# Numbers in a block of vectors that are worked on together.
+BLOCK = 1 << 25
 
 
 class Basis:
-    """M-orthonormal vectors (n_local, count) that grow, and M times them (``images``)."""
+    """M-orthonormal vectors (n_local, count) that grow."""
 
     def __init__(self, solid: SolidBody, capacity: int) -> None:
         self.solid, self.count = solid, 0
         self._vectors: Array = np.empty((solid.n_local, capacity), order="F")
-        self._images: Array = np.empty((solid.n_local, capacity), order="F")
 
     @property
     def vectors(self) -> Array:
         return self._vectors[:, : self.count]
 
-    @property
-    def images(self) -> Array:
-        return self._images[:, : self.count]
+    def amounts(self, images: Array) -> Array:
+        """How much of each vector is in what M times is ``images`` (n_local,) or (n_local, m)."""
+        return _total(self.solid, self.vectors.T @ images)
 
     def extend(self, vectors: Array) -> Array:
         """Add what ``vectors`` (n_local, m) hold beyond the basis; returns M times what came in.
@@ -61,16 +62,14 @@ class Basis:
         vectors, image = vectors / size, image / size
         for _ in range(2):
             if self.count:
-                part = _total(solid, self.images.T @ vectors)
-                vectors = vectors - self.vectors @ part
+                vectors = vectors - _combined(self.vectors, self.amounts(image))
                 image = solid.mass(vectors)
             size, turn = eigh(_total(solid, vectors.T @ image))
             keep = size > max(DEFLATED * size.max(initial=0.0), DEFLATED**2)
             turn = turn[:, keep] / np.sqrt(size[keep])
-            vectors, image = vectors @ turn, image @ turn
+            vectors, image = _combined(vectors, turn), _combined(image, turn)
         last = self.count + vectors.shape[1]
         self._vectors[:, self.count : last] = vectors
-        self._images[:, self.count : last] = image
         self.count = last
         return image
 
@@ -79,19 +78,44 @@ class Basis:
 class ReducedModel:
     """The reduced body, and the way between it and the solid.
 
-    Its modes are the vectors of the ``basis`` times ``turn`` (k, k).
+    Its modes are the vectors of the ``basis`` times ``turn`` (k, k). ``shift_1_s2`` and
+    ``tractions`` are those of `reduce_solid`.
     """
 
     body: SolidBody
     modal: ModalBody
     basis: Basis
     turn: Array
+    shift_1_s2: float
+    tractions: bool
 
     def to_modal(self, x: Array) -> Array:
-        return np.asarray(self.turn.T @ _total(self.body, self.basis.images.T @ x))
+        return np.asarray(self.turn.T @ self.basis.amounts(self.body.mass(x)))
 
     def from_modal(self, q: Array) -> Array:
         return np.asarray(self.basis.vectors @ (self.turn @ q))
+
+    def bounded(self) -> ModalBody:
+        """The modes with a bound on what they leave out, for marches in them.
+
+        Takes a solve for every coordinate of the section and every mode. Collective.
+        """
+        solid, modal = self.body, self.modal
+        own = modal.contact
+        rows = np.vstack([own.coordinates, own.traction]) if self.tractions else own.coordinates
+        loads = _loads(solid.contact, leaning=True, tractions=self.tractions)
+        modes = _combined(self.basis.vectors, self.turn)
+        left_over = np.empty((solid.n_local, len(rows) + modal.n_dofs), order="F")
+        for part in _blocks(solid, len(rows)):
+            left_over[:, part] = loads[:, part].toarray(order="F")
+            left_over[:, part] -= solid.mass(_combined(modes, rows[part].T))
+        for part in _blocks(solid, modal.n_dofs):
+            left = left_over[:, len(rows) :][:, part]
+            left[:] = solid.stiffness(modes[:, part])
+            left -= solid.mass(modes[:, part]) * modal.omega2[part]
+        answers = solid.factor(self.shift_1_s2, 1.0)(left_over)
+        gram = _total(solid, left_over.T @ answers)
+        return replace(modal, defect=Defect(gram, self.shift_1_s2))
 
 
 def krylov_basis(
@@ -122,8 +146,16 @@ def krylov_basis(
     _extend_krylov(basis, solve, loads, depth)
     for shift, n in shifts:
         _extend_krylov(basis, solid.factor(shift, 1.0), loads, n)
-    basis.extend(solve(own))
+    for part in _blocks(solid, own.shape[1]):
+        basis.extend(solve(own[:, part].toarray(order="F")))
     return basis
+
+
+def _blocks(solid: SolidBody, count: int) -> Iterator[slice]:
+    """``count`` vectors in blocks, the same on every rank."""
+    width = max(BLOCK * solid.comm.size // solid.n_dofs, 1)
+    for first in range(0, count, width):
+        yield slice(first, min(first + width, count))
 
 
 def _extend_krylov(basis: Basis, solve: Callable[[Array], Array], loads: Array, depth: int) -> None:
@@ -159,13 +191,11 @@ def _slow_shifts(solid: SolidBody) -> tuple[tuple[float, int], ...]:
     return tuple((slow * factor, n) for factor, n in SLOW)
 
 
-def _loads(contact: ContactPoints, *, leaning: bool, tractions: bool) -> Array:
+def _loads(contact: ContactPoints, *, leaning: bool, tractions: bool) -> csc_matrix:
     """The forces (n_local, m) that contact can put on the solid: node by node of the face, and
     along the rows of the traction point by point."""
-    rows = dense_of(contact.coordinates)
-    if tractions:
-        rows = np.vstack([rows, dense_of(contact.traction)])
-    return np.asfortranarray((rows if leaning else rows[2::3]).T)
+    rows = vstack([contact.coordinates, *([contact.traction] if tractions else [])], format="csr")
+    return (rows if leaning else rows[2::3]).T.tocsc()
 
 
 def reduce_solid(
@@ -184,10 +214,10 @@ def reduce_solid(
     ComputationError where the reduced stiffness is not positive semidefinite.
     """
     solve = solid.factor(shift_1_s2, 1.0)
-    contact = solid.contact
     grown = krylov_basis(solid, solve, n_krylov, leaning=leaning, tractions=tractions)
-    stiff = solid.stiffness(grown.vectors)
-    reduced = _total(solid, grown.vectors.T @ stiff)
+    reduced: Array = np.empty((grown.count, grown.count))
+    for part in _blocks(solid, grown.count):
+        reduced[:, part] = grown.amounts(solid.stiffness(grown.vectors[:, part]))
     reduced = 0.5 * (reduced + reduced.T)
     reduced[:6, :] = reduced[:, :6] = 0.0
     omega2, modes = eigh(reduced)
@@ -197,27 +227,19 @@ def reduce_solid(
         raise ComputationError(
             f"the reduced stiffness is not semidefinite: ω² = {omega2.min():.3g}"
         )
-    own = in_modes(contact, grown.vectors)
-    rows = np.vstack([own.coordinates, own.traction]) if tractions else own.coordinates
-    loads = _loads(contact, leaning=True, tractions=tractions) - grown.images @ rows.T
-    # K V Q - M V Q Λ = (K V - M V H) Q, where H Q = Q Λ
-    left_over = np.asfortranarray(np.hstack([loads, stiff - grown.images @ reduced]))
-    gram = _total(solid, left_over.T @ solve(left_over))
-    to_modes = block_diag(np.eye(len(rows)), modes)
-    rigid = modes.T @ _total(solid, grown.images.T @ solid.rigid_motions())
+    rigid = modes.T @ grown.amounts(solid.mass(np.asfortranarray(solid.rigid_motions())))
     rigid[omega2 > 0.0] = 0.0
     modal = ModalBody(
         name="reduced",
         omega2=omega2,
         translation=rigid[:, :3],
         rotation=rigid[:, 3:],
-        contact=in_modes(own, modes),
+        contact=in_modes(in_modes(solid.contact, grown.vectors), modes),
         alpha_1_s=solid.alpha_1_s,
         beta_s=solid.beta_s,
-        defect=Defect(to_modes.T @ gram @ to_modes, shift_1_s2),
         axis=solid_axis(solid, grown.vectors).in_modes(modes) if second_order else None,
     )
-    return ReducedModel(solid, modal, grown, modes)
+    return ReducedModel(solid, modal, grown, modes, shift_1_s2, tractions)
 
 
 def solid_axis(solid: SolidBody, vectors: Array) -> Axis:
@@ -242,6 +264,11 @@ def solid_axis(solid: SolidBody, vectors: Array) -> Axis:
 
     stretch = solid.material.youngs_Pa * solid.mass_kg / solid.material.density_kg_m3
     return Axis(slope(2), slope(0), slope(1), stretch / height.sum() * height)
+
+
+def _combined(vectors: Array, amounts: Array) -> Array:
+    """Vectors (n_local, k) times amounts (k, m), in Fortran's order as they are."""
+    return np.asarray((amounts.T @ vectors.T).T)
 
 
 def _total(solid: SolidBody, x: Array) -> Array:

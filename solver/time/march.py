@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -21,6 +21,11 @@ from ..ground import Placement
 from .advance import balance, combine, newmark, residue
 from .modal_march import Modes, Touching
 from .scheme import TimeScheme
+
+# Loads of contact whose responses are kept. A step in contact reads them all; where there are more
+# it is quicker, and takes less memory, to solve once more.
+MOST_KEPT = 400
+AT_ONCE = 32
 
 
 @dataclass
@@ -58,8 +63,9 @@ class Step(NamedTuple):
 class Marcher:
     """Marches a body in contact with the ground at constant ``its_s``.
 
-    The effective matrix c_M M + c_K K is factored once; a step costs one solve, one product with
-    M, and a small problem for the contact forces through the compliance of the contact points. The
+    The effective matrix c_M M + c_K K is factored once; a step costs one solve (two in contact
+    where the section has more coordinates than `MOST_KEPT`), one product with M, and a small
+    problem for the contact forces through the compliance of the contact points. The
     contact force on the body is Qᵀ (w P) with P the force per area share. Where the body stands
     over which ground is said by ``place``; at first it is upright on a horizontal plane, unstrained
     points just touching.
@@ -82,7 +88,9 @@ class Marcher:
         self._c_mass, self._c_stiffness = scheme.effective(its_s, body.alpha_1_s, body.beta_s)
         self._solve = self._factor()
         self._forcing = self._columns()
-        self._compliance = np.asfortranarray(self._solve(dense_of(self._forcing)))
+        self._compliance: Array | None = None
+        if self.tau or self._forcing.shape[1] <= MOST_KEPT:
+            self._compliance = np.asfortranarray(self._solve(dense_of(self._forcing)))
         self._answer = self._answers()
         self._modes: Modes | None = None
         self.place(Placement.upright(points))
@@ -147,16 +155,26 @@ class Marcher:
         """
         points, h, scheme = self.body.contact, self.its_s, self.scheme
         du, dv = scheme.beta * h * h, scheme.gamma * h
+        if self._compliance is None:
+            return du * np.hstack([self._moved(part) for part in self._responses()])
         if not self.tau:
-            moved = points.coordinates @ self._compliance
-            if points.comm.size > 1:
-                moved = points.comm.allreduce(moved)
-            return np.ascontiguousarray(du * moved)
+            return np.ascontiguousarray(du * self._moved(self._compliance))
         n = 3 * len(points.weights)
         answer = -du * points.displacements(self._compliance)
         answer += self.tau * (du + self.body.beta_s * dv) * points.tractions(self._compliance)
         pushes = np.stack([self._loads(unit.reshape(-1, 3)) for unit in np.eye(n)], axis=1)
         return np.ascontiguousarray(answer.reshape(n, -1) @ pushes)
+
+    def _moved(self, motions: Array) -> Array:
+        """The section's coordinates under ``motions`` (dofs, m), the same on every rank."""
+        points = self.body.contact
+        moved = points.coordinates @ motions
+        return points.comm.allreduce(moved) if points.comm.size > 1 else np.asarray(moved)
+
+    def _responses(self) -> Iterator[Array]:
+        """Responses to the columns that contact pushes along, a few at a time."""
+        for first in range(0, self._forcing.shape[1], AT_ONCE):
+            yield self._solve(dense_of(self._forcing[:, first : first + AT_ONCE]))
 
     def _loads(self, force: Array) -> Array:
         """Forces (n, 3) along body axes per area share, as amounts of the columns that force."""
@@ -273,7 +291,10 @@ class Marcher:
         if force.any():
             push = self._loads(self.along_axes(force))
             rhs += self._forcing @ push
-            combine(a, self._compliance, push)
+            if self._compliance is None:
+                a = self._solve(rhs)
+            else:
+                combine(a, self._compliance, push)
             u, v = newmark(now.u, now.v, now.a, a, h, scheme.beta, scheme.gamma)
             drive = self.contact.end
         ma = body.mass(a)

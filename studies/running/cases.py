@@ -284,7 +284,9 @@ class Workshop:
         """The reduced solid as an earlier run stored it, else made and stored."""
         arrays = self.comm.bcast(load(key) if self.comm.rank == 0 else None)
         if arrays is None:
-            modal = self._reduced(inputs)[0].modal
+            model = self._reduced(inputs)[0]
+            with self._timed("factor"):
+                modal = model.bounded()
             arrays = self.comm.bcast(to_arrays(modal) if self.comm.rank == 0 else None)
             if self.comm.rank == 0:
                 store(key, arrays)
