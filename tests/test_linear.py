@@ -1,5 +1,7 @@
 """Do the solvers of a solid's equations agree, and is the right one taken, and made once?"""
 
+import copy
+import functools
 import math
 
 import numpy as np
@@ -7,6 +9,7 @@ import pytest
 from mpi4py import MPI
 
 from bristle.solver.bodies import linear
+from bristle.solver.bodies import solid as solid_body
 from bristle.solver.bodies.chain import ChainFactor, lay_out
 from bristle.solver.bodies.linear import TOLERANCE, Method, Solver, choose, make_solver
 from bristle.solver.bodies.reduced import reduce_solid
@@ -85,18 +88,39 @@ def test_methods_bounce_alike_and_close_the_budget(make_solid, monkeypatch):
 def test_the_rule_of_choice():
     small, large = 50_000, 3_000_000
     slender, wide = 200, 4000
-    assert choose(Solver.AUTO, small, slender * small) is Method.CHAIN
-    assert choose(Solver.DIRECT, large, slender * large) is Method.CHAIN
-    assert choose(Solver.AUTO, large, slender * large) is Method.CHAIN
-    assert choose(Solver.AUTO, small, None) is Method.MUMPS
+    few, many = linear.MOST_ON_CUTS, linear.MOST_ON_CUTS + 1
+    for size in (small, large):
+        assert choose(Solver.AUTO, size, slender * size) is Method.CHAIN
+        assert choose(Solver.DIRECT, size, slender * size) is Method.CHAIN
+        for least in (slender, wide):
+            assert choose(Solver.ITERATIVE, size, least * size) is Method.ITERATIVE
+        shared = functools.partial(choose, unknowns=size, chained=slender * size, alone=False)
+        assert shared(Solver.AUTO, on_cuts=few) is Method.CUT
+        assert shared(Solver.AUTO, on_cuts=many) is Method.MUMPS
+        assert shared(Solver.ITERATIVE, on_cuts=few) is Method.ITERATIVE
     assert choose(Solver.AUTO, small, wide * small) is Method.MUMPS
     assert choose(Solver.AUTO, large, wide * large) is Method.ITERATIVE
-    assert choose(Solver.AUTO, large, None) is Method.ITERATIVE
-    assert choose(Solver.DIRECT, large, None) is Method.MUMPS
-    assert choose(Solver.ITERATIVE, small, slender * small) is Method.ITERATIVE
-    assert choose(Solver.AUTO, small, None, linear.MOST_ON_CUTS) is Method.CUT
-    assert choose(Solver.AUTO, small, None, linear.MOST_ON_CUTS + 1) is Method.MUMPS
-    assert choose(Solver.ITERATIVE, small, None, linear.MOST_ON_CUTS) is Method.ITERATIVE
+    assert choose(Solver.DIRECT, large, wide * large) is Method.MUMPS
+
+
+@pytest.mark.parametrize(("cells", "order"), [((2, 5, 24), 1), ((1, 2, 24), 2), ((2, 5, 24), 2)])
+def test_a_factor_is_estimated_where_ranks_share_the_body(make_solid, cells, order, monkeypatch):
+    """As it is counted where they do not; the ends of this short bar are a tenth."""
+    seen = []
+
+    def noted(solver, unknowns, chained, **how):
+        seen.append(chained)
+        return choose(solver, unknowns, chained, **how)
+
+    monkeypatch.setattr(solid_body, "choose", noted)
+    for comm, known in ((MPI.COMM_WORLD, {"layout": None}), (MPI.COMM_SELF, {})):
+        solid = copy.copy(make_solid(cells, 0.05, order, comm=comm))
+        solid.__dict__.pop("method", None)
+        solid.__dict__.pop("layout", None)
+        solid.__dict__.update(known)
+        assert solid.method
+    estimated, counted = seen
+    assert estimated == pytest.approx(counted, rel=0.1)
 
 
 def test_a_body_takes_the_method_of_the_rule(make_solid):

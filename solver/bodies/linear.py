@@ -29,6 +29,9 @@ LARGEST_FACTOR = 1_000_000_000
 # Nested dissection of a compact body of n unknowns leaves about this times n^(4/3) (measured on
 # cubes of second order under MUMPS; the exponent is George's, SIAM J. Numer. Anal. 10, 1973).
 COMPACT = 24.0
+# Of a slender one it leaves about this times c^0.7 per unknown, a chain having c of them (measured
+# on bars of second order of 2 to 10 cells' depth, within a tenth; length does not matter).
+SLENDER = 3.0
 # Largest c_K K_ii / c_M M_ii up to which the diagonal alone is the better preconditioner: it then
 # needs no more than a hundred iterations, each a fifth of one under multigrid.
 DIAGONAL = 100.0
@@ -63,19 +66,20 @@ class LinearSolver(Protocol):
     def close(self) -> None: ...
 
 
-def choose(solver: Solver, unknowns: int, chained: int | None, on_cuts: int = 0) -> Method:
-    """The method for a body whose factor as a chain has ``chained`` numbers, None for no chain.
+def choose(
+    solver: Solver, unknowns: int, chained: int, *, alone: bool = True, on_cuts: int = 0
+) -> Method:
+    """The method for a body whose factor as a chain has ``chained`` numbers, or about so many.
 
-    A chain needs a body alone on its rank. Its size bounds any factor's from above. ``on_cuts`` are
-    the unknowns that ranks share.
+    A chain needs a body ``alone`` on its rank; ``on_cuts`` are the unknowns that ranks share.
     """
     if solver is Solver.ITERATIVE:
         return Method.ITERATIVE
     compact = COMPACT * unknowns ** (4.0 / 3.0)
-    least = compact if chained is None else min(chained, compact)
-    if solver is Solver.AUTO and least > LARGEST_FACTOR:
+    slender = SLENDER * unknowns * (chained / unknowns) ** 0.7
+    if solver is Solver.AUTO and min(chained, compact, slender) > LARGEST_FACTOR:
         return Method.ITERATIVE
-    if chained is not None and chained <= WIDEST * unknowns:
+    if alone and chained <= WIDEST * unknowns:
         return Method.CHAIN
     if 0 < on_cuts <= MOST_ON_CUTS:
         return Method.CUT

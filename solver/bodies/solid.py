@@ -22,6 +22,8 @@ from .matrices import NodeMass, degree_of_products, stiffness_matrix
 from .mumps import dense
 from .tip import tip_contact
 
+SAME_HEIGHT_M = 1e-9
+
 
 def stress(u: ufl.core.expr.Expr, material: Material) -> ufl.core.expr.Expr:
     """Cauchy stress of small strain, isotropic. The material is data of the form, not part of it:
@@ -120,9 +122,14 @@ class SolidBody:
     @cached_property
     def method(self) -> Method:
         """How effective matrices are solved with."""
-        chained = None if self.layout is None else self.layout.entries
+        if self.layout is not None:
+            return choose(self.solver, self.n_dofs, self.layout.entries)
+        own = np.unique(np.round(self._coordinates()[:, 2] / SAME_HEIGHT_M))
+        levels = len(np.unique(np.concatenate(self.comm.allgather(own))))
+        # as many levels as the order are one panel, as wide as they and with one more below
+        chained = round((1.0 + 0.5 * self.order) * self.n_dofs**2 / levels)
         cuts = self.comm.allreduce(int(self.on_cuts.sum()))
-        return choose(self.solver, self.n_dofs, chained, cuts)
+        return choose(self.solver, self.n_dofs, chained, alone=False, on_cuts=cuts)
 
     @cached_property
     def on_cuts(self) -> NDArray[np.bool_]:
