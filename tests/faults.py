@@ -71,6 +71,14 @@ def ranks_of(process):
     return sorted(found)
 
 
+def running(pid):
+    """Whether there is such a process that has not ended."""
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] not in "ZX"
+    except OSError:
+        return False
+
+
 def journal_lines(out):
     """How many finished cases a study has noted so far."""
     path = Path(out) / "cases.jsonl"

@@ -6,12 +6,23 @@ import random
 import resource
 import signal
 import subprocess
+import time
 from contextlib import contextmanager
 
 import numpy as np
 import pytest
 from commands import LIVE, environment
-from faults import ended, hidden, journal_lines, send, started, told, wait_for
+from faults import (
+    ended,
+    hidden,
+    journal_lines,
+    ranks_of,
+    running,
+    send,
+    started,
+    told,
+    wait_for,
+)
 from hostile import drops_table, kept_promise, run, write_dataset
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
@@ -224,7 +235,6 @@ ALL = {
     "mesh": ["mesh", *SMALL],
     "reproduce": ["reproduce"],
     "synth": ["synth"],
-    "loop": ["bench", "loop", "--datasets", "1"],
     "peers": ["bench", "peers"],
 }
 
@@ -407,6 +417,26 @@ def test_a_rank_that_dies_ends_the_job(tmp_path, number):
     status, _, _ = ended(process, 60.0)
     assert status not in (0, None)
     assert not (tmp_path / "scatter.json").exists()
+
+
+@pytest.mark.slow
+def test_ranks_end_with_their_mpirun(tmp_path):
+    """Whoever kills it leaves ranks that talk to each other and, at their end, to nobody."""
+    solid = ["drop", "--model", "solid", "--cells", "1", "1", "40", "--its", "1e-7", "--keep", "0"]
+    process = started([*solid, "--out", tmp_path], ranks=2)
+    wait_for(lambda: any(tmp_path.rglob("*.npz")), process)
+    ranks = ranks_of(process)
+    assert len(ranks) == 2
+    process.kill()
+    try:
+        until = time.monotonic() + 60.0
+        while any(map(running, ranks)) and time.monotonic() < until:
+            time.sleep(0.1)
+        assert not any(map(running, ranks))
+    finally:
+        for rank in filter(running, ranks):
+            os.kill(rank, signal.SIGKILL)
+        process.communicate()
 
 
 # --- campaign -------------------------------------------------------------------------------------

@@ -21,6 +21,7 @@ SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 ONE_S = 1.0
 # The last one is obeyed without cleaning up.
 MOST = 3
+PETSC_OPTIONS, NO_HANDLER = "PETSC_OPTIONS", "-no_signal_handler"
 # Of computing, until it is tried again where it cannot be obeyed, or was not heard.
 AGAIN_S, UNHEARD_S = 0.05, 3.0
 
@@ -88,6 +89,7 @@ _signals = _Signals()
 def interruptible() -> Iterator[None]:
     """Signals end the block with a KeyboardInterrupt, but for those that are ignored (nohup)."""
     global _signals
+    _keep_petsc_from_signals()
     outer, _signals = _signals, _Signals()
     actions: dict[signal.Signals, Callable[[int, FrameType | None], None]] = {
         number: _signals.stop
@@ -105,6 +107,17 @@ def interruptible() -> Iterator[None]:
         for number, handler in before.items():
             signal.signal(number, handler)
         _signals = outer
+
+
+def _keep_petsc_from_signals() -> None:
+    """Have PETSc, which starts later, answer no signal.
+
+    It would answer SIGPIPE, which a rank gets that tells its last words after mpirun was killed, by
+    aborting MPI, which then waits for ever for the lock that these words hold.
+    """
+    options = os.environ.get(PETSC_OPTIONS, "")
+    if NO_HANDLER not in options.split():
+        os.environ[PETSC_OPTIONS] = f"{options} {NO_HANDLER}".strip()
 
 
 def heard() -> None:
