@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import shutil
 import sys
-import tempfile
 import time
-from collections.abc import Callable
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -21,15 +18,14 @@ from bristle.meshes.hexahedra import build_model, gmsh_model
 from bristle.meshes.picture import write_picture
 from bristle.meshes.quality import MeshQuality, measure_quality, write_csv
 
-from .running.files import UNFINISHED
+from .running.files import filled, new_folders
 
 
 def run_mesh(spec: MeshSpec, out: Path, comm: MPI.Intracomm = MPI.COMM_WORLD) -> dict[str, Any]:
     """Mesh a bristle and write ``bristle.msh``, ``bristle.vtu``, ``quality.csv``, ``mesh.png``.
 
-    Rank 0 does it while the others wait; collective over `comm`.  The files are made in a hidden
-    folder inside `out` and moved into place when all four are there, so that a failure leaves what
-    was there before.
+    Rank 0 does it while the others wait; collective over `comm`.  The files take their places
+    together when all four are there, so that a failure leaves what was there before.
 
     Parameters
     ----------
@@ -52,7 +48,11 @@ def run_mesh(spec: MeshSpec, out: Path, comm: MPI.Intracomm = MPI.COMM_WORLD) ->
 
 def _write_all(spec: MeshSpec, out: Path) -> dict[str, Any]:
     started = time.perf_counter()
-    names, quality = _in_place(out, lambda folder: _make(spec, folder))
+    with new_folders(out):
+        out.mkdir(parents=True, exist_ok=True)
+        with filled(out) as folder:
+            quality = _make(spec, folder)
+            names = sorted(path.name for path in folder.iterdir())
     return {
         "spec": {**asdict(spec), "cells": list(spec.cells), "shape": type(spec.section).__name__},
         "files": {name: str(out / name) for name in names},
@@ -71,29 +71,6 @@ def _make(spec: MeshSpec, folder: Path) -> MeshQuality:
     write_csv(quality, folder / "quality.csv")
     write_picture(folder / "bristle.vtu", folder / "mesh.png")
     return quality
-
-
-def _in_place(out: Path, make: Callable[[Path], MeshQuality]) -> tuple[list[str], MeshQuality]:
-    """Let `make` fill a folder beside its destination, then move its files; return their names."""
-    existing = next(parent for parent in (out, *out.parents) if parent.exists())
-    out.mkdir(parents=True, exist_ok=True)
-    folder = Path(tempfile.mkdtemp(prefix=UNFINISHED, dir=out))
-    try:
-        result = make(folder)
-        names = sorted(path.name for path in folder.iterdir())
-        for name in names:
-            (folder / name).replace(out / name)
-        return names, result
-    finally:
-        shutil.rmtree(folder, ignore_errors=True)
-        _remove_empty(out, down_to=existing)
-
-
-def _remove_empty(folder: Path, down_to: Path) -> None:
-    """Remove a folder and its parents as far as they are empty and were not there before."""
-    while folder != down_to and not any(folder.iterdir()):
-        folder.rmdir()
-        folder = folder.parent
 
 
 if __name__ == "__main__":

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import tempfile
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from mpi4py import MPI
 
@@ -14,9 +13,12 @@ from ..solver.errors import ComputationError, InputError
 from ..solver.paraview import SOLID_FILE
 from .data.texts import exists, parse_json, read_text
 from .page.figures import picture
-from .running.files import UNFINISHED, prepare_folder, write_picture
+from .running.files import filled, prepare_folder, write_picture
 from .running.progress import note
 from .running.results import HISTORY_FILE, RESULT_FILE
+
+if TYPE_CHECKING:
+    from .viewing.wave import Wave
 
 FIELDS_FOLDER = "fields"
 VIEW_FOLDER = "view"
@@ -48,15 +50,19 @@ def _view(result: Path, out: Path | None) -> list[Path]:
     history = read_history(result / HISTORY_FILE)
     target = Path(out) if out is not None else result / VIEW_FOLDER
     prepare_folder(target)
-    with tempfile.TemporaryDirectory(prefix=UNFINISHED, dir=target) as name:
-        folder = Path(name)
+    touch_s, wave = touch_time_s(history), None
+    with filled(target) as folder:
         write_picture(folder / "history", picture(history_figure(history, document)))
-        beside: list[Path] = []
         if (result / FIELDS_FOLDER).is_dir():
-            beside = _view_fields(result, document, touch_time_s(history), folder)
+            wave = _view_fields(result, document, touch_s, folder)
         else:
             note(f"{result} has no fields: for pictures of the wave, drop it with --model solid")
-        return _moved(folder, target) + beside
+        written = [target / name for name in sorted(path.name for path in folder.iterdir())]
+    if wave is not None:
+        from .viewing.paraview_state import write_state_script
+
+        written.append(write_state_script(result, FIELDS_FOLDER, wave, touch_s))
+    return written
 
 
 def read_result(result: Path) -> dict[str, Any]:
@@ -72,12 +78,9 @@ def read_result(result: Path) -> dict[str, Any]:
     return document
 
 
-def _view_fields(
-    result: Path, document: dict[str, Any], touch_s: float, folder: Path
-) -> list[Path]:
-    """Fill ``folder`` with the pictures of a solid; returns what was written beside the result."""
+def _view_fields(result: Path, document: dict[str, Any], touch_s: float, folder: Path) -> Wave:
+    """Fill ``folder`` with the pictures of a solid; returns the wave that they show."""
     from .viewing.field_series import FieldSeries
-    from .viewing.paraview_state import write_state_script
     from .viewing.wave import read_wave
     from .viewing.wave_pictures import draw_wave, space_time_figure
 
@@ -90,7 +93,7 @@ def _view_fields(
     figures["space-time"] = space_time_figure(wave, _bar_speed_m_s(document))
     for name, figure in figures.items():
         write_picture(folder / name, picture(figure))
-    return [write_state_script(result, FIELDS_FOLDER, wave, touch_s)]
+    return wave
 
 
 def _bar_speed_m_s(document: dict[str, Any]) -> float | None:
@@ -100,10 +103,3 @@ def _bar_speed_m_s(document: dict[str, Any]) -> float | None:
         return float((inputs["youngs_Pa"] / inputs["density_kg_m3"]) ** 0.5)
     except (KeyError, TypeError, ZeroDivisionError):
         return None
-
-
-def _moved(folder: Path, target: Path) -> list[Path]:
-    names = sorted(path.name for path in folder.iterdir())
-    for name in names:
-        (folder / name).replace(target / name)
-    return [target / name for name in names]

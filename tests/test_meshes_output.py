@@ -1,6 +1,7 @@
 """Does `bristle mesh` leave all of its files or none, on any number of ranks, with no screen?"""
 
 import os
+import signal
 import subprocess
 import sys
 import time
@@ -22,6 +23,7 @@ from bristle.meshes.picture import outside, round_length_mm, write_picture
 from bristle.meshes.quality import read_csv
 from bristle.studies import mesh as mesh_study
 from bristle.studies.mesh import run_mesh
+from bristle.studies.running.interrupts import interruptible
 
 COMM = MPI.COMM_WORLD
 FILES = ["bristle.msh", "bristle.vtu", "mesh.png", "quality.csv"]
@@ -104,6 +106,25 @@ def test_failure_leaves_what_was_there(out, stage, monkeypatch):
         run_mesh(SPEC, out)
     assert listing(out) == ["mesh.png"]
     assert (out / "mesh.png").read_text() == "older"
+
+
+@pytest.mark.serial
+def test_an_interruption_waits_until_all_files_are_in_place(out, monkeypatch):
+    out.mkdir(parents=True)
+    for name in FILES:
+        (out / name).write_text("older")
+    replace = Path.replace
+
+    def interrupted(path, target):
+        if path.name == FILES[0]:
+            signal.raise_signal(signal.SIGTERM)
+        return replace(path, target)
+
+    monkeypatch.setattr(Path, "replace", interrupted)
+    with pytest.raises(KeyboardInterrupt), interruptible():
+        run_mesh(SPEC, out)
+    assert listing(out) == FILES
+    assert all((out / name).read_bytes() != b"older" for name in FILES)
 
 
 def test_unsound_mesh_writes_nothing(out, monkeypatch):

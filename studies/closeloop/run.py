@@ -8,9 +8,7 @@ what it found with the 3-D model, and writes verdict.json and one page. Also a s
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
@@ -27,7 +25,7 @@ from ..data.datasets import Manifest, read_manifest
 from ..loop.finding import Finding
 from ..loop.problem import Problem
 from ..loop.run import find
-from ..running.files import prepare_folder, to_json, together, write_atomically
+from ..running.files import new_folders, prepare_folder, to_json, together, write_atomically
 from ..running.parallel import share_out, start_petsc
 from ..running.progress import progress, working
 from .confirm import LEFT_OUT, Confirmation, confirm
@@ -136,7 +134,8 @@ def _simulate(problem: Problem, comm: MPI.Intracomm) -> None:
 def _run(manifest: Manifest, problem: Problem, out: Path, inputs: LoopInputs) -> dict[str, Any]:
     from .page import write_page
 
-    with _folder_for(out):
+    with new_folders(out):
+        prepare_folder(out)
         closed = close(manifest, problem, inputs)
         content = verdict(closed)
         with together(out, VERDICT_FILE):
@@ -217,22 +216,6 @@ def verdict(closed: Closed) -> dict[str, Any]:
 
 def _test(test: Any) -> dict[str, Any]:
     return {"name": test.name, "value": test.value, "p_value": test.p_value}
-
-
-@contextmanager
-def _folder_for(out: Path) -> Iterator[None]:
-    """``out`` as a folder to write into; where the block fails, new folders go again."""
-    new = [each for each in (out, *out.parents) if not each.exists()]
-    prepare_folder(out)
-    try:
-        yield
-    except BaseException:
-        for each in new:
-            try:
-                each.rmdir()
-            except OSError:
-                break
-        raise
 
 
 def summary(content: dict[str, Any]) -> list[tuple[str, str]]:

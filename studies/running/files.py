@@ -11,7 +11,7 @@ import os
 import shutil
 import tempfile
 from collections.abc import Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -52,6 +52,20 @@ def prepare_folder_together(out: Path) -> None:
     from ...meshes.collective import run_on_one_rank
 
     run_on_one_rank(MPI.COMM_WORLD, lambda: prepare_folder(out))
+
+
+@contextmanager
+def new_folders(out: Path) -> Iterator[None]:
+    """Where the block fails, the folders down to ``out`` that it made go again, as far as they are
+    empty."""
+    new = [each for each in (out, *out.parents) if not each.exists()]
+    try:
+        yield
+    except BaseException:
+        for each in new:
+            with suppress(OSError):
+                each.rmdir()
+        raise
 
 
 def write_picture(stem: Path, drawn: Picture) -> list[str]:
@@ -159,15 +173,20 @@ def together(out: Path, *last: str) -> Iterator[None]:
             yield
             return
     try:
-        waiting = _Waiting(out, Path(tempfile.mkdtemp(prefix=UNFINISHED, dir=out)), list(last))
+        with filled(out, *last):
+            yield
     except OSError as error:
         raise cannot_write(out, error) from error
+
+
+@contextmanager
+def filled(out: Path, *last: str) -> Iterator[Path]:
+    """`together` for those that write files themselves: into the folder that it gives."""
+    waiting = _Waiting(out, Path(tempfile.mkdtemp(prefix=UNFINISHED, dir=out)), list(last))
     _open.append(waiting)
     try:
-        yield
+        yield waiting.made
         waiting.place()
-    except OSError as error:
-        raise cannot_write(out, error) from error
     finally:
         _open.remove(waiting)
         for made in (waiting.made, *(made for made, _ in waiting.folders if made)):
