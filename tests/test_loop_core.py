@@ -19,7 +19,7 @@ from bristle.studies.loop.ladder import ladder
 from bristle.studies.loop.noise import log_density
 from bristle.studies.loop.posterior import posterior
 from bristle.studies.loop.problem import Problem
-from bristle.studies.loop.run import find
+from bristle.studies.loop.run import find, pieces
 from bristle.studies.loop.sample import Sample, sample
 
 pytestmark = pytest.mark.serial
@@ -217,6 +217,15 @@ def test_one_effect_stands_alone(named):
     assert named.verdict is Verdict.EFFECT
     assert named.effects == ("plastic",)
     assert len(named.held_out.groups) == 12
+
+
+@pytest.mark.parametrize("truth", [{}, {"plastic": 12.0}])
+def test_all_of_the_work_is_told_of_as_it_gets_done(truth):
+    problem, _ = toys.problem(1, truth)
+    told: list[int] = []
+    find(problem, seed=1, advance=lambda count=1: told.append(count))
+    assert sum(told) == pieces(problem)
+    assert len(told) > len(problem.candidates) + 2
 
 
 def test_the_same_seed_gives_the_same_finding(named):

@@ -24,7 +24,7 @@ from ...solver import paper
 from ...solver.errors import ComputationError, InputError
 from ...solver.time.scheme import TimeScheme
 from ..running.files import prepare_folder, to_csv, to_json, together, write_atomically
-from ..running.progress import note
+from ..running.progress import progress
 from .machine import facts, load
 
 if TYPE_CHECKING:
@@ -149,19 +149,22 @@ def run_sizes(out: Path, largest: int = 3_000_000) -> str:
     prepare_folder(out)
     about = [load(), *facts()]
     lines, failed = [], []
-    for number, (series, cells, solver) in enumerate(cases, 1):
-        note(f"size {number} of {len(cases)}: {unknowns(cells)} unknowns, {solver}")
-        try:
-            lines.append(_apart(series, cells, solver))
-        except ComputationError as error:
-            failed.append(f"{series} {cells} {solver}: {error}")
-        names = [field.name for field in fields(Line)]
-        growth = exponents(lines)
-        rows = [list(asdict(line).values()) for line in lines]
-        document = {"lines": [asdict(x) for x in lines], "exponents": growth, "failed": failed}
-        with together(out, "sizes.json"):
-            write_atomically(out / "sizes.csv", to_csv(names, rows))
-            write_atomically(out / "sizes.json", to_json(document))
+    # a size takes about as long as it has unknowns
+    total = sum(unknowns(cells) for _, cells, _ in cases)
+    with progress("Unknowns of all sizes", total) as advance:
+        for series, cells, solver in cases:
+            try:
+                lines.append(_apart(series, cells, solver))
+            except ComputationError as error:
+                failed.append(f"{series} {cells} {solver}: {error}")
+            names = [field.name for field in fields(Line)]
+            growth = exponents(lines)
+            rows = [list(asdict(line).values()) for line in lines]
+            document = {"lines": [asdict(x) for x in lines], "exponents": growth, "failed": failed}
+            with together(out, "sizes.json"):
+                write_atomically(out / "sizes.csv", to_csv(names, rows))
+                write_atomically(out / "sizes.json", to_json(document))
+            advance(unknowns(cells))
     # not before: a child's peak has in it what its parent held
     from .sizes_page import page
 

@@ -24,7 +24,7 @@ from ..command.config import Truth, between, whole
 from ..data.datasets import Manifest, read_manifest
 from ..loop.finding import Finding
 from ..loop.problem import Problem
-from ..loop.run import find
+from ..loop.run import find, pieces
 from ..running.files import new_folders, prepare_folder, to_json, together, write_atomically
 from ..running.parallel import share_out, start_petsc
 from ..running.progress import progress, working
@@ -146,8 +146,8 @@ def _run(manifest: Manifest, problem: Problem, out: Path, inputs: LoopInputs) ->
 
 def close(manifest: Manifest, problem: Problem, inputs: LoopInputs) -> Closed:
     """Run the loop on a problem, and confirm with the 3-D model what it found."""
-    with working("looking for what the model lacks"):
-        finding = find(problem, inputs.seed, inputs.alarm)
+    with progress("Steps of the search", pieces(problem)) as advance:
+        finding = find(problem, inputs.seed, inputs.alarm, advance)
     if inputs.no_3d:
         return Closed(manifest, inputs, problem, finding, Confirmation(None, LEFT_OUT))
     if problem.confirm is None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -44,27 +44,48 @@ class Answer:
     tried: tuple[tuple[Posterior, float | None], ...]
 
 
-def find(problem: Problem, seed: int = 0, alarm: float = ALARM) -> Finding:
+def pieces(problem: Problem) -> int:
+    """Of how much work `find` tells."""
+    return 2 * len(problem.candidates) + 3
+
+
+def find(
+    problem: Problem,
+    seed: int = 0,
+    alarm: float = ALARM,
+    advance: Callable[..., None] = lambda count=1: None,
+) -> Finding:
     """Run the loop: hold out, fit, detect, attribute, test what is left, judge.
 
     ``alarm`` is the rate at which data that lack nothing are said to lack something. The same
-    problem, seed and rate give the same finding to the bit.
+    problem, seed and rate give the same finding to the bit. ``advance`` is called as `pieces` get
+    done, with their number where it is not one.
     """
     fitted_groups, held_groups = split(problem, seed)
     data = _sample(problem, fitted_groups)
     rng = np.random.default_rng([seed, 2])
     starts = _spread(problem)
     base, shares = settle(data, problem.baseline, starts)
-    ladders = [ladder(data, base, model) for model in problem.candidates]
+    ladders = []
+    for model in problem.candidates:
+        ladders.append(ladder(data, base, model))
+        advance()
     spread, gain = shared_noise(data, base, ladders)
+    advance()
     detection = detect(data, base, spread, ladders, rng, alarm)
+    advance()
     baseline = posterior(data, base, base, shares, rng)
     unlisted = baseline.log_evidence + gain
     if detection.p_value > alarm:
         answer = _adequate(data, baseline, rng)
+        advance(len(ladders))
     else:
         likely = kept_noises(data, spread)
-        known = Known(problem, data, base, baseline, ladders, likely, unlisted, rng)
+        singles = []
+        for each in ladders:
+            singles.append(attribute.candidate(data, base, each, likely, rng))
+            advance()
+        known = Known(problem, data, base, baseline, ladders, singles, unlisted, rng)
         answer = _explain(known, detection.p_value, alarm)
     final = answer.reported[0] if answer.reported else baseline
     unit = np.ones(problem.values.size)
@@ -74,7 +95,7 @@ def find(problem: Problem, seed: int = 0, alarm: float = ALARM) -> Finding:
         apart = sample(problem, held_groups, unit)
         held = judge(problem, data, baseline, final, apart, rng)
     tied = answer.reported if answer.verdict is Verdict.AMBIGUOUS else ()
-    return Finding(
+    finding = Finding(
         verdict=answer.verdict,
         effects=_names(answer),
         weights=_weights(answer),
@@ -103,6 +124,8 @@ def find(problem: Problem, seed: int = 0, alarm: float = ALARM) -> Finding:
         seed=seed,
         alarm=alarm,
     )
+    advance()
+    return finding
 
 
 def _sample(problem: Problem, groups: Ints) -> Sample:
@@ -151,7 +174,7 @@ class Known:
     base: Fitted
     baseline: Posterior
     ladders: Sequence[Ladder]
-    likely: Ints
+    singles: Sequence[Posterior]
     unlisted: float
     rng: np.random.Generator
 
@@ -164,7 +187,7 @@ def _explain(known: Known, p_value: float, alarm: float) -> Answer:
     the effect.
     """
     data, base, ladders, rng = known.data, known.base, known.ladders, known.rng
-    singles = [attribute.candidate(data, base, each, known.likely, rng) for each in ladders]
+    singles = known.singles
     best = max((each.log_evidence for each in singles), default=-np.inf)
     likelier = max(best, known.unlisted) - known.baseline.log_evidence
     if likelier < LIKELIER and p_value > alarm / 6:
@@ -183,7 +206,7 @@ def _explain(known: Known, p_value: float, alarm: float) -> Answer:
     passing = [i for i in chosen if tests[i].p_value > LEFT_ALARM]
     if known.unlisted > best + UNLISTED_MARGIN:
         passing = []
-    pairs = _pairs(known, singles, best, bool(passing))
+    pairs = _pairs(known, best, bool(passing))
     if pairs is not None:
         verdict = Verdict.EFFECT if len(pairs.reported) == 1 else Verdict.AMBIGUOUS
         return Answer(verdict, pairs.reported, pairs.weights, pairs.left, tried + pairs.tried)
@@ -199,11 +222,9 @@ def _explain(known: Known, p_value: float, alarm: float) -> Answer:
     return Answer(Verdict.UNKNOWN, (), (), tests[chosen[0]], tried)
 
 
-def _pairs(
-    known: Known, singles: Sequence[Posterior], best: float, one_suffices: bool
-) -> Answer | None:
+def _pairs(known: Known, best: float, one_suffices: bool) -> Answer | None:
     """Pairs that leave nothing, explain more than one effect and more than anything unlisted."""
-    data, base = known.data, known.base
+    data, base, singles = known.data, known.base, known.singles
     needed = max(best, known.unlisted - PAIR_COST / 2) + PAIR_COST
     plain = known.baseline.fitted
     own_cost = plain.log_likelihood + data.noises.prior[plain.noise] - known.baseline.log_evidence
