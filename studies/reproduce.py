@@ -22,7 +22,7 @@ from .page.report import Report, Section, Verdict, write_report
 from .running.campaign import Results, Setup, Study, compute
 from .running.cases import Workshop
 from .running.files import prepare_folder
-from .running.progress import progress
+from .running.progress import progress, working
 from .sections.bars import Bars
 from .sections.crosscheck import CrossCheck, Figure9
 from .sections.doubts import doubts
@@ -93,11 +93,12 @@ def run_reproduce(
             study.prepare(comm)
 
     def write() -> Reproduction:
-        sections = (*(study.section(results) for study in studies), doubts(results))
-        wall = time.perf_counter() - started
-        command = command_line("reproduce", setup.base, DropInputs(), out)
-        page = build_report(setup, sections, len(cases), wall, comm.size, command)
-        return Reproduction(write_report(page, out), len(cases), wall, sections)
+        with working("writing the page"):
+            sections = (*(study.section(results) for study in studies), doubts(results))
+            wall = time.perf_counter() - started
+            command = command_line("reproduce", setup.base, DropInputs(), out)
+            page = build_report(setup, sections, len(cases), wall, comm.size, command)
+            return Reproduction(write_report(page, out), len(cases), wall, sections)
 
     return run_on_one_rank(comm, write)
 

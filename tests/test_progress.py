@@ -84,7 +84,7 @@ def test_on_a_terminal_there_is_a_bar_with_the_time_left():
     counts = [int(n) for n in re.findall(r"pieces.*?(\d+)/20", text)]
     assert counts == sorted(counts)
     assert counts[-1] == 20
-    assert re.search(r"/20 0:00:0\d", text)
+    assert re.search(r"/20 0:00:0\d left 0:00:0\d", text)
 
 
 @pytest.mark.parametrize("kn_N_m", [1e5, 2e6, 1e8])

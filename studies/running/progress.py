@@ -16,7 +16,8 @@ PLAIN_EVERY_S = 10.0
 def progress(title: str, total: int, *, done: int = 0) -> Iterator[Callable[..., None]]:
     """A function to call for each finished piece of ``total``, of which ``done`` are already.
 
-    It takes how many they are, where it is not one. Both forms tell the time that is left.
+    It takes how many they are, where it is not one. Both forms tell the time that is left; a bar
+    also the time that is spent, which goes on while the first piece is prepared.
     """
     if not speaks():
         yield lambda count=1: None
@@ -30,9 +31,22 @@ def progress(title: str, total: int, *, done: int = 0) -> Iterator[Callable[...,
 @contextmanager
 def _bar(title: str, total: int, done: int) -> Iterator[Callable[..., None]]:
     from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeRemainingColumn
+    from rich.progress import (
+        BarColumn,
+        MofNCompleteColumn,
+        Progress,
+        TimeElapsedColumn,
+        TimeRemainingColumn,
+    )
 
-    columns = ("{task.description}", BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    columns = (
+        "{task.description}",
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeElapsedColumn(),
+        "left",
+        TimeRemainingColumn(),
+    )
     with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
         task = bar.add_task(title, total=total, completed=done)
         yield lambda count=1: bar.advance(task, count)
