@@ -5,6 +5,7 @@ Only what is light is imported here; a command imports what it needs when it run
 
 from __future__ import annotations
 
+import inspect
 import shlex
 import sys
 from collections.abc import Sequence
@@ -141,7 +142,8 @@ def sweep(
 ) -> None:
     """Normal contact stiffness times height (Fig. 13): a table, and the tip's height over time.
 
-    Without lists: the paper's eleven Kn and five heights, with the beam and the reduced solid.
+    Without lists: the paper's eleven Kn and five heights, with the beam and the reduced solid, at
+    an ITS of 0.01 ms.
 
     Example: mpirun -n 2 bristle sweep --models beam,reduced --kn 1e5,2e6,1e8 --heights 0.01,0.05
     """
@@ -165,7 +167,8 @@ def its(
 ) -> None:
     """The integration time step: what each quantity needs, against stiffness.
 
-    Without lists: seven steps from 1e-7 to 1e-4 s, the paper's eleven Kn, one height.
+    Without lists: seven steps from 1e-7 to 1e-4 s, the paper's eleven Kn, 50 mm, with the beam and
+    the reduced solid.
 
     Example: bristle its --models beam --kn 1e5,2e6,1e8 --its 1e-4,1e-5,1e-6,1e-7
     """
@@ -242,7 +245,7 @@ def calibrate(
         ),
     ],
     out: Annotated[Path, out_option("results/calibrate")] = Path("results/calibrate"),
-    seed: Annotated[int, typer.Option(min=0, help="Of the bootstrap.")] = 0,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the bootstrap.")] = 0,
     level: Annotated[float, typer.Option(min=0.5, max=0.999, help="Level of the intervals.")] = 0.9,
     debug: Debug = False,
 ) -> None:
@@ -271,23 +274,24 @@ def synth(
         str | None,
         typer.Option(
             metavar="NAME=STRENGTH",
-            help="One that no list has: session-shift, height-ripple or alternation, with its "
-            "relative strength on the height after.",
+            help="An effect that no list has: session-shift, height-ripple or alternation, with "
+            "its relative strength on the height after.",
             show_default=False,
         ),
     ] = None,
-    drops: Annotated[int, typer.Option(min=6, max=10_000, help="How many.")] = 48,
+    drops: Annotated[int, typer.Option(min=6, max=10_000, help="How many drops.")] = 48,
     kn: Annotated[float, typer.Option(min=2e5, max=5e7, help="Contact stiffness, N/m.")] = 2e6,
     noise: Annotated[
-        str, typer.Option(help="gaussian, heavy-tailed, outliers or autocorrelated.")
+        str,
+        typer.Option(help="Its kind: gaussian, heavy-tailed, outliers or autocorrelated."),
     ] = "gaussian",
     sigma_y: Annotated[
         float, typer.Option(min=1e-6, max=1e-2, help="Standard error of a height, m.")
     ] = 3e-4,
     heights_only: Annotated[
-        bool, typer.Option("--heights-only", help="No contact times and forces.")
+        bool, typer.Option("--heights-only", help="Without contact times and forces.")
     ] = False,
-    seed: Annotated[int, typer.Option(min=0, help="Of release, chance and errors.")] = 0,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of release, chance and errors.")] = 0,
     out: Annotated[Path, out_option("results/synth")] = Path("results/synth"),
     truth: Annotated[
         Path, typer.Option(metavar="FILE", help="Where the truth goes, outside the dataset.")
@@ -379,7 +383,7 @@ def bench(
         typer.Option(
             min=1,
             max=10_000,
-            help="loop: how many datasets a row of the table. [default: 100]",
+            help="loop: how many datasets for each row of the table. [default: 100]",
             show_default=False,
         ),
     ] = None,
@@ -391,7 +395,14 @@ def bench(
             show_default=False,
         ),
     ] = None,
-    resume: Resume = False,
+    resume: Annotated[
+        bool,
+        typer.Option(
+            "--resume",
+            help="loop: keep what is finished in --out, and do only what is missing.",
+            rich_help_panel=OUTPUT,
+        ),
+    ] = False,
     debug: Debug = False,
 ) -> None:
     """How fast is it, and how often is it right? A table, and a page with the figures behind it.
@@ -431,7 +442,7 @@ def view(
     ] = None,
     debug: Debug = False,
 ) -> None:
-    """Pictures and an animation of a result, and a script that opens it in ParaView.
+    """Pictures of a drop's result; of a solid's also the wave as a film, and a script for ParaView.
 
     Example: bristle view results/drop
     """
@@ -439,6 +450,11 @@ def view(
 
     for path in run_view(result, out):
         print(path)
+
+
+# Paragraphs stay apart only behind a \b: typer joins the others.
+for each in app.registered_commands:
+    each.help = (inspect.getdoc(each.callback) or "").replace("\n\n", "\n\n\b\n")
 
 
 def main(args: Sequence[str] | None = None) -> int:

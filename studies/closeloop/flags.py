@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from ..command.flags import OUTPUT, Flag
+from ..command.flags import Flag
 
 LOOP = "Loop"
 ALARM = 0.03
 
 LOOP_FLAGS = (
-    Flag("seed", "seed", int, 0, LOOP, "Of what is held out and of all that is drawn.", "N"),
+    Flag("seed", "seed", int, 0, LOOP, "Seed of what is held out and of all that is drawn.", "N"),
     Flag(
         "alarm",
         "alarm",
@@ -18,5 +18,5 @@ LOOP_FLAGS = (
         "How often data that lack nothing may be said to lack something, over all tests together.",
         "RATE",
     ),
-    Flag("no-3d", "no_3d", bool, False, OUTPUT, "Leave out the confirmation by the 3-D model."),
+    Flag("no-3d", "no_3d", bool, False, LOOP, "Leave out the confirmation by the 3-D model."),
 )

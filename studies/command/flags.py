@@ -160,7 +160,8 @@ DISCRETISATION_FLAGS = (
         Solver,
         Solver.AUTO,
         MESH,
-        "Of the solid's equations: auto is direct as long as a factor takes less than 8 GB.",
+        "How the solid's equations are solved: auto is direct as long as a factor takes less than "
+        "8 GB.",
     ),
     Flag("modes", "modes", int, MODES, MESH, "Krylov vectors of the reduced solid.", "N"),
 )
@@ -339,7 +340,14 @@ TIME_FLAGS = (
     ),
 )
 FIELD_FLAGS = (
-    Flag("fields", "write_fields", bool, True, OUTPUT, "ParaView output of the solid."),
+    Flag(
+        "fields",
+        "write_fields",
+        bool,
+        True,
+        OUTPUT,
+        "ParaView output of the solid, which it has unless --no-fields.",
+    ),
     Flag(
         "write-every",
         "write_every",

@@ -19,7 +19,8 @@ Config = Annotated[
     typer.Option(
         "--config",
         metavar="FILE",
-        help="TOML file with these options as keys, or a result.json to repeat. Flags win over it.",
+        help="TOML file with these options as keys, or the JSON of a result, to repeat it. "
+        "Flags win over it.",
         show_default=False,
         rich_help_panel=OUTPUT,
     ),

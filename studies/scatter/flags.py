@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from ..command.choices import Model
 from ..command.flags import (
     BODY_FLAGS,
@@ -27,12 +29,12 @@ TILT_STD_DEG = 1.0
 RMS_HEIGHT_M = 50e-6
 CORRELATION_LENGTH_M = 5e-3
 
-_TAKEN = ("deflection", "tip", "friction", "kt-ratio", "tip-shape", "contact-points", "contact")
+_TAKEN = ("deflection", "tip", "friction", "kt-ratio", "tip-shape", "contact-points")
 _PLACES = ("gravity", "tilt", "tilt-wide")
 
 OWN_FLAGS = (
     Flag("drops", "drops", int, DROPS, RANDOM, "How many drops.", "N"),
-    Flag("seed", "seed", int, 0, RANDOM, "Of all that is drawn for each drop.", "N"),
+    Flag("seed", "seed", int, 0, RANDOM, "Seed of all that is drawn for each drop.", "N"),
     Flag(
         "tilt-std",
         "tilt_std_deg",
@@ -75,7 +77,15 @@ OWN_FLAGS = (
         "A measured surface instead, in m: .npz, .csv or .txt, see bristle.meshes.surface_files.",
         "FILE",
     ),
-    Flag("surface-seed", "surface_seed", int, 0, SURFACE, "Of its heights and phases.", "N"),
+    Flag(
+        "surface-seed",
+        "surface_seed",
+        int,
+        0,
+        SURFACE,
+        "Seed of the surface's heights and phases.",
+        "N",
+    ),
     Flag("flat", "flat", bool, False, SURFACE, "A level plane of one material instead."),
 )
 
@@ -91,15 +101,22 @@ MODEL_FLAG = Flag(
     Model.REDUCED,
     MODEL,
     "reduced: the solid in a few modes; beam.",
+    "[beam|reduced]",
+)
+# Less than a drop may take: no rigid plane, no Nitsche.
+FINITE_KN_FLAG = replace(KN_FLAG, help="Normal contact stiffness.")
+(CONTACT_FLAG,) = (
+    replace(flag, metavar="[penalty|augmented]") for flag in CONTACT_FLAGS if flag.name == "contact"
 )
 HEIGHTS_FLAG = next(flag for flag in LISTS_FLAGS if flag.name == "heights")
 
 SCATTER_FLAGS = (
     MODEL_FLAG,
     *OWN_FLAGS,
-    KN_FLAG,
+    FINITE_KN_FLAG,
     HEIGHTS_FLAG,
     ITS_FLAG,
+    CONTACT_FLAG,
     *_named(CONTACT_FLAGS, _TAKEN),
     *BODY_FLAGS,
     *_named(MATERIAL_FLAGS, ("youngs", "poisson", "density", "beta")),
