@@ -109,10 +109,11 @@ class Drops:
     sigma_y_m: float | None
 
 
-def read_manifest(folder: Path) -> Manifest:
+def read_manifest(folder: Path, only: str | None = None) -> Manifest:
     """Read ``dataset.toml`` in ``folder``.
 
-    Raises InputError where it is missing, is no TOML, or declares something unusable.
+    Raises InputError where it is missing, is no TOML, declares something unusable, or a kind
+    other than the ``only`` one that is asked for.
     """
     folder = Path(folder)
     path = inside(folder, "dataset.toml")
@@ -123,6 +124,8 @@ def read_manifest(folder: Path) -> Manifest:
     kind = about.get("kind")
     if kind not in KINDS:
         raise _wrong(path, text, "kind", f"must be one of {', '.join(KINDS)}, not {quoted(kind)}")
+    if only not in (None, kind):
+        raise _wrong(path, text, "kind", f"is {kind}, not {only}")
     _refuse_misspelt(path, text, parts["body"], tuple(BODY_KEYS), all_known=True)
     _refuse_misspelt(path, text, parts["contact"], ("kn_N_m", "friction"))
     _refuse_misspelt(path, text, parts["measurement"], MEASUREMENT_KEYS)
@@ -154,9 +157,7 @@ def read_drops(folder: Path) -> Drops:
 
     Raises InputError naming file and line of the first value that cannot be used.
     """
-    manifest = read_manifest(folder)
-    if manifest.kind != "drops":
-        raise InputError(f"{manifest.folder / 'dataset.toml'}: kind is {manifest.kind}, not drops")
+    manifest = read_manifest(folder, "drops")
     path = manifest.table()
     rows = read_table(path, required=("drop", "y0_mm", "y1_mm"))
     if len(rows) < 3:

@@ -5,6 +5,8 @@ from __future__ import annotations
 import csv
 import math
 from collections.abc import Callable
+from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +21,7 @@ MOST_ROWS = 1_000_000
 # Beyond it nothing is a measurement in the units of a table, and squares still are numbers.
 LARGEST = 1e12
 Rows = list[tuple[int, dict[str, str]]]
+LEAST_DROPS = 6
 
 
 def inside(folder: Path, name: str) -> Path:
@@ -148,6 +151,60 @@ def group_begins(
     if len(late):
         raise InputError(f"{path}:{rows[late[0] + 1][0]}: t_s must grow within a {name}")
     return np.concatenate([[0], np.flatnonzero(step) + 1, [len(rows)]]).astype(np.int64)
+
+
+class InPieces:
+    """Rows in pieces, one after the other: ``begins`` (pieces + 1,) says where each begins."""
+
+    begins: NDArray[np.int64]
+
+    @property
+    def pieces(self) -> list[slice]:
+        """The rows of each piece."""
+        return [slice(a, b) for a, b in pairwise(self.begins)]
+
+
+@dataclass(frozen=True)
+class Series(InPieces):
+    """What is measured over time, piece by piece: ``number``, ``t_s``, ``value`` (rows,)."""
+
+    path: Path
+    rows: Rows
+    number: NDArray[np.int64]
+    t_s: Array
+    value: Array
+    begins: NDArray[np.int64]
+
+    @property
+    def lines(self) -> list[int]:
+        """The table's line of each row."""
+        return [line for line, _ in self.rows]
+
+    def at(self, piece: int) -> str:
+        """File and line where a piece begins."""
+        return f"{self.path}:{self.rows[self.begins[piece]][0]}"
+
+    def check_drops(self, least: int, what: str) -> None:
+        """InputError where a drop has fewer rows, ``what`` they are, than ``least``, or where there
+        are fewer drops than the loop needs."""
+        for i, size in enumerate(np.diff(self.begins)):
+            if size < least:
+                drop = f"{self.at(i)}: drop {self.number[self.begins[i]]}"
+                raise InputError(f"{drop} has {size} {what}; {least} or more are needed")
+        if len(self.pieces) < LEAST_DROPS:
+            raise InputError(f"{self.path}: {len(self.pieces)} drops; the loop needs six or more")
+
+
+def read_series(path: Path, piece: str, value: str) -> Series:
+    """The columns ``piece`` (whole numbers), ``t_s`` and ``value`` of a table, all needed.
+
+    Raises InputError at the first value that cannot be used.
+    """
+    rows = read_table(path, required=(piece, "t_s", value))
+    number = column(path, rows, piece, whole=True).astype(np.int64)
+    times, values = column(path, rows, "t_s"), column(path, rows, value)
+    begins = group_begins(path, rows, piece, number, times)
+    return Series(path, rows, number, times, values, begins)
 
 
 def optional_column(path: Path, rows: Rows, name: str, unit: float) -> Array | None:

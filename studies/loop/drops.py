@@ -19,6 +19,7 @@ from ...solver.effects.base import Parameter
 from ...solver.effects.library import EFFECTS
 from ...solver.errors import InputError
 from ..data import datasets
+from ..data.tables import LEAST_DROPS
 from .drop_model import DropModel, Drops
 from .drops_experiments import experiments
 from .noise import Ints
@@ -143,7 +144,7 @@ def _measured(
             notes[NAMES[q]] = f"left aside: the dataset declares no {key}"
             continue
         measured[q], sigmas[q] = values, float(declared[key])
-    if len(data.y1_m) < 6:
+    if len(data.y1_m) < LEAST_DROPS:
         raise InputError(
             f"{data.manifest.table()}: {len(data.y1_m)} drops; the loop needs six or more"
         )

@@ -7,7 +7,6 @@ telephone, fsaliby/Air_Resistance_From_the_Acceleration_of_a_Falling_Smartphone 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -16,14 +15,14 @@ from numpy.typing import NDArray
 from ...solver.bristle import Array
 from ...solver.errors import InputError
 from ..data.datasets import Manifest, read_manifest
-from ..data.tables import column, group_begins, read_table
+from ..data.tables import InPieces, read_series
 
 BIN_S = 0.05
 """Over which readings are averaged."""
 
 
 @dataclass(frozen=True)
-class Falls:
+class Falls(InPieces):
     """Readings of all falls, one after the other: ``fall``, ``times_s``, ``reading_m_s2`` (rows,).
 
     ``begins`` (falls + 1,) says where each fall's rows begin; times are those of the table.
@@ -36,11 +35,6 @@ class Falls:
     begins: NDArray[np.int64]
 
     @property
-    def pieces(self) -> list[slice]:
-        """The rows of each fall."""
-        return [slice(a, b) for a, b in pairwise(self.begins)]
-
-    @property
     def numbers(self) -> NDArray[np.int64]:
         """The falls' numbers (falls,)."""
         return self.fall[self.begins[:-1]]
@@ -51,25 +45,20 @@ def read_falls(folder: Path) -> Falls:
 
     Raises InputError naming file and line of the first value that cannot be used.
     """
-    manifest = read_manifest(folder)
-    if manifest.kind != "falls":
-        raise manifest.wrong("kind", f"is {manifest.kind}, not falls")
+    manifest = read_manifest(folder, "falls")
     if not isinstance(manifest.measurement.get("file"), str):
         raise manifest.wrong("file", "must name the table of the falls")
-    path = manifest.table()
-    rows = read_table(path, required=("fall", "t_s", "a_m_s2"))
-    fall = column(path, rows, "fall", whole=True).astype(np.int64)
-    times, reading = column(path, rows, "t_s"), column(path, rows, "a_m_s2")
-    begins = group_begins(path, rows, "fall", fall, times)
-    if len(begins) < 4:
-        raise InputError(f"{path}: {len(begins) - 1} falls; at least three are needed")
-    for begin, size in zip(begins, np.diff(begins), strict=False):
-        duration = times[begin + size - 1] - times[begin]
-        where = f"{path}:{rows[begin][0]}: fall {fall[begin]}"
+    read = read_series(manifest.table(), "fall", "a_m_s2")
+    if len(read.pieces) < 3:
+        raise InputError(f"{read.path}: {len(read.pieces)} falls; at least three are needed")
+    for i, piece in enumerate(read.pieces):
+        size, times = piece.stop - piece.start, read.t_s[piece]
+        duration = times[-1] - times[0]
+        where = f"{read.at(i)}: fall {read.number[piece.start]}"
         if size * BIN_S < 2.0 * duration:
             raise InputError(
                 f"{where} has {size} samples in {duration:g} s; {2 / BIN_S:g} a second are needed"
             )
         if size < 20 or duration < 4 * BIN_S:
             raise InputError(f"{where} has {size} samples in {duration:g} s; too short a record")
-    return Falls(manifest, fall, times, reading, begins)
+    return Falls(manifest, read.number, read.t_s, read.value, read.begins)

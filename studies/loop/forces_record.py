@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -12,18 +11,26 @@ from numpy.typing import NDArray
 from ...solver.bristle import Array
 from ...solver.errors import InputError
 from ..data.datasets import Manifest, read_manifest
-from ..data.tables import check_order, column, group_begins, inside, optional_column, read_table
+from ..data.tables import (
+    InPieces,
+    Series,
+    check_order,
+    column,
+    inside,
+    optional_column,
+    read_series,
+    read_table,
+)
 from ..data.units import check_contact_times, check_heights, check_peaks
 
 KIND = "forces"
 HEIGHTS = "drops.csv"
-LEAST_DROPS = 6
 LEAST_SAMPLES = 12
 PULSE = 0.2
 
 
 @dataclass(frozen=True)
-class Forces:
+class Forces(InPieces):
     """Samples of all drops, one after the other: ``t_s``, ``force_N`` (samples,).
 
     ``begins`` (drops + 1,) says where each drop's samples begin; ``drop``, ``y0_m`` (drops,), and
@@ -40,62 +47,47 @@ class Forces:
     sigma_N: float | None
     sigma_y_m: float | None
 
-    @property
-    def pieces(self) -> list[slice]:
-        """The samples of each drop."""
-        return [slice(a, b) for a, b in pairwise(self.begins)]
-
 
 def read_forces(folder: Path) -> Forces:
     """Read a dataset of kind ``forces``; six drops or more of twelve samples or more.
 
     Raises InputError naming file and line of the first value that cannot be used.
     """
-    manifest = read_manifest(folder)
-    if manifest.kind != KIND:
-        raise manifest.wrong("kind", f"is {manifest.kind}, not {KIND}")
+    manifest = read_manifest(folder, KIND)
     name = manifest.measurement.get("file")
     if not isinstance(name, str) or name == HEIGHTS:
         raise manifest.wrong("file", f"must name the table of the forces, beside {HEIGHTS}")
-    path = manifest.table()
-    lines = read_table(path, required=("drop", "t_s", "force_N"))
-    drop = column(path, lines, "drop", whole=True).astype(np.int64)
-    times, force = column(path, lines, "t_s"), column(path, lines, "force_N")
-    begins = group_begins(path, lines, "drop", drop, times)
-    for begin, end in pairwise(begins):
-        if end - begin < LEAST_SAMPLES:
-            where = f"{path}:{lines[begin][0]}: drop {drop[begin]}"
-            raise InputError(f"{where} has {end - begin} samples; {LEAST_SAMPLES} are needed")
-        if not force[begin:end].max() > 0.0:
-            raise InputError(f"{path}:{lines[begin][0]}: drop {drop[begin]} never presses")
-    if len(begins) - 1 < LEAST_DROPS:
-        raise InputError(f"{path}: {len(begins) - 1} drops; the loop needs six or more")
-    numbers = drop[begins[:-1]]
-    y0, y1 = _heights(manifest, path, [lines[b][0] for b in begins[:-1]], numbers)
+    read = read_series(manifest.table(), "drop", "force_N")
+    read.check_drops(LEAST_SAMPLES, "samples")
+    numbers = read.number[read.begins[:-1]]
+    for i, piece in enumerate(read.pieces):
+        if not read.value[piece].max() > 0.0:
+            raise InputError(f"{read.at(i)}: drop {numbers[i]} never presses")
+    y0, y1 = _heights(manifest, read, numbers)
     declared = manifest.measurement
     data = Forces(
         manifest=manifest,
         drop=numbers,
         y0_m=y0,
         y1_m=y1,
-        t_s=times,
-        force_N=force,
-        begins=begins,
+        t_s=read.t_s,
+        force_N=read.value,
+        begins=read.begins,
         sigma_N=declared.get("sigma_force_N"),
         sigma_y_m=1e-3 * declared["sigma_y_mm"] if "sigma_y_mm" in declared else None,
     )
-    _check_units(data, path, [line for line, _ in lines])
+    _check_units(data, read)
     return data
 
 
-def _check_units(data: Forces, path: Path, lines: list[int]) -> None:
+def _check_units(data: Forces, read: Series) -> None:
     """InputError where forces or times cannot be in N and s."""
     manifest, gravity = data.manifest, data.manifest.gravity_m_s2
     at = [piece.start + int(np.argmax(data.force_N[piece])) for piece in data.pieces]
-    peaks, there = data.force_N[at], [lines[i] for i in at]
-    check_peaks(path, there, "force_N", peaks, data.y0_m, manifest.bristle, gravity)
+    peaks, there = data.force_N[at], [read.rows[i][0] for i in at]
+    check_peaks(read.path, there, "force_N", peaks, data.y0_m, manifest.bristle, gravity)
     lasting = np.array([_lasting_s(data.t_s[p], data.force_N[p]) for p in data.pieces])
-    check_contact_times(path, there, "t_s", lasting, manifest.bristle)
+    check_contact_times(read.path, there, "t_s", lasting, manifest.bristle)
     manifest.check_sigma("sigma_force_N", 1.0, data.force_N)
     manifest.check_sigma("sigma_y_mm", 1e-3, data.y0_m)
 
@@ -110,7 +102,7 @@ def _lasting_s(t_s: Array, force_N: Array) -> float:
 
 
 def _heights(
-    manifest: Manifest, table: Path, lines: list[int], numbers: NDArray[np.int64]
+    manifest: Manifest, records: Series, numbers: NDArray[np.int64]
 ) -> tuple[Array, Array | None]:
     """Heights before and after, of the drops that have a record."""
     path = inside(manifest.folder, HEIGHTS)
@@ -121,9 +113,9 @@ def _heights(
     y1 = optional_column(path, rows_read, "y1_mm", 1e-3)
     check_heights(path, [line for line, _ in rows_read], y0, y1)
     of = {int(number): i for i, number in enumerate(drop)}
-    for line, number in zip(lines, numbers, strict=True):
+    for i, number in enumerate(numbers):
         if int(number) not in of:
-            raise InputError(f"{table}:{line}: drop {number} has no height in {HEIGHTS}")
+            raise InputError(f"{records.at(i)}: drop {number} has no height in {HEIGHTS}")
     chosen = np.array([of[int(number)] for number in numbers])
     after = None if y1 is None or not np.isfinite(y1[chosen]).all() else y1[chosen]
     return y0[chosen], after

@@ -31,6 +31,7 @@ from ...solver.effects.base import Scene
 from ...solver.errors import InputError
 from ...solver.fall import risen
 from ..data.datasets import Manifest
+from ..data.tables import LEAST_DROPS
 from .drop_model import Drops, FeatureModel
 from .drops import SIGMA_M, carried, stiffness
 from .problem import Experiment, Problem
@@ -48,7 +49,7 @@ from .track_rows import (
     reduced,
 )
 from .track_search import NEAR_RELEASE_S, track
-from .tracks_record import KIND, LEAST_DROPS, Tracks
+from .tracks_record import KIND, Tracks
 
 NAMES = (
     "y1 (mm)",

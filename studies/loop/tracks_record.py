@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -12,16 +11,15 @@ from numpy.typing import NDArray
 from ...solver.bristle import Array
 from ...solver.errors import InputError
 from ..data.datasets import Manifest, read_manifest
-from ..data.tables import column, group_begins, read_table
+from ..data.tables import InPieces, read_series
 from ..data.units import check_marks
 
 KIND = "tracks"
-LEAST_DROPS = 6
 LEAST_FRAMES = 6
 
 
 @dataclass(frozen=True)
-class Tracks:
+class Tracks(InPieces):
     """Frames of all drops, one after the other: ``drop``, ``t_s``, ``y_m`` (frames,).
 
     ``begins`` (drops + 1,) says where each drop's frames begin. Times are those of the table.
@@ -36,43 +34,28 @@ class Tracks:
     sigma_y_m: float | None
     sigma_t_s: float
 
-    @property
-    def pieces(self) -> list[slice]:
-        """The rows of each drop."""
-        return [slice(a, b) for a, b in pairwise(self.begins)]
-
 
 def read_tracks(folder: Path) -> Tracks:
     """Read a dataset of kind ``tracks``; six drops or more of six frames or more.
 
     Raises InputError naming file and line of the first value that cannot be used.
     """
-    manifest = read_manifest(folder)
-    if manifest.kind != KIND:
-        raise manifest.wrong("kind", f"is {manifest.kind}, not {KIND}")
+    manifest = read_manifest(folder, KIND)
     if not isinstance(manifest.measurement.get("file"), str):
         raise manifest.wrong("file", "must name the table of the tracks")
-    path = manifest.table()
-    rows = read_table(path, required=("drop", "t_s", "y_mm"))
-    drop = column(path, rows, "drop", whole=True).astype(np.int64)
-    times, y = column(path, rows, "t_s"), 1e-3 * column(path, rows, "y_mm")
-    begins = group_begins(path, rows, "drop", drop, times)
-    for begin, end in pairwise(begins):
-        if end - begin < LEAST_FRAMES:
-            where = f"{path}:{rows[begin][0]}: drop {drop[begin]}"
-            raise InputError(f"{where} has {end - begin} frames; {LEAST_FRAMES} or more are needed")
-    if len(begins) - 1 < LEAST_DROPS:
-        raise InputError(f"{path}: {len(begins) - 1} drops; the loop needs six or more")
-    _frame_rate(manifest, path, rows[1][0], times[: begins[1]])
-    check_marks(path, [line for line, _ in rows], y)
+    read = read_series(manifest.table(), "drop", "y_mm")
+    read.check_drops(LEAST_FRAMES, "frames")
+    _frame_rate(manifest, read.path, read.rows[1][0], read.t_s[read.pieces[0]])
+    y = 1e-3 * read.value
+    check_marks(read.path, read.lines, y)
     manifest.check_sigma("sigma_y_mm", 1e-3, y)
     sigma = manifest.measurement.get("sigma_y_mm")
     return Tracks(
         manifest=manifest,
-        drop=drop,
-        t_s=times,
+        drop=read.number,
+        t_s=read.t_s,
         y_m=y,
-        begins=begins,
+        begins=read.begins,
         sigma_y_m=None if sigma is None else 1e-3 * float(sigma),
         sigma_t_s=float(manifest.measurement.get("sigma_t_s", 0.0)),
     )

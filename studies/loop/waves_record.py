@@ -54,9 +54,7 @@ def read_waves(folder: Path) -> Waves:
     Raises InputError naming file and line of what cannot be used: a key, a window outside the
     record, times that are not evenly spaced.
     """
-    manifest = read_manifest(folder)
-    if manifest.kind != "waves":
-        raise manifest.wrong("kind", f"is {manifest.kind}, not waves")
+    manifest = read_manifest(folder, "waves")
     names = _signal(manifest)
     until = _number(manifest, "baseline_until_s", manifest.measurement.get("baseline_until_s"))
     first, predict = _window(manifest, "first_pass_s"), _window(manifest, "predict_s")
