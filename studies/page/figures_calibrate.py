@@ -11,6 +11,7 @@ from ...solver.bristle import Array
 from ..calibration.curve import RatioCurve
 from ..calibration.estimate import RatioEstimate
 from .figures import BLACK, BLUE, GREY, SKY, VERMILION, panels, styled
+from .figures_paper import HEIGHTS, draw_published
 
 MN = 1e6
 DARK = "#444444"
@@ -36,12 +37,7 @@ def measured_figure(y0_m: Array, y1_m: Array, ratio: RatioEstimate) -> Figure:
     ax.plot(x, ratio.mean.estimate * x, color=BLUE, label=f"y1 = {ratio.mean.estimate:.3f} y0")
     ax.plot(x, x, color=GREY, lw=0.8, ls="--", label="y1 = y0")
     ax.plot(1e3 * y0_m, 1e3 * y1_m, "o", color=BLACK, fillstyle="none", label="drops")
-    ax.set(
-        xlabel="height before impact y0 (mm)",
-        ylabel="height after impact y1 (mm)",
-        xlim=(0, top),
-        ylim=(0, None),
-    )
+    ax.set(**HEIGHTS, xlim=(0, top), ylim=(0, None))
     ax.legend(loc="upper left")
     return figure
 
@@ -114,8 +110,6 @@ def cloud_figure(y0_m: Array, y1_m: Array) -> Figure:
     figure, axes = panels(height_in=3.6)
     ax: Axes = axes[0, 0]
     top = 55.0
-    x = np.array([0.0, top])
-    low, high = paper.RATIO_BAND_90
     ax.plot(
         1e3 * y0_m,
         1e3 * y1_m,
@@ -125,22 +119,7 @@ def cloud_figure(y0_m: Array, y1_m: Array) -> Figure:
         zorder=1,
         label="predicted here, not measured",
     )
-    ax.plot(x, paper.RATIO_MEAN * x, color=BLACK, label="published fit y1 = 0.65 y0")
-    ax.plot(x, high * x, color=BLACK, lw=0.8, ls="--", label="30 % and 100 % lines")
-    ax.plot(x, low * x, color=BLACK, lw=0.8, ls="--")
-    drop = paper.KNOWN_DROP_M
-    ax.plot(
-        [1e3 * drop[0]],
-        [1e3 * drop[1]],
-        "D",
-        color=VERMILION,
-        label="the one drop with published numbers",
-    )
-    ax.set(
-        xlabel="height before impact y0 (mm)",
-        ylabel="height after impact y1 (mm)",
-        xlim=(0, top),
-        ylim=(0, top),
-    )
+    draw_published(ax, top)
+    ax.set(ylim=(0, top))
     ax.legend(loc="upper left")
     return figure

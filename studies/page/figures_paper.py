@@ -1,4 +1,4 @@
-"""What do the curves of Figs. 9 and 13, and Eq. 8 beside the models, look like?"""
+"""What do Figs. 9 to 13, and Eq. 8 beside the models, look like?"""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from ...solver import paper
 from ...solver.bristle import Array
 from .figures import (
     BLACK,
@@ -26,6 +27,7 @@ from .figures import (
 Curve = tuple[Array, Array]
 # Of viridis: what is lighter is hardly seen on white.
 LIGHTEST = 0.75
+HEIGHTS = {"xlabel": "height before impact y0 (mm)", "ylabel": "height after impact y1 (mm)"}
 
 
 @styled
@@ -139,3 +141,15 @@ def time_to_peak_figure(
     ax.set(xlabel="normal contact stiffness Kn (MN/m)", ylabel="touch to greatest penetration (µs)")
     ax.legend(loc="upper right")
     return figure
+
+
+def draw_published(ax: Axes, top_mm: float) -> None:
+    """What the paper published of Figs. 10 to 12, up to a height: its line, its band, one drop."""
+    x = np.array([0.0, top_mm])
+    low, high = paper.RATIO_BAND_90
+    ax.plot(x, paper.RATIO_MEAN * x, color=BLACK, label="published fit y1 = 0.65 y0")
+    ax.plot(x, high * x, color=BLACK, lw=0.8, ls="--", label="30 % and 100 % lines")
+    ax.plot(x, low * x, color=BLACK, lw=0.8, ls="--")
+    drop = 1e3 * paper.KNOWN_DROP_M[0], 1e3 * paper.KNOWN_DROP_M[1]
+    ax.plot(*drop, "D", color=VERMILION, label="the one drop with published numbers")
+    ax.set(**HEIGHTS, xlim=(0, top_mm))

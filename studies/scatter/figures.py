@@ -9,7 +9,8 @@ from scipy import stats
 
 from ...solver import paper
 from ...solver.bodies.base import Array
-from ..page.figures import BLACK, BLUE, GREY, SKY, VERMILION, panels, styled
+from ..page.figures import BLACK, BLUE, GREY, SKY, panels, styled
+from ..page.figures_paper import draw_published
 
 # More dots than these hide each other and swell the page.
 DOTS = 3000
@@ -53,19 +54,9 @@ def cloud_figure(y0_m: Array, y1_m: Array, slope: float, random: np.random.Gener
     aside = random.uniform(-0.012, 0.012, len(y0_m)) * top
     shown = slice(0, DOTS)
     ax.plot((1e3 * y0_m + aside)[shown], 1e3 * y1_m[shown], ".", color=SKY, ms=2.5, zorder=1)
-    low, high = paper.RATIO_BAND_90
-    ax.plot(x, high * x, color=BLACK, lw=0.8, ls="--", label="30 % and 100 % lines")
-    ax.plot(x, low * x, color=BLACK, lw=0.8, ls="--")
-    ax.plot(x, paper.RATIO_MEAN * x, color=BLACK, label="published fit y1 = 0.65 y0")
+    draw_published(ax, top)
     ax.plot(x, slope * x, color=BLUE, label=f"fit of the predicted drops, y1 = {slope:.3f} y0")
-    drop = 1e3 * paper.KNOWN_DROP_M[0], 1e3 * paper.KNOWN_DROP_M[1]
-    ax.plot(*drop, "D", color=VERMILION, label="the one drop with published numbers")
-    ax.set(
-        xlabel="height before impact y0 (mm)",
-        ylabel="height after impact y1 (mm)",
-        xlim=(0, top),
-        ylim=(min(0.0, 1e3 * float(y1_m.min())), top),
-    )
+    ax.set(ylim=(min(0.0, 1e3 * float(y1_m.min())), top))
     ax.legend(loc="upper left")
     return figure
 
