@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from dataclasses import asdict, fields
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +11,7 @@ from mpi4py import MPI
 from pydantic import BaseModel, ConfigDict
 
 from ...meshes.collective import run_on_one_rank
-from ..running.files import prepare_folder, to_csv, to_json, together, write_atomically
+from ..running.files import prepare_folder, records_to_csv, to_json, together, write_atomically
 from ..running.journal import Journal
 from ..running.parallel import share_out
 from ..running.progress import progress
@@ -80,10 +80,8 @@ def _tell(
     outcomes: list[dict[str, Any]], out: Path, journal: Journal, started: float, ranks: int
 ) -> str:
     lines = table(outcomes)
-    names = [field.name for field in fields(Line)]
-    rows = [[getattr(line, name) for name in names] for line in lines]
     with together(out, "outcomes.json"):
-        write_atomically(out / "table.csv", to_csv(names, rows))
+        write_atomically(out / "table.csv", records_to_csv(Line, lines))
         write_atomically(out / "outcomes.json", to_json(outcomes))
         page(lines, outcomes, out, ranks)
     journal.finish()

@@ -14,7 +14,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterable
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -23,7 +23,7 @@ import numpy as np
 from ...solver import paper
 from ...solver.errors import ComputationError, InputError
 from ...solver.time.scheme import TimeScheme
-from ..running.files import prepare_folder, to_csv, to_json, together, write_atomically
+from ..running.files import prepare_folder, records_to_csv, to_json, together, write_atomically
 from ..running.progress import progress
 from .machine import facts, load
 
@@ -157,12 +157,10 @@ def run_sizes(out: Path, largest: int = 3_000_000) -> str:
                 lines.append(_apart(series, cells, solver))
             except ComputationError as error:
                 failed.append(f"{series} {cells} {solver}: {error}")
-            names = [field.name for field in fields(Line)]
             growth = exponents(lines)
-            rows = [list(asdict(line).values()) for line in lines]
             document = {"lines": [asdict(x) for x in lines], "exponents": growth, "failed": failed}
             with together(out, "sizes.json"):
-                write_atomically(out / "sizes.csv", to_csv(names, rows))
+                write_atomically(out / "sizes.csv", records_to_csv(Line, lines))
                 write_atomically(out / "sizes.json", to_json(document))
             advance(unknowns(cells))
     # not before: a child's peak has in it what its parent held

@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from statistics import median
 
@@ -27,7 +27,7 @@ from ...solver.contact.enforcement import ContactMethod
 from ...solver.contact.laws import Linear
 from ...solver.time.march import Marcher
 from ...solver.time.scheme import TimeScheme
-from ..running.files import prepare_folder, to_csv, to_json, together, write_atomically
+from ..running.files import prepare_folder, records_to_csv, to_json, together, write_atomically
 from ..running.progress import progress
 from .machine import facts, load
 
@@ -193,10 +193,8 @@ def run_step(
         for cells, order in bodies:
             lines.append(step_line(cells, order, repeats))
             advance()
-    names = [field.name for field in fields(Line)]
-    rows = [list(asdict(line).values()) for line in lines]
     with together(out, "step.json"):
-        write_atomically(out / "step.csv", to_csv(names, rows))
+        write_atomically(out / "step.csv", records_to_csv(Line, lines))
         write_atomically(out / "step.json", to_json([asdict(x) for x in lines]))
         page(lines, out, repeats, about)
     return "\n".join(_told(line) for line in lines)

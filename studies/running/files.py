@@ -12,7 +12,7 @@ import shutil
 import tempfile
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -246,6 +246,12 @@ def to_csv(columns: Sequence[str], rows: Iterable[Sequence[Any]]) -> str:
     writer.writerow(columns)
     writer.writerows([_cell(value) for value in row] for row in rows)
     return text.getvalue()
+
+
+def records_to_csv(kind: type[Any], records: Iterable[Any]) -> str:
+    """A table of dataclass records, a column for each field of ``kind``."""
+    names = [each.name for each in fields(kind)]
+    return to_csv(names, ([getattr(record, name) for name in names] for record in records))
 
 
 def _cell(value: Any) -> Any:
