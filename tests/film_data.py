@@ -72,13 +72,18 @@ def film(scene, rng, fps=25.0, sigma_m=5e-4, seconds=0.7):
     return scene.t_scale * true_s, seen, scene.t_scale * release, y1
 
 
-def write(folder, films, keys, numbers=None):
-    """A dataset folder of kind tracks."""
+def declare(folder, kind, keys):
+    """A folder with the declarations of a dataset, whose table is named after its kind."""
     folder.mkdir(exist_ok=True)
     (folder / "dataset.toml").write_text(
-        '[dataset]\ntitle = "made"\nkind = "tracks"\n[measurement]\nfile = "tracks.csv"\n'
+        f'[dataset]\ntitle = "made"\nkind = "{kind}"\n[measurement]\nfile = "{kind}.csv"\n'
         f"gravity_m_s2 = {GRAVITY}\n{keys}"
     )
+
+
+def write(folder, films, keys, numbers=None):
+    """A dataset folder of kind tracks."""
+    declare(folder, "tracks", keys)
     lines = ["drop,t_s,y_mm"]
     for n, (t, y, *_) in enumerate(films):
         number = n + 1 if numbers is None else numbers[n]

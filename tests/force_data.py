@@ -45,11 +45,7 @@ def seen_height(scene, rng):
 
 def write(folder, records, heights_m, keys, y1_m=None):
     """A dataset folder of kind forces."""
-    folder.mkdir(exist_ok=True)
-    (folder / "dataset.toml").write_text(
-        '[dataset]\ntitle = "made"\nkind = "forces"\n[measurement]\nfile = "forces.csv"\n'
-        f"gravity_m_s2 = {film_data.GRAVITY}\nsigma_y_mm = {Y_SIGMA_MM}\n{keys}"
-    )
+    film_data.declare(folder, "forces", f"sigma_y_mm = {Y_SIGMA_MM}\n{keys}")
     lines = ["drop,t_s,force_N"]
     for n, (t, force, *_) in enumerate(records):
         lines += [f"{n + 1},{a:.9g},{b:.6g}" for a, b in zip(t, force, strict=True)]

@@ -231,7 +231,7 @@ class Leaning:
     def conditions(
         self, values: Sequence[float], height_m: Array, chance: Array, lean_deg: float = 0.0
     ) -> Conditions:
-        size, side = lean_of(lean_deg + values[0] * chance[0], values[0] * chance[1])
+        size, side = _scattered_lean(values[0], chance, lean_deg)
         return Conditions.of(height_m, lean_deg=size, side_deg=side, mu=values[1])
 
 
@@ -302,7 +302,7 @@ class DampedLeaning:
     def conditions(
         self, values: Sequence[float], height_m: Array, chance: Array, lean_deg: float = 0.0
     ) -> Conditions:
-        size, side = lean_of(lean_deg + values[1] * chance[0], values[1] * chance[1])
+        size, side = _scattered_lean(values[1], chance, lean_deg)
         return Conditions.of(height_m, lean_deg=size, side_deg=side, damping_N_s_m=values[0])
 
 
@@ -310,6 +310,11 @@ def _scattered(median: float, decades: float, chance: Array, within: tuple[float
     """Log-normal values, held to the ends of ``within``."""
     exponent = math.log10(median) + decades * chance
     return np.asarray(10.0 ** np.clip(exponent, math.log10(within[0]), math.log10(within[-1])))
+
+
+def _scattered_lean(std_deg: float, chance: Array, lean_deg: float) -> tuple[Array, Array]:
+    """`lean_of` a lean that is normal about both axes, with ``lean_deg`` as its mean."""
+    return lean_of(lean_deg + std_deg * chance[0], std_deg * chance[1])
 
 
 def rivals() -> list[Account]:
