@@ -168,6 +168,18 @@ def test_chance_is_met_in_the_mean_and_in_the_square():
     assert weights @ wide**2 == pytest.approx(1.0)
 
 
+def test_drops_that_are_numbered_by_their_date_wear_to_an_end(tmp_path):
+    folder = write_drops(tmp_path / "data")
+    table = (folder / "drops.csv").read_text()
+    (folder / "drops.csv").write_text(table.replace(f"\n{COUNT},", "\n20261121,"))
+    problem = drops_problem(datasets.read_drops(folder))
+    (wear,) = [each for each in problem.candidates if each.effects == ("wear",)]
+    for decades in (wear.parameters[1].low, wear.parameters[1].high):
+        with np.errstate(all="raise"):
+            predicted = wear.predict(np.array([2e6, decades]))
+        assert np.isfinite(predicted).all()
+
+
 def test_a_direction_that_data_cannot_see_is_named(quick, tmp_path):
     problem = drops_problem(datasets.read_drops(write_drops(tmp_path / "data")))
     rows = np.arange(len(problem.values))

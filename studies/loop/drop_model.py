@@ -22,6 +22,8 @@ from .response import Bench, Tables
 DEVIATES = np.linspace(-3.25, 3.25, 53)
 SIZES = np.linspace(0.1, 3.5, 18)
 DIRECTIONS_DEG = (9.0, 27.0, 45.0, 63.0, 81.0)
+# Stiffness beyond what any table covers.
+MOST_DECADES = 12.0
 
 
 @dataclass(frozen=True)
@@ -118,6 +120,8 @@ class BounceModel:
         )
         decades = value("wear") * (drops.order / WEAR_DROPS)
         decades = decades + value("surface_phases") * nodes[:, :1]
+        # drops may be numbered by their date, and wear grows with the number
+        decades = np.clip(decades, -MOST_DECADES, MOST_DECADES)
         kn = theta[..., 0][..., None, None] * 10.0**decades
         same, kn = np.broadcast_arrays(same, kn)
         logs = self.tables.plain.at(same, kn)
