@@ -71,8 +71,15 @@ def ranks_of(process):
     return sorted(found)
 
 
-def running(pid):
-    """Whether there is such a process that has not ended."""
+def left_running(pids, patience_s=60.0):
+    """Which of these processes have not ended after so long."""
+    until = time.monotonic() + patience_s
+    while (left := [pid for pid in pids if _running(pid)]) and time.monotonic() < until:
+        time.sleep(0.1)
+    return left
+
+
+def _running(pid):
     try:
         return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] not in "ZX"
     except OSError:

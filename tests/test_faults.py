@@ -6,7 +6,6 @@ import random
 import resource
 import signal
 import subprocess
-import time
 from contextlib import contextmanager
 
 import numpy as np
@@ -16,8 +15,8 @@ from faults import (
     ended,
     hidden,
     journal_lines,
+    left_running,
     ranks_of,
-    running,
     send,
     started,
     told,
@@ -428,15 +427,11 @@ def test_ranks_end_with_their_mpirun(tmp_path):
     ranks = ranks_of(process)
     assert len(ranks) == 2
     process.kill()
-    try:
-        until = time.monotonic() + 60.0
-        while any(map(running, ranks)) and time.monotonic() < until:
-            time.sleep(0.1)
-        assert not any(map(running, ranks))
-    finally:
-        for rank in filter(running, ranks):
-            os.kill(rank, signal.SIGKILL)
-        process.communicate()
+    left = left_running(ranks)
+    for rank in left:
+        os.kill(rank, signal.SIGKILL)
+    process.communicate()
+    assert left == []
 
 
 # --- campaign -------------------------------------------------------------------------------------
@@ -494,9 +489,11 @@ def test_killed_at_any_moment_it_comes_to_the_same(tmp_path, name, ranks):
         process = started(command_of(name, tmp_path, out), ranks)
         wait_for(lambda: False, process, chance.uniform(1.5, 12.0))
         if process.poll() is None:
+            those = ranks_of(process) if ranks > 1 else []
             send(process, number)
             status, _, lines = ended(process, 120.0)
             assert status != 0
+            assert left_running(those) == []
             if ranks == 1 and number != signal.SIGKILL:
                 assert (status, lines[-1]) == (130, "bristle: interrupted")
                 assert hidden(out) == []
