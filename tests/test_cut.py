@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from mpi4py import MPI
 
+from bristle.solver.bodies import cut
 from bristle.solver.bodies.cut import CutFactor
 from bristle.studies.bench.step import bar_solid
 
@@ -25,6 +26,20 @@ def test_a_solve_gives_back_what_was_multiplied(make_solid, cells, order):
     if COMM.size > 1 and cells != (1, 1, 1):  # one cell is on one rank
         (solver,) = {type(each) for each in solid._solvers.values()}
         assert solver is CutFactor
+    solid.release_factors()
+
+
+@pytest.mark.skipif(COMM.size == 1, reason="needs parts")
+def test_parts_that_are_not_slender_are_factored_by_mumps(make_solid, monkeypatch):
+    monkeypatch.setattr(cut, "WIDEST", 0)
+    solid = make_solid(cells=(2, 3, 24), order=2)
+    shift = 1e12
+    x = np.random.default_rng(COMM.rank).standard_normal((solid.n_local, 5))
+    for b_of in (x[:, 0].copy(), np.asfortranarray(x)):
+        b = solid.stiffness(b_of) + shift * solid.mass(b_of)
+        np.testing.assert_allclose(solid.factor(shift, 1.0)(b), b_of, atol=1e-9)
+    (solver,) = solid._solvers.values()
+    assert isinstance(solver.part, cut._ByMumps)
     solid.release_factors()
 
 

@@ -34,15 +34,20 @@ FEW = 3
 
 Index = NDArray[np.int64]
 Rows = NDArray[np.integer]
+# Compressed rows and a weight: offsets, columns, values, weight, block. A block of 3 says that rows
+# and columns are nodes, and that each entry stands for itself times the unit matrix of three
+# directions.
+Summand = tuple[Rows, Rows, Array, float, int]
 
 
 @dataclass(frozen=True)
 class Layout:
     """How unknowns are ordered and cut into panels.
 
-    ``order`` (n,) are the unknowns in the order of elimination, ``place`` (n + last,) its inverse.
-    Panel i has the columns ``starts[i]`` to ``starts[i + 1]`` and rows down to ``ends[i]``.
-    ``offsets`` say where panels begin in the factor. ``last`` unknowns more are not eliminated.
+    ``order`` (n,) are the unknowns in the order of elimination, ``place`` its inverse over all
+    columns of the matrix: ``last`` unknowns that are not eliminated come after them, those that are
+    left out stand at -1. Panel i has the columns ``starts[i]`` to ``starts[i + 1]`` and rows down
+    to ``ends[i]``. ``offsets`` say where panels begin in the factor.
     """
 
     order: Index
@@ -58,31 +63,36 @@ class Layout:
         return int(self.offsets[-1])
 
 
-def lay_out(first: Rows, column: Rows, height: Array, last: int = 0) -> Layout:
+def lay_out(
+    first: Rows, column: Rows, height: Array, inside: Index | None = None, last: Index | None = None
+) -> Layout:
     """The layout for a symmetric pattern in compressed rows and unknowns at ``height`` (n,).
 
-    Columns from n on are those of ``last`` unknowns that stay when all others are eliminated. They
-    belong below the lowest.
+    Where a matrix is to be eliminated in part, ``inside`` (n,) are the rows that are, and ``last``
+    the columns of unknowns below the lowest of them that stay; other columns are left out.
     """
-    n = len(height)
-    order = np.argsort(-height, kind="stable")
-    steps = np.diff(height[order]) < -SAME_LEVEL * np.ptp(height)
-    level = np.empty(n + last, dtype=np.int64)
-    level[order] = np.concatenate([[0], np.cumsum(steps)])
-    count = int(level[:n].max()) + 1
-    level[n:] = count
-    reach = np.maximum.accumulate(_reach(first, column, level, count))
-    edges = np.concatenate([[0], np.cumsum(np.bincount(level, minlength=count + 1))])
+    rows = np.arange(len(height)) if inside is None else inside
+    columns = max(len(first) - 1, int(column.max(initial=-1)) + 1)
+    last = np.arange(0) if last is None else last
+    n = len(rows)
+    by_height = np.argsort(-height, kind="stable")
+    order = rows[by_height]
+    steps = np.diff(height[by_height]) < -SAME_LEVEL * np.ptp(height)
+    levels = np.concatenate([[0], np.cumsum(steps)])
+    count = int(levels[-1]) + 1
+    level, place = np.full((2, columns), -1)
+    level[order], place[order] = levels, np.arange(n)
+    level[last], place[last] = count, n + np.arange(len(last))
+    reach = np.maximum.accumulate(_reach(first, column, rows, level, count))
+    edges = np.concatenate([[0], np.cumsum(np.bincount(levels)), [n + len(last)]])
     # levels that reach equally far are one slice: nothing more is filled, and panels are longer
     heads = np.flatnonzero(np.concatenate([[True], reach[1:] != reach[:-1]]))
     starts, ends = np.append(edges[heads], n), edges[reach[heads] + 1]
     width = np.diff(starts)
     below = _rounded(ends - starts[1:], BELOW)
     sizes = [_triangle(int(w)) + int(w * m) for w, m in zip(width, below, strict=True)]
-    place = np.arange(n + last)
-    place[order] = np.arange(n)
     offsets = np.concatenate([[0], np.cumsum(sizes)])
-    return Layout(order, place, starts, ends, offsets, last)
+    return Layout(order, place, starts, ends, offsets, len(last))
 
 
 def _rounded[Count: (int, Index)](count: Count, step: int) -> Count:
@@ -95,10 +105,10 @@ def _triangle(width: int) -> int:
 
 
 @njit
-def _reach(first: Rows, column: Rows, level: Index, count: int) -> Index:
+def _reach(first: Rows, column: Rows, rows: Index, level: Index, count: int) -> Index:
     """The last level that each of ``count`` levels couples to."""
     reach = np.arange(count)
-    for row in range(len(first) - 1):
+    for row in rows:
         here = level[row]
         for k in range(first[row], first[row + 1]):
             reach[here] = max(reach[here], level[column[k]])
@@ -108,14 +118,12 @@ def _reach(first: Rows, column: Rows, level: Index, count: int) -> Index:
 class ChainFactor:
     """Cholesky factor of a symmetric matrix in the order of ``layout``.
 
-    ``parts`` are matrices in compressed rows, each (first, column, value, weight, block), that add
-    up to the matrix: a ``block`` of 3 says that rows and columns are nodes, and that each entry
-    stands for itself times the unit matrix of three directions. Rows of the layout's ``last``
-    unknowns are not asked for; ``left`` (last, last) is what elimination adds to their own matrix.
+    ``parts`` add up to the matrix. Rows of the layout's ``last`` unknowns are not asked for;
+    ``left`` (last, last) is what elimination adds to their own matrix.
     Raises ComputationError where the matrix is not positive definite.
     """
 
-    def __init__(self, layout: Layout, parts: list[tuple[Rows, Rows, Array, float, int]]) -> None:
+    def __init__(self, layout: Layout, parts: list[Summand]) -> None:
         self.layout = layout
         self.data: Array = np.empty(layout.entries)
         window: Array = np.zeros((0, 0), order="F")
@@ -141,11 +149,13 @@ class ChainFactor:
 
     def solve(self, b: Array) -> Array:
         """x (n,) or (n, m) for right-hand sides ``b`` of the same shape, nothing being left out."""
-        return self.backward(self.forward(b)[0], b[:0])
+        x = np.empty_like(b, order="F")
+        self.backward(self.forward(b)[0], b[:0], x)
+        return x
 
     def forward(self, b: Array) -> tuple[list[Array], Array]:
         """What `backward` goes on from, and what elimination adds to the right-hand sides of the
-        last unknowns (last,) or (last, m)."""
+        last unknowns (last,) or (last, m), for ``b`` over all rows of the matrix."""
         n, last = len(self.layout.order), self.layout.last
         columns = b if b.ndim == 2 else b[:, None]
         step = TOGETHER if columns.shape[1] > FEW else 1
@@ -161,10 +171,11 @@ class ChainFactor:
             works.append(work)
         return works, left[:, 0] if b.ndim == 1 else left
 
-    def backward(self, works: list[Array], motion: Array) -> Array:
-        """x (n,) or (n, m), the last unknowns being ``motion`` (last,) or (last, m)."""
-        n, columns = len(self.layout.order), motion if motion.ndim == 2 else motion[:, None]
-        x = np.empty((n, columns.shape[1]), order="F")
+    def backward(self, works: list[Array], motion: Array, x: Array) -> None:
+        """Write what is eliminated into ``x``, over all rows, the last unknowns being ``motion``
+        (last,) or (last, m)."""
+        n = len(self.layout.order)
+        columns, out = (motion, x) if motion.ndim == 2 else (motion[:, None], x[:, None])
         done = 0
         for work in works:
             own = slice(done, done + len(work))
@@ -174,13 +185,12 @@ class ChainFactor:
                 _backward(self.data, self.layout.offsets, self.layout.starts, work[0])
             else:
                 self._backward_block(work)
-            _scatter(x[:, own], work, self.layout.order)
-        return x[:, 0] if motion.ndim == 1 else x
+            _scatter(out[:, own], work, self.layout.order)
 
     def _gathered(self, b: Array) -> Array:
         """Right-hand sides (m, n and some zeros), the unknowns in the order of elimination."""
-        zeros = self.layout.last + TRIANGLE + BELOW
-        work = np.empty((b.shape[1], len(b) + zeros), order="F")
+        size = len(self.layout.order) + self.layout.last + TRIANGLE + BELOW
+        work = np.empty((b.shape[1], size), order="F")
         _gather(work, b, self.layout.order)
         return work
 
@@ -241,6 +251,34 @@ def _add(
             row = place[column[k] * block + axis]
             if row >= j:
                 front[row - start, j - start] += weight * value[k]
+
+
+def dense_rows(parts: list[Summand], rows: Index, place: Index, width: int) -> Array:
+    """Those ``rows`` (n,) of what ``parts`` add up to, their columns where ``place`` says, (n,
+    width); columns at -1 are left out."""
+    out = np.zeros((len(rows), width), order="F")
+    for part in parts:
+        _spread(out, rows, place, *part)
+    return out
+
+
+@njit
+def _spread(
+    out: Array,
+    rows: Index,
+    place: Index,
+    first: Rows,
+    column: Rows,
+    value: Array,
+    weight: float,
+    block: int,
+) -> None:
+    for i in range(len(rows)):
+        node, axis = rows[i] // block, rows[i] % block
+        for k in range(first[node], first[node + 1]):
+            j = place[column[k] * block + axis]
+            if j >= 0:
+                out[i, j] += weight * value[k]
 
 
 @njit

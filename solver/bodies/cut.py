@@ -19,11 +19,12 @@ from mpi4py import MPI
 from numpy.typing import NDArray
 from petsc4py import PETSc
 from scipy.linalg import cho_factor, cho_solve
-from scipy.sparse import csr_matrix, hstack
+from scipy.sparse import csr_matrix, eye_array, kron
 
+from ..compiled import njit
 from ..errors import ComputationError
 from .base import Array
-from .chain import WIDEST, ChainFactor, lay_out
+from .chain import WIDEST, ChainFactor, Index, Rows, Summand, dense_rows, lay_out
 from .mumps import Mumps
 
 # Unknowns of all cuts together, whose dense factor every rank holds and reads in each solve.
@@ -31,32 +32,34 @@ MOST_ON_CUTS = 3000
 
 
 class CutFactor:
-    """Cholesky factor of a symmetric positive definite ``matrix`` distributed over ``comm``.
+    """Cholesky factor of a symmetric positive definite matrix distributed over ``comm``.
 
-    ``shared`` (n_local,) marks this rank's unknowns that a cell of another rank has too; without
-    them no part may touch another. ``heights_m`` (n_local,) are places along the
-    axis. Collective. Raises ComputationError where a factor fails.
+    ``parts`` are this rank's rows, see `chain`, with ``columns`` as all ranks number them: its own
+    (n_local,), and then those of others that it couples to. ``shared`` (n_local,) marks unknowns
+    that a cell of another rank has too; without them no part may touch another. ``heights_m``
+    (n_local,) are places along the axis. Collective. Raises ComputationError where a factor fails.
     """
 
     def __init__(
-        self, matrix: PETSc.Mat, shared: NDArray[np.bool_], heights_m: Array, comm: MPI.Intracomm
+        self,
+        parts: list[Summand],
+        columns: NDArray[np.int64],
+        shared: NDArray[np.bool_],
+        heights_m: Array,
+        comm: MPI.Intracomm,
     ) -> None:
-        self.comm, self._shared, self._inside = comm, np.flatnonzero(shared), ~shared
-        first, last = matrix.getOwnershipRange()
-        offsets, columns, values = matrix.getValuesCSR()
-        rows = csr_matrix((values, columns, offsets), (last - first, matrix.getSize()[1]))
-        cuts = np.concatenate(comm.allgather(first + self._shared))
+        self.comm, self._shared, inside = comm, np.flatnonzero(shared), np.flatnonzero(~shared)
+        cuts = np.concatenate(comm.allgather(columns[self._shared]))
         heights = np.concatenate(comm.allgather(heights_m[self._shared]))
         self.n_cuts = len(cuts)
-        self._own = np.searchsorted(cuts, first + self._shared)
-        inside = rows[self._inside]
-        coupling = inside[:, cuts]
-        touched = np.unique(coupling.indices)
-        own = inside[:, first + np.flatnonzero(self._inside)]
-        self.part = _part(own, coupling[:, touched], heights_m[self._inside], heights[touched])
-        self._touched = touched[self.part.order]
+        on_cuts = _found(cuts, columns)
+        self._own = on_cuts[self._shared]
+        touched = np.flatnonzero(_coupled(*parts[0][:2], inside, len(columns)) & (on_cuts >= 0))
+        touched = touched[np.argsort(on_cuts[touched])]
+        self.part = _part(parts, inside, heights_m[inside], touched, heights[on_cuts[touched]])
+        self._touched = on_cuts[touched][self.part.order]
         schur = np.zeros((self.n_cuts, self.n_cuts))
-        schur[self._own] = rows[self._shared][:, cuts].toarray()
+        schur[self._own] = dense_rows(parts, self._shared, on_cuts, self.n_cuts)
         schur[np.ix_(self._touched, self._touched)] += self.part.left
         comm.Allreduce(MPI.IN_PLACE, schur)
         try:
@@ -67,21 +70,40 @@ class CutFactor:
             ) from error
 
     def solve(self, b: Array) -> Array:
-        """This rank's unknowns (n,) or (n, m) of the solution for its rows ``b``; collective."""
-        kept, passed = self.part.forward(b[self._inside])
+        """This rank's unknowns (n_local,) or (n_local, m) of the solution for its rows ``b``;
+        collective."""
+        kept, passed = self.part.forward(b)
         load = np.zeros((self.n_cuts, *b.shape[1:]))
         load[self._own] = b[self._shared]
         load[self._touched] += passed
         self.comm.Allreduce(MPI.IN_PLACE, load)
         motion = cho_solve(self._cuts, load)
         x = np.empty_like(b, order="F")
-        x[self._inside] = self.part.backward(kept, motion[self._touched])
+        self.part.backward(kept, motion[self._touched], x)
         x[self._shared] = motion[self._own]
         return x
 
     def close(self) -> None:
         """Free what PETSc holds."""
         self.part.close()
+
+
+def _found(cuts: NDArray[np.int64], columns: NDArray[np.int64]) -> Index:
+    """Where ``columns`` are among ``cuts``, which ascend; -1 for those that are not."""
+    place = np.searchsorted(cuts, columns)
+    there = place < len(cuts)
+    there[there] = cuts[place[there]] == columns[there]
+    return np.where(there, place, -1)
+
+
+@njit
+def _coupled(first: Rows, column: Rows, rows: Index, count: int) -> NDArray[np.bool_]:
+    """Which of ``count`` columns these rows have."""
+    found = np.zeros(count, dtype=np.bool_)
+    for row in rows:
+        for k in range(first[row], first[row + 1]):
+            found[column[k]] = True
+    return found
 
 
 class Part(Protocol):
@@ -96,48 +118,58 @@ class Part(Protocol):
 
     def forward(self, b: Array) -> tuple[Any, Array]:
         """What `backward` goes on from, and what elimination adds to the loads on cuts (t,) or
-        (t, m), for its own right-hand sides (n,) or (n, m)."""
+        (t, m), for right-hand sides (n_local,) or (n_local, m)."""
         ...
 
-    def backward(self, kept: Any, motion: Array) -> Array:
-        """Its own unknowns, those on cuts being ``motion``."""
+    def backward(self, kept: Any, motion: Array, x: Array) -> None:
+        """Write its own unknowns into ``x`` (n_local,) or (n_local, m), those on cuts being
+        ``motion``."""
         ...
 
     def close(self) -> None: ...
 
 
-def _part(own: csr_matrix, coupling: csr_matrix, heights_m: Array, cuts_m: Array) -> Part:
-    """The part with ``own`` (n, n) matrix, its ``coupling`` (n, t) to cuts, and places of both."""
-    if not len(heights_m):
-        return _Nothing(len(cuts_m))
+def _part(
+    parts: list[Summand], inside: Index, heights_m: Array, touched: Index, cuts_m: Array
+) -> Part:
+    """The part of the rows ``inside`` (n,), and the columns on cuts that it ``touched`` (t,), with
+    the places of both."""
+    if not len(inside):
+        return _Nothing(len(touched))
     below = cuts_m < 0.5 * (heights_m.min() + heights_m.max())
     # toward the only cut, or down to the lower of two
     downward = not len(cuts_m) or bool(below.any())
     at_end = below if downward else ~below
     order = np.concatenate([np.flatnonzero(at_end), np.flatnonzero(~at_end)])
-    coupling, last = coupling[:, order], int(at_end.sum())
-    chained = hstack([own, coupling[:, :last]], format="csr")
-    pattern = chained.indptr, chained.indices
-    layout = lay_out(*pattern, heights_m if downward else -heights_m, last)
-    if layout.entries > WIDEST * len(heights_m):
-        return _ByMumps(own, coupling, order)
-    factor = ChainFactor(layout, [(*pattern, chained.data, 1.0, 1)])
-    return _Chained(factor, coupling[:, last:], order)
+    near, far = touched[at_end], touched[~at_end]
+    layout = lay_out(*parts[0][:2], heights_m if downward else -heights_m, inside, near)
+    if layout.entries > WIDEST * len(inside):
+        whole = sum(_over_unknowns(part, len(layout.place)) for part in parts)
+        return _ByMumps(whole[inside], inside, touched[order], order)
+    return _Chained(ChainFactor(layout, parts), parts, far, order)
 
 
 class _Chained:
-    """A chain toward one cut. The unknowns of another, if there is one, are ``far``."""
+    """A chain toward one cut. The columns of another, if there is one, are ``far``."""
 
-    def __init__(self, factor: ChainFactor, far: csr_matrix, order: NDArray[np.int64]) -> None:
+    def __init__(
+        self,
+        factor: ChainFactor,
+        parts: list[Summand],
+        far: Index,
+        order: NDArray[np.int64],
+    ) -> None:
         self.factor, self.order = factor, order
         self._n, self._last = len(factor.layout.order), factor.layout.last
         # what elimination makes of the coupling to the far cut, a row for each of its unknowns
         self._far: Array = np.zeros((0, self._n))
         self.left = np.zeros((len(order), len(order)))
         self.left[: self._last, : self._last] = factor.left
-        if far.shape[1]:
-            # the sparse columns as dense right-hand sides: a cross-section
-            works, passed = factor.forward(far.toarray(order="F"))
+        if len(far):
+            place = np.full(len(factor.layout.place), -1)
+            place[far] = np.arange(len(far))
+            rows = np.arange(len(parts[0][0]) - 1)
+            works, passed = factor.forward(dense_rows(parts, rows, place, len(far)))
             self._far = np.vstack([work[:, : self._n] for work in works])
             self.left[: self._last, self._last :] = passed
             self.left[self._last :, : self._last] = passed.T
@@ -148,14 +180,14 @@ class _Chained:
         far = np.hstack([self._far @ work[:, : self._n].T for work in works])
         return works, np.concatenate([passed, -(far[:, 0] if b.ndim == 1 else far)])
 
-    def backward(self, kept: list[Array], motion: Array) -> Array:
+    def backward(self, kept: list[Array], motion: Array, x: Array) -> None:
         near, far = motion[: self._last], motion[self._last :]
         far = far if far.ndim == 2 else far[:, None]
         done = 0
         for work in kept:
             work[:, : self._n] -= far[:, done : done + len(work)].T @ self._far
             done += len(work)
-        return self.factor.backward(kept, near)
+        self.factor.backward(kept, near, x)
 
     def close(self) -> None:
         """Memory goes with the last reference."""
@@ -164,7 +196,10 @@ class _Chained:
 class _ByMumps:
     """A part that is not slender, as solved alone, and how it answers to all its cuts."""
 
-    def __init__(self, own: csr_matrix, coupling: csr_matrix, order: NDArray[np.int64]) -> None:
+    def __init__(
+        self, rows: csr_matrix, inside: Index, touched: Index, order: NDArray[np.int64]
+    ) -> None:
+        own = rows[:, inside]
         index = [part.astype(PETSc.IntType) for part in (own.indptr, own.indices)]
         matrix = PETSc.Mat().createAIJ(own.shape, csr=(*index, own.data), comm=MPI.COMM_SELF)
         matrix.setOption(PETSc.Mat.Option.SPD, True)
@@ -172,19 +207,26 @@ class _ByMumps:
             self._mumps = Mumps(matrix)
         finally:
             matrix.destroy()
-        self.order, self._coupling = order, coupling
-        self._answer = self._mumps.solve(coupling.toarray(order="F"))
-        self.left = -(coupling.T @ self._answer)
+        self.order, self._inside, self._coupling = order, inside, rows[:, touched]
+        self._answer = self._mumps.solve(self._coupling.toarray(order="F"))
+        self.left = -(self._coupling.T @ self._answer)
 
     def forward(self, b: Array) -> tuple[Array, Array]:
-        alone = self._mumps.solve(b)
+        alone = self._mumps.solve(b[self._inside])
         return alone, -(self._coupling.T @ alone)
 
-    def backward(self, kept: Array, motion: Array) -> Array:
-        return np.asarray(kept - self._answer @ motion)
+    def backward(self, kept: Array, motion: Array, x: Array) -> None:
+        x[self._inside] = kept - self._answer @ motion
 
     def close(self) -> None:
         self._mumps.close()
+
+
+def _over_unknowns(part: Summand, columns: int) -> csr_matrix:
+    first, column, value, weight, block = part
+    shape = (len(first) - 1, columns // block)
+    rows = csr_matrix((weight * value, column, first), shape)
+    return rows if block == 1 else csr_matrix(kron(rows, eye_array(block), format="csr"))
 
 
 class _Nothing:
@@ -193,11 +235,11 @@ class _Nothing:
     def __init__(self, touched: int) -> None:
         self.order, self.left = np.arange(touched), np.zeros((touched, touched))
 
-    def forward(self, b: Array) -> tuple[Array, Array]:
-        return b, np.zeros((len(self.order), *b.shape[1:]))
+    def forward(self, b: Array) -> tuple[None, Array]:
+        return None, np.zeros((len(self.order), *b.shape[1:]))
 
-    def backward(self, kept: Array, motion: Array) -> Array:
-        return kept
+    def backward(self, kept: None, motion: Array, x: Array) -> None:
+        """Nothing is its own."""
 
     def close(self) -> None:
         """Nothing is held."""

@@ -94,10 +94,11 @@ def make_solver(
         layout = solid.layout
         assert layout is not None
         return Chain(ChainFactor(layout, solid.parts(c_mass, c_stiffness)))
+    if method is Method.CUT:
+        parts = solid.parts(c_mass, c_stiffness)
+        return CutFactor(parts, solid.columns, solid.on_cuts, solid.heights_m, solid.comm)
     matrix = solid.effective_matrix(c_mass, c_stiffness)
     try:
-        if method is Method.CUT:
-            return CutFactor(matrix, solid.on_cuts, solid.heights_m, solid.comm)
         if method is Method.MUMPS:
             return Mumps(matrix)
         return Iterative(matrix, solid, c_mass, c_stiffness)

@@ -10,7 +10,8 @@ import numpy as np
 import scipy.sparse as sp
 import ufl
 from dolfinx import fem, la
-from dolfinx.fem import petsc as fem_petsc
+from dolfinx.common import IndexMap
+from mpi4py import MPI
 from numpy.typing import NDArray
 from petsc4py import PETSc
 
@@ -32,17 +33,23 @@ def degree_of_products(space: fem.FunctionSpace) -> int:
     return 2 * order + 2 * (space.mesh.geometry.cmap.degree - 1)
 
 
-def stiffness_matrix(energy: fem.Form) -> tuple[PETSc.Mat, Rows | None]:
-    """The matrix of the form ``energy``, and on one rank its compressed rows, sharing memory."""
-    if energy.mesh.comm.size > 1:
-        matrix = fem_petsc.assemble_matrix(energy)
-        matrix.assemble()
-        return matrix, None
+def stiffness_rows(energy: fem.Form) -> tuple[Rows, IndexMap]:
+    """This rank's rows of the matrix of the form ``energy`` over vectors, and what numbers their
+    columns: its own unknowns, and then those of other ranks that they couple to. Collective."""
     own = fem.assemble_matrix(energy, block_mode=la.BlockMode.expanded)
-    rows = (own.indptr.astype(PETSc.IntType), own.indices, own.data)
+    own.scatter_reverse()
+    first = own.indptr[: own.index_map(0).size_local + 1].astype(PETSc.IntType)
+    return (first, own.indices[: first[-1]], own.data[: first[-1]]), own.index_map(1)
+
+
+def petsc_matrix(rows: Rows, columns: IndexMap, comm: MPI.Intracomm) -> PETSc.Mat:
+    """`stiffness_rows` as PETSc has them; on one rank they share memory."""
     n = len(rows[0]) - 1
-    matrix = PETSc.Mat().createAIJWithArrays(((n, n), (n, n)), rows, bsize=3, comm=energy.mesh.comm)
-    return matrix, rows
+    if comm.size == 1:
+        return PETSc.Mat().createAIJWithArrays(((n, n), (n, n)), rows, bsize=3, comm=comm)
+    first, column, value = rows
+    csr = (first, columns.local_to_global(column).astype(PETSc.IntType), value)
+    return PETSc.Mat().createAIJ(((n, None),) * 2, bsize=3, csr=csr, comm=comm)
 
 
 class NodeMass:
@@ -74,11 +81,11 @@ class NodeMass:
         y = np.empty(x.shape, order="F")
         columns, products = (x[None], y[None]) if x.ndim == 1 else (x.T, y.T)
         for k in range(len(columns)):
-            own, product = self._with_others(columns[k]), products[k]
+            own, product = self.with_others(columns[k]), products[k]
             _times(*self.rows, own.reshape(-1, 3), product.reshape(-1, 3))
         return y
 
-    def _with_others(self, x: Array) -> Array:
+    def with_others(self, x: Array) -> Array:
         """``x`` (n,) and what rows need of other ranks' unknowns."""
         if self.comm.size == 1:
             return np.ascontiguousarray(x)

@@ -12,17 +12,20 @@ from dolfinx import fem, mesh
 from mpi4py import MPI
 from numpy.typing import NDArray
 from petsc4py import PETSc
+from scipy.sparse import csr_matrix
 
 from ..bristle import CONTACT_POINTS, Material
+from ..errors import ComputationError
 from ..forms import form
 from .base import Array
-from .chain import Layout, Rows, lay_out
+from .chain import Layout, Summand, lay_out
 from .linear import LinearSolver, Method, Solver, choose, make_solver
-from .matrices import NodeMass, degree_of_products, stiffness_matrix
-from .mumps import dense
+from .matrices import NodeMass, degree_of_products, petsc_matrix, stiffness_rows
 from .tip import tip_contact
 
 SAME_HEIGHT_M = 1e-9
+# Vectors that share one reading of the stiffness.
+TOGETHER = 16
 
 
 def stress(u: ufl.core.expr.Expr, material: Material) -> ufl.core.expr.Expr:
@@ -67,7 +70,6 @@ class SolidBody:
         self.factorisations = 0
         self._solvers: dict[tuple[float, bool], LinearSolver] = {}
         self._assemble()
-        self._x, self._y = self.stiffness_matrix.createVecs()
         self.translation = np.tile(np.eye(3), (self.n_local // 3, 1))
         weight = self.mass(np.ascontiguousarray(self.translation[:, 2]))
         self.mass_kg = self.dot(self.translation[:, 2], weight)
@@ -81,8 +83,21 @@ class SolidBody:
         metadata = {"quadrature_degree": degree_of_products(self.space)}
         dx = ufl.Measure("dx", domain=self.domain, metadata=metadata)
         energy = form(ufl.inner(stress(u, self.material), ufl.sym(ufl.grad(v))) * dx)
-        self.stiffness_matrix, self._rows = stiffness_matrix(energy)
+        self._rows, self._columns = stiffness_rows(energy)
+        first, column, value = self._rows
+        count = self._columns.size_local + self._columns.num_ghosts
+        self._stiffness = csr_matrix((value, column, first), (self.n_local, count))
+        self.columns = self._columns.local_to_global(np.arange(count, dtype=np.int32))
         self.node_mass = NodeMass(self.space, self.material.density_kg_m3)
+        nodes = self.node_mass.columns
+        own = np.arange(nodes.size_local + nodes.num_ghosts, dtype=np.int32)
+        if not np.array_equal(self.columns[::3], 3 * nodes.local_to_global(own)):
+            raise ComputationError("dolfinx numbers the columns of stiffness and of mass apart")
+
+    @cached_property
+    def stiffness_matrix(self) -> PETSc.Mat:
+        """K for PETSc and SLEPc."""
+        return petsc_matrix(self._rows, self._columns, self.comm)
 
     @cached_property
     def mass_matrix(self) -> PETSc.Mat:
@@ -93,24 +108,21 @@ class SolidBody:
         return self.node_mass.times(x)
 
     def stiffness(self, x: Array) -> Array:
-        return self._product(self.stiffness_matrix, x)
-
-    def _product(self, matrix: PETSc.Mat, x: Array) -> Array:
-        if x.ndim == 2:
-            columns = dense(self.comm, x)
-            result = matrix.matMult(columns)
-            y = result.getDenseArray().copy(order="F")
-            columns.destroy()
-            result.destroy()
-            return y
-        self._x.array[:] = x
-        matrix.mult(self._x, self._y)
-        return self._y.array.copy()
+        if x.ndim == 1:
+            return np.asarray(self._stiffness @ self.node_mass.with_others(x))
+        y = np.empty(x.shape, order="F")
+        for k in range(0, x.shape[1], TOGETHER):
+            part = x[:, k : k + TOGETHER]
+            seen = np.empty((len(self.columns), part.shape[1]))
+            for i in range(part.shape[1]):
+                seen[:, i] = self.node_mass.with_others(part[:, i])
+            y[:, k : k + TOGETHER] = self._stiffness @ seen
+        return y
 
     @cached_property
     def layout(self) -> Layout | None:
         """The order of a factor along the axis; None on several ranks."""
-        if self._rows is None:
+        if self.comm.size > 1:
             return None
         return lay_out(*self._rows[:2], self.heights_m)
 
@@ -165,11 +177,9 @@ class SolidBody:
 
         return solve
 
-    def parts(
-        self, c_mass: float, c_stiffness: float
-    ) -> list[tuple[Rows, Rows, Array, float, int]]:
-        """c_mass M + c_stiffness K for `ChainFactor`, on one rank alone."""
-        assert self._rows is not None
+    def parts(self, c_mass: float, c_stiffness: float) -> list[Summand]:
+        """This rank's rows of c_mass M + c_stiffness K for `ChainFactor`; all couplings are in the
+        first."""
         return [(*self._rows, c_stiffness, 1), (*self.node_mass.rows, c_mass, 3)]
 
     def effective_matrix(self, c_mass: float, c_stiffness: float) -> PETSc.Mat:
@@ -189,9 +199,9 @@ class SolidBody:
     def close(self) -> None:
         """Free matrices, vectors and factors; the body cannot be used afterwards."""
         self.release_factors()
-        made = [self.mass_matrix] if "mass_matrix" in self.__dict__ else []
-        for thing in (self.stiffness_matrix, self._x, self._y, *made):
-            thing.destroy()
+        for name in ("mass_matrix", "stiffness_matrix"):
+            if name in self.__dict__:
+                self.__dict__.pop(name).destroy()
 
     def digest(self) -> str:
         """What tells this rank's part of the mesh from others."""
