@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from .bodies.base import Array, ContactPoints
 from .bodies.modal import ModalBody
-from .compiled import njit
+from .compiled import meanwhile, njit
 from .contact.normal import PLASTIC
 from .contact.step import Points
 from .drop import TOUCH_LIMIT, WAIT_STEPS, slowest_period_s
@@ -412,7 +412,8 @@ def _drop(
     laws[:, 1] = drops.kn_N_m
     rows = np.zeros((len(drops), out.shape[1]))
     codes = np.zeros(len(drops), dtype=np.int64)
-    many_drops(
+    meanwhile(
+        many_drops,
         modes,
         flyer(marcher.body),
         touching.points._replace(soft=constants.soft),

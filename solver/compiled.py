@@ -12,13 +12,16 @@ import hashlib
 import os
 import shutil
 import tempfile
+import threading
 import time
+from collections.abc import Callable, Iterator
 from functools import cache
 from pathlib import Path
 from typing import Any, Protocol, cast
 
 import numba
 from numba.core import caching
+from numba.core.typing.typeof import Purpose, typeof
 
 KEPT_S = 7 * 86400.0
 # Folders of the package that compiled code takes nothing from.
@@ -90,3 +93,35 @@ caching.IndexDataCacheFile = _Index
 njit = cast(Decorator, numba.njit(cache=True, nogil=True))
 # Sums may be taken in any order: for long runs, which vector units then add up side by side.
 fast = cast(Decorator, numba.njit(cache=True, nogil=True, fastmath=True))
+
+_TURN = threading.Lock()
+_THREAD = threading.local()
+
+
+@contextlib.contextmanager
+def in_turn() -> Iterator[None]:
+    """Have this thread's turn: others that wait for theirs run while it is in `meanwhile`.
+
+    For threads that call compiled functions. Where two of them meet types of arguments for the
+    first time at once Numba aborts, since its table of types trusts that none comes between.
+    """
+    with _TURN:
+        _THREAD.has_turn = True
+        try:
+            yield
+        finally:
+            _THREAD.has_turn = False
+
+
+def meanwhile(function: Callable[..., Any], *arguments: Any) -> Any:
+    """What the compiled ``function`` gives, others having their turn while it computes."""
+    if not getattr(_THREAD, "has_turn", False):
+        return function(*arguments)
+    # found here, so that nothing is left to be looked up outside of the turn
+    types = tuple(typeof(each, Purpose.argument) for each in arguments)
+    machine_code = cast(Any, function).compile(types)
+    _TURN.release()
+    try:
+        return machine_code(*arguments)
+    finally:
+        _TURN.acquire()

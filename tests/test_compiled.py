@@ -45,6 +45,37 @@ while not Path(folder, other).exists():
 for i in range(60):
     index.save((name, i), [name, i])
 """
+# two threads that each time meet a type for the first time, at once
+TYPES = """
+import threading
+import numpy as np
+from bristle.solver.compiled import in_turn, meanwhile, numba
+
+@numba.njit(nogil=True)
+def count(arrays, waits):
+    for i in range(waits):
+        if arrays[0][0] > 1.0:
+            return 0
+    return len(arrays)
+
+def both(arrays):
+    barrier = threading.Barrier(2)
+    found = []
+
+    def one():
+        barrier.wait()
+        with in_turn():
+            found.append((meanwhile(count, arrays, 10_000), count(arrays, 1)))
+
+    threads = [threading.Thread(target=one) for _ in range(2)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    return found
+
+print(all(both((np.zeros(2),) * size) == [(size, size)] * 2 for size in range(1, 31)))
+"""
 
 
 @pytest.fixture
@@ -126,3 +157,7 @@ keys = [(name, i) for name in ("one", "other") for i in range(60)]
 print(sum(index.load(key) == list(key) for key in keys))
 """
     assert at_once(lambda: python("-c", check, folder)) == ["120"]
+
+
+def test_threads_may_meet_a_type_for_the_first_time_at_once(cache):
+    assert at_once(lambda: python("-c", TYPES)) == ["True"]

@@ -18,6 +18,7 @@ from mpi4py import MPI
 from pydantic import BaseModel, ConfigDict
 
 from ...meshes.collective import run_on_one_rank
+from ...solver.compiled import in_turn
 from ...solver.errors import InputError
 from .. import __version__
 from ..command.config import Truth, between, whole
@@ -111,7 +112,8 @@ def _simulate(problem: Problem, comm: MPI.Intracomm) -> None:
 
     def predict(i: int) -> None:
         typical = [each.typical for each in candidates[i].parameters]
-        candidates[i].predict(np.array(typical))
+        with in_turn():
+            candidates[i].predict(np.array(typical))
 
     if comm.rank:
         share_out(comm, len(candidates), predict, lambda i, nothing: None)
