@@ -1,6 +1,7 @@
 """Is nothing lost, half-written or hung when a run is killed, its disk fills, or a rank dies?"""
 
 import ast
+import fcntl
 import os
 import random
 import resource
@@ -29,7 +30,7 @@ from hypothesis import strategies as st
 from bristle.solver import kept
 from bristle.solver.errors import ComputationError, InputError
 from bristle.studies.command.config import DropInputs
-from bristle.studies.running import files
+from bristle.studies.running import claim, files
 from bristle.studies.running.journal import JOURNAL, Journal
 
 pytestmark = pytest.mark.serial
@@ -404,6 +405,41 @@ def test_what_resume_reads_of_an_infinite_stiffness_is_what_was_computed(tmp_pat
     (tmp_path / "whole" / "sweep.json").unlink()
     assert run(*rigid, tmp_path / "whole", "--resume")[0] == 0
     assert told(tmp_path / "whole") == whole
+
+
+def test_a_run_that_is_taken_up_waits_for_the_end_of_the_first(tmp_path, whole_sweep):
+    """As ranks go on that have not heard yet that their mpirun was killed."""
+    out = tmp_path / "out"
+    first = started([*SWEEP, "--out", out])
+    wait_for(lambda: journal_lines(out) >= 2, first)
+    first.send_signal(signal.SIGSTOP)
+    noted = journal_lines(out)
+    again = started([*SWEEP, "--out", out, "--resume"])
+    heard = again.stderr.readline()
+    first.kill()
+    first.communicate()
+    status, said, _ = ended(again)
+    assert status == 0
+    assert heard == f"waiting for another run that writes into {out} …\n"
+    assert f"{noted} of 22 cases are there already" in said
+    assert told(out) == whole_sweep
+
+
+def test_but_not_for_ever(tmp_path, monkeypatch):
+    monkeypatch.setattr(claim, "PATIENCE_S", 0.3)
+    other = os.open(tmp_path, os.O_RDONLY)
+    fcntl.flock(other, fcntl.LOCK_EX)
+    drop = ["drop", "--model", "analytic", "--out", tmp_path]
+    try:
+        status, _, lines = run(*drop)
+        assert status == 2
+        said = kept_promise(status, lines)
+        assert said == f"--out {tmp_path}: another run is writing there"
+        assert list(tmp_path.iterdir()) == []
+    finally:
+        os.close(other)
+    for _ in range(2):  # and a command leaves the folder free
+        assert run(*drop)[0] == 0
 
 
 @pytest.mark.slow

@@ -13,6 +13,7 @@ import click
 
 from ...solver.errors import BristleError
 from ..data.texts import printable
+from ..running.claim import claims
 from ..running.interrupts import INTERRUPTED, heard, interruptible, leave
 from ..running.parallel import Ending, Ranks, rank_0_speaks
 
@@ -26,7 +27,7 @@ def run(command: click.Command, arguments: list[str]) -> int:
     line on standard error, from rank 0 alone unless another rank fails by itself.
     """
     _open_streams()
-    with interruptible(), rank_0_speaks():
+    with interruptible(), rank_0_speaks(), claims():
         ranks = Ranks()
         try:
             ending = _attempt(command, arguments)

@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ...solver.errors import ComputationError, InputError
+from .claim import claim
 from .interrupts import uninterrupted
 
 if TYPE_CHECKING:
@@ -30,10 +31,12 @@ UNFINISHED = ".bristle-unfinished-"
 def prepare_folder(out: Path) -> None:
     """Make ``out`` where it is missing; InputError where it is a file or cannot be written.
 
-    What a run that was killed left there unfinished is removed.
+    What a run that was killed left there unfinished is removed; one that still writes there is
+    waited for (`claim`).
     """
     try:
         out.mkdir(parents=True, exist_ok=True)
+        claim(out)
         for path in out.iterdir():
             if path.name.startswith(UNFINISHED):
                 remove(path)
