@@ -12,7 +12,7 @@ import os
 import tempfile
 import threading
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, cast
@@ -46,7 +46,7 @@ def load(key: str) -> dict[str, Array] | None:
     """What was stored under ``key``, or None."""
     with contextlib.suppress(OSError, ValueError):
         arrays = read_arrays(_path(key))
-        if str(arrays.pop(KEY, None)) == key:
+        if str(arrays.pop(KEY, None)) == _label(key, arrays):
             return arrays
     return None
 
@@ -55,7 +55,12 @@ def store(key: str, arrays: Mapping[str, Array]) -> None:
     """Keep ``arrays``; a disk that is full or may not be written keeps nothing."""
     with contextlib.suppress(OSError):
         _forget_parts(_path(key).parent)
-        write_arrays(_path(key), {KEY: np.array(key), **arrays})
+        write_arrays(_path(key), {KEY: np.array(_label(key, arrays)), **arrays})
+
+
+def _label(key: str, names: Iterable[str]) -> str:
+    """The key with the names of all arrays: a damaged directory of the file may lack some."""
+    return "\n".join([key, *sorted(names)])
 
 
 def read_arrays(path: Path) -> dict[str, Array]:
