@@ -45,8 +45,9 @@ PARTS = ("mesh_s", "assemble_s", "factor_s", "step_s", "peak_MB")
 class Line:
     """One size: wall seconds, the step the least of ``repeats``, and the process' greatest memory.
 
-    ``factor_s`` has everything between the matrices and the first step. In the series `compact` a
-    step is the solve alone: marching would first ask for a solve for each node of the tip.
+    ``factor_s`` has everything between the matrices and the first step. In the series `compact`,
+    and under conjugate gradients, a step is the solve alone: marching would first ask for a solve
+    for each node of the tip.
     ``bytes_per_unknown`` is what memory grew by since before the mesh.
     """
 
@@ -73,7 +74,7 @@ def peak_bytes() -> int:
 
 def size_line(series: str, cells: tuple[int, int, int], solver: str) -> Line:
     """Measure one size in this process."""
-    from ...solver.bodies.linear import Iterative, Solver
+    from ...solver.bodies.linear import Iterative, Method, Solver
     from .step import bar_solid
 
     sides = (CUBE_M,) * 3 if series == "compact" else None
@@ -83,7 +84,8 @@ def size_line(series: str, cells: tuple[int, int, int], solver: str) -> Line:
     before = peak_bytes()
     solid, seconds = bar_solid(cells, ORDER, Solver(solver), sides)
     started = time.perf_counter()
-    act = _solving(solid) if sides else _marching(solid)
+    alone = bool(sides) or solid.method is Method.ITERATIVE
+    act = _solving(solid) if alone else _marching(solid)
     factored = time.perf_counter() - started
     steps = []
     for _ in range(STEPS):

@@ -26,7 +26,8 @@ HOW = (
     "its own; a step is the least of its repeats. Memory per unknown is what the process grew by "
     "since before the mesh.",
     "Along: the paper's bristle, divided ever finer along its axis. All ways: along and across it. "
-    "Compact: a cube, directly and iteratively, where a step is the solve alone.",
+    "Compact: a cube, directly and iteratively.",
+    "A step of a cube, and one under conjugate gradients, is the solve alone.",
     "Before the first step: factor, compliance of the contact points, and what else a march needs.",
 )
 
