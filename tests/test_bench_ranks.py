@@ -65,5 +65,7 @@ def test_the_benchmark_writes_what_it_prints(tmp_path):
     assert len(steps) == 1
     assert document["machine"]["latency_s"] > 0.0
     assert min(document["memory"].values()) > 0.0
-    assert "What more ranks gain" in (tmp_path / "report.html").read_text()
+    html = (tmp_path / "report.html").read_text()
+    assert "What more ranks gain" in html
+    assert f"bristle bench ranks --repeats 1 --most 2 --out {tmp_path}" in html
     assert all(f"{float(row['total_s']):.2f}" in text for row in rows)

@@ -112,13 +112,13 @@ def run_ranks(
     prepare_folder(out)
     about = [load(), *facts()]
     cores = len(os.sched_getaffinity(0))
-    most = most or max(cores, 2)
-    todo = jobs(most, large, small)
+    ranks = most or max(cores, 2)
+    todo = jobs(ranks, large, small)
     times: dict[Job, list[dict[str, Any]]] = {job: [] for job in todo}
     with progress("Jobs", repeats * len(todo) + 2) as advance:
         sent = launch(2, {"kind": "ping"})
         advance()
-        memory = Memory(**launch(min(most, cores), {"kind": "memory"}))
+        memory = Memory(**launch(min(ranks, cores), {"kind": "memory"}))
         advance()
         machine = Machine(**sent, memory_B_s=memory.memory_B_s, solve_B_s=memory.solve_B_s)
         for _ in range(repeats):
@@ -140,7 +140,7 @@ def run_ranks(
     with together(out, "ranks.json"):
         write_atomically(out / "ranks.csv", to_csv(COLUMNS, table))
         write_atomically(out / "ranks.json", to_json(document) + "\n")
-        page(rows, machine, memory, predicted, out, repeats, about)
+        page(rows, machine, memory, predicted, out, repeats, about, most)
     return "\n".join([*_told(rows, cores), "", *_foretold(machine, memory, predicted)])
 
 

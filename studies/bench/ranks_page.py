@@ -51,8 +51,10 @@ def page(
     out: Path,
     repeats: int,
     about: Sequence[tuple[str, str]],
+    most: int | None = None,
 ) -> None:
-    """Write report.html with its figures and tables into ``out``; ``about`` is the machine."""
+    """Write report.html with its figures and tables into ``out``; ``about`` is the machine, and
+    ``most`` ranks were asked for, if any."""
     measured = Figure(
         "efficiency",
         "Efficiency of the march and of the whole job. Dashed: what is asked for; dotted: what "
@@ -73,7 +75,7 @@ def page(
         out,
         title="What more ranks gain",
         lead="One large solid over ranks, many of them dealt out, and groups of ranks.",
-        command=("ranks", "--repeats", repeats),
+        command=("ranks", "--repeats", repeats, *(() if most is None else ("--most", most))),
         headline=[_sentence(row) for row in rows if not _base(row)],
         facts=[*about, *_facts(machine, memory)],
         sections=[
