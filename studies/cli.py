@@ -408,7 +408,7 @@ def bench(
     """How fast is it, and how often is it right? A table, and a page with the figures behind it.
 
     Without a name: this program beside a naive dolfinx loop, plain scipy, and CalculiX where it is
-    installed, at equal error; ten minutes, on a machine that should do nothing else.
+    installed, at equal error; six minutes, on a machine that should do nothing else.
 
     Example: bristle bench --repeats 5
 
