@@ -174,7 +174,7 @@ CONTACT_FLAGS = (
         None,
         MODEL,
         "small: linear bodies. second-order: the axial force acts on the slope, as in a column, "
-        "for beam and reduced under --scheme average; the solid is linear.",
+        "for beam and reduced under the average acceleration; the solid is linear.",
         shown="second-order where it leans, up to 10 degrees",
     ),
     Flag(
@@ -183,9 +183,9 @@ CONTACT_FLAGS = (
         float,
         paper.FRICTION,
         CONTACT,
-        "Coulomb's coefficient. It acts where something leans (--tilt, --slope) or the tip is not "
-        "flat; a flat tip that lands upright on a level surface does not slide, and friction is "
-        "left out there.",
+        "Coulomb's coefficient. It acts where bristle or surface leans or the tip is not flat; a "
+        "flat tip that lands upright on a level surface does not slide, and friction is left out "
+        "there.",
         "MU",
     ),
     Flag(
