@@ -54,13 +54,17 @@ class ContactPoints:
     def _reduce(self, local: Array) -> Array:
         if self.comm.size == 1:
             return local
-        total = np.empty_like(local)
+        total = np.empty(local.shape)
         self.comm.Allreduce(np.ascontiguousarray(local), total)
         return total
 
+    def moved(self, u: Array) -> Array:
+        """The section's coordinates (r,), of columns (r, m), the same on every rank."""
+        return np.asarray(self._reduce(self.coordinates @ u))
+
     def displacements(self, u: Array) -> Array:
         """Displacement of every point (n, 3), of columns (n, 3, m), the same on every rank."""
-        moved = self.rows @ self._reduce(self.coordinates @ u)
+        moved = self.rows @ self.moved(u)
         return np.asarray(moved).reshape(len(self.weights), 3, *u.shape[1:])
 
     def tractions(self, u: Array) -> Array:

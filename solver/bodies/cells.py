@@ -24,7 +24,7 @@ from petsc4py import PETSc
 from ..compiled import fast
 from ..forms import form
 from .base import Array
-from .matrices import NodeMass, degree_of_products, petsc_matrix, stiffness_rows
+from .matrices import NodeMass, assembled_rows, degree_of_products, petsc_matrix
 
 if TYPE_CHECKING:
     from .solid import SolidBody
@@ -133,7 +133,7 @@ def _blocks(solid: SolidBody, cells: Index, c_mass: float, c_stiffness: float) -
     metadata = {"quadrature_degree": degree_of_products(space)}
     dx = ufl.Measure("dx", domain=apart, metadata=metadata)
     energy = form(ufl.inner(stress(u, solid.material), ufl.sym(ufl.grad(v))) * dx)
-    matrix = petsc_matrix(*stiffness_rows(energy), MPI.COMM_SELF)
+    matrix = petsc_matrix(*assembled_rows(energy), MPI.COMM_SELF)
     mass = NodeMass(space, solid.material.density_kg_m3).vector_matrix()
     found: list[Array] = [np.empty((0, 0))] * len(cells)
     for cell, original in enumerate(apart.topology.original_cell_index):

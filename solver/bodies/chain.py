@@ -133,7 +133,8 @@ class ChainFactor:
             front = np.zeros((height, height), order="F")
             front[: len(window), : len(window)] = window
             for part in parts:
-                _add(front, start, width, layout.order, layout.place, *part)
+                # above the diagonal too, where nothing is read
+                _add(front.T, layout.order[start:stop], layout.place, start, *part)
             own, failed = dpotrf(front[:width, :width], lower=1, clean=1)
             if failed:
                 raise ComputationError("the effective matrix is not positive definite")
@@ -231,52 +232,32 @@ class ChainFactor:
         return inverse, panel[packed:].reshape(width, -1).T
 
 
-@njit
-def _add(
-    front: Array,
-    start: int,
-    width: int,
-    order: Index,
-    place: Index,
-    first: Rows,
-    column: Rows,
-    value: Array,
-    weight: float,
-    block: int,
-) -> None:
-    """Add what the columns from ``start`` on have at and below the diagonal."""
-    for j in range(start, start + width):
-        node, axis = order[j] // block, order[j] % block
-        for k in range(first[node], first[node + 1]):
-            row = place[column[k] * block + axis]
-            if row >= j:
-                front[row - start, j - start] += weight * value[k]
-
-
 def dense_rows(parts: list[Summand], rows: Index, place: Index, width: int) -> Array:
     """Those ``rows`` (n,) of what ``parts`` add up to, their columns where ``place`` says, (n,
     width); columns at -1 are left out."""
-    out = np.zeros((len(rows), width), order="F")
+    out = np.zeros((len(rows), width))
     for part in parts:
-        _spread(out, rows, place, *part)
+        _add(out, rows, place, 0, *part)
     return out
 
 
 @njit
-def _spread(
+def _add(
     out: Array,
     rows: Index,
     place: Index,
+    start: int,
     first: Rows,
     column: Rows,
     value: Array,
     weight: float,
     block: int,
 ) -> None:
+    """Add ``rows`` to those of ``out``, their columns where ``place`` says, from ``start`` on."""
     for i in range(len(rows)):
         node, axis = rows[i] // block, rows[i] % block
         for k in range(first[node], first[node + 1]):
-            j = place[column[k] * block + axis]
+            j = place[column[k] * block + axis] - start
             if j >= 0:
                 out[i, j] += weight * value[k]
 

@@ -33,9 +33,9 @@ def degree_of_products(space: fem.FunctionSpace) -> int:
     return 2 * order + 2 * (space.mesh.geometry.cmap.degree - 1)
 
 
-def stiffness_rows(energy: fem.Form) -> tuple[Rows, IndexMap]:
-    """This rank's rows of the matrix of the form ``energy`` over vectors, and what numbers their
-    columns: its own unknowns, and then those of other ranks that they couple to. Collective."""
+def assembled_rows(energy: fem.Form) -> tuple[Rows, IndexMap]:
+    """This rank's rows of the matrix of the form ``energy``, and what numbers their columns: its
+    own unknowns, and then those of other ranks that they couple to. Collective."""
     own = fem.assemble_matrix(energy, block_mode=la.BlockMode.expanded)
     own.scatter_reverse()
     first = own.indptr[: own.index_map(0).size_local + 1].astype(PETSc.IntType)
@@ -43,7 +43,7 @@ def stiffness_rows(energy: fem.Form) -> tuple[Rows, IndexMap]:
 
 
 def petsc_matrix(rows: Rows, columns: IndexMap, comm: MPI.Intracomm) -> PETSc.Mat:
-    """`stiffness_rows` as PETSc has them; on one rank they share memory."""
+    """`assembled_rows` over vectors as PETSc has them; on one rank they share memory."""
     n = len(rows[0]) - 1
     if comm.size == 1:
         return PETSc.Mat().createAIJWithArrays(((n, n), (n, n)), rows, bsize=3, comm=comm)
@@ -69,11 +69,8 @@ class NodeMass:
             "dx", domain=domain, metadata={"quadrature_degree": degree_of_products(space)}
         )
         density = fem.Constant(domain, PETSc.ScalarType(density_kg_m3))
-        own = fem.assemble_matrix(form(density * ufl.inner(u, v) * dx))
-        own.scatter_reverse()
-        self.comm, self.columns = domain.comm, own.index_map(1)
-        first = own.indptr[: self.columns.size_local + 1].astype(PETSc.IntType)
-        self.rows: Rows = (first, own.indices[: first[-1]], own.data[: first[-1]])
+        self.rows, self.columns = assembled_rows(form(density * ufl.inner(u, v) * dx))
+        self.comm = domain.comm
         self._moved = la.vector(self.columns, 3)
 
     def times(self, x: Array) -> Array:

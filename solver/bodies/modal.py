@@ -144,13 +144,10 @@ def modal_form(
 
 def in_modes(contact: ContactPoints, modes: Array) -> ContactPoints:
     """The contact points seen by the coordinates of ``modes`` (n_local, m), on every rank."""
-    moved = contact.coordinates @ modes
-    if contact.comm.size > 1:
-        moved = contact.comm.allreduce(moved)
     traction = contact.tractions(modes).reshape(3 * len(contact.weights), -1)
     return replace(
         contact,
-        coordinates=np.ascontiguousarray(moved),
+        coordinates=np.ascontiguousarray(contact.moved(modes)),
         traction=np.ascontiguousarray(traction),
         comm=MPI.COMM_SELF,
     )

@@ -23,7 +23,7 @@ from ..errors import ComputationError
 from .axis import Axis
 from .base import Array, ContactPoints
 from .modal import Defect, ModalBody, in_modes
-from .solid import SolidBody
+from .solid import DECIMALS, SolidBody
 
 DEFLATED = 1e-10
 # Of a leaning body: Krylov vectors of each load at the time scheme's shift, as a share of those
@@ -249,9 +249,9 @@ def solid_axis(solid: SolidBody, vectors: Array) -> Axis:
     """
     place = solid.space.tabulate_dof_coordinates()[: solid.n_local // 3, 2]
     share = solid.mass(np.ascontiguousarray(solid.translation[:, 2]))[2::3]
-    layers = np.unique(np.concatenate(solid.comm.allgather(np.round(place, 9))))
+    layers = solid.layers_m
     chosen = np.unique(np.linspace(0, len(layers) - 1, AXIS_POINTS + 1).round().astype(int))
-    layer = np.searchsorted(layers, np.round(place, 9))
+    layer = np.searchsorted(layers, np.round(place, DECIMALS))
     slot = np.searchsorted(chosen, layer)
     own = np.flatnonzero(chosen[np.minimum(slot, len(chosen) - 1)] == layer)
     pick = csr_matrix((share[own], (slot[own], own)), (len(chosen), len(place)))

@@ -20,10 +20,11 @@ from ..forms import form
 from .base import Array
 from .chain import Layout, Summand, lay_out
 from .linear import LinearSolver, Method, Solver, choose, make_solver
-from .matrices import NodeMass, degree_of_products, petsc_matrix, stiffness_rows
+from .matrices import NodeMass, assembled_rows, degree_of_products, petsc_matrix
 from .tip import tip_contact
 
-SAME_HEIGHT_M = 1e-9
+# Of a height in m up to which nodes stand on one layer.
+DECIMALS = 9
 # Vectors that share one reading of the stiffness.
 TOGETHER = 16
 
@@ -83,7 +84,7 @@ class SolidBody:
         metadata = {"quadrature_degree": degree_of_products(self.space)}
         dx = ufl.Measure("dx", domain=self.domain, metadata=metadata)
         energy = form(ufl.inner(stress(u, self.material), ufl.sym(ufl.grad(v))) * dx)
-        self._rows, self._columns = stiffness_rows(energy)
+        self._rows, self._columns = assembled_rows(energy)
         first, column, value = self._rows
         count = self._columns.size_local + self._columns.num_ghosts
         self._stiffness = csr_matrix((value, column, first), (self.n_local, count))
@@ -132,14 +133,18 @@ class SolidBody:
         return np.repeat(self._coordinates()[:, 2], 3)
 
     @cached_property
+    def layers_m(self) -> Array:
+        """The heights at which there are nodes, of all ranks, to `DECIMALS`."""
+        own = np.unique(np.round(self._coordinates()[:, 2], DECIMALS))
+        return np.unique(np.concatenate(self.comm.allgather(own)))
+
+    @cached_property
     def method(self) -> Method:
         """How effective matrices are solved with."""
         if self.layout is not None:
             return choose(self.solver, self.n_dofs, self.layout.entries)
-        own = np.unique(np.round(self._coordinates()[:, 2] / SAME_HEIGHT_M))
-        levels = len(np.unique(np.concatenate(self.comm.allgather(own))))
-        # as many levels as the order are one panel, as wide as they and with one more below
-        chained = round((1.0 + 0.5 * self.order) * self.n_dofs**2 / levels)
+        # as many layers as the order are one panel, as wide as they and with one more below
+        chained = round((1.0 + 0.5 * self.order) * self.n_dofs**2 / len(self.layers_m))
         cuts = self.comm.allreduce(int(self.on_cuts.sum()))
         return choose(self.solver, self.n_dofs, chained, alone=False, on_cuts=cuts)
 

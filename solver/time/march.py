@@ -156,20 +156,14 @@ class Marcher:
         points, h, scheme = self.body.contact, self.its_s, self.scheme
         du, dv = scheme.beta * h * h, scheme.gamma * h
         if self._compliance is None:
-            return du * np.hstack([self._moved(part) for part in self._responses()])
+            return du * np.hstack([points.moved(part) for part in self._responses()])
         if not self.tau:
-            return np.ascontiguousarray(du * self._moved(self._compliance))
+            return np.ascontiguousarray(du * points.moved(self._compliance))
         n = 3 * len(points.weights)
         answer = -du * points.displacements(self._compliance)
         answer += self.tau * (du + self.body.beta_s * dv) * points.tractions(self._compliance)
         pushes = np.stack([self._loads(unit.reshape(-1, 3)) for unit in np.eye(n)], axis=1)
         return np.ascontiguousarray(answer.reshape(n, -1) @ pushes)
-
-    def _moved(self, motions: Array) -> Array:
-        """The section's coordinates under ``motions`` (dofs, m), the same on every rank."""
-        points = self.body.contact
-        moved = points.coordinates @ motions
-        return points.comm.allreduce(moved) if points.comm.size > 1 else np.asarray(moved)
 
     def _responses(self) -> Iterator[Array]:
         """Responses to the columns that contact pushes along, a few at a time."""
