@@ -66,7 +66,8 @@ class Problem:
     that a dataset of this kind can carry; ``combine`` builds the model of several at once.
     ``held`` are groups to be held out; where it is None, they are chosen by the seed.
     ``confirm``, where it is not None, gives whitened predictions of the baseline and of a fitted
-    model by the 3-D model, for the rows of the groups asked for.
+    model by the 3-D model, for the rows of the groups asked for. ``warnings`` and ``left_aside``
+    are sentences for the user: what deserves doubt, and which of the data are not used and why.
     """
 
     values: Array
@@ -84,3 +85,5 @@ class Problem:
     confirm_why: str = ""
     sigma_declared: bool = True
     notes: Mapping[str, Any] = field(default_factory=dict)
+    warnings: tuple[str, ...] = ()
+    left_aside: tuple[str, ...] = ()
