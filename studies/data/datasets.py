@@ -56,8 +56,8 @@ MEASUREMENT_KEYS = ("file", *NUMBER_KEYS, *WAVE_KEYS)
 class Manifest:
     """A ``dataset.toml``: its folder, what it declares, and the body that this makes.
 
-    ``kn_N_m`` is None where it is not declared, ``friction`` then the paper's; ``declared`` names
-    the body's keys that are.
+    ``kn_N_m`` and ``friction`` are None where they are not declared; ``declared`` names the body's
+    keys that are: none where it is the paper's bristle.
     """
 
     folder: Path
@@ -69,7 +69,7 @@ class Manifest:
     declared: tuple[str, ...]
     kn_N_m: float | None
     measurement: Mapping[str, Any]
-    friction: float = paper.FRICTION
+    friction: float | None = None
 
     @property
     def gravity_m_s2(self) -> float:
@@ -148,7 +148,7 @@ def read_manifest(folder: Path, only: str | None = None) -> Manifest:
         declared=tuple(sorted(parts["body"])),
         kn_N_m=kn,
         measurement=measurement,
-        friction=paper.FRICTION if friction is None else friction,
+        friction=friction,
     )
 
 
