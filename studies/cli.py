@@ -353,10 +353,10 @@ def bench(
     what: Annotated[
         str,
         typer.Argument(
-            metavar="[peers|loop|step|sizes|ranks]",
+            metavar="[peers|step|sizes|ranks]",
             help="peers: time, memory and error beside other programs of the same impact. "
-            "loop: the loop on datasets whose truth is hidden. step: what a step of the solid "
-            "costs. sizes: time and memory against unknowns. ranks: what more ranks gain.",
+            "step: what a step of the solid costs. sizes: time and memory against unknowns. "
+            "ranks: what more ranks gain.",
         ),
     ] = "peers",
     repeats: Annotated[
@@ -378,15 +378,6 @@ def bench(
         int | None,
         typer.Option(min=1, help="ranks: the most ranks. [default: the cores]", show_default=False),
     ] = None,
-    datasets: Annotated[
-        int | None,
-        typer.Option(
-            min=1,
-            max=10_000,
-            help="loop: how many datasets for each row of the table. [default: 100]",
-            show_default=False,
-        ),
-    ] = None,
     out: Annotated[
         Path | None,
         typer.Option(
@@ -395,34 +386,18 @@ def bench(
             show_default=False,
         ),
     ] = None,
-    resume: Annotated[
-        bool,
-        typer.Option(
-            "--resume",
-            help="loop: keep what is finished in --out, and do only what is missing.",
-            rich_help_panel=OUTPUT,
-        ),
-    ] = False,
     debug: Debug = False,
 ) -> None:
-    """How fast is it, and how often is it right? A table, and a page with the figures behind it.
+    """How fast is it, and how near? A table, and a page with the figures behind it.
 
     Without a name: this program beside a naive dolfinx loop, plain scipy, and CalculiX where it is
     installed, at equal error; six minutes, on a machine that should do nothing else.
 
     Example: bristle bench --repeats 5
-
-    Example: mpirun -n 2 bristle bench loop --datasets 20 --out results/bench-loop
     """
     from .bench.targets import run_bench
 
-    given = {
-        "repeats": repeats,
-        "largest": largest,
-        "most": most,
-        "datasets": datasets,
-        "resume": resume,
-    }
+    given = {"repeats": repeats, "largest": largest, "most": most}
     print(run_bench(what, out, given))
 
 

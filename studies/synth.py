@@ -27,7 +27,6 @@ from ..solver.effects.library import enter_all
 from ..solver.errors import InputError
 from ..solver.fall import fallen, risen
 from . import __version__
-from .data.datasets import Drops, Manifest
 from .effects import EffectInput, read_effects
 from .loop.table_drops import drops_of, its_s
 from .running.files import prepare_folder, to_json, together, write_atomically
@@ -302,32 +301,3 @@ def run_synth(recipe: Recipe, out: Path, truth: Path) -> None:
     run_on_one_rank(MPI.COMM_WORLD, lambda: prepare_dataset(out, truth))
     body = reduced_body()
     run_on_one_rank(MPI.COMM_WORLD, lambda: write_dataset(make(recipe, body), out, truth))
-
-
-def read_made(made: Made) -> Drops:
-    """The dataset as reading its files would give it, without a disk between."""
-    recipe, rows = made.recipe, np.loadtxt(io.StringIO(table_of(made)), delimiter=",", skiprows=1)
-    measurement = {"sigma_y_mm": 1e3 * recipe.sigma_y_m}
-    if recipe.sensors:
-        measurement |= {"sigma_t_s": recipe.sigma_t_s, "sigma_force_N": recipe.sigma_force_N}
-    manifest = Manifest(
-        folder=Path(),
-        title="made",
-        kind="drops",
-        source="",
-        licence="",
-        bristle=Bristle(),
-        declared=(),
-        kn_N_m=None,
-        measurement=measurement,
-    )
-    return Drops(
-        manifest=manifest,
-        drop=rows[:, 0],
-        y0_m=1e-3 * rows[:, 1],
-        y1_m=1e-3 * rows[:, 2],
-        contact_time_s=1e-3 * rows[:, 3] if recipe.sensors else None,
-        peak_force_N=rows[:, 4] if recipe.sensors else None,
-        session=None,
-        sigma_y_m=recipe.sigma_y_m,
-    )

@@ -6,45 +6,11 @@ from typing import Any
 
 from bristle.studies.bench import ranks, sizes, step
 from bristle.studies.bench.communication import Machine
-from bristle.studies.bench.loop_cases import ROWS
 from bristle.studies.bench.peers_table import Converged, Point, Run, converged, points
 from bristle.studies.bench.programs import DAMPED, PROGRAMS, QUANTITIES, UNDAMPED, Answer, Setting
 
 ITS_S = (2e-5, 1e-5, 5e-6)
 NEAR = {"rebound_ratio": 0.65, "contact_time_s": 1.6e-4, "peak_force_N": 40.0}
-
-
-def outcome(row: str, number: int, **other: Any) -> dict[str, Any]:
-    said = {
-        "row": row,
-        "number": number,
-        "truth": ["adhesion"],
-        "verdict": "effect",
-        "effects": ["adhesion"],
-        "same": ["adhesion"],
-        "ideal": [1.0, 1.0],
-        "classes": [],
-        "covered": [True, False],
-        "before": 2.0,
-        "after": 1.1,
-        "oracle": 1.0,
-        "rivals": {"BIC": "adhesion"},
-    }
-    return said | other
-
-
-def outcomes_of_every_row(datasets: int = 6) -> list[dict[str, Any]]:
-    """Right but for the first of each row, with held-out errors that differ."""
-    found = []
-    for row in ROWS:
-        right = "unknown" if row.unlisted else "effect" if row.listed else "adequate"
-        for number in range(datasets):
-            said = {"verdict": right, "effects": ["adhesion"] if right == "effect" else []}
-            if number == 0:
-                said = {"verdict": "effect", "effects": ["wear"]}
-            errors = {"before": 2.0 + number, "after": 1.1 + 0.1 * number}
-            found.append(outcome(row.name, number, **said, **errors))
-    return found
 
 
 def points_of_every_program() -> tuple[list[Point], dict[str, Converged], list[Run]]:

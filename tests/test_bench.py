@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import pytest
 from commands import bristle, mpirun, python
-from made_outcomes import growing, outcome, shared_out, steps
+from made_outcomes import growing, shared_out, steps
 
 from bristle.solver.errors import InputError
 from bristle.studies.bench import (
@@ -20,9 +20,6 @@ from bristle.studies.bench import (
     step_page,
 )
 from bristle.studies.bench.communication import prediction
-from bristle.studies.bench.loop_cases import ROWS
-from bristle.studies.bench.loop_page import bounds, page, within
-from bristle.studies.bench.loop_table import table
 from bristle.studies.bench.peers_table import Point, converged, reached
 from bristle.studies.bench.programs import DAMPED, QUANTITIES, Setting
 
@@ -131,47 +128,13 @@ def test_names_and_options_that_do_not_belong_are_refused(tmp_path):
     done = bristle("bench", "speed", "--out", tmp_path)
     assert done.returncode == 2
     assert done.stderr.splitlines()[-1].startswith("bristle: error: speed: there is peers, ")
-    done = bristle("bench", "--datasets", 3, "--out", tmp_path)
+    done = bristle("bench", "--largest", 3, "--out", tmp_path)
     assert done.returncode == 2
-    assert "--datasets: belongs to bench loop, not to bench peers" in done.stderr
+    assert "--largest: belongs to bench sizes, not to bench peers" in done.stderr
     done = mpirun(2, "-m", "bristle.studies.cli", "bench", "--out", tmp_path)
     assert done.returncode == 2
     assert "without mpirun" in done.stderr
     assert not list(tmp_path.iterdir())
-
-
-@pytest.mark.parametrize(
-    ("target", "inside", "outside"),
-    [("≤ 5 %", 0.05, 0.051), ("≥ 0.8", 0.8, 0.79), ("87 to 93 %", 0.9, 0.94)],
-)
-def test_targets_are_read_as_they_are_written(target, inside, outside):
-    assert within(target, inside)
-    assert not within(target, outside)
-
-
-def test_every_target_of_the_loop_can_be_read():
-    for line in table([outcome(row.name, 0) for row in ROWS]):
-        low, high = bounds(line.target) if line.target else (0.0, 1.0)
-        assert low < high
-
-
-def test_the_loops_page_tells_rates_targets_and_what_is_missed(tmp_path):
-    row = "one effect, d = 8"
-    outcomes = [outcome(row, i, effects=["wear"] if i < 3 else ["adhesion"]) for i in range(10)]
-    page(table(outcomes), outcomes, tmp_path, 1)
-    html = (tmp_path / "report.html").read_text()
-    assert "Missed: one effect, d = 8, true class first: 70.0\u00a0%, asked for ≥ 90 %." in html
-    with (tmp_path / "tables" / "rivals.csv").open() as file:
-        told = next(csv.DictReader(file))
-    assert (float(told["BIC"]), float(told["the_loop"])) == (100.0, 70.0)
-    with (tmp_path / "tables" / "held-out.csv").open() as file:
-        assert [float(each["after_mm"]) for each in csv.DictReader(file)] == [1.1] * 10
-
-
-def test_a_page_of_outcomes_without_any_effect_has_no_held_out_part(tmp_path):
-    outcomes = [outcome("clean", 0, verdict="adequate", effects=[], before=None, after=None)]
-    page(table(outcomes), outcomes, tmp_path, 1)
-    assert "Held-out" not in (tmp_path / "report.html").read_text()
 
 
 def told(folder, name: str) -> list[dict[str, str]]:

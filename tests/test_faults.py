@@ -491,9 +491,8 @@ LONG = {
     "scatter": ["scatter", *SMALL, "--drops", "1500"],
     "synth": ["synth", "--drops", "300", "--effect", "air_drag:cd=1.1"],
     "close-loop": ["close-loop"],
-    "loop": ["bench", "loop", "--datasets", "1"],
 }
-RESUMABLE = ("solid", "march", "sweep", "its", "scatter", "loop")
+RESUMABLE = ("solid", "march", "sweep", "its", "scatter")
 ROUNDS = 6
 
 

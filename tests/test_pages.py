@@ -14,7 +14,6 @@ from browser import Browser, browser, needs_chromium
 from made_drops import QUICK, write_drops
 from made_outcomes import (
     growing,
-    outcomes_of_every_row,
     points_of_every_program,
     shared_out,
     steps,
@@ -23,9 +22,8 @@ from mpi4py import MPI
 from small_reproduction import small
 
 from bristle.solver.effects.library import EFFECTS
-from bristle.studies.bench import loop_page, peers_page, ranks_page, sizes_page, step_page
+from bristle.studies.bench import peers_page, ranks_page, sizes_page, step_page
 from bristle.studies.bench.communication import prediction
-from bristle.studies.bench.loop_table import table
 from bristle.studies.bench.sizes import exponents
 from bristle.studies.cli import main
 from bristle.studies.loop import drops as drops_module
@@ -34,7 +32,7 @@ from bristle.studies.reproduce import run_reproduce
 pytestmark = [pytest.mark.serial, needs_chromium]
 
 COMMANDS = ("reproduce", "close-loop", "scatter", "calibrate", "calibrate-paper")
-BENCHES = ("peers", "loop", "step", "sizes", "ranks")
+BENCHES = ("peers", "step", "sizes", "ranks")
 PAGES = (*COMMANDS, *BENCHES)
 PHONE, DESK = 390, 1280
 # A4 between the margins.
@@ -101,8 +99,6 @@ def pages(tmp_path_factory) -> Path:
     assert main(["calibrate", "paper", "--out", str(folder / "calibrate-paper")]) == 0
     for bench in BENCHES:
         (folder / bench).mkdir()
-    outcomes = outcomes_of_every_row()
-    loop_page.page(table(outcomes), outcomes, folder / "loop", 2)
     found, converged, runs = points_of_every_program()
     about = [("Machine", "none")]
     peers_page.page(found, converged, runs, folder / "peers", 5, about)

@@ -1,1 +1,1 @@
-"""Measurements of the program itself: how often it is right, and how fast."""
+"""Measurements of the program itself: how fast it is, beside others."""

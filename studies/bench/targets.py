@@ -24,12 +24,6 @@ def _peers(out: Path, **given: Any) -> str:
     return run_peers(out, **given)
 
 
-def _loop(out: Path, **given: Any) -> str:
-    from .loop_run import run_loop
-
-    return run_loop(out, **given)
-
-
 def _step(out: Path, **given: Any) -> str:
     from .step import run_step
 
@@ -50,7 +44,6 @@ def _ranks(out: Path, **given: Any) -> str:
 
 TARGETS = {
     "peers": Target(_peers, ("repeats",)),
-    "loop": Target(_loop, ("datasets", "resume")),
     "step": Target(_step, ("repeats",)),
     "sizes": Target(_sizes, ("largest",)),
     "ranks": Target(_ranks, ("repeats", "most")),
@@ -60,13 +53,13 @@ TARGETS = {
 def run_bench(what: str, out: Path | None, given: dict[str, Any]) -> str:
     """Run the benchmark ``what`` into ``out`` (None: its usual folder); its table as text.
 
-    ``given`` are options by name, None or False where they are not on the command line. Raises
+    ``given`` are options by name, None where they are not on the command line. Raises
     InputError for a name that is none, or an option of another benchmark.
     """
     if what not in TARGETS:
         raise InputError(f"{what}: there is {', '.join(TARGETS)} to be measured")
     target = TARGETS[what]
-    named = {name: value for name, value in given.items() if value not in (None, False)}
+    named = {name: value for name, value in given.items() if value is not None}
     for name in named:
         if name not in target.options:
             owners = " and ".join(key for key, each in TARGETS.items() if name in each.options)

@@ -1,0 +1,1 @@
+"""Impacts, noises and unlisted shapes that share nothing with what the loop fits to them."""

@@ -1,0 +1,260 @@
+"""Datasets whose truth is hidden: drops and films with nothing, one listed effect, or a misfit.
+
+Every dataset has a random stream of its own, from a seed and a constant that nothing else uses;
+design, body, stiffness, noise and misfit are drawn from it. A misfit is scaled until its size d is
+the one that its row asks for.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+
+from .body import Array, Body
+from .drops import LISTED, Listed, Truth, seen, with_effect
+from .read import FORCE, TIME, Y1, Found, Made, Plan, Row, measured
+from .shapes import FAMILIES, Drops, impossible, unlisted
+from .size import Gauge, size
+from .upright import GRAVITY_M_S2
+
+TAG = 0xB11D_F01D
+TRIES = 60
+# Effects that a table of heights shows by its level alone: Kn is declared there.
+LEVEL = ("contact_damping", "material_damping", "hysteretic_damping", "bristle_tilt")
+# What else an effect needs to be seen at all.
+NEEDS = {"scale_error": FORCE, "clock_error": TIME}
+LEANING = ("bristle_tilt", "surface_slope")
+FILMED = (
+    "air_drag",
+    "release_velocity",
+    "height_offset",
+    "hunt_crossley",
+    "stiffening_contact",
+    "plastic_contact",
+    "adhesion",
+    "surface_phases",
+    "wear",
+)
+
+
+ROWS = {
+    each.name: each
+    for each in (
+        Row("clean", "nothing", noises="gaussian"),
+        Row("noise", "nothing", noises="unknown"),
+        Row("gross", "gross", (16.0, 150.0), noises="gaussian"),
+        Row("listed16", "listed", (16.0, 40.0)),
+        Row("listed8", "listed", (8.0, 8.0)),
+        Row("unlisted16", "unlisted", (16.0, 40.0)),
+        Row("unlisted8", "unlisted", (8.0, 8.0)),
+        Row("films", "nothing", films=True),
+        Row("films16", "listed", (16.0, 40.0), films=True),
+    )
+}
+
+
+def stream(seed: int, row: str, number: int) -> np.random.Generator:
+    """The dataset's own random stream."""
+    key = (list(ROWS).index(row), number)
+    return np.random.default_rng(np.random.SeedSequence([TAG, seed], spawn_key=key))
+
+
+def make(seed: int, row: str, number: int) -> Made:
+    """Dataset ``number`` of a row; the same arguments give the same dataset.
+
+    Raises RuntimeError where no design of many carries the size that is asked for.
+    """
+    rng, asked = stream(seed, row, number), ROWS[row]
+    names = FILMED if asked.films else tuple(LISTED)
+    # every effect and family in its turn
+    name = names[number % len(names)]
+    family = list(FAMILIES)[number % len(FAMILIES)]
+    for _ in range(TRIES):
+        if asked.holds == "nothing":
+            plan = _plan(rng, asked)
+            clear = seen(plan.truth, plan.heights_m, plan.chance)
+            return measured(rng, asked, number, plan, Found(clear, "nothing", 0.0))
+        target = math.exp(rng.uniform(*np.log(asked.d)))
+        if asked.holds == "listed":
+            found = _listed(rng, asked, LISTED[name], target)
+        elif asked.holds == "unlisted":
+            found = _unlisted(rng, asked, family, target)
+        else:
+            found = _gross(rng, asked, number, target)
+        if found is not None:
+            return measured(rng, asked, number, *found)
+    raise RuntimeError(f"{row} {number}: no design has the size asked for, of {name} or {family}")
+
+
+def _plan(rng: np.random.Generator, row: Row, name: str = "") -> Plan:
+    """A design in which the effect ``name`` can be seen."""
+    body = _body(rng, name)
+    # a film shows heights alone
+    columns = (Y1,) if row.films else _columns(rng, NEEDS.get(name))
+    n = int(rng.integers(8, 17)) if row.films else 48
+    if not row.films and rng.random() < 0.4:
+        n = int(rng.integers(8, 49))
+    low, high = (0.03, 0.15) if row.films else (0.01, 0.05)
+    if name == "air_drag":
+        low, high = 0.2, rng.uniform(0.6, 1.0)
+    elif name == "hunt_crossley" and rng.random() < 0.5:
+        high *= 2.5
+    heights = rng.uniform(low, high, size=n)
+    if rng.random() < 0.6:
+        levels = np.linspace(low, high, int(rng.integers(4, 10)))
+        heights = rng.permutation(np.resize(levels, n)) + 5e-4 * rng.normal(size=n)
+    kn = 10.0 ** rng.uniform(math.log10(5e4), math.log10(2e7))
+    friction = 0.0
+    if name in LEANING:
+        friction = float(rng.choice([0.0, 0.5, rng.uniform(0.0, 0.8)]))
+    truth = Truth(body=body, kn_N_m=kn, friction=friction)
+    declared = columns == (Y1,) and not row.films and name in LEVEL
+    gauge = Gauge(
+        body,
+        columns,
+        sigma_y_m=float(f"{rng.uniform(1e-4, 5e-4):.3g}"),
+        sigma_t_s=float(f"{math.exp(rng.uniform(math.log(4e-7), math.log(2e-6))):.3g}"),
+        sigma_force_N=float(f"{rng.uniform(0.2, 1.0):.3g}"),
+        kn_N_m=kn if declared or (name == "" and rng.random() < 0.1) else None,
+    )
+    chance = rng.normal(size=(n, 2))
+    return Plan(truth, gauge, heights, chance, bool(rng.random() < 0.5))
+
+
+def _body(rng: np.random.Generator, name: str) -> Body:
+    """The paper's bristle in two of three, else another, or a wire where nothing leans."""
+    if rng.random() < 2.0 / 3.0:
+        return Body()
+    length, beta = rng.uniform(0.12, 0.5), 10.0 ** rng.uniform(-5.6, -4.9)
+    if name not in LEANING and rng.random() < 0.5:
+        diameter = float(f"{rng.uniform(0.6e-3, 1.5e-3):.3g}")
+        return Body(float(f"{length:.4g}"), diameter_m=diameter, beta_s=float(f"{beta:.3g}"))
+    width, thick = rng.uniform(1.5e-3, 3e-3), rng.uniform(0.4e-3, 0.8e-3)
+    values = [float(f"{each:.4g}") for each in (length, width, thick)]
+    return Body(*values, beta_s=float(f"{beta:.3g}"))
+
+
+def _columns(rng: np.random.Generator, needed: int | None) -> tuple[int, ...]:
+    every = [(Y1,), (Y1, TIME), (Y1, FORCE), (Y1, TIME, FORCE)]
+    allowed = [each for each in every if needed is None or needed in each]
+    return allowed[int(rng.integers(len(allowed)))]
+
+
+def _listed(
+    rng: np.random.Generator, row: Row, effect: Listed, target: float
+) -> tuple[Plan, Found] | None:
+    """A design with a listed effect of size ``target``; None where its bounds do not allow it."""
+    plan = _plan(rng, row, effect.name)
+    absent, ends = effect.absent, [effect.low, effect.high]
+    if effect.name == "material_damping":
+        absent = plan.truth.body.beta_s
+    end = float(rng.choice([each for each in ends if each != absent]))
+    if effect.name == "release_velocity" and not row.films:
+        # a drop that is not filmed does not tell up from down
+        end = effect.high
+
+    def value(share: float) -> float:
+        if effect.logarithmic:
+            return absent * (end / absent) ** share
+        return absent + share * (end - absent)
+
+    def clear(share: float) -> Array:
+        truth = with_effect(plan.truth, effect.name, value(share))
+        return seen(truth, plan.heights_m, plan.chance)
+
+    share = _scaled(lambda s: size(plan.gauge, clear(s)), target)
+    if share is None:
+        return None
+    plan = replace(plan, truth=with_effect(plan.truth, effect.name, value(share)))
+    data = clear(share)
+    true = {effect.parameter: value(share)}
+    return plan, Found(data, effect.name, size(plan.gauge, data), true=true)
+
+
+def _unlisted(
+    rng: np.random.Generator, row: Row, family: str, target: float
+) -> tuple[Plan, Found] | None:
+    """A design with an unlisted shape in one of the columns."""
+    plan = _plan(rng, row, "")
+    plan = replace(plan, gauge=replace(plan.gauge, kn_N_m=None))
+    base = seen(plan.truth, plan.heights_m, plan.chance)
+    drops = Drops(plan.heights_m, np.sqrt(2.0 * GRAVITY_M_S2 * plan.heights_m))
+    columns = plan.gauge.columns
+    column = 1 + (Y1 if rng.random() < 0.6 else int(rng.choice(columns)))
+    shape = unlisted(family, drops, base[:, column], rng)
+
+    def clear(share: float) -> Array:
+        data = base.copy()
+        data[:, column] = np.maximum(data[:, column] + share * shape, 0.0)
+        return data
+
+    share = _scaled(lambda s: size(plan.gauge, clear(s)), target)
+    if share is None:
+        return None
+    return plan, Found(clear(share), family, size(plan.gauge, clear(share)), column - 1)
+
+
+def _gross(
+    rng: np.random.Generator, row: Row, number: int, target: float
+) -> tuple[Plan, Found] | None:
+    """A misfit of level, of scale or of shape."""
+    which = ("impossible", "level", "body", "shape")[number % 4]
+    if which == "shape":
+        family = list(FAMILIES)[number // 4 % len(FAMILIES)]
+        return _unlisted(rng, row, family, target)
+    plan = _plan(rng, row, "")
+    if which == "impossible":
+        truth, gauge = replace(plan.truth, body=Body()), replace(plan.gauge, body=Body())
+        plan = replace(plan, truth=truth, gauge=replace(gauge, kn_N_m=None))
+        data = seen(plan.truth, plan.heights_m, plan.chance)
+        name, data[:, 1] = impossible(data[:, 0], rng)
+    elif which == "level":
+        plan = replace(plan, gauge=replace(plan.gauge, kn_N_m=plan.truth.kn_N_m))
+        data = seen(plan.truth, plan.heights_m, plan.chance)
+        name, up = "level, Kn declared", rng.choice([-1.0, 1.0])
+        share = _scaled(lambda s: size(plan.gauge, _raised(data, up * s)), target)
+        if share is None:
+            return None
+        data = _raised(data, up * share)
+    else:
+        columns = (Y1, TIME, FORCE) if rng.random() < 0.5 else (Y1, TIME)
+        factor = 1.0 + rng.choice([-1.0, 1.0]) * rng.uniform(0.08, 0.3)
+        other = replace(plan.truth.body, length_m=factor * plan.truth.body.length_m)
+        gauge = replace(plan.gauge, columns=columns, body=other, kn_N_m=None)
+        plan, name = replace(plan, gauge=gauge), "length declared wrong"
+        data = seen(plan.truth, plan.heights_m, plan.chance)
+    d = size(plan.gauge, data)
+    return (plan, Found(data, name, d)) if d >= row.d[0] else None
+
+
+def _raised(data: Array, share: float) -> Array:
+    out = data.copy()
+    out[:, 1] *= 1.0 + share
+    return out
+
+
+def _scaled(of: Callable[[float], float], target: float) -> float | None:
+    """A share from 0 to 1 at which ``of`` is ``target`` within some percent; None if 1 is less.
+
+    By the secant in logarithms, within a bracket.
+    """
+    low, high = 1e-4, 1.0
+    at_high = of(high)
+    if not at_high >= target:
+        return None
+    at_low, share = 1e-3 * target, high
+    for _ in range(14):
+        slope = math.log(at_high / at_low) / math.log(high / low)
+        step = math.log(target / at_low) / max(slope, 1e-3)
+        share = low * math.exp(np.clip(step, 0.1, math.log(high / low) - 0.02))
+        reached = max(of(share), 1e-9)
+        if abs(reached / target - 1.0) < 0.04:
+            return share
+        if reached < target:
+            low, at_low = share, reached
+        else:
+            high, at_high = share, reached
+    return None
