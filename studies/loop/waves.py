@@ -37,8 +37,10 @@ from .waves_start import Start, find_start
 __all__ = ["LIBRARY", "WaveModel", "Waves", "read_waves", "relative_residual", "wave_problem"]
 
 LIBRARY = ("material_damping", "hysteretic_damping", "lateral_inertia")
-STANDS_OUT = 2.0
+STANDS_OUT = 3.0
 """How far the first pass must rise above the noise for a frequency to be used."""
+GAP, FINER = 6, 4
+"""Over how many points a spectrum may drown in the noise, `FINER` times as fine as its own."""
 MOST_BINS = 48
 LEAST_WINDOW = 16
 NEAR_MIDDLE = 0.1
@@ -80,7 +82,8 @@ def wave_problem(data: Waves, library: Sequence[str] = LIBRARY) -> Problem:
     rod = Rod.of(data.manifest.bristle)
     band, limit = _band(data, rod)
     whole = Propagation(data, rod, band)
-    start = _start(whole)
+    declared = data.manifest.bristle.material.bar_speed_m_s
+    start = find_start(whole, baseline_parameters(data, declared, 1e-8))
     baseline = baseline_parameters(data, start.value("wave_speed_m_s"), start.value("beta_s"))
     layout = _layout(whole, baseline[0].typical)
     plain = whole.synthesis(layout.windows)
@@ -124,32 +127,27 @@ def _band(data: Waves, rod: Rod) -> tuple[float, bool]:
     """
     begin, end = data.first_pass_s
     first = data.gauge.signal[data.index(begin) : data.index(end) + 1]
-    padded = 4 * len(first)
+    padded = FINER * len(first)
     spectrum = np.abs(np.fft.rfft(first, padded)) * np.sqrt(2.0 / len(first))
     frequency = np.fft.rfftfreq(padded, data.step_s)
     nyquist = 0.8 * frequency[-1]
     speed = data.manifest.bristle.material.bar_speed_m_s
     rod_ends = speed / (SHORTEST_WAVE * rod.radius_m)
-    noise = np.sqrt(quiet_power(data, data.gauge, min(rod_ends, nyquist))(frequency))
-    above = np.append(spectrum > STANDS_OUT * noise, np.zeros(12, dtype=bool))
-    run = np.array([np.any(above[i : i + 12]) for i in range(len(spectrum))])
+    top = min(rod_ends, nyquist)
+    later = [data.index(each) for each in np.linspace(*data.predict_s, 4)[:-1]]
+    bins = max(3, int(top * len(first) * data.step_s))
+    later = [each for each in later if each + len(first) <= len(data.times_s)]
+    alike = Windows((data.index(begin), *later), len(first), bins, data.step_s)
+    power = _larger(quiet_power(data, data.gauge, top), apart_power(data.gauge, alike))
+    noise = np.sqrt(power(frequency))
+    above = np.append(spectrum > STANDS_OUT * noise, np.zeros(GAP, dtype=bool))
+    run = np.array([np.any(above[i : i + GAP]) for i in range(len(spectrum))])
     drowned = np.flatnonzero(~run)
     pulse_ends = frequency[drowned[0]] if len(drowned) else frequency[-1]
     if drowned.size and drowned[0] == 0:
         raise data.manifest.wrong("first_pass_s", "holds no pulse above the noise before it")
     ends = min(pulse_ends, nyquist)
     return float(min(ends, rod_ends)), bool(rod_ends < ends)
-
-
-def _start(whole: Propagation) -> Start:
-    """The scan, over all of what is predicted as one window."""
-    data = whole.data
-    begin, end = (data.index(each) for each in data.predict_s)
-    bins = int(whole.band_Hz * (end - begin) * data.step_s) + 1
-    windows = Windows((begin,), end - begin, max(3, min(bins, 4 * MOST_BINS)), data.step_s)
-    speed = data.manifest.bristle.material.bar_speed_m_s
-    rows = real_synthesis(whole.synthesis(windows))
-    return find_start(WaveModel(whole, baseline_parameters(data, speed, 1e-8), rows), windows)
 
 
 def _layout(whole: Propagation, speed_m_s: float) -> Layout:
@@ -190,10 +188,9 @@ def _noises(data: Waves, whole: Propagation, windows: Windows) -> tuple[Power, P
     begin, end = (data.index(each) for each in data.first_pass_s)
     bins = min(max(3, 1 + int(whole.band_Hz * (end - begin) * data.step_s)), (end - begin) // 2)
     own = Windows((begin,), end - begin, bins, data.step_s)
-    later = _larger(
-        quiet_power(data, data.predicted, whole.band_Hz), apart_power(data.predicted, windows)
-    )
-    first = _larger(quiet_power(data, data.gauge, whole.band_Hz), apart_power(data.gauge, own))
+    band = whole.band_Hz
+    later = _larger(quiet_power(data, data.predicted, band), apart_power(data.predicted, windows))
+    first = _larger(quiet_power(data, data.gauge, band), apart_power(data.gauge, own))
     return later, first if data.second is not None else _larger(first, later)
 
 
@@ -295,12 +292,10 @@ def _left_aside(data: Waves, layout: Layout, limit: bool) -> tuple[str, ...]:
     told: list[str] = []
     top = float(layout.frequency_Hz.max())
     if limit or layout.windows.bins == MOST_BINS:
-        why = (
-            "their waves are too short for a rod" if limit else "there are enough without them"
-        )
+        why = "their waves are too short for a rod" if limit else "there are enough without them"
         told.append(f"frequencies above {1e-3 * top:.4g} kHz: {why}")
     late = data.times_s[-1] - data.predict_s[1]
-    if late > 2 * data.step_s:
+    if late > 0.1 * (data.predict_s[1] - data.predict_s[0]):
         told.append(f"the record's last {late:.3g} s, after predict_s")
     if data.second is not None:
         told.append("later passes at the first gauge: the second gauge alone is predicted")

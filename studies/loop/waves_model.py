@@ -86,7 +86,8 @@ def sees_reflections(data: Waves, speed_m_s: float) -> bool:
         return True
     to_end = data.manifest.bristle.length_m - data.second.x_m
     way = data.second.x_m - data.gauge.x_m + 2.0 * to_end
-    return data.first_pass_s[0] + way / speed_m_s < data.predict_s[1]
+    begin, end = data.first_pass_s
+    return 0.5 * (begin + end) + way / speed_m_s < data.predict_s[1]
 
 
 def _beta(typical: float, null: float) -> Parameter:

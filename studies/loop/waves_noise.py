@@ -1,13 +1,13 @@
 """Noise of a wave record, measured where no misfit of a model can change it, and whitening by it.
 
-The electrical noise shows in the quiet stretch before the pulse. Its spectrum is smooth: the
-logarithm of the periodogram is fitted by a polynomial in the logarithm of frequency by Whittle's
-likelihood (P. Whittle, J. R. Stat. Soc. B 15 (1953) 125), of the order that Akaike's criterion
-takes. Two gauges on opposite faces: their half-difference while waves pass holds no axial wave, and
-where each carries disturbances of its own (bending, electrical noise) it scatters as much as their
-mean does. The larger of both counts, and of the ``sigma`` that may be declared. What else a gauge
-does not reproduce, such as bending that one gauge cannot tell from an axial wave, is not in it:
-that is a misfit, and looks like one.
+The electrical noise shows in the quiet stretch before the pulse. Its spectrum is taken to be flat
+or, where Whittle's likelihood (J. R. Stat. Soc. B 15 (1953) 125) asks for it, of several levels.
+Two gauges on opposite faces: their half-difference while waves pass holds no axial wave, and where
+each carries disturbances of its own (bending, electrical noise) it scatters as much as their mean
+does. The larger of both counts, and of the ``sigma`` that may be declared.
+Measured ones are larger by their standard error, since the loop takes them as known. What else a
+gauge does not reproduce, such as bending that one gauge cannot tell from an axial wave, is not in
+it: that is a misfit, and looks like one.
 
 The first pass is measured too. Its noise is carried along with it and returns in every prediction,
 the same in all, and so does the error of the offset, which is the quiet stretch's mean. Rows of
@@ -18,28 +18,26 @@ its noise. Rows that are held out stay as they are, each by its own standard dev
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import minimize
 
 from ...solver.bristle import Array
 from .waves_propagation import Windows
 from .waves_record import Gauge, Waves
 
 Power = Callable[[Array], Array]
-ORDERS = 3
-REACH = 4.0
-"""Frequencies that tell of the noise, in units of the highest used."""
-LEAST_POINTS = 6
+ENOUGH_POINTS, LEAST_POINTS = 60, 8
+REACH = 8.0
+"""Frequencies that tell of the noise, in units of the highest used, where they are enough."""
 
 
 def quiet_power(data: Waves, gauge: Gauge, band_Hz: float) -> Power:
     """Mean square of a component of the noise at frequencies in Hz, in the unit squared.
 
-    Few samples tell it to within a factor: it is larger by what that adds to the mean of squares
-    over it, ν / (ν − 2) at ν degrees of freedom. Raises InputError where there is no noise at all.
+    Raises InputError where there is no noise at all.
     """
     least = 0.0 if data.sigma is None else data.sigma**2
     samples = gauge.signal[: data.quiet]
@@ -52,43 +50,34 @@ def quiet_power(data: Waves, gauge: Gauge, band_Hz: float) -> Power:
         return lambda frequency_Hz: np.full(np.shape(frequency_Hz), least)
     power = np.abs(np.fft.rfft(samples)[1:]) ** 2 / len(samples)
     frequency = np.arange(1, len(power) + 1) / (len(samples) * data.step_s)
-    used = frequency <= REACH * band_Hz
-    used[:LEAST_POINTS] = True
-    fitted, top = _whittle(frequency[used], power[used]), frequency[used].max()
-    bottom = frequency[0]
+    count = max(ENOUGH_POINTS, int(np.count_nonzero(frequency <= REACH * band_Hz)))
+    smooth = _smooth(frequency[:count], power[:count])
+    return lambda frequency_Hz: np.maximum(smooth(frequency_Hz), least)
+
+
+def _smooth(frequency: Array, power: Array) -> Power:
+    """A spectrum through a periodogram (points,), larger by its standard error.
+
+    Flat; or, where that is far likelier (twice Schwarz's penalty), level by level of bands that are
+    as wide as the frequencies below them.
+    """
+    ends = [len(power)]
+    while ends[0] // 2 >= LEAST_POINTS:
+        ends.insert(0, ends[0] // 2)
+    bands = np.split(np.arange(len(power)), ends[:-1])
+    several = np.array([power[band].mean() for band in bands])
+    sizes = np.array([len(band) for band in bands])
+    flat = power.mean()
+    # at the best level the ratios of power to it are one in the mean, whatever the bands
+    gain = len(power) * np.log(flat) - float(np.sum(sizes * np.log(np.maximum(several, 1e-300))))
+    if gain < (len(bands) - 1) * np.log(len(power)):
+        several, sizes = np.full(1, flat), np.array([len(power)])
+        bands = [np.arange(len(power))]
+    levels = several * (1.0 + np.sqrt(1.0 / sizes))
+    centres = np.array([np.log(frequency[band]).mean() for band in bands])
 
     def at(frequency_Hz: Array) -> Array:
-        return np.maximum(fitted(np.clip(frequency_Hz, bottom, top)), least)
-
-    return at
-
-
-def _whittle(frequency: Array, power: Array) -> Power:
-    """A smooth spectrum through a periodogram, larger by what its own uncertainty asks for."""
-    middle = np.log(frequency).mean()
-    best, chosen = np.inf, (np.array([np.log(power.mean())]), 1)
-    for order in range(ORDERS):
-        if len(power) < LEAST_POINTS * (order + 1):
-            break
-        terms = np.vander(np.log(frequency) - middle, order + 1, increasing=True)
-
-        def cost(c: Array, terms: Array = terms) -> tuple[float, Array]:
-            level = np.clip(terms @ c, -600.0, 600.0)
-            ratio = power * np.exp(-level)
-            return float(np.sum(level + ratio)), terms.T @ (1.0 - ratio)
-
-        start = np.zeros(order + 1)
-        start[0] = np.log(power.mean())
-        found = minimize(cost, start, jac=True, method="BFGS")
-        score = 2.0 * found.fun + 2.0 * (order + 1)
-        if score < best:
-            best, chosen = score, (found.x, order + 1)
-    coefficients, count = chosen
-    freedom = max(3.0, 2.0 * len(power) / count)
-
-    def at(frequency_Hz: Array) -> Array:
-        terms = np.vander(np.log(frequency_Hz) - middle, count, increasing=True)
-        return np.asarray(np.exp(terms @ coefficients) * freedom / (freedom - 2.0))
+        return np.asarray(np.interp(np.log(np.maximum(frequency_Hz, 1e-300)), centres, levels))
 
     return at
 
@@ -102,9 +91,9 @@ def apart_power(gauge: Gauge, windows: Windows) -> Power | None:
     power = np.concatenate([mean[:1], 0.5 * (mean[1::2] + mean[2::2])])
     # a bin is an estimate with few degrees of freedom: take neighbours along
     smooth = np.convolve(np.pad(power, 1, mode="edge"), np.full(3, 1 / 3), mode="valid")
-    freedom = 6.0 * len(windows.begins)
+    error = math.sqrt(1.0 / (3.0 * len(windows.begins)))
     frequency = np.arange(windows.bins) / (windows.samples * windows.step_s)
-    corrected = smooth * freedom / (freedom - 2.0)
+    corrected = smooth * (1.0 + error)
     return lambda frequency_Hz: np.interp(frequency_Hz, frequency, corrected)
 
 

@@ -2,8 +2,9 @@
 
 The phase of a late pass turns many times between one speed and another, so that a search from an
 arbitrary speed ends in the wrong period. The scan goes in steps of a fraction of a turn over speeds
-wider than a declared material allows, so that one that contradicts the record is noticed; its best
-is refined by least squares, the damping with it.
+wider than a declared material allows, so that one that contradicts the record is noticed. It looks
+at the frequencies that hold most of the pulse; its best is refined by least squares, the damping
+with it, first there and then at all frequencies.
 """
 
 from __future__ import annotations
@@ -15,11 +16,12 @@ from scipy.optimize import least_squares
 
 from ...solver.bristle import Array
 from ...solver.effects.base import Parameter
-from .waves_model import AT_ONCE, SPEEDS_M_S, WaveModel, material_declared
-from .waves_propagation import Windows
+from .waves_model import AT_ONCE, SPEEDS_M_S, WaveModel, material_declared, real_synthesis
+from .waves_propagation import Propagation, Windows
 
 TURN_RAD = 0.5
-MOST_SPEEDS = 4000
+MOST_SPEEDS, MOST_BINS = 4000, 200
+MOST = 0.9
 SCANNED = 0.3
 """Speeds looked at around a declared material's, relative."""
 BETAS_S = (1e-10, 1e-8, 1e-7, 1e-6)
@@ -39,32 +41,55 @@ class Start:
         return float(self.theta[[p.name for p in self.model.parameters].index(name)])
 
 
-def find_start(model: WaveModel, windows: Windows) -> Start:
-    """From a baseline ``model`` whose synthesis makes plain rows of ``windows`` in the unit."""
-    carried = model.propagation
+def find_start(carried: Propagation, baseline: tuple[Parameter, ...]) -> Start:
+    """From the ``baseline``'s parameters, and with all of what is predicted as one window."""
     data = carried.data
     declared = data.manifest.bristle.material.bar_speed_m_s
     low, high = SPEEDS_M_S
     if material_declared(data):
         low, high = (1 - SCANNED) * declared, (1 + SCANNED) * declared
-    wide = replace(model.baseline[0], low=low, high=high)
-    free = [wide, *(p for p in model.baseline[1:] if p.name != "beta_s")]
+    free = [replace(baseline[0], low=low, high=high)]
+    free += [each for each in baseline[1:] if each.name != "beta_s"]
     free.append(Parameter("beta_s", "s", 1e-12, 1e-4, 1e-8, logarithmic=True))
-    freed = replace(model, baseline=tuple(free), effects=("lateral_inertia",))
-    values = windows.components(data.predicted.signal)
-    time = data.predict_s[1] - data.first_pass_s[0]
-    fine = TURN_RAD / (2 * np.pi * carried.band_Hz * time)
+    coarse = replace(carried, band_Hz=_most_of_it(carried))
+    model, values = _as_one(coarse, tuple(free))
+    fine = TURN_RAD / (2 * np.pi * coarse.band_Hz * (data.predict_s[1] - data.first_pass_s[0]))
     count = int(np.clip(np.log(high / low) / fine, 50, MOST_SPEEDS))
-    usual = np.array([p.typical for p in freed.parameters])
     speed, beta = np.meshgrid(np.geomspace(low, high, count), BETAS_S)
-    points = np.tile(usual, (speed.size, 1))
+    points = np.tile([p.typical for p in model.parameters], (speed.size, 1))
     points[:, 0], points[:, len(free) - 1] = speed.ravel(), beta.ravel()
     if any(p.name == "gauge_offset_m" for p in free):
         points[:, 1] = 0.0
     cost = np.concatenate(
-        [_alike(freed, points[i : i + AT_ONCE], values) for i in range(0, len(points), AT_ONCE)]
+        [_alike(model, points[i : i + AT_ONCE], values) for i in range(0, len(points), AT_ONCE)]
     )
-    return Start(freed, _refined(freed, points[int(np.argmin(cost))], values))
+    near = _refined(model, points[int(np.argmin(cost))], values)
+    model, values = _as_one(carried, tuple(free))
+    return Start(model, _refined(model, near, values))
+
+
+def _most_of_it(carried: Propagation) -> float:
+    """The frequency in Hz below which `MOST` of the first pass's energy lies."""
+    begin, end = (carried.data.index(each) for each in carried.data.first_pass_s)
+    padded = 8 * (end - begin)
+    power = np.abs(np.fft.rfft(carried.data.gauge.signal[begin:end], padded)) ** 2
+    frequency = np.fft.rfftfreq(padded, carried.data.step_s)
+    power[frequency > carried.band_Hz] = 0.0
+    below = int(np.searchsorted(np.cumsum(power), MOST * power.sum()))
+    return float(np.clip(frequency[below], min(1.0 / (end - begin) / carried.data.step_s,
+                                               carried.band_Hz), carried.band_Hz))  # fmt: skip
+
+
+def _as_one(carried: Propagation, baseline: tuple[Parameter, ...]) -> tuple[WaveModel, Array]:
+    """The model with lateral inertia, with all of what is predicted as one window, and the record's
+    rows in the unit."""
+    data = carried.data
+    begin, end = (data.index(each) for each in data.predict_s)
+    bins = int(carried.band_Hz * (end - begin) * data.step_s) + 1
+    windows = Windows((begin,), end - begin, max(3, min(bins, MOST_BINS)), data.step_s)
+    rows = real_synthesis(carried.synthesis(windows))
+    model = WaveModel(carried, baseline, rows, ("lateral_inertia",))
+    return model, windows.components(data.predicted.signal)
 
 
 def _alike(model: WaveModel, points: Array, values: Array) -> Array:
