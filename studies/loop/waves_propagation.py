@@ -3,7 +3,8 @@
 The record at a gauge is a linear superposition: the first pass f and all of its reflections, which
 may overlap with each other and with f itself. What the first window holds is r = f + g ∗ f, g the
 reflections; since f ends with its window and every reflection comes later than what it reflects,
-f = r − g ∗ f, cut to the window, is solved exactly in as many turns as reflections fit into it.
+f = r − g ∗ f, cut to the window, is solved in as many turns as reflections fit into it, and a few
+more, since signals of a limited band have no sharp ends.
 
 Signals are damped by exp(−εt) before they are transformed and undamped afterwards, that is, the
 frequencies have a negative imaginary part ε. So the reflections sum up in closed form and what
@@ -27,12 +28,13 @@ from ...solver.bristle import Array
 from .rod import Complex, Rod
 from .waves_record import Waves
 
-BEYOND = 3.0
+BEYOND = 2.0
 """Frequencies that are carried, in units of the highest used: windows mix neighbours."""
-PERIOD = 1.25
+PERIOD = 2.2
 """The transform's period over the time from the first pass to the end."""
-DAMPING = 13.0
+DAMPING = 12.0
 """By what power of e signals are damped over one period."""
+MORE_TURNS = 3
 MOST_TURNS = 40
 """Reflections within the first pass beyond which its noise would be summed up too often."""
 
@@ -158,7 +160,7 @@ class Propagation:
         """Spectra (..., frequencies) of the first pass, freed from ``after`` (..., frequencies),
         its reflections, that overlap with it in the first window."""
         pass_alone = driving
-        for _ in range(turns):
+        for _ in range(turns + MORE_TURNS if turns else 0):
             pass_alone = driving - self.first_window(after * pass_alone)
         return pass_alone
 
