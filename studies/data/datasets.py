@@ -48,7 +48,10 @@ NUMBER_KEYS = {
 }
 KN_N_M, FRICTION = (1.0, limits.KN_N_M), (0.0, 100.0)
 MOST_LETTERS = 1000
-WAVE_KEYS = ("signal", "gauge_x_m", "unit", "baseline_until_s", "first_pass_s", "predict_s")
+WAVE_KEYS = (
+    *("signal", "gauge_x_m", "signal_2", "gauge_2_x_m", "unit", "sigma"),
+    *("baseline_until_s", "first_pass_s", "predict_s"),
+)
 MEASUREMENT_KEYS = ("file", *NUMBER_KEYS, *WAVE_KEYS)
 
 
@@ -70,6 +73,11 @@ class Manifest:
     kn_N_m: float | None
     measurement: Mapping[str, Any]
     friction: float | None = None
+
+    @property
+    def damping_declared(self) -> bool:
+        """Whether the body's damping is known; without any ``[body]`` it is the paper's bristle."""
+        return not self.declared or "damping_beta_s" in self.declared
 
     @property
     def gravity_m_s2(self) -> float:
