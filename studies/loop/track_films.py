@@ -1,4 +1,4 @@
-"""The films of a dataset as tracks: which can be used, in which unit, with what noise of a frame."""
+"""The films of a dataset as tracks: which can be used, in which unit, and how frames scatter."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 
 from ...solver.bristle import Array
 from ...solver.errors import InputError
-from .track_flight import heights, rises_of
-from .track_rows import Film, Track, reduced
+from .track_flight import BOUNCE, HEAD, heights, rises_of
+from .track_rows import FEATURES, LOOSE, Film, Track, names_of, reduced
 from .track_scale import pixel_m, turned
-from .track_search import phases, track
+from .track_search import phases, settled_about, track
 from .tracks_record import LEAST_FILMS, Tracks
 
 FASTER_FPS, FASTER = 250.0, 4.0
@@ -22,6 +22,9 @@ MOST_OFF_M = 5e-3
 BEYOND_CHANCE = 4.0
 """Standard errors beyond which the scatter of frames is another than declared."""
 MOST_BOUNCES = 8
+NEAR = 0.03
+"""How near, as a share of `LOOSE`, the features of one film are to those of all where films agree:
+what they tell together is about as sure."""
 
 
 @dataclass(frozen=True)
@@ -77,8 +80,9 @@ def filmed(data: Tracks) -> Filmed:
     wider = 1.0
     if declared and abs(scatter - 1.0) > BEYOND_CHANCE * np.sqrt(2.0 / count):
         warnings.append(
-            f"frames scatter about their own parabolas by {np.sqrt(scatter):.2f} times the declared "
-            "uncertainty" + (", and are taken to be as uncertain as that" if scatter > 1.0 else "")
+            f"frames scatter about their own parabolas by {np.sqrt(scatter):.2f} times the "
+            "declared uncertainty"
+            + (", and are taken to be as uncertain as that" if scatter > 1.0 else "")
         )
         wider = max(scatter, 1.0)
     if memory > BEYOND_CHANCE / np.sqrt(count):
@@ -88,10 +92,11 @@ def filmed(data: Tracks) -> Filmed:
         )
         wider *= (1.0 + memory) / (1.0 - memory)
     good = [i for i, each in enumerate(found) if each is not None]
-    tracks = [_widened(each, np.sqrt(wider)) for each in found if each is not None]
+    films = [films[i] for i in good]
+    tracks = together(films, [each for each in found if each is not None])
     return Filmed(
-        films=[films[i] for i in good],
-        tracks=tracks,
+        films=films,
+        tracks=[_widened(each, np.sqrt(wider)) for each in tracks],
         number=data.drop[data.begins[:-1]][good],
         pixel_m=pixel,
         floor_known=known,
@@ -100,6 +105,47 @@ def filmed(data: Tracks) -> Filmed:
         warnings=tuple(warnings),
         left_aside=_left_aside(data, found, bounces),
     )
+
+
+def together(films: Sequence[Film], tracks: Sequence[Track]) -> list[Track]:
+    """The films' tracks once more, about the features that all films together tell."""
+    g = films[0].gravity_m_s2
+    size = np.array([each.weights.shape[1] // len(FEATURES) for each in tracks])
+    speed = np.concatenate([each.speed_m_s for each in tracks])
+    begins = np.cumsum(size) - size
+    # features (drops, 7) by what is common (z, h, b, k, a, d), and by each drop's own r
+    common = np.zeros((len(speed), len(FEATURES), 6 + len(speed)))
+    for place, k in (("z", 0), ("h", 1), ("b", 2), ("a", 4), ("d", 5)):
+        common[:, FEATURES.index(place), k] = 1.0
+    common[:, FEATURES.index("u"), 3] = speed**2 / g
+    common[:, FEATURES.index("h"), 3] = 0.5 * speed**2 / g
+    common[np.arange(len(speed)), FEATURES.index("r"), 6 + np.arange(len(speed))] = 1.0
+    usual = np.array([LOOSE[n] for n in "zhb"] + [LOOSE["u"] * g / np.max(speed) ** 2])
+    usual = np.concatenate([usual, [LOOSE["a"], LOOSE["d"]], np.full(len(speed), 10.0)])
+    values = np.concatenate([each.values for each in tracks])
+    design = np.concatenate(
+        [
+            each.weights @ common[i : i + n].reshape(-1, common.shape[2])
+            for each, i, n in zip(tracks, begins, size, strict=True)
+        ]
+    )
+    stacked = np.vstack([design, np.diag(1.0 / usual)])
+    said = np.linalg.lstsq(stacked, np.concatenate([values, np.zeros(len(usual))]), rcond=None)[0]
+    left = values - design @ said
+    apart = max(float(left @ left) / max(len(values) - len(usual), 1), 1.0)
+    features = common @ said
+    again = []
+    for film, each, i in zip(films, tracks, begins, strict=True):
+        centre, loose = each.p.copy(), np.full(len(each.p), np.inf)
+        for k, name in enumerate(names_of(each.p)):
+            if name in FEATURES and name != "r" and (name != "z" or film.floor_known):
+                drop = i + max(k - len(HEAD), 0) // len(BOUNCE)
+                centre[k] = features[drop, FEATURES.index(name)]
+                loose[k] = min(NEAR * np.sqrt(apart), 1.0) * LOOSE[name]
+        if not each.bounces:
+            loose[2] = np.inf
+        again.append(settled_about(film, each, centre, loose))
+    return again
 
 
 def faster(film: Film, found: Track) -> Track:
@@ -136,8 +182,9 @@ def _in_metres(data: Tracks) -> tuple[float | None, list[Film]]:
     scale = pixel_m(films)
     if scale is None:
         raise InputError(
-            f"{data.manifest.table()}:{data.line[0]}: no gravity can be seen that half of the films "
-            "share, so y_px has no scale; is t_s in s, and are there five frames or more in a fall?"
+            f"{data.manifest.table()}:{data.line[0]}: no gravity can be seen that half of the "
+            "films share, so y_px has no scale; is t_s in s, and are there five frames or more in "
+            "a fall?"
         )
     pixel, sign = scale
     of_mm = None if data.sigma_y_m is None else data.sigma_y_m / pixel
@@ -195,8 +242,8 @@ def _refusal(data: Tracks, films: Sequence[Film], found: Sequence[Track | None])
         over = [track(turned(film, -1), 1) for film in films]
         if _usable(over) >= LEAST_FILMS > _usable(found):
             return InputError(
-                f"{data.manifest.table()}:{data.line[first]}: y_mm falls as the body rises; heights "
-                "must count upward from the surface"
+                f"{data.manifest.table()}:{data.line[first]}: y_mm falls as the body rises; "
+                "heights must count upward from the surface"
             )
     unit = "y_px" if data.in_pixels else "y_mm"
     return InputError(

@@ -91,13 +91,13 @@ def names_of(p: Array) -> tuple[str, ...]:
 
 def is_free(film: Film, p: Array, held: bool) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
     """Which numbers of a track are nuisances, and which features (both (numbers,))."""
-    names = names_of(p)
     bounces = len(p) > len(HEAD)
-    nuisances = ["t", "v"] if bounces else ["v", "z"]
-    if not film.floor_known and bounces:
-        nuisances.append("z")
-    fixed = {"t", *nuisances} | (set() if held else {"h"})
-    return np.isin(names, nuisances), ~np.isin(names, list(fixed))
+    nuisances = np.zeros(len(p), dtype=bool)
+    nuisances[:3] = bounces, True, not (film.floor_known and bounces)
+    features = ~nuisances
+    features[0] = False
+    features[3] = held
+    return nuisances, features
 
 
 def deviation(film: Film, slopes: Array) -> Array:
@@ -131,7 +131,7 @@ def reduced(film: Film, p: Array, phase: Phases, held: bool) -> Track:
             drop.append(max(k - len(HEAD), 0) // len(BOUNCE))
             known.append(size)
     every = np.array(basis)
-    rows = every[n:]
+    rows = every[n:].reshape(-1, len(t))
     of_rows = rows @ (slopes * features)
     beyond = left - every.T @ (every @ left)
     rises = rises_of(p, g)
@@ -158,4 +158,4 @@ def _by_drop(weights: Array) -> Array:
     out[:, 0, :4] = weights[:, 2:6]
     if n:
         out[:, :, 4:] = weights[:, 6:].reshape(len(weights), n, len(BOUNCE))
-    return out.reshape(len(weights), -1)
+    return out.reshape(len(weights), max(n, 1) * len(FEATURES))

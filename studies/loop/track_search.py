@@ -42,6 +42,8 @@ frames that pass that in less time may be on either side of an impact, and are n
 CAP = 25.0
 OUTLYING = 5.0
 """Frames farther than that from the best track, in deviations, are mistaken marks."""
+CLEAR = 3.0
+"""Squares a frame below which a track with three frames of a rise is held against no fall alone."""
 TURNS = 40
 LEAST_HELD = 3
 LEAST_FRAMES = 5
@@ -68,6 +70,11 @@ class Guess:
     floor_m: float
     gravity_m_s2: float
 
+    @property
+    def ratio(self) -> float:
+        """Of the squares of the speeds."""
+        return (self.after_m_s / self.before_m_s) ** 2
+
 
 def track(film: Film, bounces: int) -> Track | None:
     """The best track of a film, of at most so many bounces; none where it shows a fall alone.
@@ -80,7 +87,9 @@ def track(film: Film, bounces: int) -> Track | None:
     for other in found[1:]:
         if other.cost < found[0].cost + RIVAL and abs(other.p[0] - found[0].p[0]) > APART_S:
             return None
-    alone = _fall_alone(film)
+    clear = bool(found) and found[0].cost < CLEAR * len(film.t_s)
+    clear = clear and (found[0].phase >= RISE).sum() >= LEAST_HELD
+    alone = None if clear else _fall_alone(film)
     if alone and (not found or alone.cost < found[0].cost):
         best = alone
     elif found:
@@ -174,22 +183,27 @@ def _mistaken(film: Film, p: Array, held: bool) -> NDArray[np.bool_]:
     return used & (left > OUTLYING * np.hypot(sigma, film.sigma_t_s * speed))
 
 
-def _least(film: Film, p: Array, phase: Phases, held: bool) -> Array:
+def _prior(film: Film, p: Array) -> tuple[Array, Array]:
+    """Where the numbers of a track are looked for, and one over how far from there."""
+    usual, tight = np.zeros(len(p)), np.zeros(len(p))
+    for k, name in enumerate(names_of(p)):
+        tight[k] = 1.0 / LOOSE[name] if name in LOOSE else 0.0
+    usual[2], usual[len(HEAD) :: 3] = film.floor_m, 0.5
+    tight[2] = 1.0 / film.floor_loose_m if len(p) > len(HEAD) else 0.0
+    tight[len(HEAD) :: 3] = 0.1
+    return usual, tight
+
+
+def _least(
+    film: Film, p: Array, phase: Phases, held: bool, prior: tuple[Array, Array] | None = None
+) -> Array:
     """The track of least squares over the frames used, by Levenberg's and Marquardt's way."""
     used = phase != UNUSED
     t, y, part, g = film.t_s[used], film.y_m[used], phase[used], film.gravity_m_s2
     nuisances, features = is_free(film, p, held)
     free = np.flatnonzero(nuisances | features)
-    names = names_of(p)
-    loose = np.array([1.0 / LOOSE.get(names[k], np.inf) for k in free])
-    if len(p) > len(HEAD):
-        loose[[names[k] == "z" for k in free]] = 1.0 / film.floor_loose_m
-    else:
-        loose[[names[k] == "z" for k in free]] = 0.0
-    usual = np.zeros(len(p))
-    usual[2] = film.floor_m
-    usual[len(HEAD) :: 3] = 0.5
-    loose[[names[k] == "r" for k in free]] = 0.1
+    usual, tight = _prior(film, p) if prior is None else prior
+    loose = tight[free]
     sigma = deviation(film, derivatives(p, t, part, g, steps_of(p)))
 
     def left(q: Array) -> Array:
@@ -203,7 +217,9 @@ def _least(film: Film, p: Array, phase: Phases, held: bool) -> Array:
         gained = 0.0
         while damping < 1e8 and not gained:
             new = p.copy()
-            new[free] += np.linalg.solve(normal + damping * np.diag(np.diag(normal)), push)
+            sizes = np.diag(normal)
+            ridge = np.diag(damping * sizes + 1e-14 * sizes.max())
+            new[free] += np.linalg.solve(normal + ridge, push)
             new[1] = max(new[1], 0.2 * p[1])
             new[len(HEAD) :: 3] = np.maximum(new[len(HEAD) :: 3], 0.2 * p[len(HEAD) :: 3])
             after = left(new)
@@ -215,6 +231,20 @@ def _least(film: Film, p: Array, phase: Phases, held: bool) -> Array:
         if gained < 1e-4:
             break
     return p
+
+
+def settled_about(film: Film, found: Track, usual: Array, loose: Array) -> Track:
+    """A film's rows at the track that fits best near features ``usual`` (numbers,), from which it
+    is as far as ``loose`` (numbers,) says; instants, speeds and ratios are free.
+
+    Of the features that a film hardly tells, its own best track has them wrong by so much that rows
+    of the others, linear there, are off; those that films tell together are nearer.
+    """
+    p = np.where(np.isfinite(loose), usual, found.p)
+    phase = found.phase
+    for _ in range(2):
+        p = _least(film, p, phase, found.held, (usual, 1.0 / loose))
+    return replace(reduced(film, p, phase, found.held), mistaken=found.mistaken)
 
 
 def _cost(film: Film, p: Array, held: bool) -> float:
@@ -293,11 +323,8 @@ def _starts(film: Film) -> list[Array]:
             break
     g = film.gravity_m_s2
     return [
-        np.array(
-            [each.t_s, each.before_m_s, each.floor_m, 0.0, np.log(each.gravity_m_s2 / g), 0.0]
-            + [(each.after_m_s / each.before_m_s) ** 2, np.log(each.gravity_m_s2 / g), 0.0]
-        )
-        for each in chosen
+        np.array([each.t_s, each.before_m_s, each.floor_m, 0.0, b, 0.0, each.ratio, b, 0.0])
+        for each, b in ((each, np.log(each.gravity_m_s2 / g)) for each in chosen)
     ]
 
 
@@ -446,14 +473,11 @@ def _fitted(
 def _fall_alone(film: Film) -> Settled | None:
     """The best track without an impact: held, perhaps, and then a parabola up to the last frame."""
     t, y, g = film.t_s, film.y_m, film.gravity_m_s2
-    spread = float(np.ptp(t))
-    best: tuple[float, Array] | None = None
-    for release in np.linspace(t[0] - 3.0 * spread, t[-1] - 0.02, 120):
-        since = np.maximum(t - release, 0.0)
-        level = float(np.mean(y + 0.5 * g * since**2))
-        left = y - level + 0.5 * g * since**2
-        if best is None or left @ left < best[0]:
-            v = g * float(since[-1])
-            p = np.array([t[-1], v, level - 0.5 * v * v / g, 0.0, 0.0, 0.0])
-            best = (float(left @ left), p)
-    return None if best is None else _settled(replace(film, floor_known=True), best[1], 0)
+    release = np.linspace(4.0 * t[0] - 3.0 * t[-1], t[-1] - 0.02, 120)
+    fallen = 0.5 * g * np.maximum(t - release[:, None], 0.0) ** 2
+    left = y + fallen
+    level = left.mean(axis=1)
+    best = int(np.argmin(((left - level[:, None]) ** 2).sum(axis=1)))
+    v = g * max(float(t[-1] - release[best]), 0.0)
+    p = np.array([t[-1], v, level[best] - fallen[best, -1], 0.0, 0.0, 0.0])
+    return _settled(film, p, 0)
