@@ -73,7 +73,8 @@ def path(t_s, height_m, rises, *, release_s=0.0, speed_m_s=0.0, drag_1_m=0.0):
         found = solve_ivp(moves, span, [level, speed], "DOP853", None, True, lands, rtol=1e-10)
         end = float(found.t[-1])
         on = (t_s >= begin) & (t_s < end)
-        y[on] = found.sol(t_s[on])[0]
+        if on.any():
+            y[on] = found.sol(t_s[on])[0]
         begin, level = end + touching, 1e-12
         speed, gravity = -math.sqrt(ratio) * float(found.y[1, -1]), after
         if ratio <= 1e-4:
@@ -90,9 +91,7 @@ def film(scene, rng, fps=25.0, sigma_m=5e-4, seconds=0.7):
     fallen = scene.height_m + scene.release_speed_m_s**2 / (2 * GRAVITY)
     rises = [(y1 * lighter / (fallen * GRAVITY), lighter, touching)]
     rises += 6 * [(y1 / fallen, lighter, touching)]
-    y = path(
-        true_s, scene.height_m, rises, release_s=release, speed_m_s=scene.release_speed_m_s
-    )
+    y = path(true_s, scene.height_m, rises, release_s=release, speed_m_s=scene.release_speed_m_s)
     seen = scene.y_scale * (y + scene.y_offset_m) + sigma_m * rng.standard_normal(y.size)
     return scene.t_scale * true_s, seen, scene.t_scale * release, y1
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from ...solver.bristle import Array
 from ...solver.errors import InputError
-from .track_flight import BOUNCE, HEAD, heights, rises_of
+from .track_flight import BOUNCE, HEAD, heightened, heights, rises_of
 from .track_rows import FEATURES, LOOSE, Film, Track, names_of, reduced
 from .track_scale import pixel_m, turned
 from .track_search import phases, settled_about, track
@@ -108,44 +108,55 @@ def filmed(data: Tracks) -> Filmed:
 
 
 def together(films: Sequence[Film], tracks: Sequence[Track]) -> list[Track]:
-    """The films' tracks once more, about the features that all films together tell."""
+    """The films' tracks once more, about the features that all films together tell.
+
+    Common to all are z, h, b, a, d and drag over mass, which adds to h; each drop has its own r.
+    """
     g = films[0].gravity_m_s2
-    size = np.array([each.weights.shape[1] // len(FEATURES) for each in tracks])
     speed = np.concatenate([each.speed_m_s for each in tracks])
-    begins = np.cumsum(size) - size
-    # features (drops, 7) by what is common (z, h, b, k, a, d), and by each drop's own r
-    common = np.zeros((len(speed), len(FEATURES), 6 + len(speed)))
-    for place, k in (("z", 0), ("h", 1), ("b", 2), ("a", 4), ("d", 5)):
-        common[:, FEATURES.index(place), k] = 1.0
-    common[:, FEATURES.index("u"), 3] = speed**2 / g
-    common[:, FEATURES.index("h"), 3] = 0.5 * speed**2 / g
-    common[np.arange(len(speed)), FEATURES.index("r"), 6 + np.arange(len(speed))] = 1.0
-    usual = np.array([LOOSE[n] for n in "zhb"] + [LOOSE["u"] * g / np.max(speed) ** 2])
-    usual = np.concatenate([usual, [LOOSE["a"], LOOSE["d"]], np.full(len(speed), 10.0)])
-    values = np.concatenate([each.values for each in tracks])
-    design = np.concatenate(
-        [
-            each.weights @ common[i : i + n].reshape(-1, common.shape[2])
-            for each, i, n in zip(tracks, begins, size, strict=True)
-        ]
-    )
-    stacked = np.vstack([design, np.diag(1.0 / usual)])
-    said = np.linalg.lstsq(stacked, np.concatenate([values, np.zeros(len(usual))]), rcond=None)[0]
-    left = values - design @ said
-    apart = max(float(left @ left) / max(len(values) - len(usual), 1), 1.0)
-    features = common @ said
-    again = []
-    for film, each, i in zip(films, tracks, begins, strict=True):
+    features, apart = _common_features(tracks, speed**2 / g)
+    again, i = [], 0
+    for film, each in zip(films, tracks, strict=True):
         centre, loose = each.p.copy(), np.full(len(each.p), np.inf)
         for k, name in enumerate(names_of(each.p)):
-            if name in FEATURES and name != "r" and (name != "z" or film.floor_known):
+            told = name == "z" and not (film.floor_known and each.bounces)
+            if name in LOOSE and name != "r" and not told:
                 drop = i + max(k - len(HEAD), 0) // len(BOUNCE)
                 centre[k] = features[drop, FEATURES.index(name)]
-                loose[k] = min(NEAR * np.sqrt(apart), 1.0) * LOOSE[name]
-        if not each.bounces:
-            loose[2] = np.inf
+                loose[k] = min(NEAR * apart, 1.0) * LOOSE[name]
         again.append(settled_about(film, each, centre, loose))
+        i += len(each.speed_m_s)
     return again
+
+
+def _common_features(tracks: Sequence[Track], per_drag_m: Array) -> tuple[Array, float]:
+    """Features (drops, 7) by least squares over all rows, ``per_drag_m`` (drops,) being u over drag
+    over mass; and by how much, over its noise, the rows leave them."""
+    drops = len(per_drag_m)
+    loose = np.array([LOOSE[name] for name in "zhbad"] + [LOOSE["u"] / per_drag_m.max()])
+    tight = np.diag(1.0 / np.concatenate([loose, np.full(drops, 10.0)]))
+    by = np.zeros((drops, len(FEATURES), 6 + drops))
+    for k, name in enumerate("zhbad"):
+        by[:, FEATURES.index(name), k] = 1.0
+    by[:, FEATURES.index("u"), 5] = per_drag_m
+    by[np.arange(drops), FEATURES.index("r"), 6 + np.arange(drops)] = 1.0
+    values = np.concatenate([each.values for each in tracks])
+    bent: Array = np.full(drops, 0.5)
+    said: Array = np.zeros(6 + drops)
+    for _ in range(3):
+        by[:, FEATURES.index("h"), 5] = bent * per_drag_m
+        parts, i = [], 0
+        for each in tracks:
+            n = len(each.speed_m_s)
+            parts.append(each.weights @ by[i : i + n].reshape(-1, 6 + drops))
+            i += n
+        design = np.vstack([*parts, tight])
+        said = np.linalg.lstsq(design, np.pad(values, (0, len(tight))), rcond=None)[0]
+        drag = by[:, FEATURES.index("u")] @ said
+        bent = np.array([(heightened(u) - 1.0) / u if abs(u) > 1e-6 else 0.5 for u in drag])
+    left = values - design[: len(values)] @ said
+    apart = float(left @ left) / max(len(values) - len(said), 1)
+    return by @ said, float(np.sqrt(max(apart, 1.0)))
 
 
 def faster(film: Film, found: Track) -> Track:
@@ -183,8 +194,8 @@ def _in_metres(data: Tracks) -> tuple[float | None, list[Film]]:
     if scale is None:
         raise InputError(
             f"{data.manifest.table()}:{data.line[0]}: no gravity can be seen that half of the "
-            "films share, so y_px has no scale; is t_s in s, and are there five frames or more in "
-            "a fall?"
+            "films share, so y_px has no scale; is t_s in s, and are there three frames or more "
+            "in a fall?"
         )
     pixel, sign = scale
     of_mm = None if data.sigma_y_m is None else data.sigma_y_m / pixel

@@ -119,7 +119,8 @@ def reduced(film: Film, p: Array, phase: Phases, held: bool) -> Track:
     basis = list(frame.T)
     n = len(basis)
     leading, drop, known = [], [], []
-    for k in sorted(np.flatnonzero(features), key=lambda k: (ORDER.index(names[k]), k)):
+    told = [k for k in range(len(p)) if features[k]]
+    for k in sorted(told, key=lambda k: (ORDER.index(names[k]), k)):
         column = slopes[:, k]
         for _ in range(2):  # once more against rounding
             made = np.array(basis)

@@ -7,15 +7,15 @@ from dataclasses import replace
 
 import numpy as np
 
+from .track_guesses import guesses
 from .track_rows import Film
-from .track_search import guesses
 
 STEP = 1.5
 """Ratio of the gravities that are tried in turn."""
 LOOSE = 0.4
-LEAST_STEPS = 5.0
-"""Frames that the fall from the greatest height has at least: gravity is seen in no fewer."""
-FEW = 8
+LEAST_STEPS = 3.0
+"""Frames that the fall from the greatest height has at least: in fewer no gravity is seen."""
+FEW = 4
 """So many films tell which way pixels count."""
 AGREEING = 0.15
 
@@ -26,11 +26,15 @@ def pixel_m(films: Sequence[Film]) -> tuple[float, int] | None:
     ``films`` have pixels for metres and an uncertainty in pixels. None where fewer than half of
     them agree on a gravity.
     """
-    few = films[:: max(len(films) // FEW, 1)]
-    costs = [sum(_seen(turned(film, sign))[0] for film in few) for sign in (1, -1)]
-    sign = 1 if costs[0] <= costs[1] else -1
-    seen = np.array([_seen(turned(film, sign))[1] for film in films])
-    middle = float(np.nanmedian(seen)) if np.isfinite(seen).any() else np.nan
+    few = films[:: -(-len(films) // FEW)]
+    best = [[_seen(turned(film, sign)) for film in few] for sign in (1, -1)]
+    costs = [sum(cost for cost, _ in each) for each in best]
+    sign, of_few = (1, best[0]) if costs[0] <= costs[1] else (-1, best[1])
+    about = float(np.nanmedian([gravity for _, gravity in of_few]))
+    if not np.isfinite(about):
+        return None
+    seen = np.array([_seen(turned(film, sign), about)[1] for film in films])
+    middle = float(np.nanmedian(seen))
     agree = np.abs(np.log(seen / middle)) < AGREEING
     if agree.sum() < max(0.5 * len(films), 2):
         return None
@@ -46,21 +50,18 @@ def turned(film: Film, sign: int) -> Film:
     )
 
 
-def _seen(film: Film) -> tuple[float, float]:
+def _seen(film: Film, about: float | None = None) -> tuple[float, float]:
     """What the best pair of parabolas costs a frame, and its gravity in pixels per s²."""
     high, frame = float(np.ptp(film.y_m)), float(np.median(np.diff(film.t_s)))
-    best = (25.0, np.nan)
     if high <= 0.0:
-        return best
-    best = min(best, _alone(film, high))
-    gravity = 2.0 * high / (LEAST_STEPS * frame) ** 2
-    slowest = 0.5 * high / float(np.ptp(film.t_s)) ** 2
-    while gravity > slowest:
-        for each in guesses(film, gravity, LOOSE)[:1]:
-            cost = each.cost / len(film.t_s)
-            if cost < best[0]:
-                best = (cost, each.gravity_m_s2)
-        gravity /= STEP
+        return 25.0, np.nan
+    most = 2.0 * high / (LEAST_STEPS * frame) ** 2
+    slowest = high / float(np.ptp(film.t_s)) ** 2
+    tried = np.geomspace(most, slowest, max(int(np.log(most / slowest) / np.log(STEP)), 2))
+    best = _alone(film, high)
+    for gravity in tried if about is None else (about,):
+        for each in guesses(film, gravity, LOOSE, lowest=True)[:1]:
+            best = min(best, (each.cost / len(film.t_s), each.gravity_m_s2))
     return best
 
 

@@ -1,13 +1,12 @@
-"""Which frames of a film show the body held, falling and rising, and the track that fits them best.
+"""The track that fits a film best, and which of its frames show the body held, falling and rising.
 
-Where the first impact is, is looked for by trying instants of it: with one given, two parabolas of
-one gravity that meet at the surface are fitted, before which the body may be held and after which
-it bounces on by the same ratio. The best few are then fitted as tracks of `track_flight`, and held
-against a fall without any impact.
+Tracks of `track_flight` are fitted from the best few pairs of parabolas that `track_guesses` finds,
+and held against a fall without any impact.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -16,6 +15,7 @@ from numpy.typing import NDArray
 from ...solver.bristle import Array
 from ...solver.compiled import njit
 from .track_flight import (
+    BOUNCE,
     FALL,
     HEAD,
     HELD,
@@ -28,6 +28,7 @@ from .track_flight import (
     rises_of,
     steps_of,
 )
+from .track_guesses import CAP, LATER, LEAST_FRAMES, Guess, guesses
 from .track_rows import LOOSE, Film, Track, deviation, is_free, names_of, reduced
 
 RIVAL = 8.0
@@ -39,41 +40,19 @@ NEAR_IMPACT_S = 1e-3
 ZERO_M, ZERO_SHARE = 2e-3, 0.1
 """How far the surface may lie from where it seems, in m and as a share of the fall's height:
 frames that pass that in less time may be on either side of an impact, and are not used."""
-CAP = 25.0
 OUTLYING = 5.0
 """Frames farther than that from the best track, in deviations, are mistaken marks."""
 CLEAR = 3.0
 """Squares a frame below which a track with three frames of a rise is held against no fall alone."""
 TURNS = 40
 LEAST_HELD = 3
-LEAST_FRAMES = 5
-SHORT_FRAMES = 8
-"""With fewer frames in the fall from a film's greatest height an impact may be between any two."""
-RATIOS = (0.15, 0.4, 0.65, 0.9)
 LARGEST_SHARE = 0.1
 """Of the heights' range: what strays farther from its best track is no flight."""
-LATER = 0.2
-"""Weight of the frames after the second impact, whose bounces are guessed by the first."""
 LEAST_RATIO = 0.01
 """Of the squares of speeds: with less the body stays."""
-LOOSE_GRAVITY = 0.2
-
-
-@dataclass(frozen=True)
-class Guess:
-    """Two parabolas: instant of the impact, speeds before and after, surface, gravity."""
-
-    cost: float
-    t_s: float
-    before_m_s: float
-    after_m_s: float
-    floor_m: float
-    gravity_m_s2: float
-
-    @property
-    def ratio(self) -> float:
-        """Of the squares of the speeds."""
-        return (self.after_m_s / self.before_m_s) ** 2
+LOOSE_GRAVITY, MOST_GRAVITY = 0.2, 0.8
+"""How far gravity may seem to be from what it is, as a share when it is looked for; and its
+logarithm: more is a wrong unit."""
 
 
 def track(film: Film, bounces: int) -> Track | None:
@@ -100,7 +79,7 @@ def track(film: Film, bounces: int) -> Track | None:
     result = replace(result, mistaken=best.mistaken)
     rms = film.sigma_y_m * np.sqrt(result.misfit / max(result.freedom, 1))
     strays = rms > LARGEST_SHARE * np.ptp(film.y_m)
-    return None if strays or not len(result.values) or result.freedom < 0 else result
+    return None if strays or not len(result.values) or result.freedom < 1 else result
 
 
 @dataclass(frozen=True)
@@ -127,7 +106,7 @@ def phases(film: Film, p: Array) -> tuple[Phases, bool]:
     phase[t < end] = FALL
     before = t < top_s - NEAR_RELEASE_S
     level = np.median(film.y_m[before]) if before.any() else top_m
-    early = NEAR_RELEASE_S + np.sqrt(2.0 * max(top_m - level, 0.0) / falling)
+    early = NEAR_RELEASE_S + math.sqrt(2.0 * max(top_m - float(level), 0.0) / falling)
     # thrown up in view, the parabola has its highest point in the film
     drop = top_m - 0.5 * falling * (t[0] - top_s) ** 2
     thrown = before.sum() >= LEAST_HELD and abs(film.y_m[0] - drop) < abs(film.y_m[0] - top_m)
@@ -137,7 +116,8 @@ def phases(film: Film, p: Array) -> tuple[Phases, bool]:
         if (t < top_s - early).sum() >= LEAST_HELD or t[0] < top_s - early - 0.02:
             phase[t < top_s - early] = HELD
             held = True
-    for j, (_, launch, _, _, _, before_m_s, again) in enumerate(rises):
+    for j in range(len(rises)):
+        launch, before_m_s, again = rises[j, 1], rises[j, 5], rises[j, 6]
         near = _near(film, before_m_s)
         ratio = max(p[len(HEAD) + 3 * j], LEAST_RATIO)
         back = near / np.sqrt(ratio) + 0.01 * (again - launch)
@@ -154,7 +134,7 @@ def _near(film: Film, speed_m_s: float) -> float:
 
 def _settled(film: Film, p: Array, least_rise: int) -> Settled | None:
     """The best track near ``p``; None where it leaves what a film can show."""
-    mistaken = np.zeros(len(film.t_s), dtype=bool)
+    mistaken: NDArray[np.bool_] = np.zeros(len(film.t_s), dtype=bool)
     for turn in range(4):
         phase, held = phases(film, p)
         phase[mistaken] = UNUSED
@@ -166,7 +146,9 @@ def _settled(film: Film, p: Array, least_rise: int) -> Settled | None:
         if not (phase == FALL).any() and not (held and rises):
             return None
         p = _least(film, p, phase, held)
-        if p[1] <= 1e-3 or not np.isfinite(p).all() or (rises and p[len(HEAD)] < LEAST_RATIO):
+        if p[1] <= 1e-3 or not np.isfinite(p).all() or abs(p[4]) > MOST_GRAVITY:
+            return None
+        if rises and p[len(HEAD)] < LEAST_RATIO:
             return None
         if turn >= 1:
             mistaken = _mistaken(film, p, held)
@@ -257,8 +239,8 @@ def _cost(film: Film, p: Array, held: bool) -> float:
     # each frame in the phase that it would have without any margin
     whole = np.where((t < top_s) & (held | (phase == UNUSED)), HELD, FALL)
     seen = p if held else np.concatenate([p[:3], [_level(p, g)], p[4:]])
-    for j, (landing, *_rest) in enumerate(rises):
-        whole[t >= landing] = RISE + j
+    for j in range(len(rises)):
+        whole[t >= rises[j, 0]] = RISE + j
     y = heights(seen, t, whole, g)
     sigma = np.full(len(t), film.sigma_y_m)
     weight = np.ones(len(t))
@@ -298,18 +280,28 @@ def _bouncing(since_s: Array, speed: float, ratio: float, g: float) -> Array:
 
 def _bounced_on(film: Film, best: Settled, bounces: int) -> Settled:
     """The track with further bounces, as many as are filmed well, up to ``bounces`` in all."""
-    for n in range(1, bounces):
+    for _ in range(1, bounces):
         more = np.concatenate([best.p, best.p[-3:]])
         landing = rises_of(best.p, film.gravity_m_s2)[-1, 6]
         if (film.t_s > landing).sum() < LEAST_HELD:
             break
         found = _settled(film, more, 1)
-        if found is None or (found.phase == RISE + n).sum() < LEAST_HELD:
-            break
-        if found.cost > best.cost + LATER * CAP * LEAST_HELD:
+        if found is None or not _goes_on(film, found):
             break
         best = found
     return best
+
+
+def _goes_on(film: Film, found: Settled) -> bool:
+    """Whether the last bounce of a track has frames, and they lie as near to it as the others."""
+    used = found.phase != UNUSED
+    seen = heights(found.p, film.t_s, found.phase, film.gravity_m_s2)
+    squares = (film.y_m - seen) ** 2
+    last = found.phase == found.phase.max()
+    rises = (len(found.p) - len(HEAD)) // len(BOUNCE)
+    if found.phase.max() != RISE + rises - 1 or last.sum() < LEAST_HELD:
+        return False
+    return bool(squares[last].mean() < CLEAR * max(squares[used & ~last].mean(), film.sigma_y_m**2))
 
 
 def _starts(film: Film) -> list[Array]:
@@ -326,148 +318,6 @@ def _starts(film: Film) -> list[Array]:
         np.array([each.t_s, each.before_m_s, each.floor_m, 0.0, b, 0.0, each.ratio, b, 0.0])
         for each, b in ((each, np.log(each.gravity_m_s2 / g)) for each in chosen)
     ]
-
-
-def guesses(film: Film, gravity: float, loose: float) -> list[Guess]:
-    """Pairs of parabolas about instants of the impact, the likeliest first."""
-    t, y = film.t_s, film.y_m
-    high = float(np.ptp(y))
-    if high <= 0.0 or len(t) < LEAST_FRAMES:
-        return []
-    frame = float(np.median(np.diff(t)))
-    lasts = np.sqrt(2.0 * high / gravity)
-    step = min(frame / 4.0, lasts / 40.0)
-    if lasts > SHORT_FRAMES * frame:
-        low = [i for i in np.flatnonzero(y < y.min() + 0.35 * high) if _is_lowest(y, int(i))]
-        tried = [np.arange(t[max(i - 1, 0)], t[min(i + 1, len(t) - 1)], step) for i in low]
-        instants = np.concatenate(tried) if tried else np.zeros(0)
-    else:
-        instants = np.arange(t[0], t[-1], step)
-    sigma = np.hypot(film.sigma_y_m, 0.01 * high)
-    sigma = np.hypot(sigma, 0.5 * step * np.sqrt(2.0 * gravity * high))
-    floor = np.array([film.floor_m, film.floor_loose_m])
-    made = _parabolas(t, y, sigma, instants, step, np.array([gravity, loose * gravity]), floor)
-    order = np.argsort(made[:, 0])
-    return [
-        Guess(float(made[i, 0]), float(instants[i]), *(float(x) for x in made[i, 1:]))
-        for i in order
-        if np.isfinite(made[i, 0])
-    ]
-
-
-def _is_lowest(y: Array, i: int) -> bool:
-    """Whether no frame next to i, or beyond it, is lower."""
-    return bool(y[i] <= y[max(i - 2, 0) : i + 3].min())
-
-
-@njit
-def _parabolas(
-    t: Array, y: Array, sigma: float, instants: Array, step: float, gravity: Array, floor: Array
-) -> Array:
-    """For each instant of the impact (instants, 5): the cost, the speeds before and after, the
-    surface and gravity; the cost is infinite where none fit. ``gravity`` and ``floor`` are what is
-    expected and how loosely."""
-    out = np.full((len(instants), 5), np.inf)
-    for n in range(len(instants)):
-        for ratio in RATIOS:
-            for held in (True, False):
-                x = np.array([0.0, 0.0, floor[0], gravity[0]])
-                cost = _fitted(t, y, sigma, instants[n], step, ratio, held, gravity, floor, x)
-                if cost < out[n, 0]:
-                    out[n, 0] = cost
-                    out[n, 1:] = x
-    return out
-
-
-@njit
-def _fitted(
-    t: Array,
-    y: Array,
-    sigma: float,
-    impact: float,
-    step: float,
-    ratio: float,
-    held: bool,
-    gravity: Array,
-    floor: Array,
-    x: Array,
-) -> float:
-    """Fits speeds before and after, surface and gravity, x (4,), in place; gives the cost."""
-    since = impact - t[0]
-    margin = 0.5 * step
-    if since <= margin:
-        return np.inf
-    above = y[0] - floor[0]
-    x[0] = above / since + 0.5 * x[3] * since
-    if held and x[0] < x[3] * since:
-        x[0] = np.sqrt(2.0 * x[3] * max(above, 1e-9))
-    if x[0] <= 0.0:
-        return np.inf
-    x[1] = np.sqrt(ratio) * x[0]
-    for _ in range(3):
-        normal, push = np.zeros((4, 4)), np.zeros(4)
-        falls, rises = 0, 0
-        for i in range(len(t)):
-            row = np.zeros(4)
-            tau = impact - t[i]
-            if tau > margin:
-                if held and tau > x[0] / x[3]:
-                    row[0] = x[0] / x[3]
-                    row[3] = -0.5 * (x[0] / x[3]) ** 2
-                    seen = 0.5 * x[0] ** 2 / x[3]
-                else:
-                    row[0], row[3] = tau, -0.5 * tau * tau
-                    seen = x[0] * tau - 0.5 * x[3] * tau * tau
-                    falls += 1
-            elif tau < -margin and -tau < 2.0 * x[1] / x[3] - margin:
-                row[1], row[3] = -tau, -0.5 * tau * tau
-                seen = -x[1] * tau - 0.5 * x[3] * tau * tau
-                rises += 1
-            else:
-                continue
-            row[2] = 1.0
-            left = (y[i] - x[2] - seen) / sigma
-            for k in range(4):
-                push[k] += row[k] / sigma * left
-                for m in range(4):
-                    normal[k, m] += row[k] * row[m] / sigma**2
-        if rises == 0 or falls == 0:
-            return np.inf
-        normal[2, 2] += 1.0 / floor[1] ** 2
-        push[2] += (floor[0] - x[2]) / floor[1] ** 2
-        normal[3, 3] += 1.0 / gravity[1] ** 2
-        push[3] += (gravity[0] - x[3]) / gravity[1] ** 2
-        for k in range(4):
-            normal[k, k] *= 1.0 + 1e-9
-        x += np.linalg.solve(normal, push)
-        if not (x[0] > 0.0 and x[1] > 0.0 and x[3] > 0.2 * gravity[0]):
-            return np.inf
-        x[3] = min(x[3], 5.0 * gravity[0])
-    cost = ((x[2] - floor[0]) / floor[1]) ** 2 + ((x[3] - gravity[0]) / gravity[1]) ** 2
-    later = np.sqrt(sigma**2 + (0.05 * x[0] ** 2 / (2.0 * x[3])) ** 2)
-    for i in range(len(t)):
-        tau = impact - t[i]
-        weight, error = 1.0, sigma
-        if tau > 0.0:
-            if held and tau > x[0] / x[3]:
-                seen = 0.5 * x[0] ** 2 / x[3]
-            else:
-                seen = x[0] * tau - 0.5 * x[3] * tau * tau
-        elif -tau < 2.0 * x[1] / x[3]:
-            seen = -x[1] * tau - 0.5 * x[3] * tau * tau
-        else:
-            weight, error = LATER, later
-            ratio_seen = min((x[1] / x[0]) ** 2, 1.0)
-            rest, v = -tau - 2.0 * x[1] / x[3], x[1] * np.sqrt(ratio_seen)
-            seen = 0.0
-            for _ in range(8):
-                if rest < 2.0 * v / x[3]:
-                    seen = v * rest - 0.5 * x[3] * rest * rest
-                    break
-                rest -= 2.0 * v / x[3]
-                v *= np.sqrt(ratio_seen)
-        cost += weight * min(((y[i] - x[2] - seen) / error) ** 2, CAP)
-    return cost
 
 
 def _fall_alone(film: Film) -> Settled | None:
