@@ -22,7 +22,7 @@ HEIGHTS_M = (0.02, 0.03, 0.04, 0.05)
 FRICTION = 0.5
 
 
-def scenes(count, kn, effects, rng):
+def scenes(count, kn, effects, rng, heights_m=HEIGHTS_M):
     """Scenes (count,) at heights in turn with effects {name: value}."""
     chosen = [EFFECTS[n](**{EFFECTS[n].parameters[0].name: v}) for n, v in effects.items()]
     plain = Scene(beta_s=Bristle().material.beta_s, law=Linear(kn))
@@ -30,7 +30,7 @@ def scenes(count, kn, effects, rng):
         enter_all(
             replace(
                 plain,
-                height_m=HEIGHTS_M[i % len(HEIGHTS_M)] + rng.uniform(-2e-3, 2e-3),
+                height_m=heights_m[i % len(heights_m)] + rng.uniform(-2e-3, 2e-3),
                 order=i,
                 chance=tuple(rng.standard_normal(2)),
             ),
@@ -40,12 +40,11 @@ def scenes(count, kn, effects, rng):
     ]
 
 
-def bounce(scene):
-    """Rise in a vacuum, contact time, and angular speed after the impact."""
+def bounce(scene, fallen_m):
+    """Rise in a vacuum, contact time, and angular speed after an impact as from ``fallen_m``."""
     bristle = Bristle()
-    fallen = scene.height_m + scene.release_speed_m_s**2 / (2 * GRAVITY)
     kn = scene.law.kn_N_m
-    alike = [replace(scene, height_m=fallen)]
+    alike = [replace(scene, height_m=fallen_m)]
     found = outcomes_of(beam_of(bristle), alike, GRAVITY, its_s(bristle, kn), FRICTION)
     spin = math.hypot(float(found.spin_x_rad_s[0]), float(found.spin_y_rad_s[0]))
     return float(found.rebound_height_m[0]), float(found.contact_time_s[0]), spin
@@ -82,23 +81,37 @@ def path(t_s, height_m, rises, *, release_s=0.0, speed_m_s=0.0, drag_1_m=0.0):
     return y
 
 
-def film(scene, rng, fps=25.0, sigma_m=5e-4, seconds=0.7):
-    """Times, heights as a camera's user reads them, and the truth (release in s, y1 in m)."""
-    y1, touching, spin = bounce(scene)
-    lighter = GRAVITY - 0.5 * Bristle().length_m * spin**2
-    release = rng.uniform(0.1, 0.1 + 1 / fps)
-    true_s = np.arange(0.0, seconds, 1 / fps)
+def film(scene, rng, fps=25.0, sigma_m=5e-4, seconds=0.7, begins="held"):
+    """Times, heights as a camera's user reads them, and the truth (release in s, y1 in m).
+
+    A film ``begins`` while the bristle is held, or in mid-fall: a third of the fall's time late.
+    """
+    drag = scene.drag_kg_m / Bristle().mass_kg
     fallen = scene.height_m + scene.release_speed_m_s**2 / (2 * GRAVITY)
+    if drag:
+        fallen = -math.expm1(-2 * drag * fallen) / (2 * drag)
+    y1, touching, spin = bounce(scene, fallen)
+    lighter = GRAVITY - 0.5 * Bristle().length_m * spin**2
+    late = -math.sqrt(2 * scene.height_m / GRAVITY) / 3
+    release = rng.uniform(0.1, 0.1 + 1 / fps) if begins == "held" else late
+    true_s = np.arange(0.0, seconds, 1 / fps)
     rises = [(y1 * lighter / (fallen * GRAVITY), lighter, touching)]
     rises += 6 * [(y1 / fallen, lighter, touching)]
-    y = path(true_s, scene.height_m, rises, release_s=release, speed_m_s=scene.release_speed_m_s)
+    y = path(
+        true_s,
+        scene.height_m,
+        rises,
+        release_s=release,
+        speed_m_s=scene.release_speed_m_s,
+        drag_1_m=drag,
+    )
     seen = scene.y_scale * (y + scene.y_offset_m) + sigma_m * rng.standard_normal(y.size)
     return scene.t_scale * true_s, seen, scene.t_scale * release, y1
 
 
 def declare(folder, kind, keys):
     """A folder with the declarations of a dataset, whose table is named after its kind."""
-    folder.mkdir(exist_ok=True)
+    folder.mkdir(parents=True, exist_ok=True)
     (folder / "dataset.toml").write_text(
         f'[dataset]\ntitle = "made"\nkind = "{kind}"\n[measurement]\nfile = "{kind}.csv"\n'
         f"gravity_m_s2 = {GRAVITY}\n{keys}"
