@@ -41,6 +41,7 @@ BODY_KEYS = {
 # Beyond these no instrument is meant.
 NUMBER_KEYS = {
     "sigma_y_mm": (1e-6, 1e6),
+    "sigma_y_px": (1e-6, 1e6),
     "sigma_t_s": (1e-12, 1e3),
     "sigma_force_N": (1e-9, 1e9),
     "fps": (1e-3, 1e9),
