@@ -61,9 +61,9 @@ class TrackBench(Bench):
 
     made_by: ClassVar[tuple[Path, ...]] = (*MADE_BY, Path(__file__))
 
-    def seen(self, scenes: Sequence[Scene], its: float) -> Array:
+    def seen(self, scenes: Sequence[Scene], its: float, friction: float) -> Array:
         body = beam_of(self.bristle)
-        found = outcomes_of(body, scenes, self.gravity_m_s2, its, self.friction, lenient=True)
+        found = outcomes_of(body, scenes, self.gravity_m_s2, its, friction, lenient=True)
         squared = found.spin_x_rad_s**2 + found.spin_y_rad_s**2
         lighter = 0.5 * self.bristle.length_m * squared / self.gravity_m_s2
         return np.stack([found.rebound_height_m, found.contact_time_s, 1.0 + lighter], axis=1)
