@@ -316,7 +316,7 @@ def read_made(made: Made) -> Drops:
         kind="drops",
         source="",
         licence="",
-        bristle=Bristle(),
+        body=Bristle(),
         declared=(),
         kn_N_m=None,
         measurement=measurement,
