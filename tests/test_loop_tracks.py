@@ -195,7 +195,7 @@ def test_fewer_frames_than_declared_are_fine_more_are_not(tmp_path):
         (lambda text: _changed(text, 5, 2, "nan"), r"tracks\.csv:5: y_mm must be a finite"),
         (lambda text: _changed(text, 6, 1, "0.0"), r"tracks\.csv:6: t_s must grow"),
         (lambda text: _changed(text, 40, 0, "1"), r"tracks\.csv:40: drop must count upwards"),
-        (lambda text: "\n".join(text.splitlines()[:55]), r"drops; the loop needs six or more"),
+        (lambda text: "\n".join(text.splitlines()[:37]), r"drops; the loop needs four or more"),
         (lambda text: text + "9,0.0,1.0\n", r"drop 9 has 1 frames; 6 or more"),
     ],
 )
