@@ -117,8 +117,8 @@ class Bench:
     ) -> Table:
         """Drops over height, stiffness and ``sides``; ``change`` puts a point of these in.
 
-        ``friction`` is None where nothing leans. ``name`` tells tables on the same sides apart: they are kept from run to run. Raises
-        ComputationError where drops fail at all time steps.
+        ``friction`` is None where nothing leans. ``name`` tells tables on the same sides apart:
+        they are kept from run to run. Raises ComputationError where drops fail at all time steps.
         """
         heights = Axis(self.lowest_m, self.highest_m, HEIGHT_NODES, "root")
         axes = (heights, Axis(*self.kn_range_N_m, kn_nodes, "log"), *sides)
