@@ -82,6 +82,7 @@ def wave_problem(data: Waves, library: Sequence[str] = LIBRARY) -> Problem:
     rod = Rod.of(data.manifest.bristle)
     band, limit = _band(data, rod)
     whole = Propagation(data, rod, band)
+    _refuse(whole)
     declared = data.manifest.bristle.material.bar_speed_m_s
     start = find_start(whole, baseline_parameters(data, declared, 1e-8))
     baseline = baseline_parameters(data, start.value("wave_speed_m_s"), start.value("beta_s"))
@@ -89,7 +90,6 @@ def wave_problem(data: Waves, library: Sequence[str] = LIBRARY) -> Problem:
     plain = whole.synthesis(layout.windows)
     white = _whitening(replace(start.model, synthesis=real_synthesis(plain)), start, layout)
     model = WaveModel(whole, baseline, real_synthesis(plain) @ white.factor.T)
-    _refuse_overlap(model)
     combine = _combine(model)
     values = white.factor @ layout.windows.components(data.predicted.signal)
     known = effect_parameters(data)
@@ -156,19 +156,14 @@ def _layout(whole: Propagation, speed_m_s: float) -> Layout:
     middle = data.second is None and abs(2 * data.gauge.x_m / length - 1.0) <= NEAR_MIDDLE
     count = max(1, round((end - begin) * speed_m_s / (length if middle else 2 * length)))
     samples = int((data.index(end) - data.index(begin)) / count)
-    if samples < LEAST_WINDOW:
-        raise data.manifest.wrong(
-            "predict_s",
-            f"has {samples} samples a pass of the declared bar; {LEAST_WINDOW} are needed",
-        )
     bins = 1 + int(whole.band_Hz * samples * data.step_s)
     bins = min(bins, MOST_BINS, samples // 2)
     if bins < 3:
         raise data.manifest.wrong(
             "first_pass_s", "holds a pulse too slow for its passes to be told apart"
         )
-    edges = begin + (end - begin) * np.arange(count) / count
-    windows = Windows(tuple(data.index(each) for each in edges), samples, bins, data.step_s)
+    begins = tuple(data.index(begin) + k * samples for k in range(count))
+    windows = Windows(begins, samples, bins, data.step_s)
     in_bands = count < LEAST_PASSES
     group = np.repeat(np.arange(count), windows.rows) + (2 if middle else 1)
     first_held = HELD_EVERY - 1
@@ -221,17 +216,22 @@ def _whitening(model: WaveModel, start: Start, layout: Layout) -> Whitening:
     return whitening(own, np.concatenate([shared, offsets], axis=1), layout.fitted)
 
 
-def _refuse_overlap(model: WaveModel) -> None:
-    carried, data = model.propagation, model.propagation.data
-    slow = model.baseline[0].typical
-    back = 2.0 * (carried.rod.length_m - data.gauge.x_m) / slow
-    lasts = data.first_pass_s[1] - data.first_pass_s[0]
-    if lasts > MOST_TURNS * back:
+def _refuse(whole: Propagation) -> None:
+    """InputError where passes are too few samples long, or too many overlap the first one."""
+    data = whole.data
+    speed = data.manifest.bristle.material.bar_speed_m_s
+    samples = int(whole.rod.length_m / speed / data.step_s)
+    if samples < LEAST_WINDOW:
         raise data.manifest.wrong(
-            "gauge_x_m",
-            f"is so near the far end that {lasts / back:.0f} reflections overlap the first pass, "
-            f"{MOST_TURNS} at most can be told apart: a gauge farther from that end, or a "
-            "first_pass_s that is shorter, is needed",
+            "predict_s",
+            f"has {samples} samples a pass of the declared bar; {LEAST_WINDOW} are needed",
+        )
+    turns = whole.turns(speed, data.gauge.x_m)
+    if turns > MOST_TURNS:
+        raise data.manifest.wrong(
+            "gauge_x_m" if data.gauge.placed else "first_pass_s",
+            f"lets {turns} reflections overlap the first pass, of which {MOST_TURNS} can be told "
+            "apart: a gauge farther from the far end, or a shorter first_pass_s, is needed",
         )
 
 
