@@ -294,7 +294,7 @@ def test_frames_say_what_their_scatter_is(tmp_path):
     assert "times the declared uncertainty" in optimistic.warnings[0]
     is_noise(fitted(optimistic, ())[2], optimistic, 1)
     silent = tracks_problem(made(tmp_path / "b", {}, keys="", **kinds))
-    assert not silent.sigma_declared
+    assert "no uncertainty of a height is declared: 0.25" in silent.warnings[0]
     freedom = silent.notes["freedom"]
     assert abs(silent.notes["sigma_y_m"] / 2.5e-4 - 1) < 4 / math.sqrt(2 * freedom)
 

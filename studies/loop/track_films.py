@@ -25,6 +25,8 @@ BEYOND_CHANCE = 4.0
 """Standard errors beyond which the scatter of frames is another than declared."""
 MOST_BOUNCES = 8
 MOST_MEMORY = 0.95
+MANY = 200
+"""Frames beyond what tracks take up, with which their scatter is known to a twentieth."""
 STRAYING = 4.0
 """How many times farther than others' the frames of a film lie from any parabolas."""
 
@@ -40,7 +42,7 @@ class Filmed:
     pixel_m: float | None
     floor_known: bool
     sigma_y_m: float
-    sigma_declared: bool
+    sigma_known: bool
     warnings: tuple[str, ...]
     left_aside: tuple[str, ...]
 
@@ -83,6 +85,11 @@ def filmed(data: Tracks) -> Filmed:
                 raise _refusal(data, films, found)
             scatter, count, memory = _scatter(found)
         sigma = films[0].sigma_y_m
+        seen = f"{sigma / pixel:.3g} px" if pixel else f"{1e3 * sigma:.3g} mm"
+        warnings.append(
+            f"no uncertainty of a height is declared: {seen} is taken, by which frames scatter "
+            "about their own parabolas"
+        )
     wider = 1.0
     if declared and abs(scatter - 1.0) > BEYOND_CHANCE * np.sqrt(2.0 / count):
         warnings.append(
@@ -107,7 +114,7 @@ def filmed(data: Tracks) -> Filmed:
         pixel_m=pixel,
         floor_known=known,
         sigma_y_m=sigma,
-        sigma_declared=declared,
+        sigma_known=declared or count > MANY,
         warnings=tuple(warnings),
         left_aside=_left_aside(data, found, bounces, len(straying)),
     )

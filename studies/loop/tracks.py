@@ -167,7 +167,7 @@ def tracks_problem(data: Tracks) -> Problem:
             Experiment(f"film the same drops at {seen.faster_fps:g} frames/s", filmed_faster)
         ],
         confirm_why="films are compared with the beam's tables; the solid follows its drops",
-        sigma_declared=seen.sigma_declared,
+        sigma_declared=seen.sigma_known,
         notes={
             "sigma_y_m": seen.sigma_y_m,
             "misfit": float(sum(each.misfit for each in tracks)),
