@@ -56,74 +56,100 @@ class Filmed:
 def filmed(data: Tracks) -> Filmed:
     """The films of a dataset. Raises InputError where too few can be used."""
     pixel, films = _in_metres(data)
-    warnings: list[str] = []
     bounces = MOST_BOUNCES if _bounces_upright(data) else 1
-    found, known = [track(film, bounces) for film in films], pixel is None
-    if pixel is None and _off(found):
-        loose = [turned(film, 1) for film in films]
-        again = [track(film, bounces) for film in loose]
-        levels = [each.p[2] for each in again if each is not None and each.bounces]
-        if levels and _usable(again) >= max(LEAST_FILMS, _usable(found)):
-            films, found, known = loose, again, False
-            warnings.append(
-                f"the surface seems to lie at {1e3 * float(np.median(levels)):.1f} mm, so the zero "
-                "of y_mm is taken to be anywhere, another in each film"
-            )
+    films, found, warnings = _over_a_surface(films, bounces)
     straying = _straying(found)
     found = [None if i in straying else each for i, each in enumerate(found)]
+    declared = _declared(data)
+    # the rough uncertainty with which the search began is mended twice
+    for _ in range(0 if declared else 2):
+        by = np.sqrt(_scatter(found)[0])
+        films = [replace(film, sigma_y_m=film.sigma_y_m * by) for film in films]
+        found = [None if i in straying else track(film, bounces) for i, film in enumerate(films)]
     if _usable(found) < LEAST_FILMS:
         raise _refusal(data, films, found)
-    sigma, declared = films[0].sigma_y_m, _declared(data)
     scatter, count, memory = _scatter(found)
-    if not declared:
-        for _ in range(2):
-            films = [replace(film, sigma_y_m=film.sigma_y_m * np.sqrt(scatter)) for film in films]
-            found = [
-                None if i in straying else track(film, bounces) for i, film in enumerate(films)
-            ]
-            if _usable(found) < LEAST_FILMS:
-                raise _refusal(data, films, found)
-            scatter, count, memory = _scatter(found)
-        sigma = films[0].sigma_y_m
-        seen = f"{sigma / pixel:.3g} px" if pixel else f"{1e3 * sigma:.3g} mm"
-        warnings.append(
-            f"no uncertainty of a height is declared: {seen} is taken, by which frames scatter "
-            "about their own parabolas"
-        )
-    wider = 1.0
-    if declared and abs(scatter - 1.0) > BEYOND_CHANCE * np.sqrt(2.0 / count):
-        warnings.append(
-            f"frames scatter about their own parabolas by {np.sqrt(scatter):.2f} times the "
-            "declared uncertainty"
-            + (", and are taken to be as uncertain as that" if scatter > 1.0 else "")
-        )
-        wider = max(scatter, 1.0)
-    if memory:
-        warnings.append(
-            f"errors of frames that follow each other are alike (correlation {memory:.2f}); rows "
-            "are taken to be as uncertain as that makes them"
-        )
-        wider *= (1.0 + memory) / (1.0 - memory)
+    sigma = films[0].sigma_y_m
+    wider = np.sqrt((1.0 + memory) / (1.0 - memory))
+    if declared:
+        wider *= np.sqrt(max(scatter, 1.0)) if _is_off(scatter, count) else 1.0
     good = [i for i, each in enumerate(found) if each is not None]
     films = [films[i] for i in good]
     tracks = together(films, [each for each in found if each is not None])
     return Filmed(
         films=films,
-        tracks=[_widened(each, np.sqrt(wider)) for each in tracks],
+        tracks=[_widened(each, wider) for each in tracks],
         number=data.drop[data.begins[:-1]][good],
         pixel_m=pixel,
-        floor_known=known,
+        floor_known=films[0].floor_known,
         sigma_y_m=sigma,
         sigma_known=declared or count > MANY,
-        warnings=tuple(warnings),
+        warnings=(*warnings, *_of_noise(declared, scatter, count, memory, (sigma, pixel))),
         left_aside=_left_aside(data, found, bounces, len(straying)),
     )
 
 
-def faster(film: Film, found: Track) -> Track:
-    """The same drop with `FASTER` times as many frames, as its track would have them."""
-    n = int(FASTER * len(film.t_s))
-    t = np.linspace(film.t_s[0], film.t_s[-1], n)
+def _over_a_surface(
+    films: list[Film], bounces: int
+) -> tuple[list[Film], list[Track | None], list[str]]:
+    """The films, with a surface that may be anywhere where it is not at the declared zero, their
+    tracks, and a warning where that is so."""
+    found = [track(film, bounces) for film in films]
+    if films[0].floor_known and _off(found):
+        loose = [turned(film, 1) for film in films]
+        again = [track(film, bounces) for film in loose]
+        levels = [each.p[2] for each in again if each is not None and each.bounces]
+        if levels and _usable(again) >= max(LEAST_FILMS, _usable(found)):
+            return (
+                loose,
+                again,
+                [
+                    f"the surface seems to lie at {1e3 * float(np.median(levels)):.1f} mm, so the "
+                    "zero of y_mm is taken to be anywhere, another in each film"
+                ],
+            )
+    return films, found, []
+
+
+def _is_off(scatter: float, count: int) -> bool:
+    """Whether frames scatter by another variance than declared, beyond chance."""
+    return bool(abs(scatter - 1.0) > BEYOND_CHANCE * np.sqrt(2.0 / count))
+
+
+def _of_noise(
+    declared: bool,
+    scatter: float,
+    count: int,
+    memory: float,
+    taken: tuple[float, float | None],
+) -> list[str]:
+    """What frames say of their own uncertainty beside what is declared; ``taken`` is that in m, and
+    the length of a pixel."""
+    said = []
+    sigma, pixel = taken
+    if not declared:
+        seen = f"{sigma / pixel:.3g} px" if pixel else f"{1e3 * sigma:.3g} mm"
+        said.append(
+            f"no uncertainty of a height is declared: {seen} is taken, by which frames scatter "
+            "about their own parabolas"
+        )
+    elif _is_off(scatter, count):
+        said.append(
+            f"frames scatter about their own parabolas by {np.sqrt(scatter):.2f} times the "
+            "declared uncertainty"
+            + (", and are taken to be as uncertain as that" if scatter > 1.0 else "")
+        )
+    if memory:
+        said.append(
+            f"errors of frames that follow each other are alike (correlation {memory:.2f}); rows "
+            "are taken to be as uncertain as that makes them"
+        )
+    return said
+
+
+def faster(film: Film, found: Track, fps: float) -> Track:
+    """The same drop at a rate of ``fps``, as its track would have it."""
+    t = np.arange(film.t_s[0], film.t_s[-1], 1.0 / fps)
     more = replace(film, t_s=t, y_m=np.interp(t, film.t_s, film.y_m))
     phase, held = phases(more, found.p)
     seen = heights(found.p, t, phase, film.gravity_m_s2)
@@ -212,6 +238,8 @@ def _scatter(found: Sequence[Track | None]) -> tuple[float, int, float]:
     see that.
     """
     tracks = [each for each in found if each is not None]
+    if not tracks:
+        return 1.0, 1, 0.0
     misfit, freedom = sum(t.misfit for t in tracks), sum(t.freedom for t in tracks)
     pairs = np.array([t.pairs for t in tracks])
     one, two = pairs @ np.array([t.changes for t in tracks])

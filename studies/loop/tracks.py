@@ -142,7 +142,8 @@ def tracks_problem(data: Tracks) -> Problem:
         return replace(plain, effects=tuple(effects))
 
     def filmed_faster(effects: tuple[str, ...]) -> TrackModel:
-        others = [faster(film, each) for film, each in zip(seen.films, tracks, strict=True)]
+        fps = seen.faster_fps
+        others = [faster(film, each, fps) for film, each in zip(seen.films, tracks, strict=True)]
         weights_of, of, _ = _rows(others)
         return replace(combine(effects), weights_of=weights_of, of=of)
 
