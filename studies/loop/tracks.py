@@ -142,7 +142,8 @@ def tracks_problem(data: Tracks) -> Problem:
         return replace(plain, effects=tuple(effects))
 
     def filmed_faster(effects: tuple[str, ...]) -> TrackModel:
-        others = [faster(film, each) for film, each in zip(seen.films, tracks, strict=True)]
+        fps = seen.faster_fps
+        others = [faster(film, each, fps) for film, each in zip(seen.films, tracks, strict=True)]
         weights_of, of, _ = _rows(others)
         return replace(combine(effects), weights_of=weights_of, of=of)
 
@@ -167,7 +168,7 @@ def tracks_problem(data: Tracks) -> Problem:
             Experiment(f"film the same drops at {seen.faster_fps:g} frames/s", filmed_faster)
         ],
         confirm_why="films are compared with the beam's tables; the solid follows its drops",
-        sigma_declared=seen.sigma_declared,
+        sigma_declared=seen.sigma_known,
         notes={
             "sigma_y_m": seen.sigma_y_m,
             "misfit": float(sum(each.misfit for each in tracks)),
