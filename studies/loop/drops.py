@@ -130,12 +130,17 @@ def damping(manifest: Manifest) -> Parameter | None:
     return replace(EFFECTS["material_damping"].parameters[0], null=BETA_UNKNOWN_S)
 
 
+def heights_about(y0_m: Array) -> tuple[float, float]:
+    """Powers of two, in mm, that hold heights (drops,) and what effects make of them."""
+    low = math.floor(math.log2(0.7 * 1e3 * float(y0_m.min())))
+    high = math.ceil(math.log2(1.15 * 1e3 * float(y0_m.max())))
+    return 1e-3 * 2.0**low, 1e-3 * 2.0**high
+
+
 def bench_for(y0_m: Array, data: datasets.Drops) -> Bench:
     """Where the tables are made: heights rounded outward, so that others can use them again."""
     manifest = data.manifest
-    step = 0.005
-    lowest = max(step * math.floor(0.6 * float(y0_m.min()) / step), 0.002)
-    highest = step * math.ceil(1.25 * float(y0_m.max()) / step)
+    lowest, highest = heights_about(y0_m)
     bristle = manifest.bristle
     if damping(manifest) is not None:
         bristle = replace(bristle, material=replace(bristle.material, beta_s=BETA_UNKNOWN_S))

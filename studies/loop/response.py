@@ -155,6 +155,7 @@ class Bench:
         grid = np.meshgrid(heights, kns, indexing="ij")
         rigid = self.reference(*grid)
         rigid = rigid.reshape(len(QUANTITIES), *shape[:2], *(1,) * len(sides))
+        out[~(out > 0.0)] = np.nan  # a tip that does not come up again
         logs = np.log(out / np.moveaxis(rigid, 0, -1))
         return coefficients(mended(logs), len(axes))
 
