@@ -178,7 +178,7 @@ LEANING = ("bristle_tilt", "surface_slope")
 # nothing), a dashpot against critical damping (more than most of it holds the bristle too).
 SCALED: dict[str, tuple[type, Axis]] = {
     "adhesion": (Adhesive, Axis(0.0, 0.42, 15)),
-    "plastic_contact": (Plastic, Axis(0.15, 1.0, 17)),
+    "plastic_contact": (Plastic, Axis(0.05, 1.0, 21)),
     "contact_damping": (Damped, Axis(0.0, 0.9, 21, "root")),
 }
 
