@@ -222,7 +222,7 @@ def _gross(
     else:
         columns = (Y1, TIME, FORCE) if rng.random() < 0.5 else (Y1, TIME)
         factor = 1.0 + rng.choice([-1.0, 1.0]) * rng.uniform(0.08, 0.3)
-        other = replace(plan.truth.body, length_m=factor * plan.truth.body.length_m)
+        other = replace(plan.truth.body, length_m=float(f"{factor * plan.truth.body.length_m:.4g}"))
         gauge = replace(plan.gauge, columns=columns, body=other, kn_N_m=None)
         plan, name = replace(plan, gauge=gauge), "length declared wrong"
         data = seen(plan.truth, plan.heights_m, plan.chance)
