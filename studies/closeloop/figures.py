@@ -163,7 +163,7 @@ def evidence_figure(evidences: Sequence[Evidence], unlisted: float) -> Figure:
     ax.set(xscale="symlog", xlabel="log evidence gained on the baseline (nats)")
     for label, look in KINDS.items():
         ax.plot([], [], label=label, **look)
-    ax.plot([], [], color=PURPLE, ls="--", lw=1.0, label="some smooth misfit without a name")
+    ax.plot([], [], color=PURPLE, ls="--", lw=1.0, label="best shape that no effect has")
     figure.legend(loc="outside upper right", fontsize=SMALLEST, ncols=2)
     return figure
 

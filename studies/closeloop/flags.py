@@ -5,7 +5,7 @@ from __future__ import annotations
 from ..command.flags import Flag
 
 LOOP = "Loop"
-ALARM = 0.03
+ALARM = 0.01
 
 LOOP_FLAGS = (
     Flag("seed", "seed", int, 0, LOOP, "Seed of what is held out and of all that is drawn.", "N"),

@@ -91,7 +91,8 @@ def headline(closed: Closed) -> list[str]:
         low, high = (percent(x, 0) for x in (held.reduction_low, held.reduction_high))
         said.append(
             f"Error on held-out data: {show(held.rms_before, 3)} {held.unit} before, "
-            f"{show(held.rms_after, 3)} {held.unit} after; less by {low} to {high} (90 % interval)."
+            f"{show(held.rms_after, 3)} {held.unit} after; less by {low} to {high} "
+            f"(90 % interval). Their noise leaves {show(held.sigma, 3)} {held.unit}."
         )
     if solid is not None and finding.model_effects:
         said.append(
@@ -100,7 +101,8 @@ def headline(closed: Closed) -> list[str]:
         )
     if finding.next_experiment is not None:
         said.append(f"To separate them: {finding.next_experiment.change}.")
-    return said
+    said += [f"Doubt: {warning}." for warning in finding.all_warnings()]
+    return said + [f"Left aside: {each}." for each in finding.left_aside]
 
 
 def verdict_words(closed: Closed) -> str:
@@ -113,11 +115,9 @@ def verdict_words(closed: Closed) -> str:
             "What they could not show is listed below."
         )
     if finding.verdict is Verdict.UNKNOWN:
-        return (
-            f"Unknown: something is missing (p = {p}), and no known effect explains it: the best "
-            f"leaves a misfit (p = {show(finding.open_set_p_value, 2)}), or an unnamed smooth one "
-            "explains more."
-        )
+        near = finding.nearest
+        said = "" if near is None else f" {near.words()}, but {near.why_not}."
+        return f"Unknown: something is missing (p = {p}), and no known effect explains it.{said}"
     if finding.verdict is Verdict.EFFECT:
         return f"The model lacks: {names_of(finding.effects)} (p = {p} that nothing is missing)."
     several = "; ".join(title_of(name) for name in finding.effects)
@@ -145,8 +145,9 @@ def _noise(rows: Rows) -> Section:
     )
     text = [
         declared + " Tails, outliers, a standard deviation declared too small and correlation from "
-        "one value to the next would each look like an effect; so each is a hypothesis of its own, "
-        "weighted by the data under every model alike.",
+        "one value to the next would each look like an effect; so each is a hypothesis that every "
+        "model may choose, within bounds: noise may be odd or somewhat larger than declared, and "
+        "what is both is something that the model lacks.",
         f"Most likely under the reported model: {finding.noise['shape']}, "
         f"{show(_number(finding.noise['scale']), 3)} of the standard deviation, correlation "
         f"{show(_number(finding.noise['correlation']), 2)}.",
@@ -232,8 +233,7 @@ def _tests(rows: Rows) -> Section:
         f"time. The least p-value is that of '{finding.statistic}'; corrected for every test made, "
         f"p = {show(finding.p_value, 2)}: {'something is' if missing else 'nothing seems'} "
         "missing.",
-        "p-values come from data sets simulated with the fitted baseline and its noise, each "
-        "refitted.",
+        "p-values come from noise of bounded size, drawn and refitted like the data.",
     ]
     drawn = _figure(
         "tests",
@@ -269,14 +269,16 @@ def _evidence(rows: Rows) -> Section:
     finding = rows.closed.finding
     text = [
         "Each effect is put into the model and all parameters are fitted again; log evidence "
-        "weighs fit against freedom. A smooth misfit that no effect names competes with them.",
+        "weighs fit against freedom. Bands, steps, classes and waves that no effect has compete "
+        "with them. The likeliest are held against what they leave and against the held-out data; the "
+        "table says why those that do not hold fail.",
     ]
     if len(finding.evidences) == 1:
         text.append("No candidate was refitted: nothing asked for one.")
     drawn = _figure(
         "evidence",
         "Log evidence of the models tried over the baseline's.",
-        figures.evidence_figure(finding.evidences, finding.log_evidence_unlisted),
+        figures.evidence_figure(finding.evidences, finding.unlisted),
         "Log evidence of each model tried",
         tables.evidence_table(finding),
     )

@@ -1,4 +1,4 @@
-"""What does the model lack to explain a dataset, and how much better is it with that in?
+"""Closing the loop on a dataset: what the model lacks, and the error before and after.
 
 `bristle close-loop DATASET`. Reads a dataset of any kind, runs the loop (studies.loop), confirms
 what it found with the 3-D model, and writes verdict.json and one page. Also a script:
@@ -233,11 +233,14 @@ def summary(content: dict[str, Any]) -> list[tuple[str, str]]:
         value = f"{each['estimate']:.4g} ({each['low']:.4g} to {each['high']:.4g}) {each['unit']}"
         rows.append((name, value.rstrip()))
     if held:
-        rows.append(("held-out error", _change(held, held["unit"])))
+        rows.append(("held-out error", f"{_change(held, held['unit'])}; noise {held['noise']:.3g}"))
+        rows.append(("held-out in 90 %", f"{100 * held['coverage_90']:.0f} %"))
     if solid:
         rows.append(("the same in 3-D", _change(solid, solid["unit"])))
     if content["next_experiment"]:
         rows.append(("measure next", content["next_experiment"]["change"]))
+    rows += [("doubt", each) for each in content["warnings"]]
+    rows += [("left aside", each) for each in content["left_aside"]]
     return rows
 
 

@@ -1,4 +1,4 @@
-"""Which tables stand behind the page of a closed loop?
+"""Tables behind the page of a closed loop.
 
 Every run writes the same set, so that no table of an earlier run stays beside a new page.
 """
@@ -199,23 +199,21 @@ def evidence_table(finding: Finding) -> Table:
         Column("model", "Model"),
         Column("effects", "effects"),
         Column("log_evidence", "log evidence over the baseline's", "nats"),
-        Column("weight", "share among as many effects", digits=3),
-        Column("d", "size", "σ", 3),
         Column("left_p_value", "p of what it leaves", digits=2),
+        Column("why_not", "why it does not hold"),
     )
     lines: list[Sequence[Value]] = [
         (
             names_of(each.effects),
             ", ".join(each.effects),
             each.log_evidence - base,
-            each.weight,
-            each.d,
             each.left_p_value,
+            each.why_not,
         )
         for each in finding.evidences
     ]
-    smooth = finding.log_evidence_unlisted - base
-    lines.append(("some smooth misfit without a name", "", smooth, None, None, None))
+    shape = f"no effect: {finding.shape}"
+    lines.append((shape, "", finding.unlisted - base, None, ""))
     return Table("evidence", "Models tried.", head, lines, "A dash: not asked.")
 
 

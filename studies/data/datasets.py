@@ -41,6 +41,7 @@ BODY_KEYS = {
 # Beyond these no instrument is meant.
 NUMBER_KEYS = {
     "sigma_y_mm": (1e-6, 1e6),
+    "sigma_y_px": (1e-6, 1e6),
     "sigma_t_s": (1e-12, 1e3),
     "sigma_force_N": (1e-9, 1e9),
     "fps": (1e-3, 1e9),
@@ -48,7 +49,10 @@ NUMBER_KEYS = {
 }
 KN_N_M, FRICTION = (1.0, limits.KN_N_M), (0.0, 100.0)
 MOST_LETTERS = 1000
-WAVE_KEYS = ("signal", "gauge_x_m", "unit", "baseline_until_s", "first_pass_s", "predict_s")
+WAVE_KEYS = (
+    *("signal", "gauge_x_m", "signal_2", "gauge_2_x_m", "unit", "sigma"),
+    *("baseline_until_s", "first_pass_s", "predict_s"),
+)
 MEASUREMENT_KEYS = ("file", *NUMBER_KEYS, *WAVE_KEYS)
 
 
@@ -56,8 +60,8 @@ MEASUREMENT_KEYS = ("file", *NUMBER_KEYS, *WAVE_KEYS)
 class Manifest:
     """A ``dataset.toml``: its folder, what it declares, and the body that this makes.
 
-    ``kn_N_m`` is None where it is not declared, ``friction`` then the paper's; ``declared`` names
-    the body's keys that are.
+    ``kn_N_m`` and ``friction`` are None where they are not declared; ``declared`` names the body's
+    keys that are: none where it is the paper's bristle.
     """
 
     folder: Path
@@ -69,7 +73,12 @@ class Manifest:
     declared: tuple[str, ...]
     kn_N_m: float | None
     measurement: Mapping[str, Any]
-    friction: float = paper.FRICTION
+    friction: float | None = None
+
+    @property
+    def damping_declared(self) -> bool:
+        """Whether the body's damping is known; without any ``[body]`` it is the paper's bristle."""
+        return not self.declared or "damping_beta_s" in self.declared
 
     @property
     def gravity_m_s2(self) -> float:
@@ -148,7 +157,7 @@ def read_manifest(folder: Path, only: str | None = None) -> Manifest:
         declared=tuple(sorted(parts["body"])),
         kn_N_m=kn,
         measurement=measurement,
-        friction=paper.FRICTION if friction is None else friction,
+        friction=friction,
     )
 
 

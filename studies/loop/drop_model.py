@@ -1,9 +1,9 @@
-"""What do a stiffness and effects predict for every drop of a dataset?"""
+"""Models of drops: what a stiffness and effects predict for every drop of a dataset."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import NamedTuple
 
@@ -62,20 +62,20 @@ class Landing(NamedTuple):
 class BounceModel:
     """The baseline with ``effects`` in, up to what data show of it: the base of `Model` classes.
 
-    ``kn`` is the baseline's free parameter. A subclass adds `predict`.
+    ``kn`` and, where the body's damping is not declared, ``beta`` are the baseline's free
+    parameters. A subclass adds `predict`.
     """
 
     drops: Drops
     tables: Tables
     kn: Parameter
     effects: tuple[str, ...]
+    beta: Parameter | None = field(default=None, kw_only=True)
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        return (self.kn, *(p for name in self.effects for p in self._of(name)))
-
-    def _of(self, name: str) -> tuple[Parameter, ...]:
-        return tuple(self.tables.bounded(each) for each in EFFECTS[name].parameters)
+        own = (self.kn,) if self.beta is None else (self.kn, self.beta)
+        return (*own, *(p for name in self.effects for p in self.tables.parameters(name)))
 
     @cached_property
     def _chance(self) -> tuple[Array, Array]:
@@ -105,12 +105,12 @@ class BounceModel:
     def answer(self, theta: Array) -> tuple[Landing, Array]:
         """How each drop landed, and what the tables say of it (quantities, ..., nodes, drops)."""
         theta = np.asarray(theta, dtype=float)
-        given = self._given(theta)
+        given = self.given(theta)
         drops, bench = self.drops, self.drops.bench
         nodes = self._chance[0]
 
-        def value(name: str) -> Array | float:
-            return given[name][..., None, None] if name in given else 0.0
+        def value(name: str, which: int = 0) -> Array | float:
+            return given[name][which][..., None, None] if name in given else 0.0
 
         scale, offset = 1.0 + value("scale_error"), value("height_offset")
         height = np.maximum(drops.y0_m / scale - offset, 1e-5)
@@ -125,12 +125,16 @@ class BounceModel:
         kn = theta[..., 0][..., None, None] * 10.0**decades
         same, kn = np.broadcast_arrays(same, kn)
         logs = self.tables.plain.at(same, kn)
+        if self.beta is not None:
+            beta = theta[..., 1][..., None, None]
+            logs = logs + self.tables.change("material_damping", same, kn, beta)
         for name in self.effects:
+            friction = value(name, 1) if len(given[name]) > 1 else None
             if name == "surface_slope":
-                lean = value(name) * nodes[:, 1:2]
-                logs = logs + self.tables.change(name, same, kn, lean, nodes[:, 2:3])
+                lean = (value(name) * nodes[:, 1:2], nodes[:, 2:3])
+                logs = logs + self.tables.change(name, same, kn, *lean, friction=friction)
             elif name in self.tables.simulated:
-                logs = logs + self.tables.change(name, same, kn, value(name))
+                logs = logs + self.tables.change(name, same, kn, value(name), friction=friction)
         landing = Landing(
             height_m=height,
             same_m=same,
@@ -151,9 +155,15 @@ class BounceModel:
         landing, logs = self.answer(theta)
         return landing, np.exp(logs) * self.tables.rigid(landing.same_m, landing.kn_N_m)
 
-    def _given(self, theta: Array) -> Mapping[str, Array]:
-        """The effects' values by name (each has one parameter)."""
-        return {name: theta[..., 1 + i] for i, name in enumerate(self.effects)}
+    def given(self, theta: Array) -> Mapping[str, tuple[Array, ...]]:
+        """Each effect's parameters (...,) by its name, of parameters (..., p)."""
+        at = 1 if self.beta is None else 2
+        out = {}
+        for name in self.effects:
+            count = len(self.tables.parameters(name))
+            out[name] = tuple(theta[..., at + i] for i in range(count))
+            at += count
+        return out
 
 
 @dataclass(frozen=True)

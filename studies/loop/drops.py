@@ -1,8 +1,9 @@
-"""What does a dataset of drops say, as a problem for the loop?
+"""A dataset of drops as a problem of the loop.
 
 Rows are, drop after drop, the height after the impact and, where they were measured, the contact
 time and the peak force. The height before it is measured too: its error is carried into all rows
-of its drop, through the baseline's slope.
+of its drop, through the baseline's slope. What is not declared is unknown: friction, on which what
+leans hangs, and the damping of a body that is described without one.
 """
 
 from __future__ import annotations
@@ -19,18 +20,21 @@ from ...solver.effects.base import Parameter
 from ...solver.effects.library import EFFECTS
 from ...solver.errors import InputError
 from ..data import datasets
+from ..data.datasets import Manifest
 from ..data.tables import LEAST_DROPS
 from .drop_model import DropModel, Drops
 from .drops_experiments import experiments
 from .noise import Ints
 from .problem import Problem
-from .response import Bench, Tables
+from .response import KN_RANGE_N_M, Bench, Tables
 
 KIND = "drops"
 # A contact stiffness that is declared is taken as known to this share.
 KN_KNOWN = 0.02
 # Uncertainty taken for heights where none is declared, until the scatter says better.
 SIGMA_M = 1e-3
+# At which effects are simulated beside a damping that nobody declared: between metals and joints.
+BETA_UNKNOWN_S = 1e-7
 SCALES = (1e3, 1e6, 1.0)
 NAMES = ("y1 (mm)", "contact time (µs)", "peak force (N)")
 
@@ -47,23 +51,21 @@ def drops_problem(data: datasets.Drops) -> Problem:
         drops = replace(drops, y0_m=drops.y0_m[keep], order=drops.order[keep])
         values = values[keep]
     unwhitened = np.eye(len(measured))[None].repeat(len(values), 0)
-    wide = DropModel(drops, Tables(bench), stiffness(manifest.kn_N_m, bench), (), unwhitened)
+    tables, kn, beta = Tables(bench), stiffness(manifest.kn_N_m, bench), damping(manifest)
+    bare = DropModel(drops, tables, kn, (), unwhitened, beta=beta)
     sigma = np.array([sigmas[q] for q in drops.quantities])
-    start = _start(wide, values, sigma)
-    bench = bench.about(start)
-    tables, kn = Tables(bench), stiffness(manifest.kn_N_m, bench)
-    drops = replace(drops, bench=bench)
-    whiten = _whitening(DropModel(drops, tables, kn, (), unwhitened), start, sigma)
+    start = _start(bare, values, sigma)
+    whiten = _whitening(bare, start, sigma)
     n_q = len(drops.quantities)
     number = (drops.order + data.drop[0]).astype(np.int64)
 
     def model(effects: Sequence[str]) -> DropModel:
-        return DropModel(drops, tables, kn, tuple(effects), whiten)
+        return replace(bare, effects=tuple(effects), whiten=whiten)
 
     def proposed(other: Drops, known: Mapping[int, float], effects: tuple[str, ...]) -> DropModel:
         each = np.array([known[q] for q in other.quantities])
-        bare = DropModel(other, tables, kn, (), np.eye(len(each))[None].repeat(len(other), 0))
-        return replace(bare, effects=effects, whiten=_whitening(bare, start, each))
+        plain = replace(bare, drops=other, whiten=np.eye(len(each))[None].repeat(len(other), 0))
+        return replace(plain, effects=effects, whiten=_whitening(plain, start, each))
 
     # the last row of a Cholesky factor's inverse has its own scale on the diagonal
     scale = np.array([SCALES[q] for q in drops.quantities]) / np.einsum("dqq->dq", whiten)
@@ -75,7 +77,11 @@ def drops_problem(data: datasets.Drops) -> Problem:
         group=np.repeat(number, n_q),
         covariates=_covariates(data, drops, keep),
         baseline=model(()),
-        candidates=[model((name,)) for name in carried(KIND, drops.quantities)],
+        candidates=[
+            model((name,))
+            for name in carried(KIND, drops.quantities)
+            if beta is None or name != "material_damping"
+        ],
         combine=model,
         experiments=experiments(drops, sigmas, proposed),
         confirm=lambda effects, theta, groups: _solid(model(effects), theta, groups, number),
@@ -117,14 +123,28 @@ def stiffness(declared_N_m: float | None, bench: Bench) -> Parameter:
     return Parameter("kn_N_m", "N/m", low, high, typical, null=typical, logarithmic=True)
 
 
+def damping(manifest: Manifest) -> Parameter | None:
+    """β as a free parameter of the baseline where a body is described without it, else None."""
+    if not manifest.declared or "damping_beta_s" in manifest.declared:
+        return None
+    return replace(EFFECTS["material_damping"].parameters[0], null=BETA_UNKNOWN_S)
+
+
 def bench_for(y0_m: Array, data: datasets.Drops) -> Bench:
     """Where the tables are made: heights rounded outward, so that others can use them again."""
     manifest = data.manifest
     step = 0.005
     lowest = max(step * math.floor(0.6 * float(y0_m.min()) / step), 0.002)
     highest = step * math.ceil(1.25 * float(y0_m.max()) / step)
-    bristle, gravity = manifest.bristle, manifest.gravity_m_s2
-    return Bench(bristle, gravity, lowest, highest, friction=manifest.friction)
+    bristle = manifest.bristle
+    if damping(manifest) is not None:
+        bristle = replace(bristle, material=replace(bristle.material, beta_s=BETA_UNKNOWN_S))
+    low, high = KN_RANGE_N_M
+    if manifest.kn_N_m is not None:
+        low, high = min(low, manifest.kn_N_m / 10.0), max(high, 10.0 * manifest.kn_N_m)
+    return Bench(
+        bristle, manifest.gravity_m_s2, lowest, highest, (low, high), friction=manifest.friction
+    )
 
 
 def _measured(
@@ -151,17 +171,20 @@ def _measured(
     return measured, sigmas, notes
 
 
-def _start(plain: DropModel, values: Array, sigmas: Array) -> float:
-    """The stiffness of the baseline that the middle of the drops asks for."""
-    ladder = np.geomspace(plain.kn.low, plain.kn.high, 400)
-    predicted = plain.measured(ladder[:, None])[:, 0]
-    miss = (((predicted - values) / sigmas) ** 2).sum(axis=2)
-    return float(ladder[int(np.argmin(np.median(miss, axis=1)))])
+def _start(plain: DropModel, values: Array, sigmas: Array) -> Array:
+    """The baseline's parameters (p,) that the middle of the drops asks for."""
+    axes = [
+        np.geomspace(each.low, each.high, 200 if i == 0 else 9)
+        for i, each in enumerate(plain.parameters)
+    ]
+    grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, len(axes))
+    miss = (((plain.measured(grid)[:, 0] - values) / sigmas) ** 2).sum(axis=2)
+    return np.asarray(grid[int(np.argmin(np.median(miss, axis=1)))])
 
 
-def _whitening(plain: DropModel, kn_N_m: float, sigmas: Array) -> Array:
+def _whitening(plain: DropModel, at: Array, sigmas: Array) -> Array:
     """Per drop, the inverse Cholesky factor of noise and of the error of y0, (drops, q, q)."""
-    drops, at = plain.drops, np.array([kn_N_m])
+    drops = plain.drops
     step = 1e-3 * drops.y0_m
     ends = [
         replace(plain, drops=replace(drops, y0_m=drops.y0_m + sign * step)).measured(at)[0]

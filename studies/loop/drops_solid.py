@@ -1,4 +1,4 @@
-"""What does the 3-D solid predict of drops, with effects that were found with the beam in it?
+"""Drops by the 3-D solid, with effects in it that were found with the beam.
 
 Nothing of the beam's tables is used: every drop is simulated with the solid reduced to its modes,
 and effects enter through the same scenes as everywhere (solver.effects).
@@ -15,6 +15,7 @@ import numpy as np
 from mpi4py import MPI
 from numpy.typing import NDArray
 
+from ...solver import paper
 from ...solver.bodies.modal import ModalBody
 from ...solver.bristle import Array, Bristle, Circle, Rectangle
 from ...solver.contact.laws import Linear
@@ -131,6 +132,8 @@ def scenes_of(
         scene = replace(
             bench.plain(), height_m=height, order=int(drops.order[i]), law=Linear(float(theta[0]))
         )
+        if model.beta is not None:
+            scene = replace(scene, beta_s=float(theta[1]))
         for effect, own in zip(effects, chance, strict=True):
             scene = replace(scene, chance=own)
             scene = enter_all(scene, [effect])
@@ -146,7 +149,7 @@ def scenes_of(
 
 def _effects(model: DropModel, theta: Array) -> list[Effect]:
     """The model's effects at their values, those that change Kn before the law that it enters."""
-    given = dict(zip(model.effects, map(float, theta[1:]), strict=True))
+    given = {name: float(values[0]) for name, values in model.given(theta).items()}
     order = [*("surface_phases", "wear"), *EFFECTS]
     names = sorted(model.effects, key=order.index)
     return [effect_at(name, given[name]) for name in names]
@@ -163,7 +166,9 @@ def solid_drops(model: DropModel, theta: Array, which: Sequence[int]) -> Array:
     scenes = [scene for node in nodes for scene in scenes_of(model, theta, which, node)]
     leaning = any(s.tilt_deg or s.slope_deg or s.slope_wide_deg for s in scenes)
     body = solid_of(bench.bristle, bench.gravity_m_s2, leaning)
-    found = _simulated(body, scenes, bench)
+    friction = next((float(v[1]) for v in model.given(theta).values() if len(v) > 1), None)
+    known = paper.FRICTION if bench.friction is None else bench.friction
+    found = _simulated(body, scenes, bench, known if friction is None else friction)
     drag = np.array([scene.drag_kg_m for scene in scenes]) / bench.bristle.mass_kg
     scale = np.array([scene.y_scale for scene in scenes])
     offset = np.array([scene.y_offset_m for scene in scenes])
@@ -173,11 +178,11 @@ def solid_drops(model: DropModel, theta: Array, which: Sequence[int]) -> Array:
     return np.einsum("n,ndq->dq", weights, shaped)[:, list(model.drops.quantities)]
 
 
-def _simulated(body: ModalBody, scenes: Sequence[Scene], bench: Bench) -> Array:
+def _simulated(body: ModalBody, scenes: Sequence[Scene], bench: Bench, friction: float) -> Array:
     """As the tables are made (`response.Bench`), with shorter steps where a drop fails."""
     stiffest = max(scene.law.kn_N_m for scene in scenes)
     return with_shorter_its(
-        lambda its: drops_of(body, scenes, bench.gravity_m_s2, its, bench.friction),
+        lambda its: drops_of(body, scenes, bench.gravity_m_s2, its, friction),
         its_s(bench.bristle, stiffest),
     )
 

@@ -1,4 +1,4 @@
-"""What was found, and how is it told: to verdict.json and to the figures?"""
+"""Finding of the loop: verdict, evidence and errors, as verdict.json and the figures have them."""
 
 from __future__ import annotations
 
@@ -42,15 +42,32 @@ class Interval:
 
 @dataclass(frozen=True)
 class Evidence:
-    """A model that was refitted: log evidence, size d, p-value of what it leaves (None where that
-    was not asked), parameters at the best fit."""
+    """A model that was fitted: log evidence, p-value of what it leaves (None where that was not
+    asked), why it does not hold (empty where it does), parameters at the best fit."""
 
     effects: tuple[str, ...]
     log_evidence: float
-    weight: float
-    d: float
     left_p_value: float | None
+    why_not: str
     theta: tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class Near:
+    """The known effect that explains most: its share of the misfit beyond noise, the rms in sigma
+    that it leaves, and why it does not hold (empty where it does)."""
+
+    effects: tuple[str, ...]
+    share: float
+    leaves_sigma: float
+    why_not: str
+
+    def words(self) -> str:
+        """One sentence."""
+        return (
+            f"{' with '.join(self.effects)} explains {100 * self.share:.0f} % of it "
+            f"and leaves {self.leaves_sigma:.2g} sigma"
+        )
 
 
 @dataclass(frozen=True)
@@ -67,14 +84,14 @@ class Finding:
     """All that verdict.json and the report's figures need.
 
     ``rows`` numbers the problem's rows that were fitted; ``residual_before``, ``residual_after``
-    are theirs in sigma, ``covariates`` what they are drawn against. ``theta`` are the reported
-    model's parameters, ``model_effects`` its effects. ``log_evidence_unlisted``: of some smooth
-    misfit that no effect names, on the scale of ``evidences``. ``detectable`` and ``needed_d``:
-    magnitude and size at which an effect is detected nine times in ten.
+    are their quantile residuals, ``covariates`` what they are drawn against. ``theta`` are the
+    reported model's likeliest parameters, ``model_effects`` its effects, ``parameters`` posterior
+    medians with intervals. ``unlisted`` is the log evidence of the best shape that no effect has,
+    ``shape``, on the scale of ``evidences``. ``detectable`` and ``needed_d``: magnitude and size at
+    which an effect is noticed nine times in ten.
     """
 
     verdict: Verdict
-    effects: tuple[str, ...]
     weights: Mapping[str, float]
     together: tuple[tuple[str, ...], ...]
     statistic: str
@@ -84,12 +101,18 @@ class Finding:
     tests_after: tuple[Test, ...]
     parameters: Mapping[str, Interval]
     unidentified: tuple[str, ...]
+    at_bounds: tuple[str, ...]
     classes: tuple[tuple[str, ...], ...]
     detectable: Mapping[str, float | None]
     needed_d: Mapping[str, float]
     evidences: tuple[Evidence, ...]
-    log_evidence_unlisted: float
+    unlisted: float
+    shape: str
+    nearest: Near | None
     noise: Mapping[str, float | str]
+    rms_before: float
+    rms_after: float
+    coverage_90: float
     held_out: HeldOut | None
     next_experiment: Proposal | None
     model_effects: tuple[str, ...]
@@ -98,8 +121,28 @@ class Finding:
     residual_before: Array
     residual_after: Array
     covariates: Mapping[str, Array]
+    warnings: tuple[str, ...]
+    left_aside: tuple[str, ...]
     seed: int
     alarm: float
+
+    @property
+    def effects(self) -> tuple[str, ...]:
+        """The reported effects, the likeliest first."""
+        return tuple(sorted(self.weights, key=lambda name: -self.weights[name]))
+
+    def all_warnings(self) -> list[str]:
+        """Sentences on what deserves doubt."""
+        out = list(self.warnings)
+        if self.at_bounds:
+            out.append(f"on a bound of what is searched: {', '.join(self.at_bounds)}")
+        if self.unidentified:
+            out.append(f"these data do not tell: {', '.join(self.unidentified)}")
+        if self.noise["finding"]:
+            out.append(f"the noise: {self.noise['finding']}")
+        if self.nearest is not None and self.verdict is Verdict.UNKNOWN:
+            out.append(f"{self.nearest.words()}; {self.nearest.why_not}")
+        return out
 
     def verdict_json(self) -> dict[str, Any]:
         """The keys of verdict.json (CONTRACT.md) but ``confirmed_in_3d``, which others add."""
@@ -108,7 +151,7 @@ class Finding:
         return {
             "verdict": str(self.verdict),
             "effects": list(self.effects),
-            "weights": dict(self.weights),
+            "weights": {name: self.weights[name] for name in self.effects},
             "together": [list(each) for each in self.together],
             "detection": {"statistic": self.statistic, "p_value": self.p_value},
             "open_set": {"p_value": self.open_set_p_value},
@@ -119,18 +162,24 @@ class Finding:
             "unidentified": list(self.unidentified),
             "classes": [list(each) for each in self.classes],
             "detectable": dict(self.detectable),
-            "noise": dict(self.noise),
-            "held_out": None
-            if held is None
-            else {
-                "groups": list(held.groups),
-                "unit": held.unit,
-                "rms_before": held.rms_before,
-                "rms_after": held.rms_after,
-                "reduction_low": held.reduction_low,
-                "reduction_high": held.reduction_high,
-                "coverage_90": held.coverage_90,
+            "fit": {
+                "rms_sigma_before": self.rms_before,
+                "rms_sigma": self.rms_after,
+                "coverage_90": self.coverage_90,
+                "at_bounds": list(self.at_bounds),
             },
+            "nearest": None
+            if self.nearest is None
+            else {
+                "effects": list(self.nearest.effects),
+                "share": self.nearest.share,
+                "leaves_sigma": self.nearest.leaves_sigma,
+                "why_not": self.nearest.why_not,
+            },
+            "noise": dict(self.noise),
+            "warnings": self.all_warnings(),
+            "left_aside": list(self.left_aside),
+            "held_out": None if held is None else held.keys(),
             "next_experiment": None
             if proposal is None
             else {

@@ -1,4 +1,4 @@
-"""Which parameters of a model do the data want, how sharply, and which can they not see?
+"""Maximum likelihood within the parameters' bounds, and what the data see of the parameters.
 
 Levenberg-Marquardt on the likelihood that is summed over nodes, many starts at once. Gradient and
 curvature are those of the complete data, averaged over the nodes, less what not knowing the node
@@ -12,16 +12,19 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ...solver.bristle import Array
 from ...solver.effects.base import Parameter
-from .noise import influence, score_table
+from .noise import influence, log_density_at, score_table
 from .problem import Model
 from .sample import Sample
 
 ITERATIONS = 14
 # A uniform parameter on the unit box has this precision: data that add less do not see it.
 BOX_PRECISION = 12.0
+# Nearer to a bound than this, in the unit box, a parameter is on it.
+ON_BOUND = 1e-4
 
 
 def to_theta(parameters: tuple[Parameter, ...], u: Array) -> Array:
@@ -70,6 +73,20 @@ class Fitted:
     @property
     def effects(self) -> tuple[str, ...]:
         return self.model.effects
+
+    @property
+    def loose(self) -> NDArray[np.bool_]:
+        """Which parameters (p,) are not on a bound: what a refit can move both ways."""
+        return np.asarray((self.u > ON_BOUND) & (self.u < 1 - ON_BOUND))
+
+    @property
+    def at_bounds(self) -> tuple[str, ...]:
+        """Parameters on a bound that is not their absence."""
+        return tuple(
+            each.name
+            for each, u, free in zip(self.model.parameters, self.u, self.loose, strict=True)
+            if not free and abs(u - to_box(each, each.null)) > ON_BOUND
+        )
 
     @property
     def mean(self) -> Array:
@@ -142,12 +159,10 @@ def _newton(
 
 def node_shares(data: Sample, e: Array, weights: Array, shape: int) -> Array:
     """Probability (starts, nodes, groups) of each node, from filtered residuals of each."""
-    from .noise import REACH, STEP, log_density
-
-    table = log_density()[shape]
-    x = np.minimum(np.abs(e), REACH) / STEP
-    density = table[x.astype(np.int64)] - np.maximum(np.abs(e) - REACH, 0.0) * REACH
-    logs = np.add.reduceat(density, data.starts[:-1], axis=-1) + np.log(weights)[:, None]
+    logs = (
+        np.add.reduceat(log_density_at(e, shape), data.starts[:-1], axis=-1)
+        + np.log(weights)[:, None]
+    )
     logs -= logs.max(axis=-2, keepdims=True)
     mass = np.exp(logs)
     return mass / mass.sum(axis=-2, keepdims=True)
@@ -247,8 +262,9 @@ def filtered_slopes(data: Sample, slopes: Array, noise: int) -> Array:
     return data.noises.filtered(slopes.T, slopes.T, noise).T
 
 
-def likely_noise(data: Sample, fitted: Fitted) -> tuple[int, Array]:
-    """The likeliest noise at these predictions, and the posterior weights of all (noises,)."""
+def likely_noise(data: Sample, fitted: Fitted) -> tuple[int, float, Array]:
+    """The likeliest noise at these predictions, its log likelihood with prior, and the posterior
+    weights of all (noises,)."""
     count = data.noises.scale.size
     zero = np.zeros(count, dtype=np.int64)
     logs = data.noises.prior + data.log_likelihood(
@@ -258,14 +274,15 @@ def likely_noise(data: Sample, fitted: Fitted) -> tuple[int, Array]:
         (zero, zero, np.arange(count)),
     )
     mass = np.exp(logs - logs.max())
-    return int(np.argmax(logs)), mass / mass.sum()
+    return int(np.argmax(logs)), float(logs.max()), mass / mass.sum()
 
 
-def settle(data: Sample, model: Model, starts: Array, noise: int = 0) -> tuple[Fitted, Array]:
-    """Fit, choose the noise, fit again; returns the posterior weights of the noises too."""
-    fitted = fit(data, model, starts, noise)
-    best, shares = likely_noise(data, fitted)
-    if best != noise:
-        fitted = fit(data, model, fitted.u, best, iterations=6)
-        _, shares = likely_noise(data, fitted)
-    return fitted, shares
+def settle(data: Sample, model: Model, starts: Array) -> Fitted:
+    """Fit under a robust noise, choose the likeliest noise, fit again."""
+    fitted = fit(data, model, starts, data.noises.robust())
+    for _ in range(2):
+        best = likely_noise(data, fitted)[0]
+        if best == fitted.noise:
+            break
+        fitted = fit(data, model, fitted.u, best, iterations=8)
+    return fitted

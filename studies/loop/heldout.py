@@ -1,45 +1,92 @@
-"""How well does a model predict groups that took no part, before and after the effect is added?
+"""Held-out groups: how well is predicted what took no part in fitting or choosing?
 
-Where the problem names no groups to hold out, a quarter of them, at least two, are chosen by the
-seed before anything is fitted: sorted by height, one of each four neighbours, so that every height
-is tried. Whole groups, since rows of one drop share its chance.
+Where the problem names no groups to hold out, a quarter of them are chosen by the seed before
+anything is fitted: sorted by height, one of each four neighbours, so that every height is tried.
+Whole groups, since rows of one group share its chance.
+
+The log score is the logarithm of the predictive density (I. J. Good, J. R. Stat. Soc. B 14 (1952)
+107; Gneiting and Raftery, J. Am. Stat. Assoc. 102 (2007) 359), the parameters integrated out.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+from scipy.special import logsumexp
 
 from ...solver.bristle import Array
-from .noise import Ints
+from .noise import Ints, log_density_at
 from .posterior import Posterior
 from .problem import Problem
 from .sample import HEIGHT, Sample
 
+LEAST_GROUPS = 4
 RESAMPLED = 999
-DRAWS = 400
+DRAWS = 999
+POINTS = 60
+REPEATS = 99
+TRIMMED = 1 / 8
 
 
 @dataclass(frozen=True)
 class HeldOut:
     """Errors in ``unit`` on held-out ``groups``; ``reduction`` is 1 − after / before, with its 90 %
-    interval over groups. ``values``, ``before``, ``after``, ``low``, ``high`` (rows,) in ``unit``
-    by held-out row of the main quantity."""
+    interval over groups. ``sigma`` is the error that the final model and its noise allow for,
+    ``ratio`` the error over that and ``surprise`` the chance of one as large, both without the
+    largest eighth of the errors; ``rms_sigma`` is the error of all quantities over
+    the declared noise.
+    ``values``, ``before``, ``after``, ``low``, ``high`` (rows,) in ``unit`` by held-out row of the
+    main quantity. ``log_score_gain`` in nats of all held-out rows, with what the noise of these
+    values could have made of it (90 %)."""
 
     groups: tuple[int, ...]
     unit: str
     rms_before: float
     rms_after: float
+    sigma: float
+    rms_sigma: float
+    rms_sigma_before: float
+    surprise: float
+    ratio: float
     reduction_low: float
     reduction_high: float
     coverage_90: float
+    log_score_gain: float
+    log_score_gain_low: float
+    log_score_gain_high: float
     rows: Ints
     values: Array
     before: Array
     after: Array
     low: Array
     high: Array
+
+    def keys(self) -> dict[str, Any]:
+        """The ``held_out`` of verdict.json."""
+        return {
+            "groups": list(self.groups),
+            "unit": self.unit,
+            "rms_before": self.rms_before,
+            "rms_after": self.rms_after,
+            "noise": self.sigma,
+            "rms_sigma": self.rms_sigma,
+            "reduction_low": self.reduction_low,
+            "reduction_high": self.reduction_high,
+            "coverage_90": self.coverage_90,
+            "log_score_gain": self.log_score_gain,
+            "log_score_gain_low": self.log_score_gain_low,
+            "log_score_gain_high": self.log_score_gain_high,
+        }
+
+
+@dataclass(frozen=True)
+class Score:
+    """What a model predicts of held-out rows, whitened: ``mean`` (rows,), ``draws`` (draws, rows)."""
+
+    mean: Array
+    draws: Array
 
 
 def split(problem: Problem, seed: int) -> tuple[Ints, Ints]:
@@ -49,66 +96,129 @@ def split(problem: Problem, seed: int) -> tuple[Ints, Ints]:
     if problem.held is not None:
         apart = np.isin(groups, problem.held)
         return groups[~apart], groups[apart]
-    if groups.size < 4:
+    if groups.size < LEAST_GROUPS:
         return groups, groups[:0]
     height = next((problem.covariates[n] for n in HEIGHT if n in problem.covariates), None)
     key = np.zeros(groups.size)
     if height is not None:
         key = np.array([np.mean(height[problem.group == g]) for g in groups])
     order = np.lexsort((rng.random(groups.size), np.round(key, 12)))
-    count = max(2, groups.size // 4)
-    blocks = np.array_split(order, count)
+    blocks = np.array_split(order, max(1, groups.size // 4))
     chosen = np.array([int(rng.choice(block)) for block in blocks])
     held = np.zeros(groups.size, dtype=bool)
     held[chosen] = True
     return groups[~held], groups[held]
 
 
-def judge(
-    problem: Problem,
-    data: Sample,
-    base: Posterior,
-    final: Posterior,
-    held: Sample,
-    rng: np.random.Generator,
-) -> HeldOut:
-    """Errors of baseline and final model on the held-out rows of the main quantity."""
-    main = str(problem.quantity[0])
-    mine = np.flatnonzero(problem.quantity[held.rows] == main)
-    if not mine.size:
-        mine = np.arange(held.rows.size)
-    rows = held.rows[mine]
-    scale = problem.scale[rows] / held.unit[mine]
-    values = held.values[mine] * scale
-    before = _mean(held, base)[mine] * scale
-    after = _mean(held, final)[mine] * scale
-    drawn = _draws(data, held, final, rng)
-    low, high = np.quantile(drawn, [0.05, 0.95], axis=0)
-    inside = (held.values >= low) & (held.values <= high)
-    group = held.group[mine]
+class Judge:
+    """Scores models on held-out rows, the baseline once."""
+
+    def __init__(self, problem: Problem, held: Sample, base: Posterior, seed: int) -> None:
+        self.problem, self.held, self.base, self.seed = problem, held, base, seed
+        self._before: Score | None = None
+
+    @property
+    def before(self) -> Score:
+        """The baseline's score."""
+        if self._before is None:
+            self._before = self.score(self.base)
+        return self._before
+
+    def score(self, final: Posterior) -> Score:
+        """The predictive distribution of one model."""
+        rng = np.random.default_rng([self.seed, 3])
+        predicted, noise = _mixture(self.held, final, rng)
+        return Score(
+            mean=_mean(self.held, final),
+            draws=_draws(self.held, final, predicted, noise, rng),
+        )
+
+    def gain(self, final: Posterior, before: Posterior | None = None) -> tuple[float, float, float]:
+        """Log score that a model gains over another (the baseline), in nats, and 90 % of what
+        other noise about the same truth would make of it."""
+        rng = np.random.default_rng([self.seed, 4])
+        one = final
+        two = self.base if before is None else before
+        if not self.held.values.size:
+            return 0.0, 0.0, 0.0
+        p1, n1 = _mixture(self.held, one, rng)
+        p2, n2 = _mixture(self.held, two, rng)
+        values = np.concatenate(
+            [self.held.values[None], _draws(self.held, one, p1, n1, rng)[:REPEATS]]
+        )
+        each = _group_scores(self.held, one, p1, n1, values)
+        each -= _group_scores(self.held, two, p2, n2, values)
+        total, drawn = float(each[0].sum()), each[1:].sum(axis=1)
+        # the spread of a gain grows with its root, so that of a smaller one is smaller
+        share = np.sqrt(np.clip(total / max(float(drawn.mean()), 1e-9), 0.0, 1.0))
+        low, high = np.quantile(drawn, [0.05, 0.95]) - drawn.mean()
+        return total, total + float(share * low), total + float(share * high)
+
+    def judge(self, final: Posterior) -> HeldOut:
+        """Errors of baseline and final model on the held-out rows of the main quantity."""
+        problem, held = self.problem, self.held
+        rng = np.random.default_rng([self.seed, 5])
+        main = str(problem.quantity[0])
+        mine = np.flatnonzero(problem.quantity[held.rows] == main)
+        if not mine.size:
+            mine = np.arange(held.rows.size)
+        rows = held.rows[mine]
+        scale = problem.scale[rows] / held.unit[mine]
+        score = self.score(final) if final is not self.base else self.before
+        values, before = held.values[mine] * scale, self.before.mean[mine] * scale
+        after = score.mean[mine] * scale
+        low, high = np.quantile(score.draws, [0.05, 0.95], axis=0)
+        inside = (held.values >= low) & (held.values <= high)
+        spread = score.draws - score.draws.mean(axis=0)
+        sigma = float(np.sqrt(np.mean((spread[:, mine] * scale) ** 2)))
+        error, chance = _trimmed(held.values - score.mean), _trimmed(score.draws - score.mean)
+        surprise = (float(np.sum(chance >= error)) + 1.0) / (len(chance) + 1.0)
+        gain = self.gain(final) if final is not self.base else (0.0, 0.0, 0.0)
+        ends = _reduction(held.group[mine], values - before, values - after, rng)
+        return HeldOut(
+            groups=tuple(int(g) for g in np.unique(problem.group[held.rows])),
+            unit=problem.unit,
+            rms_before=float(np.sqrt(np.mean((values - before) ** 2))),
+            rms_after=float(np.sqrt(np.mean((values - after) ** 2))),
+            sigma=sigma,
+            rms_sigma=float(np.sqrt(np.mean((held.values - score.mean) ** 2))),
+            rms_sigma_before=float(np.sqrt(np.mean((held.values - self.before.mean) ** 2))),
+            surprise=surprise,
+            ratio=float(error / np.sqrt(np.mean(chance**2))),
+            reduction_low=ends[0],
+            reduction_high=ends[1],
+            coverage_90=float(np.mean(inside)),
+            log_score_gain=gain[0],
+            log_score_gain_low=gain[1],
+            log_score_gain_high=gain[2],
+            rows=rows,
+            values=values,
+            before=before,
+            after=after,
+            low=low[mine] * scale,
+            high=high[mine] * scale,
+        )
+
+
+def _trimmed(error: Array) -> Array:
+    """Rms (...) of errors (..., rows) without the largest: an outlier is a finding on the noise."""
+    rows = error.shape[-1]
+    kept = max(rows - round(TRIMMED * rows), min(rows, 1))
+    return np.sqrt(np.mean(np.sort(error**2, axis=-1)[..., :kept], axis=-1))
+
+
+def _reduction(
+    group: Ints, before: Array, after: Array, rng: np.random.Generator
+) -> tuple[float, float]:
+    """The 90 % interval over groups of 1 − after / before."""
     labels = np.unique(group)
-    one = np.array([np.sum((values - before)[group == g] ** 2) for g in labels])
-    two = np.array([np.sum((values - after)[group == g] ** 2) for g in labels])
-    pick = rng.integers(labels.size, size=(RESAMPLED, max(labels.size, 1))) if labels.size else None
-    ends = (0.0, 0.0)
-    if pick is not None and not np.allclose(one, two):
-        ratio = 1 - np.sqrt(two[pick].sum(axis=1) / np.maximum(one[pick].sum(axis=1), 1e-300))
-        ends = (float(np.quantile(ratio, 0.05)), float(np.quantile(ratio, 0.95)))
-    return HeldOut(
-        groups=tuple(int(g) for g in np.unique(problem.group[held.rows])),
-        unit=problem.unit,
-        rms_before=float(np.sqrt(np.mean((values - before) ** 2))),
-        rms_after=float(np.sqrt(np.mean((values - after) ** 2))),
-        reduction_low=ends[0],
-        reduction_high=ends[1],
-        coverage_90=float(np.mean(inside)),
-        rows=rows,
-        values=values,
-        before=before,
-        after=after,
-        low=low[mine] * scale,
-        high=high[mine] * scale,
-    )
+    if not labels.size or np.allclose(before, after):
+        return 0.0, 0.0
+    one = np.array([np.sum(before[group == g] ** 2) for g in labels])
+    two = np.array([np.sum(after[group == g] ** 2) for g in labels])
+    pick = rng.integers(labels.size, size=(RESAMPLED, labels.size))
+    ratio = 1 - np.sqrt(two[pick].sum(axis=1) / np.maximum(one[pick].sum(axis=1), 1e-300))
+    return float(np.quantile(ratio, 0.05)), float(np.quantile(ratio, 0.95))
 
 
 def _mean(held: Sample, final: Posterior) -> Array:
@@ -116,19 +226,35 @@ def _mean(held: Sample, final: Posterior) -> Array:
     return np.asarray(np.asarray(model.weights) @ held.predict(model, final.fitted.theta))
 
 
-def _draws(data: Sample, held: Sample, final: Posterior, rng: np.random.Generator) -> Array:
+def _mixture(held: Sample, final: Posterior, rng: np.random.Generator) -> tuple[Array, int]:
+    """Predictions (points, nodes, rows) at draws of the parameters, and the noise among those of
+    the held-out rows that is most like the fitted one."""
+    pick = rng.choice(final.weights.size, size=POINTS, p=final.weights)
+    predicted = held.predict(final.fitted.model, final.theta[pick])
+    return predicted, final.noises.alike(final.fitted.noise, held.noises)
+
+
+def _group_scores(
+    held: Sample, final: Posterior, predicted: Array, noise: int, values: Array
+) -> Array:
+    """Log predictive densities (sets, groups) of values (sets, rows), parameters averaged."""
+    weights = np.asarray(final.fitted.model.weights)
+    scale, shape = held.noises.scale[noise], int(held.noises.shape[noise])
+    out = []
+    for each in values:  # all at once they would fill the memory
+        density = log_density_at((each - predicted) / scale, shape) - np.log(scale)
+        by_group = np.add.reduceat(density, held.starts[:-1], axis=-1)
+        by_point = logsumexp(by_group + np.log(weights)[:, None], axis=1)
+        out.append(logsumexp(by_point, axis=0) - np.log(predicted.shape[0]))
+    return np.array(out)
+
+
+def _draws(
+    held: Sample, final: Posterior, predicted: Array, noise: int, rng: np.random.Generator
+) -> Array:
     """Predictive draws (draws, rows): parameters, each group's chance, and noise."""
-    del data
-    model = final.fitted.model
-    weights = np.asarray(model.weights)
-    pick = rng.choice(final.weights.size, size=DRAWS, p=final.weights)
-    distinct, where = np.unique(pick, return_inverse=True)
-    predicted = held.predict(model, final.theta[distinct])
+    weights = np.asarray(final.fitted.model.weights)
+    point = rng.integers(predicted.shape[0], size=DRAWS)
     node = rng.choice(weights.size, size=(DRAWS, held.starts.size - 1), p=weights / weights.sum())
-    mean = predicted[where[:, None], node[:, held.group], np.arange(held.values.size)[None]]
-    # Held-out sets may be too short for correlations to be among their noises.
-    grid, own = final.shares, held.noises
-    kinds = min(grid.size, own.scale.size)
-    folded = grid.reshape(-1, kinds).sum(axis=0) if grid.size % kinds == 0 else grid[:kinds]
-    noise = rng.choice(kinds, size=DRAWS, p=folded / folded.sum())
-    return mean + own.draw(noise, rng)
+    mean = predicted[point[:, None], node[:, held.group], np.arange(held.values.size)[None]]
+    return np.asarray(mean + held.noises.draw(np.full(DRAWS, noise), rng))

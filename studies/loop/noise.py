@@ -1,11 +1,10 @@
-"""Which noise may the values have, and how likely are residuals under it?
+"""Noise hypotheses: densities, lag-one correlation, and the likelihood of rows under them.
 
-A dataset declares a standard deviation, and no more. Tails, outliers and correlation from drop to
-drop would each look like an effect, so they are hypotheses of their own: a grid of noises, weighted
-by the data under every model alike. A declared sigma is trusted to a tenth: heavy tails come with
-about that standard deviation, outliers with a core of that size, and scatter beyond it is something
-that the model lacks. Noise does not scale with height and is not shared by the rows of a drop;
-scatter effects are, which tells them apart.
+A dataset declares a standard deviation and no more. Tails, outliers, correlation and a sigma that
+was declared somewhat wrong are hypotheses of their own, a grid of noises that every model may
+choose from. The grid is bounded on purpose: a core of at most `MOST_SCALE` declared standard
+deviations, and correlation only where the size is what was declared. Noise may be odd or it may be
+large, but what is both is something that the model lacks.
 
 Every density is tabulated once, so the compiled kernel costs one look-up a row, whatever the shape.
 Scale mixtures against outliers: Huber and Ronchetti, Robust Statistics (2009), §4; Student's t:
@@ -19,6 +18,7 @@ from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import gammaln
 
 from ...solver.bristle import Array
 from ...solver.compiled import njit
@@ -29,16 +29,20 @@ STEP = 0.01
 REACH = 60.0
 SHAPES = ("gaussian", "t5", "t3", "outliers")
 OUTLIER_SHARE, OUTLIER_WIDTH = 0.06, 6.0
-# Scales by shape, in declared standard deviations, and the prior weight that a shape gets.
+MOST_SCALE = 1.3
+# By shape: its prior weight, and core scales in declared standard deviations.
 DECLARED: dict[str, tuple[float, tuple[float, ...]]] = {
-    "gaussian": (0.06, (1.05, 1.1)),
-    "t5": (0.04, (0.73, 0.78, 0.85)),
-    "t3": (0.06, (0.52, 0.58, 0.65, 0.72)),
-    "outliers": (0.08, (0.9, 1.0, 1.08)),
+    "gaussian": (0.22, (0.7, 0.85, 1.1, 1.2, MOST_SCALE)),
+    "t5": (0.06, (0.65, 0.78, 0.9, 1.0)),
+    "t3": (0.06, (0.52, 0.65, 0.8)),
+    "outliers": (0.06, (0.85, 1.0, 1.15)),
 }
 FREE = tuple(float(s) for s in np.geomspace(0.3, 2.5, 14))
-CORRELATIONS = (0.0, 0.15, 0.3, 0.45, 0.6, 0.75)
-UNCORRELATED = 0.75
+CORRELATIONS = (-0.5, -0.25, 0.25, 0.45, 0.65)
+UNCORRELATED = 0.8
+# Correlated noise is believed up to this size.
+MOST_CORRELATED = 1.1
+LEAST_LINKED = 12
 
 
 @cache
@@ -52,31 +56,36 @@ def log_density() -> Array:
 
 
 def _student(x: Array, nu: float) -> Array:
-    from scipy.special import gammaln
-
     constant = gammaln((nu + 1) / 2) - gammaln(nu / 2) - 0.5 * np.log(nu * np.pi)
     return np.asarray(constant - (nu + 1) / 2 * np.log1p(x**2 / nu))
 
 
 @cache
-def score_table() -> tuple[Array, Array, Array]:
-    """Influence −d log p/dx (shapes, points), its Fisher information and its mean square."""
+def score_table() -> tuple[Array, Array]:
+    """Influence −d log p/dx (shapes, points) and its Fisher information (shapes,)."""
     table = log_density()
     psi = -np.gradient(table, STEP, axis=1)
     psi[:, 0] = 0.0
     mass = np.exp(table) * 2 * STEP
     mass[:, 0] /= 2
-    information = np.sum(psi**2 * mass, axis=1)
-    return psi, information, information
+    return psi, np.sum(psi**2 * mass, axis=1)
 
 
 def influence(x: Array, shape: int) -> Array:
-    """Minus the slope of the log density at x (any shape) in core scales."""
+    """Minus the slope of the log density at x (any shape) in core scales; it serves fitting."""
     psi = score_table()[0][shape]
     at = np.minimum(np.abs(x) / STEP, psi.size - 1.001)
     low = at.astype(np.int64)
     share = at - low
     return np.sign(x) * (psi[low] * (1 - share) + psi[low + 1] * share)
+
+
+def log_density_at(x: Array, shape: int) -> Array:
+    """Log density at x (any shape) in core scales; normal tails beyond `REACH`."""
+    size = np.abs(x)
+    table = log_density()[shape]
+    nearest = table[(np.minimum(size, REACH) / STEP).astype(np.int64)]
+    return np.asarray(nearest - np.maximum(size - REACH, 0.0) * REACH)
 
 
 @dataclass(frozen=True)
@@ -93,7 +102,7 @@ class Noises:
 
     ``before`` (noises, rows) is the share of the previous row's residual that is expected again,
     ``stretch`` (noises, rows) divides what is left to its own standard deviation, ``constant``
-    (noises,) is the log determinant of both. ``declared``: scatter beyond these is none of them.
+    (noises,) is the log determinant of both. The first noise is the one that was declared.
     """
 
     shape: Ints
@@ -114,6 +123,16 @@ class Noises:
             "correlation": float(self.correlation[which]),
         }
 
+    def robust(self) -> int:
+        """The noise that first fits are made under: Student's t, uncorrelated, of middling size."""
+        suits = np.flatnonzero((self.shape == 1) & (self.correlation == 0))
+        return int(suits[np.argmin(np.abs(self.scale[suits] - 0.9))])
+
+    def alike(self, which: int, others: Noises) -> int:
+        """The uncorrelated noise among ``others`` of this one's shape and nearest core scale."""
+        suits = np.flatnonzero((others.shape == self.shape[which]) & (others.correlation == 0))
+        return int(suits[np.argmin(np.abs(others.scale[suits] - self.scale[which]))])
+
     def filtered(self, residual: Array, centre: Array, which: int) -> Array:
         """Residuals (..., rows) in units of core scale, freed of what the previous row told.
 
@@ -131,13 +150,13 @@ class Noises:
         wide = np.where(rng.random(normal.shape) < OUTLIER_SHARE, OUTLIER_WIDTH, 1.0)
         stretch = np.stack([np.ones_like(wide), chi5**-0.5, chi3**-0.5, wide])
         fresh = normal * stretch[self.shape[which], np.arange(which.size)]
-        out = np.empty_like(fresh)
+        fresh /= self.stretch[which]
+        if not self.correlation[which].any():
+            return fresh
         for row in _forward(self.previous):
-            own = fresh[:, row] / self.stretch[which, row]
             if self.previous[row] >= 0:
-                own = own + self.before[which, row] * out[:, self.previous[row]]
-            out[:, row] = own
-        return out
+                fresh[:, row] += self.before[which, row] * fresh[:, self.previous[row]]
+        return fresh
 
 
 def _forward(previous: Ints) -> list[int]:
@@ -154,38 +173,35 @@ def _forward(previous: Ints) -> list[int]:
 
 def noises(sequence: Chain, declared: bool) -> Noises:
     """The grid for rows in this sequence; with sigma not declared, every scale is as likely."""
-    shapes: list[int] = []
-    scales: list[float] = []
-    priors: list[float] = []
+    grid: list[tuple[int, float, float, float]] = []
     if declared:
-        shapes, scales = [0], [1.0]
-        priors = [1.0 - sum(weight for weight, _ in DECLARED.values())]
-        for name, (weight, several) in DECLARED.items():
-            shapes += [SHAPES.index(name)] * len(several)
-            scales += several
-            priors += [weight / len(several)] * len(several)
+        grid.append((0, 1.0, 0.0, 1.0 - sum(weight for weight, _ in DECLARED.values())))
+        grid += [
+            (SHAPES.index(name), scale, 0.0, weight / len(scales))
+            for name, (weight, scales) in DECLARED.items()
+            for scale in scales
+        ]
     else:
-        for name, weight in zip(SHAPES, (0.7, 0.1, 0.1, 0.1), strict=True):
-            shapes += [SHAPES.index(name)] * len(FREE)
-            scales += FREE
-            priors += [weight / len(FREE)] * len(FREE)
-    linked = int(np.sum(sequence.previous >= 0))
-    correlations = CORRELATIONS if linked >= 12 else (0.0,)
-    chances = np.array([UNCORRELATED] + [(1 - UNCORRELATED) / 5] * 5)[: len(correlations)]
-    chances = chances / chances.sum()
-    count = len(scales)
-    rho = np.repeat(correlations, count)
-    scale = np.tile(scales, len(correlations))
-    before = np.where(
-        sequence.previous[None, :] >= 0, rho[:, None] ** np.maximum(sequence.gap, 1.0)[None, :], 0.0
-    )
-    before[rho == 0] = 0.0
+        grid += [
+            (shape, scale, 0.0, weight / len(FREE))
+            for shape, weight in enumerate((0.7, 0.1, 0.1, 0.1))
+            for scale in FREE
+        ]
+        grid.sort(key=lambda each: abs(np.log(each[1])) + 10 * each[0])
+    if np.sum(sequence.previous >= 0) >= LEAST_LINKED:
+        plain = [each for each in grid if not declared or each[1] <= MOST_CORRELATED]
+        grid = [(s, x, r, UNCORRELATED * p) for s, x, r, p in grid]
+        share = (1 - UNCORRELATED) / len(CORRELATIONS)
+        grid += [(s, x, rho, share * p) for rho in CORRELATIONS for s, x, _, p in plain]
+    shape, scale, rho, prior = (np.array(column) for column in zip(*grid, strict=True))
+    linked = sequence.previous[None, :] >= 0
+    before = np.where(linked, np.sign(rho)[:, None] * np.abs(rho)[:, None] ** sequence.gap, 0.0)
     stretch = 1 / (np.sqrt(1 - before**2) * scale[:, None])
     return Noises(
-        shape=np.tile(np.array(shapes, dtype=np.int64), len(correlations)),
+        shape=shape.astype(np.int64),
         scale=scale,
         correlation=rho,
-        prior=np.log(np.repeat(chances, count) * np.tile(priors, len(correlations))),
+        prior=np.log(prior),
         previous=sequence.previous,
         before=before,
         stretch=stretch,

@@ -1,14 +1,12 @@
-"""How probable is a model, how uncertain its parameters, once all that it could be is summed?
+"""Posterior of a model's parameters by adaptive importance sampling, and its evidence.
 
-Importance sampling from Student's t at the likeliest point, adapted until enough points count,
-with a tenth of them spread over the whole box; noises are summed with their priors. So bounds,
-skewness and scatter need no approximation (Owen and Zhou, J. Am. Stat. Assoc. 95 (2000) 135:
-defensive mixture).
+Proposals are Student's t about the likeliest point, adapted until enough points count, with a tenth
+of them spread over the whole box; noises are summed with their priors. So bounds, skewness and
+scatter need no approximation (Owen and Zhou, J. Am. Stat. Assoc. 95 (2000) 135: defensive mixture).
 
-Evidence compares effects on an equal footing. Bounds are wide where little is known, and a prior
-spread over them would favour whoever bounded his effect tightly. The prior is one of size:
-Cauchy in the whitened, projected effect (Zellner and Siow 1980; Bayarri et al., Ann. Statist. 40
-(2012) 1550), the same for all; a direction that the data do not see costs nothing.
+Evidence compares effects on an equal footing: the greatest likelihood less `OCCAM` for each of the
+effect's parameters that the data see. A prior over an effect's bounds would favour whoever bounded
+his effect tightly (unit information: Kass and Wasserman, J. Am. Stat. Assoc. 90 (1995) 928).
 """
 
 from __future__ import annotations
@@ -19,12 +17,11 @@ import numpy as np
 from scipy.special import gammaln, logsumexp
 
 from ...solver.bristle import Array
-from .fit import BOX_PRECISION, Fitted, fit, to_box, to_theta
-from .ladder import size
-from .noise import Ints
+from .adequacy import OCCAM
+from .fit import BOX_PRECISION, Fitted, fit, likely_noise, to_theta
+from .noise import Ints, Noises
 from .sample import Sample
 
-TYPICAL_D = 6.0
 DEGREES = 5.0
 MOST_NOISES = 16
 # The first proposal's covariance over that of the fit, whose curvature a kink may make too large.
@@ -37,15 +34,17 @@ RUGGED = 0.1
 
 @dataclass(frozen=True)
 class Posterior:
-    """Parameters (samples, p) with weights (samples,), the log evidence, and the size ``d``."""
+    """Parameters (samples, p) with weights (samples,), and the log evidence of the model."""
 
     fitted: Fitted
     theta: Array
     weights: Array
     log_evidence: float
-    d: float
-    shares: Array
-    effective: float
+    noises: Noises
+
+    @property
+    def effects(self) -> tuple[str, ...]:
+        return self.fitted.effects
 
     def interval(self, index: int, level: float = 0.9) -> tuple[float, float]:
         """The central interval of one parameter."""
@@ -55,31 +54,37 @@ class Posterior:
         low, high = np.interp([(1 - level) / 2, (1 + level) / 2], below, x)
         return float(low), float(high)
 
+    def median(self, index: int) -> float:
+        """The posterior median of one parameter, which no interval leaves out."""
+        return self.interval(index, 0.0)[0]
 
-def posterior(
-    data: Sample, base: Fitted, fitted: Fitted, shares: Array, rng: np.random.Generator
-) -> Posterior:
-    """Sample a fitted model's parameters; ``shares`` are the noises' weights at the fit."""
-    weights = np.asarray(fitted.model.weights)
-    counts = (128, 384) if weights.size == 1 else (96, 192)
+
+def evidence(data: Sample, fitted: Fitted, own: int) -> float:
+    """Log evidence of a fit whose first ``own`` parameters are the baseline's."""
+    seen = 0
+    if fitted.u.size > own:
+        h = fitted.information
+        cross = h[:own, own:]
+        inner = h[:own, :own] + 1e-9 * np.eye(own)
+        profiled = h[own:, own:] - cross.T @ np.linalg.solve(inner, cross)
+        seen = max(int(np.sum(np.linalg.eigvalsh(profiled) > BOX_PRECISION)), 1)
+    return likely_noise(data, fitted)[1] - OCCAM * seen
+
+
+def posterior(data: Sample, fitted: Fitted, own: int, rng: np.random.Generator) -> Posterior:
+    """Sample a fitted model's parameters; the first ``own`` are the baseline's."""
+    shares = likely_noise(data, fitted)[2]
+    counts = (128, 384) if np.asarray(fitted.model.weights).size == 1 else (96, 192)
     order = np.argsort(-shares, kind="stable")[:MOST_NOISES]
     noise = np.sort(order[shares[order] > 2e-3])
     fitted, u, ratio = _sampled(data, fitted, noise, counts, rng)
     w = np.exp(ratio - ratio.max())
-    integral = float(ratio.max() + np.log(w.mean()))
-    w /= w.sum()
-    slopes = base.mean_slopes
-    shift = fitted.predicted - base.mean
-    shift = shift - ((weights @ shift) @ np.linalg.pinv(slopes).T @ slopes.T)
-    d = float(size(data, shift[None], weights, np.zeros(data.values.size))[0])
     return Posterior(
         fitted=fitted,
         theta=to_theta(fitted.model.parameters, u),
-        weights=w,
-        log_evidence=integral + _log_prior(fitted, base.u.size, d),
-        d=d,
-        shares=shares,
-        effective=float(1 / np.sum(w**2)),
+        weights=w / w.sum(),
+        log_evidence=evidence(data, fitted, own),
+        noises=data.noises,
     )
 
 
@@ -196,27 +201,3 @@ class Proposal:
         wide = (self.count // 10) / self.count
         flat = np.where(inside, np.log(wide), -np.inf)
         return np.logaddexp(np.log(1 - wide) + student, flat)
-
-
-def _log_prior(fitted: Fitted, own: int, d: float) -> float:
-    """Log density of the effect's parameters, in unit-box coordinates, at the fit."""
-    h = fitted.information
-    if h.shape[0] == own:
-        return 0.0
-    cross = h[:own, own:]
-    profiled = h[own:, own:] - cross.T @ np.linalg.solve(h[:own, :own] + 1e-9 * np.eye(own), cross)
-    seen = np.linalg.eigvalsh(profiled)
-    seen = seen[seen > BOX_PRECISION]
-    q = seen.size
-    if q == 0:
-        return 0.0
-    s = TYPICAL_D
-    density = (
-        gammaln((1 + q) / 2)
-        - gammaln(0.5)
-        - q / 2 * np.log(np.pi)
-        - q * np.log(s)
-        - (1 + q) / 2 * np.log1p((d / s) ** 2)
-    )
-    one_sided = sum(to_box(each, each.null) in (0.0, 1.0) for each in fitted.model.parameters[own:])
-    return float(density + 0.5 * np.sum(np.log(seen)) + min(one_sided, q) * np.log(2.0))

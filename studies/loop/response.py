@@ -1,4 +1,4 @@
-"""How does a drop answer to height, stiffness and one effect's size: a table of simulated drops.
+"""Tables of simulated drops: what height, stiffness and one effect's size make of a drop.
 
 Each effect that only a simulation can tell the result of has a table of its own: drops of the beam
 over speed of impact, stiffness and the effect's parameter, with cubic splines between. Where
@@ -20,7 +20,7 @@ import numpy as np
 
 from ...solver import paper
 from ...solver.bristle import Array, Bristle
-from ...solver.contact.laws import Adhesive, Linear, Plastic
+from ...solver.contact.laws import Adhesive, Damped, Linear, Plastic
 from ...solver.effects import library
 from ...solver.effects.base import Parameter, Scene
 from ...solver.effects.library import EFFECTS
@@ -31,17 +31,21 @@ from .spline import coefficients
 from .table import QUANTITIES, Axis, Table, mended
 from .table_drops import beam_of, drops_of, its_s
 
-# Softer and damped, a contact may hold the bristle for good.
-KN_RANGE_N_M = (1e5, 1e8)
-KN_NODES = 33
-LEAN_KN_NODES = 9
-# Decades to each side of the stiffness that the baseline has.
-KN_DECADES = 1.0
+# All that the paper tried: a fit without an effect does not tell where the effect takes Kn.
+KN_RANGE_N_M = (1e4, 1e8)
+KN_NODES = 49
+EFFECT_KN_NODES = 25
+LEAN_KN_NODES = 13
 HEIGHT_NODES = 4
-EFFECT_NODES = 17
-LEAN_NODES = 10
-SLOPE_NODES = 8
+EFFECT_NODES = 15
+LEAN_NODES = 9
+SLOPE_NODES = 7
 SIDE_NODES = 4
+# Coefficients at which what leans is simulated where friction is not known; straight between.
+FRICTIONS = (0.0, 0.06, 0.15, 0.35, 1.0)
+FRICTION = Parameter(
+    "friction", "", 0.0, 1.0, 0.3, null=0.5, why="steel on anything: from oiled to rough and dry"
+)
 # What tables come from beside the solver, whose sources name the folder that they are kept in.
 MADE_BY = (
     Path(library.__file__).parent,
@@ -63,7 +67,8 @@ def reference(
 
 @dataclass(frozen=True)
 class Bench:
-    """Where tables are made: the body, gravity and friction, and the heights to cover.
+    """Where tables are made: the body, gravity and friction (None where nobody knows it), and the
+    heights to cover.
 
     Data that show other quantities of a drop have a bench that overrides `seen` and `reference`,
     and names its own source in ``made_by``; ``shows_falls`` says that they show how it fell.
@@ -74,26 +79,19 @@ class Bench:
     lowest_m: float
     highest_m: float
     kn_range_N_m: tuple[float, float] = KN_RANGE_N_M
-    friction: float = paper.FRICTION
+    friction: float | None = paper.FRICTION
     made_by: ClassVar[tuple[Path, ...]] = MADE_BY
     shows_falls: ClassVar[bool] = False
 
-    def seen(self, scenes: Sequence[Scene], its: float) -> Array:
+    def seen(self, scenes: Sequence[Scene], its: float, friction: float) -> Array:
         """Three positive quantities of drops of these scenes (scenes, quantities); NaN for one that
         fails, or stays on the surface for good."""
         body = beam_of(self.bristle)
-        return drops_of(body, scenes, self.gravity_m_s2, its, self.friction, lenient=True)
+        return drops_of(body, scenes, self.gravity_m_s2, its, friction, lenient=True)
 
     def reference(self, height_m: Array, kn_N_m: Array) -> Array:
         """What the quantities (quantities, ...) are measured by."""
         return reference(height_m, kn_N_m, self.bristle.mass_kg, self.gravity_m_s2)
-
-    def about(self, kn_N_m: float) -> Bench:
-        """The bench for stiffnesses near one, which is rounded so that others share its tables."""
-        middle = round(2.0 * math.log10(kn_N_m)) / 2.0
-        low, high = self.kn_range_N_m
-        near = (10.0 ** (middle - KN_DECADES), 10.0 ** (middle + KN_DECADES))
-        return replace(self, kn_range_N_m=(max(low, near[0]), min(high, near[1])))
 
     def of_drops(self) -> Bench:
         """The same place for plain drops, whatever this bench shows."""
@@ -103,50 +101,54 @@ class Bench:
         """A drop without effects."""
         return Scene(beta_s=self.bristle.material.beta_s, front_m2=self.bristle.section.area_m2)
 
-    def _axes(self, leaning: bool) -> tuple[Axis, Axis]:
-        low, high = self.kn_range_N_m
-        n = LEAN_KN_NODES if leaning else KN_NODES
-        return Axis(self.lowest_m, self.highest_m, HEIGHT_NODES, "root"), Axis(low, high, n, "log")
+    def frictions(self) -> tuple[float, ...]:
+        """At which coefficients of friction what leans is simulated."""
+        return FRICTIONS if self.friction is None else (self.friction,)
 
     def table(
         self,
         name: str,
         sides: Sequence[Axis],
         change: Callable[[Scene, tuple[float, ...]], Scene],
-        leaning: bool,
+        kn_nodes: int,
+        friction: float = 0.0,
     ) -> Table:
         """Drops over height, stiffness and ``sides``; ``change`` puts a point of these in.
 
         ``name`` tells tables on the same sides apart: they are kept from run to run. Raises
         ComputationError where drops fail at all time steps.
         """
-        axes = (*self._axes(leaning), *sides)
-        key = f"{name} {axes} {self} {sources(*self.made_by)}"
-        made = kept(key, lambda: {"coefficients": self._filled(axes, change)})
+        heights = Axis(self.lowest_m, self.highest_m, HEIGHT_NODES, "root")
+        axes = (heights, Axis(*self.kn_range_N_m, kn_nodes, "log"), *sides)
+        key = f"{name} {friction} {axes} {self} {sources(*self.made_by)}"
+        made = kept(key, lambda: {"coefficients": self._filled(axes, change, friction)})
         return Table(axes, made["coefficients"])
 
     def _filled(
-        self, axes: tuple[Axis, ...], change: Callable[[Scene, tuple[float, ...]], Scene]
+        self,
+        axes: tuple[Axis, ...],
+        change: Callable[[Scene, tuple[float, ...]], Scene],
+        friction: float,
     ) -> Array:
-        """Spline coefficients (..., quantities) of a table."""
-        sides = axes[2:]
-        heights, kns = axes[0].nodes(), [float(kn) for kn in axes[1].nodes()]
-        steps: dict[float, list[int]] = {}
-        for j, kn in enumerate(kns):
-            steps.setdefault(its_s(self.bristle, kn), []).append(j)
+        """Spline coefficients (..., quantities) of a table.
+
+        Drops that share step, damping and loss are simulated in one batch.
+        """
+        nodes = [axis.nodes() for axis in axes]
         shape = tuple(axis.n for axis in axes)
+        batches: dict[tuple[float, float, float], list[tuple[tuple[int, ...], Scene]]] = {}
+        for index in itertools.product(*map(range, shape)):
+            height, kn, *point = (float(each[i]) for each, i in zip(nodes, index, strict=True))
+            plain = replace(self.plain(), height_m=height, law=Linear(kn))
+            scene = change(plain, tuple(point))
+            key = (its_s(self.bristle, kn), scene.beta_s, scene.loss_factor)
+            batches.setdefault(key, []).append((index, scene))
         out = np.empty((*shape, len(QUANTITIES)))
-        for index in itertools.product(*(range(axis.n) for axis in sides)):
-            point = tuple(float(axis.nodes()[i]) for axis, i in zip(sides, index, strict=True))
-            for its, columns in steps.items():
-                scenes = [
-                    change(replace(self.plain(), height_m=float(h), law=Linear(kns[j])), point)
-                    for h in heights
-                    for j in columns
-                ]
-                rows = self.seen(scenes, its).reshape(len(heights), len(columns), -1)
-                place: tuple[Any, ...] = (slice(None), columns, *index)
-                out[place] = rows
+        for (its, *_), batch in batches.items():
+            rows = self.seen([scene for _, scene in batch], its, friction)
+            for (index, _), row in zip(batch, rows, strict=True):
+                out[index] = row
+        sides, heights, kns = axes[2:], nodes[0], nodes[1]
         grid = np.meshgrid(heights, kns, indexing="ij")
         rigid = self.reference(*grid)
         rigid = rigid.reshape(len(QUANTITIES), *shape[:2], *(1,) * len(sides))
@@ -166,13 +168,15 @@ SIMULATED = (
     "surface_slope",
 )
 LEANING = ("bristle_tilt", "surface_slope")
-# Forces that count against the greatest force of the same drop without them, and the shares of it
-# that matter: below, a bristle stays for good; a yield force beyond changes nothing, to the point.
-HELD: dict[str, tuple[type, float, float]] = {
-    "adhesion": (Adhesive, 0.0, 0.5),
-    "plastic_contact": (Plastic, 0.06, 1.0),
+# Effects whose parameter counts against a scale that height and stiffness set: the law, the shares
+# of the scale that matter, and how nodes lie. Adhesion and yield count against the peak force of the
+# same drop without them (more adhesion holds the bristle for good; a yield force beyond changes
+# nothing), a dashpot against critical damping (more than most of it holds the bristle too).
+SCALED: dict[str, tuple[type, Axis]] = {
+    "adhesion": (Adhesive, Axis(0.0, 0.42, 15)),
+    "plastic_contact": (Plastic, Axis(0.15, 1.0, 17)),
+    "contact_damping": (Damped, Axis(0.0, 0.9, 21, "root")),
 }
-HELD_NODES = 17
 
 
 @dataclass(frozen=True)
@@ -186,8 +190,15 @@ class Tables:
         """Effects whose result only a simulation can tell."""
         return SIMULATED
 
-    def bounded(self, parameter: Parameter) -> Parameter:
-        """The parameter with the absence that this body declares, and as far as drops show it."""
+    def parameters(self, name: str) -> tuple[Parameter, ...]:
+        """An effect's parameters, as far as drops show them: with the absence that this body
+        declares, and with friction where the effect hangs on it and nobody knows it."""
+        own = tuple(self._bounded(each) for each in EFFECTS[name].parameters)
+        if name in LEANING and self.bench.friction is None:
+            return (*own, FRICTION)
+        return own
+
+    def _bounded(self, parameter: Parameter) -> Parameter:
         if parameter.name == "beta_s":
             return replace(parameter, null=self.bench.bristle.material.beta_s)
         if parameter.name == "speed_m_s" and not self.bench.shows_falls:
@@ -197,48 +208,55 @@ class Tables:
 
     @cached_property
     def plain(self) -> Table:
-        return self.bench.table("plain", (), lambda scene, _: scene, False)
+        return self.bench.table("plain", (), lambda scene, _: scene, KN_NODES)
 
     @cached_property
-    def _made(self) -> dict[str, Table]:
+    def _made(self) -> dict[str, tuple[Table, ...]]:
         return {}
 
-    def of(self, name: str) -> Table:
-        """The table of an effect; raises ComputationError where its drops fail."""
+    def of(self, name: str) -> tuple[Table, ...]:
+        """The tables of an effect, one for each of `Bench.frictions` where it leans; raises
+        ComputationError where its drops fail."""
         if name not in self._made:
-            self._made[name] = self._make(name)
+            frictions = self.bench.frictions() if name in LEANING else (0.0,)
+            self._made[name] = tuple(self._make(name, friction) for friction in frictions)
         return self._made[name]
 
-    def _make(self, name: str) -> Table:
+    def _make(self, name: str, friction: float) -> Table:
         kind = EFFECTS[name]
         only = kind.parameters[0]
         if name == "surface_slope":
             sides = (Axis(0.0, MOST_SLOPE_DEG, SLOPE_NODES, "root"), Axis(0.0, 90.0, SIDE_NODES))
-            return self.bench.table(name, sides, _sloping, True)
-        if name in HELD:
-            return self.bench.table(
-                name, (Axis(*HELD[name][1:], HELD_NODES),), self._held(name), False
-            )
-        n = LEAN_NODES if name in LEANING else EFFECT_NODES
-        how = "log" if only.logarithmic else "root" if name in LEANING else "even"
-        axis = Axis(only.low, only.high, n, how)
+            return self.bench.table(name, sides, _sloping, LEAN_KN_NODES, friction)
+        if name in SCALED:
+            law, side = SCALED[name]
+            return self.bench.table(name, (side,), self._scaled(name, law), EFFECT_KN_NODES)
+        leans = name in LEANING
+        how = "log" if only.logarithmic else "root" if leans else "even"
+        axis = Axis(only.low, only.high, LEAN_NODES if leans else EFFECT_NODES, how)
 
         def change(scene: Scene, point: tuple[float, ...]) -> Scene:
             value = min(max(point[0], only.low), only.high)
             return kind(**{only.name: value}).enter(scene)
 
-        return self.bench.table(name, (axis,), change, name in LEANING)
+        nodes = LEAN_KN_NODES if leans else EFFECT_KN_NODES
+        return self.bench.table(name, (axis,), change, nodes, friction)
 
-    def _held(self, name: str) -> Callable[[Scene, tuple[float, ...]], Scene]:
-        """Puts a law in whose force is a share of the drop's greatest."""
-        law = HELD[name][0]
+    def _scaled(self, name: str, law: type) -> Callable[[Scene, tuple[float, ...]], Scene]:
+        """Puts a law in whose parameter is a share of its scale."""
 
         def change(scene: Scene, point: tuple[float, ...]) -> Scene:
             kn = scene.law.kn_N_m
-            most = self._peak_N(np.array(scene.height_m), np.array(kn))
+            most = self._scale(name, np.array(scene.height_m), np.array(kn))
             return replace(scene, law=law(kn, point[0] * float(most)))
 
         return change
+
+    def _scale(self, name: str, height_m: Array, kn_N_m: Array) -> Array:
+        """What the parameter of an effect counts against, in its own unit."""
+        if name == "contact_damping":
+            return np.asarray(2.0 * np.sqrt(kn_N_m * self.bench.bristle.mass_kg))
+        return self._peak_N(height_m, kn_N_m)
 
     @cached_property
     def _upright(self) -> Table:
@@ -253,21 +271,48 @@ class Tables:
         rigid = reference(height_m, kn_N_m, mass, gravity)[2]
         return np.asarray(rigid * np.exp(self._upright.at(height_m, kn_N_m)[2]))
 
-    def change(self, name: str, height_m: Array, kn_N_m: Array, *value: Array | float) -> Array:
+    def change(
+        self,
+        name: str,
+        height_m: Array,
+        kn_N_m: Array,
+        *value: Array | float,
+        friction: Array | float | None = None,
+    ) -> Array:
         """By how much an effect changes the logarithms of all quantities (quantities, ...)."""
-        table = self.of(name)
         absent = [np.asarray(0.0)] * len(value)
         if name != "surface_slope":
-            absent = [np.asarray(self.bounded(EFFECTS[name].parameters[0]).null)]
-        if name in HELD:
-            most = self._peak_N(height_m, kn_N_m)
+            absent = [np.asarray(self._bounded(EFFECTS[name].parameters[0]).null)]
+        if name in SCALED:
+            most = self._scale(name, np.asarray(height_m), np.asarray(kn_N_m))
             value, absent = (value[0] / most,), [absent[0] / most]
-        now = table.at(*np.broadcast_arrays(height_m, kn_N_m, *value))
-        return now - table.at(*np.broadcast_arrays(height_m, kn_N_m, *absent))
+        now = np.broadcast_arrays(height_m, kn_N_m, *value)
+        without = np.broadcast_arrays(height_m, kn_N_m, *absent)
+        tables = self.of(name)
+        if len(tables) == 1 or friction is None:
+            return tables[0].at(*now) - tables[0].at(*without)
+        return np.asarray(_between(tables, np.asarray(friction), now) - tables[0].at(*without))
 
     def rigid(self, height_m: Array, kn_N_m: Array) -> Array:
         """See `Bench.reference`."""
         return self.bench.reference(height_m, kn_N_m)
+
+
+def _between(tables: Sequence[Table], friction: Array, places: Sequence[Array]) -> Array:
+    """Between tables at `FRICTIONS`, in a straight line; ``friction`` broadcasts against places."""
+    friction = np.broadcast_to(friction, places[0].shape)
+    place = np.clip(
+        np.interp(friction, FRICTIONS, np.arange(len(FRICTIONS))), 0, len(tables) - 1 - 1e-9
+    )
+    low = place.astype(np.int64)
+    out = np.zeros((len(QUANTITIES), *friction.shape))
+    for i in range(len(tables)):
+        share = np.where(low == i, 1.0 - (place - low), np.where(low == i - 1, place - low, 0.0))
+        used = np.nonzero(share)
+        if used[0].size:
+            found = tables[i].at(*(each[used] for each in places))
+            out[(slice(None), *used)] += share[used] * found
+    return out
 
 
 def _sloping(scene: Scene, point: tuple[float, ...]) -> Scene:

@@ -1,4 +1,9 @@
-"""What do these data say the model lacks? The loop from a `Problem` to a `Finding`."""
+"""The loop from a `Problem` to a `Finding`: fit, test, explain, test again, score on held-out data.
+
+Nothing is adequate, and no effect is named, unless what is left of the fitted data passes the
+absolute tests (`adequacy`) and the held-out data are predicted as their noise allows. An effect has
+to pay as well: the log score of the held-out data rises by more than their noise can make of it.
+"""
 
 from __future__ import annotations
 
@@ -7,46 +12,60 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from . import attribute, openset
-from .detect import detect, kept_noises, shared_noise
+from ...solver.bristle import Array
+from .adequacy import Adequacy, Direction, assess
 from .experiment import next_experiment
-from .finding import Evidence, Finding, Interval, Test, Verdict
-from .fit import Fitted, settle, to_box
-from .heldout import judge, split
-from .ladder import Ladder, ladder
+from .finding import Evidence, Finding, Interval, Near, Test, Verdict
+from .fit import Fitted
+from .heldout import HeldOut, Judge, split
 from .noise import Ints
-from .openset import Left
 from .posterior import Posterior, posterior
 from .problem import Problem
+from .profile import Profile, classes, directions, profile
 from .sample import Sample, estimated_units, sample
+from .search import Tried, fit_baseline, fit_candidate, fit_pairs
 
-ALARM = 0.03
-LEFT_ALARM = 0.02
-# A pair must gain more over a single effect than its own parameters cost, since there are so many
-# pairs: 2 nats for their number, 2 since a wrong name is worse; over something unlisted, 2 in all.
-PAIR_LEFT = 0.05
+ALARM = 0.01
+LEFT_ALARM = 0.01
+PAIR_LEFT = 0.03
+CREDIBLE, LOOKED_AT, MOST_LOOKED_AT = 0.97, 0.999, 8
+# Nats that a pair must gain over the best single effect: there are many pairs.
 PAIR_COST = 4.0
-UNLISTED_MARGIN = 1.0
-# Nats that a full fit may gain over one Newton step, and its noises over the likeliest one.
-REACHED = 4.0
-# Evidence, in nats, without which an alarm that is not strong is taken for a false one.
-LIKELIER = 1.0
+# Nats by which something unlisted must be likelier than an effect to refuse it.
+UNLISTED_MARGIN = 3.0
+# Held-out errors beyond these are no noise: over what it allows, and of the 90 % intervals.
+MOST_RATIO, LEAST_COVERAGE, LEAST_ROWS, SURPRISE = 1.5, 0.6, 8, 0.002
 
 
 @dataclass(frozen=True)
-class Answer:
-    """Verdict, the models reported, likeliest first, their weights, and what the best leaves."""
+class Explanation:
+    """A model with effects, what it leaves, and what it gains on held-out data (None: none)."""
 
-    verdict: Verdict
-    reported: tuple[Posterior, ...]
-    weights: tuple[float, ...]
-    left: Left
-    tried: tuple[tuple[Posterior, float | None], ...]
+    posterior: Posterior
+    left: Adequacy
+    held: HeldOut | None
+    holds: bool
+    why_not: str
+
+
+@dataclass(frozen=True)
+class State:
+    """What has been worked out before the verdict."""
+
+    problem: Problem
+    data: Sample
+    base: Fitted
+    baseline: Posterior
+    profiles: Sequence[Profile]
+    ways: list[Direction]
+    judge: Judge
+    first: Adequacy
+    rng: np.random.Generator
 
 
 def pieces(problem: Problem) -> int:
     """Of how much work `find` tells."""
-    return 2 * len(problem.candidates) + 3
+    return 2 * len(problem.candidates) + 2
 
 
 def find(
@@ -55,77 +74,160 @@ def find(
     alarm: float = ALARM,
     advance: Callable[..., None] = lambda count=1: None,
 ) -> Finding:
-    """Run the loop: hold out, fit, detect, attribute, test what is left, judge.
+    """Run the loop.
 
     ``alarm`` is the rate at which data that lack nothing are said to lack something. The same
     problem, seed and rate give the same finding to the bit. ``advance`` is called as `pieces` get
     done, with their number where it is not one.
     """
-    fitted_groups, held_groups = split(problem, seed)
-    data = _sample(problem, fitted_groups)
+    groups, apart = split(problem, seed)
+    data = _sample(problem, groups)
     rng = np.random.default_rng([seed, 2])
-    starts = _spread(problem)
-    base, shares = settle(data, problem.baseline, starts)
-    ladders = []
+    base = fit_baseline(data, problem.baseline)
+    profiles = []
     for model in problem.candidates:
-        ladders.append(ladder(data, base, model))
+        profiles.append(profile(data, base, model))
         advance()
-    spread, gain = shared_noise(data, base, ladders)
+    ways = directions(data, base, profiles)
+    first = assess(data, base, ways, rng)
+    baseline = posterior(data, base, base.u.size, rng)
+    held = sample(problem, apart, _units(problem, data))
+    judge = Judge(problem, held, baseline, seed)
+    plain = judge.judge(baseline) if apart.size else None
     advance()
-    detection = detect(data, base, spread, ladders, rng, alarm)
-    advance()
-    baseline = posterior(data, base, base, shares, rng)
-    unlisted = baseline.log_evidence + gain
-    if detection.p_value > alarm:
-        answer = _adequate(data, baseline, rng)
-        advance(len(ladders))
-    else:
-        likely = kept_noises(data, spread)
-        singles = []
-        for each in ladders:
-            singles.append(attribute.candidate(data, base, each, likely, rng))
+    state = State(problem, data, base, baseline, profiles, ways, judge, first, rng)
+    singles: list[Tried] = []
+    explained: list[Explanation] = []
+    missing = first.p_value <= alarm or (plain is not None and _surprising(plain))
+    if missing:
+        for each in profiles:
+            singles.append(fit_candidate(data, base, each))
             advance()
-        known = Known(problem, data, base, baseline, ladders, singles, unlisted, rng)
-        answer = _explain(known, detection.p_value, alarm)
-    final = answer.reported[0] if answer.reported else baseline
-    unit = np.ones(problem.values.size)
-    unit[:] = _units(problem, data)
-    held = None
-    if held_groups.size:
-        apart = sample(problem, held_groups, unit)
-        held = judge(problem, data, baseline, final, apart, rng)
-    tied = answer.reported if answer.verdict is Verdict.AMBIGUOUS else ()
-    finding = Finding(
-        verdict=answer.verdict,
-        effects=_names(answer),
-        weights=_weights(answer),
-        together=tuple(x.fitted.effects for x in answer.reported if len(x.fitted.effects) > 1),
-        statistic=detection.statistic,
-        p_value=detection.p_value,
-        open_set_p_value=answer.left.p_value,
-        tests=tuple(Test(*each) for each in detection.table),
-        tests_after=tuple(Test(*each) for each in answer.left.table),
+        explained = _explain(state, singles)
+    else:
+        advance(len(profiles))
+    holding = [each for each in explained if each.holds]
+    shares = _weights([each.posterior.log_evidence for each in holding])
+    reported = [holding[i] for i in _credible(shares, CREDIBLE)]
+    weights = _weights([each.posterior.log_evidence for each in reported])
+    final = reported[0].posterior if reported else baseline
+    if not missing:
+        verdict = Verdict.ADEQUATE
+    elif not reported:
+        verdict = Verdict.UNKNOWN
+    else:
+        verdict = Verdict.EFFECT if len(reported) == 1 else Verdict.AMBIGUOUS
+    left = reported[0].left if reported else explained[0].left if explained else first
+    advance()
+    return Finding(
+        verdict=verdict,
+        weights=_by_effect(reported, weights),
+        together=tuple(e.posterior.effects for e in reported if len(e.posterior.effects) > 1),
+        statistic=first.statistic,
+        p_value=first.p_value,
+        open_set_p_value=left.p_value,
+        tests=tuple(Test(*each) for each in first.table),
+        tests_after=tuple(Test(*each) for each in left.table),
         parameters=_parameters(final),
         unidentified=final.fitted.unseen,
-        classes=tuple(attribute.classes(data, base, ladders)),
-        detectable=detection.detectable,
-        needed_d=detection.needed_d,
-        evidences=_evidences(answer, baseline),
-        log_evidence_unlisted=unlisted,
-        noise=data.noises.describe(final.fitted.noise),
-        held_out=held,
-        next_experiment=next_experiment(problem, tied),
-        model_effects=final.fitted.effects,
+        at_bounds=final.fitted.at_bounds,
+        classes=tuple(classes(profiles)),
+        detectable={
+            each.name: each.magnitude(first.needed.get(each.name, np.inf)) for each in profiles
+        },
+        needed_d=first.needed,
+        evidences=_evidences(baseline, singles, explained),
+        unlisted=first.unlisted,
+        shape=first.shape,
+        nearest=_nearest(state, first, singles, explained) if missing else None,
+        noise=_noise(data, reported[0].left if reported else first),
+        rms_before=_rms(first.residual),
+        rms_after=_rms(left.residual if reported else first.residual),
+        coverage_90=float(np.mean(np.abs(left.residual if reported else first.residual) < 1.645)),
+        held_out=(reported[0].held if reported else plain),
+        next_experiment=next_experiment(
+            problem, [e.posterior for e in reported] if len(reported) > 1 else []
+        ),
+        model_effects=final.effects,
         theta=final.fitted.theta,
         rows=data.rows,
-        residual_before=detection.residual,
-        residual_after=data.values - final.fitted.mean,
+        residual_before=first.residual,
+        residual_after=left.residual if reported else first.residual,
         covariates=data.covariates,
+        warnings=problem.warnings,
+        left_aside=problem.left_aside,
         seed=seed,
         alarm=alarm,
     )
-    advance()
-    return finding
+
+
+def _explain(state: State, singles: Sequence[Tried]) -> list[Explanation]:
+    """The likeliest single effects; pairs where none of them holds. The likeliest come first."""
+    if not singles:
+        return []
+    looked = _looked_at(state, singles, LEFT_ALARM)
+    if any(each.holds for each in looked):
+        return looked
+    best = max(each.log_evidence for each in singles)
+    pairs = fit_pairs(state.problem, state.data, state.base, singles, state.ways, state.profiles)
+    better = [each for each in pairs if each.log_evidence > best + PAIR_COST]
+    if not better:
+        return looked
+    alone = next(e.posterior for e in looked if e.posterior.log_evidence >= best - 1e-9)
+    both = _looked_at(state, better, PAIR_LEFT, alone)
+    return both + looked if any(each.holds for each in both) else looked + both
+
+
+def _looked_at(
+    state: State, tried: Sequence[Tried], alarm: float, over: Posterior | None = None
+) -> list[Explanation]:
+    """Tests and held-out scores of the likeliest models, over the baseline and ``over`` another."""
+    shares = _weights([each.log_evidence for each in tried])
+    out = []
+    for i in _credible(shares, LOOKED_AT)[:MOST_LOOKED_AT]:
+        fitted = tried[i].fitted
+        found = posterior(state.data, fitted, state.base.u.size, state.rng)
+        others = [way for way in state.ways if way.name not in fitted.effects]
+        left = assess(state.data, found.fitted, others, state.rng)
+        held = state.judge.judge(found) if state.judge.held.values.size else None
+        why = _refused(state, found, left, held, alarm, over)
+        out.append(Explanation(found, left, held, not why, why))
+    return out
+
+
+def _refused(
+    state: State,
+    found: Posterior,
+    left: Adequacy,
+    held: HeldOut | None,
+    alarm: float,
+    over: Posterior | None,
+) -> str:
+    """Why a model explains the data not, in words; empty where it does."""
+    if left.p_value <= alarm:
+        return f"what it leaves is not noise ({left.statistic}, p = {left.p_value:.2g})"
+    if state.first.unlisted > found.log_evidence + UNLISTED_MARGIN:
+        return f"a shape that no effect has explains more ({state.first.shape})"
+    if held is None:
+        return ""
+    if held.log_score_gain_low <= 0.0:
+        return "the log score of held-out data does not rise"
+    if over is not None and state.judge.gain(found, over)[0] <= 0.0:
+        return "held-out data are predicted no better than with one effect alone"
+    if np.asarray(found.fitted.model.weights).size == 1 and held.rms_sigma >= held.rms_sigma_before:
+        return "the error on held-out data does not fall"
+    if _surprising(held):
+        return "held-out data lie farther off than their noise allows"
+    return ""
+
+
+def _surprising(held: HeldOut) -> bool:
+    """Whether held-out errors are more than their noise allows."""
+    if held.surprise < SURPRISE:
+        return True
+    if held.values.size < LEAST_ROWS:
+        return False
+    return held.ratio > MOST_RATIO or held.coverage_90 < LEAST_COVERAGE
 
 
 def _sample(problem: Problem, groups: Ints) -> Sample:
@@ -133,14 +235,14 @@ def _sample(problem: Problem, groups: Ints) -> Sample:
     data = sample(problem, groups)
     if problem.sigma_declared:
         return data
-    first, _ = settle(data, problem.baseline, _spread(problem))
+    first = fit_baseline(data, problem.baseline)
     everywhere = np.asarray(problem.baseline.weights) @ np.asarray(
         problem.baseline.predict(first.theta)
     )
     return sample(problem, groups, estimated_units(problem, groups, everywhere))
 
 
-def _units(problem: Problem, data: Sample) -> np.ndarray:
+def _units(problem: Problem, data: Sample) -> Array:
     """The unit of each of the problem's rows, by its quantity."""
     unit = np.ones(problem.values.size)
     for row, value in zip(data.rows, data.unit, strict=True):
@@ -148,124 +250,27 @@ def _units(problem: Problem, data: Sample) -> np.ndarray:
     return unit
 
 
-def _spread(problem: Problem) -> np.ndarray:
-    """Starts (starts, p) for the baseline: its typical values, and corners drawn inward."""
-    several = problem.baseline.parameters
-    usual = np.array([to_box(each, each.typical) for each in several])
-    return np.stack([usual, np.full(usual.size, 0.25), np.full(usual.size, 0.75)])
+def _weights(logs: Sequence[float]) -> Array:
+    """Probabilities (models,) from log evidences, with equal priors."""
+    if not len(logs):
+        return np.zeros(0)
+    mass = np.exp(np.asarray(logs) - np.max(logs))
+    return np.asarray(mass / mass.sum())
 
 
-def _adequate(
-    data: Sample,
-    baseline: Posterior,
-    rng: np.random.Generator,
-    tried: tuple[tuple[Posterior, float | None], ...] = (),
-) -> Answer:
-    left = openset.left_over(data, baseline, baseline.fitted, [], rng)
-    return Answer(Verdict.ADEQUATE, (), (), left, tried)
+def _credible(shares: Array, level: float) -> list[int]:
+    """The smallest set of models with at least this probability, likeliest first."""
+    order = np.argsort(-shares, kind="stable")
+    enough = int(np.searchsorted(np.cumsum(shares[order]), level - 1e-12)) + 1
+    return [int(i) for i in order[:enough]]
 
 
-@dataclass(frozen=True)
-class Known:
-    """What has been worked out before the verdict."""
-
-    problem: Problem
-    data: Sample
-    base: Fitted
-    baseline: Posterior
-    ladders: Sequence[Ladder]
-    singles: Sequence[Posterior]
-    unlisted: float
-    rng: np.random.Generator
-
-
-def _explain(known: Known, p_value: float, alarm: float) -> Answer:
-    """Single effects first; pairs where they explain more; unknown where no name holds.
-
-    A weak alarm for which neither an effect nor anything unlisted is likelier than the baseline
-    by `LIKELIER` is a false one. Something unlisted that is likelier than the best effect refuses
-    the effect.
-    """
-    data, base, ladders, rng = known.data, known.base, known.ladders, known.rng
-    singles = known.singles
-    best = max((each.log_evidence for each in singles), default=-np.inf)
-    likelier = max(best, known.unlisted) - known.baseline.log_evidence
-    if likelier < LIKELIER and p_value > alarm / 6:
-        return _adequate(data, known.baseline, rng, tuple((each, None) for each in singles))
-    if not singles:
-        left = openset.left_over(data, known.baseline, base, [], rng)
-        return Answer(Verdict.UNKNOWN, (), (), left, ())
-    weights = attribute.weights(singles)
-    chosen = attribute.credible(weights)
-    tests: dict[int, Left] = {
-        i: openset.left_over(data, singles[i], base, ladders, rng) for i in chosen
-    }
-    tried = tuple(
-        (each, tests[i].p_value if i in tests else None) for i, each in enumerate(singles)
-    )
-    passing = [i for i in chosen if tests[i].p_value > LEFT_ALARM]
-    if known.unlisted > best + UNLISTED_MARGIN:
-        passing = []
-    pairs = _pairs(known, best, bool(passing))
-    if pairs is not None:
-        verdict = Verdict.EFFECT if len(pairs.reported) == 1 else Verdict.AMBIGUOUS
-        return Answer(verdict, pairs.reported, pairs.weights, pairs.left, tried + pairs.tried)
-    if passing:
-        total = weights[passing].sum()
-        return Answer(
-            Verdict.EFFECT if len(passing) == 1 else Verdict.AMBIGUOUS,
-            tuple(singles[i] for i in passing),
-            tuple(float(weights[i] / total) for i in passing),
-            tests[passing[0]],
-            tried,
-        )
-    return Answer(Verdict.UNKNOWN, (), (), tests[chosen[0]], tried)
-
-
-def _pairs(known: Known, best: float, one_suffices: bool) -> Answer | None:
-    """Pairs that leave nothing, explain more than one effect and more than anything unlisted."""
-    data, base, singles = known.data, known.base, known.singles
-    needed = max(best, known.unlisted - PAIR_COST / 2) + PAIR_COST
-    plain = known.baseline.fitted
-    own_cost = plain.log_likelihood + data.noises.prior[plain.noise] - known.baseline.log_evidence
-    wanted = needed + own_cost - REACHED
-    names = openset.likely_pairs(
-        known.problem, data, base, known.ladders, singles, one_suffices, wanted
-    )
-    if not names:
-        return None
-    several = (data, base, known.rng)
-    both = [openset.pair(known.problem, several, each, singles, known.ladders) for each in names]
-    weights = attribute.weights(both)
-    kept: list[tuple[int, Left]] = []
-    for i in attribute.credible(weights):
-        if both[i].log_evidence > needed:
-            left = openset.left_over(data, both[i], base, known.ladders, known.rng)
-            if left.p_value > PAIR_LEFT:
-                kept.append((i, left))
-    if not kept:
-        return None
-    total = sum(float(weights[i]) for i, _ in kept)
-    found = {i: left.p_value for i, left in kept}
-    return Answer(
-        Verdict.EFFECT,
-        tuple(both[i] for i, _ in kept),
-        tuple(float(weights[i]) / total for i, _ in kept),
-        kept[0][1],
-        tuple((each, found.get(i)) for i, each in enumerate(both)),
-    )
-
-
-def _names(answer: Answer) -> tuple[str, ...]:
-    return tuple(dict.fromkeys(n for each in answer.reported for n in each.fitted.effects))
-
-
-def _weights(answer: Answer) -> dict[str, float]:
+def _by_effect(reported: Sequence[Explanation], weights: Array) -> dict[str, float]:
     """Probability that an effect is there: of all reported models that have it."""
-    out: dict[str, float] = dict.fromkeys(_names(answer), 0.0)
-    for each, weight in zip(answer.reported, answer.weights, strict=True):
-        for name in each.fitted.effects:
-            out[name] += weight
+    out: dict[str, float] = {}
+    for each, weight in zip(reported, weights, strict=True):
+        for name in each.posterior.effects:
+            out[name] = out.get(name, 0.0) + float(weight)
     return out
 
 
@@ -274,26 +279,72 @@ def _parameters(final: Posterior) -> dict[str, Interval]:
     for i, each in enumerate(final.fitted.model.parameters):
         low, high = final.interval(i)
         name = each.name if each.name not in out else f"{each.name}_{i}"
-        out[name] = Interval(float(final.fitted.theta[i]), low, high, each.unit)
+        out[name] = Interval(final.median(i), low, high, each.unit)
     return out
 
 
-def _evidences(answer: Answer, baseline: Posterior) -> tuple[Evidence, ...]:
-    """The baseline and every model tried; weights among those with as many effects."""
-    models = [(baseline, None), *answer.tried]
-    out = []
-    for each, left in models:
-        same = [x for x, _ in models if len(x.fitted.effects) == len(each.fitted.effects)]
-        top = max(x.log_evidence for x in same)
-        mass = sum(np.exp(x.log_evidence - top) for x in same)
+def _evidences(
+    baseline: Posterior, singles: Sequence[Tried], explained: Sequence[Explanation]
+) -> tuple[Evidence, ...]:
+    """The baseline and every model tried, the likeliest of as many effects first."""
+    looked = {each.posterior.effects: each for each in explained}
+    models: list[tuple[Fitted, float]] = [(each.fitted, each.log_evidence) for each in singles]
+    models += [
+        (each.posterior.fitted, each.posterior.log_evidence)
+        for each in explained
+        if len(each.posterior.effects) > 1
+    ]
+    models.sort(key=lambda each: (len(each[0].effects), -each[1]))
+    out = [Evidence((), baseline.log_evidence, None, "", _numbers(baseline.fitted))]
+    for fitted, log in models:
+        seen = looked.get(fitted.effects)
         out.append(
             Evidence(
-                each.fitted.effects,
-                each.log_evidence,
-                float(np.exp(each.log_evidence - top) / mass),
-                each.d,
-                left,
-                tuple(float(x) for x in each.fitted.theta),
+                fitted.effects,
+                log,
+                None if seen is None else seen.left.p_value,
+                "" if seen is None else seen.why_not,
+                _numbers(fitted),
             )
         )
     return tuple(out)
+
+
+def _numbers(fitted: Fitted) -> tuple[float, ...]:
+    return tuple(float(x) for x in fitted.theta)
+
+
+def _nearest(
+    state: State, first: Adequacy, singles: Sequence[Tried], explained: Sequence[Explanation]
+) -> Near | None:
+    """Which known effect explains how much of what the baseline leaves beyond its noise."""
+    if not explained:
+        return None
+    best = max(
+        (each for each in explained if len(each.posterior.effects) == 1),
+        key=lambda each: each.posterior.log_evidence,
+    )
+    rows = first.residual.size
+    before = float(np.sum(first.residual**2)) - rows
+    after = float(np.sum(best.left.residual**2)) - rows
+    share = 1.0 - max(after, 0.0) / before if before > 0 else 0.0
+    return Near(
+        best.posterior.effects, float(np.clip(share, 0, 1)), _rms(best.left.residual), best.why_not
+    )
+
+
+def _noise(data: Sample, left: Adequacy) -> dict[str, float | str]:
+    """What the data say of the noise; ``finding`` where that is not what was declared."""
+    out = data.noises.describe(left.noise)
+    said = []
+    if out["shape"] != "gaussian":
+        said.append("its tails are heavier than a normal distribution's")
+    elif data.noises.declared and not 0.8 < float(out["scale"]) < 1.15:
+        said.append(f"it is {float(out['scale']):.2g} times what is declared")
+    if out["correlation"]:
+        said.append("neighbours in order are correlated")
+    return {**out, "finding": "; ".join(said)}
+
+
+def _rms(z: Array) -> float:
+    return float(np.sqrt(np.mean(z**2))) if z.size else 0.0

@@ -1,4 +1,4 @@
-"""How does a table of simulated drops stand over its axes, and what does it say between them?"""
+"""A table of simulated drops over its axes, with cubic splines between its nodes."""
 
 from __future__ import annotations
 

@@ -1,23 +1,12 @@
-"""What does the film of one bounce say that does not hang on when its bristle was let go?
+"""Rows of unit noise that the film of a bouncing body gives, linear in the features of its track.
 
-A track is at rest at y0, falls along a parabola, and rises along another; the impact between them
-is too short to be seen. Seven numbers say all: the instant at which the fall's parabola is highest
-and y0, which are nuisances, and five features (`FEATURES`), ratios that are plain where nothing is
-missing:
+The features are those of `track_flight`: ratios of what the film shows to what its own speed of
+impact makes expect, so they do not hang on when, from where or whether in the film the body was let
+go. Instant and speed of the impact are nuisances, and the surface's level where the zero of heights
+is anywhere; where no bounce is filmed, speed and level at the last frame of the fall.
 
-- ``r``, the height of the rise over y0;
-- ``a``, the logarithm of the rise's gravity over g;
-- ``d``, the time from that instant to where the rise leaves the zero of heights, over √(2 y0/g);
-- ``b``, the logarithm of the fall's gravity over g;
-- ``h``, how far above y0 the fall's parabola is highest, over y0.
-
-A bristle let go at rest falls from y0 at once: h is zero. One that is let go with a speed v, up or
-down, falls as if from v²/(2 g) higher, and from another instant. That shows what the speed does to
-second order alone, as v_i² = v² + 2 g y0 does; to first order it is another time of release. The
-few frames between the release and that instant, which would tell up from down, are not used.
-
-Few films tell all five: at 25 frames/s a fall from 50 mm has two or three frames. So a drop is not
-reduced to estimates but to rows: the frames' least squares at the best track, linear there, the
+Few films tell all features: at 25 frames/s a fall from 50 mm has two or three frames. So a film is
+not reduced to estimates but to rows: the frames' least squares at the best track, linear there, the
 nuisances projected out, and of the features as many orthonormal combinations as the frames know
 (C. D. Rodgers, Inverse Methods for Atmospheric Sounding (2000), ch. 2: measurement space). The weak
 prior that helps to find the best track is not in the rows, so it biases nothing but the place about
@@ -34,131 +23,140 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...solver.bristle import Array
+from .track_flight import BOUNCE, HEAD, UNUSED, Phases, derivatives, heights, rises_of, steps_of
 
-FEATURES = ("r", "a", "d", "b", "h")
-PLAIN = np.array([0.0, 1.0, 0.0, 0.0])
-"""a, d, b and h where nothing is missing."""
-LEAST_KNOWN = 5.0
-"""A row is kept where its feature's error is less than one over this."""
-LEAST_RISE = 1e-3
-REST, FALL, RISE, UNUSED = range(4)
-Phases = NDArray[np.int64]
+FEATURES = ("z", "h", "b", "u", "r", "a", "d")
+"""Of one bounce; those of the fall (the first four) belong to the first."""
+LOOSE = {"z": 3e-3, "h": 0.1, "b": 0.1, "u": 0.05, "r": 0.2, "a": 0.1, "d": 1e-3}
+"""How far from none the best track is looked for, as a standard deviation; a row is kept where the
+frames know its feature better than that."""
+ORDER = ("r", "b", "a", "h", "u", "z", "d")
+"""In which order features are given rows: what an earlier one has told, a later does not repeat."""
 
 
 @dataclass(frozen=True)
 class Film:
-    """Frames of one drop: ``t_s``, ``y_m`` (frames,), their deviations in m and s, and gravity."""
+    """Frames of one drop: ``t_s``, ``y_m`` (frames,), their deviations in m and s, and gravity.
+
+    The surface is near ``floor_m``, to within ``floor_loose_m``; ``floor_known`` where heights are
+    declared to be over it.
+    """
 
     t_s: Array
     y_m: Array
     sigma_y_m: float
     sigma_t_s: float
     gravity_m_s2: float
+    floor_known: bool = True
+    floor_m: float = 0.0
+    floor_loose_m: float = LOOSE["z"]
 
 
 @dataclass(frozen=True)
 class Track:
     """The best track of a film and its rows.
 
-    ``start_s`` of the fall, ``y0_m`` and ``features`` (5,) are those of the best track, and
-    ``values`` (rows,) = ``weights`` (rows, 5) @ features + unit noise. ``leading`` (rows,) numbers
-    the feature that a row is about, ``known`` (rows,) how well it tells it. ``misfit`` is the sum
-    of squares that the ``freedom`` other combinations of frames leave.
+    ``p`` are the numbers of `track_flight`, ``phase`` (frames,) what each frame shows, ``held``
+    whether some show the body held. ``values`` (rows,) = ``weights`` (rows, 7 × drops) @ features
+    + unit noise, where a drop is a bounce, or the fall where none is filmed. ``leading`` (rows,)
+    numbers the feature that a row is about, ``drop`` (rows,) its bounce, ``known`` (rows,) how well
+    it tells it. ``misfit`` is the sum of squares that the ``freedom`` other combinations of frames
+    leave, ``neighbours`` the sum of products of residuals that follow each other;
+    ``mistaken`` counts frames that no track passes by.
     """
 
-    start_s: float
-    y0_m: float
-    features: Array
+    p: Array
+    phase: Phases
+    held: bool
+    speed_m_s: Array
     values: Array
     weights: Array
     leading: NDArray[np.int64]
+    drop: NDArray[np.int64]
     known: Array
     misfit: float
     freedom: int
+    neighbours: float
+    mistaken: int = 0
+
+    @property
+    def bounces(self) -> int:
+        return (len(self.p) - len(HEAD)) // len(BOUNCE)
 
 
-def positions(p: Array, t_s: Array, phase: Phases, gravity_m_s2: float) -> Array:
-    """Heights (frames,) for p = (start of the fall, y0, features) in each frame's phase."""
-    start, y0, r, a, d, b, h = p
-    since = t_s - start
-    fall = y0 * (1.0 + h) - 0.5 * gravity_m_s2 * np.exp(b) * since**2
-    slowing = gravity_m_s2 * np.exp(a)
-    launched = since - d * np.sqrt(2.0 * y0 / gravity_m_s2)
-    rise = np.sqrt(2.0 * slowing * max(r, LEAST_RISE) * y0) * launched - 0.5 * slowing * launched**2
-    return np.asarray(np.choose(phase, [np.full_like(t_s, y0), fall, rise, np.zeros_like(t_s)]))
+def names_of(p: Array) -> tuple[str, ...]:
+    """What the numbers of a track are."""
+    return HEAD + BOUNCE * ((len(p) - len(HEAD)) // len(BOUNCE))
 
 
-def events(p: Array, gravity_m_s2: float) -> tuple[float, float, float]:
-    """Times at which the fall comes to zero, the rise leaves it, and comes back to it."""
-    start, y0, r, a, d, b, h = p
-    touch = start + np.sqrt(2.0 * y0 * max(1.0 + h, 0.1) / (gravity_m_s2 * np.exp(b)))
-    launch = start + d * np.sqrt(2.0 * y0 / gravity_m_s2)
-    aloft = 2.0 * np.sqrt(2.0 * max(r, LEAST_RISE) * y0 / (gravity_m_s2 * np.exp(a)))
-    return float(touch), float(launch), float(launch + aloft)
+def is_free(film: Film, p: Array, held: bool) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Which numbers of a track are nuisances, and which features (both (numbers,))."""
+    bounces = len(p) > len(HEAD)
+    nuisances = np.zeros(len(p), dtype=bool)
+    nuisances[:3] = bounces, True, not (film.floor_known and bounces)
+    features = ~nuisances
+    features[0] = False
+    features[3] = held
+    return nuisances, features
 
 
-def reduced(film: Film, p: Array, t_s: Array, y_m: Array, phase: Phases) -> Track:
-    """Rows of frames at ``t_s`` near the track ``p`` (7,)."""
-    sigma = deviation(film, p, t_s, phase)
-    slopes = derivatives(film, p, t_s, phase) / sigma[:, None]
-    left = (y_m - positions(p, t_s, phase, film.gravity_m_s2)) / sigma
-    frame, _ = np.linalg.qr(slopes[:, :2])
-    rest = slopes[:, 2:] - frame @ (frame.T @ slopes[:, 2:])
-    basis: list[Array] = []
-    leading, known = [], []
-    for k in range(len(FEATURES)):
-        column = rest[:, k]
+def deviation(film: Film, slopes: Array) -> Array:
+    """Standard deviations (frames,) in m, with what an error of the time moves."""
+    return np.hypot(film.sigma_y_m, film.sigma_t_s * slopes[:, 0])
+
+
+def reduced(film: Film, p: Array, phase: Phases, held: bool) -> Track:
+    """Rows of a film's frames near the track ``p``."""
+    used = phase != UNUSED
+    t, part, g = film.t_s[used], phase[used], film.gravity_m_s2
+    slopes = derivatives(p, t, part, g, steps_of(p))
+    sigma = deviation(film, slopes)
+    slopes /= sigma[:, None]
+    left = (film.y_m[used] - heights(p, t, part, g)) / sigma
+    nuisances, features = is_free(film, p, held)
+    frame, _ = np.linalg.qr(slopes[:, nuisances])
+    names = names_of(p)
+    basis = list(frame.T)
+    n = len(basis)
+    leading, drop, known = [], [], []
+    told = [k for k in range(len(p)) if features[k]]
+    for k in sorted(told, key=lambda k: (ORDER.index(names[k]), k)):
+        column = slopes[:, k]
         for _ in range(2):  # once more against rounding
-            for each in (*frame.T, *basis):
-                column = column - each * (each @ column)
+            made = np.array(basis)
+            column = column - made.T @ (made @ column)
         size = float(np.linalg.norm(column))
-        if size > LEAST_KNOWN:
+        if size * LOOSE[names[k]] > 1.0:
             basis.append(column / size)
-            leading.append(k)
+            leading.append(FEATURES.index(names[k]))
+            drop.append(max(k - len(HEAD), 0) // len(BOUNCE))
             known.append(size)
-    rows = np.array(basis).reshape(-1, len(t_s))
-    weights = rows @ slopes[:, 2:]
-    every = np.vstack([frame.T, rows])
+    every = np.array(basis)
+    rows = every[n:].reshape(-1, len(t))
+    of_rows = rows @ (slopes * features)
     beyond = left - every.T @ (every @ left)
+    rises = rises_of(p, g)
     return Track(
-        start_s=float(p[0]),
-        y0_m=float(p[1]),
-        features=p[2:].copy(),
-        values=rows @ left + weights @ p[2:],
-        weights=weights,
+        p=p,
+        phase=phase,
+        held=held,
+        speed_m_s=rises[:, 5] if len(rises) else p[1:2],
+        values=rows @ left + of_rows @ p,
+        weights=_by_drop(of_rows),
         leading=np.array(leading, dtype=np.int64),
+        drop=np.array(drop, dtype=np.int64),
         known=np.array(known),
         misfit=float(beyond @ beyond),
-        freedom=len(t_s) - len(every),
+        freedom=int(used.sum()) - len(every),
+        neighbours=float(beyond[1:] @ beyond[:-1]),
     )
 
 
-def derivatives(film: Film, p: Array, t_s: Array, phase: Phases) -> Array:
-    """Derivatives (frames, 7) of `positions`."""
-    g = film.gravity_m_s2
-    start, y0, r, a, d, b, h = p
-    since, fast = t_s - start, g * np.exp(b)
-    slowing, unit = g * np.exp(a), np.sqrt(2.0 * y0 / g)
-    rise = max(r, LEAST_RISE)
-    up, after = np.sqrt(2.0 * slowing * rise * y0), since - d * unit
-    speed = up - slowing * after
-    none, one = np.zeros_like(t_s), np.ones_like(t_s)
-    resting = (none, one, none, none, none, none, none)
-    falling = (fast * since, one * (1.0 + h), none, none, none, -0.5 * fast * since**2, one * y0)
-    rising = (
-        -speed,
-        0.5 * (up * after - speed * d * unit) / y0,
-        0.5 * up * after / rise,
-        0.5 * (up - slowing * after) * after,
-        -speed * unit,
-        none,
-        none,
-    )
-    parts = np.stack([np.stack(each, axis=1) for each in (resting, falling, rising)])
-    return np.asarray(parts[phase, np.arange(len(t_s))])
-
-
-def deviation(film: Film, p: Array, t_s: Array, phase: Phases) -> Array:
-    """Standard deviations (frames,) in m, with what an error of the time moves."""
-    speed = derivatives(film, p, t_s, phase)[:, 0]
-    return np.asarray(np.hypot(film.sigma_y_m, film.sigma_t_s * speed))
+def _by_drop(weights: Array) -> Array:
+    """Weights (rows, 7 × drops) of `FEATURES`, from those (rows, numbers) of a track's numbers."""
+    n = (weights.shape[1] - len(HEAD)) // len(BOUNCE)
+    out = np.zeros((len(weights), max(n, 1), len(FEATURES)))
+    out[:, 0, :4] = weights[:, 2:6]
+    if n:
+        out[:, :, 4:] = weights[:, 6:].reshape(len(weights), n, len(BOUNCE))
+    return out.reshape(len(weights), max(n, 1) * len(FEATURES))

@@ -1,15 +1,14 @@
-"""What do films of bouncing bristles say, as a problem for the loop?
+"""The problem of films of bouncing bodies: what their rows of features are, and what predicts them.
 
-Dataset kind ``tracks``: heights of the lower tip, frame by frame, on the camera's own clock. A
-fall from 50 mm lasts a tenth of a second, two or three frames of 25 a second, and neither the
-release nor the top is on any of them. So each film is brought to a few rows that do not hang on
-its release (`track_rows`): the height of the rise, the gravity that rise and fall seem to have, the
-time from the start of the fall to the rise, and the height that the fall seems to come from. Frames
-of one film share its release, so a drop is a group. Only the fall and the rise after the first
-impact are used.
+Dataset kind ``tracks``: heights of the lower tip, frame by frame, on the camera's own clock, in mm
+or in pixels. A film may begin while the body is held, as it is let go or in mid-fall, and show one
+bounce, several or none. Each is brought to a few rows (`track_rows`) that hang on the speed of
+impact that it shows, and on no instant or place of release. Frames of one film share that speed, so
+a film is a group.
 
-Times and heights are confounded: a clock that is slow by one part and a scale that is long by two
-both seem to change gravity alike, g = 2 y / t², and nothing else. They are named together.
+Lengths and times are confounded: a clock that is slow by one part and a scale that is long by two
+both change gravity alike, g = 2 y / t². Pixels have no scale: metres per pixel are a free parameter
+of the baseline, fixed by gravity, and take up what is wrong with either.
 
 What simulations tell comes from tables of drops, in which the third quantity is how much less the
 tip of a bristle that turns is slowed: θ grows as ω t, and the tip's height over the centre of mass
@@ -27,40 +26,33 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...solver.bristle import Array
-from ...solver.effects.base import Scene
-from ...solver.errors import InputError
-from ...solver.fall import risen
+from ...solver.effects.base import Parameter, Place, Scene
+from ...solver.effects.library import EFFECTS
 from ..data.datasets import Manifest
-from ..data.tables import LEAST_DROPS
-from .drop_model import Drops, FeatureModel
-from .drops import SIGMA_M, carried, stiffness
+from .drop_model import BounceModel, Drops
+from .drops import carried, stiffness
 from .problem import Experiment, Problem
 from .response import MADE_BY, Bench, Tables, reference
 from .table_drops import beam_of, outcomes_of
-from .track_rows import (
-    FALL,
-    PLAIN,
-    REST,
-    RISE,
-    Film,
-    Track,
-    events,
-    positions,
-    reduced,
-)
-from .track_search import NEAR_RELEASE_S, track
+from .track_films import Filmed, faster, filmed
+from .track_flight import released
+from .track_rows import FEATURES, Track
 from .tracks_record import KIND, Tracks
 
-NAMES = (
-    "y1 (mm)",
-    "gravity of the rise (%)",
-    "time to the rise (%)",
-    "gravity of the fall (%)",
-    "start of the fall over y0 (%)",
-)
-FASTER_FPS = 250.0
+NAMES = {
+    "z": "surface (mm)",
+    "h": "release height (mm)",
+    "b": "gravity of the fall (%)",
+    "u": "drag of the fall (% of weight)",
+    "r": "y1 (mm)",
+    "a": "gravity of the rise (%)",
+    "d": "contact time (ms)",
+}
 LEAST_GRAVITY = 0.05
 """Of the rise's apparent gravity over g: a bristle that spins faster turns over."""
+SCALE_RANGE = 3.0
+"""How far metres per pixel may be from what the parabolas' gravity says at once, as a ratio."""
+IN_FLIGHT = (Place.RELEASE, Place.FLIGHT, Place.OBSERVATION)
 
 
 @dataclass(frozen=True)
@@ -68,7 +60,6 @@ class TrackBench(Bench):
     """Tables of rise, contact time, and one plus L ω²/(2 g) of the bristle's turning after."""
 
     made_by: ClassVar[tuple[Path, ...]] = (*MADE_BY, Path(__file__))
-    shows_falls: ClassVar[bool] = True
 
     def seen(self, scenes: Sequence[Scene], its: float) -> Array:
         body = beam_of(self.bristle)
@@ -83,133 +74,160 @@ class TrackBench(Bench):
 
 
 @dataclass(frozen=True)
-class TrackModel(FeatureModel):
-    """A `Model` of the rows of films."""
+class TrackModel(BounceModel):
+    """A `Model` of the rows of films, which are sums of `FEATURES`.
+
+    A drop is a bounce, or the fall of a film that shows none; ``speed_m_s`` (drops,) is that of its
+    impact, as the film shows it. ``weights_of`` (rows, features of one film) are the sums, and
+    ``of`` (rows, features of one film) says where each stands among the features of all drops.
+    Films in pixels are taken with ``pixel_m`` for the length of a pixel, and ``scale`` is the
+    parameter that says how long one is.
+    """
+
+    speed_m_s: Array
+    weights_of: Array
+    of: NDArray[np.int64]
+    scale: Parameter | None = None
+    pixel_m: float = 1.0
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        return (*(() if self.scale is None else (self.scale,)), *super().parameters)
+
+    def predict(self, theta: Array) -> Array:
+        """Whitened predictions (..., nodes, rows) for parameters (..., p)."""
+        features = self.features(theta)
+        every = features.reshape(*features.shape[:-2], -1)
+        return np.asarray(np.einsum("...rf,rf->...r", every[..., self.of], self.weights_of))
 
     def features(self, theta: Array) -> Array:
-        """What `track_rows` calls r, a, d, b, h of every drop (..., nodes, drops, 5)."""
-        b, (vacuum, touching, lighter) = self.bounced(theta)
-        g, y0 = self.drops.bench.gravity_m_s2, self.drops.y0_m
-        speed = np.sqrt(2.0 * g * b.same_m)
-        lasted = 2.0 * b.height_m / np.maximum(speed + b.speed_m_s, 1e-3)
-        # a parabola of the same height, start and end: drag bends it by less than can be seen
-        falling = (speed - b.speed_m_s) / lasted
+        """`FEATURES` of every drop (..., nodes, drops, features)."""
+        theta = np.asarray(theta, dtype=float)
+        length: Array = np.ones(1)
+        if self.scale is not None:
+            length, theta = self.pixel_m / theta[..., :1, None], theta[..., 1:]
+        drops, g = self.drops, self.drops.bench.gravity_m_s2
+        # what a theta says of release, air and camera does not hang on the drop: one tells it
+        one = replace(drops, y0_m=drops.y0_m[:1], order=drops.order[:1])
+        b, _ = BounceModel.bounced(replace(self, drops=one), theta)
+        length = length * b.scale
+        speed = self.speed_m_s * b.clock / length
+        height = released(speed, g, b.speed_m_s, b.drag_1_m)
+        fell = replace(drops, y0_m=b.scale * (height + b.offset_m))
+        _, (rise, touching, lighter) = BounceModel.bounced(replace(self, drops=fell), theta)
         slowed = g * np.maximum(2.0 - lighter, LEAST_GRAVITY)
-        top = risen(vacuum, b.drag_1_m)
-        up = np.sqrt(2.0 * slowed * vacuum)
-        slowed = slowed * vacuum / top
-        seen_top = np.maximum(b.scale * (top + b.offset_m), 1e-6)
-        seen_slowed = b.scale * slowed / b.clock**2
-        apex = b.clock * (lasted + touching + up / slowed)
-        # the parabola is highest before, or with a speed upward after, the release
-        apex = apex + b.clock * b.speed_m_s / falling
-        left = apex - np.sqrt(2.0 * seen_top / seen_slowed)
-        found = (
-            seen_top / y0,
-            np.log(seen_slowed / g),
-            left / np.sqrt(2.0 * y0 / g),
-            np.log(b.scale * falling / (g * b.clock**2)),
-            b.scale * (b.height_m + 0.5 * b.speed_m_s**2 / falling) / y0
-            + b.scale * b.offset_m / y0
-            - 1.0,
-        )
-        full = (*np.shape(theta)[:-1], len(self.weights), len(y0))
-        return np.stack([np.broadcast_to(each, full) for each in found], axis=-1)
+        found = {
+            "z": length * b.offset_m,
+            "h": 2.0 * g * length * height / self.speed_m_s**2 - 1.0,
+            "b": np.log(length / b.clock**2),
+            "u": b.drag_1_m * speed**2 / g,
+            "r": 2.0 * slowed * rise / speed**2,
+            "a": np.log(length * slowed / (g * b.clock**2)),
+            "d": b.clock * touching,
+        }
+        full = (*np.shape(theta)[:-1], len(self.weights), len(self.speed_m_s))
+        return np.stack([np.broadcast_to(found[name], full) for name in FEATURES], axis=-1)
 
 
 def tracks_problem(data: Tracks) -> Problem:
     """The problem of a dataset of tracks. Raises InputError where it cannot be one."""
-    sigma = data.sigma_y_m or _scatter_at_rest(data)
-    films = [_film(data, piece, sigma) for piece in data.pieces]
-    every = [track(film) for film in films]
-    kept = [i for i, each in enumerate(every) if each is not None and len(each.values)]
-    tracks = [each for each in every if each is not None and len(each.values)]
-    if len(tracks) < LEAST_DROPS:
-        raise InputError(
-            f"{data.manifest.table()}: {len(tracks)} of {len(every)} films show rest, fall and "
-            "rise unmistakably; the loop needs six or more. Is t_s in s, and y_mm in mm?"
-        )
-    y0 = np.array([each.y0_m for each in tracks])
-    numbers = data.drop[data.begins[:-1]][kept]
-    order = numbers - data.drop[0]
-    bench = _bench(data.manifest, y0)
-    wide = _model(Drops(bench, y0, order, (0, 1)), data.manifest.kn_N_m, tracks)
-    drops = Drops(bench.about(_start(wide, tracks)), y0, order, (0, 1))
-    plain = _model(drops, data.manifest.kn_N_m, tracks)
+    seen = filmed(data)
+    tracks, numbers = seen.tracks, seen.number
+    drops_of = np.array([len(each.speed_m_s) for each in tracks])
+    order = np.repeat(numbers - data.drop[0], drops_of)
+    plain = _model(data.manifest, seen, tracks, order)
+    y0 = plain.drops.y0_m
 
     def combine(effects: tuple[str, ...]) -> TrackModel:
         return replace(plain, effects=tuple(effects))
 
     def filmed_faster(effects: tuple[str, ...]) -> TrackModel:
-        faster = [_faster(films[i], each) for i, each in zip(kept, tracks, strict=True)]
-        weights, group = _rows(faster)
-        return replace(combine(effects), weights_of=weights, group=group)
+        others = [faster(film, each) for film, each in zip(seen.films, tracks, strict=True)]
+        weights_of, of, _ = _rows(others)
+        return replace(combine(effects), weights_of=weights_of, of=of)
 
     leading = np.concatenate([each.leading for each in tracks])
     known = np.concatenate([each.known for each in tracks])
-    group = plain.group
-    unit = np.where(leading == 0, 1e3 * y0[group], 100.0)
+    film = np.repeat(np.arange(len(tracks)), [len(each.values) for each in tracks])
+    drop = (np.cumsum(drops_of) - drops_of)[film] + np.concatenate([t.drop for t in tracks])
+    unit = {name: 1e3 if name in "zd" else 100.0 for name in FEATURES}
+    units = np.array([unit[name] for name in FEATURES])[leading]
+    of_height = np.isin(leading, [FEATURES.index("r"), FEATURES.index("h")])
     return Problem(
         values=np.concatenate([each.values for each in tracks]),
-        scale=unit / known,
+        scale=np.where(of_height, 1e3 * y0[drop], units) / known,
         unit="mm",
-        quantity=np.array(NAMES)[leading],
-        group=numbers[group],
-        covariates={"height": y0[group], "order": order[group].astype(float)},
+        quantity=np.array([NAMES[name] for name in FEATURES])[leading],
+        group=numbers[film],
+        covariates={"height": y0[drop], "order": order[drop].astype(float)},
         baseline=plain,
-        candidates=[combine((name,)) for name in carried(KIND, (0, 1))],
+        candidates=[combine((name,)) for name in _candidates(seen)],
         combine=combine,
         experiments=[
-            Experiment(f"film the same drops at {FASTER_FPS:.0f} frames/s", filmed_faster)
+            Experiment(f"film the same drops at {seen.faster_fps:g} frames/s", filmed_faster)
         ],
         confirm_why="films are compared with the beam's tables; the solid follows its drops",
-        sigma_declared=data.sigma_y_m is not None,
+        sigma_declared=seen.sigma_declared,
         notes={
-            "sigma_y_m": sigma,
-            "left aside": f"{len(every) - len(tracks)} of {len(every)} films, which do not show "
-            "rest, fall and rise unmistakably",
+            "sigma_y_m": seen.sigma_y_m,
             "misfit": float(sum(each.misfit for each in tracks)),
             "freedom": int(sum(each.freedom for each in tracks)),
         },
+        warnings=seen.warnings,
+        left_aside=seen.left_aside,
     )
 
 
-def _model(drops: Drops, kn_N_m: float | None, tracks: Sequence[Track]) -> TrackModel:
+def _model(
+    manifest: Manifest, seen: Filmed, tracks: Sequence[Track], order: NDArray[np.int64]
+) -> TrackModel:
     """The baseline of these films."""
-    kn = stiffness(kn_N_m, drops.bench)
-    return TrackModel(drops, Tables(drops.bench), kn, (), *_rows(tracks))
+    speed = np.concatenate([each.speed_m_s for each in tracks])
+    y0 = speed**2 / (2.0 * manifest.gravity_m_s2)
+    bench = _bench(manifest, y0)
+    drops = Drops(bench, y0, order.astype(float), (0, 1))
+    kn = stiffness(manifest.kn_N_m, bench)
+    weights_of, of, _ = _rows(tracks)
+    scale = None
+    if seen.pixel_m is not None:
+        low, high = seen.pixel_m / SCALE_RANGE, seen.pixel_m * SCALE_RANGE
+        why = "gravity, as the parabolas show it, within what no clock is off by"
+        scale = Parameter(
+            "scale_m_px", "m/px", low, high, seen.pixel_m, seen.pixel_m, logarithmic=True, why=why
+        )
+    return TrackModel(
+        drops, Tables(bench), kn, (), speed, weights_of, of, scale, seen.pixel_m or 1.0
+    )
 
 
-def _rows(tracks: Sequence[Track]) -> tuple[Array, NDArray[np.int64]]:
-    """Weights (rows, features) of all films' rows, and which film each is of."""
-    group = np.repeat(np.arange(len(tracks)), [len(each.values) for each in tracks])
-    return np.concatenate([each.weights for each in tracks]), group
+def _rows(tracks: Sequence[Track]) -> tuple[Array, NDArray[np.int64], NDArray[np.int64]]:
+    """Weights (rows, features) of all films' rows, where among all drops' features (rows, features)
+    each stands, and which film a row is of."""
+    most = max(each.weights.shape[1] for each in tracks)
+    weights, of, film, begin = [], [], [], 0
+    for i, each in enumerate(tracks):
+        rows, width = each.weights.shape
+        weights.append(np.pad(each.weights, ((0, 0), (0, most - width))))
+        places = begin + np.minimum(np.arange(most), width - 1)
+        of.append(np.tile(places, (rows, 1)))
+        film += [i] * rows
+        begin += width
+    return np.concatenate(weights), np.concatenate(of), np.array(film)
 
 
-def _start(plain: TrackModel, tracks: Sequence[Track]) -> float:
-    """The stiffness of the baseline that the middle of the drops asks for."""
-    kn = plain.kn
-    ladder = np.geomspace(kn.low, kn.high, 400)
-    rise = np.array([each.features[0] for each in tracks])
-    miss = np.abs(plain.features(ladder[:, None])[:, 0, :, 0] - rise)
-    return float(ladder[int(np.argmin(np.median(miss, axis=1)))])
-
-
-def _film(data: Tracks, piece: slice, sigma_y_m: float) -> Film:
-    gravity = data.manifest.gravity_m_s2
-    return Film(data.t_s[piece], data.y_m[piece], sigma_y_m, data.sigma_t_s, gravity)
-
-
-def _scatter_at_rest(data: Tracks) -> float:
-    """The deviation of heights before release, where frames of one film differ by it alone."""
-    squares, count = 0.0, 0
-    for piece in data.pieces:
-        y = data.y_m[piece]
-        begin = int(np.argmax(y < 0.9 * np.median(y[:3]))) - 2
-        if begin >= 3:
-            squares += float(np.sum((y[:begin] - y[:begin].mean()) ** 2))
-            count += begin - 1
-    return float(np.sqrt(squares / count)) if count >= LEAST_DROPS and squares > 0.0 else SIGMA_M
+def _candidates(seen: Filmed) -> list[str]:
+    """The effects that these films can carry at all."""
+    names = carried(KIND, (0, 1))
+    unseen = set()
+    if seen.pixel_m is not None:  # the free scale takes up what either does
+        unseen |= {"scale_error", "clock_error"}
+    if not seen.floor_known:
+        unseen.add("height_offset")
+    if not any(each.held for each in seen.tracks):
+        unseen.add("release_velocity")
+    if not any(each.bounces for each in seen.tracks):
+        unseen |= {name for name in names if EFFECTS[name].place not in IN_FLIGHT}
+    return [name for name in names if name not in unseen]
 
 
 def _bench(manifest: Manifest, y0_m: Array) -> TrackBench:
@@ -224,15 +242,3 @@ def _bench(manifest: Manifest, y0_m: Array) -> TrackBench:
         float(highest),
         friction=manifest.friction,
     )
-
-
-def _faster(film: Film, found: Track) -> Track:
-    """The same drop with more frames."""
-    p = np.array([found.start_s, found.y0_m, found.features[0], *PLAIN])
-    touch, launch, again = events(p, film.gravity_m_s2)
-    t = np.arange(film.t_s[0], again, 1.0 / FASTER_FPS)
-    t = t[(t < touch - 2e-3) | (t > launch + 2e-3)]
-    t = t[np.abs(t - p[0]) > NEAR_RELEASE_S]
-    phase = np.where(t > launch, RISE, np.where(t > p[0], FALL, REST))
-    seen = positions(p, t, phase, film.gravity_m_s2)
-    return reduced(replace(film, t_s=t, y_m=seen), p, t, seen, phase)

@@ -1,225 +1,325 @@
-"""What does a rod predict of the passes of a pulse along a ringing bar, and what may it lack?
+"""Wave records of bars with free ends as problems of the loop: dataset kind ``waves``.
 
-Dataset kind ``waves``. A gauge near mid-length of a bar that rings free-free sees a pulse pass
-again and again, one bar length apart, its sign alternating. The first pass drives the prediction
-of all others, so whatever acts on every pass alike cancels: gain, gauge length, amplifier.
+The first pass of a pulse at a gauge drives the prediction of all that comes after it, at the same
+gauge or at a second one, so whatever acts on every pass alike cancels: gain, gauge length,
+amplifier. What is predicted, with which noise, and by which models: `waves_propagation`,
+`waves_noise`, `waves_model`.
 
-The declared modulus gives the wave speed to a per cent or so, far worse than the record does, so
-the speed is a free parameter of the baseline; and so is the place of the gauge. The first pass is
-measured too, with the noise of any other, and its error returns in all predictions at once: its
-size is the third free parameter, the rest of that error stays. Not identifiable: a clock that runs
-wrong, for a plain rod exactly a change of speed; a scale error; the modulus apart from the density;
-a constant delay at each end, which is a longer bar.
-
-A public example with its source, commit and licence in its ``dataset.toml`` is a square aluminium
-bar from lanl/HopPyBar (examples/mini-Kolsky/PMMA-13, BSD-3-Clause).
+Groups are passes (where the gauge is not near mid-length, round trips, each of two passes that may
+overlap); where there are fewer than `LEAST_PASSES`, bands of frequency in each, so that some can be
+held out: a rod predicts all of them from the same few numbers.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ...solver.bristle import Array
-from ...solver.effects.base import Parameter
 from ...solver.errors import InputError
 from .problem import Problem
-from .rod import Complex, Rod, attached_mass, ratio_to_first
-from .waves_propagation import Propagation
+from .rod import SHORTEST_WAVE, Rod
+from .waves_model import (
+    WaveModel,
+    baseline_parameters,
+    effect_parameters,
+    material_declared,
+    real_synthesis,
+)
+from .waves_noise import Power, Whitening, apart_power, quiet_power, whitening
+from .waves_propagation import MOST_TURNS, Propagation, Windows
 from .waves_record import Waves, read_waves
+from .waves_start import Start, find_start
 
 __all__ = ["LIBRARY", "WaveModel", "Waves", "read_waves", "relative_residual", "wave_problem"]
 
-LIBRARY = ("material_damping", "hysteretic_damping", "lateral_inertia", "clock_error")
-LEAST_BETA_S = 1e-11
-GAUGE_ERROR_M = 0.005
-DRIVING_ERROR = 0.2
-AT_ONCE = 256
-"""Parameters that are predicted together: more would not fit the cache, then the memory."""
-LATER = 1
-"""Passes after the last window that are carried on too: their fronts may reach into it."""
-
-Phases = Callable[[Complex], Complex]
-
-
-def baseline_parameters(data: Waves) -> tuple[Parameter, ...]:
-    """The baseline's free parameters: speed of slow waves, where the gauge really sits, and the
-    size of the true first pass over the measured one."""
-    speed = data.manifest.bristle.material.bar_speed_m_s
-    modulus = "handbook moduli and densities of one alloy differ by this much"
-    placed, off = "a gauge is glued on by hand", GAUGE_ERROR_M + data.off_centre_m
-    own = "bending at the gauge while the driving pulse passes, a tenth of a slim bar's pulse"
-    return (
-        Parameter("wave_speed_m_s", "m/s", 0.95 * speed, 1.05 * speed, speed, speed, why=modulus),
-        Parameter("gauge_offset_m", "m", -off, off, 0.0005, why=placed),
-        Parameter("driving_gain", "", 1 - DRIVING_ERROR, 1 + DRIVING_ERROR, 1.0, 1.0, why=own),
-    )
-
-
-def effect_parameters(data: Waves) -> dict[str, tuple[Parameter, ...]]:
-    """Parameters of each effect that such a record can carry, by its name.
-
-    ``attached_mass`` stands outside the project's list of effects: see `wave_problem`.
-    """
-    declared = max(data.manifest.bristle.material.beta_s, LEAST_BETA_S)
-    beta = Parameter(
-        "beta_s",
-        "s",
-        LEAST_BETA_S,
-        max(1e-4, declared),
-        1e-8,
-        declared,
-        logarithmic=True,
-        why="metals in ultrasound to bristles in slow bending",
-    )
-    loss = Parameter("loss_factor", "", 0.0, 0.1, 0.002, why="metals 1e-4 to 1e-2, and joints")
-    love = Parameter("strength", "", 0.0, 2.0, 1.0, why="0 is a plain rod, 1 is Love's")
-    clock = Parameter("relative", "", -0.2, 0.2, 0.02, why="consumer cameras and sensors")
-    return {
-        "material_damping": (beta,),
-        "hysteretic_damping": (loss,),
-        "lateral_inertia": (love,),
-        "clock_error": (clock,),
-        "attached_mass": (
-            Parameter("share", "", 0.0, 0.02, 0.002, why="gauges, leads, glue on the bar's mass"),
-            Parameter("frequency_Hz", "Hz", 2e4, 1e6, 1e5, 1e6, True, "glue, leads, a specimen"),
-            Parameter("own_loss_factor", "", 0.01, 3.0, 0.3, 0.01, True, "polymers, grease"),
-        ),
-    }
+LIBRARY = ("material_damping", "hysteretic_damping", "lateral_inertia")
+STANDS_OUT = 3.0
+"""How far the first pass must rise above the noise for a frequency to be used."""
+GAP, FINER = 6, 4
+"""Over how many points a spectrum may drown in the noise, `FINER` times as fine as its own."""
+MOST_BINS = 48
+LEAST_WINDOW = 16
+NEAR_MIDDLE = 0.1
+"""How far from mid-length, in half lengths, passes still come one length apart."""
+LEAST_PASSES, BANDS, HELD_EVERY = 4, 6, 3
+ALLOYS_VARY = 0.03
+FEW_QUIET = 50
 
 
 @dataclass(frozen=True)
-class WaveModel:
-    """The rod, with effects in it; a `Model`.
+class Layout:
+    """A record laid out in rows: the windows, a group and a frequency to each row, what is held
+    out, and the noise of each row and of the first pass."""
 
-    `material_damping` replaces the declared damping, `hysteretic_damping` adds a loss factor to
-    whatever stiffness-proportional damping there is. So where the declared one is far too large,
-    only both together can say that the loss is hysteretic: β then goes to its lower bound.
-    ``solid``, where it is not None, is the phase of the 3-D bar, which has its lateral inertia in
-    itself: `lateral_inertia` then changes nothing.
-    """
-
-    propagation: Propagation
-    effects: tuple[str, ...] = ()
-    solid: Phases | None = None
+    windows: Windows
+    group: NDArray[np.int64]
+    held: tuple[int, ...]
+    in_bands: bool
+    noise: Power
+    first_noise: Power
 
     @property
-    def parameters(self) -> tuple[Parameter, ...]:
-        data = self.propagation.data
-        known = effect_parameters(data)
-        return baseline_parameters(data) + tuple(p for name in self.effects for p in known[name])
+    def fitted(self) -> NDArray[np.bool_]:
+        return ~np.isin(self.group, self.held)
 
     @property
-    def weights(self) -> Array:
-        return np.ones(1)
-
-    def ratio(self, theta: Array) -> Complex:
-        """All later passes over the first one, (..., frequencies), for parameters (..., p)."""
-        at = {
-            each.name: np.asarray(theta, dtype=float)[..., i, None]
-            for i, each in enumerate(self.parameters)
-        }
-        rod, declared = self.propagation.rod, self.propagation.data.manifest.bristle.material
-        omega = self.propagation.omega * (1.0 + at.get("relative", np.zeros(1)))
-        speed, beta = at["wave_speed_m_s"], at.get("beta_s", np.full(1, declared.beta_s))
-        loss = at.get("loss_factor", np.zeros(1))
-        if self.solid is None:
-            strength = at.get("strength", np.zeros(1))
-            phase = rod.length_m * rod.wave_number(omega, speed, beta, loss, strength)
-        else:
-            phase = self.solid(rod.length_m * rod.wave_number(omega, speed, beta, loss))
-        if "share" in at:
-            own = at["frequency_Hz"], at["own_loss_factor"]
-            phase = phase + attached_mass(omega, speed, rod.length_m, at["share"], *own)
-        passes = range(2, self.propagation.n_passes + 2 + LATER)
-        late = 2.0 * at["gauge_offset_m"] / speed
-        return at["driving_gain"] * ratio_to_first(phase, omega, passes, late)
-
-    def predict(self, theta: Array) -> Array:
-        """Whitened predictions (..., 1, rows) for parameters (..., p)."""
-        theta = np.asarray(theta, dtype=float)
-        flat = theta.reshape(-1, theta.shape[-1])
-        parts = [
-            self.propagation.rows(self.ratio(flat[i : i + AT_ONCE]))
-            for i in range(0, len(flat), AT_ONCE)
-        ]
-        return np.concatenate(parts).reshape(*theta.shape[:-1], 1, -1)
+    def frequency_Hz(self) -> Array:
+        return np.tile(self.windows.frequency_Hz, len(self.windows.begins))
 
 
 def wave_problem(data: Waves, library: Sequence[str] = LIBRARY) -> Problem:
-    """The passes after the first one as a `Problem`; ``library`` names the candidates.
+    """What comes after the first pass as a `Problem`; ``library`` names the candidates.
 
     ``combine`` also takes ``attached_mass``, a mass on a lossy spring at each end, which is no
-    candidate unless named: it was thought of after looking at all passes of the record in this
-    module's docstring, so that on that record it is a hypothesis and not a finding.
+    candidate unless named: it was thought of after looking at all passes of the bundled record, so
+    that on that record it is a hypothesis and not a finding. Raises InputError where the first
+    pass does not stand out of the noise, or is overlapped by too many reflections.
     """
-    whole = Propagation(data, Rod.of(data.manifest.bristle))
-    combine = _combine(whole)
-    number = np.arange(2, whole.n_passes + 2)
-    per_pass = len(whole.basis)
-    group = np.repeat(number, per_pass).astype(np.int64)
-    frequency = np.concatenate([[0.0], np.repeat(np.arange(1, whole.bins), 2)])
-    share = whole.n_passes * per_pass
+    rod = Rod.of(data.manifest.bristle)
+    band, limit = _band(data, rod)
+    whole = Propagation(data, rod, band)
+    declared = data.manifest.bristle.material.bar_speed_m_s
+    start = find_start(whole, baseline_parameters(data, declared, 1e-8))
+    baseline = baseline_parameters(data, start.value("wave_speed_m_s"), start.value("beta_s"))
+    layout = _layout(whole, baseline[0].typical)
+    plain = whole.synthesis(layout.windows)
+    white = _whitening(replace(start.model, synthesis=real_synthesis(plain)), start, layout)
+    model = WaveModel(whole, baseline, real_synthesis(plain) @ white.factor.T)
+    _refuse_overlap(model)
+    combine = _combine(model)
+    values = white.factor @ layout.windows.components(data.predicted.signal)
+    known = effect_parameters(data)
     return Problem(
-        values=whole.measured(),
-        scale=whole.scale,
+        values=values,
+        scale=white.scale,
         unit=data.unit,
-        quantity=np.full(share, "strain signal"),
-        group=group,
+        quantity=np.full(len(values), "strain signal"),
+        group=layout.group,
         covariates={
-            "order": group.astype(float),
-            "frequency": np.tile(frequency, whole.n_passes) * whole.resolution_Hz,
+            "order": np.repeat(np.arange(len(layout.windows.begins)), layout.windows.rows) + 1.0,
+            "frequency": layout.frequency_Hz,
         },
         baseline=combine(()),
-        candidates=[combine((name,)) for name in library],
+        candidates=[combine((name,)) for name in library if name in known],
         combine=combine,
-        confirm=_confirm(whole, group),
+        held=layout.held or None,
+        confirm=_confirm(model, layout.group),
         notes={
-            "highest_frequency_Hz": (whole.bins - 1) * whole.resolution_Hz,
+            "highest_frequency_Hz": float(layout.frequency_Hz.max()),
             "absorbed": "scale error, gauge length, amplifier: the first pass carries them too",
-            "not_identifiable": "clock error and wave speed; a delay at the ends and the length",
+            "not_identifiable": "clock error, length and wave speed; a delay at the ends and the "
+            "length",
         },
+        warnings=_warnings(data, start, layout),
+        left_aside=_left_aside(data, layout, limit),
     )
 
 
-def _combine(whole: Propagation) -> Callable[[tuple[str, ...]], WaveModel]:
-    known = effect_parameters(whole.data)
+def _band(data: Waves, rod: Rod) -> tuple[float, bool]:
+    """The highest frequency used, in Hz, and whether it is the rod that ends there, not the pulse.
+
+    Up to where the first pass drowns in the noise, zeros of its spectrum aside, and no further than
+    a rod holds.
+    """
+    begin, end = data.first_pass_s
+    first = data.gauge.signal[data.index(begin) : data.index(end) + 1]
+    padded = FINER * len(first)
+    spectrum = np.abs(np.fft.rfft(first, padded)) * np.sqrt(2.0 / len(first))
+    frequency = np.fft.rfftfreq(padded, data.step_s)
+    nyquist = 0.8 * frequency[-1]
+    speed = data.manifest.bristle.material.bar_speed_m_s
+    rod_ends = speed / (SHORTEST_WAVE * rod.radius_m)
+    top = min(rod_ends, nyquist)
+    later = [data.index(each) for each in np.linspace(*data.predict_s, 4)[:-1]]
+    bins = max(3, int(top * len(first) * data.step_s))
+    later = [each for each in later if each + len(first) <= len(data.times_s)]
+    alike = Windows((data.index(begin), *later), len(first), bins, data.step_s)
+    power = _larger(quiet_power(data, data.gauge, top), apart_power(data.gauge, alike))
+    noise = np.sqrt(power(frequency))
+    above = np.append(spectrum > STANDS_OUT * noise, np.zeros(GAP, dtype=bool))
+    run = np.array([np.any(above[i : i + GAP]) for i in range(len(spectrum))])
+    drowned = np.flatnonzero(~run)
+    pulse_ends = frequency[drowned[0]] if len(drowned) else frequency[-1]
+    if drowned.size and drowned[0] == 0:
+        raise data.manifest.wrong("first_pass_s", "holds no pulse above the noise before it")
+    ends = min(pulse_ends, nyquist)
+    return float(min(ends, rod_ends)), bool(rod_ends < ends)
+
+
+def _layout(whole: Propagation, speed_m_s: float) -> Layout:
+    data, length = whole.data, whole.rod.length_m
+    begin, end = data.predict_s
+    middle = data.second is None and abs(2 * data.gauge.x_m / length - 1.0) <= NEAR_MIDDLE
+    count = max(1, round((end - begin) * speed_m_s / (length if middle else 2 * length)))
+    samples = int((data.index(end) - data.index(begin)) / count)
+    if samples < LEAST_WINDOW:
+        raise data.manifest.wrong(
+            "predict_s",
+            f"has {samples} samples a pass of the declared bar; {LEAST_WINDOW} are needed",
+        )
+    bins = 1 + int(whole.band_Hz * samples * data.step_s)
+    bins = min(bins, MOST_BINS, samples // 2)
+    if bins < 3:
+        raise data.manifest.wrong(
+            "first_pass_s", "holds a pulse too slow for its passes to be told apart"
+        )
+    edges = begin + (end - begin) * np.arange(count) / count
+    windows = Windows(tuple(data.index(each) for each in edges), samples, bins, data.step_s)
+    in_bands = count < LEAST_PASSES
+    group = np.repeat(np.arange(count), windows.rows) + (2 if middle else 1)
+    first_held = HELD_EVERY - 1
+    if in_bands:
+        bands = min(-(-BANDS // count), bins)
+        band = np.arange(bins) * bands // bins
+        each = np.concatenate([band[:1], np.repeat(band[1:], 2)])
+        group = (np.arange(count)[:, None] * bands + each + 1).ravel()
+        first_held = 1
+    held = tuple(int(i) for i in np.unique(group)[first_held::HELD_EVERY])
+    later, first = _noises(data, whole, windows)
+    return Layout(windows, group.astype(np.int64), held, in_bands, later, first)
+
+
+def _noises(data: Waves, whole: Propagation, windows: Windows) -> tuple[Power, Power]:
+    """Of the rows, and of the first pass."""
+    begin, end = (data.index(each) for each in data.first_pass_s)
+    bins = min(max(3, 1 + int(whole.band_Hz * (end - begin) * data.step_s)), (end - begin) // 2)
+    own = Windows((begin,), end - begin, bins, data.step_s)
+    band = whole.band_Hz
+    later = _larger(quiet_power(data, data.predicted, band), apart_power(data.predicted, windows))
+    first = _larger(quiet_power(data, data.gauge, band), apart_power(data.gauge, own))
+    return later, first if data.second is not None else _larger(first, later)
+
+
+def _larger(one: Power, other: Power | None) -> Power:
+    if other is None:
+        return one
+    return lambda frequency_Hz: np.maximum(one(frequency_Hz), other(frequency_Hz))
+
+
+def _whitening(model: WaveModel, start: Start, layout: Layout) -> Whitening:
+    """By the noise of each row, and by that of the first pass and of the offsets, carried along by
+    the model nearest the record."""
+    data, carried = model.propagation.data, model.propagation
+    spectra, frequency = carried.disturbances()
+    spectra = spectra * np.sqrt(layout.first_noise(frequency))[:, None]
+    shared = -model.rows(model.spectra(start.theta, spectra)).T
+    # an error of the offset: a constant in all windows, and one that drives
+    level = np.sqrt(layout.noise(np.zeros(1))[0] / data.quiet)
+    constant = layout.windows.components(np.full(len(data.times_s), level))
+    carried_samples = np.sqrt(carried.within * carried.padded / carried.coarse)
+    drive = np.sqrt(layout.first_noise(np.zeros(1))[0] / data.quiet) * carried_samples
+    moved = shared[:, 0] / np.sqrt(layout.first_noise(frequency[:1])[0]) * drive
+    if data.second is None:
+        offsets = (constant + moved)[:, None]
+    else:
+        offsets = np.stack([constant, moved], axis=1)
+    own = np.sqrt(layout.noise(layout.frequency_Hz))
+    return whitening(own, np.concatenate([shared, offsets], axis=1), layout.fitted)
+
+
+def _refuse_overlap(model: WaveModel) -> None:
+    carried, data = model.propagation, model.propagation.data
+    slow = model.baseline[0].typical
+    back = 2.0 * (carried.rod.length_m - data.gauge.x_m) / slow
+    lasts = data.first_pass_s[1] - data.first_pass_s[0]
+    if lasts > MOST_TURNS * back:
+        raise data.manifest.wrong(
+            "gauge_x_m",
+            f"is so near the far end that {lasts / back:.0f} reflections overlap the first pass, "
+            f"{MOST_TURNS} at most can be told apart: a gauge farther from that end, or a "
+            "first_pass_s that is shorter, is needed",
+        )
+
+
+def _combine(model: WaveModel) -> Callable[[tuple[str, ...]], WaveModel]:
+    known = effect_parameters(model.propagation.data)
 
     def combine(effects: tuple[str, ...]) -> WaveModel:
         for name in effects:
             if name not in known:
                 raise InputError(f"a waves dataset cannot carry {name}; {', '.join(known)} it can")
-        return WaveModel(whole, tuple(effects))
+        return replace(model, effects=tuple(effects))
 
     return combine
 
 
 def _confirm(
-    whole: Propagation, group: NDArray[np.int64]
+    model: WaveModel, group: NDArray[np.int64]
 ) -> Callable[[tuple[str, ...], Array, NDArray[np.int64]], Array]:
     def confirm(effects: tuple[str, ...], theta: Array, groups: NDArray[np.int64]) -> Array:
         """Predictions (rows of ``groups``,) by the 3-D bar; the baseline's with no effects."""
-        from .waves_solid import solid_phases
+        from .waves_solid import solid_wave_numbers
 
-        model = WaveModel(whole, tuple(effects), solid_phases(whole.data.manifest.bristle))
-        return np.asarray(model.predict(theta)[0, np.isin(group, groups)])
+        bar, band = model.propagation.data.manifest.bristle, model.propagation.band_Hz
+        solid = replace(model, effects=tuple(effects), solid=solid_wave_numbers(bar, band))
+        return np.asarray(solid.predict(theta)[0, np.isin(group, groups)])
 
     return confirm
 
 
-def relative_residual(model: WaveModel, theta: Array, passes: Sequence[int] | None = None) -> float:
-    """Residual over signal, both rms over all samples in the windows of ``passes``.
+def _warnings(data: Waves, start: Start, layout: Layout) -> tuple[str, ...]:
+    told: list[str] = []
+    speed, found = data.manifest.bristle.material.bar_speed_m_s, start.value("wave_speed_m_s")
+    if material_declared(data) and abs(found / speed - 1.0) > ALLOYS_VARY:
+        told.append(
+            f"the passes come as at {found:.4g} m/s along a bar of the declared length; the "
+            f"declared modulus and density make {speed:.4g} m/s, {abs(found / speed - 1):.0%} off: "
+            "length, place of the gauge, clock or material is not what is declared"
+        )
+    if layout.in_bands:
+        count = len(layout.windows.begins)
+        passes = "one window of passes" if count == 1 else f"{count} windows of passes"
+        told.append(f"{passes} only: what is held out are bands of frequency, not passes")
+    if data.quiet < FEW_QUIET:
+        told.append(f"the noise is known from {data.quiet} quiet samples only")
+    if not data.gauge.placed:
+        told.append("gauge_x_m is not declared: the gauge is taken to be near mid-length")
+    if data.sigma is not None:
+        quiet = float(data.gauge.signal[: data.quiet].std())
+        if data.sigma < 0.5 * quiet:
+            told.append(
+                f"the declared sigma, {data.sigma:.3g} {data.unit}, is far less than the scatter "
+                f"before the pulse, {quiet:.3g} {data.unit}: that is used"
+            )
+    return tuple(told)
 
-    ``theta`` (p,). All frequencies that the record holds count, electrical noise among them.
+
+def _left_aside(data: Waves, layout: Layout, limit: bool) -> tuple[str, ...]:
+    told: list[str] = []
+    top = float(layout.frequency_Hz.max())
+    if limit or layout.windows.bins == MOST_BINS:
+        why = "their waves are too short for a rod" if limit else "there are enough without them"
+        told.append(f"frequencies above {1e-3 * top:.4g} kHz: {why}")
+    late = data.times_s[-1] - data.predict_s[1]
+    if late > 0.1 * (data.predict_s[1] - data.predict_s[0]):
+        told.append(f"the record's last {late:.3g} s, after predict_s")
+    if data.second is not None:
+        told.append("later passes at the first gauge: the second gauge alone is predicted")
+    return tuple(told)
+
+
+def relative_residual(model: WaveModel, theta: Array, passes: Sequence[int] | None = None) -> float:
+    """Residual over signal, both rms over all samples that are predicted.
+
+    ``theta`` (p,). ``passes``, counted from 2, are lengths of the bar of equal time in what is
+    predicted. All frequencies that the record holds count, electrical noise among them.
     """
     whole = model.propagation
-    predicted = whole.in_time(model.ratio(theta))
-    chosen = np.zeros(len(predicted), dtype=bool)
-    for number, begin in enumerate(whole.starts(), start=2):
-        if passes is None or number in passes:
-            chosen[begin : begin + whole.window] = True
-    signal = whole.data.signal[chosen]
-    return float(np.linalg.norm(signal - predicted[chosen]) / np.linalg.norm(signal))
+    data = whole.data
+    begin, end = (data.index(each) for each in data.predict_s)
+    chosen = np.zeros(len(data.times_s), dtype=bool)
+    if passes is None:
+        chosen[begin:end] = True
+    else:
+        span = (data.predict_s[1] - data.predict_s[0]) * model.baseline[0].typical
+        count = round(span / whole.rod.length_m)
+        for each in passes:
+            first, last = (begin + (end - begin) * k // count for k in (each - 2, each - 1))
+            chosen[first:last] = True
+    signal = data.predicted.signal[chosen]
+    predicted = whole.in_time(model.spectra(theta))[chosen]
+    return float(np.linalg.norm(signal - predicted) / np.linalg.norm(signal))

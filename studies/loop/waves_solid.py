@@ -1,12 +1,14 @@
-"""By how much does an axial wave turn its phase along the 3-D bar, its free ends included?
+"""Phase of an axial wave along the 3-D bar, its free ends included, from its natural frequencies.
 
-The solid's natural frequencies of axial motion say it: mode n is where one pass turns the phase by
-nπ. They come from the project's solid, loaded on its end by a uniform pressure, in the Krylov
-vectors of that load (solver.bodies.reduced): bending and torsion are never excited.
+Mode n is where one length of the bar turns the phase by nπ. The modes come from the project's
+solid, loaded on its end by a uniform pressure, in the Krylov vectors of that load
+(solver.bodies.reduced): bending and torsion are never excited.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
@@ -25,6 +27,8 @@ LEVELS, ACROSS, VECTORS = 160, 2, 80
 SHIFT = 14.0
 """Where the Krylov vectors are best: at this mode's frequency."""
 DEGREE = 4
+MODES = 28
+BEYOND = 1.1
 
 
 class SolidPhases:
@@ -56,8 +60,23 @@ class SolidPhases:
         return np.asarray(plain * (1.0 + excess))
 
 
+def solid_wave_numbers(bar: Bristle, band_Hz: float) -> Callable[[Complex], Complex]:
+    """The solid's wave number (...) for that of a plain rod (...), in 1/m, up to ``band_Hz``.
+
+    Of a bar so long that its first `MODES` do not reach that far, a piece is taken: waves disperse
+    along it as along the whole, and its ends count as little as the bar's.
+    """
+    piece = min(bar.length_m, MODES * bar.material.bar_speed_m_s / (2.0 * BEYOND * band_Hz))
+    phases = solid_phases(replace(bar, length_m=piece))
+
+    def wave_numbers(plain: Complex) -> Complex:
+        return np.asarray(phases(plain * piece) / piece)
+
+    return wave_numbers
+
+
 @lru_cache(maxsize=4)
-def solid_phases(bar: Bristle, modes: int = 28) -> SolidPhases:
+def solid_phases(bar: Bristle, modes: int = MODES) -> SolidPhases:
     """From the first axial ``modes`` of a solid of the bar's section, length and material.
 
     Raises ComputationError where fewer are found in the reduced solid.

@@ -1,0 +1,445 @@
+"""Absolute goodness of fit: is what a model leaves no more than the noise that was declared?
+
+One family of statistics, declared here and nowhere else, looks at the quantile residuals of a
+fitted model: their size; each quantity's level; against every covariate smooth shapes, bands and
+thresholds, for the residuals and for their scatter; in the order of the groups every residue
+class, waves, runs; two states; what rows of one group share; and the directions of known effects.
+Shifts are looked for alike at all rows and in proportion to the prediction.
+
+Nothing here forgives a large residual: statistics grow with the residuals themselves (their
+logarithm beyond `KNEE`), after the full fit within its bounds, and what they are held against is
+noise of bounded size (`noise`), drawn and refitted along the parameters that are not on a bound.
+The least p-value is corrected by the same draws (Westfall and Young, Resampling-Based Multiple
+Testing (1993), §2.5). Smooth tests: Rayner, Thas and Best, Smooth Tests of Goodness of Fit (2009);
+scans: Walther and Perry, J. R. Stat. Soc. B 84 (2022) 1608.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...solver.bristle import Array
+from .fit import Fitted
+from .noise import Ints
+from .residuals import quantile_residuals
+from .sample import BETWEEN, Sample
+
+SETS = 599
+KNEE = 3.0
+DEGREES = 5
+MOST_EDGES = 32
+LEAST_BAND = 3
+MOST_PERIOD = 9
+LEAST_ORDERED = 8
+# Rows of longer groups are a record in time: what they share shows in runs.
+MOST_SHARED = 6
+# Values of a covariate nearer than this share of its range are meant to be the same.
+NEAR = 0.04
+# A direction of which a refit absorbs more than this is not looked at.
+ABSORBED = 0.97
+STATE_SHARES = np.array([0.1, 0.2, 0.35, 0.5, 0.65, 0.8, 0.9])
+STATE_SHIFTS = np.array([2.0, 3.0, 4.0, 6.0, 9.0, 14.0])
+STATE_SPREADS = np.array([0.7, 0.85, 1.0, 1.2, 1.45, 1.75, 2.2, 3.0, 4.5])
+
+
+@dataclass(frozen=True)
+class Adequacy:
+    """Whether a fit leaves noise alone.
+
+    ``p_value`` is corrected for all tests, ``statistic`` names the least; ``table`` has (test,
+    value, p-value alone); ``residual`` (rows,) are quantile residuals, ``noise`` the likeliest
+    noise of them. ``needed`` by known effect: the size d that would be noticed nine times in ten.
+    ``unlisted`` is the log evidence of the best of the family's own shapes, ``shape`` its name: an
+    effect that explains less than a band or a step would is not the explanation.
+    """
+
+    p_value: float
+    statistic: str
+    table: tuple[tuple[str, float, float], ...]
+    residual: Array
+    noise: int
+    needed: dict[str, float]
+    unlisted: float
+    shape: str
+
+
+@dataclass(frozen=True)
+class Direction:
+    """What a known effect does to residuals: it moves them by ``shift`` (rows,) in its one sense,
+    or widens them by ``scatter`` (rows,), a variance."""
+
+    name: str
+    shift: Array
+    scatter: Array
+
+
+Statistic = Callable[[Array], Array]
+# What one amount costs that the data determine, in nats (Kass and Wasserman, J. Am. Stat. Assoc. 90
+# (1995) 928: unit information, here of some hundred rows).
+OCCAM = 2.5
+
+
+@dataclass(frozen=True)
+class Shapes:
+    """Unit shapes (k, rows) of which one, or all ``together``, may be what is missing."""
+
+    unit: Array
+    together: bool
+
+
+def assess(
+    data: Sample,
+    fitted: Fitted,
+    directions: list[Direction],
+    rng: np.random.Generator,
+    sets: int = SETS,
+) -> Adequacy:
+    """Test what a fitted model leaves of the rows that it was fitted to."""
+    weights = np.asarray(fitted.model.weights)
+    z = quantile_residuals(data.values, fitted.predicted, weights, data.starts)
+    tangent = fitted.mean_slopes[:, fitted.loose] / np.sqrt(1 + fitted.spread**2)[:, None]
+    noise = likeliest_noise(data, z, correlated=weights.size == 1)
+    drawn = data.noises.draw(np.full(sets, noise), rng)
+    absorbed = np.linalg.pinv(tangent)
+    drawn -= (drawn @ absorbed.T) @ tangent.T
+    both = _soft(np.concatenate([z[None], drawn]))
+    statistics, shapes = _family(data, fitted, tangent, directions)
+    names = list(statistics)
+    values = np.stack([statistics[name](both) for name in names], axis=1)
+    single, simulated = p_values(values[0], values[1:])
+    p_value, least = corrected(single, simulated)
+    threshold = float(np.quantile(least, 0.02))
+    unlisted, shape = _best_shape(data, z, shapes)
+    return Adequacy(
+        p_value=p_value,
+        statistic=names[int(np.argmin(single))],
+        table=tuple(
+            (name, float(v), float(p)) for name, v, p in zip(names, values[0], single, strict=True)
+        ),
+        residual=z,
+        noise=noise,
+        needed={
+            each.name: _needed(values[1:, names.index(each.name)], threshold)
+            for each in directions
+            if each.name in names
+        },
+        unlisted=unlisted,
+        shape=shape,
+    )
+
+
+def likeliest_noise(data: Sample, z: Array, correlated: bool) -> int:
+    """The likeliest noise, of bounded size, of residuals (rows,).
+
+    Where chance from group to group widens what is predicted, correlation is none of the noise's:
+    residuals are then as large as they are because of that chance, which has no memory.
+    """
+    grid = data.noises
+    among = np.flatnonzero((grid.correlation == 0) | correlated)
+    logs = data.heights(z[None], np.zeros((1, 1, z.size)), np.ones(1), among)
+    return int(among[np.argmax(logs[0])])
+
+
+def _soft(z: Array) -> Array:
+    """Residuals, beyond `KNEE` by their logarithm: one outlier does not decide, a thousand do."""
+    size = np.abs(z)
+    return np.sign(z) * np.where(size > KNEE, KNEE + np.log1p(np.maximum(size - KNEE, 0.0)), size)
+
+
+def _family(
+    data: Sample, fitted: Fitted, tangent: Array, directions: list[Direction]
+) -> tuple[dict[str, Statistic], dict[str, Shapes]]:
+    """All statistics by name, each takes residuals (sets, rows) to numbers (sets,); and the shapes
+    of those that look for a shift."""
+    out: dict[str, Statistic] = {"size": lambda z: np.sum(z**2, axis=1)}
+    listed: dict[str, Shapes] = {}
+    kinds = np.unique(data.kind)
+    project = np.eye(data.values.size) - tangent @ np.linalg.pinv(tangent)
+
+    def linear(name: str, shapes: Array, degree: Array | None = None) -> None:
+        unit, kept = _unit(shapes, project)
+        if not kept.any():
+            return
+        listed[name] = Shapes(unit, degree is not None)
+        if degree is None:
+            out[name] = lambda z: np.max((z @ unit.T) ** 2, axis=1)
+        else:
+            share = 1.0 / degree[kept] ** 2
+            out[name] = lambda z: ((z @ unit.T) ** 2) @ share
+
+    level = np.stack([(data.kind == k).astype(float) for k in kinds])
+    linear("level", level, np.ones(len(kinds)))
+    patterns = _patterns(data, fitted)
+    every = [pattern * mask for pattern in patterns for mask in level]
+    for name, x in _distinct(data.covariates).items():
+        shapes, degree = _polynomials(x, data.kind)
+        if not degree.size:
+            continue
+        linear(f"trend with {name}", shapes[degree == 1], np.ones(int(np.sum(degree == 1))))
+        if degree.max() > 1:
+            linear(f"smooth in {name}", shapes[degree > 1], degree[degree > 1].astype(float))
+        bands = _bands(x)
+        linear(f"band of {name}", np.concatenate([bands * each for each in every]))
+        _scattered(out, name, shapes[degree == 1].sum(axis=0), bands)
+    order = next((data.covariates[n] for n in BETWEEN if n in data.covariates), None)
+    if order is not None and np.unique(order).size >= LEAST_ORDERED:
+        classes, waves = _residue_classes(order), _waves(order)
+        linear("one in several of the order", np.concatenate([classes * e for e in every]))
+        pairs = [_unit(np.concatenate([w * e for e in every]), project) for w in waves]
+        pairs = [pair for pair in pairs if pair[1].any()]
+        for i, (unit, _) in enumerate(pairs):
+            listed[f"wave {i} in the order"] = Shapes(unit, True)
+        out["wave in the order"] = lambda z: np.max(
+            np.stack([np.sum((z @ unit.T) ** 2, axis=1) / len(unit) for unit, _ in pairs]), axis=0
+        )
+        centred = classes - classes.mean(axis=1, keepdims=True)
+        centred /= np.linalg.norm(centred, axis=1, keepdims=True)
+        out["scatter of one in several"] = lambda z: np.max(np.abs(np.abs(z) @ centred.T), axis=1)
+    linked = np.flatnonzero(data.noises.previous >= 0)
+    if linked.size >= LEAST_ORDERED:
+        before = data.noises.previous[linked]
+        out["runs"] = lambda z: np.abs(np.sum(z[:, linked] * z[:, before], axis=1))
+    if data.values.size >= LEAST_ORDERED:
+        out["two states"] = lambda z: _two_states(z, patterns)
+    shared = _shared(data)
+    if shared[0].size:
+        out["shared within a group"] = lambda z: np.abs(
+            np.sum(z[:, shared[0]] * z[:, shared[1]], axis=1)
+        )
+    for each in directions:
+        one_sided = _one_sided(each, project)
+        if one_sided is not None:
+            out[each.name] = one_sided
+    return out, listed
+
+
+def _best_shape(data: Sample, z: Array, listed: Mapping[str, Shapes]) -> tuple[float, str]:
+    """Log evidence and name of the shape that explains residuals (rows,) best by itself, with the
+    noise that suits what it leaves."""
+    names, left, costs = [], [z], [0.0]
+    for name, shapes in listed.items():
+        loads = shapes.unit @ z
+        names.append(name)
+        if shapes.together:
+            basis, _ = np.linalg.qr(shapes.unit.T)
+            left.append(z - basis @ (basis.T @ z))
+            costs.append(OCCAM * len(shapes.unit))
+        else:
+            best = int(np.argmax(np.abs(loads)))
+            left.append(z - loads[best] * shapes.unit[best])
+            costs.append(OCCAM + float(np.log(len(loads))))
+    waves = sum(name.startswith("wave ") for name in names)
+    costs = [
+        cost + (float(np.log(waves)) if name.startswith("wave ") else 0.0)
+        for name, cost in zip(["", *names], costs, strict=True)
+    ]
+    logs = data.heights(
+        np.array(left), np.zeros((1, 1, z.size)), np.ones(1), np.arange(data.noises.scale.size)
+    ).max(axis=1) - np.array(costs)
+    best = int(np.argmax(logs))
+    return float(logs[best]), ["nothing", *names][best]
+
+
+def _unit(shapes: Array, project: Array) -> tuple[Array, Array]:
+    """Unit shapes (k, rows) freed of what a refit absorbs, and which of them are kept."""
+    before = np.linalg.norm(shapes, axis=1)
+    free = shapes @ project
+    size = np.linalg.norm(free, axis=1)
+    kept = (size > np.sqrt(1 - ABSORBED**2) * before) & (before > 0)
+    return free[kept] / size[kept, None], kept
+
+
+def _one_sided(direction: Direction, project: Array) -> Statistic | None:
+    shift = project @ direction.shift
+    size, wide = float(np.linalg.norm(shift)), float(np.linalg.norm(direction.scatter))
+    if wide > size:
+        scatter = direction.scatter / wide
+        return lambda z: np.maximum((np.abs(z) - 0.8) @ scatter, 0.0) ** 2
+    if size < 0.3:
+        return None
+    unit = shift / size
+    return lambda z: np.maximum(z @ unit, 0.0) ** 2
+
+
+def _patterns(data: Sample, fitted: Fitted) -> list[Array]:
+    """Sizes that a shift may have at each row: alike at all, or in proportion to what is
+    predicted where that has one sign."""
+    alike = np.ones(data.values.size)
+    mean = fitted.mean
+    proportional = np.empty_like(mean)
+    for kind in np.unique(data.kind):
+        mine = data.kind == kind
+        size = np.sqrt(np.mean(mean[mine] ** 2))
+        if size <= 0 or np.min(mean[mine]) * np.max(mean[mine]) <= 0:
+            return [alike]
+        proportional[mine] = np.abs(mean[mine]) / size
+    return [alike] if np.ptp(proportional) < 0.2 else [alike, proportional]
+
+
+def _distinct(covariates: Mapping[str, Array]) -> dict[str, Array]:
+    """Covariates that order the rows differently."""
+    out: dict[str, Array] = {}
+    for name, x in covariates.items():
+        rank = np.argsort(np.argsort(x, kind="stable"))
+        others = [np.argsort(np.argsort(y, kind="stable")) for y in out.values()]
+        if np.ptp(x) > 0 and all(abs(np.corrcoef(rank, o)[0, 1]) < 0.98 for o in others):
+            out[name] = x
+    return out
+
+
+def _scattered(out: dict[str, Statistic], name: str, trend: Array, bands: Array) -> None:
+    """Tests of the residuals' scatter against one covariate."""
+    centred = bands - bands.mean(axis=1, keepdims=True)
+    size = np.linalg.norm(centred, axis=1, keepdims=True)
+    centred = centred[size[:, 0] > 0] / size[size[:, 0] > 0]
+    out[f"scatter with {name}"] = lambda z: np.abs((np.abs(z) - 0.8) @ trend)
+    if len(centred):
+        out[f"scatter in a band of {name}"] = lambda z: np.max(
+            np.abs(np.abs(z) @ centred.T), axis=1
+        )
+
+
+def _polynomials(x: Array, kind: Ints) -> tuple[Array, Array]:
+    """Orthonormal polynomials of the covariate's levels, each quantity's own (shapes, rows), and
+    their degrees (shapes,)."""
+    shapes: list[Array] = []
+    degrees: list[int] = []
+    for each in np.unique(kind):
+        mine = np.flatnonzero(kind == each)
+        rank = _levels(x[mine])
+        most = min(DEGREES, int(rank.max(initial=0)), mine.size - 2)
+        if most < 1 or mine.size < 4:
+            continue
+        t = rank / rank.max() * 2 - 1
+        q, _ = np.linalg.qr(np.vander(t, most + 1, increasing=True))
+        for degree in range(1, most + 1):
+            shape = np.zeros(x.size)
+            # toward the same side in every quantity, so that scatter adds up
+            shape[mine] = q[:, degree] * np.sign(q[np.argmax(t), degree])
+            shapes.append(shape)
+            degrees.append(degree)
+    return np.array(shapes).reshape(-1, x.size), np.array(degrees, dtype=np.int64)
+
+
+def _levels(x: Array) -> Ints:
+    """Ranks (rows,) of values, those as good as repeated counted as one where all fall into such
+    levels: ranks within a level would bend a function of the covariate where it is flat."""
+    values, rank = np.unique(x, return_inverse=True)
+    near = NEAR * (values[-1] - values[0])
+    level = np.concatenate([[0], np.cumsum(np.diff(values) > near)])
+    spans = [np.ptp(values[level == k]) for k in np.unique(level)]
+    repeated = level[-1] >= 2 and max(spans) <= 2 * near
+    return np.asarray(level[rank] if repeated else rank)
+
+
+def _bands(x: Array) -> Array:
+    """Indicators (bands, rows) of all intervals of a covariate, thresholds among them."""
+    rank = _levels(x)
+    count = int(rank.max()) + 1
+    edges = np.unique(np.linspace(0, count, min(count, MOST_EDGES) + 1).astype(int))
+    out = [
+        ((rank >= low) & (rank < high)).astype(float)
+        for i, low in enumerate(edges[:-1])
+        for high in edges[i + 1 :]
+        if high - low < count
+    ]
+    kept = [band for band in out if LEAST_BAND <= band.sum() <= x.size - 1]
+    return np.array(kept).reshape(-1, x.size)
+
+
+def _residue_classes(order: Array) -> Array:
+    """Indicators (classes, rows) of every k-th of the order."""
+    place = np.round(order).astype(np.int64)
+    place -= place.min()
+    most = min(MOST_PERIOD, np.unique(place).size // 3)
+    out = [(place % k == j).astype(float) for k in range(2, most + 1) for j in range(k)]
+    return np.array(out).reshape(-1, order.size)
+
+
+def _waves(order: Array) -> list[Array]:
+    """Cosine and sine (2, rows) of each frequency, from half a wave in all to half a wave each."""
+    t = (order - order.min()) / max(np.ptp(order), 1.0)
+    most = np.unique(order).size // 2
+    return [
+        np.stack([np.cos(2 * np.pi * f * t), np.sin(2 * np.pi * f * t)])
+        for f in np.arange(0.5, most + 0.25, 0.5)
+    ]
+
+
+def _shared(data: Sample) -> tuple[Ints, Ints]:
+    """Pairs of rows of different quantities within a group."""
+    first: list[int] = []
+    second: list[int] = []
+    for begin, end in zip(data.starts[:-1], data.starts[1:], strict=True):
+        if end - begin <= MOST_SHARED:
+            for i in range(int(begin), int(end)):
+                for j in range(i + 1, int(end)):
+                    if data.kind[i] != data.kind[j]:
+                        first.append(i)
+                        second.append(j)
+    return np.array(first, dtype=np.int64), np.array(second, dtype=np.int64)
+
+
+def _two_states(z: Array, patterns: list[Array]) -> Array:
+    """Log likelihood (sets,) that a mixture of two states, each with the declared noise, gains
+    over one normal distribution of any width."""
+    rows = z.shape[1]
+    square = np.sum(z**2, axis=1)
+    single = np.max(
+        -0.5 * square[:, None] / STATE_SPREADS**2 - rows * np.log(STATE_SPREADS), axis=1
+    )
+    best = np.full(z.shape[0], -np.inf)
+    for pattern in patterns:
+        for shift in STATE_SHIFTS:
+            for share in STATE_SHARES:
+                middle = share * shift * pattern
+                one = np.log1p(-share) - 0.5 * (z + middle) ** 2
+                two = np.log(share) - 0.5 * (z + middle - shift * pattern) ** 2
+                best = np.maximum(best, np.sum(np.logaddexp(one, two), axis=1))
+    return best - single
+
+
+def p_values(observed: Array, simulated: Array) -> tuple[Array, Array]:
+    """Single p-values of observed (statistics,) and simulated (sets, statistics) values.
+
+    Ranks up to the 90th percentile; beyond it an exponential tail with the mean excess, which is
+    what squares of normal numbers have and what gives p-values below one over the number of sets.
+    """
+    count = simulated.shape[0]
+    both = np.concatenate([observed[None], simulated])
+    ordered = np.sort(simulated, axis=0)
+    edge = ordered[int(0.9 * count)]
+    out = np.empty_like(both)
+    for k in range(both.shape[1]):
+        above = count - np.searchsorted(ordered[:, k], both[:, k], side="left")
+        out[:, k] = (above + 1.0) / (count + 1.0)
+        beyond = ordered[ordered[:, k] > edge[k], k] - edge[k]
+        if beyond.size >= 5:
+            tail = both[:, k] > edge[k]
+            start = beyond.size / count
+            out[tail, k] = start * np.exp(-(both[tail, k] - edge[k]) / beyond.mean())
+    return out[0], out[1:]
+
+
+def corrected(observed: Array, simulated: Array) -> tuple[float, Array]:
+    """The smallest p-value corrected for all tests made, and the smallest of every set.
+
+    Below what the sets can count, Bonferroni's bound on as many tests as the sets behave like.
+    """
+    least = simulated.min(axis=1)
+    smallest = float(observed.min())
+    counted = (int(np.sum(least <= smallest)) + 1.0) / (least.size + 1.0)
+    edge = float(np.quantile(least, 0.05))
+    beyond = 0.05 * smallest / edge
+    return float(min(counted, max(beyond, 1e-300)) if smallest < edge else counted), least
+
+
+def _needed(simulated: Array, threshold: float) -> float:
+    """The d whose load, (d + normal)², passes the threshold in nine of ten sets."""
+    edge = float(np.quantile(simulated, 0.9))
+    beyond = simulated[simulated > edge] - edge
+    load = edge + (beyond.mean() if beyond.size else 1.0) * np.log(max(0.1 / threshold, 1.0))
+    return float(np.sqrt(max(load, 0.0)) + 1.2815515655446004)

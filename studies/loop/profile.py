@@ -1,0 +1,192 @@
+"""Profile of a candidate: what it does at growing sizes, once the baseline is refitted.
+
+The size of an effect is d, the distance in sigma between the distributions that it and the fitted
+baseline predict, the baseline's own parameters refitted within their bounds. Distances are those
+of normal distributions: of the mean, and of the logarithm of the variance over √2 (Fisher's metric
+at a common mean; C. Atkinson and A. F. S. Mitchell, Sankhyā A 43 (1981) 345).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.cluster.hierarchy import fcluster, linkage
+from scipy.spatial.distance import squareform
+
+from ...solver.bristle import Array
+from .adequacy import Direction
+from .fit import Fitted, to_box, to_theta
+from .problem import Model
+from .sample import Sample
+
+# Shares of the way from absence to a bound.
+SHARES = np.geomspace(1e-3, 1.0, 13)
+REFITS = 4
+# Two effects of size REFERENCE_D that differ by less than APART, refits included, differ by less
+# than two nats.
+REFERENCE_D, APART, DIRECTION_D = 8.0, 2.0, 6.0
+
+
+@dataclass(frozen=True)
+class Profile:
+    """Points of an effect along rays from its absence to the bounds of its first parameter.
+
+    ``u`` (points, p) in the unit box, ``ray`` (points,), ``d`` (points,), ``features`` (points,
+    2 rows): mean and log variance over √2; ``size`` (points,): distance of the first parameter
+    from its absence, in its unit.
+    """
+
+    model: Model
+    u: Array
+    ray: Array
+    d: Array
+    features: Array
+    size: Array
+
+    @property
+    def name(self) -> str:
+        return self.model.effects[0]
+
+    def nearest(self, d: float) -> list[int]:
+        """The point of each ray whose size is nearest to ``d``."""
+        out = []
+        for ray in np.unique(self.ray):
+            mine = np.flatnonzero(self.ray == ray)
+            out.append(int(mine[np.argmin(np.abs(self.d[mine] - d))]))
+        return out
+
+    def magnitude(self, d: float) -> float | None:
+        """Distance from absence at which the effect has size ``d``; None where bounds forbid it."""
+        best: float | None = None
+        for ray in np.unique(self.ray):
+            mine = np.flatnonzero(self.ray == ray)
+            way = np.maximum.accumulate(self.d[mine])
+            seen = way > 1e-9
+            if not seen.any() or way[-1] < d:
+                continue
+            size = np.interp(np.log(d), np.log(way[seen]), np.log(self.size[mine][seen]))
+            best = float(np.exp(size)) if best is None else min(best, float(np.exp(size)))
+        return best
+
+
+def features(predicted: Array, weights: Array) -> Array:
+    """Means, and log variances over √2, (..., 2 rows) of predictions (..., nodes, rows)."""
+    mean = np.einsum("j,...jr->...r", weights, predicted)
+    variance = np.einsum("j,...jr->...r", weights, (predicted - mean[..., None, :]) ** 2)
+    return np.concatenate([mean, np.log1p(variance) / np.sqrt(2)], axis=-1)
+
+
+def profile(data: Sample, base: Fitted, model: Model) -> Profile:
+    """The profile of one candidate above the fitted baseline."""
+    own = base.u.size
+    several = model.parameters[own:]
+    null = np.array([to_box(each, each.null) for each in several])
+    typical = np.array([to_box(each, each.typical) for each in several])
+    points, rays = [], []
+    for ray, end in enumerate((0.0, 1.0)):
+        if abs(end - null[0]) < 1e-9:
+            continue
+        effect = np.repeat(typical[None], SHARES.size, axis=0)
+        effect[:, 0] = null[0] + SHARES * (end - null[0])
+        points.append(effect)
+        rays += [ray] * SHARES.size
+    effect = np.concatenate(points)
+    u = np.concatenate([np.repeat(base.u[None], len(effect), axis=0), effect], axis=1)
+    target = features(base.mean[None], np.ones(1))
+    u, found = _refitted(data, model, u, own, target)
+    first = several[0]
+    absent = 0.0 if np.isinf(first.null) else first.null
+    value = to_theta(several, u[:, own:])[:, 0]
+    return Profile(
+        model=model,
+        u=u,
+        ray=np.array(rays),
+        d=np.linalg.norm(found - target, axis=1),
+        features=found,
+        size=np.maximum(np.abs(value - absent), 1e-300),
+    )
+
+
+def _refitted(data: Sample, model: Model, u: Array, own: int, target: Array) -> tuple[Array, Array]:
+    """Points (k, p) with their first ``own`` coordinates moved toward ``target`` (2 rows,) by
+    damped Gauss-Newton steps within the box, and their features (k, 2 rows)."""
+    weights = np.asarray(model.weights)
+    best_u, best = u.copy(), np.full(len(u), np.inf)
+    kept = np.zeros((len(u), target.size))
+    step = 1e-4
+    for turn in range(REFITS):
+        last = turn == REFITS - 1
+        points = np.repeat(u[:, None], 1 if last else own + 1, axis=1)
+        signed = np.where(u[:, :own] + step > 1, -step, step)
+        if not last:
+            for i in range(own):
+                points[:, i + 1, i] += signed[:, i]
+        every = features(data.predict(model, to_theta(model.parameters, points)), weights)
+        left = every[:, 0] - target
+        cost = np.sum(left**2, axis=1)
+        better = cost < best
+        best = np.where(better, cost, best)
+        best_u = np.where(better[:, None], u, best_u)
+        kept = np.where(better[:, None], every[:, 0], kept)
+        if last:
+            break
+        slopes = (every[:, 1:] - every[:, :1]) / signed[..., None]
+        normal = np.einsum("kir,kjr->kij", slopes, slopes)
+        normal += np.eye(own) * (1e-9 * np.trace(normal, axis1=1, axis2=2) + 1e-9)[:, None, None]
+        move = -np.linalg.solve(normal, np.einsum("kir,kr->ki", slopes, left)[..., None])[..., 0]
+        u = best_u.copy()
+        u[:, :own] = np.clip(u[:, :own] + np.clip(move, -0.3, 0.3), 0, 1)
+    return best_u, kept
+
+
+def directions(data: Sample, base: Fitted, profiles: Sequence[Profile]) -> list[Direction]:
+    """What each candidate does to the baseline's residuals at a moderate size, by ray."""
+    rows = data.values.size
+    out = []
+    for each in profiles:
+        for point in each.nearest(DIRECTION_D):
+            if each.d[point] < 0.5:
+                continue
+            shift = each.features[point, :rows] - base.mean
+            scatter = np.expm1(np.sqrt(2) * each.features[point, rows:])
+            out.append(Direction(each.name, shift, scatter))
+    return out
+
+
+def classes(profiles: Sequence[Profile]) -> list[tuple[str, ...]]:
+    """Groups of candidates that these data cannot tell apart at `REFERENCE_D` (or as far as their
+    bounds let them go), by complete linkage: every two of a group are alike, both ways."""
+    seen = [each for each in profiles if each.d.max() > APART]
+    if len(seen) < 2:
+        return []
+    apart = np.array(
+        [[_imitated(one, two) if one is not two else 0.0 for two in seen] for one in seen]
+    )
+    label = fcluster(
+        linkage(squareform(np.maximum(apart, apart.T), checks=False), "complete"), APART, "distance"
+    )
+    groups = [
+        tuple(seen[k].name for k in np.flatnonzero(label == each)) for each in np.unique(label)
+    ]
+    return sorted(group for group in groups if len(group) > 1)
+
+
+def _imitated(one: Profile, two: Profile) -> float:
+    """The largest distance, over rays of the first effect at the reference size, at which the
+    second stays from it at best; points between those of a profile are on its chords."""
+    worst = 0.0
+    for point in one.nearest(REFERENCE_D):
+        if one.d[point] < APART:
+            continue
+        target, nearest = one.features[point], np.inf
+        for ray in np.unique(two.ray):
+            path = two.features[two.ray == ray]
+            begin, chord = path[:-1], np.diff(path, axis=0)
+            length = np.maximum(np.sum(chord**2, axis=1), 1e-12)
+            share = np.clip(np.sum((target - begin) * chord, axis=1) / length, 0, 1)
+            away = np.sum((target - begin - share[:, None] * chord) ** 2, axis=1)
+            nearest = min(nearest, float(np.sqrt(away.min())))
+        worst = max(worst, nearest)
+    return worst

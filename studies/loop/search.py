@@ -1,0 +1,178 @@
+"""Search over explanations: each candidate fitted from wide starts, then pairs of them.
+
+Where an effect would take the baseline's own parameters cannot be told from the fit without it, so
+starts are spread over the whole box of the baseline, and the best few that differ are followed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.stats import qmc
+
+from ...solver.bristle import Array
+from .adequacy import Direction
+from .fit import Fitted, settle, to_box, to_theta
+from .posterior import evidence
+from .problem import Model, Problem
+from .profile import Profile
+from .residuals import quantile_residuals
+from .sample import Sample
+
+SPREAD = 8
+LEVELS = (0.03, 0.12, 0.35, 0.8)
+FOLLOWED = 4
+DIFFERENT = 0.08
+PAIRED_WITH, PAIRS_TRIED, SCATTERS_TRIED = 3, 5, 2
+
+
+@dataclass(frozen=True)
+class Tried:
+    """A model that was fitted, and its log evidence."""
+
+    fitted: Fitted
+    log_evidence: float
+
+    @property
+    def effects(self) -> tuple[str, ...]:
+        return self.fitted.effects
+
+    @property
+    def scatters(self) -> bool:
+        return np.asarray(self.fitted.model.weights).size > 1
+
+
+def spread(parameters: int) -> Array:
+    """Points (n, parameters) spread over the unit box, always the same."""
+    if parameters == 1:
+        return (np.arange(SPREAD)[:, None] + 0.5) / SPREAD
+    drawn = qmc.Sobol(parameters, scramble=False).random(2 * SPREAD)
+    return np.asarray(0.05 + 0.9 * drawn)
+
+
+def fit_baseline(data: Sample, model: Model) -> Fitted:
+    """The baseline's fit, from its typical values and from all over its box."""
+    typical = np.array([[to_box(each, each.typical) for each in model.parameters]])
+    return _followed(data, model, np.concatenate([typical, spread(typical.size)]))
+
+
+def fit_candidate(data: Sample, base: Fitted, profile: Profile) -> Tried:
+    """One effect's fit, from its profile above the baseline and from elsewhere."""
+    own = base.u.size
+    levels = _levels(profile.model, own)
+    elsewhere = spread(own)
+    starts = np.concatenate(
+        [
+            profile.u,
+            np.hstack(
+                [np.repeat(elsewhere, len(levels), axis=0), np.tile(levels, (len(elsewhere), 1))]
+            ),
+        ]
+    )
+    fitted = _followed(data, profile.model, starts)
+    return Tried(fitted, evidence(data, fitted, own))
+
+
+def _levels(model: Model, own: int) -> Array:
+    """Points (n, q) of an effect's parameters, from its absence to both bounds of the first."""
+    several = model.parameters[own:]
+    typical = np.array([to_box(each, each.typical) for each in several])
+    null = to_box(several[0], several[0].null)
+    out = []
+    for end in (0.0, 1.0):
+        if abs(end - null) > 1e-9:
+            for share in LEVELS:
+                for other in (None, 0.1, 0.9) if len(several) > 1 else (None,):
+                    point = typical.copy() if other is None else np.full(typical.size, other)
+                    point[0] = null + share * (end - null)
+                    out.append(point)
+    return np.array(out)
+
+
+def _followed(data: Sample, model: Model, starts: Array) -> Fitted:
+    """The fit from the best few of many starts (n, p) that differ from each other."""
+    noise = np.array([data.noises.robust()])
+    weights = np.asarray(model.weights)
+    logs = data.heights(
+        data.values[None], data.predict(model, to_theta(model.parameters, starts)), weights, noise
+    )[:, 0]
+    chosen: list[int] = []
+    for i in np.argsort(-logs, kind="stable"):
+        if all(np.max(np.abs(starts[i] - starts[j])) > DIFFERENT for j in chosen):
+            chosen.append(int(i))
+        if len(chosen) == FOLLOWED:
+            break
+    return settle(data, model, starts[chosen])
+
+
+def fit_pairs(
+    problem: Problem,
+    data: Sample,
+    base: Fitted,
+    singles: Sequence[Tried],
+    directions: Sequence[Direction],
+    profiles: Sequence[Profile],
+) -> list[Tried]:
+    """Fits of the pairs whose second effect lies nearest to what the likeliest single ones leave.
+
+    What scatters is not seen in the mean, so the likeliest of it is tried beside them anyway.
+    """
+    best = sorted(singles, key=lambda each: -each.log_evidence)
+    order: dict[tuple[str, ...], float] = {}
+    for one in best[:PAIRED_WITH]:
+        weights = np.asarray(one.fitted.model.weights)
+        z = quantile_residuals(data.values, one.fitted.predicted, weights, data.starts)
+        tangent = one.fitted.mean_slopes[:, one.fitted.loose]
+        absorbed = tangent @ np.linalg.pinv(tangent)
+        for each in directions:
+            shift = each.shift - absorbed @ each.shift
+            size = float(np.linalg.norm(shift))
+            if each.name in one.effects or size < 0.3:
+                continue
+            promise = one.log_evidence + 0.5 * max(float(z @ shift) / size, 0.0) ** 2
+            key = (one.effects[0], each.name)
+            if promise > order.get(key, -np.inf) and promise > order.get(key[::-1], -np.inf):
+                order.pop(key[::-1], None)
+                order[key] = promise
+    chosen = sorted(order, key=lambda key: (-order[key], key))[:PAIRS_TRIED]
+    scatter = [each for each in best if each.scatters][:SCATTERS_TRIED]
+    for one in best[:SCATTERS_TRIED]:
+        chosen += [
+            (one.effects[0], each.effects[0])
+            for each in scatter
+            if each is not one and not one.scatters
+        ]
+    alone = {each.effects[0]: each for each in singles}
+    known = {each.name: each for each in profiles}
+    out = []
+    for key in dict.fromkeys(chosen):
+        if key[::-1] in chosen[: chosen.index(key)]:
+            continue
+        model = problem.combine(key)
+        fitted = _followed(data, model, _pair_starts(model, base, alone, known))
+        out.append(Tried(fitted, evidence(data, fitted, base.u.size)))
+    return out
+
+
+def _pair_starts(
+    model: Model, base: Fitted, alone: dict[str, Tried], known: dict[str, Profile]
+) -> Array:
+    """Each effect as it was alone, with several amounts of the other beside it."""
+    own = base.u.size
+    names = model.effects
+    out = []
+    for first, second in (names, names[::-1]):
+        fitted = alone[first].fitted
+        profile = known[second]
+        several = list(range(0, len(profile.u), 3))
+        for amount in (1.0, 0.5):
+            one = known[first].model.parameters[own:]
+            null = np.array([to_box(each, each.null) for each in one])
+            part = null + amount * (fitted.u[own:] - null)
+            for point in several:
+                parts = {first: part, second: profile.u[point, own:]}
+                for start in (fitted.u[:own], profile.u[point, :own]):
+                    out.append(np.concatenate([start, *(parts[name] for name in names)]))
+    return np.array(out)
