@@ -1,4 +1,4 @@
-"""What falls: the section, length and material of a bristle, and what follows from them."""
+"""What falls: a bristle's section, length and material, and what follows from them; or a ball."""
 
 from __future__ import annotations
 
@@ -209,3 +209,21 @@ class Bristle:
     def axial_period_s(self) -> float:
         """Period 2L/c of the first free-free axial mode; a rigid impact lasts as long."""
         return 2.0 * self.length_m / self.material.bar_speed_m_s
+
+
+@dataclass(frozen=True)
+class RigidMass:
+    """A ball or any compact body, without elasticity of its own; ``diameter_m`` is for drag."""
+
+    mass_kg: float
+    diameter_m: float | None = None
+
+    def __post_init__(self) -> None:
+        positive("mass", self.mass_kg)
+        if self.diameter_m is not None:
+            positive("diameter", self.diameter_m)
+
+    @property
+    def front_m2(self) -> float | None:
+        """The area that meets the air, or None where the diameter is not known."""
+        return None if self.diameter_m is None else 0.25 * math.pi * self.diameter_m**2

@@ -28,6 +28,7 @@ from bristle.studies.loop.drops_solid import chances, solid_drops
 pytestmark = pytest.mark.serial
 
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
+MEASURED = Path(__file__).resolve().parents[1] / "studies" / "measured"
 KEYS = {
     "verdict", "effects", "weights", "detection", "open_set", "parameters", "classes", "detectable",
     "held_out", "confirmed_in_3d", "next_experiment", "seed",
@@ -37,7 +38,7 @@ SECTIONS = (
     "held-out", "solid", "next",
 )  # fmt: skip
 # As in the README's example.
-README_BETA_S = 6.581e-9
+README_BETA_S = 9.336e-9
 NASTY = "<script>alert(1)</script> & drops"
 
 
@@ -252,7 +253,7 @@ def measured(name: str) -> Path:
 
 
 def test_the_measured_bar_lacks_its_damping_and_the_solid_confirms_it(tmp_path):
-    dataset = measured("waves-square-bar")
+    dataset = MEASURED / "square-bar"
     done = commands.mpirun(2, "-m", "bristle.studies.closeloop", dataset, "--out", tmp_path / "out")
     assert done.returncode == 0, done.stderr
     content = read_strictly(tmp_path / "out" / "verdict.json")
@@ -263,16 +264,15 @@ def test_the_measured_bar_lacks_its_damping_and_the_solid_confirms_it(tmp_path):
         assert beta["low"] < README_BETA_S < beta["high"]
         assert "material_damping" in content["effects"]
         for errors in (content["held_out"], content["confirmed_in_3d"]):
-            assert errors["rms_after"] < 0.25 * errors["rms_before"]
+            assert errors["rms_after"] < 0.14 * errors["rms_before"]
 
 
 def test_the_measured_falls_meet_the_air(tmp_path):
-    done = commands.bristle("close-loop", measured("falls-phone"), "--out", tmp_path / "out")
+    done = commands.bristle("close-loop", MEASURED / "falls-phone", "--out", tmp_path / "out")
     assert done.returncode == 0, done.stderr
     content = read_strictly(tmp_path / "out" / "verdict.json")
     assert content["detection"]["p_value"] < 0.03
-    assert content["verdict"] != "adequate"
+    assert "air_drag" in content["effects"]
     assert content["confirmed_in_3d"] is None
     assert "does not touch" in content["confirmed_in_3d_why"]
-    if "air_drag" in content["effects"]:
-        assert content["held_out"]["rms_after"] < 0.5 * content["held_out"]["rms_before"]
+    assert content["held_out"]["rms_after"] < 0.17 * content["held_out"]["rms_before"]

@@ -8,7 +8,7 @@ from .base import Effect, Parameter, Place, Scene
 
 # Dry air at 20 °C and 1013 hPa (ISO 2533 extrapolated from 15 °C).
 AIR_KG_M3 = 1.204
-FLYING = frozenset({"drops", "tracks", "forces", "falls"})
+DROPPED = frozenset({"drops", "tracks", "forces"})
 
 
 @dataclass(frozen=True)
@@ -20,7 +20,7 @@ class ReleaseVelocity(Effect):
     name = "release_velocity"
     title = "speed at release"
     place = Place.RELEASE
-    kinds = FLYING
+    kinds = DROPPED
     source = "v_i² = v_0² + 2 g y_0 in place of Eq. 1"
     parameters = (
         Parameter(
@@ -41,7 +41,7 @@ class AirDrag(Effect):
     name = "air_drag"
     title = "air drag"
     place = Place.FLIGHT
-    kinds = FLYING
+    kinds = DROPPED | {"falls"}
     source = "Hoerner, Fluid-Dynamic Drag (1965), ch. 3: blunt bodies, c_d from 0.8 to 1.2"
     parameters = (
         Parameter(

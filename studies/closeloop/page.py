@@ -270,8 +270,8 @@ def _evidence(rows: Rows) -> Section:
     text = [
         "Each effect is put into the model and all parameters are fitted again; log evidence "
         "weighs fit against freedom. Bands, steps, classes and waves that no effect has compete "
-        "with them. The likeliest are held against what they leave and against the held-out data; the "
-        "table says why those that do not hold fail.",
+        "with them. The likeliest are held against what they leave and against the held-out data; "
+        "the table says why those that do not hold fail.",
     ]
     if len(finding.evidences) == 1:
         text.append("No candidate was refitted: nothing asked for one.")

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from ...solver import paper
-from ...solver.bristle import Array, Bristle
+from ...solver.bristle import Array, Bristle, RigidMass
 from ...solver.errors import InputError
 from ..command import limits
 from ..command.config import Inputs
@@ -38,6 +38,8 @@ BODY_KEYS = {
     "damping_beta_s": "beta_s",
     "damping_alpha_1_s": "alpha_1_s",
 }
+SHAPES = ("bristle", "rigid")
+RIGID_KEYS = {"mass_kg": (1e-9, 1e6), "diameter_m": (1e-6, 100.0)}
 # Beyond these no instrument is meant.
 NUMBER_KEYS = {
     "sigma_y_mm": (1e-6, 1e6),
@@ -61,7 +63,8 @@ class Manifest:
     """A ``dataset.toml``: its folder, what it declares, and the body that this makes.
 
     ``kn_N_m`` and ``friction`` are None where they are not declared; ``declared`` names the body's
-    keys that are: none where it is the paper's bristle.
+    keys that are: none where it is the paper's bristle. ``body`` is a
+    bristle, or a rigid mass where the shape is so.
     """
 
     folder: Path
@@ -69,7 +72,7 @@ class Manifest:
     kind: str
     source: str
     licence: str
-    bristle: Bristle
+    body: Bristle | RigidMass
     declared: tuple[str, ...]
     kn_N_m: float | None
     measurement: Mapping[str, Any]
@@ -79,6 +82,13 @@ class Manifest:
     def damping_declared(self) -> bool:
         """Whether the body's damping is known; without any ``[body]`` it is the paper's bristle."""
         return not self.declared or "damping_beta_s" in self.declared
+
+    @property
+    def bristle(self) -> Bristle:
+        """The bristle, or bar; InputError where the body is rigid."""
+        if isinstance(self.body, RigidMass):
+            raise self.wrong("shape", "is rigid: what was asked for needs a bristle or a bar")
+        return self.body
 
     @property
     def gravity_m_s2(self) -> float:
@@ -135,7 +145,8 @@ def read_manifest(folder: Path, only: str | None = None) -> Manifest:
         raise _wrong(path, text, "kind", f"must be one of {', '.join(KINDS)}, not {quoted(kind)}")
     if only not in (None, kind):
         raise _wrong(path, text, "kind", f"is {kind}, not {only}")
-    _refuse_misspelt(path, text, parts["body"], tuple(BODY_KEYS), all_known=True)
+    known = ("shape", "mass_kg", *BODY_KEYS)
+    _refuse_misspelt(path, text, parts["body"], known, all_known=True)
     _refuse_misspelt(path, text, parts["contact"], ("kn_N_m", "friction"))
     _refuse_misspelt(path, text, parts["measurement"], MEASUREMENT_KEYS)
     kn = _number(path, text, parts["contact"], "kn_N_m", KN_N_M)
@@ -153,7 +164,7 @@ def read_manifest(folder: Path, only: str | None = None) -> Manifest:
         kind=kind,
         source=words["source"],
         licence=words["licence"],
-        bristle=_bristle(path, text, parts["body"]),
+        body=_body(path, text, parts["body"]),
         declared=tuple(sorted(parts["body"])),
         kn_N_m=kn,
         measurement=measurement,
@@ -182,11 +193,11 @@ def read_drops(folder: Path) -> Drops:
     check_heights(path, lines, 1e-3 * y0, 1e-3 * y1)
     manifest.check_sigma("sigma_y_mm", 1e-3, 1e-3 * y0)
     if times is not None:
-        check_contact_times(path, lines, "contact_time_ms", times, manifest.bristle)
+        check_contact_times(path, lines, "contact_time_ms", times, manifest.body)
         manifest.check_sigma("sigma_t_s", 1.0, times)
     if peaks is not None:
         gravity = manifest.gravity_m_s2
-        check_peaks(path, lines, "peak_force_N", peaks, 1e-3 * y0, manifest.bristle, gravity)
+        check_peaks(path, lines, "peak_force_N", peaks, 1e-3 * y0, manifest.body, gravity)
         manifest.check_sigma("sigma_force_N", 1.0, peaks)
     return Drops(
         manifest=manifest,
@@ -252,6 +263,26 @@ def _number(
     if not low <= number <= high:
         raise _wrong(path, text, key, f"must lie between {low:g} and {high:g}, not {number:g}")
     return number
+
+
+def _body(path: Path, text: str, part: Mapping[str, Any]) -> Bristle | RigidMass:
+    """The body of the shape that is declared."""
+    shape = part.get("shape", SHAPES[0])
+    if shape not in SHAPES:
+        words = f"must be one of {', '.join(SHAPES)}, not {quoted(shape)}"
+        raise _wrong(path, text, "shape", words)
+    rest = {key: value for key, value in part.items() if key != "shape"}
+    if shape == SHAPES[0]:
+        if "mass_kg" in rest:
+            raise _wrong(path, text, "mass_kg", 'is for shape = "rigid" alone')
+        return _bristle(path, text, rest)
+    for key in rest:
+        if key not in RIGID_KEYS:
+            raise _wrong(path, text, key, "is not for a rigid body: it has mass_kg and diameter_m")
+    values = {key: _number(path, text, rest, key, RIGID_KEYS[key]) for key in RIGID_KEYS}
+    if values["mass_kg"] is None:
+        raise _wrong(path, text, "shape", "of rigid needs mass_kg")
+    return RigidMass(values["mass_kg"], values["diameter_m"])
 
 
 def _bristle(path: Path, text: str, part: Mapping[str, Any]) -> Bristle:

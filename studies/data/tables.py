@@ -21,7 +21,7 @@ MOST_ROWS = 1_000_000
 # Beyond it nothing is a measurement in the units of a table, and squares still are numbers.
 LARGEST = 1e12
 Rows = list[tuple[int, dict[str, str]]]
-LEAST_DROPS = 6
+LEAST_DROPS = 4
 
 
 def inside(folder: Path, name: str) -> Path:
@@ -192,7 +192,7 @@ class Series(InPieces):
                 drop = f"{self.at(i)}: drop {self.number[self.begins[i]]}"
                 raise InputError(f"{drop} has {size} {what}; {least} or more are needed")
         if len(self.pieces) < LEAST_DROPS:
-            raise InputError(f"{self.path}: {len(self.pieces)} drops; the loop needs six or more")
+            raise InputError(f"{self.path}: {len(self.pieces)} drops; the loop needs four or more")
 
 
 def read_series(path: Path, piece: str, value: str) -> Series:

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from ...solver import paper
-from ...solver.bristle import Array, Bristle
+from ...solver.bristle import Array, Bristle, RigidMass
 from ...solver.errors import InputError
 
 HEIGHTS_MM = (1.0, 5000.0)
@@ -60,18 +60,18 @@ def check_marks(path: Path, lines: Sequence[int], y_m: Array) -> None:
 
 
 def check_contact_times(
-    path: Path, lines: Sequence[int], name: str, times_s: Array, bristle: Bristle
+    path: Path, lines: Sequence[int], name: str, times_s: Array, body: Bristle | RigidMass
 ) -> None:
     """InputError at the first contact time (drops,) that no impact has; NaN is not looked at.
 
-    Eq. 8 of the paper gives those of a rigid bristle.
+    Eq. 8 of the paper gives those of a rigid body.
     """
     kns = max(paper.KN_N_M), min(paper.KN_N_M)
-    low, high = (math.pi * math.sqrt(bristle.mass_kg / kn) for kn in kns)
+    low, high = (math.pi * math.sqrt(body.mass_kg / kn) for kn in kns)
     for line, time in zip(lines, times_s, strict=True):
         if not low / FAR <= time <= FAR * high and math.isfinite(time):
             raise InputError(
-                f"{path}:{line}: {name}: a contact of {time:.3g} s is not one of this bristle, "
+                f"{path}:{line}: {name}: a contact of {time:.3g} s is not one of this body, "
                 f"{low / FAR:.1g} to {FAR * high:.1g} s; is it in another unit?"
             )
 
@@ -82,20 +82,20 @@ def check_peaks(
     name: str,
     peaks_N: Array,
     y0_m: Array,
-    bristle: Bristle,
+    body: Bristle | RigidMass,
     gravity_m_s2: float,
 ) -> None:
     """InputError at the first greatest force (drops,) that no impact has; NaN is not looked at."""
-    momentum = bristle.mass_kg * np.sqrt(2.0 * gravity_m_s2 * y0_m)
+    momentum = body.mass_kg * np.sqrt(2.0 * gravity_m_s2 * y0_m)
     for line, peak, mv in zip(lines, peaks_N, momentum, strict=True):
         low, high = (
-            float(mv * math.sqrt(kn / bristle.mass_kg))
+            float(mv * math.sqrt(kn / body.mass_kg))
             for kn in (min(paper.KN_N_M), max(paper.KN_N_M))
         )
         if not low / FAR <= peak <= FAR * high and math.isfinite(peak):
             raise InputError(
-                f"{path}:{line}: {name}: a peak of {peak:.3g} N is not one of this bristle from "
-                f"{1e3 * mv * mv / (2.0 * gravity_m_s2 * bristle.mass_kg**2):.3g} mm, "
+                f"{path}:{line}: {name}: a peak of {peak:.3g} N is not one of this body from "
+                f"{1e3 * mv * mv / (2.0 * gravity_m_s2 * body.mass_kg**2):.3g} mm, "
                 f"{low / FAR:.1g} to {FAR * high:.1g} N; is it in N?"
             )
 

@@ -32,7 +32,7 @@ NODES = np.linspace(-3.0, 3.0, 41)
 LIBRARY = ("air_drag", "linear_drag", "drag_scatter")
 BASELINE = (
     Parameter(
-        "bias_m_s2", "m/s²", -3.0, 3.0, 0.0, why="a sensor's, and dry friction of a guide with it"
+        "bias_m_s2", "m/s²", -2.0, 2.0, 0.0, why="a sensor's, and dry friction of a guide with it"
     ),
 )
 EFFECT_PARAMETERS: dict[str, tuple[Parameter, ...]] = {
@@ -126,7 +126,7 @@ def fall_problem(data: Falls, library: Sequence[str] = LIBRARY) -> Problem:
         covariates["height"] = data.height_m[index]
     return Problem(
         values=bins.rows.of(bins.mean_m_s2),
-        scale=np.full(len(place), bins.noise.sigma_m_s2),
+        scale=bins.sigma_m_s2[place],
         unit="m/s²",
         quantity=np.full(len(place), "reading"),
         group=data.numbers[index],
@@ -138,6 +138,7 @@ def fall_problem(data: Falls, library: Sequence[str] = LIBRARY) -> Problem:
         notes={
             "samples_per_value": len(data.fall) / len(bins.begin_s),
             "sigma_m_s2": bins.noise.sigma_m_s2,
+            "sigma_grows_by": float(np.exp(bins.noise.growth)),
             "correlation_of_neighbours": bins.noise.correlation,
             "release": f"told by the mean reading of each fall: {falls} of "
             f"{len(bins.begin_s)} values are spent on it, and none is predicted by itself",

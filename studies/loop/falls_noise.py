@@ -1,15 +1,16 @@
-"""Noise of a fall's mean readings, from what replicates show beyond a smooth course.
+"""Noise of a fall's mean readings, from what each fall shows beyond a smooth course.
 
-What the bins of a fall have beyond a polynomial of their own, less what all falls share at that
-part of their record, is noise: no misfit common to all falls is in it, nor any that is as smooth. A
-parabola serves, and a higher degree where that takes away most of the rest. Standard deviation and
-correlation of neighbouring bins (a body in air is buffeted, a sensor filters) are the restricted
-likelihood's (H. D. Patterson and R. Thompson, Biometrika 58 (1971) 545), which minds what the
-polynomials take of a correlated noise.
+What the bins of a fall have beyond a parabola of their own is noise; a higher degree serves where
+that takes away most of the rest. So no misfit as smooth as that is in it. Its standard deviation,
+the growth of that over a fall (a body in air is buffeted the more the faster it is) and the
+correlation of neighbouring bins are the restricted likelihood's (H. D. Patterson and R. Thompson,
+Biometrika 58 (1971) 545), which minds what polynomials take of such a noise. What stays for longer
+than a few bins is no noise but motion: correlations end at `MOST`.
 """
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -20,29 +21,35 @@ from ...solver.bristle import Array
 DEGREES = (2, 3, 4)
 # A higher degree is taken where it leaves less than this share of the variance.
 WORTH = 0.5
-PARTS = 8
-CORRELATIONS = np.linspace(0.0, 0.9, 37)
-# Nats that a correlation must gain: the 95 % point of a likelihood ratio.
+MOST = 0.6
+CORRELATIONS = np.linspace(0.0, MOST, 13)
+GROWTHS = np.linspace(-3.0, 3.0, 13)
+NONE = np.zeros(1)
+# Nats that a growth or a correlation must gain: the 95 % point of a likelihood ratio.
 GAIN = 1.92
 
 
 class Noise(NamedTuple):
-    """Standard deviation in m/s² of a bin, and its correlation with its neighbour."""
+    """Noise of a bin: standard deviation in m/s² half-way, the logarithm of its growth from a
+    record's first bin to its last, and its correlation with its neighbour."""
 
     sigma_m_s2: float
-    correlation: float
+    growth: float = 0.0
+    correlation: float = 0.0
+
+    def deviation(self, n: int) -> Array:
+        """Standard deviations (n,) in m/s² of the bins of a record."""
+        return np.asarray(self.sigma_m_s2 * np.exp(self.growth * (np.linspace(-0.5, 0.5, n))))
 
     def covariance(self, n: int) -> Array:
-        """Covariance (n, n) of neighbouring bins: correlations are powers of their distance."""
+        """Covariance (n, n) of the bins of a record: correlations are powers of their distance."""
         apart = np.abs(np.subtract.outer(np.arange(n), np.arange(n)))
-        return np.asarray(self.sigma_m_s2**2 * self.correlation**apart)
+        each = self.deviation(n)
+        return np.asarray(np.outer(each, each) * self.correlation**apart)
 
 
 def noise_of(times_s: Sequence[Array], means_m_s2: Sequence[Array]) -> Noise:
-    """The noise of bins at ``times_s`` that read ``means_m_s2``, an array of each for every fall.
-
-    Falls have at least four bins, and there are at least two.
-    """
+    """The noise of bins at ``times_s`` that read ``means_m_s2``, an array a fall of each."""
     found = _likeliest(times_s, means_m_s2, DEGREES[0])
     for degree in DEGREES[1:]:
         if min(len(time) for time in times_s) < degree + 2:
@@ -55,37 +62,42 @@ def noise_of(times_s: Sequence[Array], means_m_s2: Sequence[Array]) -> Noise:
 
 
 def _likeliest(times_s: Sequence[Array], means_m_s2: Sequence[Array], degree: int) -> Noise:
-    bases, left, part = [], [], []
+    seen = _beyond(times_s, means_m_s2, degree)
+    freedom = sum(values.size for _, values in seen)
+
+    def height(growth: float, correlation: float) -> tuple[float, Noise]:
+        plain = Noise(1.0, growth, correlation)
+        squares = logs = 0.0
+        for bases, values in seen:
+            own = np.swapaxes(bases, 1, 2) @ plain.covariance(bases.shape[1]) @ bases
+            squares += float(np.sum(values * np.linalg.solve(own, values[..., None])[..., 0]))
+            logs += float(np.linalg.slogdet(own)[1].sum())
+        sigma = np.sqrt(squares / freedom)
+        found = -freedom * np.log(max(sigma, 1e-150)) - 0.5 * logs
+        return float(found), plain._replace(sigma_m_s2=float(sigma))
+
+    # the fewest numbers first: a further one has to earn its place
+    best, found = height(0.0, 0.0)
+    for growths, correlations in ((GROWTHS, NONE), (NONE, CORRELATIONS), (GROWTHS, CORRELATIONS)):
+        several = [height(float(a), float(b)) for a, b in itertools.product(growths, correlations)]
+        top, likeliest = max(several)
+        further = np.count_nonzero(likeliest[1:]) - np.count_nonzero(found[1:])
+        if top > best + GAIN * max(further, 0):
+            best, found = top, likeliest
+    return found
+
+
+def _beyond(
+    times_s: Sequence[Array], means_m_s2: Sequence[Array], degree: int
+) -> list[tuple[Array, Array]]:
+    """Orthonormal bases (falls, n, n - degree - 1) of what is no polynomial of that degree, and the
+    readings in them (falls, n - degree - 1), of falls with equally many bins n together."""
+    alike: dict[int, list[tuple[Array, Array]]] = {}
     for time, mean in zip(times_s, means_m_s2, strict=True):
         share = (time - time[0]) / (time[-1] - time[0])
-        beyond = np.linalg.qr(np.vander(share, degree + 1), mode="complete")[0][:, degree + 1 :]
-        bases.append(beyond)
-        left.append(beyond @ (beyond.T @ mean))
-        part.append(np.minimum((PARTS * share).astype(int), PARTS - 1))
-    shared = [_mean(left, part, each) for each in range(PARTS)]
-    falls = len(bases)
-    widened = np.sqrt(falls / (falls - 1))
-    seen = [
-        widened * (basis.T @ (own - np.array(shared)[where]))
-        for basis, own, where in zip(bases, left, part, strict=True)
+        basis = np.linalg.qr(np.vander(share, degree + 1), mode="complete")[0][:, degree + 1 :]
+        alike.setdefault(len(time), []).append((basis, basis.T @ mean))
+    return [
+        (np.stack([basis for basis, _ in each]), np.stack([values for _, values in each]))
+        for each in alike.values()
     ]
-    freedom = sum(len(each) for each in seen)
-    heights, variances = [], []
-    for correlation in CORRELATIONS:
-        squares = logs = 0.0
-        for basis, values in zip(bases, seen, strict=True):
-            own = basis.T @ Noise(1.0, float(correlation)).covariance(len(basis)) @ basis
-            squares += values @ np.linalg.solve(own, values)
-            logs += np.linalg.slogdet(own)[1]
-        variances.append(squares / freedom)
-        heights.append(-0.5 * (freedom * np.log(max(squares, 1e-300)) + logs))
-    best = int(np.argmax(heights))
-    if heights[best] < heights[0] + GAIN:
-        best = 0
-    return Noise(float(np.sqrt(variances[best])), float(CORRELATIONS[best]))
-
-
-def _mean(left: Sequence[Array], part: Sequence[Array], which: int) -> float:
-    """What all falls have on average in one part of their records."""
-    several = np.concatenate([own[at == which] for own, at in zip(left, part, strict=True)])
-    return float(several.mean()) if len(several) else 0.0

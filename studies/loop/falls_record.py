@@ -3,13 +3,14 @@
 Kind ``falls``: ``fall, t_s, a_m_s2``, optionally ``y0_mm``, the height that each fell from. A
 reading is near zero as a fall begins and grows with drag. The table may hold more than the fall:
 samples in which the body is still held (they read g), and the beginning of the impact. Both are
-left aside and told. A public example with its source, commit and licence in its ``dataset.toml``
-lies in ``studies/measured/falls-phone``.
+left aside and told, and so is each record's first `SETTLING_S`. A public example with its source,
+commit and licence in its ``dataset.toml`` lies in ``studies/measured/falls-phone``.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -23,6 +24,8 @@ from ..data.tables import InPieces, Series, column, read_series
 BIN_S = 0.05
 """Over which readings are averaged."""
 LEAST_FALLS, LEAST_SAMPLES, LEAST_BINS = 3, 20, 6
+SETTLING_S, SETTLING_SHARE = 0.1, 0.2
+"""A hand lets go and the sensor's filter settles for this long, or this share of a short record."""
 # Shares of g: a body that is held, one that is let go, and more than any drag makes.
 HELD, LET_GO, STRUCK = 0.75, 0.4, 1.5
 # Beyond so many times the usual scatter of neighbours a step at the end is the impact's.
@@ -73,15 +76,22 @@ def read_falls(folder: Path) -> Falls:
         where = f"{read.at(i)}: fall {fall}"
         first, last = freely(read.value[piece], gravity)
         _check(where, read.t_s[piece][first:last], read.value[piece][first:last], gravity)
-        parts.append(np.arange(piece.start + first, piece.start + last))
+        settling = _settling(read.t_s[piece][first:last])
+        parts.append(np.arange(piece.start + first + settling, piece.start + last))
         if first:
             told.append(f"fall {fall}: {first} samples in which the body is still held")
         if last < piece.stop - piece.start:
             late = piece.stop - piece.start - last
-            told.append(f"fall {fall}: {late} sample{'s'[: late > 1]} at its end, of the impact")
+            told.append(f"fall {fall}: {late} sample(s) at its end, of the impact")
+    told.append(
+        f"of every fall the first {SETTLING_S:g} s, or {SETTLING_SHARE:.0%} of a shorter record: "
+        "hand and sensor still settle"
+    )
     rows = np.concatenate(parts)
     begins = np.cumsum([0, *(len(part) for part in parts)])
-    reading, turned = _upright(read.value[rows], [slice(*ends) for ends in _pairs(begins)])
+    reading, turned = _upright(
+        read.value[rows], [slice(int(a), int(b)) for a, b in pairwise(begins)]
+    )
     return Falls(
         manifest,
         read.number[rows],
@@ -95,8 +105,8 @@ def read_falls(folder: Path) -> Falls:
 
 
 TURNED_SENTENCE = (
-    "the readings sink as the body gets faster, which no drag makes: a_m_s2 is taken to be positive "
-    "where drag makes it negative, and its sign is turned"
+    "the readings sink as the body gets faster, which no drag makes: a_m_s2 is taken to count in "
+    "the other direction, and its sign is turned"
 )
 
 
@@ -129,6 +139,12 @@ def freely(reading_m_s2: Array, gravity_m_s2: float) -> tuple[int, int]:
     return first, last
 
 
+def _settling(times_s: Array) -> int:
+    """How many samples of a record are left aside while hand and sensor settle."""
+    since = times_s - times_s[0]
+    return int(np.searchsorted(since, min(SETTLING_S, SETTLING_SHARE * since[-1])))
+
+
 def _check(where: str, times_s: Array, reading_m_s2: Array, gravity_m_s2: float) -> None:
     size = len(times_s)
     duration = times_s[-1] - times_s[0] if size else 0.0
@@ -144,10 +160,6 @@ def _check(where: str, times_s: Array, reading_m_s2: Array, gravity_m_s2: float)
         )
     if size < LEAST_SAMPLES:
         raise InputError(f"{where} has {size} samples in {duration:g} s; too short a record")
-
-
-def _pairs(begins: NDArray[np.int64]) -> list[tuple[int, int]]:
-    return list(zip(begins[:-1].tolist(), begins[1:].tolist(), strict=True))
 
 
 def _upright(reading_m_s2: Array, pieces: list[slice]) -> tuple[Array, bool]:

@@ -5,9 +5,9 @@ reading. Rows are the means over `BIN_S` less that mean, one fewer than bins: co
 bins m, C a reflection that takes the mean to the middle bin (Householder; Golub and Van Loan,
 Matrix Computations, §5.1). The mean carries noise, which moves the release and with it what is
 predicted, in proportion to the slope s there: the noise e of the bins reaches the rows as
-C (1 − s 1ᵀ/n) e, s of mean one. They are whitened by its covariance, symmetrically, so that each row
-stays close to its bin. The slope is that of a small drag from release on, where the record begins:
-one that begins later has less noise than that, along its trend and by √(4/3) at most.
+C (1 − s 1ᵀ/n) e, s of mean one. They are whitened by its covariance, symmetrically, so that each
+row stays close to its bin. The slope is that of a small drag from release on, where the record
+begins: one that begins later has less noise than that, along its trend and by √(4/3) at most.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ class Bins:
     @property
     def pieces(self) -> list[slice]:
         """The bins of each fall."""
-        return [slice(a, b) for a, b in pairwise(self.starts.tolist())]
+        return [slice(int(a), int(b)) for a, b in pairwise(self.starts)]
 
     @cached_property
     def middle_s(self) -> Array:
@@ -60,7 +60,12 @@ class Bins:
         # readings come in steps: no mean is known better than the rounding of one of them
         steps = np.diff(np.unique(self.data.reading_m_s2))
         least = steps[steps > 0.0].min(initial=1.0) / np.sqrt(12.0) / ROUNDED_TOGETHER
-        return found._replace(sigma_m_s2=max(found.sigma_m_s2, float(least)))
+        return found if found.sigma_m_s2 > least else Noise(float(least))
+
+    @cached_property
+    def sigma_m_s2(self) -> Array:
+        """Standard deviation (bins,) of each bin's noise."""
+        return np.concatenate([self.noise.deviation(p.stop - p.start) for p in self.pieces])
 
     @cached_property
     def rows(self) -> Rows:

@@ -35,7 +35,7 @@ from ...solver.ground import Ground
 from ...solver.kept import kept, sources
 from ...solver.rigid import slope_normal
 from ..running.retry import with_shorter_its
-from .response import HELD, MADE_BY, SIMULATED, Bench, Tables
+from .response import LEANING, MADE_BY, SCALED, SIMULATED, Bench, Tables
 from .spline import coefficients, evaluate
 from .table import Axis, Table, mended
 from .table_drops import beam_of, its_s
@@ -135,6 +135,14 @@ class ForceBench(Bench):
     def cell_s(self) -> float:
         return self.length_s / CELLS
 
+    @property
+    def known_friction(self) -> float:
+        """The declared coefficient, or the paper's."""
+        return paper.FRICTION if self.friction is None else self.friction
+
+    def frictions(self) -> tuple[float, ...]:
+        return (self.known_friction,)
+
     def curve(self, scene: Scene, finer: float = 1.0) -> Array:
         """Force over speed of impact (cells,); NaN where the drop fails at all time steps.
 
@@ -144,7 +152,7 @@ class ForceBench(Bench):
         step = min(step, LEAN_ITS_S if leans(scene) else ITS_S) / finer
         edges = self.cell_s * np.arange(CELLS + 1)
         speed = math.sqrt(2.0 * self.gravity_m_s2 * scene.height_m)
-        g, mu = self.gravity_m_s2, self.friction
+        g, mu = self.gravity_m_s2, self.known_friction
         try:
             t, impulse = with_shorter_its(
                 lambda its: force_history(self.bristle, scene, g, mu, its, self.length_s), step
@@ -153,12 +161,14 @@ class ForceBench(Bench):
             return np.full(CELLS, np.nan)
         return np.asarray(np.diff(np.interp(edges, t, impulse)) / (self.cell_s * speed))
 
-    def curves(self, name: str, sides: Sequence[Axis], change: Change, leaning: bool) -> Curves:
+    def curves(self, name: str, sides: Sequence[Axis], change: Change) -> Curves:
         """Histories over height, stiffness and ``sides``, kept from run to run."""
-        height, kn = self._axes(leaning)
-        kn = replace(kn, n=LEAN_KN_NODES if leaning else KN_NODES)
-        fewer = [replace(a, n=HELD_NODES if name in HELD else min(a.n, SIDE_NODES)) for a in sides]
-        axes = (replace(height, n=HEIGHT_NODES), kn, *fewer)
+        kn_nodes = LEAN_KN_NODES if name in LEANING else KN_NODES
+        kn = Axis(*self.kn_range_N_m, kn_nodes, "log")
+        fewer = [
+            replace(a, n=HELD_NODES if name in SCALED else min(a.n, SIDE_NODES)) for a in sides
+        ]
+        axes = (Axis(self.lowest_m, self.highest_m, HEIGHT_NODES, "root"), kn, *fewer)
         key = f"curves {name} {axes} {self} {sources(*self.made_by)}"
         return Curves(axes, kept(key, lambda: {"values": self._curves(axes, change)})["values"])
 
@@ -198,8 +208,15 @@ class CurveBench(ForceBench):
 
     shapes: Array = field(default_factory=lambda: np.zeros((0, CELLS)), repr=False, compare=False)
 
-    def table(self, name: str, sides: Sequence[Axis], change: Change, leaning: bool) -> Scores:
-        found = self.curves(name, sides, change, leaning)
+    def table(
+        self,
+        name: str,
+        sides: Sequence[Axis],
+        change: Change,
+        kn_nodes: int,
+        friction: float | None = None,
+    ) -> Scores:
+        found = self.curves(name, sides, change)
         amounts = found.values @ self.shapes.T / CELLS
         return Scores(found.axes, coefficients(amounts, len(found.axes)))
 
@@ -207,8 +224,15 @@ class CurveBench(ForceBench):
 class _Histories(ForceBench):
     """A bench that keeps what it is asked for in ``found``, as histories."""
 
-    def table(self, name: str, sides: Sequence[Axis], change: Change, leaning: bool) -> Table:
-        found = self.curves(name, sides, change, leaning)
+    def table(
+        self,
+        name: str,
+        sides: Sequence[Axis],
+        change: Change,
+        kn_nodes: int,
+        friction: float | None = None,
+    ) -> Table:
+        found = self.curves(name, sides, change)
         return Table(found.axes, found.values)
 
 
@@ -220,9 +244,9 @@ class ForceTables(Tables):
     def simulated(self) -> tuple[str, ...]:
         return (*SIMULATED, CLOCK)
 
-    def _make(self, name: str) -> Table:
+    def _make(self, name: str, friction: float | None) -> Table:
         if name != CLOCK:
-            return super()._make(name)
+            return super()._make(name, friction)
         assert isinstance(self.bench, ForceBench)
         stretched = stretched_curves(self.bench)
         assert isinstance(self.bench, CurveBench)

@@ -210,7 +210,7 @@ def _tried(bench: CurveBench, tables: ForceTables, names: list[str]) -> tuple[Ar
     How many of them, the first ones, have no effect in them.
     """
     amounts, rng = [], np.random.default_rng(0)
-    for table in (tables.plain, *(tables.of(name) for name in names if name in SIMULATED)):
+    for table in (tables.plain, *(tables.of(name)[0] for name in names if name in SIMULATED)):
         nodes = [axis.nodes() for axis in table.axes]
         if table is tables.plain:  # linear: all heights give one history over speed
             nodes[0] = nodes[0][-1:]

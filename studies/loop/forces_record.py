@@ -49,7 +49,7 @@ class Forces(InPieces):
 
 
 def read_forces(folder: Path) -> Forces:
-    """Read a dataset of kind ``forces``; six drops or more of twelve samples or more.
+    """Read a dataset of kind ``forces``; four drops or more of twelve samples or more.
 
     Raises InputError naming file and line of the first value that cannot be used.
     """

@@ -83,7 +83,7 @@ class HeldOut:
 
 @dataclass(frozen=True)
 class Score:
-    """What a model predicts of held-out rows, whitened: ``mean`` (rows,), ``draws`` (draws, rows)."""
+    """Whitened predictions of held-out rows: ``mean`` (rows,), ``draws`` (draws, rows)."""
 
     mean: Array
     draws: Array

@@ -14,7 +14,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 
@@ -35,14 +35,16 @@ from .table_drops import beam_of, drops_of, its_s
 KN_RANGE_N_M = (1e4, 1e8)
 KN_NODES = 49
 EFFECT_KN_NODES = 25
-LEAN_KN_NODES = 13
+LEAN_KN_NODES = 11
 HEIGHT_NODES = 4
 EFFECT_NODES = 15
-LEAN_NODES = 9
-SLOPE_NODES = 7
+LEAN_NODES = 8
+SLOPE_NODES = 6
 SIDE_NODES = 4
+# What leans takes longer steps: its table says how it differs from one that does not, at the same.
+LEAN_STEP = 2.0
 # Coefficients at which what leans is simulated where friction is not known; straight between.
-FRICTIONS = (0.0, 0.06, 0.15, 0.35, 1.0)
+FRICTIONS = (0.0, 0.1, 0.3, 1.0)
 FRICTION = Parameter(
     "friction", "", 0.0, 1.0, 0.3, null=0.5, why="steel on anything: from oiled to rough and dry"
 )
@@ -111,12 +113,12 @@ class Bench:
         sides: Sequence[Axis],
         change: Callable[[Scene, tuple[float, ...]], Scene],
         kn_nodes: int,
-        friction: float = 0.0,
+        friction: float | None = None,
     ) -> Table:
         """Drops over height, stiffness and ``sides``; ``change`` puts a point of these in.
 
-        ``name`` tells tables on the same sides apart: they are kept from run to run. Raises
-        ComputationError where drops fail at all time steps.
+        ``friction`` is None where nothing leans. ``name`` tells tables on the same sides apart:
+        they are kept from run to run. Raises ComputationError where drops fail at all time steps.
         """
         heights = Axis(self.lowest_m, self.highest_m, HEIGHT_NODES, "root")
         axes = (heights, Axis(*self.kn_range_N_m, kn_nodes, "log"), *sides)
@@ -128,7 +130,7 @@ class Bench:
         self,
         axes: tuple[Axis, ...],
         change: Callable[[Scene, tuple[float, ...]], Scene],
-        friction: float,
+        friction: float | None,
     ) -> Array:
         """Spline coefficients (..., quantities) of a table.
 
@@ -141,11 +143,12 @@ class Bench:
             height, kn, *point = (float(each[i]) for each, i in zip(nodes, index, strict=True))
             plain = replace(self.plain(), height_m=height, law=Linear(kn))
             scene = change(plain, tuple(point))
-            key = (its_s(self.bristle, kn), scene.beta_s, scene.loss_factor)
+            its = its_s(self.bristle, kn) * (1.0 if friction is None else LEAN_STEP)
+            key = (its, scene.beta_s, scene.loss_factor)
             batches.setdefault(key, []).append((index, scene))
         out = np.empty((*shape, len(QUANTITIES)))
         for (its, *_), batch in batches.items():
-            rows = self.seen([scene for _, scene in batch], its, friction)
+            rows = self.seen([scene for _, scene in batch], its, friction or 0.0)
             for (index, _), row in zip(batch, rows, strict=True):
                 out[index] = row
         sides, heights, kns = axes[2:], nodes[0], nodes[1]
@@ -169,8 +172,8 @@ SIMULATED = (
 )
 LEANING = ("bristle_tilt", "surface_slope")
 # Effects whose parameter counts against a scale that height and stiffness set: the law, the shares
-# of the scale that matter, and how nodes lie. Adhesion and yield count against the peak force of the
-# same drop without them (more adhesion holds the bristle for good; a yield force beyond changes
+# of the scale that matter, and how nodes lie. Adhesion and yield count against the peak force of
+# the same drop without them (more adhesion holds the bristle for good; a yield force beyond changes
 # nothing), a dashpot against critical damping (more than most of it holds the bristle too).
 SCALED: dict[str, tuple[type, Axis]] = {
     "adhesion": (Adhesive, Axis(0.0, 0.42, 15)),
@@ -218,11 +221,12 @@ class Tables:
         """The tables of an effect, one for each of `Bench.frictions` where it leans; raises
         ComputationError where its drops fail."""
         if name not in self._made:
-            frictions = self.bench.frictions() if name in LEANING else (0.0,)
+            leans = name in LEANING
+            frictions = self.bench.frictions() if leans else (None,)
             self._made[name] = tuple(self._make(name, friction) for friction in frictions)
         return self._made[name]
 
-    def _make(self, name: str, friction: float) -> Table:
+    def _make(self, name: str, friction: float | None) -> Table:
         kind = EFFECTS[name]
         only = kind.parameters[0]
         if name == "surface_slope":

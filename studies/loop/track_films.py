@@ -10,10 +10,12 @@ from numpy.typing import NDArray
 
 from ...solver.bristle import Array
 from ...solver.errors import InputError
-from .track_flight import BOUNCE, HEAD, heightened, heights, rises_of
-from .track_rows import FEATURES, LOOSE, Film, Track, names_of, reduced
+from .track_common import together
+from .track_flight import heights, rises_of
+from .track_phases import phases
+from .track_rows import Film, Track, reduced
 from .track_scale import pixel_m, turned
-from .track_search import phases, settled_about, track
+from .track_search import track
 from .tracks_record import LEAST_FILMS, Tracks
 
 FASTER_FPS, FASTER = 250.0, 4.0
@@ -22,9 +24,11 @@ MOST_OFF_M = 5e-3
 BEYOND_CHANCE = 4.0
 """Standard errors beyond which the scatter of frames is another than declared."""
 MOST_BOUNCES = 8
-NEAR = 0.03
-"""How near, as a share of `LOOSE`, the features of one film are to those of all where films agree:
-what they tell together is about as sure."""
+MOST_MEMORY = 0.95
+MANY = 200
+"""Frames beyond what tracks take up, with which their scatter is known to a twentieth."""
+STRAYING = 4.0
+"""How many times farther than others' the frames of a film lie from any parabolas."""
 
 
 @dataclass(frozen=True)
@@ -38,7 +42,7 @@ class Filmed:
     pixel_m: float | None
     floor_known: bool
     sigma_y_m: float
-    sigma_declared: bool
+    sigma_known: bool
     warnings: tuple[str, ...]
     left_aside: tuple[str, ...]
 
@@ -52,117 +56,100 @@ class Filmed:
 def filmed(data: Tracks) -> Filmed:
     """The films of a dataset. Raises InputError where too few can be used."""
     pixel, films = _in_metres(data)
-    warnings: list[str] = []
     bounces = MOST_BOUNCES if _bounces_upright(data) else 1
-    found, known = [track(film, bounces) for film in films], pixel is None
-    if pixel is None and _off(found):
-        loose = [turned(film, 1) for film in films]
-        again = [track(film, bounces) for film in loose]
-        if _usable(again) >= max(LEAST_FILMS, _usable(found)):
-            films, found, known = loose, again, False
-            level = 1e3 * float(np.median([each.p[2] for each in again if each and each.bounces]))
-            warnings.append(
-                f"the surface seems to lie at {level:.1f} mm, so the zero of y_mm is taken to be "
-                "anywhere, another in each film"
-            )
+    films, found, warnings = _over_a_surface(films, bounces)
+    straying = _straying(found)
+    found = [None if i in straying else each for i, each in enumerate(found)]
+    declared = _declared(data)
+    # the rough uncertainty with which the search began is mended twice
+    for _ in range(0 if declared else 2):
+        by = np.sqrt(_scatter(found)[0])
+        films = [replace(film, sigma_y_m=film.sigma_y_m * by) for film in films]
+        found = [None if i in straying else track(film, bounces) for i, film in enumerate(films)]
     if _usable(found) < LEAST_FILMS:
         raise _refusal(data, films, found)
-    sigma, declared = films[0].sigma_y_m, _declared(data)
     scatter, count, memory = _scatter(found)
-    if not declared:
-        for _ in range(2):
-            films = [replace(film, sigma_y_m=film.sigma_y_m * np.sqrt(scatter)) for film in films]
-            found = [track(film, bounces) for film in films]
-            if _usable(found) < LEAST_FILMS:
-                raise _refusal(data, films, found)
-            scatter, count, memory = _scatter(found)
-        sigma = films[0].sigma_y_m
-    wider = 1.0
-    if declared and abs(scatter - 1.0) > BEYOND_CHANCE * np.sqrt(2.0 / count):
-        warnings.append(
-            f"frames scatter about their own parabolas by {np.sqrt(scatter):.2f} times the "
-            "declared uncertainty"
-            + (", and are taken to be as uncertain as that" if scatter > 1.0 else "")
-        )
-        wider = max(scatter, 1.0)
-    if memory > BEYOND_CHANCE / np.sqrt(count):
-        warnings.append(
-            f"errors of frames that follow each other are alike (correlation {memory:.2f}); rows "
-            "are taken to be as uncertain as that makes them"
-        )
-        wider *= (1.0 + memory) / (1.0 - memory)
+    sigma = films[0].sigma_y_m
+    wider = np.sqrt((1.0 + memory) / (1.0 - memory))
+    if declared:
+        wider *= np.sqrt(max(scatter, 1.0)) if _is_off(scatter, count) else 1.0
     good = [i for i, each in enumerate(found) if each is not None]
     films = [films[i] for i in good]
     tracks = together(films, [each for each in found if each is not None])
     return Filmed(
         films=films,
-        tracks=[_widened(each, np.sqrt(wider)) for each in tracks],
+        tracks=[_widened(each, wider) for each in tracks],
         number=data.drop[data.begins[:-1]][good],
         pixel_m=pixel,
-        floor_known=known,
+        floor_known=films[0].floor_known,
         sigma_y_m=sigma,
-        sigma_declared=declared,
-        warnings=tuple(warnings),
-        left_aside=_left_aside(data, found, bounces),
+        sigma_known=declared or count > MANY,
+        warnings=(*warnings, *_of_noise(declared, scatter, count, memory, (sigma, pixel))),
+        left_aside=_left_aside(data, found, bounces, len(straying)),
     )
 
 
-def together(films: Sequence[Film], tracks: Sequence[Track]) -> list[Track]:
-    """The films' tracks once more, about the features that all films together tell.
-
-    Common to all are z, h, b, a, d and drag over mass, which adds to h; each drop has its own r.
-    """
-    g = films[0].gravity_m_s2
-    speed = np.concatenate([each.speed_m_s for each in tracks])
-    features, apart = _common_features(tracks, speed**2 / g)
-    again, i = [], 0
-    for film, each in zip(films, tracks, strict=True):
-        centre, loose = each.p.copy(), np.full(len(each.p), np.inf)
-        for k, name in enumerate(names_of(each.p)):
-            told = name == "z" and not (film.floor_known and each.bounces)
-            if name in LOOSE and name != "r" and not told:
-                drop = i + max(k - len(HEAD), 0) // len(BOUNCE)
-                centre[k] = features[drop, FEATURES.index(name)]
-                loose[k] = min(NEAR * apart, 1.0) * LOOSE[name]
-        again.append(settled_about(film, each, centre, loose))
-        i += len(each.speed_m_s)
-    return again
-
-
-def _common_features(tracks: Sequence[Track], per_drag_m: Array) -> tuple[Array, float]:
-    """Features (drops, 7) by least squares over all rows, ``per_drag_m`` (drops,) being u over drag
-    over mass; and by how much, over its noise, the rows leave them."""
-    drops = len(per_drag_m)
-    loose = np.array([LOOSE[name] for name in "zhbad"] + [LOOSE["u"] / per_drag_m.max()])
-    tight = np.diag(1.0 / np.concatenate([loose, np.full(drops, 10.0)]))
-    by = np.zeros((drops, len(FEATURES), 6 + drops))
-    for k, name in enumerate("zhbad"):
-        by[:, FEATURES.index(name), k] = 1.0
-    by[:, FEATURES.index("u"), 5] = per_drag_m
-    by[np.arange(drops), FEATURES.index("r"), 6 + np.arange(drops)] = 1.0
-    values = np.concatenate([each.values for each in tracks])
-    bent: Array = np.full(drops, 0.5)
-    said: Array = np.zeros(6 + drops)
-    for _ in range(3):
-        by[:, FEATURES.index("h"), 5] = bent * per_drag_m
-        parts, i = [], 0
-        for each in tracks:
-            n = len(each.speed_m_s)
-            parts.append(each.weights @ by[i : i + n].reshape(-1, 6 + drops))
-            i += n
-        design = np.vstack([*parts, tight])
-        said = np.linalg.lstsq(design, np.pad(values, (0, len(tight))), rcond=None)[0]
-        drag = by[:, FEATURES.index("u")] @ said
-        bent = np.array([(heightened(u) - 1.0) / u if abs(u) > 1e-6 else 0.5 for u in drag])
-    left = values - design[: len(values)] @ said
-    apart = float(left @ left) / max(len(values) - len(said), 1)
-    return by @ said, float(np.sqrt(max(apart, 1.0)))
+def _over_a_surface(
+    films: list[Film], bounces: int
+) -> tuple[list[Film], list[Track | None], list[str]]:
+    """The films, with a surface that may be anywhere where it is not at the declared zero, their
+    tracks, and a warning where that is so."""
+    found = [track(film, bounces) for film in films]
+    if films[0].floor_known and _off(found):
+        loose = [turned(film, 1) for film in films]
+        again = [track(film, bounces) for film in loose]
+        levels = [each.p[2] for each in again if each is not None and each.bounces]
+        if levels and _usable(again) >= max(LEAST_FILMS, _usable(found)):
+            return (
+                loose,
+                again,
+                [
+                    f"the surface seems to lie at {1e3 * float(np.median(levels)):.1f} mm, so the "
+                    "zero of y_mm is taken to be anywhere, another in each film"
+                ],
+            )
+    return films, found, []
 
 
-def faster(film: Film, found: Track) -> Track:
-    """The same drop with `FASTER` times as many frames, as its track would have them."""
-    n = int(FASTER * len(film.t_s))
-    t = np.linspace(film.t_s[0], film.t_s[-1], n)
+def _is_off(scatter: float, count: int) -> bool:
+    """Whether frames scatter by another variance than declared, beyond chance."""
+    return bool(abs(scatter - 1.0) > BEYOND_CHANCE * np.sqrt(2.0 / count))
+
+
+def _of_noise(
+    declared: bool,
+    scatter: float,
+    count: int,
+    memory: float,
+    taken: tuple[float, float | None],
+) -> list[str]:
+    """What frames say of their own uncertainty beside what is declared; ``taken`` is that in m, and
+    the length of a pixel."""
+    said = []
+    sigma, pixel = taken
+    if not declared:
+        seen = f"{sigma / pixel:.3g} px" if pixel else f"{1e3 * sigma:.3g} mm"
+        said.append(
+            f"no uncertainty of a height is declared: {seen} is taken, by which frames scatter "
+            "about their own parabolas"
+        )
+    elif _is_off(scatter, count):
+        said.append(
+            f"frames scatter about their own parabolas by {np.sqrt(scatter):.2f} times the "
+            "declared uncertainty"
+            + (", and are taken to be as uncertain as that" if scatter > 1.0 else "")
+        )
+    if memory:
+        said.append(
+            f"errors of frames that follow each other are alike (correlation {memory:.2f}); rows "
+            "are taken to be as uncertain as that makes them"
+        )
+    return said
+
+
+def faster(film: Film, found: Track, fps: float) -> Track:
+    """The same drop at a rate of ``fps``, as its track would have it."""
+    t = np.arange(film.t_s[0], film.t_s[-1], 1.0 / fps)
     more = replace(film, t_s=t, y_m=np.interp(t, film.t_s, film.y_m))
     phase, held = phases(more, found.p)
     seen = heights(found.p, t, phase, film.gravity_m_s2)
@@ -185,7 +172,7 @@ def _in_metres(data: Tracks) -> tuple[float | None, list[Film]]:
     pieces = data.pieces
     rough = _rough_sigma([data.y[piece] for piece in pieces])
     films = [
-        Film(data.t_s[piece], data.y[piece], sigma or rough, data.sigma_t_s, gravity)
+        Film(_since(data, piece), data.y[piece], sigma or rough, data.sigma_t_s, gravity)
         for piece in pieces
     ]
     if not data.in_pixels:
@@ -212,6 +199,11 @@ def _in_metres(data: Tracks) -> tuple[float | None, list[Film]]:
     ]
 
 
+def _since(data: Tracks, piece: slice) -> Array:
+    """Times (frames,) since a film's first frame: clocks may count from long ago."""
+    return data.t_s[piece] - data.t_s[piece][0]
+
+
 def _rough_sigma(heights_of_films: Sequence[Array]) -> float:
     """About the deviation of a height, by third differences, which no parabola has."""
     thirds = np.concatenate([np.diff(y, 3) for y in heights_of_films])
@@ -230,14 +222,33 @@ def _off(found: Sequence[Track | None]) -> bool:
     return not levels or bool(np.median(levels) > MOST_OFF_M) or _usable(found) < len(found) / 2
 
 
+def _straying(found: Sequence[Track | None]) -> set[int]:
+    """Films whose frames scatter about their best track far more than others' do."""
+    scatter = {i: t.misfit / t.freedom for i, t in enumerate(found) if t is not None}
+    usual = float(np.median(list(scatter.values()))) if scatter else 0.0
+    return {i for i, each in scatter.items() if each > STRAYING**2 * max(usual, 1.0)}
+
+
 def _scatter(found: Sequence[Track | None]) -> tuple[float, int, float]:
     """Variance of frames about their best tracks over that assumed, how many say so, and the
-    correlation of neighbours."""
+    correlation of neighbours.
+
+    The correlation is that of an autoregression, ρ, by the squares of differences one frame apart
+    and two, which are as 1 − ρ and 1 − ρ²: a track takes up what is slow, and differences do not
+    see that.
+    """
     tracks = [each for each in found if each is not None]
-    misfit, freedom = (sum(getattr(t, name) for t in tracks) for name in ("misfit", "freedom"))
-    if freedom < 1 or misfit <= 0.0:
+    if not tracks:
         return 1.0, 1, 0.0
-    return misfit / freedom, freedom, sum(t.neighbours for t in tracks) / misfit
+    misfit, freedom = sum(t.misfit for t in tracks), sum(t.freedom for t in tracks)
+    pairs = np.array([t.pairs for t in tracks])
+    one, two = pairs @ np.array([t.changes for t in tracks])
+    if freedom < 1 or misfit <= 0.0 or one <= 0.0:
+        return 1.0, 1, 0.0
+    memory = float(np.clip(two / one - 1.0, 0.0, MOST_MEMORY))
+    if memory < BEYOND_CHANCE / np.sqrt(pairs.sum()):
+        return misfit / freedom, freedom, 0.0
+    return float(one / (2.0 * (1.0 - memory) * pairs.sum())), freedom, memory
 
 
 def _widened(found: Track, by: float) -> Track:
@@ -264,17 +275,23 @@ def _refusal(data: Tracks, films: Sequence[Film], found: Sequence[Track | None])
     )
 
 
-def _left_aside(data: Tracks, found: Sequence[Track | None], bounces: int) -> tuple[str, ...]:
-    """What of the films is not used, and why."""
+def _left_aside(
+    data: Tracks, found: Sequence[Track | None], bounces: int, straying: int
+) -> tuple[str, ...]:
+    """What of the films is not used, and why; ``straying`` of them follow no parabolas."""
     n, said = len(found), []
     tracks = [each for each in found if each is not None]
     falls = sum(not each.bounces for each in tracks)
     further = sum(_goes_on(data, i, each, bounces) for i, each in enumerate(found))
     mistaken = sum(each.mistaken for each in tracks)
-    if len(tracks) < n:
+    unseen = n - len(tracks) - straying
+    if straying:
         said.append(
-            f"{n - len(tracks)} of {n} films do not show a fall unmistakably, and are not used"
+            f"{straying} of {n} films lie {STRAYING:.0f} times farther from any parabolas than "
+            "others do, and are not used"
         )
+    if unseen:
+        said.append(f"{unseen} of {n} films do not show a fall unmistakably, and are not used")
     if falls:
         said.append(f"{falls} of {n} films show no bounce, and serve the fall alone")
     if further:
@@ -295,4 +312,4 @@ def _goes_on(data: Tracks, film: int, found: Track | None, bounces: int) -> bool
     if found is None or bounces > 1 or not found.bounces:
         return False
     end = rises_of(found.p, data.manifest.gravity_m_s2)[-1, 6]
-    return bool((data.t_s[data.pieces[film]] > end).sum() > 1)
+    return bool((_since(data, data.pieces[film]) > end).sum() > 1)

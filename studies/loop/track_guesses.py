@@ -18,7 +18,10 @@ CAP = 25.0
 """The most that a frame's square counts."""
 LATER = 0.2
 """Weight of the frames after the second impact, whose bounces are guessed by the first."""
-LEAST_FRAMES = 5
+LEAST_FRAMES, MOST_FRAMES = 5, 400
+"""Of a film: with more, every second or third is enough to try instants."""
+LOW = 0.35
+"""Frames lower than that, as a share of the heights' range, may be beside an impact."""
 SHORT_FRAMES = 8
 """With fewer frames in the fall from a film's greatest height an impact may be between any two."""
 RATIOS = (0.15, 0.4, 0.65, 0.9)
@@ -47,7 +50,8 @@ def guesses(film: Film, gravity: float, loose: float, lowest: bool = False) -> l
     Instants are tried all through the film where its frames are so few that an impact may be
     between any two; beside the ``lowest`` frames alone, where that is asked for or they are many.
     """
-    t, y = film.t_s, film.y_m
+    every = -(-len(film.t_s) // MOST_FRAMES)
+    t, y = film.t_s[::every], film.y_m[::every]
     high = float(np.ptp(y))
     if high <= 0.0 or len(t) < LEAST_FRAMES:
         return []
@@ -55,7 +59,8 @@ def guesses(film: Film, gravity: float, loose: float, lowest: bool = False) -> l
     lasts = np.sqrt(2.0 * high / gravity)
     step = min(frame / 4.0, lasts / 40.0)
     if lowest or lasts > SHORT_FRAMES * frame:
-        low = [i for i in np.flatnonzero(y < y.min() + 0.35 * high) if _is_lowest(y, int(i))]
+        before = int(lasts / (2.0 * frame)) + 1
+        low = [i for i in np.flatnonzero(y < y.min() + LOW * high) if _is_lowest(y, i, before)]
         tried = [np.arange(t[max(i - 1, 0)], t[min(i + 1, len(t) - 1)], step) for i in low]
         instants = np.concatenate(tried) if tried else np.zeros(0)
     else:
@@ -72,9 +77,11 @@ def guesses(film: Film, gravity: float, loose: float, lowest: bool = False) -> l
     ]
 
 
-def _is_lowest(y: Array, i: int) -> bool:
-    """Whether no frame next to i, or beyond it, is lower."""
-    return bool(y[i] <= y[max(i - 2, 0) : i + 3].min())
+def _is_lowest(y: Array, i: int, before: int) -> bool:
+    """Whether no frame next to i, or beyond it, is lower, and some of those ``before`` it are so
+    much higher that the body is not at rest."""
+    fell = y[max(i - before, 0) : i + 1].max() > y.min() + 0.1 * (y.max() - y.min())
+    return bool(fell and y[i] <= y[max(i - 2, 0) : i + 3].min())
 
 
 @njit

@@ -61,8 +61,8 @@ class Track:
     + unit noise, where a drop is a bounce, or the fall where none is filmed. ``leading`` (rows,)
     numbers the feature that a row is about, ``drop`` (rows,) its bounce, ``known`` (rows,) how well
     it tells it. ``misfit`` is the sum of squares that the ``freedom`` other combinations of frames
-    leave, ``neighbours`` the sum of products of residuals that follow each other;
-    ``mistaken`` counts frames that no track passes by.
+    leave, ``changes`` the mean squares of the differences of residuals one frame apart and two,
+    ``pairs`` how many of these there are. ``mistaken`` counts frames that no track passes by.
     """
 
     p: Array
@@ -76,7 +76,8 @@ class Track:
     known: Array
     misfit: float
     freedom: int
-    neighbours: float
+    changes: tuple[float, float]
+    pairs: int
     mistaken: int = 0
 
     @property
@@ -135,6 +136,8 @@ def reduced(film: Film, p: Array, phase: Phases, held: bool) -> Track:
     rows = every[n:].reshape(-1, len(t))
     of_rows = rows @ (slopes * features)
     beyond = left - every.T @ (every @ left)
+    in_row = part[2:] == part[:-2]
+    one, two = (beyond[2:] - beyond[1:-1])[in_row], (beyond[2:] - beyond[:-2])[in_row]
     rises = rises_of(p, g)
     return Track(
         p=p,
@@ -148,7 +151,8 @@ def reduced(film: Film, p: Array, phase: Phases, held: bool) -> Track:
         known=np.array(known),
         misfit=float(beyond @ beyond),
         freedom=int(used.sum()) - len(every),
-        neighbours=float(beyond[1:] @ beyond[:-1]),
+        changes=(float(np.mean(one**2)), float(np.mean(two**2))) if len(one) else (0.0, 0.0),
+        pairs=len(one),
     )
 
 

@@ -44,9 +44,14 @@ def pixel_m(films: Sequence[Film]) -> tuple[float, int] | None:
 def turned(film: Film, sign: int) -> Film:
     """The film with heights that count upward, and the surface near the lowest."""
     y = sign * film.y_m
-    high = float(np.ptp(y))
+    # the lowest frame may be half a frame's way above the surface
+    loose = np.hypot(0.05 * float(np.ptp(y)), 0.5 * float(np.abs(np.diff(y)).max()))
     return replace(
-        film, y_m=y, floor_known=False, floor_m=float(y.min()), floor_loose_m=max(0.05 * high, 1e-9)
+        film,
+        y_m=y,
+        floor_known=False,
+        floor_m=float(y.min()),
+        floor_loose_m=max(float(loose), 1e-9),
     )
 
 

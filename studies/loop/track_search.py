@@ -6,7 +6,6 @@ and held against a fall without any impact.
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -29,27 +28,21 @@ from .track_flight import (
     steps_of,
 )
 from .track_guesses import CAP, LATER, LEAST_FRAMES, Guess, guesses
+from .track_phases import LEAST_HELD, LEAST_RATIO, phases
 from .track_rows import LOOSE, Film, Track, deviation, is_free, names_of, reduced
 
 RIVAL = 8.0
 """By how much the sum of squares of the best track must be less than any other's."""
 APART_S = 0.004
-NEAR_RELEASE_S = 0.02
-"""Frames nearer than that to the release, and more where it is fast, are not used: a hand opens."""
-NEAR_IMPACT_S = 1e-3
-ZERO_M, ZERO_SHARE = 2e-3, 0.1
-"""How far the surface may lie from where it seems, in m and as a share of the fall's height:
-frames that pass that in less time may be on either side of an impact, and are not used."""
 OUTLYING = 5.0
 """Frames farther than that from the best track, in deviations, are mistaken marks."""
 CLEAR = 3.0
 """Squares a frame below which a track with three frames of a rise is held against no fall alone."""
 TURNS = 40
-LEAST_HELD = 3
 LARGEST_SHARE = 0.1
 """Of the heights' range: what strays farther from its best track is no flight."""
-LEAST_RATIO = 0.01
-"""Of the squares of speeds: with less the body stays."""
+LEAST_RISE = 10.0
+"""Of a further bounce, in deviations of a frame: a body at rest seems to hop less."""
 LOOSE_GRAVITY, MOST_GRAVITY = 0.2, 0.8
 """How far gravity may seem to be from what it is, as a share when it is looked for; and its
 logarithm: more is a wrong unit."""
@@ -91,45 +84,6 @@ class Settled:
     phase: Phases
     held: bool
     mistaken: int
-
-
-def phases(film: Film, p: Array) -> tuple[Phases, bool]:
-    """What each frame (frames,) shows, and whether some show the body held.
-
-    None near the release, an impact or a mistaken mark serves.
-    """
-    t, g = film.t_s, film.gravity_m_s2
-    top_s, top_m, falling, _ = fall_of(p, g)
-    rises = rises_of(p, g)
-    phase = np.full(len(t), UNUSED)
-    end = p[0] - _near(film, p[1]) if len(rises) else np.inf
-    phase[t < end] = FALL
-    before = t < top_s - NEAR_RELEASE_S
-    level = np.median(film.y_m[before]) if before.any() else top_m
-    early = NEAR_RELEASE_S + math.sqrt(2.0 * max(top_m - float(level), 0.0) / falling)
-    # thrown up in view, the parabola has its highest point in the film
-    drop = top_m - 0.5 * falling * (t[0] - top_s) ** 2
-    thrown = before.sum() >= LEAST_HELD and abs(film.y_m[0] - drop) < abs(film.y_m[0] - top_m)
-    held = False
-    if not thrown:
-        phase[t < top_s + early] = UNUSED
-        if (t < top_s - early).sum() >= LEAST_HELD or t[0] < top_s - early - 0.02:
-            phase[t < top_s - early] = HELD
-            held = True
-    for j in range(len(rises)):
-        launch, before_m_s, again = rises[j, 1], rises[j, 5], rises[j, 6]
-        near = _near(film, before_m_s)
-        ratio = max(p[len(HEAD) + 3 * j], LEAST_RATIO)
-        back = near / np.sqrt(ratio) + 0.01 * (again - launch)
-        phase[(t > launch + near) & (t < again - back)] = RISE + j
-    return phase, held
-
-
-def _near(film: Film, speed_m_s: float) -> float:
-    """How long before or after an impact a frame may be on either side of it."""
-    g = film.gravity_m_s2
-    low = 3.0 * film.sigma_y_m + min(ZERO_M, ZERO_SHARE * speed_m_s**2 / (2.0 * g))
-    return NEAR_IMPACT_S + 3.0 * film.sigma_t_s + low / max(speed_m_s, 1e-3)
 
 
 def _settled(film: Film, p: Array, least_rise: int) -> Settled | None:
@@ -300,6 +254,8 @@ def _goes_on(film: Film, found: Settled) -> bool:
     last = found.phase == found.phase.max()
     rises = (len(found.p) - len(HEAD)) // len(BOUNCE)
     if found.phase.max() != RISE + rises - 1 or last.sum() < LEAST_HELD:
+        return False
+    if seen[last].max() - found.p[2] < LEAST_RISE * film.sigma_y_m:
         return False
     return bool(squares[last].mean() < CLEAR * max(squares[used & ~last].mean(), film.sigma_y_m**2))
 

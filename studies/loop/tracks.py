@@ -61,9 +61,9 @@ class TrackBench(Bench):
 
     made_by: ClassVar[tuple[Path, ...]] = (*MADE_BY, Path(__file__))
 
-    def seen(self, scenes: Sequence[Scene], its: float) -> Array:
+    def seen(self, scenes: Sequence[Scene], its: float, friction: float) -> Array:
         body = beam_of(self.bristle)
-        found = outcomes_of(body, scenes, self.gravity_m_s2, its, self.friction, lenient=True)
+        found = outcomes_of(body, scenes, self.gravity_m_s2, its, friction, lenient=True)
         squared = found.spin_x_rad_s**2 + found.spin_y_rad_s**2
         lighter = 0.5 * self.bristle.length_m * squared / self.gravity_m_s2
         return np.stack([found.rebound_height_m, found.contact_time_s, 1.0 + lighter], axis=1)
@@ -142,7 +142,8 @@ def tracks_problem(data: Tracks) -> Problem:
         return replace(plain, effects=tuple(effects))
 
     def filmed_faster(effects: tuple[str, ...]) -> TrackModel:
-        others = [faster(film, each) for film, each in zip(seen.films, tracks, strict=True)]
+        fps = seen.faster_fps
+        others = [faster(film, each, fps) for film, each in zip(seen.films, tracks, strict=True)]
         weights_of, of, _ = _rows(others)
         return replace(combine(effects), weights_of=weights_of, of=of)
 
@@ -167,7 +168,7 @@ def tracks_problem(data: Tracks) -> Problem:
             Experiment(f"film the same drops at {seen.faster_fps:g} frames/s", filmed_faster)
         ],
         confirm_why="films are compared with the beam's tables; the solid follows its drops",
-        sigma_declared=seen.sigma_declared,
+        sigma_declared=seen.sigma_known,
         notes={
             "sigma_y_m": seen.sigma_y_m,
             "misfit": float(sum(each.misfit for each in tracks)),

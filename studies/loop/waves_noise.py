@@ -23,6 +23,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ...solver.bristle import Array
 from .waves_propagation import Windows
@@ -106,7 +107,7 @@ class Whitening:
     scale: Array
 
 
-def whitening(own: Array, shared: Array, fitted: Array) -> Whitening:
+def whitening(own: Array, shared: Array, fitted: NDArray[np.bool_]) -> Whitening:
     """From each row's own standard deviation (rows,) and what standard normal numbers that rows
     share do to each, ``shared`` (rows, numbers); ``fitted`` (rows,) are whitened together."""
     factor = np.zeros((len(own), len(own)))

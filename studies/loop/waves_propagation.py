@@ -151,10 +151,11 @@ class Propagation:
         return np.fft.rfft(waves, self.coarse) * math.sqrt(self.padded / self.coarse), frequency
 
     def turns(self, speed_m_s: float, x_m: float) -> int:
-        """How many reflections begin within the first window, at this speed and place."""
+        """How many reflections begin within the first window, at this speed and place; more than
+        twice `MOST_TURNS` are not counted."""
         begin, end = self.data.first_pass_s
         back = 2.0 * (self.rod.length_m - x_m) / speed_m_s
-        return int((end - begin) / back)
+        return min(int((end - begin) / back), 2 * MOST_TURNS)
 
     def alone(self, driving: Complex, after: Complex, turns: int) -> Complex:
         """Spectra (..., frequencies) of the first pass, freed from ``after`` (..., frequencies),
@@ -169,12 +170,12 @@ class Propagation:
         step = self.data.step_s
         weight = np.full(len(self.omega), 2.0 / self.padded)
         weight[0] *= 0.5
-        grown = windows.basis * np.exp(self.damping * step * np.arange(windows.samples))
-        if windows.samples > self.padded:
-            raise ValueError("a window is longer than the transform's period")
-        each = weight * np.fft.rfft(grown, self.padded)[:, : len(self.omega)].conj()
+        growth = np.exp(self.damping * step * np.arange(windows.samples))
+        count = len(self.omega)
+        # one by one: of a long record, all of them at once would not fit into the memory
+        each = [np.fft.rfft(row * growth, self.padded)[:count].conj() for row in windows.basis]
         delays = step * (np.array(windows.begins) - self.begin)
-        blocks = [np.exp(1j * self.omega * delay) * each for delay in delays]
+        blocks = [weight * np.exp(1j * self.omega * delay) * each for delay in delays]
         return np.asarray(np.concatenate(blocks).T)
 
     def in_time(self, spectrum: Complex) -> Array:

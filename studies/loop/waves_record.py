@@ -15,6 +15,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ...solver.bristle import Array
 from ...solver.errors import InputError
@@ -22,6 +23,7 @@ from ..data.datasets import Manifest, read_manifest
 from ..data.tables import Rows, column, read_table
 from ..data.texts import finite, quoted
 
+Flags = NDArray[np.bool_]
 UNIT = re.compile(r"[\w%°/·*^.() -]{1,20}")
 LEAST_QUIET = 12
 LEAST_PASS = 8
@@ -155,7 +157,7 @@ def _times(path: Path, rows: Rows) -> Array:
 
 
 def _gauge(
-    path: Path, rows: Rows, names: tuple[str, ...], quiet: Array, place: tuple[float, bool]
+    path: Path, rows: Rows, names: tuple[str, ...], quiet: Flags, place: tuple[float, bool]
 ) -> Gauge:
     faces = np.array([column(path, rows, name) for name in names])
     faces -= faces[:, quiet].mean(axis=1, keepdims=True)
