@@ -1,13 +1,23 @@
 """The blind benchmark's datasets have the size, noise and files they say, its table the rates."""
 
 import math
+import tomllib
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from blind.body import Body
-from blind.drops import LISTED, Truth, seen, speed_down
-from blind.films import fall_time, fallen, flight, rise_time
+from blind.drops import LISTED, Truth, bounce, seen, speed_down
+from blind.films import (
+    AT_RELEASE,
+    HELD,
+    MID_FALL,
+    fall_time,
+    fallen,
+    film,
+    flight,
+    rise_time,
+)
 from blind.make import ROWS, make
 from blind.noise import ROUNDED, UNKNOWN
 from blind.shapes import FAMILIES, Drops, impossible, unlisted
@@ -73,6 +83,43 @@ def test_a_misfit_that_kn_absorbs_has_no_size_and_one_it_cannot_has_its_norm():
     sigma = 2.5e-4 * math.hypot(1.0, ratio.mean())
     expected = np.linalg.norm(1e-4 * wave) / sigma
     assert size(GAUGE, raised) == pytest.approx(expected, rel=0.02)
+
+
+def read_back(made):
+    """A dataset's files as (drops, 4) in SI and the gauge that they declare."""
+    said = tomllib.loads(made.manifest)
+    body, sensors = said["body"], said["measurement"]
+    names = {
+        "youngs_modulus_Pa": "youngs_Pa",
+        "poisson_ratio": "poisson",
+        "damping_beta_s": "beta_s",
+    }
+    gauge = Gauge(
+        Body(**{names.get(key, key): value for key, value in body.items()}),
+        made.columns,
+        1e-3 * sensors["sigma_y_mm"],
+        sensors.get("sigma_t_s", 1.0),
+        sensors.get("sigma_force_N", 1.0),
+        said.get("contact", {}).get("kn_N_m"),
+    )
+    read = np.loadtxt(made.table.splitlines(), delimiter=",", skiprows=1)
+    seen = np.zeros((made.n_drops, 4))
+    seen[:, [0, *(1 + c for c in made.columns)]] = read[:, 1:]
+    return seen * [1e-3, 1e-3, 1e-3, 1.0], gauge
+
+
+@pytest.mark.parametrize("row", ["clean", "gross", "listed8", "unlisted16"])
+def test_what_is_read_misses_an_upright_bristle_by_its_noise_and_by_d(row):
+    """χ² of the best fit: as many as there are values, and d² beside; within five deviations."""
+    for number in range(4):
+        made = make(6, row, number)
+        if made.noise != "gaussian":
+            continue
+        seen, gauge = read_back(made)
+        n, d2 = made.n_drops * len(made.columns), made.d**2
+        # the error of a height before is carried by slopes, which a misfit has steeper or flatter
+        error = 5.0 * math.sqrt(2.0 * n + 4.0 * d2) + 0.05 * d2
+        assert size(gauge, seen) ** 2 == pytest.approx(n + d2, abs=error)
 
 
 @pytest.mark.parametrize("row", ["listed16", "unlisted16", "unlisted8"])
@@ -147,6 +194,21 @@ def test_a_dragged_fall_and_rise_follow_their_equation(release):
     assert rise_time(truth, 3.0) == pytest.approx(
         math.atan(3.0 * math.sqrt(drag / 9.8)) / math.sqrt(9.8 * drag)
     )
+
+
+@pytest.mark.parametrize("begins", [HELD, AT_RELEASE, MID_FALL])
+def test_a_film_has_no_jumps_and_rises_as_high_as_the_impact_gives(begins):
+    truth, fps, rng = Truth(cd=50.0, release_m_s=0.1), 2e4, np.random.default_rng(2)
+    times, y = film(truth, 0.1, 0, np.zeros(2), fps, begins, rng)
+    fastest = speed_down(truth, 0.1, 0.1)
+    assert np.diff(times) == pytest.approx(1.0 / fps)
+    assert np.abs(np.diff(y)).max() <= 1.001 * fastest / fps
+    top = bounce(truth, fastest, 0, np.zeros(2))[0]
+    after = y[np.argmin(y) :]
+    assert after.max() == pytest.approx(top, abs=1e-6)
+    assert y[0] == pytest.approx(0.1, abs=1e-5) if begins != MID_FALL else y[0] < 0.098
+    if begins == HELD:
+        assert np.count_nonzero(y == 0.1) > 0.01 * fps - 1
 
 
 def outcome(**other):

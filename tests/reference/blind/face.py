@@ -73,24 +73,28 @@ def _contact(moved, slopes, points, normal, lowest, memory, numbers, left, loads
         x = moved[0] - s * slopes[0] - w * slopes[1] + left
         y, z = moved[1], moved[2]
         gap = x * normal[0] + (y + s) * normal[1] + (z + w) * normal[2] - lowest
-        slip = np.array(
-            [x * one[0] + y * one[1] + z * one[2], x * two[0] + y * two[1] + z * two[2]]
-        )
+        slip_1 = x * one[0] + y * one[1] + z * one[2]
+        slip_2 = x * two[0] + y * two[1] + z * two[2]
         if gap >= 0.0:
-            memory[p] = slip
+            memory[p, 0], memory[p, 1] = slip_1, slip_2
             continue
         touched = True
-        press = -share * kn * gap
-        drag = -share * kt * (slip - memory[p])
-        size = math.sqrt(drag[0] ** 2 + drag[1] ** 2)
+        press, spring = -share * kn * gap, share * kt
+        drag_1 = -spring * (slip_1 - memory[p, 0])
+        drag_2 = -spring * (slip_2 - memory[p, 1])
+        size = math.sqrt(drag_1**2 + drag_2**2)
         if size > friction * press:
-            drag *= friction * press / size
-            memory[p] = slip + drag / (share * kt)
+            drag_1 *= friction * press / size
+            drag_2 *= friction * press / size
+            memory[p, 0] = slip_1 + drag_1 / spring
+            memory[p, 1] = slip_2 + drag_2 / spring
         total += press
-        force = press * normal + drag[0] * one + drag[1] * two
-        loads[:3] += force
-        loads[3] -= s * force[0]
-        loads[4] -= w * force[0]
+        along = press * normal[0] + drag_1 * one[0] + drag_2 * two[0]
+        loads[0] += along
+        for k in range(1, 3):
+            loads[k] += press * normal[k] + drag_1 * one[k] + drag_2 * two[k]
+        loads[3] -= s * along
+        loads[4] -= w * along
     return total, touched
 
 

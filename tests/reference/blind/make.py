@@ -67,7 +67,7 @@ def make(seed: int, row: str, number: int) -> Made:
 
     Raises RuntimeError where no design of many carries the size that is asked for.
     """
-    rng, asked = stream(seed, row, number), ROWS[row]
+    rng, asked = stream(seed, row, number), replace(ROWS[row], others=_others(seed))
     names = FILMED if asked.films else tuple(LISTED)
     # every effect and family in its turn
     name = names[number % len(names)]
@@ -91,7 +91,7 @@ def make(seed: int, row: str, number: int) -> Made:
 
 def _plan(rng: np.random.Generator, row: Row, name: str = "") -> Plan:
     """A design in which the effect ``name`` can be seen."""
-    body = _body(rng, name)
+    body = _body(rng, row, name)
     # a film shows heights alone
     columns = (Y1,) if row.films else _columns(rng, NEEDS.get(name))
     n = int(rng.integers(8, 17)) if row.films else 48
@@ -124,17 +124,32 @@ def _plan(rng: np.random.Generator, row: Row, name: str = "") -> Plan:
     return Plan(truth, gauge, heights, chance, bool(rng.random() < 0.5))
 
 
-def _body(rng: np.random.Generator, name: str) -> Body:
-    """The paper's bristle in two of three, else another, or a wire where nothing leans."""
+def _others(seed: int) -> tuple[Body, ...]:
+    """Bodies beside the paper's: two flat ones and two wires, the same for all datasets of a seed,
+    since whatever reads them makes tables for a body once."""
+    rng = np.random.default_rng(np.random.SeedSequence([TAG, seed], spawn_key=(len(ROWS),)))
+    bodies = []
+    for flat in (True, True, False, False):
+        length, beta = _digits(rng.uniform(0.12, 0.5)), _digits(10.0 ** rng.uniform(-5.6, -4.9))
+        if flat:
+            width, thick = _digits(rng.uniform(1.5e-3, 3e-3)), _digits(rng.uniform(4e-4, 8e-4))
+            bodies.append(Body(length, width, thick, beta_s=beta))
+        else:
+            wire = _digits(rng.uniform(0.6e-3, 1.5e-3))
+            bodies.append(Body(length, diameter_m=wire, beta_s=beta))
+    return tuple(bodies)
+
+
+def _digits(value: float) -> float:
+    return float(f"{value:.4g}")
+
+
+def _body(rng: np.random.Generator, row: Row, name: str) -> Body:
+    """The paper's bristle in two of three, else another; only flat ones lean."""
     if rng.random() < 2.0 / 3.0:
         return Body()
-    length, beta = rng.uniform(0.12, 0.5), 10.0 ** rng.uniform(-5.6, -4.9)
-    if name not in LEANING and rng.random() < 0.5:
-        diameter = float(f"{rng.uniform(0.6e-3, 1.5e-3):.3g}")
-        return Body(float(f"{length:.4g}"), diameter_m=diameter, beta_s=float(f"{beta:.3g}"))
-    width, thick = rng.uniform(1.5e-3, 3e-3), rng.uniform(0.4e-3, 0.8e-3)
-    values = [float(f"{each:.4g}") for each in (length, width, thick)]
-    return Body(*values, beta_s=float(f"{beta:.3g}"))
+    allowed = [each for each in row.others if each.diameter_m is None or name not in LEANING]
+    return allowed[int(rng.integers(len(allowed)))]
 
 
 def _columns(rng: np.random.Generator, needed: int | None) -> tuple[int, ...]:
@@ -221,8 +236,9 @@ def _gross(
         data = _raised(data, up * share)
     else:
         columns = (Y1, TIME, FORCE) if rng.random() < 0.5 else (Y1, TIME)
-        factor = 1.0 + rng.choice([-1.0, 1.0]) * rng.uniform(0.08, 0.3)
-        other = replace(plan.truth.body, length_m=factor * plan.truth.body.length_m)
+        # as a scale misread, by one of two amounts
+        factor = (0.87, 1.13)[int(rng.integers(2))]
+        other = replace(plan.truth.body, length_m=_digits(factor * plan.truth.body.length_m))
         gauge = replace(plan.gauge, columns=columns, body=other, kn_N_m=None)
         plan, name = replace(plan, gauge=gauge), "length declared wrong"
         data = seen(plan.truth, plan.heights_m, plan.chance)

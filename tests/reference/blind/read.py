@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from .body import Array
+from .body import Array, Body
 from .drops import Truth
 from .films import AT_RELEASE, HELD, MID_FALL, film
 from .noise import ROUNDED, UNKNOWN, Draw, gaussian, rounded
@@ -21,13 +21,15 @@ Y1, TIME, FORCE = 0, 1, 2
 
 @dataclass(frozen=True)
 class Row:
-    """A kind of dataset. ``holds`` is nothing, listed, unlisted or gross; ``d`` (least, most)."""
+    """A kind of dataset. ``holds`` is nothing, listed, unlisted or gross; ``d`` (least, most);
+    ``others`` are the bodies beside the paper's."""
 
     name: str
     holds: str
     d: tuple[float, float] = (0.0, 0.0)
     films: bool = False
     noises: str = "mixed"
+    others: tuple[Body, ...] = ()
 
 
 @dataclass(frozen=True)
