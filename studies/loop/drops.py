@@ -15,7 +15,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ...solver.bristle import Array, RigidMass
+from ...solver.bristle import Array, Bristle, RigidMass
 from ...solver.effects.base import Parameter
 from ...solver.effects.library import EFFECTS
 from ...solver.errors import InputError
@@ -135,6 +135,15 @@ def damping(manifest: Manifest) -> Parameter | None:
     return replace(EFFECTS["material_damping"].parameters[0], null=BETA_UNKNOWN_S)
 
 
+def simulated_bristle(manifest: Manifest) -> Bristle:
+    """The bristle of the tables; with a damping in the middle of all that may be, where it is not
+    declared."""
+    bristle = manifest.bristle
+    if damping(manifest) is None:
+        return bristle
+    return replace(bristle, material=replace(bristle.material, beta_s=BETA_UNKNOWN_S))
+
+
 def heights_about(y0_m: Array) -> tuple[float, float]:
     """Powers of two, in mm, that hold heights (drops,) and what effects make of them."""
     low = math.floor(math.log2(0.7 * 1e3 * float(y0_m.min())))
@@ -151,9 +160,7 @@ def tables_for(y0_m: Array, data: datasets.Drops) -> Tables:
         return RigidTables(
             RigidBench(manifest.body, manifest.gravity_m_s2, lowest, highest, kns, friction=0.0)
         )
-    bristle = manifest.bristle
-    if damping(manifest) is not None:
-        bristle = replace(bristle, material=replace(bristle.material, beta_s=BETA_UNKNOWN_S))
+    bristle = simulated_bristle(manifest)
     low, high = KN_RANGE_N_M
     if manifest.kn_N_m is not None:
         low, high = min(low, manifest.kn_N_m / 10.0), max(high, 10.0 * manifest.kn_N_m)

@@ -18,6 +18,7 @@ import numpy as np
 
 from ...solver.bristle import Array
 from ...solver.fall import risen
+from ..data.datasets import Manifest
 from .drop_model import BounceModel, Drops, FeatureModel
 from .drops import carried, stiffness
 from .force_curves import (
@@ -124,6 +125,7 @@ def forces_problem(data: Forces, library: Sequence[str] | None = None) -> Proble
         combine=lambda effects: plain.having(tuple(effects)),
         confirm_why="records are compared with the beam's tables; the solid follows its drops",
         sigma_declared=data.sigma_N is not None,
+        warnings=_taken_as_known(data.manifest),
         notes={
             "sigma_force_N": sigma,
             "shapes": int(trusted.sum()),
@@ -132,6 +134,16 @@ def forces_problem(data: Forces, library: Sequence[str] | None = None) -> Proble
             "freedom": int(sum(each.freedom for each in made)),
         },
     )
+
+
+def _taken_as_known(manifest: Manifest) -> tuple[str, ...]:
+    """What histories are simulated with although nobody declared it."""
+    out = []
+    if manifest.friction is None:
+        out.append("friction is not declared and taken as 0.5 where the bristle leans")
+    if not manifest.damping_declared:
+        out.append("the body's damping is not declared and taken as the paper's, 1.07e-5 s")
+    return tuple(out)
 
 
 def _together(

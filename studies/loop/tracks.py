@@ -30,7 +30,7 @@ from ...solver.effects.base import Parameter, Place, Scene
 from ...solver.effects.library import EFFECTS
 from ..data.datasets import Manifest
 from .drop_model import BounceModel, Drops
-from .drops import carried, heights_about, stiffness
+from .drops import carried, damping, heights_about, simulated_bristle, stiffness
 from .problem import Experiment, Problem
 from .response import MADE_BY, Bench, Tables, reference
 from .table_drops import beam_of, outcomes_of
@@ -162,7 +162,7 @@ def tracks_problem(data: Tracks) -> Problem:
         group=numbers[film],
         covariates={"height": y0[drop], "order": order[drop].astype(float)},
         baseline=plain,
-        candidates=[combine((name,)) for name in _candidates(seen)],
+        candidates=[combine((name,)) for name in _candidates(seen, plain.beta is not None)],
         combine=combine,
         experiments=[
             Experiment(f"film the same drops at {seen.faster_fps:g} frames/s", filmed_faster)
@@ -197,7 +197,16 @@ def _model(
             "scale_m_px", "m/px", low, high, seen.pixel_m, seen.pixel_m, logarithmic=True, why=why
         )
     return TrackModel(
-        drops, Tables(bench), kn, (), speed, weights_of, of, scale, seen.pixel_m or 1.0
+        drops,
+        Tables(bench),
+        kn,
+        (),
+        speed,
+        weights_of,
+        of,
+        scale,
+        seen.pixel_m or 1.0,
+        beta=damping(manifest),
     )
 
 
@@ -216,10 +225,10 @@ def _rows(tracks: Sequence[Track]) -> tuple[Array, NDArray[np.int64], NDArray[np
     return np.concatenate(weights), np.concatenate(of), np.array(film)
 
 
-def _candidates(seen: Filmed) -> list[str]:
+def _candidates(seen: Filmed, free_damping: bool) -> list[str]:
     """The effects that these films can carry at all."""
     names = carried(KIND, (0, 1))
-    unseen = set()
+    unseen = {"material_damping"} if free_damping else set()
     if seen.pixel_m is not None:  # the free scale takes up what either does
         unseen |= {"scale_error", "clock_error"}
     if not seen.floor_known:
@@ -235,7 +244,7 @@ def _bench(manifest: Manifest, y0_m: Array) -> TrackBench:
     """Heights rounded outward, so that other data can use the tables again."""
     lowest, highest = heights_about(y0_m)
     return TrackBench(
-        manifest.bristle,
+        simulated_bristle(manifest),
         manifest.gravity_m_s2,
         float(lowest),
         float(highest),
