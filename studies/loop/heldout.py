@@ -26,7 +26,6 @@ LEAST_GROUPS = 4
 RESAMPLED = 999
 DRAWS = 999
 POINTS = 60
-REPEATS = 99
 FOLDS = 3
 TRIMMED = 1 / 8
 
@@ -39,8 +38,8 @@ class HeldOut:
     largest eighth of the errors; ``rms_sigma`` is the error of all quantities over
     the declared noise.
     ``values``, ``before``, ``after``, ``low``, ``high`` (rows,) in ``unit`` by held-out row of the
-    main quantity. ``log_score_gain`` in nats, cross-validated over all groups, with what the noise
-    of these values could have made of it (90 %)."""
+    main quantity. ``log_score_gain`` in nats, cross-validated over all groups, with its 90 %
+    interval; ``nearer``: squared errors of the same fall."""
 
     groups: tuple[int, ...]
     unit: str
@@ -48,7 +47,6 @@ class HeldOut:
     rms_after: float
     sigma: float
     rms_sigma: float
-    rms_sigma_before: float
     surprise: float
     ratio: float
     reduction_low: float
@@ -57,6 +55,7 @@ class HeldOut:
     log_score_gain: float
     log_score_gain_low: float
     log_score_gain_high: float
+    nearer: bool
     rows: Ints
     values: Array
     before: Array
@@ -111,6 +110,17 @@ def split(problem: Problem, seed: int) -> tuple[Ints, Ints]:
     return groups[~held], groups[held]
 
 
+@dataclass(frozen=True)
+class Gain:
+    """Log score gained, in nats, with its 90 % interval over groups, and whether squared errors
+    fall."""
+
+    total: float
+    low: float
+    high: float
+    nearer: bool
+
+
 class Judge:
     """Scores models on held-out rows, the baseline once."""
 
@@ -137,9 +147,8 @@ class Judge:
             draws=_draws(self.held, final, predicted, noise, rng),
         )
 
-    def gain(self, final: Posterior, before: Posterior | None = None) -> tuple[float, float, float]:
-        """Log score that a model gains over another (the baseline), in nats, and 90 % of what
-        other noise about the same truth would make of it.
+    def gain(self, final: Posterior, before: Posterior | None = None) -> Gain:
+        """What a model gains over another (the baseline) on data that it was not fitted to.
 
         Cross-validated: the held-out groups are scored by the models as they are fitted, and
         each third of the others by models fitted anew without it.
@@ -148,21 +157,23 @@ class Judge:
         two = self.base if before is None else before
         folds = [(self.data, self.held)] if self.held.values.size else []
         labels = np.unique(self.problem.group[self.data.rows])
-        parts = np.array_split(np.random.default_rng([self.seed, 6]).permutation(labels), FOLDS)
         if labels.size >= 2 * FOLDS:
             unit = np.ones(self.problem.values.size)
             unit[self.data.rows] = self.data.unit
-            for part in parts:
+            mixed = np.random.default_rng([self.seed, 6]).permutation(labels)
+            for part in np.array_split(mixed, FOLDS):
                 rest = np.setdiff1d(labels, part)
                 folds.append((sample(self.problem, rest, unit), sample(self.problem, part, unit)))
-        total, drawn = 0.0, np.zeros(REPEATS)
+        each, squares = [np.zeros(0)], np.zeros(2)
         for fitted, scored in folds:
-            each = _gains(fitted, scored, final, two, rng)
-            total, drawn = total + each[0], drawn + each[1:]
-        # the spread of a gain grows with its root, so that of a smaller one is smaller
-        share = np.sqrt(np.clip(total / max(float(drawn.mean()), 1e-9), 0.0, 1.0))
-        low, high = np.quantile(drawn, [0.05, 0.95]) - drawn.mean()
-        return total, total + float(share * low), total + float(share * high)
+            one, other = (_scored(fitted, scored, model, rng) for model in (final, two))
+            each.append(one[0] - other[0])
+            squares += [one[1], other[1]]
+        gains = np.concatenate(each)
+        pick = rng.integers(gains.size, size=(RESAMPLED, gains.size)) if gains.size else None
+        totals = np.zeros(1) if pick is None else gains[pick].sum(axis=1)
+        low, high = np.quantile(totals, [0.05, 0.95])
+        return Gain(float(gains.sum()), float(low), float(high), bool(squares[0] < squares[1]))
 
     def judge(self, final: Posterior) -> HeldOut:
         """Errors of baseline and final model on the held-out rows of the main quantity."""
@@ -183,7 +194,7 @@ class Judge:
         sigma = float(np.sqrt(np.mean((spread[:, mine] * scale) ** 2)))
         error, chance = _trimmed(held.values - score.mean), _trimmed(score.draws - score.mean)
         surprise = (float(np.sum(chance >= error)) + 1.0) / (len(chance) + 1.0)
-        gain = self.gain(final) if final is not self.base else (0.0, 0.0, 0.0)
+        gain = self.gain(final) if final is not self.base else Gain(0.0, 0.0, 0.0, False)
         ends = _reduction(held.group[mine], values - before, values - after, rng)
         return HeldOut(
             groups=tuple(int(g) for g in np.unique(problem.group[held.rows])),
@@ -192,15 +203,15 @@ class Judge:
             rms_after=float(np.sqrt(np.mean((values - after) ** 2))),
             sigma=sigma,
             rms_sigma=float(np.sqrt(np.mean((held.values - score.mean) ** 2))),
-            rms_sigma_before=float(np.sqrt(np.mean((held.values - self.before.mean) ** 2))),
             surprise=surprise,
             ratio=float(error / np.sqrt(np.mean(chance**2))),
             reduction_low=ends[0],
             reduction_high=ends[1],
             coverage_90=float(np.mean(inside)),
-            log_score_gain=gain[0],
-            log_score_gain_low=gain[1],
-            log_score_gain_high=gain[2],
+            log_score_gain=gain.total,
+            log_score_gain_low=gain.low,
+            log_score_gain_high=gain.high,
+            nearer=gain.nearer,
             rows=rows,
             values=values,
             before=before,
@@ -244,32 +255,25 @@ def _mixture(held: Sample, final: Posterior, rng: np.random.Generator) -> tuple[
     return predicted, final.noises.alike(final.fitted.noise, held.noises)
 
 
-def _gains(
-    fitted: Sample, scored: Sample, one: Posterior, two: Posterior, rng: np.random.Generator
-) -> Array:
-    """Log score of ``scored`` rows that one model gains over another, both fitted to ``fitted``
-    rows: of the values, then of `REPEATS` draws from the first model (1 + REPEATS,)."""
-    again = [refitted(fitted, each, rng) for each in (one, two)]
-    (p1, n1), (p2, n2) = (_mixture(scored, each, rng) for each in again)
-    drawn = _draws(scored, again[0], p1, n1, rng)[:REPEATS]
-    values = np.concatenate([scored.values[None], drawn])
-    each = _group_scores(scored, again[0], p1, n1, values)
-    return np.asarray((each - _group_scores(scored, again[1], p2, n2, values)).sum(axis=1))
+def _scored(
+    fitted: Sample, scored: Sample, model: Posterior, rng: np.random.Generator
+) -> tuple[Array, float]:
+    """Log scores (groups,) of ``scored`` rows by a model fitted to ``fitted`` rows, and the sum of
+    its squared errors."""
+    again = refitted(fitted, model, rng)
+    predicted, noise = _mixture(scored, again, rng)
+    error = scored.values - _mean(scored, again)
+    return _group_scores(scored, again, predicted, noise), float(error @ error)
 
 
-def _group_scores(
-    held: Sample, final: Posterior, predicted: Array, noise: int, values: Array
-) -> Array:
-    """Log predictive densities (sets, groups) of values (sets, rows), parameters averaged."""
+def _group_scores(held: Sample, final: Posterior, predicted: Array, noise: int) -> Array:
+    """Log predictive densities (groups,) of the values, parameters averaged."""
     weights = np.asarray(final.fitted.model.weights)
     scale, shape = held.noises.scale[noise], int(held.noises.shape[noise])
-    out = []
-    for each in values:  # all at once they would fill the memory
-        density = log_density_at((each - predicted) / scale, shape) - np.log(scale)
-        by_group = np.add.reduceat(density, held.starts[:-1], axis=-1)
-        by_point = logsumexp(by_group + np.log(weights)[:, None], axis=1)
-        out.append(logsumexp(by_point, axis=0) - np.log(predicted.shape[0]))
-    return np.array(out)
+    density = log_density_at((held.values - predicted) / scale, shape) - np.log(scale)
+    by_group = np.add.reduceat(density, held.starts[:-1], axis=-1)
+    by_point = logsumexp(by_group + np.log(weights)[:, None], axis=1)
+    return np.asarray(logsumexp(by_point, axis=0) - np.log(predicted.shape[0]))
 
 
 def _draws(

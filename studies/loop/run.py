@@ -226,9 +226,9 @@ def _refused(
         return ""
     if held.log_score_gain_low <= 0.0:
         return "the log score of held-out data does not rise"
-    if over is not None and state.judge.gain(found, over)[0] <= 0.0:
+    if over is not None and state.judge.gain(found, over).total <= 0.0:
         return "held-out data are predicted no better than with one effect alone"
-    if np.asarray(found.fitted.model.weights).size == 1 and held.rms_sigma >= held.rms_sigma_before:
+    if np.asarray(found.fitted.model.weights).size == 1 and not held.nearer:
         return "the error on held-out data does not fall"
     if _surprising(held):
         return "held-out data lie farther off than their noise allows"
