@@ -34,10 +34,10 @@ from .table_drops import beam_of, drops_of, its_s
 # All that the paper tried: a fit without an effect does not tell where the effect takes Kn.
 KN_RANGE_N_M = (1e4, 1e8)
 KN_NODES = 49
-EFFECT_KN_NODES = 25
+EFFECT_KN_NODES = 33
 LEAN_KN_NODES = 11
 HEIGHT_NODES = 4
-EFFECT_NODES = 15
+EFFECT_NODES = 17
 LEAN_NODES = 8
 SLOPE_NODES = 6
 SIDE_NODES = 4
