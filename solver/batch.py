@@ -34,6 +34,8 @@ from .time.touchdown import next_touch
 from .touch import STAYING, STEP_LIMIT
 
 TOO_MANY = 5
+# A touch that lasts longer, in seconds and in radians of the mass on its spring, does not end.
+LONGEST_TOUCH_S, LONGEST_TOUCH = 0.01, 20.0
 FAILURES = {
     modal_march.NOT_CONVERGED: "the contact forces did not converge; shorten the ITS",
     modal_march.NOT_FINITE: "the motion is not finite; shorten the ITS",
@@ -224,6 +226,8 @@ def one_drop(
     weight = modes.mass * gravity
     frames, gaps = local_frames(normals, offsets, position, rotation, flyer.places)
     limit = STEP_LIMIT // STAYING if points.law[0] >= PLASTIC else STEP_LIMIT
+    longest = max(LONGEST_TOUCH_S, LONGEST_TOUCH * math.sqrt(modes.mass / points.law[1]))
+    limit = min(limit, int(longest / modes.its) + 1)
     for _ in range(TOUCH_LIMIT):
         if not placed:
             rotation = matrix_of(attitude)

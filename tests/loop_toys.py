@@ -233,6 +233,29 @@ class Shrunk:
         return self.toy.predict(theta) / self.guess
 
 
+@dataclass(frozen=True)
+class Mixed:
+    """A toy whose rows come in another order."""
+
+    toy: Toy
+    order: np.ndarray
+
+    @property
+    def effects(self) -> tuple[str, ...]:
+        return self.toy.effects
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        return self.toy.parameters
+
+    @property
+    def weights(self) -> np.ndarray:
+        return self.toy.weights
+
+    def predict(self, theta: np.ndarray) -> np.ndarray:
+        return self.toy.predict(theta)[..., self.order]
+
+
 def _wider(d: Design) -> Design:
     return Design(d.height * 4, d.order, d.quantity, d.group)
 

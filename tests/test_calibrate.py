@@ -26,7 +26,7 @@ from bristle.studies.calibration.estimate import (
     slope_interval,
 )
 from bristle.studies.data.datasets import read_drops, read_manifest
-from bristle.studies.loop.drops import bench_for
+from bristle.studies.loop.drops import tables_for
 
 pytestmark = pytest.mark.serial
 
@@ -251,7 +251,7 @@ def test_what_a_dataset_leaves_out_is_the_paper_s(folder):
 
 def test_friction_that_is_declared_is_what_drops_are_simulated_with(folder):
     drops = read_drops(folder(GOOD, "[contact]\nfriction = 0.0\n"))
-    assert bench_for(drops.y0_m, drops).friction == 0.0
+    assert tables_for(drops.y0_m, drops).bench.friction == 0.0
 
 
 def test_optional_columns_and_units(folder):

@@ -197,7 +197,7 @@ def test_a_direction_that_data_cannot_see_is_named(quick, tmp_path):
     ("table", "words"),
     [
         ("drop,y0_mm,y1_mm\n1,10,6\n2,20,x\n3,30,19\n", "drops.csv:3: y1_mm is no number: 'x'"),
-        ("drop,y0_mm,y1_mm\n1,10,6\n2,20,13\n3,30,19\n", "the loop needs six or more"),
+        ("drop,y0_mm,y1_mm\n1,10,6\n2,20,13\n3,30,19\n", "the loop needs four or more"),
         (None, "drops.csv: no such file"),
     ],
 )

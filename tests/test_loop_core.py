@@ -1,36 +1,34 @@
 """Is the loop's statistical core calibrated, and does it find what is in a toy problem?"""
 
+import itertools
 import json
 from dataclasses import replace
 
-import loop_rates
 import loop_toys as toys
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from scipy import stats
 
-from bristle.studies.loop.attribute import classes
-from bristle.studies.loop.detect import detect, kept_noises, refit, shared_noise, simulate
-from bristle.studies.loop.family import corrected, family, p_values
+from bristle.studies.loop.adequacy import assess, corrected, p_values
 from bristle.studies.loop.finding import Finding, Verdict
 from bristle.studies.loop.fit import fit, settle, to_box, to_theta
 from bristle.studies.loop.heldout import split
-from bristle.studies.loop.ladder import ladder
-from bristle.studies.loop.noise import log_density
+from bristle.studies.loop.noise import MOST_SCALE, log_density
 from bristle.studies.loop.posterior import posterior
 from bristle.studies.loop.problem import Problem
+from bristle.studies.loop.profile import classes, directions, profile
+from bristle.studies.loop.residuals import quantile_residuals
 from bristle.studies.loop.run import find, pieces
 from bristle.studies.loop.sample import Sample, sample
+from bristle.studies.loop.search import fit_baseline
 
 pytestmark = pytest.mark.serial
 
 
 def whole(problem: Problem) -> Sample:
     return sample(problem, np.unique(problem.group))
-
-
-def started(problem: Problem, data: Sample):
-    return settle(data, problem.baseline, np.array([[0.5], [0.2], [0.8]]))
 
 
 def test_noise_densities_integrate_to_one():
@@ -106,14 +104,36 @@ def test_directions_that_data_do_not_see_are_named():
     assert found.unseen == ("clock",)
 
 
-def test_size_of_a_ladder_is_the_projected_norm():
+def test_size_of_a_profile_is_the_projected_norm():
     problem, amounts = toys.problem(5, {"adhesion": 8.0})
     data = whole(problem)
-    base, _ = started(problem, data)
+    base = fit_baseline(data, problem.baseline)
     model = next(m for m in problem.candidates if m.effects == ("adhesion",))
-    rungs = ladder(data, base, model)
-    d = np.interp(amounts["adhesion"], rungs.u[:, 1] * 200.0, rungs.d)
-    assert d == pytest.approx(8.0, rel=0.02)
+    found = profile(data, base, model)
+    d = np.exp(np.interp(np.log(amounts["adhesion"]), np.log(found.size), np.log(found.d)))
+    assert d == pytest.approx(8.0, rel=0.05)
+    assert found.magnitude(d) == pytest.approx(amounts["adhesion"], rel=1e-6)
+
+
+def test_quantile_residuals_of_chance_are_normal():
+    """Rows of a group share its chance: each, given those before it, is a normal deviate."""
+    problem, amounts = toys.problem(1, {"slope": 6.0}, drops=480, quantities=3)
+    data = whole(problem)
+    model = next(m for m in problem.candidates if m.effects == ("slope",))
+    theta = np.array([amounts["kn"], amounts["slope"]])
+    z = quantile_residuals(data.values, data.predict(model, theta), model.weights, data.starts)
+    assert stats.kstest(z, "norm").pvalue > 0.01
+    same = [np.corrcoef(z[data.kind == i], z[data.kind == j])[0, 1] for i, j in ((0, 1), (1, 2))]
+    assert np.abs(same).max() < 4 / np.sqrt(480)
+
+
+def test_no_residual_is_too_large_for_its_quantile():
+    weights, starts = np.full(3, 1 / 3), np.array([0, 1])
+    predicted = np.array([[-1.0], [0.0], [1.0]])
+    for value in (40.0, 600.0, -600.0):
+        z = quantile_residuals(np.array([value]), predicted, weights, starts)[0]
+        # far out the nearest node alone counts: its distance, less a little for its share
+        assert z == pytest.approx(value - np.sign(value), abs=0.05)
 
 
 def test_held_out_groups_are_a_quarter_at_every_height():
@@ -142,70 +162,99 @@ def test_smallest_p_value_is_corrected_for_all_tests():
     assert stats.kstest(found, "uniform").pvalue > 0.01
 
 
-def test_detection_is_uniform_where_nothing_is_missing():
-    """Values drawn from one fitted baseline: every p-value from 0 to 1 is as likely."""
+def test_goodness_of_fit_is_uniform_where_nothing_is_missing():
+    """Values drawn from the baseline, fitted anew: every p-value from 0 to 1 is as likely."""
     problem, _ = toys.problem(2, drops=24)
     data = whole(problem)
-    base, _ = started(problem, data)
-    few = [m for m in problem.candidates if m.effects[0] in ("drag", "wear", "plastic", "adhesion")]
-    ladders = [ladder(data, base, m) for m in few]
-    shares = np.zeros(data.noises.scale.size)
-    shares[0] = 1.0
+    base = fit_baseline(data, problem.baseline)
+    few = [m for m in problem.candidates if m.effects[0] in ("drag", "wear", "plastic", "slope")]
+    ways = directions(data, base, [profile(data, base, m) for m in few])
     rng = np.random.default_rng(1)
     found = []
-    for _ in range(200):
-        values = simulate(data, base, shares, kept_noises(data, shares), 1, rng)[0]
-        # Only the values change: the tangent and the ladders are those of the truth.
-        each = detect(replace(data, values=values), base, shares, ladders, rng, 0.05, sets=199)
-        found.append(each.p_value)
-    assert stats.kstest(found, "uniform").pvalue > 0.01
+    for _ in range(120):
+        drawn = replace(data, values=base.mean + rng.standard_normal(data.values.size))
+        again = settle(drawn, problem.baseline, base.u[None])
+        found.append(assess(drawn, again, ways, rng, sets=199).p_value)
+    # a noise that may be odd or somewhat larger makes the tests err toward silence
+    assert stats.kstest(found, "uniform", alternative="greater").pvalue > 0.01
+
+
+def _p_of(problem: Problem) -> float:
+    data = whole(problem)
+    base = fit_baseline(data, problem.baseline)
+    return assess(data, base, [], np.random.default_rng(0)).p_value
+
+
+@pytest.mark.parametrize("shape", ["level", "band", "third", "half", "wave"])
+def test_a_worse_model_has_no_larger_p_value(shape):
+    problem, _ = toys.problem(3, quantities=1)
+    height, order = problem.covariates["height"], problem.covariates["order"]
+    rng = np.random.default_rng(5)
+    field = {
+        "level": 1.0 + 0.0 * height,
+        "band": (height == 30.0).astype(float),
+        "third": (order % 3 == 0).astype(float),
+        "half": (rng.random(height.size) < 0.5).astype(float),
+        "wave": np.sin(order / 4.0),
+    }[shape]
+    found = [
+        _p_of(replace(problem, values=problem.values + amount * field))
+        for amount in (0.0, 2.0, 4.0, 8.0, 30.0, 200.0, 2000.0)
+    ]
+    # a p-value from 599 drawn sets has this simulation error
+    for less, more in itertools.pairwise(found):
+        assert more <= less + 3 * np.sqrt(max(less, 1 / 600) / 599)
+    assert max(found[3:]) < 1e-3
+
+
+def test_noise_that_is_odd_may_not_be_large():
+    """Of whatever is left, the noise takes no more than its bounds allow."""
+    problem, _ = toys.problem(3, quantities=1)
+    grid = whole(problem).noises
+    assert grid.scale.max() <= MOST_SCALE
+    assert grid.scale[grid.correlation != 0].max() <= 1.1
+    rng = np.random.default_rng(0)
+    for which in range(grid.scale.size):
+        drawn = grid.draw(np.full(400, which), rng)
+        assert np.quantile(np.abs(drawn), 0.9) < 1.5 * 1.645
 
 
 def test_effects_that_look_alike_are_one_class():
     problem, _ = toys.problem(0)
     data = whole(problem)
-    base, _ = started(problem, data)
-    found = classes(data, base, [ladder(data, base, m) for m in problem.candidates])
+    base = fit_baseline(data, problem.baseline)
+    found = classes([profile(data, base, m) for m in problem.candidates])
     assert any({"dashpot", "rayleigh"} <= set(c) for c in found)
     # Of opposite sense, or another way with height: not alike.
     assert not any({"dashpot", "wear"} <= set(c) or {"slope", "phases"} <= set(c) for c in found)
 
 
-def test_heavy_tails_and_correlation_are_recognised():
-    problem, _ = toys.problem(4, how="ar1", drops=96)
-    data = whole(problem)
-    base, _ = started(problem, data)
-    shares, _ = shared_noise(data, base, [])
-    assert shares @ (data.noises.correlation > 0) > 0.9
-    problem, _ = toys.problem(4, how="outliers", drops=96)
-    data = whole(problem)
-    base, _ = started(problem, data)
-    shares, _ = shared_noise(data, base, [])
-    assert shares @ (data.noises.shape > 0) > 0.9
-
-
-def test_refit_leaves_nothing_along_the_tangent():
-    problem, _ = toys.problem(0)
-    data = whole(problem)
-    base, _ = started(problem, data)
-    rng = np.random.default_rng(0)
-    found = refit(data, rng.standard_normal((5, data.values.size)), base.mean_slopes, np.array([0]))
-    np.testing.assert_allclose(found.residual @ base.mean_slopes, 0.0, atol=1e-6)
-    assert family(data)(found.standard).shape == (5, len(family(data).names))
+def test_heavy_tails_and_correlation_are_findings_about_the_noise():
+    found = [find(toys.problem(4, how="ar1", drops=96)[0], 4).noise]
+    assert found[0]["correlation"] > 0
+    assert "correlated" in found[0]["finding"]
+    found.append(find(toys.problem(4, how="outliers", drops=96)[0], 4).noise)
+    assert "tails" in found[1]["finding"]
 
 
 def test_posterior_intervals_match_the_linear_theory():
     problem, _ = toys.problem(6, {"wear": 10.0})
     data = whole(problem)
-    base, shares = started(problem, data)
+    plain = replace(
+        data.noises,
+        **{
+            name: getattr(data.noises, name)[:1]
+            for name in ("shape", "scale", "correlation", "prior", "before", "stretch", "constant")
+        },
+    )
+    data = replace(data, noises=plain)
     model = next(m for m in problem.candidates if m.effects == ("wear",))
-    fitted, shares = settle(data, model, np.array([[0.5, 0.5]]))
-    alone = np.zeros_like(shares)
-    alone[0] = 1.0
-    found = posterior(data, base, fitted, alone, np.random.default_rng(0))
+    fitted = fit(data, model, np.array([[0.5, 0.5]]), 0)
+    found = posterior(data, fitted, 1, np.random.default_rng(0))
     low, high = found.interval(1)
     sd = 400 * np.sqrt(np.linalg.inv(fitted.information)[1, 1])
     assert (high - low) / (2 * 1.645 * sd) == pytest.approx(1.0, abs=0.15)
+    assert low < found.median(1) < high
 
 
 @pytest.fixture(scope="module")
@@ -234,13 +283,15 @@ def test_the_same_seed_gives_the_same_finding(named):
 
 
 def test_held_out_values_take_no_part(named):
-    """Whatever the held-out drops measured, what is fitted and chosen stays to the bit."""
+    """Whatever the held-out drops measured, what is fitted stays to the bit."""
     problem, _ = toys.problem(1, {"plastic": 12.0})
     held = np.isin(problem.group, named.held_out.groups)
     spoiled = replace(problem, values=np.where(held, 1e3, problem.values))
     found = find(spoiled, seed=1)
-    assert found.parameters == named.parameters
-    assert (found.verdict, found.p_value) == (named.verdict, named.p_value)
+    assert found.p_value == named.p_value
+    assert [e.theta for e in found.evidences] == [e.theta for e in named.evidences]
+    # and a model that fails on them holds no longer
+    assert found.verdict is Verdict.UNKNOWN
 
 
 def test_error_on_held_out_drops_falls():
@@ -271,7 +322,7 @@ def test_two_effects_are_found_together():
 
 
 def test_scatter_is_told_from_noise():
-    found = find(toys.problem(2, {"slope": 14.0})[0], seed=2)
+    found = find(toys.problem(2, {"slope": 20.0})[0], seed=2)
     assert found.effects[:1] == ("slope",)
 
 
@@ -282,41 +333,82 @@ def test_a_step_and_an_alternation_in_order_are_unknown(name):
     assert verdicts.count(Verdict.UNKNOWN) >= 2
 
 
-def test_scatter_beyond_the_declared_sigma_is_missing_something():
-    found = find(toys.problem(2, how="double", quantities=3)[0], seed=2)
+def test_scatter_far_beyond_the_declared_sigma_is_missing_something():
+    problem, _ = toys.problem(2, quantities=3)
+    scattered = 1.5 * np.random.default_rng(0).standard_normal(problem.values.size)
+    found = find(replace(problem, values=problem.values + 2.0 * scattered), seed=2)
     assert found.verdict is Verdict.UNKNOWN
-    assert found.noise["scale"] <= 1.1
+    assert found.noise["scale"] <= MOST_SCALE
     free = find(toys.problem(2, how="double", declared=False)[0], seed=2)
     assert free.verdict is Verdict.ADEQUATE
+
+
+def test_half_a_sigma_makes_no_misfit_smaller():
+    problem, _ = toys.problem(3, unlisted=("bump", 10.0))
+    halved = replace(
+        problem,
+        values=2 * problem.values,
+        scale=problem.scale / 2,
+        baseline=toys.Shrunk(problem.baseline, 0.5),
+        candidates=[toys.Shrunk(m, 0.5) for m in problem.candidates],
+        combine=lambda names: toys.Shrunk(problem.combine(names), 0.5),
+    )
+    assert find(halved, 3).p_value <= find(problem, 3).p_value
+    assert find(halved, 3).verdict is Verdict.UNKNOWN
+
+
+def test_names_and_order_of_rows_change_nothing(named):
+    problem, _ = toys.problem(1, {"plastic": 12.0})
+    mixed = np.random.default_rng(0).permutation(problem.values.size)
+
+    def moved(model):
+        return toys.Mixed(model, mixed)
+
+    again = find(
+        replace(
+            problem,
+            values=problem.values[mixed],
+            scale=problem.scale[mixed],
+            quantity=problem.quantity[mixed],
+            group=problem.group[mixed],
+            covariates={name: x[mixed] for name, x in problem.covariates.items()},
+            baseline=moved(problem.baseline),
+            candidates=[moved(m) for m in problem.candidates],
+            combine=lambda names: moved(problem.combine(names)),
+            experiments=(),
+        ),
+        seed=1,
+    )
+    assert (again.verdict, again.effects) == (named.verdict, named.effects)
+    assert again.p_value == pytest.approx(named.p_value, rel=0.5, abs=0.01)
+
+
+@settings(max_examples=12, deadline=None)
+@given(
+    seed=st.integers(0, 10**6),
+    shape=st.sampled_from(["level", "gain", "band", "random", "curve"]),
+    size=st.floats(4.0, 60.0),
+)
+def test_nothing_grossly_wrong_is_adequate(seed, shape, size):
+    """Whatever the misfit: held-out errors beyond the noise, or intervals that miss, are told."""
+    problem, _ = toys.problem(seed, quantities=1)
+    height, rng = problem.covariates["height"], np.random.default_rng(seed)
+    field = {
+        "level": np.ones_like(height),
+        "gain": height / 50.0,
+        "band": (np.abs(height - rng.uniform(10, 50)) < 8).astype(float),
+        "random": rng.choice([-1.0, 1.0], height.size),
+        "curve": np.cos(height / rng.uniform(3, 12)),
+    }[shape]
+    found = find(replace(problem, values=problem.values + size * field), seed)
+    if found.verdict is Verdict.ADEQUATE:
+        held = found.held_out
+        assert held.ratio <= 1.5
+        assert held.coverage_90 >= 0.6
+        assert np.median(np.abs(held.values - held.after)) <= 1.5 * 0.6745 * 0.1 * MOST_SCALE
 
 
 @pytest.mark.parametrize("how", ["ar1", "t3 scaled", "outliers"])
 def test_wrong_noise_is_no_effect(how):
     verdicts = [find(toys.problem(s, how=how)[0], seed=s).verdict for s in range(4)]
     assert verdicts.count(Verdict.ADEQUATE) >= 3
-
-
-def within(rate: float, count: int, low: float, high: float) -> bool:
-    """Whether an exact 99 % interval of a rate meets the range asked for."""
-    k = round(rate * count)
-    interval = stats.binomtest(k, count).proportion_ci(0.99)
-    return interval.high >= low and interval.low <= high
-
-
-@pytest.mark.campaign
-@pytest.mark.timeout(7200)
-def test_rates_over_many_datasets():
-    count = 200
-    rates = loop_rates.table(count, list(loop_rates.ROWS))
-    for row in ("clean", "clean, 3 quantities", "clean, 1 quantity", "clean, sigma free"):
-        assert within(rates[row]["adequate"], count, 0.95, 1.0), row
-    for row in ("clean, ar1", "clean, t3 scaled", "clean, outliers"):
-        assert within(rates[row]["adequate"], count, 0.92, 1.0), row
-    for row in ("single d=8", "single d=8, 3 quantities"):
-        assert within(rates[row]["in set"], count, 0.95, 1.0), row
-        assert within(rates[row]["first"], count, 0.9, 1.0), row
-        assert within(rates[row]["unknown"], count, 0.0, 0.05), row
-        assert rates[row]["recovered"] >= 0.8
-    assert within(rates["unlisted d=8"]["unknown"], count, 0.85, 1.0)
-    assert within(rates["unlisted d=16"]["unknown"], count, 0.95, 1.0)
-    assert within(rates["pair d=8 + 8"]["classes in set"], count, 0.7, 1.0)

@@ -149,7 +149,7 @@ def test_bounds_hold_what_tables_cover():
 
 
 def test_effects_of_an_elastic_or_leaning_body_are_not_carried():
-    names = carried(MARBLE, times=True)
+    names = carried(MARBLE)
     assert set(names) <= set(EFFECTS)
     assert set(EFFECTS) - set(names) == {
         "material_damping",
@@ -158,7 +158,7 @@ def test_effects_of_an_elastic_or_leaning_body_are_not_carried():
         "bristle_tilt",
         "surface_slope",
     }
-    assert set(names) - set(carried(RigidMass(0.005), times=False)) == {"air_drag", "clock_error"}
+    assert set(names) - set(carried(RigidMass(0.005))) == {"air_drag"}
 
 
 def write(folder, body, kind="drops", rows=4):

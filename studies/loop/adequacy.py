@@ -112,7 +112,7 @@ def assess(
     single, simulated = p_values(values[0], values[1:])
     p_value, least = corrected(single, simulated)
     threshold = float(np.quantile(least, 0.02))
-    unlisted, shape = _best_shape(data, z, shapes)
+    unlisted, shape = _best_shape(data, z, z - tangent @ (absorbed @ z), shapes)
     return Adequacy(
         p_value=p_value,
         statistic=names[int(np.argmin(single))],
@@ -181,6 +181,7 @@ def _family(
         linear(f"trend with {name}", shapes[degree == 1], np.ones(int(np.sum(degree == 1))))
         if degree.max() > 1:
             linear(f"smooth in {name}", shapes[degree > 1], degree[degree > 1].astype(float))
+            listed[f"any function of {name}"] = Shapes(_unit(shapes, project)[0], True)
         bands = _bands(x)
         linear(f"band of {name}", np.concatenate([bands * each for each in every]))
         _scattered(out, name, shapes[degree == 1].sum(axis=0), bands)
@@ -216,20 +217,26 @@ def _family(
     return out, listed
 
 
-def _best_shape(data: Sample, z: Array, listed: Mapping[str, Shapes]) -> tuple[float, str]:
-    """Log evidence and name of the shape that explains residuals (rows,) best by itself, with the
-    noise that suits what it leaves."""
+def _best_shape(
+    data: Sample, z: Array, free: Array, listed: Mapping[str, Shapes]
+) -> tuple[float, str]:
+    """Log evidence and name of the shape that explains residuals best by itself, with the noise
+    that suits what it leaves.
+
+    ``z`` (rows,) are the residuals, ``free`` (rows,) those after a refit by least squares, which is
+    what a shape is fitted beside: a robust fit follows most of the rows and leaves the others.
+    """
     names, left, costs = [], [z], [0.0]
     for name, shapes in listed.items():
-        loads = shapes.unit @ z
+        loads = shapes.unit @ free
         names.append(name)
         if shapes.together:
             basis, _ = np.linalg.qr(shapes.unit.T)
-            left.append(z - basis @ (basis.T @ z))
+            left.append(free - basis @ (basis.T @ free))
             costs.append(OCCAM * len(shapes.unit))
         else:
             best = int(np.argmax(np.abs(loads)))
-            left.append(z - loads[best] * shapes.unit[best])
+            left.append(free - loads[best] * shapes.unit[best])
             costs.append(OCCAM + float(np.log(len(loads))))
     waves = sum(name.startswith("wave ") for name in names)
     costs = [

@@ -114,9 +114,9 @@ class BounceModel:
 
         scale, offset = 1.0 + value("scale_error"), value("height_offset")
         height = np.maximum(drops.y0_m / scale - offset, 1e-5)
-        drag = 0.5 * AIR_KG_M3 * bench.bristle.section.area_m2 * value("air_drag")
+        drag = 0.5 * AIR_KG_M3 * bench.plain().front_m2 * value("air_drag")
         same = fallen(
-            height, bench.gravity_m_s2, value("release_velocity"), drag / bench.bristle.mass_kg
+            height, bench.gravity_m_s2, value("release_velocity"), drag / bench.body.mass_kg
         )
         decades = value("wear") * (drops.order / WEAR_DROPS)
         decades = decades + value("surface_phases") * nodes[:, :1]
@@ -139,7 +139,7 @@ class BounceModel:
             height_m=height,
             same_m=same,
             speed_m_s=np.asarray(value("release_velocity")),
-            drag_1_m=np.asarray(drag / bench.bristle.mass_kg),
+            drag_1_m=np.asarray(drag / bench.body.mass_kg),
             kn_N_m=kn,
             scale=np.asarray(scale),
             offset_m=np.asarray(offset),

@@ -15,7 +15,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ...solver.bristle import Array
+from ...solver.bristle import Array, RigidMass
 from ...solver.effects.base import Parameter
 from ...solver.effects.library import EFFECTS
 from ...solver.errors import InputError
@@ -27,6 +27,7 @@ from .drops_experiments import experiments
 from .noise import Ints
 from .problem import Problem
 from .response import KN_RANGE_N_M, Bench, Tables
+from .rigid_bench import RigidBench, RigidTables, around
 
 KIND = "drops"
 # A contact stiffness that is declared is taken as known to this share.
@@ -43,7 +44,8 @@ def drops_problem(data: datasets.Drops) -> Problem:
     """The problem of a dataset of drops. Raises InputError where it cannot be one."""
     manifest = data.manifest
     measured, sigmas, notes = _measured(data)
-    bench = bench_for(data.y0_m, data)
+    tables = tables_for(data.y0_m, data)
+    bench = tables.bench
     drops = Drops(bench, data.y0_m, data.drop - data.drop[0], tuple(measured))
     values = np.stack([measured[q] for q in drops.quantities], axis=1)
     keep = np.asarray(np.isfinite(values).all(axis=1))
@@ -51,7 +53,7 @@ def drops_problem(data: datasets.Drops) -> Problem:
         drops = replace(drops, y0_m=drops.y0_m[keep], order=drops.order[keep])
         values = values[keep]
     unwhitened = np.eye(len(measured))[None].repeat(len(values), 0)
-    tables, kn, beta = Tables(bench), stiffness(manifest.kn_N_m, bench), damping(manifest)
+    kn, beta = stiffness(manifest.kn_N_m, bench), damping(manifest)
     bare = DropModel(drops, tables, kn, (), unwhitened, beta=beta)
     sigma = np.array([sigmas[q] for q in drops.quantities])
     start = _start(bare, values, sigma)
@@ -80,11 +82,14 @@ def drops_problem(data: datasets.Drops) -> Problem:
         candidates=[
             model((name,))
             for name in carried(KIND, drops.quantities)
-            if beta is None or name != "material_damping"
+            if bench.carries(name) and (beta is None or name != "material_damping")
         ],
         combine=model,
         experiments=experiments(drops, sigmas, proposed),
-        confirm=lambda effects, theta, groups: _solid(model(effects), theta, groups, number),
+        confirm=None
+        if bench.no_solid
+        else lambda effects, theta, groups: _solid(model(effects), theta, groups, number),
+        confirm_why=bench.no_solid,
         sigma_declared=data.sigma_y_m is not None,
         notes=notes,
     )
@@ -125,25 +130,37 @@ def stiffness(declared_N_m: float | None, bench: Bench) -> Parameter:
 
 def damping(manifest: Manifest) -> Parameter | None:
     """β as a free parameter of the baseline where a body is described without it, else None."""
-    if not manifest.declared or "damping_beta_s" in manifest.declared:
+    if manifest.damping_declared or isinstance(manifest.body, RigidMass):
         return None
     return replace(EFFECTS["material_damping"].parameters[0], null=BETA_UNKNOWN_S)
 
 
-def bench_for(y0_m: Array, data: datasets.Drops) -> Bench:
-    """Where the tables are made: heights rounded outward, so that others can use them again."""
+def heights_about(y0_m: Array) -> tuple[float, float]:
+    """Powers of two, in mm, that hold heights (drops,) and what effects make of them."""
+    low = math.floor(math.log2(0.7 * 1e3 * float(y0_m.min())))
+    high = math.ceil(math.log2(1.15 * 1e3 * float(y0_m.max())))
+    return 1e-3 * 2.0**low, 1e-3 * 2.0**high
+
+
+def tables_for(y0_m: Array, data: datasets.Drops) -> Tables:
+    """Tables of the body's drops: heights rounded outward, so that others can use them again."""
     manifest = data.manifest
-    step = 0.005
-    lowest = max(step * math.floor(0.6 * float(y0_m.min()) / step), 0.002)
-    highest = step * math.ceil(1.25 * float(y0_m.max()) / step)
+    lowest, highest = heights_about(y0_m)
+    if isinstance(manifest.body, RigidMass):
+        kns = around(manifest.kn_N_m)
+        return RigidTables(
+            RigidBench(manifest.body, manifest.gravity_m_s2, lowest, highest, kns, friction=0.0)
+        )
     bristle = manifest.bristle
     if damping(manifest) is not None:
         bristle = replace(bristle, material=replace(bristle.material, beta_s=BETA_UNKNOWN_S))
     low, high = KN_RANGE_N_M
     if manifest.kn_N_m is not None:
         low, high = min(low, manifest.kn_N_m / 10.0), max(high, 10.0 * manifest.kn_N_m)
-    return Bench(
-        bristle, manifest.gravity_m_s2, lowest, highest, (low, high), friction=manifest.friction
+    return Tables(
+        Bench(
+            bristle, manifest.gravity_m_s2, lowest, highest, (low, high), friction=manifest.friction
+        )
     )
 
 
@@ -166,7 +183,7 @@ def _measured(
         measured[q], sigmas[q] = values, float(declared[key])
     if len(data.y1_m) < LEAST_DROPS:
         raise InputError(
-            f"{data.manifest.table()}: {len(data.y1_m)} drops; the loop needs six or more"
+            f"{data.manifest.table()}: {len(data.y1_m)} drops; the loop needs four or more"
         )
     return measured, sigmas, notes
 

@@ -278,8 +278,15 @@ def likely_noise(data: Sample, fitted: Fitted) -> tuple[int, float, Array]:
 
 
 def settle(data: Sample, model: Model, starts: Array) -> Fitted:
-    """Fit under a robust noise, choose the likeliest noise, fit again."""
-    fitted = fit(data, model, starts, data.noises.robust())
+    """Fit as if the noise were normal, then choose the likeliest noise and fit again.
+
+    Under a normal noise the likelihood has no plateaus far from the data, where a robust one is
+    lost; outliers are seen to afterwards.
+    """
+    fitted = fit(data, model, starts, 0)
+    robust = fit(data, model, fitted.u, data.noises.robust())
+    if likely_noise(data, robust)[1] > likely_noise(data, fitted)[1]:
+        fitted = robust
     for _ in range(2):
         best = likely_noise(data, fitted)[0]
         if best == fitted.noise:

@@ -18,15 +18,16 @@ from scipy.special import logsumexp
 
 from ...solver.bristle import Array
 from .noise import Ints, log_density_at
-from .posterior import Posterior
+from .posterior import Posterior, refitted
 from .problem import Problem
-from .sample import HEIGHT, Sample
+from .sample import HEIGHT, Sample, sample
 
 LEAST_GROUPS = 4
 RESAMPLED = 999
 DRAWS = 999
 POINTS = 60
 REPEATS = 99
+FOLDS = 3
 TRIMMED = 1 / 8
 
 
@@ -38,8 +39,8 @@ class HeldOut:
     largest eighth of the errors; ``rms_sigma`` is the error of all quantities over
     the declared noise.
     ``values``, ``before``, ``after``, ``low``, ``high`` (rows,) in ``unit`` by held-out row of the
-    main quantity. ``log_score_gain`` in nats of all held-out rows, with what the noise of these
-    values could have made of it (90 %)."""
+    main quantity. ``log_score_gain`` in nats, cross-validated over all groups, with what the noise
+    of these values could have made of it (90 %)."""
 
     groups: tuple[int, ...]
     unit: str
@@ -113,8 +114,11 @@ def split(problem: Problem, seed: int) -> tuple[Ints, Ints]:
 class Judge:
     """Scores models on held-out rows, the baseline once."""
 
-    def __init__(self, problem: Problem, held: Sample, base: Posterior, seed: int) -> None:
-        self.problem, self.held, self.base, self.seed = problem, held, base, seed
+    def __init__(
+        self, problem: Problem, data: Sample, held: Sample, base: Posterior, seed: int
+    ) -> None:
+        self.problem, self.data, self.held = problem, data, held
+        self.base, self.seed = base, seed
         self._before: Score | None = None
 
     @property
@@ -135,20 +139,26 @@ class Judge:
 
     def gain(self, final: Posterior, before: Posterior | None = None) -> tuple[float, float, float]:
         """Log score that a model gains over another (the baseline), in nats, and 90 % of what
-        other noise about the same truth would make of it."""
+        other noise about the same truth would make of it.
+
+        Cross-validated: the held-out groups are scored by the models as they are fitted, and
+        each third of the others by models fitted anew without it.
+        """
         rng = np.random.default_rng([self.seed, 4])
-        one = final
         two = self.base if before is None else before
-        if not self.held.values.size:
-            return 0.0, 0.0, 0.0
-        p1, n1 = _mixture(self.held, one, rng)
-        p2, n2 = _mixture(self.held, two, rng)
-        values = np.concatenate(
-            [self.held.values[None], _draws(self.held, one, p1, n1, rng)[:REPEATS]]
-        )
-        each = _group_scores(self.held, one, p1, n1, values)
-        each -= _group_scores(self.held, two, p2, n2, values)
-        total, drawn = float(each[0].sum()), each[1:].sum(axis=1)
+        folds = [(self.data, self.held)] if self.held.values.size else []
+        labels = np.unique(self.problem.group[self.data.rows])
+        parts = np.array_split(np.random.default_rng([self.seed, 6]).permutation(labels), FOLDS)
+        if labels.size >= 2 * FOLDS:
+            unit = np.ones(self.problem.values.size)
+            unit[self.data.rows] = self.data.unit
+            for part in parts:
+                rest = np.setdiff1d(labels, part)
+                folds.append((sample(self.problem, rest, unit), sample(self.problem, part, unit)))
+        total, drawn = 0.0, np.zeros(REPEATS)
+        for fitted, scored in folds:
+            each = _gains(fitted, scored, final, two, rng)
+            total, drawn = total + each[0], drawn + each[1:]
         # the spread of a gain grows with its root, so that of a smaller one is smaller
         share = np.sqrt(np.clip(total / max(float(drawn.mean()), 1e-9), 0.0, 1.0))
         low, high = np.quantile(drawn, [0.05, 0.95]) - drawn.mean()
@@ -232,6 +242,19 @@ def _mixture(held: Sample, final: Posterior, rng: np.random.Generator) -> tuple[
     pick = rng.choice(final.weights.size, size=POINTS, p=final.weights)
     predicted = held.predict(final.fitted.model, final.theta[pick])
     return predicted, final.noises.alike(final.fitted.noise, held.noises)
+
+
+def _gains(
+    fitted: Sample, scored: Sample, one: Posterior, two: Posterior, rng: np.random.Generator
+) -> Array:
+    """Log score of ``scored`` rows that one model gains over another, both fitted to ``fitted``
+    rows: of the values, then of `REPEATS` draws from the first model (1 + REPEATS,)."""
+    again = [refitted(fitted, each, rng) for each in (one, two)]
+    (p1, n1), (p2, n2) = (_mixture(scored, each, rng) for each in again)
+    drawn = _draws(scored, again[0], p1, n1, rng)[:REPEATS]
+    values = np.concatenate([scored.values[None], drawn])
+    each = _group_scores(scored, again[0], p1, n1, values)
+    return np.asarray((each - _group_scores(scored, again[1], p2, n2, values)).sum(axis=1))
 
 
 def _group_scores(

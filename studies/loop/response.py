@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from pathlib import Path
@@ -19,8 +19,8 @@ from typing import ClassVar
 import numpy as np
 
 from ...solver import paper
-from ...solver.bristle import Array, Bristle
-from ...solver.contact.laws import Adhesive, Damped, Linear, Plastic
+from ...solver.bristle import Array, Bristle, RigidMass
+from ...solver.contact.laws import Adhesive, ContactLaw, Damped, Linear, Plastic
 from ...solver.effects import library
 from ...solver.effects.base import Parameter, Scene
 from ...solver.effects.library import EFFECTS
@@ -58,6 +58,10 @@ MADE_BY = (
 )
 
 
+# A contact law of a stiffness and one more value.
+Law = Callable[[float, float], ContactLaw]
+
+
 def reference(
     height_m: Array | float, kn_N_m: Array | float, mass_kg: float, gravity_m_s2: float
 ) -> Array:
@@ -72,11 +76,12 @@ class Bench:
     """Where tables are made: the body, gravity and friction (None where nobody knows it), and the
     heights to cover.
 
-    Data that show other quantities of a drop have a bench that overrides `seen` and `reference`,
-    and names its own source in ``made_by``; ``shows_falls`` says that they show how it fell.
+    Data that show other quantities of a drop, or drops of another body, have a bench that overrides
+    `seen` and `reference`, and names its own source in ``made_by``; ``shows_falls`` says that they
+    show how it fell, ``no_solid`` why no 3-D model of the body is.
     """
 
-    bristle: Bristle
+    body: Bristle | RigidMass
     gravity_m_s2: float
     lowest_m: float
     highest_m: float
@@ -84,6 +89,17 @@ class Bench:
     friction: float | None = paper.FRICTION
     made_by: ClassVar[tuple[Path, ...]] = MADE_BY
     shows_falls: ClassVar[bool] = False
+    no_solid: ClassVar[str] = ""
+
+    @property
+    def bristle(self) -> Bristle:
+        """The body, which has to be elastic."""
+        assert isinstance(self.body, Bristle)
+        return self.body
+
+    def carries(self, name: str) -> bool:
+        """Whether drops of this body can have the effect."""
+        return True
 
     def seen(self, scenes: Sequence[Scene], its: float, friction: float) -> Array:
         """Three positive quantities of drops of these scenes (scenes, quantities); NaN for one that
@@ -93,7 +109,11 @@ class Bench:
 
     def reference(self, height_m: Array, kn_N_m: Array) -> Array:
         """What the quantities (quantities, ...) are measured by."""
-        return reference(height_m, kn_N_m, self.bristle.mass_kg, self.gravity_m_s2)
+        return reference(height_m, kn_N_m, self.body.mass_kg, self.gravity_m_s2)
+
+    def step_s(self, kn_N_m: float) -> float:
+        """The ITS that resolves a contact of this stiffness."""
+        return its_s(self.bristle, kn_N_m)
 
     def of_drops(self) -> Bench:
         """The same place for plain drops, whatever this bench shows."""
@@ -143,7 +163,7 @@ class Bench:
             height, kn, *point = (float(each[i]) for each, i in zip(nodes, index, strict=True))
             plain = replace(self.plain(), height_m=height, law=Linear(kn))
             scene = change(plain, tuple(point))
-            its = its_s(self.bristle, kn) * (1.0 if friction is None else LEAN_STEP)
+            its = self.step_s(kn) * (1.0 if friction is None else LEAN_STEP)
             key = (its, scene.beta_s, scene.loss_factor)
             batches.setdefault(key, []).append((index, scene))
         out = np.empty((*shape, len(QUANTITIES)))
@@ -155,6 +175,7 @@ class Bench:
         grid = np.meshgrid(heights, kns, indexing="ij")
         rigid = self.reference(*grid)
         rigid = rigid.reshape(len(QUANTITIES), *shape[:2], *(1,) * len(sides))
+        out[~(out > 0.0)] = np.nan  # a tip that does not come up again
         logs = np.log(out / np.moveaxis(rigid, 0, -1))
         return coefficients(mended(logs), len(axes))
 
@@ -175,9 +196,9 @@ LEANING = ("bristle_tilt", "surface_slope")
 # of the scale that matter, and how nodes lie. Adhesion and yield count against the peak force of
 # the same drop without them (more adhesion holds the bristle for good; a yield force beyond changes
 # nothing), a dashpot against critical damping (more than most of it holds the bristle too).
-SCALED: dict[str, tuple[type, Axis]] = {
+SCALED: Mapping[str, tuple[Law, Axis]] = {
     "adhesion": (Adhesive, Axis(0.0, 0.42, 15)),
-    "plastic_contact": (Plastic, Axis(0.15, 1.0, 17)),
+    "plastic_contact": (Plastic, Axis(0.05, 1.0, 21)),
     "contact_damping": (Damped, Axis(0.0, 0.9, 21, "root")),
 }
 
@@ -187,6 +208,7 @@ class Tables:
     """The tables of a bench, each made when it is first asked for."""
 
     bench: Bench
+    scaled: ClassVar[Mapping[str, tuple[Law, Axis]]] = SCALED
 
     @property
     def simulated(self) -> tuple[str, ...]:
@@ -196,12 +218,12 @@ class Tables:
     def parameters(self, name: str) -> tuple[Parameter, ...]:
         """An effect's parameters, as far as drops show them: with the absence that this body
         declares, and with friction where the effect hangs on it and nobody knows it."""
-        own = tuple(self._bounded(each) for each in EFFECTS[name].parameters)
+        own = tuple(self._bounded(name, each) for each in EFFECTS[name].parameters)
         if name in LEANING and self.bench.friction is None:
             return (*own, FRICTION)
         return own
 
-    def _bounded(self, parameter: Parameter) -> Parameter:
+    def _bounded(self, name: str, parameter: Parameter) -> Parameter:
         if parameter.name == "beta_s":
             return replace(parameter, null=self.bench.bristle.material.beta_s)
         if parameter.name == "speed_m_s" and not self.bench.shows_falls:
@@ -232,8 +254,8 @@ class Tables:
         if name == "surface_slope":
             sides = (Axis(0.0, MOST_SLOPE_DEG, SLOPE_NODES, "root"), Axis(0.0, 90.0, SIDE_NODES))
             return self.bench.table(name, sides, _sloping, LEAN_KN_NODES, friction)
-        if name in SCALED:
-            law, side = SCALED[name]
+        if name in self.scaled:
+            law, side = self.scaled[name]
             return self.bench.table(name, (side,), self._scaled(name, law), EFFECT_KN_NODES)
         leans = name in LEANING
         how = "log" if only.logarithmic else "root" if leans else "even"
@@ -246,7 +268,7 @@ class Tables:
         nodes = LEAN_KN_NODES if leans else EFFECT_KN_NODES
         return self.bench.table(name, (axis,), change, nodes, friction)
 
-    def _scaled(self, name: str, law: type) -> Callable[[Scene, tuple[float, ...]], Scene]:
+    def _scaled(self, name: str, law: Law) -> Callable[[Scene, tuple[float, ...]], Scene]:
         """Puts a law in whose parameter is a share of its scale."""
 
         def change(scene: Scene, point: tuple[float, ...]) -> Scene:
@@ -259,7 +281,7 @@ class Tables:
     def _scale(self, name: str, height_m: Array, kn_N_m: Array) -> Array:
         """What the parameter of an effect counts against, in its own unit."""
         if name == "contact_damping":
-            return np.asarray(2.0 * np.sqrt(kn_N_m * self.bench.bristle.mass_kg))
+            return np.asarray(2.0 * np.sqrt(kn_N_m * self.bench.body.mass_kg))
         return self._peak_N(height_m, kn_N_m)
 
     @cached_property
@@ -271,7 +293,7 @@ class Tables:
     def _peak_N(self, height_m: Array, kn_N_m: Array) -> Array:
         """The greatest force of drops without effects."""
         height_m, kn_N_m = np.broadcast_arrays(height_m, kn_N_m)
-        mass, gravity = self.bench.bristle.mass_kg, self.bench.gravity_m_s2
+        mass, gravity = self.bench.body.mass_kg, self.bench.gravity_m_s2
         rigid = reference(height_m, kn_N_m, mass, gravity)[2]
         return np.asarray(rigid * np.exp(self._upright.at(height_m, kn_N_m)[2]))
 
@@ -286,8 +308,8 @@ class Tables:
         """By how much an effect changes the logarithms of all quantities (quantities, ...)."""
         absent = [np.asarray(0.0)] * len(value)
         if name != "surface_slope":
-            absent = [np.asarray(self._bounded(EFFECTS[name].parameters[0]).null)]
-        if name in SCALED:
+            absent = [np.asarray(self._bounded(name, EFFECTS[name].parameters[0]).null)]
+        if name in self.scaled:
             most = self._scale(name, np.asarray(height_m), np.asarray(kn_N_m))
             value, absent = (value[0] / most,), [absent[0] / most]
         now = np.broadcast_arrays(height_m, kn_N_m, *value)

@@ -68,14 +68,13 @@ SIDES: dict[str, Side] = {
 }
 
 
-def carried(mass: RigidMass, times: bool) -> tuple[str, ...]:
+def carried(mass: RigidMass) -> tuple[str, ...]:
     """Names of the effects that drops of a rigid mass can carry.
 
     None of an elastic body, none of its lean and none across the surface; drag where its diameter
-    is known, a clock where ``times`` are measured.
+    is known.
     """
     without = set() if mass.front_m2 is not None else {"air_drag"}
-    without |= set() if times else {"clock_error"}
     return tuple(name for name in (*FLIGHT, *SEEN, *CONTACT) if name not in without)
 
 

@@ -31,6 +31,8 @@ PAIR_LEFT = 0.03
 CREDIBLE, LOOKED_AT, MOST_LOOKED_AT = 0.97, 0.999, 8
 # Nats that a pair must gain over the best single effect: there are many pairs.
 PAIR_COST = 4.0
+# Nats that scatter must gain over all else to be missing where no test finds it.
+SCATTER_GAIN = 8.0
 # Nats by which something unlisted must be likelier than an effect to refuse it.
 UNLISTED_MARGIN = 3.0
 # Held-out errors beyond these are no noise: over what it allows, and of the 90 % intervals.
@@ -83,29 +85,41 @@ def find(
     groups, apart = split(problem, seed)
     data = _sample(problem, groups)
     rng = np.random.default_rng([seed, 2])
-    base = fit_baseline(data, problem.baseline)
+    found = fit_baseline(data, problem.baseline)
+    baseline = posterior(data, found, found.u.size, rng)
+    base = baseline.fitted
     profiles = []
     for model in problem.candidates:
         profiles.append(profile(data, base, model))
         advance()
     ways = directions(data, base, profiles)
     first = assess(data, base, ways, rng)
-    baseline = posterior(data, base, base.u.size, rng)
     held = sample(problem, apart, _units(problem, data))
-    judge = Judge(problem, held, baseline, seed)
+    judge = Judge(problem, data, held, baseline, seed)
     plain = judge.judge(baseline) if apart.size else None
     advance()
     state = State(problem, data, base, baseline, profiles, ways, judge, first, rng)
     singles: list[Tried] = []
     explained: list[Explanation] = []
     missing = first.p_value <= alarm or (plain is not None and _surprising(plain))
-    if missing:
-        for each in profiles:
+    # scatter leaves no mean for the tests to see: its likelihood is asked for in any case
+    for each in profiles:
+        if missing or np.asarray(each.model.weights).size > 1:
             singles.append(fit_candidate(data, base, each))
             advance()
+    if not missing:
+        least = max(baseline.log_evidence, first.unlisted) + SCATTER_GAIN
+        missing = any(each.log_evidence > least for each in singles)
+        if missing:
+            done = {each.effects[0] for each in singles}
+            for each in profiles:
+                if each.name not in done:
+                    singles.append(fit_candidate(data, base, each))
+                    advance()
+    if missing:
         explained = _explain(state, singles)
     else:
-        advance(len(profiles))
+        advance(len(profiles) - len(singles))
     holding = [each for each in explained if each.holds]
     shares = _weights([each.posterior.log_evidence for each in holding])
     reported = [holding[i] for i in _credible(shares, CREDIBLE)]

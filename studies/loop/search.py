@@ -93,7 +93,7 @@ def _levels(model: Model, own: int) -> Array:
 
 def _followed(data: Sample, model: Model, starts: Array) -> Fitted:
     """The fit from the best few of many starts (n, p) that differ from each other."""
-    noise = np.array([data.noises.robust()])
+    noise = np.zeros(1, dtype=np.int64)
     weights = np.asarray(model.weights)
     logs = data.heights(
         data.values[None], data.predict(model, to_theta(model.parameters, starts)), weights, noise

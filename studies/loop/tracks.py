@@ -30,7 +30,7 @@ from ...solver.effects.base import Parameter, Place, Scene
 from ...solver.effects.library import EFFECTS
 from ..data.datasets import Manifest
 from .drop_model import BounceModel, Drops
-from .drops import carried, stiffness
+from .drops import carried, heights_about, stiffness
 from .problem import Experiment, Problem
 from .response import MADE_BY, Bench, Tables, reference
 from .table_drops import beam_of, outcomes_of
@@ -233,9 +233,7 @@ def _candidates(seen: Filmed) -> list[str]:
 
 def _bench(manifest: Manifest, y0_m: Array) -> TrackBench:
     """Heights rounded outward, so that other data can use the tables again."""
-    step = 0.005
-    lowest = max(step * np.floor(0.6 * float(y0_m.min()) / step), 0.002)
-    highest = step * np.ceil(1.25 * float(y0_m.max()) / step)
+    lowest, highest = heights_about(y0_m)
     return TrackBench(
         manifest.bristle,
         manifest.gravity_m_s2,
