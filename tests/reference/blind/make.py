@@ -27,6 +27,7 @@ LEVEL = ("contact_damping", "material_damping", "hysteretic_damping", "bristle_t
 # What else an effect needs to be seen at all.
 NEEDS = {"scale_error": FORCE, "clock_error": TIME}
 LEANING = ("bristle_tilt", "surface_slope")
+FRICTIONS = (0.0, 0.2, 0.5)
 FILMED = (
     "air_drag",
     "release_velocity",
@@ -107,9 +108,8 @@ def _plan(rng: np.random.Generator, row: Row, name: str = "") -> Plan:
         levels = np.linspace(low, high, int(rng.integers(4, 10)))
         heights = rng.permutation(np.resize(levels, n)) + 5e-4 * rng.normal(size=n)
     kn = 10.0 ** rng.uniform(math.log10(5e4), math.log10(2e7))
-    friction = 0.0
-    if name in LEANING:
-        friction = float(rng.choice([0.0, 0.5, rng.uniform(0.0, 0.8)]))
+    # of no account to what stands upright, but it may be declared
+    friction = float(rng.choice(FRICTIONS)) if name in LEANING else FRICTIONS[-1]
     truth = Truth(body=body, kn_N_m=kn, friction=friction)
     declared = columns == (Y1,) and not row.films and name in LEVEL
     gauge = Gauge(
@@ -121,7 +121,9 @@ def _plan(rng: np.random.Generator, row: Row, name: str = "") -> Plan:
         kn_N_m=kn if declared or (name == "" and rng.random() < 0.1) else None,
     )
     chance = rng.normal(size=(n, 2))
-    return Plan(truth, gauge, heights, chance, bool(rng.random() < 0.5))
+    return Plan(
+        truth, gauge, heights, chance, bool(rng.random() < (0.5 if name in LEANING else 0.2))
+    )
 
 
 def _others(seed: int) -> tuple[Body, ...]:
