@@ -29,7 +29,7 @@ from bristle.studies.largerotation import BETA_S, ELEMENTS, Campaign
 
 pytestmark = pytest.mark.serial
 
-DATA = readme.REPOSITORY.parent / "shared" / "data"
+SQUARE_BAR = "studies/measured/square-bar"
 STUDIES = readme.REPOSITORY / "studies"
 # Scripts that take the flags of a command.
 SCRIPTS = {"sweep", "its", "drop", "scatter", "close-loop", "reproduce"}
@@ -193,7 +193,7 @@ def test_what_was_measured_is_what_the_paper_says():
     own = (paper.THICKNESS_M, paper.WIDTH_M, paper.LENGTH_M)
     assert [float(each) for each in sizes] == [pytest.approx(1e3 * each) for each in own]
     (beta,) = re.findall(r"paper's β of ([\d.e-]+) s is (\d+) times", readme.TEXT)
-    (bar,) = [session for session in readme.sessions() if "waves-square-bar" in session.words]
+    (bar,) = [session for session in readme.sessions() if SQUARE_BAR in session.words]
     (found,) = [line.split()[1] for line in bar.lines if line.startswith("beta_s")]
     assert float(beta[0]) == paper.BETA_S
     assert float(beta[1]) == pytest.approx(paper.BETA_S / float(found), rel=0.05)
@@ -212,21 +212,16 @@ def test_datasets_are_declared_as_they_are_read(tmp_path):
     manifest = read_manifest(folder)
     assert manifest.kind == film["dataset"]["kind"]
     assert readme.blocks("csv")[0].startswith("drop,t_s,y_mm\n")
-    path = DATA / "waves-square-bar" / "dataset.toml"
-    if not path.is_file():
-        pytest.skip("the measured bar is not in ../shared/data; the README says where it is from")
+    path = readme.REPOSITORY / SQUARE_BAR / "dataset.toml"
     for part, keys in tomllib.loads(path.read_text()).items():
         if part in ("body", "measurement"):
             assert bar[part] == keys
     assert math.isclose(bar["body"]["length_m"], 2 * bar["measurement"]["gauge_x_m"])
 
 
-@pytest.mark.skipif(
-    not (DATA / "waves-square-bar").is_dir(), reason="no ../shared/data: see README"
-)
 def test_the_measured_bar_gives_what_is_shown(tmp_path, monkeypatch, capsys):
-    (session,) = [each for each in readme.sessions() if "waves-square-bar" in each.words]
-    (tmp_path / "waves-square-bar").symlink_to(DATA / "waves-square-bar")
+    (session,) = [each for each in readme.sessions() if SQUARE_BAR in each.words]
+    (tmp_path / "studies").symlink_to(readme.REPOSITORY / "studies")
     monkeypatch.chdir(tmp_path)
     assert main(list(session.words[1:])) == 0
     assert readme.compare(session, capsys.readouterr().out) == []
