@@ -234,7 +234,8 @@ def _refuse_misspelt(
     for key in part:
         if key in known:
             continue
-        near = difflib.get_close_matches(key, known, n=1, cutoff=0.8)
+        near = difflib.get_close_matches(key, known, cutoff=0.8)
+        near.sort(key=lambda each: not each.startswith(key))
         if near:
             raise _wrong(path, text, key, f"is not known; did you mean {near[0]}?")
         if all_known:

@@ -368,7 +368,7 @@ def _residue_classes(order: Array) -> Array:
 
 def _waves(order: Array) -> list[Array]:
     """Cosine and sine (2, rows) of each frequency, from half a wave in all to half a wave each."""
-    t = (order - order.min()) / max(np.ptp(order), 1.0)
+    t = (order - order.min()) / max(float(np.ptp(order)), 1.0)
     most = np.unique(order).size // 2
     return [
         np.stack([np.cos(2 * np.pi * f * t), np.sin(2 * np.pi * f * t)])

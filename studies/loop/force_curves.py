@@ -256,7 +256,7 @@ class ForceTables(Tables):
 
 def plain_curves(bench: ForceBench) -> Curves:
     """Histories without effects."""
-    return bench.curves("plain", (), lambda scene, _: scene, False)
+    return bench.curves("plain", (), lambda scene, _: scene)
 
 
 def stretched_curves(bench: ForceBench) -> Curves:
@@ -289,7 +289,8 @@ def with_shapes(bench: ForceBench, names: Sequence[str]) -> CurveBench:
         elif name and name not in SIMULATED:
             continue
         else:
-            values = (histories.of(name) if name else histories.plain).coefficients
+            (only,) = histories.of(name) if name else (histories.plain,)
+            values = only.coefficients
         rows = values.reshape(-1, CELLS)
         moment += rows.T @ rows / len(rows)
     _, vectors = np.linalg.eigh(moment)

@@ -164,7 +164,8 @@ class Judge:
             for part in np.array_split(mixed, FOLDS):
                 rest = np.setdiff1d(labels, part)
                 folds.append((sample(self.problem, rest, unit), sample(self.problem, part, unit)))
-        each, squares = [np.zeros(0)], np.zeros(2)
+        each: list[Array] = [np.zeros(0)]
+        squares = np.zeros(2)
         for fitted, scored in folds:
             one, other = (_scored(fitted, scored, model, rng) for model in (final, two))
             each.append(one[0] - other[0])

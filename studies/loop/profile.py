@@ -113,8 +113,9 @@ def _refitted(data: Sample, model: Model, u: Array, own: int, target: Array) -> 
     """Points (k, p) with their first ``own`` coordinates moved toward ``target`` (2 rows,) by
     damped Gauss-Newton steps within the box, and their features (k, 2 rows)."""
     weights = np.asarray(model.weights)
-    best_u, best = u.copy(), np.full(len(u), np.inf)
-    kept = np.zeros((len(u), target.size))
+    best_u: Array = u.copy()
+    best: Array = np.full(len(u), np.inf)
+    kept: Array = np.zeros((len(u), target.size))
     step = 1e-4
     for turn in range(REFITS):
         last = turn == REFITS - 1

@@ -334,10 +334,10 @@ def _between(tables: Sequence[Table], friction: Array, places: Sequence[Array]) 
     out = np.zeros((len(QUANTITIES), *friction.shape))
     for i in range(len(tables)):
         share = np.where(low == i, 1.0 - (place - low), np.where(low == i - 1, place - low, 0.0))
-        used = np.nonzero(share)
-        if used[0].size:
+        used = share != 0.0
+        if used.any():
             found = tables[i].at(*(each[used] for each in places))
-            out[(slice(None), *used)] += share[used] * found
+            out[:, used] += share[used] * found
     return out
 
 

@@ -120,7 +120,7 @@ def fit_pairs(
     What scatters is not seen in the mean, so the likeliest of it is tried beside them anyway.
     """
     best = sorted(singles, key=lambda each: -each.log_evidence)
-    order: dict[tuple[str, ...], float] = {}
+    order: dict[tuple[str, str], float] = {}
     for one in best[:PAIRED_WITH]:
         weights = np.asarray(one.fitted.model.weights)
         z = quantile_residuals(data.values, one.fitted.predicted, weights, data.starts)
@@ -147,8 +147,8 @@ def fit_pairs(
     alone = {each.effects[0]: each for each in singles}
     known = {each.name: each for each in profiles}
     out = []
-    for key in dict.fromkeys(chosen):
-        if key[::-1] in chosen[: chosen.index(key)]:
+    for i, key in enumerate(chosen):
+        if key in chosen[:i] or key[::-1] in chosen[:i]:
             continue
         model = problem.combine(key)
         fitted = _followed(data, model, _pair_starts(model, base, alone, known))
