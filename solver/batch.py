@@ -35,7 +35,7 @@ from .touch import STAYING, STEP_LIMIT
 
 TOO_MANY = 5
 # A touch that lasts longer, in seconds and in radians of the mass on its spring, does not end.
-LONGEST_TOUCH_S, LONGEST_TOUCH = 0.01, 20.0
+LONGEST_TOUCH_S, LONGEST_TOUCH = 0.004, 20.0
 FAILURES = {
     modal_march.NOT_CONVERGED: "the contact forces did not converge; shorten the ITS",
     modal_march.NOT_FINITE: "the motion is not finite; shorten the ITS",

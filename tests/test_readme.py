@@ -33,7 +33,7 @@ SQUARE_BAR = "studies/measured/square-bar"
 STUDIES = readme.REPOSITORY / "studies"
 # Scripts that take the flags of a command.
 SCRIPTS = {"sweep", "its", "drop", "scatter", "close-loop", "reproduce"}
-OF_OTHERS = {"--help", "--script"}  # click's own, and paraview's
+OF_OTHERS = {"--help", "--script", "--datasets"}  # click's own, paraview's, a script's of tests
 QUICK = (
     ("drop", "--model", "reduced", "--kn"),
     ("drop", "--slope"),
@@ -63,8 +63,12 @@ def test_every_command_is_understood(words):
     match words[0]:
         case "bristle":
             readme.parse(words[1:])
-        case "python3":
+        case "python3" if words[1] == "-m":
             _understood_by_script(words[2], words[3:])
+        case "python3":
+            flags = {word for word in words if word.startswith("--")}
+            help_text = python(str(readme.REPOSITORY / words[1]), "--help").stdout
+            assert flags and flags <= set(re.findall(r"--[\w-]+", help_text))
         case "apptainer":
             assert (readme.REPOSITORY / words[-1]).is_file()
         case "sbatch":

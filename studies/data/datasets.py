@@ -235,7 +235,7 @@ def _refuse_misspelt(
         if key in known:
             continue
         near = difflib.get_close_matches(key, known, cutoff=0.8)
-        near.sort(key=lambda each: not each.startswith(key))
+        near.sort(key=lambda each: (not each.startswith(key), known.index(each)))
         if near:
             raise _wrong(path, text, key, f"is not known; did you mean {near[0]}?")
         if all_known:

@@ -34,15 +34,17 @@ from .table_drops import beam_of, drops_of, its_s
 # All that the paper tried: a fit without an effect does not tell where the effect takes Kn.
 KN_RANGE_N_M = (1e4, 1e8)
 KN_NODES = 49
-EFFECT_KN_NODES = 33
+EFFECT_KN_NODES = 29
 LEAN_KN_NODES = 11
-HEIGHT_NODES = 4
-EFFECT_NODES = 17
+HEIGHT_NODES = 5
+LEAN_HEIGHT_NODES = 4
+EFFECT_NODES = 13
+DECADES_NODES = 27
 LEAN_NODES = 8
 SLOPE_NODES = 6
 SIDE_NODES = 4
 # What leans takes longer steps: its table says how it differs from one that does not, at the same.
-LEAN_STEP = 2.0
+LEAN_STEP = 3.0
 # Coefficients at which what leans is simulated where friction is not known; straight between.
 FRICTIONS = (0.0, 0.1, 0.3, 1.0)
 FRICTION = Parameter(
@@ -140,7 +142,8 @@ class Bench:
         ``friction`` is None where nothing leans. ``name`` tells tables on the same sides apart:
         they are kept from run to run. Raises ComputationError where drops fail at all time steps.
         """
-        heights = Axis(self.lowest_m, self.highest_m, HEIGHT_NODES, "root")
+        n = HEIGHT_NODES if friction is None else LEAN_HEIGHT_NODES
+        heights = Axis(self.lowest_m, self.highest_m, n, "root")
         axes = (heights, Axis(*self.kn_range_N_m, kn_nodes, "log"), *sides)
         key = f"{name} {friction} {axes} {self} {sources(*self.made_by)}"
         made = kept(key, lambda: {"coefficients": self._filled(axes, change, friction)})
@@ -259,7 +262,8 @@ class Tables:
             return self.bench.table(name, (side,), self._scaled(name, law), EFFECT_KN_NODES)
         leans = name in LEANING
         how = "log" if only.logarithmic else "root" if leans else "even"
-        axis = Axis(only.low, only.high, LEAN_NODES if leans else EFFECT_NODES, how)
+        places = LEAN_NODES if leans else DECADES_NODES if only.logarithmic else EFFECT_NODES
+        axis = Axis(only.low, only.high, places, how)
 
         def change(scene: Scene, point: tuple[float, ...]) -> Scene:
             value = min(max(point[0], only.low), only.high)
