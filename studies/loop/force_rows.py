@@ -23,7 +23,7 @@ LEAST_KNOWN = 0.5
 """A row is kept where its shape's usual amount is more than this share of its error."""
 BEFORE = 0.1
 FINE = 41
-CLEARLY = 12.0
+CLEARLY = 6.0
 FULL = 4
 """Samples for every shape from which the shapes themselves say what moving a record does."""
 

@@ -38,7 +38,7 @@ from .response import KN_RANGE_N_M, SIMULATED, Tables
 
 SIGMA_N = 1.0
 """Uncertainty taken for a force where none is declared and no sample shows it."""
-MOST_TRIED = 400
+MOST_TRIED = 2000
 TRUSTED = 3.0
 """A shape is used where the tables' error of it is at most this many of the errors that the records
 of all drops together leave it with; the first few always are."""
@@ -223,9 +223,9 @@ def _tried(bench: CurveBench, tables: ForceTables, names: list[str]) -> tuple[Ar
     """
     amounts, rng = [], np.random.default_rng(0)
     for table in (tables.plain, *(tables.of(name)[0] for name in names if name in SIMULATED)):
-        nodes = [axis.nodes() for axis in table.axes]
-        if table is tables.plain:  # linear: all heights give one history over speed
-            nodes[0] = nodes[0][-1:]
+        # over speed, heights give much the same history; others differ too much from node to node
+        finer = [replace(axis, n=2 * axis.n - 1) for axis in table.axes]
+        nodes = [axis.nodes()[-1:] if i == 0 else axis.nodes() for i, axis in enumerate(finer)]
         places = np.meshgrid(*nodes, indexing="ij")
         found = table.at(*places).reshape(SHAPES, -1).T
         amounts.append(rng.permutation(found)[:MOST_TRIED])
