@@ -129,9 +129,16 @@ class Noises:
         return int(suits[np.argmin(np.abs(self.scale[suits] - 0.9))])
 
     def alike(self, which: int, others: Noises) -> int:
-        """The uncorrelated noise among ``others`` of this one's shape and nearest core scale."""
+        """The uncorrelated noise among ``others`` of this one's shape and nearest core scale.
+
+        A normal one that is smaller than declared is taken as declared: what is to come is not
+        foretold more sharply than the sensor was said to be.
+        """
         suits = np.flatnonzero((others.shape == self.shape[which]) & (others.correlation == 0))
-        return int(suits[np.argmin(np.abs(others.scale[suits] - self.scale[which]))])
+        scale = self.scale[which]
+        if self.declared and self.shape[which] == 0:
+            scale = max(scale, 1.0)
+        return int(suits[np.argmin(np.abs(others.scale[suits] - scale))])
 
     def filtered(self, residual: Array, centre: Array, which: int) -> Array:
         """Residuals (..., rows) in units of core scale, freed of what the previous row told.
