@@ -42,6 +42,7 @@ NEAR = 0.04
 ABSORBED = 0.97
 STATE_SHARES = np.array([0.1, 0.2, 0.35, 0.5, 0.65, 0.8, 0.9])
 STATE_SHIFTS = np.array([2.0, 3.0, 4.0, 6.0, 9.0, 14.0])
+STATES_TRIED = 24
 STATE_SPREADS = np.array([0.7, 0.85, 1.0, 1.2, 1.45, 1.75, 2.2, 3.0, 4.5])
 
 
@@ -113,6 +114,9 @@ def assess(
     p_value, least = corrected(single, simulated)
     threshold = float(np.quantile(least, 0.02))
     unlisted, shape = _best_shape(data, z, z - tangent @ (absorbed @ z), shapes)
+    apart = _log_two_states(data, z, _patterns(data, fitted))
+    if apart > unlisted:
+        unlisted, shape = apart, "two states"
     return Adequacy(
         p_value=p_value,
         statistic=names[int(np.argmin(single))],
@@ -407,6 +411,21 @@ def _two_states(z: Array, patterns: list[Array]) -> Array:
                 two = np.log(share) - 0.5 * (z + middle - shift * pattern) ** 2
                 best = np.maximum(best, np.sum(np.logaddexp(one, two), axis=1))
     return best - single
+
+
+def _log_two_states(data: Sample, z: Array, patterns: list[Array]) -> float:
+    """Log evidence that some groups' rows are all off by one amount, the others not at all."""
+    grid = data.noises
+    among = np.flatnonzero(grid.correlation == 0)
+    best = -np.inf
+    for pattern in patterns:
+        shifts = np.quantile(z / pattern, np.linspace(0.0, 1.0, STATES_TRIED))
+        predicted = np.stack([np.zeros((STATES_TRIED, z.size)), np.outer(shifts, pattern)], axis=1)
+        values = np.repeat(z[None], STATES_TRIED, axis=0)
+        for share in STATE_SHARES:
+            weights = np.array([1.0 - share, share])
+            best = max(best, float(data.heights(values, predicted, weights, among).max()))
+    return best - 2.0 * OCCAM - float(np.log(len(patterns)))
 
 
 def p_values(observed: Array, simulated: Array) -> tuple[Array, Array]:
