@@ -15,7 +15,6 @@ from mpi4py import MPI
 from ..meshes.collective import run_on_one_rank
 from ..solver import paper
 from . import __version__
-from .account.run import AccountStudy
 from .command.again import command_line
 from .command.config import DropInputs
 from .page.report import Report, Section, Verdict, write_report
@@ -32,6 +31,8 @@ from .sections.heights import Figure13
 from .sections.knstudy import Figures10To12, KnStudy
 from .sections.leaning import Leaning
 from .sections.loop_section import LoopOnPaper
+from .sections.loop_study import LoopStudy
+from .sections.measured_section import LoopOnMeasured
 from .sections.peaktime import PeakTime
 from .sections.sticking import Sticking
 from .sections.timesteps import StepStudy
@@ -63,8 +64,8 @@ def paper_studies(setup: Setup) -> list[Study]:
         Leaning(setup),
         Sticking(setup),
         Bars(setup),
-        AccountStudy(),
         LoopOnPaper(),
+        LoopOnMeasured(),
     ]
 
 
@@ -89,7 +90,7 @@ def run_reproduce(
     cases = list(dict.fromkeys(case for study in studies for case in study.cases()))
     results = _compute(cases, setup, comm, ranks_per_case)
     for study in studies:
-        if isinstance(study, AccountStudy):
+        if isinstance(study, LoopStudy):
             study.prepare(comm)
 
     def write() -> Reproduction:

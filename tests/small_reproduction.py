@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from bristle.studies.account.design import Trial
-from bristle.studies.account.findings import Plan
-from bristle.studies.account.fit import Effort
-from bristle.studies.account.models import OneStiffness, ScatteredDashpot, ScatteredStiffness
-from bristle.studies.account.run import AccountStudy
+from loop_toys import problem
+
 from bristle.studies.command.config import DropInputs
+from bristle.studies.data.datasets import Drops
+from bristle.studies.loop.problem import Problem
 from bristle.studies.running.campaign import Setup
 from bristle.studies.sections.bars import Bars
 from bristle.studies.sections.crosscheck import CrossCheck, Figure9
@@ -17,11 +16,17 @@ from bristle.studies.sections.heights import Figure13
 from bristle.studies.sections.knstudy import Figures10To12, KnStudy
 from bristle.studies.sections.leaning import Leaning
 from bristle.studies.sections.loop_section import LoopOnPaper
+from bristle.studies.sections.measured_section import LoopOnMeasured
 from bristle.studies.sections.peaktime import PeakTime
 from bristle.studies.sections.sticking import Sticking
 from bristle.studies.sections.timesteps import StepStudy
 
 GRID = (1e3, 1e4, 1e5, 3e5, 1e6, 2e6, 4e6, 1e7, 1e8, 1e9, 1e10)
+
+
+def toy(drops: Drops) -> Problem:
+    """As many drops with a slope that differs by chance, whatever ``drops`` are."""
+    return problem(3, {"slope": 8.0}, drops=len(drops.drop), candidates=("drag", "slope"))[0]
 
 
 def small() -> tuple[Setup, list]:
@@ -30,9 +35,6 @@ def small() -> tuple[Setup, list]:
     kn = (1e4, 2e6, 1e8)
     setup = Setup(base, kn, (0.01, 0.05), (0.05,), (2e6,))
     study = KnStudy(setup, GRID)
-    accounts = (OneStiffness(), ScatteredStiffness(), ScatteredDashpot())
-    effort = Effort(5, 7, 40, 60, 100)
-    plan = Plan(accounts, effort=effort, rough=effort, trial=Trial(2, 4))
     return setup, [
         Figure9(setup),
         Figures10To12(study),
@@ -46,6 +48,6 @@ def small() -> tuple[Setup, list]:
         Leaning(setup, (0.0, 2.0)),
         Sticking(setup, (4, 8), (1e-5, 5e-6), ((1, 1, 20), (1, 1, 40)), (3, 5)),
         Bars(setup, (0.1, 0.2), (0.0, 20.0)),
-        AccountStudy(plan),
-        LoopOnPaper(),
+        LoopOnPaper(1, toy),
+        LoopOnMeasured(),
     ]

@@ -68,7 +68,7 @@ def page_of(closed: Closed, out: Path, version: str) -> Report:
             _evidence(rows),
             _attribution(rows),
             _left(rows),
-            _held(rows),
+            held_out_section(rows),
             _solid(rows),
             _next(rows),
         ],
@@ -343,7 +343,7 @@ def _left(rows: Rows) -> Section:
     return Section("left", "What is left", text, figures=[drawn], tables=[after_tests])
 
 
-def _held(rows: Rows) -> Section:
+def held_out_section(rows: Rows) -> Section:
     finding, problem = rows.closed.finding, rows.closed.problem
     held = finding.held_out
     title, errors = "Error on held-out data", tables.error_table(rows)

@@ -8,6 +8,7 @@ what it found with the 3-D model, and writes verdict.json and one page. Also a s
 from __future__ import annotations
 
 import os
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
@@ -75,10 +76,42 @@ def run_close_loop(
     if not asked.no_3d:
         start_petsc(comm)
     manifest = run_on_one_rank(comm, lambda: _begun(dataset, Path(out)))
-    first = run_on_one_rank(comm, lambda: _Alone(problem_of(manifest) if comm.rank == 0 else None))
-    problem = first.problem or problem_of(manifest)
-    _simulate(problem, comm)
+    problem = _made(lambda: problem_of(manifest), comm)
+    with progress("Effects simulated", len(problem.candidates)) as advance:
+        _simulate(problem, comm, advance)
     return run_on_one_rank(comm, lambda: _run(manifest, problem, Path(out), asked))
+
+
+def close_several(
+    datasets: Sequence[tuple[Manifest, Callable[[], Problem]]], comm: MPI.Intracomm
+) -> list[Closed]:
+    """Run the loop on several datasets, each given with what makes it a problem.
+
+    Without the 3-D model; dealt out over the ranks. Returns what was found in their order on rank
+    0, an empty list elsewhere. Collective; raises InputError and ComputationError on all ranks.
+    """
+    asked, problems = LoopInputs(no_3d=True), []
+    with progress("Datasets prepared", len(datasets)) as advance:
+        for _, make in datasets:  # in turn, since they may share what is simulated
+            problems.append(_made(make, comm))
+            _simulate(problems[-1], comm)
+            advance()
+    found: dict[int, Finding] = {}
+    with progress("Loops closed", len(datasets)) as advance:
+
+        def take(i: int, finding: Finding) -> None:
+            found[i] = finding
+            advance()
+
+        share_out(comm, len(problems), lambda i: find(problems[i], asked.seed, asked.alarm), take)
+    left_out = Confirmation(None, LEFT_OUT)
+    return [Closed(datasets[i][0], asked, problems[i], found[i], left_out) for i in sorted(found)]
+
+
+def _made(make: Callable[[], Problem], comm: MPI.Intracomm) -> Problem:
+    """The problem on every rank, first on rank 0: what that keeps on the disk serves the others."""
+    first = run_on_one_rank(comm, lambda: _Alone(make() if comm.rank == 0 else None))
+    return first.problem or make()
 
 
 def _begun(dataset: Path, out: Path) -> Manifest:
@@ -101,7 +134,9 @@ class _Alone:
         return _Alone, ()
 
 
-def _simulate(problem: Problem, comm: MPI.Intracomm) -> None:
+def _simulate(
+    problem: Problem, comm: MPI.Intracomm, advance: Callable[[], None] = lambda: None
+) -> None:
     """Have every candidate predict once, dealt out over the ranks or, of one, over its threads.
 
     Some of them first simulate thousands of drops, in compiled code that lets other threads run,
@@ -115,22 +150,18 @@ def _simulate(problem: Problem, comm: MPI.Intracomm) -> None:
         with in_turn():
             candidates[i].predict(np.array(typical))
 
-    if comm.rank:
-        share_out(comm, len(candidates), predict, lambda i, nothing: None)
-        return
-    with progress("Effects simulated", len(candidates)) as advance:
-        if comm.size == 1:
-            threads = ThreadPoolExecutor(os.process_cpu_count())
-            try:
-                for _ in threads.map(predict, range(len(candidates))):
-                    advance()
-            except BaseException as error:
-                # who is interrupted does not wait for what threads compute
-                threads.shutdown(not isinstance(error, KeyboardInterrupt), cancel_futures=True)
-                raise
-            threads.shutdown()
-            return
+    if comm.size > 1:
         share_out(comm, len(candidates), predict, lambda i, nothing: advance())
+        return
+    threads = ThreadPoolExecutor(os.process_cpu_count())
+    try:
+        for _ in threads.map(predict, range(len(candidates))):
+            advance()
+    except BaseException as error:
+        # who is interrupted does not wait for what threads compute
+        threads.shutdown(not isinstance(error, KeyboardInterrupt), cancel_futures=True)
+        raise
+    threads.shutdown()
 
 
 def _run(manifest: Manifest, problem: Problem, out: Path, inputs: LoopInputs) -> dict[str, Any]:

@@ -105,8 +105,8 @@ def curve_figure(curve: RatioCurve, ratio: RatioEstimate, paper_points: bool = F
 
 
 @styled
-def cloud_figure(y0_m: Array, y1_m: Array) -> Figure:
-    """Figs. 10 to 12: the published line, band and one drop, and ``our`` predicted cloud."""
+def cloud_figure(y0_m: Array, y1_m: Array, label: str = "predicted here, not measured") -> Figure:
+    """Figs. 10 to 12: the published line, band and one drop, and a cloud named ``label``."""
     figure, axes = panels(height_in=3.6)
     ax: Axes = axes[0, 0]
     top = 55.0
@@ -117,7 +117,7 @@ def cloud_figure(y0_m: Array, y1_m: Array) -> Figure:
         color=SKY,
         ms=2.5,
         zorder=1,
-        label="predicted here, not measured",
+        label=label,
     )
     draw_published(ax, top)
     ax.set(ylim=(0, top))

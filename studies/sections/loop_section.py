@@ -1,141 +1,213 @@
-"""How far does the loop come with what the paper published of its drops?
+"""What y1/y0 = 0.65 ± 0.21 is made of: the loop on sets of drops with the published summaries.
 
-A section of `bristle reproduce`. Published are summaries and one drop, no table of points. So the
-first step alone can be made, is something missing, and it can be made safely: no model of a
-bristle under which all drops of a height are alike scatters more than its instruments do.
+That something is missing needs no set: no model of a bristle under which all drops of a height are
+alike scatters more than its instruments do. What it is, only a loop over drops can say.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections import Counter
+from collections.abc import Callable, Iterable, Sequence
+from functools import partial
 
 import numpy as np
-from scipy.special import log_ndtr
 from scipy.stats import chi2
 
 from ...solver import paper
-from ..account.film import Film, planned_heights_m
-from ..command.config import DropInputs
-from ..page.report import Column, Section, Table, Value, show
+from ...solver.bristle import Array
+from ..closeloop.rows import title_of
+from ..closeloop.run import Closed
+from ..data.datasets import Drops, Manifest
+from ..loop.drops import drops_problem
+from ..loop.finding import Finding
+from ..loop.problem import Problem
+from ..page.figures import picture
+from ..page.figures_calibrate import cloud_figure
+from ..page.report import Column, Figure, Section, Table, Value, percent, show
 from ..running.campaign import Results
+from .loop_study import LoopStudy, estimate_table, verdict_table
+from .published_drops import Film, dataset, draw, planned_heights_m
 
-READINGS_MM = (0.25, 0.5, 1.0)
+SETS, SEED = 5, 26
 # The published standard deviation is rounded to two decimals; the least that it stands for.
 LEAST_STD = paper.RATIO_STD - 0.005
+ALL_LOW_M = np.full(paper.N_DROPS, min(paper.HEIGHTS_M))
 
 
-@dataclass(frozen=True)
-class Scatter:
-    """Scatter of y1/y0 that instruments alone make, were all drops from ``heights_m`` (n,).
-
-    ``log10_p`` is the logarithm of the chance that 26 drops scatter as much as the published ones.
-    """
-
-    heights: str
-    sigma_mm: float
-    expected: float
-    log10_p: float
+def film_scatter(film: Film, y0_m: Array) -> float:
+    """Standard deviation of y1/y0 that the film alone makes, were drops from ``y0_m`` (n,) alike:
+    to first order in what each height is read wrong by."""
+    both = film.sigma_m**2 + (film.reading_m * paper.RATIO_MEAN) ** 2
+    return float(np.sqrt(both * np.mean(y0_m**-2.0)))
 
 
-def scatters() -> list[Scatter]:
-    """For each error of reading: drops spread over the paper's heights, and all from the lowest."""
-    designs = {
-        "as evenly as possible over the five": planned_heights_m(),
-        "all from 10 mm, where a reading counts most": np.full(paper.N_DROPS, paper.HEIGHTS_M[0]),
-    }
-    return [
-        _scatter(words, heights, sigma)
-        for words, heights in designs.items()
-        for sigma in READINGS_MM
-    ]
-
-
-def _scatter(words: str, heights_m: np.ndarray, sigma_mm: float) -> Scatter:
-    film = Film(sigma_m=1e-3 * sigma_mm)
-    both = film.sigma_m**2 * (1.0 + paper.RATIO_MEAN**2) + film.spread_low_m**2
-    expected = float(np.sqrt(both * np.mean(heights_m**-2.0)))
+def chance_of_scatter(expected: float) -> float:
+    """How often 26 drops that scatter by ``expected`` show the published scatter or more."""
     free = paper.N_DROPS - 1
-    statistic = free * (LEAST_STD / expected) ** 2
-    return Scatter(words, sigma_mm, expected, float(_log_sf(statistic, free) / np.log(10.0)))
-
-
-def _log_sf(statistic: float, free: int) -> float:
-    """Log of chi-square's upper tail, by Wilson and Hilferty's normal where it underflows."""
-    exact = float(chi2.logsf(statistic, free))
-    if np.isfinite(exact):
-        return exact
-    third = 2.0 / (9.0 * free)
-    deviate = ((statistic / free) ** (1.0 / 3.0) - 1.0 + third) / np.sqrt(third)
-    return float(log_ndtr(-deviate))
+    return float(chi2.sf(free * (LEAST_STD / expected) ** 2, free))
 
 
 def needed_mm() -> float:
     """The error of reading, in mm, that would make the published scatter by itself."""
-    inverse = float(np.mean(planned_heights_m() ** -2.0))
-    square = LEAST_STD**2 / inverse - Film().spread_low_m ** 2
+    square = LEAST_STD**2 / np.mean(planned_heights_m() ** -2.0) - Film().spread_low_m ** 2
     return float(1e3 * np.sqrt(square / (1.0 + paper.RATIO_MEAN**2)))
 
 
-class LoopOnPaper:
-    """The section of `bristle reproduce`; it needs no drops."""
+class LoopOnPaper(LoopStudy):
+    """The section of `bristle reproduce`: the loop on so many ``sets``, each as a ``problem``, with
+    the damping unknown, and again with the paper's."""
 
-    def cases(self) -> list[DropInputs]:
-        """None."""
-        return []
+    def __init__(
+        self, sets: int = SETS, problem: Callable[[Drops], Problem] = drops_problem
+    ) -> None:
+        self.sets, self.problem = sets, problem
+
+    def drawn(self) -> list[tuple[Array, Array]]:
+        """The sets: heights before and after, as read."""
+        return [draw(np.random.default_rng([SEED, i])) for i in range(self.sets)]
+
+    def datasets(self) -> list[tuple[Manifest, Callable[[], Problem]]]:
+        made = [
+            dataset(f"set {number}, damping {known}", *each, damping=damping)
+            for damping, known in ((False, "unknown"), (True, "the paper's"))
+            for number, each in enumerate(self.drawn(), 1)
+        ]
+        return [(each.manifest, partial(self.problem, each)) for each in made]
 
     def section(self, results: Results) -> Section:
-        """The section with its table."""
+        """The section with its sentences, tables and the sets."""
         del results
-        found = scatters()
-        worst = max(found, key=lambda each: each.log10_p)
-        before, after = (1e3 * x for x in paper.KNOWN_DROP_M)
-        missed = after - paper.RATIO_MEAN * before
-        text = [
-            f"Is something missing? Yes. One Kn gives all drops of a height the same y1/y0, and "
-            f"what the film and its reading add is small: {paper.N_DROPS} drops scatter by "
-            f"{paper.RATIO_STD:.2f} (1 standard deviation), and even if every one of them had been "
-            f"made from 10 mm and read to 1 mm, that much comes by chance with p = "
-            f"{show(10.0**worst.log10_p, 2)} at most. Spread over the five heights, they would "
-            f"have to be read wrong by {show(needed_mm(), 2)} mm.",
-            "What is it? Something that differs among drops of one height, by chance or with "
-            f"their order: a bend with height adds next to nothing to the fit (R² = "
-            f"{paper.R2_QUADRATIC:.3f} instead of {paper.R2_LINEAR:.3f}). Effects by which all "
-            "drops of a height change alike do not scatter: drag, damping of any kind, a law of "
-            "the contact, a wrong scale. Which of those that differ (lean, slope, stiffness of "
-            "the phases, wear), the summaries cannot tell: see 'What the 65 % is made of' on "
-            "this page for the accounts that they do not exclude, and for what would decide.",
-            f"The one drop published as numbers, {before:.1f} to {after:.0f} mm, lies "
-            f"{missed:.1f} mm above the mean line: one drop tests nothing.",
-            "What cannot be known from summaries: a trend with height or order, a missing effect's "
-            "name, how small an effect would have shown, the error on held-out drops. A table of "
-            "the drops, in the order they were made, would be enough to ask: bristle close-loop.",
+        answer, *further = told(self.closed[: self.sets])
+        with_beta, *_ = told(self.closed[self.sets :])
+        words = [
+            f"With the damping unknown, {answer}",
+            *further,
+            f"With the paper's β = {paper.BETA_S:g} s declared, {with_beta}",
         ]
         return Section(
             "loop",
-            "The loop on what the paper published",
-            text,
-            tables=[_table(found)],
-            headline="The published scatter of y1/y0 is beyond what reading a film makes: the "
-            "model lacks something that differs from drop to drop.",
+            "What the 65 % is made of",
+            [*_introduction(self.sets), *words],
+            figures=[_drops(self.drawn())],
+            tables=[
+                verdict_table("loop_sets", "The loop on each set.", self.closed),
+                estimate_table("loop_estimates", self.closed),
+            ],
+            headline=f"What the 65 % is made of: {words[0]}",
         )
 
 
-def _table(found: list[Scatter]) -> Table:
-    rows: list[tuple[Value, ...]] = [
-        (each.heights, each.sigma_mm, each.expected, paper.RATIO_STD, each.log10_p)
-        for each in found
+def _introduction(sets: int) -> list[str]:
+    film = Film()
+    worst = Film(reading_m=1e-3)
+    p = chance_of_scatter(film_scatter(worst, ALL_LOW_M))
+    return [
+        "Is something missing? Yes, by the summaries alone. One Kn gives all drops of a height "
+        f"the same y1/y0, and a film adds little: {paper.N_DROPS} drops scatter by "
+        f"{paper.RATIO_STD:.2f} (1 standard deviation), of which a film read to "
+        f"{1e3 * film.reading_m:g} mm makes {show(film_scatter(film, planned_heights_m()), 2)}. "
+        "Had every one been made from 10 mm and read to 1 mm, as much would come by chance with "
+        f"p = {show(p, 2)}. Spread over the five heights, they would have to be read wrong by "
+        f"{show(needed_mm(), 2)} mm.",
+        "What is it? That takes drops, and the paper published none but one, "
+        f"{1e3 * paper.KNOWN_DROP_M[0]:.1f} to {1e3 * paper.KNOWN_DROP_M[1]:.0f} mm. So {sets} "
+        f"sets of {paper.N_DROPS} are drawn, at random but for that drop and for what is "
+        f"published: mean {paper.RATIO_MEAN:.2f} and standard deviation {paper.RATIO_STD:.2f} of "
+        f"y1/y0, slope {paper.RATIO_MEAN:.2f}, R² {paper.R2_LINEAR:.4f} of the line and "
+        f"{paper.R2_QUADRATIC:.4f} of the quadratic, to their last printed digit. None of the "
+        "other drops was measured. How many were made from which height, in which order, and how "
+        "y1/y0 is distributed are not published: heights are spread evenly, the order is random, "
+        "the distribution is a beta. What the loop finds is a finding on the paper's drops only "
+        "where it holds over the sets.",
+        f"At {paper.FRAMES_PER_S:g} frames/s the nearest frame shows an apex too low by g dt²/2: "
+        f"{1e3 * film.mean_low_m:.2f} mm on the average, which is added to y1, with a standard "
+        f"deviation of {1e3 * film.spread_low_m:.2f} mm. With readings to "
+        f"{1e3 * film.reading_m:g} mm, an assumption, that makes {1e3 * film.sigma_m:.2f} mm, the "
+        "declared uncertainty of every height; y0, before the release, is known better than that. "
+        "Declared are the bristle's dimensions and steel's constants; Kn, friction and damping "
+        "are unknown.",
     ]
-    return Table(
-        "published_scatter",
-        "Scatter of y1/y0 by film and reading alone, beside the published one.",
-        (
-            Column("heights", "26 drops from the heights"),
-            Column("sigma_mm", "read to", "mm", 2),
-            Column("expected", "expected", digits=2),
-            Column("published", "published", digits=2),
-            Column("log10_p", "log10 p", digits=3),
-        ),
-        rows,
-        "How many drops were made from which height is not published; the second half of the "
-        "table bounds it.",
+
+
+def told(sets: Sequence[Closed]) -> list[str]:
+    """What holds over the sets, in words; the first paragraph is the answer."""
+    n, findings = len(sets), [each.finding for each in sets]
+    verdicts = _counted(str(each.verdict) for each in findings)
+    answer = f"over {n} sets with the published summaries the loop's verdict is {verdicts}."
+    pooled = _pooled(findings)
+    if pooled:
+        answer += " Named, with the probability averaged over the sets: " + "; ".join(
+            f"{title_of(name)} {np.mean(w):.2f} ({min(w):.2f} to {max(w):.2f})"
+            for name, w in pooled.items()
+        )
+        always = [title_of(name) for name, w in pooled.items() if min(w) > 0.0]
+        answer += f". Named in every set: {' and '.join(always) or 'none'}."
+        by_chance = sum(_differs_by_chance(each) for each in sets)
+        answer += (
+            f" In {by_chance} of {n} sets the likeliest is something that differs from drop to "
+            "drop by chance."
+        )
+    return [answer, _errors(findings), _further(findings)]
+
+
+def _counted(words: Iterable[str]) -> str:
+    return ", ".join(f"{word} in {count}" for word, count in Counter(words).most_common())
+
+
+def _pooled(findings: Sequence[Finding]) -> dict[str, list[float]]:
+    """Probabilities of each named effect, set by set, the likeliest on the average first."""
+    names = dict.fromkeys(name for each in findings for name in each.effects)
+    found = {name: [float(each.weights.get(name, 0.0)) for each in findings] for name in names}
+    return dict(sorted(found.items(), key=lambda each: -sum(each[1])))
+
+
+def _differs_by_chance(closed: Closed) -> bool:
+    effects = closed.finding.model_effects
+    return bool(effects) and np.size(closed.problem.combine(effects).weights) > 1
+
+
+def _errors(findings: Sequence[Finding]) -> str:
+    held = [each.held_out for each in findings if each.held_out is not None]
+    if not held:
+        return "There were too few drops to hold any out."
+    before, after, noise, within = np.mean(
+        [(x.rms_before, x.rms_after, x.sigma, x.coverage_90) for x in held], axis=0
+    )
+    return (
+        f"Error on drops held out, mean over the sets: {show(before, 3)} {held[0].unit} before, "
+        f"{show(after, 3)} after; what is found allows for {show(noise, 3)}, and "
+        f"{percent(within, 0)} of the drops lie within their 90 % intervals. What differs by "
+        "chance cannot be predicted drop by drop: it widens the interval and leaves the error."
+    )
+
+
+def _further(findings: Sequence[Finding]) -> str:
+    noise = _counted(str(each.noise["finding"]) for each in findings if each.noise["finding"])
+    tied = [each.next_experiment for each in findings if each.next_experiment is not None]
+    said = f"Of the noise the drops say other than declared: {noise or 'nothing, in any set'}."
+    if not tied:
+        return f"{said} No set leaves several effects tied, so that none asks for a measurement."
+    return f"{said} What would decide between those tied: {_counted(x.change for x in tied)}."
+
+
+def _drops(drawn: Sequence[tuple[Array, Array]]) -> Figure:
+    y0, y1 = (np.concatenate(each) for each in zip(*drawn, strict=True))
+    rows: list[tuple[Value, ...]] = [
+        (number, drop, 1e3 * float(a), 1e3 * float(b))
+        for number, each in enumerate(drawn, 1)
+        for drop, (a, b) in enumerate(zip(*each, strict=True), 1)
+    ]
+    head = (
+        Column("set", "set"),
+        Column("drop", "drop"),
+        Column("y0_mm", "y0", "mm"),
+        Column("y1_mm", "y1", "mm"),
+    )
+    return Figure(
+        "published-sets",
+        "The drops of all sets, as read, beside what is published: line 65 %, band 30 % to "
+        "100 %, and the one drop. None of the others was measured.",
+        picture(cloud_figure(y0, y1, "drawn here, not measured")),
+        "Height after against before, of the drawn sets",
+        Table("published_sets", "The drawn drops, in the order made.", head, rows),
     )
