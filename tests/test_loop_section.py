@@ -12,6 +12,7 @@ from small_reproduction import toy
 from bristle.solver import paper
 from bristle.studies.loop.drops import damping
 from bristle.studies.loop.finding import Verdict
+from bristle.studies.page.report import show
 from bristle.studies.sections.loop_section import (
     ALL_LOW_M,
     LoopOnPaper,
@@ -150,8 +151,13 @@ def test_words_follow_the_findings(closed):
     assert "slope 0.62 (0.25 to 1.00); drag 0.38 (0.00 to 0.75)" in answer
     assert "Named in every set: slope." in answer
     assert "In 1 of 2 sets" in answer
+    ends = [each.finding.parameters["kn"] for each in (effect, tied)]
+    low, high = min(x.low for x in ends), max(x.high for x in ends)
+    assert f"kn {show(low, 2)} to {show(high, 2)}" in answer
     nothing = saying(one, Verdict.ADEQUATE, {})
-    assert told([nothing, nothing])[0].endswith("adequate in 2.")
+    said = told([nothing, nothing])[0]
+    assert "verdict is adequate in 2." in said
+    assert "Named" not in said
 
 
 @pytest.mark.campaign

@@ -77,6 +77,7 @@ class LoopOnPaper(LoopStudy):
     def section(self, results: Results) -> Section:
         """The section with its sentences, tables and the sets."""
         del results
+        drawn = self.drawn()
         answer, *further = told(self.closed[: self.sets])
         with_beta, *_ = told(self.closed[self.sets :])
         words = [
@@ -87,8 +88,8 @@ class LoopOnPaper(LoopStudy):
         return Section(
             "loop",
             "What the 65 % is made of",
-            [*_introduction(self.sets), *words],
-            figures=[_drops(self.drawn())],
+            [*_introduction(drawn), *words],
+            figures=[_drops(drawn)],
             tables=[
                 verdict_table("loop_sets", "The loop on each set.", self.closed),
                 estimate_table("loop_estimates", self.closed),
@@ -97,8 +98,9 @@ class LoopOnPaper(LoopStudy):
         )
 
 
-def _introduction(sets: int) -> list[str]:
+def _introduction(drawn: Sequence[tuple[Array, Array]]) -> list[str]:
     film = Film()
+    low, high = (_scatter_from(drawn, paper.HEIGHTS_M[i]) for i in (0, -1))
     worst = Film(reading_m=1e-3)
     p = chance_of_scatter(film_scatter(worst, ALL_LOW_M))
     return [
@@ -110,8 +112,8 @@ def _introduction(sets: int) -> list[str]:
         f"p = {show(p, 2)}. Spread over the five heights, they would have to be read wrong by "
         f"{show(needed_mm(), 2)} mm.",
         "What is it? That takes drops, and the paper published none but one, "
-        f"{1e3 * paper.KNOWN_DROP_M[0]:.1f} to {1e3 * paper.KNOWN_DROP_M[1]:.0f} mm. So {sets} "
-        f"sets of {paper.N_DROPS} are drawn, at random but for that drop and for what is "
+        f"{1e3 * paper.KNOWN_DROP_M[0]:.1f} to {1e3 * paper.KNOWN_DROP_M[1]:.0f} mm. So "
+        f"{len(drawn)} sets of {paper.N_DROPS} are drawn, at random but for that drop and for what is "
         f"published: mean {paper.RATIO_MEAN:.2f} and standard deviation {paper.RATIO_STD:.2f} of "
         f"y1/y0, slope {paper.RATIO_MEAN:.2f}, R² {paper.R2_LINEAR:.4f} of the line and "
         f"{paper.R2_QUADRATIC:.4f} of the quadratic, to their last printed digit. None of the "
@@ -119,6 +121,10 @@ def _introduction(sets: int) -> list[str]:
         "y1/y0 is distributed are not published: heights are spread evenly, the order is random, "
         "the distribution is a beta. What the loop finds is a finding on the paper's drops only "
         "where it holds over the sets.",
+        f"In the sets y1/y0 scatters by {show(low, 2)} from {1e3 * paper.HEIGHTS_M[0]:.0f} mm and "
+        f"by {show(high, 2)} from {1e3 * paper.HEIGHTS_M[-1]:.0f} mm: with heights spread evenly "
+        "that is how the published R² goes with the published standard deviation. Had more drops "
+        "been made from the lowest and highest, it could be the same from every height.",
         f"At {paper.FRAMES_PER_S:g} frames/s the nearest frame shows an apex too low by g dt²/2: "
         f"{1e3 * film.mean_low_m:.2f} mm on the average, which is added to y1, with a standard "
         f"deviation of {1e3 * film.spread_low_m:.2f} mm. With readings to "
@@ -127,6 +133,11 @@ def _introduction(sets: int) -> list[str]:
         "Declared are the bristle's dimensions and steel's constants; Kn, friction and damping "
         "are unknown.",
     ]
+
+
+def _scatter_from(drawn: Sequence[tuple[Array, Array]], height_m: float) -> float:
+    """Standard deviation of y1/y0 of the drops from one height, over the sets."""
+    return float(np.sqrt(np.mean([np.var((y1 / y0)[y0 == height_m], ddof=1) for y0, y1 in drawn])))
 
 
 def told(sets: Sequence[Closed]) -> list[str]:
@@ -147,7 +158,7 @@ def told(sets: Sequence[Closed]) -> list[str]:
             f" In {by_chance} of {n} sets the likeliest is something that differs from drop to "
             "drop by chance."
         )
-    return [answer, _errors(findings), _further(findings)]
+    return [f"{answer}{_reach(findings)}", _errors(findings), _further(findings)]
 
 
 def _counted(words: Iterable[str]) -> str:
@@ -164,6 +175,17 @@ def _pooled(findings: Sequence[Finding]) -> dict[str, list[float]]:
 def _differs_by_chance(closed: Closed) -> bool:
     effects = closed.finding.model_effects
     return bool(effects) and np.size(closed.problem.combine(effects).weights) > 1
+
+
+def _reach(findings: Sequence[Finding]) -> str:
+    """How far the intervals of parameters that all sets have reach together."""
+    said = []
+    for name, one in findings[0].parameters.items():
+        every = [each.parameters[name] for each in findings if name in each.parameters]
+        if len(every) == len(findings):
+            low, high = min(x.low for x in every), max(x.high for x in every)
+            said.append(f"{name} {show(low, 2)} to {show(high, 2)} {one.unit}".rstrip())
+    return f" Over the sets the 90 % intervals span: {'; '.join(said)}." if said else ""
 
 
 def _errors(findings: Sequence[Finding]) -> str:
