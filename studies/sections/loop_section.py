@@ -164,7 +164,13 @@ def told(sets: Sequence[Closed]) -> list[str]:
             f" In {by_chance} of {n} sets the likeliest is something that differs from drop to "
             "drop by chance."
         )
-    return [f"{answer}{_reach(findings)}", _errors(findings), _further(findings)]
+    errors = _errors(findings)
+    if any(map(_differs_by_chance, sets)):
+        errors += (
+            " What differs by chance cannot be predicted drop by drop: it widens the interval and "
+            "leaves the error."
+        )
+    return [f"{answer}{_reach(findings)}", errors, _further(findings)]
 
 
 def _counted(words: Iterable[str]) -> str:
@@ -204,8 +210,7 @@ def _errors(findings: Sequence[Finding]) -> str:
     return (
         f"Error on drops held out, mean over the sets: {show(before, 3)} {held[0].unit} before, "
         f"{show(after, 3)} after; what is found allows for {show(noise, 3)}, and "
-        f"{percent(within, 0)} of the drops lie within their 90 % intervals. What differs by "
-        "chance cannot be predicted drop by drop: it widens the interval and leaves the error."
+        f"{percent(within, 0)} of the drops lie within their 90 % intervals."
     )
 
 
