@@ -68,7 +68,8 @@ def test_every_command_is_understood(words):
         case "python3":
             flags = {word for word in words if word.startswith("--")}
             help_text = python(str(readme.REPOSITORY / words[1]), "--help").stdout
-            assert flags and flags <= set(re.findall(r"--[\w-]+", help_text))
+            assert flags
+            assert flags <= set(re.findall(r"--[\w-]+", help_text))
         case "apptainer":
             assert (readme.REPOSITORY / words[-1]).is_file()
         case "sbatch":
