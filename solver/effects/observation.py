@@ -52,7 +52,7 @@ class ClockError(Effect):
     name = "clock_error"
     title = "rate of the clock"
     place = Place.OBSERVATION
-    kinds = SEEN | {"waves"}
+    kinds = SEEN
     source = "a camera whose frame rate is not the stated one"
     parameters = (Parameter("relative", "", -0.2, 0.2, 0.02, why="consumer cameras and sensors"),)
 

@@ -193,7 +193,7 @@ class Judge:
         inside = (held.values >= low) & (held.values <= high)
         spread = score.draws - score.draws.mean(axis=0)
         sigma = float(np.sqrt(np.mean((spread[:, mine] * scale) ** 2)))
-        error, chance = _trimmed(held.values - score.mean), _trimmed(score.draws - score.mean)
+        error, chance = trimmed_rms(held.values - score.mean), trimmed_rms(score.draws - score.mean)
         surprise = (float(np.sum(chance >= error)) + 1.0) / (len(chance) + 1.0)
         gain = self.gain(final) if final is not self.base else Gain(0.0, 0.0, 0.0, False)
         ends = _reduction(held.group[mine], values - before, values - after, rng)
@@ -222,7 +222,7 @@ class Judge:
         )
 
 
-def _trimmed(error: Array) -> Array:
+def trimmed_rms(error: Array) -> Array:
     """Rms (...) of errors (..., rows) without the largest: an outlier is a finding on the noise."""
     rows = error.shape[-1]
     kept = max(rows - round(TRIMMED * rows), min(rows, 1))

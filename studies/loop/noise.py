@@ -3,7 +3,7 @@
 A dataset declares a standard deviation and no more. Tails, outliers, correlation and a sigma that
 was declared somewhat wrong are hypotheses of their own, a grid of noises that every model may
 choose from. The grid is bounded on purpose: a core of at most `MOST_SCALE` declared standard
-deviations, and correlation only where the size is what was declared. Noise may be odd or it may be
+deviations, and correlation only of normal noise of the declared size. Noise may be odd or it may be
 large, but what is both is something that the model lacks.
 
 Every density is tabulated once, so the compiled kernel costs one look-up a row, whatever the shape.
@@ -196,7 +196,8 @@ def noises(sequence: Chain, declared: bool) -> Noises:
         ]
         grid.sort(key=lambda each: abs(np.log(each[1])) + 10 * each[0])
     if np.sum(sequence.previous >= 0) >= LEAST_LINKED:
-        plain = [each for each in grid if not declared or each[1] <= MOST_CORRELATED]
+        plain = [each for each in grid if each[0] == 0]
+        plain = [each for each in plain if not declared or each[1] <= MOST_CORRELATED]
         grid = [(s, x, r, UNCORRELATED * p) for s, x, r, p in grid]
         share = (1 - UNCORRELATED) / len(CORRELATIONS)
         grid += [(s, x, rho, share * p) for rho in CORRELATIONS for s, x, _, p in plain]

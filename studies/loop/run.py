@@ -17,7 +17,7 @@ from .adequacy import Adequacy, Direction, assess
 from .experiment import next_experiment
 from .finding import Evidence, Finding, Interval, Near, Test, Verdict
 from .fit import Fitted
-from .heldout import HeldOut, Judge, split
+from .heldout import HeldOut, Judge, split, trimmed_rms
 from .noise import Ints
 from .posterior import Posterior, posterior
 from .problem import Problem
@@ -101,7 +101,8 @@ def find(
     state = State(problem, data, base, baseline, profiles, ways, judge, first, rng)
     singles: list[Tried] = []
     explained: list[Explanation] = []
-    missing = first.p_value <= alarm or (plain is not None and _surprising(plain))
+    missing = first.p_value <= alarm or _large(data, first.residual)
+    missing = missing or (plain is not None and _surprising(plain))
     # scatter leaves no mean for the tests to see: its likelihood is asked for in any case
     for each in profiles:
         if missing or np.asarray(each.model.weights).size > 1:
@@ -220,6 +221,8 @@ def _refused(
     """Why a model explains the data not, in words; empty where it does."""
     if left.p_value <= alarm:
         return f"what it leaves is not noise ({left.statistic}, p = {left.p_value:.2g})"
+    if _large(state.data, left.residual):
+        return "what it leaves is larger than the declared noise"
     if state.first.unlisted > found.log_evidence + UNLISTED_MARGIN:
         return f"a shape that no effect has explains more ({state.first.shape})"
     if held is None:
@@ -242,6 +245,14 @@ def _surprising(held: HeldOut) -> bool:
     if held.values.size < LEAST_ROWS:
         return False
     return held.ratio > MOST_RATIO or held.coverage_90 < LEAST_COVERAGE
+
+
+def _large(data: Sample, residual: Array) -> bool:
+    """Whether a quantity's residuals (rows,) are more than any noise may be, outliers aside."""
+    if not data.noises.declared:
+        return False
+    sizes = [residual[data.kind == kind] for kind in np.unique(data.kind)]
+    return any(z.size >= LEAST_ROWS and trimmed_rms(z) > MOST_RATIO for z in sizes)
 
 
 def _sample(problem: Problem, groups: Ints) -> Sample:

@@ -169,9 +169,8 @@ def _listed(
     if effect.name == "material_damping":
         absent = plan.truth.body.beta_s
     end = float(rng.choice([each for each in ends if each != absent]))
-    if effect.name == "release_velocity" and not row.films:
-        # a drop that is not filmed does not tell up from down
-        end = effect.high
+    if effect.name == "release_velocity":
+        end = effect.high  # pushed up, it comes back as fast
 
     def value(share: float) -> float:
         if effect.logarithmic:

@@ -161,6 +161,8 @@ def _films(rng: np.random.Generator, plan: Plan, draw: Draw, mark: float) -> tup
     """All films of a set begin alike, at one of usual frame rates."""
     fps = float(rng.choice([120.0, 240.0, 300.0, 480.0]))
     begins = str(rng.choice([HELD, AT_RELEASE, MID_FALL]))
+    if plan.truth.release_m_s:
+        begins = HELD  # any other does not tell a push from an earlier release
     lines = ["drop,t_s,y_mm"]
     for i, (height, luck) in enumerate(zip(plan.heights_m, plan.chance, strict=True)):
         times, y = film(plan.truth, float(height), i, luck, fps, begins, rng)
