@@ -18,7 +18,7 @@ from bristle.solver.fall import dragged_fall, fallen, risen
 from bristle.studies.data.datasets import read_drops
 from bristle.studies.loop.response import Bench, Tables
 from bristle.studies.loop.spline import coefficients, evaluate
-from bristle.studies.loop.table import Axis
+from bristle.studies.loop.table import Axis, Table
 from bristle.studies.loop.table_drops import drops_of, its_s
 from bristle.studies.synth import (
     Noise,
@@ -135,6 +135,15 @@ def test_splines_reproduce_cubics_and_their_nodes(seed, axes):
     found = np.empty((40, 3))
     evaluate(table.reshape(-1, 3), np.array(table.shape[:-1]), points, found)
     assert found == pytest.approx(values(points), rel=1e-8, abs=1e-8 * np.abs(table).max())
+
+
+def test_a_table_read_for_drops_and_nodes_apart_says_what_it_says_for_all_at_once(rng):
+    axes = (Axis(0.01, 0.06, 4, "root"), Axis(1e4, 1e8, 5, "log"), Axis(0, 8, 6), Axis(0, 90, 4))
+    table = Table(axes, coefficients(rng.normal(size=(4, 5, 6, 4, 3)), 4))
+    height, kn = rng.uniform(0.01, 0.06, (2, 1, 7)), 10 ** rng.uniform(4, 8, (2, 1, 7))
+    size, side = rng.uniform(0, 9, (2, 3, 1)), rng.uniform(0, 90, (3, 1))
+    apart = table.at(height, kn, size, side)
+    assert apart == pytest.approx(table.at(height, kn, size, side + np.zeros(7)), abs=1e-12)
 
 
 @pytest.mark.parametrize("how", ["even", "log", "root"])

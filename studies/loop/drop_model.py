@@ -119,7 +119,8 @@ class BounceModel:
             height, bench.gravity_m_s2, value("release_velocity"), drag / bench.body.mass_kg
         )
         decades = value("wear") * (drops.order / WEAR_DROPS)
-        decades = decades + value("surface_phases") * nodes[:, :1]
+        if "surface_phases" in self.effects:
+            decades = decades + value("surface_phases") * nodes[:, :1]
         # drops may be numbered by their date, and wear grows with the number
         decades = np.clip(decades, -MOST_DECADES, MOST_DECADES)
         kn = theta[..., 0][..., None, None] * 10.0**decades

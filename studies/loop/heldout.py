@@ -35,11 +35,10 @@ class HeldOut:
     """Errors in ``unit`` on held-out ``groups``; ``reduction`` is 1 − after / before, with its 90 %
     interval over groups. ``sigma`` is the error that the final model and its noise allow for,
     ``ratio`` the error over that and ``surprise`` the chance of one as large, both without the
-    largest eighth of the errors; ``rms_sigma`` is the error of all quantities over
-    the declared noise.
-    ``values``, ``before``, ``after``, ``low``, ``high`` (rows,) in ``unit`` by held-out row of the
-    main quantity. ``log_score_gain`` in nats, cross-validated over all groups, with its 90 %
-    interval; ``nearer``: squared errors of the same fall."""
+    largest eighth of the errors; ``rms_sigma`` is the error of all quantities, ``n_rows`` rows,
+    over the declared noise. ``values``, ``before``, ``after``, ``low``, ``high`` (rows,) in
+    ``unit`` by held-out row of the main quantity. ``log_score_gain`` in nats, cross-validated over
+    all groups, with its 90 % interval; ``nearer``: squared errors of the same fall."""
 
     groups: tuple[int, ...]
     unit: str
@@ -47,6 +46,7 @@ class HeldOut:
     rms_after: float
     sigma: float
     rms_sigma: float
+    n_rows: int
     surprise: float
     ratio: float
     reduction_low: float
@@ -204,6 +204,7 @@ class Judge:
             rms_after=float(np.sqrt(np.mean((values - after) ** 2))),
             sigma=sigma,
             rms_sigma=float(np.sqrt(np.mean((held.values - score.mean) ** 2))),
+            n_rows=held.values.size,
             surprise=surprise,
             ratio=float(error / np.sqrt(np.mean(chance**2))),
             reduction_low=ends[0],

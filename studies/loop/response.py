@@ -316,8 +316,8 @@ class Tables:
         if name in self.scaled:
             most = self._scale(name, np.asarray(height_m), np.asarray(kn_N_m))
             value, absent = (value[0] / most,), [absent[0] / most]
-        now = np.broadcast_arrays(height_m, kn_N_m, *value)
-        without = np.broadcast_arrays(height_m, kn_N_m, *absent)
+        now = [np.asarray(each) for each in (height_m, kn_N_m, *value)]
+        without = [*now[:2], *absent]
         tables = self.of(name)
         if len(tables) == 1 or friction is None:
             return tables[0].at(*now) - tables[0].at(*without)
@@ -329,19 +329,22 @@ class Tables:
 
 
 def _between(tables: Sequence[Table], friction: Array, places: Sequence[Array]) -> Array:
-    """Between tables at `FRICTIONS`, in a straight line; ``friction`` broadcasts against places."""
-    friction = np.broadcast_to(friction, places[0].shape)
-    place = np.clip(
-        np.interp(friction, FRICTIONS, np.arange(len(FRICTIONS))), 0, len(tables) - 1 - 1e-9
-    )
-    low = place.astype(np.int64)
-    out = np.zeros((len(QUANTITIES), *friction.shape))
-    for i in range(len(tables)):
-        share = np.where(low == i, 1.0 - (place - low), np.where(low == i - 1, place - low, 0.0))
-        used = share != 0.0
+    """Between tables at `FRICTIONS`, in a straight line; arrays (..., nodes, drops), ``friction``
+    (..., 1, 1)."""
+    lead = np.broadcast_shapes(*(each.shape[:-2] for each in (friction, *places)))
+    at = np.interp(friction, FRICTIONS, np.arange(len(FRICTIONS)))
+    at = np.broadcast_to(np.clip(at, 0, len(tables) - 1 - 1e-9), (*lead, 1, 1))
+    every = [np.broadcast_to(each, (*lead, *each.shape[-2:])) for each in places]
+    low = at.astype(np.int64)
+    out: Array = np.zeros(())
+    for i, each in enumerate(tables):
+        share = np.where(low == i, 1.0 - (at - low), np.where(low == i - 1, at - low, 0.0))
+        used = share[..., 0, 0] != 0.0
         if used.any():
-            found = tables[i].at(*(each[used] for each in places))
-            out[:, used] += share[used] * found
+            found = share[used] * each.at(*(place[used] for place in every))
+            if out.ndim == 0:
+                out = np.zeros((len(QUANTITIES), *lead, *found.shape[-2:]))
+            out[:, used] += found
     return out
 
 

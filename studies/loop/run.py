@@ -242,7 +242,7 @@ def _surprising(held: HeldOut) -> bool:
     """Whether held-out errors are more than their noise allows."""
     if held.surprise < SURPRISE:
         return True
-    if held.values.size < LEAST_ROWS:
+    if held.n_rows < LEAST_ROWS:
         return False
     return held.ratio > MOST_RATIO or held.coverage_90 < LEAST_COVERAGE
 

@@ -34,6 +34,19 @@ def coefficients(values: Array, axes: int) -> Array:
     return np.ascontiguousarray(out)
 
 
+def basis(places: Array, count: int) -> Array:
+    """Weights (points, count) of the coefficients along one axis at ``places`` (points,)."""
+    cell = np.clip(np.floor(places), 0, count - 4).astype(np.int64)
+    x = places - cell
+    y = 1.0 - x
+    inner = [(4.0 - 6.0 * s * s + 3.0 * s**3) / 6.0 for s in (x, y)]
+    out = np.zeros((len(places), count))
+    np.put_along_axis(
+        out, cell[:, None] + np.arange(4), np.stack([y**3 / 6.0, *inner, x**3 / 6.0], axis=1), 1
+    )
+    return out
+
+
 @njit
 def evaluate(flat: Array, sizes: Array, places: Array, out: Array) -> None:
     """Write the splines' values at ``places`` (points, axes), in units of the spacing, to ``out``.

@@ -9,7 +9,7 @@ from scipy.ndimage import distance_transform_edt
 
 from ...solver.bristle import Array
 from ...solver.errors import ComputationError
-from .spline import evaluate
+from .spline import AXES, basis, evaluate
 
 # What a table holds of a drop, and what is measured of it.
 QUANTITIES = ("y1_m", "contact_time_s", "peak_force_N")
@@ -53,14 +53,41 @@ class Table:
 
     def at(self, *places: Array) -> Array:
         """Logarithms (quantities, ...) at places along the axes, arrays that broadcast."""
-        spots = np.broadcast_arrays(
-            *(axis.where(x) for axis, x in zip(self.axes, places, strict=True))
-        )
+        where = [axis.where(x) for axis, x in zip(self.axes, places, strict=True)]
+        if len(where) == AXES and _apart(where):
+            return self._apart(where)
+        spots = np.broadcast_arrays(*where)
         flat = np.stack([np.ravel(spot) for spot in spots], axis=1)
         sizes = np.array(self.coefficients.shape[:-1])
         out = np.empty((len(flat), len(QUANTITIES)))
         evaluate(self.coefficients.reshape(-1, len(QUANTITIES)), sizes, flat, out)
         return np.asarray(out.T.reshape(len(QUANTITIES), *spots[0].shape))
+
+    def _apart(self, where: list[Array]) -> Array:
+        """`at` where the first two axes hang on the drop alone, the others on chance's node alone:
+        a table over the latter is made for each drop, and read for all nodes."""
+        lead = np.broadcast_shapes(*(each.shape[:-2] for each in map(np.atleast_2d, where)))
+        drops = max(each.shape[-1] for each in map(np.atleast_2d, where[:2]))
+        nodes = max(each.shape[-2] for each in map(np.atleast_2d, where[2:]))
+        shapes = 2 * [(*lead, 1, drops)] + 2 * [(*lead, nodes, 1)]
+        counts = self.coefficients.shape
+        one, two, three, four = (
+            basis(np.broadcast_to(place, shape).reshape(-1), count)
+            for place, shape, count in zip(where, shapes, counts[:-1], strict=True)
+        )
+        by_drop = np.einsum("pi,pj->pij", one, two).reshape(len(one), -1)
+        by_node = np.einsum("pk,pl->pkl", three, four).reshape(-1, nodes, counts[2] * counts[3])
+        own = by_drop @ self.coefficients.reshape(by_drop.shape[1], -1)
+        own = own.reshape(-1, drops, counts[2] * counts[3], counts[-1]).swapaxes(1, 2)
+        found = by_node @ own.reshape(*own.shape[:2], -1)
+        return np.moveaxis(found.reshape(*lead, nodes, drops, counts[-1]), -1, 0)
+
+
+def _apart(where: list[Array]) -> bool:
+    """Whether no place along the first two axes differs between nodes, and none along the others
+    between drops, of arrays (..., nodes, drops)."""
+    deep = [np.atleast_2d(each).shape for each in where]
+    return all(s[-2] == 1 for s in deep[:2]) and all(s[-1] == 1 for s in deep[2:])
 
 
 def mended(logs: Array) -> Array:

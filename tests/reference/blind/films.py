@@ -37,7 +37,7 @@ def film(
     if rng.random() < 0.4 and second > 2e-3:
         ends = away2 + rng.uniform(0.5, 1.3) * rise_time(truth, up2)
     starts = {
-        HELD: -rng.uniform(0.01, 0.06),
+        HELD: -rng.uniform(0.1, 0.4),
         AT_RELEASE: 0.0,
         MID_FALL: rng.uniform(0.2, 0.6) * hit,
     }[begins]
