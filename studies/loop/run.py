@@ -101,8 +101,13 @@ def find(
     state = State(problem, data, base, baseline, profiles, ways, judge, first, rng)
     singles: list[Tried] = []
     explained: list[Explanation] = []
-    missing = first.p_value <= alarm or _large(data, first.residual)
-    missing = missing or (plain is not None and _surprising(plain))
+    noticed = ""
+    if first.p_value > alarm:
+        if _large(data, first.residual):
+            noticed = "residuals are larger than the declared noise"
+        elif plain is not None and _surprising(plain):
+            noticed = "held-out data lie farther off than their noise allows"
+    missing = first.p_value <= alarm or bool(noticed)
     # scatter leaves no mean for the tests to see: its likelihood is asked for in any case
     for each in profiles:
         if missing or np.asarray(each.model.weights).size > 1:
@@ -112,6 +117,7 @@ def find(
         least = max(baseline.log_evidence, first.unlisted) + SCATTER_GAIN
         missing = any(each.log_evidence > least for each in singles)
         if missing:
+            noticed = "it is much likelier that drops differ by chance"
             done = {each.effects[0] for each in singles}
             for each in profiles:
                 if each.name not in done:
@@ -169,7 +175,10 @@ def find(
         residual_before=first.residual,
         residual_after=left.residual if reported else first.residual,
         covariates=data.covariates,
-        warnings=problem.warnings,
+        warnings=(
+            *problem.warnings,
+            *([f"what is missing is seen by this: {noticed}"] * bool(noticed)),
+        ),
         left_aside=problem.left_aside,
         seed=seed,
         alarm=alarm,
