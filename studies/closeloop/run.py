@@ -265,6 +265,10 @@ def summary(content: dict[str, Any]) -> list[tuple[str, str]]:
         rows.append((name, value.rstrip()))
     if held:
         rows.append(("held-out error", f"{_change(held, held['unit'])}; noise {held['noise']:.3g}"))
+        if names:
+            low, high = held["log_score_gain_low"], held["log_score_gain_high"]
+            gain = f"{held['log_score_gain']:+.3g} ({low:+.3g} to {high:+.3g})"
+            rows.append(("held-out log score", gain))
         rows.append(("held-out in 90 %", f"{100 * held['coverage_90']:.0f} %"))
     if solid:
         rows.append(("the same in 3-D", _change(solid, solid["unit"])))

@@ -3,7 +3,8 @@
 One family of statistics, declared here and nowhere else, looks at the quantile residuals of a
 fitted model: their size; each quantity's level; against every covariate smooth shapes, bands and
 thresholds, for the residuals and for their scatter; in the order of the groups every residue
-class, waves, runs; two states; what rows of one group share; and the directions of known effects.
+class and runs, there and in height waves; two states; what rows of one group share; and the
+directions of known effects.
 Shifts are looked for alike at all rows and in proportion to the prediction.
 
 Nothing here forgives a large residual: statistics grow with the residuals themselves (their
@@ -25,7 +26,7 @@ from ...solver.bristle import Array
 from .fit import Fitted
 from .noise import Ints
 from .residuals import quantile_residuals
-from .sample import BETWEEN, Sample
+from .sample import BETWEEN, HEIGHT, Sample, counted
 
 SETS = 599
 KNEE = 3.0
@@ -174,6 +175,16 @@ def _family(
             share = 1.0 / degree[kept] ** 2
             out[name] = lambda z: ((z @ unit.T) ** 2) @ share
 
+    def wavy(name: str, x: Array) -> None:
+        pairs = [_unit(np.concatenate([w * e for e in every]), project) for w in _waves(x)]
+        units = [unit for unit, kept in pairs if kept.any()]
+        if not units:
+            return
+        listed.update((f"wave {i} in {name}", Shapes(unit, True)) for i, unit in enumerate(units))
+        out[f"wave in {name}"] = lambda z: np.max(
+            np.stack([np.sum((z @ unit.T) ** 2, axis=1) / len(unit) for unit in units]), axis=0
+        )
+
     level = np.stack([(data.kind == k).astype(float) for k in kinds])
     linear("level", level, np.ones(len(kinds)))
     patterns = _patterns(data, fitted)
@@ -189,17 +200,13 @@ def _family(
         bands = _bands(x)
         linear(f"band of {name}", np.concatenate([bands * each for each in every]))
         _scattered(out, name, shapes[degree == 1].sum(axis=0), bands)
+        if name in HEIGHT:
+            wavy(name, x)
     order = next((data.covariates[n] for n in BETWEEN if n in data.covariates), None)
     if order is not None and np.unique(order).size >= LEAST_ORDERED:
-        classes, waves = _residue_classes(order), _waves(order)
+        classes = _residue_classes(order)
         linear("one in several of the order", np.concatenate([classes * e for e in every]))
-        pairs = [_unit(np.concatenate([w * e for e in every]), project) for w in waves]
-        pairs = [pair for pair in pairs if pair[1].any()]
-        for i, (unit, _) in enumerate(pairs):
-            listed[f"wave {i} in the order"] = Shapes(unit, True)
-        out["wave in the order"] = lambda z: np.max(
-            np.stack([np.sum((z @ unit.T) ** 2, axis=1) / len(unit) for unit, _ in pairs]), axis=0
-        )
+        wavy("the order", order)
         centred = classes - classes.mean(axis=1, keepdims=True)
         centred /= np.linalg.norm(centred, axis=1, keepdims=True)
         out["scatter of one in several"] = lambda z: np.max(np.abs(np.abs(z) @ centred.T), axis=1)
@@ -363,17 +370,18 @@ def _bands(x: Array) -> Array:
 
 def _residue_classes(order: Array) -> Array:
     """Indicators (classes, rows) of every k-th of the order."""
-    place = np.round(order).astype(np.int64)
-    place -= place.min()
+    place = counted(order)
     most = min(MOST_PERIOD, np.unique(place).size // 3)
     out = [(place % k == j).astype(float) for k in range(2, most + 1) for j in range(k)]
-    return np.array(out).reshape(-1, order.size)
+    return np.array([each for each in out if 0 < each.sum() < order.size]).reshape(-1, order.size)
 
 
-def _waves(order: Array) -> list[Array]:
+def _waves(x: Array) -> list[Array]:
     """Cosine and sine (2, rows) of each frequency, from half a wave in all to half a wave each."""
-    t = (order - order.min()) / max(float(np.ptp(order)), 1.0)
-    most = np.unique(order).size // 2
+    if np.ptp(x) <= 0.0:
+        return []
+    t = (x - x.min()) / np.ptp(x)
+    most = (int(_levels(x).max()) + 1) // 2
     return [
         np.stack([np.cos(2 * np.pi * f * t), np.sin(2 * np.pi * f * t)])
         for f in np.arange(0.5, most + 0.25, 0.5)

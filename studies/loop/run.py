@@ -161,7 +161,7 @@ def find(
         unlisted=first.unlisted,
         shape=first.shape,
         nearest=_nearest(state, first, singles, explained) if missing else None,
-        noise=_noise(data, reported[0].left if reported else first),
+        noise=_noise(data, reported[0].left if reported else first, missing and not reported),
         rms_before=_rms(first.residual),
         rms_after=_rms(left.residual if reported else first.residual),
         coverage_90=float(np.mean(np.abs(left.residual if reported else first.residual) < 1.645)),
@@ -367,9 +367,12 @@ def _nearest(
     )
 
 
-def _noise(data: Sample, left: Adequacy) -> dict[str, float | str]:
-    """What the data say of the noise; ``finding`` where that is not what was declared."""
+def _noise(data: Sample, left: Adequacy, misfit: bool) -> dict[str, float | str]:
+    """What the data say of the noise; ``finding`` where that is not what was declared, and is no
+    ``misfit`` that nothing explains."""
     out = data.noises.describe(left.noise)
+    if misfit:
+        return {**out, "finding": ""}
     said = []
     if out["shape"] != "gaussian":
         said.append("its tails are heavier than a normal distribution's")

@@ -85,6 +85,14 @@ def sample(problem: Problem, groups: Ints, unit: Array | None = None) -> Sample:
     )
 
 
+def counted(order: Array) -> Ints:
+    """Numbers (rows,) from zero in the steps that they come in, whole: drops that are numbered by
+    fives come one after the other."""
+    place = np.round(order).astype(np.int64)
+    place -= place.min()
+    return np.asarray(place // max(int(np.gcd.reduce(place)), 1))
+
+
 def _chain(label: Ints, kind: Ints, covariates: dict[str, Array]) -> Chain:
     """The row before each: within its group where a quantity has several rows there, else in the
     order in which groups were made; always of the same quantity."""
@@ -101,7 +109,7 @@ def _chain(label: Ints, kind: Ints, covariates: dict[str, Array]) -> Chain:
         same = label[mine[1:]] == label[mine[:-1]] if several else np.ones(mine.size - 1, bool)
         previous[mine[1:]] = np.where(same, mine[:-1], -1)
         if not several:
-            gap[mine[1:]] = np.maximum(np.diff(order[mine]), 1.0)
+            gap[mine[1:]] = np.maximum(np.diff(counted(order[mine])), 1.0)
     return Chain(previous, gap)
 
 
