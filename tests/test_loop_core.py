@@ -383,6 +383,32 @@ def test_names_and_order_of_rows_change_nothing(named):
     assert again.p_value == pytest.approx(named.p_value, rel=0.5, abs=0.01)
 
 
+@pytest.mark.parametrize("step", [5, 60])
+def test_drops_numbered_in_steps_are_as_those_numbered_by_one(step):
+    problem, _ = toys.problem(2, unlisted=("alternation", 12.0))
+    order = step * problem.covariates["order"] + 101.0
+    numbered = replace(problem, covariates={**problem.covariates, "order": order})
+    one, other = find(problem, seed=2), find(numbered, seed=2)
+    assert other.verdict is one.verdict
+    assert other.p_value == pytest.approx(one.p_value, rel=1e-6)
+    assert [t.value for t in other.tests] == pytest.approx([t.value for t in one.tests], rel=1e-6)
+
+
+@pytest.mark.parametrize("unlisted", ["wave", "half of the high"])
+def test_no_scatter_swallows_what_is_none(unlisted):
+    """A quick wave in height, and every second of the highest drops off by one amount."""
+    problem, _ = toys.problem(5, quantities=1)
+    order = problem.covariates["order"]
+    height = np.argsort(np.argsort(problem.covariates["height"] + 1e-3 * order)).astype(float)
+    problem = replace(problem, covariates={"height": height, "order": order})
+    if unlisted == "wave":
+        share = np.sin(2 * np.pi * 6 * height / np.ptp(height))
+    else:
+        share = -2.0 * ((height > np.median(height)) & (order % 2 == 0))
+    found = find(replace(problem, values=problem.values + 4.0 * share), seed=5)
+    assert found.verdict is Verdict.UNKNOWN, found.effects
+
+
 @settings(max_examples=12, deadline=None)
 @given(
     seed=st.integers(0, 10**6),
