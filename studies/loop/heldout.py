@@ -34,9 +34,9 @@ TRIMMED = 1 / 8
 class HeldOut:
     """Errors in ``unit`` on held-out ``groups``; ``reduction`` is 1 − after / before, with its 90 %
     interval over groups. ``sigma`` is the error that the final model and its noise allow for,
-    ``ratio`` the error over that and ``surprise`` the chance of one as large, both without the
-    largest eighth of the errors; ``rms_sigma`` is the error of all quantities, ``n_rows`` rows,
-    over the declared noise. ``values``, ``before``, ``after``, ``low``, ``high`` (rows,) in
+    ``ratio`` the error over that and ``surprise`` the chance of one as large in all quantities,
+    both without the largest eighth of the errors; ``rms_sigma`` is the error of all quantities,
+    ``n_rows`` rows, over the declared noise. ``values``, ``before``, ``after``, ``low``, ``high`` (rows,) in
     ``unit`` by held-out row of the main quantity. ``log_score_gain`` in nats, cross-validated over
     all groups, with its 90 % interval; ``nearer``: squared errors of the same fall."""
 
@@ -206,7 +206,7 @@ class Judge:
             rms_sigma=float(np.sqrt(np.mean((held.values - score.mean) ** 2))),
             n_rows=held.values.size,
             surprise=surprise,
-            ratio=float(error / np.sqrt(np.mean(chance**2))),
+            ratio=_ratio((held.values - score.mean)[mine], (score.draws - score.mean)[:, mine]),
             reduction_low=ends[0],
             reduction_high=ends[1],
             coverage_90=float(np.mean(inside)),
@@ -228,6 +228,11 @@ def trimmed_rms(error: Array) -> Array:
     rows = error.shape[-1]
     kept = max(rows - round(TRIMMED * rows), min(rows, 1))
     return np.sqrt(np.mean(np.sort(error**2, axis=-1)[..., :kept], axis=-1))
+
+
+def _ratio(error: Array, chance: Array) -> float:
+    """Rms of errors (rows,) over what draws (draws, rows) allow for, both trimmed."""
+    return float(trimmed_rms(error) / np.sqrt(np.mean(trimmed_rms(chance) ** 2)))
 
 
 def _reduction(

@@ -36,7 +36,7 @@ SCATTER_GAIN = 8.0
 # Nats by which something unlisted must be likelier than an effect to refuse it.
 UNLISTED_MARGIN = 3.0
 # Held-out errors beyond these are no noise: over what it allows, and of the 90 % intervals.
-MOST_RATIO, LEAST_COVERAGE, LEAST_ROWS, SURPRISE = 1.5, 0.6, 8, 0.002
+MOST_RATIO, LEAST_COVERAGE, LEAST_ROWS, SURPRISE = 1.5, 0.6, 8, 0.003
 
 
 @dataclass(frozen=True)
@@ -251,9 +251,9 @@ def _surprising(held: HeldOut) -> bool:
     """Whether held-out errors are more than their noise allows."""
     if held.surprise < SURPRISE:
         return True
-    if held.n_rows < LEAST_ROWS:
-        return False
-    return held.ratio > MOST_RATIO or held.coverage_90 < LEAST_COVERAGE
+    if held.values.size >= LEAST_ROWS and held.ratio > MOST_RATIO:
+        return True
+    return held.n_rows >= LEAST_ROWS and held.coverage_90 < LEAST_COVERAGE
 
 
 def _large(data: Sample, residual: Array) -> bool:
