@@ -4,8 +4,8 @@ One family of statistics, declared here and nowhere else, looks at the quantile 
 fitted model: their size; each quantity's level; against every covariate smooth shapes, bands and
 thresholds, for the residuals and for their scatter; in the order of the groups every residue
 class and runs, there and in height waves; two states; what rows of one group share; and the
-directions of known effects.
-Shifts are looked for alike at all rows and in proportion to the prediction.
+directions of known effects. Shifts are looked for alike at all rows and in proportion to the
+prediction.
 
 Nothing here forgives a large residual: statistics grow with the residuals themselves (their
 logarithm beyond `KNEE`), after the full fit within its bounds, and what they are held against is

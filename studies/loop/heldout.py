@@ -36,9 +36,10 @@ class HeldOut:
     interval over groups. ``sigma`` is the error that the final model and its noise allow for,
     ``ratio`` the error over that and ``surprise`` the chance of one as large in all quantities,
     both without the largest eighth of the errors; ``rms_sigma`` is the error of all quantities,
-    ``n_rows`` rows, over the declared noise. ``values``, ``before``, ``after``, ``low``, ``high`` (rows,) in
-    ``unit`` by held-out row of the main quantity. ``log_score_gain`` in nats, cross-validated over
-    all groups, with its 90 % interval; ``nearer``: squared errors of the same fall."""
+    ``n_rows`` rows, over the declared noise. ``values``, ``before``, ``after``, ``low``, ``high``
+    (rows,) in ``unit`` by held-out row of the main quantity. ``log_score_gain`` in nats,
+    cross-validated over all groups, with its 90 % interval; ``nearer``: squared errors of the same
+    fall."""
 
     groups: tuple[int, ...]
     unit: str
