@@ -108,16 +108,17 @@ def assess(
     absorbed = np.linalg.pinv(tangent)
     drawn -= (drawn @ absorbed.T) @ tangent.T
     both = _soft(np.concatenate([z[None], drawn]))
-    statistics, shapes = _family(data, fitted, tangent, directions)
+    patterns = _patterns(data, fitted)
+    statistics, shapes = _family(data, patterns, tangent, directions)
     names = list(statistics)
     values = np.stack([statistics[name](both) for name in names], axis=1)
     single, simulated = p_values(values[0], values[1:])
     p_value, least = corrected(single, simulated)
     threshold = float(np.quantile(least, 0.02))
-    unlisted, shape = _best_shape(data, z, z - tangent @ (absorbed @ z), shapes)
-    apart = _log_two_states(data, z, _patterns(data, fitted))
-    if apart > unlisted:
-        unlisted, shape = apart, "two states"
+    free = z - tangent @ (absorbed @ z)
+    unlisted, shape = max(
+        _best_shape(data, z, free, shapes), (_log_two_states(data, z, patterns), "two states")
+    )
     return Adequacy(
         p_value=p_value,
         statistic=names[int(np.argmin(single))],
@@ -155,7 +156,7 @@ def _soft(z: Array) -> Array:
 
 
 def _family(
-    data: Sample, fitted: Fitted, tangent: Array, directions: list[Direction]
+    data: Sample, patterns: list[Array], tangent: Array, directions: list[Direction]
 ) -> tuple[dict[str, Statistic], dict[str, Shapes]]:
     """All statistics by name, each takes residuals (sets, rows) to numbers (sets,); and the shapes
     of those that look for a shift."""
@@ -187,7 +188,6 @@ def _family(
 
     level = np.stack([(data.kind == k).astype(float) for k in kinds])
     linear("level", level, np.ones(len(kinds)))
-    patterns = _patterns(data, fitted)
     every = [pattern * mask for pattern in patterns for mask in level]
     for name, x in _distinct(data.covariates).items():
         shapes, degree = _polynomials(x, data.kind)

@@ -37,6 +37,7 @@ SCATTER_GAIN = 8.0
 UNLISTED_MARGIN = 3.0
 # Held-out errors beyond these are no noise: over what it allows, and of the 90 % intervals.
 MOST_RATIO, LEAST_COVERAGE, LEAST_ROWS, SURPRISE = 1.5, 0.6, 8, 0.003
+SEEN_BY = "what is missing is seen by this: "
 
 
 @dataclass(frozen=True)
@@ -101,12 +102,7 @@ def find(
     state = State(problem, data, base, baseline, profiles, ways, judge, first, rng)
     singles: list[Tried] = []
     explained: list[Explanation] = []
-    noticed = ""
-    if first.p_value > alarm:
-        if _large(data, first.residual):
-            noticed = "residuals are larger than the declared noise"
-        elif plain is not None and _surprising(plain):
-            noticed = "held-out data lie farther off than their noise allows"
+    noticed = "" if first.p_value <= alarm else _noticed(data, first, plain)
     missing = first.p_value <= alarm or bool(noticed)
     # scatter leaves no mean for the tests to see: its likelihood is asked for in any case
     for each in profiles:
@@ -117,7 +113,7 @@ def find(
         least = max(baseline.log_evidence, first.unlisted) + SCATTER_GAIN
         missing = any(each.log_evidence > least for each in singles)
         if missing:
-            noticed = "it is much likelier that drops differ by chance"
+            noticed = SEEN_BY + "it is much likelier that drops differ by chance"
             done = {each.effects[0] for each in singles}
             for each in profiles:
                 if each.name not in done:
@@ -175,10 +171,7 @@ def find(
         residual_before=first.residual,
         residual_after=left.residual if reported else first.residual,
         covariates=data.covariates,
-        warnings=(
-            *problem.warnings,
-            *([f"what is missing is seen by this: {noticed}"] * bool(noticed)),
-        ),
+        warnings=(*problem.warnings, *filter(None, [noticed])),
         left_aside=problem.left_aside,
         seed=seed,
         alarm=alarm,
@@ -244,6 +237,16 @@ def _refused(
         return "the error on held-out data does not fall"
     if _surprising(held):
         return "held-out data lie farther off than their noise allows"
+    return ""
+
+
+def _noticed(data: Sample, first: Adequacy, plain: HeldOut | None) -> str:
+    """By what else than the tests of residuals something is seen to be missing, in words; empty
+    where by nothing."""
+    if _large(data, first.residual):
+        return SEEN_BY + "residuals are larger than the declared noise"
+    if plain is not None and _surprising(plain):
+        return SEEN_BY + "held-out data lie farther off than their noise allows"
     return ""
 
 
