@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import NamedTuple
+from typing import NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,9 +18,10 @@ from ...solver.effects.surface import WEAR_DROPS
 from ...solver.fall import fallen, risen
 from .response import Bench, Tables
 
-# Nodes of chance: stiffness by its normal deviate, slope by its size and direction.
-DEVIATES = np.linspace(-3.25, 3.25, 53)
-SIZES = np.linspace(0.1, 3.5, 18)
+# Nodes of chance, ends and how many: stiffness by its normal deviate, slope by its size; and the
+# slope's direction.
+DEVIATES = (-3.25, 3.25, 53)
+SIZES = (0.1, 3.5, 18)
 DIRECTIONS_DEG = (9.0, 27.0, 45.0, 63.0, 81.0)
 # Stiffness beyond what any table covers.
 MOST_DECADES = 12.0
@@ -63,7 +64,7 @@ class BounceModel:
     """The baseline with ``effects`` in, up to what data show of it: the base of `Model` classes.
 
     ``kn`` and, where the body's damping is not declared, ``beta`` are the baseline's free
-    parameters. A subclass adds `predict`.
+    parameters; nodes of chance lie ``closer`` so many times. A subclass adds `predict`.
     """
 
     drops: Drops
@@ -71,6 +72,11 @@ class BounceModel:
     kn: Parameter
     effects: tuple[str, ...]
     beta: Parameter | None = field(default=None, kw_only=True)
+    closer: int = field(default=1, kw_only=True)
+
+    def finer(self, by: int) -> Self:
+        """The same with ``by`` times as many nodes of stiffness or of the slope's size."""
+        return replace(self, closer=by)
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
@@ -86,9 +92,11 @@ class BounceModel:
         stiff_weights: Array = np.ones(1)
         size_weights: Array = np.ones(1)
         if "surface_phases" in self.effects:
-            stiff, stiff_weights = DEVIATES, np.exp(-0.5 * DEVIATES**2)
+            stiff = _nodes(*DEVIATES, self.closer)
+            stiff_weights = np.exp(-0.5 * stiff**2)
         if "surface_slope" in self.effects:
-            sizes, size_weights = SIZES, SIZES * np.exp(-0.5 * SIZES**2)
+            sizes = _nodes(*SIZES, self.closer)
+            size_weights = sizes * np.exp(-0.5 * sizes**2)
             sides = np.array(DIRECTIONS_DEG)
         if len(stiff) > 1 and len(sizes) > 1:  # both at once: every third of either is enough
             stiff, stiff_weights = stiff[1::3], stiff_weights[1::3]
@@ -214,6 +222,10 @@ class FeatureModel(BounceModel):
     def features(self, theta: Array) -> Array:
         """Features of every drop (..., nodes, drops, features)."""
         raise NotImplementedError
+
+
+def _nodes(low: float, high: float, count: int, closer: int) -> Array:
+    return np.linspace(low, high, (count - 1) * closer + 1)
 
 
 def effect_at(name: str, value: float) -> Effect:

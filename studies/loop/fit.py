@@ -9,7 +9,7 @@ logarithmic ones by their logarithm.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +23,8 @@ from .sample import Sample
 ITERATIONS = 14
 # A uniform parameter on the unit box has this precision: data that add less do not see it.
 BOX_PRECISION = 12.0
+# Other maxima count that are less likely by no more nats, and as many deviations away.
+MODE_NATS, MODE_APART = 6.0, 4.0
 # Nearer to a bound than this, in the unit box, a parameter is on it.
 ON_BOUND = 1e-4
 
@@ -57,7 +59,7 @@ class Fitted:
 
     ``u``, ``theta`` (p,); ``information`` (p, p) by unit-box coordinates; ``predicted`` (nodes,
     rows of the sample), ``slopes`` (nodes, rows, p); ``unseen`` names the parameters in directions
-    that the data do not see.
+    that the data do not see; ``modes`` (n, p), in the unit box, are other maxima, nearly as likely.
     """
 
     model: Model
@@ -69,6 +71,7 @@ class Fitted:
     predicted: Array
     slopes: Array
     unseen: tuple[str, ...]
+    modes: tuple[Array, ...] = ()
 
     @property
     def effects(self) -> tuple[str, ...]:
@@ -208,7 +211,21 @@ def fit(
         if np.all(done | (damping > 1e5)):
             break
     best = int(np.argmax(height))
-    return _finish(data, model, u[best], base[best], slopes[best], float(height[best]), noise)
+    end = float(height[best])
+    likeliest = _finish(data, model, u[best], base[best], slopes[best], end, noise)
+    return replace(likeliest, modes=_others(likeliest, u, height))
+
+
+def _others(found: Fitted, u: Array, height: Array) -> tuple[Array, ...]:
+    """Maxima apart from the best among the ends (starts, p) of a fit and their ``height``."""
+    chosen = [found.u]
+    for i in np.argsort(-height, kind="stable"):
+        if height[i] < found.log_likelihood - MODE_NATS:
+            break
+        away = [u[i] - each for each in chosen]
+        if all(d @ found.information @ d > MODE_APART**2 for d in away):
+            chosen.append(u[i])
+    return tuple(chosen[1:])
 
 
 def _bounded_step(u: Array, gradient: Array, curve: Array, damping: Array) -> Array:
@@ -284,6 +301,7 @@ def settle(data: Sample, model: Model, starts: Array) -> Fitted:
     lost; outliers are seen to afterwards.
     """
     fitted = fit(data, model, starts, 0)
+    modes = fitted.modes
     robust = fit(data, model, fitted.u, data.noises.robust())
     if likely_noise(data, robust)[1] > likely_noise(data, fitted)[1]:
         fitted = robust
@@ -292,4 +310,4 @@ def settle(data: Sample, model: Model, starts: Array) -> Fitted:
         if best == fitted.noise:
             break
         fitted = fit(data, model, fitted.u, best, iterations=8)
-    return fitted
+    return replace(fitted, modes=modes)

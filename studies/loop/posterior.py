@@ -1,8 +1,9 @@
 """Posterior of a model's parameters by adaptive importance sampling, and its evidence.
 
-Proposals are Student's t about the likeliest point, adapted until enough points count, with a tenth
-of them spread over the whole box; noises are summed with their priors. So bounds, skewness and
-scatter need no approximation (Owen and Zhou, J. Am. Stat. Assoc. 95 (2000) 135: defensive mixture).
+Proposals are Student's t about every maximum, adapted where it is one until enough points count,
+with a tenth of them spread over the whole box; noises are summed with their priors. So bounds,
+skewness and scatter need no approximation (Owen and Zhou, J. Am. Stat. Assoc. 95 (2000) 135:
+defensive mixture).
 
 Evidence compares effects on an equal footing: the greatest likelihood less `OCCAM` for each of the
 effect's parameters that the data see. A prior over an effect's bounds would favour whoever bounded
@@ -117,13 +118,16 @@ def _sampled(
     Points of all turns count, each under the mixture of all proposals, so a proposal that has
     shrunk to the wrong place cannot pass for the whole (Cornuet et al., Scand. J. Stat. 39, 2012).
     """
-    centre, cov = _about(fitted)
+    maxima = [fitted, *(fit(data, fitted.model, u, fitted.noise) for u in fitted.modes)]
+    ways = [_about(each) for each in maxima]
     proposals: list[Proposal] = []
     points: list[Array] = []
     targets: list[Array] = []
     for turn in range(TURNS):
-        proposals.append(Proposal(centre, np.linalg.cholesky(cov), counts[min(turn, 1)]))
-        u = proposals[-1].draw(rng)
+        count = counts[min(turn, 1)]
+        now = [Proposal(centre, np.linalg.cholesky(cov), count) for centre, cov in ways]
+        proposals += now
+        u = np.concatenate([each.draw(rng) for each in now])
         inside = np.all((u >= 0) & (u <= 1), axis=1)
         theta = to_theta(fitted.model.parameters, u[inside])
         predicted = data.predict(fitted.model, theta)
@@ -140,7 +144,10 @@ def _sampled(
         ratio = np.concatenate(targets) - logsumexp(densities, b=parts[:, None], axis=0)
         if turn > 0 and _effective(ratio) > ENOUGH:
             break
-        centre, cov = _adapted(every, ratio) if fitted is before else _about(fitted)
+        if fitted is not before:
+            ways = [_about(fitted)]
+        elif len(ways) == 1:
+            ways = [_adapted(every, ratio)]
     return fitted, every, np.asarray(ratio)
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,6 +39,15 @@ class Model(Protocol):
 
         Defined within the parameters' bounds; smooth enough for finite differences.
         """
+        ...
+
+
+@runtime_checkable
+class Scattering(Model, Protocol):
+    """A model whose nodes of chance may have to be nearer each other where data are precise."""
+
+    def finer(self, by: int) -> Model:
+        """The same with ``by`` times as many nodes."""
         ...
 
 

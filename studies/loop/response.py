@@ -33,7 +33,7 @@ from .table_drops import beam_of, drops_of, its_s
 
 # All that the paper tried: a fit without an effect does not tell where the effect takes Kn.
 KN_RANGE_N_M = (1e4, 1e8)
-KN_NODES = 49
+KN_NODES = 97
 EFFECT_KN_NODES = 29
 LEAN_KN_NODES = 11
 HEIGHT_NODES = 5
@@ -43,10 +43,13 @@ DECADES_NODES = 27
 LEAN_NODES = 8
 SLOPE_NODES = 6
 SIDE_NODES = 4
-# What leans takes longer steps: its table says how it differs from one that does not, at the same.
+# Steps over those of `Bench.step_s`: the table of plain drops is what all is read against. Those
+# of effects say how much an effect changes, at one step for both.
+PLAIN_STEP = 0.25
 LEAN_STEP = 3.0
 # Coefficients at which what leans is simulated where friction is not known; straight between.
-FRICTIONS = (0.0, 0.1, 0.3, 1.0)
+# From the last on, the tip sticks.
+FRICTIONS = (0.0, 0.1, 0.3)
 FRICTION = Parameter(
     "friction", "", 0.0, 1.0, 0.3, null=0.5, why="steel on anything: from oiled to rough and dry"
 )
@@ -161,12 +164,13 @@ class Bench:
         """
         nodes = [axis.nodes() for axis in axes]
         shape = tuple(axis.n for axis in axes)
+        longer = LEAN_STEP if friction is not None else 1.0 if axes[2:] else PLAIN_STEP
         batches: dict[tuple[float, float, float], list[tuple[tuple[int, ...], Scene]]] = {}
         for index in itertools.product(*map(range, shape)):
             height, kn, *point = (float(each[i]) for each, i in zip(nodes, index, strict=True))
             plain = replace(self.plain(), height_m=height, law=Linear(kn))
             scene = change(plain, tuple(point))
-            its = self.step_s(kn) * (1.0 if friction is None else LEAN_STEP)
+            its = self.step_s(kn) * longer
             key = (its, scene.beta_s, scene.loss_factor)
             batches.setdefault(key, []).append((index, scene))
         out = np.empty((*shape, len(QUANTITIES)))
@@ -200,7 +204,7 @@ LEANING = ("bristle_tilt", "surface_slope")
 # the same drop without them (more adhesion holds the bristle for good; a yield force beyond changes
 # nothing), a dashpot against critical damping (more than most of it holds the bristle too).
 SCALED: Mapping[str, tuple[Law, Axis]] = {
-    "adhesion": (Adhesive, Axis(0.0, 0.42, 15)),
+    "adhesion": (Adhesive, Axis(0.0, 0.8, 27)),
     "plastic_contact": (Plastic, Axis(0.05, 1.0, 21)),
     "contact_damping": (Damped, Axis(0.0, 0.9, 21, "root")),
 }
@@ -261,7 +265,7 @@ class Tables:
             law, side = self.scaled[name]
             return self.bench.table(name, (side,), self._scaled(name, law), EFFECT_KN_NODES)
         leans = name in LEANING
-        how = "log" if only.logarithmic else "root" if leans else "even"
+        how = "log" if only.logarithmic else "root" if leans or only.null == only.low else "even"
         places = LEAN_NODES if leans else DECADES_NODES if only.logarithmic else EFFECT_NODES
         axis = Axis(only.low, only.high, places, how)
 

@@ -16,7 +16,7 @@ from ...solver.bristle import Array
 from .adequacy import Direction
 from .fit import Fitted, settle, to_box, to_theta
 from .posterior import evidence
-from .problem import Model, Problem
+from .problem import Model, Problem, Scattering
 from .profile import Profile
 from .residuals import quantile_residuals
 from .sample import Sample
@@ -25,6 +25,10 @@ SPREAD = 8
 LEVELS = (0.03, 0.12, 0.35, 0.8)
 FOLLOWED = 4
 DIFFERENT = 0.08
+# Predictions of neighbouring nodes may lie so many standard deviations of the noise apart (a sum
+# over them is then within 3e-4 of a normal likelihood's integral), and nodes are this share of the
+# deviation by chance apart.
+NODES_APART, NODE_SHARE, MOST_CLOSER = 1.5, 0.2, 16
 PAIRED_WITH, PAIRS_TRIED, SCATTERS_TRIED = 3, 5, 2
 
 
@@ -61,7 +65,8 @@ def fit_baseline(data: Sample, model: Model) -> Fitted:
 def fit_candidate(data: Sample, base: Fitted, profile: Profile) -> Tried:
     """One effect's fit, from its profile above the baseline and from elsewhere."""
     own = base.u.size
-    levels = _levels(profile.model, own)
+    model = _resolved(data, base, profile.model)
+    levels = _levels(model, own)
     elsewhere = spread(own)
     starts = np.concatenate(
         [
@@ -71,8 +76,19 @@ def fit_candidate(data: Sample, base: Fitted, profile: Profile) -> Tried:
             ),
         ]
     )
-    fitted = _followed(data, profile.model, starts)
+    fitted = _followed(data, model, starts)
     return Tried(fitted, evidence(data, fitted, own))
+
+
+def _resolved(data: Sample, base: Fitted, model: Model) -> Model:
+    """The model with nodes of chance as near each other as these data ask for, were all that the
+    baseline leaves of a group made by chance."""
+    if np.asarray(model.weights).size == 1 or not isinstance(model, Scattering):
+        return model
+    left = np.sqrt(np.add.reduceat((data.values - base.mean) ** 2, data.starts[:-1]))
+    deviation = 0.5 * float(np.quantile(left, 0.95))
+    closer = int(np.ceil(NODE_SHARE * deviation / NODES_APART))
+    return model.finer(min(closer, MOST_CLOSER)) if closer > 1 else model
 
 
 def _levels(model: Model, own: int) -> Array:
@@ -150,7 +166,7 @@ def fit_pairs(
     for i, key in enumerate(chosen):
         if key in chosen[:i] or key[::-1] in chosen[:i]:
             continue
-        model = problem.combine(key)
+        model = _resolved(data, base, problem.combine(key))
         fitted = _followed(data, model, _pair_starts(model, base, alone, known))
         out.append(Tried(fitted, evidence(data, fitted, base.u.size)))
     return out

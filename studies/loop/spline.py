@@ -34,16 +34,27 @@ def coefficients(values: Array, axes: int) -> Array:
     return np.ascontiguousarray(out)
 
 
+@njit
+def _cubic(place: float, count: int, out: Array) -> int:
+    """Write the weights (4,) of the coefficients about a place to ``out``; number of the first."""
+    cell = min(max(math.floor(place), 0), count - 4)
+    x = place - cell
+    y = 1.0 - x
+    out[0] = y * y * y / 6.0
+    out[1] = (4.0 - 6.0 * x * x + 3.0 * x * x * x) / 6.0
+    out[2] = (4.0 - 6.0 * y * y + 3.0 * y * y * y) / 6.0
+    out[3] = x * x * x / 6.0
+    return cell
+
+
+@njit
 def basis(places: Array, count: int) -> Array:
     """Weights (points, count) of the coefficients along one axis at ``places`` (points,)."""
-    cell = np.clip(np.floor(places), 0, count - 4).astype(np.int64)
-    x = places - cell
-    y = 1.0 - x
-    inner = [(4.0 - 6.0 * s * s + 3.0 * s**3) / 6.0 for s in (x, y)]
     out = np.zeros((len(places), count))
-    np.put_along_axis(
-        out, cell[:, None] + np.arange(4), np.stack([y**3 / 6.0, *inner, x**3 / 6.0], axis=1), 1
-    )
+    weight = np.zeros(4)
+    for p in range(len(places)):
+        first = _cubic(places[p], count, weight)
+        out[p, first : first + 4] = weight
     return out
 
 
@@ -66,15 +77,7 @@ def evaluate(flat: Array, sizes: Array, places: Array, out: Array) -> None:
         step *= sizes[a]
     for p in range(len(places)):
         for a in range(n_axes):
-            last = sizes[a] - 4
-            cell = min(max(math.floor(places[p, a]), 0), last)
-            x = places[p, a] - cell
-            y = 1.0 - x
-            first[a] = cell
-            weight[a, 0] = y * y * y / 6.0
-            weight[a, 1] = (4.0 - 6.0 * x * x + 3.0 * x * x * x) / 6.0
-            weight[a, 2] = (4.0 - 6.0 * y * y + 3.0 * y * y * y) / 6.0
-            weight[a, 3] = x * x * x / 6.0
+            first[a] = _cubic(places[p, a], sizes[a], weight[a])
         sum0 = sum1 = sum2 = 0.0
         for i in range(count[0]):
             at0 = (first[0] + i) * stride[0]

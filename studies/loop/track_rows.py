@@ -8,9 +8,10 @@ is anywhere; where no bounce is filmed, speed and level at the last frame of the
 Few films tell all features: at 25 frames/s a fall from 50 mm has two or three frames. So a film is
 not reduced to estimates but to rows: the frames' least squares at the best track, linear there, the
 nuisances projected out, and of the features as many orthonormal combinations as the frames know
-(C. D. Rodgers, Inverse Methods for Atmospheric Sounding (2000), ch. 2: measurement space). The weak
-prior that helps to find the best track is not in the rows, so it biases nothing but the place about
-which they are linear.
+(C. D. Rodgers, Inverse Methods for Atmospheric Sounding (2000), ch. 2: measurement space). Where a
+model's features hang on the speed of impact, it is the frames' best one given the features. The
+weak prior that helps to find the best track is not in the rows, so it biases nothing but the place
+about which they are linear.
 
 Exposure and rolling shutter are left out: a frame is an instant, the same for all its lines.
 """
@@ -57,7 +58,9 @@ class Track:
     """The best track of a film and its rows.
 
     ``p`` are the numbers of `track_flight`, ``phase`` (frames,) what each frame shows, ``held``
-    whether some show the body held. ``values`` (rows,) = ``weights`` (rows, 7 × drops) @ features
+    whether some show the body held. ``speed_m_s`` (drops,) are the speeds of its impacts at ``p``,
+    ``impact_m_s`` + ``impact_weights`` (7 × drops,) @ features is that of the first given features.
+    ``values`` (rows,) = ``weights`` (rows, 7 × drops) @ features
     + unit noise, where a drop is a bounce, or the fall where none is filmed. ``leading`` (rows,)
     numbers the feature that a row is about, ``drop`` (rows,) its bounce, ``known`` (rows,) how well
     it tells it. ``misfit`` is the sum of squares that the ``freedom`` other combinations of frames
@@ -69,6 +72,8 @@ class Track:
     phase: Phases
     held: bool
     speed_m_s: Array
+    impact_m_s: float
+    impact_weights: Array
     values: Array
     weights: Array
     leading: NDArray[np.int64]
@@ -115,7 +120,9 @@ def reduced(film: Film, p: Array, phase: Phases, held: bool) -> Track:
     slopes /= sigma[:, None]
     left = (film.y_m[used] - heights(p, t, part, g)) / sigma
     nuisances, features = is_free(film, p, held)
-    frame, _ = np.linalg.qr(slopes[:, nuisances])
+    frame, upper = np.linalg.qr(slopes[:, nuisances])
+    speed = np.linalg.inv(upper)[np.flatnonzero(nuisances) == 1][0] @ frame.T
+    by_features = -speed @ (slopes * features)
     names = names_of(p)
     basis = list(frame.T)
     n = len(basis)
@@ -144,6 +151,8 @@ def reduced(film: Film, p: Array, phase: Phases, held: bool) -> Track:
         phase=phase,
         held=held,
         speed_m_s=rises[:, 5] if len(rises) else p[1:2],
+        impact_m_s=float(p[1] + speed @ left - by_features @ p),
+        impact_weights=_by_drop(by_features[None])[0],
         values=rows @ left + of_rows @ p,
         weights=_by_drop(of_rows),
         leading=np.array(leading, dtype=np.int64),

@@ -48,6 +48,10 @@ NAMES = {
     "a": "gravity of the rise (%)",
     "d": "contact time (ms)",
 }
+MOST_CHANGE = 0.1
+"""By how much, as a share, a film's speed of impact changes with what features are supposed."""
+LEAST_SLOPE = 0.1
+"""Of what a secant seeks: a speed that hardly decides between features is not followed far."""
 LEAST_GRAVITY = 0.05
 """Of the rise's apparent gravity over g: a bristle that spins faster turns over."""
 SCALE_RANGE = 3.0
@@ -78,13 +82,19 @@ class TrackModel(BounceModel):
     """A `Model` of the rows of films, which are sums of `FEATURES`.
 
     A drop is a bounce, or the fall of a film that shows none; ``speed_m_s`` (drops,) is that of its
-    impact, as the film shows it. ``weights_of`` (rows, features of one film) are the sums, and
-    ``of`` (rows, features of one film) says where each stands among the features of all drops.
+    impact, as the film's own track shows it, ``film`` (drops,) the film that it is of; given the
+    features, impacts of a film are faster or slower by what ``faster`` (films, 1 + features of one
+    film) says: a ratio where all features are zero, and what each adds. ``weights_of`` (rows,
+    features of one film) are the sums, and ``of`` (rows, features of one film) says where each
+    stands among the features of all drops, ``of_film`` (films, features of one film) likewise.
     Films in pixels are taken with ``pixel_m`` for the length of a pixel, and ``scale`` is the
     parameter that says how long one is.
     """
 
     speed_m_s: Array
+    film: NDArray[np.int64]
+    faster: Array
+    of_film: NDArray[np.int64]
     weights_of: Array
     of: NDArray[np.int64]
     scale: Parameter | None = None
@@ -96,12 +106,25 @@ class TrackModel(BounceModel):
 
     def predict(self, theta: Array) -> Array:
         """Whitened predictions (..., nodes, rows) for parameters (..., p)."""
-        features = self.features(theta)
-        every = features.reshape(*features.shape[:-2], -1)
+        first: Array = np.ones(len(self.faster))
+        second = self._ratio(self._features(theta, first))
+        third = self._ratio(self._features(theta, second))
+        # speeds that the features which they give leave as they are, by Steffensen's secant
+        step = second - first
+        slope = (third - second) / np.where(np.abs(step) > 1e-9, step, np.inf)
+        best = second + (third - second) / np.maximum(1.0 - slope, LEAST_SLOPE)
+        every = self._features(theta, best)
         return np.asarray(np.einsum("...rf,rf->...r", every[..., self.of], self.weights_of))
 
-    def features(self, theta: Array) -> Array:
-        """`FEATURES` of every drop (..., nodes, drops, features)."""
+    def _ratio(self, features: Array) -> Array:
+        """What is the films' best speed over their tracks' own (..., nodes, films), of features."""
+        found = np.einsum("...jf,jf->...j", features[..., self.of_film], self.faster[:, 1:])
+        return np.clip(self.faster[:, 0] + found, 1.0 - MOST_CHANGE, 1.0 + MOST_CHANGE)
+
+    def _features(self, theta: Array, ratio: Array) -> Array:
+        """`FEATURES` of every drop (..., nodes, drops × features), were the films' speeds in a
+        ``ratio`` (..., films) to those of their tracks."""
+        speed_m_s = self.speed_m_s * ratio[..., self.film]
         theta = np.asarray(theta, dtype=float)
         length: Array = np.ones(1)
         if self.scale is not None:
@@ -111,14 +134,14 @@ class TrackModel(BounceModel):
         one = replace(drops, y0_m=drops.y0_m[:1], order=drops.order[:1])
         b, _ = BounceModel.bounced(replace(self, drops=one), theta)
         length = length * b.scale
-        speed = self.speed_m_s * b.clock / length
+        speed = speed_m_s * b.clock / length
         height = released(speed, g, b.speed_m_s, b.drag_1_m)
         fell = replace(drops, y0_m=b.scale * (height + b.offset_m))
         _, (rise, touching, lighter) = BounceModel.bounced(replace(self, drops=fell), theta)
         slowed = g * np.maximum(2.0 - lighter, LEAST_GRAVITY)
         found = {
             "z": length * b.offset_m,
-            "h": 2.0 * g * length * height / self.speed_m_s**2 - 1.0,
+            "h": 2.0 * g * length * height / speed_m_s**2 - 1.0,
             "b": np.log(length / b.clock**2),
             "u": b.drag_1_m * speed**2 / g,
             "r": 2.0 * slowed * rise / speed**2,
@@ -126,7 +149,8 @@ class TrackModel(BounceModel):
             "d": b.clock * touching,
         }
         full = (*np.shape(theta)[:-1], len(self.weights), len(self.speed_m_s))
-        return np.stack([np.broadcast_to(found[name], full) for name in FEATURES], axis=-1)
+        every = np.stack([np.broadcast_to(found[name], full) for name in FEATURES], axis=-1)
+        return every.reshape(*full[:-1], -1)
 
 
 def tracks_problem(data: Tracks) -> Problem:
@@ -144,7 +168,7 @@ def tracks_problem(data: Tracks) -> Problem:
     def filmed_faster(effects: tuple[str, ...]) -> TrackModel:
         fps = seen.faster_fps
         others = [faster(film, each, fps) for film, each in zip(seen.films, tracks, strict=True)]
-        weights_of, of, _ = _rows(others)
+        weights_of, of = _rows(others)
         return replace(combine(effects), weights_of=weights_of, of=of)
 
     leading = np.concatenate([each.leading for each in tracks])
@@ -188,7 +212,16 @@ def _model(
     bench = _bench(manifest, y0)
     drops = Drops(bench, y0, order.astype(float), (0, 1))
     kn = stiffness(manifest.kn_N_m, bench)
-    weights_of, of, _ = _rows(tracks)
+    weights_of, of = _rows(tracks)
+    width = of.shape[1]
+    film = np.repeat(np.arange(len(tracks)), [len(each.speed_m_s) for each in tracks])
+    first = len(FEATURES) * np.flatnonzero(np.diff(film, prepend=-1))
+    of_each = [len(each.impact_weights) for each in tracks]
+    of_film = first[:, None] + np.minimum(np.arange(width), np.array(of_each)[:, None] - 1)
+    ratios = [
+        np.pad(np.append(each.impact_m_s, each.impact_weights), (0, width - n)) / each.speed_m_s[0]
+        for each, n in zip(tracks, of_each, strict=True)
+    ]
     scale = None
     if seen.pixel_m is not None:
         low, high = seen.pixel_m / SCALE_RANGE, seen.pixel_m * SCALE_RANGE
@@ -202,6 +235,9 @@ def _model(
         kn,
         (),
         speed,
+        film,
+        np.array(ratios),
+        of_film,
         weights_of,
         of,
         scale,
@@ -210,19 +246,17 @@ def _model(
     )
 
 
-def _rows(tracks: Sequence[Track]) -> tuple[Array, NDArray[np.int64], NDArray[np.int64]]:
-    """Weights (rows, features) of all films' rows, where among all drops' features (rows, features)
-    each stands, and which film a row is of."""
+def _rows(tracks: Sequence[Track]) -> tuple[Array, NDArray[np.int64]]:
+    """Weights (rows, features of one film) of all films' rows, and where among all drops' features
+    each of these stands (rows, features of one film)."""
     most = max(each.weights.shape[1] for each in tracks)
-    weights, of, film, begin = [], [], [], 0
-    for i, each in enumerate(tracks):
+    weights, of, begin = [], [], 0
+    for each in tracks:
         rows, width = each.weights.shape
         weights.append(np.pad(each.weights, ((0, 0), (0, most - width))))
-        places = begin + np.minimum(np.arange(most), width - 1)
-        of.append(np.tile(places, (rows, 1)))
-        film += [i] * rows
+        of.append(np.tile(begin + np.minimum(np.arange(most), width - 1), (rows, 1)))
         begin += width
-    return np.concatenate(weights), np.concatenate(of), np.array(film)
+    return np.concatenate(weights), np.concatenate(of)
 
 
 def _candidates(seen: Filmed, free_damping: bool) -> list[str]:
