@@ -143,7 +143,7 @@ def _simulate(
     which are then kept on the disk for all ranks and for the next run. Collective; raises
     ComputationError where they fail.
     """
-    candidates = problem.candidates
+    candidates = problem.candidates[::-1]  # what takes longest to simulate stands last
 
     def predict(i: int) -> None:
         typical = [each.typical for each in candidates[i].parameters]

@@ -63,8 +63,9 @@ class Landing(NamedTuple):
 class BounceModel:
     """The baseline with ``effects`` in, up to what data show of it: the base of `Model` classes.
 
-    ``kn`` and, where the body's damping is not declared, ``beta`` are the baseline's free
-    parameters; nodes of chance lie ``closer`` so many times. A subclass adds `predict`.
+    ``kn``, ``beta`` where the body's damping is not declared and ``gain`` where forces are measured
+    are the baseline's free parameters; nodes of chance lie ``closer`` so many times. A subclass
+    adds `predict`.
     """
 
     drops: Drops
@@ -72,6 +73,7 @@ class BounceModel:
     kn: Parameter
     effects: tuple[str, ...]
     beta: Parameter | None = field(default=None, kw_only=True)
+    gain: Parameter | None = field(default=None, kw_only=True)
     closer: int = field(default=1, kw_only=True)
 
     def finer(self, by: int) -> Self:
@@ -79,9 +81,13 @@ class BounceModel:
         return replace(self, closer=by)
 
     @property
+    def own(self) -> tuple[Parameter, ...]:
+        """The baseline's."""
+        return tuple(each for each in (self.kn, self.beta, self.gain) if each is not None)
+
+    @property
     def parameters(self) -> tuple[Parameter, ...]:
-        own = (self.kn,) if self.beta is None else (self.kn, self.beta)
-        return (*own, *(p for name in self.effects for p in self.tables.parameters(name)))
+        return (*self.own, *(p for name in self.effects for p in self.tables.parameters(name)))
 
     @cached_property
     def _chance(self) -> tuple[Array, Array]:
@@ -166,7 +172,7 @@ class BounceModel:
 
     def given(self, theta: Array) -> Mapping[str, tuple[Array, ...]]:
         """Each effect's parameters (...,) by its name, of parameters (..., p)."""
-        at = 1 if self.beta is None else 2
+        at = len(self.own)
         out = {}
         for name in self.effects:
             count = len(self.tables.parameters(name))
@@ -192,10 +198,11 @@ class DropModel(BounceModel):
 
     def measured(self, theta: Array) -> Array:
         """What instruments show, in SI (..., nodes, drops, quantities)."""
-        drops = self.drops
+        drops, theta = self.drops, np.asarray(theta, dtype=float)
         b, (top, time, force) = self.bounced(theta)
         top = risen(top, b.drag_1_m)
-        seen = (b.scale * (top + b.offset_m), b.clock * time, force + 0.0 * b.clock)
+        gain = 1.0 if self.gain is None else theta[..., len(self.own) - 1, None, None]
+        seen = (b.scale * (top + b.offset_m), b.clock * time, gain * force + 0.0 * b.clock)
         nodes = len(self.weights)
         full = np.broadcast_shapes(*(each.shape for each in seen), (nodes, len(drops)))
         chosen = [np.broadcast_to(seen[q], full) for q in drops.quantities]

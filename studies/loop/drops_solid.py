@@ -29,7 +29,7 @@ from ..command.sources import checked
 from ..running.cases import Workshop
 from ..running.retry import with_shorter_its
 from .drop_model import DropModel, effect_at
-from .response import Bench
+from .response import PLAIN_STEP, Bench
 from .table import QUANTITIES
 from .table_drops import ITS_S, drops_of, its_s
 
@@ -174,16 +174,18 @@ def solid_drops(model: DropModel, theta: Array, which: Sequence[int]) -> Array:
     offset = np.array([scene.y_offset_m for scene in scenes])
     found[:, 0] = scale * (risen(found[:, 0], drag) + offset)
     found[:, 1] *= np.array([scene.t_scale for scene in scenes])
+    if model.gain is not None:
+        found[:, 2] *= theta[len(model.own) - 1]
     shaped = found.reshape(len(nodes), len(which), len(QUANTITIES))
     return np.einsum("n,ndq->dq", weights, shaped)[:, list(model.drops.quantities)]
 
 
 def _simulated(body: ModalBody, scenes: Sequence[Scene], bench: Bench, friction: float) -> Array:
-    """As the tables are made (`response.Bench`), with shorter steps where a drop fails."""
+    """As the table of plain drops is made (`response.Bench`), or with shorter steps."""
     stiffest = max(scene.law.kn_N_m for scene in scenes)
     return with_shorter_its(
         lambda its: drops_of(body, scenes, bench.gravity_m_s2, its, friction),
-        its_s(bench.bristle, stiffest),
+        PLAIN_STEP * its_s(bench.bristle, stiffest),
     )
 
 
