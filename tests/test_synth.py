@@ -16,10 +16,10 @@ from bristle.solver.effects.library import EFFECTS
 from bristle.solver.errors import InputError
 from bristle.solver.fall import dragged_fall, fallen, risen
 from bristle.studies.data.datasets import read_drops
-from bristle.studies.loop.response import Bench, Tables
+from bristle.studies.loop.response import PLAIN_STEP, Bench, Tables
 from bristle.studies.loop.spline import coefficients, evaluate
 from bristle.studies.loop.table import Axis, Table
-from bristle.studies.loop.table_drops import drops_of, its_s
+from bristle.studies.loop.table_drops import drops_of
 from bristle.studies.synth import (
     Noise,
     Recipe,
@@ -169,7 +169,7 @@ def test_a_table_is_the_simulation_between_its_nodes(name):
         where = np.asarray(height), np.asarray(kn)
         logs = tables.plain.at(*where) + tables.change(name, *where, value)
         told = np.exp(logs) * tables.rigid(*where)
-        (direct,) = bench.seen([kind(value).enter(scene)], its_s(Bristle(), kn), 0.0)
+        (direct,) = bench.seen([kind(value).enter(scene)], PLAIN_STEP * bench.step_s(kn), 0.0)
         assert told[0] == pytest.approx(direct[0], rel=1e-3)
         assert told[2] == pytest.approx(direct[2], rel=2e-3)
 

@@ -340,15 +340,13 @@ def _between(tables: Sequence[Table], friction: Array, places: Sequence[Array]) 
     at = np.broadcast_to(np.clip(at, 0, len(tables) - 1 - 1e-9), (*lead, 1, 1))
     every = [np.broadcast_to(each, (*lead, *each.shape[-2:])) for each in places]
     low = at.astype(np.int64)
-    out: Array = np.zeros(())
+    deep = np.broadcast_shapes(*(each.shape[-2:] for each in every))
+    out = np.zeros((len(QUANTITIES), *lead, *deep))
     for i, each in enumerate(tables):
         share = np.where(low == i, 1.0 - (at - low), np.where(low == i - 1, at - low, 0.0))
         used = share[..., 0, 0] != 0.0
         if used.any():
-            found = share[used] * each.at(*(place[used] for place in every))
-            if out.ndim == 0:
-                out = np.zeros((len(QUANTITIES), *lead, *found.shape[-2:]))
-            out[:, used] += found
+            out[:, used] += share[used] * each.at(*(place[used] for place in every))
     return out
 
 

@@ -120,8 +120,8 @@ def reduced(film: Film, p: Array, phase: Phases, held: bool) -> Track:
     slopes /= sigma[:, None]
     left = (film.y_m[used] - heights(p, t, part, g)) / sigma
     nuisances, features = is_free(film, p, held)
-    frame, upper = np.linalg.qr(slopes[:, nuisances])
-    speed = np.linalg.inv(upper)[np.flatnonzero(nuisances) == 1][0] @ frame.T
+    frame, _ = np.linalg.qr(slopes[:, nuisances])
+    speed = np.linalg.pinv(slopes[:, nuisances])[np.flatnonzero(nuisances) == 1][0]
     by_features = -speed @ (slopes * features)
     names = names_of(p)
     basis = list(frame.T)
