@@ -2,9 +2,9 @@
 
 Rows are, drop after drop, the height after the impact and, where they were measured, the contact
 time and the peak force. The height before it is measured too: its error is carried into all rows
-of its drop, through the baseline's slope. What is not declared is unknown: friction, on which what
-leans hangs, the damping of a body that is described without one, and the gain of a force sensor to
-within its class.
+of its drop, through the baseline's slope, scaled to the data. What is not declared is unknown:
+friction, on which what leans hangs, the damping of a body that is described without one, and the
+gain of a force sensor to within its class.
 """
 
 from __future__ import annotations
@@ -61,7 +61,11 @@ def drops_problem(data: datasets.Drops) -> Problem:
     bare = DropModel(drops, tables, kn, (), unwhitened, beta=beta, gain=gain)
     sigma = np.array([sigmas[q] for q in drops.quantities])
     start = _start(bare, values, sigma)
-    whiten = _whitening(bare, start, sigma)
+    seen = bare.measured(start)[0]
+    steeper = dict(
+        zip(drops.quantities, np.median(values, axis=0) / np.median(seen, axis=0), strict=True)
+    )
+    whiten = _whitening(bare, start, sigma, steeper)
     n_q = len(drops.quantities)
     number = (drops.order + data.drop[0]).astype(np.int64)
 
@@ -71,7 +75,7 @@ def drops_problem(data: datasets.Drops) -> Problem:
     def proposed(other: Drops, known: Mapping[int, float], effects: tuple[str, ...]) -> DropModel:
         each = np.array([known[q] for q in other.quantities])
         plain = replace(bare, drops=other, whiten=np.eye(len(each))[None].repeat(len(other), 0))
-        return replace(plain, effects=effects, whiten=_whitening(plain, start, each))
+        return replace(plain, effects=effects, whiten=_whitening(plain, start, each, steeper))
 
     # the last row of a Cholesky factor's inverse has its own scale on the diagonal
     scale = np.array([SCALES[q] for q in drops.quantities]) / np.einsum("dqq->dq", whiten)
@@ -216,8 +220,11 @@ def _start(plain: DropModel, values: Array, sigmas: Array) -> Array:
     return np.asarray(grid[int(np.argmin(np.median(miss, axis=1)))])
 
 
-def _whitening(plain: DropModel, at: Array, sigmas: Array) -> Array:
-    """Per drop, the inverse Cholesky factor of noise and of the error of y0, (drops, q, q)."""
+def _whitening(plain: DropModel, at: Array, sigmas: Array, steeper: Mapping[int, float]) -> Array:
+    """Per drop, the inverse Cholesky factor of noise and of the error of y0, (drops, q, q).
+
+    The baseline's slopes are as much ``steeper`` as each quantity is greater than the baseline's.
+    """
     drops = plain.drops
     step = 1e-3 * drops.y0_m
     ends = [
@@ -225,6 +232,6 @@ def _whitening(plain: DropModel, at: Array, sigmas: Array) -> Array:
         for sign in (-1.0, 1.0)
     ]
     slope = (ends[1] - ends[0]) / (2.0 * step)[:, None]
-    moved = sigmas[0] * slope
+    moved = sigmas[0] * slope * np.array([steeper.get(q, 1.0) for q in drops.quantities])
     covariance = np.diag(sigmas**2) + np.einsum("dq,dr->dqr", moved, moved)
     return np.linalg.inv(np.linalg.cholesky(covariance))

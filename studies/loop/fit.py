@@ -213,19 +213,19 @@ def fit(
     best = int(np.argmax(height))
     end = float(height[best])
     likeliest = _finish(data, model, u[best], base[best], slopes[best], end, noise)
-    return replace(likeliest, modes=_others(likeliest, u, height))
+    return replace(likeliest, modes=tuple(u[i] for i in others(likeliest, u, height)))
 
 
-def _others(found: Fitted, u: Array, height: Array) -> tuple[Array, ...]:
-    """Maxima apart from the best among the ends (starts, p) of a fit and their ``height``."""
-    chosen = [found.u]
+def others(found: Fitted, u: Array, height: Array) -> list[int]:
+    """Numbers of the points (n, p), of log likelihoods ``height``, that may be other maxima."""
+    chosen: list[int] = []
     for i in np.argsort(-height, kind="stable"):
         if height[i] < found.log_likelihood - MODE_NATS:
             break
-        away = [u[i] - each for each in chosen]
+        away = [u[i] - each for each in (found.u, *u[chosen])]
         if all(d @ found.information @ d > MODE_APART**2 for d in away):
-            chosen.append(u[i])
-    return tuple(chosen[1:])
+            chosen.append(int(i))
+    return chosen
 
 
 def _bounded_step(u: Array, gradient: Array, curve: Array, damping: Array) -> Array:

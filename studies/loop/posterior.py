@@ -19,7 +19,7 @@ from scipy.special import gammaln, logsumexp
 
 from ...solver.bristle import Array
 from .adequacy import OCCAM
-from .fit import BOX_PRECISION, Fitted, fit, likely_noise, to_theta
+from .fit import BOX_PRECISION, Fitted, fit, likely_noise, others, to_theta
 from .noise import Ints, Noises
 from .sample import Sample
 
@@ -30,6 +30,8 @@ WIDER = 2.5
 FEW_DRAWN = 64
 # Turns of adaptation, until so many points count; and how many a parameter a covariance needs.
 TURNS, ENOUGH, FEW = 7, 100.0, 6.0
+# With fewer an end of a 90 % interval is a matter of chance.
+LEAST_POINTS = 30.0
 # Nats by which a point must be likelier than the fit for another fit from there.
 RUGGED = 0.1
 
@@ -55,6 +57,11 @@ class Posterior:
         below = np.cumsum(w) - 0.5 * w
         low, high = np.interp([(1 - level) / 2, (1 + level) / 2], below, x)
         return float(low), float(high)
+
+    @property
+    def few(self) -> bool:
+        """Whether so few points count that intervals are rough."""
+        return 1.0 / float(np.sum(self.weights**2)) < LEAST_POINTS
 
     def median(self, index: int) -> float:
         """The posterior median of one parameter, which no interval leaves out."""
@@ -118,8 +125,7 @@ def _sampled(
     Points of all turns count, each under the mixture of all proposals, so a proposal that has
     shrunk to the wrong place cannot pass for the whole (Cornuet et al., Scand. J. Stat. 39, 2012).
     """
-    maxima = [fitted, *(fit(data, fitted.model, u, fitted.noise) for u in fitted.modes)]
-    ways = [_about(each) for each in maxima]
+    ways = [_about(each) for each in _maxima(data, fitted)]
     proposals: list[Proposal] = []
     points: list[Array] = []
     targets: list[Array] = []
@@ -146,9 +152,18 @@ def _sampled(
             break
         if fitted is not before:
             ways = [_about(fitted)]
-        elif len(ways) == 1:
+        elif len(ways) == 1 or turn:
             ways = [_adapted(every, ratio)]
     return fitted, every, np.asarray(ratio)
+
+
+def _maxima(data: Sample, fitted: Fitted) -> list[Fitted]:
+    """The fit, and those of its other modes that are maxima under its noise too."""
+    again = [fit(data, fitted.model, u, fitted.noise) for u in fitted.modes]
+    if not again:
+        return [fitted]
+    heights = np.array([each.log_likelihood for each in again])
+    return [fitted, *(again[i] for i in others(fitted, np.array([e.u for e in again]), heights))]
 
 
 def _about(fitted: Fitted) -> tuple[Array, Array]:

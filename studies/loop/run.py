@@ -37,6 +37,9 @@ SCATTER_GAIN = 8.0
 UNLISTED_MARGIN = 3.0
 # Held-out errors beyond these are no noise: over what it allows, and of the 90 % intervals.
 MOST_RATIO, LEAST_COVERAGE, LEAST_ROWS, SURPRISE = 1.5, 0.6, 8, 0.003
+# Residuals of so little rms say that the declared uncertainty is no measure of the noise.
+FAR_SMALLER = 0.5
+ROUGH = "these data leave the parameters so loose that the ends of their intervals are rough"
 SEEN_BY = "what is missing is seen by this: "
 
 
@@ -171,7 +174,7 @@ def find(
         residual_before=first.residual,
         residual_after=left.residual if reported else first.residual,
         covariates=data.covariates,
-        warnings=(*problem.warnings, *filter(None, [noticed])),
+        warnings=(*problem.warnings, *filter(None, [noticed, ROUGH if final.few else ""])),
         left_aside=problem.left_aside,
         seed=seed,
         alarm=alarm,
@@ -377,7 +380,10 @@ def _noise(data: Sample, left: Adequacy, misfit: bool) -> dict[str, float | str]
     if misfit:
         return {**out, "finding": ""}
     said = []
-    if out["shape"] != "gaussian":
+    size = _rms(left.residual)
+    if data.noises.declared and size < FAR_SMALLER:
+        said.append(f"it is {size:.1g} times what is declared")
+    elif out["shape"] != "gaussian":
         said.append("its tails are heavier than a normal distribution's")
     elif data.noises.declared and not 0.8 < float(out["scale"]) < 1.15:
         said.append(f"it is {float(out['scale']):.2g} times what is declared")

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ...solver.bristle import Array
+from ...solver.bristle import Array, RigidMass
 from ...solver.errors import InputError
 from .track_common import together
 from .track_flight import heights, rises_of
@@ -158,7 +158,7 @@ def faster(film: Film, found: Track, fps: float) -> Track:
 
 def _bounces_upright(data: Tracks) -> bool:
     """Whether a body bounces again as it did first: a ball does, a bristle rings and leans."""
-    return getattr(data.manifest, "shape", "bristle") == "rigid"
+    return isinstance(data.manifest.body, RigidMass)
 
 
 def _declared(data: Tracks) -> bool:

@@ -25,7 +25,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from ...solver.bristle import Array
+from ...solver.bristle import Array, RigidMass
 from ...solver.effects.base import Parameter, Place, Scene
 from ...solver.effects.library import EFFECTS
 from ..data.datasets import Manifest
@@ -33,6 +33,7 @@ from .drop_model import BounceModel, Drops
 from .drops import carried, damping, heights_about, simulated_bristle, stiffness
 from .problem import Experiment, Problem
 from .response import MADE_BY, Bench, Tables, reference
+from .rigid_bench import RigidBench, RigidTables, around
 from .table_drops import beam_of, outcomes_of
 from .track_films import Filmed, faster, filmed
 from .track_flight import released
@@ -78,6 +79,37 @@ class TrackBench(Bench):
 
 
 @dataclass(frozen=True)
+class RigidTrackBench(RigidBench):
+    """The same of a rigid mass, which does not turn."""
+
+    made_by: ClassVar[tuple[Path, ...]] = (*RigidBench.made_by, Path(__file__))
+
+    def seen(self, scenes: Sequence[Scene], its: float, friction: float) -> Array:
+        found = super().seen(scenes, its, friction)
+        return np.where([True, True, False], found, 1.0)
+
+    def reference(self, height_m: Array, kn_N_m: Array) -> Array:
+        plain = super().reference(height_m, kn_N_m)
+        return np.stack([plain[0], plain[1], np.ones_like(plain[2])])
+
+
+@dataclass(frozen=True)
+class RigidTrackTables(RigidTables):
+    """The tables of a `RigidTrackBench`."""
+
+    def change(
+        self,
+        name: str,
+        height_m: Array,
+        kn_N_m: Array,
+        *value: Array | float,
+        friction: Array | float | None = None,
+    ) -> Array:
+        rise, time, _ = super().change(name, height_m, kn_N_m, *value, friction=friction)
+        return np.stack([rise, time, np.zeros_like(rise)])
+
+
+@dataclass(frozen=True)
 class TrackModel(BounceModel):
     """A `Model` of the rows of films, which are sums of `FEATURES`.
 
@@ -113,6 +145,7 @@ class TrackModel(BounceModel):
         step = second - first
         slope = (third - second) / np.where(np.abs(step) > 1e-9, step, np.inf)
         best = second + (third - second) / np.maximum(1.0 - slope, LEAST_SLOPE)
+        best = np.clip(best, 1.0 - MOST_CHANGE, 1.0 + MOST_CHANGE)
         every = self._features(theta, best)
         return np.asarray(np.einsum("...rf,rf->...r", every[..., self.of], self.weights_of))
 
@@ -186,7 +219,11 @@ def tracks_problem(data: Tracks) -> Problem:
         group=numbers[film],
         covariates={"height": y0[drop], "order": order[drop].astype(float)},
         baseline=plain,
-        candidates=[combine((name,)) for name in _candidates(seen, plain.beta is not None)],
+        candidates=[
+            combine((name,))
+            for name in _candidates(seen, plain.beta is not None)
+            if plain.drops.bench.carries(name)
+        ],
         combine=combine,
         experiments=[
             Experiment(f"film the same drops at {seen.faster_fps:g} frames/s", filmed_faster)
@@ -209,7 +246,8 @@ def _model(
     """The baseline of these films."""
     speed = np.concatenate([each.speed_m_s for each in tracks])
     y0 = speed**2 / (2.0 * manifest.gravity_m_s2)
-    bench = _bench(manifest, y0)
+    tables = _tables(manifest, y0)
+    bench = tables.bench
     drops = Drops(bench, y0, order.astype(float), (0, 1))
     kn = stiffness(manifest.kn_N_m, bench)
     weights_of, of = _rows(tracks)
@@ -231,7 +269,7 @@ def _model(
         )
     return TrackModel(
         drops,
-        Tables(bench),
+        tables,
         kn,
         (),
         speed,
@@ -274,13 +312,10 @@ def _candidates(seen: Filmed, free_damping: bool) -> list[str]:
     return [name for name in names if name not in unseen]
 
 
-def _bench(manifest: Manifest, y0_m: Array) -> TrackBench:
+def _tables(manifest: Manifest, y0_m: Array) -> Tables:
     """Heights rounded outward, so that other data can use the tables again."""
-    lowest, highest = heights_about(y0_m)
-    return TrackBench(
-        simulated_bristle(manifest),
-        manifest.gravity_m_s2,
-        float(lowest),
-        float(highest),
-        friction=manifest.friction,
-    )
+    place = (manifest.gravity_m_s2, *heights_about(y0_m))
+    if isinstance(manifest.body, RigidMass):
+        kns = around(manifest.kn_N_m)
+        return RigidTrackTables(RigidTrackBench(manifest.body, *place, kns, friction=0.0))
+    return Tables(TrackBench(simulated_bristle(manifest), *place, friction=manifest.friction))
