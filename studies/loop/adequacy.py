@@ -9,7 +9,8 @@ prediction.
 
 Nothing here forgives a large residual: statistics grow with the residuals themselves (their
 logarithm beyond `KNEE`), after the full fit within its bounds, and what they are held against is
-noise of bounded size (`noise`), drawn and refitted along the parameters that are not on a bound.
+noise of bounded size (`noise`), drawn and refitted along the parameters that are not on a bound,
+as far as their bounds are wide.
 The least p-value is corrected by the same draws (Westfall and Young, Resampling-Based Multiple
 Testing (1993), §2.5). Smooth tests: Rayner, Thas and Best, Smooth Tests of Goodness of Fit (2009);
 scans: Walther and Perry, J. R. Stat. Soc. B 84 (2022) 1608.
@@ -23,7 +24,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...solver.bristle import Array
-from .fit import Fitted
+from .fit import BOX_PRECISION, Fitted
 from .noise import Ints
 from .residuals import quantile_residuals
 from .sample import BETWEEN, HEIGHT, Sample, counted
@@ -105,7 +106,7 @@ def assess(
     tangent = fitted.mean_slopes[:, fitted.loose] / np.sqrt(1 + fitted.spread**2)[:, None]
     noise = likeliest_noise(data, z, correlated=weights.size == 1)
     drawn = data.noises.draw(np.full(sets, noise), rng)
-    absorbed = np.linalg.pinv(tangent)
+    absorbed = refit(tangent)
     drawn -= (drawn @ absorbed.T) @ tangent.T
     both = _soft(np.concatenate([z[None], drawn]))
     patterns = _patterns(data, fitted)
@@ -137,6 +138,13 @@ def assess(
     )
 
 
+def refit(tangent: Array) -> Array:
+    """What a refit along tangents (rows, p) makes of residuals, (p, rows) in the unit box, whose
+    width is its prior: a direction that the data do not see absorbs nothing."""
+    normal = tangent.T @ tangent + BOX_PRECISION * np.eye(tangent.shape[1])
+    return np.linalg.solve(normal, tangent.T)
+
+
 def likeliest_noise(data: Sample, z: Array, correlated: bool) -> int:
     """The likeliest noise, of bounded size, of residuals (rows,).
 
@@ -163,7 +171,7 @@ def _family(
     out: dict[str, Statistic] = {"size": lambda z: np.sum(z**2, axis=1)}
     listed: dict[str, Shapes] = {}
     kinds = np.unique(data.kind)
-    project = np.eye(data.values.size) - tangent @ np.linalg.pinv(tangent)
+    project = np.eye(data.values.size) - tangent @ refit(tangent)
 
     def linear(name: str, shapes: Array, degree: Array | None = None) -> None:
         unit, kept = _unit(shapes, project)

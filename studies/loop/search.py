@@ -13,7 +13,7 @@ import numpy as np
 from scipy.stats import qmc
 
 from ...solver.bristle import Array
-from .adequacy import Direction
+from .adequacy import Direction, refit
 from .fit import Fitted, settle, to_box, to_theta
 from .posterior import evidence
 from .problem import Model, Problem, Scattering
@@ -141,7 +141,7 @@ def fit_pairs(
         weights = np.asarray(one.fitted.model.weights)
         z = quantile_residuals(data.values, one.fitted.predicted, weights, data.starts)
         tangent = one.fitted.mean_slopes[:, one.fitted.loose]
-        absorbed = tangent @ np.linalg.pinv(tangent)
+        absorbed = tangent @ refit(tangent)
         for each in directions:
             shift = each.shift - absorbed @ each.shift
             size = float(np.linalg.norm(shift))
