@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from dataclasses import field as dc_field
 
 import numpy as np
 
@@ -117,6 +118,45 @@ def model(d: Design, names: tuple[str, ...]) -> Toy:
         chance = (nodes, field)
     ordered = tuple(n for n in names if n not in SCALED) + tuple(n for n in names if n in SCALED)
     return Toy(ordered, tuple(several), weights, base, tuple(parts), chance)
+
+
+@dataclass(frozen=True)
+class Square:
+    """A model in which one amount, from -5 to 5, enters by its square: two maxima."""
+
+    field: np.ndarray
+    effects: tuple[str, ...] = ("square",)
+    parameters: tuple[Parameter, ...] = (Parameter("amount", "1", -5.0, 5.0, 1.0),)
+    weights: np.ndarray = dc_field(default_factory=lambda: np.ones(1))
+
+    def predict(self, theta: np.ndarray) -> np.ndarray:
+        return np.asarray(theta, dtype=float)[..., None] ** 2 * self.field
+
+
+@dataclass(frozen=True)
+class Scatter:
+    """Groups that differ by chance alone, over an even grid of so many nodes a deviation."""
+
+    rows: int
+    closer: int = 1
+    effects: tuple[str, ...] = ("scatter",)
+    parameters: tuple[Parameter, ...] = (Parameter("amount", "1", 0.0, 200.0, 10.0),)
+
+    def finer(self, by: int) -> Scatter:
+        return replace(self, closer=by)
+
+    @property
+    def nodes(self) -> np.ndarray:
+        return np.linspace(-4.0, 4.0, 40 * self.closer + 1)
+
+    @property
+    def weights(self) -> np.ndarray:
+        mass = np.exp(-0.5 * self.nodes**2)
+        return mass / mass.sum()
+
+    def predict(self, theta: np.ndarray) -> np.ndarray:
+        amount = np.asarray(theta, dtype=float)[..., None]
+        return amount * self.nodes[:, None] * np.ones(self.rows)
 
 
 NAMES = (*fields(design(np.random.default_rng(0))), *SCALED)

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import stats
 
-from bristle.studies.loop.adequacy import assess, corrected, p_values
+from bristle.studies.loop.adequacy import assess, corrected, p_values, refit
 from bristle.studies.loop.finding import Finding, Verdict
 from bristle.studies.loop.fit import fit, settle, to_box, to_theta
 from bristle.studies.loop.heldout import split
@@ -22,7 +22,7 @@ from bristle.studies.loop.profile import classes, directions, profile
 from bristle.studies.loop.residuals import quantile_residuals
 from bristle.studies.loop.run import find, pieces
 from bristle.studies.loop.sample import Sample, sample
-from bristle.studies.loop.search import fit_baseline
+from bristle.studies.loop.search import fit_baseline, resolved
 
 pytestmark = pytest.mark.serial
 
@@ -255,6 +255,45 @@ def test_posterior_intervals_match_the_linear_theory():
     sd = 400 * np.sqrt(np.linalg.inv(fitted.information)[1, 1])
     assert (high - low) / (2 * 1.645 * sd) == pytest.approx(1.0, abs=0.15)
     assert low < found.median(1) < high
+
+
+def test_every_maximum_is_sampled():
+    """An amount that enters by its square is as likely with either sign."""
+    problem, _ = toys.problem(3, drops=24, quantities=1)
+    data, field = whole(problem), np.linspace(1.0, 2.0, 24)
+    rng = np.random.default_rng(5)
+    data = replace(data, values=4.0 * field + rng.standard_normal(24))
+    fitted = settle(data, toys.Square(field), np.array([[0.1], [0.6], [0.9]]))
+    found = posterior(data, fitted, 0, rng)
+    assert found.weights[found.theta[:, 0] > 0].sum() == pytest.approx(0.5, abs=0.1)
+    assert found.weights @ np.abs(found.theta[:, 0]) == pytest.approx(2.0, abs=0.2)
+
+
+def test_nodes_of_chance_are_as_near_as_precise_data_ask():
+    """Groups that differ by 60 sigma: the likeliest amount is that of the normal distribution."""
+    problem, _ = toys.problem(3, quantities=1)
+    data = whole(problem)
+    values = 60.0 * np.random.default_rng(5).standard_normal(48)
+    data = replace(data, values=values)
+    base = replace(
+        fit(data, toys.Square(np.ones(48)), np.array([[0.5]]), 0), predicted=np.zeros((1, 48))
+    )
+    model = resolved(data, base, toys.Scatter(48))
+    assert model.closer > 5
+    found = fit(data, model, np.array([[0.05], [0.3], [0.8]]), 0)
+    exact = np.sqrt(np.mean(values**2) - 1.0)
+    assert found.theta[0] == pytest.approx(exact, rel=0.01)
+    assert resolved(replace(data, values=values / 60.0), base, toys.Scatter(48)).closer == 1
+
+
+def test_a_refit_absorbs_no_more_than_bounds_allow():
+    """Of two parameters that do nearly the same, the difference moves data by a tenth of their
+    noise over its whole range, and takes up no trend; the common part is taken up whole."""
+    even, trend = np.ones(40), np.linspace(-1.0, 1.0, 40)
+    tangent = np.stack([100.0 * even, 100.0 * even + 0.03 * trend], axis=1)
+    left = np.eye(40) - tangent @ refit(tangent)
+    assert np.linalg.norm(left @ trend) > 0.99 * np.linalg.norm(trend)
+    assert np.linalg.norm(left @ even) < 0.01 * np.linalg.norm(even)
 
 
 @pytest.fixture(scope="module")

@@ -65,7 +65,7 @@ def fit_baseline(data: Sample, model: Model) -> Fitted:
 def fit_candidate(data: Sample, base: Fitted, profile: Profile) -> Tried:
     """One effect's fit, from its profile above the baseline and from elsewhere."""
     own = base.u.size
-    model = _resolved(data, base, profile.model)
+    model = resolved(data, base, profile.model)
     levels = _levels(model, own)
     elsewhere = spread(own)
     starts = np.concatenate(
@@ -80,7 +80,7 @@ def fit_candidate(data: Sample, base: Fitted, profile: Profile) -> Tried:
     return Tried(fitted, evidence(data, fitted, own))
 
 
-def _resolved(data: Sample, base: Fitted, model: Model) -> Model:
+def resolved(data: Sample, base: Fitted, model: Model) -> Model:
     """The model with nodes of chance as near each other as these data ask for, were all that the
     baseline leaves of a group made by chance."""
     if np.asarray(model.weights).size == 1 or not isinstance(model, Scattering):
@@ -166,7 +166,7 @@ def fit_pairs(
     for i, key in enumerate(chosen):
         if key in chosen[:i] or key[::-1] in chosen[:i]:
             continue
-        model = _resolved(data, base, problem.combine(key))
+        model = resolved(data, base, problem.combine(key))
         fitted = _followed(data, model, _pair_starts(model, base, alone, known))
         out.append(Tried(fitted, evidence(data, fitted, base.u.size)))
     return out
