@@ -106,19 +106,19 @@ def assess(
     tangent = fitted.mean_slopes[:, fitted.loose] / np.sqrt(1 + fitted.spread**2)[:, None]
     noise = likeliest_noise(data, z, correlated=weights.size == 1)
     drawn = data.noises.draw(np.full(sets, noise), rng)
-    absorbed = refit(tangent)
-    drawn -= (drawn @ absorbed.T) @ tangent.T
+    project = left_by_refit(tangent)
+    drawn = drawn @ project
     both = _soft(np.concatenate([z[None], drawn]))
     patterns = _patterns(data, fitted)
-    statistics, shapes = _family(data, patterns, tangent, directions)
+    statistics, shapes = _family(data, patterns, project, directions)
     names = list(statistics)
     values = np.stack([statistics[name](both) for name in names], axis=1)
     single, simulated = p_values(values[0], values[1:])
     p_value, least = corrected(single, simulated)
     threshold = float(np.quantile(least, 0.02))
-    free = z - tangent @ (absorbed @ z)
     unlisted, shape = max(
-        _best_shape(data, z, free, shapes), (_log_two_states(data, z, patterns), "two states")
+        _best_shape(data, z, project @ z, shapes),
+        (_log_two_states(data, z, patterns), "two states"),
     )
     return Adequacy(
         p_value=p_value,
@@ -138,11 +138,13 @@ def assess(
     )
 
 
-def refit(tangent: Array) -> Array:
-    """What a refit along tangents (rows, p) makes of residuals, (p, rows) in the unit box, whose
-    width is its prior: a direction that the data do not see absorbs nothing."""
-    normal = tangent.T @ tangent + BOX_PRECISION * np.eye(tangent.shape[1])
-    return np.linalg.solve(normal, tangent.T)
+def left_by_refit(tangent: Array) -> Array:
+    """The symmetric matrix (rows, rows) that takes residuals to what a refit along tangents
+    (rows, p) leaves of them. The width of the unit box is its prior: a direction that the data do
+    not see absorbs nothing."""
+    rows, p = tangent.shape
+    normal = tangent.T @ tangent + BOX_PRECISION * np.eye(p)
+    return np.eye(rows) - tangent @ np.linalg.solve(normal, tangent.T)
 
 
 def likeliest_noise(data: Sample, z: Array, correlated: bool) -> int:
@@ -164,14 +166,13 @@ def _soft(z: Array) -> Array:
 
 
 def _family(
-    data: Sample, patterns: list[Array], tangent: Array, directions: list[Direction]
+    data: Sample, patterns: list[Array], project: Array, directions: list[Direction]
 ) -> tuple[dict[str, Statistic], dict[str, Shapes]]:
     """All statistics by name, each takes residuals (sets, rows) to numbers (sets,); and the shapes
-    of those that look for a shift."""
+    of those that look for a shift. ``project`` is `left_by_refit`."""
     out: dict[str, Statistic] = {"size": lambda z: np.sum(z**2, axis=1)}
     listed: dict[str, Shapes] = {}
     kinds = np.unique(data.kind)
-    project = np.eye(data.values.size) - tangent @ refit(tangent)
 
     def linear(name: str, shapes: Array, degree: Array | None = None) -> None:
         unit, kept = _unit(shapes, project)

@@ -33,8 +33,10 @@ from .rigid_bench import RigidBench, RigidTables, around
 KIND = "drops"
 # A contact stiffness that is declared is taken as known to this share.
 KN_KNOWN = 0.02
-# By what share a force sensor's gain may be off that nobody declares: class 0.5 of ISO 7500-1.
-GAIN_KNOWN = 0.005
+# What a force sensor shows over the force, where nobody declares it.
+FORCE_GAIN = Parameter(
+    "force_gain", "", 0.995, 1.005, 1.0, null=1.0, why="class 0.5 of ISO 7500-1: within 0.5 %"
+)
 # Uncertainty taken for heights where none is declared, until the scatter says better.
 SIGMA_M = 1e-3
 # At which effects are simulated beside a damping that nobody declared: between metals and joints.
@@ -57,7 +59,7 @@ def drops_problem(data: datasets.Drops) -> Problem:
         values = values[keep]
     unwhitened = np.eye(len(measured))[None].repeat(len(values), 0)
     kn, beta = stiffness(manifest.kn_N_m, bench), damping(manifest)
-    gain = _gain() if 2 in measured else None
+    gain = FORCE_GAIN if 2 in measured else None
     bare = DropModel(drops, tables, kn, (), unwhitened, beta=beta, gain=gain)
     sigma = np.array([sigmas[q] for q in drops.quantities])
     start = _start(bare, values, sigma)
@@ -141,12 +143,6 @@ def damping(manifest: Manifest) -> Parameter | None:
     if manifest.damping_declared or isinstance(manifest.body, RigidMass):
         return None
     return replace(EFFECTS["material_damping"].parameters[0], null=BETA_UNKNOWN_S)
-
-
-def _gain() -> Parameter:
-    """By what a force sensor's readings are to be divided."""
-    low, high = 1.0 - GAIN_KNOWN, 1.0 + GAIN_KNOWN
-    return Parameter("force_gain", "", low, high, 1.0, null=1.0, why="calibration of its class")
 
 
 def simulated_bristle(manifest: Manifest) -> Bristle:

@@ -51,6 +51,11 @@ class RigidBench(Bench):
     def seen(self, scenes: Sequence[Scene], its: float, friction: float) -> Array:
         return seen(self.mass, scenes, self.gravity_m_s2, its)
 
+    def stiffened(self, height_m: Array, kn_N_m: Array, exponent: Array | float) -> Array:
+        """What a contact that stiffens gives (quantities, ...), see `rigid_drops.stiffened`."""
+        mass, gravity = self.mass.mass_kg, self.gravity_m_s2
+        return stiffened(height_m, kn_N_m, exponent, REFERENCE_M, mass, gravity)
+
     def step_s(self, kn_N_m: float) -> float:
         return step_s(self.mass, kn_N_m)
 
@@ -71,12 +76,16 @@ class RigidTables(Tables):
     }
 
     @property
+    def _rigid(self) -> RigidBench:
+        assert isinstance(self.bench, RigidBench)
+        return self.bench
+
+    @property
     def simulated(self) -> tuple[str, ...]:
         return (*SIDES, "stiffening_contact")
 
     def _bounded(self, name: str, parameter: Parameter) -> Parameter:
-        bench = self.bench
-        assert isinstance(bench, RigidBench)
+        bench = self._rigid
         speeds = self._speed_m_s(bench.lowest_m), self._speed_m_s(bench.highest_m)
         own = bounded(name, parameter, bench.mass, bench.kn_range_N_m, speeds)
         return super()._bounded(name, own)
@@ -98,11 +107,9 @@ class RigidTables(Tables):
     ) -> Array:
         if name != "stiffening_contact":
             return super().change(name, height_m, kn_N_m, *value, friction=friction)
-        mass, gravity = self.bench.body.mass_kg, self.bench.gravity_m_s2
-        power, absent = value[0], EFFECTS[name].parameters[0].null
-        here = (REFERENCE_M, mass, gravity)
-        now = stiffened(height_m, kn_N_m, power, *here)
-        return np.log(now / stiffened(height_m, kn_N_m, absent, *here))
+        bench, absent = self._rigid, EFFECTS[name].parameters[0].null
+        now = bench.stiffened(height_m, kn_N_m, value[0])
+        return np.log(now / bench.stiffened(height_m, kn_N_m, absent))
 
 
 def around(kn_N_m: float | None) -> tuple[float, float]:

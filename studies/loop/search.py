@@ -13,7 +13,7 @@ import numpy as np
 from scipy.stats import qmc
 
 from ...solver.bristle import Array
-from .adequacy import Direction, refit
+from .adequacy import Direction, left_by_refit
 from .fit import Fitted, settle, to_box, to_theta
 from .posterior import evidence
 from .problem import Model, Problem, Scattering
@@ -140,10 +140,9 @@ def fit_pairs(
     for one in best[:PAIRED_WITH]:
         weights = np.asarray(one.fitted.model.weights)
         z = quantile_residuals(data.values, one.fitted.predicted, weights, data.starts)
-        tangent = one.fitted.mean_slopes[:, one.fitted.loose]
-        absorbed = tangent @ refit(tangent)
+        project = left_by_refit(one.fitted.mean_slopes[:, one.fitted.loose])
         for each in directions:
-            shift = each.shift - absorbed @ each.shift
+            shift = project @ each.shift
             size = float(np.linalg.norm(shift))
             if each.name in one.effects or size < 0.3:
                 continue

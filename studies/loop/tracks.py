@@ -85,28 +85,15 @@ class RigidTrackBench(RigidBench):
     made_by: ClassVar[tuple[Path, ...]] = (*RigidBench.made_by, Path(__file__))
 
     def seen(self, scenes: Sequence[Scene], its: float, friction: float) -> Array:
-        found = super().seen(scenes, its, friction)
-        return np.where([True, True, False], found, 1.0)
+        return np.where([False, False, True], 1.0, super().seen(scenes, its, friction))
 
     def reference(self, height_m: Array, kn_N_m: Array) -> Array:
         plain = super().reference(height_m, kn_N_m)
-        return np.stack([plain[0], plain[1], np.ones_like(plain[2])])
+        return np.stack([*plain[:2], np.ones_like(plain[2])])
 
-
-@dataclass(frozen=True)
-class RigidTrackTables(RigidTables):
-    """The tables of a `RigidTrackBench`."""
-
-    def change(
-        self,
-        name: str,
-        height_m: Array,
-        kn_N_m: Array,
-        *value: Array | float,
-        friction: Array | float | None = None,
-    ) -> Array:
-        rise, time, _ = super().change(name, height_m, kn_N_m, *value, friction=friction)
-        return np.stack([rise, time, np.zeros_like(rise)])
+    def stiffened(self, height_m: Array, kn_N_m: Array, exponent: Array | float) -> Array:
+        stiff = super().stiffened(height_m, kn_N_m, exponent)
+        return np.stack([*stiff[:2], np.ones_like(stiff[2])])
 
 
 @dataclass(frozen=True)
@@ -317,5 +304,5 @@ def _tables(manifest: Manifest, y0_m: Array) -> Tables:
     place = (manifest.gravity_m_s2, *heights_about(y0_m))
     if isinstance(manifest.body, RigidMass):
         kns = around(manifest.kn_N_m)
-        return RigidTrackTables(RigidTrackBench(manifest.body, *place, kns, friction=0.0))
+        return RigidTables(RigidTrackBench(manifest.body, *place, kns, friction=0.0))
     return Tables(TrackBench(simulated_bristle(manifest), *place, friction=manifest.friction))
