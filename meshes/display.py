@@ -12,7 +12,8 @@ import shutil
 import signal
 import subprocess
 import tempfile
-from collections.abc import Iterator, Sequence
+import threading
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import IO
 
@@ -49,30 +50,47 @@ def display_environment() -> Iterator[dict[str, str]]:
             _stop(server)
 
 
-def run_drawing(command: Sequence[str], timeout_s: float = 300.0) -> None:
+def run_drawing(
+    command: Sequence[str], timeout_s: float = 300.0, advance: Callable[[], None] = lambda: None
+) -> None:
     """Run a command that draws, on a display of its own.
+
+    ``advance`` is called for each line that it writes to standard output.
 
     Raises
     ------
     DrawingError : there is no display, or the command fails, dies or takes more than `timeout_s`;
         with the last line that it wrote to standard error
     """
-    with display_environment() as environment:
+    with (
+        display_environment() as environment,
+        tempfile.TemporaryFile("w+", errors="replace") as log,
+        subprocess.Popen(
+            command,
+            env=environment,
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=log,
+            text=True,
+            errors="replace",
+        ) as process,
+    ):
+        late = threading.Timer(timeout_s, process.kill)
+        late.start()
         try:
-            done = subprocess.run(
-                command,
-                env=environment,
-                stdin=subprocess.DEVNULL,
-                capture_output=True,
-                text=True,
-                errors="replace",
-                timeout=timeout_s,
-            )
-        except subprocess.TimeoutExpired as error:
-            raise DrawingError(f"Drawing took more than {timeout_s:g} s.") from error
-    if done.returncode != 0:
-        said = done.stderr.strip().splitlines() or [f"exit status {done.returncode}"]
-        died = f"{signal.Signals(-done.returncode).name}, " if done.returncode < 0 else ""
+            for _ in process.stdout or ():
+                advance()
+            status = process.wait()
+            in_time = late.is_alive()
+        finally:
+            late.cancel()
+            process.kill()
+        log.seek(0)
+        said = log.read().strip().splitlines() or [f"exit status {status}"]
+    if not in_time:
+        raise DrawingError(f"Drawing took more than {timeout_s:g} s.")
+    if status != 0:
+        died = f"{signal.Signals(-status).name}, " if status < 0 else ""
         raise DrawingError(f"Drawing failed: {died}{said[-1]}")
 
 

@@ -1,4 +1,4 @@
-"""How does a bristle's mesh get onto the ranks of a dolfinx run?"""
+"""A bristle's mesh on the ranks of a dolfinx run."""
 
 from __future__ import annotations
 
@@ -22,8 +22,9 @@ from .check import (
 from .collective import run_on_one_rank
 from .geometry import MeshSpec, Tag
 from .hexahedra import build_model, gmsh_model
+from .own import OwnMesh, opened, regroup
 
-__all__ = ["MeshError", "Tag", "count_facets", "to_dolfinx", "volume_m3"]
+__all__ = ["MeshError", "Tag", "count_facets", "own_to_dolfinx", "to_dolfinx", "volume_m3"]
 
 BUILDER_RANK = 0
 
@@ -50,8 +51,46 @@ def to_dolfinx(
     ------
     MeshError : gmsh failed, or the mesh is not what was asked for; on all ranks, with one message
     """
-    with ExitStack() as open_model:
-        run_on_one_rank(comm, lambda: _open_checked_model(spec, open_model), BUILDER_RANK)
+    expected = {Tag.BODY: spec.n_cells, **spec.n_facets}
+    volume = meshed_volume_m3(spec)
+
+    def open_model(stack: ExitStack) -> None:
+        _open_checked_model(spec, stack)
+
+    return distribute(comm, open_model, expected, volume, partitioner)
+
+
+def own_to_dolfinx(own: OwnMesh, comm: MPI.Intracomm) -> tuple[Mesh, MeshTags]:
+    """The user's mesh in the body's principal axes, and its facets with `Tag.TIP`; collective.
+
+    Raises MeshError on all ranks.
+    """
+
+    def open_model(stack: ExitStack) -> None:
+        stack.enter_context(opened(own.path, own.sha256))
+        regroup()
+
+    expected = {Tag.BODY: own.counts[3], Tag.TIP: own.n_tip_facets}
+    mesh, _, facets = distribute(comm, open_model, expected, own.volume_m3)
+    if not np.array_equal(own.axes, np.eye(3)):
+        mesh.geometry.x[:] = mesh.geometry.x @ own.axes
+    return mesh, facets
+
+
+def distribute(
+    comm: MPI.Intracomm,
+    open_model: Callable[[ExitStack], None],
+    expected: dict[Tag, int],
+    expected_m3: float,
+    partitioner: Callable | None = None,
+) -> tuple[Mesh, MeshTags, MeshTags]:
+    """Share out the gmsh model that ``open_model`` opens on rank 0; collective.
+
+    ``expected`` cells and facets by group, and the volume ``expected_m3``, must arrive. Returns and
+    raises what `to_dolfinx` does.
+    """
+    with ExitStack() as stack:
+        run_on_one_rank(comm, lambda: open_model(stack), BUILDER_RANK)
         mesh, cell_tags, facet_tags = gmshio.model_to_mesh(
             gmsh.model if comm.rank == BUILDER_RANK else None,
             comm,
@@ -60,7 +99,7 @@ def to_dolfinx(
             partitioner=partitioner,
         )
     mesh.name, cell_tags.name, facet_tags.name = "bristle", "cell_tags", "facet_tags"
-    _check_distributed(spec, mesh, facet_tags)
+    _check_distributed(mesh, facet_tags, expected, expected_m3)
     return mesh, cell_tags, facet_tags
 
 
@@ -70,18 +109,16 @@ def count_facets(mesh: Mesh, facet_tags: MeshTags, tag: Tag) -> int:
     return mesh.comm.allreduce(int(np.count_nonzero(facet_tags.find(tag) < n_owned)))
 
 
-def volume_m3(mesh: Mesh, geometry_order: int) -> float:
+def volume_m3(mesh: Mesh) -> float:
     """Return the volume of all ranks' cells, m³; collective. No form, which would be compiled."""
-    map_ = mesh.geometry.cmap
+    map_, cell = mesh.geometry.cmap, basix.CellType[mesh.topology.cell_type.name]
     element = basix.create_element(
         basix.ElementFamily.P,
-        basix.CellType.hexahedron,
+        cell,
         map_.degree,
         basix.LagrangeVariant(map_.variant),
     )
-    points, weights = basix.make_quadrature(
-        basix.CellType.hexahedron, determinant_degree(geometry_order)
-    )
+    points, weights = basix.make_quadrature(cell, determinant_degree(map_.degree))
     gradients = np.asarray(element.tabulate(1, np.asarray(points)))[1:, :, :, 0]
     n_owned = mesh.topology.index_map(mesh.topology.dim).size_local
     nodes = mesh.geometry.x[mesh.geometry.dofmap[:n_owned]]
@@ -104,20 +141,20 @@ def _open_checked_model(spec: MeshSpec, open_model: ExitStack) -> None:
         raise MeshError(f"gmsh could not make the mesh: {error}") from error
 
 
-def _check_distributed(spec: MeshSpec, mesh: Mesh, facet_tags: MeshTags) -> None:
+def _check_distributed(
+    mesh: Mesh, facet_tags: MeshTags, expected: dict[Tag, int], expected_m3: float
+) -> None:
     """Require that nothing was lost on the way; every rank sees the same sums, so all raise."""
-    found = {Tag.BODY: mesh.topology.index_map(mesh.topology.dim).size_global}
-    expected = {Tag.BODY: spec.n_cells, **spec.n_facets}
-    for tag in spec.n_facets:
-        found[tag] = count_facets(mesh, facet_tags, tag)
+    n_cells = mesh.topology.index_map(mesh.topology.dim).size_global
     for tag, number in expected.items():
-        if found[tag] != number:
+        found = n_cells if tag is Tag.BODY else count_facets(mesh, facet_tags, tag)
+        if found != number:
             name = tag.name.lower()
-            raise MeshError(f"After distribution the {name} has {found[tag]} of {number} entities.")
-    volume, expected_volume = volume_m3(mesh, spec.geometry_order), meshed_volume_m3(spec)
+            raise MeshError(f"After distribution the {name} has {found} of {number} entities.")
+    volume = volume_m3(mesh)
     # Summing n cells one after another may lose n units of round-off.
-    round_off = spec.n_cells * np.finfo(float).eps
-    if not abs(volume / expected_volume - 1) <= VOLUME_TOLERANCE + round_off:
+    round_off = n_cells * np.finfo(float).eps
+    if not abs(volume / expected_m3 - 1) <= VOLUME_TOLERANCE + round_off:
         raise MeshError(
-            f"After distribution the volume is {volume:.15g} m³, not {expected_volume:.15g} m³."
+            f"After distribution the volume is {volume:.15g} m³, not {expected_m3:.15g} m³."
         )

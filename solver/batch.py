@@ -14,32 +14,35 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from .bodies.base import Array, ContactPoints
+from .arrays import Array
+from .bodies.base import ContactPoints
 from .bodies.modal import ModalBody
 from .compiled import meanwhile, njit
 from .contact.normal import PLASTIC
-from .contact.step import Points
+from .contact.points import Points
 from .drop import TOUCH_LIMIT, WAIT_STEPS, slowest_period_s
 from .errors import ComputationError
 from .ground import local_frames
-from .impact import compiled
+from .impact import compiled, gain_allowed
 from .rigid import fallen, free_rotation, leaning, matrix_of
 from .time import modal_march
 from .time.apex import apex
 from .time.flight import flyer
 from .time.march import Marcher
-from .time.modal_march import Modes, Touching, march
+from .time.modal_march import Asked, Modes, Touching, march
 from .time.motion import Chart, Flyer, chart, landing, launch, rigid_part
 from .time.touchdown import next_touch
 from .touch import STAYING, STEP_LIMIT
 
-TOO_MANY = 5
+TOO_MANY, FALLEN, GAINED = 5, 6, 7
 # A touch that lasts longer, in seconds and in radians of the mass on its spring, does not end.
 LONGEST_TOUCH_S, LONGEST_TOUCH = 0.004, 20.0
 FAILURES = {
     modal_march.NOT_CONVERGED: "the contact forces did not converge; shorten the ITS",
     modal_march.NOT_FINITE: "the motion is not finite; shorten the ITS",
     modal_march.TOO_LONG: "still in contact after as many steps as no touch takes",
+    FALLEN: "the bristle falls over, onto its side or upper end, which cannot touch here",
+    GAINED: "friction or the contact law gave energy, where they can only take",
     TOO_MANY: f"more than {TOUCH_LIMIT} touches in one impact; shorten the ITS",
 }
 
@@ -186,24 +189,37 @@ def _energy(omega2: Array, u: Array, v: Array, weight: float, height: float) -> 
     return total
 
 
+class Common(NamedTuple):
+    """What all drops share; ``slowest`` is the period of the body's slowest mode."""
+
+    modes: Modes
+    flyer: Flyer
+    points: Points
+    kt_over_kn: float
+    gravity: float
+    slowest: float
+
+
+class Columns(NamedTuple):
+    """What differs, a row a drop: see `Drops`."""
+
+    laws: Array
+    mu: Array
+    attitude: Array
+    height: Array
+    normals: Array
+    rises: Array
+    scale: Array
+
+
 @njit
 def one_drop(
-    modes: Modes,
-    flyer: Flyer,
-    table: Chart,
-    points: Points,
-    attitude: Array,
-    height: float,
-    normals: Array,
-    rises: Array,
-    gravity: float,
-    slowest: float,
-    out: Array,
+    common: Common, table: Chart, points: Points, columns: Columns, which: int, out: Array
 ) -> int:
-    """Write what one drop gives to ``out``, in the order of `Outcome`; the status of the march.
-
-    ``slowest`` is the period of the body's slowest mode.
-    """
+    """Write what drop ``which`` gives to ``out``, in the order of `Outcome`; the march's status."""
+    modes, flyer, gravity = common.modes, common.flyer, common.gravity
+    attitude, height = columns.attitude[which], columns.height[which]
+    normals, rises = columns.normals[which], columns.rises[which]
     m = len(modes.omega2)
     alpha, damped = flyer.alpha, flyer.damping.max() > 0.0
     speed = math.sqrt(2.0 * gravity * height)
@@ -225,6 +241,8 @@ def one_drop(
     placed = True
     weight = modes.mass * gravity
     frames, gaps = local_frames(normals, offsets, position, rotation, flyer.places)
+    if frames[:, 0, 2].min() <= 0.0:
+        return FALLEN
     limit = STEP_LIMIT // STAYING if points.law[0] >= PLASTIC else STEP_LIMIT
     longest = max(LONGEST_TOUCH_S, LONGEST_TOUCH * math.sqrt(modes.mass / points.law[1]))
     limit = min(limit, int(longest / modes.its) + 1)
@@ -232,8 +250,10 @@ def one_drop(
         if not placed:
             rotation = matrix_of(attitude)
             frames, gaps = local_frames(normals, offsets, position, rotation, flyer.places)
+            if frames[:, 0, 2].min() <= 0.0:
+                return FALLEN
         touching = Touching(points, frames, gaps, rotation[2].copy(), 0.0, 0.0, gravity)
-        done = march(modes, touching, u, v, max(wait - now, 0.0), math.inf, limit, False, False)
+        done = march(modes, touching, u, v, Asked(max(wait - now, 0.0), math.inf, limit))
         if done.status != modal_march.RELEASED:
             return done.status
         steps += done.steps
@@ -257,7 +277,7 @@ def one_drop(
         falls = fallen(motion.position, motion.velocity, gravity, alpha, after)[1][2]
         # a centre that falls on is done when the bristle has had time to ring and not come back
         turned = rising > 0.0 and falls <= 0.0
-        ends = turned or (rising <= 0.0 and after > slowest)
+        ends = turned or (rising <= 0.0 and after > common.slowest)
         if not ends and after < WAIT_STEPS * modes.its:
             u, v, wait = done.u, done.v, now + after
             placed = True
@@ -293,50 +313,23 @@ def one_drop(
 
 
 @njit
-def many_drops(
-    modes: Modes,
-    flyer: Flyer,
-    points: Points,
-    kt_over_kn: float,
-    gravity: float,
-    slowest: float,
-    laws: Array,
-    mu: Array,
-    attitude: Array,
-    height: Array,
-    normals: Array,
-    rises: Array,
-    scale: Array,
-    out: Array,
-    status: NDArray[np.int64],
-) -> None:
-    """`one_drop` for every entry, ``out`` (drops, …) and ``status`` (drops,) written."""
-    table = chart(flyer)
-    for i in range(len(height)):
+def many_drops(common: Common, columns: Columns, out: Array, status: NDArray[np.int64]) -> None:
+    """`one_drop` for every row, ``out`` (drops, …) and ``status`` (drops,) written."""
+    table, points = chart(common.flyer), common.points
+    for i in range(len(columns.height)):
+        law = columns.laws[i]
         own = Points(
-            laws[i],
-            kt_over_kn * laws[i, 1],
-            mu[i],
-            scale[i],
-            points.series,
-            points.weights,
-            points.end_weight,
-            points.soft,
-            points.drag,
+            law=law,
+            kt=common.kt_over_kn * law[1],
+            mu=columns.mu[i],
+            scale=columns.scale[i],
+            compliance=points.compliance,
+            weights=points.weights,
+            end_weight=points.end_weight,
+            proximal=points.proximal,
+            dashpot=points.dashpot,
         )
-        status[i] = one_drop(
-            modes,
-            flyer,
-            table,
-            own,
-            attitude[i],
-            height[i],
-            normals[i],
-            rises[i],
-            gravity,
-            slowest,
-            out[i],
-        )
+        status[i] = one_drop(common, table, own, columns, i, out[i])
 
 
 def drop_many(marcher: Marcher, drops: Drops) -> Outcome:
@@ -355,11 +348,11 @@ def drop_many(marcher: Marcher, drops: Drops) -> Outcome:
 
 def drop_each(marcher_at: Callable[[float], Marcher], drops: Drops, its_s: float) -> Outcome:
     """As `drop_many`, at the marcher's ITS ``its_s`` or, drop by drop, at the longest part of it
-    that serves; NaN where none does, or where a bristle stays in contact for good.
+    that serves; NaN where none does, or where a bristle stays in contact for good or falls over.
     """
     out, status = _dropped(marcher_at(its_s), drops)
     for part in SHORTER:
-        again = (status != modal_march.RELEASED) & (status != modal_march.TOO_LONG)
+        again = ~np.isin(status, (modal_march.RELEASED, modal_march.TOO_LONG, FALLEN))
         if not again.any():
             break
         out[again], status[again] = _dropped(marcher_at(part * its_s), drops.chosen(again))
@@ -416,24 +409,28 @@ def _drop(
     laws[:, 1] = drops.kn_N_m
     rows = np.zeros((len(drops), out.shape[1]))
     codes = np.zeros(len(drops), dtype=np.int64)
-    meanwhile(
-        many_drops,
-        modes,
-        flyer(marcher.body),
-        touching.points._replace(soft=constants.soft),
-        marcher.method.friction.kt_over_kn,
-        marcher.gravity_m_s2,
-        slowest_period_s(method.body),
-        laws,
-        np.ascontiguousarray(drops.mu),
-        attitude,
-        np.ascontiguousarray(drops.height_m),
-        np.ascontiguousarray(drops.normals),
-        np.ascontiguousarray(drops.rises_m),
-        np.ascontiguousarray(drops.scale),
-        rows,
-        codes,
+    common = Common(
+        modes=modes,
+        flyer=flyer(marcher.body),
+        points=touching.points._replace(proximal=constants.proximal),
+        kt_over_kn=marcher.method.friction.kt_over_kn,
+        gravity=marcher.gravity_m_s2,
+        slowest=slowest_period_s(method.body),
     )
+    columns = Columns(
+        laws=laws,
+        mu=np.ascontiguousarray(drops.mu),
+        attitude=attitude,
+        height=np.ascontiguousarray(drops.height_m),
+        normals=np.ascontiguousarray(drops.normals),
+        rises=np.ascontiguousarray(drops.rises_m),
+        scale=np.ascontiguousarray(drops.scale),
+    )
+    meanwhile(many_drops, common, columns, rows, codes)
+    found = Outcome(*rows.T)
+    allowed = gain_allowed(marcher, found.n_steps) * modes.mass * common.gravity * columns.height
+    gained = np.minimum(found.friction_loss_J, found.contact_loss_J) < -allowed
+    codes[gained & (codes == modal_march.RELEASED)] = GAINED
     out[where], status[where] = rows, codes
 
 

@@ -8,12 +8,11 @@ from functools import cached_property
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from . import paper
+from .arrays import Array
 from .errors import InputError
 
-Array = NDArray[np.floating]
 # Contact points across each side of the end section: what an edge-first touch of a stiff surface
 # needs, see the study of leaning impacts.
 CONTACT_POINTS = 9

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from .bodies.base import Array
+from .arrays import Array
 from .errors import ComputationError, InputError
 from .kept import read_arrays, write_arrays
 
@@ -61,7 +61,7 @@ class Checkpoint:
         resume: bool = False,
     ) -> None:
         self.folder, self.comm, self.every_s = Path(folder), comm, every_s
-        self._made_for = {**made_for, "number of ranks": str(comm.size)}
+        self._made_for = {"number of ranks": str(comm.size), **made_for}
         self._march, self._frames, self._whole_frames = -1, 0, 0
         self._looks, self._last_s = 0, time.monotonic()
         self._waiting: list[tuple[Path, dict[str, Any], Mapping[str, Array]]] = []

@@ -25,7 +25,7 @@ from numba.core.typing.typeof import Purpose, typeof
 
 KEPT_S = 7 * 86400.0
 # Folders of the package that compiled code takes nothing from.
-APART = ("effects", "finite")
+APART = ("effects",)
 
 
 class Decorator(Protocol):

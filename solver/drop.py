@@ -8,7 +8,8 @@ from typing import Protocol
 
 import numpy as np
 
-from .bodies.base import Array, Body
+from .arrays import Array
+from .bodies.base import Body
 from .bodies.modal import ModalBody
 from .checkpoint import Checkpoint
 from .contact.enforcement import ContactMethod
@@ -17,9 +18,9 @@ from .errors import ComputationError
 from .fall import dragged_fall, dragged_path, free_fall, risen
 from .ground import Ground, just_touched, place
 from .impact import march_touch
-from .rigid import Pose, leaning
+from .rigid import Pose, leaning, product, quaternion_of
 from .time.flight import Flight, flyer
-from .time.march import Marcher
+from .time.march import ContactMarch, Marcher
 from .time.scheme import TimeScheme
 from .touch import History, Observer, Touch
 
@@ -27,9 +28,8 @@ TOUCH_LIMIT = 10_000
 # A touch so few steps away is marched to, not flown to: it costs little, and the full order, which
 # holds more than the modes that it flies in, loses nothing.
 WAIT_STEPS = 100
-# Largest error bound of a reduced body, in units of the impact speed, that is let through. It is a
-# sum of norms over all steps: with little damping the true error is a thousandth of it or less.
-REDUCTION_LIMIT = 0.1
+# What an estimate of a reduced body's error resolves, in units of the impact speed.
+RESOLVED = 1e-8
 FLIGHT_ROWS = 200
 
 
@@ -42,30 +42,32 @@ class FlightFrame(Protocol):
     @property
     def modal(self) -> ModalBody: ...
 
-    def to_modal(self, x: Array) -> Array:
-        """Modal coordinates of the body's vector ``x``."""
+    def launched(self, pose: Pose, u: Array, v: Array) -> tuple[Pose, Array, Array]:
+        """The pose in which the body flies off, and displacement and velocity in modes on top of
+        it, from its own vectors in ``pose``."""
         ...
 
-    def from_modal(self, q: Array) -> Array:
-        """The body's vector of modal coordinates ``q``."""
+    def landed(self, q: Array, qv: Array) -> tuple[Array, Array]:
+        """The body's own vectors of displacement and velocity in modes."""
         ...
 
 
 @dataclass(frozen=True)
 class ModalFrame:
-    """A body that is modal already."""
+    """A body that is modal already; ``coarser`` ones, from few modes on, tell how far it is off."""
 
     modal: ModalBody
+    coarser: tuple[ModalBody, ...] = ()
 
     @property
     def body(self) -> ModalBody:
         return self.modal
 
-    def to_modal(self, x: Array) -> Array:
-        return x
+    def launched(self, pose: Pose, u: Array, v: Array) -> tuple[Pose, Array, Array]:
+        return pose, u, v
 
-    def from_modal(self, q: Array) -> Array:
-        return q
+    def landed(self, q: Array, qv: Array) -> tuple[Array, Array]:
+        return q, qv
 
 
 @dataclass(frozen=True)
@@ -75,7 +77,8 @@ class DropPlan:
     The bristle leans by ``tilt_deg`` toward its thin side and ``tilt_wide_deg`` toward its wide
     one, over ``ground`` (None: a horizontal plane), and falls ``height_m`` before a point of its
     tip
-    touches. ``until_s`` is a time after release, or None to end after the first rebound;
+    touches. Upright, the body's axes are the columns of ``axes`` (3, 3) in the world (None: the
+    world's own). ``until_s`` is a time after release, or None to end after the first rebound;
     ``impact_only`` ends at the last release of the first impact. ``release_speed_m_s`` is the
     downward speed at the start, ``drag_kg_m`` the air's drag over the square of the speed: exact in
     the fall, and in the rebound of a bristle that does not turn.
@@ -93,6 +96,7 @@ class DropPlan:
     ground: Ground | None = None
     release_speed_m_s: float = 0.0
     drag_kg_m: float = 0.0
+    axes: Array | None = None
 
 
 @dataclass
@@ -102,10 +106,12 @@ class DropResult:
     ``rebound_height_m`` is the greatest height of the lower tip's middle over where it first
     touched, ``cm_rebound_height_m`` that of the centre of mass over where it was then, both before
     the second impact. ``velocity_after_m_s`` (3,) of the centre of mass and ``spin_after_rad_s``
-    (3,), about body axes, are those after the last release of the first impact.
+    (3,), about body axes, are those after the last release of the first impact. Heights are None
+    where the drop ends before the rebound has been seen to its top or to the second impact; the
+    time in contact and what follows it are NaN where it ends within the first impact.
     ``friction_impulse_N_s`` is the size of the impulse across the normal one. ``reduction_error``
-    bounds what a reduced body got wrong against the full order by the end of
-    the first impact, in units of the impact speed; None for bodies that leave nothing out.
+    estimates what a reduced body got wrong against the full order by the end of the first impact,
+    in units of the impact speed; None for bodies that leave nothing out.
     """
 
     impact_speed_m_s: float
@@ -134,7 +140,7 @@ class Impact:
     """The touches of one impact, and the flight that follows it.
 
     ``top_m`` and ``centre_top_m`` are the greatest heights of the tip and of the centre of mass
-    between its touches.
+    between its touches. ``ended`` says that no touch of it was to come when the drop ended.
     """
 
     touches: list[Touch]
@@ -147,6 +153,7 @@ class Impact:
     n_steps: int
     top_m: float
     centre_top_m: float
+    ended: bool
 
     @property
     def release_s(self) -> float:
@@ -165,7 +172,7 @@ def _fall(plan: DropPlan, body: Body) -> tuple[float, float]:
 def simulate(
     frame: FlightFrame,
     plan: DropPlan,
-    marcher: Marcher | None = None,
+    marcher: ContactMarch | None = None,
     observer: Observer | None = None,
     checkpoint: Checkpoint | None = None,
 ) -> DropResult:
@@ -207,13 +214,7 @@ def simulate(
         flight = impact.flight
         stop = max(min(impact.next_touch_s, end_s), flight.t0_s)
         if len(impacts) == 1:
-            top = flight.apex(impact.next_touch_s)[1] - stage.datum_m
-            rebound = max(top, impact.top_m)
-            centre_rebound = max(_centre_top(flight, impact.next_touch_s), impact.centre_top_m)
-            rebound, centre_rebound = (
-                float(risen(height, plan.drag_kg_m / body.mass_kg))
-                for height in (rebound, centre_rebound)
-            )
+            rebound, centre_rebound = stage.rebound(impact)
         _record_flight(history, flight, impact.touches[-1].release_s, stop, stage)
         after = flight_energy(flight, stop)
         if frame.modal.damping_1_s.any():
@@ -222,16 +223,22 @@ def simulate(
         if plan.until_s is None or stop >= end_s:
             break
         pose, q, qv = flight.state(stop)
-        t, u, v = stop, frame.from_modal(q), frame.from_modal(qv)
+        t, (u, v) = stop, frame.landed(q, qv)
     first = impacts[0]
     touches = first.touches
     deepest = max(touches, key=lambda touch: touch.max_penetration_m)
-    velocity = first.flight.centre(first.release_s)[1]
-    return DropResult(
+    contact_s = math.nan
+    velocity: Array = np.full(3, math.nan)
+    spin: Array = np.full(3, math.nan)
+    if first.ended:
+        contact_s = first.release_s - touches[0].start_s
+        velocity = first.flight.centre(first.release_s)[1]
+        spin = first.flight.turned(first.release_s)[1]
+    found = DropResult(
         impact_speed_m_s=speed,
         rebound_ratio=None if rebound is None else rebound / plan.height_m,
         rebound_height_m=rebound,
-        contact_time_s=first.release_s - touches[0].start_s,
+        contact_time_s=contact_s,
         n_contacts=len(touches),
         peak_force_N=max(touch.peak_force_N for touch in touches),
         impulse_N_s=sum(touch.impulse_N_s for touch in touches),
@@ -244,10 +251,38 @@ def simulate(
         history=history,
         cm_rebound_height_m=centre_rebound,
         velocity_after_m_s=tuple(map(float, velocity)),
-        spin_after_rad_s=tuple(map(float, first.flight.turned(first.release_s)[1])),
+        spin_after_rad_s=tuple(map(float, spin)),
         friction_impulse_N_s=sum(_across(touch) for touch in touches),
-        reduction_error=_reduction_error(body, first, speed),
     )
+    return replace(found, reduction_error=_reduction_error(frame, plan, found))
+
+
+def _reduction_error(frame: FlightFrame, plan: DropPlan, found: DropResult) -> float | None:
+    """About how far the velocities after the impact are from the full order's, for a reduced body.
+
+    In units of the impact speed, a spin counting by its energy. The last two steps from body to
+    finer body shrink as their sequence does, and the next is taken to shrink as much.
+    """
+    if not isinstance(frame, ModalFrame) or not frame.coarser or math.isnan(found.contact_time_s):
+        return None
+    gyration = np.sqrt(frame.modal.inertia_kg_m2 / frame.body.mass_kg)
+    first = replace(plan, impact_only=True, until_s=None)
+    motions = []
+    for body in frame.coarser:
+        try:
+            motions.append(_motion_after(simulate(ModalFrame(body), first), gyration))
+        except ComputationError:
+            return math.inf
+    steps = np.diff([*motions, _motion_after(found, gyration)], axis=0)
+    sizes = np.linalg.norm(steps, axis=1) / found.impact_speed_m_s
+    shrinking = min(1.0, sizes[-1] / sizes[-2]) if sizes[-2] > 0.0 else 1.0
+    return max(RESOLVED, float(sizes[-1] * shrinking))
+
+
+def _motion_after(found: DropResult, gyration_m: Array) -> Array:
+    """Velocity and spin (6,) after the first impact, in m/s."""
+    spin = gyration_m * np.array(found.spin_after_rad_s)
+    return np.concatenate([found.velocity_after_m_s, spin])
 
 
 def _across(touch: Touch) -> float:
@@ -255,21 +290,8 @@ def _across(touch: Touch) -> float:
     return math.sqrt(max(float(touch.push_N_s @ touch.push_N_s) - touch.impulse_N_s**2, 0.0))
 
 
-def _reduction_error(body: Body, impact: Impact, speed_m_s: float) -> float | None:
-    """The estimate of a reduced body; ComputationError where it is too large to trust."""
-    if body.defect is None:
-        return None
-    error = sum(touch.defect for touch in impact.touches) / (math.sqrt(body.mass_kg) * speed_m_s)
-    if error > REDUCTION_LIMIT:
-        raise ComputationError(
-            f"the reduced body may be off by {error:.2g} of the impact speed, more than "
-            f"{REDUCTION_LIMIT:g}: give it more modes, or take the solid itself"
-        )
-    return error
-
-
-def _centre_top(flight: Flight, until_s: float) -> float:
-    """Greatest height of the centre of mass in a flight up to ``until_s``."""
+def _centre_top(flight: Flight, until_s: float) -> tuple[float, float]:
+    """Time and height of the highest place of the centre of mass in a flight up to ``until_s``."""
     speed, g, alpha = (
         flight.centre_velocity(flight.t0_s),
         flight.gravity_m_s2,
@@ -278,7 +300,8 @@ def _centre_top(flight: Flight, until_s: float) -> float:
     rise = 0.0
     if speed > 0.0:
         rise = speed / g if alpha == 0.0 else math.log1p(alpha * speed / g) / alpha
-    return float(flight.centre(min(flight.t0_s + rise, until_s))[0][2])
+    top_s = min(flight.t0_s + rise, until_s)
+    return top_s, float(flight.centre(top_s)[0][2])
 
 
 def slowest_period_s(body: ModalBody) -> float:
@@ -293,7 +316,7 @@ class Stage:
     def __init__(
         self,
         frame: FlightFrame,
-        marcher: Marcher,
+        marcher: ContactMarch,
         plan: DropPlan,
         observer: Observer | None = None,
         checkpoint: Checkpoint | None = None,
@@ -304,6 +327,8 @@ class Stage:
         self.end_s = math.inf if plan.until_s is None else plan.until_s
         points = frame.body.contact
         attitude = leaning(plan.tilt_deg, plan.tilt_wide_deg)
+        if plan.axes is not None:
+            attitude = product(attitude, quaternion_of(plan.axes))
         self.first_pose = Pose(np.zeros(3), attitude)
         ground = plan.ground or Ground.plane(len(points.weights))
         self.ground = just_touched(ground, self.first_pose, points)
@@ -339,8 +364,8 @@ class Stage:
             touches.append(touch)
             loss += touch.material_loss_J
             released = touch.end_s
-            q, qv = frame.to_modal(touch.u), frame.to_modal(touch.v)
-            flight = Flight(frame.modal, pose, released, q, qv, g, self._flyer)
+            start, q, qv = frame.launched(pose, touch.u, touch.v)
+            flight = Flight(frame.modal, start, released, q, qv, g, self._flyer)
             rising = flight.centre_velocity(released)
             ringing = flight.ringing_m()
             longest = released + 2.0 * max(rising, 0.0) / g + math.sqrt(8.0 * ringing / g) + 1e-3
@@ -356,12 +381,12 @@ class Stage:
                 t, u, v, wait = released, touch.u, touch.v, landing
                 continue
             top = max(top, flight.apex(landing)[1] - self.datum_m)
-            centre_top = max(centre_top, _centre_top(flight, landing))
+            centre_top = max(centre_top, _centre_top(flight, landing)[1])
             energy = flight_energy(flight, released).total_J
             if damped:
                 loss += energy - flight_energy(flight, landing).total_J
             pose, q, qv = flight.state(landing)
-            t, u, v, wait = landing, frame.from_modal(q), frame.from_modal(qv), landing
+            (u, v), t, wait = frame.landed(q, qv), landing, landing
             self._place(pose)
         else:
             raise ComputationError(
@@ -378,7 +403,20 @@ class Stage:
             n_steps=sum(touch.n_steps for touch in touches),
             top_m=top,
             centre_top_m=centre_top,
+            ended=touch.released and (turned or gone),
         )
+
+    def rebound(self, impact: Impact) -> tuple[float | None, float | None]:
+        """Greatest heights of the tip and of the centre of mass before the second impact; None
+        where the drop ends before they, or the second impact, have been seen."""
+        flight, drag = impact.flight, self.plan.drag_kg_m / self.frame.body.mass_kg
+        tip_s, tip = flight.apex(impact.next_touch_s)
+        centre_s, centre = _centre_top(flight, impact.next_touch_s)
+        if not impact.ended or self.end_s < max(tip_s, centre_s):
+            return None, None
+        tip = max(tip - self.datum_m, impact.top_m)
+        centre = max(centre, impact.centre_top_m)
+        return float(risen(tip, drag)), float(risen(centre, drag))
 
     def _place(self, pose: Pose) -> None:
         self.marcher.place(place(self.ground, pose, self.frame.body.contact, self.datum_m))
@@ -408,6 +446,8 @@ def _record_flight(
 ) -> None:
     """Tip and centre of mass at equal times; the marched step in which it was released stays."""
     start_s = max(start_s, history.rows[-1][0])
+    if stop_s <= start_s:
+        return
     times = np.linspace(start_s, stop_s, FLIGHT_ROWS + 1)[1:]
     heights = flight.trace(stage.ground, times)
     tip, centre, clear = heights.T

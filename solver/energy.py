@@ -7,7 +7,7 @@ from dataclasses import asdict, dataclass
 import numpy as np
 
 from .time.flight import Flight
-from .time.march import Marcher, State
+from .time.march import ContactMarch, Moving
 
 
 @dataclass
@@ -64,7 +64,7 @@ class Budget:
         )
 
 
-def marching_energy(marcher: Marcher, state: State) -> Energy:
+def marching_energy(marcher: ContactMarch, state: Moving) -> Energy:
     """Energy of the latest state on the march; Nitsche's boundary terms and friction's springs
     are contact's.
 
@@ -75,30 +75,20 @@ def marching_energy(marcher: Marcher, state: State) -> Energy:
     contact = marcher.contact.spring_energy_J()
     if not marcher.rigid_multiplier:
         memory = marcher.contact.memory[:, 2]
-        drive, scale = state.drive[:, 0], marcher.ground.scale
-        stored = method.law.potential(drive, marcher.tau, scale, memory)
+        approach, scale = state.approach[:, 0], marcher.ground.scale
+        stored = method.law.potential(approach, marcher.tau, scale, memory)
         contact += float(points.weights @ stored)
-    strain = 0.5 * body.dot(state.u, state.ku)
+    strain = marcher.strain_energy_J(state)
     if method.theta and marcher.tau:
         boundary = 0.5 * method.theta * marcher.tau
-        boundary *= float(points.weights @ np.sum(points.tractions(state.u) ** 2, axis=1))
-        strain, contact = strain + boundary, contact - boundary
+        boundary *= float(points.weights @ np.sum(marcher.tractions(state) ** 2, axis=1))
+        contact -= boundary
     return Energy(
         kinetic_J=0.5 * body.dot(state.v, state.mv),
         strain_J=strain,
         potential_J=marcher.gravity_m_s2 * body.mass_kg * marcher.heights(state)[1],
         contact_J=contact,
     )
-
-
-def step_loss(marcher: Marcher, before: State, after: State) -> float:
-    """Energy in J that Rayleigh damping took in a step, by the midpoint rule of the scheme."""
-    body = marcher.body
-    v = 0.5 * (before.v + after.v)
-    loss = body.beta_s * body.dot(v, 0.5 * (before.kv + after.kv))
-    if body.alpha_1_s:
-        loss += body.alpha_1_s * body.dot(v, 0.5 * (before.mv + after.mv))
-    return marcher.its_s * loss
 
 
 def flight_energy(flight: Flight, t_s: float) -> Energy:

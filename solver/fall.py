@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from .bodies.base import Array
+from .arrays import Array
 from .errors import ComputationError
 
 LEAST_DRAG_1_M = 1e-12

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import fcntl
 import tempfile
+import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import cache
@@ -21,7 +22,7 @@ import ufl
 from dolfinx import default_scalar_type, fem, jit
 from mpi4py import MPI
 
-from .bodies.base import Array
+from .arrays import Array
 from .compiled import writable_folder
 
 LOCK = "lock"
@@ -29,7 +30,8 @@ LOCK = "lock"
 
 def form(expression: ufl.Form) -> Any:
     """The form, compiled by this rank alone or read from disk; RuntimeError where it cannot be."""
-    with _alone() as folder:
+    with _alone() as folder, warnings.catch_warnings():
+        warnings.filterwarnings("ignore", "Applying str")  # to points of custom quadrature
         options = {"cache_dir": str(folder)}
         jit.ffcx_jit(MPI.COMM_SELF, expression, {"scalar_type": default_scalar_type}, options)
     return fem.form(expression, jit_options=options)  # found by all ranks, so none waits

@@ -6,9 +6,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from .bodies.base import Array, ContactPoints
+from .arrays import Array
+from .bodies.base import ContactPoints
 from .compiled import njit
 from .rigid import Pose
+
+SAME_LEVEL_M = 1e-9
+"""Points whose gaps differ by less touch at once."""
 
 
 @dataclass(frozen=True)
@@ -62,6 +66,17 @@ class Placement:
         pose, plane = Pose.upright(), Ground.plane(len(points.weights))
         ground = just_touched(plane, pose, points)
         return place(ground, pose, points, place(ground, pose, points).tip_m)
+
+    def nearest(self, points: ContactPoints) -> tuple[Array, Array]:
+        """Where the unstrained body is nearest to the ground, and the ground's normal there, (3,).
+
+        Both in world axes; the centroid of the points where several are as near.
+        """
+        near = self.gaps_m <= self.gaps_m.min() + SAME_LEVEL_M
+        weights = points.weights[near] / points.weights[near].sum()
+        place = self.pose.position_m + self.pose.rotation @ (weights @ points.places_m[near])
+        normal = weights @ self.ground.normals[near]
+        return place, normal / np.linalg.norm(normal)
 
     def gaps(self, displacements: Array) -> Array:
         """The gap (n,) of points displaced by (n, 3) along body axes."""

@@ -2,24 +2,28 @@
 
 from __future__ import annotations
 
-import math
+from typing import TypeGuard
 
 import numpy as np
 
-from .bodies.axis import shortening
-from .bodies.base import Array
+from .arrays import Array
 from .bodies.modal import ModalBody
 from .checkpoint import Checkpoint
 from .contact.enforcement import Enforcement
+from .contact.solve import MULTIPLIER_TOLERANCE
 from .errors import ComputationError
 from .stepwise import march_stepwise
 from .time import modal_march
-from .time.march import Marcher
-from .touch import STEP_LIMIT, History, Observer, Touch, deepest, not_finite, step_limit, too_long
+from .time.march import ContactMarch, Marcher
+from .time.modal_march import Asked
+from .touch import History, Observer, Touch, deepest, not_finite, step_limit, too_long
+
+# Negative losses that are rounding, in units of the impact's energy: of a touch, and of each step.
+GAIN, GAIN_A_STEP = 1e-12, 1e-15
 
 
 def march_touch(
-    marcher: Marcher,
+    marcher: ContactMarch,
     t_s: float,
     u: Array,
     v: Array,
@@ -33,33 +37,64 @@ def march_touch(
 
     With ``wait_s`` the start may still be free of the plane: a touch is awaited until that time.
     What is marched step by step is kept in ``checkpoint``, and goes on from there.
-    Raises ComputationError where contact forces do not converge, motion is not finite, or the tip
-    is still in contact after a number of steps that no impact needs.
+    Raises ComputationError where contact forces do not converge, motion is not finite, friction or
+    the contact law gave energy, or the tip is still in contact after a number of steps that no
+    impact needs.
     """
     if body_bends(marcher) and (observer is not None or not compiled(marcher)):
         raise ComputationError(
             "a body of second order is marched by compiled code alone: take the conserving scheme, "
             "penalty or the augmented Lagrangian at a finite Kn, and no fields"
         )
-    if isinstance(marcher.body, ModalBody) and marcher.body.loss_factor and not compiled(marcher):
-        raise ComputationError(
-            "a loss factor belongs to modes marched by compiled code: take the conserving scheme, "
-            "penalty or the augmented Lagrangian at a finite Kn, and no fields"
-        )
     if observer is None and compiled(marcher):
-        return _march_compiled(marcher, t_s, u, v, history, until_s, wait_s)
-    return march_stepwise(marcher, t_s, u, v, history, observer, until_s, wait_s, checkpoint)
+        touch = _march_compiled(marcher, t_s, u, v, history, until_s, wait_s)
+    else:
+        touch = march_stepwise(marcher, t_s, u, v, history, observer, until_s, wait_s, checkpoint)
+    _check_losses(marcher, v, touch)
+    return touch
 
 
-def body_bends(marcher: Marcher) -> bool:
+def gain_allowed(marcher: ContactMarch, n_steps: Array | int) -> Array | float:
+    """The share of an impact's energy up to which a negative loss is rounding.
+
+    A multiplier is found to `MULTIPLIER_TOLERANCE` of the force, and so is the work of a step.
+    """
+    augmented = marcher.method.enforcement is Enforcement.AUGMENTED
+    return 10.0 * MULTIPLIER_TOLERANCE if augmented else GAIN + GAIN_A_STEP * n_steps
+
+
+def _check_losses(marcher: ContactMarch, v: Array, touch: Touch) -> None:
+    """ComputationError where friction or the contact law gave energy.
+
+    What they took is the difference of work and of what is stored, so that a budget with a law that
+    makes energy closes all the same. Schemes other than the conserving one promise nothing.
+    """
+    if not marcher.scheme.conserving:
+        return
+    body = marcher.body
+    energy = 0.5 * body.dot(v, body.mass(v)) + touch.peak_force_N * touch.max_penetration_m
+    allowed = float(gain_allowed(marcher, touch.n_steps)) * energy
+    for what, loss in (
+        ("friction", touch.friction_loss_J),
+        ("the contact law", touch.contact_loss_J),
+    ):
+        if loss < -allowed:
+            raise ComputationError(
+                f"{what} gave {-loss:.3g} J in the touch at t = {touch.start_s:.6g} s, of an "
+                f"impact of {energy:.3g} J, where it can only take: the law or its step is wrong"
+            )
+
+
+def body_bends(marcher: ContactMarch) -> bool:
     """Whether the body is of second order in slope."""
     return isinstance(marcher.body, ModalBody) and marcher.body.axis is not None
 
 
-def compiled(marcher: Marcher) -> bool:
+def compiled(marcher: ContactMarch) -> TypeGuard[Marcher]:
     """Whether the compiled march serves: modes, the conserving scheme, a law that acts on gaps."""
     return (
-        isinstance(marcher.body, ModalBody)
+        isinstance(marcher, Marcher)
+        and isinstance(marcher.body, ModalBody)
         and marcher.scheme.conserving
         and marcher.method.enforcement is not Enforcement.NITSCHE
         and not marcher.rigid_multiplier
@@ -78,17 +113,14 @@ def _march_compiled(
     """`march_touch` of a modal body in compiled code."""
     modes, touching = marcher.tables()
     limit = step_limit(marcher, until_s)
-    marched = modal_march.march(
-        modes,
-        touching,
-        np.ascontiguousarray(u),
-        np.ascontiguousarray(v),
-        max(wait_s - t_s, 0.0),
-        until_s - t_s,
-        limit,
-        True,
-        marcher.body.defect is not None and not body_bends(marcher),
+    asked = Asked(
+        wait=max(wait_s - t_s, 0.0),
+        until=until_s - t_s,
+        limit=limit,
+        history=True,
     )
+    u, v = np.ascontiguousarray(u), np.ascontiguousarray(v)
+    marched = modal_march.march(modes, touching, u, v, asked)
     if marched.status == modal_march.NOT_CONVERGED:
         raise ComputationError(
             f"the contact forces did not converge at t = {t_s + marched.steps * modes.its:.6g} s; "
@@ -117,26 +149,13 @@ def _march_compiled(
         friction_loss_J=marched.friction_loss,
         contact_loss_J=marched.contact_loss,
         contact_J=marched.spring + _pressed(marcher, marched),
-        defect=_defect(marcher, marched, np.ascontiguousarray(u), np.ascontiguousarray(v)),
         n_steps=marched.steps,
+        released=marched.status == modal_march.RELEASED,
     )
-
-
-def _defect(marcher: Marcher, marched: modal_march.Marched, u: Array, v: Array) -> float:
-    """The reduced body's bound; of second order, that of the linear body's march from the same
-    start, since the basis answers for contact loads."""
-    body = marcher.body
-    assert isinstance(body, ModalBody)
-    if body.defect is not None and body.axis is not None:
-        modes, touching = marcher.tables()
-        linear = modes._replace(axis=shortening(None, body.omega2))
-        limit = marched.steps + STEP_LIMIT // 1000
-        marched = modal_march.march(linear, touching, u, v, 0.0, math.inf, limit, False, True)
-    return marcher.march_defect(marched.forces, marched.motions)
 
 
 def _pressed(marcher: Marcher, marched: modal_march.Marched) -> float:
     """What the contact law holds at the end of a march, in J."""
-    drive, scale = marcher.drive(marched.u, marched.v)[:, 0], marcher.ground.scale
-    stored = marcher.method.law.potential(drive, marcher.tau, scale, marched.memory[:, 2])
+    approach, scale = marcher.approach(marched.u, marched.v)[:, 0], marcher.ground.scale
+    stored = marcher.method.law.potential(approach, marcher.tau, scale, marched.memory[:, 2])
     return float(marcher.body.contact.weights @ stored)

@@ -19,7 +19,7 @@ from typing import Any, cast
 
 import numpy as np
 
-from .bodies.base import Array
+from .arrays import Array
 from .compiled import cache_folder
 
 KEY = "key"

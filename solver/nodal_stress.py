@@ -1,8 +1,9 @@
-"""What is the stress at the nodes of a solid, given its displacement?
+"""Stress at the nodes of a solid, from its displacement.
 
 The stress of a finite element displacement jumps from cell to cell, and at the nodes it is at its
-worst. It is most accurate at the p × p × p Gauss points of a cell of degree p (Barlow, Int. J.
-Numer. Methods Eng. 10, 1976; Zienkiewicz and Zhu, ibid. 33, 1992). So it is evaluated there,
+worst. It is most accurate at the p × p × p Gauss points of a hexahedron of degree p (Barlow, Int.
+J. Numer. Methods Eng. 10, 1976; Zienkiewicz and Zhu, ibid. 33, 1992), and within a tetrahedron at
+the points of the rule of degree 2p - 2, the middle or four about it. So it is evaluated there,
 carried to the nodes by the polynomial of degree p - 1 through these points, and averaged over the
 cells that meet at a node. In one material the true stress is continuous, and so is the field that
 results. It lives on the nodes of the displacement, hence one file holds both and a picture can be
@@ -18,24 +19,30 @@ import ufl
 from dolfinx import fem, la
 from scipy.sparse import csr_matrix
 
-from .bodies.base import Array
-from .bodies.solid import stress
+from .arrays import Array
 from .bristle import Material
 from .forms import expression
+from .mechanics import Elasticity
 
 VOIGT = ((0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1))
 
 
 class NodalStress:
-    """Stress at the nodes of ``displacement``'s space; compiled once, here. Collective."""
+    """Stress at the nodes of ``displacement``'s space; compiled once, here. Collective.
 
-    def __init__(self, displacement: fem.Function, material: Material) -> None:
+    Where strain is ``finite`` it is the second of Piola and Kirchhoff: along the body's own axes,
+    however it has turned.
+    """
+
+    def __init__(
+        self, displacement: fem.Function, material: Material, *, finite: bool = False
+    ) -> None:
         space = displacement.function_space
         self._domain = space.mesh
         element = space.element.basix_element
-        rule = basix.make_quadrature(basix.CellType.hexahedron, 2 * element.degree - 1)
-        points = np.asarray(rule[0])
-        sigma = stress(displacement, material)
+        points = stress_points(element)
+        body = Elasticity.of(material, space.mesh, finite=finite)
+        sigma = body.stress(body.strain(displacement))
         components = ufl.as_vector([sigma[i, j] for i, j in VOIGT])
         self._expression = expression(components, points)
         self._to_nodes = extrapolation(element, points)
@@ -66,11 +73,19 @@ class NodalStress:
         return self._sum.array.reshape(-1, len(VOIGT)).copy()
 
 
+def stress_points(element: basix.finite_element.FiniteElement) -> Array:
+    """Points (m, 3) of a cell, as many as a polynomial of the degree of its strain needs."""
+    degree = 2 * element.degree - 2
+    if element.cell_type is basix.CellType.hexahedron:
+        degree += 1
+    return np.asarray(basix.make_quadrature(element.cell_type, degree)[0])
+
+
 def extrapolation(element: basix.finite_element.FiniteElement, points: Array) -> Array:
-    """Matrix (nodes, points) from values at Gauss ``points`` to the nodes of a hexahedron."""
+    """Matrix (nodes, points) from values at `stress_points` to the nodes of a cell."""
     through = basix.create_element(
         basix.ElementFamily.P,
-        basix.CellType.hexahedron,
+        element.cell_type,
         element.degree - 1,
         basix.LagrangeVariant.gll_warped,
         discontinuous=True,

@@ -1,16 +1,15 @@
-"""Which fields of a solid's impact does ParaView get, and when?
+"""Fields of a solid's impact as a time series for ParaView, in the world's frame.
 
-    writer = FieldWriter(solid, out / "fields", marcher, every=None, max_frames=200)
-    with writer:
+    with FieldWriter(solid, out / "fields", marcher, frame, max_frames=200) as writer:
         simulate(frame, plan, marcher, observer=writer)
-        writer.write_flight(frame, plan.gravity_m_s2)
+        writer.write_flight()
 
 In the folder: ``solid.bp`` with displacement, velocity, axial and von Mises stress on the nodes of
 the solution (a cell of degree 2 stays one, with its 27 nodes); ``tip.bp`` with contact pressure,
-gap and displacement on the nodes of the tip's face; ``frames.csv`` with time and phase of each
-frame. The .bp are ADIOS2's BP4 with VTX' schema: ParaView reads them with ADIOS2VTXReader, in
-parallel if need be. Every frame is on the disk when ``write`` returns, so a run that is killed
-leaves all of them readable.
+gap and displacement on the nodes of the tip's face; ``ground.vtk``, the surface as a square;
+``frames.csv`` with time and phase of each frame. The .bp are ADIOS2's BP4 with VTX' schema:
+ParaView reads them with ADIOS2VTXReader, in parallel if need be. Every frame is on the disk when
+``write`` returns, so a run that is killed leaves all of them readable.
 """
 
 from __future__ import annotations
@@ -27,19 +26,25 @@ import numpy as np
 from dolfinx import fem
 from dolfinx.io import VTXMeshPolicy, VTXWriter
 
-from .bodies.base import Array
+from .arrays import Array
 from .bodies.solid import SolidBody
 from .checkpoint import Checkpoint, Mark, under
 from .drop import FlightFrame
 from .errors import ComputationError
 from .ground import Placement, place
 from .nodal_stress import VOIGT, NodalStress, von_mises
+from .time.finite import FiniteMarcher
 from .time.flight import Flight
-from .time.march import Marcher, State
+from .time.march import ContactMarch, Moving
 from .tip_face import TipFace
 from .touch import instant_force
 
 SOLID_FILE, TIP_FILE, FRAMES_FILE = "solid.bp", "tip.bp", "frames.csv"
+GROUND_FILE = "ground.vtk"
+# Half the side of the ground's square, in lengths of the bristle.
+GROUND_REACH = 0.1
+# Frames of a flight from touch to touch, and of the last one.
+BETWEEN, FLIGHT_FRAMES = 12, 80
 FRAMES_PER_PERIOD = 40
 FAREWELL_S = 5.0
 AXIAL = VOIGT.index((2, 2))
@@ -60,19 +65,20 @@ PHASES = tuple(Phase.__members__.values())
 class FieldWriter:
     """Writes frames of a solid's motion while it is marched: an observer of ``simulate``.
 
-    Displacement is total: it carries the mesh, which stands upright, to where the body is, rotation
-    included, so that the tip's z displacement is its height over where it first touched. Stresses
-    stand along the body's own axes. ``pressure_Pa`` is the contact force at a point over the area
-    it stands for; its integral over the face is the contact force. With ``marcher`` it is the force
-    at the
-    frame's own instant, without it the mean over the step before.
+    Displacement is total: it carries the mesh, which stands upright, to where the body is in the
+    world, rotation included. The world's origin is where the tip first touches the ground (the
+    middle of what touches at once), its z points up, so that an upright bristle is not displaced
+    when it touches. Velocity stands along the world's axes, stresses along the body's own.
+    ``pressure_Pa`` integrates over the face to the contact force, see `TipFace`: with ``marcher``
+    the force at the frame's own instant, without it the mean over the step before.
 
-    A frame is written at the touch (where the observer is shown it), then ``every`` steps, and at
-    release. Left out, ``every`` gives 40 frames in the time in which a wave runs up and back, at
-    most one per step. When half of ``max_frames`` are written ``every`` doubles, and again after
-    each further twentieth, so a contact a hundred times longer than expected is covered to its
-    end. No more than ``max_frames`` are written during contact, the last of them at a release;
-    frames of the flight come on top.
+    A frame is written at each touch, then every ``every`` steps, and at release. Left out,
+    ``every`` gives 40 frames in the time in which a wave runs up and back, at most one per step.
+    When half of ``max_frames`` are written ``every`` doubles, and again after each further
+    twentieth, so a contact a hundred times longer than expected is covered to its end. No more than
+    ``max_frames`` are written during contact, the last of them at a release; frames of flights come
+    on top: with ``frame``, which ``simulate`` flies in, `BETWEEN` from touch to touch, and those of
+    `write_flight`.
 
     The mesh goes with every frame: with ``mesh_once`` the files are two thirds as large, but
     ParaView's reader shows nothing when the first frame that it is asked for is not the first of
@@ -92,7 +98,8 @@ class FieldWriter:
         self,
         solid: SolidBody,
         folder: Path,
-        marcher: Marcher | None = None,
+        marcher: ContactMarch | None = None,
+        frame: FlightFrame | None = None,
         *,
         every: int | None = None,
         max_frames: int = 200,
@@ -106,12 +113,14 @@ class FieldWriter:
             raise ValueError(f"max_frames must be 2 or more, not {max_frames}")
         self.solid, self.folder, self.comm = solid, Path(folder), solid.comm
         self.times_s: list[float] = []
-        self._marcher, self._expand, self._checkpoint = marcher, expand, checkpoint
+        self._marcher, self._frame = marcher, frame
+        self._expand, self._checkpoint = expand, checkpoint
         self._every = every or _default_stride(solid, marcher)
         self._max_frames, self._next_doubling = max_frames, max_frames // 2
         self._n_contact, self._since = 0, self._every
         self._phase: Phase | None = None
-        self._last: State | None = None
+        self._last: Moving | None = None
+        self._origin_m: Array | None = None
         points = solid.contact
         self._none = np.zeros_like(points.weights)
         self._placement = marcher.ground if marcher else Placement.upright(points)
@@ -129,7 +138,8 @@ class FieldWriter:
         self.velocity = fem.Function(space, name="velocity_m_s")
         self.axial_stress = fem.Function(scalar, name="axial_stress_Pa")
         self.von_mises = fem.Function(scalar, name="von_mises_Pa")
-        self._stress = NodalStress(self.displacement, self.solid.material)
+        finite = isinstance(self._marcher, FiniteMarcher)
+        self._stress = NodalStress(self.displacement, self.solid.material, finite=finite)
         self._tip = TipFace(self.solid)
 
     def _open(self, policy: VTXMeshPolicy) -> None:
@@ -155,21 +165,23 @@ class FieldWriter:
             self.folder.mkdir(parents=True, exist_ok=True)
             for name in (SOLID_FILE, TIP_FILE):
                 shutil.rmtree(self.folder / name, ignore_errors=True)
+            (self.folder / GROUND_FILE).unlink(missing_ok=True)
             (self.folder / FRAMES_FILE).write_text("frame,t_s,phase\n")
         except OSError as error:
             return error.strerror or str(error)
         return None
 
-    def __call__(self, state: State, step_force: Array) -> None:
+    def __call__(self, state: Moving, step_force: Array) -> None:
         """Take note of a step; ``step_force`` (n contact points, 3) in N per area share."""
-        force = step_force[:, 0]
+        self._fly_to(state.t_s)
+        force, before = step_force[:, 0], self._phase
         if self._marcher is not None:
             self._placement = self._marcher.ground
             if step_force.any():
                 force = instant_force(self._marcher, state, step_force)
         self._last, self._since = state, self._since + 1
         self._phase = self._next_phase(state, step_force, force)
-        due = self._since >= self._every or self._phase is not Phase.CONTACT
+        due = self._since >= self._every or self._phase is not before
         kept = 0 if self._phase is Phase.RELEASE else 1
         if due and self._n_contact < self._max_frames - kept:
             if self._checkpoint is not None:
@@ -186,8 +198,10 @@ class FieldWriter:
         counts = [self._every, self._next_doubling, self._n_contact, self._since, phase]
         return {"counts": np.array(counts)}
 
-    def recall(self, mark: Mark, state: State) -> None:
+    def recall(self, mark: Mark, state: Moving) -> None:
         """Write the frames that were kept, and go on counting."""
+        if mark.frames:
+            self._fly_to(float(mark.frames[0]["t_s"]))
         if self._marcher is not None:
             self._placement = self._marcher.ground
         for frame in mark.frames:
@@ -198,8 +212,8 @@ class FieldWriter:
         self._phase = PHASES[int(counts[4])] if counts[4] >= 0 else None
         self._last = state
 
-    def _next_phase(self, state: State, step_force: Array, force: Array) -> Phase:
-        free = not step_force.any() or (not force.any() and state.drive[:, 0].max() <= 0.0)
+    def _next_phase(self, state: Moving, step_force: Array, force: Array) -> Phase:
+        free = not step_force.any() or (not force.any() and state.approach[:, 0].max() <= 0.0)
         if not free:
             return Phase.CONTACT
         return Phase.RELEASE if self._phase is Phase.CONTACT else Phase.TOUCH
@@ -221,7 +235,7 @@ class FieldWriter:
         """Write one frame of any state: ``u``, ``v`` as in State, normal ``force`` (n,) in N or
         none.
 
-        The body stands where the marcher last placed it.
+        The body stands where the marcher last placed it; at the first frame it touches the ground.
 
         A frame that is not later than the last one is left out, since ParaView wants increasing
         times. Raises ValueError after ``close``.
@@ -230,6 +244,8 @@ class FieldWriter:
             raise ValueError(f"the fields in {self.folder} are closed")
         if self.times_s and t_s <= self.times_s[-1]:
             return
+        if self._origin_m is None:
+            self._origin_m = self._set_ground()
         if self._expand:
             u, v = self._expand(u), self._expand(v)
         self._fill(self.displacement, u)
@@ -238,7 +254,7 @@ class FieldWriter:
         self.von_mises.x.array[:] = von_mises(stress)
         gaps = self._placement.gaps(self.solid.contact.displacements(u))
         rotation = self._placement.pose.rotation
-        self._fill(self.displacement, self._carried(u))
+        self._fill(self.displacement, self._carried(u, self._origin_m))
         self._fill(self.velocity, (v.reshape(-1, 3) @ rotation.T).ravel())
         self._tip.update(self.displacement, self._none if force is None else force, gaps)
         for writer in self._writers:
@@ -252,38 +268,62 @@ class FieldWriter:
         function.x.array[: self.solid.n_local] = values
         function.x.scatter_forward()
 
-    def _carried(self, u: Array) -> Array:
+    def _set_ground(self) -> Array:
+        """Write the ground that the body touches; returns where it does, the world's origin."""
+        origin, normal = self._placement.nearest(self.solid.contact)
+        half = GROUND_REACH * _height_m(self.solid)
+        if self.comm.rank == 0:
+            (self.folder / GROUND_FILE).write_text(_square_vtk(normal, half))
+        return origin
+
+    def _carried(self, u: Array, origin_m: Array) -> Array:
         """Displacement of the upright mesh to the body's place, ``u`` on top of it."""
         pose = self._placement.pose
         arm = self._nodes - self.solid.centre_m + u.reshape(-1, 3)
-        place = arm @ pose.rotation.T + pose.position_m
-        place[:, 2] -= self._placement.datum_m
+        place = arm @ pose.rotation.T + (pose.position_m - origin_m)
         return np.asarray(place - self._nodes).ravel()
 
     def write_flight(
         self,
-        frame: FlightFrame,
-        gravity_m_s2: float,
         duration_s: float | None = None,
-        n_frames: int = 80,
+        n_frames: int = FLIGHT_FRAMES,
+        advance: Callable[[], None] = lambda: None,
     ) -> None:
         """Write ``n_frames`` of the flight after the last state seen, to show the wave run on.
 
-        ``frame`` is what ``simulate`` flew in; ``duration_s`` is, left out, two axial periods.
-        Raises ValueError where no step was seen.
+        ``duration_s`` is, left out, two axial periods. ``advance`` is called for each frame. Raises
+        ValueError where no step was seen.
         """
         if self._last is None:
             raise ValueError("there is no flight before the first step")
-        start, body = self._last.t_s, frame.modal
-        u, v = frame.to_modal(self._last.u), frame.to_modal(self._last.v)
-        placed = self._placement
-        flight = Flight(body, placed.pose, start, u, v, gravity_m_s2)
         if duration_s is None:
             duration_s = 2.0 * axial_period_s(self.solid)
-        for t in np.linspace(start, start + duration_s, n_frames + 1)[1:]:
-            pose, q, qv = flight.state(float(t))
+        start_s = self._last.t_s
+        times_s = np.linspace(start_s, start_s + duration_s, n_frames + 1)[1:]
+        self._write_flight(times_s, advance)
+
+    def _fly_to(self, t_s: float) -> None:
+        """Write the flight to a touch at ``t_s`` that was not marched to."""
+        if self._last is None or self._frame is None or self._marcher is None:
+            return
+        flown = t_s - self._last.t_s > 2.0 * self._marcher.its_s
+        if flown and self._n_contact < self._max_frames - 1:
+            self._write_flight(np.linspace(self._last.t_s, t_s, BETWEEN + 2)[1:-1])
+            self._phase = None
+
+    def _write_flight(self, times_s: Array, advance: Callable[[], None] = lambda: None) -> None:
+        assert self._last is not None
+        assert self._frame is not None
+        assert self._marcher is not None
+        frame, placed, last = self._frame, self._placement, self._last
+        start, u, v = frame.launched(placed.pose, last.u, last.v)
+        gravity = self._marcher.gravity_m_s2
+        flight = Flight(frame.modal, start, last.t_s, u, v, gravity)
+        for t in map(float, times_s):
+            pose, q, qv = flight.state(t)
             self._placement = place(placed.ground, pose, self.solid.contact, placed.datum_m)
-            self.write(float(t), frame.from_modal(q), frame.from_modal(qv), None, Phase.FLIGHT)
+            self.write(t, *frame.landed(q, qv), None, Phase.FLIGHT)
+            advance()
 
     def close(self) -> None:
         """Finish the files; frames can no longer be added. Safe to call again. Collective."""
@@ -319,11 +359,28 @@ class FieldWriter:
 
 def axial_period_s(solid: SolidBody) -> float:
     """Time 2L/c in which an axial wave runs up the solid and back. Collective."""
-    top = solid.comm.allreduce(solid.domain.geometry.x[:, 2].max(initial=0.0), max)
-    return 2.0 * float(top) / solid.material.bar_speed_m_s
+    return 2.0 * _height_m(solid) / solid.material.bar_speed_m_s
 
 
-def _default_stride(solid: SolidBody, marcher: Marcher | None) -> int:
+def _height_m(solid: SolidBody) -> float:
+    """Of the upright mesh, whose tip is at z = 0."""
+    return float(solid.comm.allreduce(solid.domain.geometry.x[:, 2].max(initial=0.0), max))
+
+
+def _square_vtk(normal: Array, half_m: float) -> str:
+    """A square in the plane through the origin with the given normal, as a legacy VTK file."""
+    first = np.cross(np.array([0.0, 1.0, 0.0]), normal)
+    first *= half_m / np.linalg.norm(first)
+    second = np.cross(normal, first)
+    corners = [x * first + y * second for x, y in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
+    points = "\n".join(" ".join(repr(float(x)) for x in corner) for corner in corners)
+    return (
+        "# vtk DataFile Version 3.0\nground\nASCII\nDATASET POLYDATA\n"
+        f"POINTS 4 double\n{points}\nPOLYGONS 1 5\n4 0 1 2 3\n"
+    )
+
+
+def _default_stride(solid: SolidBody, marcher: ContactMarch | None) -> int:
     if marcher is None:
         return 1
     return max(1, round(axial_period_s(solid) / FRAMES_PER_PERIOD / marcher.its_s))

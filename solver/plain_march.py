@@ -4,19 +4,20 @@ from __future__ import annotations
 
 import itertools
 import math
+from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
 
-from .bodies.base import Array
+from .arrays import Array
 from .checkpoint import Checkpoint
 from .drop import DropPlan, DropResult, FlightFrame, Stage
-from .energy import Budget, marching_energy, step_loss
+from .energy import Budget, marching_energy
 from .errors import ComputationError
 from .ground import place
 from .stepwise import kept_state, recalled_state
 from .time.flight import flyer
-from .time.march import Marcher
+from .time.march import Marcher, State
 from .time.motion import rigid_part
 from .touch import History, observe
 
@@ -52,14 +53,14 @@ def march_plainly(
         observe(marcher, state, np.zeros((len(body.contact.weights), 3)), history)
         steps: list[Array] = []
     else:
-        state = recalled_state(mark, marcher)
+        state = cast(State, recalled_state(mark, marcher))
         history.rows.extend(tuple(map(float, row)) for row in mark.arrays["rows"])
         sums, steps = mark.arrays["sums"].copy(), list(mark.arrays["steps"])
     count = math.ceil(until_s / plan.its_s)
     for number in range(len(steps) + 1, count + 1):
         before = state
         state, force, friction, damped = marcher.step(before)
-        sums += (step_loss(marcher, before, state), friction, damped)
+        sums += (marcher.damping_loss_J(before, state, force), friction, damped)
         observe(marcher, state, force, history)
         velocity = [body.dot(axis, state.mv) for axis in body.translation.T]
         pushed = body.contact.weights @ marcher.along_axes(force)
@@ -71,6 +72,7 @@ def march_plainly(
     total, pushes, velocities = made[:, 0], made[:, 1:4], made[:, 4:]
     loss, rubbed, spent = map(float, sums)
     rows = history.array()
+    flown = frame.launched(stage.first_pose, state.u, state.v)
     active = np.flatnonzero(total > 0.0)
     if not len(active):
         raise ComputationError(f"nothing touched within {until_s:g} s")
@@ -78,30 +80,37 @@ def march_plainly(
     last, second = _first_impact(active, speeds[:, 2])
     impulse = float(plan.its_s * total[: last + 1].sum())
     push = plan.its_s * np.sum(pushes[: last + 1], axis=0)
-    rebound = float(rows[last + 1 : second + 1, 1].max(initial=0.0))
+    # the march may end in contact, or on the way up
+    ended = last < len(total) - 1
+    tops: Array | None = None
+    if ended:
+        heights = rows[last + 1 : second + 1, 1:3]
+        turned = (heights.argmax(axis=0) < len(heights) - 1).all()
+        tops = heights.max(axis=0) if turned or second < len(total) else None
+    none = np.full(3, math.nan)
+    after = speeds[last] if ended else none
+    spin = rigid_part(flyer(frame.modal), flown[2])[1] if ended else none
     window = rows[active[0] : last + 2]
     deepest = int(np.argmax(window[:, 4]))
     return DropResult(
         impact_speed_m_s=-float(speeds[max(active[0] - 1, 0), 2]),
-        rebound_ratio=rebound / plan.height_m,
-        rebound_height_m=rebound,
-        contact_time_s=float((last - active[0] + 1) * plan.its_s),
+        rebound_ratio=None if tops is None else float(tops[0]) / plan.height_m,
+        rebound_height_m=None if tops is None else float(tops[0]),
+        contact_time_s=float((last - active[0] + 1) * plan.its_s) if ended else math.nan,
         n_contacts=1 + int(np.sum(np.diff(active[active <= last]) > 1)),
         peak_force_N=float(window[:, 3].max()),
         impulse_N_s=impulse,
         max_penetration_m=float(window[deepest, 4]),
         time_to_max_penetration_s=float(window[deepest, 0] - rows[active[0], 0]),
-        cm_velocity_after_m_s=float(speeds[last, 2]),
+        cm_velocity_after_m_s=float(after[2]),
         n_dofs=body.n_dofs,
         n_steps=len(total),
         energy=Budget.close(
             body.mass_kg * g * plan.height_m, marching_energy(marcher, state), loss, rubbed, spent
         ),
         history=history,
-        cm_rebound_height_m=float(rows[last + 1 : second + 1, 2].max(initial=0.0)),
-        velocity_after_m_s=tuple(map(float, speeds[last])),
-        spin_after_rad_s=tuple(
-            map(float, rigid_part(flyer(frame.modal), frame.to_modal(state.v))[1])
-        ),
+        cm_rebound_height_m=None if tops is None else float(tops[1]),
+        velocity_after_m_s=tuple(map(float, after)),
+        spin_after_rad_s=tuple(map(float, spin)),
         friction_impulse_N_s=math.sqrt(max(float(push @ push) - impulse**2, 0.0)),
     )

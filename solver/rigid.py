@@ -11,11 +11,10 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from .arrays import Array
 from .compiled import njit
 
-Array = NDArray[np.floating]
 # Angle of one Runge-Kutta step; its error is about angle⁵/120.
 STEP_RAD = 0.02
 
@@ -29,6 +28,13 @@ def matrix_of(q: Array) -> Array:
     r[1, 0], r[1, 1], r[1, 2] = 2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)
     r[2, 0], r[2, 1], r[2, 2] = 2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)
     return r
+
+
+def quaternion_of(rotation: Array) -> Array:
+    """Unit quaternion (4,) of a rotation matrix (3, 3) by less than half a turn."""
+    w = 0.5 * math.sqrt(1.0 + np.trace(rotation))
+    twice = rotation - rotation.T
+    return np.array([w, *(np.array([twice[2, 1], twice[0, 2], twice[1, 0]]) / (4.0 * w))])
 
 
 @njit

@@ -6,11 +6,11 @@ from dataclasses import dataclass, field, fields
 
 import numpy as np
 
-from .bodies.base import Array
+from .arrays import Array
 from .checkpoint import Checkpoint, Mark, prefixed, under
-from .contact.step import share_under_drag
-from .energy import marching_energy, step_loss
-from .time.march import Marcher, State
+from .contact.step import share_under_damping
+from .energy import marching_energy
+from .time.march import ContactMarch, Moving
 from .touch import (
     History,
     Observer,
@@ -36,12 +36,11 @@ class Sums:
     loss_J: float = 0.0
     friction_J: float = 0.0
     contact_J: float = 0.0
-    defect: float = 0.0
     last_N: float = 0.0
 
 
 def march_stepwise(
-    marcher: Marcher,
+    marcher: ContactMarch,
     t_s: float,
     u: Array,
     v: Array,
@@ -97,39 +96,38 @@ def march_stepwise(
         friction_loss_J=sums.friction_J,
         contact_loss_J=sums.contact_J,
         contact_J=held,
-        defect=sums.defect,
         n_steps=count,
+        released=sums.released,
     )
 
 
 def _step(
-    marcher: Marcher,
-    before: State,
+    marcher: ContactMarch,
+    before: Moving,
     sums: Sums,
     history: History,
     observer: Observer | None,
     wait_s: float,
-) -> State:
+) -> Moving:
     """The state after a step from ``before``; what it did comes into ``sums`` and ``history``."""
     contact, weights = marcher.contact, marcher.body.contact.weights
     state, force, friction, damped = marcher.step(before)
-    if not np.isfinite(state.drive).all():
+    if not np.isfinite(state.approach).all():
         raise not_finite(state.t_s)
     total = float(weights @ force[:, 0])
     now = observe(marcher, state, force, history)
     if observer is not None:
         observer(state, force)
     sums.contact_J += damped
-    sums.loss_J += step_loss(marcher, before, state)
+    sums.loss_J += marcher.damping_loss_J(before, state, force)
     sums.friction_J += friction
-    sums.defect += marcher.step_defect(before, state, force)
     sums.impulse_N_s += marcher.its_s * total
     sums.push_N_s = sums.push_N_s + marcher.its_s * (weights @ marcher.along_axes(force))
-    sums.peak_N = max(sums.peak_N, total if contact.points.drag > 0.0 else now)
+    sums.peak_N = max(sums.peak_N, total if contact.points.dashpot != 0.0 else now)
     if total > 0.0 or (total < 0.0 and marcher.method.law.pulls):
         share = contact.share
-        if contact.points.drag > 0.0 and state.drive[:, 0].max() > 0.0:
-            share = float(share_under_drag(sums.last_N, total))
+        if contact.points.dashpot != 0.0 and state.approach[:, 0].max() > 0.0:
+            share = float(share_under_damping(sums.last_N, total))
         sums.release_s = before.t_s + share * (state.t_s - before.t_s)
     sums.last_N = total
     free = total == 0.0 or (now == 0.0 and not marcher.rigid_multiplier)
@@ -137,19 +135,19 @@ def _step(
     return state
 
 
-def _leaving(marcher: Marcher, state: State) -> bool:
+def _leaving(marcher: ContactMarch, state: Moving) -> bool:
     """Whether every point is clear and none is held, or on its way to be.
 
     A rigid plane under a multiplier has points that rest on it without a push.
     """
     if not marcher.rigid_multiplier:
-        return bool(state.drive[:, 0].max() <= 0.0) and not marcher.contact.holds()
+        return bool(state.approach[:, 0].max() <= 0.0) and not marcher.contact.holds()
     rising = marcher.gaps(state.v) - marcher.ground.gaps_m
     return bool(np.all((marcher.gaps(state.u) > 0.0) | (rising > 0.0)))
 
 
 def _kept(
-    marcher: Marcher, state: State, sums: Sums, rows: Array, observer: Observer | None
+    marcher: ContactMarch, state: Moving, sums: Sums, rows: Array, observer: Observer | None
 ) -> dict[str, Array]:
     """Everything that the next step, and the touch, will need."""
     return {
@@ -160,7 +158,7 @@ def _kept(
     }
 
 
-def _recalled(mark: Mark, marcher: Marcher, history: History) -> tuple[Sums, State]:
+def _recalled(mark: Mark, marcher: ContactMarch, history: History) -> tuple[Sums, Moving]:
     """What `_kept` was given; the rows come back into ``history``."""
     history.rows.extend(tuple(map(float, row)) for row in mark.arrays["rows"])
     sums = Sums(0.0)
@@ -169,13 +167,18 @@ def _recalled(mark: Mark, marcher: Marcher, history: History) -> tuple[Sums, Sta
     return sums, recalled_state(mark, marcher)
 
 
-def kept_state(marcher: Marcher, state: State) -> dict[str, Array]:
+def kept_state(marcher: ContactMarch, state: Moving) -> dict[str, Array]:
     """The state and what contact remembers, as arrays by name."""
-    return {**prefixed("state", vars(state)), **prefixed("contact", marcher.contact.kept())}
+    return {
+        **prefixed("state", vars(state)),
+        **prefixed("contact", marcher.contact.kept()),
+        **prefixed("march", marcher.memory()),
+    }
 
 
-def recalled_state(mark: Mark, marcher: Marcher) -> State:
+def recalled_state(mark: Mark, marcher: ContactMarch) -> Moving:
     """The state that `kept_state` was given; contact remembers again."""
+    marcher.recall(dict(under("march", mark.arrays)))
     marcher.contact.recall(dict(under("contact", mark.arrays)))
     state = dict(under("state", mark.arrays))
-    return State(t_s=float(state.pop("t_s")), **state)
+    return marcher.state_type(t_s=float(state.pop("t_s")), **state)

@@ -1,14 +1,14 @@
-"""What is seen on the tip's face: contact pressure, gap and displacement as fields of their own."""
+"""Contact pressure, gap and displacement as fields on the tip's face."""
 
 from __future__ import annotations
 
 import numpy as np
 import ufl
-from dolfinx import fem, mesh
+from dolfinx import fem, la, mesh
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from .bodies.base import Array
+from .arrays import Array
 from .bodies.solid import SolidBody
 from .bodies.tip import SAME_POINT_M
 from .errors import ComputationError
@@ -18,9 +18,11 @@ from .forms import form
 class TipFace:
     """The tip's facets as a mesh, with fields of the solid's order on it. Collective.
 
-    The contact points of a solid of degree 1 or 2 are the nodes of its face, so the fields hold
-    their values as they are. ``fields``: contact pressure (Pa), gap (m, positive above the plane),
-    displacement (m).
+    ``fields``: contact pressure (Pa), gap (m, positive above the plane), displacement (m). There
+    are more contact points than nodes. Pressure and gap are the fields nearest to what the points
+    have, in least squares by area, among those whose integral over the face is the points' sum: the
+    pressure carries the contact force. Beside the edge of contact it may dip below zero, as the
+    polynomials of the solid's order do.
     """
 
     def __init__(self, solid: SolidBody) -> None:
@@ -32,10 +34,13 @@ class TipFace:
         self.pressure = fem.Function(scalar, name="pressure_Pa")
         self.gap = fem.Function(scalar, name="gap_m")
         self.displacement = fem.Function(vector, name="displacement_m")
-        nodes = scalar.tabulate_dof_coordinates()
-        self._point = _nearest(contact.xy_m, nodes[:, :2])
-        self._node = _nearest(solid.space.tabulate_dof_coordinates(), nodes)
-        self.area_m2 = _area(self.domain, solid)
+        nodes, places = solid.space.tabulate_dof_coordinates(), scalar.tabulate_dof_coordinates()
+        self._node = _nearest(nodes, places)
+        moving = contact.moved(nodes[: solid.n_local // 3].ravel()).reshape(-1, 3)
+        self._moving = _nearest(moving, places)
+        shares_m2 = self._shares_m2(scalar, len(moving))
+        self.area_m2 = float(shares_m2.sum())
+        self._fit = _fit(contact.rows[2::3, 2::3], contact.weights, shares_m2 / self.area_m2)
 
     @property
     def fields(self) -> list[fem.Function]:
@@ -45,17 +50,31 @@ class TipFace:
     def update(self, displacement: fem.Function, force: Array, gaps_m: Array) -> None:
         """Take the solid's ``displacement``, and at the contact points the normal ``force`` (n,) in
         N per area share and the gaps (n,)."""
-        self.gap.x.array[:] = gaps_m[self._point]
-        self.pressure.x.array[:] = force[self._point] / self.area_m2
+        self.gap.x.array[:] = (self._fit @ gaps_m)[self._moving]
+        self.pressure.x.array[:] = (self._fit @ force)[self._moving] / self.area_m2
         moved = displacement.x.array.reshape(-1, 3)[self._node]
         self.displacement.x.array[:] = moved.ravel()
 
+    def _shares_m2(self, scalar: fem.FunctionSpace, count: int) -> Array:
+        """The integral over the face of each of its ``count`` nodes' shape functions."""
+        degree = scalar.element.basix_element.degree + 2 * self.domain.geometry.cmap.degree
+        dx = ufl.Measure("dx", domain=self.domain, metadata={"quadrature_degree": degree})
+        local = fem.assemble_vector(form(ufl.TestFunction(scalar) * dx))
+        local.scatter_reverse(la.InsertMode.add)
+        owned = scalar.dofmap.index_map.size_local
+        shares = np.bincount(self._moving[:owned], local.array[:owned], minlength=count)
+        return np.asarray(self.domain.comm.allreduce(shares))
 
-def _area(domain: mesh.Mesh, solid: SolidBody) -> float:
-    degree = 2 * domain.geometry.cmap.degree
-    dx = ufl.Measure("dx", domain=domain, metadata={"quadrature_degree": degree})
-    area = form(fem.Constant(domain, np.float64(1.0)) * dx)
-    return float(solid.comm.allreduce(fem.assemble_scalar(area)))
+
+def _fit(shapes: Array, weights: Array, shares: Array) -> Array:
+    """Matrix (nodes, n) from values at n points to those at nodes, see TipFace.
+
+    ``shapes`` (n, nodes) are the nodes' shape functions at the points, ``weights`` (n,) and
+    ``shares`` (nodes,) what points and nodes have of the face's area.
+    """
+    weighted = shapes.T * weights
+    normal = np.block([[weighted @ shapes, shares[:, None]], [shares, np.zeros(1)]])
+    return np.linalg.solve(normal, np.vstack([weighted, weights]))[:-1]
 
 
 def _nearest(candidates: Array, places: Array) -> NDArray[np.intp]:
@@ -65,6 +84,6 @@ def _nearest(candidates: Array, places: Array) -> NDArray[np.intp]:
     distance, index = cKDTree(candidates).query(places)
     if distance.max() > 2.0 * SAME_POINT_M:
         raise ComputationError(
-            f"a node of the tip is {distance.max():.3g} m from the nearest contact point"
+            f"a node of the tip is {distance.max():.3g} m from the nearest node of the solid"
         )
     return np.asarray(index, dtype=np.intp)

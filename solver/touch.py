@@ -8,11 +8,11 @@ from typing import Protocol
 
 import numpy as np
 
-from .bodies.base import Array
+from .arrays import Array
 from .checkpoint import Mark
 from .contact.normal import PLASTIC
 from .errors import ComputationError
-from .time.march import Marcher, State
+from .time.march import ContactMarch, Moving
 
 HISTORY_COLUMNS = ("t_s", "tip_y_m", "cm_y_m", "force_N", "penetration_m")
 STEP_LIMIT = 2_000_000
@@ -39,8 +39,7 @@ class Touch:
     ``force_N`` and ``penetration_m`` are greatest values at the ends of steps, the latter refined
     by a parabola through its neighbours; ``push_N_s`` (3,) is the impulse along body axes, friction
     included; ``u`` and ``v`` are the first state after release. ``contact_J`` is what contact still
-    holds where the march ended before that. ``defect`` bounds the energy norm
-    in √J of what a reduced body got wrong.
+    holds where the march ended before that, which ``released`` says.
     """
 
     start_s: float
@@ -57,8 +56,8 @@ class Touch:
     friction_loss_J: float
     contact_loss_J: float
     contact_J: float
-    defect: float
     n_steps: int
+    released: bool
 
 
 class Observer(Protocol):
@@ -67,18 +66,18 @@ class Observer(Protocol):
     The rest is asked of it only where a march is kept, see solver.checkpoint.
     """
 
-    def __call__(self, state: State, step_force: Array) -> None: ...
+    def __call__(self, state: Moving, step_force: Array) -> None: ...
 
     def memory(self) -> dict[str, Array]:
         """What it needs to go on."""
         ...
 
-    def recall(self, mark: Mark, state: State) -> None:
+    def recall(self, mark: Mark, state: Moving) -> None:
         """Go on from what ``mark`` kept of it, the march being at ``state``."""
         ...
 
 
-def observe(marcher: Marcher, state: State, step_force: Array, history: History) -> float:
+def observe(marcher: ContactMarch, state: Moving, step_force: Array, history: History) -> float:
     """Append the state to the history; returns the normal contact force at that instant in N.
 
     ``step_force`` (n, 3) is that of the step before, along the points' local frames.
@@ -90,14 +89,14 @@ def observe(marcher: Marcher, state: State, step_force: Array, history: History)
     return force
 
 
-def instant_force(marcher: Marcher, state: State, step_force: Array) -> Array:
+def instant_force(marcher: ContactMarch, state: Moving, step_force: Array) -> Array:
     """Normal force per area share (n,) at the end of a step; on a rigid plane the step's own."""
     if marcher.rigid_multiplier:
         return step_force[:, 0]
-    return marcher.normal_force(state.drive)
+    return marcher.normal_force(state.approach)
 
 
-def step_limit(marcher: Marcher, until_s: float) -> int:
+def step_limit(marcher: ContactMarch, until_s: float) -> int:
     """How many steps a touch may take that is to end before ``until_s``."""
     stays = marcher.method.law.parameters[0] >= PLASTIC and math.isinf(until_s)
     return STEP_LIMIT // STAYING if stays else STEP_LIMIT
@@ -107,7 +106,7 @@ def not_finite(t_s: float) -> ComputationError:
     return ComputationError(f"the motion is not finite at t = {t_s:.6g} s; shorten the ITS")
 
 
-def too_long(marcher: Marcher, limit: int) -> ComputationError:
+def too_long(marcher: ContactMarch, limit: int) -> ComputationError:
     return ComputationError(f"still in contact after {limit} steps of {marcher.its_s:g} s")
 
 

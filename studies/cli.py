@@ -114,7 +114,8 @@ def drop(
 ) -> None:
     """One drop. All values are in SI units, angles in degrees.
 
-    A leaning bristle slides, bends and turns: --tilt, --slope and --friction say how.
+    A leaning bristle slides, bends and turns: --tilt, --slope and --friction say how. One of any
+    shape comes as a mesh: --mesh notched.msh
 
     Example: bristle drop --model solid --kn 2e6 --height 0.05 --tilt 2 --out results/leaning
     """

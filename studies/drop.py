@@ -25,7 +25,7 @@ from .command.sources import OPTIONS
 from .running import results
 from .running.cases import Prepared, Timings, Workshop
 from .running.files import folder_in_place, prepare_folder, remove, together
-from .running.progress import progress, say, warn, working
+from .running.progress import compilation_noted, progress, say, warn, working
 from .running.steps import Watched, steps_of_contact
 from .sections.stance import ANGLES
 
@@ -63,7 +63,8 @@ def run_drop(
         warn(message)
     with _by_rank_0(together(out, results.RESULT_FILE), comm):
         keeping = Keeping(out / CHECKPOINT, keep_s, resume)
-        result, timings = _compute(inputs, out, comm, keeping)
+        with compilation_noted():
+            result, timings = _compute(inputs, out, comm, keeping)
         for message in result_warnings(inputs, result):
             warnings.append(message)
             warn(message)
@@ -133,12 +134,15 @@ def _marched_solid(
     folder: Path,
 ) -> tuple[DropResult, Timings]:
     """The drop of a solid, with its fields where they are asked for."""
+    if inputs.write_fields:
+        return _with_fields(workshop, inputs, prepared, checkpoint, folder)
+    with _steps(inputs) as advance:
+        return workshop.run(inputs, Watched(inputs.its_s, advance, None), prepared, checkpoint)
+
+
+def _steps(inputs: DropInputs) -> AbstractContextManager[Callable[..., None]]:
     expected = steps_of_contact(inputs.bristle(), inputs.kn_N_m, inputs.its_s)
-    with progress("contact of the solid, expected steps", expected) as advance:
-        if inputs.write_fields:
-            return _with_fields(workshop, inputs, prepared, checkpoint, folder, advance)
-        watched = Watched(inputs.its_s, advance, None)
-        return workshop.run(inputs, watched, prepared, checkpoint)
+    return progress("contact of the solid, expected steps", expected)
 
 
 def _with_fields(
@@ -147,21 +151,24 @@ def _with_fields(
     prepared: Prepared,
     checkpoint: Checkpoint | None,
     folder: Path,
-    advance: Callable[..., None],
 ) -> tuple[DropResult, Timings]:
     """The drop of a solid with its fields written for ParaView."""
     from ..solver.bodies.solid import SolidBody
-    from ..solver.paraview import FieldWriter
+    from ..solver.paraview import FLIGHT_FRAMES, FieldWriter
 
     body, every = prepared.frame.body, inputs.write_every
     assert isinstance(body, SolidBody)
     with (
         _by_rank_0(folder_in_place(folder), workshop.comm) as made,
-        FieldWriter(body, made, prepared.marcher, every=every, checkpoint=checkpoint) as writer,
+        FieldWriter(
+            body, made, prepared.marcher, prepared.frame, every=every, checkpoint=checkpoint
+        ) as writer,
     ):
-        watched = Watched(inputs.its_s, advance, writer)
-        done = workshop.run(inputs, watched, prepared, checkpoint)
-        writer.write_flight(prepared.frame, inputs.gravity_m_s2)
+        with _steps(inputs) as advance:
+            watched = Watched(inputs.its_s, advance, writer)
+            done = workshop.run(inputs, watched, prepared, checkpoint)
+        with progress("flight of the solid, frames", FLIGHT_FRAMES) as advance:
+            writer.write_flight(advance=advance)
         return done
 
 

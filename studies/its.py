@@ -15,7 +15,7 @@ import numpy as np
 from mpi4py import MPI
 
 from ..solver import paper
-from ..solver.bodies.analytic import quarter_period_s
+from ..solver.analytic import quarter_period_s
 from .command.config import Height, Its
 from .page.figures import picture
 from .page.figures_its import error_figure, need_figure

@@ -1,4 +1,4 @@
-"""For which lean may the fast models be trusted? Linear, second order in slope, finite strain.
+"""Comparison of linear, second-order and finite-strain models of a leaning bristle's impact.
 
 A script of its own, since the finite-strain solid refactors its tangent on the way:
 ``mpirun -n 2 python3 -m bristle.studies.largerotation --out results/largerotation``.
@@ -7,36 +7,31 @@ A script of its own, since the finite-strain solid refactors its tangent on the 
 from __future__ import annotations
 
 import argparse
-import math
 import sys
-import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
 from mpi4py import MPI
 
 from ..meshes.collective import run_on_one_rank
-from ..meshes.distribute import to_dolfinx
-from ..meshes.geometry import MeshSpec, Rectangle, Tag
 from ..solver import paper
-from ..solver.bodies.beam import beam_body
-from ..solver.bodies.reduced import reduce_solid
-from ..solver.bodies.solid import SolidBody
-from ..solver.bristle import Bristle, Material
-from ..solver.contact.enforcement import ContactMethod
-from ..solver.contact.laws import Coulomb, Linear
-from ..solver.drop import DropPlan, FlightFrame, ModalFrame, simulate
-from ..solver.finite.impact import impact, seen_from_body
-from ..solver.rigid import leaning, matrix_of
-from ..solver.time.scheme import TimeScheme
+from .command.choices import Deflection, Model, Until
+from .command.config import DropInputs
 from .page.report import Column, Table
+from .running.cases import Workshop
 from .running.files import prepare_folder, write_atomically
 from .running.progress import progress, say
 
 BETA_S = 1e-8
-ELEMENTS = 32
+ELEMENTS, MODES = 32, 40
+MODELS = (
+    (Model.BEAM, Deflection.SMALL),
+    (Model.REDUCED, Deflection.SMALL),
+    (Model.BEAM, Deflection.SECOND_ORDER),
+    (Model.REDUCED, Deflection.SECOND_ORDER),
+    (Model.SOLID, Deflection.FINITE),
+)
 COLUMNS = (
     Column("height_mm", "height", "mm", 0),
     Column("friction", "μ", "", 0),
@@ -63,22 +58,27 @@ class Campaign:
     its_s: float = paper.ITS_S
     kn_N_m: float = paper.KN_CHOSEN_N_M
 
+    def case(
+        self, model: Model, deflection: Deflection, height_m: float, mu: float, lean_deg: float
+    ) -> DropInputs:
+        """One impact of one model."""
+        return DropInputs(
+            model=model,
+            deflection=deflection,
+            height_m=height_m,
+            friction=mu,
+            tilt_deg=lean_deg,
+            cells=self.cells,
+            its_s=self.its_s,
+            kn_N_m=self.kn_N_m,
+            beta_s=BETA_S,
+            elements=ELEMENTS,
+            modes=MODES,
+            until=Until.IMPACT,
+        )
+
     def table(self, comm: MPI.Intracomm) -> Table:
         """The share of speed kept by every model, gravity during contact left out; collective."""
-        material = Material(beta_s=BETA_S)
-        spec = MeshSpec(
-            paper.LENGTH_M, Rectangle(paper.THICKNESS_M, paper.WIDTH_M), self.cells, 1, 1.0
-        )
-        domain, _, facets = to_dolfinx(spec, comm)
-        solid = SolidBody(domain, facets, int(Tag.TIP), material, 2)
-        c_mass, c_stiffness = TimeScheme.average().effective(self.its_s, 0.0, BETA_S)
-        bristle, shift = Bristle(material=material), c_mass / c_stiffness
-        frames: list[FlightFrame] = [
-            ModalFrame(beam_body(bristle, ELEMENTS)),
-            ModalFrame(reduce_solid(solid, shift, 40, leaning=True).bounded()),
-            ModalFrame(beam_body(bristle, ELEMENTS, second_order=True)),
-            ModalFrame(reduce_solid(solid, shift, 40, leaning=True, second_order=True).bounded()),
-        ]
         cases = [
             (height, mu, lean)
             for height in self.heights_m
@@ -86,16 +86,15 @@ class Campaign:
             for lean in self.leans_deg
         ]
         rows = []
-        with progress("finite strain", len(cases)) as advance:
+        with progress("finite strain", len(cases)) as advance, Workshop(comm) as workshop:
             for height, mu, lean in cases:
-                fast = [self._fast(frame, height, mu, lean) for frame in frames]
-                started = time.perf_counter()
-                finite = self._finite(solid, height, mu, lean)
-                wall = time.perf_counter() - started
-                off = (fast[1] - finite, fast[3] - finite)
-                rows.append((1e3 * height, mu, lean, *fast, finite, *off, wall))
+                kept = []
+                for how in MODELS:
+                    share, wall_s = speed_kept(workshop, self.case(*how, height, mu, lean))
+                    kept.append(share)
+                off = (kept[1] - kept[-1], kept[3] - kept[-1])
+                rows.append((1e3 * height, mu, lean, *kept, *off, wall_s))
                 advance()
-        solid.close()
         return Table(
             "largerotation",
             f"Share of the impact speed kept, β = {BETA_S:g} s, Kn = {self.kn_N_m / 1e6:g} MN/m, "
@@ -104,37 +103,12 @@ class Campaign:
             rows,
         )
 
-    def _fast(self, frame: FlightFrame, height_m: float, mu: float, lean_deg: float) -> float:
-        method = ContactMethod(Linear(self.kn_N_m), friction=Coulomb(mu))
-        plan = DropPlan(
-            height_m,
-            method,
-            self.its_s,
-            paper.GRAVITY_M_S2,
-            tilt_deg=lean_deg,
-            impact_only=True,
-        )
-        result = simulate(frame, plan)
-        fallen = paper.GRAVITY_M_S2 * result.contact_time_s
-        return (result.cm_velocity_after_m_s + fallen) / result.impact_speed_m_s
 
-    def _finite(self, solid: SolidBody, height_m: float, mu: float, lean_deg: float) -> float:
-        normal = seen_from_body(np.asarray(matrix_of(leaning(lean_deg))))
-        result = impact(
-            solid.domain,
-            solid.facet_tags,
-            solid.tip_tag,
-            solid.material,
-            solid.order,
-            normal=normal,
-            gravity_m_s2=-paper.GRAVITY_M_S2 * normal,
-            velocity_m_s=-math.sqrt(2.0 * paper.GRAVITY_M_S2 * height_m) * normal,
-            kn_N_m=self.kn_N_m,
-            friction=mu,
-            its_s=self.its_s,
-            clear_s=2e-4,
-        )
-        return float(result.speed_kept)
+def speed_kept(workshop: Workshop, inputs: DropInputs) -> tuple[float, float]:
+    """The centre's speed after over before, gravity during contact left out; and seconds."""
+    result, timings = workshop.run(inputs)
+    fallen = inputs.gravity_m_s2 * result.contact_time_s
+    return (result.cm_velocity_after_m_s + fallen) / result.impact_speed_m_s, timings["march"]
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -132,7 +132,7 @@ def build_report(
         if each.verdict is Verdict.DIFFERS
     ]
     base = setup.base
-    cells = " × ".join(map(str, base.cells))
+    cells = " × ".join(map(str, base.mesh_spec().cells))
     return Report(
         title="A steel bristle's impact on a rigid plane: the paper beside us",
         lead=f"{paper.CITATION}, in one dimension (a beam of {base.elements} three-node elements, "

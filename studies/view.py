@@ -1,4 +1,4 @@
-"""Which pictures and which animation show a result?"""
+"""Pictures and an animation of a drop's result."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from ..solver.paraview import SOLID_FILE
 from .data.texts import exists, parse_json, read_text
 from .page.figures import picture
 from .running.files import filled, prepare_folder, write_picture
-from .running.progress import note
+from .running.progress import note, progress
 from .running.results import HISTORY_FILE, RESULT_FILE
 
 if TYPE_CHECKING:
@@ -82,14 +82,17 @@ def _view_fields(result: Path, document: dict[str, Any], touch_s: float, folder:
     """Fill ``folder`` with the pictures of a solid; returns the wave that they show."""
     from .viewing.field_series import FieldSeries
     from .viewing.wave import read_wave
-    from .viewing.wave_pictures import draw_wave, space_time_figure
+    from .viewing.wave_pictures import animated, draw_wave, space_time_figure
 
     with FieldSeries(result / FIELDS_FOLDER / SOLID_FILE) as series:
-        wave = read_wave(series, touch_s)
-        try:
-            figures = draw_wave(series, wave, folder)
-        except DrawingError as error:
-            raise ComputationError(f"the bristle could not be drawn: {error}") from error
+        count = len(series.times_s)
+        # each frame is read; those of the animation are drawn as well, and put together
+        with progress("pictures of the wave, frames", count + 2 * len(animated(count))) as advance:
+            wave = read_wave(series, touch_s, advance)
+            try:
+                figures = draw_wave(series, wave, folder, advance)
+            except DrawingError as error:
+                raise ComputationError(f"the bristle could not be drawn: {error}") from error
     figures["space-time"] = space_time_figure(wave, _bar_speed_m_s(document))
     for name, figure in figures.items():
         write_picture(folder / name, picture(figure))

@@ -12,6 +12,8 @@ from bristle.solver.bodies.base import ContactPoints
 from bristle.solver.bodies.modal import ModalBody
 from bristle.solver.contact.enforcement import ContactMethod, Enforcement
 from bristle.solver.contact.laws import Adhesive, HuntCrossley, Plastic, Stiffening
+from bristle.solver.contact.points import Trial, law_at, trial_at
+from bristle.solver.contact.step import point_force
 from bristle.solver.ground import Ground, place
 from bristle.solver.impact import march_touch
 from bristle.solver.rigid import Pose, leaning
@@ -37,6 +39,16 @@ ENFORCED = [
     for enforcement in (Enforcement.PENALTY, Enforcement.AUGMENTED)
     if enforcement is Enforcement.PENALTY or not law.pulls
 ]
+
+
+def pushed(points, start, end, memory, multiplier):
+    """Force (3,) of a single point over a step, and its tangent (3, 3), by approaches (3,)."""
+    trial = Trial(start[None], end[None], end[None], np.zeros((1, 3)), memory, multiplier)
+    internal = float(memory[0, 2]) if memory.shape[1] > 2 else 0.0
+    push = point_force(law_at(points, 0), trial_at(trial, 0, internal))
+    n, t0, t1, n_s, t0_0, t1_1, t0_1, t0_s, t1_s = push
+    tangent = np.array([[n_s, 0.0, 0.0], [t0_s, t0_0, t0_1], [t1_s, t0_1, t1_1]])
+    return np.array([n, t0, t1]), tangent
 
 
 def mass_on_a_foot(points=1) -> ModalBody:

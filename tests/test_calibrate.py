@@ -102,7 +102,7 @@ def test_kn_is_recovered_from_drops_of_the_solid(make_solid, model, folder, rng)
     its = 1e-6
     plan = DropPlan(0.03, ContactMethod(Linear(KN)), its, paper.GRAVITY_M_S2)
     c_mass, c_stiffness = plan.scheme.effective(its, solid.alpha_1_s, solid.beta_s)
-    frame = ModalFrame(reduce_solid(solid, c_mass / c_stiffness, 60).bounded())
+    frame = ModalFrame(reduce_solid(solid, c_mass / c_stiffness, 60).modal)
     y0 = rng.uniform(0.01, 0.05, 12)
     rows = ""
     for i, height in enumerate(y0):

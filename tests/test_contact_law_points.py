@@ -20,6 +20,7 @@ from contact_law_helpers import (
     SPEED,
     marcher_of,
     mass_on_a_foot,
+    pushed,
 )
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
@@ -37,15 +38,9 @@ from bristle.solver.contact.laws import (
     Stiffening,
     mindlin_ratio,
 )
-from bristle.solver.contact.step import (
-    CONSERVING,
-    Points,
-    commit,
-    new_section,
-    point_force,
-    settle,
-    spring_energy,
-)
+from bristle.solver.contact.points import CONSERVING, Points, Trial
+from bristle.solver.contact.rigid_section import new_section
+from bristle.solver.contact.step import commit, settle, spring_energy
 from bristle.solver.drop import DropPlan, ModalFrame, simulate
 from bristle.solver.impact import march_touch
 from bristle.solver.time.march import Marcher
@@ -96,10 +91,8 @@ def points_of(law, mu=0.5, soft=0.0, n=1, its=ITS):
     return Points(law.parameters, kt, mu, np.ones(n), 0.0, weights, CONSERVING, soft, drag)
 
 
-def pushed(points, start, end, memory, multiplier):
-    force, slope = np.zeros((1, 3)), np.zeros((1, 3, 3))
-    point_force(points, 0, start[None], end[None], memory, multiplier, force, slope)
-    return force[0], slope[0]
+def step_of(start, end, force, memory):
+    return Trial(start[None], end[None], end[None], force[None], memory, np.zeros((1, 3)))
 
 
 @pytest.mark.parametrize(
@@ -133,11 +126,11 @@ def test_force_over_a_step_is_the_mean_along_the_way(regime):
     for start, end in itertools.pairwise(ends):
         force = pushed(points, start, end, fine, none)[0]
         work += force[0] * (end - start)[0]
-        took += settle(points, start[None], end[None], force[None], fine)
+        took += settle(points, step_of(start, end, force, fine))
     force = pushed(points, ends[0], ends[-1], memory, none)[0]
     size = KN * DEEP**2
     assert force[0] * (ends[-1] - ends[0])[0] == pytest.approx(work, abs=1e-11 * size)
-    loss = settle(points, ends[0][None], ends[-1][None], force[None], memory)
+    loss = settle(points, step_of(ends[0], ends[-1], force, memory))
     assert loss == pytest.approx(took, abs=1e-11 * size)
     assert memory == pytest.approx(fine, abs=1e-12)
 
@@ -166,8 +159,8 @@ def test_a_random_walk_loses_never_less_than_nothing_and_closes(law, mu, seed, s
         else:
             assert force[0] >= 0.0
         assert np.hypot(*force[1:]) <= mu * max(force[0], 0.0) * (1.0 + 1e-12) + 1e-15
-        rubbed = commit(points, start[None], end[None], force[None], memory)
-        took = settle(points, start[None], end[None], force[None], memory)
+        rubbed = commit(points, step_of(start, end, force, memory))
+        took = settle(points, step_of(start, end, force, memory))
         assert min(rubbed, took) >= -1e-13 * size
         if isinstance(law, Plastic):
             yielded = law.yield_N * (memory[0, 2] - held)
@@ -205,8 +198,7 @@ def test_steps_of_several_points_find_their_forces_and_lose_no_less_than_nothing
             values = np.eye(3 * n).reshape(n, 3, 3 * n)
         contact = StepContact(
             method=ContactMethod(law, enforcement, friction=Coulomb(mu)),
-            series_m_N=0.0,
-            response=response,
+            compliance_m_N=0.0,
             section=new_section(support, values, -response * n),
             weights=np.full(n, 1.0 / n),
             scale=np.ones(n),
@@ -341,7 +333,7 @@ def test_friction_has_nothing_to_hold_on_to_while_contact_pulls():
     force = pushed(points, start, end, memory, none)[0]
     assert force[0] == pytest.approx(-0.15 * DEEP * KN, rel=1e-12)
     assert not force[1:].any()
-    assert commit(points, start[None], end[None], force[None], memory) == before > 0.0
+    assert commit(points, step_of(start, end, force, memory)) == before > 0.0
     assert memory.tolist() == [[0.0, 0.0, 1.0]]
 
 
@@ -351,7 +343,7 @@ def test_softer_places_yield_at_the_same_traction():
     points = points_of(law, mu=0.0)._replace(scale=np.array([0.5]))
     start, end, memory = np.zeros(3), np.array([2.0 * DEEP, 0.0, 0.0]), np.zeros((1, 3))
     force = pushed(points, start, end, memory, np.zeros((1, 3)))[0]
-    settle(points, start[None], end[None], force[None], memory)
+    settle(points, step_of(start, end, force, memory))
     assert law.force(end[:1], 0.0, 0.5, memory[:, 2])[0] == pytest.approx(law.yield_N, rel=1e-12)
     assert memory[0, 2] == pytest.approx(2.0 * DEEP - 0.8 * DEEP, rel=1e-12)
 

@@ -237,6 +237,16 @@ def test_energy_closes_step_by_step_and_no_step_gains(law, enforcement):
     assert now.contact_J == 0.0
 
 
+@pytest.mark.parametrize("observer", [None, lambda *_: None], ids=["compiled", "stepwise"])
+def test_a_law_that_makes_energy_is_an_error(monkeypatch, observer):
+    """The budget closes with it: what it gave counts as a loss below nothing."""
+    law = HuntCrossley(KN, 0.4)
+    assert bounce(law, 10.0 * ITS, observer=observer)[0].contact_loss_J > 0.0
+    monkeypatch.setattr(HuntCrossley, "damping", property(lambda self: -1e-6 * self.damping_s_m))
+    with pytest.raises(ComputationError, match="the contact law gave .* J in the touch"):
+        bounce(law, 10.0 * ITS, observer=observer)
+
+
 def test_a_touch_meets_a_fresh_place():
     """Twice the same march: nothing is remembered from the first to the second."""
     marcher = marcher_of(Plastic(KN, 0.3 * SPEED * math.sqrt(KN * MASS)), ITS)

@@ -7,7 +7,7 @@ import pytest
 from reference import modal_series_rebound, rate
 
 from bristle.solver import paper
-from bristle.solver.bodies.analytic import analytic_drop, quarter_period_s
+from bristle.solver.analytic import analytic_drop, quarter_period_s
 from bristle.solver.bodies.beam import beam_body
 from bristle.solver.bristle import Bristle, Material
 from bristle.solver.contact.enforcement import ContactMethod, Enforcement

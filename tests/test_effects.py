@@ -140,6 +140,51 @@ def test_a_rise_with_drag_ends_where_energy_says():
     assert done.y[0, -1] == pytest.approx(risen(speed**2 / (2.0 * g), k), abs=1e-9)
 
 
+FLAT = ({"width_m": 2.08e-3, "thickness_m": 0.5e-3}, 2.08e-3 * 0.5e-3)
+ROUND = ({"diameter_m": 1.5e-3}, math.pi * 0.75e-3**2)
+
+
+# the mesh of a solid's round section lacks a part of its mass
+@pytest.mark.parametrize(
+    ("model", "section"),
+    [("analytic", FLAT), ("beam", FLAT), ("beam", ROUND), ("reduced", FLAT)],
+    ids=["analytic", "beam", "round beam", "reduced"],
+)
+def test_air_drag_is_half_density_coefficient_end_section_and_speed_squared(
+    model, section, workshop
+):
+    """m v' = m g - ½ ρ c_d A v² down, m v' = -m g - ½ ρ c_d A v² up, air of 1.204 kg/m³."""
+    sizes, area = section
+    inputs = drop("air_drag:cd=40", model=model, length_m=0.2, density_kg_m3=2700.0, **sizes)
+    k, g = 0.5 * 1.204 * 40.0 * area / (2700.0 * area * 0.2), inputs.gravity_m_s2
+
+    def motion(_, y):
+        return [y[1], g - k * y[1] * abs(y[1])]
+
+    def landed(_, y):
+        return y[0] - inputs.height_m
+
+    def turned(_, y):
+        return y[1]
+
+    def end(start, event):
+        event.terminal = True
+        done = solve_ivp(motion, (0.0, 1.0), start, events=event, rtol=1e-12, atol=1e-14)
+        return done.y[:, -1]
+
+    result, _ = workshop.run(inputs)
+    speed = end([0.0, 0.0], landed)[1]
+    assert speed < (1.0 - 5e-4) * math.sqrt(2.0 * g * inputs.height_m)
+    assert result.impact_speed_m_s == pytest.approx(speed, rel=1e-9)
+    # what rises is released a penetration away from where it touched
+    after = result.cm_velocity_after_m_s
+    assert after**2 / (2.0 * g) + end([0.0, -after], turned)[0] > 3e-6
+    vacuum, _ = workshop.run(inputs.model_copy(update={"effects": ()}))
+    released = vacuum.cm_rebound_height_m - vacuum.cm_velocity_after_m_s**2 / (2.0 * g)
+    top = released - end([0.0, -after], turned)[0]
+    assert result.cm_rebound_height_m == pytest.approx(top, abs=1e-7)
+
+
 def test_release_speed_counts_as_height(workshop):
     """v_i² = v_0² + 2 g y_0, up or down."""
     plain, _ = workshop.run(drop(model="beam", height_m=0.05 + 0.2**2 / (2 * paper.GRAVITY_M_S2)))
@@ -208,11 +253,10 @@ def test_instruments_see_heights_and_times_as_they_are_off(workshop):
 
 def test_a_modal_body_comes_back_from_its_arrays_to_the_bit():
     body = beam_body(Bristle(), 4, points=3, second_order=True)
-    again = from_arrays(to_arrays(body))
-    assert to_arrays(again).keys() == to_arrays(body).keys()
-    for name, value in to_arrays(body).items():
-        assert np.array_equal(to_arrays(again)[name], value)
-    assert again.defect is None
+    again = from_arrays(to_arrays([body]))[0]
+    assert to_arrays([again]).keys() == to_arrays([body]).keys()
+    for name, value in to_arrays([body]).items():
+        assert np.array_equal(to_arrays([again])[name], value)
     assert again.axis is not None
 
 

@@ -3,20 +3,24 @@
 The bodies are made by hand: a few modes of unit mass and points that move with them.
 """
 
+import itertools
 import math
 
 import leaning_reference as lr
 import numpy as np
 import pytest
+from contact_law_helpers import pushed
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from reference import rate
 
 from bristle.solver.bodies.base import ContactPoints
 from bristle.solver.bodies.modal import ModalBody
 from bristle.solver.bristle import Rectangle
 from bristle.solver.contact.enforcement import ContactMethod, Enforcement
 from bristle.solver.contact.laws import Coulomb, Linear
-from bristle.solver.contact.step import CONSERVING, Points, point_force
+from bristle.solver.contact.points import CONSERVING, Points, Trial
+from bristle.solver.contact.step import commit, spring_energy
 from bristle.solver.energy import marching_energy
 from bristle.solver.ground import Ground, place
 from bristle.solver.impact import march_touch
@@ -209,6 +213,114 @@ def test_an_oscillator_loses_four_mu_n_over_k_a_cycle():
     assert x[-1] == pytest.approx(peaks[-1], abs=8.0 * (elastic + 4.0 * sampled))
 
 
+# --- a point on a known path ---------------------------------------------------------------------
+
+STRETCH = MU * WEIGHT / KN  # of a spring as stiff as the law, at the limit
+
+
+def dragged_along(path, presses):
+    """Elongation (k, 2) of the spring, mean force (k - 1, 2) and loss (k - 1,) of a point.
+
+    It is taken along a ``path`` (k, 2) under normal forces (k,)."""
+    points = Points(Linear(KN).parameters, KN, MU, np.ones(1), 0.0, np.ones(1), CONSERVING, 0.0)
+    memory, none = np.zeros((1, 3)), np.zeros((1, 3))
+    approach = np.column_stack([presses / KN, path])
+    stretched, pulls, losses = [memory[0, :2].copy()], [], []
+    for start, end in itertools.pairwise(approach):
+        before = spring_energy(points, memory)
+        force, _ = pushed(points, start, end, memory, none)
+        trial = Trial(start[None], end[None], end[None], force[None], memory, none)
+        losses.append(commit(points, trial))
+        work = force[1:] @ (end - start)[1:]
+        gained = spring_energy(points, memory) - before
+        assert work == pytest.approx(gained + losses[-1], abs=1e-12 * MU * WEIGHT * STRETCH)
+        stretched.append(memory[0, :2].copy())
+        pulls.append(force[1:])
+    return np.array(stretched), np.array(pulls), np.array(losses)
+
+
+def to_and_fro(steps, turns):
+    """From nothing to three times the stretch at the limit, and back and forth (k,)."""
+    return 3.0 * STRETCH * np.sin(0.5 * math.pi * np.arange(turns * steps + 1) / steps)
+
+
+@pytest.mark.parametrize("steps", [7, 24, 100, 1000])
+def test_under_a_constant_force_a_spring_and_slider_is_followed_exactly(steps):
+    """The stop of Prandtl and Ishlinskii: between turns, the elongation clipped at the limit."""
+    path = to_and_fro(steps, 9)
+    stretched, _, losses = dragged_along(
+        np.column_stack([0.6 * path, -0.8 * path]), np.full(len(path), WEIGHT)
+    )
+    wanted = np.zeros(len(path))
+    for k, slip in enumerate(np.diff(path)):
+        wanted[k + 1] = np.clip(wanted[k] + slip, -STRETCH, STRETCH)
+    assert stretched @ [0.6, -0.8] == pytest.approx(wanted, abs=1e-12 * STRETCH)
+    assert stretched @ [0.8, 0.6] == pytest.approx(np.zeros(len(path)), abs=1e-12 * STRETCH)
+    assert losses.min() >= -1e-14 * MU * WEIGHT * STRETCH
+
+
+def test_a_cycle_takes_the_area_of_its_loop():
+    """4 μ N (A - μ N / Kt), approached by the square of the step."""
+    steps, limit = np.array([16, 32, 64, 128, 256]), MU * WEIGHT
+    wanted = 4.0 * limit * (3.0 * STRETCH - STRETCH)
+    errors = []
+    for n in steps:
+        path = np.column_stack([to_and_fro(n, 5), np.zeros(5 * n + 1)])
+        losses = dragged_along(path, np.full(len(path), WEIGHT))[2]
+        errors.append(abs(losses[n:].sum() - wanted) / wanted)
+    assert (np.array(errors) <= 20.0 / steps**2).all()
+
+
+@pytest.mark.parametrize("along", [0.3, 3.0, 30.0])
+@pytest.mark.parametrize("angle", [0.3, 1.5])
+def test_a_stretched_spring_turns_into_the_slip_along_a_tractrix(along, angle):
+    """tan φ/2 falls as exp(-s/R); to second order in the step, and steadily however long it is."""
+    begin = STRETCH * np.array([math.cos(angle), math.sin(angle)])
+    wanted = 2.0 * math.atan(math.tan(0.5 * angle) * math.exp(-along))
+    steps, errors = np.array([8, 16, 32, 64, 128]), []
+    for n in steps:
+        # the first step, from rest, stretches it; it sticks
+        way = begin + np.outer(np.linspace(0.0, along * STRETCH, n + 1), [1.0, 0.0])
+        stretched, _, _ = dragged_along(np.vstack([[0.0, 0.0], way]), np.full(n + 2, WEIGHT))
+        angles = np.arctan2(stretched[1:, 1], stretched[1:, 0])
+        assert np.hypot(*stretched[-1]) == pytest.approx(STRETCH, rel=1e-12)
+        assert (np.diff(angles) <= 1e-12).all()
+        assert angles[-1] >= 0.0
+        errors.append(abs(angles[-1] - wanted))
+    if along < 1.0:
+        assert rate(1.0 / steps, errors) == pytest.approx(2.0, abs=0.2)
+
+
+@given(seed=st.integers(0, 100_000), stride=st.floats(0.01, 10.0))
+@settings(max_examples=100, deadline=None)
+def test_on_any_path_the_spring_ends_within_the_yield_surface_and_no_step_gains(seed, stride):
+    rng = np.random.default_rng(seed)
+    path = np.cumsum(stride * STRETCH * rng.normal(size=(60, 2)), axis=0)
+    presses = WEIGHT * rng.uniform(-0.3, 2.0, 60)
+    stretched, pulls, losses = dragged_along(path, presses)
+    limits = MU * np.maximum(presses, 0.0) / KN
+    assert (np.hypot(*stretched.T) <= limits * (1.0 + 1e-12)).all()
+    mean = 0.5 * (presses[1:] + presses[:-1])
+    inside = (presses[1:] > 0.0) & (presses[:-1] > 0.0)
+    assert (np.hypot(*pulls[inside].T) <= MU * mean[inside] * (1.0 + 1e-12)).all()
+    assert losses.min() >= -1e-13 * MU * WEIGHT * STRETCH * max(stride, 1.0)
+
+
+def test_stick_and_slip_of_a_block_are_of_second_order():
+    """The closed form of a block on a spring that gives way, over two of its periods."""
+    speed, kt = 0.4, 1e-2 * KN
+    period = 2.0 * math.pi * math.sqrt(MASS / kt)
+    steps, errors = np.array([30, 60, 120, 240, 480]), []
+    for n in steps:
+        marcher, u = marching(block(), period / n, kt_over_kn=1e-2)
+        x, _, _ = run(marcher, u, marcher.body.translation @ [speed, 0.0, 0.0], 2 * n)
+        wanted, _ = lr.stick_slip_block(
+            period / n * np.arange(2 * n + 1), speed, MASS, WEIGHT, MU, kt
+        )
+        errors.append(np.abs(x[:, 0] - wanted).max())
+    assert rate(1.0 / steps, errors) == pytest.approx(2.0, abs=0.25)
+
+
 # --- a pressed face -----------------------------------------------------------------------------
 
 
@@ -263,21 +375,11 @@ def test_the_return_mapping_knows_no_direction(angle, slip, stretch, end_weight,
     start, end = np.array([1e-5, 2e-6, -1e-6]), np.array([2e-5, 2e-6 + slip, -1e-6])
     spring, multiplier = np.array([0.0, stretch, -0.5 * stretch]), np.array([8.0, 1.0, -2.0])
 
-    def pushed(frame):
-        force, slope = np.zeros((1, 3)), np.zeros((1, 3, 3))
-        point_force(
-            points,
-            0,
-            (frame @ start)[None],
-            (frame @ end)[None],
-            (frame @ spring)[None, 1:],
-            (frame @ multiplier)[None],
-            force,
-            slope,
-        )
-        return force[0], slope[0]
+    def seen(frame):
+        memory = (frame @ spring)[None, 1:]
+        return pushed(points, frame @ start, frame @ end, memory, (frame @ multiplier)[None])
 
-    (force, slope), (other, other_slope) = pushed(np.eye(3)), pushed(turned)
+    (force, slope), (other, other_slope) = seen(np.eye(3)), seen(turned)
     assert other == pytest.approx(turned @ force, rel=1e-10, abs=1e-10)
     assert other_slope == pytest.approx(turned @ slope @ turned.T, rel=1e-8, abs=1e-6 * KN)
     # 0.6 has part of the step before in it, and a multiplier holds once it has converged

@@ -7,7 +7,6 @@ import pytest
 from leaning_helpers import beam, plan
 from mpi4py import MPI
 
-from bristle.solver import drop
 from bristle.solver.bodies.reduced import reduce_solid
 from bristle.solver.bristle import Material
 from bristle.solver.contact.enforcement import Enforcement
@@ -42,16 +41,15 @@ def differences(one, other):
 @pytest.mark.parametrize("mu", [0.0, 0.5])
 @pytest.mark.parametrize("lean", [(2.0, 0.0), (5.0, 0.0), (2.0, 3.0)], ids=str)
 @pytest.mark.parametrize("beta", [MATERIAL.beta_s, Material().beta_s])
-def test_full_order_and_reduced_lean_alike(models, beta, lean, mu, monkeypatch):
-    """An edge or a corner first; the bound that the reduced body carries holds, and is let pass."""
-    monkeypatch.setattr(drop, "REDUCTION_LIMIT", math.inf)
+def test_full_order_and_reduced_lean_alike(models, beta, lean, mu):
+    """An edge or a corner first; the error that is stated is of the true one's size."""
     model = models[beta]
     the_plan = plan(mu=mu, tilt_deg=lean[0], tilt_wide_deg=lean[1], impact_only=False)
     full = simulate(model, the_plan)
-    small = simulate(ModalFrame(model.bounded()), the_plan)
+    small = simulate(ModalFrame(model.modal, model.coarser), the_plan)
     off = differences(full, small)
     assert off.max() < 1e-4
-    assert off[:3].max() <= small.reduction_error + 1e-9
+    assert off[:3].max() <= 100.0 * small.reduction_error
     assert small.n_contacts == full.n_contacts
     assert small.rebound_ratio == pytest.approx(full.rebound_ratio, abs=1e-4)
     assert small.peak_force_N == pytest.approx(full.peak_force_N, rel=1e-4)
@@ -60,12 +58,6 @@ def test_full_order_and_reduced_lean_alike(models, beta, lean, mu, monkeypatch):
     assert small.energy.closure_relative < 1e-9
     assert full.energy.closure_relative < 1e-4  # it flies in the modes, and leaves them the rest
     assert (loss > 0.0) == (mu > 0.0)
-
-
-@pytest.mark.serial
-def test_with_the_papers_damping_the_bound_lets_a_leaning_body_pass(models):
-    result = simulate(ModalFrame(models[Material().beta_s].bounded()), plan(mu=0.3, tilt_deg=5.0))
-    assert 0.0 < result.reduction_error < 1e-4
 
 
 @pytest.mark.serial
@@ -111,14 +103,14 @@ def test_a_rigid_plane_with_friction_obeys_signorini_and_coulomb(make_solid, lea
     seen = []
     result = simulate(model, the_plan, observer=lambda state, force: seen.append((state, force)))
     forces = np.array([force for _, force in seen])
-    drives = np.array([state.drive for state, _ in seen])
+    approaches = np.array([state.approach for state, _ in seen])
     normal, pull = forces[..., 0], np.hypot(forces[..., 1], forces[..., 2])
     largest, deepest = normal.max(), 1e-6 * result.impact_speed_m_s * the_plan.its_s
     assert (normal >= 0.0).all()
     assert (pull <= mu * normal + 1e-6 * largest).all()
     touching = normal > 1e-6 * largest
-    assert np.abs(drives[..., 0][touching]).max() < deepest
-    slips = np.diff(drives[..., 1:], axis=0)
+    assert np.abs(approaches[..., 0][touching]).max() < deepest
+    slips = np.diff(approaches[..., 1:], axis=0)
     # what sticks stays; what slides is pulled back with μ N
     sticks = touching[1:] & (pull < mu * normal - 1e-5 * largest)[1:]
     assert np.linalg.norm(slips[sticks], axis=-1).max(initial=0.0) < deepest
@@ -132,10 +124,9 @@ def test_a_rigid_plane_with_friction_obeys_signorini_and_coulomb(make_solid, lea
 
 @pytest.mark.serial
 def test_the_march_of_a_reduced_solid_is_the_general_one(models):
-    """With its bound: compiled and general give the same."""
-    frame = ModalFrame(models[Material().beta_s].bounded())
+    """Compiled and general give the same."""
+    frame = ModalFrame(models[Material().beta_s].modal)
     the_plan = plan(mu=0.3, tilt_deg=3.0, tilt_wide_deg=1.0)
     compiled = simulate(frame, the_plan)
     general = simulate(frame, the_plan, observer=lambda state, force: None)
     assert differences(compiled, general).max() < 1e-8
-    assert compiled.reduction_error == pytest.approx(general.reduction_error, rel=1e-6)

@@ -55,7 +55,7 @@ def test_counts_and_volume(section, order, cells, grading):
     assert COMM.allreduce(len(cell_tags.find(Tag.BODY))) == spec.n_cells
     assert {tag: count_facets(mesh, facet_tags, tag) for tag in spec.n_facets} == spec.n_facets
     assert mesh.geometry.cmap.degree == order
-    assert volume_m3(mesh, order) == pytest.approx(meshed_volume_m3(spec), rel=1e-12)
+    assert volume_m3(mesh) == pytest.approx(meshed_volume_m3(spec), rel=1e-12)
 
 
 @BOTH_ORDERS
@@ -155,7 +155,7 @@ def test_any_division_arrives_whole(cells, order, grading, section):
     spec = spec_of(section, cells, order, grading)
     mesh, _, facet_tags = to_dolfinx(spec, COMM)
     assert count_facets(mesh, facet_tags, Tag.TIP) == spec.n_section_cells
-    assert volume_m3(mesh, order) == pytest.approx(meshed_volume_m3(spec), rel=1e-12)
+    assert volume_m3(mesh) == pytest.approx(meshed_volume_m3(spec), rel=1e-12)
 
 
 def test_failure_of_the_builder_reaches_every_rank(monkeypatch):

@@ -15,17 +15,17 @@ import click
 import pytest
 import readme
 from commands import python
+from mpi4py import MPI
 
 from bristle.solver import paper
-from bristle.solver.bodies.beam import beam_body
-from bristle.solver.bristle import Bristle, Material
-from bristle.solver.drop import ModalFrame
 from bristle.solver.effects.library import EFFECTS
 from bristle.studies.bench.sizes import unknowns
 from bristle.studies.bench.step import BODIES
 from bristle.studies.cli import main
+from bristle.studies.command.choices import Deflection, Model
 from bristle.studies.data.datasets import read_manifest
-from bristle.studies.largerotation import BETA_S, ELEMENTS, Campaign
+from bristle.studies.largerotation import Campaign, speed_kept
+from bristle.studies.running.cases import Workshop
 
 pytestmark = pytest.mark.serial
 
@@ -154,10 +154,10 @@ def test_less_friction_leaves_less(tmp_path, monkeypatch, capsys):
 
 
 def test_the_beam_leans_as_the_table_says():
-    bristle = Bristle(material=Material(beta_s=BETA_S))
-    frame = ModalFrame(beam_body(bristle, ELEMENTS, second_order=True))
+    how = (Model.BEAM, Deflection.SECOND_ORDER, 0.05, 0.0)
     for lean, _, beam, *_ in readme.table("lean |"):
-        kept = Campaign()._fast(frame, 0.05, 0.0, float(lean.rstrip("°")))
+        with Workshop(MPI.COMM_SELF) as workshop:
+            kept, _ = speed_kept(workshop, Campaign().case(*how, float(lean.rstrip("°"))))
         assert readme.agree(beam, kept), lean
 
 

@@ -304,20 +304,49 @@ def test_next_touch_is_the_first_that_dense_sampling_sees(body, seed):
 
 @pytest.mark.parametrize("amplitude", [1e-5, 2e-7])
 def test_a_tip_that_rings_touches_before_its_rigid_motion_does(amplitude):
-    """One axial mode over the plane, almost without gravity.
-
-    Sixteen looks a period find what dips by more than 1 - cos(π/16) = 0.019 of the amplitude.
-    """
+    """One axial mode over the plane, almost without gravity."""
     body = beam_body(Bristle(0.1, material=Material(beta_s=0.0)), 2, face=False)
     axial = np.argmax(np.abs(body.contact.coordinates[2]) * (body.omega2 > 1e8))
     u, v = np.zeros((2, len(body.omega2)))
-    dip = 0.03
+    dip = max(1e-3, 2e-8 / amplitude)  # what the search may leave out is 1e-8 m
     u[axial] = amplitude / body.contact.coordinates[2, axial]
     omega = math.sqrt(body.omega2[axial])
     for share, wanted in ((1.0 - dip, math.acos(-(1.0 - dip)) / omega), (1.001, None)):
         pose = Pose(np.array([0.0, 0.0, 0.05 + share * amplitude]), UPRIGHT)
         found = Flight(body, pose, 0.0, u, v, 1e-9).next_touch(Ground.plane(1), 0.01)
         assert found == (wanted if wanted is None else pytest.approx(wanted, rel=1e-9))
+
+
+@pytest.mark.parametrize("dip", [2e-8, 1e-7, 5e-7])
+def test_a_graze_shorter_than_the_loudest_oscillation_shows_is_not_passed_over(dip):
+    """A slow loud mode swings down to the plane, a fast one too quiet to set its pace dips below.
+
+    The time below is a hundredth of the slow period and less; the fast motion has a thousandth of
+    the slow one's size.
+    """
+    body = beam_body(Bristle(0.1, material=Material(beta_s=0.0)), 8, face=False)
+    rows = body.contact.coordinates
+    axial = np.flatnonzero((np.abs(rows[2]) > 0.1 * np.abs(rows[2]).max()) & (body.omega2 > 1e8))
+    axial = axial[np.argsort(body.omega2[axial])]
+    slow, fast = axial[0], axial[6]
+    period = 2.0 * math.pi / math.sqrt(body.omega2[slow])
+    loud, quiet = 2e-3, 1.9e-6
+    u, v = np.zeros((2, len(body.omega2)))
+    u[slow], u[fast] = loud / rows[2, slow], quiet / rows[2, fast]
+    times = np.linspace(0.0, period, 2_000_001)
+    height = loud * np.cos(math.sqrt(body.omega2[slow]) * times)
+    height += quiet * np.cos(math.sqrt(body.omega2[fast]) * times)
+    for offset, touches in ((dip, True), (-1e-7, False)):
+        clear = height - height.min() - offset
+        pose = Pose(np.array([0.0, 0.0, 0.05 - height.min() - offset]), UPRIGHT)
+        found = Flight(body, pose, 0.0, u, v, 1e-9).next_touch(Ground.plane(1), period)
+        below = np.flatnonzero(clear < 0.0)
+        assert bool(len(below)) == touches
+        if not touches:
+            assert found is None
+            continue
+        assert times[below[-1]] - times[below[0]] < period / 16.0
+        assert found == pytest.approx(times[below[0]], abs=2.0 * times[1])
 
 
 def test_a_point_below_the_plane_on_its_way_out_does_not_touch_until_it_turns():

@@ -5,15 +5,15 @@ import math
 import numpy as np
 import pytest
 from mpi4py import MPI
-from reference import pochhammer_chree_hz, rate
+from reference import free_free_timoshenko_hz, pochhammer_chree_hz, rate
+from scipy.optimize import brentq
 
 from bristle.solver.bodies.beam import beam_body
 from bristle.solver.bodies.reduced import reduce_solid
 from bristle.solver.bristle import Bristle, Circle, Material, Rectangle
 from bristle.solver.contact.enforcement import ContactMethod, Enforcement
 from bristle.solver.contact.laws import Coulomb, Linear
-from bristle.solver.drop import DropPlan, ModalFrame, simulate
-from bristle.solver.errors import ComputationError
+from bristle.solver.drop import RESOLVED, DropPlan, ModalFrame, simulate
 from bristle.solver.time import march
 from bristle.solver.time.march import Marcher
 from bristle.solver.time.scheme import TimeScheme
@@ -139,6 +139,50 @@ def test_frequencies_agree_with_the_beam(make_solid, family):
     assert found == pytest.approx(beam_hz, rel=3e-2 if family == "torsion" else 2e-3)
 
 
+# Cowper, J. Appl. Mech. 33 (1966), and Hutchinson, J. Appl. Mech. 68 (2001), whose coefficients
+# match the frequencies of solids; for the rectangle twice as high as wide his series is summed.
+STOUT = {
+    "rectangle": (Rectangle(2e-3, 4e-3), (1, 3, 12), {0.0: (5 / 6, 5 / 6), 0.28: (0.8488, 0.8652)}),
+    "circle": (Circle(3e-3), (2, 1, 10), {0.0: (6 / 7, 6 / 7), 0.28: (0.8848, 0.9210)}),
+}
+
+
+@pytest.mark.parametrize("poisson", [0.0, 0.28])
+@pytest.mark.parametrize("shape", STOUT)
+def test_shear_of_a_stout_bar_is_cowpers_in_the_beam_and_hutchinsons_in_the_solid(
+    make_solid, shape, poisson
+):
+    """A bar 3.2 times as long as high bends by 5 to 7 % slower because of shear. Timoshenko's
+    equation, solved for the shear coefficient that gives the frequency found."""
+    section, cells, coefficients = STOUT[shape]
+    cowper, hutchinson = coefficients[poisson]
+    material = Material(poisson=poisson)
+    length = 3.2 * getattr(section, "width_m", 3e-3)
+    moment, area = section.second_moment_y_m4, section.area_m2
+    bending, shear = 207e9 * moment, 207e9 / (2.0 + 2.0 * poisson) * area
+
+    def timoshenko_hz(coefficient, near):
+        inertia = 7800.0 * area, 7800.0 * moment
+        return free_free_timoshenko_hz(length, bending, coefficient * shear, *inertia, near)
+
+    def read_from(hz):
+        return brentq(lambda each: timoshenko_hz(each, hz) / hz - 1.0, 0.7, 1.1, xtol=1e-7)
+
+    root = 4.730040744862704 / length
+    # Timoshenko's first correction of the slender beam, taken as the start of a geometric series
+    slow = 1.0 + root**2 * moment / area * (1.0 + bending * area / (moment * shear * cowper))
+    slender = root**2 * math.sqrt(bending / (7800.0 * area))
+    wanted = timoshenko_hz(cowper, slender / (2.0 * math.pi * math.sqrt(slow)))
+    assert timoshenko_hz(0.8 * cowper, wanted) < 0.99 * wanted
+    beam = beam_body(Bristle(length, section, material), 32)
+    found = nearest(np.sqrt(beam.omega2) / (2.0 * math.pi), wanted)
+    assert read_from(found) == pytest.approx(cowper, rel=3e-4)
+    order = 2 if shape == "circle" else 1
+    solid = make_solid(cells, length, material=material, section=section, geometry_order=order)
+    found = nearest(frequencies_hz(solid, wanted), wanted)
+    assert read_from(found) == pytest.approx(hutchinson, rel=0.01)
+
+
 @pytest.mark.parametrize(("order", "expected"), [(1, 2.0), (2, 4.0)])
 def test_axial_frequency_converges_at_the_rate_of_the_elements(make_solid, order, expected):
     """Poisson's ratio zero makes the axial mode of a prism exact: n c / 2L."""
@@ -159,35 +203,36 @@ def test_full_order_and_reduced_bounce_alike(make_solid, method):
     reduced = reduce_solid(solid, shift(solid, its), 24)
     plan = DropPlan(0.05, ContactMethod(Linear(2e6), method), its, 9.8)
     full = simulate(reduced, plan)
-    small = simulate(ModalFrame(reduced.bounded()), plan)
+    small = simulate(ModalFrame(reduced.modal, reduced.coarser), plan)
     # Nitsche's forces act along the pressure's rows too, which the basis was not made from
     close = 1e-6 if method is Enforcement.NITSCHE else 1e-7
     assert small.rebound_ratio == pytest.approx(full.rebound_ratio, rel=close)
     assert small.peak_force_N == pytest.approx(full.peak_force_N, rel=1e-6)
     assert full.reduction_error is None
     speed_error = abs(small.cm_velocity_after_m_s - full.cm_velocity_after_m_s)
-    assert speed_error / full.impact_speed_m_s <= small.reduction_error + 1e-9
+    assert speed_error / full.impact_speed_m_s <= 100.0 * small.reduction_error
     if method is not Enforcement.NITSCHE:
         assert full.energy.closure_relative < 1e-6
         assert small.energy.closure_relative < 1e-10
 
 
-def test_error_estimate_bounds_the_error_and_refuses_a_poor_basis(make_solid):
+def test_error_that_is_stated_is_of_the_true_ones_size(make_solid):
+    """Within a factor of a hundred of that to the full order, and small where the basis is rich."""
     solid = make_solid((1, 2, 24), 0.05)
     its = 1e-6
-    plan = DropPlan(0.05, ContactMethod(Linear(2e7)), its, 9.8)
-    fine = simulate(reduce_solid(solid, shift(solid, its), 40), plan)
-    estimates = []
-    for n in (6, 8, 10):
-        modal = reduce_solid(solid, shift(solid, its), n).bounded()
-        result = simulate(ModalFrame(modal), plan)
-        error = abs(result.cm_velocity_after_m_s - fine.cm_velocity_after_m_s)
-        assert error / fine.impact_speed_m_s <= result.reduction_error
-        estimates.append(result.reduction_error)
-    assert estimates[-1] < 0.1 * estimates[0]
-    poor = reduce_solid(solid, shift(solid, its), 2).bounded()
-    with pytest.raises(ComputationError, match="more modes"):
-        simulate(ModalFrame(poor), plan)
+    plan = DropPlan(0.05, ContactMethod(Linear(2e7)), its, 9.8, impact_only=True)
+    full = simulate(reduce_solid(solid, shift(solid, its), 40), plan)
+    stated = []
+    for n in (2, 10, 20, 40):
+        reduced = reduce_solid(solid, shift(solid, its), n)
+        found = simulate(ModalFrame(reduced.modal, reduced.coarser), plan)
+        off = abs(found.cm_velocity_after_m_s - full.cm_velocity_after_m_s)
+        off = max(off / full.impact_speed_m_s, RESOLVED)
+        # two vectors and their halves are no sequence
+        assert 0.01 < found.reduction_error / off < (100.0 if n > 2 else math.inf)
+        stated.append(found.reduction_error)
+    assert stated[0] > 1e-3
+    assert stated[-1] < 1e-6
 
 
 def test_solid_on_a_rigid_plane(make_solid):

@@ -14,7 +14,7 @@ import pytest
 from commands import mpirun, python
 from mpi4py import MPI
 
-from bristle.solver.bodies.analytic import quarter_period_s
+from bristle.solver.analytic import quarter_period_s
 from bristle.solver.errors import ComputationError, InputError
 from bristle.studies import __version__
 from bristle.studies import drop as drop_study
@@ -110,6 +110,35 @@ def test_the_plain_march_agrees_with_events_as_the_step_shrinks():
     impact, _ = run_case(drop(march=True, until="impact", height_m=1e-3, elements=4))
     assert impact.rebound_ratio is None
     assert impact.n_steps < plain.n_steps
+
+
+@serial
+@pytest.mark.parametrize("how", [{}, {"march": True}, {"model": "analytic"}], ids=str)
+def test_what_a_drop_ends_before_is_not_reported(how):
+    """In contact, on the way up, and past the top, before the second impact."""
+    values = {"height_m": 1e-3, "elements": 4, **how}
+    whole, _ = run_case(drop(**values))
+    fall_s = math.sqrt(2.0 * 1e-3 / 9.8)
+    release_s = fall_s + whole.contact_time_s
+    rise_s = whole.cm_velocity_after_m_s / 9.8
+    for end_s in (fall_s + 0.5 * whole.contact_time_s, release_s + 0.5 * rise_s):
+        inputs = drop(**values, until=end_s)
+        result, _ = run_case(inputs)
+        shown = {name: results.number(name, inputs, result) for name in results.NUMBERS}
+        assert shown["rebound_ratio"] is None
+        assert shown["rebound_height_m"] is None
+        assert shown["cm_rebound_ratio"] is None
+        in_contact = end_s < release_s
+        for name in ("contact_time_s", "cm_velocity_after_m_s", "velocity_after_m_s"):
+            assert (shown[name] is None) == in_contact
+        assert shown["peak_force_N"] > 0.0
+        warnings = [text for text in result_warnings(inputs, result) if "no rebound" in text]
+        (warning,) = warnings
+        assert warning.startswith("no rebound was seen: the drop ends at ")
+        assert ("within the first impact" in warning) == in_contact
+    seen, _ = run_case(drop(**values, until=release_s + 1.6 * rise_s))
+    assert seen.rebound_ratio == pytest.approx(whole.rebound_ratio, rel=1e-9)
+    assert seen.cm_rebound_height_m == pytest.approx(whole.cm_rebound_height_m, rel=1e-9)
 
 
 @serial

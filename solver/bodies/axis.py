@@ -15,8 +15,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ..arrays import Array
 from ..compiled import njit
-from .base import Array
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,8 @@ import numpy as np
 from mpi4py import MPI
 from numpy.typing import NDArray
 
-Array = NDArray[np.floating]
+from ..arrays import Array
+
 SparseOrDense = Any  # a NumPy array or a SciPy sparse matrix; both know `@` and `.T`
 
 
@@ -93,14 +94,6 @@ def dense_of(rows: SparseOrDense) -> Array:
     return rows.toarray() if hasattr(rows, "toarray") else np.asarray(rows)
 
 
-class StepDefect(Protocol):
-    """How far a step of a reduced body is from the full order's (see modal.Defect)."""
-
-    def energy_norms(
-        self, forces: Array, motions: Array, c_mass: float, c_stiffness: float
-    ) -> Array: ...
-
-
 class Body(Protocol):
     """A linear body M, K with Rayleigh damping alpha M + beta K, free in space.
 
@@ -122,8 +115,6 @@ class Body(Protocol):
     def contact(self) -> ContactPoints: ...
     @property
     def translation(self) -> Array: ...
-    @property
-    def defect(self) -> StepDefect | None: ...
 
     def mass(self, x: Array) -> Array:
         """M x, for one vector (n,) or the columns of (n, m)."""

@@ -9,10 +9,11 @@ from __future__ import annotations
 
 import numpy as np
 
+from ..arrays import Array
 from ..bristle import CONTACT_POINTS, Bristle
 from ..errors import InputError
 from .axis import Axis
-from .base import Array, ContactPoints
+from .base import ContactPoints
 from .modal import ModalBody, modal_form
 
 NODE_UNKNOWNS = 6

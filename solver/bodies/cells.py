@@ -21,9 +21,9 @@ from mpi4py import MPI
 from numpy.typing import NDArray
 from petsc4py import PETSc
 
+from ..arrays import Array
 from ..compiled import fast
 from ..forms import form
-from .base import Array
 from .matrices import NodeMass, assembled_rows, degree_of_products, petsc_matrix
 
 if TYPE_CHECKING:

@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 from scipy.linalg.blas import dgemm, dsyrk, dtrmm, dtrsm
 from scipy.linalg.lapack import dpotrf, dtrtri
 
+from ..arrays import Array
 from ..compiled import fast, njit
 from ..errors import ComputationError
-from .base import Array
 
 SAME_LEVEL = 1e-7  # over the body's length
 # Numbers per unknown up to which a chain is taken. Against MUMPS a solve is 2.5 times as fast at

@@ -21,9 +21,9 @@ from petsc4py import PETSc
 from scipy.linalg import cho_factor, cho_solve
 from scipy.sparse import csr_matrix, eye_array, kron
 
+from ..arrays import Array
 from ..compiled import njit
 from ..errors import ComputationError
-from .base import Array
 from .chain import WIDEST, ChainFactor, Index, Rows, Summand, dense_rows, lay_out
 from .mumps import Mumps
 

@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING, Protocol
 import numpy as np
 from petsc4py import PETSc
 
+from ..arrays import Array
 from ..errors import ComputationError
-from .base import Array
 from .cells import cell_product
 from .chain import WIDEST, ChainFactor
 from .cut import MOST_ON_CUTS, CutFactor

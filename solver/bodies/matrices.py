@@ -15,10 +15,10 @@ from mpi4py import MPI
 from numpy.typing import NDArray
 from petsc4py import PETSc
 
+from ..arrays import Array
 from ..compiled import fast
 from ..errors import ComputationError
 from ..forms import form
-from .base import Array
 
 Rows = tuple[NDArray[np.integer], NDArray[np.integer], Array]
 

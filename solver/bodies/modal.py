@@ -10,36 +10,9 @@ from mpi4py import MPI
 from scipy.linalg import eigh, orth
 from scipy.sparse.csgraph import connected_components
 
+from ..arrays import Array
 from .axis import Axis
-from .base import Array, ContactPoints
-
-
-@dataclass(frozen=True)
-class Defect:
-    """What the reduced body leaves of the full order's equation of motion, measured by its energy.
-
-    Modes satisfy the equation projected on themselves; left over is R_f f - R_k (u + β v), with
-    R_f = Fᵀ - M V Vᵀ Fᵀ, F the section's coordinates and rows of traction, R_k = K V - M V Λ.
-    ``gram`` holds [R_f, R_k]ᵀ A⁻¹ [R_f, R_k] for A = s M + K, s = ``shift_1_s2``.
-    """
-
-    gram: Array
-    shift_1_s2: float
-
-    def energy_norms(
-        self, forces: Array, motions: Array, c_mass: float, c_stiffness: float
-    ) -> Array:
-        """Bounds (k,) on √(rᵀ (c_mass M + c_stiffness K)⁻¹ r), r being what a step leaves over.
-
-        ``forces`` (k, r + 3 points) are f: what acts along the section's coordinates, and along the
-        rows of traction in m (left out where the basis knows none); ``motions`` (k, modes) are u +
-        β v where equilibrium is taken. The effective matrix is no softer than min(c_mass/s,
-        c_stiffness) times A.
-        """
-        known = self.gram.shape[0] - motions.shape[1]
-        left = np.hstack([forces[:, :known], -motions])
-        squared = np.maximum(np.einsum("ki,ki->k", left @ self.gram, left), 0.0)
-        return np.asarray(np.sqrt(squared / min(c_mass / self.shift_1_s2, c_stiffness)))
+from .base import ContactPoints
 
 
 @dataclass(frozen=True)
@@ -48,9 +21,8 @@ class ModalBody:
 
     ``contact`` and the rigid motions are expressed in modal coordinates: ``translation`` (n, 3) by
     1 m along body axes, ``rotation`` (n, 3) by 1 rad about them through the centre of mass; a
-    motion that the body does not have is zero. ``defect`` is what a reduced body leaves out, None
-    where the modes are complete. With an ``axis`` contact is marched to second order in slope.
-    ``loss_factor`` η damps every elastic mode by η ω beside Rayleigh's damping.
+    motion that the body does not have is zero. With an ``axis`` contact is marched to second order
+    in slope. ``loss_factor`` η damps every elastic mode by η ω beside Rayleigh's damping.
     """
 
     name: str
@@ -60,7 +32,6 @@ class ModalBody:
     contact: ContactPoints
     alpha_1_s: float
     beta_s: float
-    defect: Defect | None = None
     axis: Axis | None = None
     loss_factor: float = 0.0
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from petsc4py import PETSc
 
+from ..arrays import Array
 from ..errors import ComputationError
-from .base import Array
 
 
 class Krylov:

@@ -1,4 +1,4 @@
-"""The solid in a few modes: Krylov vectors from its contact loads, and how far off they are.
+"""The solid in a few modes: Krylov vectors from its contact loads, in nested sets.
 
 The first vectors are the solid's responses to loads on its tip, each further one the response
 (K + s M)⁻¹ M of an earlier (Nour-Omid and Clough, Earthquake Eng. Struct. Dyn. 12, 1984). With s
@@ -13,17 +13,20 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
+from mpi4py import MPI
 from scipy.linalg import eigh
 from scipy.sparse import csc_matrix, csr_matrix, vstack
 
+from ..arrays import Array
 from ..errors import ComputationError
+from ..rigid import Pose
 from .axis import Axis
-from .base import Array, ContactPoints
-from .modal import Defect, ModalBody, in_modes
-from .solid import DECIMALS, SolidBody
+from .base import ContactPoints
+from .modal import ModalBody, in_modes
+from .solid import SolidBody
 
 DEFLATED = 1e-10
 # Of a leaning body: Krylov vectors of each load at the time scheme's shift, as a share of those
@@ -34,6 +37,9 @@ SLOW = ((1.0, 16), (1e4, 16))
 AXIS_POINTS = 128
 # Numbers in a block of vectors that are worked on together.
 BLOCK = 1 << 25
+# Krylov vectors of a load unless asked otherwise, and the shares of them that coarser bodies have.
+USUAL = 40
+LEVELS = (0.25, 0.5, 1.0)
 
 
 class Basis:
@@ -78,16 +84,16 @@ class Basis:
 class ReducedModel:
     """The reduced body, and the way between it and the solid.
 
-    Its modes are the vectors of the ``basis`` times ``turn`` (k, k). ``shift_1_s2`` and
-    ``tractions`` are those of `reduce_solid`.
+    Its modes are the vectors of the ``basis`` times ``turn`` (k, k). ``coarser`` are the bodies of
+    the first vectors alone, from few on: how far their motion is from each other's, and from the
+    body's own, tells how far that is from the solid's.
     """
 
     body: SolidBody
     modal: ModalBody
     basis: Basis
     turn: Array
-    shift_1_s2: float
-    tractions: bool
+    coarser: tuple[ModalBody, ...]
 
     def to_modal(self, x: Array) -> Array:
         return np.asarray(self.turn.T @ self.basis.amounts(self.body.mass(x)))
@@ -95,60 +101,65 @@ class ReducedModel:
     def from_modal(self, q: Array) -> Array:
         return np.asarray(self.basis.vectors @ (self.turn @ q))
 
-    def bounded(self) -> ModalBody:
-        """The modes with a bound on what they leave out, for marches in them.
+    @property
+    def slowest_1_s2(self) -> float:
+        """A shift far below all but the slowest motion, for which there is a factor."""
+        return _slow_shifts(self.body)[0][0]
 
-        Takes a solve for every coordinate of the section and every mode. Collective.
-        """
-        solid, modal = self.body, self.modal
-        own = modal.contact
-        rows = np.vstack([own.coordinates, own.traction]) if self.tractions else own.coordinates
-        loads = _loads(solid.contact, leaning=True, tractions=self.tractions)
-        modes = _combined(self.basis.vectors, self.turn)
-        left_over = np.empty((solid.n_local, len(rows) + modal.n_dofs), order="F")
-        for part in _blocks(solid, len(rows)):
-            left_over[:, part] = loads[:, part].toarray(order="F")
-            left_over[:, part] -= solid.mass(_combined(modes, rows[part].T))
-        for part in _blocks(solid, modal.n_dofs):
-            left = left_over[:, len(rows) :][:, part]
-            left[:] = solid.stiffness(modes[:, part])
-            left -= solid.mass(modes[:, part]) * modal.omega2[part]
-        answers = solid.factor(self.shift_1_s2, 1.0)(left_over)
-        gram = _total(solid, left_over.T @ answers)
-        return replace(modal, defect=Defect(gram, self.shift_1_s2))
+    def launched(self, pose: Pose, u: Array, v: Array) -> tuple[Pose, Array, Array]:
+        """As `solver.drop.FlightFrame`: small motion stays on top of the pose that it began in."""
+        return pose, self.to_modal(u), self.to_modal(v)
+
+    def landed(self, q: Array, qv: Array) -> tuple[Array, Array]:
+        """As `solver.drop.FlightFrame`."""
+        return self.from_modal(q), self.from_modal(qv)
 
 
 def krylov_basis(
-    solid: SolidBody,
-    solve: Callable[[Array], Array],
-    n_krylov: int,
-    *,
-    leaning: bool = False,
-    tractions: bool = False,
-) -> Basis:
-    """The basis of the reduced body.
+    solid: SolidBody, shift_1_s2: float, n_krylov: int, *, leaning: bool, tractions: bool
+) -> tuple[Basis, list[int]]:
+    """The basis of the reduced body, and how many of its vectors make the coarser ones.
 
-    Rigid motions; ``n_krylov`` Krylov vectors of a uniform pressure on the tip or, for a
-    ``leaning`` body, `SHARE` as many of each resultant of its tractions, and of slow motion; and
-    the response to a force at each node of the face (along all axes where it leans), without which
-    an uneven pressure would
-    meet a tip too stiff, and with ``tractions`` to the rows of the traction, along which Nitsche's
-    method pushes too. Directions that carry nothing new are dropped.
+    Rigid motions; the response to a force at each node of the face (along all axes where it leans),
+    without which an uneven pressure would meet a tip too stiff, and with ``tractions`` to the rows
+    of the traction, along which Nitsche's method pushes too; ``n_krylov`` Krylov vectors of a
+    uniform pressure on the tip or, for a ``leaning`` body, `SHARE` as many of each resultant of its
+    tractions, and of slow motion. Directions that carry nothing new are dropped.
     """
     loads = _resultants(solid.contact) if leaning else _resultants(solid.contact)[:, 2:3]
     own = _loads(solid.contact, leaning=leaning, tractions=tractions)
-    shifts = _slow_shifts(solid) if leaning else ()
+    solve = solid.factor(shift_1_s2, 1.0)
     depth = math.ceil(SHARE * n_krylov) if leaning else n_krylov
-    slow = sum(n for _, n in shifts)
-    most = 6 + loads.shape[1] * (depth + slow) + own.shape[1]
-    basis = Basis(solid, most)
+    sequences = [Sequence(solve, loads, depth)]
+    if leaning:
+        more = max(n_krylov / USUAL, 1.0)
+        for shift, n in _slow_shifts(solid):
+            sequences.append(Sequence(solid.factor(shift, 1.0), loads, round(more * n)))
+    longest = sum(sequence.depth for sequence in sequences)
+    basis = Basis(solid, 6 + own.shape[1] + loads.shape[1] * longest)
     basis.extend(np.asfortranarray(solid.rigid_motions()))
-    _extend_krylov(basis, solve, loads, depth)
-    for shift, n in shifts:
-        _extend_krylov(basis, solid.factor(shift, 1.0), loads, n)
-    for part in _blocks(solid, own.shape[1]):
-        basis.extend(solve(own[:, part].toarray(order="F")))
-    return basis
+    counts: list[int] = []
+    for share in LEVELS:
+        for sequence in sequences:
+            sequence.extend(basis, math.ceil(share * sequence.depth))
+        if not counts:  # after the first of each sequence, which these would leave nothing of
+            for part in _blocks(solid, own.shape[1]):
+                basis.extend(solve(own[:, part].toarray(order="F")))
+        counts.append(basis.count)
+    return basis, counts[:-1]
+
+
+class Sequence:
+    """Krylov vectors of some ``loads`` (n_local, m), at most ``depth`` of each."""
+
+    def __init__(self, solve: Callable[[Array], Array], loads: Array, depth: int) -> None:
+        self.depth, self._solve, self._loads, self._done = depth, solve, loads, 0
+
+    def extend(self, basis: Basis, depth: int) -> None:
+        """Have ``basis`` hold the first ``depth`` of each load."""
+        while self._done < depth and self._loads.size:
+            self._loads = basis.extend(self._solve(self._loads))
+            self._done += 1
 
 
 def _blocks(solid: SolidBody, count: int) -> Iterator[slice]:
@@ -156,14 +167,6 @@ def _blocks(solid: SolidBody, count: int) -> Iterator[slice]:
     width = max(BLOCK * solid.comm.size // solid.n_dofs, 1)
     for first in range(0, count, width):
         yield slice(first, min(first + width, count))
-
-
-def _extend_krylov(basis: Basis, solve: Callable[[Array], Array], loads: Array, depth: int) -> None:
-    """Add ``depth`` Krylov vectors of every load (n_local, m)."""
-    for _ in range(depth):
-        loads = basis.extend(solve(loads))
-        if not loads.size:
-            return
 
 
 def _resultants(contact: ContactPoints) -> Array:
@@ -201,7 +204,7 @@ def _loads(contact: ContactPoints, *, leaning: bool, tractions: bool) -> csc_mat
 def reduce_solid(
     solid: SolidBody,
     shift_1_s2: float,
-    n_krylov: int = 24,
+    n_krylov: int = USUAL,
     *,
     leaning: bool = False,
     tractions: bool = False,
@@ -213,57 +216,90 @@ def reduce_solid(
     ``tractions`` for Nitsche's method, see `krylov_basis`; ``second_order`` see bodies.axis. Raises
     ComputationError where the reduced stiffness is not positive semidefinite.
     """
-    solve = solid.factor(shift_1_s2, 1.0)
-    grown = krylov_basis(solid, solve, n_krylov, leaning=leaning, tractions=tractions)
+    grown, counts = krylov_basis(solid, shift_1_s2, n_krylov, leaning=leaning, tractions=tractions)
     reduced: Array = np.empty((grown.count, grown.count))
     for part in _blocks(solid, grown.count):
         reduced[:, part] = grown.amounts(solid.stiffness(grown.vectors[:, part]))
     reduced = 0.5 * (reduced + reduced.T)
     reduced[:6, :] = reduced[:, :6] = 0.0
-    omega2, modes = eigh(reduced)
-    scale = omega2.max()
-    omega2[np.argsort(np.abs(omega2))[:6]] = 0.0
-    if omega2.min() < -1e-12 * scale:
-        raise ComputationError(
-            f"the reduced stiffness is not semidefinite: ω² = {omega2.min():.3g}"
+    rigid = grown.amounts(solid.mass(np.asfortranarray(solid.rigid_motions())))
+    contact = in_modes(solid.contact, grown.vectors)
+    axis = solid_axis(solid, grown.vectors) if second_order else None
+
+    def body(count: int) -> tuple[ModalBody, Array]:
+        """Of the first vectors, and its modes over all of them."""
+        omega2, turn = eigh(reduced[:count, :count])
+        scale = omega2.max()
+        omega2[np.argsort(np.abs(omega2))[:6]] = 0.0
+        if omega2.min() < -1e-12 * scale:
+            raise ComputationError(
+                f"the reduced stiffness is not semidefinite: ω² = {omega2.min():.3g}"
+            )
+        modes = np.zeros((grown.count, count))
+        modes[:count] = turn
+        still = modes.T @ rigid
+        still[omega2 > 0.0] = 0.0
+        modal = ModalBody(
+            name="reduced",
+            omega2=omega2,
+            translation=still[:, :3],
+            rotation=still[:, 3:],
+            contact=in_modes(contact, modes),
+            alpha_1_s=solid.alpha_1_s,
+            beta_s=solid.beta_s,
+            axis=None if axis is None else axis.in_modes(modes),
         )
-    rigid = modes.T @ grown.amounts(solid.mass(np.asfortranarray(solid.rigid_motions())))
-    rigid[omega2 > 0.0] = 0.0
-    modal = ModalBody(
-        name="reduced",
-        omega2=omega2,
-        translation=rigid[:, :3],
-        rotation=rigid[:, 3:],
-        contact=in_modes(in_modes(solid.contact, grown.vectors), modes),
-        alpha_1_s=solid.alpha_1_s,
-        beta_s=solid.beta_s,
-        axis=solid_axis(solid, grown.vectors).in_modes(modes) if second_order else None,
-    )
-    return ReducedModel(solid, modal, grown, modes, shift_1_s2, tractions)
+        return modal, modes
+
+    modal, turn = body(grown.count)
+    coarser = tuple(body(count)[0] for count in counts)
+    return ReducedModel(solid, modal, grown, turn, coarser)
 
 
 def solid_axis(solid: SolidBody, vectors: Array) -> Axis:
     """Axial strain and slopes of the section's mean displacement for ``vectors`` (n_local, k).
 
-    Between `AXIS_POINTS` + 1 layers of nodes at most; nodes count by their share of the mass.
+    Between the heights of `_stations`; the mean at one is over the body, weighted by a hat that is
+    zero at its neighbours.
     """
-    place = solid.space.tabulate_dof_coordinates()[: solid.n_local // 3, 2]
-    share = solid.mass(np.ascontiguousarray(solid.translation[:, 2]))[2::3]
-    layers = solid.layers_m
-    chosen = np.unique(np.linspace(0, len(layers) - 1, AXIS_POINTS + 1).round().astype(int))
-    layer = np.searchsorted(layers, np.round(place, DECIMALS))
-    slot = np.searchsorted(chosen, layer)
-    own = np.flatnonzero(chosen[np.minimum(slot, len(chosen) - 1)] == layer)
-    pick = csr_matrix((share[own], (slot[own], own)), (len(chosen), len(place)))
-    total = _total(solid, np.asarray(pick.sum(axis=1)))
-    height = np.diff((_total(solid, pick @ place[:, None]) / total)[:, 0])
+    height, place = _stations(solid), solid.places_m[:, 2]
+    weight = _weighed(
+        solid, np.stack([np.interp(place, height, hat) for hat in np.eye(len(height))])
+    )
+    total = _total(solid, np.asarray(weight.sum(axis=1)))
+    apart = np.diff((_total(solid, weight @ place[:, None]) / total)[:, 0])
+    between = np.diff(height)
 
     def slope(axis: int) -> Array:
-        mean = _total(solid, pick @ vectors[axis::3]) / total
-        return np.asarray(np.diff(mean, axis=0) / height[:, None])
+        mean = _total(solid, weight @ vectors[axis::3]) / total
+        return np.asarray(np.diff(mean, axis=0) / apart[:, None])
 
-    stretch = solid.material.youngs_Pa * solid.mass_kg / solid.material.density_kg_m3
-    return Axis(slope(2), slope(0), slope(1), stretch / height.sum() * height)
+    # each hat holds the mass of half the way to its neighbours
+    line = total[:, 0] / np.convolve(between, [0.5, 0.5])
+    material = solid.material
+    stretch = material.youngs_Pa / material.density_kg_m3 * 0.5 * (line[1:] + line[:-1])
+    return Axis(slope(2), slope(0), slope(1), stretch * between)
+
+
+def _stations(solid: SolidBody) -> Array:
+    """`AXIS_POINTS` + 1 heights, equally far apart, or fewer where cells are taller than that."""
+    domain, comm = solid.domain, solid.comm
+    heights = domain.geometry.x[domain.geometry.dofmap, 2]
+    low = comm.allreduce(heights.min(initial=np.inf), MPI.MIN)
+    high = comm.allreduce(heights.max(initial=-np.inf), MPI.MAX)
+    tallest = comm.allreduce(np.ptp(heights, axis=1).max(initial=0.0), MPI.MAX)
+    spaces = int((high - low) / tallest + 1e-6)
+    return np.linspace(low, high, min(spaces, AXIS_POINTS) + 1)
+
+
+def _weighed(solid: SolidBody, values: Array) -> csr_matrix:
+    """The mass matrix of one direction times functions, given at nodes as rows (k, nodes)."""
+    rows = []
+    for value in values:
+        along = np.zeros(solid.n_local)
+        along[2::3] = value
+        rows.append(csr_matrix(solid.mass(along)[2::3]))
+    return vstack(rows, format="csr")
 
 
 def _combined(vectors: Array, amounts: Array) -> Array:

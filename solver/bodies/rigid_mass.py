@@ -6,8 +6,9 @@ import math
 
 import numpy as np
 
+from ..arrays import Array
 from ..bristle import RigidMass
-from .base import Array, ContactPoints
+from .base import ContactPoints
 from .modal import ModalBody
 
 

@@ -1,4 +1,4 @@
-"""The bristle as a 3-D solid: dolfinx Lagrange hexahedra and their matrices."""
+"""The bristle as a 3-D solid: dolfinx Lagrange hexahedra or tetrahedra and their matrices."""
 
 from __future__ import annotations
 
@@ -14,10 +14,11 @@ from numpy.typing import NDArray
 from petsc4py import PETSc
 from scipy.sparse import csr_matrix
 
+from ..arrays import Array
 from ..bristle import CONTACT_POINTS, Material
 from ..errors import ComputationError
 from ..forms import form
-from .base import Array
+from ..mechanics import Elasticity
 from .chain import Layout, Summand, lay_out
 from .linear import LinearSolver, Method, Solver, choose, make_solver
 from .matrices import NodeMass, assembled_rows, degree_of_products, petsc_matrix
@@ -30,16 +31,13 @@ TOGETHER = 16
 
 
 def stress(u: ufl.core.expr.Expr, material: Material) -> ufl.core.expr.Expr:
-    """Cauchy stress of small strain, isotropic. The material is data of the form, not part of it:
-    one compiled form serves all."""
-    domain = ufl.domain.extract_unique_domain(u)
-    lam, mu = (fem.Constant(domain, PETSc.ScalarType(value)) for value in material.lame_Pa)
-    strain = ufl.sym(ufl.grad(u))
-    return lam * ufl.tr(strain) * ufl.Identity(3) + 2.0 * mu * strain
+    """Cauchy stress of small strain, isotropic."""
+    hooke = Elasticity.of(material, ufl.domain.extract_unique_domain(u))
+    return hooke.stress(hooke.strain(u))
 
 
 class SolidBody:
-    """Linear elastic solid on a hexahedral mesh, its axis along z, its tip facets tagged.
+    """Linear elastic solid of hexahedra or tetrahedra, its axis along z, its tip facets tagged.
 
     ``order`` is the polynomial degree, 1 or 2; ``points`` see `tip_contact`; ``solver`` see
     `linear.choose`. Matrices are distributed over the mesh's communicator; vectors are this rank's
@@ -48,7 +46,6 @@ class SolidBody:
     """
 
     name = "solid"
-    defect = None
 
     def __init__(
         self,
@@ -75,8 +72,13 @@ class SolidBody:
         weight = self.mass(np.ascontiguousarray(self.translation[:, 2]))
         self.mass_kg = self.dot(self.translation[:, 2], weight)
         self.centre_m = self._centre(weight[2::3])
-        self.contact = tip_contact(
-            self.space, facet_tags.find(tip_tag), material, self.centre_m, points
+        hooke, normal = Elasticity.of(material, domain), ufl.FacetNormal(domain)
+        self.contact, self.tip = tip_contact(
+            self.space,
+            facet_tags.find(tip_tag),
+            lambda u: hooke.traction(u, normal),
+            self.centre_m,
+            points,
         )
 
     def _assemble(self) -> None:
@@ -130,12 +132,12 @@ class SolidBody:
     @property
     def heights_m(self) -> Array:
         """Where this rank's unknowns are along the axis (n_local,)."""
-        return np.repeat(self._coordinates()[:, 2], 3)
+        return np.repeat(self.places_m[:, 2], 3)
 
     @cached_property
     def layers_m(self) -> Array:
         """The heights at which there are nodes, of all ranks, to `DECIMALS`."""
-        own = np.unique(np.round(self._coordinates()[:, 2], DECIMALS))
+        own = np.unique(np.round(self.places_m[:, 2], DECIMALS))
         return np.unique(np.concatenate(self.comm.allgather(own)))
 
     @cached_property
@@ -221,16 +223,18 @@ class SolidBody:
 
     def rigid_motions(self) -> Array:
         """Translations along x, y, z and rotations about them through the centre (n_local, 6)."""
-        x = self._coordinates() - self.centre_m
+        x = self.places_m - self.centre_m
         motions = np.zeros((len(x), 3, 6))
         motions[:, [0, 1, 2], [0, 1, 2]] = 1.0
         for axis in range(3):
             motions[:, :, 3 + axis] = np.cross(np.eye(3)[axis], x)
         return motions.reshape(self.n_local, 6)
 
-    def _coordinates(self) -> Array:
+    @property
+    def places_m(self) -> Array:
+        """Where this rank's nodes are in the unstrained body (n_local / 3, 3)."""
         return np.asarray(self.space.tabulate_dof_coordinates()[: self.n_local // 3])
 
     def _centre(self, weight: Array) -> Array:
         """Centre of mass (3,), the nodes' shares of the mass being ``weight``."""
-        return np.asarray(self.comm.allreduce(weight @ self._coordinates())) / self.mass_kg
+        return np.asarray(self.comm.allreduce(weight @ self.places_m)) / self.mass_kg

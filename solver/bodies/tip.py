@@ -1,97 +1,311 @@
-"""Where a solid's tip can touch: the points of its facets, as rows over the unknowns."""
+"""Where a solid's tip can touch: quadrature points of its facets, as rows over the unknowns."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import basix
 import numpy as np
-from dolfinx import fem
+import ufl
+from dolfinx import fem, la, mesh
 from numpy.typing import NDArray
 from scipy.sparse import csr_matrix
 
-from ..bristle import CONTACT_POINTS, Material, gauss_lobatto
+from ..arrays import Array
+from ..bristle import CONTACT_POINTS, gauss_lobatto
 from ..errors import ComputationError
-from .base import Array, ContactPoints
+from ..forms import expression
+from ..mechanics import Expr, StepForms, TipMeasure
+from .base import ContactPoints
 
 SAME_POINT_M = 1e-9
 ALIGNED = 1e-9
+# Patterns of traction that a motion brings about less than this share of the strongest's are left
+# out of a tangent.
+FAINT = 1e-6
+
+Index = NDArray[np.int64]
 
 
 @dataclass(frozen=True)
-class FacetPoint:
-    """One facet's view of a point: its place and its area; the face's nodes and their shares of its
-    displacement; and rows (3, m) of the traction over the cell's unknowns."""
+class Rule:
+    """A quadrature rule on the reference facet and this rank's facets of the tip that take it.
 
-    xy_m: Array
-    area_m2: float
-    nodes: NDArray[np.int64]
+    ``points`` (m, 2), ``weights`` (m,) that sum to the reference facet's area; ``entities`` (2 k,)
+    are cell and local facet of each of the ``facets`` (k,).
+    """
+
+    name: str
+    points: Array
+    weights: Array
+    facets: NDArray[np.int32]
+    entities: NDArray[np.int32]
+
+    @property
+    def metadata(self) -> dict[str, object]:
+        """As a measure of UFL has it."""
+        return {
+            "quadrature_rule": "custom",
+            "called": self.name,  # UFL tells long lists apart by their ends alone
+            "quadrature_points": self.points,
+            "quadrature_weights": self.weights,
+        }
+
+
+@dataclass(frozen=True)
+class Found:
+    """A rank's contact points, facet by facet.
+
+    Each has a place (p, 3) and an area (p,), the ``nodes`` (p, a) of its facet with their
+    ``shares`` (p, a) of its displacement, and rows ``traction_Pa`` (p, 3, c) over the unknowns
+    ``columns`` (p, c) of its cell; nodes and unknowns as all ranks number them.
+    """
+
+    places_m: Array
+    areas_m2: Array
+    nodes: Index
     shares: Array
-    column: NDArray[np.int64]
+    columns: Index
     traction_Pa: Array
+
+    @classmethod
+    def joined(cls, parts: list[Found]) -> Found:
+        """All of them, one after the other."""
+        names = cls.__dataclass_fields__
+        return cls(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
+
+
+@dataclass(frozen=True)
+class TipFacets:
+    """The tip's facets with the rules whose quadrature points are its contact points.
+
+    This rank's p points, facet by facet and rule by rule, are contact points ``index`` (p,) by
+    their ``shares`` (p,), which add up to one at each.
+    """
+
+    rules: list[Rule]
+    measure: TipMeasure
+    index: NDArray[np.intp]
+    shares: Array
 
 
 def tip_contact(
     space: fem.FunctionSpace,
     facets: NDArray[np.int32],
-    material: Material,
+    traction: Callable[[Expr], Expr],
     centre_m: Array,
     points: int = CONTACT_POINTS,
-) -> ContactPoints:
-    """Contact points of the tip: Gauss-Lobatto points of its facets, shared ones merged.
+) -> tuple[ContactPoints, TipFacets]:
+    """Contact points of the tip, and the facets whose quadrature points they are.
 
-    There are at least ``points`` across each side of the section, and the nodes of the face are
-    among them, its edge and corners too. Where cells share a point, the traction is their mean,
-    weighted by area. ``centre_m`` (3,) is the centre of mass. Collective; raises ComputationError
-    where no rank has a facet of the tip.
+    On quadrilaterals they are Gauss-Lobatto points, on triangles the corners of equal small
+    triangles: at least ``points`` across each side of the section, edges and corners of the face
+    included. Points that facets share are merged, their traction the mean weighted by area.
+    ``traction`` gives the force per area for a displacement; ``centre_m`` (3,) is the centre of
+    mass. Collective; raises ComputationError where no rank has a facet of the tip.
     """
-    comm = space.mesh.comm
-    own = _owned_facets(space, facets)
-    counts = _points_along(space, own, points)
-    found = [
-        point
-        for part in comm.allgather(
-            [
-                point
-                for facet, count in zip(own, counts, strict=True)
-                for point in _points_of(space, facet, count, material)
-            ]
-        )
-        for point in part
-    ]
-    if not found:
+    rules, comm = tip_rules(space, facets, points), space.mesh.comm
+    own = Found.joined([_found(space, rule, traction) for rule in rules])
+    parts = comm.allgather(own)
+    found = Found.joined(parts)
+    if not len(found.areas_m2):
         raise ComputationError("no facet of the mesh carries the tip's tag")
-    keys = np.round([point.xy_m / SAME_POINT_M for point in found]).astype(np.int64)
-    unique, first, index = np.unique(keys, axis=0, return_index=True, return_inverse=True)
+    keys = np.round(found.places_m / SAME_POINT_M).astype(np.int64)
+    _, first, index = np.unique(keys, axis=0, return_index=True, return_inverse=True)
     index = index.ravel()
-    shares = np.array([point.area_m2 for point in found])
-    areas = np.bincount(index, weights=shares)
-    total = areas.sum()
-    shares = shares / areas[index] * total
-    nodes = np.unique(np.concatenate([point.nodes for point in found]))
-    support, shapes = _shapes([found[i] for i in first], nodes)
-    return ContactPoints(
+    areas = np.bincount(index, weights=found.areas_m2)
+    total, shares = float(areas.sum()), found.areas_m2 / areas[index]
+    nodes = np.unique(found.nodes)
+    contact = ContactPoints(
         coordinates=_node_rows(space, nodes),
-        support=support,
-        shapes=shapes,
-        traction=_traction_rows(space, found, index, shares),
+        support=(3 * np.searchsorted(nodes, found.nodes[first])[..., None] + np.arange(3)).reshape(
+            len(first), -1
+        ),
+        shapes=np.einsum("pa,kl->pkal", found.shares[first], np.eye(3)).reshape(len(first), 3, -1),
+        traction=_traction_rows(space, found, index, shares * total),
         weights=areas / total,
-        places_m=np.column_stack([unique * SAME_POINT_M, np.zeros(len(unique))]) - centre_m,
+        places_m=found.places_m[first] - centre_m,
         comm=comm,
+    )
+    start = sum(len(part.areas_m2) for part in parts[: comm.rank])
+    mine = slice(start, start + len(own.areas_m2))
+    return contact, TipFacets(rules, _measure(space.mesh, rules, total), index[mine], shares[mine])
+
+
+def tip_rules(space: fem.FunctionSpace, facets: NDArray[np.int32], points: int) -> list[Rule]:
+    """The rules that facets of the tip take, the same on all ranks, with this rank's facets."""
+    domain = space.mesh
+    entities = _owned(domain, facets)
+    degree: int = space.element.basix_element.degree
+    if domain.topology.cell_type is mesh.CellType.tetrahedron:
+        counts = _divisions(domain, len(entities), degree, points)
+    else:
+        counts = _points_along(domain, entities, degree, points)
+    every = sorted({count for part in domain.comm.allgather(counts) for count in part})
+    rules = []
+    for count in every:
+        mine = np.array([i for i, own in enumerate(counts) if own == count], dtype=np.int64)
+        places, weights = _triangle_rule(*count) if len(count) == 1 else _square_rule(*count)
+        facets_of_rule = _facets_of(domain, entities[mine])
+        name = " x ".join(map(str, count))
+        rules.append(Rule(name, places, weights, facets_of_rule, entities[mine].ravel()))
+    return rules
+
+
+def _square_rule(along: int, across: int) -> tuple[Array, Array]:
+    """Gauss and Lobatto's rule on the unit square, so many points along its axes."""
+    (p, wp), (q, wq) = gauss_lobatto(along), gauss_lobatto(across)
+    points = 0.5 * (np.stack(np.meshgrid(p, q, indexing="ij"), -1).reshape(-1, 2) + 1.0)
+    return points, 0.25 * np.outer(wp, wq).ravel()
+
+
+def _triangle_rule(divisions: int) -> tuple[Array, Array]:
+    """The corners of small triangles, each side being cut in so many; exact for functions that
+    are linear on each of them."""
+    lattice = [(i, j) for i in range(divisions + 1) for j in range(divisions + 1 - i)]
+    number = {corner: k for k, corner in enumerate(lattice)}
+    weights = np.zeros(len(lattice))
+    for i, j in lattice:
+        for small in (((i, j), (i + 1, j), (i, j + 1)), ((i + 1, j), (i, j + 1), (i + 1, j + 1))):
+            if all(corner in number for corner in small):
+                weights[[number[corner] for corner in small]] += 1.0 / 6.0 / divisions**2
+    return np.array(lattice) / divisions, weights
+
+
+def _owned(domain: mesh.Mesh, facets: NDArray[np.int32]) -> NDArray[np.int32]:
+    """Cell and local facet (k, 2) of those ``facets`` whose cells this rank owns."""
+    tdim = domain.topology.dim
+    domain.topology.create_connectivity(tdim - 1, tdim)
+    domain.topology.create_connectivity(tdim, tdim - 1)
+    cells_of = domain.topology.connectivity(tdim - 1, tdim)
+    facets_of = domain.topology.connectivity(tdim, tdim - 1)
+    owned = domain.topology.index_map(tdim).size_local
+    found = []
+    for facet in facets:
+        cell = int(cells_of.links(facet)[0])
+        if cell < owned:
+            found.append((cell, int(np.flatnonzero(facets_of.links(cell) == facet)[0])))
+    return np.array(found, dtype=np.int32).reshape(-1, 2)
+
+
+def _facets_of(domain: mesh.Mesh, entities: NDArray[np.int32]) -> NDArray[np.int32]:
+    """The facets (k,) of cells and local facets (k, 2)."""
+    links = domain.topology.connectivity(domain.topology.dim, domain.topology.dim - 1)
+    return np.array([links.links(cell)[local] for cell, local in entities], dtype=np.int32)
+
+
+def _coordinate_element(domain: mesh.Mesh) -> basix.finite_element.FiniteElement:
+    map_ = domain.geometry.cmap
+    return basix.create_element(
+        basix.ElementFamily.P,
+        basix.CellType[domain.topology.cell_type.name],
+        map_.degree,
+        basix.LagrangeVariant(map_.variant),
     )
 
 
-def _shapes(found: list[FacetPoint], nodes: NDArray[np.int64]) -> tuple[NDArray[np.int64], Array]:
-    """Support (n, s) and shapes (n, 3, s) of points over three coordinates per node."""
-    width = max(len(point.nodes) for point in found)
-    support = np.zeros((len(found), 3 * width), dtype=np.int64)
-    shapes = np.zeros((len(found), 3, 3 * width))
-    for i, point in enumerate(found):
-        for a, (node, share) in enumerate(zip(point.nodes, point.shares, strict=True)):
-            for axis in range(3):
-                support[i, 3 * a + axis] = 3 * np.searchsorted(nodes, node) + axis
-                shapes[i, axis, 3 * a + axis] = share
-    return support, shapes
+def _on_cell(domain: mesh.Mesh, local: int, points: Array) -> tuple[Array, Array]:
+    """Places (m, 3) on the reference cell of ``points`` (m, 2) on a facet, and its tangents."""
+    kind = basix.CellType[domain.topology.cell_type.name]
+    corners = np.asarray(basix.geometry(kind))[basix.topology(kind)[2][local]]
+    tangents = corners[1:3] - corners[0]
+    return corners[0] + points @ tangents, tangents
+
+
+def _divisions(domain: mesh.Mesh, own: int, degree: int, points: int) -> list[tuple[int, ...]]:
+    """Into how many a side of each triangle is cut: the face's nodes are among the corners."""
+    across = np.sqrt(0.5 * domain.comm.allreduce(own))
+    wanted = int(np.ceil((points - 1) / max(across, 1.0) - 1e-9))
+    return [(max(degree, -(-wanted // degree) * degree),)] * own
+
+
+def _points_along(
+    domain: mesh.Mesh, entities: NDArray[np.int32], degree: int, points: int
+) -> list[tuple[int, ...]]:
+    """How many points each quadrilateral gets along its sides: odd, so that nodes are among them.
+
+    On a grid of equal facets each direction is served by itself; other faces take the root of the
+    number of facets as the number across.
+    """
+    comm, geometry = domain.comm, domain.geometry
+    element = _coordinate_element(domain)
+    corners = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0], [1.0, 1.0]])
+    places = np.empty((len(entities), 4, 2))
+    for i in range(len(entities)):
+        on_cell, _ = _on_cell(domain, int(entities[i, 1]), corners)
+        shapes = np.asarray(element.tabulate(0, on_cell))[0, ..., 0]
+        places[i] = (shapes @ geometry.x[geometry.dofmap[entities[i, 0]]])[:, :2]
+    low = comm.allreduce(places.min(axis=(0, 1), initial=np.inf), np.minimum)
+    high = comm.allreduce(places.max(axis=(0, 1), initial=-np.inf), np.maximum)
+    count = comm.allreduce(len(entities))
+    box = np.abs(high - low)
+    sides = places[:, 1:3] - places[:, :1]
+    aligned = bool(np.all(np.abs(sides).min(axis=2) < ALIGNED * box.max(initial=0.0)))
+    gridded = comm.allreduce(aligned, lambda a, b: a and b)
+
+    def odd(across: float) -> int:
+        wanted = max(degree + 1, int(np.ceil((points - 1) / across - 1e-9)) + 1)
+        return wanted + (wanted + 1) % 2
+
+    if not gridded:
+        return [(odd(np.sqrt(count)),) * 2] * len(entities)
+    return [
+        tuple(odd(float(np.round(box @ np.abs(side) / (side @ side)))) for side in pair)
+        for pair in sides
+    ]
+
+
+def _found(
+    space: fem.FunctionSpace,
+    rule: Rule,
+    traction: Callable[[Expr], Expr],
+) -> Found:
+    """This rank's points of a rule."""
+    domain, element = space.mesh, space.element.basix_element
+    k, m = len(rule.facets), len(rule.points)
+    cells, local = rule.entities[::2], rule.entities[1::2]
+    size = len(_facet_nodes(element, 0))
+    places, areas = np.empty((k, m, 3)), np.empty((k, m))
+    shares, nodes = np.empty((k, m, size)), np.empty((k, size), dtype=np.int64)
+    for i in range(k):
+        on_cell, tangents = _on_cell(domain, local[i], rule.points)
+        shapes = np.asarray(_coordinate_element(domain).tabulate(1, on_cell))[..., 0]
+        x = domain.geometry.x[domain.geometry.dofmap[cells[i]]]
+        places[i] = shapes[0] @ x
+        sides = np.einsum("td,dma,ax->mtx", tangents, shapes[1:], x)
+        areas[i] = rule.weights * np.linalg.norm(np.cross(sides[:, 0], sides[:, 1]), axis=1)
+        own = _facet_nodes(element, local[i])
+        nodes[i] = space.dofmap.index_map.local_to_global(space.dofmap.cell_dofs(cells[i])[own])
+        shares[i] = np.asarray(element.tabulate(0, on_cell))[0, :, own, 0].T
+    whole = space.dofmap.index_map.local_to_global(space.dofmap.list[cells].ravel())
+    columns = (3 * whole[:, None] + np.arange(3)).reshape(k, space.element.space_dimension)
+    values = expression(traction(ufl.TrialFunction(space)), rule.points).eval(domain, rule.entities)
+    return Found(
+        places.reshape(-1, 3),
+        areas.ravel(),
+        np.repeat(nodes, m, axis=0),
+        shares.reshape(k * m, size),
+        np.repeat(columns, m, axis=0),
+        values.reshape(k * m, 3, columns.shape[1]),
+    )
+
+
+def _facet_nodes(element: basix.finite_element.FiniteElement, local: int) -> NDArray[np.intp]:
+    return np.asarray(element.entity_closure_dofs[2][local], dtype=np.intp)
+
+
+def _measure(domain: mesh.Mesh, rules: list[Rule], area_m2: float) -> TipMeasure:
+    """The tip with each facet's own rule."""
+    facets = np.concatenate([rule.facets for rule in rules])
+    marks = np.concatenate([np.full(len(r.facets), i, dtype=np.int32) for i, r in enumerate(rules)])
+    order = np.argsort(facets)
+    tags = mesh.meshtags(domain, domain.topology.dim - 1, facets[order], marks[order])
+    parts = tuple(
+        ufl.Measure("ds", domain=domain, subdomain_data=tags, metadata=rule.metadata)(i)
+        for i, rule in enumerate(rules)
+    )
+    return TipMeasure(parts, area_m2)
 
 
 def _local_columns(space: fem.FunctionSpace) -> tuple[int, int]:
@@ -101,7 +315,7 @@ def _local_columns(space: fem.FunctionSpace) -> tuple[int, int]:
     return block * first, block * last
 
 
-def _node_rows(space: fem.FunctionSpace, nodes: NDArray[np.int64]) -> csr_matrix:
+def _node_rows(space: fem.FunctionSpace, nodes: Index) -> csr_matrix:
     """The displacements of ``nodes`` as rows over this rank's unknowns."""
     first, last = _local_columns(space)
     column = (3 * nodes[:, None] + np.arange(3)).ravel()
@@ -112,132 +326,109 @@ def _node_rows(space: fem.FunctionSpace, nodes: NDArray[np.int64]) -> csr_matrix
 
 
 def _traction_rows(
-    space: fem.FunctionSpace, found: list[FacetPoint], index: NDArray[np.intp], shares: Array
+    space: fem.FunctionSpace, found: Found, index: NDArray[np.intp], shares: Array
 ) -> csr_matrix:
     """Rows of traction, summed by ``shares`` per point and axis (3 n, unknowns of this rank)."""
     first, last = _local_columns(space)
-    row = np.concatenate(
-        [np.repeat(3 * i + np.arange(3), len(p.column)) for p, i in zip(found, index, strict=True)]
-    )
-    column = np.concatenate([np.tile(p.column, 3) for p in found])
-    value = np.concatenate(
-        [(s * p.traction_Pa).ravel() for p, s in zip(found, shares, strict=True)]
-    )
+    row = np.broadcast_to((3 * index[:, None] + np.arange(3))[..., None], found.traction_Pa.shape)
+    column = np.broadcast_to(found.columns[:, None], found.traction_Pa.shape)
+    value = shares[:, None, None] * found.traction_Pa
     keep = (column >= first) & (column < last) & (value != 0.0)
     shape = (3 * (int(index.max()) + 1), last - first)
     return csr_matrix((value[keep], (row[keep], column[keep] - first)), shape)
 
 
-@dataclass(frozen=True)
-class _Facet:
-    """A facet of an owned cell: its number in it, reference corner and tangents, and extents."""
+class TipTractions:
+    """Section area times the traction at the contact points, for the state that ``forms`` hold.
 
-    cell: int
-    corner: Array
-    tangents: Array
-    sides_m: Array
-    corners_m: Array
-
-
-def _owned_facets(space: fem.FunctionSpace, facets: NDArray[np.int32]) -> list[_Facet]:
-    """This rank's share of ``facets``."""
-    domain = space.mesh
-    tdim = domain.topology.dim
-    domain.topology.create_connectivity(tdim - 1, tdim)
-    domain.topology.create_connectivity(tdim, tdim - 1)
-    cells_of = domain.topology.connectivity(tdim - 1, tdim)
-    facets_of = domain.topology.connectivity(tdim, tdim - 1)
-    owned = domain.topology.index_map(tdim).size_local
-    vertices = np.asarray(basix.geometry(basix.CellType.hexahedron), dtype=float)
-    sides = basix.topology(basix.CellType.hexahedron)[2]
-    own = []
-    for facet in facets:
-        cell = int(cells_of.links(facet)[0])
-        if cell < owned:
-            local = int(np.flatnonzero(facets_of.links(cell) == facet)[0])
-            corner = vertices[sides[local]]
-            tangents = np.stack([corner[1] - corner[0], corner[2] - corner[0]])
-            shapes = np.asarray(_coordinate(space).tabulate(0, corner), dtype=float)[0, ..., 0]
-            places = shapes @ domain.geometry.x[domain.geometry.dofmap[cell]]
-            along = np.stack([places[1] - places[0], places[2] - places[0]])
-            own.append(_Facet(cell, corner[0], tangents, along[:, :2], places[:, :2]))
-    return own
-
-
-def _coordinate(space: fem.FunctionSpace) -> basix.finite_element.FiniteElement:
-    map_ = space.mesh.geometry.cmap
-    return basix.create_element(
-        basix.ElementFamily.P,
-        basix.CellType.hexahedron,
-        map_.degree,
-        basix.LagrangeVariant(map_.variant),
-    )
-
-
-def _points_along(space: fem.FunctionSpace, own: list[_Facet], points: int) -> list[list[int]]:
-    """How many points each facet gets along its two sides: odd, so that nodes are among them.
-
-    On a grid of equal facets each direction is served by itself; other faces take the root of the
-    number of facets as the number across.
+    Collective, as are all methods.
     """
-    comm = space.mesh.comm
-    corners = np.concatenate([facet.corners_m for facet in own]) if own else np.zeros((0, 2))
-    low = comm.allreduce(corners.min(axis=0, initial=np.inf), np.minimum)
-    high = comm.allreduce(corners.max(axis=0, initial=-np.inf), np.maximum)
-    count = comm.allreduce(len(own))
-    box = np.abs(high - low)
-    aligned = all(
-        min(np.abs(side)) < ALIGNED * box.max() for facet in own for side in facet.sides_m
-    )
-    gridded = comm.allreduce(aligned, lambda a, b: a and b)
-    least = space.element.basix_element.degree + 1
 
-    def odd(across: float) -> int:
-        wanted = max(least, int(np.ceil((points - 1) / across - 1e-9)) + 1)
-        return wanted + (wanted + 1) % 2
-
-    if not gridded:
-        return [[odd(np.sqrt(count))] * 2 for _ in own]
-    return [
-        [odd(float(np.round(box @ np.abs(side) / (side @ side)))) for side in facet.sides_m]
-        for facet in own
-    ]
-
-
-def _points_of(
-    space: fem.FunctionSpace, facet: _Facet, count: list[int], material: Material
-) -> list[FacetPoint]:
-    domain, element = space.mesh, space.element.basix_element
-    (p, wp), (q, wq) = (gauss_lobatto(n) for n in count)
-    plane = 0.5 * (np.stack(np.meshgrid(p, q, indexing="ij"), -1).reshape(-1, 2) + 1.0)
-    weights = 0.25 * np.outer(wp, wq).ravel()
-    reference = facet.corner + plane @ facet.tangents
-    geometry = domain.geometry.x[domain.geometry.dofmap[facet.cell]]
-    shapes = np.asarray(_coordinate(space).tabulate(1, reference), dtype=float)[..., 0]
-    functions = np.asarray(element.tabulate(1, reference), dtype=float)[..., 0]
-    nodes = space.dofmap.index_map.local_to_global(space.dofmap.cell_dofs(facet.cell))
-    column = (3 * nodes[:, None] + np.arange(3)).ravel()
-    on_face = np.flatnonzero(np.abs(functions[0]).max(axis=0) > 1e-12)
-    lam, mu = material.lame_Pa
-    points = []
-    for k, weight in enumerate(weights):
-        jacobian = shapes[1:, k] @ geometry
-        gradient = np.linalg.solve(jacobian, functions[1:, k])
-        # the traction -σ e_z: -σ_kz = -μ (u_k,z + u_z,k) - δ_kz λ div u
-        traction = np.zeros((3, len(nodes), 3))
-        for axis in range(3):
-            traction[axis, :, axis] -= mu * gradient[2]
-            traction[axis, :, 2] -= mu * gradient[axis]
-        traction[2] -= lam * gradient.T
-        area = float(weight) * float(np.linalg.norm(np.cross(*(facet.tangents @ jacobian))))
-        points.append(
-            FacetPoint(
-                xy_m=shapes[0, k] @ geometry[:, :2],
-                area_m2=area,
-                nodes=nodes[on_face],
-                shares=functions[0, k, on_face],
-                column=column,
-                traction_Pa=traction.reshape(3, -1),
-            )
+    def __init__(self, tip: TipFacets, forms: StepForms, n_points: int) -> None:
+        self._tip, self._n, space = tip, n_points, forms.u.function_space
+        self._domain, self._comm = space.mesh, space.mesh.comm
+        parts = {
+            "start": forms.start_traction(),
+            "end": forms.end_traction(),
+            "mean": forms.mean_traction(),
+            "viscous": forms.viscous_traction(),
+            "change": forms.traction_change(forms.trial),
+        }
+        self._tables = {
+            name: [expression(part, rule.points) for rule in tip.rules]
+            for name, part in parts.items()
+        }
+        self._load = la.vector(space.dofmap.index_map, 3)
+        cells = np.concatenate(
+            [np.repeat(rule.entities[::2], len(rule.points)) for rule in tip.rules]
         )
-    return points
+        nodes = space.dofmap.list[cells]
+        self._unknowns = (3 * nodes[..., None] + np.arange(3)).reshape(len(nodes), -1)
+        first, last = _local_columns(space)
+        self._own = last - first
+        whole = space.dofmap.index_map.local_to_global(nodes.ravel()).reshape(nodes.shape)
+        columns = (3 * whole[..., None] + np.arange(3)).reshape(len(nodes), -1)
+        self._columns = np.unique(np.concatenate(self._comm.allgather(np.unique(columns))))
+        self._place = np.searchsorted(self._columns, columns)
+        self._owned = np.flatnonzero((self._columns >= first) & (self._columns < last))
+        self._owned_local = self._columns[self._owned] - first
+
+    def start(self) -> Array:
+        """At the start of the step (n, 3), its viscous part included."""
+        return self._at_points("start")
+
+    def end(self) -> Array:
+        """At the end of the step (n, 3), its viscous part included."""
+        return self._at_points("end")
+
+    def mean(self) -> Array:
+        """What does work over the step (n, 3)."""
+        return self._at_points("mean")
+
+    def viscous(self) -> Array:
+        """The viscous part of `mean` (n, 3)."""
+        return self._at_points("viscous")
+
+    def pushed(self, force: Array) -> Array:
+        """Loads (n_local,) whose work on a motion is that of ``force`` (n, 3) on what the motion
+        adds to the traction."""
+        tip = self._tip
+        own = tip.measure.area_m2 * tip.shares[:, None] * force[tip.index]
+        self._load.array[:] = 0.0
+        np.add.at(self._load.array, self._unknowns, np.einsum("pk,pkc->pc", own, self._changes()))
+        self._load.scatter_reverse(la.InsertMode.add)
+        return np.array(self._load.array[: self._own])
+
+    def compressed(self) -> tuple[Array, Array]:
+        """``left`` (3 n, r) and ``right`` (r, n_local) whose product is nearly how the tractions
+        change with the motion: but for patterns fainter than `FAINT`."""
+        tip = self._tip
+        rows: Array = np.zeros((self._n, 3, len(self._columns)))
+        scaled = tip.measure.area_m2 * tip.shares[:, None, None] * self._changes()
+        index = (tip.index[:, None, None], np.arange(3)[:, None], self._place[:, None])
+        np.add.at(rows, index, scaled)
+        rows = self._comm.allreduce(rows).reshape(3 * self._n, -1)
+        left, size, right = np.linalg.svd(rows, full_matrices=False)
+        seen = size > FAINT * size[0]
+        own = np.zeros((int(seen.sum()), self._own))
+        own[:, self._owned_local] = right[seen][:, self._owned]
+        return left[:, seen] * size[seen], own
+
+    def _changes(self) -> Array:
+        """Rows (p, 3, unknowns of a cell) of how the tractions of this rank's points change."""
+        return self._eval("change").reshape(len(self._place), 3, self._place.shape[1])
+
+    def _at_points(self, name: str) -> Array:
+        tip = self._tip
+        total = np.zeros((self._n, 3))
+        np.add.at(total, tip.index, tip.shares[:, None] * self._eval(name).reshape(-1, 3))
+        return np.asarray(tip.measure.area_m2 * self._comm.allreduce(total))
+
+    def _eval(self, name: str) -> Array:
+        """Rule by rule, facet by facet, flat."""
+        return np.concatenate(
+            [
+                table.eval(self._domain, rule.entities).ravel()
+                for table, rule in zip(self._tables[name], self._tip.rules, strict=True)
+            ]
+        )

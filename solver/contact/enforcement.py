@@ -1,6 +1,7 @@
 """How a contact law is enforced over a step: penalty, augmented Lagrangian, Nitsche.
 
-All three meet the body through one vector per contact point, the *drive*
+All three meet the body through one vector per contact point, the *approach* (the augmented gap with
+its sign turned)
 
     d = τ t̂(u, v) - D u,
 
@@ -19,7 +20,8 @@ area share follows through τ in series, and acts along Q = D - θ τ T:
 - augmented Lagrangian: τ = 0 and a multiplier per point, updated until the law holds exactly
   (proximal form of Rockafellar, Math. Oper. Res. 1, 1976); Kn = ∞ is Signorini's condition.
 
-What a step does with it is in contact.step and contact.solve.
+What a step does with it is in contact.step, how its forces are found in contact.section and
+contact.solve.
 """
 
 from __future__ import annotations
@@ -33,11 +35,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..bodies.base import Array, Body
+from ..arrays import Array
+from ..bodies.base import Body
 from ..errors import ComputationError
-from . import solve, step
-from .laws import ContactLaw, Coulomb
-from .normal import CONSERVING
+from . import step
+from .laws import ContactLaw, Coulomb, check_compiled
+from .normal import holds
+from .points import CONSERVING, Points, Trial
+from .rigid_section import NEWTON_LIMIT, Section
+from .solve import AUGMENTATION_LIMIT, solve_step
 
 # Patterns of force that a body answers less than this share of the softest count as rigid.
 STIFFEST = 1e-2
@@ -68,10 +74,10 @@ def inverse_constant_N_m(body: Body) -> float:
     rows = rows.toarray() if hasattr(rows, "toarray") else np.asarray(rows)
     push = np.ascontiguousarray(rows[2::3].T @ points.weights)
     local = body.dot(push, body.stiffness(push)) / body.dot(push, body.mass(push))
-    answers = points.tractions(body.factor(SHIFT * local, 1.0)(np.ascontiguousarray(rows.T)))
+    columns = points.tractions(body.factor(SHIFT * local, 1.0)(np.ascontiguousarray(rows.T)))
     root = np.sqrt(np.repeat(points.weights, 3))
-    answers = answers.reshape(len(root), len(root))
-    return float(np.linalg.eigvalsh(root[:, None] * answers * root).max())
+    columns = columns.reshape(len(root), len(root))
+    return float(np.linalg.eigvalsh(root[:, None] * columns * root).max())
 
 
 @dataclass(frozen=True)
@@ -95,6 +101,7 @@ class ContactMethod:
     friction: Coulomb = field(default_factory=Coulomb)
 
     def __post_init__(self) -> None:
+        check_compiled(self.law)
         if self.theta not in (-1, 0, 1):
             raise ValueError(f"theta must be 1, 0 or -1, not {self.theta}")
         if self.gamma0 is not None and not self.gamma0 >= 1.0:
@@ -128,20 +135,18 @@ class ContactMethod:
 
 @dataclass
 class StepContact:
-    """Solves for the contact forces of one step, given how the drives answer to them.
+    """Solves for the contact forces of one step, given how the approaches answer to them.
 
-    Where the law acts on displacements alone the ``section`` says how; with Nitsche ``response``
-    (3 n, 3 n) is the change of drive at the end of the step by unit forces, both along the points'
-    local frames. ``scale`` (n,) is each point's stiffness over the law's.
+    The ``section`` says how; with Nitsche its coordinates are the points' own approaches.
+    ``compliance_m_N`` is Nitsche's τ, ``scale`` (n,) each point's stiffness over the law's.
     ``end_weight`` is None for the discrete gradient, else the weight of the end of the step.
     ``multiplier`` (n, 3) belongs to the augmented Lagrangian, ``memory`` (n, 3) to friction and the
     law. ``share`` is the part of the step before in which there was contact.
     """
 
     method: ContactMethod
-    series_m_N: float
-    response: Array
-    section: step.Section
+    compliance_m_N: float
+    section: Section
     weights: Array
     scale: Array
     end_weight: float | None
@@ -152,32 +157,28 @@ class StepContact:
             raise ValueError(
                 f"{type(self.method.law).__name__} contact needs the conserving scheme, the average"
             )
-        self.points = step.Points(
+        augmented = self.method.enforcement is Enforcement.AUGMENTED
+        self.points = Points(
             law=self.method.law.parameters,
             kt=self.method.kt_N_m,
             mu=self.method.friction.mu,
             scale=self.scale,
-            series=self.series_m_N,
+            compliance=self.compliance_m_N,
             weights=self.weights,
             end_weight=CONSERVING if self.end_weight is None else self.end_weight,
-            soft=self._augmentation() if self._augmented else 0.0,
-            drag=self.method.law.damping / self.its_s,
+            proximal=self._proximal_m_N() if augmented else 0.0,
+            dashpot=self.method.law.damping / self.its_s,
         )
         self.reset()
 
-    @property
-    def _augmented(self) -> bool:
-        return self.method.enforcement is Enforcement.AUGMENTED
-
-    def _augmentation(self) -> float:
+    def _proximal_m_N(self) -> float:
         """The proximal compliance: what the body answers with itself, or less."""
         section, n = self.section, len(self.weights)
-        rows = np.zeros((n, len(section.response)))
+        rows = np.zeros((n, len(section.compliance)))
         for i in range(n):
             np.add.at(rows[i], section.support[i], section.values[i, 0])
-        answers = np.abs(np.linalg.eigvals(rows @ section.response @ (rows.T * self.weights)))
-        soft = max(answers.min(), STIFFEST * answers.max()) / self.method.augmentation
-        return float(soft)
+        own = np.abs(np.linalg.eigvals(rows @ section.compliance @ (rows.T * self.weights)))
+        return float(max(own.min(), STIFFEST * own.max()) / self.method.augmentation)
 
     def reset(self) -> None:
         """Forget what earlier contact left: multipliers, friction's springs, the law's memory."""
@@ -197,8 +198,8 @@ class StepContact:
             "share": np.array(self.share),
             "iterations": np.array(self.iterations),
             "inverse": section.inverse,
-            "ready": section.ready,
-            "guess": section.guess,
+            "factored": section.factored,
+            "predictor": section.predictor,
         }
 
     def recall(self, arrays: Mapping[str, Array]) -> None:
@@ -207,15 +208,18 @@ class StepContact:
         self.memory, self.end = arrays["memory"].copy(), arrays["end"].copy()
         self.share, self.iterations = float(arrays["share"]), int(arrays["iterations"])
         self.section.inverse[...] = arrays["inverse"]
-        self.section.ready[...] = arrays["ready"]
-        self.section.guess[...] = arrays["guess"]
+        self.section.factored[...] = arrays["factored"]
+        self.section.predictor[...] = arrays["predictor"]
+
+    def _trial(self, start: Array, free: Array, force: Array) -> Trial:
+        return Trial(start, free, self.end, force, self.memory, self.multiplier)
 
     def solve(self, start: Array, free: Array) -> Array:
         """Forces per area share (n, 3) in N that act over the step, along the local frames.
 
-        ``start`` and ``free`` (n, 3) are the drives at its start, and at its end without contact
-        forces; those with them are left in ``end``. Raises ComputationError where Newton's or the
-        multiplier's iteration does not converge.
+        ``start`` and ``free`` (n, 3) are the approaches at its start, and at its end without
+        contact forces; those with them are left in ``end``. Raises ComputationError where Newton's
+        or the multiplier's iteration does not converge.
         """
         force = np.zeros_like(free)
         clear = max(start[:, 0].max(), free[:, 0].max()) <= 0.0 and not self.multiplier.any()
@@ -224,25 +228,15 @@ class StepContact:
             self.end = free
             return force
         self.end = np.empty_like(free)
-        count = solve.solve_step(
-            self.points,
-            self.section,
-            self.response,
-            start,
-            free,
-            self.memory,
-            self.multiplier,
-            force,
-            self.end,
-        )
+        count = solve_step(self.points, self.section, self._trial(start, free, force))
         if count == -2:
             raise ComputationError(
-                f"the augmented Lagrangian did not converge in {solve.AUGMENTATION_LIMIT} updates; "
+                f"the augmented Lagrangian did not converge in {AUGMENTATION_LIMIT} updates; "
                 "raise its augmentation parameter or shorten the ITS"
             )
         if count < 0:
             raise ComputationError(
-                f"the contact forces did not converge in {solve.NEWTON_LIMIT} Newton steps; "
+                f"the contact forces did not converge in {NEWTON_LIMIT} Newton steps; "
                 "shorten the ITS"
             )
         self.iterations += count
@@ -253,13 +247,14 @@ class StepContact:
 
         Returns what friction and what the law took, in J.
         """
-        self.share = float(step.share_in_contact(self.points, start, self.end, force, self.memory))
-        friction = float(step.commit(self.points, start, self.end, force, self.memory))
-        return friction, float(step.settle(self.points, start, self.end, force, self.memory))
+        trial = self._trial(start, self.end, force)
+        self.share = float(step.share_in_contact(self.points, trial))
+        friction = float(step.commit(self.points, trial))
+        return friction, float(step.settle(self.points, trial))
 
     def holds(self) -> bool:
         """Whether adhesion holds a point."""
-        return bool(step.holds(self.points, self.memory))
+        return bool(holds(self.points, self.memory))
 
     def spring_energy_J(self) -> float:
         """What the springs of friction hold."""

@@ -13,7 +13,7 @@ from typing import ClassVar, Protocol
 import numpy as np
 
 from .. import paper
-from ..bodies.base import Array
+from ..arrays import Array
 from .normal import ADHESIVE, HUNT_CROSSLEY, LINEAR, PLASTIC, STIFFENING, elastic
 
 # Where a stiffening law has the secant stiffness Kn: a penetration of the paper's drops.
@@ -24,9 +24,9 @@ class ContactLaw(Protocol):
     """A law seen through a compliance in series, with damping beside it.
 
     Per unit of area share, ``force`` is what a total force would be were the whole face like this
-    point. ``drive`` (m) is the penetration that the point would have without the compliance
-    ``series_m_N``: penetration = drive - series × force. So a law serves penalty (series = 0),
-    Nitsche (series = its stabilisation) and the augmented Lagrangian (series = 1/r) alike.
+    point. ``approach`` (m) is the penetration that the point would have without the compliance
+    ``compliance_m_N``: penetration = approach - compliance × force. So a law serves penalty (none),
+    Nitsche (its stabilisation) and the augmented Lagrangian (1/r) alike.
     ``scale`` (n,) is each point's stiffness over the law's, ``memory`` (n,) what a law with memory
     remembers of it (contact.normal): nothing, where it has not been touched.
     """
@@ -49,7 +49,7 @@ class ContactLaw(Protocol):
 
     @property
     def conserving_only(self) -> bool:
-        """Whether it is stated for the conserving scheme and a drive without compliance alone."""
+        """Whether it is stated for the conserving scheme and no compliance in series alone."""
         ...
 
     @property
@@ -59,8 +59,8 @@ class ContactLaw(Protocol):
 
     def force(
         self,
-        drive: Array,
-        series_m_N: float,
+        approach: Array,
+        compliance_m_N: float,
         scale: Array | float = 1.0,
         memory: Array | float = 0.0,
     ) -> Array:
@@ -69,24 +69,24 @@ class ContactLaw(Protocol):
 
     def potential(
         self,
-        drive: Array,
-        series_m_N: float,
+        approach: Array,
+        compliance_m_N: float,
         scale: Array | float = 1.0,
         memory: Array | float = 0.0,
     ) -> Array:
-        """What is stored (n,) in J: the antiderivative of ``force`` in ``drive``, zero out of
+        """What is stored (n,) in J: the antiderivative of ``force`` in ``approach``, zero out of
         contact. Beyond yield it holds what flowed too, beyond pull-off what was let go, until
         ``memory`` says that these have happened."""
         ...
 
     def tangent(
         self,
-        drive: Array,
-        series_m_N: float,
+        approach: Array,
+        compliance_m_N: float,
         scale: Array | float = 1.0,
         memory: Array | float = 0.0,
     ) -> Array:
-        """d force / d drive (n,) in N/m."""
+        """d force / d approach (n,) in N/m."""
         ...
 
 
@@ -107,50 +107,50 @@ class _Compiled:
     def _of_points(
         self,
         which: int,
-        drive: Array,
-        series_m_N: float,
+        approach: Array,
+        compliance_m_N: float,
         scale: Array | float,
         memory: Array | float,
     ) -> Array:
         law = self.parameters
         every = np.broadcast_arrays(
-            np.asarray(drive, dtype=float),
+            np.asarray(approach, dtype=float),
             np.asarray(scale, dtype=float),
             np.asarray(memory, dtype=float),
         )
         like = every[0].shape
         values = [
-            elastic(law, float(s), float(d), series_m_N, float(m))[which]
+            elastic(law, float(s), float(d), compliance_m_N, float(m))[which]
             for d, s, m in zip(*(each.ravel() for each in every), strict=True)
         ]
         return np.array(values).reshape(like)
 
     def force(
         self,
-        drive: Array,
-        series_m_N: float,
+        approach: Array,
+        compliance_m_N: float,
         scale: Array | float = 1.0,
         memory: Array | float = 0.0,
     ) -> Array:
-        return self._of_points(0, drive, series_m_N, scale, memory)
+        return self._of_points(0, approach, compliance_m_N, scale, memory)
 
     def tangent(
         self,
-        drive: Array,
-        series_m_N: float,
+        approach: Array,
+        compliance_m_N: float,
         scale: Array | float = 1.0,
         memory: Array | float = 0.0,
     ) -> Array:
-        return self._of_points(1, drive, series_m_N, scale, memory)
+        return self._of_points(1, approach, compliance_m_N, scale, memory)
 
     def potential(
         self,
-        drive: Array,
-        series_m_N: float,
+        approach: Array,
+        compliance_m_N: float,
         scale: Array | float = 1.0,
         memory: Array | float = 0.0,
     ) -> Array:
-        return self._of_points(2, drive, series_m_N, scale, memory)
+        return self._of_points(2, approach, compliance_m_N, scale, memory)
 
 
 def _check(what: str, value: float, least: float = 0.0, *, included: bool = False) -> None:
@@ -287,6 +287,29 @@ class Adhesive(_Compiled):
     @property
     def parameters(self) -> Array:
         return np.array([ADHESIVE, self.kn_N_m, self.pull_off_N])
+
+
+# What contact.normal computes: the kind that each class writes into its ``parameters``.
+COMPILED: dict[type, float] = {
+    Linear: LINEAR,
+    Damped: LINEAR,
+    Stiffening: STIFFENING,
+    HuntCrossley: HUNT_CROSSLEY,
+    Plastic: PLASTIC,
+    Adhesive: ADHESIVE,
+}
+
+
+def check_compiled(law: ContactLaw) -> None:
+    """TypeError where the compiled code does not know the law.
+
+    It reads ``parameters`` alone, so a subclass with a force of its own would be ignored silently.
+    """
+    if COMPILED.get(type(law)) != law.parameters[0]:
+        known = ", ".join(each.__name__ for each in COMPILED)
+        raise TypeError(
+            f"{type(law).__name__} is no law that contact.normal computes; these are {known}"
+        )
 
 
 def mindlin_ratio(poisson: float) -> float:

@@ -1,19 +1,23 @@
-"""How are the contact forces of a step found where the end section is rigid?
+"""How the end section moves the contact points, and Newton's method where it is rigid.
 
-Every point then moves with the same few coordinates, and the overhead of general solvers is most of
-what a step would cost.
+The approach of the points changes by what few coordinates z of the section move them by, and these
+answer to the points' forces by a compliance. In a rigid section every point moves with all
+coordinates, and the overhead of general solvers is most of what a step would cost.
 """
 
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
-from ..bodies.base import Array
+from ..arrays import Array
 from ..compiled import njit
 from .normal import PLASTIC
-from .step import Points, Section, pushes
+from .points import PointLaw, Points, PointTrial, Trial
+from .step import point_force
 
 NEWTON_LIMIT = 200
 TOLERANCE = 1e-11
@@ -24,39 +28,93 @@ SHORTEST = 0.1
 JUMPING, EASED = 50, 0.3
 
 
+class Section(NamedTuple):
+    """How contact points move with the coordinates z (r,) of the section, and these with force.
+
+    The approach of point i changes by -``values[i]`` (3, s) times the entries ``support[i]`` (s,)
+    of z, and z answers by ``compliance`` (r, r) to the points' forces gathered along the same rows.
+    ``inverse`` (r, r) of Newton's matrix is used from step to step while it serves; ``factored``
+    (1,) says whether there is one. ``reach`` (r,) is how far a unit of each moves any point.
+    ``predictor`` (2, r) holds z after the step before and how that changed it, from which the
+    iteration starts. ``whole`` says that every point moves with all coordinates in their order.
+    """
+
+    support: NDArray[np.int64]
+    values: Array
+    compliance: Array
+    inverse: Array
+    factored: NDArray[np.bool_]
+    reach: Array
+    predictor: Array
+    whole: bool
+
+
 @njit
-def solve_rigid_section(
-    points: Points,
-    section: Section,
-    start: Array,
-    free: Array,
-    memory: Array,
-    multiplier: Array,
-    force: Array,
-    end: Array,
-) -> int:
-    """As `solve_section`, where every point moves with all coordinates in their order.
+def new_section(support: NDArray[np.int64], values: Array, compliance: Array) -> Section:
+    """A section before its first step."""
+    r = len(compliance)
+    reach = np.zeros(r)
+    whole = support.shape[1] == r
+    for i in range(len(support)):
+        for a in range(support.shape[1]):
+            whole = whole and support[i, a] == a
+            for c in range(3):
+                reach[support[i, a]] = max(reach[support[i, a]], abs(values[i, c, a]))
+    factored, predictor = np.zeros(1, dtype=np.bool_), np.zeros((2, r))
+    return Section(support, values, compliance, np.zeros((r, r)), factored, reach, predictor, whole)
+
+
+@njit
+def section_moves(section: Section, z: Array, axes: int, moved: Array) -> None:
+    """Write what ``z`` moves the points by along the first ``axes`` of their frames (n, 3)."""
+    n, s = section.support.shape
+    support, values = section.support, section.values
+    for i in range(n):
+        for c in range(axes):
+            total = 0.0
+            for a in range(s):
+                total += values[i, c, a] * z[support[i, a]]
+            moved[i, c] = total
+
+
+@njit
+def section_gathers(section: Section, weights: Array, force: Array) -> Array:
+    """Forces (n, 3) along the local frames as loads (r,) on the section's coordinates."""
+    n, s = section.support.shape
+    support, values = section.support, section.values
+    gathered = np.zeros(len(section.compliance))
+    for i in range(n):
+        if force[i, 0] == 0.0:
+            continue
+        for c in range(3):
+            pushed = weights[i] * force[i, c]
+            if pushed != 0.0:
+                for a in range(s):
+                    gathered[support[i, a]] += values[i, c, a] * pushed
+    return gathered
+
+
+@njit
+def solve_rigid_section(points: Points, section: Section, trial: Trial) -> int:
+    """As `section.solve_section`, where every point moves with all coordinates in their order.
 
     One pass over the points an iteration; points that do not touch cost one product.
     """
-    n, r = len(points.weights), len(section.response)
-    law, kt, mu, series = points.law, points.kt, points.mu, points.series
-    drag, remembers = points.drag, points.law[0] >= PLASTIC
-    end_weight, soft, scale, weights = (
-        points.end_weight,
-        points.soft,
-        points.scale,
-        points.weights,
-    )
-    values, response, z = section.values, section.response, section.guess[0]
+    n, r = len(points.weights), len(section.compliance)
+    start, free, end, force = trial.start, trial.free, trial.end, trial.force
+    memory, multiplier = trial.memory, trial.multiplier
+    law, kt, mu, compliance = points.law, points.kt, points.mu, points.compliance
+    dashpot, remembers = points.dashpot, points.law[0] >= PLASTIC
+    end_weight, proximal, scale = points.end_weight, points.proximal, points.scale
+    weights, values, z = points.weights, section.values, section.predictor[0]
     axes = 3 if mu > 0.0 else 1
-    widest = section.widest
+    bound = section.reach
     step: Array = np.zeros(r)
     gathered, residual, old = np.empty(r), np.empty(r), z.copy()
     jacobian = np.empty((r, r))
     slopes = np.empty((n, 6))
     for a in range(r):  # as the step before changed it
-        z[a] += section.guess[1, a]
+        z[a] += section.predictor[1, a]
     reach = 0.0
     for i in range(n):
         reach = max(reach, abs(free[i, 0]))
@@ -71,7 +129,7 @@ def solve_rigid_section(
                 normal -= values[i, 0, a] * z[a]
             m = multiplier[i, 0]
             kept = memory[i, 2] if remembers else 0.0
-            clear = normal + soft * m <= 0.0 and start[i, 0] <= 0.0 and m == 0.0
+            clear = normal + proximal * m <= 0.0 and start[i, 0] <= 0.0 and m == 0.0
             if clear and kept == 0.0:
                 force[i, 0] = force[i, 1] = force[i, 2] = 0.0
                 slopes[i, 0] = 0.0
@@ -82,15 +140,8 @@ def solve_rigid_section(
                 for a in range(r):
                     slip0 -= values[i, 1, a] * z[a]
                     slip1 -= values[i, 2, a] * z[a]
-            f, f0, f1, k, k00, k11, k01, k0, k1 = pushes(
-                law,
-                drag,
-                kt,
-                mu,
-                scale[i],
-                series,
-                end_weight,
-                soft,
+            at = PointLaw(law, kt, mu, scale[i], compliance, end_weight, proximal, dashpot)
+            point = PointTrial(
                 start[i, 0],
                 normal,
                 slip0,
@@ -102,9 +153,11 @@ def solve_rigid_section(
                 multiplier[i, 2],
                 kept,
             )
+            push = point_force(at, point)
+            f, f0, f1 = push.n, push.t0, push.t1
             force[i, 0], force[i, 1], force[i, 2] = f, f0, f1
-            slopes[i, 0], slopes[i, 1], slopes[i, 2] = k, k00, k11
-            slopes[i, 3], slopes[i, 4], slopes[i, 5] = k01, k0, k1
+            slopes[i, 0], slopes[i, 1], slopes[i, 2] = push.n_s, push.t0_0, push.t1_1
+            slopes[i, 3], slopes[i, 4], slopes[i, 5] = push.t0_1, push.t0_s, push.t1_s
             w = weights[i]
             for a in range(r):
                 gathered[a] += w * f * values[i, 0, a]
@@ -115,12 +168,12 @@ def solve_rigid_section(
         for a in range(r):
             total = z[a]
             for b in range(r):
-                total -= response[a, b] * gathered[b]
+                total -= section.compliance[a, b] * gathered[b]
             residual[a] = total
-            change += widest[a] * abs(total)
+            change += bound[a] * abs(total)
         if change <= TOLERANCE * reach:
             for a in range(r):
-                section.guess[1, a] = z[a] - old[a]
+                section.predictor[1, a] = z[a] - old[a]
             for i in range(n):
                 for c in range(3):
                     total = free[i, c]
@@ -140,7 +193,7 @@ def solve_rigid_section(
         for a in range(r):
             step[a] *= eased
             z[a] -= step[a]
-    section.guess[:] = 0.0
+    section.predictor[:] = 0.0
     return -1
 
 
@@ -149,8 +202,8 @@ def _section_jacobian(
     section: Section, weights: Array, slopes: Array, axes: int, jacobian: Array
 ) -> None:
     """Write d(residual)/dz (r, r) where points push back with `pushes`' ``slopes`` (n, 6)."""
-    n, r = len(weights), len(section.response)
-    values, response = section.values, section.response
+    n, r = len(weights), len(section.compliance)
+    values, compliance = section.values, section.compliance
     stiff, row = np.zeros((r, r)), np.empty(r)
     for i in range(n):
         k = weights[i] * slopes[i, 0]
@@ -175,7 +228,7 @@ def _section_jacobian(
         row[:] = 0.0
         for c in range(r):
             for b in range(r):
-                row[b] += response[a, c] * stiff[c, b]
+                row[b] += compliance[a, c] * stiff[c, b]
         for b in range(r):
             jacobian[a, b] = row[b]
         jacobian[a, a] += 1.0

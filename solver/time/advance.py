@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..bodies.base import Array
+from ..arrays import Array
 from ..compiled import njit
 
 

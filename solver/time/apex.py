@@ -9,7 +9,7 @@ import math
 
 import numpy as np
 
-from ..bodies.base import Array
+from ..arrays import Array
 from ..compiled import njit
 from ..rigid import fallen, free_rotation, matrix_of
 from .clearance import bending_bound, slant_bound, time_ahead, tip_height

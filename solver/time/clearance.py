@@ -11,7 +11,7 @@ import math
 
 import numpy as np
 
-from ..bodies.base import Array
+from ..arrays import Array
 from ..compiled import njit
 from ..rigid import fallen, free_rotation, matrix_of
 from .motion import Motion

@@ -11,7 +11,7 @@ import math
 
 import numpy as np
 
-from ..bodies.base import Array
+from ..arrays import Array
 from ..bodies.modal import ModalBody
 from ..ground import Ground
 from ..rigid import Pose, fallen, free_rotation
@@ -22,7 +22,7 @@ from .touchdown import next_touch
 
 
 def flyer(body: ModalBody, tau_m_N: float = 0.0) -> Flyer:
-    """A body as flight sees it: its contact points, or with ``tau_m_N`` minus their drive
+    """A body as flight sees it: its contact points, or with ``tau_m_N`` minus their approach
     (contact.enforcement)."""
     points = body.contact
     weights, rows = points.weights, points.rows

@@ -4,19 +4,21 @@ from __future__ import annotations
 
 import copy
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import Any, ClassVar, NamedTuple, Self
 
 import numpy as np
 from scipy.sparse import issparse, vstack
 
+from ..arrays import Array
 from ..bodies.axis import shortening
-from ..bodies.base import Array, Body, SparseOrDense, dense_of
+from ..bodies.base import Body, SparseOrDense, dense_of
 from ..bodies.modal import ModalBody
 from ..contact.enforcement import ContactMethod, StepContact
 from ..contact.laws import ContactLaw, Coulomb
-from ..contact.step import new_section
+from ..contact.rigid_section import Section, new_section
+from ..errors import ComputationError
 from ..ground import Placement
 from .advance import balance, combine, newmark, residue
 from .modal_march import Modes, Touching
@@ -29,47 +31,55 @@ AT_ONCE = 32
 
 
 @dataclass
-class State:
-    """Motion at one instant with the products that the next step and the energies need.
+class Moving:
+    """Motion at one instant, with the momenta that heights and energies need.
 
-    All arrays hold this rank's unknowns. ``ku`` and its like are with the stiffness that the
-    scheme sees (Nitsche's symmetric term included). ``drive`` (n contact points, 3) see
+    All arrays hold this rank's unknowns. ``approach`` (n contact points, 3) see
     contact.enforcement.
     """
 
     t_s: float
     u: Array
     v: Array
-    a: Array
     mu: Array
     mv: Array
+    approach: Array
+
+
+@dataclass
+class State(Moving):
+    """Motion of a linear body, with the products that its next step needs.
+
+    ``ku`` and its like are with the stiffness that the scheme sees (Nitsche's symmetric term
+    included).
+    """
+
+    a: Array
     ma: Array
     ku: Array
     kv: Array
     ka: Array
-    drive: Array
 
 
 class Step(NamedTuple):
     """What a step gave: the state after it, the contact forces per area share over it (n, 3) in N
     along the points' local frames, and what friction and the contact law took in J."""
 
-    state: State
+    state: Any
     force: Array
     friction_loss_J: float
     contact_loss_J: float
 
 
-class Marcher:
-    """Marches a body in contact with the ground at constant ``its_s``.
+class ContactMarch:
+    """What every march of a body in contact with the ground at constant ``its_s`` shares.
 
-    The effective matrix c_M M + c_K K is factored once; a step costs one solve (two in contact
-    where the section has more coordinates than `MOST_KEPT`), one product with M, and a small
-    problem for the contact forces through the compliance of the contact points. The
-    contact force on the body is Qᵀ (w P) with P the force per area share. Where the body stands
-    over which ground is said by ``place``; at first it is upright on a horizontal plane, unstrained
-    points just touching.
+    Where the body stands over which ground is said by ``place``; at first it is upright on a
+    horizontal plane, unstrained points just touching. The contact force on the body is Qᵀ (w P)
+    with P the force per area share.
     """
+
+    state_type: ClassVar[type] = Moving
 
     def __init__(
         self,
@@ -81,22 +91,23 @@ class Marcher:
     ) -> None:
         self.body, self.method, self.scheme, self.its_s = body, method, scheme, its_s
         self.gravity_m_s2 = gravity_m_s2
-        points = body.contact
         self.tau = method.compliance_m_N(body)
         self._symmetric = method.theta * self.tau
         self._mass_translation = body.mass(np.ascontiguousarray(body.translation))
-        self._c_mass, self._c_stiffness = scheme.effective(its_s, body.alpha_1_s, body.beta_s)
-        self._solve = self._factor()
-        self._forcing = self._columns()
-        self._compliance: Array | None = None
-        if self.tau or self._forcing.shape[1] <= MOST_KEPT:
-            self._compliance = np.asfortranarray(self._solve(dense_of(self._forcing)))
-        self._answer = self._answers()
-        self._modes: Modes | None = None
-        self.place(Placement.upright(points))
+        self._compliance: Array = np.zeros((0, 0))
 
     def place(self, placement: Placement) -> None:
-        """Say where the body stands over which ground; contact begins anew."""
+        """Say where the body stands over which ground; contact begins anew.
+
+        Raises ComputationError for a bristle that fell over: only its lower end can touch.
+        """
+        along = float(placement.frames[:, 0, 2].min())
+        if along <= 0.0:
+            raise ComputationError(
+                f"the bristle falls over: it comes down at {math.degrees(math.acos(along)):.3g} "
+                "degrees to the surface's normal, with its side or upper end, which cannot touch "
+                "here; lean it less, or end the drop before that with --until SECONDS"
+            )
         self.ground = placement
         self._pull = -self.gravity_m_s2 * (self.body.translation @ placement.up)
         self._weight = -self.gravity_m_s2 * (self._mass_translation @ placement.up)
@@ -105,10 +116,10 @@ class Marcher:
 
     @property
     def rigid_multiplier(self) -> bool:
-        """Whether contact is a multiplier on a rigid plane: no energy in it, its drive zero."""
+        """Whether contact is a multiplier on a rigid plane: no energy in it, its approach zero."""
         return math.isinf(self.method.law.kn_N_m) and self.tau == 0.0
 
-    def with_law(self, law: ContactLaw, friction: Coulomb | None = None) -> Marcher:
+    def with_law(self, law: ContactLaw, friction: Coulomb | None = None) -> Self:
         """The same march under another law and friction: factor and compliance are shared."""
         other = copy.copy(self)
         friction = self.method.friction if friction is None else friction
@@ -116,7 +127,128 @@ class Marcher:
         other.contact = other._step_contact()
         return other
 
-    def _columns(self) -> SparseOrDense:
+    def _section(self) -> Section:
+        """How the points answer to forces over a step.
+
+        ``_compliance`` is that of the section's coordinates to loads along them (r, r); with
+        Nitsche that of the approaches along body axes to the points' forces (3 n, 3 n), and the
+        section a unit one, whose coordinates are the points' own approaches along local frames.
+        """
+        points, frames = self.body.contact, self.ground.frames
+        n = len(points.weights)
+        if not self.tau:
+            values = np.einsum("iax,ixs->ias", frames, points.shapes)
+            return new_section(points.support, values, self._compliance)
+        compliance = self._compliance.reshape(n, 3, n, 3) / -points.weights[:, None]
+        local = np.einsum("iax,ixjy,jby->iajb", frames, compliance, frames, optimize=True)
+        return new_section(
+            np.arange(3 * n).reshape(n, 3),
+            np.tile(np.eye(3), (n, 1, 1)),
+            np.ascontiguousarray(local.reshape(3 * n, 3 * n)),
+        )
+
+    def _step_contact(self) -> StepContact:
+        return StepContact(
+            method=self.method,
+            compliance_m_N=self.tau,
+            section=self._section(),
+            weights=self.body.contact.weights,
+            scale=self.ground.scale,
+            end_weight=None if self.scheme.conserving else 1.0 - self.scheme.alpha_f,
+            its_s=self.its_s,
+        )
+
+    def gaps(self, u: Array) -> Array:
+        """The gap (n,) in m between every contact point and the ground."""
+        return self.ground.gaps(self.body.contact.displacements(u))
+
+    def in_frames(self, moved: Array) -> Array:
+        """The approach (n, 3) along the points' local frames of ``moved`` (n, 3) along body
+        axes."""
+        approach = np.einsum("iax,ix->ia", self.ground.frames, moved)
+        approach[:, 0] -= self.ground.gaps_m
+        return np.asarray(approach)
+
+    def heights(self, state: Moving, moved: Array | None = None) -> tuple[float, float]:
+        """Heights in m of the middle of the end section and of the centre of mass.
+
+        ``moved`` (n, 3) is how the points are displaced, where that is known.
+        """
+        body, up = self.body, self.ground.up
+        if moved is None:
+            moved = body.contact.displacements(state.u)
+        tip = body.contact.weights @ moved @ up
+        raised = body.dot(self._lift, state.mu) / body.mass_kg
+        return self.ground.tip_m + float(tip), self.ground.centre_m + raised
+
+    def along_axes(self, force: Array) -> Array:
+        """Forces (n, 3) that stand along the points' local frames, along body axes."""
+        return np.einsum("iax,ia->ix", self.ground.frames, force)
+
+    def start(self, t_s: float, u: Array, v: Array) -> Any:
+        """The state for displacement ``u`` and velocity ``v``; contact begins anew."""
+        raise NotImplementedError
+
+    def step(self, now: Any) -> Step:
+        """The next state and how contact brought it about; ComputationError where there is none."""
+        raise NotImplementedError
+
+    def tractions(self, state: Any) -> Array:
+        """Section area times the elastic traction at the points (n, 3)."""
+        raise NotImplementedError
+
+    def strain_energy_J(self, state: Any) -> float:
+        """Of the body alone, without Nitsche's boundary term."""
+        raise NotImplementedError
+
+    def damping_loss_J(self, before: Any, after: Any, force: Array) -> float:
+        """What Rayleigh damping took in a step with the contact ``force`` (n, 3), in J."""
+        raise NotImplementedError
+
+    def memory(self) -> dict[str, Array]:
+        """What a march needs to go on from here to the bit, beside state and contact."""
+        return {}
+
+    def recall(self, arrays: Mapping[str, Array]) -> None:
+        """Go on from what `memory` gave."""
+
+    def normal_force(self, approach: Array) -> Array:
+        """Normal forces per area share (n,) in N that the law asks for at approaches (n, 3), after
+        all that has been marched."""
+        memory = self.contact.memory[:, 2]
+        return self.method.law.force(approach[:, 0], self.tau, self.ground.scale, memory)
+
+
+class Marcher(ContactMarch):
+    """Marches a linear body.
+
+    The effective matrix c_M M + c_K K is factored once; a step costs one solve (two in contact
+    where the section has more coordinates than `MOST_KEPT`), one product with M, and a small
+    problem for the contact forces through the compliance of the contact points.
+    """
+
+    state_type = State
+
+    def __init__(
+        self,
+        body: Body,
+        method: ContactMethod,
+        scheme: TimeScheme,
+        its_s: float,
+        gravity_m_s2: float,
+    ) -> None:
+        super().__init__(body, method, scheme, its_s, gravity_m_s2)
+        self._c_mass, self._c_stiffness = scheme.effective(its_s, body.alpha_1_s, body.beta_s)
+        self._solve = self._factor()
+        self._forcing = self._load_columns()
+        self._green: Array | None = None
+        if self.tau or self._forcing.shape[1] <= MOST_KEPT:
+            self._green = np.asfortranarray(self._solve(dense_of(self._forcing)))
+        self._compliance = self._section_compliance()
+        self._modes: Modes | None = None
+        self.place(Placement.upright(body.contact))
+
+    def _load_columns(self) -> SparseOrDense:
         """What contact pushes along: columns over this rank's unknowns, sparse where rows are."""
         points = self.body.contact
         rows = [points.coordinates, points.traction] if self._symmetric else [points.coordinates]
@@ -148,20 +280,20 @@ class Marcher:
 
         return corrected
 
-    def _answers(self) -> Array:
+    def _section_compliance(self) -> Array:
         """How the section's coordinates answer to loads along them at the end of a step (r, r).
 
-        With Nitsche, how the drives along body axes answer to the points' forces (3 n, 3 n).
+        With Nitsche, how the approaches along body axes answer to the points' forces (3 n, 3 n).
         """
         points, h, scheme = self.body.contact, self.its_s, self.scheme
         du, dv = scheme.beta * h * h, scheme.gamma * h
-        if self._compliance is None:
+        if self._green is None:
             return du * np.hstack([points.moved(part) for part in self._responses()])
         if not self.tau:
-            return np.ascontiguousarray(du * points.moved(self._compliance))
+            return np.ascontiguousarray(du * points.moved(self._green))
         n = 3 * len(points.weights)
-        answer = -du * points.displacements(self._compliance)
-        answer += self.tau * (du + self.body.beta_s * dv) * points.tractions(self._compliance)
+        answer = -du * points.displacements(self._green)
+        answer += self.tau * (du + self.body.beta_s * dv) * points.tractions(self._green)
         pushes = np.stack([self._loads(unit.reshape(-1, 3)) for unit in np.eye(n)], axis=1)
         return np.ascontiguousarray(answer.reshape(n, -1) @ pushes)
 
@@ -177,30 +309,6 @@ class Marcher:
         loads = points.rows.T @ weighted
         return np.concatenate([loads, -self._symmetric * weighted]) if self._symmetric else loads
 
-    def _step_contact(self) -> StepContact:
-        points, scheme, frames = self.body.contact, self.scheme, self.ground.frames
-        n = len(points.weights)
-        none = np.zeros((0, 0))
-        if self.tau:
-            answer = self._answer.reshape(n, 3, n, 3)
-            local = np.einsum("iax,ixjy,jby->iajb", frames, answer, frames, optimize=True)
-            response = np.ascontiguousarray(local.reshape(3 * n, 3 * n))
-            section = new_section(points.support, points.shapes, none)
-        else:
-            response = none
-            values = np.einsum("iax,ixs->ias", frames, points.shapes)
-            section = new_section(points.support, values, self._answer)
-        return StepContact(
-            method=self.method,
-            series_m_N=self.tau,
-            response=response,
-            section=section,
-            weights=points.weights,
-            scale=self.ground.scale,
-            end_weight=None if scheme.conserving else 1.0 - scheme.alpha_f,
-            its_s=self.its_s,
-        )
-
     def stiffness(self, x: Array) -> Array:
         """K x with Nitsche's symmetric term."""
         kx = self.body.stiffness(x)
@@ -210,55 +318,40 @@ class Marcher:
         push = (points.weights[:, None] * points.tractions(x)).ravel()
         return kx - self._symmetric * (points.traction.T @ push)
 
-    def drive(self, u: Array, v: Array) -> Array:
-        """The drive (n, 3) of contact.enforcement along the points' local frames."""
+    def approach(self, u: Array, v: Array) -> Array:
+        """The approach (n, 3) of contact.enforcement along the points' local frames."""
         points = self.body.contact
         moved = -points.displacements(u)
         if self.tau:
             moved = moved + self.tau * points.tractions(u + self.body.beta_s * v)
-        drive = np.einsum("iax,ix->ia", self.ground.frames, moved)
-        drive[:, 0] -= self.ground.gaps_m
-        return drive
-
-    def gaps(self, u: Array) -> Array:
-        """The gap (n,) in m between every contact point and the ground."""
-        return self.ground.gaps(self.body.contact.displacements(u))
-
-    def heights(self, state: State, moved: Array | None = None) -> tuple[float, float]:
-        """Heights in m of the middle of the end section and of the centre of mass.
-
-        ``moved`` (n, 3) is how the points are displaced, where that is known.
-        """
-        body, up = self.body, self.ground.up
-        if moved is None:
-            moved = body.contact.displacements(state.u)
-        tip = body.contact.weights @ moved @ up
-        raised = body.dot(self._lift, state.mu) / body.mass_kg
-        return self.ground.tip_m + float(tip), self.ground.centre_m + raised
-
-    def along_axes(self, force: Array) -> Array:
-        """Forces (n, 3) that stand along the points' local frames, along body axes."""
-        return np.einsum("iax,ia->ix", self.ground.frames, force)
+        return self.in_frames(moved)
 
     def start(self, t_s: float, u: Array, v: Array) -> State:
         """State for displacement ``u`` and velocity ``v``, its acceleration from equilibrium.
 
         The conserving scheme does not depend on the initial acceleration and takes free fall.
+        Raises ComputationError for a body with a loss factor, which a step does not know: the
+        factor has it for the compiled march (time.modal_march) alone.
         """
         body = self.body
+        if isinstance(body, ModalBody) and body.loss_factor:
+            raise ComputationError(
+                "a loss factor belongs to modes marched by compiled code: take the conserving "
+                "scheme, penalty or the augmented Lagrangian at a finite Kn, and no fields"
+            )
         mu, mv, ku, kv = body.mass(u), body.mass(v), self.stiffness(u), self.stiffness(v)
-        drive = self.drive(u, v)
+        approach = self.approach(u, v)
         self.contact.reset()
         a: Array = self._pull
         if self.scheme.conserving:
             ma = self._weight
         else:
-            force = np.zeros_like(drive)
-            force[:, 0] = self.normal_force(drive)
+            force = np.zeros_like(approach)
+            force[:, 0] = self.normal_force(approach)
             ma = self._weight + self._forcing @ self._loads(self.along_axes(force))
             ma = ma - body.alpha_1_s * mv - body.beta_s * kv - ku
             a = body.factor(1.0, 0.0)(ma)
-        return State(t_s, u, v, a, mu, mv, ma, ku, kv, self.stiffness(a), drive)
+        return State(t_s, u, v, mu, mv, approach, a, ma, ku, kv, self.stiffness(a))
 
     def step(self, now: State) -> Step:
         """The next state and how contact brought it about.
@@ -280,17 +373,17 @@ class Marcher:
         )
         a = self._solve(rhs)
         u, v = newmark(now.u, now.v, now.a, a, h, scheme.beta, scheme.gamma)
-        drive = self.drive(u, v)
-        force = self.contact.solve(now.drive, drive)
+        approach = self.approach(u, v)
+        force = self.contact.solve(now.approach, approach)
         if force.any():
             push = self._loads(self.along_axes(force))
             rhs += self._forcing @ push
-            if self._compliance is None:
+            if self._green is None:
                 a = self._solve(rhs)
             else:
-                combine(a, self._compliance, push)
+                combine(a, self._green, push)
             u, v = newmark(now.u, now.v, now.a, a, h, scheme.beta, scheme.gamma)
-            drive = self.contact.end
+            approach = self.contact.end
         ma = body.mass(a)
         ka = residue(rhs, ma, self._c_mass, self._c_stiffness)
         mu, mv = newmark(now.mu, now.mv, now.ma, ma, h, scheme.beta, scheme.gamma)
@@ -306,48 +399,37 @@ class Marcher:
             ku=ku,
             kv=kv,
             ka=ka,
-            drive=drive,
+            approach=approach,
         )
-        return Step(later, force, *self.contact.commit(now.drive, force))
+        return Step(later, force, *self.contact.commit(now.approach, force))
 
-    def step_defect(self, before: State, after: State, force: Array) -> float:
-        """Bound on the energy norm √(2E) of what a reduced body's step got wrong, in √J.
+    def tractions(self, state: State) -> Array:
+        return self.body.contact.tractions(state.u)
 
-        A residual r of the equation of motion changes velocity and displacement of the step by
-        γ h A⁻¹ r and β h² A⁻¹ r, whose energy is at most h²/4 rᵀ A⁻¹ r for the average
-        acceleration. Zero for bodies that leave nothing out.
+    def strain_energy_J(self, state: State) -> float:
+        strain = 0.5 * self.body.dot(state.u, state.ku)
+        if self._symmetric:
+            seen = self.body.contact.weights @ np.sum(self.tractions(state) ** 2, axis=1)
+            strain += 0.5 * self._symmetric * float(seen)
+        return strain
+
+    def damping_loss_J(self, before: State, after: State, force: Array) -> float:
+        """What Rayleigh damping took in a step with the contact ``force`` (n, 3), in J.
+
+        By the midpoint rule of the scheme. With Nitsche's method the damping's own traction moves
+        the augmented gap, and the contact force does work on that.
         """
-        if self.body.defect is None:
-            return 0.0
-        part = 1.0 - self.scheme.alpha_f
-        u = part * after.u + self.scheme.alpha_f * before.u
-        v = part * after.v + self.scheme.alpha_f * before.v
-        motion, points = u + self.body.beta_s * v, self.body.contact
-        push, weights = self.along_axes(force), points.weights[:, None]
-        along_traction = self._symmetric * (points.tractions(motion) - push)
-        loads = points.rows.T @ (weights * push).ravel()
-        pushes = np.concatenate([loads, (weights * along_traction).ravel()])
-        norms = self.body.defect.energy_norms(
-            pushes[None], motion[None], self._c_mass, self._c_stiffness
-        )
-        return self.its_s / math.sqrt(2.0) * float(norms[0])
-
-    def normal_force(self, drive: Array) -> Array:
-        """Normal forces per area share (n,) in N that the law asks for at a drive (n, 3), after all
-        that has been marched."""
-        memory = self.contact.memory[:, 2]
-        return self.method.law.force(drive[:, 0], self.tau, self.ground.scale, memory)
-
-    def march_defect(self, forces: Array, motions: Array) -> float:
-        """`step_defect` summed over steps: forces (steps, 3 n) along body axes and the mid-step
-        u + β v (steps, modes), for methods that act on displacements alone."""
-        if self.body.defect is None or not len(forces):
-            return 0.0
-        points = self.body.contact
-        weighted = forces * np.repeat(points.weights, 3)
-        pushes = np.hstack([weighted @ points.rows, np.zeros_like(weighted)])
-        norms = self.body.defect.energy_norms(pushes, motions, self._c_mass, self._c_stiffness)
-        return float(self.its_s / math.sqrt(2.0) * norms.sum())
+        body = self.body
+        v = 0.5 * (before.v + after.v)
+        loss = body.beta_s * body.dot(v, 0.5 * (before.kv + after.kv))
+        if body.alpha_1_s:
+            loss += body.alpha_1_s * body.dot(v, 0.5 * (before.mv + after.mv))
+        loss *= self.its_s
+        if self.tau and body.beta_s:
+            moved = self.tau * body.beta_s * body.contact.tractions(after.v - before.v)
+            push = body.contact.weights[:, None] * self.along_axes(force)
+            loss -= float(np.sum(push * moved))
+        return loss
 
     def tables(self) -> tuple[Modes, Touching]:
         """What the compiled march reads, for a modal body under the conserving scheme."""
@@ -370,7 +452,7 @@ class Marcher:
                 shapes=np.ascontiguousarray(points.shapes),
                 tip=np.ascontiguousarray(tip @ points.coordinates),
                 weights=points.weights,
-                answer=self._answer,
+                compliance=self._compliance,
                 mass=body.mass_kg,
                 axis=shortening(body.axis, body.omega2),
             )

@@ -12,23 +12,14 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ..arrays import Array
 from ..bodies.axis import Shortening, second_order_force, shortened
-from ..bodies.base import Array
 from ..compiled import njit
-from ..contact.normal import PLASTIC, elastic
-from ..contact.section import section_gathers, section_moves
+from ..contact.normal import PLASTIC, elastic, holds
+from ..contact.points import Points, Trial
+from ..contact.rigid_section import Section, new_section, section_gathers, section_moves
 from ..contact.solve import solve_step
-from ..contact.step import (
-    Points,
-    Section,
-    commit,
-    holds,
-    new_section,
-    settle,
-    share_in_contact,
-    share_under_drag,
-    spring_energy,
-)
+from ..contact.step import commit, settle, share_in_contact, share_under_damping, spring_energy
 
 # The second-order force of a step is found by iteration, to this share of itself.
 COUPLED, COUPLING_LIMIT = 1e-9, 100
@@ -39,9 +30,8 @@ class Modes(NamedTuple):
     """A body's modes and contact points, and how they answer over a step of ``its`` s.
 
     ``along`` (r, modes) are the section's coordinates, ``support`` and ``shapes`` as in
-    ContactPoints;
-    ``tip`` (3, modes) is the section's mean displacement. ``answer`` is Marcher's, ``axis``
-    bodies.axis'. ``admittance`` (modes,) = 1/(1 + ½ h c + ¼ h² ω²).
+    ContactPoints; ``tip`` (3, modes) is the section's mean displacement. ``compliance`` is
+    Marcher's, ``axis`` bodies.axis'. ``admittance`` (modes,) = 1/(1 + ½ h c + ¼ h² ω²).
     """
 
     its: float
@@ -54,7 +44,7 @@ class Modes(NamedTuple):
     shapes: Array
     tip: Array
     weights: Array
-    answer: Array
+    compliance: Array
     mass: float
     axis: Shortening
 
@@ -71,11 +61,22 @@ class Touching(NamedTuple):
     gravity: float
 
 
+class Asked(NamedTuple):
+    """Until when to march: all points clear after ``wait`` s, or past ``until`` s, in at most
+    ``limit`` solutions of a step. ``history`` says whether to keep it."""
+
+    wait: float
+    until: float
+    limit: int
+    history: bool = False
+
+
 class Marched(NamedTuple):
-    """What a march gave. ``slid`` is the greatest slip of any point, ``push`` (3,) the impulse
-    along body axes; ``first_end`` and ``count`` in steps. ``history`` (steps + 1, 4): tip and
-    centre
-    heights, force, penetration."""
+    """What a march gave.
+
+    ``push`` (3,) is the impulse along body axes, ``history`` (steps + 1, 4) has heights of tip and
+    centre, force and penetration.
+    """
 
     status: int
     steps: int
@@ -91,13 +92,38 @@ class Marched(NamedTuple):
     u: Array
     v: Array
     history: Array
-    forces: Array
-    motions: Array
+
+
+class Work(NamedTuple):
+    """Arrays (modes,) of one step: the state (u, v) before it, the displacement ``later``, the mean
+    acceleration ``a`` with contact and ``free`` without, gravity's ``pull``; of a body of second
+    order its force ``bend``, and what its axis sees ``before`` and ``after``."""
+
+    u: Array
+    v: Array
+    later: Array
+    a: Array
+    free: Array
+    pull: Array
+    bend: Array
+    before: Array
+    after: Array
+
+
+class Taken(NamedTuple):
+    """What contact did in a step: its mean and its final normal force, and what friction and the
+    law took, in N and J; ``share`` is that of the step after which it has ended."""
+
+    mean: float
+    final: float
+    share: float
+    friction: float
+    law: float
 
 
 @njit
 def local_section(modes: Modes, frames: Array) -> Section:
-    """The section as contact.step sees it, along the points' local ``frames`` (n, 3, 3)."""
+    """The section as contact.section sees it, along the points' local ``frames`` (n, 3, 3)."""
     n, s = modes.support.shape
     values = np.zeros((n, 3, s))
     for i in range(n):
@@ -106,237 +132,240 @@ def local_section(modes: Modes, frames: Array) -> Section:
                 factor = frames[i, a, x]
                 for c in range(s):
                     values[i, a, c] += factor * modes.shapes[i, x, c]
-    return new_section(modes.support, values, modes.answer)
+    return new_section(modes.support, values, modes.compliance)
 
 
 @njit
-def drives(along: Array, section: Section, gaps: Array, u: Array, axes: int, drive: Array) -> float:
-    """Write the drive of every point along the first ``axes`` of its local frame (n, 3).
+def approaches(
+    along: Array, section: Section, gaps: Array, u: Array, axes: int, approach: Array
+) -> float:
+    """Write the approach of every point along the first ``axes`` of its local frame (n, 3).
 
     Returns the greatest along the normal.
     """
-    section_moves(section, along @ u, axes, drive)
+    section_moves(section, along @ u, axes, approach)
     most = -math.inf
     for i in range(len(gaps)):
         for a in range(axes):
-            drive[i, a] = -drive[i, a]
-        drive[i, 0] -= gaps[i]
-        most = max(most, drive[i, 0])
+            approach[i, a] = -approach[i, a]
+        approach[i, 0] -= gaps[i]
+        most = max(most, approach[i, 0])
     return most
 
 
 @njit
-def march(
-    modes: Modes,
-    touching: Touching,
-    u: Array,
-    v: Array,
-    wait: float,
-    until: float,
-    limit: int,
-    keep: bool,
-    keep_states: bool,
-) -> Marched:
-    """March from the state (u, v) until all points are clear after ``wait`` s, or past ``until`` s.
-
-    Times count from the start; at most ``limit`` times is a step solved, or solved again for what
-    couples it. With ``keep`` the history is kept, with ``keep_states`` also the
-    forces (steps, 3 n) along body axes per area share and the mid-step u + β v (steps, modes) that
-    a reduced body's defect is measured by, β taken as damping over ω² where α is zero.
-    """
-    h, weights, frames = modes.its, modes.weights, touching.frames
-    omega2, damping = modes.omega2, modes.damping
-    admittance, along = modes.admittance, modes.along
-    n, m = len(weights), len(u)
-    points = touching.points
-    remembers = points.law[0] >= PLASTIC
-    law, scale, gaps = points.law, points.scale, touching.gaps
-    section = local_section(modes, frames)
-    response = np.zeros((0, 0))
+def _new_work(modes: Modes, touching: Touching, u: Array, v: Array) -> Work:
+    """The arrays of a first step; a body of second order sees its own shortening in (u, v)."""
+    m = len(u)
+    if len(modes.axis.weights):
+        du, dv = shortened(modes.axis, u, v)
+        u, v = u + du, v + dv
+    seen = modes.axis.rows @ u
     pull = -touching.gravity * (modes.translation @ touching.up)
+    return Work(
+        u=u.copy(),
+        v=v.copy(),
+        later=np.empty(m),
+        a=np.empty(m),
+        free=np.empty(m),
+        pull=pull,
+        bend=np.zeros(m),
+        before=seen,
+        after=seen.copy(),
+    )
+
+
+@njit
+def _solve(
+    modes: Modes, touching: Touching, section: Section, trial: Trial, work: Work, deepest: float
+) -> tuple[int, bool]:
+    """Find the step's force and acceleration; how often it was solved, and whether contact acts.
+
+    Minus one where it does not converge. ``deepest`` is the greatest approach at its start.
+    """
+    h, points, admittance = modes.its, touching.points, modes.admittance
+    u, v, a, later, bend = work.u, work.v, work.a, work.later, work.bend
+    m = len(u)
+    for j in range(m):
+        elastic_pull = modes.omega2[j] * u[j]
+        damped = (modes.damping[j] + 0.5 * h * modes.omega2[j]) * v[j]
+        work.free[j] = admittance[j] * (work.pull[j] - elastic_pull - damped)
+    # without friction nobody asks for tangential approaches
+    axes = 3 if points.mu > 0.0 else 1
+    touches, share, before = False, 1.0, bend.copy()
+    for turn in range(COUPLING_LIMIT):
+        for j in range(m):
+            a[j] = work.free[j] + admittance[j] * bend[j]
+            later[j] = u[j] + h * v[j] + (0.5 * h * h) * a[j]
+        nearest = approaches(modes.along, section, touching.gaps, later, axes, trial.free)
+        touches = max(nearest, deepest) > 0.0 or holds(points, trial.memory)
+        if not touches and points.proximal > 0.0:
+            touches = np.abs(trial.multiplier).max() > 0.0
+        if touches:
+            if solve_step(points, section, trial) < 0:
+                return -1, touches
+            pushed = section_gathers(section, modes.weights, trial.force) @ modes.along
+            for j in range(m):
+                change = admittance[j] * pushed[j]
+                a[j] += change
+                later[j] += (0.5 * h * h) * change
+        else:
+            trial.force[:, :] = 0.0
+            trial.end[:, :] = trial.free
+        if not len(modes.axis.weights):
+            return 1, touches
+        work.after[:] = modes.axis.rows @ later
+        left = second_order_force(modes.axis, work.before, work.after) - bend
+        size = max(np.abs(left + bend).max(), np.abs(work.pull).max())
+        if np.abs(left).max() <= COUPLED * size:
+            work.before[:] = work.after
+            return turn + 1, touches
+        # Aitken's relaxation (Küttler and Wall, Comput. Mech. 43, 2008)
+        change_of = left - before
+        squared = float(np.sum(admittance * change_of * change_of))
+        if turn > 0 and squared > 0.0:
+            share *= -float(np.sum(admittance * before * change_of)) / squared
+            share = min(max(share, 0.05), 1.0)
+        before = left
+        bend += share * left
+    return -1, touches
+
+
+@njit
+def _take(points: Points, trial: Trial, last: float) -> Taken:
+    """Let friction's springs and the law's memory follow a step; ``last`` is the mean normal force
+    of the step before."""
+    law, weights, end = points.law, points.weights, trial.end
+    remembers = law[0] >= PLASTIC
+    mean = final = 0.0
+    for i in range(len(weights)):
+        mean += weights[i] * trial.force[i, 0]
+    share = 1.0
+    if points.dashpot != 0.0 and end[:, 0].max() > 0.0:
+        share = share_under_damping(last, mean)
+    elif remembers or end[:, 0].max() < 0.0:
+        share = share_in_contact(points, trial)
+    friction, lost = commit(points, trial), settle(points, trial)
+    for i in range(len(weights)):
+        if end[i, 0] > 0.0 or remembers:
+            kept = trial.memory[i, 2]
+            final += weights[i] * elastic(law, points.scale[i], end[i, 0], 0.0, kept)[0]
+    return Taken(mean, final, share, friction, lost)
+
+
+@njit
+def _damp(modes: Modes, work: Work, fast: Array) -> float:
+    """Write the velocity ``fast`` at the end of a step; returns what damping took in it."""
+    loss = 0.0
+    for j in range(len(fast)):
+        fast[j] = work.v[j] + modes.its * work.a[j]
+        middle = 0.5 * (work.v[j] + fast[j])
+        loss += modes.its * modes.damping[j] * middle * middle
+    return loss
+
+
+@njit
+def _push(weights: Array, frames: Array, force: Array, push: Array) -> None:
+    """Add a force (n, 3) along local frames to ``push`` (3,) along body axes."""
+    for i in range(len(weights)):
+        if force[i, 0] != 0.0:
+            for c in range(3):
+                share = weights[i] * force[i, c]
+                for x in range(3):
+                    push[x] += share * frames[i, c, x]
+
+
+@njit
+def _longer(rows: Array, count: int) -> Array:
+    """The ``rows``, or twice as many where ``count`` do not fit."""
+    return rows if count <= len(rows) else np.concatenate((rows, np.zeros_like(rows)))
+
+
+@njit
+def march(modes: Modes, touching: Touching, u: Array, v: Array, asked: Asked) -> Marched:
+    """March from the state (u, v); times count from the start."""
+    h, weights, points = modes.its, modes.weights, touching.points
+    n, m = len(weights), len(u)
+    pulls = points.law[0] >= PLASTIC
+    section = local_section(modes, touching.frames)
+    work = _new_work(modes, touching, u, v)
+    none = np.zeros((n, 3))
+    trial = Trial(none.copy(), none.copy(), none.copy(), none.copy(), none.copy(), none.copy())
+    axes = 3 if points.mu > 0.0 else 1
+    deepest = approaches(modes.along, section, touching.gaps, work.u, axes, trial.start)
     lift = (modes.translation @ touching.up) / modes.mass
     tip = modes.tip.T @ touching.up
-    stiff = damping + 0.5 * h * omega2
-    memory = np.zeros((n, 3))
-    multiplier = np.zeros((n, 3))
-    force = np.zeros((n, 3))
-    end = np.zeros((n, 3))
-    drive = np.zeros((n, 3))
-    free = np.zeros((n, 3))
-    axis = modes.axis
-    bends = len(axis.weights) > 0
-    bend: Array = np.zeros(m)
-    if bends:
-        du, dv = shortened(axis, u, v)
-        u, v = u + du, v + dv
-    seen = axis.rows @ u
-    after = seen
-    # without friction nobody asks for tangential drives
-    axes = 3 if points.mu > 0.0 else 1
-    deepest = drives(along, section, gaps, u, axes, drive)
-    a: Array = np.empty(m)
-    a0, later, fast = np.empty(m), np.empty(m), np.empty(m)
-    u, v = u.copy(), v.copy()
-    middle, weighted = np.empty(m), np.empty(m)
-    size = 64
-    history: Array = np.zeros((size if keep else 1, 4))
-    forces: Array = np.zeros((size if keep_states else 1, 3 * n))
-    motions: Array = np.zeros((size if keep_states else 1, m))
-    push = np.zeros(3)
-    release = impulse = peak = loss = rubbed = spent = last = 0.0
-    status, count, solved = TOO_LONG, 0, 0
-    if keep:
-        history[0, 0] = touching.tip_m + tip @ u
-        history[0, 1] = touching.centre_m + lift @ u
-        history[0, 3] = max(drive[:, 0].max(), 0.0)
-    for count in range(1, limit + 1):
-        for j in range(m):
-            a0[j] = admittance[j] * (pull[j] - omega2[j] * u[j] - stiff[j] * v[j])
-        total = now = 0.0
-        acts, touches, coupled, done = False, False, False, 0
-        before: Array = bend
-        share = 1.0
-        for turn in range(COUPLING_LIMIT):
-            for j in range(m):
-                a[j] = a0[j] + admittance[j] * bend[j]
-                later[j] = u[j] + h * v[j] + (0.5 * h * h) * a[j]
-            touches = max(drives(along, section, gaps, later, axes, free), deepest) > 0.0
-            touches = touches or (remembers and holds(points, memory))
-            if not touches and points.soft > 0.0:
-                touches = np.abs(multiplier).max() > 0.0
-            if touches:
-                done = solve_step(
-                    points, section, response, drive, free, memory, multiplier, force, end
-                )
-                if done < 0:
-                    break
-                loads = section_gathers(section, weights, force)
-                pushed = loads @ along
-                for j in range(m):
-                    change = admittance[j] * pushed[j]
-                    a[j] += change
-                    later[j] += (0.5 * h * h) * change
-            else:
-                force[:, :] = 0.0
-                end[:, :] = free
-            if not bends:
-                coupled = True
-                break
-            after = axis.rows @ later
-            newer = second_order_force(axis, seen, after)
-            size = max(np.abs(newer).max(), np.abs(pull).max())
-            apart = np.abs(newer - bend).max()
-            coupled = apart <= COUPLED * size
-            if coupled:
-                break
-            # Aitken's relaxation (Küttler and Wall, Comput. Mech. 43, 2008)
-            left = newer - bend
-            change_of = left - before
-            squared = float(np.sum(admittance * change_of * change_of))
-            if turn > 0 and squared > 0.0:
-                share *= -float(np.sum(admittance * before * change_of)) / squared
-                share = min(max(share, 0.05), 1.0)
-            before = left
-            bend = bend + share * left
-        if done < 0 or not coupled:
+    fast, push = np.empty(m), np.zeros(3)
+    history: Array = np.zeros((64 if asked.history else 1, 4))
+    release = impulse = peak = loss = rubbed = spent = 0.0
+    status, count, solved, last = TOO_LONG, 0, 0, 0.0
+    history[0, 0] = touching.tip_m + tip @ work.u
+    history[0, 1] = touching.centre_m + lift @ work.u
+    history[0, 3] = max(deepest, 0.0)
+    for count in range(1, asked.limit + 1):
+        turns, touches = _solve(modes, touching, section, trial, work, deepest)
+        if turns < 0:
             status = NOT_CONVERGED
             break
-        solved += turn + 1
-        if solved > limit:
+        solved += turns
+        if solved > asked.limit:
             break
-        seen = after
+        taken = Taken(0.0, 0.0, 1.0, 0.0, 0.0)
         if touches:
-            for i in range(n):
-                total += weights[i] * force[i, 0]
-            acts = total > 0.0 or (remembers and total < 0.0)
-            if acts:
-                release = count * h
-                if points.drag > 0.0 and end[:, 0].max() > 0.0:
-                    release = h * (count - 1 + share_under_drag(last, total))
-                elif remembers or end[:, 0].max() < 0.0:
-                    release = h * (count - 1 + share_in_contact(points, drive, end, force, memory))
-            rubbed += commit(points, drive, end, force, memory)
-            if remembers or points.drag > 0.0:
-                spent += settle(points, drive, end, force, memory)
-            for i in range(n):
-                if end[i, 0] > 0.0 or remembers:
-                    now += weights[i] * elastic(law, scale[i], end[i, 0], 0.0, memory[i, 2])[0]
-        elif remembers:
-            memory[:, 2] = 0.0  # the next touch meets a fresh place
-        for j in range(m):
-            fast[j] = v[j] + h * a[j]
-            middle[j] = 0.5 * (v[j] + fast[j])
-            weighted[j] = h * damping[j] * middle[j]
-        loss += float(weighted @ middle)
-        if keep_states:
-            if count > len(forces):
-                forces = np.concatenate((forces, np.zeros_like(forces)))
-                motions = np.concatenate((motions, np.zeros_like(motions)))
-            for i in range(n):
-                for x in range(3):
-                    for c in range(3):
-                        forces[count - 1, 3 * i + x] += frames[i, c, x] * force[i, c]
-            for j in range(m):
-                beta = damping[j] / omega2[j] if omega2[j] > 0.0 else 0.0
-                motions[count - 1, j] = 0.5 * (u[j] + later[j]) + 0.5 * beta * (v[j] + fast[j])
-        if acts:
-            impulse += h * total
-            for i in range(n):
-                if force[i, 0] != 0.0:
-                    for c in range(3):
-                        share = h * weights[i] * force[i, c]
-                        push[0] += share * frames[i, c, 0]
-                        push[1] += share * frames[i, c, 1]
-                        push[2] += share * frames[i, c, 2]
-        peak = max(peak, total if points.drag > 0.0 else now)
-        last = total
-        u[:], v[:] = later, fast
-        drive[:, :] = end
-        deepest, sum_of_drives = -math.inf, 0.0
-        for i in range(n):
-            deepest = max(deepest, drive[i, 0])
-            sum_of_drives += drive[i, 0]
-        if keep:
-            if count >= len(history):
-                history = np.concatenate((history, np.zeros_like(history)))
-            history[count, 0] = touching.tip_m + tip @ u
-            history[count, 1] = touching.centre_m + lift @ u
-            history[count, 2] = now
-            history[count, 3] = max(drive[:, 0].max(), 0.0)
-        if not math.isfinite(sum_of_drives):
+            taken = _take(points, trial, last)
+            rubbed += taken.friction
+            spent += taken.law
+            if taken.mean > 0.0 or (pulls and taken.mean < 0.0):
+                release = h * (count - 1 + taken.share)
+                impulse += h * taken.mean
+                _push(weights, touching.frames, h * trial.force, push)
+        else:
+            trial.memory[:, 2] = 0.0  # the next touch meets a fresh place
+        loss += _damp(modes, work, fast)
+        last = taken.mean
+        peak = max(peak, taken.mean if points.dashpot != 0.0 else taken.final)
+        work.u[:], work.v[:] = work.later, fast
+        trial.start[:, :] = trial.end
+        deepest = trial.start[:, 0].max()
+        if asked.history:
+            history = _longer(history, count + 1)
+            history[count, 0] = touching.tip_m + tip @ work.u
+            history[count, 1] = touching.centre_m + lift @ work.u
+            history[count, 2] = taken.final
+            history[count, 3] = max(deepest, 0.0)
+        if not math.isfinite(trial.start[:, 0].sum()):
             status = NOT_FINITE
             break
-        if deepest <= 0.0 and now == 0.0 and count * h >= wait and not holds(points, memory):
+        clear = deepest <= 0.0 and taken.final == 0.0 and not holds(points, trial.memory)
+        if clear and count * h >= asked.wait:
             status = RELEASED
             break
-        if count * h >= until:
+        if count * h >= asked.until:
             status = UNTIL
             break
-    spring = spring_energy(points, memory)
+    spring = spring_energy(points, trial.memory)
     if status == RELEASED:
         # what the springs of friction still hold is lost with the touch
         rubbed += spring
         spring = 0.0
-    if bends:
-        du, dv = shortened(axis, u, v)
+    u, v = work.u, work.v
+    if len(modes.axis.weights):
+        du, dv = shortened(modes.axis, u, v)
         u, v = u - du, v - dv
-    kept = count + 1 if keep else 0
-    stated = count if keep_states else 0
+    rows = count + 1 if asked.history else 0
     return Marched(
-        status,
-        count,
-        release,
-        impulse,
-        push,
-        peak,
-        loss,
-        rubbed,
-        spent,
-        spring,
-        memory,
-        u,
-        v,
-        history[:kept],
-        forces[:stated],
-        motions[:stated],
+        status=status,
+        steps=count,
+        release=release,
+        impulse=impulse,
+        push=push,
+        peak=peak,
+        material_loss=loss,
+        friction_loss=rubbed,
+        contact_loss=spent,
+        spring=spring,
+        memory=trial.memory,
+        u=u,
+        v=v,
+        history=history[:rows],
     )

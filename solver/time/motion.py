@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..bodies.base import Array
+from ..arrays import Array
 from ..compiled import njit
 from ..rigid import fallen, free_rotation, matrix_of, product, turn
 
@@ -191,7 +191,7 @@ def chart(flyer: Flyer) -> Chart:
     nearest = np.linalg.pinv(stiff)
     fit: Array = nearest @ moved
     fit_speed: Array = np.zeros((0, 0))
-    # where points stand for their drive, the tip, whose height counts too, may move further
+    # where points stand for their approach, the tip, whose height counts too, may move further
     reach = np.maximum(_greatest(moved, 0), _greatest(flyer.tip, 0))[modes]
     reach_up = np.maximum(_greatest(moved, 2), _greatest(flyer.tip, 2))[modes]
     rest = _left_over(moved, stiff @ fit)[modes]

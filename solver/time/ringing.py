@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..bodies.base import Array
+from ..arrays import Array
 from ..compiled import njit
 from .motion import Motion
 

@@ -1,14 +1,17 @@
-"""When does a body in flight touch next? Compiled.
+"""The next touch of a body in flight, by conservative advancement (see `clearance`). Compiled.
 
-By conservative advancement, see `clearance`; a shortest step resolves the fastest oscillation that
-is left.
+A step is as long as surely nothing touches in it. Near the ground that time goes to zero, and the
+shortest step is one in which nothing can dip below by more than `TOUCH_SEARCH_M`: between two
+instants at which the clearance is above zero, w apart, it is less than M w²/8 below it, M being the
+bound on its second derivative. So the search passes over no touch deeper than what ringing it
+leaves out, and takes no more than √(M/8 `TOUCH_SEARCH_M`) steps a second.
 """
 
 from __future__ import annotations
 
 import math
 
-from ..bodies.base import Array
+from ..arrays import Array
 from ..compiled import njit
 from ..rigid import free_rotation
 from .clearance import bending_bound, clearance_of, slant_bound
@@ -72,7 +75,12 @@ def next_touch(motion: Motion, normals: Array, offsets: Array, until: float) -> 
             age = 0
         age += 1
         seen = min(in_sight(ring, clear), len(ring.decay))
-        later = min(t + max(min(ring.finest, until / 8.0), safe), until)
+        if clear > 0.0:
+            bending = bending_bound(motion, ring, seen, t, flyer.places, spin)
+            shortest = math.sqrt(8.0 * TOUCH_SEARCH_M / bending) if bending > 0.0 else until
+        else:  # on its way out: there is nothing to pass over, until it turns
+            shortest = min(ring.finest, until / 8.0)
+        later = min(t + max(shortest, safe), until)
         turned, spun = free_rotation(attitude, spin, flyer.inertia, flyer.alpha, t, later)
 
 

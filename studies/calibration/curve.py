@@ -15,7 +15,7 @@ import numpy as np
 from scipy.interpolate import PchipInterpolator
 from scipy.optimize import brentq
 
-from ...solver.bodies.analytic import quarter_period_s
+from ...solver.analytic import quarter_period_s
 from ...solver.bodies.beam import beam_body
 from ...solver.bristle import Array, Bristle
 from ...solver.contact.enforcement import ContactMethod

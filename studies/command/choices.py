@@ -43,10 +43,12 @@ class Tip(StrEnum):
 
 
 class Deflection(StrEnum):
-    """How far bending goes into a leaning body's equations: see solver.bodies.axis."""
+    """How far bending and turning go into a leaning body's equations: see solver.bodies.axis and
+    solver.mechanics."""
 
     SMALL = "small"
     SECOND_ORDER = "second-order"
+    FINITE = "finite"
 
 
 class Solver(StrEnum):

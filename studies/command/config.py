@@ -15,7 +15,7 @@ from pydantic_core import PydanticCustomError
 from ...meshes import geometry
 from ...meshes.tip_shape import TipShape, parse_tip_shape
 from ...solver import paper
-from ...solver.bodies.analytic import quarter_period_s
+from ...solver.analytic import quarter_period_s
 from ...solver.bristle import Bristle, Circle, Material, Rectangle
 from ...solver.contact.enforcement import GAMMA0, GAMMA0_RIGID, ContactMethod, Enforcement
 from ...solver.contact.laws import ContactLaw, Coulomb, Linear, mindlin_ratio
@@ -28,6 +28,7 @@ from ..effects import EffectInput, check_effects, read_effects, scene_of
 from ..sections import stance
 from . import flags, limits
 from .choices import Contact, Deflection, Model, Scheme, Solver, Tip, Until
+from .mesh_file import REPLACED, MeshFile, read_mesh_file
 
 
 def read_kn(value: Any) -> Any:
@@ -102,7 +103,8 @@ class Inputs(BaseModel):
     contact_points: Annotated[int, whole(3, limits.CONTACT_POINTS)] = flags.CONTACT_POINTS
     theta: Annotated[int, whole(-1, 1)] | None = None
     gamma0: Annotated[float, above_zero(1e6)] | None = None
-    length_m: Annotated[float, between(1e-4, 100.0)] = paper.LENGTH_M
+    mesh: Annotated[MeshFile, BeforeValidator(read_mesh_file)] | None = None
+    length_m: Annotated[float, between(1e-4, 100.0)] | None = None
     width_m: Size | None = None
     thickness_m: Size | None = None
     diameter_m: Size | None = None
@@ -122,12 +124,13 @@ class Inputs(BaseModel):
     rho_inf: Annotated[float, between(0.0, 1.0)] | None = None
     march: Truth = False
     elements: Annotated[int, whole(1, limits.ELEMENTS)] = paper.ELEMENTS
-    cells: tuple[Count, Count, Count] = flags.CELLS
+    cells: tuple[Count, Count, Count] | None = None
     geometry_order: Degree | None = None
-    grading: Annotated[float, between(1e-6, 1e6)] = 1.0
+    grading: Annotated[float, between(1e-6, 1e6)] | None = None
     order: Degree = 2
     solver: Solver = Solver.AUTO
     modes: Annotated[int, whole(1, limits.MODES)] = flags.MODES
+    reduction_tolerance: Annotated[float, above_zero(1.0)] = flags.REDUCTION_TOLERANCE
 
     @model_validator(mode="before")
     @classmethod
@@ -136,10 +139,7 @@ class Inputs(BaseModel):
         if not isinstance(data, dict):
             return data
         data = dict(data)
-        if data.get("diameter_m") is None:
-            _default(data, "width_m", paper.WIDTH_M)
-            _default(data, "thickness_m", paper.THICKNESS_M)
-        _default(data, "geometry_order", 1 if data.get("diameter_m") is None else 2)
+        _resolve_shape(data)
         poisson = data.get("poisson", paper.POISSON)
         if isinstance(poisson, float) and -1.0 < poisson < 0.5:
             _default(data, "kt_ratio", mindlin_ratio(poisson))
@@ -171,6 +171,8 @@ class Inputs(BaseModel):
         """Refuse an end face that is no face, or does not fit on the section."""
         if self.tip_shape == flags.FLAT:
             return
+        if self.mesh is not None:
+            refuse("tip_shape", "excluded by --mesh, whose tip has the shape of its facets")
         if self.tip is Tip.POINT:
             refuse("tip_shape", "a tip that touches with a point has no face; take --tip face")
         try:
@@ -180,11 +182,13 @@ class Inputs(BaseModel):
 
     @property
     def leaning(self) -> bool:
-        """Whether the tip can slide: something leans, or the tip is not flat.
+        """Whether the tip can slide: something leans, or the tip is not flat or the bristle bent.
 
         A flat tip that lands upright on a level surface is pushed along its axis alone; friction
         is left out there, and a reduced model needs no bending.
         """
+        if self.mesh is not None and not self.mesh.read().straight:
+            return True
         return any(getattr(self, name) for name in stance.ANGLES) or self.tip_shape != flags.FLAT
 
     def face(self) -> TipShape:
@@ -192,23 +196,37 @@ class Inputs(BaseModel):
         return parse_tip_shape(self.tip_shape)
 
     def bristle(self) -> Bristle:
-        """The body that falls."""
-        section = (
-            Rectangle(*self._sides_m()) if self.diameter_m is None else Circle(self.diameter_m)
-        )
+        """The body that falls; of a mesh, a flat wire of the same length and mass."""
         material = Material(
             self.youngs_Pa, self.poisson, self.density_kg_m3, self.alpha_1_s, self.beta_s
         )
-        return Bristle(self.length_m, section, material)
+        if self.mesh is not None:
+            own = self.mesh.read()
+            mean = own.mean_section
+            return Bristle(own.length_m, Rectangle(mean.thickness_m, mean.width_m), material)
+        section = (
+            Rectangle(*self._sides_m()) if self.diameter_m is None else Circle(self.diameter_m)
+        )
+        return Bristle(self.length_m or paper.LENGTH_M, section, material)
+
+    def shape(self) -> geometry.MeshSpec | str:
+        """What tells a solid's mesh from others: its parameters, or the digest of the user's."""
+        return self.mesh_spec() if self.mesh is None else self.mesh.sha256
 
     def mesh_spec(self) -> geometry.MeshSpec:
         """The mesh of hexahedra; ValueError where gmsh could not make it."""
         return geometry.MeshSpec(
-            self.length_m, self.end_section(), self.cells, self.geometry_order or 1, self.grading
+            self.length_m or paper.LENGTH_M,
+            self.end_section(),
+            self.cells or flags.CELLS,
+            self.geometry_order or 1,
+            self.grading or 1.0,
         )
 
     def end_section(self) -> geometry.Rectangle | geometry.Wire:
-        """The section as meshes and shapes of tips know it."""
+        """The section at the tip as meshes and shapes of tips know it."""
+        if self.mesh is not None:
+            return self.mesh.read().tip_section
         if self.diameter_m is None:
             return geometry.Rectangle(*self._sides_m())
         return geometry.Wire(self.diameter_m)
@@ -226,9 +244,9 @@ class Inputs(BaseModel):
     def check_meshed(self) -> None:
         """Refuse what the solid cannot be or cannot do."""
         if self.tip is Tip.POINT:
-            refuse("tip", "the solid meets the surface with its face only; point is the beam's")
+            refuse("tip", "the solid meets the surface with its face; point is for --model beam")
         try:
-            self.mesh_spec()
+            self.shape()
         except ValueError as error:
             refuse("cells", str(error))
         limits.check_unknowns(self, refuse)
@@ -246,7 +264,7 @@ class MeshInputs(Inputs):
 class DropInputs(Inputs):
     """One drop: every option of `bristle drop`, resolved and checked."""
 
-    model: Model = Model.BEAM
+    model: Model = Model.REDUCED
     kn_N_m: Kn = paper.KN_CHOSEN_N_M
     height_m: Height = paper.HEIGHTS_M[-1]
     its_s: Its = paper.ITS_S
@@ -256,9 +274,13 @@ class DropInputs(Inputs):
     @model_validator(mode="before")
     @classmethod
     def _stabilise(cls, data: Any) -> Any:
-        """Fill in what depends on the stiffness."""
-        if isinstance(data, dict) and data.get("contact") == Contact.NITSCHE:
-            data = dict(data)
+        """Fill in what depends on the stiffness, and the model of a mesh."""
+        if not isinstance(data, dict):
+            return data
+        data = dict(data)
+        if data.get("mesh") is not None:
+            _default(data, "model", Model.REDUCED)
+        if data.get("contact") == Contact.NITSCHE:
             rigid = read_kn(data.get("kn_N_m")) == math.inf
             _default(data, "gamma0", GAMMA0_RIGID if rigid else GAMMA0)
         return data
@@ -266,6 +288,8 @@ class DropInputs(Inputs):
     @model_validator(mode="after")
     def _possible(self) -> Self:
         """Refuse what no run could give a sensible answer to."""
+        if self.mesh is not None and not self.model.meshed:
+            refuse("model", f"{self.model} has no use for --mesh; take reduced or solid")
         if math.isinf(self.kn_N_m) and self.contact is Contact.PENALTY:
             refuse(
                 "kn_N_m", "penalty needs a finite stiffness; take --contact nitsche or augmented"
@@ -281,6 +305,12 @@ class DropInputs(Inputs):
                 "deflection",
                 "second-order is for the beam and the reduced solid, under --scheme average, with "
                 "penalty or augmented at a finite --kn, and not with --march",
+            )
+        if self.deflection is Deflection.FINITE and not self._may_turn:
+            refuse(
+                "deflection",
+                "finite is for the solid, under --scheme average, with a factor (--solver auto or "
+                "direct), and not with --march",
             )
         check_effects(self, refuse)
         limits.check_drop(self, refuse)
@@ -303,6 +333,29 @@ class DropInputs(Inputs):
             gentle = stance.lean_deg(self) <= limits.LINEAR_LEAN_DEG
             return self.leaning and gentle and self._may_bend
         return self.deflection is Deflection.SECOND_ORDER
+
+    @property
+    def _may_turn(self) -> bool:
+        return (
+            self.model is Model.SOLID
+            and self.scheme is Scheme.AVERAGE
+            and self.solver is not Solver.ITERATIVE
+            and not self.march
+        )
+
+    @property
+    def finite(self) -> bool:
+        """Whether strain and rotation are finite: where it is asked for, or matters and can be."""
+        if self.deflection is None:
+            return self.leaning and self._may_turn
+        return self.deflection is Deflection.FINITE
+
+    @property
+    def resolved_deflection(self) -> Deflection:
+        """How far bending and turning go into this run's equations."""
+        if self.finite:
+            return Deflection.FINITE
+        return Deflection.SECOND_ORDER if self.second_order else Deflection.SMALL
 
     def _check_analytic(self) -> None:
         only = "the analytic model is a mass on a spring without loss"
@@ -355,6 +408,7 @@ class DropInputs(Inputs):
             ground=Ground.plane(n_points, normal),
             release_speed_m_s=scene.release_speed_m_s,
             drag_kg_m=scene.drag_kg_m,
+            axes=None if self.mesh is None else self.mesh.read().axes,
         )
 
     def contact_s(self) -> float:
@@ -372,6 +426,22 @@ class DropInputs(Inputs):
 def refuse(field: str, message: str) -> None:
     """End validation with a message about ``field``."""
     raise PydanticCustomError("bristle", "{message}", {"field": field, "message": message})
+
+
+def _resolve_shape(data: dict[str, Any]) -> None:
+    """Fill in the bristle's measures and its division, unless it has a mesh of its own."""
+    if data.get("mesh") is not None:
+        for field in REPLACED:
+            if data.get(field) is not None:
+                refuse(field, "excluded by --mesh, which says it itself")
+        return
+    _default(data, "length_m", paper.LENGTH_M)
+    if data.get("diameter_m") is None:
+        _default(data, "width_m", paper.WIDTH_M)
+        _default(data, "thickness_m", paper.THICKNESS_M)
+    _default(data, "cells", flags.CELLS)
+    _default(data, "grading", 1.0)
+    _default(data, "geometry_order", 1 if data.get("diameter_m") is None else 2)
 
 
 def _default(data: dict[str, Any], key: str, value: Any) -> None:

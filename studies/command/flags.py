@@ -17,6 +17,7 @@ DROP, TIME, MESH, OUTPUT = "Drop", "Time", "Discretisation", "Files"
 
 CELLS = (1, 4, 337)
 MODES = 40
+REDUCTION_TOLERANCE = 1e-3
 RHO_INF = 0.8
 # solver.bristle.CONTACT_POINTS, which cannot be imported without numpy.
 CONTACT_POINTS = 9
@@ -96,6 +97,18 @@ BODY_FLAGS = (
         "M",
     ),
 )
+MESH_FILE_FLAG = Flag(
+    "mesh",
+    "mesh",
+    str,
+    None,
+    BODY,
+    "A bristle of any shape instead, for the models reduced (then the default) and solid: gmsh's "
+    "mesh of hexahedra or tetrahedra in metres, upright along z, the facets that may touch in a "
+    "physical group 'tip'. Excludes --length, --width, --thickness, --diameter, --cells, "
+    "--grading, --geometry-order and --tip-shape.",
+    "FILE.msh",
+)
 MATERIAL_FLAGS = (
     Flag("youngs", "youngs_Pa", float, paper.YOUNGS_PA, BODY, "Young's modulus.", "PA"),
     Flag("poisson", "poisson", float, paper.POISSON, BODY, "Poisson's ratio.", "NU"),
@@ -163,7 +176,23 @@ DISCRETISATION_FLAGS = (
         "How the solid's equations are solved: auto is direct as long as a factor takes less than "
         "8 GB.",
     ),
-    Flag("modes", "modes", int, MODES, MESH, "Krylov vectors of the reduced solid.", "N"),
+    Flag(
+        "modes",
+        "modes",
+        int,
+        MODES,
+        MESH,
+        "Krylov vectors of the reduced solid to begin with; it takes more where its error asks.",
+        "N",
+    ),
+    Flag(
+        "reduction-tolerance",
+        "reduction_tolerance",
+        float,
+        REDUCTION_TOLERANCE,
+        MESH,
+        "Largest error of the reduced solid against the full order, in units of the impact speed.",
+    ),
 )
 CONTACT_FLAGS = (
     Flag("contact", "contact", Contact, Contact.PENALTY, CONTACT, "How contact is enforced."),
@@ -174,8 +203,9 @@ CONTACT_FLAGS = (
         None,
         MODEL,
         "small: linear bodies. second-order: the axial force acts on the slope, as in a column, "
-        "for beam and reduced under the average acceleration; the solid is linear.",
-        shown="second-order where it leans, up to 10 degrees",
+        "for beam and reduced under the average acceleration. finite: strain and rotation of any "
+        "size, for the solid.",
+        shown="where it leans: finite for the solid, else second-order up to 10 degrees",
     ),
     Flag(
         "friction",
@@ -363,9 +393,10 @@ MODEL_FLAG = Flag(
     "model",
     "model",
     Model,
-    Model.BEAM,
+    Model.REDUCED,
     MODEL,
-    "analytic: a mass on a spring; beam; solid: 3-D; reduced: the solid in a few modes.",
+    "reduced: the 3-D solid in few unknowns; solid: at full order; beam; analytic: a mass on a "
+    "spring.",
 )
 KN_FLAG = Flag(
     "kn",
@@ -390,6 +421,7 @@ ITS_FLAG = Flag("its", "its_s", float, paper.ITS_S, TIME, "Integration time step
 SHARED_FLAGS = (
     *CONTACT_FLAGS,
     *BODY_FLAGS,
+    MESH_FILE_FLAG,
     *MATERIAL_FLAGS,
     *PLACE_FLAGS,
     *TIME_FLAGS,

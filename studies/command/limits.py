@@ -6,12 +6,12 @@ import math
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
-from ...solver.bodies.analytic import quarter_period_s
+from ...solver.analytic import quarter_period_s
 from ...solver.bristle import Rectangle
 from ...solver.drop import DropResult
 from ...solver.fall import free_fall
 from ..sections.stance import lean_deg, narrow_zone, slowest_bending_1_s, surface_normal
-from .choices import Contact, Model, Scheme, Tip, Until
+from .choices import Contact, Deflection, Model, Scheme, Tip, Until
 from .flags import FLAT
 
 if TYPE_CHECKING:
@@ -36,9 +36,8 @@ REST = 20.0
 # Speed of the impact over that of axial waves.
 STRAIN = 0.1
 CLOSURE = 1e-6
-# Of a body of second order: what the change to linear flight leaves over.
+# Of a body that bends or turns by more than is small: what the change to linear flight leaves over.
 CLOSURE_BENT = 1e-2
-REDUCTION = 1e-4
 # Lean in degrees up to which small strain and rotation in contact are taken to be enough.
 LINEAR_LEAN_DEG = 10.0
 # Lean from which a linear body is off by more than a hundredth of the speed (largerotation study).
@@ -52,10 +51,12 @@ Refuse = Callable[[str, str], None]
 
 
 def count_unknowns(inputs: Inputs) -> int:
-    """Unknowns of the solid, exactly for a flat wire and nearly for a round one."""
-    section = inputs.mesh_spec().n_section_cells
-    nx, ny, nz = inputs.cells
+    """Unknowns of the solid, exactly but for a round wire."""
     p = inputs.order
+    if inputs.mesh is not None:
+        return 3 * inputs.mesh.read().n_nodes(p)
+    spec = inputs.mesh_spec()
+    section, (nx, ny, nz) = spec.n_section_cells, spec.cells
     if inputs.diameter_m is None:
         nodes = (p * nx + 1) * (p * ny + 1)
     else:
@@ -67,8 +68,10 @@ def check_unknowns(inputs: Inputs, refuse: Refuse) -> None:
     """Refuse a solid of more than ``UNKNOWNS``."""
     n = count_unknowns(inputs)
     if n > UNKNOWNS:
-        cells = " ".join(map(str, inputs.cells))
-        refuse("cells", f"{cells} make {n:,} unknowns; at most {UNKNOWNS:,} can be factored here")
+        field, cells = ("cells", " ".join(map(str, inputs.cells or ())))
+        if inputs.mesh is not None:
+            field, cells = "mesh", f"the cells of {inputs.mesh.path}"
+        refuse(field, f"{cells} make {n:,} unknowns; at most {UNKNOWNS:,} can be factored here")
 
 
 def check_drop(inputs: DropInputs, refuse: Refuse) -> None:
@@ -119,7 +122,7 @@ def _check_drag(inputs: DropInputs, speed_m_s: float, refuse: Refuse) -> None:
 def _check_spring(inputs: DropInputs, refuse: Refuse) -> None:
     weight = inputs.bristle().mass_kg * inputs.gravity_m_s2
     depth = weight / inputs.kn_N_m + math.sqrt(2.0 * weight * inputs.height_m / inputs.kn_N_m)
-    if depth > inputs.length_m:
+    if depth > inputs.bristle().length_m:
         refuse(
             "kn_N_m",
             f"{inputs.kn_N_m:g} N/m is so soft that the bristle would sink {depth:.2g} m, "
@@ -159,18 +162,21 @@ def _step_warnings(inputs: DropInputs) -> list[str]:
 def _lean_warnings(inputs: DropInputs) -> list[str]:
     found = []
     lean = lean_deg(inputs)
-    if lean > LINEAR_LEAN_DEG * (1.0 + 1e-9):
+    bent = inputs.resolved_deflection
+    if bent is Deflection.FINITE:
+        pass
+    elif lean > LINEAR_LEAN_DEG * (1.0 + 1e-9):
         found.append(
             f"the bristle leans by {lean:.3g} degrees against the surface's normal; contact takes "
             f"strain and rotation as small, which is not known to be enough above "
             f"{LINEAR_LEAN_DEG:g}: lean it less, or take the result as an estimate"
         )
-    elif lean > SMALL_LEAN_DEG and not inputs.second_order:
+    elif lean > SMALL_LEAN_DEG and bent is Deflection.SMALL:
         found.append(
             f"the bristle leans by {lean:.3g} degrees and is linear here, which leaves out the "
             f"axial force on its slope: above {SMALL_LEAN_DEG:g} a tip that slides keeps too much "
-            "speed, by a tenth of it at 2 degrees; take the beam or the reduced solid with "
-            "--deflection second-order"
+            "speed, by a tenth of it at 2 degrees; take --deflection second-order, or finite for "
+            "the solid"
         )
     if inputs.tip is Tip.POINT and inputs.leaning and inputs.friction:
         found.append(
@@ -182,25 +188,37 @@ def _lean_warnings(inputs: DropInputs) -> list[str]:
 
 def result_warnings(inputs: DropInputs, result: DropResult) -> list[str]:
     """What a user should know of the result."""
-    found = []
+    found = _end_warnings(inputs, result)
     rigid = inputs.contact is Contact.AUGMENTED and math.isinf(inputs.kn_N_m)
     closure = result.energy.closure_relative
-    allowed = CLOSURE_BENT if inputs.second_order else CLOSURE
+    small = inputs.resolved_deflection is Deflection.SMALL
+    allowed = CLOSURE if small else CLOSURE_BENT
     if inputs.scheme is Scheme.AVERAGE and not rigid and not closure <= allowed:
         found.append(
             f"the energy budget closes to {closure:.2g} of the impact's energy only, where this "
             f"scheme should keep {allowed:g}; shorten --its"
         )
     error = result.reduction_error
-    if error is not None and error > REDUCTION:
+    if error is not None and error > inputs.reduction_tolerance:
         found.append(
-            f"the reduced model is off by about {error:.2g}, more than {REDUCTION:g}; "
-            f"raise --modes above {inputs.modes} or take --model solid"
+            f"the reduced model is off by about {error:.2g} of the impact speed, more than the "
+            f"{inputs.reduction_tolerance:g} asked for, with all the vectors that it may take; "
+            "raise --modes or take --model solid"
         )
     if inputs.leaning:
         found += [*_zone_warnings(inputs, result), *_patch_warnings(inputs, result)]
         found += _turning_warnings(inputs, result)
     return found
+
+
+def _end_warnings(inputs: DropInputs, result: DropResult) -> list[str]:
+    """An end that leaves no rebound to be seen."""
+    if isinstance(inputs.until, Until) or result.rebound_ratio is not None:
+        return []
+    where = "before the rebound is at its top"
+    if math.isnan(result.contact_time_s):
+        where = "within the first impact, whose time in contact is not known either"
+    return [f"no rebound was seen: the drop ends at {inputs.until:g} s, {where}; raise --until"]
 
 
 def _zone_warnings(inputs: DropInputs, result: DropResult) -> list[str]:
@@ -227,7 +245,7 @@ def _patch_warnings(inputs: DropInputs, result: DropResult) -> list[str]:
     section = inputs.bristle().section
     if not isinstance(section, Rectangle) or inputs.tip_shape != FLAT:
         return []
-    if not inputs.model.meshed or math.isinf(inputs.kn_N_m):
+    if not inputs.model.meshed or inputs.cells is None or math.isinf(inputs.kn_N_m):
         return []
     found = []
     normal = surface_normal(inputs)

@@ -15,6 +15,7 @@ from ...solver.errors import InputError
 from ..data.texts import parse_json, parse_toml, quoted, read_text
 from ..scatter.flags import OWN_FLAGS
 from .flags import DROP_FLAGS, LISTS_FLAGS, Flag
+from .mesh_file import REPLACED
 
 Checked = TypeVar("Checked", bound=BaseModel)
 OPTIONS = {flag.field: flag.option for flag in (*OWN_FLAGS, *DROP_FLAGS, *LISTS_FLAGS)}
@@ -26,6 +27,7 @@ DEPENDENTS = {
     "contact": ("theta", "gamma0"),
     "poisson": ("kt_ratio",),
     "scheme": ("rho_inf",),
+    "mesh": REPLACED,
     "flat": ("rms_height_m", "correlation_length_m", "surface"),
     "surface": ("rms_height_m", "correlation_length_m", "flat"),
 }

@@ -9,8 +9,8 @@ from functools import lru_cache
 import numpy as np
 
 from ...solver import paper
+from ...solver.analytic import quarter_period_s
 from ...solver.batch import Drops, Outcome, drop_each, drop_many
-from ...solver.bodies.analytic import quarter_period_s
 from ...solver.bodies.beam import beam_body
 from ...solver.bodies.modal import ModalBody
 from ...solver.bristle import Array, Bristle

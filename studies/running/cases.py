@@ -8,10 +8,11 @@ their march and nothing else.
 from __future__ import annotations
 
 import copy
+import math
 import time
 from collections.abc import Callable, Hashable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self
@@ -20,32 +21,37 @@ from mpi4py import MPI
 
 from ...meshes import geometry
 from ...meshes.geometry import Tag
-from ...solver.bodies.analytic import analytic_drop
+from ...solver.analytic import analytic_drop
 from ...solver.bodies.base import ContactPoints, with_offsets
 from ...solver.bodies.beam import beam_body
 from ...solver.bodies.modal import ModalBody
 from ...solver.bodies.stored import from_arrays, to_arrays
 from ...solver.bristle import Bristle
 from ...solver.checkpoint import Checkpoint
+from ...solver.contact.enforcement import ContactMethod
 from ...solver.drop import DropPlan, DropResult, FlightFrame, ModalFrame, simulate
 from ...solver.effects.base import Scene
 from ...solver.errors import ComputationError
 from ...solver.fall import dragged_fall, risen
 from ...solver.kept import load, sources, store
 from ...solver.plain_march import march_plainly
-from ...solver.time.march import Marcher
+from ...solver.time.march import ContactMarch, Marcher
 from ...solver.touch import History, Observer
 from ..command.choices import Contact, Model, Tip, Until
 from ..command.config import DropInputs
 from ..command.flags import FLAT
 from ..command.limits import marching_time_s
 from ..effects import Entered, entered, seen
-from ..sections.stance import StandingMarcher, face_offsets_m
+from ..sections.stance import face_offsets_m
 
 if TYPE_CHECKING:  # dolfinx and gmsh, which a beam does without
     from ...solver.bodies.reduced import ReducedModel
     from ...solver.bodies.solid import SolidBody
+    from ...solver.time.finite import FiniteMarcher
 
+# Steps of an axial period that a reduced basis is made for, and how often its Krylov vectors are
+# doubled where that is not enough.
+RESOLVING, DOUBLINGS = 16.0, 3
 PARTS = ("mesh", "assemble", "factor", "march")
 Timings = dict[str, float]
 # What a drop that ends with its first impact has not seen.
@@ -53,6 +59,13 @@ NO_REBOUND: dict[str, Any] = {
     "rebound_ratio": None,
     "rebound_height_m": None,
     "cm_rebound_height_m": None,
+}
+# What one that ends in contact has not seen either.
+NOT_RELEASED: dict[str, Any] = {
+    "contact_time_s": math.nan,
+    "cm_velocity_after_m_s": math.nan,
+    "velocity_after_m_s": 3 * (math.nan,),
+    "spin_after_rad_s": 3 * (math.nan,),
 }
 
 
@@ -63,7 +76,7 @@ class Prepared:
     inputs: DropInputs
     scene: Scene
     frame: FlightFrame
-    marcher: Marcher
+    marcher: ContactMarch
 
 
 class Workshop:
@@ -78,7 +91,8 @@ class Workshop:
     def __init__(self, comm: MPI.Intracomm, basis_its_s: float | None = None) -> None:
         self.comm, self.basis_its_s = comm, basis_its_s
         self._kept: dict[Hashable, object] = {}
-        self._solids: list[SolidBody] = []
+        self._alone: Workshop | None = None
+        self._closing: list[SolidBody | FiniteMarcher] = []
         self._spent = dict.fromkeys(PARTS, 0.0)
 
     def __enter__(self) -> Self:
@@ -96,9 +110,12 @@ class Workshop:
 
     def close(self) -> None:
         """Free what PETSc holds; nothing that was handed out can be used afterwards."""
-        for solid in self._solids:
-            solid.close()
-        self._solids.clear()
+        if self._alone is not None:
+            self._alone.close()
+            self._alone = None
+        for thing in reversed(self._closing):
+            thing.close()
+        self._closing.clear()
         self._kept.clear()
 
     def prepare(self, inputs: DropInputs) -> Prepared | None:
@@ -112,19 +129,21 @@ class Workshop:
         frame, key = self._frame(now)
         return Prepared(now.inputs, now.scene, frame, self._marcher(now, frame, key))
 
-    def _frame(self, now: Entered) -> tuple[FlightFrame, Hashable]:
+    def _frame(self, now: Entered, modes: int | None = None) -> tuple[FlightFrame, Hashable]:
         inputs, scene = now.inputs, now.scene
         if inputs.model is Model.SOLID:
             return self._full(inputs)
         if inputs.model is Model.BEAM:
             frame, key = self._beam(inputs, scene.lateral_inertia)
         else:
-            frame, key = self._modal(inputs)
+            frame, key = self._modal(inputs, modes)
         loss = scene.loss_factor
         if loss:
             key = (key, "loss factor", loss)
-            lossless = frame.modal
-            frame = self._keep(key, lambda: ModalFrame(replace(lossless, loss_factor=loss)))
+            lossless = frame
+            frame = self._keep(
+                key, lambda: _each(lossless, lambda body: replace(body, loss_factor=loss))
+            )
         return frame, key
 
     def run(
@@ -153,6 +172,7 @@ class Workshop:
                 else:
                     marcher = prepared.marcher
                     result = simulate(prepared.frame, plan, marcher, observer, checkpoint)
+                    result = self._enriched(prepared, plan, result)
         return seen(result, scene), self.take_timings()
 
     def take_timings(self) -> Timings:
@@ -200,7 +220,7 @@ class Workshop:
 
     def _solid_key(self, inputs: DropInputs) -> tuple[Hashable, ...]:
         material, points = inputs.bristle().material, inputs.contact_points
-        return ("solid", inputs.mesh_spec(), material, inputs.order, points, inputs.solver)
+        return ("solid", inputs.shape(), material, inputs.order, points, inputs.solver)
 
     def _solid(self, inputs: DropInputs) -> tuple[SolidBody, Hashable]:
         key = self._solid_key(inputs)
@@ -208,13 +228,16 @@ class Workshop:
 
     def _make_solid(self, inputs: DropInputs) -> SolidBody:
         from ...meshes.check import MeshError
-        from ...meshes.distribute import to_dolfinx
+        from ...meshes.distribute import own_to_dolfinx, to_dolfinx
         from ...solver.bodies.linear import Solver
         from ...solver.bodies.solid import SolidBody
 
         with self._timed("mesh"):
             try:
-                domain, _, facets = to_dolfinx(inputs.mesh_spec(), self.comm)
+                if inputs.mesh is None:
+                    domain, _, facets = to_dolfinx(inputs.mesh_spec(), self.comm)
+                else:
+                    domain, facets = own_to_dolfinx(inputs.mesh.read(), self.comm)
             except MeshError as error:
                 raise ComputationError(f"the mesh could not be made: {error}") from error
         with self._timed("assemble"):
@@ -227,48 +250,62 @@ class Workshop:
                 inputs.contact_points,
                 Solver(inputs.solver.value),
             )
-        self._solids.append(solid)
+        self._closing.append(solid)
         return solid
 
     def _full(self, inputs: DropInputs) -> tuple[ReducedModel, Hashable]:
         """The solid at full order, flying in the coordinates of its reduced model."""
-        return self._shaped(inputs, *self._reduced(inputs))
+        model, key = self._reduced(inputs)
+        if inputs.finite:
+            from ...solver.bodies.floating import FloatingModel
 
-    def _reduced(self, inputs: DropInputs) -> tuple[ReducedModel, Hashable]:
+            key = (key, "floating")
+            small = {each.name: getattr(model, each.name) for each in fields(model)}
+            model = self._keep(key, lambda: FloatingModel(**small))
+        return self._shaped(inputs, model, key)
+
+    def _reduced(
+        self, inputs: DropInputs, modes: int | None = None
+    ) -> tuple[ReducedModel, Hashable]:
         """The solid and its reduced model, whatever the shape of the tip."""
         from ...solver.bodies.reduced import reduce_solid
 
         solid, solid_key = self._solid(inputs)
-        how = self._basis(inputs)
+        how = self._basis(inputs, modes)
         key = (solid_key, "reduced", *how.items())
         with self._timed("factor"):
             model = self._keep(key, lambda: reduce_solid(solid, second_order=how["leaning"], **how))
         return model, key
 
-    def _basis(self, inputs: DropInputs) -> dict[str, Any]:
-        """What `reduce_solid` is told beside the solid."""
+    def _basis(self, inputs: DropInputs, modes: int | None = None) -> dict[str, Any]:
+        """What `reduce_solid` is told beside the solid.
+
+        Its shift is that of the time scheme, at an ITS that resolves the impact and no more: what
+        is faster than the wave that runs up and down the bristle, contact does not ask for.
+        """
+        resolving_s = inputs.bristle().axial_period_s / RESOLVING
         c_mass, c_stiffness = inputs.time_scheme().effective(
-            self.basis_its_s or inputs.its_s, inputs.alpha_1_s, inputs.beta_s
+            self.basis_its_s or max(inputs.its_s, resolving_s), inputs.alpha_1_s, inputs.beta_s
         )
         return {
             "shift_1_s2": c_mass / c_stiffness,
-            "n_krylov": inputs.modes,
+            "n_krylov": modes or inputs.modes,
             "leaning": inputs.leaning,
             "tractions": inputs.contact is Contact.NITSCHE,
         }
 
-    def _modal(self, inputs: DropInputs) -> tuple[ModalFrame, Hashable]:
+    def _modal(self, inputs: DropInputs, modes: int | None = None) -> tuple[ModalFrame, Hashable]:
         """The reduced model alone, the same to the last bit on every rank; kept from run to run."""
-        how = tuple(self._basis(inputs).items())
+        how = tuple(self._basis(inputs, modes).items())
         material, points = inputs.bristle().material, inputs.contact_points
         made_by = (sources(Path(geometry.__file__).parent), self.comm.size)
         key: Hashable
-        solid = (inputs.mesh_spec(), material, inputs.order, points, inputs.solver.value)
+        solid = (inputs.shape(), material, inputs.order, points, inputs.solver.value)
         key = ("modal", *solid, how, *made_by)
-        frame = self._keep(key, lambda: ModalFrame(self._stored(inputs, str(key))))
+        frame = self._keep(key, lambda: self._stored(inputs, str(key), modes))
         if not inputs.second_order:
             key = (key, "small")
-            frame = self._keep(key, lambda: ModalFrame(replace(frame.modal, axis=None)))
+            frame = self._keep(key, lambda: _each(frame, lambda body: replace(body, axis=None)))
         return self._shaped(inputs, frame, key)
 
     def _shaped[Frame: (ModalFrame, ReducedModel)](
@@ -280,33 +317,74 @@ class Workshop:
         key = (key, inputs.tip_shape)
         return self._keep(key, lambda: _with_face(frame, inputs)), key
 
-    def _stored(self, inputs: DropInputs, key: str) -> ModalBody:
-        """The reduced solid as an earlier run stored it, else made and stored."""
+    def _stored(self, inputs: DropInputs, key: str, modes: int | None) -> ModalFrame:
+        """The reduced solid and its coarser ones as an earlier run stored them, else made and
+        stored."""
         arrays = self.comm.bcast(load(key) if self.comm.rank == 0 else None)
         if arrays is None:
-            model = self._reduced(inputs)[0]
-            with self._timed("factor"):
-                modal = model.bounded()
-            arrays = self.comm.bcast(to_arrays(modal) if self.comm.rank == 0 else None)
+            model = self._reduced(inputs, modes)[0]
+            made = to_arrays((model.modal, *model.coarser)) if self.comm.rank == 0 else None
+            arrays = self.comm.bcast(made)
             if self.comm.rank == 0:
                 store(key, arrays)
-        return from_arrays(arrays)
+        body, *coarser = from_arrays(arrays)
+        return ModalFrame(body, tuple(coarser))
 
-    def _marcher(self, now: Entered, frame: FlightFrame, frame_key: Hashable) -> Marcher:
+    def _enriched(self, prepared: Prepared, plan: DropPlan, result: DropResult) -> DropResult:
+        """The drop of a reduced solid with as many Krylov vectors as its error asks for.
+
+        They are made by this rank alone, since others may be at other cases.
+        """
+        inputs = prepared.inputs
+        if inputs.model is not Model.REDUCED:
+            return result
+        modes = inputs.modes
+        for _ in range(DOUBLINGS):
+            error = result.reduction_error
+            if error is None or error <= inputs.reduction_tolerance:
+                break
+            modes *= 2
+            if self._alone is None:
+                self._alone = Workshop(MPI.COMM_SELF, self.basis_its_s)
+            now = Entered(inputs, prepared.scene)
+            frame, key = self._alone._frame(now, modes)
+            marcher = self._alone._marcher(now, frame, key)
+            result = simulate(frame, plan, marcher)
+        return result
+
+    def _marcher(self, now: Entered, frame: FlightFrame, frame_key: Hashable) -> ContactMarch:
         """A marcher for this case; those that differ in Kn, friction or lean alone share factor
         and compliance."""
         inputs = now.inputs
         method, scheme = inputs.contact_method(now.scene.law), inputs.time_scheme()
         same = (method.enforcement, method.theta, method.gamma0, method.augmentation)
-        key = ("marcher", frame_key, same, scheme, inputs.its_s, inputs.gravity_m_s2)
+        finite = inputs.finite
+        key = ("marcher", frame_key, same, scheme, inputs.its_s, inputs.gravity_m_s2, finite)
         with self._timed("factor"):
             marcher = self._keep(
                 key,
-                lambda: StandingMarcher(
-                    frame.body, method, scheme, inputs.its_s, inputs.gravity_m_s2
-                ),
+                lambda: self._make_marcher(inputs, frame, method),
             )
             return marcher.with_law(method.law, method.friction)
+
+    def _make_marcher(
+        self, inputs: DropInputs, frame: FlightFrame, method: ContactMethod
+    ) -> ContactMarch:
+        how = (method, inputs.time_scheme(), inputs.its_s, inputs.gravity_m_s2)
+        if not inputs.finite:
+            return Marcher(frame.body, *how)
+        from ...solver.bodies.solid import SolidBody
+        from ...solver.time.finite import FiniteMarcher
+
+        assert isinstance(frame.body, SolidBody)
+        marcher = FiniteMarcher(frame.body, *how)
+        self._closing.append(marcher)
+        return marcher
+
+
+def _each(frame: ModalFrame, change: Callable[[ModalBody], ModalBody]) -> ModalFrame:
+    """The frame with a body, and coarser ones, that are changed alike."""
+    return ModalFrame(change(frame.modal), tuple(change(body) for body in frame.coarser))
 
 
 def _n_points(frame: FlightFrame) -> int:
@@ -323,9 +401,9 @@ def _with_face[Frame: (ModalFrame, ReducedModel)](frame: Frame, inputs: DropInpu
     def shaped(contact: ContactPoints) -> ContactPoints:
         return with_offsets(contact, face_offsets_m(shape, section, contact.xy_m))
 
-    modal = replace(frame.modal, contact=shaped(frame.modal.contact))
     if isinstance(frame, ModalFrame):
-        return ModalFrame(modal)
+        return _each(frame, lambda body: replace(body, contact=shaped(body.contact)))
+    modal = replace(frame.modal, contact=shaped(frame.modal.contact))
     solid = copy.copy(frame.body)
     solid.contact = shaped(solid.contact)
     return replace(frame, body=solid, modal=modal)
@@ -357,12 +435,17 @@ def _analytic(now: Entered) -> DropResult:
         result = _launched(inputs, start, drag)
     else:
         result = analytic_drop(mass, inputs.kn_N_m, inputs.height_m, g)
-    if inputs.until is not Until.IMPACT:
+    if inputs.until is Until.REBOUND:
         return result
     fall_s, _ = dragged_fall(inputs.height_m, g, start, drag)
-    end_s = (fall_s + result.contact_time_s) * (1.0 + 1e-12)
-    rows = [row for row in result.history.rows if row[0] <= end_s]
-    return replace(result, **NO_REBOUND, history=History(rows))
+    release_s = fall_s + result.contact_time_s
+    end_s = release_s if inputs.until is Until.IMPACT else float(inputs.until)
+    rows = [row for row in result.history.rows if row[0] <= end_s * (1.0 + 1e-12)]
+    result = replace(result, history=History(rows))
+    if end_s < release_s:
+        result = replace(result, **NOT_RELEASED)
+    top_s = release_s + result.impact_speed_m_s / g
+    return replace(result, **NO_REBOUND) if end_s < top_s else result
 
 
 def _launched(inputs: DropInputs, speed_m_s: float, drag_1_m: float) -> DropResult:

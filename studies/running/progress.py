@@ -1,4 +1,4 @@
-"""How does a user see that long work goes on: a bar on a terminal, plain lines elsewhere?"""
+"""Progress of long work: a bar on a terminal, plain lines elsewhere."""
 
 from __future__ import annotations
 
@@ -98,6 +98,25 @@ def working(title: str) -> Iterator[None]:
             yield
     else:
         note(f"{title} …")
+        yield
+
+
+@contextmanager
+def compilation_noted() -> Iterator[None]:
+    """Say once, where it happens while the block runs, that the compiler keeps the user waiting."""
+    from numba.core import event as events
+
+    class Once(events.Listener):
+        def on_start(self, event: events.Event) -> None:
+            if not told:
+                told.append("compiling for this machine, minutes the first time …")
+                note(told[0])
+
+        def on_end(self, event: events.Event) -> None:
+            pass
+
+    told: list[str] = []
+    with events.install_listener("numba:compile", Once()):
         yield
 
 

@@ -9,6 +9,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from mpi4py import MPI
 from pydantic import BaseModel
 
@@ -65,7 +66,7 @@ def drop_document(
         "inputs": plain_inputs(inputs),
         "model": inputs.model.value,
         "contact": inputs.contact.value,
-        "deflection": "second-order" if inputs.second_order else "small",
+        "deflection": inputs.resolved_deflection.value,
         **{name: number(name, inputs, result) for name in NUMBERS},
         "energy": asdict(result.energy),
         "reduction_error": result.reduction_error,
@@ -84,6 +85,8 @@ def number(name: str, inputs: DropInputs, result: DropResult) -> Any:
     if name == "friction_loss_J":
         return result.energy.friction_loss_J
     value = getattr(result, name)
+    if value is None or np.isnan(value).any():
+        return None  # the drop ended before it could be seen
     return list(value) if isinstance(value, tuple) else value
 
 

@@ -5,11 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 
-from ...solver.bodies.analytic import quarter_period_s
-from ...solver.bodies.base import Array
+from ...solver.analytic import quarter_period_s
+from ...solver.arrays import Array
 from ...solver.bristle import Bristle
 from ...solver.checkpoint import Mark
-from ...solver.time.march import State
+from ...solver.time.march import Moving
 from ...solver.touch import Observer
 
 
@@ -33,7 +33,7 @@ class Watched:
         self._its_s, self._advance, self._inner = its_s, advance, inner
         self._began_s, self._told = math.nan, 0
 
-    def __call__(self, state: State, step_force: Array) -> None:
+    def __call__(self, state: Moving, step_force: Array) -> None:
         if math.isnan(self._began_s):
             self._began_s = state.t_s
         self._tell(state)
@@ -44,14 +44,14 @@ class Watched:
         """What the inner one needs to go on: counting starts anew."""
         return {} if self._inner is None else self._inner.memory()
 
-    def recall(self, mark: Mark, state: State) -> None:
+    def recall(self, mark: Mark, state: Moving) -> None:
         """Go on after the steps that were kept."""
         self._began_s = state.t_s - mark.steps * self._its_s
         self._tell(state)
         if self._inner is not None:
             self._inner.recall(mark, state)
 
-    def _tell(self, state: State) -> None:
+    def _tell(self, state: Moving) -> None:
         done = round((state.t_s - self._began_s) / self._its_s)
         if done > self._told:
             self._advance(done - self._told)

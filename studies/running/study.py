@@ -92,6 +92,14 @@ class StudyInputs(Inputs):
     heights_m: Annotated[tuple[Height, ...], Numbers] = paper.HEIGHTS_M
     its_s: Annotated[tuple[Its, ...], Numbers] = (paper.ITS_S,)
 
+    @model_validator(mode="before")
+    @classmethod
+    def _of_mesh(cls, data: Any) -> Any:
+        """The one default model that a mesh has."""
+        if isinstance(data, dict) and data.get("mesh") is not None and data.get("models") is None:
+            return {**data, "models": (Model.REDUCED,)}
+        return data
+
     @model_validator(mode="after")
     def _few_enough(self) -> Self:
         lists = (self.models, self.kn_N_m, self.heights_m, self.its_s)

@@ -7,8 +7,9 @@ from typing import Any
 from mpi4py import MPI
 
 from ...meshes.surface import Surface
-from ...solver.bodies.base import Array
+from ...solver.arrays import Array
 from ...solver.bodies.stored import from_arrays, to_arrays
+from ...solver.drop import ModalFrame
 from ...solver.time.march import Marcher
 from ..command.config import DropInputs
 from ..running.cases import Timings, Workshop
@@ -17,8 +18,10 @@ from .conditions import ground_surface
 from .inputs import ScatterInputs
 
 
-def prepared(inputs: ScatterInputs, comm: MPI.Intracomm) -> tuple[Marcher, Surface | None, Timings]:
-    """A marcher of the body, the surface, and the seconds that the body took; collective.
+def prepared(
+    inputs: ScatterInputs, comm: MPI.Intracomm
+) -> tuple[ModalFrame, Marcher, Surface | None, Timings]:
+    """The body and its marcher, the surface, and the seconds that the body took; collective.
 
     One rank alone makes the body, since what comes of a factorisation depends in its last bits on
     how many share it; another makes the surface at the same time. Raises InputError and
@@ -43,19 +46,22 @@ def prepared(inputs: ScatterInputs, comm: MPI.Intracomm) -> tuple[Marcher, Surfa
         raise error or failures[0]
     arrays, timings = comm.bcast(made, 0)
     surface = comm.bcast(surface, last)
+    body, *coarser = from_arrays(arrays)
     marcher = Marcher(
-        from_arrays(arrays),
+        body,
         drop.contact_method(),
         drop.time_scheme(),
         drop.its_s,
         drop.gravity_m_s2,
     )
-    return marcher, surface, timings
+    return ModalFrame(body, tuple(coarser)), marcher, surface, timings
 
 
 def _body(drop: DropInputs) -> tuple[dict[str, Array], Timings]:
-    """The body as arrays, to be sent."""
+    """The body and coarser ones as arrays, to be sent."""
     with Workshop(MPI.COMM_SELF) as workshop:
         ready = workshop.prepare(drop)
         assert ready is not None
-        return to_arrays(ready.frame.modal), workshop.take_timings()
+        frame = ready.frame
+        assert isinstance(frame, ModalFrame)
+        return to_arrays((frame.modal, *frame.coarser)), workshop.take_timings()

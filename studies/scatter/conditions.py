@@ -18,8 +18,9 @@ from ...meshes.surface_files import Measured, read_surface
 from ...meshes.surface_heights import Roughness
 from ...meshes.surface_phases import CELLS_PER_GRAIN, PERIOD_IN_GRAINS, Composite
 from ...meshes.surface_stiffness import contact_stiffness_factor
+from ...solver.arrays import Array
 from ...solver.batch import Drops
-from ...solver.bodies.base import Array, ContactPoints
+from ...solver.bodies.base import ContactPoints
 from ...solver.errors import InputError
 from ...solver.ground import Ground
 from ...solver.rigid import leaning, matrix_of

@@ -8,7 +8,7 @@ from matplotlib.figure import Figure
 from scipy import stats
 
 from ...solver import paper
-from ...solver.bodies.base import Array
+from ...solver.arrays import Array
 from ..page.figures import BLACK, BLUE, GREY, SKY, panels, styled
 from ..page.figures_paper import draw_published
 

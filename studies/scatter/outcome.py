@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ...solver.arrays import Array
 from ...solver.batch import Outcome
-from ...solver.bodies.base import Array
 from .conditions import Conditions, Local
 
 COLUMNS = (

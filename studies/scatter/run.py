@@ -62,16 +62,20 @@ Chunk = dict[str, Any]
 class _Scene:
     """The body over the surface, and any of the drops onto it."""
 
-    def __init__(self, inputs: ScatterInputs, marcher: Marcher, surface: Surface | None) -> None:
-        self.inputs, self.marcher, self.surface = inputs, marcher, surface
+    def __init__(
+        self,
+        inputs: ScatterInputs,
+        frame: ModalFrame,
+        marcher: Marcher,
+        surface: Surface | None,
+    ) -> None:
+        self.inputs, self.frame, self.marcher, self.surface = inputs, frame, marcher, surface
         self.drop = inputs.drop()
         self._steel = inputs.youngs_Pa, inputs.poisson
 
     @property
     def body(self) -> ModalBody:
-        body = self.marcher.body
-        assert isinstance(body, ModalBody)
-        return body
+        return self.frame.modal
 
     def conditions(self, first: int, last: int) -> Conditions:
         size = (1.0, 1.0) if self.surface is None else self.surface.size_m
@@ -112,7 +116,7 @@ class _Scene:
             ground=ground_of(under, 0),
         )
         try:
-            result = simulate(ModalFrame(self.body), plan, self.marcher)
+            result = simulate(self.frame, plan, self.marcher)
         except ComputationError as error:
             raise ComputationError(f"drop {number}: {error}") from error
         ratio = row[Outcome._fields.index("rebound_height_m")] / plan.height_m
@@ -151,9 +155,9 @@ def run_scatter(
         say(f"{out / DOCUMENT} is finished already, nothing to do")
         return
     with working("building the body and the surface"):
-        marcher, surface, spent = prepared(inputs, comm)
+        frame, marcher, surface, spent = prepared(inputs, comm)
     spent["setup"] = time.perf_counter() - started
-    scene = _Scene(inputs, marcher, surface)
+    scene = _Scene(inputs, frame, marcher, surface)
     checking = time.perf_counter()
     check = _check(scene, comm)
     spent["check"] = time.perf_counter() - checking

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...solver.bodies.analytic import penetration_m, quarter_period_s
+from ...solver.analytic import penetration_m, quarter_period_s
 from ...solver.bristle import Array
 from ...solver.drop import DropResult
 from ..command.choices import Model
@@ -116,7 +116,7 @@ def axial_stiffness(setup: Setup) -> float:
 
 def results_analytic(setup: Setup, kn_N_m: float) -> DropResult:
     """Eqs. 1 to 8 at one Kn and the top height."""
-    from ...solver.bodies.analytic import analytic_drop
+    from ...solver.analytic import analytic_drop
 
     base = setup.base
     return analytic_drop(base.bristle().mass_kg, kn_N_m, setup.top_m, base.gravity_m_s2)

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...solver import paper
-from ...solver.bodies.analytic import quarter_period_s
+from ...solver.analytic import quarter_period_s
 from ...solver.bristle import Array
 from ..calibration.curve import short_its_s
 from ..command.config import DropInputs

@@ -9,12 +9,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ...meshes.tip_shape import RectangularSection, Section, TipShape
-from ...solver.bodies.base import Array
-from ...solver.bristle import Bristle
-from ...solver.errors import ComputationError
-from ...solver.ground import Placement
+from ...solver.arrays import Array
+from ...solver.bristle import Bristle, Rectangle
 from ...solver.rigid import leaning, matrix_of, slope_normal
-from ...solver.time.march import Marcher
 
 if TYPE_CHECKING:
     from ..command.config import DropInputs, Inputs
@@ -72,7 +69,11 @@ def narrow_zone(
     At the penetration ``depth_m`` an undeformed end face touches with all points that stand back
     less; they should be more than one row along both sides. None where they are.
     """
-    xy, _ = inputs.bristle().section.contact_points(n_points or inputs.contact_points)
+    section = inputs.bristle().section
+    if inputs.mesh is not None:
+        tip = inputs.mesh.read().tip_section
+        section = Rectangle(tip.thickness_m, tip.width_m)
+    xy, _ = section.contact_points(n_points or inputs.contact_points)
     normal, back = surface_normal(inputs), face_offsets_m(inputs.face(), inputs.end_section(), xy)
     gaps = xy @ normal[:2] + back * normal[2]
     gaps -= gaps.min()
@@ -94,17 +95,3 @@ def slowest_bending_1_s(bristle: Bristle) -> float:
     second_moment = min(section.second_moment_x_m4, section.second_moment_y_m4)
     gyration = math.sqrt(second_moment / section.area_m2)
     return (FREE_BENDING / bristle.length_m) ** 2 * material.bar_speed_m_s * gyration
-
-
-class StandingMarcher(Marcher):
-    """A marcher that will not march a bristle that fell over: only its lower end can touch."""
-
-    def place(self, placement: Placement) -> None:
-        along = float(placement.frames[:, 0, 2].min())
-        if along <= 0.0:
-            raise ComputationError(
-                f"the bristle falls over: it comes down at {math.degrees(math.acos(along)):.3g} "
-                "degrees to the surface's normal, with its side or upper end, which cannot touch "
-                "here; lean it less, or end the drop before that with --until SECONDS"
-            )
-        super().place(placement)

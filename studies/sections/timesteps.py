@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...solver import paper
-from ...solver.bodies.analytic import quarter_period_s
+from ...solver.analytic import quarter_period_s
 from ...solver.bristle import Array
 from ..command.config import DropInputs
 from ..page.figures import picture, stiffness_label

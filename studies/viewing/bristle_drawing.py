@@ -1,9 +1,10 @@
-"""What does the deformed bristle look like at some frames, seen straight from one side?
+"""Pictures of the deformed bristle at some frames, seen straight from one side, and of its tip.
 
 `draw_bristle` is what to call; the drawing itself is this module run as a program, because VTK
 needs a display and takes the process down where it has none (`bristle.meshes.display`). That
-program gets its numbers through a file and keeps clear of MPI: under mpirun it would take itself
-for the rank that started it.
+program gets its numbers through files, the outside of the mesh alone and a file a frame, so that
+neither process holds more than a frame; and it keeps clear of MPI: under mpirun it would take
+itself for the rank that started it.
 """
 
 from __future__ import annotations
@@ -11,7 +12,7 @@ from __future__ import annotations
 import json
 import sys
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -26,7 +27,7 @@ from ...meshes.display import run_drawing
 
 if TYPE_CHECKING:
     from .field_series import FieldSeries
-    from .stand import Stand
+    from .wave import Wave
 
 PIXELS_PER_HEIGHT = 720
 TIP_PIXELS = (700, 720)
@@ -37,9 +38,10 @@ FAR = 10.0
 COLOURS, TIP_COLOURS = "RdBu_r", "viridis"
 OUTLINE, OUTLINE_PIXELS = 0.35, 2
 TIP_FROM = (-1.0, -0.8, -0.6)
-"""Toward the camera: the tip is seen from below."""
+"""Toward the camera, along the bristle's axes: the tip is seen from below."""
 
-DRAWING_FILE, NUMBERS_FILE = "drawing.json", "numbers.npz"
+DRAWING_FILE, PIECES_FILE = "drawing.json", "pieces.npy"
+TIP_FILE, TIP_PIECES_FILE = "tip.npy", "tip-pieces.npy"
 
 Array = NDArray[np.float64]
 Pixels = NDArray[np.float32]
@@ -50,8 +52,8 @@ class Drawing:
     """What to draw: which frames, how large displacements, in which window and colours.
 
     ``side`` is 0 or 1, the lateral axis that runs to the right. ``window_m`` (left, right, bottom,
-    top) is in that axis and z, after displacements are multiplied by ``exaggeration`` and the
-    section by ``widening``; z is compressed so that the picture gets ``width_to_height``.
+    top) is in that axis of the world and z, after displacements are multiplied by ``exaggeration``
+    and the section by ``widening``; z is compressed so that the picture gets ``width_to_height``.
     ``limit_Pa`` is the stress at either end of the colours. ``tip_frame`` is drawn near the tip in
     true proportions.
     """
@@ -68,11 +70,15 @@ class Drawing:
 
 
 def draw_bristle(
-    series: FieldSeries, stand: Stand, drawing: Drawing, timeout_s: float = 600.0
+    series: FieldSeries,
+    wave: Wave,
+    drawing: Drawing,
+    advance: Callable[[], None] = lambda: None,
+    timeout_s: float = 600.0,
 ) -> tuple[list[Pixels], Pixels]:
     """The frames as images (height, width, 3) in [0, 1], and the close-up of the tip.
 
-    Frames show displacements from the ``stand``.
+    ``wave`` was read from ``series``. ``advance`` is called for each frame that is drawn.
 
     Raises
     ------
@@ -81,8 +87,9 @@ def draw_bristle(
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         (folder / DRAWING_FILE).write_text(json.dumps(asdict(drawing)))
-        np.savez(folder / NUMBERS_FILE, **_numbers(series, stand, drawing))
-        run_drawing([sys.executable, "-m", __name__, str(folder)], timeout_s)
+        save_frames(series, wave, drawing, folder)
+        _save_tip(series, wave, drawing, folder)
+        run_drawing([sys.executable, "-m", __name__, str(folder)], timeout_s, advance)
         images = [imread(folder / f"{i}.png")[..., :3] for i in range(len(drawing.frames))]
         frames = [outlined(image) for image in images]
         return frames, imread(folder / "tip.png")[..., :3]
@@ -100,61 +107,69 @@ def outlined(image: Pixels) -> Pixels:
     return np.where((drawn & ~inside)[..., None], np.float32(OUTLINE), image)
 
 
-def _numbers(series: FieldSeries, stand: Stand, drawing: Drawing) -> dict[str, Any]:
-    """What the program needs of a series."""
-    return {
-        "nodes_m": series.nodes_m,
-        "cells": series.cells,
-        "cell_type": series.cell_type,
-        "displacement_m": [
-            stand.moved(series.nodes_m, series.read("displacement_m", frame))
-            for frame in drawing.frames
-        ],
-        "axial_stress_Pa": [series.read("axial_stress_Pa", frame) for frame in drawing.frames],
-        "tip_displacement_m": series.read("displacement_m", drawing.tip_frame),
-        "von_mises_Pa": series.read("von_mises_Pa", drawing.tip_frame),
-    }
+def save_frames(series: FieldSeries, wave: Wave, drawing: Drawing, folder: Path) -> None:
+    """The places in the world (m), as they are drawn, and stresses of what is outside."""
+    shown, pieces = compact(outside(series))
+    np.save(folder / PIECES_FILE, pieces)
+    nodes = series.nodes_m[shown]
+    for number, frame in enumerate(drawing.frames):
+        moved = wave.stand.moved(nodes, series.read("displacement_m", frame)[shown])
+        placed = wave.stand.drawn(nodes, moved, drawing.exaggeration, wave.widenings)
+        stress = series.read("axial_stress_Pa", frame)[shown]
+        np.save(folder / f"{number}.npy", np.column_stack([placed, stress]))
 
 
-@dataclass(frozen=True)
-class Outside:
-    """The outside of the mesh in flat pieces (m, 3 or 4) between its nodes."""
-
-    nodes_m: Array
-    pieces: NDArray[np.int64]
-
-    def at(self, points: Array, values: Array) -> pyvista.PolyData:
-        """The surface with its nodes at ``points`` (n, 3), with ``values`` (n,)."""
-        faces = np.insert(self.pieces, 0, self.pieces.shape[1], axis=1)
-        surface = pyvista.PolyData(points, faces=faces.ravel())
-        surface.point_data["value"] = values
-        return surface
+def _save_tip(series: FieldSeries, wave: Wave, drawing: Drawing, folder: Path) -> None:
+    """The same of the tip, along its own axes."""
+    nodes = series.nodes_m
+    width = float(np.ptp(nodes[:, :2], axis=0).max())
+    layer = float(np.ptp(nodes[series.cells, 2], axis=1).max())
+    shown, pieces = compact(outside(series, TIP_WIDTHS * width + layer))
+    np.save(folder / TIP_PIECES_FILE, pieces)
+    displacement = series.read("displacement_m", drawing.tip_frame)[shown]
+    placed = nodes[shown] + wave.tip_stand.moved(nodes[shown], displacement)
+    stress = series.read("von_mises_Pa", drawing.tip_frame)[shown]
+    np.save(folder / TIP_FILE, np.column_stack([placed, stress]))
 
 
-def outside(
-    nodes_m: Array, cells: NDArray[np.int64], cell_type: int, below_m: float = np.inf
-) -> Outside:
-    """The outside of the hexahedra that lie below a height, each face split at its nodes."""
-    hexahedra = cells[(nodes_m[cells, 2] <= below_m).all(axis=1)]
-    counted = np.insert(hexahedra, 0, hexahedra.shape[1], axis=1).ravel()
-    kinds = np.full(len(hexahedra), cell_type, np.uint8)
-    grid: Any = pyvista.UnstructuredGrid(counted, kinds, nodes_m)
-    grid.point_data["node"] = np.arange(len(nodes_m), dtype=float)
-    split = 1 if hexahedra.shape[1] > 8 else 0
+def outside(series: FieldSeries, below_m: float = np.inf) -> NDArray[np.int64]:
+    """The outside of the cells that lie below a height, in flat pieces (m, 3 or 4) between nodes.
+
+    Each face is split at its nodes.
+    """
+    nodes, cells = series.nodes_m, series.cells
+    cells = cells[(nodes[cells, 2] <= below_m).all(axis=1)]
+    counted = np.insert(cells, 0, cells.shape[1], axis=1).ravel()
+    kinds = np.full(len(cells), series.cell_type, np.uint8)
+    grid: Any = pyvista.UnstructuredGrid(counted, kinds, nodes)
+    grid.point_data["node"] = np.arange(len(nodes), dtype=float)
+    split = 1 if cells.shape[1] > 8 else 0
     surface = grid.extract_surface(nonlinear_subdivision=split)
     node = np.round(surface.point_data["node"]).astype(np.int64)
-    if np.abs(surface.points - nodes_m[node]).max() > 1e-6 * np.ptp(nodes_m):
+    if np.abs(surface.points - nodes[node]).max() > 1e-6 * np.ptp(nodes):
         raise ValueError("the faces of the mesh are not split at their nodes")
-    pieces = surface.faces.reshape(-1, 1 + surface.faces[0])[:, 1:]
-    return Outside(nodes_m, node[pieces])
+    return node[surface.faces.reshape(-1, 1 + surface.faces[0])[:, 1:]]
 
 
-def _draw(numbers: Mapping[str, Any], drawing: Drawing, folder: Path) -> None:
-    """Write all images; needs a display. One window serves all."""
+def compact(pieces: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """The nodes that pieces (m, k) have, and the pieces by their places among these."""
+    nodes, places = np.unique(pieces, return_inverse=True)
+    return nodes, places.reshape(pieces.shape)
+
+
+def _surface(folder: Path, numbers: str, pieces: str) -> pyvista.PolyData:
+    """What was saved of a frame, its stress as ``value``."""
+    values, corners = np.load(folder / numbers), np.load(folder / pieces)
+    faces = np.insert(corners, 0, corners.shape[1], axis=1)
+    surface = pyvista.PolyData(values[:, :3], faces=faces.ravel())
+    surface.point_data["value"] = values[:, 3]
+    return surface
+
+
+def _draw(drawing: Drawing, folder: Path) -> None:
+    """Write all images, and a line for each frame; needs a display. One window serves all."""
     left, right, bottom, top = drawing.window_m
     squeeze = (right - left) / drawing.width_to_height / (top - bottom)
-    nodes = numbers["nodes_m"]
-    body = outside(nodes, numbers["cells"], int(numbers["cell_type"]))
     plotter = pyvista.Plotter(
         off_screen=True,
         window_size=(round(PIXELS_PER_HEIGHT * drawing.width_to_height), PIXELS_PER_HEIGHT),
@@ -163,15 +178,14 @@ def _draw(numbers: Mapping[str, Any], drawing: Drawing, folder: Path) -> None:
     plotter.enable_parallel_projection()  # type: ignore[call-arg]
     _aim_from_the_side(plotter, drawing, squeeze)
     limits = (-drawing.limit_Pa, drawing.limit_Pa)
-    widened = np.ones(3)
-    widened[drawing.side] = drawing.widening
-    states = zip(numbers["displacement_m"], numbers["axial_stress_Pa"], strict=True)
-    for number, (displacement, stress) in enumerate(states):
-        moved = nodes * widened + drawing.exaggeration * displacement
-        _show(plotter, body.at(moved * [1.0, 1.0, squeeze], stress), COLOURS, limits)
+    for number in range(len(drawing.frames)):
+        surface: Any = _surface(folder, f"{number}.npy", PIECES_FILE)
+        surface.points *= [1.0, 1.0, squeeze]
+        _show(plotter, surface, COLOURS, limits)
         plotter.camera.clipping_range = (0.1 * FAR * (right - left), 10.0 * FAR * (right - left))
         plotter.screenshot(str(folder / f"{number}.png"))
-    _draw_tip(plotter, numbers, drawing.tip_limit_Pa)
+        print(number, flush=True)
+    _draw_tip(plotter, _surface(folder, TIP_FILE, TIP_PIECES_FILE), drawing.tip_limit_Pa)
     plotter.screenshot(str(folder / "tip.png"))
     plotter.close()
 
@@ -188,19 +202,13 @@ def _aim_from_the_side(plotter: pyvista.Plotter, drawing: Drawing, squeeze: floa
     plotter.camera.parallel_scale = 0.5 * (top - bottom) * squeeze
 
 
-def _draw_tip(plotter: pyvista.Plotter, numbers: Mapping[str, Any], limit_Pa: float) -> None:
-    nodes, cells = numbers["nodes_m"], numbers["cells"]
-    width = float(np.ptp(nodes[:, :2], axis=0).max())
-    layer = float(np.ptp(nodes[cells, 2], axis=1).max())
-    near = outside(nodes, cells, int(numbers["cell_type"]), TIP_WIDTHS * width + layer)
-    surface: Any = near.at(nodes + numbers["tip_displacement_m"], numbers["von_mises_Pa"])
+def _draw_tip(plotter: pyvista.Plotter, surface: Any, limit_Pa: float) -> None:
     surface = surface.clean()
     _show(plotter, surface, TIP_COLOURS, (0.0, limit_Pa))
     plotter.add_mesh(surface.extract_feature_edges(45.0), color="black", line_width=2.0)
-    focus = np.array(surface.center)
     plotter.window_size = TIP_PIXELS
-    plotter.camera.focal_point = focus
-    plotter.camera.position = focus + FAR * width * np.array(TIP_FROM)
+    plotter.camera.focal_point = surface.center
+    plotter.camera.position = surface.center + FAR * surface.length * np.array(TIP_FROM)
     plotter.reset_camera(bounds=surface.bounds)  # type: ignore[call-arg]
 
 
@@ -225,5 +233,4 @@ def _show(
 
 if __name__ == "__main__":
     where = Path(sys.argv[1])
-    with np.load(where / NUMBERS_FILE, allow_pickle=False) as loaded:
-        _draw(dict(loaded), Drawing(**json.loads((where / DRAWING_FILE).read_text())), where)
+    _draw(Drawing(**json.loads((where / DRAWING_FILE).read_text())), where)

@@ -1,4 +1,4 @@
-"""Which fields did a solid's run write, as arrays?
+"""The fields that a solid's run wrote, as arrays.
 
 Reads what `bristle.solver.paraview.FieldWriter` writes, in one piece whatever the number of ranks
 that wrote it.
@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...solver.errors import InputError
-from ...solver.paraview import FRAMES_FILE, Phase
+from ...solver.paraview import FRAMES_FILE, GROUND_FILE, Phase
 
 Array = NDArray[np.float64]
 
@@ -75,6 +75,19 @@ class FieldSeries:
             raise InputError(f"{self.path}: there is no field {name}")
         values = self._merged(name, frame)
         return values[:, 0] if values.shape[1] == 1 else values
+
+    def ground_normal(self) -> Array:
+        """The unit normal (3,) of the ground. Raises InputError where the folder does not tell."""
+        path = self.path.parent / GROUND_FILE
+        if not path.is_file():
+            raise InputError(f"{path.parent}: no {GROUND_FILE} here: drop the bristle again")
+        try:
+            corners = np.array(path.read_text().split("double")[1].split()[:9], float)
+            first, second, third = corners.reshape(3, 3)
+        except (OSError, IndexError, ValueError) as error:
+            raise InputError(f"{path}: not a square of ground") from error
+        normal = np.cross(second - first, third - second)
+        return normal / np.linalg.norm(normal)
 
     def _merged(self, name: str, frame: int) -> Array:
         return np.concatenate(list(self._blocks(name, frame).values()))[self._first]

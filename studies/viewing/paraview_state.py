@@ -1,4 +1,4 @@
-"""How does a result open in ParaView in one step, with the right view?
+"""A script that opens a result in ParaView in one step: the whole, and a camera on the tip.
 
 ``open_in_paraview.py`` is written beside the result. It finds the fields in its own folder, so a
 result may be moved, and runs in ParaView's own Python, where nothing of this program is needed.
@@ -6,17 +6,32 @@ result may be moved, and runs in ParaView's own Python, where nothing of this pr
 
 from __future__ import annotations
 
+import itertools
 import pprint
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from ...solver.paraview import SOLID_FILE, TIP_FILE
 from ..running.files import write_atomically
+from .field_series import Array
 from .wave import Wave
 
 SCRIPT_FILE = "open_in_paraview.py"
 WHOLE_WIDTHS = 6.0
-"""Length to which the whole bristle is compressed, in widths of the section."""
+"""Height to which the whole is compressed, in widths of the section."""
+WHOLE_SPREADS = 1.5
+"""The same where the bristle leans or goes to the side, in lengths of its way across."""
+WHOLE_FROM, TIP_FROM = (-1.0, -0.8, 0.35), (-1.0, -0.8, -0.9)
+"""Toward the cameras: along the world's axes, and along the tip's own."""
+VIEW_WIDTH = 0.75
+"""Width of a view over its height."""
+ROOM = 1.2
+"""How much higher the view is than what it shows."""
+TIP_ROOM = 2.2
+"""The same of the tip's face, which stands below the middle."""
 
 SCRIPT = '''\
 """The bristle's impact in ParaView: the whole with its axis compressed, and the tip beside it.
@@ -44,21 +59,29 @@ def read(name):
     return ADIOS2VTXReader(registrationName=name, FileName=path)
 
 
-def warped(source, factor, compression, name):
-    warp = WarpByVector(registrationName=name + ", warped", Input=source)
-    warp.Vectors = ["POINTS", "displacement_m"]
-    warp.ScaleFactor = factor
-    if compression == 1.0:
-        return warp
-    squeezed = Transform(registrationName=name + ", axis compressed", Input=warp)
-    squeezed.Transform.Scale = [1.0, 1.0, 1.0 / compression]
+def warped(source, vectors, name):
+    warp = WarpByVector(registrationName=name, Input=source)
+    warp.Vectors = ["POINTS", vectors]
+    return warp
+
+
+def exaggerated(solid):
+    """The solid, displacements from where it first touches times a factor, its axis compressed."""
+    shown = Calculator(registrationName="exaggerated", Input=solid)
+    shown.ResultArrayName, shown.Function = "shown_m", SETTINGS["shown_m"]
+    return compressed(warped(shown, "shown_m", "whole, warped"), "whole")
+
+
+def compressed(source, name):
+    squeezed = Transform(registrationName=name, Input=source)
+    squeezed.Transform.Scale = [1.0, 1.0, 1.0 / SETTINGS["compression"]]
     return squeezed
 
 
-def ground(view, half):
+def ground(view):
     plane = Plane(registrationName="plane")
-    plane.Origin, plane.Point1, plane.Point2 = [-half, -half, 0], [half, -half, 0], [-half, half, 0]
-    shown = Show(plane, view)
+    plane.Origin, plane.Point1, plane.Point2 = SETTINGS["ground_m"]
+    shown = Show(compressed(plane, "ground"), view)
     shown.AmbientColor = shown.DiffuseColor = [0.8, 0.8, 0.8]
     shown.DisableLighting = 1
 
@@ -89,6 +112,8 @@ def pressed(source, view):
     shown.RescaleTransferFunctionToDataRangeOverTime()
     colours = GetColorTransferFunction("pressure_Pa")
     colours.ApplyPreset("Inferno (matplotlib)", True)
+    # beside the edge of contact it dips below zero
+    colours.RescaleTransferFunction(0.0, max(colours.RGBPoints[-4], 1.0))
     label(shown, view, colours, "contact pressure (Pa)", "Lower Left Corner")
 
 
@@ -98,12 +123,23 @@ def caption(view, text):
     shown.WindowLocation = "Lower Center"
 
 
-def camera(view, middle, distance, scale, rise):
+def camera(view, towards, up, middle, scale):
     view.CameraParallelProjection = 1
     view.CameraFocalPoint = middle
-    view.CameraPosition = [m + distance * d for m, d in zip(middle, (-1.0, -0.8, rise))]
-    view.CameraViewUp = [0.0, 0.0, 1.0]
+    view.CameraPosition = [m + 10.0 * scale * d for m, d in zip(middle, towards)]
+    view.CameraViewUp = up
     view.CameraParallelScale = scale
+
+
+def follow(view, tip, scene):
+    """Keep the camera on the tip, whose face fills a part of the view, wherever it goes."""
+    around = Transform(registrationName="around the tip", Input=tip, TransformAllInputVectors=0)
+    around.Transform.Scale = [SETTINGS["room"]] * 3
+    around.Transform.Translate = [0.0, 0.0, 0.5 * SETTINGS["width_m"]]
+    cue = CameraAnimationCue(AnimatedProxy=view, Mode="Follow-data")
+    cue.DataSource = warped(around, "displacement_m", "around the tip, warped")
+    cue.KeyFrames = [CameraKeyFrame(KeyTime=0.0), CameraKeyFrame(KeyTime=1.0)]
+    scene.Cues.append(cue)
 
 
 def new_view(layout, hint):
@@ -117,33 +153,35 @@ def new_view(layout, hint):
 
 def build():
     solid, tip = read(SETTINGS["solid"]), read(SETTINGS["tip"])
-    length, width, limit = SETTINGS["length_m"], SETTINGS["width_m"], SETTINGS["axial_limit_Pa"]
-    compression, factor = SETTINGS["compression"], SETTINGS["exaggeration"]
+    limit, factor = SETTINGS["axial_limit_Pa"], SETTINGS["exaggeration"]
     layout = CreateLayout("bristle")
     layout.SetSize(1400, 900)
 
     whole = new_view(layout, 0)
     layout.SplitHorizontal(0, 0.5)
-    shown = warped(solid, factor, compression, "whole")
+    shown = exaggerated(solid)
     coloured(shown, whole, "axial_stress_Pa", -limit, limit, "Cool to Warm", "axial stress (Pa)")
-    ground(whole, width)
+    ground(whole)
+    compression = SETTINGS["compression"]
     caption(whole, f"axis compressed {compression:.3g} times, displacement x {factor:g}")
-    short = length / compression
-    camera(whole, [0.0, 0.0, 0.5 * short], 10.0 * short, 0.65 * short, 0.35)
+    camera(whole, *SETTINGS["camera"])
 
     close = new_view(layout, 2)
-    shown = warped(solid, 1.0, 1.0, "tip in true proportions")
+    shown = warped(solid, "displacement_m", "tip in true proportions")
     high = SETTINGS["von_mises_limit_Pa"]
     coloured(shown, close, "von_mises_Pa", 0.0, high, "Viridis (matplotlib)", "von Mises (Pa)")
-    nearer = Transform(registrationName="pressure on the tip", Input=warped(tip, 1.0, 1.0, "tip"))
-    nearer.Transform.Translate = [0.0, 0.0, -0.005 * width]  # not to fight with the solid's face
+    nearer = Transform(
+        registrationName="pressure on the tip", Input=warped(tip, "displacement_m", "tip, warped")
+    )
+    nearer.Transform.Translate = SETTINGS["nearer_m"]  # not to fight with the solid's face
     pressed(nearer, close)
     close.OrientationAxesVisibility = 0
     caption(close, "the tip in true proportions, from below")
-    camera(close, [0.0, 0.0, 0.6 * width], 10.0 * width, 1.1 * width, -0.9)
+    camera(close, *SETTINGS["tip_camera"])
 
     scene = GetAnimationScene()
     scene.UpdateAnimationUsingDataTimeSteps()
+    follow(close, tip, scene)
     scene.AnimationTime = SETTINGS["time_s"]
     for view in (whole, close):
         clock = Show(AnnotateTimeFilter(Input=solid, Format="{time:.6f} s after release"), view)
@@ -167,17 +205,22 @@ def write_state_script(result: Path, fields: str, wave: Wave, touch_s: float) ->
 
     It opens at the instant of the greatest stress near the tip. Returns its path.
     """
-    width = float(wave.size_m[:2].max())
-    frame = int(wave.tip_von_mises_Pa.argmax())
+    width, frame = float(wave.size_m[:2].max()), wave.tip_frame
+    scene = _scene(wave, width)
     settings: dict[str, Any] = {
         "folder": str(result.resolve()),
         "fields": fields,
         "solid": SOLID_FILE,
         "tip": TIP_FILE,
-        "length_m": float(wave.size_m[2]),
         "width_m": width,
-        "compression": max(1.0, float(wave.size_m[2]) / (WHOLE_WIDTHS * width)),
-        "exaggeration": wave.world_exaggeration,
+        "compression": scene.compression,
+        "exaggeration": wave.exaggeration,
+        "shown_m": _exaggerated(wave),
+        "ground_m": scene.ground_m.tolist(),
+        "camera": scene.camera(),
+        "tip_camera": _tip_camera(wave, width),
+        "room": TIP_ROOM,
+        "nearer_m": (wave.tip_stand.turn @ [0.0, 0.0, -0.005 * width]).tolist(),
         "axial_limit_Pa": wave.greatest_axial_Pa or 1.0,
         "von_mises_limit_Pa": float(wave.tip_von_mises_Pa[frame]) or 1.0,
         "time_s": float(wave.times_s[frame] + touch_s),
@@ -186,3 +229,59 @@ def write_state_script(result: Path, fields: str, wave: Wave, touch_s: float) ->
     text = pprint.pformat(settings, sort_dicts=False, width=96)
     write_atomically(path, SCRIPT.replace("@settings@", text))
     return path
+
+
+def _exaggerated(wave: Wave) -> str:
+    """ParaView's formula for a displacement whose part beyond the stand is made larger."""
+    stand, factor = wave.stand, wave.exaggeration
+    placed = np.column_stack([stand.turn - np.eye(3), -stand.turn @ stand.touching_m])
+    kept = (1.0 - factor) * placed
+    parts = [f"{factor}*displacement_m", *(_along("ijk"[k], kept[k]) for k in range(3))]
+    return "+".join(parts).replace("+-", "-")
+
+
+def _along(axis: str, row: Array) -> str:
+    x, y, z, at = map(float, row)
+    return f"({x}*coordsX+{y}*coordsY+{z}*coordsZ+{at})*{axis}Hat"
+
+
+@dataclass(frozen=True)
+class _Scene:
+    """The whole with its axis compressed: the box that holds it (2, 3), and the ground below by a
+    corner and those beside it (3, 3), uncompressed."""
+
+    box_m: Array
+    ground_m: Array
+    compression: float
+
+    def camera(self) -> list[Any]:
+        """Direction to the camera, upward, middle and half the height of the view."""
+        away = np.array(WHOLE_FROM) / np.linalg.norm(WHOLE_FROM)
+        right = np.cross([0.0, 0.0, 1.0], away)
+        right /= np.linalg.norm(right)
+        across = np.array([right, np.cross(away, right)])
+        corners = np.array(list(itertools.product(*self.box_m.T)))
+        fourth = self.ground_m[1] + self.ground_m[2] - self.ground_m[0]
+        shown = np.vstack([corners, self.ground_m, fourth]) / [1.0, 1.0, self.compression]
+        seen = shown @ across.T
+        low, high = seen.min(axis=0), seen.max(axis=0)
+        middle = 0.5 * (low + high) @ across
+        half = 0.5 * (high - low) / [VIEW_WIDTH, 1.0]
+        return [away.tolist(), [0.0, 0.0, 1.0], middle.tolist(), ROOM * float(half.max())]
+
+
+def _scene(wave: Wave, width_m: float) -> _Scene:
+    low, high = wave.extent_m(np.ones(3))
+    height, across = high[2] - low[2], (high - low)[:2].max()
+    left, right = low[:2] - width_m, high[:2] + width_m
+    corners = np.array([left, [right[0], left[1]], [left[0], right[1]]])
+    ground = np.column_stack([corners, -corners @ wave.normal[:2] / wave.normal[2]])
+    compression = max(1.0, height / max(WHOLE_WIDTHS * width_m, WHOLE_SPREADS * across))
+    return _Scene(np.array([low, high]), ground, float(compression))
+
+
+def _tip_camera(wave: Wave, width_m: float) -> list[Any]:
+    """Like `_Scene.camera`, along the tip's own axes; where it looks follows the tip."""
+    turn = wave.tip_stand.turn
+    away = turn @ (np.array(TIP_FROM) / np.linalg.norm(TIP_FROM))
+    return [away.tolist(), turn[:, 2].tolist(), [0.0, 0.0, 0.0], width_m]

@@ -1,4 +1,4 @@
-"""How does the bristle stand as it touches, and how does it move from there in its own axes?"""
+"""How a bristle stands over the ground as it touches, and its motion from there in its own axes."""
 
 from __future__ import annotations
 
@@ -11,13 +11,14 @@ from .field_series import Array
 
 @dataclass(frozen=True)
 class Stand:
-    """The rigid motion that puts the undeformed nodes where they are at the touch.
+    """A rigid motion of the undeformed nodes into the world.
 
-    ``turn`` (3, 3), ``shift_m`` (3,): a node at X is at turn X + shift.
+    A node at X is at ``turn`` (3, 3) times X - ``touching_m`` (3,): the world's origin is where the
+    bristle first touches the ground.
     """
 
     turn: Array
-    shift_m: Array
+    touching_m: Array
 
     @classmethod
     def of(cls, nodes_m: Array, displacement_m: Array) -> Stand:
@@ -28,19 +29,16 @@ class Stand:
         # no mirror image, however thin the bristle
         proper = np.diag([1.0, 1.0, np.sign(np.linalg.det(right.T @ left.T))])
         turn = right.T @ proper @ left.T
-        return cls(turn, where - turn @ middle)
+        return cls(turn, middle - where @ turn)
 
     def moved(self, nodes_m: Array, displacement_m: Array) -> Array:
         """The displacement (n, 3) from that stand, along the bristle's axes there."""
-        return (nodes_m + displacement_m - self.shift_m) @ self.turn - nodes_m
+        return (nodes_m + displacement_m) @ self.turn + self.touching_m - nodes_m
 
-    @property
-    def lean_deg(self) -> float:
-        """Angle between the bristle's axis and the vertical."""
-        return float(np.degrees(np.arccos(np.clip(self.turn[2, 2], -1.0, 1.0))))
+    def drawn(self, nodes_m: Array, moved_m: Array, factor: float, widening: Array) -> Array:
+        """Places in the world, displacements from the stand ``factor`` times as large.
 
-    def plane_m(self, side: int, lateral_m: Array) -> Array:
-        """Height of the ground along the bristle's axis at places along a lateral axis."""
-        normal = self.turn[2]
-        below = -self.shift_m @ self.turn @ normal
-        return (below - normal[side] * lateral_m) / normal[2]
+        ``widening`` (3,) makes the bristle larger along its own axes, about where it touches, so
+        that it stays above the ground.
+        """
+        return ((nodes_m - self.touching_m) * widening + factor * moved_m) @ self.turn.T

@@ -1,7 +1,8 @@
-"""How does the wave run through a solid bristle: stills, an animation, and over height and time?"""
+"""Stills and an animation of the wave in a solid bristle, and its diagram over height and time."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -17,50 +18,71 @@ from PIL import Image
 
 from ..page.figures import BLACK, BLUE, GREY, panels, styled
 from .bristle_drawing import COLOURS, TIP_COLOURS, Drawing, Pixels, draw_bristle
-from .field_series import FieldSeries
+from .field_series import Array, FieldSeries
 from .wave import Wave
 
 N_STILLS = 6
 N_ANIMATED = 60
 FRAME_MS = 100
+LONGEST_GAP = 10.0
+"""Time from frame to frame that is shown at most, in medians: a flight between touches has few
+frames."""
+TURNS = 8
+"""Lengths of the bristle that the path of a wave is drawn along."""
 ANIMATION_DPI = 110
 WIDTH_TO_HEIGHT = 0.16
-UPRIGHT_DEG = 0.05
 STRESS = "axial stress (MPa), pressure is negative"
 
 
 def plan_drawing(wave: Wave) -> tuple[Drawing, list[int]]:
     """What to draw of a wave, and which of the drawn frames are the stills."""
-    last = len(wave.times_s) - 1
-    frames = np.unique(np.linspace(0, last, N_ANIMATED).round().astype(int))
-    share = (np.arange(N_STILLS) + 0.5) / N_STILLS
-    instants = wave.times_s[0] + share * (wave.times_s[-1] - wave.times_s[0])
-    stills = np.abs(wave.times_s[frames][:, None] - instants).argmin(axis=0)
-    tip_frame = int(np.argmax(wave.tip_von_mises_Pa))
+    frames = animated(len(wave.times_s))
     drawing = Drawing(
-        frames=frames.tolist(),
+        frames=list(map(int, frames)),
         side=wave.side,
         window_m=wave.window_m,
         width_to_height=WIDTH_TO_HEIGHT,
         exaggeration=wave.exaggeration,
         widening=wave.widening,
         limit_Pa=wave.greatest_axial_Pa or 1.0,
-        tip_frame=tip_frame,
-        tip_limit_Pa=float(wave.tip_von_mises_Pa[tip_frame]) or 1.0,
+        tip_frame=wave.tip_frame,
+        tip_limit_Pa=float(wave.tip_von_mises_Pa[wave.tip_frame]) or 1.0,
     )
-    return drawing, np.unique(stills).tolist()
+    return drawing, _stills(wave.times_s[frames])
 
 
-def draw_wave(series: FieldSeries, wave: Wave, folder: Path) -> dict[str, Figure]:
+def animated(count: int) -> NDArray[np.intp]:
+    """Which of ``count`` frames the animation shows."""
+    return np.unique(np.linspace(0, count - 1, N_ANIMATED).round().astype(np.intp))
+
+
+def _stills(times_s: Array) -> list[int]:
+    """Which frames stand for all, in equal steps of the time that frames show."""
+    shown = np.minimum(np.diff(times_s), _longest_gap_s(times_s))
+    clock = np.concatenate([[0.0], np.cumsum(shown)])
+    instants = (np.arange(N_STILLS) + 0.5) / N_STILLS * clock[-1]
+    return np.unique(np.abs(clock[:, None] - instants).argmin(axis=0)).tolist()
+
+
+def _longest_gap_s(times_s: Array) -> float:
+    """Longest time from frame to frame that counts as one that frames show."""
+    return LONGEST_GAP * float(np.median(np.diff(times_s))) if len(times_s) > 1 else 0.0
+
+
+def draw_wave(
+    series: FieldSeries, wave: Wave, folder: Path, advance: Callable[[], None] = lambda: None
+) -> dict[str, Figure]:
     """Draw ``wave``, which was read from ``series``: figures by name, wave.gif in ``folder``.
+
+    ``advance`` is called twice for each frame of the animation.
 
     Raises
     ------
     DrawingError : there is no display, or drawing failed
     """
     drawing, stills = plan_drawing(wave)
-    images, tip = draw_bristle(series, wave.stand, drawing)
-    animate(wave, drawing, images, folder / "wave.gif")
+    images, tip = draw_bristle(series, wave, drawing, advance)
+    animate(wave, drawing, images, folder / "wave.gif", advance)
     return {
         "wave": stills_figure(wave, drawing, [(drawing.frames[i], images[i]) for i in stills]),
         "tip-stress": tip_figure(wave, drawing, tip),
@@ -69,16 +91,21 @@ def draw_wave(series: FieldSeries, wave: Wave, folder: Path) -> dict[str, Figure
 
 @styled
 def space_time_figure(wave: Wave, bar_speed_m_s: float | None) -> Figure:
-    """Axial stress on the axis over height and time, with the path of a wave in a thin bar."""
+    """Axial stress on the axis over height and time, with the path of a wave in a thin bar.
+
+    It ends where the bristle flies off so long that its frames do not show the wave.
+    """
     figure, axes = panels(height_in=3.6)
     plot = axes[0, 0]
     limit = wave.greatest_axial_Pa / 1e6 or 1.0
-    time, z = wave.times_s * 1e6, wave.z_m * 1e3
+    gone = np.diff(wave.times_s) > _longest_gap_s(wave.times_s)
+    end = int(np.argmax(gone)) + 1 if gone.any() else len(wave.times_s)
+    time, z = wave.times_s[:end] * 1e6, wave.z_m * 1e3
     shading = "gouraud" if len(time) > 1 else "nearest"
     mesh = plot.pcolormesh(
         z,
         time,
-        wave.axial_stress_Pa / 1e6,
+        wave.axial_stress_Pa[:end] / 1e6,
         cmap=COLOURS,
         vmin=-limit,
         vmax=limit,
@@ -104,7 +131,7 @@ def space_time_figure(wave: Wave, bar_speed_m_s: float | None) -> Figure:
 def _wave_path(plot: Axes, wave: Wave, speed_m_s: float) -> None:
     """Up and down again at the bar's speed, from the touch on."""
     length, end = wave.size_m[2], wave.times_s[-1]
-    turns = np.arange(int(end * speed_m_s / length) + 2)
+    turns = np.arange(min(int(end * speed_m_s / length) + 1, TURNS) + 1)
     plot.plot(
         1e3 * length * (turns % 2),
         1e6 * turns * length / speed_m_s,
@@ -121,9 +148,9 @@ def stills_figure(wave: Wave, drawing: Drawing, stills: list[tuple[int, Pixels]]
     figure, axes = panels(1, len(stills), height_in=4.6, sharey=True)
     for plot, (frame, image) in zip(axes[0], stills, strict=True):
         _show_bristle(plot, wave, drawing, image)
-        plot.set_title(f"{wave.times_s[frame] * 1e6:.0f} µs", loc="center")
+        plot.set_title(_instant(wave.times_s[frame]), loc="center")
         plot.set_xlabel("xy"[drawing.side] + " (mm)")
-    axes[0, 0].set_ylabel(_height_label(wave, drawing))
+    axes[0, 0].set_ylabel(_height_label(drawing))
     figure.colorbar(_colours(drawing), ax=axes, label=STRESS)
     figure.suptitle("Time since touch", x=0.02, ha="left", fontsize=9.0)
     return figure
@@ -136,8 +163,8 @@ def tip_figure(wave: Wave, drawing: Drawing, image: Pixels) -> Figure:
     plot = axes[0, 0]
     plot.imshow(image)
     plot.set_axis_off()
-    when = wave.times_s[drawing.tip_frame] * 1e6
-    plot.set_title(f"The tip in true proportions, from below, {when:.1f} µs after touch")
+    when = _instant(wave.times_s[drawing.tip_frame])
+    plot.set_title(f"The tip in true proportions, from below, {when} after touch")
     colours = ScalarMappable(Normalize(0.0, drawing.tip_limit_Pa / 1e6), TIP_COLOURS)
     figure.colorbar(colours, ax=plot, label="von Mises stress (MPa)")
     return figure
@@ -147,7 +174,7 @@ def _show_bristle(plot: Axes, wave: Wave, drawing: Drawing, image: Pixels) -> No
     left, right, bottom, top = (1e3 * edge for edge in drawing.window_m)
     plot.imshow(image, extent=(left, right, bottom, top), aspect="auto")
     ends = np.array([left, right])
-    ground = 1e3 * wave.stand.plane_m(drawing.side, 1e-3 * ends)
+    ground = 1e3 * wave.ground_m(1e-3 * ends)
     plot.fill_between(ends, ground, bottom, color="#dddddd", zorder=0.5, linewidth=0)
     plot.plot(ends, ground, color=BLACK, linewidth=1.0)
     plot.set_ylim(bottom, top)
@@ -155,12 +182,14 @@ def _show_bristle(plot: Axes, wave: Wave, drawing: Drawing, image: Pixels) -> No
     plot.xaxis.set_major_locator(MaxNLocator(nbins=2, prune="both", steps=[1, 2, 5, 10]))
 
 
-def _height_label(wave: Wave, drawing: Drawing) -> str:
+def _instant(time_s: float) -> str:
+    return f"{1e6 * time_s:.0f} µs" if time_s < 0.01 else f"{1e3 * time_s:.1f} ms"
+
+
+def _height_label(drawing: Drawing) -> str:
     scale = f"displacement × {drawing.exaggeration:g}"
     if drawing.widening > 1.0:
         scale += f", width × {drawing.widening:g}"
-    if wave.stand.lean_deg > UPRIGHT_DEG:
-        return f"along the bristle, which leans {wave.stand.lean_deg:.3g}° (mm)\n{scale}"
     return f"height (mm), {scale}"
 
 
@@ -176,7 +205,7 @@ def _animation_figure(wave: Wave, drawing: Drawing, image: Pixels) -> Figure:
     bristle, profile = axes[0]
     _show_bristle(bristle, wave, drawing, image)
     bristle.set_xlabel("xy"[drawing.side] + " (mm)")
-    bristle.set_ylabel(_height_label(wave, drawing))
+    bristle.set_ylabel(_height_label(drawing))
     limit = 1.05 * drawing.limit_Pa / 1e6
     profile.plot(np.zeros_like(wave.z_m), wave.z_m * 1e3, color=BLUE)
     profile.axvline(0.0, color=GREY, linewidth=0.7)
@@ -189,8 +218,17 @@ def _animation_figure(wave: Wave, drawing: Drawing, image: Pixels) -> Figure:
     return figure
 
 
-def animate(wave: Wave, drawing: Drawing, images: list[Pixels], gif: Path) -> None:
-    """Write the bristle beside the stress on its axis, frame after frame, as a GIF that repeats."""
+def animate(
+    wave: Wave,
+    drawing: Drawing,
+    images: list[Pixels],
+    gif: Path,
+    advance: Callable[[], None] = lambda: None,
+) -> None:
+    """Write the bristle beside the stress on its axis, frame after frame, as a GIF that repeats.
+
+    ``advance`` is called for each frame.
+    """
     figure = _animation_figure(wave, drawing, images[0])
     canvas = FigureCanvasAgg(figure)
     figure.set_dpi(ANIMATION_DPI)
@@ -203,9 +241,10 @@ def animate(wave: Wave, drawing: Drawing, images: list[Pixels], gif: Path) -> No
         bristle.images[0].set_data(image)
         profile.lines[0].set_xdata(wave.axial_stress_Pa[frame] / 1e6)
         phase = f", {wave.phases[frame]}" if frame < len(wave.phases) else ""
-        title.set_text(f"{wave.times_s[frame] * 1e6:.1f} µs after touch{phase}")
+        title.set_text(f"{_instant(wave.times_s[frame])} after touch{phase}")
         canvas.draw()
         pictures.append(np.asarray(canvas.buffer_rgba())[..., :3].copy())
+        advance()
     write_gif(pictures, gif)
 
 

@@ -1,0 +1,222 @@
+"""A bristle on the user's own mesh: gmsh's tetrahedra or hexahedra, checked and measured."""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+from itertools import permutations, product
+from pathlib import Path
+
+import gmsh
+import numpy as np
+import numpy.typing as npt
+
+from .check import MeshError
+from .geometry import Rectangle, Tag
+from .hexahedra import gmsh_model
+from .own_check import TIP, Cells, checked_tip, read_cells
+
+Array = npt.NDArray[np.float64]
+
+HEADER = b"$MeshFormat"
+LONGEST_M, SHORTEST_M = 10.0, 1e-4
+# Of the longest side of the box about a mesh: less along z, and z is not the axis.
+SLENDER = 0.5
+# Products of inertia over the largest moment, up to which the file's axes are principal.
+PRINCIPAL = 1e-6
+# Of the tip's size: offset of the centre of mass, and height of the tip, that count as none.
+STRAIGHT = 1e-6
+REFERENCE_VOLUME = {"tetrahedra": 1.0 / 6.0, "hexahedra": 8.0}
+
+
+@dataclass(frozen=True, eq=False)
+class OwnMesh:
+    """What a mesh file holds: the body's measures, in the axes of the file.
+
+    ``counts`` are its corners, edges, faces and cells; ``cell`` names their kind, ``degree`` that
+    of their geometry. ``second_moments_m5`` (3, 3) are the integrals of x xᵀ about the centre of
+    volume ``centre_m`` (3,). ``box_m`` and ``tip_box_m`` (2, 3) have the lowest and highest
+    coordinates of the body and of the tip, ``tip_centre_m`` (3,) is the tip's centre of area.
+    """
+
+    path: Path
+    sha256: str
+    cell: str
+    degree: int
+    counts: tuple[int, int, int, int]
+    n_tip_facets: int
+    volume_m3: float
+    centre_m: Array
+    second_moments_m5: Array
+    box_m: Array
+    tip_box_m: Array
+    tip_centre_m: Array
+
+    @property
+    def length_m(self) -> float:
+        """Extent along z."""
+        return float(self.box_m[1, 2] - self.box_m[0, 2])
+
+    @cached_property
+    def tip_section(self) -> Rectangle:
+        """The rectangle around the tip's face."""
+        thin, wide, _ = self.tip_box_m[1] - self.tip_box_m[0]
+        return Rectangle(float(thin), float(wide))
+
+    @property
+    def mean_section(self) -> Rectangle:
+        """As `tip_section`, but with the section's area that volume and length give."""
+        tip = self.tip_section
+        scale = math.sqrt(self.volume_m3 / self.length_m / tip.area_m2)
+        return Rectangle(scale * tip.thickness_m, scale * tip.width_m)
+
+    @cached_property
+    def axes(self) -> Array:
+        """The principal axes as columns (3, 3), each the one nearest to the file's x, y, z.
+
+        The file's own axes where they are principal.
+        """
+        moments = self.second_moments_m5
+        inertia = np.trace(moments) * np.eye(3) - moments
+        products = inertia - np.diag(np.diag(inertia))
+        if np.abs(products).max() <= PRINCIPAL * inertia.max():
+            return np.eye(3)
+        found = np.linalg.eigh(moments)[1]
+        turned = (
+            found[:, order] * signs
+            for order in permutations(range(3))
+            for signs in product((1.0, -1.0), repeat=3)
+        )
+        proper = [axes for axes in turned if np.linalg.det(axes) > 0.0]
+        return np.asarray(max(proper, key=np.trace))
+
+    @property
+    def straight(self) -> bool:
+        """Whether an impact on the tip from below loads the body along its axis alone.
+
+        Its axes are principal, its centre stands over that of the tip, and the tip is flat.
+        """
+        small = STRAIGHT * max(self.tip_section.thickness_m, self.tip_section.width_m)
+        beside = np.abs(self.centre_m - self.tip_centre_m)[:2].max()
+        flat = self.tip_box_m[1, 2] - self.tip_box_m[0, 2]
+        return bool(np.array_equal(self.axes, np.eye(3)) and max(beside, flat) <= small)
+
+    def n_nodes(self, order: int) -> int:
+        """Nodes of Lagrange elements of the first or second order."""
+        corners, edges, faces, cells = self.counts
+        if order == 1:
+            return corners
+        return corners + edges + (faces + cells if self.cell == "hexahedra" else 0)
+
+
+def digest(path: Path) -> str:
+    """SHA-256 of a mesh file. Raises MeshError where it cannot be read."""
+    try:
+        return _digest(path, path.stat().st_mtime_ns, path.stat().st_size)
+    except OSError as error:
+        raise MeshError(f"{path}: {error.strerror or error}") from error
+
+
+@lru_cache
+def _digest(path: Path, modified_ns: int, size: int) -> str:
+    data = path.read_bytes()
+    if not data.lstrip().startswith(HEADER):
+        raise MeshError(f"{path} is not a mesh of gmsh: it does not begin with {HEADER.decode()}")
+    return hashlib.sha256(data).hexdigest()
+
+
+@lru_cache
+def own_mesh(path: Path, sha256: str) -> OwnMesh:
+    """Read, check and measure the mesh in ``path``, whose digest is ``sha256``.
+
+    Raises
+    ------
+    MeshError : in one line, the file is not a mesh of a bristle as `OwnMesh` describes it
+    """
+    with opened(path, sha256):
+        cells = read_cells(path)
+        tip = checked_tip(path, cells)
+        volume, centre, second = _moments(path, cells)
+        _check_size(path, cells.box_m)
+    return OwnMesh(
+        path=path,
+        sha256=sha256,
+        cell=cells.kind,
+        degree=cells.degree,
+        counts=cells.counts,
+        n_tip_facets=tip.n_facets,
+        volume_m3=volume,
+        centre_m=centre,
+        second_moments_m5=second,
+        box_m=cells.box_m,
+        tip_box_m=tip.box_m,
+        tip_centre_m=tip.centre_m,
+    )
+
+
+@contextmanager
+def opened(path: Path, sha256: str) -> Iterator[None]:
+    """The mesh in gmsh's current model, nodes numbered without gaps. Raises MeshError."""
+    if digest(path) != sha256:
+        raise MeshError(f"{path} changed while it was in use")
+    with gmsh_model():
+        try:
+            gmsh.merge(str(path))
+            gmsh.model.mesh.renumberNodes()
+        except Exception as error:  # gmsh raises a bare Exception
+            raise MeshError(f"{path}: gmsh cannot read it: {error}") from error
+        yield
+
+
+def regroup() -> None:
+    """Have all volumes in one group and the tip in another, and no others."""
+    tip = gmsh.model.getEntitiesForPhysicalName(TIP)
+    gmsh.model.removePhysicalGroups()
+    volumes = [tag for _, tag in gmsh.model.getEntities(3)]
+    gmsh.model.addPhysicalGroup(3, volumes, int(Tag.BODY))
+    gmsh.model.addPhysicalGroup(2, [tag for dim, tag in tip if dim == 2], int(Tag.TIP))
+
+
+def _moments(path: Path, cells: Cells) -> tuple[float, Array, Array]:
+    """Volume, centre and second moments about it; MeshError where a cell is turned inside out."""
+    degree = 5 * cells.degree - 1
+    points, weights = gmsh.model.mesh.getIntegrationPoints(cells.gmsh_type, f"Gauss{degree}")
+    # gmsh has its rules on tetrahedra to twelve digits
+    weights *= REFERENCE_VOLUME[cells.kind] / math.fsum(weights)
+    _, determinants, places = gmsh.model.mesh.getJacobians(cells.gmsh_type, points)
+    least = np.asarray(gmsh.model.mesh.getElementQualities(cells.tags, "minDetJac"))
+    per_cell = determinants.reshape(-1, len(weights))
+    least = np.minimum(least, per_cell.min(axis=1))
+    inverted = np.flatnonzero(~(least > 0.0))
+    if len(inverted):
+        raise MeshError(
+            f"{path}: {len(inverted)} of {len(least)} cells are turned inside out or flat, the "
+            f"first at element {cells.tags[inverted[0]]}: their Jacobian is not positive"
+        )
+    parts = (per_cell * weights).ravel()
+    x = places.reshape(-1, 3)
+    volume = math.fsum(parts)
+    centre = parts @ x / volume
+    x = x - centre
+    return volume, centre, (x * parts[:, None]).T @ x
+
+
+def _check_size(path: Path, box: Array) -> None:
+    sides = box[1] - box[0]
+    largest = float(sides.max())
+    if not SHORTEST_M <= largest <= LONGEST_M:
+        unit = "; were they in mm?" if largest > LONGEST_M else ""
+        raise MeshError(
+            f"{path}: the body is {largest:.4g} m long, where {SHORTEST_M:g} to {LONGEST_M:g} m "
+            f"make sense; coordinates are taken in metres{unit}"
+        )
+    if sides[2] < SLENDER * largest:
+        axis = "xyz"[int(np.argmax(sides))]
+        raise MeshError(
+            f"{path}: the body is longest along {axis} ({largest:.4g} m) and {sides[2]:.4g} m "
+            "along z, which must be the bristle's axis"
+        )

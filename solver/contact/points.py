@@ -1,0 +1,130 @@
+"""Records of contact over one step: the law at the points, and their arrays.
+
+Every point has a local frame: its plane's normal, then two tangents. Its *approach* is minus the
+displacement along these axes, the gap taken off the first, plus Nitsche's share of the body's
+traction: the augmented gap with its sign turned. The first component is the penetration that the
+law sees, the others grow as the point slides backwards. The force on the body along the same axes
+is (N, T).
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from ..arrays import Array
+from ..compiled import njit
+
+# The ``end_weight`` that asks for the discrete gradient of the potential.
+CONSERVING = 0.0
+
+
+class Points(NamedTuple):
+    """The law at the contact points over one step: what all of a step's functions read.
+
+    ``law`` see contact.laws, ``kt`` and ``mu`` are friction's, ``scale`` (n,) the points' stiffness
+    over the law's, ``compliance`` Nitsche's (in series with the law), ``proximal`` that of the
+    augmented Lagrangian, ``dashpot`` the law's damping over the time step. ``end_weight`` is
+    `CONSERVING` or the weight of the end of the step.
+    """
+
+    law: Array
+    kt: float
+    mu: float
+    scale: Array
+    compliance: float
+    weights: Array
+    end_weight: float
+    proximal: float
+    dashpot: float = 0.0
+
+
+class Trial(NamedTuple):
+    """The arrays (n, 3) of one step: approach at the ``start``, at the end without contact forces
+    (``free``) and with them (``end``), the ``force`` over the step per area share, the augmented
+    Lagrangian's ``multiplier``, and what changes from step to step: ``memory`` has the elongation
+    in m of friction's springs along both tangents, then the internal variable of the law
+    (contact.normal)."""
+
+    start: Array
+    free: Array
+    end: Array
+    force: Array
+    memory: Array
+    multiplier: Array
+
+
+class PointLaw(NamedTuple):
+    """`Points` as one point sees them."""
+
+    law: Array
+    kt: float
+    mu: float
+    scale: float
+    compliance: float
+    end_weight: float
+    proximal: float
+    dashpot: float
+
+
+class PointTrial(NamedTuple):
+    """`Trial` at one point: normal approach at both ends of the step, how far it slips in between,
+    the elongation of friction's spring, the multiplier, and the law's internal variable."""
+
+    start: float
+    end: float
+    slip0: float
+    slip1: float
+    e0: float
+    e1: float
+    m: float
+    m0: float
+    m1: float
+    internal: float
+
+
+class PointForce(NamedTuple):
+    """Force of one point over a step and its derivatives by the approach at the end: dN/ds,
+    dT0/d0, dT1/d1, dT0/d1 = dT1/d0, dT0/ds, dT1/ds."""
+
+    n: float
+    t0: float
+    t1: float
+    n_s: float
+    t0_0: float
+    t1_1: float
+    t0_1: float
+    t0_s: float
+    t1_s: float
+
+
+@njit
+def law_at(points: Points, i: int) -> PointLaw:
+    """What point ``i`` sees of the ``points``."""
+    return PointLaw(
+        points.law,
+        points.kt,
+        points.mu,
+        points.scale[i],
+        points.compliance,
+        points.end_weight,
+        points.proximal,
+        points.dashpot,
+    )
+
+
+@njit
+def trial_at(trial: Trial, i: int, internal: float) -> PointTrial:
+    """What point ``i`` sees of the ``trial``, with its ``internal`` variable."""
+    start, end, memory, multiplier = trial.start, trial.end, trial.memory, trial.multiplier
+    return PointTrial(
+        start[i, 0],
+        end[i, 0],
+        end[i, 1] - start[i, 1],
+        end[i, 2] - start[i, 2],
+        memory[i, 0],
+        memory[i, 1],
+        multiplier[i, 0],
+        multiplier[i, 1],
+        multiplier[i, 2],
+        internal,
+    )
