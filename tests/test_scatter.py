@@ -9,8 +9,6 @@ import pytest
 from commands import mpirun
 from mpi4py import MPI
 
-from bristle.meshes.surface import Surface
-from bristle.meshes.surface_phases import Composite, Phase
 from bristle.solver import paper
 from bristle.solver.batch import Drops, drop_many
 from bristle.solver.bodies.beam import beam_body
@@ -32,6 +30,8 @@ from bristle.studies.scatter.conditions import draw, ground_of, ground_surface, 
 from bristle.studies.scatter.flags import SCATTER_FLAGS
 from bristle.studies.scatter.inputs import ScatterInputs
 from bristle.studies.scatter.run import run_scatter
+from bristle.studies.surface.phases import Composite, Phase
+from bristle.studies.surface.rough import Surface
 
 pytestmark = pytest.mark.serial
 STEEL = paper.YOUNGS_PA, paper.POISSON

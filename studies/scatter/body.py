@@ -6,7 +6,6 @@ from typing import Any
 
 from mpi4py import MPI
 
-from ...meshes.surface import Surface
 from ...solver.arrays import Array
 from ...solver.bodies.stored import from_arrays, to_arrays
 from ...solver.drop import ModalFrame
@@ -14,6 +13,7 @@ from ...solver.time.march import Marcher
 from ..command.config import DropInputs
 from ..running.cases import Timings, Workshop
 from ..running.parallel import start_petsc
+from ..surface.rough import Surface
 from .conditions import ground_surface
 from .inputs import ScatterInputs
 

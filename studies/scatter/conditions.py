@@ -13,17 +13,17 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from ...meshes.surface import Surface, make_surface
-from ...meshes.surface_files import Measured, read_surface
-from ...meshes.surface_heights import Roughness
-from ...meshes.surface_phases import CELLS_PER_GRAIN, PERIOD_IN_GRAINS, Composite
-from ...meshes.surface_stiffness import contact_stiffness_factor
 from ...solver.arrays import Array
 from ...solver.batch import Drops
 from ...solver.bodies.base import ContactPoints
 from ...solver.errors import InputError
 from ...solver.ground import Ground
 from ...solver.rigid import leaning, matrix_of
+from ..surface.files import Measured, read_surface
+from ..surface.heights import Roughness
+from ..surface.phases import CELLS_PER_GRAIN, PERIOD_IN_GRAINS, Composite
+from ..surface.rough import Surface, make_surface
+from ..surface.stiffness import contact_stiffness_factor
 from .inputs import ScatterInputs
 
 # What a random stream is for: the first number of its key.

@@ -74,7 +74,7 @@ OWN_FLAGS = (
         str,
         None,
         SURFACE,
-        "A measured surface instead, in m: .npz, .csv or .txt, see bristle.meshes.surface_files.",
+        "A measured surface instead, in m: .npz, .csv or .txt, see bristle.studies.surface.files.",
         "FILE",
     ),
     Flag(

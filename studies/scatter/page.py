@@ -8,7 +8,6 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from ...meshes.surface import Surface
 from ...solver import paper
 from .. import __version__
 from ..calibration.estimate import Interval
@@ -16,6 +15,7 @@ from ..command.again import command_line
 from ..command.sources import checked
 from ..page.figures import picture
 from ..page.report import Column, Figure, Report, Section, Table, percent, show, write_report
+from ..surface.rough import Surface
 from .conditions import RESAMPLES, SAMPLES, generator
 from .figures import cloud_figure, histogram_figure, lean_figure
 from .inputs import ScatterInputs

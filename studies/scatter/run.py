@@ -17,7 +17,6 @@ import numpy as np
 from mpi4py import MPI
 
 from ...meshes.collective import run_on_one_rank
-from ...meshes.surface import Surface
 from ...solver.batch import Drops, Outcome, drop_many
 from ...solver.bodies.modal import ModalBody
 from ...solver.drop import ModalFrame, simulate
@@ -31,6 +30,7 @@ from ..running.files import prepare_folder, to_csv, to_json, together, write_ato
 from ..running.journal import Journal
 from ..running.parallel import share_out
 from ..running.progress import progress, say, working
+from ..surface.rough import Surface
 from .body import prepared
 from .conditions import (
     CHECKS,

@@ -1,4 +1,4 @@
-"""What does a bristle's tip land on: how high, how inclined and how stiff is a rough surface there?
+"""A rough surface, drawn at random: heights, slopes and stiffness under a bristle's tip.
 
 A `Surface` is a tile that repeats in x and y without end.  It is rigid in shape, a height over
 z = 0; what gives way is the local contact law, whose stiffness follows the phase that is touched.
@@ -17,10 +17,10 @@ import numpy.typing as npt
 from scipy import fft, ndimage
 from scipy.interpolate import NdBSpline
 
-from .geometry import _require_positive
-from .surface_heights import Roughness, random_heights
-from .surface_phases import Composite, random_phases
-from .surface_stiffness import contact_modulus_Pa
+from ...meshes.geometry import _require_positive
+from .heights import Roughness, random_heights
+from .phases import Composite, random_phases
+from .stiffness import contact_modulus_Pa
 
 Array = npt.NDArray[np.float64]
 

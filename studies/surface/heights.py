@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy import fft
 
-from .geometry import _require_positive
+from ...meshes.geometry import _require_positive
 
 CELLS_PER_CORRELATION_LENGTH = 3
 """Fewest: at the grid's Nyquist wavenumber the Gaussian's spectrum has then fallen to 2e-10."""

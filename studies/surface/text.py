@@ -16,8 +16,8 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from .geometry import _require_positive
-from .surface_heights import MAX_NODES
+from ...meshes.geometry import _require_positive
+from .heights import MAX_NODES
 
 Array = npt.NDArray[np.float64]
 

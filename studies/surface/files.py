@@ -1,4 +1,4 @@
-"""How is a surface kept, read from a measurement, and opened in ParaView?"""
+"""Measured surfaces: maps of heights from text files and NumPy archives."""
 
 from __future__ import annotations
 
@@ -8,25 +8,15 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 from pathlib import Path
 
-import meshio
 import numpy as np
 import numpy.typing as npt
 
-from .geometry import _require_positive
-from .surface import FEWEST_NODES, Surface
-from .surface_phases import Composite, Phase, random_phases
-from .surface_text import read_text
+from ...meshes.geometry import _require_positive
+from .phases import Composite, random_phases
+from .rough import FEWEST_NODES, Surface
+from .text import read_text
 
 Array = npt.NDArray[np.float64]
-
-_PHASE_COLUMNS = {
-    "phase_name": "name",
-    "phase_youngs_Pa": "youngs_Pa",
-    "phase_poisson": "poisson",
-    "phase_area_fraction": "area_fraction",
-    "phase_grain_size_m": "grain_size_m",
-}
-"""Arrays of a saved file that hold the composite, one entry per phase; grain size 0: the matrix."""
 
 
 class Edges(StrEnum):
@@ -71,9 +61,9 @@ class Measured:
 
 
 def read_surface(path: Path, measured: Measured | None = None) -> Surface:
-    """Read a surface: one from `save_surface` as it was, or a map of measured heights.
+    """Read a map of measured heights.
 
-    A map is a text file (`.csv`, `.txt`: see `bristle.meshes.surface_text`) or a `.npz` file with
+    It is a text file (`.csv`, `.txt`: see `bristle.studies.surface.text`) or a `.npz` file with
     the arrays `heights_m` (ny, nx) and `spacing_m`.
 
     Parameters
@@ -82,21 +72,14 @@ def read_surface(path: Path, measured: Measured | None = None) -> Surface:
 
     Raises
     ------
-    ValueError : the file is malformed, which names the file and, in a text, the line; or
-        `measured` is given with a saved surface, which has its phases already
+    ValueError : the file is malformed, which names the file and, in a text, the line
     OSError : the file cannot be read
     """
-    suffix = path.suffix.lower()
+    suffix, how = path.suffix.lower(), measured or Measured()
     if suffix == ".npz":
         arrays = _load_arrays(path)
-        if "phase" in arrays:
-            if measured is not None:
-                raise ValueError(f"{path} is a saved surface: nothing of `measured` applies to it.")
-            return _saved_surface(path, arrays)
-        how = measured or Measured()
         heights, spacing = _array_map(path, arrays, how.spacing_m)
     elif suffix in (".csv", ".txt"):
-        how = measured or Measured()
         heights, spacing = read_text(path, how.spacing_m, how.unit_m)
     else:
         raise ValueError(f"{path}: a surface is read from .npz, .csv or .txt, not '{suffix}'.")
@@ -159,62 +142,3 @@ def _numbers(path: Path, arrays: dict[str, npt.NDArray], name: str) -> npt.NDArr
     if arrays[name].dtype.kind not in "iuf":
         raise ValueError(f"{path}: {name} holds {arrays[name].dtype}, not numbers.")
     return arrays[name].astype(float) if arrays[name].dtype.kind == "f" else arrays[name]
-
-
-def _saved_surface(path: Path, arrays: dict[str, npt.NDArray]) -> Surface:
-    heights, spacing_m = _array_map(path, arrays, None)
-    phase = _numbers(path, arrays, "phase")
-    if missing := [name for name in _PHASE_COLUMNS if name not in arrays]:
-        raise ValueError(f"{path}: phase needs {', '.join(missing)} too.")
-    columns = [np.atleast_1d(arrays[name]).tolist() for name in _PHASE_COLUMNS]
-    try:
-        phases = [
-            Phase(name, youngs, poisson, fraction, grain or None)
-            for name, youngs, poisson, fraction, grain in zip(*columns, strict=True)
-        ]
-        return Surface(heights, spacing_m, phase, Composite(tuple(phases)))
-    except ValueError as error:
-        raise ValueError(f"{path}: {error}") from error
-
-
-def save_surface(surface: Surface, path: Path) -> None:
-    """Write a surface as `.npz`: plain arrays that `read_surface` gives back bit for bit.
-
-    Raises
-    ------
-    ValueError : the name does not end in .npz
-    """
-    if path.suffix != ".npz":
-        raise ValueError(f"{path}: a surface is saved as .npz.")
-    columns: dict[str, npt.NDArray] = {
-        column: np.array([getattr(phase, name) or 0.0 for phase in surface.composite.phases])
-        for column, name in _PHASE_COLUMNS.items()
-    }
-    np.savez_compressed(
-        path,
-        allow_pickle=False,
-        heights_m=surface.heights_m,
-        spacing_m=np.array(surface.spacing_m),
-        phase=surface.phase,
-        **columns,
-    )
-
-
-def write_vtu(surface: Surface, path: Path) -> None:
-    """Write one tile for ParaView: quadrilaterals between the nodes, in m, with height as z.
-
-    Point data: `height_m`, `phase` (its number in the composite), `youngs_Pa`.
-    """
-    ny, nx = surface.heights_m.shape
-    y, x = np.divmod(np.arange(ny * nx), nx)
-    points = np.column_stack([x * surface.spacing_m, y * surface.spacing_m, np.zeros(ny * nx)])
-    points[:, 2] = surface.heights_m.ravel()
-    corner = np.arange(ny * nx).reshape(ny, nx)[:-1, :-1].ravel()
-    phase = surface.phase.ravel()
-    data = {
-        "height_m": surface.heights_m.ravel(),
-        "phase": phase.astype(np.int32),
-        "youngs_Pa": surface.composite.youngs_Pa[phase],
-    }
-    quads = corner[:, None] + np.array([0, 1, nx + 1, nx])
-    meshio.write(path, meshio.Mesh(points, [("quad", quads)], point_data=data), file_format="vtu")

@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 from scipy import ndimage, sparse
 
-from bristle.meshes import surface_phases
-from bristle.meshes.surface import Surface, make_surface
-from bristle.meshes.surface_heights import Roughness, random_heights
-from bristle.meshes.surface_phases import CONCRETE, Composite, Phase, random_phases
-from bristle.meshes.surface_stiffness import contact_modulus_Pa, contact_stiffness_factor
+from bristle.studies.surface import phases as surface_phases
+from bristle.studies.surface.heights import Roughness, random_heights
+from bristle.studies.surface.phases import CONCRETE, Composite, Phase, random_phases
+from bristle.studies.surface.rough import Surface, make_surface
+from bristle.studies.surface.stiffness import contact_modulus_Pa, contact_stiffness_factor
 
 pytestmark = pytest.mark.serial
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from .geometry import _require_positive
+from ...meshes.geometry import _require_positive
 
 Array = npt.NDArray[np.floating]
 

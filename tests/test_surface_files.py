@@ -2,16 +2,11 @@
 
 import zipfile
 
-import meshio
 import numpy as np
 import pytest
-from matplotlib import colors, image
 
-from bristle.meshes.surface import make_surface
-from bristle.meshes.surface_files import Edges, Measured, read_surface, save_surface, write_vtu
-from bristle.meshes.surface_heights import Roughness
-from bristle.meshes.surface_phases import Composite, Phase
-from bristle.meshes.surface_picture import PHASE_COLOURS, write_picture
+from bristle.studies.surface.files import Edges, Measured, read_surface
+from bristle.studies.surface.phases import Composite, Phase
 
 pytestmark = pytest.mark.serial
 
@@ -20,11 +15,6 @@ MORTAR = Composite(
     (Phase("cement", 12e9, 0.25, 0.4), Phase("sand", 80e9, 0.2, 0.6, grain_size_m=0.5e-3))
 )
 AS_IT_IS = Measured(edges=Edges.PERIODIC, level=False, composite=STONE)
-
-
-@pytest.fixture
-def surface():
-    return make_surface(Roughness(20e-6, 0.2e-3), MORTAR, 2e-3, 50e-6, seed=3)
 
 
 @pytest.fixture
@@ -41,48 +31,6 @@ def write_points(path, heights, spacing, rng, separator=" ", origin=(3e-3, -1e-3
         separator.join(map(repr, map(float, row))) for row in np.column_stack([x, y, heights[j, i]])
     ]
     path.write_text("\n".join(lines))
-
-
-# --- our own files ----------------------------------------------------------------------------
-
-
-def test_saved_surface_comes_back_bit_for_bit(surface, tmp_path):
-    save_surface(surface, tmp_path / "a.npz")
-    again = read_surface(tmp_path / "a.npz")
-    assert np.array_equal(again.heights_m, surface.heights_m)
-    assert np.array_equal(again.phase, surface.phase)
-    assert (again.spacing_m, again.composite) == (surface.spacing_m, MORTAR)
-    with pytest.raises(ValueError, match="nothing of `measured` applies"):
-        read_surface(tmp_path / "a.npz", Measured())
-    with pytest.raises(ValueError, match="is saved as .npz"):
-        save_surface(surface, tmp_path / "a.csv")
-
-
-def test_paraview_copy_holds_heights_and_phases(surface, tmp_path):
-    write_vtu(surface, tmp_path / "a.vtu")
-    mesh = meshio.vtu.read(tmp_path / "a.vtu")
-    ny, nx = surface.heights_m.shape
-    (block,) = mesh.cells
-    assert (block.type, len(block.data)) == ("quad", (ny - 1) * (nx - 1))
-    j, i = np.divmod(np.arange(ny * nx), nx)
-    assert mesh.points[:, :2] == pytest.approx(np.column_stack([i, j]) * surface.spacing_m)
-    assert np.array_equal(mesh.points[:, 2], surface.heights_m.ravel())
-    assert np.array_equal(mesh.point_data["phase"], surface.phase.ravel())
-    youngs = MORTAR.youngs_Pa[surface.phase.ravel()]
-    assert np.array_equal(mesh.point_data["youngs_Pa"], youngs)
-    corners = mesh.points[block.data]
-    up = np.cross(corners[:, 2] - corners[:, 0], corners[:, 3] - corners[:, 1])[:, 2]
-    assert up == pytest.approx(2 * surface.spacing_m**2)
-
-
-def test_picture_shows_both_phases(surface, tmp_path):
-    write_picture(surface, tmp_path / "a.png")
-    pixels = image.imread(tmp_path / "a.png")[:, :, :3]
-    right = pixels[:, pixels.shape[1] // 2 :]
-    for colour in PHASE_COLOURS[:2]:
-        near = np.abs(right - colors.to_rgb(colour)).max(axis=2) < 0.01
-        assert near.mean() > 0.1
-    assert len(np.unique(pixels[:, : pixels.shape[1] // 2].reshape(-1, 3), axis=0)) > 100
 
 
 # --- measured maps ----------------------------------------------------------------------------
@@ -185,7 +133,7 @@ def test_broken_text_is_refused_with_its_line(text, message, tmp_path):
     assert str(refused.value).startswith(str(path))
 
 
-def test_other_broken_files_are_refused(surface, heights, tmp_path):
+def test_other_broken_files_are_refused(heights, tmp_path):
     path = tmp_path / "a.npz"
 
     def refuse(message, **arrays):
@@ -203,13 +151,7 @@ def test_other_broken_files_are_refused(surface, heights, tmp_path):
     refuse("4 × 4 heights is needed, not 30", heights_m=heights.ravel(), spacing_m=1.0)
     refuse("too coarse for the fine aggregate", heights_m=heights, spacing_m=1.0)
     refuse("Object arrays", heights_m=np.array([{}, 1], dtype=object), spacing_m=1.0)
-    refuse("phase needs phase_name", heights_m=heights, spacing_m=1.0, phase=heights.astype(int))
-    save_surface(surface, path)
-    with np.load(path) as archive:
-        saved = dict(archive)
-    refuse("phase must be 0 to 1, not 2 to 3", **(saved | {"phase": saved["phase"] + 2}))
-    refuse("youngs_Pa must be a number", **(saved | {"phase_youngs_Pa": np.array(["a", "b"])}))
-    refuse("a.npz: .*shorter", **(saved | {"phase_poisson": np.zeros(1)}))
+    np.savez(path, heights_m=heights, spacing_m=1e-4)
     whole = path.read_bytes()
     path.write_bytes(whole[: len(whole) // 2])
     refuse("is not a file of plain arrays")

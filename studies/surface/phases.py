@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial import cKDTree
 
-from .geometry import _require_positive
+from ...meshes.geometry import _require_positive
 
 Array = npt.NDArray[np.float64]
 

@@ -1,0 +1,1 @@
+"""Rough, composite surfaces that bristles land on, drawn at random or measured."""
