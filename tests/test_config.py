@@ -151,7 +151,6 @@ def test_choices_are_the_solvers():
         ({"elements": 100_000}, "--elements"),
         ({"model": "analytic", "contact": "nitsche"}, "--contact"),
         ({"model": "analytic", "march": True}, "--march"),
-        ({"model": "analytic", "until": 0.2}, "--until"),
         ({"until": 0.05}, "--until"),
         ({"until": "later"}, "--until"),
         ({"until": 1e9}, "--until"),

@@ -76,7 +76,7 @@ def energy(marcher, state):
 
 def pressed(marcher, state):
     """What the contact's spring holds."""
-    depth = np.maximum(state.drive[:, 0], 0.0)
+    depth = np.maximum(state.approach[:, 0], 0.0)
     return 0.5 * marcher.method.law.kn_N_m * float(marcher.body.contact.weights @ depth**2)
 
 

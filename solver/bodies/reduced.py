@@ -130,11 +130,11 @@ def krylov_basis(
     own = _loads(solid.contact, leaning=leaning, tractions=tractions)
     solve = solid.factor(shift_1_s2, 1.0)
     depth = math.ceil(SHARE * n_krylov) if leaning else n_krylov
-    sequences = [Sequence(solve, loads, depth)]
+    sequences = [Sequence(solid, solve, loads, depth)]
     if leaning:
         more = max(n_krylov / USUAL, 1.0)
         for shift, n in _slow_shifts(solid):
-            sequences.append(Sequence(solid.factor(shift, 1.0), loads, round(more * n)))
+            sequences.append(Sequence(solid, solid.factor(shift, 1.0), loads, round(more * n)))
     longest = sum(sequence.depth for sequence in sequences)
     basis = Basis(solid, 6 + own.shape[1] + loads.shape[1] * longest)
     basis.extend(np.asfortranarray(solid.rigid_motions()))
@@ -150,15 +150,24 @@ def krylov_basis(
 
 
 class Sequence:
-    """Krylov vectors of some ``loads`` (n_local, m), at most ``depth`` of each."""
+    """Krylov vectors of some ``loads`` (n_local, m), at most ``depth`` of each.
 
-    def __init__(self, solve: Callable[[Array], Array], loads: Array, depth: int) -> None:
+    Each follows from the ones before it in the sequence, not from what a basis lacked of them.
+    """
+
+    def __init__(
+        self, solid: SolidBody, solve: Callable[[Array], Array], loads: Array, depth: int
+    ) -> None:
         self.depth, self._solve, self._loads, self._done = depth, solve, loads, 0
+        self._own = Basis(solid, loads.shape[1] * depth)
 
     def extend(self, basis: Basis, depth: int) -> None:
         """Have ``basis`` hold the first ``depth`` of each load."""
         while self._done < depth and self._loads.size:
-            self._loads = basis.extend(self._solve(self._loads))
+            before = self._own.count
+            self._loads = self._own.extend(self._solve(self._loads))
+            if self._loads.size:
+                basis.extend(self._own.vectors[:, before:])
             self._done += 1
 
 

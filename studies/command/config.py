@@ -367,8 +367,6 @@ class DropInputs(Inputs):
             refuse("march", f"{only}: it is not marched")
         if self.alpha_1_s:
             refuse("alpha_1_s", f"{only}: it has no damping")
-        if not isinstance(self.until, Until):
-            refuse("until", f"{only}: it ends with impact or rebound")
         for field in stance.ANGLES:
             if getattr(self, field):
                 refuse(field, f"{only}: it falls upright on a level surface")

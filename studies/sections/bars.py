@@ -16,7 +16,7 @@ from matplotlib.figure import Figure as Drawing
 
 from ...solver.drop import DropResult
 from ...solver.rigid import leaning, matrix_of
-from ..command.choices import Deflection, Tip, Until
+from ..command.choices import Deflection, Model, Tip, Until
 from ..command.config import DropInputs
 from ..page.figures import BLACK, SERIES, panels, picture, styled
 from ..page.report import Column, Figure, Section, Table, Value, show
@@ -60,6 +60,7 @@ class Bars:
     def _case(self, length_m: float, lean_deg: float) -> DropInputs:
         height = SPEED_M_S**2 / (2.0 * self.setup.base.gravity_m_s2)
         return DropInputs(
+            model=Model.BEAM,
             length_m=length_m,
             diameter_m=DIAMETER_M,
             beta_s=BETA_S,

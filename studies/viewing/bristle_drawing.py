@@ -159,7 +159,8 @@ def compact(pieces: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.in
 
 def _surface(folder: Path, numbers: str, pieces: str) -> pyvista.PolyData:
     """What was saved of a frame, its stress as ``value``."""
-    values, corners = np.load(folder / numbers), np.load(folder / pieces)
+    values = np.load(folder / numbers, allow_pickle=False)
+    corners = np.load(folder / pieces, allow_pickle=False)
     faces = np.insert(corners, 0, corners.shape[1], axis=1)
     surface = pyvista.PolyData(values[:, :3], faces=faces.ravel())
     surface.point_data["value"] = values[:, 3]
