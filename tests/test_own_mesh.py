@@ -86,15 +86,18 @@ def test_the_programs_own_mesh_comes_back_as_the_same_bristle(folder, tilt_deg):
 
 
 def test_straight_tetrahedra_converge_to_the_hexahedra(folder):
-    """Bending of quadratic tetrahedra converges faster than with the square of their size."""
+    """With the square of the distance between contact points, whose rule is linear on triangles;
+    what the meshes differ by is less."""
     lean = {"tilt_deg": 1.0, "friction": 0.0, "deflection": "small", "model": "reduced"}
-    made = drop_of(length_m=LENGTH, cells=(2, 4, 40), **lean)
+    path = box(folder / "coarse.msh", size_m=1.2e-3)
     errors = []
-    for size in (1.2e-3, 6e-4):
-        path = box(folder / f"size{size:g}.msh", size_m=size)
-        own = drop_of(mesh=str(path), **lean)
-        errors.append(abs(numbers(own) / numbers(made) - 1)[[0, 1, 4]].max())
-    assert errors[1] < errors[0] / 4
+    for points in (9, 33):
+        lean["contact_points"] = points
+        made = drop_of(length_m=LENGTH, cells=(2, 4, 40), **lean)
+        errors.append(np.abs(numbers(drop_of(mesh=str(path), **lean)) / numbers(made) - 1))
+    assert errors[1].max() < 1e-3
+    # force and penetration see single points as they come and go
+    assert (errors[1] < errors[0] / np.array([16, 10, 10, 10, 16])).all()
 
 
 def test_a_mesh_that_leans_is_one_that_is_tilted(folder):
