@@ -253,7 +253,7 @@ def one_drop(
             if frames[:, 0, 2].min() <= 0.0:
                 return FALLEN
         touching = Touching(points, frames, gaps, rotation[2].copy(), 0.0, 0.0, gravity)
-        done = march(modes, touching, u, v, Asked(max(wait - now, 0.0), math.inf, limit))
+        done = march(modes, touching, u, v, Asked(max(wait - now, 0.0), math.inf, limit, False))
         if done.status != modal_march.RELEASED:
             return done.status
         steps += done.steps

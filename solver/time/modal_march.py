@@ -68,7 +68,7 @@ class Asked(NamedTuple):
     wait: float
     until: float
     limit: int
-    history: bool = False
+    history: bool
 
 
 class Marched(NamedTuple):
