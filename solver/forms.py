@@ -1,71 +1,273 @@
-"""How are forms compiled once, whoever asks first, and never left half-made?
+"""The mechanics of a solid that meets a plane, in UFL: strain, stress, inertia, damping, contact.
 
-FFCx keeps compiled forms on disk; a process that finds one begun waits ten seconds for its end and
-then fails, also where whoever began it was killed. Here every process, rank or not, compiles with
-a lock held, which the system takes back from one that dies. What is half-made when the lock has
-been had is therefore nobody's, and is dropped.
+One step of length h takes the displacement u by d; the velocity goes from v to 2 d/h - v. The
+balance of momentum is taken at mid-step (Simo and Tarnow, ZAMP 43, 1992), where it conserves
+linear and angular momentum, and energy where nothing is damped. With ``finite`` strain and rotation
+the stress is St. Venant and Kirchhoff's, S = C : E of Green and Lagrange's strain, carried by the
+deformation gradient F = 1 + grad u half way; else F = 1 and E = sym grad u, linear elasticity.
+Damping is Rayleigh's: αM, and the stress β C : dE/dt.
+
+Contact is an integral over the tip's facets (`StepForms.contact`). Its trial state, the augmented
+gap τ t - x less the plane, is that of solver.contact.enforcement, as is everything named after it.
 """
 
 from __future__ import annotations
 
-import fcntl
-import tempfile
-import warnings
-from collections.abc import Iterator
-from contextlib import contextmanager
-from functools import cache
-from pathlib import Path
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import ufl
-from dolfinx import default_scalar_type, fem, jit
-from mpi4py import MPI
+from dolfinx import fem, mesh
+from petsc4py import PETSc
 
 from .arrays import Array
-from .compiled import writable_folder
+from .bristle import Material
 
-LOCK = "lock"
-
-
-def form(expression: ufl.Form) -> Any:
-    """The form, compiled by this rank alone or read from disk; RuntimeError where it cannot be."""
-    with _alone() as folder, warnings.catch_warnings():
-        warnings.filterwarnings("ignore", "Applying str")  # to points of custom quadrature
-        options = {"cache_dir": str(folder)}
-        jit.ffcx_jit(MPI.COMM_SELF, expression, {"scalar_type": default_scalar_type}, options)
-    return fem.form(expression, jit_options=options)  # found by all ranks, so none waits
+Expr = Any  # of UFL, which has no types of its own
 
 
-def expression(value: ufl.core.expr.Expr, points: Array) -> fem.Expression:
-    """``value`` at reference ``points`` (n, 3) of a cell, compiled like a form."""
-    with _alone() as folder:
-        return fem.Expression(
-            value, np.asarray(points), MPI.COMM_SELF, jit_options={"cache_dir": str(folder)}
+@dataclass(frozen=True)
+class Elasticity:
+    """St. Venant and Kirchhoff's material, or Hooke's where strain is not ``finite``.
+
+    Its numbers are data of the forms, not part of them: one compiled form serves all materials.
+    """
+
+    lam: fem.Constant
+    mu: fem.Constant
+    finite: bool
+
+    @classmethod
+    def of(cls, material: Material, domain: mesh.Mesh, *, finite: bool = False) -> Elasticity:
+        """Of a ``material`` on a mesh."""
+        lam, mu = (fem.Constant(domain, PETSc.ScalarType(value)) for value in material.lame_Pa)
+        return cls(lam, mu, finite)
+
+    def deformation(self, u: Expr) -> Expr:
+        """What carries the stress: F."""
+        return ufl.Identity(3) + ufl.grad(u) if self.finite else ufl.Identity(3)
+
+    def strain(self, u: Expr) -> Expr:
+        """E, free of the cancellation in FᵀF - 1."""
+        gradient = ufl.grad(u)
+        linear = ufl.sym(gradient)
+        return linear + 0.5 * gradient.T * gradient if self.finite else linear
+
+    def strain_change(self, at: Expr, w: Expr) -> Expr:
+        """The derivative of E at a displacement ``at`` along ``w``; about the middle of a step it
+        is the change of E over the step to the last digit."""
+        return ufl.sym(self.deformation(at).T * ufl.grad(w))
+
+    def stress(self, strain: Expr) -> Expr:
+        """S = C : E, along the body's own axes."""
+        return self.lam * ufl.tr(strain) * ufl.Identity(3) + 2.0 * self.mu * strain
+
+    def energy_density(self, u: Expr) -> Expr:
+        """½ E : C : E."""
+        strain = self.strain(u)
+        return 0.5 * ufl.inner(self.stress(strain), strain)
+
+    def traction(self, u: Expr, normal: Expr) -> Expr:
+        """Force per undeformed area F S N across a surface with the unit ``normal`` N."""
+        return self.deformation(u) * self.stress(self.strain(u)) * normal
+
+    def traction_change(self, before: Expr, after: Expr, w: Expr, normal: Expr) -> Expr:
+        """What ``w`` adds to the traction between two states; with w their difference, all of it
+        to the last digit."""
+        middle = 0.5 * (before + after)
+        change = self.deformation(middle) * self.stress(self.strain_change(middle, w))
+        if self.finite:
+            mean = 0.5 * (self.stress(self.strain(before)) + self.stress(self.strain(after)))
+            change += ufl.grad(w) * mean
+        return change * normal
+
+
+@dataclass(frozen=True)
+class TipMeasure:
+    """The tip's facets with the quadrature rules whose points are the contact points.
+
+    ``parts`` are measures that add up to the tip, ``area_m2`` is its area.
+    """
+
+    parts: tuple[ufl.Measure, ...]
+    area_m2: float
+
+
+class StepForms:
+    """The forms of one step of a solid on ``space``, and the data they hold.
+
+    ``u``, ``v`` and ``d`` are displacement and velocity at the start of the step, and its
+    increment; ``pull`` is gravity's vector (3,) in m/s².
+    """
+
+    def __init__(self, space: fem.FunctionSpace, material: Material, *, finite: bool) -> None:
+        domain = self.domain = space.mesh
+        self.elasticity = Elasticity.of(material, domain, finite=finite)
+        self.u, self.v, self.d = (fem.Function(space) for _ in range(3))
+        self.test, self.trial = ufl.TestFunction(space), ufl.TrialFunction(space)
+        real = PETSc.ScalarType
+        self.its, self.density, self.alpha, self.beta = (
+            fem.Constant(domain, real(value))
+            for value in (1.0, material.density_kg_m3, material.alpha_1_s, material.beta_s)
+        )
+        self.pull = fem.Constant(domain, np.zeros(3, dtype=real))
+        order = space.element.basix_element.degree
+        # that of the small-strain stiffness: strain and stress are conserved point by point, so a
+        # degree below that of finite strain's polynomials costs no conservation
+        self._dx = ufl.Measure("dx", domain=domain, metadata={"quadrature_degree": 2 * order})
+        self.normal = ufl.FacetNormal(domain)
+
+    @property
+    def middle(self) -> Expr:
+        """The displacement half way."""
+        return self.u + self.d / 2
+
+    @property
+    def end_velocity(self) -> Expr:
+        """The velocity at the end of the step."""
+        return 2.0 / self.its * self.d - self.v
+
+    def internal(self) -> Expr:
+        """Virtual work of the stress at mid-step, damping included."""
+        body = self.elasticity
+        increase = body.strain_change(self.middle, self.d)
+        stress = body.stress(body.strain(self.u) + (0.5 + self.beta / self.its) * increase)
+        return ufl.inner(body.deformation(self.middle) * stress, ufl.grad(self.test)) * self._dx
+
+    def inertia(self) -> Expr:
+        """Virtual work of inertia, damping in proportion to mass, and gravity."""
+        acceleration = 2.0 / self.its * (self.d / self.its - self.v)
+        rest = acceleration + self.alpha / self.its * self.d - self.pull
+        return self.density * ufl.inner(rest, self.test) * self._dx
+
+    def tangent(self) -> Expr:
+        """Derivative of `internal` and `inertia` by the increment."""
+        inertia = self.density * (2.0 / self.its + self.alpha) / self.its
+        return (
+            ufl.derivative(self.internal(), self.d, self.trial)
+            + inertia * ufl.inner(self.trial, self.test) * self._dx
         )
 
+    def strain_energy(self) -> Expr:
+        """Of the displacement ``u``, in J."""
+        return self.elasticity.energy_density(self.u) * self._dx
 
-@contextmanager
-def _alone() -> Iterator[Path]:
-    """The folder of compiled forms, with no other process at work in it."""
-    folder = _folder()
-    with (folder / LOCK).open("w") as file:
-        fcntl.flock(file, fcntl.LOCK_EX)
-        for source in folder.glob("*.c"):
-            if not source.with_suffix(".c.cached").exists():
-                source.unlink()
-        yield folder
+    def stress_load(self) -> Expr:
+        """Virtual work of the stress of ``u`` on small strains."""
+        body = self.elasticity
+        return ufl.inner(body.stress(body.strain(self.u)), ufl.grad(self.test)) * self._dx
+
+    def stress_rate_load(self) -> Expr:
+        """Virtual work of the stress' rate, at ``u`` and ``v``, on small strains."""
+        body = self.elasticity
+        rate = body.stress(body.strain_change(self.u, self.v))
+        return ufl.inner(rate, ufl.grad(self.test)) * self._dx
+
+    def stress_loss(self) -> Expr:
+        """What β takes over the step, in J."""
+        increase = self.elasticity.strain_change(self.middle, self.d)
+        rate = self.beta / self.its
+        return rate * ufl.inner(self.elasticity.stress(increase), increase) * self._dx
+
+    def start_traction(self) -> Expr:
+        """The traction at the start of the step, its viscous part included."""
+        body = self.elasticity
+        viscous = body.stress(self.beta * body.strain_change(self.u, self.v))
+        return body.traction(self.u, self.normal) + body.deformation(self.u) * viscous * self.normal
+
+    def end_traction(self) -> Expr:
+        """The traction at the end of the step, its viscous part included."""
+        body, end = self.elasticity, self.u + self.d
+        viscous = body.stress(self.beta * body.strain_change(end, self.end_velocity))
+        return body.traction(end, self.normal) + body.deformation(end) * viscous * self.normal
+
+    def viscous_traction(self) -> Expr:
+        """The viscous part of the traction half way."""
+        body = self.elasticity
+        viscous = body.stress(self.beta / self.its * body.strain_change(self.middle, self.d))
+        return body.deformation(self.middle) * viscous * self.normal
+
+    def mean_traction(self) -> Expr:
+        """The mean of the tractions at both ends, and the viscous one half way."""
+        body, end = self.elasticity, self.u + self.d
+        elastic = 0.5 * (body.traction(self.u, self.normal) + body.traction(end, self.normal))
+        return elastic + self.viscous_traction()
+
+    def traction_change(self, w: Expr) -> Expr:
+        """What ``w`` adds to the traction, see `Elasticity.traction_change`."""
+        return self.elasticity.traction_change(self.u, self.u + self.d, w, self.normal)
+
+    def contact(self, tip: TipMeasure, plane: PlaneData) -> Expr:
+        """Virtual work of contact with a plane: penalty (τ = 0) or Nitsche's method with θ.
+
+        The force on the tip, per share of its area, is p = N n + T. The normal force N is the
+        discrete gradient over the step (Gonzalez, J. Nonlinear Sci. 6, 1996) of the potential
+        ½ k ⟨s⟩² of the augmented gap s, k being Kn in series with 1/τ; friction T is drawn back to
+        μ N from what a spring that follows the slip would push with at mid-step.
+        """
+        total = 0.0
+        x = ufl.SpatialCoordinate(self.domain)
+        area, n = tip.area_m2, plane.normal
+        before = area * plane.tau * self.start_traction()
+        after = area * plane.tau * self.end_traction()
+        start = before - (x + self.u)
+        end = after - (x + self.u + self.d)
+        normal = _mean_force(
+            plane.stiffness,
+            ufl.dot(start, n) + plane.offset,
+            ufl.dot(end, n) + plane.offset,
+        )
+        slip = (end - start) - ufl.dot(end - start, n) * n
+        trial = plane.kt * (plane.elongation + 0.5 * slip)
+        size = ufl.sqrt(ufl.dot(trial, trial))
+        limit = plane.mu * normal
+        share = ufl.conditional(ufl.gt(size, limit), limit / size, 1.0)
+        force = normal * n + ufl.conditional(ufl.gt(normal, 0.0), share, 0.0) * trial
+        along = area * self.traction_change(self.test)
+        pushed = self.test - plane.theta * plane.tau * along
+        work = ufl.dot(force, pushed)
+        work += plane.theta * plane.tau * ufl.dot(area * self.mean_traction(), along)
+        for part in tip.parts:
+            total -= work / area * part
+        return total
 
 
-@cache
-def _folder() -> Path:
-    """One that can be written and locked: the user's, or this process' own."""
-    folder = writable_folder("forms")
-    try:
-        with (folder / LOCK).open("w") as file:
-            fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
-    except BlockingIOError:
-        pass  # another process holds it, so it works
-    except OSError:
-        return Path(tempfile.mkdtemp(prefix="bristle-forms-"))
-    return folder
+@dataclass(frozen=True)
+class PlaneData:
+    """A rigid plane and how it is enforced, as the forms read them.
+
+    The plane is n · x = offset; ``stiffness`` is that of contact with Nitsche's compliance ``tau``
+    in series, ``kt`` friction's. ``elongation`` (m) is what friction's springs hold at the start of
+    the step.
+    """
+
+    normal: fem.Constant
+    offset: fem.Constant
+    stiffness: fem.Constant
+    kt: fem.Constant
+    mu: fem.Constant
+    tau: fem.Constant
+    theta: fem.Constant
+    elongation: fem.Function
+
+
+def _mean_force(stiffness: Expr, before: Expr, after: Expr) -> Expr:
+    """(V(s1) - V(s0)) / (s1 - s0) of V = ½ k ⟨s⟩², by cases so that nothing cancels."""
+    a, b = ufl.max_value(before, 0.0), ufl.max_value(after, 0.0)
+    through = (a + b) ** 2 / abs(after - before)
+    return 0.5 * stiffness * ufl.conditional(ufl.lt(before * after, 0.0), through, a + b)
+
+
+def rigid_plane(space: fem.FunctionSpace) -> PlaneData:
+    """A plane whose numbers are still to be set."""
+    real, domain = PETSc.ScalarType, space.mesh
+    offset, stiffness, kt, mu, tau, theta = (fem.Constant(domain, real(0.0)) for _ in range(6))
+    normal = fem.Constant(domain, np.array([0.0, 0.0, 1.0], dtype=real))
+    return PlaneData(normal, offset, stiffness, kt, mu, tau, theta, fem.Function(space))
+
+
+def own_values(function: fem.Function, values: Array) -> None:
+    """Give ``function`` this rank's ``values``, and those of other ranks."""
+    function.x.array[: len(values)] = values
+    function.x.scatter_forward()

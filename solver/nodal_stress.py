@@ -21,8 +21,8 @@ from scipy.sparse import csr_matrix
 
 from .arrays import Array
 from .bristle import Material
-from .forms import expression
-from .mechanics import Elasticity
+from .form_cache import expression
+from .forms import Elasticity
 
 VOIGT = ((0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1))
 

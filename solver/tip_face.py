@@ -12,7 +12,7 @@ from .arrays import Array
 from .bodies.solid import SolidBody
 from .bodies.tip import SAME_POINT_M
 from .errors import ComputationError
-from .forms import form
+from .form_cache import form
 
 
 class TipFace:

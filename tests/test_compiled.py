@@ -21,7 +21,7 @@ FORM = """
 import numpy as np
 from dolfinx import fem, mesh
 from mpi4py import MPI
-from bristle.solver.forms import form
+from bristle.solver.form_cache import form
 import ufl
 comm = MPI.COMM_WORLD
 corners = [np.zeros(3), np.array([1.0, 1.0, 2.0])]

@@ -23,7 +23,7 @@ from petsc4py import PETSc
 
 from ..arrays import Array
 from ..compiled import fast
-from ..forms import form
+from ..form_cache import form
 from .matrices import NodeMass, assembled_rows, degree_of_products, petsc_matrix
 
 if TYPE_CHECKING:

@@ -8,8 +8,8 @@ from functools import cached_property
 import numpy as np
 from dolfinx import fem, la
 
-from ..forms import form
-from ..mechanics import StepForms, own_values
+from ..form_cache import form
+from ..forms import StepForms, own_values
 from ..rigid import Array, Pose, matrix_of, product, turn
 from .reduced import ReducedModel
 

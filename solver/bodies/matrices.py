@@ -18,7 +18,7 @@ from petsc4py import PETSc
 from ..arrays import Array
 from ..compiled import fast
 from ..errors import ComputationError
-from ..forms import form
+from ..form_cache import form
 
 Rows = tuple[NDArray[np.integer], NDArray[np.integer], Array]
 

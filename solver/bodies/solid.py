@@ -17,8 +17,8 @@ from scipy.sparse import csr_matrix
 from ..arrays import Array
 from ..bristle import CONTACT_POINTS, Material
 from ..errors import ComputationError
-from ..forms import form
-from ..mechanics import Elasticity
+from ..form_cache import form
+from ..forms import Elasticity
 from .chain import Layout, Summand, lay_out
 from .linear import LinearSolver, Method, Solver, choose, make_solver
 from .matrices import NodeMass, assembled_rows, degree_of_products, petsc_matrix

@@ -15,8 +15,8 @@ from scipy.sparse import csr_matrix
 from ..arrays import Array
 from ..bristle import CONTACT_POINTS, gauss_lobatto
 from ..errors import ComputationError
-from ..forms import expression
-from ..mechanics import Expr, StepForms, TipMeasure
+from ..form_cache import expression
+from ..forms import Expr, StepForms, TipMeasure
 from .base import ContactPoints
 
 SAME_POINT_M = 1e-9

@@ -19,9 +19,9 @@ from ..bodies.solid import SolidBody
 from ..contact.enforcement import ContactMethod, Enforcement
 from ..contact.laws import Linear
 from ..errors import ComputationError
-from ..forms import form
+from ..form_cache import form
+from ..forms import own_values, rigid_plane
 from ..ground import Placement
-from ..mechanics import own_values, rigid_plane
 from .finite import PREFIX, FiniteMarcher
 from .march import Moving, Step
 from .scheme import TimeScheme

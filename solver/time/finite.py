@@ -1,6 +1,6 @@
 """One time step of a solid at finite strain and rotation: PETSc's SNES about an exact contact.
 
-The increment d of a step solves its balance of momentum at mid-step (solver.mechanics). SNES looks
+The increment d of a step solves its balance of momentum at mid-step (solver.forms). SNES looks
 for the fixed point of d = G(d), where G linearises the body with a tangent factored some steps ago
 and solves the contact law with no approximation on that linear body, through the compliance of its
 contact points. So neither opening nor slipping asks for a new factor, only a body that has turned
@@ -27,9 +27,9 @@ from ..bodies.solid import SolidBody
 from ..bodies.tip import TipTractions
 from ..contact.enforcement import ContactMethod
 from ..errors import ComputationError
-from ..forms import form
+from ..form_cache import form
+from ..forms import StepForms, own_values
 from ..ground import Placement
-from ..mechanics import StepForms, own_values
 from .march import ContactMarch, Moving, Step
 from .scheme import TimeScheme
 

@@ -44,7 +44,7 @@ class Tip(StrEnum):
 
 class Deflection(StrEnum):
     """How far bending and turning go into a leaning body's equations: see solver.bodies.axis and
-    solver.mechanics."""
+    solver.forms."""
 
     SMALL = "small"
     SECOND_ORDER = "second-order"

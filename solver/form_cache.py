@@ -1,0 +1,71 @@
+"""Compiled forms, made once and kept: whoever asks first, and never half-made.
+
+FFCx keeps compiled forms on disk; a process that finds one begun waits ten seconds for its end and
+then fails, also where whoever began it was killed. Here every process, rank or not, compiles with
+a lock held, which the system takes back from one that dies. What is half-made when the lock has
+been had is therefore nobody's, and is dropped.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import tempfile
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import ufl
+from dolfinx import default_scalar_type, fem, jit
+from mpi4py import MPI
+
+from .arrays import Array
+from .compiled import writable_folder
+
+LOCK = "lock"
+
+
+def form(expression: ufl.Form) -> Any:
+    """The form, compiled by this rank alone or read from disk; RuntimeError where it cannot be."""
+    with _alone() as folder, warnings.catch_warnings():
+        warnings.filterwarnings("ignore", "Applying str")  # to points of custom quadrature
+        options = {"cache_dir": str(folder)}
+        jit.ffcx_jit(MPI.COMM_SELF, expression, {"scalar_type": default_scalar_type}, options)
+    return fem.form(expression, jit_options=options)  # found by all ranks, so none waits
+
+
+def expression(value: ufl.core.expr.Expr, points: Array) -> fem.Expression:
+    """``value`` at reference ``points`` (n, 3) of a cell, compiled like a form."""
+    with _alone() as folder:
+        return fem.Expression(
+            value, np.asarray(points), MPI.COMM_SELF, jit_options={"cache_dir": str(folder)}
+        )
+
+
+@contextmanager
+def _alone() -> Iterator[Path]:
+    """The folder of compiled forms, with no other process at work in it."""
+    folder = _folder()
+    with (folder / LOCK).open("w") as file:
+        fcntl.flock(file, fcntl.LOCK_EX)
+        for source in folder.glob("*.c"):
+            if not source.with_suffix(".c.cached").exists():
+                source.unlink()
+        yield folder
+
+
+@cache
+def _folder() -> Path:
+    """One that can be written and locked: the user's, or this process' own."""
+    folder = writable_folder("forms")
+    try:
+        with (folder / LOCK).open("w") as file:
+            fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
+    except BlockingIOError:
+        pass  # another process holds it, so it works
+    except OSError:
+        return Path(tempfile.mkdtemp(prefix="bristle-forms-"))
+    return folder
