@@ -52,18 +52,16 @@ def steps() -> list[step.Line]:
             unknowns=10_000 * times,
             ranks=1,
             repeats=3,
-            method="chain",
+            method="direct",
             factor_entries=1_000_000 * times,
             read_GB_s=20.0,
             triad_GB_s=15.0,
             read_ms=4.0 * times,
             solve_ms=9.0 * times,
-            mumps_ms=20.0 * times,
             mass_ms=1.0 * times,
             step_ms=10.0 * times,
             contact_step_ms=12.0 * times,
             over_read=2.25,
-            mumps_over_solve=2.2,
             step_over_solve=1.11,
             contact_step_over_solve=1.33,
         )
@@ -73,7 +71,7 @@ def steps() -> list[step.Line]:
 
 def growing() -> list[sizes.Line]:
     """Times and memory of a slender bar that grow as its unknowns, of a cube faster."""
-    powers = {("along", "chain"): 1.0, ("compact", "mumps"): 4.0 / 3.0}
+    powers = {("along", "direct"): 1.0, ("compact", "direct"): 4.0 / 3.0}
     return [
         sizes.Line(
             series=series,

@@ -154,8 +154,8 @@ def test_the_page_of_sizes_tells_exponents_and_what_failed(tmp_path):
     lines = growing()
     sizes_page.page(lines, sizes.exponents(lines), ["compact: no memory"], tmp_path, 200_000, [])
     html = (tmp_path / "report.html").read_text()
-    assert "Along, chain: a step grows with the unknowns to the power 1.00" in html
-    assert "Compact, mumps: a step grows with the unknowns to the power 1.33" in html
+    assert "Along, direct: a step grows with the unknowns to the power 1.00" in html
+    assert "Compact, direct: a step grows with the unknowns to the power 1.33" in html
     assert "Not done: compact: no memory." in html
     assert len(told(tmp_path, "sizes")) == len(lines)
 

@@ -85,29 +85,6 @@ def test_reductions_of_a_step_are_those_counted(make_solid, monkeypatch):
     assert count_many - count_few == communication.ALLREDUCES * (many - few)
 
 
-@pytest.mark.skipif(COMM.size == 1, reason="one rank has no cuts")
-def test_a_solve_sums_the_unknowns_of_the_cuts(make_solid, monkeypatch):
-    solid, bar = make_solid(cells=(1, 2, 24)), Bar((1, 2, 24))
-    solve = solid.factor(1e12, 1.0)
-    sums = []
-    for factor in solid._solvers.values():
-        monkeypatch.setattr(factor, "comm", Summed(COMM, sums))
-    solve(np.ones(solid.n_local))
-    assert sums == [bar.plane * (COMM.size - 1)]
-    solid.release_factors()
-
-
-class Summed:
-    """A communicator that notes how many numbers it sums."""
-
-    def __init__(self, comm: MPI.Intracomm, sums: list[int]) -> None:
-        self._comm, self._sums = comm, sums
-
-    def Allreduce(self, send, receive):
-        self._sums.append(receive.size)
-        self._comm.Allreduce(send, receive)
-
-
 def test_efficiency_falls_with_ranks_and_grows_with_length():
     short, long = Bar((1, 4, 337)), Bar((1, 4, 3370))
     ranks = [1, 2, 4, 8, 16, 32]

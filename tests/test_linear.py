@@ -1,7 +1,5 @@
 """Do the solvers of a solid's equations agree, and is the right one taken, and made once?"""
 
-import copy
-import functools
 import math
 
 import numpy as np
@@ -9,8 +7,7 @@ import pytest
 from mpi4py import MPI
 
 from bristle.solver.bodies import linear
-from bristle.solver.bodies import solid as solid_body
-from bristle.solver.bodies.chain import ChainFactor, lay_out
+from bristle.solver.bodies.direct import Cholesky
 from bristle.solver.bodies.linear import TOLERANCE, Method, Solver, choose, make_solver
 from bristle.solver.bodies.reduced import reduce_solid
 from bristle.solver.bristle import Circle
@@ -23,8 +20,6 @@ from bristle.studies.command.choices import Model
 from bristle.studies.command.config import DropInputs
 from bristle.studies.running.cases import Workshop
 
-ALONE = [Method.CHAIN, Method.MUMPS, Method.ITERATIVE]
-SHARED = [Method.CUT, Method.MUMPS, Method.ITERATIVE]
 BODIES = [
     {"cells": (1, 2, 12), "order": 1},
     {"cells": (2, 3, 8), "order": 2},
@@ -51,7 +46,7 @@ def test_every_method_solves_the_equations(make_solid, body, its):
     b = effective[0] * solid.mass(wanted) + effective[1] * solid.stiffness(wanted)
     block = np.asfortranarray(np.column_stack([b, -2.0 * b, 0.0 * b]))
     size = energy_norm(solid, wanted, *effective)
-    for method in ALONE if solid.comm.size == 1 else SHARED:
+    for method in Method:
         solver = make_solver(solid, method, *effective)
         x, columns = solver.solve(b), solver.solve(block)
         solver.close()
@@ -69,12 +64,12 @@ def test_methods_bounce_alike_and_close_the_budget(make_solid, monkeypatch):
     c_mass, c_stiffness = TimeScheme.average().effective(its, solid.alpha_1_s, solid.beta_s)
     plan = DropPlan(0.05, ContactMethod(Linear(2e6)), its, 9.8)
     results = {}
-    for method in ALONE if solid.comm.size == 1 else SHARED:
+    for method in Method:
         monkeypatch.setitem(solid.__dict__, "method", method)
         solid.release_factors()
         results[method] = simulate(reduce_solid(solid, c_mass / c_stiffness, 8), plan)
     solid.release_factors()
-    direct = results.pop(Method.MUMPS)
+    direct = results.pop(Method.DIRECT)
     for result in results.values():
         # every step adds the solver's tolerance at most
         close = direct.n_steps * TOLERANCE
@@ -85,74 +80,29 @@ def test_methods_bounce_alike_and_close_the_budget(make_solid, monkeypatch):
         assert result.energy.closure_relative < 1e-6
 
 
-def test_the_rule_of_choice():
-    small, large = 50_000, 3_000_000
-    slender, wide = 200, 4000
-    few, many = linear.MOST_ON_CUTS, linear.MOST_ON_CUTS + 1
-    for size in (small, large):
-        assert choose(Solver.AUTO, size, slender * size) is Method.CHAIN
-        assert choose(Solver.DIRECT, size, slender * size) is Method.CHAIN
-        for least in (slender, wide):
-            assert choose(Solver.ITERATIVE, size, least * size) is Method.ITERATIVE
-        shared = functools.partial(choose, unknowns=size, chained=slender * size, alone=False)
-        assert shared(Solver.AUTO, on_cuts=few) is Method.CUT
-        assert shared(Solver.AUTO, on_cuts=many) is Method.MUMPS
-        assert shared(Solver.ITERATIVE, on_cuts=few) is Method.ITERATIVE
-    assert choose(Solver.AUTO, small, wide * small) is Method.MUMPS
-    assert choose(Solver.AUTO, large, wide * large) is Method.ITERATIVE
-    assert choose(Solver.DIRECT, large, wide * large) is Method.MUMPS
+def test_the_rule_of_choice(make_solid):
+    slender, compact = (54_675, 675, 2), (1_000_000, 139, 2)
+    for solver, far in ((Solver.AUTO, Method.ITERATIVE), (Solver.DIRECT, Method.DIRECT)):
+        assert choose(solver, *slender) is Method.DIRECT
+        assert choose(solver, *compact) is far
+    assert choose(Solver.ITERATIVE, *slender) is Method.ITERATIVE
+    # along the bar a factor grows as its unknowns
+    assert choose(Solver.AUTO, 40 * slender[0], 40 * slender[1], 2) is Method.DIRECT
+    assert make_solid((1, 2, 24), 0.05).method is Method.DIRECT
 
 
-@pytest.mark.parametrize(("cells", "order"), [((2, 5, 24), 1), ((1, 2, 24), 2), ((2, 5, 24), 2)])
-def test_a_factor_is_estimated_where_ranks_share_the_body(make_solid, cells, order, monkeypatch):
-    """As it is counted where they do not; the ends of this short bar are a tenth."""
-    seen = []
-
-    def noted(solver, unknowns, chained, **how):
-        seen.append(chained)
-        return choose(solver, unknowns, chained, **how)
-
-    monkeypatch.setattr(solid_body, "choose", noted)
-    for comm, known in ((MPI.COMM_WORLD, {"layout": None}), (MPI.COMM_SELF, {})):
-        solid = copy.copy(make_solid(cells, 0.05, order, comm=comm))
-        solid.__dict__.pop("method", None)
-        solid.__dict__.pop("layout", None)
-        solid.__dict__.update(known)
-        assert solid.method
-    estimated, counted = seen
-    assert estimated == pytest.approx(counted, rel=0.1)
-
-
-def test_a_body_takes_the_method_of_the_rule(make_solid):
-    solid = make_solid((1, 2, 24), 0.05)
-    alone = solid.comm.size == 1
-    assert solid.method is (Method.CHAIN if alone else Method.CUT)
-    assert (solid.layout is not None) is alone
-
-
-@pytest.mark.parametrize("order", [1, 2])
-def test_a_chain_grows_linearly_with_the_length_of_a_bar(make_solid, order):
-    """Another cell along the bar adds what the one before added."""
-    if MPI.COMM_WORLD.size > 1:
-        pytest.skip("a chain is for one rank")
-    sizes = [make_solid((1, 2, n), 0.02, order).layout.entries for n in (6, 7, 8, 9)]
-    assert len(set(np.diff(sizes))) == 1
-
-
-def test_a_matrix_that_is_not_positive_is_refused(make_solid):
-    if MPI.COMM_WORLD.size > 1:
-        pytest.skip("a chain is for one rank")
-    solid = make_solid((1, 2, 12), order=1)
-    with pytest.raises(ComputationError, match="positive"):
-        ChainFactor(solid.layout, solid.parts(-1.0, 0.0))
-
-
-def test_unknowns_that_stand_alone_make_a_chain_of_ones():
-    n = 5
-    layout = lay_out(np.arange(n + 1), np.arange(n), np.linspace(0.0, 1.0, n))
-    values = np.array([4.0, 1.0, 9.0, 16.0, 25.0])
-    factor = ChainFactor(layout, [(np.arange(n + 1), np.arange(n), values, 2.0, 1)])
-    assert factor.solve(2.0 * values) == pytest.approx(np.ones(n))
+@pytest.mark.parametrize("cells", [(2, 2, 60), (3, 3, 40), (6, 6, 6)])
+def test_a_factor_is_about_as_large_as_is_thought(make_solid, cells, monkeypatch):
+    """What it is thought to be is where the choice turns, to within a factor of two."""
+    solid = make_solid(cells, 0.05)
+    found = make_solver(solid, Method.DIRECT, 1e12, 1.0)
+    assert isinstance(found, Cholesky)
+    size, entries = (solid.n_dofs, len(solid.layers_m), solid.order), found.entries
+    found.close()
+    monkeypatch.setattr(linear, "LARGEST_FACTOR", 2 * entries)
+    assert choose(Solver.AUTO, *size) is Method.DIRECT
+    monkeypatch.setattr(linear, "LARGEST_FACTOR", entries // 2)
+    assert choose(Solver.AUTO, *size) is Method.ITERATIVE
 
 
 def test_conjugate_gradients_that_do_not_arrive_say_so(make_solid, monkeypatch):

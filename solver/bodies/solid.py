@@ -10,7 +10,6 @@ import numpy as np
 import ufl
 from dolfinx import fem, mesh
 from mpi4py import MPI
-from numpy.typing import NDArray
 from petsc4py import PETSc
 from scipy.sparse import csr_matrix
 
@@ -19,7 +18,6 @@ from ..bristle import CONTACT_POINTS, Material
 from ..errors import ComputationError
 from ..form_cache import form
 from ..forms import Elasticity
-from .chain import Layout, Summand, lay_out
 from .linear import LinearSolver, Method, Solver, choose, make_solver
 from .matrices import NodeMass, assembled_rows, degree_of_products, petsc_matrix
 from .tip import tip_contact
@@ -123,18 +121,6 @@ class SolidBody:
         return y
 
     @cached_property
-    def layout(self) -> Layout | None:
-        """The order of a factor along the axis; None on several ranks."""
-        if self.comm.size > 1:
-            return None
-        return lay_out(*self._rows[:2], self.heights_m)
-
-    @property
-    def heights_m(self) -> Array:
-        """Where this rank's unknowns are along the axis (n_local,)."""
-        return np.repeat(self.places_m[:, 2], 3)
-
-    @cached_property
     def layers_m(self) -> Array:
         """The heights at which there are nodes, of all ranks, to `DECIMALS`."""
         own = np.unique(np.round(self.places_m[:, 2], DECIMALS))
@@ -143,19 +129,7 @@ class SolidBody:
     @cached_property
     def method(self) -> Method:
         """How effective matrices are solved with."""
-        if self.layout is not None:
-            return choose(self.solver, self.n_dofs, self.layout.entries)
-        # as many layers as the order are one panel, as wide as they and with one more below
-        chained = round((1.0 + 0.5 * self.order) * self.n_dofs**2 / len(self.layers_m))
-        cuts = self.comm.allreduce(int(self.on_cuts.sum()))
-        return choose(self.solver, self.n_dofs, chained, alone=False, on_cuts=cuts)
-
-    @cached_property
-    def on_cuts(self) -> NDArray[np.bool_]:
-        """Which of this rank's unknowns (n_local,) a cell of another rank has too."""
-        index_map, block = self.space.dofmap.index_map, self.space.dofmap.index_map_bs
-        others = index_map.index_to_dest_ranks()
-        return np.repeat(np.diff(others.offsets)[: index_map.size_local] > 0, block)
+        return choose(self.solver, self.n_dofs, len(self.layers_m), self.order)
 
     @cached_property
     def stiffest_1_s2(self) -> float:
@@ -183,11 +157,6 @@ class SolidBody:
             return x
 
         return solve
-
-    def parts(self, c_mass: float, c_stiffness: float) -> list[Summand]:
-        """This rank's rows of c_mass M + c_stiffness K for `ChainFactor`; all couplings are in the
-        first."""
-        return [(*self._rows, c_stiffness, 1), (*self.node_mass.rows, c_mass, 3)]
 
     def effective_matrix(self, c_mass: float, c_stiffness: float) -> PETSc.Mat:
         """c_mass M + c_stiffness K as a matrix of its own."""

@@ -14,7 +14,7 @@ import ufl
 from dolfinx.fem import petsc as fem_petsc
 from petsc4py import PETSc
 
-from ..bodies.mumps import take_mumps
+from ..bodies.direct import take_direct
 from ..bodies.solid import SolidBody
 from ..contact.enforcement import ContactMethod, Enforcement
 from ..contact.laws import Linear
@@ -74,7 +74,7 @@ class AssembledMarcher(FiniteMarcher):
         snes.setFunction(self._residual, self.vector())
         snes.setJacobian(self._assemble, self._jacobian)
         snes.setTolerances(rtol=PRECISION, atol=0.0, stol=PRECISION, max_it=ITERATIONS)
-        take_mumps(snes.getKSP(), PETSc.PC.Type.LU)
+        take_direct(snes.getKSP(), PETSc.PC.Type.LU)
         snes.setFromOptions()
         return snes
 

@@ -22,7 +22,7 @@ from dolfinx.fem import petsc as fem_petsc
 from petsc4py import PETSc
 
 from ..arrays import Array
-from ..bodies.mumps import factor, solve_columns, take_mumps
+from ..bodies.direct import factor, solve_columns, take_direct
 from ..bodies.solid import SolidBody
 from ..bodies.tip import TipTractions
 from ..contact.enforcement import ContactMethod
@@ -215,7 +215,7 @@ class FiniteMarcher(ContactMarch):
         self._matrix.assemble()
         if self._solver is None:
             self._solver = PETSc.KSP().create(self.solid.comm)
-            take_mumps(self._solver, PETSc.PC.Type.LU)
+            take_direct(self._solver, PETSc.PC.Type.LU)
         self._solver.setOperators(self._matrix)
         factor(self._solver, "the tangent")
         self.factorisations += 1

@@ -20,12 +20,9 @@ Communication of a step is
   * `ALLREDUCES` of a few numbers: the tip's motion, which one rank has, and the energies'. Each
     takes ⌈log₂ P⌉ rounds of a message (recursive doubling; Thakur, Rabenseifner and Gropp, Int. J.
     High Perform. Comput. Appl. 19, 2005);
-  * the solve's cuts (`solver.bodies.cut`): one more such sum, of all cuts' s (P - 1) unknowns, and
-    their dense factor, 8 (s (P - 1))² bytes, which every rank reads. A part between two cuts also
-    reads how it answers to one of them, forward and back: 16 N s / P bytes.
-  * where there are more than `MOST_ON_CUTS` unknowns on cuts: MUMPS' separators, planes between the
-    parts in a tree of ⌈log₂ P⌉ levels. Forward and backward, each level passes a vector of 2 s on,
-    and works on a dense block of 3 s × s that no other rank can help with.
+  * the solve's separators, planes between the parts in a tree of ⌈log₂ P⌉ levels. Forward and
+    backward, each level passes a vector of 2 s on, and works on a dense block of 3 s × s that no
+    other rank can help with.
 
 So E(P) = T(1) / (P T(P)), T(P) = local(P) + waiting(P). Waiting is the same for long bars and short
 ones, so the P at which E falls under a share grows with N; it is found here.
@@ -35,8 +32,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-
-from ...solver.bodies.cut import MOST_ON_CUTS
 
 BYTES = 8
 VECTORS = 60
@@ -103,16 +98,9 @@ def solve_B(bar: Bar) -> float:
     return 2.0 * BYTES * bar.factor_entries
 
 
-def stream_B(bar: Bar, ranks: int = 1) -> float:
-    """Bytes that all ranks together read and write in a step beside the factors of their parts."""
-    between = max(ranks - 2, 0) / ranks if on_cuts(bar, ranks) else 0.0
-    answers = 2.0 * BYTES * bar.unknowns * bar.plane * between
-    return 12.0 * bar.mass_entries + VECTORS * BYTES * bar.unknowns + answers
-
-
-def on_cuts(bar: Bar, ranks: int) -> bool:
-    """Whether parts are factored by themselves."""
-    return bar.plane * (ranks - 1) <= MOST_ON_CUTS
+def stream_B(bar: Bar) -> float:
+    """Bytes that all ranks together read and write in a step beside the factor."""
+    return 12.0 * bar.mass_entries + VECTORS * BYTES * bar.unknowns
 
 
 def neighbours(rank: int, ranks: int) -> int:
@@ -127,19 +115,14 @@ def waiting_s(bar: Bar, ranks: int, machine: Machine) -> float:
     levels = math.ceil(math.log2(ranks))
     scatter = min(ranks - 1, 2) * machine.message_s(BYTES * bar.most_ghosts)
     reduce = ALLREDUCES * levels * machine.message_s(3 * BYTES * bar.plane)
-    if on_cuts(bar, ranks):
-        cuts = bar.plane * (ranks - 1)
-        passed = levels * machine.message_s(BYTES * cuts)
-        alone = BYTES * cuts**2 / machine.memory_B_s
-    else:
-        passed = 2 * levels * machine.message_s(2 * BYTES * bar.plane)
-        alone = 2 * levels * BYTES * 3 * bar.plane**2 / machine.memory_B_s
+    passed = 2 * levels * machine.message_s(2 * BYTES * bar.plane)
+    alone = 2 * levels * BYTES * 3 * bar.plane**2 / machine.memory_B_s
     return scatter + reduce + passed + alone
 
 
 def step_s(bar: Bar, ranks: int, machine: Machine) -> float:
     """A step of the solid at full order on so many ranks, in s."""
-    local = solve_B(bar) / machine.solve_B_s + stream_B(bar, ranks) / machine.memory_B_s
+    local = solve_B(bar) / machine.solve_B_s + stream_B(bar) / machine.memory_B_s
     return local / ranks + waiting_s(bar, ranks, machine)
 
 

@@ -18,8 +18,8 @@ from mpi4py import MPI
 from ...meshes.distribute import to_dolfinx
 from ...meshes.geometry import MeshSpec, Rectangle, Tag
 from ...solver import paper
-from ...solver.bodies.linear import Chain, Method, Solver, make_solver
-from ...solver.bodies.mumps import Mumps
+from ...solver.bodies.direct import Cholesky
+from ...solver.bodies.linear import Solver
 from ...solver.bodies.solid import SolidBody
 from ...solver.bristle import Material
 from ...solver.compiled import fast
@@ -56,12 +56,10 @@ class Line:
     triad_GB_s: float
     read_ms: float
     solve_ms: float
-    mumps_ms: float
     mass_ms: float
     step_ms: float
     contact_step_ms: float
     over_read: float
-    mumps_over_solve: float
     step_over_solve: float
     contact_step_over_solve: float
 
@@ -124,12 +122,10 @@ def step_line(cells: tuple[int, int, int], order: int, repeats: int = REPEATS) -
     """Measure one body."""
     solid, _ = bar_solid(cells, order)
     marcher = dropped(solid)
-    c_mass, c_stiffness = marcher.scheme.effective(marcher.its_s, solid.alpha_1_s, solid.beta_s)
     solver = next(iter(solid._solvers.values()))
-    mumps = make_solver(solid, Method.MUMPS, c_mass / c_stiffness, 1.0)
-    assert isinstance(mumps, Mumps)
-    entries = solver.factor.layout.entries if isinstance(solver, Chain) else mumps.entries
-    factor = solver.factor.data if isinstance(solver, Chain) else np.full(entries, 1e-9)
+    assert isinstance(solver, Cholesky)
+    entries = solver.entries
+    factor = np.full(entries, 1e-9)
     speed = math.sqrt(2.0 * paper.GRAVITY_M_S2 * paper.HEIGHTS_M[-1])
     falling = -speed * solid.translation[:, 2]
     touching = marcher.start(0.0, np.zeros(solid.n_local), falling)
@@ -141,7 +137,6 @@ def step_line(cells: tuple[int, int, int], order: int, repeats: int = REPEATS) -
             "read": lambda: read(factor),
             "triad": lambda: triad(*arrays),
             "solve": lambda: solver.solve(b),
-            "mumps": lambda: mumps.solve(b),
             "mass": lambda: solid.mass(b),
             "step": lambda: marcher.step(above),
             "contact": lambda: marcher.step(touching),
@@ -161,16 +156,13 @@ def step_line(cells: tuple[int, int, int], order: int, repeats: int = REPEATS) -
         triad_GB_s=1e-6 * 3 * DOUBLE * TRIAD / min(found["triad"]),
         read_ms=ms["read"],
         solve_ms=ms["solve"],
-        mumps_ms=ms["mumps"],
         mass_ms=ms["mass"],
         step_ms=ms["step"],
         contact_step_ms=ms["contact"],
         over_read=ms["solve"] / ms["read"],
-        mumps_over_solve=ms["mumps"] / ms["solve"],
         step_over_solve=ms["step"] / ms["solve"],
         contact_step_over_solve=ms["contact"] / ms["solve"],
     )
-    mumps.close()
     solid.close()
     return line
 
@@ -206,7 +198,7 @@ def _told(line: Line) -> str:
         f"{line.repeats} repeats, {line.method} factor of {line.factor_entries / 1e6:.1f} million\n"
         f"  read at {line.read_GB_s:.1f} GB/s, triad at {line.triad_GB_s:.1f} GB/s\n"
         f"  solve {line.solve_ms:.2f} ms, {line.over_read:.2f} times one reading of the factor "
-        f"(goal 2; forward and back are two readings); MUMPS {line.mumps_ms:.2f} ms\n"
+        f"(goal 2; forward and back are two readings)\n"
         f"  step {line.step_ms:.2f} ms free, {line.contact_step_ms:.2f} ms in contact: "
         f"{line.step_over_solve:.2f} and {line.contact_step_over_solve:.2f} solves (goal 1.3)"
     )

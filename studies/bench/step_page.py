@@ -20,7 +20,6 @@ READINGS, SOLVES = 2.0, 1.3
 PARTS = {
     "read_ms": "one reading of the factor",
     "solve_ms": "a solve",
-    "mumps_ms": "a solve by MUMPS",
     "mass_ms": "a product with M",
     "step_ms": "a step, free",
     "contact_step_ms": "a step in contact",

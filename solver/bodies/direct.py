@@ -1,4 +1,4 @@
-"""How does MUMPS factor a matrix of PETSc, and what do solvers of PETSc share?"""
+"""Direct solvers of PETSc: CHOLMOD on one rank, MUMPS on several and where pivots are needed."""
 
 from __future__ import annotations
 
@@ -41,18 +41,22 @@ class Krylov:
             thing.destroy()
 
 
-class Mumps(Krylov):
-    """Cholesky factor of a positive definite matrix by MUMPS, on any number of ranks."""
+class Cholesky(Krylov):
+    """Cholesky factor of a positive definite matrix."""
 
     def __init__(self, matrix: PETSc.Mat) -> None:
         super().__init__(matrix)
-        take_mumps(self.solver, PETSc.PC.Type.CHOLESKY)
+        package = "cholmod" if self.comm.size == 1 else "mumps"
+        take_direct(self.solver, PETSc.PC.Type.CHOLESKY, package)
         factor(self.solver, "the effective matrix")
 
     @property
     def entries(self) -> int:
         """Numbers in the factor; MUMPS counts in millions where there are many (INFOG(29))."""
-        count = self.solver.getPC().getFactorMatrix().getMumpsInfog(29)
+        found = self.solver.getPC().getFactorMatrix()
+        if self.comm.size == 1:
+            return int(found.getInfo()["nz_used"])
+        count = found.getMumpsInfog(29)
         return int(count) if count >= 0 else -1_000_000 * int(count)
 
     def _solve_block(self, b: Array) -> Array:
@@ -60,20 +64,22 @@ class Mumps(Krylov):
         return solve_columns(self.solver, b)
 
 
-def take_mumps(solver: PETSc.KSP, kind: PETSc.PC.Type) -> None:
-    """Have ``solver`` do with a factor of this kind by MUMPS, and nothing else."""
+def take_direct(solver: PETSc.KSP, kind: PETSc.PC.Type, package: str = "mumps") -> None:
+    """Have ``solver`` do with a factor of this kind by this package, and nothing else."""
     solver.setType(PETSc.KSP.Type.PREONLY)
     solver.getPC().setType(kind)
-    solver.getPC().setFactorSolverType("mumps")
+    solver.getPC().setFactorSolverType(package)
 
 
 def factor(solver: PETSc.KSP, what: str) -> None:
-    """Make the factor; ComputationError that says of ``what``, where MUMPS fails."""
+    """Make the factor; ComputationError that says of ``what``, where that fails."""
+    preconditioner = solver.getPC()
+    package = preconditioner.getFactorSolverType()
     try:
         solver.setUp()
     except PETSc.Error as error:
-        raise ComputationError(f"MUMPS could not factor {what}: {error}") from error
-    status = solver.getPC().getFactorMatrix().getMumpsInfog(1)
+        raise ComputationError(f"{package.upper()} could not factor {what}: {error}") from error
+    status = preconditioner.getFactorMatrix().getMumpsInfog(1) if package == "mumps" else 0
     if status < 0:
         raise ComputationError(f"MUMPS could not factor {what}: INFOG(1) = {status}")
 
