@@ -10,12 +10,16 @@ from bristle.solver.bodies.solid import SolidBody
 from bristle.solver.bristle import Material
 from bristle.solver.contact.enforcement import ContactMethod, Enforcement
 from bristle.solver.contact.laws import Coulomb, Linear
+from bristle.solver.errors import ComputationError, InputError
 from bristle.solver.ground import Ground, just_touched, place
 from bristle.solver.rigid import Pose, leaning, slope_normal
 from bristle.solver.time.assembled import AssembledMarcher
 from bristle.solver.time.finite import FiniteMarcher
 from bristle.solver.time.march import Marcher
 from bristle.solver.time.scheme import TimeScheme
+from bristle.studies.command.config import DropInputs
+from bristle.studies.command.sources import checked
+from bristle.studies.running.cases import run_case
 
 G, ITS, STEPS, SPEED = 9.8, 1e-6, 14, 1.0
 MATERIAL = Material(alpha_1_s=30.0, beta_s=2e-7)
@@ -85,3 +89,39 @@ def test_condensed_march_is_the_assembled_one(solids, case, finite):
         assembled.close()
         if finite:
             condensed.close()
+
+
+@pytest.mark.parametrize("lean", [{}, {"tilt_deg": 2.0}], ids=["upright", "leaning"])
+def test_a_drop_of_the_assembled_form_is_that_of_the_condensed_march(lean):
+    drop = {"model": "solid", "cells": (1, 2, 10), "length_m": 0.02, "friction": 0.0, **lean}
+    drop = {"height_m": 0.01, "its_s": 2e-6, "until": "impact", **drop}
+    condensed, assembled = (
+        run_case(checked(DropInputs, {**drop, "solver": solver}), MPI.COMM_WORLD)[0]
+        for solver in ("direct", "snes")
+    )
+    assert assembled.n_steps == condensed.n_steps
+    for name in ("peak_force_N", "contact_time_s", "cm_velocity_after_m_s", "max_penetration_m"):
+        assert getattr(assembled, name) == pytest.approx(getattr(condensed, name), rel=1e-8)
+
+
+@pytest.mark.parametrize(
+    ("values", "named"),
+    [
+        ({"model": "beam"}, "--model solid"),
+        ({"contact": "augmented"}, "--contact"),
+        ({"scheme": "newmark"}, "--scheme"),
+        ({"march": True}, "--march"),
+        ({"tip_shape": "worn:angle=1"}, "--tip-shape"),
+    ],
+    ids=str,
+)
+def test_what_the_assembled_form_does_not_know_is_refused(values, named):
+    with pytest.raises(InputError, match=named):
+        checked(DropInputs, {"model": "solid", "solver": "snes", **values})
+
+
+@pytest.mark.serial
+def test_friction_between_nodes_is_refused_by_the_assembled_form():
+    inputs = {"model": "solid", "solver": "snes", "tilt_deg": 2.0, "cells": (1, 1, 4)}
+    with pytest.raises(ComputationError, match="--contact-points 3"):
+        run_case(checked(DropInputs, inputs), MPI.COMM_SELF)

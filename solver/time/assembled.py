@@ -33,7 +33,8 @@ class AssembledMarcher(FiniteMarcher):
     """Marches a solid by Newton's method on the form of a whole step, contact included.
 
     Strain is ``finite`` or small. Contact is the linear law by penalty or Nitsche's method on one
-    plane; with friction the contact points must be nodes. Raises ComputationError for others.
+    plane; with friction the contact points must be nodes. `place` raises ComputationError for
+    others.
     """
 
     def __init__(
@@ -46,22 +47,9 @@ class AssembledMarcher(FiniteMarcher):
         *,
         finite: bool = True,
     ) -> None:
-        if type(method.law) is not Linear or method.enforcement is Enforcement.AUGMENTED:
-            raise ComputationError("the assembled form knows the linear law, by penalty or Nitsche")
+        self._plane = rigid_plane(body.space)
         super().__init__(body, method, scheme, its_s, gravity_m_s2, finite=finite)
-        points, forms = body.contact, self.forms
-        at_nodes = points.rows.shape[0] == points.rows.shape[1]
-        if method.friction.mu and not at_nodes:
-            raise ComputationError("friction in the assembled form needs contact points at nodes")
-        plane = self._plane = rigid_plane(body.space)
-        for name, number in (
-            ("stiffness", 1.0 / (1.0 / method.law.kn_N_m + self.tau)),
-            ("kt", 0.0 if math.isinf(method.kt_N_m) else 1.0 / (1.0 / method.kt_N_m + self.tau)),
-            ("mu", method.friction.mu),
-            ("tau", self.tau),
-            ("theta", float(method.theta)),
-        ):
-            getattr(plane, name).value = number
+        forms, plane = self.forms, self._plane
         balance = forms.inertia() + forms.internal() + forms.contact(body.tip.measure, plane)
         self._balance = form(balance)
         self._derivative = form(ufl.derivative(balance, forms.d, forms.trial))
@@ -79,15 +67,30 @@ class AssembledMarcher(FiniteMarcher):
         return snes
 
     def place(self, placement: Placement) -> None:
-        super().place(placement)
-        if not hasattr(self, "_plane"):
-            return
+        method, points = self.method, self.solid.contact
         normals = placement.frames[:, 0]
-        if np.ptp(normals, axis=0).max() > 0.0:
+        if np.ptp(normals, axis=0).max() > 0.0 or (placement.scale != 1.0).any():
             raise ComputationError("the assembled form knows one plane for all contact points")
-        places = self.solid.contact.places_m + self.solid.centre_m
-        self._plane.normal.value = normals[0]
-        self._plane.offset.value = float(places[0] @ normals[0] - placement.gaps_m[0])
+        if type(method.law) is not Linear or method.enforcement is Enforcement.AUGMENTED:
+            raise ComputationError("the assembled form knows the linear law, by penalty or Nitsche")
+        if method.friction.mu and points.rows.shape[0] != points.rows.shape[1]:
+            raise ComputationError(
+                "friction in the assembled form needs contact points at nodes: take --friction 0 "
+                "or --contact-points 3, for order 1 --contact-points 2"
+            )
+        super().place(placement)
+        places = points.places_m + self.solid.centre_m
+        kn, kt = method.law.kn_N_m, method.kt_N_m
+        for name, number in (
+            ("normal", normals[0]),
+            ("offset", float(places[0] @ normals[0] - placement.gaps_m[0])),
+            ("stiffness", 1.0 / (1.0 / kn + self.tau)),
+            ("kt", 0.0 if math.isinf(kt) else 1.0 / (1.0 / kt + self.tau)),
+            ("mu", method.friction.mu),
+            ("tau", self.tau),
+            ("theta", float(method.theta)),
+        ):
+            getattr(self._plane, name).value = number
 
     def step(self, now: Moving) -> Step:
         h, points = self.its_s, self.solid.contact

@@ -52,11 +52,12 @@ class Deflection(StrEnum):
 
 
 class Solver(StrEnum):
-    """What solves a solid's equations; the values are those of solver.bodies.linear."""
+    """What solves a solid's equations: see solver.bodies.linear, for SNES solver.time.assembled."""
 
     AUTO = "auto"
     DIRECT = "direct"
     ITERATIVE = "iterative"
+    SNES = "snes"
 
 
 class Until(StrEnum):

@@ -312,9 +312,24 @@ class DropInputs(Inputs):
                 "finite is for the solid, under --scheme average, with a factor (--solver auto or "
                 "direct), and not with --march",
             )
+        if self.solver is Solver.SNES:
+            self._check_assembled()
         check_effects(self, refuse)
         limits.check_drop(self, refuse)
         return self
+
+    def _check_assembled(self) -> None:
+        only = "snes assembles the step of the solid"
+        if self.model is not Model.SOLID:
+            refuse("solver", f"{only}: take --model solid")
+        if self.scheme is not Scheme.AVERAGE:
+            refuse("scheme", f"{only} under --scheme average")
+        if self.contact is Contact.AUGMENTED:
+            refuse("contact", f"{only} with contact by penalty or nitsche")
+        if self.march:
+            refuse("march", f"{only} in impacts alone")
+        if self.tip_shape != flags.FLAT:
+            refuse("tip_shape", f"{only} with a flat end face")
 
     @property
     def _may_bend(self) -> bool:

@@ -173,8 +173,9 @@ DISCRETISATION_FLAGS = (
         Solver,
         Solver.AUTO,
         MESH,
-        "How the solid's equations are solved: auto is direct as long as a factor takes less than "
-        "8 GB.",
+        "How the solid's equations are solved: auto is direct as long as factors take less than "
+        "8 GB; snes is Newton's method on the assembled form of a whole step, contact included, as "
+        "a reference.",
     ),
     Flag(
         "modes",

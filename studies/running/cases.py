@@ -37,7 +37,7 @@ from ...solver.kept import load, sources, store
 from ...solver.plain_march import march_plainly
 from ...solver.time.march import ContactMarch, Marcher
 from ...solver.touch import History, Observer
-from ..command.choices import Contact, Model, Tip, Until
+from ..command.choices import Contact, Model, Solver, Tip, Until
 from ..command.config import DropInputs
 from ..command.flags import FLAT
 from ..command.limits import marching_time_s
@@ -229,7 +229,7 @@ class Workshop:
     def _make_solid(self, inputs: DropInputs) -> SolidBody:
         from ...meshes.check import MeshError
         from ...meshes.distribute import own_to_dolfinx, to_dolfinx
-        from ...solver.bodies.linear import Solver
+        from ...solver.bodies import linear
         from ...solver.bodies.solid import SolidBody
 
         with self._timed("mesh"):
@@ -248,7 +248,7 @@ class Workshop:
                 inputs.bristle().material,
                 inputs.order,
                 inputs.contact_points,
-                Solver(inputs.solver.value),
+                linear.Solver("direct" if inputs.solver is Solver.SNES else inputs.solver.value),
             )
         self._closing.append(solid)
         return solid
@@ -371,13 +371,16 @@ class Workshop:
         self, inputs: DropInputs, frame: FlightFrame, method: ContactMethod
     ) -> ContactMarch:
         how = (method, inputs.time_scheme(), inputs.its_s, inputs.gravity_m_s2)
-        if not inputs.finite:
+        assembled = inputs.solver is Solver.SNES
+        if not (inputs.finite or assembled):
             return Marcher(frame.body, *how)
         from ...solver.bodies.solid import SolidBody
+        from ...solver.time.assembled import AssembledMarcher
         from ...solver.time.finite import FiniteMarcher
 
         assert isinstance(frame.body, SolidBody)
-        marcher = FiniteMarcher(frame.body, *how)
+        kind = AssembledMarcher if assembled else FiniteMarcher
+        marcher = kind(frame.body, *how, finite=inputs.finite)
         self._closing.append(marcher)
         return marcher
 
