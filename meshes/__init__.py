@@ -1,1 +1,1 @@
-"""What does the bristle look like as hexahedra, and is that mesh sound?"""
+"""Meshes of a bristle: hexahedra by gmsh, a mesh of the user's own, quality, files."""

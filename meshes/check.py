@@ -1,4 +1,4 @@
-"""Is the mesh in gmsh's current model the one that was asked for?"""
+"""Checks that the mesh in gmsh's current model is the one that was asked for."""
 
 from __future__ import annotations
 

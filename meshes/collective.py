@@ -1,4 +1,4 @@
-"""How does work of one rank end on all ranks, be it with a result or with an error?"""
+"""Work of one rank that ends on all ranks, with its result or with its error."""
 
 from __future__ import annotations
 

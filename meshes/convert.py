@@ -1,4 +1,4 @@
-"""How does a mesh leave gmsh for other programs, and come back?
+"""Conversion of meshes from gmsh to other programs, and back.
 
 meshio carries a `.msh` file over to `.vtu`, which ParaView opens with second-order cells kept
 (27-node hexahedra and 9-node quadrilaterals, VTK's tri- and biquadratic cells).  There is no XDMF:

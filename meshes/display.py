@@ -1,4 +1,4 @@
-"""Where can VTK draw when there is no screen?
+"""A display for VTK where there is no screen.
 
 Debian's VTK draws through X11 alone and takes the whole process down where it finds no X server.
 So it draws in a process of its own, on an Xvfb that lives as long as the drawing.

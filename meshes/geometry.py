@@ -1,4 +1,4 @@
-"""Which bristle is meshed, and how finely?
+"""Geometry of a bristle, and how finely it is meshed.
 
 A `MeshSpec` says everything that a mesh depends on and is checked when it is made, so that
 nothing downstream has to ask again.  The bristle stands on the plane z = 0: its tip is the

@@ -1,4 +1,4 @@
-"""How does gmsh divide a bristle into hexahedra?
+"""Hexahedral meshes of a bristle, by gmsh.
 
 The section is meshed with transfinite, recombined quadrilaterals and extruded layer by layer,
 so there is no step at which gmsh could leave anything but a hexahedron behind.  A rectangle is

@@ -1,4 +1,4 @@
-"""What does the mesh look like?
+"""Pictures of a mesh.
 
 A bristle is hundreds of times longer than it is wide, so the picture has two panels: the tip in
 true proportions, and the whole with its axis compressed.  `write_picture` is what to call; the

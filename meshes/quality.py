@@ -1,4 +1,4 @@
-"""How good are the cells of a mesh?"""
+"""Quality of a mesh's cells."""
 
 from __future__ import annotations
 

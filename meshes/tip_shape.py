@@ -1,4 +1,4 @@
-"""How far does a worn or chamfered end face stand back from the plane through its lowest place?
+"""Shapes of the end face: how far a worn or chamfered one stands back from a plane.
 
 The section is centred on x = y = 0: thickness along x and width along y, or a round wire.
 """

@@ -6,9 +6,9 @@ import math
 
 import numpy as np
 
+from .contact_phase import History
 from .drop import DropResult
 from .energy import Budget
-from .touch import History
 
 SAMPLES = 400
 

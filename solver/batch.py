@@ -20,6 +20,7 @@ from .bodies.modal import ModalBody
 from .compiled import meanwhile, njit
 from .contact.normal import PLASTIC
 from .contact.points import Points
+from .contact_phase import STAYING, STEP_LIMIT
 from .drop import TOUCH_LIMIT, WAIT_STEPS, slowest_period_s
 from .errors import ComputationError
 from .ground import local_frames
@@ -32,7 +33,6 @@ from .time.march import Marcher
 from .time.modal_march import Asked, Modes, Touching, march
 from .time.motion import Chart, Flyer, chart, landing, launch, rigid_part
 from .time.touchdown import next_touch
-from .touch import STAYING, STEP_LIMIT
 
 TOO_MANY, FALLEN, GAINED = 5, 6, 7
 # A touch that lasts longer, in seconds and in radians of the mass on its spring, does not end.

@@ -1,4 +1,4 @@
-"""What is kept of a long run, so that an interrupted one goes on to the bit where it was?
+"""Checkpoints of a long run, from which it goes on to the bit.
 
 A run consists of marches in a fixed order: the touches of a drop, or one march throughout. Of each
 march its latest *mark* is kept, everything that its next step needs; what lies between marches is
@@ -20,8 +20,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from .arrays import Array
+from .cache import read_arrays, write_arrays
 from .errors import ComputationError, InputError
-from .kept import read_arrays, write_arrays
 
 if TYPE_CHECKING:
     from mpi4py import MPI

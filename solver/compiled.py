@@ -1,4 +1,4 @@
-"""How is numerical code compiled, and where is the result kept?
+"""Compilation of numerical code by Numba, and the cache of what was compiled.
 
 Numba keeps compiled functions on disk but looks at their own file alone to see whether they are
 stale. The cache's folder is therefore named after all sources that compiled code may read from.

@@ -13,16 +13,16 @@ from .bodies.base import Body
 from .bodies.modal import ModalBody
 from .checkpoint import Checkpoint
 from .contact.enforcement import ContactMethod
+from .contact_phase import ContactPhase, History, Observer
 from .energy import Budget, Energy, flight_energy
 from .errors import ComputationError
 from .fall import dragged_fall, dragged_path, free_fall, risen
 from .ground import Ground, just_touched, place
-from .impact import march_touch
+from .impact import march_contact
 from .rigid import Pose, leaning, product, quaternion_of
 from .time.flight import Flight, flyer
 from .time.march import ContactMarch, Marcher
 from .time.scheme import TimeScheme
-from .touch import History, Observer, Touch
 
 TOUCH_LIMIT = 10_000
 # A touch so few steps away is marched to, not flown to: it costs little, and the full order, which
@@ -143,7 +143,7 @@ class Impact:
     between its touches. ``ended`` says that no touch of it was to come when the drop ended.
     """
 
-    touches: list[Touch]
+    touches: list[ContactPhase]
     flight: Flight
     energy_after: Energy
     next_touch_s: float
@@ -285,7 +285,7 @@ def _motion_after(found: DropResult, gyration_m: Array) -> Array:
     return np.concatenate([found.velocity_after_m_s, spin])
 
 
-def _across(touch: Touch) -> float:
+def _across(touch: ContactPhase) -> float:
     """Size of a touch's impulse beyond the normal one."""
     return math.sqrt(max(float(touch.push_N_s @ touch.push_N_s) - touch.impulse_N_s**2, 0.0))
 
@@ -345,12 +345,12 @@ class Stage:
         """
         frame, g, its = self.frame, self.plan.gravity_m_s2, self.plan.its_s
         damped = bool(frame.modal.damping_1_s.any())
-        touches: list[Touch] = []
+        touches: list[ContactPhase] = []
         loss, top, centre_top = 0.0, -math.inf, -math.inf
         wait = t
         self._place(pose)
         for _ in range(TOUCH_LIMIT):
-            touch = march_touch(
+            touch = march_contact(
                 self.marcher,
                 t,
                 u,

@@ -1,4 +1,4 @@
-"""How long and how fast does a body fall before it touches, and how high does it rise after?"""
+"""Fall of a rigid body before it touches, and its rise after, in a vacuum and in air."""
 
 from __future__ import annotations
 

@@ -11,18 +11,26 @@ from .bodies.modal import ModalBody
 from .checkpoint import Checkpoint
 from .contact.enforcement import Enforcement
 from .contact.solve import MULTIPLIER_TOLERANCE
+from .contact_phase import (
+    ContactPhase,
+    History,
+    Observer,
+    deepest,
+    not_finite,
+    step_limit,
+    too_long,
+)
 from .errors import ComputationError
 from .stepwise import march_stepwise
 from .time import modal_march
 from .time.march import ContactMarch, Marcher
 from .time.modal_march import Asked
-from .touch import History, Observer, Touch, deepest, not_finite, step_limit, too_long
 
 # Negative losses that are rounding, in units of the impact's energy: of a touch, and of each step.
 GAIN, GAIN_A_STEP = 1e-12, 1e-15
 
 
-def march_touch(
+def march_contact(
     marcher: ContactMarch,
     t_s: float,
     u: Array,
@@ -32,7 +40,7 @@ def march_touch(
     until_s: float = np.inf,
     wait_s: float = 0.0,
     checkpoint: Checkpoint | None = None,
-) -> Touch:
+) -> ContactPhase:
     """March from (u, v) at ``t_s`` until the tip is free again, or past ``until_s``.
 
     With ``wait_s`` the start may still be free of the plane: a touch is awaited until that time.
@@ -63,7 +71,7 @@ def gain_allowed(marcher: ContactMarch, n_steps: Array | int) -> Array | float:
     return 10.0 * MULTIPLIER_TOLERANCE if augmented else GAIN + GAIN_A_STEP * n_steps
 
 
-def _check_losses(marcher: ContactMarch, v: Array, touch: Touch) -> None:
+def _check_losses(marcher: ContactMarch, v: Array, touch: ContactPhase) -> None:
     """ComputationError where friction or the contact law gave energy.
 
     What they took is the difference of work and of what is stored, so that a budget with a law that
@@ -109,8 +117,8 @@ def _march_compiled(
     history: History,
     until_s: float,
     wait_s: float,
-) -> Touch:
-    """`march_touch` of a modal body in compiled code."""
+) -> ContactPhase:
+    """`march_contact` of a modal body in compiled code."""
     modes, touching = marcher.tables()
     limit = step_limit(marcher, until_s)
     asked = Asked(
@@ -134,7 +142,7 @@ def _march_compiled(
     rows = np.column_stack([times, marched.history])
     history.rows.extend(tuple(map(float, row)) for row in rows)
     depth, when = deepest(rows)
-    return Touch(
+    return ContactPhase(
         start_s=t_s,
         release_s=t_s + marched.release,
         end_s=float(times[-1]),

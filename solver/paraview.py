@@ -29,6 +29,7 @@ from dolfinx.io import VTXMeshPolicy, VTXWriter
 from .arrays import Array
 from .bodies.solid import SolidBody
 from .checkpoint import Checkpoint, Mark, under
+from .contact_phase import instant_force
 from .drop import FlightFrame
 from .errors import ComputationError
 from .ground import Placement, place
@@ -37,7 +38,6 @@ from .time.finite import FiniteMarcher
 from .time.flight import Flight
 from .time.march import ContactMarch, Moving
 from .tip_face import TipFace
-from .touch import instant_force
 
 SOLID_FILE, TIP_FILE, FRAMES_FILE = "solid.bp", "tip.bp", "frames.csv"
 GROUND_FILE = "ground.vtk"

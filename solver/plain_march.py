@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from .arrays import Array
 from .checkpoint import Checkpoint
+from .contact_phase import History, observe
 from .drop import DropPlan, DropResult, FlightFrame, Stage
 from .energy import Budget, marching_energy
 from .errors import ComputationError
@@ -19,7 +20,6 @@ from .stepwise import kept_state, recalled_state
 from .time.flight import flyer
 from .time.march import Marcher, State
 from .time.motion import rigid_part
-from .touch import History, observe
 
 
 def _first_impact(active: NDArray[np.intp], velocity: Array) -> tuple[int, int]:

@@ -9,18 +9,18 @@ import numpy as np
 from .arrays import Array
 from .checkpoint import Checkpoint, Mark, prefixed, under
 from .contact.step import share_under_damping
-from .energy import marching_energy
-from .time.march import ContactMarch, Moving
-from .touch import (
+from .contact_phase import (
+    ContactPhase,
     History,
     Observer,
-    Touch,
     deepest,
     not_finite,
     observe,
     step_limit,
     too_long,
 )
+from .energy import marching_energy
+from .time.march import ContactMarch, Moving
 
 
 @dataclass
@@ -49,8 +49,8 @@ def march_stepwise(
     until_s: float,
     wait_s: float,
     checkpoint: Checkpoint | None,
-) -> Touch:
-    """`impact.march_touch`, in steps of the marcher."""
+) -> ContactPhase:
+    """`impact.march_contact`, in steps of the marcher."""
     first_row = len(history.rows)
     mark = checkpoint.begin() if checkpoint else None
     if mark is None:
@@ -81,7 +81,7 @@ def march_stepwise(
         sums.friction_J += spring
         held -= spring
     depth, when = deepest(np.array(history.rows[first_row:]))
-    return Touch(
+    return ContactPhase(
         start_s=t_s,
         release_s=sums.release_s,
         end_s=state.t_s,

@@ -14,12 +14,12 @@ from bristle.solver.contact.enforcement import ContactMethod, Enforcement
 from bristle.solver.contact.laws import Adhesive, HuntCrossley, Plastic, Stiffening
 from bristle.solver.contact.points import Trial, law_at, trial_at
 from bristle.solver.contact.step import point_force
+from bristle.solver.contact_phase import History
 from bristle.solver.ground import Ground, place
-from bristle.solver.impact import march_touch
+from bristle.solver.impact import march_contact
 from bristle.solver.rigid import Pose, leaning
 from bristle.solver.time.march import Marcher
 from bristle.solver.time.scheme import TimeScheme
-from bristle.solver.touch import History
 
 # The paper's bristle, about: 1.4 g come with 1 m/s onto 2 MN/m, and press 53 N into 26 μm.
 MASS, SPEED, KN = 1.4e-3, 1.0, 2e6
@@ -87,7 +87,7 @@ def bounce(law, its, *, until_s=math.inf, observer=None, **options):
     history = History()
     v = np.full(1, -math.sqrt(MASS) * SPEED)
     marcher = marcher_of(law, its, **options)
-    touch = march_touch(marcher, 0.0, np.zeros(1), v, history, observer, until_s)
+    touch = march_contact(marcher, 0.0, np.zeros(1), v, history, observer, until_s)
     return touch, history
 
 

@@ -11,7 +11,7 @@ from petsc4py import PETSc
 
 from bristle.solver.contact.enforcement import ContactMethod, Enforcement
 from bristle.solver.contact.laws import Linear
-from bristle.solver.impact import History, march_touch
+from bristle.solver.impact import History, march_contact
 from bristle.solver.time.march import Marcher
 from bristle.solver.time.scheme import TimeScheme
 from bristle.studies.bench import communication
@@ -76,7 +76,7 @@ def test_reductions_of_a_step_are_those_counted(make_solid, monkeypatch):
         for end_s in (2.5e-6, 7.5e-6):
             comm.count = 0
             start = np.zeros(solid.n_local), -solid.translation[:, 2].copy()
-            touch = march_touch(marcher, 0.0, *start, History(), until_s=end_s)
+            touch = march_contact(marcher, 0.0, *start, History(), until_s=end_s)
             counts.append((touch.n_steps, comm.count))
     finally:
         object.__setattr__(solid.contact, "comm", COMM)

@@ -24,7 +24,7 @@ from bristle.solver.contact.laws import (
     mindlin_ratio,
 )
 from bristle.solver.contact.points import CONSERVING, Points, Trial
-from bristle.solver.contact.rigid_section import new_section
+from bristle.solver.contact.section import new_section
 from bristle.solver.contact.step import commit, spring_energy
 from bristle.solver.errors import ComputationError
 

@@ -39,13 +39,13 @@ from bristle.solver.contact.laws import (
     mindlin_ratio,
 )
 from bristle.solver.contact.points import CONSERVING, Points, Trial
-from bristle.solver.contact.rigid_section import new_section
+from bristle.solver.contact.section import new_section
 from bristle.solver.contact.step import commit, settle, spring_energy
+from bristle.solver.contact_phase import History
 from bristle.solver.drop import DropPlan, ModalFrame, simulate
-from bristle.solver.impact import march_touch
+from bristle.solver.impact import march_contact
 from bristle.solver.time.march import Marcher
 from bristle.solver.time.scheme import TimeScheme
-from bristle.solver.touch import History
 
 pytestmark = pytest.mark.serial
 G, ITS = 9.8, 1e-6
@@ -311,7 +311,7 @@ def test_a_full_solid_yields_and_holds(make_solid):
     for law in (Linear(1e6), Plastic(1e6, 3.0), Adhesive(1e6, 3.0)):
         marcher = Marcher(solid, ContactMethod(law), TimeScheme.average(), 2e-6, 0.0)
         v = -0.5 * solid.translation[:, 2]
-        touch = march_touch(marcher, 0.0, np.zeros_like(v), np.ascontiguousarray(v), History())
+        touch = march_contact(marcher, 0.0, np.zeros_like(v), np.ascontiguousarray(v), History())
         kept[type(law)] = touch.impulse_N_s
         assert (touch.contact_loss_J > 1e-6) == (not isinstance(law, Linear))
         energy = 0.5 * solid.dot(touch.v, solid.mass(touch.v))
@@ -356,7 +356,7 @@ def test_the_mass_march_agrees_with_its_own_python_march():
             marcher = marcher_of(law, math.pi / OMEGA / 60, body=mass_on_a_foot(7))
             history = History()
             v = np.full(1, -math.sqrt(MASS) * SPEED)
-            march_touch(marcher, 0.0, np.zeros(1), v, history, seen)
+            march_contact(marcher, 0.0, np.zeros(1), v, history, seen)
             rows.append(history.array())
         assert rows[0].shape == rows[1].shape
         size = np.abs(rows[1]).max(axis=0)

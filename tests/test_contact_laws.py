@@ -26,11 +26,11 @@ from scipy.special import beta
 
 from bristle.solver.contact.enforcement import ContactMethod, Enforcement
 from bristle.solver.contact.laws import Adhesive, Damped, HuntCrossley, Linear, Plastic, Stiffening
+from bristle.solver.contact_phase import History
 from bristle.solver.energy import marching_energy
 from bristle.solver.errors import ComputationError
-from bristle.solver.impact import march_touch
+from bristle.solver.impact import march_contact
 from bristle.solver.time.scheme import TimeScheme
-from bristle.solver.touch import History
 
 pytestmark = pytest.mark.serial
 ENFORCEMENTS = [Enforcement.PENALTY, Enforcement.AUGMENTED]
@@ -205,7 +205,7 @@ def test_second_order_in_the_its(law):
         marcher = marcher_of(law, its, gap_m=gap_m)
         u, v = np.zeros(1), np.full(1, -math.sqrt(MASS) * SPEED)
         end = late + gap_m / SPEED
-        touch = march_touch(marcher, 0.0, u, v, History(), until_s=np.inf, wait_s=end)
+        touch = march_contact(marcher, 0.0, u, v, History(), until_s=np.inf, wait_s=end)
         return (touch.u[0] + touch.v[0] * (end - touch.end_s)) / math.sqrt(MASS) + gap_m
 
     # half a step of the coarsest march apart from one another, so no phase is special
@@ -252,7 +252,7 @@ def test_a_touch_meets_a_fresh_place():
     marcher = marcher_of(Plastic(KN, 0.3 * SPEED * math.sqrt(KN * MASS)), ITS)
     for seen in (None, lambda *_: None):
         touches = [
-            march_touch(
+            march_contact(
                 marcher, 0.0, np.zeros(1), np.full(1, -math.sqrt(MASS) * SPEED), History(), seen
             )
             for _ in range(2)

@@ -12,12 +12,12 @@ from bristle.solver import paper
 from bristle.solver.bodies.beam import beam_body
 from bristle.solver.bodies.stored import from_arrays, to_arrays
 from bristle.solver.bristle import Bristle
+from bristle.solver.cache import cached, load, store
 from bristle.solver.contact.laws import Linear
 from bristle.solver.effects.base import Place, Scene
 from bristle.solver.effects.library import EFFECTS, enter_all
 from bristle.solver.errors import InputError
 from bristle.solver.fall import dragged_fall, dragged_path, risen
-from bristle.solver.kept import kept, load, store
 from bristle.studies.command.config import DropInputs
 from bristle.studies.effects import EffectInput, entered
 from bristle.studies.running.cases import Workshop
@@ -261,7 +261,7 @@ def test_a_modal_body_comes_back_from_its_arrays_to_the_bit():
 
 
 def test_what_is_kept_is_made_once_and_made_again_when_it_is_spoilt(monkeypatch, tmp_path):
-    monkeypatch.setattr("bristle.solver.kept.cache_folder", lambda: tmp_path)
+    monkeypatch.setattr("bristle.solver.cache.cache_folder", lambda: tmp_path)
     made = []
 
     def make():
@@ -269,12 +269,12 @@ def test_what_is_kept_is_made_once_and_made_again_when_it_is_spoilt(monkeypatch,
         return {"x": np.arange(3.0)}
 
     for _ in range(2):
-        assert np.array_equal(kept("a key", make)["x"], np.arange(3.0))
+        assert np.array_equal(cached("a key", make)["x"], np.arange(3.0))
     assert len(made) == 1
     (path,) = (tmp_path / "arrays").glob("*.npz")
     path.write_bytes(path.read_bytes()[:40])
     assert load("a key") is None
-    kept("a key", make)
+    cached("a key", make)
     assert len(made) == 2
     assert load("another key") is None
     store("another key", {"y": np.ones(1)})

@@ -21,13 +21,13 @@ from bristle.solver.contact.enforcement import ContactMethod, Enforcement
 from bristle.solver.contact.laws import Coulomb, Linear
 from bristle.solver.contact.points import CONSERVING, Points, Trial
 from bristle.solver.contact.step import commit, spring_energy
+from bristle.solver.contact_phase import History
 from bristle.solver.energy import marching_energy
 from bristle.solver.ground import Ground, place
-from bristle.solver.impact import march_touch
+from bristle.solver.impact import march_contact
 from bristle.solver.rigid import Pose, leaning, slope_normal
 from bristle.solver.time.march import Marcher
 from bristle.solver.time.scheme import TimeScheme
-from bristle.solver.touch import History
 
 pytestmark = pytest.mark.serial
 G = 9.8
@@ -163,8 +163,8 @@ def test_below_the_angle_of_friction_it_stays(slope):
     up = marcher.ground.up
     hang = -WEIGHT * up[:2] / KN
     assert 0.9 * MU < np.hypot(*up[:2]) / up[2] < MU  # close to slipping, but not there
-    middle = march_touch(marcher, 0.0, u, np.zeros(6), History(), until_s=5e4 * its)
-    after = march_touch(marcher, 0.0, u, np.zeros(6), History(), until_s=1e5 * its)
+    middle = march_contact(marcher, 0.0, u, np.zeros(6), History(), until_s=5e4 * its)
+    after = march_contact(marcher, 0.0, u, np.zeros(6), History(), until_s=1e5 * its)
     assert after.n_steps == 100_000
     for touch in (middle, after):
         rest = marcher.body.translation.T @ touch.u / MASS

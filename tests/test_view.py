@@ -27,13 +27,13 @@ from bristle.solver.bodies.solid import SolidBody
 from bristle.solver.bristle import Material
 from bristle.solver.contact.enforcement import ContactMethod
 from bristle.solver.contact.laws import Linear
+from bristle.solver.contact_phase import HISTORY_COLUMNS
 from bristle.solver.drop import DropPlan, simulate
 from bristle.solver.errors import InputError
 from bristle.solver.ground import Ground
 from bristle.solver.paraview import FieldWriter, Phase
 from bristle.solver.rigid import leaning, matrix_of, slope_normal
 from bristle.solver.time.march import Marcher
-from bristle.solver.touch import HISTORY_COLUMNS
 from bristle.studies.page.history_picture import read_history, touch_time_s
 from bristle.studies.view import run_view
 from bristle.studies.viewing.bristle_drawing import OUTLINE, draw_bristle, save_frames

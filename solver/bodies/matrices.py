@@ -1,4 +1,4 @@
-"""How are a solid's stiffness and mass assembled and kept?
+"""Assembly of a solid's stiffness and mass matrices.
 
 A vector mass matrix is the scalar one for each direction alike. Only that is assembled: a ninth of
 the numbers, read once for all three directions.

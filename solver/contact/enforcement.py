@@ -42,7 +42,7 @@ from . import step
 from .laws import ContactLaw, Coulomb, check_compiled
 from .normal import holds
 from .points import CONSERVING, Points, Trial
-from .rigid_section import NEWTON_LIMIT, Section
+from .section import NEWTON_LIMIT, Section
 from .solve import AUGMENTATION_LIMIT, solve_step
 
 # Patterns of force that a body answers less than this share of the softest count as rigid.

@@ -8,27 +8,90 @@ rows that move the points.
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..arrays import Array
 from ..compiled import njit
 from .normal import PLASTIC
 from .points import PointLaw, Points, PointTrial, Trial
-from .rigid_section import (
-    EASED,
-    JUMPING,
-    NEWTON_LIMIT,
-    SHORTEST,
-    TOLERANCE,
-    Section,
-    section_moves,
-    solve_rigid_section,
-)
 from .step import point_force
 
-# Newton's inverse is renewed where an iteration leaves more than this share of the residual.
-SLOW = 0.2
+NEWTON_LIMIT = 200
+TOLERANCE = 1e-11
+# A step that does not lessen the residual is halved down to this share of it.
+SHORTEST = 0.1
+# After so many iterations, as many as no smooth step needs, Newton's method may be jumping to and
+# fro across a kink of the law: from then on it goes this share of its way.
+JUMPING, EASED = 50, 0.3
+# The inverse of Newton's matrix is renewed where an iteration leaves more than this share of the
+# residual; of so few coordinates, as a rigid section has, the matrix is solved with each time.
+SLOW, FEW = 0.2, 8
+
+
+class Section(NamedTuple):
+    """How contact points move with the coordinates z (r,) of the section, and these with force.
+
+    The approach of point i changes by -``values[i]`` (3, s) times the entries ``support[i]`` (s,)
+    of z, and z answers by ``compliance`` (r, r) to the points' forces gathered along the same rows.
+    ``inverse`` (r, r) of Newton's matrix is used from step to step while it serves; ``factored``
+    (1,) says whether there is one. ``reach`` (r,) is how far a unit of each moves any point.
+    ``predictor`` (2, r) holds z after the step before and how that changed it, from which the
+    iteration starts.
+    """
+
+    support: NDArray[np.int64]
+    values: Array
+    compliance: Array
+    inverse: Array
+    factored: NDArray[np.bool_]
+    reach: Array
+    predictor: Array
+
+
+@njit
+def new_section(support: NDArray[np.int64], values: Array, compliance: Array) -> Section:
+    """A section before its first step."""
+    r = len(compliance)
+    reach = np.zeros(r)
+    for i in range(len(support)):
+        for a in range(support.shape[1]):
+            for c in range(3):
+                reach[support[i, a]] = max(reach[support[i, a]], abs(values[i, c, a]))
+    factored, predictor = np.zeros(1, dtype=np.bool_), np.zeros((2, r))
+    return Section(support, values, compliance, np.zeros((r, r)), factored, reach, predictor)
+
+
+@njit
+def section_moves(section: Section, z: Array, axes: int, moved: Array) -> None:
+    """Write what ``z`` moves the points by along the first ``axes`` of their frames (n, 3)."""
+    n, s = section.support.shape
+    support, values = section.support, section.values
+    for i in range(n):
+        for c in range(axes):
+            total = 0.0
+            for a in range(s):
+                total += values[i, c, a] * z[support[i, a]]
+            moved[i, c] = total
+
+
+@njit
+def section_gathers(section: Section, weights: Array, force: Array) -> Array:
+    """Forces (n, 3) along the local frames as loads (r,) on the section's coordinates."""
+    n, s = section.support.shape
+    support, values = section.support, section.values
+    gathered = np.zeros(len(section.compliance))
+    for i in range(n):
+        if force[i, 0] == 0.0:
+            continue
+        for c in range(3):
+            pushed = weights[i] * force[i, c]
+            if pushed != 0.0:
+                for a in range(s):
+                    gathered[support[i, a]] += values[i, c, a] * pushed
+    return gathered
 
 
 @njit
@@ -103,12 +166,11 @@ def _gathered_forces(
 
 
 @njit
-def _tangent(section: Section, weights: Array, slopes: Array) -> Array:
-    """How gathered forces change with z (r, r) where points push back with ``slopes``."""
+def _tangent(section: Section, weights: Array, slopes: Array, stiff: Array) -> None:
+    """Write how gathered forces change with z (r, r) where points push back with ``slopes``."""
     n, s = section.support.shape
     support, values = section.support, section.values
-    r = len(section.compliance)
-    stiff = np.zeros((r, r))
+    stiff[:, :] = 0.0
     for i in range(n):
         k, k00, k11 = slopes[i, 0], slopes[i, 1], slopes[i, 2]
         k01, k0, k1 = slopes[i, 3], slopes[i, 4], slopes[i, 5]
@@ -134,7 +196,6 @@ def _tangent(section: Section, weights: Array, slopes: Array) -> Array:
                 for b in range(s):
                     pushed = left * values[i, 0, b] + left1 * values[i, 1, b]
                     stiff[row, support[i, b]] += pushed + left2 * values[i, 2, b]
-    return stiff
 
 
 @njit
@@ -172,23 +233,74 @@ def _invert(section: Section, stiff: Array) -> None:
 
 
 @njit
+def _eliminate(matrix: Array, right: Array, x: Array) -> None:
+    """Solve ``matrix`` x = ``right`` by Gauss's elimination with pivots; the matrix is used up.
+
+    For a handful of unknowns, where LAPACK's overhead is most of a step.
+    """
+    n = len(right)
+    x[:] = right
+    for k in range(n):
+        p = k
+        for i in range(k + 1, n):
+            if abs(matrix[i, k]) > abs(matrix[p, k]):
+                p = i
+        if p != k:
+            for j in range(k, n):
+                matrix[k, j], matrix[p, j] = matrix[p, j], matrix[k, j]
+            x[k], x[p] = x[p], x[k]
+        for i in range(k + 1, n):
+            factor = matrix[i, k] / matrix[k, k]
+            if factor != 0.0:
+                for j in range(k + 1, n):
+                    matrix[i, j] -= factor * matrix[k, j]
+                x[i] -= factor * x[k]
+    for k in range(n - 1, -1, -1):
+        for j in range(k + 1, n):
+            x[k] -= matrix[k, j] * x[j]
+        x[k] /= matrix[k, k]
+
+
+@njit
+def _jacobian(compliance: Array, stiff: Array, jacobian: Array) -> None:
+    """Write Newton's matrix 1 + C ``stiff``."""
+    r = len(stiff)
+    jacobian[:, :] = 0.0
+    for a in range(r):
+        for c in range(r):
+            factor = compliance[a, c]
+            for b in range(r):
+                jacobian[a, b] += factor * stiff[c, b]
+        jacobian[a, a] += 1.0
+
+
+@njit
+def _residual(section: Section, z: Array, gathered: Array, residual: Array) -> float:
+    """Write z - C g, and how far it moves any point at most."""
+    r, largest = len(z), 0.0
+    for a in range(r):
+        total = z[a]
+        for b in range(r):
+            total -= section.compliance[a, b] * gathered[b]
+        residual[a] = total
+        largest = max(largest, section.reach[a] * abs(total))
+    return largest
+
+
+@njit
 def solve_section(points: Points, section: Section, trial: Trial) -> int:
     """Write the ``trial``'s force, and its approach at the end; the number of iterations.
 
-    Minus one where they do not converge. Newton's inverse is renewed where it makes the residual
-    fall too slowly. Where all points move with all coordinates, `solve_rigid_section` does the
-    same, in half to two thirds of the time: 1000 leaning drops of a beam, 81 points on six
-    coordinates, take 1.3 to 1.5 s by it and 1.8 to 2.0 s by way of the support and an inverse.
+    Minus one where they do not converge.
     """
-    if section.whole:
-        return solve_rigid_section(points, section, trial)
     n, r = len(points.weights), len(section.compliance)
     start, free, end = trial.start, trial.free, trial.end
     axes = 3 if points.mu > 0.0 else 1
     old = section.predictor[0].copy()
     z = old + section.predictor[1]
-    step: Array = np.zeros(r)
-    gathered, slopes = np.empty(r), np.empty((n, 6))
+    step, residual = np.zeros(r), np.empty(r)
+    gathered, slopes, stiff = np.empty(r), np.empty((n, 6)), np.empty((r, r))
+    jacobian = np.empty((r, r)) if r <= FEW else stiff
     far = 0.0
     for i in range(n):
         far = max(far, abs(free[i, 0]))
@@ -197,8 +309,7 @@ def solve_section(points: Points, section: Section, trial: Trial) -> int:
     before, share = math.inf, 1.0
     for iteration in range(NEWTON_LIMIT):
         _gathered_forces(points, section, trial, z, slopes, gathered)
-        residual = z - section.compliance @ gathered
-        change = (section.reach * np.abs(residual)).max()
+        change = _residual(section, z, gathered, residual)
         if change <= TOLERANCE * far:
             section.predictor[0], section.predictor[1] = z, z - old
             section_moves(section, z, 3, end)
@@ -210,10 +321,16 @@ def solve_section(points: Points, section: Section, trial: Trial) -> int:
             share *= 0.5
             z += share * step
             continue
-        if not section.factored[0] or change > SLOW * before or iteration >= JUMPING:
-            _invert(section, _tangent(section, points.weights, slopes))
+        if r <= FEW:
+            _tangent(section, points.weights, slopes, stiff)
+            _jacobian(section.compliance, stiff, jacobian)
+            _eliminate(jacobian, residual, step)
+        else:
+            if not section.factored[0] or change > SLOW * before or iteration >= JUMPING:
+                _tangent(section, points.weights, slopes, stiff)
+                _invert(section, stiff)
+            step[:] = section.inverse @ residual
         before, share = change, 1.0
-        step = section.inverse @ residual
         if iteration >= JUMPING:
             step *= EASED
         z -= step

@@ -9,8 +9,7 @@ import numpy as np
 from ..compiled import njit
 from .normal import HELD, HELD_FAST, LETTING_GO, holds
 from .points import Points, Trial
-from .rigid_section import Section
-from .section import solve_section
+from .section import Section, solve_section
 
 # Stages, and the factor between them, of `_solve_by_stiffening`.
 STIFFENING_STAGES, STIFFENING = 8, 3.0

@@ -1,4 +1,4 @@
-"""What is an effect: a named piece of physics, its parameters, and the one place where it enters?
+"""An effect: a named piece of physics, its parameters, and the one place where it enters.
 
 An effect is a small frozen class. It changes one field of a `Scene`, which is all that a drop is
 made of; beam, reduced and full solid are built from the same scene, so what was found with the

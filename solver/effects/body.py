@@ -1,4 +1,4 @@
-"""What does the bristle's material do that the declared one does not?"""
+"""Effects in the bristle's material: damping and lateral inertia."""
 
 from __future__ import annotations
 

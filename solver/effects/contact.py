@@ -1,4 +1,4 @@
-"""Which law does contact follow, if not force in proportion to penetration?"""
+"""Effects in the contact law: force other than in proportion to penetration."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Which effects are there, by name?
+"""The effects by name.
 
 Adding one takes a class with its test, and a line here.
 """

@@ -1,4 +1,4 @@
-"""How may what is measured differ from what is there?"""
+"""Effects of observation: how what is measured differs from what is there."""
 
 from __future__ import annotations
 

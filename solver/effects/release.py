@@ -1,4 +1,4 @@
-"""What is different when the bristle is let go, and while it flies?"""
+"""Effects at release and in flight."""
 
 from __future__ import annotations
 

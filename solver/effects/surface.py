@@ -1,4 +1,4 @@
-"""What is different about how and where the bristle lands, from drop to drop?"""
+"""Effects of how and where the bristle lands, from drop to drop."""
 
 from __future__ import annotations
 

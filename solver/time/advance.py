@@ -1,4 +1,4 @@
-"""What does a time step do to whole vectors? Each vector is read and written once a step.
+"""Whole vectors of a time step, each read and written once.
 
 Plain array expressions would read them forty times, which is as dear as the solve.
 """

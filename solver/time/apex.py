@@ -1,4 +1,4 @@
-"""How high does the tip of a body in flight come, and when? Compiled.
+"""The highest place of the tip of a body in flight, and its time. Compiled.
 
 The apex is the touch with a ceiling at the best height so far, see `clearance`.
 """

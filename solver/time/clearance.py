@@ -1,4 +1,4 @@
-"""How far is a body in flight from the ground, and for how long surely off it? Compiled.
+"""Clearance of a body in flight over the ground, and a time without touch. Compiled.
 
 An instant with clearance c, rate c' and a bound M on the second derivative is followed by a time in
 which c + c' t - ½ M t² stays positive (conservative advancement: Mirtich, PhD thesis, Berkeley

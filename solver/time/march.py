@@ -17,7 +17,7 @@ from ..bodies.base import Body, SparseOrDense, dense_of
 from ..bodies.modal import ModalBody
 from ..contact.enforcement import ContactMethod, StepContact
 from ..contact.laws import ContactLaw, Coulomb
-from ..contact.rigid_section import Section, new_section
+from ..contact.section import Section, new_section
 from ..errors import ComputationError
 from ..ground import Placement
 from .advance import balance, combine, newmark, residue

@@ -17,7 +17,7 @@ from ..bodies.axis import Shortening, second_order_force, shortened
 from ..compiled import njit
 from ..contact.normal import PLASTIC, elastic, holds
 from ..contact.points import Points, Trial
-from ..contact.rigid_section import Section, new_section, section_gathers, section_moves
+from ..contact.section import Section, new_section, section_gathers, section_moves
 from ..contact.solve import solve_step
 from ..contact.step import commit, settle, share_in_contact, share_under_damping, spring_energy
 

@@ -1,4 +1,4 @@
-"""Where does a body in free flight start, and land? Compiled.
+"""Start and end of a free flight. Compiled.
 
 It falls and turns exactly, as a rigid body; ringing is in closed form on top.
 """

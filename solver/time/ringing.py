@@ -1,4 +1,4 @@
-"""How does a body in flight ring, as far as it matters? Compiled.
+"""Ringing of a body in flight, as far as it matters. Compiled.
 
 What cannot reach the ground is not evaluated: it lessens the clearance by its bound.
 """

@@ -25,6 +25,7 @@ from ...solver import paper
 from ...solver.batch import as_column
 from ...solver.bodies.modal import ModalBody
 from ...solver.bristle import Array, Bristle
+from ...solver.cache import cached, sources
 from ...solver.contact.enforcement import ContactMethod
 from ...solver.contact.laws import Coulomb, Linear, mindlin_ratio
 from ...solver.drop import DropPlan, ModalFrame, simulate
@@ -32,7 +33,6 @@ from ...solver.effects.base import Scene
 from ...solver.effects.library import EFFECTS
 from ...solver.errors import ComputationError
 from ...solver.ground import Ground
-from ...solver.kept import kept, sources
 from ...solver.rigid import slope_normal
 from ..running.retry import with_shorter_its
 from .response import LEANING, MADE_BY, SCALED, SIMULATED, Bench, Tables
@@ -170,7 +170,7 @@ class ForceBench(Bench):
         ]
         axes = (Axis(self.lowest_m, self.highest_m, HEIGHT_NODES, "root"), kn, *fewer)
         key = f"curves {name} {axes} {self} {sources(*self.made_by)}"
-        return Curves(axes, kept(key, lambda: {"values": self._curves(axes, change)})["values"])
+        return Curves(axes, cached(key, lambda: {"values": self._curves(axes, change)})["values"])
 
     def _curves(self, axes: tuple[Axis, ...], change: Change) -> Array:
         nodes = [axis.nodes() for axis in axes]

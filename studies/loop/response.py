@@ -20,12 +20,12 @@ import numpy as np
 
 from ...solver import paper
 from ...solver.bristle import Array, Bristle, RigidMass
+from ...solver.cache import cached, sources
 from ...solver.contact.laws import Adhesive, ContactLaw, Damped, Linear, Plastic
 from ...solver.effects import library
 from ...solver.effects.base import Parameter, Scene
 from ...solver.effects.library import EFFECTS
 from ...solver.effects.surface import MOST_SLOPE_DEG
-from ...solver.kept import kept, sources
 from . import spline, table, table_drops
 from .spline import coefficients
 from .table import QUANTITIES, Axis, Table, mended
@@ -149,7 +149,7 @@ class Bench:
         heights = Axis(self.lowest_m, self.highest_m, n, "root")
         axes = (heights, Axis(*self.kn_range_N_m, kn_nodes, "log"), *sides)
         key = f"{name} {friction} {axes} {self} {sources(*self.made_by)}"
-        made = kept(key, lambda: {"coefficients": self._filled(axes, change, friction)})
+        made = cached(key, lambda: {"coefficients": self._filled(axes, change, friction)})
         return Table(axes, made["coefficients"])
 
     def _filled(

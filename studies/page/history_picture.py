@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
+from ...solver.contact_phase import HISTORY_COLUMNS
 from ...solver.errors import InputError
-from ...solver.touch import HISTORY_COLUMNS
 from ..viewing.field_series import Array
 from .figures import BLACK, BLUE, GREY, ORANGE, SMALLEST, VERMILION, panels, styled
 

@@ -27,16 +27,16 @@ from ...solver.bodies.beam import beam_body
 from ...solver.bodies.modal import ModalBody
 from ...solver.bodies.stored import from_arrays, to_arrays
 from ...solver.bristle import Bristle
+from ...solver.cache import load, sources, store
 from ...solver.checkpoint import Checkpoint
 from ...solver.contact.enforcement import ContactMethod
+from ...solver.contact_phase import History, Observer
 from ...solver.drop import DropPlan, DropResult, FlightFrame, ModalFrame, simulate
 from ...solver.effects.base import Scene
 from ...solver.errors import ComputationError
 from ...solver.fall import dragged_fall, risen
-from ...solver.kept import load, sources, store
 from ...solver.plain_march import march_plainly
 from ...solver.time.march import ContactMarch, Marcher
-from ...solver.touch import History, Observer
 from ..command.choices import Contact, Model, Solver, Tip, Until
 from ..command.config import DropInputs
 from ..command.flags import FLAT

@@ -147,7 +147,7 @@ def leave(status: int) -> None:
     A file that it writes into the cache is whole before.
     """
     if status == INTERRUPTED and threading.active_count() > 1:
-        from ...solver.kept import WRITING
+        from ...solver.cache import WRITING
 
         sys.stdout.flush()
         sys.stderr.flush()

@@ -13,9 +13,9 @@ import numpy as np
 from mpi4py import MPI
 from pydantic import BaseModel
 
+from ...solver.contact_phase import HISTORY_COLUMNS
 from ...solver.drop import DropResult
 from ...solver.errors import InputError
-from ...solver.touch import HISTORY_COLUMNS
 from .. import __version__
 from ..command.config import DropInputs
 from ..command.sources import OPTIONS

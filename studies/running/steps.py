@@ -9,8 +9,8 @@ from ...solver.analytic import quarter_period_s
 from ...solver.arrays import Array
 from ...solver.bristle import Bristle
 from ...solver.checkpoint import Mark
+from ...solver.contact_phase import Observer
 from ...solver.time.march import Moving
-from ...solver.touch import Observer
 
 
 def steps_of_contact(bristle: Bristle, kn_N_m: float, its_s: float) -> int:

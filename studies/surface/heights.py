@@ -1,4 +1,4 @@
-"""How high is a random rough surface at the nodes of its grid?
+"""Random heights of a rough surface at the nodes of its grid.
 
 A stationary Gaussian field on a torus, made by filtering white noise (FFT) with the square root of
 the spectrum of the wanted autocorrelation, summed over the periodic images.  Sums of images of a

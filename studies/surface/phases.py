@@ -1,4 +1,4 @@
-"""What is a surface composed of, and which phase lies where on it?
+"""Phases of a composite surface, laid out at random.
 
 Grains are shrunken Voronoi cells: seeds are spread evenly (a few of Lloyd's steps) over what is
 still matrix, and a place belongs to a grain where it is nearer to its own seed than to the next

@@ -1,4 +1,4 @@
-"""How stiff is contact with one phase of a surface, beside the others?"""
+"""Contact stiffness of one phase of a surface over that of the whole."""
 
 from __future__ import annotations
 

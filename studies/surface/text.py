@@ -1,4 +1,4 @@
-"""What heights does a text file of a measured surface hold?
+"""Text files of measured surfaces.
 
 Two kinds: a matrix of heights z, one row of the grid per line, and a list of points x y z of a
 regular grid, in any order.  Numbers are separated by commas, semicolons or blanks; lines that begin

@@ -33,7 +33,7 @@ class History:
 
 
 @dataclass
-class Touch:
+class ContactPhase:
     """One touch: when it began and ended, and what it did.
 
     ``force_N`` and ``penetration_m`` are greatest values at the ends of steps, the latter refined

@@ -1,4 +1,4 @@
-"""Which dear arrays did an earlier run make that can be used again?
+"""The cache of dear arrays, from which later runs take what earlier ones made.
 
 They lie under the user's cache, in a folder named after the sources that could change them. A file
 appears whole or not at all, holds plain numbers, and one that cannot be read is made again.
@@ -30,7 +30,7 @@ PART = ".part"
 PART_S = 3600.0
 
 
-def kept(key: str, make: Callable[[], Mapping[str, Array]]) -> dict[str, Array]:
+def cached(key: str, make: Callable[[], Mapping[str, Array]]) -> dict[str, Array]:
     """Arrays by name, as ``make`` gives them, from disk where they were made before.
 
     ``key`` says everything, beside the solver's sources, that they depend on.
