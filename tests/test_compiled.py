@@ -13,6 +13,9 @@ from pathlib import Path
 
 import pytest
 from commands import environment, mpirun, python
+from mpi4py import MPI
+
+from bristle.solver.bristle import Material
 
 pytestmark = pytest.mark.serial
 
@@ -161,3 +164,14 @@ print(sum(index.load(key) == list(key) for key in keys))
 
 def test_threads_may_meet_a_type_for_the_first_time_at_once(cache):
     assert at_once(lambda: python("-c", TYPES)) == ["True"]
+
+
+def test_one_compiled_form_serves_all_materials(make_solid, tmp_path, monkeypatch):
+    monkeypatch.setattr("bristle.solver.form_cache._folder", lambda: tmp_path)
+    other = Material(youngs_Pa=1.5e9, poisson=0.42, density_kg_m3=910.0, beta_s=1e-4)
+    counts = []
+    for material in (Material(beta_s=3e-6), other):
+        make_solid((1, 1, 3), order=1, material=material, comm=MPI.COMM_SELF)
+        counts.append(len(list(tmp_path.glob("*.c"))))
+    assert counts[0] > 0
+    assert counts[1] == counts[0]
