@@ -27,7 +27,7 @@ from hostile import drops_table, kept_promise, run, write_dataset
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from bristle.solver import kept
+from bristle.solver import cache
 from bristle.solver.errors import ComputationError, InputError
 from bristle.studies.command.config import DropInputs
 from bristle.studies.running import claim, files
@@ -171,34 +171,34 @@ def test_a_full_disk_leaves_a_journal_whole(tmp_path, monkeypatch):
 
 def test_a_garbled_file_of_the_cache_is_made_again(tmp_path, monkeypatch):
     """Whichever byte of it is wrong, and wherever it ends."""
-    monkeypatch.setattr(kept, "_path", lambda key: tmp_path / "kept.npz")
+    monkeypatch.setattr(cache, "_path", lambda key: tmp_path / "kept.npz")
     made = {"table": np.arange(12.0).reshape(3, 4), "kn": np.array(2e6)}
-    kept.store("key", made)
+    cache.store("key", made)
     content = (tmp_path / "kept.npz").read_bytes()
     for at in range(len(content)):
         low, high = (bytes([content[at] ^ bit]) for bit in (1, 128))
         for garbled in (content[:at], *(content[:at] + x + content[at + 1 :] for x in (low, high))):
             (tmp_path / "kept.npz").write_bytes(garbled)
-            found = kept.load("key")
+            found = cache.load("key")
             if found is not None:
                 assert found.keys() == made.keys()
                 assert all(np.array_equal(found[name], made[name]) for name in made)
-    assert kept.kept("key", lambda: made).keys() == made.keys()
-    assert kept.load("key") is not None
+    assert cache.cached("key", lambda: made).keys() == made.keys()
+    assert cache.load("key") is not None
     assert hidden(tmp_path) == []
 
 
 @pytest.mark.parametrize("content", [b"", b"PK\x03\x04", b"\x93NUMPY\x01\x00", b"text"])
 def test_what_is_no_archive_is_made_again(tmp_path, monkeypatch, content):
-    monkeypatch.setattr(kept, "_path", lambda key: tmp_path / "kept.npz")
+    monkeypatch.setattr(cache, "_path", lambda key: tmp_path / "kept.npz")
     (tmp_path / "kept.npz").write_bytes(content)
-    assert kept.load("key") is None
+    assert cache.load("key") is None
 
 
 def test_a_cache_that_cannot_be_written_keeps_nothing(tmp_path, monkeypatch):
     (tmp_path / "file").write_text("mine")
-    monkeypatch.setattr(kept, "_path", lambda key: tmp_path / "file" / "kept.npz")
-    assert kept.kept("key", lambda: {"x": np.ones(2)})["x"].sum() == 2.0
+    monkeypatch.setattr(cache, "_path", lambda key: tmp_path / "file" / "kept.npz")
+    assert cache.cached("key", lambda: {"x": np.ones(2)})["x"].sum() == 2.0
 
 
 def test_nothing_that_is_read_can_hold_code():

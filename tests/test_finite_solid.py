@@ -276,6 +276,8 @@ def test_a_march_goes_on_to_the_bit(make_finite):
     over_ground(other, 4.0)
     other.recall(memory)
     other.contact.recall(kept)
+    assert np.array_equal(other._by_factor(v), marcher._by_factor(v))
+    assert np.array_equal(other._compliance, marcher._compliance)
     again = other.step(state).state
     assert np.array_equal(again.u, onward.u)
     assert np.array_equal(again.v, onward.v)
