@@ -7,7 +7,8 @@ import math
 import gmsh
 import numpy as np
 
-from .geometry import MeshSpec, Wire
+from .geometry import MeshSpec
+from .section import Circle
 
 VOLUME_TOLERANCE = 1e-12
 """Relative: the mesh of either section has a closed form, so that round-off alone is left."""
@@ -63,7 +64,7 @@ def wire_volume_ratio(spec: MeshSpec) -> float:
 
 def meshed_volume_m3(spec: MeshSpec) -> float:
     """Return the volume that the mesh of `spec` must have, m³: less than a round body's."""
-    ratio = wire_volume_ratio(spec) if isinstance(spec.section, Wire) else 1.0
+    ratio = wire_volume_ratio(spec) if isinstance(spec.section, Circle) else 1.0
     return ratio * spec.volume_m3
 
 

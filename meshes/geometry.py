@@ -7,13 +7,14 @@ face z = 0, its top the face z = length, and the section is centred on the z axi
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, field
 from enum import IntEnum
-from numbers import Integral, Real
+from numbers import Integral
 
 import numpy as np
 import numpy.typing as npt
+
+from .section import Circle, Rectangle, Section, require_positive
 
 MIN_RELATIVE_CELL = 1e-6
 """Shortest cell edge over bristle length; gmsh merges points closer than 1e-8 of the model."""
@@ -28,81 +29,6 @@ class Tag(IntEnum):
     SIDE = 4
 
 
-def _require_positive(name: str, value: object) -> None:
-    if isinstance(value, bool) or not isinstance(value, Real):
-        raise ValueError(f"{name} must be a number, not {value!r}.")
-    if not (math.isfinite(value) and float(value) > 0):
-        raise ValueError(f"{name} must be positive and finite, not {value!r}.")
-
-
-@dataclass(frozen=True)
-class Rectangle:
-    """A rectangular section, centred on x = y = 0.
-
-    Parameters
-    ----------
-    thickness_m : extent in x, m
-    width_m : extent in y, m
-
-    Raises
-    ------
-    ValueError : a measure is not a positive finite number
-    """
-
-    thickness_m: float = 0.50e-3
-    width_m: float = 2.08e-3
-
-    def __post_init__(self) -> None:
-        _require_positive("thickness_m", self.thickness_m)
-        _require_positive("width_m", self.width_m)
-
-    @property
-    def area_m2(self) -> float:
-        """Area, m²."""
-        return self.thickness_m * self.width_m
-
-    @property
-    def second_moments_m4(self) -> tuple[float, float]:
-        """Second moments of area (∫x² dA, ∫y² dA), m⁴."""
-        return (
-            self.width_m * self.thickness_m**3 / 12,
-            self.thickness_m * self.width_m**3 / 12,
-        )
-
-
-@dataclass(frozen=True)
-class Wire:
-    """A round section, centred on x = y = 0.
-
-    Parameters
-    ----------
-    diameter_m : diameter, m
-
-    Raises
-    ------
-    ValueError : the diameter is not a positive finite number
-    """
-
-    diameter_m: float
-
-    def __post_init__(self) -> None:
-        _require_positive("diameter_m", self.diameter_m)
-
-    @property
-    def area_m2(self) -> float:
-        """Area, m²."""
-        return math.pi * self.diameter_m**2 / 4
-
-    @property
-    def second_moments_m4(self) -> tuple[float, float]:
-        """Second moments of area (∫x² dA, ∫y² dA), m⁴."""
-        moment = math.pi * self.diameter_m**4 / 64
-        return moment, moment
-
-
-Section = Rectangle | Wire
-
-
 @dataclass(frozen=True)
 class MeshSpec:
     """A bristle and its division into hexahedra; the defaults are the paper's bristle.
@@ -112,8 +38,8 @@ class MeshSpec:
     Parameters
     ----------
     length_m : length along z, m
-    section : `Rectangle` or `Wire`
-    cells : (NX, NY, NZ).  Rectangle: divisions in x (thickness), y (width) and z.  Wire: NX cells
+    section : `Rectangle` or `Circle`
+    cells : (NX, NY, NZ).  Rectangle: divisions in x (thickness), y (width) and z.  Circle: NX cells
         along each side of the core square, NY cells radially in the ring around it (so 4 NX
         cells around the circumference), NZ along z.
     geometry_order : 1 for straight edges, 2 for 27-node hexahedra whose edges follow a circle
@@ -133,10 +59,10 @@ class MeshSpec:
     grading: float = 1.0
 
     def __post_init__(self) -> None:
-        _require_positive("length_m", self.length_m)
-        _require_positive("grading", self.grading)
-        if not isinstance(self.section, Rectangle | Wire):
-            raise ValueError(f"section must be a Rectangle or a Wire, not {self.section!r}.")
+        require_positive("length_m", self.length_m)
+        require_positive("grading", self.grading)
+        if not isinstance(self.section, Rectangle | Circle):
+            raise ValueError(f"section must be a Rectangle or a Circle, not {self.section!r}.")
         order = self.geometry_order
         if isinstance(order, bool) or not isinstance(order, Integral) or order not in (1, 2):
             raise ValueError(f"geometry_order must be 1 or 2, not {order!r}.")

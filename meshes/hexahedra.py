@@ -18,7 +18,8 @@ from contextlib import contextmanager
 import gmsh
 import numpy as np
 
-from .geometry import MeshSpec, Rectangle, Tag, Wire
+from .geometry import MeshSpec, Tag
+from .section import Circle, Rectangle
 
 CORE_RADIUS = 0.55
 """Distance of the core's corners from the axis, over the wire's radius."""
@@ -156,7 +157,7 @@ def _arcs(points: list[int], radius_m: float, bulge: float, cells: int) -> list[
     return arcs
 
 
-def _wire_section(section: Wire, nx: int, ny: int) -> list[int]:
+def _wire_section(section: Circle, nx: int, ny: int) -> list[int]:
     geo = gmsh.model.geo
     radius = section.diameter_m / 2
     outer, inner = _ring_points(radius), _ring_points(CORE_RADIUS * radius)

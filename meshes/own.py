@@ -16,9 +16,10 @@ import numpy as np
 import numpy.typing as npt
 
 from .check import MeshError
-from .geometry import Rectangle, Tag
+from .geometry import Tag
 from .hexahedra import gmsh_model
 from .own_check import TIP, Cells, checked_tip, read_cells
+from .section import Rectangle
 
 Array = npt.NDArray[np.float64]
 

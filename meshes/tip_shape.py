@@ -13,7 +13,7 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 import numpy.typing as npt
 
-from .geometry import _require_positive
+from .section import require_positive
 
 Array = npt.NDArray[np.float64]
 
@@ -118,8 +118,8 @@ class Chamfer:
     angle_deg: float = 45.0
 
     def __post_init__(self) -> None:
-        _require_positive("width_m", self.width_m)
-        _require_positive("angle_deg", self.angle_deg)
+        require_positive("width_m", self.width_m)
+        require_positive("angle_deg", self.angle_deg)
         if self.angle_deg >= 90:
             raise ValueError(f"angle_deg of a chamfer must be below 90, not {self.angle_deg!r}.")
 
@@ -149,7 +149,7 @@ class Rounded:
     radius_m: float
 
     def __post_init__(self) -> None:
-        _require_positive("radius_m", self.radius_m)
+        require_positive("radius_m", self.radius_m)
 
     def offset_m(self, x_m: npt.ArrayLike, y_m: npt.ArrayLike, section: Section) -> Array:
         """r - √(r² - (r - e)²) within r of the edge, e the distance from it.
@@ -181,7 +181,7 @@ class Worn:
 
     def __post_init__(self) -> None:
         if isinstance(self.angle_deg, bool) or self.angle_deg != 0:
-            _require_positive("angle_deg", self.angle_deg)
+            require_positive("angle_deg", self.angle_deg)
         if self.angle_deg >= 90:
             raise ValueError(f"angle_deg of a worn tip must be below 90, not {self.angle_deg!r}.")
         if isinstance(self.direction_deg, bool) or not math.isfinite(self.direction_deg):

@@ -16,7 +16,8 @@ from mpi4py import MPI
 
 from ..meshes.collective import run_on_one_rank
 from ..solver import paper
-from ..solver.bristle import Array, Bristle
+from ..solver.arrays import Array
+from ..solver.bristle import Bristle
 from ..solver.errors import InputError
 from . import __version__
 from .calibration.curve import GRID_N_M, RatioCurve, RatioModel, beam_model, mean_curve

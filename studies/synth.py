@@ -19,8 +19,9 @@ from typing import Any
 import numpy as np
 
 from ..solver import paper
+from ..solver.arrays import Array
 from ..solver.bodies.modal import ModalBody
-from ..solver.bristle import Array, Bristle, Material
+from ..solver.bristle import Bristle, Material
 from ..solver.contact.laws import Linear
 from ..solver.effects.base import Effect, Scene
 from ..solver.effects.library import enter_all

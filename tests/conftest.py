@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from mpi4py import MPI
 
-from bristle.solver.bristle import Bristle, Material, Rectangle
+from bristle.meshes.section import Rectangle
+from bristle.solver.bristle import Bristle, Material
 
 # A script's job in the background has Ctrl-C ignored, and what tests start would inherit that.
 signal.signal(signal.SIGINT, signal.default_int_handler)
@@ -41,11 +42,7 @@ def make_solid():
         section = section or Rectangle()
         key = (cells, length_m, order, material, section, comm.size, geometry_order)
         if key not in made:
-            if isinstance(section, Rectangle):
-                shape = geometry.Rectangle(section.thickness_m, section.width_m)
-            else:
-                shape = geometry.Wire(section.diameter_m)
-            spec = geometry.MeshSpec(length_m, shape, cells, geometry_order)
+            spec = geometry.MeshSpec(length_m, section, cells, geometry_order)
             domain, _, facets = to_dolfinx(spec, comm)
             made[key] = SolidBody(domain, facets, int(geometry.Tag.TIP), material, order)
         return made[key]

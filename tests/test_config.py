@@ -10,11 +10,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from bristle.meshes.geometry import MeshSpec, Wire
+from bristle.meshes.geometry import MeshSpec
+from bristle.meshes.section import Circle
 from bristle.solver import paper
 from bristle.solver.bodies import linear
 from bristle.solver.bodies.beam import beam_body
-from bristle.solver.bristle import CONTACT_POINTS, Bristle, Circle
+from bristle.solver.bristle import CONTACT_POINTS, Bristle
 from bristle.solver.contact.enforcement import Enforcement
 from bristle.solver.errors import InputError
 from bristle.solver.time.scheme import TimeScheme
@@ -87,7 +88,7 @@ def test_defaults_are_the_papers():
 
 def test_choices_are_the_solvers():
     assert [member.value for member in Contact] == [member.value for member in Enforcement]
-    assert [member.value for member in Solver] == [member.value for member in linear.Solver]
+    assert [member.value for member in Solver] == [*(each.value for each in linear.Solver), "snes"]
 
 
 @pytest.mark.parametrize(
@@ -208,7 +209,7 @@ def test_what_depends_on_other_options_is_resolved():
     assert DropInputs().theta is None
     wire = drop(diameter_m=1e-3)
     assert (wire.width_m, wire.thickness_m, wire.geometry_order) == (None, None, 2)
-    assert wire.mesh_spec().section == Wire(1e-3)
+    assert wire.mesh_spec().section == Circle(1e-3)
     assert wire.bristle().section == Circle(1e-3)
 
 
@@ -278,7 +279,7 @@ def test_a_worn_face_stands_back_toward_its_direction_only():
     shape = drop(tip_shape="worn:angle=5,direction=180").face()
     # a mesh of a wire, and rounding, put points a little outside
     for places in (points, points * (1.0 + 1e-4)):
-        back = face_offsets_m(shape, Wire(1e-3), places)
+        back = face_offsets_m(shape, Circle(1e-3), places)
         assert back.min() == pytest.approx(0.0, abs=1e-15)
         assert back.max() == pytest.approx(1e-3 * math.tan(math.radians(5.0)))
         assert back[np.argmin(places[:, 0])] == back.max()

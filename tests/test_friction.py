@@ -14,9 +14,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from reference import rate
 
+from bristle.meshes.section import Rectangle
 from bristle.solver.bodies.base import ContactPoints
 from bristle.solver.bodies.modal import ModalBody
-from bristle.solver.bristle import Rectangle
 from bristle.solver.contact.enforcement import ContactMethod, Enforcement
 from bristle.solver.contact.laws import Coulomb, Linear
 from bristle.solver.contact.points import CONSERVING, Points, Trial

@@ -8,7 +8,7 @@ import pytest
 from leaning_helpers import HEIGHT, KT, SPEED, G, beam, drop, kept, plan, series, tip_velocity
 from reference import rate
 
-from bristle.solver.bristle import Circle, Rectangle
+from bristle.meshes.section import Circle, Rectangle
 from bristle.solver.contact.enforcement import Enforcement
 from bristle.solver.drop import simulate
 from bristle.solver.ground import Ground

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from mpi4py import MPI
 
+from bristle.meshes.section import Circle
 from bristle.solver.bodies import linear
 from bristle.solver.bodies.direct import Cholesky
 from bristle.solver.bodies.linear import TOLERANCE, Method, Solver, choose, make_solver
 from bristle.solver.bodies.reduced import reduce_solid
-from bristle.solver.bristle import Circle
 from bristle.solver.contact.enforcement import ContactMethod
 from bristle.solver.contact.laws import Linear
 from bristle.solver.drop import DropPlan, simulate

@@ -15,8 +15,9 @@ from scipy.optimize import brentq, least_squares
 from scipy.signal import lfilter
 from scipy.special import jv
 
+from bristle.meshes.section import Circle, Rectangle
 from bristle.solver import paper
-from bristle.solver.bristle import Bristle, Circle, Material, Rectangle
+from bristle.solver.bristle import Bristle, Material
 from bristle.solver.errors import InputError
 from bristle.studies.data.datasets import read_manifest
 from bristle.studies.loop.rod import SHORTEST_WAVE, Rod, attached_mass

@@ -9,13 +9,14 @@ import vtk
 
 from bristle.meshes.check import integrated_volume_m3, meshed_volume_m3
 from bristle.meshes.convert import TAG_DATA, read_msh, read_vtu, write_msh, write_vtu
-from bristle.meshes.geometry import MeshSpec, Rectangle, Tag, Wire
+from bristle.meshes.geometry import MeshSpec, Tag
 from bristle.meshes.hexahedra import build_model, gmsh_model
 from bristle.meshes.quality import MeshQuality, measure_quality, read_csv, write_csv
+from bristle.meshes.section import Circle, Rectangle
 
 SPECS = [
     MeshSpec(0.02, section, (2, 3, 4), order, 3.0)
-    for section in (Rectangle(0.5e-3, 2.08e-3), Wire(1.2e-3))
+    for section in (Rectangle(0.5e-3, 2.08e-3), Circle(1.2e-3))
     for order in (1, 2)
 ]
 EVERY_SPEC = pytest.mark.parametrize(
@@ -206,14 +207,14 @@ def test_quality_of_the_papers_bristle(order):
 
 
 def test_quality_of_a_wire_tells_its_volume_error():
-    quality = measured(MeshSpec(0.01, Wire(1e-3), (1, 1, 3)))
+    quality = measured(MeshSpec(0.01, Circle(1e-3), (1, 1, 3)))
     # A square in its circle.
     assert quality.volume_error == pytest.approx(2 / np.pi - 1, rel=1e-9)
     assert 0 < quality.scaled_jacobian_min <= quality.scaled_jacobian_mean < 1
 
 
 def test_quality_table_reads_back(tmp_path):
-    quality = measured(MeshSpec(0.01, Wire(1e-3), (2, 1, 3), geometry_order=2))
+    quality = measured(MeshSpec(0.01, Circle(1e-3), (2, 1, 3), geometry_order=2))
     path = tmp_path / "quality.csv"
     write_csv(quality, path)
     assert read_csv(path) == quality

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 from scipy import integrate
 
-from bristle.meshes.geometry import MeshSpec, Rectangle, Tag, Wire
+from bristle.meshes.geometry import MeshSpec, Tag
+from bristle.meshes.section import Circle, Rectangle
 
 
 def test_default_is_the_papers_bristle():
@@ -22,7 +23,7 @@ def test_default_is_the_papers_bristle():
     assert spec.volume_m3 * 7800 == pytest.approx(2.73e-3, abs=0.005e-3)
 
 
-@pytest.mark.parametrize("section", [Rectangle(3.0, 2.0), Wire(2.5)])
+@pytest.mark.parametrize("section", [Rectangle(3.0, 2.0), Circle(2.5)])
 def test_section_properties_are_the_integrals(section):
     if isinstance(section, Rectangle):
         x_max, half_width = section.thickness_m / 2, lambda x: section.width_m / 2
@@ -36,7 +37,8 @@ def test_section_properties_are_the_integrals(section):
 
     assert section.area_m2 == pytest.approx(over_section(lambda x, y: 1.0), rel=1e-8)
     expected = [over_section(lambda x, y: x * x), over_section(lambda x, y: y * y)]
-    assert section.second_moments_m4 == pytest.approx(expected, rel=1e-8)
+    found = [section.second_moment_x_m4, section.second_moment_y_m4]
+    assert found == pytest.approx(expected, rel=1e-8)
 
 
 @pytest.mark.parametrize("nz", [1, 2, 7, 400])
@@ -57,7 +59,7 @@ def test_counts_of_a_block_and_of_an_o_grid():
     assert block.n_cells == 30
     assert block.n_facets == {Tag.TIP: 6, Tag.TOP: 6, Tag.SIDE: 50}
     # Core 2 × 2 and four blocks of 2 × 3.
-    wire = MeshSpec(section=Wire(1e-3), cells=(2, 3, 5))
+    wire = MeshSpec(section=Circle(1e-3), cells=(2, 3, 5))
     assert wire.n_cells == (4 + 24) * 5
     assert wire.n_facets == {Tag.TIP: 28, Tag.TOP: 28, Tag.SIDE: 40}
 
@@ -68,11 +70,11 @@ def test_counts_of_a_block_and_of_an_o_grid():
         (lambda: Rectangle(thickness_m=0.0), "thickness_m must be positive and finite, not 0.0"),
         (lambda: Rectangle(width_m=-1.0), "width_m must be positive and finite"),
         (lambda: Rectangle(width_m="2"), "width_m must be a number, not '2'"),
-        (lambda: Wire(math.nan), "diameter_m must be positive and finite, not nan"),
-        (lambda: Wire(True), "diameter_m must be a number"),
+        (lambda: Circle(math.nan), "diameter_m must be positive and finite, not nan"),
+        (lambda: Circle(True), "diameter_m must be a number"),
         (lambda: MeshSpec(length_m=math.inf), "length_m must be positive and finite"),
         (lambda: MeshSpec(grading=0), "grading must be positive"),
-        (lambda: MeshSpec(section=(1, 2)), "section must be a Rectangle or a Wire"),
+        (lambda: MeshSpec(section=(1, 2)), "section must be a Rectangle or a Circle"),
         (lambda: MeshSpec(cells=(1, 4)), "cells must be three numbers NX, NY, NZ"),
         (lambda: MeshSpec(cells=5), "cells must be three numbers NX, NY, NZ, not 5"),
         (lambda: MeshSpec(cells=(1, 0, 3)), "NY must be a whole number from 1, not 0"),
@@ -81,7 +83,7 @@ def test_counts_of_a_block_and_of_an_o_grid():
         (lambda: MeshSpec(geometry_order=3), "geometry_order must be 1 or 2, not 3"),
         (lambda: MeshSpec(geometry_order=1.0), "geometry_order must be 1 or 2, not 1.0"),
         (lambda: MeshSpec(grading=1e9), "too short to mesh"),
-        (lambda: MeshSpec(section=Wire(1e-7)), "too short to mesh"),
+        (lambda: MeshSpec(section=Circle(1e-7)), "too short to mesh"),
         (lambda: MeshSpec(cells=(10000, 1, 1)), "too short to mesh"),
     ],
 )

@@ -18,11 +18,12 @@ from bristle.meshes.check import (
     integrated_volume_m3,
     meshed_volume_m3,
 )
-from bristle.meshes.geometry import MeshSpec, Rectangle, Tag, Wire
+from bristle.meshes.geometry import MeshSpec, Tag
 from bristle.meshes.hexahedra import build_model, gmsh_model
+from bristle.meshes.section import Circle, Rectangle
 
 RECTANGLE = Rectangle(0.5e-3, 2.08e-3)
-WIRE = Wire(1.2e-3)
+WIRE = Circle(1.2e-3)
 SECTIONS = [RECTANGLE, WIRE]
 
 
@@ -58,7 +59,7 @@ def test_mesh_passes_its_own_check(section, order, cells, grading):
     round_section=st.booleans(),
 )
 def test_any_division_gives_the_volume(cells, order, ratio, slenderness, grading, round_section):
-    section = Wire(1e-3) if round_section else Rectangle(1e-3, ratio * 1e-3)
+    section = Circle(1e-3) if round_section else Rectangle(1e-3, ratio * 1e-3)
     spec = spec_of(section, cells, order, grading, length_m=slenderness * 1e-3)
     with gmsh_model():
         build_model(spec)

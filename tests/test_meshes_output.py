@@ -17,10 +17,11 @@ from bristle.meshes.check import MeshError
 from bristle.meshes.collective import run_on_one_rank
 from bristle.meshes.convert import read_msh, read_vtu, write_msh
 from bristle.meshes.display import DrawingError, display_environment, run_drawing
-from bristle.meshes.geometry import MeshSpec, Rectangle, Wire
+from bristle.meshes.geometry import MeshSpec
 from bristle.meshes.hexahedra import build_model, gmsh_model
 from bristle.meshes.picture import outside, round_length_mm, write_picture
 from bristle.meshes.quality import read_csv
+from bristle.meshes.section import Circle, Rectangle
 from bristle.studies import mesh as mesh_study
 from bristle.studies.mesh import run_mesh
 from bristle.studies.running.interrupts import interruptible
@@ -50,7 +51,7 @@ def is_running(pid):
 
 
 @pytest.mark.parametrize(
-    "spec", [SPEC, MeshSpec(0.02, Wire(1e-3), (2, 1, 6), geometry_order=1)], ids=["2", "wire-1"]
+    "spec", [SPEC, MeshSpec(0.02, Circle(1e-3), (2, 1, 6), geometry_order=1)], ids=["2", "wire-1"]
 )
 def test_all_files_are_there_and_agree(out, spec):
     summary = run_mesh(spec, out)

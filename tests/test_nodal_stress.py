@@ -9,7 +9,7 @@ from dolfinx import fem
 from field_files import solid_of
 from mpi4py import MPI
 
-from bristle.meshes.geometry import Wire
+from bristle.meshes.section import Circle
 from bristle.solver.bodies.solid import stress
 from bristle.solver.nodal_stress import NodalStress, von_mises
 
@@ -26,7 +26,7 @@ def quadratic(x):
 
 @pytest.mark.parametrize(
     "spec",
-    [{}, {"grading": 6.0}, {"section": Wire(1e-3), "cells": (2, 1, 6)}],
+    [{}, {"grading": 6.0}, {"section": Circle(1e-3), "cells": (2, 1, 6)}],
     ids=["even", "graded", "wire"],
 )
 def test_stress_of_a_quadratic_displacement_is_exact(spec):

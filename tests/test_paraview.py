@@ -20,7 +20,7 @@ from mpi4py import MPI
 from pvbatch import needs_pvbatch, run_pvbatch
 from scipy.spatial import cKDTree
 
-from bristle.meshes.geometry import Wire
+from bristle.meshes.section import Circle
 from bristle.solver.bodies.reduced import reduce_solid
 from bristle.solver.contact.enforcement import ContactMethod
 from bristle.solver.contact.laws import Coulomb, Linear
@@ -77,7 +77,7 @@ def wavy(x):
 
 
 @pytest.mark.parametrize("order", [1, 2])
-@pytest.mark.parametrize("section", [{}, {"section": Wire(1e-3), "cells": (1, 1, 12)}])
+@pytest.mark.parametrize("section", [{}, {"section": Circle(1e-3), "cells": (1, 1, 12)}])
 def test_order_nodes_and_values_are_kept(shared_path, order, section):
     solid = solid_of(order, **section)
     u, v = set_state(solid, wavy), set_state(solid, lambda x: 3.0 - 1e5 * wavy(x))
@@ -175,8 +175,8 @@ STANDS = {
     "upright": ((0.0, 0.0, 0.0), {}),
     "leaning": (LEANING, {}),
     "on a slope": ((2.0, -5.0, 0.0), {}),
-    "wire": (LEANING, {"section": Wire(1e-3), "cells": (1, 1, 12)}),
-    "round": (LEANING, {"section": Wire(1e-3), "cells": (2, 2, 6), "geometry_order": 2}),
+    "wire": (LEANING, {"section": Circle(1e-3), "cells": (1, 1, 12)}),
+    "round": (LEANING, {"section": Circle(1e-3), "cells": (2, 2, 6), "geometry_order": 2}),
 }
 on_every_stand = pytest.mark.parametrize(("stand", "spec"), STANDS.values(), ids=STANDS)
 

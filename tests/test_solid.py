@@ -8,9 +8,10 @@ from mpi4py import MPI
 from reference import free_free_timoshenko_hz, pochhammer_chree_hz, rate
 from scipy.optimize import brentq
 
+from bristle.meshes.section import Circle, Rectangle
 from bristle.solver.bodies.beam import beam_body
 from bristle.solver.bodies.reduced import reduce_solid
-from bristle.solver.bristle import Bristle, Circle, Material, Rectangle
+from bristle.solver.bristle import Bristle, Material
 from bristle.solver.contact.enforcement import ContactMethod, Enforcement
 from bristle.solver.contact.laws import Coulomb, Linear
 from bristle.solver.drop import RESOLVED, DropPlan, ModalFrame, simulate

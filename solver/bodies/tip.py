@@ -12,8 +12,9 @@ from dolfinx import fem, la, mesh
 from numpy.typing import NDArray
 from scipy.sparse import csr_matrix
 
+from ...meshes.section import gauss_lobatto
 from ..arrays import Array
-from ..bristle import CONTACT_POINTS, gauss_lobatto
+from ..bristle import CONTACT_POINTS
 from ..errors import ComputationError
 from ..form_cache import expression
 from ..forms import Expr, StepForms, TipMeasure

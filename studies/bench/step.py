@@ -16,7 +16,8 @@ import numpy as np
 from mpi4py import MPI
 
 from ...meshes.distribute import to_dolfinx
-from ...meshes.geometry import MeshSpec, Rectangle, Tag
+from ...meshes.geometry import MeshSpec, Tag
+from ...meshes.section import Rectangle
 from ...solver import paper
 from ...solver.bodies.direct import Cholesky
 from ...solver.bodies.linear import Solver

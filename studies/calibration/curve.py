@@ -16,8 +16,9 @@ from scipy.interpolate import PchipInterpolator
 from scipy.optimize import brentq
 
 from ...solver.analytic import quarter_period_s
+from ...solver.arrays import Array
 from ...solver.bodies.beam import beam_body
-from ...solver.bristle import Array, Bristle
+from ...solver.bristle import Bristle
 from ...solver.contact.enforcement import ContactMethod
 from ...solver.contact.laws import Linear
 from ...solver.drop import DropPlan, ModalFrame, simulate

@@ -14,7 +14,7 @@ import statsmodels.api as sm
 from scipy import stats
 
 from ...solver import paper
-from ...solver.bristle import Array
+from ...solver.arrays import Array
 
 LEVEL = 0.90
 RESAMPLES = 4999

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from ...solver.bristle import Array
+from ...solver.arrays import Array
 from ...solver.errors import BristleError
 from ..loop.finding import Finding
 from ..loop.noise import Ints

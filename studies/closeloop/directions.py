@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...solver.bristle import Array
+from ...solver.arrays import Array
 from ..loop.fit import BOX_PRECISION, to_box, to_theta
 from ..loop.noise import Ints
 from ..loop.problem import Model

@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from ...solver.bristle import Array
+from ...solver.arrays import Array
 from ..loop.finding import Evidence, Finding, Test
 from ..loop.heldout import HeldOut
 from ..page.figures import (

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import log_ndtr, logsumexp, ndtri_exp
 
-from ...solver.bristle import Array
+from ...solver.arrays import Array
 from ...solver.effects.library import EFFECTS
 from ..loop.problem import Model
 

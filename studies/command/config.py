@@ -13,10 +13,11 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, model_valida
 from pydantic_core import PydanticCustomError
 
 from ...meshes import geometry
+from ...meshes.section import Circle, Rectangle, Section
 from ...meshes.tip_shape import TipShape, parse_tip_shape
 from ...solver import paper
 from ...solver.analytic import quarter_period_s
-from ...solver.bristle import Bristle, Circle, Material, Rectangle
+from ...solver.bristle import Bristle, Material
 from ...solver.contact.enforcement import GAMMA0, GAMMA0_RIGID, ContactMethod, Enforcement
 from ...solver.contact.laws import ContactLaw, Coulomb, Linear, mindlin_ratio
 from ...solver.drop import DropPlan
@@ -202,12 +203,8 @@ class Inputs(BaseModel):
         )
         if self.mesh is not None:
             own = self.mesh.read()
-            mean = own.mean_section
-            return Bristle(own.length_m, Rectangle(mean.thickness_m, mean.width_m), material)
-        section = (
-            Rectangle(*self._sides_m()) if self.diameter_m is None else Circle(self.diameter_m)
-        )
-        return Bristle(self.length_m or paper.LENGTH_M, section, material)
+            return Bristle(own.length_m, own.mean_section, material)
+        return Bristle(self.length_m or paper.LENGTH_M, self.end_section(), material)
 
     def shape(self) -> geometry.MeshSpec | str:
         """What tells a solid's mesh from others: its parameters, or the digest of the user's."""
@@ -223,13 +220,13 @@ class Inputs(BaseModel):
             self.grading or 1.0,
         )
 
-    def end_section(self) -> geometry.Rectangle | geometry.Wire:
-        """The section at the tip as meshes and shapes of tips know it."""
+    def end_section(self) -> Section:
+        """The section at the tip."""
         if self.mesh is not None:
             return self.mesh.read().tip_section
         if self.diameter_m is None:
-            return geometry.Rectangle(*self._sides_m())
-        return geometry.Wire(self.diameter_m)
+            return Rectangle(*self._sides_m())
+        return Circle(self.diameter_m)
 
     def _sides_m(self) -> tuple[float, float]:
         """Thickness and width of a flat wire."""

@@ -6,8 +6,8 @@ import math
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
+from ...meshes.section import Rectangle
 from ...solver.analytic import quarter_period_s
-from ...solver.bristle import Rectangle
 from ...solver.drop import DropResult
 from ...solver.fall import free_fall
 from ..sections.stance import lean_deg, narrow_zone, slowest_bending_1_s, surface_normal

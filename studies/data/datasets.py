@@ -15,7 +15,8 @@ from pathlib import Path
 from typing import Any
 
 from ...solver import paper
-from ...solver.bristle import Array, Bristle, RigidMass
+from ...solver.arrays import Array
+from ...solver.bristle import Bristle, RigidMass
 from ...solver.errors import InputError
 from ..command import limits
 from ..command.config import Inputs

@@ -13,7 +13,8 @@ from pathlib import Path
 import numpy as np
 
 from ...solver import paper
-from ...solver.bristle import Array, Bristle, RigidMass
+from ...solver.arrays import Array
+from ...solver.bristle import Bristle, RigidMass
 from ...solver.errors import InputError
 
 HEIGHTS_MM = (1.0, 5000.0)

@@ -23,7 +23,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...solver.bristle import Array
+from ...solver.arrays import Array
 from .fit import BOX_PRECISION, Fitted
 from .noise import Ints
 from .residuals import quantile_residuals

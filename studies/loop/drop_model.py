@@ -10,7 +10,7 @@ from typing import NamedTuple, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from ...solver.bristle import Array
+from ...solver.arrays import Array
 from ...solver.effects.base import Effect, Parameter
 from ...solver.effects.library import EFFECTS
 from ...solver.effects.release import AIR_KG_M3

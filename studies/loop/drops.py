@@ -16,7 +16,8 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ...solver.bristle import Array, Bristle, RigidMass
+from ...solver.arrays import Array
+from ...solver.bristle import Bristle, RigidMass
 from ...solver.effects.base import Parameter
 from ...solver.effects.library import EFFECTS
 from ...solver.errors import InputError

@@ -15,9 +15,11 @@ import numpy as np
 from mpi4py import MPI
 from numpy.typing import NDArray
 
+from ...meshes.section import Circle, Rectangle
 from ...solver import paper
+from ...solver.arrays import Array
 from ...solver.bodies.modal import ModalBody
-from ...solver.bristle import Array, Bristle, Circle, Rectangle
+from ...solver.bristle import Bristle
 from ...solver.contact.laws import Linear
 from ...solver.drop import ModalFrame
 from ...solver.effects.base import Effect, Scene

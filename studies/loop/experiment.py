@@ -12,7 +12,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ...solver.bristle import Array
+from ...solver.arrays import Array
 from .finding import Proposal
 from .fit import to_theta
 from .posterior import Posterior

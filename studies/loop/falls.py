@@ -20,7 +20,7 @@ from functools import cached_property
 
 import numpy as np
 
-from ...solver.bristle import Array
+from ...solver.arrays import Array
 from ...solver.effects.base import Parameter
 from ...solver.errors import InputError
 from .falls_motion import predicted

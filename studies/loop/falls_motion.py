@@ -15,7 +15,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from ...solver.bristle import Array
+from ...solver.arrays import Array
 from ...solver.compiled import njit
 
 LEAST_RATE_1_S = 1e-6

@@ -16,7 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ...solver.bristle import Array
+from ...solver.arrays import Array
 
 DEGREES = (2, 3, 4)
 # A higher degree is taken where it leaves less than this share of the variance.

@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from ...solver.bristle import Array
+from ...solver.arrays import Array
 from ...solver.errors import InputError
 from ..data.datasets import Manifest, read_manifest
 from ..data.tables import InPieces, Series, column, read_series

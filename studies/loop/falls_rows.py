@@ -19,7 +19,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from ...solver.bristle import Array
+from ...solver.arrays import Array
 from .falls_noise import Noise, noise_of
 from .falls_record import BIN_S, LEAST_BINS, Falls
 

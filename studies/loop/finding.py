@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import Any
 
-from ...solver.bristle import Array
+from ...solver.arrays import Array
 from .heldout import HeldOut
 from .noise import Ints
 

@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ...solver.bristle import Array
+from ...solver.arrays import Array
 from ...solver.effects.base import Parameter
 from .noise import influence, log_density_at, score_table
 from .problem import Model

@@ -22,9 +22,10 @@ from typing import ClassVar
 import numpy as np
 
 from ...solver import paper
+from ...solver.arrays import Array
 from ...solver.batch import as_column
 from ...solver.bodies.modal import ModalBody
-from ...solver.bristle import Array, Bristle
+from ...solver.bristle import Bristle
 from ...solver.cache import cached, sources
 from ...solver.contact.enforcement import ContactMethod
 from ...solver.contact.laws import Coulomb, Linear, mindlin_ratio

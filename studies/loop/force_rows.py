@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ...solver.bristle import Array
+from ...solver.arrays import Array
 
 BEST, BEST_COARSE = 6, 24
 """Histories that are tried at finer times, and how many where samples are too coarse to choose."""

@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ...solver.bristle import Array
+from ...solver.arrays import Array
 from ...solver.fall import risen
 from ..data.datasets import Manifest
 from .drop_model import BounceModel, Drops, FeatureModel

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from scipy.special import logsumexp
 
-from ...solver.bristle import Array
+from ...solver.arrays import Array
 from .noise import Ints, log_density_at
 from .posterior import Posterior, refitted
 from .problem import Problem

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import gammaln
 
-from ...solver.bristle import Array
+from ...solver.arrays import Array
 from ...solver.compiled import njit
 
 Ints = NDArray[np.int64]

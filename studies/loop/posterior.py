@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import gammaln, logsumexp
 
-from ...solver.bristle import Array
+from ...solver.arrays import Array
 from .adequacy import OCCAM
 from .fit import BOX_PRECISION, Fitted, fit, likely_noise, others, to_theta
 from .noise import Ints, Noises

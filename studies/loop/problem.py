@@ -13,7 +13,7 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
-from ...solver.bristle import Array
+from ...solver.arrays import Array
 from ...solver.effects.base import Parameter
 
 

@@ -15,7 +15,7 @@ import numpy as np
 from scipy.cluster.hierarchy import fcluster, linkage
 from scipy.spatial.distance import squareform
 
-from ...solver.bristle import Array
+from ...solver.arrays import Array
 from .adequacy import Direction
 from .fit import Fitted, to_box, to_theta
 from .problem import Model

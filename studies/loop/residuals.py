@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.special import log_ndtr, logsumexp, ndtri_exp
 
-from ...solver.bristle import Array
+from ...solver.arrays import Array
 from .noise import Ints
 
 

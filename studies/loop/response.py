@@ -19,7 +19,8 @@ from typing import ClassVar
 import numpy as np
 
 from ...solver import paper
-from ...solver.bristle import Array, Bristle, RigidMass
+from ...solver.arrays import Array
+from ...solver.bristle import Bristle, RigidMass
 from ...solver.cache import cached, sources
 from ...solver.contact.laws import Adhesive, ContactLaw, Damped, Linear, Plastic
 from ...solver.effects import library

@@ -10,7 +10,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from ...solver.bristle import Array, RigidMass
+from ...solver.arrays import Array
+from ...solver.bristle import RigidMass
 from ...solver.contact.laws import REFERENCE_M
 from ...solver.effects.base import Parameter, Scene
 from ...solver.effects.library import EFFECTS

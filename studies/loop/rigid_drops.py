@@ -14,8 +14,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import gamma
 
+from ...solver.arrays import Array
 from ...solver.bodies.rigid_mass import rigid_body
-from ...solver.bristle import Array, RigidMass
+from ...solver.bristle import RigidMass
 from ...solver.contact.laws import Adhesive, ContactLaw, Damped, HuntCrossley, Plastic
 from ...solver.effects.base import Parameter, Scene
 from .table_drops import drops_of

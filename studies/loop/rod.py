@@ -23,7 +23,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ...solver.bristle import Array, Bristle, Circle, Rectangle
+from ...meshes.section import Circle, Rectangle
+from ...solver.arrays import Array
+from ...solver.bristle import Bristle
 from ...solver.errors import InputError
 
 Complex = NDArray[np.complex128]

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...solver.bristle import Array
+from ...solver.arrays import Array
 from .adequacy import Adequacy, Direction, assess
 from .experiment import next_experiment
 from .finding import Evidence, Finding, Interval, Near, Test, Verdict

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...solver.bristle import Array
+from ...solver.arrays import Array
 from .noise import Chain, Ints, Noises, log_likelihood, noises
 from .problem import Model, Problem
 

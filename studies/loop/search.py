@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import qmc
 
-from ...solver.bristle import Array
+from ...solver.arrays import Array
 from .adequacy import Direction, left_by_refit
 from .fit import Fitted, settle, to_box, to_theta
 from .posterior import evidence

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from ...solver.bristle import Array
+from ...solver.arrays import Array
 from ...solver.compiled import njit
 
 AXES = 4

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.ndimage import distance_transform_edt
 
-from ...solver.bristle import Array
+from ...solver.arrays import Array
 from ...solver.errors import ComputationError
 from .spline import AXES, basis, evaluate
 

@@ -10,10 +10,11 @@ import numpy as np
 
 from ...solver import paper
 from ...solver.analytic import quarter_period_s
+from ...solver.arrays import Array
 from ...solver.batch import Drops, Outcome, drop_each, drop_many
 from ...solver.bodies.beam import beam_body
 from ...solver.bodies.modal import ModalBody
-from ...solver.bristle import Array, Bristle
+from ...solver.bristle import Bristle
 from ...solver.contact.enforcement import ContactMethod
 from ...solver.contact.laws import Coulomb, mindlin_ratio
 from ...solver.effects.base import Scene

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ...solver.bristle import Array
+from ...solver.arrays import Array
 from .track_flight import BOUNCE, HEAD, heightened
 from .track_rows import FEATURES, LOOSE, Film, Track, names_of
 from .track_search import settled_about

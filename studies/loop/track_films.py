@@ -8,7 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ...solver.bristle import Array, RigidMass
+from ...solver.arrays import Array
+from ...solver.bristle import RigidMass
 from ...solver.errors import InputError
 from .track_common import together
 from .track_flight import heights, rises_of

@@ -25,7 +25,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from ...solver.bristle import Array
+from ...solver.arrays import Array
 from ...solver.compiled import njit
 
 HEAD = ("t", "v", "z", "h", "b", "u")

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...solver.bristle import Array
+from ...solver.arrays import Array
 from ...solver.compiled import njit
 from .track_rows import Film
 

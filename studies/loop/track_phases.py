@@ -7,7 +7,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from ...solver.bristle import Array
+from ...solver.arrays import Array
 from .track_flight import FALL, HEAD, HELD, RISE, UNUSED, Phases, fall_of, rises_of
 from .track_rows import Film
 

@@ -23,7 +23,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ...solver.bristle import Array
+from ...solver.arrays import Array
 from .track_flight import BOUNCE, HEAD, UNUSED, Phases, derivatives, heights, rises_of, steps_of
 
 FEATURES = ("z", "h", "b", "u", "r", "a", "d")

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ...solver.bristle import Array
+from ...solver.arrays import Array
 from ...solver.compiled import njit
 from .track_flight import (
     BOUNCE,

@@ -25,7 +25,8 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from ...solver.bristle import Array, RigidMass
+from ...solver.arrays import Array
+from ...solver.bristle import RigidMass
 from ...solver.effects.base import Parameter, Place, Scene
 from ...solver.effects.library import EFFECTS
 from ..data.datasets import Manifest

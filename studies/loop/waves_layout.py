@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ...solver.bristle import Array
+from ...solver.arrays import Array
 from .rod import SHORTEST_WAVE, Rod
 from .waves_noise import Power, apart_power, quiet_power
 from .waves_propagation import Propagation, Windows

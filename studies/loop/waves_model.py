@@ -19,7 +19,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...solver.bristle import Array
+from ...solver.arrays import Array
 from ...solver.effects.base import Parameter
 from .rod import Complex, attached_mass
 from .waves_propagation import Propagation

@@ -25,7 +25,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ...solver.bristle import Array
+from ...solver.arrays import Array
 from .waves_propagation import Windows
 from .waves_record import Gauge, Waves
 

@@ -24,7 +24,7 @@ from functools import cached_property
 import numpy as np
 from scipy.fft import dct, next_fast_len
 
-from ...solver.bristle import Array
+from ...solver.arrays import Array
 from .rod import Complex, Rod
 from .waves_record import Waves
 

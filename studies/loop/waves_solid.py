@@ -16,11 +16,12 @@ from mpi4py import MPI
 
 from ...meshes import geometry
 from ...meshes.distribute import to_dolfinx
+from ...solver.arrays import Array
 from ...solver.bodies.base import dense_of
 from ...solver.bodies.reduced import reduce_solid
 from ...solver.bodies.solid import SolidBody
-from ...solver.bristle import Array, Bristle, Circle, Rectangle
-from ...solver.errors import ComputationError, InputError
+from ...solver.bristle import Bristle
+from ...solver.errors import ComputationError
 from .rod import Complex
 
 LEVELS, ACROSS, VECTORS = 160, 2, 80
@@ -81,15 +82,7 @@ def solid_phases(bar: Bristle, modes: int = MODES) -> SolidPhases:
 
     Raises ComputationError where fewer are found in the reduced solid.
     """
-    section = bar.section
-    shape: geometry.Rectangle | geometry.Wire
-    if isinstance(section, Rectangle):
-        shape = geometry.Rectangle(section.thickness_m, section.width_m)
-    elif isinstance(section, Circle):
-        shape = geometry.Wire(section.diameter_m)
-    else:
-        raise InputError("a solid is meshed of round and rectangular sections only")
-    spec = geometry.MeshSpec(bar.length_m, shape, (ACROSS, ACROSS, LEVELS), 1)
+    spec = geometry.MeshSpec(bar.length_m, bar.section, (ACROSS, ACROSS, LEVELS), 1)
     domain, _, facets = to_dolfinx(spec, MPI.COMM_SELF)
     solid = SolidBody(domain, facets, int(geometry.Tag.TIP), bar.material, 2)
     try:

@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.optimize import least_squares
 
-from ...solver.bristle import Array
+from ...solver.arrays import Array
 from ...solver.effects.base import Parameter
 from .waves_model import AT_ONCE, SPEEDS_M_S, WaveModel, material_declared, real_synthesis
 from .waves_propagation import Propagation, Windows

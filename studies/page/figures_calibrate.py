@@ -7,7 +7,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from ...solver import paper
-from ...solver.bristle import Array
+from ...solver.arrays import Array
 from ..calibration.curve import RatioCurve
 from ..calibration.estimate import RatioEstimate
 from .figures import BLACK, BLUE, GREY, SKY, VERMILION, panels, styled

@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from ...solver import paper
-from ...solver.bristle import Array
+from ...solver.arrays import Array
 from .figures import (
     BLACK,
     GREY,

@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from ...solver.bristle import Array
+from ...solver.arrays import Array
 from .figures import GREY, SERIES, SMALLEST, panels, stiffness_label, styled
 
 PERCENT = 100.0

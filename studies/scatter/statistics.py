@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from ...solver import paper
-from ...solver.bristle import Array
+from ...solver.arrays import Array
 from ..calibration.estimate import LEVEL, Interval
 
 RESAMPLED, RESAMPLED_SHARES = 1000, 200

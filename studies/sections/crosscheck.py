@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...solver.analytic import penetration_m, quarter_period_s
-from ...solver.bristle import Array
+from ...solver.arrays import Array
 from ...solver.drop import DropResult
 from ..command.choices import Model
 from ..command.config import DropInputs

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...solver.bristle import Array
+from ...solver.arrays import Array
 from ...solver.paper import ELEMENTS
 from ..calibration.curve import short_its_s
 from ..command.config import DropInputs

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...solver import paper
-from ...solver.bristle import Array
+from ...solver.arrays import Array
 from ...solver.drop import DropResult
 from ..command.config import DropInputs
 from ..page.figures import picture

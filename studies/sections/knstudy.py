@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...solver import paper
-from ...solver.bristle import Array
+from ...solver.arrays import Array
 from ..calibrate import Calibration, calibrate, stiffness_interval
 from ..calibration.curve import GRID_N_M, RatioCurve, short_its_s
 from ..calibration.estimate import paper_ratio

@@ -14,7 +14,7 @@ import numpy as np
 from scipy.stats import chi2
 
 from ...solver import paper
-from ...solver.bristle import Array
+from ...solver.arrays import Array
 from ..closeloop.rows import title_of
 from ..closeloop.run import Closed
 from ..data.datasets import Drops, Manifest

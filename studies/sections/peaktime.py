@@ -9,7 +9,7 @@ import numpy as np
 
 from ...solver import paper
 from ...solver.analytic import quarter_period_s
-from ...solver.bristle import Array
+from ...solver.arrays import Array
 from ..calibration.curve import short_its_s
 from ..command.config import DropInputs
 from ..page.figures import picture, stiffness_label

@@ -16,7 +16,8 @@ from scipy.optimize import minimize
 from scipy.special import betaincinv, ndtr
 
 from ...solver import paper
-from ...solver.bristle import Array, Bristle
+from ...solver.arrays import Array
+from ...solver.bristle import Bristle
 from ...solver.errors import ComputationError
 from ..data.datasets import Drops, Manifest
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from ...meshes.tip_shape import RectangularSection, Section, TipShape
 from ...solver.arrays import Array
-from ...solver.bristle import Bristle, Rectangle
+from ...solver.bristle import Bristle
 from ...solver.rigid import leaning, matrix_of, slope_normal
 
 if TYPE_CHECKING:
@@ -69,12 +69,9 @@ def narrow_zone(
     At the penetration ``depth_m`` an undeformed end face touches with all points that stand back
     less; they should be more than one row along both sides. None where they are.
     """
-    section = inputs.bristle().section
-    if inputs.mesh is not None:
-        tip = inputs.mesh.read().tip_section
-        section = Rectangle(tip.thickness_m, tip.width_m)
+    section = inputs.end_section()
     xy, _ = section.contact_points(n_points or inputs.contact_points)
-    normal, back = surface_normal(inputs), face_offsets_m(inputs.face(), inputs.end_section(), xy)
+    normal, back = surface_normal(inputs), face_offsets_m(inputs.face(), section, xy)
     gaps = xy @ normal[:2] + back * normal[2]
     gaps -= gaps.min()
     zone = gaps <= depth_m

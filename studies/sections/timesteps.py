@@ -8,7 +8,7 @@ import numpy as np
 
 from ...solver import paper
 from ...solver.analytic import quarter_period_s
-from ...solver.bristle import Array
+from ...solver.arrays import Array
 from ..command.config import DropInputs
 from ..page.figures import picture, stiffness_label
 from ..page.figures_its import error_figure, need_figure

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from ...meshes.geometry import _require_positive
+from ...meshes.section import require_positive
 from .phases import Composite, random_phases
 from .rough import FEWEST_NODES, Surface
 from .text import read_text
@@ -55,8 +55,8 @@ class Measured:
 
     def __post_init__(self) -> None:
         if self.spacing_m is not None:
-            _require_positive("spacing_m", self.spacing_m)
-        _require_positive("unit_m", self.unit_m)
+            require_positive("spacing_m", self.spacing_m)
+        require_positive("unit_m", self.unit_m)
         object.__setattr__(self, "edges", Edges(self.edges))
 
 
@@ -132,7 +132,7 @@ def _array_map(
         if spacing.size != 1:
             raise ValueError(f"{path}: spacing_m must be one number, not {spacing.size}.")
         spacing_m = float(spacing.item())
-        _require_positive(f"{path}: spacing_m", spacing_m)
+        require_positive(f"{path}: spacing_m", spacing_m)
     return heights, spacing_m
 
 

@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy import fft
 
-from ...meshes.geometry import _require_positive
+from ...meshes.section import require_positive
 
 CELLS_PER_CORRELATION_LENGTH = 3
 """Fewest: at the grid's Nyquist wavenumber the Gaussian's spectrum has then fallen to 2e-10."""
@@ -52,10 +52,10 @@ class Roughness:
 
     def __post_init__(self) -> None:
         if isinstance(self.rms_height_m, bool) or self.rms_height_m != 0:
-            _require_positive("rms_height_m", self.rms_height_m)
-        _require_positive("correlation_length_m", self.correlation_length_m)
+            require_positive("rms_height_m", self.rms_height_m)
+        require_positive("correlation_length_m", self.correlation_length_m)
         if self.hurst is not None:
-            _require_positive("hurst", self.hurst)
+            require_positive("hurst", self.hurst)
             if self.hurst >= 1:
                 raise ValueError(
                     f"hurst must be below 1, not {self.hurst!r}; leave it out for a smooth surface."
@@ -84,8 +84,8 @@ def node_count(size_m: float, spacing_m: float) -> int:
     ------
     ValueError : the size is no whole number of spacings, or makes more than `MAX_NODES` nodes
     """
-    _require_positive("size_m", size_m)
-    _require_positive("spacing_m", spacing_m)
+    require_positive("size_m", size_m)
+    require_positive("spacing_m", spacing_m)
     count = round(size_m / spacing_m)
     if not math.isclose(count * spacing_m, size_m, rel_tol=1e-6):
         raise ValueError(f"size_m {size_m:g} is not a whole number of spacings of {spacing_m:g} m.")

@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial import cKDTree
 
-from ...meshes.geometry import _require_positive
+from ...meshes.section import require_positive
 
 Array = npt.NDArray[np.float64]
 
@@ -54,8 +54,8 @@ class Phase:
     def __post_init__(self) -> None:
         if not isinstance(self.name, str) or not self.name.strip():
             raise ValueError(f"name of a phase must be a word, not {self.name!r}.")
-        _require_positive(f"{self.name}: youngs_Pa", self.youngs_Pa)
-        _require_positive(f"{self.name}: area_fraction", self.area_fraction)
+        require_positive(f"{self.name}: youngs_Pa", self.youngs_Pa)
+        require_positive(f"{self.name}: area_fraction", self.area_fraction)
         if self.area_fraction > 1:
             raise ValueError(
                 f"{self.name}: area_fraction must be at most 1, not {self.area_fraction!r}."
@@ -64,7 +64,7 @@ class Phase:
         if isinstance(ratio, bool) or not isinstance(ratio, Real) or not -1 < float(ratio) <= 0.5:
             raise ValueError(f"{self.name}: poisson must be above -1 and at most 0.5, not {ratio}.")
         if self.grain_size_m is not None:
-            _require_positive(f"{self.name}: grain_size_m", self.grain_size_m)
+            require_positive(f"{self.name}: grain_size_m", self.grain_size_m)
 
 
 CONCRETE = (

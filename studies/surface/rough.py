@@ -17,7 +17,7 @@ import numpy.typing as npt
 from scipy import fft, ndimage
 from scipy.interpolate import NdBSpline
 
-from ...meshes.geometry import _require_positive
+from ...meshes.section import require_positive
 from .heights import Roughness, random_heights
 from .phases import Composite, random_phases
 from .stiffness import contact_modulus_Pa
@@ -85,7 +85,7 @@ class Surface:
     composite: Composite
 
     def __post_init__(self) -> None:
-        _require_positive("spacing_m", self.spacing_m)
+        require_positive("spacing_m", self.spacing_m)
         heights, phase = np.array(self.heights_m, dtype=float), np.array(self.phase)
         if heights.ndim != 2 or min(heights.shape) < FEWEST_NODES:
             raise ValueError(

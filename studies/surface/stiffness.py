@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from ...meshes.geometry import _require_positive
+from ...meshes.section import require_positive
 
 Array = npt.NDArray[np.floating]
 
@@ -41,6 +41,6 @@ def contact_stiffness_factor(
     ------
     ValueError : the mean is not positive
     """
-    _require_positive("mean_modulus_Pa", mean_modulus_Pa)
+    require_positive("mean_modulus_Pa", mean_modulus_Pa)
     local = contact_modulus_Pa(youngs_Pa, poisson, bristle_youngs_Pa, bristle_poisson)
     return local / mean_modulus_Pa

@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from ...meshes.geometry import _require_positive
+from ...meshes.section import require_positive
 from .heights import MAX_NODES
 
 Array = npt.NDArray[np.float64]
@@ -126,7 +126,7 @@ def _height(field: str, place: str) -> float:
 
 def _spacing(field: str, place: str) -> float:
     value = _height(field, place)
-    _require_positive(f"{place}: spacing_m", value)
+    require_positive(f"{place}: spacing_m", value)
     return value
 
 
