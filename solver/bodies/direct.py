@@ -9,59 +9,42 @@ from ..arrays import Array
 from ..errors import ComputationError
 
 
-class Krylov:
-    """What solvers of PETSc share."""
+class Cholesky:
+    """Cholesky factor of a positive definite matrix, which itself is not needed afterwards."""
 
     def __init__(self, matrix: PETSc.Mat) -> None:
-        self.comm, self.n_local = matrix.comm, matrix.getLocalSize()[0]
-        self.solver = PETSc.KSP().create(matrix.comm)
-        self.solver.setOperators(matrix)
-        self._right, self._left = matrix.createVecs()
-
-    def solve(self, b: Array) -> Array:
-        if b.ndim == 2:
-            return self._solve_block(b)
-        self._right.array[:] = b
-        self.solver.solve(self._right, self._left)
-        self._check()
-        return np.array(self._left.array)
-
-    def _solve_block(self, b: Array) -> Array:
-        x = np.empty(b.shape, order="F")
-        for k in range(b.shape[1]):
-            x[:, k] = self.solve(b[:, k])
-        return x
-
-    def _check(self) -> None:
-        """Raise ComputationError where the last solve failed."""
-
-    def close(self) -> None:
-        """Free what PETSc holds."""
-        for thing in (self.solver, self._right, self._left):
-            thing.destroy()
-
-
-class Cholesky(Krylov):
-    """Cholesky factor of a positive definite matrix."""
-
-    def __init__(self, matrix: PETSc.Mat) -> None:
-        super().__init__(matrix)
+        self.comm = matrix.comm
+        solver = PETSc.KSP().create(self.comm)
+        solver.setOperators(matrix)
         package = "cholmod" if self.comm.size == 1 else "mumps"
-        take_direct(self.solver, PETSc.PC.Type.CHOLESKY, package)
-        factor(self.solver, "the effective matrix")
+        take_direct(solver, PETSc.PC.Type.CHOLESKY, package)
+        try:
+            factor(solver, "the effective matrix")
+            self._factor = solver.getPC().getFactorMatrix()
+        finally:
+            solver.destroy()
+        self._right, self._left = matrix.createVecs()
 
     @property
     def entries(self) -> int:
         """Numbers in the factor; MUMPS counts in millions where there are many (INFOG(29))."""
-        found = self.solver.getPC().getFactorMatrix()
         if self.comm.size == 1:
-            return int(found.getInfo()["nz_used"])
-        count = found.getMumpsInfog(29)
+            return int(self._factor.getInfo()["nz_used"])
+        count = self._factor.getMumpsInfog(29)
         return int(count) if count >= 0 else -1_000_000 * int(count)
 
-    def _solve_block(self, b: Array) -> Array:
-        """All columns at once: several times faster than one by one."""
-        return solve_columns(self.solver, b)
+    def solve(self, b: Array) -> Array:
+        """x for (n,) or all columns of (n, m) at once."""
+        if b.ndim == 2:
+            return solve_columns(self._factor, b)
+        self._right.array[:] = b
+        self._factor.solve(self._right, self._left)
+        return np.array(self._left.array)
+
+    def close(self) -> None:
+        """Free what PETSc holds."""
+        for thing in (self._factor, self._right, self._left):
+            thing.destroy()
 
 
 def take_direct(solver: PETSc.KSP, kind: PETSc.PC.Type, package: str = "mumps") -> None:
@@ -84,8 +67,8 @@ def factor(solver: PETSc.KSP, what: str) -> None:
         raise ComputationError(f"MUMPS could not factor {what}: INFOG(1) = {status}")
 
 
-def solve_columns(solver: PETSc.KSP, b: Array) -> Array:
-    """Solutions (n_local, m) for all columns of ``b`` at once."""
+def solve_columns(solver: PETSc.KSP | PETSc.Mat, b: Array) -> Array:
+    """Solutions (n_local, m) for all columns of ``b`` at once, by a solver or a factor."""
     right = dense(solver.comm, b)
     left = right.duplicate()
     solver.matSolve(right, left)

@@ -19,7 +19,7 @@ from petsc4py import PETSc
 
 from ..arrays import Array
 from ..errors import ComputationError
-from .direct import Cholesky, Krylov
+from .direct import Cholesky
 
 if TYPE_CHECKING:
     from .solid import SolidBody
@@ -87,7 +87,7 @@ def make_solver(
         matrix.destroy()
 
 
-class Iterative(Krylov):
+class Iterative:
     """Conjugate gradients to `TOLERANCE` in the energy norm.
 
     The preconditioner is the diagonal where inertia rules; where the matrix is ``stiff``, smoothed
@@ -95,7 +95,9 @@ class Iterative(Krylov):
     """
 
     def __init__(self, matrix: PETSc.Mat, solid: SolidBody, *, stiff: bool) -> None:
-        super().__init__(matrix)
+        self.solver = PETSc.KSP().create(matrix.comm)
+        self.solver.setOperators(matrix)
+        self._right, self._left = matrix.createVecs()
         self.solver.setType(PETSc.KSP.Type.CG)
         self.solver.setNormType(PETSc.KSP.NormType.NATURAL)
         self.solver.setTolerances(rtol=TOLERANCE, atol=0.0, max_it=ITERATIONS)
@@ -117,13 +119,27 @@ class Iterative(Krylov):
         """Of the last solve."""
         return int(self.solver.getIterationNumber())
 
-    def _check(self) -> None:
+    def solve(self, b: Array) -> Array:
+        """x for (n,) or (n, m); ComputationError where the iteration does not arrive."""
+        if b.ndim == 2:
+            x = np.empty(b.shape, order="F")
+            for k in range(b.shape[1]):
+                x[:, k] = self.solve(b[:, k])
+            return x
+        self._right.array[:] = b
+        self.solver.solve(self._right, self._left)
         reason = self.solver.getConvergedReason()
         if reason < 0:
             raise ComputationError(
                 f"conjugate gradients ended without an answer after {self.iterations} iterations "
                 f"(PETSc's reason {reason}); take --solver direct"
             )
+        return np.array(self._left.array)
+
+    def close(self) -> None:
+        """Free what PETSc holds."""
+        for thing in (self.solver, self._right, self._left):
+            thing.destroy()
 
 
 def _orthonormal(solid: SolidBody, matrix: PETSc.Mat) -> list[PETSc.Vec]:

@@ -162,7 +162,9 @@ class SolidBody:
         """c_mass M + c_stiffness K as a matrix of its own."""
         matrix = self.stiffness_matrix.copy()
         matrix.scale(c_stiffness)
-        matrix.axpy(c_mass, self.mass_matrix, structure=PETSc.Mat.Structure.SUBSET_NONZERO_PATTERN)
+        mass = self.node_mass.vector_matrix()
+        matrix.axpy(c_mass, mass, structure=PETSc.Mat.Structure.SUBSET_NONZERO_PATTERN)
+        mass.destroy()
         matrix.setOption(PETSc.Mat.Option.SPD, True)
         return matrix
 
