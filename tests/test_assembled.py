@@ -10,7 +10,7 @@ from bristle.solver.bodies.solid import SolidBody
 from bristle.solver.bristle import Material
 from bristle.solver.contact.enforcement import ContactMethod, Enforcement
 from bristle.solver.contact.laws import Coulomb, Linear
-from bristle.solver.errors import ComputationError, InputError
+from bristle.solver.errors import InputError
 from bristle.solver.ground import Ground, just_touched, place
 from bristle.solver.rigid import Pose, leaning, slope_normal
 from bristle.solver.time.assembled import AssembledMarcher
@@ -123,5 +123,5 @@ def test_what_the_assembled_form_does_not_know_is_refused(values, named):
 @pytest.mark.serial
 def test_friction_between_nodes_is_refused_by_the_assembled_form():
     inputs = {"model": "solid", "solver": "snes", "tilt_deg": 2.0, "cells": (1, 1, 4)}
-    with pytest.raises(ComputationError, match="--contact-points 3"):
+    with pytest.raises(InputError, match="--contact-points 3"):
         run_case(checked(DropInputs, inputs), MPI.COMM_SELF)

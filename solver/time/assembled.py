@@ -18,7 +18,7 @@ from ..bodies.direct import take_direct
 from ..bodies.solid import SolidBody
 from ..contact.enforcement import ContactMethod, Enforcement
 from ..contact.laws import Linear
-from ..errors import ComputationError
+from ..errors import ComputationError, InputError
 from ..form_cache import form
 from ..forms import own_values, rigid_plane
 from ..ground import Placement
@@ -33,8 +33,7 @@ class AssembledMarcher(FiniteMarcher):
     """Marches a solid by Newton's method on the form of a whole step, contact included.
 
     Strain is ``finite`` or small. Contact is the linear law by penalty or Nitsche's method on one
-    plane; with friction the contact points must be nodes. `place` raises ComputationError for
-    others.
+    plane; with friction the contact points must be nodes. `place` raises InputError for others.
     """
 
     def __init__(
@@ -70,11 +69,11 @@ class AssembledMarcher(FiniteMarcher):
         method, points = self.method, self.solid.contact
         normals = placement.frames[:, 0]
         if np.ptp(normals, axis=0).max() > 0.0 or (placement.scale != 1.0).any():
-            raise ComputationError("the assembled form knows one plane for all contact points")
+            raise InputError("the assembled form knows one plane for all contact points")
         if type(method.law) is not Linear or method.enforcement is Enforcement.AUGMENTED:
-            raise ComputationError("the assembled form knows the linear law, by penalty or Nitsche")
+            raise InputError("the assembled form knows the linear law, by penalty or Nitsche")
         if method.friction.mu and points.rows.shape[0] != points.rows.shape[1]:
-            raise ComputationError(
+            raise InputError(
                 "friction in the assembled form needs contact points at nodes: take --friction 0 "
                 "or --contact-points 3, for order 1 --contact-points 2"
             )
