@@ -261,7 +261,7 @@ def test_ranks_do_not_matter(make_finite):
     assert np.abs(momentum[:3] - expected[:3]).max() < 1e-8 * np.abs(expected[:3]).max()
 
 
-def test_a_march_goes_on_to_the_bit(make_finite):
+def test_a_march_goes_on_to_the_bit(make_finite, rng):
     """State, contact's memory and the factor in use are all that the next step needs."""
     method = ContactMethod(Linear(2e6), friction=Coulomb(0.3))
     marcher = make_finite((1, 1, 12), DAMPED, method=method)
@@ -281,6 +281,11 @@ def test_a_march_goes_on_to_the_bit(make_finite):
     again = other.step(state).state
     assert np.array_equal(again.u, onward.u)
     assert np.array_equal(again.v, onward.v)
+    heap = []
+    for _ in range(60):  # wherever in memory its vectors come to lie
+        heap[:] = [np.empty(size) for size in rng.integers(1, 9000, 30)]
+        marcher.contact.recall(kept)
+        assert np.array_equal(marcher.step(state).state.u, onward.u)
 
 
 def test_what_cannot_be_marched_is_refused(make_finite):

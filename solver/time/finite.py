@@ -34,13 +34,15 @@ from .march import ContactMarch, Moving, Step
 from .scheme import TimeScheme
 
 PREFIX = "bristle_"
+# PETSc takes several inner products at once by BLAS where the vectors lie evenly in memory. Rounding
+# would then depend on the heap, and a restart would not be to the bit.
+BY_BLAS = "vec_mdot_use_gemv"
 # Of the increment's own size.
 PRECISION = 1e-10
 # A factor is made anew where an iteration leaves more than this of what the one before left, or
 # where so many were not enough: it costs as much as some thirty.
 SLOW, PATIENCE = 0.7, 15
 FACTORS = 6
-MEMORY = 6
 
 
 class FiniteMarcher(ContactMarch):
@@ -69,8 +71,13 @@ class FiniteMarcher(ContactMarch):
         self._tangent = form(self.forms.tangent())
         self._energy = form(self.forms.strain_energy())
         self._loss = form(self.forms.stress_loss())
-        self._surface = self._traction_tables() if self.tau else None
+        self._surface: TipTractions | None = None
+        if self.tau:
+            self._surface = TipTractions(body.tip, self.forms, len(body.contact.weights))
         self._matrix = fem_petsc.create_matrix(self._tangent)
+        options = PETSc.Options()
+        if not options.hasName(BY_BLAS):
+            options.setValue(BY_BLAS, False)
         self._force = fem_petsc.create_vector(self._internal)
         self._solver: PETSc.KSP | None = None
         self._inertia = (2.0 / its_s + body.alpha_1_s) / its_s
@@ -80,9 +87,6 @@ class FiniteMarcher(ContactMarch):
         size = len(self._weights) if self.tau else body.contact.coordinates.shape[0]
         self._compliance = np.zeros((size, size))
         self.place(Placement.upright(body.contact))
-
-    def _traction_tables(self) -> TipTractions:
-        return TipTractions(self.solid.tip, self.forms, len(self.body.contact.weights))
 
     # --- the state ------------------------------------------------------------------------------
 
