@@ -30,7 +30,7 @@ from .time import modal_march
 from .time.apex import apex
 from .time.flight import flyer
 from .time.march import Marcher
-from .time.modal_march import Asked, Modes, Touching, march
+from .time.modal_march import MarchLimits, Modes, Touching, march
 from .time.motion import Chart, Flyer, chart, landing, launch, rigid_part
 from .time.touchdown import next_touch
 
@@ -238,11 +238,8 @@ def one_drop(
     first = -1.0
     last = now = wait = 0.0
     touches = steps = 0
-    placed = True
+    placed = False
     weight = modes.mass * gravity
-    frames, gaps = local_frames(normals, offsets, position, rotation, flyer.places)
-    if frames[:, 0, 2].min() <= 0.0:
-        return FALLEN
     limit = STEP_LIMIT // STAYING if points.law[0] >= PLASTIC else STEP_LIMIT
     longest = max(LONGEST_TOUCH_S, LONGEST_TOUCH * math.sqrt(modes.mass / points.law[1]))
     limit = min(limit, int(longest / modes.its) + 1)
@@ -253,7 +250,9 @@ def one_drop(
             if frames[:, 0, 2].min() <= 0.0:
                 return FALLEN
         touching = Touching(points, frames, gaps, rotation[2].copy(), 0.0, 0.0, gravity)
-        done = march(modes, touching, u, v, Asked(max(wait - now, 0.0), math.inf, limit, False))
+        done = march(
+            modes, touching, u, v, MarchLimits(max(wait - now, 0.0), math.inf, limit, False)
+        )
         if done.status != modal_march.RELEASED:
             return done.status
         steps += done.steps

@@ -76,8 +76,7 @@ class DropPlan:
 
     The bristle leans by ``tilt_deg`` toward its thin side and ``tilt_wide_deg`` toward its wide
     one, over ``ground`` (None: a horizontal plane), and falls ``height_m`` before a point of its
-    tip
-    touches. Upright, the body's axes are the columns of ``axes`` (3, 3) in the world (None: the
+    tip touches. Upright, the body's axes are the columns of ``axes`` (3, 3) in the world (None: the
     world's own). ``until_s`` is a time after release, or None to end after the first rebound;
     ``impact_only`` ends at the last release of the first impact. ``release_speed_m_s`` is the
     downward speed at the start, ``drag_kg_m`` the air's drag over the square of the speed: exact in

@@ -24,7 +24,7 @@ from .errors import ComputationError
 from .stepwise import march_stepwise
 from .time import modal_march
 from .time.march import ContactMarch, Marcher
-from .time.modal_march import Asked
+from .time.modal_march import MarchLimits
 
 # Negative losses that are rounding, in units of the impact's energy: of a touch, and of each step.
 GAIN, GAIN_A_STEP = 1e-12, 1e-15
@@ -121,14 +121,14 @@ def _march_compiled(
     """`march_contact` of a modal body in compiled code."""
     modes, touching = marcher.tables()
     limit = step_limit(marcher, until_s)
-    asked = Asked(
+    limits = MarchLimits(
         wait=max(wait_s - t_s, 0.0),
         until=until_s - t_s,
         limit=limit,
         history=True,
     )
     u, v = np.ascontiguousarray(u), np.ascontiguousarray(v)
-    marched = modal_march.march(modes, touching, u, v, asked)
+    marched = modal_march.march(modes, touching, u, v, limits)
     if marched.status == modal_march.NOT_CONVERGED:
         raise ComputationError(
             f"the contact forces did not converge at t = {t_s + marched.steps * modes.its:.6g} s; "

@@ -10,7 +10,7 @@ from field_files import solid_of
 from mpi4py import MPI
 
 from bristle.meshes.section import Circle
-from bristle.solver.bodies.solid import stress
+from bristle.solver.forms import Elasticity
 from bristle.solver.nodal_stress import NodalStress, von_mises
 
 LINEAR = np.array([[1.0, 0.3, -0.2], [0.4, -0.7, 0.5], [0.1, 0.6, -0.9]])
@@ -39,7 +39,8 @@ def test_stress_of_a_quadratic_displacement_is_exact(spec):
         [x[0] * x[2] - x[1] ** 2, 0.5 * x[2] ** 2 + x[0] ** 2, x[2] * x[1] - x[2] ** 2]
     )
     matrix = ufl.as_matrix(LINEAR.tolist())
-    sigma = stress(1e-6 * (ufl.dot(matrix, x) + squares), solid.material)
+    hooke = Elasticity.of(solid.material, solid.domain)
+    sigma = hooke.stress(hooke.strain(1e-6 * (ufl.dot(matrix, x) + squares)))
     exact = fem.Function(fem.functionspace(solid.domain, ("Lagrange", 2, (6,))))
     pairs = [(0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1)]
     points = exact.function_space.element.interpolation_points()

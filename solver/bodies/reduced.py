@@ -55,7 +55,7 @@ class Basis:
 
     def amounts(self, images: Array) -> Array:
         """How much of each vector is in what M times is ``images`` (n_local,) or (n_local, m)."""
-        return _total(self.solid, self.vectors.T @ images)
+        return summed(self.solid, self.vectors.T @ images)
 
     def extend(self, vectors: Array) -> Array:
         """Add what ``vectors`` (n_local, m) hold beyond the basis; returns M times what came in.
@@ -64,13 +64,13 @@ class Basis:
         """
         solid = self.solid
         image = solid.mass(vectors)
-        size = np.sqrt(_total(solid, np.einsum("ij,ij->j", vectors, image)))
+        size = np.sqrt(summed(solid, np.einsum("ij,ij->j", vectors, image)))
         vectors, image = vectors / size, image / size
         for _ in range(2):
             if self.count:
                 vectors = vectors - _combined(self.vectors, self.amounts(image))
                 image = solid.mass(vectors)
-            size, turn = eigh(_total(solid, vectors.T @ image))
+            size, turn = eigh(summed(solid, vectors.T @ image))
             keep = size > max(DEFLATED * size.max(initial=0.0), DEFLATED**2)
             turn = turn[:, keep] / np.sqrt(size[keep])
             vectors, image = _combined(vectors, turn), _combined(image, turn)
@@ -130,11 +130,13 @@ def krylov_basis(
     own = _loads(solid.contact, leaning=leaning, tractions=tractions)
     solve = solid.factor(shift_1_s2, 1.0)
     depth = math.ceil(SHARE * n_krylov) if leaning else n_krylov
-    sequences = [Sequence(solid, solve, loads, depth)]
+    sequences = [KrylovSequence(solid, solve, loads, depth)]
     if leaning:
         more = max(n_krylov / USUAL, 1.0)
         for shift, n in _slow_shifts(solid):
-            sequences.append(Sequence(solid, solid.factor(shift, 1.0), loads, round(more * n)))
+            sequences.append(
+                KrylovSequence(solid, solid.factor(shift, 1.0), loads, round(more * n))
+            )
     longest = sum(sequence.depth for sequence in sequences)
     basis = Basis(solid, 6 + own.shape[1] + loads.shape[1] * longest)
     basis.extend(np.asfortranarray(solid.rigid_motions()))
@@ -149,7 +151,7 @@ def krylov_basis(
     return basis, counts[:-1]
 
 
-class Sequence:
+class KrylovSequence:
     """Krylov vectors of some ``loads`` (n_local, m), at most ``depth`` of each.
 
     Each follows from the ones before it in the sequence, not from what a basis lacked of them.
@@ -194,7 +196,7 @@ def _slow_shifts(solid: SolidBody) -> tuple[tuple[float, int], ...]:
     and how many vectors of each."""
     rigid = solid.rigid_motions()
     turned = np.asfortranarray(rigid[:, 3:])
-    moments = _total(solid, np.einsum("ij,ij->j", turned, solid.mass(turned)))
+    moments = summed(solid, np.einsum("ij,ij->j", turned, solid.mass(turned)))
     inertia, twist = moments[:2], moments[2]
     length = np.sqrt(12.0 * inertia.max() / solid.mass_kg)
     axial = (np.pi / length) ** 2 * solid.material.youngs_Pa / solid.material.density_kg_m3
@@ -275,12 +277,12 @@ def solid_axis(solid: SolidBody, vectors: Array) -> Axis:
     weight = _weighed(
         solid, np.stack([np.interp(place, height, hat) for hat in np.eye(len(height))])
     )
-    total = _total(solid, np.asarray(weight.sum(axis=1)))
-    apart = np.diff((_total(solid, weight @ place[:, None]) / total)[:, 0])
+    total = summed(solid, np.asarray(weight.sum(axis=1)))
+    apart = np.diff((summed(solid, weight @ place[:, None]) / total)[:, 0])
     between = np.diff(height)
 
     def slope(axis: int) -> Array:
-        mean = _total(solid, weight @ vectors[axis::3]) / total
+        mean = summed(solid, weight @ vectors[axis::3]) / total
         return np.asarray(np.diff(mean, axis=0) / apart[:, None])
 
     # each hat holds the mass of half the way to its neighbours
@@ -316,5 +318,6 @@ def _combined(vectors: Array, amounts: Array) -> Array:
     return np.asarray((amounts.T @ vectors.T).T)
 
 
-def _total(solid: SolidBody, x: Array) -> Array:
+def summed(solid: SolidBody, x: Array) -> Array:
+    """The sum of all ranks' ``x``."""
     return x if solid.comm.size == 1 else solid.comm.allreduce(x)

@@ -28,12 +28,6 @@ DECIMALS = 9
 TOGETHER = 16
 
 
-def stress(u: ufl.core.expr.Expr, material: Material) -> ufl.core.expr.Expr:
-    """Cauchy stress of small strain, isotropic."""
-    hooke = Elasticity.of(material, ufl.domain.extract_unique_domain(u))
-    return hooke.stress(hooke.strain(u))
-
-
 class SolidBody:
     """Linear elastic solid of hexahedra or tetrahedra, its axis along z, its tip facets tagged.
 
@@ -65,16 +59,17 @@ class SolidBody:
         self.n_dofs = index_map.size_global * block
         self.factorisations = 0
         self._solvers: dict[tuple[float, bool], LinearSolver] = {}
+        self._elasticity = Elasticity.of(material, domain)
         self._assemble()
         self.translation = np.tile(np.eye(3), (self.n_local // 3, 1))
         weight = self.mass(np.ascontiguousarray(self.translation[:, 2]))
         self.mass_kg = self.dot(self.translation[:, 2], weight)
         self.centre_m = self._centre(weight[2::3])
-        hooke, normal = Elasticity.of(material, domain), ufl.FacetNormal(domain)
+        normal = ufl.FacetNormal(domain)
         self.contact, self.tip = tip_contact(
             self.space,
             facet_tags.find(tip_tag),
-            lambda u: hooke.traction(u, normal),
+            lambda u: self._elasticity.traction(u, normal),
             self.centre_m,
             points,
         )
@@ -83,7 +78,8 @@ class SolidBody:
         u, v = ufl.TrialFunction(self.space), ufl.TestFunction(self.space)
         metadata = {"quadrature_degree": degree_of_products(self.space)}
         dx = ufl.Measure("dx", domain=self.domain, metadata=metadata)
-        energy = form(ufl.inner(stress(u, self.material), ufl.sym(ufl.grad(v))) * dx)
+        hooke = self._elasticity
+        energy = form(ufl.inner(hooke.stress(hooke.strain(u)), hooke.strain(v)) * dx)
         self._rows, self._columns = assembled_rows(energy)
         first, column, value = self._rows
         count = self._columns.size_local + self._columns.num_ghosts

@@ -55,7 +55,7 @@ class Rule:
 
 
 @dataclass(frozen=True)
-class Found:
+class FacetPoints:
     """A rank's contact points, facet by facet.
 
     Each has a place (p, 3) and an area (p,), the ``nodes`` (p, a) of its facet with their
@@ -71,7 +71,7 @@ class Found:
     traction_Pa: Array
 
     @classmethod
-    def joined(cls, parts: list[Found]) -> Found:
+    def joined(cls, parts: list[FacetPoints]) -> FacetPoints:
         """All of them, one after the other."""
         names = cls.__dataclass_fields__
         return cls(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
@@ -107,9 +107,9 @@ def tip_contact(
     mass. Collective; raises ComputationError where no rank has a facet of the tip.
     """
     rules, comm = tip_rules(space, facets, points), space.mesh.comm
-    own = Found.joined([_found(space, rule, traction) for rule in rules])
+    own = FacetPoints.joined([_facet_points(space, rule, traction) for rule in rules])
     parts = comm.allgather(own)
-    found = Found.joined(parts)
+    found = FacetPoints.joined(parts)
     if not len(found.areas_m2):
         raise ComputationError("no facet of the mesh carries the tip's tag")
     keys = np.round(found.places_m / SAME_POINT_M).astype(np.int64)
@@ -257,11 +257,11 @@ def _points_along(
     ]
 
 
-def _found(
+def _facet_points(
     space: fem.FunctionSpace,
     rule: Rule,
     traction: Callable[[Expr], Expr],
-) -> Found:
+) -> FacetPoints:
     """This rank's points of a rule."""
     domain, element = space.mesh, space.element.basix_element
     k, m = len(rule.facets), len(rule.points)
@@ -282,7 +282,7 @@ def _found(
     whole = space.dofmap.index_map.local_to_global(space.dofmap.list[cells].ravel())
     columns = (3 * whole[:, None] + np.arange(3)).reshape(k, space.element.space_dimension)
     values = expression(traction(ufl.TrialFunction(space)), rule.points).eval(domain, rule.entities)
-    return Found(
+    return FacetPoints(
         places.reshape(-1, 3),
         areas.ravel(),
         np.repeat(nodes, m, axis=0),
@@ -327,7 +327,7 @@ def _node_rows(space: fem.FunctionSpace, nodes: Index) -> csr_matrix:
 
 
 def _traction_rows(
-    space: fem.FunctionSpace, found: Found, index: NDArray[np.intp], shares: Array
+    space: fem.FunctionSpace, found: FacetPoints, index: NDArray[np.intp], shares: Array
 ) -> csr_matrix:
     """Rows of traction, summed by ``shares`` per point and axis (3 n, unknowns of this rank)."""
     first, last = _local_columns(space)

@@ -36,7 +36,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..arrays import Array
-from ..bodies.base import Body
+from ..bodies.base import Body, dense_of
 from ..errors import ComputationError
 from . import step
 from .laws import ContactLaw, Coulomb, check_compiled
@@ -70,8 +70,7 @@ def inverse_constant_N_m(body: Body) -> float:
     C by about as little.
     """
     points = body.contact
-    rows = points.traction
-    rows = rows.toarray() if hasattr(rows, "toarray") else np.asarray(rows)
+    rows = dense_of(points.traction)
     push = np.ascontiguousarray(rows[2::3].T @ points.weights)
     local = body.dot(push, body.stiffness(push)) / body.dot(push, body.mass(push))
     columns = points.tractions(body.factor(SHIFT * local, 1.0)(np.ascontiguousarray(rows.T)))

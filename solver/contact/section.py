@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 
 from ..arrays import Array
 from ..compiled import njit
-from .normal import PLASTIC
-from .points import PointLaw, Points, PointTrial, Trial
+from .normal import internal
+from .points import Points, PointTrial, Trial, law_at
 from .step import point_force
 
 NEWTON_LIMIT = 200
@@ -106,17 +106,16 @@ def _gathered_forces(
     support, values, weights = section.support, section.values, points.weights
     start, free, force = trial.start, trial.free, trial.force
     memory, multiplier = trial.memory, trial.multiplier
-    law, scale, proximal = points.law, points.scale, points.proximal
-    rubs, remembers = points.mu > 0.0, points.law[0] >= PLASTIC
+    rubs = points.mu > 0.0
     gathered[:] = 0.0
     for i in range(n):
         end = free[i, 0]
         for a in range(s):
             end -= values[i, 0, a] * z[support[i, a]]
         m = multiplier[i, 0]
-        kept = memory[i, 2] if remembers else 0.0
-        clear = end + proximal * m <= 0.0 and start[i, 0] <= 0.0 and m == 0.0
-        if clear and kept == 0.0:
+        remembered = internal(points, memory, i)
+        clear = end + points.proximal * m <= 0.0 and start[i, 0] <= 0.0 and m == 0.0
+        if clear and remembered == 0.0:
             force[i, 0] = force[i, 1] = force[i, 2] = 0.0
             for c in range(6):
                 slopes[i, c] = 0.0
@@ -129,16 +128,7 @@ def _gathered_forces(
                 slip0 -= values[i, 1, a] * moved
                 slip1 -= values[i, 2, a] * moved
         push = point_force(
-            PointLaw(
-                law,
-                points.kt,
-                points.mu,
-                scale[i],
-                points.compliance,
-                points.end_weight,
-                proximal,
-                points.dashpot,
-            ),
+            law_at(points, i),
             PointTrial(
                 start[i, 0],
                 end,
@@ -149,7 +139,7 @@ def _gathered_forces(
                 m,
                 multiplier[i, 1],
                 multiplier[i, 2],
-                kept,
+                remembered,
             ),
         )
         force[i, 0], force[i, 1], force[i, 2] = push.n, push.t0, push.t1

@@ -2,7 +2,7 @@
 
 The reference that the condensed marches are held against, and the place to try PETSc's solvers:
 options with the prefix ``bristle_`` reach SNES (``-bristle_snes_type qn``,
-``-bristle_snes_lag_jacobian 5``, ``-bristle_ksp_type gmres`` …). It takes ten times as long.
+``-bristle_snes_lag_jacobian 5``, ``-bristle_ksp_type gmres`` …). It takes many times as long.
 """
 
 from __future__ import annotations

@@ -34,8 +34,8 @@ from .march import ContactMarch, Moving, Step
 from .scheme import TimeScheme
 
 PREFIX = "bristle_"
-# PETSc takes several inner products at once by BLAS where the vectors lie evenly in memory. Rounding
-# would then depend on the heap, and a restart would not be to the bit.
+# PETSc takes several inner products at once by BLAS where the vectors lie evenly in memory. Then
+# rounding would depend on the heap, and a restart would not be to the bit.
 BY_BLAS = "vec_mdot_use_gemv"
 # Of the increment's own size.
 PRECISION = 1e-10

@@ -61,7 +61,7 @@ class Touching(NamedTuple):
     gravity: float
 
 
-class Asked(NamedTuple):
+class MarchLimits(NamedTuple):
     """Until when to march: all points clear after ``wait`` s, or past ``until`` s, in at most
     ``limit`` solutions of a step. ``history`` says whether to keep it."""
 
@@ -282,7 +282,7 @@ def _longer(rows: Array, count: int) -> Array:
 
 
 @njit
-def march(modes: Modes, touching: Touching, u: Array, v: Array, asked: Asked) -> Marched:
+def march(modes: Modes, touching: Touching, u: Array, v: Array, limits: MarchLimits) -> Marched:
     """March from the state (u, v); times count from the start."""
     h, weights, points = modes.its, modes.weights, touching.points
     n, m = len(weights), len(u)
@@ -296,19 +296,19 @@ def march(modes: Modes, touching: Touching, u: Array, v: Array, asked: Asked) ->
     lift = (modes.translation @ touching.up) / modes.mass
     tip = modes.tip.T @ touching.up
     fast, push = np.empty(m), np.zeros(3)
-    history: Array = np.zeros((64 if asked.history else 1, 4))
+    history: Array = np.zeros((64 if limits.history else 1, 4))
     release = impulse = peak = loss = rubbed = spent = 0.0
     status, count, solved, last = TOO_LONG, 0, 0, 0.0
     history[0, 0] = touching.tip_m + tip @ work.u
     history[0, 1] = touching.centre_m + lift @ work.u
     history[0, 3] = max(deepest, 0.0)
-    for count in range(1, asked.limit + 1):
+    for count in range(1, limits.limit + 1):
         turns, touches = _solve(modes, touching, section, trial, work, deepest)
         if turns < 0:
             status = NOT_CONVERGED
             break
         solved += turns
-        if solved > asked.limit:
+        if solved > limits.limit:
             break
         taken = Taken(0.0, 0.0, 1.0, 0.0, 0.0)
         if touches:
@@ -327,7 +327,7 @@ def march(modes: Modes, touching: Touching, u: Array, v: Array, asked: Asked) ->
         work.u[:], work.v[:] = work.later, fast
         trial.start[:, :] = trial.end
         deepest = trial.start[:, 0].max()
-        if asked.history:
+        if limits.history:
             history = _longer(history, count + 1)
             history[count, 0] = touching.tip_m + tip @ work.u
             history[count, 1] = touching.centre_m + lift @ work.u
@@ -337,10 +337,10 @@ def march(modes: Modes, touching: Touching, u: Array, v: Array, asked: Asked) ->
             status = NOT_FINITE
             break
         clear = deepest <= 0.0 and taken.final == 0.0 and not holds(points, trial.memory)
-        if clear and count * h >= asked.wait:
+        if clear and count * h >= limits.wait:
             status = RELEASED
             break
-        if count * h >= asked.until:
+        if count * h >= limits.until:
             status = UNTIL
             break
     spring = spring_energy(points, trial.memory)
@@ -352,7 +352,7 @@ def march(modes: Modes, touching: Touching, u: Array, v: Array, asked: Asked) ->
     if len(modes.axis.weights):
         du, dv = shortened(modes.axis, u, v)
         u, v = u - du, v - dv
-    rows = count + 1 if asked.history else 0
+    rows = count + 1 if limits.history else 0
     return Marched(
         status=status,
         steps=count,

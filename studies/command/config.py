@@ -306,8 +306,8 @@ class DropInputs(Inputs):
         if self.deflection is Deflection.FINITE and not self._may_turn:
             refuse(
                 "deflection",
-                "finite is for the solid, under --scheme average, with a factor (--solver auto or "
-                "direct), and not with --march",
+                "finite is for the solid, under --scheme average, with any --solver but iterative, "
+                "and not with --march",
             )
         if self.solver is Solver.SNES:
             self._check_assembled()

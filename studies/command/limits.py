@@ -194,9 +194,10 @@ def result_warnings(inputs: DropInputs, result: DropResult) -> list[str]:
     small = inputs.resolved_deflection is Deflection.SMALL
     allowed = CLOSURE if small else CLOSURE_BENT
     if inputs.scheme is Scheme.AVERAGE and not rigid and not closure <= allowed:
+        remedy = "shorten --its" if small else "take --model solid, or lean it less"
         found.append(
             f"the energy budget closes to {closure:.2g} of the impact's energy only, where this "
-            f"scheme should keep {allowed:g}; shorten --its"
+            f"scheme should keep {allowed:g}; {remedy}"
         )
     error = result.reduction_error
     if error is not None and error > inputs.reduction_tolerance:
