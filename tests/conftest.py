@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import locale
 import signal
 
 import numpy as np
@@ -13,6 +14,14 @@ from bristle.solver.bristle import Bristle, Material
 
 # A script's job in the background has Ctrl-C ignored, and what tests start would inherit that.
 signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+@pytest.fixture(autouse=True)
+def _same_locale():
+    """VTK's reader of legacy files sets the locale "C" until it is collected."""
+    before = locale.setlocale(locale.LC_ALL)
+    yield
+    locale.setlocale(locale.LC_ALL, before)
 
 
 @pytest.fixture(scope="session")

@@ -10,7 +10,7 @@ import leaning_reference as lr
 import numpy as np
 import pytest
 from contact_law_helpers import pushed
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from reference import rate
 
@@ -19,6 +19,7 @@ from bristle.solver.bodies.base import ContactPoints
 from bristle.solver.bodies.modal import ModalBody
 from bristle.solver.contact.enforcement import ContactMethod, Enforcement
 from bristle.solver.contact.laws import Coulomb, Linear
+from bristle.solver.contact.normal import SHORT
 from bristle.solver.contact.points import CONSERVING, Points, Trial
 from bristle.solver.contact.step import commit, spring_energy
 from bristle.solver.contact_phase import History
@@ -292,6 +293,7 @@ def test_a_stretched_spring_turns_into_the_slip_along_a_tractrix(along, angle):
 
 
 @given(seed=st.integers(0, 100_000), stride=st.floats(0.01, 10.0))
+@example(seed=3834, stride=1.0)  # a normal force that hardly changes
 @settings(max_examples=100, deadline=None)
 def test_on_any_path_the_spring_ends_within_the_yield_surface_and_no_step_gains(seed, stride):
     rng = np.random.default_rng(seed)
@@ -302,7 +304,9 @@ def test_on_any_path_the_spring_ends_within_the_yield_surface_and_no_step_gains(
     assert (np.hypot(*stretched.T) <= limits * (1.0 + 1e-12)).all()
     mean = 0.5 * (presses[1:] + presses[:-1])
     inside = (presses[1:] > 0.0) & (presses[:-1] > 0.0)
-    assert (np.hypot(*pulls[inside].T) <= MU * mean[inside] * (1.0 + 1e-12)).all()
+    # the mean normal force is a difference of potentials over one of approaches, from `SHORT` on
+    rounding = 8.0 * np.finfo(float).eps / SHORT
+    assert (np.hypot(*pulls[inside].T) <= MU * mean[inside] * (1.0 + rounding)).all()
     assert losses.min() >= -1e-13 * MU * WEIGHT * STRETCH * max(stride, 1.0)
 
 

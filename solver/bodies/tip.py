@@ -364,11 +364,12 @@ class TipTractions:
             [np.repeat(rule.entities[::2], len(rule.points)) for rule in tip.rules]
         )
         nodes = space.dofmap.list[cells]
-        self._unknowns = (3 * nodes[..., None] + np.arange(3)).reshape(len(nodes), -1)
+        shape = (len(nodes), 3 * nodes.shape[1])  # a rank may hold no part of the tip
+        self._unknowns = (3 * nodes[..., None] + np.arange(3)).reshape(shape)
         first, last = _local_columns(space)
         self._own = last - first
         whole = space.dofmap.index_map.local_to_global(nodes.ravel()).reshape(nodes.shape)
-        columns = (3 * whole[..., None] + np.arange(3)).reshape(len(nodes), -1)
+        columns = (3 * whole[..., None] + np.arange(3)).reshape(shape)
         self._columns = np.unique(np.concatenate(self._comm.allgather(np.unique(columns))))
         self._place = np.searchsorted(self._columns, columns)
         self._owned = np.flatnonzero((self._columns >= first) & (self._columns < last))
