@@ -16,15 +16,19 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from mpi4py import MPI
+import ufl
+from dolfinx import fem
 from scipy.linalg import eigh
-from scipy.sparse import csc_matrix, csr_matrix, vstack
+from scipy.sparse import csc_matrix, csr_matrix, diags_array, vstack
 
 from ..arrays import Array
 from ..errors import ComputationError
+from ..form_cache import form
+from ..forms import Expr
 from ..rigid import Pose
 from .axis import Axis
 from .base import ContactPoints
+from .matrices import assembled_rows
 from .modal import ModalBody, in_modes
 from .solid import SolidBody
 
@@ -34,7 +38,8 @@ DEFLATED = 1e-10
 # each with how many vectors of a load. Long impacts (soft contact) live on these.
 SHARE = 0.3
 SLOW = ((1.0, 16), (1e4, 16))
-AXIS_POINTS = 128
+# Of a solid of second order: each has two points of the axis.
+AXIS_SLICES = 64
 # Numbers in a block of vectors that are worked on together.
 BLOCK = 1 << 25
 # Krylov vectors of a load unless asked otherwise, and the shares of them that coarser bodies have.
@@ -268,49 +273,44 @@ def reduce_solid(
 
 
 def solid_axis(solid: SolidBody, vectors: Array) -> Axis:
-    """Axial strain and slopes of the section's mean displacement for ``vectors`` (n_local, k).
+    """Axial strain and slopes of ``vectors`` (n_local, k) at two heights in every slice of it.
 
-    Between the heights of `_stations`; the mean at one is over the body, weighted by a hat that is
-    zero at its neighbours.
+    There the straight line that fits the gradients in the slice best has its values. They are
+    integrals over the slice, so a load on one is a smooth stress that stretches the solid as it
+    does a bar; a load between means of displacements does not, at the ends.
     """
-    height, place = _stations(solid), solid.places_m[:, 2]
-    weight = _weighed(
-        solid, np.stack([np.interp(place, height, hat) for hat in np.eye(len(height))])
-    )
-    total = summed(solid, np.asarray(weight.sum(axis=1)))
-    apart = np.diff((summed(solid, weight @ place[:, None]) / total)[:, 0])
-    between = np.diff(height)
-
-    def slope(axis: int) -> Array:
-        mean = summed(solid, weight @ vectors[axis::3]) / total
-        return np.asarray(np.diff(mean, axis=0) / apart[:, None])
-
-    # each hat holds the mass of half the way to its neighbours
-    line = total[:, 0] / np.convolve(between, [0.5, 0.5])
-    material = solid.material
-    stretch = material.youngs_Pa / material.density_kg_m3 * 0.5 * (line[1:] + line[:-1])
-    return Axis(slope(2), slope(0), slope(1), stretch * between)
-
-
-def _stations(solid: SolidBody) -> Array:
-    """`AXIS_POINTS` + 1 heights, equally far apart, or fewer where cells are taller than that."""
     domain, comm = solid.domain, solid.comm
-    heights = domain.geometry.x[domain.geometry.dofmap, 2]
-    low = comm.allreduce(heights.min(initial=np.inf), MPI.MIN)
-    high = comm.allreduce(heights.max(initial=-np.inf), MPI.MAX)
-    tallest = comm.allreduce(np.ptp(heights, axis=1).max(initial=0.0), MPI.MAX)
-    spaces = int((high - low) / tallest + 1e-6)
-    return np.linspace(low, high, min(spaces, AXIS_POINTS) + 1)
+    cells = fem.functionspace(domain, ("Discontinuous Lagrange", 0))
+    nodes = fem.functionspace(domain, ("Lagrange", solid.order))
+    numbers, z = cells.dofmap.index_map, ufl.SpatialCoordinate(domain)[2]
+    cell, node = ufl.TestFunction(cells), ufl.TestFunction(nodes)
+    weights = (ufl.as_ufl(1.0), z, z * z)
 
+    def everyones(own: Array) -> Array:
+        return np.concatenate(comm.allgather(own[: numbers.size_local]))
 
-def _weighed(solid: SolidBody, values: Array) -> csr_matrix:
-    """The mass matrix of one direction times functions, given at nodes as rows (k, nodes)."""
-    rows = []
-    for value in values:
-        along = np.zeros(solid.n_local)
-        along[2::3] = value
-        rows.append(csr_matrix(solid.mass(along)[2::3]))
-    return vstack(rows, format="csr")
+    height = everyones(cells.tabulate_dof_coordinates()[:, 2])
+    between = np.linspace(height.min(), height.max(), AXIS_SLICES + 1)[1:-1]
+    slices = np.unique(np.digitize(height, between), return_inverse=True)[1]  # no empty ones
+    volume, first, second = (
+        np.bincount(slices, everyones(fem.assemble_vector(form(weight * cell * ufl.dx)).array))
+        for weight in weights
+    )
+    middle = first / volume
+    spread = np.sqrt(second / volume - middle**2)
+
+    def gathered(weight: Expr) -> csr_matrix:
+        """∫ ∂/∂z of nodes' shapes over slices, as rows (slices, nodes)."""
+        energy = form(weight * ufl.TrialFunction(cells) * node.dx(2) * ufl.dx)
+        (start, column, value), numbers = assembled_rows(energy)
+        at = slices[numbers.local_to_global(column)]
+        return csr_matrix((value, at, start), (len(start) - 1, len(volume))).T.tocsr()
+
+    mean, moment = gathered(weights[0]), gathered(z)
+    tilt = diags_array(1.0 / spread) @ (moment - diags_array(middle) @ mean)
+    rows = diags_array(np.tile(1.0 / volume, 2)) @ vstack([mean + tilt, mean - tilt])
+    strain, slope_x, slope_y = (summed(solid, rows @ vectors[axis::3]) for axis in (2, 0, 1))
+    return Axis(strain, slope_x, slope_y, 0.5 * solid.material.youngs_Pa * np.tile(volume, 2))
 
 
 def _combined(vectors: Array, amounts: Array) -> Array:
