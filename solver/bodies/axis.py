@@ -6,6 +6,9 @@ slope the axial strain is u' + ½ (w_x'² + w_y'²) (von Kármán's), which coup
 axial motion; the strain energy beyond the linear one is
 
     ½ Σ E A Δz ((e + q)² - e²),    e = u',  q = ½ (w_x'² + w_y'²).
+
+Damping by β acts on the rate of that strain, so it takes β Σ E A Δz ((ė + q̇)² - ė²) beyond what it
+takes of the linear body: nothing of an axis that shortens as it bends freely.
 """
 
 from __future__ import annotations
@@ -38,40 +41,56 @@ class Axis:
 
 
 class Shortening(NamedTuple):
-    """What compiled code reads of an axis: the rows stacked (3 g, modes), and 1/ω² (modes,), zero
-    for rigid modes. No rows where the body is linear."""
+    """What compiled code reads of an axis: the rows stacked (3 g, modes), 1/ω² (modes,), zero for
+    rigid modes, and β in s. No rows where the body is linear."""
 
     rows: Array
     weights: Array
     flexibility: Array
+    beta_s: float
 
 
-def shortening(axis: Axis | None, omega2: Array) -> Shortening:
+def shortening(axis: Axis | None, omega2: Array, beta_s: float = 0.0) -> Shortening:
     """The tables of an ``axis``, or empty ones."""
     if axis is None:
-        return Shortening(np.zeros((0, len(omega2))), np.zeros(0), np.zeros(len(omega2)))
-    rows = np.vstack([axis.strain, axis.slope_x, axis.slope_y])
+        return Shortening(np.zeros((0, len(omega2))), np.zeros(0), np.zeros(len(omega2)), beta_s)
+    rows = np.ascontiguousarray(np.vstack([axis.strain, axis.slope_x, axis.slope_y]))
     soft = np.divide(1.0, omega2, out=np.zeros_like(omega2), where=omega2 > 0.0)
-    return Shortening(np.ascontiguousarray(rows), np.asarray(axis.weights_N_m, dtype=float), soft)
+    return Shortening(rows, np.asarray(axis.weights_N_m, dtype=float), soft, beta_s)
 
 
 @njit
-def second_order_force(axis: Shortening, before: Array, after: Array) -> Array:
-    """Force (modes,) over a step of what the energy holds beyond the linear one.
+def second_order_force(axis: Shortening, before: Array, after: Array, its: float) -> Array:
+    """Force (modes,) over a step of ``its`` s, of what the energy holds beyond the linear one and
+    of its damping.
 
     ``before`` and ``after`` are `seen` at its ends. The discrete gradient of the energy (Simo and
     Tarnow, ZAMP 43, 1992: mean strain, slope at mid-step), so that the step conserves it.
     """
-    g = len(axis.weights)
+    g, viscous = len(axis.weights), axis.beta_s / its
     pull = np.empty(3 * g)
     for i in range(g):
         x0, y0, x1, y1 = before[g + i], before[2 * g + i], after[g + i], after[2 * g + i]
-        q = 0.25 * (x0 * x0 + y0 * y0 + x1 * x1 + y1 * y1)
-        force = axis.weights[i] * (0.5 * (before[i] + after[i]) + q)
-        pull[i] = -axis.weights[i] * q
-        pull[g + i] = -force * 0.5 * (x0 + x1)
-        pull[2 * g + i] = -force * 0.5 * (y0 + y1)
+        x, y = 0.5 * (x0 + x1), 0.5 * (y0 + y1)
+        bent = 0.25 * (x0 * x0 + y0 * y0 + x1 * x1 + y1 * y1)
+        bent += viscous * (x * (x1 - x0) + y * (y1 - y0))
+        linear = 0.5 * (before[i] + after[i]) + viscous * (after[i] - before[i])
+        force = axis.weights[i] * (linear + bent)
+        pull[i] = -axis.weights[i] * bent
+        pull[g + i] = -force * x
+        pull[2 * g + i] = -force * y
     return axis.rows.T @ pull
+
+
+@njit
+def second_order_loss(axis: Shortening, before: Array, after: Array, its: float) -> float:
+    """What damping takes over a step beyond what it takes of the linear body, in J."""
+    g, total = len(axis.weights), 0.0
+    for i in range(g):
+        x0, y0, x1, y1 = before[g + i], before[2 * g + i], after[g + i], after[2 * g + i]
+        bent = 0.5 * ((x1 - x0) * (x0 + x1) + (y1 - y0) * (y0 + y1))
+        total += axis.weights[i] * (2.0 * (after[i] - before[i]) + bent) * bent
+    return axis.beta_s / its * total
 
 
 @njit

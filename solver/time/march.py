@@ -454,7 +454,7 @@ class Marcher(ContactMarch):
                 weights=points.weights,
                 compliance=self._compliance,
                 mass=body.mass_kg,
-                axis=shortening(body.axis, body.omega2),
+                axis=shortening(body.axis, body.omega2, body.beta_s),
             )
         touching = Touching(
             points=contact.points,

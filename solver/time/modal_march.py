@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..arrays import Array
-from ..bodies.axis import Shortening, second_order_force, shortened
+from ..bodies.axis import Shortening, second_order_force, second_order_loss, shortened
 from ..compiled import njit
 from ..contact.normal import PLASTIC, elastic, holds
 from ..contact.points import Points, Trial
@@ -215,10 +215,9 @@ def _solve(
         if not len(modes.axis.weights):
             return 1, touches
         work.after[:] = modes.axis.rows @ later
-        left = second_order_force(modes.axis, work.before, work.after) - bend
+        left = second_order_force(modes.axis, work.before, work.after, h) - bend
         size = max(np.abs(left + bend).max(), np.abs(work.pull).max())
         if np.abs(left).max() <= COUPLED * size:
-            work.before[:] = work.after
             return turn + 1, touches
         # Aitken's relaxation (Küttler and Wall, Comput. Mech. 43, 2008)
         change_of = left - before
@@ -256,7 +255,7 @@ def _take(points: Points, trial: Trial, last: float) -> Taken:
 @njit
 def _damp(modes: Modes, work: Work, fast: Array) -> float:
     """Write the velocity ``fast`` at the end of a step; returns what damping took in it."""
-    loss = 0.0
+    loss = second_order_loss(modes.axis, work.before, work.after, modes.its)
     for j in range(len(fast)):
         fast[j] = work.v[j] + modes.its * work.a[j]
         middle = 0.5 * (work.v[j] + fast[j])
@@ -324,7 +323,7 @@ def march(modes: Modes, touching: Touching, u: Array, v: Array, limits: MarchLim
         loss += _damp(modes, work, fast)
         last = taken.mean
         peak = max(peak, taken.mean if points.dashpot != 0.0 else taken.final)
-        work.u[:], work.v[:] = work.later, fast
+        work.u[:], work.v[:], work.before[:] = work.later, fast, work.after
         trial.start[:, :] = trial.end
         deepest = trial.start[:, 0].max()
         if limits.history:
