@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import csv
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import gmsh
@@ -101,11 +101,3 @@ def write_csv(quality: MeshQuality, path: Path) -> None:
         writer = csv.writer(file)
         writer.writerow(("measure", "value", "unit"))
         writer.writerows(quality.rows())
-
-
-def read_csv(path: Path) -> MeshQuality:
-    """Read a table that `write_csv` wrote."""
-    with path.open(newline="") as file:
-        values = {row["measure"]: row["value"] for row in csv.DictReader(file)}
-    kinds = {"int": int, "float": float}
-    return MeshQuality(**{f.name: kinds[str(f.type)](values[f.name]) for f in fields(MeshQuality)})

@@ -1,5 +1,7 @@
 """Does a mesh that left gmsh come back the same, and does VTK understand it?"""
 
+import csv
+
 import gmsh
 import meshio
 import numpy as np
@@ -11,7 +13,7 @@ from bristle.meshes.check import integrated_volume_m3, meshed_volume_m3
 from bristle.meshes.convert import TAG_DATA, read_msh, read_vtu, write_msh, write_vtu
 from bristle.meshes.geometry import MeshSpec, Tag
 from bristle.meshes.hexahedra import build_model, gmsh_model
-from bristle.meshes.quality import MeshQuality, measure_quality, read_csv, write_csv
+from bristle.meshes.quality import MeshQuality, measure_quality, write_csv
 from bristle.meshes.section import Circle, Rectangle
 
 SPECS = [
@@ -217,8 +219,8 @@ def test_quality_table_reads_back(tmp_path):
     quality = measured(MeshSpec(0.01, Circle(1e-3), (2, 1, 3), geometry_order=2))
     path = tmp_path / "quality.csv"
     write_csv(quality, path)
-    assert read_csv(path) == quality
     lines = path.read_text().splitlines()
+    assert {row["measure"]: float(row["value"]) for row in csv.DictReader(lines)} == vars(quality)
     assert lines[0] == "measure,value,unit"
     assert len(lines) == 1 + len(MeshQuality.__dataclass_fields__)
     assert [line.rsplit(",", 1)[1] for line in lines if line.startswith("edge_length")] == ["m"] * 3

@@ -94,17 +94,6 @@ def second_order_loss(axis: Shortening, before: Array, after: Array, its: float)
 
 
 @njit
-def second_order_energy(axis: Shortening, seen: Array) -> float:
-    """What the strain energy holds beyond the linear one, in J, at ``seen`` (3 g,) = rows @ u."""
-    g = len(axis.weights)
-    total = 0.0
-    for i in range(g):
-        q = 0.5 * (seen[g + i] ** 2 + seen[2 * g + i] ** 2)
-        total += 0.5 * axis.weights[i] * (2.0 * seen[i] + q) * q
-    return total
-
-
-@njit
 def shortened(axis: Shortening, u: Array, v: Array) -> tuple[Array, Array]:
     """How much (u, v) must change for slopes to shorten the axis that they do not strain.
 
