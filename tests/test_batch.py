@@ -52,7 +52,9 @@ def alone(body, drops, i, enforcement=Enforcement.PENALTY):
     return simulate(ModalFrame(body), plan)
 
 
-def assert_the_same(body, drops, outcome, enforcement=Enforcement.PENALTY, rel=1e-9, tip_m=0.0):
+def assert_the_same(
+    body, drops, outcome, enforcement=Enforcement.PENALTY, rel=1e-9, tip_m=0.0, closure=1e-9
+):
     for i in range(len(drops)):
         one = alone(body, drops, i, enforcement)
         height, speed = drops.height_m[i], one.impact_speed_m_s
@@ -71,7 +73,7 @@ def assert_the_same(body, drops, outcome, enforcement=Enforcement.PENALTY, rel=1
         assert outcome.friction_loss_J[i] == pytest.approx(
             one.energy.friction_loss_J, abs=rel * one.energy.initial_J
         )
-    assert outcome.closure_relative.max() < 1e-9
+    assert outcome.closure_relative.max() < closure
 
 
 @pytest.mark.parametrize("face", [True, False], ids=["face", "point"])
@@ -80,6 +82,15 @@ def test_leaning_beams_fall_as_one_alone(beta_s, face, rng):
     body = beam_body(Bristle(material=Material(beta_s=beta_s)), 8, face=face)
     drops = leaning_drops(body, rng, 12)
     assert_the_same(body, drops, drop_many(marcher_of(body), drops))
+
+
+def test_leaning_beams_of_second_order(rng):
+    """The last ones slide for 20 ms, each step solved a dozen times; no model for these keeps
+    energy, but the batch is to do as one drop alone does."""
+    body = beam_body(Bristle(material=Material(beta_s=1e-8)), 32, second_order=True)
+    wide = {"tilt_deg": np.linspace(1.0, 8.0, 8), "tilt_wide_deg": 0.0, "mu": 0.0}
+    drops = leaning_drops(body, rng, 8, height_m=0.05, kn_N_m=2e6, **wide)
+    assert_the_same(body, drops, drop_many(marcher_of(body), drops), rel=1e-6, closure=np.inf)
 
 
 def test_drops_that_touch_several_times(rng):

@@ -63,7 +63,7 @@ class Touching(NamedTuple):
 
 class MarchLimits(NamedTuple):
     """Until when to march: all points clear after ``wait`` s, or past ``until`` s, in at most
-    ``limit`` solutions of a step. ``history`` says whether to keep it."""
+    ``limit`` steps. ``history`` says whether to keep it."""
 
     wait: float
     until: float
@@ -297,7 +297,7 @@ def march(modes: Modes, touching: Touching, u: Array, v: Array, limits: MarchLim
     fast, push = np.empty(m), np.zeros(3)
     history: Array = np.zeros((64 if limits.history else 1, 4))
     release = impulse = peak = loss = rubbed = spent = 0.0
-    status, count, solved, last = TOO_LONG, 0, 0, 0.0
+    status, count, last = TOO_LONG, 0, 0.0
     history[0, 0] = touching.tip_m + tip @ work.u
     history[0, 1] = touching.centre_m + lift @ work.u
     history[0, 3] = max(deepest, 0.0)
@@ -305,9 +305,6 @@ def march(modes: Modes, touching: Touching, u: Array, v: Array, limits: MarchLim
         turns, touches = _solve(modes, touching, section, trial, work, deepest)
         if turns < 0:
             status = NOT_CONVERGED
-            break
-        solved += turns
-        if solved > limits.limit:
             break
         taken = Taken(0.0, 0.0, 1.0, 0.0, 0.0)
         if touches:

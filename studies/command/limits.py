@@ -254,7 +254,8 @@ def _patch_warnings(inputs: DropInputs, result: DropResult) -> list[str]:
     for axis, (side, toward) in enumerate(zip(sides, ("thin", "wide"), strict=True)):
         cell = side / inputs.cells[axis]
         rise = abs(normal[axis]) / normal[2]
-        width = result.max_penetration_m / rise if rise else side
+        depth = result.max_penetration_m
+        width = depth / rise if rise * side > depth else side
         if width < min(cell, side) * (1.0 - 1e-9):
             cells = list(inputs.cells)
             cells[axis] = math.ceil(side / width)
