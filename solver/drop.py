@@ -30,6 +30,8 @@ TOUCH_LIMIT = 10_000
 WAIT_STEPS = 100
 # What an estimate of a reduced body's error resolves, in units of the impact speed.
 RESOLVED = 1e-8
+# The slowest that steps from a reduced body to a finer one are taken to shrink.
+SLOWEST = 0.9
 FLIGHT_ROWS = 200
 
 
@@ -259,8 +261,8 @@ def simulate(
 def _reduction_error(frame: FlightFrame, plan: DropPlan, found: DropResult) -> float | None:
     """About how far the velocities after the impact are from the full order's, for a reduced body.
 
-    In units of the impact speed, a spin counting by its energy. The last two steps from body to
-    finer body shrink as their sequence does, and the next is taken to shrink as much.
+    In units of the impact speed, a spin counting by its energy. Steps from body to finer body are
+    taken to go on as a geometric series with the ratio of the last two, at most `SLOWEST`.
     """
     if not isinstance(frame, ModalFrame) or not frame.coarser or math.isnan(found.contact_time_s):
         return None
@@ -274,8 +276,8 @@ def _reduction_error(frame: FlightFrame, plan: DropPlan, found: DropResult) -> f
             return math.inf
     steps = np.diff([*motions, _motion_after(found, gyration)], axis=0)
     sizes = np.linalg.norm(steps, axis=1) / found.impact_speed_m_s
-    shrinking = min(1.0, sizes[-1] / sizes[-2]) if sizes[-2] > 0.0 else 1.0
-    return max(RESOLVED, float(sizes[-1] * shrinking))
+    ratio = min(SLOWEST, sizes[-1] / sizes[-2]) if sizes[-2] > 0.0 else SLOWEST
+    return max(RESOLVED, float(sizes[-1] * ratio / (1.0 - ratio)))
 
 
 def _motion_after(found: DropResult, gyration_m: Array) -> Array:
