@@ -35,9 +35,9 @@ from .time.motion import Chart, Flyer, chart, landing, launch, rigid_part
 from .time.touchdown import next_touch
 
 TOO_MANY, FALLEN, GAINED = 5, 6, 7
-# A touch that lasts longer, in radians of the mass on its spring and in periods of the slowest
-# bending, does not end: a bristle that leans by more than about 6 degrees slides for as long.
-LONGEST_TOUCH, LONGEST_SLIDE = 20.0, 1.0
+# A touch that lasts longer, in seconds and in radians of the mass on its spring, and longer than a
+# period of the slowest bending, does not end: one that leans by more than 6 degrees slides on.
+LONGEST_TOUCH_S, LONGEST_TOUCH = 0.004, 20.0
 FAILURES = {
     modal_march.NOT_CONVERGED: "the contact forces did not converge; shorten the ITS",
     modal_march.NOT_FINITE: "the motion is not finite; shorten the ITS",
@@ -242,8 +242,8 @@ def one_drop(
     placed = False
     weight = modes.mass * gravity
     limit = STEP_LIMIT // STAYING if points.law[0] >= PLASTIC else STEP_LIMIT
-    longest = LONGEST_TOUCH * math.sqrt(modes.mass / points.law[1])
-    longest = max(longest, LONGEST_SLIDE * common.slowest)
+    longest = max(LONGEST_TOUCH_S, LONGEST_TOUCH * math.sqrt(modes.mass / points.law[1]))
+    longest = max(longest, common.slowest)
     limit = min(limit, int(longest / modes.its) + 1)
     for _ in range(TOUCH_LIMIT):
         if not placed:

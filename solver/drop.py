@@ -30,8 +30,8 @@ TOUCH_LIMIT = 10_000
 WAIT_STEPS = 100
 # What an estimate of a reduced body's error resolves, in units of the impact speed.
 RESOLVED = 1e-8
-# The slowest that steps from a reduced body to a finer one are taken to shrink.
-SLOWEST = 0.9
+# Of a step from one reduced body to a finer one over the step before it: taken as at most this.
+LARGEST_RATIO = 0.9
 FLIGHT_ROWS = 200
 
 
@@ -262,7 +262,7 @@ def _reduction_error(frame: FlightFrame, plan: DropPlan, found: DropResult) -> f
     """About how far the velocities after the impact are from the full order's, for a reduced body.
 
     In units of the impact speed, a spin counting by its energy. Steps from body to finer body are
-    taken to go on as a geometric series with the ratio of the last two, at most `SLOWEST`.
+    taken to go on as a geometric series with the ratio of the last two, at most `LARGEST_RATIO`.
     """
     if not isinstance(frame, ModalFrame) or not frame.coarser or math.isnan(found.contact_time_s):
         return None
@@ -276,7 +276,7 @@ def _reduction_error(frame: FlightFrame, plan: DropPlan, found: DropResult) -> f
             return math.inf
     steps = np.diff([*motions, _motion_after(found, gyration)], axis=0)
     sizes = np.linalg.norm(steps, axis=1) / found.impact_speed_m_s
-    ratio = min(SLOWEST, sizes[-1] / sizes[-2]) if sizes[-2] > 0.0 else SLOWEST
+    ratio = min(LARGEST_RATIO, sizes[-1] / sizes[-2]) if sizes[-2] > 0.0 else LARGEST_RATIO
     return max(RESOLVED, float(sizes[-1] * ratio / (1.0 - ratio)))
 
 

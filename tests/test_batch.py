@@ -88,8 +88,8 @@ def test_leaning_beams_of_second_order(rng):
     """The last ones slide for 20 ms, each step solved a dozen times; no model for these keeps
     energy, but the batch is to do as one drop alone does."""
     body = beam_body(Bristle(material=Material(beta_s=1e-8)), 32, second_order=True)
-    wide = {"tilt_deg": np.linspace(1.0, 8.0, 8), "tilt_wide_deg": 0.0, "mu": 0.0}
-    drops = leaning_drops(body, rng, 8, height_m=0.05, kn_N_m=2e6, **wide)
+    leans = {"tilt_deg": np.linspace(1.0, 8.0, 8), "tilt_wide_deg": 0.0, "mu": 0.0}
+    drops = leaning_drops(body, rng, 8, height_m=0.05, kn_N_m=2e6, **leans)
     assert_the_same(body, drops, drop_many(marcher_of(body), drops), rel=1e-6, closure=np.inf)
 
 

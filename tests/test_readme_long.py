@@ -97,6 +97,8 @@ def test_the_table_of_leaning_and_what_is_said_of_it():
     off = {key: abs(row["second_off"]) for key, row in at.items()}
     assert max(off[50.0, 0.0, lean] for lean in (0.5, 1.0, 2.0)) < 5e-4
     assert off[50.0, 0.0, 5.0] < 1e-3
+    assert off[10.0, 0.0, 2.0] < 5e-3
+    assert off[10.0, 0.0, 5.0] < 0.04
     assert 0.075 < at[50.0, 0.0, 2.0]["linear_off"] < 0.085
     leans = [0.5, 1.0]
     linear = [at[50.0, 0.0, lean]["linear_off"] for lean in leans]

@@ -24,8 +24,7 @@ from ..compiled import njit
 
 @dataclass(frozen=True)
 class Axis:
-    """Rows over a body's unknowns at points of its axis: axial ``strain`` (g, dofs), ``slope_x``
-    and
+    """Rows over a body's unknowns at points of its axis: axial ``strain``, ``slope_x`` and
     ``slope_y`` (g, dofs), and ``weights_N_m`` (g,): E A times the length each point stands for."""
 
     strain: Array
@@ -64,8 +63,8 @@ def second_order_force(axis: Shortening, before: Array, after: Array, its: float
     """Force (modes,) over a step of ``its`` s, of what the energy holds beyond the linear one and
     of its damping.
 
-    ``before`` and ``after`` are `seen` at its ends. The discrete gradient of the energy (Simo and
-    Tarnow, ZAMP 43, 1992: mean strain, slope at mid-step), so that the step conserves it.
+    ``before`` and ``after`` (3 g,) are rows @ u at its ends. The discrete gradient of the energy
+    (Simo and Tarnow, ZAMP 43, 1992: mean strain, slope at mid-step), so that the step conserves it.
     """
     g, viscous = len(axis.weights), axis.beta_s / its
     pull = np.empty(3 * g)

@@ -38,7 +38,7 @@ DEFLATED = 1e-10
 # each with how many vectors of a load. Long impacts (soft contact) live on these.
 SHARE = 0.3
 SLOW = ((1.0, 16), (1e4, 16))
-# Of a solid of second order: each has two points of the axis.
+# Slices along a solid of second order, with two points of its axis in each.
 AXIS_SLICES = 64
 # Numbers in a block of vectors that are worked on together.
 BLOCK = 1 << 25
@@ -273,7 +273,7 @@ def reduce_solid(
 
 
 def solid_axis(solid: SolidBody, vectors: Array) -> Axis:
-    """Axial strain and slopes of ``vectors`` (n_local, k) at two heights in every slice of it.
+    """Axial strain and slopes of ``vectors`` (n_local, k) at two heights in every slice.
 
     There the straight line that fits the gradients in the slice best has its values. They are
     integrals over the slice, so a load on one is a smooth stress that stretches the solid as it
@@ -286,29 +286,29 @@ def solid_axis(solid: SolidBody, vectors: Array) -> Axis:
     cell, node = ufl.TestFunction(cells), ufl.TestFunction(nodes)
     weights = (ufl.as_ufl(1.0), z, z * z)
 
-    def everyones(own: Array) -> Array:
+    def of_all_ranks(own: Array) -> Array:
         return np.concatenate(comm.allgather(own[: numbers.size_local]))
 
-    height = everyones(cells.tabulate_dof_coordinates()[:, 2])
+    height = of_all_ranks(cells.tabulate_dof_coordinates()[:, 2])
     between = np.linspace(height.min(), height.max(), AXIS_SLICES + 1)[1:-1]
     slices = np.unique(np.digitize(height, between), return_inverse=True)[1]  # no empty ones
     volume, first, second = (
-        np.bincount(slices, everyones(fem.assemble_vector(form(weight * cell * ufl.dx)).array))
+        np.bincount(slices, of_all_ranks(fem.assemble_vector(form(weight * cell * ufl.dx)).array))
         for weight in weights
     )
     middle = first / volume
     spread = np.sqrt(second / volume - middle**2)
 
-    def gathered(weight: Expr) -> csr_matrix:
+    def gradients(weight: Expr) -> csr_matrix:
         """∫ ∂/∂z of nodes' shapes over slices, as rows (slices, nodes)."""
         energy = form(weight * ufl.TrialFunction(cells) * node.dx(2) * ufl.dx)
-        (start, column, value), numbers = assembled_rows(energy)
-        at = slices[numbers.local_to_global(column)]
+        (start, column, value), columns = assembled_rows(energy)
+        at = slices[columns.local_to_global(column)]
         return csr_matrix((value, at, start), (len(start) - 1, len(volume))).T.tocsr()
 
-    mean, moment = gathered(weights[0]), gathered(z)
-    tilt = diags_array(1.0 / spread) @ (moment - diags_array(middle) @ mean)
-    rows = diags_array(np.tile(1.0 / volume, 2)) @ vstack([mean + tilt, mean - tilt])
+    mean, moment = gradients(weights[0]), gradients(z)
+    linear = diags_array(1.0 / spread) @ (moment - diags_array(middle) @ mean)
+    rows = diags_array(np.tile(1.0 / volume, 2)) @ vstack([mean + linear, mean - linear])
     strain, slope_x, slope_y = (summed(solid, rows @ vectors[axis::3]) for axis in (2, 0, 1))
     return Axis(strain, slope_x, slope_y, 0.5 * solid.material.youngs_Pa * np.tile(volume, 2))
 

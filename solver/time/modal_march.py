@@ -178,10 +178,10 @@ def _new_work(modes: Modes, touching: Touching, u: Array, v: Array) -> Work:
 @njit
 def _solve(
     modes: Modes, touching: Touching, section: Section, trial: Trial, work: Work, deepest: float
-) -> tuple[int, bool]:
-    """Find the step's force and acceleration; how often it was solved, and whether contact acts.
+) -> tuple[bool, bool]:
+    """Find the step's force and acceleration; whether they converged, and whether contact acts.
 
-    Minus one where it does not converge. ``deepest`` is the greatest approach at its start.
+    ``deepest`` is the greatest approach at its start.
     """
     h, points, admittance = modes.its, touching.points, modes.admittance
     u, v, a, later, bend = work.u, work.v, work.a, work.later, work.bend
@@ -203,7 +203,7 @@ def _solve(
             touches = np.abs(trial.multiplier).max() > 0.0
         if touches:
             if solve_step(points, section, trial) < 0:
-                return -1, touches
+                return False, touches
             pushed = section_gathers(section, modes.weights, trial.force) @ modes.along
             for j in range(m):
                 change = admittance[j] * pushed[j]
@@ -213,12 +213,12 @@ def _solve(
             trial.force[:, :] = 0.0
             trial.end[:, :] = trial.free
         if not len(modes.axis.weights):
-            return 1, touches
+            return True, touches
         work.after[:] = modes.axis.rows @ later
         left = second_order_force(modes.axis, work.before, work.after, h) - bend
         size = max(np.abs(left + bend).max(), np.abs(work.pull).max())
         if np.abs(left).max() <= COUPLED * size:
-            return turn + 1, touches
+            return True, touches
         # Aitken's relaxation (Küttler and Wall, Comput. Mech. 43, 2008)
         change_of = left - before
         squared = float(np.sum(admittance * change_of * change_of))
@@ -227,7 +227,7 @@ def _solve(
             share = min(max(share, 0.05), 1.0)
         before = left
         bend += share * left
-    return -1, touches
+    return False, touches
 
 
 @njit
@@ -302,8 +302,8 @@ def march(modes: Modes, touching: Touching, u: Array, v: Array, limits: MarchLim
     history[0, 1] = touching.centre_m + lift @ work.u
     history[0, 3] = max(deepest, 0.0)
     for count in range(1, limits.limit + 1):
-        turns, touches = _solve(modes, touching, section, trial, work, deepest)
-        if turns < 0:
+        converged, touches = _solve(modes, touching, section, trial, work, deepest)
+        if not converged:
             status = NOT_CONVERGED
             break
         taken = Taken(0.0, 0.0, 1.0, 0.0, 0.0)
