@@ -28,8 +28,11 @@ TOUCH_LIMIT = 10_000
 # A touch so few steps away is marched to, not flown to: it costs little, and the full order, which
 # holds more than the modes that it flies in, loses nothing.
 WAIT_STEPS = 100
-# What an estimate of a reduced body's error resolves, in units of the impact speed.
-RESOLVED = 1e-8
+# What an estimate of a reduced body's error resolves, in units of the impact speed: bodies that are
+# compared share the responses of the tip, which are exact at one shift only.
+RESOLVED = 1e-6
+# Intervals of an impact in which the speeds of reduced bodies are compared.
+COMPARED = 64
 # Of a step from one reduced body to a finer one over the step before it: taken as at most this.
 LARGEST_RATIO = 0.9
 FLIGHT_ROWS = 200
@@ -259,25 +262,36 @@ def simulate(
 
 
 def _reduction_error(frame: FlightFrame, plan: DropPlan, found: DropResult) -> float | None:
-    """About how far the velocities after the impact are from the full order's, for a reduced body.
+    """About how far the velocities of the impact are from the full order's, for a reduced body.
 
-    In units of the impact speed, a spin counting by its energy. Steps from body to finer body are
-    taken to go on as a geometric series with the ratio of the last two, at most `LARGEST_RATIO`.
+    In units of the impact speed, a spin counting by its energy. Bodies are compared by the motion
+    after the impact and by the speed of the centre of mass all through it, since a single number
+    may agree by chance. Steps from body to finer body are taken to go on as a geometric series with
+    the ratio of the last two, at most `LARGEST_RATIO`.
     """
     if not isinstance(frame, ModalFrame) or not frame.coarser or math.isnan(found.contact_time_s):
         return None
     gyration = np.sqrt(frame.modal.inertia_kg_m2 / frame.body.mass_kg)
     first = replace(plan, impact_only=True, until_s=None)
-    motions = []
-    for body in frame.coarser:
-        try:
-            motions.append(_motion_after(simulate(ModalFrame(body), first), gyration))
-        except ComputationError:
-            return math.inf
-    steps = np.diff([*motions, _motion_after(found, gyration)], axis=0)
-    sizes = np.linalg.norm(steps, axis=1) / found.impact_speed_m_s
+    try:
+        drops = [*(simulate(ModalFrame(body), first) for body in frame.coarser), found]
+    except ComputationError:
+        return math.inf
+    start_s = _fall(plan, frame.body)[0]
+    end_s = start_s + min(each.contact_time_s for each in drops)
+    times = np.linspace(start_s, end_s, COMPARED + 1)
+    after = np.diff([_motion_after(each, gyration) for each in drops], axis=0)
+    during = np.diff([_centre_speeds(each, times) for each in drops], axis=0)
+    sizes = np.maximum(np.linalg.norm(after, axis=1), np.abs(during).max(axis=1))
+    sizes /= found.impact_speed_m_s
     ratio = min(LARGEST_RATIO, sizes[-1] / sizes[-2]) if sizes[-2] > 0.0 else LARGEST_RATIO
     return max(RESOLVED, float(sizes[-1] * ratio / (1.0 - ratio)))
+
+
+def _centre_speeds(found: DropResult, times: Array) -> Array:
+    """Mean speeds (n - 1,) of the centre of mass, upward, between ``times`` (n,)."""
+    rows = found.history.array()
+    return np.diff(np.interp(times, rows[:, 0], rows[:, 2])) / np.diff(times)
 
 
 def _motion_after(found: DropResult, gyration_m: Array) -> Array:

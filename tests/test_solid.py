@@ -233,7 +233,7 @@ def test_error_that_is_stated_is_of_the_true_ones_size(make_solid):
         assert 0.01 < found.reduction_error / off < (100.0 if n > 2 else math.inf)
         stated.append(found.reduction_error)
     assert stated[0] > 1e-3
-    assert stated[-1] < 1e-6
+    assert stated[-1] == RESOLVED
 
 
 def test_solid_on_a_rigid_plane(make_solid):
