@@ -16,27 +16,33 @@ import typer
 
 from ..solver.errors import ComputationError
 from . import __version__
-from .closeloop.flags import LOOP_FLAGS
+from .closeloop.fields import LOOP_FLAGS
 from .command.ending import run
-from .command.flags import (
-    BODY_FLAGS,
-    DISCRETISATION_FLAGS,
+from .command.fields import (
     DROP_FLAGS,
-    ITS_FLAG,
-    LISTS_FLAGS,
-    MESH_FLAGS,
+    LIST_FLAGS,
     OUTPUT,
-    SHARED_FLAGS,
+    STUDY_FLAGS,
+    BodyFields,
+    DiscretisationFields,
+    MeshFields,
+    StepField,
 )
+from .command.flags import flags_of
 from .command.options import Config, Debug, RanksPerCase, Resume, out_option, takes
-from .scatter.flags import SCATTER_FLAGS
+from .scatter.fields import SCATTER_FLAGS
+
+REPRODUCE_FLAGS = flags_of(StepField, DiscretisationFields)
+MESH_FLAGS = flags_of(BodyFields, MeshFields)
+# Keys of a configuration file that a command with other flags passes over.
+ANY_FLAGS = (*DROP_FLAGS, *LIST_FLAGS)
 
 # Paragraphs, since typer joins lines.
 FIRST_STEPS = "\n\n".join(
     (
         "Each command ends with the file to look at, has `--help` with an example, and writes "
         "into results/ where you are, or into `--out`. **Start with:**",
-        "1. `bristle drop`: one drop of the beam, in seconds; the result goes into results/drop",
+        "1. `bristle drop`: one drop, in seconds; the result goes into results/drop",
         "1. `bristle view results/drop`: its pictures; after `bristle drop --model solid` "
         "also the wave, as a film and in ParaView",
         "1. `bristle reproduce`: the paper's figures beside ours, about two minutes; open "
@@ -70,7 +76,7 @@ def root(
 
 
 @app.command()
-@takes((ITS_FLAG, *DISCRETISATION_FLAGS))
+@takes(REPRODUCE_FLAGS)
 def reproduce(
     given: dict[str, Any],
     config: Config = None,
@@ -87,8 +93,7 @@ def reproduce(
     from .reproduce import run_reproduce
     from .running.campaign import Setup
 
-    flags = (ITS_FLAG, *DISCRETISATION_FLAGS)
-    base = inputs_of(DropInputs, given, flags, config, ignored=(*DROP_FLAGS, *LISTS_FLAGS))
+    base = inputs_of(DropInputs, given, REPRODUCE_FLAGS, config, ANY_FLAGS)
     done = run_reproduce(out, Setup(base), ranks_per_case=ranks_per_case)
     print(f"{done.n_cases} drops in {done.wall_s:.0f} s: {done.report}")
 
@@ -132,7 +137,7 @@ def drop(
 
 
 @app.command()
-@takes((*LISTS_FLAGS, *SHARED_FLAGS))
+@takes(STUDY_FLAGS)
 def sweep(
     given: dict[str, Any],
     config: Config = None,
@@ -149,7 +154,7 @@ def sweep(
     Example: mpirun -n 2 bristle sweep --models beam,reduced --kn 1e5,2e6,1e8 --heights 0.01,0.05
     """
     from .command.sources import inputs_of
-    from .running.study import STUDY_FLAGS, StudyInputs
+    from .running.study import StudyInputs
     from .sweep import run_sweep
 
     inputs = inputs_of(StudyInputs, given, STUDY_FLAGS, config)
@@ -157,7 +162,7 @@ def sweep(
 
 
 @app.command()
-@takes((*LISTS_FLAGS, *SHARED_FLAGS))
+@takes(STUDY_FLAGS)
 def its(
     given: dict[str, Any],
     config: Config = None,
@@ -175,7 +180,6 @@ def its(
     """
     from .command.sources import inputs_of
     from .its import ItsInputs, run_its
-    from .running.study import STUDY_FLAGS
 
     inputs = inputs_of(ItsInputs, given, STUDY_FLAGS, config)
     run_its(inputs, out, resume=resume, ranks_per_case=ranks_per_case)
@@ -200,12 +204,12 @@ def scatter(
     from .scatter.inputs import ScatterInputs
     from .scatter.run import run_scatter
 
-    ignored = (*DROP_FLAGS, *LISTS_FLAGS)
-    run_scatter(inputs_of(ScatterInputs, given, SCATTER_FLAGS, config, ignored), out, resume=resume)
+    inputs = inputs_of(ScatterInputs, given, SCATTER_FLAGS, config, ANY_FLAGS)
+    run_scatter(inputs, out, resume=resume)
 
 
 @app.command()
-@takes((*BODY_FLAGS, *MESH_FLAGS))
+@takes(MESH_FLAGS)
 def mesh(
     given: dict[str, Any],
     config: Config = None,
@@ -223,8 +227,7 @@ def mesh(
     from .mesh import run_mesh
     from .running.files import prepare_folder_together
 
-    flags = (*BODY_FLAGS, *MESH_FLAGS)
-    inputs = inputs_of(MeshInputs, given, flags, config, ignored=(*DROP_FLAGS, *LISTS_FLAGS))
+    inputs = inputs_of(MeshInputs, given, MESH_FLAGS, config, ANY_FLAGS)
     prepare_folder_together(out)
     try:
         summary = run_mesh(inputs.mesh_spec(), out)
@@ -339,11 +342,11 @@ def close_loop(
 
     Example: bristle close-loop my-drops --seed 1 --out results/my-drops
     """
-    from .closeloop.run import LoopInputs, run_close_loop, summary
+    from .closeloop.fields import LoopInputs
+    from .closeloop.run import run_close_loop, summary
     from .command.sources import inputs_of
 
-    ignored = (*DROP_FLAGS, *LISTS_FLAGS)
-    inputs = inputs_of(LoopInputs, given, LOOP_FLAGS, config, ignored)
+    inputs = inputs_of(LoopInputs, given, LOOP_FLAGS, config, ANY_FLAGS)
     for name, value in summary(run_close_loop(dataset, out, inputs)):
         print(f"{name:<24}{value}")
     print(f"{'page':<24}{out / 'report.html'}")

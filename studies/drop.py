@@ -19,7 +19,7 @@ from ..solver.drop import DropResult
 from . import __version__
 from .command.choices import Model
 from .command.config import DropInputs
-from .command.flags import FLAT
+from .command.fields import FLAT
 from .command.limits import input_warnings, result_warnings
 from .command.sources import OPTIONS
 from .running import results

@@ -16,11 +16,11 @@ from mpi4py import MPI
 
 from ..solver import paper
 from ..solver.analytic import quarter_period_s
-from .command.config import Height, Its
+from .command.fields import Height, Its, Numbers
 from .page.figures import picture
 from .page.figures_its import error_figure, need_figure
 from .running.files import to_csv, write_atomically, write_picture
-from .running.study import Numbers, Row, Study, StudyInputs, run_study
+from .running.study import Row, Study, StudyInputs, run_study
 from .sections.convergence import Limit, Need, limit, need
 
 ITS_S = (1e-4, 3e-5, 1e-5, 3e-6, 1e-6, 3e-7, 1e-7)

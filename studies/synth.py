@@ -28,7 +28,7 @@ from ..solver.effects.library import enter_all
 from ..solver.errors import InputError
 from ..solver.fall import fallen, risen
 from . import __version__
-from .effects import EffectInput, read_effects
+from .command.effect_input import EffectInput, read_effects
 from .loop.table_drops import drops_of, its_s
 from .running.files import prepare_folder, to_json, together, write_atomically
 

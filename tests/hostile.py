@@ -16,7 +16,7 @@ from pathlib import Path
 from hypothesis import strategies as st
 
 from bristle.studies.cli import main
-from bristle.studies.command.flags import DROP_FLAGS, LISTS_FLAGS
+from bristle.studies.command.fields import DROP_FLAGS, LIST_FLAGS
 from bristle.studies.data import datasets
 
 ERROR = re.compile(r"^bristle: error: \S.*$")
@@ -141,7 +141,7 @@ def spoilt(draw, text):
 
 # --- configurations -------------------------------------------------------------------------------
 
-CONFIG_KEYS = [flag.name for flag in (*DROP_FLAGS, *LISTS_FLAGS)]
+CONFIG_KEYS = [flag.name for flag in (*DROP_FLAGS, *LIST_FLAGS)]
 SENSIBLE = {
     "kn": 2e6,
     "height": 0.05,

@@ -18,12 +18,11 @@ from hypothesis import strategies as st
 
 from bristle.studies import drop as drop_study
 from bristle.studies.cli import main
-from bristle.studies.command.flags import DROP_FLAGS
+from bristle.studies.command.fields import DROP_FLAGS
 
 pytestmark = pytest.mark.serial
 
 COMMANDS = ("reproduce", "drop", "sweep", "its", "mesh", "calibrate", "view")
-HEAVY = ("numpy", "scipy", "pydantic", "mpi4py", "dolfinx", "petsc4py", "gmsh", "matplotlib")
 ERROR = re.compile(r"^bristle: error: \S.*$")
 # the number of steps and elements decides how long a run takes, so it stays out of the lottery
 NUMERIC = [
@@ -48,18 +47,6 @@ def refused(*arguments):
     assert ERROR.match(lines[-1])
     assert "Traceback" not in "".join(lines)
     return lines[-1].removeprefix("bristle: error: ")
-
-
-@pytest.mark.parametrize("arguments", [[], ["--help"], ["drop", "--help"], ["--version"]], ids=str)
-def test_help_imports_nothing_heavy(arguments):
-    code = (
-        "import sys; from bristle.studies.cli import main; status = main(sys.argv[1:]);"
-        f"print([m for m in {HEAVY} if m in sys.modules]); sys.exit(status)"
-    )
-    done = python("-c", code, *arguments)
-    assert done.returncode == 0
-    assert done.stdout.splitlines()[-1] == "[]"
-    assert done.stderr == ""
 
 
 def test_without_arguments_it_says_what_to_do_next():

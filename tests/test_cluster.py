@@ -74,11 +74,11 @@ def test_slurm_runs_a_command_that_there_is():
     (launch,) = [line for line in joined(SCRIPT.read_text()) if line.startswith("srun")]
     words = shlex.split(launch)
     assert words[:4] == ["srun", "--mpi=pmix", "apptainer", "run"]
-    from bristle.studies.command.flags import LISTS_FLAGS
+    from bristle.studies.command.fields import LIST_FLAGS
 
     arguments = words[words.index("$image") + 1 :]
     assert arguments[0] == "sweep"
-    options = {flag.option for flag in LISTS_FLAGS} | {"--out"}
+    options = {flag.option for flag in LIST_FLAGS} | {"--out"}
     assert {word for word in arguments if word.startswith("--")} <= options
 
 

@@ -19,7 +19,8 @@ from bristle.solver.effects.library import EFFECTS, enter_all
 from bristle.solver.errors import InputError
 from bristle.solver.fall import dragged_fall, dragged_path, risen
 from bristle.studies.command.config import DropInputs
-from bristle.studies.effects import EffectInput, entered
+from bristle.studies.command.effect_input import EffectInput
+from bristle.studies.effects import entered
 from bristle.studies.running.cases import Workshop
 
 pytestmark = pytest.mark.serial

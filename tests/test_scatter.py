@@ -22,12 +22,12 @@ from bristle.solver.rigid import leaning, matrix_of, slope_normal
 from bristle.solver.time.march import Marcher
 from bristle.solver.time.scheme import TimeScheme
 from bristle.studies.command.config import DropInputs
-from bristle.studies.command.flags import DROP_FLAGS, LISTS_FLAGS
+from bristle.studies.command.fields import DROP_FLAGS, LIST_FLAGS
 from bristle.studies.command.sources import checked, inputs_of
 from bristle.studies.running.cases import run_case
 from bristle.studies.scatter import run as scatter_study
 from bristle.studies.scatter.conditions import draw, ground_of, ground_surface, ground_under
-from bristle.studies.scatter.flags import SCATTER_FLAGS
+from bristle.studies.scatter.fields import SCATTER_FLAGS
 from bristle.studies.scatter.inputs import ScatterInputs
 from bristle.studies.scatter.run import run_scatter
 from bristle.studies.surface.phases import Composite, Phase
@@ -251,7 +251,7 @@ def test_what_a_scatter_leaves(done):
 
 
 def test_a_scatter_repeats_from_its_own_result(done, tmp_path):
-    ignored = (*DROP_FLAGS, *LISTS_FLAGS)
+    ignored = (*DROP_FLAGS, *LIST_FLAGS)
     again = inputs_of(ScatterInputs, {}, SCATTER_FLAGS, done / "scatter.json", ignored)
     assert again == scatter(drops=120, seed=11)
     flat = inputs_of(ScatterInputs, {"flat": True}, SCATTER_FLAGS, done / "scatter.json", ignored)

@@ -14,7 +14,7 @@ pytestmark = pytest.mark.serial
 MESHED = {"dolfinx", "ufl", "basix", "ffcx", "petsc4py", "gmsh", "meshio", "h5py", "adios2"}
 PAGES = {"matplotlib", "pyvista", "vtkmodules", "jinja2", "PIL", "imageio"}
 STATISTICS = {"pandas", "statsmodels", "sklearn", "emcee"}
-NUMERICS = {"numpy", "scipy", "numba", "mpi4py", "pydantic"}
+NUMERICS = {"numpy", "scipy", "numba", "mpi4py"}
 COMMANDS = [info.name or info.callback.__name__ for info in app.registered_commands]
 
 CODE = """
@@ -41,9 +41,12 @@ def test_the_names_are_those_of_packages() -> None:
         assert find_spec(name) is not None, name
 
 
-@pytest.mark.parametrize("command", [(), *((name,) for name in COMMANDS)], ids="".join)
+HELP = [(), ("--version",), ("--help",), *((name, "--help") for name in COMMANDS)]
+
+
+@pytest.mark.parametrize("command", HELP, ids=" ".join)
 def test_help_loads_no_numerics(command: tuple[str, ...]) -> None:
-    status, names = loaded(*command, "--help")
+    status, names = loaded(*command)
     assert status == 0
     assert not names & (MESHED | PAGES | STATISTICS | NUMERICS)
 

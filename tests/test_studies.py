@@ -391,7 +391,7 @@ def test_history_and_numbers_tell_one_story(out):
 
 @serial
 def test_a_run_repeats_from_its_own_result(out, tmp_path):
-    from bristle.studies.command.flags import DROP_FLAGS
+    from bristle.studies.command.fields import DROP_FLAGS
     from bristle.studies.command.sources import inputs_of
 
     first = run_drop(drop(model="reduced", kn_N_m=5e6, until=0.3), out)

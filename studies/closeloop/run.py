@@ -12,17 +12,15 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import numpy as np
 from mpi4py import MPI
-from pydantic import BaseModel, ConfigDict
 
 from ...meshes.collective import run_on_one_rank
 from ...solver.compiled import in_turn
 from ...solver.errors import InputError
 from .. import __version__
-from ..command.config import Truth, between, whole
 from ..data.datasets import Manifest, read_manifest
 from ..loop.finding import Finding
 from ..loop.problem import Problem
@@ -31,20 +29,10 @@ from ..running.files import new_folders, prepare_folder, to_json, together, writ
 from ..running.parallel import share_out, start_petsc
 from ..running.progress import progress, working
 from .confirm import LEFT_OUT, Confirmation, confirm
-from .flags import ALARM
+from .fields import LoopInputs
 
 SCHEMA = "bristle-close-loop-1"
 VERDICT_FILE = "verdict.json"
-
-
-class LoopInputs(BaseModel):
-    """Every option of `bristle close-loop`, checked."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
-    seed: Annotated[int, whole(0, 2**32 - 1)] = 0
-    alarm: Annotated[float, between(1e-3, 0.3)] = ALARM
-    no_3d: Truth = False
 
 
 @dataclass(frozen=True)

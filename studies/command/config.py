@@ -7,9 +7,9 @@ frozen models in SI units that know how to become the solver's objects.
 from __future__ import annotations
 
 import math
-from typing import Annotated, Any, Self
+from typing import Any, Self
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, model_validator
+from pydantic import model_validator
 from pydantic_core import PydanticCustomError
 
 from ...meshes import geometry
@@ -25,113 +25,20 @@ from ...solver.effects.base import Scene
 from ...solver.ground import Ground
 from ...solver.rigid import slope_normal
 from ...solver.time.scheme import TimeScheme
-from ..effects import EffectInput, check_effects, read_effects, scene_of
+from ..effects import check_effects, scene_of
 from ..sections import stance
-from . import flags, limits
+from . import fields, limits
 from .choices import Contact, Deflection, Model, Scheme, Solver, Tip, Until
-from .mesh_file import REPLACED, MeshFile, read_mesh_file
+from .fields import DropFields, SharedFields, StepField, read_kn
+from .mesh_file import REPLACED
 
 
-def read_kn(value: Any) -> Any:
-    """A stiffness, infinity also as text, since JSON has no other way to write it."""
-    return math.inf if value in ("inf", "Infinity") else value
-
-
-def read_until(value: Any) -> Any:
-    """`impact`, `rebound` or a time after release in s, also as text."""
-    if isinstance(value, str) and value in tuple(Until):
-        return Until(value)
-    try:
-        seconds = math.nan if isinstance(value, bool) else float(value)
-    except (TypeError, ValueError):
-        seconds = math.nan
-    if not 0.0 < seconds <= limits.UNTIL_S:
-        raise ValueError(
-            f"must be impact, rebound or a time in seconds up to {limits.UNTIL_S:g}, not {value!r}"
-        )
-    return seconds
-
-
-def read_tip_shape(value: Any) -> Any:
-    """The shape of the end face as text, once it is one that `parse_tip_shape` knows."""
-    if isinstance(value, str):
-        value = value.strip()
-        parse_tip_shape(value)
-    return value
-
-
-def between(low: float, high: float) -> Any:
-    """A finite number from ``low`` to ``high``."""
-    return Field(strict=True, ge=low, le=high, allow_inf_nan=False)
-
-
-def whole(low: int, high: int) -> Any:
-    """A whole number from ``low`` to ``high``."""
-    return Field(strict=True, ge=low, le=high)
-
-
-def above_zero(high: float) -> Any:
-    """A positive number up to ``high``."""
-    return Field(strict=True, gt=0.0, le=high, allow_inf_nan=False)
-
-
-Count = Annotated[int, whole(1, 100_000)]
-Degree = Annotated[int, whole(1, 2)]
-Size = Annotated[float, between(1e-6, 1.0)]
-Tilt = Annotated[float, between(-limits.TILT_DEG, limits.TILT_DEG)]
-Slope = Annotated[float, between(-limits.SLOPE_DEG, limits.SLOPE_DEG)]
-Kn = Annotated[float, Field(strict=True, ge=1e-3), BeforeValidator(read_kn)]
-Height = Annotated[float, between(1e-7, 1e3)]
-Its = Annotated[float, between(1e-12, 1.0)]
-Truth = Annotated[bool, Field(strict=True)]
-
-
-class Inputs(BaseModel):
+class Inputs(SharedFields):
     """What a drop and a sweep share. SI units; angles in degrees.
 
     What is None in the command line's defaults is resolved here, so that a model holds everything
     that its run depends on.
     """
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
-    contact: Contact = Contact.PENALTY
-    friction: Annotated[float, between(0.0, 100.0)] = paper.FRICTION
-    kt_ratio: Annotated[float, between(1e-6, 1e6)] | None = None
-    tip: Tip = Tip.FACE
-    deflection: Deflection | None = None
-    tip_shape: Annotated[str, BeforeValidator(read_tip_shape)] = flags.FLAT
-    contact_points: Annotated[int, whole(3, limits.CONTACT_POINTS)] = flags.CONTACT_POINTS
-    theta: Annotated[int, whole(-1, 1)] | None = None
-    gamma0: Annotated[float, above_zero(1e6)] | None = None
-    mesh: Annotated[MeshFile, BeforeValidator(read_mesh_file)] | None = None
-    length_m: Annotated[float, between(1e-4, 100.0)] | None = None
-    width_m: Size | None = None
-    thickness_m: Size | None = None
-    diameter_m: Size | None = None
-    youngs_Pa: Annotated[float, between(1e3, 1e14)] = paper.YOUNGS_PA
-    poisson: Annotated[float, between(-0.99, 0.4999)] = paper.POISSON
-    density_kg_m3: Annotated[float, between(0.1, 1e6)] = paper.DENSITY_KG_M3
-    beta_s: Annotated[float, between(0.0, 1.0)] = paper.BETA_S
-    alpha_1_s: Annotated[float, between(0.0, 1e6)] = paper.ALPHA_1_S
-    gravity_m_s2: Annotated[float, between(1e-4, 1e4)] = paper.GRAVITY_M_S2
-    tilt_deg: Tilt = 0.0
-    tilt_wide_deg: Tilt = 0.0
-    slope_deg: Slope = 0.0
-    slope_wide_deg: Slope = 0.0
-    until: Annotated[Until | float, BeforeValidator(read_until)] = Until.REBOUND
-    effects: Annotated[tuple[EffectInput, ...], BeforeValidator(read_effects)] = ()
-    scheme: Scheme = Scheme.AVERAGE
-    rho_inf: Annotated[float, between(0.0, 1.0)] | None = None
-    march: Truth = False
-    elements: Annotated[int, whole(1, limits.ELEMENTS)] = paper.ELEMENTS
-    cells: tuple[Count, Count, Count] | None = None
-    geometry_order: Degree | None = None
-    grading: Annotated[float, between(1e-6, 1e6)] | None = None
-    order: Degree = 2
-    solver: Solver = Solver.AUTO
-    modes: Annotated[int, whole(1, limits.MODES)] = flags.MODES
-    reduction_tolerance: Annotated[float, above_zero(1.0)] = flags.REDUCTION_TOLERANCE
 
     @model_validator(mode="before")
     @classmethod
@@ -147,7 +54,7 @@ class Inputs(BaseModel):
         if data.get("contact") == Contact.NITSCHE:
             _default(data, "theta", 1)
         if data.get("scheme") == Scheme.GENERALISED:
-            _default(data, "rho_inf", flags.RHO_INF)
+            _default(data, "rho_inf", fields.RHO_INF)
         return data
 
     @model_validator(mode="after")
@@ -170,7 +77,7 @@ class Inputs(BaseModel):
 
     def _check_tip(self) -> None:
         """Refuse an end face that is no face, or does not fit on the section."""
-        if self.tip_shape == flags.FLAT:
+        if self.tip_shape == fields.FLAT:
             return
         if self.mesh is not None:
             refuse("tip_shape", "excluded by --mesh, whose tip has the shape of its facets")
@@ -190,7 +97,7 @@ class Inputs(BaseModel):
         """
         if self.mesh is not None and not self.mesh.read().straight:
             return True
-        return any(getattr(self, name) for name in stance.ANGLES) or self.tip_shape != flags.FLAT
+        return any(getattr(self, name) for name in stance.ANGLES) or self.tip_shape != fields.FLAT
 
     def face(self) -> TipShape:
         """The shape of the end face."""
@@ -215,7 +122,7 @@ class Inputs(BaseModel):
         return geometry.MeshSpec(
             self.length_m or paper.LENGTH_M,
             self.end_section(),
-            self.cells or flags.CELLS,
+            self.cells or fields.CELLS,
             self.geometry_order or 1,
             self.grading or 1.0,
         )
@@ -258,15 +165,8 @@ class MeshInputs(Inputs):
         return self
 
 
-class DropInputs(Inputs):
+class DropInputs(Inputs, DropFields, StepField):
     """One drop: every option of `bristle drop`, resolved and checked."""
-
-    model: Model = Model.REDUCED
-    kn_N_m: Kn = paper.KN_CHOSEN_N_M
-    height_m: Height = paper.HEIGHTS_M[-1]
-    its_s: Its = paper.ITS_S
-    write_fields: Truth = True
-    write_every: Annotated[int, whole(1, 1_000_000)] | None = None
 
     @model_validator(mode="before")
     @classmethod
@@ -325,7 +225,7 @@ class DropInputs(Inputs):
             refuse("contact", f"{only} with contact by penalty or nitsche")
         if self.march:
             refuse("march", f"{only} in impacts alone")
-        if self.tip_shape != flags.FLAT:
+        if self.tip_shape != fields.FLAT:
             refuse("tip_shape", f"{only} with a flat end face")
 
     @property
@@ -382,7 +282,7 @@ class DropInputs(Inputs):
         for field in stance.ANGLES:
             if getattr(self, field):
                 refuse(field, f"{only}: it falls upright on a level surface")
-        if self.tip_shape != flags.FLAT:
+        if self.tip_shape != fields.FLAT:
             refuse("tip_shape", f"{only}: it has no end face")
 
     def friction_law(self) -> Coulomb:
@@ -449,7 +349,7 @@ def _resolve_shape(data: dict[str, Any]) -> None:
     if data.get("diameter_m") is None:
         _default(data, "width_m", paper.WIDTH_M)
         _default(data, "thickness_m", paper.THICKNESS_M)
-    _default(data, "cells", flags.CELLS)
+    _default(data, "cells", fields.CELLS)
     _default(data, "grading", 1.0)
     _default(data, "geometry_order", 1 if data.get("diameter_m") is None else 2)
 

@@ -12,21 +12,15 @@ from ...solver.drop import DropResult
 from ...solver.fall import free_fall
 from ..sections.stance import lean_deg, narrow_zone, slowest_bending_1_s, surface_normal
 from .choices import Contact, Deflection, Model, Scheme, Tip, Until
-from .flags import FLAT
+from .fields import FLAT, MOST_CONTACT_POINTS
 
 if TYPE_CHECKING:
     from .config import DropInputs, Inputs
 
-ELEMENTS = 1000
-MODES = 1000
-CONTACT_POINTS = 33
-TILT_DEG = 80.0
-SLOPE_DEG = 60.0
 UNKNOWNS = 10_000_000
 STEPS = 2_000_000
 # Far above any tip's own stiffness; beyond it a penetration is lost in the rounding of heights.
 KN_N_M = 1e12
-UNTIL_S = 60.0
 # An impact of fewer steps than one in ten is none at all.
 LONGEST_STEP = 10.0
 # Damped free fall differs from undamped by less than its rounding below this.
@@ -231,7 +225,7 @@ def _zone_warnings(inputs: DropInputs, result: DropResult) -> list[str]:
     if found is None:
         return []
     width, spacing = found
-    more = range(inputs.contact_points + 1, CONTACT_POINTS + 1)
+    more = range(inputs.contact_points + 1, MOST_CONTACT_POINTS + 1)
     enough = next((n for n in more if narrow_zone(inputs, depth, n) is None), None)
     remedy = "lean it less" if enough is None else f"take --contact-points {enough} or more"
     return [

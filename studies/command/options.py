@@ -12,7 +12,8 @@ from typing import Annotated, Any
 import click
 import typer
 
-from .flags import OUTPUT, Flag
+from .fields import OUTPUT
+from .flags import Flag
 
 Config = Annotated[
     Path | None,
@@ -87,16 +88,16 @@ def takes(flags: Iterable[Flag]) -> Callable[[Callable[..., None]], Callable[...
 
 
 def _parameter(flag: Flag) -> inspect.Parameter:
-    names = [flag.option, *([flag.alias] if flag.alias else [])]
-    if flag.kind is bool:
-        names = [f"{flag.option}/--no-{flag.name}" if flag.default else flag.option]
-    default = flag.default_text()
+    names = flag.spellings
+    if flag.kind is bool and flag.default:
+        names = (f"{flag.option}/--no-{flag.name}",)
+    said, default = flag.said, flag.default_text()
     option = typer.Option(
         *names,
-        help=flag.help + (f" [default: {default}]" if default else ""),
-        metavar=flag.metavar,
+        help=said.help + (f" [default: {default}]" if default else ""),
+        metavar=said.metavar,
         show_default=False,
-        rich_help_panel=flag.group,
+        rich_help_panel=said.group,
         click_type=_click_type(flag),
     )
     return inspect.Parameter(

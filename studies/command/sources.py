@@ -13,12 +13,13 @@ from pydantic import BaseModel, ValidationError
 
 from ...solver.errors import InputError
 from ..data.texts import parse_json, parse_toml, quoted, read_text
-from ..scatter.flags import OWN_FLAGS
-from .flags import DROP_FLAGS, LISTS_FLAGS, Flag
+from ..scatter.fields import OWN_FLAGS
+from .fields import DROP_FLAGS, LIST_FLAGS
+from .flags import Flag
 from .mesh_file import REPLACED
 
 Checked = TypeVar("Checked", bound=BaseModel)
-OPTIONS = {flag.field: flag.option for flag in (*OWN_FLAGS, *DROP_FLAGS, *LISTS_FLAGS)}
+OPTIONS = {flag.field: flag.option for flag in (*OWN_FLAGS, *DROP_FLAGS, *LIST_FLAGS)}
 
 DEPENDENTS = {
     "diameter_m": ("width_m", "thickness_m", "geometry_order"),
@@ -117,11 +118,10 @@ def read_config(path: Path, flags: Iterable[Flag], ignored: Iterable[Flag] = ())
 
 def _fields_by_key(flags: Iterable[Flag]) -> dict[str, str]:
     """Every spelling of a key, and the field that it sets."""
-    found = {}
+    found: dict[str, str] = {}
     for flag in flags:
-        alias = (flag.alias or flag.option).removeprefix("--")
-        for key in (flag.name, flag.parameter, flag.field, alias):
-            found[key] = flag.field
+        spelt = (each.removeprefix("--") for each in flag.spellings)
+        found |= dict.fromkeys((*spelt, flag.parameter, flag.field), flag.field)
     return found
 
 

@@ -10,7 +10,7 @@ from ...solver import paper
 from ...solver.drop import DropResult
 from ..command.choices import Contact, Model, Tip
 from ..command.config import DropInputs
-from ..command.flags import FLAT
+from ..command.fields import FLAT
 from ..page.report import Section
 from ..sections.stance import ANGLES
 from .cases import Workshop

@@ -39,7 +39,7 @@ from ...solver.plain_march import march_plainly
 from ...solver.time.march import ContactMarch, Marcher
 from ..command.choices import Contact, Model, Solver, Tip, Until
 from ..command.config import DropInputs
-from ..command.flags import FLAT
+from ..command.fields import FLAT
 from ..command.limits import marching_time_s
 from ..effects import Entered, entered, seen
 from ..sections.stance import face_offsets_m

@@ -7,19 +7,18 @@ import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Self
+from typing import Any, Self
 
 import numpy as np
 from mpi4py import MPI
-from pydantic import BeforeValidator, model_validator
+from pydantic import model_validator
 
 from ...meshes.collective import run_on_one_rank
-from ...solver import paper
 from ...solver.drop import DropResult
 from .. import __version__
 from ..command.choices import Model
-from ..command.config import DropInputs, Height, Inputs, Its, Kn
-from ..command.flags import LISTS_FLAGS, SHARED_FLAGS
+from ..command.config import DropInputs, Inputs
+from ..command.fields import HeightsField, ListFields
 from ..command.limits import input_warnings, result_warnings
 from ..command.sources import checked
 from . import results
@@ -30,7 +29,6 @@ from .journal import Journal
 from .parallel import share_out
 from .progress import progress, say, warn, working
 
-STUDY_FLAGS = (*LISTS_FLAGS, *SHARED_FLAGS)
 CASES = 100_000
 TABLE_FILE = "table.csv"
 COLUMNS = (
@@ -61,36 +59,8 @@ CURVE_POINTS = 120
 Row = dict[str, Any]
 
 
-def read_list(value: Any) -> Any:
-    """Items of a text separated by commas, of a list, or one alone."""
-    if isinstance(value, str):
-        value = [item.strip() for item in value.split(",")]
-    return tuple(value) if isinstance(value, list | tuple) else (value,)
-
-
-def read_numbers(value: Any) -> Any:
-    """Numbers of a text separated by commas, of a list, or one alone."""
-    return tuple(_number(item) for item in read_list(value))
-
-
-def _number(item: Any) -> Any:
-    try:
-        return float(item) if isinstance(item, str) else item
-    except ValueError:
-        raise ValueError(f"must be numbers separated by commas; '{item}' is none") from None
-
-
-Models = Annotated[tuple[Model, ...], BeforeValidator(read_list)]
-Numbers = BeforeValidator(read_numbers)
-
-
-class StudyInputs(Inputs):
+class StudyInputs(Inputs, ListFields, HeightsField):
     """Lists of models, stiffnesses, heights and time steps: a case for each combination."""
-
-    models: Models = (Model.BEAM, Model.REDUCED)
-    kn_N_m: Annotated[tuple[Kn, ...], Numbers] = paper.KN_N_M
-    heights_m: Annotated[tuple[Height, ...], Numbers] = paper.HEIGHTS_M
-    its_s: Annotated[tuple[Its, ...], Numbers] = (paper.ITS_S,)
 
     @model_validator(mode="before")
     @classmethod

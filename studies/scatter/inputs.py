@@ -2,21 +2,17 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Self
+from typing import Any, Self
 
-from pydantic import Field, model_validator
+from pydantic import model_validator
 
-from ...solver import paper
 from ..command.choices import Contact, Model, Scheme, Until
-from ..command.config import DropInputs, Height, Inputs, Its, Kn, Truth, between, refuse, whole
+from ..command.config import DropInputs, Inputs, refuse
+from ..command.fields import HeightsField, StepField
 from ..command.sources import checked
-from ..running.study import Numbers
-from . import flags as flags
+from . import fields
+from .fields import ScatterFields
 
-MOST_DROPS = 1_000_000
-SEEDS = 2**32 - 1
-# Beyond it a normal lean would reach what cannot land on the end face.
-MOST_TILT_STD_DEG = 15.0
 # Inputs of a drop that a scatter has no use for, and why.
 FIXED: dict[str, tuple[Any, str]] = {
     "slope_deg": (0.0, "the slope comes from the surface; lean the bristle by --tilt"),
@@ -29,24 +25,11 @@ FIXED: dict[str, tuple[Any, str]] = {
 }
 
 
-class ScatterInputs(Inputs):
+class ScatterInputs(Inputs, ScatterFields, HeightsField, StepField):
     """Every option of `bristle scatter`, resolved and checked.
 
     ``tilt_deg`` and ``tilt_wide_deg`` are the means about which the lean scatters.
     """
-
-    model: Model = Model.REDUCED
-    kn_N_m: Kn = paper.KN_CHOSEN_N_M
-    heights_m: Annotated[tuple[Height, ...], Numbers, Field(min_length=1)] = paper.HEIGHTS_M
-    its_s: Its = paper.ITS_S
-    drops: Annotated[int, whole(1, MOST_DROPS)] = flags.DROPS
-    seed: Annotated[int, whole(0, SEEDS)] = 0
-    tilt_std_deg: Annotated[float, between(0.0, MOST_TILT_STD_DEG)] = flags.TILT_STD_DEG
-    rms_height_m: Annotated[float, between(0.0, 0.1)] | None = None
-    correlation_length_m: Annotated[float, between(1e-6, 1.0)] | None = None
-    surface: Annotated[str, Field(min_length=1)] | None = None
-    surface_seed: Annotated[int, whole(0, SEEDS)] = 0
-    flat: Truth = False
 
     @model_validator(mode="before")
     @classmethod
@@ -54,8 +37,8 @@ class ScatterInputs(Inputs):
         """Fill in the roughness of a surface that is made."""
         if isinstance(data, dict) and not data.get("flat") and data.get("surface") is None:
             made = {
-                "rms_height_m": flags.RMS_HEIGHT_M,
-                "correlation_length_m": flags.CORRELATION_LENGTH_M,
+                "rms_height_m": fields.RMS_HEIGHT_M,
+                "correlation_length_m": fields.CORRELATION_LENGTH_M,
             }
             data = {**data, **{key: value for key, value in made.items() if data.get(key) is None}}
         return data

@@ -1,0 +1,532 @@
+"""Inputs of a drop and of sweeps: type, bounds, unit, default and help of each, declared once.
+
+SI units, angles in degrees; the unit is the end of a field's name. `config` adds what inputs have
+to do with each other and makes the solver's objects of them. Flags, keys of TOML files, `--help`
+and keyword arguments in Python come from these fields. Nothing heavy is imported here.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Annotated, Any
+
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
+
+from ...solver import paper
+from .choices import Contact, Deflection, Model, Scheme, Solver, Tip, Until
+from .effect_input import EffectInput, read_effects
+from .flags import Option, flags_of
+from .mesh_file import MeshFile, read_mesh_file
+
+MODEL, CONTACT, BODY = "Model", "Contact", "Bristle"
+DROP, TIME, MESH, OUTPUT = "Drop", "Time", "Discretisation", "Files"
+
+CELLS = (1, 4, 337)
+MODES = 40
+REDUCTION_TOLERANCE = 1e-3
+RHO_INF = 0.8
+# solver.bristle.CONTACT_POINTS, which cannot be imported without numpy.
+CONTACT_POINTS, MOST_CONTACT_POINTS = 9, 33
+FLAT = "flat"
+# Mindlin's 2(1-nu)/(2-nu), see solver.contact.laws.
+KT_RATIO = 2.0 * (1.0 - paper.POISSON) / (2.0 - paper.POISSON)
+LONGEST_S = 60.0
+
+
+def read_kn(value: Any) -> Any:
+    """A stiffness, infinity also as text, since JSON has no other way to write it."""
+    return math.inf if value in ("inf", "Infinity") else value
+
+
+def read_until(value: Any) -> Any:
+    """`impact`, `rebound` or a time after release in s, also as text."""
+    if isinstance(value, str) and value in tuple(Until):
+        return Until(value)
+    try:
+        seconds = math.nan if isinstance(value, bool) else float(value)
+    except (TypeError, ValueError):
+        seconds = math.nan
+    if not 0.0 < seconds <= LONGEST_S:
+        raise ValueError(
+            f"must be impact, rebound or a time in seconds up to {LONGEST_S:g}, not {value!r}"
+        )
+    return seconds
+
+
+def read_tip_shape(value: Any) -> Any:
+    """The shape of the end face as text, once it is one that `parse_tip_shape` knows."""
+    if isinstance(value, str):
+        from ...meshes.tip_shape import parse_tip_shape
+
+        value = value.strip()
+        parse_tip_shape(value)
+    return value
+
+
+def read_list(value: Any) -> Any:
+    """Items of a text separated by commas, of a list, or one alone."""
+    if isinstance(value, str):
+        value = [item.strip() for item in value.split(",")]
+    return tuple(value) if isinstance(value, list | tuple) else (value,)
+
+
+def read_numbers(value: Any) -> Any:
+    """Numbers of a text separated by commas, of a list, or one alone."""
+    return tuple(_number(item) for item in read_list(value))
+
+
+def _number(item: Any) -> Any:
+    try:
+        return float(item) if isinstance(item, str) else item
+    except ValueError:
+        raise ValueError(f"must be numbers separated by commas; '{item}' is none") from None
+
+
+def between(low: float, high: float) -> Any:
+    """A finite number from ``low`` to ``high``."""
+    return Field(strict=True, ge=low, le=high, allow_inf_nan=False)
+
+
+def whole(low: int, high: int) -> Any:
+    """A whole number from ``low`` to ``high``."""
+    return Field(strict=True, ge=low, le=high)
+
+
+def above_zero(high: float) -> Any:
+    """A positive number up to ``high``."""
+    return Field(strict=True, gt=0.0, le=high, allow_inf_nan=False)
+
+
+Count = Annotated[int, whole(1, 100_000)]
+Degree = Annotated[int, whole(1, 2)]
+Size = Annotated[float, between(1e-6, 1.0)]
+Tilt = Annotated[float, between(-80.0, 80.0)]
+Slope = Annotated[float, between(-60.0, 60.0)]
+Kn = Annotated[float, Field(strict=True, ge=1e-3), BeforeValidator(read_kn)]
+Height = Annotated[float, between(1e-7, 1e3)]
+Its = Annotated[float, between(1e-12, 1.0)]
+Truth = Annotated[bool, Field(strict=True)]
+Numbers = BeforeValidator(read_numbers)
+
+
+class Fields(BaseModel):
+    """Base of inputs: they are frozen, and have no other fields than those declared."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+
+class BodyFields(Fields):
+    """Measures of the bristle."""
+
+    length_m: Annotated[
+        Annotated[float, between(1e-4, 100.0)] | None,
+        Option("length", BODY, "Length of the bristle.", "M", f"{paper.LENGTH_M:g}"),
+    ] = None
+    width_m: Annotated[
+        Size | None, Option("width", BODY, "Wide side of a flat wire.", "M", f"{paper.WIDTH_M:g}")
+    ] = None
+    thickness_m: Annotated[
+        Size | None,
+        Option("thickness", BODY, "Thin side of a flat wire.", "M", f"{paper.THICKNESS_M:g}"),
+    ] = None
+    diameter_m: Annotated[
+        Size | None,
+        Option("diameter", BODY, "A round wire instead; excludes --width and --thickness.", "M"),
+    ] = None
+
+
+class MeshFileField(Fields):
+    """A bristle of any shape."""
+
+    mesh: Annotated[
+        MeshFile | None,
+        BeforeValidator(read_mesh_file),
+        Option(
+            "mesh",
+            BODY,
+            "A bristle of any shape instead, for the models reduced (then the default) and solid: "
+            "gmsh's mesh of hexahedra or tetrahedra in metres, upright along z, the facets that "
+            "may touch in a physical group 'tip'. Excludes --length, --width, --thickness, "
+            "--diameter, --cells, --grading, --geometry-order and --tip-shape.",
+            "FILE.msh",
+            kind=str,
+        ),
+    ] = None
+
+
+class MaterialFields(Fields):
+    """Elasticity, density and Rayleigh damping."""
+
+    youngs_Pa: Annotated[
+        float, between(1e3, 1e14), Option("youngs", BODY, "Young's modulus.", "PA")
+    ] = paper.YOUNGS_PA
+    poisson: Annotated[
+        float, between(-0.99, 0.4999), Option("poisson", BODY, "Poisson's ratio.", "NU")
+    ] = paper.POISSON
+    density_kg_m3: Annotated[
+        float, between(0.1, 1e6), Option("density", BODY, "Density.", "KG/M3")
+    ] = paper.DENSITY_KG_M3
+    beta_s: Annotated[
+        float,
+        between(0.0, 1.0),
+        Option(
+            "beta", BODY, "Rayleigh damping of the material in proportion to its stiffness.", "S"
+        ),
+    ] = paper.BETA_S
+    alpha_1_s: Annotated[
+        float,
+        between(0.0, 1e6),
+        Option("alpha", BODY, "Rayleigh damping in proportion to its mass.", "1/S"),
+    ] = paper.ALPHA_1_S
+
+
+class MeshFields(Fields):
+    """The mesh of hexahedra."""
+
+    cells: Annotated[
+        tuple[Count, Count, Count] | None,
+        Option(
+            "cells",
+            MESH,
+            "Hexahedra across the thickness, across the width and along the bristle. Round wire: "
+            "along each side of the core, in the ring around it, along the bristle.",
+            "NX NY NZ",
+            " ".join(map(str, CELLS)),
+        ),
+    ] = None
+    geometry_order: Annotated[
+        Degree | None,
+        Option(
+            "geometry-order",
+            MESH,
+            "1: straight cell edges; 2: curved ones.",
+            "1|2",
+            "1; 2 for a round wire",
+        ),
+    ] = None
+    grading: Annotated[
+        Annotated[float, between(1e-6, 1e6)] | None,
+        Option(
+            "grading", MESH, "Length of the cell at the top over that at the tip.", "RATIO", "1"
+        ),
+    ] = None
+
+
+class DiscretisationFields(MeshFields):
+    """Finite elements, and what solves their equations."""
+
+    elements: Annotated[
+        int, whole(1, 1000), Option("elements", MESH, "Elements of the beam.", "N")
+    ] = paper.ELEMENTS
+    order: Annotated[Degree, Option("order", MESH, "Polynomial degree of the solid.", "1|2")] = 2
+    solver: Annotated[
+        Solver,
+        Option(
+            "solver",
+            MESH,
+            "How the solid's equations are solved: auto is direct as long as factors take less "
+            "than 8 GB; snes is Newton's method on the assembled form of a whole step, contact "
+            "included, as a reference.",
+        ),
+    ] = Solver.AUTO
+    modes: Annotated[
+        int,
+        whole(1, 1000),
+        Option(
+            "modes",
+            MESH,
+            "Krylov vectors of the reduced solid to begin with; it takes more where its error "
+            "asks.",
+            "N",
+        ),
+    ] = MODES
+    reduction_tolerance: Annotated[
+        float,
+        above_zero(1.0),
+        Option(
+            "reduction-tolerance",
+            MESH,
+            "Largest error of the reduced solid against the full order, in units of the impact "
+            "speed.",
+        ),
+    ] = REDUCTION_TOLERANCE
+
+
+class ContactFields(Fields):
+    """What meets the surface, and how contact is enforced."""
+
+    contact: Annotated[Contact, Option("contact", CONTACT, "How contact is enforced.")] = (
+        Contact.PENALTY
+    )
+    deflection: Annotated[
+        Deflection | None,
+        Option(
+            "deflection",
+            MODEL,
+            "small: linear bodies. second-order: the axial force acts on the slope, as in a "
+            "column, for beam and reduced under the average acceleration. finite: strain and "
+            "rotation of any size, for the solid.",
+            shown="where it leans: finite for the solid, else second-order up to 10 degrees",
+        ),
+    ] = None
+    friction: Annotated[
+        float,
+        between(0.0, 100.0),
+        Option(
+            "friction",
+            CONTACT,
+            "Coulomb's coefficient. It acts where bristle or surface leans or the tip is not flat; "
+            "a flat tip that lands upright on a level surface does not slide, and friction is left "
+            "out there.",
+            "MU",
+        ),
+    ] = paper.FRICTION
+    kt_ratio: Annotated[
+        Annotated[float, between(1e-6, 1e6)] | None,
+        Option(
+            "kt-ratio",
+            CONTACT,
+            "Tangential over normal contact stiffness, where there is friction.",
+            "RATIO",
+            f"{KT_RATIO:.4g} for steel, Mindlin's 2(1-nu)/(2-nu)",
+        ),
+    ] = None
+    tip: Annotated[
+        Tip,
+        Option(
+            "tip",
+            CONTACT,
+            "The end section meets the surface point by point, or, as in the paper, with one node "
+            "on the axis (beam only; right for upright drops alone).",
+        ),
+    ] = Tip.FACE
+    tip_shape: Annotated[
+        str,
+        BeforeValidator(read_tip_shape),
+        Option(
+            "tip-shape",
+            CONTACT,
+            "The end face: flat, chamfer:width=M,angle=DEG, rounded:radius=M, or "
+            "worn:angle=DEG,direction=DEG, standing back most toward that direction from the thin "
+            "side. It shifts where contact points stand, for the gap alone: the body keeps its "
+            "mass and stiffness, and the solid its flat mesh.",
+            "SHAPE",
+        ),
+    ] = FLAT
+    contact_points: Annotated[
+        int,
+        whole(3, MOST_CONTACT_POINTS),
+        Option(
+            "contact-points",
+            CONTACT,
+            "Points across each side of the end section that can touch, its edges among them; the "
+            "solid has at least as many.",
+            "N",
+        ),
+    ] = CONTACT_POINTS
+    theta: Annotated[
+        Annotated[int, whole(-1, 1)] | None,
+        Option(
+            "theta",
+            CONTACT,
+            "Nitsche's variant: 1 symmetric, 0 incomplete, -1 skew.",
+            "1|0|-1",
+            "1",
+        ),
+    ] = None
+    gamma0: Annotated[
+        Annotated[float, above_zero(1e6)] | None,
+        Option(
+            "gamma0", CONTACT, "Nitsche's stabilisation.", "NUMBER", "10, or 2 on a rigid plane"
+        ),
+    ] = None
+
+
+class PlaceFields(Fields):
+    """How bristle and surface stand, and what else acts."""
+
+    gravity_m_s2: Annotated[
+        float, between(1e-4, 1e4), Option("gravity", DROP, "Gravity.", "M/S2")
+    ] = paper.GRAVITY_M_S2
+    tilt_deg: Annotated[
+        Tilt,
+        Option(
+            "tilt",
+            DROP,
+            "How far the bristle's upper end leans toward its thin side, from vertical.",
+            "DEGREES",
+        ),
+    ] = 0.0
+    tilt_wide_deg: Annotated[
+        Tilt, Option("tilt-wide", DROP, "The same toward its wide side.", "DEGREES")
+    ] = 0.0
+    slope_deg: Annotated[
+        Slope,
+        Option(
+            "slope",
+            DROP,
+            "How far the surface's normal leans toward the thin side, from vertical.",
+            "DEGREES",
+        ),
+    ] = 0.0
+    slope_wide_deg: Annotated[
+        Slope, Option("slope-wide", DROP, "The same toward the wide side.", "DEGREES")
+    ] = 0.0
+    until: Annotated[
+        Until | float,
+        BeforeValidator(read_until),
+        Option(
+            "until",
+            DROP,
+            "Where to stop: after the first impact, after the rebound, or a time after release.",
+            "impact|rebound|SECONDS",
+            kind=str,
+        ),
+    ] = Until.REBOUND
+    effects: Annotated[
+        tuple[EffectInput, ...],
+        BeforeValidator(read_effects),
+        Option(
+            "effect",
+            DROP,
+            "A further piece of physics, repeatable, e.g. contact_damping:c_N_s_m=5; what differs "
+            "from drop to drop stands one standard deviation out.",
+            "NAME:PARAM=VALUE,…",
+            kind=list,
+        ),
+    ] = ()
+
+
+class TimeFields(Fields):
+    """The time scheme."""
+
+    scheme: Annotated[
+        Scheme,
+        Option(
+            "scheme",
+            TIME,
+            "average conserves energy in contact; newmark is the average acceleration with contact "
+            "at the end of the step; generalised is generalised-alpha.",
+        ),
+    ] = Scheme.AVERAGE
+    rho_inf: Annotated[
+        Annotated[float, between(0.0, 1.0)] | None,
+        Option(
+            "rho-inf",
+            TIME,
+            "Spectral radius of generalised-alpha at infinite frequency.",
+            "0…1",
+            f"{RHO_INF:g}",
+        ),
+    ] = None
+    march: Annotated[
+        Truth,
+        Option(
+            "march",
+            TIME,
+            "March all of the drop at ITS, to check the exact flight between impacts. Rotation is "
+            "linearised about the release, so a leaning bristle is right only while it has turned "
+            "little.",
+        ),
+    ] = False
+
+
+class SharedFields(
+    DiscretisationFields,
+    TimeFields,
+    PlaceFields,
+    MaterialFields,
+    MeshFileField,
+    BodyFields,
+    ContactFields,
+):
+    """What a drop and a sweep share."""
+
+
+class StepField(Fields):
+    """The time step of one drop."""
+
+    its_s: Annotated[Its, Option("its", TIME, "Integration time step.", "S")] = paper.ITS_S
+
+
+class DropFields(Fields):
+    """Model, stiffness and height of one drop, and its output."""
+
+    model: Annotated[
+        Model,
+        Option(
+            "model",
+            MODEL,
+            "reduced: the 3-D solid in few unknowns; solid: at full order; beam; analytic: a mass "
+            "on a spring.",
+        ),
+    ] = Model.REDUCED
+    kn_N_m: Annotated[
+        Kn,
+        Option(
+            "kn",
+            CONTACT,
+            "Normal contact stiffness; 'inf' with nitsche and augmented.",
+            "N/M",
+        ),
+    ] = paper.KN_CHOSEN_N_M
+    height_m: Annotated[
+        Height, Option("height", DROP, "Height of the lower tip over the surface.", "M")
+    ] = paper.HEIGHTS_M[-1]
+    write_fields: Annotated[
+        Truth,
+        Option("fields", OUTPUT, "ParaView output of the solid, which it has unless --no-fields."),
+    ] = True
+    write_every: Annotated[
+        Annotated[int, whole(1, 1_000_000)] | None,
+        Option(
+            "write-every",
+            OUTPUT,
+            "Steps from one instant of the ParaView output to the next.",
+            "N",
+            "40 instants in 2L/c",
+        ),
+    ] = None
+
+
+class HeightsField(Fields):
+    """Several heights."""
+
+    heights_m: Annotated[
+        tuple[Height, ...],
+        Numbers,
+        Field(min_length=1),
+        Option("heights", DROP, "Heights, separated by commas.", "M,…", "", "--height", str),
+    ] = paper.HEIGHTS_M
+
+
+class ListFields(Fields):
+    """Several models, stiffnesses and time steps."""
+
+    models: Annotated[
+        tuple[Model, ...],
+        BeforeValidator(read_list),
+        Option("models", MODEL, "Models, separated by commas.", "MODEL,…", "", "--model", str),
+    ] = (Model.BEAM, Model.REDUCED)
+    kn_N_m: Annotated[
+        tuple[Kn, ...],
+        Numbers,
+        Option(
+            "kn",
+            CONTACT,
+            "Normal contact stiffnesses, separated by commas.",
+            "N/M,…",
+            "",
+            kind=str,
+        ),
+    ] = paper.KN_N_M
+    its_s: Annotated[
+        tuple[Its, ...],
+        Numbers,
+        Option("its", TIME, "Integration time steps, separated by commas.", "S,…", "", kind=str),
+    ] = (paper.ITS_S,)
+
+
+DROP_FLAGS = flags_of(DropFields, StepField, SharedFields)
+LIST_FLAGS = flags_of(ListFields, HeightsField)
+STUDY_FLAGS = flags_of(ListFields, HeightsField, SharedFields)
