@@ -6,7 +6,7 @@ Also a script: ``mpirun -n 2 python3 -m bristle.studies.drop --model solid``.
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, cast
@@ -58,21 +58,44 @@ def run_drop(
     if there is not None:
         say(f"{out / results.RESULT_FILE} is finished already, nothing to do")
         return there
-    warnings = input_warnings(inputs)
-    for message in warnings:
-        warn(message)
+    _warn_before(inputs)
     with _by_rank_0(together(out, results.RESULT_FILE), comm):
         keeping = Keeping(out / CHECKPOINT, keep_s, resume)
         with compilation_noted():
             result, timings = _compute(inputs, out, comm, keeping)
-        for message in result_warnings(inputs, result):
-            warnings.append(message)
-            warn(message)
-        memory = results.peak_rss_MB(comm)
-        document = results.drop_document(inputs, result, timings, warnings, memory, comm.size)
+        document = _document(inputs, result, timings, comm)
         written = run_on_one_rank(comm, lambda: results.write_drop(out, document, result))
     run_on_one_rank(comm, lambda: remove(out / CHECKPOINT))
     return written
+
+
+def simulate_drop(
+    inputs: DropInputs, comm: MPI.Intracomm = MPI.COMM_WORLD
+) -> tuple[dict[str, Any], DropResult]:
+    """Compute a drop without writing anything: what result.json would hold, and the result.
+
+    Collective; raises ComputationError.
+    """
+    _warn_before(inputs)
+    with compilation_noted(), Workshop(comm) as workshop:
+        result, timings = workshop.run(inputs)
+    return _document(inputs, result, timings, comm), result
+
+
+def _warn_before(inputs: DropInputs) -> None:
+    for message in input_warnings(inputs):
+        warn(message)
+
+
+def _document(
+    inputs: DropInputs, result: DropResult, timings: Timings, comm: MPI.Intracomm
+) -> dict[str, Any]:
+    """What result.json holds; warns of what the result shows."""
+    after = result_warnings(inputs, result)
+    for message in after:
+        warn(message)
+    warnings, memory = [*input_warnings(inputs), *after], results.peak_rss_MB(comm)
+    return results.drop_document(inputs, result, timings, warnings, memory, comm.size)
 
 
 def _prepare(inputs: DropInputs, out: Path, resume: bool) -> dict[str, Any] | None:
@@ -185,7 +208,7 @@ def _by_rank_0[Made](context: AbstractContextManager[Made], comm: MPI.Intracomm)
     run_on_one_rank(comm, lambda: context.__exit__(None, None, None) and None)
 
 
-def summary(document: dict[str, Any]) -> list[tuple[str, str]]:
+def summary(document: Mapping[str, Any]) -> list[tuple[str, str]]:
     """The few numbers of a result that a user looks for first, as names and texts."""
     leaning = any(document["inputs"][name] for name in ANGLES) or (
         document["inputs"]["tip_shape"] != FLAT
@@ -212,7 +235,7 @@ def summary(document: dict[str, Any]) -> list[tuple[str, str]]:
     return [*rows, ("wall time", f"{document['wall_s']['total']:.3g} s")]
 
 
-def _centre(document: dict[str, Any]) -> list[tuple[str, str]]:
+def _centre(document: Mapping[str, Any]) -> list[tuple[str, str]]:
     ratio = document["cm_rebound_ratio"]
     return [] if ratio is None else [("centre of mass y1/y0", f"{ratio:.4g}")]
 

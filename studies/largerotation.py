@@ -21,7 +21,7 @@ from .command.config import DropInputs
 from .page.report import Column, Table
 from .running.cases import Workshop
 from .running.files import prepare_folder, write_atomically
-from .running.progress import progress, say
+from .running.progress import logged_to_terminal, progress, say
 
 BETA_S = 1e-8
 ELEMENTS, MODES = 32, 40
@@ -126,13 +126,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
         cells=tuple(given.cells or usual.cells),
     )
     comm = MPI.COMM_WORLD
-    run_on_one_rank(comm, lambda: prepare_folder(given.out))
-    table = campaign.table(comm)
-    path = given.out / "largerotation.csv"
-    run_on_one_rank(comm, lambda: write_atomically(path, table.csv_text()))
-    for row in table.rows:
-        say("  ".join(f"{value:.4g}" for value in row if isinstance(value, float)))
-    say(f"wrote {path}")
+    with logged_to_terminal():
+        run_on_one_rank(comm, lambda: prepare_folder(given.out))
+        table = campaign.table(comm)
+        path = given.out / "largerotation.csv"
+        run_on_one_rank(comm, lambda: write_atomically(path, table.csv_text()))
+        for row in table.rows:
+            say("  ".join(f"{value:.4g}" for value in row if isinstance(value, float)))
+        say(f"wrote {path}")
     return 0
 
 

@@ -17,20 +17,21 @@ from bristle.solver.bristle import Bristle
 from bristle.studies.command.config import DropInputs
 from bristle.studies.running import progress as module
 from bristle.studies.running.cases import run_case
-from bristle.studies.running.progress import duration, progress
+from bristle.studies.running.progress import duration, logged_to_terminal, progress
 from bristle.studies.running.steps import Watched, steps_of_contact
 
 pytestmark = pytest.mark.serial
 
 LONG_WORK = """
 import time
-from bristle.studies.running.progress import progress, working
-with working("getting ready"):
-    time.sleep(0.3)
-with progress("pieces", 20) as advance:
-    for _ in range(20):
-        time.sleep(0.06)
-        advance()
+from bristle.studies.running.progress import logged_to_terminal, progress, working
+with logged_to_terminal():
+    with working("getting ready"):
+        time.sleep(0.3)
+    with progress("pieces", 20) as advance:
+        for _ in range(20):
+            time.sleep(0.06)
+            advance()
 """
 
 
@@ -38,7 +39,7 @@ def test_without_a_terminal_there_are_plain_lines_with_the_time_left(monkeypatch
     clock = iter([0.0, 30.0, 30.0, 30.0, 31.0, 60.0, 60.0])
     monkeypatch.setattr(module.time, "monotonic", lambda: next(clock))
     monkeypatch.setattr(module, "PLAIN_EVERY_S", 10.0)
-    with progress("sweep", 12, done=2) as advance:
+    with logged_to_terminal(), progress("sweep", 12, done=2) as advance:
         advance()  # after 30 s, with all that is built before: no measure of the others
         advance()  # a second later: too soon to say
         advance(2)  # after 60 s: three took 30, so six more take 60

@@ -48,13 +48,13 @@ class Closed:
 
 def run_close_loop(
     dataset: Path,
-    out: Path,
+    out: Path | None,
     inputs: LoopInputs | None = None,
     *,
     comm: MPI.Intracomm = MPI.COMM_WORLD,
 ) -> dict[str, Any]:
     """Run the loop on the dataset in a folder; write ``verdict.json``, ``report.html``, its tables
-    and figures into ``out``.
+    and figures into ``out``, or nothing where that is None.
 
     Returns what verdict.json holds. Collective: rank 0 works, with solids of its own, so that the
     result does not depend on the number of ranks. Raises InputError where the dataset or an option
@@ -63,11 +63,11 @@ def run_close_loop(
     asked, dataset = inputs or LoopInputs(), Path(dataset)
     if not asked.no_3d:
         start_petsc(comm)
-    manifest = run_on_one_rank(comm, lambda: _begun(dataset, Path(out)))
+    manifest = run_on_one_rank(comm, lambda: _begun(dataset, out))
     problem = _made(lambda: problem_of(manifest), comm)
     with progress("Effects simulated", len(problem.candidates)) as advance:
         _simulate(problem, comm, advance)
-    return run_on_one_rank(comm, lambda: _run(manifest, problem, Path(out), asked))
+    return run_on_one_rank(comm, lambda: _run(manifest, problem, out, asked))
 
 
 def close_several(
@@ -102,10 +102,12 @@ def _made(make: Callable[[], Problem], comm: MPI.Intracomm) -> Problem:
     return first.problem or make()
 
 
-def _begun(dataset: Path, out: Path) -> Manifest:
+def _begun(dataset: Path, out: Path | None) -> Manifest:
     """The dataset's declarations; InputError where they or ``out`` are no good, long before both
     are needed."""
     manifest = read_manifest(dataset)
+    if out is None:
+        return manifest
     there = next(each for each in (out.absolute(), *out.absolute().parents) if each.exists())
     if not there.is_dir():
         raise InputError(f"--out {out}: {there} is a file, not a folder")
@@ -152,7 +154,11 @@ def _simulate(
     threads.shutdown()
 
 
-def _run(manifest: Manifest, problem: Problem, out: Path, inputs: LoopInputs) -> dict[str, Any]:
+def _run(
+    manifest: Manifest, problem: Problem, out: Path | None, inputs: LoopInputs
+) -> dict[str, Any]:
+    if out is None:
+        return verdict(close(manifest, problem, inputs))
     from .page import write_page
 
     with new_folders(out):

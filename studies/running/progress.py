@@ -1,7 +1,8 @@
-"""Progress of long work: a bar on a terminal, plain lines elsewhere."""
+"""Progress of long work: a bar on a terminal, lines of the log elsewhere."""
 
 from __future__ import annotations
 
+import logging
 import sys
 import time
 from collections.abc import Callable, Iterator
@@ -10,6 +11,9 @@ from contextlib import contextmanager
 from .parallel import speaks
 
 PLAIN_EVERY_S = 10.0
+# A share of the work that says nothing yet of how long all of it takes.
+EARLY = 0.1
+LOG = logging.getLogger("bristle")
 
 
 @contextmanager
@@ -35,9 +39,15 @@ def _bar(title: str, total: int, done: int) -> Iterator[Callable[..., None]]:
         BarColumn,
         MofNCompleteColumn,
         Progress,
+        Task,
         TimeElapsedColumn,
         TimeRemainingColumn,
     )
+    from rich.text import Text
+
+    class Remaining(TimeRemainingColumn):
+        def render(self, task: Task) -> Text:
+            return super().render(task) if task.percentage >= 100.0 * EARLY else Text("-:--:--")
 
     columns = (
         "{task.description}",
@@ -45,7 +55,7 @@ def _bar(title: str, total: int, done: int) -> Iterator[Callable[..., None]]:
         MofNCompleteColumn(),
         TimeElapsedColumn(),
         "left",
-        TimeRemainingColumn(),
+        Remaining(),
     )
     with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
         task = bar.add_task(title, total=total, completed=done)
@@ -67,10 +77,14 @@ class _Lines:
         if self.done == self.total or time.monotonic() - self._said > PLAIN_EVERY_S:
             self._say()
 
+    def _tells(self, before: int) -> bool:
+        """Whether what was done since the first tells how long the rest takes."""
+        return self.done < self.total and self.done - before >= EARLY * (self.total - before)
+
     def _say(self) -> None:
         self._said = time.monotonic()
         words = ""
-        if self._first is not None and self._first[1] < self.done < self.total:
+        if self._first is not None and self._tells(self._first[1]):
             began, before = self._first
             each = (self._said - began) / (self.done - before)
             words = f", {duration((self.total - self.done) * each)} left"
@@ -121,17 +135,40 @@ def compilation_noted() -> Iterator[None]:
 
 
 def say(message: str) -> None:
-    """A line on standard output, from rank 0."""
+    """Log an answer, from rank 0; a command has it on standard output."""
     if speaks():
-        print(message, flush=True)
+        LOG.info(message, extra={"answer": True})
 
 
 def note(message: str) -> None:
-    """A line on standard error, from rank 0."""
+    """Log what is under way, from rank 0; a command has it on standard error."""
     if speaks():
-        print(message, file=sys.stderr, flush=True)
+        LOG.info(message)
 
 
 def warn(message: str) -> None:
-    """A warning on standard error."""
-    note(f"bristle: warning: {message}")
+    """Log a warning, from rank 0."""
+    if speaks():
+        LOG.warning(message)
+
+
+class Terminal(logging.Handler):
+    """What a command logs, as lines on its standard output and error."""
+
+    def emit(self, record: logging.LogRecord) -> None:
+        prefix = "bristle: warning: " if record.levelno >= logging.WARNING else ""
+        stream = sys.stdout if hasattr(record, "answer") else sys.stderr
+        print(f"{prefix}{record.getMessage()}", file=stream, flush=True)
+
+
+@contextmanager
+def logged_to_terminal() -> Iterator[None]:
+    """Have what is logged inside the block on standard output and error."""
+    handler, level = Terminal(), LOG.level
+    LOG.addHandler(handler)
+    LOG.setLevel(logging.INFO)
+    try:
+        yield
+    finally:
+        LOG.removeHandler(handler)
+        LOG.setLevel(level)

@@ -103,7 +103,7 @@ class Study:
     """
 
     name: str
-    finish: Callable[[Sequence[Row], Path], dict[str, Any]]
+    finish: Callable[[Sequence[Row], Path], dict[str, Any]] = lambda rows, out: {}
     curves: bool = False
     basis_its_s: float | None = None
 
@@ -136,7 +136,7 @@ def run_study(
         return
     if done:
         say(f"{len(done)} of {len(cases)} cases are there already")
-    shared = _compute(study, cases, comm, journal, done, ranks_per_case)
+    shared = _compute(study, cases, comm, done, journal.add, ranks_per_case)
     spent = {"shared": shared["total"]}
     facts = {"wall_s": spent, "peak_rss_MB": results.peak_rss_MB(comm), "ranks": comm.size}
 
@@ -152,6 +152,16 @@ def run_study(
     if comm.rank == 0:
         journal.finish()
         say(f"{len(cases)} cases in {out / TABLE_FILE}")
+
+
+def rows_of(
+    study: Study, cases: Sequence[DropInputs], comm: MPI.Intracomm = MPI.COMM_WORLD
+) -> list[Row]:
+    """A row for every case, on every rank, without writing anything. Raises ComputationError."""
+    done: dict[int, Row] = {}
+    _compute(study, cases, comm, done, lambda i, row: row)
+    done = comm.bcast(done)
+    return [done[i] for i in range(len(cases))]
 
 
 def _prepare(
@@ -173,11 +183,12 @@ def _compute(
     study: Study,
     cases: Sequence[DropInputs],
     comm: MPI.Intracomm,
-    journal: Journal,
     done: dict[int, Row],
-    ranks_per_case: int | None,
+    keep: Callable[[int, Row], Row],
+    ranks_per_case: int | None = None,
 ) -> Timings:
-    """Fill ``done`` on rank 0 with what is missing; the seconds of what the cases shared."""
+    """Fill ``done`` on rank 0 with what is missing and ``keep`` has kept; the seconds of what the
+    cases shared."""
     missing = [i for i in range(len(cases)) if i not in done]
     modal = [i for i in missing if cases[i].model is not Model.SOLID]
     solid = [i for i in missing if cases[i].model is Model.SOLID]
@@ -187,7 +198,7 @@ def _compute(
     ):
 
         def take(i: int, row: Row) -> None:
-            done[i] = journal.add(i, row)
+            done[i] = keep(i, row)
             advance()
 
         _build_together(workshop, [cases[i] for i in modal])

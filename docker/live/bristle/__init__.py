@@ -1,0 +1,42 @@
+"""Impact of a steel bristle on a hard surface: a 3-D solid, its reduced model, a beam, and what
+measurements say that they lack.
+
+    import bristle
+    r = bristle.drop(model="solid", tilt_deg=2, friction=0)
+    r.rebound_ratio, r.energy.friction_loss_J, r.history
+    bristle.sweep(models=["beam", "reduced"], kn_N_m=[1e5, 2e6], height_m=0.05)
+    bristle.close_loop("my-drops").effects
+
+See `bristle.studies.api`. What computes is loaded when it is first asked for.
+"""
+
+from typing import TYPE_CHECKING, Any
+
+from .solver.errors import ComputationError, InputError
+from .studies import __version__
+
+if TYPE_CHECKING:
+    from .studies.api import Drop, Verdict, close_loop, drop, sweep
+
+__all__ = [
+    "ComputationError",
+    "Drop",
+    "InputError",
+    "Verdict",
+    "__version__",
+    "close_loop",
+    "drop",
+    "sweep",
+]
+
+
+def __getattr__(name: str) -> Any:
+    if name not in __all__:
+        raise AttributeError(f"module 'bristle' has no attribute '{name}'")
+    from .studies import api
+
+    return getattr(api, name)
+
+
+def __dir__() -> list[str]:
+    return [*__all__, "meshes", "solver", "studies"]

@@ -1,0 +1,151 @@
+"""The Python interface, `import bristle`: drops, sweeps and the loop as objects and tables.
+
+Keyword arguments are the inputs of result.json by name (SI units, angles in degrees), checked as
+the command line's are. Under mpirun every rank makes the same call and gets the same answer.
+Nothing is printed; warnings and progress go to the logger ``bristle``.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+from mpi4py import MPI
+from pydantic import BaseModel
+
+from ..solver.contact_phase import HISTORY_COLUMNS
+from .closeloop.fields import LoopInputs
+from .closeloop.run import run_close_loop, summary
+from .command.config import DropInputs
+from .command.sources import checked
+from .drop import run_drop, simulate_drop
+from .drop import summary as drop_summary
+from .running.results import HISTORY_FILE
+from .running.study import COLUMNS, TABLE_FILE, Study, StudyInputs, rows_of
+from .sweep import run_sweep
+
+
+class Record(Mapping[str, Any]):
+    """What stands in a JSON file of this program: ``r["energy"]["kinetic_J"]`` or, the same,
+    ``r.energy.kinetic_J``."""
+
+    def __init__(self, values: Mapping[str, Any]) -> None:
+        self._values = {
+            name: Record(value) if isinstance(value, Mapping) else value
+            for name, value in values.items()
+        }
+
+    def __getitem__(self, name: str) -> Any:
+        return self._values[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._values)
+
+    def __len__(self) -> int:
+        return len(self._values)
+
+    def __getattr__(self, name: str) -> Any:
+        if not name.startswith("_") and name in self._values:
+            return self._values[name]
+        raise AttributeError(f"there is no {name} here; there are {', '.join(self)}", name=name)
+
+    def __dir__(self) -> list[str]:
+        return sorted({*super().__dir__(), *self._values})
+
+    def __getstate__(self) -> dict[str, Any]:
+        return self.__dict__
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain dictionaries, as JSON takes them."""
+        return {
+            name: value.to_dict() if isinstance(value, Record) else value
+            for name, value in self.items()
+        }
+
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({self.to_dict()!r})"
+
+
+class Drop(Record):
+    """A drop: result.json by name, and ``history``, a DataFrame with history.csv's columns."""
+
+    def __init__(self, values: Mapping[str, Any], history: pd.DataFrame) -> None:
+        super().__init__(values)
+        self.history = history
+
+    def __repr__(self) -> str:
+        return _listed(f"{self.model} from {self.inputs.height_m:g} m", drop_summary(self))
+
+
+class Verdict(Record):
+    """What the loop found: verdict.json by name, such as ``verdict``, ``effects``, ``held_out``."""
+
+    def __repr__(self) -> str:
+        return _listed(self.title, summary(self.to_dict()))
+
+
+def _listed(title: str, rows: list[tuple[str, str]]) -> str:
+    return "\n".join([title, *(f"  {name:<24}{value}" for name, value in rows)])
+
+
+def drop(*, out: str | Path | None = None, **inputs: Any) -> Drop:
+    """One drop, as `bristle drop`: ``bristle.drop(model="solid", tilt_deg=2, friction=0)``.
+
+    With ``out`` the command's files, fields for ParaView among them, are written into that folder.
+    Raises InputError and ComputationError.
+    """
+    asked = _checked(DropInputs, inputs)
+    if out is not None:
+        document = run_drop(asked, Path(out), MPI.COMM_WORLD)
+        return Drop(document, pd.read_csv(Path(out) / HISTORY_FILE))
+    document, result = simulate_drop(asked, MPI.COMM_WORLD)
+    return Drop(document, pd.DataFrame(result.history.array(), columns=list(HISTORY_COLUMNS)))
+
+
+def sweep(*, out: str | Path | None = None, **inputs: Any) -> pd.DataFrame:
+    """Every combination of ``models``, ``kn_N_m``, ``height_m`` and ``its_s``, each one or several.
+
+    Returns a row per case with table.csv's columns: `bristle.sweep(kn_N_m=[1e5, 2e6])`. With
+    ``out`` the command's files are written into that folder. Raises InputError and
+    ComputationError.
+    """
+    names = {"height_m": "heights_m", "model": "models"}
+    asked = _checked(StudyInputs, {names.get(name, name): each for name, each in inputs.items()})
+    if out is not None:
+        run_sweep(asked, Path(out), MPI.COMM_WORLD)
+        return pd.read_csv(Path(out) / TABLE_FILE)
+    rows = rows_of(Study("sweep"), asked.cases(), MPI.COMM_WORLD)
+    seen = [
+        {name: math.nan if row[name] is None else row[name] for name in COLUMNS} for row in rows
+    ]
+    return pd.DataFrame(seen, columns=list(COLUMNS))
+
+
+def close_loop(dataset: str | Path, *, out: str | Path | None = None, **inputs: Any) -> Verdict:
+    """What the model lacks to explain the measurements in the folder ``dataset``.
+
+    ``inputs`` are ``seed``, ``alarm`` and ``no_3d``. With ``out`` verdict.json and the page with
+    its figures are written into that folder. Raises InputError and ComputationError.
+    """
+    asked = _checked(LoopInputs, inputs)
+    return Verdict(run_close_loop(Path(dataset), None if out is None else Path(out), asked))
+
+
+def _checked[Inputs: BaseModel](kind: type[Inputs], values: Mapping[str, Any]) -> Inputs:
+    """Inputs of these keywords, with paths as text and whole numbers as the numbers they are."""
+    plain = {name: _plain(value) for name, value in values.items()}
+    return checked(kind, plain, {name: name for name in kind.model_fields})
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, Path):
+        return str(value)
+    if hasattr(value, "tolist"):  # numbers and arrays of numpy
+        return value.tolist()
+    return value
