@@ -155,10 +155,11 @@ def sweep(
     """
     from .command.sources import inputs_of
     from .running.study import StudyInputs
-    from .sweep import run_sweep
+    from .sweep import answer, run_sweep
 
     inputs = inputs_of(StudyInputs, given, STUDY_FLAGS, config)
     run_sweep(inputs, out, resume=resume, ranks_per_case=ranks_per_case)
+    print(*answer(out), sep="\n")
 
 
 @app.command()
@@ -179,10 +180,11 @@ def its(
     Example: bristle its --models beam --kn 1e5,2e6,1e8 --its 1e-4,1e-5,1e-6,1e-7
     """
     from .command.sources import inputs_of
-    from .its import ItsInputs, run_its
+    from .its import ItsInputs, answer, run_its
 
     inputs = inputs_of(ItsInputs, given, STUDY_FLAGS, config)
     run_its(inputs, out, resume=resume, ranks_per_case=ranks_per_case)
+    print(*answer(out), sep="\n")
 
 
 @app.command()
@@ -274,6 +276,14 @@ def synth(
             show_default=False,
         ),
     ] = None,
+    plugin: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="FILE.py",
+            help="A Python file with effects of your own; repeatable.",
+            show_default=False,
+        ),
+    ] = None,
     unlisted: Annotated[
         str | None,
         typer.Option(
@@ -311,6 +321,7 @@ def synth(
     recipe = recipe_of(
         effect or [],
         unlisted,
+        plugin or [],
         n_drops=drops,
         kn_N_m=kn,
         noise=noise,

@@ -6,6 +6,7 @@ Writes table.csv, errors.csv, needs.csv, their figures and its.json. Also a scri
 
 from __future__ import annotations
 
+import csv
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -25,6 +26,7 @@ from .sections.convergence import Limit, Need, limit, need
 
 ITS_S = (1e-4, 3e-5, 1e-5, 3e-6, 1e-6, 3e-7, 1e-7)
 GOAL = 0.01
+NEEDS_FILE = "needs.csv"
 QUANTITIES = {
     "rebound_ratio": "rebound ratio y1/y0",
     "peak_force_N": "peak force",
@@ -96,14 +98,37 @@ def _finish(rows: Sequence[Row], mass_kg: float, out: Path) -> dict[str, Any]:
             needs[name, key] = need(its_s, error, GOAL)
             table += _error_rows(key, name, members, found, error)
     write_atomically(out / "errors.csv", to_csv(ERROR_COLUMNS, table))
-    write_atomically(out / "needs.csv", to_csv(NEED_COLUMNS, _need_rows(needs, mass_kg)))
-    names = ["errors.csv", "needs.csv"]
+    write_atomically(out / NEEDS_FILE, to_csv(NEED_COLUMNS, _need_rows(needs, mass_kg)))
+    names = ["errors.csv", NEEDS_FILE]
     if errors:
         names += write_picture(out / "errors", picture(error_figure(errors, QUANTITIES, GOAL)))
         rule = {kn: quarter_period_s(mass_kg, kn) for _, (_, kn, _) in needs}
         drawn = need_figure(needs, QUANTITIES, rule, paper.ITS_S)
         names += write_picture(out / "needs", picture(drawn))
     return {"goal": GOAL, "files": names}
+
+
+def answer(out: Path) -> list[str]:
+    """What a finished study in ``out`` says, as lines: the longest ITS that each quantity allows,
+    for each model and Kn, over all heights."""
+    with (out / NEEDS_FILE).open(encoding="utf-8", newline="") as file:
+        rows = list(csv.DictReader(file))
+    if not rows:
+        return []
+    needed: dict[tuple[str, float], dict[str, tuple[float, str]]] = {}
+    for row in rows:
+        each = needed.setdefault((row["model"], float(row["kn_N_m"])), {})
+        now = float(row["its_needed_s"]), row["bound"]
+        each[row["quantity"]] = min(now, each.get(row["quantity"], now))
+    lines = [
+        f"longest ITS (s) for an error of {100 * GOAL:g} %",
+        f"  {'model':<10}{'Kn (N/m)':<10}" + "".join(f"{name:>22}" for name in QUANTITIES.values()),
+    ]
+    for (model, kn), each in needed.items():
+        needs = (each.get(name) for name in QUANTITIES)
+        words = ("" if need is None else f"{need[1]}{need[0]:.2g}" for need in needs)
+        lines.append(f"  {model:<10}{kn:<10.4g}" + "".join(f"{word:>22}" for word in words))
+    return lines
 
 
 def _error_rows(

@@ -6,6 +6,7 @@ Writes table.csv, heights.svg and .png, and sweep.json. Also a script:
 
 from __future__ import annotations
 
+import csv
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -14,11 +15,12 @@ from typing import Any
 import numpy as np
 from mpi4py import MPI
 
+from ..solver import paper
 from .command.choices import Model
 from .page.figures import picture
 from .page.figures_paper import height_figure
 from .running.files import write_picture
-from .running.study import Row, Study, StudyInputs, run_study
+from .running.study import TABLE_FILE, Row, Study, StudyInputs, run_study
 
 FIGURE = "heights"
 MARKERS = 60
@@ -50,6 +52,45 @@ def _finish(rows: Sequence[Row], out: Path) -> dict[str, Any]:
         }
         names += write_picture(out / name, picture(height_figure(curves)))
     return {"files": names}
+
+
+def answer(out: Path) -> list[str]:
+    """What a finished sweep in ``out`` says, as lines: y1/y0 over stiffness and height for each
+    model, and at which Kn it is the paper's."""
+    with (out / TABLE_FILE).open(encoding="utf-8", newline="") as file:
+        rows = list(csv.DictReader(file))
+    lines: list[str] = []
+    for model, its_s in dict.fromkeys((row["model"], row["its_s"]) for row in rows):
+        ratio = {
+            (float(row["kn_N_m"]), float(row["y0_m"])): float(row["rebound_ratio"] or "nan")
+            for row in rows
+            if (row["model"], row["its_s"]) == (model, its_s)
+        }
+        kns, heights = (sorted({key[i] for key in ratio}) for i in range(2))
+        lines += [f"{model}, ITS {float(its_s):g} s: y1/y0", "  Kn (N/m) from (mm)"]
+        lines[-1] += "".join(f"{1e3 * height:9.3g}" for height in heights)
+        for kn in kns:
+            values = "".join(f"{ratio[kn, height]:9.4f}" for height in heights)
+            lines.append(f"  {kn:<18.4g}{values}")
+        found = _kn_of(paper.RATIO_MEAN, kns, [ratio[kn, heights[-1]] for kn in kns])
+        if found is not None:
+            lines.append(
+                f"  y1/y0 is {paper.RATIO_MEAN:g}, the paper's mean, from {1e3 * heights[-1]:g} mm "
+                f"at Kn = {found:.3g} N/m"
+            )
+    return lines
+
+
+def _kn_of(ratio: float, kns: Sequence[float], ratios: Sequence[float]) -> float | None:
+    """Where ``ratio`` is passed between two stiffnesses, by their logarithms; None if nowhere."""
+    above = np.array(ratios) > ratio
+    turns = np.flatnonzero(above[1:] != above[:-1])
+    finite = np.isfinite(ratios) & np.isfinite(kns)
+    if len(turns) != 1 or not finite[turns[0] : turns[0] + 2].all():
+        return None
+    i = int(turns[0])
+    share = (ratio - ratios[i]) / (ratios[i + 1] - ratios[i])
+    return float(kns[i] * (kns[i + 1] / kns[i]) ** share)
 
 
 def _path(row: Row) -> tuple[np.ndarray, np.ndarray]:

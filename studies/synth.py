@@ -29,6 +29,7 @@ from ..solver.errors import InputError
 from ..solver.fall import fallen, risen
 from . import __version__
 from .command.effect_input import EffectInput, read_effects
+from .command.plugin_file import read_plugins
 from .loop.table_drops import drops_of, its_s
 from .running.files import prepare_folder, to_json, together, write_atomically
 
@@ -268,8 +269,14 @@ def write_dataset(made: Made, folder: Path, truth: Path) -> None:
         write_atomically(truth, to_json(truth_of(made)) + "\n")
 
 
-def recipe_of(effects: Sequence[str], unlisted: str | None, **values: Any) -> Recipe:
+def recipe_of(
+    effects: Sequence[str], unlisted: str | None, plugins: Sequence[str] = (), **values: Any
+) -> Recipe:
     """The recipe of a command line. Raises InputError naming the option."""
+    try:
+        read_plugins(plugins)
+    except ValueError as error:
+        raise InputError(f"--plugin: {error}") from None
     try:
         listed = tuple(each.effect() for each in read_effects(list(effects)))
     except ValueError as error:

@@ -81,7 +81,9 @@ def main() -> None:
         missing = [each for each in faults if key(each) not in records]
         with ThreadPoolExecutor(arguments.jobs) as pool:
             try:
-                for record in pool.map(lambda each: tried(each, clean, out, scratch), missing):
+                for record in pool.map(
+                    lambda each: tried(each, clean, out, scratch, arguments.budget), missing
+                ):
                     records[record["key"]] = record
             except BaseException:
                 STOP.set()
@@ -101,6 +103,13 @@ def parsed() -> argparse.Namespace:
     parser.add_argument("--seed", type=int, default=0, metavar="S", help="which (0)")
     parser.add_argument("--jobs", type=int, default=1, metavar="J", help="how many at once (1)")
     parser.add_argument("--only", metavar="FILE", help="in this file alone, as solver/fall.py")
+    parser.add_argument(
+        "--budget",
+        metavar="SECONDS",
+        type=float,
+        default=math.inf,
+        help="of tests for each fault; one that none has caught by then counts as survived",
+    )
     parser.add_argument("--list", action="store_true", help="only print the faults")
     parser.add_argument(
         *("--out", "-o"), type=Path, default=ROOT / "results" / "faults", metavar="DIR"
@@ -195,10 +204,13 @@ def clean_run(out: Path, scratch: Path) -> dict[str, Clean]:
     return clean
 
 
-def tried(fault: Mutant, clean: dict[str, Clean], out: Path, scratch: Path) -> dict:
+def tried(
+    fault: Mutant, clean: dict[str, Clean], out: Path, scratch: Path, budget_s: float
+) -> dict:
     """The record of a fault, also added to those in ``out``."""
     say(f"{fault.path}:{fault.line}: {fault.after}")
-    limit = PATIENCE * sum(each.seconds for each in clean.values()) + TEST_LIMIT_S
+    patience_s = PATIENCE * sum(each.seconds for each in clean.values()) + TEST_LIMIT_S
+    limit = min(patience_s, budget_s)
     left_out = [f"--deselect={test}" for each in clean.values() for test in each.failed]
     record = {"key": key(fault), "tests": digest(*files("tests")), **asdict(fault)}
     with workplace(scratch, out) as place:
@@ -206,7 +218,10 @@ def tried(fault: Mutant, clean: dict[str, Clean], out: Path, scratch: Path) -> d
         status, output, seconds = pytest(
             place, in_order(fault.path, clean), limit, "-x", "--timeout-method=thread", *left_out
         )
-    record |= {"caught_by": caught_by(status, output), "seconds": seconds}
+    found = caught_by(status, output)
+    if status is None and budget_s < patience_s and found.startswith("timeout"):
+        found = SURVIVED
+    record |= {"caught_by": found, "seconds": seconds}
     (out / "logs" / f"{record['key']}.txt").write_text(output)
     with (out / "records.jsonl").open("a") as file:
         file.write(json.dumps(record) + "\n")

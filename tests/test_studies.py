@@ -16,8 +16,9 @@ from mpi4py import MPI
 
 from bristle.solver.analytic import quarter_period_s
 from bristle.solver.errors import ComputationError, InputError
-from bristle.studies import __version__
+from bristle.studies import __version__, its
 from bristle.studies import drop as drop_study
+from bristle.studies import sweep as sweep_study
 from bristle.studies.command.config import DropInputs
 from bristle.studies.command.limits import result_warnings
 from bristle.studies.command.sources import checked
@@ -687,6 +688,31 @@ def test_a_basis_of_the_study_serves_every_step(out):
 
 
 @serial
+def test_a_sweep_answers_with_the_stiffness_of_the_papers_mean(tmp_path):
+    """Half way between 0.8 and 0.5, by logarithms, lies 0.65."""
+    rows = [(kn, y0, r) for y0 in (0.05, 0.01) for kn, r in ((4e6, 0.5), (1e6, 0.8), (9e6, None))]
+    table = [("beam", kn, y0, 1e-5, ratio) for kn, y0, ratio in rows]
+    names = ("model", "kn_N_m", "y0_m", "its_s", "rebound_ratio")
+    (tmp_path / "table.csv").write_text(to_csv(names, table))
+    lines = sweep_study.answer(tmp_path)
+    assert lines[2].split() == ["1e+06", "0.8000", "0.8000"]
+    assert lines[4].split() == ["9e+06", "nan", "nan"]
+    assert lines[-1].endswith("from 50 mm at Kn = 2e+06 N/m")
+    (tmp_path / "table.csv").write_text(to_csv(names, table[1:2]))
+    assert "mean" not in sweep_study.answer(tmp_path)[-1]
+
+
+def test_the_study_of_the_step_answers_with_the_shortest_of_all_heights(tmp_path):
+    names = ("model", "kn_N_m", "y0_m", "quantity", "its_needed_s", "bound")
+    rows = [
+        ("beam", 1e6, 0.01, "rebound_ratio", 1e-4, ">="),
+        ("beam", 1e6, 0.05, "rebound_ratio", 3e-5, ""),
+        ("beam", 1e6, 0.05, "peak_force_N", 1e-7, "<"),
+    ]
+    (tmp_path / "needs.csv").write_text(to_csv(names, rows))
+    assert its.answer(tmp_path)[-1].split() == ["beam", "1e+06", "3e-05", "<1e-07"]
+
+
 @pytest.mark.parametrize("order", [1.0, 2.0])
 def test_extrapolation_is_exact_for_a_clean_order(order):
     h = np.array([1e-6, 1e-5, 3e-7, 3e-6])

@@ -83,7 +83,7 @@ class Effect:
 
     A subclass says its ``name``, ``title``, ``place``, the ``kinds`` of datasets that can carry
     it, ``source`` and ``parameters``, and overrides `enter`. ``random`` effects differ from drop
-    to drop by `Scene.chance`.
+    to drop by `Scene.chance`; ``origin`` tells those from outside of this program apart.
     """
 
     name: ClassVar[str]
@@ -93,6 +93,7 @@ class Effect:
     source: ClassVar[str]
     parameters: ClassVar[tuple[Parameter, ...]]
     random: ClassVar[bool] = False
+    origin: ClassVar[str] = ""
 
     def __post_init__(self) -> None:
         for parameter in self.parameters:

@@ -1,6 +1,6 @@
 """The effects by name.
 
-Adding one takes a class with its test, and a line here.
+Adding one takes a class with its test, and a line here; those of users come by `outside`.
 """
 
 from __future__ import annotations
@@ -42,13 +42,24 @@ EFFECTS: dict[str, type[Effect]] = {
         Wear,
     )
 }
-# What changes Kn goes before the law that it belongs to, chance before what it acts on.
-_ORDER = {name: number for number, name in enumerate(EFFECTS)}
+# What changes Kn goes before the law that it belongs to, chance before what it acts on; what comes
+# from outside goes before the laws of this program, which refuse to replace another.
 _FIRST = ("surface_phases", "wear")
 
 
 def enter_all(scene: Scene, effects: Iterable[Effect]) -> Scene:
     """The scene with all ``effects`` in it, whatever their order."""
-    for effect in sorted(effects, key=lambda each: (each.name not in _FIRST, _ORDER[each.name])):
-        scene = effect.enter(scene)
+    by_name = {effect.name: effect for effect in effects}
+    for name in in_order(by_name):
+        scene = by_name[name].enter(scene)
     return scene
+
+
+def in_order(names: Iterable[str]) -> list[str]:
+    """Effects in the order in which they enter a scene."""
+    known = list(EFFECTS)
+
+    def place(name: str) -> tuple[bool, bool, int]:
+        return name not in _FIRST, not EFFECTS[name].origin, known.index(name)
+
+    return sorted(names, key=place)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated
 
-from ..command.fields import Fields, Truth, between, whole
+from ..command.fields import Fields, Plugins, Truth, between, whole
 from ..command.flags import Option, flags_of
 
 LOOP = "Loop"
@@ -14,6 +14,7 @@ ALARM = 0.01
 class LoopInputs(Fields):
     """Every option of `bristle close-loop`, checked."""
 
+    plugins: Plugins = ()
     seed: Annotated[
         int,
         whole(0, 2**32 - 1),

@@ -66,7 +66,10 @@ def parse_effect(text: str) -> EffectInput:
 def _kind(name: str) -> type[Effect]:
     """The effect of this name; ValueError with a near one where there is none."""
     from ...solver.effects.library import EFFECTS
+    from ...solver.effects.outside import load_installed
 
+    if name not in EFFECTS:
+        load_installed()
     if name in EFFECTS:
         return EFFECTS[name]
     near = difflib.get_close_matches(name, EFFECTS, 1)

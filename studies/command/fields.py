@@ -17,6 +17,7 @@ from .choices import Contact, Deflection, Model, Scheme, Solver, Tip, Until
 from .effect_input import EffectInput, read_effects
 from .flags import Option, flags_of
 from .mesh_file import MeshFile, read_mesh_file
+from .plugin_file import PluginFile, read_plugins
 
 MODEL, CONTACT, BODY = "Model", "Contact", "Bristle"
 DROP, TIME, MESH, OUTPUT = "Drop", "Time", "Discretisation", "Files"
@@ -107,6 +108,14 @@ Height = Annotated[float, between(1e-7, 1e3)]
 Its = Annotated[float, between(1e-12, 1.0)]
 Truth = Annotated[bool, Field(strict=True)]
 Numbers = BeforeValidator(read_numbers)
+PLUGIN = Option(
+    "plugin",
+    OUTPUT,
+    "A Python file with effects of your own, repeatable; docs/examples/my_effect.py is one.",
+    "FILE.py",
+    kind=list,
+)
+Plugins = Annotated[tuple[PluginFile, ...], BeforeValidator(read_plugins), PLUGIN]
 
 
 class Fields(BaseModel):
@@ -383,6 +392,7 @@ class PlaceFields(Fields):
             kind=str,
         ),
     ] = Until.REBOUND
+    plugins: Plugins = ()  # before the effects that may come from them
     effects: Annotated[
         tuple[EffectInput, ...],
         BeforeValidator(read_effects),

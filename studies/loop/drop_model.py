@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...solver.arrays import Array
-from ...solver.effects.base import Effect, Parameter
+from ...solver.effects.base import Parameter
 from ...solver.effects.library import EFFECTS
 from ...solver.effects.release import AIR_KG_M3
 from ...solver.effects.surface import WEAR_DROPS
@@ -144,12 +144,14 @@ class BounceModel:
             beta = theta[..., 1][..., None, None]
             logs = logs + self.tables.change("material_damping", same, kn, beta)
         for name in self.effects:
-            friction = value(name, 1) if len(given[name]) > 1 else None
+            count = len(EFFECTS[name].parameters)
+            friction = value(name, count) if len(given[name]) > count else None
             if name == "surface_slope":
                 lean = (value(name) * nodes[:, 1:2], nodes[:, 2:3])
                 logs = logs + self.tables.change(name, same, kn, *lean, friction=friction)
             elif name in self.tables.simulated:
-                logs = logs + self.tables.change(name, same, kn, value(name), friction=friction)
+                values = (value(name, i) for i in range(count))
+                logs = logs + self.tables.change(name, same, kn, *values, friction=friction)
         landing = Landing(
             height_m=height,
             same_m=same,
@@ -233,10 +235,3 @@ class FeatureModel(BounceModel):
 
 def _nodes(low: float, high: float, count: int, closer: int) -> Array:
     return np.linspace(low, high, (count - 1) * closer + 1)
-
-
-def effect_at(name: str, value: float) -> Effect:
-    """The effect at one value of its parameter."""
-    kind: type[Effect] = EFFECTS[name]
-    parameter = kind.parameters[0]
-    return kind(**{parameter.name: float(np.clip(value, parameter.low, parameter.high))})

@@ -20,6 +20,7 @@ from ...solver.arrays import Array
 from ...solver.bristle import Bristle, RigidMass
 from ...solver.effects.base import Parameter
 from ...solver.effects.library import EFFECTS
+from ...solver.effects.outside import load_installed
 from ...solver.errors import InputError
 from ..data import datasets
 from ..data.datasets import Manifest
@@ -58,6 +59,9 @@ def drops_problem(data: datasets.Drops) -> Problem:
     if not keep.all():
         drops = replace(drops, y0_m=drops.y0_m[keep], order=drops.order[keep])
         values = values[keep]
+    for name in carried(KIND, drops.quantities):
+        if EFFECTS[name].origin and not bench.carries(name):
+            notes[name] = "left aside: of a rigid body the loop knows its own effects alone"
     unwhitened = np.eye(len(measured))[None].repeat(len(values), 0)
     kn, beta = stiffness(manifest.kn_N_m, bench), damping(manifest)
     gain = FORCE_GAIN if 2 in measured else None
@@ -124,6 +128,7 @@ def _covariates(data: datasets.Drops, drops: Drops, keep: NDArray[np.bool_]) -> 
 
 def carried(kind: str, quantities: Sequence[int]) -> list[str]:
     """The effects that such data can carry at all."""
+    load_installed()
     names = [name for name, effect in EFFECTS.items() if kind in effect.kinds]
     if 1 not in quantities:  # no times: nothing shows a clock
         names.remove("clock_error")

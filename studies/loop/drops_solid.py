@@ -23,15 +23,15 @@ from ...solver.bristle import Bristle
 from ...solver.contact.laws import Linear
 from ...solver.drop import ModalFrame
 from ...solver.effects.base import Effect, Scene
-from ...solver.effects.library import EFFECTS, enter_all
+from ...solver.effects.library import EFFECTS, enter_all, in_order
 from ...solver.errors import ComputationError
 from ...solver.fall import fallen, risen
 from ..command.choices import Model
 from ..command.sources import checked
 from ..running.cases import Workshop
 from ..running.retry import with_shorter_its
-from .drop_model import DropModel, effect_at
-from .response import PLAIN_STEP, Bench
+from .drop_model import DropModel
+from .response import PLAIN_STEP, Bench, effect_at
 from .table import QUANTITIES
 from .table_drops import ITS_S, drops_of, its_s
 
@@ -151,10 +151,11 @@ def scenes_of(
 
 def _effects(model: DropModel, theta: Array) -> list[Effect]:
     """The model's effects at their values, those that change Kn before the law that it enters."""
-    given = {name: float(values[0]) for name, values in model.given(theta).items()}
-    order = [*("surface_phases", "wear"), *EFFECTS]
-    names = sorted(model.effects, key=order.index)
-    return [effect_at(name, given[name]) for name in names]
+    given = model.given(theta)
+    return [
+        effect_at(name, *map(float, given[name][: len(EFFECTS[name].parameters)]))
+        for name in in_order(model.effects)
+    ]
 
 
 def solid_drops(model: DropModel, theta: Array, which: Sequence[int]) -> Array:

@@ -36,7 +36,7 @@ from ...solver.errors import ComputationError
 from ...solver.ground import Ground
 from ...solver.rigid import slope_normal
 from ..running.retry import with_shorter_its
-from .response import LEANING, MADE_BY, SCALED, SIMULATED, Bench, Tables
+from .response import LEANING, MADE_BY, SCALED, Bench, Tables, effect_at, simulated
 from .spline import coefficients, evaluate
 from .table import Axis, Table, mended
 from .table_drops import beam_of, its_s
@@ -243,7 +243,7 @@ class ForceTables(Tables):
 
     @property
     def simulated(self) -> tuple[str, ...]:
-        return (*SIMULATED, CLOCK)
+        return (*simulated(), CLOCK)
 
     def _make(self, name: str, friction: float | None) -> Table:
         if name != CLOCK:
@@ -287,7 +287,7 @@ def with_shapes(bench: ForceBench, names: Sequence[str]) -> CurveBench:
     for name in ("", *names):
         if name == CLOCK:
             values = stretched_curves(bench).values
-        elif name and name not in SIMULATED:
+        elif name and name not in simulated():
             continue
         else:
             (only,) = histories.of(name) if name else (histories.plain,)
@@ -308,18 +308,16 @@ def table_errors(tables: ForceTables, names: Sequence[str], kn_N_m: float) -> Ar
     assert isinstance(bench, CurveBench)
     rng = np.random.default_rng(0)
     misses = []
-    for name in ("", *(n for n in names if n in SIMULATED and n not in RANDOM)):
+    for name in ("", *(n for n in names if n in simulated() and n not in RANDOM)):
         for _ in range(CHECKS):
             height = rng.uniform(bench.lowest_m, bench.highest_m)
             kn = kn_N_m * 10.0 ** rng.uniform(-0.2, 0.2)
             scene = replace(bench.plain(), height_m=height, law=Linear(kn))
             told = tables.plain.at(np.array(height), np.array(kn))
             if name:
-                only = EFFECTS[name].parameters[0]
-                scene = EFFECTS[name](**{only.name: only.typical}).enter(scene)
-                told = told + tables.change(
-                    name, np.array(height), np.array(kn), np.array(only.typical)
-                )
+                typical = [each.typical for each in EFFECTS[name].parameters]
+                scene = effect_at(name, *typical).enter(scene)
+                told = told + tables.change(name, np.array(height), np.array(kn), *typical)
             found = bench.curve(scene, finer=2.0) @ bench.shapes.T / CELLS
             if np.isfinite(found).all():
                 misses.append(told - found)

@@ -34,7 +34,7 @@ from .force_curves import (
 from .force_rows import Placed, Record, Rows, place, rows
 from .forces_record import KIND, Forces
 from .problem import Problem
-from .response import KN_RANGE_N_M, SIMULATED, Tables
+from .response import KN_RANGE_N_M, Tables, simulated
 
 SIGMA_N = 1.0
 """Uncertainty taken for a force where none is declared and no sample shows it."""
@@ -222,7 +222,7 @@ def _tried(bench: CurveBench, tables: ForceTables, names: list[str]) -> tuple[Ar
     How many of them, the first ones, have no effect in them.
     """
     amounts, rng = [], np.random.default_rng(0)
-    for table in (tables.plain, *(tables.of(name)[0] for name in names if name in SIMULATED)):
+    for table in (tables.plain, *(tables.of(name)[0] for name in names if name in simulated())):
         # over speed, heights give much the same history; others differ too much from node to node
         finer = [replace(axis, n=2 * axis.n - 1) for axis in table.axes]
         nodes = [axis.nodes()[-1:] if i == 0 else axis.nodes() for i, axis in enumerate(finer)]

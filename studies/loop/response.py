@@ -24,7 +24,8 @@ from ...solver.bristle import Bristle, RigidMass
 from ...solver.cache import cached, sources
 from ...solver.contact.laws import Adhesive, ContactLaw, Damped, Linear, Plastic
 from ...solver.effects import library
-from ...solver.effects.base import Parameter, Scene
+from ...solver.effects.base import Effect, Parameter, Scene
+from ...solver.effects.contact import TOUCHING
 from ...solver.effects.library import EFFECTS
 from ...solver.effects.surface import MOST_SLOPE_DEG
 from . import spline, table, table_drops
@@ -188,16 +189,10 @@ class Bench:
         return coefficients(mended(logs), len(axes))
 
 
-SIMULATED = (
-    "contact_damping",
-    "hunt_crossley",
-    "stiffening_contact",
-    "plastic_contact",
-    "adhesion",
-    "material_damping",
-    "hysteretic_damping",
-    "bristle_tilt",
-    "surface_slope",
+# Effects of a bounce that are computed from the plain drops' table (drop_model.BounceModel).
+COMPUTED = (
+    *("air_drag", "release_velocity", "height_offset", "scale_error", "clock_error"),
+    *("surface_phases", "wear"),
 )
 LEANING = ("bristle_tilt", "surface_slope")
 # Effects whose parameter counts against a scale that height and stiffness set: the law, the shares
@@ -211,6 +206,13 @@ SCALED: Mapping[str, tuple[Law, Axis]] = {
 }
 
 
+def simulated() -> tuple[str, ...]:
+    """Effects of a bounce whose result only a simulation can tell."""
+    return tuple(
+        name for name, effect in EFFECTS.items() if effect.kinds & TOUCHING and name not in COMPUTED
+    )
+
+
 @dataclass(frozen=True)
 class Tables:
     """The tables of a bench, each made when it is first asked for."""
@@ -221,7 +223,7 @@ class Tables:
     @property
     def simulated(self) -> tuple[str, ...]:
         """Effects whose result only a simulation can tell."""
-        return SIMULATED
+        return simulated()
 
     def parameters(self, name: str) -> tuple[Parameter, ...]:
         """An effect's parameters, as far as drops show them: with the absence that this body
@@ -257,25 +259,20 @@ class Tables:
         return self._made[name]
 
     def _make(self, name: str, friction: float | None) -> Table:
-        kind = EFFECTS[name]
-        only = kind.parameters[0]
         if name == "surface_slope":
             sides = (Axis(0.0, MOST_SLOPE_DEG, SLOPE_NODES, "root"), Axis(0.0, 90.0, SIDE_NODES))
             return self.bench.table(name, sides, _sloping, LEAN_KN_NODES, friction)
         if name in self.scaled:
             law, side = self.scaled[name]
             return self.bench.table(name, (side,), self._scaled(name, law), EFFECT_KN_NODES)
-        leans = name in LEANING
-        how = "log" if only.logarithmic else "root" if leans or only.null == only.low else "even"
-        places = LEAN_NODES if leans else DECADES_NODES if only.logarithmic else EFFECT_NODES
-        axis = Axis(only.low, only.high, places, how)
+        kind, leans = EFFECTS[name], name in LEANING
 
         def change(scene: Scene, point: tuple[float, ...]) -> Scene:
-            value = min(max(point[0], only.low), only.high)
-            return kind(**{only.name: value}).enter(scene)
+            return effect_at(name, *point).enter(scene)
 
-        nodes = LEAN_KN_NODES if leans else EFFECT_KN_NODES
-        return self.bench.table(name, (axis,), change, nodes, friction)
+        nodes = LEAN_KN_NODES if leans or len(kind.parameters) > 1 else EFFECT_KN_NODES
+        axes = [_axis(each, leans) for each in kind.parameters]
+        return self.bench.table(f"{name}{kind.origin}", axes, change, nodes, friction)
 
     def _scaled(self, name: str, law: Law) -> Callable[[Scene, tuple[float, ...]], Scene]:
         """Puts a law in whose parameter is a share of its scale."""
@@ -317,7 +314,8 @@ class Tables:
         """By how much an effect changes the logarithms of all quantities (quantities, ...)."""
         absent = [np.asarray(0.0)] * len(value)
         if name != "surface_slope":
-            absent = [np.asarray(self._bounded(name, EFFECTS[name].parameters[0]).null)]
+            own = EFFECTS[name].parameters
+            absent = [np.asarray(self._bounded(name, each).null) for each in own]
         if name in self.scaled:
             most = self._scale(name, np.asarray(height_m), np.asarray(kn_N_m))
             value, absent = (value[0] / most,), [absent[0] / most]
@@ -331,6 +329,25 @@ class Tables:
     def rigid(self, height_m: Array, kn_N_m: Array) -> Array:
         """See `Bench.reference`."""
         return self.bench.reference(height_m, kn_N_m)
+
+
+def _axis(parameter: Parameter, leans: bool) -> Axis:
+    """Nodes over a parameter, closer where it is absent at its low end."""
+    low, high = parameter.low, parameter.high
+    if parameter.logarithmic:
+        return Axis(low, high, LEAN_NODES if leans else DECADES_NODES, "log")
+    how = "root" if leans or parameter.null == low else "even"
+    return Axis(low, high, LEAN_NODES if leans else EFFECT_NODES, how)
+
+
+def effect_at(name: str, *values: float) -> Effect:
+    """The effect at values of its parameters, taken into their bounds."""
+    kind = EFFECTS[name]
+    own = {
+        each.name: float(np.clip(value, each.low, each.high))
+        for each, value in zip(kind.parameters, values, strict=True)
+    }
+    return kind(**own)
 
 
 def _between(tables: Sequence[Table], friction: Array, places: Sequence[Array]) -> Array:
