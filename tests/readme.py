@@ -1,4 +1,4 @@
-"""What does the README say: which commands, which output under them, which tables?"""
+"""What README and the documents say: commands, the output under them, tables."""
 
 from __future__ import annotations
 
@@ -14,7 +14,11 @@ import typer
 from bristle.studies.cli import app
 
 REPOSITORY = Path(__file__).resolve().parents[1]
-TEXT = (REPOSITORY / "README.md").read_text(encoding="utf-8")
+PAGES = [
+    *(REPOSITORY / name for name in ("README.md", "CONTRIBUTING.md")),
+    *sorted((REPOSITORY / "docs").glob("*.md")),
+]
+TEXT = "\n".join(path.read_text(encoding="utf-8") for path in PAGES)
 FENCE = re.compile(r"^( *)```(\w+)\n(.*?)^\1```$", re.MULTILINE | re.DOTALL)
 NUMBER = re.compile(r"-?\d+(?:\.\d+)?(?:e[+-]?\d+)?")
 GROUP = typer.main.get_command(app)

@@ -499,3 +499,28 @@ def test_read_config_names_its_origin(tmp_path):
     source = read_config(Path(path), DROP_FLAGS)
     assert source.origins == {"kn_N_m": f"{path}:2: kn"}
     assert json.loads(to_json(source.values)) == {"kn_N_m": 1e6}
+
+
+@pytest.mark.parametrize(
+    ("values", "words"),
+    [
+        ({"diameter_m": 0.8, "length_m": 100.0}, "--diameter 0.8 m is far outside"),
+        ({"height_m": 50.0}, "if 50 mm is meant, that is --height 0.05"),
+        ({"density_kg_m3": 0.91, "beta_s": 0.0}, "if 0.91 g/cm³ is meant, that is --density 910"),
+        ({"kn_N_m": 20.0}, "if 20 MN/m is meant, that is --kn 2e+07"),
+        ({"youngs_Pa": 1.5e9}, "what the paper found on steel bristles"),
+        ({"density_kg_m3": 1140.0}, "what the paper found on steel bristles"),
+    ],
+    ids=lambda value: "-".join(value) if isinstance(value, dict) else "",
+)
+def test_what_was_hardly_meant_is_warned_of(values, words):
+    assert any(words in warning for warning in input_warnings(drop(model="beam", **values)))
+
+
+def test_what_may_well_be_meant_is_not_warned_of():
+    """Another steel; nylon with a damping of its own; a rigid plane."""
+    nylon = {"youngs_Pa": 3e9, "density_kg_m3": 1140.0, "beta_s": 1e-6, "its_s": 1e-6}
+    stainless = {"youngs_Pa": 193e9, "density_kg_m3": 8000.0}
+    rigid = {"contact": "nitsche", "kn_N_m": math.inf}
+    for values in ({}, nylon, stainless, rigid):
+        assert input_warnings(drop(model="beam", **values)) == []

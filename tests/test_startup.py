@@ -11,9 +11,9 @@ from bristle.studies.cli import app
 
 pytestmark = pytest.mark.serial
 
-MESHED = {"dolfinx", "ufl", "basix", "ffcx", "petsc4py", "gmsh", "meshio", "h5py", "adios2"}
+MESHED = {"dolfinx", "ufl", "basix", "ffcx", "petsc4py", "gmsh", "meshio", "adios2"}
 PAGES = {"matplotlib", "pyvista", "vtkmodules", "jinja2", "PIL", "imageio"}
-STATISTICS = {"pandas", "statsmodels", "sklearn", "emcee"}
+STATISTICS = {"pandas", "statsmodels"}
 NUMERICS = {"numpy", "scipy", "numba", "mpi4py"}
 COMMANDS = [info.name or info.callback.__name__ for info in app.registered_commands]
 

@@ -7,12 +7,14 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 from ...meshes.section import Rectangle
+from ...solver import paper
 from ...solver.analytic import quarter_period_s
 from ...solver.drop import DropResult
 from ...solver.fall import free_fall
 from ..sections.stance import lean_deg, narrow_zone, slowest_bending_1_s, surface_normal
 from .choices import Contact, Deflection, Model, Scheme, Tip, Until
 from .fields import FLAT, MOST_CONTACT_POINTS
+from .sources import OPTIONS
 
 if TYPE_CHECKING:
     from .config import DropInputs, Inputs
@@ -38,6 +40,20 @@ LINEAR_LEAN_DEG = 10.0
 SMALL_LEAN_DEG = 0.5
 # Angular velocity over the slowest bending's: what turning does to ringing is left out of flight.
 SPIN = 0.1
+# What bristles are, SI, and by what to multiply a value that was meant in another unit.
+MILLIMETRES = {"mm": 1e-3}
+USUAL: dict[str, tuple[float, float, dict[str, float]]] = {
+    "length_m": (5e-3, 2.0, MILLIMETRES),
+    "width_m": (1e-5, 2e-2, MILLIMETRES),
+    "thickness_m": (1e-5, 2e-2, MILLIMETRES),
+    "diameter_m": (1e-5, 2e-2, MILLIMETRES),
+    "height_m": (1e-5, 10.0, MILLIMETRES),
+    "youngs_Pa": (1e7, 1.2e12, {"MPa": 1e6, "GPa": 1e9}),
+    "density_kg_m3": (200.0, 2.5e4, {"g/cm³": 1e3}),
+    "kn_N_m": (1e2, 1e12, {"MN/m": 1e6, "N/mm": 1e3}),
+}
+# Elastic constants this close to the steel's are another steel's.
+ALIKE = 0.1
 # Lean at which the side or the upper end reaches the surface.
 FALLEN_DEG = 90.0
 
@@ -135,9 +151,44 @@ def marching_time_s(inputs: DropInputs) -> float:
 
 def input_warnings(inputs: DropInputs) -> list[str]:
     """What a user should know before the run: value, limit, and what to change."""
+    found = [*_unit_warnings(inputs), *_damping_warnings(inputs)]
     if inputs.model is Model.ANALYTIC:
+        return found
+    return [*found, *_step_warnings(inputs), *_lean_warnings(inputs)]
+
+
+def _unit_warnings(inputs: DropInputs) -> list[str]:
+    """Values far outside what bristles are, with the unit that was probably meant."""
+    found = []
+    for field, (low, high, units) in USUAL.items():
+        value = getattr(inputs, field)
+        if value is None or math.isinf(value) or low <= value <= high:
+            continue
+        unit, option = field.partition("_")[2].replace("_", "/"), OPTIONS[field]
+        meant = (
+            f"; if {value:g} {name} is meant, that is {option} {value * factor:g}"
+            for name, factor in units.items()
+            if low <= value * factor <= high
+        )
+        found.append(
+            f"{option} {value:g} {unit} is far outside of what bristles are, {low:g} to {high:g} "
+            f"{unit}{next(meant, '')}"
+        )
+    return found
+
+
+def _damping_warnings(inputs: DropInputs) -> list[str]:
+    """Another material with the damping of the paper's steel bristle."""
+    same = math.isclose(inputs.youngs_Pa, paper.YOUNGS_PA, rel_tol=ALIKE) and math.isclose(
+        inputs.density_kg_m3, paper.DENSITY_KG_M3, rel_tol=ALIKE
+    )
+    if same or inputs.beta_s != paper.BETA_S or inputs.model is Model.ANALYTIC:
         return []
-    return [*_step_warnings(inputs), *_lean_warnings(inputs)]
+    return [
+        f"--youngs or --density is not the steel's, while --beta {inputs.beta_s:g} s is what the "
+        "paper found on steel bristles; the rebound hangs on it: give --beta of this material, or "
+        "see with --beta 0 how much it matters"
+    ]
 
 
 def _step_warnings(inputs: DropInputs) -> list[str]:
