@@ -280,3 +280,8 @@ def test_what_is_kept_is_made_once_and_made_again_when_it_is_spoilt(monkeypatch,
     assert load("another key") is None
     store("another key", {"y": np.ones(1)})
     assert load("another key") is not None
+
+
+@pytest.mark.parametrize("kind", EFFECTS.values(), ids=EFFECTS)
+def test_an_effect_without_numbers_is_of_its_typical_size(kind):
+    assert kind().values() == tuple(each.typical for each in kind.parameters)

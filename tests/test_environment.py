@@ -154,10 +154,13 @@ def test_signals_reach_the_command_once(number: signal.Signals) -> None:
 
 
 def test_the_package_is_the_live_repository(tmp_path: Path) -> None:
-    code = "import bristle.meshes as m, bristle.solver as s; print(m.__file__); print(s.__file__)"
+    code = (
+        "import bristle, bristle.meshes, bristle.solver;"
+        "print(*(each.__file__ for each in (bristle, bristle.meshes, bristle.solver)))"
+    )
     files = run("python3", "-c", code, cwd=tmp_path).stdout.split()
-    assert [Path(file).resolve().parent for file in files] == [ROOT / "meshes", ROOT / "solver"]
-    assert not (ROOT / "docker/live/bristle/__init__.py").exists()
+    folders = [ROOT / name for name in ("docker/live/bristle", "meshes", "solver")]
+    assert [Path(file).resolve().parent for file in files] == folders
     command = run("sh", "-c", "command -v bristle", cwd=tmp_path).stdout.strip()
     assert Path(command).resolve() == DOCKER / "live/bin/bristle"
 

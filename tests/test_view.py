@@ -35,6 +35,7 @@ from bristle.solver.paraview import FieldWriter, Phase
 from bristle.solver.rigid import leaning, matrix_of, slope_normal
 from bristle.solver.time.march import Marcher
 from bristle.studies.page.history_picture import read_history, touch_time_s
+from bristle.studies.running.progress import logged_to_terminal
 from bristle.studies.view import run_view
 from bristle.studies.viewing.bristle_drawing import OUTLINE, draw_bristle, save_frames
 from bristle.studies.viewing.field_series import FieldSeries
@@ -145,7 +146,8 @@ def colours(path):
 
 @pytest.mark.serial
 def test_all_pictures_of_a_solid(result, capfd):
-    written = run_view(result, comm=MPI.COMM_SELF)
+    with logged_to_terminal():
+        written = run_view(result, comm=MPI.COMM_SELF)
     told = [line for line in capfd.readouterr().err.splitlines() if "of the wave, frames" in line]
     with FieldSeries(result / "fields" / "solid.bp") as series:
         count = len(series.times_s)

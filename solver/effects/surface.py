@@ -95,7 +95,7 @@ class SurfacePhases(Effect):
 class Wear(Effect):
     """Contact grows stiffer or softer with the order of drops: a tip or a surface that wears."""
 
-    decades: float = 0.3
+    decades: float = 0.5
 
     name = "wear"
     title = "drift with the order of drops"

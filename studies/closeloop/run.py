@@ -237,7 +237,7 @@ def verdict(closed: Closed) -> dict[str, Any]:
             }
             for each in finding.evidences
         ],
-        "inputs": closed.inputs.model_dump(),
+        "inputs": closed.inputs.model_dump(mode="json"),
     }
 
 
