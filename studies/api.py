@@ -2,11 +2,13 @@
 
 Keyword arguments are the inputs of result.json by name (SI units, angles in degrees), checked as
 the command line's are. Under mpirun every rank makes the same call and gets the same answer.
-Nothing is printed; warnings and progress go to the logger ``bristle``.
+Nothing is printed; warnings and progress go to the logger ``bristle``, of which Python shows
+warnings on standard error unless logging is set up.
 """
 
 from __future__ import annotations
 
+import difflib
 import math
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -17,10 +19,11 @@ from mpi4py import MPI
 from pydantic import BaseModel
 
 from ..solver.contact_phase import HISTORY_COLUMNS
+from ..solver.errors import InputError
 from .closeloop.fields import LoopInputs
 from .closeloop.run import run_close_loop, summary
 from .command.config import DropInputs
-from .command.sources import checked
+from .command.sources import OPTIONS, checked
 from .drop import run_drop, simulate_drop
 from .drop import summary as drop_summary
 from .running.results import HISTORY_FILE
@@ -101,9 +104,10 @@ def drop(*, out: str | Path | None = None, **inputs: Any) -> Drop:
     Raises InputError and ComputationError.
     """
     asked = _checked(DropInputs, inputs)
-    if out is not None:
-        document = run_drop(asked, Path(out), MPI.COMM_WORLD)
-        return Drop(document, pd.read_csv(Path(out) / HISTORY_FILE))
+    folder = _folder(out)
+    if folder is not None:
+        document = run_drop(asked, folder, MPI.COMM_WORLD)
+        return Drop(document, pd.read_csv(folder / HISTORY_FILE))
     document, result = simulate_drop(asked, MPI.COMM_WORLD)
     return Drop(document, pd.DataFrame(result.history.array(), columns=list(HISTORY_COLUMNS)))
 
@@ -116,10 +120,14 @@ def sweep(*, out: str | Path | None = None, **inputs: Any) -> pd.DataFrame:
     ComputationError.
     """
     names = {"height_m": "heights_m", "model": "models"}
+    for one, other in names.items():
+        if one in inputs and other in inputs:
+            raise InputError(f"{one}: given twice, also as {other}")
     asked = _checked(StudyInputs, {names.get(name, name): each for name, each in inputs.items()})
-    if out is not None:
-        run_sweep(asked, Path(out), MPI.COMM_WORLD)
-        return pd.read_csv(Path(out) / TABLE_FILE)
+    folder = _folder(out)
+    if folder is not None:
+        run_sweep(asked, folder, MPI.COMM_WORLD)
+        return pd.read_csv(folder / TABLE_FILE)
     rows = rows_of(Study("sweep"), asked.cases(), MPI.COMM_WORLD)
     seen = [
         {name: math.nan if row[name] is None else row[name] for name in COLUMNS} for row in rows
@@ -134,11 +142,28 @@ def close_loop(dataset: str | Path, *, out: str | Path | None = None, **inputs: 
     its figures are written into that folder. Raises InputError and ComputationError.
     """
     asked = _checked(LoopInputs, inputs)
-    return Verdict(run_close_loop(Path(dataset), None if out is None else Path(out), asked))
+    if not isinstance(dataset, str | Path):
+        raise InputError(f"dataset: must be a folder, not {dataset!r}")
+    return Verdict(run_close_loop(Path(dataset), _folder(out), asked))
+
+
+def _folder(out: str | Path | None) -> Path | None:
+    if out is not None and (not isinstance(out, str | Path) or not str(out)):
+        raise InputError(f"out: must be a folder, not {out!r}")
+    return None if out is None else Path(out)
 
 
 def _checked[Inputs: BaseModel](kind: type[Inputs], values: Mapping[str, Any]) -> Inputs:
     """Inputs of these keywords, with paths as text and whole numbers as the numbers they are."""
+    for name in values:
+        if name not in kind.model_fields:
+            by_flag = {
+                option.removeprefix("--").replace("-", "_"): x for x, option in OPTIONS.items()
+            }
+            known = [each for each in kind.model_fields if each == by_flag.get(name)]
+            near = known or difflib.get_close_matches(name, kind.model_fields, 1)
+            hint = f"; did you mean {near[0]}?" if near else ""
+            raise InputError(f"{name}: is no known input{hint}")
     plain = {name: _plain(value) for name, value in values.items()}
     return checked(kind, plain, {name: name for name in kind.model_fields})
 

@@ -21,12 +21,13 @@ from .command.fields import Height, Its, Numbers
 from .page.figures import picture
 from .page.figures_its import error_figure, need_figure
 from .running.files import to_csv, write_atomically, write_picture
-from .running.study import Row, Study, StudyInputs, run_study
+from .running.study import TABLE_FILE, Row, Study, StudyInputs, run_study
 from .sections.convergence import Limit, Need, limit, need
 
 ITS_S = (1e-4, 3e-5, 1e-5, 3e-6, 1e-6, 3e-7, 1e-7)
 GOAL = 0.01
 NEEDS_FILE = "needs.csv"
+FEWEST_STEPS = 3
 QUANTITIES = {
     "rebound_ratio": "rebound ratio y1/y0",
     "peak_force_N": "peak force",
@@ -127,7 +128,13 @@ def answer(out: Path) -> list[str]:
     for (model, kn), each in needed.items():
         needs = (each.get(name) for name in QUANTITIES)
         words = ("" if need is None else f"{need[1]}{need[0]:.2g}" for need in needs)
-        lines.append(f"  {model:<10}{kn:<10.4g}" + "".join(f"{word:>22}" for word in words))
+        lines.append(f"  {model:<10}{kn:<10.6g}" + "".join(f"{word:>22}" for word in words))
+    with (out / TABLE_FILE).open(encoding="utf-8", newline="") as file:
+        steps = {row["its_s"] for row in csv.DictReader(file)}
+    if len(steps) < FEWEST_STEPS:
+        lines.append(
+            f"  of {len(steps)} steps alone: give --its {FEWEST_STEPS} or more to trust it"
+        )
     return lines
 
 

@@ -59,6 +59,8 @@ def answer(out: Path) -> list[str]:
     model, and at which Kn it is the paper's."""
     with (out / TABLE_FILE).open(encoding="utf-8", newline="") as file:
         rows = list(csv.DictReader(file))
+    if not any(row["rebound_ratio"] for row in rows):
+        return ["no rebound was computed: --until ends the drops before it"]
     lines: list[str] = []
     for model, its_s in dict.fromkeys((row["model"], row["its_s"]) for row in rows):
         ratio = {
@@ -68,10 +70,10 @@ def answer(out: Path) -> list[str]:
         }
         kns, heights = (sorted({key[i] for key in ratio}) for i in range(2))
         lines += [f"{model}, ITS {float(its_s):g} s: y1/y0", "  Kn (N/m) from (mm)"]
-        lines[-1] += "".join(f"{1e3 * height:9.3g}" for height in heights)
+        lines[-1] += "".join(f"{1e3 * height:9.4g}" for height in heights)
         for kn in kns:
             values = "".join(f"{ratio[kn, height]:9.4f}" for height in heights)
-            lines.append(f"  {kn:<18.4g}{values}")
+            lines.append(f"  {kn:<18.6g}{values}")
         found = _kn_of(paper.RATIO_MEAN, kns, [ratio[kn, heights[-1]] for kn in kns])
         if found is not None:
             lines.append(

@@ -58,6 +58,12 @@ def test_wrong_inputs_are_named_as_they_were_given():
         bristle.drop(kn_N_m=-1.0)
     with pytest.raises(bristle.InputError, match=r"^knn: is no known input"):
         bristle.drop(knn=1.0)
+    with pytest.raises(bristle.InputError, match=r"^tilt: .*; did you mean tilt_deg"):
+        bristle.drop(tilt=2.0)
+    with pytest.raises(bristle.InputError, match=r"^height_m: given twice, also as heights_m"):
+        bristle.sweep(height_m=0.05, heights_m=0.05)
+    with pytest.raises(bristle.InputError, match=r"^out: must be a folder"):
+        bristle.drop(model="beam", out="")
     with pytest.raises(AttributeError, match="rebound_ratio"):
         _ = bristle.drop(model="analytic").rebound
     with pytest.raises(AttributeError, match="no attribute 'drops'"):

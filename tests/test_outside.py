@@ -15,7 +15,7 @@ from made_drops import QUICK, write_drops
 
 import bristle
 from bristle.solver.bristle import Bristle
-from bristle.solver.contact.laws import Linear
+from bristle.solver.contact.laws import Damped, HuntCrossley, Linear
 from bristle.solver.effects import outside
 from bristle.solver.effects.base import Effect, Parameter, Place, Scene
 from bristle.solver.effects.library import EFFECTS
@@ -38,6 +38,7 @@ def own_effects():
     yield
     EFFECTS.clear()
     EFFECTS.update(before)
+    outside.FILES.clear()
     for name in [name for name in sys.modules if name.startswith("bristle_plugin_")]:
         del sys.modules[name]
 
@@ -150,10 +151,25 @@ def test_two_parameters_make_a_table_of_both(monkeypatch):
         ({"parameters": Good.parameters[:1]}, "its fields must be its parameters"),
         ({"parameters": (Good.parameters[0], Parameter("more_s", "s", 0.0, 1.0, 2.0))}, "more_s"),
         ({"enter": lambda self, scene: scene}, "changes nothing"),
-        ({"enter": lambda self, scene: replace(scene, drag_kg_m=self.more_s)}, "drag_kg_m"),
-        ({"enter": lambda self, scene: replace(scene, beta_s=1e-6 * self.share)}, "absence"),
         (
-            {"enter": lambda self, s: replace(s, beta_s=s.beta_s + self.more_s * s.chance[0])},
+            {"enter": lambda self, s: replace(s, drag_kg_m=self.more_s * self.share)},
+            "drag_kg_m",
+        ),
+        (
+            {"enter": lambda self, scene: replace(scene, beta_s=self.share * self.more_s + 1e-9)},
+            "absence",
+        ),
+        ({"enter": lambda self, scene: replace(scene, height_m=self.share)}, "height_m"),
+        ({"enter": lambda self, scene: replace(scene, beta_s=1e-6 * self.more_s)}, "share changes"),
+        ({"enter": lambda self, scene: None}, "must return a Scene"),
+        ({"enter": lambda self, scene: 1.0 / 0.0}, "ZeroDivisionError"),
+        ({"enter": lambda self, s: replace(s, law=Linear(self.more_s - 0.5))}, "Kn must be"),
+        (
+            {
+                "enter": lambda self, s: replace(
+                    s, beta_s=s.beta_s + self.more_s * self.share * s.chance[0]
+                )
+            },
             "differs from drop to drop",
         ),
     ],
@@ -206,3 +222,72 @@ def test_an_installed_package_brings_its_own(monkeypatch, caplog):
         "the effect broken of an installed package is left out: gone"
     ]
     outside.load_installed.cache_clear()
+
+
+def test_a_parameter_is_what_its_effect_says_whatever_its_name():
+    """`beta_s` of an effect from outside adds to the material's, and is not it."""
+    own = (Good.parameters[0], Parameter("beta_s", "s", 0.0, 1e-5, 5e-6))
+    words = {"name": "more_beta", "parameters": own, "__annotations__": {}}
+
+    def enter(self, scene):
+        return replace(scene, beta_s=scene.beta_s + self.beta_s * self.share)
+
+    kind = dataclass(frozen=True)(
+        type(
+            "MoreBeta",
+            (Effect,),
+            {
+                **{name: getattr(Good, name) for name in ("title", "place", "kinds", "source")},
+                **words,
+                "__annotations__": {"share": "float", "beta_s": "float"},
+                "share": 1.0,
+                "beta_s": 0.0,
+                "enter": enter,
+            },
+        )
+    )
+    outside.register(kind, "a test")
+    assert Tables(Bench(Bristle(), 9.8, 0.02, 0.05)).parameters("more_beta") == own
+
+
+def test_an_effect_may_scale_the_damping_with_height():
+    kind = dataclass(frozen=True)(
+        type(
+            "Scaled",
+            (Good,),
+            {
+                "name": "scaled",
+                "enter": lambda self, scene: replace(
+                    scene,
+                    beta_s=scene.beta_s * self.share * (1.0 + self.more_s * scene.height_m),
+                ),
+            },
+        )
+    )
+    outside.register(kind, "a test")
+    assert "scaled" in EFFECTS
+
+
+def test_two_laws_at_once_are_refused():
+    def of(name, law):
+        enter = lambda self, s: replace(s, law=law(s.law.kn_N_m * self.share, self.more_s * 1e6))  # noqa: E731
+        return dataclass(frozen=True)(
+            type(name, (Good,), {"name": name, "kinds": frozenset(), "enter": enter})
+        )
+
+    for name, law in (("law_a", Damped), ("law_b", HuntCrossley)):
+        outside.register(of(name, law), "a test")
+    with pytest.raises(InputError, match="law_b replaces the contact law of another"):
+        bristle.drop(model="beam", effects=["law_a:share=0.7", "law_b:share=0.7"])
+
+
+def test_an_edited_file_is_taken_anew_and_has_to_be_named(tmp_path):
+    path = tmp_path / "own.py"
+    path.write_text(EXAMPLE.read_text())
+    asked = {"model": "beam", "height_m": 0.01, "effects": [SPEC]}
+    before = bristle.drop(**asked, plugins=[path])
+    path.write_text(EXAMPLE.read_text().replace("REFERENCE_M = 0.05", "REFERENCE_M = 0.01"))
+    after = bristle.drop(**asked, plugins=[path])
+    assert before.peak_force_N > after.peak_force_N
+    with pytest.raises(InputError, match="my_effect is of the plugin .*own.py; name that too"):
+        bristle.drop(**asked)

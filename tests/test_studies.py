@@ -710,7 +710,11 @@ def test_the_study_of_the_step_answers_with_the_shortest_of_all_heights(tmp_path
         ("beam", 1e6, 0.05, "peak_force_N", 1e-7, "<"),
     ]
     (tmp_path / "needs.csv").write_text(to_csv(names, rows))
+    steps = [(f"{10.0**-k:g}",) for k in (4, 5, 6)]
+    (tmp_path / "table.csv").write_text(to_csv(("its_s",), steps))
     assert its.answer(tmp_path)[-1].split() == ["beam", "1e+06", "3e-05", "<1e-07"]
+    (tmp_path / "table.csv").write_text(to_csv(("its_s",), steps[:1]))
+    assert "of 1 steps alone" in its.answer(tmp_path)[-1]
 
 
 @pytest.mark.parametrize("order", [1.0, 2.0])

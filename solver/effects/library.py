@@ -7,6 +7,8 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
+from ..contact.laws import Linear
+from ..errors import InputError
 from .base import Effect, Scene
 from .body import HystereticDamping, LateralInertia, MaterialDamping
 from .contact import (
@@ -51,7 +53,9 @@ def enter_all(scene: Scene, effects: Iterable[Effect]) -> Scene:
     """The scene with all ``effects`` in it, whatever their order."""
     by_name = {effect.name: effect for effect in effects}
     for name in in_order(by_name):
-        scene = by_name[name].enter(scene)
+        before, scene = scene, by_name[name].enter(scene)
+        if type(before.law) is not Linear and type(scene.law) is not type(before.law):
+            raise InputError(f"--effect: {name} replaces the contact law of another; take one")
     return scene
 
 

@@ -7,16 +7,18 @@ beam, reduced solid, solid and the loop take it from then on, or it is refused w
 from __future__ import annotations
 
 import hashlib
-import importlib.util
 import logging
 import re
 import sys
+from collections.abc import Mapping, Sequence
 from dataclasses import fields, is_dataclass, replace
 from functools import lru_cache
 from importlib.metadata import entry_points
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
+from .. import paper
 from ..errors import InputError
 from .base import Effect, Parameter, Place, Scene
 from .contact import TOUCHING
@@ -25,45 +27,56 @@ from .library import EFFECTS
 ENTRY_POINT = "bristle.effects"
 # What a simulated drop takes from its scene; the rest the loop computes from the effects it knows.
 SIMULATED_FIELDS = {"law", "beta_s", "loss_factor"}
+# What a drop takes from its own inputs, whatever an effect makes of it.
+IGNORED = ("height_m", "order", "chance", "front_m2")
+# Drops on which effects are tried.
+LOW = Scene(height_m=0.01, beta_s=paper.BETA_S, loss_factor=1e-3, lateral_inertia=1.0)
+HIGH = replace(LOW, height_m=0.05)
+LATER: tuple[dict[str, Any], ...] = ({"order": 7}, {"chance": (-1.0, 2.0)})
+# The file that an effect came from, by its name.
+FILES: dict[str, Path] = {}
 MOST_PARAMETERS = 2
 
 
 def load(path: Path) -> list[type[Effect]]:
     """Take in the effects of a Python file; ValueError where it has none, or one is refused."""
     try:
-        digest = hashlib.sha256(path.read_bytes()).hexdigest()
+        source = path.read_bytes()
     except OSError as error:
         raise ValueError(f"{path}: {error.strerror}") from None
-    name = f"bristle_plugin_{digest[:16]}"
-    if name not in sys.modules:
-        sys.modules[name] = _executed(path, name)
+    digest = hashlib.sha256(source).hexdigest()
+    module = f"bristle_plugin_{digest[:16]}"
+    found = sys.modules.get(module) or _executed(source, path, module)
     own = [
         each
-        for each in vars(sys.modules[name]).values()
-        if isinstance(each, type) and issubclass(each, Effect) and each.__module__ == name
+        for each in vars(found).values()
+        if isinstance(each, type) and issubclass(each, Effect) and each.__module__ == module
     ]
     if not own:
         raise ValueError(f"{path}: defines no subclass of bristle.solver.effects.base.Effect")
     for each in own:
+        name = str(getattr(each, "name", ""))
+        there = EFFECTS.get(name)
+        if there is not None and there.origin != digest and FILES.get(name) == path.resolve():
+            del EFFECTS[name]  # the file has changed since it was taken in
         try:
             register(each, digest)
+            FILES[name] = path.resolve()
         except InputError as error:
             raise ValueError(f"{path}: {error}") from None
     return own
 
 
-def _executed(path: Path, name: str) -> ModuleType:
-    spec = importlib.util.spec_from_file_location(name, path)
-    if spec is None or spec.loader is None:
-        raise ValueError(f"{path}: is no Python file")
-    module = importlib.util.module_from_spec(spec)
+def _executed(source: bytes, path: Path, name: str) -> ModuleType:
+    """The module ``name`` of this source; it is run from the text, and leaves no file behind."""
+    module = ModuleType(name)
+    module.__file__ = str(path)
     sys.modules[name] = module  # dataclasses look their module up
     try:
-        spec.loader.exec_module(module)
-    except Exception as error:
-        raise ValueError(f"{path}: {type(error).__name__}: {error}") from error
-    finally:
+        exec(compile(source, str(path), "exec"), module.__dict__)
+    except (Exception, SystemExit) as error:
         del sys.modules[name]
+        raise ValueError(f"{path}: {type(error).__name__}: {error}") from error
     return module
 
 
@@ -123,32 +136,60 @@ def _problem(kind: type[Effect]) -> str:
 
 def _acts(kind: type[Effect]) -> str:
     """What is wrong with how an effect acts, tried on drops; or an empty text."""
-    typical = kind(**{each.name: each.typical for each in kind.parameters})
-    absent = kind(**{each.name: each.null for each in kind.parameters})
-    low, high = Scene(height_m=0.01), Scene(height_m=0.05)
-    changed = {
-        each.name
-        for scene in (low, high)
-        for each in fields(Scene)
-        if getattr(typical.enter(scene), each.name) != getattr(scene, each.name)
+    sizes = {
+        "typical": {each.name: each.typical for each in kind.parameters},
+        "absent": {each.name: each.null for each in kind.parameters},
     }
-    if not changed:
+    for each in kind.parameters:
+        sizes[f"least {each.name}"] = {**sizes["typical"], each.name: each.low}
+        sizes[f"greatest {each.name}"] = {**sizes["typical"], each.name: each.high}
+    plain = (LOW, HIGH, *(replace(LOW, **late) for late in LATER))
+    done: dict[str, list[Scene]] = {}
+    for size, values in sizes.items():
+        try:
+            done[size] = [kind(**values).enter(scene) for scene in plain]
+        except Exception as error:
+            return f"fails where it is {size}: {type(error).__name__}: {error}"
+        if not all(isinstance(scene, Scene) for scene in done[size]):
+            return "enter must return a Scene"
+    changed = {size: _changed(plain, scenes) for size, scenes in done.items()}
+    ignored = sorted(changed["typical"] & set(IGNORED))
+    if ignored:
+        return f"changes {', '.join(ignored)}, which a drop does not take from effects"
+    if not changed["typical"]:
         return "changes nothing at its typical size"
-    if not kind.kinds:
-        return ""
+    for each in kind.parameters:
+        if done[f"least {each.name}"] == done[f"greatest {each.name}"]:
+            return f"{each.name} changes nothing"
+    return _predictable(kind, changed, done) if kind.kinds else ""
+
+
+def _changed(before: Sequence[Scene], after: Sequence[Scene]) -> set[str]:
+    """Which fields of scenes differ."""
+    return {
+        each.name
+        for one, other in zip(before, after, strict=True)
+        for each in fields(Scene)
+        if getattr(one, each.name) != getattr(other, each.name)
+    }
+
+
+def _predictable(
+    kind: type[Effect], changed: Mapping[str, set[str]], done: Mapping[str, Sequence[Scene]]
+) -> str:
+    """Why the loop could not tell what an effect does, or an empty text."""
     if len(kind.parameters) > MOST_PARAMETERS:
         return f"the loop takes at most {MOST_PARAMETERS} parameters"
-    other = sorted(changed - SIMULATED_FIELDS)
+    other = sorted(changed["typical"] - SIMULATED_FIELDS)
     if other:
         return (
             f"changes {', '.join(other)}, which the loop takes from its own effects alone; "
             "give it no kinds, for simulations only"
         )
-    if kind.random or any(
-        typical.enter(replace(low, **late)) != replace(typical.enter(low), **late)
-        for late in ({"order": 7}, {"chance": (-1.0, 2.0)})
-    ):
+    low, _, *later = done["typical"]
+    again = (replace(low, **late) for late in LATER)
+    if kind.random or any(one != other for one, other in zip(again, later, strict=True)):
         return "differs from drop to drop, which the loop knows of its own effects alone"
-    if any(absent.enter(scene) != scene for scene in (low, high)):
+    if changed["absent"]:
         return "changes drops where its parameters are those of its absence"
     return ""

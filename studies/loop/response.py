@@ -8,6 +8,7 @@ enough to choose by, and checked by direct simulation afterwards.
 
 from __future__ import annotations
 
+import hashlib
 import itertools
 import math
 from collections.abc import Callable, Mapping, Sequence
@@ -228,10 +229,17 @@ class Tables:
     def parameters(self, name: str) -> tuple[Parameter, ...]:
         """An effect's parameters, as far as drops show them: with the absence that this body
         declares, and with friction where the effect hangs on it and nobody knows it."""
-        own = tuple(self._bounded(name, each) for each in EFFECTS[name].parameters)
+        own = self._own(name)
         if name in LEANING and self.bench.friction is None:
             return (*own, FRICTION)
         return own
+
+    def _own(self, name: str) -> tuple[Parameter, ...]:
+        """An effect's parameters with what this body declares; those from outside as they are."""
+        kind = EFFECTS[name]
+        if kind.origin:
+            return kind.parameters
+        return tuple(self._bounded(name, each) for each in kind.parameters)
 
     def _bounded(self, name: str, parameter: Parameter) -> Parameter:
         if parameter.name == "beta_s":
@@ -272,7 +280,13 @@ class Tables:
 
         nodes = LEAN_KN_NODES if leans or len(kind.parameters) > 1 else EFFECT_KN_NODES
         axes = [_axis(each, leans) for each in kind.parameters]
-        return self.bench.table(f"{name}{kind.origin}", axes, change, nodes, friction)
+        key = name
+        if kind.origin:  # what it does may hang on more than its own file
+            points = itertools.product(*(axis.nodes() for axis in axes))
+            plain = [replace(self.bench.plain(), height_m=h) for h in (0.01, 0.02, 0.05)]
+            done = repr([change(scene, tuple(map(float, p))) for p in points for scene in plain])
+            key += hashlib.sha256(done.encode()).hexdigest()
+        return self.bench.table(key, axes, change, nodes, friction)
 
     def _scaled(self, name: str, law: Law) -> Callable[[Scene, tuple[float, ...]], Scene]:
         """Puts a law in whose parameter is a share of its scale."""
@@ -314,8 +328,7 @@ class Tables:
         """By how much an effect changes the logarithms of all quantities (quantities, ...)."""
         absent = [np.asarray(0.0)] * len(value)
         if name != "surface_slope":
-            own = EFFECTS[name].parameters
-            absent = [np.asarray(self._bounded(name, each).null) for each in own]
+            absent = [np.asarray(each.null) for each in self._own(name)]
         if name in self.scaled:
             most = self._scale(name, np.asarray(height_m), np.asarray(kn_N_m))
             value, absent = (value[0] / most,), [absent[0] / most]
