@@ -8,7 +8,6 @@ warnings on standard error unless logging is set up.
 
 from __future__ import annotations
 
-import difflib
 import math
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -23,7 +22,7 @@ from ..solver.errors import InputError
 from .closeloop.fields import LoopInputs
 from .closeloop.run import run_close_loop, summary
 from .command.config import DropInputs
-from .command.sources import OPTIONS, checked
+from .command.sources import checked
 from .drop import run_drop, simulate_drop
 from .drop import summary as drop_summary
 from .running.results import HISTORY_FILE
@@ -154,18 +153,9 @@ def _folder(out: str | Path | None) -> Path | None:
 
 
 def _checked[Inputs: BaseModel](kind: type[Inputs], values: Mapping[str, Any]) -> Inputs:
-    """Inputs of these keywords, with paths as text and whole numbers as the numbers they are."""
-    for name in values:
-        if name not in kind.model_fields:
-            by_flag = {
-                option.removeprefix("--").replace("-", "_"): x for x, option in OPTIONS.items()
-            }
-            known = [each for each in kind.model_fields if each == by_flag.get(name)]
-            near = known or difflib.get_close_matches(name, kind.model_fields, 1)
-            hint = f"; did you mean {near[0]}?" if near else ""
-            raise InputError(f"{name}: is no known input{hint}")
+    """Inputs of these keywords, paths and numpy's numbers among them."""
     plain = {name: _plain(value) for name, value in values.items()}
-    return checked(kind, plain, {name: name for name in kind.model_fields})
+    return checked(kind, plain, {name: name for name in (*kind.model_fields, *values)})
 
 
 def _plain(value: Any) -> Any:

@@ -22,6 +22,7 @@ from .command.fields import (
     DROP_FLAGS,
     LIST_FLAGS,
     OUTPUT,
+    PLUGIN,
     STUDY_FLAGS,
     BodyFields,
     DiscretisationFields,
@@ -279,8 +280,8 @@ def synth(
     plugin: Annotated[
         list[str] | None,
         typer.Option(
-            metavar="FILE.py",
-            help="A Python file with effects of your own; repeatable.",
+            metavar=PLUGIN.metavar,
+            help=PLUGIN.help,
             show_default=False,
         ),
     ] = None,

@@ -58,12 +58,12 @@ def run_drop(
     if there is not None:
         say(f"{out / results.RESULT_FILE} is finished already, nothing to do")
         return there
-    _warn_before(inputs)
+    warnings = _warned(input_warnings(inputs))
     with _by_rank_0(together(out, results.RESULT_FILE), comm):
         keeping = Keeping(out / CHECKPOINT, keep_s, resume)
         with compilation_noted():
             result, timings = _compute(inputs, out, comm, keeping)
-        document = _document(inputs, result, timings, comm)
+        document = _document(inputs, result, timings, warnings, comm)
         written = run_on_one_rank(comm, lambda: results.write_drop(out, document, result))
     run_on_one_rank(comm, lambda: remove(out / CHECKPOINT))
     return written
@@ -76,26 +76,30 @@ def simulate_drop(
 
     Collective; raises ComputationError.
     """
-    _warn_before(inputs)
+    warnings = _warned(input_warnings(inputs))
     with compilation_noted(), Workshop(comm) as workshop:
         result, timings = workshop.run(inputs)
-    return _document(inputs, result, timings, comm), result
+    return _document(inputs, result, timings, warnings, comm), result
 
 
-def _warn_before(inputs: DropInputs) -> None:
-    for message in input_warnings(inputs):
+def _warned(messages: list[str]) -> list[str]:
+    """The messages, once the user has been warned."""
+    for message in messages:
         warn(message)
+    return messages
 
 
 def _document(
-    inputs: DropInputs, result: DropResult, timings: Timings, comm: MPI.Intracomm
+    inputs: DropInputs,
+    result: DropResult,
+    timings: Timings,
+    warnings: list[str],
+    comm: MPI.Intracomm,
 ) -> dict[str, Any]:
-    """What result.json holds; warns of what the result shows."""
-    after = result_warnings(inputs, result)
-    for message in after:
-        warn(message)
-    warnings, memory = [*input_warnings(inputs), *after], results.peak_rss_MB(comm)
-    return results.drop_document(inputs, result, timings, warnings, memory, comm.size)
+    """What result.json holds, beside earlier ``warnings`` those of the result; collective."""
+    every = [*warnings, *_warned(result_warnings(inputs, result))]
+    memory = results.peak_rss_MB(comm)
+    return results.drop_document(inputs, result, timings, every, memory, comm.size)
 
 
 def _prepare(inputs: DropInputs, out: Path, resume: bool) -> dict[str, Any] | None:

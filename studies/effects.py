@@ -11,7 +11,7 @@ from ..solver.contact.laws import Linear
 from ..solver.drop import DropResult
 from ..solver.effects.base import Place, Scene
 from ..solver.effects.library import enter_all
-from ..solver.effects.outside import FILES
+from ..solver.effects.outside import plugin_of
 from ..solver.errors import InputError
 from .command.choices import Contact, Model, Scheme
 from .sections.stance import ANGLES
@@ -88,8 +88,9 @@ def check_effects(inputs: DropInputs, refuse: Callable[[str, str], None]) -> Non
         return
     given = {plugin.sha256 for plugin in inputs.plugins}
     for effect in effects:
-        if effect.name in FILES and effect.origin not in given:
-            refuse("effects", f"{effect.name} is of the plugin {FILES[effect.name]}; name that too")
+        plugin = plugin_of(type(effect))
+        if plugin is not None and effect.origin not in given:
+            refuse("effects", f"{effect.name} is of the plugin {plugin}; name that too")
     places = {effect.place for effect in effects}
     plain = inputs.scheme is Scheme.AVERAGE and inputs.contact is not Contact.NITSCHE
     compiled = plain and math.isfinite(inputs.kn_N_m) and not inputs.march

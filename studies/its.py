@@ -6,7 +6,6 @@ Writes table.csv, errors.csv, needs.csv, their figures and its.json. Also a scri
 
 from __future__ import annotations
 
-import csv
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -20,7 +19,7 @@ from ..solver.analytic import quarter_period_s
 from .command.fields import Height, Its, Numbers
 from .page.figures import picture
 from .page.figures_its import error_figure, need_figure
-from .running.files import to_csv, write_atomically, write_picture
+from .running.files import read_csv, to_csv, write_atomically, write_picture
 from .running.study import TABLE_FILE, Row, Study, StudyInputs, run_study
 from .sections.convergence import Limit, Need, limit, need
 
@@ -112,8 +111,7 @@ def _finish(rows: Sequence[Row], mass_kg: float, out: Path) -> dict[str, Any]:
 def answer(out: Path) -> list[str]:
     """What a finished study in ``out`` says, as lines: the longest ITS that each quantity allows,
     for each model and Kn, over all heights."""
-    with (out / NEEDS_FILE).open(encoding="utf-8", newline="") as file:
-        rows = list(csv.DictReader(file))
+    rows = read_csv(out / NEEDS_FILE)
     if not rows:
         return []
     needed: dict[tuple[str, float], dict[str, tuple[float, str]]] = {}
@@ -129,8 +127,7 @@ def answer(out: Path) -> list[str]:
         needs = (each.get(name) for name in QUANTITIES)
         words = ("" if need is None else f"{need[1]}{need[0]:.2g}" for need in needs)
         lines.append(f"  {model:<10}{kn:<10.6g}" + "".join(f"{word:>22}" for word in words))
-    with (out / TABLE_FILE).open(encoding="utf-8", newline="") as file:
-        steps = {row["its_s"] for row in csv.DictReader(file)}
+    steps = {row["its_s"] for row in read_csv(out / TABLE_FILE)}
     if len(steps) < FEWEST_STEPS:
         lines.append(
             f"  of {len(steps)} steps alone: give --its {FEWEST_STEPS} or more to trust it"

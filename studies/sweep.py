@@ -6,7 +6,6 @@ Writes table.csv, heights.svg and .png, and sweep.json. Also a script:
 
 from __future__ import annotations
 
-import csv
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -19,7 +18,7 @@ from ..solver import paper
 from .command.choices import Model
 from .page.figures import picture
 from .page.figures_paper import height_figure
-from .running.files import write_picture
+from .running.files import read_csv, write_picture
 from .running.study import TABLE_FILE, Row, Study, StudyInputs, run_study
 
 FIGURE = "heights"
@@ -57,8 +56,7 @@ def _finish(rows: Sequence[Row], out: Path) -> dict[str, Any]:
 def answer(out: Path) -> list[str]:
     """What a finished sweep in ``out`` says, as lines: y1/y0 over stiffness and height for each
     model, and at which Kn it is the paper's."""
-    with (out / TABLE_FILE).open(encoding="utf-8", newline="") as file:
-        rows = list(csv.DictReader(file))
+    rows = read_csv(out / TABLE_FILE)
     if not any(row["rebound_ratio"] for row in rows):
         return ["no rebound was computed: --until ends the drops before it"]
     lines: list[str] = []

@@ -29,7 +29,7 @@ from ..solver.errors import InputError
 from ..solver.fall import fallen, risen
 from . import __version__
 from .command.effect_input import EffectInput, read_effects
-from .command.plugin_file import read_plugins
+from .command.given_files import read_plugins
 from .loop.table_drops import drops_of, its_s
 from .running.files import prepare_folder, to_json, together, write_atomically
 

@@ -115,9 +115,10 @@ def test_every_rank_has_the_answer():
         "t = bristle.sweep(models=['beam', 'solid'], kn_N_m=[1e5, 2e6], height_m=0.05,"
         "  cells=(1, 1, 12), length_m=0.05);"
         "r = bristle.drop(model='solid', cells=(1, 1, 12), length_m=0.05);"
-        "print(MPI.COMM_WORLD.rank, list(t['rebound_ratio']), r.rebound_ratio)"
+        "w = MPI.COMM_WORLD; all = w.gather((w.rank, [*t['rebound_ratio'], r.rebound_ratio]));"
+        "w.rank == 0 and print(json.dumps(all))"
     )
-    lines = mpirun(2, "-c", code, timeout_s=300.0).stdout.splitlines()
-    said = sorted(line.split(maxsplit=1) for line in lines)
-    assert [rank for rank, _ in said] == ["0", "1"]
+    done = mpirun(2, "-c", f"import json; {code}", timeout_s=300.0)
+    said = json.loads(done.stdout)
+    assert [rank for rank, _ in said] == [0, 1]
     assert said[0][1] == said[1][1]

@@ -38,7 +38,6 @@ def own_effects():
     yield
     EFFECTS.clear()
     EFFECTS.update(before)
-    outside.FILES.clear()
     for name in [name for name in sys.modules if name.startswith("bristle_plugin_")]:
         del sys.modules[name]
 
@@ -108,7 +107,7 @@ def test_a_run_is_repeated_from_its_result(tmp_path, capsys):
 
 def test_the_loop_finds_it(tmp_path, monkeypatch):
     """Drops of the beam with the example in them, with five others on the list."""
-    outside.load(EXAMPLE)
+    outside.load(EXAMPLE, EXAMPLE.read_bytes())
     names = [*QUICK, "my_effect"]
     monkeypatch.setattr(drops_module, "carried", lambda kind, quantities: names)
     data = write_drops(tmp_path / "data", [EFFECTS["my_effect"](exponent=-1.0)], "mystery")

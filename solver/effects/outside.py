@@ -33,19 +33,15 @@ IGNORED = ("height_m", "order", "chance", "front_m2")
 LOW = Scene(height_m=0.01, beta_s=paper.BETA_S, loss_factor=1e-3, lateral_inertia=1.0)
 HIGH = replace(LOW, height_m=0.05)
 LATER: tuple[dict[str, Any], ...] = ({"order": 7}, {"chance": (-1.0, 2.0)})
-# The file that an effect came from, by its name.
-FILES: dict[str, Path] = {}
+# How the modules of users' files are called, before the beginning of their digest.
+MODULE = "bristle_plugin_"
 MOST_PARAMETERS = 2
 
 
-def load(path: Path) -> list[type[Effect]]:
+def load(path: Path, source: bytes) -> None:
     """Take in the effects of a Python file; ValueError where it has none, or one is refused."""
-    try:
-        source = path.read_bytes()
-    except OSError as error:
-        raise ValueError(f"{path}: {error.strerror}") from None
-    digest = hashlib.sha256(source).hexdigest()
-    module = f"bristle_plugin_{digest[:16]}"
+    digest, path = hashlib.sha256(source).hexdigest(), path.resolve()
+    module = f"{MODULE}{digest[:16]}"
     found = sys.modules.get(module) or _executed(source, path, module)
     own = [
         each
@@ -55,16 +51,20 @@ def load(path: Path) -> list[type[Effect]]:
     if not own:
         raise ValueError(f"{path}: defines no subclass of bristle.solver.effects.base.Effect")
     for each in own:
-        name = str(getattr(each, "name", ""))
-        there = EFFECTS.get(name)
-        if there is not None and there.origin != digest and FILES.get(name) == path.resolve():
-            del EFFECTS[name]  # the file has changed since it was taken in
+        there = EFFECTS.get(str(getattr(each, "name", "")))
+        if there is not None and there.origin != digest and plugin_of(there) == path:
+            del EFFECTS[there.name]  # the file has changed since it was taken in
         try:
             register(each, digest)
-            FILES[name] = path.resolve()
         except InputError as error:
             raise ValueError(f"{path}: {error}") from None
-    return own
+
+
+def plugin_of(kind: type[Effect]) -> Path | None:
+    """The file that an effect came from; None for the program's own and for packages'."""
+    if not kind.__module__.startswith(MODULE):
+        return None
+    return Path(str(sys.modules[kind.__module__].__file__))
 
 
 def _executed(source: bytes, path: Path, name: str) -> ModuleType:

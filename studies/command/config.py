@@ -30,7 +30,7 @@ from ..sections import stance
 from . import fields, limits
 from .choices import Contact, Deflection, Model, Scheme, Solver, Tip, Until
 from .fields import DropFields, SharedFields, StepField, read_kn
-from .mesh_file import REPLACED
+from .given_files import REPLACED
 
 
 class Inputs(SharedFields):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import math
 from dataclasses import fields
 from typing import TYPE_CHECKING, Any
@@ -10,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 from pydantic import BaseModel, ConfigDict
 
 from ...solver.errors import InputError
+from ..data.texts import hints
 
 if TYPE_CHECKING:
     from ...solver.effects.base import Effect
@@ -29,9 +29,8 @@ class EffectInput(BaseModel):
         names = [field.name for field in fields(kind)]
         for name in self.parameters:
             if name not in names:
-                near = difflib.get_close_matches(name, names, 1)
-                hint = f"did you mean {near[0]}?" if near else f"it has {', '.join(names)}"
-                raise ValueError(f"{self.name} has no parameter '{name}'; {hint}")
+                near = hints(name, names) or [f"it has {', '.join(names)}"]
+                raise ValueError(f"{self.name} has no parameter '{name}'; {near[0]}")
         try:
             return kind(**self.parameters)
         except InputError as error:
@@ -72,9 +71,8 @@ def _kind(name: str) -> type[Effect]:
         load_installed()
     if name in EFFECTS:
         return EFFECTS[name]
-    near = difflib.get_close_matches(name, EFFECTS, 1)
-    hint = f"did you mean {near[0]}?" if near else f"there are {', '.join(EFFECTS)}"
-    raise ValueError(f"names an unknown effect '{name}'; {hint}")
+    near = hints(name, EFFECTS) or [f"there are {', '.join(EFFECTS)}"]
+    raise ValueError(f"names an unknown effect '{name}'; {near[0]}")
 
 
 def read_effects(value: Any) -> Any:

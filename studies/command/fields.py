@@ -16,8 +16,7 @@ from ...solver import paper
 from .choices import Contact, Deflection, Model, Scheme, Solver, Tip, Until
 from .effect_input import EffectInput, read_effects
 from .flags import Option, flags_of
-from .mesh_file import MeshFile, read_mesh_file
-from .plugin_file import PluginFile, read_plugins
+from .given_files import MeshFile, PluginFile, read_mesh_file, read_plugins
 
 MODEL, CONTACT, BODY = "Model", "Contact", "Bristle"
 DROP, TIME, MESH, OUTPUT = "Drop", "Time", "Discretisation", "Files"

@@ -37,14 +37,14 @@ class Flag:
     """An `Option` of a ``field`` with that one's default; ``kind`` is a type, an enum, or a tuple
     of types."""
 
-    said: Option
+    declared: Option
     field: str
     kind: Any
     default: Any
 
     @property
     def name(self) -> str:
-        return self.said.name
+        return self.declared.name
 
     @property
     def option(self) -> str:
@@ -57,12 +57,12 @@ class Flag:
     @property
     def spellings(self) -> tuple[str, ...]:
         """The flag as it may stand on the command line."""
-        return (self.option, *([self.said.alias] if self.said.alias else []))
+        return (self.option, *([self.declared.alias] if self.declared.alias else []))
 
     def default_text(self) -> str:
         """The default as help shows it, or an empty text."""
-        if self.said.shown is not None or self.default is None:
-            return self.said.shown or ""
+        if self.declared.shown is not None or self.default is None:
+            return self.declared.shown or ""
         if isinstance(self.default, tuple):
             return " ".join(map(str, self.default))
         if isinstance(self.default, bool):

@@ -91,13 +91,13 @@ def _parameter(flag: Flag) -> inspect.Parameter:
     names = flag.spellings
     if flag.kind is bool and flag.default:
         names = (f"{flag.option}/--no-{flag.name}",)
-    said, default = flag.said, flag.default_text()
+    declared, default = flag.declared, flag.default_text()
     option = typer.Option(
         *names,
-        help=said.help + (f" [default: {default}]" if default else ""),
-        metavar=said.metavar,
+        help=declared.help + (f" [default: {default}]" if default else ""),
+        metavar=declared.metavar,
         show_default=False,
-        rich_help_panel=said.group,
+        rich_help_panel=declared.group,
         click_type=_click_type(flag),
     )
     return inspect.Parameter(

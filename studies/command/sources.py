@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
@@ -12,11 +11,11 @@ from typing import Any, TypeVar
 from pydantic import BaseModel, ValidationError
 
 from ...solver.errors import InputError
-from ..data.texts import parse_json, parse_toml, quoted, read_text
+from ..data.texts import hints, parse_json, parse_toml, quoted, read_text
 from ..scatter.fields import OWN_FLAGS
 from .fields import DROP_FLAGS, LIST_FLAGS
 from .flags import Flag
-from .mesh_file import REPLACED
+from .given_files import REPLACED
 
 Checked = TypeVar("Checked", bound=BaseModel)
 OPTIONS = {flag.field: flag.option for flag in (*OWN_FLAGS, *DROP_FLAGS, *LIST_FLAGS)}
@@ -68,18 +67,21 @@ def checked[Checked: BaseModel](
         return kind(**values)
     except ValidationError as error:
         first = error.errors(include_url=False)[0]
-        name, message = _explain(first)
+        name, message = _explain(first, kind)
         origin = origins.get(name, OPTIONS.get(name, name))
         raise InputError(f"{origin}: {message}") from error
 
 
-def _explain(error: Any) -> tuple[str, str]:
+def _explain(error: Any, kind: type[BaseModel]) -> tuple[str, str]:
     """The field and what is wrong with it, in the user's words."""
     if error["type"] == "bristle":
         return error["ctx"]["field"], error["ctx"]["message"]
     name = str(error["loc"][0]) if error["loc"] else "inputs"
     if error["type"] == "extra_forbidden":
-        return name, "is no known input"
+        flag = f"--{name.replace('_', '-')}"
+        known = [each for each in kind.model_fields if OPTIONS.get(each) == flag]
+        near = [f"did you mean {each}?" for each in known] or hints(name, kind.model_fields)
+        return name, "; ".join(["is no known input", *near])
     if error["type"] == "value_error":
         return name, str(error["ctx"]["error"])
     if name == "cells" and error["type"] in ("missing", "too_long", "tuple_type"):
@@ -107,9 +109,7 @@ def read_config(path: Path, flags: Iterable[Flag], ignored: Iterable[Flag] = ())
         place = f"{path}:{_line_of(text, key)}: {key}"
         name = fields.get(key)
         if name is None:
-            near = difflib.get_close_matches(key, fields, 1)
-            hint = f"; did you mean {near[0]}?" if near else ""
-            raise InputError(f"{place}: unknown key{hint}")
+            raise InputError("; ".join([f"{place}: unknown key", *hints(key, fields)]))
         if name in found.values:
             raise InputError(f"{place}: given twice, also as {found.origins[name]}")
         found.values[name], found.origins[name] = value, place

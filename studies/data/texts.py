@@ -5,11 +5,12 @@ Whatever it holds, it is read to an end or refused with an InputError that names
 
 from __future__ import annotations
 
+import difflib
 import json
 import math
 import re
 import tomllib
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
@@ -59,6 +60,11 @@ def printable(text: str) -> str:
     return "".join(
         letter if letter.isprintable() else ascii(letter)[1:-1] for letter in " ".join(text.split())
     )
+
+
+def hints(name: str, known: Iterable[str]) -> list[str]:
+    """What a misspelt name may have meant, in words; empty where nothing is near."""
+    return [f"did you mean {near}?" for near in difflib.get_close_matches(name, list(known), 1)]
 
 
 def quoted(value: object) -> str:

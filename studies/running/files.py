@@ -251,6 +251,12 @@ def to_csv(columns: Sequence[str], rows: Iterable[Sequence[Any]]) -> str:
     return text.getvalue()
 
 
+def read_csv(path: Path) -> list[dict[str, str]]:
+    """The rows of a table by column, as `to_csv` wrote them."""
+    with path.open(encoding="utf-8", newline="") as file:
+        return list(csv.DictReader(file))
+
+
 def records_to_csv(kind: type[Any], records: Iterable[Any]) -> str:
     """A table of dataclass records, a column for each field of ``kind``."""
     names = [each.name for each in fields(kind)]

@@ -6,7 +6,6 @@ that wrote it.
 
 from __future__ import annotations
 
-import csv
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
@@ -17,6 +16,7 @@ from numpy.typing import NDArray
 
 from ...solver.errors import InputError
 from ...solver.paraview import FRAMES_FILE, GROUND_FILE, Phase
+from ..running.files import read_csv
 
 Array = NDArray[np.float64]
 
@@ -122,7 +122,6 @@ class FieldSeries:
 
 def _phases(path: Path) -> list[Phase]:
     try:
-        with path.open(newline="") as table:
-            return [Phase(row["phase"]) for row in csv.DictReader(table)]
+        return [Phase(row["phase"]) for row in read_csv(path)]
     except (OSError, KeyError, ValueError):
         return []
