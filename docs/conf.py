@@ -4,9 +4,9 @@ from pygments.lexers.special import TextLexer
 from sphinx.highlighting import lexers
 
 from bristle import __version__
-from bristle.studies.closeloop.fields import LOOP_FLAGS
-from bristle.studies.command.fields import DROP_FLAGS, LIST_FLAGS
-from bristle.studies.scatter.fields import OWN_FLAGS
+from bristle.studies.inputs.fields import DROP_FLAGS, LIST_FLAGS
+from bristle.studies.inputs.loop_fields import LOOP_FLAGS
+from bristle.studies.inputs.scatter_fields import OWN_FLAGS
 
 project = "bristle"
 author = "the bristle authors"

@@ -19,12 +19,12 @@ from pydantic import BaseModel
 
 from ..solver.contact_phase import HISTORY_COLUMNS
 from ..solver.errors import InputError
-from .closeloop.fields import LoopInputs
-from .closeloop.run import run_close_loop, summary
-from .command.config import DropInputs
-from .command.sources import checked
+from .close_loop.run import run_close_loop, summary
 from .drop import run_drop, simulate_drop
 from .drop import summary as drop_summary
+from .inputs.config import DropInputs
+from .inputs.loop_fields import LoopInputs
+from .inputs.sources import checked
 from .running.results import HISTORY_FILE
 from .running.study import COLUMNS, TABLE_FILE, Study, StudyInputs, rows_of
 from .sweep import run_sweep

@@ -16,9 +16,9 @@ import typer
 
 from ..solver.errors import ComputationError
 from . import __version__
-from .closeloop.fields import LOOP_FLAGS
 from .command.ending import run
-from .command.fields import (
+from .command.options import Config, Debug, RanksPerCase, Resume, out_option, takes
+from .inputs.fields import (
     DROP_FLAGS,
     LIST_FLAGS,
     OUTPUT,
@@ -29,9 +29,9 @@ from .command.fields import (
     MeshFields,
     StepField,
 )
-from .command.flags import flags_of
-from .command.options import Config, Debug, RanksPerCase, Resume, out_option, takes
-from .scatter.fields import SCATTER_FLAGS
+from .inputs.flags import flags_of
+from .inputs.loop_fields import LOOP_FLAGS
+from .inputs.scatter_fields import SCATTER_FLAGS
 
 REPRODUCE_FLAGS = flags_of(StepField, DiscretisationFields)
 MESH_FLAGS = flags_of(BodyFields, MeshFields)
@@ -89,10 +89,10 @@ def reproduce(
 
     Example: mpirun -n 2 bristle reproduce --out results/reproduce
     """
-    from .command.config import DropInputs
-    from .command.sources import inputs_of
-    from .reproduce import run_reproduce
-    from .running.campaign import Setup
+    from .inputs.config import DropInputs
+    from .inputs.sources import inputs_of
+    from .reproduce.campaign import Setup
+    from .reproduce.run import run_reproduce
 
     base = inputs_of(DropInputs, given, REPRODUCE_FLAGS, config, ANY_FLAGS)
     done = run_reproduce(out, Setup(base), ranks_per_case=ranks_per_case)
@@ -125,9 +125,9 @@ def drop(
 
     Example: bristle drop --model solid --kn 2e6 --height 0.05 --tilt 2 --out results/leaning
     """
-    from .command.config import DropInputs
-    from .command.sources import inputs_of
     from .drop import run_drop, summary
+    from .inputs.config import DropInputs
+    from .inputs.sources import inputs_of
 
     inputs = inputs_of(DropInputs, given, DROP_FLAGS, config)
     document = run_drop(inputs, out, resume=resume, keep_s=keep)
@@ -154,7 +154,7 @@ def sweep(
 
     Example: mpirun -n 2 bristle sweep --models beam,reduced --kn 1e5,2e6,1e8 --heights 0.01,0.05
     """
-    from .command.sources import inputs_of
+    from .inputs.sources import inputs_of
     from .running.study import StudyInputs
     from .sweep import answer, run_sweep
 
@@ -180,8 +180,8 @@ def its(
 
     Example: bristle its --models beam --kn 1e5,2e6,1e8 --its 1e-4,1e-5,1e-6,1e-7
     """
-    from .command.sources import inputs_of
-    from .its import ItsInputs, answer, run_its
+    from .inputs.sources import inputs_of
+    from .its.run import ItsInputs, answer, run_its
 
     inputs = inputs_of(ItsInputs, given, STUDY_FLAGS, config)
     run_its(inputs, out, resume=resume, ranks_per_case=ranks_per_case)
@@ -203,7 +203,7 @@ def scatter(
 
     Example: mpirun -n 2 bristle scatter --drops 2000 --tilt-std 2 --beta 1e-8
     """
-    from .command.sources import inputs_of
+    from .inputs.sources import inputs_of
     from .scatter.inputs import ScatterInputs
     from .scatter.run import run_scatter
 
@@ -225,8 +225,8 @@ def mesh(
     """
     from ..meshes.check import MeshError
     from ..meshes.display import DrawingError
-    from .command.config import MeshInputs
-    from .command.sources import inputs_of
+    from .inputs.config import MeshInputs
+    from .inputs.sources import inputs_of
     from .mesh import run_mesh
     from .running.files import prepare_folder_together
 
@@ -260,7 +260,7 @@ def calibrate(
 
     Example: bristle calibrate paper --out results/calibrate
     """
-    from .calibrate import run_calibrate, told
+    from .calibrate.run import run_calibrate, told
 
     for name, value in told(run_calibrate(dataset, out, seed=seed, level=level)):
         print(f"{name:<24}{value}")
@@ -354,9 +354,9 @@ def close_loop(
 
     Example: bristle close-loop my-drops --seed 1 --out results/my-drops
     """
-    from .closeloop.fields import LoopInputs
-    from .closeloop.run import run_close_loop, summary
-    from .command.sources import inputs_of
+    from .close_loop.run import run_close_loop, summary
+    from .inputs.loop_fields import LoopInputs
+    from .inputs.sources import inputs_of
 
     inputs = inputs_of(LoopInputs, given, LOOP_FLAGS, config, ANY_FLAGS)
     for name, value in summary(run_close_loop(dataset, out, inputs)):
@@ -437,7 +437,7 @@ def view(
 
     Example: bristle view results/drop
     """
-    from .view import run_view
+    from .view.run import run_view
 
     for path in run_view(result, out):
         print(path)

@@ -17,17 +17,18 @@ from ..meshes.collective import run_on_one_rank
 from ..solver.checkpoint import Checkpoint
 from ..solver.drop import DropResult
 from . import __version__
-from .command.choices import Model
-from .command.config import DropInputs
-from .command.fields import FLAT
-from .command.limits import input_warnings, result_warnings
-from .command.sources import OPTIONS
+from .command.script import as_script
+from .inputs.choices import Model
+from .inputs.config import DropInputs
+from .inputs.fields import FLAT
+from .inputs.limits import input_warnings, result_warnings
+from .inputs.sources import OPTIONS
+from .inputs.stance import ANGLES
 from .running import results
 from .running.cases import Prepared, Timings, Workshop
 from .running.files import folder_in_place, prepare_folder, remove, together
 from .running.progress import compilation_noted, progress, say, warn, working
 from .running.steps import Watched, steps_of_contact
-from .sections.stance import ANGLES
 
 if TYPE_CHECKING:
     from ..solver.bodies.solid import SolidBody
@@ -245,6 +246,4 @@ def _centre(document: Mapping[str, Any]) -> list[tuple[str, str]]:
 
 
 if __name__ == "__main__":
-    from .cli import main
-
-    sys.exit(main(["drop", *sys.argv[1:]]))
+    as_script("drop")

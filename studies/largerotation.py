@@ -16,9 +16,9 @@ from mpi4py import MPI
 
 from ..meshes.collective import run_on_one_rank
 from ..solver import paper
-from .command.choices import Deflection, Model, Until
-from .command.config import DropInputs
-from .page.report import Column, Table
+from .inputs.choices import Deflection, Model, Until
+from .inputs.config import DropInputs
+from .report.page import Column, Table
 from .running.cases import Workshop
 from .running.files import prepare_folder, write_atomically
 from .running.progress import logged_to_terminal, progress, say

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 import time
 from dataclasses import asdict
 from pathlib import Path
@@ -18,6 +17,7 @@ from bristle.meshes.hexahedra import build_model, gmsh_model
 from bristle.meshes.picture import write_picture
 from bristle.meshes.quality import MeshQuality, measure_quality, write_csv
 
+from .command.script import as_script
 from .running.files import filled, new_folders
 
 
@@ -74,6 +74,4 @@ def _make(spec: MeshSpec, folder: Path) -> MeshQuality:
 
 
 if __name__ == "__main__":
-    from .cli import main
-
-    sys.exit(main(["mesh", *sys.argv[1:]]))
+    as_script("mesh")

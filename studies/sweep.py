@@ -6,7 +6,6 @@ Writes table.csv, heights.svg and .png, and sweep.json. Also a script:
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -15,10 +14,11 @@ import numpy as np
 from mpi4py import MPI
 
 from ..solver import paper
-from .command.choices import Model
-from .page.figures import picture
-from .page.figures_paper import height_figure
-from .running.files import read_csv, write_picture
+from .command.script import as_script
+from .inputs.choices import Model
+from .report.figures import picture, write_picture
+from .report.paper_figures import height_figure
+from .running.files import read_csv
 from .running.study import TABLE_FILE, Row, Study, StudyInputs, run_study
 
 FIGURE = "heights"
@@ -103,6 +103,4 @@ def _path(row: Row) -> tuple[np.ndarray, np.ndarray]:
 
 
 if __name__ == "__main__":
-    from .cli import main
-
-    sys.exit(main(["sweep", *sys.argv[1:]]))
+    as_script("sweep")

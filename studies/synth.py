@@ -28,9 +28,9 @@ from ..solver.effects.library import enter_all
 from ..solver.errors import InputError
 from ..solver.fall import fallen, risen
 from . import __version__
-from .command.effect_input import EffectInput, read_effects
-from .command.given_files import read_plugins
-from .loop.table_drops import drops_of, its_s
+from .inputs.effect_input import EffectInput, read_effects
+from .inputs.given_files import read_plugins
+from .loop.responses.table_drops import drops_of, its_s
 from .running.files import prepare_folder, to_json, together, write_atomically
 
 COLUMNS = ("drop", "y0_mm", "y1_mm", "contact_time_ms", "peak_force_N")
@@ -88,7 +88,7 @@ def reduced_body() -> ModalBody:
     """The paper's bristle as a reduced solid that may lean; collective."""
     from mpi4py import MPI
 
-    from .loop.drops_solid import reduced_solid
+    from .loop.kinds.drops.solid import reduced_solid
 
     return reduced_solid(Bristle(), paper.GRAVITY_M_S2, True, MPI.COMM_WORLD)
 

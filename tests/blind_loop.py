@@ -49,7 +49,7 @@ def run_case(case: Case, keep: Path | None = None) -> Outcome:
 def _verdict(folder: Path, case: Case) -> Outcome:
     """What the loop says of the dataset in ``folder``, without its page."""
     from bristle.solver.errors import ComputationError, InputError
-    from bristle.studies.closeloop.run import LoopInputs, close, problem_of, verdict
+    from bristle.studies.close_loop.run import LoopInputs, close, problem_of, verdict
     from bristle.studies.data.datasets import read_manifest
 
     began = time.perf_counter()

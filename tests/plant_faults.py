@@ -176,7 +176,10 @@ def clean_run(out: Path, scratch: Path) -> dict[str, Clean]:
     """
     path, sources = out / "clean.json", digest(*files(*SOURCES))
     known = json.loads(path.read_text()) if path.exists() else {}
-    tests = {each.name: digest(each) for each in sorted((ROOT / "tests").glob("test_*.py"))}
+    tests = {
+        each.relative_to(ROOT / "tests").as_posix(): digest(each)
+        for each in sorted((ROOT / "tests").rglob("test_*.py"))
+    }
     entries = known.get("files", {}) if known.get("sources") == sources else {}
     clean = {name: Clean(**entry) for name, entry in entries.items() if name in tests}
     changed = [name for name in tests if name not in clean or clean[name].digest != tests[name]]
@@ -340,7 +343,11 @@ def imports(path: Path) -> set[Path]:
     found = set()
     for parts in wanted:
         inside = parts[1:] if parts[:1] == ("bristle",) else parts
-        for folder in (ROOT, ROOT / "tests", ROOT / "tests" / "reference"):
+        for folder in (
+            ROOT,
+            ROOT / "tests",
+            *(ROOT / "tests" / each for each in ("helpers", "reference")),
+        ):
             found |= {folder.joinpath(*inside).with_suffix(".py")} if inside else set()
             found |= {folder.joinpath(*inside, "__init__.py")}
     return {each for each in found if each.is_file()}

@@ -18,8 +18,8 @@ import numpy as np
 from mpi4py import MPI
 
 from bristle.solver.drop import RESOLVED, DropResult
-from bristle.studies.command.config import DropInputs
-from bristle.studies.command.sources import checked
+from bristle.studies.inputs.config import DropInputs
+from bristle.studies.inputs.sources import checked
 from bristle.studies.running.cases import run_case
 
 STEEL = {"youngs_Pa": 207e9, "poisson": 0.28, "density_kg_m3": 7800.0}

@@ -15,8 +15,8 @@ from collections.abc import Sequence
 
 from mpi4py import MPI
 
-from ..command.choices import Model
-from ..command.config import DropInputs
+from ..inputs.choices import Model
+from ..inputs.config import DropInputs
 from ..running.cases import Workshop
 
 

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from .. import __version__
-from ..command.again import into
-from ..page.report import Report, Section, write_report
+from ..inputs.again import into
+from ..report.page import Report, Section, write_report
 
 
 def write_page(

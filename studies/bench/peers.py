@@ -15,7 +15,7 @@ from pathlib import Path
 from mpi4py import MPI
 
 from ...solver.errors import ComputationError, InputError
-from ..command.fields import MODES
+from ..inputs.fields import MODES
 from ..running.files import prepare_folder, to_csv, to_json, together, write_atomically
 from ..running.progress import progress
 from .machine import facts, load

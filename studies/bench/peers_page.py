@@ -8,8 +8,8 @@ from pathlib import Path
 
 from matplotlib.figure import Figure as Drawing
 
-from ..page.figures import GREY, MARKERS, SERIES, panels, picture, plain_ticks, styled
-from ..page.report import Column, Figure, Section, Table, Value, percent, show
+from ..report.figures import GREY, MARKERS, SERIES, panels, picture, plain_ticks, styled
+from ..report.page import Column, Figure, Section, Table, Value, percent, show
 from .page import write_page
 from .peers_table import LEVELS, Converged, Point, Run, blocks, by_program, reached
 from .peers_text import absences, cells_words, time_words, unsure_words

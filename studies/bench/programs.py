@@ -14,7 +14,7 @@ from typing import Any
 
 from ...solver import paper
 from ...solver.compiled import cache_folder
-from ..command.fields import MODES
+from ..inputs.fields import MODES
 from ..running.parallel import unlaunched
 
 REFERENCES = Path(__file__).resolve().parents[2] / "tests" / "reference"

@@ -18,8 +18,8 @@ from mpi4py import MPI
 from ...meshes.distribute import Tag, to_dolfinx
 from ...solver.bodies.solid import SolidBody
 from ...solver.bristle import Material
-from ..command.choices import Model
-from ..command.config import DropInputs
+from ..inputs.choices import Model
+from ..inputs.config import DropInputs
 from ..running.cases import Timings, Workshop
 from ..running.groups import run_solids
 from .communication import Bar, solve_B

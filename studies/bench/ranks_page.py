@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from matplotlib.figure import Figure as Drawing
 
-from ..page.figures import (
+from ..report.figures import (
     BLACK,
     BLUE,
     MARKERS,
@@ -22,7 +22,7 @@ from ..page.figures import (
     plain_ticks,
     styled,
 )
-from ..page.report import Column, Figure, Section, Table, percent, show
+from ..report.page import Column, Figure, Section, Table, percent, show
 from .page import write_page
 
 if TYPE_CHECKING:

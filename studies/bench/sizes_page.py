@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure as Drawing
 
-from ..page.figures import MARKERS, SERIES, panels, picture, plain_ticks, styled
-from ..page.report import Column, Figure, Section, Table, Value, show
+from ..report.figures import MARKERS, SERIES, panels, picture, plain_ticks, styled
+from ..report.page import Column, Figure, Section, Table, Value, show
 from .page import write_page
 
 if TYPE_CHECKING:

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from matplotlib.figure import Figure as Drawing
 
-from ..page.figures import BLACK, GREY, SERIES, SMALLEST, panels, picture, styled
-from ..page.report import Column, Figure, Section, Table, show
+from ..report.figures import BLACK, GREY, SERIES, SMALLEST, panels, picture, styled
+from ..report.page import Column, Figure, Section, Table, show
 from .page import write_page
 
 if TYPE_CHECKING:

@@ -1,1 +1,1 @@
-"""The command line: options, where values come from, limits, and how a command ends."""
+"""The command line: options of typer, how a command ends, a study as a script."""

@@ -12,7 +12,7 @@ from io import TextIOWrapper
 import click
 
 from ...solver.errors import BristleError
-from ..data.texts import printable
+from ..inputs.texts import printable
 from ..running.claim import claims
 from ..running.interrupts import INTERRUPTED, heard, interruptible, leave
 from ..running.parallel import Ending, Ranks, rank_0_speaks

@@ -12,8 +12,8 @@ from typing import Annotated, Any
 import click
 import typer
 
-from .fields import OUTPUT
-from .flags import Flag
+from ..inputs.fields import OUTPUT
+from ..inputs.flags import Flag
 
 Config = Annotated[
     Path | None,

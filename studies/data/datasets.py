@@ -18,11 +18,11 @@ from ...solver import paper
 from ...solver.arrays import Array
 from ...solver.bristle import Bristle, RigidMass
 from ...solver.errors import InputError
-from ..command import limits
-from ..command.config import Inputs
-from ..command.sources import checked
+from ..inputs import limits
+from ..inputs.config import Inputs
+from ..inputs.sources import checked
+from ..inputs.texts import finite, parse_toml, printable, quoted
 from .tables import check_order, column, inside, optional_column, read_table, read_text
-from .texts import finite, parse_toml, printable, quoted
 from .units import check_contact_times, check_heights, check_peaks, doubtful_body, larger_sigma
 
 KINDS = ("drops", "tracks", "forces", "waves", "falls")

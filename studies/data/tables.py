@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from ...solver.arrays import Array
 from ...solver.errors import InputError
-from . import texts
-from .texts import quoted
+from ..inputs import texts
+from ..inputs.texts import quoted
 
 MOST_ROWS = 1_000_000
 # Beyond it nothing is a measurement in the units of a table, and squares still are numbers.

@@ -37,12 +37,12 @@ from ...solver.errors import ComputationError
 from ...solver.fall import dragged_fall, risen
 from ...solver.plain_march import march_plainly
 from ...solver.time.march import ContactMarch, Marcher
-from ..command.choices import Contact, Model, Solver, Tip, Until
-from ..command.config import DropInputs
-from ..command.fields import FLAT
-from ..command.limits import marching_time_s
-from ..effects import Entered, entered, seen
-from ..sections.stance import face_offsets_m
+from ..inputs.choices import Contact, Model, Solver, Tip, Until
+from ..inputs.config import DropInputs
+from ..inputs.effects import Entered, entered, seen
+from ..inputs.fields import FLAT
+from ..inputs.limits import marching_time_s
+from ..inputs.stance import face_offsets_m
 
 if TYPE_CHECKING:  # dolfinx and gmsh, which a beam does without
     from ...solver.bodies.reduced import ReducedModel

@@ -14,15 +14,11 @@ from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from ...solver.errors import ComputationError, InputError
 from .claim import claim
 from .interrupts import uninterrupted
-
-if TYPE_CHECKING:
-    from ..page.figures import Picture
-
 
 # How the names of things begin until they are whole.
 UNFINISHED = ".bristle-unfinished-"
@@ -69,14 +65,6 @@ def new_folders(out: Path) -> Iterator[None]:
             with suppress(OSError):
                 each.rmdir()
         raise
-
-
-def write_picture(stem: Path, drawn: Picture) -> list[str]:
-    """Write ``stem``.svg and ``stem``.png; returns their names."""
-    files = {f"{stem.name}.svg": drawn.svg.encode(), f"{stem.name}.png": drawn.png}
-    for name, content in files.items():
-        write_atomically(stem.parent / name, content)
-    return list(files)
 
 
 def write_atomically(path: Path, content: str | bytes) -> None:

@@ -15,8 +15,8 @@ from typing import Any, cast
 from mpi4py import MPI
 
 from ...solver.errors import BristleError, InputError
-from ..command.config import DropInputs
-from ..command.limits import count_unknowns, marching_time_s
+from ..inputs.config import DropInputs
+from ..inputs.limits import count_unknowns, marching_time_s
 from .cases import Workshop
 from .parallel import GRACE_S, done_within, share_out
 

@@ -17,9 +17,9 @@ from ...solver.contact_phase import HISTORY_COLUMNS
 from ...solver.drop import DropResult
 from ...solver.errors import InputError
 from .. import __version__
-from ..command.config import DropInputs
-from ..command.sources import OPTIONS
-from ..data.texts import exists, parse_json, quoted, read_text
+from ..inputs.config import DropInputs
+from ..inputs.sources import OPTIONS
+from ..inputs.texts import exists, parse_json, quoted, read_text
 from .cases import Timings
 from .files import to_csv, to_json, write_atomically
 

@@ -16,11 +16,11 @@ from pydantic import model_validator
 from ...meshes.collective import run_on_one_rank
 from ...solver.drop import DropResult
 from .. import __version__
-from ..command.choices import Model
-from ..command.config import DropInputs, Inputs
-from ..command.fields import HeightsField, ListFields
-from ..command.limits import input_warnings, result_warnings
-from ..command.sources import checked
+from ..inputs.choices import Model
+from ..inputs.config import DropInputs, Inputs
+from ..inputs.fields import HeightsField, ListFields
+from ..inputs.limits import input_warnings, result_warnings
+from ..inputs.sources import checked
 from . import results
 from .cases import Timings, Workshop
 from .files import prepare_folder, to_csv, to_json, together, write_atomically

@@ -1,7 +1,5 @@
 """The folder as a script: ``python3 -m bristle.studies.scatter``."""
 
-import sys
+from ..command.script import as_script
 
-from .run import main
-
-sys.exit(main(sys.argv[1:]))
+as_script("scatter")

@@ -10,7 +10,7 @@ from ...solver.arrays import Array
 from ...solver.bodies.stored import from_arrays, to_arrays
 from ...solver.drop import ModalFrame
 from ...solver.time.march import Marcher
-from ..command.config import DropInputs
+from ..inputs.config import DropInputs
 from ..running.cases import Timings, Workshop
 from ..running.parallel import start_petsc
 from ..surface.rough import Surface

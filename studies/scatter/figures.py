@@ -9,8 +9,8 @@ from scipy import stats
 
 from ...solver import paper
 from ...solver.arrays import Array
-from ..page.figures import BLACK, BLUE, GREY, SKY, panels, styled
-from ..page.figures_paper import draw_published
+from ..report.figures import BLACK, BLUE, GREY, SKY, panels, styled
+from ..report.paper_figures import draw_published
 
 # More dots than these hide each other and swell the page.
 DOTS = 3000

@@ -6,12 +6,12 @@ from typing import Any, Self
 
 from pydantic import model_validator
 
-from ..command.choices import Contact, Model, Scheme, Until
-from ..command.config import DropInputs, Inputs, refuse
-from ..command.fields import HeightsField, StepField
-from ..command.sources import checked
-from . import fields
-from .fields import ScatterFields
+from ..inputs import scatter_fields as fields
+from ..inputs.choices import Contact, Model, Scheme, Until
+from ..inputs.config import DropInputs, Inputs, refuse
+from ..inputs.fields import HeightsField, StepField
+from ..inputs.scatter_fields import ScatterFields
+from ..inputs.sources import checked
 
 # Inputs of a drop that a scatter has no use for, and why.
 FIXED: dict[str, tuple[Any, str]] = {

@@ -10,11 +10,11 @@ from typing import Any
 
 from ...solver import paper
 from .. import __version__
-from ..calibration.estimate import Interval
-from ..command.again import command_line
-from ..command.sources import checked
-from ..page.figures import picture
-from ..page.report import Column, Figure, Report, Section, Table, percent, show, write_report
+from ..calibrate.estimate import Interval
+from ..inputs.again import command_line
+from ..inputs.sources import checked
+from ..report.figures import picture
+from ..report.page import Column, Figure, Report, Section, Table, percent, show, write_report
 from ..surface.rough import Surface
 from .conditions import RESAMPLES, SAMPLES, generator
 from .figures import cloud_figure, histogram_figure, lean_figure

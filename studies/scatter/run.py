@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
@@ -23,8 +22,8 @@ from ...solver.drop import ModalFrame, simulate
 from ...solver.errors import ComputationError
 from ...solver.time.march import Marcher
 from .. import __version__
-from ..command.config import DropInputs
-from ..command.limits import input_warnings
+from ..inputs.config import DropInputs
+from ..inputs.limits import input_warnings
 from ..running import results
 from ..running.files import prepare_folder, to_csv, to_json, together, write_atomically
 from ..running.journal import Journal
@@ -278,10 +277,3 @@ def _warnings(drop: DropInputs, found: Scatter, inputs: ScatterInputs) -> list[s
     if found.failed:
         warnings.append(f"{len(found.failed)} of {inputs.drops} drops failed and are left out")
     return warnings
-
-
-def main(arguments: Sequence[str]) -> int:
-    """The command by itself."""
-    from ..cli import main as cli
-
-    return cli(["scatter", *arguments])

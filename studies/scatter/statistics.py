@@ -15,7 +15,7 @@ from scipy import stats
 
 from ...solver import paper
 from ...solver.arrays import Array
-from ..calibration.estimate import LEVEL, Interval
+from ..calibrate.estimate import LEVEL, Interval
 
 RESAMPLED, RESAMPLED_SHARES = 1000, 200
 SAMPLES = 10_000

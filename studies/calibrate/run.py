@@ -1,0 +1,240 @@
+"""Which normal contact stiffness do measured drops, or the paper's own figures, speak for?
+
+`bristle calibrate DATASET` and `bristle calibrate paper`. A model of the bristle gives y1/y0 as a
+falling function of Kn; the drops give y1/y0 with an interval; the function is inverted.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from mpi4py import MPI
+
+from ...meshes.collective import run_on_one_rank
+from ...solver import paper
+from ...solver.arrays import Array
+from ...solver.bristle import Bristle
+from ...solver.errors import InputError
+from .. import __version__
+from ..data.datasets import Drops, read_drops
+from ..running.files import prepare_folder, to_json, together, write_atomically
+from .curve import GRID_N_M, RatioCurve, RatioModel, beam_model, mean_curve
+from .estimate import LEVEL, Interval, RatioEstimate, estimate_ratio, paper_ratio
+
+PAPER = "paper"
+SCHEMA = "bristle-calibrate-1"
+
+CONFOUNDED = (
+    "y1/y0 of a bristle is one number. Contact stiffness, damping in the contact, damping in the "
+    "material, lean and friction all change it, and it cannot tell them apart.",
+    "The Kn given here is the one that the model needs if the declared material damping is right "
+    "and the contact itself loses nothing. Measure contact time or force as well to separate them.",
+)
+
+
+@dataclass(frozen=True)
+class Stiffness:
+    """Kn in N/m with its bounds; a bound of None is one that the ratio cannot set."""
+
+    estimate: float | None
+    low: float | None
+    high: float | None
+    level: float
+
+    def words(self) -> str:
+        """The interval as a sentence's part, in MN/m."""
+        low, high = (None if x is None else f"{x / 1e6:.3g}" for x in (self.low, self.high))
+        if low and high:
+            return f"{low} to {high} MN/m"
+        if high:
+            return f"below {high} MN/m, with no lower bound"
+        if low:
+            return f"above {low} MN/m, with no upper bound"
+        return "not bounded on either side"
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """What came of a calibration.
+
+    ``population`` is the band of Kn that single drops ask for, from the ``ratio``'s percentiles;
+    ``warnings`` are sentences for the user.
+    """
+
+    source: str
+    bristle: Bristle
+    gravity_m_s2: float
+    drops: Drops | None
+    ratio: RatioEstimate
+    curve: RatioCurve
+    kn: Stiffness
+    kn_bootstrap: Stiffness | None
+    population: Stiffness
+    warnings: tuple[str, ...]
+    seed: int
+
+
+def stiffness_interval(curve: RatioCurve, ratio: Interval) -> Stiffness:
+    """Kn of a ratio and its interval; the curve falls, so the ends change places."""
+    estimate, low, high = (curve.stiffness(x) for x in (ratio.estimate, ratio.high, ratio.low))
+    return Stiffness(
+        estimate=estimate if 0.0 < estimate < math.inf else None,
+        low=low if 0.0 < low < math.inf else None,
+        high=high if 0.0 < high < math.inf else None,
+        level=ratio.level,
+    )
+
+
+def calibrate(
+    source: Drops | None,
+    model: RatioModel | None = None,
+    *,
+    seed: int = 0,
+    level: float = LEVEL,
+    grid_N_m: Array = GRID_N_M,
+) -> Calibration:
+    """Calibrate Kn from ``source``, or from the paper's published summary where it is None.
+
+    ``model`` maps Kn (N/m) and height (m) to y1/y0; by default the beam. Raises ComputationError
+    where the model's ratio does not fall with Kn.
+    """
+    if source is None:
+        bristle, gravity = Bristle(), paper.GRAVITY_M_S2
+        ratio, heights = paper_ratio(level), np.array(paper.HEIGHTS_M)
+    else:
+        bristle, gravity = source.manifest.bristle, source.manifest.gravity_m_s2
+        ratio = estimate_ratio(source.y0_m, source.y1_m, source.sigma_y_m, seed, level)
+        heights = source.y0_m
+    curve = mean_curve(model or beam_model(bristle, gravity), heights, grid_N_m)
+    kn = stiffness_interval(curve, ratio.mean)
+    boot = None if ratio.bootstrap is None else stiffness_interval(curve, ratio.bootstrap)
+    return Calibration(
+        source=PAPER if source is None else str(source.manifest.folder),
+        bristle=bristle,
+        gravity_m_s2=gravity,
+        drops=source,
+        ratio=ratio,
+        curve=curve,
+        kn=kn,
+        kn_bootstrap=boot,
+        population=stiffness_interval(curve, ratio.population),
+        warnings=tuple(_warnings(source, ratio, curve)),
+        seed=seed,
+    )
+
+
+def _warnings(source: Drops | None, ratio: RatioEstimate, curve: RatioCurve) -> list[str]:
+    low, high = curve.reachable
+    said = []
+    if ratio.mean.estimate >= high:
+        said.append(
+            f"The drops return {ratio.mean.estimate:.3g} of their height, no less than the model "
+            f"does at any Kn ({high:.4f}): they bound Kn from above only."
+        )
+    if ratio.mean.estimate <= low:
+        said.append(
+            f"The drops return {ratio.mean.estimate:.3g} of their height, no more than the model "
+            f"does on a rigid plane ({low:.4f}): they bound Kn from below only, and something "
+            "that the model lacks takes energy."
+        )
+    if ratio.population.low <= low < ratio.mean.estimate:
+        said.append(
+            f"Single drops fall below what a rigid plane gives ({low:.4f}); no Kn explains them."
+        )
+    if ratio.trend is not None and ratio.trend.p_value < 0.05:
+        said.append(
+            f"y1/y0 changes with y0 (p = {ratio.trend.p_value:.2g}). In this model it does not: "
+            "something is missing from it, and Kn takes up what that something does."
+        )
+    if ratio.sigma_share is not None and ratio.sigma_share < 0.5:
+        said.append(
+            f"The declared uncertainty of a height explains {100 * ratio.sigma_share:.2g} % of the "
+            "scatter; the rest is between drops."
+        )
+    if source is not None and source.manifest.kn_N_m is not None:
+        said.append(
+            f"The dataset declares Kn = {source.manifest.kn_N_m / 1e6:.4g} MN/m; it was not used."
+        )
+    return [*said, *CONFOUNDED]
+
+
+def summary(found: Calibration, version: str) -> dict[str, Any]:
+    """``calibrate.json``: plain numbers, SI, None for what the data cannot bound."""
+    ratio, bristle = found.ratio, found.bristle
+    return {
+        "schema": SCHEMA,
+        "version": version,
+        "source": found.source,
+        "seed": found.seed,
+        "n_drops": ratio.n,
+        "method": ratio.method,
+        "body": {
+            "length_m": bristle.length_m,
+            "section": {"shape": type(bristle.section).__name__, **vars(bristle.section)},
+            **asdict(bristle.material),
+        },
+        "gravity_m_s2": found.gravity_m_s2,
+        "rebound_ratio": asdict(ratio.mean),
+        "rebound_ratio_bootstrap": asdict(ratio.bootstrap) if ratio.bootstrap else None,
+        "rebound_ratio_population": asdict(ratio.population),
+        "rebound_ratio_std": ratio.spread,
+        "reachable_ratio": list(found.curve.reachable),
+        "kn_N_m": asdict(found.kn),
+        "kn_bootstrap_N_m": asdict(found.kn_bootstrap) if found.kn_bootstrap else None,
+        "kn_population_N_m": asdict(found.population),
+        "trend": None if ratio.trend is None else asdict(ratio.trend),
+        "warnings": list(found.warnings),
+        "curve": {
+            "kn_N_m": found.curve.kn_N_m.tolist(),
+            "rebound_ratio": found.curve.ratio.tolist(),
+        },
+    }
+
+
+def run_calibrate(
+    source: str | Path,
+    out: Path,
+    *,
+    seed: int = 0,
+    level: float = LEVEL,
+    model: RatioModel | None = None,
+    comm: MPI.Intracomm = MPI.COMM_WORLD,
+) -> dict[str, Any]:
+    """Calibrate and write ``calibrate.json``, ``report.html``, figures and tables into ``out``.
+
+    ``source`` is a dataset's folder, or "paper". Collective; rank 0 works. Returns the summary.
+    Raises InputError where the dataset is wrong, ComputationError where no Kn can be told.
+    """
+    return run_on_one_rank(comm, lambda: _run(str(source), Path(out), seed, level, model))
+
+
+def _run(
+    source: str, out: Path, seed: int, level: float, model: RatioModel | None
+) -> dict[str, Any]:
+    from .page import write_calibration
+
+    if not 0.5 <= level < 1.0:
+        raise InputError(f"level must lie between 0.5 and 1, not {level}")
+    drops = None if source == PAPER else read_drops(Path(source))
+    found = calibrate(drops, model, seed=seed, level=level)
+    content = summary(found, __version__)
+    prepare_folder(out)
+    with together(out, "calibrate.json"):
+        write_calibration(found, out, __version__)
+        write_atomically(out / "calibrate.json", to_json(content) + "\n")
+    return content
+
+
+def told(content: dict[str, Any]) -> list[tuple[str, str]]:
+    """Name and value of what a terminal shows of a summary."""
+    ratio, kn = content["rebound_ratio"], Stiffness(**content["kn_N_m"])
+    estimate = "none fits" if kn.estimate is None else f"{kn.estimate / 1e6:.3g} MN/m"
+    return [
+        ("drops", str(content["n_drops"])),
+        ("y1/y0", f"{ratio['estimate']:.3f} ({ratio['low']:.3f} to {ratio['high']:.3f})"),
+        ("Kn", f"{estimate} ({kn.words()})"),
+    ]

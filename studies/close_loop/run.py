@@ -1,0 +1,277 @@
+"""Closing the loop on a dataset: what the model lacks, and the error before and after.
+
+`bristle close-loop DATASET`. Reads a dataset of any kind, runs the loop (studies.loop), confirms
+what it found with the 3-D model, and writes verdict.json and one page. Also a script:
+``python3 -m bristle.studies.closeloop DATASET``.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from mpi4py import MPI
+
+from ...meshes.collective import run_on_one_rank
+from ...solver.compiled import in_turn
+from ...solver.errors import InputError
+from .. import __version__
+from ..data.datasets import Manifest, read_manifest
+from ..inputs.loop_fields import LoopInputs
+from ..loop.finding import Finding
+from ..loop.problem import Problem
+from ..loop.run import find, pieces
+from ..running.files import new_folders, prepare_folder, to_json, together, write_atomically
+from ..running.parallel import share_out, start_petsc
+from ..running.progress import progress, working
+from .confirm import LEFT_OUT, Confirmation, confirm
+
+SCHEMA = "bristle-close-loop-1"
+VERDICT_FILE = "verdict.json"
+
+
+@dataclass(frozen=True)
+class Closed:
+    """A loop that ran: what was asked, the data as a problem, what was found, and in 3-D."""
+
+    manifest: Manifest
+    inputs: LoopInputs
+    problem: Problem
+    finding: Finding
+    confirmation: Confirmation
+
+
+def run_close_loop(
+    dataset: Path,
+    out: Path | None,
+    inputs: LoopInputs | None = None,
+    *,
+    comm: MPI.Intracomm = MPI.COMM_WORLD,
+) -> dict[str, Any]:
+    """Run the loop on the dataset in a folder; write ``verdict.json``, ``report.html``, its tables
+    and figures into ``out``, or nothing where that is None.
+
+    Returns what verdict.json holds. Collective: rank 0 works, with solids of its own, so that the
+    result does not depend on the number of ranks. Raises InputError where the dataset or an option
+    is wrong, ComputationError where a simulation fails; nothing is written then.
+    """
+    asked, dataset = inputs or LoopInputs(), Path(dataset)
+    if not asked.no_3d:
+        start_petsc(comm)
+    manifest = run_on_one_rank(comm, lambda: _begun(dataset, out))
+    problem = _made(lambda: problem_of(manifest), comm)
+    with progress("Effects simulated", len(problem.candidates)) as advance:
+        _simulate(problem, comm, advance)
+    return run_on_one_rank(comm, lambda: _run(manifest, problem, out, asked))
+
+
+def close_several(
+    datasets: Sequence[tuple[Manifest, Callable[[], Problem]]], comm: MPI.Intracomm
+) -> list[Closed]:
+    """Run the loop on several datasets, each given with what makes it a problem.
+
+    Without the 3-D model; dealt out over the ranks. Returns what was found in their order on rank
+    0, an empty list elsewhere. Collective; raises InputError and ComputationError on all ranks.
+    """
+    asked, problems = LoopInputs(no_3d=True), []
+    with progress("Datasets prepared", len(datasets)) as advance:
+        for _, make in datasets:  # in turn, since they may share what is simulated
+            problems.append(_made(make, comm))
+            _simulate(problems[-1], comm)
+            advance()
+    found: dict[int, Finding] = {}
+    with progress("Loops closed", len(datasets)) as advance:
+
+        def take(i: int, finding: Finding) -> None:
+            found[i] = finding
+            advance()
+
+        share_out(comm, len(problems), lambda i: find(problems[i], asked.seed, asked.alarm), take)
+    left_out = Confirmation(None, LEFT_OUT)
+    return [Closed(datasets[i][0], asked, problems[i], found[i], left_out) for i in sorted(found)]
+
+
+def _made(make: Callable[[], Problem], comm: MPI.Intracomm) -> Problem:
+    """The problem on every rank, first on rank 0: what that keeps on the disk serves the others."""
+    first = run_on_one_rank(comm, lambda: _Alone(make() if comm.rank == 0 else None))
+    return first.problem or make()
+
+
+def _begun(dataset: Path, out: Path | None) -> Manifest:
+    """The dataset's declarations; InputError where they or ``out`` are no good, long before both
+    are needed."""
+    manifest = read_manifest(dataset)
+    if out is None:
+        return manifest
+    there = next(each for each in (out.absolute(), *out.absolute().parents) if each.exists())
+    if not there.is_dir():
+        raise InputError(f"--out {out}: {there} is a file, not a folder")
+    return manifest
+
+
+class _Alone:
+    """A problem that stays on the rank that made it: it cannot be sent."""
+
+    def __init__(self, problem: Problem | None = None) -> None:
+        self.problem = problem
+
+    def __reduce__(self) -> tuple[type[_Alone], tuple[()]]:
+        return _Alone, ()
+
+
+def _simulate(
+    problem: Problem, comm: MPI.Intracomm, advance: Callable[[], None] = lambda: None
+) -> None:
+    """Have every candidate predict once, dealt out over the ranks or, of one, over its threads.
+
+    Some of them first simulate thousands of drops, in compiled code that lets other threads run,
+    which are then kept on the disk for all ranks and for the next run. Collective; raises
+    ComputationError where they fail.
+    """
+    candidates = problem.candidates[::-1]  # what takes longest to simulate stands last
+
+    def predict(i: int) -> None:
+        typical = [each.typical for each in candidates[i].parameters]
+        with in_turn():
+            candidates[i].predict(np.array(typical))
+
+    if comm.size > 1:
+        share_out(comm, len(candidates), predict, lambda i, nothing: advance())
+        return
+    threads = ThreadPoolExecutor(os.process_cpu_count())
+    try:
+        for _ in threads.map(predict, range(len(candidates))):
+            advance()
+    except BaseException as error:
+        # who is interrupted does not wait for what threads compute
+        threads.shutdown(not isinstance(error, KeyboardInterrupt), cancel_futures=True)
+        raise
+    threads.shutdown()
+
+
+def _run(
+    manifest: Manifest, problem: Problem, out: Path | None, inputs: LoopInputs
+) -> dict[str, Any]:
+    if out is None:
+        return verdict(close(manifest, problem, inputs))
+    from .page import write_page
+
+    with new_folders(out):
+        prepare_folder(out)
+        closed = close(manifest, problem, inputs)
+        content = verdict(closed)
+        with together(out, VERDICT_FILE):
+            write_page(closed, out, __version__)
+            write_atomically(out / VERDICT_FILE, to_json(content) + "\n")
+    return content
+
+
+def close(manifest: Manifest, problem: Problem, inputs: LoopInputs) -> Closed:
+    """Run the loop on a problem, and confirm with the 3-D model what it found."""
+    with progress("Steps of the search", pieces(problem)) as advance:
+        finding = find(problem, inputs.seed, inputs.alarm, advance)
+    if inputs.no_3d:
+        return Closed(manifest, inputs, problem, finding, Confirmation(None, LEFT_OUT))
+    if problem.confirm is None:
+        return Closed(manifest, inputs, problem, finding, confirm(problem, finding))
+    with working("confirming in three dimensions"):
+        return Closed(manifest, inputs, problem, finding, confirm(problem, finding))
+
+
+def problem_of(manifest: Manifest) -> Problem:
+    """The dataset, read and made a problem. Raises InputError."""
+    folder = manifest.folder
+    match manifest.kind:
+        case "drops":
+            from ..data.datasets import read_drops
+            from ..loop.kinds.drops.problem import drops_problem
+
+            return drops_problem(read_drops(folder))
+        case "tracks":
+            from ..loop.kinds.tracks.problem import tracks_problem
+            from ..loop.kinds.tracks.record import read_tracks
+
+            return tracks_problem(read_tracks(folder))
+        case "forces":
+            from ..loop.kinds.forces.problem import forces_problem
+            from ..loop.kinds.forces.record import read_forces
+
+            return forces_problem(read_forces(folder))
+        case "waves":
+            from ..loop.kinds.waves.problem import read_waves, wave_problem
+
+            return wave_problem(read_waves(folder))
+        case "falls":
+            from ..loop.kinds.falls.problem import fall_problem
+            from ..loop.kinds.falls.record import read_falls
+
+            return fall_problem(read_falls(folder))
+    raise manifest.wrong("kind", f"is {manifest.kind}: the loop cannot read such data")
+
+
+def verdict(closed: Closed) -> dict[str, Any]:
+    """What ``verdict.json`` holds: CONTRACT.md's keys, and what repeats and explains the run."""
+    finding, problem = closed.finding, closed.problem
+    return {
+        "schema": SCHEMA,
+        "version": __version__,
+        **finding.verdict_json(),
+        **closed.confirmation.keys(),
+        "kind": closed.manifest.kind,
+        "title": closed.manifest.title,
+        "n_groups": len(np.unique(problem.group)),
+        "n_values": len(problem.values),
+        "alarm": finding.alarm,
+        "tests": [_test(each) for each in finding.tests],
+        "tests_after": [_test(each) for each in finding.tests_after],
+        "evidence": [
+            {
+                "effects": list(each.effects),
+                "log_evidence": each.log_evidence,
+                "left_p_value": each.left_p_value,
+            }
+            for each in finding.evidences
+        ],
+        "inputs": closed.inputs.model_dump(mode="json"),
+    }
+
+
+def _test(test: Any) -> dict[str, Any]:
+    return {"name": test.name, "value": test.value, "p_value": test.p_value}
+
+
+def summary(content: dict[str, Any]) -> list[tuple[str, str]]:
+    """Name and value of what a terminal shows."""
+    held, solid = content["held_out"], content["confirmed_in_3d"]
+    names = [f"{name} ({content['weights'][name]:.2f})" for name in content["effects"]]
+    rows = [("verdict", content["verdict"])]
+    if names:
+        rows.append(("effects", ", ".join(names)))
+    rows.append(("something is missing", f"p = {content['detection']['p_value']:.2g}"))
+    rows.append(("something is left", f"p = {content['open_set']['p_value']:.2g}"))
+    for name, each in content["parameters"].items():
+        value = f"{each['estimate']:.4g} ({each['low']:.4g} to {each['high']:.4g}) {each['unit']}"
+        rows.append((name, value.rstrip()))
+    if held:
+        rows.append(("held-out error", f"{_change(held, held['unit'])}; noise {held['noise']:.3g}"))
+        if names:
+            low, high = held["log_score_gain_low"], held["log_score_gain_high"]
+            gain = f"{held['log_score_gain']:+.3g} ({low:+.3g} to {high:+.3g})"
+            rows.append(("held-out log score", gain))
+        rows.append(("held-out in 90 %", f"{100 * held['coverage_90']:.0f} %"))
+    if solid:
+        rows.append(("the same in 3-D", _change(solid, solid["unit"])))
+    if content["next_experiment"]:
+        rows.append(("measure next", content["next_experiment"]["change"]))
+    rows += [("doubt", each) for each in content["warnings"]]
+    rows += [("left aside", each) for each in content["left_aside"]]
+    return rows
+
+
+def _change(errors: dict[str, Any], unit: str) -> str:
+    return f"{errors['rms_before']:.3g} to {errors['rms_after']:.3g} {unit}"

@@ -1,0 +1,12 @@
+"""A study as a script: ``python3 -m bristle.studies.NAME`` is the command of that name."""
+
+import sys
+from importlib import import_module
+
+
+def as_script(name: str) -> None:
+    """Run the command ``name`` with the script's arguments, and exit with its status.
+
+    The command line knows the studies and is not known to them: it is looked up by name here.
+    """
+    sys.exit(import_module("bristle.studies.cli").main([name, *sys.argv[1:]]))

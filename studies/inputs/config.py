@@ -1,0 +1,358 @@
+"""What is a run asked to do, and does it make sense?
+
+Values arrive from flags, a configuration file or a program, are checked here once, and leave as
+frozen models in SI units that know how to become the solver's objects.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any, Self
+
+from pydantic import model_validator
+from pydantic_core import PydanticCustomError
+
+from ...meshes import geometry
+from ...meshes.section import Circle, Rectangle, Section
+from ...meshes.tip_shape import TipShape, parse_tip_shape
+from ...solver import paper
+from ...solver.analytic import quarter_period_s
+from ...solver.bristle import Bristle, Material
+from ...solver.contact.enforcement import GAMMA0, GAMMA0_RIGID, ContactMethod, Enforcement
+from ...solver.contact.laws import ContactLaw, Coulomb, Linear, mindlin_ratio
+from ...solver.drop import DropPlan
+from ...solver.effects.base import Scene
+from ...solver.ground import Ground
+from ...solver.rigid import slope_normal
+from ...solver.time.scheme import TimeScheme
+from . import fields, limits, stance
+from .choices import Contact, Deflection, Model, Scheme, Solver, Tip, Until
+from .effects import check_effects, scene_of
+from .fields import DropFields, SharedFields, StepField, read_kn
+from .given_files import REPLACED
+
+
+class Inputs(SharedFields):
+    """What a drop and a sweep share. SI units; angles in degrees.
+
+    What is None in the command line's defaults is resolved here, so that a model holds everything
+    that its run depends on.
+    """
+
+    @model_validator(mode="before")
+    @classmethod
+    def _resolve(cls, data: Any) -> Any:
+        """Fill in what depends on other options."""
+        if not isinstance(data, dict):
+            return data
+        data = dict(data)
+        _resolve_shape(data)
+        poisson = data.get("poisson", paper.POISSON)
+        if isinstance(poisson, float) and -1.0 < poisson < 0.5:
+            _default(data, "kt_ratio", mindlin_ratio(poisson))
+        if data.get("contact") == Contact.NITSCHE:
+            _default(data, "theta", 1)
+        if data.get("scheme") == Scheme.GENERALISED:
+            _default(data, "rho_inf", fields.RHO_INF)
+        return data
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Self:
+        """Refuse options that contradict each other, and what this version cannot do."""
+        if self.diameter_m is not None:
+            for field in ("width_m", "thickness_m"):
+                if getattr(self, field) is not None:
+                    refuse(field, "a round wire has a --diameter and neither width nor thickness")
+        if 0.0 < self.alpha_1_s < limits.ALPHA_1_S:
+            refuse("alpha_1_s", f"less than {limits.ALPHA_1_S:g} 1/s is lost in round-off; take 0")
+        for field in ("theta", "gamma0"):
+            if getattr(self, field) is not None and self.contact is not Contact.NITSCHE:
+                refuse(field, "belongs to --contact nitsche")
+        if self.rho_inf is not None and self.scheme is not Scheme.GENERALISED:
+            refuse("rho_inf", "belongs to --scheme generalised")
+        self._check_tip()
+        stance.check_lean(self, refuse)
+        return self
+
+    def _check_tip(self) -> None:
+        """Refuse an end face that is no face, or does not fit on the section."""
+        if self.tip_shape == fields.FLAT:
+            return
+        if self.mesh is not None:
+            refuse("tip_shape", "excluded by --mesh, whose tip has the shape of its facets")
+        if self.tip is Tip.POINT:
+            refuse("tip_shape", "a tip that touches with a point has no face; take --tip face")
+        try:
+            self.face().offset_m([0.0], [0.0], self.end_section())
+        except ValueError as error:
+            refuse("tip_shape", str(error))
+
+    @property
+    def leaning(self) -> bool:
+        """Whether the tip can slide: something leans, or the tip is not flat or the bristle bent.
+
+        A flat tip that lands upright on a level surface is pushed along its axis alone; friction
+        is left out there, and a reduced model needs no bending.
+        """
+        if self.mesh is not None and not self.mesh.read().straight:
+            return True
+        return any(getattr(self, name) for name in stance.ANGLES) or self.tip_shape != fields.FLAT
+
+    def face(self) -> TipShape:
+        """The shape of the end face."""
+        return parse_tip_shape(self.tip_shape)
+
+    def bristle(self) -> Bristle:
+        """The body that falls; of a mesh, a flat wire of the same length and mass."""
+        material = Material(
+            self.youngs_Pa, self.poisson, self.density_kg_m3, self.alpha_1_s, self.beta_s
+        )
+        if self.mesh is not None:
+            own = self.mesh.read()
+            return Bristle(own.length_m, own.mean_section, material)
+        return Bristle(self.length_m or paper.LENGTH_M, self.end_section(), material)
+
+    def shape(self) -> geometry.MeshSpec | str:
+        """What tells a solid's mesh from others: its parameters, or the digest of the user's."""
+        return self.mesh_spec() if self.mesh is None else self.mesh.sha256
+
+    def mesh_spec(self) -> geometry.MeshSpec:
+        """The mesh of hexahedra; ValueError where gmsh could not make it."""
+        return geometry.MeshSpec(
+            self.length_m or paper.LENGTH_M,
+            self.end_section(),
+            self.cells or fields.CELLS,
+            self.geometry_order or 1,
+            self.grading or 1.0,
+        )
+
+    def end_section(self) -> Section:
+        """The section at the tip."""
+        if self.mesh is not None:
+            return self.mesh.read().tip_section
+        if self.diameter_m is None:
+            return Rectangle(*self._sides_m())
+        return Circle(self.diameter_m)
+
+    def _sides_m(self) -> tuple[float, float]:
+        """Thickness and width of a flat wire."""
+        return self.thickness_m or paper.THICKNESS_M, self.width_m or paper.WIDTH_M
+
+    def time_scheme(self) -> TimeScheme:
+        """The time scheme with its constants."""
+        if self.scheme is Scheme.GENERALISED and self.rho_inf is not None:
+            return TimeScheme.generalised(self.rho_inf)
+        return TimeScheme.newmark() if self.scheme is Scheme.NEWMARK else TimeScheme.average()
+
+    def check_meshed(self) -> None:
+        """Refuse what the solid cannot be or cannot do."""
+        if self.tip is Tip.POINT:
+            refuse("tip", "the solid meets the surface with its face; point is for --model beam")
+        try:
+            self.shape()
+        except ValueError as error:
+            refuse("cells", str(error))
+        limits.check_unknowns(self, refuse)
+
+
+class MeshInputs(Inputs):
+    """A mesh alone; what does not concern it keeps its default."""
+
+    @model_validator(mode="after")
+    def _meshable(self) -> Self:
+        self.check_meshed()
+        return self
+
+
+class DropInputs(Inputs, DropFields, StepField):
+    """One drop: every option of `bristle drop`, resolved and checked."""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _stabilise(cls, data: Any) -> Any:
+        """Fill in what depends on the stiffness, and the model of a mesh."""
+        if not isinstance(data, dict):
+            return data
+        data = dict(data)
+        if data.get("mesh") is not None:
+            _default(data, "model", Model.REDUCED)
+        if data.get("contact") == Contact.NITSCHE:
+            rigid = read_kn(data.get("kn_N_m")) == math.inf
+            _default(data, "gamma0", GAMMA0_RIGID if rigid else GAMMA0)
+        return data
+
+    @model_validator(mode="after")
+    def _possible(self) -> Self:
+        """Refuse what no run could give a sensible answer to."""
+        if self.mesh is not None and not self.model.meshed:
+            refuse("model", f"{self.model} has no use for --mesh; take reduced or solid")
+        if math.isinf(self.kn_N_m) and self.contact is Contact.PENALTY:
+            refuse(
+                "kn_N_m", "penalty needs a finite stiffness; take --contact nitsche or augmented"
+            )
+        if limits.KN_N_M < self.kn_N_m < math.inf:
+            refuse("kn_N_m", f"above {limits.KN_N_M:g} N/m take inf, with nitsche or augmented")
+        if self.model is Model.ANALYTIC:
+            self._check_analytic()
+        if self.model.meshed:
+            self.check_meshed()
+        if self.deflection is Deflection.SECOND_ORDER and not self._may_bend:
+            refuse(
+                "deflection",
+                "second-order is for the beam and the reduced solid, under --scheme average, with "
+                "penalty or augmented at a finite --kn, and not with --march",
+            )
+        if self.deflection is Deflection.FINITE and not self._may_turn:
+            refuse(
+                "deflection",
+                "finite is for the solid, under --scheme average, with any --solver but iterative, "
+                "and not with --march",
+            )
+        if self.solver is Solver.SNES:
+            self._check_assembled()
+        check_effects(self, refuse)
+        limits.check_drop(self, refuse)
+        return self
+
+    def _check_assembled(self) -> None:
+        only = "snes assembles the step of the solid"
+        if self.model is not Model.SOLID:
+            refuse("solver", f"{only}: take --model solid")
+        if self.scheme is not Scheme.AVERAGE:
+            refuse("scheme", f"{only} under --scheme average")
+        if self.contact is Contact.AUGMENTED:
+            refuse("contact", f"{only} with contact by penalty or nitsche")
+        if self.march:
+            refuse("march", f"{only} in impacts alone")
+        if self.tip_shape != fields.FLAT:
+            refuse("tip_shape", f"{only} with a flat end face")
+
+    @property
+    def _may_bend(self) -> bool:
+        return (
+            self.model in (Model.BEAM, Model.REDUCED)
+            and self.scheme is Scheme.AVERAGE
+            and self.contact is not Contact.NITSCHE
+            and math.isfinite(self.kn_N_m)
+            and not self.march
+        )
+
+    @property
+    def second_order(self) -> bool:
+        """Whether the axial force acts on the slope: where it is asked for, or matters and can."""
+        if self.deflection is None:
+            gentle = stance.lean_deg(self) <= limits.LINEAR_LEAN_DEG
+            return self.leaning and gentle and self._may_bend
+        return self.deflection is Deflection.SECOND_ORDER
+
+    @property
+    def _may_turn(self) -> bool:
+        return (
+            self.model is Model.SOLID
+            and self.scheme is Scheme.AVERAGE
+            and self.solver is not Solver.ITERATIVE
+            and not self.march
+        )
+
+    @property
+    def finite(self) -> bool:
+        """Whether strain and rotation are finite: where it is asked for, or matters and can be."""
+        if self.deflection is None:
+            return self.leaning and self._may_turn
+        return self.deflection is Deflection.FINITE
+
+    @property
+    def resolved_deflection(self) -> Deflection:
+        """How far bending and turning go into this run's equations."""
+        if self.finite:
+            return Deflection.FINITE
+        return Deflection.SECOND_ORDER if self.second_order else Deflection.SMALL
+
+    def _check_analytic(self) -> None:
+        only = "the analytic model is a mass on a spring without loss"
+        if self.contact is not Contact.PENALTY:
+            refuse("contact", f"{only}: it has penalty contact only")
+        if self.scheme is not Scheme.AVERAGE:
+            refuse("scheme", f"{only}: it has no time scheme")
+        if self.march:
+            refuse("march", f"{only}: it is not marched")
+        if self.alpha_1_s:
+            refuse("alpha_1_s", f"{only}: it has no damping")
+        for field in stance.ANGLES:
+            if getattr(self, field):
+                refuse(field, f"{only}: it falls upright on a level surface")
+        if self.tip_shape != fields.FLAT:
+            refuse("tip_shape", f"{only}: it has no end face")
+
+    def friction_law(self) -> Coulomb:
+        """Friction, none where nothing can slide."""
+        ratio = mindlin_ratio(self.poisson) if self.kt_ratio is None else self.kt_ratio
+        return Coulomb(self.friction if self.leaning else 0.0, ratio)
+
+    def contact_method(self, law: ContactLaw | None = None) -> ContactMethod:
+        """The contact law (None: linear) with friction, and its enforcement."""
+        law, how = law or Linear(self.kn_N_m), Enforcement(self.contact.value)
+        friction = self.friction_law()
+        if self.theta is None:
+            return ContactMethod(law, how, friction=friction)
+        return ContactMethod(law, how, theta=self.theta, gamma0=self.gamma0, friction=friction)
+
+    def drop_plan(self, n_points: int, scene: Scene | None = None) -> DropPlan:
+        """What solver.drop.simulate is to do with a body of ``n_points`` that can touch.
+
+        ``scene`` has what effects changed beyond the options.
+        """
+        scene = scene or scene_of(self)
+        normal = slope_normal(self.slope_deg, self.slope_wide_deg)
+        return DropPlan(
+            height_m=self.height_m,
+            method=self.contact_method(scene.law),
+            its_s=self.its_s,
+            gravity_m_s2=self.gravity_m_s2,
+            scheme=self.time_scheme(),
+            until_s=None if isinstance(self.until, Until) else self.until,
+            impact_only=self.until is Until.IMPACT,
+            tilt_deg=self.tilt_deg,
+            tilt_wide_deg=self.tilt_wide_deg,
+            ground=Ground.plane(n_points, normal),
+            release_speed_m_s=scene.release_speed_m_s,
+            drag_kg_m=scene.drag_kg_m,
+            axes=None if self.mesh is None else self.mesh.read().axes,
+        )
+
+    def contact_s(self) -> float:
+        """About how long an impact lasts: half a period on the spring, and one of the bar."""
+        bristle = self.bristle()
+        return 2.0 * quarter_period_s(bristle.mass_kg, self.kn_N_m) + bristle.axial_period_s
+
+    def changed(self, **values: Any) -> DropInputs:
+        """The same drop with other ``values``, checked again; InputError as in `sources`."""
+        from .sources import checked
+
+        return checked(DropInputs, {**self.model_dump(), **values})
+
+
+def refuse(field: str, message: str) -> None:
+    """End validation with a message about ``field``."""
+    raise PydanticCustomError("bristle", "{message}", {"field": field, "message": message})
+
+
+def _resolve_shape(data: dict[str, Any]) -> None:
+    """Fill in the bristle's measures and its division, unless it has a mesh of its own."""
+    if data.get("mesh") is not None:
+        for field in REPLACED:
+            if data.get(field) is not None:
+                refuse(field, "excluded by --mesh, which says it itself")
+        return
+    _default(data, "length_m", paper.LENGTH_M)
+    if data.get("diameter_m") is None:
+        _default(data, "width_m", paper.WIDTH_M)
+        _default(data, "thickness_m", paper.THICKNESS_M)
+    _default(data, "cells", fields.CELLS)
+    _default(data, "grading", 1.0)
+    _default(data, "geometry_order", 1 if data.get("diameter_m") is None else 2)
+
+
+def _default(data: dict[str, Any], key: str, value: Any) -> None:
+    if data.get(key) is None:
+        data[key] = value

@@ -1,0 +1,120 @@
+"""Drops with effects in them: what an effect changes, and which ones a model can have."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+from ...solver.contact.laws import Linear
+from ...solver.drop import DropResult
+from ...solver.effects.base import Place, Scene
+from ...solver.effects.library import enter_all
+from ...solver.effects.outside import plugin_of
+from ...solver.errors import InputError
+from .choices import Contact, Model, Scheme
+from .stance import ANGLES
+
+if TYPE_CHECKING:
+    from .config import DropInputs
+
+
+@dataclass(frozen=True)
+class Entered:
+    """A drop with its effects in: ``inputs`` names none any more, ``scene`` holds what no option
+    says."""
+
+    inputs: DropInputs
+    scene: Scene
+
+
+def scene_of(inputs: DropInputs) -> Scene:
+    """What the options alone make of a drop."""
+    return Scene(
+        height_m=inputs.height_m,
+        front_m2=inputs.bristle().section.area_m2,
+        beta_s=inputs.beta_s,
+        law=Linear(inputs.kn_N_m),
+        **{name: getattr(inputs, name) for name in ANGLES},
+    )
+
+
+def entered(inputs: DropInputs) -> Entered:
+    """The drop with all its effects in. Raises InputError where they make it impossible."""
+    if not inputs.effects:
+        return Entered(inputs, scene_of(inputs))
+    scene = enter_all(scene_of(inputs), [each.effect() for each in inputs.effects])
+    plain = inputs.changed(
+        effects=(),
+        kn_N_m=scene.law.kn_N_m,
+        beta_s=scene.beta_s,
+        **{name: getattr(scene, name) for name in ANGLES},
+    )
+    return Entered(plain, scene)
+
+
+def seen(result: DropResult, scene: Scene) -> DropResult:
+    """The result as instruments see it, heights and times off by what the scene says."""
+    if (scene.y_offset_m, scene.y_scale, scene.t_scale) == (0.0, 1.0, 1.0):
+        return result
+
+    def height(true_m: float | None) -> float | None:
+        return None if true_m is None else scene.y_scale * (true_m + scene.y_offset_m)
+
+    start = height(scene.height_m)
+    assert start is not None
+    if start <= 0.0:
+        raise InputError("--effect: with this zero the bristle is released at or below the surface")
+    tip = height(result.rebound_height_m)
+    return replace(
+        result,
+        rebound_height_m=tip,
+        rebound_ratio=None if tip is None else tip / start,
+        cm_rebound_height_m=height(result.cm_rebound_height_m),
+        contact_time_s=scene.t_scale * result.contact_time_s,
+        time_to_max_penetration_s=scene.t_scale * result.time_to_max_penetration_s,
+    )
+
+
+def check_effects(inputs: DropInputs, refuse: Callable[[str, str], None]) -> None:
+    """Refuse effects that the model, the enforcement or the scheme cannot have."""
+    scene = scene_of(inputs)
+    try:
+        effects = [each.effect() for each in inputs.effects]
+        after = enter_all(scene, effects)
+    except InputError as error:
+        refuse("effects", str(error).removeprefix("--effect: "))
+        return
+    given = {plugin.sha256 for plugin in inputs.plugins}
+    for effect in effects:
+        plugin = plugin_of(type(effect))
+        if plugin is not None and effect.origin not in given:
+            refuse("effects", f"{effect.name} is of the plugin {plugin}; name that too")
+    places = {effect.place for effect in effects}
+    plain = inputs.scheme is Scheme.AVERAGE and inputs.contact is not Contact.NITSCHE
+    compiled = plain and math.isfinite(inputs.kn_N_m) and not inputs.march
+    if inputs.model is Model.ANALYTIC:
+        for effect in effects:
+            leans = any(getattr(after, name) for name in ANGLES)
+            if effect.place in (Place.BODY, Place.CONTACT) or leans:
+                refuse(
+                    "effects", f"{effect.name} is not for the analytic model, a mass on a spring"
+                )
+    if Place.CONTACT in places and not (plain and math.isfinite(inputs.kn_N_m)):
+        refuse(
+            "effects",
+            "a contact law of its own needs --scheme average, a finite --kn, and penalty or "
+            "augmented",
+        )
+    if after.loss_factor and not (compiled and inputs.model in (Model.BEAM, Model.REDUCED)):
+        refuse(
+            "effects",
+            "hysteretic_damping belongs to modes: take the beam, or the solid reduced to its modes "
+            "(--model reduced), with --scheme average, a finite --kn, and penalty or augmented",
+        )
+    moving = after.release_speed_m_s or after.drag_kg_m
+    if moving and inputs.march:
+        refuse("effects", "air_drag and release_velocity belong to events; leave --march out")
+    if moving and inputs.alpha_1_s:
+        refuse("effects", "air_drag and release_velocity exclude --alpha, which is drag itself")

@@ -1,0 +1,126 @@
+"""Inputs of `bristle scatter` beyond those of a drop, and where their defaults come from."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from pydantic import Field
+
+from ...solver import paper
+from .choices import Contact, Model
+from .fields import (
+    CONTACT,
+    MODEL,
+    BodyFields,
+    Fields,
+    HeightsField,
+    Kn,
+    SharedFields,
+    StepField,
+    Truth,
+    between,
+    whole,
+)
+from .flags import Option, flags_of
+
+RANDOM, SURFACE = "Random drops", "Surface"
+
+DROPS, MOST_DROPS = 2000, 1_000_000
+SEEDS = 2**32 - 1
+# Assumed: the upper end 6 mm beside the lower one, about what an eye without an instrument sees.
+TILT_STD_DEG = 1.0
+# Beyond it a normal lean would reach what cannot land on the end face.
+MOST_TILT_STD_DEG = 15.0
+# Macrotexture has wavelengths of 0.5 to 50 mm and heights of 0.2 to 10 mm (PIARC; ISO 13473-1).
+# Assumed: a trowelled slab, whose heights just reach that (4 rms = 0.2 mm), and the geometric mean
+# of the wavelengths. Its slope is then 0.8 degrees rms toward each side.
+RMS_HEIGHT_M = 50e-6
+CORRELATION_LENGTH_M = 5e-3
+
+
+class ScatterFields(Fields):
+    """How drops are released, over which surface, and what of a drop's inputs is narrower here."""
+
+    model: Annotated[
+        Model,
+        Option("model", MODEL, "reduced: the solid in a few modes; beam.", "[beam|reduced]"),
+    ] = Model.REDUCED
+    kn_N_m: Annotated[Kn, Option("kn", CONTACT, "Normal contact stiffness.", "N/M")] = (
+        paper.KN_CHOSEN_N_M
+    )
+    contact: Annotated[
+        Contact, Option("contact", CONTACT, "How contact is enforced.", "[penalty|augmented]")
+    ] = Contact.PENALTY
+    drops: Annotated[int, whole(1, MOST_DROPS), Option("drops", RANDOM, "How many drops.", "N")] = (
+        DROPS
+    )
+    seed: Annotated[
+        int,
+        whole(0, SEEDS),
+        Option("seed", RANDOM, "Seed of all that is drawn for each drop.", "N"),
+    ] = 0
+    tilt_std_deg: Annotated[
+        float,
+        between(0.0, MOST_TILT_STD_DEG),
+        Option(
+            "tilt-std",
+            RANDOM,
+            "Standard deviation of the lean at release toward the thin and, independently, the "
+            "wide side, about --tilt and --tilt-wide. An assumption: 1 degree puts the upper end "
+            "6 mm beside the lower one, about what an eye sees.",
+            "DEGREES",
+        ),
+    ] = TILT_STD_DEG
+    rms_height_m: Annotated[
+        Annotated[float, between(0.0, 0.1)] | None,
+        Option(
+            "rms-height",
+            SURFACE,
+            "Root mean square height of the surface. An assumption: four of it make 0.2 mm, the "
+            "least height of macrotexture (PIARC), as of a trowelled slab.",
+            "M",
+            f"{RMS_HEIGHT_M:g}",
+        ),
+    ] = None
+    correlation_length_m: Annotated[
+        Annotated[float, between(1e-6, 1.0)] | None,
+        Option(
+            "correlation-length",
+            SURFACE,
+            "Where the heights' correlation has fallen to 1/e. An assumption: the geometric mean "
+            "of macrotexture's wavelengths, 0.5 to 50 mm (PIARC).",
+            "M",
+            f"{CORRELATION_LENGTH_M:g}",
+        ),
+    ] = None
+    surface: Annotated[
+        Annotated[str, Field(min_length=1)] | None,
+        Option(
+            "surface",
+            SURFACE,
+            "A measured surface instead, in m: .npz, .csv or .txt, see "
+            "bristle.studies.surface.files.",
+            "FILE",
+        ),
+    ] = None
+    surface_seed: Annotated[
+        int,
+        whole(0, SEEDS),
+        Option("surface-seed", SURFACE, "Seed of the surface's heights and phases.", "N"),
+    ] = 0
+    flat: Annotated[Truth, Option("flat", SURFACE, "A level plane of one material instead.")] = (
+        False
+    )
+
+
+# What of a drop's other options many drops at once can have.
+TAKEN = (
+    *("deflection", "tip", "friction", "kt-ratio", "tip-shape", "contact-points"),
+    *("youngs", "poisson", "density", "beta", "gravity", "tilt", "tilt-wide", "cells"),
+    *("geometry-order", "grading", "elements", "order", "solver", "modes", "reduction-tolerance"),
+)
+OWN_FLAGS = flags_of(ScatterFields)
+SCATTER_FLAGS = (
+    *flags_of(ScatterFields, HeightsField, StepField, BodyFields),
+    *flags_of(SharedFields, only=TAKEN),
+)

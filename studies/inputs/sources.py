@@ -1,0 +1,158 @@
+"""Where does each value come from: a flag, a line of a file; and who is told when it is wrong?"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, TypeVar
+
+from pydantic import BaseModel, ValidationError
+
+from ...solver.errors import InputError
+from .fields import DROP_FLAGS, LIST_FLAGS
+from .flags import Flag
+from .given_files import REPLACED
+from .scatter_fields import OWN_FLAGS
+from .texts import hints, parse_json, parse_toml, quoted, read_text
+
+Checked = TypeVar("Checked", bound=BaseModel)
+OPTIONS = {flag.field: flag.option for flag in (*OWN_FLAGS, *DROP_FLAGS, *LIST_FLAGS)}
+
+DEPENDENTS = {
+    "diameter_m": ("width_m", "thickness_m", "geometry_order"),
+    "width_m": ("diameter_m", "geometry_order"),
+    "thickness_m": ("diameter_m", "geometry_order"),
+    "contact": ("theta", "gamma0"),
+    "poisson": ("kt_ratio",),
+    "scheme": ("rho_inf",),
+    "mesh": REPLACED,
+    "flat": ("rms_height_m", "correlation_length_m", "surface"),
+    "surface": ("rms_height_m", "correlation_length_m", "flat"),
+}
+
+
+@dataclass
+class Source:
+    """Values by field of the inputs, and how each is to be named to the user."""
+
+    values: dict[str, Any] = field(default_factory=dict)
+    origins: dict[str, str] = field(default_factory=dict)
+
+    def over(self, other: Source) -> Source:
+        """These values over those of ``other``, where what depends on a value goes with it."""
+        gone = {below for above in self.values for below in DEPENDENTS.get(above, ())}
+        kept = {key: value for key, value in other.values.items() if key not in gone}
+        return Source(kept | self.values, other.origins | self.origins)
+
+
+def flag_source(given: Mapping[str, Any], flags: Iterable[Flag]) -> Source:
+    """What stands on the command line: ``given`` by parameter, None where it does not."""
+    found = Source()
+    for flag in flags:
+        value = given.get(flag.parameter)
+        if value is None or (flag.kind is list and not value):
+            continue
+        found.values[flag.field] = value
+        found.origins[flag.field] = flag.option
+    return found
+
+
+def checked[Checked: BaseModel](
+    kind: type[Checked], values: Mapping[str, Any], origins: Mapping[str, str] = {}
+) -> Checked:
+    """A ``kind`` of these values; InputError names where the first wrong one came from."""
+    try:
+        return kind(**values)
+    except ValidationError as error:
+        first = error.errors(include_url=False)[0]
+        name, message = _explain(first, kind)
+        origin = origins.get(name, OPTIONS.get(name, name))
+        raise InputError(f"{origin}: {message}") from error
+
+
+def _explain(error: Any, kind: type[BaseModel]) -> tuple[str, str]:
+    """The field and what is wrong with it, in the user's words."""
+    if error["type"] == "bristle":
+        return error["ctx"]["field"], error["ctx"]["message"]
+    name = str(error["loc"][0]) if error["loc"] else "inputs"
+    if error["type"] == "extra_forbidden":
+        flag = f"--{name.replace('_', '-')}"
+        known = [each for each in kind.model_fields if OPTIONS.get(each) == flag]
+        near = [f"did you mean {each}?" for each in known] or hints(name, kind.model_fields)
+        return name, "; ".join(["is no known input", *near])
+    if error["type"] == "value_error":
+        return name, str(error["ctx"]["error"])
+    if name == "cells" and error["type"] in ("missing", "too_long", "tuple_type"):
+        return name, "must be three whole numbers NX NY NZ"
+    message = error["msg"].replace("Input should be", "must be").replace("a valid", "a")
+    return name, f"{message}, not {quoted(error['input'])}"
+
+
+def read_config(path: Path, flags: Iterable[Flag], ignored: Iterable[Flag] = ()) -> Source:
+    """A TOML file with the flags' names as keys, or a result of this program to repeat.
+
+    Keys of ``ignored`` flags may be there and are passed over. Raises InputError, with file and
+    line, where it cannot be read or holds an unknown key.
+    """
+    try:
+        text = read_text(path)
+    except InputError as error:
+        raise InputError(f"--config {error}") from error
+    data = _parse_result(path, text) if path.suffix == ".json" else parse_toml(path, text)
+    fields, passed_over = _fields_by_key(flags), _fields_by_key(ignored)
+    found = Source()
+    for key, value in data.items():
+        if key in passed_over and key not in fields:
+            continue
+        place = f"{path}:{_line_of(text, key)}: {key}"
+        name = fields.get(key)
+        if name is None:
+            raise InputError("; ".join([f"{place}: unknown key", *hints(key, fields)]))
+        if name in found.values:
+            raise InputError(f"{place}: given twice, also as {found.origins[name]}")
+        found.values[name], found.origins[name] = value, place
+    return found
+
+
+def _fields_by_key(flags: Iterable[Flag]) -> dict[str, str]:
+    """Every spelling of a key, and the field that it sets."""
+    found: dict[str, str] = {}
+    for flag in flags:
+        spelt = (each.removeprefix("--") for each in flag.spellings)
+        found |= dict.fromkeys((*spelt, flag.parameter, flag.field), flag.field)
+    return found
+
+
+def _parse_result(path: Path, text: str) -> dict[str, Any]:
+    data = parse_json(path, text)
+    inputs = data.get("inputs") if isinstance(data, dict) else None
+    if not isinstance(inputs, dict):
+        raise InputError(f"{path}:1: not a result of this program: it has no inputs")
+    return {key: value for key, value in inputs.items() if value is not None}
+
+
+def _line_of(text: str, key: str) -> int:
+    """The line on which ``key`` is set or opens a table, from 1."""
+    name = rf"[\"']?{re.escape(key)}[\"']?"
+    setting = re.compile(rf"^\s*(\[+\s*{name}\s*[\].]|{name}\s*[=.:])")
+    for number, line in enumerate(text.splitlines(), start=1):
+        if setting.match(line):
+            return number
+    return 1
+
+
+def inputs_of[Checked: BaseModel](
+    kind: type[Checked],
+    given: Mapping[str, Any],
+    flags: Iterable[Flag],
+    config: Path | None,
+    ignored: Iterable[Flag] = (),
+) -> Checked:
+    """Inputs from the command line over a configuration file over the defaults; InputError."""
+    flags = tuple(flags)
+    found = flag_source(given, flags)
+    if config is not None:
+        found = found.over(read_config(config, flags, ignored))
+    return checked(kind, found.values, found.origins)

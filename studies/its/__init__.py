@@ -1,0 +1,1 @@
+"""The integration time step that each quantity needs."""

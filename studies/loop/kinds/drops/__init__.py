@@ -1,0 +1,1 @@
+"""Drops: heights before and after, contact times and peak forces."""

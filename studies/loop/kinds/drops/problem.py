@@ -1,0 +1,239 @@
+"""A dataset of drops as a problem of the loop.
+
+Rows are, drop after drop, the height after the impact and, where they were measured, the contact
+time and the peak force. The height before it is measured too: its error is carried into all rows
+of its drop, through the baseline's slope, scaled to the data. What is not declared is unknown:
+friction, on which what leans hangs, the damping of a body that is described without one, and the
+gain of a force sensor to within its class.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .....solver.arrays import Array
+from .....solver.bristle import Bristle, RigidMass
+from .....solver.effects.base import Parameter
+from .....solver.effects.library import EFFECTS
+from .....solver.effects.outside import load_installed
+from .....solver.errors import InputError
+from ....data import datasets
+from ....data.datasets import Manifest
+from ....data.tables import LEAST_DROPS
+from ...noise import Ints
+from ...problem import Problem
+from ...responses.drop_model import DropModel, Drops
+from ...responses.response import KN_RANGE_N_M, Bench, Tables
+from ...responses.rigid_bench import RigidBench, RigidTables, around
+from .experiments import experiments
+
+KIND = "drops"
+# A contact stiffness that is declared is taken as known to this share.
+KN_KNOWN = 0.02
+# What a force sensor shows over the force, where nobody declares it.
+FORCE_GAIN = Parameter(
+    "force_gain", "", 0.995, 1.005, 1.0, null=1.0, why="class 0.5 of ISO 7500-1: within 0.5 %"
+)
+# Uncertainty taken for heights where none is declared, until the scatter says better.
+SIGMA_M = 1e-3
+# At which effects are simulated beside a damping that nobody declared: between metals and joints.
+BETA_UNKNOWN_S = 1e-7
+SCALES = (1e3, 1e6, 1.0)
+NAMES = ("y1 (mm)", "contact time (µs)", "peak force (N)")
+
+
+def drops_problem(data: datasets.Drops) -> Problem:
+    """The problem of a dataset of drops. Raises InputError where it cannot be one."""
+    manifest = data.manifest
+    measured, sigmas, notes = _measured(data)
+    tables = tables_for(data.y0_m, data)
+    bench = tables.bench
+    drops = Drops(bench, data.y0_m, data.drop - data.drop[0], tuple(measured))
+    values = np.stack([measured[q] for q in drops.quantities], axis=1)
+    keep = np.asarray(np.isfinite(values).all(axis=1))
+    if not keep.all():
+        drops = replace(drops, y0_m=drops.y0_m[keep], order=drops.order[keep])
+        values = values[keep]
+    for name in carried(KIND, drops.quantities):
+        if EFFECTS[name].origin and not bench.carries(name):
+            notes[name] = "left aside: of a rigid body the loop knows its own effects alone"
+    unwhitened = np.eye(len(measured))[None].repeat(len(values), 0)
+    kn, beta = stiffness(manifest.kn_N_m, bench), damping(manifest)
+    gain = FORCE_GAIN if 2 in measured else None
+    bare = DropModel(drops, tables, kn, (), unwhitened, beta=beta, gain=gain)
+    sigma = np.array([sigmas[q] for q in drops.quantities])
+    start = _start(bare, values, sigma)
+    seen = bare.measured(start)[0]
+    steeper = dict(
+        zip(drops.quantities, np.median(values, axis=0) / np.median(seen, axis=0), strict=True)
+    )
+    whiten = _whitening(bare, start, sigma, steeper)
+    n_q = len(drops.quantities)
+    number = (drops.order + data.drop[0]).astype(np.int64)
+
+    def model(effects: Sequence[str]) -> DropModel:
+        return replace(bare, effects=tuple(effects), whiten=whiten)
+
+    def proposed(other: Drops, known: Mapping[int, float], effects: tuple[str, ...]) -> DropModel:
+        each = np.array([known[q] for q in other.quantities])
+        plain = replace(bare, drops=other, whiten=np.eye(len(each))[None].repeat(len(other), 0))
+        return replace(plain, effects=effects, whiten=_whitening(plain, start, each, steeper))
+
+    # the last row of a Cholesky factor's inverse has its own scale on the diagonal
+    scale = np.array([SCALES[q] for q in drops.quantities]) / np.einsum("dqq->dq", whiten)
+    return Problem(
+        values=np.einsum("dqr,dr->dq", whiten, values).ravel(),
+        scale=scale.ravel(),
+        unit="mm",
+        quantity=np.tile(np.array([NAMES[q] for q in drops.quantities]), len(values)),
+        group=np.repeat(number, n_q),
+        covariates=_covariates(data, drops, keep),
+        baseline=model(()),
+        candidates=[
+            model((name,))
+            for name in carried(KIND, drops.quantities)
+            if bench.carries(name) and (beta is None or name != "material_damping")
+        ],
+        combine=model,
+        experiments=experiments(drops, sigmas, proposed),
+        confirm=None
+        if bench.no_solid
+        else lambda effects, theta, groups: _solid(model(effects), theta, groups, number),
+        confirm_why=bench.no_solid,
+        sigma_declared=data.sigma_y_m is not None,
+        notes=notes,
+    )
+
+
+def _solid(model: DropModel, theta: Array, groups: Ints, number: Ints) -> Array:
+    """Whitened predictions by the 3-D model for the rows of drops numbered ``groups``."""
+    from .solid import whitened_solid
+
+    return whitened_solid(model, theta, groups, number)
+
+
+def _covariates(data: datasets.Drops, drops: Drops, keep: NDArray[np.bool_]) -> dict[str, Array]:
+    """By name (rows,); sessions are numbered as they first come."""
+    found = {"height": drops.y0_m, "order": drops.order.astype(float)}
+    if data.session is not None:
+        number = {name: float(i) for i, name in enumerate(dict.fromkeys(data.session))}
+        found["session"] = np.array([number[name] for name in data.session])[keep]
+    return {name: np.repeat(values, len(drops.quantities)) for name, values in found.items()}
+
+
+def carried(kind: str, quantities: Sequence[int]) -> list[str]:
+    """The effects that such data can carry at all."""
+    load_installed()
+    names = [name for name, effect in EFFECTS.items() if kind in effect.kinds]
+    if 1 not in quantities:  # no times: nothing shows a clock
+        names.remove("clock_error")
+    return names
+
+
+def stiffness(declared_N_m: float | None, bench: Bench) -> Parameter:
+    """Kn as the baseline's free parameter, held where the dataset declares it."""
+    low, high = bench.kn_range_N_m
+    if declared_N_m is not None:
+        low, high = declared_N_m * (1.0 - KN_KNOWN), declared_N_m * (1.0 + KN_KNOWN)
+    typical = math.sqrt(low * high)
+    return Parameter("kn_N_m", "N/m", low, high, typical, null=typical, logarithmic=True)
+
+
+def damping(manifest: Manifest) -> Parameter | None:
+    """β as a free parameter of the baseline where a body is described without it, else None."""
+    if manifest.damping_declared or isinstance(manifest.body, RigidMass):
+        return None
+    return replace(EFFECTS["material_damping"].parameters[0], null=BETA_UNKNOWN_S)
+
+
+def simulated_bristle(manifest: Manifest) -> Bristle:
+    """The bristle of the tables; with a damping in the middle of all that may be, where it is not
+    declared."""
+    bristle = manifest.bristle
+    if damping(manifest) is None:
+        return bristle
+    return replace(bristle, material=replace(bristle.material, beta_s=BETA_UNKNOWN_S))
+
+
+def heights_about(y0_m: Array) -> tuple[float, float]:
+    """Powers of two, in mm, that hold heights (drops,) and what effects make of them."""
+    low = math.floor(math.log2(0.7 * 1e3 * float(y0_m.min())))
+    high = math.ceil(math.log2(1.15 * 1e3 * float(y0_m.max())))
+    return 1e-3 * 2.0**low, 1e-3 * 2.0**high
+
+
+def tables_for(y0_m: Array, data: datasets.Drops) -> Tables:
+    """Tables of the body's drops: heights rounded outward, so that others can use them again."""
+    manifest = data.manifest
+    lowest, highest = heights_about(y0_m)
+    if isinstance(manifest.body, RigidMass):
+        kns = around(manifest.kn_N_m)
+        return RigidTables(
+            RigidBench(manifest.body, manifest.gravity_m_s2, lowest, highest, kns, friction=0.0)
+        )
+    bristle = simulated_bristle(manifest)
+    low, high = KN_RANGE_N_M
+    if manifest.kn_N_m is not None:
+        low, high = min(low, manifest.kn_N_m / 10.0), max(high, 10.0 * manifest.kn_N_m)
+    return Tables(
+        Bench(
+            bristle, manifest.gravity_m_s2, lowest, highest, (low, high), friction=manifest.friction
+        )
+    )
+
+
+def _measured(
+    data: datasets.Drops,
+) -> tuple[dict[int, Array], dict[int, float], dict[str, str]]:
+    """Quantities with an uncertainty, that uncertainty, and what was left aside."""
+    measured, notes = {0: data.y1_m}, {}
+    sigmas = {0: data.sigma_y_m or SIGMA_M}
+    declared = data.manifest.measurement
+    for q, values, key in (
+        (1, data.contact_time_s, "sigma_t_s"),
+        (2, data.peak_force_N, "sigma_force_N"),
+    ):
+        if values is None:
+            continue
+        if key not in declared:
+            notes[NAMES[q]] = f"left aside: the dataset declares no {key}"
+            continue
+        measured[q], sigmas[q] = values, float(declared[key])
+    if len(data.y1_m) < LEAST_DROPS:
+        raise InputError(
+            f"{data.manifest.table()}: {len(data.y1_m)} drops; the loop needs four or more"
+        )
+    return measured, sigmas, notes
+
+
+def _start(plain: DropModel, values: Array, sigmas: Array) -> Array:
+    """The baseline's parameters (p,) that the middle of the drops asks for."""
+    axes = [
+        np.geomspace(each.low, each.high, 200 if i == 0 else 9)
+        for i, each in enumerate(plain.parameters)
+    ]
+    grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, len(axes))
+    miss = (((plain.measured(grid)[:, 0] - values) / sigmas) ** 2).sum(axis=2)
+    return np.asarray(grid[int(np.argmin(np.median(miss, axis=1)))])
+
+
+def _whitening(plain: DropModel, at: Array, sigmas: Array, steeper: Mapping[int, float]) -> Array:
+    """Per drop, the inverse Cholesky factor of noise and of the error of y0, (drops, q, q).
+
+    The baseline's slopes are as much ``steeper`` as each quantity is greater than the baseline's.
+    """
+    drops = plain.drops
+    step = 1e-3 * drops.y0_m
+    ends = [
+        replace(plain, drops=replace(drops, y0_m=drops.y0_m + sign * step)).measured(at)[0]
+        for sign in (-1.0, 1.0)
+    ]
+    slope = (ends[1] - ends[0]) / (2.0 * step)[:, None]
+    moved = sigmas[0] * slope * np.array([steeper.get(q, 1.0) for q in drops.quantities])
+    covariance = np.diag(sigmas**2) + np.einsum("dq,dr->dqr", moved, moved)
+    return np.linalg.inv(np.linalg.cholesky(covariance))

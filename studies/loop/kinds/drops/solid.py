@@ -1,0 +1,203 @@
+"""Drops by the 3-D solid, with effects in it that were found with the beam.
+
+Nothing of the beam's tables is used: every drop is simulated with the solid reduced to its modes,
+and effects enter through the same scenes as everywhere (solver.effects).
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import lru_cache
+
+import numpy as np
+from mpi4py import MPI
+from numpy.typing import NDArray
+
+from .....meshes.section import Circle, Rectangle
+from .....solver import paper
+from .....solver.arrays import Array
+from .....solver.bodies.modal import ModalBody
+from .....solver.bristle import Bristle
+from .....solver.contact.laws import Linear
+from .....solver.drop import ModalFrame
+from .....solver.effects.base import Effect, Scene
+from .....solver.effects.library import EFFECTS, enter_all, in_order
+from .....solver.errors import ComputationError
+from .....solver.fall import fallen, risen
+from ....inputs.choices import Model
+from ....inputs.sources import checked
+from ....running.cases import Workshop
+from ....running.retry import with_shorter_its
+from ...responses.drop_model import DropModel
+from ...responses.response import PLAIN_STEP, Bench, effect_at
+from ...responses.table import QUANTITIES
+from ...responses.table_drops import ITS_S, drops_of, its_s
+
+# Deviates of chance, with weights that sum to one: five of a normal number (Gauss and Hermite;
+# exact to the ninth moment), and for a slope three sizes (of its square, Gauss and Laguerre) in
+# two directions of a quadrant.
+NORMAL = 5
+SIZES = 3
+DIRECTIONS_DEG = (22.5, 67.5)
+# A lean of this much makes the solid's modes bend; how far a drop leans makes no other body.
+ANY_LEAN_DEG = 1.0
+
+
+@lru_cache(maxsize=4)
+def solid_of(bristle: Bristle, gravity_m_s2: float, leaning: bool) -> ModalBody:
+    """This rank's own `reduced_solid`."""
+    return reduced_solid(bristle, gravity_m_s2, leaning, MPI.COMM_SELF)
+
+
+def reduced_solid(
+    bristle: Bristle, gravity_m_s2: float, leaning: bool, comm: MPI.Intracomm
+) -> ModalBody:
+    """The solid of a bristle, reduced, to be upright or to lean; kept from run to run.
+
+    Collective over ``comm``. Raises ComputationError.
+    """
+    from ....inputs.config import DropInputs
+
+    section, material = bristle.section, bristle.material
+    sides: dict[str, float] = {}
+    if isinstance(section, Rectangle):
+        sides = {"thickness_m": section.thickness_m, "width_m": section.width_m}
+    elif isinstance(section, Circle):
+        sides = {"diameter_m": section.diameter_m}
+    inputs = checked(
+        DropInputs,
+        {
+            "model": Model.REDUCED,
+            "length_m": bristle.length_m,
+            **sides,
+            "youngs_Pa": material.youngs_Pa,
+            "poisson": material.poisson,
+            "density_kg_m3": material.density_kg_m3,
+            "beta_s": material.beta_s,
+            "alpha_1_s": material.alpha_1_s,
+            "gravity_m_s2": gravity_m_s2,
+            "its_s": ITS_S,
+            "tilt_deg": ANY_LEAN_DEG if leaning else 0.0,
+        },
+    )
+    with Workshop(comm) as workshop:
+        prepared = workshop.prepare(inputs)
+        if prepared is None or not isinstance(prepared.frame, ModalFrame):
+            raise ComputationError("the solid could not be reduced to its modes")
+        return prepared.frame.modal
+
+
+def chances(effects: Sequence[Effect]) -> tuple[list[tuple[tuple[float, ...], ...]], Array]:
+    """Standard normal numbers for each effect, by node, and the nodes' weights, which sum to one.
+
+    Effects that do not differ from drop to drop have nothing drawn.
+    """
+    each = [_nodes(effect) for effect in effects]
+    nodes = [tuple(x for x, _ in node) for node in itertools.product(*each)]
+    weights = [np.prod([w for _, w in node]) for node in itertools.product(*each)]
+    return nodes, np.asarray(weights, dtype=float)
+
+
+def _nodes(effect: Effect) -> list[tuple[tuple[float, ...], float]]:
+    if not effect.random:
+        return [((0.0, 0.0), 1.0)]
+    if effect.name == "surface_slope":
+        half_squares, shares = np.polynomial.laguerre.laggauss(SIZES)
+        return [
+            (
+                (size * float(np.cos(np.radians(angle))), size * float(np.sin(np.radians(angle)))),
+                float(share) / len(DIRECTIONS_DEG),
+            )
+            for size, share in zip(np.sqrt(2.0 * half_squares), shares, strict=True)
+            for angle in DIRECTIONS_DEG
+        ]
+    deviates, shares = np.polynomial.hermite_e.hermegauss(NORMAL)
+    shares = shares / shares.sum()
+    return [((float(x), 0.0), float(w)) for x, w in zip(deviates, shares, strict=True)]
+
+
+def scenes_of(
+    model: DropModel, theta: Array, which: Sequence[int], chance: Sequence[tuple[float, ...]]
+) -> list[Scene]:
+    """Scenes of the drops numbered ``which``, with the model's effects in; ``chance`` by effect.
+
+    Heights are those from which a fall from rest in a vacuum ends as fast.
+    """
+    effects = _effects(model, theta)
+    drops, bench = model.drops, model.drops.bench
+    seen = enter_all(Scene(), [e for e in effects if e.place.value == "observation"])
+    out = []
+    for i in which:
+        height = max(float(drops.y0_m[i]) / seen.y_scale - seen.y_offset_m, 1e-5)
+        scene = replace(
+            bench.plain(), height_m=height, order=int(drops.order[i]), law=Linear(float(theta[0]))
+        )
+        if model.beta is not None:
+            scene = replace(scene, beta_s=float(theta[1]))
+        for effect, own in zip(effects, chance, strict=True):
+            scene = replace(scene, chance=own)
+            scene = enter_all(scene, [effect])
+        same = fallen(
+            height,
+            bench.gravity_m_s2,
+            scene.release_speed_m_s,
+            scene.drag_kg_m / bench.bristle.mass_kg,
+        )
+        out.append(replace(scene, height_m=float(same)))
+    return out
+
+
+def _effects(model: DropModel, theta: Array) -> list[Effect]:
+    """The model's effects at their values, those that change Kn before the law that it enters."""
+    given = model.given(theta)
+    return [
+        effect_at(name, *map(float, given[name][: len(EFFECTS[name].parameters)]))
+        for name in in_order(model.effects)
+    ]
+
+
+def solid_drops(model: DropModel, theta: Array, which: Sequence[int]) -> Array:
+    """What instruments show of the drops numbered ``which``, in SI (drops, quantities).
+
+    Means over chance where effects differ from drop to drop. Raises ComputationError.
+    """
+    effects = _effects(model, theta)
+    bench = model.drops.bench
+    nodes, weights = chances(effects)
+    scenes = [scene for node in nodes for scene in scenes_of(model, theta, which, node)]
+    leaning = any(s.tilt_deg or s.slope_deg or s.slope_wide_deg for s in scenes)
+    body = solid_of(bench.bristle, bench.gravity_m_s2, leaning)
+    friction = next((float(v[1]) for v in model.given(theta).values() if len(v) > 1), None)
+    known = paper.FRICTION if bench.friction is None else bench.friction
+    found = _simulated(body, scenes, bench, known if friction is None else friction)
+    drag = np.array([scene.drag_kg_m for scene in scenes]) / bench.bristle.mass_kg
+    scale = np.array([scene.y_scale for scene in scenes])
+    offset = np.array([scene.y_offset_m for scene in scenes])
+    found[:, 0] = scale * (risen(found[:, 0], drag) + offset)
+    found[:, 1] *= np.array([scene.t_scale for scene in scenes])
+    if model.gain is not None:
+        found[:, 2] *= theta[len(model.own) - 1]
+    shaped = found.reshape(len(nodes), len(which), len(QUANTITIES))
+    return np.einsum("n,ndq->dq", weights, shaped)[:, list(model.drops.quantities)]
+
+
+def _simulated(body: ModalBody, scenes: Sequence[Scene], bench: Bench, friction: float) -> Array:
+    """As the table of plain drops is made (`response.Bench`), or with shorter steps."""
+    stiffest = max(scene.law.kn_N_m for scene in scenes)
+    return with_shorter_its(
+        lambda its: drops_of(body, scenes, bench.gravity_m_s2, its, friction),
+        PLAIN_STEP * its_s(bench.bristle, stiffest),
+    )
+
+
+def whitened_solid(
+    model: DropModel, theta: Array, groups: NDArray[np.int64], group: NDArray[np.int64]
+) -> Array:
+    """Whitened predictions by the solid for the rows of ``groups``; ``group`` (drops,) numbers
+    the model's drops."""
+    which = [int(i) for i in np.flatnonzero(np.isin(group, groups))]
+    measured = solid_drops(model, np.asarray(theta, dtype=float), which)
+    rows = np.einsum("dqr,dr->dq", model.whiten[which], measured)
+    return np.asarray(rows.ravel())

@@ -1,0 +1,1 @@
+"""Falls: proper acceleration of a body in free fall."""

@@ -1,0 +1,1 @@
+"""Forces: what the surface feels during an impact, over time."""

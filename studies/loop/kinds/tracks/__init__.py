@@ -1,0 +1,1 @@
+"""Tracks: films of a body that falls and bounces."""

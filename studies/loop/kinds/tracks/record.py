@@ -1,0 +1,96 @@
+"""Films of bouncing bodies as a dataset has them: heights, frame by frame, in mm or in pixels."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .....solver.arrays import Array
+from .....solver.errors import InputError
+from ....data.datasets import Manifest, read_manifest
+from ....data.tables import InPieces, read_series, read_table
+from ....data.units import check_marks
+
+KIND = "tracks"
+LEAST_FRAMES = 6
+LEAST_FILMS = 4
+
+
+@dataclass(frozen=True)
+class Tracks(InPieces):
+    """Frames of all films, one after the other: ``drop``, ``t_s``, ``y`` (frames,).
+
+    ``y`` is in m or, where ``in_pixels``, in pixels. ``begins`` (films + 1,) says where each film's
+    frames begin, ``line`` (films,) at which line of the table. Times are those of the table.
+    ``sigma_y_m`` and ``sigma_y_px`` are the declared uncertainty of a height, or None,
+    ``sigma_t_s`` that of a time.
+    """
+
+    manifest: Manifest
+    drop: NDArray[np.int64]
+    t_s: Array
+    y: Array
+    in_pixels: bool
+    begins: NDArray[np.int64]
+    line: tuple[int, ...]
+    sigma_y_m: float | None
+    sigma_y_px: float | None
+    sigma_t_s: float
+
+
+def read_tracks(folder: Path) -> Tracks:
+    """Read a dataset of kind ``tracks``; four films or more of six frames or more.
+
+    Raises InputError naming file and line of the first value that cannot be used.
+    """
+    manifest = read_manifest(folder, KIND)
+    if not isinstance(manifest.measurement.get("file"), str):
+        raise InputError(f"{folder / 'dataset.toml'}: file must name the table of the tracks")
+    path = manifest.table()
+    columns = read_table(path, required=("drop", "t_s"))[0][1]
+    if {"y_mm", "y_px"} <= set(columns):
+        raise InputError(f"{path}: y_mm and y_px are both there; only one can be the height")
+    in_pixels = "y_px" in columns
+    read = read_series(path, "drop", "y_px" if in_pixels else "y_mm")
+    for i, size in enumerate(np.diff(read.begins)):
+        if size < LEAST_FRAMES:
+            raise InputError(
+                f"{read.at(i)}: drop {read.number[read.begins[i]]} has {size} frames; "
+                f"{LEAST_FRAMES} or more are needed"
+            )
+    if len(read.pieces) < LEAST_FILMS:
+        raise InputError(f"{path}: {len(read.pieces)} films; the loop needs four or more")
+    _frame_rate(manifest, path, read.rows[1][0], read.t_s[read.pieces[0]])
+    y = read.value
+    if in_pixels:
+        manifest.check_sigma("sigma_y_px", 1.0, y)
+    else:
+        y = 1e-3 * y
+        check_marks(path, read.lines, y)
+        manifest.check_sigma("sigma_y_mm", 1e-3, y)
+    sigma_mm, sigma_px = (manifest.measurement.get(f"sigma_y_{unit}") for unit in ("mm", "px"))
+    return Tracks(
+        manifest=manifest,
+        drop=read.number,
+        t_s=read.t_s,
+        y=y,
+        in_pixels=in_pixels,
+        begins=read.begins,
+        line=tuple(read.lines[i] for i in read.begins[:-1]),
+        sigma_y_m=None if sigma_mm is None else 1e-3 * float(sigma_mm),
+        sigma_y_px=None if sigma_px is None else float(sigma_px),
+        sigma_t_s=float(manifest.measurement.get("sigma_t_s", 0.0)),
+    )
+
+
+def _frame_rate(manifest: Manifest, path: Path, line: int, times: Array) -> None:
+    """InputError where the first film's frames are nearer than the declared rate has them."""
+    fps = manifest.measurement.get("fps")
+    nearest = float(np.diff(times).min())
+    if fps is not None and nearest * float(fps) < 0.5:
+        raise InputError(
+            f"{path}:{line}: frames {nearest:g} s apart are more than the declared {fps:g} a second"
+        )

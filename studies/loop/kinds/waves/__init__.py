@@ -1,0 +1,1 @@
+"""Waves: strain of a bar that rings with free ends."""

@@ -1,0 +1,237 @@
+"""Models of drops: what a stiffness and effects predict for every drop of a dataset."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import NamedTuple, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ....solver.arrays import Array
+from ....solver.effects.base import Parameter
+from ....solver.effects.library import EFFECTS
+from ....solver.effects.release import AIR_KG_M3
+from ....solver.effects.surface import WEAR_DROPS
+from ....solver.fall import fallen, risen
+from .response import Bench, Tables
+
+# Nodes of chance, ends and how many: stiffness by its normal deviate, slope by its size; and the
+# slope's direction.
+DEVIATES = (-3.25, 3.25, 53)
+SIZES = (0.1, 3.5, 18)
+DIRECTIONS_DEG = (9.0, 27.0, 45.0, 63.0, 81.0)
+# Stiffness beyond what any table covers.
+MOST_DECADES = 12.0
+
+
+@dataclass(frozen=True)
+class Drops:
+    """Drops as they were measured: ``y0_m``, ``order`` (drops,), and which quantities (of
+    `table.QUANTITIES`) were."""
+
+    bench: Bench
+    y0_m: Array
+    order: Array
+    quantities: tuple[int, ...]
+
+    def __len__(self) -> int:
+        return len(self.y0_m)
+
+
+class Landing(NamedTuple):
+    """How drops fell and were read, arrays that broadcast to (..., nodes, drops).
+
+    Heights of the release, and of the fall from rest in a vacuum that ends as fast; speed at
+    release, drag over mass, stiffness; scale and zero of the heights, and rate of the clock, by
+    which all is read.
+    """
+
+    height_m: Array
+    same_m: Array
+    speed_m_s: Array
+    drag_1_m: Array
+    kn_N_m: Array
+    scale: Array
+    offset_m: Array
+    clock: Array
+
+
+@dataclass(frozen=True)
+class BounceModel:
+    """The baseline with ``effects`` in, up to what data show of it: the base of `Model` classes.
+
+    ``kn``, ``beta`` where the body's damping is not declared and ``gain`` where forces are measured
+    are the baseline's free parameters; nodes of chance lie ``closer`` so many times. A subclass
+    adds `predict`.
+    """
+
+    drops: Drops
+    tables: Tables
+    kn: Parameter
+    effects: tuple[str, ...]
+    beta: Parameter | None = field(default=None, kw_only=True)
+    gain: Parameter | None = field(default=None, kw_only=True)
+    closer: int = field(default=1, kw_only=True)
+
+    def finer(self, by: int) -> Self:
+        """The same with ``by`` times as many nodes of stiffness or of the slope's size."""
+        return replace(self, closer=by)
+
+    @property
+    def own(self) -> tuple[Parameter, ...]:
+        """The baseline's."""
+        return tuple(each for each in (self.kn, self.beta, self.gain) if each is not None)
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        return (*self.own, *(p for name in self.effects for p in self.tables.parameters(name)))
+
+    @cached_property
+    def _chance(self) -> tuple[Array, Array]:
+        """Deviates (nodes, 3) of stiffness, size and direction of slope; weights (nodes,)."""
+        stiff: Array = np.zeros(1)
+        sizes: Array = np.zeros(1)
+        sides: Array = np.zeros(1)
+        stiff_weights: Array = np.ones(1)
+        size_weights: Array = np.ones(1)
+        if "surface_phases" in self.effects:
+            stiff = _nodes(*DEVIATES, self.closer)
+            stiff_weights = np.exp(-0.5 * stiff**2)
+        if "surface_slope" in self.effects:
+            sizes = _nodes(*SIZES, self.closer)
+            size_weights = sizes * np.exp(-0.5 * sizes**2)
+            sides = np.array(DIRECTIONS_DEG)
+        if len(stiff) > 1 and len(sizes) > 1:  # both at once: every third of either is enough
+            stiff, stiff_weights = stiff[1::3], stiff_weights[1::3]
+            sizes, size_weights, sides = sizes[1::3], size_weights[1::3], sides[::2]
+        grid = np.meshgrid(stiff, sizes, sides, indexing="ij")
+        weights = np.einsum("i,j,k->ijk", stiff_weights, size_weights, np.ones(len(sides)))
+        nodes = np.stack([each.ravel() for each in grid], axis=1)
+        return nodes, weights.ravel() / weights.sum()
+
+    @property
+    def weights(self) -> Array:
+        return self._chance[1]
+
+    def answer(self, theta: Array) -> tuple[Landing, Array]:
+        """How each drop landed, and what the tables say of it (quantities, ..., nodes, drops)."""
+        theta = np.asarray(theta, dtype=float)
+        given = self.given(theta)
+        drops, bench = self.drops, self.drops.bench
+        nodes = self._chance[0]
+
+        def value(name: str, which: int = 0) -> Array | float:
+            return given[name][which][..., None, None] if name in given else 0.0
+
+        scale, offset = 1.0 + value("scale_error"), value("height_offset")
+        height = np.maximum(drops.y0_m / scale - offset, 1e-5)
+        drag = 0.5 * AIR_KG_M3 * bench.plain().front_m2 * value("air_drag")
+        same = fallen(
+            height, bench.gravity_m_s2, value("release_velocity"), drag / bench.body.mass_kg
+        )
+        decades = value("wear") * (drops.order / WEAR_DROPS)
+        if "surface_phases" in self.effects:
+            decades = decades + value("surface_phases") * nodes[:, :1]
+        # drops may be numbered by their date, and wear grows with the number
+        decades = np.clip(decades, -MOST_DECADES, MOST_DECADES)
+        kn = theta[..., 0][..., None, None] * 10.0**decades
+        same, kn = np.broadcast_arrays(same, kn)
+        logs = self.tables.plain.at(same, kn)
+        if self.beta is not None:
+            beta = theta[..., 1][..., None, None]
+            logs = logs + self.tables.change("material_damping", same, kn, beta)
+        for name in self.effects:
+            count = len(EFFECTS[name].parameters)
+            friction = value(name, count) if len(given[name]) > count else None
+            if name == "surface_slope":
+                lean = (value(name) * nodes[:, 1:2], nodes[:, 2:3])
+                logs = logs + self.tables.change(name, same, kn, *lean, friction=friction)
+            elif name in self.tables.simulated:
+                values = (value(name, i) for i in range(count))
+                logs = logs + self.tables.change(name, same, kn, *values, friction=friction)
+        landing = Landing(
+            height_m=height,
+            same_m=same,
+            speed_m_s=np.asarray(value("release_velocity")),
+            drag_1_m=np.asarray(drag / bench.body.mass_kg),
+            kn_N_m=kn,
+            scale=np.asarray(scale),
+            offset_m=np.asarray(offset),
+            clock=np.asarray(1.0 + value("clock_error")),
+        )
+        return landing, logs
+
+    def bounced(self, theta: Array) -> tuple[Landing, Array]:
+        """How each drop landed, and the tables' quantities in SI (quantities, ..., nodes, drops).
+
+        The first is the rise in a vacuum.
+        """
+        landing, logs = self.answer(theta)
+        return landing, np.exp(logs) * self.tables.rigid(landing.same_m, landing.kn_N_m)
+
+    def given(self, theta: Array) -> Mapping[str, tuple[Array, ...]]:
+        """Each effect's parameters (...,) by its name, of parameters (..., p)."""
+        at = len(self.own)
+        out = {}
+        for name in self.effects:
+            count = len(self.tables.parameters(name))
+            out[name] = tuple(theta[..., at + i] for i in range(count))
+            at += count
+        return out
+
+
+@dataclass(frozen=True)
+class DropModel(BounceModel):
+    """A `Model` of whitened quantities, drop after drop.
+
+    ``whiten`` (drops, q, q) takes residuals of a drop to independent ones of unit variance.
+    """
+
+    whiten: Array
+
+    def predict(self, theta: Array) -> Array:
+        """Whitened predictions (..., nodes, rows) for parameters (..., p)."""
+        measured = self.measured(theta)
+        rows = np.einsum("dqr,...dr->...dq", self.whiten, measured)
+        return np.asarray(rows.reshape(*rows.shape[:-2], -1))
+
+    def measured(self, theta: Array) -> Array:
+        """What instruments show, in SI (..., nodes, drops, quantities)."""
+        drops, theta = self.drops, np.asarray(theta, dtype=float)
+        b, (top, time, force) = self.bounced(theta)
+        top = risen(top, b.drag_1_m)
+        gain = 1.0 if self.gain is None else theta[..., len(self.own) - 1, None, None]
+        seen = (b.scale * (top + b.offset_m), b.clock * time, gain * force + 0.0 * b.clock)
+        nodes = len(self.weights)
+        full = np.broadcast_shapes(*(each.shape for each in seen), (nodes, len(drops)))
+        chosen = [np.broadcast_to(seen[q], full) for q in drops.quantities]
+        return np.stack(chosen, axis=-1)
+
+
+@dataclass(frozen=True)
+class FeatureModel(BounceModel):
+    """A `Model` of rows that are sums of a drop's features; a subclass says `features`.
+
+    ``weights_of`` (rows, features) of the sums, ``group`` (rows,) which drop a row is of.
+    """
+
+    weights_of: Array
+    group: NDArray[np.int64]
+
+    def predict(self, theta: Array) -> Array:
+        """Whitened predictions (..., nodes, rows) for parameters (..., p)."""
+        features = self.features(theta)
+        return np.asarray(
+            np.einsum("...rf,rf->...r", features[..., self.group, :], self.weights_of)
+        )
+
+    def features(self, theta: Array) -> Array:
+        """Features of every drop (..., nodes, drops, features)."""
+        raise NotImplementedError
+
+
+def _nodes(low: float, high: float, count: int, closer: int) -> Array:
+    return np.linspace(low, high, (count - 1) * closer + 1)

@@ -1,0 +1,387 @@
+"""Tables of simulated drops: what height, stiffness and one effect's size make of a drop.
+
+Each effect that only a simulation can tell the result of has a table of its own: drops of the beam
+over speed of impact, stiffness and the effect's parameter, with cubic splines between. Where
+several of these act together in one model, their ratios to the plain table are multiplied: near
+enough to choose by, and checked by direct simulation afterwards.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import itertools
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, fields, replace
+from functools import cached_property
+from pathlib import Path
+from typing import ClassVar
+
+import numpy as np
+
+from ....solver import paper
+from ....solver.arrays import Array
+from ....solver.bristle import Bristle, RigidMass
+from ....solver.cache import cached, sources
+from ....solver.contact.laws import Adhesive, ContactLaw, Damped, Linear, Plastic
+from ....solver.effects import library
+from ....solver.effects.base import Effect, Parameter, Scene
+from ....solver.effects.contact import TOUCHING
+from ....solver.effects.library import EFFECTS
+from ....solver.effects.surface import MOST_SLOPE_DEG
+from . import spline, table, table_drops
+from .spline import coefficients
+from .table import QUANTITIES, Axis, Table, mended
+from .table_drops import beam_of, drops_of, its_s
+
+# All that the paper tried: a fit without an effect does not tell where the effect takes Kn.
+KN_RANGE_N_M = (1e4, 1e8)
+KN_NODES = 97
+EFFECT_KN_NODES = 29
+LEAN_KN_NODES = 11
+HEIGHT_NODES = 5
+LEAN_HEIGHT_NODES = 4
+EFFECT_NODES = 13
+DECADES_NODES = 27
+LEAN_NODES = 8
+SLOPE_NODES = 6
+SIDE_NODES = 4
+# Steps over those of `Bench.step_s`: the table of plain drops is what all is read against. Those
+# of effects say how much an effect changes, at one step for both.
+PLAIN_STEP = 0.25
+LEAN_STEP = 3.0
+# Coefficients at which what leans is simulated where friction is not known; straight between.
+# From the last on, the tip sticks.
+FRICTIONS = (0.0, 0.1, 0.3)
+FRICTION = Parameter(
+    "friction", "", 0.0, 1.0, 0.3, null=0.5, why="steel on anything: from oiled to rough and dry"
+)
+# What tables come from beside the solver, whose sources name the folder that they are kept in.
+MADE_BY = (
+    Path(library.__file__).parent,
+    Path(table_drops.__file__),
+    Path(table.__file__),
+    Path(spline.__file__),
+    Path(__file__),
+)
+
+
+# A contact law of a stiffness and one more value.
+Law = Callable[[float, float], ContactLaw]
+
+
+def reference(
+    height_m: Array | float, kn_N_m: Array | float, mass_kg: float, gravity_m_s2: float
+) -> Array:
+    """What a rigid bristle on Kn gives, (quantities, ...): Eqs. 3 and 8 of the paper."""
+    speed = np.sqrt(2.0 * gravity_m_s2 * height_m)
+    time = math.pi * np.sqrt(mass_kg / kn_N_m)
+    return np.stack(np.broadcast_arrays(height_m, time, speed * np.sqrt(kn_N_m * mass_kg)))
+
+
+@dataclass(frozen=True)
+class Bench:
+    """Where tables are made: the body, gravity and friction (None where nobody knows it), and the
+    heights to cover.
+
+    Data that show other quantities of a drop, or drops of another body, have a bench that overrides
+    `seen` and `reference`, and names its own source in ``made_by``; ``shows_falls`` says that they
+    show how it fell, ``no_solid`` why no 3-D model of the body is.
+    """
+
+    body: Bristle | RigidMass
+    gravity_m_s2: float
+    lowest_m: float
+    highest_m: float
+    kn_range_N_m: tuple[float, float] = KN_RANGE_N_M
+    friction: float | None = paper.FRICTION
+    made_by: ClassVar[tuple[Path, ...]] = MADE_BY
+    shows_falls: ClassVar[bool] = False
+    no_solid: ClassVar[str] = ""
+
+    @property
+    def bristle(self) -> Bristle:
+        """The body, which has to be elastic."""
+        assert isinstance(self.body, Bristle)
+        return self.body
+
+    def carries(self, name: str) -> bool:
+        """Whether drops of this body can have the effect."""
+        return True
+
+    def seen(self, scenes: Sequence[Scene], its: float, friction: float) -> Array:
+        """Three positive quantities of drops of these scenes (scenes, quantities); NaN for one that
+        fails, or stays on the surface for good."""
+        body = beam_of(self.bristle)
+        return drops_of(body, scenes, self.gravity_m_s2, its, friction, lenient=True)
+
+    def reference(self, height_m: Array, kn_N_m: Array) -> Array:
+        """What the quantities (quantities, ...) are measured by."""
+        return reference(height_m, kn_N_m, self.body.mass_kg, self.gravity_m_s2)
+
+    def step_s(self, kn_N_m: float) -> float:
+        """The ITS that resolves a contact of this stiffness."""
+        return its_s(self.bristle, kn_N_m)
+
+    def of_drops(self) -> Bench:
+        """The same place for plain drops, whatever this bench shows."""
+        return Bench(**{each.name: getattr(self, each.name) for each in fields(Bench)})
+
+    def plain(self) -> Scene:
+        """A drop without effects."""
+        return Scene(beta_s=self.bristle.material.beta_s, front_m2=self.bristle.section.area_m2)
+
+    def frictions(self) -> tuple[float, ...]:
+        """At which coefficients of friction what leans is simulated."""
+        return FRICTIONS if self.friction is None else (self.friction,)
+
+    def table(
+        self,
+        name: str,
+        sides: Sequence[Axis],
+        change: Callable[[Scene, tuple[float, ...]], Scene],
+        kn_nodes: int,
+        friction: float | None = None,
+    ) -> Table:
+        """Drops over height, stiffness and ``sides``; ``change`` puts a point of these in.
+
+        ``friction`` is None where nothing leans. ``name`` tells tables on the same sides apart:
+        they are kept from run to run. Raises ComputationError where drops fail at all time steps.
+        """
+        n = HEIGHT_NODES if friction is None else LEAN_HEIGHT_NODES
+        heights = Axis(self.lowest_m, self.highest_m, n, "root")
+        axes = (heights, Axis(*self.kn_range_N_m, kn_nodes, "log"), *sides)
+        key = f"{name} {friction} {axes} {self} {sources(*self.made_by)}"
+        made = cached(key, lambda: {"coefficients": self._filled(axes, change, friction)})
+        return Table(axes, made["coefficients"])
+
+    def _filled(
+        self,
+        axes: tuple[Axis, ...],
+        change: Callable[[Scene, tuple[float, ...]], Scene],
+        friction: float | None,
+    ) -> Array:
+        """Spline coefficients (..., quantities) of a table.
+
+        Drops that share step, damping and loss are simulated in one batch.
+        """
+        nodes = [axis.nodes() for axis in axes]
+        shape = tuple(axis.n for axis in axes)
+        longer = LEAN_STEP if friction is not None else 1.0 if axes[2:] else PLAIN_STEP
+        batches: dict[tuple[float, float, float], list[tuple[tuple[int, ...], Scene]]] = {}
+        for index in itertools.product(*map(range, shape)):
+            height, kn, *point = (float(each[i]) for each, i in zip(nodes, index, strict=True))
+            plain = replace(self.plain(), height_m=height, law=Linear(kn))
+            scene = change(plain, tuple(point))
+            its = self.step_s(kn) * longer
+            key = (its, scene.beta_s, scene.loss_factor)
+            batches.setdefault(key, []).append((index, scene))
+        out = np.empty((*shape, len(QUANTITIES)))
+        for (its, *_), batch in batches.items():
+            rows = self.seen([scene for _, scene in batch], its, friction or 0.0)
+            for (index, _), row in zip(batch, rows, strict=True):
+                out[index] = row
+        sides, heights, kns = axes[2:], nodes[0], nodes[1]
+        grid = np.meshgrid(heights, kns, indexing="ij")
+        rigid = self.reference(*grid)
+        rigid = rigid.reshape(len(QUANTITIES), *shape[:2], *(1,) * len(sides))
+        out[~(out > 0.0)] = np.nan  # a tip that does not come up again
+        logs = np.log(out / np.moveaxis(rigid, 0, -1))
+        return coefficients(mended(logs), len(axes))
+
+
+# Effects of a bounce that are computed from the plain drops' table (drop_model.BounceModel).
+COMPUTED = (
+    *("air_drag", "release_velocity", "height_offset", "scale_error", "clock_error"),
+    *("surface_phases", "wear"),
+)
+LEANING = ("bristle_tilt", "surface_slope")
+# Effects whose parameter counts against a scale that height and stiffness set: the law, the shares
+# of the scale that matter, and how nodes lie. Adhesion and yield count against the peak force of
+# the same drop without them (more adhesion holds the bristle for good; a yield force beyond changes
+# nothing), a dashpot against critical damping (more than most of it holds the bristle too).
+SCALED: Mapping[str, tuple[Law, Axis]] = {
+    "adhesion": (Adhesive, Axis(0.0, 0.8, 27)),
+    "plastic_contact": (Plastic, Axis(0.05, 1.0, 21)),
+    "contact_damping": (Damped, Axis(0.0, 0.9, 21, "root")),
+}
+
+
+def simulated() -> tuple[str, ...]:
+    """Effects of a bounce whose result only a simulation can tell."""
+    return tuple(
+        name for name, effect in EFFECTS.items() if effect.kinds & TOUCHING and name not in COMPUTED
+    )
+
+
+@dataclass(frozen=True)
+class Tables:
+    """The tables of a bench, each made when it is first asked for."""
+
+    bench: Bench
+    scaled: ClassVar[Mapping[str, tuple[Law, Axis]]] = SCALED
+
+    @property
+    def simulated(self) -> tuple[str, ...]:
+        """Effects whose result only a simulation can tell."""
+        return simulated()
+
+    def parameters(self, name: str) -> tuple[Parameter, ...]:
+        """An effect's parameters, as far as drops show them: with the absence that this body
+        declares, and with friction where the effect hangs on it and nobody knows it."""
+        own = self._own(name)
+        if name in LEANING and self.bench.friction is None:
+            return (*own, FRICTION)
+        return own
+
+    def _own(self, name: str) -> tuple[Parameter, ...]:
+        """An effect's parameters with what this body declares; those from outside as they are."""
+        kind = EFFECTS[name]
+        if kind.origin:
+            return kind.parameters
+        return tuple(self._bounded(name, each) for each in kind.parameters)
+
+    def _bounded(self, name: str, parameter: Parameter) -> Parameter:
+        if parameter.name == "beta_s":
+            return replace(parameter, null=self.bench.bristle.material.beta_s)
+        if parameter.name == "speed_m_s" and not self.bench.shows_falls:
+            # thrown up, it comes back as fast
+            return replace(parameter, low=0.0)
+        return parameter
+
+    @cached_property
+    def plain(self) -> Table:
+        return self.bench.table("plain", (), lambda scene, _: scene, KN_NODES)
+
+    @cached_property
+    def _made(self) -> dict[str, tuple[Table, ...]]:
+        return {}
+
+    def of(self, name: str) -> tuple[Table, ...]:
+        """The tables of an effect, one for each of `Bench.frictions` where it leans; raises
+        ComputationError where its drops fail."""
+        if name not in self._made:
+            leans = name in LEANING
+            frictions = self.bench.frictions() if leans else (None,)
+            self._made[name] = tuple(self._make(name, friction) for friction in frictions)
+        return self._made[name]
+
+    def _make(self, name: str, friction: float | None) -> Table:
+        if name == "surface_slope":
+            sides = (Axis(0.0, MOST_SLOPE_DEG, SLOPE_NODES, "root"), Axis(0.0, 90.0, SIDE_NODES))
+            return self.bench.table(name, sides, _sloping, LEAN_KN_NODES, friction)
+        if name in self.scaled:
+            law, side = self.scaled[name]
+            return self.bench.table(name, (side,), self._scaled(name, law), EFFECT_KN_NODES)
+        kind, leans = EFFECTS[name], name in LEANING
+
+        def change(scene: Scene, point: tuple[float, ...]) -> Scene:
+            return effect_at(name, *point).enter(scene)
+
+        nodes = LEAN_KN_NODES if leans or len(kind.parameters) > 1 else EFFECT_KN_NODES
+        axes = [_axis(each, leans) for each in kind.parameters]
+        key = name
+        if kind.origin:  # what it does may hang on more than its own file
+            points = itertools.product(*(axis.nodes() for axis in axes))
+            plain = [replace(self.bench.plain(), height_m=h) for h in (0.01, 0.02, 0.05)]
+            done = repr([change(scene, tuple(map(float, p))) for p in points for scene in plain])
+            key += hashlib.sha256(done.encode()).hexdigest()
+        return self.bench.table(key, axes, change, nodes, friction)
+
+    def _scaled(self, name: str, law: Law) -> Callable[[Scene, tuple[float, ...]], Scene]:
+        """Puts a law in whose parameter is a share of its scale."""
+
+        def change(scene: Scene, point: tuple[float, ...]) -> Scene:
+            kn = scene.law.kn_N_m
+            most = self._scale(name, np.array(scene.height_m), np.array(kn))
+            return replace(scene, law=law(kn, point[0] * float(most)))
+
+        return change
+
+    def _scale(self, name: str, height_m: Array, kn_N_m: Array) -> Array:
+        """What the parameter of an effect counts against, in its own unit."""
+        if name == "contact_damping":
+            return np.asarray(2.0 * np.sqrt(kn_N_m * self.bench.body.mass_kg))
+        return self._peak_N(height_m, kn_N_m)
+
+    @cached_property
+    def _upright(self) -> Table:
+        """Drops without effects as a `Bench` of drops has them, whatever this bench shows."""
+        upright = self.bench.of_drops()
+        return self.plain if upright == self.bench else Tables(upright).plain
+
+    def _peak_N(self, height_m: Array, kn_N_m: Array) -> Array:
+        """The greatest force of drops without effects."""
+        height_m, kn_N_m = np.broadcast_arrays(height_m, kn_N_m)
+        mass, gravity = self.bench.body.mass_kg, self.bench.gravity_m_s2
+        rigid = reference(height_m, kn_N_m, mass, gravity)[2]
+        return np.asarray(rigid * np.exp(self._upright.at(height_m, kn_N_m)[2]))
+
+    def change(
+        self,
+        name: str,
+        height_m: Array,
+        kn_N_m: Array,
+        *value: Array | float,
+        friction: Array | float | None = None,
+    ) -> Array:
+        """By how much an effect changes the logarithms of all quantities (quantities, ...)."""
+        absent = [np.asarray(0.0)] * len(value)
+        if name != "surface_slope":
+            absent = [np.asarray(each.null) for each in self._own(name)]
+        if name in self.scaled:
+            most = self._scale(name, np.asarray(height_m), np.asarray(kn_N_m))
+            value, absent = (value[0] / most,), [absent[0] / most]
+        now = [np.asarray(each) for each in (height_m, kn_N_m, *value)]
+        without = [*now[:2], *absent]
+        tables = self.of(name)
+        if len(tables) == 1 or friction is None:
+            return tables[0].at(*now) - tables[0].at(*without)
+        return np.asarray(_between(tables, np.asarray(friction), now) - tables[0].at(*without))
+
+    def rigid(self, height_m: Array, kn_N_m: Array) -> Array:
+        """See `Bench.reference`."""
+        return self.bench.reference(height_m, kn_N_m)
+
+
+def _axis(parameter: Parameter, leans: bool) -> Axis:
+    """Nodes over a parameter, closer where it is absent at its low end."""
+    low, high = parameter.low, parameter.high
+    if parameter.logarithmic:
+        return Axis(low, high, LEAN_NODES if leans else DECADES_NODES, "log")
+    how = "root" if leans or parameter.null == low else "even"
+    return Axis(low, high, LEAN_NODES if leans else EFFECT_NODES, how)
+
+
+def effect_at(name: str, *values: float) -> Effect:
+    """The effect at values of its parameters, taken into their bounds."""
+    kind = EFFECTS[name]
+    own = {
+        each.name: float(np.clip(value, each.low, each.high))
+        for each, value in zip(kind.parameters, values, strict=True)
+    }
+    return kind(**own)
+
+
+def _between(tables: Sequence[Table], friction: Array, places: Sequence[Array]) -> Array:
+    """Between tables at `FRICTIONS`, in a straight line; arrays (..., nodes, drops), ``friction``
+    (..., 1, 1)."""
+    lead = np.broadcast_shapes(*(each.shape[:-2] for each in (friction, *places)))
+    at = np.interp(friction, FRICTIONS, np.arange(len(FRICTIONS)))
+    at = np.broadcast_to(np.clip(at, 0, len(tables) - 1 - 1e-9), (*lead, 1, 1))
+    every = [np.broadcast_to(each, (*lead, *each.shape[-2:])) for each in places]
+    low = at.astype(np.int64)
+    deep = np.broadcast_shapes(*(each.shape[-2:] for each in every))
+    out = np.zeros((len(QUANTITIES), *lead, *deep))
+    for i, each in enumerate(tables):
+        share = np.where(low == i, 1.0 - (at - low), np.where(low == i - 1, at - low, 0.0))
+        used = share[..., 0, 0] != 0.0
+        if used.any():
+            out[:, used] += share[used] * each.at(*(place[used] for place in every))
+    return out
+
+
+def _sloping(scene: Scene, point: tuple[float, ...]) -> Scene:
+    steep, side = math.tan(math.radians(point[0])), math.radians(point[1])
+    thin, wide = math.atan(steep * math.cos(side)), math.atan(steep * math.sin(side))
+    return replace(scene, slope_deg=math.degrees(thin), slope_wide_deg=math.degrees(wide))

@@ -1,0 +1,214 @@
+"""How does every figure of the project look, and how does it become a file or part of a page?
+
+Drawn with matplotlib's objects alone: no pyplot, no window, no state between figures. An SVG
+carries no date and no random identifiers, so the same numbers give the same bytes.
+"""
+
+from __future__ import annotations
+
+import io
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from functools import wraps
+from pathlib import Path
+from typing import Any, ParamSpec
+
+import matplotlib
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
+
+from ..running.files import write_atomically
+
+P = ParamSpec("P")
+
+WIDTH_IN = 5.2
+PNG_DPI = 200
+
+STYLE: dict[str, Any] = {
+    "svg.fonttype": "none",
+    "svg.hashsalt": "bristle",
+    "font.family": "sans-serif",
+    "font.sans-serif": ["DejaVu Sans", "Arial", "Helvetica"],
+    "font.size": 9.0,
+    "axes.labelsize": 9.0,
+    "axes.titlesize": 9.0,
+    "axes.titlelocation": "left",
+    "axes.linewidth": 0.7,
+    "axes.edgecolor": "#333333",
+    "axes.labelcolor": "#111111",
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "xtick.labelsize": 8.0,
+    "ytick.labelsize": 8.0,
+    "xtick.color": "#333333",
+    "ytick.color": "#333333",
+    "xtick.major.width": 0.7,
+    "ytick.major.width": 0.7,
+    "legend.fontsize": 8.0,
+    "legend.frameon": False,
+    "legend.handlelength": 2.4,
+    "lines.linewidth": 1.3,
+    "lines.markersize": 4.0,
+    "figure.facecolor": "white",
+    "axes.formatter.useoffset": False,
+}
+
+# Okabe and Ito (2008), distinguishable with any common colour blindness.
+BLUE, ORANGE, GREEN, VERMILION = "#0072B2", "#E69F00", "#009E73", "#D55E00"
+PURPLE, SKY, BLACK, GREY = "#CC79A7", "#56B4E9", "#000000", "#777777"
+SERIES = (BLUE, VERMILION, GREEN, PURPLE, ORANGE, SKY, BLACK)
+# As many, since colour alone tells nothing to some, nor on a black and white print.
+MARKERS = ("o", "s", "^", "D", "v", "P", "X")
+# Points. On a phone a figure is about as wide as it is in print; less cannot be read there.
+SMALLEST = 7.0
+
+
+@dataclass(frozen=True)
+class Look:
+    """How the curves of one model are drawn, whatever their colour."""
+
+    label: str
+    line: dict[str, Any]
+
+
+LOOKS: dict[str, Look] = {
+    "analytic": Look("analytic, Eq. 7", {"linestyle": ":", "linewidth": 1.1}),
+    "beam": Look("1-D beam", {"linestyle": "-"}),
+    "reduced": Look("3-D reduced", {"linestyle": (0, (5, 2.5)), "linewidth": 1.6}),
+    "solid": Look("3-D full order", {"linestyle": "none", "marker": "o", "fillstyle": "none"}),
+}
+
+
+def styled[**P](draw: Callable[P, Figure]) -> Callable[P, Figure]:
+    """A drawing function that runs under the project's style."""
+
+    @wraps(draw)
+    def drawn(*args: P.args, **kwargs: P.kwargs) -> Figure:
+        with matplotlib.rc_context(STYLE):
+            return draw(*args, **kwargs)
+
+    return drawn
+
+
+def panels(
+    rows: int = 1, columns: int = 1, height_in: float = 3.2, **share: Any
+) -> tuple[Figure, np.ndarray]:
+    """A figure as wide as a phone or a journal column can show, and its axes (rows, columns)."""
+    figure = Figure(figsize=(WIDTH_IN, height_in), layout="constrained")
+    axes = figure.subplots(rows, columns, squeeze=False, **share)
+    return figure, axes
+
+
+def model_legend(axes: Axes, models: Sequence[str], **where: Any) -> None:
+    """Name the line styles of ``models`` once, in black."""
+    for model in models:
+        look = LOOKS[model]
+        axes.plot([], [], color=BLACK, label=look.label, **look.line)
+    axes.legend(**where)
+
+
+def plain_ticks(axes: Axes) -> None:
+    """Numbers without powers on logarithmic axes: at 1, 2 and 5 of a decade, or at 1 of many."""
+    for axis in (axes.xaxis, axes.yaxis):
+        low, high = axis.get_view_interval()
+        axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if high < 100.0 * low else (1.0,)))
+        axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+        axis.set_minor_locator(NullLocator())
+
+
+def end_labels(
+    axes: Axes,
+    heights: Sequence[float],
+    labels: Sequence[str],
+    colours: Sequence[Any],
+    size: float = SMALLEST,
+) -> None:
+    """Write ``labels`` right of the axes at ``heights`` (data units), moved apart where needed."""
+    low, high = axes.get_ylim()
+    points = 72.0 * axes.get_window_extent().height / axes.figure.dpi
+    apart = 1.15 * size / max(points, 1.0) * (high - low)
+    order = [int(i) for i in np.argsort(heights)]
+    placed = spread(np.asarray(heights, float)[order], apart, low, high)
+    for place, i in zip(placed, order, strict=True):
+        axes.annotate(
+            labels[i],
+            (1.0, place),
+            xycoords=("axes fraction", "data"),
+            xytext=(4, 0),
+            textcoords="offset points",
+            va="center",
+            fontsize=size,
+            color=colours[i],
+            annotation_clip=False,
+        )
+
+
+def spread(places: np.ndarray, apart: float, low: float, high: float) -> np.ndarray:
+    """Sorted ``places`` moved as little as simple shifts allow, ``apart`` from each other."""
+    placed = places.copy()
+    for i in range(1, len(placed)):
+        placed[i] = max(placed[i], placed[i - 1] + apart)
+    if len(placed) and placed[-1] > high:
+        placed[-1] = high
+        for i in range(len(placed) - 2, -1, -1):
+            placed[i] = min(placed[i], placed[i + 1] - apart)
+    return np.maximum(placed, low) if len(placed) * apart <= high - low else placed
+
+
+def stiffness_label(kn_N_m: float) -> str:
+    """Kn in the paper's unit, such as ``2 MN/m``."""
+    return f"{kn_N_m / 1e6:g} MN/m"
+
+
+def svg_text(figure: Figure) -> str:
+    """The figure as an SVG document, the same for the same figure."""
+    stream = io.StringIO()
+    with matplotlib.rc_context(STYLE):
+        figure.savefig(stream, format="svg", metadata={"Date": None, "Creator": None})
+    return "\n".join(line.rstrip() for line in stream.getvalue().splitlines()) + "\n"
+
+
+def inline_svg(document: str, prefix: str, title: str) -> str:
+    """An SVG document as an element of a page: own identifiers, scalable, named for readers.
+
+    ``prefix`` keeps identifiers of several figures on one page apart. ``title`` is plain text.
+    """
+    body = document[document.index("<svg") :]
+    body = re.sub(r"<metadata>.*?</metadata>", "", body, flags=re.DOTALL)
+    body = re.sub(r'\bid="([^"]+)"', rf'id="{prefix}-\1"', body)
+    body = re.sub(r"url\(#([^)]+)\)", rf"url(#{prefix}-\1)", body)
+    body = re.sub(r'(?:xlink:)?href="#([^"]+)"', rf'href="#{prefix}-\1"', body)
+    body = re.sub(r'\sxmlns(?::\w+)?="[^"]*"', "", body)
+    body = re.sub(r'\s(?:width|height)="[\d.]+pt"', "", body, count=2)
+    opening, rest = body.split(">", 1)
+    name = title.replace("&", "&amp;").replace("<", "&lt;").replace(">", "&gt;")
+    label = f"{prefix}-title"
+    head = f'{opening} role="img" aria-labelledby="{label}">'
+    return f'{head}<title id="{label}">{name}</title>{rest}'.strip()
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A figure as an SVG document and as PNG bytes."""
+
+    svg: str
+    png: bytes = field(repr=False)
+
+
+def picture(figure: Figure) -> Picture:
+    """Both forms of a figure, the same bytes for the same figure."""
+    stream = io.BytesIO()
+    with matplotlib.rc_context(STYLE):
+        figure.savefig(stream, format="png", dpi=PNG_DPI, metadata={"Software": None})
+    return Picture(svg_text(figure), stream.getvalue())
+
+
+def write_picture(stem: Path, drawn: Picture) -> list[str]:
+    """Write ``stem``.svg and ``stem``.png; returns their names."""
+    files = {f"{stem.name}.svg": drawn.svg.encode(), f"{stem.name}.png": drawn.png}
+    for name, content in files.items():
+        write_atomically(stem.parent / name, content)
+    return list(files)

@@ -1,0 +1,108 @@
+"""Pictures and an animation of a drop's result."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from mpi4py import MPI
+
+from ...meshes.collective import run_on_one_rank
+from ...meshes.display import DrawingError
+from ...solver.errors import ComputationError, InputError
+from ...solver.paraview import SOLID_FILE
+from ..inputs.texts import exists, parse_json, read_text
+from ..report.figures import picture, write_picture
+from ..running.files import filled, prepare_folder
+from ..running.progress import note, progress
+from ..running.results import HISTORY_FILE, RESULT_FILE
+
+if TYPE_CHECKING:
+    from .wave import Wave
+
+FIELDS_FOLDER = "fields"
+VIEW_FOLDER = "view"
+
+
+def run_view(
+    result_dir: Path, out: Path | None = None, comm: MPI.Intracomm = MPI.COMM_WORLD
+) -> list[Path]:
+    """Draw a drop's result; returns what was written, the same on every rank. Collective.
+
+    Into ``out`` (``view`` in the result's folder, where it is left out) come ``history`` (.svg and
+    .png), and for a solid with fields ``space-time``, ``wave``, ``tip-stress`` (each .svg and
+    .png) and ``wave.gif``; ``open_in_paraview.py`` comes into the result's own folder, beside the
+    fields. What was there before is replaced when everything is drawn.
+
+    Raises
+    ------
+    InputError : there is no result, or a file of it is not what this program writes
+    ComputationError : drawing failed, for instance since there is no display
+    """
+    return run_on_one_rank(comm, lambda: _view(Path(result_dir), out))
+
+
+def _view(result: Path, out: Path | None) -> list[Path]:
+    document = read_result(result)
+    # matplotlib and VTK take a second to import, which other commands need not wait for
+    from .history_picture import history_figure, read_history, touch_time_s
+
+    history = read_history(result / HISTORY_FILE)
+    target = Path(out) if out is not None else result / VIEW_FOLDER
+    prepare_folder(target)
+    touch_s, wave = touch_time_s(history), None
+    with filled(target) as folder:
+        write_picture(folder / "history", picture(history_figure(history, document)))
+        if (result / FIELDS_FOLDER).is_dir():
+            wave = _view_fields(result, document, touch_s, folder)
+        else:
+            note(f"{result} has no fields: for pictures of the wave, drop it with --model solid")
+        written = [target / name for name in sorted(path.name for path in folder.iterdir())]
+    if wave is not None:
+        from .paraview_state import write_state_script
+
+        written.append(write_state_script(result, FIELDS_FOLDER, wave, touch_s))
+    return written
+
+
+def read_result(result: Path) -> dict[str, Any]:
+    """The result.json of a folder. Raises InputError where there is none, or it is none."""
+    path = result / RESULT_FILE
+    if not result.is_dir():
+        raise InputError(f"{result}: there is no such folder")
+    if not exists(path):
+        raise InputError(f"{result}: no {RESULT_FILE} here: this is no result of a drop")
+    document = parse_json(path, read_text(path))
+    if not isinstance(document, dict) or "model" not in document:
+        raise InputError(f"{path}: not a result of this program: it names no model")
+    return document
+
+
+def _view_fields(result: Path, document: dict[str, Any], touch_s: float, folder: Path) -> Wave:
+    """Fill ``folder`` with the pictures of a solid; returns the wave that they show."""
+    from .field_series import FieldSeries
+    from .wave import read_wave
+    from .wave_pictures import animated, draw_wave, space_time_figure
+
+    with FieldSeries(result / FIELDS_FOLDER / SOLID_FILE) as series:
+        count = len(series.times_s)
+        # each frame is read; those of the animation are drawn as well, and put together
+        with progress("pictures of the wave, frames", count + 2 * len(animated(count))) as advance:
+            wave = read_wave(series, touch_s, advance)
+            try:
+                figures = draw_wave(series, wave, folder, advance)
+            except DrawingError as error:
+                raise ComputationError(f"the bristle could not be drawn: {error}") from error
+    figures["space-time"] = space_time_figure(wave, _bar_speed_m_s(document))
+    for name, figure in figures.items():
+        write_picture(folder / name, picture(figure))
+    return wave
+
+
+def _bar_speed_m_s(document: dict[str, Any]) -> float | None:
+    """Speed of a wave in a thin bar of the result's material, where its inputs tell it."""
+    inputs = document.get("inputs") or {}
+    try:
+        return float((inputs["youngs_Pa"] / inputs["density_kg_m3"]) ** 0.5)
+    except (KeyError, TypeError, ZeroDivisionError):
+        return None

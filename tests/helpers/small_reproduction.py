@@ -1,0 +1,53 @@
+"""Which studies stand for the whole reproduction in tests, and take seconds?"""
+
+from __future__ import annotations
+
+from loop_toys import problem
+
+from bristle.studies.data.datasets import Drops
+from bristle.studies.inputs.config import DropInputs
+from bristle.studies.loop.problem import Problem
+from bristle.studies.reproduce.bars import Bars
+from bristle.studies.reproduce.campaign import Setup
+from bristle.studies.reproduce.crosscheck import CrossCheck, Figure9
+from bristle.studies.reproduce.elements import ElementStudy
+from bristle.studies.reproduce.enforcements import Enforcements
+from bristle.studies.reproduce.heights import Figure13
+from bristle.studies.reproduce.knstudy import Figures10To12, KnStudy
+from bristle.studies.reproduce.leaning import Leaning
+from bristle.studies.reproduce.loop_section import LoopOnPaper
+from bristle.studies.reproduce.measured_section import LoopOnMeasured
+from bristle.studies.reproduce.peaktime import PeakTime
+from bristle.studies.reproduce.sticking import Sticking
+from bristle.studies.reproduce.timesteps import StepStudy
+
+GRID = (1e3, 1e4, 1e5, 3e5, 1e6, 2e6, 4e6, 1e7, 1e8, 1e9, 1e10)
+
+
+def toy(drops: Drops) -> Problem:
+    """As many drops with a slope that differs by chance, whatever ``drops`` are."""
+    return problem(3, {"slope": 8.0}, drops=len(drops.drop), candidates=("drag", "slope"))[0]
+
+
+def small() -> tuple[Setup, list]:
+    """A coarse solid, few stiffnesses, one height."""
+    base = DropInputs(cells=(1, 1, 60))
+    kn = (1e4, 2e6, 1e8)
+    setup = Setup(base, kn, (0.01, 0.05), (0.05,), (2e6,))
+    study = KnStudy(setup, GRID)
+    return setup, [
+        Figure9(setup),
+        Figures10To12(study),
+        study,
+        Figure13(setup),
+        CrossCheck(setup),
+        Enforcements(setup),
+        ElementStudy(setup, (2, 8, 16), 24),
+        StepStudy(setup, 200),
+        PeakTime(setup, (1e4, 1e6, 1e8)),
+        Leaning(setup, (0.0, 2.0)),
+        Sticking(setup, (4, 8), (1e-5, 5e-6), ((1, 1, 20), (1, 1, 40)), (3, 5)),
+        Bars(setup, (0.1, 0.2), (0.0, 20.0)),
+        LoopOnPaper(1, toy),
+        LoopOnMeasured(),
+    ]

@@ -1,0 +1,178 @@
+"""Does the loop read records of impact force rightly, and which effects tell apart by their shapes?
+
+The records are made by `force_data`: the beam's drops at shorter steps than the tables'.
+"""
+
+from __future__ import annotations
+
+import film_data
+import force_data
+import numpy as np
+import pytest
+from scipy.optimize import least_squares
+from scipy.stats import chi2
+
+from bristle.solver.bristle import Bristle
+from bristle.solver.effects.library import EFFECTS
+from bristle.solver.errors import InputError
+from bristle.studies.loop.kinds.forces.problem import forces_problem
+from bristle.studies.loop.kinds.forces.record import read_forces
+from bristle.studies.loop.responses.force_curves import force_history
+from bristle.studies.loop.responses.table_drops import beam_of, outcomes_of
+from bristle.studies.loop.run import find
+
+KN = 2e6
+SIGMA_N = 0.5
+KEYS = f"sigma_force_N = {SIGMA_N}\n"
+FEW = ("contact_damping", "release_velocity", "scale_error", "clock_error", "wear")
+pytestmark = pytest.mark.serial
+
+
+def written(folder, effects, seed=3, drops=24, **how):
+    rng = np.random.default_rng(seed)
+    scenes = film_data.scenes(drops, KN, effects, rng)
+    records = [force_data.record(scene, rng, sigma_N=SIGMA_N, **how) for scene in scenes]
+    heights = [force_data.seen_height(scene, rng) for scene in scenes]
+    return force_data.write(folder / "forces", records, heights, KEYS), records
+
+
+def made(folder, effects, library=FEW, **how):
+    path, records = written(folder, effects, **how)
+    return forces_problem(read_forces(path), library), records
+
+
+def fitted(problem, names):
+    """Estimates, their deviations and what is left of least squares over ln Kn and the effect."""
+    model = problem.combine(names)
+    effect = model.parameters[1:]
+    low = np.array([np.log(model.parameters[0].low), *(p.low for p in effect)])
+    high = np.array([np.log(model.parameters[0].high), *(p.high for p in effect)])
+    found = least_squares(
+        lambda u: problem.values - model.predict(np.array([np.exp(u[0]), *u[1:]]))[0],
+        np.array([np.log(1.9e6), *(p.typical for p in effect)]),
+        bounds=(low, high),
+        x_scale=0.1 * (high - low),
+    )
+    return found.x, np.sqrt(np.diag(np.linalg.inv(found.jac.T @ found.jac))), 2 * found.cost
+
+
+@pytest.mark.parametrize("effects", [{}, {"contact_damping": 8.0}, {"bristle_tilt": 2.0}])
+def test_histories_have_the_impulse_and_peak_of_the_drop(effects):
+    scene = film_data.scenes(1, KN, effects, np.random.default_rng(0))[0]
+    t, impulse = force_history(Bristle(), scene, film_data.GRAVITY, film_data.FRICTION, 5e-7, 1e-3)
+    body = beam_of(Bristle())
+    found = outcomes_of(body, [scene], film_data.GRAVITY, 5e-7, film_data.FRICTION)
+    assert impulse[-1] == pytest.approx(found.impulse_N_s[0], rel=1e-3)
+    steepest = np.max(np.diff(impulse) / np.maximum(np.diff(t), 1e-9))
+    assert steepest == pytest.approx(found.peak_force_N[0], rel=1e-2)
+
+
+def test_a_dashpot_presses_at_once_and_a_spring_does_not():
+    rng = np.random.default_rng(0)
+    first = {}
+    for name in ({}, {"contact_damping": 8.0}):
+        scene = film_data.scenes(1, KN, name, rng)[0]
+        t, impulse = force_history(
+            Bristle(), scene, film_data.GRAVITY, film_data.FRICTION, 2.5e-7, 1e-3
+        )
+        first[len(name)] = np.interp(1e-6, t, impulse) / 1e-6
+    assert first[1] > first[0] + 3.0
+
+
+def test_rows_are_unit_noise_about_the_truth(tmp_path):
+    problem, records = made(tmp_path, {})
+    left = problem.values - problem.baseline.predict(np.array([KN]))[0]
+    low, high = chi2.ppf([0.0005, 0.9995], left.size)
+    assert low < left @ left < high
+    # the touch is found to a fraction of the contact's 150 µs
+    errors = np.array(problem.notes["touch_s"]) - [touch for *_, touch in records]
+    assert np.abs(errors).max() < 3e-6
+    # shapes hold the records: what is left of the samples is noise
+    assert problem.notes["left"] / problem.notes["freedom"] == pytest.approx(1.0, abs=0.05)
+
+
+SIZES = {
+    "contact_damping": 5.0,
+    "release_velocity": 0.2,
+    "scale_error": 0.05,
+    "clock_error": 0.03,
+    "wear": 0.8,
+}
+
+
+@pytest.mark.parametrize("name", SIZES)
+def test_effects_are_recovered(name, tmp_path):
+    """The size to a tenth, or three standard deviations, and it alone leaves little."""
+    problem, _ = made(tmp_path, {name: SIZES[name]})
+    theta, spread, left = fitted(problem, (name,))
+    assert abs(theta[1] - SIZES[name]) < max(3 * spread[1], 0.1 * SIZES[name])
+    for other in FEW:
+        if other != name:
+            assert fitted(problem, (other,))[2] > left + 20
+
+
+@pytest.mark.parametrize("step_s", [5e-6, 1e-5, 2e-5])
+def test_coarse_samples_serve(step_s, tmp_path):
+    """Up to 20 µs, seven samples of the impact: a stiffness to some per cent."""
+    problem, _ = made(tmp_path, {}, step_s=step_s)
+    theta, spread, _ = fitted(problem, ())
+    assert abs(theta[0] - np.log(KN)) < max(3 * spread[0], 0.02)
+
+
+@pytest.mark.campaign
+def test_every_effect_of_the_kind_is_a_candidate(tmp_path):
+    problem, _ = made(tmp_path, {}, library=None)
+    names = {name for each in problem.candidates for name in each.effects}
+    assert names == {name for name, effect in EFFECTS.items() if "forces" in effect.kinds}
+
+
+@pytest.mark.campaign
+def test_clean_records_are_adequate(tmp_path):
+    assert str(find(made(tmp_path, {}, library=None)[0]).verdict) == "adequate"
+
+
+@pytest.mark.campaign
+@pytest.mark.parametrize(
+    ("name", "size"),
+    [
+        ("contact_damping", 5.0),
+        ("hunt_crossley", 0.3),
+        ("stiffening_contact", 1.3),
+        ("adhesion", 3.0),
+        pytest.param(
+            "bristle_tilt",
+            2.0,
+            marks=pytest.mark.xfail(
+                reason="eleven stiffnesses and nine leans are too few: the touch is 3 µs off, and "
+                "so little noise shows what tables miss; found as unknown"
+            ),
+        ),
+    ],
+)
+def test_contact_laws_are_told_apart(name, size, tmp_path):
+    found = find(made(tmp_path, {name: size}, library=None)[0])
+    assert found.effects[:1] == (name,)
+
+
+@pytest.mark.parametrize(
+    ("table", "change", "message"),
+    [
+        ("forces.csv", lambda text: text.replace("force_N", "F", 1), r"forces\.csv:1: no column"),
+        ("forces.csv", lambda text: text + "3,1,1\n", r"forces\.csv:\d+: drop must count upwards"),
+        ("forces.csv", lambda text: text + "9,1,1\n", r"drop 9 has 1 samples"),
+        ("drops.csv", lambda text: text.replace("\n2,", "\n1,"), r"drops\.csv:3: drop must count"),
+        (
+            "drops.csv",
+            lambda text: "\n".join(text.splitlines()[:-1]),
+            r"forces\.csv:\d+: drop 7 has no height",
+        ),
+        ("drops.csv", lambda text: text.replace("\n2,", "\n2,-"), r"drops\.csv:3: y0_mm must be"),
+        ("dataset.toml", lambda text: text.replace("forces.csv", "drops.csv"), r"toml:5: file"),
+    ],
+)
+def test_reading_is_strict(table, change, message, tmp_path):
+    folder, _ = written(tmp_path, {}, drops=7, step_s=2e-5)
+    path = folder / table
+    path.write_text(change(path.read_text()))
+    with pytest.raises(InputError, match=message):
+        read_forces(folder)

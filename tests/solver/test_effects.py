@@ -1,0 +1,287 @@
+"""Does each effect enter one place of a drop, the same in beam and solid, and as theory says?"""
+
+import math
+from dataclasses import fields
+
+import numpy as np
+import pytest
+from mpi4py import MPI
+from scipy.integrate import solve_ivp
+
+from bristle.solver import paper
+from bristle.solver.bodies.beam import beam_body
+from bristle.solver.bodies.stored import from_arrays, to_arrays
+from bristle.solver.bristle import Bristle
+from bristle.solver.cache import cached, load, store
+from bristle.solver.contact.laws import Linear
+from bristle.solver.effects.base import Place, Scene
+from bristle.solver.effects.library import EFFECTS, enter_all
+from bristle.solver.errors import InputError
+from bristle.solver.fall import dragged_fall, dragged_path, risen
+from bristle.studies.inputs.config import DropInputs
+from bristle.studies.inputs.effect_input import EffectInput
+from bristle.studies.inputs.effects import entered
+from bristle.studies.running.cases import Workshop
+
+pytestmark = pytest.mark.serial
+NAMES = (
+    "air_drag",
+    "release_velocity",
+    "height_offset",
+    "scale_error",
+    "clock_error",
+    "contact_damping",
+    "hunt_crossley",
+    "stiffening_contact",
+    "plastic_contact",
+    "adhesion",
+    "material_damping",
+    "hysteretic_damping",
+    "lateral_inertia",
+    "bristle_tilt",
+    "surface_slope",
+    "surface_phases",
+    "wear",
+)
+
+
+def drop(effect=None, **values):
+    if effect is not None:
+        values["effects"] = [effect]
+    return DropInputs.model_validate({"cells": (1, 1, 40), "contact_points": 5, **values})
+
+
+@pytest.fixture(scope="module")
+def workshop():
+    with Workshop(MPI.COMM_SELF) as made:
+        yield made
+
+
+def test_the_library_has_the_contracts_names():
+    assert sorted(EFFECTS) == sorted(NAMES)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_an_effect_says_what_it_is_and_knows_its_bounds(name):
+    kind = EFFECTS[name]
+    assert kind.name == name
+    assert kind.title
+    assert kind.source
+    assert kind.kinds <= {"drops", "tracks", "forces", "waves", "falls"}
+    assert [field.name for field in fields(kind)] == [each.name for each in kind.parameters]
+    for parameter in kind.parameters:
+        assert parameter.low <= parameter.typical <= parameter.high
+        assert parameter.low <= parameter.null <= parameter.high
+        with pytest.raises(InputError, match=parameter.name):
+            kind(**{parameter.name: parameter.high + 1.0})
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_an_effect_changes_one_thing_and_its_absence_nothing(name):
+    kind, scene = EFFECTS[name], Scene(beta_s=paper.BETA_S, order=10, chance=(0.7, 0.0))
+    after = kind().enter(scene)
+    changed = [f.name for f in fields(Scene) if getattr(after, f.name) != getattr(scene, f.name)]
+    assert len(changed) == 1
+    absent = kind(*(each.null for each in kind.parameters)).enter(scene)
+    if kind.place is not Place.CONTACT:
+        assert absent == scene
+
+
+def test_effects_enter_whatever_their_order():
+    scene = Scene(order=50, chance=(1.0, -1.0))
+    effects = [EFFECTS["contact_damping"](), EFFECTS["wear"](1.0), EFFECTS["surface_slope"](2.0)]
+    assert enter_all(scene, effects) == enter_all(scene, effects[::-1])
+    assert enter_all(scene, effects).law.kn_N_m == pytest.approx(2e6 * 10**0.5)
+
+
+@pytest.mark.parametrize("name", [n for n in NAMES if n not in ("lateral_inertia",)])
+def test_beam_and_reduced_solid_have_the_same_effect(name, workshop):
+    """Where the tip slides or leans, within what the two differ by without it."""
+    close = 2e-3 if name not in ("bristle_tilt", "surface_slope") else 1e-2
+    found = [workshop.run(drop(name, model=model))[0] for model in ("beam", "reduced")]
+    assert found[0].rebound_ratio == pytest.approx(found[1].rebound_ratio, rel=close)
+    assert found[0].peak_force_N == pytest.approx(found[1].peak_force_N, rel=5 * close)
+    for result in found:
+        assert result.energy.closure_relative < 1e-4
+
+
+def test_a_law_is_the_same_in_the_solid(workshop):
+    for name in ("contact_damping", "plastic_contact", "hunt_crossley"):
+        solid = drop(name, model="solid", write_fields=False)
+        full, reduced = (workshop.run(each)[0] for each in (solid, drop(name, model="reduced")))
+        assert full.rebound_ratio == pytest.approx(reduced.rebound_ratio, rel=1e-5)
+
+
+@pytest.mark.parametrize("start", [-0.3, 0.0, 0.4])
+@pytest.mark.parametrize("drag", [0.5, 1e-5])
+def test_a_fall_with_drag_is_the_differential_equations(start, drag):
+    def motion(_, y):
+        return [y[1], paper.GRAVITY_M_S2 - drag * y[1] * abs(y[1])]
+
+    time, speed = dragged_fall(0.05, paper.GRAVITY_M_S2, start, drag)
+    done = solve_ivp(motion, (0.0, time), [0.0, start], rtol=1e-10, atol=1e-13, dense_output=True)
+    assert done.y[0, -1] == pytest.approx(0.05, abs=1e-9)
+    assert done.y[1, -1] == pytest.approx(speed, abs=1e-9)
+    for t in np.linspace(0.1, 0.9, 5) * time:
+        path = dragged_path(float(t), paper.GRAVITY_M_S2, start, drag)
+        assert path == pytest.approx(done.sol(t)[0], abs=1e-8)
+
+
+def test_a_rise_with_drag_ends_where_energy_says():
+    k, g, speed = 0.7, paper.GRAVITY_M_S2, 1.2
+
+    def motion(_, y):
+        return [y[1], -g - k * y[1] ** 2]
+
+    def top(_, y):
+        return y[1]
+
+    top.terminal = True
+    done = solve_ivp(motion, (0.0, 1.0), [0.0, speed], events=top, rtol=1e-10, atol=1e-13)
+    assert done.y[0, -1] == pytest.approx(risen(speed**2 / (2.0 * g), k), abs=1e-9)
+
+
+FLAT = ({"width_m": 2.08e-3, "thickness_m": 0.5e-3}, 2.08e-3 * 0.5e-3)
+ROUND = ({"diameter_m": 1.5e-3}, math.pi * 0.75e-3**2)
+
+
+# the mesh of a solid's round section lacks a part of its mass
+@pytest.mark.parametrize(
+    ("model", "section"),
+    [("analytic", FLAT), ("beam", FLAT), ("beam", ROUND), ("reduced", FLAT)],
+    ids=["analytic", "beam", "round beam", "reduced"],
+)
+def test_air_drag_is_half_density_coefficient_end_section_and_speed_squared(
+    model, section, workshop
+):
+    """m v' = m g - ½ ρ c_d A v² down, m v' = -m g - ½ ρ c_d A v² up, air of 1.204 kg/m³."""
+    sizes, area = section
+    inputs = drop("air_drag:cd=40", model=model, length_m=0.2, density_kg_m3=2700.0, **sizes)
+    k, g = 0.5 * 1.204 * 40.0 * area / (2700.0 * area * 0.2), inputs.gravity_m_s2
+
+    def motion(_, y):
+        return [y[1], g - k * y[1] * abs(y[1])]
+
+    def landed(_, y):
+        return y[0] - inputs.height_m
+
+    def turned(_, y):
+        return y[1]
+
+    def end(start, event):
+        event.terminal = True
+        done = solve_ivp(motion, (0.0, 1.0), start, events=event, rtol=1e-12, atol=1e-14)
+        return done.y[:, -1]
+
+    result, _ = workshop.run(inputs)
+    speed = end([0.0, 0.0], landed)[1]
+    assert speed < (1.0 - 5e-4) * math.sqrt(2.0 * g * inputs.height_m)
+    assert result.impact_speed_m_s == pytest.approx(speed, rel=1e-9)
+    # what rises is released a penetration away from where it touched
+    after = result.cm_velocity_after_m_s
+    assert after**2 / (2.0 * g) + end([0.0, -after], turned)[0] > 3e-6
+    vacuum, _ = workshop.run(inputs.model_copy(update={"effects": ()}))
+    released = vacuum.cm_rebound_height_m - vacuum.cm_velocity_after_m_s**2 / (2.0 * g)
+    top = released - end([0.0, -after], turned)[0]
+    assert result.cm_rebound_height_m == pytest.approx(top, abs=1e-7)
+
+
+def test_release_speed_counts_as_height(workshop):
+    """v_i² = v_0² + 2 g y_0, up or down."""
+    plain, _ = workshop.run(drop(model="beam", height_m=0.05 + 0.2**2 / (2 * paper.GRAVITY_M_S2)))
+    for sign in (-1.0, 1.0):
+        thrown, _ = workshop.run(drop(f"release_velocity:speed_m_s={0.2 * sign}", model="beam"))
+        assert thrown.impact_speed_m_s == pytest.approx(plain.impact_speed_m_s, rel=1e-12)
+        assert thrown.rebound_height_m == pytest.approx(plain.rebound_height_m, rel=1e-9)
+
+
+def test_a_loss_factor_is_the_decay_of_every_mode():
+    """Free ringing loses 2 π η of its energy a cycle to first order, whatever the frequency."""
+    from dataclasses import replace
+
+    eta = 1e-3
+    body = replace(beam_body(Bristle(), 8), beta_s=0.0, loss_factor=eta)
+    elastic = body.omega2[body.omega2 > 0.0]
+    damping = body.damping_1_s[body.omega2 > 0.0]
+    cycle = 2.0 * math.pi / np.sqrt(elastic)
+    assert 1.0 - np.exp(-damping * cycle) == pytest.approx(2.0 * math.pi * eta, rel=4e-3)
+    assert not body.damping_1_s[body.omega2 == 0.0].any()
+
+
+def test_loves_correction_lowers_axial_frequencies_as_he_says():
+    """ω_n = n π c / L / √(1 + (ν n π r_p / L)²), r_p the polar radius of gyration."""
+    bristle = Bristle()
+    section, material = bristle.section, bristle.material
+    polar = (section.second_moment_x_m4 + section.second_moment_y_m4) / section.area_m2
+    bodies = [beam_body(bristle, 60, lateral_inertia=share) for share in (0.0, 1.0)]
+    axial = []
+    for body in bodies:
+        moved = np.asarray(body.contact.rows @ body.contact.coordinates)[2::3]
+        tip = np.abs(body.contact.weights @ moved)
+        chosen = (tip > 1e-3 * tip.max()) & (body.omega2 > 0.0)
+        axial.append(np.sqrt(body.omega2[chosen])[:6])
+    n = np.arange(1, 7)
+    expected = 1.0 / np.sqrt(1.0 + polar * (material.poisson * n * math.pi / bristle.length_m) ** 2)
+    assert axial[1] / axial[0] - 1.0 == pytest.approx(expected - 1.0, rel=1e-3)
+
+
+def test_entered_effects_stand_in_the_inputs_that_can_hold_them():
+    now = entered(drop("bristle_tilt:tilt_deg=3"))
+    assert now.inputs.tilt_deg == 3.0
+    assert now.inputs.effects == ()
+    assert entered(drop("material_damping:beta_s=1e-7")).inputs.beta_s == 1e-7
+    assert isinstance(entered(drop()).scene.law, Linear)
+
+
+def test_an_effect_survives_its_own_words():
+    given = drop("wear:decades=0.5").effects
+    assert given == (EffectInput(name="wear", parameters={"decades": 0.5}),)
+    again = DropInputs.model_validate({"effects": [each.model_dump() for each in given]})
+    assert again.effects == given
+
+
+def test_instruments_see_heights_and_times_as_they_are_off(workshop):
+    plain, _ = workshop.run(drop(model="beam"))
+    high, _ = workshop.run(drop("height_offset:offset_m=0.002", model="beam"))
+    assert high.rebound_height_m == pytest.approx(plain.rebound_height_m + 0.002)
+    assert high.rebound_ratio == pytest.approx(high.rebound_height_m / 0.052)
+    slow, _ = workshop.run(drop("clock_error:relative=0.1", model="beam"))
+    assert slow.contact_time_s == pytest.approx(1.1 * plain.contact_time_s)
+    large, _ = workshop.run(drop("scale_error:relative=0.1", model="beam"))
+    assert large.rebound_ratio == pytest.approx(plain.rebound_ratio)
+    assert large.rebound_height_m == pytest.approx(1.1 * plain.rebound_height_m)
+
+
+def test_a_modal_body_comes_back_from_its_arrays_to_the_bit():
+    body = beam_body(Bristle(), 4, points=3, second_order=True)
+    again = from_arrays(to_arrays([body]))[0]
+    assert to_arrays([again]).keys() == to_arrays([body]).keys()
+    for name, value in to_arrays([body]).items():
+        assert np.array_equal(to_arrays([again])[name], value)
+    assert again.axis is not None
+
+
+def test_what_is_kept_is_made_once_and_made_again_when_it_is_spoilt(monkeypatch, tmp_path):
+    monkeypatch.setattr("bristle.solver.cache.cache_folder", lambda: tmp_path)
+    made = []
+
+    def make():
+        made.append(1)
+        return {"x": np.arange(3.0)}
+
+    for _ in range(2):
+        assert np.array_equal(cached("a key", make)["x"], np.arange(3.0))
+    assert len(made) == 1
+    (path,) = (tmp_path / "arrays").glob("*.npz")
+    path.write_bytes(path.read_bytes()[:40])
+    assert load("a key") is None
+    cached("a key", make)
+    assert len(made) == 2
+    assert load("another key") is None
+    store("another key", {"y": np.ones(1)})
+    assert load("another key") is not None
+
+
+@pytest.mark.parametrize("kind", EFFECTS.values(), ids=EFFECTS)
+def test_an_effect_without_numbers_is_of_its_typical_size(kind):
+    assert kind().values() == tuple(each.typical for each in kind.parameters)

@@ -1,0 +1,292 @@
+"""Effects from outside: what is taken in, what it does to drops, and whether the loop finds it."""
+
+from __future__ import annotations
+
+import json
+import logging
+import sys
+from dataclasses import dataclass, replace
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from made_drops import QUICK, write_drops
+
+import bristle
+from bristle.solver.bristle import Bristle
+from bristle.solver.contact.laws import Damped, HuntCrossley, Linear
+from bristle.solver.effects import outside
+from bristle.solver.effects.base import Effect, Parameter, Place, Scene
+from bristle.solver.effects.library import EFFECTS
+from bristle.solver.errors import InputError
+from bristle.studies.cli import main
+from bristle.studies.loop.kinds.drops import problem as drops_module
+from bristle.studies.loop.responses import response
+from bristle.studies.loop.responses.response import Bench, Tables, effect_at
+
+pytestmark = pytest.mark.serial
+
+EXAMPLE = Path(__file__).parents[2] / "docs" / "examples" / "my_effect.py"
+SPEC = "my_effect:exponent=-0.5"
+
+
+@pytest.fixture(autouse=True)
+def own_effects():
+    """What a test takes in is gone after it."""
+    before = dict(EFFECTS)
+    yield
+    EFFECTS.clear()
+    EFFECTS.update(before)
+    for name in [name for name in sys.modules if name.startswith("bristle_plugin_")]:
+        del sys.modules[name]
+
+
+@dataclass(frozen=True)
+class Good(Effect):
+    """Two numbers: a share of Kn, and damping on top."""
+
+    share: float = 0.5
+    more_s: float = 1e-6
+
+    name = "two_numbers"
+    title = "softer and damped"
+    place = Place.CONTACT
+    kinds = frozenset({"drops"})
+    source = "a test"
+    parameters = (
+        Parameter("share", "", 0.5, 2.0, 0.7, null=1.0, logarithmic=True),
+        Parameter("more_s", "s", 0.0, 1e-5, 5e-6),
+    )
+
+    def enter(self, scene: Scene) -> Scene:
+        law = Linear(scene.law.kn_N_m * self.share)
+        return replace(scene, law=law, beta_s=scene.beta_s + self.more_s)
+
+
+@pytest.mark.parametrize(
+    ("model", "more"),
+    [
+        ("beam", {}),
+        ("reduced", {"cells": (1, 2, 12)}),
+        ("solid", {"cells": (1, 2, 12)}),
+        ("analytic", {"height_m": 0.05}),
+    ],
+)
+def test_every_model_takes_it(model, more):
+    """From 10 mm the example is a contact of 2 MN/m × 5^(1/4), and nothing else."""
+    asked = {"model": model, "length_m": 0.1, "height_m": 0.01, **more}
+    if model == "analytic":
+        with pytest.raises(InputError, match="my_effect is not for the analytic model"):
+            bristle.drop(**asked, plugins=[EXAMPLE], effects=[SPEC])
+        return
+    found = bristle.drop(**asked, plugins=[EXAMPLE], effects=[SPEC])
+    same = bristle.drop(**asked, kn_N_m=2e6 * 5.0**0.25)
+    assert found.peak_force_N == pytest.approx(same.peak_force_N, rel=1e-12)
+    assert found.rebound_ratio == pytest.approx(same.rebound_ratio, rel=1e-12)
+    assert found.rebound_ratio != bristle.drop(**asked).rebound_ratio
+
+
+def test_a_run_is_repeated_from_its_result(tmp_path, capsys):
+    own = tmp_path / "own.py"
+    own.write_text(EXAMPLE.read_text())
+    asked = ["drop", "--model", "beam", "--plugin", str(own), "--effect", SPEC]
+    assert main([*asked, "--out", str(tmp_path / "one")]) == 0
+    again = ["drop", "--config", str(tmp_path / "one" / "result.json")]
+    assert main([*again, "--out", str(tmp_path / "two")]) == 0
+    one, two = (
+        json.loads((tmp_path / name / "result.json").read_text()) for name in ("one", "two")
+    )
+    assert one["inputs"] == two["inputs"]
+    assert one["rebound_ratio"] == two["rebound_ratio"]
+    own.write_text(EXAMPLE.read_text() + "\n# another\n")
+    capsys.readouterr()
+    assert main([*again, "--out", str(tmp_path / "three")]) == 2
+    assert "has changed since that run" in capsys.readouterr().err
+
+
+def test_the_loop_finds_it(tmp_path, monkeypatch):
+    """Drops of the beam with the example in them, with five others on the list."""
+    outside.load(EXAMPLE, EXAMPLE.read_bytes())
+    names = [*QUICK, "my_effect"]
+    monkeypatch.setattr(drops_module, "carried", lambda kind, quantities: names)
+    data = write_drops(tmp_path / "data", [EFFECTS["my_effect"](exponent=-1.0)], "mystery")
+    found = bristle.close_loop(data, plugins=[str(EXAMPLE)], seed=1, no_3d=True)
+    assert found.verdict == "effect"
+    assert found.effects == ["my_effect"]
+    told = found.parameters.exponent
+    # 90 % intervals: the truth lies within twice their width all but always
+    assert abs(told.estimate + 1.0) < told.high - told.low
+    assert found.held_out.rms_after < 0.5 * found.held_out.rms_before
+
+
+def test_two_parameters_make_a_table_of_both(monkeypatch):
+    """Between nodes, against drops simulated one by one."""
+    outside.register(Good, "a test")
+    monkeypatch.setattr(response, "EFFECT_NODES", 5)
+    monkeypatch.setattr(response, "DECADES_NODES", 7)
+    monkeypatch.setattr(response, "LEAN_KN_NODES", 5)
+    tables = Tables(Bench(Bristle(), 9.8, 0.02, 0.05, (1e6, 4e6)))
+    heights, kns = np.array([0.025, 0.04]), np.array([1.7e6, 2.3e6])
+    values = (0.8, 3e-6)
+    at = [np.full((1, 1), value) for value in values]  # (nodes of chance, drops), as models ask
+    told = tables.change("two_numbers", heights[None], kns[None], *at)[:, 0]
+    for i, (height, kn) in enumerate(zip(heights, kns, strict=True)):
+        plain = replace(tables.bench.plain(), height_m=height, law=Linear(kn))
+        scenes = [effect_at("two_numbers", *values).enter(plain)], [plain]
+        step = tables.bench.step_s(kn)
+        with_it, without = (np.log(tables.bench.seen(each, step, 0.0)[0]) for each in scenes)
+        assert told[:, i] == pytest.approx(with_it - without, abs=2e-3)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"name": "Two Numbers"}, "small letters"),
+        ({"name": "air_drag"}, "of this name already"),
+        ({"title": ""}, "has no title"),
+        ({"place": "contact"}, "must be one of Place"),
+        ({"kinds": frozenset({"waves"})}, "its kinds may be drops, forces, tracks"),
+        ({"parameters": Good.parameters[:1]}, "its fields must be its parameters"),
+        ({"parameters": (Good.parameters[0], Parameter("more_s", "s", 0.0, 1.0, 2.0))}, "more_s"),
+        ({"enter": lambda self, scene: scene}, "changes nothing"),
+        (
+            {"enter": lambda self, s: replace(s, drag_kg_m=self.more_s * self.share)},
+            "drag_kg_m",
+        ),
+        (
+            {"enter": lambda self, scene: replace(scene, beta_s=self.share * self.more_s + 1e-9)},
+            "absence",
+        ),
+        ({"enter": lambda self, scene: replace(scene, height_m=self.share)}, "height_m"),
+        ({"enter": lambda self, scene: replace(scene, beta_s=1e-6 * self.more_s)}, "share changes"),
+        ({"enter": lambda self, scene: None}, "must return a Scene"),
+        ({"enter": lambda self, scene: 1.0 / 0.0}, "ZeroDivisionError"),
+        ({"enter": lambda self, s: replace(s, law=Linear(self.more_s - 0.5))}, "Kn must be"),
+        (
+            {
+                "enter": lambda self, s: replace(
+                    s, beta_s=s.beta_s + self.more_s * self.share * s.chance[0]
+                )
+            },
+            "differs from drop to drop",
+        ),
+    ],
+    ids=lambda value: "-".join(value) if isinstance(value, dict) else "",
+)
+def test_what_nobody_could_predict_is_refused_by_name(change, words):
+    kind = dataclass(frozen=True)(type("Bad", (Good,), dict(change)))
+    with pytest.raises(InputError, match=words):
+        outside.register(kind, "a test")
+    assert "two_numbers" not in EFFECTS
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("", "defines no subclass"),
+        ("def broken(:", "SyntaxError"),
+        ("import nowhere_at_all", "ModuleNotFoundError"),
+        (EXAMPLE.read_text().replace('"my_effect"', '"wear"'), "of this name already"),
+    ],
+)
+def test_files_that_are_none_end_with_status_2(text, words, tmp_path, capsys):
+    path = tmp_path / "own.py"
+    path.write_text(text)
+    asked = ["drop", "--model", "beam", "--plugin", str(path), "--out", str(tmp_path / "out")]
+    assert main(asked) == 2
+    last = capsys.readouterr().err.splitlines()[-1]
+    assert last.startswith(f"bristle: error: --plugin: {path}")
+    assert words in last
+    assert not (tmp_path / "out").exists()
+
+
+def test_an_installed_package_brings_its_own(monkeypatch, caplog):
+    def point(name, found):
+        def load():
+            if found is None:
+                raise ImportError("gone")
+            return found
+
+        package = SimpleNamespace(version="1.0")
+        return SimpleNamespace(name=name, value=f"package:{name}", dist=package, load=load)
+
+    points = [point("good", Good), point("broken", None)]
+    monkeypatch.setattr(outside, "entry_points", lambda group: points)
+    outside.load_installed.cache_clear()
+    with caplog.at_level(logging.WARNING, logger="bristle"):
+        found = bristle.drop(model="beam", effects=["two_numbers:share=0.5,more_s=0"])
+    assert found.rebound_ratio == bristle.drop(model="beam", kn_N_m=1e6).rebound_ratio
+    assert [record.getMessage() for record in caplog.records] == [
+        "the effect broken of an installed package is left out: gone"
+    ]
+    outside.load_installed.cache_clear()
+
+
+def test_a_parameter_is_what_its_effect_says_whatever_its_name():
+    """`beta_s` of an effect from outside adds to the material's, and is not it."""
+    own = (Good.parameters[0], Parameter("beta_s", "s", 0.0, 1e-5, 5e-6))
+    words = {"name": "more_beta", "parameters": own, "__annotations__": {}}
+
+    def enter(self, scene):
+        return replace(scene, beta_s=scene.beta_s + self.beta_s * self.share)
+
+    kind = dataclass(frozen=True)(
+        type(
+            "MoreBeta",
+            (Effect,),
+            {
+                **{name: getattr(Good, name) for name in ("title", "place", "kinds", "source")},
+                **words,
+                "__annotations__": {"share": "float", "beta_s": "float"},
+                "share": 1.0,
+                "beta_s": 0.0,
+                "enter": enter,
+            },
+        )
+    )
+    outside.register(kind, "a test")
+    assert Tables(Bench(Bristle(), 9.8, 0.02, 0.05)).parameters("more_beta") == own
+
+
+def test_an_effect_may_scale_the_damping_with_height():
+    kind = dataclass(frozen=True)(
+        type(
+            "Scaled",
+            (Good,),
+            {
+                "name": "scaled",
+                "enter": lambda self, scene: replace(
+                    scene,
+                    beta_s=scene.beta_s * self.share * (1.0 + self.more_s * scene.height_m),
+                ),
+            },
+        )
+    )
+    outside.register(kind, "a test")
+    assert "scaled" in EFFECTS
+
+
+def test_two_laws_at_once_are_refused():
+    def of(name, law):
+        enter = lambda self, s: replace(s, law=law(s.law.kn_N_m * self.share, self.more_s * 1e6))  # noqa: E731
+        return dataclass(frozen=True)(
+            type(name, (Good,), {"name": name, "kinds": frozenset(), "enter": enter})
+        )
+
+    for name, law in (("law_a", Damped), ("law_b", HuntCrossley)):
+        outside.register(of(name, law), "a test")
+    with pytest.raises(InputError, match="law_b replaces the contact law of another"):
+        bristle.drop(model="beam", effects=["law_a:share=0.7", "law_b:share=0.7"])
+
+
+def test_an_edited_file_is_taken_anew_and_has_to_be_named(tmp_path):
+    path = tmp_path / "own.py"
+    path.write_text(EXAMPLE.read_text())
+    asked = {"model": "beam", "height_m": 0.01, "effects": [SPEC]}
+    before = bristle.drop(**asked, plugins=[path])
+    path.write_text(EXAMPLE.read_text().replace("REFERENCE_M = 0.05", "REFERENCE_M = 0.01"))
+    after = bristle.drop(**asked, plugins=[path])
+    assert before.peak_force_N > after.peak_force_N
+    with pytest.raises(InputError, match="my_effect is of the plugin .*own.py; name that too"):
+        bristle.drop(**asked)

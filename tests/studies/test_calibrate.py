@@ -1,0 +1,275 @@
+"""Does a calibration find the Kn that made the drops, with intervals that hold it?"""
+
+from __future__ import annotations
+
+import json
+import math
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from bristle.solver import paper
+from bristle.solver.bodies.reduced import reduce_solid
+from bristle.solver.bristle import Bristle, Material
+from bristle.solver.contact.enforcement import ContactMethod
+from bristle.solver.contact.laws import Linear
+from bristle.solver.drop import DropPlan, ModalFrame, simulate
+from bristle.solver.errors import ComputationError, InputError
+from bristle.studies.calibrate.curve import RatioCurve, beam_model, mean_curve, ratio_curve
+from bristle.studies.calibrate.estimate import (
+    Interval,
+    estimate_ratio,
+    height_trend,
+    paper_ratio,
+    slope_interval,
+)
+from bristle.studies.calibrate.run import calibrate, run_calibrate, stiffness_interval
+from bristle.studies.data.datasets import read_drops, read_manifest
+from bristle.studies.loop.kinds.drops.problem import tables_for
+
+pytestmark = pytest.mark.serial
+
+GRID = np.concatenate([[1e3, 1e4], np.geomspace(1e5, 1e8, 19), [1e9, 1e10]])
+KN = 3.1e6
+
+
+@pytest.fixture(scope="module")
+def model():
+    return beam_model(Bristle(), paper.GRAVITY_M_S2)
+
+
+@pytest.fixture(scope="module")
+def curve(model) -> RatioCurve:
+    return ratio_curve(model, 0.03, GRID)
+
+
+@pytest.fixture
+def folder(tmp_path):
+    """A function that writes a dataset: its toml and its table."""
+
+    def write(rows: str, toml: str = "", head: str = "drop,y0_mm,y1_mm"):
+        about = '[dataset]\ntitle = "T"\nkind = "drops"\n' if "[dataset]" not in toml else ""
+        (tmp_path / "dataset.toml").write_text(about + toml)
+        (tmp_path / "drops.csv").write_text(f"{head}\n{rows}")
+        return tmp_path
+
+    return write
+
+
+GOOD = "1,10,6.5\n2,20,13.1\n3,30,19.2\n4,40,26.3\n"
+
+
+def test_ratio_falls_with_stiffness_from_one_to_the_rigid_limit(curve):
+    assert np.all(np.diff(curve.ratio) < 2e-4)
+    low, high = curve.reachable
+    assert high == pytest.approx(1.0, abs=1e-4)
+    assert 0.30 < low < 0.32
+
+
+def test_the_curve_between_its_points_is_the_model(curve, model):
+    for kn in (3.3e5, 2e6, 1.7e7):
+        assert float(curve.at(kn)) == pytest.approx(model(kn, 0.03), abs=1e-3)
+        assert curve.stiffness(model(kn, 0.03)) == pytest.approx(kn, rel=1e-2)
+
+
+def test_outside_the_reachable_ratios_kn_is_bounded_on_one_side_only(curve):
+    low, high = curve.reachable
+    assert curve.stiffness(high + 0.01) == 0.0
+    assert curve.stiffness(low - 0.01) == math.inf
+    above = stiffness_interval(curve, Interval(1.02, 0.95, 1.09))
+    assert above.estimate is None
+    assert above.low is None
+    assert above.high == pytest.approx(curve.stiffness(0.95))
+    assert "no lower bound" in above.words()
+    below = stiffness_interval(curve, Interval(0.2, 0.1, 0.4))
+    assert below.estimate is None
+    assert below.high is None
+    assert "no upper bound" in below.words()
+    assert "not bounded" in stiffness_interval(curve, Interval(0.6, 0.2, 1.1)).words()
+
+
+def test_a_body_whose_ratio_does_not_fall_is_refused():
+    bare = beam_model(Bristle(material=Material(beta_s=1e-8)), paper.GRAVITY_M_S2)
+    with pytest.raises(ComputationError, match="several Kn"):
+        ratio_curve(bare, 0.05, np.geomspace(1e5, 1e9, 9))
+
+
+def test_kn_is_recovered_from_drops_of_the_solid(make_solid, model, folder, rng):
+    """The drops come from the reduced 3-D solid, the curve from the beam."""
+    bristle = Bristle()
+    solid = make_solid(cells=(1, 1, 40), length_m=bristle.length_m)
+    its = 1e-6
+    plan = DropPlan(0.03, ContactMethod(Linear(KN)), its, paper.GRAVITY_M_S2)
+    c_mass, c_stiffness = plan.scheme.effective(its, solid.alpha_1_s, solid.beta_s)
+    frame = ModalFrame(reduce_solid(solid, c_mass / c_stiffness, 60).modal)
+    y0 = rng.uniform(0.01, 0.05, 12)
+    rows = ""
+    for i, height in enumerate(y0):
+        plan = DropPlan(height, ContactMethod(Linear(KN)), its, paper.GRAVITY_M_S2)
+        y1 = simulate(frame, plan).rebound_height_m + rng.normal(0.0, 0.3e-3)
+        rows += f"{i + 1},{1e3 * height:.6f},{1e3 * y1:.6f}\n"
+    drops = read_drops(folder(rows, "[measurement]\nsigma_y_mm = 0.3\n"))
+    found = calibrate(drops, model, grid_N_m=GRID, seed=1)
+    assert found.kn.low < KN < found.kn.high
+    assert found.kn.estimate == pytest.approx(KN, rel=0.05)
+    assert found.ratio.trend.p_value > 0.01
+
+
+@pytest.mark.parametrize("scatter", ["constant", "proportional"])
+def test_the_90_percent_interval_holds_the_truth_nine_times_in_ten(curve, scatter):
+    random = np.random.default_rng(7)
+    truth, trials = float(curve.at(KN)), 1500
+    hits = 0
+    for _ in range(trials):
+        y0 = random.uniform(0.01, 0.05, 15)
+        spread = 2e-3 if scatter == "constant" else 0.15 * y0
+        y1 = truth * y0 + spread * random.standard_normal(15)
+        kn = stiffness_interval(curve, slope_interval(y0, y1))
+        hits += (kn.low or 0.0) <= KN <= (kn.high or math.inf)
+    low, high = stats.binom.interval(0.999, trials, 0.9)
+    assert low <= hits <= high
+
+
+def test_the_bootstrap_is_near_the_t_interval_and_repeats_with_its_seed(rng):
+    y0 = rng.uniform(0.01, 0.05, 40)
+    y1 = 0.6 * y0 * (1.0 + 0.2 * rng.standard_normal(40))
+    one, again = (estimate_ratio(y0, y1, seed=5) for _ in range(2))
+    assert one.bootstrap == again.bootstrap
+    assert one.bootstrap.low == pytest.approx(one.mean.low, rel=0.05)
+    assert one.bootstrap.high == pytest.approx(one.mean.high, rel=0.05)
+
+
+def test_a_declared_sensor_keeps_the_interval_from_vanishing():
+    y0 = np.array([0.01, 0.02, 0.03])
+    exact = slope_interval(y0, 0.65 * y0)
+    assert exact.high - exact.low < 1e-12
+    known = slope_interval(y0, 0.65 * y0, sigma_m=1e-3)
+    assert known.high - known.low > 0.05
+
+
+def test_a_trend_with_height_is_found_and_none_is_not(rng):
+    y0 = rng.uniform(0.01, 0.05, 60)
+    noise = 3e-4 * rng.standard_normal(60)
+    assert height_trend(y0, (0.7 - 4.0 * y0) * y0 + noise).p_value < 1e-3
+    assert height_trend(y0, 0.65 * y0 + noise).p_value > 0.01
+    assert height_trend(np.full(6, 0.03), np.full(6, 0.02)) is None
+
+
+def test_mean_curve_of_one_height_is_its_curve():
+    asked = []
+
+    def model(kn: float, height: float) -> float:
+        asked.append(height)
+        return 1.0 / (1.0 + kn / 1e6) + 0.001 * height
+
+    one = mean_curve(model, np.array([0.02, 0.02]), GRID)
+    assert set(asked) == {0.02}
+    two = mean_curve(model, np.array([0.01, 0.05]), GRID)
+    weights = np.array([0.01, 0.05]) ** 2
+    mean_height = weights @ np.array([0.01, 0.05]) / weights.sum()
+    assert two.ratio - one.ratio == pytest.approx(0.001 * (mean_height - 0.02))
+
+
+def test_the_paper_gives_about_2_MN_m_and_says_what_cannot_be_told(model, tmp_path):
+    found = calibrate(None, model, grid_N_m=GRID)
+    assert paper_ratio().mean.estimate == 0.65
+    assert found.kn.estimate == pytest.approx(2.05e6, rel=0.02)
+    assert found.population.low is None
+    assert found.population.high is None
+    assert any("cannot tell them apart" in each for each in found.warnings)
+
+
+def test_command_writes_json_and_page_of_a_dataset(folder, tmp_path):
+    where = folder(GOOD, '[dataset]\ntitle = "<b>T</b>"\nkind = "drops"\n')
+
+    def model(kn: float, height: float) -> float:
+        return 0.31 + 0.69 / (1.0 + kn / 2e6)
+
+    out = tmp_path / "out"
+    content = run_calibrate(where, out, model=model, seed=3)
+    assert json.loads((out / "calibrate.json").read_text()) == content
+    assert content["kn_N_m"]["low"] < content["kn_N_m"]["estimate"] < content["kn_N_m"]["high"]
+    page = (out / "report.html").read_text()
+    assert "&lt;b&gt;T&lt;/b&gt;" in page
+    assert "<b>T</b>" not in page
+    assert {path.name for path in out.iterdir()} == {
+        "calibrate.json", "report.html", "tables", "figures",
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("rows", "toml", "words"),
+    [
+        ("1,10,x\n2,2,1\n3,3,1\n", "", r"drops.csv:2: y1_mm is no number: 'x'"),
+        ("1,10,5\n2,-2,1\n3,3,1\n", "", r"drops.csv:3: y0_mm must be more than 0"),
+        ("1,10,5\n2,nan,1\n3,3,1\n", "", r"drops.csv:3: y0_mm must be a finite number"),
+        ("1,10,5\n2,2\n3,3,1\n", "", r"drops.csv:3: 2 values under 3 columns"),
+        ("1,10,5\n1,2,1\n3,3,1\n", "", r"drops.csv:3: drop must count upwards"),
+        ("1,10,5\n", "", "1 drops"),
+        (GOOD, "[body]\nlenght_m = 0.3\n", r"dataset.toml:5: lenght_m .* did you mean length_m"),
+        (GOOD, "[body]\nlength_m = -1\n", r"dataset.toml:5: length_m: must be greater"),
+        (GOOD, '[body]\nlength_m = "long"\n', r"dataset.toml:5: length_m must be a finite number"),
+        (GOOD, "[body]\nroughness = 1\n", "roughness is not known"),
+        (GOOD, '[measurement]\nfile = "../drops.csv"\n', "outside the dataset's folder"),
+        (GOOD, '[measurement]\nfile = "/etc/passwd"\n', "outside the dataset's folder"),
+        (GOOD, '[measurement]\nfile = "none.csv"\n', "none.csv: no such file"),
+        (GOOD, "[measurement]\nsigma_y = 3\n", "did you mean sigma_y_mm"),
+        (GOOD, '[dataset]\nkind = "dorps"\n', r"dataset.toml:2: kind must be one of"),
+        (GOOD, '[dataset]\nkind = "waves"\n', "kind is waves, not drops"),
+        (GOOD, "[dataset\n", "not valid TOML"),
+        (GOOD, "[body]\ndiameter_m = 1e-3\nwidth_m = 1e-3\n", "excludes width_m"),
+        (GOOD, "[body]\npoisson_ratio = 0.7\n", "dataset.toml:5: poisson_ratio: must be less"),
+    ],
+)
+def test_a_wrong_dataset_is_refused_by_file_and_line(folder, rows, toml, words):
+    with pytest.raises(InputError, match=words):
+        read_drops(folder(rows, toml))
+
+
+def test_a_link_out_of_the_folder_is_refused(folder, tmp_path):
+    where = folder(GOOD, '[measurement]\nfile = "link.csv"\n')
+    (where / "link.csv").symlink_to("/etc/hostname")
+    with pytest.raises(InputError, match="outside"):
+        read_drops(where)
+
+
+def test_a_missing_column_is_named(folder):
+    with pytest.raises(InputError, match=r"drops.csv:1: no column y1_mm"):
+        read_drops(folder("1,2\n", head="drop,y0_mm"))
+
+
+def test_what_a_dataset_leaves_out_is_the_paper_s(folder):
+    manifest = read_manifest(folder(GOOD, "[body]\nlength_m = 0.2\n[contact]\nkn_N_m = 1e6\n"))
+    assert manifest.bristle.length_m == 0.2
+    assert manifest.bristle.material == Material()
+    assert manifest.declared == ("length_m",)
+    assert manifest.kn_N_m == 1e6
+    assert manifest.gravity_m_s2 == paper.GRAVITY_M_S2
+    assert manifest.friction is None
+
+
+def test_friction_that_is_declared_is_what_drops_are_simulated_with(folder):
+    drops = read_drops(folder(GOOD, "[contact]\nfriction = 0.0\n"))
+    assert tables_for(drops.y0_m, drops).bench.friction == 0.0
+
+
+def test_optional_columns_and_units(folder):
+    where = folder(
+        "1,10,6,0.16,\n2,20,12,,41\n3,30,18,0.17,42\n",
+        head="drop,y0_mm,y1_mm,contact_time_ms,peak_force_N",
+    )
+    drops = read_drops(where)
+    assert drops.y0_m == pytest.approx([0.01, 0.02, 0.03])
+    assert drops.contact_time_s[[0, 2]] == pytest.approx([1.6e-4, 1.7e-4])
+    assert math.isnan(drops.contact_time_s[1])
+    assert math.isnan(drops.peak_force_N[0])
+    assert drops.session is None
+
+
+def test_drops_that_bounce_to_their_own_height_say_so(model, folder):
+    drops = read_drops(folder("1,10,10.2\n2,20,20.1\n3,30,30.2\n4,40,40.3\n"))
+    found = calibrate(drops, model, grid_N_m=GRID)
+    assert found.kn.estimate is None
+    assert found.kn.low is None
+    assert any("from above only" in each for each in found.warnings)

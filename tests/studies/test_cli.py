@@ -1,0 +1,366 @@
+"""Does the command line end as promised: status, last line, and nothing lost?"""
+
+import contextlib
+import io
+import json
+import math
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+from commands import bristle, environment, mpirun, python
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from bristle.studies import drop as drop_study
+from bristle.studies.cli import main
+from bristle.studies.inputs.fields import DROP_FLAGS
+
+pytestmark = pytest.mark.serial
+
+COMMANDS = ("reproduce", "drop", "sweep", "its", "mesh", "calibrate", "view")
+ERROR = re.compile(r"^bristle: error: \S.*$")
+# the number of steps and elements decides how long a run takes, so it stays out of the lottery
+NUMERIC = [
+    flag
+    for flag in DROP_FLAGS
+    if flag.kind in (float, int) and flag.name not in ("its", "elements")
+]
+
+
+def run(*arguments):
+    """The command line in this process: status, standard output, lines of standard error."""
+    out, err = io.StringIO(), io.StringIO()
+    with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
+        status = main([str(argument) for argument in arguments])
+    return status, out.getvalue(), err.getvalue().splitlines()
+
+
+def refused(*arguments):
+    """The message of a command that must end with status 2, without the prefix."""
+    status, _, lines = run(*arguments)
+    assert status == 2
+    assert ERROR.match(lines[-1])
+    assert "Traceback" not in "".join(lines)
+    return lines[-1].removeprefix("bristle: error: ")
+
+
+def test_without_arguments_it_says_what_to_do_next():
+    status, out, _ = run()
+    assert status == 0
+    assert all(command in out for command in COMMANDS)
+    words = " ".join(out.split())
+    steps = ["bristle drop:", "bristle view results/drop", "bristle reproduce", "close-loop FOLDER"]
+    places = [words.index(step) for step in steps]
+    assert places == sorted(places)
+    assert "results/reproduce/report.html" in words
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_every_command_shows_an_example(command):
+    status, out, _ = run(command, "--help")
+    assert status == 0
+    assert re.search(rf"Example: .*bristle {command}", " ".join(out.split()))
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_no_help_tells_a_default_that_is_none(command):
+    assert "None]" not in run(command, "--help")[1]
+
+
+def test_every_option_of_help_is_accepted_by_name():
+    _, out, _ = run("drop", "--help")
+    assert {flag.option for flag in DROP_FLAGS} <= set(re.findall(r"--[a-z0-9-]+", out))
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        (["--kn", "abc"], "--kn: 'abc' is not a valid float"),
+        (["--knn", "1"], "--knn: there is no such option; did you mean --kn"),
+        (["--kn", "-1"], "--kn: must be greater"),
+        (["--kn", "nan"], "--kn: must be"),
+        (["--kn", "inf"], "--kn: penalty needs a finite"),
+        (["--height", "inf"], "--height: must be a finite"),
+        (["--its", "0"], "--its: must be greater"),
+        (["--model", "shell"], "--model: 'shell' is not one of"),
+        (["--cells", "1", "2"], "--cells"),
+        (["--cells", "1", "2", "x"], "--cells: 'x' is not a valid integer"),
+        (["--elements", "1.5"], "--elements: '1.5' is not a valid integer"),
+        (["--diameter", "1e-3", "--width", "1e-3"], "--width: a round wire"),
+        (["--tilt", "81"], "--tilt: must be less than or equal to 80"),
+        (["--slope", "-61"], "--slope: must be greater than or equal to -60"),
+        (["--tilt", "50", "--slope", "-50"], "--tilt: tilt and slope together lean the bristle"),
+        (["--model", "analytic", "--tilt", "2"], "--tilt: the analytic model is a mass on"),
+        (["--tip-shape", "round"], "--tip-shape: tip shape 'round' is not known"),
+        (["--contact-points", "2"], "--contact-points: must be greater"),
+        (["--effect", "air_drag:cf=1"], "--effect: air_drag has no parameter 'cf'"),
+        (["--effect", "air_drag:cd=-1"], "--effect: air_drag: cd must lie between"),
+        (["--effect", "wear", "--effect", "wear"], "--effect: names wear twice"),
+        (
+            ["--effect", "adhesion", "--effect", "plastic_contact"],
+            "--effect: two of the effects change the contact law",
+        ),
+        (["--effect", "adhesion", "--model", "analytic"], "--effect: adhesion is not for"),
+        (["--effect", "hysteretic_damping", "--model", "solid"], "--effect: hysteretic_damping b"),
+        (["--effect", "hunt_crossley", "--contact", "nitsche"], "--effect: a contact law of its"),
+        (["--effect", "gravity_waves"], "--effect: names an unknown effect"),
+        (["--until", "tomorrow"], "--until: must be impact, rebound or a time"),
+        (["--model", "solid", "--tip", "point"], "--tip: the solid meets"),
+        (["--config", "nowhere.toml"], "--config nowhere.toml: cannot be read"),
+        (["extra"], "extra: not expected here"),
+    ],
+    ids=str,
+)
+def test_wrong_input_ends_with_2_and_the_option(arguments, says, tmp_path):
+    assert refused("drop", *arguments, "--out", tmp_path / "out").startswith(says)
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        (["drop", "--kn"], "--kn: requires an argument"),
+        (["fly"], "fly: there is no such command"),
+        (["--speed"], "--speed: there is no such option"),
+        (["sweep", "--kn", "1e5;2e6"], "--kn: must be numbers separated by commas"),
+        (["sweep", "--models", "beam,shell"], "--models: must be"),
+        (["its", "--its", "1e-5,-1"], "--its: must be greater"),
+        (["mesh", "--cells", "0", "1", "1"], "--cells: must be greater"),
+        (["mesh", "--kn", "1"], "--kn: there is no such option"),
+        (["calibrate"], "DATASET: is missing"),
+        (["view", "nowhere"], "nowhere: there is no such folder"),
+    ],
+    ids=str,
+)
+def test_the_other_commands_do_so_too(arguments, says):
+    assert refused(*arguments).startswith(says)
+
+
+def test_the_same_in_a_process_of_its_own(tmp_path):
+    done = bristle("drop", "--kn", "-1", "--out", tmp_path / "out")
+    assert done.returncode == 2
+    assert done.stdout == ""
+    assert ERROR.match(done.stderr.splitlines()[-1])
+    taken = tmp_path / "taken"
+    taken.write_text("mine")
+    done = bristle("drop", "--out", taken)
+    assert done.returncode == 2
+    assert done.stderr.splitlines()[-1].startswith(f"bristle: error: --out {taken}: ")
+    assert taken.read_text() == "mine"
+
+
+VALUES = st.one_of(
+    st.floats().map(repr),
+    st.floats(1e-9, 1e9).map(repr),
+    st.integers(-10, 10**12).map(str),
+    st.text(st.characters(codec="ascii", exclude_categories=["Cc"]), max_size=6),
+)
+
+
+@given(st.lists(st.tuples(st.sampled_from(NUMERIC), VALUES), min_size=1, max_size=3))
+@settings(
+    max_examples=200, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
+def test_any_values_end_with_a_sound_result_or_one_line(tmp_path, pairs):
+    options = [f"{flag.option}={value}" for flag, value in pairs]
+    # few steps, whatever is asked for: this is about the input
+    small = ["--elements=2", "--until=impact", "--its=1e-5"]
+    status, _, lines = run("drop", *small, *options, "--out", tmp_path / "out")
+    assert "Traceback" not in "".join(lines)
+    if status == 0:
+        document = json.loads((tmp_path / "out" / "result.json").read_text())
+        for flag, value in dict(pairs).items():
+            assert document["inputs"][flag.field] == pytest.approx(float(value))
+        assert document["peak_force_N"] > 0.0
+        assert document["impact_speed_m_s"] > 0.0
+        return
+    assert ERROR.match(lines[-1])
+    assert "unexpected" not in lines[-1]
+    if status == 2:
+        named = lines[-1].removeprefix("bristle: error: ").split(":")[0]
+        assert named in {flag.option for flag in DROP_FLAGS}
+    else:
+        assert status == 1
+
+
+def test_a_drop_says_what_it_found_and_where(tmp_path):
+    status, out, _ = run("drop", "--out", tmp_path / "a", "--kn", "1e6", "--height", "0.02")
+    assert status == 0
+    document = json.loads((tmp_path / "a/result.json").read_text())
+    assert f"{document['rebound_ratio']:.4g}" in out
+    assert str(tmp_path / "a" / "result.json") in out
+    assert math.isclose(document["impact_speed_m_s"], math.sqrt(2 * 9.8 * 0.02))
+
+
+def test_a_leaning_drop_says_what_it_found(tmp_path):
+    status, out, lines = run("drop", "--tilt", "2", "--out", tmp_path / "a")
+    assert status == 0
+    assert not any("warning" in line for line in lines)
+    document = json.loads((tmp_path / "a/result.json").read_text())
+    shown = {line[:24].strip(): line[24:] for line in out.splitlines()}
+    assert shown["touches"] == str(document["n_contacts"])
+    assert float(shown["centre of mass y1/y0"]) == pytest.approx(
+        document["cm_rebound_height_m"] / 0.05, rel=1e-3
+    )
+    assert float(shown["lost to friction"].split()[0]) == pytest.approx(
+        1e6 * document["energy"]["friction_loss_J"], rel=1e-2
+    )
+    assert document["deflection"] == "second-order"
+    assert document["energy"]["closure_relative"] < 1e-5
+    _, upright, _ = run("drop", "--out", tmp_path / "b")
+    assert "touches" not in upright
+    assert "friction" not in upright
+
+
+def test_a_bristle_that_falls_over_ends_with_its_first_touches(tmp_path):
+    status, _, _ = run("drop", "--tilt", "60", "--out", tmp_path / "out")
+    assert status == 0
+    document = json.loads((tmp_path / "out/result.json").read_text())
+    assert document["cm_velocity_after_m_s"] < 0.0
+    assert document["energy"]["closure_relative"] < 1e-9
+
+
+def test_a_result_repeats_itself(tmp_path):
+    run("drop", "--out", tmp_path / "a", "--kn", "3e6", "--until", "0.25", "--elements", "6")
+    status, _, _ = run("drop", "--config", tmp_path / "a/result.json", "--out", tmp_path / "b")
+    assert status == 0
+    a, b = (json.loads((tmp_path / name / "result.json").read_text()) for name in "ab")
+    changing = {"wall_s", "peak_rss_MB"}
+    assert {k: v for k, v in a.items() if k not in changing} == {
+        k: v for k, v in b.items() if k not in changing
+    }
+    assert (tmp_path / "a/history.csv").read_text() == (tmp_path / "b/history.csv").read_text()
+
+
+def test_resume_on_the_command_line(tmp_path):
+    run("drop", "--out", tmp_path / "a")
+    status, out, _ = run("drop", "--out", tmp_path / "a", "--resume")
+    assert status == 0
+    assert "nothing to do" in out
+    message = refused("drop", "--out", tmp_path / "a", "--resume", "--height", "0.02")
+    assert "--height is 0.05 there, 0.02 is asked for" in message
+    message = refused("drop", "--out", tmp_path / "a", "--resume", "--tilt", "2")
+    assert "--tilt is 0.0 there, 2.0 is asked for" in message
+
+
+def test_the_default_folder_is_results(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert run("drop")[0] == 0
+    assert (tmp_path / "results/drop/result.json").exists()
+
+
+def test_warnings_are_told_and_kept(tmp_path):
+    _, _, lines = run("drop", "--kn", "1e8", "--out", tmp_path / "a")
+    (told,) = [line for line in lines if line.startswith("bristle: warning: ")]
+    (kept,) = json.loads((tmp_path / "a/result.json").read_text())["warnings"]
+    assert told == f"bristle: warning: {kept}"
+
+
+@pytest.mark.parametrize("where", ["global", "command"])
+def test_debug_alone_shows_a_traceback(tmp_path, where):
+    arguments = ["drop", "--kn", "-1", "--out", tmp_path / "out"]
+    arguments.insert(0 if where == "global" else 1, "--debug")
+    status, _, lines = run(*arguments)
+    assert status == 2
+    assert lines[0].startswith("Traceback")
+    assert ERROR.match(lines[-1])
+
+
+def test_what_nobody_foresaw_ends_with_1_and_a_hint(tmp_path, monkeypatch):
+    def fail(*args, **kwargs):
+        raise ZeroDivisionError("two\nlines")
+
+    monkeypatch.setattr(drop_study, "_compute", fail)
+    status, _, lines = run("drop", "--out", tmp_path / "out")
+    assert status == 1
+    expected = "ZeroDivisionError: two lines (unexpected: --debug shows where)"
+    assert lines[-1] == f"bristle: error: {expected}"
+
+
+def test_a_full_disk_ends_with_1_and_the_file(tmp_path, monkeypatch):
+    def fail(*args, **kwargs):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(drop_study.results, "write_drop", fail)
+    status, _, lines = run("drop", "--out", tmp_path / "out")
+    said = f"bristle: error: {tmp_path / 'out'}: cannot be written: No space left on device"
+    assert (status, lines[-1]) == (1, said)
+    assert not list((tmp_path / "out").iterdir())
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_an_interruption_ends_with_130_and_leaves_the_old_result(tmp_path, number):
+    out = tmp_path / "out"
+    # short steps and long ones run the same compiled code, which is compiled here
+    short = ["drop", "--model", "beam", "--march", "--its", "1e-4", "--out", out]
+    assert run(*short)[0] == 0
+    before = (out / "result.json").read_bytes()
+    long = ["drop", "--model", "beam", "--march", "--its", "1e-6", "--out"]
+    process = subprocess.Popen(
+        [sys.executable, "-m", "bristle.studies.cli", *long, out],
+        stderr=subprocess.PIPE,
+        text=True,
+        env=environment(),
+    )
+    assert "dropping" in process.stderr.readline()
+    time.sleep(0.3)
+    os.kill(process.pid, number)
+    _, errors = process.communicate(timeout=30)
+    assert process.returncode == 130
+    assert errors.splitlines()[-1] == "bristle: interrupted"
+    assert (out / "result.json").read_bytes() == before
+    assert sorted(path.name for path in out.iterdir()) == ["history.csv", "result.json"]
+
+
+@pytest.mark.parametrize("module", ["drop", "sweep", "its", "mesh"])
+def test_each_study_is_a_script(module):
+    done = python("-m", f"bristle.studies.{module}", "--length", "-1")
+    assert done.returncode == 2
+    assert done.stderr.splitlines()[-1].startswith("bristle: error: --length: ")
+
+
+def test_on_two_ranks_one_speaks(tmp_path):
+    solid = ["drop", "--model", "solid", "--cells", "1", "1", "10", "--no-fields", "--out"]
+    done = mpirun(2, "-m", "bristle.studies.cli", *solid, tmp_path / "out")
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.count("rebound ratio") == 1
+    assert done.stderr.count("building") == 1
+    assert json.loads((tmp_path / "out/result.json").read_text())["ranks"] == 2
+
+
+@pytest.mark.parametrize("arguments", [["--kn", "-1"], ["--kn", "x"], ["--out", "taken"]], ids=str)
+def test_an_error_on_all_ranks_is_told_once(tmp_path, monkeypatch, arguments):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "taken").write_text("")
+    done = mpirun(2, "-m", "bristle.studies.cli", "drop", *arguments)
+    assert done.returncode == 2
+    assert done.stderr.count("bristle: error: ") == 1
+
+
+LONE = """
+import sys, time
+import click
+from bristle.solver.errors import ComputationError
+from bristle.studies.command.ending import run
+from mpi4py import MPI
+
+@click.command()
+def lone():
+    if MPI.COMM_WORLD.rank == int(sys.argv[1]):
+        raise ComputationError("this rank alone")
+    MPI.COMM_WORLD.Barrier()
+
+sys.exit(run(lone, []))
+"""
+
+
+@pytest.mark.parametrize("rank", [0, 1])
+def test_a_rank_that_fails_alone_ends_the_job(rank):
+    done = mpirun(2, "-c", LONE, rank, timeout_s=60.0)
+    assert done.returncode == 1
+    assert done.stderr.count("bristle: error: this rank alone") == 1

@@ -1,0 +1,278 @@
+"""Does `bristle close-loop` end with the verdict, the page and the exit status that it promises?
+
+Measured datasets lie in ``shared/data`` beside the repository; where they are not, their tests are
+skipped. Each ``dataset.toml`` there names its public source and commit.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+
+import commands
+import numpy as np
+import pytest
+from made_drops import COUNT, QUICK, SIGMA_MM, write_drops
+
+from bristle.solver.effects.library import EFFECTS
+from bristle.solver.errors import ComputationError
+from bristle.studies.cli import main
+from bristle.studies.close_loop import run as closeloop
+from bristle.studies.close_loop.directions import directions
+from bristle.studies.data import datasets
+from bristle.studies.loop.kinds.drops import problem as drops_module
+from bristle.studies.loop.kinds.drops.problem import drops_problem
+from bristle.studies.loop.kinds.drops.solid import chances, solid_drops
+
+pytestmark = pytest.mark.serial
+
+DATA = Path(__file__).resolve().parents[3] / "shared" / "data"
+MEASURED = Path(__file__).resolve().parents[2] / "studies" / "measured"
+KEYS = {
+    "verdict", "effects", "weights", "detection", "open_set", "parameters", "classes", "detectable",
+    "held_out", "confirmed_in_3d", "next_experiment", "seed",
+}  # fmt: skip
+SECTIONS = (
+    "noise", "baseline", "residuals", "tests", "detectable", "evidence", "attribution", "left",
+    "held-out", "solid", "next",
+)  # fmt: skip
+# As in the README's example.
+README_BETA_S = 9.445e-9
+NASTY = "<script>alert(1)</script> & drops"
+
+
+def read_strictly(path: Path) -> dict:
+    def refuse(word: str) -> None:
+        raise AssertionError(f"{word} is no JSON")
+
+    return json.loads(path.read_text(), parse_constant=refuse)
+
+
+@pytest.fixture(scope="module")
+def quick():
+    """The library without effects that have to be simulated first."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(drops_module, "carried", lambda kind, quantities: list(QUICK))
+        yield
+
+
+@pytest.fixture(scope="module")
+def worn(tmp_path_factory, quick) -> tuple[Path, Path]:
+    """A dataset in which the contact wears, and the folder of its closed loop."""
+    folder = tmp_path_factory.mktemp("worn")
+    dataset = write_drops(folder / "data", [EFFECTS["wear"](decades=2.0)], NASTY)
+    out = folder / "deep" / "out"
+    assert main(["close-loop", str(dataset), "--out", str(out), "--seed", "3", "--no-3d"]) == 0
+    return dataset, out
+
+
+def test_the_verdict_has_the_keys_of_the_contract_and_names_what_is_missing(worn):
+    content = read_strictly(worn[1] / "verdict.json")
+    assert set(content) >= KEYS
+    assert content["verdict"] == "effect"
+    assert content["effects"] == ["wear"]
+    assert content["weights"]["wear"] == pytest.approx(1.0, abs=0.05)
+    assert content["seed"] == 3
+    assert content["detection"]["p_value"] < 0.03 < content["open_set"]["p_value"]
+    wear = content["parameters"]["decades"]
+    # 90 % intervals: the truth lies within twice their width all but always
+    assert abs(wear["estimate"] - 2.0) < wear["high"] - wear["low"]
+    held = content["held_out"]
+    assert held["rms_after"] < 0.5 * held["rms_before"]
+    assert held["unit"] == "mm"
+    assert set(held["groups"]) <= set(range(1, COUNT + 1))
+    assert content["confirmed_in_3d"] is None
+    assert "--no-3d" in content["confirmed_in_3d_why"]
+
+
+def test_a_difference_between_sessions_is_seen_and_no_effect_is_named_for_it(tmp_path, quick):
+    """Of two that alternate at random, the second reads lower by some errors of measurement."""
+    folder = write_drops(tmp_path / "data")
+    head, *rows = (folder / "drops.csv").read_text().split()
+    second = np.random.default_rng(5).random(len(rows)) < 0.5
+    for i, row in enumerate(rows):
+        drop, y0, y1 = row.split(",")
+        lower = 5.0 * SIGMA_MM if second[i] else 0.0
+        rows[i] = f"{drop},{y0},{float(y1) - lower:.4f},{'b' if second[i] else 'a'}"
+    (folder / "drops.csv").write_text("\n".join([f"{head},session", *rows, ""]))
+    out = tmp_path / "out"
+    assert main(["close-loop", str(folder), "--out", str(out), "--no-3d"]) == 0
+    content = read_strictly(out / "verdict.json")
+    assert content["verdict"] == "unknown"
+    assert "session" in content["detection"]["statistic"]
+
+
+def test_the_page_has_every_step_with_its_table_and_escapes_the_title(worn):
+    page = (worn[1] / "report.html").read_text()
+    for section in SECTIONS:
+        assert f'<section id="{section}"' in page
+    assert NASTY not in page
+    assert "&lt;script&gt;alert(1)&lt;/script&gt; &amp; drops" in page
+    names = {path.stem for path in (worn[1] / "tables").iterdir()}
+    assert names >= {"fit", "residuals", "tests", "detectable", "evidence", "held_out", "errors"}
+    rows = (worn[1] / "tables" / "residuals.csv").read_text().splitlines()
+    assert len(rows) == COUNT + 1
+    assert rows[0] == "group,quantity,height,order,before,after,held_out"
+    assert {path.name for path in worn[1].iterdir()} == {
+        "verdict.json", "report.html", "tables", "figures",
+    }  # fmt: skip
+
+
+def test_the_same_seed_gives_the_same_bytes_also_from_its_own_output(worn, tmp_path):
+    dataset, out = worn
+    first = (out / "verdict.json").read_bytes()
+    again = ["close-loop", str(dataset), "--config", str(out / "verdict.json")]
+    assert main([*again, "--out", str(tmp_path / "again")]) == 0
+    assert (tmp_path / "again" / "verdict.json").read_bytes() == first
+    assert str(dataset).encode() not in first
+
+
+def test_data_that_lack_nothing_are_adequate_and_confirmed_by_the_solid(quick, tmp_path, capsys):
+    dataset = write_drops(tmp_path / "data")
+    assert main(["close-loop", str(dataset), "--out", str(tmp_path / "out")]) == 0
+    content = read_strictly(tmp_path / "out" / "verdict.json")
+    assert content["verdict"] == "adequate"
+    assert content["effects"] == []
+    kn = content["parameters"]["kn_N_m"]
+    assert abs(kn["estimate"] - 2e6) < kn["high"] - kn["low"]
+    solid, held = content["confirmed_in_3d"], content["held_out"]
+    assert solid["rms_before"] == pytest.approx(held["rms_before"], rel=0.1)
+    assert solid["rms_after"] == solid["rms_before"]
+    assert solid["rms_after"] < 2.0 * SIGMA_MM
+    said = capsys.readouterr()
+    assert "adequate" in said.out
+    assert "report.html" in said.out
+
+
+def test_the_solid_follows_the_beam_with_effects_in_it(quick, tmp_path):
+    problem = drops_problem(datasets.read_drops(write_drops(tmp_path / "data")))
+    effects = ("release_velocity", "scale_error", "height_offset", "wear")
+    model = problem.combine(effects)
+    theta = np.array([2e6, 0.2, 0.05, 1e-3, 1.0])
+    which = [0, 7, 19, 39]
+    beam = model.measured(theta)[0, which]
+    assert solid_drops(model, theta, which) == pytest.approx(beam, rel=2e-3)
+    plain = solid_drops(problem.baseline, theta[:1], which)
+    assert np.all(np.abs(plain / beam - 1.0) > 0.01)
+
+
+def test_chance_is_met_in_the_mean_and_in_the_square():
+    effects = [EFFECTS["surface_phases"](), EFFECTS["surface_slope"](), EFFECTS["wear"]()]
+    nodes, weights = chances(effects)
+    assert weights.sum() == pytest.approx(1.0)
+    stiff = np.array([node[0][0] for node in nodes])
+    thin, wide = (np.array([node[1][i] for node in nodes]) for i in (0, 1))
+    assert weights @ stiff == pytest.approx(0.0, abs=1e-12)
+    assert weights @ stiff**4 == pytest.approx(3.0)
+    assert weights @ thin**2 == pytest.approx(1.0)
+    assert weights @ wide**2 == pytest.approx(1.0)
+
+
+def test_drops_that_are_numbered_by_their_date_wear_to_an_end(tmp_path):
+    folder = write_drops(tmp_path / "data")
+    table = (folder / "drops.csv").read_text()
+    (folder / "drops.csv").write_text(table.replace(f"\n{COUNT},", "\n20261121,"))
+    problem = drops_problem(datasets.read_drops(folder))
+    (wear,) = [each for each in problem.candidates if each.effects == ("wear",)]
+    for decades in (wear.parameters[1].low, wear.parameters[1].high):
+        with np.errstate(all="raise"):
+            predicted = wear.predict(np.array([2e6, decades]))
+        assert np.isfinite(predicted).all()
+
+
+def test_a_direction_that_data_cannot_see_is_named(quick, tmp_path):
+    problem = drops_problem(datasets.read_drops(write_drops(tmp_path / "data")))
+    rows = np.arange(len(problem.values))
+    unit = np.ones(len(rows))
+    (own,) = directions(problem.baseline, [2e6], rows, unit)
+    assert own.seen
+    assert own.words(["kn_N_m"]) == "1.00 kn_N_m"
+    found = directions(problem.baseline, [2e6], rows, 1e-9 * unit)
+    assert not found[0].seen
+    assert found[0].deviation == pytest.approx(1.0 / math.sqrt(12.0))
+
+
+@pytest.mark.parametrize(
+    ("table", "words"),
+    [
+        ("drop,y0_mm,y1_mm\n1,10,6\n2,20,x\n3,30,19\n", "drops.csv:3: y1_mm is no number: 'x'"),
+        ("drop,y0_mm,y1_mm\n1,10,6\n2,20,13\n3,30,19\n", "the loop needs four or more"),
+        (None, "drops.csv: no such file"),
+    ],
+)
+def test_a_wrong_dataset_ends_with_2_and_leaves_nothing_behind(tmp_path, table, words):
+    (tmp_path / "dataset.toml").write_text("[dataset]\nkind = 'drops'\n")
+    if table is not None:
+        (tmp_path / "drops.csv").write_text(table)
+    before = sorted(tmp_path.iterdir())
+    done = commands.bristle("close-loop", tmp_path, "--out", tmp_path / "new" / "out")
+    assert done.returncode == 2
+    last = done.stderr.splitlines()[-1]
+    assert last.startswith("bristle: error: ")
+    assert words in last
+    assert sorted(tmp_path.iterdir()) == before
+
+
+def test_wrong_options_end_with_2(worn, tmp_path, capsys):
+    dataset, _ = worn
+    for options, words in (
+        (["--alarm", "2"], "--alarm: must be less than or equal to 0.3"),
+        (["--seed", "-1"], "--seed: must be greater than or equal to 0"),
+        (["--out", str(dataset / "drops.csv")], "is a file, not a folder"),
+    ):
+        assert main(["close-loop", str(dataset), *options]) == 2
+        assert words in capsys.readouterr().err.splitlines()[-1]
+
+
+def test_a_loop_that_fails_ends_with_1_and_keeps_what_was_there(worn, tmp_path, monkeypatch):
+    def fail(*arguments):
+        raise ComputationError("no")
+
+    dataset, _ = worn
+    kept = tmp_path / "kept"
+    kept.mkdir()
+    (kept / "verdict.json").write_text("mine")
+    monkeypatch.setattr(closeloop, "find", fail)
+    for out in (kept, tmp_path / "new" / "out"):
+        assert main(["close-loop", str(dataset), "--out", str(out)]) == 1
+    assert [path.name for path in tmp_path.iterdir()] == ["kept"]
+    assert (kept / "verdict.json").read_text() == "mine"
+
+
+def test_help_shows_an_example():
+    done = commands.bristle("close-loop", "--help")
+    assert done.returncode == 0
+    assert "Example: bristle close-loop" in " ".join(done.stdout.split())
+
+
+def measured(name: str) -> Path:
+    if not (DATA / name / "dataset.toml").is_file():
+        pytest.skip(f"{name} is not in {DATA}: the README says where anyone can get it")
+    return DATA / name
+
+
+def test_the_measured_bar_lacks_its_damping_and_the_solid_confirms_it(tmp_path):
+    dataset = MEASURED / "square-bar"
+    done = commands.mpirun(2, "-m", "bristle.studies.closeloop", dataset, "--out", tmp_path / "out")
+    assert done.returncode == 0, done.stderr
+    content = read_strictly(tmp_path / "out" / "verdict.json")
+    assert content["verdict"] in ("effect", "ambiguous", "unknown")
+    assert content["detection"]["p_value"] < 0.03
+    if content["verdict"] == "effect":
+        beta = content["parameters"]["beta_s"]
+        assert beta["low"] < README_BETA_S < beta["high"]
+        assert "material_damping" in content["effects"]
+        for errors in (content["held_out"], content["confirmed_in_3d"]):
+            assert errors["rms_after"] < 0.14 * errors["rms_before"]
+
+
+def test_the_measured_falls_meet_the_air(tmp_path):
+    done = commands.bristle("close-loop", MEASURED / "falls-phone", "--out", tmp_path / "out")
+    assert done.returncode == 0, done.stderr
+    content = read_strictly(tmp_path / "out" / "verdict.json")
+    assert content["detection"]["p_value"] < 0.03
+    assert "air_drag" in content["effects"]
+    assert content["confirmed_in_3d"] is None
+    assert "does not touch" in content["confirmed_in_3d_why"]
+    assert content["held_out"]["rms_after"] < 0.17 * content["held_out"]["rms_before"]

@@ -1,0 +1,179 @@
+"""Is the page valid, whole in one file, and true to its tables?"""
+
+from __future__ import annotations
+
+import base64
+import csv
+import io
+from html.parser import HTMLParser
+
+import pytest
+
+from bristle.studies.report.figures import Picture, panels, picture, spread, styled
+from bristle.studies.report.page import (
+    Column,
+    Comparison,
+    Figure,
+    Report,
+    Section,
+    Table,
+    Verdict,
+    percent,
+    render_report,
+    show,
+    write_report,
+)
+
+pytestmark = pytest.mark.serial
+
+VOID = {"meta", "link", "br", "img", "hr", "input", "path", "use"}
+NASTY = '<script>alert("1")</script> & Co'
+
+
+class Page(HTMLParser):
+    """Elements, attributes, text, and whether every element is closed in its place."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.open: list[str] = []
+        self.tags: list[tuple[str, dict[str, str | None]]] = []
+        self.text: list[str] = []
+        self.feed(text)
+        self.close()
+
+    def handle_starttag(self, tag, attrs):
+        self.tags.append((tag, dict(attrs)))
+        if tag not in VOID - {"path", "use"}:
+            self.open.append(tag)
+
+    def handle_startendtag(self, tag, attrs):
+        self.tags.append((tag, dict(attrs)))
+
+    def handle_endtag(self, tag):
+        assert self.open, f"</{tag}> closes nothing"
+        assert self.open.pop() == tag
+
+    def handle_data(self, data):
+        self.text.append(data)
+
+
+@styled
+def _drawing():
+    figure, axes = panels()
+    axes[0, 0].plot([0, 1], [1, 0], "o-", label="a < b & c")
+    axes[0, 0].legend()
+    return figure
+
+
+@pytest.fixture(scope="module")
+def report() -> Report:
+    table = Table(
+        "one",
+        NASTY,
+        (Column("kn_MN_m", "Kn", "MN/m", 0), Column("ratio", "y1/y0"), Column("why", "Why")),
+        [(2.0, 0.123456789, NASTY), (0.01, None, "so"), (1e8, float("inf"), "on")],
+    )
+    other = Table("two", "Two", (Column("x", "x"),), [(1.0,)])
+    figures = [
+        Figure(name, "Caption " + NASTY, picture(_drawing()), "Alt " + NASTY, data)
+        for name, data in (("a", table), ("b", other))
+    ]
+    row = Comparison("Kn", "Eq. 8", "2", "2.05", NASTY, "3·10^−4", Verdict.AGREES, NASTY)
+    section = Section("s", NASTY, [NASTY], [row], figures, [table], "bristle x")
+    return Report("T " + NASTY, NASTY, "0", "bristle y", [NASTY], [("a", NASTY)], [section])
+
+
+@pytest.fixture(scope="module")
+def html(report: Report) -> str:
+    return render_report(report)
+
+
+def test_the_page_is_well_formed_and_escapes_what_it_is_given(html):
+    page = Page(html)
+    assert html.startswith("<!DOCTYPE html>")
+    assert page.open == []
+    assert not [tag for tag, _ in page.tags if tag == "script"]
+    assert any(NASTY in text for text in page.text)
+
+
+def test_identifiers_are_unique_and_every_reference_stays_in_the_file(html):
+    page = Page(html)
+    ids = [attrs["id"] for _, attrs in page.tags if "id" in attrs]
+    assert len(ids) == len(set(ids))
+    for tag, attrs in page.tags:
+        for name in ("href", "src", "xlink:href", "srcset", "data"):
+            where = attrs.get(name)
+            if where is not None:
+                assert where.startswith(("#", "data:")), (tag, where)
+                if where.startswith("#"):
+                    assert where[1:] in ids
+        if "aria-labelledby" in attrs:
+            assert attrs["aria-labelledby"] in ids
+    assert "@import" not in html
+    assert "http" not in html.replace("http-equiv", "")
+
+
+def test_tables_in_the_page_the_link_and_the_file_hold_the_same_numbers(report, html, tmp_path):
+    write_report(report, tmp_path)
+    assert (tmp_path / "report.html").read_text() == html
+    on_disk = (tmp_path / "tables" / "one.csv").read_text()
+    links = [a["href"] for tag, a in Page(html).tags if a.get("download") == "one.csv"]
+    assert {base64.b64decode(link.partition(",")[2]).decode() for link in links} == {on_disk}
+    rows = list(csv.DictReader(io.StringIO(on_disk)))
+    assert [row["kn_MN_m"] for row in rows] == ["2.0", "0.01", "100000000.0"]
+    assert rows[1]["ratio"] == ""
+    cells = [attrs["value"] for tag, attrs in Page(html).tags if tag == "data"]
+    for row in rows:
+        assert row["kn_MN_m"] in cells
+    assert not list(tmp_path.rglob(".*"))
+
+
+def test_two_tables_of_one_name_are_refused(report):
+    twin = Table("one", "Other", (Column("x", "x"),), [(1,)])
+    double = Report("t", "", "0", "", sections=[*report.sections, Section("z", "z", tables=[twin])])
+    with pytest.raises(ValueError, match="one"):
+        render_report(double)
+
+
+def test_a_row_must_fit_its_columns():
+    with pytest.raises(ValueError, match="2 values under 1 columns"):
+        Table("t", "t", (Column("x", "x"),), [(1, 2)])
+
+
+@pytest.mark.parametrize(
+    ("value", "digits", "text"),
+    [
+        (0.65755, 4, "0.6575"),
+        (1651.07, 4, "1651"),
+        (0.0, 4, "0.000"),
+        (-2.71e-5, 2, "−2.7·10^−5"),
+        (None, 4, "–"),
+        (float("inf"), 4, "∞"),
+        (True, 4, "yes"),
+        (-3, 4, "−3"),
+        (0.01, 0, "0.01"),
+    ],
+)
+def test_numbers_as_a_reader_wants_them(value, digits, text):
+    assert show(value, digits) == text
+
+
+def test_percentages():
+    assert percent(0.194) == "19.4\u00a0%"
+    assert percent(-0.786, 0, signed=True) == "−79\u00a0%"
+    assert percent(-1e-6, signed=True) == "0.0\u00a0%"
+
+
+def test_the_same_figure_gives_the_same_bytes():
+    first, second = picture(_drawing()), picture(_drawing())
+    assert isinstance(first, Picture)
+    assert first == second
+    assert first.png.startswith(b"\x89PNG")
+
+
+def test_labels_are_moved_apart_and_keep_their_order():
+    import numpy as np
+
+    placed = spread(np.array([0.0, 0.1, 0.12, 5.0, 9.99, 10.0]), 0.5, 0.0, 10.0)
+    assert np.all(np.diff(placed) >= 0.5 - 1e-12)
+    assert placed.max() <= 10.0
