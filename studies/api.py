@@ -26,8 +26,8 @@ from .inputs.config import DropInputs
 from .inputs.loop_fields import LoopInputs
 from .inputs.sources import checked
 from .running.results import HISTORY_FILE
-from .running.study import COLUMNS, TABLE_FILE, Study, StudyInputs, rows_of
-from .sweep import run_sweep
+from .running.study import TABLE_FILE, Study, rows_of
+from .sweep import SweepInputs, run_sweep
 
 
 class Record(Mapping[str, Any]):
@@ -112,9 +112,10 @@ def drop(*, out: str | Path | None = None, **inputs: Any) -> Drop:
 
 
 def sweep(*, out: str | Path | None = None, **inputs: Any) -> pd.DataFrame:
-    """Every combination of ``models``, ``kn_N_m``, ``height_m`` and ``its_s``, each one or several.
+    """Every combination of ``models``, ``kn_N_m``, ``height_m``, ``its_s`` and any other number or
+    choice, each one or several: ``bristle.sweep(kn_N_m=[1e5, 2e6], tilt_deg=[0, 2])``.
 
-    Returns a row per case with table.csv's columns: `bristle.sweep(kn_N_m=[1e5, 2e6])`. With
+    Returns a row per case with table.csv's columns, and one for each further list. With
     ``out`` the command's files are written into that folder. Raises InputError and
     ComputationError.
     """
@@ -122,16 +123,18 @@ def sweep(*, out: str | Path | None = None, **inputs: Any) -> pd.DataFrame:
     for one, other in names.items():
         if one in inputs and other in inputs:
             raise InputError(f"{one}: given twice, also as {other}")
-    asked = _checked(StudyInputs, {names.get(name, name): each for name, each in inputs.items()})
+    asked = _checked(SweepInputs, {names.get(name, name): each for name, each in inputs.items()})
     folder = _folder(out)
     if folder is not None:
         run_sweep(asked, folder, MPI.COMM_WORLD)
         return pd.read_csv(folder / TABLE_FILE)
-    rows = rows_of(Study("sweep"), asked.cases(), MPI.COMM_WORLD)
+    study = Study("sweep", varied=asked.varied)
+    rows = rows_of(study, asked.cases(), MPI.COMM_WORLD)
+    columns = list(study.columns)
     seen = [
-        {name: math.nan if row[name] is None else row[name] for name in COLUMNS} for row in rows
+        {name: math.nan if row[name] is None else row[name] for name in columns} for row in rows
     ]
-    return pd.DataFrame(seen, columns=list(COLUMNS))
+    return pd.DataFrame(seen, columns=columns)
 
 
 def close_loop(dataset: str | Path, *, out: str | Path | None = None, **inputs: Any) -> Verdict:

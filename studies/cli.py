@@ -24,6 +24,7 @@ from .inputs.fields import (
     OUTPUT,
     PLUGIN,
     STUDY_FLAGS,
+    SWEEP_FLAGS,
     BodyFields,
     DiscretisationFields,
     MeshFields,
@@ -138,7 +139,7 @@ def drop(
 
 
 @app.command()
-@takes(STUDY_FLAGS)
+@takes(SWEEP_FLAGS)
 def sweep(
     given: dict[str, Any],
     config: Config = None,
@@ -150,15 +151,14 @@ def sweep(
     """Normal contact stiffness times height (Fig. 13): a table, and the tip's height over time.
 
     Without lists: the paper's eleven Kn and five heights, with the beam and the reduced solid, at
-    an ITS of 0.01 ms.
+    an ITS of 0.01 ms. Any other number or choice may be several too: --tilt 0,2,5
 
     Example: mpirun -n 2 bristle sweep --models beam,reduced --kn 1e5,2e6,1e8 --heights 0.01,0.05
     """
     from .inputs.sources import inputs_of
-    from .running.study import StudyInputs
-    from .sweep import answer, run_sweep
+    from .sweep import SweepInputs, answer, run_sweep
 
-    inputs = inputs_of(StudyInputs, given, STUDY_FLAGS, config)
+    inputs = inputs_of(SweepInputs, given, SWEEP_FLAGS, config)
     run_sweep(inputs, out, resume=resume, ranks_per_case=ranks_per_case)
     print(*answer(out), sep="\n")
 

@@ -1,4 +1,4 @@
-"""How does the rebound depend on contact stiffness and height (Fig. 13)?
+"""Rebound against contact stiffness, height (Fig. 13), and any other input.
 
 Writes table.csv, heights.svg and .png, and sweep.json. Also a script:
 ``mpirun -n 4 python3 -m bristle.studies.sweep --models beam,reduced``.
@@ -6,27 +6,98 @@ Writes table.csv, heights.svg and .png, and sweep.json. Also a script:
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 from mpi4py import MPI
+from pydantic import (
+    ModelWrapValidatorHandler,
+    PrivateAttr,
+    SerializerFunctionWrapHandler,
+    model_serializer,
+    model_validator,
+)
 
 from ..solver import paper
 from .command.script import as_script
 from .inputs.choices import Model
+from .inputs.config import refuse
+from .inputs.fields import SHARED_FLAGS, read_items
+from .inputs.sources import DEPENDENTS
 from .report.figures import picture, write_picture
 from .report.paper_figures import height_figure
 from .running.files import read_csv
-from .running.study import TABLE_FILE, Row, Study, StudyInputs, run_study
+from .running.study import (
+    COLUMNS,
+    OWN,
+    TABLE_FILE,
+    Row,
+    Study,
+    StudyInputs,
+    check_number,
+    run_study,
+)
 
 FIGURE = "heights"
 MARKERS = 60
+LISTED = {flag.field: flag.kind for flag in SHARED_FLAGS if flag.may_be_several}
+
+
+class SweepInputs(StudyInputs):
+    """Lists of models, stiffnesses, heights and time steps, and of any other number or choice."""
+
+    _given: dict[str, Any] = PrivateAttr(default_factory=dict)
+    _lists: dict[str, tuple[Any, ...]] = PrivateAttr(default_factory=dict)
+
+    @model_validator(mode="wrap")
+    @classmethod
+    def _several(cls, data: Any, handler: ModelWrapValidatorHandler[Self]) -> Self:
+        """Inputs with the first value of each list, which keep what was given and the lists."""
+        if not isinstance(data, dict):
+            return handler(data)
+        items = {name: _items(name, data[name]) for name in LISTED if data.get(name) is not None}
+        first = {**data, **{name: values[0] for name, values in items.items()}}
+        inputs = handler(first)
+        inputs._given = {name: value for name, value in first.items() if name not in OWN}
+        inputs._lists = {name: values for name, values in items.items() if len(values) > 1}
+        check_number(inputs.models, inputs.kn_N_m, inputs.heights_m, inputs.its_s,
+                     *inputs._lists.values())  # fmt: skip
+        return inputs
+
+    @property
+    def varied(self) -> tuple[str, ...]:
+        return tuple(self._lists)
+
+    def shared(self) -> list[dict[str, Any]]:
+        return [
+            {**self._given, **dict(zip(self._lists, values, strict=True))}
+            for values in itertools.product(*self._lists.values())
+        ]
+
+    @model_serializer(mode="wrap")
+    def _with_lists(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """The inputs with their lists, without what follows from a value that differs."""
+        follows = {name for above in self._lists for name in DEPENDENTS.get(above, ())}
+        left_out = follows - self._given.keys()
+        plain = {name: None if name in left_out else value for name, value in handler(self).items()}
+        return plain | self._lists
+
+
+def _items(name: str, value: Any) -> tuple[Any, ...]:
+    try:
+        items = read_items(LISTED[name], value)
+    except ValueError as error:
+        refuse(name, str(error))
+    if not items:
+        refuse(name, "is an empty list")
+    return items
 
 
 def run_sweep(
-    inputs: StudyInputs,
+    inputs: SweepInputs,
     out: Path,
     comm: MPI.Intracomm = MPI.COMM_WORLD,
     *,
@@ -34,44 +105,54 @@ def run_sweep(
     ranks_per_case: int | None = None,
 ) -> None:
     """Compute the sweep into the folder ``out``; see `study.run_study`."""
-    study = Study("sweep", _finish, curves=True)
+
+    def finish(rows: Sequence[Row], folder: Path) -> dict[str, Any]:
+        return _finish(rows, inputs.varied, folder)
+
+    study = Study("sweep", finish, curves=True, varied=inputs.varied)
     run_study(study, inputs, out, comm, resume=resume, ranks_per_case=ranks_per_case)
 
 
-def _finish(rows: Sequence[Row], out: Path) -> dict[str, Any]:
-    """A figure for each ITS of the sweep."""
-    steps = sorted({row["its_s"] for row in rows}, reverse=True)
+def _finish(rows: Sequence[Row], varied: Sequence[str], out: Path) -> dict[str, Any]:
+    """A figure for each ITS of the sweep, and each combination of what is ``varied`` besides."""
+    pictures: dict[str, list[Row]] = {}
+    steps = {row["its_s"] for row in rows}
+    for row in sorted(rows, key=lambda row: -row["its_s"]):
+        named = [("its", row["its_s"])] if len(steps) > 1 else []
+        named += [(name, row[name]) for name in varied]
+        words = [f"{name}-{x:g}" if isinstance(x, float) else f"{name}-{x}" for name, x in named]
+        pictures.setdefault("-".join([FIGURE, *words]), []).append(row)
     names = []
-    for its_s in steps:
-        name = FIGURE if len(steps) == 1 else f"{FIGURE}-its-{its_s:g}"
-        curves = {
-            (row["model"], row["y0_m"], row["kn_N_m"]): _path(row)
-            for row in rows
-            if row["its_s"] == its_s
-        }
+    for name, members in pictures.items():
+        curves = {(row["model"], row["y0_m"], row["kn_N_m"]): _path(row) for row in members}
         names += write_picture(out / name, picture(height_figure(curves)))
     return {"files": names}
 
 
 def answer(out: Path) -> list[str]:
     """What a finished sweep in ``out`` says, as lines: y1/y0 over stiffness and height for each
-    model, and at which Kn it is the paper's."""
+    model and each combination of further lists, and at which Kn it is the paper's."""
     rows = read_csv(out / TABLE_FILE)
     if not any(row["rebound_ratio"] for row in rows):
         return ["no rebound was computed: --until ends the drops before it"]
+    several = ["contact"] if len({row["contact"] for row in rows}) > 1 else []
+    varied = several + [name for name in rows[0] if name not in COLUMNS]
+    parts: dict[tuple[str, ...], list[dict[str, str]]] = {}
+    for row in rows:
+        parts.setdefault(tuple(row[name] for name in ("model", "its_s", *varied)), []).append(row)
     lines: list[str] = []
-    for model, its_s in dict.fromkeys((row["model"], row["its_s"]) for row in rows):
+    for (model, its_s, *values), members in parts.items():
+        at = (f", {name} {value}" for name, value in zip(varied, values, strict=True))
         ratio = {
             (float(row["kn_N_m"]), float(row["y0_m"])): float(row["rebound_ratio"] or "nan")
-            for row in rows
-            if (row["model"], row["its_s"]) == (model, its_s)
+            for row in members
         }
         kns, heights = (sorted({key[i] for key in ratio}) for i in range(2))
-        lines += [f"{model}, ITS {float(its_s):g} s: y1/y0", "  Kn (N/m) from (mm)"]
+        lines += [f"{model}, ITS {float(its_s):g} s{''.join(at)}: y1/y0", "  Kn (N/m) from (mm)"]
         lines[-1] += "".join(f"{1e3 * height:9.4g}" for height in heights)
         for kn in kns:
-            values = "".join(f"{ratio[kn, height]:9.4f}" for height in heights)
-            lines.append(f"  {kn:<18.6g}{values}")
+            ratios = "".join(f"{ratio[kn, height]:9.4f}" for height in heights)
+            lines.append(f"  {kn:<18.6g}{ratios}")
         found = _kn_of(paper.RATIO_MEAN, kns, [ratio[kn, heights[-1]] for kn in kns])
         if found is not None:
             lines.append(

@@ -38,6 +38,8 @@ DEFLATED = 1e-10
 # each with how many vectors of a load. Long impacts (soft contact) live on these.
 SHARE = 0.3
 SLOW = ((1.0, 16), (1e4, 16))
+# Uniform and linear tractions along and about three axes.
+RESULTANTS = 6
 # Slices along a solid of second order, with two points of its axis in each.
 AXIS_SLICES = 64
 # Numbers in a block of vectors that are worked on together.
@@ -109,7 +111,7 @@ class ReducedModel:
     @property
     def slowest_1_s2(self) -> float:
         """A shift far below all but the slowest motion, for which there is a factor."""
-        return _slow_shifts(self.body)[0][0]
+        return _slow_shifts(self.body)[0]
 
     def launched(self, pose: Pose, u: Array, v: Array) -> tuple[Pose, Array, Array]:
         """As `solver.drop.FlightFrame`: small motion stays on top of the pose that it began in."""
@@ -134,16 +136,11 @@ def krylov_basis(
     loads = _resultants(solid.contact) if leaning else _resultants(solid.contact)[:, 2:3]
     own = _loads(solid.contact, leaning=leaning, tractions=tractions)
     solve = solid.factor(shift_1_s2, 1.0)
-    depth = math.ceil(SHARE * n_krylov) if leaning else n_krylov
+    depth, *slow = depths = _depths(n_krylov, leaning)
     sequences = [KrylovSequence(solid, solve, loads, depth)]
-    if leaning:
-        more = max(n_krylov / USUAL, 1.0)
-        for shift, n in _slow_shifts(solid):
-            sequences.append(
-                KrylovSequence(solid, solid.factor(shift, 1.0), loads, round(more * n))
-            )
-    longest = sum(sequence.depth for sequence in sequences)
-    basis = Basis(solid, 6 + own.shape[1] + loads.shape[1] * longest)
+    for shift, further in zip(_slow_shifts(solid) if leaning else (), slow, strict=True):
+        sequences.append(KrylovSequence(solid, solid.factor(shift, 1.0), loads, further))
+    basis = Basis(solid, 6 + own.shape[1] + loads.shape[1] * sum(depths))
     basis.extend(np.asfortranarray(solid.rigid_motions()))
     counts: list[int] = []
     for share in LEVELS:
@@ -154,6 +151,19 @@ def krylov_basis(
                 basis.extend(solve(own[:, part].toarray(order="F")))
         counts.append(basis.count)
     return basis, counts[:-1]
+
+
+def krylov_vectors(n_krylov: int, *, leaning: bool) -> int:
+    """How many Krylov vectors `krylov_basis` makes at most."""
+    return (RESULTANTS if leaning else 1) * sum(_depths(n_krylov, leaning))
+
+
+def _depths(n_krylov: int, leaning: bool) -> list[int]:
+    """Krylov vectors of each load at the time scheme's shift, and at those of slow motion."""
+    if not leaning:
+        return [n_krylov]
+    more = max(n_krylov / USUAL, 1.0)
+    return [math.ceil(SHARE * n_krylov), *(round(more * n) for _, n in SLOW)]
 
 
 class KrylovSequence:
@@ -188,17 +198,16 @@ def _blocks(solid: SolidBody, count: int) -> Iterator[slice]:
 def _resultants(contact: ContactPoints) -> Array:
     """Loads (n_local, 6) of uniform traction along x, y, z and of linear ones about x, y, z."""
     x, y = contact.xy_m.T / np.abs(contact.xy_m).max()
-    forces = np.zeros((6, len(contact.weights), 3))
+    forces = np.zeros((RESULTANTS, len(contact.weights), 3))
     forces[range(3), :, range(3)] = 1.0
     forces[3, :, 2], forces[4, :, 2] = y, x
     forces[5, :, 0], forces[5, :, 1] = -y, x
-    weighted = (forces * contact.weights[:, None]).reshape(6, -1)
+    weighted = (forces * contact.weights[:, None]).reshape(RESULTANTS, -1)
     return np.asfortranarray(contact.coordinates.T @ (contact.rows.T @ weighted.T))
 
 
-def _slow_shifts(solid: SolidBody) -> tuple[tuple[float, int], ...]:
-    """Shifts (1/s²) at the slowest bending of a thin bar of this mass and stiffness, and above,
-    and how many vectors of each."""
+def _slow_shifts(solid: SolidBody) -> tuple[float, ...]:
+    """Shifts (1/s²) at the slowest bending of a thin bar of this mass and stiffness, and above."""
     rigid = solid.rigid_motions()
     turned = np.asfortranarray(rigid[:, 3:])
     moments = summed(solid, np.einsum("ij,ij->j", turned, solid.mass(turned)))
@@ -207,7 +216,7 @@ def _slow_shifts(solid: SolidBody) -> tuple[tuple[float, int], ...]:
     axial = (np.pi / length) ** 2 * solid.material.youngs_Pa / solid.material.density_kg_m3
     # the radius of gyration of the section from how bending and torsion inertia compare
     slow = axial * (twist / inertia.max())
-    return tuple((slow * factor, n) for factor, n in SLOW)
+    return tuple(slow * factor for factor, _ in SLOW)
 
 
 def _loads(contact: ContactPoints, *, leaning: bool, tractions: bool) -> csc_matrix:

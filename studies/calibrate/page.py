@@ -8,6 +8,7 @@ from ...solver import paper
 from ..inputs.again import into
 from ..report.figures import picture
 from ..report.page import Column, Figure, Report, Section, Table, write_report
+from . import elsewhere
 from .estimate import LEVEL, Interval, RatioEstimate
 from .figures import curve_figure, measured_figure
 from .run import PAPER, Calibration, Stiffness
@@ -181,7 +182,10 @@ def kn_section(found: Calibration) -> Section:
             f"{paper.RATIO_BAND_90[0]:.2f} is below the rigid limit of {low:.4f}, "
             "and 1.00 is reached only as Kn goes to zero."
         )
-    return Section("kn", "Kn from y1/y0", text, figures=[figure], tables=[table])
+    tables = [table]
+    if found.kn.estimate is not None:
+        tables.append(elsewhere.table(found.kn.estimate, found.bristle.section.area_m2))
+    return Section("kn", "Kn from y1/y0", text, figures=[figure], tables=tables)
 
 
 def _kn_row(name: str, kn: Stiffness) -> tuple[str | float | None, ...]:

@@ -164,7 +164,7 @@ def _warnings(source: Drops | None, ratio: RatioEstimate, curve: RatioCurve) -> 
 
 def summary(found: Calibration, version: str) -> dict[str, Any]:
     """``calibrate.json``: plain numbers, SI, None for what the data cannot bound."""
-    ratio, bristle = found.ratio, found.bristle
+    ratio, bristle, kn = found.ratio, found.bristle, found.kn.estimate
     return {
         "schema": SCHEMA,
         "version": version,
@@ -184,6 +184,7 @@ def summary(found: Calibration, version: str) -> dict[str, Any]:
         "rebound_ratio_std": ratio.spread,
         "reachable_ratio": list(found.curve.reachable),
         "kn_N_m": asdict(found.kn),
+        "kn_per_area_N_m3": None if kn is None else kn / bristle.section.area_m2,
         "kn_bootstrap_N_m": asdict(found.kn_bootstrap) if found.kn_bootstrap else None,
         "kn_population_N_m": asdict(found.population),
         "trend": None if ratio.trend is None else asdict(ratio.trend),
@@ -233,8 +234,16 @@ def told(content: dict[str, Any]) -> list[tuple[str, str]]:
     """Name and value of what a terminal shows of a summary."""
     ratio, kn = content["rebound_ratio"], Stiffness(**content["kn_N_m"])
     estimate = "none fits" if kn.estimate is None else f"{kn.estimate / 1e6:.3g} MN/m"
-    return [
+    lines = [
         ("drops", str(content["n_drops"])),
         ("y1/y0", f"{ratio['estimate']:.3f} ({ratio['low']:.3f} to {ratio['high']:.3f})"),
         ("Kn", f"{estimate} ({kn.words()})"),
     ]
+    if kn.estimate is not None:
+        per_area = content["kn_per_area_N_m3"]
+        lines += [
+            ("Kn over the end face", f"{per_area:.3g} N/m³ = {1e-9 * per_area:.3g} N/mm³"),
+            ("Kn at one node", f"{kn.estimate:.3g} N/m = {1e-3 * kn.estimate:.3g} N/mm"),
+            ("where to enter these", "on the page: Abaqus, Ansys, CalculiX, Code_Aster, COMSOL"),
+        ]
+    return lines

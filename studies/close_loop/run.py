@@ -2,7 +2,7 @@
 
 `bristle close-loop DATASET`. Reads a dataset of any kind, runs the loop (studies.loop), confirms
 what it found with the 3-D model, and writes verdict.json and one page. Also a script:
-``python3 -m bristle.studies.closeloop DATASET``.
+``python3 -m bristle.studies.close_loop DATASET``.
 """
 
 from __future__ import annotations

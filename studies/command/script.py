@@ -1,4 +1,4 @@
-"""A study as a script: ``python3 -m bristle.studies.NAME`` is the command of that name."""
+"""A study as a script: run by Python's -m, it is the command of its name."""
 
 import sys
 from importlib import import_module

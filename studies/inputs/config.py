@@ -7,7 +7,7 @@ frozen models in SI units that know how to become the solver's objects.
 from __future__ import annotations
 
 import math
-from typing import Any, Self
+from typing import Any, NoReturn, Self
 
 from pydantic import model_validator
 from pydantic_core import PydanticCustomError
@@ -23,13 +23,14 @@ from ...solver.contact.laws import ContactLaw, Coulomb, Linear, mindlin_ratio
 from ...solver.drop import DropPlan
 from ...solver.effects.base import Scene
 from ...solver.ground import Ground
+from ...solver.materials import MATERIALS, MaterialName
 from ...solver.rigid import slope_normal
 from ...solver.time.scheme import TimeScheme
 from . import fields, limits, stance
 from .choices import Contact, Deflection, Model, Scheme, Solver, Tip, Until
 from .effects import check_effects, scene_of
 from .fields import DropFields, SharedFields, StepField, read_kn
-from .given_files import REPLACED
+from .given_files import REPLACED, MeshFile
 
 
 class Inputs(SharedFields):
@@ -47,6 +48,7 @@ class Inputs(SharedFields):
             return data
         data = dict(data)
         _resolve_shape(data)
+        _resolve_material(data)
         poisson = data.get("poisson", paper.POISSON)
         if isinstance(poisson, float) and -1.0 < poisson < 0.5:
             _default(data, "kt_ratio", mindlin_ratio(poisson))
@@ -332,7 +334,7 @@ class DropInputs(Inputs, DropFields, StepField):
         return checked(DropInputs, {**self.model_dump(), **values})
 
 
-def refuse(field: str, message: str) -> None:
+def refuse(field: str, message: str) -> NoReturn:
     """End validation with a message about ``field``."""
     raise PydanticCustomError("bristle", "{message}", {"field": field, "message": message})
 
@@ -351,6 +353,20 @@ def _resolve_shape(data: dict[str, Any]) -> None:
     _default(data, "cells", fields.CELLS)
     _default(data, "grading", 1.0)
     _default(data, "geometry_order", 1 if data.get("diameter_m") is None else 2)
+
+
+def _resolve_material(data: dict[str, Any]) -> None:
+    """Fill in what a material by name is like."""
+    if data.get("material") not in tuple(MaterialName):
+        return
+    material = MATERIALS[MaterialName(data["material"])]
+    for field in ("youngs_Pa", "poisson", "density_kg_m3"):
+        _default(data, field, getattr(material, field))
+    length_m = data.get("length_m")
+    if isinstance(file := fields.read_mesh_file(data.get("mesh")), MeshFile):
+        length_m = file.read().length_m
+    if isinstance(length_m, float):
+        _default(data, "beta_s", material.damping_s(length_m))
 
 
 def _default(data: dict[str, Any], key: str, value: Any) -> None:

@@ -13,9 +13,10 @@ from typing import Annotated, Any
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
 
 from ...solver import paper
+from ...solver.materials import MaterialName
 from .choices import Contact, Deflection, Model, Scheme, Solver, Tip, Until
 from .effect_input import EffectInput, read_effects
-from .flags import Option, flags_of
+from .flags import Option, flags_of, several
 from .given_files import MeshFile, PluginFile, read_mesh_file, read_plugins
 
 MODEL, CONTACT, BODY = "Model", "Contact", "Bristle"
@@ -73,6 +74,16 @@ def read_list(value: Any) -> Any:
 def read_numbers(value: Any) -> Any:
     """Numbers of a text separated by commas, of a list, or one alone."""
     return tuple(_number(item) for item in read_list(value))
+
+
+def read_items(kind: type, value: Any) -> tuple[Any, ...]:
+    """Each value once, of a text separated by commas, of a list, or one alone; numbers where
+    ``kind`` is one."""
+    items = tuple(dict.fromkeys(read_list(value)))
+    if not issubclass(kind, int | float):
+        return items
+    numbers = (_number(item) for item in items)
+    return tuple(int(x) if kind is int and x == int(x) else x for x in numbers)
 
 
 def _number(item: Any) -> Any:
@@ -165,6 +176,18 @@ class MeshFileField(Fields):
 class MaterialFields(Fields):
     """Elasticity, density and Rayleigh damping."""
 
+    material: Annotated[
+        MaterialName | None,
+        Option(
+            "material",
+            BODY,
+            "Typical --youngs, --poisson, --density and --beta of a material, each unless it is "
+            "given: steel is the paper's; the others have their loss factor in the first axial "
+            "mode.",
+            "|".join(MaterialName),
+            "the paper's steel",
+        ),
+    ] = None
     youngs_Pa: Annotated[
         float, between(1e3, 1e14), Option("youngs", BODY, "Young's modulus.", "PA")
     ] = paper.YOUNGS_PA
@@ -538,4 +561,6 @@ class ListFields(Fields):
 
 DROP_FLAGS = flags_of(DropFields, StepField, SharedFields)
 LIST_FLAGS = flags_of(ListFields, HeightsField)
-STUDY_FLAGS = flags_of(ListFields, HeightsField, SharedFields)
+SHARED_FLAGS = flags_of(SharedFields)
+STUDY_FLAGS = (*LIST_FLAGS, *SHARED_FLAGS)
+SWEEP_FLAGS = (*LIST_FLAGS, *several(SHARED_FLAGS))

@@ -6,7 +6,7 @@ Nothing heavy is imported here, so that help is quick.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from types import NoneType, UnionType
 from typing import Any, Union, get_args, get_origin
@@ -59,6 +59,13 @@ class Flag:
         """The flag as it may stand on the command line."""
         return (self.option, *([self.declared.alias] if self.declared.alias else []))
 
+    @property
+    def may_be_several(self) -> bool:
+        """Whether it is a number or a choice, of which a sweep takes several."""
+        return self.kind in (int, float) or (
+            isinstance(self.kind, type) and issubclass(self.kind, StrEnum)
+        )
+
     def default_text(self) -> str:
         """The default as help shows it, or an empty text."""
         if self.declared.shown is not None or self.default is None:
@@ -81,6 +88,24 @@ def flags_of(*models: type[BaseModel], only: tuple[str, ...] = ()) -> tuple[Flag
                 if isinstance(said, Option) and (not only or said.name in only):
                     found.setdefault(name, Flag(said, name, _kind(said, field), field.default))
     return tuple(found.values())
+
+
+def several(flags: tuple[Flag, ...]) -> tuple[Flag, ...]:
+    """The same flags, those of numbers and choices as texts that may hold several."""
+    return tuple(
+        replace(
+            flag,
+            kind=str,
+            declared=replace(flag.declared, metavar=f"{flag.declared.metavar or _choices(flag)},…"),
+        )
+        if flag.may_be_several
+        else flag
+        for flag in flags
+    )
+
+
+def _choices(flag: Flag) -> str:
+    return "NUMBER" if flag.kind in (int, float) else "|".join(flag.kind)
 
 
 def _kind(said: Option, field: FieldInfo) -> Any:

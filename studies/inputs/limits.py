@@ -186,8 +186,8 @@ def _damping_warnings(inputs: DropInputs) -> list[str]:
         return []
     return [
         f"--youngs or --density is not the steel's, while --beta {inputs.beta_s:g} s is what the "
-        "paper found on steel bristles; the rebound hangs on it: give --beta of this material, or "
-        "see with --beta 0 how much it matters"
+        "paper found on steel bristles; the rebound hangs on it: give --material or --beta of "
+        "this material, or see with --beta 0 how much it matters"
     ]
 
 

@@ -26,6 +26,7 @@ DEPENDENTS = {
     "thickness_m": ("diameter_m", "geometry_order"),
     "contact": ("theta", "gamma0"),
     "poisson": ("kt_ratio",),
+    "material": ("youngs_Pa", "poisson", "density_kg_m3", "beta_s", "kt_ratio"),
     "scheme": ("rho_inf",),
     "mesh": REPLACED,
     "flat": ("rms_height_m", "correlation_length_m", "surface"),
@@ -86,7 +87,8 @@ def _explain(error: Any, kind: type[BaseModel]) -> tuple[str, str]:
         return name, str(error["ctx"]["error"])
     if name == "cells" and error["type"] in ("missing", "too_long", "tuple_type"):
         return name, "must be three whole numbers NX NY NZ"
-    message = error["msg"].replace("Input should be", "must be").replace("a valid", "a")
+    message = error["msg"].replace("Input should be", "must be")
+    message = message.replace("a valid integer", "a whole number").replace("a valid", "a")
     return name, f"{message}, not {quoted(error['input'])}"
 
 

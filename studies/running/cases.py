@@ -41,7 +41,7 @@ from ..inputs.choices import Contact, Model, Solver, Tip, Until
 from ..inputs.config import DropInputs
 from ..inputs.effects import Entered, entered, seen
 from ..inputs.fields import FLAT
-from ..inputs.limits import marching_time_s
+from ..inputs.limits import count_unknowns, marching_time_s
 from ..inputs.stance import face_offsets_m
 
 if TYPE_CHECKING:  # dolfinx and gmsh, which a beam does without
@@ -52,6 +52,8 @@ if TYPE_CHECKING:  # dolfinx and gmsh, which a beam does without
 # Steps of an axial period that a reduced basis is made for, and how often its Krylov vectors are
 # doubled where that is not enough.
 RESOLVING, DOUBLINGS = 16.0, 3
+# Numbers in the vectors of a basis beyond which they are not doubled: 1 GB, and more beside it.
+MOST_NUMBERS = 1 << 27
 PARTS = ("mesh", "assemble", "factor", "march")
 Timings = dict[str, float]
 # What a drop that ends with its first impact has not seen.
@@ -343,7 +345,12 @@ class Workshop:
             error = result.reduction_error
             if error is None or error <= inputs.reduction_tolerance:
                 break
+            from ...solver.bodies.reduced import krylov_vectors
+
             modes *= 2
+            vectors = krylov_vectors(modes, leaning=inputs.leaning)
+            if vectors * count_unknowns(inputs) > MOST_NUMBERS:
+                break
             if self._alone is None:
                 self._alone = Workshop(MPI.COMM_SELF, self.basis_its_s)
             now = Entered(inputs, prepared.scene)

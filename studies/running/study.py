@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence, Sized
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Self
@@ -59,6 +59,12 @@ CURVE_POINTS = 120
 Row = dict[str, Any]
 
 
+def check_number(*lists: Sized) -> None:
+    """ValueError where lists make more cases than a study may have."""
+    if math.prod(map(len, lists)) > CASES:
+        raise ValueError(f"the lists make more than {CASES:,} cases")
+
+
 class StudyInputs(Inputs, ListFields, HeightsField):
     """Lists of models, stiffnesses, heights and time steps: a case for each combination."""
 
@@ -72,25 +78,35 @@ class StudyInputs(Inputs, ListFields, HeightsField):
 
     @model_validator(mode="after")
     def _few_enough(self) -> Self:
-        lists = (self.models, self.kn_N_m, self.heights_m, self.its_s)
-        if math.prod(map(len, lists)) > CASES:
-            raise ValueError(f"the lists make more than {CASES:,} cases")
+        check_number(self.models, self.kn_N_m, self.heights_m, self.its_s)
         return self
+
+    @property
+    def varied(self) -> tuple[str, ...]:
+        """Further inputs of which there are several."""
+        return ()
+
+    def shared(self) -> list[dict[str, Any]]:
+        """What cases have beside model, stiffness, height and step, of each combination."""
+        return [self.model_dump(exclude=OWN)]
 
     def cases(self) -> list[DropInputs]:
         """Every combination once, in the order of the table; InputError where one is impossible."""
-        own = set(StudyInputs.model_fields) - set(Inputs.model_fields)
-        shared = self.model_dump(exclude=own)
         return [
             checked(
                 DropInputs,
                 {**shared, "model": model, "kn_N_m": kn, "height_m": height, "its_s": its},
             )
             for model in sorted(set(self.models), key=list(Model).index)
+            for shared in self.shared()
             for kn in sorted(set(self.kn_N_m))
             for height in sorted(set(self.heights_m))
             for its in sorted(set(self.its_s), reverse=True)
         ]
+
+
+# The fields of lists that every study has.
+OWN = set(StudyInputs.model_fields) - set(Inputs.model_fields)
 
 
 @dataclass(frozen=True)
@@ -100,12 +116,19 @@ class Study:
     ``finish`` writes figures and further tables into a folder, on one rank, and returns what the
     study's JSON says besides. With ``curves`` rows have the tip's path over time, for figures.
     ``basis_its_s`` is the ITS that reduced models are made for, or None for each case's own.
+    ``varied`` are further inputs that differ between cases, which rows have too.
     """
 
     name: str
     finish: Callable[[Sequence[Row], Path], dict[str, Any]] = lambda rows, out: {}
     curves: bool = False
     basis_its_s: float | None = None
+    varied: tuple[str, ...] = ()
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """The table's."""
+        return tuple(dict.fromkeys((*COLUMNS, *self.varied)))
 
     @property
     def document(self) -> str:
@@ -201,34 +224,36 @@ def _compute(
             done[i] = keep(i, row)
             advance()
 
-        _build_together(workshop, [cases[i] for i in modal])
+        _build_together(study, workshop, [cases[i] for i in modal])
         shared = workshop.take_timings()
         share_out(
             comm,
             len(modal),
-            lambda k: _row(workshop, cases[modal[k]], study.curves),
+            lambda k: _row(study, workshop, cases[modal[k]]),
             lambda k, row: take(modal[k], row),
         )
         run_solids(
             workshop,
             [cases[i] for i in solid],
-            lambda own, case: _row(own, case, study.curves),
+            lambda own, case: _row(study, own, case),
             lambda k, row: take(solid[k], row),
             ranks_per_case,
         )
     return shared
 
 
-def _build_together(workshop: Workshop, cases: Iterable[DropInputs]) -> None:
+def _build_together(study: Study, workshop: Workshop, cases: Iterable[DropInputs]) -> None:
     """Build what takes all ranks, so that cases of modal bodies need no communication later."""
     reduced = [case for case in cases if case.model is Model.REDUCED]
     if reduced:
         with working("building the reduced model"):
-            for case in {case.its_s: case for case in reduced}.values():
+            names = ("its_s", *study.varied)
+            bodies = {tuple(getattr(case, name) for name in names): case for case in reduced}
+            for case in bodies.values():
                 workshop.prepare(case)
 
 
-def _row(workshop: Workshop, inputs: DropInputs, curves: bool) -> Row:
+def _row(study: Study, workshop: Workshop, inputs: DropInputs) -> Row:
     result, timings = workshop.run(inputs)
     row: Row = {
         "model": inputs.model.value,
@@ -241,7 +266,8 @@ def _row(workshop: Workshop, inputs: DropInputs, curves: bool) -> Row:
     }
     row |= {name: results.number(name, inputs, result) for name in COLUMNS if name not in row}
     row["warnings"] = [*input_warnings(inputs), *result_warnings(inputs, result)]
-    if curves:
+    row |= {name: getattr(inputs, name) for name in study.varied}
+    if study.curves:
         row["curve"] = _curve(result)
     return row
 
@@ -262,9 +288,9 @@ def _write(
     study: Study, inputs: StudyInputs, rows: Sequence[Row], facts: Mapping[str, Any], out: Path
 ) -> None:
     """Write the table, then the study's JSON, which says that all is there."""
-    table = to_csv(COLUMNS, [[row[name] for name in COLUMNS] for row in rows])
+    table = to_csv(study.columns, [[row[name] for name in study.columns] for row in rows])
     write_atomically(out / TABLE_FILE, table)
-    warnings = _warnings(rows)
+    warnings = _warnings(rows, ("model", "kn_N_m", "y0_m", "its_s", *study.varied))
     if warnings:
         warn(f"{len(warnings)} of {len(rows)} cases have warnings, see {out / study.document}")
     document = {
@@ -278,9 +304,8 @@ def _write(
     write_atomically(out / study.document, to_json(document) + "\n")
 
 
-def _warnings(rows: Iterable[Row]) -> list[dict[str, Any]]:
+def _warnings(rows: Iterable[Row], keys: Sequence[str]) -> list[dict[str, Any]]:
     """The cases with warnings: which, and what."""
-    keys = ("model", "kn_N_m", "y0_m", "its_s")
     return [
         {**{key: row[key] for key in keys}, "warnings": row["warnings"]}
         for row in rows

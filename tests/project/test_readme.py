@@ -81,7 +81,7 @@ def test_every_command_is_understood(words):
 
 def _understood_by_script(module: str, words: tuple[str, ...]) -> None:
     assert importlib.util.find_spec(module) is not None
-    name = {"closeloop": "close-loop"}.get(module.rpartition(".")[2], module.rpartition(".")[2])
+    name = module.rpartition(".")[2].replace("_", "-")
     if name in SCRIPTS:
         readme.parse((name, *words))
         return

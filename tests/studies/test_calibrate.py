@@ -16,6 +16,7 @@ from bristle.solver.contact.enforcement import ContactMethod
 from bristle.solver.contact.laws import Linear
 from bristle.solver.drop import DropPlan, ModalFrame, simulate
 from bristle.solver.errors import ComputationError, InputError
+from bristle.studies.calibrate import elsewhere
 from bristle.studies.calibrate.curve import RatioCurve, beam_model, mean_curve, ratio_curve
 from bristle.studies.calibrate.estimate import (
     Interval,
@@ -24,7 +25,13 @@ from bristle.studies.calibrate.estimate import (
     paper_ratio,
     slope_interval,
 )
-from bristle.studies.calibrate.run import calibrate, run_calibrate, stiffness_interval
+from bristle.studies.calibrate.run import (
+    calibrate,
+    run_calibrate,
+    stiffness_interval,
+    summary,
+    told,
+)
 from bristle.studies.data.datasets import read_drops, read_manifest
 from bristle.studies.loop.kinds.drops.problem import tables_for
 
@@ -178,6 +185,24 @@ def test_the_paper_gives_about_2_MN_m_and_says_what_cannot_be_told(model, tmp_pa
     assert found.population.low is None
     assert found.population.high is None
     assert any("cannot tell them apart" in each for each in found.warnings)
+
+
+def test_the_stiffness_is_told_in_other_programs_terms(model):
+    """Springs all over the face, or one at a node of the axis, push alike where all sinks alike."""
+    found = calibrate(None, model, grid_N_m=GRID)
+    kn, depth_m = found.kn.estimate, 1e-6
+    table = elsewhere.table(kn, found.bristle.section.area_m2)
+    force_N = {
+        elsewhere.AREA: paper.WIDTH_M * paper.THICKNESS_M * depth_m,
+        elsewhere.NODE: depth_m,
+    }
+    for program, _, what, si, mm in table.rows:
+        assert si * force_N[what] == pytest.approx(kn * depth_m), program
+        in_mm = {elsewhere.AREA: 1e6 * 1e3, elsewhere.NODE: 1e3}[what]  # areas, depths
+        assert mm * force_N[what] * in_mm == pytest.approx(kn * depth_m), program
+    said = dict(told(summary(found, "0")))
+    assert said["Kn over the end face"] == "1.97e+12 N/m³ = 1.97e+03 N/mm³"
+    assert said["Kn at one node"] == "2.05e+06 N/m = 2.05e+03 N/mm"
 
 
 def test_command_writes_json_and_page_of_a_dataset(folder, tmp_path):

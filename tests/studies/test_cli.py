@@ -168,8 +168,8 @@ VALUES = st.one_of(
 )
 def test_any_values_end_with_a_sound_result_or_one_line(tmp_path, pairs):
     options = [f"{flag.option}={value}" for flag, value in pairs]
-    # few steps, whatever is asked for: this is about the input
-    small = ["--elements=2", "--until=impact", "--its=1e-5"]
+    # few steps and cells, whatever is asked for: this is about the input
+    small = ["--elements=2", "--cells", "1", "1", "20", "--until=impact", "--its=1e-5"]
     status, _, lines = run("drop", *small, *options, "--out", tmp_path / "out")
     assert "Traceback" not in "".join(lines)
     if status == 0:

@@ -18,7 +18,7 @@ from made_drops import COUNT, QUICK, SIGMA_MM, write_drops
 from bristle.solver.effects.library import EFFECTS
 from bristle.solver.errors import ComputationError
 from bristle.studies.cli import main
-from bristle.studies.close_loop import run as closeloop
+from bristle.studies.close_loop import run as close_loop_study
 from bristle.studies.close_loop.directions import directions
 from bristle.studies.data import datasets
 from bristle.studies.loop.kinds.drops import problem as drops_module
@@ -233,7 +233,7 @@ def test_a_loop_that_fails_ends_with_1_and_keeps_what_was_there(worn, tmp_path, 
     kept = tmp_path / "kept"
     kept.mkdir()
     (kept / "verdict.json").write_text("mine")
-    monkeypatch.setattr(closeloop, "find", fail)
+    monkeypatch.setattr(close_loop_study, "find", fail)
     for out in (kept, tmp_path / "new" / "out"):
         assert main(["close-loop", str(dataset), "--out", str(out)]) == 1
     assert [path.name for path in tmp_path.iterdir()] == ["kept"]
@@ -254,7 +254,9 @@ def measured(name: str) -> Path:
 
 def test_the_measured_bar_lacks_its_damping_and_the_solid_confirms_it(tmp_path):
     dataset = MEASURED / "square-bar"
-    done = commands.mpirun(2, "-m", "bristle.studies.closeloop", dataset, "--out", tmp_path / "out")
+    done = commands.mpirun(
+        2, "-m", "bristle.studies.close_loop", dataset, "--out", tmp_path / "out"
+    )
     assert done.returncode == 0, done.stderr
     content = read_strictly(tmp_path / "out" / "verdict.json")
     assert content["verdict"] in ("effect", "ambiguous", "unknown")

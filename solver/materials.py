@@ -1,0 +1,63 @@
+"""Materials of bristles by name: typical elastic constants, density and damping, with sources.
+
+Plastics vary with grade, temperature and moisture by more than the ranges given here.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from enum import StrEnum
+
+from . import paper
+
+ASHBY = "Ashby, Materials Selection in Mechanical Design, 4th ed. 2011"
+
+
+class MaterialName(StrEnum):
+    """The materials that `MATERIALS` has."""
+
+    STEEL = "steel"
+    STAINLESS = "stainless"
+    POLYPROPYLENE = "polypropylene"
+    NYLON = "nylon"
+
+
+@dataclass(frozen=True)
+class Typical:
+    """A material: E in Pa, Poisson's ratio, density in kg/m³, and its damping.
+
+    Damping is the loss per radian over the elastic energy, ``loss_factor``, or Rayleigh's
+    ``beta_s`` in s where that was found itself. ``source`` has the ranges.
+    """
+
+    youngs_Pa: float
+    poisson: float
+    density_kg_m3: float
+    source: str
+    loss_factor: float = 0.0
+    beta_s: float | None = None
+
+    def damping_s(self, length_m: float) -> float:
+        """Rayleigh's β in s that gives a free bar of this length its loss factor in the first
+        axial mode, η = β ω with ω = π c / L."""
+        if self.beta_s is not None:
+            return self.beta_s
+        speed_m_s = math.sqrt(self.youngs_Pa / self.density_kg_m3)
+        return self.loss_factor * length_m / (math.pi * speed_m_s)
+
+
+MATERIALS = {
+    MaterialName.STEEL: Typical(
+        paper.YOUNGS_PA, paper.POISSON, paper.DENSITY_KG_M3, paper.CITATION, beta_s=paper.BETA_S
+    ),
+    MaterialName.STAINLESS: Typical(
+        200e9, 0.3, 7900.0, f"1.4301: EN 10088-1, EN 1993-1-4; loss factor 0.001: {ASHBY}", 1e-3
+    ),
+    MaterialName.POLYPROPYLENE: Typical(
+        1.2e9, 0.42, 900.0, f"E 0.9 to 1.55 GPa, loss factor 0.026 to 0.045: {ASHBY}", 0.035
+    ),
+    MaterialName.NYLON: Typical(
+        2.9e9, 0.35, 1130.0, f"dry, E 2.6 to 3.2 GPa, loss factor 0.012 to 0.015: {ASHBY}", 0.014
+    ),
+}

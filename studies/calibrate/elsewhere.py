@@ -1,0 +1,41 @@
+"""A normal contact stiffness in the terms of other finite element programs.
+
+Kn is a force over a penetration of the whole end face. Programs that take a pressure over a
+penetration want it over the face's area; programs that have springs at nodes want it divided among
+the nodes that touch, one on the axis of a beam, as in the paper.
+"""
+
+from __future__ import annotations
+
+from ..report.page import Column, Table
+
+AREA, NODE = "Kn over the face's area", "Kn over the nodes that touch"
+# Program, where the number is entered, and what it is there. From the programs' manuals.
+OPTIONS = (
+    ("Abaqus", "*SURFACE BEHAVIOR, PRESSURE-OVERCLOSURE=LINEAR, between surfaces", AREA),
+    ("Abaqus", "the same, of a node-based surface", NODE),
+    ("Ansys", "FKN of CONTA174, with a minus sign to be absolute, KEYOPT(3) = 0", AREA),
+    ("Ansys", "FKN of CONTA175, with a minus sign to be absolute, KEYOPT(3) = 0", NODE),
+    ("CalculiX", "*SURFACE BEHAVIOR, PRESSURE-OVERCLOSURE=LINEAR", AREA),
+    ("Code_Aster", "E_N of DEFI_CONTACT, FORMULATION='DISCRETE', PENALISATION", NODE),
+    ("COMSOL", "pressure penalty factor of the contact node, penalty method", AREA),
+)
+COLUMNS = (
+    Column("program", "Program"),
+    Column("option", "Option"),
+    Column("is", "Is"),
+    Column("value_si", "in m and N", "N/m, N/m³", 3),
+    Column("value_mm", "in mm and N", "N/mm, N/mm³", 3),
+)
+NOTE = (
+    "Of one node; divide by their number where several touch. A stiffness is a result of the model "
+    "too: these programs' own beams and solids need it with the damping in the material alone, not "
+    "in the contact spring, and a time step that resolves the impact."
+)
+
+
+def table(kn_N_m: float, area_m2: float) -> Table:
+    """What to enter where, for a face of ``area_m2``."""
+    values = {AREA: (kn_N_m / area_m2, 1e-9 * kn_N_m / area_m2), NODE: (kn_N_m, 1e-3 * kn_N_m)}
+    rows = [(program, option, what, *values[what]) for program, option, what in OPTIONS]
+    return Table("elsewhere", "The same Kn in other programs.", COLUMNS, rows, NOTE)

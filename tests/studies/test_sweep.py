@@ -1,0 +1,96 @@
+"""Sweeps over further inputs: each case is the drop of its values; the JSON repeats it."""
+
+import csv
+import json
+import re
+
+import numpy as np
+import pytest
+
+import bristle
+from bristle.studies.cli import main
+from bristle.studies.drop import simulate_drop
+from bristle.studies.inputs.config import DropInputs
+from bristle.studies.inputs.sources import checked
+from bristle.studies.sweep import SweepInputs
+
+pytestmark = pytest.mark.serial
+
+OPTIONS = ["--models", "beam", "--kn", "2e6", "--heights", "0.05"]
+
+
+def sweep(*options, out):
+    assert main(["sweep", *OPTIONS, *options, "--out", str(out)]) == 0
+    with (out / "table.csv").open(newline="") as file:
+        return list(csv.DictReader(file))
+
+
+def test_rows_are_the_drops_of_their_values(tmp_path, capsys):
+    rows = sweep("--tilt", "0,2", "--friction", "0,0.5", out=tmp_path)
+    assert len(rows) == 4
+    for row in rows:
+        lean, friction = float(row["tilt_deg"]), float(row["friction"])
+        inputs = checked(DropInputs, {"model": "beam", "tilt_deg": lean, "friction": friction})
+        alone, _ = simulate_drop(inputs)
+        assert float(row["rebound_ratio"]) == alone["rebound_ratio"]
+    said = capsys.readouterr().out
+    assert len(re.findall(r"friction [\d.]+, tilt_deg [\d.]+: y1/y0", said)) == 4
+    pictures = {path.name for path in tmp_path.glob("*.svg")}
+    assert "heights-friction-0.5-tilt_deg-2.svg" in pictures
+    assert len(pictures) == 4
+
+
+def test_what_follows_from_a_value_follows_it_in_every_case(tmp_path):
+    """Damping from the material, tangential stiffness from Poisson's ratio; again from the JSON."""
+    inputs = SweepInputs(material="steel,nylon", tilt_deg=[0, 2], models=("beam",))
+    own = {(case.material, case.youngs_Pa, case.beta_s, case.kt_ratio) for case in inputs.cases()}
+    assert own == {
+        (each.material, each.youngs_Pa, each.beta_s, each.kt_ratio)
+        for each in (checked(DropInputs, {"material": name}) for name in ("steel", "nylon"))
+    }
+    rows = sweep("--material", "steel,nylon", "--poisson", "0.3,0.4", out=tmp_path / "first")
+    written = json.loads((tmp_path / "first" / "sweep.json").read_text())["inputs"]
+    assert (written["poisson"], written["material"]) == ([0.3, 0.4], ["steel", "nylon"])
+    assert written["kt_ratio"] is written["beta_s"] is None
+    config = str(tmp_path / "first" / "sweep.json")
+    assert main(["sweep", "--config", config, "--out", str(tmp_path / "again")]) == 0
+    with (tmp_path / "again" / "table.csv").open(newline="") as file:
+        again = list(csv.DictReader(file))
+    for row in (*rows, *again):
+        del row["wall_s"]
+    assert again == rows
+
+
+def test_choices_too_and_from_python(tmp_path):
+    table = bristle.sweep(models="beam", kn_N_m=2e6, height_m=0.05, contact=["penalty", "nitsche"])
+    assert list(table["contact"]) == ["penalty", "nitsche"]
+    assert table["rebound_ratio"][0] == pytest.approx(table["rebound_ratio"][1], rel=1e-3)
+    table = bristle.sweep(
+        models=["beam"], kn_N_m=2e6, height_m=0.05, elements=np.array([4, 8, 4]), tilt_deg=0
+    )
+    assert list(table["elements"]) == [4, 8]
+    assert "tilt_deg" not in table
+
+
+@pytest.mark.parametrize(
+    ("option", "value", "says"),
+    [
+        ("--tilt", "0,x", "must be numbers separated by commas; 'x' is none"),
+        ("--tilt", "0,", "must be numbers separated by commas; '' is none"),
+        ("--tilt", "0,85", "must be less than or equal to 80"),
+        ("--elements", "4,2.5", "must be a whole number, not 2.5"),
+        ("--contact", "penalty,glue", "must be 'penalty', 'augmented' or 'nitsche', not 'glue'"),
+    ],
+)
+def test_wrong_lists_are_refused_by_their_option(option, value, says, tmp_path, capsys):
+    assert main(["sweep", *OPTIONS, option, value, "--out", str(tmp_path / "out")]) == 2
+    last = capsys.readouterr().err.splitlines()[-1]
+    assert says in last
+    assert last.startswith(f"bristle: error: {option}: ")
+    assert not (tmp_path / "out").exists()
+
+
+def test_too_many_cases_are_refused():
+    many = [1e-6 * i for i in range(400)]
+    with pytest.raises(bristle.InputError, match="more than 100,000 cases"):
+        checked(SweepInputs, {"friction": many, "beta_s": many})
