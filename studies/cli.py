@@ -1,4 +1,4 @@
-"""Which commands does `bristle` have?
+"""The commands of `bristle`.
 
 Only what is light is imported here; a command imports what it needs when it runs.
 """
@@ -411,7 +411,7 @@ def bench(
 
     Example: bristle bench --repeats 5
     """
-    from .bench.targets import run_bench
+    from .bench import run_bench
 
     given = {"repeats": repeats, "largest": largest, "most": most}
     print(run_bench(what, out, given))

@@ -1,4 +1,4 @@
-"""What happens in one drop? Writes `result.json`, `history.csv`, and the solid's ParaView series.
+"""`bristle drop`: one drop, with `result.json`, `history.csv`, and the solid's ParaView series.
 
 Also a script: ``mpirun -n 2 python3 -m bristle.studies.drop --model solid``.
 """

@@ -1,4 +1,4 @@
-"""What files does `bristle mesh` leave behind, and what do they say?"""
+"""`bristle mesh`: the mesh's files, and what is measured of it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What would be measured if a bristle had an effect in it that its dataset does not declare?
+"""`bristle synth`: measurements of a bristle with an effect that its dataset does not declare.
 
 The drops are those of the reduced solid; what reads the dataset fits the beam. The truth goes into
 a file elsewhere.

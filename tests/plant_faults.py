@@ -1,4 +1,4 @@
-"""Mutation testing: how many faults planted at random in meshes/ and solver/ do the tests catch?
+"""Mutation testing: faults planted at random in meshes/ and solver/, and the tests that catch them.
 
     docker/run python3 tests/plant_faults.py --faults 20 --seed 1 --out results/faults
 

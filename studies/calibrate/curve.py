@@ -1,4 +1,4 @@
-"""Which Kn belongs to a measured y1/y0, according to a model of the bristle?
+"""Kn of a measured y1/y0: the falling curve of a model of the bristle, and its inverse.
 
 A model's ratio falls from one (soft contact: the bristle is rigid beside it) to its limit on a
 rigid plane. Between, it is inverted; outside, a ratio bounds Kn from one side only.

@@ -1,4 +1,4 @@
-"""How well do drops determine the ratio y1/y0, and does it stay the same from low to high drops?
+"""The ratio y1/y0 of measured drops: estimate, intervals, and its trend with height.
 
 Statistics alone: nothing here knows of a model or of Kn.
 """

@@ -1,4 +1,4 @@
-"""What do the figures of a calibration, and the paper's Figs. 10 to 12, show?"""
+"""Figures of a calibration, and the paper's Figs. 10 to 12."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What does the page of a calibration say?"""
+"""Page of a calibration."""
 
 from __future__ import annotations
 

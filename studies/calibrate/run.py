@@ -1,4 +1,4 @@
-"""Which normal contact stiffness do measured drops, or the paper's own figures, speak for?
+"""`bristle calibrate`: normal contact stiffness from measured drops or the paper's own figures.
 
 `bristle calibrate DATASET` and `bristle calibrate paper`. A model of the bristle gives y1/y0 as a
 falling function of Kn; the drops give y1/y0 with an interval; the function is inverted.

@@ -1,4 +1,4 @@
-"""Does the 3-D model, with the effect switched on, predict what was held out as well?"""
+"""Held-out data predicted by the 3-D model with the effect switched on."""
 
 from __future__ import annotations
 

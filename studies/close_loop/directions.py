@@ -1,4 +1,4 @@
-"""Which directions among a model's parameters do the data see, and which can they not?
+"""Directions among a model's parameters that the data determine, and those that they do not.
 
 Sensitivities of all fitted rows to the parameters, each over its bounds, are taken apart into
 orthogonal directions. Along one that the data see, they tell more than the bounds do.

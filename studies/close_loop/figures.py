@@ -1,4 +1,4 @@
-"""What do the figures of a closed loop show?"""
+"""Figures of a closed loop."""
 
 from __future__ import annotations
 

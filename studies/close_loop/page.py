@@ -1,4 +1,4 @@
-"""What does the page of a closed loop say, step by step?"""
+"""Page of a closed loop, step by step."""
 
 from __future__ import annotations
 

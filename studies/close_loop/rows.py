@@ -1,4 +1,4 @@
-"""What is in each row of a closed loop: measured, predicted before and after, held out or not?"""
+"""Rows of a closed loop: measured, predicted before and after, held out or not."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How does a command end: with which exit status, and which last line on standard error?"""
+"""How a command ends: its exit status, and its last line on standard error."""
 
 from __future__ import annotations
 

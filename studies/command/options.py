@@ -1,4 +1,4 @@
-"""How does a table of flags become the options of a typer command?"""
+"""Options of a typer command from a table of flags."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What does a dataset folder say, and is every value in it usable?
+"""A dataset's folder: dataset.toml, with every value checked.
 
 CONTRACT.md, "Datasets", gives the format. Reading is strict: a key that looks like a misspelt one,
 a number that is none, a table that lies outside the folder each end with an InputError that names

@@ -1,4 +1,4 @@
-"""Which values stand in a dataset's table, and where exactly is one that cannot be used?"""
+"""A dataset's table: its values, and where one that cannot be used stands."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Which values are so far off that they are given in another unit than the one that is named?
+"""Values so far off that they were given in another unit than the one that is named.
 
 A thousandth or a thousandfold of what was measured computes just as well, and what is then found
 is wrong. Bounds are wide: no bristle, brush or wire that was meant is outside of them.

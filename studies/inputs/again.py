@@ -1,4 +1,4 @@
-"""Which command line makes a result again?"""
+"""The command line that makes a result again."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What is a run asked to do, and does it make sense?
+"""Inputs of a run, checked together, and the solver's objects that they become.
 
 Values arrive from flags, a configuration file or a program, are checked here once, and leave as
 frozen models in SI units that know how to become the solver's objects.

@@ -1,4 +1,4 @@
-"""Which runs are too large, too long or too coarse to be meant, and which deserve a warning?"""
+"""Limits of what can be meant by a run, and warnings about what deserves doubt."""
 
 from __future__ import annotations
 

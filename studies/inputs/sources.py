@@ -1,4 +1,4 @@
-"""Where does each value come from: a flag, a line of a file; and who is told when it is wrong?"""
+"""Where inputs come from, flags over a file over defaults, and how errors name their place."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How does a bristle stand to the surface, and which of its contact points does it land on?"""
+"""How a bristle stands to the surface, and which of its contact points land first."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What does a file say that a user hands over: as text, as TOML, as JSON?
+"""Files that a user hands over, read as text, TOML or JSON.
 
 Whatever it holds, it is read to an end or refused with an InputError that names file and line.
 """

@@ -1,4 +1,4 @@
-"""To what does a quantity converge as the time step shrinks, and which step is short enough?"""
+"""Limit of a quantity as the time step shrinks, and the longest step near enough to it."""
 
 from __future__ import annotations
 

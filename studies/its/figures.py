@@ -1,4 +1,4 @@
-"""What does the study of the integration time step look like?"""
+"""Figures of the study of the integration time step."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Which integration time step does each quantity need, against contact stiffness?
+"""`bristle its`: the integration time step that each quantity needs, against stiffness.
 
 Writes table.csv, errors.csv, needs.csv, their figures and its.json. Also a script:
 ``mpirun -n 4 python3 -m bristle.studies.its --models beam``.

@@ -1,4 +1,4 @@
-"""Absolute goodness of fit: is what a model leaves no more than the noise that was declared?
+"""Absolute goodness of fit: what a model leaves, against the noise that was declared.
 
 One family of statistics, declared here and nowhere else, looks at the quantile residuals of a
 fitted model: their size; each quantity's level; against every covariate smooth shapes, bands and

@@ -1,4 +1,4 @@
-"""Which measurement would separate the models that these data leave tied?
+"""The next measurement: what would separate the models that these data leave tied.
 
 For each experiment and each ordered pair of tied models, the second is refitted to what the first
 predicts there, held by what the present data say of its parameters (its information at the fit).

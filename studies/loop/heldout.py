@@ -1,4 +1,4 @@
-"""Held-out groups: how well is predicted what took no part in fitting or choosing?
+"""Held-out groups: prediction of what took no part in fitting or choosing.
 
 Where the problem names no groups to hold out, a quarter of them are chosen by the seed before
 anything is fitted: sorted by height, one of each four neighbours, so that every height is tried.

@@ -1,4 +1,4 @@
-"""How does every figure of the project look, and how does it become a file or part of a page?
+"""The look of every figure, and figures as files and as parts of a page.
 
 Drawn with matplotlib's objects alone: no pyplot, no window, no state between figures. An SVG
 carries no date and no random identifiers, so the same numbers give the same bytes.

@@ -1,4 +1,4 @@
-"""How do tables, figures and comparisons become one page that stands alone?
+"""Tables, figures and comparisons as one page that stands alone.
 
 A `Report` holds plain data; `render_report` turns it into HTML with pictures, styles and the
 tables' CSV inside, so that the one file can be sent, printed, or read on a phone.

@@ -1,4 +1,4 @@
-"""What do Figs. 9 to 13, and Eq. 8 beside the models, look like?"""
+"""The paper's Figs. 9 and 13, and Eq. 8, beside the models."""
 
 from __future__ import annotations
 

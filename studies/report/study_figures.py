@@ -1,4 +1,4 @@
-"""What does the study of the number of beam elements look like?"""
+"""Figure of the number of beam elements."""
 
 from __future__ import annotations
 

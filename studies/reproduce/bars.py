@@ -1,4 +1,4 @@
-"""Does a bar's restitution vary with inclination and length as bars that were dropped show?
+"""Restitution of bars against inclination and length, beside bars that were dropped.
 
 Stoianovici and Hurmuzlu (J. Appl. Mech. 63, 1996) dropped bars of several lengths at varied
 inclinations: the coefficient of restitution is far from constant, since the bar vibrates and its

@@ -1,4 +1,4 @@
-"""How are many cases computed once each, spread over the ranks, with progress?"""
+"""Cases of many page sections, each computed once, spread over the ranks."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Do closed form, beam, reduced and full-order solid agree, in Fig. 9 and beyond?"""
+"""Closed form, beam, reduced and full-order solid against each other, in Fig. 9 and beyond."""
 
 from __future__ import annotations
 

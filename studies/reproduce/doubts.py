@@ -1,4 +1,4 @@
-"""Which of the drops behind a page deserve doubt, and why?"""
+"""Warnings of the drops behind a page."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How few beam elements give 1 %, in rebound, contact time, force and penetration?"""
+"""The fewest beam elements for 1 % in rebound, contact time, force and penetration."""
 
 from __future__ import annotations
 

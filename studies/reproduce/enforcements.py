@@ -1,4 +1,4 @@
-"""Do penalty, augmented Lagrangian and Nitsche give the same impact at the same Kn?"""
+"""Penalty, augmented Lagrangian and Nitsche's method at the same Kn."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How high does the tip go after time t, for every height and Kn of Fig. 13, in 1-D and 3-D?"""
+"""Tip height against time for every height and Kn of Fig. 13, in 1-D and 3-D."""
 
 from __future__ import annotations
 

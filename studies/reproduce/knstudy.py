@@ -1,4 +1,4 @@
-"""Which Kn does y1/y0 = 0.65 ask for, and what cloud of drops does the measured spread predict?"""
+"""Kn of y1/y0 = 0.65, and the cloud of drops that the measured spread predicts (Figs. 10 to 12)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What does leaning do to a bounce, and how far off is contact with a point on the axis?"""
+"""Rebound of a leaning bristle, and the error of contact with a point on the axis."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""When is penetration greatest, how long does contact last, and where does Eq. 8 stop to hold?"""
+"""Time to greatest penetration and contact time against Kn, and where Eq. 8 ceases to hold."""
 
 from __future__ import annotations
 

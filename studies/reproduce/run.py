@@ -1,4 +1,4 @@
-"""Can every figure and table of the paper be made again, and where do the paper and we differ?
+"""`bristle reproduce`: every figure and table of the paper, and where it and we differ.
 
 `bristle reproduce`: all drops are computed once, spread over the ranks, and then told as one page.
 """

@@ -1,4 +1,4 @@
-"""Does a tip that sticks come to a limit, with more modes, cells and shorter steps?"""
+"""Convergence of a tip that sticks, with modes, cells and time step."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Which integration time step do rebound and force need, as a function of Kn?"""
+"""The integration time step that rebound and force need, against Kn."""
 
 from __future__ import annotations
 

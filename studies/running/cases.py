@@ -1,4 +1,4 @@
-"""What do cases share, and how is one of them computed?
+"""One case computed, and what cases share.
 
 A `Workshop` keeps what is dear: a mesh and its matrices, a factor, a reduced basis, a beam's
 modes, and the marchers made of them, so that cases that differ in stiffness or height alone cost

@@ -1,4 +1,4 @@
-"""Which run may write into a folder, where another is still at it?
+"""Lock of a folder that a run writes into.
 
 The ranks of an mpirun that was killed compute on until they next talk to each other, and would put
 what they find among what their successor does. A lock on the folder, which the system gives up with

@@ -1,4 +1,4 @@
-"""How do files come to their places whole and together, or not at all?"""
+"""Files and folders written whole and together, or not at all."""
 
 from __future__ import annotations
 

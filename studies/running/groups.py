@@ -1,4 +1,4 @@
-"""How many ranks share one full-order solid, and which group of ranks computes which case?
+"""Groups of ranks for full-order solids, and the cases of each group.
 
 One solid on all ranks waits for messages in every step; a solid for each group of ranks, or for
 each rank alone, does not, but every group builds its own mesh, factor and basis. The number of

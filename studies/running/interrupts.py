@@ -1,4 +1,4 @@
-"""When does a run end that somebody interrupts: by Ctrl-C, SIGTERM, or a terminal that closes?
+"""Interruption by Ctrl-C, SIGTERM or a terminal that closes.
 
 At once, by a KeyboardInterrupt that cleans up; but not while files take their places, and not once
 more while it cleans up: launchers, and `timeout`, send their signal twice.

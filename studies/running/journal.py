@@ -1,4 +1,4 @@
-"""Which cases of a study are done, when it is taken up again after an interruption?
+"""Journal of a study's finished cases, from which it is taken up again.
 
 One JSON line per finished case, on the disk before the next is begun. The first line holds the
 version and the inputs. Each has a checksum: one that is torn, or not what was written, counts for

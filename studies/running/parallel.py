@@ -1,4 +1,4 @@
-"""Who speaks among the ranks, how does work reach them, and how does a failing job end on all?"""
+"""Work over ranks: rank 0 speaks, cases are shared out, a failing rank ends the job."""
 
 from __future__ import annotations
 

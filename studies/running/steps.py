@@ -1,4 +1,4 @@
-"""How far has the march of a solid come, and when may it end?"""
+"""Progress of a solid's march, and when it may end."""
 
 from __future__ import annotations
 

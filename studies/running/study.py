@@ -1,4 +1,4 @@
-"""How are the many cases of a study computed, kept and put into a table?"""
+"""A study: many cases computed, journalled, and put into a table."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How do all ranks come to hold the same body, to the last bit, and the same surface?"""
+"""The body and the surface of a scatter, the same to the last bit on every rank."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How is each of many drops released, and what lies under its tip?
+"""Release and landing place of each of many drops.
 
 Every drop has a random stream of its own, named by the seed and its number, so that neither the
 number of drops nor who computes it changes what is drawn.

@@ -1,4 +1,4 @@
-"""What do the figures of a scatter show?"""
+"""Figures of a scatter."""
 
 from __future__ import annotations
 

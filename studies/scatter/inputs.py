@@ -1,4 +1,4 @@
-"""What is a scatter asked to do: which bristle, how it is released, over which surface?"""
+"""Inputs of a scatter: the bristle, how it is released, and over which surface."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What do many drops leave behind: how each was released, over what, and what it gave?"""
+"""Records of many drops: how each was released, over what, and what it gave."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What does the page of a scatter say, and what stands in its JSON?"""
+"""Page and JSON of a scatter."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How far does y1/y0 scatter when bristles lean by chance and land on a rough, composite surface?
+"""`bristle scatter`: y1/y0 of bristles that lean by chance and land on a rough surface.
 
 Writes drops.csv, figures, report.html and scatter.json. Also a script:
 ``mpirun -n 2 python3 -m bristle.studies.scatter --drops 2000``.

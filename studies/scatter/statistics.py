@@ -1,4 +1,4 @@
-"""What do many predicted drops say: how y1/y0 is spread, by what, and is the measurement usual?
+"""Statistics of many predicted drops: spread, its causes, and whether the measurement is usual.
 
 Statistics alone: nothing here knows of a model.
 """

@@ -1,4 +1,4 @@
-"""How do height, force and penetration of a drop look over time?"""
+"""Height, force and penetration of a drop over time."""
 
 from __future__ import annotations
 

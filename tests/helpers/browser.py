@@ -1,4 +1,4 @@
-"""How does a test look at a page in a real browser, without a window and without a network?
+"""A page in a real browser, without a window and without a network.
 
 Chromium is asked over a pipe in its DevTools protocol: JSON messages that end with a zero byte.
 """

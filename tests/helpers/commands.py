@@ -1,4 +1,4 @@
-"""How do tests run the command line as a user does: in a process of its own, or in several?"""
+"""The command line as a user runs it: in a process of its own, or in several."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How is a command killed on its way, and what has it left behind?"""
+"""Commands killed on their way, and what they left behind."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Which records would a load cell make of bouncing bristles? From the beam's drops, sampled."""
+"""Records of a load cell that bristles bounce on: the beam's drops, sampled."""
 
 from __future__ import annotations
 

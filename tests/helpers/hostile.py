@@ -1,4 +1,4 @@
-"""What could a hostile user or dataset hand to the program? Strategies, and what is promised.
+"""What a hostile user or dataset could hand to the program: strategies, and what is promised.
 
 Whatever comes in, a command ends with a status of CONTRACT.md, and where that is not 0 with one
 line that names what was wrong.

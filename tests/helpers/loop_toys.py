@@ -1,4 +1,4 @@
-"""Which small problems have a known truth? Drops at five heights, fifteen effects, one baseline."""
+"""Small problems with a known truth: drops at five heights, fifteen effects, one baseline."""
 
 from __future__ import annotations
 

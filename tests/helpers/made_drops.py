@@ -1,4 +1,4 @@
-"""Which small dataset of drops do tests have, made with the beam?"""
+"""A small dataset of drops, made with the beam."""
 
 from __future__ import annotations
 

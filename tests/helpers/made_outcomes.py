@@ -1,13 +1,11 @@
-"""What may benchmarks have measured, for tests of what is told of it? All is made up."""
+"""Made-up outcomes of benchmarks, for tests of what is told of them."""
 
 from __future__ import annotations
 
-from typing import Any
-
-from bristle.studies.bench import ranks, sizes, step
-from bristle.studies.bench.communication import Machine
-from bristle.studies.bench.peers_table import Converged, Point, Run, converged, points
-from bristle.studies.bench.programs import DAMPED, PROGRAMS, QUANTITIES, UNDAMPED, Answer, Setting
+from benchmarks import ranks, sizes, step
+from benchmarks.communication import Machine
+from benchmarks.peers_points import Converged, Point, Run, converged, points
+from benchmarks.programs import DAMPED, PROGRAMS, QUANTITIES, UNDAMPED, Answer, Setting
 
 ITS_S = (2e-5, 1e-5, 5e-6)
 NEAR = {"rebound_ratio": 0.65, "contact_time_s": 1.6e-4, "peak_force_N": 40.0}
@@ -94,7 +92,7 @@ def growing() -> list[sizes.Line]:
     ]
 
 
-def shared_out() -> tuple[list[dict[str, Any]], Machine, ranks.Memory]:
+def shared_out() -> tuple[list[ranks.Line], Machine, ranks.Memory]:
     """Jobs on one rank and two that lose a tenth, and a machine whose memory allows 90 %."""
     memory = ranks.Memory(
         ranks=2, memory_B_s=9e9, memory_alone_B_s=1.2e10, solve_B_s=9e9, solve_alone_B_s=1e10
@@ -107,4 +105,4 @@ def shared_out() -> tuple[list[dict[str, Any]], Machine, ranks.Memory]:
                 {name: value / job.ideal / 0.9 for name, value in times[job.base][0].items()}
             ]
     machine = Machine(latency_s=1e-6, bandwidth_B_s=5e9, memory_B_s=9e9, solve_B_s=9e9)
-    return list(ranks._rows(times, 2, memory)), machine, memory
+    return list(ranks._lines(times, 2, memory)), machine, memory

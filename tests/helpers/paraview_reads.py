@@ -1,4 +1,4 @@
-"""What does ParaView itself find in a series of fields? A program for pvbatch.
+"""What ParaView itself finds in a series of fields: a program for pvbatch.
 
 ``pvbatch paraview_reads.py FOLDER STEP ANSWER.json PICTURE.png``
 """

@@ -1,4 +1,4 @@
-"""How does a test run a program in ParaView, on a display of its own?"""
+"""Programs run in ParaView, on a display of their own."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Which studies stand for the whole reproduction in tests, and take seconds?"""
+"""Studies that stand for the whole reproduction, and take seconds."""
 
 from __future__ import annotations
 

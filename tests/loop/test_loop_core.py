@@ -1,4 +1,4 @@
-"""Is the loop's statistical core calibrated, and does it find what is in a toy problem?"""
+"""The loop's statistical core is calibrated, and finds what is in a toy problem."""
 
 import itertools
 import json

@@ -1,4 +1,4 @@
-"""Does the loop read records of impact force rightly, and which effects tell apart by their shapes?
+"""The loop reads records of impact force, and tells effects apart by their shapes.
 
 The records are made by `force_data`: the beam's drops at shorter steps than the tables'.
 """

@@ -1,4 +1,4 @@
-"""Does a mesh that left gmsh come back the same, and does VTK understand it?"""
+"""A mesh that left gmsh comes back the same, and VTK understands it."""
 
 import csv
 

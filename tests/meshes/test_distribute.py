@@ -1,4 +1,4 @@
-"""Is the mesh that dolfinx gets the same body on any number of ranks?"""
+"""The mesh that dolfinx gets is the same body on any number of ranks."""
 
 import math
 

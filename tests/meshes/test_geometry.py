@@ -1,4 +1,4 @@
-"""Does a mesh specification refuse what cannot be meshed, and count what it asks for?"""
+"""A mesh specification refuses what cannot be meshed, and counts what it asks for."""
 
 import math
 import pickle

@@ -1,4 +1,4 @@
-"""Is what gmsh makes of a bristle all hexahedra, all of them sound, and in the right place?"""
+"""What gmsh makes of a bristle is all hexahedra, all sound, and in the right place."""
 
 import os
 import subprocess

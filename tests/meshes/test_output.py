@@ -1,4 +1,4 @@
-"""Does `bristle mesh` leave all of its files or none, on any number of ranks, with no screen?"""
+"""`bristle mesh` leaves all of its files or none, on any number of ranks, with no screen."""
 
 import csv
 import os

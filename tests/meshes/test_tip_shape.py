@@ -1,4 +1,4 @@
-"""Does each tip shape stand back from its lowest place as its closed form says?"""
+"""Each tip shape stands back from its lowest place as its closed form says."""
 
 import math
 

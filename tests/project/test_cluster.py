@@ -1,4 +1,4 @@
-"""Would a cluster take the batch script and build the image? They are read here, not run."""
+"""The batch script and the recipe of the cluster's image, read and not run."""
 
 from __future__ import annotations
 

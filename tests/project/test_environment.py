@@ -1,4 +1,4 @@
-"""Is the environment what docker/packages says, and does docker/run pass everything on?"""
+"""The environment is what docker/packages says, and docker/run passes everything on."""
 
 import os
 import re

@@ -1,4 +1,4 @@
-"""Does every command of the README and of every --help work, and is every number there true?
+"""Every command of the README and of every --help works, and every number there is true.
 
 What takes minutes is in `test_readme_long`; here it is parsed.
 """
@@ -14,13 +14,13 @@ from pathlib import Path
 import click
 import pytest
 import readme
+from benchmarks.sizes import unknowns
+from benchmarks.step import BODIES
 from commands import python
 from mpi4py import MPI
 
 from bristle.solver import paper
 from bristle.solver.effects.library import EFFECTS
-from bristle.studies.bench.sizes import unknowns
-from bristle.studies.bench.step import BODIES
 from bristle.studies.cli import main
 from bristle.studies.data.datasets import read_manifest
 from bristle.studies.inputs.choices import Deflection, Model

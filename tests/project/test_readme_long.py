@@ -1,4 +1,4 @@
-"""Are those numbers of the README true that take minutes, and do its long commands end well?
+"""The README's numbers that take minutes are true, and its long commands end well.
 
 Left out are `bench` and what it takes an hour to do: those numbers are timings, or the next run of
 the benchmark's.

@@ -1,4 +1,4 @@
-"""What is this program compared with? Exact solutions, and other programs of the same impact.
+"""What this program is compared with: exact solutions, and other programs of the same impact.
 
 `exact` and `modal_series` serve the tests. `naive_dolfinx`, `plain_scipy` and `calculix` compute
 one impact each, as scripts that `bristle bench` runs beside this program.

@@ -1,4 +1,4 @@
-"""What is every reference program asked, and what does it answer?
+"""What every reference program is asked, and what it answers.
 
 The physics is one upright impact: a free steel bar, elastic with damping C = β K of the material
 alone, falls on a unilateral spring of stiffness Kn spread evenly over its end face, under gravity.

@@ -1,4 +1,4 @@
-"""Do many drops at once give what each gives alone?"""
+"""Many drops at once give what each gives alone."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""Does the beam vibrate as a free-free Timoshenko beam does?"""
+"""The beam vibrates as a free-free Timoshenko beam does."""
 
 import math
 

@@ -1,4 +1,4 @@
-"""Does a march that was interrupted anywhere go on to the bit, and are foreign marks refused?"""
+"""A march interrupted anywhere goes on to the bit; foreign marks are refused."""
 
 import json
 import os

@@ -1,4 +1,4 @@
-"""Does compiling end well when others compile the same, are killed, or nothing can be written?"""
+"""Compiling ends well when others compile the same, are killed, or nothing can be written."""
 
 from __future__ import annotations
 

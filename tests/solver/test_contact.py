@@ -1,4 +1,4 @@
-"""Do the contact laws and their enforcement push back as they should, tangent included?"""
+"""Contact laws and their enforcement push back as they should, tangent included."""
 
 import math
 

@@ -1,4 +1,4 @@
-"""Do contact laws with a curve, a loss or a memory keep their books at every point, in every march?
+"""Laws with a curve, a loss or a memory keep their books at every point, in every march.
 
 Tangents against finite differences, random walks, random steps of several points, friction beside
 them, and the three marches against one another.

@@ -1,4 +1,4 @@
-"""Do stiffening, damped, plastic and adhesive contact throw a mass back as their closed forms say?
+"""Stiffening, damped, plastic and adhesive contact against closed forms of a bouncing mass.
 
 A mass of one mode, without gravity, comes to a plane with a known speed. What it does is compared
 with formulas, or with an integration that shares no code with the program.

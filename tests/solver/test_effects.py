@@ -1,4 +1,4 @@
-"""Does each effect enter one place of a drop, the same in beam and solid, and as theory says?"""
+"""Each effect enters one place of a drop, the same in beam and solid, and as theory says."""
 
 import math
 from dataclasses import fields

@@ -1,4 +1,4 @@
-"""Does Coulomb friction stick, slip and brake as blocks, oscillators and pressed faces do?
+"""Coulomb friction sticks, slips and brakes as blocks, oscillators and pressed faces do.
 
 The bodies are made by hand: a few modes of unit mass and points that move with them.
 """

@@ -1,4 +1,4 @@
-"""Does a leaning beam bounce as exact modes say, on planes with and without friction?"""
+"""A leaning beam bounces as exact modes say, on planes with and without friction."""
 
 import math
 

@@ -1,4 +1,4 @@
-"""Do the references for leaning, rigid impact and friction converge, and agree with each other?"""
+"""References for leaning, rigid impact and friction converge, and agree with each other."""
 
 import math
 

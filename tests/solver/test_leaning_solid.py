@@ -1,4 +1,4 @@
-"""Does a leaning solid bounce alike at full order and reduced, as a beam does, on any ranks?"""
+"""A leaning solid bounces alike at full order and reduced, as a beam does, on any ranks."""
 
 import math
 

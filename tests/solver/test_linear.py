@@ -1,4 +1,4 @@
-"""Do the solvers of a solid's equations agree, and is the right one taken, and made once?"""
+"""The solvers of a solid's equations agree; the right one is taken, and made once."""
 
 import math
 

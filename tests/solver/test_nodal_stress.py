@@ -1,4 +1,4 @@
-"""Is the stress at the nodes that of the displacement?"""
+"""The stress at the nodes is that of the displacement."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Do the reference programs, which share no code with this one, come to the same impact?"""
+"""Reference programs, which share no code with this one, come to the same impact."""
 
 import json
 import re

@@ -1,4 +1,4 @@
-"""Does a body turn and fly freely as Euler's equations and its own modes say?"""
+"""A body turns and flies freely as Euler's equations and its own modes say."""
 
 import math
 

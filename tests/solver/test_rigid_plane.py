@@ -1,4 +1,4 @@
-"""Does contact reach Signorini's limit: bouncing elastic bars whose motion is known exactly?
+"""Contact reaches Signorini's limit: bouncing elastic bars whose motion is known exactly.
 
 Solutions jump, and a scheme of second order spreads a jump over a width that shrinks as h^(2/3):
 times, the tip's displacement and the impulse given so far follow that rate. (The force itself

@@ -1,4 +1,4 @@
-"""Does axial force bend a leaning bristle as it should: Euler's load, energy, finite strain?"""
+"""Axial force bends a leaning bristle as it should: Euler's load, energy, finite strain."""
 
 import math
 

@@ -1,4 +1,4 @@
-"""Is the solid right: modes against closed forms, contact rows, the same on any ranks?"""
+"""The solid: modes against closed forms, contact rows, the same on any ranks."""
 
 import math
 

@@ -1,4 +1,4 @@
-"""Are the time scheme, the march and the flight right: against exact motion and each other?"""
+"""Time scheme, march and flight against exact motion and each other."""
 
 import math
 from dataclasses import replace

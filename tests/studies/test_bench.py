@@ -1,27 +1,20 @@
-"""Do the benchmarks measure what they say, and say what they measured?"""
+"""Benchmarks measure what they say, and say what they measured."""
 
 import csv
 import json
+import re
 import sys
 from dataclasses import replace
 
 import pytest
+from benchmarks import launch, peers, programs, ranks, sizes, step
+from benchmarks.peers_points import Point, converged, reached
+from benchmarks.programs import DAMPED, QUANTITIES, Setting
+from benchmarks.records import Part
 from commands import bristle, mpirun, python
 from made_outcomes import growing, shared_out, steps
 
 from bristle.solver.errors import InputError
-from bristle.studies.bench import (
-    launch,
-    peers,
-    programs,
-    ranks_page,
-    sizes,
-    sizes_page,
-    step_page,
-)
-from bristle.studies.bench.communication import prediction
-from bristle.studies.bench.peers_table import Point, converged, reached
-from bristle.studies.bench.programs import DAMPED, QUANTITIES, Setting
 
 pytestmark = pytest.mark.serial
 
@@ -100,20 +93,19 @@ def test_peers_on_a_tiny_mesh(monkeypatch, tmp_path):
     broken = replace(few[0], name="broken", model="", script="impact.py")
     gone = replace(broken, name="gone", script="nothing.py")
     monkeypatch.setattr(peers, "PROGRAMS", (*few, broken, gone))
-    monkeypatch.setattr("bristle.studies.bench.peers_text.PROGRAMS", (*few, broken, gone))
     block = peers.Block(DAMPED, (1, 1, 4), (1e-5, 5e-6))
     said = peers.run_peers(tmp_path, repeats=2, blocks=(block,))
-    with (tmp_path / "points.csv").open() as file:
+    with (tmp_path / "peers.csv").open() as file:
         rows = list(csv.DictReader(file))
-    assert [(row["program"], float(row["its_s"])) for row in rows] == [
-        (name, its) for its in (1e-5, 5e-6) for name in ("bristle, beam", "scipy, plain")
+    assert [(row["program"], float(row["its_us"])) for row in rows] == [
+        (name, its) for name in ("bristle, beam", "scipy, plain") for its in (10.0, 5.0)
     ]
     for row in rows:
         assert float(row["wall_low_s"]) <= float(row["wall_s"]) <= float(row["wall_high_s"])
         assert 0.0 < float(row["further_s"]) < float(row["wall_s"])
         assert row["repeats"] == "2"
     # both are of second order: half the ITS leaves a quarter of the error, or nearly
-    for far, near in zip(rows[:2], rows[2:], strict=True):
+    for far, near in zip(rows[::2], rows[1::2], strict=True):
         assert float(near["rebound_ratio_error"]) < 0.4 * float(far["rebound_ratio_error"])
     assert "gone" in said
     assert "not here" in said
@@ -121,7 +113,7 @@ def test_peers_on_a_tiny_mesh(monkeypatch, tmp_path):
     html = (tmp_path / "report.html").read_text()
     assert "Time at equal error" in html
     assert "not here" in html
-    assert len(json.loads((tmp_path / "runs.json").read_text())) == 12
+    assert len(json.loads((tmp_path / "peers.json").read_text())["runs"]) == 12
 
 
 def test_names_and_options_that_do_not_belong_are_refused(tmp_path):
@@ -143,31 +135,45 @@ def told(folder, name: str) -> list[dict[str, str]]:
 
 
 def test_a_steps_page_tells_readings_and_solves(tmp_path):
-    step_page.page(steps(), tmp_path, 3, [])
+    said = step.page(steps(), tmp_path, 3, [])
     html = (tmp_path / "report.html").read_text()
-    assert "9.00 ms or 2.2 readings of the factor, a step 1.110 solves, 1.330 in contact" in html
+    sentence = "a solve takes 9 ms or 2.2 readings of its factor (goal 2), a step 1.11 solves, 1.33"
+    assert sentence in html
+    assert sentence in said
     assert f"bristle bench step --repeats 3 --out {tmp_path}" in html
     assert [float(row["solve_ms"]) for row in told(tmp_path, "step")] == [9.0, 18.0]
+    assert len(json.loads((tmp_path / "step.json").read_text())["step"]) == 2
 
 
 def test_the_page_of_sizes_tells_exponents_and_what_failed(tmp_path):
     lines = growing()
-    sizes_page.page(lines, sizes.exponents(lines), ["compact: no memory"], tmp_path, 200_000, [])
+    said = sizes.page(lines, ["compact: no memory"], tmp_path, 200_000, [])
     html = (tmp_path / "report.html").read_text()
     assert "Along, direct: a step grows with the unknowns to the power 1.00" in html
     assert "Compact, direct: a step grows with the unknowns to the power 1.33" in html
     assert "Not done: compact: no memory." in html
+    assert "Not done: compact: no memory." in said
     assert len(told(tmp_path, "sizes")) == len(lines)
 
 
 def test_the_page_of_ranks_holds_efficiency_against_goal_and_memory(tmp_path):
-    rows, machine, memory = shared_out()
-    ranks_page.page(rows, machine, memory, prediction(machine), tmp_path, 3, [])
+    lines, machine, memory = shared_out()
+    ranks.page(lines, machine, memory, tmp_path, 3, [])
     html = (tmp_path / "report.html").read_text()
-    said = "One large solid on 2 ranks: efficiency 90\u00a0% of the march, 90\u00a0% of the whole"
-    assert f"{said} (asked for 85\u00a0%, memory allows 90\u00a0%)." in html
+    sentence = "One large solid on 2 ranks: efficiency 90 % of the march, 90 % of the whole"
+    assert f"{sentence} (asked for 85 %, memory allows 90 %)." in html
     assert [row["memory_allows"] for row in told(tmp_path, "ranks")].count("0.9") == 3
     assert len(told(tmp_path, "predicted")) == 3
+
+
+def test_a_table_stands_in_columns():
+    """Each word ends, the first begins, where its column does."""
+    head, unit, *rows = Part("step", "A step", steps()).lines()[1:-1]
+    ends = [match.end() for match in re.finditer(r"\S+", rows[-1])][3:]
+    for row in rows:
+        assert [match.end() for match in re.finditer(r"\S+", row)][3:] == ends
+    assert head.index("Cells") == 2
+    assert unit.split()[:2] == ["GB/s", "GB/s"]
 
 
 def test_sizes_that_are_all_too_large_are_refused(tmp_path):

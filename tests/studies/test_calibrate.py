@@ -1,4 +1,4 @@
-"""Does a calibration find the Kn that made the drops, with intervals that hold it?"""
+"""A calibration finds the Kn that made the drops, with intervals that hold it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Does the command line end as promised: status, last line, and nothing lost?"""
+"""The command line ends as promised: status, last line, and nothing lost."""
 
 import contextlib
 import io

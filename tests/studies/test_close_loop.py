@@ -1,4 +1,4 @@
-"""Does `bristle close-loop` end with the verdict, the page and the exit status that it promises?
+"""`bristle close-loop` ends with the verdict, the page and the exit status that it promises.
 
 Measured datasets lie in ``shared/data`` beside the repository; where they are not, their tests are
 skipped. Each ``dataset.toml`` there names its public source and commit.

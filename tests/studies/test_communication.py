@@ -1,4 +1,4 @@
-"""Does a solid on several ranks send what the model of its communication says?"""
+"""A solid on several ranks sends what the model of its communication says."""
 
 from __future__ import annotations
 
@@ -6,6 +6,8 @@ import itertools
 
 import numpy as np
 import pytest
+from benchmarks import communication
+from benchmarks.communication import Bar, Machine
 from mpi4py import MPI
 from petsc4py import PETSc
 
@@ -14,8 +16,6 @@ from bristle.solver.contact.laws import Linear
 from bristle.solver.impact import History, march_contact
 from bristle.solver.time.march import Marcher
 from bristle.solver.time.scheme import TimeScheme
-from bristle.studies.bench import communication
-from bristle.studies.bench.communication import Bar, Machine
 
 COMM = MPI.COMM_WORLD
 MACHINE = Machine(latency_s=1e-6, bandwidth_B_s=5e9, memory_B_s=8e9, solve_B_s=4e9)

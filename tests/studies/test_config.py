@@ -1,4 +1,4 @@
-"""Does a run do what flags, file and defaults ask for, and refuse what makes no sense?"""
+"""A run does what flags, file and defaults ask for, and refuses what makes no sense."""
 
 import json
 import math

@@ -1,4 +1,4 @@
-"""Does a drop give what the paper gave, what independent methods give, and itself another way?"""
+"""A drop against the paper, independent methods, and itself computed another way."""
 
 import math
 

@@ -1,4 +1,4 @@
-"""Is nothing lost, half-written or hung when a run is killed, its disk fills, or a rank dies?"""
+"""Nothing is lost, half-written or hung when a run is killed, its disk fills, or a rank dies."""
 
 import ast
 import fcntl

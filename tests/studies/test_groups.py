@@ -1,4 +1,4 @@
-"""Do groups of ranks compute each case once, with the results that one rank has?"""
+"""Groups of ranks compute each case once, with the results that one rank has."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Can every page be read in a real browser: on a phone, on a desk, on paper, without a network?"""
+"""Every page can be read in a real browser: on a phone, on a desk, on paper, offline."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from benchmarks import peers, ranks, sizes, step
 from browser import Browser, browser, needs_chromium
 from made_drops import QUICK, write_drops
 from made_outcomes import (
@@ -22,9 +23,6 @@ from mpi4py import MPI
 from small_reproduction import small
 
 from bristle.solver.effects.library import EFFECTS
-from bristle.studies.bench import peers_page, ranks_page, sizes_page, step_page
-from bristle.studies.bench.communication import prediction
-from bristle.studies.bench.sizes import exponents
 from bristle.studies.cli import main
 from bristle.studies.loop.kinds.drops import problem as drops_module
 from bristle.studies.reproduce.run import run_reproduce
@@ -101,12 +99,11 @@ def pages(tmp_path_factory) -> Path:
         (folder / bench).mkdir()
     found, converged, runs = points_of_every_program()
     about = [("Machine", "none")]
-    peers_page.page(found, converged, runs, folder / "peers", 5, about)
-    step_page.page(steps(), folder / "step", 3, about)
-    sizes_page.page(growing(), exponents(growing()), [], folder / "sizes", 200_000, about)
-    rows, machine, memory = shared_out()
-    foretold = prediction(machine)
-    ranks_page.page(rows, machine, memory, foretold, folder / "ranks", 3, about)
+    peers.page(found, converged, runs, folder / "peers", 5, about)
+    step.page(steps(), folder / "step", 3, about)
+    sizes.page(growing(), [], folder / "sizes", 200_000, about)
+    lines, machine, memory = shared_out()
+    ranks.page(lines, machine, memory, folder / "ranks", 3, about)
     return folder
 
 

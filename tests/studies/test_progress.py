@@ -1,4 +1,4 @@
-"""Does long work say how far it is and how long it takes yet, on a terminal and elsewhere?"""
+"""Long work says how far it is and how long it takes yet, on a terminal and elsewhere."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Is the page valid, whole in one file, and true to its tables?"""
+"""The page is valid, whole in one file, and true to its tables."""
 
 from __future__ import annotations
 

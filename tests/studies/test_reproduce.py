@@ -1,4 +1,4 @@
-"""Does the reproduction run end to end, and does its page say what its tables hold?"""
+"""The reproduction runs end to end, and its page says what its tables hold."""
 
 from __future__ import annotations
 

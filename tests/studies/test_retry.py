@@ -1,4 +1,4 @@
-"""At which steps is a drop simulated again that fails?"""
+"""The steps at which a drop that fails is simulated again."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Does a scatter draw what it says, compute what single drops do, and say what the drops say?"""
+"""A scatter draws what it says, computes what single drops do, and says what the drops say."""
 
 import csv
 import json

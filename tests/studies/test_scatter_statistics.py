@@ -1,4 +1,4 @@
-"""Are the statistics of a scatter right where they are known in closed form?"""
+"""Statistics of a scatter against closed forms."""
 
 import math
 

@@ -1,4 +1,4 @@
-"""What does a command load? Only what it needs, or every call waits for it."""
+"""A command loads only what it needs, since every call waits for it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Do studies compute what the solver says, leave whole files, and lose nothing on failure?"""
+"""Studies compute what the solver says, leave whole files, and lose nothing on failure."""
 
 import csv
 import json

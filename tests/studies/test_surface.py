@@ -1,4 +1,4 @@
-"""Is a random surface the one that was asked for, and is what the tip sees of it consistent?"""
+"""A random surface is the one that was asked for, and what the tip sees of it is consistent."""
 
 import math
 import pickle

@@ -1,4 +1,4 @@
-"""Does a surface come back from its file, and does a broken file say where it is broken?"""
+"""A surface comes back from its file; a broken file says where it is broken."""
 
 import zipfile
 

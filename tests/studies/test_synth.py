@@ -1,4 +1,4 @@
-"""Do made datasets hold what they say, hide it, and come out the same again?"""
+"""Made datasets hold what they say, hide it, and come out the same again."""
 
 import json
 

@@ -1,4 +1,4 @@
-"""Is a dataset that is in other units than it says refused by file and line, before it computes?"""
+"""A dataset in other units than it says is refused by file and line, before it computes."""
 
 import pytest
 from hostile import TABLES, drops_table, kept_promise, manifest, run, write_dataset

@@ -1,4 +1,4 @@
-"""Which force does a bristle press with while it hits, over height, stiffness and an effect's size?
+"""Contact force over time, tabulated over height, stiffness and an effect's size.
 
 Tables like `table.Table`, of whole histories in place of three numbers: the vertical force over
 the speed of impact, its mean in each of `CELLS` equal times from the first touch. All tables of a

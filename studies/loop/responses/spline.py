@@ -1,4 +1,4 @@
-"""What does a table of equally spaced values say between them? Cubic splines in up to four axes."""
+"""Cubic splines through equally spaced values in up to four axes."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Which measurements could be made next of drops, and what would models predict of them?"""
+"""Measurements that could be made next of drops, and what models predict of them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What do records of impact force say, as a problem for the loop?
+"""Records of impact force as a problem for the loop.
 
 Dataset kind ``forces``: force over time of each drop, on a clock that some trigger started, and the
 height of each drop in ``drops.csv`` beside it. A record is brought to the amounts of a few shapes

@@ -1,4 +1,4 @@
-"""Which records of impact force are there, from which heights, and can every value be used?"""
+"""Records of impact force as a dataset has them, with the heights that they are from."""
 
 from __future__ import annotations
 

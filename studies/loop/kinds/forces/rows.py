@@ -1,4 +1,4 @@
-"""What does one record of an impact's force say that does not hang on when it was triggered?
+"""What one record of an impact's force says whenever it was triggered.
 
 A record is samples of force on a clock of its own. It is laid over simulated histories until the
 best of them, at its best time, leaves least. About that time the record is linear in the amounts of

@@ -1,6 +1,6 @@
-"""What does a further drop cost in a process that has made one already?
+"""What a further drop costs in a process that has made one already.
 
-A script: ``python3 -m bristle.studies.bench.further --model beam``. Mesh, matrices, factor, basis
+A script: ``python3 -m benchmarks.further --model beam``. Mesh, matrices, factor, basis
 and compiled code are there; march and flight are what is left.
 """
 
@@ -15,14 +15,14 @@ from collections.abc import Sequence
 
 from mpi4py import MPI
 
-from ..inputs.choices import Model
-from ..inputs.config import DropInputs
-from ..running.cases import Workshop
+from bristle.studies.inputs.choices import Model
+from bristle.studies.inputs.config import DropInputs
+from bristle.studies.running.cases import Workshop
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Print the median of ``--times`` further drops as a line of JSON."""
-    parser = argparse.ArgumentParser(prog="bristle.studies.bench.further", description=__doc__)
+    parser = argparse.ArgumentParser(prog="benchmarks.further", description=__doc__)
     parser.add_argument("--model", choices=[each.value for each in Model], default="beam")
     parser.add_argument("--cells", type=int, nargs=3, required=True)
     parser.add_argument("--modes", type=int, required=True)

@@ -1,4 +1,4 @@
-"""How far is each program from the converged value, and how long does it take to come near?"""
+"""How far each program is from the converged value, and how long it takes to come near."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What does a command cost: its time, and the greatest memory of its own?
+"""What a command costs: its time, and the greatest memory of its own.
 
 A script of its own that imports little: in a process's peak the kernel counts what its parent held
 when it was made, so that a large parent would hide a small child.

@@ -1,4 +1,4 @@
-"""On what was something measured: processor, memory, system, versions?"""
+"""The machine that something was measured on, and processes started on it."""
 
 from __future__ import annotations
 
@@ -6,10 +6,18 @@ import os
 import platform
 import shutil
 import subprocess
+from collections.abc import Mapping
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 LIBRARIES = ("fenics-dolfinx", "petsc4py", "numpy", "scipy", "numba")
+
+
+def with_benchmarks(environment: Mapping[str, str]) -> dict[str, str]:
+    """An environment in which Python finds this package."""
+    own = str(Path(__file__).resolve().parents[1])
+    path = os.pathsep.join(filter(None, (own, environment.get("PYTHONPATH", ""))))
+    return {**environment, "PYTHONPATH": path}
 
 
 def facts() -> list[tuple[str, str]]:

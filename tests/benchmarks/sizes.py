@@ -1,7 +1,7 @@
-"""How do time and memory of the full-order solid grow with its size?
+"""`bristle bench sizes`: time and memory of the full-order solid against its size.
 
-`bristle bench sizes` asks it. Each size runs in a process of its own, so that its greatest memory
-is its own: this file as a script.
+Each size runs in a process of its own, so that its greatest memory is its own: this file as a
+script.
 """
 
 from __future__ import annotations
@@ -13,22 +13,24 @@ import resource
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ...solver import paper
-from ...solver.errors import ComputationError, InputError
-from ...solver.time.scheme import TimeScheme
-from ..running.files import prepare_folder, records_to_csv, to_json, together, write_atomically
-from ..running.progress import progress
-from .machine import facts, load
+from bristle.solver import paper
+from bristle.solver.errors import ComputationError, InputError
+from bristle.solver.time.scheme import TimeScheme
+from bristle.studies.running.files import prepare_folder
+from bristle.studies.running.progress import progress
+
+from .column import column
+from .machine import facts, load, with_benchmarks
 
 if TYPE_CHECKING:
-    from ...solver.bodies.solid import SolidBody
+    from bristle.solver.bodies.solid import SolidBody
 
 # The paper's bristle, divided ever finer along it; and along and across it.
 ALONG = tuple((1, 4, cells) for cells in (308, 617, 1851, 6172, 18518))
@@ -39,9 +41,24 @@ CUBE_M = 0.01
 ORDER = 2
 STEPS = 5
 PARTS = ("mesh_s", "assemble_s", "factor_s", "step_s", "peak_MB")
+PANELS = {
+    "factor_s": "before the first step (s)",
+    "step_s": "a step (s)",
+    "peak_MB": "memory (MB)",
+}
+HOW = (
+    "The solid at full order, from small to large.",
+    "Each size is a process of its own on one rank and one thread, so that its greatest memory is "
+    "its own; a step is the least of its repeats. Memory per unknown is what the process grew by "
+    "since before the mesh.",
+    "Along: the paper's bristle, divided ever finer along its axis. All ways: along and across it. "
+    "Compact: a cube, directly and iteratively.",
+    "A step of a cube, and one under conjugate gradients, is the solve alone.",
+    "Before the first step: factor, compliance of the contact points, and what else a march needs.",
+)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Line:
     """One size: wall seconds, the step the least of ``repeats``, and the process' greatest memory.
 
@@ -51,20 +68,32 @@ class Line:
     ``bytes_per_unknown`` is what memory grew by since before the mesh.
     """
 
-    series: str
-    cells: str
+    series: str = column("Series")
+    cells: str = column("Cells")
     order: int
-    unknowns: int
+    unknowns: int = column("Unknowns", digits=0)
     ranks: int
     repeats: int
-    method: str
-    mesh_s: float
-    assemble_s: float
-    factor_s: float
-    step_s: float
-    iterations: int | None
-    bytes_per_unknown: float
-    peak_MB: float
+    method: str = column("Method")
+    mesh_s: float = column("Mesh", "s")
+    assemble_s: float = column("Assembly", "s")
+    factor_s: float = column("Before the first step", "s")
+    step_s: float = column("Step", "s")
+    iterations: int | None = column("Iterations", digits=0)
+    bytes_per_unknown: float = column("An unknown", "bytes")
+    peak_MB: float = column("Memory", "MB")
+
+
+@dataclass(frozen=True)
+class Growth:
+    """Exponents with which each part grows with the number of unknowns, in a series by a method."""
+
+    series: str = column("Series and method")
+    mesh_s: float = column("Mesh")
+    assemble_s: float = column("Assembly")
+    factor_s: float = column("Before the first step")
+    step_s: float = column("Step")
+    peak_MB: float = column("Memory")
 
 
 def peak_bytes() -> int:
@@ -74,7 +103,8 @@ def peak_bytes() -> int:
 
 def size_line(series: str, cells: tuple[int, int, int], solver: str) -> Line:
     """Measure one size in this process."""
-    from ...solver.bodies.linear import Iterative, Method, Solver
+    from bristle.solver.bodies.linear import Iterative, Method, Solver
+
     from .step import bar_solid
 
     sides = (CUBE_M,) * 3 if series == "compact" else None
@@ -159,17 +189,66 @@ def run_sizes(out: Path, largest: int = 3_000_000) -> str:
                 lines.append(_apart(series, cells, solver))
             except ComputationError as error:
                 failed.append(f"{series} {cells} {solver}: {error}")
-            growth = exponents(lines)
-            document = {"lines": [asdict(x) for x in lines], "exponents": growth, "failed": failed}
-            with together(out, "sizes.json"):
-                write_atomically(out / "sizes.csv", records_to_csv(Line, lines))
-                write_atomically(out / "sizes.json", to_json(document))
             advance(unknowns(cells))
     # not before: a child's peak has in it what its parent held
-    from .sizes_page import page
+    return page(lines, failed, out, largest, about)
 
-    page(lines, growth, failed, out, largest, about)
-    return "\n".join([*map(_told, lines), *_growth(growth), *failed])
+
+def page(
+    lines: Sequence[Line],
+    failed: Sequence[str],
+    out: Path,
+    largest: int,
+    about: Sequence[tuple[str, str]],
+) -> str:
+    """Write the records with their page, the tables as text; ``about`` is the machine."""
+    from .records import Part, curves_figure, publish
+
+    growth = exponents(lines)
+    by_panel = {
+        label: {
+            name: ([line.unknowns for line in own], [getattr(line, key) for line in own])
+            for name, own in groups(lines).items()
+        }
+        for key, label in PANELS.items()
+    }
+    drawn = curves_figure("unknowns", by_panel)
+    parts = [
+        Part(
+            "sizes",
+            "Every size",
+            lines,
+            drawn,
+            "Time before the first step, time of a step, and the process' greatest memory against "
+            "the number of unknowns.",
+            [f"Not done: {each}." for each in failed],
+        )
+    ]
+    if growth:
+        parts.append(
+            Part(
+                "exponents",
+                "Exponents of growth",
+                growth,
+                note="By least squares of logarithms over three sizes or more; memory without what "
+                "a process has from its start.",
+            )
+        )
+    return publish(
+        "sizes",
+        parts,
+        out,
+        title="Time and memory against size",
+        command=("sizes", "--largest", largest),
+        headline=[
+            f"{each.series.capitalize()}: a step grows with the unknowns to the power "
+            f"{each.step_s:.2f}, the factor {each.factor_s:.2f}, memory {each.peak_MB:.2f}."
+            for each in growth
+        ],
+        about=about,
+        how=HOW,
+        further={"failed": list(failed)},
+    )
 
 
 def _cases(largest: int) -> Iterable[tuple[str, tuple[int, int, int], str]]:
@@ -187,8 +266,8 @@ def _cases(largest: int) -> Iterable[tuple[str, tuple[int, int, int], str]]:
 
 def _apart(series: str, cells: tuple[int, int, int], solver: str) -> Line:
     """`size_line` in a process of its own; ComputationError where that does not end well."""
-    command = [sys.executable, "-m", __spec__.name, "--one", series, solver, *map(str, cells)]
-    one_thread = {"OMP_NUM_THREADS": "1", **os.environ}
+    command = [sys.executable, "-m", "benchmarks.sizes", series, solver, *map(str, cells)]
+    one_thread = {"OMP_NUM_THREADS": "1", **with_benchmarks(os.environ)}
     done = subprocess.run(command, capture_output=True, text=True, check=False, env=one_thread)
     if done.returncode:
         last = (done.stderr.strip().splitlines() or ["nothing said"])[-1]
@@ -196,19 +275,24 @@ def _apart(series: str, cells: tuple[int, int, int], solver: str) -> Line:
     return Line(**json.loads(done.stdout.splitlines()[-1]))
 
 
-def exponents(lines: list[Line]) -> dict[str, dict[str, float]]:
+def groups(lines: Sequence[Line]) -> dict[str, list[Line]]:
+    """Lines by series and method."""
+    found: dict[str, list[Line]] = {}
+    for line in lines:
+        found.setdefault(f"{line.series}, {line.method}", []).append(line)
+    return found
+
+
+def exponents(lines: Sequence[Line]) -> list[Growth]:
     """By series and method, the exponent of each part's growth with the number of unknowns.
 
     By least squares of logarithms, where there are three sizes or more.
     """
-    groups: dict[str, list[Line]] = {}
-    for line in lines:
-        groups.setdefault(f"{line.series}, {line.method}", []).append(line)
-    return {
-        name: {part: _slope(group, part) for part in PARTS}
-        for name, group in groups.items()
-        if len(group) > 2
-    }
+    return [
+        Growth(name, *(_slope(own, part) for part in PARTS))
+        for name, own in groups(lines).items()
+        if len(own) > 2
+    ]
 
 
 def _slope(lines: list[Line], part: str) -> float:
@@ -221,28 +305,9 @@ def _slope(lines: list[Line], part: str) -> float:
     return float(np.polyfit(x, y, 1)[0])
 
 
-def _told(line: Line) -> str:
-    iterations = "" if line.iterations is None else f", {line.iterations} iterations"
-    return (
-        f"{line.series:<8} {line.cells:>12}, order {line.order}, {line.unknowns:>8} unknowns, "
-        f"{line.ranks} rank, {line.method}: mesh {line.mesh_s:.3g} s, "
-        f"assembly {line.assemble_s:.3g} s, factor {line.factor_s:.3g} s, "
-        f"step {1e3 * line.step_s:.3g} ms (least of {line.repeats}{iterations}), "
-        f"{line.bytes_per_unknown:.0f} bytes an unknown, peak {line.peak_MB:.0f} MB"
-    )
-
-
-def _growth(growth: dict[str, dict[str, float]]) -> list[str]:
-    names = {part: part.split("_")[0] for part in PARTS}
-    return [
-        f"{group}: exponents " + ", ".join(f"{names[p]} {slope:.2f}" for p, slope in found.items())
-        for group, found in growth.items()
-    ]
-
-
 def main(arguments: list[str]) -> None:
     """Print the line of one size, as `_apart` asks for it."""
-    _, series, solver, *cells = arguments
+    series, solver, *cells = arguments
     x, y, z = map(int, cells)
     print(json.dumps(asdict(size_line(series, (x, y, z), solver))))
 

@@ -1,4 +1,4 @@
-"""Where does it end to pay that more ranks share one solid? A model of a step's communication.
+"""A model of a step's communication, and where more ranks cease to pay for one solid.
 
 A slender bar is cut across its length into P parts. A cut is one plane of nodes, whatever P and
 the bar's length: n = (p NX + 1)(p NY + 1) nodes of degree p, s = 3 n unknowns. The bar has
@@ -32,6 +32,8 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+
+from .column import column
 
 BYTES = 8
 VECTORS = 60
@@ -144,19 +146,27 @@ def last_ranks(bar: Bar, share: float, machine: Machine) -> int:
     return ranks
 
 
-def prediction(machine: Machine) -> list[dict[str, float]]:
-    """For each of ``SIZES``: unknowns, a step's time, bytes and ranks where scaling ends."""
-    rows = []
-    for cells in SIZES:
-        bar = Bar(cells)
-        ends = {f"ranks_at_{100 * share:.0f}": last_ranks(bar, share, machine) for share in SHARES}
-        rows.append(
-            {
-                "unknowns": bar.unknowns,
-                "step_s": step_s(bar, 1, machine),
-                "cut_B": BYTES * bar.most_ghosts,
-                "local_B": solve_B(bar) + stream_B(bar),
-                **ends,
-            }
+@dataclass(frozen=True)
+class Prediction:
+    """A size's step in s on one rank, the bytes of a cut, and the ranks where scaling ends."""
+
+    unknowns: int = column("Unknowns", digits=0)
+    step_s: float = column("A step on one rank", "s")
+    cut_B: int = column("A cut", "B")
+    local_B: float = column("Read and written", "B")
+    ranks_at_85: int = column("85 % to", "ranks", 0)
+    ranks_at_50: int = column("50 % to", "ranks", 0)
+
+
+def prediction(machine: Machine) -> list[Prediction]:
+    """For each of ``SIZES``."""
+    return [
+        Prediction(
+            bar.unknowns,
+            step_s(bar, 1, machine),
+            BYTES * bar.most_ghosts,
+            solve_B(bar) + stream_B(bar),
+            *(last_ranks(bar, share, machine) for share in SHARES),
         )
-    return rows
+        for bar in map(Bar, SIZES)
+    ]

@@ -1,4 +1,4 @@
-"""Which programs compute the same impact, how is each called, and what does it answer?"""
+"""Programs that compute the same impact: how each is called, and what it answers."""
 
 from __future__ import annotations
 
@@ -12,12 +12,15 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from ...solver import paper
-from ...solver.compiled import cache_folder
-from ..inputs.fields import MODES
-from ..running.parallel import unlaunched
+import bristle
+from bristle.solver import paper
+from bristle.solver.compiled import cache_folder
+from bristle.studies.inputs.fields import MODES
+from bristle.studies.running.parallel import unlaunched
 
-REFERENCES = Path(__file__).resolve().parents[2] / "tests" / "reference"
+from .machine import with_benchmarks
+
+REFERENCES = Path(__file__).resolve().parents[1] / "reference"
 QUANTITIES = ("rebound_ratio", "contact_time_s", "peak_force_N")
 HEIGHT_M = 0.05
 ABSENT_STATUS = 3
@@ -131,11 +134,11 @@ class Bench:
     def environment(self) -> dict[str, str]:
         """That of a process which nobody launched as a rank, on one thread."""
         kept = unlaunched()
-        package = str(Path(__file__).absolute().parents[3])
+        package = str(Path(next(iter(bristle.__path__))).parent)
         path = os.pathsep.join(filter(None, (package, kept.get("PYTHONPATH", ""))))
         threads = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
         cache = {"NUMBA_CACHE_DIR": str(self.folder / "cache")}
-        return {**kept, **threads, **cache, "PYTHONPATH": path}
+        return with_benchmarks({**kept, **threads, **cache, "PYTHONPATH": path})
 
     def run(self, arguments: list[str]) -> tuple[subprocess.CompletedProcess[str], Answer]:
         """Run the interpreter with ``arguments`` under `launch`, and say what it cost."""
@@ -192,7 +195,7 @@ def _own(place: Bench, options: list[str], further: bool) -> Answer:
     result["rebound_ratio"] = result["cm_rebound_ratio"]
     further_s = None
     if further:
-        done, again = place.run(["-m", "bristle.studies.bench.further", *options])
+        done, again = place.run(["-m", "benchmarks.further", *options])
         if again.why_not:
             return again
         further_s = json.loads(done.stdout.splitlines()[-1])["further_s"]

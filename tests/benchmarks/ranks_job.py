@@ -1,6 +1,6 @@
-"""What does one job of `ranks` measure, on the ranks that mpirun gave it?
+"""One job of `ranks`, on the ranks that mpirun gave it.
 
-``mpirun -n 2 python3 -m bristle.studies.bench.ranks_job '{"kind": "solids", …}'`` prints one line
+``mpirun -n 2 python3 -m benchmarks.ranks_job '{"kind": "solids", …}'`` prints one line
 of JSON.
 """
 
@@ -15,13 +15,14 @@ from typing import Any
 import numpy as np
 from mpi4py import MPI
 
-from ...meshes.distribute import Tag, to_dolfinx
-from ...solver.bodies.solid import SolidBody
-from ...solver.bristle import Material
-from ..inputs.choices import Model
-from ..inputs.config import DropInputs
-from ..running.cases import Timings, Workshop
-from ..running.groups import run_solids
+from bristle.meshes.distribute import Tag, to_dolfinx
+from bristle.solver.bodies.solid import SolidBody
+from bristle.solver.bristle import Material
+from bristle.studies.inputs.choices import Model
+from bristle.studies.inputs.config import DropInputs
+from bristle.studies.running.cases import Timings, Workshop
+from bristle.studies.running.groups import run_solids
+
 from .communication import Bar, solve_B
 
 MESSAGES = 2000

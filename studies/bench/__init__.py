@@ -1,1 +1,0 @@
-"""Measurements of the program itself: how fast it is, beside others."""

@@ -1,0 +1,1 @@
+"""Benchmarks of this program, which `bristle bench` runs: records, their table and their page."""
