@@ -1,4 +1,4 @@
-"""The folder as a script: ``python3 -m bristle.studies.calibrate``."""
+"""The folder as a script: ``python3 -m bristle.studies.calibrate DATASET``."""
 
 from ..command.script import as_script
 

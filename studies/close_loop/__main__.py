@@ -1,4 +1,4 @@
-"""The folder as a script: ``python3 -m bristle.studies.close_loop``."""
+"""The folder as a script: ``python3 -m bristle.studies.close_loop DATASET``."""
 
 from ..command.script import as_script
 

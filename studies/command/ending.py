@@ -13,8 +13,8 @@ import click
 
 from ...solver.errors import BristleError
 from ..inputs.texts import printable
-from ..running.claim import claims
 from ..running.interrupts import INTERRUPTED, heard, interruptible, leave
+from ..running.lock import locks
 from ..running.parallel import Ending, Ranks, rank_0_speaks
 from ..running.progress import logged_to_terminal
 
@@ -28,7 +28,7 @@ def run(command: click.Command, arguments: list[str]) -> int:
     line on standard error, from rank 0 alone unless another rank fails by itself.
     """
     _open_streams()
-    with interruptible(), rank_0_speaks(), logged_to_terminal(), claims():
+    with interruptible(), rank_0_speaks(), logged_to_terminal(), locks():
         ranks = Ranks()
         try:
             ending = _attempt(command, arguments)

@@ -17,8 +17,8 @@ from pathlib import Path
 from typing import Any
 
 from ...solver.errors import ComputationError, InputError
-from .claim import claim
 from .interrupts import uninterrupted
+from .lock import lock_folder
 
 # How the names of things begin until they are whole.
 UNFINISHED = ".bristle-unfinished-"
@@ -28,11 +28,11 @@ def prepare_folder(out: Path) -> None:
     """Make ``out`` where it is missing; InputError where it is a file or cannot be written.
 
     What a run that was killed left there unfinished is removed; one that still writes there is
-    waited for (`claim`).
+    waited for (`lock_folder`).
     """
     try:
         out.mkdir(parents=True, exist_ok=True)
-        claim(out)
+        lock_folder(out)
         for path in out.iterdir():
             if path.name.startswith(UNFINISHED):
                 remove(path)

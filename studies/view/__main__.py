@@ -1,4 +1,4 @@
-"""The folder as a script: ``python3 -m bristle.studies.view``."""
+"""The folder as a script: ``python3 -m bristle.studies.view RESULT``."""
 
 from ..command.script import as_script
 

@@ -11,7 +11,7 @@ from bristle.solver import paper
 from bristle.solver.bristle import Bristle
 from bristle.solver.contact.laws import Linear
 from bristle.solver.effects.library import enter_all
-from bristle.studies.loop.responses.response import Bench
+from bristle.studies.loop.responses.response import Emulator
 from bristle.studies.loop.responses.table_drops import beam_of, drops_of
 
 # Effects that need no tables but the plain one, so that the test is quick on a new machine.
@@ -23,14 +23,14 @@ SIGMA_MM = 0.3
 def write_drops(folder: Path, effects=(), title: str = "Made") -> Path:
     """A dataset of beam drops with ``effects`` in them, read with noise."""
     rng = np.random.default_rng(11)
-    bench = Bench(Bristle(), paper.GRAVITY_M_S2, 0.01, 0.05)
+    emulator = Emulator(Bristle(), paper.GRAVITY_M_S2, 0.01, 0.05)
     heights = np.resize(np.array(paper.HEIGHTS_M), COUNT) * (1 + 0.02 * rng.standard_normal(COUNT))
-    plain = replace(bench.plain(), law=Linear(2e6))
+    plain = replace(emulator.plain(), law=Linear(2e6))
     scenes = [
         enter_all(replace(plain, height_m=float(h), order=i), effects)
         for i, h in enumerate(heights)
     ]
-    top = drops_of(beam_of(bench.bristle), scenes, bench.gravity_m_s2, 5e-6, 0.5)[:, 0]
+    top = drops_of(beam_of(emulator.bristle), scenes, emulator.gravity_m_s2, 5e-6, 0.5)[:, 0]
     noise = SIGMA_MM * rng.standard_normal((COUNT, 2))
     rows = [
         f"{i + 1},{1e3 * y0 + a:.4f},{1e3 * y1 + b:.4f}\n"

@@ -23,7 +23,7 @@ from bristle.solver.errors import InputError
 from bristle.studies.cli import main
 from bristle.studies.loop.kinds.drops import problem as drops_module
 from bristle.studies.loop.responses import response
-from bristle.studies.loop.responses.response import Bench, Tables, effect_at
+from bristle.studies.loop.responses.response import Emulator, Tables, effect_at
 
 pytestmark = pytest.mark.serial
 
@@ -126,16 +126,16 @@ def test_two_parameters_make_a_table_of_both(monkeypatch):
     monkeypatch.setattr(response, "EFFECT_NODES", 5)
     monkeypatch.setattr(response, "DECADES_NODES", 7)
     monkeypatch.setattr(response, "LEAN_KN_NODES", 5)
-    tables = Tables(Bench(Bristle(), 9.8, 0.02, 0.05, (1e6, 4e6)))
+    tables = Tables(Emulator(Bristle(), 9.8, 0.02, 0.05, (1e6, 4e6)))
     heights, kns = np.array([0.025, 0.04]), np.array([1.7e6, 2.3e6])
     values = (0.8, 3e-6)
     at = [np.full((1, 1), value) for value in values]  # (nodes of chance, drops), as models ask
     told = tables.change("two_numbers", heights[None], kns[None], *at)[:, 0]
     for i, (height, kn) in enumerate(zip(heights, kns, strict=True)):
-        plain = replace(tables.bench.plain(), height_m=height, law=Linear(kn))
+        plain = replace(tables.emulator.plain(), height_m=height, law=Linear(kn))
         scenes = [effect_at("two_numbers", *values).enter(plain)], [plain]
-        step = tables.bench.step_s(kn)
-        with_it, without = (np.log(tables.bench.seen(each, step, 0.0)[0]) for each in scenes)
+        step = tables.emulator.step_s(kn)
+        with_it, without = (np.log(tables.emulator.seen(each, step, 0.0)[0]) for each in scenes)
         assert told[:, i] == pytest.approx(with_it - without, abs=2e-3)
 
 
@@ -246,7 +246,7 @@ def test_a_parameter_is_what_its_effect_says_whatever_its_name():
         )
     )
     outside.register(kind, "a test")
-    assert Tables(Bench(Bristle(), 9.8, 0.02, 0.05)).parameters("more_beta") == own
+    assert Tables(Emulator(Bristle(), 9.8, 0.02, 0.05)).parameters("more_beta") == own
 
 
 def test_an_effect_may_scale_the_damping_with_height():

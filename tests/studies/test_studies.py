@@ -692,8 +692,8 @@ def test_a_basis_of_the_study_serves_every_step(out):
 def test_a_sweep_answers_with_the_stiffness_of_the_papers_mean(tmp_path):
     """Half way between 0.8 and 0.5, by logarithms, lies 0.65."""
     rows = [(kn, y0, r) for y0 in (0.05, 0.01) for kn, r in ((4e6, 0.5), (1e6, 0.8), (9e6, None))]
-    table = [("beam", kn, y0, 1e-5, ratio) for kn, y0, ratio in rows]
-    names = ("model", "kn_N_m", "y0_m", "its_s", "rebound_ratio")
+    table = [("beam", "penalty", kn, y0, 1e-5, ratio) for kn, y0, ratio in rows]
+    names = ("model", "contact", "kn_N_m", "y0_m", "its_s", "rebound_ratio")
     (tmp_path / "table.csv").write_text(to_csv(names, table))
     lines = sweep_study.answer(tmp_path)
     assert lines[2].split() == ["1e+06", "0.8000", "0.8000"]

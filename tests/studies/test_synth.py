@@ -16,7 +16,7 @@ from bristle.solver.effects.library import EFFECTS
 from bristle.solver.errors import InputError
 from bristle.solver.fall import dragged_fall, fallen, risen
 from bristle.studies.data.datasets import read_drops
-from bristle.studies.loop.responses.response import PLAIN_STEP, Bench, Tables
+from bristle.studies.loop.responses.response import PLAIN_STEP, Emulator, Tables
 from bristle.studies.loop.responses.spline import coefficients, evaluate
 from bristle.studies.loop.responses.table import Axis, Table
 from bristle.studies.loop.responses.table_drops import drops_of
@@ -158,8 +158,8 @@ def test_an_axis_knows_where_its_nodes_are(how):
 )
 def test_a_table_is_the_simulation_between_its_nodes(name):
     """To a tenth of what the instruments of a made dataset show of 48 drops."""
-    bench = Bench(Bristle(), paper.GRAVITY_M_S2, 0.004, 0.064)
-    tables, rng = Tables(bench), np.random.default_rng(1)
+    emulator = Emulator(Bristle(), paper.GRAVITY_M_S2, 0.004, 0.064)
+    tables, rng = Tables(emulator), np.random.default_rng(1)
     kind = EFFECTS[name]
     (only,) = kind.parameters
     for _ in range(6):
@@ -169,7 +169,7 @@ def test_a_table_is_the_simulation_between_its_nodes(name):
         where = np.asarray(height), np.asarray(kn)
         logs = tables.plain.at(*where) + tables.change(name, *where, value)
         told = np.exp(logs) * tables.rigid(*where)
-        (direct,) = bench.seen([kind(value).enter(scene)], PLAIN_STEP * bench.step_s(kn), 0.0)
+        (direct,) = emulator.seen([kind(value).enter(scene)], PLAIN_STEP * emulator.step_s(kn), 0.0)
         assert told[0] == pytest.approx(direct[0], rel=1e-3)
         assert told[2] == pytest.approx(direct[2], rel=2e-3)
 

@@ -16,7 +16,7 @@ from ....solver.effects.library import EFFECTS
 from ....solver.effects.release import AIR_KG_M3
 from ....solver.effects.surface import WEAR_DROPS
 from ....solver.fall import fallen, risen
-from .response import Bench, Tables
+from .response import Emulator, Tables
 
 # Nodes of chance, ends and how many: stiffness by its normal deviate, slope by its size; and the
 # slope's direction.
@@ -32,7 +32,7 @@ class Drops:
     """Drops as they were measured: ``y0_m``, ``order`` (drops,), and which quantities (of
     `table.QUANTITIES`) were."""
 
-    bench: Bench
+    emulator: Emulator
     y0_m: Array
     order: Array
     quantities: tuple[int, ...]
@@ -120,7 +120,7 @@ class BounceModel:
         """How each drop landed, and what the tables say of it (quantities, ..., nodes, drops)."""
         theta = np.asarray(theta, dtype=float)
         given = self.given(theta)
-        drops, bench = self.drops, self.drops.bench
+        drops, emulator = self.drops, self.drops.emulator
         nodes = self._chance[0]
 
         def value(name: str, which: int = 0) -> Array | float:
@@ -128,9 +128,9 @@ class BounceModel:
 
         scale, offset = 1.0 + value("scale_error"), value("height_offset")
         height = np.maximum(drops.y0_m / scale - offset, 1e-5)
-        drag = 0.5 * AIR_KG_M3 * bench.plain().front_m2 * value("air_drag")
+        drag = 0.5 * AIR_KG_M3 * emulator.plain().front_m2 * value("air_drag")
         same = fallen(
-            height, bench.gravity_m_s2, value("release_velocity"), drag / bench.body.mass_kg
+            height, emulator.gravity_m_s2, value("release_velocity"), drag / emulator.body.mass_kg
         )
         decades = value("wear") * (drops.order / WEAR_DROPS)
         if "surface_phases" in self.effects:
@@ -156,7 +156,7 @@ class BounceModel:
             height_m=height,
             same_m=same,
             speed_m_s=np.asarray(value("release_velocity")),
-            drag_1_m=np.asarray(drag / bench.body.mass_kg),
+            drag_1_m=np.asarray(drag / emulator.body.mass_kg),
             kn_N_m=kn,
             scale=np.asarray(scale),
             offset_m=np.asarray(offset),

@@ -36,7 +36,7 @@ from ....solver.errors import ComputationError
 from ....solver.ground import Ground
 from ....solver.rigid import slope_normal
 from ...running.retry import with_shorter_its
-from .response import LEANING, MADE_BY, SCALED, Bench, Tables, effect_at, simulated
+from .response import LEANING, MADE_BY, SCALED, Emulator, Tables, effect_at, simulated
 from .spline import coefficients, evaluate
 from .table import Axis, Table, mended
 from .table_drops import beam_of, its_s
@@ -119,7 +119,7 @@ class Curves:
 
 
 @dataclass(frozen=True)
-class ForceBench(Bench):
+class ForceEmulator(Emulator):
     """Where tables of histories are made, each ``length_s`` long."""
 
     length_s: float = 1e-3
@@ -204,8 +204,8 @@ class Scores(Table):
 
 
 @dataclass(frozen=True)
-class CurveBench(ForceBench):
-    """A bench whose tables are the histories' amounts of ``shapes`` (shapes, cells)."""
+class CurveEmulator(ForceEmulator):
+    """An emulator whose tables are the histories' amounts of ``shapes`` (shapes, cells)."""
 
     shapes: Array = field(default_factory=lambda: np.zeros((0, CELLS)), repr=False, compare=False)
 
@@ -222,8 +222,8 @@ class CurveBench(ForceBench):
         return Scores(found.axes, coefficients(amounts, len(found.axes)))
 
 
-class _Histories(ForceBench):
-    """A bench that keeps what it is asked for in ``found``, as histories."""
+class _Histories(ForceEmulator):
+    """An emulator that keeps what it is asked for in ``found``, as histories."""
 
     def table(
         self,
@@ -239,7 +239,7 @@ class _Histories(ForceBench):
 
 @dataclass(frozen=True)
 class ForceTables(Tables):
-    """The tables of a bench of histories, with the clock's as one more."""
+    """The tables of an emulator of histories, with the clock's as one more."""
 
     @property
     def simulated(self) -> tuple[str, ...]:
@@ -248,21 +248,21 @@ class ForceTables(Tables):
     def _make(self, name: str, friction: float | None) -> Table:
         if name != CLOCK:
             return super()._make(name, friction)
-        assert isinstance(self.bench, ForceBench)
-        stretched = stretched_curves(self.bench)
-        assert isinstance(self.bench, CurveBench)
-        amounts = stretched.values @ self.bench.shapes.T / CELLS
+        assert isinstance(self.emulator, ForceEmulator)
+        stretched = stretched_curves(self.emulator)
+        assert isinstance(self.emulator, CurveEmulator)
+        amounts = stretched.values @ self.emulator.shapes.T / CELLS
         return Scores(stretched.axes, coefficients(amounts, len(stretched.axes)))
 
 
-def plain_curves(bench: ForceBench) -> Curves:
+def plain_curves(emulator: ForceEmulator) -> Curves:
     """Histories without effects."""
-    return bench.curves("plain", (), lambda scene, _: scene)
+    return emulator.curves("plain", (), lambda scene, _: scene)
 
 
-def stretched_curves(bench: ForceBench) -> Curves:
+def stretched_curves(emulator: ForceEmulator) -> Curves:
     """Histories as a clock shows them that is slow or fast."""
-    plain, only = plain_curves(bench), EFFECTS[CLOCK].parameters[0]
+    plain, only = plain_curves(emulator), EFFECTS[CLOCK].parameters[0]
     axis = Axis(only.low, only.high, SIDE_NODES)
     places = np.arange(CELLS) + 0.5
     flat = plain.values.reshape(-1, CELLS)
@@ -276,17 +276,17 @@ def stretched_curves(bench: ForceBench) -> Curves:
     return Curves((*plain.axes, axis), values.reshape(*plain.values.shape[:-1], axis.n, CELLS))
 
 
-def with_shapes(bench: ForceBench, names: Sequence[str]) -> CurveBench:
-    """The bench with the shapes that tables of these effects need.
+def with_shapes(emulator: ForceEmulator, names: Sequence[str]) -> CurveEmulator:
+    """The emulator with the shapes that tables of these effects need.
 
     Each shape's mean square over `CELLS` is one.
     """
-    own = {field.name: getattr(bench, field.name) for field in fields(ForceBench)}
+    own = {field.name: getattr(emulator, field.name) for field in fields(ForceEmulator)}
     histories = Tables(_Histories(**own))
     moment = np.zeros((CELLS, CELLS))
     for name in ("", *names):
         if name == CLOCK:
-            values = stretched_curves(bench).values
+            values = stretched_curves(emulator).values
         elif name and name not in simulated():
             continue
         else:
@@ -296,7 +296,7 @@ def with_shapes(bench: ForceBench, names: Sequence[str]) -> CurveBench:
         moment += rows.T @ rows / len(rows)
     _, vectors = np.linalg.eigh(moment)
     shapes = vectors[:, ::-1][:, :SHAPES].T * math.sqrt(CELLS)
-    return CurveBench(**own, shapes=np.ascontiguousarray(shapes))
+    return CurveEmulator(**own, shapes=np.ascontiguousarray(shapes))
 
 
 def table_errors(tables: ForceTables, names: Sequence[str], kn_N_m: float) -> Array:
@@ -304,21 +304,21 @@ def table_errors(tables: ForceTables, names: Sequence[str], kn_N_m: float) -> Ar
 
     Root mean squares (shapes,) in N s/m over the baseline and these effects at their usual sizes.
     """
-    bench = tables.bench
-    assert isinstance(bench, CurveBench)
+    emulator = tables.emulator
+    assert isinstance(emulator, CurveEmulator)
     rng = np.random.default_rng(0)
     misses = []
     for name in ("", *(n for n in names if n in simulated() and n not in RANDOM)):
         for _ in range(CHECKS):
-            height = rng.uniform(bench.lowest_m, bench.highest_m)
+            height = rng.uniform(emulator.lowest_m, emulator.highest_m)
             kn = kn_N_m * 10.0 ** rng.uniform(-0.2, 0.2)
-            scene = replace(bench.plain(), height_m=height, law=Linear(kn))
+            scene = replace(emulator.plain(), height_m=height, law=Linear(kn))
             told = tables.plain.at(np.array(height), np.array(kn))
             if name:
                 typical = [each.typical for each in EFFECTS[name].parameters]
                 scene = effect_at(name, *typical).enter(scene)
                 told = told + tables.change(name, np.array(height), np.array(kn), *typical)
-            found = bench.curve(scene, finer=2.0) @ bench.shapes.T / CELLS
+            found = emulator.curve(scene, finer=2.0) @ emulator.shapes.T / CELLS
             if np.isfinite(found).all():
                 misses.append(told - found)
     return np.asarray(np.sqrt(np.mean(np.square(misses), axis=0)))

@@ -46,7 +46,7 @@ DECADES_NODES = 27
 LEAN_NODES = 8
 SLOPE_NODES = 6
 SIDE_NODES = 4
-# Steps over those of `Bench.step_s`: the table of plain drops is what all is read against. Those
+# Steps over those of `Emulator.step_s`: the table of plain drops is what all is read against. Those
 # of effects say how much an effect changes, at one step for both.
 PLAIN_STEP = 0.25
 LEAN_STEP = 3.0
@@ -80,13 +80,13 @@ def reference(
 
 
 @dataclass(frozen=True)
-class Bench:
-    """Where tables are made: the body, gravity and friction (None where nobody knows it), and the
-    heights to cover.
+class Emulator:
+    """What tables of drops are made of: the body, gravity and friction (None where it is unknown),
+    and the heights to cover.
 
-    Data that show other quantities of a drop, or drops of another body, have a bench that overrides
-    `seen` and `reference`, and names its own source in ``made_by``; ``shows_falls`` says that they
-    show how it fell, ``no_solid`` why no 3-D model of the body is.
+    Data that show other quantities of a drop, or drops of another body, have an emulator that
+    overrides `seen` and `reference`, and names its own source in ``made_by``; ``shows_falls`` says
+    that they show how it fell, ``no_solid`` why no 3-D model of the body is.
     """
 
     body: Bristle | RigidMass
@@ -123,9 +123,9 @@ class Bench:
         """The ITS that resolves a contact of this stiffness."""
         return its_s(self.bristle, kn_N_m)
 
-    def of_drops(self) -> Bench:
-        """The same place for plain drops, whatever this bench shows."""
-        return Bench(**{each.name: getattr(self, each.name) for each in fields(Bench)})
+    def of_drops(self) -> Emulator:
+        """The same place for plain drops, whatever this emulator shows."""
+        return Emulator(**{each.name: getattr(self, each.name) for each in fields(Emulator)})
 
     def plain(self) -> Scene:
         """A drop without effects."""
@@ -216,9 +216,9 @@ def simulated() -> tuple[str, ...]:
 
 @dataclass(frozen=True)
 class Tables:
-    """The tables of a bench, each made when it is first asked for."""
+    """The tables of an emulator, each made when it is first asked for."""
 
-    bench: Bench
+    emulator: Emulator
     scaled: ClassVar[Mapping[str, tuple[Law, Axis]]] = SCALED
 
     @property
@@ -230,7 +230,7 @@ class Tables:
         """An effect's parameters, as far as drops show them: with the absence that this body
         declares, and with friction where the effect hangs on it and nobody knows it."""
         own = self._own(name)
-        if name in LEANING and self.bench.friction is None:
+        if name in LEANING and self.emulator.friction is None:
             return (*own, FRICTION)
         return own
 
@@ -243,36 +243,36 @@ class Tables:
 
     def _bounded(self, name: str, parameter: Parameter) -> Parameter:
         if parameter.name == "beta_s":
-            return replace(parameter, null=self.bench.bristle.material.beta_s)
-        if parameter.name == "speed_m_s" and not self.bench.shows_falls:
+            return replace(parameter, null=self.emulator.bristle.material.beta_s)
+        if parameter.name == "speed_m_s" and not self.emulator.shows_falls:
             # thrown up, it comes back as fast
             return replace(parameter, low=0.0)
         return parameter
 
     @cached_property
     def plain(self) -> Table:
-        return self.bench.table("plain", (), lambda scene, _: scene, KN_NODES)
+        return self.emulator.table("plain", (), lambda scene, _: scene, KN_NODES)
 
     @cached_property
     def _made(self) -> dict[str, tuple[Table, ...]]:
         return {}
 
     def of(self, name: str) -> tuple[Table, ...]:
-        """The tables of an effect, one for each of `Bench.frictions` where it leans; raises
+        """The tables of an effect, one for each of `Emulator.frictions` where it leans; raises
         ComputationError where its drops fail."""
         if name not in self._made:
             leans = name in LEANING
-            frictions = self.bench.frictions() if leans else (None,)
+            frictions = self.emulator.frictions() if leans else (None,)
             self._made[name] = tuple(self._make(name, friction) for friction in frictions)
         return self._made[name]
 
     def _make(self, name: str, friction: float | None) -> Table:
         if name == "surface_slope":
             sides = (Axis(0.0, MOST_SLOPE_DEG, SLOPE_NODES, "root"), Axis(0.0, 90.0, SIDE_NODES))
-            return self.bench.table(name, sides, _sloping, LEAN_KN_NODES, friction)
+            return self.emulator.table(name, sides, _sloping, LEAN_KN_NODES, friction)
         if name in self.scaled:
             law, side = self.scaled[name]
-            return self.bench.table(name, (side,), self._scaled(name, law), EFFECT_KN_NODES)
+            return self.emulator.table(name, (side,), self._scaled(name, law), EFFECT_KN_NODES)
         kind, leans = EFFECTS[name], name in LEANING
 
         def change(scene: Scene, point: tuple[float, ...]) -> Scene:
@@ -283,10 +283,10 @@ class Tables:
         key = name
         if kind.origin:  # what it does may hang on more than its own file
             points = itertools.product(*(axis.nodes() for axis in axes))
-            plain = [replace(self.bench.plain(), height_m=h) for h in (0.01, 0.02, 0.05)]
+            plain = [replace(self.emulator.plain(), height_m=h) for h in (0.01, 0.02, 0.05)]
             done = repr([change(scene, tuple(map(float, p))) for p in points for scene in plain])
             key += hashlib.sha256(done.encode()).hexdigest()
-        return self.bench.table(key, axes, change, nodes, friction)
+        return self.emulator.table(key, axes, change, nodes, friction)
 
     def _scaled(self, name: str, law: Law) -> Callable[[Scene, tuple[float, ...]], Scene]:
         """Puts a law in whose parameter is a share of its scale."""
@@ -301,19 +301,19 @@ class Tables:
     def _scale(self, name: str, height_m: Array, kn_N_m: Array) -> Array:
         """What the parameter of an effect counts against, in its own unit."""
         if name == "contact_damping":
-            return np.asarray(2.0 * np.sqrt(kn_N_m * self.bench.body.mass_kg))
+            return np.asarray(2.0 * np.sqrt(kn_N_m * self.emulator.body.mass_kg))
         return self._peak_N(height_m, kn_N_m)
 
     @cached_property
     def _upright(self) -> Table:
-        """Drops without effects as a `Bench` of drops has them, whatever this bench shows."""
-        upright = self.bench.of_drops()
-        return self.plain if upright == self.bench else Tables(upright).plain
+        """Drops without effects as an `Emulator` of drops has them, whatever this one shows."""
+        upright = self.emulator.of_drops()
+        return self.plain if upright == self.emulator else Tables(upright).plain
 
     def _peak_N(self, height_m: Array, kn_N_m: Array) -> Array:
         """The greatest force of drops without effects."""
         height_m, kn_N_m = np.broadcast_arrays(height_m, kn_N_m)
-        mass, gravity = self.bench.body.mass_kg, self.bench.gravity_m_s2
+        mass, gravity = self.emulator.body.mass_kg, self.emulator.gravity_m_s2
         rigid = reference(height_m, kn_N_m, mass, gravity)[2]
         return np.asarray(rigid * np.exp(self._upright.at(height_m, kn_N_m)[2]))
 
@@ -340,8 +340,8 @@ class Tables:
         return np.asarray(_between(tables, np.asarray(friction), now) - tables[0].at(*without))
 
     def rigid(self, height_m: Array, kn_N_m: Array) -> Array:
-        """See `Bench.reference`."""
-        return self.bench.reference(height_m, kn_N_m)
+        """See `Emulator.reference`."""
+        return self.emulator.reference(height_m, kn_N_m)
 
 
 def _axis(parameter: Parameter, leans: bool) -> Axis:

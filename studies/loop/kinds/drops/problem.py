@@ -28,8 +28,8 @@ from ....data.tables import LEAST_DROPS
 from ...noise import Ints
 from ...problem import Problem
 from ...responses.drop_model import DropModel, Drops
-from ...responses.response import KN_RANGE_N_M, Bench, Tables
-from ...responses.rigid_bench import RigidBench, RigidTables, around
+from ...responses.response import KN_RANGE_N_M, Emulator, Tables
+from ...responses.rigid_emulator import RigidEmulator, RigidTables, around
 from .experiments import experiments
 
 KIND = "drops"
@@ -52,18 +52,18 @@ def drops_problem(data: datasets.Drops) -> Problem:
     manifest = data.manifest
     measured, sigmas, notes = _measured(data)
     tables = tables_for(data.y0_m, data)
-    bench = tables.bench
-    drops = Drops(bench, data.y0_m, data.drop - data.drop[0], tuple(measured))
+    emulator = tables.emulator
+    drops = Drops(emulator, data.y0_m, data.drop - data.drop[0], tuple(measured))
     values = np.stack([measured[q] for q in drops.quantities], axis=1)
     keep = np.asarray(np.isfinite(values).all(axis=1))
     if not keep.all():
         drops = replace(drops, y0_m=drops.y0_m[keep], order=drops.order[keep])
         values = values[keep]
     for name in carried(KIND, drops.quantities):
-        if EFFECTS[name].origin and not bench.carries(name):
+        if EFFECTS[name].origin and not emulator.carries(name):
             notes[name] = "left aside: of a rigid body the loop knows its own effects alone"
     unwhitened = np.eye(len(measured))[None].repeat(len(values), 0)
-    kn, beta = stiffness(manifest.kn_N_m, bench), damping(manifest)
+    kn, beta = stiffness(manifest.kn_N_m, emulator), damping(manifest)
     gain = FORCE_GAIN if 2 in measured else None
     bare = DropModel(drops, tables, kn, (), unwhitened, beta=beta, gain=gain)
     sigma = np.array([sigmas[q] for q in drops.quantities])
@@ -97,14 +97,14 @@ def drops_problem(data: datasets.Drops) -> Problem:
         candidates=[
             model((name,))
             for name in carried(KIND, drops.quantities)
-            if bench.carries(name) and (beta is None or name != "material_damping")
+            if emulator.carries(name) and (beta is None or name != "material_damping")
         ],
         combine=model,
         experiments=experiments(drops, sigmas, proposed),
         confirm=None
-        if bench.no_solid
+        if emulator.no_solid
         else lambda effects, theta, groups: _solid(model(effects), theta, groups, number),
-        confirm_why=bench.no_solid,
+        confirm_why=emulator.no_solid,
         sigma_declared=data.sigma_y_m is not None,
         notes=notes,
     )
@@ -135,9 +135,9 @@ def carried(kind: str, quantities: Sequence[int]) -> list[str]:
     return names
 
 
-def stiffness(declared_N_m: float | None, bench: Bench) -> Parameter:
+def stiffness(declared_N_m: float | None, emulator: Emulator) -> Parameter:
     """Kn as the baseline's free parameter, held where the dataset declares it."""
-    low, high = bench.kn_range_N_m
+    low, high = emulator.kn_range_N_m
     if declared_N_m is not None:
         low, high = declared_N_m * (1.0 - KN_KNOWN), declared_N_m * (1.0 + KN_KNOWN)
     typical = math.sqrt(low * high)
@@ -174,14 +174,14 @@ def tables_for(y0_m: Array, data: datasets.Drops) -> Tables:
     if isinstance(manifest.body, RigidMass):
         kns = around(manifest.kn_N_m)
         return RigidTables(
-            RigidBench(manifest.body, manifest.gravity_m_s2, lowest, highest, kns, friction=0.0)
+            RigidEmulator(manifest.body, manifest.gravity_m_s2, lowest, highest, kns, friction=0.0)
         )
     bristle = simulated_bristle(manifest)
     low, high = KN_RANGE_N_M
     if manifest.kn_N_m is not None:
         low, high = min(low, manifest.kn_N_m / 10.0), max(high, 10.0 * manifest.kn_N_m)
     return Tables(
-        Bench(
+        Emulator(
             bristle, manifest.gravity_m_s2, lowest, highest, (low, high), friction=manifest.friction
         )
     )

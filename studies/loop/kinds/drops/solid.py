@@ -31,7 +31,7 @@ from ....inputs.sources import checked
 from ....running.cases import Workshop
 from ....running.retry import with_shorter_its
 from ...responses.drop_model import DropModel
-from ...responses.response import PLAIN_STEP, Bench, effect_at
+from ...responses.response import PLAIN_STEP, Emulator, effect_at
 from ...responses.table import QUANTITIES
 from ...responses.table_drops import ITS_S, drops_of, its_s
 
@@ -126,13 +126,16 @@ def scenes_of(
     Heights are those from which a fall from rest in a vacuum ends as fast.
     """
     effects = _effects(model, theta)
-    drops, bench = model.drops, model.drops.bench
+    drops, emulator = model.drops, model.drops.emulator
     seen = enter_all(Scene(), [e for e in effects if e.place.value == "observation"])
     out = []
     for i in which:
         height = max(float(drops.y0_m[i]) / seen.y_scale - seen.y_offset_m, 1e-5)
         scene = replace(
-            bench.plain(), height_m=height, order=int(drops.order[i]), law=Linear(float(theta[0]))
+            emulator.plain(),
+            height_m=height,
+            order=int(drops.order[i]),
+            law=Linear(float(theta[0])),
         )
         if model.beta is not None:
             scene = replace(scene, beta_s=float(theta[1]))
@@ -141,9 +144,9 @@ def scenes_of(
             scene = enter_all(scene, [effect])
         same = fallen(
             height,
-            bench.gravity_m_s2,
+            emulator.gravity_m_s2,
             scene.release_speed_m_s,
-            scene.drag_kg_m / bench.bristle.mass_kg,
+            scene.drag_kg_m / emulator.bristle.mass_kg,
         )
         out.append(replace(scene, height_m=float(same)))
     return out
@@ -164,15 +167,15 @@ def solid_drops(model: DropModel, theta: Array, which: Sequence[int]) -> Array:
     Means over chance where effects differ from drop to drop. Raises ComputationError.
     """
     effects = _effects(model, theta)
-    bench = model.drops.bench
+    emulator = model.drops.emulator
     nodes, weights = chances(effects)
     scenes = [scene for node in nodes for scene in scenes_of(model, theta, which, node)]
     leaning = any(s.tilt_deg or s.slope_deg or s.slope_wide_deg for s in scenes)
-    body = solid_of(bench.bristle, bench.gravity_m_s2, leaning)
+    body = solid_of(emulator.bristle, emulator.gravity_m_s2, leaning)
     friction = next((float(v[1]) for v in model.given(theta).values() if len(v) > 1), None)
-    known = paper.FRICTION if bench.friction is None else bench.friction
-    found = _simulated(body, scenes, bench, known if friction is None else friction)
-    drag = np.array([scene.drag_kg_m for scene in scenes]) / bench.bristle.mass_kg
+    known = paper.FRICTION if emulator.friction is None else emulator.friction
+    found = _simulated(body, scenes, emulator, known if friction is None else friction)
+    drag = np.array([scene.drag_kg_m for scene in scenes]) / emulator.bristle.mass_kg
     scale = np.array([scene.y_scale for scene in scenes])
     offset = np.array([scene.y_offset_m for scene in scenes])
     found[:, 0] = scale * (risen(found[:, 0], drag) + offset)
@@ -183,12 +186,14 @@ def solid_drops(model: DropModel, theta: Array, which: Sequence[int]) -> Array:
     return np.einsum("n,ndq->dq", weights, shaped)[:, list(model.drops.quantities)]
 
 
-def _simulated(body: ModalBody, scenes: Sequence[Scene], bench: Bench, friction: float) -> Array:
-    """As the table of plain drops is made (`response.Bench`), or with shorter steps."""
+def _simulated(
+    body: ModalBody, scenes: Sequence[Scene], emulator: Emulator, friction: float
+) -> Array:
+    """As the table of plain drops is made (`response.Emulator`), or with shorter steps."""
     stiffest = max(scene.law.kn_N_m for scene in scenes)
     return with_shorter_its(
-        lambda its: drops_of(body, scenes, bench.gravity_m_s2, its, friction),
-        PLAIN_STEP * its_s(bench.bristle, stiffest),
+        lambda its: drops_of(body, scenes, emulator.gravity_m_s2, its, friction),
+        PLAIN_STEP * its_s(emulator.bristle, stiffest),
     )
 
 

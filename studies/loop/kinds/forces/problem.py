@@ -24,8 +24,8 @@ from ...responses.drop_model import BounceModel, Drops, FeatureModel
 from ...responses.force_curves import (
     CELLS,
     SHAPES,
-    CurveBench,
-    ForceBench,
+    CurveEmulator,
+    ForceEmulator,
     ForceTables,
     plain_curves,
     table_errors,
@@ -59,7 +59,7 @@ class ForceModel(FeatureModel):
     def features(self, theta: Array) -> Array:
         """Amounts of shapes in N and the height after in m (..., nodes, drops, features)."""
         landing, amounts = self.answer(theta)
-        gravity = self.drops.bench.gravity_m_s2
+        gravity = self.drops.emulator.gravity_m_s2
         found: list[Array] = list(np.sqrt(2.0 * gravity * landing.same_m) * amounts)
         if self.rebound is not None:
             after, (top, *_) = self.rebound.bounced(theta)
@@ -80,29 +80,29 @@ def forces_problem(data: Forces, library: Sequence[str] | None = None) -> Proble
     """
     records, sigma = _records(data)
     names = carried(KIND, (0, 1)) if library is None else list(library)
-    wide = _bench(data, KN_RANGE_N_M)
+    wide = _emulator(data, KN_RANGE_N_M)
     kn = data.manifest.kn_N_m or _start(records, wide)
-    near = _bench(data, wide.around(kn))
-    bench = with_shapes(near, names)
-    tables = ForceTables(bench)
-    tried, plain_ones = _tried(bench, tables, names)
+    near = _emulator(data, wide.around(kn))
+    emulator = with_shapes(near, names)
+    tables = ForceTables(emulator)
+    tried, plain_ones = _tried(emulator, tables, names)
     speed = np.sqrt(2.0 * data.manifest.gravity_m_s2 * data.y0_m)
-    usual = np.sqrt(np.mean((tried @ bench.shapes.T / CELLS) ** 2, axis=0))
-    samples = float(np.median([bench.length_s / np.median(np.diff(r.t_s)) for r in records]))
+    usual = np.sqrt(np.mean((tried @ emulator.shapes.T / CELLS) ** 2, axis=0))
+    samples = float(np.median([emulator.length_s / np.median(np.diff(r.t_s)) for r in records]))
     errors = np.median(speed) * table_errors(tables, names, kn)
     trusted = errors * math.sqrt(samples * len(records)) < TRUSTED * sigma
     trusted[:LEAST_SHAPES] = True
-    placed = [place(record, tried, bench.cell_s, plain_ones) for record in records]
+    placed = [place(record, tried, emulator.cell_s, plain_ones) for record in records]
     made = [
-        rows(record, at, tried[at.which], bench.shapes, bench.cell_s, v * usual, trusted)
+        rows(record, at, tried[at.which], emulator.shapes, emulator.cell_s, v * usual, trusted)
         for record, at, v in zip(records, placed, speed, strict=True)
     ]
     order = data.drop - data.drop[0]
-    drops = Drops(bench, data.y0_m, order, ())
-    stiff = stiffness(data.manifest.kn_N_m, bench)
+    drops = Drops(emulator, data.y0_m, order, ())
+    stiff = stiffness(data.manifest.kn_N_m, emulator)
     rebound = None
     if data.y1_m is not None and data.sigma_y_m is not None:
-        own = bench.of_drops()
+        own = emulator.of_drops()
         rebound = BounceModel(Drops(own, data.y0_m, order, (0,)), Tables(own), stiff, ())
     y1 = data.y1_m if rebound is not None else None
     values, weights, known = _together(made, data.y0_m, y1, data.sigma_y_m)
@@ -185,7 +185,7 @@ def _records(data: Forces) -> tuple[list[Record], float]:
     return [Record(data.t_s[p], data.force_N[p], float(sigma)) for p in data.pieces], float(sigma)
 
 
-def _bench(data: Forces, kn_range_N_m: tuple[float, float]) -> ForceBench:
+def _emulator(data: Forces, kn_range_N_m: tuple[float, float]) -> ForceEmulator:
     """Heights rounded outward, and a time in which the softest contact ends."""
     step, manifest = 0.005, data.manifest
     lowest = max(step * math.floor(0.6 * float(data.y0_m.min()) / step), 0.002)
@@ -194,7 +194,7 @@ def _bench(data: Forces, kn_range_N_m: tuple[float, float]) -> ForceBench:
     material = manifest.bristle.material
     passes = manifest.bristle.length_m / math.sqrt(material.youngs_Pa / material.density_kg_m3)
     length = float(f"{1.4 * softest + 3.0 * passes:.2g}")
-    return ForceBench(
+    return ForceEmulator(
         manifest.bristle,
         manifest.gravity_m_s2,
         lowest,
@@ -205,7 +205,7 @@ def _bench(data: Forces, kn_range_N_m: tuple[float, float]) -> ForceBench:
     )
 
 
-def _start(records: list[Record], wide: ForceBench) -> float:
+def _start(records: list[Record], wide: ForceEmulator) -> float:
     """The stiffness of the baseline that the middle of the drops asks for."""
     plain = plain_curves(wide)
     kns = np.tile(plain.axes[1].nodes(), plain.axes[0].n)
@@ -216,7 +216,7 @@ def _start(records: list[Record], wide: ForceBench) -> float:
     return float(np.exp(np.median([np.log(kns[each.which]) for each in best])))
 
 
-def _tried(bench: CurveBench, tables: ForceTables, names: list[str]) -> tuple[Array, int]:
+def _tried(emulator: CurveEmulator, tables: ForceTables, names: list[str]) -> tuple[Array, int]:
     """Histories (histories, cells) that a record is laid over: some of every table.
 
     How many of them, the first ones, have no effect in them.
@@ -229,4 +229,4 @@ def _tried(bench: CurveBench, tables: ForceTables, names: list[str]) -> tuple[Ar
         places = np.meshgrid(*nodes, indexing="ij")
         found = table.at(*places).reshape(SHAPES, -1).T
         amounts.append(rng.permutation(found)[:MOST_TRIED])
-    return np.asarray(np.concatenate(amounts) @ bench.shapes), len(amounts[0])
+    return np.asarray(np.concatenate(amounts) @ emulator.shapes), len(amounts[0])

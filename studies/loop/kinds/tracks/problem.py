@@ -32,8 +32,8 @@ from .....solver.effects.library import EFFECTS
 from ....data.datasets import Manifest
 from ...problem import Experiment, Problem
 from ...responses.drop_model import BounceModel, Drops
-from ...responses.response import MADE_BY, Bench, Tables, reference
-from ...responses.rigid_bench import RigidBench, RigidTables, around
+from ...responses.response import MADE_BY, Emulator, Tables, reference
+from ...responses.rigid_emulator import RigidEmulator, RigidTables, around
 from ...responses.table_drops import beam_of, outcomes_of
 from ..drops.problem import carried, damping, heights_about, simulated_bristle, stiffness
 from .films import Filmed, faster, filmed
@@ -62,7 +62,7 @@ IN_FLIGHT = (Place.RELEASE, Place.FLIGHT, Place.OBSERVATION)
 
 
 @dataclass(frozen=True)
-class TrackBench(Bench):
+class TrackEmulator(Emulator):
     """Tables of rise, contact time, and one plus L ω²/(2 g) of the bristle's turning after."""
 
     made_by: ClassVar[tuple[Path, ...]] = (*MADE_BY, Path(__file__))
@@ -80,10 +80,10 @@ class TrackBench(Bench):
 
 
 @dataclass(frozen=True)
-class RigidTrackBench(RigidBench):
+class RigidTrackEmulator(RigidEmulator):
     """The same of a rigid mass, which does not turn."""
 
-    made_by: ClassVar[tuple[Path, ...]] = (*RigidBench.made_by, Path(__file__))
+    made_by: ClassVar[tuple[Path, ...]] = (*RigidEmulator.made_by, Path(__file__))
 
     def seen(self, scenes: Sequence[Scene], its: float, friction: float) -> Array:
         return np.where([False, False, True], 1.0, super().seen(scenes, its, friction))
@@ -150,7 +150,7 @@ class TrackModel(BounceModel):
         length: Array = np.ones(1)
         if self.scale is not None:
             length, theta = self.pixel_m / theta[..., :1, None], theta[..., 1:]
-        drops, g = self.drops, self.drops.bench.gravity_m_s2
+        drops, g = self.drops, self.drops.emulator.gravity_m_s2
         # what a theta says of release, air and camera does not hang on the drop: one tells it
         one = replace(drops, y0_m=drops.y0_m[:1], order=drops.order[:1])
         b, _ = BounceModel.bounced(replace(self, drops=one), theta)
@@ -210,7 +210,7 @@ def tracks_problem(data: Tracks) -> Problem:
         candidates=[
             combine((name,))
             for name in _candidates(seen, plain.beta is not None)
-            if plain.drops.bench.carries(name)
+            if plain.drops.emulator.carries(name)
         ],
         combine=combine,
         experiments=[
@@ -235,9 +235,9 @@ def _model(
     speed = np.concatenate([each.speed_m_s for each in tracks])
     y0 = speed**2 / (2.0 * manifest.gravity_m_s2)
     tables = _tables(manifest, y0)
-    bench = tables.bench
-    drops = Drops(bench, y0, order.astype(float), (0, 1))
-    kn = stiffness(manifest.kn_N_m, bench)
+    emulator = tables.emulator
+    drops = Drops(emulator, y0, order.astype(float), (0, 1))
+    kn = stiffness(manifest.kn_N_m, emulator)
     weights_of, of = _rows(tracks)
     width = of.shape[1]
     film = np.repeat(np.arange(len(tracks)), [len(each.speed_m_s) for each in tracks])
@@ -305,5 +305,5 @@ def _tables(manifest: Manifest, y0_m: Array) -> Tables:
     place = (manifest.gravity_m_s2, *heights_about(y0_m))
     if isinstance(manifest.body, RigidMass):
         kns = around(manifest.kn_N_m)
-        return RigidTables(RigidTrackBench(manifest.body, *place, kns, friction=0.0))
-    return Tables(TrackBench(simulated_bristle(manifest), *place, friction=manifest.friction))
+        return RigidTables(RigidTrackEmulator(manifest.body, *place, kns, friction=0.0))
+    return Tables(TrackEmulator(simulated_bristle(manifest), *place, friction=manifest.friction))

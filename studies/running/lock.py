@@ -23,34 +23,34 @@ PATIENCE_S, AGAIN_S = 120.0, 0.1
 UNKNOWN = (errno.ENOLCK, errno.ENOTSUP, errno.EBADF, errno.EINVAL, errno.ENOSYS)
 
 
-class _Claims:
+class _Locks:
     """Folders that a command holds: descriptors by path; None outside of commands."""
 
     def __init__(self) -> None:
         self.held: dict[Path, int] | None = None
 
 
-_claims = _Claims()
+_locks = _Locks()
 
 
 @contextmanager
-def claims() -> Iterator[None]:
-    """A command: what it claims is free again at its end."""
-    outer, _claims.held = _claims.held, {}
+def locks() -> Iterator[None]:
+    """A command: the folders that it locked are free again at its end."""
+    outer, _locks.held = _locks.held, {}
     try:
         yield
     finally:
-        for descriptor in _claims.held.values():
+        for descriptor in _locks.held.values():
             os.close(descriptor)
-        _claims.held = outer
+        _locks.held = outer
 
 
-def claim(folder: Path) -> None:
+def lock_folder(folder: Path) -> None:
     """Wait until no other run writes into ``folder``, and keep others out until the command ends.
 
     Raises InputError where another goes on for ``PATIENCE_S``, OSError where it cannot be opened.
     """
-    held, place = _claims.held, folder.resolve()
+    held, place = _locks.held, folder.resolve()
     if held is None or place in held:
         return
     descriptor = os.open(place, os.O_RDONLY | os.O_DIRECTORY)

@@ -16,7 +16,7 @@ from ....solver.contact.laws import REFERENCE_M
 from ....solver.effects.base import Parameter, Scene
 from ....solver.effects.library import EFFECTS
 from . import rigid_drops
-from .response import MADE_BY, Bench, Law, Tables
+from .response import MADE_BY, Emulator, Law, Tables
 from .rigid_drops import SIDES, bounded, carried, seen, step_s, stiffened
 from .table import Axis
 
@@ -34,7 +34,7 @@ NODES = {
 
 
 @dataclass(frozen=True)
-class RigidBench(Bench):
+class RigidEmulator(Emulator):
     """Where tables of drops of a rigid mass are made, upright onto level ground."""
 
     made_by: ClassVar[tuple[Path, ...]] = (*MADE_BY, Path(rigid_drops.__file__), Path(__file__))
@@ -66,7 +66,7 @@ class RigidBench(Bench):
 
 @dataclass(frozen=True)
 class RigidTables(Tables):
-    """The tables of a bench of drops of a rigid mass.
+    """The tables of an emulator of drops of a rigid mass.
 
     What the law of contact does is told by shares of its scale (`rigid_drops.SIDES`), a contact
     that stiffens by its closed form.
@@ -77,26 +77,26 @@ class RigidTables(Tables):
     }
 
     @property
-    def _rigid(self) -> RigidBench:
-        assert isinstance(self.bench, RigidBench)
-        return self.bench
+    def _rigid(self) -> RigidEmulator:
+        assert isinstance(self.emulator, RigidEmulator)
+        return self.emulator
 
     @property
     def simulated(self) -> tuple[str, ...]:
         return (*SIDES, "stiffening_contact")
 
     def _bounded(self, name: str, parameter: Parameter) -> Parameter:
-        bench = self._rigid
-        speeds = self._speed_m_s(bench.lowest_m), self._speed_m_s(bench.highest_m)
-        own = bounded(name, parameter, bench.mass, bench.kn_range_N_m, speeds)
+        emulator = self._rigid
+        speeds = self._speed_m_s(emulator.lowest_m), self._speed_m_s(emulator.highest_m)
+        own = bounded(name, parameter, emulator.mass, emulator.kn_range_N_m, speeds)
         return super()._bounded(name, own)
 
     def _speed_m_s(self, height_m: float) -> float:
-        return math.sqrt(2.0 * self.bench.gravity_m_s2 * height_m)
+        return math.sqrt(2.0 * self.emulator.gravity_m_s2 * height_m)
 
     def _scale(self, name: str, height_m: Array, kn_N_m: Array) -> Array:
-        speed = np.sqrt(2.0 * self.bench.gravity_m_s2 * height_m)
-        return SIDES[name].scale(self.bench.body.mass_kg, kn_N_m, speed)
+        speed = np.sqrt(2.0 * self.emulator.gravity_m_s2 * height_m)
+        return SIDES[name].scale(self.emulator.body.mass_kg, kn_N_m, speed)
 
     def change(
         self,
@@ -108,9 +108,9 @@ class RigidTables(Tables):
     ) -> Array:
         if name != "stiffening_contact":
             return super().change(name, height_m, kn_N_m, *value, friction=friction)
-        bench, absent = self._rigid, EFFECTS[name].parameters[0].null
-        now = bench.stiffened(height_m, kn_N_m, value[0])
-        return np.log(now / bench.stiffened(height_m, kn_N_m, absent))
+        emulator, absent = self._rigid, EFFECTS[name].parameters[0].null
+        now = emulator.stiffened(height_m, kn_N_m, value[0])
+        return np.log(now / emulator.stiffened(height_m, kn_N_m, absent))
 
 
 def around(kn_N_m: float | None) -> tuple[float, float]:
