@@ -167,7 +167,7 @@ class Linear(_Compiled):
     kn_N_m: float
 
     def __post_init__(self) -> None:
-        if math.isnan(self.kn_N_m) or self.kn_N_m <= 0.0:
+        if not np.all(np.asarray(self.kn_N_m) > 0.0):
             raise ValueError(f"Kn must be positive, not {self.kn_N_m}")
 
     @property

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, fields
 from enum import StrEnum
-from typing import ClassVar
+from typing import Any, ClassVar, Self
 
 from .. import paper
 from ..contact.laws import ContactLaw, Linear
@@ -48,7 +48,8 @@ class Parameter:
 
 @dataclass(frozen=True)
 class Scene:
-    """All that one drop is made of and seen by, before effects and after them.
+    """All that one drop is made of and seen by, before effects and after them; of many drops at
+    once where its fields are arrays (`Effect.computed`).
 
     ``order`` counts drops from zero in the order they were made. ``chance`` are standard normal
     numbers of this drop for effects that differ from drop to drop. ``loss_factor`` is the loss
@@ -83,7 +84,9 @@ class Effect:
 
     A subclass says its ``name``, ``title``, ``place``, the ``kinds`` of datasets that can carry
     it, ``source`` and ``parameters``, and overrides `enter`. ``random`` effects differ from drop
-    to drop by `Scene.chance`; ``origin`` tells those from outside of this program apart.
+    to drop by `Scene.chance`, ``leaning`` ones turn bristle or surface; of ``computed`` ones a drop
+    is known once that without them is, since they change release, flight, stiffness or readings
+    alone, and `enter` takes arrays. ``origin`` tells those from outside of this program apart.
     """
 
     name: ClassVar[str]
@@ -93,6 +96,8 @@ class Effect:
     source: ClassVar[str]
     parameters: ClassVar[tuple[Parameter, ...]]
     random: ClassVar[bool] = False
+    leaning: ClassVar[bool] = False
+    computed: ClassVar[bool] = False
     origin: ClassVar[str] = ""
 
     def __post_init__(self) -> None:
@@ -104,6 +109,14 @@ class Effect:
                     f"and {parameter.high:g} {parameter.unit}".rstrip()
                     + f", not {value:g}"
                 )
+
+    @classmethod
+    def unchecked(cls, *values: Any) -> Self:
+        """The effect with these values of its parameters, arrays too, whatever their bounds."""
+        effect = object.__new__(cls)
+        for each, value in zip(fields(cls), values, strict=True):
+            object.__setattr__(effect, each.name, value)
+        return effect
 
     def values(self) -> tuple[float, ...]:
         """The parameters' values, in their order."""

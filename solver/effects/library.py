@@ -9,7 +9,7 @@ from collections.abc import Iterable
 
 from ..contact.laws import Linear
 from ..errors import InputError
-from .base import Effect, Scene
+from .base import Effect, Place, Scene
 from .body import HystereticDamping, LateralInertia, MaterialDamping
 from .contact import (
     Adhesion,
@@ -44,9 +44,6 @@ EFFECTS: dict[str, type[Effect]] = {
         Wear,
     )
 }
-# What changes Kn goes before the law that it belongs to, chance before what it acts on; what comes
-# from outside goes before the laws of this program, which refuse to replace another.
-_FIRST = ("surface_phases", "wear")
 
 
 def enter_all(scene: Scene, effects: Iterable[Effect]) -> Scene:
@@ -60,10 +57,16 @@ def enter_all(scene: Scene, effects: Iterable[Effect]) -> Scene:
 
 
 def in_order(names: Iterable[str]) -> list[str]:
-    """Effects in the order in which they enter a scene."""
+    """Effects in the order in which they enter a scene.
+
+    What changes Kn goes before the law that it belongs to; what comes from outside goes before the
+    laws of this program, which refuse to replace another.
+    """
     known = list(EFFECTS)
 
     def place(name: str) -> tuple[bool, bool, int]:
-        return name not in _FIRST, not EFFECTS[name].origin, known.index(name)
+        kind = EFFECTS[name]
+        stiffness = kind.computed and kind.place is Place.SURFACE
+        return not stiffness, not kind.origin, known.index(name)
 
     return sorted(names, key=place)

@@ -16,6 +16,7 @@ class HeightOffset(Effect):
     offset_m: float = 1e-3
 
     name = "height_offset"
+    computed = True
     title = "zero of the heights"
     place = Place.OBSERVATION
     kinds = SEEN
@@ -33,6 +34,7 @@ class ScaleError(Effect):
     relative: float = 0.05
 
     name = "scale_error"
+    computed = True
     title = "scale of the heights"
     place = Place.OBSERVATION
     kinds = SEEN
@@ -50,6 +52,7 @@ class ClockError(Effect):
     relative: float = 0.02
 
     name = "clock_error"
+    computed = True
     title = "rate of the clock"
     place = Place.OBSERVATION
     kinds = SEEN

@@ -14,25 +14,35 @@ from collections.abc import Mapping, Sequence
 from dataclasses import fields, is_dataclass, replace
 from functools import lru_cache
 from importlib.metadata import entry_points
+from operator import attrgetter
 from pathlib import Path
 from types import ModuleType
 from typing import Any
 
+import numpy as np
+
 from .. import paper
+from ..contact.laws import Linear
 from ..errors import InputError
 from .base import Effect, Parameter, Place, Scene
 from .contact import TOUCHING
 from .library import EFFECTS
 
 ENTRY_POINT = "bristle.effects"
-# What a simulated drop takes from its scene; the rest the loop computes from the effects it knows.
+# What a simulated drop takes from its scene, and what the loop takes from it for drops that it
+# computes from those without effects.
 SIMULATED_FIELDS = {"law", "beta_s", "loss_factor"}
+COMPUTED_FIELDS = {
+    *("release_speed_m_s", "drag_kg_m", "law"),
+    *("y_offset_m", "y_scale", "t_scale"),
+}
 # What a drop takes from its own inputs, whatever an effect makes of it.
 IGNORED = ("height_m", "order", "chance", "front_m2")
 # Drops on which effects are tried.
 LOW = Scene(height_m=0.01, beta_s=paper.BETA_S, loss_factor=1e-3, lateral_inertia=1.0)
 HIGH = replace(LOW, height_m=0.05)
 LATER: tuple[dict[str, Any], ...] = ({"order": 7}, {"chance": (-1.0, 2.0)})
+PLAIN = (LOW, HIGH, *(replace(LOW, **late) for late in LATER))
 # How the modules of users' files are called, before the beginning of their digest.
 MODULE = "bristle_plugin_"
 MOST_PARAMETERS = 2
@@ -143,16 +153,15 @@ def _acts(kind: type[Effect]) -> str:
     for each in kind.parameters:
         sizes[f"least {each.name}"] = {**sizes["typical"], each.name: each.low}
         sizes[f"greatest {each.name}"] = {**sizes["typical"], each.name: each.high}
-    plain = (LOW, HIGH, *(replace(LOW, **late) for late in LATER))
     done: dict[str, list[Scene]] = {}
     for size, values in sizes.items():
         try:
-            done[size] = [kind(**values).enter(scene) for scene in plain]
+            done[size] = [kind(**values).enter(scene) for scene in PLAIN]
         except Exception as error:
             return f"fails where it is {size}: {type(error).__name__}: {error}"
         if not all(isinstance(scene, Scene) for scene in done[size]):
             return "enter must return a Scene"
-    changed = {size: _changed(plain, scenes) for size, scenes in done.items()}
+    changed = {size: _changed(PLAIN, scenes) for size, scenes in done.items()}
     ignored = sorted(changed["typical"] & set(IGNORED))
     if ignored:
         return f"changes {', '.join(ignored)}, which a drop does not take from effects"
@@ -180,16 +189,44 @@ def _predictable(
     """Why the loop could not tell what an effect does, or an empty text."""
     if len(kind.parameters) > MOST_PARAMETERS:
         return f"the loop takes at most {MOST_PARAMETERS} parameters"
-    other = sorted(changed["typical"] - SIMULATED_FIELDS)
+    if changed["absent"]:
+        return "changes drops where its parameters are those of its absence"
+    known = COMPUTED_FIELDS if kind.computed else SIMULATED_FIELDS
+    other = sorted(changed["typical"] - known)
     if other:
-        return (
-            f"changes {', '.join(other)}, which the loop takes from its own effects alone; "
-            "give it no kinds, for simulations only"
-        )
+        instead = f"computed = {not kind.computed} is for these"
+        if not set(other) <= COMPUTED_FIELDS | SIMULATED_FIELDS:
+            instead = "the loop takes these from its own effects alone"
+        return f"changes {', '.join(other)}: {instead}; or give it no kinds, for simulations only"
+    if kind.computed:
+        return _of_arrays(kind, done["typical"])
     low, _, *later = done["typical"]
     again = (replace(low, **late) for late in LATER)
     if kind.random or any(one != other for one, other in zip(again, later, strict=True)):
-        return "differs from drop to drop, which the loop knows of its own effects alone"
-    if changed["absent"]:
-        return "changes drops where its parameters are those of its absence"
+        return "differs from drop to drop, which only computed effects may"
+    return ""
+
+
+def _of_arrays(kind: type[Effect], alone: Sequence[Scene]) -> str:
+    """Why `enter` does not give many drops at once what each has alone, or an empty text."""
+    every: dict[str, Any] = {
+        "height_m": np.array([scene.height_m for scene in PLAIN]),
+        "order": np.array([scene.order for scene in PLAIN]),
+        "chance": (np.array([scene.chance[0] for scene in PLAIN]), 0.0),
+    }
+    if not all(type(scene.law) is Linear for scene in alone):
+        return "is computed, and may change no more of the contact law than its stiffness"
+    try:
+        values = (each.typical + 0.0 * every["height_m"] for each in kind.parameters)
+        found = kind.unchecked(*values).enter(replace(LOW, **every))
+        for name in sorted(COMPUTED_FIELDS):
+            of = attrgetter("law.kn_N_m" if name == "law" else name)
+            single = [of(scene) for scene in alone]
+            if not np.allclose(of(found), single, rtol=1e-12, atol=0.0):
+                return f"is computed, and its {name} for many drops is another than for each alone"
+    except Exception as error:
+        return f"is computed, and fails for many drops at once: {type(error).__name__}: {error}"
+    by_chance = replace(alone[-1], chance=LOW.chance) != alone[0]
+    if by_chance and not kind.random:
+        return "differs by chance from drop to drop: say so by random = True"
     return ""

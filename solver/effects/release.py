@@ -18,6 +18,7 @@ class ReleaseVelocity(Effect):
     speed_m_s: float = 0.1
 
     name = "release_velocity"
+    computed = True
     title = "speed at release"
     place = Place.RELEASE
     kinds = DROPPED
@@ -39,6 +40,7 @@ class AirDrag(Effect):
     cd: float = 1.1
 
     name = "air_drag"
+    computed = True
     title = "air drag"
     place = Place.FLIGHT
     kinds = DROPPED | {"falls"}

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
+import numpy as np
+
 from ..contact.laws import Linear
 from ..errors import InputError
 from .base import Effect, Parameter, Place, Scene
@@ -12,6 +14,8 @@ LANDING = frozenset({"drops", "tracks", "forces"})
 # Drops over which wear is counted.
 WEAR_DROPS = 100.0
 MOST_SLOPE_DEG = 10.0
+# Stiffness beyond what any table covers: drops may be numbered by their date, and wear grows so.
+MOST_DECADES = 12.0
 
 
 @dataclass(frozen=True)
@@ -21,6 +25,7 @@ class BristleTilt(Effect):
     tilt_deg: float = 2.0
 
     name = "bristle_tilt"
+    leaning = True
     title = "a bristle that leans"
     place = Place.RELEASE
     kinds = LANDING
@@ -43,6 +48,7 @@ class SurfaceSlope(Effect):
     std_deg: float = 3.0
 
     name = "surface_slope"
+    leaning = True
     title = "asperity slopes"
     place = Place.SURFACE
     kinds = LANDING
@@ -65,10 +71,12 @@ class SurfaceSlope(Effect):
 
 
 def _stiffer(scene: Scene, decades: float) -> Scene:
-    """The scene with Kn times 10^decades under a linear law."""
+    """The scene with Kn times 10^decades, within `MOST_DECADES`, under a linear law."""
     if type(scene.law) is not Linear:
         raise InputError("--effect: a stiffness that varies goes before a law of its own")
-    return replace(scene, law=Linear(scene.law.kn_N_m * 10.0**decades))
+    within = np.clip(decades, -MOST_DECADES, MOST_DECADES)
+    times = 10.0**within if np.ndim(within) else 10.0 ** float(within)
+    return replace(scene, law=Linear(scene.law.kn_N_m * times))
 
 
 @dataclass(frozen=True)
@@ -78,6 +86,7 @@ class SurfacePhases(Effect):
     std_decades: float = 0.3
 
     name = "surface_phases"
+    computed = True
     title = "stiffness that differs from drop to drop"
     place = Place.SURFACE
     kinds = LANDING
@@ -98,6 +107,7 @@ class Wear(Effect):
     decades: float = 0.5
 
     name = "wear"
+    computed = True
     title = "drift with the order of drops"
     place = Place.SURFACE
     kinds = LANDING

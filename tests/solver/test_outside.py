@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import logging
+import math
 import sys
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -23,7 +24,8 @@ from bristle.solver.errors import InputError
 from bristle.studies.cli import main
 from bristle.studies.loop.kinds.drops import problem as drops_module
 from bristle.studies.loop.responses import response
-from bristle.studies.loop.responses.response import Emulator, Tables, effect_at
+from bristle.studies.loop.responses.drop_model import DropModel, Drops
+from bristle.studies.loop.responses.response import PLAIN_STEP, Emulator, Tables, effect_at
 
 pytestmark = pytest.mark.serial
 
@@ -137,6 +139,99 @@ def test_two_parameters_make_a_table_of_both(monkeypatch):
         step = tables.emulator.step_s(kn)
         with_it, without = (np.log(tables.emulator.seen(each, step, 0.0)[0]) for each in scenes)
         assert told[:, i] == pytest.approx(with_it - without, abs=2e-3)
+
+
+@dataclass(frozen=True)
+class Wetting(Effect):
+    """Contact that softens with the drops made, by another amount in each; and a slow camera."""
+
+    decades: float = 0.2
+    slow: float = 0.01
+
+    name = "wetting"
+    title = "a surface that gets wet"
+    place = Place.SURFACE
+    kinds = frozenset({"drops"})
+    source = "a test"
+    random = True
+    computed = True
+    parameters = (
+        Parameter("decades", "decades", 0.0, 1.0, 0.2),
+        Parameter("slow", "", 0.0, 0.1, 0.01),
+    )
+
+    def enter(self, scene: Scene) -> Scene:
+        drier = self.decades * (0.1 * scene.order**0.5 + 0.5 * scene.chance[0])
+        law = Linear(scene.law.kn_N_m * 10.0**-drier)
+        return replace(scene, law=law, t_scale=scene.t_scale * (1.0 + self.slow))
+
+
+def test_a_computed_effect_is_known_for_every_drop_and_chance():
+    """As models predict it for all drops at once, against drops simulated one by one."""
+    outside.register(Wetting, "a test")
+    tables = Tables(Emulator(Bristle(), 9.8, 0.02, 0.05, (2e5, 2e7)))
+    heights, order = np.array([0.025, 0.04, 0.05]), np.array([0.0, 4.0, 9.0])
+    drops = Drops(tables.emulator, heights, order, (0, 1, 2))
+    kn = Parameter("kn_N_m", "N/m", 1e6, 4e6, 2e6)
+    model = DropModel(drops, tables, kn, ("wetting",), np.eye(3)[None].repeat(3, 0))
+    theta = np.array([2.2e6, 0.3, 0.02])
+    predicted = model.measured(theta)
+    chances = np.linspace(-3.25, 3.25, len(model.weights))
+    assert model.weights @ chances == pytest.approx(0.0, abs=1e-12)
+    # of a normal number that ends at 3.25: 1 - 2 a φ(a) / (1 - 2 Φ(-a)) = 0.987
+    assert model.weights @ chances**2 == pytest.approx(0.987, abs=3e-3)
+    for node in (0, 20, 52):
+        for i, (height, number) in enumerate(zip(heights, order, strict=True)):
+            plain = replace(
+                tables.emulator.plain(),
+                height_m=height,
+                law=Linear(theta[0]),
+                order=number,
+                chance=(chances[node], 0.0),
+            )
+            scene = Wetting(*theta[1:]).enter(plain)
+            step = PLAIN_STEP * tables.emulator.step_s(scene.law.kn_N_m)
+            alone = tables.emulator.seen([scene], step, 0.0)[0] * (1.0, scene.t_scale, 1.0)
+            assert predicted[node, i] == pytest.approx(alone, rel=2e-3)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (
+            {"enter": lambda self, s: replace(s, drag_kg_m=math.sqrt(self.decades + self.slow))},
+            "fails for many drops at once: TypeError",
+        ),
+        (
+            {"enter": lambda self, s: replace(s, t_scale=1.0 + self.slow * np.size(s.order)
+                                              * self.decades)},
+            "its t_scale for many drops is another",
+        ),
+        ({"random": False}, "by chance from drop to drop: say so"),
+        ({"computed": False}, "changes t_scale: computed = True is for these"),
+        (
+            {"enter": lambda self, s: replace(s, beta_s=s.beta_s + self.slow * self.decades)},
+            "changes beta_s: computed = False is for these",
+        ),
+        (
+            {"enter": lambda self, s: replace(s, tilt_deg=self.slow * self.decades)},
+            "changes tilt_deg: the loop takes these from its own effects alone",
+        ),
+        (
+            {
+                "enter": lambda self, s: replace(
+                    s, law=Damped(s.law.kn_N_m, self.slow) if self.decades * self.slow else s.law
+                )
+            },
+            "no more of the contact law than its stiffness",
+        ),
+    ],
+    ids=lambda value: "-".join(value) if isinstance(value, dict) else "",
+)  # fmt: skip
+def test_a_computed_effect_that_is_none_is_refused(change, words):
+    kind = dataclass(frozen=True)(type("Bad", (Wetting,), dict(change)))
+    with pytest.raises(InputError, match=words):
+        outside.register(kind, "a test")
 
 
 @pytest.mark.parametrize(

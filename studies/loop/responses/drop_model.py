@@ -5,16 +5,15 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import NamedTuple, Self
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ....solver.arrays import Array
+from ....solver.contact.laws import Linear
 from ....solver.effects.base import Parameter
-from ....solver.effects.library import EFFECTS
-from ....solver.effects.release import AIR_KG_M3
-from ....solver.effects.surface import WEAR_DROPS
+from ....solver.effects.library import EFFECTS, in_order
 from ....solver.fall import fallen, risen
 from .response import Emulator, Tables
 
@@ -23,8 +22,6 @@ from .response import Emulator, Tables
 DEVIATES = (-3.25, 3.25, 53)
 SIZES = (0.1, 3.5, 18)
 DIRECTIONS_DEG = (9.0, 27.0, 45.0, 63.0, 81.0)
-# Stiffness beyond what any table covers.
-MOST_DECADES = 12.0
 
 
 @dataclass(frozen=True)
@@ -63,6 +60,8 @@ class Landing(NamedTuple):
 class BounceModel:
     """The baseline with ``effects`` in, up to what data show of it: the base of `Model` classes.
 
+    Computed effects enter all drops at once; two that are random vary together from drop to drop.
+
     ``kn``, ``beta`` where the body's damping is not declared and ``gain`` where forces are measured
     are the baseline's free parameters; nodes of chance lie ``closer`` so many times. A subclass
     adds `predict`.
@@ -91,13 +90,14 @@ class BounceModel:
 
     @cached_property
     def _chance(self) -> tuple[Array, Array]:
-        """Deviates (nodes, 3) of stiffness, size and direction of slope; weights (nodes,)."""
+        """Deviates (nodes, 3) of a computed effect, size and direction of slope; weights
+        (nodes,)."""
         stiff: Array = np.zeros(1)
         sizes: Array = np.zeros(1)
         sides: Array = np.zeros(1)
         stiff_weights: Array = np.ones(1)
         size_weights: Array = np.ones(1)
-        if "surface_phases" in self.effects:
+        if any(EFFECTS[name].computed and EFFECTS[name].random for name in self.effects):
             stiff = _nodes(*DEVIATES, self.closer)
             stiff_weights = np.exp(-0.5 * stiff**2)
         if "surface_slope" in self.effects:
@@ -123,22 +123,25 @@ class BounceModel:
         drops, emulator = self.drops, self.drops.emulator
         nodes = self._chance[0]
 
-        def value(name: str, which: int = 0) -> Array | float:
-            return given[name][which][..., None, None] if name in given else 0.0
+        def value(name: str, which: int = 0) -> Array:
+            return given[name][which][..., None, None]
 
-        scale, offset = 1.0 + value("scale_error"), value("height_offset")
-        height = np.maximum(drops.y0_m / scale - offset, 1e-5)
-        drag = 0.5 * AIR_KG_M3 * emulator.plain().front_m2 * value("air_drag")
-        same = fallen(
-            height, emulator.gravity_m_s2, value("release_velocity"), drag / emulator.body.mass_kg
-        )
-        decades = value("wear") * (drops.order / WEAR_DROPS)
-        if "surface_phases" in self.effects:
-            decades = decades + value("surface_phases") * nodes[:, :1]
-        # drops may be numbered by their date, and wear grows with the number
-        decades = np.clip(decades, -MOST_DECADES, MOST_DECADES)
-        kn = theta[..., 0][..., None, None] * 10.0**decades
-        same, kn = np.broadcast_arrays(same, kn)
+        every: dict[str, Any] = {
+            "law": Linear(theta[..., 0][..., None, None]),  # type: ignore[arg-type]
+            "height_m": drops.y0_m,
+            "order": drops.order,
+            "chance": (nodes[:, :1], 0.0),
+        }
+        scene = replace(emulator.plain(), **every)
+        for name in in_order(self.effects):
+            kind = EFFECTS[name]
+            if kind.computed:
+                values = (value(name, i) for i in range(len(kind.parameters)))
+                scene = kind.unchecked(*values).enter(scene)
+        height = np.maximum(drops.y0_m / scene.y_scale - scene.y_offset_m, 1e-5)
+        drag_1_m = np.asarray(scene.drag_kg_m / emulator.body.mass_kg)
+        same = fallen(height, emulator.gravity_m_s2, scene.release_speed_m_s, drag_1_m)
+        same, kn = np.broadcast_arrays(same, scene.law.kn_N_m)
         logs = self.tables.plain.at(same, kn)
         if self.beta is not None:
             beta = theta[..., 1][..., None, None]
@@ -155,12 +158,12 @@ class BounceModel:
         landing = Landing(
             height_m=height,
             same_m=same,
-            speed_m_s=np.asarray(value("release_velocity")),
-            drag_1_m=np.asarray(drag / emulator.body.mass_kg),
+            speed_m_s=np.asarray(scene.release_speed_m_s),
+            drag_1_m=drag_1_m,
             kn_N_m=kn,
-            scale=np.asarray(scale),
-            offset_m=np.asarray(offset),
-            clock=np.asarray(1.0 + value("clock_error")),
+            scale=np.asarray(scene.y_scale),
+            offset_m=np.asarray(scene.y_offset_m),
+            clock=np.asarray(scene.t_scale),
         )
         return landing, logs
 

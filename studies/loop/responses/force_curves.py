@@ -36,7 +36,7 @@ from ....solver.errors import ComputationError
 from ....solver.ground import Ground
 from ....solver.rigid import slope_normal
 from ...running.retry import with_shorter_its
-from .response import LEANING, MADE_BY, SCALED, Emulator, Tables, effect_at, simulated
+from .response import MADE_BY, SCALED, Emulator, Tables, effect_at, simulated
 from .spline import coefficients, evaluate
 from .table import Axis, Table, mended
 from .table_drops import beam_of, its_s
@@ -164,7 +164,7 @@ class ForceEmulator(Emulator):
 
     def curves(self, name: str, sides: Sequence[Axis], change: Change) -> Curves:
         """Histories over height, stiffness and ``sides``, kept from run to run."""
-        kn_nodes = LEAN_KN_NODES if name in LEANING else KN_NODES
+        kn_nodes = LEAN_KN_NODES if name in EFFECTS and EFFECTS[name].leaning else KN_NODES
         kn = Axis(*self.kn_range_N_m, kn_nodes, "log")
         fewer = [
             replace(a, n=HELD_NODES if name in SCALED else min(a.n, SIDE_NODES)) for a in sides

@@ -190,12 +190,6 @@ class Emulator:
         return coefficients(mended(logs), len(axes))
 
 
-# Effects of a bounce that are computed from the plain drops' table (drop_model.BounceModel).
-COMPUTED = (
-    *("air_drag", "release_velocity", "height_offset", "scale_error", "clock_error"),
-    *("surface_phases", "wear"),
-)
-LEANING = ("bristle_tilt", "surface_slope")
 # Effects whose parameter counts against a scale that height and stiffness set: the law, the shares
 # of the scale that matter, and how nodes lie. Adhesion and yield count against the peak force of
 # the same drop without them (more adhesion holds the bristle for good; a yield force beyond changes
@@ -210,7 +204,7 @@ SCALED: Mapping[str, tuple[Law, Axis]] = {
 def simulated() -> tuple[str, ...]:
     """Effects of a bounce whose result only a simulation can tell."""
     return tuple(
-        name for name, effect in EFFECTS.items() if effect.kinds & TOUCHING and name not in COMPUTED
+        name for name, effect in EFFECTS.items() if effect.kinds & TOUCHING and not effect.computed
     )
 
 
@@ -230,7 +224,7 @@ class Tables:
         """An effect's parameters, as far as drops show them: with the absence that this body
         declares, and with friction where the effect hangs on it and nobody knows it."""
         own = self._own(name)
-        if name in LEANING and self.emulator.friction is None:
+        if EFFECTS[name].leaning and self.emulator.friction is None:
             return (*own, FRICTION)
         return own
 
@@ -261,7 +255,7 @@ class Tables:
         """The tables of an effect, one for each of `Emulator.frictions` where it leans; raises
         ComputationError where its drops fail."""
         if name not in self._made:
-            leans = name in LEANING
+            leans = EFFECTS[name].leaning
             frictions = self.emulator.frictions() if leans else (None,)
             self._made[name] = tuple(self._make(name, friction) for friction in frictions)
         return self._made[name]
@@ -273,7 +267,7 @@ class Tables:
         if name in self.scaled:
             law, side = self.scaled[name]
             return self.emulator.table(name, (side,), self._scaled(name, law), EFFECT_KN_NODES)
-        kind, leans = EFFECTS[name], name in LEANING
+        kind, leans = EFFECTS[name], EFFECTS[name].leaning
 
         def change(scene: Scene, point: tuple[float, ...]) -> Scene:
             return effect_at(name, *point).enter(scene)
