@@ -38,12 +38,12 @@ class Typical:
     loss_factor: float = 0.0
     beta_s: float | None = None
 
-    def damping_s(self, length_m: float) -> float:
-        """Rayleigh's β in s that gives a free bar of this length its loss factor in the first
-        axial mode, η = β ω with ω = π c / L."""
+    def damping_s(self, length_m: float, youngs_Pa: float, density_kg_m3: float) -> float:
+        """Rayleigh's β in s that gives a free bar of this length, E and density the loss factor in
+        its first axial mode, η = β ω with ω = π c / L."""
         if self.beta_s is not None:
             return self.beta_s
-        speed_m_s = math.sqrt(self.youngs_Pa / self.density_kg_m3)
+        speed_m_s = math.sqrt(youngs_Pa / density_kg_m3)
         return self.loss_factor * length_m / (math.pi * speed_m_s)
 
 

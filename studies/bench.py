@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from ..solver.errors import InputError
+from .command.script import as_script
 
 TESTS = Path(__file__).resolve().parents[1] / "tests"
 # The options of each.
@@ -37,3 +38,7 @@ def run_bench(what: str, out: Path | None, given: dict[str, Any]) -> str:
     sys.path.insert(0, str(TESTS))
     run = getattr(import_module(f"benchmarks.{what}"), f"run_{what}")
     return str(run(Path(f"results/bench-{what}") if out is None else out, **named))
+
+
+if __name__ == "__main__":
+    as_script("bench")

@@ -7,6 +7,8 @@ Writes table.csv, heights.svg and .png, and sweep.json. Also a script:
 from __future__ import annotations
 
 import itertools
+import json
+import re
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Self
@@ -21,15 +23,17 @@ from pydantic import (
     model_validator,
 )
 
+from ..meshes.collective import run_on_one_rank
 from ..solver import paper
 from .command.script import as_script
 from .inputs.choices import Model
 from .inputs.config import refuse
 from .inputs.fields import SHARED_FLAGS, read_items
-from .inputs.sources import DEPENDENTS
+from .inputs.sources import EXCLUDED, resolved_from
 from .report.figures import picture, write_picture
 from .report.paper_figures import height_figure
 from .running.files import read_csv
+from .running.progress import say
 from .running.study import (
     COLUMNS,
     OWN,
@@ -43,6 +47,7 @@ from .running.study import (
 
 FIGURE = "heights"
 MARKERS = 60
+MOST_PICTURES = 24
 LISTED = {flag.field: flag.kind for flag in SHARED_FLAGS if flag.may_be_several}
 
 
@@ -61,7 +66,9 @@ class SweepInputs(StudyInputs):
         items = {name: _items(name, data[name]) for name in LISTED if data.get(name) is not None}
         first = {**data, **{name: values[0] for name, values in items.items()}}
         inputs = handler(first)
-        inputs._given = {name: value for name, value in first.items() if name not in OWN}
+        inputs._given = {
+            name: value for name, value in first.items() if name not in OWN and value is not None
+        }
         inputs._lists = {name: values for name, values in items.items() if len(values) > 1}
         check_number(inputs.models, inputs.kn_N_m, inputs.heights_m, inputs.its_s,
                      *inputs._lists.values())  # fmt: skip
@@ -80,8 +87,9 @@ class SweepInputs(StudyInputs):
     @model_serializer(mode="wrap")
     def _with_lists(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
         """The inputs with their lists, without what follows from a value that differs."""
-        follows = {name for above in self._lists for name in DEPENDENTS.get(above, ())}
-        left_out = follows - self._given.keys()
+        excluded = {name for above in self._lists for name in EXCLUDED.get(above, ())}
+        follows = resolved_from(self._lists, material="material" in self._given)
+        left_out = (excluded | follows) - self._given.keys()
         plain = {name: None if name in left_out else value for name, value in handler(self).items()}
         return plain | self._lists
 
@@ -110,7 +118,20 @@ def run_sweep(
         return _finish(rows, inputs.varied, folder)
 
     study = Study("sweep", finish, curves=True, varied=inputs.varied)
+    before = run_on_one_rank(comm, lambda: _pictures(out / study.document))
     run_study(study, inputs, out, comm, resume=resume, ranks_per_case=ranks_per_case)
+    if comm.rank == 0:
+        for name in before - _pictures(out / study.document):
+            (out / name).unlink(missing_ok=True)
+
+
+def _pictures(document: Path) -> set[str]:
+    """The pictures that a finished sweep names, of whatever was there."""
+    try:
+        names = json.loads(document.read_text(encoding="utf-8"))["files"]
+        return {name for name in names if re.fullmatch(rf"{FIGURE}[-.\w+]*\.(svg|png)", name)}
+    except (OSError, ValueError, KeyError, TypeError):
+        return set()
 
 
 def _finish(rows: Sequence[Row], varied: Sequence[str], out: Path) -> dict[str, Any]:
@@ -120,9 +141,12 @@ def _finish(rows: Sequence[Row], varied: Sequence[str], out: Path) -> dict[str, 
     for row in sorted(rows, key=lambda row: -row["its_s"]):
         named = [("its", row["its_s"])] if len(steps) > 1 else []
         named += [(name, row[name]) for name in varied]
-        words = [f"{name}-{x:g}" if isinstance(x, float) else f"{name}-{x}" for name, x in named]
+        words = [f"{name}-{x:.12g}" if isinstance(x, float) else f"{name}-{x}" for name, x in named]
         pictures.setdefault("-".join([FIGURE, *words]), []).append(row)
-    names = []
+    names: list[str] = []
+    if len(pictures) > MOST_PICTURES:
+        say(f"{len(pictures)} combinations, of more than {MOST_PICTURES} none is drawn")
+        pictures.clear()
     for name, members in pictures.items():
         curves = {(row["model"], row["y0_m"], row["kn_N_m"]): _path(row) for row in members}
         names += write_picture(out / name, picture(height_figure(curves)))

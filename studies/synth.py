@@ -28,6 +28,7 @@ from ..solver.effects.library import enter_all
 from ..solver.errors import InputError
 from ..solver.fall import fallen, risen
 from . import __version__
+from .command.script import as_script
 from .inputs.effect_input import EffectInput, read_effects
 from .inputs.given_files import read_plugins
 from .loop.responses.table_drops import drops_of, its_s
@@ -309,3 +310,7 @@ def run_synth(recipe: Recipe, out: Path, truth: Path) -> None:
     run_on_one_rank(MPI.COMM_WORLD, lambda: prepare_dataset(out, truth))
     body = reduced_body()
     run_on_one_rank(MPI.COMM_WORLD, lambda: write_dataset(make(recipe, body), out, truth))
+
+
+if __name__ == "__main__":
+    as_script("synth")

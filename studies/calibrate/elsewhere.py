@@ -28,9 +28,11 @@ COLUMNS = (
     Column("value_mm", "in mm and N", "N/mm, N/mm³", 3),
 )
 NOTE = (
-    "Of one node; divide by their number where several touch. A stiffness is a result of the model "
-    "too: these programs' own beams and solids need it with the damping in the material alone, not "
-    "in the contact spring, and a time step that resolves the impact."
+    "Of one node; divide by their number where several touch. A node-based surface of Abaqus has "
+    "unit area unless it is given another; CalculiX asks for a tension at large gaps as well, "
+    "which is to be small. A stiffness is a result of the model too: these programs' own beams and "
+    "solids need it with the damping in the material alone, not in the contact spring, and a time "
+    "step that resolves the impact."
 )
 
 

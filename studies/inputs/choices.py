@@ -1,4 +1,4 @@
-"""Among what can a user choose: models, schemes, ends of a run."""
+"""Choices of a user: models, schemes, ends of a run."""
 
 from __future__ import annotations
 

@@ -365,8 +365,10 @@ def _resolve_material(data: dict[str, Any]) -> None:
     length_m = data.get("length_m")
     if isinstance(file := fields.read_mesh_file(data.get("mesh")), MeshFile):
         length_m = file.read().length_m
-    if isinstance(length_m, float):
-        _default(data, "beta_s", material.damping_s(length_m))
+    needed = (length_m, data["youngs_Pa"], data["density_kg_m3"])
+    numbers = [float(x) for x in needed if isinstance(x, float | int) and x > 0.0]
+    if len(numbers) == len(needed):
+        _default(data, "beta_s", material.damping_s(*numbers))
 
 
 def _default(data: dict[str, Any], key: str, value: Any) -> None:

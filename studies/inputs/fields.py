@@ -77,13 +77,19 @@ def read_numbers(value: Any) -> Any:
 
 
 def read_items(kind: type, value: Any) -> tuple[Any, ...]:
-    """Each value once, of a text separated by commas, of a list, or one alone; numbers where
-    ``kind`` is one."""
-    items = tuple(dict.fromkeys(read_list(value)))
-    if not issubclass(kind, int | float):
-        return items
-    numbers = (_number(item) for item in items)
-    return tuple(int(x) if kind is int and x == int(x) else x for x in numbers)
+    """Each value once, of a text separated by commas, of a list or a range, or one alone; numbers
+    where ``kind`` is one, in their order. ValueError where they are none."""
+    items = read_list(list(value) if isinstance(value, range | set | frozenset) else value)
+    number = issubclass(kind, int | float)
+    if number:
+        items = tuple(map(_number, items))
+    if number and not all(type(each) in (int, float) for each in items):
+        raise ValueError(f"must be numbers, not {value!r}")
+    if not all(isinstance(each, int | float | str) for each in items):
+        raise ValueError(f"must be words, not {value!r}")
+    if kind is int:
+        items = tuple(int(x) if math.isfinite(x) and x == int(x) else x for x in items)
+    return tuple(dict.fromkeys(sorted(items) if number else items))
 
 
 def _number(item: Any) -> Any:
@@ -266,8 +272,8 @@ class DiscretisationFields(MeshFields):
         Option(
             "modes",
             MESH,
-            "Krylov vectors of the reduced solid to begin with; it takes more where its error "
-            "asks.",
+            "Krylov vectors of the reduced solid to begin with; it takes up to eight times as many "
+            "where its error asks, as long as they fill less than 1 GB.",
             "N",
         ),
     ] = MODES

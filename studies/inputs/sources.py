@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
@@ -11,6 +12,7 @@ from typing import Any, TypeVar
 from pydantic import BaseModel, ValidationError
 
 from ...solver.errors import InputError
+from ...solver.materials import MATERIALS, MaterialName
 from .fields import DROP_FLAGS, LIST_FLAGS
 from .flags import Flag
 from .given_files import REPLACED
@@ -20,32 +22,67 @@ from .texts import hints, parse_json, parse_toml, quoted, read_text
 Checked = TypeVar("Checked", bound=BaseModel)
 OPTIONS = {flag.field: flag.option for flag in (*OWN_FLAGS, *DROP_FLAGS, *LIST_FLAGS)}
 
-DEPENDENTS = {
-    "diameter_m": ("width_m", "thickness_m", "geometry_order"),
-    "width_m": ("diameter_m", "geometry_order"),
-    "thickness_m": ("diameter_m", "geometry_order"),
+# What a value excludes, and what an earlier run resolved from it.
+EXCLUDED = {
+    "diameter_m": ("width_m", "thickness_m"),
+    "width_m": ("diameter_m",),
+    "thickness_m": ("diameter_m",),
     "contact": ("theta", "gamma0"),
-    "poisson": ("kt_ratio",),
-    "material": ("youngs_Pa", "poisson", "density_kg_m3", "beta_s", "kt_ratio"),
     "scheme": ("rho_inf",),
     "mesh": REPLACED,
     "flat": ("rms_height_m", "correlation_length_m", "surface"),
     "surface": ("rms_height_m", "correlation_length_m", "flat"),
 }
+RESOLVED = {
+    "diameter_m": ("geometry_order",),
+    "width_m": ("geometry_order",),
+    "thickness_m": ("geometry_order",),
+    "poisson": ("kt_ratio",),
+    "material": ("youngs_Pa", "poisson", "density_kg_m3", "beta_s", "kt_ratio"),
+}
+# Where the material has a name, its damping follows from these.
+DAMPING = ("length_m", "mesh", "youngs_Pa", "density_kg_m3")
+
+
+def resolved_from(names: Iterable[str], *, material: bool) -> set[str]:
+    """Fields that were resolved from those of these names; ``material`` says that it has a name."""
+    found = {below for name in names for below in RESOLVED.get(name, ())}
+    return found | ({"beta_s"} if material and set(names) & set(DAMPING) else set())
 
 
 @dataclass
 class Source:
-    """Values by field of the inputs, and how each is to be named to the user."""
+    """Values by field of the inputs, and how each is to be named to the user.
+
+    ``resolved`` are those of a result, which holds what followed from others as if it were given.
+    """
 
     values: dict[str, Any] = field(default_factory=dict)
     origins: dict[str, str] = field(default_factory=dict)
+    resolved: bool = False
 
     def over(self, other: Source) -> Source:
-        """These values over those of ``other``, where what depends on a value goes with it."""
-        gone = {below for above in self.values for below in DEPENDENTS.get(above, ())}
+        """These values over those of ``other``, without what they exclude there or followed from
+        what they replace."""
+        gone = {below for above in self.values for below in EXCLUDED.get(above, ())}
+        if other.resolved:
+            material = other.values.get("material") is not None
+            own = math.isclose(other.values.get("beta_s", 0.0), _damping_s(other.values))
+            gone |= resolved_from(self.values, material=material and own)
         kept = {key: value for key, value in other.values.items() if key not in gone}
         return Source(kept | self.values, other.origins | self.origins)
+
+
+def _damping_s(values: Mapping[str, Any]) -> float:
+    """What damping a named material has in an earlier run's inputs; that of a mesh is its own."""
+    name = values.get("material")
+    if name not in tuple(MaterialName) or values.get("mesh") is not None:
+        return float(values.get("beta_s", 0.0))
+    needed = [values.get(each) for each in ("length_m", "youngs_Pa", "density_kg_m3")]
+    numbers = [float(each) for each in needed if isinstance(each, float | int)]
+    if len(numbers) < len(needed):
+        return math.nan
+    return MATERIALS[MaterialName(name)].damping_s(*numbers)
 
 
 def flag_source(given: Mapping[str, Any], flags: Iterable[Flag]) -> Source:
@@ -104,7 +141,7 @@ def read_config(path: Path, flags: Iterable[Flag], ignored: Iterable[Flag] = ())
         raise InputError(f"--config {error}") from error
     data = _parse_result(path, text) if path.suffix == ".json" else parse_toml(path, text)
     fields, passed_over = _fields_by_key(flags), _fields_by_key(ignored)
-    found = Source()
+    found = Source(resolved=path.suffix == ".json")
     for key, value in data.items():
         if key in passed_over and key not in fields:
             continue

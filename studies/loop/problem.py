@@ -1,4 +1,4 @@
-"""What does the loop need to know of a dataset: values, models that predict them, and no more.
+"""What the loop knows of a dataset: values, models that predict them, and no more.
 
 Kinds of datasets (drops, tracks, forces, waves, falls) each build a `Problem`; detection,
 attribution and verdict are written once and see only this.

@@ -1,4 +1,4 @@
-"""What does a drop leave behind: `result.json` and `history.csv`, whole or not at all."""
+"""Files of a drop: `result.json` and `history.csv`, whole or not at all."""
 
 from __future__ import annotations
 

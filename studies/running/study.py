@@ -6,6 +6,7 @@ import math
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence, Sized
 from dataclasses import dataclass
+from enum import StrEnum
 from pathlib import Path
 from typing import Any, Self
 
@@ -213,18 +214,35 @@ def _compute(
     """Fill ``done`` on rank 0 with what is missing and ``keep`` has kept; the seconds of what the
     cases shared."""
     missing = [i for i in range(len(cases)) if i not in done]
-    modal = [i for i in missing if cases[i].model is not Model.SOLID]
-    solid = [i for i in missing if cases[i].model is Model.SOLID]
-    with (
-        Workshop(comm, study.basis_its_s) as workshop,
-        progress(study.name, len(cases), done=len(done)) as advance,
-    ):
+    parts: dict[tuple[Any, ...], list[int]] = {}
+    for i in missing:
+        parts.setdefault(tuple(getattr(cases[i], name) for name in study.varied), []).append(i)
+    shared: Timings = {}
+    with progress(study.name, len(cases), done=len(done)) as advance:
 
         def take(i: int, row: Row) -> None:
             done[i] = keep(i, row)
             advance()
 
-        _build_together(study, workshop, [cases[i] for i in modal])
+        for part in parts.values():  # in turn, since each has bodies of its own
+            spent = _compute_part(study, cases, part, comm, take, ranks_per_case)
+            shared = {name: shared.get(name, 0.0) + spent[name] for name in spent}
+    return shared or {"total": 0.0}
+
+
+def _compute_part(
+    study: Study,
+    cases: Sequence[DropInputs],
+    part: Sequence[int],
+    comm: MPI.Intracomm,
+    take: Callable[[int, Row], None],
+    ranks_per_case: int | None,
+) -> Timings:
+    """Have rank 0 ``take`` the row of each case of ``part``; the seconds of what they shared."""
+    modal = [i for i in part if cases[i].model is not Model.SOLID]
+    solid = [i for i in part if cases[i].model is Model.SOLID]
+    with Workshop(comm, study.basis_its_s) as workshop:
+        _build_together(workshop, [cases[i] for i in modal])
         shared = workshop.take_timings()
         share_out(
             comm,
@@ -242,14 +260,12 @@ def _compute(
     return shared
 
 
-def _build_together(study: Study, workshop: Workshop, cases: Iterable[DropInputs]) -> None:
+def _build_together(workshop: Workshop, cases: Iterable[DropInputs]) -> None:
     """Build what takes all ranks, so that cases of modal bodies need no communication later."""
     reduced = [case for case in cases if case.model is Model.REDUCED]
     if reduced:
         with working("building the reduced model"):
-            names = ("its_s", *study.varied)
-            bodies = {tuple(getattr(case, name) for name in names): case for case in reduced}
-            for case in bodies.values():
+            for case in {case.its_s: case for case in reduced}.values():
                 workshop.prepare(case)
 
 
@@ -266,10 +282,14 @@ def _row(study: Study, workshop: Workshop, inputs: DropInputs) -> Row:
     }
     row |= {name: results.number(name, inputs, result) for name in COLUMNS if name not in row}
     row["warnings"] = [*input_warnings(inputs), *result_warnings(inputs, result)]
-    row |= {name: getattr(inputs, name) for name in study.varied}
+    row |= {name: _plain(getattr(inputs, name)) for name in study.varied}
     if study.curves:
         row["curve"] = _curve(result)
     return row
+
+
+def _plain(value: Any) -> Any:
+    return value.value if isinstance(value, StrEnum) else value
 
 
 def _curve(result: DropResult) -> dict[str, list[float]]:

@@ -63,6 +63,8 @@ class Part:
 
     def lines(self) -> list[str]:
         """As a terminal has it."""
+        if not self.records:
+            return [self.title, *(f"  {line}" for line in self.text), ""]
         table = self.table()
         heads = [[each.head for each in table.columns], [each.unit for each in table.columns]]
         cells = [

@@ -138,7 +138,7 @@ def size_line(series: str, cells: tuple[int, int, int], solver: str) -> Line:
         step_s=min(steps),
         iterations=used.iterations if isinstance(used, Iterative) else None,
         bytes_per_unknown=(peak - before) / solid.n_dofs,
-        peak_MB=peak / 2**20,
+        peak_MB=peak / 1e6,
     )
 
 

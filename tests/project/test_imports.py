@@ -59,6 +59,16 @@ def test_meshes_and_solver_know_nothing_of_studies(package, allowed):
                 assert (node.module or "").split(".")[0] in allowed, path
 
 
-def test_the_loop_knows_no_study():
-    """The loop stands on inputs, data and what runs cases; studies, pages and commands on it."""
-    assert imports(HERE / "studies")["loop"] <= {"inputs", "data", "running"}
+@pytest.mark.parametrize(
+    ("room", "below"),
+    [
+        ("inputs", set()),
+        ("running", {"inputs"}),
+        ("data", {"inputs"}),
+        ("report", {"running"}),
+        ("command", {"inputs", "running"}),
+        ("loop", {"inputs", "data", "running"}),
+    ],
+)
+def test_what_studies_stand_on_knows_no_study(room, below):
+    assert imports(HERE / "studies")[room] <= below

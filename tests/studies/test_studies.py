@@ -15,18 +15,19 @@ from commands import mpirun, python
 from mpi4py import MPI
 
 from bristle.solver.analytic import quarter_period_s
+from bristle.solver.bodies.reduced import krylov_vectors
 from bristle.solver.errors import ComputationError, InputError
 from bristle.studies import __version__
 from bristle.studies import drop as drop_study
 from bristle.studies import sweep as sweep_study
 from bristle.studies.drop import run_drop
 from bristle.studies.inputs.config import DropInputs
-from bristle.studies.inputs.limits import result_warnings
+from bristle.studies.inputs.limits import count_unknowns, result_warnings
 from bristle.studies.inputs.sources import checked
 from bristle.studies.its import run as its
 from bristle.studies.its.convergence import Need, limit, need
 from bristle.studies.its.run import ItsInputs, run_its
-from bristle.studies.running import files, results
+from bristle.studies.running import cases, files, results
 from bristle.studies.running.cases import Workshop, run_case
 from bristle.studies.running.files import folder_in_place, to_csv, to_json, write_atomically
 from bristle.studies.running.journal import Journal
@@ -98,6 +99,19 @@ def test_reduced_and_solid_agree_and_the_wire_too():
         assert solid.n_dofs > reduced.n_dofs
         assert solid.rebound_ratio == pytest.approx(reduced.rebound_ratio, rel=1e-6)
         assert solid.peak_force_N == pytest.approx(reduced.peak_force_N, rel=1e-6)
+
+
+@serial
+def test_a_basis_that_would_fill_too_much_memory_is_not_doubled(monkeypatch):
+    inputs = drop(model="reduced", modes=4, reduction_tolerance=1e-9, its_s=1e-6, beta_s=1e-8)
+    grown, _ = run_case(inputs, COMM)
+    vectors = krylov_vectors(8, leaning=False) * count_unknowns(inputs)
+    monkeypatch.setattr(cases, "MOST_NUMBERS", vectors)
+    once, _ = run_case(inputs, COMM)
+    monkeypatch.setattr(cases, "MOST_NUMBERS", vectors - 1)
+    never, _ = run_case(inputs, COMM)
+    assert never.n_dofs < once.n_dofs < grown.n_dofs
+    assert any("raise --modes" in each for each in result_warnings(inputs, never))
 
 
 @serial

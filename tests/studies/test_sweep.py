@@ -48,10 +48,14 @@ def test_what_follows_from_a_value_follows_it_in_every_case(tmp_path):
         (each.material, each.youngs_Pa, each.beta_s, each.kt_ratio)
         for each in (checked(DropInputs, {"material": name}) for name in ("steel", "nylon"))
     }
-    rows = sweep("--material", "steel,nylon", "--poisson", "0.3,0.4", out=tmp_path / "first")
+    lists = ["--material", "steel,nylon", "--poisson", "0.3,0.4", "--length", "0.1,0.3"]
+    rows = sweep(*lists, out=tmp_path / "first")
     written = json.loads((tmp_path / "first" / "sweep.json").read_text())["inputs"]
     assert (written["poisson"], written["material"]) == ([0.3, 0.4], ["steel", "nylon"])
     assert written["kt_ratio"] is written["beta_s"] is None
+    one = SweepInputs(material="nylon", length_m=[0.1, 0.3], beta_s=None)
+    assert one.model_dump()["beta_s"] is None
+    assert len({case.beta_s for case in one.cases()}) == 2
     config = str(tmp_path / "first" / "sweep.json")
     assert main(["sweep", "--config", config, "--out", str(tmp_path / "again")]) == 0
     with (tmp_path / "again" / "table.csv").open(newline="") as file:
@@ -70,6 +74,22 @@ def test_choices_too_and_from_python(tmp_path):
     )
     assert list(table["elements"]) == [4, 8]
     assert "tilt_deg" not in table
+    table = bristle.sweep(
+        models="beam", kn_N_m=2e6, height_m=0.05, elements=range(4, 6), friction=[0.5, 0.0, 0]
+    )
+    assert list(table["elements"]) == [4, 5, 4, 5]
+    assert list(table["friction"]) == [0.0, 0.0, 0.5, 0.5]
+
+
+def test_pictures_are_those_of_the_last_sweep_and_few(tmp_path):
+    sweep("--tilt", "0,2", out=tmp_path)
+    mine = tmp_path / "heights-mine.svg"
+    mine.write_text("mine")
+    assert len(list(tmp_path.glob("*.svg"))) == 3
+    sweep("--friction", "0.5,0.5000001", out=tmp_path)
+    assert len(list(tmp_path.glob("*.svg"))) == 3
+    sweep("--alpha", ",".join(map(str, range(1, 30))), "--elements", "2", out=tmp_path)
+    assert [path.name for path in tmp_path.glob("*.svg")] == [mine.name]
 
 
 @pytest.mark.parametrize(
@@ -79,6 +99,8 @@ def test_choices_too_and_from_python(tmp_path):
         ("--tilt", "0,", "must be numbers separated by commas; '' is none"),
         ("--tilt", "0,85", "must be less than or equal to 80"),
         ("--elements", "4,2.5", "must be a whole number, not 2.5"),
+        ("--elements", "inf,4", "must be"),
+        ("--elements", "nan", "must be"),
         ("--contact", "penalty,glue", "must be 'penalty', 'augmented' or 'nitsche', not 'glue'"),
     ],
 )
@@ -88,6 +110,15 @@ def test_wrong_lists_are_refused_by_their_option(option, value, says, tmp_path, 
     assert says in last
     assert last.startswith(f"bristle: error: {option}: ")
     assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    "value", [[[0, 1], 2], {"a": 1}, [True, 2], True, (each for each in (1, 2)), object()], ids=repr
+)
+def test_values_that_are_no_numbers_are_refused_from_python(value):
+    for name in ("tilt_deg", "elements"):
+        with pytest.raises(bristle.InputError, match=f"^{name}: must be"):
+            bristle.sweep(**{name: value})
 
 
 def test_too_many_cases_are_refused():
