@@ -113,7 +113,9 @@ def test_wrong_lists_are_refused_by_their_option(option, value, says, tmp_path, 
 
 
 @pytest.mark.parametrize(
-    "value", [[[0, 1], 2], {"a": 1}, [True, 2], True, (each for each in (1, 2)), object()], ids=repr
+    "value",
+    [[[0, 1], 2], {"a": 1}, [True, 2], True, (each for each in (1, 2)), object()],
+    ids=lambda value: type(value).__name__,
 )
 def test_values_that_are_no_numbers_are_refused_from_python(value):
     for name in ("tilt_deg", "elements"):
