@@ -47,7 +47,7 @@ FIRST_STEPS = "\n\n".join(
         "1. `bristle drop`: one drop, in seconds; the result goes into results/drop",
         "1. `bristle view results/drop`: its pictures; after `bristle drop --model solid` "
         "also the wave, as a film and in ParaView",
-        "1. `bristle reproduce`: the paper's figures beside ours, about two minutes; open "
+        "1. `bristle reproduce`: the paper's figures beside ours, about seven minutes; open "
         "results/reproduce/report.html in any browser",
         "1. `bristle close-loop FOLDER`: what the model lacks to explain your own measurements; "
         "README.md says how to write them down",

@@ -36,7 +36,7 @@ from .running.files import read_csv
 from .running.progress import say
 from .running.study import (
     COLUMNS,
-    OWN,
+    LIST_FIELDS,
     TABLE_FILE,
     Row,
     Study,
@@ -66,12 +66,11 @@ class SweepInputs(StudyInputs):
         items = {name: _items(name, data[name]) for name in LISTED if data.get(name) is not None}
         first = {**data, **{name: values[0] for name, values in items.items()}}
         inputs = handler(first)
-        inputs._given = {
-            name: value for name, value in first.items() if name not in OWN and value is not None
-        }
+        own = {name: value for name, value in first.items() if name not in LIST_FIELDS}
+        inputs._given = {name: value for name, value in own.items() if value is not None}
         inputs._lists = {name: values for name, values in items.items() if len(values) > 1}
-        check_number(inputs.models, inputs.kn_N_m, inputs.heights_m, inputs.its_s,
-                     *inputs._lists.values())  # fmt: skip
+        lists = (inputs.models, inputs.kn_N_m, inputs.heights_m, inputs.its_s)
+        check_number(*lists, *inputs._lists.values())
         return inputs
 
     @property
@@ -145,7 +144,7 @@ def _finish(rows: Sequence[Row], varied: Sequence[str], out: Path) -> dict[str, 
         pictures.setdefault("-".join([FIGURE, *words]), []).append(row)
     names: list[str] = []
     if len(pictures) > MOST_PICTURES:
-        say(f"{len(pictures)} combinations, of more than {MOST_PICTURES} none is drawn")
+        say(f"no figures: {len(pictures)} would be drawn, and {MOST_PICTURES} are the most")
         pictures.clear()
     for name, members in pictures.items():
         curves = {(row["model"], row["y0_m"], row["kn_N_m"]): _path(row) for row in members}

@@ -74,8 +74,7 @@ def _stiffer(scene: Scene, decades: float) -> Scene:
     """The scene with Kn times 10^decades, within `MOST_DECADES`, under a linear law."""
     if type(scene.law) is not Linear:
         raise InputError("--effect: a stiffness that varies goes before a law of its own")
-    within = np.clip(decades, -MOST_DECADES, MOST_DECADES)
-    times = 10.0**within if np.ndim(within) else 10.0 ** float(within)
+    times = 10.0 ** np.clip(decades, -MOST_DECADES, MOST_DECADES)
     return replace(scene, law=Linear(scene.law.kn_N_m * times))
 
 

@@ -8,7 +8,7 @@ from ...solver import paper
 from ..inputs.again import into
 from ..report.figures import picture
 from ..report.page import Column, Figure, Report, Section, Table, write_report
-from . import elsewhere
+from . import other_programs
 from .estimate import LEVEL, Interval, RatioEstimate
 from .figures import curve_figure, measured_figure
 from .run import PAPER, Calibration, Stiffness
@@ -184,7 +184,7 @@ def kn_section(found: Calibration) -> Section:
         )
     tables = [table]
     if found.kn.estimate is not None:
-        tables.append(elsewhere.table(found.kn.estimate, found.bristle.section.area_m2))
+        tables.append(other_programs.table(found.kn.estimate, found.bristle.section.area_m2))
     return Section("kn", "Kn from y1/y0", text, figures=[figure], tables=tables)
 
 

@@ -31,6 +31,7 @@ from .choices import Contact, Deflection, Model, Scheme, Solver, Tip, Until
 from .effects import check_effects, scene_of
 from .fields import DropFields, SharedFields, StepField, read_kn
 from .given_files import REPLACED, MeshFile
+from .sources import material_damping_s
 
 
 class Inputs(SharedFields):
@@ -365,10 +366,9 @@ def _resolve_material(data: dict[str, Any]) -> None:
     length_m = data.get("length_m")
     if isinstance(file := fields.read_mesh_file(data.get("mesh")), MeshFile):
         length_m = file.read().length_m
-    needed = (length_m, data["youngs_Pa"], data["density_kg_m3"])
-    numbers = [float(x) for x in needed if isinstance(x, float | int) and x > 0.0]
-    if len(numbers) == len(needed):
-        _default(data, "beta_s", material.damping_s(*numbers))
+    beta_s = material_damping_s(data, length_m)
+    if beta_s is not None:
+        _default(data, "beta_s", beta_s)
 
 
 def _default(data: dict[str, Any], key: str, value: Any) -> None:

@@ -77,8 +77,8 @@ def read_numbers(value: Any) -> Any:
 
 
 def read_items(kind: type, value: Any) -> tuple[Any, ...]:
-    """Each value once, of a text separated by commas, of a list or a range, or one alone; numbers
-    where ``kind`` is one, in their order. ValueError where they are none."""
+    """Each value once, of a text separated by commas, of a list or a range, or one alone; sorted
+    numbers where ``kind`` is one. Raises ValueError for values of another kind."""
     items = read_list(list(value) if isinstance(value, range | set | frozenset) else value)
     number = issubclass(kind, int | float)
     if number:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
@@ -67,21 +66,22 @@ class Source:
         gone = {below for above in self.values for below in EXCLUDED.get(above, ())}
         if other.resolved:
             material = other.values.get("material") is not None
-            own = math.isclose(other.values.get("beta_s", 0.0), _damping_s(other.values))
+            of_mesh = other.values.get("mesh") is not None  # whose length is not among the values
+            followed = material_damping_s(other.values, other.values.get("length_m"))
+            own = of_mesh or followed == other.values.get("beta_s")
             gone |= resolved_from(self.values, material=material and own)
         kept = {key: value for key, value in other.values.items() if key not in gone}
         return Source(kept | self.values, other.origins | self.origins)
 
 
-def _damping_s(values: Mapping[str, Any]) -> float:
-    """What damping a named material has in an earlier run's inputs; that of a mesh is its own."""
+def material_damping_s(values: Mapping[str, Any], length_m: Any) -> float | None:
+    """β of the material that ``values`` name, of a bristle of this length; None where none is
+    named, or what it follows from is no number."""
     name = values.get("material")
-    if name not in tuple(MaterialName) or values.get("mesh") is not None:
-        return float(values.get("beta_s", 0.0))
-    needed = [values.get(each) for each in ("length_m", "youngs_Pa", "density_kg_m3")]
-    numbers = [float(each) for each in needed if isinstance(each, float | int)]
-    if len(numbers) < len(needed):
-        return math.nan
+    needed = [length_m, values.get("youngs_Pa"), values.get("density_kg_m3")]
+    numbers = [float(x) for x in needed if isinstance(x, float | int) and x > 0.0]
+    if name not in tuple(MaterialName) or len(numbers) < len(needed):
+        return None
     return MATERIALS[MaterialName(name)].damping_s(*numbers)
 
 

@@ -89,7 +89,7 @@ class StudyInputs(Inputs, ListFields, HeightsField):
 
     def shared(self) -> list[dict[str, Any]]:
         """What cases have beside model, stiffness, height and step, of each combination."""
-        return [self.model_dump(exclude=OWN)]
+        return [self.model_dump(exclude=LIST_FIELDS)]
 
     def cases(self) -> list[DropInputs]:
         """Every combination once, in the order of the table; InputError where one is impossible."""
@@ -107,7 +107,7 @@ class StudyInputs(Inputs, ListFields, HeightsField):
 
 
 # The fields of lists that every study has.
-OWN = set(StudyInputs.model_fields) - set(Inputs.model_fields)
+LIST_FIELDS = set(StudyInputs.model_fields) - set(Inputs.model_fields)
 
 
 @dataclass(frozen=True)

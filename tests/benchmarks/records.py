@@ -72,20 +72,13 @@ class Part:
             for row in table.rows
         ]
         widths = [max(map(len, words)) for words in zip(*heads, *cells, strict=True)]
-        first = [True, *(False for _ in widths[1:])]
-        return [
-            self.title,
-            *(
-                "  "
-                + "  ".join(
-                    word.ljust(width) if left else word.rjust(width)
-                    for word, width, left in zip(row, widths, first, strict=True)
-                ).rstrip()
-                for row in (*heads, *cells)
-            ),
-            *(f"  {line}" for line in self.text),
-            "",
+        rows = [
+            "  ".join(
+                [row[0].ljust(widths[0]), *map(str.rjust, row[1:], widths[1:])],
+            ).rstrip()
+            for row in (*heads, *cells)
         ]
+        return [self.title, *(f"  {line}" for line in (*rows, *self.text)), ""]
 
 
 def publish(

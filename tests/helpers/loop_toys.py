@@ -251,11 +251,10 @@ def problem(
 
 
 @dataclass(frozen=True)
-class Shrunk:
-    """A toy in units of a sigma that was only guessed."""
+class Derived:
+    """A toy under another name; a subclass says what it predicts."""
 
     toy: Toy
-    guess: float
 
     @property
     def effects(self) -> tuple[str, ...]:
@@ -268,29 +267,23 @@ class Shrunk:
     @property
     def weights(self) -> np.ndarray:
         return self.toy.weights
+
+
+@dataclass(frozen=True)
+class Shrunk(Derived):
+    """A toy in units of a sigma that was only guessed."""
+
+    guess: float
 
     def predict(self, theta: np.ndarray) -> np.ndarray:
         return self.toy.predict(theta) / self.guess
 
 
 @dataclass(frozen=True)
-class Mixed:
+class Mixed(Derived):
     """A toy whose rows come in another order."""
 
-    toy: Toy
     order: np.ndarray
-
-    @property
-    def effects(self) -> tuple[str, ...]:
-        return self.toy.effects
-
-    @property
-    def parameters(self) -> tuple[Parameter, ...]:
-        return self.toy.parameters
-
-    @property
-    def weights(self) -> np.ndarray:
-        return self.toy.weights
 
     def predict(self, theta: np.ndarray) -> np.ndarray:
         return self.toy.predict(theta)[..., self.order]

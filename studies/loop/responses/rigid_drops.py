@@ -19,21 +19,11 @@ from ....solver.bodies.rigid_mass import rigid_body
 from ....solver.bristle import RigidMass
 from ....solver.contact.laws import Adhesive, ContactLaw, Damped, HuntCrossley, Plastic
 from ....solver.effects.base import Parameter, Scene
+from ....solver.effects.library import EFFECTS
 from .table_drops import drops_of
 
 STEPS = 200
 """Of a contact of half a period: y1/y0, time and peak are then off by less than 1e-3."""
-FLIGHT = ("release_velocity", "air_drag")
-SEEN = ("height_offset", "scale_error", "clock_error")
-CONTACT = (
-    "contact_damping",
-    "hunt_crossley",
-    "stiffening_contact",
-    "plastic_contact",
-    "adhesion",
-    "surface_phases",
-    "wear",
-)
 
 
 @dataclass(frozen=True)
@@ -75,8 +65,9 @@ def carried(mass: RigidMass) -> tuple[str, ...]:
     None of an elastic body, none of its lean and none across the surface; drag where its diameter
     is known.
     """
+    computed = [each.name for each in EFFECTS.values() if each.computed and not each.origin]
     without = set() if mass.front_m2 is not None else {"air_drag"}
-    return tuple(name for name in (*FLIGHT, *SEEN, *CONTACT) if name not in without)
+    return tuple(name for name in (*computed, *SIDES, "stiffening_contact") if name not in without)
 
 
 def bounded(

@@ -40,4 +40,4 @@ def table(kn_N_m: float, area_m2: float) -> Table:
     """What to enter where, for a face of ``area_m2``."""
     values = {AREA: (kn_N_m / area_m2, 1e-9 * kn_N_m / area_m2), NODE: (kn_N_m, 1e-3 * kn_N_m)}
     rows = [(program, option, what, *values[what]) for program, option, what in OPTIONS]
-    return Table("elsewhere", "The same Kn in other programs.", COLUMNS, rows, NOTE)
+    return Table("other_programs", "The same Kn in other programs.", COLUMNS, rows, NOTE)
