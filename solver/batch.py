@@ -35,9 +35,9 @@ from .time.motion import Chart, Flyer, chart, landing, launch, rigid_part
 from .time.touchdown import next_touch
 
 TOO_MANY, FALLEN, GAINED = 5, 6, 7
-# A touch that lasts longer, in seconds and in radians of the mass on its spring, and longer than a
-# period of the slowest bending, does not end: one that leans by more than 6 degrees slides on.
-LONGEST_TOUCH_S, LONGEST_TOUCH = 0.004, 20.0
+# Touching that lasts longer, in seconds and in radians of the mass on its spring, does not end, but
+# for a bristle that leans by more than 6 degrees and slides on, up to a period of its bending.
+LONGEST_S, LONGEST_RAD = 0.004, 20.0
 FAILURES = {
     modal_march.NOT_CONVERGED: "the contact forces did not converge; shorten the ITS",
     modal_march.NOT_FINITE: "the motion is not finite; shorten the ITS",
@@ -191,7 +191,8 @@ def _energy(omega2: Array, u: Array, v: Array, weight: float, height: float) -> 
 
 
 class Common(NamedTuple):
-    """What all drops share; ``slowest`` is the period of the body's slowest mode."""
+    """What all drops share; ``slowest`` is the period of the body's slowest mode, ``slides`` for
+    how long it is followed as it slides."""
 
     modes: Modes
     flyer: Flyer
@@ -199,6 +200,7 @@ class Common(NamedTuple):
     kt_over_kn: float
     gravity: float
     slowest: float
+    slides: float
 
 
 class Columns(NamedTuple):
@@ -242,8 +244,7 @@ def one_drop(
     placed = False
     weight = modes.mass * gravity
     limit = STEP_LIMIT // STAYING if points.law[0] >= PLASTIC else STEP_LIMIT
-    longest = max(LONGEST_TOUCH_S, LONGEST_TOUCH * math.sqrt(modes.mass / points.law[1]))
-    longest = max(longest, common.slowest)
+    longest = max(LONGEST_S, LONGEST_RAD * math.sqrt(modes.mass / points.law[1]), common.slides)
     limit = min(limit, int(longest / modes.its) + 1)
     for _ in range(TOUCH_LIMIT):
         if not placed:
@@ -253,7 +254,11 @@ def one_drop(
                 return FALLEN
         touching = Touching(points, frames, gaps, rotation[2].copy(), 0.0, 0.0, gravity)
         done = march(
-            modes, touching, u, v, MarchLimits(max(wait - now, 0.0), math.inf, limit, False)
+            modes,
+            touching,
+            u,
+            v,
+            MarchLimits(max(wait - now, 0.0), math.inf, limit - steps, False),
         )
         if done.status != modal_march.RELEASED:
             return done.status
@@ -349,19 +354,24 @@ def drop_many(marcher: Marcher, drops: Drops) -> Outcome:
 
 def drop_each(marcher_at: Callable[[float], Marcher], drops: Drops, its_s: float) -> Outcome:
     """As `drop_many`, at the marcher's ITS ``its_s`` or, drop by drop, at the longest part of it
-    that serves; NaN where none does, or where a bristle stays in contact for good or falls over.
+    that serves; NaN where none does, or where a bristle falls over, stays in contact for good or
+    slides for longer than one that bounces is in contact.
     """
-    out, status = _dropped(marcher_at(its_s), drops)
+    out, status = _dropped(marcher_at(its_s), drops, slides=False)
     for part in SHORTER:
         again = ~np.isin(status, (modal_march.RELEASED, modal_march.TOO_LONG, FALLEN))
         if not again.any():
             break
-        out[again], status[again] = _dropped(marcher_at(part * its_s), drops.chosen(again))
+        out[again], status[again] = _dropped(
+            marcher_at(part * its_s), drops.chosen(again), slides=False
+        )
     out[status != modal_march.RELEASED] = np.nan
     return Outcome(*out.T)
 
 
-def _dropped(marcher: Marcher, drops: Drops) -> tuple[Array, NDArray[np.int64]]:
+def _dropped(
+    marcher: Marcher, drops: Drops, *, slides: bool = True
+) -> tuple[Array, NDArray[np.int64]]:
     """What `drop_many` and `drop_each` give, (drops, fields), and how each drop ended."""
     if not compiled(marcher):
         raise ComputationError(
@@ -377,9 +387,9 @@ def _dropped(marcher: Marcher, drops: Drops) -> tuple[Array, NDArray[np.int64]]:
     upright = drops.upright() if column is not None else np.zeros(len(drops), dtype=bool)
     if column is not None and upright.any():
         own = Marcher(column, marcher.method, marcher.scheme, marcher.its_s, marcher.gravity_m_s2)
-        _drop(own, drops.chosen(upright, 1), marcher, upright, out, status)
+        _drop(own, drops.chosen(upright, 1), marcher, slides, upright, out, status)
     if not upright.all():
-        _drop(marcher, drops.chosen(~upright), marcher, ~upright, out, status)
+        _drop(marcher, drops.chosen(~upright), marcher, slides, ~upright, out, status)
     return out, status
 
 
@@ -387,6 +397,7 @@ def _drop(
     marcher: Marcher,
     drops: Drops,
     method: Marcher,
+    slides: bool,
     where: NDArray[np.bool_],
     out: Array,
     status: NDArray[np.int64],
@@ -410,13 +421,15 @@ def _drop(
     laws[:, 1] = drops.kn_N_m
     rows = np.zeros((len(drops), out.shape[1]))
     codes = np.zeros(len(drops), dtype=np.int64)
+    slowest = slowest_period_s(method.body)
     common = Common(
         modes=modes,
         flyer=flyer(marcher.body),
         points=touching.points._replace(proximal=constants.proximal),
         kt_over_kn=marcher.method.friction.kt_over_kn,
         gravity=marcher.gravity_m_s2,
-        slowest=slowest_period_s(method.body),
+        slowest=slowest,
+        slides=slowest if slides else 0.0,
     )
     columns = Columns(
         laws=laws,

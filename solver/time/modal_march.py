@@ -20,9 +20,11 @@ from ..contact.points import Points, Trial
 from ..contact.section import Section, new_section, section_gathers, section_moves
 from ..contact.solve import solve_step
 from ..contact.step import commit, settle, share_in_contact, share_under_damping, spring_energy
+from .fixed_point import Secants, new_secants, next_move, remember
 
-# The second-order force of a step is found by iteration, to this share of itself.
-COUPLED, COUPLING_LIMIT = 1e-9, 100
+# The second-order force of a step is found by iteration, to this share of itself; a step that asks
+# for more turns is too long to be right.
+COUPLED, COUPLING_LIMIT = 1e-9, 50
 RELEASED, UNTIL, TOO_LONG, NOT_CONVERGED, NOT_FINITE = 0, 1, 2, 3, 4
 
 
@@ -97,7 +99,7 @@ class Marched(NamedTuple):
 class Work(NamedTuple):
     """Arrays (modes,) of one step: the state (u, v) before it, the displacement ``later``, the mean
     acceleration ``a`` with contact and ``free`` without, gravity's ``pull``; of a body of second
-    order its force ``bend``, and what its axis sees ``before`` and ``after``."""
+    order its force ``bend``, what its axis sees ``before`` and ``after``, and ``secants``."""
 
     u: Array
     v: Array
@@ -108,6 +110,7 @@ class Work(NamedTuple):
     bend: Array
     before: Array
     after: Array
+    secants: Secants
 
 
 class Taken(NamedTuple):
@@ -172,6 +175,7 @@ def _new_work(modes: Modes, touching: Touching, u: Array, v: Array) -> Work:
         bend=np.zeros(m),
         before=seen,
         after=seen.copy(),
+        secants=new_secants(modes.admittance),
     )
 
 
@@ -192,7 +196,7 @@ def _solve(
         work.free[j] = admittance[j] * (work.pull[j] - elastic_pull - damped)
     # without friction nobody asks for tangential approaches
     axes = 3 if points.mu > 0.0 else 1
-    touches, share, before = False, 1.0, bend.copy()
+    touches, before, move = False, bend, bend
     for turn in range(COUPLING_LIMIT):
         for j in range(m):
             a[j] = work.free[j] + admittance[j] * bend[j]
@@ -219,14 +223,11 @@ def _solve(
         size = max(np.abs(left + bend).max(), np.abs(work.pull).max())
         if np.abs(left).max() <= COUPLED * size:
             return True, touches
-        # Aitken's relaxation (Küttler and Wall, Comput. Mech. 43, 2008)
-        change_of = left - before
-        squared = float(np.sum(admittance * change_of * change_of))
-        if turn > 0 and squared > 0.0:
-            share *= -float(np.sum(admittance * before * change_of)) / squared
-            share = min(max(share, 0.05), 1.0)
+        if turn > 0:
+            remember(work.secants, move, left - before)
         before = left
-        bend += share * left
+        move = next_move(work.secants, left)
+        bend += move
     return False, touches
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from bristle.solver import batch
-from bristle.solver.batch import Drops, as_column, drop_each, drop_many
+from bristle.solver.batch import LONGEST_S, Drops, as_column, drop_each, drop_many
 from bristle.solver.bodies.beam import beam_body
 from bristle.solver.bodies.reduced import reduce_solid
 from bristle.solver.bristle import Bristle, Material
@@ -163,8 +163,8 @@ def test_each_drop_takes_the_longest_step_that_serves(rng, monkeypatch):
     drops, failing = leaning_drops(body, rng, 5), {1.0: [1, 3, 4], 0.5: [3, 4], 0.2: [4]}
     made, real = [], batch._dropped
 
-    def dropped(marcher, some):
-        out, status = real(marcher, some)
+    def dropped(marcher, some, **how):
+        out, status = real(marcher, some, **how)
         part = round(marcher.its_s / ITS, 6)
         made.append((part, len(some)))
         status[np.isin(some.height_m, drops.height_m[failing[part]])] = modal_march.NOT_CONVERGED
@@ -195,6 +195,20 @@ def test_a_drop_that_stays_for_good_is_not_tried_again(rng):
     assert asked == [ITS]
     assert np.isfinite(found.rebound_height_m[0])
     assert np.isnan(found.rebound_height_m[1])
+
+
+def test_a_bristle_that_slides_on_is_followed_only_where_a_drop_must_not_fail():
+    """Where failures are let through, it would take most of the time and is no bounce."""
+    body = beam_body(Bristle(material=Material(beta_s=1.07e-5)), 6, second_order=True)
+    tilts = {"tilt_deg": np.array([1.0, 12.0]), "kn_N_m": 2e6}
+    drops = Drops.on_plane(len(body.contact.weights), height_m=0.05, **tilts)
+    many = drop_many(marcher_of(body), drops)
+    touching = ITS * many.n_steps
+    each = drop_each(lambda its: marcher_of(body, its=its), drops, ITS)
+    assert touching[0] < LONGEST_S < touching[1]
+    assert each.rebound_height_m[0] == many.rebound_height_m[0]
+    assert np.isfinite(many.rebound_height_m[1])
+    assert np.isnan(each.rebound_height_m[1])
 
 
 def test_a_drop_that_comes_down_on_its_side_is_named(rng):
