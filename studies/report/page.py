@@ -11,11 +11,13 @@ import csv
 import io
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
 from pathlib import Path
+from typing import Any, Self
 
+import numpy as np
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
 
@@ -44,6 +46,10 @@ class Column:
     digits: int = 4
 
 
+# Columns with their values, from the first row to the last.
+Columns = Mapping[Column, Iterable[Any]]
+
+
 @dataclass(frozen=True)
 class Table:
     """Rows of values under columns; ``name`` is that of its CSV file."""
@@ -62,6 +68,15 @@ class Table:
                 raise ValueError(
                     f"{self.name}: {len(row)} values under {len(self.columns)} columns"
                 )
+
+    @classmethod
+    def of(cls, name: str, caption: str, columns: Columns, note: str = "") -> Self:
+        """A table by its columns; values are arrays (rows,) or other iterables of that length."""
+        values = [
+            each.tolist() if isinstance(each, np.ndarray) else list(each)
+            for each in columns.values()
+        ]
+        return cls(name, caption, tuple(columns), list(zip(*values, strict=True)), note)
 
     def csv_text(self) -> str:
         """The table as CSV, numbers in full precision, what is missing left empty."""
