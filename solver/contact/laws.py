@@ -7,17 +7,21 @@ contact.normal.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 from typing import ClassVar, Protocol
 
 import numpy as np
 
 from .. import paper
 from ..arrays import Array
-from .normal import ADHESIVE, HUNT_CROSSLEY, LINEAR, PLASTIC, STIFFENING, elastic
+from .normal import ADHESIVE, HUNT_CROSSLEY, LINEAR, PLASTIC, STIFFENING, TABULATED, elastic
 
 # Where a stiffening law has the secant stiffness Kn: a penetration of the paper's drops.
 REFERENCE_M = 2e-5
+# Cells of the compiled table of a tabulated law.
+CELLS = 256
 
 
 class ContactLaw(Protocol):
@@ -214,6 +218,55 @@ class Stiffening(_Compiled):
 
 
 @dataclass(frozen=True)
+class Tabulated(_Compiled):
+    """Force = Kn × what a table over penetration has, all of it given back: as measured by
+    indentation, or as a law of one's own has it (`Tabulated.of`).
+
+    Monotone cubics run through the points (Fritsch and Carlson, SIAM J. Numer. Anal. 17, 1980), a
+    straight line beyond the last. ``penetration_m`` and ``force_over_kn_m`` begin with zero and
+    increase.
+    """
+
+    kn_N_m: float
+    penetration_m: tuple[float, ...]
+    force_over_kn_m: tuple[float, ...]
+
+    conserving_only: ClassVar[bool] = True
+
+    def __post_init__(self) -> None:
+        _check("Kn of a tabulated contact", self.kn_N_m)
+        for what, row in (("penetrations", self.penetration_m), ("forces", self.force_over_kn_m)):
+            steps = np.diff(row)
+            if not (len(steps) and row[0] == 0.0 and np.all(steps > 0.0) and row[-1] < math.inf):
+                raise ValueError(f"{what} of a tabulated contact must begin with zero and increase")
+        if len(self.penetration_m) != len(self.force_over_kn_m):
+            raise ValueError("a tabulated contact needs as many forces as penetrations")
+
+    @classmethod
+    def of(
+        cls, kn_N_m: float, force_over_kn: Callable[[Array], Array], reach_m: float
+    ) -> Tabulated:
+        """The law whose force over Kn (n,) in m is given at penetrations (n,) in m up to
+        ``reach_m``."""
+        depth = np.linspace(0.0, reach_m, CELLS + 1)
+        return cls(kn_N_m, tuple(map(float, depth)), tuple(map(float, force_over_kn(depth))))
+
+    @cached_property
+    def _table(self) -> Array:
+        from scipy.interpolate import PchipInterpolator
+
+        nodes = np.linspace(0.0, self.penetration_m[-1], CELLS + 1)
+        force = PchipInterpolator(self.penetration_m, self.force_over_kn_m)(nodes)
+        through = PchipInterpolator(nodes, force)
+        columns = np.stack([force, through(nodes, 1), through.antiderivative()(nodes)], axis=1)
+        return np.concatenate([nodes[1:2], columns.ravel()])
+
+    @property
+    def parameters(self) -> Array:
+        return np.concatenate([[TABULATED, self.kn_N_m], self._table])
+
+
+@dataclass(frozen=True)
 class HuntCrossley(_Compiled):
     """Force = Kn δ (1 + λ dδ/dt), never pulling: loss that grows with the penetration δ.
 
@@ -294,6 +347,7 @@ COMPILED: dict[type, float] = {
     Linear: LINEAR,
     Damped: LINEAR,
     Stiffening: STIFFENING,
+    Tabulated: TABULATED,
     HuntCrossley: HUNT_CROSSLEY,
     Plastic: PLASTIC,
     Adhesive: ADHESIVE,

@@ -23,7 +23,7 @@ from ..compiled import njit
 from .points import CONSERVING, PointLaw, Points, PointTrial
 
 # Kinds of law; from PLASTIC on they have a memory.
-LINEAR, HUNT_CROSSLEY, STIFFENING, PLASTIC, ADHESIVE = 0.0, 1.0, 2.0, 3.0, 4.0
+LINEAR, HUNT_CROSSLEY, STIFFENING, TABULATED, PLASTIC, ADHESIVE = 0.0, 1.0, 2.0, 3.0, 4.0, 5.0
 # Memory of a point that adhesion holds; for one step, of one that is held without limit, and of one
 # that is sure to let go.
 HELD, HELD_FAST, LETTING_GO = 1.0, 2.0, 3.0
@@ -43,6 +43,8 @@ def elastic(
     if law[0] >= STIFFENING:
         if law[0] == STIFFENING:
             return _stiffening(law, scale, approach, compliance)
+        if law[0] == TABULATED:
+            return _tabulated(law, scale, approach)
         if law[0] == PLASTIC:
             return _plastic(law, scale, approach, memory)
         return _adhesive(law, scale, approach, memory)
@@ -86,6 +88,30 @@ def _stiffening(
     tangent = exponent * force / depth
     stored = force * depth / (exponent + 1.0) + 0.5 * compliance * force * force
     return force, tangent / (1.0 + compliance * tangent), stored
+
+
+@njit
+def _tabulated(law: Array, scale: float, approach: float) -> tuple[float, float, float]:
+    """Cubics over equal cells, and straight on beyond them.
+
+    After Kn stand the cells' width, then force, slope and potential over Kn at every node.
+    """
+    if approach <= 0.0:
+        return 0.0, 0.0, 0.0
+    width, last = law[2], (len(law) - 3) // 3 - 1
+    cell = int(min(approach / width, float(last)))
+    at = 3 + 3 * cell
+    f0, s0, stored = law[at], law[at + 1], law[at + 2]
+    kn, x = scale * law[1], approach - cell * width
+    if cell == last:
+        return kn * (f0 + s0 * x), kn * s0, kn * (stored + f0 * x + 0.5 * s0 * x * x)
+    f1, s1 = law[at + 3], law[at + 4]
+    t = x / width
+    bend, twist = 3.0 * (f1 - f0) / width - 2.0 * s0 - s1, 2.0 * (f0 - f1) / width + s0 + s1
+    force = f0 + x * (s0 + t * (bend + t * twist))
+    slope = s0 + t * (2.0 * bend + 3.0 * t * twist)
+    stored += x * (f0 + x * (s0 / 2.0 + t * (bend / 3.0 + t * twist / 4.0)))
+    return kn * force, kn * slope, kn * stored
 
 
 @njit

@@ -11,7 +11,13 @@ from scipy.integrate import solve_ivp
 from bristle.solver.bodies.base import ContactPoints
 from bristle.solver.bodies.modal import ModalBody
 from bristle.solver.contact.enforcement import ContactMethod, Enforcement
-from bristle.solver.contact.laws import Adhesive, HuntCrossley, Plastic, Stiffening
+from bristle.solver.contact.laws import (
+    Adhesive,
+    HuntCrossley,
+    Plastic,
+    Stiffening,
+    Tabulated,
+)
 from bristle.solver.contact.points import Trial, law_at, trial_at
 from bristle.solver.contact.step import point_force
 from bristle.solver.contact_phase import History
@@ -28,6 +34,8 @@ MOST = SPEED * math.sqrt(KN * MASS)
 LAWS = [
     Stiffening(KN, 1.5),
     Stiffening(KN, 2.7, 1e-5),
+    # soft, stiff, soft again, and straight on beyond its end
+    Tabulated(KN, (0.0, 5e-6, 1.2e-5, 2e-5), (0.0, 1e-6, 1.5e-5, 1.7e-5)),
     HuntCrossley(KN, 0.4 / SPEED),
     Plastic(KN, 0.45 * MOST),
     Adhesive(KN, 0.6 * MOST),

@@ -22,10 +22,19 @@ from contact_law_helpers import (
     spring_time,
 )
 from reference import rate
+from scipy.optimize import brentq
 from scipy.special import beta
 
 from bristle.solver.contact.enforcement import ContactMethod, Enforcement
-from bristle.solver.contact.laws import Adhesive, Damped, HuntCrossley, Linear, Plastic, Stiffening
+from bristle.solver.contact.laws import (
+    Adhesive,
+    Damped,
+    HuntCrossley,
+    Linear,
+    Plastic,
+    Stiffening,
+    Tabulated,
+)
 from bristle.solver.contact_phase import History
 from bristle.solver.energy import marching_energy
 from bristle.solver.errors import ComputationError
@@ -141,6 +150,31 @@ def test_a_mass_yields_at_the_yield_force_and_leaves_with_what_the_spring_held(s
     assert np.interp(touch.release_s, rows[:, 0], rows[:, 4]) == pytest.approx(
         indented, abs=close * depth
     )
+
+
+def test_a_table_of_a_straight_line_is_linear():
+    """Within its end and beyond it; the bounce presses 26 µm."""
+    linear = after(Linear(KN))[0]
+    for reach in (4e-5, 1e-5):
+        touch = after(Tabulated(KN, (0.0, 0.3 * reach, reach), (0.0, 0.3 * reach, reach)))[0]
+        assert touch.peak_force_N == pytest.approx(linear.peak_force_N, rel=1e-12)
+        assert touch.release_s == pytest.approx(linear.release_s, rel=1e-9)
+
+
+def test_a_table_of_a_film_over_the_ground():
+    """Of F = Kn (δ - d (1 - exp(-δ/d))), whose work is ½ m v² at the greatest penetration."""
+    film = 8e-6
+    law = Tabulated.of(KN, lambda depth: depth + film * np.expm1(-depth / film), 1e-4)
+
+    def work(depth):
+        return KN * (0.5 * depth**2 - film * depth - film**2 * math.expm1(-depth / film))
+
+    most = brentq(lambda depth: work(depth) - 0.5 * MASS * SPEED**2, 0.0, 1e-4, xtol=1e-16)
+    touch, kept, _ = after(law)
+    assert touch.max_penetration_m == pytest.approx(most, rel=4.0 * CLOSE)
+    peak = KN * (most + film * math.expm1(-most / film))
+    assert touch.peak_force_N == pytest.approx(peak, rel=4.0 * CLOSE)
+    assert kept == pytest.approx(1.0, abs=1e-12)
 
 
 def test_below_yield_plastic_contact_is_linear():
@@ -281,6 +315,12 @@ def test_a_face_of_points_is_one_point_where_all_are_alike():
         (lambda: Stiffening(1e6, 3.1), "exponent"),
         (lambda: Stiffening(1e6, math.nan), "exponent"),
         (lambda: Stiffening(1e6, 2.0, 0.0), "reference"),
+        (lambda: Tabulated(math.inf, (0.0, 1e-5), (0.0, 1.0)), "Kn"),
+        (lambda: Tabulated(1e6, (1e-6, 1e-5), (0.0, 1.0)), "penetrations .* begin with zero"),
+        (lambda: Tabulated(1e6, (0.0, 1e-5, 1e-5), (0.0, 1.0, 2.0)), "penetrations .* increase"),
+        (lambda: Tabulated(1e6, (0.0, 1e-5), (0.0, math.nan)), "forces"),
+        (lambda: Tabulated(1e6, (0.0,), (0.0,)), "penetrations"),
+        (lambda: Tabulated(1e6, (0.0, 1e-5), (0.0, 1.0, 2.0)), "as many"),
         (lambda: HuntCrossley(math.inf, 0.1), "Kn"),
         (lambda: HuntCrossley(1e6, -0.1), "damping"),
         (lambda: Plastic(math.inf, 1.0), "Kn"),

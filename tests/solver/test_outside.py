@@ -30,6 +30,7 @@ from bristle.studies.loop.responses.response import PLAIN_STEP, Emulator, Tables
 pytestmark = pytest.mark.serial
 
 EXAMPLE = Path(__file__).parents[2] / "docs" / "examples" / "my_effect.py"
+LAW = EXAMPLE.with_name("my_law.py")
 SPEC = "my_effect:exponent=-0.5"
 
 
@@ -89,6 +90,28 @@ def test_every_model_takes_it(model, more):
     assert found.rebound_ratio != bristle.drop(**asked).rebound_ratio
 
 
+def test_every_model_takes_a_law_of_ones_own():
+    """A film of 5 µm makes contact longer and softer, in 3-D as in 1-D, and takes no energy."""
+    short = {"length_m": 0.1, "tip": "face", "beta_s": 0.0}
+    plugin = {"plugins": [LAW], "effects": ["my_law:film_m=5e-6"]}
+    found = [
+        bristle.drop(model=model, **short, **plugin, **more)
+        for model, more in (
+            ("beam", {}),
+            ("reduced", {"cells": (1, 2, 12)}),
+            ("solid", {"cells": (1, 2, 12)}),
+        )
+    ]
+    plain = bristle.drop(model="beam", **short)
+    for each in found:
+        assert each.contact_time_s > 1.1 * plain.contact_time_s
+        assert each.energy["closure_relative"] < 1e-9
+        assert each.energy["contact_loss_J"] == 0.0
+        # beam and solid differ by Poisson's ratio at the tip and by their meshes
+        assert each.contact_time_s == pytest.approx(found[0].contact_time_s, rel=5e-3)
+        assert each.peak_force_N == pytest.approx(found[0].peak_force_N, rel=5e-3)
+
+
 def test_a_run_is_repeated_from_its_result(tmp_path, capsys):
     own = tmp_path / "own.py"
     own.write_text(EXAMPLE.read_text())
@@ -122,20 +145,21 @@ def test_the_loop_finds_it(tmp_path, monkeypatch):
     assert found.held_out.rms_after < 0.5 * found.held_out.rms_before
 
 
-def test_two_parameters_make_a_table_of_both(monkeypatch):
+@pytest.mark.parametrize(("name", "values"), [("two_numbers", (0.8, 3e-6)), ("my_law", (9e-6,))])
+def test_a_table_is_made_over_its_parameters(name, values, monkeypatch):
     """Between nodes, against drops simulated one by one."""
     outside.register(Good, "a test")
+    outside.load(LAW, LAW.read_bytes())
     monkeypatch.setattr(response, "EFFECT_NODES", 5)
     monkeypatch.setattr(response, "DECADES_NODES", 7)
     monkeypatch.setattr(response, "LEAN_KN_NODES", 5)
     tables = Tables(Emulator(Bristle(), 9.8, 0.02, 0.05, (1e6, 4e6)))
     heights, kns = np.array([0.025, 0.04]), np.array([1.7e6, 2.3e6])
-    values = (0.8, 3e-6)
     at = [np.full((1, 1), value) for value in values]  # (nodes of chance, drops), as models ask
-    told = tables.change("two_numbers", heights[None], kns[None], *at)[:, 0]
+    told = tables.change(name, heights[None], kns[None], *at)[:, 0]
     for i, (height, kn) in enumerate(zip(heights, kns, strict=True)):
         plain = replace(tables.emulator.plain(), height_m=height, law=Linear(kn))
-        scenes = [effect_at("two_numbers", *values).enter(plain)], [plain]
+        scenes = [effect_at(name, *values).enter(plain)], [plain]
         step = tables.emulator.step_s(kn)
         with_it, without = (np.log(tables.emulator.seen(each, step, 0.0)[0]) for each in scenes)
         assert told[:, i] == pytest.approx(with_it - without, abs=2e-3)
