@@ -74,8 +74,8 @@ class AssembledMarcher(FiniteMarcher):
             raise InputError("the assembled form knows the linear law, by penalty or Nitsche")
         if method.friction.mu and points.rows.shape[0] != points.rows.shape[1]:
             raise InputError(
-                "friction in the assembled form needs contact points at nodes: take --friction 0 "
-                "or --contact-points 3, for order 1 --contact-points 2"
+                "friction in the assembled form needs contact points at nodes: take --friction 0, "
+                "or --order 2 and --contact-points 3"
             )
         super().place(placement)
         places = points.places_m + self.solid.centre_m

@@ -229,6 +229,15 @@ class DropInputs(Inputs, DropFields, StepField):
             refuse("march", f"{only} in impacts alone")
         if self.tip_shape != fields.FLAT:
             refuse("tip_shape", f"{only} with a flat end face")
+        if self.friction_law().mu and self.cells is not None and self.diameter_m is None:
+            only = f"{only} with friction where contact points are nodes: take --friction 0 or"
+            most = 2 * min(self.cells[:2]) + 1
+            if self.order != 2:
+                refuse("order", f"{only} 2")
+            if self.contact_points > most:
+                refuse(
+                    "contact_points", f"{only} {most} with {self.cells[0]} × {self.cells[1]} cells"
+                )
 
     @property
     def _may_bend(self) -> bool:

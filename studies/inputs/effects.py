@@ -13,7 +13,7 @@ from ...solver.effects.base import Place, Scene
 from ...solver.effects.library import enter_all
 from ...solver.effects.outside import plugin_of
 from ...solver.errors import InputError
-from .choices import Contact, Model, Scheme
+from .choices import Contact, Model, Scheme, Solver
 from .stance import ANGLES
 
 if TYPE_CHECKING:
@@ -107,6 +107,8 @@ def check_effects(inputs: DropInputs, refuse: Callable[[str, str], None]) -> Non
             "a contact law of its own needs --scheme average, a finite --kn, and penalty or "
             "augmented",
         )
+    if type(after.law) is not Linear and inputs.solver is Solver.SNES:
+        refuse("effects", "--solver snes knows the linear contact law alone")
     if after.loss_factor and not (compiled and inputs.model in (Model.BEAM, Model.REDUCED)):
         refuse(
             "effects",

@@ -112,6 +112,9 @@ def test_a_drop_of_the_assembled_form_is_that_of_the_condensed_march(lean):
         ({"scheme": "newmark"}, "--scheme"),
         ({"march": True}, "--march"),
         ({"tip_shape": "worn:angle=1"}, "--tip-shape"),
+        ({"tilt_deg": 2.0, "cells": (1, 1, 4)}, "--contact-points: .* or 3 with 1 × 1 cells"),
+        ({"tilt_deg": 2.0, "order": 1, "contact_points": 3}, "--order: .* or 2"),
+        ({"effects": ["plastic_contact:yield_N=20"]}, "--effect: .* linear contact law"),
     ],
     ids=str,
 )
@@ -122,6 +125,8 @@ def test_what_the_assembled_form_does_not_know_is_refused(values, named):
 
 @pytest.mark.serial
 def test_friction_between_nodes_is_refused_by_the_assembled_form():
-    inputs = {"model": "solid", "solver": "snes", "tilt_deg": 2.0, "cells": (1, 1, 4)}
+    """Of a round wire, whose nodes nobody knows before its mesh is made."""
+    inputs = {"model": "solid", "solver": "snes", "tilt_deg": 2.0, "diameter_m": 1e-3}
+    inputs |= {"cells": (2, 2, 8), "length_m": 0.02, "contact_points": 25}
     with pytest.raises(InputError, match="--contact-points 3"):
         run_case(checked(DropInputs, inputs), MPI.COMM_SELF)
