@@ -65,7 +65,7 @@ def run_close_loop(
         start_petsc(comm)
     manifest = run_on_one_rank(comm, lambda: _begun(dataset, out))
     problem = _made(lambda: problem_of(manifest), comm)
-    with progress("Effects simulated", len(problem.candidates)) as advance:
+    with progress("Effects simulated", len(problem.candidates), alike=False) as advance:
         _simulate(problem, comm, advance)
     return run_on_one_rank(comm, lambda: _run(manifest, problem, out, asked))
 

@@ -17,23 +17,26 @@ LOG = logging.getLogger("bristle")
 
 
 @contextmanager
-def progress(title: str, total: int, *, done: int = 0) -> Iterator[Callable[..., None]]:
+def progress(
+    title: str, total: int, *, done: int = 0, alike: bool = True
+) -> Iterator[Callable[..., None]]:
     """A function to call for each finished piece of ``total``, of which ``done`` are already.
 
-    It takes how many they are, where it is not one. Both forms tell the time that is left; a bar
-    also the time that is spent, which goes on while the first piece is prepared.
+    It takes how many they are, where it is not one. Both forms tell the time that is left, where
+    the pieces are ``alike``; a bar also the time that is spent, which goes on while the first piece
+    is prepared.
     """
     if not speaks():
         yield lambda count=1: None
     elif sys.stderr.isatty():
-        with _bar(title, total, done) as advance:
+        with _bar(title, total, done, alike) as advance:
             yield advance
     else:
-        yield _Lines(title, total, done).advance
+        yield _Lines(title, total, done, alike).advance
 
 
 @contextmanager
-def _bar(title: str, total: int, done: int) -> Iterator[Callable[..., None]]:
+def _bar(title: str, total: int, done: int, alike: bool) -> Iterator[Callable[..., None]]:
     from rich.console import Console
     from rich.progress import (
         BarColumn,
@@ -49,13 +52,13 @@ def _bar(title: str, total: int, done: int) -> Iterator[Callable[..., None]]:
         def render(self, task: Task) -> Text:
             return super().render(task) if task.percentage >= 100.0 * EARLY else Text("-:--:--")
 
+    left = ("left", Remaining()) if alike else ()
     columns = (
         "{task.description}",
         BarColumn(),
         MofNCompleteColumn(),
         TimeElapsedColumn(),
-        "left",
-        Remaining(),
+        *left,
     )
     with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
         task = bar.add_task(title, total=total, completed=done)
@@ -65,8 +68,8 @@ def _bar(title: str, total: int, done: int) -> Iterator[Callable[..., None]]:
 class _Lines:
     """A line at the start, at the end, and every ten seconds between."""
 
-    def __init__(self, title: str, total: int, done: int) -> None:
-        self.title, self.total, self.done = title, total, done
+    def __init__(self, title: str, total: int, done: int, alike: bool) -> None:
+        self.title, self.total, self.done, self.alike = title, total, done, alike
         self._first: tuple[float, int] | None = None
         self._say()
 
@@ -79,7 +82,11 @@ class _Lines:
 
     def _tells(self, before: int) -> bool:
         """Whether what was done since the first tells how long the rest takes."""
-        return self.done < self.total and self.done - before >= EARLY * (self.total - before)
+        return (
+            self.alike
+            and self.done < self.total
+            and self.done - before >= EARLY * (self.total - before)
+        )
 
     def _say(self) -> None:
         self._said = time.monotonic()

@@ -51,6 +51,19 @@ def test_without_a_terminal_there_are_plain_lines_with_the_time_left(monkeypatch
     ]
 
 
+def test_of_pieces_that_are_not_alike_no_time_is_told(monkeypatch, capsys):
+    """The first four took 40 s, which says nothing of the other eight."""
+    clock = iter(10.0 * i for i in range(20))
+    monkeypatch.setattr(module.time, "monotonic", lambda: next(clock))
+    monkeypatch.setattr(module, "PLAIN_EVERY_S", 15.0)
+    with logged_to_terminal(), progress("effects", 12, alike=False) as advance:
+        for _ in range(4):
+            advance()
+    lines = capsys.readouterr().err.splitlines()
+    assert len(lines) > 2
+    assert not any("left" in line for line in lines)
+
+
 @pytest.mark.parametrize(
     ("seconds", "words"),
     [(0.2, "about 1 s"), (80.0, "about 80 s"), (150.0, "about 2 min"), (9000.0, "about 2 h")],
