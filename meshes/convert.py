@@ -80,8 +80,8 @@ def _read(path: Path, reader: ModuleType) -> meshio.Mesh:
     except OSError:
         raise
     except Exception as error:  # of many kinds, according to where the file is broken
-        said = str(error) or type(error).__name__
-        raise ValueError(f"{path} is not a mesh that meshio can read: {said}") from error
+        reason = str(error) or type(error).__name__
+        raise ValueError(f"{path} is not a mesh that meshio can read: {reason}") from error
 
 
 def _with_tags(path: Path, mesh: meshio.Mesh, tags: list[np.ndarray]) -> meshio.Mesh:

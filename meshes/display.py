@@ -86,12 +86,12 @@ def run_drawing(
             late.cancel()
             process.kill()
         log.seek(0)
-        said = log.read().strip().splitlines() or [f"exit status {status}"]
+        output = log.read().strip().splitlines() or [f"exit status {status}"]
     if not in_time:
         raise DrawingError(f"Drawing took more than {timeout_s:g} s.")
     if status != 0:
         died = f"{signal.Signals(-status).name}, " if status < 0 else ""
-        raise DrawingError(f"Drawing failed: {died}{said[-1]}")
+        raise DrawingError(f"Drawing failed: {died}{output[-1]}")
 
 
 def _start(xvfb: str, log: IO[bytes]) -> tuple[subprocess.Popen, str]:
@@ -119,21 +119,21 @@ def _start(xvfb: str, log: IO[bytes]) -> tuple[subprocess.Popen, str]:
             raise
     except (DrawingError, OSError) as error:
         log.seek(0)
-        said = log.read().decode(errors="replace").strip().splitlines() or [str(error)]
-        raise DrawingError(f"Xvfb did not start: {said[-1]}") from error
+        output = log.read().decode(errors="replace").strip().splitlines() or [str(error)]
+        raise DrawingError(f"Xvfb did not start: {output[-1]}") from error
     finally:
         os.close(ready)
 
 
 def _read_number(ready: int) -> str:
-    answer = b""
-    while not answer.endswith(b"\n"):
+    received = b""
+    while not received.endswith(b"\n"):
         readable, _, _ = select.select([ready], [], [], START_TIMEOUT_S)
         chunk = os.read(ready, 64) if readable else b""
         if not chunk:
             raise DrawingError("no display number")
-        answer += chunk
-    return answer.decode().strip()
+        received += chunk
+    return received.decode().strip()
 
 
 def _stop(server: subprocess.Popen) -> None:

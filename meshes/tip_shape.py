@@ -227,8 +227,8 @@ def parse_tip_shape(text: str) -> Flat | Chamfer | Rounded | Worn:
         if not equals:
             raise ValueError(f"tip shape '{text}': '{pair}' is not parameter=value.")
         if key not in fields:
-            known = ", ".join(fields) or "none"
-            raise ValueError(f"tip shape '{text}': {name} has no '{key}', it has {known}.")
+            names = ", ".join(fields) or "none"
+            raise ValueError(f"tip shape '{text}': {name} has no '{key}', it has {names}.")
         if fields[key].name in values:
             raise ValueError(f"tip shape '{text}': {key} is given twice.")
         try:

@@ -82,10 +82,10 @@ def _history(
     speed = math.sqrt(2.0 * gravity_m_s2 * height_m)
     fall_s = speed / gravity_m_s2
     down = np.linspace(0.0, fall_s, SAMPLES, endpoint=False)
-    touch = np.linspace(0.0, contact_s, SAMPLES)
+    contact = np.linspace(0.0, contact_s, SAMPLES)
     up = np.linspace(0.0, fall_s, SAMPLES)[1:]
-    depth = penetration_m(touch, mass_kg, kn_N_m, height_m, gravity_m_s2)
-    t = np.concatenate([down, fall_s + touch, fall_s + contact_s + up])
+    depth = penetration_m(contact, mass_kg, kn_N_m, height_m, gravity_m_s2)
+    t = np.concatenate([down, fall_s + contact, fall_s + contact_s + up])
     tip = np.concatenate(
         [
             height_m - 0.5 * gravity_m_s2 * down**2,

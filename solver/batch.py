@@ -305,7 +305,7 @@ def one_drop(
         placed = False
     else:
         return TOO_MANY
-    left = _energy(modes.omega2, done.u, done.v, weight, motion.position[2])
+    energy_after = _energy(modes.omega2, done.u, done.v, weight, motion.position[2])
     back = last - now
     out[0], out[1] = top, centre_top
     out[2] = fallen(motion.position, motion.velocity, gravity, alpha, back)[1][2]
@@ -313,7 +313,7 @@ def one_drop(
     out[7:10] = free_rotation(motion.attitude, motion.spin, flyer.inertia, alpha, 0.0, back)[1]
     out[10], out[11] = loss, rubbed
     out[12] = spent
-    out[13] = abs(initial - left - loss - rubbed - spent) / initial
+    out[13] = abs(initial - energy_after - loss - rubbed - spent) / initial
     out[14] = steps
     return modal_march.RELEASED
 
@@ -459,10 +459,10 @@ def as_column(body: ModalBody) -> ModalBody | None:
     moved = (points.rows @ points.coordinates).reshape(n, 3, -1)
     pushed = points.weights @ moved[:, 2]
     own = np.abs(pushed) > ROUNDING * np.abs(pushed).max()
-    seen = moved[:, :, own]
-    seen[:, 2] -= pushed[own]
+    relative = moved[:, :, own]
+    relative[:, 2] -= pushed[own]
     flat = np.ptp(points.places_m[:, 2]) == 0.0
-    if not flat or np.abs(seen).max() > ROUNDING * np.abs(pushed).max():
+    if not flat or np.abs(relative).max() > ROUNDING * np.abs(pushed).max():
         return None
     if np.abs(body.translation[~own, 2]).max(initial=0.0) > 0.0:
         return None

@@ -130,8 +130,8 @@ class Checkpoint:
             del self._waiting[0]
 
     def _write(self, path: Path, header: Mapping[str, Any], arrays: Mapping[str, Array]) -> None:
-        said = {"schema": SCHEMA, "made_for": self._made_for, **header}
-        text = json.dumps({**said, "sha256": _digest(said, arrays)})
+        document = {"schema": SCHEMA, "made_for": self._made_for, **header}
+        text = json.dumps({**document, "sha256": _digest(document, arrays)})
         write_arrays(path, {HEADER: np.array(text), **arrays})
 
     def _read(self, path: Path) -> tuple[dict[str, Any], dict[str, Array]]:
@@ -206,9 +206,9 @@ class Checkpoint:
                 work()
             except OSError as error:
                 problem = error.strerror or str(error)
-        for told in self.comm.allgather(problem):
-            if told:
-                raise ComputationError(f"the march cannot be kept in {self.folder}: {told}")
+        for reported in self.comm.allgather(problem):
+            if reported:
+                raise ComputationError(f"the march cannot be kept in {self.folder}: {reported}")
 
 
 def _copied(arrays: Mapping[str, Array]) -> dict[str, Array]:

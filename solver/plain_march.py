@@ -66,8 +66,8 @@ def march_plainly(
         pushed = body.contact.weights @ marcher.along_axes(force)
         steps.append(np.array([body.contact.weights @ force[:, 0], *pushed, *velocity]))
         if checkpoint and (number == count or checkpoint.due()):
-            kept = {"rows": history.array(), "sums": sums, "steps": np.array(steps)}
-            checkpoint.save(number, kept_state(marcher, state) | kept, done=number == count)
+            saved = {"rows": history.array(), "sums": sums, "steps": np.array(steps)}
+            checkpoint.save(number, kept_state(marcher, state) | saved, done=number == count)
     made = np.array(steps)
     total, pushes, velocities = made[:, 0], made[:, 1:4], made[:, 4:]
     loss, rubbed, spent = map(float, sums)

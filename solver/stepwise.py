@@ -73,8 +73,8 @@ def march_stepwise(
         done = sums.released or state.t_s >= until_s
         if checkpoint and (done or checkpoint.due()):
             rows = np.array(history.rows[first_row:])
-            kept = _kept(marcher, state, sums, rows, observer)
-            checkpoint.save(count, kept, done=done)
+            saved = _kept(marcher, state, sums, rows, observer)
+            checkpoint.save(count, saved, done=done)
     held = marching_energy(marcher, state).contact_J
     if sums.released:
         spring = marcher.contact.spring_energy_J()

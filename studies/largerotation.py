@@ -88,12 +88,12 @@ class Campaign:
         rows = []
         with progress("finite strain", len(cases)) as advance, Workshop(comm) as workshop:
             for height, mu, lean in cases:
-                kept = []
+                shares = []
                 for how in MODELS:
                     share, wall_s = speed_kept(workshop, self.case(*how, height, mu, lean))
-                    kept.append(share)
-                off = (kept[1] - kept[-1], kept[3] - kept[-1])
-                rows.append((1e3 * height, mu, lean, *kept, *off, wall_s))
+                    shares.append(share)
+                off = (shares[1] - shares[-1], shares[3] - shares[-1])
+                rows.append((1e3 * height, mu, lean, *shares, *off, wall_s))
                 advance()
         return Table(
             "largerotation",

@@ -100,10 +100,10 @@ def shortened(axis: Shortening, u: Array, v: Array) -> tuple[Array, Array]:
     its ends together by ∫ q. The change is the static answer of the axis to the strain -q.
     """
     g = len(axis.weights)
-    seen, speed = axis.rows @ u, axis.rows @ v
+    values, speed = axis.rows @ u, axis.rows @ v
     pull, push = np.zeros(3 * g), np.zeros(3 * g)
     for i in range(g):
-        x, y = seen[g + i], seen[2 * g + i]
+        x, y = values[g + i], values[2 * g + i]
         pull[i] = -axis.weights[i] * 0.5 * (x * x + y * y)
         push[i] = -axis.weights[i] * (x * speed[g + i] + y * speed[2 * g + i])
     return axis.flexibility * (axis.rows.T @ pull), axis.flexibility * (axis.rows.T @ push)

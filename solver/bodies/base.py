@@ -70,8 +70,8 @@ class ContactPoints:
 
     def tractions(self, u: Array) -> Array:
         """Section area times traction at every point (n, 3) in N, the same on every rank."""
-        seen = self._reduce(self.traction @ u)
-        return np.asarray(seen).reshape(len(self.weights), 3, *u.shape[1:])
+        values = self._reduce(self.traction @ u)
+        return np.asarray(values).reshape(len(self.weights), 3, *u.shape[1:])
 
     @property
     def xy_m(self) -> Array:

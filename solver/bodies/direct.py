@@ -70,11 +70,11 @@ def factor(solver: PETSc.KSP, what: str) -> None:
 def solve_columns(solver: PETSc.KSP | PETSc.Mat, b: Array) -> Array:
     """Solutions (n_local, m) for all columns of ``b`` at once, by a solver or a factor."""
     right = dense(solver.comm, b)
-    left = right.duplicate()
-    solver.matSolve(right, left)
-    x = left.getDenseArray().copy(order="F")
+    solution = right.duplicate()
+    solver.matSolve(right, solution)
+    x = solution.getDenseArray().copy(order="F")
     right.destroy()
-    left.destroy()
+    solution.destroy()
     return x
 
 

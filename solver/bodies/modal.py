@@ -143,9 +143,9 @@ def _modes_of_group(name: str, mass: Array, stiffness: Array, rigid: Array) -> t
         raise ValueError(f"{name}: rounding hides the slowest modes")
     slow = slow[:, : -n_slow - 1 : -1] / np.sqrt(inverse[: -n_slow - 1 : -1])
     slow = slow - still @ (held.T @ slow)
-    known = np.hstack([still, slow])
+    found = np.hstack([still, slow])
     fast = modes[:, n_rigid + n_slow :]
-    fast = fast - known @ (known.T @ mass @ fast)
+    fast = fast - found @ (found.T @ mass @ fast)
     omega2[:n_rigid] = 0.0
     omega2[n_rigid : n_rigid + n_slow] = 1.0 / inverse[: -n_slow - 1 : -1]
-    return omega2, np.hstack([known, fast])
+    return omega2, np.hstack([found, fast])

@@ -110,10 +110,10 @@ class SolidBody:
         y = np.empty(x.shape, order="F")
         for k in range(0, x.shape[1], TOGETHER):
             part = x[:, k : k + TOGETHER]
-            seen = np.empty((len(self.columns), part.shape[1]))
+            values = np.empty((len(self.columns), part.shape[1]))
             for i in range(part.shape[1]):
-                seen[:, i] = self.node_mass.with_others(part[:, i])
-            y[:, k : k + TOGETHER] = self._stiffness @ seen
+                values[:, i] = self.node_mass.with_others(part[:, i])
+            y[:, k : k + TOGETHER] = self._stiffness @ values
         return y
 
     @cached_property

@@ -411,10 +411,10 @@ class TipTractions:
         np.add.at(rows, index, scaled)
         rows = self._comm.allreduce(rows).reshape(3 * self._n, -1)
         left, size, right = np.linalg.svd(rows, full_matrices=False)
-        seen = size > FAINT * size[0]
-        own = np.zeros((int(seen.sum()), self._own))
-        own[:, self._owned_local] = right[seen][:, self._owned]
-        return left[:, seen] * size[seen], own
+        significant = size > FAINT * size[0]
+        own = np.zeros((int(significant.sum()), self._own))
+        own[:, self._owned_local] = right[significant][:, self._owned]
+        return left[:, significant] * size[significant], own
 
     def _changes(self) -> Array:
         """Rows (p, 3, unknowns of a cell) of how the tractions of this rank's points change."""

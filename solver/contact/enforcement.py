@@ -71,8 +71,8 @@ def inverse_constant_N_m(body: Body) -> float:
     """
     points = body.contact
     rows = dense_of(points.traction)
-    push = np.ascontiguousarray(rows[2::3].T @ points.weights)
-    local = body.dot(push, body.stiffness(push)) / body.dot(push, body.mass(push))
+    forces = np.ascontiguousarray(rows[2::3].T @ points.weights)
+    local = body.dot(forces, body.stiffness(forces)) / body.dot(forces, body.mass(forces))
     columns = points.tractions(body.factor(SHIFT * local, 1.0)(np.ascontiguousarray(rows.T)))
     root = np.sqrt(np.repeat(points.weights, 3))
     columns = columns.reshape(len(root), len(root))

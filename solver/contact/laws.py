@@ -360,9 +360,9 @@ def check_compiled(law: ContactLaw) -> None:
     It reads ``parameters`` alone, so a subclass with a force of its own would be ignored silently.
     """
     if COMPILED.get(type(law)) != law.parameters[0]:
-        known = ", ".join(each.__name__ for each in COMPILED)
+        names = ", ".join(each.__name__ for each in COMPILED)
         raise TypeError(
-            f"{type(law).__name__} is no law that contact.normal computes; these are {known}"
+            f"{type(law).__name__} is no law that contact.normal computes; these are {names}"
         )
 
 

@@ -127,7 +127,7 @@ def _gathered_forces(
                 moved = z[support[i, a]]
                 slip0 -= values[i, 1, a] * moved
                 slip1 -= values[i, 2, a] * moved
-        push = point_force(
+        response = point_force(
             law_at(points, i),
             PointTrial(
                 start[i, 0],
@@ -142,10 +142,10 @@ def _gathered_forces(
                 remembered,
             ),
         )
-        force[i, 0], force[i, 1], force[i, 2] = push.n, push.t0, push.t1
-        slopes[i, 0], slopes[i, 1], slopes[i, 2] = push.n_s, push.t0_0, push.t1_1
-        slopes[i, 3], slopes[i, 4], slopes[i, 5] = push.t0_1, push.t0_s, push.t1_s
-        f, f0, f1 = weights[i] * push.n, weights[i] * push.t0, weights[i] * push.t1
+        force[i, 0], force[i, 1], force[i, 2] = response.n, response.t0, response.t1
+        slopes[i, 0], slopes[i, 1], slopes[i, 2] = response.n_s, response.t0_0, response.t1_1
+        slopes[i, 3], slopes[i, 4], slopes[i, 5] = response.t0_1, response.t0_s, response.t1_s
+        f, f0, f1 = weights[i] * response.n, weights[i] * response.t0, weights[i] * response.t1
         if rubs:
             for a in range(s):
                 pushed = f * values[i, 0, a] + f0 * values[i, 1, a] + f1 * values[i, 2, a]
@@ -212,13 +212,13 @@ def _invert(section: Section, stiff: Array) -> None:
         for k in range(m):
             core[k, j] = product[j, inner[k]]
         core[j, j] += 1.0
-    answer = np.linalg.inv(core).T @ product
+    solution = np.linalg.inv(core).T @ product
     inverse = section.inverse
     inverse[:, :] = 0.0
     for a in range(r):
         inverse[a, a] = 1.0
         for k in range(m):
-            inverse[a, inner[k]] -= answer[k, a]
+            inverse[a, inner[k]] -= solution[k, a]
     section.factored[0] = True
 
 

@@ -191,8 +191,8 @@ def _predictable(
         return f"the loop takes at most {MOST_PARAMETERS} parameters"
     if changed["absent"]:
         return "changes drops where its parameters are those of its absence"
-    known = COMPUTED_FIELDS if kind.computed else SIMULATED_FIELDS
-    other = sorted(changed["typical"] - known)
+    allowed = COMPUTED_FIELDS if kind.computed else SIMULATED_FIELDS
+    other = sorted(changed["typical"] - allowed)
     if other:
         instead = f"computed = {not kind.computed} is for these"
         if not set(other) <= COMPUTED_FIELDS | SIMULATED_FIELDS:

@@ -92,7 +92,7 @@ def _rigid_apex(motion: Motion, until: float) -> float:
 def _slow_apex(motion: Motion, ring: Ring, until: float) -> float:
     """About when the tip is highest in [0, ``until``], but for ringing far below its rise."""
     flyer = motion.flyer
-    seen = in_sight(ring, 0.1 * motion.gravity * until * until / 8.0)
+    n_terms = in_sight(ring, 0.1 * motion.gravity * until * until / 8.0)
     top = _rigid_apex(motion, until)
     best, best_t = -math.inf, top
     start, spacing = 0.0, until / LOOKS
@@ -103,11 +103,11 @@ def _slow_apex(motion: Motion, ring: Ring, until: float) -> float:
             attitude, spin = free_rotation(
                 motion.attitude, motion.spin, flyer.inertia, flyer.alpha, 0.0, t
             )
-            height, rises = tip_height(motion, ring, seen, t, attitude, spin)
+            height, rises = tip_height(motion, ring, n_terms, t, attitude, spin)
             if height > best:
                 best, best_t, rate = height, t, rises
         start, spacing = max(best_t - spacing, 0.0), 2.0 * spacing / LOOKS
-    fall = bending_bound(motion, ring, seen, best_t, _tip_alone(motion), motion.spin)
+    fall = bending_bound(motion, ring, n_terms, best_t, _tip_alone(motion), motion.spin)
     return min(max(best_t + rate / fall, 0.0), until)
 
 
@@ -215,12 +215,14 @@ def _below(
 ) -> float:
     """A time in which the tip does not rise to the ``ceiling``."""
     height, rate = tip_height(motion, ring, 0, t, attitude, spin)
-    seen = in_sight(ring, ceiling - height)
-    if seen:
-        height, rate = tip_height(motion, ring, seen, t, attitude, spin)
+    n_terms = in_sight(ring, ceiling - height)
+    if n_terms:
+        height, rate = tip_height(motion, ring, n_terms, t, attitude, spin)
     # gravity, which bending_bound has as a bound, pulls down
-    bending = bending_bound(motion, ring, seen, t, _tip_alone(motion), spin) - 2.0 * motion.gravity
-    return time_ahead(ceiling - height - ring.beyond[seen], -rate, bending)
+    bending = (
+        bending_bound(motion, ring, n_terms, t, _tip_alone(motion), spin) - 2.0 * motion.gravity
+    )
+    return time_ahead(ceiling - height - ring.beyond[n_terms], -rate, bending)
 
 
 @njit

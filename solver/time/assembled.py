@@ -112,11 +112,11 @@ class AssembledMarcher(FiniteMarcher):
                 "shorten the ITS, or see PETSc's options"
             )
         self._set(now.u, now.v, d)
-        seen = -points.displacements(now.u + d)
+        moved = -points.displacements(now.u + d)
         if self._surface is not None:
-            seen = seen + self.tau * self._surface.end()
+            moved = moved + self.tau * self._surface.end()
         # the body has answered already, so the law is only asked
-        return self._arrived(now, d, self.contact.solve(now.approach, self.in_frames(seen)))
+        return self._arrived(now, d, self.contact.solve(now.approach, self.in_frames(moved)))
 
     def _residual(self, _: PETSc.SNES, x: PETSc.Vec, out: PETSc.Vec) -> None:
         own_values(self.forms.d, x.getArray(readonly=True))

@@ -115,11 +115,11 @@ class FiniteMarcher(ContactMarch):
             loss += self._total(self._loss)
             if self._surface is not None:
                 weighted = self.body.contact.weights[:, None]
-                push = weighted * self.along_axes(force)
+                forces = weighted * self.along_axes(force)
                 elastic = self.tractions(after) - self.tractions(before)
                 self._set(before.u, before.v, d)
                 viscous = self._surface.end() - self._surface.start() - elastic
-                loss -= self.tau * float(np.sum(push * viscous))
+                loss -= self.tau * float(np.sum(forces * viscous))
                 mean = self._surface.viscous()
                 loss -= self._symmetric * float(np.sum(weighted * mean * elastic))
         if body.alpha_1_s:
@@ -197,15 +197,15 @@ class FiniteMarcher(ContactMarch):
             rest += self._symmetric * surface.pushed(excess)
             free = d - self._solve(rest)
             free += self._answers_traction @ (self._weights * along.ravel())
-            seen = surface.end() + (self._seen(free - d)).reshape(-1, 3)
-            start = self.tau * seen - points.displacements(now.u + free)
+            moved = surface.end() + (self._seen(free - d)).reshape(-1, 3)
+            start = self.tau * moved - points.displacements(now.u + free)
         force[:] = self.contact.solve(now.approach, self.in_frames(start))
         if not force.any():
             return free
-        push = self._weights * self.along_axes(force).ravel()
-        free += self._answers_points @ (points.rows.T @ push)
+        forces = self._weights * self.along_axes(force).ravel()
+        free += self._answers_points @ (points.rows.T @ forces)
         if surface is not None:
-            free -= self._answers_traction @ push
+            free -= self._answers_traction @ forces
         return free
 
     # --- the tangent ----------------------------------------------------------------------------
@@ -232,8 +232,8 @@ class FiniteMarcher(ContactMarch):
             self._compliance = np.ascontiguousarray(points.moved(self._answers_points))
         else:
             by_points = self._answers_points @ points.rows.T - self._answers_traction
-            answer = self.tau * self._seen(by_points) - points.rows @ points.moved(by_points)
-            self._compliance = np.ascontiguousarray(answer * self._weights)
+            compliance = self.tau * self._seen(by_points) - points.rows @ points.moved(by_points)
+            self._compliance = np.ascontiguousarray(compliance * self._weights)
         self.contact.section = self._section()
 
     def _add_tractions(self, surface: TipTractions) -> None:

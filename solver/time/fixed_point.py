@@ -1,9 +1,9 @@
 """Anderson's acceleration of a fixed point that is sought in every step of a march.
 
-What is sought is a value x with G(x) = x. Every move of x and the change of what is left,
-r = G(x) - x, is a secant of the map; the next move is the one after which, by these secants, least
-would be left (Walker and Ni, SIAM J. Numer. Anal. 49, 2011). Secants of the steps before serve too,
-since the map changes little (Degroote, Bathe and Vierendeels, Comput. Struct. 87, 2009).
+What is sought is a value x with G(x) = x. Every move of x and the change of the residual
+r = G(x) - x is a secant of the map; the next move is the one after which, by these secants, the
+residual would be least (Walker and Ni, SIAM J. Numer. Anal. 49, 2011). Secants of the steps before
+serve too, since the map changes little (Degroote, Bathe and Vierendeels, Comput. Struct. 87, 2009).
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ NEW_SHARE = 1e-8
 
 
 class Secants(NamedTuple):
-    """The latest moves (MOST_SECANTS, n), by how much each changed what was left, the products of
+    """The latest moves (MOST_SECANTS, n), by how much each changed the residual, the products of
     these changes under ``weights`` (n,), and how many there have been, (1,)."""
 
     moves: Array
@@ -35,7 +35,7 @@ class Secants(NamedTuple):
 
 @njit
 def new_secants(weights: Array) -> Secants:
-    """None yet; what is left is measured by the sum of its squares times ``weights`` (n,)."""
+    """None yet; a residual is measured by the sum of its squares times ``weights`` (n,)."""
     return Secants(
         moves=np.zeros((MOST_SECANTS, len(weights))),
         changes=np.zeros((MOST_SECANTS, len(weights))),
@@ -55,7 +55,7 @@ def _product(weights: Array, one: Array, other: Array) -> float:
 
 @njit
 def remember(secants: Secants, move: Array, change: Array) -> None:
-    """Keep that ``move`` (n,) changed what was left by ``change`` (n,), in place of the oldest."""
+    """Keep that ``move`` (n,) changed the residual by ``change`` (n,), in place of the oldest."""
     at = secants.total[0] % MOST_SECANTS
     secants.total[0] += 1
     secants.moves[at] = move
@@ -66,8 +66,8 @@ def remember(secants: Secants, move: Array, change: Array) -> None:
 
 
 @njit
-def next_move(secants: Secants, left: Array) -> Array:
-    """The move (n,) of x where ``left`` (n,) is left.
+def next_move(secants: Secants, residual: Array) -> Array:
+    """The move (n,) of x at a ``residual`` (n,).
 
     Least squares by Cholesky's factor of the normal equations, built from the latest secant on and
     without those that tell nothing new.
@@ -89,13 +89,13 @@ def next_move(secants: Secants, left: Array) -> Array:
         if new <= NEW_SHARE * whole:
             continue
         lower[used, used] = math.sqrt(new)
-        share[used] = _product(secants.weights, secants.changes[at], left)
+        share[used] = _product(secants.weights, secants.changes[at], residual)
         for k in range(used):
             share[used] -= lower[used, k] * share[k]
         share[used] /= lower[used, used]
         chosen[used] = at
         used += 1
-    move = left.copy()
+    move = residual.copy()
     for i in range(used - 1, -1, -1):
         for k in range(i + 1, used):
             share[i] -= lower[k, i] * share[k]

@@ -275,8 +275,8 @@ class Marcher(ContactMarch):
 
         def corrected(b: Array) -> Array:
             x = solve(b)
-            seen = points.tractions(x).reshape(len(rows), *x.shape[1:])
-            return np.asarray(x + columns @ np.linalg.solve(capacitance, seen))
+            values = points.tractions(x).reshape(len(rows), *x.shape[1:])
+            return np.asarray(x + columns @ np.linalg.solve(capacitance, values))
 
         return corrected
 
@@ -292,10 +292,10 @@ class Marcher(ContactMarch):
         if not self.tau:
             return np.ascontiguousarray(du * points.moved(self._green))
         n = 3 * len(points.weights)
-        answer = -du * points.displacements(self._green)
-        answer += self.tau * (du + self.body.beta_s * dv) * points.tractions(self._green)
+        compliance = -du * points.displacements(self._green)
+        compliance += self.tau * (du + self.body.beta_s * dv) * points.tractions(self._green)
         pushes = np.stack([self._loads(unit.reshape(-1, 3)) for unit in np.eye(n)], axis=1)
-        return np.ascontiguousarray(answer.reshape(n, -1) @ pushes)
+        return np.ascontiguousarray(compliance.reshape(n, -1) @ pushes)
 
     def _responses(self) -> Iterator[Array]:
         """Responses to the columns that contact pushes along, a few at a time."""
@@ -315,8 +315,8 @@ class Marcher(ContactMarch):
         if self._symmetric == 0.0:
             return kx
         points = self.body.contact
-        push = (points.weights[:, None] * points.tractions(x)).ravel()
-        return kx - self._symmetric * (points.traction.T @ push)
+        forces = (points.weights[:, None] * points.tractions(x)).ravel()
+        return kx - self._symmetric * (points.traction.T @ forces)
 
     def approach(self, u: Array, v: Array) -> Array:
         """The approach (n, 3) of contact.enforcement along the points' local frames."""
@@ -376,12 +376,12 @@ class Marcher(ContactMarch):
         approach = self.approach(u, v)
         force = self.contact.solve(now.approach, approach)
         if force.any():
-            push = self._loads(self.along_axes(force))
-            rhs += self._forcing @ push
+            loads = self._loads(self.along_axes(force))
+            rhs += self._forcing @ loads
             if self._green is None:
                 a = self._solve(rhs)
             else:
-                combine(a, self._green, push)
+                combine(a, self._green, loads)
             u, v = newmark(now.u, now.v, now.a, a, h, scheme.beta, scheme.gamma)
             approach = self.contact.end
         ma = body.mass(a)
@@ -409,8 +409,8 @@ class Marcher(ContactMarch):
     def strain_energy_J(self, state: State) -> float:
         strain = 0.5 * self.body.dot(state.u, state.ku)
         if self._symmetric:
-            seen = self.body.contact.weights @ np.sum(self.tractions(state) ** 2, axis=1)
-            strain += 0.5 * self._symmetric * float(seen)
+            squared = self.body.contact.weights @ np.sum(self.tractions(state) ** 2, axis=1)
+            strain += 0.5 * self._symmetric * float(squared)
         return strain
 
     def damping_loss_J(self, before: State, after: State, force: Array) -> float:
@@ -427,8 +427,8 @@ class Marcher(ContactMarch):
         loss *= self.its_s
         if self.tau and body.beta_s:
             moved = self.tau * body.beta_s * body.contact.tractions(after.v - before.v)
-            push = body.contact.weights[:, None] * self.along_axes(force)
-            loss -= float(np.sum(push * moved))
+            forces = body.contact.weights[:, None] * self.along_axes(force)
+            loss -= float(np.sum(forces * moved))
         return loss
 
     def tables(self) -> tuple[Modes, Touching]:

@@ -163,7 +163,7 @@ def _new_work(modes: Modes, touching: Touching, u: Array, v: Array) -> Work:
     if len(modes.axis.weights):
         du, dv = shortened(modes.axis, u, v)
         u, v = u + du, v + dv
-    seen = modes.axis.rows @ u
+    at_axis = modes.axis.rows @ u
     pull = -touching.gravity * (modes.translation @ touching.up)
     return Work(
         u=u.copy(),
@@ -173,8 +173,8 @@ def _new_work(modes: Modes, touching: Touching, u: Array, v: Array) -> Work:
         free=np.empty(m),
         pull=pull,
         bend=np.zeros(m),
-        before=seen,
-        after=seen.copy(),
+        before=at_axis,
+        after=at_axis.copy(),
         secants=new_secants(modes.admittance),
     )
 
@@ -219,14 +219,14 @@ def _solve(
         if not len(modes.axis.weights):
             return True, touches
         work.after[:] = modes.axis.rows @ later
-        left = second_order_force(modes.axis, work.before, work.after, h) - bend
-        size = max(np.abs(left + bend).max(), np.abs(work.pull).max())
-        if np.abs(left).max() <= COUPLED * size:
+        residual = second_order_force(modes.axis, work.before, work.after, h) - bend
+        size = max(np.abs(residual + bend).max(), np.abs(work.pull).max())
+        if np.abs(residual).max() <= COUPLED * size:
             return True, touches
         if turn > 0:
-            remember(work.secants, move, left - before)
-        before = left
-        move = next_move(work.secants, left)
+            remember(work.secants, move, residual - before)
+        before = residual
+        move = next_move(work.secants, residual)
         bend += move
     return False, touches
 
@@ -248,8 +248,8 @@ def _take(points: Points, trial: Trial, last: float) -> Taken:
     friction, lost = commit(points, trial), settle(points, trial)
     for i in range(len(weights)):
         if end[i, 0] > 0.0 or remembers:
-            kept = trial.memory[i, 2]
-            final += weights[i] * elastic(law, points.scale[i], end[i, 0], 0.0, kept)[0]
+            remembered = trial.memory[i, 2]
+            final += weights[i] * elastic(law, points.scale[i], end[i, 0], 0.0, remembered)[0]
     return Taken(mean, final, share, friction, lost)
 
 

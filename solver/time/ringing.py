@@ -71,11 +71,11 @@ def ring_of(
     for j in range(e):
         swing[j] = motion.reach[j] * grown(powers[j], t)
     least = _quiet_level(swing, allowed)
-    kept = np.empty(e, dtype=np.int64)
+    chosen = np.empty(e, dtype=np.int64)
     count = 0
     for j in range(e):
         if swing[j] > least:
-            kept[count] = j
+            chosen[count] = j
             count += 1
     k = len(along)
     decay, pitch = np.empty(count), np.empty(count)
@@ -85,7 +85,7 @@ def ring_of(
     quick = with_speed.size > 0
     largest, fastest = swing.max() if e else 0.0, 0.0
     for j in range(count):
-        i = kept[j]
+        i = chosen[j]
         power, amount, mode = powers[i], motion.amounts[i], motion.modes[i]
         decay[j], pitch[j] = power.real, power.imag
         for c in range(k):

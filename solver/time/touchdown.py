@@ -34,7 +34,7 @@ def next_touch(motion: Motion, normals: Array, offsets: Array, until: float) -> 
     t = 0.0
     attitude, spin = motion.attitude, motion.spin
     ring, rows, slack = _search_ring(motion, t, slant_bound(motion, attitude, normals, until))
-    seen = len(ring.decay)
+    n_terms = len(ring.decay)
     above = False
     before, age = -math.inf, 0
     later, turned, spun = t, attitude, spin
@@ -44,20 +44,20 @@ def next_touch(motion: Motion, normals: Array, offsets: Array, until: float) -> 
             clear, _, safe = clearance_of(
                 motion,
                 ring,
-                seen,
+                n_terms,
                 rows,
                 normals,
                 offsets,
                 later,
                 turned,
                 spun,
-                ring.beyond[seen] + slack,
-                bending_bound(motion, ring, seen, later, flyer.places, spun),
+                ring.beyond[n_terms] + slack,
+                bending_bound(motion, ring, n_terms, later, flyer.places, spun),
             )
             more = in_sight(ring, clear)
-            if more <= seen:
+            if more <= n_terms:
                 break
-            seen = more
+            n_terms = more
         if later > 0.0:
             if above and clear <= 0.0:
                 found = _root(motion, normals, offsets, t, later, attitude, spin)
@@ -74,9 +74,9 @@ def next_touch(motion: Motion, normals: Array, offsets: Array, until: float) -> 
             ring, rows, slack = _search_ring(motion, t, slant)
             age = 0
         age += 1
-        seen = min(in_sight(ring, clear), len(ring.decay))
+        n_terms = min(in_sight(ring, clear), len(ring.decay))
         if clear > 0.0:
-            bending = bending_bound(motion, ring, seen, t, flyer.places, spin)
+            bending = bending_bound(motion, ring, n_terms, t, flyer.places, spin)
             shortest = math.sqrt(8.0 * TOUCH_SEARCH_M / bending) if bending > 0.0 else until
         else:  # on its way out: there is nothing to pass over, until it turns
             shortest = min(ring.finest, until / 8.0)
@@ -119,12 +119,12 @@ def _root(
     flyer = motion.flyer
     start, furthest = left, right + (right - left)
     ring = ring_of(motion, left, ROUNDING_M, 1.0, flyer.along, flyer.with_speed)
-    seen = len(ring.decay)
+    n_terms = len(ring.decay)
     at, bracketed = right, False
     for _ in range(ROOT_STEPS):
         turned, spun = free_rotation(attitude, spin, flyer.inertia, flyer.alpha, start, at)
         clear, rate, _ = clearance_of(
-            motion, ring, seen, flyer.rows, normals, offsets, at, turned, spun, 0.0, 0.0
+            motion, ring, n_terms, flyer.rows, normals, offsets, at, turned, spun, 0.0, 0.0
         )
         if clear > 0.0:
             left = at

@@ -129,37 +129,37 @@ def calibrate(
 
 def _warnings(source: Drops | None, ratio: RatioEstimate, curve: RatioCurve) -> list[str]:
     low, high = curve.reachable
-    said = []
+    doubts = []
     if ratio.mean.estimate >= high:
-        said.append(
+        doubts.append(
             f"The drops return {ratio.mean.estimate:.3g} of their height, no less than the model "
             f"does at any Kn ({high:.4f}): they bound Kn from above only."
         )
     if ratio.mean.estimate <= low:
-        said.append(
+        doubts.append(
             f"The drops return {ratio.mean.estimate:.3g} of their height, no more than the model "
             f"does on a rigid plane ({low:.4f}): they bound Kn from below only, and something "
             "that the model lacks takes energy."
         )
     if ratio.population.low <= low < ratio.mean.estimate:
-        said.append(
+        doubts.append(
             f"Single drops fall below what a rigid plane gives ({low:.4f}); no Kn explains them."
         )
     if ratio.trend is not None and ratio.trend.p_value < 0.05:
-        said.append(
+        doubts.append(
             f"y1/y0 changes with y0 (p = {ratio.trend.p_value:.2g}). In this model it does not: "
             "something is missing from it, and Kn takes up what that something does."
         )
     if ratio.sigma_share is not None and ratio.sigma_share < 0.5:
-        said.append(
+        doubts.append(
             f"The declared uncertainty of a height explains {100 * ratio.sigma_share:.2g} % of the "
             "scatter; the rest is between drops."
         )
     if source is not None and source.manifest.kn_N_m is not None:
-        said.append(
+        doubts.append(
             f"The dataset declares Kn = {source.manifest.kn_N_m / 1e6:.4g} MN/m; it was not used."
         )
-    return [*said, *CONFOUNDED]
+    return [*doubts, *CONFOUNDED]
 
 
 def summary(found: Calibration, version: str) -> dict[str, Any]:

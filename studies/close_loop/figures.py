@@ -141,8 +141,8 @@ def detectable_figure(shares: Sequence[tuple[str, float | None]]) -> Figure:
             ax.plot([share], [i], "o", color=BLUE)
     ax.axvline(1.0, color=GREY, ls=":", lw=1.0)
     _named(ax, [title_of(name) for name, _ in shares])
-    known = [share for _, share in shares if share]
-    low, high = min([0.1, *known]) / 3.0, max([10.0, *known]) * 3.0
+    shown = [share for _, share in shares if share]
+    low, high = min([0.1, *shown]) / 3.0, max([10.0, *shown]) * 3.0
     ax.set(xscale="log", xlim=(low, high), xlabel="least size that shows over a typical size")
     return figure
 

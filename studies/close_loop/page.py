@@ -85,23 +85,23 @@ def headline(closed: Closed) -> list[str]:
     """The verdict and what it is worth, in a few sentences."""
     finding = closed.finding
     held, solid = finding.held_out, closed.confirmation.solid
-    said = [verdict_words(closed)]
+    sentences = [verdict_words(closed)]
     if held is not None and finding.model_effects:
         low, high = (percent(x, 0) for x in (held.reduction_low, held.reduction_high))
-        said.append(
+        sentences.append(
             f"Error on held-out data: {show(held.rms_before, 3)} {held.unit} before, "
             f"{show(held.rms_after, 3)} {held.unit} after; less by {low} to {high} "
             f"(90 % interval). Their noise leaves {show(held.sigma, 3)} {held.unit}."
         )
     if solid is not None and finding.model_effects:
-        said.append(
+        sentences.append(
             f"The 3-D model with the same in it: {show(solid.rms_before, 3)} {solid.unit} before, "
             f"{show(solid.rms_after, 3)} {solid.unit} after."
         )
     if finding.next_experiment is not None:
-        said.append(f"To separate them: {finding.next_experiment.change}.")
-    said += [f"Doubt: {warning}." for warning in finding.all_warnings()]
-    return said + [f"Left aside: {each}." for each in finding.left_aside]
+        sentences.append(f"To separate them: {finding.next_experiment.change}.")
+    sentences += [f"Doubt: {warning}." for warning in finding.all_warnings()]
+    return sentences + [f"Left aside: {each}." for each in finding.left_aside]
 
 
 def verdict_words(closed: Closed) -> str:
@@ -115,8 +115,8 @@ def verdict_words(closed: Closed) -> str:
         )
     if finding.verdict is Verdict.UNKNOWN:
         near = finding.nearest
-        said = "" if near is None else f" {near.words()}, but {near.why_not}."
-        return f"Unknown: something is missing (p = {p}), and no known effect explains it.{said}"
+        nearest = "" if near is None else f" {near.words()}, but {near.why_not}."
+        return f"Unknown: something is missing (p = {p}), and no known effect explains it.{nearest}"
     if finding.verdict is Verdict.EFFECT:
         return f"The model lacks: {names_of(finding.effects)} (p = {p} that nothing is missing)."
     several = "; ".join(title_of(name) for name in finding.effects)
@@ -392,9 +392,9 @@ def _next(rows: Rows) -> Section:
     finding = rows.closed.finding
     each = finding.next_experiment
     if each is not None:
-        said = f"Most would be gained from this: {each.change}."
+        sentence = f"Most would be gained from this: {each.change}."
     elif finding.verdict is Verdict.AMBIGUOUS:
-        said = "No measurement is known here that would separate them."
+        sentence = "No measurement is known here that would separate them."
     else:
-        said = "None is proposed: no effects are tied."
-    return Section("next", "The next experiment", [said], tables=[tables.next_table(finding)])
+        sentence = "None is proposed: no effects are tied."
+    return Section("next", "The next experiment", [sentence], tables=[tables.next_table(finding)])

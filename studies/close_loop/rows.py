@@ -111,12 +111,12 @@ class Rows:
         """Residuals (rows,) in standard deviations; where a model has chance in it, the normal
         quantile of the value among all that it predicts with that chance and noise."""
         predicted = np.asarray(model.predict(np.asarray(theta, dtype=float)))
-        left = (self.closed.problem.values - predicted) * self.unit
-        if len(left) == 1:
-            return np.asarray(left[0])
+        residual = (self.closed.problem.values - predicted) * self.unit
+        if len(residual) == 1:
+            return np.asarray(residual[0])
         weights = np.asarray(model.weights)[:, None]
-        below = logsumexp(log_ndtr(left), b=weights, axis=0)
-        above = logsumexp(log_ndtr(-left), b=weights, axis=0)
+        below = logsumexp(log_ndtr(residual), b=weights, axis=0)
+        above = logsumexp(log_ndtr(-residual), b=weights, axis=0)
         return np.where(below < above, ndtri_exp(below), -ndtri_exp(above))
 
     def measured(self, whitened: Array) -> Array:
@@ -128,8 +128,8 @@ class Rows:
         """Covariates in their display units, (rows,) each."""
         found: list[tuple[Covariate, Array]] = []
         for name, values in self.closed.problem.covariates.items():
-            known = COVARIATES.get(name, Covariate(name, name.replace("_", " ")))
-            found.append((known, known.factor * np.asarray(values, dtype=float)))
+            covariate = COVARIATES.get(name, Covariate(name, name.replace("_", " ")))
+            found.append((covariate, covariate.factor * np.asarray(values, dtype=float)))
         return found
 
 

@@ -146,8 +146,8 @@ def read_manifest(folder: Path, only: str | None = None) -> Manifest:
         raise _wrong(path, text, "kind", f"must be one of {', '.join(KINDS)}, not {quoted(kind)}")
     if only not in (None, kind):
         raise _wrong(path, text, "kind", f"is {kind}, not {only}")
-    known = ("shape", "mass_kg", *BODY_KEYS)
-    _refuse_misspelt(path, text, parts["body"], known, all_known=True)
+    keys = ("shape", "mass_kg", *BODY_KEYS)
+    _refuse_misspelt(path, text, parts["body"], keys, all_known=True)
     _refuse_misspelt(path, text, parts["contact"], ("kn_N_m", "friction"))
     _refuse_misspelt(path, text, parts["measurement"], MEASUREMENT_KEYS)
     kn = _number(path, text, parts["contact"], "kn_N_m", KN_N_M)

@@ -70,8 +70,8 @@ class Source:
             followed = material_damping_s(other.values, other.values.get("length_m"))
             own = of_mesh or followed == other.values.get("beta_s")
             gone |= resolved_from(self.values, material=material and own)
-        kept = {key: value for key, value in other.values.items() if key not in gone}
-        return Source(kept | self.values, other.origins | self.origins)
+        values = {key: value for key, value in other.values.items() if key not in gone}
+        return Source(values | self.values, other.origins | self.origins)
 
 
 def material_damping_s(values: Mapping[str, Any], length_m: Any) -> float | None:
@@ -117,8 +117,8 @@ def _explain(error: Any, kind: type[BaseModel]) -> tuple[str, str]:
     name = str(error["loc"][0]) if error["loc"] else "inputs"
     if error["type"] == "extra_forbidden":
         flag = f"--{name.replace('_', '-')}"
-        known = [each for each in kind.model_fields if OPTIONS.get(each) == flag]
-        near = [f"did you mean {each}?" for each in known] or hints(name, kind.model_fields)
+        same = [each for each in kind.model_fields if OPTIONS.get(each) == flag]
+        near = [f"did you mean {each}?" for each in same] or hints(name, kind.model_fields)
         return name, "; ".join(["is no known input", *near])
     if error["type"] == "value_error":
         return name, str(error["ctx"]["error"])

@@ -175,19 +175,19 @@ def _family(
     kinds = np.unique(data.kind)
 
     def linear(name: str, shapes: Array, degree: Array | None = None) -> None:
-        unit, kept = _unit(shapes, project)
-        if not kept.any():
+        unit, independent = _unit(shapes, project)
+        if not independent.any():
             return
         listed[name] = Shapes(unit, degree is not None)
         if degree is None:
             out[name] = lambda z: np.max((z @ unit.T) ** 2, axis=1)
         else:
-            share = 1.0 / degree[kept] ** 2
+            share = 1.0 / degree[independent] ** 2
             out[name] = lambda z: ((z @ unit.T) ** 2) @ share
 
     def wavy(name: str, x: Array) -> None:
         pairs = [_unit(np.concatenate([w * e for e in every]), project) for w in _waves(x)]
-        units = [unit for unit, kept in pairs if kept.any()]
+        units = [unit for unit, independent in pairs if independent.any()]
         if not units:
             return
         listed.update((f"wave {i} in {name}", Shapes(unit, True)) for i, unit in enumerate(units))
@@ -246,17 +246,17 @@ def _best_shape(
     ``z`` (rows,) are the residuals, ``free`` (rows,) those after a refit by least squares, which is
     what a shape is fitted beside: a robust fit follows most of the rows and leaves the others.
     """
-    names, left, costs = [], [z], [0.0]
+    names, residuals, costs = [], [z], [0.0]
     for name, shapes in listed.items():
         loads = shapes.unit @ free
         names.append(name)
         if shapes.together:
             basis, _ = np.linalg.qr(shapes.unit.T)
-            left.append(free - basis @ (basis.T @ free))
+            residuals.append(free - basis @ (basis.T @ free))
             costs.append(OCCAM * len(shapes.unit))
         else:
             best = int(np.argmax(np.abs(loads)))
-            left.append(free - loads[best] * shapes.unit[best])
+            residuals.append(free - loads[best] * shapes.unit[best])
             costs.append(OCCAM + float(np.log(len(loads))))
     waves = sum(name.startswith("wave ") for name in names)
     costs = [
@@ -264,7 +264,7 @@ def _best_shape(
         for name, cost in zip(["", *names], costs, strict=True)
     ]
     logs = data.heights(
-        np.array(left), np.zeros((1, 1, z.size)), np.ones(1), np.arange(data.noises.scale.size)
+        np.array(residuals), np.zeros((1, 1, z.size)), np.ones(1), np.arange(data.noises.scale.size)
     ).max(axis=1) - np.array(costs)
     best = int(np.argmax(logs))
     return float(logs[best]), ["nothing", *names][best]
@@ -275,8 +275,8 @@ def _unit(shapes: Array, project: Array) -> tuple[Array, Array]:
     before = np.linalg.norm(shapes, axis=1)
     free = shapes @ project
     size = np.linalg.norm(free, axis=1)
-    kept = (size > np.sqrt(1 - ABSORBED**2) * before) & (before > 0)
-    return free[kept] / size[kept, None], kept
+    independent = (size > np.sqrt(1 - ABSORBED**2) * before) & (before > 0)
+    return free[independent] / size[independent, None], independent
 
 
 def _one_sided(direction: Direction, project: Array) -> Statistic | None:
@@ -373,8 +373,8 @@ def _bands(x: Array) -> Array:
         for high in edges[i + 1 :]
         if high - low < count
     ]
-    kept = [band for band in out if LEAST_BAND <= band.sum() <= x.size - 1]
-    return np.array(kept).reshape(-1, x.size)
+    large = [band for band in out if LEAST_BAND <= band.sum() <= x.size - 1]
+    return np.array(large).reshape(-1, x.size)
 
 
 def _residue_classes(order: Array) -> Array:

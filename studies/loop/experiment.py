@@ -68,11 +68,11 @@ def _distance(model: Model, other: Posterior, target: Array) -> float:
         signed = np.where(u + step > 1, -step, step)
         points[1:] += np.diag(signed)
         every = _matched(_mean(model, to_theta(model.parameters, points)), target)
-        left = every[0] - _matched(target, every[0])
-        cost = float(left @ left + (u - u0) @ hold @ (u - u0))
+        residual = every[0] - _matched(target, every[0])
+        cost = float(residual @ residual + (u - u0) @ hold @ (u - u0))
         best = min(best, cost)
         slopes = ((every[1:] - every[0]) / signed[:, None]).T
-        move = np.linalg.solve(slopes.T @ slopes + hold, slopes.T @ left + hold @ (u - u0))
+        move = np.linalg.solve(slopes.T @ slopes + hold, slopes.T @ residual + hold @ (u - u0))
         u = np.clip(u - move, 0, 1)
     return best
 

@@ -227,8 +227,8 @@ class Judge:
 def trimmed_rms(error: Array) -> Array:
     """Rms (...) of errors (..., rows) without the largest: an outlier is a finding on the noise."""
     rows = error.shape[-1]
-    kept = max(rows - round(TRIMMED * rows), min(rows, 1))
-    return np.sqrt(np.mean(np.sort(error**2, axis=-1)[..., :kept], axis=-1))
+    count = max(rows - round(TRIMMED * rows), min(rows, 1))
+    return np.sqrt(np.mean(np.sort(error**2, axis=-1)[..., :count], axis=-1))
 
 
 def _ratio(error: Array, chance: Array) -> float:

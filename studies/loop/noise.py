@@ -145,8 +145,8 @@ class Noises:
 
         ``centre`` broadcasts against them: residuals of the mean over nodes.
         """
-        kept = np.where(self.previous >= 0, centre[..., self.previous], 0.0)
-        return (residual - self.before[which] * kept) * self.stretch[which]
+        carried = np.where(self.previous >= 0, centre[..., self.previous], 0.0)
+        return (residual - self.before[which] * carried) * self.stretch[which]
 
     def draw(self, which: Ints, rng: np.random.Generator) -> Array:
         """Noise (draws, rows), one row of numbers for each entry of ``which`` (draws,)."""

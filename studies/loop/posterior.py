@@ -70,14 +70,14 @@ class Posterior:
 
 def evidence(data: Sample, fitted: Fitted, own: int) -> float:
     """Log evidence of a fit whose first ``own`` parameters are the baseline's."""
-    seen = 0
+    count = 0
     if fitted.u.size > own:
         h = fitted.information
         cross = h[:own, own:]
         inner = h[:own, :own] + 1e-9 * np.eye(own)
         profiled = h[own:, own:] - cross.T @ np.linalg.solve(inner, cross)
-        seen = max(int(np.sum(np.linalg.eigvalsh(profiled) > BOX_PRECISION)), 1)
-    return likely_noise(data, fitted)[1] - OCCAM * seen
+        count = max(int(np.sum(np.linalg.eigvalsh(profiled) > BOX_PRECISION)), 1)
+    return likely_noise(data, fitted)[1] - OCCAM * count
 
 
 def posterior(data: Sample, fitted: Fitted, own: int, rng: np.random.Generator) -> Posterior:

@@ -63,10 +63,10 @@ class Profile:
         for ray in np.unique(self.ray):
             mine = np.flatnonzero(self.ray == ray)
             way = np.maximum.accumulate(self.d[mine])
-            seen = way > 1e-9
-            if not seen.any() or way[-1] < d:
+            visible = way > 1e-9
+            if not visible.any() or way[-1] < d:
                 continue
-            size = np.interp(np.log(d), np.log(way[seen]), np.log(self.size[mine][seen]))
+            size = np.interp(np.log(d), np.log(way[visible]), np.log(self.size[mine][visible]))
             best = float(np.exp(size)) if best is None else min(best, float(np.exp(size)))
         return best
 
@@ -125,8 +125,8 @@ def _refitted(data: Sample, model: Model, u: Array, own: int, target: Array) -> 
             for i in range(own):
                 points[:, i + 1, i] += signed[:, i]
         every = features(data.predict(model, to_theta(model.parameters, points)), weights)
-        left = every[:, 0] - target
-        cost = np.sum(left**2, axis=1)
+        residual = every[:, 0] - target
+        cost = np.sum(residual**2, axis=1)
         better = cost < best
         best = np.where(better, cost, best)
         best_u = np.where(better[:, None], u, best_u)
@@ -136,7 +136,9 @@ def _refitted(data: Sample, model: Model, u: Array, own: int, target: Array) -> 
         slopes = (every[:, 1:] - every[:, :1]) / signed[..., None]
         normal = np.einsum("kir,kjr->kij", slopes, slopes)
         normal += np.eye(own) * (1e-9 * np.trace(normal, axis1=1, axis2=2) + 1e-9)[:, None, None]
-        move = -np.linalg.solve(normal, np.einsum("kir,kr->ki", slopes, left)[..., None])[..., 0]
+        move = -np.linalg.solve(normal, np.einsum("kir,kr->ki", slopes, residual)[..., None])[
+            ..., 0
+        ]
         u = best_u.copy()
         u[:, :own] = np.clip(u[:, :own] + np.clip(move, -0.3, 0.3), 0, 1)
     return best_u, kept
@@ -159,17 +161,17 @@ def directions(data: Sample, base: Fitted, profiles: Sequence[Profile]) -> list[
 def classes(profiles: Sequence[Profile]) -> list[tuple[str, ...]]:
     """Groups of candidates that these data cannot tell apart at `REFERENCE_D` (or as far as their
     bounds let them go), by complete linkage: every two of a group are alike, both ways."""
-    seen = [each for each in profiles if each.d.max() > APART]
-    if len(seen) < 2:
+    visible = [each for each in profiles if each.d.max() > APART]
+    if len(visible) < 2:
         return []
     apart = np.array(
-        [[_imitated(one, two) if one is not two else 0.0 for two in seen] for one in seen]
+        [[_imitated(one, two) if one is not two else 0.0 for two in visible] for one in visible]
     )
     label = fcluster(
         linkage(squareform(np.maximum(apart, apart.T), checks=False), "complete"), APART, "distance"
     )
     groups = [
-        tuple(seen[k].name for k in np.flatnonzero(label == each)) for each in np.unique(label)
+        tuple(visible[k].name for k in np.flatnonzero(label == each)) for each in np.unique(label)
     ]
     return sorted(group for group in groups if len(group) > 1)
 

@@ -20,16 +20,16 @@ def quantile_residuals(values: Array, predicted: Array, weights: Array, starts: 
 
     ``weights`` (nodes,) of the nodes of chance, ``starts`` (groups + 1,) the groups' first rows.
     """
-    left = values - predicted
+    residual = values - predicted
     if weights.size == 1:
-        return np.asarray(left[0])
+        return np.asarray(residual[0])
     out = np.empty(values.size)
     sizes = np.diff(starts)
     shares = np.repeat(np.log(weights)[:, None], sizes.size, axis=1)
     for place in range(int(sizes.max())):
         there = np.flatnonzero(sizes > place)
         row = starts[there] + place
-        e, log_share = left[:, row], shares[:, there]
+        e, log_share = residual[:, row], shares[:, there]
         below = logsumexp(log_share + log_ndtr(e), axis=0)
         above = logsumexp(log_share + log_ndtr(-e), axis=0)
         low = ndtri_exp(np.minimum(below, -1e-300))

@@ -208,10 +208,10 @@ def _looked_at(
         fitted = tried[i].fitted
         found = posterior(state.data, fitted, state.base.u.size, state.rng)
         others = [way for way in state.ways if way.name not in fitted.effects]
-        left = assess(state.data, found.fitted, others, state.rng)
+        assessed = assess(state.data, found.fitted, others, state.rng)
         held = state.judge.judge(found) if state.judge.held.values.size else None
-        why = _refused(state, found, left, held, alarm, over)
-        out.append(Explanation(found, left, held, not why, why))
+        why = _refused(state, found, assessed, held, alarm, over)
+        out.append(Explanation(found, assessed, held, not why, why))
     return out
 
 
@@ -337,13 +337,13 @@ def _evidences(
     models.sort(key=lambda each: (len(each[0].effects), -each[1]))
     out = [Evidence((), baseline.log_evidence, None, "", _numbers(baseline.fitted))]
     for fitted, log in models:
-        seen = looked.get(fitted.effects)
+        assessed = looked.get(fitted.effects)
         out.append(
             Evidence(
                 fitted.effects,
                 log,
-                None if seen is None else seen.left.p_value,
-                "" if seen is None else seen.why_not,
+                None if assessed is None else assessed.left.p_value,
+                "" if assessed is None else assessed.why_not,
                 _numbers(fitted),
             )
         )
@@ -379,17 +379,17 @@ def _noise(data: Sample, left: Adequacy, misfit: bool) -> dict[str, float | str]
     out = data.noises.describe(left.noise)
     if misfit:
         return {**out, "finding": ""}
-    said = []
+    sentences = []
     size = _rms(left.residual)
     if data.noises.declared and size < FAR_SMALLER:
-        said.append(f"it is {size:.1g} times what is declared")
+        sentences.append(f"it is {size:.1g} times what is declared")
     elif out["shape"] != "gaussian":
-        said.append("its tails are heavier than a normal distribution's")
+        sentences.append("its tails are heavier than a normal distribution's")
     elif data.noises.declared and not 0.8 < float(out["scale"]) < 1.15:
-        said.append(f"it is {float(out['scale']):.2g} times what is declared")
+        sentences.append(f"it is {float(out['scale']):.2g} times what is declared")
     if out["correlation"]:
-        said.append("neighbours in order are correlated")
-    return {**out, "finding": "; ".join(said)}
+        sentences.append("neighbours in order are correlated")
+    return {**out, "finding": "; ".join(sentences)}
 
 
 def _rms(z: Array) -> float:

@@ -85,8 +85,8 @@ def resolved(data: Sample, base: Fitted, model: Model) -> Model:
     baseline leaves of a group made by chance."""
     if np.asarray(model.weights).size == 1 or not isinstance(model, Scattering):
         return model
-    left = np.sqrt(np.add.reduceat((data.values - base.mean) ** 2, data.starts[:-1]))
-    deviation = 0.5 * float(np.quantile(left, 0.95))
+    misfit = np.sqrt(np.add.reduceat((data.values - base.mean) ** 2, data.starts[:-1]))
+    deviation = 0.5 * float(np.quantile(misfit, 0.95))
     closer = int(np.ceil(NODE_SHARE * deviation / NODES_APART))
     return model.finer(min(closer, MOST_CLOSER)) if closer > 1 else model
 
@@ -160,13 +160,13 @@ def fit_pairs(
             if each is not one and not one.scatters
         ]
     alone = {each.effects[0]: each for each in singles}
-    known = {each.name: each for each in profiles}
+    by_name = {each.name: each for each in profiles}
     out = []
     for i, key in enumerate(chosen):
         if key in chosen[:i] or key[::-1] in chosen[:i]:
             continue
         model = resolved(data, base, problem.combine(key))
-        fitted = _followed(data, model, _pair_starts(model, base, alone, known))
+        fitted = _followed(data, model, _pair_starts(model, base, alone, by_name))
         out.append(Tried(fitted, evidence(data, fitted, base.u.size)))
     return out
 

@@ -152,8 +152,8 @@ class ElementStudy:
 
     def _words(self, found: Iterable[int | None]) -> str:
         counts = list(found)
-        known = [n for n in counts if n is not None]
-        if len(known) < len(counts):
+        found_counts = [n for n in counts if n is not None]
+        if len(found_counts) < len(counts):
             return f"more than {self.counts[-1]}"
-        low, high = min(known), max(known)
+        low, high = min(found_counts), max(found_counts)
         return str(low) if low == high else f"{low} to {high}"

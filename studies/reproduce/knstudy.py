@@ -99,15 +99,15 @@ class KnStudy:
         solid = self._curve_3d(results)
         base = kn_section(found)
         kn_1d, kn_3d = found.kn.estimate, solid.stiffness(paper.RATIO_MEAN)
-        known = paper.KNOWN_DROP_M[1] / paper.KNOWN_DROP_M[0]
+        published = paper.KNOWN_DROP_M[1] / paper.KNOWN_DROP_M[0]
         comparisons = [self._kn_row(kn_1d, kn_3d), self._band_row(found, solid)]
         text = [
             *base.text,
             *headline(found),
             *found.warnings[-2:],
             f"The one drop with published numbers, {1e3 * paper.KNOWN_DROP_M[0]:g} to "
-            f"{1e3 * paper.KNOWN_DROP_M[1]:g} mm, has y1/y0 = {known:.3f}; alone it asks for "
-            f"Kn = {found.curve.stiffness(known) / 1e6:.3g} MN/m.",
+            f"{1e3 * paper.KNOWN_DROP_M[1]:g} mm, has y1/y0 = {published:.3f}; alone it asks for "
+            f"Kn = {found.curve.stiffness(published) / 1e6:.3g} MN/m.",
         ]
         return Section(
             "kn",
@@ -145,9 +145,9 @@ class Figures10To12:
         y0, y1, _ = self.cloud(curve, RESAMPLED * paper.N_DROPS, SEED + 1)
         y0, y1 = y0.reshape(RESAMPLED, -1), y1.reshape(RESAMPLED, -1)
         slope = np.sum(y0 * y1, axis=1) / np.sum(y0 * y0, axis=1)
-        left = np.sum((y1 - slope[:, None] * y0) ** 2, axis=1)
+        residual = np.sum((y1 - slope[:, None] * y0) ** 2, axis=1)
         about = np.sum((y1 - y1.mean(axis=1, keepdims=True)) ** 2, axis=1)
-        return tuple(np.percentile(1.0 - left / about, [5.0, 95.0]).tolist())
+        return tuple(np.percentile(1.0 - residual / about, [5.0, 95.0]).tolist())
 
     def section(self, results: Results) -> Section:
         curve = self.kn.calibration(results).curve

@@ -150,17 +150,17 @@ def told(sets: Sequence[Closed]) -> list[str]:
     """What holds over the sets, in words; the first paragraph is the answer."""
     n, findings = len(sets), [each.finding for each in sets]
     verdicts = _counted(str(each.verdict) for each in findings)
-    answer = f"over {n} sets with the published summaries the loop's verdict is {verdicts}."
+    sentence = f"over {n} sets with the published summaries the loop's verdict is {verdicts}."
     pooled = _pooled(findings)
     if pooled:
-        answer += " Named, with the probability averaged over the sets: " + "; ".join(
+        sentence += " Named, with the probability averaged over the sets: " + "; ".join(
             f"{title_of(name)} {np.mean(w):.2f} ({min(w):.2f} to {max(w):.2f})"
             for name, w in pooled.items()
         )
         always = [title_of(name) for name, w in pooled.items() if min(w) > 0.0]
-        answer += f". Named in every set: {' and '.join(always) or 'none'}."
+        sentence += f". Named in every set: {' and '.join(always) or 'none'}."
         by_chance = sum(_differs_by_chance(each) for each in sets)
-        answer += (
+        sentence += (
             f" In {by_chance} of {n} sets the likeliest is something that differs from drop to "
             "drop by chance."
         )
@@ -170,7 +170,7 @@ def told(sets: Sequence[Closed]) -> list[str]:
             " What differs by chance cannot be predicted drop by drop: it widens the interval and "
             "leaves the error."
         )
-    return [f"{answer}{_reach(findings)}", errors, _further(findings)]
+    return [f"{sentence}{_reach(findings)}", errors, _further(findings)]
 
 
 def _counted(words: Iterable[str]) -> str:
@@ -191,13 +191,13 @@ def _differs_by_chance(closed: Closed) -> bool:
 
 def _reach(findings: Sequence[Finding]) -> str:
     """How far the intervals of parameters that all sets have reach together."""
-    said = []
+    sentences = []
     for name, one in findings[0].parameters.items():
         every = [each.parameters[name] for each in findings if name in each.parameters]
         if len(every) == len(findings):
             low, high = min(x.low for x in every), max(x.high for x in every)
-            said.append(f"{name} {show(low, 2)} to {show(high, 2)} {one.unit}".rstrip())
-    return f" Over the sets the 90 % intervals span: {'; '.join(said)}." if said else ""
+            sentences.append(f"{name} {show(low, 2)} to {show(high, 2)} {one.unit}".rstrip())
+    return f" Over the sets the 90 % intervals span: {'; '.join(sentences)}." if sentences else ""
 
 
 def _errors(findings: Sequence[Finding]) -> str:
@@ -217,10 +217,12 @@ def _errors(findings: Sequence[Finding]) -> str:
 def _further(findings: Sequence[Finding]) -> str:
     noise = _counted(str(each.noise["finding"]) for each in findings if each.noise["finding"])
     tied = [each.next_experiment for each in findings if each.next_experiment is not None]
-    said = f"Of the noise the drops say other than declared: {noise or 'nothing, in any set'}."
+    sentence = f"Of the noise the drops say other than declared: {noise or 'nothing, in any set'}."
     if not tied:
-        return f"{said} No set leaves several effects tied, so that none asks for a measurement."
-    return f"{said} What would decide between those tied: {_counted(x.change for x in tied)}."
+        return (
+            f"{sentence} No set leaves several effects tied, so that none asks for a measurement."
+        )
+    return f"{sentence} What would decide between those tied: {_counted(x.change for x in tied)}."
 
 
 def _drops(drawn: Sequence[tuple[Array, Array]]) -> Figure:

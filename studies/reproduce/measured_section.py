@@ -54,12 +54,12 @@ class LoopOnMeasured(LoopStudy):
 def _words(closed: Closed) -> str:
     manifest, held = closed.manifest, closed.finding.held_out
     whence = f"{manifest.source}; licence {manifest.licence}"
-    said = [f"{manifest.title} ({whence}).", *headline(closed)]
+    sentences = [f"{manifest.title} ({whence}).", *headline(closed)]
     if held is not None:
-        said.append(
+        sentences.append(
             f"Within 90 % intervals: {percent(held.coverage_90, 0)} of the held-out values."
         )
-    return " ".join(said)
+    return " ".join(sentences)
 
 
 def _figure(closed: Closed) -> Figure:

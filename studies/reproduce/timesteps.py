@@ -132,7 +132,7 @@ class StepStudy:
         return {kn: quarter_period_s(mass, kn) for kn in self.setup.kn_N_m}
 
     def _rule_words(self, needs: dict[tuple[str, Key], Need]) -> list[str]:
-        said = [
+        sentences = [
             "The paper's rule takes ITS from the time to greatest penetration of a mass on a "
             "spring, tp − ti (Eq. 8)."
         ]
@@ -142,12 +142,12 @@ class StepStudy:
                 for kn, rule in self._rules().items()
             ]
             (low, at_low), (high, at_high) = min(shares), max(shares)
-            said.append(
+            sentences.append(
                 f"For {percent(GOAL, 0)} in {label} the step must be {low:.2g} "
                 f"(at {stiffness_label(at_low)}) to {high:.2g} (at {stiffness_label(at_high)}) "
                 "times tp − ti."
             )
-        return [" ".join(said)]
+        return [" ".join(sentences)]
 
     def _at_own(self, found: tuple[Array, Array]) -> float:
         its, error = found

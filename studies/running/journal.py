@@ -64,9 +64,9 @@ class Journal:
             with uninterrupted(), self.path.open("ab", buffering=0) as file:
                 end = file.tell()
                 try:
-                    left = memoryview(line)
-                    while left:  # what does not fit raises when it is tried again
-                        left = left[file.write(left) :]
+                    remaining = memoryview(line)
+                    while remaining:  # what does not fit raises when it is tried again
+                        remaining = remaining[file.write(remaining) :]
                     os.fsync(file.fileno())
                 except OSError:
                     file.truncate(end)

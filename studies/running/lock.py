@@ -63,7 +63,7 @@ def lock_folder(folder: Path) -> None:
 
 
 def _wait(descriptor: int, folder: Path) -> None:
-    until, told = time.monotonic() + PATIENCE_S, False
+    until, announced = time.monotonic() + PATIENCE_S, False
     while True:
         try:
             fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -75,7 +75,7 @@ def _wait(descriptor: int, folder: Path) -> None:
             if error.errno in UNKNOWN:
                 return
             raise
-        if not told:
+        if not announced:
             note(f"waiting for another run that writes into {folder} …")
-            told = True
+            announced = True
         time.sleep(AGAIN_S)

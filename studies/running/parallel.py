@@ -70,13 +70,13 @@ def rank_0_speaks() -> Iterator[None]:
     if speaks():
         yield
         return
-    kept = sys.stdout, sys.stderr
+    streams = sys.stdout, sys.stderr
     with Path(os.devnull).open("w") as nowhere:
         sys.stdout = sys.stderr = nowhere
         try:
             yield
         finally:
-            sys.stdout, sys.stderr = kept
+            sys.stdout, sys.stderr = streams
 
 
 @dataclass(frozen=True)

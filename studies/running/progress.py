@@ -129,14 +129,14 @@ def compilation_noted() -> Iterator[None]:
 
     class Once(events.Listener):
         def on_start(self, event: events.Event) -> None:
-            if not told:
-                told.append("compiling for this machine, minutes the first time …")
-                note(told[0])
+            if not notes:
+                notes.append("compiling for this machine, minutes the first time …")
+                note(notes[0])
 
         def on_end(self, event: events.Event) -> None:
             pass
 
-    told: list[str] = []
+    notes: list[str] = []
     with events.install_listener("numba:compile", Once()):
         yield
 

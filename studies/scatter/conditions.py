@@ -147,15 +147,15 @@ def ground_under(
     cos, sin = np.cos(turn)[:, None], np.sin(turn)[:, None]
     middle = np.einsum("i,dix->dx", points.weights, places)
     x, y = np.moveaxis(places - middle[:, None], -1, 0)
-    seen = surface.patch(
+    patch = surface.patch(
         (released.x_m[:, None] + cos * x - sin * y).ravel(),
         (released.y_m[:, None] + sin * x + cos * y).ravel(),
     )
-    nx, ny, nz = seen.normals.reshape(*shape, 3).transpose(2, 0, 1)
+    nx, ny, nz = patch.normals.reshape(*shape, 3).transpose(2, 0, 1)
     normals = np.stack([cos * nx + sin * ny, cos * ny - sin * nx, nz], axis=-1)
     mean = surface.mean_contact_modulus_Pa(*steel)
-    scale = contact_stiffness_factor(seen.youngs_Pa, seen.poisson, *steel, mean)
-    return Under(normals, seen.heights_m.reshape(shape), scale.reshape(shape), places)
+    scale = contact_stiffness_factor(patch.youngs_Pa, patch.poisson, *steel, mean)
+    return Under(normals, patch.heights_m.reshape(shape), scale.reshape(shape), places)
 
 
 def drops_of(released: Conditions, under: Under, kn_N_m: float, mu: float) -> Drops:

@@ -54,7 +54,7 @@ def write_scatter(
     ratio, y0 = found.ratio, found.released.height_m
     y1 = ratio * y0
     everything = {**vars(found.released), **vars(found.local)}
-    said = spread(ratio, random)
+    statistics = spread(ratio, random)
     parts = shares(ratio, {name: everything[name] for name in FACTORS}, random)
     samples = sampled(y0, y1, generator(inputs.seed, SAMPLES))
     slope = float(through_origin(y0, y1))
@@ -71,7 +71,7 @@ def write_scatter(
         ),
     )
     sections = [
-        _spread_section(said, found),
+        _spread_section(statistics, found),
         _measured_section(samples, cloud),
         _causes_section(parts, found),
         _conditions_section(inputs, surface, check),
@@ -79,25 +79,25 @@ def write_scatter(
     ]
     page = Report(
         title="Scatter of the rebound",
-        lead=f"{said.n} drops of bristles that lean by chance onto {_ground_words(inputs)}.",
+        lead=f"{statistics.n} drops of bristles that lean by chance onto {_ground_words(inputs)}.",
         version=__version__,
         command=command_line("scatter", inputs, checked(ScatterInputs, {}), out),
-        headline=headline(said, samples),
+        headline=headline(statistics, samples),
         facts=_facts(inputs, found),
         sections=sections,
     )
     write_report(page, out)
     return {
         "statistics": {
-            "mean": asdict(said.mean),
-            "std": asdict(said.std),
+            "mean": asdict(statistics.mean),
+            "std": asdict(statistics.std),
             "percentiles": {
                 name: asdict(each)
-                for name, each in zip(("p5", "p50", "p95"), said.percentiles, strict=True)
+                for name, each in zip(("p5", "p50", "p95"), statistics.percentiles, strict=True)
             },
-            "share_in_0.30_to_1.00": asdict(said.in_band),
-            "share_above_1": said.above_one,
-            "skewness": said.skewness,
+            "share_in_0.30_to_1.00": asdict(statistics.in_band),
+            "share_above_1": statistics.above_one,
+            "skewness": statistics.skewness,
             "slope_through_origin": slope,
         },
         "factors": {share.name: asdict(share) for share in parts},
@@ -247,10 +247,10 @@ def _measured_section(samples: list[Sampled], cloud: Figure) -> Section:
 def _causes_section(parts: list[Share], found: Scatter) -> Section:
     rows: list[list[str | float | None]] = []
     for part in parts:
-        known = part.first_order
+        index = part.first_order
         ends: list[float | None] = [None, None, None]
-        if known is not None:
-            ends = [known.estimate, known.low, known.high]
+        if index is not None:
+            ends = [index.estimate, index.low, index.high]
         rows.append([FACTORS[part.name], *ends, part.correlation])
     table = Table(
         "causes",

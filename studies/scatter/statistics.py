@@ -181,10 +181,10 @@ def _rank_correlation(ratio: Array, factor: Array) -> float | None:
 def r_squared(y0_m: Array, y1_m: Array) -> Array:
     """R² of y1 = a y0 about the mean of y1, along the last axis; NaN where all y1 are the same."""
     slope = through_origin(y0_m, y1_m)
-    left = np.sum((y1_m - slope[..., None] * y0_m) ** 2, axis=-1)
+    residual = np.sum((y1_m - slope[..., None] * y0_m) ** 2, axis=-1)
     about = np.sum((y1_m - y1_m.mean(axis=-1, keepdims=True)) ** 2, axis=-1)
     about = np.where(about > SAME**2 * np.sum(y1_m**2, axis=-1), about, np.nan)
-    return np.asarray(1.0 - left / about)
+    return np.asarray(1.0 - residual / about)
 
 
 def through_origin(y0_m: Array, y1_m: Array) -> Array:

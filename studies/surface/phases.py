@@ -166,15 +166,15 @@ def random_phases(
     y, x = np.divmod(np.arange(len(phase)), shape[1])
     nodes = np.column_stack([x, y]) * spacing_m
     samples = _even_points(period, composite)
-    left = 1.0
+    remaining = 1.0
     is_matrix = np.ones(len(nodes), dtype=bool)
     for number, grain, fraction in composite.aggregates:
         count = max(1, round(fraction * period.prod() / (math.pi / 4 * grain**2)))
         cells = _Cells(_spread_seeds(samples, count, period, rng), period)
         depth = cells.depth(samples)
-        threshold = np.quantile(depth, 1 - min(1.0, fraction / left))
+        threshold = np.quantile(depth, 1 - min(1.0, fraction / remaining))
         samples = samples[depth <= threshold]
-        left -= fraction
+        remaining -= fraction
         taken = np.flatnonzero(is_matrix)
         taken = taken[cells.depth(nodes[taken]) > threshold]
         phase[taken] = number

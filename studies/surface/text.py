@@ -51,10 +51,10 @@ def read_text(path: Path, spacing_m: float | None, unit_m: float) -> tuple[Array
     """
     lines: list[int] = []
     rows: list[list[float]] = []
-    said: float | None = None
+    declared: float | None = None
     for line, content in _lines(path):
         if isinstance(content, float):
-            said = content
+            declared = content
             continue
         if rows and len(content) != len(rows[0]):
             raise ValueError(
@@ -68,10 +68,10 @@ def read_text(path: Path, spacing_m: float | None, unit_m: float) -> tuple[Array
         raise ValueError(f"{path}: there are no numbers in it.")
     table = np.array(rows) * unit_m
     if table.shape[1] == 3:
-        if spacing_m is not None or said is not None:
+        if spacing_m is not None or declared is not None:
             raise ValueError(f"{path}: a list of points x y z has its spacing from its points.")
         return _grid_of_points(path, table, lines)
-    spacing = spacing_m if spacing_m is not None else said
+    spacing = spacing_m if spacing_m is not None else declared
     if spacing is None:
         raise ValueError(
             f"{path}: a matrix of {table.shape[0]} × {table.shape[1]} heights needs a spacing: "
@@ -86,7 +86,7 @@ def _lines(path: Path) -> Iterator[tuple[int, list[float] | float]]:
         text = path.read_text(encoding="utf-8-sig")
     except UnicodeDecodeError as error:
         raise ValueError(f"{path}: is not a text file ({error.reason}).") from None
-    seen = False
+    started = False
     for number, line in enumerate(text.splitlines(), start=1):
         if not (stripped := line.strip()):
             continue
@@ -95,9 +95,9 @@ def _lines(path: Path) -> Iterator[tuple[int, list[float] | float]]:
                 yield number, _spacing(match[1], f"{path}:{number}")
             continue
         fields = _split(stripped)
-        if seen or any(_is_number(field) for field in fields):
+        if started or any(_is_number(field) for field in fields):
             yield number, [_height(field, f"{path}:{number}") for field in fields]
-        seen = True
+        started = True
 
 
 def _split(line: str) -> list[str]:

@@ -235,8 +235,8 @@ def _exaggerated(wave: Wave) -> str:
     """ParaView's formula for a displacement whose part beyond the stand is made larger."""
     stand, factor = wave.stand, wave.exaggeration
     placed = np.column_stack([stand.turn - np.eye(3), -stand.turn @ stand.touching_m])
-    kept = (1.0 - factor) * placed
-    parts = [f"{factor}*displacement_m", *(_along("ijk"[k], kept[k]) for k in range(3))]
+    moved = (1.0 - factor) * placed
+    parts = [f"{factor}*displacement_m", *(_along("ijk"[k], moved[k]) for k in range(3))]
     return "+".join(parts).replace("+-", "-")
 
 
@@ -263,8 +263,8 @@ class _Scene:
         corners = np.array(list(itertools.product(*self.box_m.T)))
         fourth = self.ground_m[1] + self.ground_m[2] - self.ground_m[0]
         shown = np.vstack([corners, self.ground_m, fourth]) / [1.0, 1.0, self.compression]
-        seen = shown @ across.T
-        low, high = seen.min(axis=0), seen.max(axis=0)
+        projected = shown @ across.T
+        low, high = projected.min(axis=0), projected.max(axis=0)
         middle = 0.5 * (low + high) @ across
         half = 0.5 * (high - low) / [VIEW_WIDTH, 1.0]
         return [away.tolist(), [0.0, 0.0, 1.0], middle.tolist(), ROOM * float(half.max())]

@@ -207,10 +207,10 @@ class DropModel(BounceModel):
         b, (top, time, force) = self.bounced(theta)
         top = risen(top, b.drag_1_m)
         gain = 1.0 if self.gain is None else theta[..., len(self.own) - 1, None, None]
-        seen = (b.scale * (top + b.offset_m), b.clock * time, gain * force + 0.0 * b.clock)
+        observed = (b.scale * (top + b.offset_m), b.clock * time, gain * force + 0.0 * b.clock)
         nodes = len(self.weights)
-        full = np.broadcast_shapes(*(each.shape for each in seen), (nodes, len(drops)))
-        chosen = [np.broadcast_to(seen[q], full) for q in drops.quantities]
+        full = np.broadcast_shapes(*(each.shape for each in observed), (nodes, len(drops)))
+        chosen = [np.broadcast_to(observed[q], full) for q in drops.quantities]
         return np.stack(chosen, axis=-1)
 
 

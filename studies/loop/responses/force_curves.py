@@ -313,12 +313,14 @@ def table_errors(tables: ForceTables, names: Sequence[str], kn_N_m: float) -> Ar
             height = rng.uniform(emulator.lowest_m, emulator.highest_m)
             kn = kn_N_m * 10.0 ** rng.uniform(-0.2, 0.2)
             scene = replace(emulator.plain(), height_m=height, law=Linear(kn))
-            told = tables.plain.at(np.array(height), np.array(kn))
+            tabulated = tables.plain.at(np.array(height), np.array(kn))
             if name:
                 typical = [each.typical for each in EFFECTS[name].parameters]
                 scene = effect_at(name, *typical).enter(scene)
-                told = told + tables.change(name, np.array(height), np.array(kn), *typical)
+                tabulated = tabulated + tables.change(
+                    name, np.array(height), np.array(kn), *typical
+                )
             found = emulator.curve(scene, finer=2.0) @ emulator.shapes.T / CELLS
             if np.isfinite(found).all():
-                misses.append(told - found)
+                misses.append(tabulated - found)
     return np.asarray(np.sqrt(np.mean(np.square(misses), axis=0)))

@@ -68,9 +68,9 @@ def drops_problem(data: datasets.Drops) -> Problem:
     bare = DropModel(drops, tables, kn, (), unwhitened, beta=beta, gain=gain)
     sigma = np.array([sigmas[q] for q in drops.quantities])
     start = _start(bare, values, sigma)
-    seen = bare.measured(start)[0]
+    predicted = bare.measured(start)[0]
     steeper = dict(
-        zip(drops.quantities, np.median(values, axis=0) / np.median(seen, axis=0), strict=True)
+        zip(drops.quantities, np.median(values, axis=0) / np.median(predicted, axis=0), strict=True)
     )
     whiten = _whitening(bare, start, sigma, steeper)
     n_q = len(drops.quantities)

@@ -127,10 +127,10 @@ def scenes_of(
     """
     effects = _effects(model, theta)
     drops, emulator = model.drops, model.drops.emulator
-    seen = enter_all(Scene(), [e for e in effects if e.place.value == "observation"])
+    observed = enter_all(Scene(), [e for e in effects if e.place.value == "observation"])
     out = []
     for i in which:
-        height = max(float(drops.y0_m[i]) / seen.y_scale - seen.y_offset_m, 1e-5)
+        height = max(float(drops.y0_m[i]) / observed.y_scale - observed.y_offset_m, 1e-5)
         scene = replace(
             emulator.plain(),
             height_m=height,

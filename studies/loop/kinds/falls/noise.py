@@ -62,13 +62,13 @@ def noise_of(times_s: Sequence[Array], means_m_s2: Sequence[Array]) -> Noise:
 
 
 def _likeliest(times_s: Sequence[Array], means_m_s2: Sequence[Array], degree: int) -> Noise:
-    seen = _beyond(times_s, means_m_s2, degree)
-    freedom = sum(values.size for _, values in seen)
+    excess = _beyond(times_s, means_m_s2, degree)
+    freedom = sum(values.size for _, values in excess)
 
     def height(growth: float, correlation: float) -> tuple[float, Noise]:
         plain = Noise(1.0, growth, correlation)
         squares = logs = 0.0
-        for bases, values in seen:
+        for bases, values in excess:
             own = np.swapaxes(bases, 1, 2) @ plain.covariance(bases.shape[1]) @ bases
             squares += float(np.sum(values * np.linalg.solve(own, values[..., None])[..., 0]))
             logs += float(np.linalg.slogdet(own)[1].sum())

@@ -154,8 +154,8 @@ def _combine(bins: Bins) -> Callable[[tuple[str, ...]], FallModel]:
     def combine(effects: tuple[str, ...]) -> FallModel:
         for name in effects:
             if name not in EFFECT_PARAMETERS:
-                known = ", ".join(EFFECT_PARAMETERS)
-                raise InputError(f"a falls dataset cannot carry {name}; {known} it can")
+                names = ", ".join(EFFECT_PARAMETERS)
+                raise InputError(f"a falls dataset cannot carry {name}; {names} it can")
         return FallModel(bins, tuple(effects))
 
     return combine

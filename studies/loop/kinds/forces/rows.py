@@ -98,11 +98,11 @@ def _placed(record: Record, curves: Array, cell_s: float) -> Placed:
     step = max(float(np.median(np.diff(record.t_s))), cell_s)
     begin, end = float(record.t_s[0]), float(record.t_s[-1])
     grid = np.arange(begin, end + step, step)
-    seen = np.interp(grid, record.t_s, record.force_N, left=0.0, right=0.0)
+    sampled = np.interp(grid, record.t_s, record.force_N, left=0.0, right=0.0)
     length = curves.shape[1] * cell_s
     own = at_times(curves, cell_s, np.arange(0.5 * step, length, step))
     size = 1 << int(np.ceil(np.log2(len(grid) + 2 * own.shape[1])))
-    spectrum = np.fft.rfft(seen, size) * np.conj(np.fft.rfft(own, size, axis=1))
+    spectrum = np.fft.rfft(sampled, size) * np.conj(np.fft.rfft(own, size, axis=1))
     together = np.fft.irfft(spectrum, size, axis=1)
     shifts = np.fft.fftfreq(size, 1.0 / size).round().astype(np.int64)
     allowed = (shifts > -0.2 * own.shape[1]) & (shifts < len(grid))
@@ -184,13 +184,13 @@ def rows(
             leading.append(k)
             known.append(size)
     directions, aside = np.array(basis), away.shape[1]
-    seen = directions @ force
-    left = force - directions.T @ seen
+    amounts = directions @ force
+    residual = force - directions.T @ amounts
     return Rows(
-        values=seen[aside:],
+        values=amounts[aside:],
         weights=directions[aside:] @ columns,
         leading=np.array(leading, dtype=np.int64),
         known=np.array(known),
-        left=float(left @ left),
+        left=float(residual @ residual),
         freedom=len(force) - len(directions),
     )

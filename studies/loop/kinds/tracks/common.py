@@ -59,7 +59,7 @@ def _common_features(tracks: Sequence[Track], per_drag_m: Array) -> tuple[Array,
     by[np.arange(drops), FEATURES.index("r"), n + np.arange(drops)] = 1.0
     values = np.concatenate([each.values for each in tracks])
     bent: Array = np.full(drops, 0.5)
-    said: Array = np.zeros(n + drops)
+    solution: Array = np.zeros(n + drops)
     for _ in range(3):
         by[:, FEATURES.index("h"), 5] = bent * per_drag_m
         parts, i = [], 0
@@ -68,9 +68,9 @@ def _common_features(tracks: Sequence[Track], per_drag_m: Array) -> tuple[Array,
             parts.append(each.weights @ by[i:end].reshape(-1, n + drops))
             i = end
         design = np.vstack([*parts, tight])
-        said = np.linalg.lstsq(design, np.pad(values, (0, len(tight))), rcond=None)[0]
-        drag = by[:, FEATURES.index("u")] @ said
+        solution = np.linalg.lstsq(design, np.pad(values, (0, len(tight))), rcond=None)[0]
+        drag = by[:, FEATURES.index("u")] @ solution
         bent = np.array([(heightened(u) - 1.0) / u if abs(u) > 1e-6 else 0.5 for u in drag])
-    left = values - design[: len(values)] @ said
-    apart = float(left @ left) / max(len(values) - len(said), 1)
-    return by @ said, float(np.sqrt(max(apart, 1.0)))
+    residual = values - design[: len(values)] @ solution
+    apart = float(residual @ residual) / max(len(values) - len(solution), 1)
+    return by @ solution, float(np.sqrt(max(apart, 1.0)))

@@ -126,26 +126,26 @@ def _of_noise(
 ) -> list[str]:
     """What frames say of their own uncertainty beside what is declared; ``taken`` is that in m, and
     the length of a pixel."""
-    said = []
+    sentences = []
     sigma, pixel = taken
     if not declared:
-        seen = f"{sigma / pixel:.3g} px" if pixel else f"{1e3 * sigma:.3g} mm"
-        said.append(
-            f"no uncertainty of a height is declared: {seen} is taken, by which frames scatter "
+        size = f"{sigma / pixel:.3g} px" if pixel else f"{1e3 * sigma:.3g} mm"
+        sentences.append(
+            f"no uncertainty of a height is declared: {size} is taken, by which frames scatter "
             "about their own parabolas"
         )
     elif _is_off(scatter, count):
-        said.append(
+        sentences.append(
             f"frames scatter about their own parabolas by {np.sqrt(scatter):.2f} times the "
             "declared uncertainty"
             + (", and are taken to be as uncertain as that" if scatter > 1.0 else "")
         )
     if memory:
-        said.append(
+        sentences.append(
             f"errors of frames that follow each other are alike (correlation {memory:.2f}); rows "
             "are taken to be as uncertain as that makes them"
         )
-    return said
+    return sentences
 
 
 def faster(film: Film, found: Track, fps: float) -> Track:
@@ -153,8 +153,8 @@ def faster(film: Film, found: Track, fps: float) -> Track:
     t = np.arange(film.t_s[0], film.t_s[-1], 1.0 / fps)
     more = replace(film, t_s=t, y_m=np.interp(t, film.t_s, film.y_m))
     phase, held = phases(more, found.p)
-    seen = heights(found.p, t, phase, film.gravity_m_s2)
-    return reduced(replace(more, y_m=seen), found.p, phase, held)
+    predicted = heights(found.p, t, phase, film.gravity_m_s2)
+    return reduced(replace(more, y_m=predicted), found.p, phase, held)
 
 
 def _bounces_upright(data: Tracks) -> bool:
@@ -280,32 +280,32 @@ def _left_aside(
     data: Tracks, found: Sequence[Track | None], bounces: int, straying: int
 ) -> tuple[str, ...]:
     """What of the films is not used, and why; ``straying`` of them follow no parabolas."""
-    n, said = len(found), []
+    n, reasons = len(found), []
     tracks = [each for each in found if each is not None]
     falls = sum(not each.bounces for each in tracks)
     further = sum(_goes_on(data, i, each, bounces) for i, each in enumerate(found))
     mistaken = sum(each.mistaken for each in tracks)
     unseen = n - len(tracks) - straying
     if straying:
-        said.append(
+        reasons.append(
             f"{straying} of {n} films lie {STRAYING:.0f} times farther from any parabolas than "
             "others do, and are not used"
         )
     if unseen:
-        said.append(f"{unseen} of {n} films do not show a fall unmistakably, and are not used")
+        reasons.append(f"{unseen} of {n} films do not show a fall unmistakably, and are not used")
     if falls:
-        said.append(f"{falls} of {n} films show no bounce, and serve the fall alone")
+        reasons.append(f"{falls} of {n} films show no bounce, and serve the fall alone")
     if further:
-        said.append(
+        reasons.append(
             f"{further} of {n} films go on after the second impact, which is not used: a bristle "
             "that has bounced rings and may lean"
         )
     if mistaken:
-        said.append(
+        reasons.append(
             f"{mistaken} of {len(data.y)} frames lie farther from their films' parabolas than "
             "scatter takes them, and are not used"
         )
-    return tuple(said)
+    return tuple(reasons)
 
 
 def _goes_on(data: Tracks, film: int, found: Track | None, bounces: int) -> bool:

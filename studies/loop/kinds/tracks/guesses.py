@@ -129,7 +129,7 @@ def _fitted(
         return np.inf
     x[1] = np.sqrt(ratio) * x[0]
     for _ in range(3):
-        normal, push = np.zeros((4, 4)), np.zeros(4)
+        normal, right = np.zeros((4, 4)), np.zeros(4)
         falls, rises = 0, 0
         for i in range(len(t)):
             row = np.zeros(4)
@@ -138,32 +138,32 @@ def _fitted(
                 if held and tau > x[0] / x[3]:
                     row[0] = x[0] / x[3]
                     row[3] = -0.5 * (x[0] / x[3]) ** 2
-                    seen = 0.5 * x[0] ** 2 / x[3]
+                    height = 0.5 * x[0] ** 2 / x[3]
                 else:
                     row[0], row[3] = tau, -0.5 * tau * tau
-                    seen = x[0] * tau - 0.5 * x[3] * tau * tau
+                    height = x[0] * tau - 0.5 * x[3] * tau * tau
                     falls += 1
             elif tau < -margin and -tau < 2.0 * x[1] / x[3] - margin:
                 row[1], row[3] = -tau, -0.5 * tau * tau
-                seen = -x[1] * tau - 0.5 * x[3] * tau * tau
+                height = -x[1] * tau - 0.5 * x[3] * tau * tau
                 rises += 1
             else:
                 continue
             row[2] = 1.0
-            left = (y[i] - x[2] - seen) / sigma
+            residual = (y[i] - x[2] - height) / sigma
             for k in range(4):
-                push[k] += row[k] / sigma * left
+                right[k] += row[k] / sigma * residual
                 for m in range(4):
                     normal[k, m] += row[k] * row[m] / sigma**2
         if rises == 0 or falls == 0:
             return np.inf
         normal[2, 2] += 1.0 / floor[1] ** 2
-        push[2] += (floor[0] - x[2]) / floor[1] ** 2
+        right[2] += (floor[0] - x[2]) / floor[1] ** 2
         normal[3, 3] += 1.0 / gravity[1] ** 2
-        push[3] += (gravity[0] - x[3]) / gravity[1] ** 2
+        right[3] += (gravity[0] - x[3]) / gravity[1] ** 2
         for k in range(4):
             normal[k, k] *= 1.0 + 1e-9
-        x += np.linalg.solve(normal, push)
+        x += np.linalg.solve(normal, right)
         if not (x[0] > 0.0 and x[1] > 0.0 and x[3] > 0.2 * gravity[0]):
             return np.inf
         x[3] = min(x[3], 5.0 * gravity[0])
@@ -174,21 +174,21 @@ def _fitted(
         weight, error = 1.0, sigma
         if tau > 0.0:
             if held and tau > x[0] / x[3]:
-                seen = 0.5 * x[0] ** 2 / x[3]
+                height = 0.5 * x[0] ** 2 / x[3]
             else:
-                seen = x[0] * tau - 0.5 * x[3] * tau * tau
+                height = x[0] * tau - 0.5 * x[3] * tau * tau
         elif -tau < 2.0 * x[1] / x[3]:
-            seen = -x[1] * tau - 0.5 * x[3] * tau * tau
+            height = -x[1] * tau - 0.5 * x[3] * tau * tau
         else:
             weight, error = LATER, later
             ratio_seen = min((x[1] / x[0]) ** 2, 1.0)
             rest, v = -tau - 2.0 * x[1] / x[3], x[1] * np.sqrt(ratio_seen)
-            seen = 0.0
+            height = 0.0
             for _ in range(8):
                 if rest < 2.0 * v / x[3]:
-                    seen = v * rest - 0.5 * x[3] * rest * rest
+                    height = v * rest - 0.5 * x[3] * rest * rest
                     break
                 rest -= 2.0 * v / x[3]
                 v *= np.sqrt(ratio_seen)
-        cost += weight * min(((y[i] - x[2] - seen) / error) ** 2, CAP)
+        cost += weight * min(((y[i] - x[2] - height) / error) ** 2, CAP)
     return cost

@@ -70,8 +70,8 @@ def _is_still(film: Film, held: NDArray[np.bool_]) -> bool:
         return bool(np.ptp(y_m) < 2.0 * MOVING * film.sigma_y_m)
     since = t_s - t_s.mean()
     slope = float(since @ y_m) / float(since @ since)
-    left = y_m - y_m.mean() - slope * since
-    sigma = math.sqrt(float(left @ left) / (len(t_s) - 2) / float(since @ since))
+    residual = y_m - y_m.mean() - slope * since
+    sigma = math.sqrt(float(residual @ residual) / (len(t_s) - 2) / float(since @ since))
     return abs(slope) < MOVING * max(sigma, film.sigma_y_m / math.sqrt(float(since @ since)))
 
 

@@ -176,19 +176,19 @@ class TrackModel(BounceModel):
 
 def tracks_problem(data: Tracks) -> Problem:
     """The problem of a dataset of tracks. Raises InputError where it cannot be one."""
-    seen = filmed(data)
-    tracks, numbers = seen.tracks, seen.number
+    films = filmed(data)
+    tracks, numbers = films.tracks, films.number
     drops_of = np.array([len(each.speed_m_s) for each in tracks])
     order = np.repeat(numbers - data.drop[0], drops_of)
-    plain = _model(data.manifest, seen, tracks, order)
+    plain = _model(data.manifest, films, tracks, order)
     y0 = plain.drops.y0_m
 
     def combine(effects: tuple[str, ...]) -> TrackModel:
         return replace(plain, effects=tuple(effects))
 
     def filmed_faster(effects: tuple[str, ...]) -> TrackModel:
-        fps = seen.faster_fps
-        others = [faster(film, each, fps) for film, each in zip(seen.films, tracks, strict=True)]
+        fps = films.faster_fps
+        others = [faster(film, each, fps) for film, each in zip(films.films, tracks, strict=True)]
         weights_of, of = _rows(others)
         return replace(combine(effects), weights_of=weights_of, of=of)
 
@@ -209,22 +209,22 @@ def tracks_problem(data: Tracks) -> Problem:
         baseline=plain,
         candidates=[
             combine((name,))
-            for name in _candidates(seen, plain.beta is not None)
+            for name in _candidates(films, plain.beta is not None)
             if plain.drops.emulator.carries(name)
         ],
         combine=combine,
         experiments=[
-            Experiment(f"film the same drops at {seen.faster_fps:g} frames/s", filmed_faster)
+            Experiment(f"film the same drops at {films.faster_fps:g} frames/s", filmed_faster)
         ],
         confirm_why="films are compared with the beam's tables; the solid follows its drops",
-        sigma_declared=seen.sigma_known,
+        sigma_declared=films.sigma_known,
         notes={
-            "sigma_y_m": seen.sigma_y_m,
+            "sigma_y_m": films.sigma_y_m,
             "misfit": float(sum(each.misfit for each in tracks)),
             "freedom": int(sum(each.freedom for each in tracks)),
         },
-        warnings=seen.warnings,
-        left_aside=seen.left_aside,
+        warnings=films.warnings,
+        left_aside=films.left_aside,
     )
 
 

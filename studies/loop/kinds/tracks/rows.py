@@ -118,7 +118,7 @@ def reduced(film: Film, p: Array, phase: Phases, held: bool) -> Track:
     slopes = derivatives(p, t, part, g, steps_of(p))
     sigma = deviation(film, slopes)
     slopes /= sigma[:, None]
-    left = (film.y_m[used] - heights(p, t, part, g)) / sigma
+    residual = (film.y_m[used] - heights(p, t, part, g)) / sigma
     nuisances, features = is_free(film, p, held)
     frame, _ = np.linalg.qr(slopes[:, nuisances])
     speed = np.linalg.pinv(slopes[:, nuisances])[np.flatnonzero(nuisances) == 1][0]
@@ -142,7 +142,7 @@ def reduced(film: Film, p: Array, phase: Phases, held: bool) -> Track:
     every = np.array(basis)
     rows = every[n:].reshape(-1, len(t))
     of_rows = rows @ (slopes * features)
-    beyond = left - every.T @ (every @ left)
+    beyond = residual - every.T @ (every @ residual)
     in_row = part[2:] == part[:-2]
     one, two = (beyond[2:] - beyond[1:-1])[in_row], (beyond[2:] - beyond[:-2])[in_row]
     rises = rises_of(p, g)
@@ -151,9 +151,9 @@ def reduced(film: Film, p: Array, phase: Phases, held: bool) -> Track:
         phase=phase,
         held=held,
         speed_m_s=rises[:, 5] if len(rises) else p[1:2],
-        impact_m_s=float(p[1] + speed @ left - by_features @ p),
+        impact_m_s=float(p[1] + speed @ residual - by_features @ p),
         impact_weights=_by_drop(by_features[None])[0],
-        values=rows @ left + of_rows @ p,
+        values=rows @ residual + of_rows @ p,
         weights=_by_drop(of_rows),
         leading=np.array(leading, dtype=np.int64),
         drop=np.array(drop, dtype=np.int64),

@@ -33,12 +33,12 @@ def pixel_m(films: Sequence[Film]) -> tuple[float, int] | None:
     about = float(np.nanmedian([gravity for _, gravity in of_few]))
     if not np.isfinite(about):
         return None
-    seen = np.array([_seen(turned(film, sign), about)[1] for film in films])
-    middle = float(np.nanmedian(seen))
-    agree = np.abs(np.log(seen / middle)) < AGREEING
+    sizes = np.array([_seen(turned(film, sign), about)[1] for film in films])
+    middle = float(np.nanmedian(sizes))
+    agree = np.abs(np.log(sizes / middle)) < AGREEING
     if agree.sum() < max(0.5 * len(films), 2):
         return None
-    return films[0].gravity_m_s2 / float(np.median(seen[agree])), sign
+    return films[0].gravity_m_s2 / float(np.median(sizes[agree])), sign
 
 
 def turned(film: Film, sign: int) -> Film:

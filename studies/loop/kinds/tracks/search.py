@@ -113,10 +113,10 @@ def _mistaken(film: Film, p: Array, held: bool) -> NDArray[np.bool_]:
     """Frames (frames,) that lie where no neighbour's scatter can have put them."""
     phase, _ = phases(film, p)
     used = phase != UNUSED
-    left = np.abs(film.y_m - heights(p, film.t_s, phase, film.gravity_m_s2))
-    sigma = max(film.sigma_y_m, 1.4826 * float(np.median(left[used])) if used.any() else 0.0)
+    residual = np.abs(film.y_m - heights(p, film.t_s, phase, film.gravity_m_s2))
+    sigma = max(film.sigma_y_m, 1.4826 * float(np.median(residual[used])) if used.any() else 0.0)
     speed = np.abs(derivatives(p, film.t_s, phase, film.gravity_m_s2, steps_of(p))[:, 0])
-    return used & (left > OUTLYING * np.hypot(sigma, film.sigma_t_s * speed))
+    return used & (residual > OUTLYING * np.hypot(sigma, film.sigma_t_s * speed))
 
 
 def _prior(film: Film, p: Array) -> tuple[Array, Array]:
@@ -149,13 +149,13 @@ def _least(
     for _ in range(TURNS):
         slopes = derivatives(p, t, part, g, steps_of(p))[:, free] / sigma[:, None]
         slopes = np.vstack([slopes, np.diag(loose)])
-        normal, push = slopes.T @ slopes, slopes.T @ now
+        normal, gradient = slopes.T @ slopes, slopes.T @ now
         gained = 0.0
         while damping < 1e8 and not gained:
             new = p.copy()
             sizes = np.diag(normal)
             ridge = np.diag(damping * sizes + 1e-14 * sizes.max())
-            new[free] += np.linalg.solve(normal + ridge, push)
+            new[free] += np.linalg.solve(normal + ridge, gradient)
             new[1] = max(new[1], 0.2 * p[1])
             new[len(HEAD) :: 3] = np.maximum(new[len(HEAD) :: 3], 0.2 * p[len(HEAD) :: 3])
             after = left(new)
@@ -192,10 +192,10 @@ def _cost(film: Film, p: Array, held: bool) -> float:
     top_s = fall_of(p, g)[0]
     # each frame in the phase that it would have without any margin
     whole = np.where((t < top_s) & (held | (phase == UNUSED)), HELD, FALL)
-    seen = p if held else np.concatenate([p[:3], [_level(p, g)], p[4:]])
+    levelled = p if held else np.concatenate([p[:3], [_level(p, g)], p[4:]])
     for j in range(len(rises)):
         whole[t >= rises[j, 0]] = RISE + j
-    y = heights(seen, t, whole, g)
+    y = heights(levelled, t, whole, g)
     sigma = np.full(len(t), film.sigma_y_m)
     weight = np.ones(len(t))
     if len(rises):
@@ -249,13 +249,13 @@ def _bounced_on(film: Film, best: Settled, bounces: int) -> Settled:
 def _goes_on(film: Film, found: Settled) -> bool:
     """Whether the last bounce of a track has frames, and they lie as near to it as the others."""
     used = found.phase != UNUSED
-    seen = heights(found.p, film.t_s, found.phase, film.gravity_m_s2)
-    squares = (film.y_m - seen) ** 2
+    predicted = heights(found.p, film.t_s, found.phase, film.gravity_m_s2)
+    squares = (film.y_m - predicted) ** 2
     last = found.phase == found.phase.max()
     rises = (len(found.p) - len(HEAD)) // len(BOUNCE)
     if found.phase.max() != RISE + rises - 1 or last.sum() < LEAST_HELD:
         return False
-    if seen[last].max() - found.p[2] < LEAST_RISE * film.sigma_y_m:
+    if predicted[last].max() - found.p[2] < LEAST_RISE * film.sigma_y_m:
         return False
     return bool(squares[last].mean() < CLEAR * max(squares[used & ~last].mean(), film.sigma_y_m**2))
 
@@ -281,9 +281,9 @@ def _fall_alone(film: Film) -> Settled | None:
     t, y, g = film.t_s, film.y_m, film.gravity_m_s2
     release = np.linspace(4.0 * t[0] - 3.0 * t[-1], t[-1] - 0.02, 120)
     fallen = 0.5 * g * np.maximum(t - release[:, None], 0.0) ** 2
-    left = y + fallen
-    level = left.mean(axis=1)
-    best = int(np.argmin(((left - level[:, None]) ** 2).sum(axis=1)))
+    residual = y + fallen
+    level = residual.mean(axis=1)
+    best = int(np.argmin(((residual - level[:, None]) ** 2).sum(axis=1)))
     v = g * max(float(t[-1] - release[best]), 0.0)
     p = np.array([t[-1], v, level[best] - fallen[best, -1], 0.0, 0.0, 0.0])
     return _settled(film, p, 0)

@@ -104,7 +104,7 @@ def effect_parameters(data: Waves) -> dict[str, tuple[Parameter, ...]]:
     """
     loss = Parameter("loss_factor", "", 0.0, 0.1, 0.002, why="metals 1e-4 to 1e-2, and joints")
     love = Parameter("strength", "", 0.0, 2.0, 1.0, why="0 is a plain rod, 1 is Love's")
-    known = {
+    possible = {
         "hysteretic_damping": (loss,),
         "lateral_inertia": (love,),
         "attached_mass": (
@@ -115,8 +115,8 @@ def effect_parameters(data: Waves) -> dict[str, tuple[Parameter, ...]]:
     }
     if data.manifest.damping_declared:
         declared = max(data.manifest.bristle.material.beta_s, BETAS_S[0])
-        return {"material_damping": (_beta(1e-8, declared),), **known}
-    return known
+        return {"material_damping": (_beta(1e-8, declared),), **possible}
+    return possible
 
 
 @dataclass(frozen=True)
@@ -138,8 +138,8 @@ class WaveModel:
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        known = effect_parameters(self.propagation.data)
-        return self.baseline + tuple(p for name in self.effects for p in known[name])
+        possible = effect_parameters(self.propagation.data)
+        return self.baseline + tuple(p for name in self.effects for p in possible[name])
 
     @property
     def weights(self) -> Array:

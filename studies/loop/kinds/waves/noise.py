@@ -115,9 +115,9 @@ def whitening(own: Array, shared: Array, fitted: NDArray[np.bool_]) -> Whitening
     scale = total.copy()
     apart = np.flatnonzero(~fitted)
     factor[apart, apart] = 1.0 / total[apart]
-    kept = np.flatnonzero(fitted)
-    covariance = np.diag(own[kept] ** 2) + shared[kept] @ shared[kept].T
+    chosen = np.flatnonzero(fitted)
+    covariance = np.diag(own[chosen] ** 2) + shared[chosen] @ shared[chosen].T
     root = np.linalg.cholesky(covariance)
-    factor[np.ix_(kept, kept)] = np.linalg.inv(root)
-    scale[kept] = np.diag(root)
+    factor[np.ix_(chosen, chosen)] = np.linalg.inv(root)
+    scale[chosen] = np.diag(root)
     return Whitening(factor, scale)

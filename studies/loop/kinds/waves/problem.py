@@ -60,7 +60,7 @@ def wave_problem(data: Waves, library: Sequence[str] = LIBRARY) -> Problem:
     model = WaveModel(whole, baseline, real_synthesis(plain) @ white.factor.T)
     combine = _combine(model)
     values = white.factor @ layout.windows.components(data.predicted.signal)
-    known = effect_parameters(data)
+    possible = effect_parameters(data)
     return Problem(
         values=values,
         scale=white.scale,
@@ -72,7 +72,7 @@ def wave_problem(data: Waves, library: Sequence[str] = LIBRARY) -> Problem:
             "frequency": layout.frequency_Hz,
         },
         baseline=combine(()),
-        candidates=[combine((name,)) for name in library if name in known],
+        candidates=[combine((name,)) for name in library if name in possible],
         combine=combine,
         held=layout.held or None,
         confirm=_confirm(model, layout.group),
@@ -128,12 +128,14 @@ def _refuse(whole: Propagation) -> None:
 
 
 def _combine(model: WaveModel) -> Callable[[tuple[str, ...]], WaveModel]:
-    known = effect_parameters(model.propagation.data)
+    possible = effect_parameters(model.propagation.data)
 
     def combine(effects: tuple[str, ...]) -> WaveModel:
         for name in effects:
-            if name not in known:
-                raise InputError(f"a waves dataset cannot carry {name}; {', '.join(known)} it can")
+            if name not in possible:
+                raise InputError(
+                    f"a waves dataset cannot carry {name}; {', '.join(possible)} it can"
+                )
         return replace(model, effects=tuple(effects))
 
     return combine
@@ -154,10 +156,10 @@ def _confirm(
 
 
 def _warnings(data: Waves, start: Start, layout: Layout) -> tuple[str, ...]:
-    told: list[str] = []
+    sentences: list[str] = []
     speed, found = data.manifest.bristle.material.bar_speed_m_s, start.value("wave_speed_m_s")
     if material_declared(data) and abs(found / speed - 1.0) > ALLOYS_VARY:
-        told.append(
+        sentences.append(
             f"the passes come as at {found:.4g} m/s along a bar of the declared length; the "
             f"declared modulus and density make {speed:.4g} m/s, {abs(found / speed - 1):.0%} off: "
             "length, place of the gauge, clock or material is not what is declared"
@@ -165,33 +167,33 @@ def _warnings(data: Waves, start: Start, layout: Layout) -> tuple[str, ...]:
     if layout.in_bands:
         count = len(layout.windows.begins)
         passes = "one window of passes" if count == 1 else f"{count} windows of passes"
-        told.append(f"{passes} only: what is held out are bands of frequency, not passes")
+        sentences.append(f"{passes} only: what is held out are bands of frequency, not passes")
     if data.quiet < FEW_QUIET:
-        told.append(f"the noise is known from {data.quiet} quiet samples only")
+        sentences.append(f"the noise is known from {data.quiet} quiet samples only")
     if not data.gauge.placed:
-        told.append("gauge_x_m is not declared: the gauge is taken to be near mid-length")
+        sentences.append("gauge_x_m is not declared: the gauge is taken to be near mid-length")
     if data.sigma is not None:
         quiet = float(data.gauge.signal[: data.quiet].std())
         if data.sigma < 0.5 * quiet:
-            told.append(
+            sentences.append(
                 f"the declared sigma, {data.sigma:.3g} {data.unit}, is far less than the scatter "
                 f"before the pulse, {quiet:.3g} {data.unit}: that is used"
             )
-    return tuple(told)
+    return tuple(sentences)
 
 
 def _left_aside(data: Waves, layout: Layout, limit: bool) -> tuple[str, ...]:
-    told: list[str] = []
+    reasons: list[str] = []
     top = float(layout.frequency_Hz.max())
     if limit or layout.windows.bins == MOST_BINS:
         why = "their waves are too short for a rod" if limit else "there are enough without them"
-        told.append(f"frequencies above {1e-3 * top:.4g} kHz: {why}")
+        reasons.append(f"frequencies above {1e-3 * top:.4g} kHz: {why}")
     late = data.times_s[-1] - data.predict_s[1]
     if late > 0.1 * (data.predict_s[1] - data.predict_s[0]):
-        told.append(f"the record's last {late:.3g} s, after predict_s")
+        reasons.append(f"the record's last {late:.3g} s, after predict_s")
     if data.second is not None:
-        told.append("later passes at the first gauge: the second gauge alone is predicted")
-    return tuple(told)
+        reasons.append("later passes at the first gauge: the second gauge alone is predicted")
+    return tuple(reasons)
 
 
 def relative_residual(model: WaveModel, theta: Array, passes: Sequence[int] | None = None) -> float:

@@ -88,15 +88,15 @@ def read_waves(folder: Path) -> Waves:
     record, times that are not evenly spaced, and saying what would be needed.
     """
     manifest = read_manifest(folder, "waves")
-    told = manifest.measurement
+    measurement = manifest.measurement
     names = _signal(manifest, "signal")
-    others = _signal(manifest, "signal_2") if "signal_2" in told else ()
+    others = _signal(manifest, "signal_2") if "signal_2" in measurement else ()
     if set(names) & set(others):
         raise manifest.wrong("signal_2", "names a column of signal")
     first, predict = _window(manifest, "first_pass_s"), _window(manifest, "predict_s")
     until = first[0]
-    if "baseline_until_s" in told:
-        until = _number(manifest, "baseline_until_s", told["baseline_until_s"])
+    if "baseline_until_s" in measurement:
+        until = _number(manifest, "baseline_until_s", measurement["baseline_until_s"])
     places = _places(manifest, bool(others))
     path = manifest.table()
     rows = read_table(path, required=("t_s", *names, *others))
@@ -167,27 +167,27 @@ def _gauge(
 
 def _places(manifest: Manifest, second: bool) -> tuple[tuple[float, bool], ...]:
     """Where the gauges are, and whether that is declared; the first at mid-length where not."""
-    told, length = manifest.measurement, manifest.bristle.length_m
+    measurement, length = manifest.measurement, manifest.bristle.length_m
     places = []
     for key in ("gauge_x_m", "gauge_2_x_m")[: 2 if second else 1]:
-        if key not in told and (key == "gauge_2_x_m" or second):
+        if key not in measurement and (key == "gauge_2_x_m" or second):
             raise manifest.wrong(
                 key, "is missing: with two gauges the place of each must be known, from the end "
                 "that the pulse comes from"
             )  # fmt: skip
-        place = _number(manifest, key, told.get(key, 0.5 * length))
+        place = _number(manifest, key, measurement.get(key, 0.5 * length))
         if not 0.0 < place < length:
             raise manifest.wrong(
                 key,
                 f"must lie between the ends, 0 and {length:g}, counted from the end that the "
                 "pulse comes from",
             )
-        places.append((place, key in told))
+        places.append((place, key in measurement))
     if second and places[1][0] <= places[0][0]:
         raise manifest.wrong(
             "gauge_2_x_m", "must be farther than gauge_x_m from the end that the pulse comes from"
         )
-    if not second and "gauge_2_x_m" in told:
+    if not second and "gauge_2_x_m" in measurement:
         raise manifest.wrong("gauge_2_x_m", "needs signal_2, the column of the second gauge")
     return tuple(places)
 
