@@ -54,7 +54,7 @@ def entered(inputs: DropInputs) -> Entered:
     return Entered(plain, scene)
 
 
-def seen(result: DropResult, scene: Scene) -> DropResult:
+def observed(result: DropResult, scene: Scene) -> DropResult:
     """The result as instruments see it, heights and times off by what the scene says."""
     if (scene.y_offset_m, scene.y_scale, scene.t_scale) == (0.0, 1.0, 1.0):
         return result

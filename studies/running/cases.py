@@ -39,7 +39,7 @@ from ...solver.plain_march import march_plainly
 from ...solver.time.march import ContactMarch, Marcher
 from ..inputs.choices import Contact, Model, Solver, Tip, Until
 from ..inputs.config import DropInputs
-from ..inputs.effects import Entered, entered, seen
+from ..inputs.effects import Entered, entered, observed
 from ..inputs.fields import FLAT
 from ..inputs.limits import count_unknowns, marching_time_s
 from ..inputs.stance import face_offsets_m
@@ -175,7 +175,7 @@ class Workshop:
                     marcher = prepared.marcher
                     result = simulate(prepared.frame, plan, marcher, observer, checkpoint)
                     result = self._enriched(prepared, plan, result)
-        return seen(result, scene), self.take_timings()
+        return observed(result, scene), self.take_timings()
 
     def take_timings(self) -> Timings:
         """Seconds spent since the last call, by part and in total."""

@@ -161,7 +161,7 @@ def test_a_table_is_made_over_its_parameters(name, values, monkeypatch):
         plain = replace(tables.emulator.plain(), height_m=height, law=Linear(kn))
         scenes = [effect_at(name, *values).enter(plain)], [plain]
         step = tables.emulator.step_s(kn)
-        with_it, without = (np.log(tables.emulator.seen(each, step, 0.0)[0]) for each in scenes)
+        with_it, without = (np.log(tables.emulator.observed(each, step, 0.0)[0]) for each in scenes)
         assert told[:, i] == pytest.approx(with_it - without, abs=2e-3)
 
 
@@ -215,7 +215,7 @@ def test_a_computed_effect_is_known_for_every_drop_and_chance():
             )
             scene = Wetting(*theta[1:]).enter(plain)
             step = PLAIN_STEP * tables.emulator.step_s(scene.law.kn_N_m)
-            alone = tables.emulator.seen([scene], step, 0.0)[0] * (1.0, scene.t_scale, 1.0)
+            alone = tables.emulator.observed([scene], step, 0.0)[0] * (1.0, scene.t_scale, 1.0)
             assert predicted[node, i] == pytest.approx(alone, rel=2e-3)
 
 

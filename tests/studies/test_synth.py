@@ -169,7 +169,9 @@ def test_a_table_is_the_simulation_between_its_nodes(name):
         where = np.asarray(height), np.asarray(kn)
         logs = tables.plain.at(*where) + tables.change(name, *where, value)
         told = np.exp(logs) * tables.rigid(*where)
-        (direct,) = emulator.seen([kind(value).enter(scene)], PLAIN_STEP * emulator.step_s(kn), 0.0)
+        (direct,) = emulator.observed(
+            [kind(value).enter(scene)], PLAIN_STEP * emulator.step_s(kn), 0.0
+        )
         assert told[0] == pytest.approx(direct[0], rel=1e-3)
         assert told[2] == pytest.approx(direct[2], rel=2e-3)
 

@@ -85,8 +85,8 @@ class Emulator:
     and the heights to cover.
 
     Data that show other quantities of a drop, or drops of another body, have an emulator that
-    overrides `seen` and `reference`, and names its own source in ``made_by``; ``shows_falls`` says
-    that they show how it fell, ``no_solid`` why no 3-D model of the body is.
+    overrides `observed` and `reference`, and names its own source in ``made_by``. ``shows_falls``
+    says that they show how it fell, ``no_solid`` why there is no 3-D model of the body.
     """
 
     body: Bristle | RigidMass
@@ -109,7 +109,7 @@ class Emulator:
         """Whether drops of this body can have the effect."""
         return True
 
-    def seen(self, scenes: Sequence[Scene], its: float, friction: float) -> Array:
+    def observed(self, scenes: Sequence[Scene], its: float, friction: float) -> Array:
         """Three positive quantities of drops of these scenes (scenes, quantities); NaN for one that
         fails, or stays on the surface for good."""
         body = beam_of(self.bristle)
@@ -178,7 +178,7 @@ class Emulator:
             batches.setdefault(key, []).append((index, scene))
         out = np.empty((*shape, len(QUANTITIES)))
         for (its, *_), batch in batches.items():
-            rows = self.seen([scene for _, scene in batch], its, friction or 0.0)
+            rows = self.observed([scene for _, scene in batch], its, friction or 0.0)
             for (index, _), row in zip(batch, rows, strict=True):
                 out[index] = row
         sides, heights, kns = axes[2:], nodes[0], nodes[1]

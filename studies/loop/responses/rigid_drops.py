@@ -132,7 +132,7 @@ def step_s(mass: RigidMass, kn_N_m: float) -> float:
     return float(f"{math.pi * math.sqrt(mass.mass_kg / kn_N_m) / STEPS:.0e}")
 
 
-def seen(mass: RigidMass, scenes: Sequence[Scene], gravity_m_s2: float, its: float) -> Array:
+def observed(mass: RigidMass, scenes: Sequence[Scene], gravity_m_s2: float, its: float) -> Array:
     """What is measured of drops of these scenes, (scenes, quantities of `table.QUANTITIES`).
 
     NaN for one that stays on the surface. Lean, slope and the body's own losses are not looked at.

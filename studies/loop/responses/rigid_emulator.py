@@ -17,7 +17,7 @@ from ....solver.effects.base import Parameter, Scene
 from ....solver.effects.library import EFFECTS
 from . import rigid_drops
 from .response import MADE_BY, Emulator, Law, Tables
-from .rigid_drops import SIDES, bounded, carried, seen, step_s, stiffened
+from .rigid_drops import SIDES, bounded, carried, observed, step_s, stiffened
 from .table import Axis
 
 # A ball of rubber on wood is softer than any bristle's contact, steel on steel is stiffer.
@@ -49,8 +49,8 @@ class RigidEmulator(Emulator):
     def carries(self, name: str) -> bool:
         return name in carried(self.mass)
 
-    def seen(self, scenes: Sequence[Scene], its: float, friction: float) -> Array:
-        return seen(self.mass, scenes, self.gravity_m_s2, its)
+    def observed(self, scenes: Sequence[Scene], its: float, friction: float) -> Array:
+        return observed(self.mass, scenes, self.gravity_m_s2, its)
 
     def stiffened(self, height_m: Array, kn_N_m: Array, exponent: Array | float) -> Array:
         """What a contact that stiffens gives (quantities, ...), see `rigid_drops.stiffened`."""

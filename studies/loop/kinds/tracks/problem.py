@@ -67,7 +67,7 @@ class TrackEmulator(Emulator):
 
     made_by: ClassVar[tuple[Path, ...]] = (*MADE_BY, Path(__file__))
 
-    def seen(self, scenes: Sequence[Scene], its: float, friction: float) -> Array:
+    def observed(self, scenes: Sequence[Scene], its: float, friction: float) -> Array:
         body = beam_of(self.bristle)
         found = outcomes_of(body, scenes, self.gravity_m_s2, its, friction, lenient=True)
         squared = found.spin_x_rad_s**2 + found.spin_y_rad_s**2
@@ -85,8 +85,8 @@ class RigidTrackEmulator(RigidEmulator):
 
     made_by: ClassVar[tuple[Path, ...]] = (*RigidEmulator.made_by, Path(__file__))
 
-    def seen(self, scenes: Sequence[Scene], its: float, friction: float) -> Array:
-        return np.where([False, False, True], 1.0, super().seen(scenes, its, friction))
+    def observed(self, scenes: Sequence[Scene], its: float, friction: float) -> Array:
+        return np.where([False, False, True], 1.0, super().observed(scenes, its, friction))
 
     def reference(self, height_m: Array, kn_N_m: Array) -> Array:
         plain = super().reference(height_m, kn_N_m)
@@ -229,7 +229,7 @@ def tracks_problem(data: Tracks) -> Problem:
 
 
 def _model(
-    manifest: Manifest, seen: Filmed, tracks: Sequence[Track], order: NDArray[np.int64]
+    manifest: Manifest, filmed_drops: Filmed, tracks: Sequence[Track], order: NDArray[np.int64]
 ) -> TrackModel:
     """The baseline of these films."""
     speed = np.concatenate([each.speed_m_s for each in tracks])
@@ -249,11 +249,18 @@ def _model(
         for each, n in zip(tracks, of_each, strict=True)
     ]
     scale = None
-    if seen.pixel_m is not None:
-        low, high = seen.pixel_m / SCALE_RANGE, seen.pixel_m * SCALE_RANGE
+    if filmed_drops.pixel_m is not None:
+        low, high = filmed_drops.pixel_m / SCALE_RANGE, filmed_drops.pixel_m * SCALE_RANGE
         why = "gravity, as the parabolas show it, within what no clock is off by"
         scale = Parameter(
-            "scale_m_px", "m/px", low, high, seen.pixel_m, seen.pixel_m, logarithmic=True, why=why
+            "scale_m_px",
+            "m/px",
+            low,
+            high,
+            filmed_drops.pixel_m,
+            filmed_drops.pixel_m,
+            logarithmic=True,
+            why=why,
         )
     return TrackModel(
         drops,
@@ -267,7 +274,7 @@ def _model(
         weights_of,
         of,
         scale,
-        seen.pixel_m or 1.0,
+        filmed_drops.pixel_m or 1.0,
         beta=damping(manifest),
     )
 
@@ -285,19 +292,19 @@ def _rows(tracks: Sequence[Track]) -> tuple[Array, NDArray[np.int64]]:
     return np.concatenate(weights), np.concatenate(of)
 
 
-def _candidates(seen: Filmed, free_damping: bool) -> list[str]:
+def _candidates(filmed_drops: Filmed, free_damping: bool) -> list[str]:
     """The effects that these films can carry at all."""
     names = carried(KIND, (0, 1))
-    unseen = {"material_damping"} if free_damping else set()
-    if seen.pixel_m is not None:  # the free scale takes up what either does
-        unseen |= {"scale_error", "clock_error"}
-    if not seen.floor_known:
-        unseen.add("height_offset")
-    if not any(each.held for each in seen.tracks):
-        unseen.add("release_velocity")
-    if not any(each.bounces for each in seen.tracks):
-        unseen |= {name for name in names if EFFECTS[name].place not in IN_FLIGHT}
-    return [name for name in names if name not in unseen]
+    impossible = {"material_damping"} if free_damping else set()
+    if filmed_drops.pixel_m is not None:  # the free scale takes up what either does
+        impossible |= {"scale_error", "clock_error"}
+    if not filmed_drops.floor_known:
+        impossible.add("height_offset")
+    if not any(each.held for each in filmed_drops.tracks):
+        impossible.add("release_velocity")
+    if not any(each.bounces for each in filmed_drops.tracks):
+        impossible |= {name for name in names if EFFECTS[name].place not in IN_FLIGHT}
+    return [name for name in names if name not in impossible]
 
 
 def _tables(manifest: Manifest, y0_m: Array) -> Tables:
