@@ -26,7 +26,7 @@ for _name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "NUMBA_NUM_THREADS"):
     os.environ.setdefault(_name, "1")
 sys.path.insert(0, str(Path(__file__).parent / "reference"))
 
-from blind.make import ROWS, make  # noqa: E402
+from blind.make import ROWS, NoDesign, make  # noqa: E402
 from blind.table import Outcome, table  # noqa: E402
 
 JOURNAL = "outcomes.jsonl"
@@ -37,9 +37,14 @@ def run_case(case: Case, keep: Path | None = None) -> Outcome:
     """Make the dataset ``case`` (seed, row, number) and run the loop on its files.
 
     ``verdict`` is "refused" where the loop raised an error, whose text stands in ``error``. The
-    files go into ``keep`` where that is given.
+    files go into ``keep`` where that is given. It is "not made" where no design has the misfit.
     """
-    made = make(*case)
+    try:
+        made = make(*case)
+    except NoDesign as error:
+        row, number = case[1:]
+        nothing = _refused(str(error)) | {"verdict": "not made", "truth": ""}
+        return nothing | {"row": row, "number": number}
     with tempfile.TemporaryDirectory() as temporary:
         folder = keep or Path(temporary)
         made.write(folder)
@@ -152,12 +157,14 @@ def main() -> None:
     began = time.perf_counter()
     found = run(given.seed, given.datasets, rows, given.out, given.jobs, given.resume)
     lines = [str(line) for line in table(found)]
-    refused = [each for each in found if each["verdict"] == "refused"]
+    refused = [each for each in found if each["verdict"] in ("refused", "not made")]
     for each in refused:
         last = each["error"].strip().splitlines()[-1]
-        lines.append(f"refused: {each['row']} {each['number']} ({each['truth']}): {last}")
+        which = f"{each['row']} {each['number']} ({each['truth']})"
+        lines.append(f"{each['verdict']}: {which}: {last}")
     wall = time.perf_counter() - began
-    lines.append(f"{len(found)} datasets, {len(refused)} refused, seed {given.seed}, {wall:.0f} s")
+    lost = f"{len(refused)} refused or not made"
+    lines.append(f"{len(found)} datasets, {lost}, seed {given.seed}, {wall:.0f} s")
     text = "\n".join(lines) + "\n"
     (given.out / "table.txt").write_text(text)
     print(text, end="")

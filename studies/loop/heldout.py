@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy.special import logsumexp
+from scipy.special import logsumexp, ndtri
 
 from ...solver.arrays import Array
 from .noise import Ints, log_density_at
@@ -35,11 +35,12 @@ class HeldOut:
     """Errors in ``unit`` on held-out ``groups``; ``reduction`` is 1 − after / before, with its 90 %
     interval over groups. ``sigma`` is the error that the final model and its noise allow for,
     ``ratio`` the error over that and ``surprise`` the chance of one as large in all quantities,
-    both without the largest eighth of the errors; ``rms_sigma`` is the error of all quantities,
-    ``n_rows`` rows, over the declared noise. ``values``, ``before``, ``after``, ``low``, ``high``
-    (rows,) in ``unit`` by held-out row of the main quantity. ``log_score_gain`` in nats,
-    cross-validated over all groups, with its 90 % interval; ``nearer``: squared errors of the same
-    fall."""
+    both without the largest eighth of the errors. ``rms_sigma`` is the error of all quantities,
+    ``n_rows`` rows, over the declared noise; ``greatest`` the largest of them over that noise or,
+    if it is more, over what the model's 90 % interval allows, zero where no noise is declared.
+    ``values``, ``before``, ``after``, ``low``, ``high`` (rows,) in ``unit`` by held-out row of the
+    main quantity. ``log_score_gain`` in nats, cross-validated over all groups, with its 90 %
+    interval; ``nearer``: squared errors of the same fall."""
 
     groups: tuple[int, ...]
     unit: str
@@ -50,6 +51,7 @@ class HeldOut:
     n_rows: int
     surprise: float
     ratio: float
+    greatest: float
     reduction_low: float
     reduction_high: float
     coverage_90: float
@@ -194,6 +196,8 @@ class Judge:
         inside = (held.values >= low) & (held.values <= high)
         spread = score.draws - score.draws.mean(axis=0)
         sigma = float(np.sqrt(np.mean((spread[:, mine] * scale) ** 2)))
+        allowed = np.maximum((high - low) / (2.0 * ndtri(0.95)), 1.0)
+        off = np.abs(held.values - score.mean) / allowed if problem.sigma_declared else np.zeros(0)
         error, chance = trimmed_rms(held.values - score.mean), trimmed_rms(score.draws - score.mean)
         surprise = (float(np.sum(chance >= error)) + 1.0) / (len(chance) + 1.0)
         gain = self.gain(final) if final is not self.base else Gain(0.0, 0.0, 0.0, False)
@@ -208,6 +212,7 @@ class Judge:
             n_rows=held.values.size,
             surprise=surprise,
             ratio=_ratio((held.values - score.mean)[mine], (score.draws - score.mean)[:, mine]),
+            greatest=float(off.max(initial=0.0)),
             reduction_low=ends[0],
             reduction_high=ends[1],
             coverage_90=float(np.mean(inside)),

@@ -37,6 +37,10 @@ SCATTER_GAIN = 8.0
 UNLISTED_MARGIN = 3.0
 # Held-out errors beyond these are no noise: over what it allows, and of the 90 % intervals.
 MOST_RATIO, LEAST_COVERAGE, LEAST_ROWS, SURPRISE = 1.5, 0.6, 8, 0.003
+# Declared standard deviations by which no noise is off, its outliers included: those of a
+# contaminated normal distribution have up to ten times its sigma, and a thousandth of them is three
+# times as far off.
+GROSS = 30.0
 # Residuals of so little rms say that the declared uncertainty is no measure of the noise.
 FAR_SMALLER = 0.5
 ROUGH = "these data leave the parameters so loose that the ends of their intervals are rough"
@@ -257,17 +261,20 @@ def _surprising(held: HeldOut) -> bool:
     """Whether held-out errors are more than their noise allows."""
     if held.surprise < SURPRISE:
         return True
-    if held.values.size >= LEAST_ROWS and held.ratio > MOST_RATIO:
+    if held.greatest > GROSS or (held.values.size >= LEAST_ROWS and held.ratio > MOST_RATIO):
         return True
     return held.n_rows >= LEAST_ROWS and held.coverage_90 < LEAST_COVERAGE
 
 
 def _large(data: Sample, residual: Array) -> bool:
-    """Whether a quantity's residuals (rows,) are more than any noise may be, outliers aside."""
+    """Whether a quantity's residuals (rows,) are more than any noise may be, outliers aside, or one
+    is more than any outlier."""
     if not data.noises.declared:
         return False
     sizes = [residual[data.kind == kind] for kind in np.unique(data.kind)]
-    return any(z.size >= LEAST_ROWS and trimmed_rms(z) > MOST_RATIO for z in sizes)
+    return np.abs(residual).max(initial=0.0) > GROSS or any(
+        z.size >= LEAST_ROWS and trimmed_rms(z) > MOST_RATIO for z in sizes
+    )
 
 
 def _sample(problem: Problem, groups: Ints) -> Sample:

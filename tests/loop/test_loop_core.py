@@ -473,6 +473,19 @@ def test_nothing_grossly_wrong_is_adequate(seed, shape, size):
         assert np.median(np.abs(held.values - held.after)) <= 1.5 * 0.6745 * 0.1 * MOST_SCALE
 
 
+@pytest.mark.parametrize("held", [False, True])
+@pytest.mark.parametrize(("off", "adequate"), [(10.0, True), (60.0, False)])
+def test_an_outlier_may_be_noise_and_what_no_noise_does_is_not(off, adequate, held):
+    """One value of a few drops, so many declared standard deviations off, fitted or held out."""
+    problem = toys.problem(3, drops=12)[0]
+    fitted, apart = split(problem, 3)
+    row = np.flatnonzero(np.isin(problem.group, apart if held else fitted))[0]
+    values = problem.values.copy()
+    values[row] += off
+    found = find(replace(problem, values=values), 3)
+    assert (found.verdict is Verdict.ADEQUATE) == adequate
+
+
 @pytest.mark.parametrize("how", ["ar1", "t3 scaled", "outliers"])
 def test_wrong_noise_is_no_effect(how):
     verdicts = [find(toys.problem(s, how=how)[0], seed=s).verdict for s in range(4)]

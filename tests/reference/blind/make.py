@@ -57,6 +57,10 @@ ROWS = {
 }
 
 
+class NoDesign(RuntimeError):
+    """None of the designs that were drawn for a dataset has a misfit of the size asked for."""
+
+
 def stream(seed: int, row: str, number: int) -> np.random.Generator:
     """The dataset's own random stream."""
     key = (list(ROWS).index(row), number)
@@ -87,7 +91,7 @@ def make(seed: int, row: str, number: int) -> Made:
             found = _gross(rng, asked, number, target)
         if found is not None:
             return measured(rng, asked, number, *found)
-    raise RuntimeError(f"{row} {number}: no design has the size asked for, of {name} or {family}")
+    raise NoDesign(f"{row} {number}: no design has the size asked for, of {name} or {family}")
 
 
 def _plan(rng: np.random.Generator, row: Row, name: str = "") -> Plan:

@@ -103,7 +103,7 @@ def astray(outcome: Outcome) -> list[bool]:
 
 def table(outcomes: Iterable[Outcome]) -> list[Line]:
     """All lines that ``outcomes`` have something to say to."""
-    done = [each for each in outcomes if each["verdict"] != "refused"]
+    done = [each for each in outcomes if each["verdict"] not in ("refused", "not made")]
     by: dict[str, list[Outcome]] = {}
     for each in done:
         by.setdefault(each["row"], []).append(each)
