@@ -21,7 +21,7 @@ from bristle.studies.loop.responses.rigid_drops import (
     bounded,
     carried,
     reference,
-    seen,
+    observed,
     step_s,
     stiffened,
 )
@@ -37,7 +37,7 @@ CLOSE = 1e-3
 
 def dropped(law, height=HEIGHT, mass=MARBLE):
     """Rebound over height, contact time, peak force."""
-    rows = seen(mass, [Scene(height_m=height, law=law)], GRAVITY, step_s(mass, law.kn_N_m))
+    rows = observed(mass, [Scene(height_m=height, law=law)], GRAVITY, step_s(mass, law.kn_N_m))
     return rows[0] / [height, 1.0, 1.0]
 
 
