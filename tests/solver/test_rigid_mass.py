@@ -20,8 +20,8 @@ from bristle.studies.loop.responses.rigid_drops import (
     SIDES,
     bounded,
     carried,
-    reference,
     observed,
+    reference,
     step_s,
     stiffened,
 )
