@@ -10,6 +10,7 @@ from ...meshes.section import Rectangle
 from ...solver import paper
 from ...solver.analytic import quarter_period_s
 from ...solver.drop import DropResult
+from ...solver.errors import ComputationError
 from ...solver.fall import free_fall
 from .choices import Contact, Deflection, Model, Scheme, Tip, Until
 from .fields import FLAT, MOST_CONTACT_POINTS
@@ -34,6 +35,8 @@ STRAIN = 0.1
 CLOSURE = 1e-6
 # Of a body that bends or turns by more than is small: what the change to linear flight leaves over.
 CLOSURE_BENT = 1e-2
+# Energies of the impact by which a budget is off that nobody should take for an impact's.
+ASTRAY = 10.0
 # Lean in degrees up to which small strain and rotation in contact are taken to be enough.
 LINEAR_LEAN_DEG = 10.0
 # Lean from which a linear body is off by more than a hundredth of the speed (largerotation study).
@@ -229,6 +232,16 @@ def _lean_warnings(inputs: DropInputs) -> list[str]:
             "point that sticks has no limit as --elements and --its are refined; take --tip face"
         )
     return found
+
+
+def check_result(inputs: DropInputs, result: DropResult) -> None:
+    """ComputationError where the energy budget of a conserving scheme says that it went astray."""
+    closure = result.energy.closure_relative
+    if inputs.scheme is Scheme.AVERAGE and closure > ASTRAY:
+        raise ComputationError(
+            f"the motion went astray: its energy budget is off by {closure:.2g} times the impact's "
+            "energy; shorten --its, lean it less, or take --model solid"
+        )
 
 
 def result_warnings(inputs: DropInputs, result: DropResult) -> list[str]:

@@ -41,7 +41,7 @@ from ..inputs.choices import Contact, Model, Solver, Tip, Until
 from ..inputs.config import DropInputs
 from ..inputs.effects import Entered, entered, observed
 from ..inputs.fields import FLAT
-from ..inputs.limits import count_unknowns, marching_time_s
+from ..inputs.limits import check_result, count_unknowns, marching_time_s
 from ..inputs.stance import face_offsets_m
 
 if TYPE_CHECKING:  # dolfinx and gmsh, which a beam does without
@@ -175,6 +175,7 @@ class Workshop:
                     marcher = prepared.marcher
                     result = simulate(prepared.frame, plan, marcher, observer, checkpoint)
                     result = self._enriched(prepared, plan, result)
+                check_result(inputs, result)
         return observed(result, scene), self.take_timings()
 
     def take_timings(self) -> Timings:

@@ -343,6 +343,15 @@ def test_a_bristle_that_turns_fast_is_warned_of():
 
 
 @serial
+def test_a_drop_that_makes_energy_out_of_nothing_is_refused():
+    """A thin polymer bristle that falls from 0.6 m folds up, which second order does not know."""
+    wire = {"diameter_m": 4e-4, "length_m": 0.25, "youngs_Pa": 9e9, "kn_N_m": 6e7, "beta_s": 4e-6}
+    fall = {"height_m": 0.65, "tilt_deg": 4.5, "friction": 0.05, "its_s": 1e-6, "until": "impact"}
+    with pytest.raises(ComputationError, match="energy budget is off by"):
+        run_case(checked(DropInputs, {"model": "beam", **wire, **fall}), MPI.COMM_SELF)
+
+
+@serial
 def test_a_patch_that_one_cell_covers_is_warned_of():
     """20 µm deep at 5 degrees: 20 µm / tan 5° = 229 µm from the edge, of 500 µm in one cell."""
     result, _ = run_case(drop(model="beam"))
