@@ -77,7 +77,9 @@ make_tree() {
 # like any others; device files, which he cannot make, are taken from the host anyway.
 bootstrap() {
     if (( EUID == 0 )); then
-        TMPDIR=$scratch mmdebstrap --mode=root --format=directory "${recipe[@]}" trixie "$making"
+        # its mounts of /proc, /sys and /dev go with it, however it ends
+        TMPDIR=$scratch unshare --mount \
+            mmdebstrap --mode=root --format=directory "${recipe[@]}" trixie "$making"
     else
         TMPDIR=$scratch mmdebstrap --mode=unshare --format=tar "${recipe[@]}" trixie - |
             tar --extract --directory "$making" --exclude='./dev/*'
