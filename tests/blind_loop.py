@@ -27,7 +27,7 @@ for _name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "NUMBA_NUM_THREADS"):
 sys.path.insert(0, str(Path(__file__).parent / "reference"))
 
 from blind.make import ROWS, NoDesign, make  # noqa: E402
-from blind.table import Outcome, table  # noqa: E402
+from blind.table import Outcome, lost, table  # noqa: E402
 
 JOURNAL = "outcomes.jsonl"
 Case = tuple[int, str, int]
@@ -43,8 +43,7 @@ def run_case(case: Case, keep: Path | None = None) -> Outcome:
         made = make(*case)
     except NoDesign as error:
         row, number = case[1:]
-        nothing = _refused(str(error)) | {"verdict": "not made", "truth": ""}
-        return nothing | {"row": row, "number": number}
+        return _lost("not made", str(error)) | {"row": row, "number": number, "truth": ""}
     with tempfile.TemporaryDirectory() as temporary:
         folder = keep or Path(temporary)
         made.write(folder)
@@ -63,9 +62,9 @@ def _verdict(folder: Path, case: Case) -> Outcome:
         inputs = LoopInputs(seed=case[2], no_3d=True)
         said = verdict(close(manifest, problem_of(manifest), inputs))
     except (InputError, ComputationError) as error:
-        return _refused(str(error))
+        return _lost("refused", str(error))
     except Exception:  # a program that breaks on one dataset is to be seen beside all others
-        return _refused(traceback.format_exc())
+        return _lost("refused", traceback.format_exc())
     keys = ("verdict", "effects", "weights", "classes", "parameters", "held_out", "detection")
     kept: dict[str, Any] = {key: said[key] for key in keys}
     return kept | {
@@ -77,8 +76,8 @@ def _verdict(folder: Path, case: Case) -> Outcome:
     }
 
 
-def _refused(error: str) -> Outcome:
-    return {"verdict": "refused", "error": error, "effects": [], "parameters": {}}
+def _lost(verdict: str, error: str) -> Outcome:
+    return {"verdict": verdict, "error": error, "effects": [], "parameters": {}}
 
 
 def _after(fit: Any) -> float | None:
@@ -99,8 +98,13 @@ def outcomes(cases: Sequence[Case], jobs: int) -> Iterator[Outcome]:
     # a fresh interpreter each: MPI and compiled code do not like to be forked
     context = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(jobs, mp_context=context) as pool:
-        for done in as_completed([pool.submit(run_case, case) for case in cases]):
-            yield done.result()
+        try:
+            for done in as_completed([pool.submit(run_case, case) for case in cases]):
+                yield done.result()
+        except BaseException:
+            # otherwise an interrupt waits for all of them
+            pool.shutdown(cancel_futures=True)
+            raise
 
 
 def run(
@@ -157,14 +161,14 @@ def main() -> None:
     began = time.perf_counter()
     found = run(given.seed, given.datasets, rows, given.out, given.jobs, given.resume)
     lines = [str(line) for line in table(found)]
-    refused = [each for each in found if each["verdict"] in ("refused", "not made")]
-    for each in refused:
+    without = [each for each in found if lost(each)]
+    for each in without:
         last = each["error"].strip().splitlines()[-1]
         which = f"{each['row']} {each['number']} ({each['truth']})"
         lines.append(f"{each['verdict']}: {which}: {last}")
     wall = time.perf_counter() - began
-    lost = f"{len(refused)} refused or not made"
-    lines.append(f"{len(found)} datasets, {lost}, seed {given.seed}, {wall:.0f} s")
+    left_out = f"{len(without)} refused or not made"
+    lines.append(f"{len(found)} datasets, {left_out}, seed {given.seed}, {wall:.0f} s")
     text = "\n".join(lines) + "\n"
     (given.out / "table.txt").write_text(text)
     print(text, end="")

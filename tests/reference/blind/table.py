@@ -101,9 +101,14 @@ def astray(outcome: Outcome) -> list[bool]:
     return [not each["low"] <= each["estimate"] <= each["high"] for each in every]
 
 
+def lost(outcome: Outcome) -> bool:
+    """Whether there is no verdict on the dataset."""
+    return outcome["verdict"] in ("refused", "not made")
+
+
 def table(outcomes: Iterable[Outcome]) -> list[Line]:
     """All lines that ``outcomes`` have something to say to."""
-    done = [each for each in outcomes if each["verdict"] not in ("refused", "not made")]
+    done = [each for each in outcomes if not lost(each)]
     by: dict[str, list[Outcome]] = {}
     for each in done:
         by.setdefault(each["row"], []).append(each)
