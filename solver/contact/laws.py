@@ -223,8 +223,9 @@ class Tabulated(_Compiled):
     indentation, or as a law of one's own has it (`Tabulated.of`).
 
     Monotone cubics run through the points (Fritsch and Carlson, SIAM J. Numer. Anal. 17, 1980), a
-    straight line beyond the last. ``penetration_m`` and ``force_over_kn_m`` begin with zero and
-    increase.
+    straight line beyond the last; compiled they are a table of ``CELLS`` equal cells, which smooths
+    points that lie closer. ``penetration_m`` and ``force_over_kn_m`` (n,), tuples or arrays, begin
+    with zero and increase.
     """
 
     kn_N_m: float
@@ -235,7 +236,10 @@ class Tabulated(_Compiled):
 
     def __post_init__(self) -> None:
         _check("Kn of a tabulated contact", self.kn_N_m)
-        for what, row in (("penetrations", self.penetration_m), ("forces", self.force_over_kn_m)):
+        for what, name in (("penetrations", "penetration_m"), ("forces", "force_over_kn_m")):
+            # arrays do not compare as one value, as laws do
+            row = tuple(map(float, getattr(self, name)))
+            object.__setattr__(self, name, row)
             steps = np.diff(row)
             if not (len(steps) and row[0] == 0.0 and np.all(steps > 0.0) and row[-1] < math.inf):
                 raise ValueError(f"{what} of a tabulated contact must begin with zero and increase")
@@ -249,7 +253,7 @@ class Tabulated(_Compiled):
         """The law whose force over Kn (n,) in m is given at penetrations (n,) in m up to
         ``reach_m``."""
         depth = np.linspace(0.0, reach_m, CELLS + 1)
-        return cls(kn_N_m, tuple(map(float, depth)), tuple(map(float, force_over_kn(depth))))
+        return cls(kn_N_m, tuple(depth), tuple(force_over_kn(depth)))
 
     @cached_property
     def _table(self) -> Array:

@@ -161,6 +161,13 @@ def test_a_table_of_a_straight_line_is_linear():
         assert touch.release_s == pytest.approx(linear.release_s, rel=1e-9)
 
 
+def test_a_table_takes_arrays():
+    depth, force = (0.0, 1e-5, 3e-5), (0.0, 4e-6, 5e-5)
+    law = Tabulated(KN, np.array(depth), np.array(force))
+    assert law == Tabulated(KN, depth, force)
+    assert hash(law) == hash(Tabulated(KN, depth, force))
+
+
 def test_a_table_of_a_film_over_the_ground():
     """Of F = Kn (δ - d (1 - exp(-δ/d))), whose work is ½ m v² at the greatest penetration."""
     film = 8e-6
