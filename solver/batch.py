@@ -31,12 +31,13 @@ from .time.apex import apex
 from .time.flight import flyer
 from .time.march import Marcher
 from .time.modal_march import MarchLimits, Modes, Touching, march
-from .time.motion import Chart, Flyer, chart, landing, launch, rigid_part
-from .time.touchdown import next_touch
+from .time.motion import Chart, Flyer, chart, landing, launch, rigid_part, top_of_centre
+from .time.touchdown import after_release
 
 TOO_MANY, FALLEN, GAINED = 5, 6, 7
-# Touching that lasts longer, in seconds and in radians of the mass on its spring, does not end, but
-# for a bristle that leans by more than 6 degrees and slides on, up to a period of its bending.
+# Contact in an impact that lasts longer, in seconds and in radians of the mass on its spring, is
+# taken not to end. A bristle that leans by more than 6 degrees slides on, for up to a period of its
+# slowest bending.
 LONGEST_S, LONGEST_RAD = 0.004, 20.0
 FAILURES = {
     modal_march.NOT_CONVERGED: "the contact forces did not converge; shorten the ITS",
@@ -172,17 +173,6 @@ def _plane_offsets(normals: Array, rises: Array, rotation: Array, places: Array)
 
 
 @njit
-def _top_of_centre(
-    position: Array, velocity: Array, gravity: float, alpha: float, t: float
-) -> float:
-    speed = velocity[2]
-    rise = 0.0
-    if speed > 0.0:
-        rise = speed / gravity if alpha == 0.0 else math.log1p(alpha * speed / gravity) / alpha
-    return float(fallen(position, velocity, gravity, alpha, min(rise, t))[0][2])
-
-
-@njit
 def _energy(omega2: Array, u: Array, v: Array, weight: float, height: float) -> float:
     total = weight * height
     for j in range(len(u)):
@@ -232,7 +222,6 @@ def one_drop(
     datum = 0.0
     for k in range(3):
         datum += rotation[2, k] * flyer.tip_place[k]
-    far = np.abs(flyer.places[:, 2]).max()
     u: Array = np.zeros(m)
     v: Array = -speed * (flyer.translation @ rotation[2])
     initial = modes.mass * gravity * height
@@ -253,13 +242,8 @@ def one_drop(
             if frames[:, 0, 2].min() <= 0.0:
                 return FALLEN
         touching = Touching(points, frames, gaps, rotation[2].copy(), 0.0, 0.0, gravity)
-        done = march(
-            modes,
-            touching,
-            u,
-            v,
-            MarchLimits(max(wait - now, 0.0), math.inf, limit - steps, False),
-        )
+        limits = MarchLimits(max(wait - now, 0.0), math.inf, limit - steps, False)
+        done = march(modes, touching, u, v, limits)
         if done.status != modal_march.RELEASED:
             return done.status
         steps += done.steps
@@ -275,25 +259,14 @@ def one_drop(
             last = now + done.release
         now += done.steps * modes.its
         motion = launch(table, flyer, position, attitude, done.u, done.v, gravity)
-        rising = motion.velocity[2]
-        ringing = motion.reach.sum()
-        longest = 2.0 * max(rising, 0.0) / gravity + math.sqrt(8.0 * ringing / gravity) + 1e-3
-        longest += 2.0 * math.sqrt(8.0 * far / gravity)
-        after = min(next_touch(motion, normals, offsets, longest), longest)
-        falls = fallen(motion.position, motion.velocity, gravity, alpha, after)[1][2]
-        # a centre that falls on is done when the bristle has had time to ring and not come back
-        turned = rising > 0.0 and falls <= 0.0
-        ends = turned or (rising <= 0.0 and after > common.slowest)
-        if not ends and after < WAIT_STEPS * modes.its:
+        after, over = after_release(motion, normals, offsets, common.slowest)
+        if not over and after < WAIT_STEPS * modes.its:
             u, v, wait = done.u, done.v, now + after
             placed = True
             continue
         top = max(top, apex(motion, after)[1] - datum)
-        centre_top = max(
-            centre_top,
-            _top_of_centre(motion.position, motion.velocity, gravity, alpha, after),
-        )
-        if ends:
+        centre_top = max(centre_top, top_of_centre(motion, after)[1])
+        if over:
             break
         before = _energy(modes.omega2, done.u, done.v, weight, 0.0)
         before += weight * (position[2] + (rotation @ rigid_part(flyer, done.u)[0])[2])
@@ -387,22 +360,17 @@ def _dropped(
     upright = drops.upright() if column is not None else np.zeros(len(drops), dtype=bool)
     if column is not None and upright.any():
         own = Marcher(column, marcher.method, marcher.scheme, marcher.its_s, marcher.gravity_m_s2)
-        _drop(own, drops.chosen(upright, 1), marcher, slides, upright, out, status)
+        out[upright], status[upright] = _drop(own, drops.chosen(upright, 1), marcher, slides=slides)
     if not upright.all():
-        _drop(marcher, drops.chosen(~upright), marcher, slides, ~upright, out, status)
+        rest = drops.chosen(~upright)
+        out[~upright], status[~upright] = _drop(marcher, rest, marcher, slides=slides)
     return out, status
 
 
 def _drop(
-    marcher: Marcher,
-    drops: Drops,
-    method: Marcher,
-    slides: bool,
-    where: NDArray[np.bool_],
-    out: Array,
-    status: NDArray[np.int64],
-) -> None:
-    """Run ``drops`` and write what they give to the rows ``where`` of ``out`` and ``status``.
+    marcher: Marcher, drops: Drops, method: Marcher, *, slides: bool
+) -> tuple[Array, NDArray[np.int64]]:
+    """As `_dropped`, of ``drops`` that are all seen through the same points.
 
     Contact's constants are those of ``method``, which ``marcher`` may see through fewer points.
     """
@@ -419,7 +387,7 @@ def _drop(
     laws = np.tile(touching.points.law, (len(drops), 1)) if drops.laws is None else drops.laws
     laws = np.array(laws)
     laws[:, 1] = drops.kn_N_m
-    rows = np.zeros((len(drops), out.shape[1]))
+    rows = np.zeros((len(drops), len(Outcome._fields)))
     codes = np.zeros(len(drops), dtype=np.int64)
     slowest = slowest_period_s(method.body)
     common = Common(
@@ -445,7 +413,7 @@ def _drop(
     allowed = gain_allowed(marcher, found.n_steps) * modes.mass * common.gravity * columns.height
     gained = np.minimum(found.friction_loss_J, found.contact_loss_J) < -allowed
     codes[gained & (codes == modal_march.RELEASED)] = GAINED
-    out[where], status[where] = rows, codes
+    return rows, codes
 
 
 def as_column(body: ModalBody) -> ModalBody | None:

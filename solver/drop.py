@@ -305,20 +305,6 @@ def _across(touch: ContactPhase) -> float:
     return math.sqrt(max(float(touch.push_N_s @ touch.push_N_s) - touch.impulse_N_s**2, 0.0))
 
 
-def _centre_top(flight: Flight, until_s: float) -> tuple[float, float]:
-    """Time and height of the highest place of the centre of mass in a flight up to ``until_s``."""
-    speed, g, alpha = (
-        flight.centre_velocity(flight.t0_s),
-        flight.gravity_m_s2,
-        flight.body.alpha_1_s,
-    )
-    rise = 0.0
-    if speed > 0.0:
-        rise = speed / g if alpha == 0.0 else math.log1p(alpha * speed / g) / alpha
-    top_s = min(flight.t0_s + rise, until_s)
-    return top_s, float(flight.centre(top_s)[0][2])
-
-
 def slowest_period_s(body: ModalBody) -> float:
     """Period of the slowest elastic mode; zero where the body is rigid."""
     elastic = body.omega2[body.omega2 > 0.0]
@@ -352,12 +338,7 @@ class Stage:
         self._slowest_s = slowest_period_s(frame.modal)
 
     def impact(self, t: float, pose: Pose, u: Array, v: Array) -> Impact:
-        """Touch after touch, until the centre of mass has turned to fall before the next one, or
-        falls on and the tip does not come back while the bristle swings once.
-
-        A tip that rings down onto the plane while the centre of mass still rises belongs to the
-        same impact.
-        """
+        """Touch after touch, until the impact is over (`touchdown.after_release`) or the drop."""
         frame, g, its = self.frame, self.plan.gravity_m_s2, self.plan.its_s
         damped = bool(frame.modal.damping_1_s.any())
         touches: list[ContactPhase] = []
@@ -381,22 +362,14 @@ class Stage:
             released = touch.end_s
             start, q, qv = frame.launched(pose, touch.u, touch.v)
             flight = Flight(frame.modal, start, released, q, qv, g, self._flyer)
-            rising = flight.centre_velocity(released)
-            ringing = flight.ringing_m()
-            longest = released + 2.0 * max(rising, 0.0) / g + math.sqrt(8.0 * ringing / g) + 1e-3
-            longest += 2.0 * self._swing_s(flight)
-            again = flight.next_touch(self.ground, longest)
-            landing = longest if again is None else again
-            # a centre that falls on is done when the bristle has had time to ring and not come back
-            turned = rising > 0.0 and flight.centre_velocity(landing) <= 0.0
-            gone = rising <= 0.0 and landing - released > self._slowest_s
-            if landing >= self.end_s or turned or gone:
+            landing, over = flight.after_release(self.ground, self._slowest_s)
+            if over or landing >= self.end_s:
                 break
             if landing - released < WAIT_STEPS * its:
                 t, u, v, wait = released, touch.u, touch.v, landing
                 continue
             top = max(top, flight.apex(landing)[1] - self.datum_m)
-            centre_top = max(centre_top, _centre_top(flight, landing)[1])
+            centre_top = max(centre_top, flight.top_of_centre(landing)[1])
             energy = flight_energy(flight, released).total_J
             if damped:
                 loss += energy - flight_energy(flight, landing).total_J
@@ -418,7 +391,7 @@ class Stage:
             n_steps=sum(touch.n_steps for touch in touches),
             top_m=top,
             centre_top_m=centre_top,
-            ended=touch.released and (turned or gone),
+            ended=touch.released and over,
         )
 
     def rebound(self, impact: Impact) -> tuple[float | None, float | None]:
@@ -426,7 +399,7 @@ class Stage:
         where the drop ends before they, or the second impact, have been seen."""
         flight, drag = impact.flight, self.plan.drag_kg_m / self.frame.body.mass_kg
         tip_s, tip = flight.apex(impact.next_touch_s)
-        centre_s, centre = _centre_top(flight, impact.next_touch_s)
+        centre_s, centre = flight.top_of_centre(impact.next_touch_s)
         if not impact.ended or self.end_s < max(tip_s, centre_s):
             return None, None
         tip = max(tip - self.datum_m, impact.top_m)
@@ -435,11 +408,6 @@ class Stage:
 
     def _place(self, pose: Pose) -> None:
         self.marcher.place(place(self.ground, pose, self.frame.body.contact, self.datum_m))
-
-    def _swing_s(self, flight: Flight) -> float:
-        """How long the tip can stay up because the bristle turns: a touch is sure to come then."""
-        far = float(np.abs(flight.motion.places[:, 2]).max())
-        return math.sqrt(8.0 * far / flight.gravity_m_s2)
 
 
 def _record_fall(history: History, plan: DropPlan, fall_s: float, body: Body) -> None:

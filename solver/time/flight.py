@@ -17,8 +17,8 @@ from ..ground import Ground
 from ..rigid import Pose, fallen, free_rotation
 from .apex import apex
 from .clearance import trace
-from .motion import Flyer, chart, landing, launch
-from .touchdown import next_touch
+from .motion import Flyer, chart, landing, launch, top_of_centre
+from .touchdown import after_release, next_touch
 
 
 def flyer(body: ModalBody, tau_m_N: float = 0.0) -> Flyer:
@@ -128,9 +128,10 @@ class Flight:
             trace(self.motion, ground.normals, ground.offsets_m, np.asarray(t_s) - self.t0_s)
         )
 
-    def ringing_m(self) -> float:
-        """A bound on how far ringing moves any point of the tip."""
-        return float(self.motion.reach.sum())
+    def after_release(self, ground: Ground, slowest_s: float) -> tuple[float, bool]:
+        """See `touchdown.after_release`; the time is absolute."""
+        after, over = after_release(self.motion, ground.normals, ground.offsets_m, slowest_s)
+        return self.t0_s + after, over
 
     def next_touch(self, ground: Ground, until_s: float) -> float | None:
         """The first time in (t0, ``until_s``] at which a point comes down to the ground, or None.
@@ -141,6 +142,11 @@ class Flight:
             return None
         after = next_touch(self.motion, ground.normals, ground.offsets_m, until_s - self.t0_s)
         return None if math.isinf(after) else self.t0_s + after
+
+    def top_of_centre(self, until_s: float) -> tuple[float, float]:
+        """Time and height of the highest place of the centre of mass in [t0, ``until_s``]."""
+        after, height = top_of_centre(self.motion, until_s - self.t0_s)
+        return self.t0_s + after, height
 
     def apex(self, until_s: float) -> tuple[float, float]:
         """Time and height of the highest place of the tip's middle in [t0, ``until_s``]."""

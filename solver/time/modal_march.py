@@ -175,7 +175,7 @@ def _new_work(modes: Modes, touching: Touching, u: Array, v: Array) -> Work:
         bend=np.zeros(m),
         before=at_axis,
         after=at_axis.copy(),
-        secants=new_secants(modes.admittance),
+        secants=new_secants(modes.admittance[: m if len(modes.axis.weights) else 0]),
     )
 
 

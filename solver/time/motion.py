@@ -255,6 +255,17 @@ def launch(
 
 
 @njit
+def top_of_centre(motion: Motion, until: float) -> tuple[float, float]:
+    """Time and height of the highest place of the centre of mass in [0, ``until``]."""
+    speed, gravity, alpha = motion.velocity[2], motion.gravity, motion.flyer.alpha
+    rise = 0.0
+    if speed > 0.0:
+        rise = speed / gravity if alpha == 0.0 else math.log1p(alpha * speed / gravity) / alpha
+    top = min(rise, until)
+    return top, fallen(motion.position, motion.velocity, gravity, alpha, top)[0][2]
+
+
+@njit
 def landing(motion: Motion, t: float) -> tuple[Array, Array, Array, Array]:
     """Position and attitude at ``t``, and displacement and velocity (modes,) on top of them.
 

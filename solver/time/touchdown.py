@@ -11,9 +11,11 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+
 from ..arrays import Array
 from ..compiled import njit
-from ..rigid import free_rotation
+from ..rigid import fallen, free_rotation
 from .clearance import bending_bound, clearance_of, slant_bound
 from .motion import Motion
 from .ringing import COMPACT_EVERY, ROUNDING_M, Ring, grown, in_sight, ring_of
@@ -21,6 +23,29 @@ from .ringing import COMPACT_EVERY, ROUNDING_M, Ring, grown, in_sight, ring_of
 # What ringing may be left out of the search; the root is refined with all but rounding.
 TOUCH_SEARCH_M = 1e-8
 ROOT_STEPS = 100
+
+
+@njit
+def after_release(
+    motion: Motion, normals: Array, offsets: Array, slowest: float
+) -> tuple[float, bool]:
+    """How long until the next touch, or one cannot be missed any more; and whether the impact is
+    over by then.
+
+    It is over where the centre of mass has turned to fall, or falls on and the body, whose
+    ``slowest`` mode has that period, has had time to ring and not come back. A tip that rings down
+    while the centre still rises belongs to the same impact.
+    """
+    gravity, rising = motion.gravity, motion.velocity[2]
+    ringing = motion.reach.sum()
+    longest = 2.0 * max(rising, 0.0) / gravity + math.sqrt(8.0 * ringing / gravity) + 1e-3
+    # as long as turning can keep the tip up
+    longest += 2.0 * math.sqrt(8.0 * np.abs(motion.places[:, 2]).max() / gravity)
+    after = min(next_touch(motion, normals, offsets, longest), longest)
+    if rising <= 0.0:
+        return after, after > slowest
+    speed = fallen(motion.position, motion.velocity, gravity, motion.flyer.alpha, after)[1]
+    return after, speed[2] <= 0.0
 
 
 @njit
