@@ -165,7 +165,7 @@ def shares_of_typical(rows: Rows) -> list[tuple[str, float | None]]:
 
 
 def evidence_table(finding: Finding) -> Table:
-    """Every model that was refitted, and noise of another shape."""
+    """Every model that was refitted, and the likeliest shape that no effect has."""
     base, tried = finding.evidences[0].log_evidence, finding.evidences
     columns: Columns = {
         Column("model", "Model"): [
