@@ -22,6 +22,7 @@ from .contact.normal import PLASTIC
 from .contact.points import Points
 from .contact_phase import STAYING, STEP_LIMIT
 from .drop import TOUCH_LIMIT, WAIT_STEPS, slowest_period_s
+from .energy import ASTRAY
 from .errors import ComputationError
 from .ground import local_frames
 from .impact import compiled, gain_allowed
@@ -34,7 +35,7 @@ from .time.modal_march import MarchLimits, Modes, Touching, march
 from .time.motion import Chart, Flyer, chart, landing, launch, rigid_part, top_of_centre
 from .time.touchdown import after_release
 
-TOO_MANY, FALLEN, GAINED = 5, 6, 7
+TOO_MANY, FALLEN, GAINED, OFF_BUDGET = 5, 6, 7, 8
 # Contact in an impact that lasts longer, in seconds and in radians of the mass on its spring, is
 # taken not to end. A bristle that leans by more than 6 degrees slides on, for up to a period of its
 # slowest bending.
@@ -45,6 +46,8 @@ FAILURES = {
     modal_march.TOO_LONG: "still in contact after as many steps as no touch takes",
     FALLEN: "the bristle falls over, onto its side or upper end, which cannot touch here",
     GAINED: "friction or the contact law gave energy, where they can only take",
+    OFF_BUDGET: f"the energy budget is off by more than {ASTRAY:g} times the impact's energy; "
+    "shorten the ITS or lean it less",
     TOO_MANY: f"more than {TOUCH_LIMIT} touches in one impact; shorten the ITS",
 }
 
@@ -413,6 +416,8 @@ def _drop(
     allowed = gain_allowed(marcher, found.n_steps) * modes.mass * common.gravity * columns.height
     gained = np.minimum(found.friction_loss_J, found.contact_loss_J) < -allowed
     codes[gained & (codes == modal_march.RELEASED)] = GAINED
+    off = ~(found.closure_relative <= ASTRAY)
+    codes[off & (codes == modal_march.RELEASED)] = OFF_BUDGET
     return rows, codes
 
 

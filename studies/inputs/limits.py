@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
 from ...meshes.section import Rectangle
 from ...solver import paper
 from ...solver.analytic import quarter_period_s
+from ...solver.arrays import Array
 from ...solver.drop import DropResult
+from ...solver.energy import ASTRAY
 from ...solver.errors import ComputationError
 from ...solver.fall import free_fall
 from .choices import Contact, Deflection, Model, Scheme, Tip, Until
@@ -35,8 +37,6 @@ STRAIN = 0.1
 CLOSURE = 1e-6
 # Of a body that bends or turns by more than is small: what the change to linear flight leaves over.
 CLOSURE_BENT = 1e-2
-# Energies of the impact by which a budget is off that nobody should take for an impact's.
-ASTRAY = 10.0
 # Lean in degrees up to which small strain and rotation in contact are taken to be enough.
 LINEAR_LEAN_DEG = 10.0
 # Lean from which a linear body is off by more than a hundredth of the speed (largerotation study).
@@ -237,7 +237,7 @@ def _lean_warnings(inputs: DropInputs) -> list[str]:
 def check_result(inputs: DropInputs, result: DropResult) -> None:
     """ComputationError where the energy budget of a conserving scheme says that it went astray."""
     closure = result.energy.closure_relative
-    if inputs.scheme is Scheme.AVERAGE and closure > ASTRAY:
+    if _conserves(inputs) and closure > ASTRAY:
         raise ComputationError(
             f"the motion went astray: its energy budget is off by {closure:.2g} times the impact's "
             "energy; shorten --its, lean it less, or take --model solid"
@@ -247,16 +247,8 @@ def check_result(inputs: DropInputs, result: DropResult) -> None:
 def result_warnings(inputs: DropInputs, result: DropResult) -> list[str]:
     """What a user should know of the result."""
     found = _end_warnings(inputs, result)
-    rigid = inputs.contact is Contact.AUGMENTED and math.isinf(inputs.kn_N_m)
-    closure = result.energy.closure_relative
-    small = inputs.resolved_deflection is Deflection.SMALL
-    allowed = CLOSURE if small else CLOSURE_BENT
-    if inputs.scheme is Scheme.AVERAGE and not rigid and not closure <= allowed:
-        remedy = "shorten --its" if small else "take --model solid, or lean it less"
-        found.append(
-            f"the energy budget closes to {closure:.2g} of the impact's energy only, where this "
-            f"scheme should keep {allowed:g}; {remedy}"
-        )
+    if _conserves(inputs):
+        found += closure_warnings(inputs, [result.energy.closure_relative])
     error = result.reduction_error
     if error is not None and error > inputs.reduction_tolerance:
         found.append(
@@ -268,6 +260,27 @@ def result_warnings(inputs: DropInputs, result: DropResult) -> list[str]:
         found += [*_zone_warnings(inputs, result), *_patch_warnings(inputs, result)]
         found += _turning_warnings(inputs, result)
     return found
+
+
+def _conserves(inputs: DropInputs) -> bool:
+    """Whether the budget should close: a rigid plane's multiplier does work of its own."""
+    rigid = inputs.contact is Contact.AUGMENTED and math.isinf(inputs.kn_N_m)
+    return inputs.scheme is Scheme.AVERAGE and not rigid
+
+
+def closure_warnings(inputs: DropInputs, closures: Sequence[float] | Array) -> list[str]:
+    """Energy budgets, of one drop or many, that close worse than a conserving scheme's should."""
+    small = inputs.resolved_deflection is Deflection.SMALL
+    allowed = CLOSURE if small else CLOSURE_BENT
+    off = [closure for closure in closures if not closure <= allowed]
+    if not off:
+        return []
+    which = "" if len(closures) == 1 else f"of {len(off)} of {len(closures)} drops "
+    remedy = "shorten --its" if small else "take --model solid, or lean it less"
+    return [
+        f"the energy budget {which}closes to {max(off):.2g} of the impact's energy only, where "
+        f"this scheme should keep {allowed:g}; {remedy}"
+    ]
 
 
 def _end_warnings(inputs: DropInputs, result: DropResult) -> list[str]:

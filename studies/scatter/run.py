@@ -23,7 +23,7 @@ from ...solver.errors import ComputationError
 from ...solver.time.march import Marcher
 from .. import __version__
 from ..inputs.config import DropInputs
-from ..inputs.limits import input_warnings
+from ..inputs.limits import closure_warnings, input_warnings
 from ..running import results
 from ..running.files import prepare_folder, to_csv, to_json, together, write_atomically
 from ..running.journal import Journal
@@ -276,4 +276,4 @@ def _warnings(drop: DropInputs, found: Scatter, inputs: ScatterInputs) -> list[s
     warnings = input_warnings(drop)
     if found.failed:
         warnings.append(f"{len(found.failed)} of {inputs.drops} drops failed and are left out")
-    return warnings
+    return [*warnings, *closure_warnings(drop, found.outcome.closure_relative)]

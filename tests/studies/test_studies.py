@@ -22,7 +22,7 @@ from bristle.studies import drop as drop_study
 from bristle.studies import sweep as sweep_study
 from bristle.studies.drop import run_drop
 from bristle.studies.inputs.config import DropInputs
-from bristle.studies.inputs.limits import count_unknowns, result_warnings
+from bristle.studies.inputs.limits import closure_warnings, count_unknowns, result_warnings
 from bristle.studies.inputs.sources import checked
 from bristle.studies.its import run as its
 from bristle.studies.its.convergence import Need, limit, need
@@ -340,6 +340,17 @@ def test_a_bristle_that_turns_fast_is_warned_of():
     (warning,) = result_warnings(drop(model="beam", tilt_deg=20.0), shallow)
     remedy = int(re.search(r"take --contact-points (\d+)", warning).group(1))
     assert result_warnings(drop(model="beam", tilt_deg=20.0, contact_points=remedy), shallow) == []
+
+
+@serial
+def test_budgets_that_close_badly_are_warned_of():
+    level, leaning = drop(model="beam"), drop(model="beam", tilt_deg=2.0)
+    assert closure_warnings(level, [9e-7]) == closure_warnings(leaning, [9e-3]) == []
+    (warning,) = closure_warnings(level, [1e-5])
+    assert "budget closes to 1e-05" in warning
+    assert "shorten --its" in warning
+    (warning,) = closure_warnings(leaning, [1e-3, 0.05, 0.02])
+    assert "budget of 2 of 3 drops closes to 0.05" in warning
 
 
 @serial
