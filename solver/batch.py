@@ -18,7 +18,6 @@ from .arrays import Array
 from .bodies.base import ContactPoints
 from .bodies.modal import ModalBody
 from .compiled import meanwhile, njit
-from .contact.normal import PLASTIC
 from .contact.points import Points
 from .contact_phase import STAYING, STEP_LIMIT
 from .drop import TOUCH_LIMIT, WAIT_STEPS, slowest_period_s
@@ -67,7 +66,7 @@ class Drops:
     is ``rises_m`` above its mean (so for a slope these are the slope's own heights); the ground as
     a whole is moved until the first point touches. ``scale`` (drops, points) is the stiffness there
     over ``kn_N_m``. ``laws`` (drops, parameters), where it is given, has the other numbers of the
-    contact law too, in the order of `ContactLaw.parameters`.
+    contact law too, in the order of `Law.parameters`.
     """
 
     height_m: Array
@@ -235,8 +234,8 @@ def one_drop(
     touches = steps = 0
     placed = False
     weight = modes.mass * gravity
-    limit = STEP_LIMIT // STAYING if points.law[0] >= PLASTIC else STEP_LIMIT
-    longest = max(LONGEST_S, LONGEST_RAD * math.sqrt(modes.mass / points.law[1]), common.slides)
+    limit = STEP_LIMIT // STAYING if points.kind.remembers else STEP_LIMIT
+    longest = max(LONGEST_S, LONGEST_RAD * math.sqrt(modes.mass / points.law[0]), common.slides)
     limit = min(limit, int(longest / modes.its) + 1)
     for _ in range(TOUCH_LIMIT):
         if not placed:
@@ -301,8 +300,9 @@ def many_drops(common: Common, columns: Columns, out: Array, status: NDArray[np.
     for i in range(len(columns.height)):
         law = columns.laws[i]
         own = Points(
+            kind=points.kind,
             law=law,
-            kt=common.kt_over_kn * law[1],
+            kt=common.kt_over_kn * law[0],
             mu=columns.mu[i],
             scale=columns.scale[i],
             compliance=points.compliance,
@@ -389,7 +389,7 @@ def _drop(
     ).reshape(-1, 4)
     laws = np.tile(touching.points.law, (len(drops), 1)) if drops.laws is None else drops.laws
     laws = np.array(laws)
-    laws[:, 1] = drops.kn_N_m
+    laws[:, 0] = drops.kn_N_m
     rows = np.zeros((len(drops), len(Outcome._fields)))
     codes = np.zeros(len(drops), dtype=np.int64)
     slowest = slowest_period_s(method.body)

@@ -15,13 +15,16 @@ import tempfile
 import threading
 import time
 from collections.abc import Callable, Iterator
-from functools import cache
+from functools import cache, cached_property
 from pathlib import Path
 from typing import Any, Protocol, cast
 
 import numba
 from numba.core import caching
+from numba.core.types import WrapperAddressProtocol
+from numba.core.typing import Signature
 from numba.core.typing.typeof import Purpose, typeof
+from numba.experimental import function_type  # noqa: F401, which lets `Pointer` be an argument
 
 KEPT_S = 7 * 86400.0
 # Folders of the package that compiled code takes nothing from.
@@ -93,6 +96,30 @@ caching.IndexDataCacheFile = _Index
 njit = cast(Decorator, numba.njit(cache=True, nogil=True))
 # Sums may be taken in any order: for long runs, which vector units then add up side by side.
 fast = cast(Decorator, numba.njit(cache=True, nogil=True, fastmath=True))
+
+
+class Pointer(WrapperAddressProtocol):
+    """A function that compiled code calls by its address.
+
+    So what calls it is compiled once, whichever function of this ``signature`` it is given. It is
+    compiled where it is first handed over, and kept on disk unless it is from outside.
+    """
+
+    def __init__(self, function: Callable[..., Any], signature: Signature) -> None:
+        self.function = getattr(function, "py_func", function)  # it may be compiled already
+        self._signature = signature
+
+    @cached_property
+    def _compiled(self) -> Any:
+        own = self.function.__module__.startswith(f"{__package__}.")
+        return numba.cfunc(self._signature, cache=own)(self.function)
+
+    def __wrapper_address__(self) -> int:
+        return int(self._compiled.address)
+
+    def signature(self) -> Signature:
+        return self._signature
+
 
 _TURN = threading.Lock()
 _THREAD = threading.local()

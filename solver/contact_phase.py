@@ -10,7 +10,6 @@ import numpy as np
 
 from .arrays import Array
 from .checkpoint import Mark
-from .contact.normal import PLASTIC
 from .errors import ComputationError
 from .time.march import ContactMarch, Moving
 
@@ -98,7 +97,7 @@ def instant_force(marcher: ContactMarch, state: Moving, step_force: Array) -> Ar
 
 def step_limit(marcher: ContactMarch, until_s: float) -> int:
     """How many steps a touch may take that is to end before ``until_s``."""
-    stays = marcher.method.law.parameters[0] >= PLASTIC and math.isinf(until_s)
+    stays = marcher.method.law.kind.remembers and math.isinf(until_s)
     return STEP_LIMIT // STAYING if stays else STEP_LIMIT
 
 

@@ -158,6 +158,7 @@ class StepContact:
             )
         augmented = self.method.enforcement is Enforcement.AUGMENTED
         self.points = Points(
+            kind=self.method.law.kind,
             law=self.method.law.parameters,
             kt=self.method.kt_N_m,
             mu=self.method.friction.mu,

@@ -1,22 +1,22 @@
 """Which force a penetration and a slip make: contact laws and friction, with their potentials.
 
-The classes carry parameters and speak numpy; what they do at a point is compiled, in
-contact.normal.
+The classes carry numbers and speak numpy; what they do at a point is compiled, in contact.normal.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cached_property
-from typing import ClassVar, Protocol
+from typing import Any, ClassVar, cast
 
 import numpy as np
 
 from .. import paper
 from ..arrays import Array
-from .normal import ADHESIVE, HUNT_CROSSLEY, LINEAR, PLASTIC, STIFFENING, TABULATED, elastic
+from .normal import ADHESIVE, HUNT_CROSSLEY, LINEAR, PLASTIC, STIFFENING, TABULATED, elastic_at
+from .points import Kind
 
 # Where a stiffening law has the secant stiffness Kn: a penetration of the paper's drops.
 REFERENCE_M = 2e-5
@@ -24,42 +24,52 @@ REFERENCE_M = 2e-5
 CELLS = 256
 
 
-class ContactLaw(Protocol):
-    """A law seen through a compliance in series, with damping beside it.
+class ContactLaw:
+    """A law of the force over the penetration, with damping beside it: the base of all.
 
-    Per unit of area share, ``force`` is what a total force would be were the whole face like this
-    point. ``approach`` (m) is the penetration that the point would have without the compliance
-    ``compliance_m_N``: penetration = approach - compliance × force. So a law serves penalty (none),
-    Nitsche (its stabilisation) and the augmented Lagrangian (1/r) alike.
-    ``scale`` (n,) is each point's stiffness over the law's, ``memory`` (n,) what a law with memory
-    remembers of it (contact.normal): nothing, where it has not been touched.
+    A law is a dataclass whose fields are its numbers, ``kn_N_m`` first, and the `Kind` of law that
+    computes with them (docs/effects.md shows one of one's own). Per unit of area share, ``force``
+    is what a total force would be were the whole face like this point. ``approach`` (m) is the
+    penetration that the point would have without the compliance ``compliance_m_N``: penetration =
+    approach - compliance × force. So a law serves penalty (none), Nitsche (its stabilisation) and
+    the augmented Lagrangian (1/r) alike. ``scale`` (n,) is each point's stiffness over the law's,
+    ``memory`` (n,) what a law with memory remembers of it: zero, where it has not been touched.
     """
 
-    @property
-    def kn_N_m(self) -> float:
-        """Stiffness in N/m that the law is called by; infinite on a rigid plane."""
-        ...
+    # Stiffness in N/m that the law is called by; infinite on a rigid plane.
+    kn_N_m: float
+    kind: ClassVar[Kind]
+    # Whether it is stated for the conserving scheme and no compliance in series alone.
+    conserving_only: ClassVar[bool] = True
 
     @property
     def parameters(self) -> Array:
-        """What contact.normal reads: the kind of law, Kn, then its other numbers."""
-        ...
+        """What its `Kind` reads: Kn, then its other numbers."""
+        return np.array([getattr(self, each.name) for each in fields(cast(Any, self))], dtype=float)
 
     @property
     def damping(self) -> float:
         """What multiplies the speed of penetration: N s/m of a dashpot, s/m of Hunt and Crossley's
         law. Contact with damping never pulls."""
-        ...
-
-    @property
-    def conserving_only(self) -> bool:
-        """Whether it is stated for the conserving scheme and no compliance in series alone."""
-        ...
+        return 0.0
 
     @property
     def pulls(self) -> bool:
         """Whether its force may pull, and so end with a jump."""
-        ...
+        return self.kind.pulls
+
+    def _at_points(
+        self,
+        which: int,
+        approach: Array,
+        compliance_m_N: float,
+        scale: Array | float,
+        memory: Array | float,
+    ) -> Array:
+        every = np.broadcast_arrays(approach, scale, memory)
+        d, s, m = (np.array(each, dtype=float).ravel() for each in every)
+        found = elastic_at(self.kind, self.parameters, s, d, compliance_m_N, m)
+        return np.asarray(found[which].reshape(every[0].shape))
 
     def force(
         self,
@@ -69,7 +79,17 @@ class ContactLaw(Protocol):
         memory: Array | float = 0.0,
     ) -> Array:
         """Force (n,) in N, without damping."""
-        ...
+        return self._at_points(0, approach, compliance_m_N, scale, memory)
+
+    def tangent(
+        self,
+        approach: Array,
+        compliance_m_N: float,
+        scale: Array | float = 1.0,
+        memory: Array | float = 0.0,
+    ) -> Array:
+        """d force / d approach (n,) in N/m."""
+        return self._at_points(1, approach, compliance_m_N, scale, memory)
 
     def potential(
         self,
@@ -81,80 +101,7 @@ class ContactLaw(Protocol):
         """What is stored (n,) in J: the antiderivative of ``force`` in ``approach``, zero out of
         contact. Beyond yield it holds what flowed too, beyond pull-off what was let go, until
         ``memory`` says that these have happened."""
-        ...
-
-    def tangent(
-        self,
-        approach: Array,
-        compliance_m_N: float,
-        scale: Array | float = 1.0,
-        memory: Array | float = 0.0,
-    ) -> Array:
-        """d force / d approach (n,) in N/m."""
-        ...
-
-
-class _Compiled:
-    """What all laws share: numpy's view of contact.normal, and the answers of an elastic law."""
-
-    conserving_only: ClassVar[bool] = False
-    pulls: ClassVar[bool] = False
-
-    @property
-    def parameters(self) -> Array:
-        raise NotImplementedError
-
-    @property
-    def damping(self) -> float:
-        return 0.0
-
-    def _of_points(
-        self,
-        which: int,
-        approach: Array,
-        compliance_m_N: float,
-        scale: Array | float,
-        memory: Array | float,
-    ) -> Array:
-        law = self.parameters
-        every = np.broadcast_arrays(
-            np.asarray(approach, dtype=float),
-            np.asarray(scale, dtype=float),
-            np.asarray(memory, dtype=float),
-        )
-        like = every[0].shape
-        values = [
-            elastic(law, float(s), float(d), compliance_m_N, float(m))[which]
-            for d, s, m in zip(*(each.ravel() for each in every), strict=True)
-        ]
-        return np.array(values).reshape(like)
-
-    def force(
-        self,
-        approach: Array,
-        compliance_m_N: float,
-        scale: Array | float = 1.0,
-        memory: Array | float = 0.0,
-    ) -> Array:
-        return self._of_points(0, approach, compliance_m_N, scale, memory)
-
-    def tangent(
-        self,
-        approach: Array,
-        compliance_m_N: float,
-        scale: Array | float = 1.0,
-        memory: Array | float = 0.0,
-    ) -> Array:
-        return self._of_points(1, approach, compliance_m_N, scale, memory)
-
-    def potential(
-        self,
-        approach: Array,
-        compliance_m_N: float,
-        scale: Array | float = 1.0,
-        memory: Array | float = 0.0,
-    ) -> Array:
-        return self._of_points(2, approach, compliance_m_N, scale, memory)
+        return self._at_points(2, approach, compliance_m_N, scale, memory)
 
 
 def _check(what: str, value: float, least: float = 0.0, *, included: bool = False) -> None:
@@ -165,18 +112,17 @@ def _check(what: str, value: float, least: float = 0.0, *, included: bool = Fals
 
 
 @dataclass(frozen=True)
-class Linear(_Compiled):
+class Linear(ContactLaw):
     """Force = Kn × penetration (Eq. 3 of the paper); Kn = ∞ is Signorini's rigid contact."""
 
     kn_N_m: float
 
+    kind: ClassVar[Kind] = LINEAR
+    conserving_only: ClassVar[bool] = False
+
     def __post_init__(self) -> None:
         if not np.all(np.asarray(self.kn_N_m) > 0.0):
             raise ValueError(f"Kn must be positive, not {self.kn_N_m}")
-
-    @property
-    def parameters(self) -> Array:
-        return np.array([LINEAR, self.kn_N_m])
 
 
 @dataclass(frozen=True)
@@ -195,7 +141,7 @@ class Damped(Linear):
 
 
 @dataclass(frozen=True)
-class Stiffening(_Compiled):
+class Stiffening(ContactLaw):
     """Force = Kn δref (δ/δref)^p: grows faster than the penetration δ, and gives all of it back.
 
     p = 1 is `Linear`, 3/2 Hertz's sphere (J. reine angew. Math. 92, 1882), up to about 3 asperities
@@ -206,19 +152,18 @@ class Stiffening(_Compiled):
     exponent: float = 1.5
     reference_m: float = REFERENCE_M
 
+    kind: ClassVar[Kind] = STIFFENING
+    conserving_only: ClassVar[bool] = False
+
     def __post_init__(self) -> None:
         _check("Kn of a stiffening contact", self.kn_N_m)
         _check("the reference penetration", self.reference_m)
         if not 1.0 <= self.exponent <= 3.0:
             raise ValueError(f"the contact's exponent must be 1 to 3, not {self.exponent}")
 
-    @property
-    def parameters(self) -> Array:
-        return np.array([STIFFENING, self.kn_N_m, self.exponent, self.reference_m])
-
 
 @dataclass(frozen=True)
-class Tabulated(_Compiled):
+class Tabulated(ContactLaw):
     """Force = Kn × what a table over penetration has, all of it given back: as measured by
     indentation, or as a law of one's own has it (`Tabulated.of`).
 
@@ -232,7 +177,7 @@ class Tabulated(_Compiled):
     penetration_m: tuple[float, ...]
     force_over_kn_m: tuple[float, ...]
 
-    conserving_only: ClassVar[bool] = True
+    kind: ClassVar[Kind] = TABULATED
 
     def __post_init__(self) -> None:
         _check("Kn of a tabulated contact", self.kn_N_m)
@@ -267,11 +212,11 @@ class Tabulated(_Compiled):
 
     @property
     def parameters(self) -> Array:
-        return np.concatenate([[TABULATED, self.kn_N_m], self._table])
+        return np.concatenate([[self.kn_N_m], self._table])
 
 
 @dataclass(frozen=True)
-class HuntCrossley(_Compiled):
+class HuntCrossley(ContactLaw):
     """Force = Kn δ (1 + λ dδ/dt), never pulling: loss that grows with the penetration δ.
 
     Hunt and Crossley, J. Appl. Mech. 42 (1975), with the power one: unlike a dashpot's, its force
@@ -281,15 +226,11 @@ class HuntCrossley(_Compiled):
     kn_N_m: float
     damping_s_m: float
 
-    conserving_only: ClassVar[bool] = True
+    kind: ClassVar[Kind] = HUNT_CROSSLEY
 
     def __post_init__(self) -> None:
         _check("Kn of a damped contact", self.kn_N_m)
         _check("Hunt and Crossley's damping", self.damping_s_m, included=True)
-
-    @property
-    def parameters(self) -> Array:
-        return np.array([HUNT_CROSSLEY, self.kn_N_m])
 
     @property
     def damping(self) -> float:
@@ -297,7 +238,7 @@ class HuntCrossley(_Compiled):
 
 
 @dataclass(frozen=True)
-class Plastic(_Compiled):
+class Plastic(ContactLaw):
     """Elastic and perfectly plastic along the normal (Johnson, Contact Mechanics, 1985, Ch. 6).
 
     The force grows with Kn up to ``yield_N``; from there on the place is indented for good, and
@@ -310,19 +251,15 @@ class Plastic(_Compiled):
     kn_N_m: float
     yield_N: float
 
-    conserving_only: ClassVar[bool] = True
+    kind: ClassVar[Kind] = PLASTIC
 
     def __post_init__(self) -> None:
         _check("Kn of a plastic contact", self.kn_N_m)
         _check("the yield force", self.yield_N)
 
-    @property
-    def parameters(self) -> Array:
-        return np.array([PLASTIC, self.kn_N_m, self.yield_N])
-
 
 @dataclass(frozen=True)
-class Adhesive(_Compiled):
+class Adhesive(ContactLaw):
     """A spring Kn that, once touched, also holds: it pulls with up to ``pull_off_N``, then lets go.
 
     The pull-off force is that of Johnson, Kendall and Roberts (Proc. R. Soc. A 324, 1971) in its
@@ -334,40 +271,18 @@ class Adhesive(_Compiled):
     kn_N_m: float
     pull_off_N: float
 
-    conserving_only: ClassVar[bool] = True
-    pulls: ClassVar[bool] = True
+    kind: ClassVar[Kind] = ADHESIVE
 
     def __post_init__(self) -> None:
         _check("Kn of an adhesive contact", self.kn_N_m)
         _check("the pull-off force", self.pull_off_N, included=True)
 
-    @property
-    def parameters(self) -> Array:
-        return np.array([ADHESIVE, self.kn_N_m, self.pull_off_N])
-
-
-# What contact.normal computes: the kind that each class writes into its ``parameters``.
-COMPILED: dict[type, float] = {
-    Linear: LINEAR,
-    Damped: LINEAR,
-    Stiffening: STIFFENING,
-    Tabulated: TABULATED,
-    HuntCrossley: HUNT_CROSSLEY,
-    Plastic: PLASTIC,
-    Adhesive: ADHESIVE,
-}
-
 
 def check_compiled(law: ContactLaw) -> None:
-    """TypeError where the compiled code does not know the law.
-
-    It reads ``parameters`` alone, so a subclass with a force of its own would be ignored silently.
-    """
-    if COMPILED.get(type(law)) != law.parameters[0]:
-        names = ", ".join(each.__name__ for each in COMPILED)
-        raise TypeError(
-            f"{type(law).__name__} is no law that contact.normal computes; these are {names}"
-        )
+    """TypeError where a law has a force of its own beside its kind's, which would be ignored."""
+    for name in ("force", "tangent", "potential"):
+        if getattr(type(law), name) is not getattr(ContactLaw, name):
+            raise TypeError(f"{type(law).__name__}.{name} is ignored: a law's `kind` has its force")
 
 
 def mindlin_ratio(poisson: float) -> float:

@@ -1,29 +1,29 @@
 """Contact laws at one point: normal force at an instant and over a step, and internal variables.
 
-Compiled, for the loops over points and steps. ``law`` holds the kind of law, its stiffness Kn, then
-its other numbers, in the order of the fields of its class in contact.laws; ``scale`` is the point's
-own stiffness over the law's; ``approach`` and ``compliance`` as in `ContactLaw`. Forces such as a
-yield force do not scale: they are per unit of area share as all forces of contact are.
+Compiled, for the loops over points and steps. ``law`` holds a law's numbers, its stiffness Kn, then
+its others, in the order of the fields of its class in contact.laws; ``scale`` is the point's own
+stiffness over the law's; ``approach`` and ``compliance`` as in `laws.Law`. Forces such as a yield
+force do not scale: they are per unit of area share as all forces of contact are.
 
 Within a step, along which the approach runs one way, every law is an elastic one: plastic contact
 is a spring from the place where the step before has left the surface, with a force that stays at
 yield; adhesion one that holds as far as it can, and no force beyond. What tells these is the
-point's internal variable ``memory``, a number that `remembered` renews at the end of a step: the
-permanent indentation in m, or one where the point is held. So the mean force over a step, ∫ F dδ
-over the change, is the discrete gradient of one potential, and what a step took is its work less
-the change of what is stored.
+point's internal variable ``memory``, a number that is renewed at the end of a step: the permanent
+indentation in m, or one where the point is held. So the mean force over a step, ∫ F dδ over the
+change, is the discrete gradient of one potential, and what a step took is its work less the change
+of what is stored.
 """
 
 from __future__ import annotations
 
 import math
 
+import numpy as np
+
 from ..arrays import Array
 from ..compiled import njit
-from .points import CONSERVING, PointLaw, Points, PointTrial
+from .points import CONSERVING, Kind, PointLaw, Points, PointTrial
 
-# Kinds of law; from PLASTIC on they have a memory.
-LINEAR, HUNT_CROSSLEY, STIFFENING, TABULATED, PLASTIC, ADHESIVE = 0.0, 1.0, 2.0, 3.0, 4.0, 5.0
 # Memory of a point that adhesion holds; for one step, of one that is held without limit, and of one
 # that is sure to let go.
 HELD, HELD_FAST, LETTING_GO = 1.0, 2.0, 3.0
@@ -33,46 +33,36 @@ SHORT = 1e-5
 
 
 @njit
-def elastic(
-    law: Array, scale: float, approach: float, compliance: float, memory: float
-) -> tuple[float, float, float]:
-    """Force in N, tangent in N/m and potential in J at an approach, given what is remembered.
-
-    Laws with a memory know no compliance in series.
-    """
-    if law[0] >= STIFFENING:
-        if law[0] == STIFFENING:
-            return _stiffening(law, scale, approach, compliance)
-        if law[0] == TABULATED:
-            return _tabulated(law, scale, approach)
-        if law[0] == PLASTIC:
-            return _plastic(law, scale, approach, memory)
-        return _adhesive(law, scale, approach, memory)
-    return _linear(law, scale, approach, compliance)
+def elastic_at(
+    kind: Kind, law: Array, scale: Array, approach: Array, compliance: float, memory: Array
+) -> Array:
+    """Force in N, tangent in N/m and potential in J (3, n) of points, all arrays (n,)."""
+    out = np.empty((3, len(approach)))
+    for i in range(len(approach)):
+        out[:, i] = kind.elastic(law, scale[i], approach[i], compliance, memory[i])
+    return out
 
 
-@njit
 def _linear(
-    law: Array, scale: float, approach: float, compliance: float
+    law: Array, scale: float, approach: float, compliance: float, memory: float
 ) -> tuple[float, float, float]:
     """A spring that pushes."""
     if approach <= 0.0:
         return 0.0, 0.0, 0.0
-    stiffness = scale * law[1]
+    stiffness = scale * law[0]
     if compliance > 0.0:
         stiffness = 1.0 / (1.0 / stiffness + compliance)
     return stiffness * approach, stiffness, 0.5 * stiffness * approach * approach
 
 
-@njit
 def _stiffening(
-    law: Array, scale: float, approach: float, compliance: float
+    law: Array, scale: float, approach: float, compliance: float, memory: float
 ) -> tuple[float, float, float]:
     """A power of the penetration, which a compliance in series takes part of the approach from."""
     if approach <= 0.0:
         return 0.0, 0.0, 0.0
-    exponent, reference = law[2], law[3]
-    size = scale * law[1] * reference
+    exponent, reference = law[1], law[2]
+    size = scale * law[0] * reference
     depth = approach
     force = size * (depth / reference) ** exponent
     if compliance > 0.0:
@@ -90,19 +80,20 @@ def _stiffening(
     return force, tangent / (1.0 + compliance * tangent), stored
 
 
-@njit
-def _tabulated(law: Array, scale: float, approach: float) -> tuple[float, float, float]:
+def _tabulated(
+    law: Array, scale: float, approach: float, compliance: float, memory: float
+) -> tuple[float, float, float]:
     """Cubics over equal cells, and straight on beyond them.
 
     After Kn stand the cells' width, then force, slope and potential over Kn at every node.
     """
     if approach <= 0.0:
         return 0.0, 0.0, 0.0
-    width, last = law[2], (len(law) - 3) // 3 - 1
+    width, last = law[1], (len(law) - 2) // 3 - 1
     cell = int(min(approach / width, float(last)))
-    at = 3 + 3 * cell
+    at = 2 + 3 * cell
     f0, s0, stored = law[at], law[at + 1], law[at + 2]
-    kn, x = scale * law[1], approach - cell * width
+    kn, x = scale * law[0], approach - cell * width
     if cell == last:
         return kn * (f0 + s0 * x), kn * s0, kn * (stored + f0 * x + 0.5 * s0 * x * x)
     f1, s1 = law[at + 3], law[at + 4]
@@ -114,12 +105,11 @@ def _tabulated(law: Array, scale: float, approach: float) -> tuple[float, float,
     return kn * force, kn * slope, kn * stored
 
 
-@njit
 def _plastic(
-    law: Array, scale: float, approach: float, indented: float
+    law: Array, scale: float, approach: float, compliance: float, indented: float
 ) -> tuple[float, float, float]:
     """A spring from the indentation on, up to the yield force; its potential along the way in."""
-    stiffness, most, depth = scale * law[1], law[2], approach - indented
+    stiffness, most, depth = scale * law[0], law[1], approach - indented
     if depth <= 0.0:
         return 0.0, 0.0, 0.0
     if stiffness * depth <= most:
@@ -127,10 +117,11 @@ def _plastic(
     return most, 0.0, most * (depth - 0.5 * most / stiffness)
 
 
-@njit
-def _adhesive(law: Array, scale: float, approach: float, held: float) -> tuple[float, float, float]:
+def _adhesive(
+    law: Array, scale: float, approach: float, compliance: float, held: float
+) -> tuple[float, float, float]:
     """A spring that also pulls where it is held, as far as it can; its potential on the way out."""
-    stiffness, most = scale * law[1], law[2]
+    stiffness, most = scale * law[0], law[1]
     if approach <= 0.0 and held == 0.0:
         return 0.0, 0.0, 0.0
     if approach > -most / stiffness or held == HELD_FAST:
@@ -138,68 +129,53 @@ def _adhesive(law: Array, scale: float, approach: float, held: float) -> tuple[f
     return 0.0, 0.0, 0.5 * most * most / stiffness
 
 
-@njit
-def remembered(law: Array, scale: float, approach: float, memory: float) -> float:
-    """The memory after a step that ends at ``approach``."""
-    if law[0] == PLASTIC:
-        return max(memory, approach - law[2] / (scale * law[1]))
-    if law[0] == ADHESIVE:
-        if approach > 0.0:
-            return HELD
-        return memory if approach > -law[2] / (scale * law[1]) else 0.0
+def _indented(law: Array, scale: float, approach: float, memory: float) -> float:
+    return max(memory, approach - law[1] / (scale * law[0]))
+
+
+def _at_indentation(law: Array, scale: float, memory: float) -> float:
     return memory
 
 
-@njit
-def clear_at(law: Array, scale: float, memory: float) -> float:
-    """The approach in m down to which a point in contact has a force."""
-    if law[0] == PLASTIC:
-        return memory
-    if law[0] == ADHESIVE and memory > 0.0:
-        return -law[2] / (scale * law[1])
-    return 0.0
+def _held(law: Array, scale: float, approach: float, memory: float) -> float:
+    if approach > 0.0:
+        return HELD
+    return memory if approach > -law[1] / (scale * law[0]) else 0.0
+
+
+def _at_pull_off(law: Array, scale: float, memory: float) -> float:
+    return -law[1] / (scale * law[0]) if memory > 0.0 else 0.0
+
+
+LINEAR = Kind.of(_linear)
+HUNT_CROSSLEY = Kind.of(_linear, damps_spring=True)
+STIFFENING = Kind.of(_stiffening)
+TABULATED = Kind.of(_tabulated)
+PLASTIC = Kind.of(_plastic, _indented, _at_indentation)
+ADHESIVE = Kind.of(_adhesive, _held, _at_pull_off, pulls=True)
 
 
 @njit
 def internal(points: Points, memory: Array, i: int) -> float:
     """The law's internal variable at point ``i``."""
-    return memory[i, 2] if points.law[0] >= PLASTIC else 0.0
+    return memory[i, 2] if points.kind.remembers else 0.0
 
 
 @njit
 def holds(points: Points, memory: Array) -> bool:
     """Whether adhesion holds a point."""
-    return points.law[0] == ADHESIVE and memory[:, 2].max() > 0.0
+    return points.kind.pulls and memory[:, 2].max() > 0.0
 
 
 @njit
 def _mean_elastic(at: PointLaw, start: float, end: float, memory: float) -> tuple[float, float]:
     """The mean over a step of the force without damping, and its derivative by the approach at the
     end."""
-    law, scale, compliance = at.law, at.scale, at.compliance
-    if law[0] >= STIFFENING:
-        return _mean_curved(at, start, end, memory)
-    force1, slope1, energy1 = _linear(law, scale, end, compliance)
-    force0, _, energy0 = _linear(law, scale, start, compliance)
-    if at.end_weight != CONSERVING:
-        weight = at.end_weight
-        return weight * force1 + (1.0 - weight) * force0, weight * slope1
+    law, scale, compliance, elastic = at.law, at.scale, at.compliance, at.kind.elastic
     change = end - start
-    if abs(change) <= SHORT * max(abs(start), abs(end)):
-        force, slope, _ = _linear(law, scale, 0.5 * (start + end), compliance)
-        return force, 0.5 * slope
-    mean = (energy1 - energy0) / change
-    return mean, (force1 - mean) / change
-
-
-@njit
-def _mean_curved(at: PointLaw, start: float, end: float, memory: float) -> tuple[float, float]:
-    """`_mean_elastic` of every other law, apart because most drops have the linear one."""
-    law, scale, compliance = at.law, at.scale, at.compliance
-    change = end - start
-    if law[0] == ADHESIVE and memory > 0.0:
-        stiffness = scale * law[1]
-        reach = law[2] / stiffness
+    if at.kind.pulls and memory > 0.0:
+        stiffness = scale * law[0]
+        reach = law[1] / stiffness
         lets_go = end <= -reach or memory == LETTING_GO
         if change < 0.0 and lets_go and memory != HELD_FAST:
             # the force ends on the way, be that ever so short
@@ -228,9 +204,9 @@ def _mean_normal(at: PointLaw, start: float, end: float, memory: float) -> tuple
     if at.dashpot != 0.0 and (start > 0.0 or end > 0.0):
         law, damping = at.law, at.dashpot * at.scale
         before, after = max(start, 0.0), max(end, 0.0)
-        if law[0] == HUNT_CROSSLEY:
-            mean += 0.5 * law[1] * damping * (after + before) * (after - before)
-            slope += law[1] * damping * after
+        if at.kind.damps_spring:
+            mean += 0.5 * law[0] * damping * (after + before) * (after - before)
+            slope += law[0] * damping * after
         else:
             mean += damping * (after - before)
             slope += damping if end > 0.0 else 0.0
@@ -246,9 +222,9 @@ def normal_force(at: PointLaw, point: PointTrial) -> tuple[float, float]:
     proximal, internal = at.proximal, point.internal
     if proximal == 0.0:
         return _mean_normal(at, point.start, point.end, internal)
-    if math.isinf(at.law[1]):  # Signorini's condition holds at the end of the step
+    if math.isinf(at.law[0]):  # Signorini's condition holds at the end of the step
         end, compliance = point.end + proximal * point.m, at.compliance + proximal
-        force, slope, _ = elastic(at.law, at.scale, end, compliance, internal)
+        force, slope, _ = at.kind.elastic(at.law, at.scale, end, compliance, internal)
         return force, slope
     force = point.m
     slope = 0.0
@@ -265,8 +241,8 @@ def normal_force(at: PointLaw, point: PointTrial) -> tuple[float, float]:
 @njit
 def normal_at_end(at: PointLaw, point: PointTrial) -> float:
     """Normal force at the end of a step, with damping at the step's mean speed."""
-    force = elastic(at.law, at.scale, point.end, at.compliance, point.internal)[0]
+    force = at.kind.elastic(at.law, at.scale, point.end, at.compliance, point.internal)[0]
     if at.dashpot != 0.0 and point.end > 0.0:
         speed = at.dashpot * (point.end - max(point.start, 0.0))
-        force += speed * (force if at.law[0] == HUNT_CROSSLEY else at.scale)
+        force += speed * (force if at.kind.damps_spring else at.scale)
     return max(force, 0.0)

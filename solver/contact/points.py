@@ -9,24 +9,82 @@ is (N, T).
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from collections.abc import Callable
+from typing import NamedTuple, Self
+
+import numba
 
 from ..arrays import Array
-from ..compiled import njit
+from ..compiled import Pointer, njit
 
 # The ``end_weight`` that asks for the discrete gradient of the potential.
 CONSERVING = 0.0
+
+_float, _row = numba.float64, numba.float64[::1]
+ELASTIC = numba.types.UniTuple(_float, 3)(_row, _float, _float, _float, _float)
+REMEMBERED = _float(_row, _float, _float, _float)
+CLEAR_AT = _float(_row, _float, _float)
+
+
+class Kind(NamedTuple):
+    """A kind of contact law at one point: its functions, each of the law's own numbers (k,), Kn
+    first, and of the point's stiffness over the law's, ``scale``.
+
+    ``elastic`` (numbers, scale, approach, compliance, memory) has the force in N, the tangent in
+    N/m and the potential in J; of a law that ``remembers``, ``remembered`` (numbers, scale,
+    approach, memory) has the internal variable after a step that ends at the approach, and
+    ``clear_at`` (numbers, scale, memory) the approach in m down to which a point in contact has a
+    force. A law ``pulls`` where it holds up to its second number in N, then lets go;
+    ``damps_spring`` says that its damping multiplies its spring's force.
+    """
+
+    elastic: Pointer
+    remembered: Pointer
+    clear_at: Pointer
+    remembers: bool
+    pulls: bool
+    damps_spring: bool
+
+    @classmethod
+    def of(
+        cls,
+        elastic: Callable[[Array, float, float, float, float], tuple[float, float, float]],
+        remembered: Callable[[Array, float, float, float], float] | None = None,
+        clear_at: Callable[[Array, float, float], float] | None = None,
+        *,
+        pulls: bool = False,
+        damps_spring: bool = False,
+    ) -> Self:
+        """The kind with these functions, which Numba compiles; without the last two it has no
+        memory."""
+        return cls(
+            Pointer(elastic, ELASTIC),
+            Pointer(remembered or _unchanged, REMEMBERED),
+            Pointer(clear_at or _at_touch, CLEAR_AT),
+            remembered is not None,
+            pulls,
+            damps_spring,
+        )
+
+
+def _unchanged(numbers: Array, scale: float, approach: float, memory: float) -> float:
+    return memory
+
+
+def _at_touch(numbers: Array, scale: float, memory: float) -> float:
+    return 0.0
 
 
 class Points(NamedTuple):
     """The law at the contact points over one step: what all of a step's functions read.
 
-    ``law`` see contact.laws, ``kt`` and ``mu`` are friction's, ``scale`` (n,) the points' stiffness
-    over the law's, ``compliance`` Nitsche's (in series with the law), ``proximal`` that of the
-    augmented Lagrangian, ``dashpot`` the law's damping over the time step. ``end_weight`` is
-    `CONSERVING` or the weight of the end of the step.
+    ``law`` (k,) are the numbers of a law of this ``kind``, ``kt`` and ``mu`` are friction's,
+    ``scale`` (n,) the points' stiffness over the law's, ``compliance`` Nitsche's (in series with
+    the law), ``proximal`` that of the augmented Lagrangian, ``dashpot`` the law's damping over the
+    time step. ``end_weight`` is `CONSERVING` or the weight of the end of the step.
     """
 
+    kind: Kind
     law: Array
     kt: float
     mu: float
@@ -56,6 +114,7 @@ class Trial(NamedTuple):
 class PointLaw(NamedTuple):
     """`Points` as one point sees them."""
 
+    kind: Kind
     law: Array
     kt: float
     mu: float
@@ -101,6 +160,7 @@ class PointForce(NamedTuple):
 def law_at(points: Points, i: int) -> PointLaw:
     """What point ``i`` sees of the ``points``."""
     return PointLaw(
+        points.kind,
         points.law,
         points.kt,
         points.mu,

@@ -29,6 +29,7 @@ def _solve_by_stiffening(points: Points, section: Section, trial: Trial) -> int:
     total = 0
     for stage in range(STIFFENING_STAGES, -1, -1):
         eased = Points(
+            kind=points.kind,
             law=points.law,
             kt=points.kt * STIFFENING**-stage,
             mu=points.mu,
@@ -69,7 +70,7 @@ def _solve_held(points: Points, section: Section, trial: Trial) -> int:
         total += done
         more = False
         for i in range(n):
-            reach = points.law[2] / (points.scale[i] * points.law[1])
+            reach = points.law[1] / (points.scale[i] * points.law[0])
             if memory[i, 2] == HELD_FAST and trial.end[i, 0] <= -reach:
                 memory[i, 2] = LETTING_GO
                 more = True

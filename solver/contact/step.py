@@ -16,7 +16,7 @@ import math
 from ..arrays import Array
 from ..compiled import njit
 from .friction import elongated, friction_force, tangential_stiffness
-from .normal import PLASTIC, clear_at, elastic, internal, normal_force, remembered
+from .normal import internal, normal_force
 from .points import (
     CONSERVING,
     PointForce,
@@ -37,12 +37,14 @@ def point_force(at: PointLaw, point: PointTrial) -> PointForce:
     if mu == 0.0 or normal <= 0.0:
         return PointForce(normal, 0.0, 0.0, k, 0.0, 0.0, 0.0, 0.0, 0.0)
     part, weight, at_end, k_end = 1.0, 1.0, normal, k
-    rigid = math.isinf(at.law[1])
+    rigid = math.isinf(at.law[0])
     if at.end_weight == CONSERVING and not rigid:
         part = 0.5
     elif not rigid:
         weight = at.end_weight
-        at_end, k_end, _ = elastic(at.law, at.scale, point.end, at.compliance, point.internal)
+        at_end, k_end, _ = at.kind.elastic(
+            at.law, at.scale, point.end, at.compliance, point.internal
+        )
     t0, t1, stick, slides = friction_force(at, point, mu * at_end, part)
     f0, f1 = weight * t0, weight * t1
     if weight != 1.0 and point.start > 0.0:
@@ -117,7 +119,7 @@ def settle(points: Points, trial: Trial) -> float:
     That is the work done on it less the change of what it stores.
     """
     taken = 0.0
-    law, remembers = points.law, points.law[0] >= PLASTIC
+    kind, law, remembers = points.kind, points.law, points.kind.remembers
     if points.dashpot == 0.0 and not remembers:
         return taken
     start, end, force, memory = trial.start, trial.end, trial.force, trial.memory
@@ -125,9 +127,9 @@ def settle(points: Points, trial: Trial) -> float:
         old = internal(points, memory, i)
         if start[i, 0] > 0.0 or end[i, 0] > 0.0 or old != 0.0:
             scale = points.scale[i]
-            new = remembered(law, scale, end[i, 0], old)
-            held = elastic(law, scale, end[i, 0], points.compliance, new)[2]
-            held -= elastic(law, scale, start[i, 0], points.compliance, old)[2]
+            new = kind.remembered(law, scale, end[i, 0], old)
+            held = kind.elastic(law, scale, end[i, 0], points.compliance, new)[2]
+            held -= kind.elastic(law, scale, start[i, 0], points.compliance, old)[2]
             work = force[i, 0] * (end[i, 0] - start[i, 0])
             taken += points.weights[i] * (work - held)
             if remembers:
@@ -142,13 +144,13 @@ def share_in_contact(points: Points, trial: Trial) -> float:
     To be asked before `settle`.
     """
     first = last = -math.inf
-    remembers = points.law[0] >= PLASTIC
+    remembers = points.kind.remembers
     for i in range(len(points.weights)):
         clear = 0.0
         if remembers:
             if trial.force[i, 0] == 0.0:
                 continue
-            clear = clear_at(points.law, points.scale[i], trial.memory[i, 2])
+            clear = points.kind.clear_at(points.law, points.scale[i], trial.memory[i, 2])
         first, last = max(first, trial.start[i, 0] - clear), max(last, trial.end[i, 0] - clear)
     if last >= 0.0 or first <= last:
         return 1.0

@@ -22,7 +22,8 @@ from typing import Any
 import numpy as np
 
 from .. import paper
-from ..contact.laws import Linear
+from ..arrays import Array
+from ..contact.laws import ContactLaw, Damped, Linear, check_compiled
 from ..errors import InputError
 from .base import Effect, Parameter, Place, Scene
 from .contact import TOUCHING
@@ -46,6 +47,8 @@ PLAIN = (LOW, HIGH, *(replace(LOW, **late) for late in LATER))
 # How the modules of users' files are called, before the beginning of their digest.
 MODULE = "bristle_plugin_"
 MOST_PARAMETERS = 2
+# Penetrations at which a contact law is tried: several times what drops press.
+DEEPEST_M, DEPTHS = 1e-4, 1001
 
 
 def load(path: Path, source: bytes) -> None:
@@ -161,6 +164,10 @@ def _acts(kind: type[Effect]) -> str:
             return f"fails where it is {size}: {type(error).__name__}: {error}"
         if not all(isinstance(scene, Scene) for scene in done[size]):
             return "enter must return a Scene"
+        for scene in done[size]:
+            problem = _wrong_law(scene.law)
+            if problem:
+                return f"where it is {size}, its contact law {problem}"
     changed = {size: _changed(PLAIN, scenes) for size, scenes in done.items()}
     ignored = sorted(changed["typical"] & set(IGNORED))
     if ignored:
@@ -171,6 +178,40 @@ def _acts(kind: type[Effect]) -> str:
         if done[f"least {each.name}"] == done[f"greatest {each.name}"]:
             return f"{each.name} changes nothing"
     return _predictable(kind, changed, done) if kind.kinds else ""
+
+
+def _wrong_law(law: ContactLaw) -> str:
+    """What is wrong with a contact law, tried at one point; or an empty text."""
+    if type(law) in (Linear, Damped):
+        return ""
+    depth = np.linspace(0.0, DEEPEST_M, DEPTHS)
+    try:
+        check_compiled(law)
+        force, tangent = law.force(depth, 0.0), law.tangent(depth, 0.0)
+        stored, before = law.potential(depth, 0.0), law.force(-depth, 0.0)
+        for name in ("remembered", "clear_at"):
+            getattr(law.kind, name).__wrapper_address__()  # compiles
+        own = law.kind.remembered
+        memory = [own.function(law.parameters, 1.0, float(each), 0.0) for each in depth]
+        after = law.force(depth, 0.0, 1.0, np.array(memory))
+    except Exception as error:
+        why = "; ".join(str(error).splitlines()[:2])
+        return f"fails: {type(error).__name__}: {why}"
+    if not np.isfinite([force, tangent, stored, after]).all():
+        return "is not finite"
+    if before.any() or force[0] != 0.0 or stored[0] != 0.0:
+        return "has a force or a potential before it is touched"
+    if not _integrates(force, tangent, depth) or not _integrates(stored, force, depth):
+        return "has a tangent that is not the slope of its force, or a force not of its potential"
+    if not np.allclose(after, force, rtol=1e-6, atol=1e-9 * np.abs(force).max()):
+        return "has another force once what a step leaves is remembered"
+    return ""
+
+
+def _integrates(whole: Array, slope: Array, x: Array) -> bool:
+    """Whether ``whole`` is the integral of ``slope`` from zero on, but for kinks."""
+    sums = np.cumsum(0.5 * (slope[1:] + slope[:-1]) * np.diff(x))
+    return bool(np.abs(whole[1:] - sums).max() <= 1e-2 * np.abs(whole).max())
 
 
 def _changed(before: Sequence[Scene], after: Sequence[Scene]) -> set[str]:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from ..arrays import Array
 from ..bodies.axis import Shortening, second_order_force, second_order_loss, shortened
 from ..compiled import njit
-from ..contact.normal import PLASTIC, elastic, holds
+from ..contact.normal import holds
 from ..contact.points import Points, Trial
 from ..contact.section import Section, new_section, section_gathers, section_moves
 from ..contact.solve import solve_step
@@ -235,8 +235,8 @@ def _solve(
 def _take(points: Points, trial: Trial, last: float) -> Taken:
     """Let friction's springs and the law's memory follow a step; ``last`` is the mean normal force
     of the step before."""
-    law, weights, end = points.law, points.weights, trial.end
-    remembers = law[0] >= PLASTIC
+    kind, law, weights, end = points.kind, points.law, points.weights, trial.end
+    remembers = kind.remembers
     mean = final = 0.0
     for i in range(len(weights)):
         mean += weights[i] * trial.force[i, 0]
@@ -249,7 +249,7 @@ def _take(points: Points, trial: Trial, last: float) -> Taken:
     for i in range(len(weights)):
         if end[i, 0] > 0.0 or remembers:
             remembered = trial.memory[i, 2]
-            final += weights[i] * elastic(law, points.scale[i], end[i, 0], 0.0, remembered)[0]
+            final += weights[i] * kind.elastic(law, points.scale[i], end[i, 0], 0.0, remembered)[0]
     return Taken(mean, final, share, friction, lost)
 
 
@@ -286,7 +286,7 @@ def march(modes: Modes, touching: Touching, u: Array, v: Array, limits: MarchLim
     """March from the state (u, v); times count from the start."""
     h, weights, points = modes.its, modes.weights, touching.points
     n, m = len(weights), len(u)
-    pulls = points.law[0] >= PLASTIC
+    remembers = points.kind.remembers
     section = local_section(modes, touching.frames)
     work = _new_work(modes, touching, u, v)
     none = np.zeros((n, 3))
@@ -312,7 +312,7 @@ def march(modes: Modes, touching: Touching, u: Array, v: Array, limits: MarchLim
             taken = _take(points, trial, last)
             rubbed += taken.friction
             spent += taken.law
-            if taken.mean > 0.0 or (pulls and taken.mean < 0.0):
+            if taken.mean > 0.0 or (remembers and taken.mean < 0.0):
                 release = h * (count - 1 + taken.share)
                 impulse += h * taken.mean
                 _push(weights, touching.frames, h * trial.force, push)

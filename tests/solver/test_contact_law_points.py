@@ -94,7 +94,8 @@ def points_of(law, mu=0.5, soft=0.0, n=1, its=ITS):
     kt = mindlin_ratio(0.28) * KN
     weights = np.full(n, 1.0 / n)
     drag = law.damping / its
-    return Points(law.parameters, kt, mu, np.ones(n), 0.0, weights, CONSERVING, soft, drag)
+    numbers = law.kind, law.parameters, kt, mu, np.ones(n), 0.0, weights
+    return Points(*numbers, CONSERVING, soft, drag)
 
 
 def step_of(start, end, force, memory):

@@ -1,10 +1,12 @@
-"""Stiffening, damped, plastic and adhesive contact against closed forms of a bouncing mass.
+"""Stiffening, damped, plastic and adhesive contact, and a law from outside, against closed forms.
 
 A mass of one mode, without gravity, comes to a plane with a known speed. What it does is compared
 with formulas, or with an integration that shares no code with the program.
 """
 
+import importlib
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,6 +15,7 @@ from contact_law_helpers import (
     KN,
     LAWS,
     MASS,
+    MOST,
     OMEGA,
     SPEED,
     bounce,
@@ -191,6 +194,27 @@ def test_below_yield_plastic_contact_is_linear():
     assert history.array() == pytest.approx(linear, rel=1e-9, abs=1e-15)
     assert abs(touch.contact_loss_J) < 1e-13 * MASS * SPEED**2
     assert kept == pytest.approx(1.0, abs=1e-12)
+
+
+@pytest.mark.parametrize("hardening", [0.01, 0.1, 0.5])
+def test_a_law_of_ones_own_that_yields_and_hardens(hardening, monkeypatch):
+    """Of docs/examples: work ½ F²/Kn to yield, then F x + ½ α Kn x²; what comes back is ½ Fmax²/Kn,
+    and the time is a quarter wave on Kn, part of one on α Kn, and a quarter wave on Kn."""
+    monkeypatch.syspath_prepend(Path(__file__).parents[2] / "docs" / "examples")
+    law = importlib.import_module("my_plastic_law").Hardening(KN, 0.5 * MOST, hardening)
+    force, soft = law.yield_N, hardening * KN
+    speed = math.sqrt(SPEED**2 - force**2 / (KN * MASS))
+    over = (math.sqrt(force**2 + soft * MASS * speed**2) - force) / soft
+    most = force + soft * over
+    touch, kept, _ = after(law, ITS / 10.0)
+    slow = math.sqrt(soft / MASS)
+    time = (math.asin(force / MOST) + 0.5 * math.pi) / OMEGA
+    time += math.atan(slow * MASS * speed / force) / slow
+    assert touch.peak_force_N == pytest.approx(most, rel=CLOSE)
+    assert touch.max_penetration_m == pytest.approx(force / KN + over, rel=CLOSE)
+    assert kept == pytest.approx(most / MOST, rel=CLOSE)
+    assert touch.release_s == pytest.approx(time, rel=CLOSE)
+    assert touch.contact_loss_J == pytest.approx(0.5 * MASS * SPEED**2 * (1.0 - kept**2), rel=1e-9)
 
 
 @pytest.mark.parametrize("share", [0.0, 0.1, 0.5, 0.9])

@@ -223,7 +223,8 @@ def dragged_along(path, presses):
     """Elongation (k, 2) of the spring, mean force (k - 1, 2) and loss (k - 1,) of a point.
 
     It is taken along a ``path`` (k, 2) under normal forces (k,)."""
-    points = Points(Linear(KN).parameters, KN, MU, np.ones(1), 0.0, np.ones(1), CONSERVING, 0.0)
+    law = Linear(KN)
+    points = Points(law.kind, law.parameters, KN, MU, np.ones(1), 0.0, np.ones(1), CONSERVING, 0.0)
     memory, none = np.zeros((1, 3)), np.zeros((1, 3))
     approach = np.column_stack([presses / KN, path])
     stretched, pulls, losses = [memory[0, :2].copy()], [], []
@@ -371,9 +372,8 @@ def test_a_face_that_turns_on_the_spot_is_braked_by_mu_n_times_its_mean_radius()
 @settings(max_examples=100, deadline=None)
 def test_the_return_mapping_knows_no_direction(angle, slip, stretch, end_weight, soft):
     """Forces and tangents turn with the tangent frame; friction never exceeds μ N."""
-    points = Points(
-        Linear(KN).parameters, 0.8 * KN, MU, np.ones(1), 0.0, np.ones(1), end_weight, soft
-    )
+    law, one = Linear(KN), np.ones(1)
+    points = Points(law.kind, law.parameters, 0.8 * KN, MU, one, 0.0, one, end_weight, soft)
     c, s = math.cos(angle), math.sin(angle)
     turned = np.array([[1.0, 0.0, 0.0], [0.0, c, -s], [0.0, s, c]])
     start, end = np.array([1e-5, 2e-6, -1e-6]), np.array([2e-5, 2e-6 + slip, -1e-6])
