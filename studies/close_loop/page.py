@@ -303,7 +303,7 @@ def _attribution(rows: Rows) -> Section:
                 weights,
             )
         )
-    model = closed.problem.combine(finding.model_effects)
+    model = finding.model
     found = directions(model, tuple(finding.theta), finding.rows, rows.unit)
     caption = "Directions of the refitted model that the data see."
     return Section(

@@ -74,10 +74,8 @@ class Rows:
     @cached_property
     def after(self) -> Array:
         """Mean predictions (rows,) of the reported model, whitened."""
-        finding, problem = self.closed.finding, self.closed.problem
-        if not finding.model_effects:
-            return self.before
-        return mean_of(problem.combine(finding.model_effects), finding.theta)
+        finding = self.closed.finding
+        return mean_of(finding.model, finding.theta) if finding.model_effects else self.before
 
     @cached_property
     def unit(self) -> Array:
@@ -102,10 +100,10 @@ class Rows:
     @cached_property
     def left_after(self) -> Array:
         """What the reported model leaves of each value (rows,), in standard deviations."""
-        finding, problem = self.closed.finding, self.closed.problem
+        finding = self.closed.finding
         if not finding.model_effects:
             return self.left_before
-        return self._left(problem.combine(finding.model_effects), finding.theta)
+        return self._left(finding.model, finding.theta)
 
     def _left(self, model: Model, theta: Array | tuple[float, ...]) -> Array:
         """Residuals (rows,) in standard deviations; where a model has chance in it, the normal

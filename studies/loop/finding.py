@@ -10,6 +10,7 @@ from typing import Any
 from ...solver.arrays import Array
 from .heldout import HeldOut
 from .noise import Ints
+from .problem import Model
 
 
 class Verdict(StrEnum):
@@ -85,10 +86,10 @@ class Finding:
 
     ``rows`` numbers the problem's rows that were fitted; ``residual_before``, ``residual_after``
     are their quantile residuals, ``covariates`` what they are drawn against. ``theta`` are the
-    reported model's likeliest parameters, ``model_effects`` its effects, ``parameters`` posterior
-    medians with intervals. ``unlisted`` is the log evidence of the best shape that no effect has,
-    ``shape``, on the scale of ``evidences``. ``detectable`` and ``needed_d``: magnitude and size at
-    which an effect is noticed nine times in ten.
+    likeliest parameters of the reported ``model``, ``parameters`` posterior medians with intervals.
+    ``unlisted`` is the log evidence of the best shape that no effect has, ``shape``, on the scale
+    of ``evidences``. ``detectable`` and ``needed_d``: magnitude and size at which an effect is
+    noticed nine times in ten.
     """
 
     verdict: Verdict
@@ -115,7 +116,7 @@ class Finding:
     coverage_90: float
     held_out: HeldOut | None
     next_experiment: Proposal | None
-    model_effects: tuple[str, ...]
+    model: Model
     theta: Array
     rows: Ints
     residual_before: Array
@@ -125,6 +126,11 @@ class Finding:
     left_aside: tuple[str, ...]
     seed: int
     alarm: float
+
+    @property
+    def model_effects(self) -> tuple[str, ...]:
+        """The reported model's."""
+        return self.model.effects
 
     @property
     def effects(self) -> tuple[str, ...]:

@@ -51,6 +51,20 @@ class Scattering(Model, Protocol):
         ...
 
 
+@runtime_checkable
+class Emulated(Model, Protocol):
+    """A model that reads tables of simulations, which are only near them."""
+
+    @property
+    def possible(self) -> bool:
+        """Whether its effects can act at once."""
+        ...
+
+    def simulated(self, theta: Array) -> Model:
+        """The same as simulations have it at ``theta`` (p,); itself where its tables will do."""
+        ...
+
+
 @dataclass(frozen=True)
 class Experiment:
     """A measurement that could be made next.

@@ -23,7 +23,7 @@ from .posterior import Posterior, posterior
 from .problem import Problem
 from .profile import Profile, classes, directions, profile
 from .sample import Sample, estimated_units, sample
-from .search import Tried, fit_baseline, fit_candidate, fit_pairs
+from .search import Tried, fit_baseline, fit_candidate, fit_pairs, fit_simulated, near_likeliest
 
 ALARM = 0.01
 LEFT_ALARM = 0.01
@@ -127,6 +127,11 @@ def find(
                     singles.append(fit_candidate(data, base, each))
                     advance()
     if missing:
+        least = near_likeliest(singles, baseline.log_evidence)
+        singles = [
+            fit_simulated(data, base, each) if each.log_evidence >= least else each
+            for each in singles
+        ]
         explained = _explain(state, singles)
     else:
         advance(len(profiles) - len(singles))
@@ -172,7 +177,7 @@ def find(
         next_experiment=next_experiment(
             problem, [e.posterior for e in reported] if len(reported) > 1 else []
         ),
-        model_effects=final.effects,
+        model=final.fitted.model,
         theta=final.fitted.theta,
         rows=data.rows,
         residual_before=first.residual,

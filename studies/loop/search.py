@@ -6,6 +6,7 @@ starts are spread over the whole box of the baseline, and the best few that diff
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -16,28 +17,35 @@ from ...solver.arrays import Array
 from .adequacy import Direction, left_by_refit
 from .fit import Fitted, settle, to_box, to_theta
 from .posterior import evidence
-from .problem import Model, Problem, Scattering
+from .problem import Emulated, Model, Problem, Scattering
 from .profile import Profile
 from .residuals import quantile_residuals
 from .sample import Sample
 
 SPREAD = 8
 LEVELS = (0.03, 0.12, 0.35, 0.8)
-FOLLOWED = 4
+FOLLOWED = 8
 DIFFERENT = 0.08
 # Predictions of neighbouring nodes may lie so many standard deviations of the noise apart (a sum
 # over them is then within 3e-4 of a normal likelihood's integral), and nodes are this share of the
 # deviation by chance apart.
 NODES_APART, NODE_SHARE, MOST_CLOSER = 1.5, 0.2, 16
+# What tables are off by may have put a model that is right below the likeliest by so many nats, or
+# by this share of what that gains over none; and it is fitted so often to simulations.
+TABLE_NATS, TABLE_SHARE, SIMULATED = 30.0, 0.1, 3
+# In the unit box: a fit that moves by less is not simulated again.
+SETTLED = 1e-3
 PAIRED_WITH, PAIRS_TRIED, SCATTERS_TRIED = 3, 5, 2
 
 
 @dataclass(frozen=True)
 class Tried:
-    """A model that was fitted, and its log evidence."""
+    """A model that was fitted, and its log evidence; where that was to simulations, also the fit
+    to ``tables``."""
 
     fitted: Fitted
     log_evidence: float
+    tables: Fitted | None = None
 
     @property
     def effects(self) -> tuple[str, ...]:
@@ -123,6 +131,28 @@ def _followed(data: Sample, model: Model, starts: Array) -> Fitted:
     return settle(data, model, starts[chosen])
 
 
+def near_likeliest(tried: Sequence[Tried], plain: float) -> float:
+    """The log evidence from which on tables may have put a model below the likeliest; ``plain`` is
+    the baseline's."""
+    best = max((each.log_evidence for each in tried), default=plain)
+    return best - max(TABLE_NATS, TABLE_SHARE * (best - plain))
+
+
+def fit_simulated(data: Sample, base: Fitted, tried: Tried) -> Tried:
+    """The model fitted again, to simulations at its fit."""
+    fitted = tried.fitted
+    for _ in range(SIMULATED):
+        if not isinstance(fitted.model, Emulated):
+            return tried
+        model = fitted.model.simulated(fitted.theta)
+        if model is fitted.model:
+            return tried
+        before, fitted = fitted.u, settle(data, model, np.array([fitted.u, *fitted.modes]))
+        if np.abs(fitted.u - before).max() < SETTLED:
+            break
+    return Tried(fitted, evidence(data, fitted, base.u.size), tried.fitted)
+
+
 def fit_pairs(
     problem: Problem,
     data: Sample,
@@ -131,7 +161,8 @@ def fit_pairs(
     directions: Sequence[Direction],
     profiles: Sequence[Profile],
 ) -> list[Tried]:
-    """Fits of the pairs whose second effect lies nearest to what the likeliest single ones leave.
+    """Fits, to simulations, of the likeliest single effect with every other, and of the pairs whose
+    second effect lies nearest to what the likeliest single ones leave.
 
     What scatters is not seen in the mean, so the likeliest of it is tried beside them anyway.
     """
@@ -159,15 +190,22 @@ def fit_pairs(
             for each in scatter
             if each is not one and not one.scatters
         ]
+    chosen += [
+        (best[0].effects[0], each.name) for each in profiles if each.name not in best[0].effects
+    ]
     alone = {each.effects[0]: each for each in singles}
     by_name = {each.name: each for each in profiles}
     out = []
     for i, key in enumerate(chosen):
         if key in chosen[:i] or key[::-1] in chosen[:i]:
             continue
-        model = resolved(data, base, problem.combine(key))
+        model = problem.combine(key)
+        if isinstance(model, Emulated) and not model.possible:
+            continue
+        model = resolved(data, base, model)
         fitted = _followed(data, model, _pair_starts(model, base, alone, by_name))
-        out.append(Tried(fitted, evidence(data, fitted, base.u.size)))
+        tried = Tried(fitted, evidence(data, fitted, base.u.size))
+        out.append(fit_simulated(data, base, tried))
     return out
 
 
@@ -179,14 +217,13 @@ def _pair_starts(
     names = model.effects
     out = []
     for first, second in (names, names[::-1]):
-        fitted = alone[first].fitted
+        one = known[first].model.parameters[own:]
+        null = np.array([to_box(each, each.null) for each in one])
         profile = known[second]
-        several = list(range(0, len(profile.u), 3))
-        for amount in (1.0, 0.5):
-            one = known[first].model.parameters[own:]
-            null = np.array([to_box(each, each.null) for each in one])
+        fits = [each for each in (alone[first].fitted, alone[first].tables) if each is not None]
+        for fitted, amount in itertools.product(fits, (1.0, 0.5)):
             part = null + amount * (fitted.u[own:] - null)
-            for point in several:
+            for point in range(0, len(profile.u), 3):
                 parts = {first: part, second: profile.u[point, own:]}
                 for start in (fitted.u[:own], profile.u[point, :own]):
                     out.append(np.concatenate([start, *(parts[name] for name in names)]))

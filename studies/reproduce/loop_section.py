@@ -185,8 +185,7 @@ def _pooled(findings: Sequence[Finding]) -> dict[str, list[float]]:
 
 
 def _differs_by_chance(closed: Closed) -> bool:
-    effects = closed.finding.model_effects
-    return bool(effects) and np.size(closed.problem.combine(effects).weights) > 1
+    return np.size(closed.finding.model.weights) > 1
 
 
 def _reach(findings: Sequence[Finding]) -> str:

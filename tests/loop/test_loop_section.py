@@ -138,15 +138,17 @@ def test_words_follow_the_findings(closed):
     one, two = closed.closed[:2]
 
     def saying(each, verdict, weights):
-        likeliest = tuple(weights)[:1]
-        said = {"verdict": verdict, "weights": weights, "model_effects": likeliest}
+        said = {"verdict": verdict, "weights": weights, "model": with_effects(*list(weights)[:1])}
         return replace(each, finding=replace(each.finding, **said))
+
+    def with_effects(*names):
+        return one.problem.combine(names)
 
     effect = saying(one, Verdict.EFFECT, {"slope": 1.0})
     tied = saying(two, Verdict.AMBIGUOUS, {"drag": 0.75, "slope": 0.25})
-    answer = told([effect, replace(tied, finding=replace(tied.finding, model_effects=("drag",)))])[
-        0
-    ]
+    answer = told(
+        [effect, replace(tied, finding=replace(tied.finding, model=with_effects("drag")))]
+    )[0]
     assert "effect in 1, ambiguous in 1" in answer
     assert "slope 0.62 (0.25 to 1.00); drag 0.38 (0.00 to 0.75)" in answer
     assert "Named in every set: slope." in answer

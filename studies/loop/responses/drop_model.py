@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, NamedTuple, Self
@@ -10,12 +10,16 @@ from typing import Any, NamedTuple, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from ....solver import paper
 from ....solver.arrays import Array
+from ....solver.bristle import RigidMass
 from ....solver.contact.laws import Linear
-from ....solver.effects.base import Parameter
-from ....solver.effects.library import EFFECTS, in_order
+from ....solver.effects.base import Effect, Parameter, Scene
+from ....solver.effects.library import EFFECTS, enter_all, in_order
+from ....solver.errors import InputError
 from ....solver.fall import fallen, risen
-from .response import Emulator, Tables
+from .response import Emulator, Tables, effect_at
+from .table import QUANTITIES
 
 # Nodes of chance, ends and how many: stiffness by its normal deviate, slope by its size; and the
 # slope's direction.
@@ -78,6 +82,17 @@ class BounceModel:
     def finer(self, by: int) -> Self:
         """The same with ``by`` times as many nodes of stiffness or of the slope's size."""
         return replace(self, closer=by)
+
+    @property
+    def possible(self) -> bool:
+        """Whether a drop can have all the effects at once: it has one law of contact."""
+        kinds = [EFFECTS[name] for name in in_order(self.effects)]
+        typical = [effect_at(each.name, *(p.typical for p in each.parameters)) for each in kinds]
+        try:
+            enter_all(self.drops.emulator.plain(), typical)
+        except InputError:
+            return False
+        return True
 
     @property
     def own(self) -> tuple[Parameter, ...]:
@@ -194,6 +209,80 @@ class DropModel(BounceModel):
     """
 
     whiten: Array
+    # What simulated drops show over what tables say of them (quantities, drops): see `simulated`.
+    factor: Array = field(default_factory=lambda: np.ones((len(QUANTITIES), 1)), kw_only=True)
+
+    def simulated(self, theta: Array) -> Self:
+        """The same with its tables made right at ``theta`` (p,), where every drop is simulated.
+
+        Tables are off by some hundredths of an effect between their nodes, more where a law has a
+        kink, and know several effects only one by one. Itself where nothing is simulated, or means
+        are over chance, and of a rigid mass, whose tables are close.
+        """
+        emulator, tables = self.drops.emulator, self.tables
+        acting = [name for name in self.effects if name in tables.simulated]
+        if not acting or len(self.weights) > 1 or isinstance(emulator.body, RigidMass):
+            return self
+        theta = np.asarray(theta, dtype=float)
+        landing, logs = self.answer(theta)
+        tabulated = logs - tables.plain.at(landing.same_m, landing.kn_N_m)
+        falls = zip(landing.same_m[0], landing.kn_N_m[0], strict=True)
+        plain = [
+            replace(emulator.plain(), height_m=float(h), law=Linear(float(kn))) for h, kn in falls
+        ]
+        nothing = ((0.0, 0.0),) * len(self.effects)
+        scenes = self.scenes(theta, range(len(self.drops)), nothing)
+        leans = any(EFFECTS[name].leaning for name in acting)
+        its = emulator.step_s(float(landing.kn_N_m.max()))
+        friction = self.friction(theta) if leans else 0.0
+        with np.errstate(invalid="ignore", divide="ignore"):
+            change = np.log(emulator.observed(scenes, its, friction))
+            change -= np.log(emulator.observed(plain, its, friction))
+        shift = change.T - tabulated[:, 0]
+        return replace(self, factor=np.exp(np.where(np.isfinite(shift), shift, 0.0)))
+
+    def entered(self, theta: Array) -> list[Effect]:
+        """The effects at their values, those that change Kn before the law that it enters."""
+        given = self.given(theta)
+        return [
+            effect_at(name, *map(float, given[name][: len(EFFECTS[name].parameters)]))
+            for name in in_order(self.effects)
+        ]
+
+    def friction(self, theta: Array) -> float:
+        """The coefficient at which what leans slides: fitted, declared, or the paper's."""
+        for name, values in self.given(theta).items():
+            if len(values) > len(EFFECTS[name].parameters):
+                return float(values[-1])
+        known = self.drops.emulator.friction
+        return paper.FRICTION if known is None else known
+
+    def scenes(
+        self, theta: Array, which: Iterable[int], chance: Sequence[tuple[float, ...]]
+    ) -> list[Scene]:
+        """Scenes of the drops numbered ``which``, with the effects in; ``chance`` by effect.
+
+        Heights are those from which a fall from rest in a vacuum ends as fast.
+        """
+        effects, drops, emulator = self.entered(theta), self.drops, self.drops.emulator
+        observed = enter_all(Scene(), [e for e in effects if e.place.value == "observation"])
+        out = []
+        for i in which:
+            height = max(float(drops.y0_m[i]) / observed.y_scale - observed.y_offset_m, 1e-5)
+            scene = replace(
+                emulator.plain(),
+                height_m=height,
+                order=int(drops.order[i]),
+                law=Linear(float(theta[0])),
+            )
+            if self.beta is not None:
+                scene = replace(scene, beta_s=float(theta[1]))
+            for effect, own in zip(effects, chance, strict=True):
+                scene = enter_all(replace(scene, chance=own), [effect])
+            drag = scene.drag_kg_m / emulator.body.mass_kg
+            same = fallen(height, emulator.gravity_m_s2, scene.release_speed_m_s, drag)
+            out.append(replace(scene, height_m=float(same)))
+        return out
 
     def predict(self, theta: Array) -> Array:
         """Whitened predictions (..., nodes, rows) for parameters (..., p)."""
@@ -204,7 +293,10 @@ class DropModel(BounceModel):
     def measured(self, theta: Array) -> Array:
         """What instruments show, in SI (..., nodes, drops, quantities)."""
         drops, theta = self.drops, np.asarray(theta, dtype=float)
-        b, (top, time, force) = self.bounced(theta)
+        b, found = self.bounced(theta)
+        top, time, force = (
+            np.asarray(each * own) for each, own in zip(found, self.factor, strict=True)
+        )
         top = risen(top, b.drag_1_m)
         gain = 1.0 if self.gain is None else theta[..., len(self.own) - 1, None, None]
         observed = (b.scale * (top + b.offset_m), b.clock * time, gain * force + 0.0 * b.clock)

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
-from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
@@ -16,22 +15,19 @@ from mpi4py import MPI
 from numpy.typing import NDArray
 
 from .....meshes.section import Circle, Rectangle
-from .....solver import paper
 from .....solver.arrays import Array
 from .....solver.bodies.modal import ModalBody
 from .....solver.bristle import Bristle
-from .....solver.contact.laws import Linear
 from .....solver.drop import ModalFrame
 from .....solver.effects.base import Effect, Scene
-from .....solver.effects.library import EFFECTS, enter_all, in_order
 from .....solver.errors import ComputationError
-from .....solver.fall import fallen, risen
+from .....solver.fall import risen
 from ....inputs.choices import Model
 from ....inputs.sources import checked
 from ....running.cases import Workshop
 from ....running.retry import with_shorter_its
 from ...responses.drop_model import DropModel
-from ...responses.response import PLAIN_STEP, Emulator, effect_at
+from ...responses.response import PLAIN_STEP, Emulator
 from ...responses.table import QUANTITIES
 from ...responses.table_drops import ITS_S, drops_of, its_s
 
@@ -118,63 +114,17 @@ def _nodes(effect: Effect) -> list[tuple[tuple[float, ...], float]]:
     return [((float(x), 0.0), float(w)) for x, w in zip(deviates, shares, strict=True)]
 
 
-def scenes_of(
-    model: DropModel, theta: Array, which: Sequence[int], chance: Sequence[tuple[float, ...]]
-) -> list[Scene]:
-    """Scenes of the drops numbered ``which``, with the model's effects in; ``chance`` by effect.
-
-    Heights are those from which a fall from rest in a vacuum ends as fast.
-    """
-    effects = _effects(model, theta)
-    drops, emulator = model.drops, model.drops.emulator
-    observed = enter_all(Scene(), [e for e in effects if e.place.value == "observation"])
-    out = []
-    for i in which:
-        height = max(float(drops.y0_m[i]) / observed.y_scale - observed.y_offset_m, 1e-5)
-        scene = replace(
-            emulator.plain(),
-            height_m=height,
-            order=int(drops.order[i]),
-            law=Linear(float(theta[0])),
-        )
-        if model.beta is not None:
-            scene = replace(scene, beta_s=float(theta[1]))
-        for effect, own in zip(effects, chance, strict=True):
-            scene = replace(scene, chance=own)
-            scene = enter_all(scene, [effect])
-        same = fallen(
-            height,
-            emulator.gravity_m_s2,
-            scene.release_speed_m_s,
-            scene.drag_kg_m / emulator.bristle.mass_kg,
-        )
-        out.append(replace(scene, height_m=float(same)))
-    return out
-
-
-def _effects(model: DropModel, theta: Array) -> list[Effect]:
-    """The model's effects at their values, those that change Kn before the law that it enters."""
-    given = model.given(theta)
-    return [
-        effect_at(name, *map(float, given[name][: len(EFFECTS[name].parameters)]))
-        for name in in_order(model.effects)
-    ]
-
-
 def solid_drops(model: DropModel, theta: Array, which: Sequence[int]) -> Array:
     """What instruments show of the drops numbered ``which``, in SI (drops, quantities).
 
     Means over chance where effects differ from drop to drop. Raises ComputationError.
     """
-    effects = _effects(model, theta)
     emulator = model.drops.emulator
-    nodes, weights = chances(effects)
-    scenes = [scene for node in nodes for scene in scenes_of(model, theta, which, node)]
+    nodes, weights = chances(model.entered(theta))
+    scenes = [scene for node in nodes for scene in model.scenes(theta, which, node)]
     leaning = any(s.tilt_deg or s.slope_deg or s.slope_wide_deg for s in scenes)
     body = solid_of(emulator.bristle, emulator.gravity_m_s2, leaning)
-    friction = next((float(v[1]) for v in model.given(theta).values() if len(v) > 1), None)
-    known = paper.FRICTION if emulator.friction is None else emulator.friction
-    found = _simulated(body, scenes, emulator, known if friction is None else friction)
+    found = _simulated(body, scenes, emulator, model.friction(theta))
     drag = np.array([scene.drag_kg_m for scene in scenes]) / emulator.bristle.mass_kg
     scale = np.array([scene.y_scale for scene in scenes])
     offset = np.array([scene.y_offset_m for scene in scenes])
