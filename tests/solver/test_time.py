@@ -10,13 +10,17 @@ from hypothesis import strategies as st
 from reference import rate, rod
 from scipy.linalg import expm
 
+from bristle.solver.bodies.beam import beam_body
 from bristle.solver.bodies.modal import ModalBody
+from bristle.solver.bristle import Bristle, Material
 from bristle.solver.contact.enforcement import ContactMethod, Enforcement
 from bristle.solver.contact.laws import Linear
 from bristle.solver.ground import Ground, just_touched
-from bristle.solver.rigid import Pose
+from bristle.solver.rigid import Pose, free_rotation, leaning, slope_normal
+from bristle.solver.time.clearance import clearance_of, tip_height
 from bristle.solver.time.flight import Flight
 from bristle.solver.time.march import Marcher
+from bristle.solver.time.ringing import ring_of
 from bristle.solver.time.scheme import TimeScheme
 
 pytestmark = pytest.mark.serial
@@ -27,6 +31,7 @@ SCHEMES = [
     TimeScheme.generalised(0.5),
     TimeScheme.generalised(0.0),
 ]
+G = 9.8
 AWAY = ContactMethod(Linear(1.0))
 
 
@@ -187,6 +192,32 @@ def test_flight_agrees_with_the_march_at_second_order(alpha):
         state = march(body, TimeScheme.average(), its, u, v, 1.0, gravity=0.1)
         errors.append(np.abs(np.concatenate([state.u - exact[0], state.v - exact[1]])).max())
     assert rate(steps, errors) > 1.9
+
+
+@pytest.mark.parametrize("beta", [0.0, 1e-5])
+def test_rates_of_a_flight_are_the_slopes_of_what_it_moves(beta):
+    """Of the tip's height and of the lowest clearance of a bristle that tumbles and rings."""
+    body = beam_body(Bristle(material=Material(beta_s=beta)), 4)
+    rng, t, step = np.random.default_rng(3), 7e-4, 1e-9
+    v = rng.normal(size=len(body.omega2)) / (1.0 + 1e-4 * np.sqrt(body.omega2))
+    motion = Flight(body, Pose(np.zeros(3), leaning(20.0, -9.0)), 0.0, 0.0 * v, v, G).motion
+    flyer, n = motion.flyer, len(motion.places)
+    assert np.linalg.norm(motion.spin) > 10.0
+    ring = ring_of(motion, 0.0, 0.0, 1.0, flyer.along, flyer.with_speed)
+    tips = ring_of(motion, 0.0, 0.0, 1.0, flyer.tip, np.zeros((0, 0)))
+    slope, offsets = np.tile(slope_normal(5.0, 3.0), (n, 1)), np.full(n, -1.0)
+
+    def at(time):
+        turned = free_rotation(motion.attitude, motion.spin, flyer.inertia, 0.0, 0.0, time)
+        low = clearance_of(
+            motion, ring, len(ring.decay), flyer.rows, slope, offsets, time, *turned, 0.0, 0.0
+        )
+        return np.array([tip_height(motion, tips, len(tips.decay), time, *turned), low[:2]])
+
+    before, now, after = (at(time) for time in (t - step, t, t + step))
+    slopes = (after[:, 0] - before[:, 0]) / (2.0 * step)
+    # (ω step)²/6 at the highest frequency, and rounding over the step
+    assert now[:, 1] == pytest.approx(slopes, rel=1e-6)
 
 
 def test_next_touch_is_found_where_a_dense_sampling_finds_it():
