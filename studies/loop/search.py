@@ -32,7 +32,7 @@ DIFFERENT = 0.08
 NODES_APART, NODE_SHARE, MOST_CLOSER = 1.5, 0.2, 16
 # What tables are off by may have put a model that is right below the likeliest by so many nats, or
 # by this share of what that gains over none; and it is fitted so often to simulations.
-TABLE_NATS, TABLE_SHARE, SIMULATED = 30.0, 0.1, 3
+TABLE_NATS, TABLE_SHARE, SIMULATED = 30.0, 0.1, 8
 # In the unit box: a fit that moves by less is not simulated again.
 SETTLED = 1e-3
 PAIRED_WITH, PAIRS_TRIED, SCATTERS_TRIED = 3, 5, 2

@@ -20,8 +20,12 @@ COUNT = 40
 SIGMA_MM = 0.3
 
 
-def write_drops(folder: Path, effects=(), title: str = "Made") -> Path:
-    """A dataset of beam drops with ``effects`` in them, read with noise."""
+SIGMA_S, SIGMA_N = 2e-6, 0.5
+
+
+def write_drops(folder: Path, effects=(), title: str = "Made", *, forces: bool = False) -> Path:
+    """A dataset of beam drops with ``effects`` in them, read with noise; with ``forces`` contact
+    times and peak forces too."""
     rng = np.random.default_rng(11)
     emulator = Emulator(Bristle(), paper.GRAVITY_M_S2, 0.01, 0.05)
     heights = np.resize(np.array(paper.HEIGHTS_M), COUNT) * (1 + 0.02 * rng.standard_normal(COUNT))
@@ -30,15 +34,27 @@ def write_drops(folder: Path, effects=(), title: str = "Made") -> Path:
         enter_all(replace(plain, height_m=float(h), order=i), effects)
         for i, h in enumerate(heights)
     ]
-    top = drops_of(beam_of(emulator.bristle), scenes, emulator.gravity_m_s2, 5e-6, 0.5)[:, 0]
+    its = 1e-6 if forces else 5e-6
+    found = drops_of(beam_of(emulator.bristle), scenes, emulator.gravity_m_s2, its, 0.5)
+    top, times, peaks = found.T
     noise = SIGMA_MM * rng.standard_normal((COUNT, 2))
     rows = [
         f"{i + 1},{1e3 * y0 + a:.4f},{1e3 * y1 + b:.4f}\n"
         for i, (y0, y1, (a, b)) in enumerate(zip(heights, top, noise, strict=True))
     ]
+    head, declared = "drop,y0_mm,y1_mm", f"sigma_y_mm = {SIGMA_MM}\n"
+    if forces:
+        head += ",contact_time_ms,peak_force_N"
+        declared += f"sigma_t_s = {SIGMA_S}\nsigma_force_N = {SIGMA_N}\n"
+        times = times + SIGMA_S * rng.standard_normal(COUNT)
+        peaks = peaks + SIGMA_N * rng.standard_normal(COUNT)
+        rows = [
+            f"{row.rstrip()},{1e3 * time:.5f},{peak:.4f}\n"
+            for row, time, peak in zip(rows, times, peaks, strict=True)
+        ]
     folder.mkdir(exist_ok=True)
-    (folder / "drops.csv").write_text("drop,y0_mm,y1_mm\n" + "".join(rows))
+    (folder / "drops.csv").write_text("".join([head, "\n", *rows]))
     (folder / "dataset.toml").write_text(
-        f"[dataset]\ntitle = '{title}'\nkind = 'drops'\n\n[measurement]\nsigma_y_mm = {SIGMA_MM}\n"
+        f"[dataset]\ntitle = '{title}'\nkind = 'drops'\n\n[measurement]\n{declared}"
     )
     return folder

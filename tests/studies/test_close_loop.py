@@ -157,6 +157,49 @@ def test_the_solid_follows_the_beam_with_effects_in_it(quick, tmp_path):
     assert np.all(np.abs(plain / beam - 1.0) > 0.01)
 
 
+PAIR = ("plastic_contact", "material_damping")
+PAIR_AT = np.array([2e6, 20.0, 3e-5])
+
+
+def test_two_effects_are_as_the_solid_has_them_once_they_are_simulated(tmp_path):
+    """Tables know them one by one, and are off by a tenth; the solid is simulated by itself."""
+    problem = drops_problem(datasets.read_drops(write_drops(tmp_path / "data")))
+    model, which = problem.combine(PAIR), list(range(0, COUNT, 4))
+    solid = solid_drops(model, PAIR_AT, which)
+    tabulated = model.measured(PAIR_AT)[0, which]
+    assert np.abs(tabulated / solid - 1.0).max() > 0.05
+    simulated = model.simulated(PAIR_AT)
+    assert simulated.measured(PAIR_AT)[0, which] == pytest.approx(solid, rel=3e-3)
+    assert simulated.effects == PAIR
+    for names in ((), ("wear",), ("surface_slope",)):
+        plain = problem.combine(names)
+        theta = np.array([2e6, *(each.typical for each in plain.parameters[1:])])
+        assert plain.simulated(theta) is plain
+
+
+def test_two_strong_effects_are_both_named(tmp_path, monkeypatch):
+    """From tables alone the exponent would be 1.45 (1.40 to 1.52), and nothing named."""
+    pair = {"material_damping": ("beta_s", 2e-6), "stiffening_contact": ("exponent", 2.0)}
+    names = [*QUICK, *pair, "contact_damping"]
+    monkeypatch.setattr(drops_module, "carried", lambda kind, quantities: names)
+    strong = [EFFECTS[name](**{own: truth}) for name, (own, truth) in pair.items()]
+    dataset, out = write_drops(tmp_path / "data", strong, forces=True), tmp_path / "out"
+    assert main(["close-loop", str(dataset), "--out", str(out), "--no-3d"]) == 0
+    content = read_strictly(out / "verdict.json")
+    assert content["verdict"] == "effect"
+    assert sorted(content["effects"]) == sorted(pair)
+    for own, truth in pair.values():
+        told = content["parameters"][own]
+        assert abs(told["estimate"] - truth) < told["high"] - told["low"]
+
+
+def test_two_laws_of_contact_are_no_explanation(tmp_path):
+    problem = drops_problem(datasets.read_drops(write_drops(tmp_path / "data")))
+    assert problem.combine(PAIR).possible
+    assert not problem.combine(("plastic_contact", "adhesion")).possible
+    assert not problem.combine(("contact_damping", "stiffening_contact")).possible
+
+
 def test_chance_is_met_in_the_mean_and_in_the_square():
     effects = [EFFECTS["surface_phases"](), EFFECTS["surface_slope"](), EFFECTS["wear"]()]
     nodes, weights = chances(effects)
