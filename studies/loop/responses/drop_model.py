@@ -18,7 +18,7 @@ from ....solver.effects.base import Effect, Parameter, Scene
 from ....solver.effects.library import EFFECTS, enter_all, in_order
 from ....solver.errors import InputError
 from ....solver.fall import fallen, risen
-from .response import PLAIN_STEP, Emulator, Tables, effect_at
+from .response import Emulator, Tables, effect_at
 from .table import QUANTITIES
 
 # Nodes of chance, ends and how many: stiffness by its normal deviate, slope by its size; and the
@@ -233,8 +233,7 @@ class DropModel(BounceModel):
         nothing = ((0.0, 0.0),) * len(self.effects)
         scenes = self.scenes(theta, range(len(self.drops)), nothing)
         leans = any(EFFECTS[name].leaning for name in acting)
-        # those that land upright are quick to simulate
-        its = emulator.step_s(float(landing.kn_N_m.max())) * (1.0 if leans else PLAIN_STEP)
+        its = emulator.step_s(float(landing.kn_N_m.max()))
         friction = self.friction(theta) if leans else 0.0
         with np.errstate(invalid="ignore", divide="ignore"):
             change = np.log(emulator.observed(scenes, its, friction))
