@@ -202,7 +202,7 @@ def _explain(state: State, singles: Sequence[Tried]) -> list[Explanation]:
     better = [each for each in pairs if each.log_evidence > best + PAIR_COST]
     if not better:
         return looked
-    alone = next(e.posterior for e in looked if e.posterior.log_evidence >= best - 1e-9)
+    alone = max((each.posterior for each in looked), key=lambda each: each.log_evidence)
     both = _looked_at(state, better, PAIR_LEFT, alone)
     return both + looked if any(each.holds for each in both) else looked + both
 
