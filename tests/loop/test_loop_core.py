@@ -11,6 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import stats
 
+from bristle.studies.loop import run as loop_run
 from bristle.studies.loop.adequacy import assess, corrected, left_by_refit, p_values
 from bristle.studies.loop.finding import Finding, Verdict
 from bristle.studies.loop.fit import fit, settle, to_box, to_theta
@@ -358,6 +359,18 @@ def test_two_effects_are_found_together():
     found = find(toys.problem(0, {"offset": 14.0, "wear": 14.0})[0], seed=0)
     assert set(found.effects) >= {"offset", "wear"}
     assert ("offset", "wear") in found.together or ("wear", "offset") in found.together
+
+
+def test_two_effects_are_found_where_sampling_finds_each_less_likely(monkeypatch):
+    """The evidence of a sampled fit need not be that of the fit which was chosen."""
+
+    def less(*arguments):
+        found = posterior(*arguments)
+        return replace(found, log_evidence=found.log_evidence - 1.0)
+
+    monkeypatch.setattr(loop_run, "posterior", less)
+    found = find(toys.problem(0, {"offset": 14.0, "wear": 14.0})[0], seed=0)
+    assert set(found.effects) >= {"offset", "wear"}
 
 
 def test_scatter_is_told_from_noise():
