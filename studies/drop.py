@@ -36,6 +36,8 @@ if TYPE_CHECKING:
 FIELDS, CHECKPOINT = "fields", "checkpoint"
 # Seconds between the marks of a long march.
 KEEP_S = 60.0
+# Losses below this share of the impact's energy are none.
+ROUNDING = 1e-9
 
 
 def run_drop(
@@ -218,7 +220,6 @@ def summary(document: Mapping[str, Any]) -> list[tuple[str, str]]:
     leaning = any(document["inputs"][name] for name in ANGLES) or (
         document["inputs"]["tip_shape"] != FLAT
     )
-    loss_J = document["energy"]["friction_loss_J"]
     shown = (
         ("impact speed", "impact_speed_m_s", 1.0, "m/s"),
         ("rebound ratio y1/y0", "rebound_ratio", 1.0, ""),
@@ -234,8 +235,10 @@ def summary(document: Mapping[str, Any]) -> list[tuple[str, str]]:
     ]
     if leaning:
         rows += [("touches", str(document["n_contacts"])), *_centre(document)]
-    if loss_J:
-        rows.append(("lost to friction", f"{1e6 * loss_J:.3g} µJ"))
+    energy = document["energy"]
+    for name, key in (("friction", "friction_loss_J"), ("contact", "contact_loss_J")):
+        if energy[key] > ROUNDING * energy["initial_J"]:
+            rows.append((f"lost to {name}", f"{1e6 * energy[key]:.3g} µJ"))
     rows.append(("energy closes to", f"{document['energy']['closure_relative']:.1g}"))
     return [*rows, ("wall time", f"{document['wall_s']['total']:.3g} s")]
 

@@ -215,6 +215,17 @@ def test_a_leaning_drop_says_what_it_found(tmp_path):
     _, upright, _ = run("drop", "--out", tmp_path / "b")
     assert "touches" not in upright
     assert "friction" not in upright
+    assert "lost to" not in upright
+
+
+def test_a_drop_says_what_its_contact_law_took(tmp_path):
+    asked = "--model", "beam", "--effect", "plastic_contact:yield_N=20"
+    _, out, _ = run("drop", *asked, "--out", tmp_path / "a")
+    document = json.loads((tmp_path / "a/result.json").read_text())
+    shown = {line[:24].strip(): line[24:] for line in out.splitlines()}
+    taken_J = document["energy"]["contact_loss_J"]
+    assert taken_J > 0.3 * document["energy"]["initial_J"]
+    assert float(shown["lost to contact"].split()[0]) == pytest.approx(1e6 * taken_J, rel=1e-2)
 
 
 def test_a_bristle_that_falls_over_ends_with_its_first_touches(tmp_path):
