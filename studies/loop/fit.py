@@ -42,15 +42,22 @@ def to_theta(parameters: tuple[Parameter, ...], u: Array) -> Array:
     return out
 
 
+def to_unit(parameters: tuple[Parameter, ...], theta: Array) -> Array:
+    """Points of the unit box (..., p) of parameters (..., p); beyond the bounds, on the nearer."""
+    theta = np.asarray(theta, dtype=float)
+    out = np.empty_like(theta)
+    for i, each in enumerate(parameters):
+        value = np.clip(theta[..., i], each.low, each.high)
+        if each.logarithmic:
+            out[..., i] = np.log(value / each.low) / np.log(each.high / each.low)
+        else:
+            out[..., i] = (value - each.low) / (each.high - each.low)
+    return out
+
+
 def to_box(parameter: Parameter, value: float) -> float:
-    """Where in [0, 1] a value lies; beyond the bounds, at the nearer one."""
-    if parameter.logarithmic:
-        if value <= parameter.low:
-            return 0.0
-        where = np.log(value / parameter.low) / np.log(parameter.high / parameter.low)
-    else:
-        where = (value - parameter.low) / (parameter.high - parameter.low)
-    return float(np.clip(where, 0.0, 1.0))
+    """Where in [0, 1] one parameter's value lies."""
+    return float(to_unit((parameter,), np.array([value]))[0])
 
 
 @dataclass(frozen=True)

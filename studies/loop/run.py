@@ -19,7 +19,7 @@ from .finding import Evidence, Finding, Interval, Near, Test, Verdict
 from .fit import Fitted
 from .heldout import HeldOut, Judge, split, trimmed_rms
 from .noise import Ints
-from .posterior import Posterior, posterior
+from .posterior import Posterior, posterior, refitted
 from .problem import Problem
 from .profile import Profile, classes, directions, profile
 from .sample import Sample, estimated_units, sample
@@ -64,6 +64,7 @@ class State:
 
     problem: Problem
     data: Sample
+    every: Sample
     base: Fitted
     baseline: Posterior
     profiles: Sequence[Profile]
@@ -102,14 +103,16 @@ def find(
         advance()
     ways = directions(data, base, profiles)
     first = assess(data, base, ways, rng)
-    held = sample(problem, apart, _units(problem, data))
+    unit = _units(problem, data)
+    held = sample(problem, apart, unit)
+    every = sample(problem, np.concatenate([groups, apart]), unit)
     judge = Judge(problem, data, held, baseline, seed)
     plain = judge.judge(baseline) if apart.size else None
     advance()
-    state = State(problem, data, base, baseline, profiles, ways, judge, first, rng)
+    state = State(problem, data, every, base, baseline, profiles, ways, judge, first, rng)
     singles: list[Tried] = []
     explained: list[Explanation] = []
-    noticed = "" if first.p_value <= alarm else _noticed(data, first, plain)
+    noticed = "" if first.p_value <= alarm else _noticed(state, plain)
     missing = first.p_value <= alarm or bool(noticed)
     # scatter leaves no mean for the tests to see: its likelihood is asked for in any case
     for each in profiles:
@@ -249,17 +252,28 @@ def _refused(
         return "the error on held-out data does not fall"
     if _surprising(held):
         return "held-out data lie farther off than their noise allows"
-    return ""
+    return _with_held_out(state, found)
 
 
-def _noticed(data: Sample, first: Adequacy, plain: HeldOut | None) -> str:
+def _noticed(state: State, plain: HeldOut | None) -> str:
     """By what else than the tests of residuals something is seen to be missing, in words; empty
     where by nothing."""
-    if _large(data, first.residual):
+    if _large(state.data, state.first.residual):
         return SEEN_BY + "residuals are larger than the declared noise"
-    if plain is not None and _surprising(plain):
+    if plain is None:
+        return ""
+    if _surprising(plain):
         return SEEN_BY + "held-out data lie farther off than their noise allows"
-    return ""
+    return SEEN_BY + clear if (clear := _with_held_out(state, state.baseline)) else ""
+
+
+def _with_held_out(state: State, found: Posterior) -> str:
+    """What a model leaves clearly of all data when it is fitted to the held-out ones as well, in
+    words; empty where that is noise: three outliers of which two are held out may be a band."""
+    left = assess(state.every, refitted(state.every, found, state.rng).fitted, [], state.rng)
+    if left.p_value >= SURPRISE:
+        return ""
+    return f"with the held-out data, what is left is not noise ({left.statistic})"
 
 
 def _surprising(held: HeldOut) -> bool:

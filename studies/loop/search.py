@@ -33,8 +33,8 @@ NODES_APART, NODE_SHARE, MOST_CLOSER = 1.5, 0.2, 16
 # What tables are off by may have put a model that is right below the likeliest by so many nats, or
 # by this share of what that gains over none; and it is fitted so often to simulations.
 TABLE_NATS, TABLE_SHARE, SIMULATED = 30.0, 0.1, 8
-# In the unit box: a fit that moves by less is not simulated again.
-SETTLED = 1e-3
+# A fit that moves by less of what the data leave uncertain is not simulated again.
+SETTLED = 0.1
 PAIRED_WITH, PAIRS_TRIED, SCATTERS_TRIED = 3, 5, 2
 
 
@@ -148,7 +148,8 @@ def fit_simulated(data: Sample, base: Fitted, tried: Tried) -> Tried:
         if model is fitted.model:
             return tried
         before, fitted = fitted.u, settle(data, model, np.array([fitted.u, *fitted.modes]))
-        if np.abs(fitted.u - before).max() < SETTLED:
+        moved = fitted.u - before
+        if moved @ fitted.information @ moved < SETTLED**2:
             break
     return Tried(fitted, evidence(data, fitted, base.u.size), tried.fitted)
 

@@ -499,6 +499,19 @@ def test_an_outlier_may_be_noise_and_what_no_noise_does_is_not(off, adequate, he
     assert (found.verdict is Verdict.ADEQUATE) == adequate
 
 
+@pytest.mark.parametrize("seed", [3, 5, 13, 17])
+def test_a_band_of_which_most_is_held_out_is_no_few_outliers(seed):
+    """Three drops in a row, 11 declared standard deviations off, of 27; two of them held out. By
+    themselves neither the fitted nor the held-out ones are more than outliers would be."""
+    problem = toys.problem(seed, drops=27, quantities=1)[0]
+    order, (fitted, _) = problem.covariates["order"], split(problem, seed)
+    in_fit = np.isin(problem.group, fitted)[np.argsort(order)]
+    first = next(i for i in range(len(order)) if list(in_fit[i : i + 3]).count(False) == 2)
+    off = np.isin(order, np.sort(order)[first : first + 3])
+    found = find(replace(problem, values=problem.values + 11.0 * off), seed)
+    assert found.verdict is not Verdict.ADEQUATE
+
+
 @pytest.mark.parametrize("how", ["ar1", "t3 scaled", "outliers"])
 def test_wrong_noise_is_no_effect(how):
     verdicts = [find(toys.problem(s, how=how)[0], seed=s).verdict for s in range(4)]

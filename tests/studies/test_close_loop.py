@@ -8,12 +8,13 @@ from __future__ import annotations
 
 import json
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import commands
 import numpy as np
 import pytest
-from made_drops import COUNT, QUICK, SIGMA_MM, write_drops
+from made_drops import COUNT, QUICK, SIGMA_MM, SIGMA_N, SIGMA_S, write_drops
 
 from bristle.solver.effects.library import EFFECTS
 from bristle.solver.errors import ComputationError
@@ -177,20 +178,59 @@ def test_two_effects_are_as_the_solid_has_them_once_they_are_simulated(tmp_path)
         assert plain.simulated(theta) is plain
 
 
-def test_two_strong_effects_are_both_named(tmp_path, monkeypatch):
+def test_simulations_make_slopes_right_too(tmp_path):
+    """A fit that only shifts tables at its place drifts along what their slopes have wrong."""
+    problem = drops_problem(datasets.read_drops(write_drops(tmp_path / "data")))
+    model, here = problem.combine(PAIR), PAIR_AT * [1.0, 1.0, 1.3]
+    there = model.simulated(PAIR_AT).measured(PAIR_AT)
+    shifted = model.simulated(here)
+    learnt = shifted.simulated(PAIR_AT).simulated(here)
+    miss = [np.abs(each.measured(PAIR_AT) / there - 1.0).max() for each in (shifted, learnt)]
+    assert miss[0] > 3e-3
+    assert miss[1] < 1e-9
+
+
+def test_the_error_of_the_height_before_is_carried_by_the_slope_that_the_data_have(tmp_path):
+    """Above yield a plastic contact gives back about the same height, whatever that before."""
+    effects = [EFFECTS["plastic_contact"](20.0), EFFECTS["material_damping"](3e-5)]
+    data = write_drops(tmp_path / "data", effects, forces=True)
+    problem = drops_problem(datasets.read_drops(data))
+    model, drops = problem.combine(PAIR), problem.baseline.drops
+    truth = np.array([PAIR_AT[0], 1.0, *PAIR_AT[1:]])
+    low, high = (
+        replace(model, drops=replace(drops, y0_m=by * drops.y0_m)).simulated(truth).measured(truth)
+        for by in (0.98, 1.02)
+    )
+    slope = ((high - low)[0].T / (0.04 * drops.y0_m)).T
+    sigma = np.array([1e-3 * SIGMA_MM, SIGMA_S, SIGMA_N])
+    square = sigma**2 + (sigma[0] * slope) ** 2
+    mixing = np.linalg.inv(problem.baseline.whiten)
+    taken = np.einsum("dqr,dqr->dq", mixing, mixing)
+    # five hundredths where slopes are the baseline's by one factor
+    assert np.abs(np.log(taken / square)).mean(axis=0) == pytest.approx(0.0, abs=0.012)
+
+
+@pytest.mark.parametrize(
+    "truth",
+    [
+        {"material_damping": ("beta_s", 2e-6), "stiffening_contact": ("exponent", 2.0)},
+        {"material_damping": ("beta_s", 3e-5), "plastic_contact": ("yield_N", 20.0)},
+    ],
+    ids=" and ".join,
+)
+def test_two_strong_effects_are_both_named(truth, tmp_path, monkeypatch):
     """From tables alone the exponent would be 1.45 (1.40 to 1.52), and nothing named."""
-    pair = {"material_damping": ("beta_s", 2e-6), "stiffening_contact": ("exponent", 2.0)}
-    names = [*QUICK, *pair, "contact_damping"]
+    names = [*QUICK, *truth, "contact_damping"]
     monkeypatch.setattr(drops_module, "carried", lambda kind, quantities: names)
-    strong = [EFFECTS[name](**{own: truth}) for name, (own, truth) in pair.items()]
+    strong = [EFFECTS[name](**{own: value}) for name, (own, value) in truth.items()]
     dataset, out = write_drops(tmp_path / "data", strong, forces=True), tmp_path / "out"
     assert main(["close-loop", str(dataset), "--out", str(out), "--no-3d"]) == 0
     content = read_strictly(out / "verdict.json")
     assert content["verdict"] == "effect"
-    assert sorted(content["effects"]) == sorted(pair)
-    for own, truth in pair.values():
+    assert sorted(content["effects"]) == sorted(truth)
+    for own, value in truth.values():
         told = content["parameters"][own]
-        assert abs(told["estimate"] - truth) < told["high"] - told["low"]
+        assert abs(told["estimate"] - value) < told["high"] - told["low"]
 
 
 def test_two_laws_of_contact_are_no_explanation(tmp_path):

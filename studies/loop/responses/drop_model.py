@@ -18,13 +18,15 @@ from ....solver.effects.base import Effect, Parameter, Scene
 from ....solver.effects.library import EFFECTS, enter_all, in_order
 from ....solver.errors import InputError
 from ....solver.fall import fallen, risen
+from ..fit import to_unit
 from .response import Emulator, Tables, effect_at
-from .table import QUANTITIES
 
 # Nodes of chance, ends and how many: stiffness by its normal deviate, slope by its size; and the
 # slope's direction.
 DEVIATES = (-3.25, 3.25, 53)
 SIZES = (0.1, 3.5, 18)
+# In the unit box: farther away a correction's slopes tell no more.
+TRUSTED = 0.25
 DIRECTIONS_DEG = (9.0, 27.0, 45.0, 63.0, 81.0)
 
 
@@ -202,6 +204,32 @@ class BounceModel:
 
 
 @dataclass(frozen=True)
+class Correction:
+    """What simulated drops show over what tables say of them, as logarithms: ``logs`` (quantities,
+    drops) at a point ``u`` (p,) of the unit box and their ``slopes`` (p, quantities, drops)."""
+
+    u: Array
+    logs: Array
+    slopes: Array
+
+    def at(self, u: Array) -> Array:
+        """At points (..., p): (quantities, ..., 1 node, drops)."""
+        away = np.clip(u - self.u, -TRUSTED, TRUSTED)
+        logs = np.tensordot(away, self.slopes, axes=1) + self.logs
+        return np.moveaxis(logs, -2, 0)[..., None, :]
+
+    def moved(self, u: Array, logs: Array) -> Correction:
+        """About another point where drops were simulated; slopes learn from it (C. G. Broyden,
+        Math. Comp. 19 (1965) 577; space mapping: Bakr et al., Optim. Eng. 1 (2000) 241)."""
+        step = u - self.u
+        size = float(step @ step)
+        if size == 0.0:
+            return self
+        missed = logs - self.logs - np.tensordot(step, self.slopes, axes=1)
+        return Correction(u, logs, self.slopes + step[:, None, None] * missed / size)
+
+
+@dataclass(frozen=True)
 class DropModel(BounceModel):
     """A `Model` of whitened quantities, drop after drop.
 
@@ -209,15 +237,15 @@ class DropModel(BounceModel):
     """
 
     whiten: Array
-    # What simulated drops show over what tables say of them (quantities, drops): see `simulated`.
-    factor: Array = field(default_factory=lambda: np.ones((len(QUANTITIES), 1)), kw_only=True)
+    correction: Correction | None = field(default=None, kw_only=True)
 
     def simulated(self, theta: Array) -> Self:
         """The same with its tables made right at ``theta`` (p,), where every drop is simulated.
 
         Tables are off by some hundredths of an effect between their nodes, more where a law has a
-        kink, and know several effects only one by one. Itself where nothing is simulated, or means
-        are over chance, and of a rigid mass, whose tables are close.
+        kink, and know several effects only one by one. Points that were simulated one after the
+        other make the slopes right too. Itself where nothing is simulated, or means are over
+        chance, and of a rigid mass, whose tables are close.
         """
         emulator, tables = self.drops.emulator, self.tables
         acting = [name for name in self.effects if name in tables.simulated]
@@ -239,7 +267,18 @@ class DropModel(BounceModel):
             change = np.log(emulator.observed(scenes, its, friction))
             change -= np.log(emulator.observed(plain, its, friction))
         shift = change.T - tabulated[:, 0]
-        return replace(self, factor=np.exp(np.where(np.isfinite(shift), shift, 0.0)))
+        logs = np.where(np.isfinite(shift), shift, 0.0)
+        u = self._place(theta)
+        if self.correction is None:
+            return replace(self, correction=Correction(u, logs, np.zeros((u.size, *logs.shape))))
+        return replace(self, correction=self.correction.moved(u, logs))
+
+    def _place(self, theta: Array) -> Array:
+        """Points of the unit box (..., p); of a sensor's gain, which moves no drop, always one."""
+        u = to_unit(self.parameters, theta)
+        if self.gain is not None:
+            u[..., len(self.own) - 1] = 0.0
+        return u
 
     def entered(self, theta: Array) -> list[Effect]:
         """The effects at their values, those that change Kn before the law that it enters."""
@@ -294,9 +333,9 @@ class DropModel(BounceModel):
         """What instruments show, in SI (..., nodes, drops, quantities)."""
         drops, theta = self.drops, np.asarray(theta, dtype=float)
         b, found = self.bounced(theta)
-        top, time, force = (
-            np.asarray(each * own) for each, own in zip(found, self.factor, strict=True)
-        )
+        if self.correction is not None:
+            found = found * np.exp(self.correction.at(self._place(theta)))
+        top, time, force = found
         top = risen(top, b.drag_1_m)
         gain = 1.0 if self.gain is None else theta[..., len(self.own) - 1, None, None]
         observed = (b.scale * (top + b.offset_m), b.clock * time, gain * force + 0.0 * b.clock)

@@ -2,9 +2,9 @@
 
 Rows are, drop after drop, the height after the impact and, where they were measured, the contact
 time and the peak force. The height before it is measured too: its error is carried into all rows
-of its drop, through the baseline's slope, scaled to the data. What is not declared is unknown:
-friction, on which what leans hangs, the damping of a body that is described without one, and the
-gain of a force sensor to within its class.
+of its drop, through the slope that the baseline and the data show. What is not declared is
+unknown: friction, on which what leans hangs, the damping of a body that is described without one,
+and the gain of a force sensor to within its class.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
+from numpy.polynomial import Legendre
 from numpy.typing import NDArray
 
 from .....solver.arrays import Array
@@ -43,6 +44,8 @@ FORCE_GAIN = Parameter(
 SIGMA_M = 1e-3
 # At which effects are simulated beside a damping that nobody declared: between metals and joints.
 BETA_UNKNOWN_S = 1e-7
+# Of the ratio of data to baseline over the height: an error of its slope is one of a variance.
+RATIO_DEGREE = 3
 SCALES = (1e3, 1e6, 1.0)
 NAMES = ("y1 (mm)", "contact time (µs)", "peak force (N)")
 
@@ -69,10 +72,8 @@ def drops_problem(data: datasets.Drops) -> Problem:
     sigma = np.array([sigmas[q] for q in drops.quantities])
     start = _start(bare, values, sigma)
     predicted = bare.measured(start)[0]
-    steeper = dict(
-        zip(drops.quantities, np.median(values, axis=0) / np.median(predicted, axis=0), strict=True)
-    )
-    whiten = _whitening(bare, start, sigma, steeper)
+    ratios = dict(zip(drops.quantities, _ratios(drops.y0_m, values, predicted, sigma), strict=True))
+    whiten = _whitening(bare, start, sigma, ratios)
     n_q = len(drops.quantities)
     number = (drops.order + data.drop[0]).astype(np.int64)
 
@@ -82,7 +83,7 @@ def drops_problem(data: datasets.Drops) -> Problem:
     def proposed(other: Drops, known: Mapping[int, float], effects: tuple[str, ...]) -> DropModel:
         each = np.array([known[q] for q in other.quantities])
         plain = replace(bare, drops=other, whiten=np.eye(len(each))[None].repeat(len(other), 0))
-        return replace(plain, effects=effects, whiten=_whitening(plain, start, each, steeper))
+        return replace(plain, effects=effects, whiten=_whitening(plain, start, each, ratios))
 
     # the last row of a Cholesky factor's inverse has its own scale on the diagonal
     scale = np.array([SCALES[q] for q in drops.quantities]) / np.einsum("dqq->dq", whiten)
@@ -222,18 +223,38 @@ def _start(plain: DropModel, values: Array, sigmas: Array) -> Array:
     return np.asarray(grid[int(np.argmin(np.median(miss, axis=1)))])
 
 
-def _whitening(plain: DropModel, at: Array, sigmas: Array, steeper: Mapping[int, float]) -> Array:
+def _ratios(y0_m: Array, values: Array, predicted: Array, sigmas: Array) -> list[Legendre]:
+    """Of each quantity, what is measured (drops, q) over what is ``predicted``, as a function of
+    the height: a polynomial, whose degree the Bayesian information criterion chooses (G. Schwarz,
+    Ann. Stat. 6 (1978) 461). Where an effect is strong its slope is not the baseline's."""
+    n = len(y0_m)
+    most = min(RATIO_DEGREE, n // 4 - 1, np.unique(y0_m).size - 2)
+    out = []
+    for value, expected, sigma in zip(values.T, predicted.T, sigmas, strict=True):
+        ratio, weight = value / expected, np.abs(expected) / sigma
+        fits = [Legendre.fit(y0_m, ratio, k, w=weight) for k in range(max(most, 0) + 1)]
+        misses = [float(np.mean((weight * (ratio - each(y0_m))) ** 2)) for each in fits]
+        costs = [n * math.log(max(miss, 1e-12)) + k * math.log(n) for k, miss in enumerate(misses)]
+        out.append(fits[int(np.argmin(costs))])
+    return out
+
+
+def _whitening(plain: DropModel, at: Array, sigmas: Array, ratios: Mapping[int, Legendre]) -> Array:
     """Per drop, the inverse Cholesky factor of noise and of the error of y0, (drops, q, q).
 
-    The baseline's slopes are as much ``steeper`` as each quantity is greater than the baseline's.
+    ``ratios`` by quantity are what is measured over the baseline's predictions.
     """
-    drops = plain.drops
-    step = 1e-3 * drops.y0_m
-    ends = [
-        replace(plain, drops=replace(drops, y0_m=drops.y0_m + sign * step)).measured(at)[0]
-        for sign in (-1.0, 1.0)
-    ]
-    slope = (ends[1] - ends[0]) / (2.0 * step)[:, None]
-    moved = sigmas[0] * slope * np.array([steeper.get(q, 1.0) for q in drops.quantities])
+    step = 1e-3 * plain.drops.y0_m
+
+    def expected(y0_m: Array) -> Array:
+        drops = replace(plain.drops, y0_m=y0_m)
+        found = replace(plain, drops=drops).measured(at)[0]
+        for i, q in enumerate(drops.quantities):
+            if q in ratios:
+                found[:, i] *= ratios[q](np.clip(y0_m, *ratios[q].domain))
+        return found
+
+    change = expected(plain.drops.y0_m + step) - expected(plain.drops.y0_m - step)
+    moved = sigmas[0] * change / (2.0 * step)[:, None]
     covariance = np.diag(sigmas**2) + np.einsum("dq,dr->dqr", moved, moved)
     return np.linalg.inv(np.linalg.cholesky(covariance))
