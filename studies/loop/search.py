@@ -15,7 +15,7 @@ from scipy.stats import qmc
 
 from ...solver.arrays import Array
 from .adequacy import Direction, left_by_refit
-from .fit import Fitted, settle, to_box, to_theta
+from .fit import Fitted, fit, likely_noise, settle, to_box, to_theta
 from .posterior import evidence
 from .problem import Emulated, Model, Problem, Scattering
 from .profile import Profile
@@ -139,19 +139,25 @@ def near_likeliest(tried: Sequence[Tried], plain: float) -> float:
 
 
 def fit_simulated(data: Sample, base: Fitted, tried: Tried) -> Tried:
-    """The model fitted again, to simulations at its fit."""
-    fitted = tried.fitted
+    """The model fitted again, to simulations at its fit; where that does not settle, at the
+    likeliest of the points that were simulated."""
+    fitted, best = tried.fitted, tried.fitted
+    most = -np.inf
     for _ in range(SIMULATED):
         if not isinstance(fitted.model, Emulated):
             return tried
         model = fitted.model.simulated(fitted.theta)
         if model is fitted.model:
             return tried
-        before, fitted = fitted.u, settle(data, model, np.array([fitted.u, *fitted.modes]))
-        moved = fitted.u - before
+        here = fit(data, model, fitted.u, fitted.noise, iterations=0)
+        if (found := likely_noise(data, here)[1]) > most:
+            best, most = here, found
+        fitted = settle(data, model, np.array([here.u, *fitted.modes]))
+        moved = fitted.u - here.u
         if moved @ fitted.information @ moved < SETTLED**2:
+            best = fitted
             break
-    return Tried(fitted, evidence(data, fitted, base.u.size), tried.fitted)
+    return Tried(best, evidence(data, best, base.u.size), tried.fitted)
 
 
 def fit_pairs(
