@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ..arrays import Array
 from ..contact.laws import Linear
 from ..errors import InputError
 from .base import Effect, Parameter, Place, Scene
@@ -42,7 +44,8 @@ class BristleTilt(Effect):
 class SurfaceSlope(Effect):
     """An asperity's slope under the tip, another in each drop, with Coulomb friction.
 
-    Slopes toward the thin and the wide side are normal with this standard deviation.
+    Slopes toward the thin and the wide side are normal with this standard deviation, but none is
+    steeper than `MOST_SLOPE_DEG`: their size is Rayleigh's, truncated.
     """
 
     std_deg: float = 3.0
@@ -59,15 +62,22 @@ class SurfaceSlope(Effect):
     random = True
 
     def enter(self, scene: Scene) -> Scene:
-        thin, wide = (
-            max(-MOST_SLOPE_DEG, min(MOST_SLOPE_DEG, self.std_deg * chance))
-            for chance in scene.chance[:2]
-        )
+        thin, wide = scene.chance[:2]
+        size = math.hypot(thin, wide)
+        each = float(steepness_deg(size, self.std_deg)) / max(size, 1e-300)
         return replace(
             scene,
-            slope_deg=scene.slope_deg + thin,
-            slope_wide_deg=scene.slope_wide_deg + wide,
+            slope_deg=scene.slope_deg + each * thin,
+            slope_wide_deg=scene.slope_wide_deg + each * wide,
         )
+
+
+def steepness_deg(size: Array | float, std_deg: Array | float) -> Array:
+    """The slope that a deviate of Rayleigh's distribution stands for, none beyond `MOST_SLOPE_DEG`
+    (inverse of the truncated distribution); arrays that broadcast."""
+    most = MOST_SLOPE_DEG / np.maximum(std_deg, 1e-9)
+    share = np.expm1(-0.5 * np.square(size)) * np.expm1(-0.5 * np.square(most))
+    return np.asarray(std_deg * np.sqrt(-2.0 * np.log1p(-share)))
 
 
 def _stiffer(scene: Scene, decades: float) -> Scene:

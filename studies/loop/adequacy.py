@@ -45,6 +45,7 @@ ABSORBED = 0.97
 STATE_SHARES = np.array([0.1, 0.2, 0.35, 0.5, 0.65, 0.8, 0.9])
 STATE_SHIFTS = np.array([2.0, 3.0, 4.0, 6.0, 9.0, 14.0])
 STATES_TRIED = 24
+WIDER = np.geomspace(1.3, 40.0, 14)
 STATE_SPREADS = np.array([0.7, 0.85, 1.0, 1.2, 1.45, 1.75, 2.2, 3.0, 4.5])
 
 
@@ -119,6 +120,7 @@ def assess(
     unlisted, shape = max(
         _best_shape(data, z, project @ z, shapes),
         (_log_two_states(data, z, patterns), "two states"),
+        _wider(data, z),
     )
     return Adequacy(
         p_value=p_value,
@@ -443,6 +445,17 @@ def _log_two_states(data: Sample, z: Array, patterns: list[Array]) -> float:
             weights = np.array([1.0 - share, share])
             best = max(best, float(data.heights(values, predicted, weights, among).max()))
     return best - 2.0 * OCCAM - float(np.log(len(patterns)))
+
+
+def _wider(data: Sample, z: Array) -> tuple[float, str]:
+    """Log evidence, and words, of noise that is wider than any that the declared one may be."""
+    among, nowhere = np.arange(data.noises.scale.size), np.zeros((1, 1, z.size))
+    logs = [
+        float(data.heights(z[None] / by, nowhere, np.ones(1), among).max()) - z.size * np.log(by)
+        for by in WIDER
+    ]
+    best = int(np.argmax(logs))
+    return logs[best] - OCCAM, f"noise some {WIDER[best]:.2g} times as wide as is declared"
 
 
 def p_values(observed: Array, simulated: Array) -> tuple[Array, Array]:

@@ -33,7 +33,8 @@ CREDIBLE, LOOKED_AT, MOST_LOOKED_AT = 0.97, 0.999, 8
 PAIR_COST = 4.0
 # Nats that scatter must gain over all else to be missing where no test finds it.
 SCATTER_GAIN = 8.0
-# Nats by which something unlisted must be likelier than an effect to refuse it.
+# Nats by which something unlisted must be likelier than an effect to refuse it. What scatters has
+# to be as likely, since wider noise is always near.
 UNLISTED_MARGIN = 3.0
 # Held-out errors beyond these are no noise: over what it allows, and of the 90 % intervals.
 MOST_RATIO, LEAST_COVERAGE, LEAST_ROWS, SURPRISE = 1.5, 0.6, 8, 0.003
@@ -240,7 +241,8 @@ def _refused(
         return f"what it leaves is not noise ({left.statistic}, p = {left.p_value:.2g})"
     if _large(state.data, left.residual):
         return "what it leaves is larger than the declared noise"
-    if state.first.unlisted > found.log_evidence + UNLISTED_MARGIN:
+    scatters = np.asarray(found.fitted.model.weights).size > 1
+    if state.first.unlisted > found.log_evidence + (0.0 if scatters else UNLISTED_MARGIN):
         return f"a shape that no effect has explains more ({state.first.shape})"
     if held is None:
         return ""
@@ -248,7 +250,7 @@ def _refused(
         return "the log score of held-out data does not rise"
     if over is not None and state.judge.gain(found, over).total <= 0.0:
         return "held-out data are predicted no better than with one effect alone"
-    if np.asarray(found.fitted.model.weights).size == 1 and not held.nearer:
+    if not scatters and not held.nearer:
         return "the error on held-out data does not fall"
     if _surprising(held):
         return "held-out data lie farther off than their noise allows"

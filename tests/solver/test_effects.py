@@ -16,6 +16,7 @@ from bristle.solver.cache import cached, load, store
 from bristle.solver.contact.laws import Linear
 from bristle.solver.effects.base import Place, Scene
 from bristle.solver.effects.library import EFFECTS, enter_all
+from bristle.solver.effects.surface import MOST_SLOPE_DEG, steepness_deg
 from bristle.solver.errors import InputError
 from bristle.solver.fall import dragged_fall, dragged_path, risen
 from bristle.studies.inputs.config import DropInputs
@@ -92,6 +93,22 @@ def test_effects_enter_whatever_their_order():
     effects = [EFFECTS["contact_damping"](), EFFECTS["wear"](1.0), EFFECTS["surface_slope"](2.0)]
     assert enter_all(scene, effects) == enter_all(scene, effects[::-1])
     assert enter_all(scene, effects).law.kn_N_m == pytest.approx(2e6 * 10**0.5)
+
+
+@pytest.mark.parametrize("std_deg", [0.5, 4.0, 8.0])
+def test_no_slope_is_steeper_than_any_and_none_gather_there(std_deg):
+    """As if steeper ones were drawn anew; held at the limit they would pass for a narrow peak."""
+    rng = np.random.default_rng(5)
+    drawn = std_deg * np.hypot(*rng.standard_normal((2, 400_000)))
+    kept = np.sort(drawn[drawn <= MOST_SLOPE_DEG])
+    shares = np.array([0.01, 0.1, 0.5, 0.9, 0.99])
+    rayleigh = np.sqrt(-2.0 * np.log1p(-shares))
+    # a quantile of so many drops, to five deviations
+    own = [np.searchsorted(kept, steepness_deg(size, std_deg)) / kept.size for size in rayleigh]
+    assert own == pytest.approx(shares, abs=5 * 0.5 / np.sqrt(kept.size))
+    scene = EFFECTS["surface_slope"](std_deg).enter(Scene(chance=(-3.0, 4.0)))
+    assert np.hypot(scene.slope_deg, scene.slope_wide_deg) == steepness_deg(5.0, std_deg)
+    assert scene.slope_wide_deg == pytest.approx(-4.0 / 3.0 * scene.slope_deg)
 
 
 @pytest.mark.parametrize("name", [n for n in NAMES if n not in ("lateral_inertia",)])

@@ -22,9 +22,11 @@ from bristle.studies.cli import main
 from bristle.studies.close_loop import run as close_loop_study
 from bristle.studies.close_loop.directions import directions
 from bristle.studies.data import datasets
+from bristle.studies.loop.finding import Verdict
 from bristle.studies.loop.kinds.drops import problem as drops_module
 from bristle.studies.loop.kinds.drops.problem import drops_problem
 from bristle.studies.loop.kinds.drops.solid import chances, solid_drops
+from bristle.studies.loop.run import find
 
 pytestmark = pytest.mark.serial
 
@@ -233,6 +235,20 @@ def test_two_strong_effects_are_both_named(truth, tmp_path, monkeypatch):
         assert abs(told["estimate"] - value) < told["high"] - told["low"]
 
 
+def test_noise_that_is_wider_than_declared_is_no_scatter_of_the_surface(quick, tmp_path):
+    """Random stiffness would scatter y1 in proportion to the height; noise does not."""
+    folder = write_drops(tmp_path / "data")
+    manifest = folder / "dataset.toml"
+    declared = manifest.read_text()
+    manifest.write_text(declared.replace(f"sigma_y_mm = {SIGMA_MM}", "sigma_y_mm = 0.03"))
+    problem = drops_problem(datasets.read_drops(folder))
+    found = find(problem, seed=0)
+    assert found.verdict is Verdict.UNKNOWN
+    assert found.shape.endswith("times as wide as is declared")
+    refused = {each.effects: each.why_not for each in found.evidences}
+    assert "noise some" in refused["surface_phases",]
+
+
 def test_two_laws_of_contact_are_no_explanation(tmp_path):
     problem = drops_problem(datasets.read_drops(write_drops(tmp_path / "data")))
     assert problem.combine(PAIR).possible
@@ -281,6 +297,10 @@ def test_a_direction_that_data_cannot_see_is_named(quick, tmp_path):
     [
         ("drop,y0_mm,y1_mm\n1,10,6\n2,20,x\n3,30,19\n", "drops.csv:3: y1_mm is no number: 'x'"),
         ("drop,y0_mm,y1_mm\n1,10,6\n2,20,13\n3,30,19\n", "the loop needs four or more"),
+        (
+            "drop,y0_mm,y1_mm\n1,10,6\n2,20,6\n3,30,6\n4,40,6\n",
+            "drops.csv: y1_mm is 6 in every drop, whatever y0_mm; is the reading stuck?",
+        ),
         (None, "drops.csv: no such file"),
     ],
 )

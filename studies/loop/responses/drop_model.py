@@ -16,6 +16,7 @@ from ....solver.bristle import RigidMass
 from ....solver.contact.laws import Linear
 from ....solver.effects.base import Effect, Parameter, Scene
 from ....solver.effects.library import EFFECTS, enter_all, in_order
+from ....solver.effects.surface import steepness_deg
 from ....solver.errors import InputError
 from ....solver.fall import fallen, risen
 from ..fit import to_unit
@@ -114,16 +115,17 @@ class BounceModel:
         sides: Array = np.zeros(1)
         stiff_weights: Array = np.ones(1)
         size_weights: Array = np.ones(1)
-        if any(EFFECTS[name].computed and EFFECTS[name].random for name in self.effects):
-            stiff = _nodes(*DEVIATES, self.closer)
+        stiffer = any(EFFECTS[name].computed and EFFECTS[name].random for name in self.effects)
+        slopes = "surface_slope" in self.effects
+        # nodes in two dimensions lie between each other: every third of either is enough
+        closer, every = (1, 3) if stiffer and slopes else (self.closer, 1)
+        if stiffer:
+            stiff = _nodes(*DEVIATES, closer)[every // 2 :: every]
             stiff_weights = np.exp(-0.5 * stiff**2)
-        if "surface_slope" in self.effects:
-            sizes = _nodes(*SIZES, self.closer)
+        if slopes:
+            sizes = _nodes(*SIZES, closer)[every // 2 :: every]
             size_weights = sizes * np.exp(-0.5 * sizes**2)
-            sides = np.array(DIRECTIONS_DEG)
-        if len(stiff) > 1 and len(sizes) > 1:  # both at once: every third of either is enough
-            stiff, stiff_weights = stiff[1::3], stiff_weights[1::3]
-            sizes, size_weights, sides = sizes[1::3], size_weights[1::3], sides[::2]
+            sides = np.array(DIRECTIONS_DEG)[:: (every + 1) // 2]
         grid = np.meshgrid(stiff, sizes, sides, indexing="ij")
         weights = np.einsum("i,j,k->ijk", stiff_weights, size_weights, np.ones(len(sides)))
         nodes = np.stack([each.ravel() for each in grid], axis=1)
@@ -167,7 +169,7 @@ class BounceModel:
             count = len(EFFECTS[name].parameters)
             friction = value(name, count) if len(given[name]) > count else None
             if name == "surface_slope":
-                lean = (value(name) * nodes[:, 1:2], nodes[:, 2:3])
+                lean = (steepness_deg(nodes[:, 1:2], value(name)), nodes[:, 2:3])
                 logs = logs + self.tables.change(name, same, kn, *lean, friction=friction)
             elif name in self.tables.simulated:
                 values = (value(name, i) for i in range(count))

@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from scipy.stats import rayleigh
 
 from .body import Array, Body
 from .leaning import Lean, land
@@ -158,13 +159,22 @@ def rise(truth: Truth, speed_m_s: float) -> float:
     return math.log1p(drag * speed_m_s**2 / GRAVITY_M_S2) / (2.0 * drag)
 
 
+def _slopes(std_deg: float, luck: Sequence[float]) -> Array:
+    """Toward both sides, normal, of a surface that has none steeper than `MOST_SLOPE_DEG`."""
+    if std_deg == 0.0:
+        return np.zeros(2)
+    size = math.hypot(*luck)
+    part = rayleigh.cdf(size) * rayleigh.cdf(MOST_SLOPE_DEG / std_deg)
+    return std_deg * float(rayleigh.ppf(part)) / size * np.asarray(luck)
+
+
 def bounce(
     truth: Truth, speed_m_s: float, order: int, luck: Sequence[float]
 ) -> tuple[float, float, float]:
     """Greatest height, contact time and peak force of one impact."""
     decades = truth.wear_decades * order / WEAR_DROPS + truth.phases_decades * luck[0]
     kn = float(np.clip(truth.kn_N_m * 10.0**decades, 1e3, 1e10))
-    slopes = np.clip(truth.slope_std_deg * np.asarray(luck), -MOST_SLOPE_DEG, MOST_SLOPE_DEG)
+    slopes = _slopes(truth.slope_std_deg, luck)
     if truth.tilt_deg or truth.slope_std_deg:
         lean = Lean(truth.tilt_deg, float(slopes[0]), float(slopes[1]), truth.friction)
         landed = land(truth.body, kn, lean, speed_m_s)

@@ -209,6 +209,11 @@ def _measured(
         raise InputError(
             f"{data.manifest.table()}: {len(data.y1_m)} drops; the loop needs four or more"
         )
+    if np.ptp(data.y1_m) == 0.0 < np.ptp(data.y0_m):
+        raise InputError(
+            f"{data.manifest.table()}: y1_mm is {1e3 * data.y1_m[0]:g} in every drop, whatever "
+            "y0_mm; is the reading stuck?"
+        )
     return measured, sigmas, notes
 
 
