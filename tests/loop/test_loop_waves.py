@@ -20,7 +20,7 @@ from bristle.solver import paper
 from bristle.solver.bristle import Bristle, Material
 from bristle.solver.errors import InputError
 from bristle.studies.data.datasets import read_manifest
-from bristle.studies.loop.kinds.waves.noise import whitening
+from bristle.studies.loop.kinds.waves.noise import quiet_power, whitening
 from bristle.studies.loop.kinds.waves.problem import read_waves, relative_residual, wave_problem
 from bristle.studies.loop.kinds.waves.rod import SHORTEST_WAVE, Rod, attached_mass
 from bristle.studies.loop.kinds.waves.solid import solid_wave_numbers
@@ -292,9 +292,34 @@ def test_a_monochromatic_wave_decays_as_weak_loss_says(beta_s, loss):
     """exp(−ω (ωβ + η) x / 2c), the next order being a square of the loss smaller."""
     omega = 2 * np.pi * np.array([5e4, 1e5, 3e5])
     angle = omega * beta_s + loss
-    number = Rod(LENGTH_M, 0.0).wave_number(omega, SPEED, beta_s, loss)
+    number = Rod(LENGTH_M, 0.0).wave_number(omega, SPEED, beta_s, loss, dispersion=0.0)
     np.testing.assert_allclose(-number.imag, 0.5 * omega / SPEED * angle, rtol=angle.max() ** 2)
     np.testing.assert_allclose(number.real, omega / SPEED, rtol=angle.max() ** 2)
+
+
+def test_rounding_is_noise_also_where_the_quiet_stretch_shows_none(tmp_path):
+    """An 8-bit converter's step over √12, though before the pulse all samples are alike."""
+    case = CASES["mid-length"]
+    record = case.record(tmp_path, lambda t, p: images(t, p, 8e-6))
+    step = np.ptp(record.gauge.signal) / 256.0
+    rounded = replace(record.gauge, signal=step * np.round(record.gauge.signal / step))
+    power = quiet_power(replace(record, gauge=rounded), rounded, 1e5)(np.array([1e4, 1e5]))
+    np.testing.assert_allclose(power, step**2 / 12.0)
+
+
+@pytest.mark.parametrize("loss", [4e-4, 2e-2])
+def test_a_loss_constant_over_frequency_disperses_as_causality_asks(loss):
+    """No wave comes before its cause: phase speed c (ω/ω₁)^γ and decay tan(½πγ) ω x / c
+    (Kjartansson, J. Geophys. Res. 84 (1979) 4737, eqs. 10 and 11), of a real modulus at ω₁ there,
+    whose size is 1/cos πγ of its real part."""
+    first = np.pi * SPEED / LENGTH_M
+    omega, power = first * np.array([1.0, 3.0, 40.0]), np.arctan(loss) / np.pi
+    number = Rod(LENGTH_M, 0.0).wave_number(omega, SPEED, loss_factor=loss)
+    speed = SPEED / np.sqrt(np.cos(np.pi * power)) / np.cos(0.5 * np.pi * power)
+    speed = speed * (omega / first) ** power
+    np.testing.assert_allclose(omega / number.real, speed, rtol=1e-12)
+    decay = np.tan(0.5 * np.pi * power) * omega / speed
+    np.testing.assert_allclose(-number.imag, decay, rtol=1e-9)
 
 
 def test_mass_proportional_damping_decays_in_time_at_half_its_rate():

@@ -103,9 +103,10 @@ def effect_parameters(data: Waves) -> dict[str, tuple[Parameter, ...]]:
     ``attached_mass`` stands outside the project's list of effects: see `wave_problem`.
     """
     loss = Parameter("loss_factor", "", 0.0, 0.1, 0.002, why="metals 1e-4 to 1e-2, and joints")
+    rise = Parameter("dispersion", "", 0.0, 2.0, 1.0, why="1: as causality asks, 0: none of it")
     love = Parameter("strength", "", 0.0, 2.0, 1.0, why="0 is a plain rod, 1 is Love's")
     possible = {
-        "hysteretic_damping": (loss,),
+        "hysteretic_damping": (loss, rise),
         "lateral_inertia": (love,),
         "attached_mass": (
             Parameter("share", "", 0.0, 0.02, 0.002, why="gauges, leads, glue on the bar's mass"),
@@ -125,9 +126,9 @@ class WaveModel:
 
     ``baseline`` are its free parameters. ``synthesis`` (2 frequencies, rows) turns real and
     imaginary parts of a spectrum, side by side, into whitened rows. `material_damping` replaces the
-    declared damping, `hysteretic_damping` adds a loss factor to whatever stiffness-proportional
-    damping there is. ``solid``, where it is not None, has its lateral inertia in itself:
-    `lateral_inertia` then changes nothing.
+    declared damping, `hysteretic_damping` adds a loss factor, with the dispersion that comes with
+    it, to whatever stiffness-proportional damping there is. ``solid``, where it is not None, has
+    its lateral inertia in itself: `lateral_inertia` then changes nothing.
     """
 
     propagation: Propagation
@@ -157,11 +158,12 @@ class WaveModel:
         }
         rod, declared = carried.rod, data.manifest.bristle.material
         speed, omega = at["wave_speed_m_s"], carried.omega
-        offset = at.get("gauge_offset_m", np.zeros(1))
-        damping = at.get("beta_s", np.full(1, declared.beta_s)), at.get("loss_factor", np.zeros(1))
-        strength = at.get("strength", np.zeros(1)) if self.solid is None else np.zeros(1)
+        none = np.zeros(1)
+        offset = at.get("gauge_offset_m", none)
+        damping = at.get("beta_s", np.full(1, declared.beta_s)), at.get("loss_factor", none)
+        strength = at.get("strength", none) if self.solid is None else none
         alpha = declared.alpha_1_s if "damping_alpha_1_s" in data.manifest.declared else 0.0
-        kappa = rod.wave_number(omega, speed, *damping, strength, alpha)
+        kappa = rod.wave_number(omega, speed, *damping, strength, alpha, at.get("dispersion", none))
         if self.solid is not None:
             kappa = self.solid(kappa)
         ends: Complex = np.ones(1, dtype=complex)

@@ -31,6 +31,8 @@ from .record import Gauge, Waves
 
 Power = Callable[[Array], Array]
 ENOUGH_POINTS, LEAST_POINTS = 60, 8
+FINEST = 1e-6
+"""Of the largest signal: converters have up to 18 bits, and no noise is smaller."""
 REACH = 8.0
 """Frequencies that tell of the noise, in units of the highest used, where they are enough."""
 
@@ -38,12 +40,15 @@ REACH = 8.0
 def quiet_power(data: Waves, gauge: Gauge, band_Hz: float) -> Power:
     """Mean square of a component of the noise at frequencies in Hz, in the unit squared.
 
+    No less than what rounding to the record's steps makes of a signal that crosses many (W. R.
+    Bennett, Bell Syst. Tech. J. 27 (1948) 446), which the quiet stretch, within one, need not show.
     Raises InputError where there is no noise at all.
     """
-    least = 0.0 if data.sigma is None else data.sigma**2
+    sigma = max(0.0 if data.sigma is None else data.sigma, _resolution(gauge) / math.sqrt(12.0))
+    least, largest = sigma**2, np.abs(gauge.signal).max()
     samples = gauge.signal[: data.quiet]
-    if not np.any(np.abs(samples - samples.mean()) > 1e-12 * np.abs(gauge.signal).max()):
-        if data.sigma is None:
+    if not np.any(np.abs(samples - samples.mean()) > 1e-12 * largest):
+        if sigma < FINEST * largest:
             raise data.manifest.wrong(
                 "baseline_until_s",
                 "leaves samples without any noise; declare the sigma of a sample in [measurement]",
@@ -54,6 +59,12 @@ def quiet_power(data: Waves, gauge: Gauge, band_Hz: float) -> Power:
     count = max(ENOUGH_POINTS, int(np.count_nonzero(frequency <= REACH * band_Hz)))
     smooth = _smooth(frequency[:count], power[:count])
     return lambda frequency_Hz: np.maximum(smooth(frequency_Hz), least)
+
+
+def _resolution(gauge: Gauge) -> float:
+    """The step in which the samples come; less than any converter's where they come in none."""
+    steps, whole = np.diff(np.unique(gauge.signal)), np.ptp(gauge.signal)
+    return float(steps[steps > FINEST * whole].min(initial=whole))
 
 
 def _smooth(frequency: Array, power: Array) -> Power:

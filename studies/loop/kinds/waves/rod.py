@@ -8,8 +8,11 @@ section's polar second moment about its axis:
     ρ (ü + α u̇) = E u'' + ρ ν² (I_p / A) ü'',
     so that   κ² = ρ (ω² − iωα) / (E(ω) − s ρ ν² (I_p / A) ω²)
 
-with E(ω) = E (1 + iωβ + iη sign ω): α and β are Rayleigh's damping, η a loss factor that does not
-depend on frequency (A. D. Nashif et al., Vibration Damping, 1985, chapter 2). s is 1 for Love's
+with E(ω) = E ((1 + iη) (ω/ω₁)^(2dγ) + iωβ): α and β are Rayleigh's damping, η = tan πγ a loss
+factor that does not depend on frequency. No effect precedes its cause in a material whose modulus
+rises with frequency as d = 1 has it (E. Kjartansson, J. Geophys. Res. 84 (1979) 4737); d = 0 is the
+loss without that (S. H. Crandall, J. Sound Vib. 11 (1970) 3), and a loss that is constant over some
+decades alone has another d. E is the modulus at ω₁ = πc/L, the first axial mode. s is 1 for Love's
 rod and 0 for a plain one. For slow waves c(k) = c (1 − ½ ν² k² I_p / A), which is exact to this
 order for a section of any shape, circular ones being Pochhammer's and Chree's (Graff, chapter 8).
 
@@ -65,6 +68,7 @@ class Rod:
         loss_factor: Array | float = 0.0,
         strength: Array | float = 0.0,
         alpha_1_s: float = 0.0,
+        dispersion: Array | float = 1.0,
     ) -> Complex:
         """κ (..., frequencies) in 1/m at ``omega`` (frequencies,) in rad/s, zero or more
         (more than zero where there is α).
@@ -74,7 +78,9 @@ class Rod:
         grows along x, and where Love's rod carries no wave, it decays.
         """
         square = speed_m_s**2
-        elastic = 1.0 + (1j * beta_s) * omega + 1j * np.asarray(loss_factor)
+        power = 2.0 / np.pi * np.arctan(loss_factor) * dispersion
+        stiffened = (omega * (self.length_m / (np.pi * speed_m_s)) + 0j) ** power
+        elastic = (1.0 + 1j * np.asarray(loss_factor)) * stiffened + (1j * beta_s) * omega
         elastic = square * elastic - strength * self.gyration_m2 * omega**2
         elastic = np.where(np.abs(elastic) < 1e-9 * square, 1e-9 * square, elastic)
         inertia = omega if alpha_1_s == 0.0 else omega * np.sqrt(1.0 - 1j * alpha_1_s / omega)
