@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from typing import Any
 
@@ -23,6 +24,7 @@ from ..report.figures import (
     SKY,
     SMALLEST,
     VERMILION,
+    drawing,
     panels,
     styled,
 )
@@ -30,6 +32,9 @@ from .confirm import Solid
 from .rows import COUNTING, Rows, names_of, title_of
 
 BEFORE, AFTER = VERMILION, BLUE
+LOOK: dict[str, Any] = {"ls": "none", "fillstyle": "none"}
+LOOK_BEFORE = LOOK | {"marker": "o", "color": BEFORE, "label": "before"}
+LOOK_AFTER = LOOK | {"marker": "s", "color": AFTER, "label": "after"}
 LEAVES = ("leaves something", "leaves nothing")
 KINDS: dict[str, dict[str, Any]] = {
     "leaves nothing": {"color": GREEN, "marker": "o", "ls": "none"},
@@ -40,40 +45,33 @@ LINE_IN, EDGES_IN = 0.2, 0.9
 FARTHEST = 1e3
 
 
-@styled
-def noise_figure(before: Array, after: Array, bins: Array) -> Figure:
+@drawing(
+    "residual (standard deviations; what is beyond counts at the ends)",
+    "density",
+    height_in=2.8,
+    ylim=(0, None),
+)
+def noise_figure(ax: Axes, before: Array, after: Array, bins: Array) -> None:
     """Shares of residuals (rows,) in standard deviations by ``bins``, and the normal density."""
-    figure, axes = panels(height_in=2.8)
-    ax: Axes = axes[0, 0]
     for values, colour, label in ((before, BEFORE, "before"), (after, AFTER, "after")):
         share, _ = np.histogram(np.clip(values, bins[0], bins[-1]), bins)
         ax.stairs(share / len(values) / np.diff(bins), bins, color=colour, label=label, lw=1.4)
     x = np.linspace(bins[0], bins[-1], 200)
     normal = np.exp(-0.5 * x**2) / np.sqrt(2.0 * np.pi)
     ax.plot(x, normal, color=GREY, ls="--", lw=1.0, label="normal, as declared")
-    ax.set(
-        xlabel="residual (standard deviations; what is beyond counts at the ends)",
-        ylabel="density",
-        ylim=(0, None),
-    )
-    ax.legend()
-    return figure
 
 
-@styled
-def fit_figure(rows: Rows, quantity: str) -> Figure:
+@drawing()
+def fit_figure(ax: Axes, rows: Rows, quantity: str) -> None:
     """The main quantity as measured, and the baseline's, against what it was measured at."""
-    figure, axes = panels(height_in=3.2)
-    ax: Axes = axes[0, 0]
     covariate, x = next(each for each in rows.covariates if each[0].name not in COUNTING)
     mine = rows.main
-    values = rows.measured(rows.closed.problem.values)[mine]
-    ax.plot(x[mine], values, "o", color=BLACK, fillstyle="none", label="measured")
-    baseline = rows.measured(rows.before)[mine]
-    ax.plot(x[mine], baseline, "+", color=BEFORE, ms=5, label="baseline, fitted")
+    measured, fitted = (
+        rows.measured(each)[mine] for each in (rows.closed.problem.values, rows.before)
+    )
+    ax.plot(x[mine], measured, "o", color=BLACK, fillstyle="none", label="measured")
+    ax.plot(x[mine], fitted, "+", color=BEFORE, ms=5, label="baseline, fitted")
     ax.set(xlabel=covariate.words, ylabel=quantity)
-    ax.legend()
-    return figure
 
 
 @styled
@@ -83,156 +81,147 @@ def residual_figure(rows: Rows) -> Figure:
     quantity = rows.closed.problem.quantity
     names = list(dict.fromkeys(quantity.tolist()))
     figure, axes = panels(len(covariates), 2, height_in=0.4 + 1.9 * len(covariates))
-    for column, (residual, words, colour) in enumerate(
-        ((rows.left_before, "before", BEFORE), (rows.left_after, "after", AFTER))
-    ):
-        for line, (covariate, x) in enumerate(covariates):
-            ax: Axes = axes[line, column]
+    sides = ((rows.left_before, "before", BEFORE), (rows.left_after, "after", AFTER))
+    markers = dict(zip(names, itertools.cycle(MARKERS), strict=False))
+    for column, (residual, words, colour) in zip(axes.T, sides, strict=True):
+        column[0].set_title(words)
+        for ax, (covariate, x) in zip(column, covariates, strict=True):
             ax.axhspan(-2, 2, color=SKY, alpha=0.2, lw=0)
             ax.axhline(0.0, color=GREY, lw=0.7)
-            for name, marker in zip(names, MARKERS * len(names), strict=False):
+            for name, marker in markers.items():
                 mine = quantity == name
-                ax.plot(
-                    x[mine],
-                    residual[mine],
-                    marker,
-                    color=colour,
-                    fillstyle="none",
-                    ms=3,
-                )
-            ax.set(xlabel=covariate.words, ylabel="residual (σ)", title=words if not line else "")
+                look = {"color": colour, "fillstyle": "none", "ms": 3}
+                ax.plot(x[mine], residual[mine], marker, **look)
+            ax.set(xlabel=covariate.words, ylabel="residual (σ)")
     if len(names) > 1:
-        for name, marker in zip(names, MARKERS * len(names), strict=False):
+        for name, marker in markers.items():
             figure.axes[0].plot([], [], marker, color=BLACK, fillstyle="none", ms=3, label=name)
         figure.legend(loc="outside upper center", ncols=2, fontsize=SMALLEST)
     return figure
 
 
-@styled
-def tests_figure(before: Sequence[Test], after: Sequence[Test], corrected: float) -> Figure:
+def _lines(n: int) -> float:
+    """Height in inches of a figure with so many names down its side."""
+    return EDGES_IN + LINE_IN * max(n, 1)
+
+
+def _names(before: Sequence[Test], after: Sequence[Test]) -> list[str]:
+    return list(dict.fromkeys(test.name for test in (*before, *after)))
+
+
+@drawing(
+    "p-value of the test alone",
+    height_in=lambda before, after, corrected: _lines(len(_names(before, after))),
+    legend=None,
+    xscale="log",
+    xlim=(None, 1.3),
+)
+def tests_figure(ax: Axes, before: Sequence[Test], after: Sequence[Test], corrected: float) -> None:
     """p-value of each test alone, before and after."""
-    names = list(dict.fromkeys(test.name for test in (*before, *after)))
-    figure, axes = panels(height_in=EDGES_IN + LINE_IN * len(names))
-    ax: Axes = axes[0, 0]
-    for tests, colour, marker, label in (
-        (before, BEFORE, "o", "before"),
-        (after, AFTER, "s", "after"),
-    ):
-        y = [names.index(test.name) for test in tests]
+    names = _names(before, after)
+    for tests, look in ((before, LOOK_BEFORE), (after, LOOK_AFTER)):
         p = [max(test.p_value, 1e-6) for test in tests]
-        ax.plot(p, y, marker, color=colour, fillstyle="none", label=label)
+        ax.plot(p, [names.index(test.name) for test in tests], **look)
     ax.axvline(corrected, color=GREY, ls=":", lw=1.0, label="corrected for all tests, before")
     _named(ax, [name.replace("_", " ") for name in names])
-    ax.set(xscale="log", xlabel="p-value of the test alone", xlim=(None, 1.3))
-    figure.legend(loc="outside upper right", fontsize=SMALLEST, ncols=3)
-    return figure
+    _legend_above(ax, 3)
 
 
-@styled
-def detectable_figure(shares: Sequence[tuple[str, float | None]]) -> Figure:
+@drawing(
+    "least size that shows over a typical size",
+    height_in=lambda shares: _lines(len(shares)),
+    legend=None,
+    xscale="log",
+)
+def detectable_figure(ax: Axes, shares: Sequence[tuple[str, float | None]]) -> None:
     """The least size at which an effect shows, over its typical size."""
-    figure, axes = panels(height_in=EDGES_IN + LINE_IN * max(len(shares), 1))
-    ax: Axes = axes[0, 0]
     for i, (_, share) in enumerate(shares):
         if share is None:
             words, across = "at no size within its bounds", ax.get_yaxis_transform()
             ax.text(0.01, i, words, size=SMALLEST, color=GREY, va="center", transform=across)
         else:
-            ax.plot([share], [i], "o", color=BLUE)
+            ax.plot(share, i, "o", color=BLUE)
     ax.axvline(1.0, color=GREY, ls=":", lw=1.0)
     _named(ax, [title_of(name) for name, _ in shares])
     shown = [share for _, share in shares if share]
-    low, high = min([0.1, *shown]) / 3.0, max([10.0, *shown]) * 3.0
-    ax.set(xscale="log", xlim=(low, high), xlabel="least size that shows over a typical size")
-    return figure
+    ax.set_xlim(min([0.1, *shown]) / 3.0, max([10.0, *shown]) * 3.0)
 
 
-@styled
-def evidence_figure(evidences: Sequence[Evidence], unlisted: float) -> Figure:
+@drawing(
+    "log evidence gained on the baseline (nats)",
+    height_in=lambda evidences, unlisted: _lines(len(evidences)),
+    legend=None,
+    xscale="symlog",
+)
+def evidence_figure(ax: Axes, evidences: Sequence[Evidence], unlisted: float) -> None:
     """Log evidence of every model tried over the baseline's."""
-    figure, axes = panels(height_in=EDGES_IN + LINE_IN * len(evidences))
-    ax: Axes = axes[0, 0]
     base = evidences[0].log_evidence
     for i, each in enumerate(evidences):
         left = each.left_p_value
         kind = "not asked" if left is None else LEAVES[left > 0.02]
-        ax.plot([each.log_evidence - base], [i], **KINDS[kind])
+        ax.plot(each.log_evidence - base, i, **KINDS[kind])
+    best: dict[str, Any] = {"color": PURPLE, "ls": "--", "lw": 1.0}
     if np.isfinite(unlisted):
-        ax.axvline(unlisted - base, color=PURPLE, ls="--", lw=1.0)
+        ax.axvline(unlisted - base, **best)
     _named(ax, [names_of(each.effects) for each in evidences])
-    ax.set(xscale="symlog", xlabel="log evidence gained on the baseline (nats)")
-    for label, look in KINDS.items():
+    for label, look in {**KINDS, "best shape that no effect has": best}.items():
         ax.plot([], [], label=label, **look)
-    ax.plot([], [], color=PURPLE, ls="--", lw=1.0, label="best shape that no effect has")
-    figure.legend(loc="outside upper right", fontsize=SMALLEST, ncols=2)
-    return figure
+    _legend_above(ax, 2)
 
 
-@styled
-def weights_figure(finding: Finding) -> Figure:
+@drawing(
+    "probability",
+    height_in=lambda finding: _lines(len(finding.effects)),
+    legend=None,
+    xlim=(0, 1.02),
+)
+def weights_figure(ax: Axes, finding: Finding) -> None:
     """Probability of each effect of the verdict."""
-    figure, axes = panels(height_in=EDGES_IN + LINE_IN * len(finding.effects))
-    ax: Axes = axes[0, 0]
     weights = [finding.weights[name] for name in finding.effects]
     ax.barh(range(len(weights)), weights, color=BLUE, height=0.6)
     _named(ax, [title_of(name) for name in finding.effects])
-    ax.set(xlim=(0, 1.02), xlabel="probability")
-    return figure
 
 
-@styled
-def left_figure(expected: Array, before: Array, after: Array) -> Figure:
+@drawing("normal quantile (σ)", "residual, sorted (σ)", height_in=3.0)
+def left_figure(ax: Axes, expected: Array, before: Array, after: Array) -> None:
     """Sorted residuals (rows,) against the quantiles that normal noise would have."""
-    figure, axes = panels(height_in=3.0)
-    ax: Axes = axes[0, 0]
-    ends = np.array([expected[0], expected[-1]])
+    ends = expected[[0, -1]]
     ax.plot(ends, ends, color=GREY, lw=0.8, ls="--")
-    for values, colour, marker, label in (
-        (before, BEFORE, "o", "before"),
-        (after, AFTER, "s", "after"),
-    ):
-        shown = np.clip(values, -FARTHEST, FARTHEST)
-        ax.plot(expected, shown, marker, color=colour, fillstyle="none", ms=3, label=label)
+    for values, look in ((before, LOOK_BEFORE), (after, LOOK_AFTER)):
+        ax.plot(expected, np.clip(values, -FARTHEST, FARTHEST), ms=3, **look)
     ax.set_yscale("symlog", linthresh=3.0)
-    ax.set(xlabel="normal quantile (σ)", ylabel="residual, sorted (σ)")
-    ax.legend()
-    return figure
 
 
-@styled
-def held_figure(held: HeldOut, quantity: str, labels: Sequence[int]) -> Figure:
+@drawing("held-out drop, fall or pass (its number)", height_in=3.4, legend=None)
+def held_figure(ax: Axes, held: HeldOut, quantity: str, labels: Sequence[int]) -> None:
     """What was predicted of held-out values before and after, with 90 % intervals, less them."""
-    figure, axes = panels(height_in=3.4)
-    ax: Axes = axes[0, 0]
     x = np.arange(len(held.values))
     low, high = held.low - held.values, held.high - held.values
     ax.vlines(x, low, high, color=SKY, lw=4, alpha=0.7, label="90 % interval, after")
     ax.plot(x, held.before - held.values, "x", color=BEFORE, label="before")
-    ax.plot(x, held.after - held.values, "s", color=AFTER, fillstyle="none", label="after")
+    ax.plot(x, held.after - held.values, **LOOK_AFTER)
     ax.axhline(0.0, color=BLACK, lw=0.8, label="measured")
     starts = [i for i in range(len(labels)) if i == 0 or labels[i] != labels[i - 1]]
     ax.set_xticks(starts, [str(labels[i]) for i in starts])
-    ax.set(xlabel="held-out drop, fall or pass (its number)")
     ax.set_ylabel(f"predicted less measured: {quantity}")
     ax.legend(loc="upper left", bbox_to_anchor=(0.0, 1.16), ncols=4, fontsize=SMALLEST)
-    return figure
 
 
-@styled
-def solid_figure(solid: Solid, quantity: str) -> Figure:
+@drawing()
+def solid_figure(ax: Axes, solid: Solid, quantity: str) -> None:
     """Held-out values against the 3-D model's predictions, before and after."""
-    figure, axes = panels(height_in=3.2)
-    ax: Axes = axes[0, 0]
     ends = np.array([solid.values.min(), solid.values.max()])
     ax.plot(ends, ends, color=GREY, lw=0.8, ls="--", label="predicted as measured")
     ax.plot(solid.values, solid.before, "x", color=BEFORE, label="3-D, before")
-    ax.plot(solid.values, solid.after, "s", color=AFTER, fillstyle="none", label="3-D, after")
+    ax.plot(solid.values, solid.after, **LOOK_AFTER | {"label": "3-D, after"})
     ax.set(xlabel=f"measured: {quantity}", ylabel=f"predicted: {quantity}")
-    ax.legend()
-    return figure
 
 
 def _named(ax: Axes, names: Sequence[str]) -> None:
     """Names down the left side, the first on top."""
     ax.set_yticks(range(len(names)), names, fontsize=SMALLEST)
     ax.set_ylim(len(names) - 0.4, -0.6)
+
+
+def _legend_above(ax: Axes, columns: int) -> None:
+    ax.figure.legend(loc="outside upper right", fontsize=SMALLEST, ncols=columns)

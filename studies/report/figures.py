@@ -12,7 +12,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import wraps
 from pathlib import Path
-from typing import Any, ParamSpec
+from typing import Any, Concatenate, Protocol
 
 import matplotlib
 import numpy as np
@@ -21,8 +21,6 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
 from ..running.files import write_atomically
-
-P = ParamSpec("P")
 
 WIDTH_IN = 5.2
 PNG_DPI = 200
@@ -59,6 +57,9 @@ STYLE: dict[str, Any] = {
 # Okabe and Ito (2008), distinguishable with any common colour blindness.
 BLUE, ORANGE, GREEN, VERMILION = "#0072B2", "#E69F00", "#009E73", "#D55E00"
 PURPLE, SKY, BLACK, GREY = "#CC79A7", "#56B4E9", "#000000", "#777777"
+DARK = "#444444"
+# Of viridis: what is lighter is hardly seen on white.
+LIGHTEST = 0.75
 SERIES = (BLUE, VERMILION, GREEN, PURPLE, ORANGE, SKY, BLACK)
 # As many, since colour alone tells nothing to some, nor on a black and white print.
 MARKERS = ("o", "s", "^", "D", "v", "P", "X")
@@ -100,6 +101,71 @@ def panels(
     figure = Figure(figsize=(WIDTH_IN, height_in), layout="constrained")
     axes = figure.subplots(rows, columns, squeeze=False, **share)
     return figure, axes
+
+
+class Drawer(Protocol):
+    """What makes a function that draws into axes one that returns a figure."""
+
+    def __call__[**P](
+        self, draw: Callable[Concatenate[Axes, P], None], /
+    ) -> Callable[P, Figure]: ...
+
+
+def drawing(
+    xlabel: str = "",
+    ylabel: str = "",
+    *,
+    height_in: float | Callable[..., float] = 3.2,
+    legend: str | None = "best",
+    **properties: Any,
+) -> Drawer:
+    """For a function that draws into axes: it returns a figure of one panel then.
+
+    ``height_in`` may depend on what is drawn. Labels, a legend at ``legend`` and ``properties`` of
+    the axes are set when all is drawn.
+    """
+
+    def of[**P](draw: Callable[Concatenate[Axes, P], None]) -> Callable[P, Figure]:
+        @styled
+        @wraps(draw)
+        def drawn(*args: P.args, **kwargs: P.kwargs) -> Figure:
+            height = height_in(*args, **kwargs) if callable(height_in) else height_in
+            figure, axes = panels(height_in=height)
+            ax: Axes = axes[0, 0]
+            draw(ax, *args, **kwargs)
+            labels = {"xlabel": xlabel, "ylabel": ylabel}
+            ax.set(**{name: label for name, label in labels.items() if label}, **properties)
+            if legend is not None:
+                ax.legend(loc=legend)
+            return figure
+
+        return drawn
+
+    return of
+
+
+def beside(
+    ax: Axes, words: str, at: tuple[float, float], ends: str = "", above: bool = True, **look: Any
+) -> None:
+    """Write ``words`` 3 points off a point: ``ends`` names the side they end at, else they begin
+    there. ``at`` is in data, but for x where ``look`` has other ``xycoords``."""
+    aside = {"right": -3, "center": 0}.get(ends, 3)
+    look = {"fontsize": 7.5, "color": DARK, **look}
+    ax.annotate(
+        words,
+        at,
+        xytext=(aside, 3 if above else -3),
+        textcoords="offset points",
+        ha=ends or "left",
+        va="bottom" if above else "top",
+        **look,
+    )
+
+
+def sequence(n: int) -> list[tuple[float, ...]]:
+    """``n`` colours from dark to light, told apart with any colour vision and on white."""
+    shades = matplotlib.colormaps["viridis"]
+    return [shades(x) for x in np.linspace(0.0, LIGHTEST, n)]
 
 
 def model_legend(axes: Axes, models: Sequence[str], **where: Any) -> None:

@@ -1,27 +1,26 @@
 """Tables, figures and comparisons as one page that stands alone.
 
 A `Report` holds plain data; `render_report` turns it into HTML with pictures, styles and the
-tables' CSV inside, so that the one file can be sent, printed, or read on a phone.
+tables' CSV inside, so that the one file can be sent, printed, or read on a phone. A table comes
+from records or a frame by the names of their columns: a name ends in the unit, and `column` has
+what heads it. Words of sections stand in templates (`prose`).
 """
 
 from __future__ import annotations
 
 import base64
-import csv
-import io
 import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
 from pathlib import Path
-from typing import Any, Self
+from typing import Any, Protocol, Self
 
-import numpy as np
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
 
-from ..running.files import together, write_atomically
+from ..running.files import to_csv, together, write_atomically
 from .figures import Picture, inline_svg, write_picture
 
 TEMPLATES = Path(__file__).parent / "templates"
@@ -46,8 +45,46 @@ class Column:
     digits: int = 4
 
 
-# Columns with their values, from the first row to the last.
-Columns = Mapping[Column, Iterable[Any]]
+# What a name may end in, and how a reader has it.
+UNITS = {"MN_m": "MN/m", "N_m": "N/m", "mm": "mm", "um": "µm", "us": "µs", "ms": "ms"}
+UNITS |= {"N": "N", "m": "m", "s": "s", "deg": "°", "sigma": "σ"}
+# Columns of many tables that are headed otherwise than their names say. Inputs are shown as short
+# as they are.
+USUAL: dict[str, tuple[str, str, int]] = {
+    "kn_MN_m": ("Kn", "MN/m", 0),
+    "kn_N_m": ("Kn", "N/m", 4),
+    "y0_mm": ("y0", "mm", 0),
+    "its_ms": ("ITS", "ms", 0),
+    "its_s": ("ITS", "s", 0),
+    "beta_s": ("β", "s", 0),
+    "lean_deg": ("lean", "°", 0),
+    "mu": ("μ", "", 0),
+    "rebound_ratio": ("y1/y0", "", 4),
+    "low": ("90 % from", "", 4),
+    "high": ("to", "", 4),
+    "impulse_ratio": ("friction over normal impulse", "", 3),
+    "friction_loss": ("lost to friction", "of the energy", 2),
+}
+Head = str | tuple[str] | tuple[str, str] | tuple[str, str, int]
+
+
+def column(key: str, head: Head | None = None) -> Column:
+    """The column named ``key``.
+
+    ``head`` is what heads it, or that, its unit and its digits; where these are not given they are
+    the `USUAL` ones, else the words and the unit that the key is made of, and four digits.
+    """
+    given = (head,) if isinstance(head, str) else (head or ())
+    ending = next((each for each in UNITS if key.endswith(f"_{each}")), "")
+    own = key.removesuffix(f"_{ending}").replace("_", " "), UNITS.get(ending, ""), 4
+    usual = USUAL.get(key, own)
+    return Column(key, *given, *usual[len(given) :])
+
+
+class Frame(Protocol):
+    """Values by the name of their column: a mapping of iterables, or pandas' data frame."""
+
+    def items(self) -> Iterable[tuple[Any, Any]]: ...
 
 
 @dataclass(frozen=True)
@@ -70,21 +107,33 @@ class Table:
                 )
 
     @classmethod
-    def of(cls, name: str, caption: str, columns: Columns, note: str = "") -> Self:
-        """A table by its columns; values are arrays (rows,) or other iterables of that length."""
-        values = [
-            each.tolist() if isinstance(each, np.ndarray) else list(each)
-            for each in columns.values()
+    def of(
+        cls,
+        name: str,
+        caption: str,
+        frame: Frame,
+        heads: Mapping[str, Head] | None = None,
+        note: str = "",
+    ) -> Self:
+        """A table of ``frame``'s columns, headed as `column` has it of their names and ``heads``.
+
+        Values are arrays (rows,) or other iterables of that length; NaN is a value that is missing.
+        """
+        named = heads or {}
+        columns = tuple(column(str(key), named.get(key)) for key, _ in frame.items())
+        values = (
+            each.tolist() if hasattr(each, "tolist") else list(each) for _, each in frame.items()
+        )
+        rows = [
+            tuple(None if isinstance(x, float) and math.isnan(x) else x for x in row)
+            for row in zip(*values, strict=True)
         ]
-        return cls(name, caption, tuple(columns), list(zip(*values, strict=True)), note)
+        return cls(name, caption, columns, rows, note)
 
     def csv_text(self) -> str:
         """The table as CSV, numbers in full precision, what is missing left empty."""
-        stream = io.StringIO()
-        writer = csv.writer(stream, lineterminator="\n")
-        writer.writerow(column.key for column in self.columns)
-        writer.writerows([_plain(value) for value in row] for row in self.rows)
-        return stream.getvalue()
+        keys = [column.key for column in self.columns]
+        return to_csv(keys, [[_plain(value) for value in row] for row in self.rows])
 
     def data_uri(self) -> str:
         """The CSV as an address that needs no other file."""
@@ -115,6 +164,10 @@ class Verdict(StrEnum):
     AGREES = "agrees"
     DIFFERS = "differs"
     OPEN = "cannot be compared"
+
+    @classmethod
+    def of(cls, agrees: bool) -> Verdict:
+        return cls.AGREES if agrees else cls.DIFFERS
 
 
 @dataclass(frozen=True)
@@ -225,10 +278,6 @@ def _powers(text: str) -> Markup:
     """Escaped text with 10^n set as a power."""
     escaped = str(Markup.escape(text))
     return Markup(re.sub(r"10\^(−?\d+)", r"10<sup>\1</sup>", escaped))
-
-
-def _is_number(value: Value) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool)
 
 
 def _environment() -> Environment:

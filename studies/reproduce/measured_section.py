@@ -7,9 +7,10 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
-from ..close_loop.page import headline, held_out_section
+from ..close_loop.page import headline
 from ..close_loop.rows import Rows
 from ..close_loop.run import Closed, problem_of
+from ..close_loop.sections import held_out_section
 from ..data.datasets import Manifest, read_manifest
 from ..loop.problem import Problem
 from ..report.page import Figure, Section, percent

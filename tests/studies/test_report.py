@@ -7,7 +7,10 @@ import csv
 import io
 from html.parser import HTMLParser
 
+import numpy as np
+import pandas as pd
 import pytest
+from jinja2 import UndefinedError
 
 from bristle.studies.report.figures import Picture, panels, picture, spread, styled
 from bristle.studies.report.page import (
@@ -18,11 +21,13 @@ from bristle.studies.report.page import (
     Section,
     Table,
     Verdict,
+    column,
     percent,
     render_report,
     show,
     write_report,
 )
+from bristle.studies.report.prose import Prose
 
 pytestmark = pytest.mark.serial
 
@@ -141,6 +146,86 @@ def test_a_row_must_fit_its_columns():
 
 
 @pytest.mark.parametrize(
+    ("key", "head", "made"),
+    [
+        ("contact_time_us", None, Column("contact_time_us", "contact time", "µs", 4)),
+        ("estimate_MN_m", None, Column("estimate_MN_m", "estimate", "MN/m", 4)),
+        ("p_value", None, Column("p_value", "p value", "", 4)),
+        ("y0_mm", None, Column("y0_mm", "y0", "mm", 0)),
+        ("tp_rule_us", "Eq. 8", Column("tp_rule_us", "Eq. 8", "µs", 4)),
+        (
+            "contact_time_s",
+            ("contact time", "", 2),
+            Column("contact_time_s", "contact time", "", 2),
+        ),
+    ],
+)
+def test_a_column_is_headed_by_its_name_unless_told_otherwise(key, head, made):
+    assert column(key, head) == made
+
+
+def test_a_table_comes_of_a_frame_or_of_columns():
+    frame = pd.DataFrame({"kn_MN_m": [2.0, np.nan], "touches": [1, 2], "seen": [True, False]})
+    columns = {"kn_MN_m": [2.0, None], "touches": range(1, 3), "seen": np.array([True, False])}
+    of_frame, of_columns = (Table.of("t", "T", each) for each in (frame, columns))
+    assert of_frame == of_columns
+    assert of_frame.csv_text() == "kn_MN_m,touches,seen\n2.0,1,true\n,2,false\n"
+    with pytest.raises(ValueError, match="shorter"):
+        Table.of("t", "T", {"a": [1, 2], "b": [1]})
+
+
+WORDS = """
+{% macro drop(kn_N_m, ratio) %}
+# A drop
+
+> At {{ kn_N_m | stiffness }} it keeps {{ ratio | percent(0) }}.
+
+It fell,
+and it rose.
+
+| y1/y0 | Fig. 13 | 0.65 | {{ ratio | f(2) }} | – | – | {{ (ratio > 0.5) | verdict }} |
+
+[figure a] Up and down
+
+[alt a] A curve
+
+[table numbers] Its {{ "numbers" }}
+
+[note numbers] Made up.
+{% endmacro %}
+"""
+
+
+@pytest.fixture
+def prose(tmp_path) -> Prose:
+    (tmp_path / "words.j2").write_text(WORDS)
+    return Prose(tmp_path / "words.j2")
+
+
+def test_words_of_a_section_stand_in_a_template(prose):
+    draft = prose("drop", kn_N_m=2e6, ratio=0.657)
+    draft.figure("a", _drawing(), draft.table("numbers", {"ratio": [0.657]}))
+    section = draft.section("bristle drop")
+    (table,), (figure,) = section.tables, section.figures
+    assert (section.ident, section.title, section.command) == ("drop", "A drop", "bristle drop")
+    assert section.headline == "At 2 MN/m it keeps 66\u00a0%."
+    assert section.text == ["It fell, and it rose."]
+    (row,) = section.comparisons
+    assert row == Comparison("y1/y0", "Fig. 13", "0.65", "0.66", "–", "–", Verdict.AGREES, "")
+    assert (table.caption, table.note) == ("Its numbers", "Made up.")
+    assert (figure.caption, figure.alt, figure.data) == ("Up and down", "A curve", table)
+
+
+def test_words_without_their_values_and_values_without_words_are_refused(prose):
+    with pytest.raises(UndefinedError, match="ratio"):
+        prose("drop", kn_N_m=2e6)
+    with pytest.raises(TypeError, match="mu"):
+        prose("drop", kn_N_m=2e6, ratio=0.5, mu=0.1)
+    with pytest.raises(KeyError, match="table others"):
+        prose("drop", kn_N_m=2e6, ratio=0.5).table("others", {"a": [1]})
+
+
+@pytest.mark.parametrize(
     ("value", "digits", "text"),
     [
         (0.65755, 4, "0.6575"),
@@ -172,8 +257,6 @@ def test_the_same_figure_gives_the_same_bytes():
 
 
 def test_labels_are_moved_apart_and_keep_their_order():
-    import numpy as np
-
     placed = spread(np.array([0.0, 0.1, 0.12, 5.0, 9.99, 10.0]), 0.5, 0.0, 10.0)
     assert np.all(np.diff(placed) >= 0.5 - 1e-12)
     assert placed.max() <= 10.0
