@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 import warnings
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import statsmodels.api as sm
@@ -94,15 +95,17 @@ def slope_interval(
     y0_m: Array, y1_m: Array, sigma_m: float | None = None, level: float = LEVEL
 ) -> Interval:
     """Slope of y1 on y0 through the origin and its interval."""
-    square = float(y0_m @ y0_m)
-    slope = float(y0_m @ y1_m) / square
-    leverage = y0_m**2 / square
-    residual = (y1_m - slope * y0_m) / (1.0 - leverage)
-    error = math.sqrt(float(np.sum((y0_m * residual) ** 2))) / square
+    fit = _fit(y0_m, y1_m, 1)
+    slope, error = float(fit.params[0]), float(fit.bse[0])
     if sigma_m is not None:
-        error = max(error, sigma_m * math.sqrt((1.0 + slope**2) / square))
+        error = max(error, sigma_m * math.sqrt((1.0 + slope**2) / float(y0_m @ y0_m)))
     half = float(stats.t.ppf(0.5 + 0.5 * level, len(y0_m) - 1)) * error
     return Interval(slope, slope - half, slope + half, level)
+
+
+def _fit(y0_m: Array, y1_m: Array, degree: int) -> Any:
+    """Powers of y0 up to ``degree``, without a constant, fitted to y1; HC3 errors."""
+    return sm.OLS(y1_m, y0_m[:, None] ** np.arange(1, degree + 1)).fit(cov_type="HC3", use_t=True)
 
 
 def bootstrap_interval(y0_m: Array, y1_m: Array, seed: int, level: float = LEVEL) -> Interval:
@@ -135,8 +138,7 @@ def height_trend(y0_m: Array, y1_m: Array, level: float = LEVEL) -> Trend | None
     """
     if len(y0_m) < 4 or np.ptp(y0_m) < 1e-3 * np.max(y0_m):
         return None
-    design = np.stack([y0_m, y0_m**2], axis=1)
-    fit = sm.OLS(y1_m, design).fit(cov_type="HC3", use_t=True)
+    fit = _fit(y0_m, y1_m, 2)
     if fit.ssr <= 1e-24 * float(y1_m @ y1_m):
         exact = float(fit.params[1])
         return Trend(Interval(exact, exact, exact, level), 1.0)

@@ -7,7 +7,7 @@ the nodes that touch, one on the axis of a beam, as in the paper.
 
 from __future__ import annotations
 
-from ..report.page import Column, Table
+import pandas as pd
 
 AREA, NODE = "Kn over the face's area", "Kn over the nodes that touch"
 # Program, where the number is entered, and what it is there. From the programs' manuals.
@@ -20,24 +20,10 @@ OPTIONS = (
     ("Code_Aster", "E_N of DEFI_CONTACT, FORMULATION='DISCRETE', PENALISATION", NODE),
     ("COMSOL", "pressure penalty factor of the contact node, penalty method", AREA),
 )
-COLUMNS = (
-    Column("program", "Program"),
-    Column("option", "Option"),
-    Column("is", "Is"),
-    Column("value_si", "in m and N", "N/m, N/m³", 3),
-    Column("value_mm", "in mm and N", "N/mm, N/mm³", 3),
-)
-NOTE = (
-    "Of one node; divide by their number where several touch. A node-based surface of Abaqus has "
-    "unit area unless it is given another; CalculiX asks for a tension at large gaps as well, "
-    "which is to be small. A stiffness is a result of the model too: these programs' own beams and "
-    "solids need it with the damping in the material alone, not in the contact spring, and a time "
-    "step that resolves the impact."
-)
 
 
-def table(kn_N_m: float, area_m2: float) -> Table:
+def programs(kn_N_m: float, area_m2: float) -> pd.DataFrame:
     """What to enter where, for a face of ``area_m2``."""
     values = {AREA: (kn_N_m / area_m2, 1e-9 * kn_N_m / area_m2), NODE: (kn_N_m, 1e-3 * kn_N_m)}
-    rows = [(program, option, what, *values[what]) for program, option, what in OPTIONS]
-    return Table("other_programs", "The same Kn in other programs.", COLUMNS, rows, NOTE)
+    rows = [(*option, *values[option[-1]]) for option in OPTIONS]
+    return pd.DataFrame(rows, columns=["program", "option", "is", "value_si", "value_mm"])

@@ -3,14 +3,22 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+import pandas as pd
 from numpy.typing import NDArray
 from scipy.optimize import brentq
 
+from ...solver.analytic import quarter_period_s
+
 Array = NDArray[np.floating]
 
+CASE = ["model", "kn_N_m", "y0_m", "quantity"]
+ERRORS = [*CASE, "its_s", "value", "converged", "order", "error_relative"]
+NEEDS = [*CASE, "goal", "its_needed_s", "bound", "rule_s"]
 # Orders of which extrapolation is trusted: none of the schemes has another.
 ORDERS = (0.8, 2.5)
 
@@ -86,3 +94,40 @@ def need(its_s: Array, errors: Array, goal: float) -> Need:
         return Need(float(h[first - 1]), ">=")
     share = math.log(goal / good_e) / math.log(bad_e / good_e)
     return Need(float(h[first - 1] * (h[first] / h[first - 1]) ** share), "")
+
+
+def shortest(its_s: Array, values: Array) -> Limit:
+    """The value at the shortest step, for what is too rough to extrapolate."""
+    return Limit(float(values[np.argmin(its_s)]), None)
+
+
+def compare(
+    drops: pd.DataFrame,
+    quantities: Iterable[str],
+    goal: float,
+    mass_kg: float,
+    converged: Callable[[Array, Array], Limit] = limit,
+) -> tuple[pd.DataFrame, pd.DataFrame]:
+    """The error of every step, and the step that each quantity needs (`need`) beside Eq. 8.
+
+    Of ``drops`` those of one model, Kn and height differ in ITS alone; quantities that are not
+    known of all of them are left out. Where ``converged`` is the `shortest` step, that has no row.
+    """
+    errors: list[tuple[Any, ...]] = []
+    needs: list[tuple[Any, ...]] = []
+    for key, members in drops.groupby(["model", "kn_N_m", "y0_m"], sort=False):
+        for name in quantities:
+            its_s, values = members.its_s.to_numpy(), members[name].to_numpy(float)
+            if np.isnan(values).any():
+                continue  # no rebound was asked for
+            found = converged(its_s, values)
+            error = values / found.value - 1.0
+            kept = its_s > (its_s.min() if converged is shortest else 0.0)
+            errors += [
+                (*key, name, step, value, found.value, found.order, e)
+                for step, value, e in zip(its_s[kept], values[kept], error[kept], strict=True)
+            ]
+            longest = need(its_s[kept], error[kept], goal)
+            rule = quarter_period_s(mass_kg, key[1])
+            needs.append((*key, name, goal, longest.its_s, longest.bound, rule))
+    return pd.DataFrame(errors, columns=ERRORS), pd.DataFrame(needs, columns=NEEDS)

@@ -1,104 +1,101 @@
-"""Figures of the study of the integration time step."""
+"""Figures of what discretisation costs: errors, and the integration time step that is needed."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
 
 import numpy as np
-from matplotlib.axes import Axes
+import pandas as pd
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from ..report.figures import BLACK, GREY, LOOKS, SERIES, panels, stiffness_label, styled
-from ..report.paper_figures import sequence
-from .convergence import Need
-
-Key = tuple[str, float, float]
-Curve = tuple[np.ndarray, np.ndarray]
+from ..report.figures import (
+    BLACK,
+    GREY,
+    LOOKS,
+    SERIES,
+    SMALLEST,
+    beside,
+    panels,
+    sequence,
+    stiffness_label,
+    styled,
+)
 
 FLOOR_PERCENT = 1e-4
 UNBOUNDED = {">=": "^", "<": "v", "": "o"}
+ITS_LABEL = "integration time step (ms)"
 
 
 @styled
 def error_figure(
-    errors: Mapping[tuple[str, Key], Curve], quantities: Mapping[str, str], goal: float
+    errors: pd.DataFrame, quantities: Mapping[str, str], goal: float, against: str = ITS_LABEL
 ) -> Figure:
-    """Error in % against ITS, a panel per quantity; colour is Kn, line style the model."""
-    shown = [name for name in quantities if any(n == name for n, _ in errors)]
-    models = _models(errors)
-    stiffnesses = sorted({kn for _, (_, kn, _) in errors})
+    """Error in % against ITS, a panel per quantity; colour is Kn, line style the model.
+
+    ``against`` something else than ITS, errors have a few counts as the column ``count``. Errors
+    below ``FLOOR_PERCENT`` are round-off beside what matters and not drawn.
+    """
+    shown = [name for name in quantities if name in set(errors.quantity)]
+    models = [model for model in LOOKS if model in set(errors.model)]
+    stiffnesses = sorted(set(errors.kn_N_m))
     colours = dict(zip(stiffnesses, sequence(len(stiffnesses)), strict=True))
     figure, axes = panels(len(shown), 1, height_in=0.9 + 2.1 * len(shown), sharex=True)
+    counted = against != ITS_LABEL
     for ax, name in zip(axes[:, 0], shown, strict=True):
-        for (quantity, (model, kn, _)), (its_s, error) in errors.items():
-            if quantity == name:
-                label = stiffness_label(kn) if model == models[0] else None
-                percent = np.maximum(100.0 * np.abs(error), FLOOR_PERCENT)
-                ax.loglog(1e3 * its_s, percent, color=colours[kn], label=label, **LOOKS[model].line)
+        own = errors[errors.quantity == name]
+        for (model, kn, _), rows in own.groupby(["model", "kn_N_m", "y0_m"]):
+            percent = 100.0 * rows.error_relative.abs()
+            percent = percent.where(percent >= FLOOR_PERCENT)
+            look = {"marker": "o", "fillstyle": "none"} if counted else {}
+            x = rows["count"] if counted else 1e3 * rows.its_s
+            ax.loglog(x, percent, color=colours[kn], **(look | LOOKS[model].line))
         ax.axhline(100.0 * goal, color=GREY, lw=0.8, ls="--")
-        ax.set_title(quantities[name])
-        ax.set(ylabel="error (%)")
-    stiffness, labels = axes[0, 0].get_legend_handles_labels()
-    lines = [Line2D([], [], color=BLACK, **LOOKS[model].line) for model in models]
-    names = [*dict.fromkeys(labels), *(LOOKS[model].label for model in models)]
-    once = {label: handle for handle, label in zip(stiffness, labels, strict=True)}
-    figure.legend([*once.values(), *lines], names, loc="outside upper center", ncols=4, title="Kn")
-    axes[-1, 0].set(xlabel="integration time step (ms)")
+        right = 1.0, 100.0 * goal
+        beside(ax, f"{right[1]:g} %", right, "right", xycoords=ax.get_yaxis_transform())
+        ax.set(title=quantities[name], ylabel="error (%)", ylim=(FLOOR_PERCENT, None))
+    axes[-1, 0].set(xlabel=against)
+    if counted:
+        counts = sorted(set(errors["count"]))
+        axes[-1, 0].set_xticks(counts, [str(n) for n in counts], fontsize=SMALLEST)
+        axes[-1, 0].minorticks_off()
+    lines = [Line2D([], [], color=colour) for colour in colours.values()]
+    names = [stiffness_label(kn) for kn in stiffnesses]
+    if len(models) > 1:
+        lines += [Line2D([], [], color=BLACK, **LOOKS[model].line) for model in models]
+        names += [LOOKS[model].label for model in models]
+    figure.legend(lines, names, loc="outside upper center", ncols=4, title="Kn")
     return figure
 
 
 @styled
-def need_figure(
-    needs: Mapping[tuple[str, Key], Need],
-    quantities: Mapping[str, str],
-    rule_s: Mapping[float, float],
-    paper_its_s: float,
-) -> Figure:
+def need_figure(needs: pd.DataFrame, quantities: Mapping[str, str], paper_its_s: float) -> Figure:
     """The longest good ITS against Kn, a panel per quantity, beside Eq. 8 and the paper's choice.
 
     An arrow up or down marks a bound: the longest or the shortest step that was computed.
     Solids have open markers.
     """
-    shown = [name for name in quantities if any(n == name for n, _ in needs)]
-    models = _models(needs)
-    stiffnesses = np.array(sorted(kn for kn in rule_s if rule_s[kn] > 0.0))
+    shown = [name for name in quantities if name in set(needs.quantity)]
     figure, axes = panels(len(shown), 1, height_in=0.7 + 1.9 * len(shown), sharex=True, sharey=True)
-    colours = dict(zip(LOOKS, SERIES, strict=False))
+    rule = needs[needs.rule_s > 0.0].drop_duplicates("kn_N_m").sort_values("kn_N_m")
     for ax, name in zip(axes[:, 0], shown, strict=True):
-        for model in models:
-            _need_points(ax, needs, name, model, colours[model])
-        rule = [1e3 * rule_s[kn] for kn in stiffnesses]
-        ax.loglog(stiffnesses / 1e6, rule, color=BLACK, ls=":", label="tp − ti, Eq. 8")
-        ax.axhline(
-            1e3 * paper_its_s, color=GREY, lw=0.8, label=f"{1e3 * paper_its_s:g} ms, the paper's"
-        )
-        ax.set_title(quantities[name])
-        ax.set(ylabel="greatest ITS (ms)")
+        for (model, look), colour in zip(LOOKS.items(), SERIES, strict=False):
+            own = needs[(needs.quantity == name) & (needs.model == model)]
+            points = own[np.isfinite(own.kn_N_m)].sort_values(["kn_N_m", "its_needed_s"])
+            if own.empty:
+                continue
+            kn, its = points.kn_N_m / 1e6, 1e3 * points.its_needed_s
+            ax.loglog(kn, its, color=colour, label=look.label, **{**look.line, "marker": None})
+            solid = model in ("reduced", "solid")
+            fill, size = ("none", 5.0) if solid else ("full", 3.0)
+            for bound, marker in UNBOUNDED.items():
+                mine = points.bound == bound
+                ax.plot(kn[mine], its[mine], marker, color=colour, fillstyle=fill, ms=size)
+        ax.loglog(rule.kn_N_m / 1e6, 1e3 * rule.rule_s, "k:", label="tp − ti, Eq. 8")
+        label = f"{1e3 * paper_its_s:g} ms, the paper's"
+        ax.axhline(1e3 * paper_its_s, color=GREY, lw=0.8, label=label)
+        ax.set(title=quantities[name], ylabel="greatest ITS (ms)")
     handles, labels = axes[0, 0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside upper center", ncols=2)
     axes[-1, 0].set(xlabel="normal contact stiffness Kn (MN/m)")
     return figure
-
-
-def _need_points(
-    ax: Axes, needs: Mapping[tuple[str, Key], Need], name: str, model: str, colour: Any
-) -> None:
-    points = sorted(
-        (kn, need.its_s, need.bound)
-        for (quantity, (m, kn, _)), need in needs.items()
-        if quantity == name and m == model and np.isfinite(kn)
-    )
-    kn, its_s = (np.array([point[i] for point in points]) for i in (0, 1))
-    look = LOOKS[model]
-    line = {**look.line, "marker": None}
-    ax.loglog(kn / 1e6, 1e3 * its_s, color=colour, label=look.label, **line)
-    for k, h, bound in points:
-        solid = model in ("reduced", "solid")
-        fill, size = ("none", 5.0) if solid else ("full", 3.0)
-        ax.plot(k / 1e6, 1e3 * h, UNBOUNDED[bound], color=colour, fillstyle=fill, ms=size)
-
-
-def _models(keyed: Mapping[tuple[str, Key], object]) -> list[str]:
-    return [model for model in LOOKS if any(m == model for _, (m, _, _) in keyed)]

@@ -10,21 +10,20 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
-import numpy as np
+import pandas as pd
 from mpi4py import MPI
 
 from ...solver import paper
-from ...solver.analytic import quarter_period_s
 from ..inputs.fields import Height, Its, Numbers
 from ..report.figures import picture, write_picture
 from ..running.files import read_csv, to_csv, write_atomically
 from ..running.study import TABLE_FILE, Row, Study, StudyInputs, run_study
-from .convergence import Limit, Need, limit, need
+from .convergence import compare
 from .figures import error_figure, need_figure
 
 ITS_S = (1e-4, 3e-5, 1e-5, 3e-6, 1e-6, 3e-7, 1e-7)
 GOAL = 0.01
-NEEDS_FILE = "needs.csv"
+ERRORS_FILE, NEEDS_FILE = "errors.csv", "needs.csv"
 FEWEST_STEPS = 3
 QUANTITIES = {
     "rebound_ratio": "rebound ratio y1/y0",
@@ -32,15 +31,6 @@ QUANTITIES = {
     "contact_time_s": "contact time",
     "max_penetration_m": "greatest penetration",
 }
-ERROR_COLUMNS = (
-    "model", "kn_N_m", "y0_m", "quantity", "its_s", "value", "converged", "order", "error_relative",
-)  # fmt: skip
-NEED_COLUMNS = (
-    "model", "kn_N_m", "y0_m", "quantity", "goal", "its_needed_s", "bound", "rule_s", "paper_its_s",
-    "its_over_rule",
-)  # fmt: skip
-
-Key = tuple[str, float, float]
 
 
 class ItsInputs(StudyInputs):
@@ -73,36 +63,16 @@ def run_its(
     run_study(study, inputs, out, comm, resume=resume, ranks_per_case=ranks_per_case)
 
 
-def group(rows: Sequence[Row]) -> dict[Key, list[Row]]:
-    """The rows of each model, stiffness and height, which differ in ITS alone."""
-    groups: dict[Key, list[Row]] = {}
-    for row in rows:
-        groups.setdefault((row["model"], row["kn_N_m"], row["y0_m"]), []).append(row)
-    return groups
-
-
 def _finish(rows: Sequence[Row], mass_kg: float, out: Path) -> dict[str, Any]:
-    errors: dict[tuple[str, Key], tuple[np.ndarray, np.ndarray]] = {}
-    needs: dict[tuple[str, Key], Need] = {}
-    table = []
-    for key, members in group(rows).items():
-        its_s = np.array([row["its_s"] for row in members])
-        for name in QUANTITIES:
-            values = np.array([row[name] for row in members], float)
-            if np.isnan(values).any():
-                continue  # no rebound was asked for
-            found = limit(its_s, values)
-            error = values / found.value - 1.0
-            errors[name, key] = its_s, error
-            needs[name, key] = need(its_s, error, GOAL)
-            table += _error_rows(key, name, members, found, error)
-    write_atomically(out / "errors.csv", to_csv(ERROR_COLUMNS, table))
-    write_atomically(out / NEEDS_FILE, to_csv(NEED_COLUMNS, _need_rows(needs, mass_kg)))
-    names = ["errors.csv", NEEDS_FILE]
-    if errors:
+    errors, needs = compare(pd.DataFrame(rows), QUANTITIES, GOAL, mass_kg)
+    needs["paper_its_s"] = paper.ITS_S
+    needs["its_over_rule"] = needs.its_needed_s / needs.rule_s.where(needs.rule_s > 0.0)
+    for name, frame in ((ERRORS_FILE, errors), (NEEDS_FILE, needs)):
+        write_atomically(out / name, to_csv(list(frame), frame.itertuples(index=False)))
+    names = [ERRORS_FILE, NEEDS_FILE]
+    if len(errors):
         names += write_picture(out / "errors", picture(error_figure(errors, QUANTITIES, GOAL)))
-        rule = {kn: quarter_period_s(mass_kg, kn) for _, (_, kn, _) in needs}
-        drawn = need_figure(needs, QUANTITIES, rule, paper.ITS_S)
+        drawn = need_figure(needs, QUANTITIES, paper.ITS_S)
         names += write_picture(out / "needs", picture(drawn))
     return {"goal": GOAL, "files": names}
 
@@ -132,21 +102,3 @@ def answer(out: Path) -> list[str]:
             f"  of {len(steps)} steps alone: give --its {FEWEST_STEPS} or more to trust it"
         )
     return lines
-
-
-def _error_rows(
-    key: Key, name: str, members: Sequence[Row], found: Limit, error: np.ndarray
-) -> list[tuple[Any, ...]]:
-    return [
-        (*key, name, row["its_s"], row[name], found.value, found.order, float(e))
-        for row, e in zip(members, error, strict=True)
-    ]
-
-
-def _need_rows(needs: dict[tuple[str, Key], Need], mass_kg: float) -> list[tuple[Any, ...]]:
-    rows = []
-    for (name, key), found in needs.items():
-        rule = quarter_period_s(mass_kg, key[1])
-        ratio = found.its_s / rule if rule else None
-        rows.append((*key, name, GOAL, found.its_s, found.bound, rule, paper.ITS_S, ratio))
-    return rows

@@ -1,10 +1,9 @@
-"""The paper's Figs. 9 and 13, and Eq. 8, beside the models."""
+"""What several studies draw of the paper: its Fig. 13, and what it published of Figs. 10 to 12."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 
-import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -13,51 +12,21 @@ from ...solver import paper
 from ...solver.arrays import Array
 from .figures import (
     BLACK,
-    GREY,
+    BLUE,
     LOOKS,
-    SERIES,
+    SKY,
     VERMILION,
+    drawing,
     end_labels,
     model_legend,
     panels,
+    sequence,
     stiffness_label,
     styled,
 )
 
 Curve = tuple[Array, Array]
-# Of viridis: what is lighter is hardly seen on white.
-LIGHTEST = 0.75
 HEIGHTS = {"xlabel": "height before impact y0 (mm)", "ylabel": "height after impact y1 (mm)"}
-
-
-@styled
-def penetration_figure(curves: Mapping[tuple[str, float], Curve]) -> Figure:
-    """Fig. 9: penetration (µm) against time since touch (µs); keys are (model, height in m)."""
-    figure, axes = panels(height_in=3.8)
-    ax: Axes = axes[0, 0]
-    heights = sorted({height for _, height in curves})
-    models = [model for model in LOOKS if any(m == model for m, _ in curves)]
-    colours = dict(zip(heights, SERIES, strict=False))
-    for (model, height), (t, depth) in curves.items():
-        ax.plot(1e6 * t, 1e6 * depth, color=colours[height], **LOOKS[model].line)
-    for height in heights:
-        t, depth = curves["analytic", height]
-        i = int(np.argmax(depth))
-        ax.annotate(
-            f"y0 = {1e3 * height:g} mm",
-            (1e6 * t[i], 1e6 * depth[i]),
-            xytext=(0, 3),
-            textcoords="offset points",
-            ha="center",
-            color=colours[height],
-            fontsize=8,
-        )
-    model_legend(ax, models, loc="upper right")
-    ax.set(
-        xlabel="time since touch (µs)", ylabel="penetration (µm)", xlim=(0, None), ylim=(0, None)
-    )
-    ax.set_ylim(0, 1.08 * ax.get_ylim()[1])
-    return figure
 
 
 @styled
@@ -88,68 +57,28 @@ def height_figure(histories: Mapping[tuple[str, float, float], Curve]) -> Figure
     return figure
 
 
-def sequence(n: int) -> list[tuple[float, ...]]:
-    """``n`` colours from dark to light, told apart with any colour vision and on white."""
-    shades = matplotlib.colormaps["viridis"]
-    return [shades(x) for x in np.linspace(0.0, LIGHTEST, n)]
+@drawing(**HEIGHTS, height_in=3.6, legend="upper left")
+def cloud_figure(
+    ax: Axes,
+    y0_m: Array,
+    y1_m: Array,
+    label: str = "predicted here, not measured",
+    top_mm: float = 55.0,
+    slope: float | None = None,
+) -> None:
+    """Figs. 10 to 12: the published line, band and one drop, and a cloud named ``label``.
 
-
-@styled
-def time_to_peak_figure(
-    kn_N_m: Array,
-    rule_s: Array,
-    beam_s: Array,
-    points: Sequence[tuple[float, float]],
-    printed: Mapping[float, float],
-    limit_s: float,
-) -> Figure:
-    """Eq. 8 beside the beam (line), the solid (``points``: Kn, s) and the ``printed`` values."""
-    figure, axes = panels(height_in=3.4)
-    ax: Axes = axes[0, 0]
-    ax.loglog(kn_N_m / 1e6, 1e6 * rule_s, color=BLACK, ls=":", label="Eq. 8, (π/2)√(m/Kn)")
-    ax.loglog(kn_N_m / 1e6, 1e6 * beam_s, color=SERIES[0], label="1-D beam")
-    kn, seconds = np.array(points).T
-    ax.loglog(
-        kn / 1e6,
-        1e6 * seconds,
-        color=SERIES[0],
-        label="3-D reduced",
-        ls="none",
-        marker="o",
-        fillstyle="none",
-    )
-    kn, seconds = np.array(list(printed.items())).T
-    ax.loglog(
-        kn / 1e6,
-        1e6 * seconds,
-        color=VERMILION,
-        label="printed in the paper",
-        ls="none",
-        marker="s",
-        fillstyle="none",
-    )
-    ax.axhline(1e6 * limit_s, color=GREY, lw=0.8)
-    ax.annotate(
-        "L/c: a wave to the top",
-        (kn_N_m[0] / 1e6, 1e6 * limit_s),
-        xytext=(3, -3),
-        textcoords="offset points",
-        va="top",
-        fontsize=7.5,
-        color="#444444",
-    )
-    ax.set(xlabel="normal contact stiffness Kn (MN/m)", ylabel="touch to greatest penetration (µs)")
-    ax.legend(loc="upper right")
-    return figure
-
-
-def draw_published(ax: Axes, top_mm: float) -> None:
-    """What the paper published of Figs. 10 to 12, up to a height: its line, its band, one drop."""
+    ``slope`` is that of a line that was fitted to the cloud.
+    """
     x = np.array([0.0, top_mm])
     low, high = paper.RATIO_BAND_90
+    ax.plot(1e3 * y0_m, 1e3 * y1_m, ".", color=SKY, ms=2.5, zorder=1, label=label)
     ax.plot(x, paper.RATIO_MEAN * x, color=BLACK, label="published fit y1 = 0.65 y0")
     ax.plot(x, high * x, color=BLACK, lw=0.8, ls="--", label="30 % and 100 % lines")
     ax.plot(x, low * x, color=BLACK, lw=0.8, ls="--")
     drop = 1e3 * paper.KNOWN_DROP_M[0], 1e3 * paper.KNOWN_DROP_M[1]
     ax.plot(*drop, "D", color=VERMILION, label="the one drop with published numbers")
-    ax.set(**HEIGHTS, xlim=(0, top_mm))
+    if slope is not None:
+        words = f"fit of the predicted drops, y1 = {slope:.3f} y0"
+        ax.plot(x, slope * x, color=BLUE, label=words)
+    ax.set(xlim=(0, top_mm), ylim=(min(0.0, 1e3 * float(y1_m.min())), top_mm))

@@ -1,10 +1,14 @@
-"""Cases of many page sections, each computed once, spread over the ranks."""
+"""Cases of many page sections, each computed once, spread over the ranks, and the frame of them."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, Protocol
+
+import pandas as pd
 
 from ...solver import paper
 from ...solver.drop import DropResult
@@ -12,13 +16,33 @@ from ..inputs.choices import Contact, Model, Tip
 from ..inputs.config import DropInputs
 from ..inputs.fields import FLAT
 from ..inputs.stance import ANGLES
+from ..report.figures import LOOKS
 from ..report.page import Section
+from ..report.prose import Prose
 from ..running.cases import Workshop
 from ..running.groups import run_solids
 from ..running.parallel import share_out
 
 Results = Mapping[DropInputs, DropResult]
 Tick = Callable[[], None]
+# What a plan says of a case beside its inputs.
+Labels = dict[str, Any]
+
+# The words of all sections.
+prose = Prose(Path(__file__).with_name("words.j2"))
+# How far models of the same impact may differ in y1/y0, and an error that is small enough.
+TARGET, GOAL = 2e-3, 0.01
+# What models and discretisations are compared in, and its name in words.
+QUANTITIES = {
+    "rebound_ratio": "y1/y0",
+    "contact_time_us": "contact time",
+    "peak_force_N": "peak force",
+    "max_penetration_um": "penetration",
+}
+# So stiff that y1/y0 has reached the limit of a rigid plane to about 10⁻³; the few modes of the
+# reduced solid follow the shorter waves of a yet stiffer contact no longer.
+RIGID_N_M = {"beam": 1e10, "reduced": 1e9}
+RIGID_ITS_S = 1e-7
 
 
 @dataclass(frozen=True)
@@ -57,6 +81,16 @@ class Setup:
         values = {"model": model, "kn_N_m": float(kn_N_m), "tip": tip, **changes}
         return self.base.changed(height_m=height_m or self.top_m, **values)
 
+    def rigid(self, model: str, **changes: Any) -> DropInputs:
+        """One drop onto what is as good as a rigid plane."""
+        return self.case(model, RIGID_N_M[model], its_s=RIGID_ITS_S, **changes)
+
+    @property
+    def axial_N_m(self) -> float:
+        """E A / L of the bristle."""
+        bristle = self.base.bristle()
+        return bristle.material.youngs_Pa * bristle.section.area_m2 / bristle.length_m
+
 
 class Study(Protocol):
     """A section of the report: which drops it needs, and what it says of them."""
@@ -68,6 +102,63 @@ class Study(Protocol):
     def section(self, results: Results) -> Section:
         """The section with its figures and tables."""
         ...
+
+
+@dataclass(frozen=True)
+class DropStudy(ABC):
+    """A section on drops, each of its ``plan``, which it sees as the rows of a frame."""
+
+    setup: Setup
+
+    @abstractmethod
+    def plan(self) -> Iterator[tuple[DropInputs, Labels]]:
+        """The cases of the section's tables, and columns of their rows that inputs do not tell."""
+
+    @abstractmethod
+    def section(self, results: Results) -> Section:
+        """The section with its figures and tables."""
+
+    def cases(self) -> list[DropInputs]:
+        """Every drop that ``section`` will look up."""
+        return [case for case, _ in self.plan()]
+
+    def drops(self, results: Results) -> pd.DataFrame:
+        """A row a case, in the order of the plan: `record` and the labels."""
+        return pd.DataFrame(record(case, results[case]) | labels for case, labels in self.plan())
+
+
+def record(case: DropInputs, result: DropResult) -> dict[str, Any]:
+    """What tables and figures show of a drop, in the units in which they do."""
+    energy = result.energy
+    return {
+        "model": case.model.value,
+        "kn_MN_m": case.kn_N_m / 1e6,
+        "y0_mm": 1e3 * case.height_m,
+        "its_ms": 1e3 * case.its_s,
+        "beta_s": case.beta_s,
+        "lean_deg": case.tilt_deg,
+        "mu": case.friction,
+        "rebound_ratio": result.rebound_ratio,
+        "contact_time_us": 1e6 * result.contact_time_s,
+        "peak_force_N": result.peak_force_N,
+        "max_penetration_um": 1e6 * result.max_penetration_m,
+        "tp_us": 1e6 * result.time_to_max_penetration_s,
+        "touches": result.n_contacts,
+        "energy_closure": energy.closure_relative,
+        "kept": kept(result),
+        "friction_loss": energy.friction_loss_J / energy.initial_J,
+        "impulse_ratio": result.friction_impulse_N_s / result.impulse_N_s,
+    }
+
+
+def kept(result: DropResult) -> float:
+    """Upward speed of the centre of mass after the impact over the speed of the impact."""
+    return result.cm_velocity_after_m_s / result.impact_speed_m_s
+
+
+def named(model: pd.Series) -> pd.Series:
+    """Models as tables call them."""
+    return model.map({name: look.label.partition(",")[0] for name, look in LOOKS.items()})
 
 
 def compute(

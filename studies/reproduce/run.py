@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+import pandas as pd
 from mpi4py import MPI
 
 from ...meshes.collective import run_on_one_rank
@@ -17,22 +18,21 @@ from ...solver import paper
 from .. import __version__
 from ..inputs.again import command_line
 from ..inputs.config import DropInputs
+from ..inputs.limits import input_warnings, result_warnings
+from ..inputs.stance import lean_deg
 from ..report.page import Report, Section, Verdict, write_report
 from ..running.cases import Workshop
 from ..running.files import prepare_folder
 from ..running.progress import progress, working
 from .bars import Bars
-from .campaign import Results, Setup, Study, compute
-from .crosscheck import CrossCheck, Figure9
-from .doubts import doubts
+from .campaign import Results, Setup, Study, compute, prose
+from .crosscheck import CrossCheck, Enforcements, Figure9
 from .elements import ElementStudy
-from .enforcements import Enforcements
 from .heights import Figure13
 from .knstudy import Figures10To12, KnStudy
 from .leaning import Leaning
 from .loop_section import LoopOnPaper
-from .loop_study import LoopStudy
-from .measured_section import LoopOnMeasured
+from .loop_study import LoopOnMeasured, LoopStudy
 from .peaktime import PeakTime
 from .sticking import Sticking
 from .timesteps import StepStudy
@@ -112,6 +112,23 @@ def _compute(
             return compute(cases, workshop, ranks_per_case=ranks_per_case)
         with progress("Drops", len(cases)) as advance:
             return compute(cases, workshop, advance, ranks_per_case)
+
+
+def doubts(results: Results) -> Section:
+    """The warnings of all drops, each with its value, limit and remedy."""
+    rows = [
+        (str(case.model), str(case.contact), case.kn_N_m, case.height_m, case.its_s, lean, message)
+        for case, result in results.items()
+        for lean in [lean_deg(case)]
+        for message in (*input_warnings(case), *result_warnings(case, result))
+    ]
+    many = len({row[:-1] for row in rows})
+    draft = prose("warnings", many=many, n=len(results))
+    if rows:
+        columns = ["model", "contact", "kn_N_m", "y0_m", "its_s", "lean_deg", "warning"]
+        frame = pd.DataFrame(rows, columns=columns)
+        draft.table("warnings", frame, {"warning": "what is doubtful, and what to change"})
+    return draft.section()
 
 
 def build_report(

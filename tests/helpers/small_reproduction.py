@@ -9,14 +9,13 @@ from bristle.studies.inputs.config import DropInputs
 from bristle.studies.loop.problem import Problem
 from bristle.studies.reproduce.bars import Bars
 from bristle.studies.reproduce.campaign import Setup
-from bristle.studies.reproduce.crosscheck import CrossCheck, Figure9
+from bristle.studies.reproduce.crosscheck import CrossCheck, Enforcements, Figure9
 from bristle.studies.reproduce.elements import ElementStudy
-from bristle.studies.reproduce.enforcements import Enforcements
 from bristle.studies.reproduce.heights import Figure13
 from bristle.studies.reproduce.knstudy import Figures10To12, KnStudy
 from bristle.studies.reproduce.leaning import Leaning
 from bristle.studies.reproduce.loop_section import LoopOnPaper
-from bristle.studies.reproduce.measured_section import LoopOnMeasured
+from bristle.studies.reproduce.loop_study import LoopOnMeasured
 from bristle.studies.reproduce.peaktime import PeakTime
 from bristle.studies.reproduce.sticking import Sticking
 from bristle.studies.reproduce.timesteps import StepStudy

@@ -191,12 +191,12 @@ def test_the_stiffness_is_told_in_other_programs_terms(model):
     """Springs all over the face, or one at a node of the axis, push alike where all sinks alike."""
     found = calibrate(None, model, grid_N_m=GRID)
     kn, depth_m = found.kn.estimate, 1e-6
-    table = other_programs.table(kn, found.bristle.section.area_m2)
+    options = other_programs.programs(kn, found.bristle.section.area_m2)
     force_N = {
         other_programs.AREA: paper.WIDTH_M * paper.THICKNESS_M * depth_m,
         other_programs.NODE: depth_m,
     }
-    for program, _, what, si, mm in table.rows:
+    for program, _, what, si, mm in options.itertuples(index=False):
         assert si * force_N[what] == pytest.approx(kn * depth_m), program
         in_mm = {other_programs.AREA: 1e6 * 1e3, other_programs.NODE: 1e3}[what]  # areas, depths
         assert mm * force_N[what] * in_mm == pytest.approx(kn * depth_m), program
