@@ -13,16 +13,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-import pandas as pd
 from mpi4py import MPI
 
 from ..meshes.collective import run_on_one_rank
 from ..solver import paper
 from .inputs.choices import Deflection, Model, Until
 from .inputs.config import DropInputs
-from .report.page import Head, Table
 from .running.cases import Workshop
-from .running.files import prepare_folder, write_atomically
+from .running.files import prepare_folder, to_csv, write_atomically
 from .running.progress import logged_to_terminal, progress, say
 
 BETA_S = 1e-8
@@ -34,18 +32,6 @@ MODELS = {
     "beam_second": (Model.BEAM, Deflection.SECOND_ORDER),
     "solid_second": (Model.REDUCED, Deflection.SECOND_ORDER),
     "finite": (Model.SOLID, Deflection.FINITE),
-}
-HEADS: dict[str, Head] = {
-    "height_mm": ("height", "mm", 0),
-    "friction": ("μ", "", 0),
-    "beam_linear": "beam, linear",
-    "solid_linear": "3-D, linear",
-    "beam_second": "beam, second order",
-    "solid_second": "3-D reduced, second order",
-    "finite": "3-D, finite strain",
-    "linear_off": ("linear − finite", "", 2),
-    "second_off": ("second order − finite", "", 2),
-    "wall_s": ("finite strain", "s", 2),
 }
 
 
@@ -79,8 +65,11 @@ class Campaign:
             until=Until.IMPACT,
         )
 
-    def table(self, comm: MPI.Intracomm) -> Table:
-        """The share of speed kept by every model, gravity during contact left out; collective."""
+    def rows(self, comm: MPI.Intracomm) -> list[dict[str, float]]:
+        """The share of speed kept by every model, gravity during contact left out; collective.
+
+        A row an impact, by the names of the file's columns; ``wall_s`` is the finite strain's.
+        """
         cases = list(itertools.product(self.heights_m, self.frictions, self.leans_deg))
         rows = []
         with progress("finite strain", len(cases)) as advance, Workshop(comm) as workshop:
@@ -93,11 +82,7 @@ class Campaign:
                 row["second_off"] = row["solid_second"] - row["finite"]
                 rows.append(row | {"wall_s": wall_s})
                 advance()
-        caption = (
-            f"Share of the impact speed kept, β = {BETA_S:g} s, Kn = {self.kn_N_m / 1e6:g} MN/m, "
-            f"ITS {1e3 * self.its_s:g} ms, {' × '.join(map(str, self.cells))} cells."
-        )
-        return Table.of("largerotation", caption, pd.DataFrame(rows), HEADS)
+        return rows
 
 
 def speed_kept(workshop: Workshop, inputs: DropInputs) -> tuple[float, float]:
@@ -111,24 +96,25 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Compute the table and write ``largerotation.csv``; the exit status."""
     parser = argparse.ArgumentParser(prog="bristle.studies.largerotation", description=__doc__)
     parser.add_argument("--out", type=Path, default=Path("results/largerotation"))
-    parser.add_argument("--leans", type=float, nargs="+", metavar="DEG")
-    parser.add_argument("--heights", type=float, nargs="+", metavar="M")
-    parser.add_argument("--cells", type=int, nargs=3, metavar=("NX", "NY", "NZ"))
-    given = parser.parse_args(arguments)
     usual = Campaign()
+    parser.add_argument("--leans", type=float, nargs="+", metavar="DEG", default=usual.leans_deg)
+    parser.add_argument("--heights", type=float, nargs="+", metavar="M", default=usual.heights_m)
+    parser.add_argument(
+        "--cells", type=int, nargs=3, metavar=("NX", "NY", "NZ"), default=usual.cells
+    )
+    given = parser.parse_args(arguments)
     campaign = Campaign(
-        leans_deg=tuple(given.leans or usual.leans_deg),
-        heights_m=tuple(given.heights or usual.heights_m),
-        cells=tuple(given.cells or usual.cells),
+        tuple(given.leans), heights_m=tuple(given.heights), cells=tuple(given.cells)
     )
     comm = MPI.COMM_WORLD
     with logged_to_terminal():
         run_on_one_rank(comm, lambda: prepare_folder(given.out))
-        table = campaign.table(comm)
+        rows = campaign.rows(comm)
         path = given.out / "largerotation.csv"
-        run_on_one_rank(comm, lambda: write_atomically(path, table.csv_text()))
-        for row in table.rows:
-            say("  ".join(f"{value:.4g}" for value in row if isinstance(value, float)))
+        table = to_csv(list(rows[0]), [list(row.values()) for row in rows])
+        run_on_one_rank(comm, lambda: write_atomically(path, table))
+        for row in rows:
+            say("  ".join(f"{value:.4g}" for value in row.values()))
         say(f"wrote {path}")
     return 0
 

@@ -1,7 +1,7 @@
 """Sections of a page, their words in a template beside the study that makes them.
 
 The template (jinja2) has a macro for each section, of the values that its words are made with. An
-empty line ends a paragraph, and how that begins says what it is:
+empty line ends a paragraph, as does a line that begins with ``[``. How it begins says what it is:
 
 - ``# `` the section's title,
 - ``> `` its sentence for the top of the page,
@@ -95,7 +95,7 @@ class Prose:
         UndefinedError where it wants another.
         """
         draft = Draft(ident or macro, self.heads)
-        for lines in re.split(r"\n\s*\n", str(getattr(self._module, macro)(**values))):
+        for lines in re.split(r"\n\s*\n|\n(?=\[)", str(getattr(self._module, macro)(**values))):
             paragraph = re.sub(r"[ \n]+", " ", lines).strip()
             if found := re.fullmatch(r"([#>|]|\[\w+ [\w-]+\]) (.+)", paragraph):
                 mark, words = found[1].strip("[]"), found[2]

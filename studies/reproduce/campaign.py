@@ -6,7 +6,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import pandas as pd
 
@@ -92,20 +92,20 @@ class Setup:
         return bristle.material.youngs_Pa * bristle.section.area_m2 / bristle.length_m
 
 
-class Study(Protocol):
+class Study(ABC):
     """A section of the report: which drops it needs, and what it says of them."""
 
     def cases(self) -> list[DropInputs]:
-        """Every drop that ``section`` will look up."""
-        ...
+        """Every drop that ``section`` will look up; none, unless a section says otherwise."""
+        return []
 
+    @abstractmethod
     def section(self, results: Results) -> Section:
         """The section with its figures and tables."""
-        ...
 
 
 @dataclass(frozen=True)
-class DropStudy(ABC):
+class DropStudy(Study):
     """A section on drops, each of its ``plan``, which it sees as the rows of a frame."""
 
     setup: Setup
@@ -114,12 +114,7 @@ class DropStudy(ABC):
     def plan(self) -> Iterator[tuple[DropInputs, Labels]]:
         """The cases of the section's tables, and columns of their rows that inputs do not tell."""
 
-    @abstractmethod
-    def section(self, results: Results) -> Section:
-        """The section with its figures and tables."""
-
     def cases(self) -> list[DropInputs]:
-        """Every drop that ``section`` will look up."""
         return [case for case, _ in self.plan()]
 
     def drops(self, results: Results) -> pd.DataFrame:

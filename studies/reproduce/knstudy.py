@@ -75,14 +75,8 @@ class KnStudy(DropStudy):
         return own.section("bristle calibrate paper")
 
 
-@dataclass(frozen=True)
-class Figures10To12:
+class Figures10To12(KnStudy):
     """What can be shown of the measured drops, and the cloud that their spread implies."""
-
-    kn: KnStudy
-
-    def cases(self) -> list[DropInputs]:
-        return self.kn.cases()
 
     def cloud(self, curve: RatioCurve, n: int, seed: int = SEED) -> tuple[Array, Array, Array]:
         """Heights (m) before and after, and Kn (N/m), of ``n`` predicted drops (n,)."""
@@ -94,7 +88,7 @@ class Figures10To12:
         return y0, y0 * curve.at(kn), kn
 
     def section(self, results: Results) -> Section:
-        curve = self.kn.calibration(results).curve
+        curve = self.calibration(results).curve
         y0, y1, kn = self.cloud(curve, CLOUD)
         low, high = curve.reachable
         sets = [

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
@@ -17,11 +17,10 @@ from ..close_loop.rows import Rows
 from ..close_loop.run import Closed, close_several, problem_of
 from ..close_loop.sections import held_out_section
 from ..data.datasets import Manifest, read_manifest
-from ..inputs.config import DropInputs
 from ..loop.problem import Problem
 from ..report.page import Figure, Head, Section
 from ..report.prose import Draft
-from .campaign import Results, prose
+from .campaign import Results, Study, prose
 
 MEASURED = Path(__file__).parents[1] / "measured"
 FOLDERS = (MEASURED / "square-bar", MEASURED / "falls-phone")
@@ -37,22 +36,14 @@ HEADS: dict[str, Head] = {
 }
 
 
-class LoopStudy(ABC):
-    """A section of `bristle reproduce` on what the loop finds; it needs no drops of others."""
+class LoopStudy(Study):
+    """A section of `bristle reproduce` on what the loop finds: made after `prepare`."""
 
     closed: Sequence[Closed] = ()
 
     @abstractmethod
     def datasets(self) -> list[tuple[Manifest, Callable[[], Problem]]]:
         """The datasets, each with what makes it a problem; the same on all ranks."""
-
-    @abstractmethod
-    def section(self, results: Results) -> Section:
-        """The section, after `prepare`."""
-
-    def cases(self) -> list[DropInputs]:
-        """None."""
-        return []
 
     def prepare(self, comm: MPI.Intracomm) -> None:
         """Run the loop, datasets dealt out over the ranks; rank 0 has what it finds. Collective."""

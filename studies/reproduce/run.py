@@ -50,23 +50,11 @@ class Reproduction:
 
 def paper_studies(setup: Setup) -> list[Study]:
     """The sections of the page, in order."""
-    kn = KnStudy(setup)
-    return [
-        Figure9(setup),
-        Figures10To12(kn),
-        kn,
-        Figure13(setup),
-        CrossCheck(setup),
-        Enforcements(setup),
-        ElementStudy(setup),
-        StepStudy(setup),
-        PeakTime(setup),
-        Leaning(setup),
-        Sticking(setup),
-        Bars(setup),
-        LoopOnPaper(),
-        LoopOnMeasured(),
-    ]
+    on_drops = (
+        *(Figure9, Figures10To12, KnStudy, Figure13, CrossCheck, Enforcements, ElementStudy),
+        *(StepStudy, PeakTime, Leaning, Sticking, Bars),
+    )
+    return [*(study(setup) for study in on_drops), LoopOnPaper(), LoopOnMeasured()]
 
 
 def run_reproduce(

@@ -33,11 +33,10 @@ def small() -> tuple[Setup, list]:
     base = DropInputs(cells=(1, 1, 60))
     kn = (1e4, 2e6, 1e8)
     setup = Setup(base, kn, (0.01, 0.05), (0.05,), (2e6,))
-    study = KnStudy(setup, GRID)
     return setup, [
         Figure9(setup),
-        Figures10To12(study),
-        study,
+        Figures10To12(setup, GRID),
+        KnStudy(setup, GRID),
         Figure13(setup),
         CrossCheck(setup),
         Enforcements(setup),
