@@ -10,6 +10,7 @@ import itertools
 import json
 import re
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any, Self
 
@@ -112,10 +113,7 @@ def run_sweep(
     ranks_per_case: int | None = None,
 ) -> None:
     """Compute the sweep into the folder ``out``; see `study.run_study`."""
-
-    def finish(rows: Sequence[Row], folder: Path) -> dict[str, Any]:
-        return _finish(rows, inputs.varied, folder)
-
+    finish = partial(_finish, inputs.varied)
     study = Study("sweep", finish, curves=True, varied=inputs.varied)
     before = run_on_one_rank(comm, lambda: _pictures(out / study.document))
     run_study(study, inputs, out, comm, resume=resume, ranks_per_case=ranks_per_case)
@@ -133,7 +131,7 @@ def _pictures(document: Path) -> set[str]:
         return set()
 
 
-def _finish(rows: Sequence[Row], varied: Sequence[str], out: Path) -> dict[str, Any]:
+def _finish(varied: Sequence[str], rows: Sequence[Row], out: Path) -> dict[str, Any]:
     """A figure for each ITS of the sweep, and each combination of what is ``varied`` besides."""
     pictures: dict[str, list[Row]] = {}
     steps = {row["its_s"] for row in rows}

@@ -21,21 +21,10 @@ SOMETIMES = ("weights", "held-out", "solid")
 
 def write_page(closed: Closed, out: Path, version: str) -> Path:
     """Write ``report.html``, ``tables/`` and ``figures/`` into ``out``; returns the page's path."""
-    page = page_of(closed, out, version)
-    path = write_report(page, out)
-    drawn = {figure.name for section in page.sections for figure in section.figures}
-    for name in set(SOMETIMES) - drawn:  # of an earlier run
-        for ending in (".svg", ".png"):
-            remove(out / "figures" / f"{name}{ending}")
-    return path
-
-
-def page_of(closed: Closed, out: Path, version: str) -> Report:
-    """The page: each step of the loop a section."""
     rows, manifest, asked = Rows(closed), closed.manifest, closed.inputs
     options = ["--seed", asked.seed, "--alarm", f"{asked.alarm:g}"]
     options += ["--no-3d"] if asked.no_3d else []
-    return Report(
+    page = Report(
         title=f"What the model lacks: {manifest.title}",
         lead="From measured data the model is fitted, what it leaves is traced to an effect that "
         "it lacks, and the error is told before and after on data that took no part.",
@@ -53,6 +42,12 @@ def page_of(closed: Closed, out: Path, version: str) -> Report:
         ],
         sections=[section(rows) for section in SECTIONS],
     )
+    path = write_report(page, out)
+    drawn = {figure.name for section in page.sections for figure in section.figures}
+    for name in set(SOMETIMES) - drawn:  # of an earlier run
+        for ending in (".svg", ".png"):
+            remove(out / "figures" / f"{name}{ending}")
+    return path
 
 
 def headline(closed: Closed) -> list[str]:

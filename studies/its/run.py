@@ -7,6 +7,7 @@ Writes table.csv, errors.csv, needs.csv, their figures and its.json. Also a scri
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -54,16 +55,11 @@ def run_its(
     else against the shortest. A reduced model keeps the basis made for the paper's ITS: it is
     modal, so any step costs nothing, and its own error estimate is in the table.
     """
-    mass_kg = inputs.bristle().mass_kg
-
-    def finish(rows: Sequence[Row], folder: Path) -> dict[str, Any]:
-        return _finish(rows, mass_kg, folder)
-
-    study = Study("its", finish, basis_its_s=paper.ITS_S)
+    study = Study("its", partial(_finish, inputs.bristle().mass_kg), basis_its_s=paper.ITS_S)
     run_study(study, inputs, out, comm, resume=resume, ranks_per_case=ranks_per_case)
 
 
-def _finish(rows: Sequence[Row], mass_kg: float, out: Path) -> dict[str, Any]:
+def _finish(mass_kg: float, rows: Sequence[Row], out: Path) -> dict[str, Any]:
     errors, needs = compare(pd.DataFrame(rows), QUANTITIES, GOAL, mass_kg)
     needs["paper_its_s"] = paper.ITS_S
     needs["its_over_rule"] = needs.its_needed_s / needs.rule_s.where(needs.rule_s > 0.0)

@@ -229,14 +229,6 @@ def stiffness_label(kn_N_m: float) -> str:
     return f"{kn_N_m / 1e6:g} MN/m"
 
 
-def svg_text(figure: Figure) -> str:
-    """The figure as an SVG document, the same for the same figure."""
-    stream = io.StringIO()
-    with matplotlib.rc_context(STYLE):
-        figure.savefig(stream, format="svg", metadata={"Date": None, "Creator": None})
-    return "\n".join(line.rstrip() for line in stream.getvalue().splitlines()) + "\n"
-
-
 def inline_svg(document: str, prefix: str, title: str) -> str:
     """An SVG document as an element of a page: own identifiers, scalable, named for readers.
 
@@ -266,10 +258,12 @@ class Picture:
 
 def picture(figure: Figure) -> Picture:
     """Both forms of a figure, the same bytes for the same figure."""
-    stream = io.BytesIO()
+    svg, png = io.StringIO(), io.BytesIO()
     with matplotlib.rc_context(STYLE):
-        figure.savefig(stream, format="png", dpi=PNG_DPI, metadata={"Software": None})
-    return Picture(svg_text(figure), stream.getvalue())
+        figure.savefig(png, format="png", dpi=PNG_DPI, metadata={"Software": None})
+        figure.savefig(svg, format="svg", metadata={"Date": None, "Creator": None})
+    lines = "".join(f"{line.rstrip()}\n" for line in svg.getvalue().splitlines())
+    return Picture(lines, png.getvalue())
 
 
 def write_picture(stem: Path, drawn: Picture) -> list[str]:

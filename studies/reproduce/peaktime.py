@@ -82,8 +82,12 @@ class PeakTime(DropStudy):
         limit_us = 1e6 * s.base.bristle().axial_period_s
         off = departs_at(grid.kn_N_m.array, grid.tp_us.array / grid.rule.array)
         draft = prose("eq8", setup=s, off=off, times=times, limit_us=limit_us)
+        curves = grid.set_index("kn_MN_m")[["rule", "tp_us"]]
+        points = times.set_index("kn_MN_m")[["tp_us_reduced", "printed"]]
+        curves = curves.join(points, how="outer").reset_index()
+        curves.columns = ["kn_MN_m", "tp_rule_us", "tp_beam_us", "tp_solid_us", "tp_printed_us"]
         drawn = time_to_peak_figure(grid, times, 0.5 * limit_us)
-        draft.figure("eq8", drawn, draft.data("eq8_figure", _curves(grid, times), HEADS))
+        draft.figure("eq8", drawn, draft.data("eq8_figure", curves, HEADS))
         draft.table(
             "eq8",
             {
@@ -109,17 +113,6 @@ class PeakTime(DropStudy):
             {"what": "Model", "of_2L_c": "of 2L/c"},
         )
         return draft.section()
-
-
-def _curves(grid: pd.DataFrame, times: pd.DataFrame) -> pd.DataFrame:
-    grid, times = grid.set_index("kn_MN_m"), times.set_index("kn_MN_m")
-    curves = {
-        "tp_rule_us": grid.rule,
-        "tp_beam_us": grid.tp_us,
-        "tp_solid_us": times.tp_us_reduced,
-        "tp_printed_us": times.printed,
-    }
-    return pd.DataFrame(curves).sort_index().reset_index()
 
 
 @drawing(

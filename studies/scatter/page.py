@@ -78,6 +78,7 @@ def write_scatter(
         _conditions_section(inputs, facts, check),
         *([Section("warnings", "What deserves doubt", warnings)] if warnings else []),
     ]
+    unusual = [STATISTICS[each.name] for each in samples if each.p_value < UNUSUAL]
     ground = "a measured surface" if inputs.surface is not None else "a rough, composite surface"
     page = Report(
         title="Scatter of the rebound",
@@ -85,7 +86,7 @@ def write_scatter(
         f"{'a level plane' if inputs.flat else ground}.",
         version=__version__,
         command=command_line("scatter", inputs, checked(ScatterInputs, {}), out),
-        headline=headline(statistics, samples),
+        headline=prose.text("headline", said=statistics, unusual=unusual),
         facts=[
             ("Model", inputs.model.value),
             ("Drops", f"{len(ratio)}, {len(found.failed)} failed"),
@@ -118,12 +119,6 @@ def write_scatter(
         },
         "surface": facts,
     }
-
-
-def headline(said: Spread, samples: list[Sampled]) -> list[str]:
-    """The result in three sentences."""
-    unusual = [STATISTICS[each.name] for each in samples if each.p_value < UNUSUAL]
-    return prose.text("headline", said=said, unusual=unusual)
 
 
 def _short(value: float) -> str:
