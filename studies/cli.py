@@ -5,19 +5,19 @@ Only what is light is imported here; a command imports what it needs when it run
 
 from __future__ import annotations
 
-import inspect
 import shlex
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
+from functools import partial
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
 from ..solver.errors import ComputationError
 from . import __version__
 from .command.ending import run
-from .command.options import Config, Debug, RanksPerCase, Resume, out_option, takes
+from .command.options import Debug, Given, RanksPerCase, Resume, add_command
 from .inputs.fields import (
     DROP_FLAGS,
     LIST_FLAGS,
@@ -77,35 +77,35 @@ def root(
         raise typer.Exit
 
 
-@app.command()
-@takes(REPRODUCE_FLAGS)
-def reproduce(
-    given: dict[str, Any],
-    config: Config = None,
-    out: Annotated[Path, out_option("results/reproduce")] = Path("results/reproduce"),
-    ranks_per_case: RanksPerCase = None,
-    debug: Debug = False,
-) -> None:
+command = partial(add_command, app)
+optional = partial(typer.Option, show_default=False)
+
+
+def show(rows: Iterable[tuple[str, object]]) -> None:
+    """Print names and values."""
+    for name, value in rows:
+        print(f"{name:<24}{value}")
+
+
+@command(REPRODUCE_FLAGS, ANY_FLAGS)
+def reproduce(given: Given, out: Path, ranks_per_case: RanksPerCase = None) -> None:
     """Every figure and table of the paper, 1-D and 3-D side by side, on one page: report.html.
 
     Example: mpirun -n 2 bristle reproduce --out results/reproduce
     """
     from .inputs.config import DropInputs
-    from .inputs.sources import inputs_of
     from .reproduce.campaign import Setup
     from .reproduce.run import run_reproduce
 
-    base = inputs_of(DropInputs, given, REPRODUCE_FLAGS, config, ANY_FLAGS)
-    done = run_reproduce(out, Setup(base), ranks_per_case=ranks_per_case)
+    setup = Setup(given.inputs(DropInputs))
+    done = run_reproduce(out, setup, ranks_per_case=ranks_per_case)
     print(f"{done.n_cases} drops in {done.wall_s:.0f} s: {done.report}")
 
 
-@app.command()
-@takes(DROP_FLAGS)
+@command(DROP_FLAGS)
 def drop(
-    given: dict[str, Any],
-    config: Config = None,
-    out: Annotated[Path, out_option("results/drop")] = Path("results/drop"),
+    given: Given,
+    out: Path,
     resume: Resume = False,
     keep: Annotated[
         float,
@@ -117,7 +117,6 @@ def drop(
             rich_help_panel=OUTPUT,
         ),
     ] = 60.0,
-    debug: Debug = False,
 ) -> None:
     """One drop. All values are in SI units, angles in degrees.
 
@@ -128,25 +127,15 @@ def drop(
     """
     from .drop import run_drop, summary
     from .inputs.config import DropInputs
-    from .inputs.sources import inputs_of
 
-    inputs = inputs_of(DropInputs, given, DROP_FLAGS, config)
-    document = run_drop(inputs, out, resume=resume, keep_s=keep)
-    for name, value in summary(document):
-        print(f"{name:<24}{value}")
-    print(f"{'result':<24}{out / 'result.json'}")
-    print(f"{'pictures of it':<24}{shlex.join(['bristle', 'view', str(out)])}")
+    document = run_drop(given.inputs(DropInputs), out, resume=resume, keep_s=keep)
+    show(summary(document))
+    show([("result", out / "result.json"), ("pictures of it", _next("view", out))])
 
 
-@app.command()
-@takes(SWEEP_FLAGS)
+@command(SWEEP_FLAGS)
 def sweep(
-    given: dict[str, Any],
-    config: Config = None,
-    out: Annotated[Path, out_option("results/sweep")] = Path("results/sweep"),
-    resume: Resume = False,
-    ranks_per_case: RanksPerCase = None,
-    debug: Debug = False,
+    given: Given, out: Path, resume: Resume = False, ranks_per_case: RanksPerCase = None
 ) -> None:
     """Normal contact stiffness times height (Fig. 13): a table, and the tip's height over time.
 
@@ -155,23 +144,15 @@ def sweep(
 
     Example: mpirun -n 2 bristle sweep --models beam,reduced --kn 1e5,2e6,1e8 --heights 0.01,0.05
     """
-    from .inputs.sources import inputs_of
     from .sweep import SweepInputs, answer, run_sweep
 
-    inputs = inputs_of(SweepInputs, given, SWEEP_FLAGS, config)
-    run_sweep(inputs, out, resume=resume, ranks_per_case=ranks_per_case)
+    run_sweep(given.inputs(SweepInputs), out, resume=resume, ranks_per_case=ranks_per_case)
     print(*answer(out), sep="\n")
 
 
-@app.command()
-@takes(STUDY_FLAGS)
+@command(STUDY_FLAGS)
 def its(
-    given: dict[str, Any],
-    config: Config = None,
-    out: Annotated[Path, out_option("results/its")] = Path("results/its"),
-    resume: Resume = False,
-    ranks_per_case: RanksPerCase = None,
-    debug: Debug = False,
+    given: Given, out: Path, resume: Resume = False, ranks_per_case: RanksPerCase = None
 ) -> None:
     """The integration time step: what each quantity needs, against stiffness.
 
@@ -180,45 +161,28 @@ def its(
 
     Example: bristle its --models beam --kn 1e5,2e6,1e8 --its 1e-4,1e-5,1e-6,1e-7
     """
-    from .inputs.sources import inputs_of
     from .its.run import ItsInputs, answer, run_its
 
-    inputs = inputs_of(ItsInputs, given, STUDY_FLAGS, config)
-    run_its(inputs, out, resume=resume, ranks_per_case=ranks_per_case)
+    run_its(given.inputs(ItsInputs), out, resume=resume, ranks_per_case=ranks_per_case)
     print(*answer(out), sep="\n")
 
 
-@app.command()
-@takes(SCATTER_FLAGS)
-def scatter(
-    given: dict[str, Any],
-    config: Config = None,
-    out: Annotated[Path, out_option("results/scatter")] = Path("results/scatter"),
-    resume: Resume = False,
-    debug: Debug = False,
-) -> None:
+@command(SCATTER_FLAGS, ANY_FLAGS)
+def scatter(given: Given, out: Path, resume: Resume = False) -> None:
     """Thousands of drops that lean by chance onto a rough, composite surface: how y1/y0 scatters.
 
     Without options: the reduced solid, 2000 drops from the paper's five heights.
 
     Example: mpirun -n 2 bristle scatter --drops 2000 --tilt-std 2 --beta 1e-8
     """
-    from .inputs.sources import inputs_of
     from .scatter.inputs import ScatterInputs
     from .scatter.run import run_scatter
 
-    inputs = inputs_of(ScatterInputs, given, SCATTER_FLAGS, config, ANY_FLAGS)
-    run_scatter(inputs, out, resume=resume)
+    run_scatter(given.inputs(ScatterInputs), out, resume=resume)
 
 
-@app.command()
-@takes(MESH_FLAGS)
-def mesh(
-    given: dict[str, Any],
-    config: Config = None,
-    out: Annotated[Path, out_option("results/mesh")] = Path("results/mesh"),
-    debug: Debug = False,
-) -> None:
+@command(MESH_FLAGS, ANY_FLAGS)
+def mesh(given: Given, out: Path) -> None:
     """The hexahedral bristle: .msh, a copy that ParaView opens, a quality table, a picture.
 
     Example: bristle mesh --diameter 1e-3 --cells 2 1 200 --grading 4
@@ -226,11 +190,10 @@ def mesh(
     from ..meshes.check import MeshError
     from ..meshes.display import DrawingError
     from .inputs.config import MeshInputs
-    from .inputs.sources import inputs_of
     from .mesh import run_mesh
     from .running.files import prepare_folder_together
 
-    inputs = inputs_of(MeshInputs, given, MESH_FLAGS, config, ANY_FLAGS)
+    inputs = given.inputs(MeshInputs)
     prepare_folder_together(out)
     try:
         summary = run_mesh(inputs.mesh_spec(), out)
@@ -243,7 +206,7 @@ def mesh(
         print(path)
 
 
-@app.command()
+@command()
 def calibrate(
     dataset: Annotated[
         str,
@@ -251,10 +214,9 @@ def calibrate(
             metavar="DATASET", help="Folder of a dataset, or 'paper'.", show_default=False
         ),
     ],
-    out: Annotated[Path, out_option("results/calibrate")] = Path("results/calibrate"),
+    out: Path,
     seed: Annotated[int, typer.Option(min=0, help="Seed of the bootstrap.")] = 0,
     level: Annotated[float, typer.Option(min=0.5, max=0.999, help="Level of the intervals.")] = 0.9,
-    debug: Debug = False,
 ) -> None:
     """Normal contact stiffness, with its interval, from measured drops.
 
@@ -262,36 +224,29 @@ def calibrate(
     """
     from .calibrate.run import run_calibrate, told
 
-    for name, value in told(run_calibrate(dataset, out, seed=seed, level=level)):
-        print(f"{name:<24}{value}")
-    print(f"{'page':<24}{out / 'report.html'}")
+    show(told(run_calibrate(dataset, out, seed=seed, level=level)))
+    show([("page", out / "report.html")])
 
 
-@app.command()
+@command()
 def synth(
+    out: Path,
     effect: Annotated[
         list[str] | None,
-        typer.Option(
-            metavar="NAME:PARAM=VALUE,…",
-            help="An effect that the dataset hides; repeatable.",
-            show_default=False,
+        optional(
+            metavar="NAME:PARAM=VALUE,…", help="An effect that the dataset hides; repeatable."
         ),
     ] = None,
     plugin: Annotated[
         list[str] | None,
-        typer.Option(
-            metavar=PLUGIN.metavar,
-            help=PLUGIN.help,
-            show_default=False,
-        ),
+        optional(metavar=PLUGIN.metavar, help=PLUGIN.help),
     ] = None,
     unlisted: Annotated[
         str | None,
-        typer.Option(
+        optional(
             metavar="NAME=STRENGTH",
             help="An effect that no list has: session-shift, height-ripple or alternation, with "
             "its relative strength on the height after.",
-            show_default=False,
         ),
     ] = None,
     drops: Annotated[int, typer.Option(min=6, max=10_000, help="How many drops.")] = 48,
@@ -307,11 +262,9 @@ def synth(
         bool, typer.Option("--heights-only", help="Without contact times and forces.")
     ] = False,
     seed: Annotated[int, typer.Option(min=0, help="Seed of release, chance and errors.")] = 0,
-    out: Annotated[Path, out_option("results/synth")] = Path("results/synth"),
     truth: Annotated[
         Path, typer.Option(metavar="FILE", help="Where the truth goes, outside the dataset.")
     ] = Path("results/synth-truth.json"),
-    debug: Debug = False,
 ) -> None:
     """A dataset of drops with an effect in it that it does not declare, by the reduced solid.
 
@@ -331,21 +284,17 @@ def synth(
         seed=seed,
     )
     run_synth(recipe, out, truth)
-    print(f"{'dataset':<24}{out / 'dataset.toml'}")
-    print(f"{'what is in it':<24}{truth}")
-    print(f"{'to look for it':<24}{shlex.join(['bristle', 'close-loop', str(out)])}")
+    show([("dataset", out / "dataset.toml"), ("what is in it", truth)])
+    show([("to look for it", _next("close-loop", out))])
 
 
-@app.command("close-loop")
-@takes(LOOP_FLAGS)
+@command(LOOP_FLAGS, ANY_FLAGS)
 def close_loop(
-    given: dict[str, Any],
+    given: Given,
     dataset: Annotated[
         Path, typer.Argument(metavar="DATASET", help="Folder of a dataset.", show_default=False)
     ],
-    config: Config = None,
-    out: Annotated[Path, out_option("results/close-loop")] = Path("results/close-loop"),
-    debug: Debug = False,
+    out: Path,
 ) -> None:
     """What the model lacks to explain measured data, and the error before and after it is added.
 
@@ -356,15 +305,12 @@ def close_loop(
     """
     from .close_loop.run import run_close_loop, summary
     from .inputs.loop_fields import LoopInputs
-    from .inputs.sources import inputs_of
 
-    inputs = inputs_of(LoopInputs, given, LOOP_FLAGS, config, ANY_FLAGS)
-    for name, value in summary(run_close_loop(dataset, out, inputs)):
-        print(f"{name:<24}{value}")
-    print(f"{'page':<24}{out / 'report.html'}")
+    show(summary(run_close_loop(dataset, out, given.inputs(LoopInputs))))
+    show([("page", out / "report.html")])
 
 
-@app.command()
+@command()
 def bench(
     what: Annotated[
         str,
@@ -377,32 +323,24 @@ def bench(
     ] = "peers",
     repeats: Annotated[
         int | None,
-        typer.Option(
+        optional(
             min=1,
             max=100,
             help="peers, step, ranks: how often each is timed. [default: 3; step: 15]",
-            show_default=False,
         ),
     ] = None,
     largest: Annotated[
         int | None,
-        typer.Option(
-            min=1, help="sizes: the most unknowns. [default: 3000000]", show_default=False
-        ),
+        optional(min=1, help="sizes: the most unknowns. [default: 3000000]"),
     ] = None,
     most: Annotated[
         int | None,
-        typer.Option(min=1, help="ranks: the most ranks. [default: the cores]", show_default=False),
+        optional(min=1, help="ranks: the most ranks. [default: the cores]"),
     ] = None,
     out: Annotated[
         Path | None,
-        typer.Option(
-            metavar="DIR",
-            help="Folder for the result. [default: results/bench-WHAT]",
-            show_default=False,
-        ),
+        optional(metavar="DIR", help="Folder for the result. [default: results/bench-WHAT]"),
     ] = None,
-    debug: Debug = False,
 ) -> None:
     """How fast is it, and how near? A table, and a page with the figures behind it.
 
@@ -417,7 +355,7 @@ def bench(
     print(run_bench(what, out, given))
 
 
-@app.command()
+@command()
 def view(
     result: Annotated[
         Path,
@@ -425,13 +363,8 @@ def view(
     ],
     out: Annotated[
         Path | None,
-        typer.Option(
-            metavar="DIR",
-            help="Folder for the pictures. [default: RESULT/view]",
-            show_default=False,
-        ),
+        optional(metavar="DIR", help="Folder for the pictures. [default: RESULT/view]"),
     ] = None,
-    debug: Debug = False,
 ) -> None:
     """Pictures of a drop's result; of a solid's also the wave as a film, and a script for ParaView.
 
@@ -443,9 +376,9 @@ def view(
         print(path)
 
 
-# Paragraphs stay apart only behind a \b: typer joins the others.
-for each in app.registered_commands:
-    each.help = (inspect.getdoc(each.callback) or "").replace("\n\n", "\n\n\b\n")
+def _next(name: str, folder: Path) -> str:
+    """The command to go on with."""
+    return shlex.join(["bristle", name, str(folder)])
 
 
 def main(args: Sequence[str] | None = None) -> int:

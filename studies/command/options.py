@@ -1,19 +1,21 @@
-"""Options of a typer command from a table of flags."""
+"""Commands of typer whose options come from tables of flags."""
 
 from __future__ import annotations
 
 import inspect
 from collections.abc import Callable, Iterable
-from enum import StrEnum
+from dataclasses import dataclass
 from functools import wraps
 from pathlib import Path
 from typing import Annotated, Any
 
 import click
 import typer
+from pydantic import BaseModel
 
 from ..inputs.fields import OUTPUT
 from ..inputs.flags import Flag
+from ..inputs.sources import inputs_of
 
 Config = Annotated[
     Path | None,
@@ -51,46 +53,84 @@ Debug = Annotated[
 ]
 
 
-def out_option(default: str) -> Any:
-    """The option ``--out`` with its default folder."""
-    return typer.Option(
+@dataclass(frozen=True)
+class Given:
+    """What stands on the command line: ``values`` of ``flags`` by parameter, and a configuration
+    file, in which keys of ``ignored`` flags may stand too."""
+
+    values: dict[str, Any]
+    flags: tuple[Flag, ...]
+    config: Path | None
+    ignored: tuple[Flag, ...]
+
+    def inputs[Checked: BaseModel](self, kind: type[Checked]) -> Checked:
+        """Inputs from the flags over the file over the defaults; InputError."""
+        return inputs_of(kind, self.values, self.flags, self.config, self.ignored)
+
+
+def add_command(
+    app: typer.Typer, flags: Iterable[Flag] = (), ignored: Iterable[Flag] = ()
+) -> Callable[[Callable[..., None]], Callable[..., None]]:
+    """Have ``app`` run a function as the command of its name.
+
+    Its docstring is the help. Where there are flags it gets them, and ``--config``, as its first
+    argument, a `Given`; its other parameters follow. One called ``out`` without a default gets the
+    option ``--out``, with a folder in results/. Each has ``--debug``, which `ending` reads.
+    """
+    flags, ignored = tuple(flags), tuple(ignored)
+
+    def add(command: Callable[..., None]) -> Callable[..., None]:
+        name = command.__name__.replace("_", "-")
+        own = list(inspect.signature(command, eval_str=True).parameters.values())
+        if flags:
+            own[0] = _keyword("config", Config, None)
+        own = [_out(f"results/{name}") if _has_no_folder(each) else each for each in own]
+
+        @wraps(command)
+        def run(debug: bool, **values: Any) -> None:
+            if flags:
+                by_flag = {flag.parameter: values.pop(flag.parameter) for flag in flags}
+                command(Given(by_flag, flags, values.pop("config"), ignored), **values)
+            else:
+                command(**values)
+
+        parameters = [*map(_parameter, flags), *own, _keyword("debug", Debug, False)]
+        named = [each.replace(kind=inspect.Parameter.KEYWORD_ONLY) for each in parameters]
+        run.__signature__ = inspect.Signature(named)  # type: ignore[attr-defined]
+        run.__annotations__ = {each.name: each.annotation for each in named}
+        del run.__wrapped__
+        # paragraphs stay apart only behind a \b: typer joins the others
+        text = (inspect.getdoc(command) or "").replace("\n\n", "\n\n\b\n")
+        app.command(name, help=text)(run)
+        return command
+
+    return add
+
+
+def _has_no_folder(parameter: inspect.Parameter) -> bool:
+    return parameter.name == "out" and parameter.default is inspect.Parameter.empty
+
+
+def _out(default: str) -> inspect.Parameter:
+    option = typer.Option(
         "--out",
         metavar="DIR",
         help=f"Folder for the result. [default: {default}]",
         show_default=False,
         rich_help_panel=OUTPUT,
     )
+    return _keyword("out", Annotated[Path, option], Path(default))
 
 
-def takes(flags: Iterable[Flag]) -> Callable[[Callable[..., None]], Callable[..., None]]:
-    """Give a command these flags; it gets them as ``given``, a dict by parameter.
-
-    The command's own parameters follow. None stands for a flag that is not on the command line.
-    """
-    flags = tuple(flags)
-
-    def decorate(command: Callable[..., None]) -> Callable[..., None]:
-        own = list(inspect.signature(command, eval_str=True).parameters.values())[1:]
-
-        @wraps(command)
-        def wrapped(**values: Any) -> None:
-            given = {flag.parameter: values.pop(flag.parameter) for flag in flags}
-            command(given, **values)
-
-        options = [_parameter(flag) for flag in flags]
-        named = [parameter.replace(kind=inspect.Parameter.KEYWORD_ONLY) for parameter in own]
-        wrapped.__signature__ = inspect.Signature([*options, *named])  # type: ignore[attr-defined]
-        wrapped.__annotations__ = {each.name: each.annotation for each in [*options, *named]}
-        del wrapped.__wrapped__
-        return wrapped
-
-    return decorate
+def _keyword(name: str, annotation: Any, default: Any) -> inspect.Parameter:
+    kind = inspect.Parameter.KEYWORD_ONLY
+    return inspect.Parameter(name, kind, default=default, annotation=annotation)
 
 
 def _parameter(flag: Flag) -> inspect.Parameter:
     names = flag.spellings
     if flag.kind is bool and flag.default:
-        names = (f"{flag.option}/--no-{flag.name}",)
+        names = (f"{flag.option}/--no-{flag.declared.name}",)
     declared, default = flag.declared, flag.default_text()
     option = typer.Option(
         *names,
@@ -98,20 +138,9 @@ def _parameter(flag: Flag) -> inspect.Parameter:
         metavar=declared.metavar,
         show_default=False,
         rich_help_panel=declared.group,
-        click_type=_click_type(flag),
+        click_type=click.Choice(list(map(str, flag.kind))) if flag.is_choice else None,
     )
-    return inspect.Parameter(
-        flag.parameter,
-        inspect.Parameter.KEYWORD_ONLY,
-        default=None,
-        annotation=Annotated[_annotation(flag), option],
-    )
-
-
-def _click_type(flag: Flag) -> click.ParamType | None:
-    if isinstance(flag.kind, type) and issubclass(flag.kind, StrEnum):
-        return click.Choice([member.value for member in flag.kind])
-    return None
+    return _keyword(flag.parameter, Annotated[_annotation(flag), option], None)
 
 
 def _annotation(flag: Flag) -> Any:
@@ -119,6 +148,4 @@ def _annotation(flag: Flag) -> Any:
         return list[str] | None
     if isinstance(flag.kind, tuple):
         return tuple.__class_getitem__(flag.kind) | None
-    if isinstance(flag.kind, type) and issubclass(flag.kind, StrEnum):
-        return str | None
-    return flag.kind | None
+    return str | None if flag.is_choice else flag.kind | None

@@ -10,13 +10,13 @@ from __future__ import annotations
 import math
 from typing import Annotated, Any
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
+from pydantic import BeforeValidator, Field
 
 from ...solver import paper
 from ...solver.materials import MaterialName
 from .choices import Contact, Deflection, Model, Scheme, Solver, Tip, Until
 from .effect_input import EffectInput, read_effects
-from .flags import Option, flags_of, several
+from .flags import Fields, Option, flags_of, several
 from .given_files import MeshFile, PluginFile, read_mesh_file, read_plugins
 
 MODEL, CONTACT, BODY = "Model", "Contact", "Bristle"
@@ -122,53 +122,44 @@ Slope = Annotated[float, between(-60.0, 60.0)]
 Kn = Annotated[float, Field(strict=True, ge=1e-3), BeforeValidator(read_kn)]
 Height = Annotated[float, between(1e-7, 1e3)]
 Its = Annotated[float, between(1e-12, 1.0)]
+Ratio = Annotated[float, between(1e-6, 1e6)]
 Truth = Annotated[bool, Field(strict=True)]
 Numbers = BeforeValidator(read_numbers)
 PLUGIN = Option(
-    "plugin",
-    OUTPUT,
     "A Python file with effects of your own, repeatable; docs/examples/my_effect.py is one.",
     "FILE.py",
     kind=list,
+    name="plugin",
+    group=OUTPUT,
 )
 Plugins = Annotated[tuple[PluginFile, ...], BeforeValidator(read_plugins), PLUGIN]
 
 
-class Fields(BaseModel):
-    """Base of inputs: they are frozen, and have no other fields than those declared."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
-
-class BodyFields(Fields):
+class BodyFields(Fields, group=BODY):
     """Measures of the bristle."""
 
     length_m: Annotated[
         Annotated[float, between(1e-4, 100.0)] | None,
-        Option("length", BODY, "Length of the bristle.", "M", f"{paper.LENGTH_M:g}"),
+        Option("Length of the bristle.", shown=f"{paper.LENGTH_M:g}"),
     ] = None
     width_m: Annotated[
-        Size | None, Option("width", BODY, "Wide side of a flat wire.", "M", f"{paper.WIDTH_M:g}")
+        Size | None, Option("Wide side of a flat wire.", shown=f"{paper.WIDTH_M:g}")
     ] = None
     thickness_m: Annotated[
-        Size | None,
-        Option("thickness", BODY, "Thin side of a flat wire.", "M", f"{paper.THICKNESS_M:g}"),
+        Size | None, Option("Thin side of a flat wire.", shown=f"{paper.THICKNESS_M:g}")
     ] = None
     diameter_m: Annotated[
-        Size | None,
-        Option("diameter", BODY, "A round wire instead; excludes --width and --thickness.", "M"),
+        Size | None, Option("A round wire instead; excludes --width and --thickness.")
     ] = None
 
 
-class MeshFileField(Fields):
+class MeshFileField(Fields, group=BODY):
     """A bristle of any shape."""
 
     mesh: Annotated[
         MeshFile | None,
         BeforeValidator(read_mesh_file),
         Option(
-            "mesh",
-            BODY,
             "A bristle of any shape instead, for the models reduced (then the default) and solid: "
             "gmsh's mesh of hexahedra or tetrahedra in metres, upright along z, the facets that "
             "may touch in a physical group 'tip'. Excludes --length, --width, --thickness, "
@@ -179,14 +170,12 @@ class MeshFileField(Fields):
     ] = None
 
 
-class MaterialFields(Fields):
+class MaterialFields(Fields, group=BODY):
     """Elasticity, density and Rayleigh damping."""
 
     material: Annotated[
         MaterialName | None,
         Option(
-            "material",
-            BODY,
             "Typical --youngs, --poisson, --density and --beta of a material, each unless it is "
             "given: steel is the paper's; the others have their loss factor in the first axial "
             "mode.",
@@ -194,37 +183,27 @@ class MaterialFields(Fields):
             "the paper's steel",
         ),
     ] = None
-    youngs_Pa: Annotated[
-        float, between(1e3, 1e14), Option("youngs", BODY, "Young's modulus.", "PA")
-    ] = paper.YOUNGS_PA
-    poisson: Annotated[
-        float, between(-0.99, 0.4999), Option("poisson", BODY, "Poisson's ratio.", "NU")
-    ] = paper.POISSON
-    density_kg_m3: Annotated[
-        float, between(0.1, 1e6), Option("density", BODY, "Density.", "KG/M3")
-    ] = paper.DENSITY_KG_M3
+    youngs_Pa: Annotated[float, between(1e3, 1e14), Option("Young's modulus.")] = paper.YOUNGS_PA
+    poisson: Annotated[float, between(-0.99, 0.4999), Option("Poisson's ratio.", "NU")] = (
+        paper.POISSON
+    )
+    density_kg_m3: Annotated[float, between(0.1, 1e6), Option("Density.")] = paper.DENSITY_KG_M3
     beta_s: Annotated[
         float,
         between(0.0, 1.0),
-        Option(
-            "beta", BODY, "Rayleigh damping of the material in proportion to its stiffness.", "S"
-        ),
+        Option("Rayleigh damping of the material in proportion to its stiffness."),
     ] = paper.BETA_S
     alpha_1_s: Annotated[
-        float,
-        between(0.0, 1e6),
-        Option("alpha", BODY, "Rayleigh damping in proportion to its mass.", "1/S"),
+        float, between(0.0, 1e6), Option("Rayleigh damping in proportion to its mass.")
     ] = paper.ALPHA_1_S
 
 
-class MeshFields(Fields):
+class MeshFields(Fields, group=MESH):
     """The mesh of hexahedra."""
 
     cells: Annotated[
         tuple[Count, Count, Count] | None,
         Option(
-            "cells",
-            MESH,
             "Hexahedra across the thickness, across the width and along the bristle. Round wire: "
             "along each side of the core, in the ring around it, along the bristle.",
             "NX NY NZ",
@@ -233,45 +212,31 @@ class MeshFields(Fields):
     ] = None
     geometry_order: Annotated[
         Degree | None,
-        Option(
-            "geometry-order",
-            MESH,
-            "1: straight cell edges; 2: curved ones.",
-            "1|2",
-            "1; 2 for a round wire",
-        ),
+        Option("1: straight cell edges; 2: curved ones.", "1|2", "1; 2 for a round wire"),
     ] = None
     grading: Annotated[
-        Annotated[float, between(1e-6, 1e6)] | None,
-        Option(
-            "grading", MESH, "Length of the cell at the top over that at the tip.", "RATIO", "1"
-        ),
+        Ratio | None,
+        Option("Length of the cell at the top over that at the tip.", "RATIO", "1"),
     ] = None
 
 
-class DiscretisationFields(MeshFields):
+class DiscretisationFields(MeshFields, group=MESH):
     """Finite elements, and what solves their equations."""
 
-    elements: Annotated[
-        int, whole(1, 1000), Option("elements", MESH, "Elements of the beam.", "N")
-    ] = paper.ELEMENTS
-    order: Annotated[Degree, Option("order", MESH, "Polynomial degree of the solid.", "1|2")] = 2
+    elements: Annotated[int, whole(1, 1000), Option("Elements of the beam.", "N")] = paper.ELEMENTS
+    order: Annotated[Degree, Option("Polynomial degree of the solid.", "1|2")] = 2
     solver: Annotated[
         Solver,
         Option(
-            "solver",
-            MESH,
             "How the solid's equations are solved: auto is direct as long as factors take less "
             "than 8 GB; snes is Newton's method on the assembled form of a whole step, contact "
-            "included, as a reference.",
+            "included, as a reference."
         ),
     ] = Solver.AUTO
     modes: Annotated[
         int,
         whole(1, 1000),
         Option(
-            "modes",
-            MESH,
             "Krylov vectors of the reduced solid to begin with; it takes up to eight times as many "
             "where its error asks, as long as they fill less than 1 GB.",
             "N",
@@ -281,37 +246,30 @@ class DiscretisationFields(MeshFields):
         float,
         above_zero(1.0),
         Option(
-            "reduction-tolerance",
-            MESH,
             "Largest error of the reduced solid against the full order, in units of the impact "
-            "speed.",
+            "speed."
         ),
     ] = REDUCTION_TOLERANCE
 
 
-class ContactFields(Fields):
+class ContactFields(Fields, group=CONTACT):
     """What meets the surface, and how contact is enforced."""
 
-    contact: Annotated[Contact, Option("contact", CONTACT, "How contact is enforced.")] = (
-        Contact.PENALTY
-    )
+    contact: Annotated[Contact, Option("How contact is enforced.")] = Contact.PENALTY
     deflection: Annotated[
         Deflection | None,
         Option(
-            "deflection",
-            MODEL,
             "small: linear bodies. second-order: the axial force acts on the slope, as in a "
             "column, for beam and reduced under the average acceleration. finite: strain and "
             "rotation of any size, for the solid.",
             shown="where it leans: finite for the solid, else second-order up to 10 degrees",
+            group=MODEL,
         ),
     ] = None
     friction: Annotated[
         float,
         between(0.0, 100.0),
         Option(
-            "friction",
-            CONTACT,
             "Coulomb's coefficient. It acts where bristle or surface leans or the tip is not flat; "
             "a flat tip that lands upright on a level surface does not slide, and friction is left "
             "out there.",
@@ -319,10 +277,8 @@ class ContactFields(Fields):
         ),
     ] = paper.FRICTION
     kt_ratio: Annotated[
-        Annotated[float, between(1e-6, 1e6)] | None,
+        Ratio | None,
         Option(
-            "kt-ratio",
-            CONTACT,
             "Tangential over normal contact stiffness, where there is friction.",
             "RATIO",
             f"{KT_RATIO:.4g} for steel, Mindlin's 2(1-nu)/(2-nu)",
@@ -331,18 +287,14 @@ class ContactFields(Fields):
     tip: Annotated[
         Tip,
         Option(
-            "tip",
-            CONTACT,
             "The end section meets the surface point by point, or, as in the paper, with one node "
-            "on the axis (beam only; right for upright drops alone).",
+            "on the axis (beam only; right for upright drops alone)."
         ),
     ] = Tip.FACE
     tip_shape: Annotated[
         str,
         BeforeValidator(read_tip_shape),
         Option(
-            "tip-shape",
-            CONTACT,
             "The end face: flat, chamfer:width=M,angle=DEG, rounded:radius=M, or "
             "worn:angle=DEG,direction=DEG, standing back most toward that direction from the thin "
             "side. It shifts where contact points stand, for the gap alone: the body keeps its "
@@ -354,8 +306,6 @@ class ContactFields(Fields):
         int,
         whole(3, MOST_CONTACT_POINTS),
         Option(
-            "contact-points",
-            CONTACT,
             "Points across each side of the end section that can touch, its edges among them; the "
             "solid has at least as many.",
             "N",
@@ -363,58 +313,32 @@ class ContactFields(Fields):
     ] = CONTACT_POINTS
     theta: Annotated[
         Annotated[int, whole(-1, 1)] | None,
-        Option(
-            "theta",
-            CONTACT,
-            "Nitsche's variant: 1 symmetric, 0 incomplete, -1 skew.",
-            "1|0|-1",
-            "1",
-        ),
+        Option("Nitsche's variant: 1 symmetric, 0 incomplete, -1 skew.", "1|0|-1", "1"),
     ] = None
     gamma0: Annotated[
         Annotated[float, above_zero(1e6)] | None,
-        Option(
-            "gamma0", CONTACT, "Nitsche's stabilisation.", "NUMBER", "10, or 2 on a rigid plane"
-        ),
+        Option("Nitsche's stabilisation.", "NUMBER", "10, or 2 on a rigid plane"),
     ] = None
 
 
-class PlaceFields(Fields):
+class PlaceFields(Fields, group=DROP):
     """How bristle and surface stand, and what else acts."""
 
-    gravity_m_s2: Annotated[
-        float, between(1e-4, 1e4), Option("gravity", DROP, "Gravity.", "M/S2")
-    ] = paper.GRAVITY_M_S2
+    gravity_m_s2: Annotated[float, between(1e-4, 1e4), Option("Gravity.")] = paper.GRAVITY_M_S2
     tilt_deg: Annotated[
         Tilt,
-        Option(
-            "tilt",
-            DROP,
-            "How far the bristle's upper end leans toward its thin side, from vertical.",
-            "DEGREES",
-        ),
+        Option("How far the bristle's upper end leans toward its thin side, from vertical."),
     ] = 0.0
-    tilt_wide_deg: Annotated[
-        Tilt, Option("tilt-wide", DROP, "The same toward its wide side.", "DEGREES")
-    ] = 0.0
+    tilt_wide_deg: Annotated[Tilt, Option("The same toward its wide side.")] = 0.0
     slope_deg: Annotated[
         Slope,
-        Option(
-            "slope",
-            DROP,
-            "How far the surface's normal leans toward the thin side, from vertical.",
-            "DEGREES",
-        ),
+        Option("How far the surface's normal leans toward the thin side, from vertical."),
     ] = 0.0
-    slope_wide_deg: Annotated[
-        Slope, Option("slope-wide", DROP, "The same toward the wide side.", "DEGREES")
-    ] = 0.0
+    slope_wide_deg: Annotated[Slope, Option("The same toward the wide side.")] = 0.0
     until: Annotated[
         Until | float,
         BeforeValidator(read_until),
         Option(
-            "until",
-            DROP,
             "Where to stop: after the first impact, after the rebound, or a time after release.",
             "impact|rebound|SECONDS",
             kind=str,
@@ -425,46 +349,37 @@ class PlaceFields(Fields):
         tuple[EffectInput, ...],
         BeforeValidator(read_effects),
         Option(
-            "effect",
-            DROP,
             "A further piece of physics, repeatable, e.g. contact_damping:c_N_s_m=5; what differs "
             "from drop to drop stands one standard deviation out.",
             "NAME:PARAM=VALUE,…",
             kind=list,
+            name="effect",
         ),
     ] = ()
 
 
-class TimeFields(Fields):
+class TimeFields(Fields, group=TIME):
     """The time scheme."""
 
     scheme: Annotated[
         Scheme,
         Option(
-            "scheme",
-            TIME,
             "average conserves energy in contact; newmark is the average acceleration with contact "
-            "at the end of the step; generalised is generalised-alpha.",
+            "at the end of the step; generalised is generalised-alpha."
         ),
     ] = Scheme.AVERAGE
     rho_inf: Annotated[
         Annotated[float, between(0.0, 1.0)] | None,
         Option(
-            "rho-inf",
-            TIME,
-            "Spectral radius of generalised-alpha at infinite frequency.",
-            "0…1",
-            f"{RHO_INF:g}",
+            "Spectral radius of generalised-alpha at infinite frequency.", "0…1", f"{RHO_INF:g}"
         ),
     ] = None
     march: Annotated[
         Truth,
         Option(
-            "march",
-            TIME,
             "March all of the drop at ITS, to check the exact flight between impacts. Rotation is "
             "linearised about the release, so a leaning bristle is right only while it has turned "
-            "little.",
+            "little."
         ),
     ] = False
 
@@ -481,10 +396,10 @@ class SharedFields(
     """What a drop and a sweep share."""
 
 
-class StepField(Fields):
+class StepField(Fields, group=TIME):
     """The time step of one drop."""
 
-    its_s: Annotated[Its, Option("its", TIME, "Integration time step.", "S")] = paper.ITS_S
+    its_s: Annotated[Its, Option("Integration time step.")] = paper.ITS_S
 
 
 class DropFields(Fields):
@@ -493,48 +408,44 @@ class DropFields(Fields):
     model: Annotated[
         Model,
         Option(
-            "model",
-            MODEL,
             "reduced: the 3-D solid in few unknowns; solid: at full order; beam; analytic: a mass "
             "on a spring.",
+            group=MODEL,
         ),
     ] = Model.REDUCED
     kn_N_m: Annotated[
-        Kn,
-        Option(
-            "kn",
-            CONTACT,
-            "Normal contact stiffness; 'inf' with nitsche and augmented.",
-            "N/M",
-        ),
+        Kn, Option("Normal contact stiffness; 'inf' with nitsche and augmented.", group=CONTACT)
     ] = paper.KN_CHOSEN_N_M
-    height_m: Annotated[
-        Height, Option("height", DROP, "Height of the lower tip over the surface.", "M")
-    ] = paper.HEIGHTS_M[-1]
+    height_m: Annotated[Height, Option("Height of the lower tip over the surface.", group=DROP)] = (
+        paper.HEIGHTS_M[-1]
+    )
     write_fields: Annotated[
         Truth,
-        Option("fields", OUTPUT, "ParaView output of the solid, which it has unless --no-fields."),
+        Option(
+            "ParaView output of the solid, which it has unless --no-fields.",
+            name="fields",
+            group=OUTPUT,
+        ),
     ] = True
     write_every: Annotated[
         Annotated[int, whole(1, 1_000_000)] | None,
         Option(
-            "write-every",
-            OUTPUT,
             "Steps from one instant of the ParaView output to the next.",
             "N",
             "40 instants in 2L/c",
+            group=OUTPUT,
         ),
     ] = None
 
 
-class HeightsField(Fields):
+class HeightsField(Fields, group=DROP):
     """Several heights."""
 
     heights_m: Annotated[
         tuple[Height, ...],
         Numbers,
         Field(min_length=1),
-        Option("heights", DROP, "Heights, separated by commas.", "M,…", "", "--height", str),
+        Option("Heights, separated by commas.", "M,…", "", str, alias="--height"),
     ] = paper.HEIGHTS_M
 
 
@@ -544,24 +455,17 @@ class ListFields(Fields):
     models: Annotated[
         tuple[Model, ...],
         BeforeValidator(read_list),
-        Option("models", MODEL, "Models, separated by commas.", "MODEL,…", "", "--model", str),
+        Option("Models, separated by commas.", "MODEL,…", "", str, group=MODEL, alias="--model"),
     ] = (Model.BEAM, Model.REDUCED)
     kn_N_m: Annotated[
         tuple[Kn, ...],
         Numbers,
-        Option(
-            "kn",
-            CONTACT,
-            "Normal contact stiffnesses, separated by commas.",
-            "N/M,…",
-            "",
-            kind=str,
-        ),
+        Option("Normal contact stiffnesses, separated by commas.", "N/M,…", "", str, group=CONTACT),
     ] = paper.KN_N_M
     its_s: Annotated[
         tuple[Its, ...],
         Numbers,
-        Option("its", TIME, "Integration time steps, separated by commas.", "S,…", "", kind=str),
+        Option("Integration time steps, separated by commas.", "S,…", "", str, group=TIME),
     ] = (paper.ITS_S,)
 
 

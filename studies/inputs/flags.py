@@ -1,6 +1,7 @@
 """Inputs as command-line flags: each is declared once, as a field of a pydantic model.
 
-A field's annotation has its type and bounds and an `Option`: name, group and help of its flag.
+A field's annotation has its type and bounds and an `Option`, the help of its flag. The flag's name
+is the field's without its unit, its panel is that of the class (``class Fields(…, group=…)``).
 Nothing heavy is imported here, so that help is quick.
 """
 
@@ -8,28 +9,56 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from enum import StrEnum
+from inspect import get_annotations
 from types import NoneType, UnionType
-from typing import Any, Union, get_args, get_origin
+from typing import Any, ClassVar, Union, get_args, get_origin
 
-from pydantic import BaseModel
+from pydantic import BaseModel, ConfigDict
 from pydantic.fields import FieldInfo
+
+# Ends of fields' names, the longest first, and how help shows such a value.
+UNITS = {
+    "_kg_m3": "KG/M3",
+    "_m_s2": "M/S2",
+    "_N_m": "N/M",
+    "_1_s": "1/S",
+    "_deg": "DEGREES",
+    "_Pa": "PA",
+    "_m": "M",
+    "_s": "S",
+}
+
+
+class Fields(BaseModel):
+    """Base of inputs: they are frozen, and have no other fields than those declared.
+
+    ``group`` is the panel of help for the fields of a class.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+    group: ClassVar[str] = ""
+
+    def __init_subclass__(cls, group: str = "", **more: Any) -> None:
+        super().__init_subclass__(**more)
+        cls.group = group
 
 
 @dataclass(frozen=True)
 class Option:
-    """What the command line says of a field: the flag's ``name`` without dashes, its panel, help.
+    """What the command line says of a field.
 
     ``shown`` stands for a default that another option decides; ``kind`` is what the command line
-    parses where that is not the field's own type.
+    parses where that is not the field's own type; ``name`` (without dashes) and ``group`` where
+    they are not what the field's name and class say.
     """
 
-    name: str
-    group: str
     help: str
     metavar: str | None = None
     shown: str | None = None
-    alias: str | None = None
     kind: Any = None
+    name: str = ""
+    group: str = ""
+    alias: str | None = None
 
 
 @dataclass(frozen=True)
@@ -60,11 +89,14 @@ class Flag:
         return (self.option, *([self.declared.alias] if self.declared.alias else []))
 
     @property
+    def is_choice(self) -> bool:
+        """Whether it is one of an enum."""
+        return isinstance(self.kind, type) and issubclass(self.kind, StrEnum)
+
+    @property
     def may_be_several(self) -> bool:
         """Whether it is a number or a choice, of which a sweep takes several."""
-        return self.kind in (int, float) or (
-            isinstance(self.kind, type) and issubclass(self.kind, StrEnum)
-        )
+        return self.kind in (int, float) or self.is_choice
 
     def default_text(self) -> str:
         """The default as help shows it, or an empty text."""
@@ -74,20 +106,32 @@ class Flag:
             return " ".join(map(str, self.default))
         if isinstance(self.default, bool):
             return ""
-        if isinstance(self.default, StrEnum):
-            return self.default.value
         return f"{self.default:g}" if isinstance(self.default, float) else str(self.default)
 
 
-def flags_of(*models: type[BaseModel], only: tuple[str, ...] = ()) -> tuple[Flag, ...]:
+def flags_of(*models: type[Fields], only: tuple[str, ...] = ()) -> tuple[Flag, ...]:
     """The flags of the fields that have an `Option`, each once; ``only`` those of these names."""
     found: dict[str, Flag] = {}
     for model in models:
         for name, field in model.model_fields.items():
-            for said in field.metadata:
-                if isinstance(said, Option) and (not only or said.name in only):
-                    found.setdefault(name, Flag(said, name, _kind(said, field), field.default))
+            for option in field.metadata:
+                if isinstance(option, Option):
+                    flag = _flag(model, name, field, option)
+                    if not only or flag.declared.name in only:
+                        found.setdefault(name, flag)
     return tuple(found.values())
+
+
+def _flag(model: type[Fields], name: str, field: FieldInfo, option: Option) -> Flag:
+    unit = next((unit for unit in UNITS if name.endswith(unit)), "")
+    owner = next(each for each in model.__mro__ if name in get_annotations(each))
+    declared = replace(
+        option,
+        name=option.name or name.removesuffix(unit).replace("_", "-"),
+        group=option.group or getattr(owner, "group", ""),
+        metavar=option.metavar or UNITS.get(unit),
+    )
+    return Flag(declared, name, _kind(option, field), field.default)
 
 
 def several(flags: tuple[Flag, ...]) -> tuple[Flag, ...]:
@@ -105,13 +149,13 @@ def several(flags: tuple[Flag, ...]) -> tuple[Flag, ...]:
 
 
 def _choices(flag: Flag) -> str:
-    return "NUMBER" if flag.kind in (int, float) else "|".join(flag.kind)
+    return "|".join(flag.kind) if flag.is_choice else "NUMBER"
 
 
-def _kind(said: Option, field: FieldInfo) -> Any:
+def _kind(option: Option, field: FieldInfo) -> Any:
     """What the command line parses for a field."""
-    if said.kind is not None:
-        return said.kind
+    if option.kind is not None:
+        return option.kind
     kind = field.annotation
     if get_origin(kind) in (Union, UnionType):
         (kind,) = (each for each in get_args(kind) if each is not NoneType)

@@ -12,7 +12,6 @@ from .fields import (
     CONTACT,
     MODEL,
     BodyFields,
-    Fields,
     HeightsField,
     Kn,
     SharedFields,
@@ -21,7 +20,7 @@ from .fields import (
     between,
     whole,
 )
-from .flags import Option, flags_of
+from .flags import Fields, Option, flags_of
 
 RANDOM, SURFACE = "Random drops", "Surface"
 
@@ -38,66 +37,54 @@ RMS_HEIGHT_M = 50e-6
 CORRELATION_LENGTH_M = 5e-3
 
 
-class ScatterFields(Fields):
+class ScatterFields(Fields, group=SURFACE):
     """How drops are released, over which surface, and what of a drop's inputs is narrower here."""
 
     model: Annotated[
         Model,
-        Option("model", MODEL, "reduced: the solid in a few modes; beam.", "[beam|reduced]"),
+        Option("reduced: the solid in a few modes; beam.", "[beam|reduced]", group=MODEL),
     ] = Model.REDUCED
-    kn_N_m: Annotated[Kn, Option("kn", CONTACT, "Normal contact stiffness.", "N/M")] = (
-        paper.KN_CHOSEN_N_M
-    )
+    kn_N_m: Annotated[Kn, Option("Normal contact stiffness.", group=CONTACT)] = paper.KN_CHOSEN_N_M
     contact: Annotated[
-        Contact, Option("contact", CONTACT, "How contact is enforced.", "[penalty|augmented]")
+        Contact, Option("How contact is enforced.", "[penalty|augmented]", group=CONTACT)
     ] = Contact.PENALTY
-    drops: Annotated[int, whole(1, MOST_DROPS), Option("drops", RANDOM, "How many drops.", "N")] = (
+    drops: Annotated[int, whole(1, MOST_DROPS), Option("How many drops.", "N", group=RANDOM)] = (
         DROPS
     )
     seed: Annotated[
         int,
         whole(0, SEEDS),
-        Option("seed", RANDOM, "Seed of all that is drawn for each drop.", "N"),
+        Option("Seed of all that is drawn for each drop.", "N", group=RANDOM),
     ] = 0
     tilt_std_deg: Annotated[
         float,
         between(0.0, MOST_TILT_STD_DEG),
         Option(
-            "tilt-std",
-            RANDOM,
             "Standard deviation of the lean at release toward the thin and, independently, the "
             "wide side, about --tilt and --tilt-wide. An assumption: 1 degree puts the upper end "
             "6 mm beside the lower one, about what an eye sees.",
-            "DEGREES",
+            group=RANDOM,
         ),
     ] = TILT_STD_DEG
     rms_height_m: Annotated[
         Annotated[float, between(0.0, 0.1)] | None,
         Option(
-            "rms-height",
-            SURFACE,
             "Root mean square height of the surface. An assumption: four of it make 0.2 mm, the "
             "least height of macrotexture (PIARC), as of a trowelled slab.",
-            "M",
-            f"{RMS_HEIGHT_M:g}",
+            shown=f"{RMS_HEIGHT_M:g}",
         ),
     ] = None
     correlation_length_m: Annotated[
         Annotated[float, between(1e-6, 1.0)] | None,
         Option(
-            "correlation-length",
-            SURFACE,
             "Where the heights' correlation has fallen to 1/e. An assumption: the geometric mean "
             "of macrotexture's wavelengths, 0.5 to 50 mm (PIARC).",
-            "M",
-            f"{CORRELATION_LENGTH_M:g}",
+            shown=f"{CORRELATION_LENGTH_M:g}",
         ),
     ] = None
     surface: Annotated[
         Annotated[str, Field(min_length=1)] | None,
         Option(
-            "surface",
-            SURFACE,
             "A measured surface instead, in m: .npz, .csv or .txt, see "
             "bristle.studies.surface.files.",
             "FILE",
@@ -106,11 +93,9 @@ class ScatterFields(Fields):
     surface_seed: Annotated[
         int,
         whole(0, SEEDS),
-        Option("surface-seed", SURFACE, "Seed of the surface's heights and phases.", "N"),
+        Option("Seed of the surface's heights and phases.", "N"),
     ] = 0
-    flat: Annotated[Truth, Option("flat", SURFACE, "A level plane of one material instead.")] = (
-        False
-    )
+    flat: Annotated[Truth, Option("A level plane of one material instead.")] = False
 
 
 # What of a drop's other options many drops at once can have.
