@@ -18,6 +18,7 @@ from mpi4py import MPI
 from pydantic import BaseModel
 
 from ..solver.contact_phase import HISTORY_COLUMNS
+from ..solver.effects.outside import forgotten_afterwards
 from ..solver.errors import InputError
 from .close_loop.run import run_close_loop, summary
 from .drop import run_drop, simulate_drop
@@ -96,6 +97,7 @@ def _listed(title: str, rows: list[tuple[str, str]]) -> str:
     return "\n".join([title, *(f"  {name:<24}{value}" for name, value in rows)])
 
 
+@forgotten_afterwards()
 def drop(*, out: str | Path | None = None, **inputs: Any) -> Drop:
     """One drop, as `bristle drop`: ``bristle.drop(model="solid", tilt_deg=2, friction=0)``.
 
@@ -111,6 +113,7 @@ def drop(*, out: str | Path | None = None, **inputs: Any) -> Drop:
     return Drop(document, pd.DataFrame(result.history.array(), columns=list(HISTORY_COLUMNS)))
 
 
+@forgotten_afterwards()
 def sweep(*, out: str | Path | None = None, **inputs: Any) -> pd.DataFrame:
     """Every combination of ``models``, ``kn_N_m``, ``height_m``, ``its_s`` and any other number or
     choice, each one or several: ``bristle.sweep(kn_N_m=[1e5, 2e6], tilt_deg=[0, 2])``.
@@ -137,11 +140,12 @@ def sweep(*, out: str | Path | None = None, **inputs: Any) -> pd.DataFrame:
     return pd.DataFrame(seen, columns=columns)
 
 
+@forgotten_afterwards()
 def close_loop(dataset: str | Path, *, out: str | Path | None = None, **inputs: Any) -> Verdict:
     """What the model lacks to explain the measurements in the folder ``dataset``.
 
-    ``inputs`` are ``seed``, ``alarm`` and ``no_3d``. With ``out`` verdict.json and the page with
-    its figures are written into that folder. Raises InputError and ComputationError.
+    ``inputs`` are ``seed``, ``alarm``, ``no_3d`` and ``plugins``. With ``out`` verdict.json and the
+    page with its figures are written into that folder. Raises InputError and ComputationError.
     """
     asked = _checked(LoopInputs, inputs)
     if not isinstance(dataset, str | Path):

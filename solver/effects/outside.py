@@ -10,7 +10,8 @@ import hashlib
 import logging
 import re
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import fields, is_dataclass, replace
 from functools import lru_cache
 from importlib.metadata import entry_points
@@ -51,6 +52,18 @@ MOST_PARAMETERS = 2
 DEEPEST_M, DEPTHS = 1e-4, 1001
 
 
+@contextmanager
+def forgotten_afterwards() -> Iterator[None]:
+    """The effects of users' files that the block takes in are known inside it alone."""
+    before = set(EFFECTS)
+    try:
+        yield
+    finally:
+        for name in EFFECTS.keys() - before:
+            if EFFECTS[name].__module__.startswith(MODULE):
+                del EFFECTS[name]
+
+
 def load(path: Path, source: bytes) -> None:
     """Take in the effects of a Python file; ValueError where it has none, or one is refused."""
     digest, path = hashlib.sha256(source).hexdigest(), path.resolve()
@@ -64,20 +77,10 @@ def load(path: Path, source: bytes) -> None:
     if not own:
         raise ValueError(f"{path}: defines no subclass of bristle.solver.effects.base.Effect")
     for each in own:
-        there = EFFECTS.get(str(getattr(each, "name", "")))
-        if there is not None and there.origin != digest and plugin_of(there) == path:
-            del EFFECTS[there.name]  # the file has changed since it was taken in
         try:
             register(each, digest)
         except InputError as error:
             raise ValueError(f"{path}: {error}") from None
-
-
-def plugin_of(kind: type[Effect]) -> Path | None:
-    """The file that an effect came from; None for the program's own and for packages'."""
-    if not kind.__module__.startswith(MODULE):
-        return None
-    return Path(str(sys.modules[kind.__module__].__file__))
 
 
 def _executed(source: bytes, path: Path, name: str) -> ModuleType:

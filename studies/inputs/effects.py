@@ -11,7 +11,6 @@ from ...solver.contact.laws import Linear
 from ...solver.drop import DropResult
 from ...solver.effects.base import Place, Scene
 from ...solver.effects.library import enter_all
-from ...solver.effects.outside import plugin_of
 from ...solver.errors import InputError
 from .choices import Contact, Model, Scheme, Solver
 from .stance import ANGLES
@@ -86,11 +85,6 @@ def check_effects(inputs: DropInputs, refuse: Callable[[str, str], None]) -> Non
     except InputError as error:
         refuse("effects", str(error).removeprefix("--effect: "))
         return
-    given = {plugin.sha256 for plugin in inputs.plugins}
-    for effect in effects:
-        plugin = plugin_of(type(effect))
-        if plugin is not None and effect.origin not in given:
-            refuse("effects", f"{effect.name} is of the plugin {plugin}; name that too")
     places = {effect.place for effect in effects}
     plain = inputs.scheme is Scheme.AVERAGE and inputs.contact is not Contact.NITSCHE
     compiled = plain and math.isfinite(inputs.kn_N_m) and not inputs.march

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import logging
 import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 from pydantic import BaseModel, ValidationError
 
@@ -18,7 +19,7 @@ from .given_files import REPLACED
 from .scatter_fields import OWN_FLAGS
 from .texts import hints, parse_json, parse_toml, quoted, read_text
 
-Checked = TypeVar("Checked", bound=BaseModel)
+LOG = logging.getLogger("bristle")
 OPTIONS = {flag.field: flag.option for flag in (*OWN_FLAGS, *DROP_FLAGS, *LIST_FLAGS)}
 
 # What a value excludes, and what an earlier run resolved from it.
@@ -39,6 +40,8 @@ RESOLVED = {
     "poisson": ("kt_ratio",),
     "material": ("youngs_Pa", "poisson", "density_kg_m3", "beta_s", "kt_ratio"),
 }
+# Fields that name files. In a TOML file their paths count from its folder.
+FILES = ("mesh", "plugins", "surface")
 # Where the material has a name, its damping follows from these.
 DAMPING = ("length_m", "mesh", "youngs_Pa", "density_kg_m3")
 
@@ -102,7 +105,7 @@ def checked[Checked: BaseModel](
 ) -> Checked:
     """A ``kind`` of these values; InputError names where the first wrong one came from."""
     try:
-        return kind(**values)
+        return kind.model_validate(dict(values), context={"origins": origins})
     except ValidationError as error:
         first = error.errors(include_url=False)[0]
         name, message = _explain(first, kind)
@@ -132,7 +135,8 @@ def _explain(error: Any, kind: type[BaseModel]) -> tuple[str, str]:
 def read_config(path: Path, flags: Iterable[Flag], ignored: Iterable[Flag] = ()) -> Source:
     """A TOML file with the flags' names as keys, or a result of this program to repeat.
 
-    Keys of ``ignored`` flags may be there and are passed over. Raises InputError, with file and
+    Keys of ``ignored`` flags may be there and are passed over; `FILES` are looked for beside a TOML
+    file. Raises InputError, with file and
     line, where it cannot be read or holds an unknown key.
     """
     try:
@@ -151,8 +155,17 @@ def read_config(path: Path, flags: Iterable[Flag], ignored: Iterable[Flag] = ())
             raise InputError("; ".join([f"{place}: unknown key", *hints(key, fields)]))
         if name in found.values:
             raise InputError(f"{place}: given twice, also as {found.origins[name]}")
+        if name in FILES and not found.resolved:
+            value = _beside(path, value)
         found.values[name], found.origins[name] = value, place
     return found
+
+
+def _beside(path: Path, value: Any) -> Any:
+    """File names in ``value``, relative ones from the folder of the file ``path``."""
+    if isinstance(value, list):
+        return [_beside(path, each) for each in value]
+    return str(path.parent / value) if isinstance(value, str) else value
 
 
 def _fields_by_key(flags: Iterable[Flag]) -> dict[str, str]:
@@ -193,5 +206,8 @@ def inputs_of[Checked: BaseModel](
     flags = tuple(flags)
     found = flag_source(given, flags)
     if config is not None:
-        found = found.over(read_config(config, flags, ignored))
+        read = read_config(config, flags, ignored)
+        if read.values.get("plugins") and "plugins" not in found.values:
+            LOG.info("the code of the plugins that %s names is run", config)
+        found = found.over(read)
     return checked(kind, found.values, found.origins)

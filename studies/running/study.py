@@ -12,14 +12,14 @@ from typing import Any, Self
 
 import numpy as np
 from mpi4py import MPI
-from pydantic import model_validator
+from pydantic import PrivateAttr, ValidationInfo, model_validator
 
 from ...meshes.collective import run_on_one_rank
 from ...solver.drop import DropResult
 from .. import __version__
 from ..inputs.choices import Model
 from ..inputs.config import DropInputs, Inputs
-from ..inputs.fields import HeightsField, ListFields
+from ..inputs.fields import DiscretisationFields, HeightsField, ListFields
 from ..inputs.limits import input_warnings, result_warnings
 from ..inputs.sources import checked
 from . import results
@@ -56,6 +56,14 @@ COLUMNS = (
     "friction_loss_J",
 )
 CURVE_POINTS = 120
+# What models have no use for.
+DIVISION = set(DiscretisationFields.model_fields)
+UNUSED = {
+    Model.ANALYTIC: DIVISION,
+    Model.BEAM: DIVISION - {"elements"},
+    Model.REDUCED: {"elements"},
+    Model.SOLID: {"elements"},
+}
 
 Row = dict[str, Any]
 
@@ -67,7 +75,12 @@ def check_number(*lists: Sized) -> None:
 
 
 class StudyInputs(Inputs, ListFields, HeightsField):
-    """Lists of models, stiffnesses, heights and time steps: a case for each combination."""
+    """Lists of models, stiffnesses, heights and time steps: a case for each combination.
+
+    A case that is impossible is refused by the place in a file where its value stands, if any.
+    """
+
+    _places: dict[str, str] = PrivateAttr(default_factory=dict)
 
     @model_validator(mode="before")
     @classmethod
@@ -78,8 +91,12 @@ class StudyInputs(Inputs, ListFields, HeightsField):
         return data
 
     @model_validator(mode="after")
-    def _few_enough(self) -> Self:
+    def _few_enough(self, info: ValidationInfo) -> Self:
         check_number(self.models, self.kn_N_m, self.heights_m, self.its_s)
+        origins = (info.context or {}).get("origins", {})
+        in_file = {name: place for name, place in origins.items() if not place.startswith("--")}
+        one_of = {"models": "model", "heights_m": "height_m"}
+        self._places = {one_of.get(name, name): place for name, place in in_file.items()}
         return self
 
     @property
@@ -97,6 +114,7 @@ class StudyInputs(Inputs, ListFields, HeightsField):
             checked(
                 DropInputs,
                 {**shared, "model": model, "kn_N_m": kn, "height_m": height, "its_s": its},
+                self._places,
             )
             for model in sorted(set(self.models), key=list(Model).index)
             for shared in self.shared()
@@ -212,17 +230,25 @@ def _compute(
     ranks_per_case: int | None = None,
 ) -> Timings:
     """Fill ``done`` on rank 0 with what is missing and ``keep`` has kept; the seconds of what the
-    cases shared."""
-    missing = [i for i in range(len(cases)) if i not in done]
+    cases shared.
+
+    Cases that differ only in what their model has no use for are computed once.
+    """
+    alike: dict[str, list[int]] = {}
+    for i, case in enumerate(cases):
+        if i not in done:
+            alike.setdefault(case.model_dump_json(exclude=UNUSED[case.model]), []).append(i)
+    same = {each[0]: each for each in alike.values()}
     parts: dict[tuple[Any, ...], list[int]] = {}
-    for i in missing:
+    for i in same:
         parts.setdefault(tuple(getattr(cases[i], name) for name in study.varied), []).append(i)
     shared: Timings = {}
     with progress(study.name, len(cases), done=len(done)) as advance:
 
         def take(i: int, row: Row) -> None:
-            done[i] = keep(i, row)
-            advance()
+            for k in same[i]:
+                done[k] = keep(k, {**row, **_varied(study, cases[k])})
+                advance()
 
         for part in parts.values():  # in turn, since each has bodies of its own
             spent = _compute_part(study, cases, part, comm, take, ranks_per_case)
@@ -282,14 +308,16 @@ def _row(study: Study, workshop: Workshop, inputs: DropInputs) -> Row:
     }
     row |= {name: results.number(name, inputs, result) for name in COLUMNS if name not in row}
     row["warnings"] = [*input_warnings(inputs), *result_warnings(inputs, result)]
-    row |= {name: _plain(getattr(inputs, name)) for name in study.varied}
+    row |= _varied(study, inputs)
     if study.curves:
         row["curve"] = _curve(result)
     return row
 
 
-def _plain(value: Any) -> Any:
-    return value.value if isinstance(value, StrEnum) else value
+def _varied(study: Study, inputs: DropInputs) -> Row:
+    """Those inputs of a case that differ from case to case."""
+    values = {name: getattr(inputs, name) for name in study.varied}
+    return {name: str(x) if isinstance(x, StrEnum) else x for name, x in values.items()}
 
 
 def _curve(result: DropResult) -> dict[str, list[float]]:

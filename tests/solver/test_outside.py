@@ -154,7 +154,10 @@ def test_a_run_is_repeated_from_its_result(tmp_path, capsys):
     asked = ["drop", "--model", "beam", "--plugin", str(own), "--effect", SPEC]
     assert main([*asked, "--out", str(tmp_path / "one")]) == 0
     again = ["drop", "--config", str(tmp_path / "one" / "result.json")]
+    capsys.readouterr()
     assert main([*again, "--out", str(tmp_path / "two")]) == 0
+    says = f"the code of the plugins that {again[-1]} names is run\n"
+    assert says in capsys.readouterr().err
     one, two = (
         json.loads((tmp_path / name / "result.json").read_text()) for name in ("one", "two")
     )
@@ -444,7 +447,7 @@ def test_two_laws_at_once_are_refused():
         bristle.drop(model="beam", effects=["law_a:share=0.7", "law_b:share=0.7"])
 
 
-def test_an_edited_file_is_taken_anew_and_has_to_be_named(tmp_path):
+def test_a_file_s_effects_are_known_to_the_call_that_names_it(tmp_path):
     path = tmp_path / "own.py"
     path.write_text(EXAMPLE.read_text())
     asked = {"model": "beam", "height_m": 0.01, "effects": [SPEC]}
@@ -452,5 +455,11 @@ def test_an_edited_file_is_taken_anew_and_has_to_be_named(tmp_path):
     path.write_text(EXAMPLE.read_text().replace("REFERENCE_M = 0.05", "REFERENCE_M = 0.01"))
     after = bristle.drop(**asked, plugins=[path])
     assert before.peak_force_N > after.peak_force_N
-    with pytest.raises(InputError, match="my_effect is of the plugin .*own.py; name that too"):
+    other = tmp_path / "other.py"
+    other.write_text(EXAMPLE.read_text())
+    assert bristle.drop(**asked, plugins=[other]).peak_force_N == before.peak_force_N
+    with pytest.raises(InputError, match="there is an effect of this name already"):
+        bristle.drop(**asked, plugins=[path, other])
+    with pytest.raises(InputError, match="names an unknown effect 'my_effect'"):
         bristle.drop(**asked)
+    assert "my_effect" not in EFFECTS

@@ -489,6 +489,21 @@ def test_the_slowest_bending_is_the_beams():
     assert slowest_bending_1_s(Bristle()) == pytest.approx(slowest, rel=1e-4)
 
 
+def test_files_are_looked_for_beside_a_toml_file(tmp_path, caplog):
+    (tmp_path / "own.py").write_text("x = 1\n")
+    path = config(tmp_path, 'plugins = ["own.py", "/there.py"]\nmesh = "own.msh"\n')
+    source = read_config(Path(path), DROP_FLAGS)
+    assert source.values["plugins"] == [str(tmp_path / "own.py"), "/there.py"]
+    assert source.values["mesh"] == str(tmp_path / "own.msh")
+    one = config(tmp_path, 'plugin = "own.py"\n', "one.toml")
+    with (
+        caplog.at_level("INFO"),
+        pytest.raises(InputError, match="one.toml:1: plugin: .*own.py: defines no subclass"),
+    ):
+        inputs_of(DropInputs, {}, DROP_FLAGS, one)
+    assert f"the code of the plugins that {one} names is run" in caplog.text
+
+
 def test_read_config_names_its_origin(tmp_path):
     path = config(tmp_path, "\nkn = 1e6\n")
     source = read_config(Path(path), DROP_FLAGS)

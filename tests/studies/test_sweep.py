@@ -1,6 +1,7 @@
 """Sweeps over further inputs: each case is the drop of its values; the JSON repeats it."""
 
 import csv
+import itertools
 import json
 import re
 
@@ -12,6 +13,7 @@ from bristle.studies.cli import main
 from bristle.studies.drop import simulate_drop
 from bristle.studies.inputs.config import DropInputs
 from bristle.studies.inputs.sources import checked
+from bristle.studies.running.cases import Workshop
 from bristle.studies.sweep import SweepInputs
 
 pytestmark = pytest.mark.serial
@@ -81,6 +83,26 @@ def test_choices_too_and_from_python(tmp_path):
     assert list(table["friction"]) == [0.0, 0.0, 0.5, 0.5]
 
 
+def test_what_a_model_has_no_use_for_makes_no_new_case(tmp_path, monkeypatch):
+    """A beam has no order, so that two orders are one case, with a row for each."""
+    computed, run = [], Workshop.run
+
+    def counted(self, inputs, *more):
+        computed.append((inputs.model.value, inputs.order))
+        return run(self, inputs, *more)
+
+    monkeypatch.setattr(Workshop, "run", counted)
+    rows = sweep("--models", "beam,analytic", "--order", "1,2", "--elements", "4,8", out=tmp_path)
+    assert len(rows) == 8
+    assert len(computed) == 3  # beams of 4 and 8 elements, and a mass on a spring
+    beams = [row for row in rows if row["model"] == "beam"]
+    assert {(row["order"], row["elements"]) for row in beams} == set(itertools.product("12", "48"))
+    for row in beams:
+        twin = next(each for each in beams if each["elements"] == row["elements"])
+        assert row["rebound_ratio"] == twin["rebound_ratio"]
+    assert main(["sweep", *OPTIONS, "--order", "1,2", "--out", str(tmp_path), "--resume"]) == 2
+
+
 def test_pictures_are_those_of_the_last_sweep_and_few(tmp_path):
     sweep("--tilt", "0,2", out=tmp_path)
     mine = tmp_path / "heights-mine.svg"
@@ -110,6 +132,20 @@ def test_wrong_lists_are_refused_by_their_option(option, value, says, tmp_path, 
     assert says in last
     assert last.startswith(f"bristle: error: {option}: ")
     assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("text", "line"),
+    [("tilt = 0\nits = [1e-5, 1e-2]", 2), ("\n\ntilt = [0, 2, 85]", 3), ("kn = [1e5, 1e13]", 1)],
+)
+def test_later_values_of_a_list_are_refused_by_the_line_of_the_file(text, line, tmp_path, capsys):
+    path = tmp_path / "sweep.toml"
+    path.write_text(f"{text}\n")
+    arguments = ["--config", str(path), "--models", "beam", "--out", str(tmp_path / "out")]
+    assert main(["sweep", *arguments]) == 2
+    name = text.split("\n")[line - 1].split()[0]
+    last = capsys.readouterr().err.splitlines()[-1]
+    assert last.startswith(f"bristle: error: {path}:{line}: {name}: ")
 
 
 @pytest.mark.parametrize(
