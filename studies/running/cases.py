@@ -14,7 +14,6 @@ from collections.abc import Callable, Hashable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self
 
 from mpi4py import MPI
@@ -100,14 +99,9 @@ class Workshop:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *raised: object) -> None:
         # PETSc frees on all ranks together: one that failed alone would wait there for ever
-        if error is None or self.comm.size == 1:
+        if raised[0] is None or self.comm.size == 1:
             self.close()
 
     def close(self) -> None:
@@ -128,25 +122,27 @@ class Workshop:
         if inputs.model is Model.ANALYTIC:
             return None
         now = entered(inputs)
-        frame, key = self._frame(now)
-        return Prepared(now.inputs, now.scene, frame, self._marcher(now, frame, key))
+        frame = self._frame(now)
+        return Prepared(now.inputs, now.scene, frame, self._marcher(now, frame))
 
-    def _frame(self, now: Entered, modes: int | None = None) -> tuple[FlightFrame, Hashable]:
-        inputs, scene = now.inputs, now.scene
+    def _frame(self, now: Entered, modes: int | None = None) -> FlightFrame:
+        inputs, frame = now.inputs, self._flat_ended(now, modes)
+        if inputs.tip_shape != FLAT:
+            key = ("face", id(frame), inputs.tip_shape)
+            frame = self._keep(key, lambda: _with_face(frame, inputs))
+        loss = now.scene.loss_factor
+        if loss and isinstance(frame, ModalFrame):
+            return self._changed(frame, loss_factor=loss)
+        return frame
+
+    def _flat_ended(self, now: Entered, modes: int | None) -> ReducedModel | ModalFrame:
+        inputs = now.inputs
         if inputs.model is Model.SOLID:
             return self._full(inputs)
         if inputs.model is Model.BEAM:
-            frame, key = self._beam(inputs, scene.lateral_inertia)
-        else:
-            frame, key = self._modal(inputs, modes)
-        loss = scene.loss_factor
-        if loss:
-            key = (key, "loss factor", loss)
-            lossless = frame
-            frame = self._keep(
-                key, lambda: _each(lossless, lambda body: replace(body, loss_factor=loss))
-            )
-        return frame, key
+            return self._beam(inputs, now.scene.lateral_inertia)
+        frame = self._modal(inputs, modes)
+        return frame if inputs.second_order else self._changed(frame, axis=None)
 
     def run(
         self,
@@ -192,42 +188,34 @@ class Workshop:
             self._spent[part] += time.perf_counter() - started
 
     def _keep[Thing](self, key: Hashable, make: Callable[[], Thing]) -> Thing:
+        """What was made for ``key``; what is made of another kept thing has that one's id in it."""
         if key not in self._kept:
             self._kept[key] = make()
         return self._kept[key]  # type: ignore[return-value]
 
-    def _beam(
-        self, inputs: DropInputs, lateral_inertia: float = 0.0
-    ) -> tuple[ModalFrame, Hashable]:
-        bristle, face = inputs.bristle(), inputs.tip is Tip.FACE
-        points = inputs.contact_points
-        bends = inputs.second_order
-        key = ("beam", bristle, inputs.elements, face, points, bends, lateral_inertia)
+    def _changed(self, frame: ModalFrame, **values: Any) -> ModalFrame:
+        """The frame with these ``values`` in its bodies."""
+        key = ("changed", id(frame), *values.items())
+        return self._keep(key, lambda: _each(frame, lambda body: replace(body, **values)))
+
+    def _beam(self, inputs: DropInputs, lateral_inertia: float) -> ModalFrame:
+        how = {
+            "n_elements": inputs.elements,
+            "face": inputs.tip is Tip.FACE,
+            "points": inputs.contact_points,
+            "second_order": inputs.second_order,
+            "lateral_inertia": lateral_inertia,
+        }
+        bristle = inputs.bristle()
         with self._timed("assemble"):
-            frame = self._keep(
-                key,
-                lambda: _beam_frame(
-                    bristle,
-                    inputs.elements,
-                    face=face,
-                    points=points,
-                    second_order=bends,
-                    lateral_inertia=lateral_inertia,
-                ),
-            )
-        return self._shaped(inputs, frame, key)
+            return self._keep(("beam", bristle, *how.values()), lambda: _beam_frame(bristle, **how))
 
     def body_key(self, inputs: DropInputs) -> Hashable:
         """Equal for cases of the solid that share all that is dear to build."""
-        return (*self._solid_key(inputs), *self._basis(inputs).items())
+        return (*_solid_key(inputs), *self._basis(inputs).items())
 
-    def _solid_key(self, inputs: DropInputs) -> tuple[Hashable, ...]:
-        material, points = inputs.bristle().material, inputs.contact_points
-        return ("solid", inputs.shape(), material, inputs.order, points, inputs.solver)
-
-    def _solid(self, inputs: DropInputs) -> tuple[SolidBody, Hashable]:
-        key = self._solid_key(inputs)
-        return self._keep(key, lambda: self._make_solid(inputs)), key
+    def _solid(self, inputs: DropInputs) -> SolidBody:
+        return self._keep(_solid_key(inputs), lambda: self._make_solid(inputs))
 
     def _make_solid(self, inputs: DropInputs) -> SolidBody:
         from ...meshes.check import MeshError
@@ -256,29 +244,26 @@ class Workshop:
         self._closing.append(solid)
         return solid
 
-    def _full(self, inputs: DropInputs) -> tuple[ReducedModel, Hashable]:
+    def _full(self, inputs: DropInputs) -> ReducedModel:
         """The solid at full order, flying in the coordinates of its reduced model."""
-        model, key = self._reduced(inputs)
-        if inputs.finite:
-            from ...solver.bodies.floating import FloatingModel
+        model = self._reduced(inputs)
+        if not inputs.finite:
+            return model
+        from ...solver.bodies.floating import FloatingModel
 
-            key = (key, "floating")
-            small = {each.name: getattr(model, each.name) for each in fields(model)}
-            model = self._keep(key, lambda: FloatingModel(**small))
-        return self._shaped(inputs, model, key)
+        small = {each.name: getattr(model, each.name) for each in fields(model)}
+        return self._keep(("floating", id(model)), lambda: FloatingModel(**small))
 
-    def _reduced(
-        self, inputs: DropInputs, modes: int | None = None
-    ) -> tuple[ReducedModel, Hashable]:
-        """The solid and its reduced model, whatever the shape of the tip."""
+    def _reduced(self, inputs: DropInputs, modes: int | None = None) -> ReducedModel:
+        """The solid and its reduced model, with a flat tip."""
         from ...solver.bodies.reduced import reduce_solid
 
-        solid, solid_key = self._solid(inputs)
-        how = self._basis(inputs, modes)
-        key = (solid_key, "reduced", *how.items())
+        solid, how = self._solid(inputs), self._basis(inputs, modes)
         with self._timed("factor"):
-            model = self._keep(key, lambda: reduce_solid(solid, second_order=how["leaning"], **how))
-        return model, key
+            return self._keep(
+                ("reduced", id(solid), *how.items()),
+                lambda: reduce_solid(solid, second_order=how["leaning"], **how),
+            )
 
     def _basis(self, inputs: DropInputs, modes: int | None = None) -> dict[str, Any]:
         """What `reduce_solid` is told beside the solid.
@@ -297,35 +282,19 @@ class Workshop:
             "tractions": inputs.contact is Contact.NITSCHE,
         }
 
-    def _modal(self, inputs: DropInputs, modes: int | None = None) -> tuple[ModalFrame, Hashable]:
+    def _modal(self, inputs: DropInputs, modes: int | None) -> ModalFrame:
         """The reduced model alone, the same to the last bit on every rank; kept from run to run."""
         how = tuple(self._basis(inputs, modes).items())
-        material, points = inputs.bristle().material, inputs.contact_points
         made_by = (sources(Path(geometry.__file__).parent), self.comm.size)
-        key: Hashable
-        solid = (inputs.shape(), material, inputs.order, points, inputs.solver.value)
-        key = ("modal", *solid, how, *made_by)
-        frame = self._keep(key, lambda: self._stored(inputs, str(key), modes))
-        if not inputs.second_order:
-            key = (key, "small")
-            frame = self._keep(key, lambda: _each(frame, lambda body: replace(body, axis=None)))
-        return self._shaped(inputs, frame, key)
-
-    def _shaped[Frame: (ModalFrame, ReducedModel)](
-        self, inputs: DropInputs, frame: Frame, key: Hashable
-    ) -> tuple[Frame, Hashable]:
-        """``frame`` with the end face of ``inputs``, and its key."""
-        if inputs.tip_shape == FLAT:
-            return frame, key
-        key = (key, inputs.tip_shape)
-        return self._keep(key, lambda: _with_face(frame, inputs)), key
+        key = ("modal", *_solid_key(inputs)[1:-1], inputs.solver.value, how, *made_by)
+        return self._keep(key, lambda: self._stored(inputs, str(key), modes))
 
     def _stored(self, inputs: DropInputs, key: str, modes: int | None) -> ModalFrame:
         """The reduced solid and its coarser ones as an earlier run stored them, else made and
         stored."""
         arrays = self.comm.bcast(load(key) if self.comm.rank == 0 else None)
         if arrays is None:
-            model = self._reduced(inputs, modes)[0]
+            model = self._reduced(inputs, modes)
             made = to_arrays((model.modal, *model.coarser)) if self.comm.rank == 0 else None
             arrays = self.comm.bcast(made)
             if self.comm.rank == 0:
@@ -355,24 +324,19 @@ class Workshop:
             if self._alone is None:
                 self._alone = Workshop(MPI.COMM_SELF, self.basis_its_s)
             now = Entered(inputs, prepared.scene)
-            frame, key = self._alone._frame(now, modes)
-            marcher = self._alone._marcher(now, frame, key)
-            result = simulate(frame, plan, marcher)
+            frame = self._alone._frame(now, modes)
+            result = simulate(frame, plan, self._alone._marcher(now, frame))
         return result
 
-    def _marcher(self, now: Entered, frame: FlightFrame, frame_key: Hashable) -> ContactMarch:
+    def _marcher(self, now: Entered, frame: FlightFrame) -> ContactMarch:
         """A marcher for this case; those that differ in Kn, friction or lean alone share factor
         and compliance."""
         inputs = now.inputs
         method, scheme = inputs.contact_method(now.scene.law), inputs.time_scheme()
         same = (method.enforcement, method.theta, method.gamma0, method.augmentation)
-        finite = inputs.finite
-        key = ("marcher", frame_key, same, scheme, inputs.its_s, inputs.gravity_m_s2, finite)
+        key = ("marcher", id(frame), same, scheme, inputs.its_s, inputs.gravity_m_s2)
         with self._timed("factor"):
-            marcher = self._keep(
-                key,
-                lambda: self._make_marcher(inputs, frame, method),
-            )
+            marcher = self._keep(key, lambda: self._make_marcher(inputs, frame, method))
             return marcher.with_law(method.law, method.friction)
 
     def _make_marcher(
@@ -393,6 +357,11 @@ class Workshop:
         return marcher
 
 
+def _solid_key(inputs: DropInputs) -> tuple[Hashable, ...]:
+    material, points = inputs.bristle().material, inputs.contact_points
+    return ("solid", inputs.shape(), material, inputs.order, points, inputs.solver)
+
+
 def _each(frame: ModalFrame, change: Callable[[ModalBody], ModalBody]) -> ModalFrame:
     """The frame with a body, and coarser ones, that are changed alike."""
     return ModalFrame(change(frame.modal), tuple(change(body) for body in frame.coarser))
@@ -402,7 +371,7 @@ def _n_points(frame: FlightFrame) -> int:
     return len(frame.body.contact.weights)
 
 
-def _with_face[Frame: (ModalFrame, ReducedModel)](frame: Frame, inputs: DropInputs) -> Frame:
+def _with_face(frame: ModalFrame | ReducedModel, inputs: DropInputs) -> ModalFrame | ReducedModel:
     """The same body with the points of its end face where the tip's shape puts them.
 
     A solid's mesh stays flat, and shares what PETSc holds with the body that it is a copy of.
@@ -420,9 +389,9 @@ def _with_face[Frame: (ModalFrame, ReducedModel)](frame: Frame, inputs: DropInpu
     return replace(frame, body=solid, modal=modal)
 
 
-def _beam_frame(bristle: Bristle, elements: int, **how: Any) -> ModalFrame:
+def _beam_frame(bristle: Bristle, **how: Any) -> ModalFrame:
     try:
-        return ModalFrame(beam_body(bristle, elements, **how))
+        return ModalFrame(beam_body(bristle, **how))
     except ValueError as error:
         raise ComputationError(
             f"{error}: bending is lost in round-off; the beam is too slender, shorten --length"
