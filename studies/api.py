@@ -9,7 +9,7 @@ warnings on standard error unless logging is set up.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -31,38 +31,23 @@ from .running.study import TABLE_FILE, Study, rows_of
 from .sweep import SweepInputs, run_sweep
 
 
-class Record(Mapping[str, Any]):
+class Record(dict[str, Any]):
     """What stands in a JSON file of this program: ``r["energy"]["kinetic_J"]`` or, the same,
     ``r.energy.kinetic_J``."""
 
     def __init__(self, values: Mapping[str, Any]) -> None:
-        self._values = {
-            name: Record(value) if isinstance(value, Mapping) else value
+        super().__init__(
+            (name, Record(value) if isinstance(value, Mapping) else value)
             for name, value in values.items()
-        }
-
-    def __getitem__(self, name: str) -> Any:
-        return self._values[name]
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self._values)
-
-    def __len__(self) -> int:
-        return len(self._values)
+        )
 
     def __getattr__(self, name: str) -> Any:
-        if not name.startswith("_") and name in self._values:
-            return self._values[name]
+        if not name.startswith("_") and name in self:
+            return self[name]
         raise AttributeError(f"there is no {name} here; there are {', '.join(self)}", name=name)
 
     def __dir__(self) -> list[str]:
-        return sorted({*super().__dir__(), *self._values})
-
-    def __getstate__(self) -> dict[str, Any]:
-        return self.__dict__
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        self.__dict__.update(state)
+        return sorted({*super().__dir__(), *self})
 
     def to_dict(self) -> dict[str, Any]:
         """Plain dictionaries, as JSON takes them."""
@@ -72,7 +57,7 @@ class Record(Mapping[str, Any]):
         }
 
     def __repr__(self) -> str:
-        return f"{type(self).__name__}({self.to_dict()!r})"
+        return f"{type(self).__name__}({super().__repr__()})"
 
 
 class Drop(Record):
