@@ -191,12 +191,10 @@ def mesh(given: Given, out: Path) -> None:
     from ..meshes.display import DrawingError
     from .inputs.config import MeshInputs
     from .mesh import run_mesh
-    from .running.files import prepare_folder_together
 
-    inputs = given.inputs(MeshInputs)
-    prepare_folder_together(out)
+    spec = given.inputs(MeshInputs).mesh_spec()
     try:
-        summary = run_mesh(inputs.mesh_spec(), out)
+        summary = run_mesh(spec, out)
     except (MeshError, DrawingError) as error:
         raise ComputationError(str(error)) from error
     print(f"{summary['quality']['n_cells']} cells, {summary['quality']['n_nodes']} nodes")

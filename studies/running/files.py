@@ -44,15 +44,6 @@ def prepare_folder(out: Path) -> None:
         raise InputError(f"--out {out}: cannot be written: {error.strerror}") from error
 
 
-def prepare_folder_together(out: Path) -> None:
-    """`prepare_folder` by rank 0 of all of them; raises the same error on each."""
-    from mpi4py import MPI
-
-    from ...meshes.collective import run_on_one_rank
-
-    run_on_one_rank(MPI.COMM_WORLD, lambda: prepare_folder(out))
-
-
 @contextmanager
 def new_folders(out: Path) -> Iterator[None]:
     """Where the block fails, the folders down to ``out`` that it made go again, as far as they are
@@ -76,14 +67,12 @@ def write_atomically(path: Path, content: str | bytes) -> None:
     place = _place(path)
     try:
         place.parent.mkdir(parents=True, exist_ok=True)
-        handle, name = tempfile.mkstemp(prefix=f"{UNFINISHED}{path.name}-", dir=place.parent)
-        beside = Path(name)
+        beside = _beside(place)
         try:
-            with os.fdopen(handle, "wb") as file:
+            with beside.open("wb") as file:
                 file.write(content.encode() if isinstance(content, str) else content)
                 file.flush()
                 os.fsync(file.fileno())
-            beside.chmod(0o666 & ~_umask())
             beside.replace(place)
         except BaseException:
             beside.unlink(missing_ok=True)
@@ -98,9 +87,9 @@ def folder_in_place(folder: Path) -> Iterator[Path]:
 
     Inside `together` it does so with the others.
     """
-    made = Path(tempfile.mkdtemp(prefix=f"{UNFINISHED}{folder.name}-", dir=folder.parent))
+    made = _beside(folder)
+    made.mkdir()
     try:
-        made.chmod(0o777 & ~_umask())
         yield made
         waiting = _waiting_for(folder)
         if waiting is None:
@@ -116,9 +105,14 @@ def folder_in_place(folder: Path) -> Iterator[Path]:
 def remove(path: Path) -> None:
     """Remove a folder or file of an earlier result, if it is there; in `together`, at its end."""
     waiting = _waiting_for(path)
-    if waiting is not None:
+    if waiting is None:
+        _delete(path)
+    else:
         waiting.folders.append((None, path))
-    elif path.is_dir():
+
+
+def _delete(path: Path) -> None:
+    if path.is_dir():
         shutil.rmtree(path, ignore_errors=True)
     else:
         path.unlink(missing_ok=True)
@@ -188,6 +182,11 @@ def _waiting_for(path: Path) -> _Waiting | None:
     return next((each for each in reversed(_open) if path.is_relative_to(each.out)), None)
 
 
+def _beside(path: Path, what: str = "new") -> Path:
+    """Where it is until it is whole, or its successor is in its place; of this process alone."""
+    return path.with_name(f"{UNFINISHED}{what}-{os.getpid()}-{path.name}")
+
+
 def _place(path: Path) -> Path:
     """Where a file is written to, for now."""
     waiting = _waiting_for(path)
@@ -200,12 +199,12 @@ def _replace_folder(made: Path | None, folder: Path) -> None:
     """``made`` for what is in its place, which goes."""
     old = None
     if folder.exists():
-        old = Path(tempfile.mkdtemp(prefix=f"{UNFINISHED}{folder.name}-", dir=folder.parent))
-        folder.replace(old / folder.name)
+        old = _beside(folder, "old")
+        folder.replace(old)
     if made is not None:
         made.replace(folder)
     if old is not None:
-        shutil.rmtree(old, ignore_errors=True)
+        _delete(old)
 
 
 def cannot_write(path: Path, error: OSError) -> ComputationError:
@@ -255,9 +254,3 @@ def _cell(value: Any) -> Any:
     if isinstance(value, float):
         return "" if math.isnan(value) else repr(float(value))
     return "" if value is None else value
-
-
-def _umask() -> int:
-    mask = os.umask(0)
-    os.umask(mask)
-    return mask

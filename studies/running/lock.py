@@ -2,7 +2,8 @@
 
 The ranks of an mpirun that was killed compute on until they next talk to each other, and would put
 what they find among what their successor does. A lock on the folder, which the system gives up with
-the process that holds it, keeps one behind the other.
+the process that holds it, keeps one behind the other. Libraries of locks lock a file of their own,
+which would have to lie among the results, or elsewhere for all machines that see the folder.
 """
 
 from __future__ import annotations
@@ -23,26 +24,21 @@ PATIENCE_S, AGAIN_S = 120.0, 0.1
 UNKNOWN = (errno.ENOLCK, errno.ENOTSUP, errno.EBADF, errno.EINVAL, errno.ENOSYS)
 
 
-class _Locks:
-    """Folders that a command holds: descriptors by path; None outside of commands."""
-
-    def __init__(self) -> None:
-        self.held: dict[Path, int] | None = None
-
-
-_locks = _Locks()
+# Folders that a command holds, and their descriptors; None outside of commands.
+_held: dict[Path, int] | None = None
 
 
 @contextmanager
 def locks() -> Iterator[None]:
     """A command: the folders that it locked are free again at its end."""
-    outer, _locks.held = _locks.held, {}
+    global _held
+    outer, _held = _held, {}
     try:
         yield
     finally:
-        for descriptor in _locks.held.values():
+        for descriptor in _held.values():
             os.close(descriptor)
-        _locks.held = outer
+        _held = outer
 
 
 def lock_folder(folder: Path) -> None:
@@ -50,8 +46,8 @@ def lock_folder(folder: Path) -> None:
 
     Raises InputError where another goes on for ``PATIENCE_S``, OSError where it cannot be opened.
     """
-    held, place = _locks.held, folder.resolve()
-    if held is None or place in held:
+    place = folder.resolve()
+    if _held is None or place in _held:
         return
     descriptor = os.open(place, os.O_RDONLY | os.O_DIRECTORY)
     try:
@@ -59,7 +55,7 @@ def lock_folder(folder: Path) -> None:
     except BaseException:
         os.close(descriptor)
         raise
-    held[place] = descriptor
+    _held[place] = descriptor
 
 
 def _wait(descriptor: int, folder: Path) -> None:
