@@ -90,34 +90,6 @@ def best_sizes(loads: Sequence[Load], ranks: int) -> list[int]:
     return min(choices, key=lambda sizes: deal(loads, sizes)[1])
 
 
-class Groups:
-    """The ranks of ``world`` in groups of these ``sizes``, consecutive ranks together."""
-
-    def __init__(self, world: MPI.Intracomm, sizes: Sequence[int]) -> None:
-        owner = [group for group, size in enumerate(sizes) for _ in range(size)]
-        self.world, self.sizes, self.mine = world, tuple(sizes), owner[world.rank]
-        self.comm = world if len(sizes) == 1 else cast(MPI.Intracomm, world.Split(self.mine))
-        # so that the barrier of a rank that failed alone meets no other's collective call
-        self._after = self.comm.Dup()
-
-    def together(self, work: Callable[[], Any]) -> Any:
-        """``work()``, done by all ranks of the group; a rank that fails alone ends the job."""
-        try:
-            result = work()
-        except BristleError as error:
-            if not done_within(self._after.Ibarrier(), GRACE_S):
-                raise RuntimeError(str(error)) from error
-            raise
-        self._after.Barrier()
-        return result
-
-    def close(self) -> None:
-        """Free the communicators; collective."""
-        self._after.Free()
-        if self.comm is not self.world:
-            self.comm.Free()
-
-
 def run_solids(
     workshop: Workshop,
     cases: Sequence[DropInputs],
@@ -142,27 +114,49 @@ def run_solids(
     else:
         raise InputError(f"--ranks-per-case: there are {world.size} ranks, not {ranks_per_case}")
     hands, _ = deal(loads, sizes)
-    with _grouped(workshop, sizes) as (groups, own):
+    with _grouped(workshop, sizes) as (group, own), _together(own.comm) as together:
         share_out(
             world,
             len(cases),
-            lambda i: groups.together(lambda: work(own, cases[i])),
+            lambda i: together(lambda: work(own, cases[i])),
             take,
-            groups.comm,
-            hands,
+            hands[group],
+            leads=own.comm.rank == 0,
         )
 
 
 @contextmanager
-def _grouped(workshop: Workshop, sizes: Sequence[int]) -> Iterator[tuple[Groups, Workshop]]:
-    """The groups, and the workshop of this rank's."""
-    groups = Groups(workshop.comm, sizes)
+def _grouped(workshop: Workshop, sizes: Sequence[int]) -> Iterator[tuple[int, Workshop]]:
+    """This rank's group of consecutive ranks, so many in each, and the workshop of that group."""
     if len(sizes) == 1:
-        yield groups, workshop
-    else:
-        with Workshop(groups.comm, workshop.basis_its_s) as own:
-            yield groups, own
-    groups.close()
+        yield 0, workshop
+        return
+    world = workshop.comm
+    owner = [group for group, size in enumerate(sizes) for _ in range(size)]
+    comm = cast(MPI.Intracomm, world.Split(owner[world.rank]))
+    with Workshop(comm, workshop.basis_its_s) as own:
+        yield owner[world.rank], own
+    comm.Free()
+
+
+@contextmanager
+def _together(comm: MPI.Intracomm) -> Iterator[Callable[[Callable[[], Any]], Any]]:
+    """What all ranks of a group do; one that fails alone ends the job."""
+    # so that the barrier of a rank that failed alone meets no other's collective call
+    after = comm.Dup()
+
+    def together(work: Callable[[], Any]) -> Any:
+        try:
+            result = work()
+        except BristleError as error:
+            if not done_within(after.Ibarrier(), GRACE_S):
+                raise RuntimeError(str(error)) from error
+            raise
+        after.Barrier()
+        return result
+
+    yield together
+    after.Free()
 
 
 def load_of(case: DropInputs, workshop: Workshop) -> Load:

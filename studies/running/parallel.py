@@ -144,34 +144,41 @@ def share_out(
     count: int,
     work: Callable[[int], Any],
     take: Callable[[int, Any], None],
-    group: Any = None,
-    hands: Sequence[Sequence[int]] | None = None,
+    mine: Sequence[int] | None = None,
+    *,
+    leads: bool = True,
 ) -> None:
     """Do ``work(i)`` for i < ``count``, dealt out over the ranks; rank 0 takes what comes of it.
 
     Rank 0 calls ``take(i, result)`` as results arrive, in no fixed order. ``work`` must not
-    communicate, or only over ``group``, a part of ``comm`` with rank 0 of it in the first: then
-    ``hands`` are the cases of each group, in the order of the groups' first ranks. A rank that
-    fails with a BristleError goes on with its other cases; at the end the failure with the
-    smallest i is raised on all ranks. Collective.
+    communicate, or only within a group of ranks with the same cases ``mine``, of which one, rank 0
+    for its own, ``leads``. A rank that fails with a BristleError goes on with its other cases; at
+    the end the failure with the smallest i is raised on all ranks. Collective.
     """
-    leads = group is None or group.rank == 0
-    mine: Sequence[int] = range(comm.rank, count, comm.size)
-    if hands is not None:
-        leaders = [rank for rank, leading in enumerate(comm.allgather(leads)) if leading]
-        leader = comm.rank if group is None else group.bcast(comm.rank)
-        mine = hands[leaders.index(leader)]
+    if mine is None:
+        mine = range(comm.rank, count, comm.size)
     failed: dict[int, BristleError] = {}
-    if comm.rank:
-        sent = []
-        for i in mine:
-            done = i, *_attempt(work, i)
-            if leads:
-                sent.append(comm.isend(done, dest=0))
-        for request in sent:
-            request.wait()
-    else:
-        _collect(comm, count, mine, work, take, failed)
+    awaited, sent = count - len(mine), []
+
+    def note(i: int, result: Any, error: BristleError | None) -> None:
+        if error is None:
+            take(i, result)
+        else:
+            failed[i] = error
+
+    for i in mine:
+        done = i, *_attempt(work, i)
+        if comm.rank and leads:
+            sent.append(comm.isend(done, dest=0))
+        elif comm.rank == 0:
+            note(*done)
+            while awaited and comm.iprobe():
+                note(*comm.recv())
+                awaited -= 1
+    for request in sent:
+        request.wait()
+    for _ in range(awaited if comm.rank == 0 else 0):
+        note(*comm.recv())
     failed = comm.bcast(failed)
     if failed:
         raise failed[min(failed)]
@@ -182,29 +189,3 @@ def _attempt(work: Callable[[int], Any], i: int) -> tuple[Any, BristleError | No
         return work(i), None
     except BristleError as error:
         return None, error
-
-
-def _collect(
-    comm: Any,
-    count: int,
-    mine: Sequence[int],
-    work: Callable[[int], Any],
-    take: Callable[[int, Any], None],
-    failed: dict[int, BristleError],
-) -> None:
-    """Rank 0's part: its own share, and between its cases what the others have sent."""
-
-    def note(i: int, result: Any, error: BristleError | None) -> None:
-        if error is None:
-            take(i, result)
-        else:
-            failed[i] = error
-
-    awaited = count - len(mine)
-    for i in mine:
-        note(i, *_attempt(work, i))
-        while awaited and comm.iprobe():
-            note(*comm.recv())
-            awaited -= 1
-    for _ in range(awaited):
-        note(*comm.recv())
