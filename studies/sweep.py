@@ -28,8 +28,8 @@ from ..meshes.collective import run_on_one_rank
 from ..solver import paper
 from .command.script import as_script
 from .inputs.choices import Model
-from .inputs.config import refuse
 from .inputs.fields import SHARED_FLAGS, read_items
+from .inputs.flags import refuse
 from .inputs.sources import EXCLUDED, resolved_from
 from .report.figures import picture, write_picture
 from .report.paper_figures import height_figure

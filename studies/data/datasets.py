@@ -8,7 +8,6 @@ file and line. What a dataset leaves out is the paper's bristle.
 from __future__ import annotations
 
 import difflib
-import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,7 +20,7 @@ from ...solver.errors import InputError
 from ..inputs import limits
 from ..inputs.config import Inputs
 from ..inputs.sources import checked
-from ..inputs.texts import finite, parse_toml, printable, quoted
+from ..inputs.texts import finite, line_of, parse_toml, printable, quoted
 from .tables import check_order, column, inside, optional_column, read_table, read_text
 from .units import check_contact_times, check_heights, check_peaks, doubtful_body, larger_sigma
 
@@ -101,8 +100,7 @@ class Manifest:
 
     def wrong(self, key: str, message: str) -> InputError:
         """An error that names the line of ``dataset.toml`` where ``key`` stands."""
-        path = self.folder / "dataset.toml"
-        return _wrong(path, read_text(path), key, message)
+        return _read(self.folder).wrong(key, message)
 
     def check_sigma(self, key: str, unit: float, values: Array) -> None:
         """InputError where the uncertainty ``key`` exceeds all ``values``, in ``unit`` of it."""
@@ -136,37 +134,32 @@ def read_manifest(folder: Path, only: str | None = None) -> Manifest:
     other than the ``only`` one that is asked for.
     """
     folder = Path(folder)
-    path = inside(folder, "dataset.toml")
-    text = read_text(path)
-    tree = parse_toml(path, text)
-    parts = {name: _part(path, tree, name) for name in PARTS}
-    about = parts["dataset"]
+    read = _read(folder)
+    tree = parse_toml(read.path, read.text)
+    about, body, contact, measurement = (read.part(tree, name) for name in PARTS)
     kind = about.get("kind")
     if kind not in KINDS:
-        raise _wrong(path, text, "kind", f"must be one of {', '.join(KINDS)}, not {quoted(kind)}")
+        raise read.wrong("kind", f"must be one of {', '.join(KINDS)}, not {quoted(kind)}")
     if only not in (None, kind):
-        raise _wrong(path, text, "kind", f"is {kind}, not {only}")
-    keys = ("shape", "mass_kg", *BODY_KEYS)
-    _refuse_misspelt(path, text, parts["body"], keys, all_known=True)
-    _refuse_misspelt(path, text, parts["contact"], ("kn_N_m", "friction"))
-    _refuse_misspelt(path, text, parts["measurement"], MEASUREMENT_KEYS)
-    kn = _number(path, text, parts["contact"], "kn_N_m", KN_N_M)
-    friction = _number(path, text, parts["contact"], "friction", FRICTION)
-    measurement = dict(parts["measurement"])
-    for key, between in NUMBER_KEYS.items():
-        if key in measurement:
-            measurement[key] = _number(path, text, measurement, key, between)
+        raise read.wrong("kind", f"is {kind}, not {only}")
+    read.refuse_misspelt(body, ("shape", "mass_kg", *BODY_KEYS), all_known=True)
+    read.refuse_misspelt(contact, ("kn_N_m", "friction"))
+    read.refuse_misspelt(measurement, MEASUREMENT_KEYS)
+    kn = read.number(contact, "kn_N_m", KN_N_M)
+    friction = read.number(contact, "friction", FRICTION)
+    measured = {key: read.number(measurement, key, NUMBER_KEYS[key]) for key in NUMBER_KEYS}
+    measurement |= {key: value for key, value in measured.items() if value is not None}
     if not isinstance(measurement.get("file", ""), str):
-        raise _wrong(path, text, "file", "must be the name of a file")
-    words = {key: _words(path, text, about, key) for key in ("title", "source", "licence")}
+        raise read.wrong("file", "must be the name of a file")
+    title, source, licence = (read.words(about, key) for key in ("title", "source", "licence"))
     return Manifest(
         folder=folder,
-        title=words["title"] or folder.resolve().name,
+        title=title or folder.resolve().name,
         kind=kind,
-        source=words["source"],
-        licence=words["licence"],
-        body=_body(path, text, parts["body"]),
-        declared=tuple(sorted(parts["body"])),
+        source=source,
+        licence=licence,
+        body=read.body(body),
+        declared=tuple(sorted(body)),
         kn_N_m=kn,
         measurement=measurement,
         friction=friction,
@@ -212,95 +205,97 @@ def read_drops(folder: Path) -> Drops:
     )
 
 
-def _part(path: Path, tree: Mapping[str, Any], name: str) -> dict[str, Any]:
-    part = tree.get(name, {})
-    if not isinstance(part, dict):
-        raise InputError(f"{path}: {name} must be a table, written [{name}]")
-    return part
+def _read(folder: Path) -> _Declarations:
+    path = inside(folder, "dataset.toml")
+    return _Declarations(path, read_text(path))
 
 
-def _line(text: str, key: str) -> int | None:
-    pattern = re.compile(rf"^\s*[\"']?{re.escape(key)}[\"']?\s*=")
-    return next((n for n, line in enumerate(text.splitlines(), 1) if pattern.match(line)), None)
+@dataclass(frozen=True)
+class _Declarations:
+    """The text of a ``dataset.toml``, whose errors name its lines."""
 
+    path: Path
+    text: str
 
-def _wrong(path: Path, text: str, key: str, message: str) -> InputError:
-    line = _line(text, key)
-    return InputError(f"{path}{'' if line is None else f':{line}'}: {key} {message}")
+    def place(self, key: str) -> str:
+        line = line_of(self.text, key)
+        return f"{self.path}{'' if line is None else f':{line}'}: {key}"
 
+    def wrong(self, key: str, message: str) -> InputError:
+        return InputError(f"{self.place(key)} {message}")
 
-def _refuse_misspelt(
-    path: Path, text: str, part: Mapping[str, Any], known: tuple[str, ...], all_known: bool = False
-) -> None:
-    for key in part:
-        if key in known:
-            continue
-        near = difflib.get_close_matches(key, known, cutoff=0.8)
-        near.sort(key=lambda each: (not each.startswith(key), known.index(each)))
-        if near:
-            raise _wrong(path, text, key, f"is not known; did you mean {near[0]}?")
-        if all_known:
-            raise _wrong(path, text, key, f"is not known; known are {', '.join(known)}")
+    def part(self, tree: Mapping[str, Any], name: str) -> dict[str, Any]:
+        part = tree.get(name, {})
+        if not isinstance(part, dict):
+            raise InputError(f"{self.path}: {name} must be a table, written [{name}]")
+        return part
 
+    def refuse_misspelt(
+        self, part: Mapping[str, Any], known: tuple[str, ...], all_known: bool = False
+    ) -> None:
+        for key in part:
+            if key in known:
+                continue
+            near = difflib.get_close_matches(key, known, cutoff=0.8)
+            near.sort(key=lambda each: (not each.startswith(key), known.index(each)))
+            if near:
+                raise self.wrong(key, f"is not known; did you mean {near[0]}?")
+            if all_known:
+                raise self.wrong(key, f"is not known; known are {', '.join(known)}")
 
-def _words(path: Path, text: str, part: Mapping[str, Any], key: str) -> str:
-    """A text of ``[dataset]`` on one line, without what would steer a terminal."""
-    words = part.get(key, "")
-    if not isinstance(words, str) or len(words) > MOST_LETTERS:
-        raise _wrong(path, text, key, f"must be a text of at most {MOST_LETTERS} letters")
-    return printable(words)
+    def words(self, part: Mapping[str, Any], key: str) -> str:
+        """A text of ``[dataset]`` on one line, without what would steer a terminal."""
+        words = part.get(key, "")
+        if not isinstance(words, str) or len(words) > MOST_LETTERS:
+            raise self.wrong(key, f"must be a text of at most {MOST_LETTERS} letters")
+        return printable(words)
 
-
-def _number(
-    path: Path, text: str, part: Mapping[str, Any], key: str, between: tuple[float, float]
-) -> float | None:
-    if key not in part:
-        return None
-    number = finite(part[key])
-    if number is None:
-        raise _wrong(path, text, key, f"must be a finite number, not {quoted(part[key])}")
-    low, high = between
-    if number <= 0.0 < low:
-        raise _wrong(path, text, key, f"must be positive, not {number:g}")
-    if not low <= number <= high:
-        raise _wrong(path, text, key, f"must lie between {low:g} and {high:g}, not {number:g}")
-    return number
-
-
-def _body(path: Path, text: str, part: Mapping[str, Any]) -> Bristle | RigidMass:
-    """The body of the shape that is declared."""
-    shape = part.get("shape", SHAPES[0])
-    if shape not in SHAPES:
-        words = f"must be one of {', '.join(SHAPES)}, not {quoted(shape)}"
-        raise _wrong(path, text, "shape", words)
-    rest = {key: value for key, value in part.items() if key != "shape"}
-    if shape == SHAPES[0]:
-        if "mass_kg" in rest:
-            raise _wrong(path, text, "mass_kg", 'is for shape = "rigid" alone')
-        return _bristle(path, text, rest)
-    for key in rest:
-        if key not in RIGID_KEYS:
-            raise _wrong(path, text, key, "is not for a rigid body: it has mass_kg and diameter_m")
-    values = {key: _number(path, text, rest, key, RIGID_KEYS[key]) for key in RIGID_KEYS}
-    if values["mass_kg"] is None:
-        raise _wrong(path, text, "shape", "of rigid needs mass_kg")
-    return RigidMass(values["mass_kg"], values["diameter_m"])
-
-
-def _bristle(path: Path, text: str, part: Mapping[str, Any]) -> Bristle:
-    """The body that is declared, within the bounds of a drop's inputs."""
-    if "diameter_m" in part and {"width_m", "thickness_m"} & set(part):
-        raise _wrong(path, text, "diameter_m", "excludes width_m and thickness_m")
-    values, origins = {}, {}
-    for key, value in part.items():
-        number = finite(value)
+    def finite(self, part: Mapping[str, Any], key: str) -> float:
+        number = finite(part[key])
         if number is None:
-            raise _wrong(path, text, key, f"must be a finite number, not {quoted(value)}")
-        line = _line(text, key)
-        values[BODY_KEYS[key]] = number
-        origins[BODY_KEYS[key]] = f"{path}{'' if line is None else f':{line}'}: {key}"
-    bristle = checked(Inputs, values, origins).bristle()
-    doubt = doubtful_body(bristle, part)
-    if doubt is not None:
-        raise _wrong(path, text, *doubt)
-    return bristle
+            raise self.wrong(key, f"must be a finite number, not {quoted(part[key])}")
+        return number
+
+    def number(
+        self, part: Mapping[str, Any], key: str, between: tuple[float, float]
+    ) -> float | None:
+        """The number, None where it is not declared."""
+        if key not in part:
+            return None
+        number, (low, high) = self.finite(part, key), between
+        if number <= 0.0 < low:
+            raise self.wrong(key, f"must be positive, not {number:g}")
+        if not low <= number <= high:
+            raise self.wrong(key, f"must lie between {low:g} and {high:g}, not {number:g}")
+        return number
+
+    def body(self, part: Mapping[str, Any]) -> Bristle | RigidMass:
+        """The body of the shape that is declared."""
+        shape = part.get("shape", SHAPES[0])
+        if shape not in SHAPES:
+            raise self.wrong("shape", f"must be one of {', '.join(SHAPES)}, not {quoted(shape)}")
+        rest = {key: value for key, value in part.items() if key != "shape"}
+        if shape == SHAPES[0]:
+            return self.bristle(rest)
+        for key in rest:
+            if key not in RIGID_KEYS:
+                words = "is not for a rigid body: it has mass_kg and diameter_m"
+                raise self.wrong(key, words)
+        mass, diameter = (self.number(rest, key, RIGID_KEYS[key]) for key in RIGID_KEYS)
+        if mass is None:
+            raise self.wrong("shape", "of rigid needs mass_kg")
+        return RigidMass(mass, diameter)
+
+    def bristle(self, part: Mapping[str, Any]) -> Bristle:
+        """The bristle that is declared, within the bounds of a drop's inputs."""
+        if "mass_kg" in part:
+            raise self.wrong("mass_kg", 'is for shape = "rigid" alone')
+        if "diameter_m" in part and {"width_m", "thickness_m"} & set(part):
+            raise self.wrong("diameter_m", "excludes width_m and thickness_m")
+        values = {BODY_KEYS[key]: self.finite(part, key) for key in part}
+        origins = {BODY_KEYS[key]: self.place(key) for key in part}
+        bristle = checked(Inputs, values, origins).bristle()
+        doubt = doubtful_body(bristle, part)
+        if doubt is not None:
+            raise self.wrong(*doubt)
+        return bristle

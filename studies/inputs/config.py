@@ -7,10 +7,9 @@ frozen models in SI units that know how to become the solver's objects.
 from __future__ import annotations
 
 import math
-from typing import Any, NoReturn, Self
+from typing import Any, Self
 
 from pydantic import model_validator
-from pydantic_core import PydanticCustomError
 
 from ...meshes import geometry
 from ...meshes.section import Circle, Rectangle, Section
@@ -30,6 +29,7 @@ from . import fields, limits, stance
 from .choices import Contact, Deflection, Model, Scheme, Solver, Tip, Until
 from .effects import check_effects, scene_of
 from .fields import DropFields, SharedFields, StepField, read_kn
+from .flags import refuse
 from .given_files import REPLACED, MeshFile
 from .sources import material_damping_s
 
@@ -74,7 +74,7 @@ class Inputs(SharedFields):
         if self.rho_inf is not None and self.scheme is not Scheme.GENERALISED:
             refuse("rho_inf", "belongs to --scheme generalised")
         self._check_tip()
-        stance.check_lean(self, refuse)
+        stance.check_lean(self)
         return self
 
     def _check_tip(self) -> None:
@@ -155,7 +155,7 @@ class Inputs(SharedFields):
             self.shape()
         except ValueError as error:
             refuse("cells", str(error))
-        limits.check_unknowns(self, refuse)
+        limits.check_unknowns(self)
 
 
 class MeshInputs(Inputs):
@@ -213,8 +213,8 @@ class DropInputs(Inputs, DropFields, StepField):
             )
         if self.solver is Solver.SNES:
             self._check_assembled()
-        check_effects(self, refuse)
-        limits.check_drop(self, refuse)
+        check_effects(self)
+        limits.check_drop(self)
         return self
 
     def _check_assembled(self) -> None:
@@ -282,19 +282,17 @@ class DropInputs(Inputs, DropFields, StepField):
 
     def _check_analytic(self) -> None:
         only = "the analytic model is a mass on a spring without loss"
-        if self.contact is not Contact.PENALTY:
-            refuse("contact", f"{only}: it has penalty contact only")
-        if self.scheme is not Scheme.AVERAGE:
-            refuse("scheme", f"{only}: it has no time scheme")
-        if self.march:
-            refuse("march", f"{only}: it is not marched")
-        if self.alpha_1_s:
-            refuse("alpha_1_s", f"{only}: it has no damping")
-        for field in stance.ANGLES:
-            if getattr(self, field):
-                refuse(field, f"{only}: it falls upright on a level surface")
-        if self.tip_shape != fields.FLAT:
-            refuse("tip_shape", f"{only}: it has no end face")
+        plain = {
+            "contact": (Contact.PENALTY, "it has penalty contact only"),
+            "scheme": (Scheme.AVERAGE, "it has no time scheme"),
+            "march": (False, "it is not marched"),
+            "alpha_1_s": (0.0, "it has no damping"),
+            **dict.fromkeys(stance.ANGLES, (0.0, "it falls upright on a level surface")),
+            "tip_shape": (fields.FLAT, "it has no end face"),
+        }
+        for field, (value, why) in plain.items():
+            if getattr(self, field) != value:
+                refuse(field, f"{only}: {why}")
 
     def friction_law(self) -> Coulomb:
         """Friction, none where nothing can slide."""
@@ -342,11 +340,6 @@ class DropInputs(Inputs, DropFields, StepField):
         from .sources import checked
 
         return checked(DropInputs, {**self.model_dump(), **values})
-
-
-def refuse(field: str, message: str) -> NoReturn:
-    """End validation with a message about ``field``."""
-    raise PydanticCustomError("bristle", "{message}", {"field": field, "message": message})
 
 
 def _resolve_shape(data: dict[str, Any]) -> None:

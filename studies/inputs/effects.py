@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -13,6 +12,7 @@ from ...solver.effects.base import Place, Scene
 from ...solver.effects.library import enter_all
 from ...solver.errors import InputError
 from .choices import Contact, Model, Scheme, Solver
+from .flags import refuse
 from .stance import ANGLES
 
 if TYPE_CHECKING:
@@ -76,7 +76,7 @@ def observed(result: DropResult, scene: Scene) -> DropResult:
     )
 
 
-def check_effects(inputs: DropInputs, refuse: Callable[[str, str], None]) -> None:
+def check_effects(inputs: DropInputs) -> None:
     """Refuse effects that the model, the enforcement or the scheme cannot have."""
     scene = scene_of(inputs)
     try:

@@ -11,10 +11,11 @@ from dataclasses import dataclass, replace
 from enum import StrEnum
 from inspect import get_annotations
 from types import NoneType, UnionType
-from typing import Any, ClassVar, Union, get_args, get_origin
+from typing import Any, ClassVar, NoReturn, Union, get_args, get_origin
 
 from pydantic import BaseModel, ConfigDict
 from pydantic.fields import FieldInfo
+from pydantic_core import PydanticCustomError
 
 # Ends of fields' names, the longest first, and how help shows such a value.
 UNITS = {
@@ -41,6 +42,11 @@ class Fields(BaseModel):
     def __init_subclass__(cls, group: str = "", **more: Any) -> None:
         super().__init_subclass__(**more)
         cls.group = group
+
+
+def refuse(field: str, message: str) -> NoReturn:
+    """End validation with a message about ``field``."""
+    raise PydanticCustomError("bristle", "{message}", {"field": field, "message": message})
 
 
 @dataclass(frozen=True)

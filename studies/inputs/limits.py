@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from ...meshes.section import Rectangle
@@ -16,6 +16,7 @@ from ...solver.errors import ComputationError
 from ...solver.fall import free_fall
 from .choices import Contact, Deflection, Model, Scheme, Tip, Until
 from .fields import FLAT, MOST_CONTACT_POINTS
+from .flags import refuse
 from .sources import OPTIONS
 from .stance import lean_deg, narrow_zone, slowest_bending_1_s, surface_normal
 
@@ -60,8 +61,6 @@ ALIKE = 0.1
 # Lean at which the side or the upper end reaches the surface.
 FALLEN_DEG = 90.0
 
-Refuse = Callable[[str, str], None]
-
 
 def count_unknowns(inputs: Inputs) -> int:
     """Unknowns of the solid, exactly but for a round wire."""
@@ -77,7 +76,7 @@ def count_unknowns(inputs: Inputs) -> int:
     return 3 * nodes * (p * nz + 1)
 
 
-def check_unknowns(inputs: Inputs, refuse: Refuse) -> None:
+def check_unknowns(inputs: Inputs) -> None:
     """Refuse a solid of more than ``UNKNOWNS``."""
     n = count_unknowns(inputs)
     if n > UNKNOWNS:
@@ -87,9 +86,9 @@ def check_unknowns(inputs: Inputs, refuse: Refuse) -> None:
         refuse(field, f"{cells} make {n:,} unknowns; at most {UNKNOWNS:,} can be factored here")
 
 
-def check_drop(inputs: DropInputs, refuse: Refuse) -> None:
+def check_drop(inputs: DropInputs) -> None:
     """Refuse a spring too soft for the bristle, steps too many or too long, too early an end."""
-    _check_spring(inputs, refuse)
+    _check_spring(inputs)
     fall_s, speed_m_s = free_fall(inputs.height_m, inputs.gravity_m_s2, inputs.alpha_1_s)
     strain = speed_m_s / inputs.bristle().material.bar_speed_m_s
     if strain > STRAIN:
@@ -98,7 +97,7 @@ def check_drop(inputs: DropInputs, refuse: Refuse) -> None:
             f"{inputs.youngs_Pa:g} Pa is so soft that the impact, at {speed_m_s:.3g} m/s, would "
             f"strain the bristle by {strain:.2g}; small strains end at {STRAIN:g}",
         )
-    _check_drag(inputs, speed_m_s, refuse)
+    _check_drag(inputs, speed_m_s)
     if not isinstance(inputs.until, Until) and inputs.until <= fall_s:
         refuse("until", f"ends at {inputs.until:g} s, but the bristle touches at {fall_s:.4g} s")
     if inputs.model is Model.ANALYTIC:
@@ -118,7 +117,7 @@ def check_drop(inputs: DropInputs, refuse: Refuse) -> None:
         )
 
 
-def _check_drag(inputs: DropInputs, speed_m_s: float, refuse: Refuse) -> None:
+def _check_drag(inputs: DropInputs, speed_m_s: float) -> None:
     """Refuse drag after which the spring could not throw a rigid bristle off against gravity."""
     if not inputs.alpha_1_s or math.isinf(inputs.kn_N_m):
         return
@@ -132,7 +131,7 @@ def _check_drag(inputs: DropInputs, speed_m_s: float, refuse: Refuse) -> None:
         )
 
 
-def _check_spring(inputs: DropInputs, refuse: Refuse) -> None:
+def _check_spring(inputs: DropInputs) -> None:
     weight = inputs.bristle().mass_kg * inputs.gravity_m_s2
     depth = weight / inputs.kn_N_m + math.sqrt(2.0 * weight * inputs.height_m / inputs.kn_N_m)
     if depth > inputs.bristle().length_m:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -17,7 +16,7 @@ from .fields import DROP_FLAGS, LIST_FLAGS
 from .flags import Flag
 from .given_files import REPLACED
 from .scatter_fields import OWN_FLAGS
-from .texts import hints, parse_json, parse_toml, quoted, read_text
+from .texts import hints, line_of, parse_json, parse_toml, quoted, read_text
 
 LOG = logging.getLogger("bristle")
 OPTIONS = {flag.field: flag.option for flag in (*OWN_FLAGS, *DROP_FLAGS, *LIST_FLAGS)}
@@ -149,7 +148,7 @@ def read_config(path: Path, flags: Iterable[Flag], ignored: Iterable[Flag] = ())
     for key, value in data.items():
         if key in passed_over and key not in fields:
             continue
-        place = f"{path}:{_line_of(text, key)}: {key}"
+        place = f"{path}:{line_of(text, key) or 1}: {key}"
         name = fields.get(key)
         if name is None:
             raise InputError("; ".join([f"{place}: unknown key", *hints(key, fields)]))
@@ -183,16 +182,6 @@ def _parse_result(path: Path, text: str) -> dict[str, Any]:
     if not isinstance(inputs, dict):
         raise InputError(f"{path}:1: not a result of this program: it has no inputs")
     return {key: value for key, value in inputs.items() if value is not None}
-
-
-def _line_of(text: str, key: str) -> int:
-    """The line on which ``key`` is set or opens a table, from 1."""
-    name = rf"[\"']?{re.escape(key)}[\"']?"
-    setting = re.compile(rf"^\s*(\[+\s*{name}\s*[\].]|{name}\s*[=.:])")
-    for number, line in enumerate(text.splitlines(), start=1):
-        if setting.match(line):
-            return number
-    return 1
 
 
 def inputs_of[Checked: BaseModel](

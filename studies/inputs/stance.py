@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -12,6 +11,7 @@ from ...meshes.tip_shape import RectangularSection, Section, TipShape
 from ...solver.arrays import Array
 from ...solver.bristle import Bristle
 from ...solver.rigid import leaning, matrix_of, slope_normal
+from .flags import refuse
 
 if TYPE_CHECKING:
     from .config import DropInputs, Inputs
@@ -35,7 +35,7 @@ def lean_deg(inputs: Inputs) -> float:
     return math.degrees(math.atan2(math.hypot(normal[0], normal[1]), normal[2]))
 
 
-def check_lean(inputs: Inputs, refuse: Callable[[str, str], None]) -> None:
+def check_lean(inputs: Inputs) -> None:
     """Refuse a bristle that would land on its side."""
     lean = lean_deg(inputs)
     if lean > LEAN_DEG * (1.0 + 1e-9):

@@ -76,6 +76,13 @@ def quoted(value: object) -> str:
     return text if len(text) <= MOST_SHOWN else f"{text[:MOST_SHOWN]} …"
 
 
+def line_of(text: str, key: str) -> int | None:
+    """The line of a TOML text, from 1, on which ``key`` is set or opens a table."""
+    name = rf"[\"']?{re.escape(key)}[\"']?"
+    setting = re.compile(rf"^\s*(\[+\s*{name}\s*[\].]|{name}\s*[=.:])")
+    return next((n for n, line in enumerate(text.splitlines(), 1) if setting.match(line)), None)
+
+
 def parse_toml(path: Path, text: str) -> dict[str, Any]:
     """The tree of a TOML text that was read from ``path``."""
     return _parsed(path, text, "TOML", tomllib.loads)

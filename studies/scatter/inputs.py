@@ -8,8 +8,9 @@ from pydantic import model_validator
 
 from ..inputs import scatter_fields as fields
 from ..inputs.choices import Contact, Model, Scheme, Until
-from ..inputs.config import DropInputs, Inputs, refuse
+from ..inputs.config import DropInputs, Inputs
 from ..inputs.fields import HeightsField, StepField
+from ..inputs.flags import refuse
 from ..inputs.scatter_fields import ScatterFields
 from ..inputs.sources import checked
 
