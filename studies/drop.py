@@ -6,10 +6,10 @@ Also a script: ``mpirun -n 2 python3 -m bristle.studies.drop --model solid``.
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import AbstractContextManager, contextmanager, nullcontext
+from collections.abc import Iterator, Mapping
+from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple, cast
+from typing import TYPE_CHECKING, Any, cast
 
 from mpi4py import MPI
 
@@ -63,9 +63,8 @@ def run_drop(
         return there
     warnings = _warned(input_warnings(inputs))
     with _by_rank_0(together(out, results.RESULT_FILE), comm):
-        keeping = Keeping(out / CHECKPOINT, keep_s, resume)
         with compilation_noted():
-            result, timings = _compute(inputs, out, comm, keeping)
+            result, timings = _compute(inputs, out, comm, every_s=keep_s, resume=resume)
         document = _document(inputs, result, timings, warnings, comm)
         written = run_on_one_rank(comm, lambda: results.write_drop(out, document, result))
     run_on_one_rank(comm, lambda: remove(out / CHECKPOINT))
@@ -116,34 +115,28 @@ def _prepare(inputs: DropInputs, out: Path, resume: bool) -> dict[str, Any] | No
     return there
 
 
-class Keeping(NamedTuple):
-    """Where and how often a march is kept, and whether it goes on."""
-
-    folder: Path
-    every_s: float
-    resume: bool
-
-    def checkpoint(
-        self, inputs: DropInputs, prepared: Prepared | None, comm: MPI.Intracomm
-    ) -> Checkpoint | None:
-        """The checkpoint of a march in steps; None for one that compiled code is done with soon."""
-        if prepared is None or not (inputs.model is Model.SOLID or inputs.march):
-            return None
-        made_for = {OPTIONS.get(k, k): str(v) for k, v in results.plain_inputs(inputs).items()}
-        made_for["version"] = __version__
-        if inputs.model is Model.SOLID:
-            made_for["mesh"] = cast("SolidBody", prepared.frame.body).digest()
-        return Checkpoint(self.folder, comm, made_for, every_s=self.every_s, resume=self.resume)
+def _checkpoint(
+    inputs: DropInputs, prepared: Prepared | None, comm: MPI.Intracomm, folder: Path, **how: Any
+) -> Checkpoint | None:
+    """The checkpoint of a march in steps; None for one that compiled code is done with soon."""
+    if prepared is None or not (inputs.model is Model.SOLID or inputs.march):
+        return None
+    made_for = {OPTIONS.get(k, k): str(v) for k, v in results.plain_inputs(inputs).items()}
+    made_for["version"] = __version__
+    if inputs.model is Model.SOLID:
+        made_for["mesh"] = cast("SolidBody", prepared.frame.body).digest()
+    return Checkpoint(folder, comm, made_for, **how)
 
 
 def _compute(
-    inputs: DropInputs, out: Path, comm: MPI.Intracomm, keeping: Keeping
+    inputs: DropInputs, out: Path, comm: MPI.Intracomm, **how: Any
 ) -> tuple[DropResult, Timings]:
+    """The drop, kept in ``out`` while it is marched: ``how`` is that of a `Checkpoint`."""
     with Workshop(comm) as workshop:
         building = working(f"building the {inputs.model} model")
         with building if inputs.model.meshed else nullcontext():
             prepared = workshop.prepare(inputs)
-        checkpoint = keeping.checkpoint(inputs, prepared, comm)
+        checkpoint = _checkpoint(inputs, prepared, comm, out / CHECKPOINT, **how)
         if inputs.model is Model.SOLID and not inputs.march:
             assert prepared is not None
             done = _marched_solid(workshop, inputs, prepared, checkpoint, out / FIELDS)
@@ -163,42 +156,23 @@ def _marched_solid(
     checkpoint: Checkpoint | None,
     folder: Path,
 ) -> tuple[DropResult, Timings]:
-    """The drop of a solid, with its fields where they are asked for."""
-    if inputs.write_fields:
-        return _with_fields(workshop, inputs, prepared, checkpoint, folder)
-    with _steps(inputs) as advance:
-        return workshop.run(inputs, Watched(inputs.its_s, advance, None), prepared, checkpoint)
-
-
-def _steps(inputs: DropInputs) -> AbstractContextManager[Callable[..., None]]:
+    """The drop of a solid, with its fields for ParaView where they are asked for."""
     expected = steps_of_contact(inputs.bristle(), inputs.kn_N_m, inputs.its_s)
-    return progress("contact of the solid, expected steps", expected)
+    with ExitStack() as stack:
+        writer = None
+        if inputs.write_fields:
+            from ..solver.paraview import FLIGHT_FRAMES, FieldWriter
 
-
-def _with_fields(
-    workshop: Workshop,
-    inputs: DropInputs,
-    prepared: Prepared,
-    checkpoint: Checkpoint | None,
-    folder: Path,
-) -> tuple[DropResult, Timings]:
-    """The drop of a solid with its fields written for ParaView."""
-    from ..solver.bodies.solid import SolidBody
-    from ..solver.paraview import FLIGHT_FRAMES, FieldWriter
-
-    body, every = prepared.frame.body, inputs.write_every
-    assert isinstance(body, SolidBody)
-    with (
-        _by_rank_0(folder_in_place(folder), workshop.comm) as made,
-        FieldWriter(
-            body, made, prepared.marcher, prepared.frame, every=every, checkpoint=checkpoint
-        ) as writer,
-    ):
-        with _steps(inputs) as advance:
+            made = stack.enter_context(_by_rank_0(folder_in_place(folder), workshop.comm))
+            body, every = cast("SolidBody", prepared.frame.body), inputs.write_every
+            flight = body, made, prepared.marcher, prepared.frame
+            writer = stack.enter_context(FieldWriter(*flight, every=every, checkpoint=checkpoint))
+        with progress("contact of the solid, expected steps", expected) as advance:
             watched = Watched(inputs.its_s, advance, writer)
             done = workshop.run(inputs, watched, prepared, checkpoint)
-        with progress("flight of the solid, frames", FLIGHT_FRAMES) as advance:
-            writer.write_flight(advance=advance)
+        if writer is not None:
+            with progress("flight of the solid, frames", FLIGHT_FRAMES) as advance:
+                writer.write_flight(advance=advance)
         return done
 
 

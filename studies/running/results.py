@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import resource
 from collections.abc import Mapping
-from dataclasses import asdict
+from dataclasses import asdict, fields
 from pathlib import Path
 from typing import Any
 
@@ -25,24 +25,10 @@ from .files import to_csv, to_json, write_atomically
 
 SCHEMA = 1
 RESULT_FILE, HISTORY_FILE = "result.json", "history.csv"
+OTHERS = ("energy", "history", "reduction_error")
 NUMBERS = (
-    "impact_speed_m_s",
-    "rebound_ratio",
-    "rebound_height_m",
-    "contact_time_s",
-    "n_contacts",
-    "peak_force_N",
-    "impulse_N_s",
-    "max_penetration_m",
-    "time_to_max_penetration_s",
-    "cm_velocity_after_m_s",
-    "n_dofs",
-    "n_steps",
-    "cm_rebound_height_m",
+    *(each.name for each in fields(DropResult) if each.name not in OTHERS),
     "cm_rebound_ratio",
-    "velocity_after_m_s",
-    "spin_after_rad_s",
-    "friction_impulse_N_s",
 )
 
 
