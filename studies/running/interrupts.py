@@ -2,6 +2,14 @@
 
 At once, by a KeyboardInterrupt that cleans up; but not while files take their places, and not once
 more while it cleans up: launchers, and `timeout`, send their signal twice.
+
+A signal that came during compiled code reaches Python first where that code calls it back. There
+nothing may be raised: numba's boxing goes on with what it then lacks, which ends the process, and
+LLVM loses it. So the frames of such calls are known here, and what was to be raised is raised on
+the next line, by a trace. No plainer way serves: a timer that tries again finds a loop of compiled
+calls in the next one, each time; held back during such calls, an interruption would wait for
+minutes of compilation; a handler that ends the process leaves children, terminal and temporary
+files as they are.
 """
 
 from __future__ import annotations
