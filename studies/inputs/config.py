@@ -219,16 +219,15 @@ class DropInputs(Inputs, DropFields, StepField):
 
     def _check_assembled(self) -> None:
         only = "snes assembles the step of the solid"
-        if self.model is not Model.SOLID:
-            refuse("solver", f"{only}: take --model solid")
-        if self.scheme is not Scheme.AVERAGE:
-            refuse("scheme", f"{only} under --scheme average")
-        if self.contact is Contact.AUGMENTED:
-            refuse("contact", f"{only} with contact by penalty or nitsche")
-        if self.march:
-            refuse("march", f"{only} in impacts alone")
-        if self.tip_shape != fields.FLAT:
-            refuse("tip_shape", f"{only} with a flat end face")
+        for wrong, field, how in (
+            (self.model is not Model.SOLID, "solver", ": take --model solid"),
+            (self.scheme is not Scheme.AVERAGE, "scheme", " under --scheme average"),
+            (self.contact is Contact.AUGMENTED, "contact", " with contact by penalty or nitsche"),
+            (self.march, "march", " in impacts alone"),
+            (self.tip_shape != fields.FLAT, "tip_shape", " with a flat end face"),
+        ):
+            if wrong:
+                refuse(field, f"{only}{how}")
         if self.friction_law().mu and self.cells is not None and self.diameter_m is None:
             only = f"{only} with friction where contact points are nodes: take --friction 0 or"
             most = 2 * min(self.cells[:2]) + 1

@@ -12,7 +12,7 @@ import shutil
 import tempfile
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -242,12 +242,6 @@ def read_csv(path: Path) -> list[dict[str, str]]:
     """The rows of a table by column, as `to_csv` wrote them."""
     with path.open(encoding="utf-8", newline="") as file:
         return list(csv.DictReader(file))
-
-
-def records_to_csv(kind: type[Any], records: Iterable[Any]) -> str:
-    """A table of dataclass records, a column for each field of ``kind``."""
-    names = [each.name for each in fields(kind)]
-    return to_csv(names, ([getattr(record, name) for name in names] for record in records))
 
 
 def _cell(value: Any) -> Any:

@@ -20,9 +20,6 @@ if TYPE_CHECKING:
 # Set by Open MPI, and by the launchers of MPICH and its kin.
 SIZE_VARIABLES = ("OMPI_COMM_WORLD_SIZE", "PMI_SIZE")
 RANK_VARIABLES = ("OMPI_COMM_WORLD_RANK", "PMI_RANK")
-# What mpirun, or MPI in this very process, leaves in the environment, and what of it is the user's.
-LAUNCHERS = ("OMPI_", "PMIX_", "PMI_", "PRTE_")
-KEPT = ("OMPI_MCA_", "OMPI_ALLOW_", "PRTE_MCA_", "PRTE_ALLOW_")
 # Ranks that fail together reach the end within this time of each other.
 GRACE_S = 5.0
 
@@ -35,15 +32,6 @@ def launched_ranks() -> int:
 def speaks() -> bool:
     """Whether this process is rank 0, without starting MPI."""
     return _number((*RANK_VARIABLES, *_by_slurm("SLURM_PROCID")), 0) == 0
-
-
-def unlaunched() -> dict[str, str]:
-    """This process' environment without what would make a child a rank of its job."""
-    return {
-        name: value
-        for name, value in os.environ.items()
-        if not name.startswith(LAUNCHERS) or name.startswith(KEPT)
-    }
 
 
 def start_petsc(comm: MPI.Intracomm) -> None:

@@ -16,8 +16,8 @@ import bristle
 from bristle.solver import paper
 from bristle.solver.compiled import cache_folder
 from bristle.studies.inputs.fields import MODES
-from bristle.studies.running.parallel import unlaunched
 
+from .environment import unlaunched
 from .machine import with_benchmarks
 
 REFERENCES = Path(__file__).resolve().parents[1] / "reference"

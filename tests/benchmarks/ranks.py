@@ -18,11 +18,12 @@ from typing import Any
 
 from bristle.solver.errors import ComputationError, InputError
 from bristle.studies.running.files import prepare_folder
-from bristle.studies.running.parallel import launched_ranks, unlaunched
+from bristle.studies.running.parallel import launched_ranks
 from bristle.studies.running.progress import progress
 
 from .column import column
 from .communication import Machine, prediction
+from .environment import unlaunched
 from .machine import facts, load, with_benchmarks
 from .records import Part, curves_figure, publish
 

@@ -20,12 +20,7 @@ from bristle.studies.report.figures import (
     styled,
 )
 from bristle.studies.report.page import Column, Figure, Report, Section, Table, show, write_report
-from bristle.studies.running.files import (
-    records_to_csv,
-    to_json,
-    together,
-    write_atomically,
-)
+from bristle.studies.running.files import to_csv, to_json, together, write_atomically
 
 # Values along x and y by the name of a curve.
 Curves = Mapping[str, tuple[Sequence[float], Sequence[float]]]
@@ -116,7 +111,9 @@ def publish(
         if parts and parts[0].records:
             kind = type(parts[0].records[0])
             alike = [each for part in parts for each in part.records if type(each) is kind]
-            write_atomically(out / f"{name}.csv", records_to_csv(kind, alike))
+            names = [each.name for each in fields(kind)]
+            rows = [[getattr(record, column) for column in names] for record in alike]
+            write_atomically(out / f"{name}.csv", to_csv(names, rows))
         write_atomically(out / f"{name}.json", to_json(document) + "\n")
         write_report(report, out)
     told = [line for part in parts for line in part.lines()]

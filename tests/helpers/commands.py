@@ -7,7 +7,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-from bristle.studies.running.parallel import unlaunched
+from benchmarks.environment import unlaunched
 
 LIVE = Path(__file__).parents[2] / "docker" / "live"
 
