@@ -18,7 +18,7 @@ from bristle.meshes.picture import write_picture
 from bristle.meshes.quality import MeshQuality, measure_quality, write_csv
 
 from .command.script import as_script
-from .running.files import filled, new_folders, prepare_folder
+from .running.files import filled, new_folders
 
 
 def run_mesh(spec: MeshSpec, out: Path, comm: MPI.Intracomm = MPI.COMM_WORLD) -> dict[str, Any]:
@@ -41,8 +41,7 @@ def run_mesh(spec: MeshSpec, out: Path, comm: MPI.Intracomm = MPI.COMM_WORLD) ->
     ------
     MeshError : gmsh failed or the mesh is not what was asked for
     DrawingError : the picture could not be drawn
-    InputError : `out` is no folder that can be written
-    OSError : the disk is full
+    OSError : `out` cannot be written
     """
     return run_on_one_rank(comm, lambda: _write_all(spec, Path(out)))
 
@@ -50,7 +49,7 @@ def run_mesh(spec: MeshSpec, out: Path, comm: MPI.Intracomm = MPI.COMM_WORLD) ->
 def _write_all(spec: MeshSpec, out: Path) -> dict[str, Any]:
     started = time.perf_counter()
     with new_folders(out):
-        prepare_folder(out)
+        out.mkdir(parents=True, exist_ok=True)
         with filled(out) as folder:
             quality = _make(spec, folder)
             names = sorted(path.name for path in folder.iterdir())
