@@ -26,12 +26,12 @@ from ..solver.contact.laws import Linear
 from ..solver.effects.base import Effect, Scene
 from ..solver.effects.library import enter_all
 from ..solver.errors import InputError
-from ..solver.fall import fallen, risen
+from ..solver.fall import fallen
 from . import __version__
 from .command.script import as_script
 from .inputs.effect_input import EffectInput, read_effects
 from .inputs.given_files import read_plugins
-from .loop.responses.table_drops import drops_of, its_s
+from .loop.responses.table_drops import drops_of, its_s, read_off
 from .running.files import prepare_folder, to_json, together, write_atomically
 
 COLUMNS = ("drop", "y0_mm", "y1_mm", "contact_time_ms", "peak_force_N")
@@ -136,29 +136,20 @@ def make(recipe: Recipe, body: ModalBody) -> Made:
 
 def _seen(scenes: Sequence[Scene], recipe: Recipe, body: ModalBody) -> Array:
     """What a perfect reading of the instruments gives of these drops (drops, 4)."""
-    g, mass = paper.GRAVITY_M_S2, body.mass_kg
-    drag = np.array([scene.drag_kg_m for scene in scenes]) / mass
-    same = fallen(
-        np.array([scene.height_m for scene in scenes]),
-        g,
-        np.array([scene.release_speed_m_s for scene in scenes]),
-        drag,
-    )
+    g, bristle = paper.GRAVITY_M_S2, Bristle(material=Material(beta_s=body.beta_s))
+    columns = [(s.height_m, s.release_speed_m_s, s.drag_kg_m / body.mass_kg) for s in scenes]
+    heights, speeds, drag = np.array(columns).T
     falls = [
-        replace(scene, height_m=float(height)) for scene, height in zip(scenes, same, strict=True)
+        replace(scene, height_m=float(height))
+        for scene, height in zip(scenes, fallen(heights, g, speeds, drag), strict=True)
     ]
-    bristle = Bristle(material=Material(beta_s=body.beta_s))
-    steps = [FINER * its_s(bristle, scene.law.kn_N_m) for scene in falls]
-    out = np.empty((len(scenes), 4))
-    for step in sorted(set(steps)):
-        members = [i for i, each in enumerate(steps) if each == step]
-        out[members, 1:] = drops_of(body, [falls[i] for i in members], g, step, recipe.friction)
-    out[:, 1] = risen(out[:, 1], drag)
-    for i, scene in enumerate(scenes):
-        out[i, 0] = scene.y_scale * (scene.height_m + scene.y_offset_m)
-        out[i, 1] = scene.y_scale * (out[i, 1] + scene.y_offset_m)
-        out[i, 2] *= scene.t_scale
-    return out
+    steps = np.array([FINER * its_s(bristle, scene.law.kn_N_m) for scene in falls])
+    found = np.empty((len(scenes), 3))
+    for step in np.unique(steps):
+        mine = np.flatnonzero(steps == step)
+        found[mine] = drops_of(body, [falls[i] for i in mine], g, float(step), recipe.friction)
+    before = [scene.y_scale * (scene.height_m + scene.y_offset_m) for scene in scenes]
+    return np.column_stack([before, read_off(found, scenes, body.mass_kg)])
 
 
 def pattern(strange: Strange | None, heights_m: Array) -> Array:

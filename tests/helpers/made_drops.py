@@ -11,7 +11,7 @@ from bristle.solver import paper
 from bristle.solver.bristle import Bristle
 from bristle.solver.contact.laws import Linear
 from bristle.solver.effects.library import enter_all
-from bristle.studies.loop.responses.response import Emulator
+from bristle.studies.loop.responses.emulator import Emulator
 from bristle.studies.loop.responses.table_drops import beam_of, drops_of
 
 # Effects that need no tables but the plain one, so that the test is quick on a new machine.
@@ -29,7 +29,7 @@ def write_drops(folder: Path, effects=(), title: str = "Made", *, forces: bool =
     rng = np.random.default_rng(11)
     emulator = Emulator(Bristle(), paper.GRAVITY_M_S2, 0.01, 0.05)
     heights = np.resize(np.array(paper.HEIGHTS_M), COUNT) * (1 + 0.02 * rng.standard_normal(COUNT))
-    plain = replace(emulator.plain(), law=Linear(2e6))
+    plain = replace(emulator.scene(), law=Linear(2e6))
     scenes = [
         enter_all(replace(plain, height_m=float(h), order=i), effects)
         for i, h in enumerate(heights)

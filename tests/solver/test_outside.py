@@ -23,9 +23,9 @@ from bristle.solver.effects.library import EFFECTS
 from bristle.solver.errors import InputError
 from bristle.studies.cli import main
 from bristle.studies.loop.kinds.drops import problem as drops_module
-from bristle.studies.loop.responses import response
+from bristle.studies.loop.responses import emulator as emulator_module
 from bristle.studies.loop.responses.drop_model import DropModel, Drops
-from bristle.studies.loop.responses.response import PLAIN_STEP, Emulator, Tables, effect_at
+from bristle.studies.loop.responses.emulator import PLAIN_STEP, Emulator, effect_at
 
 pytestmark = pytest.mark.serial
 
@@ -198,18 +198,18 @@ def test_a_table_is_made_over_its_parameters(name, values, monkeypatch):
     outside.register(Good, "a test")
     for path in (LAW, PLASTIC):
         outside.load(path, path.read_bytes())
-    monkeypatch.setattr(response, "EFFECT_NODES", 5)
-    monkeypatch.setattr(response, "DECADES_NODES", 7)
-    monkeypatch.setattr(response, "LEAN_KN_NODES", 5)
-    tables = Tables(Emulator(Bristle(), 9.8, 0.02, 0.05, (1e6, 4e6)))
+    monkeypatch.setattr(emulator_module, "EFFECT_NODES", 5)
+    monkeypatch.setattr(emulator_module, "DECADES_NODES", 7)
+    monkeypatch.setattr(emulator_module, "LEAN_KN_NODES", 5)
+    emulator = Emulator(Bristle(), 9.8, 0.02, 0.05, (1e6, 4e6))
     heights, kns = np.array([0.025, 0.04]), np.array([1.7e6, 2.3e6])
     at = [np.full((1, 1), value) for value in values]  # (nodes of chance, drops), as models ask
-    told = tables.change(name, heights[None], kns[None], *at)[:, 0]
+    told = emulator.change(name, heights[None], kns[None], *at)[:, 0]
     for i, (height, kn) in enumerate(zip(heights, kns, strict=True)):
-        plain = replace(tables.emulator.plain(), height_m=height, law=Linear(kn))
+        plain = replace(emulator.scene(), height_m=height, law=Linear(kn))
         scenes = [effect_at(name, *values).enter(plain)], [plain]
-        step = tables.emulator.step_s(kn)
-        with_it, without = (np.log(tables.emulator.observed(each, step, 0.0)[0]) for each in scenes)
+        step = emulator.step_s(kn)
+        with_it, without = (np.log(emulator.observed(each, step, 0.0)[0]) for each in scenes)
         assert told[:, i] == pytest.approx(with_it - without, abs=2e-3)
 
 
@@ -241,11 +241,11 @@ class Wetting(Effect):
 def test_a_computed_effect_is_known_for_every_drop_and_chance():
     """As models predict it for all drops at once, against drops simulated one by one."""
     outside.register(Wetting, "a test")
-    tables = Tables(Emulator(Bristle(), 9.8, 0.02, 0.05, (2e5, 2e7)))
+    emulator = Emulator(Bristle(), 9.8, 0.02, 0.05, (2e5, 2e7))
     heights, order = np.array([0.025, 0.04, 0.05]), np.array([0.0, 4.0, 9.0])
-    drops = Drops(tables.emulator, heights, order, (0, 1, 2))
+    drops = Drops(emulator, heights, order, (0, 1, 2))
     kn = Parameter("kn_N_m", "N/m", 1e6, 4e6, 2e6)
-    model = DropModel(drops, tables, kn, ("wetting",), np.eye(3)[None].repeat(3, 0))
+    model = DropModel(drops, kn, ("wetting",), np.eye(3)[None].repeat(3, 0))
     theta = np.array([2.2e6, 0.3, 0.02])
     predicted = model.measured(theta)
     chances = np.linspace(-3.25, 3.25, len(model.weights))
@@ -255,15 +255,15 @@ def test_a_computed_effect_is_known_for_every_drop_and_chance():
     for node in (0, 20, 52):
         for i, (height, number) in enumerate(zip(heights, order, strict=True)):
             plain = replace(
-                tables.emulator.plain(),
+                emulator.scene(),
                 height_m=height,
                 law=Linear(theta[0]),
                 order=number,
                 chance=(chances[node], 0.0),
             )
             scene = Wetting(*theta[1:]).enter(plain)
-            step = PLAIN_STEP * tables.emulator.step_s(scene.law.kn_N_m)
-            alone = tables.emulator.observed([scene], step, 0.0)[0] * (1.0, scene.t_scale, 1.0)
+            step = PLAIN_STEP * emulator.step_s(scene.law.kn_N_m)
+            alone = emulator.observed([scene], step, 0.0)[0] * (1.0, scene.t_scale, 1.0)
             assert predicted[node, i] == pytest.approx(alone, rel=2e-3)
 
 
@@ -413,7 +413,7 @@ def test_a_parameter_is_what_its_effect_says_whatever_its_name():
         )
     )
     outside.register(kind, "a test")
-    assert Tables(Emulator(Bristle(), 9.8, 0.02, 0.05)).parameters("more_beta") == own
+    assert Emulator(Bristle(), 9.8, 0.02, 0.05).parameters("more_beta") == own
 
 
 def test_an_effect_may_scale_the_damping_with_height():

@@ -16,15 +16,7 @@ from bristle.solver.effects.base import Scene
 from bristle.solver.effects.library import EFFECTS
 from bristle.solver.errors import InputError
 from bristle.studies.data.datasets import read_drops, read_manifest
-from bristle.studies.loop.responses.rigid_drops import (
-    SIDES,
-    bounded,
-    carried,
-    observed,
-    reference,
-    step_s,
-    stiffened,
-)
+from bristle.studies.loop.responses.rigid import SIDES, RigidEmulator
 
 pytestmark = pytest.mark.serial
 GRAVITY, HEIGHT = 9.81, 0.2
@@ -35,9 +27,15 @@ SPEED = math.sqrt(2.0 * GRAVITY * HEIGHT)
 CLOSE = 1e-3
 
 
+def emulator_of(mass=MARBLE, heights=(HEIGHT, HEIGHT), kns=(KN, KN)):
+    return RigidEmulator(mass, GRAVITY, *heights, kns, friction=0.0)
+
+
 def dropped(law, height=HEIGHT, mass=MARBLE):
     """Rebound over height, contact time, peak force."""
-    rows = observed(mass, [Scene(height_m=height, law=law)], GRAVITY, step_s(mass, law.kn_N_m))
+    emulator = emulator_of(mass)
+    scene = Scene(height_m=height, law=law)
+    rows = emulator.observed([scene], emulator.step_s(law.kn_N_m), 0.0)
     return rows[0] / [height, 1.0, 1.0]
 
 
@@ -59,7 +57,7 @@ def test_an_undamped_spring_gives_all_back_in_half_a_period(kn):
     assert ratio == pytest.approx(1.0, abs=1e-9)
     assert time == pytest.approx(math.pi * math.sqrt(MARBLE.mass_kg / kn), rel=CLOSE)
     assert peak == pytest.approx(SPEED * math.sqrt(kn * MARBLE.mass_kg), rel=CLOSE)
-    again = reference(HEIGHT, kn, MARBLE.mass_kg, GRAVITY)
+    again = emulator_of().reference(HEIGHT, kn)
     np.testing.assert_allclose([ratio * HEIGHT, time, peak], again, rtol=CLOSE)
 
 
@@ -93,7 +91,7 @@ def test_hunt_and_crossleys_law_gives_back_what_its_integral_says(damping):
 @pytest.mark.parametrize("exponent", [1.0, 1.5, 2.5])
 def test_a_power_law_gives_all_back_in_the_time_of_its_closed_form(exponent):
     ratio, time, peak = dropped(Stiffening(KN, exponent, 2e-5))
-    closed = stiffened(HEIGHT, KN, exponent, 2e-5, MARBLE.mass_kg, GRAVITY)
+    closed = emulator_of().stiffened(HEIGHT, KN, exponent)
     assert ratio == pytest.approx(1.0, abs=1e-9)
     assert time == pytest.approx(closed[1], rel=5.0 * CLOSE)
     assert peak == pytest.approx(closed[2], rel=CLOSE)
@@ -133,32 +131,33 @@ def test_shares_make_drops_of_any_mass_stiffness_and_height_alike():
 
 
 def test_bounds_hold_what_tables_cover():
-    speeds = (0.5, 3.0)
+    heights = (0.5**2 / (2.0 * GRAVITY), 3.0**2 / (2.0 * GRAVITY))
+    wide, narrow = emulator_of(MARBLE, heights, (1e4, 1e8)), emulator_of(MARBLE, heights)
     for name in SIDES:
         parameter = EFFECTS[name].parameters[0]
-        found = bounded(name, parameter, MARBLE, (1e4, 1e8), speeds)
+        found = wide.bounded(name, parameter)
         assert found.low < found.typical < found.high
         assert found.low <= found.null <= found.high
         assert found.name == parameter.name
-    damping = bounded(
-        "contact_damping", EFFECTS["contact_damping"].parameters[0], MARBLE, (KN, KN), speeds
-    )
+    (damping,) = narrow.parameters("contact_damping")
     assert damping.high == pytest.approx(1.5 * 2.0 * math.sqrt(KN * MARBLE.mass_kg))
     exponent = EFFECTS["stiffening_contact"].parameters[0]
-    assert bounded("stiffening_contact", exponent, MARBLE, (KN, KN), speeds) == exponent
+    assert narrow.parameters("stiffening_contact") == (exponent,)
 
 
 def test_effects_of_an_elastic_or_leaning_body_are_not_carried():
+    def carried(mass):
+        return {name for name in EFFECTS if emulator_of(mass).carries(name)}
+
     names = carried(MARBLE)
-    assert set(names) <= set(EFFECTS)
-    assert set(EFFECTS) - set(names) == {
+    assert set(EFFECTS) - names == {
         "material_damping",
         "hysteretic_damping",
         "lateral_inertia",
         "bristle_tilt",
         "surface_slope",
     }
-    assert set(names) - set(carried(RigidMass(0.005))) == {"air_drag"}
+    assert names - carried(RigidMass(0.005)) == {"air_drag"}
 
 
 def write(folder, body, kind="drops", rows=4):

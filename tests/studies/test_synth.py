@@ -16,9 +16,8 @@ from bristle.solver.effects.library import EFFECTS
 from bristle.solver.errors import InputError
 from bristle.solver.fall import dragged_fall, fallen, risen
 from bristle.studies.data.datasets import read_drops
-from bristle.studies.loop.responses.response import PLAIN_STEP, Emulator, Tables
-from bristle.studies.loop.responses.spline import coefficients, evaluate
-from bristle.studies.loop.responses.table import Axis, Table
+from bristle.studies.loop.responses.emulator import PLAIN_STEP, Emulator
+from bristle.studies.loop.responses.table import Axis, Table, coefficients, evaluate
 from bristle.studies.loop.responses.table_drops import drops_of
 from bristle.studies.synth import (
     Noise,
@@ -159,7 +158,7 @@ def test_an_axis_knows_where_its_nodes_are(how):
 def test_a_table_is_the_simulation_between_its_nodes(name):
     """To a tenth of what the instruments of a made dataset show of 48 drops."""
     emulator = Emulator(Bristle(), paper.GRAVITY_M_S2, 0.004, 0.064)
-    tables, rng = Tables(emulator), np.random.default_rng(1)
+    rng = np.random.default_rng(1)
     kind = EFFECTS[name]
     (only,) = kind.parameters
     for _ in range(6):
@@ -167,8 +166,8 @@ def test_a_table_is_the_simulation_between_its_nodes(name):
         value = only.null + (only.high - only.null) * rng.uniform(0.05, 0.5)
         scene = Scene(height_m=height, beta_s=paper.BETA_S, law=Linear(kn))
         where = np.asarray(height), np.asarray(kn)
-        logs = tables.plain.at(*where) + tables.change(name, *where, value)
-        told = np.exp(logs) * tables.rigid(*where)
+        logs = emulator.plain.at(*where) + emulator.change(name, *where, value)
+        told = np.exp(logs) * emulator.reference(*where)
         (direct,) = emulator.observed(
             [kind(value).enter(scene)], PLAIN_STEP * emulator.step_s(kn), 0.0
         )

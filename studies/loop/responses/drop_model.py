@@ -8,7 +8,6 @@ from functools import cached_property
 from typing import Any, NamedTuple, Self
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ....solver import paper
 from ....solver.arrays import Array
@@ -20,7 +19,7 @@ from ....solver.effects.surface import steepness_deg
 from ....solver.errors import InputError
 from ....solver.fall import fallen, risen
 from ..fit import to_unit
-from .response import Emulator, Tables, effect_at
+from .emulator import Emulator, effect_at
 
 # Nodes of chance, ends and how many: stiffness by its normal deviate, slope by its size; and the
 # slope's direction.
@@ -75,12 +74,16 @@ class BounceModel:
     """
 
     drops: Drops
-    tables: Tables
     kn: Parameter
     effects: tuple[str, ...]
     beta: Parameter | None = field(default=None, kw_only=True)
     gain: Parameter | None = field(default=None, kw_only=True)
     closer: int = field(default=1, kw_only=True)
+
+    @property
+    def emulator(self) -> Emulator:
+        """The tables."""
+        return self.drops.emulator
 
     def finer(self, by: int) -> Self:
         """The same with ``by`` times as many nodes of stiffness or of the slope's size."""
@@ -92,7 +95,7 @@ class BounceModel:
         kinds = [EFFECTS[name] for name in in_order(self.effects)]
         typical = [effect_at(each.name, *(p.typical for p in each.parameters)) for each in kinds]
         try:
-            enter_all(self.drops.emulator.plain(), typical)
+            enter_all(self.emulator.scene(), typical)
         except InputError:
             return False
         return True
@@ -104,7 +107,7 @@ class BounceModel:
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        return (*self.own, *(p for name in self.effects for p in self.tables.parameters(name)))
+        return (*self.own, *(p for name in self.effects for p in self.emulator.parameters(name)))
 
     @cached_property
     def _chance(self) -> tuple[Array, Array]:
@@ -139,7 +142,7 @@ class BounceModel:
         """How each drop landed, and what the tables say of it (quantities, ..., nodes, drops)."""
         theta = np.asarray(theta, dtype=float)
         given = self.given(theta)
-        drops, emulator = self.drops, self.drops.emulator
+        drops, emulator = self.drops, self.emulator
         nodes = self._chance[0]
 
         def value(name: str, which: int = 0) -> Array:
@@ -151,7 +154,7 @@ class BounceModel:
             "order": drops.order,
             "chance": (nodes[:, :1], 0.0),
         }
-        scene = replace(emulator.plain(), **every)
+        scene = replace(emulator.scene(), **every)
         for name in in_order(self.effects):
             kind = EFFECTS[name]
             if kind.computed:
@@ -161,19 +164,19 @@ class BounceModel:
         drag_1_m = np.asarray(scene.drag_kg_m / emulator.body.mass_kg)
         same = fallen(height, emulator.gravity_m_s2, scene.release_speed_m_s, drag_1_m)
         same, kn = np.broadcast_arrays(same, scene.law.kn_N_m)
-        logs = self.tables.plain.at(same, kn)
+        logs = emulator.plain.at(same, kn)
         if self.beta is not None:
             beta = theta[..., 1][..., None, None]
-            logs = logs + self.tables.change("material_damping", same, kn, beta)
+            logs = logs + emulator.change("material_damping", same, kn, beta)
         for name in self.effects:
             count = len(EFFECTS[name].parameters)
             friction = value(name, count) if len(given[name]) > count else None
             if name == "surface_slope":
                 lean = (steepness_deg(nodes[:, 1:2], value(name)), nodes[:, 2:3])
-                logs = logs + self.tables.change(name, same, kn, *lean, friction=friction)
-            elif name in self.tables.simulated:
+                logs = logs + emulator.change(name, same, kn, *lean, friction=friction)
+            elif name in emulator.simulated:
                 values = (value(name, i) for i in range(count))
-                logs = logs + self.tables.change(name, same, kn, *values, friction=friction)
+                logs = logs + emulator.change(name, same, kn, *values, friction=friction)
         landing = Landing(
             height_m=height,
             same_m=same,
@@ -192,14 +195,14 @@ class BounceModel:
         The first is the rise in a vacuum.
         """
         landing, logs = self.answer(theta)
-        return landing, np.exp(logs) * self.tables.rigid(landing.same_m, landing.kn_N_m)
+        return landing, np.exp(logs) * self.emulator.reference(landing.same_m, landing.kn_N_m)
 
     def given(self, theta: Array) -> Mapping[str, tuple[Array, ...]]:
         """Each effect's parameters (...,) by its name, of parameters (..., p)."""
         at = len(self.own)
         out = {}
         for name in self.effects:
-            count = len(self.tables.parameters(name))
+            count = len(self.emulator.parameters(name))
             out[name] = tuple(theta[..., at + i] for i in range(count))
             at += count
         return out
@@ -249,16 +252,16 @@ class DropModel(BounceModel):
         other make the slopes right too. Itself where nothing is simulated, or means are over
         chance, and of a rigid mass, whose tables are close.
         """
-        emulator, tables = self.drops.emulator, self.tables
-        acting = [name for name in self.effects if name in tables.simulated]
+        emulator = self.emulator
+        acting = [name for name in self.effects if name in emulator.simulated]
         if not acting or len(self.weights) > 1 or isinstance(emulator.body, RigidMass):
             return self
         theta = np.asarray(theta, dtype=float)
         landing, logs = self.answer(theta)
-        tabulated = logs - tables.plain.at(landing.same_m, landing.kn_N_m)
+        tabulated = logs - emulator.plain.at(landing.same_m, landing.kn_N_m)
         falls = zip(landing.same_m[0], landing.kn_N_m[0], strict=True)
         plain = [
-            replace(emulator.plain(), height_m=float(h), law=Linear(float(kn))) for h, kn in falls
+            replace(emulator.scene(), height_m=float(h), law=Linear(float(kn))) for h, kn in falls
         ]
         nothing = ((0.0, 0.0),) * len(self.effects)
         scenes = self.scenes(theta, range(len(self.drops)), nothing)
@@ -295,7 +298,7 @@ class DropModel(BounceModel):
         for name, values in self.given(theta).items():
             if len(values) > len(EFFECTS[name].parameters):
                 return float(values[-1])
-        known = self.drops.emulator.friction
+        known = self.emulator.friction
         return paper.FRICTION if known is None else known
 
     def scenes(
@@ -305,13 +308,13 @@ class DropModel(BounceModel):
 
         Heights are those from which a fall from rest in a vacuum ends as fast.
         """
-        effects, drops, emulator = self.entered(theta), self.drops, self.drops.emulator
+        effects, drops, emulator = self.entered(theta), self.drops, self.emulator
         observed = enter_all(Scene(), [e for e in effects if e.place.value == "observation"])
         out = []
         for i in which:
             height = max(float(drops.y0_m[i]) / observed.y_scale - observed.y_offset_m, 1e-5)
             scene = replace(
-                emulator.plain(),
+                emulator.scene(),
                 height_m=height,
                 order=int(drops.order[i]),
                 law=Linear(float(theta[0])),
@@ -345,28 +348,6 @@ class DropModel(BounceModel):
         full = np.broadcast_shapes(*(each.shape for each in observed), (nodes, len(drops)))
         chosen = [np.broadcast_to(observed[q], full) for q in drops.quantities]
         return np.stack(chosen, axis=-1)
-
-
-@dataclass(frozen=True)
-class FeatureModel(BounceModel):
-    """A `Model` of rows that are sums of a drop's features; a subclass says `features`.
-
-    ``weights_of`` (rows, features) of the sums, ``group`` (rows,) which drop a row is of.
-    """
-
-    weights_of: Array
-    group: NDArray[np.int64]
-
-    def predict(self, theta: Array) -> Array:
-        """Whitened predictions (..., nodes, rows) for parameters (..., p)."""
-        features = self.features(theta)
-        return np.asarray(
-            np.einsum("...rf,rf->...r", features[..., self.group, :], self.weights_of)
-        )
-
-    def features(self, theta: Array) -> Array:
-        """Features of every drop (..., nodes, drops, features)."""
-        raise NotImplementedError
 
 
 def _nodes(low: float, high: float, count: int, closer: int) -> Array:

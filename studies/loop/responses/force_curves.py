@@ -11,13 +11,10 @@ are in it, and it is what a load cell under the surface would show were it rigid
 
 from __future__ import annotations
 
-import itertools
 import math
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, fields, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
-from pathlib import Path
-from typing import ClassVar
 
 import numpy as np
 
@@ -26,7 +23,7 @@ from ....solver.arrays import Array
 from ....solver.batch import as_column
 from ....solver.bodies.modal import ModalBody
 from ....solver.bristle import Bristle
-from ....solver.cache import cached, sources
+from ....solver.cache import cached
 from ....solver.contact.enforcement import ContactMethod
 from ....solver.contact.laws import Coulomb, Linear, mindlin_ratio
 from ....solver.drop import DropPlan, ModalFrame, simulate
@@ -36,10 +33,9 @@ from ....solver.errors import ComputationError
 from ....solver.ground import Ground
 from ....solver.rigid import slope_normal
 from ...running.retry import with_shorter_its
-from .response import MADE_BY, SCALED, Emulator, Tables, effect_at, simulated
-from .spline import coefficients, evaluate
-from .table import Axis, Table, mended
-from .table_drops import beam_of, its_s
+from .emulator import Change, Emulator, effect_at
+from .table import Axis, Table, coefficients, mended
+from .table_drops import beam_of
 
 CELLS = 640
 HEIGHT_NODES = 4
@@ -52,12 +48,10 @@ HELD_NODES = 25
 KN_DECADES = 0.5
 # Steps of a march, of an upright bristle and of one that leans, which is slower.
 ITS_S, LEAN_ITS_S = 5e-7, 2e-6
+# A multiple of `table.AT_ONCE`.
 SHAPES = 24
-"""A multiple of three, which `spline.evaluate` takes at a time."""
 CLOCK = "clock_error"
-RANDOM = tuple(name for name, effect in EFFECTS.items() if effect.random)
 CHECKS = 4
-Change = Callable[[Scene, tuple[float, ...]], Scene]
 
 
 def leans(scene: Scene) -> bool:
@@ -111,19 +105,28 @@ def force_history(
 
 
 @dataclass(frozen=True)
-class Curves:
-    """Histories over ``axes``: ``values`` (..., cells) in N s/m, force over speed of impact."""
-
-    axes: tuple[Axis, ...]
-    values: Array
-
-
-@dataclass(frozen=True)
 class ForceEmulator(Emulator):
-    """Where tables of histories are made, each ``length_s`` long."""
+    """Tables of histories, each ``length_s`` long, of force over speed of impact in N s/m: their
+    amounts of ``shapes`` (shapes, cells) or, where there are none, they themselves (..., cells)."""
 
     length_s: float = 1e-3
-    made_by: ClassVar[tuple[Path, ...]] = (*MADE_BY, Path(__file__))
+    shapes: Array | None = field(default=None, repr=False, compare=False)
+
+    @property
+    def simulated(self) -> tuple[str, ...]:
+        """The clock's among them: it stretches whole histories."""
+        return (*super().simulated, CLOCK)
+
+    def of_impacts(self, names: Sequence[str]) -> list[str]:
+        """Those of these effects that change the impact, and not what its clock shows."""
+        impacts = super().simulated
+        return [name for name in names if name in impacts]
+
+    @property
+    def known_shapes(self) -> Array:
+        """The shapes, which there have to be."""
+        assert self.shapes is not None
+        return self.shapes
 
     def around(self, kn_N_m: float) -> tuple[float, float]:
         """Stiffnesses near one, rounded so that others share the tables."""
@@ -136,94 +139,27 @@ class ForceEmulator(Emulator):
     def cell_s(self) -> float:
         return self.length_s / CELLS
 
-    @property
-    def known_friction(self) -> float:
-        """The declared coefficient, or the paper's."""
-        return paper.FRICTION if self.friction is None else self.friction
-
     def frictions(self) -> tuple[float, ...]:
-        return (self.known_friction,)
+        """The declared coefficient, or the paper's."""
+        return (paper.FRICTION if self.friction is None else self.friction,)
 
     def curve(self, scene: Scene, finer: float = 1.0) -> Array:
         """Force over speed of impact (cells,); NaN where the drop fails at all time steps.
 
         Steps are ``finer`` times shorter than those of the tables.
         """
-        step = its_s(self.bristle, scene.law.kn_N_m)
+        step = self.step_s(scene.law.kn_N_m)
         step = min(step, LEAN_ITS_S if leans(scene) else ITS_S) / finer
         edges = self.cell_s * np.arange(CELLS + 1)
-        speed = math.sqrt(2.0 * self.gravity_m_s2 * scene.height_m)
-        g, mu = self.gravity_m_s2, self.known_friction
+        g, mu = self.gravity_m_s2, self.frictions()[0]
         try:
             t, impulse = with_shorter_its(
                 lambda its: force_history(self.bristle, scene, g, mu, its, self.length_s), step
             )
         except ComputationError:
             return np.full(CELLS, np.nan)
-        return np.asarray(np.diff(np.interp(edges, t, impulse)) / (self.cell_s * speed))
-
-    def curves(self, name: str, sides: Sequence[Axis], change: Change) -> Curves:
-        """Histories over height, stiffness and ``sides``, kept from run to run."""
-        kn_nodes = LEAN_KN_NODES if name in EFFECTS and EFFECTS[name].leaning else KN_NODES
-        kn = Axis(*self.kn_range_N_m, kn_nodes, "log")
-        fewer = [
-            replace(a, n=HELD_NODES if name in SCALED else min(a.n, SIDE_NODES)) for a in sides
-        ]
-        axes = (Axis(self.lowest_m, self.highest_m, HEIGHT_NODES, "root"), kn, *fewer)
-        key = f"curves {name} {axes} {self} {sources(*self.made_by)}"
-        return Curves(axes, cached(key, lambda: {"values": self._curves(axes, change)})["values"])
-
-    def _curves(self, axes: tuple[Axis, ...], change: Change) -> Array:
-        nodes = [axis.nodes() for axis in axes]
-        out = np.empty((*(axis.n for axis in axes), CELLS))
-        for index in itertools.product(*(range(axis.n) for axis in axes)):
-            height, kn, *point = (float(each[i]) for each, i in zip(nodes, index, strict=True))
-            scene = replace(self.plain(), height_m=height, law=Linear(kn))
-            out[index] = self.curve(change(scene, tuple(point)))
-        return mended(out)
-
-
-@dataclass(frozen=True)
-class Scores(Table):
-    """Amounts of shapes over ``axes``: splines through them, (..., shapes)."""
-
-    def at(self, *places: Array) -> Array:
-        """Amounts (shapes, ...) at places along the axes, arrays that broadcast."""
-        spots = np.broadcast_arrays(
-            *(axis.where(x) for axis, x in zip(self.axes, places, strict=True))
-        )
-        flat = np.stack([np.ravel(spot) for spot in spots], axis=1)
-        sizes = np.array(self.coefficients.shape[:-1])
-        rows = self.coefficients.reshape(-1, self.coefficients.shape[-1])
-        parts = []
-        for first in range(0, rows.shape[1], 3):
-            out = np.empty((len(flat), 3))
-            evaluate(np.ascontiguousarray(rows[:, first : first + 3]), sizes, flat, out)
-            parts.append(out.T)
-        return np.asarray(np.concatenate(parts).reshape(-1, *spots[0].shape))
-
-
-@dataclass(frozen=True)
-class CurveEmulator(ForceEmulator):
-    """An emulator whose tables are the histories' amounts of ``shapes`` (shapes, cells)."""
-
-    shapes: Array = field(default_factory=lambda: np.zeros((0, CELLS)), repr=False, compare=False)
-
-    def table(
-        self,
-        name: str,
-        sides: Sequence[Axis],
-        change: Change,
-        kn_nodes: int,
-        friction: float | None = None,
-    ) -> Scores:
-        found = self.curves(name, sides, change)
-        amounts = found.values @ self.shapes.T / CELLS
-        return Scores(found.axes, coefficients(amounts, len(found.axes)))
-
-
-class _Histories(ForceEmulator):
-    """An emulator that keeps what it is asked for in ``found``, as histories."""
+        gained = np.diff(np.interp(edges, t, impulse))
+        return np.asarray(gained / (self.cell_s * self.speed_m_s(scene.height_m)))
 
     def table(
         self,
@@ -233,94 +169,78 @@ class _Histories(ForceEmulator):
         kn_nodes: int,
         friction: float | None = None,
     ) -> Table:
-        found = self.curves(name, sides, change)
-        return Table(found.axes, found.values)
+        """Of fewer nodes than one of three numbers."""
+        kn = Axis(*self.kn_range_N_m, KN_NODES if friction is None else LEAN_KN_NODES, "log")
+        fewer = [
+            replace(a, n=HELD_NODES if name in self.scaled else min(a.n, SIDE_NODES)) for a in sides
+        ]
+        axes = (Axis(self.lowest_m, self.highest_m, HEIGHT_NODES, "root"), kn, *fewer)
 
+        def filled() -> Array:
+            out = np.empty((*(axis.n for axis in axes), CELLS))
+            for index, scene in self.nodes(axes, change):
+                out[index] = self.curve(scene)
+            return mended(out)
 
-@dataclass(frozen=True)
-class ForceTables(Tables):
-    """The tables of an emulator of histories, with the clock's as one more."""
+        found = cached(self.key(f"curves {name}", axes), lambda: {"values": filled()})
+        return self._in_shapes(axes, found["values"])
 
-    @property
-    def simulated(self) -> tuple[str, ...]:
-        return (*simulated(), CLOCK)
+    def _in_shapes(self, axes: tuple[Axis, ...], values: Array) -> Table:
+        """The table of histories ``values`` (..., cells)."""
+        if self.shapes is None:
+            return Table(axes, values)
+        return Table(axes, coefficients(values @ self.shapes.T / CELLS, len(axes)))
 
     def _make(self, name: str, friction: float | None) -> Table:
         if name != CLOCK:
             return super()._make(name, friction)
-        assert isinstance(self.emulator, ForceEmulator)
-        stretched = stretched_curves(self.emulator)
-        assert isinstance(self.emulator, CurveEmulator)
-        amounts = stretched.values @ self.emulator.shapes.T / CELLS
-        return Scores(stretched.axes, coefficients(amounts, len(stretched.axes)))
+        plain, only = replace(self, shapes=None).plain, EFFECTS[CLOCK].parameters[0]
+        axis = Axis(only.low, only.high, SIDE_NODES)
+        places = np.arange(CELLS) + 0.5
+        stretched = [
+            [np.interp(places / (1.0 + x), places, row, right=0.0) for x in axis.nodes()]
+            for row in plain.coefficients.reshape(-1, CELLS)
+        ]
+        values = np.reshape(stretched, (*plain.coefficients.shape[:-1], axis.n, CELLS))
+        return self._in_shapes((*plain.axes, axis), values)
 
 
-def plain_curves(emulator: ForceEmulator) -> Curves:
-    """Histories without effects."""
-    return emulator.curves("plain", (), lambda scene, _: scene)
-
-
-def stretched_curves(emulator: ForceEmulator) -> Curves:
-    """Histories as a clock shows them that is slow or fast."""
-    plain, only = plain_curves(emulator), EFFECTS[CLOCK].parameters[0]
-    axis = Axis(only.low, only.high, SIDE_NODES)
-    places = np.arange(CELLS) + 0.5
-    flat = plain.values.reshape(-1, CELLS)
-    values = np.stack(
-        [
-            np.array([np.interp(places / (1.0 + x), places, row, right=0.0) for row in flat])
-            for x in axis.nodes()
-        ],
-        axis=1,
-    )
-    return Curves((*plain.axes, axis), values.reshape(*plain.values.shape[:-1], axis.n, CELLS))
-
-
-def with_shapes(emulator: ForceEmulator, names: Sequence[str]) -> CurveEmulator:
+def with_shapes(emulator: ForceEmulator, names: Sequence[str]) -> ForceEmulator:
     """The emulator with the shapes that tables of these effects need.
 
     Each shape's mean square over `CELLS` is one.
     """
-    own = {field.name: getattr(emulator, field.name) for field in fields(ForceEmulator)}
-    histories = Tables(_Histories(**own))
+    histories = replace(emulator, shapes=None)
     moment = np.zeros((CELLS, CELLS))
-    for name in ("", *names):
-        if name == CLOCK:
-            values = stretched_curves(emulator).values
-        elif name and name not in simulated():
-            continue
-        else:
-            (only,) = histories.of(name) if name else (histories.plain,)
-            values = only.coefficients
-        rows = values.reshape(-1, CELLS)
+    known = [histories.of(name)[0] for name in names if name in histories.simulated]
+    for table in (histories.plain, *known):
+        rows = table.coefficients.reshape(-1, CELLS)
         moment += rows.T @ rows / len(rows)
     _, vectors = np.linalg.eigh(moment)
     shapes = vectors[:, ::-1][:, :SHAPES].T * math.sqrt(CELLS)
-    return CurveEmulator(**own, shapes=np.ascontiguousarray(shapes))
+    return replace(emulator, shapes=np.ascontiguousarray(shapes))
 
 
-def table_errors(tables: ForceTables, names: Sequence[str], kn_N_m: float) -> Array:
+def table_errors(emulator: ForceEmulator, names: Sequence[str], kn_N_m: float) -> Array:
     """By how much tables miss direct simulations of finer steps near ``kn_N_m``, between nodes.
 
     Root mean squares (shapes,) in N s/m over the baseline and these effects at their usual sizes.
     """
-    emulator = tables.emulator
-    assert isinstance(emulator, CurveEmulator)
     rng = np.random.default_rng(0)
     misses = []
-    for name in ("", *(n for n in names if n in simulated() and n not in RANDOM)):
+    alike = [name for name in emulator.of_impacts(names) if not EFFECTS[name].random]
+    for name in ("", *alike):
         for _ in range(CHECKS):
             height = rng.uniform(emulator.lowest_m, emulator.highest_m)
             kn = kn_N_m * 10.0 ** rng.uniform(-0.2, 0.2)
-            scene = replace(emulator.plain(), height_m=height, law=Linear(kn))
-            tabulated = tables.plain.at(np.array(height), np.array(kn))
+            scene = replace(emulator.scene(), height_m=height, law=Linear(kn))
+            at = np.array(height), np.array(kn)
+            tabulated = emulator.plain.at(*at)
             if name:
                 typical = [each.typical for each in EFFECTS[name].parameters]
                 scene = effect_at(name, *typical).enter(scene)
-                tabulated = tabulated + tables.change(
-                    name, np.array(height), np.array(kn), *typical
-                )
-            found = emulator.curve(scene, finer=2.0) @ emulator.shapes.T / CELLS
+                tabulated = tabulated + emulator.change(name, *at, *typical)
+            found = emulator.curve(scene, finer=2.0) @ emulator.known_shapes.T / CELLS
             if np.isfinite(found).all():
                 misses.append(tabulated - found)
     return np.asarray(np.sqrt(np.mean(np.square(misses), axis=0)))

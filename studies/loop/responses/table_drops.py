@@ -18,6 +18,7 @@ from ....solver.bristle import Bristle
 from ....solver.contact.enforcement import ContactMethod
 from ....solver.contact.laws import Coulomb, mindlin_ratio
 from ....solver.effects.base import Scene
+from ....solver.fall import risen
 from ....solver.rigid import leaning, matrix_of, slope_normal
 from ....solver.time.march import Marcher
 from ....solver.time.scheme import TimeScheme
@@ -51,12 +52,23 @@ def drops_of(
     gravity_m_s2: float,
     its: float,
     friction: float,
-    *,
-    lenient: bool = False,
 ) -> Array:
     """What is measured of `outcomes_of` these scenes, (scenes, quantities)."""
-    found = outcomes_of(body, scenes, gravity_m_s2, its, friction, lenient=lenient)
+    return quantities(outcomes_of(body, scenes, gravity_m_s2, its, friction))
+
+
+def quantities(found: Outcome) -> Array:
+    """What is measured of drops, (drops, quantities of `table.QUANTITIES`)."""
     return np.stack([found.rebound_height_m, found.contact_time_s, found.peak_force_N], axis=1)
+
+
+def read_off(found: Array, scenes: Sequence[Scene], mass_kg: float) -> Array:
+    """What instruments show of drops of these scenes, from `quantities` (drops, quantities)."""
+    drag, scale, offset, clock = np.array(
+        [(s.drag_kg_m / mass_kg, s.y_scale, s.y_offset_m, s.t_scale) for s in scenes]
+    ).T
+    top, time, force = found.T
+    return np.stack([scale * (risen(top, drag) + offset), clock * time, force], axis=1)
 
 
 def outcomes_of(

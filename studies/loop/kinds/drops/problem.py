@@ -29,8 +29,8 @@ from ....data.tables import LEAST_DROPS
 from ...noise import Ints
 from ...problem import Problem
 from ...responses.drop_model import DropModel, Drops
-from ...responses.response import KN_RANGE_N_M, Emulator, Tables
-from ...responses.rigid_emulator import RigidEmulator, RigidTables, around
+from ...responses.emulator import KN_RANGE_N_M, Emulator
+from ...responses.rigid import RigidEmulator, around
 from .experiments import experiments
 
 KIND = "drops"
@@ -54,8 +54,7 @@ def drops_problem(data: datasets.Drops) -> Problem:
     """The problem of a dataset of drops. Raises InputError where it cannot be one."""
     manifest = data.manifest
     measured, sigmas, notes = _measured(data)
-    tables = tables_for(data.y0_m, data)
-    emulator = tables.emulator
+    emulator = emulator_for(data.y0_m, data)
     drops = Drops(emulator, data.y0_m, data.drop - data.drop[0], tuple(measured))
     values = np.stack([measured[q] for q in drops.quantities], axis=1)
     keep = np.asarray(np.isfinite(values).all(axis=1))
@@ -68,7 +67,7 @@ def drops_problem(data: datasets.Drops) -> Problem:
     unwhitened = np.eye(len(measured))[None].repeat(len(values), 0)
     kn, beta = stiffness(manifest.kn_N_m, emulator), damping(manifest)
     gain = FORCE_GAIN if 2 in measured else None
-    bare = DropModel(drops, tables, kn, (), unwhitened, beta=beta, gain=gain)
+    bare = DropModel(drops, kn, (), unwhitened, beta=beta, gain=gain)
     sigma = np.array([sigmas[q] for q in drops.quantities])
     start = _start(bare, values, sigma)
     predicted = bare.measured(start)[0]
@@ -168,24 +167,17 @@ def heights_about(y0_m: Array) -> tuple[float, float]:
     return 1e-3 * 2.0**low, 1e-3 * 2.0**high
 
 
-def tables_for(y0_m: Array, data: datasets.Drops) -> Tables:
+def emulator_for(y0_m: Array, data: datasets.Drops) -> Emulator:
     """Tables of the body's drops: heights rounded outward, so that others can use them again."""
     manifest = data.manifest
-    lowest, highest = heights_about(y0_m)
+    place = (manifest.gravity_m_s2, *heights_about(y0_m))
     if isinstance(manifest.body, RigidMass):
-        kns = around(manifest.kn_N_m)
-        return RigidTables(
-            RigidEmulator(manifest.body, manifest.gravity_m_s2, lowest, highest, kns, friction=0.0)
-        )
-    bristle = simulated_bristle(manifest)
+        return RigidEmulator(manifest.body, *place, around(manifest.kn_N_m), friction=0.0)
     low, high = KN_RANGE_N_M
     if manifest.kn_N_m is not None:
         low, high = min(low, manifest.kn_N_m / 10.0), max(high, 10.0 * manifest.kn_N_m)
-    return Tables(
-        Emulator(
-            bristle, manifest.gravity_m_s2, lowest, highest, (low, high), friction=manifest.friction
-        )
-    )
+    bristle = simulated_bristle(manifest)
+    return Emulator(bristle, *place, (low, high), friction=manifest.friction)
 
 
 def _measured(

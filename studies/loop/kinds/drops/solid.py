@@ -19,17 +19,16 @@ from .....solver.arrays import Array
 from .....solver.bodies.modal import ModalBody
 from .....solver.bristle import Bristle
 from .....solver.drop import ModalFrame
-from .....solver.effects.base import Effect, Scene
+from .....solver.effects.base import Effect
 from .....solver.errors import ComputationError
-from .....solver.fall import risen
 from ....inputs.choices import Model
 from ....inputs.sources import checked
 from ....running.cases import Workshop
 from ....running.retry import with_shorter_its
 from ...responses.drop_model import DropModel
-from ...responses.response import PLAIN_STEP, Emulator
+from ...responses.emulator import PLAIN_STEP
 from ...responses.table import QUANTITIES
-from ...responses.table_drops import ITS_S, drops_of, its_s
+from ...responses.table_drops import ITS_S, drops_of, read_off
 
 # Deviates of chance, with weights that sum to one: five of a normal number (Gauss and Hermite;
 # exact to the ninth moment), and for a slope three sizes (of its square, Gauss and Laguerre) in
@@ -119,32 +118,21 @@ def solid_drops(model: DropModel, theta: Array, which: Sequence[int]) -> Array:
 
     Means over chance where effects differ from drop to drop. Raises ComputationError.
     """
-    emulator = model.drops.emulator
+    emulator, friction = model.emulator, model.friction(theta)
     nodes, weights = chances(model.entered(theta))
     scenes = [scene for node in nodes for scene in model.scenes(theta, which, node)]
     leaning = any(s.tilt_deg or s.slope_deg or s.slope_wide_deg for s in scenes)
     body = solid_of(emulator.bristle, emulator.gravity_m_s2, leaning)
-    found = _simulated(body, scenes, emulator, model.friction(theta))
-    drag = np.array([scene.drag_kg_m for scene in scenes]) / emulator.bristle.mass_kg
-    scale = np.array([scene.y_scale for scene in scenes])
-    offset = np.array([scene.y_offset_m for scene in scenes])
-    found[:, 0] = scale * (risen(found[:, 0], drag) + offset)
-    found[:, 1] *= np.array([scene.t_scale for scene in scenes])
+    # as the table of plain drops is made (`Emulator`), or with shorter steps
+    found = with_shorter_its(
+        lambda its: drops_of(body, scenes, emulator.gravity_m_s2, its, friction),
+        PLAIN_STEP * emulator.step_s(max(scene.law.kn_N_m for scene in scenes)),
+    )
+    found = read_off(found, scenes, emulator.bristle.mass_kg)
     if model.gain is not None:
         found[:, 2] *= theta[len(model.own) - 1]
     shaped = found.reshape(len(nodes), len(which), len(QUANTITIES))
     return np.einsum("n,ndq->dq", weights, shaped)[:, list(model.drops.quantities)]
-
-
-def _simulated(
-    body: ModalBody, scenes: Sequence[Scene], emulator: Emulator, friction: float
-) -> Array:
-    """As the table of plain drops is made (`response.Emulator`), or with shorter steps."""
-    stiffest = max(scene.law.kn_N_m for scene in scenes)
-    return with_shorter_its(
-        lambda its: drops_of(body, scenes, emulator.gravity_m_s2, its, friction),
-        PLAIN_STEP * its_s(emulator.bristle, stiffest),
-    )
 
 
 def whitened_solid(

@@ -15,23 +15,15 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from .....solver.arrays import Array
 from .....solver.fall import risen
 from ....data.datasets import Manifest
 from ...problem import Problem
-from ...responses.drop_model import BounceModel, Drops, FeatureModel
-from ...responses.force_curves import (
-    CELLS,
-    SHAPES,
-    CurveEmulator,
-    ForceEmulator,
-    ForceTables,
-    plain_curves,
-    table_errors,
-    with_shapes,
-)
-from ...responses.response import KN_RANGE_N_M, Tables, simulated
+from ...responses.drop_model import BounceModel, Drops
+from ...responses.emulator import KN_RANGE_N_M
+from ...responses.force_curves import CELLS, SHAPES, ForceEmulator, table_errors, with_shapes
 from ..drops.problem import carried, stiffness
 from .record import KIND, Forces
 from .rows import Placed, Record, Rows, place, rows
@@ -47,20 +39,27 @@ REBOUND = "y1 (mm)"
 
 
 @dataclass(frozen=True)
-class ForceModel(FeatureModel):
-    """A `Model` of the rows of records.
+class ForceModel(BounceModel):
+    """A `Model` of the rows of records, which are sums of a drop's features.
 
     Features are the amounts of the shapes in N, and the height after the impact in m where there is
-    a ``rebound`` to predict it.
+    a ``rebound`` to predict it. ``sums`` (rows, features) are the sums, ``group`` (rows,) says
+    which drop a row is of.
     """
 
+    sums: Array
+    group: NDArray[np.int64]
     rebound: BounceModel | None
+
+    def predict(self, theta: Array) -> Array:
+        """Whitened predictions (..., nodes, rows) for parameters (..., p)."""
+        every = self.features(theta)[..., self.group, :]
+        return np.asarray(np.einsum("...rf,rf->...r", every, self.sums))
 
     def features(self, theta: Array) -> Array:
         """Amounts of shapes in N and the height after in m (..., nodes, drops, features)."""
         landing, amounts = self.answer(theta)
-        gravity = self.drops.emulator.gravity_m_s2
-        found: list[Array] = list(np.sqrt(2.0 * gravity * landing.same_m) * amounts)
+        found: list[Array] = list(self.emulator.speed_m_s(landing.same_m) * amounts)
         if self.rebound is not None:
             after, (top, *_) = self.rebound.bounced(theta)
             found.append(after.scale * (risen(top, after.drag_1_m) + after.offset_m))
@@ -84,17 +83,17 @@ def forces_problem(data: Forces, library: Sequence[str] | None = None) -> Proble
     kn = data.manifest.kn_N_m or _start(records, wide)
     near = _emulator(data, wide.around(kn))
     emulator = with_shapes(near, names)
-    tables = ForceTables(emulator)
-    tried, plain_ones = _tried(emulator, tables, names)
-    speed = np.sqrt(2.0 * data.manifest.gravity_m_s2 * data.y0_m)
-    usual = np.sqrt(np.mean((tried @ emulator.shapes.T / CELLS) ** 2, axis=0))
+    shapes = emulator.known_shapes
+    tried, plain_ones = _tried(emulator, names)
+    speed = emulator.speed_m_s(data.y0_m)
+    usual = np.sqrt(np.mean((tried @ shapes.T / CELLS) ** 2, axis=0))
     samples = float(np.median([emulator.length_s / np.median(np.diff(r.t_s)) for r in records]))
-    errors = np.median(speed) * table_errors(tables, names, kn)
+    errors = np.median(speed) * table_errors(emulator, names, kn)
     trusted = errors * math.sqrt(samples * len(records)) < TRUSTED * sigma
     trusted[:LEAST_SHAPES] = True
     placed = [place(record, tried, emulator.cell_s, plain_ones) for record in records]
     made = [
-        rows(record, at, tried[at.which], emulator.shapes, emulator.cell_s, v * usual, trusted)
+        rows(record, at, tried[at.which], shapes, emulator.cell_s, v * usual, trusted)
         for record, at, v in zip(records, placed, speed, strict=True)
     ]
     order = data.drop - data.drop[0]
@@ -103,7 +102,7 @@ def forces_problem(data: Forces, library: Sequence[str] | None = None) -> Proble
     rebound = None
     if data.y1_m is not None and data.sigma_y_m is not None:
         own = emulator.of_drops()
-        rebound = BounceModel(Drops(own, data.y0_m, order, (0,)), Tables(own), stiff, ())
+        rebound = BounceModel(Drops(own, data.y0_m, order, (0,)), stiff, ())
     y1 = data.y1_m if rebound is not None else None
     values, weights, known = _together(made, data.y0_m, y1, data.sigma_y_m)
     leading = [
@@ -112,7 +111,7 @@ def forces_problem(data: Forces, library: Sequence[str] | None = None) -> Proble
     group = np.repeat(np.arange(len(made)), [len(each) for each in values])
     kinds = np.concatenate(leading)
     titles = np.array([*(f"shape {k + 1} of the force (N)" for k in range(SHAPES)), REBOUND])
-    plain = ForceModel(drops, tables, stiff, (), np.concatenate(weights), group, rebound)
+    plain = ForceModel(drops, stiff, (), np.concatenate(weights), group, rebound)
     return Problem(
         values=np.concatenate(values),
         scale=np.where(kinds == SHAPES, 1e3, 1.0) / np.concatenate(known),
@@ -207,26 +206,26 @@ def _emulator(data: Forces, kn_range_N_m: tuple[float, float]) -> ForceEmulator:
 
 def _start(records: list[Record], wide: ForceEmulator) -> float:
     """The stiffness of the baseline that the middle of the drops asks for."""
-    plain = plain_curves(wide)
-    kns = np.tile(plain.axes[1].nodes(), plain.axes[0].n)
-    curves = plain.values.reshape(-1, CELLS)
+    heights, stiffnesses = wide.plain.axes
+    kns = np.tile(stiffnesses.nodes(), heights.n)
+    curves = wide.plain.coefficients.reshape(-1, CELLS)
     best: list[Placed] = [
         place(record, curves, wide.cell_s, len(curves)) for record in records[::3]
     ]
     return float(np.exp(np.median([np.log(kns[each.which]) for each in best])))
 
 
-def _tried(emulator: CurveEmulator, tables: ForceTables, names: list[str]) -> tuple[Array, int]:
+def _tried(emulator: ForceEmulator, names: list[str]) -> tuple[Array, int]:
     """Histories (histories, cells) that a record is laid over: some of every table.
 
     How many of them, the first ones, have no effect in them.
     """
     amounts, rng = [], np.random.default_rng(0)
-    for table in (tables.plain, *(tables.of(name)[0] for name in names if name in simulated())):
+    for table in (emulator.plain, *(emulator.of(n)[0] for n in emulator.of_impacts(names))):
         # over speed, heights give much the same history; others differ too much from node to node
         finer = [replace(axis, n=2 * axis.n - 1) for axis in table.axes]
         nodes = [axis.nodes()[-1:] if i == 0 else axis.nodes() for i, axis in enumerate(finer)]
         places = np.meshgrid(*nodes, indexing="ij")
         found = table.at(*places).reshape(SHAPES, -1).T
         amounts.append(rng.permutation(found)[:MOST_TRIED])
-    return np.asarray(np.concatenate(amounts) @ emulator.shapes), len(amounts[0])
+    return np.asarray(np.concatenate(amounts) @ emulator.known_shapes), len(amounts[0])

@@ -19,22 +19,19 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
-from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from .....solver.arrays import Array
-from .....solver.bristle import RigidMass
+from .....solver.bristle import Bristle, RigidMass
 from .....solver.effects.base import Parameter, Place, Scene
 from .....solver.effects.library import EFFECTS
 from ....data.datasets import Manifest
 from ...problem import Experiment, Problem
 from ...responses.drop_model import BounceModel, Drops
-from ...responses.response import MADE_BY, Emulator, Tables, reference
-from ...responses.rigid_emulator import RigidEmulator, RigidTables, around
-from ...responses.table_drops import beam_of, outcomes_of
+from ...responses.emulator import Emulator
+from ...responses.rigid import RigidEmulator, around
 from ..drops.problem import carried, damping, heights_about, simulated_bristle, stiffness
 from .films import Filmed, faster, filmed
 from .flight import released
@@ -65,36 +62,29 @@ IN_FLIGHT = (Place.RELEASE, Place.FLIGHT, Place.OBSERVATION)
 class TrackEmulator(Emulator):
     """Tables of rise, contact time, and one plus L ω²/(2 g) of the bristle's turning after."""
 
-    made_by: ClassVar[tuple[Path, ...]] = (*MADE_BY, Path(__file__))
-
     def observed(self, scenes: Sequence[Scene], its: float, friction: float) -> Array:
-        body = beam_of(self.bristle)
-        found = outcomes_of(body, scenes, self.gravity_m_s2, its, friction, lenient=True)
+        found, length = self.outcomes(scenes, its, friction), 0.0
+        if isinstance(self.body, Bristle):
+            length = self.body.length_m
         squared = found.spin_x_rad_s**2 + found.spin_y_rad_s**2
-        lighter = 0.5 * self.bristle.length_m * squared / self.gravity_m_s2
+        lighter = 0.5 * length * squared / self.gravity_m_s2
         return np.stack([found.rebound_height_m, found.contact_time_s, 1.0 + lighter], axis=1)
 
-    def reference(self, height_m: Array, kn_N_m: Array) -> Array:
-        plain = reference(height_m, kn_N_m, self.bristle.mass_kg, self.gravity_m_s2)
-        return np.stack([plain[0], plain[1], np.ones_like(plain[2])])
+    def reference(self, height_m: Array | float, kn_N_m: Array | float) -> Array:
+        return _turning(super().reference(height_m, kn_N_m))
 
 
 @dataclass(frozen=True)
-class RigidTrackEmulator(RigidEmulator):
+class RigidTrackEmulator(TrackEmulator, RigidEmulator):
     """The same of a rigid mass, which does not turn."""
 
-    made_by: ClassVar[tuple[Path, ...]] = (*RigidEmulator.made_by, Path(__file__))
+    def stiffened(self, height_m: Array | float, kn_N_m: Array, exponent: Array | float) -> Array:
+        return _turning(super().stiffened(height_m, kn_N_m, exponent))
 
-    def observed(self, scenes: Sequence[Scene], its: float, friction: float) -> Array:
-        return np.where([False, False, True], 1.0, super().observed(scenes, its, friction))
 
-    def reference(self, height_m: Array, kn_N_m: Array) -> Array:
-        plain = super().reference(height_m, kn_N_m)
-        return np.stack([*plain[:2], np.ones_like(plain[2])])
-
-    def stiffened(self, height_m: Array, kn_N_m: Array, exponent: Array | float) -> Array:
-        stiff = super().stiffened(height_m, kn_N_m, exponent)
-        return np.stack([*stiff[:2], np.ones_like(stiff[2])])
+def _turning(quantities: Array) -> Array:
+    """Quantities of drops (quantities, ...), with one for the peak force."""
+    return np.stack([*quantities[:2], np.ones_like(quantities[2])])
 
 
 @dataclass(frozen=True)
@@ -150,7 +140,7 @@ class TrackModel(BounceModel):
         length: Array = np.ones(1)
         if self.scale is not None:
             length, theta = self.pixel_m / theta[..., :1, None], theta[..., 1:]
-        drops, g = self.drops, self.drops.emulator.gravity_m_s2
+        drops, g = self.drops, self.emulator.gravity_m_s2
         # what a theta says of release, air and camera does not hang on the drop: one tells it
         one = replace(drops, y0_m=drops.y0_m[:1], order=drops.order[:1])
         b, _ = BounceModel.bounced(replace(self, drops=one), theta)
@@ -210,7 +200,7 @@ def tracks_problem(data: Tracks) -> Problem:
         candidates=[
             combine((name,))
             for name in _candidates(films, plain.beta is not None)
-            if plain.drops.emulator.carries(name)
+            if plain.emulator.carries(name)
         ],
         combine=combine,
         experiments=[
@@ -234,8 +224,7 @@ def _model(
     """The baseline of these films."""
     speed = np.concatenate([each.speed_m_s for each in tracks])
     y0 = speed**2 / (2.0 * manifest.gravity_m_s2)
-    tables = _tables(manifest, y0)
-    emulator = tables.emulator
+    emulator = _emulator(manifest, y0)
     drops = Drops(emulator, y0, order.astype(float), (0, 1))
     kn = stiffness(manifest.kn_N_m, emulator)
     weights_of, of = _rows(tracks)
@@ -264,7 +253,6 @@ def _model(
         )
     return TrackModel(
         drops,
-        tables,
         kn,
         (),
         speed,
@@ -307,10 +295,9 @@ def _candidates(filmed_drops: Filmed, free_damping: bool) -> list[str]:
     return [name for name in names if name not in impossible]
 
 
-def _tables(manifest: Manifest, y0_m: Array) -> Tables:
+def _emulator(manifest: Manifest, y0_m: Array) -> Emulator:
     """Heights rounded outward, so that other data can use the tables again."""
     place = (manifest.gravity_m_s2, *heights_about(y0_m))
     if isinstance(manifest.body, RigidMass):
-        kns = around(manifest.kn_N_m)
-        return RigidTables(RigidTrackEmulator(manifest.body, *place, kns, friction=0.0))
-    return Tables(TrackEmulator(simulated_bristle(manifest), *place, friction=manifest.friction))
+        return RigidTrackEmulator(manifest.body, *place, around(manifest.kn_N_m), friction=0.0)
+    return TrackEmulator(simulated_bristle(manifest), *place, friction=manifest.friction)

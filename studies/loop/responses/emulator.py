@@ -9,9 +9,10 @@ enough to choose by, and checked by direct simulation afterwards.
 from __future__ import annotations
 
 import hashlib
+import inspect
 import itertools
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from pathlib import Path
@@ -29,10 +30,9 @@ from ....solver.effects.base import Effect, Parameter, Scene
 from ....solver.effects.contact import TOUCHING
 from ....solver.effects.library import EFFECTS
 from ....solver.effects.surface import MOST_SLOPE_DEG
-from . import spline, table, table_drops
-from .spline import coefficients
-from .table import QUANTITIES, Axis, Table, mended
-from .table_drops import beam_of, drops_of, its_s
+from . import table, table_drops
+from .table import QUANTITIES, Axis, Table, coefficients, mended
+from .table_drops import Outcome, beam_of, its_s, outcomes_of, quantities
 
 # All that the paper tried: a fit without an effect does not tell where the effect takes Kn.
 KN_RANGE_N_M = (1e4, 1e8)
@@ -56,140 +56,12 @@ FRICTIONS = (0.0, 0.1, 0.3)
 FRICTION = Parameter(
     "friction", "", 0.0, 1.0, 0.3, null=0.5, why="steel on anything: from oiled to rough and dry"
 )
-# What tables come from beside the solver, whose sources name the folder that they are kept in.
-MADE_BY = (
-    Path(library.__file__).parent,
-    Path(table_drops.__file__),
-    Path(table.__file__),
-    Path(spline.__file__),
-    Path(__file__),
-)
+# What tables come from beside the solver and the emulator's own files.
+MADE_BY = (Path(library.__file__).parent, Path(table_drops.__file__), Path(table.__file__))
 
-
-# A contact law of a stiffness and one more value.
+# A contact law of a stiffness and one more value; what puts a point of a table into a scene.
 Law = Callable[[float, float], ContactLaw]
-
-
-def reference(
-    height_m: Array | float, kn_N_m: Array | float, mass_kg: float, gravity_m_s2: float
-) -> Array:
-    """What a rigid bristle on Kn gives, (quantities, ...): Eqs. 3 and 8 of the paper."""
-    speed = np.sqrt(2.0 * gravity_m_s2 * height_m)
-    time = math.pi * np.sqrt(mass_kg / kn_N_m)
-    return np.stack(np.broadcast_arrays(height_m, time, speed * np.sqrt(kn_N_m * mass_kg)))
-
-
-@dataclass(frozen=True)
-class Emulator:
-    """What tables of drops are made of: the body, gravity and friction (None where it is unknown),
-    and the heights to cover.
-
-    Data that show other quantities of a drop, or drops of another body, have an emulator that
-    overrides `observed` and `reference`, and names its own source in ``made_by``. ``shows_falls``
-    says that they show how it fell, ``no_solid`` why there is no 3-D model of the body.
-    """
-
-    body: Bristle | RigidMass
-    gravity_m_s2: float
-    lowest_m: float
-    highest_m: float
-    kn_range_N_m: tuple[float, float] = KN_RANGE_N_M
-    friction: float | None = paper.FRICTION
-    made_by: ClassVar[tuple[Path, ...]] = MADE_BY
-    shows_falls: ClassVar[bool] = False
-    no_solid: ClassVar[str] = ""
-
-    @property
-    def bristle(self) -> Bristle:
-        """The body, which has to be elastic."""
-        assert isinstance(self.body, Bristle)
-        return self.body
-
-    def carries(self, name: str) -> bool:
-        """Whether drops of this body can have the effect."""
-        return True
-
-    def observed(self, scenes: Sequence[Scene], its: float, friction: float) -> Array:
-        """Three positive quantities of drops of these scenes (scenes, quantities); NaN for one that
-        fails, or stays on the surface for good."""
-        body = beam_of(self.bristle)
-        return drops_of(body, scenes, self.gravity_m_s2, its, friction, lenient=True)
-
-    def reference(self, height_m: Array, kn_N_m: Array) -> Array:
-        """What the quantities (quantities, ...) are measured by."""
-        return reference(height_m, kn_N_m, self.body.mass_kg, self.gravity_m_s2)
-
-    def step_s(self, kn_N_m: float) -> float:
-        """The ITS that resolves a contact of this stiffness."""
-        return its_s(self.bristle, kn_N_m)
-
-    def of_drops(self) -> Emulator:
-        """The same place for plain drops, whatever this emulator shows."""
-        return Emulator(**{each.name: getattr(self, each.name) for each in fields(Emulator)})
-
-    def plain(self) -> Scene:
-        """A drop without effects."""
-        return Scene(beta_s=self.bristle.material.beta_s, front_m2=self.bristle.section.area_m2)
-
-    def frictions(self) -> tuple[float, ...]:
-        """At which coefficients of friction what leans is simulated."""
-        return FRICTIONS if self.friction is None else (self.friction,)
-
-    def table(
-        self,
-        name: str,
-        sides: Sequence[Axis],
-        change: Callable[[Scene, tuple[float, ...]], Scene],
-        kn_nodes: int,
-        friction: float | None = None,
-    ) -> Table:
-        """Drops over height, stiffness and ``sides``; ``change`` puts a point of these in.
-
-        ``friction`` is None where nothing leans. ``name`` tells tables on the same sides apart:
-        they are kept from run to run. Raises ComputationError where drops fail at all time steps.
-        """
-        n = HEIGHT_NODES if friction is None else LEAN_HEIGHT_NODES
-        heights = Axis(self.lowest_m, self.highest_m, n, "root")
-        axes = (heights, Axis(*self.kn_range_N_m, kn_nodes, "log"), *sides)
-        key = f"{name} {friction} {axes} {self} {sources(*self.made_by)}"
-        made = cached(key, lambda: {"coefficients": self._filled(axes, change, friction)})
-        return Table(axes, made["coefficients"])
-
-    def _filled(
-        self,
-        axes: tuple[Axis, ...],
-        change: Callable[[Scene, tuple[float, ...]], Scene],
-        friction: float | None,
-    ) -> Array:
-        """Spline coefficients (..., quantities) of a table.
-
-        Drops that share step, damping and loss are simulated in one batch.
-        """
-        nodes = [axis.nodes() for axis in axes]
-        shape = tuple(axis.n for axis in axes)
-        longer = LEAN_STEP if friction is not None else 1.0 if axes[2:] else PLAIN_STEP
-        batches: dict[tuple[float, float, float], list[tuple[tuple[int, ...], Scene]]] = {}
-        for index in itertools.product(*map(range, shape)):
-            height, kn, *point = (float(each[i]) for each, i in zip(nodes, index, strict=True))
-            plain = replace(self.plain(), height_m=height, law=Linear(kn))
-            scene = change(plain, tuple(point))
-            its = self.step_s(kn) * longer
-            key = (its, scene.beta_s, scene.loss_factor)
-            batches.setdefault(key, []).append((index, scene))
-        out = np.empty((*shape, len(QUANTITIES)))
-        for (its, *_), batch in batches.items():
-            rows = self.observed([scene for _, scene in batch], its, friction or 0.0)
-            for (index, _), row in zip(batch, rows, strict=True):
-                out[index] = row
-        sides, heights, kns = axes[2:], nodes[0], nodes[1]
-        grid = np.meshgrid(heights, kns, indexing="ij")
-        rigid = self.reference(*grid)
-        rigid = rigid.reshape(len(QUANTITIES), *shape[:2], *(1,) * len(sides))
-        out[~(out > 0.0)] = np.nan  # a tip that does not come up again
-        logs = np.log(out / np.moveaxis(rigid, 0, -1))
-        return coefficients(mended(logs), len(axes))
-
-
+Change = Callable[[Scene, tuple[float, ...]], Scene]
 # Effects whose parameter counts against a scale that height and stiffness set: the law, the shares
 # of the scale that matter, and how nodes lie. Adhesion and yield count against the peak force of
 # the same drop without them (more adhesion holds the bristle for good; a yield force beyond changes
@@ -201,72 +73,158 @@ SCALED: Mapping[str, tuple[Law, Axis]] = {
 }
 
 
-def simulated() -> tuple[str, ...]:
-    """Effects of a bounce whose result only a simulation can tell."""
-    return tuple(
-        name for name, effect in EFFECTS.items() if effect.kinds & TOUCHING and not effect.computed
-    )
-
-
 @dataclass(frozen=True)
-class Tables:
-    """The tables of an emulator, each made when it is first asked for."""
+class Emulator:
+    """Tables of drops, each made when it is first asked for: of a body under gravity, with friction
+    (None where it is unknown), over the heights and stiffnesses to cover.
 
-    emulator: Emulator
+    Data that show other quantities of a drop, or drops of another body, have a subclass that
+    overrides `observed` and `reference`. ``no_solid`` says why there is no 3-D model of the body,
+    ``scaled`` which laws count against a scale.
+    """
+
+    body: Bristle | RigidMass
+    gravity_m_s2: float
+    lowest_m: float
+    highest_m: float
+    kn_range_N_m: tuple[float, float] = KN_RANGE_N_M
+    friction: float | None = paper.FRICTION
+    no_solid: ClassVar[str] = ""
     scaled: ClassVar[Mapping[str, tuple[Law, Axis]]] = SCALED
 
     @property
+    def bristle(self) -> Bristle:
+        """The body, which has to be elastic."""
+        assert isinstance(self.body, Bristle)
+        return self.body
+
+    @property
     def simulated(self) -> tuple[str, ...]:
-        """Effects whose result only a simulation can tell."""
-        return simulated()
+        """Effects of a bounce whose result only a simulation can tell."""
+        return tuple(
+            n for n, kind in EFFECTS.items() if kind.kinds & TOUCHING and not kind.computed
+        )
 
-    def parameters(self, name: str) -> tuple[Parameter, ...]:
-        """An effect's parameters, as far as drops show them: with the absence that this body
-        declares, and with friction where the effect hangs on it and nobody knows it."""
-        own = self._own(name)
-        if EFFECTS[name].leaning and self.emulator.friction is None:
-            return (*own, FRICTION)
-        return own
+    def carries(self, name: str) -> bool:
+        """Whether drops of this body can have the effect."""
+        return True
 
-    def _own(self, name: str) -> tuple[Parameter, ...]:
-        """An effect's parameters with what this body declares; those from outside as they are."""
-        kind = EFFECTS[name]
-        if kind.origin:
-            return kind.parameters
-        return tuple(self._bounded(name, each) for each in kind.parameters)
+    def outcomes(self, scenes: Sequence[Scene], its: float, friction: float) -> Outcome:
+        """Drops of these scenes; NaN where one fails, or stays on the surface for good."""
+        g = self.gravity_m_s2
+        return outcomes_of(beam_of(self.bristle), scenes, g, its, friction, lenient=True)
 
-    def _bounded(self, name: str, parameter: Parameter) -> Parameter:
-        if parameter.name == "beta_s":
-            return replace(parameter, null=self.emulator.bristle.material.beta_s)
-        if parameter.name == "speed_m_s" and not self.emulator.shows_falls:
-            # thrown up, it comes back as fast
-            return replace(parameter, low=0.0)
-        return parameter
+    def observed(self, scenes: Sequence[Scene], its: float, friction: float) -> Array:
+        """Three positive quantities of `outcomes` (scenes, quantities)."""
+        return quantities(self.outcomes(scenes, its, friction))
+
+    def reference(self, height_m: Array | float, kn_N_m: Array | float) -> Array:
+        """What the quantities are measured by, (quantities, ...): a rigid body on a spring, which
+        loses nothing (Eqs. 3 and 8 of the paper)."""
+        speed, mass = self.speed_m_s(height_m), self.body.mass_kg
+        time = math.pi * np.sqrt(mass / kn_N_m)
+        return np.stack(np.broadcast_arrays(height_m, time, speed * np.sqrt(kn_N_m * mass)))
+
+    def speed_m_s(self, height_m: Array | float) -> Array:
+        """Of the impact after a fall from rest in a vacuum."""
+        return np.sqrt(2.0 * self.gravity_m_s2 * np.asarray(height_m))
+
+    def step_s(self, kn_N_m: float) -> float:
+        """The ITS that resolves a contact of this stiffness."""
+        return its_s(self.bristle, kn_N_m)
+
+    def of_drops(self) -> Emulator:
+        """The same place for plain drops, whatever this emulator shows."""
+        return Emulator(**{each.name: getattr(self, each.name) for each in fields(Emulator)})
+
+    def scene(self) -> Scene:
+        """A drop without effects."""
+        return Scene(beta_s=self.bristle.material.beta_s, front_m2=self.bristle.section.area_m2)
+
+    def frictions(self) -> tuple[float, ...]:
+        """At which coefficients of friction what leans is simulated."""
+        return FRICTIONS if self.friction is None else (self.friction,)
+
+    def key(self, name: str, axes: Sequence[Axis]) -> str:
+        """What a table is kept under from run to run."""
+        own = {Path(inspect.getfile(kind)) for kind in type(self).__mro__[:-1]}
+        return f"{name} {axes} {self} {sources(*MADE_BY, *sorted(own))}"
+
+    def table(
+        self,
+        name: str,
+        sides: Sequence[Axis],
+        change: Change,
+        kn_nodes: int,
+        friction: float | None = None,
+    ) -> Table:
+        """Drops over height, stiffness and ``sides``; ``change`` puts a point of these in.
+
+        ``friction`` is None where nothing leans. ``name`` tells tables on the same sides apart:
+        they are kept from run to run. Raises ComputationError where drops fail at all time steps.
+        """
+        n = HEIGHT_NODES if friction is None else LEAN_HEIGHT_NODES
+        heights = Axis(self.lowest_m, self.highest_m, n, "root")
+        axes = (heights, Axis(*self.kn_range_N_m, kn_nodes, "log"), *sides)
+        key = self.key(f"{name} {friction}", axes)
+        made = cached(key, lambda: {"coefficients": self._filled(axes, change, friction)})
+        return Table(axes, made["coefficients"])
+
+    def _filled(self, axes: tuple[Axis, ...], change: Change, friction: float | None) -> Array:
+        """Spline coefficients (..., quantities) of a table.
+
+        Drops that share step, damping and loss are simulated in one batch.
+        """
+        longer = LEAN_STEP if friction is not None else 1.0 if axes[2:] else PLAIN_STEP
+        steps = [longer * self.step_s(float(kn)) for kn in axes[1].nodes()]
+        batches: dict[tuple[float, float, float], list[tuple[tuple[int, ...], Scene]]] = {}
+        for index, scene in self.nodes(axes, change):
+            key = (steps[index[1]], scene.beta_s, scene.loss_factor)
+            batches.setdefault(key, []).append((index, scene))
+        out = np.empty((*(axis.n for axis in axes), len(QUANTITIES)))
+        for (its, *_), batch in batches.items():
+            rows = self.observed([scene for _, scene in batch], its, friction or 0.0)
+            for (index, _), row in zip(batch, rows, strict=True):
+                out[index] = row
+        rigid = self.reference(*np.meshgrid(*(axis.nodes() for axis in axes[:2]), indexing="ij"))
+        rigid = rigid.reshape(*rigid.shape, *(1,) * len(axes[2:]))
+        out[~(out > 0.0)] = np.nan  # a tip that does not come up again
+        return coefficients(mended(np.log(out / np.moveaxis(rigid, 0, -1))), len(axes))
+
+    def nodes(
+        self, axes: tuple[Axis, ...], change: Change
+    ) -> Iterator[tuple[tuple[int, ...], Scene]]:
+        """Every node of a table: its place, and the drop there."""
+        values = [axis.nodes() for axis in axes]
+        for index in itertools.product(*(range(axis.n) for axis in axes)):
+            height, kn, *point = (float(each[i]) for each, i in zip(values, index, strict=True))
+            plain = replace(self.scene(), height_m=height, law=Linear(kn))
+            yield index, change(plain, tuple(point))
 
     @cached_property
     def plain(self) -> Table:
-        return self.emulator.table("plain", (), lambda scene, _: scene, KN_NODES)
+        """Drops without effects."""
+        return self.table("plain", (), lambda scene, _: scene, KN_NODES)
 
     @cached_property
     def _made(self) -> dict[str, tuple[Table, ...]]:
         return {}
 
     def of(self, name: str) -> tuple[Table, ...]:
-        """The tables of an effect, one for each of `Emulator.frictions` where it leans; raises
+        """The tables of an effect, one for each of `frictions` where it leans; raises
         ComputationError where its drops fail."""
         if name not in self._made:
-            leans = EFFECTS[name].leaning
-            frictions = self.emulator.frictions() if leans else (None,)
+            frictions = self.frictions() if EFFECTS[name].leaning else (None,)
             self._made[name] = tuple(self._make(name, friction) for friction in frictions)
         return self._made[name]
 
     def _make(self, name: str, friction: float | None) -> Table:
         if name == "surface_slope":
             sides = (Axis(0.0, MOST_SLOPE_DEG, SLOPE_NODES, "root"), Axis(0.0, 90.0, SIDE_NODES))
-            return self.emulator.table(name, sides, _sloping, LEAN_KN_NODES, friction)
+            return self.table(name, sides, _sloping, LEAN_KN_NODES, friction)
         if name in self.scaled:
             law, side = self.scaled[name]
-            return self.emulator.table(name, (side,), self._scaled(name, law), EFFECT_KN_NODES)
+            return self.table(name, (side,), self._scaled(name, law), EFFECT_KN_NODES)
         kind, leans = EFFECTS[name], EFFECTS[name].leaning
 
         def change(scene: Scene, point: tuple[float, ...]) -> Scene:
@@ -277,39 +235,55 @@ class Tables:
         key = name
         if kind.origin:  # what it does may hang on more than its own file
             points = itertools.product(*(axis.nodes() for axis in axes))
-            plain = [replace(self.emulator.plain(), height_m=h) for h in (0.01, 0.02, 0.05)]
+            plain = [replace(self.scene(), height_m=h) for h in (0.01, 0.02, 0.05)]
             done = repr([change(scene, tuple(map(float, p))) for p in points for scene in plain])
             key += hashlib.sha256(done.encode()).hexdigest()
-        return self.emulator.table(key, axes, change, nodes, friction)
+        return self.table(key, axes, change, nodes, friction)
 
-    def _scaled(self, name: str, law: Law) -> Callable[[Scene, tuple[float, ...]], Scene]:
+    def _scaled(self, name: str, law: Law) -> Change:
         """Puts a law in whose parameter is a share of its scale."""
 
         def change(scene: Scene, point: tuple[float, ...]) -> Scene:
             kn = scene.law.kn_N_m
-            most = self._scale(name, np.array(scene.height_m), np.array(kn))
+            most = self.scale(name, np.array(scene.height_m), np.array(kn))
             return replace(scene, law=law(kn, point[0] * float(most)))
 
         return change
 
-    def _scale(self, name: str, height_m: Array, kn_N_m: Array) -> Array:
-        """What the parameter of an effect counts against, in its own unit."""
+    def scale(self, name: str, height_m: Array, kn_N_m: Array) -> Array:
+        """What the parameter of an effect that is `scaled` counts against, in its own unit."""
         if name == "contact_damping":
-            return np.asarray(2.0 * np.sqrt(kn_N_m * self.emulator.body.mass_kg))
-        return self._peak_N(height_m, kn_N_m)
+            return np.asarray(2.0 * np.sqrt(kn_N_m * self.body.mass_kg))
+        upright = self._upright
+        logs = upright.plain.at(*np.broadcast_arrays(height_m, kn_N_m))
+        return np.asarray(upright.reference(height_m, kn_N_m)[2] * np.exp(logs[2]))
 
     @cached_property
-    def _upright(self) -> Table:
-        """Drops without effects as an `Emulator` of drops has them, whatever this one shows."""
-        upright = self.emulator.of_drops()
-        return self.plain if upright == self.emulator else Tables(upright).plain
+    def _upright(self) -> Emulator:
+        """The emulator whose plain drops show the peak force."""
+        plain = self.of_drops()
+        return self if plain == self else plain
 
-    def _peak_N(self, height_m: Array, kn_N_m: Array) -> Array:
-        """The greatest force of drops without effects."""
-        height_m, kn_N_m = np.broadcast_arrays(height_m, kn_N_m)
-        mass, gravity = self.emulator.body.mass_kg, self.emulator.gravity_m_s2
-        rigid = reference(height_m, kn_N_m, mass, gravity)[2]
-        return np.asarray(rigid * np.exp(self._upright.at(height_m, kn_N_m)[2]))
+    def parameters(self, name: str) -> tuple[Parameter, ...]:
+        """An effect's parameters, as far as drops show them: with the absence that this body
+        declares, and with friction where the effect hangs on it and nobody knows it."""
+        own = self._own(name)
+        return (*own, FRICTION) if EFFECTS[name].leaning and self.friction is None else own
+
+    def _own(self, name: str) -> tuple[Parameter, ...]:
+        """An effect's parameters with what this body declares; those from outside as they are."""
+        kind = EFFECTS[name]
+        if kind.origin:
+            return kind.parameters
+        return tuple(self.bounded(name, each) for each in kind.parameters)
+
+    def bounded(self, name: str, parameter: Parameter) -> Parameter:
+        """One parameter of an effect with what this body declares."""
+        if parameter.name == "beta_s":
+            return replace(parameter, null=self.bristle.material.beta_s)
+        if parameter.name == "speed_m_s":  # thrown up, it comes back as fast
+            return replace(parameter, low=0.0)
+        return parameter
 
     def change(
         self,
@@ -324,7 +298,7 @@ class Tables:
         if name != "surface_slope":
             absent = [np.asarray(each.null) for each in self._own(name)]
         if name in self.scaled:
-            most = self._scale(name, np.asarray(height_m), np.asarray(kn_N_m))
+            most = self.scale(name, np.asarray(height_m), np.asarray(kn_N_m))
             value, absent = (value[0] / most,), [absent[0] / most]
         now = [np.asarray(each) for each in (height_m, kn_N_m, *value)]
         without = [*now[:2], *absent]
@@ -332,10 +306,6 @@ class Tables:
         if len(tables) == 1 or friction is None:
             return tables[0].at(*now) - tables[0].at(*without)
         return np.asarray(_between(tables, np.asarray(friction), now) - tables[0].at(*without))
-
-    def rigid(self, height_m: Array, kn_N_m: Array) -> Array:
-        """See `Emulator.reference`."""
-        return self.emulator.reference(height_m, kn_N_m)
 
 
 def _axis(parameter: Parameter, leans: bool) -> Axis:
