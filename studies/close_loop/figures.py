@@ -11,7 +11,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from ...solver.arrays import Array
-from ..loop.finding import Evidence, Finding, Test
+from ..loop.adequacy import Test
+from ..loop.finding import Evidence, Finding
 from ..loop.heldout import HeldOut
 from ..report.figures import (
     BLACK,

@@ -20,6 +20,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from itertools import combinations, pairwise
 
 import numpy as np
 
@@ -27,7 +28,7 @@ from ...solver.arrays import Array
 from .fit import BOX_PRECISION, Fitted
 from .noise import Ints
 from .residuals import quantile_residuals
-from .sample import BETWEEN, HEIGHT, Sample, counted
+from .sample import BETWEEN, HEIGHT, Sample, counted, first_of
 
 SETS = 599
 KNEE = 3.0
@@ -50,19 +51,28 @@ STATE_SPREADS = np.array([0.7, 0.85, 1.0, 1.2, 1.45, 1.75, 2.2, 3.0, 4.5])
 
 
 @dataclass(frozen=True)
+class Test:
+    """One test of the family: its value and its p-value alone."""
+
+    name: str
+    value: float
+    p_value: float
+
+
+@dataclass(frozen=True)
 class Adequacy:
     """Whether a fit leaves noise alone.
 
-    ``p_value`` is corrected for all tests, ``statistic`` names the least; ``table`` has (test,
-    value, p-value alone); ``residual`` (rows,) are quantile residuals, ``noise`` the likeliest
-    noise of them. ``needed`` by known effect: the size d that would be noticed nine times in ten.
-    ``unlisted`` is the log evidence of the best of the family's own shapes, ``shape`` its name: an
-    effect that explains less than a band or a step would is not the explanation.
+    ``p_value`` is corrected for all tests, ``statistic`` names the least; ``residual`` (rows,) are
+    quantile residuals, ``noise`` the likeliest noise of them. ``needed`` by known effect: the size
+    d that would be noticed nine times in ten. ``unlisted`` is the log evidence of the best of the
+    family's own shapes, ``shape`` its name: an effect that explains less than a band or a step
+    would is not the explanation.
     """
 
     p_value: float
     statistic: str
-    table: tuple[tuple[str, float, float], ...]
+    table: tuple[Test, ...]
     residual: Array
     noise: int
     needed: dict[str, float]
@@ -126,7 +136,8 @@ def assess(
         p_value=p_value,
         statistic=names[int(np.argmin(single))],
         table=tuple(
-            (name, float(v), float(p)) for name, v, p in zip(names, values[0], single, strict=True)
+            Test(name, float(v), float(p))
+            for name, v, p in zip(names, values[0], single, strict=True)
         ),
         residual=z,
         noise=noise,
@@ -157,7 +168,7 @@ def likeliest_noise(data: Sample, z: Array, correlated: bool) -> int:
     """
     grid = data.noises
     among = np.flatnonzero((grid.correlation == 0) | correlated)
-    logs = data.heights(z[None], np.zeros((1, 1, z.size)), np.ones(1), among)
+    logs = data.heights_of_noise(z[None], among)
     return int(among[np.argmax(logs[0])])
 
 
@@ -197,6 +208,14 @@ def _family(
             np.stack([np.sum((z @ unit.T) ** 2, axis=1) / len(unit) for unit in units]), axis=0
         )
 
+    def scattered(name: str, shapes: Array) -> None:
+        centred = _centred(shapes)
+        if len(centred):
+            out[name] = lambda z: np.max(np.abs(np.abs(z) @ centred.T), axis=1)
+
+    def spreading(name: str, trend: Array) -> None:
+        out[f"scatter with {name}"] = lambda z: np.abs((np.abs(z) - 0.8) @ trend)
+
     level = np.stack([(data.kind == k).astype(float) for k in kinds])
     linear("level", level, np.ones(len(kinds)))
     every = [pattern * mask for pattern in patterns for mask in level]
@@ -210,17 +229,16 @@ def _family(
             listed[f"any function of {name}"] = Shapes(_unit(shapes, project)[0], True)
         bands = _bands(x)
         linear(f"band of {name}", np.concatenate([bands * each for each in every]))
-        _scattered(out, name, shapes[degree == 1].sum(axis=0), bands)
+        spreading(name, shapes[degree == 1].sum(axis=0))
+        scattered(f"scatter in a band of {name}", bands)
         if name in HEIGHT:
             wavy(name, x)
-    order = next((data.covariates[n] for n in BETWEEN if n in data.covariates), None)
+    order = first_of(data.covariates, BETWEEN)
     if order is not None and np.unique(order).size >= LEAST_ORDERED:
         classes = _residue_classes(order)
         linear("one in several of the order", np.concatenate([classes * e for e in every]))
         wavy("the order", order)
-        centred = classes - classes.mean(axis=1, keepdims=True)
-        centred /= np.linalg.norm(centred, axis=1, keepdims=True)
-        out["scatter of one in several"] = lambda z: np.max(np.abs(np.abs(z) @ centred.T), axis=1)
+        scattered("scatter of one in several", classes)
     linked = np.flatnonzero(data.noises.previous >= 0)
     if linked.size >= LEAST_ORDERED:
         before = data.noises.previous[linked]
@@ -248,28 +266,23 @@ def _best_shape(
     ``z`` (rows,) are the residuals, ``free`` (rows,) those after a refit by least squares, which is
     what a shape is fitted beside: a robust fit follows most of the rows and leaves the others.
     """
-    names, residuals, costs = [], [z], [0.0]
+    residuals, costs = [z], [0.0]
+    waves = sum(name.startswith("wave ") for name in listed)
     for name, shapes in listed.items():
-        loads = shapes.unit @ free
-        names.append(name)
         if shapes.together:
             basis, _ = np.linalg.qr(shapes.unit.T)
             residuals.append(free - basis @ (basis.T @ free))
             costs.append(OCCAM * len(shapes.unit))
         else:
+            loads = shapes.unit @ free
             best = int(np.argmax(np.abs(loads)))
             residuals.append(free - loads[best] * shapes.unit[best])
             costs.append(OCCAM + float(np.log(len(loads))))
-    waves = sum(name.startswith("wave ") for name in names)
-    costs = [
-        cost + (float(np.log(waves)) if name.startswith("wave ") else 0.0)
-        for name, cost in zip(["", *names], costs, strict=True)
-    ]
-    logs = data.heights(
-        np.array(residuals), np.zeros((1, 1, z.size)), np.ones(1), np.arange(data.noises.scale.size)
-    ).max(axis=1) - np.array(costs)
+        if name.startswith("wave "):
+            costs[-1] += float(np.log(waves))
+    logs = data.heights_of_noise(np.array(residuals)).max(axis=1) - np.array(costs)
     best = int(np.argmax(logs))
-    return float(logs[best]), ["nothing", *names][best]
+    return float(logs[best]), ["nothing", *listed][best]
 
 
 def _unit(shapes: Array, project: Array) -> tuple[Array, Array]:
@@ -311,24 +324,20 @@ def _patterns(data: Sample, fitted: Fitted) -> list[Array]:
 def _distinct(covariates: Mapping[str, Array]) -> dict[str, Array]:
     """Covariates that order the rows differently."""
     out: dict[str, Array] = {}
+    ranks: list[Ints] = []
     for name, x in covariates.items():
         rank = np.argsort(np.argsort(x, kind="stable"))
-        others = [np.argsort(np.argsort(y, kind="stable")) for y in out.values()]
-        if np.ptp(x) > 0 and all(abs(np.corrcoef(rank, o)[0, 1]) < 0.98 for o in others):
+        if np.ptp(x) > 0 and all(abs(np.corrcoef(rank, o)[0, 1]) < 0.98 for o in ranks):
             out[name] = x
+            ranks.append(rank)
     return out
 
 
-def _scattered(out: dict[str, Statistic], name: str, trend: Array, bands: Array) -> None:
-    """Tests of the residuals' scatter against one covariate."""
-    centred = bands - bands.mean(axis=1, keepdims=True)
+def _centred(shapes: Array) -> Array:
+    """Unit shapes (k, rows) of mean zero, of those that are not constant."""
+    centred = shapes - shapes.mean(axis=1, keepdims=True)
     size = np.linalg.norm(centred, axis=1, keepdims=True)
-    centred = centred[size[:, 0] > 0] / size[size[:, 0] > 0]
-    out[f"scatter with {name}"] = lambda z: np.abs((np.abs(z) - 0.8) @ trend)
-    if len(centred):
-        out[f"scatter in a band of {name}"] = lambda z: np.max(
-            np.abs(np.abs(z) @ centred.T), axis=1
-        )
+    return np.asarray(centred[size[:, 0] > 0] / size[size[:, 0] > 0])
 
 
 def _polynomials(x: Array, kind: Ints) -> tuple[Array, Array]:
@@ -401,16 +410,15 @@ def _waves(x: Array) -> list[Array]:
 
 def _shared(data: Sample) -> tuple[Ints, Ints]:
     """Pairs of rows of different quantities within a group."""
-    first: list[int] = []
-    second: list[int] = []
-    for begin, end in zip(data.starts[:-1], data.starts[1:], strict=True):
-        if end - begin <= MOST_SHARED:
-            for i in range(int(begin), int(end)):
-                for j in range(i + 1, int(end)):
-                    if data.kind[i] != data.kind[j]:
-                        first.append(i)
-                        second.append(j)
-    return np.array(first, dtype=np.int64), np.array(second, dtype=np.int64)
+    pairs = [
+        (i, j)
+        for begin, end in pairwise(data.starts)
+        if end - begin <= MOST_SHARED
+        for i, j in combinations(range(begin, end), 2)
+        if data.kind[i] != data.kind[j]
+    ]
+    first, second = np.array(pairs, dtype=np.int64).reshape(-1, 2).T
+    return first, second
 
 
 def _two_states(z: Array, patterns: list[Array]) -> Array:
@@ -449,13 +457,9 @@ def _log_two_states(data: Sample, z: Array, patterns: list[Array]) -> float:
 
 def _wider(data: Sample, z: Array) -> tuple[float, str]:
     """Log evidence, and words, of noise that is wider than any that the declared one may be."""
-    among, nowhere = np.arange(data.noises.scale.size), np.zeros((1, 1, z.size))
-    logs = [
-        float(data.heights(z[None] / by, nowhere, np.ones(1), among).max()) - z.size * np.log(by)
-        for by in WIDER
-    ]
+    logs = data.heights_of_noise(z / WIDER[:, None]).max(axis=1) - z.size * np.log(WIDER)
     best = int(np.argmax(logs))
-    return logs[best] - OCCAM, f"noise some {WIDER[best]:.2g} times as wide as is declared"
+    return float(logs[best]) - OCCAM, f"noise some {WIDER[best]:.2g} times as wide as is declared"
 
 
 def p_values(observed: Array, simulated: Array) -> tuple[Array, Array]:
@@ -466,17 +470,15 @@ def p_values(observed: Array, simulated: Array) -> tuple[Array, Array]:
     """
     count = simulated.shape[0]
     both = np.concatenate([observed[None], simulated])
-    ordered = np.sort(simulated, axis=0)
-    edge = ordered[int(0.9 * count)]
     out = np.empty_like(both)
     for k in range(both.shape[1]):
-        above = count - np.searchsorted(ordered[:, k], both[:, k], side="left")
-        out[:, k] = (above + 1.0) / (count + 1.0)
-        beyond = ordered[ordered[:, k] > edge[k], k] - edge[k]
+        values, ordered = both[:, k], np.sort(simulated[:, k])
+        edge = float(ordered[int(0.9 * count)])
+        out[:, k] = (count - np.searchsorted(ordered, values, side="left") + 1.0) / (count + 1.0)
+        beyond = ordered[ordered > edge] - edge
         if beyond.size >= 5:
-            tail = both[:, k] > edge[k]
-            start = beyond.size / count
-            out[tail, k] = start * np.exp(-(both[tail, k] - edge[k]) / beyond.mean())
+            tail = values > edge
+            out[tail, k] = beyond.size / count * np.exp(-(values[tail] - edge) / beyond.mean())
     return out[0], out[1:]
 
 

@@ -2,21 +2,23 @@
 
 For each experiment and each ordered pair of tied models, the second is refitted to what the first
 predicts there, held by what the present data say of its parameters (its information at the fit).
-Half the squared distance that remains, averaged over pairs, is the expected gain in nats
-(Box and Hill, Technometrics 9 (1967) 57, for normal noise).
+Half the squared distance that remains (`profile.features`), averaged over pairs, is the expected
+gain in nats (Box and Hill, Technometrics 9 (1967) 57, for normal noise).
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 
 import numpy as np
 
 from ...solver.arrays import Array
 from .finding import Proposal
-from .fit import to_theta
+from .fit import BOX_PRECISION, STEP, differences, to_theta
 from .posterior import Posterior
 from .problem import Experiment, Model, Problem
+from .profile import features
 
 TURNS = 8
 MOST_TIED = 4
@@ -36,51 +38,33 @@ def next_experiment(problem: Problem, tied: Sequence[Posterior]) -> Proposal | N
 def _gain(experiment: Experiment, tied: Sequence[Posterior]) -> float:
     models = [experiment.models(each.fitted.effects) for each in tied]
     gains = []
-    for i, truth in enumerate(tied):
-        target = _mean(models[i], truth.fitted.theta)
-        for j, other in enumerate(tied):
-            if i != j:
-                gains.append(_distance(models[j], other, target) / 2)
+    for truth, made in zip(tied, models, strict=True):
+        target = _seen(made, truth.fitted.u)
+        gains += [
+            _distance(model, other, target) / 2
+            for other, model in zip(tied, models, strict=True)
+            if other is not truth
+        ]
     return float(np.mean(gains))
 
 
-def _mean(model: Model, theta: Array) -> Array:
-    """Mean predictions (..., rows), with their spread as further rows where chance plays."""
-    weights = np.asarray(model.weights)
-    every = np.asarray(model.predict(theta))
-    mean = np.einsum("j,...jr->...r", weights, every)
-    if weights.size == 1:
-        return mean
-    spread = np.einsum("j,...jr->...r", weights, (every - mean[..., None, :]) ** 2)
-    return np.concatenate([mean, np.log1p(spread) / 2], axis=-1)
+def _seen(model: Model, u: Array) -> Array:
+    """Features (..., 2 rows) of what a model predicts at points (..., p) of the unit box."""
+    return features(model.predict(to_theta(model.parameters, u)), np.asarray(model.weights))
 
 
 def _distance(model: Model, other: Posterior, target: Array) -> float:
     """Least squared distance to the target plus what leaving its present fit costs."""
-    fitted = other.fitted
-    u0 = fitted.u
-    hold = fitted.information + 12.0 * np.eye(u0.size)
-    step = 1e-4
-    u = u0.copy()
-    best = np.inf
+    u0 = other.fitted.u
+    hold = other.fitted.information + BOX_PRECISION * np.eye(u0.size)
+    u, best = u0.copy(), np.inf
     for _ in range(TURNS):
-        points = np.repeat(u[None], u.size + 1, axis=0)
-        signed = np.where(u + step > 1, -step, step)
-        points[1:] += np.diag(signed)
-        every = _matched(_mean(model, to_theta(model.parameters, points)), target)
-        residual = every[0] - _matched(target, every[0])
-        cost = float(residual @ residual + (u - u0) @ hold @ (u - u0))
-        best = min(best, cost)
-        slopes = ((every[1:] - every[0]) / signed[:, None]).T
-        move = np.linalg.solve(slopes.T @ slopes + hold, slopes.T @ residual + hold @ (u - u0))
+        now, slopes = (
+            each[0]
+            for each in differences(partial(_seen, model), u[None], np.full((1, u.size), STEP))
+        )
+        residual = now - target
+        best = min(best, float(residual @ residual + (u - u0) @ hold @ (u - u0)))
+        move = np.linalg.solve(slopes @ slopes.T + hold, slopes @ residual + hold @ (u - u0))
         u = np.clip(u - move, 0, 1)
     return best
-
-
-def _matched(values: Array, like: Array) -> Array:
-    """Pad with zeros: a model without chance has no spread."""
-    short = like.shape[-1] - values.shape[-1]
-    if short <= 0:
-        return values
-    width = [(0, 0)] * (values.ndim - 1) + [(0, short)]
-    return np.pad(values, width)

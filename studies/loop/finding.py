@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, is_dataclass
 from enum import StrEnum
 from typing import Any
 
 from ...solver.arrays import Array
+from .adequacy import Test
 from .heldout import HeldOut
 from .noise import Ints
 from .problem import Model
@@ -20,15 +21,6 @@ class Verdict(StrEnum):
     EFFECT = "effect"
     AMBIGUOUS = "ambiguous"
     UNKNOWN = "unknown"
-
-
-@dataclass(frozen=True)
-class Test:
-    """One test of the family: its value and its p-value alone."""
-
-    name: str
-    value: float
-    p_value: float
 
 
 @dataclass(frozen=True)
@@ -152,21 +144,16 @@ class Finding:
 
     def verdict_json(self) -> dict[str, Any]:
         """The keys of verdict.json (CONTRACT.md) but ``confirmed_in_3d``, which others add."""
-        held = self.held_out
-        proposal = self.next_experiment
         return {
             "verdict": str(self.verdict),
             "effects": list(self.effects),
             "weights": {name: self.weights[name] for name in self.effects},
-            "together": [list(each) for each in self.together],
+            "together": plain(self.together),
             "detection": {"statistic": self.statistic, "p_value": self.p_value},
             "open_set": {"p_value": self.open_set_p_value},
-            "parameters": {
-                name: {"estimate": x.estimate, "low": x.low, "high": x.high, "unit": x.unit}
-                for name, x in self.parameters.items()
-            },
+            "parameters": plain(self.parameters),
             "unidentified": list(self.unidentified),
-            "classes": [list(each) for each in self.classes],
+            "classes": plain(self.classes),
             "detectable": dict(self.detectable),
             "fit": {
                 "rms_sigma_before": self.rms_before,
@@ -174,24 +161,20 @@ class Finding:
                 "coverage_90": self.coverage_90,
                 "at_bounds": list(self.at_bounds),
             },
-            "nearest": None
-            if self.nearest is None
-            else {
-                "effects": list(self.nearest.effects),
-                "share": self.nearest.share,
-                "leaves_sigma": self.nearest.leaves_sigma,
-                "why_not": self.nearest.why_not,
-            },
+            "nearest": plain(self.nearest),
             "noise": dict(self.noise),
             "warnings": self.all_warnings(),
             "left_aside": list(self.left_aside),
-            "held_out": None if held is None else held.keys(),
-            "next_experiment": None
-            if proposal is None
-            else {
-                "change": proposal.change,
-                "separates": list(proposal.separates),
-                "expected_gain": proposal.expected_gain,
-            },
+            "held_out": None if self.held_out is None else self.held_out.keys(),
+            "next_experiment": plain(self.next_experiment),
             "seed": self.seed,
         }
+
+
+def plain(record: Any) -> Any:
+    """A record, or a collection of them, as JSON has it."""
+    if is_dataclass(record):
+        return {each.name: plain(getattr(record, each.name)) for each in fields(record)}
+    if isinstance(record, Mapping):
+        return {key: plain(value) for key, value in record.items()}
+    return [plain(each) for each in record] if isinstance(record, list | tuple) else record

@@ -9,10 +9,12 @@ logarithmic ones by their logarithm.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import softmax
 
 from ...solver.arrays import Array
 from ...solver.effects.base import Parameter
@@ -21,6 +23,8 @@ from .problem import Model
 from .sample import Sample
 
 ITERATIONS = 14
+# Of differences, in the unit box.
+STEP = 1e-4
 # A uniform parameter on the unit box has this precision: data that add less do not see it.
 BOX_PRECISION = 12.0
 # Other maxima count that are less likely by no more nats, and as many deviations away.
@@ -114,19 +118,29 @@ class Fitted:
         return np.einsum("j,jrp->rp", self.model.weights, self.slopes)
 
 
-def differentiate(data: Sample, model: Model, u: Array, step: Array) -> tuple[Array, Array]:
-    """Predictions (starts, nodes, rows) and slopes (starts, nodes, rows, p) by differences.
+def differences(predict: Callable[[Array], Array], u: Array, step: Array) -> tuple[Array, Array]:
+    """What ``predict`` makes of points ``u`` (n, p) of the unit box, (n, ...), and its slopes
+    (n, p, ...) in the first coordinates, by differences of ``step`` (n, up to p), which point
+    inward at a bound.
 
-    ``u`` (starts, p), ``step`` (starts, p) in the unit box; steps point inward at a bound.
+    ``predict`` takes points (..., p).
     """
-    p = u.shape[1]
-    signed = np.where(u + step > 1.0, -step, step)
-    points = np.repeat(u[:, None, :], p + 1, axis=1)
-    for i in range(p):
-        points[:, i + 1, i] += signed[:, i]
-    all_ = data.predict(model, to_theta(model.parameters, points))
-    base = all_[:, 0]
-    slopes = (all_[:, 1:] - base[:, None]) / signed[:, :, None, None]
+    count = step.shape[1]
+    signed = np.where(u[:, :count] + step > 1.0, -step, step)
+    points = np.repeat(u[:, None, :], count + 1, axis=1)
+    moved = np.arange(count)
+    points[:, moved + 1, moved] += signed
+    every = predict(points)
+    return every[:, 0], (every[:, 1:] - every[:, :1]) / signed.reshape(
+        *signed.shape, *(1,) * (every.ndim - 2)
+    )
+
+
+def differentiate(data: Sample, model: Model, u: Array, step: Array) -> tuple[Array, Array]:
+    """Predictions (starts, nodes, rows) and slopes (starts, nodes, rows, p) by `differences`."""
+    base, slopes = differences(
+        lambda points: data.predict(model, to_theta(model.parameters, points)), u, step
+    )
     return base, np.moveaxis(slopes, 1, -1)
 
 
@@ -173,9 +187,7 @@ def node_shares(data: Sample, e: Array, weights: Array, shape: int) -> Array:
         np.add.reduceat(log_density_at(e, shape), data.starts[:-1], axis=-1)
         + np.log(weights)[:, None]
     )
-    logs -= logs.max(axis=-2, keepdims=True)
-    mass = np.exp(logs)
-    return mass / mass.sum(axis=-2, keepdims=True)
+    return np.asarray(softmax(logs, axis=-2))
 
 
 def fit(
@@ -192,7 +204,7 @@ def fit(
     def likelihood(base: Array) -> Array:
         return data.log_likelihood(values, base, weights, (zero, case, zero + noise))
 
-    step = np.full((count, p), 1e-4)
+    step = np.full((count, p), STEP)
     base, slopes = differentiate(data, model, u, step)
     height = likelihood(base)
     damping = np.asarray(np.full(count, 1e-2))
@@ -275,30 +287,18 @@ def _finish(
 
 
 def expected_information(data: Sample, slopes: Array, noise: int) -> Array:
-    """Fisher information (p, p) of slopes (rows, p) under a noise."""
-    grid = data.noises
-    tangent = filtered_slopes(data, slopes, noise)
-    return score_table()[1][grid.shape[noise]] * tangent.T @ tangent
-
-
-def filtered_slopes(data: Sample, slopes: Array, noise: int) -> Array:
-    """Slopes (rows, p) as the noise sees them: freed of the previous row, in core scales."""
-    return data.noises.filtered(slopes.T, slopes.T, noise).T
+    """Fisher information (p, p) of slopes (rows, p) under a noise, which sees them freed of the
+    previous row, in core scales."""
+    tangent = data.noises.filtered(slopes.T, slopes.T, noise).T
+    return score_table()[1][data.noises.shape[noise]] * tangent.T @ tangent
 
 
 def likely_noise(data: Sample, fitted: Fitted) -> tuple[int, float, Array]:
     """The likeliest noise at these predictions, its log likelihood with prior, and the posterior
     weights of all (noises,)."""
-    count = data.noises.scale.size
-    zero = np.zeros(count, dtype=np.int64)
-    logs = data.noises.prior + data.log_likelihood(
-        data.values[None],
-        fitted.predicted[None],
-        np.asarray(fitted.model.weights),
-        (zero, zero, np.arange(count)),
-    )
-    mass = np.exp(logs - logs.max())
-    return int(np.argmax(logs)), float(logs.max()), mass / mass.sum()
+    weights = np.asarray(fitted.model.weights)
+    logs = data.heights(data.values[None], fitted.predicted[None], weights)[0]
+    return int(np.argmax(logs)), float(logs.max()), softmax(logs)
 
 
 def settle(data: Sample, model: Model, starts: Array) -> Fitted:

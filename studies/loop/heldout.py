@@ -11,7 +11,8 @@ The log score is the logarithm of the predictive density (I. J. Good, J. R. Stat
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from functools import cached_property
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.special import logsumexp, ndtri
@@ -20,7 +21,7 @@ from ...solver.arrays import Array
 from .noise import Ints, log_density_at
 from .posterior import Posterior, refitted
 from .problem import Problem
-from .sample import HEIGHT, Sample, sample
+from .sample import HEIGHT, Sample, first_of, sample
 
 LEAST_GROUPS = 4
 RESAMPLED = 999
@@ -28,6 +29,11 @@ DRAWS = 999
 POINTS = 60
 FOLDS = 3
 TRIMMED = 1 / 8
+# Of `HeldOut`, by their own names in verdict.json.
+KEYS = (
+    *("unit", "rms_before", "rms_after", "rms_sigma", "reduction_low", "reduction_high"),
+    *("coverage_90", "log_score_gain", "log_score_gain_low", "log_score_gain_high"),
+)
 
 
 @dataclass(frozen=True)
@@ -68,28 +74,8 @@ class HeldOut:
 
     def keys(self) -> dict[str, Any]:
         """The ``held_out`` of verdict.json."""
-        return {
-            "groups": list(self.groups),
-            "unit": self.unit,
-            "rms_before": self.rms_before,
-            "rms_after": self.rms_after,
-            "noise": self.sigma,
-            "rms_sigma": self.rms_sigma,
-            "reduction_low": self.reduction_low,
-            "reduction_high": self.reduction_high,
-            "coverage_90": self.coverage_90,
-            "log_score_gain": self.log_score_gain,
-            "log_score_gain_low": self.log_score_gain_low,
-            "log_score_gain_high": self.log_score_gain_high,
-        }
-
-
-@dataclass(frozen=True)
-class Score:
-    """Whitened predictions of held-out rows: ``mean`` (rows,), ``draws`` (draws, rows)."""
-
-    mean: Array
-    draws: Array
+        own = {name: getattr(self, name) for name in KEYS}
+        return {"groups": list(self.groups), "noise": self.sigma, **own}
 
 
 def split(problem: Problem, seed: int) -> tuple[Ints, Ints]:
@@ -101,7 +87,7 @@ def split(problem: Problem, seed: int) -> tuple[Ints, Ints]:
         return groups[~apart], groups[apart]
     if groups.size < LEAST_GROUPS:
         return groups, groups[:0]
-    height = next((problem.covariates[n] for n in HEIGHT if n in problem.covariates), None)
+    height = first_of(problem.covariates, HEIGHT)
     key = np.zeros(groups.size)
     if height is not None:
         key = np.array([np.mean(height[problem.group == g]) for g in groups])
@@ -124,31 +110,34 @@ class Gain:
     nearer: bool
 
 
+class Predicted(NamedTuple):
+    """Whitened predictions of held-out rows: ``mean`` (rows,), ``draws`` (draws, rows)."""
+
+    mean: Array
+    draws: Array
+
+
+@dataclass(frozen=True)
 class Judge:
-    """Scores models on held-out rows, the baseline once."""
+    """Scores models on the rows that are ``held``, the baseline once."""
 
-    def __init__(
-        self, problem: Problem, data: Sample, held: Sample, base: Posterior, seed: int
-    ) -> None:
-        self.problem, self.data, self.held = problem, data, held
-        self.base, self.seed = base, seed
-        self._before: Score | None = None
+    problem: Problem
+    data: Sample
+    held: Sample
+    base: Posterior
+    seed: int
 
-    @property
-    def before(self) -> Score:
-        """The baseline's score."""
-        if self._before is None:
-            self._before = self.score(self.base)
-        return self._before
+    @cached_property
+    def before(self) -> Predicted:
+        """The baseline's predictions."""
+        return self.predict(self.base)
 
-    def score(self, final: Posterior) -> Score:
+    def predict(self, final: Posterior) -> Predicted:
         """The predictive distribution of one model."""
         rng = np.random.default_rng([self.seed, 3])
         predicted, noise = _mixture(self.held, final, rng)
-        return Score(
-            mean=_mean(self.held, final),
-            draws=_draws(self.held, final, predicted, noise, rng),
-        )
+        draws = _draws(self.held, final, predicted, noise, rng)
+        return Predicted(_mean(self.held, final), draws)
 
     def gain(self, final: Posterior, before: Posterior | None = None) -> Gain:
         """What a model gains over another (the baseline) on data that it was not fitted to.
@@ -174,8 +163,9 @@ class Judge:
             each.append(one[0] - other[0])
             squares += [one[1], other[1]]
         gains = np.concatenate(each)
-        pick = rng.integers(gains.size, size=(RESAMPLED, gains.size)) if gains.size else None
-        totals = np.zeros(1) if pick is None else gains[pick].sum(axis=1)
+        if not gains.size:
+            return Gain(0.0, 0.0, 0.0, False)
+        totals = gains[rng.integers(gains.size, size=(RESAMPLED, gains.size))].sum(axis=1)
         low, high = np.quantile(totals, [0.05, 0.95])
         return Gain(float(gains.sum()), float(low), float(high), bool(squares[0] < squares[1]))
 
@@ -183,35 +173,34 @@ class Judge:
         """Errors of baseline and final model on the held-out rows of the main quantity."""
         problem, held = self.problem, self.held
         rng = np.random.default_rng([self.seed, 5])
-        main = str(problem.quantity[0])
-        mine = np.flatnonzero(problem.quantity[held.rows] == main)
+        mine = np.flatnonzero(problem.quantity[held.rows] == problem.quantity[0])
         if not mine.size:
             mine = np.arange(held.rows.size)
         rows = held.rows[mine]
         scale = problem.scale[rows] / held.unit[mine]
-        score = self.score(final) if final is not self.base else self.before
+        plain = final is self.base
+        found = self.before if plain else self.predict(final)
         values, before = held.values[mine] * scale, self.before.mean[mine] * scale
-        after = score.mean[mine] * scale
-        low, high = np.quantile(score.draws, [0.05, 0.95], axis=0)
+        after = found.mean[mine] * scale
+        low, high = np.quantile(found.draws, [0.05, 0.95], axis=0)
         inside = (held.values >= low) & (held.values <= high)
-        spread = score.draws - score.draws.mean(axis=0)
-        sigma = float(np.sqrt(np.mean((spread[:, mine] * scale) ** 2)))
+        spread = found.draws - found.draws.mean(axis=0)
+        error, chance = held.values - found.mean, found.draws - found.mean
         allowed = np.maximum((high - low) / (2.0 * ndtri(0.95)), 1.0)
-        off = np.abs(held.values - score.mean) / allowed if problem.sigma_declared else np.zeros(0)
-        error, chance = trimmed_rms(held.values - score.mean), trimmed_rms(score.draws - score.mean)
-        surprise = (float(np.sum(chance >= error)) + 1.0) / (len(chance) + 1.0)
-        gain = self.gain(final) if final is not self.base else Gain(0.0, 0.0, 0.0, False)
+        off = np.abs(error) / allowed if problem.sigma_declared else np.zeros(0)
+        larger = trimmed_rms(chance) >= trimmed_rms(error)
+        gain = Gain(0.0, 0.0, 0.0, False) if plain else self.gain(final)
         ends = _reduction(held.group[mine], values - before, values - after, rng)
         return HeldOut(
             groups=tuple(int(g) for g in np.unique(problem.group[held.rows])),
             unit=problem.unit,
-            rms_before=float(np.sqrt(np.mean((values - before) ** 2))),
-            rms_after=float(np.sqrt(np.mean((values - after) ** 2))),
-            sigma=sigma,
-            rms_sigma=float(np.sqrt(np.mean((held.values - score.mean) ** 2))),
+            rms_before=rms(values - before),
+            rms_after=rms(values - after),
+            sigma=rms(spread[:, mine] * scale),
+            rms_sigma=rms(error),
             n_rows=held.values.size,
-            surprise=surprise,
-            ratio=_ratio((held.values - score.mean)[mine], (score.draws - score.mean)[:, mine]),
+            surprise=(float(np.sum(larger)) + 1.0) / (len(larger) + 1.0),
+            ratio=float(trimmed_rms(error[mine]) / rms(trimmed_rms(chance[:, mine]))),
             greatest=float(off.max(initial=0.0)),
             reduction_low=ends[0],
             reduction_high=ends[1],
@@ -229,6 +218,11 @@ class Judge:
         )
 
 
+def rms(error: Array) -> float:
+    """Root mean square of all; zero of none."""
+    return float(np.sqrt(np.mean(error**2))) if error.size else 0.0
+
+
 def trimmed_rms(error: Array) -> Array:
     """Rms (...) of errors (..., rows) without the largest: an outlier is a finding on the noise."""
     rows = error.shape[-1]
@@ -236,23 +230,18 @@ def trimmed_rms(error: Array) -> Array:
     return np.sqrt(np.mean(np.sort(error**2, axis=-1)[..., :count], axis=-1))
 
 
-def _ratio(error: Array, chance: Array) -> float:
-    """Rms of errors (rows,) over what draws (draws, rows) allow for, both trimmed."""
-    return float(trimmed_rms(error) / np.sqrt(np.mean(trimmed_rms(chance) ** 2)))
-
-
 def _reduction(
     group: Ints, before: Array, after: Array, rng: np.random.Generator
 ) -> tuple[float, float]:
     """The 90 % interval over groups of 1 − after / before."""
-    labels = np.unique(group)
-    if not labels.size or np.allclose(before, after):
+    if not group.size or np.allclose(before, after):
         return 0.0, 0.0
-    one = np.array([np.sum(before[group == g] ** 2) for g in labels])
-    two = np.array([np.sum(after[group == g] ** 2) for g in labels])
-    pick = rng.integers(labels.size, size=(RESAMPLED, labels.size))
+    number = np.unique(group, return_inverse=True)[1]
+    one, two = (np.bincount(number, weights=each**2) for each in (before, after))
+    pick = rng.integers(one.size, size=(RESAMPLED, one.size))
     ratio = 1 - np.sqrt(two[pick].sum(axis=1) / np.maximum(one[pick].sum(axis=1), 1e-300))
-    return float(np.quantile(ratio, 0.05)), float(np.quantile(ratio, 0.95))
+    low, high = np.quantile(ratio, [0.05, 0.95])
+    return float(low), float(high)
 
 
 def _mean(held: Sample, final: Posterior) -> Array:

@@ -18,7 +18,7 @@ from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import gammaln
+from scipy.stats import norm, t
 
 from ...solver.arrays import Array
 from ...solver.compiled import njit
@@ -49,15 +49,9 @@ LEAST_LINKED = 12
 def log_density() -> Array:
     """Log density of each shape at its unit core scale, (shapes, points), at multiples of STEP."""
     x = np.arange(0.0, REACH + 2 * STEP, STEP)
-    gauss = -0.5 * x**2 - 0.5 * np.log(2 * np.pi)
-    wide = -0.5 * (x / OUTLIER_WIDTH) ** 2 - 0.5 * np.log(2 * np.pi) - np.log(OUTLIER_WIDTH)
+    gauss, wide = norm.logpdf(x), norm.logpdf(x, scale=OUTLIER_WIDTH)
     mixture = np.logaddexp(np.log1p(-OUTLIER_SHARE) + gauss, np.log(OUTLIER_SHARE) + wide)
-    return np.stack([gauss, _student(x, 5.0), _student(x, 3.0), mixture])
-
-
-def _student(x: Array, nu: float) -> Array:
-    constant = gammaln((nu + 1) / 2) - gammaln(nu / 2) - 0.5 * np.log(nu * np.pi)
-    return np.asarray(constant - (nu + 1) / 2 * np.log1p(x**2 / nu))
+    return np.stack([gauss, t.logpdf(x, 5), t.logpdf(x, 3), mixture])
 
 
 @cache
@@ -219,7 +213,7 @@ def noises(sequence: Chain, declared: bool) -> Noises:
 
 
 @njit
-def _kernel(
+def log_likelihoods(
     values: Array,
     predicted: Array,
     weights: Array,
@@ -234,6 +228,7 @@ def _kernel(
     at_prediction: Ints,
     at_noise: Ints,
 ) -> Array:
+    """See `sample.Sample.log_likelihood`; ``table`` is `log_density`, all else one by one."""
     nodes, rows = predicted.shape[1], predicted.shape[2]
     last = table.shape[1] - 2
     out = np.empty(at_value.size)
@@ -273,37 +268,3 @@ def _kernel(
                 total += best + np.log(mass)
         out[case] = total
     return out
-
-
-def log_likelihood(
-    values: Array,
-    predicted: Array,
-    weights: Array,
-    starts: Ints,
-    grid: Noises,
-    at: tuple[Ints, Ints, Ints],
-) -> Array:
-    """Log likelihood of cases (value, prediction, noise), one number for each.
-
-    ``values`` (sets, rows), ``predicted`` (predictions, nodes, rows), ``weights`` (nodes,),
-    ``starts`` (groups + 1,): the first row of each group; ``at``: three broadcastable arrays of
-    numbers into values, predictions and noises. Groups are independent given the drop before;
-    what that drop's own chance was is taken at its mean, which is exact without correlation.
-    """
-    first, second, third = np.broadcast_arrays(*at)
-    flat = _kernel(
-        np.ascontiguousarray(values, dtype=float),
-        np.ascontiguousarray(predicted, dtype=float),
-        np.ascontiguousarray(weights, dtype=float),
-        starts,
-        grid.previous,
-        grid.before,
-        grid.stretch,
-        grid.constant,
-        grid.shape,
-        log_density(),
-        np.ascontiguousarray(first.ravel(), dtype=np.int64),
-        np.ascontiguousarray(second.ravel(), dtype=np.int64),
-        np.ascontiguousarray(third.ravel(), dtype=np.int64),
-    )
-    return flat.reshape(first.shape)

@@ -15,7 +15,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import gammaln, logsumexp
+from scipy.special import gammaln, logsumexp, softmax
 
 from ...solver.arrays import Array
 from .adequacy import OCCAM
@@ -87,11 +87,10 @@ def posterior(data: Sample, fitted: Fitted, own: int, rng: np.random.Generator) 
     order = np.argsort(-shares, kind="stable")[:MOST_NOISES]
     noise = np.sort(order[shares[order] > 2e-3])
     fitted, u, ratio = _sampled(data, fitted, noise, counts, rng)
-    w = np.exp(ratio - ratio.max())
     return Posterior(
         fitted=fitted,
         theta=to_theta(fitted.model.parameters, u),
-        weights=w / w.sum(),
+        weights=np.asarray(softmax(ratio)),
         log_evidence=evidence(data, fitted, own),
         noises=data.noises,
     )
@@ -188,8 +187,7 @@ def _climbed(data: Sample, fitted: Fitted, u: Array, logs: Array, noise: Ints) -
 
 def _effective(ratio: Array) -> float:
     """The effective number of points with these log weights."""
-    w = np.exp(ratio - ratio.max())
-    return float(w.sum() ** 2 / np.sum(w**2))
+    return float(1.0 / np.sum(softmax(ratio) ** 2))
 
 
 def _adapted(u: Array, ratio: Array) -> tuple[Array, Array]:
@@ -199,8 +197,7 @@ def _adapted(u: Array, ratio: Array) -> tuple[Array, Array]:
     power = 1.0
     while _effective(power * ratio) < FEW * p + 3 and power > 1e-3:
         power *= 0.7
-    w = np.exp(power * (ratio - ratio.max()))
-    w /= w.sum()
+    w = np.asarray(softmax(power * ratio))
     centre = w @ u
     apart = u - centre
     return centre, (apart * w[:, None]).T @ apart * 1.15 + 1e-12 * np.eye(p)

@@ -17,7 +17,7 @@ from scipy.spatial.distance import squareform
 
 from ...solver.arrays import Array
 from .adequacy import Direction
-from .fit import Fitted, to_box, to_theta
+from .fit import STEP, Fitted, differences, to_box, to_theta
 from .problem import Model
 from .sample import Sample
 
@@ -113,32 +113,29 @@ def _refitted(data: Sample, model: Model, u: Array, own: int, target: Array) -> 
     """Points (k, p) with their first ``own`` coordinates moved toward ``target`` (2 rows,) by
     damped Gauss-Newton steps within the box, and their features (k, 2 rows)."""
     weights = np.asarray(model.weights)
+
+    def seen(points: Array) -> Array:
+        return features(data.predict(model, to_theta(model.parameters, points)), weights)
+
     best_u: Array = u.copy()
     best: Array = np.full(len(u), np.inf)
     kept: Array = np.zeros((len(u), target.size))
-    step = 1e-4
     for turn in range(REFITS):
-        last = turn == REFITS - 1
-        points = np.repeat(u[:, None], 1 if last else own + 1, axis=1)
-        signed = np.where(u[:, :own] + step > 1, -step, step)
-        if not last:
-            for i in range(own):
-                points[:, i + 1, i] += signed[:, i]
-        every = features(data.predict(model, to_theta(model.parameters, points)), weights)
-        residual = every[:, 0] - target
+        # the last turn only looks at where the one before it has led
+        steps = np.full((len(u), own if turn < REFITS - 1 else 0), STEP)
+        now, slopes = differences(seen, u, steps)
+        residual = now - target
         cost = np.sum(residual**2, axis=1)
         better = cost < best
         best = np.where(better, cost, best)
         best_u = np.where(better[:, None], u, best_u)
-        kept = np.where(better[:, None], every[:, 0], kept)
-        if last:
+        kept = np.where(better[:, None], now, kept)
+        if not steps.size:
             break
-        slopes = (every[:, 1:] - every[:, :1]) / signed[..., None]
         normal = np.einsum("kir,kjr->kij", slopes, slopes)
         normal += np.eye(own) * (1e-9 * np.trace(normal, axis1=1, axis2=2) + 1e-9)[:, None, None]
-        move = -np.linalg.solve(normal, np.einsum("kir,kr->ki", slopes, residual)[..., None])[
-            ..., 0
-        ]
+        right = np.einsum("kir,kr->ki", slopes, residual)[..., None]
+        move = -np.linalg.solve(normal, right)[..., 0]
         u = best_u.copy()
         u[:, :own] = np.clip(u[:, :own] + np.clip(move, -0.3, 0.3), 0, 1)
     return best_u, kept

@@ -11,13 +11,14 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.special import softmax
 
 from ...solver.arrays import Array
 from .adequacy import Adequacy, Direction, assess
 from .experiment import next_experiment
-from .finding import Evidence, Finding, Interval, Near, Test, Verdict
+from .finding import Evidence, Finding, Interval, Near, Verdict
 from .fit import Fitted
-from .heldout import HeldOut, Judge, split, trimmed_rms
+from .heldout import HeldOut, Judge, rms, split, trimmed_rms
 from .noise import Ints
 from .posterior import Posterior, posterior, refitted
 from .problem import Problem
@@ -98,7 +99,7 @@ def find(
     found = fit_baseline(data, problem.baseline)
     baseline = posterior(data, found, found.u.size, rng)
     base = baseline.fitted
-    profiles = []
+    profiles: list[Profile] = []
     for model in problem.candidates:
         profiles.append(profile(data, base, model))
         advance()
@@ -112,24 +113,23 @@ def find(
     advance()
     state = State(problem, data, every, base, baseline, profiles, ways, judge, first, rng)
     singles: list[Tried] = []
-    explained: list[Explanation] = []
+
+    def look_at(several: Sequence[Profile]) -> None:
+        for each in several:
+            singles.append(fit_candidate(data, base, each))
+            advance()
+
     noticed = "" if first.p_value <= alarm else _noticed(state, plain)
     missing = first.p_value <= alarm or bool(noticed)
     # scatter leaves no mean for the tests to see: its likelihood is asked for in any case
-    for each in profiles:
-        if missing or np.asarray(each.model.weights).size > 1:
-            singles.append(fit_candidate(data, base, each))
-            advance()
+    scatters = [np.asarray(each.model.weights).size > 1 for each in profiles]
+    look_at([each for each, chance in zip(profiles, scatters, strict=True) if missing or chance])
     if not missing:
         least = max(baseline.log_evidence, first.unlisted) + SCATTER_GAIN
         missing = any(each.log_evidence > least for each in singles)
         if missing:
             noticed = SEEN_BY + "it is much likelier that drops differ by chance"
-            done = {each.effects[0] for each in singles}
-            for each in profiles:
-                if each.name not in done:
-                    singles.append(fit_candidate(data, base, each))
-                    advance()
+            look_at([each for each, chance in zip(profiles, scatters, strict=True) if not chance])
     if missing:
         least = near_likeliest(singles, baseline.log_evidence)
         singles = [
@@ -138,29 +138,32 @@ def find(
         ]
         explained = _explain(state, singles)
     else:
+        explained = []
         advance(len(profiles) - len(singles))
     holding = [each for each in explained if each.holds]
     shares = _weights([each.posterior.log_evidence for each in holding])
     reported = [holding[i] for i in _credible(shares, CREDIBLE)]
-    weights = _weights([each.posterior.log_evidence for each in reported])
-    final = reported[0].posterior if reported else baseline
+    best = reported[0] if reported else None
+    # what is reported: the likeliest explanation that holds, else the baseline as it is
+    final, kept = (best.posterior, best.left) if best else (baseline, first)
+    left = explained[0].left if explained and best is None else kept
     if not missing:
         verdict = Verdict.ADEQUATE
-    elif not reported:
+    elif best is None:
         verdict = Verdict.UNKNOWN
     else:
         verdict = Verdict.EFFECT if len(reported) == 1 else Verdict.AMBIGUOUS
-    left = reported[0].left if reported else explained[0].left if explained else first
+    tied = [each.posterior for each in reported]
     advance()
     return Finding(
         verdict=verdict,
-        weights=_by_effect(reported, weights),
-        together=tuple(e.posterior.effects for e in reported if len(e.posterior.effects) > 1),
+        weights=_by_effect(tied),
+        together=tuple(each.effects for each in tied if len(each.effects) > 1),
         statistic=first.statistic,
         p_value=first.p_value,
         open_set_p_value=left.p_value,
-        tests=tuple(Test(*each) for each in first.table),
-        tests_after=tuple(Test(*each) for each in left.table),
+        tests=first.table,
+        tests_after=left.table,
         parameters=_parameters(final),
         unidentified=final.fitted.unseen,
         at_bounds=final.fitted.at_bounds,
@@ -172,20 +175,18 @@ def find(
         evidences=_evidences(baseline, singles, explained),
         unlisted=first.unlisted,
         shape=first.shape,
-        nearest=_nearest(state, first, singles, explained) if missing else None,
-        noise=_noise(data, reported[0].left if reported else first, missing and not reported),
-        rms_before=_rms(first.residual),
-        rms_after=_rms(left.residual if reported else first.residual),
-        coverage_90=float(np.mean(np.abs(left.residual if reported else first.residual) < 1.645)),
-        held_out=(reported[0].held if reported else plain),
-        next_experiment=next_experiment(
-            problem, [e.posterior for e in reported] if len(reported) > 1 else []
-        ),
+        nearest=_nearest(first, explained) if missing else None,
+        noise=_noise(data, kept, missing and best is None),
+        rms_before=rms(first.residual),
+        rms_after=rms(kept.residual),
+        coverage_90=float(np.mean(np.abs(kept.residual) < 1.645)),
+        held_out=best.held if best else plain,
+        next_experiment=next_experiment(problem, tied),
         model=final.fitted.model,
         theta=final.fitted.theta,
         rows=data.rows,
         residual_before=first.residual,
-        residual_after=left.residual if reported else first.residual,
+        residual_after=kept.residual,
         covariates=data.covariates,
         warnings=(*problem.warnings, *filter(None, [noticed, ROUGH if final.few else ""])),
         left_aside=problem.left_aside,
@@ -304,9 +305,8 @@ def _sample(problem: Problem, groups: Ints) -> Sample:
     if problem.sigma_declared:
         return data
     first = fit_baseline(data, problem.baseline)
-    everywhere = np.asarray(problem.baseline.weights) @ np.asarray(
-        problem.baseline.predict(first.theta)
-    )
+    baseline = problem.baseline
+    everywhere = np.asarray(baseline.weights) @ np.asarray(baseline.predict(first.theta))
     return sample(problem, groups, estimated_units(problem, groups, everywhere))
 
 
@@ -320,10 +320,7 @@ def _units(problem: Problem, data: Sample) -> Array:
 
 def _weights(logs: Sequence[float]) -> Array:
     """Probabilities (models,) from log evidences, with equal priors."""
-    if not len(logs):
-        return np.zeros(0)
-    mass = np.exp(np.asarray(logs) - np.max(logs))
-    return np.asarray(mass / mass.sum())
+    return np.asarray(softmax(logs)) if len(logs) else np.zeros(0)
 
 
 def _credible(shares: Array, level: float) -> list[int]:
@@ -333,11 +330,12 @@ def _credible(shares: Array, level: float) -> list[int]:
     return [int(i) for i in order[:enough]]
 
 
-def _by_effect(reported: Sequence[Explanation], weights: Array) -> dict[str, float]:
+def _by_effect(tied: Sequence[Posterior]) -> dict[str, float]:
     """Probability that an effect is there: of all reported models that have it."""
     out: dict[str, float] = {}
-    for each, weight in zip(reported, weights, strict=True):
-        for name in each.posterior.effects:
+    weights = _weights([each.log_evidence for each in tied])
+    for each, weight in zip(tied, weights, strict=True):
+        for name in each.effects:
             out[name] = out.get(name, 0.0) + float(weight)
     return out
 
@@ -356,49 +354,31 @@ def _evidences(
 ) -> tuple[Evidence, ...]:
     """The baseline and every model tried, the likeliest of as many effects first."""
     looked = {each.posterior.effects: each for each in explained}
-    models: list[tuple[Fitted, float]] = [(each.fitted, each.log_evidence) for each in singles]
-    models += [
-        (each.posterior.fitted, each.posterior.log_evidence)
-        for each in explained
-        if len(each.posterior.effects) > 1
-    ]
-    models.sort(key=lambda each: (len(each[0].effects), -each[1]))
-    out = [Evidence((), baseline.log_evidence, None, "", _numbers(baseline.fitted))]
-    for fitted, log in models:
-        assessed = looked.get(fitted.effects)
-        out.append(
-            Evidence(
-                fitted.effects,
-                log,
-                None if assessed is None else assessed.left.p_value,
-                "" if assessed is None else assessed.why_not,
-                _numbers(fitted),
-            )
-        )
+    pairs = [each.posterior for each in explained if len(each.posterior.effects) > 1]
+    models: list[Tried | Posterior] = [*singles, *pairs]
+    models.sort(key=lambda each: (len(each.effects), -each.log_evidence))
+    out = []
+    for each in (baseline, *models):
+        found = looked.get(each.effects)
+        p_value, why = (found.left.p_value, found.why_not) if found else (None, "")
+        theta = tuple(float(x) for x in each.fitted.theta)
+        out.append(Evidence(each.effects, each.log_evidence, p_value, why, theta))
     return tuple(out)
 
 
-def _numbers(fitted: Fitted) -> tuple[float, ...]:
-    return tuple(float(x) for x in fitted.theta)
-
-
-def _nearest(
-    state: State, first: Adequacy, singles: Sequence[Tried], explained: Sequence[Explanation]
-) -> Near | None:
+def _nearest(first: Adequacy, explained: Sequence[Explanation]) -> Near | None:
     """Which known effect explains how much of what the baseline leaves beyond its noise."""
-    if not explained:
+    single = [each for each in explained if len(each.posterior.effects) == 1]
+    if not single:
         return None
-    best = max(
-        (each for each in explained if len(each.posterior.effects) == 1),
-        key=lambda each: each.posterior.log_evidence,
+    best = max(single, key=lambda each: each.posterior.log_evidence)
+    before, after = (
+        float(np.sum(residual**2)) - residual.size
+        for residual in (first.residual, best.left.residual)
     )
-    rows = first.residual.size
-    before = float(np.sum(first.residual**2)) - rows
-    after = float(np.sum(best.left.residual**2)) - rows
     share = 1.0 - max(after, 0.0) / before if before > 0 else 0.0
-    return Near(
-        best.posterior.effects, float(np.clip(share, 0, 1)), _rms(best.left.residual), best.why_not
-    )
+    share = float(np.clip(share, 0, 1))
+    return Near(best.posterior.effects, share, rms(best.left.residual), best.why_not)
 
 
 def _noise(data: Sample, left: Adequacy, misfit: bool) -> dict[str, float | str]:
@@ -408,7 +388,7 @@ def _noise(data: Sample, left: Adequacy, misfit: bool) -> dict[str, float | str]
     if misfit:
         return {**out, "finding": ""}
     sentences = []
-    size = _rms(left.residual)
+    size = rms(left.residual)
     if data.noises.declared and size < FAR_SMALLER:
         sentences.append(f"it is {size:.1g} times what is declared")
     elif out["shape"] != "gaussian":
@@ -418,7 +398,3 @@ def _noise(data: Sample, left: Adequacy, misfit: bool) -> dict[str, float | str]
     if out["correlation"]:
         sentences.append("neighbours in order are correlated")
     return {**out, "finding": "; ".join(sentences)}
-
-
-def _rms(z: Array) -> float:
-    return float(np.sqrt(np.mean(z**2))) if z.size else 0.0

@@ -7,12 +7,14 @@ of the same covariate height), else by successive differences (von Neumann 1941)
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from ...solver.arrays import Array
-from .noise import Chain, Ints, Noises, log_likelihood, noises
+from .noise import Chain, Ints, Noises, log_density, log_likelihoods, noises
 from .problem import Model, Problem
 
 # Covariates that say in which order values were made, the finest first.
@@ -49,24 +51,52 @@ class Sample:
     def log_likelihood(
         self, values: Array, predicted: Array, weights: Array, at: tuple[Ints, Ints, Ints]
     ) -> Array:
-        """See `noise.log_likelihood`; ``at`` are numbers into values, predictions, noises."""
-        return log_likelihood(values, predicted, weights, self.starts, self.noises, at)
+        """Log likelihood of cases (value, prediction, noise), one number for each.
 
-    def heights(self, values: Array, predicted: Array, weights: Array, among: Ints) -> Array:
-        """Log likelihoods with prior (n, noises) under the noises ``among``.
+        ``values`` (sets, rows), ``predicted`` (predictions, nodes, rows), ``weights`` (nodes,);
+        ``at``: three broadcastable arrays of numbers into values, predictions and noises. Groups
+        are independent given the drop before; what that drop's own chance was is taken at its mean,
+        which is exact without correlation.
+        """
+        (first, second, third), grid = np.broadcast_arrays(*at), self.noises
+        found = log_likelihoods(
+            np.ascontiguousarray(values, dtype=float),
+            np.ascontiguousarray(predicted, dtype=float),
+            np.ascontiguousarray(weights, dtype=float),
+            self.starts,
+            grid.previous,
+            grid.before,
+            grid.stretch,
+            grid.constant,
+            grid.shape,
+            log_density(),
+            np.ascontiguousarray(first.ravel(), dtype=np.int64),
+            np.ascontiguousarray(second.ravel(), dtype=np.int64),
+            np.ascontiguousarray(third.ravel(), dtype=np.int64),
+        )
+        return found.reshape(first.shape)
+
+    def heights(
+        self, values: Array, predicted: Array, weights: Array, among: Ints | None = None
+    ) -> Array:
+        """Log likelihoods with prior (n, noises) under the noises ``among``, or all.
 
         Of ``values`` (n, rows) and ``predicted`` (n, nodes, rows), in pairs; one serves all.
         """
+        among = np.arange(self.noises.scale.size) if among is None else among
         at = (np.arange(len(values))[:, None], np.arange(len(predicted))[:, None], among[None])
         return self.noises.prior[among] + self.log_likelihood(values, predicted, weights, at)
+
+    def heights_of_noise(self, residuals: Array, among: Ints | None = None) -> Array:
+        """`heights` of residuals (n, rows)."""
+        return self.heights(residuals, np.zeros((1, 1, residuals.shape[1])), np.ones(1), among)
 
 
 def sample(problem: Problem, groups: Ints, unit: Array | None = None) -> Sample:
     """The rows of these groups. ``unit`` (rows of the problem,) overrides what is estimated."""
     rows = np.flatnonzero(np.isin(problem.group, groups))
     rows = rows[np.argsort(problem.group[rows], kind="stable")]
-    names, kinds = np.unique(problem.quantity, return_inverse=True)
-    del names
+    kinds = np.unique(problem.quantity, return_inverse=True)[1]
     kind = kinds[rows].astype(np.int64)
     label = problem.group[rows]
     starts = np.concatenate([[0], np.flatnonzero(np.diff(label)) + 1, [rows.size]])
@@ -85,6 +115,11 @@ def sample(problem: Problem, groups: Ints, unit: Array | None = None) -> Sample:
     )
 
 
+def first_of(covariates: Mapping[str, Array], names: tuple[str, ...], otherwise: Any = None) -> Any:
+    """The first covariate of these names that there is."""
+    return next((covariates[name] for name in names if name in covariates), otherwise)
+
+
 def counted(order: Array) -> Ints:
     """Numbers (rows,) from zero in the steps that they come in, whole: drops that are numbered by
     fives come one after the other."""
@@ -99,8 +134,8 @@ def _chain(label: Ints, kind: Ints, covariates: dict[str, Array]) -> Chain:
     rows = label.size
     previous = np.full(rows, -1, dtype=np.int64)
     gap = np.ones(rows)
-    order = next((covariates[n] for n in BETWEEN if n in covariates), label.astype(float))
-    fine = next((covariates[n] for n in WITHIN if n in covariates), np.arange(rows, dtype=float))
+    order = first_of(covariates, BETWEEN, label.astype(float))
+    fine = first_of(covariates, WITHIN, np.arange(rows, dtype=float))
     for each in np.unique(kind):
         mine = np.flatnonzero(kind == each)
         several = np.unique(label[mine]).size < mine.size
@@ -121,7 +156,7 @@ def estimated_units(problem: Problem, groups: Ints, fitted: Array) -> Array:
     """
     unit = np.ones(problem.values.size)
     residual = problem.values - fitted
-    height = next((problem.covariates[n] for n in HEIGHT if n in problem.covariates), None)
+    height = first_of(problem.covariates, HEIGHT)
     chosen = np.isin(problem.group, groups)
     for name in np.unique(problem.quantity):
         mine = np.flatnonzero((problem.quantity == name) & chosen)
