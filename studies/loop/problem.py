@@ -6,7 +6,7 @@ attribution and verdict are written once and see only this.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Protocol, runtime_checkable
 
@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from ...solver.arrays import Array
 from ...solver.effects.base import Parameter
+from ...solver.errors import InputError
 
 
 class Model(Protocol):
@@ -110,3 +111,12 @@ class Problem:
     notes: Mapping[str, Any] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
     left_aside: tuple[str, ...] = ()
+
+
+def carried(kind: str, effects: Sequence[str], possible: Iterable[str]) -> tuple[str, ...]:
+    """The ``effects`` of a model; InputError where data of this kind cannot carry one of them."""
+    for name in effects:
+        if name not in possible:
+            known = ", ".join(possible)
+            raise InputError(f"a {kind} dataset cannot carry {name}; {known} it can")
+    return tuple(effects)

@@ -117,13 +117,12 @@ def test_rows_do_not_hang_on_a_bias_and_have_unit_noise_at_the_least(made):
     """The rows' covariance for white noise, the release told by the mean: the identity where the
     slope grows from release on, and never more than it without drag."""
     bins = fall_problem(made).baseline.bins
-    rows = bins.rows
-    assert np.abs(rows.of(np.ones(len(bins.begin_s)))).max() < 1e-9
+    assert np.abs(bins.rows(np.ones(len(bins.begin_s)))).max() < 1e-9
     for piece in bins.pieces:
         n = piece.stop - piece.start
         unit = np.zeros((n, len(bins.begin_s)))
         unit[:, piece] = np.eye(n)
-        reached = rows.of(unit)
+        reached = bins.rows(unit)
         own = np.flatnonzero(np.abs(reached).max(axis=0) > 0)
         assert len(own) == n - 1
         to_rows = reached[:, own].T

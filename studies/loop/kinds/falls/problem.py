@@ -14,7 +14,7 @@ drag that turns with the falling body, are not in it, on purpose.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -22,8 +22,7 @@ import numpy as np
 
 from .....solver.arrays import Array
 from .....solver.effects.base import Parameter
-from .....solver.errors import InputError
-from ...problem import Problem
+from ...problem import Problem, carried
 from .motion import predicted
 from .record import Falls
 from .rows import Bins, in_bins
@@ -83,20 +82,15 @@ class FallModel:
         at = {each.name: theta[..., i, None] for i, each in enumerate(self.parameters)}
         nodes = self._nodes[0]
         factor = np.exp(at.get("scatter", 0.0) * nodes)
-        bias, k, c = (
-            np.ascontiguousarray(np.broadcast_to(each, (*theta.shape[:-1], len(nodes))))
-            for each in (
-                at["bias_m_s2"],
-                at.get("k_1_m", 0.0) * factor,
-                at.get("c_1_s", 0.0) * factor,
-            )
-        )
+        each = at["bias_m_s2"], at.get("k_1_m", 0.0) * factor, at.get("c_1_s", 0.0) * factor
+        shape = (*theta.shape[:-1], len(nodes))
+        bias, k, c = (np.broadcast_to(some, shape).ravel() for some in each)
         bins = self.bins
         out = np.empty((k.size, len(bins.begin_s)))
         predicted(
-            bias.ravel(),
-            k.ravel(),
-            c.ravel(),
+            bias,
+            k,
+            c,
             bins.data.manifest.gravity_m_s2,
             bins.begin_s,
             bins.end_s,
@@ -104,11 +98,11 @@ class FallModel:
             bins.starts,
             out,
         )
-        return out.reshape(*k.shape, -1)
+        return out.reshape(*shape, -1)
 
     def predict(self, theta: Array) -> Array:
         """Whitened predictions (..., nodes, rows) for parameters (..., p)."""
-        return self.bins.rows.of(self.readings(theta))
+        return self.bins.rows(self.readings(theta))
 
 
 def fall_problem(data: Falls, library: Sequence[str] = LIBRARY) -> Problem:
@@ -118,14 +112,17 @@ def fall_problem(data: Falls, library: Sequence[str] = LIBRARY) -> Problem:
     baseline's bias shows with a drag only.
     """
     bins = in_bins(data)
-    combine = _combine(bins)
-    falls, place = len(data.numbers), bins.rows.bin
+
+    def combine(effects: Sequence[str]) -> FallModel:
+        return FallModel(bins, carried("falls", effects, EFFECT_PARAMETERS))
+
+    falls, place = len(data.numbers), bins.bin_of_row
     index = np.searchsorted(bins.starts, place, side="right") - 1
     covariates = {"time": bins.middle_s[place], "order": data.numbers[index].astype(float)}
     if data.height_m is not None:
         covariates["height"] = data.height_m[index]
     return Problem(
-        values=bins.rows.of(bins.mean_m_s2),
+        values=bins.rows(bins.mean_m_s2),
         scale=bins.sigma_m_s2[place],
         unit="m/s²",
         quantity=np.full(len(place), "reading"),
@@ -148,14 +145,3 @@ def fall_problem(data: Falls, library: Sequence[str] = LIBRARY) -> Problem:
         warnings=data.warnings,
         left_aside=data.left_aside,
     )
-
-
-def _combine(bins: Bins) -> Callable[[tuple[str, ...]], FallModel]:
-    def combine(effects: tuple[str, ...]) -> FallModel:
-        for name in effects:
-            if name not in EFFECT_PARAMETERS:
-                names = ", ".join(EFFECT_PARAMETERS)
-                raise InputError(f"a falls dataset cannot carry {name}; {names} it can")
-        return FallModel(bins, tuple(effects))
-
-    return combine

@@ -68,13 +68,24 @@ class Bins:
         return np.concatenate([self.noise.deviation(p.stop - p.start) for p in self.pieces])
 
     @cached_property
-    def rows(self) -> Rows:
-        return Rows(self)
+    def bin_of_row(self) -> NDArray[np.int64]:
+        """The bin that each row (rows,) differs least from: all but the middle one of each fall."""
+        middles = [(piece.start + piece.stop) // 2 for piece in self.pieces]
+        return np.delete(np.arange(len(self.mean_m_s2)), middles)
+
+    @cached_property
+    def _maps(self) -> list[Array]:
+        return [_map(self.middle_s[piece], self.noise) for piece in self.pieces]
+
+    def rows(self, readings_m_s2: Array) -> Array:
+        """Whitened rows (..., rows) of mean readings (..., bins), see the file's head."""
+        several = zip(self._maps, self.pieces, strict=True)
+        return np.concatenate([readings_m_s2[..., p] @ m.T for m, p in several], axis=-1)
 
 
 def in_bins(data: Falls) -> Bins:
     """Means over equal parts of about `BIN_S` of each fall, at least six."""
-    begin, end, mean, starts = [], [], [], [0]
+    bins, starts = [], [0]
     for piece in data.pieces:
         times, reading = data.times_s[piece], data.reading_m_s2[piece]
         times = times - times[0]
@@ -82,30 +93,10 @@ def in_bins(data: Falls) -> Bins:
         edges = np.round(np.linspace(0, len(times), count + 1)).astype(int)
         half = 0.5 * times[-1] / (len(times) - 1)
         for a, b in pairwise(edges):
-            begin.append(times[a] - half)
-            end.append(times[b - 1] + half)
-            mean.append(reading[a:b].mean())
-        starts.append(len(mean))
-    return Bins(data, np.array(begin), np.array(end), np.array(mean), np.array(starts))
-
-
-class Rows:
-    """The rows of `Bins`, see the file's head: ``of`` bins' readings (..., bins), and of each row
-    (rows,) its ``bin``, the one that it differs least from."""
-
-    def __init__(self, bins: Bins) -> None:
-        self._pieces = bins.pieces
-        self._maps = [_map(bins.middle_s[piece], bins.noise) for piece in self._pieces]
-        kept = []
-        for piece in self._pieces:
-            numbers = np.arange(piece.start, piece.stop)
-            kept.append(np.delete(numbers, len(numbers) // 2))
-        self.bin: NDArray[np.int64] = np.concatenate(kept)
-
-    def of(self, readings_m_s2: Array) -> Array:
-        """Whitened rows (..., rows) of mean readings (..., bins)."""
-        several = zip(self._maps, self._pieces, strict=True)
-        return np.concatenate([readings_m_s2[..., p] @ m.T for m, p in several], axis=-1)
+            bins.append((times[a] - half, times[b - 1] + half, reading[a:b].mean()))
+        starts.append(len(bins))
+    begin, end, mean = np.array(bins).T.copy()
+    return Bins(data, begin, end, mean, np.array(starts))
 
 
 def _map(time_s: Array, noise: Noise) -> Array:

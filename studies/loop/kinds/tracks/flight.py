@@ -122,6 +122,17 @@ def heights(p: Array, t_s: Array, phase: Phases, g: float) -> Array:
 
 
 @njit
+def bouncing(since_s: float, speed: float, ratio: float, g: float) -> float:
+    """Height of a point that left with a speed and bounces by the same ratio of squares."""
+    for _ in range(8):
+        if since_s < 2.0 * speed / g:
+            return speed * since_s - 0.5 * g * since_s * since_s
+        since_s -= 2.0 * speed / g
+        speed *= math.sqrt(ratio)
+    return 0.0
+
+
+@njit
 def derivatives(p: Array, t_s: Array, phase: Phases, g: float, steps: Array) -> Array:
     """Derivatives (frames, numbers) of `heights`, by central differences of ``steps``."""
     out = np.empty((len(t_s), len(p)))

@@ -12,6 +12,7 @@ import numpy as np
 
 from .....solver.arrays import Array
 from .....solver.compiled import njit
+from .flight import bouncing
 from .rows import Film
 
 CAP = 25.0
@@ -135,22 +136,16 @@ def _fitted(
             row = np.zeros(4)
             tau = impact - t[i]
             if tau > margin:
-                if held and tau > x[0] / x[3]:
-                    row[0] = x[0] / x[3]
-                    row[3] = -0.5 * (x[0] / x[3]) ** 2
-                    height = 0.5 * x[0] ** 2 / x[3]
-                else:
-                    row[0], row[3] = tau, -0.5 * tau * tau
-                    height = x[0] * tau - 0.5 * x[3] * tau * tau
-                    falls += 1
+                falls += not (held and tau > x[0] / x[3])
+                before = min(tau, x[0] / x[3]) if held else tau
+                row[0], row[3] = before, -0.5 * before * before
             elif tau < -margin and -tau < 2.0 * x[1] / x[3] - margin:
                 row[1], row[3] = -tau, -0.5 * tau * tau
-                height = -x[1] * tau - 0.5 * x[3] * tau * tau
                 rises += 1
             else:
                 continue
             row[2] = 1.0
-            residual = (y[i] - x[2] - height) / sigma
+            residual = (y[i] - x[2] - _height(tau, held, x)) / sigma
             for k in range(4):
                 right[k] += row[k] / sigma * residual
                 for m in range(4):
@@ -172,23 +167,22 @@ def _fitted(
     for i in range(len(t)):
         tau = impact - t[i]
         weight, error = 1.0, sigma
-        if tau > 0.0:
-            if held and tau > x[0] / x[3]:
-                height = 0.5 * x[0] ** 2 / x[3]
-            else:
-                height = x[0] * tau - 0.5 * x[3] * tau * tau
-        elif -tau < 2.0 * x[1] / x[3]:
-            height = -x[1] * tau - 0.5 * x[3] * tau * tau
+        if tau > 0.0 or -tau < 2.0 * x[1] / x[3]:
+            height = _height(tau, held, x)
         else:
             weight, error = LATER, later
             ratio_seen = min((x[1] / x[0]) ** 2, 1.0)
             rest, v = -tau - 2.0 * x[1] / x[3], x[1] * np.sqrt(ratio_seen)
-            height = 0.0
-            for _ in range(8):
-                if rest < 2.0 * v / x[3]:
-                    height = v * rest - 0.5 * x[3] * rest * rest
-                    break
-                rest -= 2.0 * v / x[3]
-                v *= np.sqrt(ratio_seen)
+            height = bouncing(rest, v, ratio_seen, x[3])
         cost += weight * min(((y[i] - x[2] - height) / error) ** 2, CAP)
     return cost
+
+
+@njit
+def _height(tau: float, held: bool, x: Array) -> float:
+    """Over the surface, ``tau`` before the impact (negative: after it)."""
+    if tau <= 0.0:
+        return -x[1] * tau - 0.5 * x[3] * tau * tau
+    if held:
+        tau = min(tau, x[0] / x[3])
+    return x[0] * tau - 0.5 * x[3] * tau * tau

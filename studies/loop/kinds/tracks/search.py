@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .....solver.arrays import Array
-from .....solver.compiled import njit
 from .flight import (
     BOUNCE,
     FALL,
@@ -21,6 +20,7 @@ from .flight import (
     RISE,
     UNUSED,
     Phases,
+    bouncing,
     derivatives,
     fall_of,
     heights,
@@ -201,7 +201,8 @@ def _cost(film: Film, p: Array, held: bool) -> float:
     if len(rises):
         later = t > end
         speed, ratio = np.sqrt(p[len(HEAD)]) * p[1], p[len(HEAD)]
-        y[later] = _bouncing(t[later] - end, speed * np.sqrt(ratio), ratio, g) + level
+        faster = speed * np.sqrt(ratio)
+        y[later] = [bouncing(float(since), faster, ratio, g) + level for since in t[later] - end]
         sigma[later] = np.hypot(film.sigma_y_m, 0.005 * p[1] + 0.025 * p[1] ** 2 / g)
         weight[later] = LATER
     squares = np.minimum(((film.y_m - y) / sigma) ** 2, CAP)
@@ -215,21 +216,6 @@ def _cost(film: Film, p: Array, held: bool) -> float:
 def _level(p: Array, g: float) -> float:
     """The feature h of a body held where the fall is highest."""
     return float((fall_of(p, g)[1] - p[2]) * 2.0 * g / p[1] ** 2 - 1.0)
-
-
-@njit
-def _bouncing(since_s: Array, speed: float, ratio: float, g: float) -> Array:
-    """Heights (frames,) of a point that leaves with a speed and bounces by the same ratio."""
-    out = np.zeros(len(since_s))
-    for i in range(len(since_s)):
-        t, v = since_s[i], speed
-        for _ in range(8):
-            if t < 2.0 * v / g:
-                out[i] = v * t - 0.5 * g * t * t
-                break
-            t -= 2.0 * v / g
-            v *= np.sqrt(ratio)
-    return out
 
 
 def _bounced_on(film: Film, best: Settled, bounces: int) -> Settled:

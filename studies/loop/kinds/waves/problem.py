@@ -8,15 +8,14 @@ amplifier. What is predicted, with which noise, and by which models: `waves_layo
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from .....solver.arrays import Array
-from .....solver.errors import InputError
-from ...problem import Problem
+from ...problem import Problem, carried
 from .layout import MOST_BINS, Layout, lay_out, used_band
 from .model import (
     WaveModel,
@@ -58,9 +57,20 @@ def wave_problem(data: Waves, library: Sequence[str] = LIBRARY) -> Problem:
     plain = whole.synthesis(layout.windows)
     white = _whitening(replace(start.model, synthesis=real_synthesis(plain)), start, layout)
     model = WaveModel(whole, baseline, real_synthesis(plain) @ white.factor.T)
-    combine = _combine(model)
-    values = white.factor @ layout.windows.components(data.predicted.signal)
     possible = effect_parameters(data)
+
+    def combine(effects: Sequence[str]) -> WaveModel:
+        return replace(model, effects=carried("waves", effects, possible))
+
+    def confirm(effects: Sequence[str], theta: Array, groups: NDArray[np.int64]) -> Array:
+        """Predictions (rows of ``groups``,) by the 3-D bar; the baseline's with no effects."""
+        from .solid import solid_wave_numbers
+
+        solid = solid_wave_numbers(data.manifest.bristle, band)
+        predicted = replace(combine(effects), solid=solid).predict(theta)
+        return np.asarray(predicted[0, np.isin(layout.group, groups)])
+
+    values = white.factor @ layout.windows.components(data.predicted.signal)
     return Problem(
         values=values,
         scale=white.scale,
@@ -75,7 +85,7 @@ def wave_problem(data: Waves, library: Sequence[str] = LIBRARY) -> Problem:
         candidates=[combine((name,)) for name in library if name in possible],
         combine=combine,
         held=layout.held or None,
-        confirm=_confirm(model, layout.group),
+        confirm=confirm,
         notes={
             "highest_frequency_Hz": float(layout.frequency_Hz.max()),
             "absorbed": "scale error, gauge length, amplifier: the first pass carries them too",
@@ -125,34 +135,6 @@ def _refuse(whole: Propagation) -> None:
             f"lets {turns} reflections overlap the first pass, of which {MOST_TURNS} can be told "
             "apart: a gauge farther from the far end, or a shorter first_pass_s, is needed",
         )
-
-
-def _combine(model: WaveModel) -> Callable[[tuple[str, ...]], WaveModel]:
-    possible = effect_parameters(model.propagation.data)
-
-    def combine(effects: tuple[str, ...]) -> WaveModel:
-        for name in effects:
-            if name not in possible:
-                raise InputError(
-                    f"a waves dataset cannot carry {name}; {', '.join(possible)} it can"
-                )
-        return replace(model, effects=tuple(effects))
-
-    return combine
-
-
-def _confirm(
-    model: WaveModel, group: NDArray[np.int64]
-) -> Callable[[tuple[str, ...], Array, NDArray[np.int64]], Array]:
-    def confirm(effects: tuple[str, ...], theta: Array, groups: NDArray[np.int64]) -> Array:
-        """Predictions (rows of ``groups``,) by the 3-D bar; the baseline's with no effects."""
-        from .solid import solid_wave_numbers
-
-        bar, band = model.propagation.data.manifest.bristle, model.propagation.band_Hz
-        solid = replace(model, effects=tuple(effects), solid=solid_wave_numbers(bar, band))
-        return np.asarray(solid.predict(theta)[0, np.isin(group, groups)])
-
-    return confirm
 
 
 def _warnings(data: Waves, start: Start, layout: Layout) -> tuple[str, ...]:

@@ -108,7 +108,8 @@ def read_waves(folder: Path) -> Waves:
         )  # fmt: skip
     if predict[0] < first[0]:
         raise manifest.wrong("predict_s", "must not begin before the first pass does")
-    for key, (begin, end) in (("first_pass_s", first), ("predict_s", predict)):
+    windows = {"first_pass_s": first, "predict_s": predict}
+    for key, (begin, end) in windows.items():
         if begin < times[0] or end > times[-1]:
             raise manifest.wrong(key, f"must lie within {times[0]:g} to {times[-1]:g}")
     quiet = times < until
@@ -117,7 +118,7 @@ def read_waves(folder: Path) -> Waves:
             "baseline_until_s",
             f"must leave {LEAST_QUIET} samples or more before the first pass: they show the noise",
         )
-    for key, (begin, end) in (("first_pass_s", first), ("predict_s", predict)):
+    for key, (begin, end) in windows.items():
         if np.count_nonzero((times >= begin) & (times <= end)) < LEAST_PASS:
             raise manifest.wrong(key, f"holds fewer than {LEAST_PASS} samples of the record")
     gauges = [

@@ -16,6 +16,7 @@ from scipy.optimize import least_squares
 
 from .....solver.arrays import Array
 from .....solver.effects.base import Parameter
+from ...fit import differences, to_theta, to_unit
 from .model import AT_ONCE, SPEEDS_M_S, WaveModel, material_declared, real_synthesis
 from .propagation import Propagation, Windows
 
@@ -24,6 +25,7 @@ MOST_SPEEDS, MOST_BINS = 4000, 200
 MOST = 0.9
 SCANNED = 0.3
 """Speeds looked at around a declared material's, relative."""
+STEP = 1e-6
 BETAS_S = (1e-10, 1e-8, 1e-7, 1e-6)
 
 
@@ -100,26 +102,16 @@ def _alike(model: WaveModel, points: Array, values: Array) -> Array:
 
 
 def _refined(model: WaveModel, point: Array, values: Array) -> Array:
+    """The parameters (p,) of least squares near a point."""
     several = model.parameters
-    log = np.array([p.logarithmic for p in several])
-    low, high = (np.array([getattr(p, end) for p in several]) for end in ("low", "high"))
-    low, high = (np.where(log, np.log(np.where(log, each, 1.0)), each) for each in (low, high))
-
-    def theta(u: Array) -> Array:
-        x = low + (high - low) * u
-        return np.where(log, np.exp(np.where(log, x, 0.0)), x)
-
     size = np.linalg.norm(values) + 1e-300
 
     def left(u: Array) -> Array:
-        return (model.predict(theta(u))[0] - values) / size
+        return (model.predict(to_theta(several, u))[..., 0, :] - values) / size
 
     def slopes(u: Array) -> Array:
-        step = np.where(u > 0.5, -1e-6, 1e-6)
-        moved = model.predict(theta(u + np.diag(step)))[:, 0]
-        return ((moved - model.predict(theta(u))) / size / step[:, None]).T
+        return differences(left, u[None], np.full((1, u.size), STEP))[1][0].T
 
-    at = np.where(log, np.log(np.where(log, point, 1.0)), point)
-    start = np.clip((at - low) / (high - low), 1e-3, 1 - 1e-3)
+    start = np.clip(to_unit(several, point), 1e-3, 1 - 1e-3)
     found = least_squares(left, start, jac=slopes, bounds=(0.0, 1.0), x_scale=0.01, max_nfev=60)
-    return theta(found.x)
+    return to_theta(several, found.x)
