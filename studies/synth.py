@@ -6,9 +6,7 @@ a file elsewhere.
 
 from __future__ import annotations
 
-import csv
 import hashlib
-import io
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -179,35 +177,32 @@ def _errors(noise: Noise, shape: tuple[int, int], rng: np.random.Generator) -> A
 
 def table_of(made: Made) -> str:
     """The dataset's table as CSV, in the units of CONTRACT.md."""
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
     columns = COLUMNS if made.recipe.sensors else COLUMNS[:3]
-    writer.writerow(columns)
-    scale = np.array([1e3, 1e3, 1e3, 1.0])
-    for i, row in enumerate(made.measured * scale):
-        writer.writerow([i + 1, *(f"{value:.6g}" for value in row[: len(columns) - 1])])
-    return text.getvalue()
+    lines = [",".join(columns)]
+    scaled = made.measured * np.array([1e3, 1e3, 1e3, 1.0])
+    for i in range(len(scaled)):
+        numbers = (f"{value:.6g}" for value in scaled[i, : len(columns) - 1])
+        lines.append(",".join([str(i + 1), *numbers]))
+    return "\n".join(lines) + "\n"
 
 
 def manifest_of(recipe: Recipe) -> str:
     """The dataset's dataset.toml, which declares the instruments and no effect."""
-    lines = [
-        "[dataset]",
-        'title = "Made drops of a bristle"',
-        'kind = "drops"',
-        f'{MADE} {__version__}"',
-        'licence = "CC0-1.0"',
-        "",
-        "[measurement]",
-        'file = "drops.csv"',
-        f"sigma_y_mm = {1e3 * recipe.sigma_y_m:g}",
-    ]
+    sensors = ""
     if recipe.sensors:
-        lines += [
-            f"sigma_t_s = {recipe.sigma_t_s:g}",
-            f"sigma_force_N = {recipe.sigma_force_N:g}",
-        ]
-    return "\n".join([*lines, f"gravity_m_s2 = {paper.GRAVITY_M_S2:g}"]) + "\n"
+        sensors = f"sigma_t_s = {recipe.sigma_t_s:g}\nsigma_force_N = {recipe.sigma_force_N:g}\n"
+    return f"""\
+[dataset]
+title = "Made drops of a bristle"
+kind = "drops"
+{MADE} {__version__}"
+licence = "CC0-1.0"
+
+[measurement]
+file = "drops.csv"
+sigma_y_mm = {1e3 * recipe.sigma_y_m:g}
+{sensors}gravity_m_s2 = {paper.GRAVITY_M_S2:g}
+"""
 
 
 def truth_of(made: Made) -> dict[str, Any]:

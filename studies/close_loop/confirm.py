@@ -10,6 +10,7 @@ import numpy as np
 from ...solver.arrays import Array
 from ...solver.errors import BristleError
 from ..loop.finding import Finding
+from ..loop.heldout import rms
 from ..loop.noise import Ints
 from ..loop.problem import Problem
 
@@ -30,11 +31,11 @@ class Solid:
 
     @property
     def rms_before(self) -> float:
-        return float(np.sqrt(np.mean((self.values - self.before) ** 2)))
+        return rms(self.values - self.before)
 
     @property
     def rms_after(self) -> float:
-        return float(np.sqrt(np.mean((self.values - self.after) ** 2)))
+        return rms(self.values - self.after)
 
 
 @dataclass(frozen=True)
@@ -69,20 +70,12 @@ def confirm(problem: Problem, finding: Finding) -> Confirmation:
     rows = np.flatnonzero(np.isin(problem.group, groups))
     base = np.array(finding.evidences[0].theta)
     try:
-        before = problem.confirm((), base, groups)
-        after = before
+        before = after = problem.confirm((), base, groups)
         if finding.model_effects:
             after = problem.confirm(finding.model_effects, finding.theta, groups)
     except BristleError as error:
         return Confirmation(None, f"the 3-D model failed: {error}")
     main = problem.quantity[rows] == problem.quantity[0]
     scale = problem.scale[rows][main]
-    return Confirmation(
-        Solid(
-            unit=problem.unit,
-            rows=rows[main],
-            values=problem.values[rows][main] * scale,
-            before=before[main] * scale,
-            after=after[main] * scale,
-        )
-    )
+    several = (each[main] * scale for each in (problem.values[rows], before, after))
+    return Confirmation(Solid(problem.unit, rows[main], *several))

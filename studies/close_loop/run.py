@@ -10,6 +10,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -23,7 +24,7 @@ from ...solver.errors import InputError
 from .. import __version__
 from ..data.datasets import Manifest, read_manifest
 from ..inputs.loop_fields import LoopInputs
-from ..loop.finding import Finding
+from ..loop.finding import Finding, plain
 from ..loop.problem import Problem
 from ..loop.run import find, pieces
 from ..running.files import new_folders, prepare_folder, to_json, together, write_atomically
@@ -176,11 +177,12 @@ def close(manifest: Manifest, problem: Problem, inputs: LoopInputs) -> Closed:
     with progress("Steps of the search", pieces(problem)) as advance:
         finding = find(problem, inputs.seed, inputs.alarm, advance)
     if inputs.no_3d:
-        return Closed(manifest, inputs, problem, finding, Confirmation(None, LEFT_OUT))
-    if problem.confirm is None:
-        return Closed(manifest, inputs, problem, finding, confirm(problem, finding))
-    with working("confirming in three dimensions"):
-        return Closed(manifest, inputs, problem, finding, confirm(problem, finding))
+        confirmation = Confirmation(None, LEFT_OUT)
+    else:
+        solid = problem.confirm is not None
+        with working("confirming in three dimensions") if solid else nullcontext():
+            confirmation = confirm(problem, finding)
+    return Closed(manifest, inputs, problem, finding, confirmation)
 
 
 def problem_of(manifest: Manifest) -> Problem:
@@ -227,8 +229,8 @@ def verdict(closed: Closed) -> dict[str, Any]:
         "n_groups": len(np.unique(problem.group)),
         "n_values": len(problem.values),
         "alarm": finding.alarm,
-        "tests": [_test(each) for each in finding.tests],
-        "tests_after": [_test(each) for each in finding.tests_after],
+        "tests": plain(finding.tests),
+        "tests_after": plain(finding.tests_after),
         "evidence": [
             {
                 "effects": list(each.effects),
@@ -239,10 +241,6 @@ def verdict(closed: Closed) -> dict[str, Any]:
         ],
         "inputs": closed.inputs.model_dump(mode="json"),
     }
-
-
-def _test(test: Any) -> dict[str, Any]:
-    return {"name": test.name, "value": test.value, "p_value": test.p_value}
 
 
 def summary(content: dict[str, Any]) -> list[tuple[str, str]]:

@@ -10,7 +10,7 @@ and the gain of a force sensor to within its class.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -27,11 +27,10 @@ from ....data import datasets
 from ....data.datasets import Manifest
 from ....data.tables import LEAST_DROPS
 from ...noise import Ints
-from ...problem import Problem
+from ...problem import Experiment, Problem
 from ...responses.drop_model import DropModel, Drops
 from ...responses.emulator import KN_RANGE_N_M, Emulator
 from ...responses.rigid import RigidEmulator, around
-from .experiments import experiments
 
 KIND = "drops"
 # A contact stiffness that is declared is taken as known to this share.
@@ -47,6 +46,12 @@ BETA_UNKNOWN_S = 1e-7
 # Of the ratio of data to baseline over the height: an error of its slope is one of a variance.
 RATIO_DEGREE = 3
 SCALES = (1e3, 1e6, 1.0)
+# What is within reach: an electrical contact's timing, a piezo-electric cell under the plate, a
+# ruler in the film's plane read to a tenth of a millimetre.
+NEXT_TIME_S = 1e-6
+NEXT_FORCE_N = 0.5
+NEXT_HEIGHT_M = 1e-4
+Build = Callable[[Drops, Mapping[int, float], tuple[str, ...]], DropModel]
 NAMES = ("y1 (mm)", "contact time (µs)", "peak force (N)")
 
 
@@ -255,3 +260,31 @@ def _whitening(plain: DropModel, at: Array, sigmas: Array, ratios: Mapping[int, 
     moved = sigmas[0] * change / (2.0 * step)[:, None]
     covariance = np.diag(sigmas**2) + np.einsum("dq,dr->dqr", moved, moved)
     return np.linalg.inv(np.linalg.cholesky(covariance))
+
+
+def experiments(drops: Drops, sigmas: Mapping[int, float], build: Build) -> list[Experiment]:
+    """Measurements that differ from ``drops`` in what is measured, how well, and from where.
+
+    ``sigmas`` holds the standard deviation of each quantity (of `table.QUANTITIES`) in SI;
+    ``build`` makes the model of such drops with effects in it.
+    """
+
+    def one(change: str, changed: Drops, better: Mapping[int, float]) -> Experiment:
+        known = {q: better.get(q, sigmas.get(q, 0.0)) for q in changed.quantities}
+        return Experiment(change, lambda effects: build(changed, known, effects))
+
+    out = []
+    for q, sigma, words in (
+        (1, NEXT_TIME_S, "measure the contact time as well, to 1 µs, in as many drops"),
+        (2, NEXT_FORCE_N, "measure the peak force as well, to 0.5 N, in as many drops"),
+    ):
+        if q not in drops.quantities:
+            more = tuple(sorted((*drops.quantities, q)))
+            out.append(one(words, replace(drops, quantities=more), {q: sigma}))
+    if sigmas[0] > 1.5 * NEXT_HEIGHT_M:
+        out.append(one("read the heights to 0.1 mm, in as many drops", drops, {0: NEXT_HEIGHT_M}))
+    low, high = float(drops.y0_m.min()), float(drops.y0_m.max())
+    ends = np.where(np.arange(len(drops)) % 2 == 0, low, high)
+    words = f"make as many drops again, half from {1e3 * low:.0f} mm, half from {1e3 * high:.0f} mm"
+    out.append(one(words, replace(drops, y0_m=ends), {}))
+    return out
