@@ -6,9 +6,9 @@ that wrote it.
 
 from __future__ import annotations
 
+from contextlib import AbstractContextManager
 from pathlib import Path
-from types import TracebackType
-from typing import Any, Self
+from typing import Any
 
 import adios2
 import numpy as np
@@ -21,7 +21,7 @@ from ..running.files import read_csv
 Array = NDArray[np.float64]
 
 
-class FieldSeries:
+class FieldSeries(AbstractContextManager):
     """A series of fields on one mesh, opened from its ``.bp``; a context manager.
 
     ``nodes_m`` (n, 3), ``cells`` (m, nodes per cell) in VTK's order and of VTK's ``cell_type``,
@@ -108,15 +108,7 @@ class FieldSeries:
         """Close the file; what was read stays."""
         self._file.close()
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *raised: object) -> None:
         self.close()
 
 

@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, Any
 from mpi4py import MPI
 
 from ...meshes.collective import run_on_one_rank
-from ...meshes.display import DrawingError
-from ...solver.errors import ComputationError, InputError
+from ...solver.errors import InputError
 from ...solver.paraview import SOLID_FILE
 from ..inputs.texts import exists, parse_json, read_text
 from ..report.figures import picture, write_picture
@@ -37,7 +36,6 @@ def run_view(
     Raises
     ------
     InputError : there is no result, or a file of it is not what this program writes
-    ComputationError : drawing failed, for instance since there is no display
     """
     return run_on_one_rank(comm, lambda: _view(Path(result_dir), out))
 
@@ -81,19 +79,20 @@ def read_result(result: Path) -> dict[str, Any]:
 def _view_fields(result: Path, document: dict[str, Any], touch_s: float, folder: Path) -> Wave:
     """Fill ``folder`` with the pictures of a solid; returns the wave that they show."""
     from .field_series import FieldSeries
+    from .pictures import animate, animated, space_time_figure, stills_figure, tip_figure
     from .wave import read_wave
-    from .wave_pictures import animated, draw_wave, space_time_figure
 
     with FieldSeries(result / FIELDS_FOLDER / SOLID_FILE) as series:
         count = len(series.times_s)
-        # each frame is read; those of the animation are drawn as well, and put together
-        with progress("pictures of the wave, frames", count + 2 * len(animated(count))) as advance:
+        # each frame is read, and those of the animation once more
+        with progress("pictures of the wave, frames", count + len(animated(count))) as advance:
             wave = read_wave(series, touch_s, advance)
-            try:
-                figures = draw_wave(series, wave, folder, advance)
-            except DrawingError as error:
-                raise ComputationError(f"the bristle could not be drawn: {error}") from error
-    figures["space-time"] = space_time_figure(wave, _bar_speed_m_s(document))
+            animate(series, wave, folder / "wave.gif", advance)
+        figures = {
+            "wave": stills_figure(series, wave),
+            "tip-stress": tip_figure(series, wave),
+            "space-time": space_time_figure(wave, _bar_speed_m_s(document)),
+        }
     for name, figure in figures.items():
         write_picture(folder / name, picture(figure))
     return wave

@@ -5,13 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ...solver.paraview import Phase
 from .field_series import Array, FieldSeries
-from .stand import Stand
 
 SHOWN_MOTION = 0.05
 """Greatest displacement during contact in a picture, over the bristle's length."""
@@ -25,6 +25,41 @@ SAME_LEVEL = 1e-6
 """Heights that differ by less, over the length, are one."""
 TIP_WIDTHS = 2.0
 """Length of bristle that counts as near the tip, in widths of the section."""
+
+
+@dataclass(frozen=True)
+class Stand:
+    """A rigid motion of the undeformed nodes into the world.
+
+    A node at X is at ``turn`` (3, 3) times X - ``touching_m`` (3,): the world's origin is where the
+    bristle first touches the ground.
+    """
+
+    turn: Array
+    touching_m: Array
+
+    @classmethod
+    def of(cls, nodes_m: Array, displacement_m: Array) -> Stand:
+        """The rigid motion nearest to a displacement (n, 3) of nodes (n, 3), in least squares
+        (Kabsch, Acta Crystallographica A 32, 1976)."""
+        middle, where = nodes_m.mean(axis=0), (nodes_m + displacement_m).mean(axis=0)
+        left, _, right = np.linalg.svd((nodes_m - middle).T @ (nodes_m + displacement_m - where))
+        # no mirror image, however thin the bristle
+        proper = np.diag([1.0, 1.0, np.sign(np.linalg.det(right.T @ left.T))])
+        turn = right.T @ proper @ left.T
+        return cls(turn, middle - where @ turn)
+
+    def moved(self, nodes_m: Array, displacement_m: Array) -> Array:
+        """The displacement (n, 3) from that stand, along the bristle's axes there."""
+        return (nodes_m + displacement_m) @ self.turn + self.touching_m - nodes_m
+
+    def drawn(self, nodes_m: Array, moved_m: Array, factor: float, widening: Array) -> Array:
+        """Places in the world, displacements from the stand ``factor`` times as large.
+
+        ``widening`` (3,) makes the bristle larger along its own axes, about where it touches, so
+        that it stays above the ground.
+        """
+        return ((nodes_m - self.touching_m) * widening + factor * moved_m) @ self.turn.T
 
 
 @dataclass(frozen=True)
@@ -84,12 +119,12 @@ class Wave:
     tip_stand: Stand
     normal: Array
 
-    @property
+    @cached_property
     def size_m(self) -> Array:
         """Of the bristle, along its axes (3,)."""
         return self.high_node_m.max(axis=0) - self.low_node_m.min(axis=0)
 
-    @property
+    @cached_property
     def side(self) -> int:
         """The lateral axis to show: the wide one, unless the bristle leans or bends along the
         other."""
@@ -99,7 +134,7 @@ class Wave:
         spread, rise = np.ptp(path, axis=0)[:2], np.ptp(motion[..., 2])
         return 0 if spread[0] > 2.0 * spread[1] and spread[0] > 0.01 * rise else 1
 
-    @property
+    @cached_property
     def exaggeration(self) -> float:
         """By how much displacements from the stand are to be multiplied to be seen."""
         motion = np.maximum(np.abs(self.low_m), np.abs(self.high_m)).max(axis=(1, 2))
@@ -107,7 +142,7 @@ class Wave:
         there = max(motion[contact].max() / SHOWN_MOTION, motion.max() / SHOWN_FLIGHT)
         return round_factor(self.size_m[2], float(there))
 
-    @property
+    @cached_property
     def widening(self) -> float:
         """By how much the section is to be widened to show its colours beside its swing."""
         side = self.side
@@ -123,14 +158,14 @@ class Wave:
         least, greatest = low @ forth + high @ back, high @ forth + low @ back
         return least.min(axis=(0, 1)), greatest.max(axis=(0, 1))
 
-    @property
+    @cached_property
     def widenings(self) -> Array:
         """``widening`` of the side that is shown, and none of the others (3,)."""
         widening = np.ones(3)
         widening[self.side] = self.widening
         return widening
 
-    @property
+    @cached_property
     def window_m(self) -> tuple[float, float, float, float]:
         """Left, right, bottom, top that hold every frame, as it is drawn, and the ground under
         it."""
@@ -147,7 +182,7 @@ class Wave:
         """Height of the ground at places along the side that is shown."""
         return -self.normal[self.side] / self.normal[2] * lateral_m
 
-    @property
+    @cached_property
     def tip_frame(self) -> int:
         """The frame of contact with the greatest stress near the tip."""
         return tip_frame(self.phases, self.tip_von_mises_Pa)

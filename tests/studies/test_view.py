@@ -7,7 +7,6 @@ import json
 import math
 import shutil
 import tracemalloc
-from dataclasses import replace
 from pathlib import Path
 
 import imageio.v3 as imageio
@@ -35,14 +34,20 @@ from bristle.solver.paraview import FieldWriter, Phase
 from bristle.solver.rigid import leaning, matrix_of, slope_normal
 from bristle.solver.time.march import Marcher
 from bristle.studies.running.progress import logged_to_terminal
-from bristle.studies.view.bristle_drawing import OUTLINE, draw_bristle, save_frames
 from bristle.studies.view.field_series import FieldSeries
 from bristle.studies.view.history_picture import read_history, touch_time_s
 from bristle.studies.view.paraview_state import SCRIPT_FILE, write_state_script
+from bristle.studies.view.pictures import (
+    OUTLINE,
+    Outside,
+    Seen,
+    animated,
+    seen_from_the_side,
+    space_time_figure,
+    stills,
+)
 from bristle.studies.view.run import run_view
-from bristle.studies.view.stand import Stand
-from bristle.studies.view.wave import Levels, read_wave, round_factor
-from bristle.studies.view.wave_pictures import plan_drawing, space_time_figure
+from bristle.studies.view.wave import Levels, Stand, read_wave, round_factor
 
 COMM = MPI.COMM_WORLD
 LENGTH_M, HEIGHT_M, ITS_S, GRAVITY_M_S2 = 0.05, 0.02, 2.5e-7, 9.8
@@ -151,8 +156,8 @@ def test_all_pictures_of_a_solid(result, capfd):
     told = [line for line in capfd.readouterr().err.splitlines() if "of the wave, frames" in line]
     with FieldSeries(result / "fields" / "solid.bp") as series:
         count = len(series.times_s)
-    # each is read, those of the film are drawn and put together
-    total = count + 2 * min(count, 60)
+    # each is read, those of the film once more
+    total = count + min(count, 60)
     assert told[0].endswith(f"0 of {total}")
     assert told[-1].endswith(f"{total} of {total}")
     names = ["history", "space-time", "tip-stress", "wave"]
@@ -219,23 +224,22 @@ def test_the_greatest_stress_is_the_bar_waves(wave):
 @pytest.mark.serial
 def test_the_window_holds_every_frame_and_the_ground(either):
     wave = wave_of(either)
-    drawing, stills = plan_drawing(wave)
-    left, right, bottom, top = drawing.window_m
-    assert len(stills) == 6
-    assert drawing.exaggeration > 1.0
+    left, right, bottom, top = wave.window_m
+    assert len(stills(wave.times_s)) == 6
+    assert wave.exaggeration > 1.0
     low, high = np.full(3, np.inf), np.full(3, -np.inf)
     with FieldSeries(either / "fields" / "solid.bp") as series:
         nodes = series.nodes_m
         for frame in range(len(series.times_s)):
             motion = wave.stand.moved(nodes, series.read("displacement_m", frame))
-            placed = wave.stand.drawn(nodes, motion, drawing.exaggeration, wave.widenings)
+            placed = wave.stand.drawn(nodes, motion, wave.exaggeration, wave.widenings)
             low, high = np.minimum(low, placed.min(axis=0)), np.maximum(high, placed.max(axis=0))
     ground = wave.ground_m(np.array([left, right]))
-    assert left < low[drawing.side] < high[drawing.side] < right
+    assert left < low[wave.side] < high[wave.side] < right
     assert bottom < min(low[2], ground.min()) < max(high[2], ground.max()) < top
     # and is not much larger
     assert high[2] - min(low[2], ground.min()) > 0.9 * (top - bottom)
-    assert high[drawing.side] - low[drawing.side] > 0.4 * (right - left)
+    assert high[wave.side] - low[wave.side] > 0.4 * (right - left)
 
 
 @pytest.mark.serial
@@ -245,37 +249,56 @@ def test_a_leaning_bristle_stands_on_its_ground(leaning_drop):
     assert wave.side == 0
     slope = math.tan(math.radians(SLOPE_DEG))
     assert wave.ground_m(np.array([1.0])) == pytest.approx(-slope)
-    drawing = replace(plan_drawing(wave)[0], frames=[0])
     with FieldSeries(leaning_drop / "fields" / "solid.bp") as series:
-        (image,), _ = draw_bristle(series, wave, drawing)
-    left, right, bottom, top = drawing.window_m
-    drawn = (image < 0.99).any(axis=-1)
-    rows, columns = np.nonzero(drawn)
-    height = top - (rows + 0.5) / image.shape[0] * (top - bottom)
-    across = left + (columns + 0.5) / image.shape[1] * (right - left)
-    pixel = max((top - bottom) / image.shape[0], (right - left) / image.shape[1])
+        (seen,) = seen_from_the_side(series, wave, [0])
+    across, height = seen.places_m[np.unique(seen.triangles)].T
     above = height - wave.ground_m(across)
-    assert above.min() == pytest.approx(0.0, abs=2.0 * pixel)
+    near = 1e-5 * LENGTH_M
+    assert above.min() == pytest.approx(0.0, abs=near)
     # the edge that touches is the one toward which the bristle leans
-    assert across[above < 2.0 * pixel].max() == pytest.approx(0.0, abs=3.0 * pixel)
-    upper = height > height.max() - 2.0 * pixel
+    assert across[above < near] == pytest.approx(0.0, abs=near)
     lean = math.radians(LEAN_DEG)
-    assert height.max() == pytest.approx(LENGTH_M * math.cos(lean), abs=3.0 * pixel)
-    widths = 0.5 * drawing.widening * wave.size_m[0] * math.cos(lean)
-    expected = LENGTH_M * math.sin(lean) - widths
-    assert across[upper].mean() == pytest.approx(expected, abs=widths + 3.0 * pixel)
+    upper = height > height.max() - near
+    half = 0.5 * wave.widening * wave.size_m[0]
+    assert height.max() == pytest.approx(LENGTH_M * math.cos(lean) + 2.0 * half * math.sin(lean))
+    ends = across[upper].mean(), across[upper].mean() + 2.0 * half * math.cos(lean)
+    assert np.mean(ends) == pytest.approx(LENGTH_M * math.sin(lean) - half * math.cos(lean))
+
+
+def test_of_a_surface_what_faces_the_eye_is_seen_the_nearest_on_top():
+    """Two cubes in a row, seen askew: their shadows, the nearer one's last."""
+    cube = pyvista.Box((0, 1, 0, 1, 0, 1)).triangulate()
+    faces = cube.regular_faces
+    places = np.vstack([cube.points, cube.points - [5.0, 0.0, 0.0]])
+    both = np.vstack([faces, faces + len(cube.points)])
+    toward = np.array([1.0, 0.5, 0.25]) / np.linalg.norm([1.0, 0.5, 0.25])
+    right = np.cross([0.0, 0.0, 1.0], toward)
+    right /= np.linalg.norm(right)
+    outside = Outside(np.arange(len(places)), both)
+    seen = Seen.of(outside, places, places[:, 0], np.array([right, np.cross(toward, right)]))
+    one, other, third = np.moveaxis(seen.places_m[seen.triangles], 1, 0)
+    areas = 0.5 * (
+        (other - one)[:, 0] * (third - one)[:, 1] - (other - one)[:, 1] * (third - one)[:, 0]
+    )
+    assert areas.min() > 0.0
+    # a unit cube's shadow is the sum of its direction's components
+    assert areas.sum() == pytest.approx(2.0 * toward.sum())
+    nearer = (seen.triangles < len(cube.points)).all(axis=1)
+    assert not nearer[: len(nearer) // 2].any()
+    assert nearer[len(nearer) // 2 :].all()
 
 
 @pytest.mark.serial
-def test_no_more_than_a_frame_is_held_for_drawing(dropped, tmp_path):
+def test_no_more_than_a_frame_is_held_for_drawing(dropped):
     """Ten times as many frames take no more memory."""
     wave = wave_of(dropped)
-    drawing, _ = plan_drawing(wave)
+    frames = animated(len(wave.times_s))
     peaks = []
     with FieldSeries(dropped / "fields" / "solid.bp") as series:
-        for frames in ([0], drawing.frames[:4], drawing.frames[:40]):
+        for some in (frames[:1], frames[:4], frames[:40]):
             tracemalloc.start()
-            save_frames(series, wave, replace(drawing, frames=frames), tmp_path)
+            for _ in seen_from_the_side(series, wave, some):
+                pass
             peaks.append(tracemalloc.get_traced_memory()[1])
             tracemalloc.stop()
     assert peaks[2] < 1.2 * peaks[1]
