@@ -19,11 +19,10 @@ from ...solver.bodies.base import ContactPoints
 from ...solver.errors import InputError
 from ...solver.ground import Ground
 from ...solver.rigid import leaning, matrix_of
-from ..surface.files import Measured, read_surface
+from ..surface.files import read_surface
 from ..surface.heights import Roughness
 from ..surface.phases import CELLS_PER_GRAIN, PERIOD_IN_GRAINS, Composite
 from ..surface.rough import Surface, make_surface
-from ..surface.stiffness import contact_stiffness_factor
 from .inputs import ScatterInputs
 
 # What a random stream is for: the first number of its key.
@@ -46,8 +45,7 @@ def ground_surface(inputs: ScatterInputs) -> Surface | None:
         return None
     try:
         if inputs.surface is not None:
-            measured = Measured(seed=inputs.surface_seed) if inputs.surface_seed else None
-            return read_surface(Path(inputs.surface), measured)
+            return read_surface(Path(inputs.surface), inputs.surface_seed)
         assert inputs.rms_height_m is not None
         assert inputs.correlation_length_m is not None
         roughness = Roughness(inputs.rms_height_m, inputs.correlation_length_m)
@@ -153,8 +151,7 @@ def ground_under(
     )
     nx, ny, nz = patch.normals.reshape(*shape, 3).transpose(2, 0, 1)
     normals = np.stack([cos * nx + sin * ny, cos * ny - sin * nx, nz], axis=-1)
-    mean = surface.mean_contact_modulus_Pa(*steel)
-    scale = contact_stiffness_factor(patch.youngs_Pa, patch.poisson, *steel, mean)
+    scale = surface.stiffness_factors(*steel)[patch.phase]
     return Under(normals, patch.heights_m.reshape(shape), scale.reshape(shape), places)
 
 

@@ -1,107 +1,64 @@
-"""Measured surfaces: maps of heights from text files and NumPy archives."""
+"""Measured surfaces: maps of heights from text files and NumPy archives, in m.
+
+A text is of one of two kinds: a matrix of heights z, one row of the grid per line, and a list of
+points x y z of a regular grid, in any order.  Numbers are separated by commas, semicolons or
+blanks; lines that begin with # are comments, of which `# spacing_m = 1e-5` gives a matrix its
+spacing; a first line without a single number is taken for column names.  An archive has the arrays
+`heights_m` (ny, nx) and `spacing_m`.
+"""
 
 from __future__ import annotations
 
+import math
+import re
 import zipfile
 import zlib
-from dataclasses import dataclass, field
-from enum import StrEnum
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 
 from ...meshes.section import require_positive
+from .heights import MAX_NODES
 from .phases import Composite, random_phases
 from .rough import FEWEST_NODES, Surface
-from .text import read_text
 
 Array = npt.NDArray[np.float64]
 
-
-class Edges(StrEnum):
-    """How a map that was measured on a finite piece goes on beyond it."""
-
-    MIRROR = "mirror"
-    """Reflected in its edges: heights are continuous, and the tile is about twice as long."""
-    PERIODIC = "periodic"
-    """Repeated as it is: only for a map whose opposite edges fit."""
+OFF_GRID = 0.05
+"""Part of the spacing by which a listed point may miss its place on the grid."""
+SAME_SPACING = 1e-3
+"""Relative difference that is allowed between the spacings in x and y."""
+_SPACING = re.compile(r"#\s*spacing_m\s*[=:]\s*(\S+)\s*$")
 
 
-@dataclass(frozen=True)
-class Measured:
-    """How a map of heights becomes a surface.
+def read_surface(path: Path, seed: int = 0) -> Surface:
+    """Read a surface that was measured on a finite piece.
 
-    Parameters
-    ----------
-    spacing_m : grid spacing of a matrix, m; None: the file says it
-    unit_m : what 1 in a text file is in m, 1e-6 for µm; `.npz` files are in m
-    edges : how it goes on beyond its edges
-    level : take off the plane that fits best, the tilt under the instrument; else the mean only
-    composite : phases, which a height map does not tell: laid out at random
-    seed : of the phases
-
-    Raises
-    ------
-    ValueError : a value is out of its range
-    """
-
-    spacing_m: float | None = None
-    unit_m: float = 1.0
-    edges: Edges = Edges.MIRROR
-    level: bool = True
-    composite: Composite = field(default_factory=Composite)
-    seed: int = 0
-
-    def __post_init__(self) -> None:
-        if self.spacing_m is not None:
-            require_positive("spacing_m", self.spacing_m)
-        require_positive("unit_m", self.unit_m)
-        object.__setattr__(self, "edges", Edges(self.edges))
-
-
-def read_surface(path: Path, measured: Measured | None = None) -> Surface:
-    """Read a map of measured heights.
-
-    It is a text file (`.csv`, `.txt`: see `bristle.studies.surface.text`) or a `.npz` file with
-    the arrays `heights_m` (ny, nx) and `spacing_m`.
-
-    Parameters
-    ----------
-    measured : what becomes of a map; None: `Measured()`
+    The plane that fits best, the tilt under the instrument, is taken off.  Beyond its edges the map
+    goes on by its mirror image, so that heights are continuous and the tile is about twice as long.
+    Phases, which a map of heights does not tell, are concrete's, laid out at random by ``seed``.
 
     Raises
     ------
     ValueError : the file is malformed, which names the file and, in a text, the line
     OSError : the file cannot be read
     """
-    suffix, how = path.suffix.lower(), measured or Measured()
-    if suffix == ".npz":
-        arrays = _load_arrays(path)
-        heights, spacing = _array_map(path, arrays, how.spacing_m)
-    elif suffix in (".csv", ".txt"):
-        heights, spacing = read_text(path, how.spacing_m, how.unit_m)
-    else:
-        raise ValueError(f"{path}: a surface is read from .npz, .csv or .txt, not '{suffix}'.")
+    heights, spacing_m = read_map(path)
     if heights.ndim != 2 or min(heights.shape) < FEWEST_NODES:
         raise ValueError(
             f"{path}: a grid of at least {FEWEST_NODES} × {FEWEST_NODES} heights is needed, "
             f"not {' × '.join(map(str, heights.shape))}."
         )
+    ny, nx = heights.shape
+    heights = np.pad(heights - _best_plane(heights), ((0, ny - 2), (0, nx - 2)), mode="reflect")
+    composite = Composite()
     try:
-        return _surface_of_map(heights, spacing, how)
+        phase = random_phases(composite, heights.shape, spacing_m, np.random.default_rng(seed))
+        return Surface(heights, spacing_m, phase, composite)
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from error
-
-
-def _surface_of_map(heights: Array, spacing_m: float, how: Measured) -> Surface:
-    heights = heights - (_best_plane(heights) if how.level else heights.mean())
-    if how.edges is Edges.MIRROR:
-        ny, nx = heights.shape
-        heights = np.pad(heights, ((0, ny - 2), (0, nx - 2)), mode="reflect")
-    rng = np.random.default_rng(how.seed)
-    phase = random_phases(how.composite, heights.shape, spacing_m, rng)
-    return Surface(heights, spacing_m, phase, how.composite)
 
 
 def _best_plane(heights: Array) -> Array:
@@ -113,32 +70,161 @@ def _best_plane(heights: Array) -> Array:
     return heights.mean() + slope_x * x + slope_y * y
 
 
-def _load_arrays(path: Path) -> dict[str, npt.NDArray]:
+def read_map(path: Path) -> tuple[Array, float]:
+    """Heights (ny, nx), row 0 at the smallest y, and the grid's spacing, of a file; errors as
+    `read_surface`."""
+    suffix = path.suffix.lower()
+    if suffix == ".npz":
+        return _read_archive(path)
+    if suffix in (".csv", ".txt"):
+        return _read_text(path)
+    raise ValueError(f"{path}: a surface is read from .npz, .csv or .txt, not '{suffix}'.")
+
+
+def _read_archive(path: Path) -> tuple[Array, float]:
     try:
         with np.load(path, allow_pickle=False) as archive:
-            return {name: archive[name] for name in archive.files}
+            arrays = {name: archive[name] for name in archive.files}
     except (ValueError, TypeError, EOFError, zipfile.BadZipFile, zlib.error) as error:
         raise ValueError(f"{path}: is not a file of plain arrays: {error}") from error
-
-
-def _array_map(
-    path: Path, arrays: dict[str, npt.NDArray], spacing_m: float | None
-) -> tuple[Array, float]:
-    heights = _numbers(path, arrays, "heights_m")
+    for name in ("heights_m", "spacing_m"):
+        if name not in arrays:
+            there = ", ".join(arrays) or "none"
+            raise ValueError(f"{path}: there is no array {name}, only {there}.")
+        if arrays[name].dtype.kind not in "iuf":
+            raise ValueError(f"{path}: {name} holds {arrays[name].dtype}, not numbers.")
+    heights, spacing = arrays["heights_m"].astype(float), arrays["spacing_m"]
     if not np.isfinite(heights).all():
         raise ValueError(f"{path}: heights_m has places that are not finite; fill them.")
-    if spacing_m is None:
-        spacing = _numbers(path, arrays, "spacing_m")
-        if spacing.size != 1:
-            raise ValueError(f"{path}: spacing_m must be one number, not {spacing.size}.")
-        spacing_m = float(spacing.item())
-        require_positive(f"{path}: spacing_m", spacing_m)
-    return heights, spacing_m
+    if spacing.size != 1:
+        raise ValueError(f"{path}: spacing_m must be one number, not {spacing.size}.")
+    require_positive(f"{path}: spacing_m", float(spacing.item()))
+    return heights, float(spacing.item())
 
 
-def _numbers(path: Path, arrays: dict[str, npt.NDArray], name: str) -> npt.NDArray:
-    if name not in arrays:
-        raise ValueError(f"{path}: there is no array {name}, only {', '.join(arrays) or 'none'}.")
-    if arrays[name].dtype.kind not in "iuf":
-        raise ValueError(f"{path}: {name} holds {arrays[name].dtype}, not numbers.")
-    return arrays[name].astype(float) if arrays[name].dtype.kind == "f" else arrays[name]
+def _read_text(path: Path) -> tuple[Array, float]:
+    """Three columns are a list of points, anything else a matrix: a surface has at least four nodes
+    along each side, so there is no doubt."""
+    lines: list[int] = []
+    rows: list[list[float]] = []
+    declared: float | None = None
+    for line, content in _lines(path):
+        if isinstance(content, float):
+            declared = content
+            continue
+        if rows and len(content) != len(rows[0]):
+            raise ValueError(
+                f"{path}:{line}: {len(content)} numbers where line {lines[0]} has {len(rows[0])}."
+            )
+        lines.append(line)
+        rows.append(content)
+        if len(rows) * len(content) > 3 * MAX_NODES:
+            raise ValueError(f"{path}:{line}: more than {MAX_NODES} heights; thin them out.")
+    if not rows:
+        raise ValueError(f"{path}: there are no numbers in it.")
+    table = np.array(rows)
+    if table.shape[1] == 3:
+        if declared is not None:
+            raise ValueError(f"{path}: a list of points x y z has its spacing from its points.")
+        return _grid_of_points(path, table, lines)
+    if declared is None:
+        raise ValueError(
+            f"{path}: a matrix of {table.shape[0]} × {table.shape[1]} heights needs a spacing: "
+            "write '# spacing_m = …' into the file."
+        )
+    return table, declared
+
+
+def _lines(path: Path) -> Iterator[tuple[int, list[float] | float]]:
+    """Yield the number of each line that says something, and its numbers or the spacing."""
+    try:
+        text = path.read_text(encoding="utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise ValueError(f"{path}: is not a text file ({error.reason}).") from None
+    started = False
+    for number, line in enumerate(text.splitlines(), start=1):
+        if not (stripped := line.strip()):
+            continue
+        if stripped.startswith("#"):
+            if match := _SPACING.match(stripped):
+                spacing = _height(match[1], f"{path}:{number}")
+                require_positive(f"{path}:{number}: spacing_m", spacing)
+                yield number, spacing
+            continue
+        fields = _split(stripped)
+        if started or any(_is_number(field) for field in fields):
+            yield number, [_height(field, f"{path}:{number}") for field in fields]
+        started = True
+
+
+def _split(line: str) -> list[str]:
+    for separator in (";", ","):
+        if separator in line:
+            return [field.strip() for field in line.removesuffix(separator).split(separator)]
+    return line.split()
+
+
+def _is_number(field: str) -> bool:
+    try:
+        float(field)
+    except ValueError:
+        return False
+    return True
+
+
+def _height(field: str, place: str) -> float:
+    if not _is_number(field):
+        raise ValueError(f"{place}: '{field}' is not a number.")
+    value = float(field)
+    if not math.isfinite(value):
+        raise ValueError(f"{place}: '{field}' is not a height; fill places that were not measured.")
+    return value
+
+
+def _grid_of_points(path: Path, points: Array, lines: list[int]) -> tuple[Array, float]:
+    """Sort a list of points (n, 3) into a grid; returns its heights (ny, nx) and spacing."""
+    columns = [_grid_indices(path, points[:, axis], lines, "xy"[axis]) for axis in (0, 1)]
+    (i, step_x), (j, step_y) = columns
+    if not math.isclose(step_x, step_y, rel_tol=SAME_SPACING):
+        raise ValueError(
+            f"{path}: the spacing is {step_x:g} m in x and {step_y:g} m in y; it must be the same."
+        )
+    nx, ny = int(i.max()) + 1, int(j.max()) + 1
+    if nx * ny > MAX_NODES:
+        raise ValueError(f"{path}: the points are too scattered for a grid ({nx} × {ny} nodes).")
+    node = j * nx + i
+    _, first, again = np.unique(node, return_index=True, return_inverse=True)
+    repeated = first[again] != np.arange(len(node))
+    if repeated.any():
+        row = int(np.argmax(repeated))
+        earlier = lines[first[again[row]]]
+        raise ValueError(f"{path}:{lines[row]}: the same point as in line {earlier}.")
+    missing = np.setdiff1d(np.arange(nx * ny), node)
+    if len(missing):
+        y, x = points[:, 1::-1].min(axis=0) + np.array(divmod(missing[0], nx)) * [step_y, step_x]
+        raise ValueError(
+            f"{path}: {len(missing)} points of the {ny} × {nx} grid are missing, "
+            f"the first at x = {x:g} m, y = {y:g} m."
+        )
+    return points[first, 2].reshape(ny, nx), (step_x + step_y) / 2
+
+
+def _grid_indices(
+    path: Path, values: Array, lines: list[int], axis: str
+) -> tuple[npt.NDArray[np.int64], float]:
+    """Number of each value along a regular axis, from 0, and the axis' step."""
+    start, extent = values.min(), np.ptp(values)
+    gaps = np.diff(np.unique(values))
+    gaps = gaps[gaps > 1e-6 * extent]
+    if not len(gaps):
+        raise ValueError(f"{path}: all points have the same {axis}.")
+    step = extent / round(extent / np.median(gaps))
+    index = np.rint((values - start) / step)
+    off = np.abs(values - start - index * step) > OFF_GRID * step
+    if off.any():
+        row = int(np.argmax(off))
+        raise ValueError(
+            f"{path}:{lines[row]}: {axis} = {values[row]:g} m is not on the grid that begins at "
+            f"{start:g} m with a spacing of {step:g} m."
+        )
+    return index.astype(np.int64), float(step)

@@ -30,16 +30,12 @@ MAX_NODES = 4096**2
 class Roughness:
     """A stationary, isotropic Gaussian rough surface; its mean plane is z = 0.
 
-    The autocorrelation is exp(-(r / l)^(2 H)) (Sinha, Sirota, Garoff and Stanley, Phys. Rev. B 38,
-    2297, 1988), so that the correlation length is where it has fallen to 1/e for every H.
+    The autocorrelation is exp(-(r / l)²).
 
     Parameters
     ----------
     rms_height_m : root of the mean square height, m; 0 is a plane
-    correlation_length_m : l, m
-    hurst : None for the smooth surface exp(-(r / l)²), H = 1; a number in (0, 1) for a self-affine
-        one, rough on every scale below l down to the grid's spacing: its slopes grow as the
-        spacing falls, like spacing^(H - 1), so they are no property of the surface alone
+    correlation_length_m : l, where the autocorrelation has fallen to 1/e, m
 
     Raises
     ------
@@ -48,33 +44,20 @@ class Roughness:
 
     rms_height_m: float
     correlation_length_m: float
-    hurst: float | None = None
 
     def __post_init__(self) -> None:
         if isinstance(self.rms_height_m, bool) or self.rms_height_m != 0:
             require_positive("rms_height_m", self.rms_height_m)
         require_positive("correlation_length_m", self.correlation_length_m)
-        if self.hurst is not None:
-            require_positive("hurst", self.hurst)
-            if self.hurst >= 1:
-                raise ValueError(
-                    f"hurst must be below 1, not {self.hurst!r}; leave it out for a smooth surface."
-                )
-
-    @property
-    def exponent(self) -> float:
-        """The autocorrelation's exponent, 2 H."""
-        return 2.0 if self.hurst is None else 2.0 * self.hurst
 
     def autocorrelation(self, distance_m: npt.ArrayLike) -> npt.NDArray[np.float64]:
         """Correlation of the heights at two places this far apart, in the shape of the argument."""
-        ratio = np.asarray(distance_m, dtype=float) / self.correlation_length_m
-        return np.exp(-(ratio**self.exponent))
+        return np.exp(-np.square(np.asarray(distance_m, float) / self.correlation_length_m))
 
     @property
     def shortest_period_m(self) -> float:
         """Length of the smallest tile that can carry it, m: see `LARGEST_TAIL`."""
-        return 2 * self.correlation_length_m * (-math.log(LARGEST_TAIL)) ** (1 / self.exponent)
+        return 2 * self.correlation_length_m * math.sqrt(-math.log(LARGEST_TAIL))
 
 
 def node_count(size_m: float, spacing_m: float) -> int:
@@ -145,7 +128,7 @@ def _periodic_autocorrelation(
 ) -> npt.NDArray[np.float64]:
     """Sum of the autocorrelation's images: (n, n), from lag 0, each axis wrapping."""
     size_m = n * spacing_m
-    reach = roughness.correlation_length_m * (-math.log(SMALLEST_IMAGE)) ** (1 / roughness.exponent)
+    reach = roughness.correlation_length_m * math.sqrt(-math.log(SMALLEST_IMAGE))
     images = np.arange(-(n_images := math.ceil(reach / size_m)), n_images + 1) * size_m
     lags = np.arange(n // 2 + 1) * spacing_m
     quadrant = np.zeros((len(lags), len(lags)))

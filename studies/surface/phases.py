@@ -113,15 +113,13 @@ class Composite:
         if not math.isclose(total, 1.0, abs_tol=1e-6):
             raise ValueError(f"the area fractions must sum to 1, not {total:g}.")
 
-    @property
-    def youngs_Pa(self) -> Array:
-        """Young's modulus of each phase, Pa."""
-        return np.array([phase.youngs_Pa for phase in self.phases], dtype=float)
+    def contact_moduli_Pa(self, bristle_youngs_Pa: float, bristle_poisson: float) -> Array:
+        """Plane-strain contact modulus E* of each phase with a bristle, Pa, shape (phases,).
 
-    @property
-    def poisson(self) -> Array:
-        """Poisson's ratio of each phase."""
-        return np.array([phase.poisson for phase in self.phases], dtype=float)
+        1/E* = (1 - ν1²)/E1 + (1 - ν2²)/E2: Johnson, Contact Mechanics, 1985, section 4.2.
+        """
+        surface = np.array([(1 - phase.poisson**2) / phase.youngs_Pa for phase in self.phases])
+        return 1 / (surface + (1 - bristle_poisson**2) / bristle_youngs_Pa)
 
     @property
     def matrix(self) -> int:

@@ -20,7 +20,6 @@ from scipy.interpolate import NdBSpline
 from ...meshes.section import require_positive
 from .heights import Roughness, random_heights
 from .phases import Composite, random_phases
-from .stiffness import contact_modulus_Pa
 
 Array = npt.NDArray[np.float64]
 
@@ -32,13 +31,12 @@ FEWEST_NODES = 4
 class Patch:
     """A surface seen at n places.
 
-    heights_m (n,), unit normals (n, 3) that point up, youngs_Pa (n,) and poisson (n,).
+    heights_m (n,), unit normals (n, 3) that point up, and the numbers of the phases (n,).
     """
 
     heights_m: Array
     normals: Array
-    youngs_Pa: Array
-    poisson: Array
+    phase: npt.NDArray[np.uint8]
 
 
 @dataclass(frozen=True)
@@ -115,11 +113,6 @@ class Surface:
         ny, nx = self.heights_m.shape
         return nx * self.spacing_m, ny * self.spacing_m
 
-    @property
-    def ceiling_m(self) -> float:
-        """A height that no place of the surface is above, m (the spline's convex hull)."""
-        return float(self._coefficients.max())
-
     @cached_property
     def _coefficients(self) -> Array:
         return ndimage.spline_filter(self.heights_m, order=3, mode="grid-wrap")
@@ -153,13 +146,7 @@ class Surface:
         normals = np.column_stack([-rise_x, -rise_y, np.ones_like(rise_x)])
         normals /= np.linalg.norm(normals, axis=1, keepdims=True)
         j, i = np.mod(np.floor(places + 0.5).astype(np.intp), self.heights_m.shape).T
-        phase = self.phase[j, i]
-        return Patch(
-            heights_m=self._spline(places),
-            normals=normals,
-            youngs_Pa=self.composite.youngs_Pa[phase],
-            poisson=self.composite.poisson[phase],
-        )
+        return Patch(self._spline(places), normals, self.phase[j, i])
 
     @property
     def fractions(self) -> Array:
@@ -167,12 +154,14 @@ class Surface:
         counts = np.bincount(self.phase.ravel(), minlength=len(self.composite.phases))
         return counts / self.phase.size
 
-    def mean_contact_modulus_Pa(self, bristle_youngs_Pa: float, bristle_poisson: float) -> float:
-        """Area-mean of the contact modulus with a bristle, Pa: see `contact_stiffness_factor`."""
-        moduli = contact_modulus_Pa(
-            self.composite.youngs_Pa, self.composite.poisson, bristle_youngs_Pa, bristle_poisson
-        )
-        return float(self.fractions @ moduli)
+    def stiffness_factors(self, bristle_youngs_Pa: float, bristle_poisson: float) -> Array:
+        """Contact stiffness of each phase over that of the whole surface, shape (phases,).
+
+        Contact stiffness is proportional to the contact modulus.  The factor's area-mean is 1, so
+        that Kn remains the surface's mean stiffness.
+        """
+        moduli = self.composite.contact_moduli_Pa(bristle_youngs_Pa, bristle_poisson)
+        return moduli / (self.fractions @ moduli)
 
     def statistics(self) -> SurfaceStatistics:
         """Measure the tile."""

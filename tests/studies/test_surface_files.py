@@ -5,16 +5,10 @@ import zipfile
 import numpy as np
 import pytest
 
-from bristle.studies.surface.files import Edges, Measured, read_surface
-from bristle.studies.surface.phases import Composite, Phase
+from bristle.studies.surface.files import read_map, read_surface
+from bristle.studies.surface.phases import Composite
 
 pytestmark = pytest.mark.serial
-
-STONE = Composite((Phase("stone", 50e9, 0.2, 1.0),))
-MORTAR = Composite(
-    (Phase("cement", 12e9, 0.25, 0.4), Phase("sand", 80e9, 0.2, 0.6, grain_size_m=0.5e-3))
-)
-AS_IT_IS = Measured(edges=Edges.PERIODIC, level=False, composite=STONE)
 
 
 @pytest.fixture
@@ -45,37 +39,35 @@ def test_text_kinds_give_the_same_surface(heights, kind, separator, rng, tmp_pat
     else:
         rows = [separator.join(map(repr, map(float, row))) for row in heights]
         path.write_text("\n".join(["# measured", "# spacing_m = 2e-5", "", *rows]))
-    made = read_surface(path, AS_IT_IS)
-    assert made.heights_m == pytest.approx(heights, abs=1e-18)
-    assert made.spacing_m == pytest.approx(2e-5, rel=1e-9)
+    found, spacing_m = read_map(path)
+    assert found == pytest.approx(heights, abs=1e-18)
+    assert spacing_m == pytest.approx(2e-5, rel=1e-9)
 
 
-def test_units_column_names_and_a_spacing_from_outside(heights, rng, tmp_path):
-    points, matrix, arrays = (tmp_path / name for name in ("a.csv", "b.csv", "c.npz"))
-    write_points(points, heights * 1e6, 20.0, rng, ",")
+def test_column_names_are_passed_over_and_an_archive_says_the_same(heights, rng, tmp_path):
+    points, arrays = tmp_path / "a.csv", tmp_path / "b.npz"
+    write_points(points, heights, 2e-5, rng, ",")
     points.write_text("x,y,z\n" + points.read_text())
-    in_um = Measured(unit_m=1e-6, edges="periodic", level=False, composite=STONE)
-    assert read_surface(points, in_um).heights_m == pytest.approx(heights, abs=1e-18)
-    assert read_surface(points, in_um).spacing_m == pytest.approx(2e-5)
-    np.savetxt(matrix, heights, delimiter=",")
-    np.savez(arrays, heights_m=heights, spacing_m=1.0)
-    outside = Measured(spacing_m=3e-5, edges="periodic", level=False, composite=STONE)
-    for path in (matrix, arrays):
-        assert read_surface(path, outside).spacing_m == 3e-5
-        assert read_surface(path, outside).heights_m == pytest.approx(heights, abs=1e-18)
-    assert read_surface(arrays, AS_IT_IS).spacing_m == 1.0
+    np.savez(arrays, heights_m=heights, spacing_m=2e-5)
+    for path in (points, arrays):
+        found, spacing_m = read_map(path)
+        assert found == pytest.approx(heights, abs=1e-18)
+        assert spacing_m == pytest.approx(2e-5)
 
 
-def test_a_tilted_map_is_levelled_and_goes_on_by_its_mirror_image(tmp_path):
-    ny, nx = 12, 9
+def test_a_tilted_map_is_levelled_and_goes_on_by_its_mirror_image(rng, tmp_path):
+    ny, nx, spacing_m = 12, 9, 50e-6
     x, y = np.arange(nx), np.arange(ny)[:, None]
-    ripple = np.where((x + y) % 2, 1e-7, -1e-7) * np.ones((ny, nx))
-    np.savez(tmp_path / "a.npz", heights_m=5.0 + 0.01 * x - 0.02 * y, spacing_m=1e-5)
-    flat = read_surface(tmp_path / "a.npz", Measured(composite=STONE))
+    tilted = 5.0 + 0.01 * x - 0.02 * y
+    np.savez(tmp_path / "a.npz", heights_m=tilted, spacing_m=spacing_m)
+    flat = read_surface(tmp_path / "a.npz")
     assert flat.heights_m == pytest.approx(np.zeros((22, 16)), abs=1e-14)
-    np.savez(tmp_path / "b.npz", heights_m=5.0 + ripple, spacing_m=1e-5)
-    made = read_surface(tmp_path / "b.npz", Measured(level=False, composite=STONE))
-    assert made.heights_m[:ny, :nx] == pytest.approx(ripple - ripple.mean(), abs=1e-14)
+    rough = 1e-7 * rng.normal(size=(ny, nx))
+    np.savez(tmp_path / "b.npz", heights_m=tilted + rough, spacing_m=spacing_m)
+    made = read_surface(tmp_path / "b.npz")
+    terms = np.stack([np.ones((ny, nx)), x + 0 * y, y + 0 * x], axis=-1).reshape(-1, 3)
+    plane = terms @ np.linalg.lstsq(terms, rough.ravel())[0]
+    assert made.heights_m[:ny, :nx] == pytest.approx(rough - plane.reshape(ny, nx), abs=1e-14)
     # Even about both edges: the first and the last row and column.
     for axis, n in ((0, ny), (1, nx)):
         assert np.array_equal(made.heights_m, np.roll(np.flip(made.heights_m, axis), 1, axis))
@@ -83,13 +75,14 @@ def test_a_tilted_map_is_levelled_and_goes_on_by_its_mirror_image(tmp_path):
         assert np.array_equal(made.heights_m, turned)
 
 
-def test_measured_maps_get_phases_of_the_composite(tmp_path):
-    np.savez(tmp_path / "a.npz", heights_m=np.zeros((80, 80)), spacing_m=50e-6)
-    made = read_surface(tmp_path / "a.npz", Measured(composite=MORTAR, seed=4))
-    assert made.fractions == pytest.approx([0.4, 0.6], abs=0.01)
-    again = read_surface(tmp_path / "a.npz", Measured(composite=MORTAR, seed=4))
+def test_measured_maps_get_phases_of_concrete(tmp_path):
+    np.savez(tmp_path / "a.npz", heights_m=np.zeros((201, 201)), spacing_m=200e-6)
+    made = read_surface(tmp_path / "a.npz", seed=4)
+    assert made.composite == Composite()
+    assert made.fractions == pytest.approx([0.30, 0.28, 0.42], abs=0.01)
+    again = read_surface(tmp_path / "a.npz", seed=4)
     assert np.array_equal(again.phase, made.phase)
-    assert read_surface(tmp_path / "a.npz").composite == Composite()
+    assert not np.array_equal(read_surface(tmp_path / "a.npz").phase, made.phase)
 
 
 # --- broken files -----------------------------------------------------------------------------
@@ -129,7 +122,7 @@ def test_broken_text_is_refused_with_its_line(text, message, tmp_path):
     path = tmp_path / "a.txt"
     path.write_text(text)
     with pytest.raises(ValueError, match=message) as refused:
-        read_surface(path, Measured(composite=STONE))
+        read_surface(path)
     assert str(refused.value).startswith(str(path))
 
 
@@ -170,7 +163,3 @@ def test_other_broken_files_are_refused(heights, tmp_path):
         read_surface(tmp_path / "a.stl")
     with pytest.raises(FileNotFoundError):
         read_surface(tmp_path / "none.csv")
-    with pytest.raises(ValueError, match="unit_m must be positive"):
-        Measured(unit_m=0.0)
-    with pytest.raises(ValueError, match="'folded' is not a valid Edges"):
-        Measured(edges="folded")
