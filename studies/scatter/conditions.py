@@ -1,4 +1,4 @@
-"""Release and landing place of each of many drops.
+"""Release, landing place and outcome of each of many drops.
 
 Every drop has a random stream of its own, named by the seed and its number, so that neither the
 number of drops nor who computes it changes what is drawn.
@@ -11,10 +11,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 from numpy.typing import NDArray
 
 from ...solver.arrays import Array
-from ...solver.batch import Drops
+from ...solver.batch import Outcome
 from ...solver.bodies.base import ContactPoints
 from ...solver.errors import InputError
 from ...solver.ground import Ground
@@ -155,21 +156,6 @@ def ground_under(
     return Under(normals, patch.heights_m.reshape(shape), scale.reshape(shape), places)
 
 
-def drops_of(released: Conditions, under: Under, kn_N_m: float, mu: float) -> Drops:
-    """The drops as `solver.batch` takes them."""
-    n = len(released)
-    return Drops(
-        height_m=released.height_m,
-        tilt_deg=released.tilt_deg,
-        tilt_wide_deg=released.tilt_wide_deg,
-        kn_N_m=np.full(n, kn_N_m),
-        mu=np.full(n, mu),
-        normals=under.normals,
-        rises_m=under.rises_m,
-        scale=under.scale,
-    )
-
-
 def ground_of(under: Under, which: int) -> Ground:
     """The ground of one drop as `solver.drop` takes it."""
     normals, scale = under.normals[which], under.scale[which]
@@ -212,3 +198,45 @@ def local_ground(released: Conditions, under: Under, weights: Array) -> Local:
         rise_std_m=np.sqrt(np.square(rest) @ weights),
         stiffness_scale=under.scale @ weights,
     )
+
+
+@dataclass(frozen=True)
+class Check:
+    """Drops that were computed twice: how far the reduced body may be off, in impact speeds (None
+    for a body that leaves nothing out), and by how much the two ways differ in y1/y0."""
+
+    n: int
+    reduction_error: float | None
+    difference: float
+
+
+@dataclass(frozen=True)
+class Scatter:
+    """All drops that were computed: how they were released, over what, and what they gave.
+
+    ``failed`` tells of those that are left out, by number.
+    """
+
+    released: Conditions
+    local: Local
+    outcome: Outcome
+    failed: dict[int, str]
+
+    @property
+    def ratio(self) -> Array:
+        """y1/y0 of the lower tip (n,)."""
+        return np.asarray(self.outcome.rebound_height_m / self.released.height_m)
+
+
+def table_of(found: Scatter) -> pd.DataFrame:
+    """A row a drop: how it was released, over what, and what it gave."""
+    height_m = found.released.height_m
+    columns = {
+        **vars(found.released),
+        **vars(found.local),
+        "rebound_ratio": found.ratio,
+        "cm_rebound_ratio": found.outcome.cm_rebound_height_m / height_m,
+        **found.outcome._asdict(),
+    }
+    table = pd.DataFrame(columns).rename(columns={"number": "drop", "height_m": "y0_m"})
+    return table.astype({"n_contacts": int, "n_steps": int})

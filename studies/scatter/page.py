@@ -19,10 +19,9 @@ from ..report.page import Head, Report, Section, show, write_report
 from ..report.paper_figures import cloud_figure
 from ..report.prose import Prose
 from ..surface.rough import Surface
-from .conditions import RESAMPLES, SAMPLES, generator
+from .conditions import RESAMPLES, SAMPLES, Check, Scatter, generator
 from .figures import DOTS, histogram_figure, lean_figure
 from .inputs import ScatterInputs
-from .outcome import Check, Scatter
 from .statistics import Sampled, Share, Spread, sampled, shares, spread, through_origin
 
 FACTORS = {

@@ -8,134 +8,36 @@ from __future__ import annotations
 
 import math
 import time
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from mpi4py import MPI
+from numpy.typing import NDArray
 
 from ...meshes.collective import run_on_one_rank
-from ...solver.batch import Drops, Outcome, drop_many
-from ...solver.bodies.modal import ModalBody
-from ...solver.drop import ModalFrame, simulate
+from ...solver.batch import Outcome
 from ...solver.errors import ComputationError
-from ...solver.time.march import Marcher
 from .. import __version__
 from ..inputs.config import DropInputs
 from ..inputs.limits import closure_warnings, input_warnings
 from ..running import results
-from ..running.files import prepare_folder, to_csv, to_json, together, write_atomically
+from ..running.files import prepare_folder, to_json, together, write_atomically
 from ..running.journal import Journal
 from ..running.parallel import share_out
 from ..running.progress import progress, say, working
-from ..surface.rough import Surface
-from .body import prepared
-from .conditions import (
-    CHECKS,
-    Conditions,
-    Local,
-    draw,
-    drops_of,
-    generator,
-    ground_of,
-    ground_under,
-    local_ground,
-)
+from .conditions import CHECKS, Check, Scatter, generator, table_of
 from .inputs import ScatterInputs
-from .outcome import COLUMNS, Check, Scatter, rows
 from .page import write_scatter
+from .scene import CHUNK, Chunk, Scene
 
 DOCUMENT, TABLE = "scatter.json", "drops.csv"
-CHUNK = 50
 # Drops that are also computed by themselves, with the reduced body's error estimate.
 CHECKED_SHARE, FEWEST_CHECKED = 0.01, 8
 # Largest difference of y1/y0 between the two that rounding can make.
 AGREES = 1e-6
 # Largest share of drops that may fail: they are left out, and the rest stands for all.
 FAILED_SHARE = 0.01
-
-Chunk = dict[str, Any]
-
-
-class _Scene:
-    """The body over the surface, and any of the drops onto it."""
-
-    def __init__(
-        self,
-        inputs: ScatterInputs,
-        frame: ModalFrame,
-        marcher: Marcher,
-        surface: Surface | None,
-    ) -> None:
-        self.inputs, self.frame, self.marcher, self.surface = inputs, frame, marcher, surface
-        self.drop = inputs.drop()
-        self._steel = inputs.youngs_Pa, inputs.poisson
-
-    @property
-    def body(self) -> ModalBody:
-        return self.frame.modal
-
-    def conditions(self, first: int, last: int) -> Conditions:
-        size = (1.0, 1.0) if self.surface is None else self.surface.size_m
-        return draw(self.inputs, size, first, last)
-
-    def local(self, released: Conditions) -> Local:
-        under = ground_under(self.surface, self.body.contact, released, self._steel)
-        return local_ground(released, under, self.body.contact.weights)
-
-    def drops(self, released: Conditions) -> Drops:
-        under = ground_under(self.surface, self.body.contact, released, self._steel)
-        return drops_of(released, under, self.inputs.kn_N_m, self.drop.friction_law().mu)
-
-    def chunk(self, number: int) -> Chunk:
-        """The outcomes of one chunk of drops, and why those failed that did."""
-        first = number * CHUNK
-        last = min(first + CHUNK, self.inputs.drops)
-        started = time.perf_counter()
-        found, failed = _attempt(self.marcher, self.drops(self.conditions(first, last)), first)
-        spent = time.perf_counter() - started
-        return {"rows": found, "failed": failed, "wall_s": spent}
-
-    def check(self, number: int) -> tuple[float | None, float] | None:
-        """A drop by itself: the reduced body's error, and how far y1/y0 is from that among many.
-
-        None where the drop fails among many; ComputationError where it does so by itself alone.
-        """
-        released = self.conditions(number, number + 1)
-        (row,), _ = _attempt(self.marcher, self.drops(released), number)
-        if row is None:
-            return None
-        under = ground_under(self.surface, self.body.contact, released, self._steel)
-        plan = replace(
-            self.drop.drop_plan(len(self.body.contact.weights)),
-            height_m=float(released.height_m[0]),
-            tilt_deg=float(released.tilt_deg[0]),
-            tilt_wide_deg=float(released.tilt_wide_deg[0]),
-            ground=ground_of(under, 0),
-        )
-        try:
-            result = simulate(self.frame, plan, self.marcher)
-        except ComputationError as error:
-            raise ComputationError(f"drop {number}: {error}") from error
-        ratio = row[Outcome._fields.index("rebound_height_m")] / plan.height_m
-        return result.reduction_error, abs((result.rebound_ratio or 0.0) - ratio)
-
-
-def _attempt(
-    marcher: Marcher, drops: Drops, first: int
-) -> tuple[list[list[float] | None], list[tuple[int, str]]]:
-    """Rows of outcomes; where one drop fails, its row is None, and its number is told."""
-    try:
-        table = np.column_stack(drop_many(marcher, drops))
-        return [list(map(float, row)) for row in table], []
-    except ComputationError as error:
-        if len(drops) == 1:
-            return [None], [(first, str(error).removeprefix("drop 0: "))]
-    half = len(drops) // 2
-    found, failed = _attempt(marcher, drops.part(0, half), first)
-    more, others = _attempt(marcher, drops.part(half, len(drops)), first + half)
-    return found + more, failed + others
 
 
 def run_scatter(
@@ -147,21 +49,20 @@ def run_scatter(
     cannot be used or holds another scatter, and ComputationError.
     """
     out, started = Path(out), time.perf_counter()
-    drop = inputs.drop()
+    inputs.drop()  # refused before anything is written
     journal = Journal(out, inputs)
     done = run_on_one_rank(comm, lambda: _prepare(journal, inputs, out, resume))
     if done is None:
         say(f"{out / DOCUMENT} is finished already, nothing to do")
         return
     with working("building the body and the surface"):
-        frame, marcher, surface, spent = prepared(inputs, comm)
+        scene = Scene(inputs, comm)
+    drop, spent = scene.drop, scene.spent_s
     spent["setup"] = time.perf_counter() - started
-    scene = _Scene(inputs, frame, marcher, surface)
     checking = time.perf_counter()
     check = _check(scene, comm)
     spent["check"] = time.perf_counter() - checking
-    fresh, dropping_s = _compute(scene, comm, journal, done)
-    spent["drops"] = dropping_s
+    fresh, spent["drops"] = _compute(scene, comm, journal, done)
     found = run_on_one_rank(comm, lambda: _gather(scene, done))
     ranks, peak = comm.size, results.peak_rss_MB(comm)
 
@@ -169,8 +70,8 @@ def run_scatter(
     def write() -> None:
         writing = time.perf_counter()
         warnings = _warnings(drop, found, inputs)
-        extra = write_scatter(inputs, found, check, surface, warnings, out)
-        write_atomically(out / TABLE, to_csv(COLUMNS, rows(found)))
+        extra = write_scatter(inputs, found, check, scene.surface, warnings, out)
+        write_atomically(out / TABLE, table_of(found).to_csv(index=False))
         spent["write"] = time.perf_counter() - writing
         spent["total"] = time.perf_counter() - started
         document = {
@@ -183,7 +84,7 @@ def run_scatter(
             **extra,
             "check": asdict(check),
             "warnings": warnings,
-            "drops_per_second": fresh / dropping_s if fresh else None,
+            "drops_per_second": fresh / spent["drops"] if fresh else None,
             "wall_s": spent,
             "peak_rss_MB": peak,
             "ranks": ranks,
@@ -212,7 +113,7 @@ def _prepare(
 
 
 def _compute(
-    scene: _Scene, comm: MPI.Intracomm, journal: Journal, done: dict[int, Chunk]
+    scene: Scene, comm: MPI.Intracomm, journal: Journal, done: dict[int, Chunk]
 ) -> tuple[int, float]:
     """Fill ``done`` on rank 0 with what is missing; how many drops that was, and the seconds."""
     n_chunks = math.ceil(scene.inputs.drops / CHUNK)
@@ -229,7 +130,7 @@ def _compute(
     return drops, time.perf_counter() - started
 
 
-def _gather(scene: _Scene, done: dict[int, Chunk]) -> Scatter:
+def _gather(scene: Scene, done: dict[int, Chunk]) -> Scatter:
     """All drops that succeeded; ComputationError where too many did not."""
     chunks = [done[number] for number in sorted(done)]
     every = [row for chunk in chunks for row in chunk["rows"]]
@@ -240,14 +141,18 @@ def _gather(scene: _Scene, done: dict[int, Chunk]) -> Scatter:
             f"{len(failed)} of {len(every)} drops failed, the first is drop {first}: "
             f"{failed[first]}"
         )
-    released = scene.conditions(0, scene.inputs.drops)
+    released, under = scene.released(0, scene.inputs.drops)
     keep = np.array([row is not None for row in every])
-    released = Conditions(**{name: value[keep] for name, value in vars(released).items()})
+    local = _chosen(scene.local(released, under), keep)
     table = np.array([row for row in every if row is not None])
-    return Scatter(released, scene.local(released), Outcome(*table.T), failed)
+    return Scatter(_chosen(released, keep), local, Outcome(*table.T), failed)
 
 
-def _check(scene: _Scene, comm: MPI.Intracomm) -> Check:
+def _chosen[Record](record: Record, keep: NDArray[np.bool_]) -> Record:
+    return type(record)(**{name: value[keep] for name, value in vars(record).items()})
+
+
+def _check(scene: Scene, comm: MPI.Intracomm) -> Check:
     """Drops chosen at random, also by `drop.simulate`: before the others, since a reduced body
     that cannot be trusted ends it all. Raises ComputationError, also where the two differ."""
     n = scene.inputs.drops

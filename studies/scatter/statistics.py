@@ -81,11 +81,10 @@ def spread(ratio: Array, random: np.random.Generator, level: float = LEVEL) -> S
     n = len(ratio)
     same = n < 2 or float(np.std(ratio)) < SAME
     centre = float(np.mean(ratio))
-    if same:
-        mean, std = Interval(centre, centre, centre, level), Interval(0.0, 0.0, 0.0, level)
-    else:
-        half = float(stats.t.ppf(0.5 + 0.5 * level, n - 1)) * float(stats.sem(ratio))
-        mean = Interval(centre, centre - half, centre + half, level)
+    mean, std = Interval(centre, centre, centre, level), Interval(0.0, 0.0, 0.0, level)
+    if not same:
+        ends = stats.ttest_1samp(ratio, 0.0).confidence_interval(level)
+        mean = Interval(centre, float(ends.low), float(ends.high), level)
         resampled = [np.std(random.choice(ratio, n), ddof=1) for _ in range(RESAMPLED)]
         std = Interval(float(np.std(ratio, ddof=1)), *_tails(np.array(resampled), level), level)
     low, high = paper.RATIO_BAND_90
@@ -106,13 +105,15 @@ def percentile_interval(values: Array, percent: float, level: float = LEVEL) -> 
 
     An end is infinite where there are too few drops to bound it.
     """
-    ordered = np.sort(values)
-    n, tail = len(ordered), 0.5 * (1.0 - level)
-    below = int(stats.binom.ppf(tail, n, percent / 100.0))
-    above = int(stats.binom.ppf(1.0 - tail, n, percent / 100.0))
-    low = float(ordered[below - 1]) if below >= 1 else -math.inf
-    high = float(ordered[above]) if above < n else math.inf
-    return Interval(float(np.percentile(ordered, percent)), low, high, level)
+    estimate = float(np.percentile(values, percent))
+    found = stats.quantile_test(values, q=estimate, p=percent / 100.0).confidence_interval(level)
+    low, high = (float(end) for end in found)
+    return Interval(
+        estimate,
+        -math.inf if math.isnan(low) else low,
+        math.inf if math.isnan(high) else high,
+        level,
+    )
 
 
 def share_interval(count: int, n: int, level: float = LEVEL) -> Interval:

@@ -26,7 +26,7 @@ from bristle.studies.inputs.fields import DROP_FLAGS, LIST_FLAGS
 from bristle.studies.inputs.scatter_fields import SCATTER_FLAGS
 from bristle.studies.inputs.sources import checked, inputs_of
 from bristle.studies.running.cases import run_case
-from bristle.studies.scatter import run as scatter_study
+from bristle.studies.scatter import scene as scatter_scene
 from bristle.studies.scatter.conditions import draw, ground_of, ground_surface, ground_under
 from bristle.studies.scatter.inputs import ScatterInputs
 from bristle.studies.scatter.run import run_scatter
@@ -264,13 +264,13 @@ def test_resume_does_what_is_missing_and_no_more(done, tmp_path, monkeypatch):
     lines = (done / "cases.jsonl").read_text().splitlines(keepends=True)
     (tmp_path / "cases.jsonl").write_text("".join(lines[:3]) + lines[3][:50])
     computed = []
-    drop_many = scatter_study.drop_many
+    drop_many = scatter_scene.drop_many
 
     def counted(marcher, drops):
         computed.append(len(drops))
         return drop_many(marcher, drops)
 
-    monkeypatch.setattr(scatter_study, "drop_many", counted)
+    monkeypatch.setattr(scatter_scene, "drop_many", counted)
     inputs = scatter(drops=120, seed=11)
     run_scatter(inputs, tmp_path, MPI.COMM_SELF, resume=True)
     assert sorted(computed) == [1] * 8 + [20]  # those that are checked, and the last chunk
@@ -283,7 +283,7 @@ def test_resume_does_what_is_missing_and_no_more(done, tmp_path, monkeypatch):
 
 
 def test_a_drop_that_fails_is_left_out_and_told(tmp_path, monkeypatch):
-    drop_many = scatter_study.drop_many
+    drop_many = scatter_scene.drop_many
     bad = draw(scatter(), (0.038, 0.038), 0, 130).tilt_deg[[7]]
 
     def fails(marcher, drops):
@@ -291,7 +291,7 @@ def test_a_drop_that_fails_is_left_out_and_told(tmp_path, monkeypatch):
             raise ComputationError("drop 0: it fell over")
         return drop_many(marcher, drops)
 
-    monkeypatch.setattr(scatter_study, "drop_many", fails)
+    monkeypatch.setattr(scatter_scene, "drop_many", fails)
     run_scatter(scatter(drops=130), tmp_path, MPI.COMM_SELF)
     document, rows = read(tmp_path)
     assert document["failed"] == {"7": "it fell over"}

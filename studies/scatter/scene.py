@@ -1,0 +1,145 @@
+"""What a scatter's drops have in common, the body over the surface, and any of these drops."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from mpi4py import MPI
+
+from ...meshes.collective import run_on_one_rank
+from ...solver.arrays import Array
+from ...solver.batch import Drops, Outcome, drop_many
+from ...solver.bodies.stored import from_arrays, to_arrays
+from ...solver.drop import ModalFrame, simulate
+from ...solver.errors import ComputationError
+from ...solver.time.march import Marcher
+from ..inputs.config import DropInputs
+from ..running.cases import Timings, Workshop
+from ..running.parallel import start_petsc
+from .conditions import (
+    Conditions,
+    Local,
+    Under,
+    draw,
+    ground_of,
+    ground_surface,
+    ground_under,
+    local_ground,
+)
+from .inputs import ScatterInputs
+
+CHUNK = 50
+
+Chunk = dict[str, Any]
+Row = list[float]
+
+
+class Scene:
+    """The body over the surface, the same to the last bit on every rank; made by all together.
+
+    One rank alone makes the body, since what comes of a factorisation depends in its last bits on
+    how many share it. Raises InputError and ComputationError, on all ranks.
+    """
+
+    def __init__(self, inputs: ScatterInputs, comm: MPI.Intracomm) -> None:
+        self.inputs, self.drop = inputs, inputs.drop()
+        self.surface = run_on_one_rank(comm, lambda: ground_surface(inputs))
+        if self.drop.model.meshed:
+            start_petsc(comm)
+        arrays, self.spent_s = run_on_one_rank(comm, lambda: _body(self.drop))
+        body, *coarser = from_arrays(arrays)
+        self.frame = ModalFrame(body, tuple(coarser))
+        self.marcher = Marcher(
+            body,
+            self.drop.contact_method(),
+            self.drop.time_scheme(),
+            self.drop.its_s,
+            self.drop.gravity_m_s2,
+        )
+
+    def released(self, first: int, last: int) -> tuple[Conditions, Under]:
+        """How drops ``first`` to ``last`` - 1 are released, and what lies under them."""
+        size = (1.0, 1.0) if self.surface is None else self.surface.size_m
+        released = draw(self.inputs, size, first, last)
+        steel = self.inputs.youngs_Pa, self.inputs.poisson
+        return released, ground_under(self.surface, self.frame.modal.contact, released, steel)
+
+    def local(self, released: Conditions, under: Under) -> Local:
+        """The ground under each tip in a few numbers."""
+        return local_ground(released, under, self.frame.modal.contact.weights)
+
+    def chunk(self, number: int) -> Chunk:
+        """The outcomes of one chunk of drops, and why those failed that did."""
+        first = number * CHUNK
+        last = min(first + CHUNK, self.inputs.drops)
+        started = time.perf_counter()
+        found, failed = self._dropped(*self.released(first, last))
+        return {"rows": found, "failed": failed, "wall_s": time.perf_counter() - started}
+
+    def check(self, number: int) -> tuple[float | None, float] | None:
+        """A drop by itself: the reduced body's error, and how far y1/y0 is from that among many.
+
+        None where the drop fails among many; ComputationError where it does so by itself alone.
+        """
+        released, under = self.released(number, number + 1)
+        (row,), _ = self._dropped(released, under)
+        if row is None:
+            return None
+        plan = replace(
+            self.drop.drop_plan(len(self.frame.modal.contact.weights)),
+            height_m=float(released.height_m[0]),
+            tilt_deg=float(released.tilt_deg[0]),
+            tilt_wide_deg=float(released.tilt_wide_deg[0]),
+            ground=ground_of(under, 0),
+        )
+        try:
+            result = simulate(self.frame, plan, self.marcher)
+        except ComputationError as error:
+            raise ComputationError(f"drop {number}: {error}") from error
+        ratio = row[Outcome._fields.index("rebound_height_m")] / plan.height_m
+        return result.reduction_error, abs((result.rebound_ratio or 0.0) - ratio)
+
+    def _dropped(
+        self, released: Conditions, under: Under
+    ) -> tuple[list[Row | None], list[tuple[int, str]]]:
+        """Rows of outcomes; where one drop fails, its row is None, and its number is told."""
+        n = len(released)
+        drops = Drops(
+            height_m=released.height_m,
+            tilt_deg=released.tilt_deg,
+            tilt_wide_deg=released.tilt_wide_deg,
+            kn_N_m=np.full(n, self.inputs.kn_N_m),
+            mu=np.full(n, self.drop.friction_law().mu),
+            normals=under.normals,
+            rises_m=under.rises_m,
+            scale=under.scale,
+        )
+        return _attempt(self.marcher, drops, int(released.number[0]))
+
+
+def _body(drop: DropInputs) -> tuple[dict[str, Array], Timings]:
+    """The body and coarser ones as arrays, to be sent, and the seconds that they took."""
+    with Workshop(MPI.COMM_SELF) as workshop:
+        ready = workshop.prepare(drop)
+        assert ready is not None
+        assert isinstance(ready.frame, ModalFrame)
+        return to_arrays((ready.frame.modal, *ready.frame.coarser)), workshop.take_timings()
+
+
+def _attempt(
+    marcher: Marcher, drops: Drops, first: int
+) -> tuple[list[list[float] | None], list[tuple[int, str]]]:
+    """Rows of outcomes; where one drop fails, its row is None, and its number is told."""
+    try:
+        table = np.column_stack(drop_many(marcher, drops))
+        return [list(map(float, row)) for row in table], []
+    except ComputationError as error:
+        if len(drops) == 1:
+            return [None], [(first, str(error).removeprefix("drop 0: "))]
+    half = len(drops) // 2
+    found, failed = _attempt(marcher, drops.part(0, half), first)
+    more, others = _attempt(marcher, drops.part(half, len(drops)), first + half)
+    return found + more, failed + others
