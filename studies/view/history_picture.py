@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +9,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from ...solver.contact_phase import HISTORY_COLUMNS
-from ...solver.errors import InputError
+from ..data.tables import column, read_table
 from ..report.figures import BLACK, BLUE, GREY, ORANGE, SMALLEST, VERMILION, panels, styled
 from .field_series import Array
 
@@ -19,29 +18,8 @@ MARGIN = 0.1
 
 def read_history(path: Path) -> dict[str, Array]:
     """The columns of a history.csv. Raises InputError that names the file and the line."""
-    try:
-        with path.open(newline="", encoding="utf-8") as table:
-            rows = list(csv.reader(table))
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise InputError(f"{path}: cannot be read: {error}") from error
-    head = rows[0] if rows else []
-    missing = [name for name in HISTORY_COLUMNS if name not in head]
-    if missing:
-        raise InputError(f"{path}:1: there is no column {missing[0]}")
-    values = [_numbers(path, number, row, len(head)) for number, row in enumerate(rows[1:], 2)]
-    if not values:
-        raise InputError(f"{path}: there is no row")
-    return dict(zip(head, np.array(values).T, strict=True))
-
-
-def _numbers(path: Path, line: int, row: list[str], width: int) -> list[float]:
-    try:
-        numbers = [float(cell) for cell in row]
-    except ValueError as error:
-        raise InputError(f"{path}:{line}: {error}") from error
-    if len(numbers) != width:
-        raise InputError(f"{path}:{line}: {len(numbers)} values instead of {width}")
-    return numbers
+    rows = read_table(path, HISTORY_COLUMNS)
+    return {name: column(path, rows, name) for name in HISTORY_COLUMNS}
 
 
 def touch_time_s(history: dict[str, Array]) -> float:

@@ -90,7 +90,7 @@ class Seen:
         farthest_first = np.argsort(toward[facing].mean(axis=1), kind="stable")
         return cls(flat, facing[farthest_first], stress_Pa)
 
-    def draw(self, plot: Axes, colours: str, limits_MPa: tuple[float, float]) -> list[Artist]:
+    def draw(self, plot: Axes, colours: ScalarMappable) -> list[Artist]:
         """Draw it in mm, behind the ground, with a grey rim: without stress it is all but white."""
         places = 1e3 * self.places_m
         rim = PolyCollection(
@@ -107,9 +107,8 @@ class Seen:
             self.triangles,
             self.stress_Pa / 1e6,
             shading="gouraud",
-            cmap=colours,
-            vmin=limits_MPa[0],
-            vmax=limits_MPa[1],
+            cmap=colours.cmap,
+            norm=colours.norm,
             rasterized=True,
             zorder=0.4,
         )
@@ -131,9 +130,9 @@ def seen_from_the_side(series: FieldSeries, wave: Wave, frames: Iterable[int]) -
         yield Seen.of(outside, placed, series.read("axial_stress_Pa", frame)[outside.nodes], axes)
 
 
-def animated(count: int) -> NDArray[np.intp]:
+def animated(count: int) -> list[int]:
     """Which of ``count`` frames the animation shows."""
-    return np.unique(np.linspace(0, count - 1, N_ANIMATED).round().astype(np.intp))
+    return sorted({round(place) for place in np.linspace(0, count - 1, N_ANIMATED).tolist()})
 
 
 def stills(times_s: Array) -> list[int]:
@@ -143,7 +142,7 @@ def stills(times_s: Array) -> list[int]:
     shown = np.minimum(np.diff(times_s), _longest_gap_s(times_s))
     clock = np.concatenate([[0.0], np.cumsum(shown)])
     instants = (np.arange(N_STILLS) + 0.5) / N_STILLS * clock[-1]
-    return frames[np.unique(np.abs(clock[:, None] - instants).argmin(axis=0))].tolist()
+    return [frames[k] for k in np.unique(np.abs(clock[:, None] - instants).argmin(axis=0))]
 
 
 def _longest_gap_s(times_s: Array) -> float:
@@ -159,7 +158,7 @@ def space_time_figure(wave: Wave, bar_speed_m_s: float | None) -> Figure:
     """
     figure, axes = panels(height_in=3.6)
     plot = axes[0, 0]
-    limit = _limit_MPa(wave)
+    colours = _colours(wave)
     gone = np.diff(wave.times_s) > _longest_gap_s(wave.times_s)
     end = int(np.argmax(gone)) + 1 if gone.any() else len(wave.times_s)
     time, z = wave.times_s[:end] * 1e6, wave.z_m * 1e3
@@ -168,9 +167,8 @@ def space_time_figure(wave: Wave, bar_speed_m_s: float | None) -> Figure:
         z,
         time,
         wave.axial_stress_Pa[:end] / 1e6,
-        cmap=COLOURS,
-        vmin=-limit,
-        vmax=limit,
+        cmap=colours.cmap,
+        norm=colours.norm,
         shading=shading,
         rasterized=True,
     )
@@ -237,8 +235,9 @@ def tip_figure(series: FieldSeries, wave: Wave) -> Figure:
 
     figure, plots = panels(height_in=4.2)
     plot = plots[0, 0]
-    limits = 0.0, float(wave.tip_von_mises_Pa[frame]) / 1e6 or 1.0
-    tip.draw(plot, TIP_COLOURS, limits)
+    limit = float(wave.tip_von_mises_Pa[frame]) / 1e6 or 1.0
+    colours = ScalarMappable(Normalize(0.0, limit), TIP_COLOURS)
+    tip.draw(plot, colours)
     surface: Any = pyvista.PolyData.from_regular_faces(placed, tip.triangles)
     edges = surface.extract_feature_edges(SHARP_DEG)
     lines = (1e3 * np.asarray(edges.points) @ axes.T)[edges.lines.reshape(-1, 3)[:, 1:]]
@@ -247,14 +246,13 @@ def tip_figure(series: FieldSeries, wave: Wave) -> Figure:
     plot.set_axis_off()
     when = _instant(wave.times_s[frame])
     plot.set_title(f"The tip in true proportions, from below, {when} after touch")
-    colours = ScalarMappable(Normalize(*limits), TIP_COLOURS)
     figure.colorbar(colours, ax=plot, label="von Mises stress (MPa)")
     return figure
 
 
 def _show_bristle(plot: Axes, wave: Wave, bristle: Seen) -> list[Artist]:
     """Draw it on its ground; returns what is the bristle."""
-    drawn = bristle.draw(plot, COLOURS, (-_limit_MPa(wave), _limit_MPa(wave)))
+    drawn = bristle.draw(plot, _colours(wave))
     left, right, bottom, top = (1e3 * edge for edge in wave.window_m)
     ends = np.array([left, right])
     ground = 1e3 * wave.ground_m(1e-3 * ends)
@@ -265,11 +263,6 @@ def _show_bristle(plot: Axes, wave: Wave, bristle: Seen) -> list[Artist]:
     plot.set_xlabel("xy"[wave.side] + " (mm)")
     plot.xaxis.set_major_locator(MaxNLocator(nbins=2, prune="both", steps=[1, 2, 5, 10]))
     return drawn
-
-
-def _limit_MPa(wave: Wave) -> float:
-    """The stress at either end of the colours."""
-    return wave.greatest_axial_Pa / 1e6 or 1.0
 
 
 def _instant(time_s: float) -> str:
@@ -284,7 +277,8 @@ def _height_label(wave: Wave) -> str:
 
 
 def _colours(wave: Wave) -> ScalarMappable:
-    return ScalarMappable(Normalize(-_limit_MPa(wave), _limit_MPa(wave)), COLOURS)
+    limit = wave.greatest_axial_Pa / 1e6 or 1.0
+    return ScalarMappable(Normalize(-limit, limit), COLOURS)
 
 
 @styled
@@ -295,11 +289,12 @@ def _animation_figure(wave: Wave) -> Figure:
     bristle.set_ylabel(_height_label(wave))
     profile.plot(np.zeros_like(wave.z_m), wave.z_m * 1e3, color=BLUE)
     profile.axvline(0.0, color=GREY, linewidth=0.7)
-    profile.set_xlim(-1.05 * _limit_MPa(wave), 1.05 * _limit_MPa(wave))
+    colours = _colours(wave)
+    profile.set_xlim(1.05 * np.array(colours.get_clim()))
     profile.set_ylim(0.0, wave.z_m[-1] * 1e3)
     profile.set_xlabel("axial stress on the axis (MPa)")
     profile.set_ylabel("height above the tip (mm)")
-    figure.colorbar(_colours(wave), ax=bristle, label=STRESS)
+    figure.colorbar(colours, ax=bristle, label=STRESS)
     figure.suptitle(" ", fontsize=9.0)
     return figure
 
@@ -311,7 +306,7 @@ def animate(
 
     ``wave`` was read from ``series``; ``advance`` is called for each frame.
     """
-    frames = animated(len(wave.times_s)).tolist()
+    frames = animated(len(wave.times_s))
     figure = _animation_figure(wave)
     canvas = FigureCanvasAgg(figure)
     figure.set_dpi(ANIMATION_DPI)
@@ -321,7 +316,7 @@ def animate(
         if drawn:
             for artist in drawn:
                 artist.remove()
-            drawn = bristle.draw(plot, COLOURS, (-_limit_MPa(wave), _limit_MPa(wave)))
+            drawn = bristle.draw(plot, _colours(wave))
         else:
             drawn = _show_bristle(plot, wave, bristle)
             canvas.draw()
