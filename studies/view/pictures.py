@@ -94,7 +94,7 @@ class Seen:
         """Draw it in mm, behind the ground, with a grey rim: without stress it is all but white."""
         places = 1e3 * self.places_m
         rim = PolyCollection(
-            places[self.triangles],
+            list(places[self.triangles]),
             facecolors=str(OUTLINE),
             edgecolors=str(OUTLINE),
             linewidths=2.0 * OUTLINE_POINTS,
@@ -102,7 +102,7 @@ class Seen:
             zorder=0.3,
         )
         plot.add_collection(rim)
-        surface = plot.tripcolor(
+        surface = plot.tripcolor(  # type: ignore[call-overload]
             *places.T,
             self.triangles,
             self.stress_Pa / 1e6,
@@ -132,7 +132,7 @@ def seen_from_the_side(series: FieldSeries, wave: Wave, frames: Iterable[int]) -
 
 def animated(count: int) -> list[int]:
     """Which of ``count`` frames the animation shows."""
-    return sorted({round(place) for place in np.linspace(0, count - 1, N_ANIMATED).tolist()})
+    return sorted({round(float(place)) for place in np.linspace(0, count - 1, N_ANIMATED)})
 
 
 def stills(times_s: Array) -> list[int]:
@@ -238,7 +238,8 @@ def tip_figure(series: FieldSeries, wave: Wave) -> Figure:
     limit = float(wave.tip_von_mises_Pa[frame]) / 1e6 or 1.0
     colours = ScalarMappable(Normalize(0.0, limit), TIP_COLOURS)
     tip.draw(plot, colours)
-    surface: Any = pyvista.PolyData.from_regular_faces(placed, tip.triangles)
+    faces: Any = tip.triangles
+    surface: Any = pyvista.PolyData.from_regular_faces(placed, faces)
     edges = surface.extract_feature_edges(SHARP_DEG)
     lines = (1e3 * np.asarray(edges.points) @ axes.T)[edges.lines.reshape(-1, 3)[:, 1:]]
     plot.add_collection(LineCollection(list(lines), colors=BLACK, linewidths=0.7))
@@ -311,7 +312,8 @@ def animate(
     canvas = FigureCanvasAgg(figure)
     figure.set_dpi(ANIMATION_DPI)
     plot, profile, _ = figure.axes
-    title, pictures, drawn = figure.texts[0], [], []
+    title, pictures = figure.texts[0], []
+    drawn: list[Artist] = []
     for frame, bristle in zip(frames, seen_from_the_side(series, wave, frames), strict=True):
         if drawn:
             for artist in drawn:
