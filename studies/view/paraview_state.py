@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import itertools
 import pprint
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -206,18 +205,15 @@ def write_state_script(result: Path, fields: str, wave: Wave, touch_s: float) ->
     It opens at the instant of the greatest stress near the tip. Returns its path.
     """
     width, frame = float(wave.size_m[:2].max()), wave.tip_frame
-    scene = _scene(wave, width)
     settings: dict[str, Any] = {
         "folder": str(result.resolve()),
         "fields": fields,
         "solid": SOLID_FILE,
         "tip": TIP_FILE,
         "width_m": width,
-        "compression": scene.compression,
+        **_whole(wave, width),
         "exaggeration": wave.exaggeration,
         "shown_m": _exaggerated(wave),
-        "ground_m": scene.ground_m.tolist(),
-        "camera": scene.camera(),
         "tip_camera": _tip_camera(wave, width),
         "room": TIP_ROOM,
         "nearer_m": (wave.tip_stand.turn @ [0.0, 0.0, -0.005 * width]).tolist(),
@@ -245,43 +241,34 @@ def _along(axis: str, row: Array) -> str:
     return f"({x}*coordsX+{y}*coordsY+{z}*coordsZ+{at})*{axis}Hat"
 
 
-@dataclass(frozen=True)
-class _Scene:
-    """The whole with its axis compressed: the box that holds it (2, 3), and the ground below by a
-    corner and those beside it (3, 3), uncompressed."""
-
-    box_m: Array
-    ground_m: Array
-    compression: float
-
-    def camera(self) -> list[Any]:
-        """Direction to the camera, upward, middle and half the height of the view."""
-        away = np.array(WHOLE_FROM) / np.linalg.norm(WHOLE_FROM)
-        right = np.cross([0.0, 0.0, 1.0], away)
-        right /= np.linalg.norm(right)
-        across = np.array([right, np.cross(away, right)])
-        corners = np.array(list(itertools.product(*self.box_m.T)))
-        fourth = self.ground_m[1] + self.ground_m[2] - self.ground_m[0]
-        shown = np.vstack([corners, self.ground_m, fourth]) / [1.0, 1.0, self.compression]
-        projected = shown @ across.T
-        low, high = projected.min(axis=0), projected.max(axis=0)
-        middle = 0.5 * (low + high) @ across
-        half = 0.5 * (high - low) / [VIEW_WIDTH, 1.0]
-        return [away.tolist(), [0.0, 0.0, 1.0], middle.tolist(), ROOM * float(half.max())]
-
-
-def _scene(wave: Wave, width_m: float) -> _Scene:
+def _whole(wave: Wave, width_m: float) -> dict[str, Any]:
+    """The whole with its axis compressed: by how much, its camera, and the ground below it, by a
+    corner and those beside it, uncompressed."""
     low, high = wave.extent_m(np.ones(3))
     height, across = high[2] - low[2], (high - low)[:2].max()
-    left, right = low[:2] - width_m, high[:2] + width_m
-    corners = np.array([left, [right[0], left[1]], [left[0], right[1]]])
-    ground = np.column_stack([corners, -corners @ wave.normal[:2] / wave.normal[2]])
     compression = max(1.0, height / max(WHOLE_WIDTHS * width_m, WHOLE_SPREADS * across))
-    return _Scene(np.array([low, high]), ground, float(compression))
+    (left, near), (right, far) = low[:2] - width_m, high[:2] + width_m
+    corners = np.array([[left, near], [right, near], [left, far], [right, far]])
+    ground = np.column_stack([corners, -corners @ wave.normal[:2] / wave.normal[2]])
+    box = np.array(list(itertools.product(*np.array([low, high]).T)))
+
+    away = np.array(WHOLE_FROM) / np.linalg.norm(WHOLE_FROM)
+    right_hand = np.cross([0.0, 0.0, 1.0], away)
+    right_hand /= np.linalg.norm(right_hand)
+    plane = np.array([right_hand, np.cross(away, right_hand)])
+    seen = np.vstack([box, ground]) / [1.0, 1.0, compression] @ plane.T
+    middle = 0.5 * (seen.min(axis=0) + seen.max(axis=0)) @ plane
+    half = 0.5 * np.ptp(seen, axis=0) / [VIEW_WIDTH, 1.0]
+    return {
+        "compression": float(compression),
+        "ground_m": ground[:3].tolist(),
+        "camera": [away.tolist(), [0.0, 0.0, 1.0], middle.tolist(), ROOM * float(half.max())],
+    }
 
 
 def _tip_camera(wave: Wave, width_m: float) -> list[Any]:
-    """Like `_Scene.camera`, along the tip's own axes; where it looks follows the tip."""
+    """Direction to the camera along the tip's own axes, upward, middle and half the height of the
+    view; where it looks follows the tip."""
     turn = wave.tip_stand.turn
     away = turn @ (np.array(TIP_FROM) / np.linalg.norm(TIP_FROM))
     return [away.tolist(), turn[:, 2].tolist(), [0.0, 0.0, 0.0], width_m]
