@@ -43,14 +43,18 @@ def cache_folder() -> Path:
 
     It is looked for once: what a process makes belongs to the sources that it began with.
     """
-    digest = hashlib.sha256()
-    here = Path(__file__).parent
-    for path in sorted(here.rglob("*.py")):
-        if path.relative_to(here).parts[0] not in APART:
-            digest.update(path.read_bytes())
-    folder = writable_folder("compiled", digest.hexdigest()[:16])
+    folder = writable_folder("compiled", version_of(Path(__file__).parent))
     _forget_old(folder)
     return folder
+
+
+def version_of(sources: Path) -> str:
+    """A name for what the sources of this package say, which compiled code may read from."""
+    digest = hashlib.sha256()
+    for path in sorted(sources.rglob("*.py")):
+        if path.relative_to(sources).parts[0] not in APART:
+            digest.update(path.read_bytes())
+    return digest.hexdigest()[:16]
 
 
 def writable_folder(kind: str, name: str = "") -> Path:

@@ -2,17 +2,18 @@
 
     docker/run python3 tests/plant_faults.py --faults 20 --seed 1 --out results/faults
 
-Each fault is planted in a copy of the repository with caches of its own, which are thrown away, and
-the tests that everyone runs go through it up to the first failure, those nearest to the fault
-first. A first clean run finds how long each test file takes, and tests that fail anyway, which are
-left out; it is repeated for files that are new or changed. Records are kept as they come: called
-again, the script goes on, and tries survivors once more where the tests have changed since.
+Each fault is planted in a copy of the repository, and the tests that everyone runs go through it up
+to the first failure: of the test files that can reach the fault (`reach`) the nearest first, and of
+each the tests that execute it. A first clean run, a process for each test file, finds what each of
+its tests executes, how long it takes, and which fail anyway and are left out; it is repeated for
+files that are new or changed, and for all where the sources have. What it compiles is taken over,
+but for files that import the mutated one. Records are kept as they come: called again, the script
+goes on, and tries survivors once more where the tests have changed since.
 """
 
 from __future__ import annotations
 
 import argparse
-import ast
 import contextlib
 import hashlib
 import json
@@ -28,18 +29,20 @@ import threading
 import time
 from collections.abc import Iterator
 from concurrent.futures import CancelledError, ThreadPoolExecutor
-from dataclasses import asdict, dataclass
-from itertools import islice
+from dataclasses import asdict
+from itertools import chain, islice, repeat
 from pathlib import Path
 
 from mutants import Mutant, draw, mutants_of
+from numba.core.caching import _CacheLocator
+from reach import ROOT, SOURCES, Clean, files, importers, in_order
 
-ROOT = Path(__file__).absolute().parents[1]
+from bristle.solver.compiled import version_of
+
 MUTATED = ("meshes", "solver")
-SOURCES = (*MUTATED, "studies")
 NOT_COPIED = {".git", ".hypothesis", ".mypy_cache", ".ruff_cache", "build", "dist", "results"}
-# A first test compiles, at times on a busy machine.
-TEST_LIMIT_S = 1800
+# For a test, beside what it takes without a fault: it may compile, at times on a busy machine.
+TEST_LIMIT_S = 300
 # Times what the clean run took, a run on a busier machine may take.
 PATIENCE = 4.0
 # Set where the script is interrupted: runs in threads end, and leave no record.
@@ -48,17 +51,8 @@ SURVIVED = "SURVIVED"
 FAILED = r"^(?:FAILED|ERROR) (\S+)"
 PYTEST = (
     *("-m", "pytest", "-v", "-rfE", "--color=no", "--tb=short", "-p", "no:cacheprovider"),
-    *("--hypothesis-seed=0", f"--timeout={TEST_LIMIT_S}"),
+    *("--hypothesis-seed=0", "-p", "fault_order"),
 )
-
-
-@dataclass(frozen=True)
-class Clean:
-    """How a test file runs without a fault: its text, its duration, the tests that fail."""
-
-    digest: str
-    seconds: float
-    failed: list[str]
 
 
 def main() -> None:
@@ -76,8 +70,8 @@ def main() -> None:
     (out / "logs").mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(prefix="faults-") as folder:
         scratch = Path(folder)
-        clean = clean_run(out, scratch)
-        records = read_records(out)
+        clean = clean_run(out, scratch, arguments.tests)
+        records = read_records(out, clean)
         missing = [each for each in faults if key(each) not in records]
         with ThreadPoolExecutor(arguments.jobs) as pool:
             try:
@@ -90,7 +84,7 @@ def main() -> None:
                 pool.shutdown(cancel_futures=True)
                 raise
     print(table([records[key(each)] for each in faults]))
-    for test in (test for each in clean.values() for test in each.failed):
+    for test in chain.from_iterable(each.failed for each in clean.values()):
         print(f"left out, since it fails without a fault: {test}")
 
 
@@ -103,6 +97,7 @@ def parsed() -> argparse.Namespace:
     parser.add_argument("--seed", type=int, default=0, metavar="S", help="which (0)")
     parser.add_argument("--jobs", type=int, default=1, metavar="J", help="how many at once (1)")
     parser.add_argument("--only", metavar="FILE", help="in this file alone, as solver/fall.py")
+    parser.add_argument("--tests", metavar="PART", default="", help="alone, as solver/test_fall")
     parser.add_argument(
         "--budget",
         metavar="SECONDS",
@@ -115,11 +110,6 @@ def parsed() -> argparse.Namespace:
         *("--out", "-o"), type=Path, default=ROOT / "results" / "faults", metavar="DIR"
     )
     return parser.parse_args()
-
-
-def files(*folders: str) -> list[Path]:
-    """The Python files of these folders of the repository."""
-    return [path for each in folders for path in sorted((ROOT / each).rglob("*.py"))]
 
 
 def digest(*paths: Path) -> str:
@@ -136,12 +126,18 @@ def key(fault: Mutant) -> str:
     return hashlib.sha256(words.encode()).hexdigest()[:16]
 
 
-def read_records(out: Path) -> dict[str, dict]:
+def tests_of(clean: dict[str, Clean]) -> str:
+    """What the tests are that faults go through."""
+    helpers = [path for path in files("tests") if not path.name.startswith("test_")]
+    return digest(*helpers, *(ROOT / "tests" / name for name in clean))
+
+
+def read_records(out: Path, clean: dict[str, Clean]) -> dict[str, dict]:
     """Records by `key`, without survivors of other tests."""
     path = out / "records.jsonl"
     lines = path.read_text().splitlines() if path.exists() else []
     records = {record["key"]: record for record in map(json.loads, lines)}
-    tests = digest(*files("tests"))
+    tests = tests_of(clean)
     return {
         name: record
         for name, record in records.items()
@@ -168,43 +164,62 @@ def table(records: list[dict]) -> str:
 # --- runs -------------------------------------------------------------------------------------
 
 
-def clean_run(out: Path, scratch: Path) -> dict[str, Clean]:
-    """How each test file runs in the sources as they are.
+def clean_run(out: Path, scratch: Path, part: str) -> dict[str, Clean]:
+    """How each test file that begins with ``part`` runs in the sources as they are.
 
-    The forms that it compiles are left in ``out``: they are named after what they hold, so every
-    fault may begin with them.
+    What it compiles is left in ``out``.
     """
-    path, sources = out / "clean.json", digest(*files(*SOURCES))
-    known = json.loads(path.read_text()) if path.exists() else {}
-    tests = {
-        each.relative_to(ROOT / "tests").as_posix(): digest(each)
-        for each in sorted((ROOT / "tests").rglob("test_*.py"))
-    }
-    entries = known.get("files", {}) if known.get("sources") == sources else {}
-    clean = {name: Clean(**entry) for name, entry in entries.items() if name in tests}
-    changed = [name for name in tests if name not in clean or clean[name].digest != tests[name]]
-    if changed:
-        say(f"clean run of {len(changed)} test files …")
+    sources, found = digest(*files(*SOURCES)), {}
+    missing = {}
+    for path in sorted((ROOT / "tests").rglob("test_*.py")):
+        name = path.relative_to(ROOT / "tests").as_posix()
+        if not name.startswith(part):
+            continue
+        kept = out / "clean" / f"{name}.json"
+        known = Clean(**json.loads(kept.read_text())) if kept.exists() else None
+        if known and (known.sources, known.digest) == (sources, digest(path)):
+            found[name] = known
+        else:
+            missing[name] = kept, digest(path)
+    if missing:
         with workplace(scratch, out) as place:
-            report = place / "report.xml"
-            more = f"--junit-xml={report}", "-o", "junit_family=xunit1", "--timeout-method=signal"
-            status, output, _ = pytest(place, changed, math.inf, *more)
-            (out / "logs" / "clean.txt").write_text(output)
-            if status not in (0, 1):
-                sys.exit(f"pytest ended with {status}, see {out / 'logs' / 'clean.txt'}")
-            times = re.findall(r'file="tests/([^"]+)"[^>]* time="([^"]+)"', report.read_text())
-            failed = re.findall(FAILED, output, re.M)
-            for name in changed:
-                clean[name] = Clean(
-                    tests[name],
-                    sum(float(seconds) for file, seconds in times if file == name),
-                    [each for each in failed if each.startswith(f"tests/{name}")],
-                )
-            for folder in (place / "cache").rglob("forms-*"):
-                shutil.copytree(folder, out / "forms" / folder.name, dirs_exist_ok=True)
-        entries = {name: asdict(each) for name, each in clean.items()}
-        path.write_text(json.dumps({"sources": sources, "files": entries}, indent=1))
-    return clean
+            try:
+                for name, (kept, text) in missing.items():
+                    say(f"clean run of {name} …")
+                    found[name] = clean_file(name, sources, text, place, out)
+                    kept.parent.mkdir(parents=True, exist_ok=True)
+                    kept.write_text(json.dumps(asdict(found[name])))
+            finally:
+                keep_compiled(place, out)
+    return found
+
+
+def clean_file(name: str, sources: str, text: str, place: Path, out: Path) -> Clean:
+    """Run a test file, and find what each of its tests executes."""
+    lines, reports = place / "lines", place / "reports"
+    for path in (lines, reports):
+        path.write_text("")
+    environment = {
+        "PYTHONPATH": str(place / "copy" / "tests" / "helpers" / "watch"),
+        "BRISTLE_LINES": str(lines),
+        "BRISTLE_REPORTS": str(reports),
+    }
+    status, output, _ = pytest(place, [name], math.inf, "--timeout=1800", **environment)
+    if status not in (0, 1, 5):
+        log = out / "logs" / "clean.txt"
+        log.write_text(output)
+        sys.exit(f"pytest ended with {status}, see {log}")
+    seconds: dict[str, float] = {}
+    failed = set()
+    for test, duration, outcome in map(str.split, reports.read_text().splitlines(), repeat("\t")):
+        seconds[test] = seconds.get(test, 0.0) + float(duration)
+        failed |= {test} if outcome == "failed" else set()
+    places = {test: place for place, test in enumerate(seconds)}
+    executed: dict[str, dict[str, set[int]]] = {}
+    for test, path, line in map(str.split, lines.read_text().splitlines(), repeat("\t")):
+        executed.setdefault(path, {}).setdefault(line, set()).add(places.get(test, -1))
+    found = {path: {n: sorted(tests) for n, tests in by.items()} for path, by in executed.items()}
+    return Clean(sources, text, seconds, sorted(failed), found)
 
 
 def tried(
@@ -212,36 +227,44 @@ def tried(
 ) -> dict:
     """The record of a fault, also added to those in ``out``."""
     say(f"{fault.path}:{fault.line}: {fault.after}")
-    patience_s = PATIENCE * sum(each.seconds for each in clean.values()) + TEST_LIMIT_S
-    limit = min(patience_s, budget_s)
-    left_out = [f"--deselect={test}" for each in clean.values() for test in each.failed]
-    record = {"key": key(fault), "tests": digest(*files("tests")), **asdict(fault)}
-    with workplace(scratch, out) as place:
-        fault.plant(place / "copy")
-        status, output, seconds = pytest(
-            place, in_order(fault.path, clean), limit, "-x", "--timeout-method=thread", *left_out
-        )
+    names, first = in_order(fault, clean)
+    seconds = {test: time for name in names for test, time in clean[name].seconds.items()}
+    patience_s = PATIENCE * sum(seconds.values()) + TEST_LIMIT_S
+    limits = {test: PATIENCE * time + TEST_LIMIT_S for test, time in seconds.items()}
+    left_out = [f"--deselect={test}" for name in names for test in clean[name].failed]
+    record = {"key": key(fault), "tests": tests_of(clean), **asdict(fault)}
+    status, output, spent_s = 0, "no test reaches it", 0.0
+    if names:
+        with workplace(scratch, out, fault) as place:
+            order = place / "order.json"
+            order.write_text(json.dumps({"first": sorted(first), "limit_s": limits}))
+            more = "-x", "--timeout-method=thread", *left_out
+            status, output, spent_s = pytest(
+                place, names, min(patience_s, budget_s), *more, BRISTLE_ORDER=str(order)
+            )
     found = caught_by(status, output)
     if status is None and budget_s < patience_s and found.startswith("timeout"):
         found = SURVIVED
-    record |= {"caught_by": found, "seconds": seconds}
+    record |= {"caught_by": found, "seconds": spent_s, "test_files": len(names)}
     (out / "logs" / f"{record['key']}.txt").write_text(output)
     with (out / "records.jsonl").open("a") as file:
         file.write(json.dumps(record) + "\n")
-    say(f"{record['caught_by']}, {seconds:.0f} s")
+    say(f"{record['caught_by']}, {spent_s:.0f} s")
     return record
 
 
 @contextlib.contextmanager
-def workplace(scratch: Path, out: Path) -> Iterator[Path]:
+def workplace(scratch: Path, out: Path, fault: Mutant | None = None) -> Iterator[Path]:
     """A folder with a copy of the repository, an own cache and own temporary files."""
     with tempfile.TemporaryDirectory(dir=scratch, ignore_cleanup_errors=True) as folder:
         place = Path(folder)
+        # with the times of the files, by which Numba and Python know what they have compiled
         shutil.copytree(ROOT, place / "copy", symlinks=True, ignore=not_copied)
+        if fault:
+            fault.plant(place / "copy")
         for name in ("cache/bristle", "tmp"):
             (place / name).mkdir(parents=True)
-        if (out / "forms").exists():
-            shutil.copytree(out / "forms", place / "cache" / "bristle", dirs_exist_ok=True)
+        take_compiled(place, out, fault)
         yield place
 
 
@@ -250,21 +273,69 @@ def not_copied(folder: str, names: list[str]) -> set[str]:
     return NOT_COPIED & set(names) if Path(folder) == ROOT else {"__pycache__"} & set(names)
 
 
+def folders(place: Path) -> dict[str, str]:
+    """Folders of the program, by the name under which Numba keeps what is in them in a copy."""
+    live = place / "copy" / "docker" / "live" / "bristle"
+    inside = {path.parent.relative_to(ROOT).as_posix() for path in files(*SOURCES)}
+    # the name is made the same way on every machine, but has no public function
+    name_of = _CacheLocator.get_suitable_cache_subpath
+    return {name_of(str(live / each / "any.py")): each for each in inside}
+
+
+def compiled_folder(place: Path) -> Path:
+    """Where a copy has what Numba compiles of it."""
+    version = version_of(place / "copy" / "solver")
+    return place / "cache" / "bristle" / f"compiled-{os.getuid()}" / version
+
+
+def keep_compiled(place: Path, out: Path) -> None:
+    """Leave in ``out`` what was compiled in a copy without a fault.
+
+    Forms are named after what they hold, so every fault may begin with them.
+    """
+    for name, folder in folders(place).items():
+        if (kept := compiled_folder(place) / name).exists():
+            shutil.copytree(kept, out / "compiled" / folder, dirs_exist_ok=True)
+    for kept in (place / "cache").rglob("forms-*"):
+        shutil.copytree(kept, out / "forms" / kept.name, dirs_exist_ok=True)
+
+
+def take_compiled(place: Path, out: Path, fault: Mutant | None) -> None:
+    """Give a copy what was kept, but for what is compiled from the mutated file.
+
+    Numba looks at a function's own file alone to see whether it is stale, and its code holds that
+    of the functions that it calls: files that import the mutated one are compiled anew, too.
+    """
+    stale = importers(ROOT / fault.path) if fault else set()
+    for name, folder in folders(place).items():
+        begins = tuple(f"{path.stem}." for path in stale if path.parent == ROOT / folder)
+        if (kept := out / "compiled" / folder).exists():
+            shutil.copytree(
+                kept,
+                compiled_folder(place) / name,
+                ignore=lambda _, names, begins=begins: [n for n in names if n.startswith(begins)],
+            )
+    if (out / "forms").exists():
+        shutil.copytree(out / "forms", place / "cache" / "bristle", dirs_exist_ok=True)
+
+
 def pytest(
-    place: Path, names: list[str], limit_s: float, *more: str
+    place: Path, names: list[str], limit_s: float, *more: str, **variables: str
 ) -> tuple[int | None, str, float]:
     """Status, output and seconds of the test files ``names``, run in this order in a copy.
 
     The status is None where they take longer than ``limit_s``.
     """
-    live = place / "copy" / "docker" / "live"
+    live, tests = place / "copy" / "docker" / "live", place / "copy" / "tests"
+    paths = [variables.pop("PYTHONPATH", ""), str(live), str(tests / "helpers")]
     environment = {
         **os.environ,
         "PATH": f"{live / 'bin'}:{os.environ['PATH']}",
-        "PYTHONPATH": str(live),
-        "PYTHONPYCACHEPREFIX": str(place / "cache" / "pycache"),
+        "PYTHONPATH": ":".join(filter(None, paths)),
+        "PYTHONPYCACHEPREFIX": str(place.parent / "pycache"),
         "XDG_CACHE_HOME": str(place / "cache"),
         "TMPDIR": str(place / "tmp"),
+        **variables,
     }
     environment.pop("NUMBA_CACHE_DIR", None)
     started = time.monotonic()
@@ -308,49 +379,6 @@ def caught_by(status: int | None, output: str) -> str:
     if status is None or "+ Timeout +" in output:
         return f"timeout in {where}"
     return f"status {status} in {where}"
-
-
-# --- order ------------------------------------------------------------------------------------
-
-
-def in_order(mutated: str, clean: dict[str, Clean]) -> list[str]:
-    """Test files, those first that reach the mutated one by few imports, then by duration."""
-    links = {path: imports(path) for path in files(*SOURCES, "tests")}
-    goal = ROOT / mutated
-
-    def distance(name: str) -> int:
-        seen, front, steps = set(), {ROOT / "tests" / name}, 0
-        while front and goal not in front:
-            seen |= front
-            front = set().union(*(links[path] for path in front)) - seen
-            steps += 1
-        return steps if front else sys.maxsize
-
-    return sorted(clean, key=lambda name: (distance(name), clean[name].seconds))
-
-
-def imports(path: Path) -> set[Path]:
-    """Files of the repository that one imports, anywhere in it."""
-    here = path.relative_to(ROOT).with_suffix("").parts
-    wanted: list[tuple[str, ...]] = []
-    for node in ast.walk(ast.parse(path.read_bytes())):
-        if isinstance(node, ast.ImportFrom):
-            parts = tuple((node.module or "").split(".")) if node.module else ()
-            stem = here[: len(here) - node.level] + parts if node.level else parts
-            wanted += [stem, *((*stem, each.name) for each in node.names)]
-        elif isinstance(node, ast.Import):
-            wanted += [tuple(each.name.split(".")) for each in node.names]
-    found = set()
-    for parts in wanted:
-        inside = parts[1:] if parts[:1] == ("bristle",) else parts
-        for folder in (
-            ROOT,
-            ROOT / "tests",
-            *(ROOT / "tests" / each for each in ("helpers", "reference")),
-        ):
-            found |= {folder.joinpath(*inside).with_suffix(".py")} if inside else set()
-            found |= {folder.joinpath(*inside, "__init__.py")}
-    return {each for each in found if each.is_file()}
 
 
 def say(line: str) -> None:
