@@ -21,7 +21,7 @@ import math
 import numpy as np
 
 from ..arrays import Array
-from ..compiled import njit
+from ..compiled import inlined, njit
 from .points import CONSERVING, Kind, Points, Trial
 
 # Memory of a point that adhesion holds; for one step, of one that is held without limit, and of one
@@ -218,7 +218,7 @@ def _mean_normal(
     return mean, slope
 
 
-@njit
+@inlined
 def normal_force(points: Points, trial: Trial, i: int) -> tuple[float, float]:
     """Normal force of point ``i`` over a step and its derivative by the approach at the end, the
     multiplier included."""

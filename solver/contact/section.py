@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..arrays import Array
-from ..compiled import njit
+from ..compiled import inlined, njit
 from .points import Points, Trial
 from .step import point_force
 
@@ -26,8 +26,8 @@ SHORTEST = 0.1
 # fro across a kink of the law: from then on it goes this share of its way.
 JUMPING, EASED = 50, 0.3
 # The inverse of Newton's matrix is renewed where an iteration leaves more than this share of the
-# residual.
-SLOW = 0.2
+# residual; of so few coordinates, as a rigid section has, in each.
+SLOW, FEW = 0.2, 8
 
 
 class Section(NamedTuple):
@@ -93,7 +93,7 @@ def section_gathers(section: Section, weights: Array, force: Array) -> Array:
     return gathered
 
 
-@njit
+@inlined
 def _write_end(section: Section, trial: Trial, z: Array, i: int, axis: int) -> None:
     """Write the approach at the end of the step of point ``i`` along one axis, at ``z``."""
     moved = 0.0
@@ -183,7 +183,8 @@ def solve_section(points: Points, section: Section, trial: Trial) -> int:
             share *= 0.5
             z += share * step
             continue
-        if not section.factored[0] or change > SLOW * before or iteration >= JUMPING:
+        stale = not section.factored[0] or change > SLOW * before or iteration >= JUMPING
+        if stale or r <= FEW:
             section.inverse[:, :] = np.linalg.inv(_jacobian(points, section, tangents))
             section.factored[0] = True
         step[:] = section.inverse @ residual

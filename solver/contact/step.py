@@ -22,7 +22,7 @@ from __future__ import annotations
 import math
 
 from ..arrays import Array
-from ..compiled import njit
+from ..compiled import inlined, njit
 from .normal import normal_at_end, normal_force
 from .points import CONSERVING, Points, Trial
 
@@ -34,7 +34,7 @@ def _tangential_stiffness(points: Points, i: int) -> float:
     return 1.0 / (1.0 / stiffness + points.compliance) if points.compliance > 0.0 else stiffness
 
 
-@njit
+@inlined
 def point_force(points: Points, trial: Trial, i: int, tangent: Array) -> None:
     """Write the force of point ``i`` over a step into the ``trial``, and its derivatives (3, 3) by
     the approach at the end, all along the local frame."""
