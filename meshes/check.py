@@ -1,26 +1,180 @@
-"""Checks that the mesh in gmsh's current model is the one that was asked for."""
+"""Checks of the mesh in gmsh's current model: that it is sound, and the one that was asked for."""
 
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
+from functools import cached_property
 
 import gmsh
 import numpy as np
+import numpy.typing as npt
+from scipy.sparse import csr_matrix
+from scipy.sparse.csgraph import connected_components
 
 from .geometry import MeshSpec
 from .section import Circle
 
+Array = npt.NDArray[np.float64]
+Index = npt.NDArray[np.int64]
+
 VOLUME_TOLERANCE = 1e-12
 """Relative: the mesh of either section has a closed form, so that round-off alone is left."""
+DEGREES = (1, 2, 3)
+REFERENCE_VOLUME = {"tetrahedra": 1.0 / 6.0, "hexahedra": 8.0}
+# Corners of edges and faces of a cell, in gmsh's order.
+EDGES = {
+    "tetrahedra": ((0, 1), (1, 2), (2, 0), (3, 0), (3, 2), (3, 1)),
+    "hexahedra": (
+        *((0, 1), (0, 3), (0, 4), (1, 2), (1, 5), (2, 3)),
+        *((2, 6), (3, 7), (4, 5), (4, 7), (5, 6), (6, 7)),
+    ),
+}
+FACES = {
+    "tetrahedra": ((0, 2, 1), (0, 1, 3), (0, 3, 2), (3, 1, 2)),
+    "hexahedra": (
+        *((0, 3, 2, 1), (0, 1, 5, 4), (0, 4, 7, 3)),
+        *((1, 2, 6, 5), (2, 3, 7, 6), (4, 5, 6, 7)),
+    ),
+}
 
 
 class MeshError(RuntimeError):
     """A mesh could not be made, or is not what was asked for."""
 
 
-def hexahedron_type(geometry_order: int) -> int:
-    """Return gmsh's element type of a complete hexahedron of the order (8 or 27 nodes)."""
-    return gmsh.model.mesh.getElementType("Hexahedron", geometry_order)
+@dataclass(frozen=True, eq=False)
+class Cells:
+    """The cells of a mesh: their ``kind``, gmsh's number for it, the geometry's ``degree``.
+
+    ``points`` (n, 3) are the places of gmsh's nodes, ``corners`` (cells, 4 or 8) index them, so do
+    ``used`` (m,), all nodes of cells; ``tags`` (cells,) are gmsh's numbers of the cells.
+    """
+
+    kind: str
+    gmsh_type: int
+    degree: int
+    tags: Index
+    points: Array
+    corners: Index
+    used: Index
+
+    @property
+    def box_m(self) -> Array:
+        """Lowest and highest coordinates (2, 3)."""
+        own = self.points[self.used]
+        return np.stack([own.min(axis=0), own.max(axis=0)])
+
+    @cached_property
+    def face_keys(self) -> tuple[Index, Index, Index]:
+        """Keys of the mesh's faces, rising, and the faces of all cells (6 or 4 a cell), by number;
+        of how many cells each is."""
+        keys = self.keys(self.corners[:, FACES[self.kind]].reshape(-1, len(FACES[self.kind][0])))
+        found, index, count = np.unique(keys, return_inverse=True, return_counts=True)
+        return found, index.reshape(-1), count
+
+    @property
+    def counts(self) -> tuple[int, int, int, int]:
+        """Corners, edges, faces and cells."""
+        edges = np.unique(self.keys(self.corners[:, EDGES[self.kind]].reshape(-1, 2)))
+        corners = np.unique(self.corners)
+        return len(corners), len(edges), len(self.face_keys[0]), len(self.corners)
+
+    def keys(self, nodes: Index) -> Index:
+        """A number for each edge or face (k, 2 to 4), the same in whatever order its nodes are.
+
+        Three nodes make a face, of a quadrilateral the three that are numbered lowest.
+        """
+        nodes, n = np.sort(nodes, axis=1), len(self.points)
+        key = nodes[:, 0] * n + nodes[:, 1]
+        if nodes.shape[1] == 2:
+            return np.asarray(key)
+        if n < 2_000_000:
+            return np.asarray(key * n + nodes[:, 2])
+        raise MeshError(f"the mesh has {n:,} nodes, too many")
+
+
+def read_cells(where: str) -> Cells:
+    """The cells of gmsh's current model, which must be of one kind.
+
+    Raises MeshError, which says ``where``.
+    """
+    kinds, tags, nodes = gmsh.model.mesh.getElements(3)
+    names = [gmsh.model.mesh.getElementProperties(kind) for kind in kinds]
+    if not len(kinds):
+        raise MeshError(f"{where}: there are no volume cells; mesh the body in 3-D, and save all")
+    families = [name.split()[0] for name, *_ in names]
+    if len(kinds) > 1 or families[0] not in ("Tetrahedron", "Hexahedron"):
+        found = " and ".join(
+            f"{len(own)} of {name}" for (name, *_), own in zip(names, tags, strict=True)
+        )
+        raise MeshError(f"{where}: must have tetrahedra or hexahedra alone, not {found}")
+    name, _, degree, size, _, n_corners = names[0]
+    complete = (degree + 1) ** 3
+    if families[0] == "Tetrahedron":
+        complete = (degree + 1) * (degree + 2) * (degree + 3) // 6
+    if degree not in DEGREES or size != complete:
+        raise MeshError(
+            f"{where}: cells of {name} cannot be read; take complete ones of order "
+            f"{', '.join(map(str, DEGREES))} (in gmsh Mesh.SecondOrderIncomplete = 0)"
+        )
+    numbers, places, _ = gmsh.model.mesh.getNodes()
+    if not np.array_equal(np.sort(numbers), np.arange(1, len(numbers) + 1)):
+        raise MeshError(f"{where}: the nodes are not numbered from 1 without gaps")
+    points = np.empty((len(numbers), 3))
+    points[numbers.astype(np.int64) - 1] = places.reshape(-1, 3)
+    kind = "tetrahedra" if families[0] == "Tetrahedron" else "hexahedra"
+    of_cells = nodes[0].astype(np.int64).reshape(-1, size) - 1
+    return Cells(
+        kind=kind,
+        gmsh_type=int(kinds[0]),
+        degree=int(degree),
+        tags=tags[0],
+        points=points,
+        corners=of_cells[:, :n_corners],
+        used=np.unique(of_cells),
+    )
+
+
+def require_one_part(where: str, cells: Cells) -> None:
+    """MeshError, which says ``where``, unless the cells hang together by their faces."""
+    found, faces, _ = cells.face_keys
+    n = len(cells.corners)
+    first = np.arange(0, len(faces) + 1, len(faces) // n)
+    touching = csr_matrix((np.ones(len(faces)), faces, first), shape=(n, len(found)))
+    parts, _ = connected_components(touching @ touching.T, directed=False)
+    if parts > 1:
+        raise MeshError(
+            f"{where}: the body is in {parts} parts whose cells share no face; fuse them, or merge "
+            "nodes that stand at one place"
+        )
+
+
+def quadrature_m3(where: str, cells: Cells, degree: int) -> tuple[Array, Array]:
+    """Volume (cells, q) in m³ that each point of Gauss's rule of a ``degree`` stands for, and where
+    these are (cells, q, 3).
+
+    Raises MeshError, which says ``where``, where a cell is turned inside out, at these points or
+    between them (gmsh's bound).
+    """
+    points, weights = gmsh.model.mesh.getIntegrationPoints(cells.gmsh_type, f"Gauss{degree}")
+    # gmsh has its rules on tetrahedra to twelve digits
+    weights *= REFERENCE_VOLUME[cells.kind] / math.fsum(weights)
+    _, determinants, places = gmsh.model.mesh.getJacobians(cells.gmsh_type, points)
+    per_cell = determinants.reshape(-1, len(weights))
+    bound = np.asarray(gmsh.model.mesh.getElementQualities(cells.tags, "minDetJac"))
+    inverted = np.flatnonzero(~(np.minimum(bound, per_cell.min(axis=1)) > 0.0))
+    if len(inverted):
+        raise MeshError(
+            f"{where}: {len(inverted)} of {len(bound)} cells are turned inside out or flat, the "
+            f"first at element {cells.tags[inverted[0]]}: their Jacobian is not positive"
+        )
+    return per_cell * weights, places.reshape(*per_cell.shape, 3)
+
+
+def volume_m3(where: str, cells: Cells) -> float:
+    """Volume of the cells; MeshError as `quadrature_m3`."""
+    return math.fsum(quadrature_m3(where, cells, determinant_degree(cells.degree))[0].ravel())
 
 
 def determinant_degree(geometry_order: int) -> int:
@@ -29,23 +183,6 @@ def determinant_degree(geometry_order: int) -> int:
     One of its three factors has the geometry's degree less one in that direction.
     """
     return 3 * geometry_order - 1
-
-
-def integrated_volume_m3(geometry_order: int) -> tuple[float, float]:
-    """Integrate over the current model's hexahedra.
-
-    Returns
-    -------
-    (volume, smallest_determinant) : m³, and m³ per reference volume at the quadrature points,
-        which integrate the determinant exactly
-    """
-    kind = hexahedron_type(geometry_order)
-    points, weights = gmsh.model.mesh.getIntegrationPoints(
-        kind, f"Gauss{determinant_degree(geometry_order)}"
-    )
-    _, determinants, _ = gmsh.model.mesh.getJacobians(kind, points)
-    per_cell = determinants.reshape(-1, len(weights)) @ weights
-    return math.fsum(per_cell), float(determinants.min())
 
 
 def wire_volume_ratio(spec: MeshSpec) -> float:
@@ -73,28 +210,28 @@ def check_model(spec: MeshSpec) -> None:
 
     Checked: every cell a hexahedron of the right order and their number; every facet a
     quadrilateral and their number per group; nodes numbered without gaps and none unused; positive
-    Jacobian determinants at the quadrature points and between them (gmsh's bound); the volume.
+    Jacobian determinants; the volume.
 
     Raises
     ------
     MeshError : says which of these fails
     """
-    _check_cells(spec)
-    _check_facets(spec)
-    _check_nodes(spec)
-    _check_volume(spec)
-
-
-def _check_cells(spec: MeshSpec) -> None:
-    expected = hexahedron_type(spec.geometry_order)
-    kinds, cells, _ = gmsh.model.mesh.getElements(3)
-    names = [gmsh.model.mesh.getElementProperties(kind)[0] for kind in kinds]
-    if list(kinds) != [expected]:
+    where = "the mesh that was made"
+    cells = read_cells(where)
+    if (cells.kind, cells.degree) != ("hexahedra", spec.geometry_order):
+        found = f"{cells.kind} of order {cells.degree}"
         raise MeshError(
-            f"The mesh must have hexahedra alone, but has {', '.join(names) or 'none'}."
+            f"{where}: must have hexahedra alone, of order {spec.geometry_order}, not {found}"
         )
-    if len(cells[0]) != spec.n_cells:
-        raise MeshError(f"The mesh has {len(cells[0])} hexahedra instead of {spec.n_cells}.")
+    if len(cells.tags) != spec.n_cells:
+        raise MeshError(f"{where}: has {len(cells.tags)} hexahedra instead of {spec.n_cells}")
+    _check_facets(spec)
+    if len(cells.used) != len(cells.points):
+        unused = len(cells.points) - len(cells.used)
+        raise MeshError(f"{where}: {unused} nodes belong to no cell")
+    volume, expected = volume_m3(where, cells), meshed_volume_m3(spec)
+    if not abs(volume / expected - 1) <= VOLUME_TOLERANCE:
+        raise MeshError(f"{where}: its volume is {volume:.15g} m³ instead of {expected:.15g} m³")
 
 
 def _check_facets(spec: MeshSpec) -> None:
@@ -108,23 +245,3 @@ def _check_facets(spec: MeshSpec) -> None:
             found += len(facets[0])
         if found != n_facets:
             raise MeshError(f"The {tag.name.lower()} has {found} facets instead of {n_facets}.")
-
-
-def _check_nodes(spec: MeshSpec) -> None:
-    numbers, _, _ = gmsh.model.mesh.getNodes()
-    _, connected = gmsh.model.mesh.getElementsByType(hexahedron_type(spec.geometry_order))
-    if not np.array_equal(np.sort(numbers), np.arange(1, len(numbers) + 1)):
-        raise MeshError("The nodes are not numbered from 1 without gaps.")
-    if len(np.unique(connected)) != len(numbers):
-        raise MeshError(f"{len(numbers) - len(np.unique(connected))} nodes belong to no cell.")
-
-
-def _check_volume(spec: MeshSpec) -> None:
-    volume, smallest = integrated_volume_m3(spec.geometry_order)
-    _, cells, _ = gmsh.model.mesh.getElements(3)
-    bound = float(np.min(gmsh.model.mesh.getElementQualities(cells[0], "minDetJac")))
-    if not min(smallest, bound) > 0:
-        raise MeshError(f"A cell is turned inside out: least Jacobian {min(smallest, bound):.3g}.")
-    expected = meshed_volume_m3(spec)
-    if not abs(volume / expected - 1) <= VOLUME_TOLERANCE:
-        raise MeshError(f"The volume is {volume:.15g} m³ instead of {expected:.15g} m³.")

@@ -24,8 +24,6 @@ from .geometry import MeshSpec, Tag
 from .hexahedra import build_model, gmsh_model
 from .own import OwnMesh, opened, regroup
 
-__all__ = ["MeshError", "Tag", "count_facets", "own_to_dolfinx", "to_dolfinx", "volume_m3"]
-
 BUILDER_RANK = 0
 
 
@@ -109,16 +107,18 @@ def count_facets(mesh: Mesh, facet_tags: MeshTags, tag: Tag) -> int:
     return mesh.comm.allreduce(int(np.count_nonzero(facet_tags.find(tag) < n_owned)))
 
 
+def coordinate_element(mesh: Mesh) -> basix.finite_element.FiniteElement:
+    """The element that maps the reference cell to the cells of a mesh."""
+    map_, cell = mesh.geometry.cmap, basix.CellType[mesh.topology.cell_type.name]
+    variant = basix.LagrangeVariant(map_.variant)
+    return basix.create_element(basix.ElementFamily.P, cell, map_.degree, variant)
+
+
 def volume_m3(mesh: Mesh) -> float:
     """Return the volume of all ranks' cells, m³; collective. No form, which would be compiled."""
-    map_, cell = mesh.geometry.cmap, basix.CellType[mesh.topology.cell_type.name]
-    element = basix.create_element(
-        basix.ElementFamily.P,
-        cell,
-        map_.degree,
-        basix.LagrangeVariant(map_.variant),
-    )
-    points, weights = basix.make_quadrature(cell, determinant_degree(map_.degree))
+    element = coordinate_element(mesh)
+    degree = determinant_degree(element.degree)
+    points, weights = basix.make_quadrature(element.cell_type, degree)
     gradients = np.asarray(element.tabulate(1, np.asarray(points)))[1:, :, :, 0]
     n_owned = mesh.topology.index_map(mesh.topology.dim).size_local
     nodes = mesh.geometry.x[mesh.geometry.dofmap[:n_owned]]

@@ -15,10 +15,9 @@ import gmsh
 import numpy as np
 import numpy.typing as npt
 
-from .check import MeshError
+from .check import FACES, Cells, Index, MeshError, quadrature_m3, read_cells, require_one_part
 from .geometry import Tag
 from .hexahedra import gmsh_model
-from .own_check import TIP, Cells, checked_tip, read_cells
 from .section import Rectangle
 
 Array = npt.NDArray[np.float64]
@@ -31,7 +30,12 @@ SLENDER = 0.5
 PRINCIPAL = 1e-6
 # Of the tip's size: offset of the centre of mass, and height of the tip, that count as none.
 STRAIGHT = 1e-6
-REFERENCE_VOLUME = {"tetrahedra": 1.0 / 6.0, "hexahedra": 8.0}
+# The physical group of the facets that may touch.
+TIP = "tip"
+# Of a facet's unit normal: less than this downward, and it faces sideways or up.
+DOWNWARD = 1e-3
+# Of the body's height: how far above its lowest point a tip may begin.
+LOWEST = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,8 +143,9 @@ def own_mesh(path: Path, sha256: str) -> OwnMesh:
     MeshError : in one line, the file is not a mesh of a bristle as `OwnMesh` describes it
     """
     with opened(path, sha256):
-        cells = read_cells(path)
-        tip = checked_tip(path, cells)
+        cells = read_cells(str(path))
+        require_one_part(str(path), cells)
+        n_facets, tip_box, tip_centre = _checked_tip(path, cells)
         volume, centre, second = _moments(path, cells)
         _check_size(path, cells.box_m)
     return OwnMesh(
@@ -149,13 +154,13 @@ def own_mesh(path: Path, sha256: str) -> OwnMesh:
         cell=cells.kind,
         degree=cells.degree,
         counts=cells.counts,
-        n_tip_facets=tip.n_facets,
+        n_tip_facets=n_facets,
         volume_m3=volume,
         centre_m=centre,
         second_moments_m5=second,
         box_m=cells.box_m,
-        tip_box_m=tip.box_m,
-        tip_centre_m=tip.centre_m,
+        tip_box_m=tip_box,
+        tip_centre_m=tip_centre,
     )
 
 
@@ -184,22 +189,8 @@ def regroup() -> None:
 
 def _moments(path: Path, cells: Cells) -> tuple[float, Array, Array]:
     """Volume, centre and second moments about it; MeshError where a cell is turned inside out."""
-    degree = 5 * cells.degree - 1
-    points, weights = gmsh.model.mesh.getIntegrationPoints(cells.gmsh_type, f"Gauss{degree}")
-    # gmsh has its rules on tetrahedra to twelve digits
-    weights *= REFERENCE_VOLUME[cells.kind] / math.fsum(weights)
-    _, determinants, places = gmsh.model.mesh.getJacobians(cells.gmsh_type, points)
-    least = np.asarray(gmsh.model.mesh.getElementQualities(cells.tags, "minDetJac"))
-    per_cell = determinants.reshape(-1, len(weights))
-    least = np.minimum(least, per_cell.min(axis=1))
-    inverted = np.flatnonzero(~(least > 0.0))
-    if len(inverted):
-        raise MeshError(
-            f"{path}: {len(inverted)} of {len(least)} cells are turned inside out or flat, the "
-            f"first at element {cells.tags[inverted[0]]}: their Jacobian is not positive"
-        )
-    parts = (per_cell * weights).ravel()
-    x = places.reshape(-1, 3)
+    volumes, places = quadrature_m3(str(path), cells, 5 * cells.degree - 1)
+    parts, x = volumes.ravel(), places.reshape(-1, 3)
     volume = math.fsum(parts)
     centre = parts @ x / volume
     x = x - centre
@@ -221,3 +212,75 @@ def _check_size(path: Path, box: Array) -> None:
             f"{path}: the body is longest along {axis} ({largest:.4g} m) and {sides[2]:.4g} m "
             "along z, which must be the bristle's axis"
         )
+
+
+def _checked_tip(path: Path, cells: Cells) -> tuple[int, Array, Array]:
+    """How many facets the physical group `TIP` has, the lowest and highest coordinates of their
+    nodes (2, 3), and their centre of area (3,).
+
+    They must be of the boundary, at its lower end, and face down: raises MeshError with the name of
+    the file and of the group.
+    """
+    where = f"{path}: the physical group '{TIP}'"
+    facets, numbers = _tip_facets(path, where)
+    nodes = cells.points[numbers]
+    found, of_cells, count = cells.face_keys
+    keys = cells.keys(facets)
+    place = np.minimum(np.searchsorted(found, keys), len(found) - 1)
+    ours = found[place] == keys
+    if not ours.all():
+        raise MeshError(f"{where} has {(~ours).sum()} facets that are on no cell of the body")
+    inside = count[place] > 1
+    if inside.any():
+        raise MeshError(f"{where} has {inside.sum()} facets inside the body, not on its boundary")
+    low, high = cells.box_m[:, 2]
+    begins = nodes[:, 2].min()
+    if begins > low + LOWEST * (high - low):
+        raise MeshError(
+            f"{where} begins at z = {begins:.6g} m, but the body reaches down to {low:.6g} m: it "
+            "must be the lower end, with z pointing up"
+        )
+    owner = np.empty(len(found), dtype=np.int64)
+    owner[of_cells] = np.arange(len(of_cells)) // len(FACES[cells.kind])
+    x = cells.points[facets]
+    middle = x.mean(axis=1)
+    normal = np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0])
+    if x.shape[1] == 4:
+        normal = np.cross(x[:, 2] - x[:, 0], x[:, 3] - x[:, 1])
+    into = cells.points[cells.corners[owner[place]]].mean(axis=1) - middle
+    normal *= -np.sign(np.einsum("ij,ij->i", normal, into))[:, None]
+    area = np.linalg.norm(normal, axis=1)
+    sideways = ~(-normal[:, 2] > DOWNWARD * area)
+    if sideways.any():
+        raise MeshError(
+            f"{where} has {sideways.sum()} of {len(area)} facets that face sideways or up; it is "
+            "for those of the lower end that may touch"
+        )
+    box = np.stack([nodes.min(axis=0), nodes.max(axis=0)])
+    return len(area), box, area @ middle / area.sum()
+
+
+def _tip_facets(path: Path, where: str) -> tuple[Index, Index]:
+    """The corners of the tip's facets (k, 3 or 4), and all its nodes, from 0."""
+    groups = gmsh.model.getPhysicalGroups()
+    names = {group: gmsh.model.getPhysicalName(*group) for group in groups}
+    of_tip = [dim for (dim, _), name in names.items() if name == TIP]
+    if of_tip != [2]:
+        if of_tip:
+            raise MeshError(f"{where} must be of surfaces, not of dimension {of_tip[-1]}")
+        others = ", ".join(f"'{name}'" for name in names.values() if name) or "none with a name"
+        raise MeshError(
+            f"{path}: there is no physical group '{TIP}' of the facets that may touch; its groups: "
+            f"{others}"
+        )
+    corners: list[Index] = []
+    nodes: list[Index] = []
+    for _, entity in gmsh.model.getEntitiesForPhysicalName(TIP):
+        for kind, _, own in zip(*gmsh.model.mesh.getElements(2, entity), strict=True):
+            _, _, _, size, _, n_corners = gmsh.model.mesh.getElementProperties(kind)
+            own = own.astype(np.int64).reshape(-1, size) - 1
+            corners.append(own[:, :n_corners])
+            nodes.append(np.unique(own))
+    if not corners or len({part.shape[1] for part in corners}) > 1:
+        raise MeshError(f"{where} has {'facets of several kinds' if corners else 'no facets'}")
+    return np.concatenate(corners), np.unique(np.concatenate(nodes))

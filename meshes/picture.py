@@ -8,15 +8,12 @@ drawing itself is this module run as a program, see `bristle.meshes.display`.
 from __future__ import annotations
 
 import sys
-from dataclasses import dataclass, replace
 from pathlib import Path
 
-import meshio
 import numpy as np
-import numpy.typing as npt
 import pyvista
 
-from .convert import TAG_DATA, read_vtu
+from .convert import TAG_DATA
 from .display import run_drawing
 from .geometry import Tag
 
@@ -32,78 +29,6 @@ VIEW_FROM = np.array([1.0, -0.9, -0.75])
 """Toward the camera: the tip is seen from below."""
 
 
-@dataclass(frozen=True)
-class Surface:
-    """The outside of a mesh: flat pieces of facets (n, 4), the tag of each, edges (m, 2 or 3)."""
-
-    points_mm: npt.NDArray[np.float64]
-    pieces: npt.NDArray[np.int64]
-    tags: npt.NDArray[np.int32]
-    edges: npt.NDArray[np.int64]
-
-    @property
-    def width_mm(self) -> float:
-        """Larger extent of the section."""
-        return float(np.ptp(self.points_mm[:, :2], axis=0).max())
-
-    @property
-    def length_mm(self) -> float:
-        """Extent along the axis."""
-        return float(np.ptp(self.points_mm[:, 2]))
-
-    def below(self, z_mm: float) -> Surface:
-        """Return the cells up to the first layer boundary at or above a height."""
-        z = self.points_mm[:, 2]
-        ends = np.unique(z[self.edges[:, [0, -1]]])
-        slack = 1e-9 * self.length_mm
-        cut = ends[ends >= z_mm - slack].min(initial=z.max()) + slack
-        keep = (z[self.pieces] <= cut).all(axis=1)
-        return replace(
-            self,
-            pieces=self.pieces[keep],
-            tags=self.tags[keep],
-            edges=self.edges[(z[self.edges] <= cut).all(axis=1)],
-        )
-
-    def compressed(self, factor: float) -> Surface:
-        """Return the surface with its heights divided by a factor."""
-        return replace(self, points_mm=self.points_mm / np.array([1.0, 1.0, factor]))
-
-    def thinned(self, n_rings: int) -> Surface:
-        """Return it with the edges across the axis left out but for about `n_rings` layers."""
-        z = self.points_mm[:, 2] / self.length_mm
-        across = np.ptp(z[self.edges], axis=1) < 1e-9
-        levels, level = np.unique(np.round(z[self.edges[:, 0]], 9), return_inverse=True)
-        stride = max(1, round(len(levels) / n_rings))
-        drawn = (level % stride == 0) | (level == len(levels) - 1)
-        return replace(self, edges=self.edges[~across | drawn])
-
-
-def outside(mesh: meshio.Mesh) -> Surface:
-    """Return the outside of a mesh from `bristle.meshes.convert`."""
-    (index,) = [i for i, block in enumerate(mesh.cells) if block.type.startswith("quad")]
-    quads, tags = mesh.cells[index].data, mesh.cell_data[TAG_DATA][index]
-    pieces: list[tuple[int, ...]]
-    edges: list[tuple[int, ...]]
-    if mesh.cells[index].type == "quad":
-        pieces, edges = [(0, 1, 2, 3)], [(0, 1), (1, 2), (2, 3), (3, 0)]
-    else:
-        pieces = [(0, 4, 8, 7), (4, 1, 5, 8), (8, 5, 2, 6), (7, 8, 6, 3)]
-        edges = [(0, 4, 1), (1, 5, 2), (2, 6, 3), (3, 7, 0)]
-    return Surface(
-        points_mm=mesh.points * 1e3,
-        pieces=quads[:, pieces].reshape(-1, 4),
-        tags=np.repeat(tags, len(pieces)),
-        edges=quads[:, edges].reshape(-1, len(edges[0])),
-    )
-
-
-def round_length_mm(limit_mm: float) -> float:
-    """Return the largest of 1, 2, 5 times a power of ten that is not above the limit."""
-    decade = 10.0 ** np.floor(np.log10(limit_mm) + 1e-9)
-    return float(max(step * decade for step in (1, 2, 5) if step * decade <= limit_mm * (1 + 1e-9)))
-
-
 def write_picture(vtu: Path, png: Path, timeout_s: float = 300.0) -> None:
     """Draw the mesh in `vtu` (from `bristle.meshes.convert.write_vtu`) into `png`, screen or none.
 
@@ -114,54 +39,82 @@ def write_picture(vtu: Path, png: Path, timeout_s: float = 300.0) -> None:
     run_drawing([sys.executable, "-m", __name__, str(vtu), str(png)], timeout_s)
 
 
-def draw(mesh: meshio.Mesh, png: Path) -> None:
+def read_facets(vtu: Path) -> pyvista.UnstructuredGrid:
+    """The facets of a mesh from `bristle.meshes.convert.write_vtu`, with their tags; in mm."""
+    grid = pyvista.read(vtu)
+    facets = grid.extract_cells(np.flatnonzero(grid.cell_data[TAG_DATA] != Tag.BODY))
+    facets.points *= 1e3
+    return facets
+
+
+def below(facets: pyvista.UnstructuredGrid, z_mm: float) -> pyvista.UnstructuredGrid:
+    """The facets up to the first layer boundary at or above a height."""
+    tops = np.array([cell.bounds[5] for cell in facets.cell])
+    slack = 1e-9 * np.ptp(facets.points[:, 2])
+    cut = tops[tops >= z_mm - slack].min(initial=tops.max()) + slack
+    return facets.extract_cells(np.flatnonzero(tops <= cut))
+
+
+def thinned(edges: pyvista.PolyData, n_rings: int) -> pyvista.PolyData:
+    """The edges without those across the axis, but for about `n_rings` layers."""
+    z = edges.points[edges.lines.reshape(-1, 3)[:, 1:], 2] / np.ptp(edges.points[:, 2])
+    across = np.ptp(z, axis=1) < 1e-9
+    levels, level = np.unique(np.round(z[across, 0], 9), return_inverse=True)
+    stride = max(1, round(len(levels) / n_rings))
+    drawn = ~across
+    drawn[across] = (level % stride == 0) | (level == len(levels) - 1)
+    return pyvista.PolyData(edges.points, lines=edges.lines.reshape(-1, 3)[drawn].ravel())
+
+
+def round_length_mm(limit_mm: float) -> float:
+    """Return the largest of 1, 2, 5 times a power of ten that is not above the limit."""
+    decade = 10.0 ** np.floor(np.log10(limit_mm) + 1e-9)
+    return float(max(step * decade for step in (1, 2, 5) if step * decade <= limit_mm * (1 + 1e-9)))
+
+
+def draw(facets: pyvista.UnstructuredGrid, png: Path) -> None:
     """Draw both panels; needs a display, and takes the process down where there is none."""
-    surface = outside(mesh)
-    width, length = surface.width_mm, surface.length_mm
+    extents = np.ptp(facets.points, axis=0)
+    width, length = float(extents[:2].max()), float(extents[2])
     factor = max(1.0, length / (WHOLE_WIDTHS * width))
     plotter = pyvista.Plotter(
         off_screen=True, shape=(1, 2), window_size=(2 * PANEL_PIXELS[0], PANEL_PIXELS[1])
     )
     plotter.background_color = "white"
-    panels = [
-        (
-            surface.below(CLOSE_UP_WIDTHS * width),
-            1.0,
-            round_length_mm(min(width, length)),
-            "The tip, true proportions",
-        ),
-        (
-            surface.thinned(MAX_RINGS).compressed(factor),
-            factor,
-            round_length_mm(length / 2),
-            f"The whole, {length:g} mm" + f", axis compressed {factor:.3g} times" * (factor > 1),
-        ),
-    ]
-    for column, panel in enumerate(panels):
-        plotter.subplot(0, column)
-        _panel(plotter, *panel)
+    plotter.subplot(0, 0)
+    close_up = below(facets, CLOSE_UP_WIDTHS * width)
+    _panel(plotter, close_up, round_length_mm(min(width, length)), "The tip, true proportions")
+    plotter.subplot(0, 1)
+    title = f"The whole, {length:g} mm" + f", axis compressed {factor:.3g} times" * (factor > 1)
+    _panel(plotter, facets, round_length_mm(length / 2), title, factor)
     plotter.screenshot(str(png))
     plotter.close()
 
 
 def _panel(
-    plotter: pyvista.Plotter, surface: Surface, compression: float, bar_mm: float, title: str
+    plotter: pyvista.Plotter,
+    facets: pyvista.UnstructuredGrid,
+    bar_mm: float,
+    title: str,
+    compression: float = 1.0,
 ) -> None:
-    """Draw a surface with a title and, beside it, a bar along the axis that is `bar_mm` long."""
+    """Draw facets with a title and, beside them, a bar along the axis that is `bar_mm` long."""
+    squeezed = facets.scale([1.0, 1.0, 1.0 / compression])
+    width = float(np.ptp(facets.points[:, :2], axis=0).max())
     for tag, colour in COLOURS.items():
-        pieces = surface.pieces[surface.tags == tag]
-        if len(pieces):
-            body = pyvista.PolyData(surface.points_mm, faces=_counted(pieces))
-            plotter.add_mesh(body, color=colour, lighting=False)
+        own = squeezed.extract_cells(np.flatnonzero(squeezed.cell_data[TAG_DATA] == tag))
+        if own.n_cells:
+            plotter.add_mesh(
+                own.extract_surface(nonlinear_subdivision=1), color=colour, lighting=False
+            )
     # A little toward the camera, so that faces do not hide half of each line.
-    nearer = surface.points_mm + 0.005 * surface.width_mm * VIEW_FROM
-    edges = pyvista.PolyData(nearer, lines=_counted(surface.edges))
+    edges = thinned(squeezed.extract_all_edges(), MAX_RINGS).translate(0.005 * width * VIEW_FROM)
     plotter.add_mesh(edges, color="black", line_width=1.5, lighting=False)
-    x, y, _ = surface.points_mm.max(axis=0) + 0.3 * surface.width_mm
-    bar = np.array([[x, y, 0.0], [x, y, bar_mm / compression]])
-    plotter.add_mesh(pyvista.Line(*bar), color="black", line_width=6, lighting=False)
+    x, y, _ = squeezed.points.max(axis=0) + 0.3 * width
+    bar = pyvista.Line([x, y, 0.0], [x, y, bar_mm / compression])
+    plotter.add_mesh(bar, color="black", line_width=6, lighting=False)
     plotter.add_point_labels(
-        bar.mean(axis=0)[None],
+        [bar.center],
         [f"  {bar_mm:g} mm"],
         font_size=22,
         shape=None,
@@ -169,24 +122,11 @@ def _panel(
         always_visible=True,
         text_color="black",
     )
-    top_left = (20, PANEL_PIXELS[1] - 45)
-    plotter.add_text(title, position=top_left, font_size=14, color="black")
+    plotter.add_text(title, position=(20, PANEL_PIXELS[1] - 45), font_size=14, color="black")
     plotter.enable_parallel_projection()  # type: ignore[call-arg]
-    shown = surface.points_mm[np.unique(surface.pieces)]
-    plotter.camera.focal_point = (shown.min(axis=0) + shown.max(axis=0)) / 2
-    plotter.camera.position = plotter.camera.focal_point + VIEW_FROM
-    plotter.camera.up = (0.0, 0.0, 1.0)
-    plotter.reset_camera(bounds=_bounds(np.vstack([shown, bar])))  # type: ignore[call-arg]
-
-
-def _counted(rows: npt.NDArray) -> npt.NDArray:
-    """Return rows of indices as VTK's flat array, a count before each."""
-    return np.insert(rows, 0, rows.shape[1], axis=1).ravel()
-
-
-def _bounds(points: npt.NDArray) -> list[float]:
-    return [float(x) for column in points.T for x in (column.min(), column.max())]
+    plotter.view_vector(VIEW_FROM, viewup=(0.0, 0.0, 1.0))
+    plotter.reset_camera(bounds=squeezed.merge(bar).bounds)  # type: ignore[call-arg]
 
 
 if __name__ == "__main__":
-    draw(read_vtu(Path(sys.argv[1])), Path(sys.argv[2]))
+    draw(read_facets(Path(sys.argv[1])), Path(sys.argv[2]))

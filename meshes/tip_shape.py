@@ -8,39 +8,17 @@ from __future__ import annotations
 import dataclasses
 import math
 from dataclasses import dataclass
-from typing import Protocol, runtime_checkable
+from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
 
-from .section import require_positive
+from .section import Rectangle, Section, require_positive
 
 Array = npt.NDArray[np.float64]
 
 OUTSIDE = 1e-6
 """Part of the section by which a point may be outside, from rounding."""
-
-
-@runtime_checkable
-class RectangularSection(Protocol):
-    """A flat wire."""
-
-    @property
-    def thickness_m(self) -> float: ...
-
-    @property
-    def width_m(self) -> float: ...
-
-
-@runtime_checkable
-class RoundSection(Protocol):
-    """A round wire."""
-
-    @property
-    def diameter_m(self) -> float: ...
-
-
-Section = RectangularSection | RoundSection
 
 
 class TipShape(Protocol):
@@ -60,11 +38,9 @@ class TipShape(Protocol):
 
 def half_breadth_m(section: Section) -> float:
     """Largest distance that a place in the section can have from the nearest edge, m."""
-    if isinstance(section, RectangularSection):
+    if isinstance(section, Rectangle):
         return min(section.thickness_m, section.width_m) / 2
-    if isinstance(section, RoundSection):
-        return section.diameter_m / 2
-    raise ValueError(f"a section has thickness_m and width_m, or diameter_m, not {section!r}.")
+    return section.diameter_m / 2
 
 
 def edge_distance_m(x_m: npt.ArrayLike, y_m: npt.ArrayLike, section: Section) -> Array:
@@ -76,7 +52,7 @@ def edge_distance_m(x_m: npt.ArrayLike, y_m: npt.ArrayLike, section: Section) ->
     """
     x, y = np.asarray(x_m, dtype=float), np.asarray(y_m, dtype=float)
     limit = half_breadth_m(section)
-    if isinstance(section, RectangularSection):
+    if isinstance(section, Rectangle):
         inside = np.minimum(section.thickness_m / 2 - np.abs(x), section.width_m / 2 - np.abs(y))
     else:
         inside = limit - np.hypot(x, y)
@@ -195,7 +171,7 @@ class Worn:
         edge_distance_m(x_m, y_m, section)  # raises for places outside
         direction = math.radians(self.direction_deg)
         along = np.array([math.cos(direction), math.sin(direction)])
-        if isinstance(section, RectangularSection):
+        if isinstance(section, Rectangle):
             reach = float(np.abs(along) @ (section.thickness_m / 2, section.width_m / 2))
         else:
             reach = half_breadth_m(section)

@@ -11,11 +11,11 @@ from mpi4py import MPI
 
 from bristle.meshes.check import check_model
 from bristle.meshes.collective import run_on_one_rank
-from bristle.meshes.convert import read_msh, write_msh, write_vtu
+from bristle.meshes.convert import write_msh, write_vtu
 from bristle.meshes.geometry import MeshSpec
 from bristle.meshes.hexahedra import build_model, gmsh_model
 from bristle.meshes.picture import write_picture
-from bristle.meshes.quality import MeshQuality, measure_quality, write_csv
+from bristle.meshes.quality import measure_quality, write_csv
 
 from .command.script import as_script
 from .running.files import filled, new_folders
@@ -34,7 +34,7 @@ def run_mesh(spec: MeshSpec, out: Path, comm: MPI.Intracomm = MPI.COMM_WORLD) ->
 
     Returns
     -------
-    summary : `spec` (SI), `files` (name: path), `quality` (as `MeshQuality`), `wall_s`; plain
+    summary : `spec` (SI), `files` (name: path), `quality` (`measure_quality`), `wall_s`; plain
         numbers, strings, lists and dicts alone; the same on every rank
 
     Raises
@@ -56,18 +56,18 @@ def _write_all(spec: MeshSpec, out: Path) -> dict[str, Any]:
     return {
         "spec": {**asdict(spec), "cells": list(spec.cells), "shape": type(spec.section).__name__},
         "files": {name: str(out / name) for name in names},
-        "quality": asdict(quality),
+        "quality": quality,
         "wall_s": time.perf_counter() - started,
     }
 
 
-def _make(spec: MeshSpec, folder: Path) -> MeshQuality:
+def _make(spec: MeshSpec, folder: Path) -> dict[str, float]:
     with gmsh_model():
         build_model(spec)
         check_model(spec)
         quality = measure_quality(spec)
         write_msh(folder / "bristle.msh")
-    write_vtu(read_msh(folder / "bristle.msh"), folder / "bristle.vtu")
+    write_vtu(folder / "bristle.msh", folder / "bristle.vtu")
     write_csv(quality, folder / "quality.csv")
     write_picture(folder / "bristle.vtu", folder / "mesh.png")
     return quality

@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ...meshes.tip_shape import RectangularSection, Section, TipShape
+from ...meshes.section import Rectangle, Section
+from ...meshes.tip_shape import TipShape
 from ...solver.arrays import Array
 from ...solver.bristle import Bristle
 from ...solver.rigid import leaning, matrix_of, slope_normal
@@ -52,7 +53,7 @@ def face_offsets_m(shape: TipShape, section: Section, xy_m: Array) -> Array:
 
     Places that rounding, or a mesh with cells not quite round, puts outside are taken to the edge.
     """
-    if isinstance(section, RectangularSection):
+    if isinstance(section, Rectangle):
         half = 0.5 * np.array([section.thickness_m, section.width_m])
         inside = np.clip(xy_m, -half, half)
     else:

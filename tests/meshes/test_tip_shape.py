@@ -153,7 +153,6 @@ def test_words_that_are_wrong_are_refused(text, message):
         (Flat(), (0.26e-3, 0.0), FLAT_WIRE, "a place of the tip is 1e-05 m outside"),
         (Worn(1.0), (0.3e-3, 0.3e-3), WIRE, "outside its section"),
         (Flat(), (0.0, math.nan), WIRE, "outside its section"),
-        (Flat(), (0.0, 0.0), "square", "a section has thickness_m and width_m, or diameter_m"),
     ],
 )
 def test_places_and_sections_that_do_not_fit_are_refused(shape, place, section, message):
