@@ -32,6 +32,7 @@ from .checkpoint import Checkpoint, Mark, under
 from .contact_phase import instant_force
 from .drop import FlightFrame
 from .errors import ComputationError
+from .forms import own_values
 from .ground import Placement, place
 from .nodal_stress import VOIGT, NodalStress, von_mises
 from .time.finite import FiniteMarcher
@@ -80,15 +81,12 @@ class FieldWriter:
     on top: with ``frame``, which ``simulate`` flies in, `BETWEEN` from touch to touch, and those of
     `write_flight`.
 
-    The mesh goes with every frame: with ``mesh_once`` the files are two thirds as large, but
-    ParaView's reader shows nothing when the first frame that it is asked for is not the first of
-    the file (seen in 5.13), as happens when a file is opened at a later time or from a saved state.
+    The mesh goes with every frame: were it in the first alone, ParaView's reader would show nothing
+    where the first frame that it is asked for is another (seen in 5.13), as when a file is opened
+    at a later time or from a saved state.
 
     Frames of contact are kept in ``checkpoint``, so that a run that goes on from it shows them
     again.
-
-    ``expand`` maps a state's vectors to the solid's unknowns, for a body that stands for the
-    solid: with a reduced model it is ``ReducedModel.from_modal``.
 
     Construction, every call, ``write…`` and ``close`` are collective over the solid's ranks; forms
     are compiled in construction alone. What the folder holds of an earlier run is replaced.
@@ -103,8 +101,6 @@ class FieldWriter:
         *,
         every: int | None = None,
         max_frames: int = 200,
-        expand: Callable[[Array], Array] | None = None,
-        mesh_once: bool = False,
         checkpoint: Checkpoint | None = None,
     ) -> None:
         if every is not None and every < 1:
@@ -114,7 +110,7 @@ class FieldWriter:
         self.solid, self.folder, self.comm = solid, Path(folder), solid.comm
         self.times_s: list[float] = []
         self._marcher, self._frame = marcher, frame
-        self._expand, self._checkpoint = expand, checkpoint
+        self._checkpoint = checkpoint
         self._every = every or _default_stride(solid, marcher)
         self._max_frames, self._next_doubling = max_frames, max_frames // 2
         self._n_contact, self._since = 0, self._every
@@ -126,14 +122,11 @@ class FieldWriter:
         self._placement = marcher.ground if marcher else Placement.upright(points)
         self._nodes = solid.space.tabulate_dof_coordinates()[: solid.n_local // 3]
         self._make_fields()
-        self._open(VTXMeshPolicy.reuse if mesh_once else VTXMeshPolicy.update)
+        self._open()
 
     def _make_fields(self) -> None:
         space = self.solid.space
         scalar = fem.functionspace(self.solid.domain, ("Lagrange", self.solid.order))
-        same = np.array_equal(scalar.dofmap.list, space.dofmap.list)
-        if not self.comm.allreduce(int(same)) == self.comm.size:
-            raise ComputationError("scalar and vector nodes are numbered differently")
         self.displacement = fem.Function(space, name="displacement_m")
         self.velocity = fem.Function(space, name="velocity_m_s")
         self.axial_stress = fem.Function(scalar, name="axial_stress_Pa")
@@ -142,7 +135,7 @@ class FieldWriter:
         self._stress = NodalStress(self.displacement, self.solid.material, finite=finite)
         self._tip = TipFace(self.solid)
 
-    def _open(self, policy: VTXMeshPolicy) -> None:
+    def _open(self) -> None:
         refused = self.comm.bcast(self._clear() if self.comm.rank == 0 else None)
         if refused:
             raise ComputationError(f"the fields cannot be written to {self.folder}: {refused}")
@@ -154,7 +147,7 @@ class FieldWriter:
                 self.folder / name,
                 fields,
                 engine="BP4",
-                mesh_policy=policy,
+                mesh_policy=VTXMeshPolicy.update,
             )
             for name, fields in ((SOLID_FILE, body), (TIP_FILE, self._tip.fields))
         ]
@@ -246,16 +239,14 @@ class FieldWriter:
             return
         if self._origin_m is None:
             self._origin_m = self._set_ground()
-        if self._expand:
-            u, v = self._expand(u), self._expand(v)
-        self._fill(self.displacement, u)
+        own_values(self.displacement, u)
         stress = self._stress()
         self.axial_stress.x.array[:] = stress[:, AXIAL]
         self.von_mises.x.array[:] = von_mises(stress)
         gaps = self._placement.gaps(self.solid.contact.displacements(u))
         rotation = self._placement.pose.rotation
-        self._fill(self.displacement, self._carried(u, self._origin_m))
-        self._fill(self.velocity, (v.reshape(-1, 3) @ rotation.T).ravel())
+        own_values(self.displacement, self._carried(u, self._origin_m))
+        own_values(self.velocity, (v.reshape(-1, 3) @ rotation.T).ravel())
         self._tip.update(self.displacement, self._none if force is None else force, gaps)
         for writer in self._writers:
             writer.write(t_s)
@@ -263,10 +254,6 @@ class FieldWriter:
             with (self.folder / FRAMES_FILE).open("a") as table:
                 table.write(f"{len(self.times_s)},{t_s!r},{phase}\n")
         self.times_s.append(t_s)
-
-    def _fill(self, function: fem.Function, values: Array) -> None:
-        function.x.array[: self.solid.n_local] = values
-        function.x.scatter_forward()
 
     def _set_ground(self) -> Array:
         """Write the ground that the body touches; returns where it does, the world's origin."""
@@ -284,23 +271,17 @@ class FieldWriter:
         return np.asarray(place - self._nodes).ravel()
 
     def write_flight(
-        self,
-        duration_s: float | None = None,
-        n_frames: int = FLIGHT_FRAMES,
-        advance: Callable[[], None] = lambda: None,
+        self, n_frames: int = FLIGHT_FRAMES, advance: Callable[[], None] = lambda: None
     ) -> None:
-        """Write ``n_frames`` of the flight after the last state seen, to show the wave run on.
+        """Write ``n_frames`` of two axial periods of the flight after the last state seen, to show
+        the wave run on.
 
-        ``duration_s`` is, left out, two axial periods. ``advance`` is called for each frame. Raises
-        ValueError where no step was seen.
+        ``advance`` is called for each frame. Raises ValueError where no step was seen.
         """
         if self._last is None:
             raise ValueError("there is no flight before the first step")
-        if duration_s is None:
-            duration_s = 2.0 * axial_period_s(self.solid)
-        start_s = self._last.t_s
-        times_s = np.linspace(start_s, start_s + duration_s, n_frames + 1)[1:]
-        self._write_flight(times_s, advance)
+        end_s = self._last.t_s + 2.0 * axial_period_s(self.solid)
+        self._write_flight(np.linspace(self._last.t_s, end_s, n_frames + 1)[1:], advance)
 
     def _fly_to(self, t_s: float) -> None:
         """Write the flight to a touch at ``t_s`` that was not marched to."""

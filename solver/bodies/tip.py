@@ -12,6 +12,7 @@ from dolfinx import fem, la, mesh
 from numpy.typing import NDArray
 from scipy.sparse import csr_matrix
 
+from ...meshes.distribute import coordinate_element
 from ...meshes.section import gauss_lobatto
 from ..arrays import Array
 from ..bristle import CONTACT_POINTS
@@ -34,13 +35,12 @@ class Rule:
     """A quadrature rule on the reference facet and this rank's facets of the tip that take it.
 
     ``points`` (m, 2), ``weights`` (m,) that sum to the reference facet's area; ``entities`` (2 k,)
-    are cell and local facet of each of the ``facets`` (k,).
+    are cell and local facet of each of the facets.
     """
 
     name: str
     points: Array
     weights: Array
-    facets: NDArray[np.int32]
     entities: NDArray[np.int32]
 
     @property
@@ -136,8 +136,12 @@ def tip_contact(
 
 def tip_rules(space: fem.FunctionSpace, facets: NDArray[np.int32], points: int) -> list[Rule]:
     """The rules that facets of the tip take, the same on all ranks, with this rank's facets."""
-    domain = space.mesh
-    entities = _owned(domain, facets)
+    domain, tdim = space.mesh, space.mesh.topology.dim
+    domain.topology.create_connectivity(tdim - 1, tdim)
+    domain.topology.create_connectivity(tdim, tdim - 1)
+    exterior = fem.IntegralType.exterior_facet
+    found = fem.compute_integration_domains(exterior, domain.topology, facets, tdim - 1)
+    entities = np.asarray(found, dtype=np.int32).reshape(-1, 2)
     degree: int = space.element.basix_element.degree
     if domain.topology.cell_type is mesh.CellType.tetrahedron:
         counts = _divisions(domain, len(entities), degree, points)
@@ -148,9 +152,7 @@ def tip_rules(space: fem.FunctionSpace, facets: NDArray[np.int32], points: int) 
     for count in every:
         mine = np.array([i for i, own in enumerate(counts) if own == count], dtype=np.int64)
         places, weights = _triangle_rule(*count) if len(count) == 1 else _square_rule(*count)
-        facets_of_rule = _facets_of(domain, entities[mine])
-        name = " x ".join(map(str, count))
-        rules.append(Rule(name, places, weights, facets_of_rule, entities[mine].ravel()))
+        rules.append(Rule(" x ".join(map(str, count)), places, weights, entities[mine].ravel()))
     return rules
 
 
@@ -172,38 +174,6 @@ def _triangle_rule(divisions: int) -> tuple[Array, Array]:
             if all(corner in number for corner in small):
                 weights[[number[corner] for corner in small]] += 1.0 / 6.0 / divisions**2
     return np.array(lattice) / divisions, weights
-
-
-def _owned(domain: mesh.Mesh, facets: NDArray[np.int32]) -> NDArray[np.int32]:
-    """Cell and local facet (k, 2) of those ``facets`` whose cells this rank owns."""
-    tdim = domain.topology.dim
-    domain.topology.create_connectivity(tdim - 1, tdim)
-    domain.topology.create_connectivity(tdim, tdim - 1)
-    cells_of = domain.topology.connectivity(tdim - 1, tdim)
-    facets_of = domain.topology.connectivity(tdim, tdim - 1)
-    owned = domain.topology.index_map(tdim).size_local
-    found = []
-    for facet in facets:
-        cell = int(cells_of.links(facet)[0])
-        if cell < owned:
-            found.append((cell, int(np.flatnonzero(facets_of.links(cell) == facet)[0])))
-    return np.array(found, dtype=np.int32).reshape(-1, 2)
-
-
-def _facets_of(domain: mesh.Mesh, entities: NDArray[np.int32]) -> NDArray[np.int32]:
-    """The facets (k,) of cells and local facets (k, 2)."""
-    links = domain.topology.connectivity(domain.topology.dim, domain.topology.dim - 1)
-    return np.array([links.links(cell)[local] for cell, local in entities], dtype=np.int32)
-
-
-def _coordinate_element(domain: mesh.Mesh) -> basix.finite_element.FiniteElement:
-    map_ = domain.geometry.cmap
-    return basix.create_element(
-        basix.ElementFamily.P,
-        basix.CellType[domain.topology.cell_type.name],
-        map_.degree,
-        basix.LagrangeVariant(map_.variant),
-    )
 
 
 def _on_cell(domain: mesh.Mesh, local: int, points: Array) -> tuple[Array, Array]:
@@ -230,7 +200,7 @@ def _points_along(
     number of facets as the number across.
     """
     comm, geometry = domain.comm, domain.geometry
-    element = _coordinate_element(domain)
+    element = coordinate_element(domain)
     corners = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0], [1.0, 1.0]])
     places = np.empty((len(entities), 4, 2))
     for i in range(len(entities)):
@@ -264,14 +234,14 @@ def _facet_points(
 ) -> FacetPoints:
     """This rank's points of a rule."""
     domain, element = space.mesh, space.element.basix_element
-    k, m = len(rule.facets), len(rule.points)
     cells, local = rule.entities[::2], rule.entities[1::2]
+    k, m = len(cells), len(rule.points)
     size = len(_facet_nodes(element, 0))
     places, areas = np.empty((k, m, 3)), np.empty((k, m))
     shares, nodes = np.empty((k, m, size)), np.empty((k, size), dtype=np.int64)
     for i in range(k):
         on_cell, tangents = _on_cell(domain, local[i], rule.points)
-        shapes = np.asarray(_coordinate_element(domain).tabulate(1, on_cell))[..., 0]
+        shapes = np.asarray(coordinate_element(domain).tabulate(1, on_cell))[..., 0]
         x = domain.geometry.x[domain.geometry.dofmap[cells[i]]]
         places[i] = shapes[0] @ x
         sides = np.einsum("td,dma,ax->mtx", tangents, shapes[1:], x)
@@ -298,15 +268,12 @@ def _facet_nodes(element: basix.finite_element.FiniteElement, local: int) -> NDA
 
 def _measure(domain: mesh.Mesh, rules: list[Rule], area_m2: float) -> TipMeasure:
     """The tip with each facet's own rule."""
-    facets = np.concatenate([rule.facets for rule in rules])
-    marks = np.concatenate([np.full(len(r.facets), i, dtype=np.int32) for i, r in enumerate(rules)])
-    order = np.argsort(facets)
-    tags = mesh.meshtags(domain, domain.topology.dim - 1, facets[order], marks[order])
-    parts = tuple(
-        ufl.Measure("ds", domain=domain, subdomain_data=tags, metadata=rule.metadata)(i)
+    parts = [(i, rule.entities) for i, rule in enumerate(rules)]
+    measures = (
+        ufl.Measure("ds", domain=domain, subdomain_data=parts, metadata=rule.metadata)(i)
         for i, rule in enumerate(rules)
     )
-    return TipMeasure(parts, area_m2)
+    return TipMeasure(tuple(measures), area_m2)
 
 
 def _local_columns(space: fem.FunctionSpace) -> tuple[int, int]:

@@ -24,7 +24,7 @@ from bristle.meshes.section import Circle
 from bristle.solver.bodies.reduced import reduce_solid
 from bristle.solver.contact.enforcement import ContactMethod
 from bristle.solver.contact.laws import Coulomb, Linear
-from bristle.solver.drop import DropPlan, ModalFrame, simulate
+from bristle.solver.drop import DropPlan, simulate
 from bristle.solver.errors import ComputationError
 from bristle.solver.ground import Ground
 from bristle.solver.paraview import BETWEEN, FieldWriter, Phase
@@ -305,24 +305,6 @@ def test_a_long_contact_stays_within_the_limit_and_is_covered_to_its_end(shared_
     impact.solid.close()
 
 
-def test_a_reduced_body_writes_the_solids_fields(shared_path):
-    impact = Impact(shared_path / "full", every=1)
-    frame, solid = impact.frame, impact.solid
-    plan = DropPlan(0.05, ContactMethod(Linear(KN_N_M)), ITS_S, GRAVITY_M_S2, impact_only=True)
-    marcher = Marcher(frame.modal, plan.method, plan.scheme, ITS_S, GRAVITY_M_S2)
-    folder = shared_path / "reduced"
-    flown = ModalFrame(frame.modal)
-    with FieldWriter(solid, folder, marcher, flown, every=1, expand=frame.from_modal) as writer:
-        simulate(flown, plan, marcher, writer)
-        writer.write_flight(n_frames=5)
-    COMM.barrier()
-    full = written(shared_path / "full" / "solid.bp", "axial_stress_Pa", 10)["values"]
-    reduced = written(folder / "solid.bp", "axial_stress_Pa", 10)["values"]
-    assert len(phases(folder)) == len(phases(shared_path / "full"))
-    assert reduced == pytest.approx(full, abs=1e-4 * np.abs(full).max())
-    solid.close()
-
-
 def test_no_form_is_compiled_while_frames_are_written(shared_path, monkeypatch):
     solid = solid_of()
     writer = FieldWriter(solid, shared_path)
@@ -406,15 +388,14 @@ def test_an_earlier_run_is_replaced(tmp_path):
 
 
 @pytest.mark.serial
-@pytest.mark.parametrize(("mesh_once", "meshes"), [(False, [1, 1, 1]), (True, [1, 0, 0])])
-def test_the_mesh_goes_with_every_frame_unless_told_otherwise(tmp_path, mesh_once, meshes):
+def test_the_mesh_goes_with_every_frame(tmp_path):
     solid = solid_of(comm=MPI.COMM_SELF)
-    with FieldWriter(solid, tmp_path, mesh_once=mesh_once) as writer:
+    with FieldWriter(solid, tmp_path) as writer:
         for k in range(3):
             writer.write(k, solid.translation[:, 2], solid.translation[:, 2])
     with adios2.FileReader(str(tmp_path / "solid.bp")) as file:
         found = [len(file.engine.blocks_info("connectivity", k)) for k in range(3)]
-    assert found == meshes
+    assert found == [1, 1, 1]
     solid.close()
 
 
