@@ -53,7 +53,7 @@ class Scene:
 
     ``order`` counts drops from zero in the order they were made. ``chance`` are standard normal
     numbers of this drop for effects that differ from drop to drop. ``loss_factor`` is the loss
-    per radian of every elastic mode over twice its energy, independent of frequency.
+    per radian of every elastic mode over its energy, independent of frequency.
     ``front_m2`` is the area that goes first, ``drag_kg_m`` drag force over the square of the speed,
     ``lateral_inertia`` the share of Love's correction that a beam has. Heights are seen as
     ``y_scale`` × (true + ``y_offset_m``), times as ``t_scale`` × true.
