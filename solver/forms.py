@@ -170,17 +170,19 @@ class StepForms:
         rate = self.beta / self.its
         return rate * ufl.inner(self.elasticity.stress(increase), increase) * self._dx
 
+    def _traction(self, u: Expr, v: Expr) -> Expr:
+        """The traction at a displacement and a velocity, its viscous part included."""
+        body = self.elasticity
+        viscous = body.stress(self.beta * body.strain_change(u, v))
+        return body.traction(u, self.normal) + body.deformation(u) * viscous * self.normal
+
     def start_traction(self) -> Expr:
         """The traction at the start of the step, its viscous part included."""
-        body = self.elasticity
-        viscous = body.stress(self.beta * body.strain_change(self.u, self.v))
-        return body.traction(self.u, self.normal) + body.deformation(self.u) * viscous * self.normal
+        return self._traction(self.u, self.v)
 
     def end_traction(self) -> Expr:
         """The traction at the end of the step, its viscous part included."""
-        body, end = self.elasticity, self.u + self.d
-        viscous = body.stress(self.beta * body.strain_change(end, self.end_velocity))
-        return body.traction(end, self.normal) + body.deformation(end) * viscous * self.normal
+        return self._traction(self.u + self.d, self.end_velocity)
 
     def viscous_traction(self) -> Expr:
         """The viscous part of the traction half way."""
@@ -262,9 +264,9 @@ def _mean_force(stiffness: Expr, before: Expr, after: Expr) -> Expr:
 def rigid_plane(space: fem.FunctionSpace) -> PlaneData:
     """A plane whose numbers are still to be set."""
     real, domain = PETSc.ScalarType, space.mesh
-    offset, stiffness, kt, mu, tau, theta = (fem.Constant(domain, real(0.0)) for _ in range(6))
     normal = fem.Constant(domain, np.array([0.0, 0.0, 1.0], dtype=real))
-    return PlaneData(normal, offset, stiffness, kt, mu, tau, theta, fem.Function(space))
+    numbers = (fem.Constant(domain, real(0.0)) for _ in range(6))
+    return PlaneData(normal, *numbers, fem.Function(space))
 
 
 def own_values(function: fem.Function, values: Array) -> None:

@@ -52,16 +52,9 @@ class ContactPoints:
         """Displacement of every point along every axis by this rank's unknowns (3 n, dofs)."""
         return self.rows @ dense_of(self.coordinates)
 
-    def _reduce(self, local: Array) -> Array:
-        if self.comm.size == 1:
-            return local
-        total = np.empty(local.shape)
-        self.comm.Allreduce(np.ascontiguousarray(local), total)
-        return total
-
     def moved(self, u: Array) -> Array:
         """The section's coordinates (r,), of columns (r, m), the same on every rank."""
-        return np.asarray(self._reduce(self.coordinates @ u))
+        return np.asarray(summed(self.comm, self.coordinates @ u))
 
     def displacements(self, u: Array) -> Array:
         """Displacement of every point (n, 3), of columns (n, 3, m), the same on every rank."""
@@ -70,7 +63,7 @@ class ContactPoints:
 
     def tractions(self, u: Array) -> Array:
         """Section area times traction at every point (n, 3) in N, the same on every rank."""
-        values = self._reduce(self.traction @ u)
+        values = summed(self.comm, self.traction @ u)
         return np.asarray(values).reshape(len(self.weights), 3, *u.shape[1:])
 
     @property
@@ -87,6 +80,15 @@ def with_offsets(contact: ContactPoints, offsets_m: Array) -> ContactPoints:
     places = contact.places_m.copy()
     places[:, 2] += offsets_m
     return replace(contact, places_m=places)
+
+
+def summed(comm: MPI.Intracomm, local: Array) -> Array:
+    """The sum of all ranks' arrays ``local``."""
+    if comm.size == 1:
+        return local
+    total = np.empty(local.shape)
+    comm.Allreduce(np.ascontiguousarray(local), total)
+    return total
 
 
 def dense_of(rows: SparseOrDense) -> Array:

@@ -12,7 +12,8 @@ from ..arrays import Array
 from ..form_cache import form
 from ..forms import StepForms, own_values
 from ..rigid import Pose, matrix_of, product, turn
-from .reduced import ReducedModel, summed
+from .base import summed
+from .reduced import ReducedModel
 
 # Turns of the frame, and corrections of a strain, until the next is rounding.
 TURNS, STILL_RAD = 20, 1e-15
@@ -36,7 +37,7 @@ class FloatingModel(ReducedModel):
         motions = solid.rigid_motions()
         image = solid.mass(np.asfortranarray(motions))
         places = solid.places_m - solid.centre_m
-        return places, image, summed(solid, motions.T @ image)
+        return places, image, summed(solid.comm, motions.T @ image)
 
     @cached_property
     def _forms(self) -> tuple[StepForms, fem.Form, fem.Form]:
@@ -45,12 +46,12 @@ class FloatingModel(ReducedModel):
 
     def launched(self, pose: Pose, u: Array, v: Array) -> tuple[Pose, Array, Array]:
         places, image, moments = self._motions
-        shift = summed(self.body, image[:, :3].T @ u) / self.body.mass_kg
+        shift = summed(self.body.comm, image[:, :3].T @ u) / self.body.mass_kg
         there = places + u.reshape(-1, 3) - shift
         turned = np.array([1.0, 0.0, 0.0, 0.0])
         for _ in range(TURNS):
             seen = there @ matrix_of(turned)
-            spun = summed(self.body, image[:, 3:].T @ (seen - places).ravel())
+            spun = summed(self.body.comm, image[:, 3:].T @ (seen - places).ravel())
             angle = np.linalg.solve(moments[3:, 3:], spun)
             turned = product(turned, turn(angle))
             if np.abs(angle).max() <= STILL_RAD:
@@ -59,9 +60,9 @@ class FloatingModel(ReducedModel):
         rotation = matrix_of(turned)
         seen, speed = there @ rotation, v.reshape(-1, 3) @ rotation
         by_spin = np.stack([np.cross(axis, seen).ravel() for axis in np.eye(3)], axis=1)
-        about = summed(self.body, image[:, 3:].T @ np.column_stack([by_spin, speed.ravel()]))
+        about = summed(self.body.comm, image[:, 3:].T @ np.column_stack([by_spin, speed.ravel()]))
         spin = np.linalg.solve(about[:, :3], about[:, 3])
-        velocity = summed(self.body, image[:, :3].T @ speed.ravel()) / self.body.mass_kg
+        velocity = summed(self.body.comm, image[:, :3].T @ speed.ravel()) / self.body.mass_kg
         modal = self.modal
         rigid = modal.translation @ velocity + modal.rotation @ spin
         elastic = modal.omega2 > 0.0

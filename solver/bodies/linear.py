@@ -1,12 +1,13 @@
-"""Solvers of a solid's effective matrix c_M M + c_K K: a Cholesky factor, or conjugate gradients.
+"""Linear solvers of a solid, by PETSc: its effective matrix c_M M + c_K K, and its tangent.
 
 A march solves with one matrix hundreds of times, so it is factored wherever the factor fits into
-memory; beyond `LARGEST_FACTOR` conjugate gradients take over.
+memory; beyond `LARGEST_FACTOR` conjugate gradients take over. A tangent of finite strain, which
+needs pivots, is MUMPS' to factor.
 
-The factor is CHOLMOD's on one rank and MUMPS' on several. A solve of 54 675 unknowns of a bristle
-takes CHOLMOD 13 ms, MUMPS 18, a block factorisation along its axis written for the purpose 7, and
-LAPACK's banded Cholesky of 15 255 unknowns 4.0 ms where CHOLMOD takes 1.9: none makes a whole drop
-or sweep 1.5 times faster than these two.
+Cholesky's factor is CHOLMOD's on one rank and MUMPS' on several. A solve of 54 675 unknowns of a
+bristle takes CHOLMOD 13 ms, MUMPS 18, a block factorisation along its axis written for the purpose
+7, and LAPACK's banded Cholesky of 15 255 unknowns 4.0 ms where CHOLMOD takes 1.9: none makes a
+whole drop or sweep 1.5 times faster than these two.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ from petsc4py import PETSc
 
 from ..arrays import Array
 from ..errors import ComputationError
-from .direct import Cholesky
+from .base import summed
 
 if TYPE_CHECKING:
     from .solid import SolidBody
@@ -87,6 +88,84 @@ def make_solver(
         matrix.destroy()
 
 
+class Cholesky:
+    """Cholesky factor of a positive definite matrix, which itself is not needed afterwards."""
+
+    def __init__(self, matrix: PETSc.Mat) -> None:
+        self.comm = matrix.comm
+        solver = PETSc.KSP().create(self.comm)
+        solver.setOperators(matrix)
+        package = "cholmod" if self.comm.size == 1 else "mumps"
+        take_direct(solver, PETSc.PC.Type.CHOLESKY, package)
+        try:
+            factor(solver, "the effective matrix")
+            self._factor = solver.getPC().getFactorMatrix()
+        finally:
+            solver.destroy()
+        self._right, self._left = matrix.createVecs()
+
+    @property
+    def entries(self) -> int:
+        """Numbers in the factor; MUMPS counts in millions where there are many (INFOG(29))."""
+        if self.comm.size == 1:
+            return int(self._factor.getInfo()["nz_used"])
+        count = self._factor.getMumpsInfog(29)
+        return int(count) if count >= 0 else -1_000_000 * int(count)
+
+    def solve(self, b: Array) -> Array:
+        """x for (n,) or all columns of (n, m) at once."""
+        if b.ndim == 2:
+            return solve_columns(self._factor, b)
+        self._right.array[:] = b
+        self._factor.solve(self._right, self._left)
+        return np.array(self._left.array)
+
+    def close(self) -> None:
+        """Free what PETSc holds."""
+        for thing in (self._factor, self._right, self._left):
+            thing.destroy()
+
+
+def take_direct(solver: PETSc.KSP, kind: PETSc.PC.Type, package: str = "mumps") -> None:
+    """Have ``solver`` do with a factor of this kind by this package, and nothing else."""
+    solver.setType(PETSc.KSP.Type.PREONLY)
+    solver.getPC().setType(kind)
+    solver.getPC().setFactorSolverType(package)
+
+
+def factor(solver: PETSc.KSP, what: str) -> None:
+    """Make the factor; ComputationError that says of ``what``, where that fails."""
+    preconditioner = solver.getPC()
+    package = preconditioner.getFactorSolverType()
+    try:
+        solver.setUp()
+    except PETSc.Error as error:
+        raise ComputationError(f"{package.upper()} could not factor {what}: {error}") from error
+    status = preconditioner.getFactorMatrix().getMumpsInfog(1) if package == "mumps" else 0
+    if status < 0:
+        raise ComputationError(f"MUMPS could not factor {what}: INFOG(1) = {status}")
+
+
+def solve_columns(solver: PETSc.KSP | PETSc.Mat, b: Array) -> Array:
+    """Solutions (n_local, m) for all columns of ``b`` at once, by a solver or a factor."""
+    right = dense(solver.comm, b)
+    solution = right.duplicate()
+    solver.matSolve(right, solution)
+    x = solution.getDenseArray().copy(order="F")
+    right.destroy()
+    solution.destroy()
+    return x
+
+
+def dense(comm: PETSc.Comm, x: Array) -> PETSc.Mat:
+    """A PETSc copy of this rank's rows ``x`` (n_local, m)."""
+    matrix = PETSc.Mat().createDense(((len(x), None), (None, x.shape[1])), comm=comm)
+    matrix.setUp()
+    matrix.getDenseArray()[:] = x
+    matrix.assemble()
+    return matrix
+
+
 class Iterative:
     """Conjugate gradients to `TOLERANCE` in the energy norm.
 
@@ -145,9 +224,7 @@ class Iterative:
 def _orthonormal(solid: SolidBody, matrix: PETSc.Mat) -> list[PETSc.Vec]:
     """The rigid motions as vectors of which PETSc asks that they be orthonormal."""
     motions = solid.rigid_motions()
-    gram = motions.T @ motions
-    if solid.comm.size > 1:
-        gram = solid.comm.allreduce(gram)
+    gram = summed(solid.comm, motions.T @ motions)
     motions = np.linalg.solve(np.linalg.cholesky(gram), motions.T)
     vectors = []
     for motion in motions:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, fields, replace
+from typing import Any
 
 import numpy as np
 from mpi4py import MPI
@@ -11,8 +13,13 @@ from scipy.linalg import eigh, orth
 from scipy.sparse.csgraph import connected_components
 
 from ..arrays import Array
+from ..bristle import RigidMass
 from .axis import Axis
-from .base import ContactPoints
+from .base import ContactPoints, dense_of
+
+# Parts of a body that are records of arrays, and what of these is not kept.
+PARTS: dict[str, type] = {"contact": ContactPoints, "axis": Axis}
+NOT_STORED = ("comm",)
 
 
 @dataclass(frozen=True)
@@ -149,3 +156,69 @@ def _modes_of_group(name: str, mass: Array, stiffness: Array, rigid: Array) -> t
     omega2[:n_rigid] = 0.0
     omega2[n_rigid : n_rigid + n_slow] = 1.0 / inverse[: -n_slow - 1 : -1]
     return omega2, np.hstack([found, fast])
+
+
+def rigid_body(mass: RigidMass) -> ModalBody:
+    """A ball or any compact body in modes: its only one is the vertical translation.
+
+    It touches at a point, does not turn, slide or bend, and loses nothing by itself, so it serves
+    for upright drops onto level ground: all that happens is the contact law's.
+    """
+    along: Array = np.array([[1.0 / math.sqrt(mass.mass_kg)]])
+    point = ContactPoints(
+        coordinates=along,
+        support=np.zeros((1, 1), dtype=np.int64),
+        shapes=np.array([[[0.0], [0.0], [1.0]]]),
+        traction=np.zeros((3, 1)),
+        weights=np.ones(1),
+        places_m=np.zeros((1, 3)),
+    )
+    return ModalBody(
+        name="rigid",
+        omega2=np.zeros(1),
+        translation=np.array([[0.0, 0.0, math.sqrt(mass.mass_kg)]]),
+        rotation=np.zeros((1, 3)),
+        contact=point,
+        alpha_1_s=0.0,
+        beta_s=0.0,
+    )
+
+
+def to_arrays(bodies: Sequence[ModalBody]) -> dict[str, Array]:
+    """Every number of the ``bodies`` by its name; parts that one does not have are left out."""
+    return {f"{i}.{name}": value for i, body in enumerate(bodies) for name, value in _numbers(body)}
+
+
+def from_arrays(arrays: Mapping[str, Array]) -> tuple[ModalBody, ...]:
+    """The bodies that `to_arrays` took apart, to the bit."""
+    bodies: dict[int, dict[str, Array]] = {}
+    for name, value in arrays.items():
+        number, _, rest = name.partition(".")
+        bodies.setdefault(int(number), {})[rest] = value
+    return tuple(_body(bodies[i]) for i in sorted(bodies))
+
+
+def _numbers(body: ModalBody) -> Iterator[tuple[str, Array]]:
+    for each in fields(body):
+        value = getattr(body, each.name)
+        if each.name not in PARTS:
+            yield each.name, np.asarray(value)
+        elif value is not None:
+            for inner in fields(value):
+                if inner.name not in NOT_STORED:
+                    part = getattr(value, inner.name)
+                    yield f"{each.name}.{inner.name}", dense_of(part)
+
+
+def _body(arrays: Mapping[str, Array]) -> ModalBody:
+    parts: dict[str, dict[str, Any]] = {}
+    whole: dict[str, Any] = {}
+    for name, value in arrays.items():
+        part, dot, inner = name.partition(".")
+        plain = value.item() if value.ndim == 0 else value
+        if dot:
+            parts.setdefault(part, {})[inner] = plain
+        else:
+            whole[name] = plain
+    made = {name: PARTS[name](**values) for name, values in parts.items()}
+    return ModalBody(**whole, **made)

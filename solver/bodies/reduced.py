@@ -27,7 +27,7 @@ from ..form_cache import form
 from ..forms import Expr
 from ..rigid import Pose
 from .axis import Axis
-from .base import ContactPoints
+from .base import ContactPoints, summed
 from .matrices import assembled_rows
 from .modal import ModalBody, in_modes
 from .solid import SolidBody
@@ -62,7 +62,7 @@ class Basis:
 
     def amounts(self, images: Array) -> Array:
         """How much of each vector is in what M times is ``images`` (n_local,) or (n_local, m)."""
-        return summed(self.solid, self.vectors.T @ images)
+        return summed(self.solid.comm, self.vectors.T @ images)
 
     def extend(self, vectors: Array) -> Array:
         """Add what ``vectors`` (n_local, m) hold beyond the basis; returns M times what came in.
@@ -71,13 +71,13 @@ class Basis:
         """
         solid = self.solid
         image = solid.mass(vectors)
-        size = np.sqrt(summed(solid, np.einsum("ij,ij->j", vectors, image)))
+        size = np.sqrt(summed(solid.comm, np.einsum("ij,ij->j", vectors, image)))
         vectors, image = vectors / size, image / size
         for _ in range(2):
             if self.count:
                 vectors = vectors - _combined(self.vectors, self.amounts(image))
                 image = solid.mass(vectors)
-            size, turn = eigh(summed(solid, vectors.T @ image))
+            size, turn = eigh(summed(solid.comm, vectors.T @ image))
             keep = size > max(DEFLATED * size.max(initial=0.0), DEFLATED**2)
             turn = turn[:, keep] / np.sqrt(size[keep])
             vectors, image = _combined(vectors, turn), _combined(image, turn)
@@ -210,7 +210,7 @@ def _slow_shifts(solid: SolidBody) -> tuple[float, ...]:
     """Shifts (1/s²) at the slowest bending of a thin bar of this mass and stiffness, and above."""
     rigid = solid.rigid_motions()
     turned = np.asfortranarray(rigid[:, 3:])
-    moments = summed(solid, np.einsum("ij,ij->j", turned, solid.mass(turned)))
+    moments = summed(solid.comm, np.einsum("ij,ij->j", turned, solid.mass(turned)))
     inertia, twist = moments[:2], moments[2]
     length = np.sqrt(12.0 * inertia.max() / solid.mass_kg)
     axial = (np.pi / length) ** 2 * solid.material.youngs_Pa / solid.material.density_kg_m3
@@ -318,15 +318,10 @@ def solid_axis(solid: SolidBody, vectors: Array) -> Axis:
     mean, moment = gradients(weights[0]), gradients(z)
     linear = diags_array(1.0 / spread) @ (moment - diags_array(middle) @ mean)
     rows = diags_array(np.tile(1.0 / volume, 2)) @ vstack([mean + linear, mean - linear])
-    strain, slope_x, slope_y = (summed(solid, rows @ vectors[axis::3]) for axis in (2, 0, 1))
+    strain, slope_x, slope_y = (summed(solid.comm, rows @ vectors[axis::3]) for axis in (2, 0, 1))
     return Axis(strain, slope_x, slope_y, 0.5 * solid.material.youngs_Pa * np.tile(volume, 2))
 
 
 def _combined(vectors: Array, amounts: Array) -> Array:
     """Vectors (n_local, k) times amounts (k, m), in Fortran's order as they are."""
     return np.asarray((amounts.T @ vectors.T).T)
-
-
-def summed(solid: SolidBody, x: Array) -> Array:
-    """The sum of all ranks' ``x``."""
-    return x if solid.comm.size == 1 else solid.comm.allreduce(x)

@@ -14,7 +14,7 @@ import ufl
 from dolfinx.fem import petsc as fem_petsc
 from petsc4py import PETSc
 
-from ..bodies.direct import take_direct
+from ..bodies.linear import take_direct
 from ..bodies.solid import SolidBody
 from ..contact.enforcement import ContactMethod, Enforcement
 from ..contact.laws import Linear
@@ -22,7 +22,7 @@ from ..errors import ComputationError, InputError
 from ..form_cache import form
 from ..forms import own_values, rigid_plane
 from ..ground import Placement
-from .finite import PREFIX, FiniteMarcher
+from .finite import PREFIX, FiniteMarcher, assemble
 from .march import Moving, Step
 from .scheme import TimeScheme
 
@@ -120,10 +120,7 @@ class AssembledMarcher(FiniteMarcher):
 
     def _residual(self, _: PETSc.SNES, x: PETSc.Vec, out: PETSc.Vec) -> None:
         own_values(self.forms.d, x.getArray(readonly=True))
-        with out.localForm() as local:
-            local.set(0.0)
-        fem_petsc.assemble_vector(out, self._balance)
-        out.ghostUpdate(addv=PETSc.InsertMode.ADD, mode=PETSc.ScatterMode.REVERSE)
+        assemble(out, self._balance)
 
     def _assemble(self, _: PETSc.SNES, x: PETSc.Vec, jacobian: PETSc.Mat, __: PETSc.Mat) -> None:
         own_values(self.forms.d, x.getArray(readonly=True))

@@ -22,7 +22,7 @@ from dolfinx.fem import petsc as fem_petsc
 from petsc4py import PETSc
 
 from ..arrays import Array
-from ..bodies.direct import factor, solve_columns, take_direct
+from ..bodies.linear import factor, solve_columns, take_direct
 from ..bodies.solid import SolidBody
 from ..bodies.tip import TipTractions
 from ..contact.enforcement import ContactMethod
@@ -271,10 +271,7 @@ class FiniteMarcher(ContactMarch):
 
     def _internal_force(self) -> Array:
         """At mid-step with its damping, in N (n_local,)."""
-        with self._force.localForm() as local:
-            local.set(0.0)
-        fem_petsc.assemble_vector(self._force, self._internal)
-        self._force.ghostUpdate(addv=PETSc.InsertMode.ADD, mode=PETSc.ScatterMode.REVERSE)
+        assemble(self._force, self._internal)
         return self._force.array.copy()
 
     def _set(self, u: Array, v: Array, d: Array) -> None:
@@ -293,6 +290,14 @@ class FiniteMarcher(ContactMarch):
         for thing in (self._solver, self._matrix, self._force):
             if thing is not None:
                 thing.destroy()
+
+
+def assemble(vector: PETSc.Vec, load: fem.Form) -> None:
+    """Write the ``load`` of all ranks into the ``vector``."""
+    with vector.localForm() as local:
+        local.set(0.0)
+    fem_petsc.assemble_vector(vector, load)
+    vector.ghostUpdate(addv=PETSc.InsertMode.ADD, mode=PETSc.ScatterMode.REVERSE)
 
 
 class Iteration:

@@ -23,8 +23,7 @@ from ...meshes.geometry import Tag
 from ...solver.analytic import analytic_drop
 from ...solver.bodies.base import ContactPoints, with_offsets
 from ...solver.bodies.beam import beam_body
-from ...solver.bodies.modal import ModalBody
-from ...solver.bodies.stored import from_arrays, to_arrays
+from ...solver.bodies.modal import ModalBody, from_arrays, to_arrays
 from ...solver.bristle import Bristle
 from ...solver.cache import load, sources, store
 from ...solver.checkpoint import Checkpoint

@@ -12,7 +12,7 @@ from mpi4py import MPI
 from ...meshes.collective import run_on_one_rank
 from ...solver.arrays import Array
 from ...solver.batch import Drops, Outcome, drop_many
-from ...solver.bodies.stored import from_arrays, to_arrays
+from ...solver.bodies.modal import from_arrays, to_arrays
 from ...solver.drop import ModalFrame, simulate
 from ...solver.errors import ComputationError
 from ...solver.time.march import Marcher

@@ -16,8 +16,7 @@ from bristle.meshes.distribute import to_dolfinx
 from bristle.meshes.geometry import MeshSpec, Tag
 from bristle.meshes.section import Rectangle
 from bristle.solver import paper
-from bristle.solver.bodies.direct import Cholesky
-from bristle.solver.bodies.linear import Solver
+from bristle.solver.bodies.linear import Cholesky, Solver
 from bristle.solver.bodies.solid import SolidBody
 from bristle.solver.bristle import Material
 from bristle.solver.compiled import fast

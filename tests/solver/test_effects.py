@@ -10,7 +10,7 @@ from scipy.integrate import solve_ivp
 
 from bristle.solver import paper
 from bristle.solver.bodies.beam import beam_body
-from bristle.solver.bodies.stored import from_arrays, to_arrays
+from bristle.solver.bodies.modal import from_arrays, to_arrays
 from bristle.solver.bristle import Bristle
 from bristle.solver.cache import cached, load, store
 from bristle.solver.contact.laws import Linear

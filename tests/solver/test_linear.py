@@ -8,8 +8,14 @@ from mpi4py import MPI
 
 from bristle.meshes.section import Circle
 from bristle.solver.bodies import linear
-from bristle.solver.bodies.direct import Cholesky
-from bristle.solver.bodies.linear import TOLERANCE, Method, Solver, choose, make_solver
+from bristle.solver.bodies.linear import (
+    TOLERANCE,
+    Cholesky,
+    Method,
+    Solver,
+    choose,
+    make_solver,
+)
 from bristle.solver.bodies.reduced import reduce_solid
 from bristle.solver.contact.enforcement import ContactMethod
 from bristle.solver.contact.laws import Linear

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
-from bristle.solver.bodies.rigid_mass import rigid_body
+from bristle.solver.bodies.modal import rigid_body
 from bristle.solver.bristle import RigidMass
 from bristle.solver.contact.laws import Adhesive, Damped, HuntCrossley, Linear, Plastic, Stiffening
 from bristle.solver.effects.base import Scene

@@ -17,7 +17,7 @@ import numpy as np
 from scipy.special import gamma
 
 from ....solver.arrays import Array
-from ....solver.bodies.rigid_mass import rigid_body
+from ....solver.bodies.modal import rigid_body
 from ....solver.bristle import RigidMass
 from ....solver.contact.laws import REFERENCE_M, Adhesive, Damped, HuntCrossley, Plastic
 from ....solver.effects.base import Parameter, Scene
