@@ -190,9 +190,10 @@ def regroup() -> None:
 def _moments(path: Path, cells: Cells) -> tuple[float, Array, Array]:
     """Volume, centre and second moments about it; MeshError where a cell is turned inside out."""
     volumes, places = quadrature_m3(str(path), cells, 5 * cells.degree - 1)
-    parts, x = volumes.ravel(), places.reshape(-1, 3)
+    parts: Array = volumes.ravel()
+    x: Array = places.reshape(-1, 3)
     volume = math.fsum(parts)
-    centre = parts @ x / volume
+    centre: Array = np.asarray(parts @ x / volume)
     x = x - centre
     return volume, centre, (x * parts[:, None]).T @ x
 

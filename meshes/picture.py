@@ -124,7 +124,7 @@ def _panel(
     )
     plotter.add_text(title, position=(20, PANEL_PIXELS[1] - 45), font_size=14, color="black")
     plotter.enable_parallel_projection()  # type: ignore[call-arg]
-    plotter.view_vector(VIEW_FROM, viewup=(0.0, 0.0, 1.0))
+    plotter.view_vector(VIEW_FROM, viewup=(0.0, 0.0, 1.0))  # type: ignore[arg-type]
     plotter.reset_camera(bounds=squeezed.merge(bar).bounds)  # type: ignore[call-arg]
 
 

@@ -264,9 +264,9 @@ def _mean_force(stiffness: Expr, before: Expr, after: Expr) -> Expr:
 def rigid_plane(space: fem.FunctionSpace) -> PlaneData:
     """A plane whose numbers are still to be set."""
     real, domain = PETSc.ScalarType, space.mesh
+    offset, stiffness, kt, mu, tau, theta = (fem.Constant(domain, real(0.0)) for _ in range(6))
     normal = fem.Constant(domain, np.array([0.0, 0.0, 1.0], dtype=real))
-    numbers = (fem.Constant(domain, real(0.0)) for _ in range(6))
-    return PlaneData(normal, *numbers, fem.Function(space))
+    return PlaneData(normal, offset, stiffness, kt, mu, tau, theta, fem.Function(space))
 
 
 def own_values(function: fem.Function, values: Array) -> None:
