@@ -26,8 +26,8 @@ SHORTEST = 0.1
 # fro across a kink of the law: from then on it goes this share of its way.
 JUMPING, EASED = 50, 0.3
 # The inverse of Newton's matrix is renewed where an iteration leaves more than this share of the
-# residual; of so few coordinates, as a rigid section has, in each.
-SLOW, FEW = 0.2, 8
+# residual.
+SLOW = 0.2
 
 
 class Section(NamedTuple):
@@ -184,7 +184,7 @@ def solve_section(points: Points, section: Section, trial: Trial) -> int:
             z += share * step
             continue
         stale = not section.factored[0] or change > SLOW * before or iteration >= JUMPING
-        if stale or r <= FEW:
+        if stale:
             section.inverse[:, :] = np.linalg.inv(_jacobian(points, section, tangents))
             section.factored[0] = True
         step[:] = section.inverse @ residual

@@ -8,16 +8,17 @@ serve too, since the map changes little (Degroote, Bathe and Vierendeels, Comput
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..arrays import Array
-from ..compiled import njit
+from ..compiled import fast, njit
 
 MOST_SECANTS = 16
-# A secant of which no more than this share, squared, is not seen in others tells rounding.
+# A secant of which no more than this share, squared, is not seen in later ones tells rounding.
 NEW_SHARE = 1e-8
 
 
@@ -44,6 +45,14 @@ def new_secants(weights: Array) -> Secants:
     )
 
 
+@fast
+def _product(weights: Array, one: Array, other: Array) -> float:
+    total = 0.0
+    for j in range(len(weights)):
+        total += weights[j] * one[j] * other[j]
+    return total
+
+
 @njit
 def remember(secants: Secants, move: Array, change: Array) -> None:
     """Keep that ``move`` (n,) changed the residual by ``change`` (n,), in place of the oldest."""
@@ -51,20 +60,45 @@ def remember(secants: Secants, move: Array, change: Array) -> None:
     secants.total[0] += 1
     secants.moves[at] = move
     secants.changes[at] = change
-    products = secants.changes @ (secants.weights * change)
-    secants.products[at, :] = products
-    secants.products[:, at] = products
+    for k in range(min(secants.total[0], MOST_SECANTS)):
+        product = _product(secants.weights, change, secants.changes[k])
+        secants.products[at, k] = secants.products[k, at] = product
 
 
 @njit
 def next_move(secants: Secants, residual: Array) -> Array:
-    """The move (n,) of x at a ``residual`` (n,): least squares by the normal equations."""
+    """The move (n,) of x at a ``residual`` (n,).
+
+    Least squares by Cholesky's factor of the normal equations, built from the latest secant on and
+    without those that tell nothing new.
+    """
     n = min(secants.total[0], MOST_SECANTS)
-    if n == 0:
-        return residual.copy()
-    changes, products = secants.changes[:n], secants.products[:n, :n]
-    size = np.sqrt(np.diag(products))
-    size[size == 0.0] = 1.0
-    alike = products / np.outer(size, size) + NEW_SHARE * np.eye(n)
-    share = np.linalg.solve(alike, changes @ (secants.weights * residual) / size) / size
-    return residual - share @ (secants.moves[:n] + changes)
+    chosen = np.empty(n, dtype=np.int64)
+    lower, share = np.zeros((n, n)), np.zeros(n)
+    used = 0
+    for age in range(n):
+        at = (secants.total[0] - 1 - age) % MOST_SECANTS
+        whole = secants.products[at, at]
+        new = whole
+        for i in range(used):
+            entry = secants.products[at, chosen[i]]
+            for k in range(i):
+                entry -= lower[used, k] * lower[i, k]
+            lower[used, i] = entry / lower[i, i]
+            new -= lower[used, i] ** 2
+        if new <= NEW_SHARE * whole:
+            continue
+        lower[used, used] = math.sqrt(new)
+        share[used] = _product(secants.weights, secants.changes[at], residual)
+        for k in range(used):
+            share[used] -= lower[used, k] * share[k]
+        share[used] /= lower[used, used]
+        chosen[used] = at
+        used += 1
+    move = residual.copy()
+    for i in range(used - 1, -1, -1):
+        for k in range(i + 1, used):
+            share[i] -= lower[k, i] * share[k]
+        share[i] /= lower[i, i]
+        move -= share[i] * (secants.moves[chosen[i]] + secants.changes[chosen[i]])
+    return move

@@ -223,7 +223,10 @@ def _solve(
         size = max(np.abs(residual + bend).max(), np.abs(work.pull).max())
         if np.abs(residual).max() <= COUPLED * size:
             return True, touches
-        if turn > 0:
+        if turn == COUPLING_LIMIT // 2:
+            # secants from before contact opened or closed may have misled it
+            work.secants.total[0] = 0
+        elif turn > 0:
             remember(work.secants, move, residual - before)
         before = residual
         move = next_move(work.secants, residual)
