@@ -94,7 +94,7 @@ def marked(monkeypatch):
         (its_study, "run_study"),
         (mesh_study, "run_mesh"),
         (reproduce_study, "run_reproduce"),
-        (scatter_study, "prepared"),
+        (scatter_study, "Scene"),
         (calibrate_study, "calibrate"),
         (synth_study, "run_synth"),
         (loop_study, "_simulate"),
