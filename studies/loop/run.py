@@ -46,6 +46,7 @@ GROSS = 30.0
 # Residuals of so little rms say that the declared uncertainty is no measure of the noise.
 FAR_SMALLER = 0.5
 ROUGH = "these data leave the parameters so loose that the ends of their intervals are rough"
+BARE = "as many free parameters as values to fit: whatever is missing, these data could not show it"
 SEEN_BY = "what is missing is seen by this: "
 
 
@@ -154,6 +155,8 @@ def find(
     else:
         verdict = Verdict.EFFECT if len(reported) == 1 else Verdict.AMBIGUOUS
     tied = [each.posterior for each in reported]
+    bare = data.values.size <= base.u.size
+    doubts = (noticed, ROUGH if final.few else "", BARE if bare else "")
     advance()
     return Finding(
         verdict=verdict,
@@ -176,7 +179,7 @@ def find(
         unlisted=first.unlisted,
         shape=first.shape,
         nearest=_nearest(first, explained) if missing else None,
-        noise=_noise(data, kept, missing and best is None),
+        noise=_noise(data, kept, bare or (missing and best is None)),
         rms_before=rms(first.residual),
         rms_after=rms(kept.residual),
         coverage_90=float(np.mean(np.abs(kept.residual) < 1.645)),
@@ -188,7 +191,7 @@ def find(
         residual_before=first.residual,
         residual_after=kept.residual,
         covariates=data.covariates,
-        warnings=(*problem.warnings, *filter(None, [noticed, ROUGH if final.few else ""])),
+        warnings=(*problem.warnings, *filter(None, doubts)),
         left_aside=problem.left_aside,
         seed=seed,
         alarm=alarm,
@@ -381,20 +384,21 @@ def _nearest(first: Adequacy, explained: Sequence[Explanation]) -> Near | None:
     return Near(best.posterior.effects, share, rms(best.left.residual), best.why_not)
 
 
-def _noise(data: Sample, left: Adequacy, misfit: bool) -> dict[str, float | str]:
-    """What the data say of the noise; ``finding`` where that is not what was declared, and is no
-    ``misfit`` that nothing explains."""
+def _noise(data: Sample, left: Adequacy, moot: bool) -> dict[str, float | str]:
+    """What the data say of the noise; ``finding`` where that is not what was expected, declared or
+    measured beforehand, and is not ``moot``: no misfit that nothing explains, nor values that are
+    as few as parameters."""
     out = data.noises.describe(left.noise)
-    if misfit:
+    if moot:
         return {**out, "finding": ""}
     sentences = []
     size = rms(left.residual)
     if data.noises.declared and size < FAR_SMALLER:
-        sentences.append(f"it is {size:.1g} times what is declared")
+        sentences.append(f"it is {size:.1g} times what was expected")
     elif out["shape"] != "gaussian":
         sentences.append("its tails are heavier than a normal distribution's")
     elif data.noises.declared and not 0.8 < float(out["scale"]) < 1.15:
-        sentences.append(f"it is {float(out['scale']):.2g} times what is declared")
+        sentences.append(f"it is {float(out['scale']):.2g} times what was expected")
     if out["correlation"]:
         sentences.append("neighbours in order are correlated")
     return {**out, "finding": "; ".join(sentences)}

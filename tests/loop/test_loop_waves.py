@@ -24,6 +24,7 @@ from bristle.studies.loop.kinds.waves.noise import quiet_power, whitening
 from bristle.studies.loop.kinds.waves.problem import read_waves, relative_residual, wave_problem
 from bristle.studies.loop.kinds.waves.rod import SHORTEST_WAVE, Rod, attached_mass
 from bristle.studies.loop.kinds.waves.solid import solid_wave_numbers
+from bristle.studies.loop.run import find
 
 MEASURED = Path(__file__).resolve().parents[2] / "studies" / "measured" / "square-bar"
 LENGTH_M, MODULUS_PA, DENSITY = 0.2, 70e9, 2800.0
@@ -639,3 +640,13 @@ def test_a_piece_of_a_long_bar_disperses_as_the_bar():
     omega = plain * bar.material.bar_speed_m_s
     rod = love.wave_number(omega, bar.material.bar_speed_m_s, strength=1.0).real / plain - 1.0
     np.testing.assert_allclose(piece, rod, rtol=0.05)
+
+
+def test_as_many_values_as_parameters_are_said_to_show_nothing(tmp_path):
+    """One arrival of a slow pulse at a second gauge: speed, size and damping take all there is."""
+    case = Case([0.2, 0.7], 20e-6, [0.1, 0.7], [0.6, 1.2])
+    data = case.record(tmp_path, lambda t, p: images(t, p, case.width_s), 0.2)
+    finding = find(wave_problem(data))
+    assert len(finding.rows) <= len(finding.parameters)
+    assert any("as many free parameters as values" in each for each in finding.warnings)
+    assert not finding.noise["finding"]

@@ -16,6 +16,7 @@ from bristle.solver.effects.base import Scene
 from bristle.solver.effects.library import EFFECTS
 from bristle.solver.errors import InputError
 from bristle.studies.data.datasets import read_drops, read_manifest
+from bristle.studies.loop.fit import to_unit
 from bristle.studies.loop.responses.rigid import SIDES, RigidEmulator
 
 pytestmark = pytest.mark.serial
@@ -143,6 +144,19 @@ def test_bounds_hold_what_tables_cover():
     assert damping.high == pytest.approx(1.5 * 2.0 * math.sqrt(KN * MARBLE.mass_kg))
     exponent = EFFECTS["stiffening_contact"].parameters[0]
     assert narrow.parameters("stiffening_contact") == (exponent,)
+
+
+@pytest.mark.parametrize("name", ["contact_damping", "adhesion"])
+def test_what_heights_alone_leave_open_is_as_likely_in_every_decade(name):
+    """They tell the share of the scale, which grows with √Kn: along it no Kn is the likelier."""
+    emulator = emulator_of(kns=(1e3, 1e9))
+    parameter = emulator.bounded(name, EFFECTS[name].parameters[0])
+    kn = np.geomspace(1e3, 1e9, 7)
+    values = 0.05 * emulator.scale(name, np.array(HEIGHT), kn)
+    places = to_unit((parameter,), values[:, None])[:, 0]
+    np.testing.assert_allclose(np.diff(places), np.diff(places)[0], rtol=1e-9)
+    assert places[0] > 0.0
+    assert places[-1] < 1.0
 
 
 def test_effects_of_an_elastic_or_leaning_body_are_not_carried():

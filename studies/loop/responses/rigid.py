@@ -33,17 +33,21 @@ AROUND = 10.0
 # Steps of a contact of half a period: y1/y0, time and peak are then off by less than 1e-3.
 STEPS = 200
 STIFFENING = "stiffening_contact"
+FAINT = 1e-4
 
 
 @dataclass(frozen=True)
 class Side:
     """A contact law's own axis of a table, in shares of the scale that ``scale`` gives for mass,
     stiffness and speed of impact, and the ``law`` of a stiffness and a value. Nodes lie where
-    logarithms of the rise bend least."""
+    logarithms of the rise bend least. Where the scale grows with the stiffness, heights alone tell
+    the share and not the value, which is then as likely in every decade, as the stiffness is: from
+    the ``faintest`` share on, which nothing would show."""
 
     shares: Axis
     scale: Callable[[float, Array | float, Array | float], Array]
     law: Law
+    faintest: float = 0.0
 
 
 def _critical(mass_kg: float, kn_N_m: Array | float, speed_m_s: Array | float) -> Array:
@@ -59,11 +63,11 @@ def _peak(mass_kg: float, kn_N_m: Array | float, speed_m_s: Array | float) -> Ar
 
 
 SIDES: dict[str, Side] = {
-    "contact_damping": Side(Axis(0.0, 1.5, 21, "root"), _critical, Damped),
+    "contact_damping": Side(Axis(0.0, 1.5, 21, "root"), _critical, Damped, FAINT),
     "hunt_crossley": Side(Axis(0.0, 10.0, 21, "root"), _slowness, HuntCrossley),
     "plastic_contact": Side(Axis(0.02, 1.0, 21, "log"), _peak, Plastic),
     # of the whole greatest force, nothing would come back
-    "adhesion": Side(Axis(0.0, 0.95, 21), _peak, Adhesive),
+    "adhesion": Side(Axis(0.0, 0.95, 21), _peak, Adhesive, FAINT),
 }
 
 
@@ -127,17 +131,19 @@ class RigidEmulator(Emulator):
         """Bounds hold all that `SIDES` covers, from softest and slowest to stiffest and fastest."""
         if name not in SIDES:
             return super().bounded(name, parameter)
-        shares = SIDES[name].shares
+        side = SIDES[name]
+        shares, low = side.shares, side.faintest or side.shares.low
         heights = np.array([[self.lowest_m], [self.highest_m]])
         scales = self.scale(name, heights, np.array(self.kn_range_N_m))
         least, most = float(scales.min()), float(scales.max())
         high = shares.high * most
         return replace(
             parameter,
-            low=shares.low * least,
+            low=low * least,
             high=high,
             typical=0.2 * math.sqrt(least * most),
-            null=high if name == "plastic_contact" else 0.0,
+            null=high if name == "plastic_contact" else low * least,
+            logarithmic=parameter.logarithmic or side.faintest > 0.0,
             why="share of its scale",
         )
 
