@@ -98,8 +98,6 @@ numba.config.CACHE_DIR = str(cache_folder())
 caching.IndexDataCacheFile = _Index
 
 njit = cast(Decorator, numba.njit(cache=True, nogil=True))
-# Small functions of many arguments, which compiled code takes in where it calls them.
-inlined = cast(Decorator, numba.njit(cache=True, nogil=True, forceinline=True))
 # Sums may be taken in any order: for long runs, which vector units then add up side by side.
 fast = cast(Decorator, numba.njit(cache=True, nogil=True, fastmath=True))
 

@@ -21,8 +21,8 @@ import math
 import numpy as np
 
 from ..arrays import Array
-from ..compiled import inlined, njit
-from .points import CONSERVING, Kind, Points, Trial
+from ..compiled import njit
+from .points import CONSERVING, Kind, PointLaw, Points, PointTrial
 
 # Memory of a point that adhesion holds; for one step, of one that is held without limit, and of one
 # that is sure to let go.
@@ -156,25 +156,24 @@ ADHESIVE = Kind.of(_adhesive, _held, _at_pull_off, pulls=True)
 
 
 @njit
+def internal(points: Points, memory: Array, i: int) -> float:
+    """The law's internal variable at point ``i``."""
+    return memory[i, 2] if points.kind.remembers else 0.0
+
+
+@njit
 def holds(points: Points, memory: Array) -> bool:
     """Whether adhesion holds a point."""
     return points.kind.pulls and memory[:, 2].max() > 0.0
 
 
 @njit
-def _mean_elastic(
-    points: Points, i: int, start: float, end: float, memory: float
-) -> tuple[float, float]:
+def _mean_elastic(at: PointLaw, start: float, end: float, memory: float) -> tuple[float, float]:
     """The mean over a step of the force without damping, and its derivative by the approach at the
     end."""
-    law, scale, compliance, elastic = (
-        points.law,
-        points.scale[i],
-        points.compliance,
-        points.kind.elastic,
-    )
+    law, scale, compliance, elastic = at.law, at.scale, at.compliance, at.kind.elastic
     change = end - start
-    if points.kind.pulls and memory > 0.0:
+    if at.kind.pulls and memory > 0.0:
         stiffness = scale * law[0]
         reach = law[1] / stiffness
         lets_go = end <= -reach or memory == LETTING_GO
@@ -184,8 +183,8 @@ def _mean_elastic(
             return mean, mean / -change
     force1, slope1, energy1 = elastic(law, scale, end, compliance, memory)
     force0, _, energy0 = elastic(law, scale, start, compliance, memory)
-    weight = points.end_weight
-    if weight != CONSERVING:
+    if at.end_weight != CONSERVING:
+        weight = at.end_weight
         return weight * force1 + (1.0 - weight) * force0, weight * slope1
     if abs(change) <= SHORT * max(abs(start), abs(end)):
         force, slope, _ = elastic(law, scale, 0.5 * (start + end), compliance, memory)
@@ -195,19 +194,17 @@ def _mean_elastic(
 
 
 @njit
-def _mean_normal(
-    points: Points, i: int, start: float, end: float, memory: float
-) -> tuple[float, float]:
+def _mean_normal(at: PointLaw, start: float, end: float, memory: float) -> tuple[float, float]:
     """Normal force over a step and its derivative by the approach at the end.
 
     A dashpot's force is the damping over the step times the change of penetration, Hunt and
     Crossley's that times the spring's mean force; together with the spring both push or do nothing.
     """
-    mean, slope = _mean_elastic(points, i, start, end, memory)
-    if points.dashpot != 0.0 and (start > 0.0 or end > 0.0):
-        law, damping = points.law, points.dashpot * points.scale[i]
+    mean, slope = _mean_elastic(at, start, end, memory)
+    if at.dashpot != 0.0 and (start > 0.0 or end > 0.0):
+        law, damping = at.law, at.dashpot * at.scale
         before, after = max(start, 0.0), max(end, 0.0)
-        if points.kind.damps_spring:
+        if at.kind.damps_spring:
             mean += 0.5 * law[0] * damping * (after + before) * (after - before)
             slope += law[0] * damping * after
         else:
@@ -218,24 +215,22 @@ def _mean_normal(
     return mean, slope
 
 
-@inlined
-def normal_force(points: Points, trial: Trial, i: int) -> tuple[float, float]:
-    """Normal force of point ``i`` over a step and its derivative by the approach at the end, the
-    multiplier included."""
-    proximal, kept, m = points.proximal, trial.memory[i, 2], trial.multiplier[i, 0]
-    start, end = trial.start[i, 0], trial.end[i, 0]
+@njit
+def normal_force(at: PointLaw, point: PointTrial) -> tuple[float, float]:
+    """Normal force over a step and its derivative by the approach at the end, the multiplier
+    included."""
+    proximal, internal = at.proximal, point.internal
     if proximal == 0.0:
-        return _mean_normal(points, i, start, end, kept)
-    if math.isinf(points.law[0]):  # Signorini's condition holds at the end of the step
-        compliance = points.compliance + proximal
-        force, slope, _ = points.kind.elastic(
-            points.law, points.scale[i], end + proximal * m, compliance, kept
-        )
+        return _mean_normal(at, point.start, point.end, internal)
+    if math.isinf(at.law[0]):  # Signorini's condition holds at the end of the step
+        end, compliance = point.end + proximal * point.m, at.compliance + proximal
+        force, slope, _ = at.kind.elastic(at.law, at.scale, end, compliance, internal)
         return force, slope
-    force = m
+    force = point.m
     slope = 0.0
     for _ in range(SCALAR_LIMIT):
-        mean, slope = _mean_normal(points, i, start, end + proximal * (m - force), kept)
+        augmented = point.end + proximal * (point.m - force)
+        mean, slope = _mean_normal(at, point.start, augmented, internal)
         step = (mean - force) / (1.0 + proximal * slope)
         force += step
         if abs(step) <= 1e-15 * abs(force):
@@ -244,11 +239,10 @@ def normal_force(points: Points, trial: Trial, i: int) -> tuple[float, float]:
 
 
 @njit
-def normal_at_end(points: Points, trial: Trial, i: int) -> float:
-    """Normal force of point ``i`` at the end of a step, with damping at the step's mean speed."""
-    scale, end = points.scale[i], trial.end[i, 0]
-    force = points.kind.elastic(points.law, scale, end, points.compliance, trial.memory[i, 2])[0]
-    if points.dashpot != 0.0 and end > 0.0:
-        speed = points.dashpot * (end - max(trial.start[i, 0], 0.0))
-        force += speed * (force if points.kind.damps_spring else scale)
+def normal_at_end(at: PointLaw, point: PointTrial) -> float:
+    """Normal force at the end of a step, with damping at the step's mean speed."""
+    force = at.kind.elastic(at.law, at.scale, point.end, at.compliance, point.internal)[0]
+    if at.dashpot != 0.0 and point.end > 0.0:
+        speed = at.dashpot * (point.end - max(point.start, 0.0))
+        force += speed * (force if at.kind.damps_spring else at.scale)
     return max(force, 0.0)

@@ -15,7 +15,7 @@ from typing import NamedTuple, Self
 import numba
 
 from ..arrays import Array
-from ..compiled import Pointer
+from ..compiled import Pointer, njit
 
 # The ``end_weight`` that asks for the discrete gradient of the potential.
 CONSERVING = 0.0
@@ -101,7 +101,7 @@ class Trial(NamedTuple):
     (``free``) and with them (``end``), the ``force`` over the step per area share, the augmented
     Lagrangian's ``multiplier``, and what changes from step to step: ``memory`` has the elongation
     in m of friction's springs along both tangents, then the internal variable of the law
-    (contact.normal), zero of one without a memory."""
+    (contact.normal)."""
 
     start: Array
     free: Array
@@ -109,3 +109,82 @@ class Trial(NamedTuple):
     force: Array
     memory: Array
     multiplier: Array
+
+
+class PointLaw(NamedTuple):
+    """`Points` as one point sees them."""
+
+    kind: Kind
+    law: Array
+    kt: float
+    mu: float
+    scale: float
+    compliance: float
+    end_weight: float
+    proximal: float
+    dashpot: float
+
+
+class PointTrial(NamedTuple):
+    """`Trial` at one point: normal approach at both ends of the step, how far it slips in between,
+    the elongation of friction's spring, the multiplier, and the law's internal variable."""
+
+    start: float
+    end: float
+    slip0: float
+    slip1: float
+    e0: float
+    e1: float
+    m: float
+    m0: float
+    m1: float
+    internal: float
+
+
+class PointForce(NamedTuple):
+    """Force of one point over a step and its derivatives by the approach at the end: dN/ds,
+    dT0/d0, dT1/d1, dT0/d1 = dT1/d0, dT0/ds, dT1/ds."""
+
+    n: float
+    t0: float
+    t1: float
+    n_s: float
+    t0_0: float
+    t1_1: float
+    t0_1: float
+    t0_s: float
+    t1_s: float
+
+
+@njit
+def law_at(points: Points, i: int) -> PointLaw:
+    """What point ``i`` sees of the ``points``."""
+    return PointLaw(
+        points.kind,
+        points.law,
+        points.kt,
+        points.mu,
+        points.scale[i],
+        points.compliance,
+        points.end_weight,
+        points.proximal,
+        points.dashpot,
+    )
+
+
+@njit
+def trial_at(trial: Trial, i: int, internal: float) -> PointTrial:
+    """What point ``i`` sees of the ``trial``, with its ``internal`` variable."""
+    start, end, memory, multiplier = trial.start, trial.end, trial.memory, trial.multiplier
+    return PointTrial(
+        start[i, 0],
+        end[i, 0],
+        end[i, 1] - start[i, 1],
+        end[i, 2] - start[i, 2],
+        memory[i, 0],
+        memory[i, 1],
+        multiplier[i, 0],
+        multiplier[i, 1],
+        multiplier[i, 2],
+        internal,
+    )

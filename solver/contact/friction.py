@@ -1,0 +1,77 @@
+"""Coulomb friction at one point behind an elastic tangential spring: stick and slip over a step.
+
+The spring elongates with the tangential approach and gives way at μ N (return mapping, Wriggers,
+Computational Contact Mechanics, 2006, Sec. 9.1). Schemes with an ``end_weight`` ask the law at the
+end of the step.
+
+The conserving scheme asks it at mid-step: the force over a step is that of the spring elongated by
+half the slip, at most μ times the mean normal force. At the end of the step the spring is on the
+yield surface or within: it keeps what was put into it, at most what μ times the normal force at the
+end holds. So a step never gains (what went in is the work and what was stored, what remains is no
+more), and what it takes is the work less the change of what is stored. The discrete gradient alone,
+an elongation whose mean over the step makes the force, would take μ N times the slip, and from the
+first step of sliding on swing about the yield surface for ever.
+"""
+
+from __future__ import annotations
+
+import math
+
+from ..compiled import njit
+from .normal import normal_at_end
+from .points import PointLaw, PointTrial
+
+
+@njit
+def tangential_stiffness(at: PointLaw) -> float:
+    """The tangential spring in series with Nitsche's compliance; infinite where both allow."""
+    stiffness = at.scale * at.kt
+    return 1.0 / (1.0 / stiffness + at.compliance) if at.compliance > 0.0 else stiffness
+
+
+@njit
+def friction_force(
+    at: PointLaw, point: PointTrial, limit: float, part: float
+) -> tuple[float, float, float, bool]:
+    """Friction (2,) by return mapping, d T / d slip while it sticks, and whether it slides.
+
+    ``part`` is the share of the step after which the law is asked (½ or 1), ``limit`` is μ N.
+    """
+    stiffness, proximal = tangential_stiffness(at), at.proximal
+    compliance = part * proximal
+    if not math.isinf(stiffness):
+        compliance += 1.0 / stiffness
+    t0 = (point.e0 + part * (point.slip0 + proximal * point.m0)) / compliance
+    t1 = (point.e1 + part * (point.slip1 + proximal * point.m1)) / compliance
+    size = math.hypot(t0, t1)
+    if size <= limit:
+        return t0, t1, part / compliance, False
+    return limit * t0 / size, limit * t1 / size, part / compliance * limit / size, True
+
+
+@njit
+def elongated(
+    at: PointLaw, point: PointTrial, normal: float, t0: float, t1: float
+) -> tuple[float, float]:
+    """Elongation (2,) of the spring after a step of the conserving scheme with the mean force
+    (``normal``, ``t0``, ``t1``).
+
+    Where it slides its direction is that of a path with a constant limit to second order in the
+    slip, and the path's own where the slip is long (see the tractrix: tan φ/2 falls as exp(-s/R),
+    with φ the angle to the slip s and R the elongation at the limit).
+    """
+    stiffness, e0, e1 = tangential_stiffness(at), point.e0, point.e1
+    slip0, slip1 = point.slip0, point.slip1
+    limit, most = at.mu * normal / stiffness, at.mu * normal_at_end(at, point) / stiffness
+    if math.hypot(e0 + 0.5 * slip0, e1 + 0.5 * slip1) <= limit:
+        new0, new1 = 2.0 * t0 / stiffness - e0, 2.0 * t1 / stiffness - e1
+        size = math.hypot(new0, new1)
+        share = most / size if size > most else 1.0
+        return share * new0, share * new1
+    squared = e0 * e0 + e1 * e1 + 2.0 * (t0 * slip0 + t1 * slip1) / stiffness
+    most = min(most, math.sqrt(max(squared, 0.0)))
+    further = 1.0 + 0.5 * max(e0 * slip0 + e1 * slip1, 0.0) / (limit * limit)
+    new0, new1 = e0 + further * slip0, e1 + further * slip1
+    size = math.hypot(new0, new1)
+    share = most / size if size > 0.0 else 0.0
+    return share * new0, share * new1
