@@ -11,7 +11,7 @@ import shutil
 import signal
 import subprocess
 import tempfile
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 ON_XVFB = ["xvfb-run", "-a", "-e", "/dev/stderr", "-s", "-screen 0 640x480x24"]
 # With its caller, or when its time is over, the drawing ends, and its display with it.
@@ -23,12 +23,8 @@ class DrawingError(RuntimeError):
     """A picture could not be drawn."""
 
 
-def run_drawing(
-    command: Sequence[str], timeout_s: float = 300.0, advance: Callable[[], None] = lambda: None
-) -> None:
+def run_drawing(command: Sequence[str], timeout_s: float = 300.0) -> None:
     """Run a command that draws, on a display of its own or, without xvfb-run, on the caller's.
-
-    ``advance`` is called for each line that it writes to standard output.
 
     Raises
     ------
@@ -43,15 +39,13 @@ def run_drawing(
         subprocess.Popen(
             [*BOUNDED, str(timeout_s), *on_display, *command],
             stdin=subprocess.DEVNULL,
-            stdout=subprocess.PIPE,
+            stdout=subprocess.DEVNULL,
             stderr=log,
             text=True,
             errors="replace",
         ) as process,
     ):
         try:
-            for _ in process.stdout or ():
-                advance()
             status = process.wait()
         finally:
             process.terminate()
