@@ -28,9 +28,12 @@ from ...solver.arrays import Array
 from .fit import BOX_PRECISION, Fitted
 from .noise import Ints
 from .residuals import quantile_residuals
-from .sample import BETWEEN, HEIGHT, Sample, counted, first_of
+from .sample import BETWEEN, HEIGHT, WITHIN, Sample, counted, first_of
 
 SETS = 599
+JOIN_SETS = 9999
+# Places along a covariate that has no levels within which two outliers are neighbours.
+SIDE_BY_SIDE = 2
 KNEE = 3.0
 DEGREES = 5
 MOST_EDGES = 32
@@ -151,6 +154,35 @@ def assess(
     )
 
 
+def outliers_together(data: Sample, z: Array, rng: np.random.Generator) -> float:
+    """The chance that outliers of one sign among residuals (rows,) lie as much side by side along
+    a covariate, whatever the noise is; one where groups are records in time.
+
+    Counts of neighbours that are both outliers (join counts: A. D. Cliff and J. K. Ord, Spatial
+    Processes (1981), §1), against outliers anywhere and of any sign.
+    """
+    outliers = np.abs(z) > KNEE
+    if np.sum(outliers) < LEAST_BAND or first_of(data.covariates, WITHIN) is not None:
+        return 1.0
+    signs = np.tile(np.sign(z) * outliers, (JOIN_SETS + 1, 1))
+    for kind in np.unique(data.kind):
+        mine = np.flatnonzero(data.kind == kind)
+        signs[1:, mine] = rng.permuted(signs[1:, mine], axis=1)
+    signs[1:] *= rng.choice([-1.0, 1.0], signs[1:].shape)
+    ranks = []
+    for x in _distinct(data.covariates).values():
+        level = _levels(x)
+        apart = np.abs(np.subtract.outer(level, level)) + z.size * np.not_equal.outer(
+            data.kind, data.kind
+        )
+        reach = SIDE_BY_SIDE if 2 * np.unique(level).size > z.size else 0
+        one, other = np.triu(apart <= reach, 1).nonzero()
+        joins = np.sum(signs[:, one] * signs[:, other] > 0, axis=1)
+        ranks.append(np.searchsorted(np.sort(-joins), -joins, side="right"))
+    least = np.min(ranks, axis=0)
+    return float(np.mean(least <= least[0]))
+
+
 def left_by_refit(tangent: Array) -> Array:
     """The symmetric matrix (rows, rows) that takes residuals to what a refit along tangents
     (rows, p) leaves of them. The width of the unit box is its prior: a direction that the data do
@@ -250,10 +282,8 @@ def _family(
         out["shared within a group"] = lambda z: np.abs(
             np.sum(z[:, shared[0]] * z[:, shared[1]], axis=1)
         )
-    for each in directions:
-        one_sided = _one_sided(each, project)
-        if one_sided is not None:
-            out[each.name] = one_sided
+    for name, several in _by_name(directions, project).items():
+        out[name] = lambda z, several=several: np.max([each(z) for each in several], axis=0)
     return out, listed
 
 
@@ -292,6 +322,16 @@ def _unit(shapes: Array, project: Array) -> tuple[Array, Array]:
     size = np.linalg.norm(free, axis=1)
     independent = (size > np.sqrt(1 - ABSORBED**2) * before) & (before > 0)
     return free[independent] / size[independent, None], independent
+
+
+def _by_name(directions: list[Direction], project: Array) -> dict[str, list[Statistic]]:
+    """The statistics of each effect's senses, of those that a refit does not absorb."""
+    found: dict[str, list[Statistic]] = {}
+    for each in directions:
+        one_sided = _one_sided(each, project)
+        if one_sided is not None:
+            found.setdefault(each.name, []).append(one_sided)
+    return found
 
 
 def _one_sided(direction: Direction, project: Array) -> Statistic | None:

@@ -75,11 +75,11 @@ def influence(x: Array, shape: int) -> Array:
 
 
 def log_density_at(x: Array, shape: int) -> Array:
-    """Log density at x (any shape) in core scales; normal tails beyond `REACH`."""
-    size = np.abs(x)
+    """Log density at x (any shape) in core scales, as `log_likelihoods` takes it from the table."""
     table = log_density()[shape]
-    nearest = table[(np.minimum(size, REACH) / STEP).astype(np.int64)]
-    return np.asarray(nearest - np.maximum(size - REACH, 0.0) * REACH)
+    at = np.abs(x) / STEP
+    low = np.minimum(at, table.size - 2).astype(np.int64)
+    return np.asarray(table[low] + (at - low) * (table[low + 1] - table[low]))
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,7 @@ import numpy as np
 from scipy.special import softmax
 
 from ...solver.arrays import Array
-from .adequacy import Adequacy, Direction, assess
+from .adequacy import Adequacy, Direction, assess, outliers_together
 from .experiment import next_experiment
 from .finding import Evidence, Finding, Interval, Near, Verdict
 from .fit import Fitted
@@ -277,9 +277,11 @@ def _with_held_out(state: State, found: Posterior) -> str:
     """What a model leaves clearly of all data when it is fitted to the held-out ones as well, in
     words; empty where that is noise: three outliers of which two are held out may be a band."""
     left = assess(state.every, refitted(state.every, found, state.rng).fitted, [], state.rng)
-    if left.p_value >= SURPRISE:
-        return ""
-    return f"with the held-out data, what is left is not noise ({left.statistic})"
+    if left.p_value < SURPRISE:
+        return f"with the held-out data, what is left is not noise ({left.statistic})"
+    if outliers_together(state.every, left.residual, state.rng) < LEFT_ALARM:
+        return "outliers lie side by side, and so are not noise"
+    return ""
 
 
 def _surprising(held: HeldOut) -> bool:

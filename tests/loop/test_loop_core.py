@@ -12,7 +12,13 @@ from hypothesis import strategies as st
 from scipy import stats
 
 from bristle.studies.loop import run as loop_run
-from bristle.studies.loop.adequacy import assess, corrected, left_by_refit, p_values
+from bristle.studies.loop.adequacy import (
+    assess,
+    corrected,
+    left_by_refit,
+    outliers_together,
+    p_values,
+)
 from bristle.studies.loop.finding import Finding, Verdict
 from bristle.studies.loop.fit import fit, settle, to_box, to_theta
 from bristle.studies.loop.heldout import split
@@ -510,6 +516,26 @@ def test_a_band_of_which_most_is_held_out_is_no_few_outliers(seed):
     off = np.isin(order, np.sort(order)[first : first + 3])
     found = find(replace(problem, values=problem.values + 11.0 * off), seed)
     assert found.verdict is not Verdict.ADEQUATE
+
+
+def test_outliers_side_by_side_are_no_outliers():
+    """Three of four drops in a row, of 44, nine declared standard deviations off: by their sizes
+    they are what a contaminated normal distribution gives."""
+    verdicts = []
+    for seed in range(4):
+        problem = toys.problem(seed, drops=44, quantities=1)[0]
+        off = np.isin(problem.covariates["order"], [20, 22, 23])
+        verdicts.append(find(replace(problem, values=problem.values + 9.0 * off), seed).verdict)
+    assert Verdict.ADEQUATE not in verdicts
+
+
+def test_outliers_anywhere_are_seldom_together():
+    """Of Student's t with two degrees of freedom, whose outliers are many and have no order."""
+    data, rng = whole(toys.problem(1, drops=44, quantities=1)[0]), np.random.default_rng(2)
+    found = [outliers_together(data, rng.standard_t(2, 44), rng) for _ in range(200)]
+    # counts are few, so that most of these are far from significant
+    for level in (0.01, 0.1):
+        assert np.sum(np.array(found) <= level) <= stats.binom(200, level).ppf(0.999)
 
 
 @pytest.mark.parametrize("how", ["ar1", "t3 scaled", "outliers"])
