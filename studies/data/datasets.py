@@ -175,7 +175,9 @@ def read_drops(folder: Path) -> Drops:
     path = manifest.table()
     rows = read_table(path, required=("drop", "y0_mm", "y1_mm"))
     if len(rows) < 3:
-        raise InputError(f"{path}: {len(rows)} drops; a mean and its interval need three or more")
+        raise InputError(
+            f"{path}: too few drops, {len(rows)}: an interval needs three, the loop four"
+        )
     drop = column(path, rows, "drop", whole=True)
     check_order(path, rows, "drop", drop)
     y0 = column(path, rows, "y0_mm", above=0.0)

@@ -17,7 +17,8 @@ from bristle.solver.effects.library import EFFECTS
 from bristle.solver.errors import InputError
 from bristle.studies.data.datasets import read_drops, read_manifest
 from bristle.studies.loop.fit import to_unit
-from bristle.studies.loop.responses.rigid import SIDES, RigidEmulator
+from bristle.studies.loop.kinds.drops.problem import heights_about
+from bristle.studies.loop.responses.rigid import SIDES, RigidEmulator, rigid_emulator
 
 pytestmark = pytest.mark.serial
 GRAVITY, HEIGHT = 9.81, 0.2
@@ -190,6 +191,21 @@ def test_a_dataset_declares_a_ball(tmp_path):
     assert data.manifest.declared == ("diameter_m", "mass_kg", "shape")
     with pytest.raises(InputError, match=r"dataset.toml:5: shape is rigid: .* needs a bristle"):
         _ = data.manifest.bristle
+
+
+def test_a_heavy_ball_falls_on_what_carries_its_weight(tmp_path):
+    """A bowling ball's tables are made, even that of dents of which it does not come up again."""
+    folder = write(tmp_path, 'shape = "rigid"\nmass_kg = 5.0\ndiameter_m = 0.216')
+    place = heights_about(read_drops(folder).y0_m)
+    made = rigid_emulator(RigidEmulator, read_manifest(folder, "drops"), *place)
+    softest = made.kn_range_N_m[0]
+    assert 5.0 * made.gravity_m_s2 / softest == pytest.approx(0.1 * place[0])
+    (table,) = made.of("plastic_contact")
+    kn, share, height = 1e8, 0.5, 0.2
+    (ratio, *_) = np.exp(table.at(*map(np.array, (height, kn, share))))
+    force = share * math.sqrt(2.0 * made.gravity_m_s2 * height * kn * 5.0)
+    indented = 5.0 * made.gravity_m_s2 * height * (1.0 - share**2) / force
+    assert ratio == pytest.approx(share**2 - indented / height, rel=0.01)
 
 
 def test_a_bristle_is_what_it_was(tmp_path):

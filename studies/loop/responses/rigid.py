@@ -22,6 +22,7 @@ from ....solver.bristle import RigidMass
 from ....solver.contact.laws import REFERENCE_M, Adhesive, Damped, HuntCrossley, Plastic
 from ....solver.effects.base import Parameter, Scene
 from ....solver.effects.library import EFFECTS
+from ...data.datasets import Manifest
 from .emulator import Emulator, Law
 from .table import Axis
 from .table_drops import Outcome, outcomes_of
@@ -30,6 +31,8 @@ from .table_drops import Outcome, outcomes_of
 KN_RANGE_N_M = (1e3, 1e9)
 # How far from a declared stiffness tables reach, as a ratio.
 AROUND = 10.0
+# The most that a mass at rest sinks into its contact, as a share of the height of fall.
+SINKS = 0.1
 # Steps of a contact of half a period: y1/y0, time and peak are then off by less than 1e-3.
 STEPS = 200
 STIFFENING = "stiffening_contact"
@@ -164,6 +167,14 @@ class RigidEmulator(Emulator):
         return np.log(self.stiffened(height_m, kn_N_m, value[0]) / absent)
 
 
-def around(kn_N_m: float | None) -> tuple[float, float]:
-    """The stiffnesses that tables cover: near what is declared, or all that balls meet."""
-    return KN_RANGE_N_M if kn_N_m is None else (kn_N_m / AROUND, kn_N_m * AROUND)
+def rigid_emulator(
+    kind: type[RigidEmulator], manifest: Manifest, lowest_m: float, highest_m: float
+) -> RigidEmulator:
+    """Tables of a rigid mass: about the stiffness that is declared, or over all that balls meet and
+    that carry its weight."""
+    assert isinstance(manifest.body, RigidMass)
+    kn, g = manifest.kn_N_m, manifest.gravity_m_s2
+    low, high = KN_RANGE_N_M if kn is None else (kn / AROUND, kn * AROUND)
+    sinks = manifest.body.mass_kg * g / (SINKS * lowest_m)
+    low = max(low, min(sinks, kn or sinks))
+    return kind(manifest.body, g, lowest_m, highest_m, (low, high), friction=0.0)

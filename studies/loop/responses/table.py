@@ -18,6 +18,8 @@ from ....solver.errors import ComputationError
 
 # What a table holds of a drop, and what is measured of it.
 QUANTITIES = ("y1_m", "contact_time_s", "peak_force_N")
+# Of a table: where a body stays in its dent for good, or sticks, no data lie.
+MOST_LOST = 0.9
 # How many axes a table may have, and of how many quantities splines are evaluated at a time.
 AXES, AT_ONCE = 4, 3
 
@@ -104,12 +106,12 @@ def _apart(where: list[Array]) -> bool:
 def mended(logs: Array) -> Array:
     """A table with what failed as at the nearest place where it did not.
 
-    Raises ComputationError where more than half of it failed.
+    Raises ComputationError where nearly all of it failed.
     """
     lost = ~np.isfinite(logs).all(axis=-1)
     if not lost.any():
         return logs
-    if lost.mean() > 0.5:
+    if lost.mean() > MOST_LOST:
         raise ComputationError(
             f"{lost.sum()} of {lost.size} drops of a table failed: the effect's bounds are too wide"
         )

@@ -30,7 +30,7 @@ from ...noise import Ints
 from ...problem import Experiment, Problem
 from ...responses.drop_model import DropModel, Drops
 from ...responses.emulator import KN_RANGE_N_M, Emulator
-from ...responses.rigid import RigidEmulator, around
+from ...responses.rigid import RigidEmulator, rigid_emulator
 
 KIND = "drops"
 # A contact stiffness that is declared is taken as known to this share.
@@ -175,14 +175,14 @@ def heights_about(y0_m: Array) -> tuple[float, float]:
 def emulator_for(y0_m: Array, data: datasets.Drops) -> Emulator:
     """Tables of the body's drops: heights rounded outward, so that others can use them again."""
     manifest = data.manifest
-    place = (manifest.gravity_m_s2, *heights_about(y0_m))
+    place = heights_about(y0_m)
     if isinstance(manifest.body, RigidMass):
-        return RigidEmulator(manifest.body, *place, around(manifest.kn_N_m), friction=0.0)
+        return rigid_emulator(RigidEmulator, manifest, *place)
     low, high = KN_RANGE_N_M
     if manifest.kn_N_m is not None:
         low, high = min(low, manifest.kn_N_m / 10.0), max(high, 10.0 * manifest.kn_N_m)
     bristle = simulated_bristle(manifest)
-    return Emulator(bristle, *place, (low, high), friction=manifest.friction)
+    return Emulator(bristle, manifest.gravity_m_s2, *place, (low, high), friction=manifest.friction)
 
 
 def _measured(

@@ -31,7 +31,7 @@ from ....data.datasets import Manifest
 from ...problem import Experiment, Problem
 from ...responses.drop_model import BounceModel, Drops
 from ...responses.emulator import Emulator
-from ...responses.rigid import RigidEmulator, around
+from ...responses.rigid import RigidEmulator, rigid_emulator
 from ..drops.problem import carried, damping, heights_about, simulated_bristle, stiffness
 from .films import Filmed, faster, filmed
 from .flight import released
@@ -297,7 +297,9 @@ def _candidates(filmed_drops: Filmed, free_damping: bool) -> list[str]:
 
 def _emulator(manifest: Manifest, y0_m: Array) -> Emulator:
     """Heights rounded outward, so that other data can use the tables again."""
-    place = (manifest.gravity_m_s2, *heights_about(y0_m))
+    place = heights_about(y0_m)
     if isinstance(manifest.body, RigidMass):
-        return RigidTrackEmulator(manifest.body, *place, around(manifest.kn_N_m), friction=0.0)
-    return TrackEmulator(simulated_bristle(manifest), *place, friction=manifest.friction)
+        return rigid_emulator(RigidTrackEmulator, manifest, *place)
+    return TrackEmulator(
+        simulated_bristle(manifest), manifest.gravity_m_s2, *place, friction=manifest.friction
+    )
