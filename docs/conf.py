@@ -31,7 +31,7 @@ def table(flags):
     """Flags as a table: how the command line and Python call them, default, meaning."""
     rows = ["| option | in Python | default | meaning |", "|---|---|---|---|"]
     for flag in flags:
-        cells = (f"`{flag.option}`", f"`{flag.field}`", flag.default_text(), flag.declared.help)
+        cells = (f"`{flag.option}`", f"`{flag.field}`", flag.default_text(), flag.help)
         rows.append("| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |")
     return "\n".join(rows)
 

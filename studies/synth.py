@@ -27,8 +27,7 @@ from ..solver.errors import InputError
 from ..solver.fall import fallen
 from . import __version__
 from .command.script import as_script
-from .inputs.effect_input import EffectInput, read_effects
-from .inputs.given_files import read_plugins
+from .inputs.named import EffectInput, read_effects, read_plugins
 from .loop.responses.table_drops import drops_of, its_s, read_off
 from .running.files import prepare_folder, to_json, together, write_atomically
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pandas as pd
 
-from ..inputs.again import into
+from ..inputs.sources import into
 from ..report.page import Head, Report, Section, write_report
 from ..report.prose import Prose
 from .estimate import LEVEL, RatioEstimate

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..inputs.again import into
+from ..inputs.sources import into
 from ..report.page import Report, percent, write_report
 from ..running.files import remove
 from .rows import Rows

@@ -130,14 +130,14 @@ def _keyword(name: str, annotation: Any, default: Any) -> inspect.Parameter:
 def _parameter(flag: Flag) -> inspect.Parameter:
     names = flag.spellings
     if flag.kind is bool and flag.default:
-        names = (f"{flag.option}/--no-{flag.declared.name}",)
-    declared, default = flag.declared, flag.default_text()
+        names = (f"{flag.option}/--no-{flag.name}",)
+    default = flag.default_text()
     option = typer.Option(
         *names,
-        help=declared.help + (f" [default: {default}]" if default else ""),
-        metavar=declared.metavar,
+        help=flag.help + (f" [default: {default}]" if default else ""),
+        metavar=flag.metavar,
         show_default=False,
-        rich_help_panel=declared.group,
+        rich_help_panel=flag.group,
         click_type=click.Choice(list(map(str, flag.kind))) if flag.is_choice else None,
     )
     return _keyword(flag.parameter, Annotated[_annotation(flag), option], None)

@@ -30,7 +30,7 @@ from .choices import Contact, Deflection, Model, Scheme, Solver, Tip, Until
 from .effects import check_effects, scene_of
 from .fields import DropFields, SharedFields, StepField, read_kn
 from .flags import refuse
-from .given_files import REPLACED, MeshFile
+from .named import REPLACED, MeshFile, read_mesh_file
 from .sources import material_damping_s
 
 
@@ -249,14 +249,6 @@ class DropInputs(Inputs, DropFields, StepField):
         )
 
     @property
-    def second_order(self) -> bool:
-        """Whether the axial force acts on the slope: where it is asked for, or matters and can."""
-        if self.deflection is None:
-            gentle = stance.lean_deg(self) <= limits.LINEAR_LEAN_DEG
-            return self.leaning and gentle and self._may_bend
-        return self.deflection is Deflection.SECOND_ORDER
-
-    @property
     def _may_turn(self) -> bool:
         return (
             self.model is Model.SOLID
@@ -266,18 +258,25 @@ class DropInputs(Inputs, DropFields, StepField):
         )
 
     @property
-    def finite(self) -> bool:
-        """Whether strain and rotation are finite: where it is asked for, or matters and can be."""
-        if self.deflection is None:
-            return self.leaning and self._may_turn
-        return self.deflection is Deflection.FINITE
+    def resolved_deflection(self) -> Deflection:
+        """How far bending and turning go into this run: as asked for, or as it matters and can."""
+        if self.deflection is not None:
+            return self.deflection
+        if self.leaning and self._may_turn:
+            return Deflection.FINITE
+        gentle = stance.lean_deg(self) <= limits.LINEAR_LEAN_DEG
+        bends = self.leaning and gentle and self._may_bend
+        return Deflection.SECOND_ORDER if bends else Deflection.SMALL
 
     @property
-    def resolved_deflection(self) -> Deflection:
-        """How far bending and turning go into this run's equations."""
-        if self.finite:
-            return Deflection.FINITE
-        return Deflection.SECOND_ORDER if self.second_order else Deflection.SMALL
+    def second_order(self) -> bool:
+        """Whether the axial force acts on the slope."""
+        return self.resolved_deflection is Deflection.SECOND_ORDER
+
+    @property
+    def finite(self) -> bool:
+        """Whether strain and rotation are finite."""
+        return self.resolved_deflection is Deflection.FINITE
 
     def _check_analytic(self) -> None:
         only = "the analytic model is a mass on a spring without loss"
@@ -365,8 +364,11 @@ def _resolve_material(data: dict[str, Any]) -> None:
     for field in ("youngs_Pa", "poisson", "density_kg_m3"):
         _default(data, field, getattr(material, field))
     length_m = data.get("length_m")
-    if isinstance(file := fields.read_mesh_file(data.get("mesh")), MeshFile):
-        length_m = file.read().length_m
+    try:
+        if isinstance(file := read_mesh_file(data.get("mesh")), MeshFile):
+            length_m = file.read().length_m
+    except ValueError as error:
+        refuse("mesh", str(error))
     beta_s = material_damping_s(data, length_m)
     if beta_s is not None:
         _default(data, "beta_s", beta_s)

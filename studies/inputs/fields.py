@@ -15,9 +15,15 @@ from pydantic import BeforeValidator, Field
 from ...solver import paper
 from ...solver.materials import MaterialName
 from .choices import Contact, Deflection, Model, Scheme, Solver, Tip, Until
-from .effect_input import EffectInput, read_effects
 from .flags import Fields, Option, flags_of, several
-from .given_files import MeshFile, PluginFile, read_mesh_file, read_plugins
+from .named import (
+    EffectInput,
+    MeshFile,
+    PluginFile,
+    read_effects,
+    read_mesh_file,
+    read_plugins,
+)
 
 MODEL, CONTACT, BODY = "Model", "Contact", "Bristle"
 DROP, TIME, MESH, OUTPUT = "Drop", "Time", "Discretisation", "Files"

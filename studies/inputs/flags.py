@@ -68,18 +68,12 @@ class Option:
 
 
 @dataclass(frozen=True)
-class Flag:
-    """An `Option` of a ``field`` with that one's default; ``kind`` is a type, an enum, or a tuple
-    of types."""
+class Flag(Option):
+    """The `Option` of a ``field`` with that one's default, complete; ``kind`` is a type, an enum,
+    or a tuple of types."""
 
-    declared: Option
-    field: str
-    kind: Any
-    default: Any
-
-    @property
-    def name(self) -> str:
-        return self.declared.name
+    field: str = ""
+    default: Any = None
 
     @property
     def option(self) -> str:
@@ -92,7 +86,7 @@ class Flag:
     @property
     def spellings(self) -> tuple[str, ...]:
         """The flag as it may stand on the command line."""
-        return (self.option, *([self.declared.alias] if self.declared.alias else []))
+        return (self.option, *([self.alias] if self.alias else []))
 
     @property
     def is_choice(self) -> bool:
@@ -106,8 +100,8 @@ class Flag:
 
     def default_text(self) -> str:
         """The default as help shows it, or an empty text."""
-        if self.declared.shown is not None or self.default is None:
-            return self.declared.shown or ""
+        if self.shown is not None or self.default is None:
+            return self.shown or ""
         if isinstance(self.default, tuple):
             return " ".join(map(str, self.default))
         if isinstance(self.default, bool):
@@ -122,32 +116,26 @@ def flags_of(*models: type[Fields], only: tuple[str, ...] = ()) -> tuple[Flag, .
         for name, field in model.model_fields.items():
             for option in field.metadata:
                 if isinstance(option, Option):
-                    flag = _flag(model, name, field, option)
-                    if not only or flag.declared.name in only:
-                        found.setdefault(name, flag)
-    return tuple(found.values())
+                    found.setdefault(name, _flag(model, name, field, option))
+    return tuple(flag for flag in found.values() if not only or flag.name in only)
 
 
 def _flag(model: type[Fields], name: str, field: FieldInfo, option: Option) -> Flag:
     unit = next((unit for unit in UNITS if name.endswith(unit)), "")
     owner = next(each for each in model.__mro__ if name in get_annotations(each))
-    declared = replace(
-        option,
-        name=option.name or name.removesuffix(unit).replace("_", "-"),
-        group=option.group or getattr(owner, "group", ""),
-        metavar=option.metavar or UNITS.get(unit),
-    )
-    return Flag(declared, name, _kind(option, field), field.default)
+    declared = vars(option) | {
+        "name": option.name or name.removesuffix(unit).replace("_", "-"),
+        "group": option.group or getattr(owner, "group", ""),
+        "metavar": option.metavar or UNITS.get(unit),
+        "kind": option.kind or _kind(field.annotation),
+    }
+    return Flag(**declared, field=name, default=field.default)
 
 
 def several(flags: tuple[Flag, ...]) -> tuple[Flag, ...]:
     """The same flags, those of numbers and choices as texts that may hold several."""
     return tuple(
-        replace(
-            flag,
-            kind=str,
-            declared=replace(flag.declared, metavar=f"{flag.declared.metavar or _choices(flag)},…"),
-        )
+        replace(flag, kind=str, metavar=f"{flag.metavar or _choices(flag)},…")
         if flag.may_be_several
         else flag
         for flag in flags
@@ -158,16 +146,13 @@ def _choices(flag: Flag) -> str:
     return "|".join(flag.kind) if flag.is_choice else "NUMBER"
 
 
-def _kind(option: Option, field: FieldInfo) -> Any:
-    """What the command line parses for a field."""
-    if option.kind is not None:
-        return option.kind
-    kind = field.annotation
-    if get_origin(kind) in (Union, UnionType):
-        (kind,) = (each for each in get_args(kind) if each is not NoneType)
-    if get_origin(kind) is tuple:
-        return tuple(_plain(each) for each in get_args(kind))
-    return _plain(kind)
+def _kind(annotation: Any) -> Any:
+    """What the command line parses for a field of this type: without None, and plain."""
+    if get_origin(annotation) in (Union, UnionType):
+        (annotation,) = (each for each in get_args(annotation) if each is not NoneType)
+    if get_origin(annotation) is tuple:
+        return tuple(map(_plain, get_args(annotation)))
+    return _plain(annotation)
 
 
 def _plain(kind: Any) -> Any:

@@ -1,8 +1,10 @@
-"""Where inputs come from, flags over a file over defaults, and how errors name their place."""
+"""Where inputs come from, flags over a file over defaults; how errors name their place, and the
+command line that makes a result again."""
 
 from __future__ import annotations
 
 import logging
+import shlex
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -14,7 +16,7 @@ from ...solver.errors import InputError
 from ...solver.materials import MATERIALS, MaterialName
 from .fields import DROP_FLAGS, LIST_FLAGS
 from .flags import Flag
-from .given_files import REPLACED
+from .named import REPLACED
 from .scatter_fields import OWN_FLAGS
 from .texts import hints, line_of, parse_json, parse_toml, quoted, read_text
 
@@ -200,3 +202,24 @@ def inputs_of[Checked: BaseModel](
             LOG.info("the code of the plugins that %s names is run", config)
         found = found.over(read)
     return checked(kind, found.values, found.origins)
+
+
+def command_line(name: str, inputs: BaseModel, usual: BaseModel, out: Path) -> str:
+    """``bristle NAME`` with what differs from the ``usual`` inputs, and its folder."""
+    words = [name]
+    for key, option in OPTIONS.items():
+        value = getattr(inputs, key, None)
+        if key not in type(inputs).model_fields or value in (None, getattr(usual, key)):
+            continue
+        if isinstance(value, bool):
+            words.append(option)
+        elif isinstance(value, tuple) and key != "cells":
+            words += [option, ",".join(map(str, value))]
+        else:
+            words += [option, *map(str, value if isinstance(value, tuple) else (value,))]
+    return into(out, *words)
+
+
+def into(out: Path, *words: object) -> str:
+    """``bristle WORDS`` into the folder ``out``, as a shell takes it."""
+    return shlex.join(["bristle", *map(str, words), "--out", str(out)])

@@ -16,9 +16,9 @@ from mpi4py import MPI
 from ...meshes.collective import run_on_one_rank
 from ...solver import paper
 from .. import __version__
-from ..inputs.again import command_line
 from ..inputs.config import DropInputs
 from ..inputs.limits import input_warnings, result_warnings
+from ..inputs.sources import command_line
 from ..inputs.stance import lean_deg
 from ..report.page import Report, Section, Verdict, write_report
 from ..running.cases import Workshop

@@ -13,8 +13,7 @@ import pandas as pd
 
 from ...solver import paper
 from .. import __version__
-from ..inputs.again import command_line
-from ..inputs.sources import checked
+from ..inputs.sources import checked, command_line
 from ..report.page import Head, Report, Section, show, write_report
 from ..report.paper_figures import cloud_figure
 from ..report.prose import Prose

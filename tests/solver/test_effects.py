@@ -20,8 +20,8 @@ from bristle.solver.effects.surface import MOST_SLOPE_DEG, steepness_deg
 from bristle.solver.errors import InputError
 from bristle.solver.fall import dragged_fall, dragged_path, risen
 from bristle.studies.inputs.config import DropInputs
-from bristle.studies.inputs.effect_input import EffectInput
 from bristle.studies.inputs.effects import entered
+from bristle.studies.inputs.named import EffectInput
 from bristle.studies.running.cases import Workshop
 
 pytestmark = pytest.mark.serial

@@ -365,6 +365,12 @@ def test_an_unreadable_file_is_told_by_name(tmp_path, make):
         from_file(path)
 
 
+def test_an_unreadable_mesh_is_told_by_its_option_beside_a_material_too(tmp_path):
+    file = tmp_path / "none.msh"
+    with pytest.raises(InputError, match=re.escape(f"--mesh: {file}")):
+        drop(mesh=str(file), material="nylon")
+
+
 @pytest.mark.parametrize(
     "values",
     [

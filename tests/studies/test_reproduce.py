@@ -11,8 +11,8 @@ from mpi4py import MPI
 from small_reproduction import small
 
 from bristle.solver import paper
-from bristle.studies.inputs.again import command_line
 from bristle.studies.inputs.config import DropInputs
+from bristle.studies.inputs.sources import command_line
 from bristle.studies.reproduce.campaign import Setup, compute
 from bristle.studies.reproduce.crosscheck import window
 from bristle.studies.reproduce.elements import fewest

@@ -1,0 +1,183 @@
+"""What options give by name: an effect with its parameters, files by path and digest."""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from dataclasses import fields
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from pydantic import Field
+
+from ...solver.errors import InputError
+from .flags import Fields
+from .texts import hints
+
+if TYPE_CHECKING:
+    from ...meshes.own import OwnMesh
+    from ...solver.effects.base import Effect
+
+# What a mesh file says itself.
+REPLACED = (
+    *("length_m", "width_m", "thickness_m", "diameter_m"),
+    *("cells", "grading", "geometry_order"),
+)
+
+
+class EffectInput(Fields):
+    """An effect by name, with all its parameters in SI (angles in degrees)."""
+
+    name: str
+    parameters: dict[str, float] = Field(default_factory=dict)
+
+    def effect(self) -> Effect:
+        """The effect itself; ValueError where it or a parameter is unknown or out of bounds."""
+        kind = _kind(self.name)
+        names = [field.name for field in fields(kind)]
+        for name in self.parameters:
+            if name not in names:
+                near = hints(name, names) or [f"it has {', '.join(names)}"]
+                raise ValueError(f"{self.name} has no parameter '{name}'; {near[0]}")
+        try:
+            return kind(**self.parameters)
+        except InputError as error:
+            raise ValueError(str(error).removeprefix("--effect ")) from None
+
+    @classmethod
+    def of(cls, effect: Effect) -> EffectInput:
+        """The same in words."""
+        values = {field.name: float(getattr(effect, field.name)) for field in fields(effect)}
+        return cls(name=effect.name, parameters=values)
+
+
+def parse_effect(text: str) -> EffectInput:
+    """Read ``NAME:param=value,…``; ValueError says what is wrong with it."""
+    name, colon, rest = text.partition(":")
+    parameters: dict[str, float] = {}
+    for part in rest.split(",") if colon else ():
+        key, equals, value = (piece.strip() for piece in part.partition("="))
+        if not key or not equals:
+            raise ValueError(f"must be NAME:param=value,…, not '{text}'")
+        if key in parameters:
+            raise ValueError(f"gives '{key}' twice in '{text}'")
+        try:
+            parameters[key] = float(value)
+        except ValueError:
+            raise ValueError(f"must give '{key}' a number, not '{value}'") from None
+        if not math.isfinite(parameters[key]):
+            raise ValueError(f"must give '{key}' a finite number, not '{value}'")
+    return EffectInput(name=_kind(name.strip()).name, parameters=parameters)
+
+
+def _kind(name: str) -> type[Effect]:
+    """The effect of this name; ValueError with a near one where there is none."""
+    from ...solver.effects.library import EFFECTS
+    from ...solver.effects.outside import load_installed
+
+    if name not in EFFECTS:
+        load_installed()
+    if name in EFFECTS:
+        return EFFECTS[name]
+    near = hints(name, EFFECTS) or [f"there are {', '.join(EFFECTS)}"]
+    raise ValueError(f"names an unknown effect '{name}'; {near[0]}")
+
+
+def read_effects(value: Any) -> Any:
+    """Effects from texts or from what a result holds; ValueError where one is malformed."""
+    if not isinstance(value, list | tuple):
+        raise ValueError(f"must be a list of NAME:param=value,…, not {value!r}")
+    found: list[EffectInput] = []
+    for item in value:
+        given = parse_effect(item) if isinstance(item, str) else EffectInput.model_validate(item)
+        if any(given.name == other.name for other in found):
+            raise ValueError(f"names {given.name} twice")
+        found.append(EffectInput.of(given.effect()))
+    return tuple(found)
+
+
+class GivenFile(Fields):
+    """A file: where it is, and the SHA-256 of what was in it when the run was asked for."""
+
+    path: str
+    sha256: str
+
+
+class MeshFile(GivenFile):
+    """A bristle's mesh."""
+
+    def read(self) -> OwnMesh:
+        """What is in it; MeshError where that is no bristle."""
+        from ...meshes.own import own_mesh
+
+        return own_mesh(Path(self.path), self.sha256)
+
+
+class PluginFile(GivenFile):
+    """Python with effects of the user's own."""
+
+
+def read_mesh_file(value: Any) -> Any:
+    """A `MeshFile` of a path, or of an earlier run's path and digest, checked against the file.
+
+    Raises ValueError where the file is no mesh of a bristle, or has changed since.
+    """
+    value = _by_path(value)
+    if not _has_path(value):
+        return value
+    from ...meshes.check import MeshError
+    from ...meshes.own import digest
+
+    try:
+        file = MeshFile(**_unchanged(value, digest(Path(value["path"])), "--mesh"))
+        file.read()
+    except MeshError as error:
+        raise ValueError(str(error)) from error
+    return file
+
+
+def read_plugins(value: Any) -> Any:
+    """`PluginFile`s of paths, or of an earlier run's paths and digests; their effects are taken in.
+
+    Raises ValueError where a file is no Python, an effect is refused, or the file has changed.
+    """
+    if isinstance(value, str):
+        value = [value]
+    if not isinstance(value, list | tuple):
+        raise ValueError(f"must be a list of Python files, not {value!r}")
+    return tuple(_read_plugin(item) for item in value)
+
+
+def _read_plugin(value: Any) -> Any:
+    value = _by_path(value)
+    if not _has_path(value):
+        return value
+    from ...solver.effects.outside import load
+
+    path = Path(value["path"])
+    try:
+        source = path.read_bytes()
+    except OSError as error:
+        raise ValueError(f"{path}: {error.strerror}") from None
+    file = PluginFile(**_unchanged(value, hashlib.sha256(source).hexdigest(), "--plugin"))
+    load(path, source)
+    return file
+
+
+def _by_path(value: Any) -> Any:
+    return {"path": str(Path(value).resolve())} if isinstance(value, str | Path) else value
+
+
+def _has_path(value: Any) -> bool:
+    return isinstance(value, dict) and isinstance(value.get("path"), str)
+
+
+def _unchanged(value: dict[str, Any], now: str, option: str) -> dict[str, Any]:
+    """``value`` with its file's digest, which is ``now``; ValueError where it was another."""
+    before = value.get("sha256", now)
+    if before != now:
+        raise ValueError(
+            f"{value['path']} has changed since that run: its SHA-256 was {str(before)[:12]}…, and "
+            f"is {now[:12]}…; name it with {option} to take it as it is"
+        )
+    return {**value, "sha256": now}
