@@ -18,7 +18,6 @@ import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
 from ..running.files import write_atomically
 
@@ -174,15 +173,6 @@ def model_legend(axes: Axes, models: Sequence[str], **where: Any) -> None:
         look = LOOKS[model]
         axes.plot([], [], color=BLACK, label=look.label, **look.line)
     axes.legend(**where)
-
-
-def plain_ticks(axes: Axes) -> None:
-    """Numbers without powers on logarithmic axes: at 1, 2 and 5 of a decade, or at 1 of many."""
-    for axis in (axes.xaxis, axes.yaxis):
-        low, high = axis.get_view_interval()
-        axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if high < 100.0 * low else (1.0,)))
-        axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-        axis.set_minor_locator(NullLocator())
 
 
 def end_labels(

@@ -67,7 +67,7 @@ def write_atomically(path: Path, content: str | bytes) -> None:
     place = _place(path)
     try:
         place.parent.mkdir(parents=True, exist_ok=True)
-        beside = _beside(place)
+        beside = place.with_name(f"{UNFINISHED}{os.getpid()}-{place.name}")
         try:
             with beside.open("wb") as file:
                 file.write(content.encode() if isinstance(content, str) else content)
@@ -87,32 +87,19 @@ def folder_in_place(folder: Path) -> Iterator[Path]:
 
     Inside `together` it does so with the others.
     """
-    made = _beside(folder)
-    made.mkdir()
-    try:
+    with together(folder.parent):
+        made = _place(folder)
+        made.mkdir(parents=True)
         yield made
-        waiting = _waiting_for(folder)
-        if waiting is None:
-            with uninterrupted():
-                _replace_folder(made, folder)
-        else:
-            waiting.folders.append((made, folder))
-    except BaseException:
-        shutil.rmtree(made, ignore_errors=True)
-        raise
+        remove(folder)
 
 
 def remove(path: Path) -> None:
     """Remove a folder or file of an earlier result, if it is there; in `together`, at its end."""
     waiting = _waiting_for(path)
-    if waiting is None:
-        _delete(path)
-    else:
-        waiting.folders.append((None, path))
-
-
-def _delete(path: Path) -> None:
-    if path.is_dir():
+    if waiting is not None:
+        waiting.gone.append(path)
+    elif path.is_dir():
         shutil.rmtree(path, ignore_errors=True)
     else:
         path.unlink(missing_ok=True)
@@ -120,26 +107,35 @@ def _delete(path: Path) -> None:
 
 @dataclass
 class _Waiting:
-    """What waits for its place in ``out``: files in ``made``, those named ``last`` at the end, and
-    before them folders, each with what takes its place (None: it is removed)."""
+    """Files that wait in ``made`` for their places in ``out``, those named ``last`` at the end;
+    before them what is ``gone`` leaves."""
 
     out: Path
     made: Path
     last: list[str]
-    folders: list[tuple[Path | None, Path]] = field(default_factory=list)
+    gone: list[Path] = field(default_factory=list)
 
     def place(self) -> None:
-        files = sorted(path.relative_to(self.made) for path in self.made.rglob("*"))
-        files = [path for path in files if (self.made / path).is_file()]
-        for path in files:
-            if (self.out / path).is_dir():
-                raise IsADirectoryError(errno.EISDIR, f"{path} is a folder there", str(path))
-            (self.out / path).parent.mkdir(parents=True, exist_ok=True)
+        new = sorted(path for path in self.made.rglob("*") if path.is_file())
+        there = [self.out / path.relative_to(self.made) for path in new]
+        for path in there:
+            if any(path.is_relative_to(each) for each in self.gone):
+                continue
+            if path.is_dir():
+                name = path.relative_to(self.out)
+                raise IsADirectoryError(errno.EISDIR, f"{name} is a folder there", str(name))
+            path.parent.mkdir(parents=True, exist_ok=True)
+        moves = sorted(zip(new, there, strict=True), key=lambda move: move[1].name in self.last)
+        old = self.made / UNFINISHED
+        old.mkdir()
         with uninterrupted():
-            for made, folder in self.folders:
-                _replace_folder(made, folder)
-            for path in sorted(files, key=lambda path: str(path) in self.last):
-                (self.made / path).replace(self.out / path)
+            for i, path in enumerate(self.gone):
+                if path.exists():
+                    path.replace(old / str(i))
+            for path, place in moves:
+                place.parent.mkdir(parents=True, exist_ok=True)
+                path.replace(place)
+            shutil.rmtree(old, ignore_errors=True)
 
 
 _open: list[_Waiting] = []
@@ -174,17 +170,11 @@ def filled(out: Path, *last: str) -> Iterator[Path]:
         waiting.place()
     finally:
         _open.remove(waiting)
-        for made in (waiting.made, *(made for made, _ in waiting.folders if made)):
-            shutil.rmtree(made, ignore_errors=True)
+        shutil.rmtree(waiting.made, ignore_errors=True)
 
 
 def _waiting_for(path: Path) -> _Waiting | None:
     return next((each for each in reversed(_open) if path.is_relative_to(each.out)), None)
-
-
-def _beside(path: Path, what: str = "new") -> Path:
-    """Where it is until it is whole, or its successor is in its place; of this process alone."""
-    return path.with_name(f"{UNFINISHED}{what}-{os.getpid()}-{path.name}")
 
 
 def _place(path: Path) -> Path:
@@ -193,18 +183,6 @@ def _place(path: Path) -> Path:
     if waiting is None or path.is_relative_to(waiting.made):
         return path
     return waiting.made / path.relative_to(waiting.out)
-
-
-def _replace_folder(made: Path | None, folder: Path) -> None:
-    """``made`` for what is in its place, which goes."""
-    old = None
-    if folder.exists():
-        old = _beside(folder, "old")
-        folder.replace(old)
-    if made is not None:
-        made.replace(folder)
-    if old is not None:
-        _delete(old)
 
 
 def cannot_write(path: Path, error: OSError) -> ComputationError:

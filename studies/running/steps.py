@@ -1,4 +1,4 @@
-"""Progress of a solid's march, and when it may end."""
+"""Steps of a march: how many contact takes, how far it is, and shorter ones where it fails."""
 
 from __future__ import annotations
 
@@ -7,9 +7,11 @@ from collections.abc import Callable
 
 from ...solver.analytic import quarter_period_s
 from ...solver.arrays import Array
+from ...solver.batch import SHORTER
 from ...solver.bristle import Bristle
 from ...solver.checkpoint import Mark
 from ...solver.contact_phase import Observer
+from ...solver.errors import ComputationError
 from ...solver.time.march import Moving
 
 
@@ -21,6 +23,20 @@ def steps_of_contact(bristle: Bristle, kn_N_m: float, its_s: float) -> int:
     """
     spring = 2.0 * quarter_period_s(bristle.mass_kg, kn_N_m) if math.isfinite(kn_N_m) else 0.0
     return math.ceil(math.hypot(spring, bristle.axial_period_s) / its_s)
+
+
+def with_shorter_its[Found](run: Callable[[float], Found], its_s: float) -> Found:
+    """What ``run`` gives at ``its_s`` or, where it fails there, at the longest part that serves.
+
+    Raises the ComputationError of the shortest.
+    """
+    *longer, shortest = (part * its_s for part in (1.0, *SHORTER))
+    for its in longer:
+        try:
+            return run(its)
+        except ComputationError:
+            continue
+    return run(shortest)
 
 
 class Watched:

@@ -7,16 +7,17 @@ from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any
 
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure as Drawing
+from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
 from bristle.studies import __version__
-from bristle.studies.inputs.again import into
+from bristle.studies.inputs.sources import into
 from bristle.studies.report.figures import (
     MARKERS,
     SERIES,
     panels,
     picture,
-    plain_ticks,
     styled,
 )
 from bristle.studies.report.page import Column, Figure, Report, Section, Table, show, write_report
@@ -135,9 +136,18 @@ def curves_figure(
         for level in levels:
             ax.axhline(level, color="grey", lw=0.6, ls="--", zorder=0)
         ax.set(xscale="log", yscale="log", xlabel=x_label, ylabel=label)
-        plain_ticks(ax)
+        _plain_ticks(ax)
     handles: dict[str, Any] = {}
     for ax in axes[0]:
         handles |= {text: each for each, text in zip(*ax.get_legend_handles_labels(), strict=True)}
     figure.legend(handles.values(), handles.keys(), loc="outside lower center", ncols=3)
     return figure
+
+
+def _plain_ticks(axes: Axes) -> None:
+    """Numbers without powers on logarithmic axes: at 1, 2 and 5 of a decade, or at 1 of many."""
+    for axis in (axes.xaxis, axes.yaxis):
+        low, high = axis.get_view_interval()
+        axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if high < 100.0 * low else (1.0,)))
+        axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+        axis.set_minor_locator(NullLocator())

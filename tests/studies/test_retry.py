@@ -5,7 +5,7 @@ import pytest
 
 from bristle.solver.batch import SHORTER
 from bristle.solver.errors import ComputationError
-from bristle.studies.running.retry import with_shorter_its
+from bristle.studies.running.steps import with_shorter_its
 
 pytestmark = pytest.mark.serial
 ITS_S = 1e-6

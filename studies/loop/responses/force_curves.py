@@ -32,7 +32,7 @@ from ....solver.effects.library import EFFECTS
 from ....solver.errors import ComputationError
 from ....solver.ground import Ground
 from ....solver.rigid import slope_normal
-from ...running.retry import with_shorter_its
+from ...running.steps import with_shorter_its
 from .emulator import Change, Emulator, effect_at
 from .table import Axis, Table, coefficients, mended
 from .table_drops import beam_of

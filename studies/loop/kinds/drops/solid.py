@@ -24,7 +24,7 @@ from .....solver.errors import ComputationError
 from ....inputs.choices import Model
 from ....inputs.sources import checked
 from ....running.cases import Workshop
-from ....running.retry import with_shorter_its
+from ....running.steps import with_shorter_its
 from ...responses.drop_model import DropModel
 from ...responses.emulator import PLAIN_STEP
 from ...responses.table import QUANTITIES
