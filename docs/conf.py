@@ -5,8 +5,7 @@ from sphinx.highlighting import lexers
 
 from bristle import __version__
 from bristle.studies.inputs.fields import DROP_FLAGS, LIST_FLAGS
-from bristle.studies.inputs.loop_fields import LOOP_FLAGS
-from bristle.studies.inputs.scatter_fields import OWN_FLAGS
+from bristle.studies.inputs.study_fields import LOOP_FLAGS, OWN_FLAGS
 
 project = "bristle"
 author = "the bristle authors"

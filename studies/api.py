@@ -24,8 +24,8 @@ from .close_loop.run import run_close_loop, summary
 from .drop import run_drop, simulate_drop
 from .drop import summary as drop_summary
 from .inputs.config import DropInputs
-from .inputs.loop_fields import LoopInputs
 from .inputs.sources import checked
+from .inputs.study_fields import LoopInputs
 from .running.results import HISTORY_FILE
 from .running.study import TABLE_FILE, Study, rows_of
 from .sweep import SweepInputs, run_sweep

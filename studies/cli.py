@@ -31,8 +31,7 @@ from .inputs.fields import (
     StepField,
 )
 from .inputs.flags import flags_of
-from .inputs.loop_fields import LOOP_FLAGS
-from .inputs.scatter_fields import SCATTER_FLAGS
+from .inputs.study_fields import LOOP_FLAGS, SCATTER_FLAGS, LoopInputs
 
 REPRODUCE_FLAGS = flags_of(StepField, DiscretisationFields)
 MESH_FLAGS = flags_of(BodyFields, MeshFields)
@@ -240,10 +239,7 @@ def synth(
             metavar="NAME:PARAM=VALUE,…", help="An effect that the dataset hides; repeatable."
         ),
     ] = None,
-    plugin: Annotated[
-        list[str] | None,
-        optional(metavar=PLUGIN.metavar, help=PLUGIN.help),
-    ] = None,
+    plugin: Annotated[list[str] | None, optional(**PLUGIN)] = None,
     unlisted: Annotated[
         str | None,
         optional(
@@ -307,7 +303,6 @@ def close_loop(
     Example: bristle close-loop my-drops --seed 1 --out results/my-drops
     """
     from .close_loop.run import run_close_loop, summary
-    from .inputs.loop_fields import LoopInputs
 
     show(summary(run_close_loop(dataset, out, given.inputs(LoopInputs))))
     show([("page", out / "report.html")])

@@ -23,7 +23,7 @@ from ...solver.compiled import in_turn
 from ...solver.errors import InputError
 from .. import __version__
 from ..data.datasets import Manifest, read_manifest
-from ..inputs.loop_fields import LoopInputs
+from ..inputs.study_fields import LoopInputs
 from ..loop.finding import Finding, plain
 from ..loop.problem import Problem
 from ..loop.run import find, pieces
@@ -99,8 +99,9 @@ def close_several(
 
 def _made(make: Callable[[], Problem], comm: MPI.Intracomm) -> Problem:
     """The problem on every rank, first on rank 0: what that keeps on the disk serves the others."""
-    first = run_on_one_rank(comm, lambda: _Alone(make() if comm.rank == 0 else None))
-    return first.problem or make()
+    first: list[Problem] = []  # which cannot be sent
+    run_on_one_rank(comm, lambda: first.append(make()))
+    return first[0] if first else make()
 
 
 def _begun(dataset: Path, out: Path | None) -> Manifest:
@@ -113,16 +114,6 @@ def _begun(dataset: Path, out: Path | None) -> Manifest:
     if not there.is_dir():
         raise InputError(f"--out {out}: {there} is a file, not a folder")
     return manifest
-
-
-class _Alone:
-    """A problem that stays on the rank that made it: it cannot be sent."""
-
-    def __init__(self, problem: Problem | None = None) -> None:
-        self.problem = problem
-
-    def __reduce__(self) -> tuple[type[_Alone], tuple[()]]:
-        return _Alone, ()
 
 
 def _simulate(

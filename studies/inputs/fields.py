@@ -15,7 +15,7 @@ from pydantic import BeforeValidator, Field
 from ...solver import paper
 from ...solver.materials import MaterialName
 from .choices import Contact, Deflection, Model, Scheme, Solver, Tip, Until
-from .flags import Fields, Option, flags_of, several
+from .flags import Fields, flags_of, option, several
 from .named import (
     EffectInput,
     MeshFile,
@@ -131,263 +131,211 @@ Its = Annotated[float, between(1e-12, 1.0)]
 Ratio = Annotated[float, between(1e-6, 1e6)]
 Truth = Annotated[bool, Field(strict=True)]
 Numbers = BeforeValidator(read_numbers)
-PLUGIN = Option(
-    "A Python file with effects of your own, repeatable; docs/examples/my_effect.py is one.",
-    "FILE.py",
-    kind=list,
-    name="plugin",
-    group=OUTPUT,
-)
-Plugins = Annotated[tuple[PluginFile, ...], BeforeValidator(read_plugins), PLUGIN]
+Plugins = Annotated[tuple[PluginFile, ...], BeforeValidator(read_plugins)]
+PLUGIN = {
+    "help": "A Python file with effects of your own, repeatable; docs/examples/my_effect.py is "
+    "one.",
+    "metavar": "FILE.py",
+}
+
+
+def plugin_option() -> Any:
+    """The option `--plugin`."""
+    return option((), **PLUGIN, kind=list, name="plugin", group=OUTPUT)
 
 
 class BodyFields(Fields, group=BODY):
     """Measures of the bristle."""
 
-    length_m: Annotated[
-        Annotated[float, between(1e-4, 100.0)] | None,
-        Option("Length of the bristle.", shown=f"{paper.LENGTH_M:g}"),
-    ] = None
-    width_m: Annotated[
-        Size | None, Option("Wide side of a flat wire.", shown=f"{paper.WIDTH_M:g}")
-    ] = None
-    thickness_m: Annotated[
-        Size | None, Option("Thin side of a flat wire.", shown=f"{paper.THICKNESS_M:g}")
-    ] = None
-    diameter_m: Annotated[
-        Size | None, Option("A round wire instead; excludes --width and --thickness.")
-    ] = None
+    length_m: Annotated[float, between(1e-4, 100.0)] | None = option(
+        None, "Length of the bristle.", shown=f"{paper.LENGTH_M:g}"
+    )
+    width_m: Size | None = option(None, "Wide side of a flat wire.", shown=f"{paper.WIDTH_M:g}")
+    thickness_m: Size | None = option(
+        None, "Thin side of a flat wire.", shown=f"{paper.THICKNESS_M:g}"
+    )
+    diameter_m: Size | None = option(
+        None, "A round wire instead; excludes --width and --thickness."
+    )
 
 
 class MeshFileField(Fields, group=BODY):
     """A bristle of any shape."""
 
-    mesh: Annotated[
-        MeshFile | None,
-        BeforeValidator(read_mesh_file),
-        Option(
-            "A bristle of any shape instead, for the models reduced (then the default) and solid: "
-            "gmsh's mesh of hexahedra or tetrahedra in metres, upright along z, the facets that "
-            "may touch in a physical group 'tip'. Excludes --length, --width, --thickness, "
-            "--diameter, --cells, --grading, --geometry-order and --tip-shape.",
-            "FILE.msh",
-            kind=str,
-        ),
-    ] = None
+    mesh: Annotated[MeshFile | None, BeforeValidator(read_mesh_file)] = option(
+        None,
+        "A bristle of any shape instead, for the models reduced (then the default) and solid: "
+        "gmsh's mesh of hexahedra or tetrahedra in metres, upright along z, the facets that "
+        "may touch in a physical group 'tip'. Excludes --length, --width, --thickness, "
+        "--diameter, --cells, --grading, --geometry-order and --tip-shape.",
+        "FILE.msh",
+        kind=str,
+    )
 
 
 class MaterialFields(Fields, group=BODY):
     """Elasticity, density and Rayleigh damping."""
 
-    material: Annotated[
-        MaterialName | None,
-        Option(
-            "Typical --youngs, --poisson, --density and --beta of a material, each unless it is "
-            "given: steel is the paper's; the others have their loss factor in the first axial "
-            "mode.",
-            "|".join(MaterialName),
-            "the paper's steel",
-        ),
-    ] = None
-    youngs_Pa: Annotated[float, between(1e3, 1e14), Option("Young's modulus.")] = paper.YOUNGS_PA
-    poisson: Annotated[float, between(-0.99, 0.4999), Option("Poisson's ratio.", "NU")] = (
-        paper.POISSON
+    material: MaterialName | None = option(
+        None,
+        "Typical --youngs, --poisson, --density and --beta of a material, each unless it is "
+        "given: steel is the paper's; the others have their loss factor in the first axial "
+        "mode.",
+        "|".join(MaterialName),
+        "the paper's steel",
     )
-    density_kg_m3: Annotated[float, between(0.1, 1e6), Option("Density.")] = paper.DENSITY_KG_M3
-    beta_s: Annotated[
-        float,
-        between(0.0, 1.0),
-        Option("Rayleigh damping of the material in proportion to its stiffness."),
-    ] = paper.BETA_S
-    alpha_1_s: Annotated[
-        float, between(0.0, 1e6), Option("Rayleigh damping in proportion to its mass.")
-    ] = paper.ALPHA_1_S
+    youngs_Pa: Annotated[float, between(1e3, 1e14)] = option(paper.YOUNGS_PA, "Young's modulus.")
+    poisson: Annotated[float, between(-0.99, 0.4999)] = option(
+        paper.POISSON, "Poisson's ratio.", "NU"
+    )
+    density_kg_m3: Annotated[float, between(0.1, 1e6)] = option(paper.DENSITY_KG_M3, "Density.")
+    beta_s: Annotated[float, between(0.0, 1.0)] = option(
+        paper.BETA_S, "Rayleigh damping of the material in proportion to its stiffness."
+    )
+    alpha_1_s: Annotated[float, between(0.0, 1e6)] = option(
+        paper.ALPHA_1_S, "Rayleigh damping in proportion to its mass."
+    )
 
 
 class MeshFields(Fields, group=MESH):
     """The mesh of hexahedra."""
 
-    cells: Annotated[
-        tuple[Count, Count, Count] | None,
-        Option(
-            "Hexahedra across the thickness, across the width and along the bristle. Round wire: "
-            "along each side of the core, in the ring around it, along the bristle.",
-            "NX NY NZ",
-            " ".join(map(str, CELLS)),
-        ),
-    ] = None
-    geometry_order: Annotated[
-        Degree | None,
-        Option("1: straight cell edges; 2: curved ones.", "1|2", "1; 2 for a round wire"),
-    ] = None
-    grading: Annotated[
-        Ratio | None,
-        Option("Length of the cell at the top over that at the tip.", "RATIO", "1"),
-    ] = None
+    cells: tuple[Count, Count, Count] | None = option(
+        None,
+        "Hexahedra across the thickness, across the width and along the bristle. Round wire: "
+        "along each side of the core, in the ring around it, along the bristle.",
+        "NX NY NZ",
+        " ".join(map(str, CELLS)),
+    )
+    geometry_order: Degree | None = option(
+        None, "1: straight cell edges; 2: curved ones.", "1|2", "1; 2 for a round wire"
+    )
+    grading: Ratio | None = option(
+        None, "Length of the cell at the top over that at the tip.", "RATIO", "1"
+    )
 
 
 class DiscretisationFields(MeshFields, group=MESH):
     """Finite elements, and what solves their equations."""
 
-    elements: Annotated[int, whole(1, 1000), Option("Elements of the beam.", "N")] = paper.ELEMENTS
-    order: Annotated[Degree, Option("Polynomial degree of the solid.", "1|2")] = 2
-    solver: Annotated[
-        Solver,
-        Option(
-            "How the solid's equations are solved: auto is direct as long as factors take less "
-            "than 8 GB; snes is Newton's method on the assembled form of a whole step, contact "
-            "included, as a reference."
-        ),
-    ] = Solver.AUTO
-    modes: Annotated[
-        int,
-        whole(1, 1000),
-        Option(
-            "Krylov vectors of the reduced solid to begin with; it takes up to eight times as many "
-            "where its error asks, as long as they fill less than 1 GB.",
-            "N",
-        ),
-    ] = MODES
-    reduction_tolerance: Annotated[
-        float,
-        above_zero(1.0),
-        Option(
-            "Largest error of the reduced solid against the full order, in units of the impact "
-            "speed."
-        ),
-    ] = REDUCTION_TOLERANCE
+    elements: Annotated[int, whole(1, 1000)] = option(paper.ELEMENTS, "Elements of the beam.", "N")
+    order: Degree = option(2, "Polynomial degree of the solid.", "1|2")
+    solver: Solver = option(
+        Solver.AUTO,
+        "How the solid's equations are solved: auto is direct as long as factors take less "
+        "than 8 GB; snes is Newton's method on the assembled form of a whole step, contact "
+        "included, as a reference.",
+    )
+    modes: Annotated[int, whole(1, 1000)] = option(
+        MODES,
+        "Krylov vectors of the reduced solid to begin with; it takes up to eight times as many "
+        "where its error asks, as long as they fill less than 1 GB.",
+        "N",
+    )
+    reduction_tolerance: Annotated[float, above_zero(1.0)] = option(
+        REDUCTION_TOLERANCE,
+        "Largest error of the reduced solid against the full order, in units of the impact speed.",
+    )
 
 
 class ContactFields(Fields, group=CONTACT):
     """What meets the surface, and how contact is enforced."""
 
-    contact: Annotated[Contact, Option("How contact is enforced.")] = Contact.PENALTY
-    deflection: Annotated[
-        Deflection | None,
-        Option(
-            "small: linear bodies. second-order: the axial force acts on the slope, as in a "
-            "column, for beam and reduced under the average acceleration. finite: strain and "
-            "rotation of any size, for the solid.",
-            shown="where it leans: finite for the solid, else second-order up to 10 degrees",
-            group=MODEL,
-        ),
-    ] = None
-    friction: Annotated[
-        float,
-        between(0.0, 100.0),
-        Option(
-            "Coulomb's coefficient. It acts where bristle or surface leans or the tip is not flat; "
-            "a flat tip that lands upright on a level surface does not slide, and friction is left "
-            "out there.",
-            "MU",
-        ),
-    ] = paper.FRICTION
-    kt_ratio: Annotated[
-        Ratio | None,
-        Option(
-            "Tangential over normal contact stiffness, where there is friction.",
-            "RATIO",
-            f"{KT_RATIO:.4g} for steel, Mindlin's 2(1-nu)/(2-nu)",
-        ),
-    ] = None
-    tip: Annotated[
-        Tip,
-        Option(
-            "The end section meets the surface point by point, or, as in the paper, with one node "
-            "on the axis (beam only; right for upright drops alone)."
-        ),
-    ] = Tip.FACE
-    tip_shape: Annotated[
-        str,
-        BeforeValidator(read_tip_shape),
-        Option(
-            "The end face: flat, chamfer:width=M,angle=DEG, rounded:radius=M, or "
-            "worn:angle=DEG,direction=DEG, standing back most toward that direction from the thin "
-            "side. It shifts where contact points stand, for the gap alone: the body keeps its "
-            "mass and stiffness, and the solid its flat mesh.",
-            "SHAPE",
-        ),
-    ] = FLAT
-    contact_points: Annotated[
-        int,
-        whole(3, MOST_CONTACT_POINTS),
-        Option(
-            "Points across each side of the end section that can touch, its edges among them; the "
-            "solid has at least as many.",
-            "N",
-        ),
-    ] = CONTACT_POINTS
-    theta: Annotated[
-        Annotated[int, whole(-1, 1)] | None,
-        Option("Nitsche's variant: 1 symmetric, 0 incomplete, -1 skew.", "1|0|-1", "1"),
-    ] = None
-    gamma0: Annotated[
-        Annotated[float, above_zero(1e6)] | None,
-        Option("Nitsche's stabilisation.", "NUMBER", "10, or 2 on a rigid plane"),
-    ] = None
+    contact: Contact = option(Contact.PENALTY, "How contact is enforced.")
+    deflection: Deflection | None = option(
+        None,
+        "small: linear bodies. second-order: the axial force acts on the slope, as in a "
+        "column, for beam and reduced under the average acceleration. finite: strain and "
+        "rotation of any size, for the solid.",
+        shown="where it leans: finite for the solid, else second-order up to 10 degrees",
+        group=MODEL,
+    )
+    friction: Annotated[float, between(0.0, 100.0)] = option(
+        paper.FRICTION,
+        "Coulomb's coefficient. It acts where bristle or surface leans or the tip is not flat; "
+        "a flat tip that lands upright on a level surface does not slide, and friction is left "
+        "out there.",
+        "MU",
+    )
+    kt_ratio: Ratio | None = option(
+        None,
+        "Tangential over normal contact stiffness, where there is friction.",
+        "RATIO",
+        f"{KT_RATIO:.4g} for steel, Mindlin's 2(1-nu)/(2-nu)",
+    )
+    tip: Tip = option(
+        Tip.FACE,
+        "The end section meets the surface point by point, or, as in the paper, with one node "
+        "on the axis (beam only; right for upright drops alone).",
+    )
+    tip_shape: Annotated[str, BeforeValidator(read_tip_shape)] = option(
+        FLAT,
+        "The end face: flat, chamfer:width=M,angle=DEG, rounded:radius=M, or "
+        "worn:angle=DEG,direction=DEG, standing back most toward that direction from the thin "
+        "side. It shifts where contact points stand, for the gap alone: the body keeps its "
+        "mass and stiffness, and the solid its flat mesh.",
+        "SHAPE",
+    )
+    contact_points: Annotated[int, whole(3, MOST_CONTACT_POINTS)] = option(
+        CONTACT_POINTS,
+        "Points across each side of the end section that can touch, its edges among them; the "
+        "solid has at least as many.",
+        "N",
+    )
+    theta: Annotated[int, whole(-1, 1)] | None = option(
+        None, "Nitsche's variant: 1 symmetric, 0 incomplete, -1 skew.", "1|0|-1", "1"
+    )
+    gamma0: Annotated[float, above_zero(1e6)] | None = option(
+        None, "Nitsche's stabilisation.", "NUMBER", "10, or 2 on a rigid plane"
+    )
 
 
 class PlaceFields(Fields, group=DROP):
     """How bristle and surface stand, and what else acts."""
 
-    gravity_m_s2: Annotated[float, between(1e-4, 1e4), Option("Gravity.")] = paper.GRAVITY_M_S2
-    tilt_deg: Annotated[
-        Tilt,
-        Option("How far the bristle's upper end leans toward its thin side, from vertical."),
-    ] = 0.0
-    tilt_wide_deg: Annotated[Tilt, Option("The same toward its wide side.")] = 0.0
-    slope_deg: Annotated[
-        Slope,
-        Option("How far the surface's normal leans toward the thin side, from vertical."),
-    ] = 0.0
-    slope_wide_deg: Annotated[Slope, Option("The same toward the wide side.")] = 0.0
-    until: Annotated[
-        Until | float,
-        BeforeValidator(read_until),
-        Option(
-            "Where to stop: after the first impact, after the rebound, or a time after release.",
-            "impact|rebound|SECONDS",
-            kind=str,
-        ),
-    ] = Until.REBOUND
-    plugins: Plugins = ()  # before the effects that may come from them
-    effects: Annotated[
-        tuple[EffectInput, ...],
-        BeforeValidator(read_effects),
-        Option(
-            "A further piece of physics, repeatable, e.g. contact_damping:c_N_s_m=5; what differs "
-            "from drop to drop stands one standard deviation out.",
-            "NAME:PARAM=VALUE,…",
-            kind=list,
-            name="effect",
-        ),
-    ] = ()
+    gravity_m_s2: Annotated[float, between(1e-4, 1e4)] = option(paper.GRAVITY_M_S2, "Gravity.")
+    tilt_deg: Tilt = option(
+        0.0, "How far the bristle's upper end leans toward its thin side, from vertical."
+    )
+    tilt_wide_deg: Tilt = option(0.0, "The same toward its wide side.")
+    slope_deg: Slope = option(
+        0.0, "How far the surface's normal leans toward the thin side, from vertical."
+    )
+    slope_wide_deg: Slope = option(0.0, "The same toward the wide side.")
+    until: Annotated[Until | float, BeforeValidator(read_until)] = option(
+        Until.REBOUND,
+        "Where to stop: after the first impact, after the rebound, or a time after release.",
+        "impact|rebound|SECONDS",
+        kind=str,
+    )
+    plugins: Plugins = plugin_option()  # before the effects that may come from them
+    effects: Annotated[tuple[EffectInput, ...], BeforeValidator(read_effects)] = option(
+        (),
+        "A further piece of physics, repeatable, e.g. contact_damping:c_N_s_m=5; what differs "
+        "from drop to drop stands one standard deviation out.",
+        "NAME:PARAM=VALUE,…",
+        kind=list,
+        name="effect",
+    )
 
 
 class TimeFields(Fields, group=TIME):
     """The time scheme."""
 
-    scheme: Annotated[
-        Scheme,
-        Option(
-            "average conserves energy in contact; newmark is the average acceleration with contact "
-            "at the end of the step; generalised is generalised-alpha."
-        ),
-    ] = Scheme.AVERAGE
-    rho_inf: Annotated[
-        Annotated[float, between(0.0, 1.0)] | None,
-        Option(
-            "Spectral radius of generalised-alpha at infinite frequency.", "0…1", f"{RHO_INF:g}"
-        ),
-    ] = None
-    march: Annotated[
-        Truth,
-        Option(
-            "March all of the drop at ITS, to check the exact flight between impacts. Rotation is "
-            "linearised about the release, so a leaning bristle is right only while it has turned "
-            "little."
-        ),
-    ] = False
+    scheme: Scheme = option(
+        Scheme.AVERAGE,
+        "average conserves energy in contact; newmark is the average acceleration with contact "
+        "at the end of the step; generalised is generalised-alpha.",
+    )
+    rho_inf: Annotated[float, between(0.0, 1.0)] | None = option(
+        None, "Spectral radius of generalised-alpha at infinite frequency.", "0…1", f"{RHO_INF:g}"
+    )
+    march: Truth = option(
+        False,
+        "March all of the drop at ITS, to check the exact flight between impacts. Rotation is "
+        "linearised about the release, so a leaning bristle is right only while it has turned "
+        "little.",
+    )
 
 
 class SharedFields(
@@ -405,74 +353,72 @@ class SharedFields(
 class StepField(Fields, group=TIME):
     """The time step of one drop."""
 
-    its_s: Annotated[Its, Option("Integration time step.")] = paper.ITS_S
+    its_s: Its = option(paper.ITS_S, "Integration time step.")
 
 
 class DropFields(Fields):
     """Model, stiffness and height of one drop, and its output."""
 
-    model: Annotated[
-        Model,
-        Option(
-            "reduced: the 3-D solid in few unknowns; solid: at full order; beam; analytic: a mass "
-            "on a spring.",
-            group=MODEL,
-        ),
-    ] = Model.REDUCED
-    kn_N_m: Annotated[
-        Kn, Option("Normal contact stiffness; 'inf' with nitsche and augmented.", group=CONTACT)
-    ] = paper.KN_CHOSEN_N_M
-    height_m: Annotated[Height, Option("Height of the lower tip over the surface.", group=DROP)] = (
-        paper.HEIGHTS_M[-1]
+    model: Model = option(
+        Model.REDUCED,
+        "reduced: the 3-D solid in few unknowns; solid: at full order; beam; analytic: a mass "
+        "on a spring.",
+        group=MODEL,
     )
-    write_fields: Annotated[
-        Truth,
-        Option(
-            "ParaView output of the solid, which it has unless --no-fields.",
-            name="fields",
-            group=OUTPUT,
-        ),
-    ] = True
-    write_every: Annotated[
-        Annotated[int, whole(1, 1_000_000)] | None,
-        Option(
-            "Steps from one instant of the ParaView output to the next.",
-            "N",
-            "40 instants in 2L/c",
-            group=OUTPUT,
-        ),
-    ] = None
+    kn_N_m: Kn = option(
+        paper.KN_CHOSEN_N_M,
+        "Normal contact stiffness; 'inf' with nitsche and augmented.",
+        group=CONTACT,
+    )
+    height_m: Height = option(
+        paper.HEIGHTS_M[-1], "Height of the lower tip over the surface.", group=DROP
+    )
+    write_fields: Truth = option(
+        True,
+        "ParaView output of the solid, which it has unless --no-fields.",
+        name="fields",
+        group=OUTPUT,
+    )
+    write_every: Annotated[int, whole(1, 1_000_000)] | None = option(
+        None,
+        "Steps from one instant of the ParaView output to the next.",
+        "N",
+        "40 instants in 2L/c",
+        group=OUTPUT,
+    )
 
 
 class HeightsField(Fields, group=DROP):
     """Several heights."""
 
-    heights_m: Annotated[
-        tuple[Height, ...],
-        Numbers,
-        Field(min_length=1),
-        Option("Heights, separated by commas.", "M,…", "", str, alias="--height"),
-    ] = paper.HEIGHTS_M
+    heights_m: Annotated[tuple[Height, ...], Numbers, Field(min_length=1)] = option(
+        paper.HEIGHTS_M, "Heights, separated by commas.", "M,…", "", str, alias="--height"
+    )
 
 
 class ListFields(Fields):
     """Several models, stiffnesses and time steps."""
 
-    models: Annotated[
-        tuple[Model, ...],
-        BeforeValidator(read_list),
-        Option("Models, separated by commas.", "MODEL,…", "", str, group=MODEL, alias="--model"),
-    ] = (Model.BEAM, Model.REDUCED)
-    kn_N_m: Annotated[
-        tuple[Kn, ...],
-        Numbers,
-        Option("Normal contact stiffnesses, separated by commas.", "N/M,…", "", str, group=CONTACT),
-    ] = paper.KN_N_M
-    its_s: Annotated[
-        tuple[Its, ...],
-        Numbers,
-        Option("Integration time steps, separated by commas.", "S,…", "", str, group=TIME),
-    ] = (paper.ITS_S,)
+    models: Annotated[tuple[Model, ...], BeforeValidator(read_list)] = option(
+        (Model.BEAM, Model.REDUCED),
+        "Models, separated by commas.",
+        "MODEL,…",
+        "",
+        str,
+        group=MODEL,
+        alias="--model",
+    )
+    kn_N_m: Annotated[tuple[Kn, ...], Numbers] = option(
+        paper.KN_N_M,
+        "Normal contact stiffnesses, separated by commas.",
+        "N/M,…",
+        "",
+        str,
+        group=CONTACT,
+    )
+    its_s: Annotated[tuple[Its, ...], Numbers] = option(
+        (paper.ITS_S,), "Integration time steps, separated by commas.", "S,…", "", str, group=TIME
+    )
 
 
 DROP_FLAGS = flags_of(DropFields, StepField, SharedFields)

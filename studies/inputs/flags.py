@@ -1,7 +1,8 @@
 """Inputs as command-line flags: each is declared once, as a field of a pydantic model.
 
-A field's annotation has its type and bounds and an `Option`, the help of its flag. The flag's name
-is the field's without its unit, its panel is that of the class (``class Fields(…, group=…)``).
+A field's annotation has its type and bounds, `option` its default and the help of its flag. The
+flag's name is the field's without its unit, its panel that of the class (``class Fields(…,
+group=…)``).
 Nothing heavy is imported here, so that help is quick.
 """
 
@@ -13,7 +14,7 @@ from inspect import get_annotations
 from types import NoneType, UnionType
 from typing import Any, ClassVar, NoReturn, Union, get_args, get_origin
 
-from pydantic import BaseModel, ConfigDict
+from pydantic import BaseModel, ConfigDict, Field
 from pydantic.fields import FieldInfo
 from pydantic_core import PydanticCustomError
 
@@ -49,31 +50,48 @@ def refuse(field: str, message: str) -> NoReturn:
     raise PydanticCustomError("bristle", "{message}", {"field": field, "message": message})
 
 
-@dataclass(frozen=True)
-class Option:
-    """What the command line says of a field.
+def option(
+    default: Any,
+    help: str,
+    metavar: str | None = None,
+    shown: str | None = None,
+    kind: Any = None,
+    *,
+    name: str = "",
+    group: str = "",
+    alias: str | None = None,
+) -> Any:
+    """A field with a ``default`` that is an option of the command line.
 
     ``shown`` stands for a default that another option decides; ``kind`` is what the command line
     parses where that is not the field's own type; ``name`` (without dashes) and ``group`` where
-    they are not what the field's name and class say.
+    they are not what the field's name and class say; ``alias`` is a further spelling, with dashes.
     """
-
-    help: str
-    metavar: str | None = None
-    shown: str | None = None
-    kind: Any = None
-    name: str = ""
-    group: str = ""
-    alias: str | None = None
+    more: Any = {
+        "metavar": metavar,
+        "shown": shown,
+        "kind": kind,
+        "name": name,
+        "group": group,
+        "alias": alias,
+    }
+    return Field(default, description=help, json_schema_extra=more)
 
 
 @dataclass(frozen=True)
-class Flag(Option):
-    """The `Option` of a ``field`` with that one's default, complete; ``kind`` is a type, an enum,
+class Flag:
+    """What the command line says of a ``field``, as `option` takes it; ``kind`` is a type, an enum,
     or a tuple of types."""
 
-    field: str = ""
-    default: Any = None
+    field: str
+    default: Any
+    help: str
+    metavar: str | None
+    shown: str | None
+    kind: Any
+    name: str
+    group: str
+    alias: str | None
 
     @property
     def option(self) -> str:
@@ -110,26 +128,26 @@ class Flag(Option):
 
 
 def flags_of(*models: type[Fields], only: tuple[str, ...] = ()) -> tuple[Flag, ...]:
-    """The flags of the fields that have an `Option`, each once; ``only`` those of these names."""
+    """The flags of the fields that are an `option`, each once; ``only`` those of these names."""
     found: dict[str, Flag] = {}
     for model in models:
         for name, field in model.model_fields.items():
-            for option in field.metadata:
-                if isinstance(option, Option):
-                    found.setdefault(name, _flag(model, name, field, option))
+            if field.description is not None:
+                found.setdefault(name, _flag(model, name, field))
     return tuple(flag for flag in found.values() if not only or flag.name in only)
 
 
-def _flag(model: type[Fields], name: str, field: FieldInfo, option: Option) -> Flag:
+def _flag(model: type[Fields], name: str, field: FieldInfo) -> Flag:
     unit = next((unit for unit in UNITS if name.endswith(unit)), "")
     owner = next(each for each in model.__mro__ if name in get_annotations(each))
-    declared = vars(option) | {
-        "name": option.name or name.removesuffix(unit).replace("_", "-"),
-        "group": option.group or getattr(owner, "group", ""),
-        "metavar": option.metavar or UNITS.get(unit),
-        "kind": option.kind or _kind(field.annotation),
+    more: Any = field.json_schema_extra
+    declared = more | {
+        "name": more["name"] or name.removesuffix(unit).replace("_", "-"),
+        "group": more["group"] or getattr(owner, "group", ""),
+        "metavar": more["metavar"] or UNITS.get(unit),
+        "kind": more["kind"] or _kind(field.annotation),
     }
-    return Flag(**declared, field=name, default=field.default)
+    return Flag(name, field.default, field.description or "", **declared)
 
 
 def several(flags: tuple[Flag, ...]) -> tuple[Flag, ...]:

@@ -17,7 +17,7 @@ from ...solver.materials import MATERIALS, MaterialName
 from .fields import DROP_FLAGS, LIST_FLAGS
 from .flags import Flag
 from .named import REPLACED
-from .scatter_fields import OWN_FLAGS
+from .study_fields import OWN_FLAGS
 from .texts import hints, line_of, parse_json, parse_toml, quoted, read_text
 
 LOG = logging.getLogger("bristle")

@@ -6,13 +6,13 @@ from typing import Any, Self
 
 from pydantic import model_validator
 
-from ..inputs import scatter_fields as fields
+from ..inputs import study_fields as fields
 from ..inputs.choices import Contact, Model, Scheme, Until
 from ..inputs.config import DropInputs, Inputs
 from ..inputs.fields import HeightsField, StepField
 from ..inputs.flags import refuse
-from ..inputs.scatter_fields import ScatterFields
 from ..inputs.sources import checked
+from ..inputs.study_fields import ScatterFields
 
 # Inputs of a drop that a scatter has no use for, and why.
 FIXED: dict[str, tuple[Any, str]] = {

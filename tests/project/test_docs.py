@@ -11,8 +11,7 @@ from made_drops import QUICK, write_drops
 
 from bristle.solver.effects.library import EFFECTS
 from bristle.studies.inputs.fields import DROP_FLAGS, LIST_FLAGS
-from bristle.studies.inputs.loop_fields import LOOP_FLAGS
-from bristle.studies.inputs.scatter_fields import OWN_FLAGS
+from bristle.studies.inputs.study_fields import LOOP_FLAGS, OWN_FLAGS
 from bristle.studies.loop.kinds.drops import problem as drops_module
 
 pytestmark = pytest.mark.serial

@@ -23,8 +23,8 @@ from bristle.solver.time.march import Marcher
 from bristle.solver.time.scheme import TimeScheme
 from bristle.studies.inputs.config import DropInputs
 from bristle.studies.inputs.fields import DROP_FLAGS, LIST_FLAGS
-from bristle.studies.inputs.scatter_fields import SCATTER_FLAGS
 from bristle.studies.inputs.sources import checked, inputs_of
+from bristle.studies.inputs.study_fields import SCATTER_FLAGS
 from bristle.studies.running.cases import run_case
 from bristle.studies.scatter import scene as scatter_scene
 from bristle.studies.scatter.conditions import draw, ground_of, ground_surface, ground_under

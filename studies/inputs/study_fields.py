@@ -1,0 +1,117 @@
+"""Inputs of `bristle scatter` beyond those of a drop, where their defaults come from, and those of
+`bristle close-loop` beside its dataset."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from pydantic import Field
+
+from ...solver import paper
+from .choices import Contact, Model
+from .fields import (
+    CONTACT,
+    MODEL,
+    BodyFields,
+    HeightsField,
+    Kn,
+    Plugins,
+    SharedFields,
+    StepField,
+    Truth,
+    between,
+    plugin_option,
+    whole,
+)
+from .flags import Fields, flags_of, option
+
+RANDOM, SURFACE, LOOP = "Random drops", "Surface", "Loop"
+
+DROPS, MOST_DROPS = 2000, 1_000_000
+SEEDS = 2**32 - 1
+# Rate of false alarms.
+ALARM = 0.01
+# Assumed: the upper end 6 mm beside the lower one, about what an eye without an instrument sees.
+TILT_STD_DEG = 1.0
+# Beyond it a normal lean would reach what cannot land on the end face.
+MOST_TILT_STD_DEG = 15.0
+# Macrotexture has wavelengths of 0.5 to 50 mm and heights of 0.2 to 10 mm (PIARC; ISO 13473-1).
+# Assumed: a trowelled slab, whose heights just reach that (4 rms = 0.2 mm), and the geometric mean
+# of the wavelengths. Its slope is then 0.8 degrees rms toward each side.
+RMS_HEIGHT_M = 50e-6
+CORRELATION_LENGTH_M = 5e-3
+
+
+class ScatterFields(Fields, group=SURFACE):
+    """How drops are released, over which surface, and what of a drop's inputs is narrower here."""
+
+    model: Model = option(
+        Model.REDUCED, "reduced: the solid in a few modes; beam.", "[beam|reduced]", group=MODEL
+    )
+    kn_N_m: Kn = option(paper.KN_CHOSEN_N_M, "Normal contact stiffness.", group=CONTACT)
+    contact: Contact = option(
+        Contact.PENALTY, "How contact is enforced.", "[penalty|augmented]", group=CONTACT
+    )
+    drops: Annotated[int, whole(1, MOST_DROPS)] = option(
+        DROPS, "How many drops.", "N", group=RANDOM
+    )
+    seed: Annotated[int, whole(0, SEEDS)] = option(
+        0, "Seed of all that is drawn for each drop.", "N", group=RANDOM
+    )
+    tilt_std_deg: Annotated[float, between(0.0, MOST_TILT_STD_DEG)] = option(
+        TILT_STD_DEG,
+        "Standard deviation of the lean at release toward the thin and, independently, the "
+        "wide side, about --tilt and --tilt-wide. An assumption: 1 degree puts the upper end "
+        "6 mm beside the lower one, about what an eye sees.",
+        group=RANDOM,
+    )
+    rms_height_m: Annotated[float, between(0.0, 0.1)] | None = option(
+        None,
+        "Root mean square height of the surface. An assumption: four of it make 0.2 mm, the "
+        "least height of macrotexture (PIARC), as of a trowelled slab.",
+        shown=f"{RMS_HEIGHT_M:g}",
+    )
+    correlation_length_m: Annotated[float, between(1e-6, 1.0)] | None = option(
+        None,
+        "Where the heights' correlation has fallen to 1/e. An assumption: the geometric mean "
+        "of macrotexture's wavelengths, 0.5 to 50 mm (PIARC).",
+        shown=f"{CORRELATION_LENGTH_M:g}",
+    )
+    surface: Annotated[str, Field(min_length=1)] | None = option(
+        None,
+        "A measured surface instead, in m: .npz, .csv or .txt, see bristle.studies.surface.files.",
+        "FILE",
+    )
+    surface_seed: Annotated[int, whole(0, SEEDS)] = option(
+        0, "Seed of the surface's heights and phases.", "N"
+    )
+    flat: Truth = option(False, "A level plane of one material instead.")
+
+
+class LoopInputs(Fields, group=LOOP):
+    """Every option of `bristle close-loop`, checked."""
+
+    plugins: Plugins = plugin_option()
+    seed: Annotated[int, whole(0, SEEDS)] = option(
+        0, "Seed of what is held out and of all that is drawn.", "N"
+    )
+    alarm: Annotated[float, between(1e-3, 0.3)] = option(
+        ALARM,
+        "How often data that lack nothing may be said to lack something, over all tests together.",
+        "RATE",
+    )
+    no_3d: Truth = option(False, "Leave out the confirmation by the 3-D model.")
+
+
+# What of a drop's other options many drops at once can have.
+TAKEN = (
+    *("deflection", "tip", "friction", "kt-ratio", "tip-shape", "contact-points"),
+    *("youngs", "poisson", "density", "beta", "gravity", "tilt", "tilt-wide", "cells"),
+    *("geometry-order", "grading", "elements", "order", "solver", "modes", "reduction-tolerance"),
+)
+OWN_FLAGS = flags_of(ScatterFields)
+SCATTER_FLAGS = (
+    *flags_of(ScatterFields, HeightsField, StepField, BodyFields),
+    *flags_of(SharedFields, only=TAKEN),
+)
+LOOP_FLAGS = flags_of(LoopInputs)
