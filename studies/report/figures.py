@@ -11,6 +11,7 @@ import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import wraps
+from html import escape
 from pathlib import Path
 from typing import Any, Concatenate, Protocol
 
@@ -176,16 +177,12 @@ def model_legend(axes: Axes, models: Sequence[str], **where: Any) -> None:
 
 
 def end_labels(
-    axes: Axes,
-    heights: Sequence[float],
-    labels: Sequence[str],
-    colours: Sequence[Any],
-    size: float = SMALLEST,
+    axes: Axes, heights: Sequence[float], labels: Sequence[str], colours: Sequence[Any]
 ) -> None:
     """Write ``labels`` right of the axes at ``heights`` (data units), moved apart where needed."""
     low, high = axes.get_ylim()
     points = 72.0 * axes.get_window_extent().height / axes.figure.dpi
-    apart = 1.15 * size / max(points, 1.0) * (high - low)
+    apart = 1.15 * SMALLEST / max(points, 1.0) * (high - low)
     order = [int(i) for i in np.argsort(heights)]
     placed = spread(np.asarray(heights, float)[order], apart, low, high)
     for place, i in zip(placed, order, strict=True):
@@ -196,7 +193,7 @@ def end_labels(
             xytext=(4, 0),
             textcoords="offset points",
             va="center",
-            fontsize=size,
+            fontsize=SMALLEST,
             color=colours[i],
             annotation_clip=False,
         )
@@ -232,10 +229,9 @@ def inline_svg(document: str, prefix: str, title: str) -> str:
     body = re.sub(r'\sxmlns(?::\w+)?="[^"]*"', "", body)
     body = re.sub(r'\s(?:width|height)="[\d.]+pt"', "", body, count=2)
     opening, rest = body.split(">", 1)
-    name = title.replace("&", "&amp;").replace("<", "&lt;").replace(">", "&gt;")
     label = f"{prefix}-title"
     head = f'{opening} role="img" aria-labelledby="{label}">'
-    return f'{head}<title id="{label}">{name}</title>{rest}'.strip()
+    return f'{head}<title id="{label}">{escape(title, quote=False)}</title>{rest}'.strip()
 
 
 @dataclass(frozen=True)

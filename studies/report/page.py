@@ -11,7 +11,7 @@ from __future__ import annotations
 import base64
 import math
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
 from pathlib import Path
@@ -216,7 +216,6 @@ class Report:
     headline: Sequence[str] = ()
     facts: Sequence[tuple[str, str]] = ()
     sections: Sequence[Section] = ()
-    licence_note: str = ""
     differences: Sequence[str] = field(default_factory=tuple)
 
     @property
@@ -264,14 +263,11 @@ def percent(share: float, decimals: int = 1, signed: bool = False) -> str:
     return f"{text}\u00a0%".replace("-", "−")
 
 
-def _plain(value: Value) -> str:
-    if value is None:
-        return ""
+def _plain(value: Value) -> Value:
+    """A value for a CSV: a spreadsheet computes no text."""
     if isinstance(value, bool):
         return str(value).lower()
-    if isinstance(value, str):
-        return f"'{value}" if value.startswith(FORMULA) else value
-    return repr(value) if isinstance(value, float) else str(value)
+    return f"'{value}" if isinstance(value, str) and value.startswith(FORMULA) else value
 
 
 def _powers(text: str) -> Markup:
@@ -280,29 +276,27 @@ def _powers(text: str) -> Markup:
     return Markup(re.sub(r"10\^(−?\d+)", r"10<sup>\1</sup>", escaped))
 
 
-def _environment() -> Environment:
-    environment = Environment(
-        loader=FileSystemLoader(TEMPLATES),
-        autoescape=True,
+def environment(
+    folder: Path, filters: Mapping[str, Callable[..., Any]], **more: Any
+) -> Environment:
+    """Templates of a folder, which may use nothing that they are not given."""
+    made = Environment(
+        loader=FileSystemLoader(folder),
         undefined=StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
+        **more,
     )
-    environment.filters["show"] = lambda value, digits: _powers(show(value, digits))
-    environment.filters["powers"] = _powers
-    environment.filters["plain"] = _plain
-    environment.filters["is_number"] = lambda v: (
-        isinstance(v, int | float) and not isinstance(v, bool)
-    )
-    return environment
+    made.filters |= filters
+    return made
 
 
 def render_report(report: Report) -> str:
     """The whole page as HTML; everything that is not ours to mark up is escaped."""
     report.tables()
-    environment = _environment()
     style = Markup((TEMPLATES / "style.css").read_text(encoding="utf-8"))
-    template = environment.get_template("report.html.j2")
+    filters = {"show": lambda value, digits: _powers(show(value, digits)), "powers": _powers}
+    template = environment(TEMPLATES, filters, autoescape=True).get_template("report.html.j2")
     return template.render(report=report, style=style, rows_shown=ROWS_SHOWN).lstrip() + "\n"
 
 

@@ -51,7 +51,7 @@ def height_figure(histories: Mapping[tuple[str, float, float], Curve]) -> Figure
         ax.set(ylabel="tip height (mm)", ylim=(-0.02e3 * height, 1.05e3 * height))
         ax.set_title(f"y0 = {1e3 * height:g} mm")
         figure.draw_without_rendering()
-        end_labels(ax, last, [stiffness_label(kn) for kn in stiffnesses], colours, size=7.0)
+        end_labels(ax, last, [stiffness_label(kn) for kn in stiffnesses], colours)
     axes[-1, 0].set(xlabel="time after release (ms)", xlim=(0, None))
     model_legend(axes[-1, 0], models, loc="lower left")
     return figure

@@ -20,12 +20,22 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from matplotlib.figure import Figure as Drawing
 
 from ...solver import paper
 from .figures import picture, stiffness_label
-from .page import Comparison, Figure, Frame, Head, Section, Table, Verdict, percent, show
+from .page import (
+    Comparison,
+    Figure,
+    Frame,
+    Head,
+    Section,
+    Table,
+    Verdict,
+    environment,
+    percent,
+    show,
+)
 
 
 @dataclass
@@ -114,15 +124,9 @@ class Prose:
     @cached_property
     def _module(self) -> Any:
         """Its words are plain text: the page escapes them."""
-        environment = Environment(
-            loader=FileSystemLoader(self.path.parent),
-            undefined=StrictUndefined,
-            trim_blocks=True,
-            lstrip_blocks=True,
-        )
-        environment.globals["paper"] = paper
-        environment.filters |= self.filters
-        return environment.get_template(self.path.name).module
+        templates = environment(self.path.parent, self.filters)
+        templates.globals["paper"] = paper
+        return templates.get_template(self.path.name).module
 
 
 def _comparison(cells: list[str]) -> Comparison:
