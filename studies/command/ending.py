@@ -19,6 +19,7 @@ from ..running.parallel import Ending, Ranks, rank_0_speaks
 from ..running.progress import logged_to_terminal
 
 LONGEST = 1000
+INTERRUPTION = Ending(INTERRUPTED, "bristle: interrupted")
 
 
 def run(command: click.Command, arguments: list[str]) -> int:
@@ -34,7 +35,7 @@ def run(command: click.Command, arguments: list[str]) -> int:
             ending = _attempt(command, arguments)
         except KeyboardInterrupt:
             heard()
-            ending = Ending(INTERRUPTED, "bristle: interrupted")
+            ending = INTERRUPTION
         status = ranks.finish(ending)
     if ranks.alone:
         leave(status)
@@ -52,9 +53,7 @@ def _attempt(command: click.Command, arguments: list[str]) -> Ending:
         return _failed(2, _usage(error), debug)
     except click.Abort:
         raise KeyboardInterrupt from None
-    except BrokenPipeError:
-        return _deaf("standard output was closed before the end", debug)
-    except SystemExit:  # so ends click where its output is a pipe that nobody reads any more
+    except (BrokenPipeError, SystemExit):  # the latter by click, into a pipe that nobody reads
         return _deaf("standard output was closed before the end", debug)
     except OSError as error:
         if error.filename is None:
@@ -66,7 +65,9 @@ def _attempt(command: click.Command, arguments: list[str]) -> Ending:
     except Exception as error:
         text = f"{type(error).__name__}: {error}"
         return _failed(1, text if debug else f"{text} (unexpected: --debug shows where)", debug)
-    return Ending(status if isinstance(status, int) else 0, _interruption(status))
+    if status == INTERRUPTED:
+        return INTERRUPTION
+    return Ending(status if isinstance(status, int) else 0)
 
 
 def _open_streams() -> None:
@@ -84,10 +85,6 @@ def _deaf(message: str, debug: bool) -> Ending:
     ending = _failed(1, message, debug)
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.__stdout__.fileno() if sys.__stdout__ else 1)
     return ending
-
-
-def _interruption(status: object) -> str:
-    return "bristle: interrupted" if status == INTERRUPTED else ""
 
 
 def _failed(status: int, message: str, debug: bool) -> Ending:

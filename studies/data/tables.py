@@ -137,22 +137,6 @@ def check_order(
         raise InputError(f"{path}:{line}: {name} must count upwards in the order they were made")
 
 
-def group_begins(
-    path: Path, rows: Rows, name: str, numbers: NDArray[np.int64], t_s: Array
-) -> NDArray[np.int64]:
-    """Where each group of rows of one number begins, and where the last ends (groups + 1,).
-
-    Raises InputError where ``numbers`` (rows,) do not count upwards, or times ``t_s`` (rows,) do
-    not grow within a group; ``name`` is what a group is.
-    """
-    check_order(path, rows, name, numbers, repeated=True)
-    step = np.diff(numbers)
-    late = np.flatnonzero((step == 0) & (np.diff(t_s) <= 0.0))
-    if len(late):
-        raise InputError(f"{path}:{rows[late[0] + 1][0]}: t_s must grow within a {name}")
-    return np.concatenate([[0], np.flatnonzero(step) + 1, [len(rows)]]).astype(np.int64)
-
-
 class InPieces:
     """Rows in pieces, one after the other: ``begins`` (pieces + 1,) says where each begins."""
 
@@ -198,12 +182,18 @@ class Series(InPieces):
 def read_series(path: Path, piece: str, value: str) -> Series:
     """The columns ``piece`` (whole numbers), ``t_s`` and ``value`` of a table, all needed.
 
-    Raises InputError at the first value that cannot be used.
+    Raises InputError at the first value that cannot be used, where pieces do not count upwards, or
+    times do not grow within one.
     """
     rows = read_table(path, required=(piece, "t_s", value))
     number = column(path, rows, piece, whole=True).astype(np.int64)
     times, values = column(path, rows, "t_s"), column(path, rows, value)
-    begins = group_begins(path, rows, piece, number, times)
+    check_order(path, rows, piece, number, repeated=True)
+    step = np.diff(number)
+    late = np.flatnonzero((step == 0) & (np.diff(times) <= 0.0))
+    if len(late):
+        raise InputError(f"{path}:{rows[late[0] + 1][0]}: t_s must grow within a {piece}")
+    begins = np.concatenate([[0], np.flatnonzero(step) + 1, [len(rows)]]).astype(np.int64)
     return Series(path, rows, number, times, values, begins)
 
 

@@ -163,12 +163,14 @@ class Workshop:
                 result, scene = _analytic(now), now.scene
             else:
                 scene, inputs = prepared.scene, prepared.inputs
-                plan = inputs.drop_plan(_n_points(prepared.frame), scene)
-                if inputs.march:
-                    result = _marched(inputs, prepared.frame, plan, checkpoint)
+                frame, marcher = prepared.frame, prepared.marcher
+                plan = inputs.drop_plan(len(frame.body.contact.weights), scene)
+                if inputs.march:  # at constant ITS from release on
+                    result = march_plainly(frame, plan, marching_time_s(inputs), checkpoint)
+                    if inputs.until is Until.IMPACT:
+                        result = replace(result, **NO_REBOUND)
                 else:
-                    marcher = prepared.marcher
-                    result = simulate(prepared.frame, plan, marcher, observer, checkpoint)
+                    result = simulate(frame, plan, marcher, observer, checkpoint)
                     result = self._enriched(prepared, plan, result)
                 check_result(inputs, result)
         return observed(result, scene), self.take_timings()
@@ -213,9 +215,6 @@ class Workshop:
         """Equal for cases of the solid that share all that is dear to build."""
         return (*_solid_key(inputs), *self._basis(inputs).items())
 
-    def _solid(self, inputs: DropInputs) -> SolidBody:
-        return self._keep(_solid_key(inputs), lambda: self._make_solid(inputs))
-
     def _make_solid(self, inputs: DropInputs) -> SolidBody:
         from ...meshes.check import MeshError
         from ...meshes.distribute import own_to_dolfinx, to_dolfinx
@@ -257,7 +256,8 @@ class Workshop:
         """The solid and its reduced model, with a flat tip."""
         from ...solver.bodies.reduced import reduce_solid
 
-        solid, how = self._solid(inputs), self._basis(inputs, modes)
+        solid = self._keep(_solid_key(inputs), lambda: self._make_solid(inputs))
+        how = self._basis(inputs, modes)
         with self._timed("factor"):
             return self._keep(
                 ("reduced", id(solid), *how.items()),
@@ -366,10 +366,6 @@ def _each(frame: ModalFrame, change: Callable[[ModalBody], ModalBody]) -> ModalF
     return ModalFrame(change(frame.modal), tuple(change(body) for body in frame.coarser))
 
 
-def _n_points(frame: FlightFrame) -> int:
-    return len(frame.body.contact.weights)
-
-
 def _with_face(frame: ModalFrame | ReducedModel, inputs: DropInputs) -> ModalFrame | ReducedModel:
     """The same body with the points of its end face where the tip's shape puts them.
 
@@ -395,14 +391,6 @@ def _beam_frame(bristle: Bristle, **how: Any) -> ModalFrame:
         raise ComputationError(
             f"{error}: bending is lost in round-off; the beam is too slender, shorten --length"
         ) from error
-
-
-def _marched(
-    inputs: DropInputs, frame: FlightFrame, plan: DropPlan, checkpoint: Checkpoint | None
-) -> DropResult:
-    """The drop marched at constant ITS from release on."""
-    result = march_plainly(frame, plan, marching_time_s(inputs), checkpoint)
-    return replace(result, **NO_REBOUND) if inputs.until is Until.IMPACT else result
 
 
 def _analytic(now: Entered) -> DropResult:

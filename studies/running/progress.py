@@ -80,21 +80,14 @@ class _Lines:
         if self.done == self.total or time.monotonic() - self._said > PLAIN_EVERY_S:
             self._say()
 
-    def _tells(self, before: int) -> bool:
-        """Whether what was done since the first tells how long the rest takes."""
-        return (
-            self.alike
-            and self.done < self.total
-            and self.done - before >= EARLY * (self.total - before)
-        )
-
     def _say(self) -> None:
         self._said = time.monotonic()
-        words = ""
-        if self._first is not None and self._tells(self._first[1]):
+        words, left = "", self.total - self.done
+        if self._first is not None and self.alike and left:
             began, before = self._first
-            each = (self._said - began) / (self.done - before)
-            words = f", {duration((self.total - self.done) * each)} left"
+            since = self.done - before
+            if since >= EARLY * (self.total - before):
+                words = f", {duration(left * (self._said - began) / since)} left"
         note(f"{self.title}: {self.done} of {self.total}{words}")
 
 

@@ -33,27 +33,11 @@ from .progress import progress, say, warn, working
 CASES = 100_000
 TABLE_FILE = "table.csv"
 COLUMNS = (
-    "model",
-    "contact",
-    "kn_N_m",
-    "y0_m",
-    "its_s",
-    "rebound_ratio",
-    "contact_time_s",
-    "peak_force_N",
-    "max_penetration_m",
-    "energy_closure",
-    "wall_s",
-    "time_to_max_penetration_s",
-    "impulse_N_s",
-    "cm_velocity_after_m_s",
-    "n_contacts",
-    "n_steps",
-    "n_dofs",
-    "reduction_error",
-    "cm_rebound_ratio",
-    "friction_impulse_N_s",
-    "friction_loss_J",
+    *("model", "contact", "kn_N_m", "y0_m", "its_s", "rebound_ratio", "contact_time_s"),
+    *("peak_force_N", "max_penetration_m", "energy_closure", "wall_s"),
+    *("time_to_max_penetration_s", "impulse_N_s", "cm_velocity_after_m_s", "n_contacts"),
+    *("n_steps", "n_dofs", "reduction_error", "cm_rebound_ratio"),
+    *("friction_impulse_N_s", "friction_loss_J"),
 )
 CURVE_POINTS = 120
 # What models have no use for.
@@ -338,7 +322,8 @@ def _write(
     """Write the table, then the study's JSON, which says that all is there."""
     table = to_csv(study.columns, [[row[name] for name in study.columns] for row in rows])
     write_atomically(out / TABLE_FILE, table)
-    warnings = _warnings(rows, ("model", "kn_N_m", "y0_m", "its_s", *study.varied))
+    which = ("model", "kn_N_m", "y0_m", "its_s", *study.varied, "warnings")
+    warnings = [{name: row[name] for name in which} for row in rows if row["warnings"]]
     if warnings:
         warn(f"{len(warnings)} of {len(rows)} cases have warnings, see {out / study.document}")
     document = {
@@ -350,12 +335,3 @@ def _write(
         "warnings": warnings,
     }
     write_atomically(out / study.document, to_json(document) + "\n")
-
-
-def _warnings(rows: Iterable[Row], keys: Sequence[str]) -> list[dict[str, Any]]:
-    """The cases with warnings: which, and what."""
-    return [
-        {**{key: row[key] for key in keys}, "warnings": row["warnings"]}
-        for row in rows
-        if row["warnings"]
-    ]
