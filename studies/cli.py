@@ -17,11 +17,10 @@ import typer
 from ..solver.errors import ComputationError
 from . import __version__
 from .command.ending import run
-from .command.options import Debug, Given, RanksPerCase, Resume, add_command
+from .command.options import Debug, Given, RanksPerCase, Resume, add_command, of_files, optional
 from .inputs.fields import (
     DROP_FLAGS,
     LIST_FLAGS,
-    OUTPUT,
     PLUGIN,
     STUDY_FLAGS,
     SWEEP_FLAGS,
@@ -77,7 +76,6 @@ def root(
 
 
 command = partial(add_command, app)
-optional = partial(typer.Option, show_default=False)
 
 
 def show(rows: Iterable[tuple[str, object]]) -> None:
@@ -108,12 +106,12 @@ def drop(
     resume: Resume = False,
     keep: Annotated[
         float,
-        typer.Option(
+        of_files(
             "--keep",
             metavar="SECONDS",
             min=0.0,
             help="How often a march in steps is kept, for --resume to go on from.",
-            rich_help_panel=OUTPUT,
+            show_default=True,
         ),
     ] = 60.0,
 ) -> None:

@@ -101,25 +101,10 @@ def residual_figure(rows: Rows) -> Figure:
     return figure
 
 
-def _lines(n: int) -> float:
-    """Height in inches of a figure with so many names down its side."""
-    return EDGES_IN + LINE_IN * max(n, 1)
-
-
-def _names(before: Sequence[Test], after: Sequence[Test]) -> list[str]:
-    return list(dict.fromkeys(test.name for test in (*before, *after)))
-
-
-@drawing(
-    "p-value of the test alone",
-    height_in=lambda before, after, corrected: _lines(len(_names(before, after))),
-    legend=None,
-    xscale="log",
-    xlim=(None, 1.3),
-)
+@drawing("p-value of the test alone", legend=None, xscale="log", xlim=(None, 1.3))
 def tests_figure(ax: Axes, before: Sequence[Test], after: Sequence[Test], corrected: float) -> None:
     """p-value of each test alone, before and after."""
-    names = _names(before, after)
+    names = list(dict.fromkeys(test.name for test in (*before, *after)))
     for tests, look in ((before, LOOK_BEFORE), (after, LOOK_AFTER)):
         p = [max(test.p_value, 1e-6) for test in tests]
         ax.plot(p, [names.index(test.name) for test in tests], **look)
@@ -128,12 +113,7 @@ def tests_figure(ax: Axes, before: Sequence[Test], after: Sequence[Test], correc
     _legend_above(ax, 3)
 
 
-@drawing(
-    "least size that shows over a typical size",
-    height_in=lambda shares: _lines(len(shares)),
-    legend=None,
-    xscale="log",
-)
+@drawing("least size that shows over a typical size", legend=None, xscale="log")
 def detectable_figure(ax: Axes, shares: Sequence[tuple[str, float | None]]) -> None:
     """The least size at which an effect shows, over its typical size."""
     for i, (_, share) in enumerate(shares):
@@ -148,12 +128,7 @@ def detectable_figure(ax: Axes, shares: Sequence[tuple[str, float | None]]) -> N
     ax.set_xlim(min([0.1, *shown]) / 3.0, max([10.0, *shown]) * 3.0)
 
 
-@drawing(
-    "log evidence gained on the baseline (nats)",
-    height_in=lambda evidences, unlisted: _lines(len(evidences)),
-    legend=None,
-    xscale="symlog",
-)
+@drawing("log evidence gained on the baseline (nats)", legend=None, xscale="symlog")
 def evidence_figure(ax: Axes, evidences: Sequence[Evidence], unlisted: float) -> None:
     """Log evidence of every model tried over the baseline's."""
     base = evidences[0].log_evidence
@@ -170,12 +145,7 @@ def evidence_figure(ax: Axes, evidences: Sequence[Evidence], unlisted: float) ->
     _legend_above(ax, 2)
 
 
-@drawing(
-    "probability",
-    height_in=lambda finding: _lines(len(finding.effects)),
-    legend=None,
-    xlim=(0, 1.02),
-)
+@drawing("probability", legend=None, xlim=(0, 1.02))
 def weights_figure(ax: Axes, finding: Finding) -> None:
     """Probability of each effect of the verdict."""
     weights = [finding.weights[name] for name in finding.effects]
@@ -219,7 +189,8 @@ def solid_figure(ax: Axes, solid: Solid, quantity: str) -> None:
 
 
 def _named(ax: Axes, names: Sequence[str]) -> None:
-    """Names down the left side, the first on top."""
+    """Names down the left side, the first on top, of a figure that is as high as they need."""
+    ax.figure.set_figheight(EDGES_IN + LINE_IN * max(len(names), 1))
     ax.set_yticks(range(len(names)), names, fontsize=SMALLEST)
     ax.set_ylim(len(names) - 0.4, -0.6)
 

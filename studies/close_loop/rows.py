@@ -12,7 +12,6 @@ from scipy.special import log_ndtr, logsumexp, ndtri_exp
 
 from ...solver.arrays import Array
 from ...solver.effects.library import EFFECTS
-from ..loop.problem import Model
 
 if TYPE_CHECKING:
     from .run import Closed
@@ -67,15 +66,29 @@ class Rows:
         return np.isin(self.closed.problem.group, groups)
 
     @cached_property
+    def _predicted(self) -> list[tuple[Array, Array]]:
+        """Weights (nodes,) and whitened predictions (nodes, rows): first the fitted baseline's,
+        last the reported model's."""
+        finding = self.closed.finding
+        fitted = [(self.closed.problem.baseline, np.array(finding.evidences[0].theta))]
+        if finding.model_effects:
+            fitted.append((finding.model, finding.theta))
+        return [(np.asarray(model.weights), model.predict(theta)) for model, theta in fitted]
+
+    @cached_property
     def before(self) -> Array:
         """Mean predictions (rows,) of the fitted baseline, whitened."""
-        return mean_of(self.closed.problem.baseline, self.closed.finding.evidences[0].theta)
+        return self._mean(0)
 
     @cached_property
     def after(self) -> Array:
         """Mean predictions (rows,) of the reported model, whitened."""
-        finding = self.closed.finding
-        return mean_of(finding.model, finding.theta) if finding.model_effects else self.before
+        return self._mean(-1)
+
+    def _mean(self, which: int) -> Array:
+        """Over chance."""
+        weights, predicted = self._predicted[which]
+        return np.asarray(weights @ predicted)
 
     @cached_property
     def unit(self) -> Array:
@@ -95,26 +108,23 @@ class Rows:
     @cached_property
     def left_before(self) -> Array:
         """What the baseline leaves of each value (rows,), in standard deviations."""
-        return self._left(self.closed.problem.baseline, self.closed.finding.evidences[0].theta)
+        return self._left(0)
 
     @cached_property
     def left_after(self) -> Array:
         """What the reported model leaves of each value (rows,), in standard deviations."""
-        finding = self.closed.finding
-        if not finding.model_effects:
-            return self.left_before
-        return self._left(finding.model, finding.theta)
+        return self._left(-1)
 
-    def _left(self, model: Model, theta: Array | tuple[float, ...]) -> Array:
+    def _left(self, which: int) -> Array:
         """Residuals (rows,) in standard deviations; where a model has chance in it, the normal
         quantile of the value among all that it predicts with that chance and noise."""
-        predicted = np.asarray(model.predict(np.asarray(theta, dtype=float)))
+        weights, predicted = self._predicted[which]
         residual = (self.closed.problem.values - predicted) * self.unit
         if len(residual) == 1:
             return np.asarray(residual[0])
-        weights = np.asarray(model.weights)[:, None]
-        below = logsumexp(log_ndtr(residual), b=weights, axis=0)
-        above = logsumexp(log_ndtr(-residual), b=weights, axis=0)
+        below, above = (
+            logsumexp(log_ndtr(side), b=weights[:, None], axis=0) for side in (residual, -residual)
+        )
         return np.where(below < above, ndtri_exp(below), -ndtri_exp(above))
 
     def measured(self, whitened: Array) -> Array:
@@ -129,11 +139,6 @@ class Rows:
             covariate = COVARIATES.get(name, Covariate(name, name.replace("_", " ")))
             found.append((covariate, covariate.factor * np.asarray(values, dtype=float)))
         return found
-
-
-def mean_of(model: Model, theta: Array | tuple[float, ...]) -> Array:
-    """Mean of a model's predictions over chance, (rows,)."""
-    return np.asarray(np.asarray(model.weights) @ model.predict(np.asarray(theta, dtype=float)))
 
 
 def title_of(name: str) -> str:

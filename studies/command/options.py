@@ -5,7 +5,7 @@ from __future__ import annotations
 import inspect
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from functools import wraps
+from functools import partial, wraps
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -17,40 +17,31 @@ from ..inputs.fields import OUTPUT
 from ..inputs.flags import Flag
 from ..inputs.sources import inputs_of
 
+optional = partial(typer.Option, show_default=False)
+of_files = partial(optional, rich_help_panel=OUTPUT)
 Config = Annotated[
     Path | None,
-    typer.Option(
+    of_files(
         "--config",
         metavar="FILE",
         help="TOML file with these options as keys, or the JSON of a result, to repeat it. "
         "Flags win over it.",
-        show_default=False,
-        rich_help_panel=OUTPUT,
     ),
 ]
 Resume = Annotated[
-    bool,
-    typer.Option(
-        "--resume",
-        help="Keep what is finished in --out, and do only what is missing.",
-        rich_help_panel=OUTPUT,
-    ),
+    bool, of_files("--resume", help="Keep what is finished in --out, and do only what is missing.")
 ]
 RanksPerCase = Annotated[
     int | None,
-    typer.Option(
+    of_files(
         "--ranks-per-case",
         min=1,
         metavar="N",
         help="MPI ranks that share one solid, while the others have other cases. "
         "[default: what should end first]",
-        show_default=False,
-        rich_help_panel=OUTPUT,
     ),
 ]
-Debug = Annotated[
-    bool, typer.Option("--debug", help="Show the traceback of an error.", rich_help_panel=OUTPUT)
-]
+Debug = Annotated[bool, of_files("--debug", help="Show the traceback of an error.")]
 
 
 @dataclass(frozen=True)
@@ -84,7 +75,11 @@ def add_command(
         own = list(inspect.signature(command, eval_str=True).parameters.values())
         if flags:
             own[0] = _keyword("config", Config, None)
-        own = [_out(f"results/{name}") if _has_no_folder(each) else each for each in own]
+        missing = ("out", inspect.Parameter.empty)
+        own = [
+            _out(f"results/{name}") if (each.name, each.default) == missing else each
+            for each in own
+        ]
 
         @wraps(command)
         def run(debug: bool, **values: Any) -> None:
@@ -107,18 +102,9 @@ def add_command(
     return add
 
 
-def _has_no_folder(parameter: inspect.Parameter) -> bool:
-    return parameter.name == "out" and parameter.default is inspect.Parameter.empty
-
-
 def _out(default: str) -> inspect.Parameter:
-    option = typer.Option(
-        "--out",
-        metavar="DIR",
-        help=f"Folder for the result. [default: {default}]",
-        show_default=False,
-        rich_help_panel=OUTPUT,
-    )
+    words = f"Folder for the result. [default: {default}]"
+    option = of_files("--out", metavar="DIR", help=words)
     return _keyword("out", Annotated[Path, option], Path(default))
 
 
@@ -132,11 +118,10 @@ def _parameter(flag: Flag) -> inspect.Parameter:
     if flag.kind is bool and flag.default:
         names = (f"{flag.option}/--no-{flag.name}",)
     default = flag.default_text()
-    option = typer.Option(
+    option = optional(
         *names,
         help=flag.help + (f" [default: {default}]" if default else ""),
         metavar=flag.metavar,
-        show_default=False,
         rich_help_panel=flag.group,
         click_type=click.Choice(list(map(str, flag.kind))) if flag.is_choice else None,
     )

@@ -15,7 +15,6 @@ from types import NoneType, UnionType
 from typing import Any, ClassVar, NoReturn, Union, get_args, get_origin
 
 from pydantic import BaseModel, ConfigDict, Field
-from pydantic.fields import FieldInfo
 from pydantic_core import PydanticCustomError
 
 # Ends of fields' names, the longest first, and how help shows such a value.
@@ -67,15 +66,8 @@ def option(
     parses where that is not the field's own type; ``name`` (without dashes) and ``group`` where
     they are not what the field's name and class say; ``alias`` is a further spelling, with dashes.
     """
-    more: Any = {
-        "metavar": metavar,
-        "shown": shown,
-        "kind": kind,
-        "name": name,
-        "group": group,
-        "alias": alias,
-    }
-    return Field(default, description=help, json_schema_extra=more)
+    said: Any = Flag("", default, help, metavar, shown, kind, name, group, alias)
+    return Field(default, description=help, json_schema_extra={"flag": said})
 
 
 @dataclass(frozen=True)
@@ -132,22 +124,24 @@ def flags_of(*models: type[Fields], only: tuple[str, ...] = ()) -> tuple[Flag, .
     found: dict[str, Flag] = {}
     for model in models:
         for name, field in model.model_fields.items():
-            if field.description is not None:
-                found.setdefault(name, _flag(model, name, field))
+            extra: Any = field.json_schema_extra or {}
+            if "flag" in extra:
+                found.setdefault(name, _complete(extra["flag"], model, name))
     return tuple(flag for flag in found.values() if not only or flag.name in only)
 
 
-def _flag(model: type[Fields], name: str, field: FieldInfo) -> Flag:
-    unit = next((unit for unit in UNITS if name.endswith(unit)), "")
-    owner = next(each for each in model.__mro__ if name in get_annotations(each))
-    more: Any = field.json_schema_extra
-    declared = more | {
-        "name": more["name"] or name.removesuffix(unit).replace("_", "-"),
-        "group": more["group"] or getattr(owner, "group", ""),
-        "metavar": more["metavar"] or UNITS.get(unit),
-        "kind": more["kind"] or _kind(field.annotation),
-    }
-    return Flag(name, field.default, field.description or "", **declared)
+def _complete(flag: Flag, model: type[Fields], field: str) -> Flag:
+    """The flag with what the field of a model says of it."""
+    unit = next((unit for unit in UNITS if field.endswith(unit)), "")
+    owner = next(each for each in model.__mro__ if field in get_annotations(each))
+    return replace(
+        flag,
+        field=field,
+        name=flag.name or field.removesuffix(unit).replace("_", "-"),
+        group=flag.group or getattr(owner, "group", ""),
+        metavar=flag.metavar or UNITS.get(unit),
+        kind=flag.kind or _kind(model.model_fields[field].annotation),
+    )
 
 
 def several(flags: tuple[Flag, ...]) -> tuple[Flag, ...]:

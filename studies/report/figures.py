@@ -115,22 +115,20 @@ def drawing(
     xlabel: str = "",
     ylabel: str = "",
     *,
-    height_in: float | Callable[..., float] = 3.2,
+    height_in: float = 3.2,
     legend: str | None = "best",
     **properties: Any,
 ) -> Drawer:
     """For a function that draws into axes: it returns a figure of one panel then.
 
-    ``height_in`` may depend on what is drawn. Labels, a legend at ``legend`` and ``properties`` of
-    the axes are set when all is drawn.
+    Labels, a legend at ``legend`` and ``properties`` of the axes are set when all is drawn.
     """
 
     def of[**P](draw: Callable[Concatenate[Axes, P], None]) -> Callable[P, Figure]:
         @styled
         @wraps(draw)
         def drawn(*args: P.args, **kwargs: P.kwargs) -> Figure:
-            height = height_in(*args, **kwargs) if callable(height_in) else height_in
-            figure, axes = panels(height_in=height)
+            figure, axes = panels(height_in=height_in)
             ax: Axes = axes[0, 0]
             draw(ax, *args, **kwargs)
             labels = {"xlabel": xlabel, "ylabel": ylabel}
