@@ -190,6 +190,7 @@ def solid_figure(ax: Axes, solid: Solid, quantity: str) -> None:
 
 def _named(ax: Axes, names: Sequence[str]) -> None:
     """Names down the left side, the first on top, of a figure that is as high as they need."""
+    assert isinstance(ax.figure, Figure)
     ax.figure.set_figheight(EDGES_IN + LINE_IN * max(len(names), 1))
     ax.set_yticks(range(len(names)), names, fontsize=SMALLEST)
     ax.set_ylim(len(names) - 0.4, -0.6)

@@ -88,13 +88,12 @@ def _deaf(message: str, debug: bool) -> Ending:
 
 
 def _failed(status: int, message: str, debug: bool) -> Ending:
-    line = f"bristle: error: {_shortened(printable(message))}"
+    """An error on one line that a screen can hold, if with its two ends alone."""
+    line = printable(message)
+    if len(line) > LONGEST:
+        line = f"{line[: LONGEST // 2]} … {line[-LONGEST // 2 :]}"
+    line = f"bristle: error: {line}"
     return Ending(status, f"{traceback.format_exc()}{line}" if debug else line)
-
-
-def _shortened(line: str) -> str:
-    """A line that a screen can hold, with its two ends."""
-    return line if len(line) <= LONGEST else f"{line[: LONGEST // 2]} … {line[-LONGEST // 2 :]}"
 
 
 def _usage(error: click.ClickException) -> str:

@@ -13,6 +13,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from ...solver import paper
 from ...solver.arrays import Array
 from ...solver.bristle import Bristle, RigidMass
@@ -22,7 +24,7 @@ from ..inputs.config import Inputs
 from ..inputs.sources import checked
 from ..inputs.texts import finite, line_of, parse_toml, printable, quoted
 from .tables import check_order, column, inside, optional_column, read_table, read_text
-from .units import check_contact_times, check_heights, check_peaks, doubtful_body, larger_sigma
+from .units import check_contact_times, check_heights, check_peaks, doubtful_body
 
 KINDS = ("drops", "tracks", "forces", "waves", "falls")
 PARTS = ("dataset", "body", "contact", "measurement")
@@ -105,7 +107,8 @@ class Manifest:
     def check_sigma(self, key: str, unit: float, values: Array) -> None:
         """InputError where the uncertainty ``key`` exceeds all ``values``, in ``unit`` of it."""
         sigma = self.measurement.get(key)
-        if larger_sigma(sigma, values / unit):
+        largest = np.nanmax(np.abs(values), initial=0.0) / unit
+        if sigma is not None and sigma > largest > 0.0:
             raise self.wrong(key, f"of {sigma:g} is more than any value measured; is the unit so?")
 
 

@@ -101,11 +101,6 @@ def check_peaks(
             )
 
 
-def larger_sigma(sigma: float | None, values: Array) -> bool:
-    """Whether an uncertainty exceeds every value that was measured."""
-    return sigma is not None and bool(sigma > np.nanmax(np.abs(values), initial=0.0) > 0.0)
-
-
 def doubtful_body(bristle: Bristle, declared: Container[str]) -> tuple[str, str] | None:
     """The declared key that cannot be in its unit, and why; None without doubt."""
     section, material = bristle.section, bristle.material

@@ -31,7 +31,7 @@ from .effects import check_effects, scene_of
 from .fields import DropFields, SharedFields, StepField, read_kn
 from .flags import refuse
 from .named import REPLACED, MeshFile, read_mesh_file
-from .sources import material_damping_s
+from .sources import checked, material_damping_s
 
 
 class Inputs(SharedFields):
@@ -133,13 +133,9 @@ class Inputs(SharedFields):
         """The section at the tip."""
         if self.mesh is not None:
             return self.mesh.read().tip_section
-        if self.diameter_m is None:
-            return Rectangle(*self._sides_m())
-        return Circle(self.diameter_m)
-
-    def _sides_m(self) -> tuple[float, float]:
-        """Thickness and width of a flat wire."""
-        return self.thickness_m or paper.THICKNESS_M, self.width_m or paper.WIDTH_M
+        if self.diameter_m is not None:
+            return Circle(self.diameter_m)
+        return Rectangle(self.thickness_m or paper.THICKNESS_M, self.width_m or paper.WIDTH_M)
 
     def time_scheme(self) -> TimeScheme:
         """The time scheme with its constants."""
@@ -335,8 +331,6 @@ class DropInputs(Inputs, DropFields, StepField):
 
     def changed(self, **values: Any) -> DropInputs:
         """The same drop with other ``values``, checked again; InputError as in `sources`."""
-        from .sources import checked
-
         return checked(DropInputs, {**self.model_dump(), **values})
 
 

@@ -146,16 +146,12 @@ def _complete(flag: Flag, model: type[Fields], field: str) -> Flag:
 
 def several(flags: tuple[Flag, ...]) -> tuple[Flag, ...]:
     """The same flags, those of numbers and choices as texts that may hold several."""
-    return tuple(
-        replace(flag, kind=str, metavar=f"{flag.metavar or _choices(flag)},…")
-        if flag.may_be_several
-        else flag
-        for flag in flags
-    )
 
+    def of(flag: Flag) -> Flag:
+        one = flag.metavar or ("|".join(flag.kind) if flag.is_choice else "NUMBER")
+        return replace(flag, kind=str, metavar=f"{one},…")
 
-def _choices(flag: Flag) -> str:
-    return "|".join(flag.kind) if flag.is_choice else "NUMBER"
+    return tuple(of(flag) if flag.may_be_several else flag for flag in flags)
 
 
 def _kind(annotation: Any) -> Any:

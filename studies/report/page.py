@@ -295,7 +295,10 @@ def render_report(report: Report) -> str:
     """The whole page as HTML; everything that is not ours to mark up is escaped."""
     report.tables()
     style = Markup((TEMPLATES / "style.css").read_text(encoding="utf-8"))
-    filters = {"show": lambda value, digits: _powers(show(value, digits)), "powers": _powers}
+    filters: dict[str, Callable[..., Any]] = {
+        "show": lambda value, digits: _powers(show(value, digits)),
+        "powers": _powers,
+    }
     template = environment(TEMPLATES, filters, autoescape=True).get_template("report.html.j2")
     return template.render(report=report, style=style, rows_shown=ROWS_SHOWN).lstrip() + "\n"
 

@@ -87,7 +87,8 @@ def folder_in_place(folder: Path) -> Iterator[Path]:
 
     Inside `together` it does so with the others.
     """
-    with together(folder.parent):
+    waiting = _waiting_for(folder)
+    with together(folder.parent if waiting is None else waiting.out):
         made = _place(folder)
         made.mkdir(parents=True)
         yield made
@@ -117,24 +118,24 @@ class _Waiting:
 
     def place(self) -> None:
         new = sorted(path for path in self.made.rglob("*") if path.is_file())
-        there = [self.out / path.relative_to(self.made) for path in new]
-        for path in there:
-            if any(path.is_relative_to(each) for each in self.gone):
+        names = [path.relative_to(self.made) for path in new]
+        for name in names:
+            place = self.out / name
+            if any(place.is_relative_to(each) for each in self.gone):
                 continue
-            if path.is_dir():
-                name = path.relative_to(self.out)
+            if place.is_dir():
                 raise IsADirectoryError(errno.EISDIR, f"{name} is a folder there", str(name))
-            path.parent.mkdir(parents=True, exist_ok=True)
-        moves = sorted(zip(new, there, strict=True), key=lambda move: move[1].name in self.last)
+            place.parent.mkdir(parents=True, exist_ok=True)
+        names.sort(key=lambda name: str(name) in self.last)
         old = self.made / UNFINISHED
         old.mkdir()
         with uninterrupted():
             for i, path in enumerate(self.gone):
                 if path.exists():
                     path.replace(old / str(i))
-            for path, place in moves:
-                place.parent.mkdir(parents=True, exist_ok=True)
-                path.replace(place)
+            for name in names:
+                (self.out / name).parent.mkdir(parents=True, exist_ok=True)
+                (self.made / name).replace(self.out / name)
             shutil.rmtree(old, ignore_errors=True)
 
 

@@ -16,10 +16,9 @@ from typing import Any
 from pydantic import BaseModel
 
 from ...solver.errors import InputError
-from .. import __version__
 from .files import cannot_write, write_atomically
 from .interrupts import uninterrupted
-from .results import check_same, plain_inputs
+from .results import check_same, head
 
 SCHEMA, CHECK = "bristle-journal-1", "sha256"
 JOURNAL, PREVIOUS = "cases.jsonl", "cases.previous.jsonl"
@@ -81,12 +80,8 @@ class Journal:
         self.previous.unlink(missing_ok=True)
 
     def _write(self, lines: list[dict[str, Any]]) -> None:
-        head = {
-            "schema": SCHEMA,
-            "version": __version__,
-            "inputs": plain_inputs(self._inputs),
-        }
-        write_atomically(self.path, b"".join(map(_line, [head, *lines])))
+        whole = [head(self._inputs, SCHEMA), *lines]
+        write_atomically(self.path, b"".join(map(_line, whole)))
 
 
 def _line(content: dict[str, Any]) -> bytes:

@@ -26,12 +26,12 @@ GRACE_S = 5.0
 
 def launched_ranks() -> int:
     """How many ranks the launcher started, without starting MPI."""
-    return _number((*SIZE_VARIABLES, *_by_slurm("SLURM_STEP_NUM_TASKS")), 1)
+    return _told(SIZE_VARIABLES, "SLURM_STEP_NUM_TASKS", 1)
 
 
 def speaks() -> bool:
     """Whether this process is rank 0, without starting MPI."""
-    return _number((*RANK_VARIABLES, *_by_slurm("SLURM_PROCID")), 0) == 0
+    return _told(RANK_VARIABLES, "SLURM_PROCID", 0) == 0
 
 
 def start_petsc(comm: MPI.Intracomm) -> None:
@@ -40,16 +40,15 @@ def start_petsc(comm: MPI.Intracomm) -> None:
         importlib.import_module("petsc4py.PETSc")
 
 
-def _by_slurm(name: str) -> Sequence[str]:
-    """``name`` in a task that srun launched as a rank, through PMIx; a script has it too."""
-    return (name,) if "PMIX_RANK" in os.environ else ()
+def _told(names: Sequence[str], by_slurm: str, default: int) -> int:
+    """What the launcher says by the first of these names that it knows.
 
-
-def _number(names: Sequence[str], default: int) -> int:
-    for name in names:
-        if os.environ.get(name, "").isdigit():
-            return int(os.environ[name])
-    return default
+    That of Slurm counts in a task that srun launched as a rank, through PMIx; a script has it too.
+    """
+    if "PMIX_RANK" in os.environ:
+        names = (*names, by_slurm)
+    numbers = (os.environ.get(name, "") for name in names)
+    return next((int(number) for number in numbers if number.isdigit()), default)
 
 
 @contextmanager
@@ -155,7 +154,11 @@ def share_out(
             failed[i] = error
 
     for i in mine:
-        done = i, *_attempt(work, i)
+        done: tuple[int, Any, BristleError | None]
+        try:
+            done = i, work(i), None
+        except BristleError as error:
+            done = i, None, error
         if comm.rank and leads:
             sent.append(comm.isend(done, dest=0))
         elif comm.rank == 0:
@@ -170,10 +173,3 @@ def share_out(
     failed = comm.bcast(failed)
     if failed:
         raise failed[min(failed)]
-
-
-def _attempt(work: Callable[[int], Any], i: int) -> tuple[Any, BristleError | None]:
-    try:
-        return work(i), None
-    except BristleError as error:
-        return None, error

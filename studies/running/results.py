@@ -37,6 +37,11 @@ def plain_inputs(inputs: BaseModel) -> dict[str, Any]:
     return json.loads(to_json(inputs.model_dump(mode="python")))
 
 
+def head(inputs: BaseModel, schema: int | str = SCHEMA) -> dict[str, Any]:
+    """How every document of a run begins, by which `check_same` knows it again."""
+    return {"schema": schema, "version": __version__, "inputs": plain_inputs(inputs)}
+
+
 def drop_document(
     inputs: DropInputs,
     result: DropResult,
@@ -47,9 +52,7 @@ def drop_document(
 ) -> dict[str, Any]:
     """All of result.json."""
     return {
-        "schema": SCHEMA,
-        "version": __version__,
-        "inputs": plain_inputs(inputs),
+        **head(inputs),
         "model": inputs.model.value,
         "contact": inputs.contact.value,
         "deflection": inputs.resolved_deflection.value,

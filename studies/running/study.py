@@ -16,7 +16,6 @@ from pydantic import PrivateAttr, ValidationInfo, model_validator
 
 from ...meshes.collective import run_on_one_rank
 from ...solver.drop import DropResult
-from .. import __version__
 from ..inputs.choices import Model
 from ..inputs.config import DropInputs, Inputs
 from ..inputs.fields import DiscretisationFields, HeightsField, ListFields
@@ -327,9 +326,7 @@ def _write(
     if warnings:
         warn(f"{len(warnings)} of {len(rows)} cases have warnings, see {out / study.document}")
     document = {
-        "schema": results.SCHEMA,
-        "version": __version__,
-        "inputs": results.plain_inputs(inputs),
+        **results.head(inputs),
         "n_cases": len(rows),
         **facts,
         "warnings": warnings,
