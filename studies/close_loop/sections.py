@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 from scipy.special import ndtri
 
 from ...solver.effects.base import Parameter
@@ -81,19 +82,12 @@ def _noise(rows: Rows) -> Section:
     counts = {"from_sigma": BINS[:-1], "to_sigma": BINS[1:], "before": before, "after": after}
     drawn = figures.noise_figure(rows.left_before, rows.left_after, BINS)
     draft.figure("noise", drawn, draft.data("residual_histogram", counts))
-    names = list(dict.fromkeys(map(str, problem.quantity)))
-    own = [problem.quantity == name for name in names]
-    sigma = problem.scale / rows.unit
-    columns = {
-        "quantity": names,
-        "values": [int(mine.sum()) for mine in own],
-        "sigma": [float(np.median(sigma[mine])) for mine in own],
-        "unit": [problem.unit, *[""] * (len(names) - 1)],
-        "shape": [noise["shape"]] * len(names),
-        "core": [noise["scale"]] * len(names),
-        "correlation": [noise["correlation"]] * len(names),
-    }
-    draft.table("noise", columns)
+    values = pd.DataFrame({"quantity": problem.quantity, "sigma": problem.scale / rows.unit})
+    by_quantity = values.groupby("quantity", sort=False).sigma
+    table = by_quantity.agg(values="size", sigma="median").reset_index()
+    table["unit"] = [problem.unit, *[""] * (len(table) - 1)]
+    chosen = {"shape": noise["shape"], "core": noise["scale"], "correlation": noise["correlation"]}
+    draft.table("noise", table.assign(**chosen))
     return draft.section()
 
 

@@ -65,8 +65,8 @@ class Manifest:
     """A ``dataset.toml``: its folder, what it declares, and the body that this makes.
 
     ``kn_N_m`` and ``friction`` are None where they are not declared; ``declared`` names the body's
-    keys that are: none where it is the paper's bristle. ``body`` is a
-    bristle, or a rigid mass where the shape is so.
+    keys that are: none where it is the paper's bristle. ``body`` is a bristle, or a rigid mass
+    where the shape is so.
     """
 
     folder: Path
@@ -154,13 +154,12 @@ def read_manifest(folder: Path, only: str | None = None) -> Manifest:
     measurement |= {key: value for key, value in measured.items() if value is not None}
     if not isinstance(measurement.get("file", ""), str):
         raise read.wrong("file", "must be the name of a file")
-    title, source, licence = (read.words(about, key) for key in ("title", "source", "licence"))
     return Manifest(
         folder=folder,
-        title=title or folder.resolve().name,
+        title=read.words(about, "title") or folder.resolve().name,
         kind=kind,
-        source=source,
-        licence=licence,
+        source=read.words(about, "source"),
+        licence=read.words(about, "licence"),
         body=read.body(body),
         declared=tuple(sorted(body)),
         kn_N_m=kn,

@@ -94,6 +94,7 @@ def column(
     least: float | None = None,
     whole: bool = False,
 ) -> Array:
+    """The numbers (rows,) of a column; InputError at the first that is none, or not as asked."""
     checks: list[tuple[Callable[[float], bool], str]] = [
         (math.isfinite, "a finite number"),
         (lambda x: abs(x) <= LARGEST, f"at most {LARGEST:g} in size"),
@@ -198,10 +199,10 @@ def read_series(path: Path, piece: str, value: str) -> Series:
 
 
 def optional_column(path: Path, rows: Rows, name: str, unit: float) -> Array | None:
+    """The column in ``unit``, NaN where a row has no value; None where the table has it not."""
     if name not in rows[0][1]:
         return None
     values = np.full(len(rows), np.nan)
-    for i, (line, row) in enumerate(rows):
-        if row[name]:
-            values[i] = unit * column(path, [(line, row)], name, least=0.0)[0]
+    there = [i for i, (_, row) in enumerate(rows) if row[name]]
+    values[there] = unit * column(path, [rows[i] for i in there], name, least=0.0)
     return values

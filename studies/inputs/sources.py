@@ -137,8 +137,7 @@ def read_config(path: Path, flags: Iterable[Flag], ignored: Iterable[Flag] = ())
     """A TOML file with the flags' names as keys, or a result of this program to repeat.
 
     Keys of ``ignored`` flags may be there and are passed over; `FILES` are looked for beside a TOML
-    file. Raises InputError, with file and
-    line, where it cannot be read or holds an unknown key.
+    file. Raises InputError, with file and line, where it cannot be read or holds an unknown key.
     """
     try:
         text = read_text(path)
