@@ -11,11 +11,10 @@ from typing import Any
 import pandas as pd
 
 from ...solver import paper
+from ...solver.analytic import analytic_drop
 from ...solver.drop import DropResult
-from ..inputs.choices import Contact, Model, Tip
+from ..inputs.choices import Model, Tip
 from ..inputs.config import DropInputs
-from ..inputs.fields import FLAT
-from ..inputs.stance import ANGLES
 from ..report.figures import LOOKS
 from ..report.page import Section
 from ..report.prose import Prose
@@ -39,6 +38,8 @@ QUANTITIES = {
     "peak_force_N": "peak force",
     "max_penetration_um": "penetration",
 }
+# The models that have a body.
+BODIES = ("beam", "reduced", "solid")
 # So stiff that y1/y0 has reached the limit of a rigid plane to about 10⁻³; the few modes of the
 # reduced solid follow the shorter waves of a yet stiffer contact no longer.
 RIGID_N_M = {"beam": 1e10, "reduced": 1e9}
@@ -84,6 +85,11 @@ class Setup:
     def rigid(self, model: str, **changes: Any) -> DropInputs:
         """One drop onto what is as good as a rigid plane."""
         return self.case(model, RIGID_N_M[model], its_s=RIGID_ITS_S, **changes)
+
+    def analytic(self, kn_N_m: float) -> DropResult:
+        """Eqs. 1 to 8 at the top height."""
+        base = self.base
+        return analytic_drop(base.bristle().mass_kg, kn_N_m, self.top_m, base.gravity_m_s2)
 
     @property
     def axial_N_m(self) -> float:
@@ -140,15 +146,11 @@ def record(case: DropInputs, result: DropResult) -> dict[str, Any]:
         "tp_us": 1e6 * result.time_to_max_penetration_s,
         "touches": result.n_contacts,
         "energy_closure": energy.closure_relative,
-        "kept": kept(result),
+        # upward speed of the centre of mass after the impact over the speed of the impact
+        "kept": result.cm_velocity_after_m_s / result.impact_speed_m_s,
         "friction_loss": energy.friction_loss_J / energy.initial_J,
         "impulse_ratio": result.friction_impulse_N_s / result.impulse_N_s,
     }
-
-
-def kept(result: DropResult) -> float:
-    """Upward speed of the centre of mass after the impact over the speed of the impact."""
-    return result.cm_velocity_after_m_s / result.impact_speed_m_s
 
 
 def named(model: pd.Series) -> pd.Series:
@@ -167,10 +169,10 @@ def compute(
     Bodies in modes run on one rank each, the full-order solid on groups of ranks
     (`groups.run_solids`). Collective; a ComputationError is raised on every rank.
     """
-    distinct = list(dict.fromkeys(cases))
+    results: dict[DropInputs, DropResult] = {}
+    distinct = dict.fromkeys(cases)
     solid = [case for case in distinct if case.model is Model.SOLID]
     modal = [case for case in distinct if case.model is not Model.SOLID]
-    results: dict[DropInputs, DropResult] = {}
 
     def taking(those: Sequence[DropInputs]) -> Callable[[int, DropResult], None]:
         def take(i: int, result: DropResult) -> None:
@@ -180,30 +182,8 @@ def compute(
         return take
 
     run_solids(workshop, solid, lambda own, case: own.run(case)[0], taking(solid), ranks_per_case)
-    for first in dict.fromkeys(_built(case, workshop.basis_its_s) for case in modal):
-        if first is not None:
-            workshop.prepare(first)
+    reduced = (case for case in modal if case.model is Model.REDUCED)
+    for first in {workshop.body_key(case): case for case in reduced}.values():
+        workshop.prepare(first)  # by all ranks, so that its cases need no communication later
     share_out(workshop.comm, len(modal), lambda i: workshop.run(modal[i])[0], taking(modal))
     return results
-
-
-def _built(case: DropInputs, basis_its_s: float | None) -> DropInputs | None:
-    """The plainest case with the same body, where all ranks must build that together.
-
-    How far it leans makes no other body, only that it does; nor does its ITS where
-    ``basis_its_s`` serves all.
-    """
-    if case.model is not Model.REDUCED:
-        return None
-    upright = dict.fromkeys(ANGLES, 0.0) | {"tip_shape": FLAT}
-    return case.changed(
-        **upright | ({"tilt_deg": 1.0} if case.leaning else {}),
-        friction=paper.FRICTION,
-        kt_ratio=None,
-        kn_N_m=paper.KN_CHOSEN_N_M,
-        height_m=paper.HEIGHTS_M[-1],
-        its_s=basis_its_s or case.its_s,
-        contact=Contact.NITSCHE if case.contact is Contact.NITSCHE else Contact.PENALTY,
-        theta=None,
-        gamma0=None,
-    )

@@ -24,18 +24,12 @@ from ..report.page import Report, Section, Verdict, write_report
 from ..running.cases import Workshop
 from ..running.files import prepare_folder
 from ..running.progress import progress, working
-from .bars import Bars
 from .campaign import Results, Setup, Study, compute, prose
-from .crosscheck import CrossCheck, Enforcements, Figure9
-from .elements import ElementStudy
-from .heights import Figure13
-from .knstudy import Figures10To12, KnStudy
-from .leaning import Leaning
-from .loop_section import LoopOnPaper
-from .loop_study import LoopOnMeasured, LoopStudy
-from .peaktime import PeakTime
-from .sticking import Sticking
-from .timesteps import StepStudy
+from .discretisation import CrossCheck, ElementStudy, Enforcements, StepStudy
+from .impact import Figure9, PeakTime
+from .leaning import Bars, Leaning, Sticking
+from .loop_section import LoopOnMeasured, LoopOnPaper, LoopStudy
+from .rebound import Figure13, Figures10To12, KnStudy
 
 
 @dataclass(frozen=True)
@@ -76,7 +70,11 @@ def run_reproduce(
     setup = setup or Setup(DropInputs())
     studies = paper_studies(setup) if studies is None else list(studies)
     cases = list(dict.fromkeys(case for study in studies for case in study.cases()))
-    results = _compute(cases, setup, comm, ranks_per_case)
+    with (
+        Workshop(comm, basis_its_s=setup.its_s) as workshop,
+        progress("Drops", len(cases)) as advance,
+    ):
+        results = compute(cases, workshop, advance, ranks_per_case)
     for study in studies:
         if isinstance(study, LoopStudy):
             study.prepare(comm)
@@ -85,21 +83,13 @@ def run_reproduce(
         with working("writing the page"):
             sections = (*(study.section(results) for study in studies), doubts(results))
             wall = time.perf_counter() - started
+            ranks = f"{comm.size} rank{'s' if comm.size > 1 else ''}"
+            facts = [("Drops computed", str(len(cases))), ("Wall time", f"{wall:.0f} s on {ranks}")]
             command = command_line("reproduce", setup.base, DropInputs(), out)
-            page = build_report(setup, sections, len(cases), wall, comm.size, command)
+            page = page_of(setup, sections, facts, command)
             return Reproduction(write_report(page, out), len(cases), wall, sections)
 
     return run_on_one_rank(comm, write)
-
-
-def _compute(
-    cases: list[DropInputs], setup: Setup, comm: MPI.Intracomm, ranks_per_case: int | None
-) -> Results:
-    with Workshop(comm, basis_its_s=setup.its_s) as workshop:
-        if comm.rank:
-            return compute(cases, workshop, ranks_per_case=ranks_per_case)
-        with progress("Drops", len(cases)) as advance:
-            return compute(cases, workshop, advance, ranks_per_case)
 
 
 def doubts(results: Results) -> Section:
@@ -119,13 +109,8 @@ def doubts(results: Results) -> Section:
     return draft.section()
 
 
-def build_report(
-    setup: Setup,
-    sections: Sequence[Section],
-    n_cases: int,
-    wall_s: float,
-    ranks: int,
-    command: str,
+def page_of(
+    setup: Setup, sections: Sequence[Section], facts: list[tuple[str, str]], command: str
 ) -> Report:
     """The page of a run."""
     compared = [each for section in sections for each in section.comparisons]
@@ -151,8 +136,7 @@ def build_report(
         ],
         differences=differences,
         facts=[
-            ("Drops computed", str(n_cases)),
-            ("Wall time", f"{wall_s:.0f} s on {ranks} rank{'s' if ranks > 1 else ''}"),
+            *facts,
             ("Integration time step", f"{1e3 * base.its_s:g} ms where no other is named"),
             ("Contact", "penalty at Kn where no other is named"),
         ],

@@ -7,18 +7,17 @@ from loop_toys import problem
 from bristle.studies.data.datasets import Drops
 from bristle.studies.inputs.config import DropInputs
 from bristle.studies.loop.problem import Problem
-from bristle.studies.reproduce.bars import Bars
 from bristle.studies.reproduce.campaign import Setup
-from bristle.studies.reproduce.crosscheck import CrossCheck, Enforcements, Figure9
-from bristle.studies.reproduce.elements import ElementStudy
-from bristle.studies.reproduce.heights import Figure13
-from bristle.studies.reproduce.knstudy import Figures10To12, KnStudy
-from bristle.studies.reproduce.leaning import Leaning
-from bristle.studies.reproduce.loop_section import LoopOnPaper
-from bristle.studies.reproduce.loop_study import LoopOnMeasured
-from bristle.studies.reproduce.peaktime import PeakTime
-from bristle.studies.reproduce.sticking import Sticking
-from bristle.studies.reproduce.timesteps import StepStudy
+from bristle.studies.reproduce.discretisation import (
+    CrossCheck,
+    ElementStudy,
+    Enforcements,
+    StepStudy,
+)
+from bristle.studies.reproduce.impact import Figure9, PeakTime
+from bristle.studies.reproduce.leaning import Bars, Leaning, Sticking
+from bristle.studies.reproduce.loop_section import LoopOnMeasured, LoopOnPaper
+from bristle.studies.reproduce.rebound import Figure13, Figures10To12, KnStudy
 
 GRID = (1e3, 1e4, 1e5, 3e5, 1e6, 2e6, 4e6, 1e7, 1e8, 1e9, 1e10)
 

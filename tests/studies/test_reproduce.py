@@ -14,10 +14,9 @@ from bristle.solver import paper
 from bristle.studies.inputs.config import DropInputs
 from bristle.studies.inputs.sources import command_line
 from bristle.studies.reproduce.campaign import Setup, compute
-from bristle.studies.reproduce.crosscheck import window
-from bristle.studies.reproduce.elements import fewest
-from bristle.studies.reproduce.heights import track
-from bristle.studies.reproduce.peaktime import departs_at
+from bristle.studies.reproduce.discretisation import fewest
+from bristle.studies.reproduce.impact import departs_at, window
+from bristle.studies.reproduce.rebound import track
 from bristle.studies.reproduce.run import paper_studies, run_reproduce
 from bristle.studies.running.cases import Workshop
 
