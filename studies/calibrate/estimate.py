@@ -72,8 +72,6 @@ def estimate_ratio(
     """
     mean = slope_interval(y0_m, y1_m, sigma_m, level)
     ratios = y1_m / y0_m
-    tail = 50.0 * (1.0 - level)
-    low, median, high = np.percentile(ratios, [tail, 50.0, 100.0 - tail])
     residual = y1_m - mean.estimate * y0_m
     scatter = float(residual @ residual) / (len(y0_m) - 1)
     share = None
@@ -83,7 +81,7 @@ def estimate_ratio(
         n=len(y0_m),
         mean=mean,
         bootstrap=bootstrap_interval(y0_m, y1_m, seed, level),
-        population=Interval(float(median), float(low), float(high), level),
+        population=Interval(float(np.median(ratios)), *tails(ratios, level), level),
         spread=float(np.std(ratios, ddof=1)),
         trend=height_trend(y0_m, y1_m, level),
         sigma_share=share,
@@ -108,20 +106,28 @@ def _fit(y0_m: Array, y1_m: Array, degree: int) -> Any:
     return sm.OLS(y1_m, y0_m[:, None] ** np.arange(1, degree + 1)).fit(cov_type="HC3", use_t=True)
 
 
+def through_origin(y0_m: Array, y1_m: Array, axis: int = -1) -> Array:
+    """The slope a of y1 = a y0 by least squares, along ``axis``."""
+    return np.asarray(np.sum(y0_m * y1_m, axis=axis) / np.sum(y0_m * y0_m, axis=axis))
+
+
+def tails(values: Array, level: float) -> tuple[float, float]:
+    """The percentiles between which ``level`` of the values lie, as many on either side."""
+    tail = 50.0 * (1.0 - level)
+    low, high = np.percentile(values, [tail, 100.0 - tail])
+    return float(low), float(high)
+
+
 def bootstrap_interval(y0_m: Array, y1_m: Array, seed: int, level: float = LEVEL) -> Interval:
     """The slope's bias-corrected and accelerated bootstrap interval (Efron 1987), drop by drop."""
-
-    def slope(x: Array, y: Array, axis: int = -1) -> Array:
-        return np.sum(x * y, axis=axis) / np.sum(x * x, axis=axis)
-
-    centre = float(slope(y0_m, y1_m))
+    centre = float(through_origin(y0_m, y1_m))
     if np.ptp(y1_m - centre * y0_m) <= 1e-12 * np.max(y0_m):
         return Interval(centre, centre, centre, level)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", stats.DegenerateDataWarning)
         found = stats.bootstrap(
             (y0_m, y1_m),
-            slope,
+            through_origin,
             paired=True,
             confidence_level=level,
             n_resamples=RESAMPLES,

@@ -1,4 +1,4 @@
-"""Release, landing place and outcome of each of many drops.
+"""Release of each of many drops, and the ground where it lands.
 
 Every drop has a random stream of its own, named by the seed and its number, so that neither the
 number of drops nor who computes it changes what is drawn.
@@ -12,10 +12,8 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
 from ...solver.arrays import Array
-from ...solver.batch import Outcome
 from ...solver.bodies.base import ContactPoints
 from ...solver.errors import InputError
 from ...solver.ground import Ground
@@ -68,30 +66,11 @@ def tile_m(roughness: Roughness, composite: Composite) -> tuple[float, float]:
     return math.ceil(size / spacing * (1.0 - 1e-9)) * spacing, spacing
 
 
-@dataclass(frozen=True)
-class Conditions:
-    """How drops are released (n,): where over the surface, how turned about the axis, how leaning.
+def draw(inputs: ScatterInputs, size_m: tuple[float, float], first: int, last: int) -> pd.DataFrame:
+    """Release of drops ``first`` to ``last`` - 1 over a tile of ``size_m``, a row a drop.
 
-    ``turn_deg`` is the angle from the surface's x to the bristle's thin side.
-    """
-
-    number: NDArray[np.int64]
-    height_m: Array
-    tilt_deg: Array
-    tilt_wide_deg: Array
-    x_m: Array
-    y_m: Array
-    turn_deg: Array
-
-    def __len__(self) -> int:
-        return len(self.number)
-
-
-def draw(inputs: ScatterInputs, size_m: tuple[float, float], first: int, last: int) -> Conditions:
-    """Drops ``first`` to ``last`` - 1 over a tile of ``size_m``.
-
-    The leans are independent normals, the place is uniform on the tile, the turn is uniform; the
-    heights come in turn.
+    The leans are independent normals, the place is uniform on the tile, the turn is uniform: the
+    angle from the surface's x to the bristle's thin side. The heights come in turn.
     """
     numbers = np.arange(first, last)
     drawn = np.empty((len(numbers), 5))
@@ -100,14 +79,16 @@ def draw(inputs: ScatterInputs, size_m: tuple[float, float], first: int, last: i
         row[:2] = stream.standard_normal(2)
         row[2:] = stream.random(3)
     heights = np.array(inputs.heights_m, dtype=float)
-    return Conditions(
-        numbers,
-        heights[numbers % len(heights)],
-        inputs.tilt_deg + inputs.tilt_std_deg * drawn[:, 0],
-        inputs.tilt_wide_deg + inputs.tilt_std_deg * drawn[:, 1],
-        size_m[0] * drawn[:, 2],
-        size_m[1] * drawn[:, 3],
-        360.0 * drawn[:, 4],
+    return pd.DataFrame(
+        {
+            "drop": numbers,
+            "y0_m": heights[numbers % len(heights)],
+            "tilt_deg": inputs.tilt_deg + inputs.tilt_std_deg * drawn[:, 0],
+            "tilt_wide_deg": inputs.tilt_wide_deg + inputs.tilt_std_deg * drawn[:, 1],
+            "x_m": size_m[0] * drawn[:, 2],
+            "y_m": size_m[1] * drawn[:, 3],
+            "turn_deg": 360.0 * drawn[:, 4],
+        }
     )
 
 
@@ -126,29 +107,34 @@ class Under:
 
 
 def ground_under(
-    surface: Surface | None, points: ContactPoints, released: Conditions, steel: tuple[float, float]
+    surface: Surface | None,
+    points: ContactPoints,
+    released: pd.DataFrame,
+    steel: tuple[float, float],
 ) -> Under:
-    """What lies under the tips of drops; ``steel`` is the bristle's Young's modulus and ν.
+    """What lies under the tips of `draw`'s drops; ``steel`` is the bristle's Young's modulus and ν.
 
     The surface is seen where the points of the leaning tip stand over it, the middle of the tip
     over the drop's own place, and turned into the bristle's axes.
     """
     shape = len(released), len(points.weights)
     leans = zip(released.tilt_deg, released.tilt_wide_deg, strict=True)
-    attitudes = [leaning(float(thin), float(wide)) for thin, wide in leans]
-    rotations = np.array([matrix_of(attitude) for attitude in attitudes])
+    rotations = np.array([matrix_of(leaning(thin, wide)) for thin, wide in leans])
     places = np.einsum("dxy,iy->dix", rotations, points.places_m)[..., :2]
     if surface is None:
         up = np.zeros((*shape, 3))
         up[..., 2] = 1.0
         return Under(up, np.zeros(shape), np.ones(shape), places)
-    turn = np.radians(released.turn_deg)
-    cos, sin = np.cos(turn)[:, None], np.sin(turn)[:, None]
+    turn, at_x, at_y = (
+        each.to_numpy()[:, None]
+        for each in (np.radians(released.turn_deg), released.x_m, released.y_m)
+    )
+    cos, sin = np.cos(turn), np.sin(turn)
     middle = np.einsum("i,dix->dx", points.weights, places)
     x, y = np.moveaxis(places - middle[:, None], -1, 0)
     patch = surface.patch(
-        (released.x_m[:, None] + cos * x - sin * y).ravel(),
-        (released.y_m[:, None] + sin * x + cos * y).ravel(),
+        (at_x + cos * x - sin * y).ravel(),
+        (at_y + sin * x + cos * y).ravel(),
     )
     nx, ny, nz = patch.normals.reshape(*shape, 3).transpose(2, 0, 1)
     normals = np.stack([cos * nx + sin * ny, cos * ny - sin * nx, nz], axis=-1)
@@ -163,80 +149,28 @@ def ground_of(under: Under, which: int) -> Ground:
     return Ground(normals, np.einsum("ix,ix->i", normals, over), scale)
 
 
-@dataclass(frozen=True)
-class Local:
-    """The ground under each tip in a few numbers (n,), means over the end face.
+def local_ground(released: pd.DataFrame, under: Under, weights: Array) -> pd.DataFrame:
+    """The ground under each tip in a few numbers, means over the end face, a row a drop.
 
     ``slope_deg`` and ``slope_wide_deg`` are how far its normal leans toward the thin and the wide
     side; ``lean_deg`` is the angle between it and the bristle; ``rise_std_m`` how far the heights
     under the tip scatter about its plane; ``stiffness_scale`` the stiffness of contact over Kn.
     """
-
-    slope_deg: Array
-    slope_wide_deg: Array
-    lean_deg: Array
-    rise_std_m: Array
-    stiffness_scale: Array
-
-
-def local_ground(released: Conditions, under: Under, weights: Array) -> Local:
-    """The means over the end face that say what lies under the tips."""
     tangent = under.normals[..., :2] / under.normals[..., 2:]
     slope = np.einsum("i,dix->dx", weights, tangent)
-    lean = np.tan(np.radians(np.stack([released.tilt_deg, released.tilt_wide_deg], axis=-1)))
-    axis = np.column_stack([lean, np.ones(len(lean))])
-    normal = np.column_stack([slope, np.ones(len(slope))])
+    lean = np.tan(np.radians(np.column_stack([released.tilt_deg, released.tilt_wide_deg])))
+    axis, normal = (np.column_stack([each, np.ones(len(each))]) for each in (lean, slope))
     across = np.linalg.norm(np.cross(axis, normal), axis=1)
     along = np.einsum("dx,dx->d", axis, normal)
     # heights over the plane of the mean slope
     rest = under.rises_m + np.einsum("dx,dix->di", slope, under.places_m)
     rest = rest - (rest @ weights)[:, None]
-    return Local(
-        slope_deg=np.degrees(np.arctan(slope[:, 0])),
-        slope_wide_deg=np.degrees(np.arctan(slope[:, 1])),
-        lean_deg=np.degrees(np.arctan2(across, along)),
-        rise_std_m=np.sqrt(np.square(rest) @ weights),
-        stiffness_scale=under.scale @ weights,
+    return pd.DataFrame(
+        {
+            "slope_deg": np.degrees(np.arctan(slope[:, 0])),
+            "slope_wide_deg": np.degrees(np.arctan(slope[:, 1])),
+            "lean_deg": np.degrees(np.arctan2(across, along)),
+            "rise_std_m": np.sqrt(np.square(rest) @ weights),
+            "stiffness_scale": under.scale @ weights,
+        }
     )
-
-
-@dataclass(frozen=True)
-class Check:
-    """Drops that were computed twice: how far the reduced body may be off, in impact speeds (None
-    for a body that leaves nothing out), and by how much the two ways differ in y1/y0."""
-
-    n: int
-    reduction_error: float | None
-    difference: float
-
-
-@dataclass(frozen=True)
-class Scatter:
-    """All drops that were computed: how they were released, over what, and what they gave.
-
-    ``failed`` tells of those that are left out, by number.
-    """
-
-    released: Conditions
-    local: Local
-    outcome: Outcome
-    failed: dict[int, str]
-
-    @property
-    def ratio(self) -> Array:
-        """y1/y0 of the lower tip (n,)."""
-        return np.asarray(self.outcome.rebound_height_m / self.released.height_m)
-
-
-def table_of(found: Scatter) -> pd.DataFrame:
-    """A row a drop: how it was released, over what, and what it gave."""
-    height_m = found.released.height_m
-    columns = {
-        **vars(found.released),
-        **vars(found.local),
-        "rebound_ratio": found.ratio,
-        "cm_rebound_ratio": found.outcome.cm_rebound_height_m / height_m,
-        **found.outcome._asdict(),
-    }
-    table = pd.DataFrame(columns).rename(columns={"number": "drop", "height_m": "y0_m"})
-    return table.astype({"n_contacts": int, "n_steps": int})

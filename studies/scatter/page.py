@@ -1,27 +1,31 @@
-"""Page and JSON of a scatter."""
+"""Page, figures and JSON of a scatter."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
+from matplotlib.axes import Axes
+from scipy import stats
 
 from ...solver import paper
+from ...solver.arrays import Array
 from .. import __version__
+from ..calibrate.estimate import through_origin
 from ..inputs.sources import checked, command_line
+from ..report.figures import BLACK, BLUE, GREY, SKY, drawing
 from ..report.page import Head, Report, Section, show, write_report
 from ..report.paper_figures import cloud_figure
 from ..report.prose import Prose
 from ..surface.rough import Surface
-from .conditions import RESAMPLES, SAMPLES, Check, Scatter, generator
-from .figures import DOTS, histogram_figure, lean_figure
+from .conditions import RESAMPLES, SAMPLES, generator
 from .inputs import ScatterInputs
-from .statistics import Sampled, Share, Spread, sampled, shares, spread, through_origin
+from .statistics import Spread, sampled, shares, spread
 
 FACTORS = {
     "lean_deg": "lean against the ground",
@@ -40,6 +44,10 @@ STATISTICS = {
     "r_squared": "R² of y1 = a y0",
 }
 UNUSUAL = 0.05
+# More dots than these hide each other and swell the page.
+DOTS = 3000
+# Drops in a bin of the running median.
+IN_A_BIN = 40
 HEADS: dict[str, Head] = {
     "ratio": "y1/y0",
     "y0_mm": ("y0", "mm", 4),
@@ -53,30 +61,41 @@ HEADS: dict[str, Head] = {
 prose = Prose(Path(__file__).with_name("words.j2"), HEADS)
 
 
+@dataclass(frozen=True)
+class Check:
+    """Drops that were computed twice: how far the reduced body may be off, in impact speeds (None
+    for a body that leaves nothing out), and by how much the two ways differ in y1/y0."""
+
+    n: int
+    reduction_error: float | None
+    difference: float
+
+
 def write_scatter(
     inputs: ScatterInputs,
-    found: Scatter,
+    drops: pd.DataFrame,
     check: Check,
     surface: Surface | None,
     warnings: Sequence[str],
     out: Path,
 ) -> dict[str, Any]:
-    """Write ``report.html``, ``figures/`` and ``tables/``; returns the statistics for the JSON."""
+    """Write ``report.html``, ``figures/`` and ``tables/`` of ``drops``, the rows of drops.csv;
+    returns the statistics for the JSON."""
     random = generator(inputs.seed, RESAMPLES)
-    ratio, y0 = found.ratio, found.released.height_m
-    everything = {**vars(found.released), **vars(found.local)}
+    ratio, y0 = drops.rebound_ratio.to_numpy(), drops.y0_m.to_numpy()
     statistics = spread(ratio, random)
-    parts = shares(ratio, {name: everything[name] for name in FACTORS}, random)
+    factors = drops.rename(columns={"y0_m": "height_m"})[list(FACTORS)]
+    parts = shares(ratio, {name: each.to_numpy() for name, each in factors.items()}, random)
     samples = sampled(y0, ratio * y0, generator(inputs.seed, SAMPLES))
     facts = None if surface is None else _surface_facts(surface)
     sections = [
-        _spread_section(statistics, found),
-        _measured_section(samples, found, generator(inputs.seed, RESAMPLES, 1)),
-        _causes_section(parts, found),
+        _spread_section(statistics, ratio),
+        _measured_section(samples, y0, ratio * y0, generator(inputs.seed, RESAMPLES, 1)),
+        _causes_section(parts, drops),
         _conditions_section(inputs, facts, check),
         *([Section("warnings", "What deserves doubt", warnings)] if warnings else []),
     ]
-    unusual = [STATISTICS[each.name] for each in samples if each.p_value < UNUSUAL]
+    unusual = [STATISTICS[name] for name in samples.name[samples.p_value < UNUSUAL]]
     ground = "a measured surface" if inputs.surface is not None else "a rough, composite surface"
     page = Report(
         title="Scatter of the rebound",
@@ -87,7 +106,7 @@ def write_scatter(
         headline=prose.text("headline", said=statistics, unusual=unusual),
         facts=[
             ("Model", inputs.model.value),
-            ("Drops", f"{len(ratio)}, {len(found.failed)} failed"),
+            ("Drops", f"{len(drops)}, {inputs.drops - len(drops)} failed"),
             ("Seeds", f"{inputs.seed} for the drops, {inputs.surface_seed} for the surface"),
             ("Kn", f"{_short(inputs.kn_N_m / 1e6)} MN/m"),
             ("Friction", _short(inputs.friction)),
@@ -107,8 +126,8 @@ def write_scatter(
             "skewness": statistics.skewness,
             "slope_through_origin": float(through_origin(y0, ratio * y0)),
         },
-        "factors": {share.name: asdict(share) for share in parts},
-        "samples_of_26": {each.name: asdict(each) | {"p_value": each.p_value} for each in samples},
+        "factors": parts,
+        "samples_of_26": samples.set_index("name", drop=False).to_dict("index"),
         "measured": {
             "mean": paper.RATIO_MEAN,
             "std": paper.RATIO_STD,
@@ -123,7 +142,7 @@ def _short(value: float) -> str:
     return show(value).replace("·10^", "e")
 
 
-def _spread_section(said: Spread, found: Scatter) -> Section:
+def _spread_section(said: Spread, ratio: Array) -> Section:
     low, median, high = said.percentiles
     rows = pd.DataFrame(
         {"quantity": quantity, "predicted": each.estimate, **vars(each), "measured": measured}
@@ -137,50 +156,75 @@ def _spread_section(said: Spread, found: Scatter) -> Section:
         )
     ).replace([np.inf, -np.inf], np.nan)
     draft = prose("spread", said=said)
-    ratios = draft.data("ratio", {"ratio": found.ratio})
-    draft.figure("histogram", histogram_figure(found.ratio), ratios)
+    draft.figure("histogram", histogram_figure(ratio), draft.data("ratio", {"ratio": ratio}))
     draft.table("spread", rows.drop(columns=["estimate", "level"]))
     return draft.section()
 
 
+@drawing("y1/y0", "drops per unit of y1/y0, share", legend="upper left")
+def histogram_figure(ax: Axes, ratio: Array) -> None:
+    """y1/y0 of the drops, with the paper's mean, standard deviation and 90 % band."""
+    low, high = paper.RATIO_BAND_90
+    ends = min(0.0, float(ratio.min())), max(1.3, float(ratio.max()))
+    ax.axvspan(low, high, color=SKY, alpha=0.18, lw=0, label=f"measured 90 %: {low:g} to {high:g}")
+    ax.hist(ratio, 60, range=ends, density=True, color=BLUE, label="predicted")
+    x = np.linspace(*ends, 300)
+    density = stats.norm.pdf(x, paper.RATIO_MEAN, paper.RATIO_STD)
+    label = f"normal, measured {paper.RATIO_MEAN} ± {paper.RATIO_STD}"
+    ax.plot(x, density, color=BLACK, label=label)
+    ax.set_xlim(*ends)
+
+
 def _measured_section(
-    samples: list[Sampled], found: Scatter, random: np.random.Generator
+    samples: pd.DataFrame, y0_m: Array, y1_m: Array, random: np.random.Generator
 ) -> Section:
-    y0, y1 = found.released.height_m, found.ratio * found.released.height_m
     # Moved aside a little, so that drops from one height do not hide each other.
-    top = 1.1 * float(max(y0.max(), y1.max()))
-    aside = random.uniform(-0.012, 0.012, len(y0)) * top
-    slope = float(through_origin(y0, y1))
-    drawn = cloud_figure((y0 + aside)[:DOTS], y1[:DOTS], "predicted", 1e3 * top, slope)
+    top = 1.1 * float(max(y0_m.max(), y1_m.max()))
+    aside = random.uniform(-0.012, 0.012, len(y0_m)) * top
+    slope = float(through_origin(y0_m, y1_m))
+    drawn = cloud_figure((y0_m + aside)[:DOTS], y1_m[:DOTS], "predicted", 1e3 * top, slope)
     draft = prose("measured")
-    heights = draft.data("heights", {"y0_mm": 1e3 * y0, "y1_mm": 1e3 * y1})
+    heights = draft.data("heights", {"y0_mm": 1e3 * y0_m, "y1_mm": 1e3 * y1_m})
     draft.figure("cloud", drawn, heights)
-    rows = pd.DataFrame(
-        {"statistic": STATISTICS[each.name], **vars(each), "p_value": each.p_value}
-        for each in samples
-    )
+    rows = samples.assign(statistic=samples.name.map(STATISTICS))
     columns = ["statistic", "mean", "low", "high", "measured", "below", "p_value"]
     draft.table("samples", rows[columns], {"low": "5 %", "high": "95 %"})
     return draft.section()
 
 
-def _causes_section(parts: list[Share], found: Scatter) -> Section:
+def _causes_section(parts: dict[str, Any], drops: pd.DataFrame) -> Section:
     rows = pd.DataFrame(
-        {
-            "input": FACTORS[part.name],
-            **({} if part.first_order is None else vars(part.first_order)),
-            "correlation": part.correlation,
-        }
-        for part in parts
+        {"input": FACTORS[name], **(part["first_order"] or {}), "correlation": part["correlation"]}
+        for name, part in parts.items()
     )
     columns = ["input", "estimate", "low", "high", "correlation"]
     rows = rows.reindex(columns=columns).rename(columns={"estimate": "first_order"})
     draft = prose("causes")
-    lean = {"lean_deg": found.local.lean_deg, "ratio": found.ratio}
-    data = draft.data("lean", lean)
-    draft.figure("lean", lean_figure(found.local.lean_deg, found.ratio), data)
+    lean, ratio = drops.lean_deg.to_numpy(), drops.rebound_ratio.to_numpy()
+    data = draft.data("lean", {"lean_deg": lean, "ratio": ratio})
+    draft.figure("lean", lean_figure(lean, ratio), data)
     draft.table("causes", rows, {"low": ("from", "", 3), "high": ("to", "", 3)})
     return draft.section()
+
+
+@drawing("lean against the ground under the tip (degrees)", "y1/y0", legend=None, xlim=(0, None))
+def lean_figure(ax: Axes, lean_deg: Array, ratio: Array) -> None:
+    """y1/y0 against the angle between the bristle and the ground's normal, with its running
+    5th, 50th and 95th percentiles."""
+    ax.plot(lean_deg[:DOTS], ratio[:DOTS], ".", color=SKY, ms=2.5, zorder=1)
+    bins = max(1, min(20, len(ratio) // IN_A_BIN))
+    parts = np.array_split(np.argsort(lean_deg), bins)
+    if len(parts) > 1:
+        middle = [float(np.median(lean_deg[part])) for part in parts]
+        low, median, high = np.transpose(
+            [np.percentile(ratio[part], [5, 50, 95]) for part in parts]
+        )
+        ax.plot(middle, median, color=BLUE, label="median")
+        ax.plot(middle, low, color=BLUE, lw=0.8, ls="--", label="5 and 95 %")
+        ax.plot(middle, high, color=BLUE, lw=0.8, ls="--")
+        ax.legend()
+    ax.axhline(paper.RATIO_MEAN, color=GREY, lw=0.8)
+    ax.set_ylim(min(0.0, float(ratio.min())), None)
 
 
 def _conditions_section(

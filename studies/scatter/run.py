@@ -12,23 +12,22 @@ from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 from mpi4py import MPI
-from numpy.typing import NDArray
 
 from ...meshes.collective import run_on_one_rank
 from ...solver.batch import Outcome
 from ...solver.errors import ComputationError
 from .. import __version__
-from ..inputs.config import DropInputs
 from ..inputs.limits import closure_warnings, input_warnings
 from ..running import results
 from ..running.files import prepare_folder, to_json, together, write_atomically
 from ..running.journal import Journal
 from ..running.parallel import share_out
 from ..running.progress import progress, say, working
-from .conditions import CHECKS, Check, Scatter, generator, table_of
+from .conditions import CHECKS, generator
 from .inputs import ScatterInputs
-from .page import write_scatter
+from .page import Check, write_scatter
 from .scene import CHUNK, Chunk, Scene
 
 DOCUMENT, TABLE = "scatter.json", "drops.csv"
@@ -57,21 +56,21 @@ def run_scatter(
         return
     with working("building the body and the surface"):
         scene = Scene(inputs, comm)
-    drop, spent = scene.drop, scene.spent_s
+    spent = scene.spent_s
     spent["setup"] = time.perf_counter() - started
     checking = time.perf_counter()
     check = _check(scene, comm)
     spent["check"] = time.perf_counter() - checking
     fresh, spent["drops"] = _compute(scene, comm, journal, done)
-    found = run_on_one_rank(comm, lambda: _gather(scene, done))
+    drops, failed = run_on_one_rank(comm, lambda: _gather(scene, done))
     ranks, peak = comm.size, results.peak_rss_MB(comm)
 
     @together(out, DOCUMENT)
     def write() -> None:
         writing = time.perf_counter()
-        warnings = _warnings(drop, found, inputs)
-        extra = write_scatter(inputs, found, check, scene.surface, warnings, out)
-        write_atomically(out / TABLE, table_of(found).to_csv(index=False))
+        warnings = _warnings(scene, drops, failed)
+        extra = write_scatter(inputs, drops, check, scene.surface, warnings, out)
+        write_atomically(out / TABLE, drops.to_csv(index=False))
         spent["write"] = time.perf_counter() - writing
         spent["total"] = time.perf_counter() - started
         document = {
@@ -79,8 +78,8 @@ def run_scatter(
             "version": __version__,
             "inputs": results.plain_inputs(inputs),
             "n_drops": inputs.drops,
-            "n_failed": len(found.failed),
-            "failed": found.failed,
+            "n_failed": len(failed),
+            "failed": failed,
             **extra,
             "check": asdict(check),
             "warnings": warnings,
@@ -116,22 +115,28 @@ def _compute(
     scene: Scene, comm: MPI.Intracomm, journal: Journal, done: dict[int, Chunk]
 ) -> tuple[int, float]:
     """Fill ``done`` on rank 0 with what is missing; how many drops that was, and the seconds."""
-    n_chunks = math.ceil(scene.inputs.drops / CHUNK)
-    missing = [number for number in range(n_chunks) if number not in done]
+    sizes = {
+        number: min(CHUNK, scene.inputs.drops - number * CHUNK)
+        for number in range(math.ceil(scene.inputs.drops / CHUNK))
+    }
+    missing = [number for number in sizes if number not in done]
+    fresh = sum(sizes[number] for number in missing)
     started = time.perf_counter()
-    with progress("scatter", n_chunks, done=n_chunks - len(missing)) as advance:
+    with progress("scatter", scene.inputs.drops, done=scene.inputs.drops - fresh) as advance:
 
         def take(k: int, chunk: Chunk) -> None:
             done[missing[k]] = journal.add(missing[k], chunk)
-            advance()
+            advance(sizes[missing[k]])
 
         share_out(comm, len(missing), lambda k: scene.chunk(missing[k]), take)
-    drops = sum(min(CHUNK, scene.inputs.drops - number * CHUNK) for number in missing)
-    return drops, time.perf_counter() - started
+    return fresh, time.perf_counter() - started
 
 
-def _gather(scene: Scene, done: dict[int, Chunk]) -> Scatter:
-    """All drops that succeeded; ComputationError where too many did not."""
+def _gather(scene: Scene, done: dict[int, Chunk]) -> tuple[pd.DataFrame, dict[int, str]]:
+    """A row for each drop that succeeded, and why others did not, by number.
+
+    How they were released, over what, and what they gave. ComputationError where too many failed.
+    """
     chunks = [done[number] for number in sorted(done)]
     every = [row for chunk in chunks for row in chunk["rows"]]
     failed = {int(i): str(why) for chunk in chunks for i, why in chunk["failed"]}
@@ -141,15 +146,11 @@ def _gather(scene: Scene, done: dict[int, Chunk]) -> Scatter:
             f"{len(failed)} of {len(every)} drops failed, the first is drop {first}: "
             f"{failed[first]}"
         )
-    released, under = scene.released(0, scene.inputs.drops)
-    keep = np.array([row is not None for row in every])
-    local = _chosen(scene.local(released, under), keep)
-    table = np.array([row for row in every if row is not None])
-    return Scatter(_chosen(released, keep), local, Outcome(*table.T), failed)
-
-
-def _chosen[Record](record: Record, keep: NDArray[np.bool_]) -> Record:
-    return type(record)(**{name: value[keep] for name, value in vars(record).items()})
+    drops = scene.conditions()[[row is not None for row in every]].reset_index(drop=True)
+    outcome = pd.DataFrame([row for row in every if row is not None], columns=Outcome._fields)
+    drops["rebound_ratio"] = outcome.rebound_height_m / drops.y0_m
+    drops["cm_rebound_ratio"] = outcome.cm_rebound_height_m / drops.y0_m
+    return drops.join(outcome.astype({"n_contacts": int, "n_steps": int})), failed
 
 
 def _check(scene: Scene, comm: MPI.Intracomm) -> Check:
@@ -177,8 +178,8 @@ def _check(scene: Scene, comm: MPI.Intracomm) -> Check:
     return Check(len(taken), max(errors) if errors else None, difference)
 
 
-def _warnings(drop: DropInputs, found: Scatter, inputs: ScatterInputs) -> list[str]:
-    warnings = input_warnings(drop)
-    if found.failed:
-        warnings.append(f"{len(found.failed)} of {inputs.drops} drops failed and are left out")
-    return [*warnings, *closure_warnings(drop, found.outcome.closure_relative)]
+def _warnings(scene: Scene, drops: pd.DataFrame, failed: dict[int, str]) -> list[str]:
+    warnings = input_warnings(scene.drop)
+    if failed:
+        warnings.append(f"{len(failed)} of {scene.inputs.drops} drops failed and are left out")
+    return [*warnings, *closure_warnings(scene.drop, drops.closure_relative.to_numpy())]

@@ -7,6 +7,7 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+import pandas as pd
 from mpi4py import MPI
 
 from ...meshes.collective import run_on_one_rank
@@ -19,16 +20,7 @@ from ...solver.time.march import Marcher
 from ..inputs.config import DropInputs
 from ..running.cases import Timings, Workshop
 from ..running.parallel import start_petsc
-from .conditions import (
-    Conditions,
-    Local,
-    Under,
-    draw,
-    ground_of,
-    ground_surface,
-    ground_under,
-    local_ground,
-)
+from .conditions import Under, draw, ground_of, ground_surface, ground_under, local_ground
 from .inputs import ScatterInputs
 
 CHUNK = 50
@@ -60,16 +52,18 @@ class Scene:
             self.drop.gravity_m_s2,
         )
 
-    def released(self, first: int, last: int) -> tuple[Conditions, Under]:
+    def released(self, first: int, last: int) -> tuple[pd.DataFrame, Under]:
         """How drops ``first`` to ``last`` - 1 are released, and what lies under them."""
         size = (1.0, 1.0) if self.surface is None else self.surface.size_m
         released = draw(self.inputs, size, first, last)
         steel = self.inputs.youngs_Pa, self.inputs.poisson
         return released, ground_under(self.surface, self.frame.modal.contact, released, steel)
 
-    def local(self, released: Conditions, under: Under) -> Local:
-        """The ground under each tip in a few numbers."""
-        return local_ground(released, under, self.frame.modal.contact.weights)
+    def conditions(self) -> pd.DataFrame:
+        """How all drops are released, and the ground under their tips in a few numbers."""
+        released, under = self.released(0, self.inputs.drops)
+        weights = self.frame.modal.contact.weights
+        return released.join(local_ground(released, under, weights))
 
     def chunk(self, number: int) -> Chunk:
         """The outcomes of one chunk of drops, and why those failed that did."""
@@ -90,7 +84,7 @@ class Scene:
             return None
         plan = replace(
             self.drop.drop_plan(len(self.frame.modal.contact.weights)),
-            height_m=float(released.height_m[0]),
+            height_m=float(released.y0_m[0]),
             tilt_deg=float(released.tilt_deg[0]),
             tilt_wide_deg=float(released.tilt_wide_deg[0]),
             ground=ground_of(under, 0),
@@ -103,21 +97,21 @@ class Scene:
         return result.reduction_error, abs((result.rebound_ratio or 0.0) - ratio)
 
     def _dropped(
-        self, released: Conditions, under: Under
+        self, released: pd.DataFrame, under: Under
     ) -> tuple[list[Row | None], list[tuple[int, str]]]:
         """Rows of outcomes; where one drop fails, its row is None, and its number is told."""
         n = len(released)
         drops = Drops(
-            height_m=released.height_m,
-            tilt_deg=released.tilt_deg,
-            tilt_wide_deg=released.tilt_wide_deg,
+            height_m=released.y0_m.to_numpy(),
+            tilt_deg=released.tilt_deg.to_numpy(),
+            tilt_wide_deg=released.tilt_wide_deg.to_numpy(),
             kn_N_m=np.full(n, self.inputs.kn_N_m),
             mu=np.full(n, self.drop.friction_law().mu),
             normals=under.normals,
             rises_m=under.rises_m,
             scale=under.scale,
         )
-        return _attempt(self.marcher, drops, int(released.number[0]))
+        return _attempt(self.marcher, drops, int(released["drop"][0]))
 
 
 def _body(drop: DropInputs) -> tuple[dict[str, Array], Timings]:

@@ -6,16 +6,18 @@ Statistics alone: nothing here knows of a model.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from typing import Any
 
 import numpy as np
+import pandas as pd
 from numpy.typing import NDArray
 from scipy import stats
 
 from ...solver import paper
 from ...solver.arrays import Array
-from ..calibrate.estimate import LEVEL, Interval
+from ..calibrate.estimate import LEVEL, Interval, tails, through_origin
 
 RESAMPLED, RESAMPLED_SHARES = 1000, 200
 SAMPLES = 10_000
@@ -39,39 +41,6 @@ class Spread:
     above_one: float
 
 
-@dataclass(frozen=True)
-class Share:
-    """What one input has to do with y1/y0.
-
-    ``first_order`` is the part of the variance of y1/y0 that goes with the input: the variance of
-    its conditional mean (first-order index of Sobol'). ``correlation`` is Spearman's, with the
-    input's size where its sign means a direction.
-    """
-
-    name: str
-    first_order: Interval | None
-    correlation: float | None
-
-
-@dataclass(frozen=True)
-class Sampled:
-    """A statistic of samples as large as the paper's: its distribution, and where the measured
-    value falls. ``p_value`` is two-sided, twice the smaller tail, and no less than the number of
-    samples can show."""
-
-    name: str
-    measured: float
-    mean: float
-    std: float
-    low: float
-    high: float
-    below: float
-
-    @property
-    def p_value(self) -> float:
-        return min(1.0, 2.0 * min(self.below, 1.0 - self.below))
-
-
 def spread(ratio: Array, random: np.random.Generator, level: float = LEVEL) -> Spread:
     """The distribution of ``ratio`` (n,).
 
@@ -86,7 +55,7 @@ def spread(ratio: Array, random: np.random.Generator, level: float = LEVEL) -> S
         ends = stats.ttest_1samp(ratio, 0.0).confidence_interval(level)
         mean = Interval(centre, float(ends.low), float(ends.high), level)
         resampled = [np.std(random.choice(ratio, n), ddof=1) for _ in range(RESAMPLED)]
-        std = Interval(float(np.std(ratio, ddof=1)), *_tails(np.array(resampled), level), level)
+        std = Interval(float(np.std(ratio, ddof=1)), *tails(np.array(resampled), level), level)
     low, high = paper.RATIO_BAND_90
     inside = int(np.sum((ratio >= low) & (ratio <= high)))
     return Spread(
@@ -122,23 +91,25 @@ def share_interval(count: int, n: int, level: float = LEVEL) -> Interval:
     return Interval(count / n, float(found.low), float(found.high), level)
 
 
-def _tails(values: Array, level: float) -> tuple[float, float]:
-    tail = 50.0 * (1.0 - level)
-    low, high = np.percentile(values, [tail, 100.0 - tail])
-    return float(low), float(high)
-
-
 def shares(
     ratio: Array, factors: Mapping[str, Array], random: np.random.Generator, level: float = LEVEL
-) -> list[Share]:
-    """The share of each factor (n,) in the variance of ``ratio`` (n,).
+) -> dict[str, dict[str, Any]]:
+    """What each factor (n,) has to do with ``ratio`` (n,), as it stands in the JSON.
 
-    Shares of dependent factors overlap, and what factors do together is in none of them.
+    ``first_order`` is the part of the variance of y1/y0 that goes with the input: the variance of
+    its conditional mean (first-order index of Sobol'). ``correlation`` is Spearman's, with the
+    input's size where its sign means a direction. Shares of dependent factors overlap, and what
+    factors do together is in none of them.
     """
-    return [
-        Share(name, first_order(ratio, factor, random, level), _rank_correlation(ratio, factor))
-        for name, factor in factors.items()
-    ]
+    found = {}
+    for name, factor in factors.items():
+        part = first_order(ratio, factor, random, level)
+        found[name] = {
+            "name": name,
+            "first_order": part and asdict(part),
+            "correlation": _rank_correlation(ratio, factor),
+        }
+    return found
 
 
 def first_order(
@@ -188,37 +159,46 @@ def r_squared(y0_m: Array, y1_m: Array) -> Array:
     return np.asarray(1.0 - residual / about)
 
 
-def through_origin(y0_m: Array, y1_m: Array) -> Array:
-    """The slope a of y1 = a y0 by least squares, along the last axis."""
-    return np.asarray(np.sum(y0_m * y1_m, axis=-1) / np.sum(y0_m * y0_m, axis=-1))
-
-
 def sampled(
     y0_m: Array, y1_m: Array, random: np.random.Generator, level: float = LEVEL
-) -> list[Sampled]:
+) -> pd.DataFrame:
     """Mean, spread, slope and R² of samples of the paper's size, drawn from the drops (n,).
 
-    With replacement: the drops stand for all that could be.
+    With replacement: the drops stand for all that could be. A row a statistic: how it is
+    distributed, and where the ``measured`` value falls. ``p_value`` is two-sided, twice the smaller
+    tail, and no less than the number of samples can show.
     """
     pick = random.integers(0, len(y0_m), (SAMPLES, paper.N_DROPS))
     before, after = y0_m[pick], y1_m[pick]
     ratio = after / before
-    found: tuple[tuple[str, float, Callable[[], Array]], ...] = (
-        ("mean", paper.RATIO_MEAN, lambda: ratio.mean(axis=1)),
-        ("std", paper.RATIO_STD, lambda: ratio.std(axis=1, ddof=1)),
-        ("slope", paper.RATIO_MEAN, lambda: through_origin(before, after)),
-        ("r_squared", paper.R2_LINEAR, lambda: r_squared(before, after)),
+    return pd.DataFrame(
+        _beside(name, measured, values[np.isfinite(values)], level)
+        for name, measured, values in (
+            ("mean", paper.RATIO_MEAN, ratio.mean(axis=1)),
+            ("std", paper.RATIO_STD, ratio.std(axis=1, ddof=1)),
+            ("slope", paper.RATIO_MEAN, through_origin(before, after)),
+            ("r_squared", paper.R2_LINEAR, r_squared(before, after)),
+        )
     )
-    return [_sampled(name, measured, values(), level) for name, measured, values in found]
 
 
-def _sampled(name: str, measured: float, values: Array, level: float) -> Sampled:
-    values = values[np.isfinite(values)]
-    if not len(values):
-        return Sampled(name, measured, *[math.nan] * 5)
-    # the measured value is one more of its kind; half of what ties counts to either side
-    less = np.sum(values < measured) + 0.5 * np.sum(values == measured)
-    below = float(less + 0.5) / (len(values) + 1)
-    return Sampled(
-        name, measured, float(values.mean()), float(values.std()), *_tails(values, level), below
-    )
+def _beside(name: str, measured: float, values: Array, level: float) -> dict[str, Any]:
+    """The row of `sampled` for the ``values`` of one statistic; NaN where there are none."""
+    mean = std = low = high = below = p_value = math.nan
+    if len(values):
+        mean, std = float(values.mean()), float(values.std())
+        low, high = tails(values, level)
+        # the measured value is one more of its kind; half of what ties counts to either side
+        less = np.sum(values < measured) + 0.5 * np.sum(values == measured)
+        below = float(less + 0.5) / (len(values) + 1)
+        p_value = min(1.0, 2.0 * min(below, 1.0 - below))
+    return {
+        "name": name,
+        "measured": measured,
+        "mean": mean,
+        "std": std,
+        "low": low,
+        "high": high,
+        "below": below,
+        "p_value": p_value,
+    }

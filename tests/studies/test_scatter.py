@@ -130,13 +130,9 @@ def test_the_ground_is_the_surface_turned_into_the_bristles_axes(marcher):
     released = draw(scatter(tilt_std_deg=2.0, seed=5), surface.size_m, 0, 20)
     under = ground_under(surface, points, released, STEEL)
     np.testing.assert_allclose(under.scale, 1.0, rtol=1e-12)
-    turn = np.radians(released.turn_deg)
+    x, y, turn = released.x_m, released.y_m, np.radians(released.turn_deg)
     wave = 2.0 * math.pi / surface.size_m[0]
-    gradient = (
-        2e-4
-        * wave
-        * np.stack([np.cos(wave * released.x_m), -0.5 * np.sin(wave * released.y_m)], axis=-1)
-    )
+    gradient = 2e-4 * wave * np.stack([np.cos(wave * x), -0.5 * np.sin(wave * y)], axis=-1)
     along = np.cos(turn) * gradient[:, 0] + np.sin(turn) * gradient[:, 1]
     across = np.cos(turn) * gradient[:, 1] - np.sin(turn) * gradient[:, 0]
     tangent = -under.normals[..., :2] / under.normals[..., 2:]
@@ -184,10 +180,9 @@ def test_draws_are_those_of_the_drops_number_and_seed():
     size = (0.04, 0.03)
     all_of_them = draw(scatter(seed=7), size, 0, 40)
     part = draw(scatter(seed=7, drops=15), size, 10, 15)
-    for name, values in vars(part).items():
-        np.testing.assert_array_equal(values, getattr(all_of_them, name)[10:15])
+    np.testing.assert_array_equal(part, all_of_them[10:15])
     assert not np.any(draw(scatter(seed=8), size, 0, 40).x_m == all_of_them.x_m)
-    np.testing.assert_array_equal(all_of_them.height_m, np.resize(paper.HEIGHTS_M, 40))
+    np.testing.assert_array_equal(all_of_them.y0_m, np.resize(paper.HEIGHTS_M, 40))
 
 
 def test_draws_have_the_distributions_that_are_stated():
@@ -284,7 +279,7 @@ def test_resume_does_what_is_missing_and_no_more(done, tmp_path, monkeypatch):
 
 def test_a_drop_that_fails_is_left_out_and_told(tmp_path, monkeypatch):
     drop_many = scatter_scene.drop_many
-    bad = draw(scatter(), (0.038, 0.038), 0, 130).tilt_deg[[7]]
+    bad = draw(scatter(), (0.038, 0.038), 0, 130).tilt_deg[7]
 
     def fails(marcher, drops):
         if np.isin(bad, drops.tilt_deg).any():
@@ -299,7 +294,7 @@ def test_a_drop_that_fails_is_left_out_and_told(tmp_path, monkeypatch):
     assert len(rows) == 129
     assert "1 of 130 drops failed" in document["warnings"][-1]
     assert "1 of 130 drops failed" in (tmp_path / "report.html").read_text()
-    bad = np.append(bad, draw(scatter(), (0.038, 0.038), 0, 130).tilt_deg[[20]])
+    bad = np.append(bad, draw(scatter(), (0.038, 0.038), 0, 130).tilt_deg[20])
     with pytest.raises(ComputationError, match="2 of 130 drops failed, the first is drop 7"):
         run_scatter(scatter(drops=130), tmp_path, MPI.COMM_SELF)
 
