@@ -12,22 +12,26 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
+import pandas as pd
+from pydantic import BeforeValidator
 
 from ..solver import paper
 from ..solver.arrays import Array
 from ..solver.bodies.modal import ModalBody
 from ..solver.bristle import Bristle, Material
 from ..solver.contact.laws import Linear
-from ..solver.effects.base import Effect, Scene
+from ..solver.effects.base import Scene
 from ..solver.effects.library import enter_all
 from ..solver.errors import InputError
 from ..solver.fall import fallen
 from . import __version__
 from .command.script import as_script
-from .inputs.named import EffectInput, read_effects, read_plugins
+from .inputs.flags import Fields
+from .inputs.named import EffectInput, PluginFile, read_effects, read_plugins
+from .inputs.sources import checked
 from .loop.responses.table_drops import drops_of, its_s, read_off
 from .running.files import prepare_folder, to_json, together, write_atomically
 
@@ -63,13 +67,30 @@ class Strange(StrEnum):
     ALTERNATION = "alternation"
 
 
-@dataclass(frozen=True)
-class Recipe:
-    """What a made dataset holds. ``strange`` has a relative ``strength`` on the height after."""
+def read_unlisted(value: Any) -> Any:
+    """An unlisted effect and its strength, also as ``NAME=STRENGTH``."""
+    if not isinstance(value, str):
+        return value
+    name, _, strength = value.partition("=")
+    try:
+        found = Strange(name), float(strength)
+    except ValueError:
+        found = None
+    if found is None or not abs(found[1]) < 1.0:
+        raise ValueError(
+            f"must be NAME=STRENGTH, NAME one of {', '.join(Strange)}, STRENGTH between -1 and 1, "
+            f"not '{value}'"
+        )
+    return found
 
-    effects: tuple[Effect, ...] = ()
-    strange: Strange | None = None
-    strength: float = 0.0
+
+class Recipe(Fields):
+    """What a made dataset holds; an ``unlisted`` effect has a relative strength on the height
+    after."""
+
+    plugins: Annotated[tuple[PluginFile, ...], BeforeValidator(read_plugins)] = ()
+    effects: Annotated[tuple[EffectInput, ...], BeforeValidator(read_effects)] = ()
+    unlisted: Annotated[tuple[Strange, float] | None, BeforeValidator(read_unlisted)] = None
     n_drops: int = 48
     heights_m: tuple[float, ...] = paper.HEIGHTS_M
     kn_N_m: float = paper.KN_CHOSEN_N_M
@@ -103,10 +124,8 @@ class Made:
 
 def make(recipe: Recipe, body: ModalBody) -> Made:
     """Drop, disturb, measure. The same recipe gives the same numbers."""
-    chance, errors = (
-        np.random.default_rng([recipe.seed, 1]),
-        np.random.default_rng([recipe.seed, 2]),
-    )
+    chance, errors = (np.random.default_rng([recipe.seed, stream]) for stream in (1, 2))
+    effects = [each.effect() for each in recipe.effects]
     cycle = -(-recipe.n_drops // len(recipe.heights_m))
     meant = chance.permutation(np.repeat(recipe.heights_m, cycle)[: recipe.n_drops])
     heights = np.maximum(meant + RELEASE_STD_M * chance.normal(size=recipe.n_drops), 1e-3)
@@ -119,12 +138,14 @@ def make(recipe: Recipe, body: ModalBody) -> Made:
                 beta_s=body.beta_s,
                 law=Linear(recipe.kn_N_m),
             ),
-            recipe.effects,
+            effects,
         )
         for i, height in enumerate(heights)
     ]
     true = _seen(scenes, recipe, body)
-    true[:, 1] *= 1.0 + recipe.strength * pattern(recipe.strange, heights)
+    if recipe.unlisted is not None:
+        strange, strength = recipe.unlisted
+        true[:, 1] *= 1.0 + strength * pattern(strange, heights)
     sigma = np.array([recipe.sigma_y_m, recipe.sigma_y_m, recipe.sigma_t_s, recipe.sigma_force_N])
     measured = true + sigma * _errors(recipe.noise, (len(true), 4), errors)
     measured[:, :2] = np.maximum(measured[:, :2], [1e-4, 0.0])
@@ -149,16 +170,14 @@ def _seen(scenes: Sequence[Scene], recipe: Recipe, body: ModalBody) -> Array:
     return np.column_stack([before, read_off(found, scenes, body.mass_kg)])
 
 
-def pattern(strange: Strange | None, heights_m: Array) -> Array:
+def pattern(strange: Strange, heights_m: Array) -> Array:
     """The relative change (drops,) that an unlisted effect of strength one makes."""
-    n = len(heights_m)
+    order = np.arange(len(heights_m))
     if strange is Strange.SHIFT:
-        return np.where(np.arange(n) < n // 2, 0.0, 1.0)
+        return np.where(order < len(order) // 2, 0.0, 1.0)
     if strange is Strange.RIPPLE:
         return np.asarray(np.sin(2.0 * math.pi * heights_m / RIPPLE_M))
-    if strange is Strange.ALTERNATION:
-        return np.where(np.arange(n) % 2 == 0, 1.0, -1.0)
-    return np.zeros(n)
+    return np.where(order % 2 == 0, 1.0, -1.0)
 
 
 def _errors(noise: Noise, shape: tuple[int, int], rng: np.random.Generator) -> Array:
@@ -176,13 +195,10 @@ def _errors(noise: Noise, shape: tuple[int, int], rng: np.random.Generator) -> A
 
 def table_of(made: Made) -> str:
     """The dataset's table as CSV, in the units of CONTRACT.md."""
+    table = pd.DataFrame(made.measured * [1e3, 1e3, 1e3, 1.0], columns=COLUMNS[1:])
+    table.insert(0, COLUMNS[0], 1 + np.arange(len(table)))
     columns = COLUMNS if made.recipe.sensors else COLUMNS[:3]
-    lines = [",".join(columns)]
-    scaled = made.measured * np.array([1e3, 1e3, 1e3, 1.0])
-    for i in range(len(scaled)):
-        numbers = (f"{value:.6g}" for value in scaled[i, : len(columns) - 1])
-        lines.append(",".join([str(i + 1), *numbers]))
-    return "\n".join(lines) + "\n"
+    return table.to_csv(columns=columns, index=False, float_format="%.6g")
 
 
 def manifest_of(recipe: Recipe) -> str:
@@ -211,9 +227,9 @@ def truth_of(made: Made) -> dict[str, Any]:
         "schema": "bristle-truth-1",
         "version": __version__,
         "table_sha256": hashlib.sha256(table_of(made).encode()).hexdigest(),
-        "effects": [EffectInput.of(effect).model_dump() for effect in recipe.effects],
-        "unlisted": None if recipe.strange is None else str(recipe.strange),
-        "strength": recipe.strength,
+        "effects": [effect.model_dump() for effect in recipe.effects],
+        "unlisted": None if recipe.unlisted is None else str(recipe.unlisted[0]),
+        "strength": 0.0 if recipe.unlisted is None else recipe.unlisted[1],
         "kn_N_m": recipe.kn_N_m,
         "noise": str(recipe.noise),
         "seed": recipe.seed,
@@ -259,31 +275,8 @@ def recipe_of(
     effects: Sequence[str], unlisted: str | None, plugins: Sequence[str] = (), **values: Any
 ) -> Recipe:
     """The recipe of a command line. Raises InputError naming the option."""
-    try:
-        read_plugins(plugins)
-    except ValueError as error:
-        raise InputError(f"--plugin: {error}") from None
-    try:
-        listed = tuple(each.effect() for each in read_effects(list(effects)))
-    except ValueError as error:
-        raise InputError(f"--effect: {error}") from None
-    try:
-        values["noise"] = Noise(values["noise"])
-    except ValueError:
-        raise InputError(f"--noise: must be one of {', '.join(Noise)}") from None
-    strange, strength = None, 0.0
-    if unlisted is not None:
-        name, _, value = unlisted.partition("=")
-        try:
-            strange, strength = Strange(name), float(value)
-        except ValueError:
-            strength = math.nan
-        if strange is None or not abs(strength) < 1.0:
-            raise InputError(
-                f"--unlisted: must be NAME=STRENGTH, NAME one of {', '.join(Strange)}, STRENGTH "
-                f"between -1 and 1, not '{unlisted}'"
-            )
-    return Recipe(listed, strange, strength, **values)
+    values |= {"plugins": plugins, "effects": effects, "unlisted": unlisted}
+    return checked(Recipe, values, {name: f"--{name}" for name in ("noise", "unlisted")})
 
 
 def run_synth(recipe: Recipe, out: Path, truth: Path) -> None:

@@ -45,7 +45,7 @@ def test_the_same_recipe_gives_the_same_table_another_seed_another(body):
 
 
 def test_a_written_dataset_reads_as_made_and_keeps_its_secret(body, tmp_path):
-    recipe = Recipe(effects=(EFFECTS["contact_damping"](7.0),), n_drops=12)
+    recipe = Recipe(effects=["contact_damping:c_N_s_m=7"], n_drops=12)
     made = make(recipe, body)
     write_dataset(made, tmp_path / "data", tmp_path / "truth.json")
     found = read_drops(tmp_path / "data")
@@ -87,7 +87,7 @@ def test_errors_are_as_large_as_declared(body, noise):
 def test_unlisted_effects_change_the_height_after_alone(body):
     plain = make(Recipe(n_drops=20), body)
     for strange in Strange:
-        made = make(Recipe(n_drops=20, strange=strange, strength=0.05), body)
+        made = make(Recipe(n_drops=20, unlisted=(strange, 0.05)), body)
         assert np.array_equal(made.true[:, [0, 2, 3]], plain.true[:, [0, 2, 3]])
         changed = made.true[:, 1] / plain.true[:, 1] - 1.0
         assert 0.02 < np.abs(changed).max() <= 0.05 + 1e-12
