@@ -29,8 +29,9 @@ from ..solver.errors import InputError
 from ..solver.fall import fallen
 from . import __version__
 from .command.script import as_script
+from .inputs.fields import Plugins
 from .inputs.flags import Fields
-from .inputs.named import EffectInput, PluginFile, read_effects, read_plugins
+from .inputs.named import EffectInput, read_effects
 from .inputs.sources import checked
 from .loop.responses.table_drops import drops_of, its_s, read_off
 from .running.files import prepare_folder, to_json, together, write_atomically
@@ -88,7 +89,7 @@ class Recipe(Fields):
     """What a made dataset holds; an ``unlisted`` effect has a relative strength on the height
     after."""
 
-    plugins: Annotated[tuple[PluginFile, ...], BeforeValidator(read_plugins)] = ()
+    plugins: Plugins = ()
     effects: Annotated[tuple[EffectInput, ...], BeforeValidator(read_effects)] = ()
     unlisted: Annotated[tuple[Strange, float] | None, BeforeValidator(read_unlisted)] = None
     n_drops: int = 48

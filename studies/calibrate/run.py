@@ -80,13 +80,8 @@ class Calibration:
 
 def stiffness_interval(curve: RatioCurve, ratio: Interval) -> Stiffness:
     """Kn of a ratio and its interval; the curve falls, so the ends change places."""
-    estimate, low, high = (curve.stiffness(x) for x in (ratio.estimate, ratio.high, ratio.low))
-    return Stiffness(
-        estimate=estimate if 0.0 < estimate < math.inf else None,
-        low=low if 0.0 < low < math.inf else None,
-        high=high if 0.0 < high < math.inf else None,
-        level=ratio.level,
-    )
+    ends = map(curve.stiffness, (ratio.estimate, ratio.high, ratio.low))
+    return Stiffness(*(kn if 0.0 < kn < math.inf else None for kn in ends), ratio.level)
 
 
 def calibrate(

@@ -16,7 +16,6 @@ from bristle.solver.contact.enforcement import ContactMethod
 from bristle.solver.contact.laws import Linear
 from bristle.solver.drop import DropPlan, ModalFrame, simulate
 from bristle.solver.errors import ComputationError, InputError
-from bristle.studies.calibrate import other_programs
 from bristle.studies.calibrate.curve import RatioCurve, beam_model, mean_curve, ratio_curve
 from bristle.studies.calibrate.estimate import (
     Interval,
@@ -25,6 +24,7 @@ from bristle.studies.calibrate.estimate import (
     paper_ratio,
     slope_interval,
 )
+from bristle.studies.calibrate.page import AREA, NODE, programs
 from bristle.studies.calibrate.run import (
     calibrate,
     run_calibrate,
@@ -191,14 +191,14 @@ def test_the_stiffness_is_told_in_other_programs_terms(model):
     """Springs all over the face, or one at a node of the axis, push alike where all sinks alike."""
     found = calibrate(None, model, grid_N_m=GRID)
     kn, depth_m = found.kn.estimate, 1e-6
-    options = other_programs.programs(kn, found.bristle.section.area_m2)
+    options = programs(kn, found.bristle.section.area_m2)
     force_N = {
-        other_programs.AREA: paper.WIDTH_M * paper.THICKNESS_M * depth_m,
-        other_programs.NODE: depth_m,
+        AREA: paper.WIDTH_M * paper.THICKNESS_M * depth_m,
+        NODE: depth_m,
     }
     for program, _, what, si, mm in options.itertuples(index=False):
         assert si * force_N[what] == pytest.approx(kn * depth_m), program
-        in_mm = {other_programs.AREA: 1e6 * 1e3, other_programs.NODE: 1e3}[what]  # areas, depths
+        in_mm = {AREA: 1e6 * 1e3, NODE: 1e3}[what]  # areas, depths
         assert mm * force_N[what] * in_mm == pytest.approx(kn * depth_m), program
     said = dict(told(summary(found, "0")))
     assert said["Kn over the end face"] == "1.97e+12 N/m³ = 1.97e+03 N/mm³"
