@@ -40,9 +40,7 @@ def limit(its_s: Array, values: Array) -> Limit:
     """
     order = np.argsort(its_s)
     h, f = np.asarray(its_s, float)[order], np.asarray(values, float)[order]
-    if len(h) < 3:
-        return Limit(float(f[0]), None)
-    p = _order(h[:3], f[:3])
+    p = _order(h[:3], f[:3]) if len(h) >= 3 else None
     if p is None:
         return Limit(float(f[0]), None)
     slope = (f[1] - f[0]) / (h[1] ** p - h[0] ** p)

@@ -17,7 +17,7 @@ from mpi4py import MPI
 from ...solver import paper
 from ..inputs.fields import Height, Its, Numbers
 from ..report.figures import picture, write_picture
-from ..running.files import read_csv, to_csv, write_atomically
+from ..running.files import to_csv, write_atomically
 from ..running.study import TABLE_FILE, Row, Study, StudyInputs, run_study
 from .convergence import compare
 from .figures import error_figure, need_figure
@@ -76,25 +76,20 @@ def _finish(mass_kg: float, rows: Sequence[Row], out: Path) -> dict[str, Any]:
 def answer(out: Path) -> list[str]:
     """What a finished study in ``out`` says, as lines: the longest ITS that each quantity allows,
     for each model and Kn, over all heights."""
-    rows = read_csv(out / NEEDS_FILE)
-    if not rows:
+    needs = pd.read_csv(out / NEEDS_FILE, keep_default_na=False)
+    if needs.empty:
         return []
-    needed: dict[tuple[str, float], dict[str, tuple[float, str]]] = {}
-    for row in rows:
-        each = needed.setdefault((row["model"], float(row["kn_N_m"])), {})
-        now = float(row["its_needed_s"]), row["bound"]
-        each[row["quantity"]] = min(now, each.get(row["quantity"], now))
+    needs["words"] = needs.bound + needs.its_needed_s.map("{:.2g}".format)
+    least = needs.sort_values(["its_needed_s", "bound"]).pivot_table(
+        index=["model", "kn_N_m"], columns="quantity", values="words", aggfunc="first"
+    )
     lines = [
         f"longest ITS (s) for an error of {100 * GOAL:g} %",
         f"  {'model':<10}{'Kn (N/m)':<10}" + "".join(f"{name:>22}" for name in QUANTITIES.values()),
     ]
-    for (model, kn), each in needed.items():
-        needs = (each.get(name) for name in QUANTITIES)
-        words = ("" if need is None else f"{need[1]}{need[0]:.2g}" for need in needs)
-        lines.append(f"  {model:<10}{kn:<10.6g}" + "".join(f"{word:>22}" for word in words))
-    steps = {row["its_s"] for row in read_csv(out / TABLE_FILE)}
-    if len(steps) < FEWEST_STEPS:
-        lines.append(
-            f"  of {len(steps)} steps alone: give --its {FEWEST_STEPS} or more to trust it"
-        )
+    for (model, kn), each in least.reindex(columns=list(QUANTITIES)).fillna("").iterrows():
+        lines.append(f"  {model:<10}{kn:<10.6g}" + "".join(f"{words:>22}" for words in each))
+    steps = pd.read_csv(out / TABLE_FILE).its_s.nunique()
+    if steps < FEWEST_STEPS:
+        lines.append(f"  of {steps} steps alone: give --its {FEWEST_STEPS} or more to trust it")
     return lines
