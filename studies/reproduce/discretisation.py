@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -61,10 +62,9 @@ class CrossCheck(DropStudy):
     """The four models side by side at one height for every Kn."""
 
     def plan(self) -> Iterator[tuple[DropInputs, Labels]]:
-        for kn in self.setup.kn_N_m:
-            for model in BODIES:
-                if model != Model.SOLID or kn in self.setup.full_kn_N_m:
-                    yield self.setup.case(model, kn), {}
+        for kn, model in product(self.setup.kn_N_m, BODIES):
+            if model != Model.SOLID or kn in self.setup.full_kn_N_m:
+                yield self.setup.case(model, kn), {}
 
     def section(self, results: Results) -> Section:
         s, drops = self.setup, self.drops(results)
@@ -109,10 +109,8 @@ class Enforcements(DropStudy):
     """Penalty, augmented Lagrangian and Nitsche at the same Kn."""
 
     def plan(self) -> Iterator[tuple[DropInputs, Labels]]:
-        for model in ("beam", "reduced"):
-            for kn in self.setup.ends_N_m:
-                for name, changes in VARIANTS.items():
-                    yield self.setup.case(model, kn, **changes), {"enforcement": name}
+        for model, kn, name in product(("beam", "reduced"), self.setup.ends_N_m, VARIANTS):
+            yield self.setup.case(model, kn, **VARIANTS[name]), {"enforcement": name}
 
     def section(self, results: Results) -> Section:
         s, drops = self.setup, self.drops(results)
@@ -223,11 +221,10 @@ class StepStudy(DropStudy):
         return sorted(steps)
 
     def plan(self) -> Iterator[tuple[DropInputs, Labels]]:
-        for kn in self.setup.kn_N_m:
-            for model in STEPPED:
-                for its in self.ladder(kn):
-                    case = self.setup.case(model, kn, its_s=its)
-                    yield case, {"kn_N_m": kn, "y0_m": case.height_m, "its_s": its}
+        for kn, model in product(self.setup.kn_N_m, STEPPED):
+            for its in self.ladder(kn):
+                case = self.setup.case(model, kn, its_s=its)
+                yield case, {"kn_N_m": kn, "y0_m": case.height_m, "its_s": its}
 
     def section(self, results: Results) -> Section:
         s, drops = self.setup, self.drops(results)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
 import pandas as pd
@@ -57,9 +58,8 @@ class Figure9(DropStudy):
     """Penetration against time at the chosen Kn."""
 
     def plan(self) -> Iterator[tuple[DropInputs, Labels]]:
-        for height in self.setup.fig9_heights_m:
-            for model in BODIES:
-                yield self.setup.case(model, self.setup.chosen_N_m, height), {}
+        for height, model in product(self.setup.fig9_heights_m, BODIES):
+            yield self.setup.case(model, self.setup.chosen_N_m, height), {}
 
     def section(self, results: Results) -> Section:
         s, kn = self.setup, self.setup.chosen_N_m
@@ -184,7 +184,7 @@ def time_to_peak_figure(ax: Axes, grid: pd.DataFrame, times: pd.DataFrame, limit
         (times.tp_solid_us, "o", SERIES[0], "3-D reduced"),
         (times.tp_printed_us, "s", VERMILION, "printed in the paper"),
     ):
-        look = {"ls": "none", "fillstyle": "none", "color": colour, "label": label}
+        look: Labels = {"ls": "none", "fillstyle": "none", "color": colour, "label": label}
         ax.plot(times.kn_MN_m, points, marker, **look)
     ax.axhline(limit_us, color=GREY, lw=0.8)
     beside(ax, "L/c: a wave to the top", (grid.kn_MN_m.iloc[0], limit_us), above=False)

@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
 import pandas as pd
@@ -85,15 +86,12 @@ class Leaning(DropStudy):
         return self.setup.case(kn_N_m=kn_N_m, **(LINEAR | WAYS[way] | lean))
 
     def plan(self) -> Iterator[tuple[DropInputs, Labels]]:
-        for beta in dict.fromkeys((MEASURED_BETA_S, self.setup.base.beta_s)):
-            for kn in self.setup.ends_N_m:
-                for lean in self.leans_deg:
-                    for way in WAYS:
-                        yield self._case(way, beta, kn, lean), {"way": way}
+        betas = dict.fromkeys((MEASURED_BETA_S, self.setup.base.beta_s))
+        for beta, kn, lean, way in product(betas, self.setup.ends_N_m, self.leans_deg, WAYS):
+            yield self._case(way, beta, kn, lean), {"way": way}
         kn = self.setup.chosen_N_m
-        for lean in SLIDING_DEG:
-            for mu in FRICTIONS:
-                yield self._case("second_order", MEASURED_BETA_S, kn, lean, mu), {"way": "sliding"}
+        for lean, mu in product(SLIDING_DEG, FRICTIONS):
+            yield self._case("second_order", MEASURED_BETA_S, kn, lean, mu), {"way": "sliding"}
 
     def section(self, results: Results) -> Section:
         s, drops = self.setup, self.drops(results)
@@ -265,11 +263,10 @@ class Bars(DropStudy):
             its_s=1e-6,
             gravity_m_s2=gravity,
         )
-        for length in self.lengths_m:
-            for lean in self.leans_deg:
-                rigid = rigid_speed(lean, length, DIAMETER_M)
-                case = bar.changed(length_m=length, tilt_deg=lean)
-                yield case, {"length_mm": 1e3 * length, "rigid": rigid}
+        for length, lean in product(self.lengths_m, self.leans_deg):
+            rigid = rigid_speed(lean, length, DIAMETER_M)
+            case = bar.changed(length_m=length, tilt_deg=lean)
+            yield case, {"length_mm": 1e3 * length, "rigid": rigid}
 
     def section(self, results: Results) -> Section:
         bars = self.drops(results)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from itertools import product
 
 import numpy as np
 import pandas as pd
@@ -129,10 +130,9 @@ class Figure13(DropStudy):
     """Tip height against time, from release to the second impact, in 1-D and 3-D."""
 
     def plan(self) -> Iterator[tuple[DropInputs, Labels]]:
-        for height in self.setup.heights_m:
-            for kn in self.setup.kn_N_m:
-                for model in ("beam", "reduced"):
-                    yield self.setup.case(model, kn, height), {}
+        heights, stiffnesses = self.setup.heights_m, self.setup.kn_N_m
+        for height, kn, model in product(heights, stiffnesses, ("beam", "reduced")):
+            yield self.setup.case(model, kn, height), {}
 
     def cases(self) -> list[DropInputs]:
         return [*super().cases(), self.setup.rigid("beam")]
