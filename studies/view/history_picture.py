@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from ...solver.contact_phase import HISTORY_COLUMNS
 from ..data.tables import column, read_table
-from ..report.figures import BLACK, BLUE, GREY, ORANGE, SMALLEST, VERMILION, panels, styled
+from ..report.figures import BLACK, BLUE, GREY, ORANGE, SMALLEST, VERMILION, beside, panels, styled
 
 Series = NDArray[np.floating]
 
@@ -60,17 +60,9 @@ def history_figure(history: dict[str, Series], document: dict[str, Any]) -> Figu
         plot.set_ylabel(label)
         plot.set_xlabel("time since touch (µs)")
         plot.axvline(1e6 * (end - start), color=GREY, linewidth=0.8, linestyle=":")
-    force.annotate(
-        "last release",
-        (1e6 * (end - start), 1.0),
-        xycoords=("data", "axes fraction"),
-        xytext=(-3, -2),
-        textcoords="offset points",
-        ha="right",
-        va="top",
-        fontsize=SMALLEST,
-        color=GREY,
-    )
+    at = 1e6 * (end - start), 1.0
+    where: dict[str, Any] = {"xycoords": ("data", "axes fraction"), "fontsize": SMALLEST}
+    beside(force, "last release", at, "right", above=False, color=GREY, **where)
     height.set_title(_title(document))
     return figure
 
