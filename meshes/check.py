@@ -22,21 +22,6 @@ VOLUME_TOLERANCE = 1e-12
 """Relative: the mesh of either section has a closed form, so that round-off alone is left."""
 DEGREES = (1, 2, 3)
 REFERENCE_VOLUME = {"tetrahedra": 1.0 / 6.0, "hexahedra": 8.0}
-# Corners of edges and faces of a cell, in gmsh's order.
-EDGES = {
-    "tetrahedra": ((0, 1), (1, 2), (2, 0), (3, 0), (3, 2), (3, 1)),
-    "hexahedra": (
-        *((0, 1), (0, 3), (0, 4), (1, 2), (1, 5), (2, 3)),
-        *((2, 6), (3, 7), (4, 5), (4, 7), (5, 6), (6, 7)),
-    ),
-}
-FACES = {
-    "tetrahedra": ((0, 2, 1), (0, 1, 3), (0, 3, 2), (3, 1, 2)),
-    "hexahedra": (
-        *((0, 3, 2, 1), (0, 1, 5, 4), (0, 4, 7, 3)),
-        *((1, 2, 6, 5), (2, 3, 7, 6), (4, 5, 6, 7)),
-    ),
-}
 
 
 class MeshError(RuntimeError):
@@ -66,32 +51,27 @@ class Cells:
         return np.stack([own.min(axis=0), own.max(axis=0)])
 
     @cached_property
-    def face_keys(self) -> tuple[Index, Index, Index]:
-        """Keys of the mesh's faces, rising, and the faces of all cells (6 or 4 a cell), by number;
-        of how many cells each is."""
-        keys = self.keys(self.corners[:, FACES[self.kind]].reshape(-1, len(FACES[self.kind][0])))
-        found, index, count = np.unique(keys, return_inverse=True, return_counts=True)
-        return found, index.reshape(-1), count
+    def edges(self) -> Index:
+        """The corners of every edge (cells, 6 or 12, 2); the model must be gmsh's current one."""
+        nodes = gmsh.model.mesh.getElementEdgeNodes(self.gmsh_type, primary=True)
+        return np.asarray(nodes.astype(np.int64).reshape(len(self.corners), -1, 2) - 1)
+
+    @cached_property
+    def faces(self) -> Index:
+        """gmsh's numbers of every cell's faces (cells, 4 or 6); as `edges`."""
+        gmsh.model.mesh.createFaces()
+        size = 3 if self.kind == "tetrahedra" else 4
+        nodes = gmsh.model.mesh.getElementFaceNodes(self.gmsh_type, size, primary=True)
+        numbers, _ = gmsh.model.mesh.getFaces(size, nodes)
+        return np.asarray(numbers.astype(np.int64).reshape(len(self.corners), -1))
 
     @property
     def counts(self) -> tuple[int, int, int, int]:
-        """Corners, edges, faces and cells."""
-        edges = np.unique(self.keys(self.corners[:, EDGES[self.kind]].reshape(-1, 2)))
-        corners = np.unique(self.corners)
-        return len(corners), len(edges), len(self.face_keys[0]), len(self.corners)
-
-    def keys(self, nodes: Index) -> Index:
-        """A number for each edge or face (k, 2 to 4), the same in whatever order its nodes are.
-
-        Three nodes make a face, of a quadrilateral the three that are numbered lowest.
-        """
-        nodes, n = np.sort(nodes, axis=1), len(self.points)
-        key = nodes[:, 0] * n + nodes[:, 1]
-        if nodes.shape[1] == 2:
-            return np.asarray(key)
-        if n < 2_000_000:
-            return np.asarray(key * n + nodes[:, 2])
-        raise MeshError(f"the mesh has {n:,} nodes, too many")
+        """Corners, edges, faces and cells; as `edges`."""
+        gmsh.model.mesh.createEdges()
+        edges, _ = gmsh.model.mesh.getEdges(self.edges.ravel() + 1)
+        corners, n_edges, faces = (len(np.unique(x)) for x in (self.corners, edges, self.faces))
+        return corners, n_edges, faces, len(self.corners)
 
 
 def read_cells(where: str) -> Cells:
@@ -138,10 +118,9 @@ def read_cells(where: str) -> Cells:
 
 def require_one_part(where: str, cells: Cells) -> None:
     """MeshError, which says ``where``, unless the cells hang together by their faces."""
-    found, faces, _ = cells.face_keys
-    n = len(cells.corners)
-    first = np.arange(0, len(faces) + 1, len(faces) // n)
-    touching = csr_matrix((np.ones(len(faces)), faces, first), shape=(n, len(found)))
+    faces = cells.faces
+    first = np.arange(0, faces.size + 1, faces.shape[1])
+    touching = csr_matrix((np.ones(faces.size), faces.ravel(), first))
     parts, _ = connected_components(touching @ touching.T, directed=False)
     if parts > 1:
         raise MeshError(

@@ -15,7 +15,7 @@ import gmsh
 import numpy as np
 import numpy.typing as npt
 
-from .check import FACES, Cells, Index, MeshError, quadrature_m3, read_cells, require_one_part
+from .check import Cells, Index, MeshError, quadrature_m3, read_cells, require_one_part
 from .geometry import Tag
 from .hexahedra import gmsh_model
 from .section import Rectangle
@@ -148,12 +148,13 @@ def own_mesh(path: Path, sha256: str) -> OwnMesh:
         n_facets, tip_box, tip_centre = _checked_tip(path, cells)
         volume, centre, second = _moments(path, cells)
         _check_size(path, cells.box_m)
+        counts = cells.counts
     return OwnMesh(
         path=path,
         sha256=sha256,
         cell=cells.kind,
         degree=cells.degree,
-        counts=cells.counts,
+        counts=counts,
         n_tip_facets=n_facets,
         volume_m3=volume,
         centre_m=centre,
@@ -225,13 +226,13 @@ def _checked_tip(path: Path, cells: Cells) -> tuple[int, Array, Array]:
     where = f"{path}: the physical group '{TIP}'"
     facets, numbers = _tip_facets(path, where)
     nodes = cells.points[numbers]
-    found, of_cells, count = cells.face_keys
-    keys = cells.keys(facets)
-    place = np.minimum(np.searchsorted(found, keys), len(found) - 1)
-    ours = found[place] == keys
-    if not ours.all():
-        raise MeshError(f"{where} has {(~ours).sum()} facets that are on no cell of the body")
-    inside = count[place] > 1
+    faces = cells.faces
+    ours, _ = gmsh.model.mesh.getFaces(facets.shape[1], facets.ravel() + 1)
+    count = np.bincount(faces.ravel(), minlength=int(ours.max()) + 1)
+    stray = count[ours] == 0
+    if stray.any():
+        raise MeshError(f"{where} has {stray.sum()} facets that are on no cell of the body")
+    inside = count[ours] > 1
     if inside.any():
         raise MeshError(f"{where} has {inside.sum()} facets inside the body, not on its boundary")
     low, high = cells.box_m[:, 2]
@@ -241,14 +242,14 @@ def _checked_tip(path: Path, cells: Cells) -> tuple[int, Array, Array]:
             f"{where} begins at z = {begins:.6g} m, but the body reaches down to {low:.6g} m: it "
             "must be the lower end, with z pointing up"
         )
-    owner = np.empty(len(found), dtype=np.int64)
-    owner[of_cells] = np.arange(len(of_cells)) // len(FACES[cells.kind])
+    owner = np.empty(len(count), dtype=np.int64)
+    owner[faces] = np.arange(len(faces))[:, None]
     x = cells.points[facets]
     middle = x.mean(axis=1)
     normal = np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0])
     if x.shape[1] == 4:
         normal = np.cross(x[:, 2] - x[:, 0], x[:, 3] - x[:, 1])
-    into = cells.points[cells.corners[owner[place]]].mean(axis=1) - middle
+    into = cells.points[cells.corners[owner[ours]]].mean(axis=1) - middle
     normal *= -np.sign(np.einsum("ij,ij->i", normal, into))[:, None]
     area = np.linalg.norm(normal, axis=1)
     sideways = ~(-normal[:, 2] > DOWNWARD * area)

@@ -9,7 +9,7 @@ from pathlib import Path
 import gmsh
 import numpy as np
 
-from .check import EDGES, read_cells, volume_m3
+from .check import read_cells, volume_m3
 from .geometry import MeshSpec
 
 UNITS = {"m": "m", "m3": "m3"}
@@ -30,7 +30,7 @@ def measure_quality(spec: MeshSpec) -> dict[str, float]:
         corner to corner in m
     """
     cells = read_cells("the mesh")
-    ends = cells.points[cells.corners[:, EDGES[cells.kind]]]
+    ends = cells.points[cells.edges]
     lengths = np.linalg.norm(ends[:, :, 1] - ends[:, :, 0], axis=-1)
     volume = volume_m3("the mesh", cells)
     measures = {
