@@ -22,7 +22,7 @@ OUTSIDE = 1e-6
 
 
 class TipShape(Protocol):
-    """The shape of an end face."""
+    """The shape of an end face; ValueError where a parameter is out of its range."""
 
     def offset_m(self, x_m: npt.ArrayLike, y_m: npt.ArrayLike, section: Section) -> Array:
         """How far the face stands back at the places (x, y) of the section, m, each (n,).
@@ -61,10 +61,14 @@ def edge_distance_m(x_m: npt.ArrayLike, y_m: npt.ArrayLike, section: Section) ->
     return np.maximum(inside, 0.0)
 
 
-def _require_room(name: str, value: float, section: Section) -> None:
+def _within_m(
+    name: str, breadth_m: float, x_m: npt.ArrayLike, y_m: npt.ArrayLike, section: Section
+) -> Array:
+    """How far the places (x, y) are within an edge that is ``breadth_m`` broad, m, each (n,)."""
     room = half_breadth_m(section)
-    if value > room * (1 + 1e-9):
-        raise ValueError(f"{name} {value:g} is more than half the section, {room:g} m.")
+    if breadth_m > room * (1 + 1e-9):
+        raise ValueError(f"{name} {breadth_m:g} is more than half the section, {room:g} m.")
+    return np.maximum(breadth_m - edge_distance_m(x_m, y_m, section), 0.0)
 
 
 @dataclass(frozen=True)
@@ -72,7 +76,6 @@ class Flat:
     """A face square to the axis."""
 
     def offset_m(self, x_m: npt.ArrayLike, y_m: npt.ArrayLike, section: Section) -> Array:
-        """Nought everywhere: see `TipShape.offset_m`."""
         return np.zeros_like(edge_distance_m(x_m, y_m, section))
 
 
@@ -80,14 +83,8 @@ class Flat:
 class Chamfer:
     """All edges of the face cut off along planes (the rim of a round wire along a cone).
 
-    Parameters
-    ----------
-    width_m : how far the chamfer reaches into the face from its edge, m
-    angle_deg : between the chamfer and the face, above 0 and below 90°
-
-    Raises
-    ------
-    ValueError : a value is out of its range
+    ``width_m`` is how far the chamfer reaches into the face from its edge, ``angle_deg`` the angle
+    between the chamfer and the face, above 0 and below 90°.
     """
 
     width_m: float
@@ -100,12 +97,8 @@ class Chamfer:
             raise ValueError(f"angle_deg of a chamfer must be below 90, not {self.angle_deg!r}.")
 
     def offset_m(self, x_m: npt.ArrayLike, y_m: npt.ArrayLike, section: Section) -> Array:
-        """(width - e) tan(angle) within the width, e the distance from the nearest edge.
-
-        See `TipShape.offset_m`.
-        """
-        _require_room("width_m", self.width_m, section)
-        within = np.maximum(self.width_m - edge_distance_m(x_m, y_m, section), 0.0)
+        """(width - e) tan(angle) within the width, e the distance from the nearest edge."""
+        within = _within_m("width_m", self.width_m, x_m, y_m, section)
         return within * math.tan(math.radians(self.angle_deg))
 
 
@@ -113,13 +106,7 @@ class Chamfer:
 class Rounded:
     """All edges of the face rounded; a round wire of twice the radius ends in a half sphere.
 
-    Parameters
-    ----------
-    radius_m : of the quarter circle at the edge, m
-
-    Raises
-    ------
-    ValueError : the radius is not positive
+    ``radius_m`` is that of the quarter circle at the edge.
     """
 
     radius_m: float
@@ -128,13 +115,9 @@ class Rounded:
         require_positive("radius_m", self.radius_m)
 
     def offset_m(self, x_m: npt.ArrayLike, y_m: npt.ArrayLike, section: Section) -> Array:
-        """r - √(r² - (r - e)²) within r of the edge, e the distance from it.
-
-        See `TipShape.offset_m`.
-        """
-        _require_room("radius_m", self.radius_m, section)
+        """r - √(r² - (r - e)²) within r of the edge, e the distance from it."""
         radius = self.radius_m
-        within = np.maximum(radius - edge_distance_m(x_m, y_m, section), 0.0)
+        within = _within_m("radius_m", radius, x_m, y_m, section)
         return within**2 / (radius + np.sqrt(np.maximum(radius**2 - within**2, 0.0)))
 
 
@@ -142,14 +125,8 @@ class Rounded:
 class Worn:
     """A plane face that slants, as a leaning bristle wears it.
 
-    Parameters
-    ----------
-    angle_deg : between the face and the plane square to the axis, from 0 to below 90°
-    direction_deg : where the face stands back most, from +x (thickness) toward +y (width)
-
-    Raises
-    ------
-    ValueError : a value is out of its range
+    ``angle_deg`` is the angle between the face and the plane square to the axis, from 0 to below
+    90°, ``direction_deg`` where the face stands back most, from +x (thickness) toward +y (width).
     """
 
     angle_deg: float
@@ -164,10 +141,7 @@ class Worn:
             raise ValueError(f"direction_deg must be a number, not {self.direction_deg!r}.")
 
     def offset_m(self, x_m: npt.ArrayLike, y_m: npt.ArrayLike, section: Section) -> Array:
-        """tan(angle) times the distance from the lowest edge, along the direction.
-
-        See `TipShape.offset_m`.
-        """
+        """tan(angle) times the distance from the lowest edge, along the direction."""
         edge_distance_m(x_m, y_m, section)  # raises for places outside
         direction = math.radians(self.direction_deg)
         along = np.array([math.cos(direction), math.sin(direction)])
