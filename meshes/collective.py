@@ -4,27 +4,17 @@ from __future__ import annotations
 
 import pickle
 from collections.abc import Callable
-from typing import Any, TypeVar
+from typing import Any
 
 from mpi4py import MPI
-
-Result = TypeVar("Result")
 
 
 def run_on_one_rank[Result](
     comm: MPI.Intracomm, action: Callable[[], Result], rank: int = 0
 ) -> Result:
-    """Run `action` on `rank` alone and give all ranks its result; collective.
+    """Run `action` on `rank` alone, and return its result on every rank; collective.
 
-    Parameters
-    ----------
-    comm : communicator whose ranks all call this
-    action : work that communicates with nobody; its result must be picklable
-    rank : the rank that works, while the others wait
-
-    Returns
-    -------
-    The result of `action`, on every rank.
+    The others wait: it must communicate with nobody, and its result be picklable.
 
     Raises
     ------

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import gmsh
 import meshio
 import numpy as np
 
@@ -19,13 +18,8 @@ TAG_DATA = "tag"
 """Name of the cell data that hold the values of `Tag`."""
 
 
-def write_msh(path: Path) -> None:
-    """Write gmsh's current model as MSH 4.1, text, with its physical groups."""
-    gmsh.write(str(path))
-
-
 def write_vtu(msh: Path, vtu: Path) -> None:
-    """Write a file from `write_msh` for ParaView: points in m, cells in VTK's node order.
+    """Write gmsh's file `msh` for ParaView: points in m, cells in VTK's node order.
 
     Beside `TAG_DATA` each physical group becomes cell data of its name, 1 inside and 0 outside,
     because VTK has no cell sets.

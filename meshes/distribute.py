@@ -12,13 +12,7 @@ from dolfinx.io import gmshio
 from dolfinx.mesh import Mesh, MeshTags
 from mpi4py import MPI
 
-from .check import (
-    VOLUME_TOLERANCE,
-    MeshError,
-    check_model,
-    determinant_degree,
-    meshed_volume_m3,
-)
+from .check import VOLUME_TOLERANCE, MeshError, check_model, determinant_degree, meshed_volume_m3
 from .collective import run_on_one_rank
 from .geometry import MeshSpec, Tag
 from .hexahedra import build_model, gmsh_model
@@ -49,13 +43,19 @@ def to_dolfinx(
     ------
     MeshError : gmsh failed, or the mesh is not what was asked for; on all ranks, with one message
     """
-    expected = {Tag.BODY: spec.n_cells, **spec.n_facets}
-    volume = meshed_volume_m3(spec)
 
     def open_model(stack: ExitStack) -> None:
-        _open_checked_model(spec, stack)
+        try:
+            stack.enter_context(gmsh_model())
+            build_model(spec)
+            check_model(spec)
+        except MeshError:
+            raise
+        except Exception as error:  # gmsh raises a bare Exception
+            raise MeshError(f"gmsh could not make the mesh: {error}") from error
 
-    return distribute(comm, open_model, expected, volume, partitioner)
+    expected = {Tag.BODY: spec.n_cells, **spec.n_facets}
+    return distribute(comm, open_model, expected, meshed_volume_m3(spec), partitioner)
 
 
 def own_to_dolfinx(own: OwnMesh, comm: MPI.Intracomm) -> tuple[Mesh, MeshTags]:
@@ -127,18 +127,6 @@ def volume_m3(mesh: Mesh) -> float:
         for q, weight in enumerate(np.asarray(weights))
     )
     return float(mesh.comm.allreduce(float(volume)))
-
-
-def _open_checked_model(spec: MeshSpec, open_model: ExitStack) -> None:
-    """Build and check `spec` in a gmsh model that `open_model` will close."""
-    try:
-        open_model.enter_context(gmsh_model())
-        build_model(spec)
-        check_model(spec)
-    except MeshError:
-        raise
-    except Exception as error:  # gmsh raises a bare Exception
-        raise MeshError(f"gmsh could not make the mesh: {error}") from error
 
 
 def _check_distributed(

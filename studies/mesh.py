@@ -7,11 +7,12 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+import gmsh
 from mpi4py import MPI
 
 from bristle.meshes.check import check_model
 from bristle.meshes.collective import run_on_one_rank
-from bristle.meshes.convert import write_msh, write_vtu
+from bristle.meshes.convert import write_vtu
 from bristle.meshes.geometry import MeshSpec
 from bristle.meshes.hexahedra import build_model, gmsh_model
 from bristle.meshes.picture import write_picture
@@ -66,7 +67,7 @@ def _make(spec: MeshSpec, folder: Path) -> dict[str, float]:
         build_model(spec)
         check_model(spec)
         quality = measure_quality(spec)
-        write_msh(folder / "bristle.msh")
+        gmsh.write(str(folder / "bristle.msh"))
     write_vtu(folder / "bristle.msh", folder / "bristle.vtu")
     write_csv(quality, folder / "quality.csv")
     write_picture(folder / "bristle.vtu", folder / "mesh.png")

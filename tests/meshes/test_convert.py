@@ -10,7 +10,7 @@ import pyvista
 import vtk
 
 from bristle.meshes.check import meshed_volume_m3, read_cells, volume_m3
-from bristle.meshes.convert import TAG_DATA, write_msh, write_vtu
+from bristle.meshes.convert import TAG_DATA, write_vtu
 from bristle.meshes.geometry import MeshSpec, Tag
 from bristle.meshes.hexahedra import build_model, gmsh_model
 from bristle.meshes.quality import measure_quality, write_csv
@@ -32,7 +32,7 @@ def files(spec, tmp_path):
     msh, vtu = tmp_path / "bristle.msh", tmp_path / "bristle.vtu"
     with gmsh_model():
         build_model(spec)
-        write_msh(msh)
+        gmsh.write(str(msh))
     write_vtu(msh, vtu)
     return msh, vtu
 

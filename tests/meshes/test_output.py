@@ -7,6 +7,7 @@ import sys
 import time
 from pathlib import Path
 
+import gmsh
 import meshio
 import numpy as np
 import pytest
@@ -16,7 +17,7 @@ from mpi4py import MPI
 from bristle.meshes import display
 from bristle.meshes.check import MeshError
 from bristle.meshes.collective import run_on_one_rank
-from bristle.meshes.convert import write_msh, write_vtu
+from bristle.meshes.convert import write_vtu
 from bristle.meshes.display import DrawingError, run_drawing
 from bristle.meshes.geometry import MeshSpec
 from bristle.meshes.hexahedra import build_model, gmsh_model
@@ -234,7 +235,7 @@ def facets_of(spec, folder):
     """Return the facets of a mesh of `spec`, in mm."""
     with gmsh_model():
         build_model(spec)
-        write_msh(folder / "a.msh")
+        gmsh.write(str(folder / "a.msh"))
     write_vtu(folder / "a.msh", folder / "a.vtu")
     return read_facets(folder / "a.vtu")
 
