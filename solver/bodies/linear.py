@@ -13,7 +13,7 @@ whole drop or sweep 1.5 times faster than these two.
 from __future__ import annotations
 
 from enum import StrEnum
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING
 
 import numpy as np
 from petsc4py import PETSc
@@ -51,37 +51,22 @@ class Solver(StrEnum):
     ITERATIVE = "iterative"
 
 
-class Method(StrEnum):
-    """What comes of it."""
-
-    DIRECT = "direct"
-    ITERATIVE = "iterative"
-
-
-class LinearSolver(Protocol):
-    """Solves for (n,) or (n, m) right-hand sides until ``close``."""
-
-    def solve(self, b: Array) -> Array: ...
-
-    def close(self) -> None: ...
-
-
-def choose(solver: Solver, unknowns: int, layers: int, order: int) -> Method:
-    """The method for a body of ``unknowns`` on ``layers`` of nodes along its axis."""
+def choose(solver: Solver, unknowns: int, layers: int, order: int) -> Solver:
+    """What serves a body of ``unknowns`` on ``layers`` of nodes along its axis, never ``AUTO``."""
     if solver is not Solver.AUTO:
-        return Method.DIRECT if solver is Solver.DIRECT else Method.ITERATIVE
+        return solver
     compact = COMPACT * unknowns ** (4.0 / 3.0)
     slender = SLENDER * unknowns * ((1.0 + 0.5 * order) * unknowns / layers) ** 0.7
-    return Method.DIRECT if min(compact, slender) <= LARGEST_FACTOR else Method.ITERATIVE
+    return Solver.DIRECT if min(compact, slender) <= LARGEST_FACTOR else Solver.ITERATIVE
 
 
 def make_solver(
-    solid: SolidBody, method: Method, c_mass: float, c_stiffness: float
-) -> LinearSolver:
+    solid: SolidBody, method: Solver, c_mass: float, c_stiffness: float
+) -> Cholesky | Iterative:
     """A solver of c_mass M + c_stiffness K. Collective; raises ComputationError."""
     matrix = solid.effective_matrix(c_mass, c_stiffness)
     try:
-        if method is Method.DIRECT:
+        if method is Solver.DIRECT:
             return Cholesky(matrix)
         return Iterative(matrix, solid, stiff=c_stiffness * solid.stiffest_1_s2 > DIAGONAL * c_mass)
     finally:
@@ -148,22 +133,14 @@ def factor(solver: PETSc.KSP, what: str) -> None:
 
 def solve_columns(solver: PETSc.KSP | PETSc.Mat, b: Array) -> Array:
     """Solutions (n_local, m) for all columns of ``b`` at once, by a solver or a factor."""
-    right = dense(solver.comm, b)
+    sizes = ((len(b), None), (None, b.shape[1]))
+    right = PETSc.Mat().createDense(sizes, array=np.asfortranarray(b), comm=solver.comm)
     solution = right.duplicate()
     solver.matSolve(right, solution)
     x = solution.getDenseArray().copy(order="F")
     right.destroy()
     solution.destroy()
     return x
-
-
-def dense(comm: PETSc.Comm, x: Array) -> PETSc.Mat:
-    """A PETSc copy of this rank's rows ``x`` (n_local, m)."""
-    matrix = PETSc.Mat().createDense(((len(x), None), (None, x.shape[1])), comm=comm)
-    matrix.setUp()
-    matrix.getDenseArray()[:] = x
-    matrix.assemble()
-    return matrix
 
 
 class Iterative:

@@ -97,12 +97,9 @@ class NodeMass:
         n = self.columns.size_global
         local = sp.csr_matrix((value, nodes, first), (len(first) - 1, n))
         full = sp.kron(local, sp.eye_array(3), format="csr")
-        sizes = ((full.shape[0], full.shape[1]),) * 2
-        if self.comm.size > 1:
-            sizes = ((full.shape[0], None),) * 2
         index = PETSc.IntType
         csr = (full.indptr.astype(index), full.indices.astype(index), full.data)
-        return PETSc.Mat().createAIJ(sizes, csr=csr, comm=self.comm)
+        return PETSc.Mat().createAIJ(((full.shape[0], None),) * 2, csr=csr, comm=self.comm)
 
 
 @fast

@@ -18,7 +18,7 @@ from ..bristle import CONTACT_POINTS, Material
 from ..errors import ComputationError
 from ..form_cache import form
 from ..forms import Elasticity
-from .linear import LinearSolver, Method, Solver, choose, make_solver
+from .linear import Cholesky, Iterative, Solver, choose, make_solver
 from .matrices import NodeMass, assembled_rows, degree_of_products, petsc_matrix
 from .tip import tip_contact
 
@@ -58,7 +58,7 @@ class SolidBody:
         self.n_local = index_map.size_local * block
         self.n_dofs = index_map.size_global * block
         self.factorisations = 0
-        self._solvers: dict[tuple[float, bool], LinearSolver] = {}
+        self._solvers: dict[tuple[float, bool], Cholesky | Iterative] = {}
         self._elasticity = Elasticity.of(material, domain)
         self._assemble()
         self.translation = np.tile(np.eye(3), (self.n_local // 3, 1))
@@ -123,7 +123,7 @@ class SolidBody:
         return np.unique(np.concatenate(self.comm.allgather(own)))
 
     @cached_property
-    def method(self) -> Method:
+    def method(self) -> Solver:
         """How effective matrices are solved with."""
         return choose(self.solver, self.n_dofs, len(self.layers_m), self.order)
 
