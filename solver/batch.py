@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .arrays import Array
-from .bodies.base import ContactPoints
+from .bodies.base import axial_point
 from .bodies.modal import ModalBody
 from .compiled import meanwhile, njit
 from .contact.points import Points
@@ -133,7 +133,11 @@ class Drops:
 
 
 class Outcome(NamedTuple):
-    """What one drop gave, or arrays of it: names and units as in `drop.DropResult`."""
+    """What one drop gave, or arrays of it: names and units as in `drop.DropResult` and its energy.
+
+    Losses are those up to the last release of the first impact, as with `DropPlan.impact_only`: the
+    flight that follows is not in them.
+    """
 
     rebound_height_m: Array
     cm_rebound_height_m: Array
@@ -441,20 +445,12 @@ def as_column(body: ModalBody) -> ModalBody | None:
         return None
     translation = np.zeros_like(body.translation[own])
     translation[:, 2] = body.translation[own, 2]
-    point = ContactPoints(
-        coordinates=np.ascontiguousarray(pushed[None, own]),
-        support=np.zeros((1, 1), dtype=np.int64),
-        shapes=np.array([[[0.0], [0.0], [1.0]]]),
-        traction=np.zeros((3, int(own.sum()))),
-        weights=np.ones(1),
-        places_m=(points.weights @ points.places_m)[None],
-    )
     return ModalBody(
         name=body.name,
         omega2=body.omega2[own],
         translation=translation,
         rotation=np.zeros_like(body.rotation[own]),
-        contact=point,
+        contact=axial_point(pushed[own], points.weights @ points.places_m),
         alpha_1_s=body.alpha_1_s,
         beta_s=body.beta_s,
         loss_factor=body.loss_factor,

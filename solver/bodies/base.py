@@ -82,6 +82,19 @@ def with_offsets(contact: ContactPoints, offsets_m: Array) -> ContactPoints:
     return replace(contact, places_m=places)
 
 
+def axial_point(moved: Array, place_m: Array) -> ContactPoints:
+    """One point at ``place_m`` (3,) that unknowns move by ``moved`` (dofs,), along the axis alone,
+    and that has no traction."""
+    return ContactPoints(
+        coordinates=np.ascontiguousarray(moved[None]),
+        support=np.zeros((1, 1), dtype=np.int64),
+        shapes=np.array([[[0.0], [0.0], [1.0]]]),
+        traction=np.zeros((3, len(moved))),
+        weights=np.ones(1),
+        places_m=place_m[None],
+    )
+
+
 def summed(comm: MPI.Intracomm, local: Array) -> Array:
     """The sum of all ranks' arrays ``local``."""
     if comm.size == 1:

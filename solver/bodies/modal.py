@@ -15,7 +15,7 @@ from scipy.sparse.csgraph import connected_components
 from ..arrays import Array
 from ..bristle import RigidMass
 from .axis import Axis
-from .base import ContactPoints, dense_of
+from .base import ContactPoints, axial_point, dense_of
 
 # Parts of a body that are records of arrays, and what of these is not kept.
 PARTS: dict[str, type] = {"contact": ContactPoints, "axis": Axis}
@@ -106,7 +106,24 @@ def modal_form(
         first = last
     order = np.argsort(omega2, kind="stable")
     omega2, modes = omega2[order], modes[:, order]
-    still = modes.T @ (mass @ rigid)
+    return body_in_modes(name, omega2, modes, mass @ rigid, contact, alpha_1_s, beta_s, axis)
+
+
+def body_in_modes(
+    name: str,
+    omega2: Array,
+    modes: Array,
+    held: Array,
+    contact: ContactPoints,
+    alpha_1_s: float,
+    beta_s: float,
+    axis: Axis | None,
+) -> ModalBody:
+    """The body seen by ``modes`` (n, m) of squared frequencies ``omega2`` (m,).
+
+    ``held`` (n, 6) is M times the rigid motions; the rest see `modal_form`.
+    """
+    still = modes.T @ held
     still[omega2 > 0.0] = 0.0
     return ModalBody(
         name=name,
@@ -164,21 +181,12 @@ def rigid_body(mass: RigidMass) -> ModalBody:
     It touches at a point, does not turn, slide or bend, and loses nothing by itself, so it serves
     for upright drops onto level ground: all that happens is the contact law's.
     """
-    along: Array = np.array([[1.0 / math.sqrt(mass.mass_kg)]])
-    point = ContactPoints(
-        coordinates=along,
-        support=np.zeros((1, 1), dtype=np.int64),
-        shapes=np.array([[[0.0], [0.0], [1.0]]]),
-        traction=np.zeros((3, 1)),
-        weights=np.ones(1),
-        places_m=np.zeros((1, 3)),
-    )
     return ModalBody(
         name="rigid",
         omega2=np.zeros(1),
         translation=np.array([[0.0, 0.0, math.sqrt(mass.mass_kg)]]),
         rotation=np.zeros((1, 3)),
-        contact=point,
+        contact=axial_point(np.array([1.0 / math.sqrt(mass.mass_kg)]), np.zeros(3)),
         alpha_1_s=0.0,
         beta_s=0.0,
     )

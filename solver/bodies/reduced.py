@@ -29,7 +29,7 @@ from ..rigid import Pose
 from .axis import Axis
 from .base import ContactPoints, summed
 from .matrices import assembled_rows
-from .modal import ModalBody, in_modes
+from .modal import ModalBody, body_in_modes, in_modes
 from .solid import SolidBody
 
 DEFLATED = 1e-10
@@ -262,19 +262,8 @@ def reduce_solid(
             )
         modes = np.zeros((grown.count, count))
         modes[:count] = turn
-        still = modes.T @ rigid
-        still[omega2 > 0.0] = 0.0
-        modal = ModalBody(
-            name="reduced",
-            omega2=omega2,
-            translation=still[:, :3],
-            rotation=still[:, 3:],
-            contact=in_modes(contact, modes),
-            alpha_1_s=solid.alpha_1_s,
-            beta_s=solid.beta_s,
-            axis=None if axis is None else axis.in_modes(modes),
-        )
-        return modal, modes
+        damping = solid.alpha_1_s, solid.beta_s
+        return body_in_modes("reduced", omega2, modes, rigid, contact, *damping, axis), modes
 
     modal, turn = body(grown.count)
     coarser = tuple(body(count)[0] for count in counts)
