@@ -15,6 +15,9 @@ from .. import paper
 from ..contact.laws import ContactLaw, Linear
 from ..errors import InputError
 
+# Kinds of datasets of bristles that touch.
+TOUCHING = frozenset({"drops", "tracks", "forces"})
+
 
 class Place(StrEnum):
     """Where an effect enters."""

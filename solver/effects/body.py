@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 from .. import paper
-from .base import Effect, Parameter, Place, Scene
+from .base import TOUCHING, Effect, Parameter, Place, Scene
 
-BOUNCING = frozenset({"drops", "tracks", "forces", "waves"})
+BOUNCING = TOUCHING | {"waves"}
 
 
 @dataclass(frozen=True)

@@ -6,9 +6,7 @@ from dataclasses import dataclass, replace
 
 from ..contact import laws
 from ..errors import InputError
-from .base import Effect, Parameter, Place, Scene
-
-TOUCHING = frozenset({"drops", "tracks", "forces"})
+from .base import TOUCHING, Effect, Parameter, Place, Scene
 
 
 def _with_law(scene: Scene, law: laws.ContactLaw) -> Scene:

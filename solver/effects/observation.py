@@ -4,9 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-from .base import Effect, Parameter, Place, Scene
-
-SEEN = frozenset({"drops", "tracks", "forces"})
+from .base import TOUCHING, Effect, Parameter, Place, Scene
 
 
 @dataclass(frozen=True)
@@ -19,7 +17,7 @@ class HeightOffset(Effect):
     computed = True
     title = "zero of the heights"
     place = Place.OBSERVATION
-    kinds = SEEN
+    kinds = TOUCHING
     source = "a scale that does not start at the surface"
     parameters = (Parameter("offset_m", "m", -5e-3, 5e-3, 1e-3, why="what an eye would not see"),)
 
@@ -37,7 +35,7 @@ class ScaleError(Effect):
     computed = True
     title = "scale of the heights"
     place = Place.OBSERVATION
-    kinds = SEEN
+    kinds = TOUCHING
     source = "a scale that stands nearer to the camera than the bristle"
     parameters = (Parameter("relative", "", -0.2, 0.2, 0.05, why="parallax of a scale in view"),)
 
@@ -55,7 +53,7 @@ class ClockError(Effect):
     computed = True
     title = "rate of the clock"
     place = Place.OBSERVATION
-    kinds = SEEN
+    kinds = TOUCHING
     source = "a camera whose frame rate is not the stated one"
     parameters = (Parameter("relative", "", -0.2, 0.2, 0.02, why="consumer cameras and sensors"),)
 

@@ -26,8 +26,7 @@ from .. import paper
 from ..arrays import Array
 from ..contact.laws import ContactLaw, Damped, Linear, check_compiled
 from ..errors import InputError
-from .base import Effect, Parameter, Place, Scene
-from .contact import TOUCHING
+from .base import TOUCHING, Effect, Parameter, Place, Scene
 from .library import EFFECTS
 
 ENTRY_POINT = "bristle.effects"

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-from .base import Effect, Parameter, Place, Scene
+from .base import TOUCHING, Effect, Parameter, Place, Scene
 
 # Dry air at 20 °C and 1013 hPa (ISO 2533 extrapolated from 15 °C).
 AIR_KG_M3 = 1.204
-DROPPED = frozenset({"drops", "tracks", "forces"})
 
 
 @dataclass(frozen=True)
@@ -21,7 +20,7 @@ class ReleaseVelocity(Effect):
     computed = True
     title = "speed at release"
     place = Place.RELEASE
-    kinds = DROPPED
+    kinds = TOUCHING
     source = "v_i² = v_0² + 2 g y_0 in place of Eq. 1"
     parameters = (
         Parameter(
@@ -43,7 +42,7 @@ class AirDrag(Effect):
     computed = True
     title = "air drag"
     place = Place.FLIGHT
-    kinds = DROPPED | {"falls"}
+    kinds = TOUCHING | {"falls"}
     source = "Hoerner, Fluid-Dynamic Drag (1965), ch. 3: blunt bodies, c_d from 0.8 to 1.2"
     parameters = (
         Parameter(

@@ -10,9 +10,8 @@ import numpy as np
 from ..arrays import Array
 from ..contact.laws import Linear
 from ..errors import InputError
-from .base import Effect, Parameter, Place, Scene
+from .base import TOUCHING, Effect, Parameter, Place, Scene
 
-LANDING = frozenset({"drops", "tracks", "forces"})
 # Drops over which wear is counted.
 WEAR_DROPS = 100.0
 MOST_SLOPE_DEG = 10.0
@@ -30,7 +29,7 @@ class BristleTilt(Effect):
     leaning = True
     title = "a bristle that leans"
     place = Place.RELEASE
-    kinds = LANDING
+    kinds = TOUCHING
     source = "the paper's discussion: bristles are not vertical"
     parameters = (
         Parameter("tilt_deg", "°", 0.0, 8.0, 2.0, why="more than 8° anybody would have seen"),
@@ -54,7 +53,7 @@ class SurfaceSlope(Effect):
     leaning = True
     title = "asperity slopes"
     place = Place.SURFACE
-    kinds = LANDING
+    kinds = TOUCHING
     source = "the paper's discussion: a rough surface; Nayak, J. Lubr. Tech. 93 (1971)"
     parameters = (
         Parameter("std_deg", "°", 0.0, 8.0, 3.0, why="rms slope of concrete at a tip's size"),
@@ -98,7 +97,7 @@ class SurfacePhases(Effect):
     computed = True
     title = "stiffness that differs from drop to drop"
     place = Place.SURFACE
-    kinds = LANDING
+    kinds = TOUCHING
     source = "the paper's phases: cement 12 GPa, coarse aggregate 69 GPa, fine aggregate 80 GPa"
     parameters = (
         Parameter("std_decades", "decades", 0.0, 1.0, 0.3, why="12 to 80 GPa are 0.8 decades"),
@@ -119,7 +118,7 @@ class Wear(Effect):
     computed = True
     title = "drift with the order of drops"
     place = Place.SURFACE
-    kinds = LANDING
+    kinds = TOUCHING
     source = "Archard, J. Appl. Phys. 24 (1953): wear in proportion to the number of contacts"
     parameters = (
         Parameter(

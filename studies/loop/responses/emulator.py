@@ -26,8 +26,7 @@ from ....solver.bristle import Bristle, RigidMass
 from ....solver.cache import cached, sources
 from ....solver.contact.laws import Adhesive, ContactLaw, Damped, Linear, Plastic
 from ....solver.effects import library
-from ....solver.effects.base import Effect, Parameter, Scene
-from ....solver.effects.contact import TOUCHING
+from ....solver.effects.base import TOUCHING, Effect, Parameter, Scene
 from ....solver.effects.library import EFFECTS
 from ....solver.effects.surface import MOST_SLOPE_DEG
 from . import table, table_drops
