@@ -14,6 +14,7 @@ ParaView reads them with ADIOS2VTXReader, in parallel if need be. Every frame is
 
 from __future__ import annotations
 
+import math
 import shutil
 import time
 from collections.abc import Callable
@@ -26,6 +27,7 @@ import numpy as np
 from dolfinx import fem
 from dolfinx.io import VTXMeshPolicy, VTXWriter
 
+from ..meshes.collective import run_on_one_rank
 from .arrays import Array
 from .bodies.solid import SolidBody
 from .checkpoint import Checkpoint, Mark, under
@@ -58,9 +60,6 @@ class Phase(StrEnum):
     CONTACT = "contact"
     RELEASE = "release"
     FLIGHT = "flight"
-
-
-PHASES = tuple(Phase.__members__.values())
 
 
 class FieldWriter:
@@ -111,7 +110,12 @@ class FieldWriter:
         self.times_s: list[float] = []
         self._marcher, self._frame = marcher, frame
         self._checkpoint = checkpoint
-        self._every = every or _default_stride(solid, marcher)
+        # of the upright mesh, whose tip is at z = 0
+        height_m = solid.comm.allreduce(solid.domain.geometry.x[:, 2].max(initial=0.0), max)
+        self._height_m = float(height_m)
+        self._period_s = 2.0 * self._height_m / solid.material.bar_speed_m_s
+        its_s = marcher.its_s if marcher else math.inf
+        self._every = every or max(1, round(self._period_s / FRAMES_PER_PERIOD / its_s))
         self._max_frames, self._next_doubling = max_frames, max_frames // 2
         self._n_contact, self._since = 0, self._every
         self._phase: Phase | None = None
@@ -136,9 +140,7 @@ class FieldWriter:
         self._tip = TipFace(self.solid)
 
     def _open(self) -> None:
-        refused = self.comm.bcast(self._clear() if self.comm.rank == 0 else None)
-        if refused:
-            raise ComputationError(f"the fields cannot be written to {self.folder}: {refused}")
+        run_on_one_rank(self.comm, self._clear)
         self._failing = self.comm.Dup()
         body = [self.displacement, self.velocity, self.axial_stress, self.von_mises]
         self._writers = [
@@ -152,8 +154,8 @@ class FieldWriter:
             for name, fields in ((SOLID_FILE, body), (TIP_FILE, self._tip.fields))
         ]
 
-    def _clear(self) -> str | None:
-        """Make the folder ready; returns why that is not possible, or None."""
+    def _clear(self) -> None:
+        """Make the folder ready; ComputationError where that is not possible."""
         try:
             self.folder.mkdir(parents=True, exist_ok=True)
             for name in (SOLID_FILE, TIP_FILE):
@@ -161,8 +163,10 @@ class FieldWriter:
             (self.folder / GROUND_FILE).unlink(missing_ok=True)
             (self.folder / FRAMES_FILE).write_text("frame,t_s,phase\n")
         except OSError as error:
-            return error.strerror or str(error)
-        return None
+            why = error.strerror or str(error)
+            raise ComputationError(
+                f"the fields cannot be written to {self.folder}: {why}"
+            ) from error
 
     def __call__(self, state: Moving, step_force: Array) -> None:
         """Take note of a step; ``step_force`` (n contact points, 3) in N per area share."""
@@ -179,17 +183,15 @@ class FieldWriter:
         if due and self._n_contact < self._max_frames - kept:
             if self._checkpoint is not None:
                 shown = {"t_s": state.t_s, "u": state.u, "v": state.v, "force": force}
-                phase = PHASES.index(self._phase)
-                arrays = {name: np.asarray(value) for name, value in shown.items()}
-                self._checkpoint.keep_frame(arrays | {"phase": np.array(phase)})
+                shown["phase"] = str(self._phase)
+                self._checkpoint.keep_frame({k: np.asarray(value) for k, value in shown.items()})
             self.write(state.t_s, state.u, state.v, force, self._phase)
             self._count()
 
     def memory(self) -> dict[str, Array]:
         """Which frames were due so far, see `touch.Observer`."""
-        phase = -1 if self._phase is None else PHASES.index(self._phase)
-        counts = [self._every, self._next_doubling, self._n_contact, self._since, phase]
-        return {"counts": np.array(counts)}
+        counts = [self._every, self._next_doubling, self._n_contact, self._since]
+        return {"counts": np.array(counts), "phase": np.array(str(self._phase or ""))}
 
     def recall(self, mark: Mark, state: Moving) -> None:
         """Write the frames that were kept, and go on counting."""
@@ -198,11 +200,12 @@ class FieldWriter:
         if self._marcher is not None:
             self._placement = self._marcher.ground
         for frame in mark.frames:
-            phase = PHASES[int(frame["phase"])]
+            phase = Phase(str(frame["phase"]))
             self.write(float(frame["t_s"]), frame["u"], frame["v"], frame["force"], phase)
-        counts = dict(under("observer", mark.arrays))["counts"]
-        self._every, self._next_doubling, self._n_contact, self._since = map(int, counts[:4])
-        self._phase = PHASES[int(counts[4])] if counts[4] >= 0 else None
+        kept = dict(under("observer", mark.arrays))
+        self._every, self._next_doubling, self._n_contact, self._since = map(int, kept["counts"])
+        phase = str(kept["phase"])
+        self._phase = Phase(phase) if phase else None
         self._last = state
 
     def _next_phase(self, state: Moving, step_force: Array, force: Array) -> Phase:
@@ -258,7 +261,7 @@ class FieldWriter:
     def _set_ground(self) -> Array:
         """Write the ground that the body touches; returns where it does, the world's origin."""
         origin, normal = self._placement.nearest(self.solid.contact)
-        half = GROUND_REACH * _height_m(self.solid)
+        half = GROUND_REACH * self._height_m
         if self.comm.rank == 0:
             (self.folder / GROUND_FILE).write_text(_square_vtk(normal, half))
         return origin
@@ -280,7 +283,7 @@ class FieldWriter:
         """
         if self._last is None:
             raise ValueError("there is no flight before the first step")
-        end_s = self._last.t_s + 2.0 * axial_period_s(self.solid)
+        end_s = self._last.t_s + 2.0 * self._period_s
         self._write_flight(np.linspace(self._last.t_s, end_s, n_frames + 1)[1:], advance)
 
     def _fly_to(self, t_s: float) -> None:
@@ -338,16 +341,6 @@ class FieldWriter:
         return True
 
 
-def axial_period_s(solid: SolidBody) -> float:
-    """Time 2L/c in which an axial wave runs up the solid and back. Collective."""
-    return 2.0 * _height_m(solid) / solid.material.bar_speed_m_s
-
-
-def _height_m(solid: SolidBody) -> float:
-    """Of the upright mesh, whose tip is at z = 0."""
-    return float(solid.comm.allreduce(solid.domain.geometry.x[:, 2].max(initial=0.0), max))
-
-
 def _square_vtk(normal: Array, half_m: float) -> str:
     """A square in the plane through the origin with the given normal, as a legacy VTK file."""
     first = np.cross(np.array([0.0, 1.0, 0.0]), normal)
@@ -359,9 +352,3 @@ def _square_vtk(normal: Array, half_m: float) -> str:
         "# vtk DataFile Version 3.0\nground\nASCII\nDATASET POLYDATA\n"
         f"POINTS 4 double\n{points}\nPOLYGONS 1 5\n4 0 1 2 3\n"
     )
-
-
-def _default_stride(solid: SolidBody, marcher: ContactMarch | None) -> int:
-    if marcher is None:
-        return 1
-    return max(1, round(axial_period_s(solid) / FRAMES_PER_PERIOD / marcher.its_s))
