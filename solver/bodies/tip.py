@@ -285,25 +285,29 @@ def _local_columns(space: fem.FunctionSpace) -> tuple[int, int]:
 
 def _node_rows(space: fem.FunctionSpace, nodes: Index) -> csr_matrix:
     """The displacements of ``nodes`` as rows over this rank's unknowns."""
-    first, last = _local_columns(space)
     column = (3 * nodes[:, None] + np.arange(3)).ravel()
     row = np.arange(len(column))
-    keep = (column >= first) & (column < last)
-    shape = (len(column), last - first)
-    return csr_matrix((np.ones(keep.sum()), (row[keep], column[keep] - first)), shape)
+    return _own_columns(space, np.ones(len(column)), row, column, len(column))
 
 
 def _traction_rows(
     space: fem.FunctionSpace, found: FacetPoints, index: NDArray[np.intp], shares: Array
 ) -> csr_matrix:
     """Rows of traction, summed by ``shares`` per point and axis (3 n, unknowns of this rank)."""
-    first, last = _local_columns(space)
     row = np.broadcast_to((3 * index[:, None] + np.arange(3))[..., None], found.traction_Pa.shape)
     column = np.broadcast_to(found.columns[:, None], found.traction_Pa.shape)
     value = shares[:, None, None] * found.traction_Pa
+    return _own_columns(space, value, row, column, 3 * (int(index.max()) + 1))
+
+
+def _own_columns(
+    space: fem.FunctionSpace, value: Array, row: Index, column: Index, n_rows: int
+) -> csr_matrix:
+    """The rows that have these values in these columns, as far as these are unknowns of this
+    rank; what falls together adds up."""
+    first, last = _local_columns(space)
     keep = (column >= first) & (column < last) & (value != 0.0)
-    shape = (3 * (int(index.max()) + 1), last - first)
-    return csr_matrix((value[keep], (row[keep], column[keep] - first)), shape)
+    return csr_matrix((value[keep], (row[keep], column[keep] - first)), (n_rows, last - first))
 
 
 class TipTractions:
