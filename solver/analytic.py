@@ -8,7 +8,7 @@ import numpy as np
 
 from .contact_phase import History
 from .drop import DropResult
-from .energy import Budget
+from .energy import Budget, Energy
 
 SAMPLES = 400
 
@@ -55,18 +55,7 @@ def analytic_drop(
         cm_velocity_after_m_s=speed,
         n_dofs=1,
         n_steps=0,
-        energy=Budget(
-            initial_J=energy,
-            kinetic_J=energy,
-            strain_J=0.0,
-            potential_J=0.0,
-            contact_J=0.0,
-            material_loss_J=0.0,
-            contact_loss_J=0.0,
-            friction_loss_J=0.0,
-            numerical_J=0.0,
-            closure_relative=0.0,
-        ),
+        energy=Budget.close(energy, Energy(energy, 0.0, 0.0), 0.0),
         cm_rebound_height_m=height_m,
         velocity_after_m_s=(0.0, 0.0, speed),
         spin_after_rad_s=(0.0, 0.0, 0.0),
@@ -86,13 +75,10 @@ def _history(
     up = np.linspace(0.0, fall_s, SAMPLES)[1:]
     depth = penetration_m(contact, mass_kg, kn_N_m, height_m, gravity_m_s2)
     t = np.concatenate([down, fall_s + contact, fall_s + contact_s + up])
-    tip = np.concatenate(
-        [
-            height_m - 0.5 * gravity_m_s2 * down**2,
-            -depth,
-            speed * up - 0.5 * gravity_m_s2 * up**2,
-        ]
-    )
+    fall, rise = 0.5 * gravity_m_s2 * down**2, speed * up - 0.5 * gravity_m_s2 * up**2
+    tip = np.concatenate([height_m - fall, -depth, rise])
     inside = np.concatenate([0.0 * down, depth, 0.0 * up])
     table = np.stack([t, tip, tip, kn_N_m * inside, inside], axis=1)
-    return History([tuple(map(float, row)) for row in table])
+    history = History()
+    history.extend(table)
+    return history

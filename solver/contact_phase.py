@@ -26,37 +26,52 @@ class History:
 
     rows: list[tuple[float, ...]] = field(default_factory=list)
 
+    def extend(self, rows: Array) -> None:
+        """Add rows (times, 5) in the order of HISTORY_COLUMNS."""
+        self.rows.extend(tuple(map(float, row)) for row in rows)
+
     def array(self) -> Array:
         """(times, 5) in the order of HISTORY_COLUMNS."""
         return np.array(self.rows).reshape(-1, len(HISTORY_COLUMNS))
 
 
 @dataclass
-class ContactPhase:
+class ContactSums:
+    """What has come together in a touch; ``released`` says that the tip is free again.
+
+    ``peak_force_N`` is the greatest value at the ends of steps, ``push_N_s`` (3,) the impulse along
+    body axes, friction included, ``last_N`` the mean normal force of the latest step.
+    """
+
+    release_s: float
+    released: bool = False
+    peak_force_N: float = 0.0
+    impulse_N_s: float = 0.0
+    push_N_s: Array = field(default_factory=lambda: np.zeros(3))
+    material_loss_J: float = 0.0
+    friction_loss_J: float = 0.0
+    contact_loss_J: float = 0.0
+    last_N: float = 0.0
+
+
+@dataclass(kw_only=True)
+class ContactPhase(ContactSums):
     """One touch: when it began and ended, and what it did.
 
-    ``force_N`` and ``penetration_m`` are greatest values at the ends of steps, the latter refined
-    by a parabola through its neighbours; ``push_N_s`` (3,) is the impulse along body axes, friction
-    included; ``u`` and ``v`` are the first state after release. ``contact_J`` is what contact still
-    holds where the march ended before that, which ``released`` says.
+    ``max_penetration_m`` is the greatest value at the ends of steps, refined by a parabola through
+    its neighbours, ``max_penetration_s`` when that was since the start; ``u`` and ``v`` are the
+    first state after release. ``contact_J`` is what contact still holds where the march ended
+    before that.
     """
 
     start_s: float
-    release_s: float
     end_s: float
     u: Array
     v: Array
-    peak_force_N: float
-    impulse_N_s: float
-    push_N_s: Array
     max_penetration_m: float
     max_penetration_s: float
-    material_loss_J: float
-    friction_loss_J: float
-    contact_loss_J: float
     contact_J: float
     n_steps: int
-    released: bool
 
 
 class Observer(Protocol):

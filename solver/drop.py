@@ -20,7 +20,7 @@ from .fall import dragged_fall, dragged_path, free_fall, risen
 from .ground import Ground, just_touched, place
 from .impact import march_contact
 from .rigid import Pose, leaning, product, quaternion_of
-from .time.flight import Flight, flyer
+from .time.flight import Flight, charted
 from .time.march import ContactMarch, Marcher
 from .time.scheme import TimeScheme
 
@@ -334,7 +334,7 @@ class Stage:
         ground = plan.ground or Ground.plane(len(points.weights))
         self.ground = just_touched(ground, self.first_pose, points)
         self.datum_m = place(self.ground, self.first_pose, points).tip_m
-        self._flyer = flyer(frame.modal, marcher.tau)
+        self._charted = charted(frame.modal, marcher.tau)
         self._slowest_s = slowest_period_s(frame.modal)
 
     def impact(self, t: float, pose: Pose, u: Array, v: Array) -> Impact:
@@ -346,22 +346,15 @@ class Stage:
         wait = t
         self._place(pose)
         for _ in range(TOUCH_LIMIT):
+            until = self.end_s, wait
             touch = march_contact(
-                self.marcher,
-                t,
-                u,
-                v,
-                self.history,
-                self.observer,
-                self.end_s,
-                wait,
-                self.checkpoint,
+                self.marcher, t, u, v, self.history, self.observer, *until, self.checkpoint
             )
             touches.append(touch)
             loss += touch.material_loss_J
             released = touch.end_s
             start, q, qv = frame.launched(pose, touch.u, touch.v)
-            flight = Flight(frame.modal, start, released, q, qv, g, self._flyer)
+            flight = Flight(frame.modal, start, released, q, qv, g, self._charted)
             landing, over = flight.after_release(self.ground, self._slowest_s)
             if over or landing >= self.end_s:
                 break
@@ -435,4 +428,4 @@ def _record_flight(
     heights = flight.trace(stage.ground, times)
     tip, centre, clear = heights.T
     rows = [times, tip - stage.datum_m, centre, 0.0 * times, np.maximum(-clear, 0.0)]
-    history.rows.extend(tuple(map(float, row)) for row in np.stack(rows, axis=1))
+    history.extend(np.stack(rows, axis=1))

@@ -75,17 +75,13 @@ def marching_energy(marcher: ContactMarch, state: Moving) -> Energy:
     ``potential_J`` is zero where the tip first touches.
     """
     body, method = marcher.body, marcher.method
-    points = body.contact
     contact = marcher.contact.spring_energy_J()
     if not marcher.rigid_multiplier:
-        memory = marcher.contact.memory[:, 2]
-        approach, scale = state.approach[:, 0], marcher.ground.scale
-        stored = method.law.potential(approach, marcher.tau, scale, memory)
-        contact += float(points.weights @ stored)
+        contact += marcher.pressed_J(state.approach, marcher.contact.memory[:, 2])
     strain = marcher.strain_energy_J(state)
     if method.theta and marcher.tau:
         boundary = 0.5 * method.theta * marcher.tau
-        boundary *= float(points.weights @ np.sum(marcher.tractions(state) ** 2, axis=1))
+        boundary *= float(body.contact.weights @ np.sum(marcher.tractions(state) ** 2, axis=1))
         contact -= boundary
     return Energy(
         kinetic_J=0.5 * body.dot(state.v, state.mv),

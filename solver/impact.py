@@ -140,8 +140,9 @@ def _march_compiled(
         raise too_long(marcher, limit)
     times = t_s + modes.its * np.arange(marched.steps + 1)
     rows = np.column_stack([times, marched.history])
-    history.rows.extend(tuple(map(float, row)) for row in rows)
+    history.extend(rows)
     depth, when = deepest(rows)
+    approach = marcher.approach(marched.u, marched.v)
     return ContactPhase(
         start_s=t_s,
         release_s=t_s + marched.release,
@@ -156,14 +157,7 @@ def _march_compiled(
         material_loss_J=marched.material_loss,
         friction_loss_J=marched.friction_loss,
         contact_loss_J=marched.contact_loss,
-        contact_J=marched.spring + _pressed(marcher, marched),
+        contact_J=marched.spring + marcher.pressed_J(approach, marched.memory[:, 2]),
         n_steps=marched.steps,
         released=marched.status == modal_march.RELEASED,
     )
-
-
-def _pressed(marcher: Marcher, marched: modal_march.Marched) -> float:
-    """What the contact law holds at the end of a march, in J."""
-    approach, scale = marcher.approach(marched.u, marched.v)[:, 0], marcher.ground.scale
-    stored = marcher.method.law.potential(approach, marcher.tau, scale, marched.memory[:, 2])
-    return float(marcher.body.contact.weights @ stored)

@@ -54,7 +54,7 @@ def march_plainly(
         steps: list[Array] = []
     else:
         state = cast(State, recalled_state(mark, marcher))
-        history.rows.extend(tuple(map(float, row)) for row in mark.arrays["rows"])
+        history.extend(mark.arrays["rows"])
         sums, steps = mark.arrays["sums"].copy(), list(mark.arrays["steps"])
     count = math.ceil(until_s / plan.its_s)
     for number in range(len(steps) + 1, count + 1):

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, fields
-
 import numpy as np
 
 from .arrays import Array
@@ -11,6 +9,7 @@ from .checkpoint import Checkpoint, Mark, prefixed, under
 from .contact.step import share_under_damping
 from .contact_phase import (
     ContactPhase,
+    ContactSums,
     History,
     Observer,
     deepest,
@@ -21,22 +20,6 @@ from .contact_phase import (
 )
 from .energy import marching_energy
 from .time.march import ContactMarch, Moving
-
-
-@dataclass
-class Sums:
-    """What has come together on the way; ``last_N`` is the force of the step before, ``released``
-    says that the tip is free again."""
-
-    release_s: float
-    released: bool = False
-    peak_N: float = 0.0
-    impulse_N_s: float = 0.0
-    push_N_s: Array = field(default_factory=lambda: np.zeros(3))
-    loss_J: float = 0.0
-    friction_J: float = 0.0
-    contact_J: float = 0.0
-    last_N: float = 0.0
 
 
 def march_stepwise(
@@ -54,7 +37,7 @@ def march_stepwise(
     first_row = len(history.rows)
     mark = checkpoint.begin() if checkpoint else None
     if mark is None:
-        count, sums, state, done = 0, Sums(t_s), marcher.start(t_s, u, v), False
+        count, sums, state, done = 0, ContactSums(t_s), marcher.start(t_s, u, v), False
         none = np.zeros((len(marcher.body.contact.weights), 3))
         observe(marcher, state, none, history)
         if observer is not None:
@@ -78,33 +61,26 @@ def march_stepwise(
     held = marching_energy(marcher, state).contact_J
     if sums.released:
         spring = marcher.contact.spring_energy_J()
-        sums.friction_J += spring
+        sums.friction_loss_J += spring
         held -= spring
     depth, when = deepest(np.array(history.rows[first_row:]))
     return ContactPhase(
+        **vars(sums),
         start_s=t_s,
-        release_s=sums.release_s,
         end_s=state.t_s,
         u=state.u,
         v=state.v,
-        peak_force_N=sums.peak_N,
-        impulse_N_s=sums.impulse_N_s,
-        push_N_s=sums.push_N_s,
         max_penetration_m=depth,
         max_penetration_s=when - t_s,
-        material_loss_J=sums.loss_J,
-        friction_loss_J=sums.friction_J,
-        contact_loss_J=sums.contact_J,
         contact_J=held,
         n_steps=count,
-        released=sums.released,
     )
 
 
 def _step(
     marcher: ContactMarch,
     before: Moving,
-    sums: Sums,
+    sums: ContactSums,
     history: History,
     observer: Observer | None,
     wait_s: float,
@@ -118,12 +94,13 @@ def _step(
     now = observe(marcher, state, force, history)
     if observer is not None:
         observer(state, force)
-    sums.contact_J += damped
-    sums.loss_J += marcher.damping_loss_J(before, state, force)
-    sums.friction_J += friction
+    sums.contact_loss_J += damped
+    sums.material_loss_J += marcher.damping_loss_J(before, state, force)
+    sums.friction_loss_J += friction
     sums.impulse_N_s += marcher.its_s * total
     sums.push_N_s = sums.push_N_s + marcher.its_s * (weights @ marcher.along_axes(force))
-    sums.peak_N = max(sums.peak_N, total if contact.points.dashpot != 0.0 else now)
+    peak = total if contact.points.dashpot != 0.0 else now
+    sums.peak_force_N = max(sums.peak_force_N, peak)
     if total > 0.0 or (total < 0.0 and marcher.method.law.pulls):
         share = contact.share
         if contact.points.dashpot != 0.0 and state.approach[:, 0].max() > 0.0:
@@ -147,21 +124,21 @@ def _leaving(marcher: ContactMarch, state: Moving) -> bool:
 
 
 def _kept(
-    marcher: ContactMarch, state: Moving, sums: Sums, rows: Array, observer: Observer | None
+    marcher: ContactMarch, state: Moving, sums: ContactSums, rows: Array, observer: Observer | None
 ) -> dict[str, Array]:
     """Everything that the next step, and the touch, will need."""
     return {
         **kept_state(marcher, state),
-        **prefixed("sums", {each.name: getattr(sums, each.name) for each in fields(sums)}),
+        **prefixed("sums", vars(sums)),
         **prefixed("observer", observer.memory() if observer is not None else {}),
         "rows": rows,
     }
 
 
-def _recalled(mark: Mark, marcher: ContactMarch, history: History) -> tuple[Sums, Moving]:
+def _recalled(mark: Mark, marcher: ContactMarch, history: History) -> tuple[ContactSums, Moving]:
     """What `_kept` was given; the rows come back into ``history``."""
-    history.rows.extend(tuple(map(float, row)) for row in mark.arrays["rows"])
-    sums = Sums(0.0)
+    history.extend(mark.arrays["rows"])
+    sums = ContactSums(0.0)
     for name, value in under("sums", mark.arrays):
         setattr(sums, name, value.copy() if value.ndim else value.item())
     return sums, recalled_state(mark, marcher)

@@ -17,7 +17,7 @@ from ..ground import Ground
 from ..rigid import Pose, fallen, free_rotation
 from .apex import apex
 from .clearance import trace
-from .motion import Flyer, chart, landing, launch, top_of_centre
+from .motion import Chart, Flyer, chart, landing, launch, top_of_centre
 from .touchdown import after_release, next_touch
 
 
@@ -55,6 +55,12 @@ def flyer(body: ModalBody, tau_m_N: float = 0.0) -> Flyer:
     )
 
 
+def charted(body: ModalBody, tau_m_N: float = 0.0) -> tuple[Flyer, Chart]:
+    """The `flyer` of a body, and what all its flights have in common."""
+    known = flyer(body, tau_m_N)
+    return known, chart(known)
+
+
 def _reach(moved: Array) -> Array:
     """Greatest displacement of any point (modes,) by rows (3 n, modes)."""
     squared = (moved**2).reshape(-1, 3, moved.shape[1]).sum(axis=1)
@@ -64,7 +70,8 @@ def _reach(moved: Array) -> Array:
 class Flight:
     """Motion of a modal body from a state (u, v) in ``pose`` at ``t0_s``, gravity alone acting.
 
-    The rigid part of (u, v) moves the pose. Times are absolute, in s.
+    The rigid part of (u, v) moves the pose. Times are absolute, in s. ``known`` is what `charted`
+    gives of the body, where that is there already.
     """
 
     def __init__(
@@ -75,13 +82,13 @@ class Flight:
         u: Array,
         v: Array,
         gravity_m_s2: float,
-        known: Flyer | None = None,
+        known: tuple[Flyer, Chart] | None = None,
     ) -> None:
         self.body, self.t0_s, self.gravity_m_s2 = body, t0_s, gravity_m_s2
-        known = flyer(body) if known is None else known
+        flyer, table = known or charted(body)
         self.motion = launch(
-            chart(known),
-            known,
+            table,
+            flyer,
             np.asarray(pose.position_m, dtype=float),
             pose.attitude,
             np.ascontiguousarray(u),
@@ -98,10 +105,6 @@ class Flight:
             self.body.alpha_1_s,
             t_s - self.t0_s,
         )
-
-    def centre_velocity(self, t_s: float) -> float:
-        """Upward velocity of the centre of mass at ``t_s``, which may lie before the start."""
-        return float(self.centre(t_s)[1][2])
 
     def turned(self, t_s: float) -> tuple[Array, Array]:
         """Attitude (4,), and angular velocity (3,) in body axes."""

@@ -218,6 +218,11 @@ class ContactMarch:
         memory = self.contact.memory[:, 2]
         return self.method.law.force(approach[:, 0], self.tau, self.ground.scale, memory)
 
+    def pressed_J(self, approach: Array, memory: Array) -> float:
+        """What the law holds at approaches (n, 3) where it remembers ``memory`` (n,), in J."""
+        held = self.method.law.potential(approach[:, 0], self.tau, self.ground.scale, memory)
+        return float(self.body.contact.weights @ held)
+
 
 class Marcher(ContactMarch):
     """Marches a linear body.
