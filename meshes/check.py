@@ -189,11 +189,7 @@ def check_model(spec: MeshSpec) -> None:
 
     Checked: every cell a hexahedron of the right order and their number; every facet a
     quadrilateral and their number per group; nodes numbered without gaps and none unused; positive
-    Jacobian determinants; the volume.
-
-    Raises
-    ------
-    MeshError : says which of these fails
+    Jacobian determinants; the volume. MeshError says which of these fails.
     """
     where = "the mesh that was made"
     cells = read_cells(where)

@@ -14,12 +14,9 @@ def run_on_one_rank[Result](
 ) -> Result:
     """Run `action` on `rank` alone, and return its result on every rank; collective.
 
-    The others wait: it must communicate with nobody, and its result be picklable.
-
-    Raises
-    ------
-    Whatever `action` raises, on every rank, so that no rank waits for one that has given up; a
-    `RuntimeError` with the same message where the error itself cannot be sent.
+    The others wait: it must communicate with nobody, and its result be picklable. What it raises
+    is raised on every rank, so that none waits for one that has given up; as a `RuntimeError` with
+    the same message where the error itself cannot be sent.
     """
     result: Any = None
     error: Exception | None = None

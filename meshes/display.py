@@ -26,10 +26,8 @@ class DrawingError(RuntimeError):
 def run_drawing(command: Sequence[str], timeout_s: float = 300.0) -> None:
     """Run a command that draws, on a display of its own or, without xvfb-run, on the caller's.
 
-    Raises
-    ------
-    DrawingError : there is no display, or the command fails, dies or takes more than `timeout_s`;
-        with the last that was written to standard error
+    Raises DrawingError, with the last that was written to standard error, where there is no
+    display, or the command fails, dies or takes more than `timeout_s`.
     """
     on_display = ON_XVFB if shutil.which("xvfb-run") else []
     if not on_display and not os.environ.get("DISPLAY"):

@@ -26,22 +26,12 @@ def to_dolfinx(
     comm: MPI.Intracomm = MPI.COMM_WORLD,
     partitioner: Callable | None = None,
 ) -> tuple[Mesh, MeshTags, MeshTags]:
-    """Build the mesh of `spec` on rank 0 and share it out; collective.
+    """Build the mesh of `spec` on rank 0 and share it out over `comm`; collective.
 
-    Parameters
-    ----------
-    spec : the bristle
-    comm : communicator over which the cells are distributed
-    partitioner : as in `dolfinx.mesh.create_mesh`; by default dolfinx' own, without ghost cells
-
-    Returns
-    -------
-    (mesh, cell_tags, facet_tags) : coordinates in metres, geometry of `spec.geometry_order`;
-        the values of both tags are those of `Tag`, e.g. ``facet_tags.find(Tag.TIP)``
-
-    Raises
-    ------
-    MeshError : gmsh failed, or the mesh is not what was asked for; on all ranks, with one message
+    Returns mesh, cell tags and facet tags: coordinates in metres, geometry of `geometry_order`,
+    both tags with the values of `Tag`, e.g. ``facet_tags.find(Tag.TIP)``. `partitioner` is that of
+    `dolfinx.mesh.create_mesh`, by default dolfinx' own, without ghost cells. Raises MeshError, with
+    one message on all ranks, where gmsh failed or the mesh is not what was asked for.
     """
 
     def open_model(stack: ExitStack) -> None:

@@ -138,9 +138,7 @@ def _digest(path: Path, modified_ns: int, size: int) -> str:
 def own_mesh(path: Path, sha256: str) -> OwnMesh:
     """Read, check and measure the mesh in ``path``, whose digest is ``sha256``.
 
-    Raises
-    ------
-    MeshError : in one line, the file is not a mesh of a bristle as `OwnMesh` describes it
+    MeshError says, in one line, why the file is not a mesh of a bristle as `OwnMesh` describes it.
     """
     with opened(path, sha256):
         cells = read_cells(str(path))

@@ -29,14 +29,12 @@ VIEW_FROM = np.array([1.0, -0.9, -0.75])
 """Toward the camera: the tip is seen from below."""
 
 
-def write_picture(vtu: Path, png: Path, timeout_s: float = 300.0) -> None:
+def write_picture(vtu: Path, png: Path) -> None:
     """Draw the mesh in `vtu` (from `bristle.meshes.convert.write_vtu`) into `png`, screen or none.
 
-    Raises
-    ------
-    DrawingError : there is nothing to draw on, or drawing failed
+    Raises DrawingError where there is nothing to draw on, or drawing failed.
     """
-    run_drawing([sys.executable, "-m", __name__, str(vtu), str(png)], timeout_s)
+    run_drawing([sys.executable, "-m", __name__, str(vtu), str(png)])
 
 
 def read_facets(vtu: Path) -> pyvista.UnstructuredGrid:

@@ -27,11 +27,8 @@ class TipShape(Protocol):
     def offset_m(self, x_m: npt.ArrayLike, y_m: npt.ArrayLike, section: Section) -> Array:
         """How far the face stands back at the places (x, y) of the section, m, each (n,).
 
-        Never negative, and 0 at the lowest place of the face.
-
-        Raises
-        ------
-        ValueError : a place is outside the section, or the shape does not fit on it
+        Never negative, and 0 at the lowest place of the face. ValueError where a place is outside
+        the section, or the shape does not fit on it.
         """
         ...
 
@@ -46,9 +43,7 @@ def half_breadth_m(section: Section) -> float:
 def edge_distance_m(x_m: npt.ArrayLike, y_m: npt.ArrayLike, section: Section) -> Array:
     """Distance of the places (x, y) from the nearest edge of the section, m, each (n,).
 
-    Raises
-    ------
-    ValueError : a place is outside the section, by more than rounding
+    ValueError where one is outside the section, by more than rounding.
     """
     x, y = np.asarray(x_m, dtype=float), np.asarray(y_m, dtype=float)
     limit = half_breadth_m(section)
@@ -160,11 +155,8 @@ def parse_tip_shape(text: str) -> Flat | Chamfer | Rounded | Worn:
     """Read a shape from words such as `chamfer:width=5e-5,angle=45`.
 
     The others: `flat`, `rounded:radius=1e-4`, `worn:angle=5,direction=90`.  Lengths in m, angles
-    in degrees; `angle` of a chamfer and `direction` may be left out.
-
-    Raises
-    ------
-    ValueError : the shape or a parameter is not known, missing, given twice or no number
+    in degrees; `angle` of a chamfer and `direction` may be left out. ValueError where the shape or
+    a parameter is not known, missing, given twice or no number.
     """
     name, colon, rest = text.strip().partition(":")
     if name not in _SHAPES:
