@@ -12,7 +12,7 @@ import os
 import tempfile
 import threading
 import time
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, cast
@@ -22,7 +22,7 @@ import numpy as np
 from .arrays import Array
 from .compiled import cache_folder
 
-KEY = "key"
+KEY, DIGEST = "key", "sha256"
 # Held while a file is written, by one thread at a time.
 WRITING = threading.Lock()
 PART = ".part"
@@ -46,7 +46,7 @@ def load(key: str) -> dict[str, Array] | None:
     """What was stored under ``key``, or None."""
     with contextlib.suppress(OSError, ValueError):
         arrays = read_arrays(_path(key))
-        if str(arrays.pop(KEY, None)) == _label(key, arrays):
+        if str(arrays.pop(KEY, None)) == key:
             return arrays
     return None
 
@@ -55,16 +55,11 @@ def store(key: str, arrays: Mapping[str, Array]) -> None:
     """Keep ``arrays``; a disk that is full or may not be written keeps nothing."""
     with contextlib.suppress(OSError):
         _forget_parts(_path(key).parent)
-        write_arrays(_path(key), {KEY: np.array(_label(key, arrays)), **arrays})
-
-
-def _label(key: str, names: Iterable[str]) -> str:
-    """The key with the names of all arrays: a damaged directory of the file may lack some."""
-    return "\n".join([key, *sorted(names)])
+        write_arrays(_path(key), {KEY: np.array(key), **arrays})
 
 
 def read_arrays(path: Path) -> dict[str, Array]:
-    """The plain arrays of a file; OSError, or ValueError where it is not whole."""
+    """What `write_arrays` wrote; OSError, or ValueError where the file does not hold that."""
     try:
         with np.load(path, allow_pickle=False) as file:
             arrays = {name: file[name] for name in file.files}
@@ -74,16 +69,30 @@ def read_arrays(path: Path) -> dict[str, Array]:
         raise ValueError(f"{path} is not whole") from error
     if not all(isinstance(array, np.ndarray) for array in arrays.values()):
         raise ValueError(f"{path} holds more than arrays")
+    if str(arrays.pop(DIGEST, None)) != _digest(arrays):
+        raise ValueError(f"{path} is not what was written")
     return arrays
 
 
+def _digest(arrays: Mapping[str, Array]) -> str:
+    """Of names, types, shapes and contents."""
+    found = hashlib.sha256()
+    for name in sorted(arrays):
+        array = np.ascontiguousarray(arrays[name])
+        found.update(f"{name} {array.dtype.str} {arrays[name].shape}".encode())
+        found.update(array.tobytes())
+    return found.hexdigest()
+
+
 def write_arrays(path: Path, arrays: Mapping[str, Array]) -> None:
-    """Write arrays beside ``path``, see them on the disk, then give the file its name; OSError."""
+    """Write arrays with their digest beside ``path``, see them on the disk, then give the file its
+    name; OSError."""
+    arrays = {**arrays, DIGEST: np.array(_digest(arrays))}
     path.parent.mkdir(parents=True, exist_ok=True)
     handle, name = tempfile.mkstemp(dir=path.parent, suffix=PART)
     try:
         with WRITING, os.fdopen(handle, "wb") as part:
-            np.savez(part, **cast(dict[str, Any], dict(arrays)))
+            np.savez(part, **cast(dict[str, Any], arrays))
             part.flush()
             os.fsync(part.fileno())
         Path(name).replace(path)
