@@ -1,48 +1,33 @@
 """The effects by name.
 
-Adding one takes a class with its test, and a line here; those of users come by `outside`.
+Adding one takes a class in one of these files and its test; those of users come by `outside`.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable
+from types import ModuleType
 
 from ..contact.laws import Linear
 from ..errors import InputError
+from . import body, contact, observation, release, surface
 from .base import Effect, Place, Scene
-from .body import HystereticDamping, LateralInertia, MaterialDamping
-from .contact import (
-    Adhesion,
-    ContactDamping,
-    HuntCrossleyContact,
-    PlasticContact,
-    StiffeningContact,
-)
-from .observation import ClockError, HeightOffset, ScaleError
-from .release import AirDrag, ReleaseVelocity
-from .surface import BristleTilt, SurfacePhases, SurfaceSlope, Wear
+
+
+def effects_in(module: ModuleType) -> list[type[Effect]]:
+    """The effects that a module defines, in their order there."""
+    return [
+        each
+        for each in vars(module).values()
+        if isinstance(each, type) and issubclass(each, Effect)
+        if each.__module__ == module.__name__
+    ]
+
 
 EFFECTS: dict[str, type[Effect]] = {
     each.name: each
-    for each in (
-        AirDrag,
-        ReleaseVelocity,
-        HeightOffset,
-        ScaleError,
-        ClockError,
-        ContactDamping,
-        HuntCrossleyContact,
-        StiffeningContact,
-        PlasticContact,
-        Adhesion,
-        MaterialDamping,
-        HystereticDamping,
-        LateralInertia,
-        BristleTilt,
-        SurfaceSlope,
-        SurfacePhases,
-        Wear,
-    )
+    for module in (release, observation, contact, body, surface)
+    for each in effects_in(module)
 }
 
 

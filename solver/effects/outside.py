@@ -27,7 +27,7 @@ from ..arrays import Array
 from ..contact.laws import ContactLaw, Damped, Linear, check_compiled
 from ..errors import InputError
 from .base import TOUCHING, Effect, Parameter, Place, Scene
-from .library import EFFECTS
+from .library import EFFECTS, effects_in
 
 ENTRY_POINT = "bristle.effects"
 # What a simulated drop takes from its scene, and what the loop takes from it for drops that it
@@ -68,11 +68,7 @@ def load(path: Path, source: bytes) -> None:
     digest, path = hashlib.sha256(source).hexdigest(), path.resolve()
     module = f"{MODULE}{digest[:16]}"
     found = sys.modules.get(module) or _executed(source, path, module)
-    own = [
-        each
-        for each in vars(found).values()
-        if isinstance(each, type) and issubclass(each, Effect) and each.__module__ == module
-    ]
+    own = effects_in(found)
     if not own:
         raise ValueError(f"{path}: defines no subclass of bristle.solver.effects.base.Effect")
     for each in own:

@@ -11,28 +11,6 @@ AIR_KG_M3 = 1.204
 
 
 @dataclass(frozen=True)
-class ReleaseVelocity(Effect):
-    """A hand that does not let go at rest: the bristle starts with a speed, downward positive."""
-
-    speed_m_s: float = 0.1
-
-    name = "release_velocity"
-    computed = True
-    title = "speed at release"
-    place = Place.RELEASE
-    kinds = TOUCHING
-    source = "v_i² = v_0² + 2 g y_0 in place of Eq. 1"
-    parameters = (
-        Parameter(
-            "speed_m_s", "m/s", -0.5, 0.5, 0.1, why="a hand moves by some 0.1 m/s as it opens"
-        ),
-    )
-
-    def enter(self, scene: Scene) -> Scene:
-        return replace(scene, release_speed_m_s=scene.release_speed_m_s + self.speed_m_s)
-
-
-@dataclass(frozen=True)
 class AirDrag(Effect):
     """Quadratic drag on the end that goes first: ½ ρ c_d A v²."""
 
@@ -53,3 +31,25 @@ class AirDrag(Effect):
     def enter(self, scene: Scene) -> Scene:
         drag = 0.5 * AIR_KG_M3 * self.cd * scene.front_m2
         return replace(scene, drag_kg_m=scene.drag_kg_m + drag)
+
+
+@dataclass(frozen=True)
+class ReleaseVelocity(Effect):
+    """A hand that does not let go at rest: the bristle starts with a speed, downward positive."""
+
+    speed_m_s: float = 0.1
+
+    name = "release_velocity"
+    computed = True
+    title = "speed at release"
+    place = Place.RELEASE
+    kinds = TOUCHING
+    source = "v_i² = v_0² + 2 g y_0 in place of Eq. 1"
+    parameters = (
+        Parameter(
+            "speed_m_s", "m/s", -0.5, 0.5, 0.1, why="a hand moves by some 0.1 m/s as it opens"
+        ),
+    )
+
+    def enter(self, scene: Scene) -> Scene:
+        return replace(scene, release_speed_m_s=scene.release_speed_m_s + self.speed_m_s)
