@@ -7,8 +7,6 @@ velocity over the frequency of bending) is left out.
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
 from ..arrays import Array
@@ -18,7 +16,7 @@ from ..rigid import Pose, fallen, free_rotation
 from .apex import apex
 from .clearance import trace
 from .motion import Chart, Flyer, chart, landing, launch, top_of_centre
-from .touchdown import after_release, next_touch
+from .touchdown import after_release
 
 
 def flyer(body: ModalBody, tau_m_N: float = 0.0) -> Flyer:
@@ -30,11 +28,9 @@ def flyer(body: ModalBody, tau_m_N: float = 0.0) -> Flyer:
     moved: Array = rows @ along
     tip = np.einsum("i,ixm->xm", weights, moved.reshape(len(weights), 3, -1))
     with_speed: Array = np.zeros((0, 0))
-    reach_speed: Array = np.zeros(len(body.omega2))
     if tau_m_N:
         along, rows = moved - tau_m_N * points.traction, np.zeros((0, 0))
-        moved, with_speed = along, -tau_m_N * body.beta_s * np.asarray(points.traction)
-        reach_speed = _reach(with_speed)
+        with_speed = -tau_m_N * body.beta_s * np.asarray(points.traction)
     places = np.ascontiguousarray(points.places_m, dtype=float)
     return Flyer(
         omega2=body.omega2,
@@ -43,12 +39,9 @@ def flyer(body: ModalBody, tau_m_N: float = 0.0) -> Flyer:
         translation=np.ascontiguousarray(body.translation),
         rotation=np.ascontiguousarray(body.rotation),
         inertia=body.inertia_kg_m2,
-        mass=body.mass_kg,
         along=np.ascontiguousarray(along),
         with_speed=np.ascontiguousarray(with_speed),
         rows=np.ascontiguousarray(rows),
-        reach=_reach(moved),
-        reach_speed=reach_speed,
         places=places,
         tip=np.ascontiguousarray(tip),
         tip_place=weights @ places,
@@ -59,12 +52,6 @@ def charted(body: ModalBody, tau_m_N: float = 0.0) -> tuple[Flyer, Chart]:
     """The `flyer` of a body, and what all its flights have in common."""
     known = flyer(body, tau_m_N)
     return known, chart(known)
-
-
-def _reach(moved: Array) -> Array:
-    """Greatest displacement of any point (modes,) by rows (3 n, modes)."""
-    squared = (moved**2).reshape(-1, 3, moved.shape[1]).sum(axis=1)
-    return np.asarray(np.sqrt(squared.max(axis=0, initial=0.0)))
 
 
 class Flight:
@@ -111,7 +98,7 @@ class Flight:
         return free_rotation(
             self.motion.attitude,
             self.motion.spin,
-            self.motion.inertia,
+            self.motion.flyer.inertia,
             self.body.alpha_1_s,
             0.0,
             t_s - self.t0_s,
@@ -135,16 +122,6 @@ class Flight:
         """See `touchdown.after_release`; the time is absolute."""
         after, over = after_release(self.motion, ground.normals, ground.offsets_m, slowest_s)
         return self.t0_s + after, over
-
-    def next_touch(self, ground: Ground, until_s: float) -> float | None:
-        """The first time in (t0, ``until_s``] at which a point comes down to the ground, or None.
-
-        A point that starts below it, on its way up, touches when it turns down before it got out.
-        """
-        if until_s <= self.t0_s:
-            return None
-        after = next_touch(self.motion, ground.normals, ground.offsets_m, until_s - self.t0_s)
-        return None if math.isinf(after) else self.t0_s + after
 
     def top_of_centre(self, until_s: float) -> tuple[float, float]:
         """Time and height of the highest place of the centre of mass in [t0, ``until_s``]."""

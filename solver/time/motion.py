@@ -23,9 +23,8 @@ class Flyer(NamedTuple):
 
     ``along`` (k, modes) are the coordinates in which the points move, ``with_speed`` (k, modes)
     what the velocity adds to them (empty where nothing); displacements are ``rows`` (3 n, k) times
-    these, or these themselves where ``rows`` is empty. ``reach`` and ``reach_speed`` (modes,) bound
-    how far a unit of each moves any point, ``damping`` (modes,) is each one's own, ``alpha`` that
-    of rigid motion too, ``tip`` (3, modes) is the section's mean displacement.
+    these, or these themselves where ``rows`` is empty. ``damping`` (modes,) is each one's own,
+    ``alpha`` that of rigid motion too, ``tip`` (3, modes) is the section's mean displacement.
     """
 
     omega2: Array
@@ -34,12 +33,9 @@ class Flyer(NamedTuple):
     translation: Array
     rotation: Array
     inertia: Array
-    mass: float
     along: Array
     with_speed: Array
     rows: Array
-    reach: Array
-    reach_speed: Array
     places: Array
     tip: Array
     tip_place: Array
@@ -82,9 +78,7 @@ class Motion(NamedTuple):
     velocity: Array
     attitude: Array
     spin: Array
-    inertia: Array
     gravity: float
-    places: Array
     powers: Complex
     amounts: Complex
     modes: NDArray[np.int64]
@@ -240,9 +234,7 @@ def launch(
         matrix_of(attitude) @ speed,
         turned,
         spin,
-        flyer.inertia,
         gravity,
-        flyer.places,
         powers[:count],
         amounts[:count],
         modes[:count],

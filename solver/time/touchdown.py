@@ -40,7 +40,7 @@ def after_release(
     ringing = motion.reach.sum()
     longest = 2.0 * max(rising, 0.0) / gravity + math.sqrt(8.0 * ringing / gravity) + 1e-3
     # as long as turning can keep the tip up
-    longest += 2.0 * math.sqrt(8.0 * np.abs(motion.places[:, 2]).max() / gravity)
+    longest += 2.0 * math.sqrt(8.0 * np.abs(motion.flyer.places[:, 2]).max() / gravity)
     after = min(next_touch(motion, normals, offsets, longest), longest)
     if rising <= 0.0:
         return after, after > slowest

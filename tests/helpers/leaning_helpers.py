@@ -12,7 +12,10 @@ from bristle.solver.bristle import Bristle, Material
 from bristle.solver.contact.enforcement import ContactMethod, Enforcement
 from bristle.solver.contact.laws import Coulomb, Linear, mindlin_ratio
 from bristle.solver.drop import DropPlan, ModalFrame, simulate
+from bristle.solver.ground import Ground
 from bristle.solver.rigid import leaning, matrix_of
+from bristle.solver.time.flight import Flight
+from bristle.solver.time.touchdown import next_touch
 
 G = 9.8
 HEIGHT = 0.05
@@ -32,6 +35,12 @@ def plan(kn=2e6, its=1e-6, *, height=HEIGHT, gravity=G, mu=0.0, kt=KT, method=No
     contact = ContactMethod(Linear(kn), friction=Coulomb(mu, kt), **method)
     where.setdefault("impact_only", "until_s" not in where)
     return DropPlan(height, contact, its, gravity, **where)
+
+
+def next_touch_of(flight: Flight, ground: Ground, until_s: float) -> float | None:
+    """When a flight that starts at zero touches the ground, or None."""
+    found = next_touch(flight.motion, ground.normals, ground.offsets_m, until_s)
+    return None if math.isinf(found) else found
 
 
 def drop(frame, kn=2e6, its=1e-6, **options):

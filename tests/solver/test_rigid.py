@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+from leaning_helpers import next_touch_of
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 from scipy.optimize import brentq
@@ -288,7 +289,7 @@ def test_next_touch_is_the_first_that_dense_sampling_sees(body, seed):
     ground = Ground(ground.normals, ground.offsets_m + lowest[0] - 1e-4, ground.scale)
     lowest = lowest - lowest[0] + 1e-4
     flight = Flight(body, pose, 0.0, u, v, G)
-    found = flight.next_touch(ground, times[-1])
+    found = next_touch_of(flight, ground, times[-1])
     below = np.flatnonzero(lowest < 0.0)
     if not len(below):
         assert found is None
@@ -313,7 +314,7 @@ def test_a_tip_that_rings_touches_before_its_rigid_motion_does(amplitude):
     omega = math.sqrt(body.omega2[axial])
     for share, wanted in ((1.0 - dip, math.acos(-(1.0 - dip)) / omega), (1.001, None)):
         pose = Pose(np.array([0.0, 0.0, 0.05 + share * amplitude]), UPRIGHT)
-        found = Flight(body, pose, 0.0, u, v, 1e-9).next_touch(Ground.plane(1), 0.01)
+        found = next_touch_of(Flight(body, pose, 0.0, u, v, 1e-9), Ground.plane(1), 0.01)
         assert found == (wanted if wanted is None else pytest.approx(wanted, rel=1e-9))
 
 
@@ -339,7 +340,7 @@ def test_a_graze_shorter_than_the_loudest_oscillation_shows_is_not_passed_over(d
     for offset, touches in ((dip, True), (-1e-7, False)):
         clear = height - height.min() - offset
         pose = Pose(np.array([0.0, 0.0, 0.05 - height.min() - offset]), UPRIGHT)
-        found = Flight(body, pose, 0.0, u, v, 1e-9).next_touch(Ground.plane(1), period)
+        found = next_touch_of(Flight(body, pose, 0.0, u, v, 1e-9), Ground.plane(1), period)
         below = np.flatnonzero(clear < 0.0)
         assert bool(len(below)) == touches
         if not touches:
@@ -355,7 +356,7 @@ def test_a_point_below_the_plane_on_its_way_out_does_not_touch_until_it_turns():
 
     def touched(speed, until):
         v = body.translation @ np.array([0.0, 0.0, speed])
-        return Flight(body, below, 0.0, np.zeros(len(v)), v, G).next_touch(plane, until)
+        return next_touch_of(Flight(body, below, 0.0, np.zeros(len(v)), v, G), plane, until)
 
     landing = 0.1 / G + math.sqrt((0.1 / G) ** 2 - 2e-6 / G)
     assert touched(0.1, 0.03) == pytest.approx(landing, rel=1e-9)

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from leaning_helpers import next_touch_of
 from reference import rate, rod
 from scipy.linalg import expm
 
@@ -201,7 +202,7 @@ def test_rates_of_a_flight_are_the_slopes_of_what_it_moves(beta):
     rng, t, step = np.random.default_rng(3), 7e-4, 1e-9
     v = rng.normal(size=len(body.omega2)) / (1.0 + 1e-4 * np.sqrt(body.omega2))
     motion = Flight(body, Pose(np.zeros(3), leaning(20.0, -9.0)), 0.0, 0.0 * v, v, G).motion
-    flyer, n = motion.flyer, len(motion.places)
+    flyer, n = motion.flyer, len(motion.flyer.places)
     assert np.linalg.norm(motion.spin) > 10.0
     ring = ring_of(motion, 0.0, 0.0, 1.0, flyer.along, flyer.with_speed)
     tips = ring_of(motion, 0.0, 0.0, 1.0, flyer.tip, np.zeros((0, 0)))
@@ -233,7 +234,7 @@ def test_next_touch_is_found_where_a_dense_sampling_finds_it():
         t = np.linspace(0.0, 3.0, 60_001)
         low = flight.trace(ground, t)[:, 2]
         down = np.flatnonzero((low[:-1] > 0.0) & (low[1:] <= 0.0))
-        found = flight.next_touch(ground, 3.0)
+        found = next_touch_of(flight, ground, 3.0)
         if not len(down):
             assert found is None
             continue
