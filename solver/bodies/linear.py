@@ -20,7 +20,6 @@ from petsc4py import PETSc
 
 from ..arrays import Array
 from ..errors import ComputationError
-from .base import summed
 
 if TYPE_CHECKING:
     from .solid import SolidBody
@@ -162,13 +161,11 @@ class Iterative:
             preconditioner.setType(PETSc.PC.Type.JACOBI)
         else:
             preconditioner.setType(PETSc.PC.Type.GAMG)
-            motions = _orthonormal(solid, matrix)
-            near = PETSc.NullSpace().create(vectors=motions, comm=matrix.comm)
+            self._right.array[:] = solid.places_m.ravel()
+            near = PETSc.NullSpace().createRigidBody(self._right)
             matrix.setNearNullSpace(near)
             self.solver.setUp()
             near.destroy()
-            for motion in motions:
-                motion.destroy()
 
     @property
     def iterations(self) -> int:
@@ -196,16 +193,3 @@ class Iterative:
         """Free what PETSc holds."""
         for thing in (self.solver, self._right, self._left):
             thing.destroy()
-
-
-def _orthonormal(solid: SolidBody, matrix: PETSc.Mat) -> list[PETSc.Vec]:
-    """The rigid motions as vectors of which PETSc asks that they be orthonormal."""
-    motions = solid.rigid_motions()
-    gram = summed(solid.comm, motions.T @ motions)
-    motions = np.linalg.solve(np.linalg.cholesky(gram), motions.T)
-    vectors = []
-    for motion in motions:
-        vector = matrix.createVecRight()
-        vector.array[:] = motion
-        vectors.append(vector)
-    return vectors
