@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
@@ -17,9 +17,8 @@ from ..bristle import RigidMass
 from .axis import Axis
 from .base import ContactPoints, axial_point, dense_of
 
-# Parts of a body that are records of arrays, and what of these is not kept.
-PARTS: dict[str, type] = {"contact": ContactPoints, "axis": Axis}
-NOT_STORED = ("comm",)
+# What a body holds beside numbers.
+NO_NUMBERS = (ContactPoints, Axis, MPI.Comm, type(None))
 
 
 @dataclass(frozen=True)
@@ -193,40 +192,29 @@ def rigid_body(mass: RigidMass) -> ModalBody:
 
 
 def to_arrays(bodies: Sequence[ModalBody]) -> dict[str, Array]:
-    """Every number of the ``bodies`` by its name; parts that one does not have are left out."""
-    return {f"{i}.{name}": value for i, body in enumerate(bodies) for name, value in _numbers(body)}
+    """Every number of the ``bodies`` by its name, those of a part by the part's name and theirs."""
+    return {
+        f"{i}.{part}.{each.name}": dense_of(value)
+        for i, body in enumerate(bodies)
+        for part, record in (("body", body), ("contact", body.contact), ("axis", body.axis))
+        if record is not None
+        for each in fields(record)
+        if not isinstance(value := getattr(record, each.name), NO_NUMBERS)
+    }
 
 
 def from_arrays(arrays: Mapping[str, Array]) -> tuple[ModalBody, ...]:
     """The bodies that `to_arrays` took apart, to the bit."""
-    bodies: dict[int, dict[str, Array]] = {}
-    for name, value in arrays.items():
-        number, _, rest = name.partition(".")
-        bodies.setdefault(int(number), {})[rest] = value
-    return tuple(_body(bodies[i]) for i in sorted(bodies))
-
-
-def _numbers(body: ModalBody) -> Iterator[tuple[str, Array]]:
-    for each in fields(body):
-        value = getattr(body, each.name)
-        if each.name not in PARTS:
-            yield each.name, np.asarray(value)
-        elif value is not None:
-            for inner in fields(value):
-                if inner.name not in NOT_STORED:
-                    part = getattr(value, inner.name)
-                    yield f"{each.name}.{inner.name}", dense_of(part)
-
-
-def _body(arrays: Mapping[str, Array]) -> ModalBody:
-    parts: dict[str, dict[str, Any]] = {}
-    whole: dict[str, Any] = {}
-    for name, value in arrays.items():
-        part, dot, inner = name.partition(".")
-        plain = value.item() if value.ndim == 0 else value
-        if dot:
-            parts.setdefault(part, {})[inner] = plain
-        else:
-            whole[name] = plain
-    made = {name: PARTS[name](**values) for name, values in parts.items()}
-    return ModalBody(**whole, **made)
+    found: dict[int, dict[str, dict[str, Any]]] = {}
+    for key, value in arrays.items():
+        number, part, name = key.split(".")
+        own = found.setdefault(int(number), {"axis": {}}).setdefault(part, {})
+        own[name] = value if value.ndim else value.item()
+    return tuple(
+        ModalBody(
+            **own["body"],
+            contact=ContactPoints(**own["contact"]),
+            axis=Axis(**own["axis"]) if own["axis"] else None,
+        )
+        for _, own in sorted(found.items())
+    )
