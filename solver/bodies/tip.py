@@ -120,9 +120,7 @@ def tip_contact(
     nodes = np.unique(found.nodes)
     contact = ContactPoints(
         coordinates=_node_rows(space, nodes),
-        support=(3 * np.searchsorted(nodes, found.nodes[first])[..., None] + np.arange(3)).reshape(
-            len(first), -1
-        ),
+        support=_unknowns(np.searchsorted(nodes, found.nodes[first])),
         shapes=np.einsum("pa,kl->pkal", found.shares[first], np.eye(3)).reshape(len(first), 3, -1),
         traction=_traction_rows(space, found, index, shares * total),
         weights=areas / total,
@@ -228,9 +226,7 @@ def _points_along(
 
 
 def _facet_points(
-    space: fem.FunctionSpace,
-    rule: Rule,
-    traction: Callable[[Expr], Expr],
+    space: fem.FunctionSpace, rule: Rule, traction: Callable[[Expr], Expr]
 ) -> FacetPoints:
     """This rank's points of a rule."""
     domain, element = space.mesh, space.element.basix_element
@@ -247,10 +243,9 @@ def _facet_points(
         sides = np.einsum("td,dma,ax->mtx", tangents, shapes[1:], x)
         areas[i] = rule.weights * np.linalg.norm(np.cross(sides[:, 0], sides[:, 1]), axis=1)
         own = _facet_nodes(element, local[i])
-        nodes[i] = space.dofmap.index_map.local_to_global(space.dofmap.cell_dofs(cells[i])[own])
+        nodes[i] = _as_all_number(space, space.dofmap.cell_dofs(cells[i])[own])
         shares[i] = np.asarray(element.tabulate(0, on_cell))[0, :, own, 0].T
-    whole = space.dofmap.index_map.local_to_global(space.dofmap.list[cells].ravel())
-    columns = (3 * whole[:, None] + np.arange(3)).reshape(k, space.element.space_dimension)
+    columns = _unknowns(_as_all_number(space, space.dofmap.list[cells]))
     values = expression(traction(ufl.TrialFunction(space)), rule.points).eval(domain, rule.entities)
     return FacetPoints(
         places.reshape(-1, 3),
@@ -283,9 +278,20 @@ def _local_columns(space: fem.FunctionSpace) -> tuple[int, int]:
     return block * first, block * last
 
 
+def _as_all_number(space: fem.FunctionSpace, nodes: NDArray[np.int32]) -> Index:
+    """This rank's ``nodes`` as all ranks number them."""
+    whole = space.dofmap.index_map.local_to_global(nodes.ravel())
+    return np.asarray(whole.reshape(nodes.shape))
+
+
+def _unknowns(nodes: NDArray[np.integer]) -> Index:
+    """The unknowns (k, 3 a) of ``nodes`` (k, a), numbered alike; k may be none."""
+    return (3 * nodes[..., None] + np.arange(3)).reshape(len(nodes), 3 * nodes.shape[1])
+
+
 def _node_rows(space: fem.FunctionSpace, nodes: Index) -> csr_matrix:
     """The displacements of ``nodes`` as rows over this rank's unknowns."""
-    column = (3 * nodes[:, None] + np.arange(3)).ravel()
+    column = _unknowns(nodes[:, None]).ravel()
     row = np.arange(len(column))
     return _own_columns(space, np.ones(len(column)), row, column, len(column))
 
@@ -331,16 +337,12 @@ class TipTractions:
             for name, part in parts.items()
         }
         self._load = la.vector(space.dofmap.index_map, 3)
-        cells = np.concatenate(
-            [np.repeat(rule.entities[::2], len(rule.points)) for rule in tip.rules]
-        )
+        cells = np.concatenate([np.repeat(r.entities[::2], len(r.points)) for r in tip.rules])
         nodes = space.dofmap.list[cells]
-        shape = (len(nodes), 3 * nodes.shape[1])  # a rank may hold no part of the tip
-        self._unknowns = (3 * nodes[..., None] + np.arange(3)).reshape(shape)
+        self._unknowns = _unknowns(nodes)
         first, last = _local_columns(space)
         self._own = last - first
-        whole = space.dofmap.index_map.local_to_global(nodes.ravel()).reshape(nodes.shape)
-        columns = (3 * whole[..., None] + np.arange(3)).reshape(shape)
+        columns = _unknowns(_as_all_number(space, nodes))
         self._columns = np.unique(np.concatenate(self._comm.allgather(np.unique(columns))))
         self._place = np.searchsorted(self._columns, columns)
         self._owned = np.flatnonzero((self._columns >= first) & (self._columns < last))
