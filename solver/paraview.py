@@ -20,7 +20,6 @@ import time
 from collections.abc import Callable
 from enum import StrEnum
 from pathlib import Path
-from types import TracebackType
 from typing import Self
 
 import numpy as np
@@ -204,8 +203,8 @@ class FieldWriter:
             self.write(float(frame["t_s"]), frame["u"], frame["v"], frame["force"], phase)
         kept = dict(under("observer", mark.arrays))
         self._every, self._next_doubling, self._n_contact, self._since = map(int, kept["counts"])
-        phase = str(kept["phase"])
-        self._phase = Phase(phase) if phase else None
+        latest = str(kept["phase"])
+        self._phase = Phase(latest) if latest else None
         self._last = state
 
     def _next_phase(self, state: Moving, step_force: Array, force: Array) -> Phase:
@@ -321,13 +320,8 @@ class FieldWriter:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        if error is None or self._all_failed():
+    def __exit__(self, *raised: object) -> None:
+        if raised[0] is None or self._all_failed():
             self.close()
 
     def _all_failed(self) -> bool:

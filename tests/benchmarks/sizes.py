@@ -103,7 +103,7 @@ def peak_bytes() -> int:
 
 def size_line(series: str, cells: tuple[int, int, int], solver: str) -> Line:
     """Measure one size in this process."""
-    from bristle.solver.bodies.linear import Iterative, Method, Solver
+    from bristle.solver.bodies.linear import Iterative, Solver
 
     from .step import bar_solid
 
@@ -114,7 +114,7 @@ def size_line(series: str, cells: tuple[int, int, int], solver: str) -> Line:
     before = peak_bytes()
     solid, seconds = bar_solid(cells, ORDER, Solver(solver), sides)
     started = time.perf_counter()
-    alone = bool(sides) or solid.method is Method.ITERATIVE
+    alone = bool(sides) or solid.method is Solver.ITERATIVE
     act = _solving(solid) if alone else _marching(solid)
     factored = time.perf_counter() - started
     steps = []
