@@ -16,7 +16,7 @@ from .contact.enforcement import ContactMethod
 from .contact_phase import ContactPhase, History, Observer
 from .energy import Budget, Energy, flight_energy
 from .errors import ComputationError
-from .fall import dragged_fall, dragged_path, free_fall, risen
+from .fall import damped_path, dragged_fall, dragged_path, free_fall, risen
 from .ground import Ground, just_touched, place
 from .impact import march_contact
 from .rigid import Pose, leaning, product, quaternion_of
@@ -408,7 +408,7 @@ def _record_fall(history: History, plan: DropPlan, fall_s: float, body: Body) ->
     drag = plan.drag_kg_m / body.mass_kg
     for t in np.linspace(0.0, fall_s, FLIGHT_ROWS, endpoint=False):
         if alpha:
-            fallen = g * (t + math.expm1(-alpha * t) / alpha) / alpha
+            fallen = damped_path(float(t), g, alpha)
         elif drag:
             fallen = dragged_path(float(t), g, v0, drag)
         else:

@@ -20,8 +20,8 @@ def free_fall(height_m: float, gravity_m_s2: float, alpha_1_s: float) -> tuple[f
         return speed / gravity_m_s2, speed
     from scipy.optimize import brentq
 
-    def beyond(t: float) -> float:
-        return gravity_m_s2 * (t + math.expm1(-alpha_1_s * t) / alpha_1_s) / alpha_1_s - height_m
+    def beyond(t_s: float) -> float:
+        return damped_path(t_s, gravity_m_s2, alpha_1_s) - height_m
 
     late = math.sqrt(2.0 * height_m / gravity_m_s2) + 2.0 * height_m * alpha_1_s / gravity_m_s2
     t = float(brentq(beyond, 0.0, 2.0 * late, xtol=1e-16))
@@ -54,10 +54,7 @@ def dragged_fall(
 
 
 def fallen(
-    height_m: Array | float,
-    gravity_m_s2: float,
-    speed_m_s: Array | float,
-    drag_1_m: Array | float,
+    height_m: Array | float, gravity_m_s2: float, speed_m_s: Array | float, drag_1_m: Array | float
 ) -> Array:
     """Height of the fall from rest in a vacuum that ends as fast as `dragged_fall`.
 
@@ -67,10 +64,7 @@ def fallen(
 
 
 def _end_speed2(
-    height_m: Array | float,
-    gravity_m_s2: float,
-    speed_m_s: Array | float,
-    drag_1_m: Array | float,
+    height_m: Array | float, gravity_m_s2: float, speed_m_s: Array | float, drag_1_m: Array | float
 ) -> Array:
     """The square of the speed at the end of `dragged_fall`, of arrays that broadcast."""
     h, v0 = np.asarray(height_m), np.asarray(speed_m_s)
@@ -92,6 +86,11 @@ def risen(height_m: Array | float, drag_1_m: Array | float) -> Array:
     k = np.maximum(drag_1_m, LEAST_DRAG_1_M)
     slowed = np.log1p(2.0 * k * height_m) / (2.0 * k)
     return np.where(np.asarray(drag_1_m) < LEAST_DRAG_1_M, height_m, slowed)
+
+
+def damped_path(t_s: float, gravity_m_s2: float, alpha_1_s: float) -> float:
+    """Distance fallen from rest after ``t_s`` under damping in proportion to mass."""
+    return gravity_m_s2 * (t_s + math.expm1(-alpha_1_s * t_s) / alpha_1_s) / alpha_1_s
 
 
 def dragged_path(t_s: float, gravity_m_s2: float, speed_m_s: float, drag_1_m: float) -> float:

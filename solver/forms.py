@@ -216,9 +216,7 @@ class StepForms:
         start = before - (x + self.u)
         end = after - (x + self.u + self.d)
         normal = _mean_force(
-            plane.stiffness,
-            ufl.dot(start, n) + plane.offset,
-            ufl.dot(end, n) + plane.offset,
+            plane.stiffness, ufl.dot(start, n) + plane.offset, ufl.dot(end, n) + plane.offset
         )
         slip = (end - start) - ufl.dot(end - start, n) * n
         trial = plane.kt * (plane.elongation + 0.5 * slip)

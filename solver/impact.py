@@ -122,10 +122,7 @@ def _march_compiled(
     modes, touching = marcher.tables()
     limit = step_limit(marcher, until_s)
     limits = MarchLimits(
-        wait=max(wait_s - t_s, 0.0),
-        until=until_s - t_s,
-        limit=limit,
-        history=True,
+        wait=max(wait_s - t_s, 0.0), until=until_s - t_s, limit=limit, history=True
     )
     u, v = np.ascontiguousarray(u), np.ascontiguousarray(v)
     marched = modal_march.march(modes, touching, u, v, limits)

@@ -37,20 +37,11 @@ def beam_matrices(
     if n_elements < 1:
         raise InputError(f"the beam needs at least one element, not {n_elements}")
     mat, sec = bristle.material, bristle.section
-    shear = sec.shear_coefficient(mat.poisson) * mat.shear_modulus_Pa * sec.area_m2
-    polar = sec.second_moment_x_m4 + sec.second_moment_y_m4
-    # strains: u_x' - θ_y, u_y' + θ_x, u_z', θ_x', θ_y', θ_z'
-    rigidity = np.array(
-        [
-            shear,
-            shear,
-            mat.youngs_Pa * sec.area_m2,
-            mat.youngs_Pa * sec.second_moment_y_m4,
-            mat.youngs_Pa * sec.second_moment_x_m4,
-            mat.shear_modulus_Pa * sec.torsion_m4,
-        ]
-    )
+    e, g = mat.youngs_Pa, mat.shear_modulus_Pa
     area, iy, ix = sec.area_m2, sec.second_moment_y_m4, sec.second_moment_x_m4
+    shear, polar = sec.shear_coefficient(mat.poisson) * g * area, ix + iy
+    # strains: u_x' - θ_y, u_y' + θ_x, u_z', θ_x', θ_y', θ_z'
+    rigidity = np.array([shear, shear, e * area, e * iy, e * ix, g * sec.torsion_m4])
     inertia = mat.density_kg_m3 * np.array([area, area, area, iy, ix, polar])
     bulging = lateral_inertia * mat.density_kg_m3 * mat.poisson**2 * polar
     half = 0.5 * bristle.length_m / n_elements
@@ -72,8 +63,8 @@ def beam_matrices(
 
     n = NODE_UNKNOWNS * (2 * n_elements + 1)
     mass, stiffness = np.zeros((n, n)), np.zeros((n, n))
-    for e in range(n_elements):
-        span = slice(2 * NODE_UNKNOWNS * e, 2 * NODE_UNKNOWNS * e + element)
+    for first in range(0, 2 * NODE_UNKNOWNS * n_elements, 2 * NODE_UNKNOWNS):
+        span = slice(first, first + element)
         mass[span, span] += m_element
         stiffness[span, span] += k_element
     return mass, stiffness

@@ -18,6 +18,9 @@ from ..arrays import Array
 from .normal import ADHESIVE, HUNT_CROSSLEY, LINEAR, PLASTIC, STIFFENING, TABULATED, elastic_at
 from .points import Kind
 
+Each = Array | float
+"""A number for each point, or one for all."""
+
 # Where a stiffening law has the secant stiffness Kn: a penetration of the paper's drops.
 REFERENCE_M = 2e-5
 # Cells of the compiled table of a tabulated law.
@@ -59,12 +62,7 @@ class ContactLaw:
         return self.kind.pulls
 
     def _at_points(
-        self,
-        which: int,
-        approach: Array,
-        compliance_m_N: float,
-        scale: Array | float,
-        memory: Array | float,
+        self, which: int, approach: Array, compliance_m_N: float, scale: Each, memory: Each
     ) -> Array:
         every = np.broadcast_arrays(approach, scale, memory)
         d, s, m = (np.array(each, dtype=float).ravel() for each in every)
@@ -72,31 +70,19 @@ class ContactLaw:
         return np.asarray(found[which].reshape(every[0].shape))
 
     def force(
-        self,
-        approach: Array,
-        compliance_m_N: float,
-        scale: Array | float = 1.0,
-        memory: Array | float = 0.0,
+        self, approach: Array, compliance_m_N: float, scale: Each = 1.0, memory: Each = 0.0
     ) -> Array:
         """Force (n,) in N, without damping."""
         return self._at_points(0, approach, compliance_m_N, scale, memory)
 
     def tangent(
-        self,
-        approach: Array,
-        compliance_m_N: float,
-        scale: Array | float = 1.0,
-        memory: Array | float = 0.0,
+        self, approach: Array, compliance_m_N: float, scale: Each = 1.0, memory: Each = 0.0
     ) -> Array:
         """d force / d approach (n,) in N/m."""
         return self._at_points(1, approach, compliance_m_N, scale, memory)
 
     def potential(
-        self,
-        approach: Array,
-        compliance_m_N: float,
-        scale: Array | float = 1.0,
-        memory: Array | float = 0.0,
+        self, approach: Array, compliance_m_N: float, scale: Each = 1.0, memory: Each = 0.0
     ) -> Array:
         """What is stored (n,) in J: the antiderivative of ``force`` in ``approach``, zero out of
         contact. Beyond yield it holds what flowed too, beyond pull-off what was let go, until

@@ -64,9 +64,5 @@ class TimeScheme:
         alpha_f = rho_inf / (rho_inf + 1.0)
         shift = alpha_m - alpha_f
         return cls(
-            f"generalised({rho_inf:g})",
-            alpha_m,
-            alpha_f,
-            0.25 * (1.0 - shift) ** 2,
-            0.5 - shift,
+            f"generalised({rho_inf:g})", alpha_m, alpha_f, 0.25 * (1.0 - shift) ** 2, 0.5 - shift
         )
