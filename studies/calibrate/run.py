@@ -81,7 +81,8 @@ class Calibration:
 def stiffness_interval(curve: RatioCurve, ratio: Interval) -> Stiffness:
     """Kn of a ratio and its interval; the curve falls, so the ends change places."""
     ends = map(curve.stiffness, (ratio.estimate, ratio.high, ratio.low))
-    return Stiffness(*(kn if 0.0 < kn < math.inf else None for kn in ends), ratio.level)
+    estimate, low, high = (kn if 0.0 < kn < math.inf else None for kn in ends)
+    return Stiffness(estimate, low, high, ratio.level)
 
 
 def calibrate(

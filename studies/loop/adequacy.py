@@ -282,8 +282,12 @@ def _family(
         out["shared within a group"] = lambda z: np.abs(
             np.sum(z[:, shared[0]] * z[:, shared[1]], axis=1)
         )
+
+    def greatest(name: str, several: list[Statistic]) -> None:
+        out[name] = lambda z: np.max([each(z) for each in several], axis=0)
+
     for name, several in _by_name(directions, project).items():
-        out[name] = lambda z, several=several: np.max([each(z) for each in several], axis=0)
+        greatest(name, several)
     return out, listed
 
 
