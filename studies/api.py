@@ -18,12 +18,12 @@ from mpi4py import MPI
 from pydantic import BaseModel
 
 from ..solver.contact_phase import HISTORY_COLUMNS
-from ..solver.effects.outside import forgotten_afterwards
 from ..solver.errors import InputError
 from .close_loop.run import run_close_loop, summary
 from .drop import run_drop, simulate_drop
 from .drop import summary as drop_summary
 from .inputs.config import DropInputs
+from .inputs.kinds import forgotten_afterwards
 from .inputs.sources import checked
 from .inputs.study_fields import LoopInputs
 from .running.results import HISTORY_FILE

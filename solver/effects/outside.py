@@ -63,19 +63,18 @@ def forgotten_afterwards() -> Iterator[None]:
                 del EFFECTS[name]
 
 
-def load(path: Path, source: bytes) -> None:
-    """Take in the effects of a Python file; ValueError where it has none, or one is refused."""
+def load(path: Path, source: bytes) -> ModuleType:
+    """The module of a Python file, its effects taken in; ValueError where one is refused, or it
+    does not run."""
     digest, path = hashlib.sha256(source).hexdigest(), path.resolve()
     module = f"{MODULE}{digest[:16]}"
     found = sys.modules.get(module) or _executed(source, path, module)
-    own = effects_in(found)
-    if not own:
-        raise ValueError(f"{path}: defines no subclass of bristle.solver.effects.base.Effect")
-    for each in own:
+    for each in effects_in(found):
         try:
             register(each, digest)
         except InputError as error:
             raise ValueError(f"{path}: {error}") from None
+    return found
 
 
 def _executed(source: bytes, path: Path, name: str) -> ModuleType:

@@ -23,6 +23,7 @@ from ...solver.compiled import in_turn
 from ...solver.errors import InputError
 from .. import __version__
 from ..data.datasets import Manifest, read_manifest
+from ..inputs.kinds import KINDS
 from ..inputs.study_fields import LoopInputs
 from ..loop.finding import Finding, plain
 from ..loop.problem import Problem
@@ -178,33 +179,16 @@ def close(manifest: Manifest, problem: Problem, inputs: LoopInputs) -> Closed:
 
 def problem_of(manifest: Manifest) -> Problem:
     """The dataset, read and made a problem. Raises InputError."""
-    folder = manifest.folder
-    match manifest.kind:
-        case "drops":
-            from ..data.datasets import read_drops
-            from ..loop.kinds.drops.problem import drops_problem
-
-            return drops_problem(read_drops(folder))
-        case "tracks":
-            from ..loop.kinds.tracks.problem import tracks_problem
-            from ..loop.kinds.tracks.record import read_tracks
-
-            return tracks_problem(read_tracks(folder))
-        case "forces":
-            from ..loop.kinds.forces.problem import forces_problem
-            from ..loop.kinds.forces.record import read_forces
-
-            return forces_problem(read_forces(folder))
-        case "waves":
-            from ..loop.kinds.waves.problem import read_waves, wave_problem
-
-            return wave_problem(read_waves(folder))
-        case "falls":
-            from ..loop.kinds.falls.problem import fall_problem
-            from ..loop.kinds.falls.record import read_falls
-
-            return fall_problem(read_falls(folder))
-    raise manifest.wrong("kind", f"is {manifest.kind}: the loop cannot read such data")
+    try:
+        read = KINDS[manifest.kind].load()
+    except (ImportError, AttributeError) as error:
+        raise manifest.wrong(
+            "kind", f"is {manifest.kind}, which cannot be loaded: {error}"
+        ) from None
+    found = read(manifest.folder)
+    if not isinstance(found, Problem):
+        raise manifest.wrong("kind", f"is {manifest.kind}, whose function returns no Problem")
+    return found
 
 
 def verdict(closed: Closed) -> dict[str, Any]:

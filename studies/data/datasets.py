@@ -21,12 +21,12 @@ from ...solver.bristle import Bristle, RigidMass
 from ...solver.errors import InputError
 from ..inputs import limits
 from ..inputs.config import Inputs
+from ..inputs.kinds import KINDS, load_installed
 from ..inputs.sources import checked
 from ..inputs.texts import finite, line_of, parse_toml, printable, quoted
 from .tables import check_order, column, inside, optional_column, read_table, read_text
 from .units import check_contact_times, check_heights, check_peaks, doubtful_body
 
-KINDS = ("drops", "tracks", "forces", "waves", "falls")
 PARTS = ("dataset", "body", "contact", "measurement")
 # The keys of a body, and the inputs of a drop that have their bounds.
 BODY_KEYS = {
@@ -141,7 +141,8 @@ def read_manifest(folder: Path, only: str | None = None) -> Manifest:
     tree = parse_toml(read.path, read.text)
     about, body, contact, measurement = (read.part(tree, name) for name in PARTS)
     kind = about.get("kind")
-    if kind not in KINDS:
+    load_installed()
+    if not isinstance(kind, str) or kind not in KINDS:
         raise read.wrong("kind", f"must be one of {', '.join(KINDS)}, not {quoted(kind)}")
     if only not in (None, kind):
         raise read.wrong("kind", f"is {kind}, not {only}")

@@ -133,8 +133,8 @@ Truth = Annotated[bool, Field(strict=True)]
 Numbers = BeforeValidator(read_numbers)
 Plugins = Annotated[tuple[PluginFile, ...], BeforeValidator(read_plugins)]
 PLUGIN = {
-    "help": "A Python file with effects of your own, repeatable; docs/examples/my_effect.py is "
-    "one.",
+    "help": "A Python file with effects or kinds of data of your own, repeatable; "
+    "docs/examples/my_effect.py is one.",
     "metavar": "FILE.py",
 }
 

@@ -114,7 +114,7 @@ class MeshFile(GivenFile):
 
 
 class PluginFile(GivenFile):
-    """Python with effects of the user's own."""
+    """Python with effects or kinds of data of the user's own."""
 
 
 def read_mesh_file(value: Any) -> Any:
@@ -152,7 +152,7 @@ def _read_plugin(value: Any) -> Any:
     value = _by_path(value)
     if not _has_path(value):
         return value
-    from ...solver.effects.outside import load
+    from .kinds import load
 
     path = Path(value["path"])
     try:

@@ -276,7 +276,7 @@ def test_what_a_dataset_leaves_out_is_the_paper_s(folder):
 
 def test_friction_that_is_declared_is_what_drops_are_simulated_with(folder):
     drops = read_drops(folder(GOOD, "[contact]\nfriction = 0.0\n"))
-    assert emulator_for(drops.y0_m, drops).friction == 0.0
+    assert emulator_for(drops.y0_m, drops.manifest).friction == 0.0
 
 
 def test_optional_columns_and_units(folder):

@@ -12,6 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 from numpy.polynomial import Legendre
@@ -55,11 +56,16 @@ Build = Callable[[Drops, Mapping[int, float], tuple[str, ...]], DropModel]
 NAMES = ("y1 (mm)", "contact time (µs)", "peak force (N)")
 
 
+def read_problem(folder: Path) -> Problem:
+    """The problem of a dataset's folder. Raises InputError."""
+    return drops_problem(datasets.read_drops(folder))
+
+
 def drops_problem(data: datasets.Drops) -> Problem:
     """The problem of a dataset of drops. Raises InputError where it cannot be one."""
     manifest = data.manifest
     measured, sigmas, notes = _measured(data)
-    emulator = emulator_for(data.y0_m, data)
+    emulator = emulator_for(data.y0_m, manifest)
     drops = Drops(emulator, data.y0_m, data.drop - data.drop[0], tuple(measured))
     values = np.stack([measured[q] for q in drops.quantities], axis=1)
     keep = np.asarray(np.isfinite(values).all(axis=1))
@@ -172,9 +178,8 @@ def heights_about(y0_m: Array) -> tuple[float, float]:
     return 1e-3 * 2.0**low, 1e-3 * 2.0**high
 
 
-def emulator_for(y0_m: Array, data: datasets.Drops) -> Emulator:
+def emulator_for(y0_m: Array, manifest: Manifest) -> Emulator:
     """Tables of the body's drops: heights rounded outward, so that others can use them again."""
-    manifest = data.manifest
     place = heights_about(y0_m)
     if isinstance(manifest.body, RigidMass):
         return rigid_emulator(RigidEmulator, manifest, *place)

@@ -17,6 +17,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from pathlib import Path
 
 import numpy as np
 
@@ -24,7 +25,7 @@ from .....solver.arrays import Array
 from .....solver.effects.base import Parameter
 from ...problem import Problem, carried
 from .motion import predicted
-from .record import Falls
+from .record import Falls, read_falls
 from .rows import Bins, in_bins
 
 NODES = np.linspace(-3.0, 3.0, 41)
@@ -103,6 +104,11 @@ class FallModel:
     def predict(self, theta: Array) -> Array:
         """Whitened predictions (..., nodes, rows) for parameters (..., p)."""
         return self.bins.rows(self.readings(theta))
+
+
+def read_problem(folder: Path) -> Problem:
+    """The problem of a dataset's folder. Raises InputError."""
+    return fall_problem(read_falls(folder))
 
 
 def fall_problem(data: Falls, library: Sequence[str] = LIBRARY) -> Problem:

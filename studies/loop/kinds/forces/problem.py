@@ -13,6 +13,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,7 +26,7 @@ from ...responses.drop_model import BounceModel, Drops
 from ...responses.emulator import KN_RANGE_N_M
 from ...responses.force_curves import CELLS, SHAPES, ForceEmulator, table_errors, with_shapes
 from ..drops.problem import carried, stiffness
-from .record import KIND, Forces
+from .record import KIND, Forces, read_forces
 from .rows import Placed, Record, Rows, place, rows
 
 SIGMA_N = 1.0
@@ -70,6 +71,11 @@ class ForceModel(BounceModel):
         """The same with effects in it."""
         rebound = self.rebound and replace(self.rebound, effects=effects)
         return replace(self, effects=effects, rebound=rebound)
+
+
+def read_problem(folder: Path) -> Problem:
+    """The problem of a dataset's folder. Raises InputError."""
+    return forces_problem(read_forces(folder))
 
 
 def forces_problem(data: Forces, library: Sequence[str] | None = None) -> Problem:

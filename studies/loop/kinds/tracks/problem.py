@@ -19,6 +19,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,7 +36,7 @@ from ...responses.rigid import RigidEmulator, rigid_emulator
 from ..drops.problem import carried, damping, heights_about, simulated_bristle, stiffness
 from .films import Filmed, faster, filmed
 from .flight import released
-from .record import KIND, Tracks
+from .record import KIND, Tracks, read_tracks
 from .rows import FEATURES, Track
 
 NAMES = {
@@ -162,6 +163,11 @@ class TrackModel(BounceModel):
         full = (*np.shape(theta)[:-1], len(self.weights), len(self.speed_m_s))
         every = np.stack([np.broadcast_to(found[name], full) for name in FEATURES], axis=-1)
         return every.reshape(*full[:-1], -1)
+
+
+def read_problem(folder: Path) -> Problem:
+    """The problem of a dataset's folder. Raises InputError."""
+    return tracks_problem(read_tracks(folder))
 
 
 def tracks_problem(data: Tracks) -> Problem:

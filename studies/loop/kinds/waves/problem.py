@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,6 +37,11 @@ LIBRARY = ("material_damping", "hysteretic_damping", "lateral_inertia")
 LEAST_WINDOW = 16
 ALLOYS_VARY = 0.03
 FEW_QUIET = 50
+
+
+def read_problem(folder: Path) -> Problem:
+    """The problem of a dataset's folder. Raises InputError."""
+    return wave_problem(read_waves(folder))
 
 
 def wave_problem(data: Waves, library: Sequence[str] = LIBRARY) -> Problem:
