@@ -63,7 +63,7 @@ class Checkpoint:
         self._made_for = {"number of ranks": str(comm.size), **made_for}
         self._march, self._frames, self._whole_frames = -1, 0, 0
         self._looks, self._last_s = 0, time.monotonic()
-        self._waiting: list[tuple[Path, dict[str, Any], Mapping[str, Array]]] = []
+        self._waiting: list[tuple[Path, Mapping[str, Array]]] = []
         self._there: dict[int, tuple[int, bool, int]] = {}
         if resume and self._agreed(self.folder.is_dir()):
             self._there = self._whole_marks()
@@ -96,7 +96,7 @@ class Checkpoint:
         """
         path = self._mark(self._march, steps)
         header = {"march": self._march, "steps": steps, "done": done, "frames": self._frames}
-        self._waiting.append((path, header, _copied(arrays)))
+        self._wait(path, header, arrays)
         if done and not self._late():
             return
         self._together(self._write_waiting)
@@ -107,8 +107,7 @@ class Checkpoint:
 
     def keep_frame(self, arrays: Mapping[str, Array]) -> None:
         """Keep what an observer has just shown, to be shown again."""
-        path, header = self._frame(self._frames), {"march": self._march}
-        self._waiting.append((path, header, _copied(arrays)))
+        self._wait(self._frame(self._frames), {"march": self._march}, arrays)
         self._frames += 1
 
     def _late(self) -> bool:
@@ -123,14 +122,16 @@ class Checkpoint:
     def _frame(self, number: int) -> Path:
         return self.folder / f"frame-{number}-{self.comm.rank}.npz"
 
+    def _wait(self, path: Path, header: Mapping[str, Any], arrays: Mapping[str, Array]) -> None:
+        """Have arrays as they are now written to ``path`` when a mark is made."""
+        text = json.dumps({"schema": SCHEMA, "made_for": self._made_for, **header})
+        copies = {name: np.array(array) for name, array in arrays.items()}
+        self._waiting.append((path, {HEADER: np.array(text), **copies}))
+
     def _write_waiting(self) -> None:
         while self._waiting:
-            self._write(*self._waiting[0])
+            write_arrays(*self._waiting[0])
             del self._waiting[0]
-
-    def _write(self, path: Path, header: Mapping[str, Any], arrays: Mapping[str, Array]) -> None:
-        text = json.dumps({"schema": SCHEMA, "made_for": self._made_for, **header})
-        write_arrays(path, {HEADER: np.array(text), **arrays})
 
     def _read(self, path: Path) -> tuple[dict[str, Any], dict[str, Array]]:
         """Header and arrays of a file; ValueError or OSError where it is not whole."""
@@ -203,10 +204,6 @@ class Checkpoint:
         for reported in self.comm.allgather(problem):
             if reported:
                 raise ComputationError(f"the march cannot be kept in {self.folder}: {reported}")
-
-
-def _copied(arrays: Mapping[str, Array]) -> dict[str, Array]:
-    return {name: np.array(array) for name, array in arrays.items()}
 
 
 def prefixed(prefix: str, arrays: Mapping[str, Any]) -> dict[str, Array]:

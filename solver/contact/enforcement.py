@@ -186,7 +186,7 @@ class StepContact:
         self.multiplier: Array = np.zeros((n, 3))
         self.memory: Array = np.zeros((n, 3))
         self.end: Array = np.zeros((n, 3))
-        self.iterations, self.share = 0, 1.0
+        self.share = 1.0
 
     def kept(self) -> dict[str, NDArray[Any]]:
         """What the next step needs of the steps before, as arrays by name."""
@@ -196,7 +196,6 @@ class StepContact:
             "memory": self.memory,
             "end": self.end,
             "share": np.array(self.share),
-            "iterations": np.array(self.iterations),
             "inverse": section.inverse,
             "factored": section.factored,
             "predictor": section.predictor,
@@ -206,7 +205,7 @@ class StepContact:
         """Go on from what `kept` gave."""
         self.multiplier = arrays["multiplier"].copy()
         self.memory, self.end = arrays["memory"].copy(), arrays["end"].copy()
-        self.share, self.iterations = float(arrays["share"]), int(arrays["iterations"])
+        self.share = float(arrays["share"])
         self.section.inverse[...] = arrays["inverse"]
         self.section.factored[...] = arrays["factored"]
         self.section.predictor[...] = arrays["predictor"]
@@ -239,7 +238,6 @@ class StepContact:
                 f"the contact forces did not converge in {NEWTON_LIMIT} Newton steps; "
                 "shorten the ITS"
             )
-        self.iterations += count
         return force
 
     def commit(self, start: Array, force: Array) -> tuple[float, float]:

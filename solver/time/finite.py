@@ -82,7 +82,6 @@ class FiniteMarcher(ContactMarch):
         self._solver: PETSc.KSP | None = None
         self._inertia = (2.0 / its_s + body.alpha_1_s) / its_s
         self._weights = np.repeat(body.contact.weights, 3)
-        self.factorisations = 0
         self._factored: tuple[Array, Array] | None = None
         size = len(self._weights) if self.tau else body.contact.coordinates.shape[0]
         self._compliance = np.zeros((size, size))
@@ -222,7 +221,6 @@ class FiniteMarcher(ContactMarch):
             take_direct(self._solver, PETSc.PC.Type.LU)
         self._solver.setOperators(self._matrix)
         factor(self._solver, "the tangent")
-        self.factorisations += 1
         self._solve = self._by_factor
         points = self.body.contact
         if self._surface is not None:
