@@ -339,16 +339,16 @@ class Stage:
 
     def impact(self, t: float, pose: Pose, u: Array, v: Array) -> Impact:
         """Touch after touch, until the impact is over (`touchdown.after_release`) or the drop."""
-        frame, g, its = self.frame, self.plan.gravity_m_s2, self.plan.its_s
+        frame, marcher = self.frame, self.marcher
+        g, its = self.plan.gravity_m_s2, self.plan.its_s
         damped = bool(frame.modal.damping_1_s.any())
         touches: list[ContactPhase] = []
         loss, top, centre_top = 0.0, -math.inf, -math.inf
         wait = t
         self._place(pose)
         for _ in range(TOUCH_LIMIT):
-            until = self.end_s, wait
             touch = march_contact(
-                self.marcher, t, u, v, self.history, self.observer, *until, self.checkpoint
+                marcher, t, u, v, self.history, self.observer, self.end_s, wait, self.checkpoint
             )
             touches.append(touch)
             loss += touch.material_loss_J

@@ -17,16 +17,7 @@ from ..arrays import Array
 from ..compiled import njit
 from .friction import elongated, friction_force, tangential_stiffness
 from .normal import internal, normal_force
-from .points import (
-    CONSERVING,
-    PointForce,
-    PointLaw,
-    Points,
-    PointTrial,
-    Trial,
-    law_at,
-    trial_at,
-)
+from .points import CONSERVING, PointForce, PointLaw, Points, PointTrial, Trial, law_at, trial_at
 
 
 @njit

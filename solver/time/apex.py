@@ -113,13 +113,7 @@ def _slow_apex(motion: Motion, ring: Ring, until: float) -> float:
 
 @njit
 def _highest_sample(
-    motion: Motion,
-    ring: Ring,
-    t: float,
-    attitude: Array,
-    spin: Array,
-    until: float,
-    about: bool,
+    motion: Motion, ring: Ring, t: float, attitude: Array, spin: Array, until: float, about: bool
 ) -> tuple[float, float, float, float]:
     """The highest of some samples of the tip's height from ``t`` on, its time, their spacing, and
     how long they last; with ``about`` from before to after ``t``.

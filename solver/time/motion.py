@@ -200,13 +200,7 @@ def chart(flyer: Flyer) -> Chart:
 
 @njit
 def launch(
-    table: Chart,
-    flyer: Flyer,
-    position: Array,
-    attitude: Array,
-    u: Array,
-    v: Array,
-    gravity: float,
+    table: Chart, flyer: Flyer, position: Array, attitude: Array, u: Array, v: Array, gravity: float
 ) -> Motion:
     """The flight from a state (u, v) in a pose, whose rigid part moves the pose."""
     shift, angle = rigid_part(flyer, u)
