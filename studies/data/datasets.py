@@ -241,7 +241,8 @@ class _Declarations:
         for key in part:
             if key in known:
                 continue
-            near = difflib.get_close_matches(key, known, cutoff=0.8)
+            near = [each for each in known if each.startswith(f"{key}_")]  # without its unit
+            near += difflib.get_close_matches(key, known, cutoff=0.8)
             near.sort(key=lambda each: (not each.startswith(key), known.index(each)))
             if near:
                 raise self.wrong(key, f"is not known; did you mean {near[0]}?")

@@ -43,7 +43,8 @@ class HeldOut:
     ``ratio`` the error over that and ``surprise`` the chance of one as large in all quantities,
     both without the largest eighth of the errors. ``rms_sigma`` is the error of all quantities,
     ``n_rows`` rows, over the declared noise; ``greatest`` the largest of them over that noise or,
-    if it is more, over what the model's 90 % interval allows, zero where no noise is declared.
+    if it is more, over what the model's 90 % interval allows, zero where no noise is declared, and
+    ``farthest`` its group.
     ``values``, ``before``, ``after``, ``low``, ``high`` (rows,) in ``unit`` by held-out row of the
     main quantity. ``log_score_gain`` in nats, cross-validated over all groups, with its 90 %
     interval; ``nearer``: squared errors of the same fall."""
@@ -58,6 +59,7 @@ class HeldOut:
     surprise: float
     ratio: float
     greatest: float
+    farthest: int
     reduction_low: float
     reduction_high: float
     coverage_90: float
@@ -202,6 +204,7 @@ class Judge:
             surprise=(float(np.sum(larger)) + 1.0) / (len(larger) + 1.0),
             ratio=float(trimmed_rms(error[mine]) / rms(trimmed_rms(chance[:, mine]))),
             greatest=float(off.max(initial=0.0)),
+            farthest=int(problem.group[held.rows[np.argmax(off)]]) if off.size else -1,
             reduction_low=ends[0],
             reduction_high=ends[1],
             coverage_90=float(np.mean(inside)),

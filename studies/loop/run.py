@@ -45,6 +45,8 @@ MOST_RATIO, LEAST_COVERAGE, LEAST_ROWS, SURPRISE = 1.5, 0.6, 8, 0.003
 GROSS = 30.0
 # Residuals of so little rms say that the declared uncertainty is no measure of the noise.
 FAR_SMALLER = 0.5
+# Declared standard deviations by which a few values are worth a second look.
+FAR_OFF, FEW = 8.0, 2
 ROUGH = "these data leave the parameters so loose that the ends of their intervals are rough"
 BARE = "as many free parameters as values to fit: whatever is missing, these data could not show it"
 SEEN_BY = "what is missing is seen by this: "
@@ -156,7 +158,8 @@ def find(
         verdict = Verdict.EFFECT if len(reported) == 1 else Verdict.AMBIGUOUS
     tied = [each.posterior for each in reported]
     bare = data.values.size <= base.u.size
-    doubts = (noticed, ROUGH if final.few else "", BARE if bare else "")
+    alone = _far_off(problem, data, kept.residual, best.held if best else plain)
+    doubts = (noticed, alone, ROUGH if final.few else "", BARE if bare else "")
     advance()
     return Finding(
         verdict=verdict,
@@ -291,6 +294,23 @@ def _surprising(held: HeldOut) -> bool:
     if held.greatest > GROSS or (held.values.size >= LEAST_ROWS and held.ratio > MOST_RATIO):
         return True
     return held.n_rows >= LEAST_ROWS and held.coverage_90 < LEAST_COVERAGE
+
+
+def _far_off(problem: Problem, data: Sample, residual: Array, held: HeldOut | None) -> str:
+    """Which groups lie far off where few do, in words; a slip of the pen has no effect's name."""
+    if not problem.sigma_declared:
+        return ""
+    far: dict[int, float] = {}
+    for row, size in zip(data.rows, np.abs(residual), strict=True):
+        far[int(problem.group[row])] = max(float(size), far.get(int(problem.group[row]), 0.0))
+    if held is not None:
+        far[held.farthest] = held.greatest
+    far = {group: size for group, size in far.items() if size > FAR_OFF}
+    if not 0 < len(far) <= FEW:
+        return ""
+    return "by itself lies " + ", ".join(
+        f"no. {g} ({size:.2g} sigma off)" for g, size in far.items()
+    )
 
 
 def _large(data: Sample, residual: Array) -> bool:
