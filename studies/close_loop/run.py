@@ -109,11 +109,10 @@ def _begun(dataset: Path, out: Path | None) -> Manifest:
     """The dataset's declarations; InputError where they or ``out`` are no good, long before both
     are needed."""
     manifest = read_manifest(dataset)
-    if out is None:
-        return manifest
-    there = next(each for each in (out.absolute(), *out.absolute().parents) if each.exists())
-    if not there.is_dir():
-        raise InputError(f"--out {out}: {there} is a file, not a folder")
+    if out is not None:
+        there = next(each for each in (out.absolute(), *out.absolute().parents) if each.exists())
+        if not there.is_dir():
+            raise InputError(f"--out {out}: {there} is a file, not a folder")
     return manifest
 
 

@@ -250,17 +250,16 @@ def held_out_section(rows: Rows) -> Section:
     """Errors on what took no part, with what was predicted of it."""
     held = rows.closed.finding.held_out
     draft = prose("held_out", "held-out", held=held)
+    _errors(rows, draft)
     values = _values(rows, held, "before", "after", "low", "high")
-    heads = _in_unit(rows, measured="measured", before="before", after="after")
-    heads |= _in_unit(rows, low="90 % from", high="to")
+    words = {"measured": "measured", "before": "before", "after": "after"}
+    heads = _in_unit(rows, **words, low="90 % from", high="to")
     if held is None:
-        _errors(rows, draft)
         draft.table("held_out", values, heads)
     else:
         labels = values["group"].astype(int).tolist()
         drawn = figures.held_figure(held, quantity_of(rows), labels)
         draft.figure("held-out", drawn, draft.data("held_out", values, heads))
-        _errors(rows, draft)
     return draft.section()
 
 
