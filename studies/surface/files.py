@@ -13,7 +13,6 @@ import math
 import re
 import zipfile
 import zlib
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -105,21 +104,33 @@ def _read_archive(path: Path) -> tuple[Array, float]:
 def _read_text(path: Path) -> tuple[Array, float]:
     """Three columns are a list of points, anything else a matrix: a surface has at least four nodes
     along each side, so there is no doubt."""
+    try:
+        text = path.read_text(encoding="utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise ValueError(f"{path}: is not a text file ({error.reason}).") from None
+    declared: float | None = None
     lines: list[int] = []
     rows: list[list[float]] = []
-    declared: float | None = None
-    for line, content in _lines(path):
-        if isinstance(content, float):
-            declared = content
+    named = False
+    for number, line in enumerate(map(str.strip, text.splitlines()), start=1):
+        place, comment = f"{path}:{number}", line.startswith("#")
+        if comment and (match := _SPACING.match(line)):
+            declared = _height(match[1], place)
+            require_positive(f"{place}: spacing_m", declared)
+        if comment or not line:
             continue
-        if rows and len(content) != len(rows[0]):
+        fields = _split(line)
+        if not (rows or named or any(map(_is_number, fields))):
+            named = True
+            continue
+        rows.append([_height(field, place) for field in fields])
+        lines.append(number)
+        if len(fields) != len(rows[0]):
             raise ValueError(
-                f"{path}:{line}: {len(content)} numbers where line {lines[0]} has {len(rows[0])}."
+                f"{place}: {len(fields)} numbers where line {lines[0]} has {len(rows[0])}."
             )
-        lines.append(line)
-        rows.append(content)
-        if len(rows) * len(content) > 3 * MAX_NODES:
-            raise ValueError(f"{path}:{line}: more than {MAX_NODES} heights; thin them out.")
+        if len(rows) * len(fields) > 3 * MAX_NODES:
+            raise ValueError(f"{place}: more than {MAX_NODES} heights; thin them out.")
     if not rows:
         raise ValueError(f"{path}: there are no numbers in it.")
     table = np.array(rows)
@@ -133,28 +144,6 @@ def _read_text(path: Path) -> tuple[Array, float]:
             "write '# spacing_m = …' into the file."
         )
     return table, declared
-
-
-def _lines(path: Path) -> Iterator[tuple[int, list[float] | float]]:
-    """Yield the number of each line that says something, and its numbers or the spacing."""
-    try:
-        text = path.read_text(encoding="utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise ValueError(f"{path}: is not a text file ({error.reason}).") from None
-    started = False
-    for number, line in enumerate(text.splitlines(), start=1):
-        if not (stripped := line.strip()):
-            continue
-        if stripped.startswith("#"):
-            if match := _SPACING.match(stripped):
-                spacing = _height(match[1], f"{path}:{number}")
-                require_positive(f"{path}:{number}: spacing_m", spacing)
-                yield number, spacing
-            continue
-        fields = _split(stripped)
-        if started or any(_is_number(field) for field in fields):
-            yield number, [_height(field, f"{path}:{number}") for field in fields]
-        started = True
 
 
 def _split(line: str) -> list[str]:

@@ -9,16 +9,16 @@ then finer ones between them.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from numbers import Real
+from typing import Annotated
 
 import numpy as np
 import numpy.typing as npt
+from pydantic import Field
+from pydantic.dataclasses import dataclass
 from scipy.spatial import cKDTree
 
-from ...meshes.section import require_positive
-
 Array = npt.NDArray[np.float64]
+Positive = Annotated[float, Field(strict=True, gt=0.0, allow_inf_nan=False)]
 
 CELLS_PER_GRAIN = 3
 """Fewest grid spacings across a grain."""
@@ -33,38 +33,16 @@ SAMPLES, SAMPLES_PER_GRAIN = 250_000, 30
 class Phase:
     """One material of a composite surface.
 
-    Parameters
-    ----------
-    name : what tables and pictures call it
-    youngs_Pa, poisson : elastic constants
-    area_fraction : its part of the surface, in (0, 1]
-    grain_size_m : diameter of the circle that has a grain's mean area, m; None for the matrix
-
-    Raises
-    ------
-    ValueError : a value is out of its range
+    ``area_fraction`` is its part of the surface; ``grain_size_m`` the diameter of the circle that
+    has a grain's mean area, None for the matrix. Raises ValueError where a value is out of its
+    range.
     """
 
-    name: str
-    youngs_Pa: float
-    poisson: float
-    area_fraction: float
-    grain_size_m: float | None = None
-
-    def __post_init__(self) -> None:
-        if not isinstance(self.name, str) or not self.name.strip():
-            raise ValueError(f"name of a phase must be a word, not {self.name!r}.")
-        require_positive(f"{self.name}: youngs_Pa", self.youngs_Pa)
-        require_positive(f"{self.name}: area_fraction", self.area_fraction)
-        if self.area_fraction > 1:
-            raise ValueError(
-                f"{self.name}: area_fraction must be at most 1, not {self.area_fraction!r}."
-            )
-        ratio = self.poisson
-        if isinstance(ratio, bool) or not isinstance(ratio, Real) or not -1 < float(ratio) <= 0.5:
-            raise ValueError(f"{self.name}: poisson must be above -1 and at most 0.5, not {ratio}.")
-        if self.grain_size_m is not None:
-            require_positive(f"{self.name}: grain_size_m", self.grain_size_m)
+    name: Annotated[str, Field(pattern=r"\S")]
+    youngs_Pa: Positive
+    poisson: Annotated[float, Field(strict=True, gt=-1.0, le=0.5)]
+    area_fraction: Annotated[float, Field(strict=True, gt=0.0, le=1.0)]
+    grain_size_m: Positive | None = None
 
 
 CONCRETE = (
@@ -85,27 +63,18 @@ ratios: a common value for all three.
 
 @dataclass(frozen=True)
 class Composite:
-    """The phases of a surface: one matrix and any number of aggregates; concrete by default.
+    """The phases of a surface, one matrix and any number of aggregates, in the order of their
+    numbers on it; concrete by default.
 
-    Parameters
-    ----------
-    phases : in the order of the phase numbers on a surface
-
-    Raises
-    ------
-    ValueError : not one matrix, a name twice, or fractions whose sum is not 1
+    Raises ValueError where there is not one matrix, a name is there twice, or the fractions do not
+    sum to 1.
     """
 
-    phases: tuple[Phase, ...] = CONCRETE
+    phases: Annotated[tuple[Phase, ...], Field(max_length=255)] = CONCRETE
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "phases", tuple(self.phases))
-        if not all(isinstance(phase, Phase) for phase in self.phases):
-            raise ValueError(f"phases must be Phase records, not {self.phases!r}.")
         if [phase.grain_size_m for phase in self.phases].count(None) != 1:
             raise ValueError("a composite has exactly one matrix, a phase without grain_size_m.")
-        if len(self.phases) > 255:
-            raise ValueError("a composite has at most 255 phases.")
         names = [phase.name for phase in self.phases]
         if len(set(names)) < len(names):
             raise ValueError(f"phases must have different names, not {', '.join(names)}.")
