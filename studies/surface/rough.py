@@ -10,14 +10,12 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cached_property
-from numbers import Integral
 
 import numpy as np
 import numpy.typing as npt
 from scipy import fft, ndimage
 from scipy.interpolate import NdBSpline
 
-from ...meshes.section import require_positive
 from .heights import Roughness, random_heights
 from .phases import Composite, random_phases
 
@@ -66,15 +64,10 @@ class Surface:
 
     Parameters
     ----------
-    heights_m : (ny, nx), m
+    heights_m : (ny, nx), m, finite; `FEWEST_NODES` or more along each side
     spacing_m : grid spacing in x and y, m
     phase : (ny, nx), which of the composite's phases is at each node
     composite : the phases
-
-    Raises
-    ------
-    ValueError : shapes differ, fewer than four nodes along a side, a height is not finite, or a
-        phase is not in the composite
     """
 
     heights_m: Array
@@ -83,27 +76,8 @@ class Surface:
     composite: Composite
 
     def __post_init__(self) -> None:
-        require_positive("spacing_m", self.spacing_m)
-        heights, phase = np.array(self.heights_m, dtype=float), np.array(self.phase)
-        if heights.ndim != 2 or min(heights.shape) < FEWEST_NODES:
-            raise ValueError(
-                f"heights_m must be a grid of at least {FEWEST_NODES} × {FEWEST_NODES} nodes, "
-                f"not of shape {heights.shape}."
-            )
-        if not np.isfinite(heights).all():
-            j, i = np.argwhere(~np.isfinite(heights))[0]
-            raise ValueError(f"heights_m[{j}, {i}] is {heights[j, i]}, not a height.")
-        if phase.shape != heights.shape or phase.dtype.kind not in "iu":
-            raise ValueError(
-                f"phase must be whole numbers of shape {heights.shape}, "
-                f"not {phase.dtype} of shape {phase.shape}."
-            )
-        n_phases = len(self.composite.phases)
-        if phase.min() < 0 or phase.max() >= n_phases:
-            raise ValueError(
-                f"phase must be 0 to {n_phases - 1}, not {phase.min()} to {phase.max()}."
-            )
-        for name, array in (("heights_m", heights), ("phase", phase.astype(np.uint8))):
+        for name, kind in (("heights_m", float), ("phase", np.uint8)):
+            array = np.array(getattr(self, name), dtype=kind)
             array.flags.writeable = False
             object.__setattr__(self, name, array)
 
@@ -124,23 +98,13 @@ class Surface:
         knots = tuple(np.arange(n + 7.0) - 3.0 for n in self.heights_m.shape)
         return NdBSpline(knots, np.pad(self._coefficients, (1, 2), mode="wrap"), 3)
 
-    def patch(self, x_m: npt.ArrayLike, y_m: npt.ArrayLike) -> Patch:
+    def patch(self, x_m: Array, y_m: Array) -> Patch:
         """See the surface at places (x, y), m, each (n,) and anywhere in the plane.
 
         The normals are those of the very heights that are returned: (-∂h/∂x, -∂h/∂y, 1), to unit
         length.
-
-        Raises
-        ------
-        ValueError : x and y are not of one length, or not finite
         """
-        x, y = np.asarray(x_m, dtype=float), np.asarray(y_m, dtype=float)
-        if x.ndim != 1 or x.shape != y.shape:
-            raise ValueError(f"x_m and y_m must both be (n,), not {x.shape} and {y.shape}.")
-        places = np.column_stack([y, x]) / self.spacing_m
-        if not np.isfinite(places).all():
-            raise ValueError("x_m and y_m must be finite.")
-        places = np.mod(places, self.heights_m.shape)
+        places = np.mod(np.column_stack([y_m, x_m]) / self.spacing_m, self.heights_m.shape)
         rise_x = self._spline(places, nu=(0, 1)) / self.spacing_m
         rise_y = self._spline(places, nu=(1, 0)) / self.spacing_m
         normals = np.column_stack([-rise_x, -rise_y, np.ones_like(rise_x)])
@@ -218,9 +182,7 @@ def make_surface(
     ------
     ValueError : a value is out of its range; the words say what would do
     """
-    if isinstance(seed, bool) or not isinstance(seed, Integral) or seed < 0:
-        raise ValueError(f"seed must be a whole number from 0, not {seed!r}.")
-    for_heights, for_phases = np.random.default_rng(int(seed)).spawn(2)
+    for_heights, for_phases = np.random.default_rng(seed).spawn(2)
     heights = random_heights(roughness, size_m, spacing_m, for_heights)
     phase = random_phases(composite, heights.shape, spacing_m, for_phases)
     return Surface(heights, spacing_m, phase, composite)

@@ -1,10 +1,10 @@
 """A scatter draws what it says, computes what single drops do, and says what the drops say."""
 
-import csv
 import json
 import math
 
 import numpy as np
+import pandas as pd
 import pytest
 from commands import mpirun
 from mpi4py import MPI
@@ -43,13 +43,7 @@ def scatter(**values):
 
 
 def read(out):
-    with (out / "drops.csv").open(newline="") as file:
-        rows = list(csv.DictReader(file))
-    return json.loads((out / "scatter.json").read_text()), rows
-
-
-def column(rows, name):
-    return np.array([float(row[name]) for row in rows])
+    return json.loads((out / "scatter.json").read_text()), pd.read_csv(out / "drops.csv")
 
 
 # the ground under the tip
@@ -208,7 +202,7 @@ def test_without_chance_every_drop_is_the_one_of_bristle_drop(tmp_path):
     run_scatter(inputs, tmp_path, MPI.COMM_SELF)
     document, rows = read(tmp_path)
     expected, _ = run_case(checked(DropInputs, {**common, "height_m": 0.03}), MPI.COMM_SELF)
-    ratio = column(rows, "rebound_ratio")
+    ratio = rows.rebound_ratio
     assert np.ptp(ratio) == 0.0
     assert ratio[0] == pytest.approx(expected.rebound_ratio, rel=1e-9)
     assert document["statistics"]["std"]["estimate"] == 0.0
@@ -226,14 +220,14 @@ def done(tmp_path_factory):
 
 def test_what_a_scatter_leaves(done):
     document, rows = read(done)
-    ratio = column(rows, "rebound_ratio")
+    ratio = rows.rebound_ratio
     assert len(rows) == document["n_drops"] == 120
-    np.testing.assert_allclose(ratio, column(rows, "rebound_height_m") / column(rows, "y0_m"))
+    np.testing.assert_allclose(ratio, rows.rebound_height_m / rows.y0_m)
     assert document["statistics"]["mean"]["estimate"] == pytest.approx(ratio.mean())
     assert document["statistics"]["std"]["estimate"] == pytest.approx(ratio.std(ddof=1))
     assert ratio.std() > 0.01
     # with the axial force on the slope a step closes to what its iteration leaves
-    assert column(rows, "closure_relative").max() < 1e-3
+    assert rows.closure_relative.max() < 1e-3
     assert document["check"]["n"] == 8
     assert document["check"]["difference"] < 1e-9
     assert document["drops_per_second"] > 0.0
@@ -290,7 +284,7 @@ def test_a_drop_that_fails_is_left_out_and_told(tmp_path, monkeypatch):
     run_scatter(scatter(drops=130), tmp_path, MPI.COMM_SELF)
     document, rows = read(tmp_path)
     assert document["failed"] == {"7": "it fell over"}
-    assert "7" not in [row["drop"] for row in rows]
+    assert 7 not in set(rows["drop"])
     assert len(rows) == 129
     assert "1 of 130 drops failed" in document["warnings"][-1]
     assert "1 of 130 drops failed" in (tmp_path / "report.html").read_text()
