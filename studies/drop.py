@@ -208,18 +208,15 @@ def summary(document: Mapping[str, Any]) -> list[tuple[str, str]]:
         if document[key] is not None
     ]
     if leaning:
-        rows += [("touches", str(document["n_contacts"])), *_centre(document)]
+        rows.append(("touches", str(document["n_contacts"])))
+        if (ratio := document["cm_rebound_ratio"]) is not None:
+            rows.append(("centre of mass y1/y0", f"{ratio:.4g}"))
     energy = document["energy"]
     for name, key in (("friction", "friction_loss_J"), ("contact", "contact_loss_J")):
         if energy[key] > ROUNDING * energy["initial_J"]:
             rows.append((f"lost to {name}", f"{1e6 * energy[key]:.3g} µJ"))
-    rows.append(("energy closes to", f"{document['energy']['closure_relative']:.1g}"))
+    rows.append(("energy closes to", f"{energy['closure_relative']:.1g}"))
     return [*rows, ("wall time", f"{document['wall_s']['total']:.3g} s")]
-
-
-def _centre(document: Mapping[str, Any]) -> list[tuple[str, str]]:
-    ratio = document["cm_rebound_ratio"]
-    return [] if ratio is None else [("centre of mass y1/y0", f"{ratio:.4g}")]
 
 
 if __name__ == "__main__":

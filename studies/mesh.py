@@ -28,10 +28,7 @@ def run_mesh(spec: MeshSpec, out: Path, comm: MPI.Intracomm = MPI.COMM_WORLD) ->
     Rank 0 does it while the others wait; collective over `comm`.  The files take their places
     together when all four are there, so that a failure leaves what was there before.
 
-    Parameters
-    ----------
-    spec : the bristle
-    out : folder, made where it is missing
+    The folder `out` is made where it is missing.
 
     Returns
     -------
