@@ -137,17 +137,17 @@ def _gather(scene: Scene, done: dict[int, Chunk]) -> tuple[pd.DataFrame, dict[in
 
     How they were released, over what, and what they gave. ComputationError where too many failed.
     """
-    chunks = [done[number] for number in sorted(done)]
-    every = [row for chunk in chunks for row in chunk["rows"]]
-    failed = {int(i): str(why) for chunk in chunks for i, why in chunk["failed"]}
+    every = [row for number in sorted(done) for row in done[number]["rows"]]
+    failed = {number: row for number, row in enumerate(every) if isinstance(row, str)}
     if len(failed) > FAILED_SHARE * len(every):
         first = min(failed)
         raise ComputationError(
             f"{len(failed)} of {len(every)} drops failed, the first is drop {first}: "
             f"{failed[first]}"
         )
-    drops = scene.conditions()[[row is not None for row in every]].reset_index(drop=True)
-    outcome = pd.DataFrame([row for row in every if row is not None], columns=Outcome._fields)
+    drops = scene.conditions().drop(index=list(failed)).reset_index(drop=True)
+    good = [row for row in every if not isinstance(row, str)]
+    outcome = pd.DataFrame(good, columns=Outcome._fields)
     drops["rebound_ratio"] = outcome.rebound_height_m / drops.y0_m
     drops["cm_rebound_ratio"] = outcome.cm_rebound_height_m / drops.y0_m
     return drops.join(outcome.astype({"n_contacts": int, "n_steps": int})), failed

@@ -66,12 +66,12 @@ class Scene:
         return released.join(local_ground(released, under, weights))
 
     def chunk(self, number: int) -> Chunk:
-        """The outcomes of one chunk of drops, and why those failed that did."""
+        """The rows of one chunk of drops (`_dropped`)."""
         first = number * CHUNK
         last = min(first + CHUNK, self.inputs.drops)
         started = time.perf_counter()
-        found, failed = self._dropped(*self.released(first, last))
-        return {"rows": found, "failed": failed, "wall_s": time.perf_counter() - started}
+        rows = self._dropped(*self.released(first, last))
+        return {"rows": rows, "wall_s": time.perf_counter() - started}
 
     def check(self, number: int) -> tuple[float | None, float] | None:
         """A drop by itself: the reduced body's error, and how far y1/y0 is from that among many.
@@ -79,8 +79,8 @@ class Scene:
         None where the drop fails among many; ComputationError where it does so by itself alone.
         """
         released, under = self.released(number, number + 1)
-        (row,), _ = self._dropped(released, under)
-        if row is None:
+        (row,) = self._dropped(released, under)
+        if isinstance(row, str):
             return None
         plan = replace(
             self.drop.drop_plan(len(self.frame.modal.contact.weights)),
@@ -96,10 +96,8 @@ class Scene:
         ratio = row[Outcome._fields.index("rebound_height_m")] / plan.height_m
         return result.reduction_error, abs((result.rebound_ratio or 0.0) - ratio)
 
-    def _dropped(
-        self, released: pd.DataFrame, under: Under
-    ) -> tuple[list[Row | None], list[tuple[int, str]]]:
-        """Rows of outcomes; where one drop fails, its row is None, and its number is told."""
+    def _dropped(self, released: pd.DataFrame, under: Under) -> list[Row | str]:
+        """The outcome of each drop, or why it failed."""
         n = len(released)
         drops = Drops(
             height_m=released.y0_m.to_numpy(),
@@ -111,7 +109,7 @@ class Scene:
             rises_m=under.rises_m,
             scale=under.scale,
         )
-        return _attempt(self.marcher, drops, int(released["drop"][0]))
+        return _attempt(self.marcher, drops)
 
 
 def _body(drop: DropInputs) -> tuple[dict[str, Array], Timings]:
@@ -123,17 +121,14 @@ def _body(drop: DropInputs) -> tuple[dict[str, Array], Timings]:
         return to_arrays((ready.frame.modal, *ready.frame.coarser)), workshop.take_timings()
 
 
-def _attempt(
-    marcher: Marcher, drops: Drops, first: int
-) -> tuple[list[list[float] | None], list[tuple[int, str]]]:
-    """Rows of outcomes; where one drop fails, its row is None, and its number is told."""
+def _attempt(marcher: Marcher, drops: Drops) -> list[Row | str]:
+    """The outcome of each drop, or why it failed; those that fail are found by halving."""
     try:
         table = np.column_stack(drop_many(marcher, drops))
-        return [list(map(float, row)) for row in table], []
+        return [list(map(float, row)) for row in table]
     except ComputationError as error:
         if len(drops) == 1:
-            return [None], [(first, str(error).removeprefix("drop 0: "))]
+            return [str(error).removeprefix("drop 0: ")]
     half = len(drops) // 2
-    found, failed = _attempt(marcher, drops.part(0, half), first)
-    more, others = _attempt(marcher, drops.part(half, len(drops)), first + half)
-    return found + more, failed + others
+    parts = drops.part(0, half), drops.part(half, len(drops))
+    return [row for part in parts for row in _attempt(marcher, part)]
