@@ -15,7 +15,6 @@ from pathlib import Path
 from typing import Any, Self
 
 import numpy as np
-import pandas as pd
 from mpi4py import MPI
 from pydantic import (
     ModelWrapValidatorHandler,
@@ -34,6 +33,7 @@ from .inputs.flags import refuse
 from .inputs.sources import EXCLUDED, resolved_from
 from .report.figures import picture, write_picture
 from .report.paper_figures import height_figure
+from .running.files import read_csv
 from .running.progress import say
 from .running.study import (
     COLUMNS,
@@ -153,41 +153,46 @@ def _finish(varied: Sequence[str], rows: Sequence[Row], out: Path) -> dict[str, 
 def answer(out: Path) -> list[str]:
     """What a finished sweep in ``out`` says, as lines: y1/y0 over stiffness and height for each
     model and each combination of further lists, and at which Kn it is the paper's."""
-    rows = pd.read_csv(out / TABLE_FILE, dtype=str, keep_default_na=False)
-    numbers = ["kn_N_m", "y0_m", "rebound_ratio"]
-    rows[numbers] = rows[numbers].apply(pd.to_numeric)
-    if rows.rebound_ratio.isna().all():
+    rows = read_csv(out / TABLE_FILE)
+    if not any(row["rebound_ratio"] for row in rows):
         return ["no rebound was computed: --until ends the drops before it"]
-    varied = ["contact"] if rows.contact.nunique() > 1 else []
-    varied += [name for name in rows if name not in COLUMNS]
+    several = ["contact"] if len({row["contact"] for row in rows}) > 1 else []
+    varied = several + [name for name in rows[0] if name not in COLUMNS]
+    parts: dict[tuple[str, ...], list[dict[str, str]]] = {}
+    for row in rows:
+        parts.setdefault(tuple(row[name] for name in ("model", "its_s", *varied)), []).append(row)
     lines: list[str] = []
-    for (model, its_s, *values), members in rows.groupby(["model", "its_s", *varied], sort=False):
+    for (model, its_s, *values), members in parts.items():
         at = (f", {name} {value}" for name, value in zip(varied, values, strict=True))
-        ratios = members.pivot(index="kn_N_m", columns="y0_m", values="rebound_ratio")
+        ratio = {
+            (float(row["kn_N_m"]), float(row["y0_m"])): float(row["rebound_ratio"] or "nan")
+            for row in members
+        }
+        kns, heights = (sorted({key[i] for key in ratio}) for i in range(2))
         lines += [f"{model}, ITS {float(its_s):g} s{''.join(at)}: y1/y0", "  Kn (N/m) from (mm)"]
-        lines[-1] += "".join(f"{1e3 * height:9.4g}" for height in ratios)
-        for kn, own in ratios.iterrows():
-            lines.append(f"  {kn:<18.6g}" + "".join(f"{ratio:9.4f}" for ratio in own))
-        found = _kn_of(paper.RATIO_MEAN, ratios.iloc[:, -1])
+        lines[-1] += "".join(f"{1e3 * height:9.4g}" for height in heights)
+        for kn in kns:
+            ratios = "".join(f"{ratio[kn, height]:9.4f}" for height in heights)
+            lines.append(f"  {kn:<18.6g}{ratios}")
+        found = _kn_of(paper.RATIO_MEAN, kns, [ratio[kn, heights[-1]] for kn in kns])
         if found is not None:
             lines.append(
-                f"  y1/y0 is {paper.RATIO_MEAN:g}, the paper's mean, from "
-                f"{1e3 * ratios.columns[-1]:g} mm at Kn = {found:.3g} N/m"
+                f"  y1/y0 is {paper.RATIO_MEAN:g}, the paper's mean, from {1e3 * heights[-1]:g} mm "
+                f"at Kn = {found:.3g} N/m"
             )
     return lines
 
 
-def _kn_of(ratio: float, ratios: pd.Series) -> float | None:
-    """Where ``ratio`` is passed between two stiffnesses, the index of ``ratios``, by their
-    logarithms; None if nowhere."""
-    turns = np.flatnonzero(np.diff(ratios > ratio))
-    if len(turns) != 1:
+def _kn_of(ratio: float, kns: Sequence[float], ratios: Sequence[float]) -> float | None:
+    """Where ``ratio`` is passed between two stiffnesses, by their logarithms; None if nowhere."""
+    above = np.array(ratios) > ratio
+    turns = np.flatnonzero(above[1:] != above[:-1])
+    finite = np.isfinite(ratios) & np.isfinite(kns)
+    if len(turns) != 1 or not finite[turns[0] : turns[0] + 2].all():
         return None
-    ends = ratios.iloc[turns[0] : turns[0] + 2]
-    if not np.isfinite([ends.index, ends]).all():
-        return None
-    (low, before), (high, after) = ends.items()
-    return float(low * (high / low) ** ((ratio - before) / (after - before)))
+    i = int(turns[0])
+    share = (ratio - ratios[i]) / (ratios[i + 1] - ratios[i])
+    return float(kns[i] * (kns[i + 1] / kns[i]) ** share)
 
 
 def _path(row: Row) -> tuple[np.ndarray, np.ndarray]:
