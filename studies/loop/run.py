@@ -308,9 +308,7 @@ def _far_off(problem: Problem, data: Sample, residual: Array, held: HeldOut | No
     far = {group: size for group, size in far.items() if size > FAR_OFF}
     if not 0 < len(far) <= FEW:
         return ""
-    return "by itself lies " + ", ".join(
-        f"no. {g} ({size:.2g} sigma off)" for g, size in far.items()
-    )
+    return "far off: " + ", ".join(f"no. {g} by {size:.2g} sigma" for g, size in far.items())
 
 
 def _large(data: Sample, residual: Array) -> bool:

@@ -503,6 +503,8 @@ def test_an_outlier_may_be_noise_and_what_no_noise_does_is_not(off, adequate, he
     values[row] += off
     found = find(replace(problem, values=values), 3)
     assert (found.verdict is Verdict.ADEQUATE) == adequate
+    (far,) = [each for each in found.all_warnings() if each.startswith("far off: ")]
+    assert far.startswith(f"far off: no. {problem.group[row]} by ")
 
 
 @pytest.mark.parametrize("seed", [3, 5, 13, 17])
