@@ -11,7 +11,7 @@ import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import nullcontext
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -187,6 +187,10 @@ def problem_of(manifest: Manifest) -> Problem:
     found = read(manifest.folder)
     if not isinstance(found, Problem):
         raise manifest.wrong("kind", f"is {manifest.kind}, whose function returns no Problem")
+    if manifest.lengths_left_out:
+        left_out = ", ".join(manifest.lengths_left_out)
+        doubt = f"[body] declares no {left_out}: the paper's bristle's is taken"
+        found = replace(found, warnings=(*found.warnings, doubt))
     return found
 
 

@@ -100,6 +100,14 @@ class Manifest:
         """The measurement's table, which must lie in the folder."""
         return inside(self.folder, self.measurement.get("file", "drops.csv"))
 
+    @property
+    def lengths_left_out(self) -> list[str]:
+        """Keys of a bristle's lengths that are not declared though a body is."""
+        section = ("diameter_m",) if "diameter_m" in self.declared else ("width_m", "thickness_m")
+        if not self.declared or isinstance(self.body, RigidMass):
+            return []
+        return [key for key in ("length_m", *section) if key not in self.declared]
+
     def wrong(self, key: str, message: str) -> InputError:
         """An error that names the line of ``dataset.toml`` where ``key`` stands."""
         return _read(self.folder).wrong(key, message)

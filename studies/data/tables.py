@@ -50,7 +50,9 @@ def read_table(path: Path, required: tuple[str, ...]) -> Rows:
     head = [name.strip() for name in _cells(where, lines[0][1])]
     missing = [name for name in required if name not in head]
     if missing:
-        raise InputError(f"{where}: no column {missing[0]}; there are {quoted(', '.join(head))}")
+        there = quoted(", ".join(head))
+        commas = "" if len(head) > 1 else "; a comma stands between columns, a point in numbers"
+        raise InputError(f"{where}: no column {missing[0]}; there are {there}{commas}")
     if len(set(head)) != len(head):
         raise InputError(f"{where}: a column appears twice")
     rows = []

@@ -32,6 +32,7 @@ from bristle.studies.calibrate.run import (
     summary,
     told,
 )
+from bristle.studies.close_loop.run import problem_of
 from bristle.studies.data.datasets import read_drops, read_manifest
 from bristle.studies.loop.kinds.drops.problem import emulator_for
 
@@ -231,7 +232,7 @@ def test_command_writes_json_and_page_of_a_dataset(folder, tmp_path):
         ("1,10,5\n2,nan,1\n3,3,1\n", "", r"drops.csv:3: y0_mm must be a finite number"),
         ("1,10,5\n2,2\n3,3,1\n", "", r"drops.csv:3: 2 values under 3 columns"),
         ("1,10,5\n1,2,1\n3,3,1\n", "", r"drops.csv:3: drop must count upwards"),
-        ("1,10,5\n", "", "1 drops"),
+        ("1,10,5\n", "", "too few drops, 1"),
         (GOOD, "[body]\nlenght_m = 0.3\n", r"dataset.toml:5: lenght_m .* did you mean length_m"),
         (GOOD, "[body]\nlength_m = -1\n", r"dataset.toml:5: length_m: must be greater"),
         (GOOD, '[body]\nlength_m = "long"\n', r"dataset.toml:5: length_m must be a finite number"),
@@ -264,11 +265,21 @@ def test_a_missing_column_is_named(folder):
         read_drops(folder("1,2\n", head="drop,y0_mm"))
 
 
+def test_columns_that_no_comma_parts_are_told_how(folder):
+    where = folder(GOOD)
+    path = where / "drops.csv"
+    path.write_text(path.read_text().replace(",", ";"))
+    with pytest.raises(InputError, match="csv:1: no column drop; .* comma stands between columns"):
+        read_drops(where)
+
+
 def test_what_a_dataset_leaves_out_is_the_paper_s(folder):
     manifest = read_manifest(folder(GOOD, "[body]\nlength_m = 0.2\n[contact]\nkn_N_m = 1e6\n"))
     assert manifest.bristle.length_m == 0.2
     assert manifest.bristle.material == Material()
     assert manifest.declared == ("length_m",)
+    assert manifest.lengths_left_out == ["width_m", "thickness_m"]
+    assert problem_of(manifest).warnings[0].startswith("[body] declares no width_m, thickness_m")
     assert manifest.kn_N_m == 1e6
     assert manifest.gravity_m_s2 == paper.GRAVITY_M_S2
     assert manifest.friction is None
