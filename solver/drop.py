@@ -192,8 +192,8 @@ def simulate(
     history = stage.history
     fall_s, speed = _fall(plan, body)
     initial = body.mass_kg * (g * plan.height_m + 0.5 * plan.release_speed_m_s**2)
-    lossy = body.alpha_1_s or plan.drag_kg_m
-    loss = initial - 0.5 * body.mass_kg * speed**2 if lossy else 0.0
+    slowed = initial - 0.5 * body.mass_kg * speed**2
+    loss, dragged = slowed if body.alpha_1_s else 0.0, slowed if plan.drag_kg_m else 0.0
     rubbed = spent = 0.0
     _record_fall(history, plan, fall_s, body)
     end_s = stage.end_s
@@ -251,7 +251,7 @@ def simulate(
         cm_velocity_after_m_s=float(velocity[2]),
         n_dofs=body.n_dofs,
         n_steps=sum(impact.n_steps for impact in impacts),
-        energy=Budget.close(initial, now, loss, rubbed, spent),
+        energy=Budget.close(initial, now, loss, rubbed, spent, dragged),
         history=history,
         cm_rebound_height_m=centre_rebound,
         velocity_after_m_s=tuple(map(float, velocity)),

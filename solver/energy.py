@@ -43,6 +43,7 @@ class Budget:
     material_loss_J: float
     contact_loss_J: float
     friction_loss_J: float
+    drag_loss_J: float
     numerical_J: float
     closure_relative: float
 
@@ -54,15 +55,18 @@ class Budget:
         material_loss_J: float,
         friction_loss_J: float = 0.0,
         contact_loss_J: float = 0.0,
+        drag_loss_J: float = 0.0,
     ) -> Budget:
         """Close the budget: what neither remains nor was dissipated by physics is numerical."""
-        numerical = initial_J - now.total_J - material_loss_J - friction_loss_J - contact_loss_J
+        lost = material_loss_J + friction_loss_J + contact_loss_J + drag_loss_J
+        numerical = initial_J - now.total_J - lost
         return cls(
             initial_J=initial_J,
             **asdict(now),
             material_loss_J=material_loss_J,
             contact_loss_J=contact_loss_J,
             friction_loss_J=friction_loss_J,
+            drag_loss_J=drag_loss_J,
             numerical_J=numerical,
             closure_relative=abs(numerical) / initial_J,
         )

@@ -212,9 +212,9 @@ def summary(document: Mapping[str, Any]) -> list[tuple[str, str]]:
         if (ratio := document["cm_rebound_ratio"]) is not None:
             rows.append(("centre of mass y1/y0", f"{ratio:.4g}"))
     energy = document["energy"]
-    for name, key in (("friction", "friction_loss_J"), ("contact", "contact_loss_J")):
-        if energy[key] > ROUNDING * energy["initial_J"]:
-            rows.append((f"lost to {name}", f"{1e6 * energy[key]:.3g} µJ"))
+    for name in ("friction", "contact", "drag"):
+        if (lost := energy[f"{name}_loss_J"]) > ROUNDING * energy["initial_J"]:
+            rows.append((f"lost to {name}", f"{1e6 * lost:.3g} µJ"))
     rows.append(("energy closes to", f"{energy['closure_relative']:.1g}"))
     return [*rows, ("wall time", f"{document['wall_s']['total']:.3g} s")]
 

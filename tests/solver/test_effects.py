@@ -198,6 +198,11 @@ def test_air_drag_is_half_density_coefficient_end_section_and_speed_squared(
     after = result.cm_velocity_after_m_s
     assert after**2 / (2.0 * g) + end([0.0, -after], turned)[0] > 3e-6
     vacuum, _ = workshop.run(inputs.model_copy(update={"effects": ()}))
+    if model != "analytic":
+        mass, fallen = 2700.0 * area * 0.2, g * inputs.height_m - 0.5 * speed**2
+        assert result.energy.drag_loss_J == pytest.approx(mass * fallen, rel=1e-3)
+        assert vacuum.energy.drag_loss_J == 0.0
+        assert result.energy.material_loss_J < vacuum.energy.material_loss_J
     released = vacuum.cm_rebound_height_m - vacuum.cm_velocity_after_m_s**2 / (2.0 * g)
     top = released - end([0.0, -after], turned)[0]
     assert result.cm_rebound_height_m == pytest.approx(top, abs=1e-7)

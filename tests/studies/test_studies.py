@@ -47,7 +47,7 @@ CONTRACT_KEYS = (
 )
 ENERGY_KEYS = (
     "initial_J kinetic_J strain_J potential_J contact_J material_loss_J contact_loss_J "
-    "friction_loss_J numerical_J closure_relative"
+    "friction_loss_J drag_loss_J numerical_J closure_relative"
 )
 TABLE_KEYS = (
     "model contact kn_N_m y0_m its_s rebound_ratio contact_time_s peak_force_N max_penetration_m "
