@@ -47,8 +47,8 @@ class Evidence:
 
 @dataclass(frozen=True)
 class Near:
-    """The known effect that explains most: its share of the misfit beyond noise, the rms in sigma
-    that it leaves, and why it does not hold (empty where it does)."""
+    """The known effect, or the two, that explain most: their share of the misfit beyond noise, the
+    rms in sigma that they leave, and why they do not hold (empty where they do)."""
 
     effects: tuple[str, ...]
     share: float
@@ -57,9 +57,10 @@ class Near:
 
     def words(self) -> str:
         """One sentence."""
+        more = "" if len(self.effects) > 1 else "s"
         return (
-            f"{' with '.join(self.effects)} explains {100 * self.share:.0f} % of it "
-            f"and leaves {self.leaves_sigma:.2g} sigma"
+            f"{' with '.join(self.effects)} explain{more} {100 * self.share:.0f} % of it "
+            f"and leave{more} {self.leaves_sigma:.2g} sigma"
         )
 
 

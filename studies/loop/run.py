@@ -149,7 +149,8 @@ def find(
     best = reported[0] if reported else None
     # what is reported: the likeliest explanation that holds, else the baseline as it is
     final, kept = (best.posterior, best.left) if best else (baseline, first)
-    left = explained[0].left if explained and best is None else kept
+    nearest = max(explained, key=lambda each: each.posterior.log_evidence, default=None)
+    left = nearest.left if nearest and best is None else kept
     if not missing:
         verdict = Verdict.ADEQUATE
     elif best is None:
@@ -181,7 +182,7 @@ def find(
         evidences=_evidences(baseline, singles, explained),
         unlisted=first.unlisted,
         shape=first.shape,
-        nearest=_nearest(first, explained) if missing else None,
+        nearest=_near(first, nearest) if nearest else None,
         noise=_noise(data, kept, bare or (missing and best is None)),
         rms_before=rms(first.residual),
         rms_after=rms(kept.residual),
@@ -389,12 +390,8 @@ def _evidences(
     return tuple(out)
 
 
-def _nearest(first: Adequacy, explained: Sequence[Explanation]) -> Near | None:
-    """Which known effect explains how much of what the baseline leaves beyond its noise."""
-    single = [each for each in explained if len(each.posterior.effects) == 1]
-    if not single:
-        return None
-    best = max(single, key=lambda each: each.posterior.log_evidence)
+def _near(first: Adequacy, best: Explanation) -> Near:
+    """How much the likeliest explanation explains of what the baseline leaves beyond its noise."""
     before, after = (
         float(np.sum(residual**2)) - residual.size
         for residual in (first.residual, best.left.residual)
