@@ -34,7 +34,7 @@ from .inputs.flags import Fields
 from .inputs.named import EffectInput, read_effects
 from .inputs.sources import checked
 from .loop.responses.table_drops import drops_of, its_s, read_off
-from .running.files import prepare_folder, to_json, together, write_atomically
+from .running.files import prepare_folder, together, write_atomically, write_json
 
 COLUMNS = ("drop", "y0_mm", "y1_mm", "contact_time_ms", "peak_force_N")
 # Releases by hand: the height is known as measured, not as meant.
@@ -269,7 +269,7 @@ def write_dataset(made: Made, folder: Path, truth: Path) -> None:
     with together(folder, "dataset.toml"):
         write_atomically(folder / "drops.csv", table_of(made))
         write_atomically(folder / "dataset.toml", manifest_of(made.recipe))
-        write_atomically(truth, to_json(truth_of(made)) + "\n")
+        write_json(truth, truth_of(made))
 
 
 def recipe_of(

@@ -21,7 +21,7 @@ from ...solver.bristle import Bristle
 from ...solver.errors import InputError
 from .. import __version__
 from ..data.datasets import Drops, read_drops
-from ..running.files import prepare_folder, to_json, together, write_atomically
+from ..running.files import prepare_folder, together, write_json
 from .curve import GRID_N_M, RatioCurve, RatioModel, beam_model, mean_curve
 from .estimate import LEVEL, Interval, RatioEstimate, estimate_ratio, paper_ratio
 
@@ -222,7 +222,7 @@ def _run(
     prepare_folder(out)
     with together(out, "calibrate.json"):
         write_calibration(found, out, __version__)
-        write_atomically(out / "calibrate.json", to_json(content) + "\n")
+        write_json(out / "calibrate.json", content)
     return content
 
 

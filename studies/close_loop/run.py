@@ -28,7 +28,12 @@ from ..inputs.study_fields import LoopInputs
 from ..loop.finding import Finding, plain
 from ..loop.problem import Problem
 from ..loop.run import find, pieces
-from ..running.files import new_folders, prepare_folder, to_json, together, write_atomically
+from ..running.files import (
+    new_folders,
+    prepare_folder,
+    together,
+    write_json,
+)
 from ..running.parallel import share_out, start_petsc
 from ..running.progress import progress, working
 from .confirm import LEFT_OUT, Confirmation, confirm
@@ -159,7 +164,7 @@ def _run(
         content = verdict(closed)
         with together(out, VERDICT_FILE):
             write_page(closed, out, __version__)
-            write_atomically(out / VERDICT_FILE, to_json(content) + "\n")
+            write_json(out / VERDICT_FILE, content)
     return content
 
 

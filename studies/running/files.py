@@ -191,6 +191,11 @@ def cannot_write(path: Path, error: OSError) -> ComputationError:
     return ComputationError(f"{path}: cannot be written: {error.strerror or error}")
 
 
+def write_json(path: Path, document: Any) -> None:
+    """Write a document as `to_json` has it, atomically."""
+    write_atomically(path, to_json(document) + "\n")
+
+
 def to_json(document: Any, indent: int | None = 2) -> str:
     """JSON without NaN or Infinity: null stands for what is no number, "inf" for infinity."""
     return json.dumps(_plain(document), indent=indent, allow_nan=False, ensure_ascii=False)

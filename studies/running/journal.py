@@ -16,11 +16,11 @@ from typing import Any
 from pydantic import BaseModel
 
 from ...solver.errors import InputError
-from .files import cannot_write, write_atomically
+from .files import cannot_write, prepare_folder, write_atomically
 from .interrupts import uninterrupted
-from .results import check_same, head
+from .results import check_same, head, read_document
 
-SCHEMA, CHECK = "bristle-journal-1", "sha256"
+SCHEMA, CHECK = "bristle-journal-2", "sha256"
 JOURNAL, PREVIOUS = "cases.jsonl", "cases.previous.jsonl"
 
 
@@ -30,6 +30,22 @@ class Journal:
     def __init__(self, out: Path, inputs: BaseModel) -> None:
         self.path, self.previous = out / JOURNAL, out / PREVIOUS
         self._inputs = inputs
+
+    def prepare(self, document: str, *, resume: bool) -> dict[int, dict[str, Any]] | None:
+        """Begin anew, or what is done already: None where the study's ``document`` is there.
+
+        Raises InputError where what is to be resumed has other inputs.
+        """
+        out = self.path.parent
+        prepare_folder(out)
+        if not resume:
+            self.begin()
+            return {}
+        found = read_document(out / document)
+        if found is None:
+            return self.resume()
+        check_same(out / document, found, self._inputs)
+        return None
 
     def begin(self) -> None:
         """Start anew; the journal that was there is kept until `finish`."""

@@ -21,7 +21,7 @@ from ..inputs.config import DropInputs
 from ..inputs.sources import OPTIONS
 from ..inputs.texts import exists, parse_json, quoted, read_text
 from .cases import Timings
-from .files import to_csv, to_json, write_atomically
+from .files import to_csv, to_json, write_atomically, write_json
 
 SCHEMA = 1
 RESULT_FILE, HISTORY_FILE = "result.json", "history.csv"
@@ -83,7 +83,7 @@ def write_drop(out: Path, document: dict[str, Any], result: DropResult) -> dict[
     """Write history.csv, then result.json, into ``out``; for one rank. Returns ``document``."""
     history = to_csv(HISTORY_COLUMNS, list(result.history.array()))
     write_atomically(out / HISTORY_FILE, history)
-    write_atomically(out / RESULT_FILE, to_json(document) + "\n")
+    write_json(out / RESULT_FILE, document)
     return document
 
 

@@ -23,7 +23,7 @@ from ..inputs.limits import input_warnings, result_warnings
 from ..inputs.sources import checked
 from . import results
 from .cases import Timings, Workshop
-from .files import prepare_folder, to_csv, to_json, together, write_atomically
+from .files import to_csv, together, write_atomically, write_json
 from .groups import run_solids
 from .journal import Journal
 from .parallel import share_out
@@ -155,7 +155,7 @@ def run_study(
     out, started = Path(out), time.perf_counter()
     cases = inputs.cases()
     journal = Journal(out, inputs)
-    done = run_on_one_rank(comm, lambda: _prepare(study, inputs, journal, out, resume))
+    done = run_on_one_rank(comm, lambda: journal.prepare(study.document, resume=resume))
     if done is None:
         say(f"{out / study.document} is finished already, nothing to do")
         return
@@ -187,21 +187,6 @@ def rows_of(
     _compute(study, cases, comm, done, lambda i, row: row)
     done = comm.bcast(done)
     return [done[i] for i in range(len(cases))]
-
-
-def _prepare(
-    study: Study, inputs: StudyInputs, journal: Journal, out: Path, resume: bool
-) -> dict[int, Row] | None:
-    """Cases that are done, or None where all of the study is."""
-    prepare_folder(out)
-    if not resume:
-        journal.begin()
-        return {}
-    document = results.read_document(out / study.document)
-    if document is not None:
-        results.check_same(out / study.document, document, inputs)
-        return None
-    return journal.resume()
 
 
 def _compute(
@@ -331,4 +316,4 @@ def _write(
         **facts,
         "warnings": warnings,
     }
-    write_atomically(out / study.document, to_json(document) + "\n")
+    write_json(out / study.document, document)

@@ -21,7 +21,7 @@ from ...solver.errors import ComputationError
 from .. import __version__
 from ..inputs.limits import closure_warnings, input_warnings
 from ..running import results
-from ..running.files import prepare_folder, to_json, together, write_atomically
+from ..running.files import together, write_atomically, write_json
 from ..running.journal import Journal
 from ..running.parallel import share_out
 from ..running.progress import progress, say, working
@@ -50,7 +50,7 @@ def run_scatter(
     out, started = Path(out), time.perf_counter()
     inputs.drop()  # refused before anything is written
     journal = Journal(out, inputs)
-    done = run_on_one_rank(comm, lambda: _prepare(journal, inputs, out, resume))
+    done = run_on_one_rank(comm, lambda: journal.prepare(DOCUMENT, resume=resume))
     if done is None:
         say(f"{out / DOCUMENT} is finished already, nothing to do")
         return
@@ -88,27 +88,12 @@ def run_scatter(
             "peak_rss_MB": peak,
             "ranks": ranks,
         }
-        write_atomically(out / DOCUMENT, to_json(document) + "\n")
+        write_json(out / DOCUMENT, document)
 
     run_on_one_rank(comm, write)
     if comm.rank == 0:
         journal.finish()
         say(f"{inputs.drops} drops: {out / 'report.html'}")
-
-
-def _prepare(
-    journal: Journal, inputs: ScatterInputs, out: Path, resume: bool
-) -> dict[int, Chunk] | None:
-    """Chunks that are done, or None where the scatter is."""
-    prepare_folder(out)
-    if not resume:
-        journal.begin()
-        return {}
-    document = results.read_document(out / DOCUMENT)
-    if document is not None:
-        results.check_same(out / DOCUMENT, document, inputs)
-        return None
-    return journal.resume()
 
 
 def _compute(

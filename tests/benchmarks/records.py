@@ -21,7 +21,7 @@ from bristle.studies.report.figures import (
     styled,
 )
 from bristle.studies.report.page import Column, Figure, Report, Section, Table, show, write_report
-from bristle.studies.running.files import to_csv, to_json, together, write_atomically
+from bristle.studies.running.files import to_csv, together, write_atomically, write_json
 
 # Values along x and y by the name of a curve.
 Curves = Mapping[str, tuple[Sequence[float], Sequence[float]]]
@@ -115,7 +115,7 @@ def publish(
             names = [each.name for each in fields(kind)]
             rows = [[getattr(record, column) for column in names] for record in alike]
             write_atomically(out / f"{name}.csv", to_csv(names, rows))
-        write_atomically(out / f"{name}.json", to_json(document) + "\n")
+        write_json(out / f"{name}.json", document)
         write_report(report, out)
     told = [line for part in parts for line in part.lines()]
     return "\n".join([*told, *headline, f"{'page':<24}{out / 'report.html'}"])
