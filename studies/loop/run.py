@@ -46,7 +46,7 @@ GROSS = 30.0
 # Residuals of so little rms say that the declared uncertainty is no measure of the noise.
 FAR_SMALLER = 0.5
 # Declared standard deviations by which a few values are worth a second look.
-FAR_OFF, FEW = 8.0, 2
+FAR_OFF, FEW = 6.0, 2
 ROUGH = "these data leave the parameters so loose that the ends of their intervals are rough"
 BARE = "as many free parameters as values to fit: whatever is missing, these data could not show it"
 SEEN_BY = "what is missing is seen by this: "

@@ -127,7 +127,7 @@ def test_a_sweep_factors_once_for_each_step_and_damping():
         for kn in (1e5, 2e6):
             for height in (0.01, 0.05):
                 workshop.run(base.changed(kn_N_m=kn, height_m=height))
-        solid = workshop._solid(base)
+        solid = workshop._full(base).body
         assert solid.factorisations == 1
         workshop.run(base.changed(contact="augmented"))
         assert solid.factorisations == 1
@@ -138,4 +138,4 @@ def test_a_sweep_factors_once_for_each_step_and_damping():
         # damping belongs to the material, so this is another body
         other = base.changed(beta_s=1e-8)
         workshop.run(other)
-        assert (solid.factorisations, workshop._solid(other).factorisations) == (2, 1)
+        assert (solid.factorisations, workshop._full(other).body.factorisations) == (2, 1)
