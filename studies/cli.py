@@ -48,7 +48,7 @@ FIRST_STEPS = "\n\n".join(
         "1. `bristle reproduce`: the paper's figures beside ours, about seven minutes; open "
         "results/reproduce/report.html in any browser",
         "1. `bristle close-loop FOLDER`: what the model lacks to explain your own measurements; "
-        "README.md says how to write them down",
+        "docs/measurements.md says how to write them down",
     )
 )
 app = typer.Typer(
@@ -260,8 +260,9 @@ def synth(
     ] = False,
     seed: Annotated[int, typer.Option(min=0, help="Seed of release, chance and errors.")] = 0,
     truth: Annotated[
-        Path, typer.Option(metavar="FILE", help="Where the truth goes, outside the dataset.")
-    ] = Path("results/synth-truth.json"),
+        Path | None,
+        optional(metavar="FILE", help="Where the truth goes; beside the dataset unless given."),
+    ] = None,
 ) -> None:
     """A dataset of drops with an effect in it that it does not declare, by the reduced solid.
 
@@ -280,6 +281,7 @@ def synth(
         sensors=not heights_only,
         seed=seed,
     )
+    truth = truth or Path(f"{out}-truth.json")
     run_synth(recipe, out, truth)
     show([("dataset", out / "dataset.toml"), ("what is in it", truth)])
     show([("to look for it", _next("close-loop", out))])

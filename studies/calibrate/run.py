@@ -242,4 +242,4 @@ def told(content: dict[str, Any]) -> list[tuple[str, str]]:
             ("Kn at one node", f"{kn.estimate:.3g} N/m = {1e-3 * kn.estimate:.3g} N/mm"),
             ("where to enter these", "on the page: Abaqus, Ansys, CalculiX, Code_Aster, COMSOL"),
         ]
-    return lines
+    return lines + [("doubt", each) for each in content["warnings"]]

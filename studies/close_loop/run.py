@@ -12,6 +12,7 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import nullcontext
 from dataclasses import dataclass, replace
+from importlib.metadata import EntryPoint
 from pathlib import Path
 from typing import Any
 
@@ -192,11 +193,13 @@ def problem_of(manifest: Manifest) -> Problem:
     found = read(manifest.folder)
     if not isinstance(found, Problem):
         raise manifest.wrong("kind", f"is {manifest.kind}, whose function returns no Problem")
+    doubts = []
     if manifest.lengths_left_out:
         left_out = ", ".join(manifest.lengths_left_out)
-        doubt = f"[body] declares no {left_out}: the paper's bristle's is taken"
-        found = replace(found, warnings=(*found.warnings, doubt))
-    return found
+        doubts.append(f"[body] declares no {left_out}: the paper's bristle's is taken")
+    if isinstance(KINDS[manifest.kind], EntryPoint) and manifest.unread:
+        doubts.append(f"nothing reads these of [measurement]: {', '.join(manifest.unread)}")
+    return replace(found, warnings=(*found.warnings, *doubts))
 
 
 def verdict(closed: Closed) -> dict[str, Any]:

@@ -108,6 +108,11 @@ class Manifest:
             return []
         return [key for key in ("length_m", *section) if key not in self.declared]
 
+    @property
+    def unread(self) -> list[str]:
+        """Keys of ``[measurement]`` that no kind of the program's own reads."""
+        return [key for key in self.measurement if key not in MEASUREMENT_KEYS]
+
     def wrong(self, key: str, message: str) -> InputError:
         """An error that names the line of ``dataset.toml`` where ``key`` stands."""
         return _read(self.folder).wrong(key, message)

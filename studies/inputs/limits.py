@@ -201,7 +201,8 @@ def _step_warnings(inputs: DropInputs) -> list[str]:
         return []
     return [
         f"--its {inputs.its_s:g} s is longer than the time to greatest penetration, "
-        f"{quarter_s:.3g} s by Eq. 8: peak force and penetration are not resolved; "
+        f"{quarter_s:.3g} s by Eq. 8: peak force and penetration are not resolved, and the "
+        "rebound may be off; "
         f"take --its {_round_down(0.1 * quarter_s):g} or less"
     ]
 
@@ -239,7 +240,7 @@ def check_result(inputs: DropInputs, result: DropResult) -> None:
     if _conserves(inputs) and closure > ASTRAY:
         raise ComputationError(
             f"the motion went astray: its energy budget is off by {closure:.2g} times the impact's "
-            "energy; shorten --its, lean it less, or take --model solid"
+            "energy; lean it less, or take --model solid"
         )
 
 
@@ -269,7 +270,8 @@ def _conserves(inputs: DropInputs) -> bool:
 
 def closure_warnings(inputs: DropInputs, closures: Sequence[float] | Array) -> list[str]:
     """Energy budgets, of one drop or many, that close worse than a conserving scheme's should."""
-    small = inputs.resolved_deflection is Deflection.SMALL
+    leans = any(each.effect().leaning for each in inputs.effects)
+    small = inputs.resolved_deflection is Deflection.SMALL and not leans
     allowed = CLOSURE if small else CLOSURE_BENT
     off = [closure for closure in closures if not closure <= allowed]
     if not off:

@@ -16,6 +16,7 @@ from pydantic import PrivateAttr, ValidationInfo, model_validator
 
 from ...meshes.collective import run_on_one_rank
 from ...solver.drop import DropResult
+from ...solver.errors import ComputationError
 from ..inputs.choices import Model
 from ..inputs.config import DropInputs, Inputs
 from ..inputs.fields import DiscretisationFields, HeightsField, ListFields
@@ -264,7 +265,12 @@ def _build_together(workshop: Workshop, cases: Iterable[DropInputs]) -> None:
 
 
 def _row(study: Study, workshop: Workshop, inputs: DropInputs) -> Row:
-    result, timings = workshop.run(inputs)
+    try:
+        result, timings = workshop.run(inputs)
+    except ComputationError as error:
+        varied = "".join(f", {name} {value}" for name, value in _varied(study, inputs).items())
+        case = f"{inputs.model}, Kn {inputs.kn_N_m:g} N/m, y0 {1e3 * inputs.height_m:g} mm, "
+        raise ComputationError(f"{case}ITS {inputs.its_s:g} s{varied}: {error}") from error
     row: Row = {
         "model": inputs.model.value,
         "contact": inputs.contact.value,

@@ -222,6 +222,8 @@ def test_command_writes_json_and_page_of_a_dataset(folder, tmp_path):
     assert {path.name for path in out.iterdir()} == {
         "calibrate.json", "report.html", "tables", "figures",
     }  # fmt: skip
+    doubts = [text for name, text in told(content) if name == "doubt"]
+    assert doubts == content["warnings"] != []
 
 
 @pytest.mark.parametrize(
@@ -280,6 +282,9 @@ def test_what_a_dataset_leaves_out_is_the_paper_s(folder):
     assert manifest.declared == ("length_m",)
     assert manifest.lengths_left_out == ["width_m", "thickness_m"]
     assert problem_of(manifest).warnings[0].startswith("[body] declares no width_m, thickness_m")
+    strange = read_manifest(folder(GOOD, "[measurement]\nnonsense = 3\n"))
+    (doubt,) = problem_of(strange).warnings
+    assert doubt == "nothing reads these of [measurement]: nonsense"
     assert manifest.kn_N_m == 1e6
     assert manifest.gravity_m_s2 == paper.GRAVITY_M_S2
     assert manifest.friction is None
