@@ -36,6 +36,8 @@ COMPARED = 64
 # Of a step from one reduced body to a finer one over the step before it: taken as at most this.
 LARGEST_RATIO = 0.9
 FLIGHT_ROWS = 200
+# No scheme leaves more than this part of a drop's energy after an impact, unless it went astray.
+MOST_LEFT = 2.0
 
 
 class FlightFrame(Protocol):
@@ -191,7 +193,7 @@ def simulate(
     stage = Stage(frame, marcher, plan, observer, checkpoint)
     history = stage.history
     fall_s, speed = _fall(plan, body)
-    initial = body.mass_kg * (g * plan.height_m + 0.5 * plan.release_speed_m_s**2)
+    initial = stage.initial_J
     slowed = initial - 0.5 * body.mass_kg * speed**2
     loss, dragged = slowed if body.alpha_1_s else 0.0, slowed if plan.drag_kg_m else 0.0
     rubbed = spent = 0.0
@@ -326,6 +328,9 @@ class Stage:
         self.observer, self.checkpoint = observer, checkpoint
         self.history = History()
         self.end_s = math.inf if plan.until_s is None else plan.until_s
+        self.initial_J = frame.body.mass_kg * (
+            plan.gravity_m_s2 * plan.height_m + 0.5 * plan.release_speed_m_s**2
+        )
         points = frame.body.contact
         attitude = leaning(plan.tilt_deg, plan.tilt_wide_deg)
         if plan.axes is not None:
@@ -355,6 +360,12 @@ class Stage:
             released = touch.end_s
             start, q, qv = frame.launched(pose, touch.u, touch.v)
             flight = Flight(frame.modal, start, released, q, qv, g, self._charted)
+            energy = flight_energy(flight, released)
+            if not energy.total_J <= MOST_LEFT * self.initial_J:
+                raise ComputationError(  # the search for its next touch might never end
+                    f"the motion went astray: an impact at {t:.6g} s left {energy.total_J:.3g} J "
+                    f"of {self.initial_J:.3g} J; shorten the ITS, or lean it less"
+                )
             landing, over = flight.after_release(self.ground, self._slowest_s)
             if over or landing >= self.end_s:
                 break
@@ -363,9 +374,8 @@ class Stage:
                 continue
             top = max(top, flight.apex(landing)[1] - self.datum_m)
             centre_top = max(centre_top, flight.top_of_centre(landing)[1])
-            energy = flight_energy(flight, released).total_J
             if damped:
-                loss += energy - flight_energy(flight, landing).total_J
+                loss += energy.total_J - flight_energy(flight, landing).total_J
             pose, q, qv = flight.state(landing)
             (u, v), t, wait = frame.landed(q, qv), landing, landing
             self._place(pose)
@@ -376,7 +386,7 @@ class Stage:
         return Impact(
             touches=[touch for touch in touches if touch.impulse_N_s != 0.0],
             flight=flight,
-            energy_after=replace(flight_energy(flight, released), contact_J=touch.contact_J),
+            energy_after=replace(energy, contact_J=touch.contact_J),
             next_touch_s=landing,
             material_loss_J=loss,
             friction_loss_J=sum(touch.friction_loss_J for touch in touches),

@@ -139,7 +139,6 @@ def _march_compiled(
     rows = np.column_stack([times, marched.history])
     history.extend(rows)
     depth, when = deepest(rows)
-    approach = marcher.approach(marched.u, marched.v)
     return ContactPhase(
         start_s=t_s,
         release_s=t_s + marched.release,
@@ -154,7 +153,7 @@ def _march_compiled(
         material_loss_J=marched.material_loss,
         friction_loss_J=marched.friction_loss,
         contact_loss_J=marched.contact_loss,
-        contact_J=marched.spring + marcher.pressed_J(approach, marched.memory[:, 2]),
+        contact_J=marched.spring + marcher.pressed_J(marched.approach, marched.memory[:, 2]),
         n_steps=marched.steps,
         released=marched.status == modal_march.RELEASED,
     )

@@ -76,8 +76,8 @@ class MarchLimits(NamedTuple):
 class Marched(NamedTuple):
     """What a march gave.
 
-    ``push`` (3,) is the impulse along body axes, ``history`` (steps + 1, 4) has heights of tip and
-    centre, force and penetration.
+    ``push`` (3,) is the impulse along body axes, ``approach`` (n, 3) the last one, ``history``
+    (steps + 1, 4) has heights of tip and centre, force and penetration.
     """
 
     status: int
@@ -90,6 +90,7 @@ class Marched(NamedTuple):
     friction_loss: float
     contact_loss: float
     spring: float
+    approach: Array
     memory: Array
     u: Array
     v: Array
@@ -364,6 +365,7 @@ def march(modes: Modes, touching: Touching, u: Array, v: Array, limits: MarchLim
         friction_loss=rubbed,
         contact_loss=spent,
         spring=spring,
+        approach=trial.start,
         memory=trial.memory,
         u=u,
         v=v,

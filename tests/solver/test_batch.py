@@ -13,7 +13,6 @@ from bristle.solver.bristle import Bristle, Material
 from bristle.solver.contact.enforcement import ContactMethod, Enforcement
 from bristle.solver.contact.laws import Adhesive, Coulomb, HuntCrossley, Linear, Plastic
 from bristle.solver.drop import DropPlan, ModalFrame, simulate
-from bristle.solver.energy import ASTRAY
 from bristle.solver.errors import ComputationError
 from bristle.solver.ground import Ground
 from bristle.solver.rigid import slope_normal
@@ -74,6 +73,8 @@ def assert_the_same(
         assert outcome.friction_loss_J[i] == pytest.approx(
             one.energy.friction_loss_J, abs=rel * one.energy.initial_J
         )
+        off = pytest.approx(one.energy.closure_relative, rel=1e-3, abs=rel)
+        assert outcome.closure_relative[i] == off
     assert outcome.closure_relative.max() < closure
 
 
@@ -234,18 +235,19 @@ def test_a_law_that_makes_energy_fails_its_drop(rng, monkeypatch):
         drop_many(marcher_of(body).with_law(law), drops)
 
 
-def test_a_drop_whose_energy_budget_does_not_close_fails(monkeypatch):
-    """Second order changes to linear flight at release, which leaves something over of a lean."""
-    body = beam_body(Bristle(), 6, second_order=True)
-    tilts = {"tilt_deg": np.array([0.0, 3.0]), "kn_N_m": 2e6}
+def test_a_drop_whose_energy_budget_does_not_close_fails():
+    """Second order changes to linear flight at release: a weak bristle that leans far goes astray
+    there."""
+    weak = Material(youngs_Pa=1.5e9, poisson=0.42, density_kg_m3=910.0, beta_s=1.07e-5)
+    body = beam_body(Bristle(material=weak), 6, second_order=True)
+    tilts = {"tilt_deg": np.array([0.0, 8.0]), "kn_N_m": 2e6, "mu": 0.0}
     drops = Drops.on_plane(len(body.contact.weights), height_m=0.05, **tilts)
-    closure = drop_many(marcher_of(body), drops).closure_relative
-    assert closure[0] < 1e-9 < 1e-6 < closure[1] < ASTRAY
-    monkeypatch.setattr(batch, "ASTRAY", 1e-7)
     with pytest.raises(ComputationError, match="drop 1: the energy budget is off"):
         drop_many(marcher_of(body), drops)
     found = drop_each(lambda its: marcher_of(body, its=its), drops, ITS)
     assert np.isnan(found.rebound_height_m).tolist() == [False, True]
+    with pytest.raises(ComputationError, match="the motion went astray: an impact at"):
+        alone(body, drops, 1)
 
 
 def test_a_drop_that_fails_is_named(rng):
