@@ -72,7 +72,8 @@ def run_close_loop(
     if not asked.no_3d:
         start_petsc(comm)
     manifest = run_on_one_rank(comm, lambda: _begun(dataset, out))
-    problem = _made(lambda: problem_of(manifest), comm)
+    with working("preparing the data, for force records minutes the first time"):
+        problem = _made(lambda: problem_of(manifest), comm)
     with progress("Effects simulated", len(problem.candidates), alike=False) as advance:
         _simulate(problem, comm, advance)
     return run_on_one_rank(comm, lambda: _run(manifest, problem, out, asked))
