@@ -20,32 +20,33 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from itertools import combinations, pairwise
 
 import numpy as np
 
 from ...solver.arrays import Array
 from .fit import BOX_PRECISION, Fitted
-from .noise import Ints
 from .residuals import quantile_residuals
-from .sample import BETWEEN, HEIGHT, WITHIN, Sample, counted, first_of
+from .sample import BETWEEN, HEIGHT, WITHIN, Sample, first_of
+from .shapes import (
+    LEAST_BAND,
+    bands_of,
+    centred_shapes,
+    distinct,
+    levels,
+    patterns_of,
+    polynomials,
+    residue_classes,
+    shared_pairs,
+    unit_shapes,
+    waves_of,
+)
 
 SETS = 599
 JOIN_SETS = 9999
 # Places along a covariate that has no levels within which two outliers are neighbours.
 SIDE_BY_SIDE = 2
 KNEE = 3.0
-DEGREES = 5
-MOST_EDGES = 32
-LEAST_BAND = 3
-MOST_PERIOD = 9
 LEAST_ORDERED = 8
-# Rows of longer groups are a record in time: what they share shows in runs.
-MOST_SHARED = 6
-# Values of a covariate nearer than this share of its range are meant to be the same.
-NEAR = 0.04
-# A direction of which a refit absorbs more than this is not looked at.
-ABSORBED = 0.97
 STATE_SHARES = np.array([0.1, 0.2, 0.35, 0.5, 0.65, 0.8, 0.9])
 STATE_SHIFTS = np.array([2.0, 3.0, 4.0, 6.0, 9.0, 14.0])
 STATES_TRIED = 24
@@ -123,7 +124,7 @@ def assess(
     project = left_by_refit(tangent)
     drawn = drawn @ project
     both = _soft(np.concatenate([z[None], drawn]))
-    patterns = _patterns(data, fitted)
+    patterns = patterns_of(data, fitted)
     statistics, shapes = _family(data, patterns, project, directions)
     names = list(statistics)
     values = np.stack([statistics[name](both) for name in names], axis=1)
@@ -170,8 +171,8 @@ def outliers_together(data: Sample, z: Array, rng: np.random.Generator) -> float
         signs[1:, mine] = rng.permuted(signs[1:, mine], axis=1)
     signs[1:] *= rng.choice([-1.0, 1.0], signs[1:].shape)
     ranks = []
-    for x in _distinct(data.covariates).values():
-        level = _levels(x)
+    for x in distinct(data.covariates).values():
+        level = levels(x)
         apart = np.abs(np.subtract.outer(level, level)) + z.size * np.not_equal.outer(
             data.kind, data.kind
         )
@@ -220,7 +221,7 @@ def _family(
     kinds = np.unique(data.kind)
 
     def linear(name: str, shapes: Array, degree: Array | None = None) -> None:
-        unit, independent = _unit(shapes, project)
+        unit, independent = unit_shapes(shapes, project)
         if not independent.any():
             return
         listed[name] = Shapes(unit, degree is not None)
@@ -231,7 +232,7 @@ def _family(
             out[name] = lambda z: ((z @ unit.T) ** 2) @ share
 
     def wavy(name: str, x: Array) -> None:
-        pairs = [_unit(np.concatenate([w * e for e in every]), project) for w in _waves(x)]
+        pairs = [unit_shapes(np.concatenate([w * e for e in every]), project) for w in waves_of(x)]
         units = [unit for unit, independent in pairs if independent.any()]
         if not units:
             return
@@ -241,7 +242,7 @@ def _family(
         )
 
     def scattered(name: str, shapes: Array) -> None:
-        centred = _centred(shapes)
+        centred = centred_shapes(shapes)
         if len(centred):
             out[name] = lambda z: np.max(np.abs(np.abs(z) @ centred.T), axis=1)
 
@@ -251,15 +252,15 @@ def _family(
     level = np.stack([(data.kind == k).astype(float) for k in kinds])
     linear("level", level, np.ones(len(kinds)))
     every = [pattern * mask for pattern in patterns for mask in level]
-    for name, x in _distinct(data.covariates).items():
-        shapes, degree = _polynomials(x, data.kind)
+    for name, x in distinct(data.covariates).items():
+        shapes, degree = polynomials(x, data.kind)
         if not degree.size:
             continue
         linear(f"trend with {name}", shapes[degree == 1], np.ones(int(np.sum(degree == 1))))
         if degree.max() > 1:
             linear(f"smooth in {name}", shapes[degree > 1], degree[degree > 1].astype(float))
-            listed[f"any function of {name}"] = Shapes(_unit(shapes, project)[0], True)
-        bands = _bands(x)
+            listed[f"any function of {name}"] = Shapes(unit_shapes(shapes, project)[0], True)
+        bands = bands_of(x)
         linear(f"band of {name}", np.concatenate([bands * each for each in every]))
         spreading(name, shapes[degree == 1].sum(axis=0))
         scattered(f"scatter in a band of {name}", bands)
@@ -267,7 +268,7 @@ def _family(
             wavy(name, x)
     order = first_of(data.covariates, BETWEEN)
     if order is not None and np.unique(order).size >= LEAST_ORDERED:
-        classes = _residue_classes(order)
+        classes = residue_classes(order)
         linear("one in several of the order", np.concatenate([classes * e for e in every]))
         wavy("the order", order)
         scattered("scatter of one in several", classes)
@@ -277,7 +278,7 @@ def _family(
         out["runs"] = lambda z: np.abs(np.sum(z[:, linked] * z[:, before], axis=1))
     if data.values.size >= LEAST_ORDERED:
         out["two states"] = lambda z: _two_states(z, patterns)
-    shared = _shared(data)
+    shared = shared_pairs(data)
     if shared[0].size:
         out["shared within a group"] = lambda z: np.abs(
             np.sum(z[:, shared[0]] * z[:, shared[1]], axis=1)
@@ -319,15 +320,6 @@ def _best_shape(
     return float(logs[best]), ["nothing", *listed][best]
 
 
-def _unit(shapes: Array, project: Array) -> tuple[Array, Array]:
-    """Unit shapes (k, rows) freed of what a refit absorbs, and which of them are kept."""
-    before = np.linalg.norm(shapes, axis=1)
-    free = shapes @ project
-    size = np.linalg.norm(free, axis=1)
-    independent = (size > np.sqrt(1 - ABSORBED**2) * before) & (before > 0)
-    return free[independent] / size[independent, None], independent
-
-
 def _by_name(directions: list[Direction], project: Array) -> dict[str, list[Statistic]]:
     """The statistics of each effect's senses, of those that a refit does not absorb."""
     found: dict[str, list[Statistic]] = {}
@@ -348,121 +340,6 @@ def _one_sided(direction: Direction, project: Array) -> Statistic | None:
         return None
     unit = shift / size
     return lambda z: np.maximum(z @ unit, 0.0) ** 2
-
-
-def _patterns(data: Sample, fitted: Fitted) -> list[Array]:
-    """Sizes that a shift may have at each row: alike at all, or in proportion to what is
-    predicted where that has one sign."""
-    alike = np.ones(data.values.size)
-    mean = fitted.mean
-    proportional = np.empty_like(mean)
-    for kind in np.unique(data.kind):
-        mine = data.kind == kind
-        size = np.sqrt(np.mean(mean[mine] ** 2))
-        if size <= 0 or np.min(mean[mine]) * np.max(mean[mine]) <= 0:
-            return [alike]
-        proportional[mine] = np.abs(mean[mine]) / size
-    return [alike] if np.ptp(proportional) < 0.2 else [alike, proportional]
-
-
-def _distinct(covariates: Mapping[str, Array]) -> dict[str, Array]:
-    """Covariates that order the rows differently."""
-    out: dict[str, Array] = {}
-    ranks: list[Ints] = []
-    for name, x in covariates.items():
-        rank = np.argsort(np.argsort(x, kind="stable"))
-        if np.ptp(x) > 0 and all(abs(np.corrcoef(rank, o)[0, 1]) < 0.98 for o in ranks):
-            out[name] = x
-            ranks.append(rank)
-    return out
-
-
-def _centred(shapes: Array) -> Array:
-    """Unit shapes (k, rows) of mean zero, of those that are not constant."""
-    centred = shapes - shapes.mean(axis=1, keepdims=True)
-    size = np.linalg.norm(centred, axis=1, keepdims=True)
-    return np.asarray(centred[size[:, 0] > 0] / size[size[:, 0] > 0])
-
-
-def _polynomials(x: Array, kind: Ints) -> tuple[Array, Array]:
-    """Orthonormal polynomials of the covariate's levels, each quantity's own (shapes, rows), and
-    their degrees (shapes,)."""
-    shapes: list[Array] = []
-    degrees: list[int] = []
-    for each in np.unique(kind):
-        mine = np.flatnonzero(kind == each)
-        rank = _levels(x[mine])
-        most = min(DEGREES, int(rank.max(initial=0)), mine.size - 2)
-        if most < 1 or mine.size < 4:
-            continue
-        t = rank / rank.max() * 2 - 1
-        q, _ = np.linalg.qr(np.vander(t, most + 1, increasing=True))
-        for degree in range(1, most + 1):
-            shape = np.zeros(x.size)
-            # toward the same side in every quantity, so that scatter adds up
-            shape[mine] = q[:, degree] * np.sign(q[np.argmax(t), degree])
-            shapes.append(shape)
-            degrees.append(degree)
-    return np.array(shapes).reshape(-1, x.size), np.array(degrees, dtype=np.int64)
-
-
-def _levels(x: Array) -> Ints:
-    """Ranks (rows,) of values, those as good as repeated counted as one where all fall into such
-    levels: ranks within a level would bend a function of the covariate where it is flat."""
-    values, rank = np.unique(x, return_inverse=True)
-    near = NEAR * (values[-1] - values[0])
-    level = np.concatenate([[0], np.cumsum(np.diff(values) > near)])
-    spans = [np.ptp(values[level == k]) for k in np.unique(level)]
-    repeated = level[-1] >= 2 and max(spans) <= 2 * near
-    return np.asarray(level[rank] if repeated else rank)
-
-
-def _bands(x: Array) -> Array:
-    """Indicators (bands, rows) of all intervals of a covariate, thresholds among them."""
-    rank = _levels(x)
-    count = int(rank.max()) + 1
-    edges = np.unique(np.linspace(0, count, min(count, MOST_EDGES) + 1).astype(int))
-    out = [
-        ((rank >= low) & (rank < high)).astype(float)
-        for i, low in enumerate(edges[:-1])
-        for high in edges[i + 1 :]
-        if high - low < count
-    ]
-    large = [band for band in out if LEAST_BAND <= band.sum() <= x.size - 1]
-    return np.array(large).reshape(-1, x.size)
-
-
-def _residue_classes(order: Array) -> Array:
-    """Indicators (classes, rows) of every k-th of the order."""
-    place = counted(order)
-    most = min(MOST_PERIOD, np.unique(place).size // 3)
-    out = [(place % k == j).astype(float) for k in range(2, most + 1) for j in range(k)]
-    return np.array([each for each in out if 0 < each.sum() < order.size]).reshape(-1, order.size)
-
-
-def _waves(x: Array) -> list[Array]:
-    """Cosine and sine (2, rows) of each frequency, from half a wave in all to half a wave each."""
-    if np.ptp(x) <= 0.0:
-        return []
-    t = (x - x.min()) / np.ptp(x)
-    most = (int(_levels(x).max()) + 1) // 2
-    return [
-        np.stack([np.cos(2 * np.pi * f * t), np.sin(2 * np.pi * f * t)])
-        for f in np.arange(0.5, most + 0.25, 0.5)
-    ]
-
-
-def _shared(data: Sample) -> tuple[Ints, Ints]:
-    """Pairs of rows of different quantities within a group."""
-    pairs = [
-        (i, j)
-        for begin, end in pairwise(data.starts)
-        if end - begin <= MOST_SHARED
-        for i, j in combinations(range(begin, end), 2)
-        if data.kind[i] != data.kind[j]
-    ]
-    first, second = np.array(pairs, dtype=np.int64).reshape(-1, 2).T
-    return first, second
 
 
 def _two_states(z: Array, patterns: list[Array]) -> Array:
