@@ -82,6 +82,28 @@ def second_order_force(axis: Shortening, before: Array, after: Array, its: float
 
 
 @njit
+def second_order_tangent(axis: Shortening, before: Array, after: Array, its: float) -> Array:
+    """How `second_order_force` changes with u at the end of the step (modes, modes)."""
+    g, viscous = len(axis.weights), axis.beta_s / its
+    pull = np.empty_like(axis.rows)
+    for i in range(g):
+        x0, y0, x1, y1 = before[g + i], before[2 * g + i], after[g + i], after[2 * g + i]
+        x, y = 0.5 * (x0 + x1), 0.5 * (y0 + y1)
+        strained = 0.25 * (x0 * x0 + y0 * y0 + x1 * x1 + y1 * y1)
+        strained += viscous * (x * (x1 - x0) + y * (y1 - y0))
+        strained += 0.5 * (before[i] + after[i]) + viscous * (after[i] - before[i])
+        force, stiff = axis.weights[i] * strained, axis.weights[i] * (0.5 + viscous)
+        for j in range(axis.rows.shape[1]):
+            slope_x, slope_y = axis.rows[g + i, j], axis.rows[2 * g + i, j]
+            bent = stiff * (x1 * slope_x + y1 * slope_y)
+            change = stiff * axis.rows[i, j] + bent
+            pull[i, j] = -bent
+            pull[g + i, j] = -change * x - 0.5 * force * slope_x
+            pull[2 * g + i, j] = -change * y - 0.5 * force * slope_y
+    return axis.rows.T @ pull
+
+
+@njit
 def second_order_loss(axis: Shortening, before: Array, after: Array, its: float) -> float:
     """What damping takes over a step beyond what it takes of the linear body, in J."""
     g, total = len(axis.weights), 0.0

@@ -327,3 +327,14 @@ def solve_section(points: Points, section: Section, trial: Trial) -> int:
     section.factored[0] = False
     section.predictor[:] = 0.0
     return -1
+
+
+@njit
+def resistance(points: Points, section: Section, trial: Trial) -> Array:
+    """How much less the gathered forces (r,) become for each coordinate of where the section would
+    be without them (r, r), about the last solution."""
+    n, r = len(points.weights), len(section.compliance)
+    slopes, gathered, stiff = np.empty((n, 6)), np.empty(r), np.empty((r, r))
+    _gathered_forces(points, section, trial, section.predictor[0], slopes, gathered)
+    _tangent(section, points.weights, slopes, stiff)
+    return np.linalg.solve(np.eye(r) + stiff @ section.compliance, stiff)

@@ -13,18 +13,31 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..arrays import Array
-from ..bodies.axis import Shortening, second_order_force, second_order_loss, shortened
+from ..bodies.axis import (
+    Shortening,
+    second_order_force,
+    second_order_loss,
+    second_order_tangent,
+    shortened,
+)
 from ..compiled import njit
 from ..contact.normal import holds
 from ..contact.points import Points, Trial
-from ..contact.section import Section, new_section, section_gathers, section_moves
+from ..contact.section import (
+    Section,
+    new_section,
+    resistance,
+    section_gathers,
+    section_moves,
+)
 from ..contact.solve import solve_step
 from ..contact.step import commit, settle, share_in_contact, share_under_damping, spring_energy
 from .fixed_point import Secants, new_secants, next_move, remember
 
-# The second-order force of a step is found by iteration, to this share of itself; a step that asks
-# for more turns is too long to be right.
-COUPLED, COUPLING_LIMIT = 1e-9, 50
+# The second-order force of a step is found by Anderson's acceleration, to this share of itself.
+# After so many turns, and again after every few, Newton's matrix guides it: contact that opens or
+# closes may lead it astray. A step that asks for more is too long to be right.
+COUPLED, UNGUIDED, RENEWED, COUPLING_LIMIT = 1e-9, 25, 10, 65
 RELEASED, UNTIL, TOO_LONG, NOT_CONVERGED, NOT_FINITE = 0, 1, 2, 3, 4
 
 
@@ -100,7 +113,8 @@ class Marched(NamedTuple):
 class Work(NamedTuple):
     """Arrays (modes,) of one step: the state (u, v) before it, the displacement ``later``, the mean
     acceleration ``a`` with contact and ``free`` without, gravity's ``pull``; of a body of second
-    order its force ``bend``, what its axis sees ``before`` and ``after``, and ``secants``."""
+    order its force ``bend``, what its axis sees ``before`` and ``after``, ``secants``, and the
+    ``inverse`` (modes, modes) of Newton's matrix if that has ``guided`` (1,) them."""
 
     u: Array
     v: Array
@@ -112,6 +126,8 @@ class Work(NamedTuple):
     before: Array
     after: Array
     secants: Secants
+    inverse: Array
+    guided: NDArray[np.bool_]
 
 
 class Taken(NamedTuple):
@@ -161,7 +177,8 @@ def approaches(
 def _new_work(modes: Modes, touching: Touching, u: Array, v: Array) -> Work:
     """The arrays of a first step; a body of second order sees its own shortening in (u, v)."""
     m = len(u)
-    if len(modes.axis.weights):
+    bent = m if len(modes.axis.weights) else 0
+    if bent:
         du, dv = shortened(modes.axis, u, v)
         u, v = u + du, v + dv
     at_axis = modes.axis.rows @ u
@@ -176,7 +193,9 @@ def _new_work(modes: Modes, touching: Touching, u: Array, v: Array) -> Work:
         bend=np.zeros(m),
         before=at_axis,
         after=at_axis.copy(),
-        secants=new_secants(modes.admittance[: m if len(modes.axis.weights) else 0]),
+        secants=new_secants(modes.admittance[:bent]),
+        inverse=np.zeros((bent, bent)),
+        guided=np.zeros(1, dtype=np.bool_),
     )
 
 
@@ -198,6 +217,7 @@ def _solve(
     # without friction nobody asks for tangential approaches
     axes = 3 if points.mu > 0.0 else 1
     touches, before, move = False, bend, bend
+    best, least, renewed = bend.copy(), math.inf, False
     for turn in range(COUPLING_LIMIT):
         for j in range(m):
             a[j] = work.free[j] + admittance[j] * bend[j]
@@ -224,15 +244,38 @@ def _solve(
         size = max(np.abs(residual + bend).max(), np.abs(work.pull).max())
         if np.abs(residual).max() <= COUPLED * size:
             return True, touches
-        if turn == COUPLING_LIMIT // 2:
-            # secants from before contact opened or closed may have misled it
-            work.secants.total[0] = 0
-        elif turn > 0:
+        left = np.abs(residual).max()
+        if left < least:
+            best[:], least = bend, left
+        if turn >= UNGUIDED and (turn - UNGUIDED) % RENEWED == 0:
+            bend[:] = best
+            renewed = True
+            continue
+        if renewed:
+            work.inverse[:, :] = np.linalg.inv(_newton_matrix(modes, points, section, trial, work))
+            work.guided[0], work.secants.total[0] = True, 0
+        if work.guided[0]:
+            residual = work.inverse @ residual
+        if turn > 0 and not renewed:
             remember(work.secants, move, residual - before)
-        before = residual
+        before, renewed = residual, False
         move = next_move(work.secants, residual)
         bend += move
     return False, touches
+
+
+@njit
+def _newton_matrix(
+    modes: Modes, points: Points, section: Section, trial: Trial, work: Work
+) -> Array:
+    """How the second-order force less its own answer changes with it (modes, modes)."""
+    answer = 0.5 * modes.its * modes.its * modes.admittance
+    moved = np.diag(answer)
+    if np.abs(trial.force[:, 0]).max() > 0.0:
+        along = modes.along * answer
+        moved -= along.T @ (resistance(points, section, trial) @ along)
+    tangent = second_order_tangent(modes.axis, work.before, work.after, modes.its)
+    return np.eye(len(answer)) - tangent @ moved
 
 
 @njit

@@ -9,7 +9,7 @@ from bristle.solver import batch
 from bristle.solver.batch import LONGEST_S, Drops, as_column, drop_each, drop_many
 from bristle.solver.bodies.beam import beam_body
 from bristle.solver.bodies.reduced import reduce_solid
-from bristle.solver.bristle import Bristle, Material
+from bristle.solver.bristle import Bristle, Material, Rectangle
 from bristle.solver.contact.enforcement import ContactMethod, Enforcement
 from bristle.solver.contact.laws import Adhesive, Coulomb, HuntCrossley, Linear, Plastic
 from bristle.solver.drop import DropPlan, ModalFrame, simulate
@@ -248,6 +248,17 @@ def test_a_drop_whose_energy_budget_does_not_close_fails():
     assert np.isnan(found.rebound_height_m).tolist() == [False, True]
     with pytest.raises(ComputationError, match="the motion went astray: an impact at"):
         alone(body, drops, 1)
+
+
+def test_contact_that_opens_under_a_bent_bristle_is_found():
+    """Anderson's acceleration alone does not find the steps in which this nylon lets go."""
+    nylon = Material(youngs_Pa=2.1e9, poisson=0.34, density_kg_m3=1000.0, beta_s=1e-5)
+    section = Rectangle(thickness_m=1.745e-4, width_m=4.473e-4)
+    body = beam_body(Bristle(0.0957, section, nylon), 16, second_order=True)
+    tilts = {"tilt_deg": np.linspace(4.25, 5.75, 4), "kn_N_m": 240.0, "mu": 0.0}
+    drops = Drops.on_plane(len(body.contact.weights), height_m=0.0785, **tilts)
+    found = drop_many(marcher_of(body, its=8.25e-6), drops)
+    assert found.closure_relative.max() < 0.03
 
 
 def test_a_drop_that_fails_is_named(rng):

@@ -11,6 +11,7 @@ from bristle.solver import paper
 from bristle.solver.bodies.axis import (
     second_order_force,
     second_order_loss,
+    second_order_tangent,
     shortened,
     shortening,
 )
@@ -70,6 +71,15 @@ def test_force_is_the_discrete_gradient_of_the_energy(bristle, rng):
         gained = second_order_energy(axis, seen1) - second_order_energy(axis, seen0)
         size = np.abs(force * (u1 - u0)).sum()
         assert force @ (u1 - u0) == pytest.approx(-gained, abs=1e-12 * size)
+        tangent = second_order_tangent(damped, seen0, seen1, its)
+        move = 0.5 * (u1 - u0)
+        ahead, far, behind, back = (
+            second_order_force(damped, seen0, axis.rows @ (u1 + k * move), its)
+            for k in (1.0, 2.0, -1.0, -2.0)
+        )
+        change = (8.0 * (ahead - behind) - (far - back)) / 12.0  # exact for a cubic
+        scale = 1e-10 * np.abs([ahead, far, behind, back]).max()
+        assert tangent @ move == pytest.approx(change, abs=scale)
         viscous = second_order_force(damped, seen0, seen1, its) - force
         lost = second_order_loss(damped, seen0, seen1, its)
         assert viscous @ (u1 - u0) == pytest.approx(-lost, abs=1e-10 * size)
