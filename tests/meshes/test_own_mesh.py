@@ -9,6 +9,7 @@ from pathlib import Path
 import gmsh
 import numpy as np
 import pytest
+from dolfinx import fem
 from mpi4py import MPI
 from own_meshes import LENGTH, THIN, WIDE, box, moved, turned, wedge, write
 from scipy.linalg import eigh
@@ -82,6 +83,21 @@ def test_the_programs_own_mesh_comes_back_as_the_same_bristle(folder, tilt_deg):
     own = drop_of(mesh=str(path), **lean)
     made = drop_of(length_m=LENGTH, cells=(1, 2, 20), **lean)
     np.testing.assert_allclose(numbers(own), numbers(made), rtol=1e-9)
+
+
+@pytest.mark.parametrize("order", [1, 2])
+def test_a_mesh_knows_its_section_and_its_nodes(folder, plain, order):
+    hexahedra = folder / "counted.msh"
+    with gmsh_model():
+        build_model(MeshSpec(LENGTH, cells=(1, 2, 20)))
+        gmsh.write(str(hexahedra))
+    for path in (plain, hexahedra):
+        mesh = opened(path)
+        section = mesh.tip_section
+        assert (section.thickness_m, section.width_m) == pytest.approx((THIN, WIDE))
+        domain, _ = own_to_dolfinx(mesh, MPI.COMM_SELF)
+        space = fem.functionspace(domain, ("Lagrange", order))
+        assert mesh.n_nodes(order) == space.dofmap.index_map.size_global
 
 
 def test_straight_tetrahedra_converge_to_the_hexahedra(folder):

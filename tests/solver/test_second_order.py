@@ -22,6 +22,7 @@ from bristle.solver.bristle import Bristle, Material
 from bristle.solver.contact.enforcement import ContactMethod
 from bristle.solver.contact.laws import Coulomb, Linear
 from bristle.solver.drop import DropPlan, ModalFrame, simulate
+from bristle.solver.rigid import Pose
 from bristle.solver.time.finite import FiniteMarcher
 from bristle.solver.time.scheme import TimeScheme
 
@@ -190,3 +191,22 @@ def test_against_finite_strain(make_solid, tilt, mu, beta):
         assert abs(apart) < within * exact.impact_speed_m_s
         # what the change to linear flight may leave over
         assert abs(ours.energy.numerical_J) < 2e-3 * ours.energy.initial_J
+
+
+@pytest.mark.parametrize("way", ["launched", "landed"])
+def test_small_motion_comes_through_the_change_of_frame(make_solid, rng, way):
+    """What the modes have is what the finite solid has, but for the square of the strain."""
+    solid = make_solid((1, 2, 24), 0.05, comm=MPI.COMM_SELF)
+    model = FloatingModel(**vars(reduce_solid(solid, 1e10, 20, leaning=True)))
+    omega = np.sqrt(model.modal.omega2)
+    q = 1e-9 * np.divide(rng.normal(size=omega.size), omega, out=0.0 * omega, where=omega > 0.0)
+    qv = 1e-9 * rng.normal(size=omega.size)
+    u, v = model.from_modal(q), model.from_modal(qv)
+    if way == "launched":
+        pose, *found = model.launched(Pose(np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0])), u, v)
+        assert np.abs(pose.position_m).max() < 1e-12
+        wanted = q, qv
+    else:
+        found, wanted = model.landed(q, qv), (u, v)
+    for one, other in zip(found, wanted, strict=True):
+        assert one == pytest.approx(other, abs=1e-6 * np.abs(other).max())

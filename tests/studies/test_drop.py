@@ -158,6 +158,17 @@ def test_events_agree_with_plain_marching(kn, beta):
     assert plain.energy.closure_relative < 1e-9
 
 
+def test_the_analytic_history_falls_by_gravity_and_rises_as_high():
+    rows = analytic_drop(paper.MASS_KG, 2e6, 0.05, G).history.array()
+    t, tip, depth = rows[:, 0], rows[:, 1], rows[:, 4]
+    fall_s = math.sqrt(2.0 * 0.05 / G)
+    before = t < fall_s
+    assert tip[before] == pytest.approx(0.05 - 0.5 * G * t[before] ** 2, abs=1e-12)
+    assert tip[depth > 0.0] == pytest.approx(-depth[depth > 0.0])
+    after = t > t[depth > 0.0].max()
+    assert tip[after] == pytest.approx(0.05 - 0.5 * G * (t[-1] - t[after]) ** 2, abs=1e-12)
+
+
 def test_history_is_continuous_in_time_and_ends_where_asked(beam):
     result = drop(beam, 2e6, until_s=0.3)
     rows = result.history.array()
