@@ -122,21 +122,30 @@ def test_every_touch_of_a_drop_goes_on(folder):
     assert len({path.name.split("-")[1] for path in folder.glob("march-*")}) > 1
 
 
-def test_the_solid_at_full_order_goes_on_to_the_bit(make_solid, folder):
+@pytest.mark.parametrize("strain", ["small", "finite"])
+def test_the_solid_at_full_order_goes_on_to_the_bit(make_solid, folder, strain):
     """On as many ranks as there are."""
+    from bristle.solver.bodies.floating import FloatingModel
     from bristle.solver.bodies.reduced import reduce_solid
+    from bristle.solver.time.finite import FiniteMarcher
 
     solid = make_solid(cells=(1, 1, 12), order=1)
     body = reduce_solid(solid, 4.0 / ITS**2, 12, leaning=True)
     plan = DropPlan(0.01, ContactMethod(Linear(KN), friction=Coulomb(0.3)), 1e-6, G, tilt_deg=1.0)
-    marcher = Marcher(solid, plan.method, TimeScheme.average(), plan.its_s, G)
+    kind = Marcher
+    if strain == "finite":
+        body, kind = FloatingModel(**vars(body)), FiniteMarcher
+
+    def marcher():
+        return kind(solid, plan.method, TimeScheme.average(), plan.its_s, G)
+
     whole = Seer()
-    uninterrupted = simulate(body, plan, marcher, whole)
+    uninterrupted = simulate(body, plan, marcher(), whole)
     half = Seer(len(whole.seen) // 2)
     with pytest.raises(Interrupted):
-        simulate(body, plan, marcher, half, eager(folder))
+        simulate(body, plan, marcher(), half, eager(folder))
     again = Seer()
-    the_same(simulate(body, plan, marcher, again, eager(folder, resume=True)), uninterrupted)
+    the_same(simulate(body, plan, marcher(), again, eager(folder, resume=True)), uninterrupted)
     assert again.seen == whole.seen
 
 
