@@ -248,6 +248,8 @@ def _solve(
         if left < least:
             best[:], least = bend, left
         if turn >= UNGUIDED and (turn - UNGUIDED) % RENEWED == 0:
+            if not math.isfinite(least):
+                break
             bend[:] = best
             renewed = True
             continue
