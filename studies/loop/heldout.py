@@ -39,12 +39,12 @@ KEYS = (
 @dataclass(frozen=True)
 class HeldOut:
     """Errors in ``unit`` on held-out ``groups``; ``reduction`` is 1 − after / before, with its 90 %
-    interval over groups. ``sigma`` is the error that the final model and its noise allow for,
-    ``ratio`` the error over that and ``surprise`` the chance of one as large in all quantities,
-    both without the largest eighth of the errors. ``rms_sigma`` is the error of all quantities,
-    ``n_rows`` rows, over the declared noise; ``greatest`` the largest of them over that noise or,
-    if it is more, over what the model's 90 % interval allows, zero where no noise is declared, and
-    ``farthest`` its group.
+    interval over groups. ``sigma`` is the error that the final model and its noise allow for.
+    ``surprise`` is the least chance, by draws of both, of errors as large in all quantities, of
+    such in the main one if it has eight, both without the largest eighth, and of as few rows within
+    their 90 % intervals. ``rms_sigma`` is the error of all quantities over the declared noise;
+    ``greatest`` the largest of them over that noise or, if it is more, over what the model's 90 %
+    interval allows, zero where no noise is declared, and ``farthest`` its group.
     ``values``, ``before``, ``after``, ``low``, ``high`` (rows,) in ``unit`` by held-out row of the
     main quantity. ``log_score_gain`` in nats, cross-validated over all groups, with its 90 %
     interval; ``nearer``: squared errors of the same fall."""
@@ -55,9 +55,7 @@ class HeldOut:
     rms_after: float
     sigma: float
     rms_sigma: float
-    n_rows: int
     surprise: float
-    ratio: float
     greatest: float
     farthest: int
     reduction_low: float
@@ -190,7 +188,10 @@ class Judge:
         error, chance = held.values - found.mean, found.draws - found.mean
         allowed = np.maximum((high - low) / (2.0 * ndtri(0.95)), 1.0)
         off = np.abs(error) / allowed if problem.sigma_declared else np.zeros(0)
-        larger = trimmed_rms(chance) >= trimmed_rms(error)
+        within = np.mean((found.draws >= low) & (found.draws <= high), axis=1)
+        as_odd = [trimmed_rms(chance) >= trimmed_rms(error), within <= np.mean(inside)]
+        if TRIMMED * mine.size >= 1.0:
+            as_odd.append(trimmed_rms(chance[:, mine]) >= trimmed_rms(error[mine]))
         gain = Gain(0.0, 0.0, 0.0, False) if plain else self.gain(final)
         ends = _reduction(held.group[mine], values - before, values - after, rng)
         return HeldOut(
@@ -200,9 +201,7 @@ class Judge:
             rms_after=rms(values - after),
             sigma=rms(spread[:, mine] * scale),
             rms_sigma=rms(error),
-            n_rows=held.values.size,
-            surprise=(float(np.sum(larger)) + 1.0) / (len(larger) + 1.0),
-            ratio=float(trimmed_rms(error[mine]) / rms(trimmed_rms(chance[:, mine]))),
+            surprise=min((float(np.sum(each)) + 1.0) / (len(each) + 1.0) for each in as_odd),
             greatest=float(off.max(initial=0.0)),
             farthest=int(problem.group[held.rows[np.argmax(off)]]) if off.size else -1,
             reduction_low=ends[0],

@@ -37,8 +37,10 @@ SCATTER_GAIN = 8.0
 # Nats by which something unlisted must be likelier than an effect to refuse it. What scatters has
 # to be as likely, since wider noise is always near.
 UNLISTED_MARGIN = 3.0
-# Held-out errors beyond these are no noise: over what it allows, and of the 90 % intervals.
-MOST_RATIO, LEAST_COVERAGE, LEAST_ROWS, SURPRISE = 1.5, 0.6, 8, 0.003
+# Residuals of so many rows that are beyond this over the declared noise are none.
+MOST_RATIO, LEAST_ROWS = 1.5, 8
+# Held-out errors of a smaller chance are no noise.
+SURPRISE = 0.003
 # Declared standard deviations by which no noise is off, its outliers included: those of a
 # contaminated normal distribution have up to ten times its sigma, and a thousandth of them is three
 # times as far off.
@@ -290,11 +292,7 @@ def _with_held_out(state: State, found: Posterior) -> str:
 
 def _surprising(held: HeldOut) -> bool:
     """Whether held-out errors are more than their noise allows."""
-    if held.surprise < SURPRISE:
-        return True
-    if held.greatest > GROSS or (held.values.size >= LEAST_ROWS and held.ratio > MOST_RATIO):
-        return True
-    return held.n_rows >= LEAST_ROWS and held.coverage_90 < LEAST_COVERAGE
+    return held.surprise < SURPRISE or held.greatest > GROSS
 
 
 def _far_off(problem: Problem, data: Sample, residual: Array, held: HeldOut | None) -> str:

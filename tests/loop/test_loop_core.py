@@ -487,8 +487,8 @@ def test_nothing_grossly_wrong_is_adequate(seed, shape, size):
     found = find(replace(problem, values=problem.values + size * field), seed)
     if found.verdict is Verdict.ADEQUATE:
         held = found.held_out
-        assert held.ratio <= 1.5
-        assert held.coverage_90 >= 0.6
+        within = np.sum((held.low <= held.values) & (held.values <= held.high))
+        assert stats.binom.cdf(within, held.values.size, 0.9) > 1e-3
         assert np.median(np.abs(held.values - held.after)) <= 1.5 * 0.6745 * 0.1 * MOST_SCALE
 
 
