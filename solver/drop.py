@@ -361,7 +361,7 @@ class Stage:
             start, q, qv = frame.launched(pose, touch.u, touch.v)
             flight = Flight(frame.modal, start, released, q, qv, g, self._charted)
             energy = flight_energy(flight, released)
-            if not energy.total_J <= MOST_LEFT * self.initial_J:
+            if touch.released and not energy.total_J <= MOST_LEFT * self.initial_J:
                 raise ComputationError(  # the search for its next touch might never end
                     f"the motion went astray: an impact at {t:.6g} s left {energy.total_J:.3g} J "
                     f"of {self.initial_J:.3g} J; shorten the ITS, or lean it less"

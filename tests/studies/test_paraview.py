@@ -126,8 +126,8 @@ class Impact:
     def __init__(self, folder, comm=COMM, kn=KN_N_M, spec=None, stand=None, until=None, **options):
         self.solid = solid_of(comm=comm, **(spec or {}))
         shift = (2.0 / ITS_S) / (ITS_S / 2.0 + MATERIAL.beta_s)
-        self.frame = reduce_solid(self.solid, shift, 20)
         tilt, slope, friction = stand or (0.0, 0.0, 0.0)
+        self.frame = reduce_solid(self.solid, shift, 20, leaning=tilt != 0.0 or slope != 0.0)
         self.normal = slope_normal(slope)
         plan = DropPlan(
             0.05,

@@ -358,7 +358,7 @@ def test_a_drop_that_makes_energy_out_of_nothing_is_refused():
     """A thin polymer bristle that falls from 0.6 m folds up, which second order does not know."""
     wire = {"diameter_m": 4e-4, "length_m": 0.25, "youngs_Pa": 9e9, "kn_N_m": 6e7, "beta_s": 4e-6}
     fall = {"height_m": 0.65, "tilt_deg": 4.5, "friction": 0.05, "its_s": 1e-6, "until": "impact"}
-    with pytest.raises(ComputationError, match="energy budget is off by"):
+    with pytest.raises(ComputationError, match="the motion went astray: an impact at .* left"):
         run_case(checked(DropInputs, {"model": "beam", **wire, **fall}), MPI.COMM_SELF)
 
 

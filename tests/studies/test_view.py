@@ -84,7 +84,8 @@ def write_result(folder, history, model="solid"):
 def drop_solid(folder, comm, tilt=0.0, slope=0.0):
     """A short bristle's impact in ``folder``, as `bristle drop --model solid` leaves it."""
     solid = solid_of(comm)
-    frame = reduce_solid(solid, (2.0 / ITS_S) / (ITS_S / 2.0 + MATERIAL.beta_s), 20)
+    shift = (2.0 / ITS_S) / (ITS_S / 2.0 + MATERIAL.beta_s)
+    frame = reduce_solid(solid, shift, 20, leaning=tilt != 0.0)
     plan = DropPlan(
         HEIGHT_M,
         ContactMethod(Linear(2e7)),
