@@ -14,7 +14,7 @@ from .bodies.modal import ModalBody
 from .checkpoint import Checkpoint
 from .contact.enforcement import ContactMethod
 from .contact_phase import ContactPhase, History, Observer
-from .energy import Budget, Energy, flight_energy
+from .energy import MOST_LEFT, Budget, Energy, flight_energy
 from .errors import ComputationError
 from .fall import damped_path, dragged_fall, dragged_path, free_fall, risen
 from .ground import Ground, just_touched, place
@@ -36,8 +36,6 @@ COMPARED = 64
 # Of a step from one reduced body to a finer one over the step before it: taken as at most this.
 LARGEST_RATIO = 0.9
 FLIGHT_ROWS = 200
-# No scheme leaves more than this part of a drop's energy after an impact, unless it went astray.
-MOST_LEFT = 2.0
 
 
 class FlightFrame(Protocol):

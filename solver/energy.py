@@ -12,6 +12,8 @@ from .time.march import ContactMarch, Moving
 # Energy budgets that close worse, in units of the impact's energy, tell of a motion that went
 # astray, which misses by several times it: 600 drops that lean by up to 12 degrees close to 0.02.
 ASTRAY = 0.1
+# So does an impact that leaves more than so many times a drop's energy, whatever the scheme.
+MOST_LEFT = 2.0
 
 
 @dataclass

@@ -59,6 +59,21 @@ def shortening(axis: Axis | None, omega2: Array, beta_s: float = 0.0) -> Shorten
 
 
 @njit
+def _mean_strain(
+    axis: Shortening, before: Array, after: Array, its: float, i: int
+) -> tuple[float, float, float, float]:
+    """Of point ``i`` over a step of ``its`` s, with the rates that damping sees: the linear part of
+    the strain, the part of bending, and the slopes half way."""
+    g, viscous = len(axis.weights), axis.beta_s / its
+    x0, y0, x1, y1 = before[g + i], before[2 * g + i], after[g + i], after[2 * g + i]
+    x, y = 0.5 * (x0 + x1), 0.5 * (y0 + y1)
+    bent = 0.25 * (x0 * x0 + y0 * y0 + x1 * x1 + y1 * y1)
+    bent += viscous * (x * (x1 - x0) + y * (y1 - y0))
+    linear = 0.5 * (before[i] + after[i]) + viscous * (after[i] - before[i])
+    return linear, bent, x, y
+
+
+@njit
 def second_order_force(axis: Shortening, before: Array, after: Array, its: float) -> Array:
     """Force (modes,) over a step of ``its`` s, of what the energy holds beyond the linear one and
     of its damping.
@@ -66,14 +81,10 @@ def second_order_force(axis: Shortening, before: Array, after: Array, its: float
     ``before`` and ``after`` (3 g,) are rows @ u at its ends. The discrete gradient of the energy
     (Simo and Tarnow, ZAMP 43, 1992: mean strain, slope at mid-step), so that the step conserves it.
     """
-    g, viscous = len(axis.weights), axis.beta_s / its
+    g = len(axis.weights)
     pull = np.empty(3 * g)
     for i in range(g):
-        x0, y0, x1, y1 = before[g + i], before[2 * g + i], after[g + i], after[2 * g + i]
-        x, y = 0.5 * (x0 + x1), 0.5 * (y0 + y1)
-        bent = 0.25 * (x0 * x0 + y0 * y0 + x1 * x1 + y1 * y1)
-        bent += viscous * (x * (x1 - x0) + y * (y1 - y0))
-        linear = 0.5 * (before[i] + after[i]) + viscous * (after[i] - before[i])
+        linear, bent, x, y = _mean_strain(axis, before, after, its, i)
         force = axis.weights[i] * (linear + bent)
         pull[i] = -axis.weights[i] * bent
         pull[g + i] = -force * x
@@ -83,21 +94,17 @@ def second_order_force(axis: Shortening, before: Array, after: Array, its: float
 
 @njit
 def second_order_tangent(axis: Shortening, before: Array, after: Array, its: float) -> Array:
-    """How `second_order_force` changes with u at the end of the step (modes, modes)."""
-    g, viscous = len(axis.weights), axis.beta_s / its
+    """Derivative (modes, modes) of `second_order_force` by u at the end of the step."""
+    g, rate = len(axis.weights), 0.5 + axis.beta_s / its
     pull = np.empty_like(axis.rows)
     for i in range(g):
-        x0, y0, x1, y1 = before[g + i], before[2 * g + i], after[g + i], after[2 * g + i]
-        x, y = 0.5 * (x0 + x1), 0.5 * (y0 + y1)
-        strained = 0.25 * (x0 * x0 + y0 * y0 + x1 * x1 + y1 * y1)
-        strained += viscous * (x * (x1 - x0) + y * (y1 - y0))
-        strained += 0.5 * (before[i] + after[i]) + viscous * (after[i] - before[i])
-        force, stiff = axis.weights[i] * strained, axis.weights[i] * (0.5 + viscous)
+        linear, bent, x, y = _mean_strain(axis, before, after, its, i)
+        force, stiff = axis.weights[i] * (linear + bent), axis.weights[i] * rate
         for j in range(axis.rows.shape[1]):
             slope_x, slope_y = axis.rows[g + i, j], axis.rows[2 * g + i, j]
-            bent = stiff * (x1 * slope_x + y1 * slope_y)
-            change = stiff * axis.rows[i, j] + bent
-            pull[i, j] = -bent
+            bending = stiff * (after[g + i] * slope_x + after[2 * g + i] * slope_y)
+            change = stiff * axis.rows[i, j] + bending
+            pull[i, j] = -bending
             pull[g + i, j] = -change * x - 0.5 * force * slope_x
             pull[2 * g + i, j] = -change * y - 0.5 * force * slope_y
     return axis.rows.T @ pull

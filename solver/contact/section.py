@@ -330,9 +330,9 @@ def solve_section(points: Points, section: Section, trial: Trial) -> int:
 
 
 @njit
-def resistance(points: Points, section: Section, trial: Trial) -> Array:
-    """How much less the gathered forces (r,) become for each coordinate of where the section would
-    be without them (r, r), about the last solution."""
+def contact_stiffness(points: Points, section: Section, trial: Trial) -> Array:
+    """The contact's stiffness (r, r) in series with the section's compliance, about the last
+    solution: what the gathered forces lose for each unit by which the free section moves."""
     n, r = len(points.weights), len(section.compliance)
     slopes, gathered, stiff = np.empty((n, 6)), np.empty(r), np.empty((r, r))
     _gathered_forces(points, section, trial, section.predictor[0], slopes, gathered)

@@ -25,8 +25,8 @@ from ..contact.normal import holds
 from ..contact.points import Points, Trial
 from ..contact.section import (
     Section,
+    contact_stiffness,
     new_section,
-    resistance,
     section_gathers,
     section_moves,
 )
@@ -35,9 +35,10 @@ from ..contact.step import commit, settle, share_in_contact, share_under_damping
 from .fixed_point import Secants, new_secants, next_move, remember
 
 # The second-order force of a step is found by Anderson's acceleration, to this share of itself.
-# After so many turns, and again after every few, Newton's matrix guides it: contact that opens or
-# closes may lead it astray. A step that asks for more is too long to be right.
-COUPLED, UNGUIDED, RENEWED, COUPLING_LIMIT = 1e-9, 25, 10, 65
+# Contact that opens or closes may lead it astray: after so many turns it starts again from its
+# best, preconditioned by Newton's matrix, and so after every few. A step that asks for more is too
+# long to be right.
+COUPLED, PLAIN_TURNS, RESTART_EVERY, COUPLING_LIMIT = 1e-9, 25, 10, 65
 RELEASED, UNTIL, TOO_LONG, NOT_CONVERGED, NOT_FINITE = 0, 1, 2, 3, 4
 
 
@@ -113,8 +114,9 @@ class Marched(NamedTuple):
 class Work(NamedTuple):
     """Arrays (modes,) of one step: the state (u, v) before it, the displacement ``later``, the mean
     acceleration ``a`` with contact and ``free`` without, gravity's ``pull``; of a body of second
-    order its force ``bend``, what its axis sees ``before`` and ``after``, ``secants``, and the
-    ``inverse`` (modes, modes) of Newton's matrix if that has ``guided`` (1,) them."""
+    order its force ``bend``, what its axis sees ``before`` and ``after``, ``secants``, the ``best``
+    force so far, and the inverse of Newton's matrix (modes, modes) as a ``preconditioner``,
+    if one has been ``made`` (1,)."""
 
     u: Array
     v: Array
@@ -126,8 +128,9 @@ class Work(NamedTuple):
     before: Array
     after: Array
     secants: Secants
-    inverse: Array
-    guided: NDArray[np.bool_]
+    best: Array
+    preconditioner: Array
+    made: NDArray[np.bool_]
 
 
 class Taken(NamedTuple):
@@ -194,8 +197,9 @@ def _new_work(modes: Modes, touching: Touching, u: Array, v: Array) -> Work:
         before=at_axis,
         after=at_axis.copy(),
         secants=new_secants(modes.admittance[:bent]),
-        inverse=np.zeros((bent, bent)),
-        guided=np.zeros(1, dtype=np.bool_),
+        best=np.zeros(bent),
+        preconditioner=np.zeros((bent, bent)),
+        made=np.zeros(1, dtype=np.bool_),
     )
 
 
@@ -217,7 +221,7 @@ def _solve(
     # without friction nobody asks for tangential approaches
     axes = 3 if points.mu > 0.0 else 1
     touches, before, move = False, bend, bend
-    best, least, renewed = bend.copy(), math.inf, False
+    least, restarted = math.inf, False
     for turn in range(COUPLING_LIMIT):
         for j in range(m):
             a[j] = work.free[j] + admittance[j] * bend[j]
@@ -242,25 +246,25 @@ def _solve(
         work.after[:] = modes.axis.rows @ later
         residual = second_order_force(modes.axis, work.before, work.after, h) - bend
         size = max(np.abs(residual + bend).max(), np.abs(work.pull).max())
-        if np.abs(residual).max() <= COUPLED * size:
-            return True, touches
         left = np.abs(residual).max()
+        if left <= COUPLED * size:
+            return True, touches
         if left < least:
-            best[:], least = bend, left
-        if turn >= UNGUIDED and (turn - UNGUIDED) % RENEWED == 0:
+            work.best[:], least = bend, left
+        if turn >= PLAIN_TURNS and (turn - PLAIN_TURNS) % RESTART_EVERY == 0:
             if not math.isfinite(least):
                 break
-            bend[:] = best
-            renewed = True
+            bend[:], restarted = work.best, True
             continue
-        if renewed:
-            work.inverse[:, :] = np.linalg.inv(_newton_matrix(modes, points, section, trial, work))
-            work.guided[0], work.secants.total[0] = True, 0
-        if work.guided[0]:
-            residual = work.inverse @ residual
-        if turn > 0 and not renewed:
+        if restarted:
+            newton = _newton_matrix(modes, points, section, trial, work)
+            work.preconditioner[:, :] = np.linalg.inv(newton)
+            work.made[0], work.secants.total[0] = True, 0
+        if work.made[0]:
+            residual = work.preconditioner @ residual
+        if turn > 0 and not restarted:
             remember(work.secants, move, residual - before)
-        before, renewed = residual, False
+        before, restarted = residual, False
         move = next_move(work.secants, residual)
         bend += move
     return False, touches
@@ -270,12 +274,13 @@ def _solve(
 def _newton_matrix(
     modes: Modes, points: Points, section: Section, trial: Trial, work: Work
 ) -> Array:
-    """How the second-order force less its own answer changes with it (modes, modes)."""
+    """Newton's matrix (modes, modes): minus the derivative of the residual by the second-order
+    force."""
     answer = 0.5 * modes.its * modes.its * modes.admittance
     moved = np.diag(answer)
     if np.abs(trial.force[:, 0]).max() > 0.0:
         along = modes.along * answer
-        moved -= along.T @ (resistance(points, section, trial) @ along)
+        moved -= along.T @ (contact_stiffness(points, section, trial) @ along)
     tangent = second_order_tangent(modes.axis, work.before, work.after, modes.its)
     return np.eye(len(answer)) - tangent @ moved
 
