@@ -225,23 +225,32 @@ class HuntCrossley(ContactLaw):
 
 @dataclass(frozen=True)
 class Plastic(ContactLaw):
-    """Elastic and perfectly plastic along the normal (Johnson, Contact Mechanics, 1985, Ch. 6).
+    """Elastic and plastic along the normal: perfectly (Johnson, Contact Mechanics, 1985, Ch. 6), or
+    with ``hardening``.
 
-    The force grows with Kn up to ``yield_N``; from there on the place is indented for good, and
-    unloading goes with Kn again. ``yield_N`` is the force at which the whole face yields; each
-    point yields at the same traction, however stiff its place. The indentation is remembered
-    through one touch, as long as any point of the tip is in contact or in its indentation: the next
-    touch meets a fresh place, since a bristle does not come down twice on the same microns.
+    The force grows with Kn up to ``yield_N``; from there on by ``hardening`` times Kn, and the
+    place is indented for good: it unloads, and loads again, by ``unloading`` times Kn (O. R. Walton
+    and R. L. Braun, J. Rheol. 30 (1986) 949, beyond yield). ``yield_N`` is the force at which the
+    whole face yields; each point yields at the same traction, however stiff its place. The
+    indentation is
+    remembered through one touch, as long as any point of the tip is in contact or in its
+    indentation: the next touch meets a fresh place, since a bristle does not come down twice on the
+    same microns.
     """
 
     kn_N_m: float
     yield_N: float
+    hardening: float = 0.0
+    unloading: float = 1.0
 
     kind: ClassVar[Kind] = PLASTIC
 
     def __post_init__(self) -> None:
         _check("Kn of a plastic contact", self.kn_N_m)
         _check("the yield force", self.yield_N)
+        _check("unloading over Kn", self.unloading, 1.0, included=True)
+        if not 0.0 <= self.hardening < 1.0:
+            raise ValueError(f"hardening over Kn must be 0 to below 1, not {self.hardening}")
 
 
 @dataclass(frozen=True)

@@ -6,12 +6,12 @@ stiffness over the law's; ``approach`` and ``compliance`` as in `laws.Law`. Forc
 force do not scale: they are per unit of area share as all forces of contact are.
 
 Within a step, along which the approach runs one way, every law is an elastic one: plastic contact
-is a spring from the place where the step before has left the surface, with a force that stays at
-yield; adhesion one that holds as far as it can, and no force beyond. What tells these is the
-point's internal variable ``memory``, a number that is renewed at the end of a step: the permanent
-indentation in m, or one where the point is held. So the mean force over a step, ∫ F dδ over the
-change, is the discrete gradient of one potential, and what a step took is its work less the change
-of what is stored.
+is a spring from the place where the step before has left the surface, and a softer one, if any,
+from yield on; adhesion one that holds as far as it can, and no force beyond. What tells these is
+the point's internal variable ``memory``, a number that is renewed at the end of a step: the
+permanent indentation in m, or one where the point is held. So the mean force over a step, ∫ F dδ
+over the change, is the discrete gradient of one potential, and what a step took is its work less
+the change of what is stored.
 """
 
 from __future__ import annotations
@@ -108,13 +108,27 @@ def _tabulated(
 def _plastic(
     law: Array, scale: float, approach: float, compliance: float, indented: float
 ) -> tuple[float, float, float]:
-    """A spring from the indentation on, up to the yield force; its potential along the way in."""
-    stiffness, most, depth = scale * law[0], law[1], approach - indented
+    """A spring from the indentation on, and from yield on a softer one; its potential along the way
+    in."""
+    depth = approach - indented
     if depth <= 0.0:
         return 0.0, 0.0, 0.0
-    if stiffness * depth <= most:
+    stiffness, slope, reach = _until_yield(law, scale, indented)
+    if depth <= reach:
         return stiffness * depth, stiffness, 0.5 * stiffness * depth * depth
-    return most, 0.0, most * (depth - 0.5 * most / stiffness)
+    force, over = stiffness * reach, depth - reach
+    stored = 0.5 * force * reach + over * (force + 0.5 * slope * over)
+    return force + slope * over, slope, stored
+
+
+@njit
+def _until_yield(law: Array, scale: float, indented: float) -> tuple[float, float, float]:
+    """Stiffness before and beyond yield in N/m, and how far yield is from the indentation in m."""
+    kn, hardening = scale * law[0], law[2]
+    stiffness = law[3] * kn if indented > 0.0 else kn
+    slope = hardening * kn
+    reach = (law[1] * (1.0 - hardening) + slope * indented) / (stiffness - slope)
+    return stiffness, slope, reach
 
 
 def _adhesive(
@@ -130,7 +144,12 @@ def _adhesive(
 
 
 def _indented(law: Array, scale: float, approach: float, memory: float) -> float:
-    return max(memory, approach - law[1] / (scale * law[0]))
+    stiffness, slope, reach = _until_yield(law, scale, memory)
+    over = approach - memory - reach
+    if over <= 0.0:
+        return memory
+    force = stiffness * reach + slope * over
+    return max(memory, approach - force / (law[3] * scale * law[0]))
 
 
 def _at_indentation(law: Array, scale: float, memory: float) -> float:

@@ -36,7 +36,8 @@ class Parameter:
 
     ``null`` is the value at which the effect is absent, ``low`` and ``high`` are its bounds,
     ``typical`` is a size worth starting from. ``logarithmic`` ones are equally likely by their
-    logarithm. ``why`` says where the bounds come from.
+    logarithm. ``why`` says where the bounds come from. One that ``refines`` stays at its null
+    where the effect's others explain data as well.
     """
 
     name: str
@@ -47,6 +48,7 @@ class Parameter:
     null: float = 0.0
     logarithmic: bool = False
     why: str = ""
+    refines: bool = False
 
 
 @dataclass(frozen=True)

@@ -83,15 +83,17 @@ class StiffeningContact(Effect):
 
 @dataclass(frozen=True)
 class PlasticContact(Effect):
-    """The surface yields: force stays at its limit, an indentation stays behind."""
+    """The surface yields: the force grows no more, or less, and an indentation stays behind."""
 
     yield_N: float = 20.0
+    hardening: float = 0.0
+    unloading: float = 1.0
 
     name = "plastic_contact"
     title = "contact that yields"
     place = Place.CONTACT
     kinds = TOUCHING
-    source = "Johnson, Contact Mechanics (1985), ch. 11"
+    source = "Johnson, Contact Mechanics (1985), ch. 11; Walton and Braun, J. Rheol. 30 (1986)"
     parameters = (
         Parameter(
             "yield_N",
@@ -103,10 +105,31 @@ class PlasticContact(Effect):
             logarithmic=True,
             why="from an eighth of the paper's impact force, 41 N, to five times it",
         ),
+        Parameter(
+            "hardening",
+            "of Kn",
+            0.0,
+            0.3,
+            0.0,
+            why="stiffness beyond yield: metals and crushed stone have some hundredths",
+            refines=True,
+        ),
+        Parameter(
+            "unloading",
+            "of Kn",
+            1.0,
+            10.0,
+            1.0,
+            null=1.0,
+            logarithmic=True,
+            why="stiffness on the way back, over the flatter place that flow has left",
+            refines=True,
+        ),
     )
 
     def enter(self, scene: Scene) -> Scene:
-        return _with_law(scene, laws.Plastic(scene.law.kn_N_m, self.yield_N))
+        law = laws.Plastic(scene.law.kn_N_m, self.yield_N, self.hardening, self.unloading)
+        return _with_law(scene, law)
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,7 @@ from ...solver.arrays import Array
 from .finding import Proposal
 from .fit import BOX_PRECISION, STEP, differences, to_theta
 from .posterior import Posterior
-from .problem import Experiment, Model, Problem
+from .problem import Experiment, Model, Problem, refined_as
 from .profile import features
 
 TURNS = 8
@@ -36,7 +36,9 @@ def next_experiment(problem: Problem, tied: Sequence[Posterior]) -> Proposal | N
 
 
 def _gain(experiment: Experiment, tied: Sequence[Posterior]) -> float:
-    models = [experiment.models(each.fitted.effects) for each in tied]
+    models = [
+        refined_as(experiment.models(each.fitted.effects), each.fitted.u.size) for each in tied
+    ]
     gains = []
     for truth, made in zip(tied, models, strict=True):
         target = _seen(made, truth.fitted.u)

@@ -66,6 +66,23 @@ class Emulated(Model, Protocol):
         ...
 
 
+@runtime_checkable
+class Refinable(Model, Protocol):
+    """A model whose effects may have more parameters, asked for where it does not hold without."""
+
+    @property
+    def refinement(self) -> Model | None:
+        """The same with them; None where there are none."""
+        ...
+
+
+def refined_as(model: Model, parameters: int) -> Model:
+    """The model, or its refinement where that is the one with so many parameters."""
+    if len(model.parameters) < parameters and isinstance(model, Refinable):
+        return model.refinement or model
+    return model
+
+
 @dataclass(frozen=True)
 class Experiment:
     """A measurement that could be made next.

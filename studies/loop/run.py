@@ -24,7 +24,15 @@ from .posterior import Posterior, posterior, refitted
 from .problem import Problem
 from .profile import Profile, classes, directions, profile
 from .sample import Sample, estimated_units, sample
-from .search import Tried, fit_baseline, fit_candidate, fit_pairs, fit_simulated, near_likeliest
+from .search import (
+    Tried,
+    fit_baseline,
+    fit_candidate,
+    fit_pairs,
+    fit_refined,
+    fit_simulated,
+    near_likeliest,
+)
 
 ALARM = 0.01
 LEFT_ALARM = 0.01
@@ -32,6 +40,8 @@ PAIR_LEFT = 0.03
 CREDIBLE, LOOKED_AT, MOST_LOOKED_AT = 0.97, 0.999, 8
 # Nats that a pair must gain over the best single effect: there are many pairs.
 PAIR_COST = 4.0
+# An effect is refined that explains this share of what the likeliest does.
+REFINED = 0.2
 # Nats that scatter must gain over all else to be missing where no test finds it.
 SCATTER_GAIN = 8.0
 # Nats by which something unlisted must be likelier than an effect to refuse it. What scatters has
@@ -211,7 +221,17 @@ def _explain(state: State, singles: Sequence[Tried]) -> list[Explanation]:
     looked = _looked_at(state, singles, LEFT_ALARM)
     if any(each.holds for each in looked):
         return looked
-    best = max(each.log_evidence for each in singles)
+    plain = state.baseline.log_evidence
+    least = plain + REFINED * (max(each.log_evidence for each in singles) - plain)
+    refined = [
+        fit_refined(state.data, state.base, each) if each.log_evidence >= least else each
+        for each in singles
+    ]
+    if any(one is not other for one, other in zip(refined, singles, strict=True)):
+        looked = _looked_at(state, refined, LEFT_ALARM)
+        if any(each.holds for each in looked):
+            return looked
+    best = max(each.log_evidence for each in refined)
     pairs = fit_pairs(state.problem, state.data, state.base, singles, state.ways, state.profiles)
     better = [each for each in pairs if each.log_evidence > best + PAIR_COST]
     if not better:

@@ -17,13 +17,18 @@ from ...solver.arrays import Array
 from .adequacy import Direction, left_by_refit
 from .fit import Fitted, fit, likely_noise, settle, to_box, to_theta
 from .posterior import evidence
-from .problem import Emulated, Model, Problem, Scattering
+from .problem import Emulated, Model, Problem, Refinable, Scattering
 from .profile import Profile
 from .residuals import quantile_residuals
 from .sample import Sample
 
 SPREAD = 8
+# An effect of several parameters has narrow valleys: starts lie so many times as close, and so many
+# times as many are followed.
+CLOSER, MORE = 4, 5
 LEVELS = (0.03, 0.12, 0.35, 0.8)
+# Where an effect's other parameters begin, beside their typical values; and those that refine it.
+OTHERS, REFINING = (0.1, 0.9), (0.1, 0.4, 0.7)
 FOLLOWED = 8
 DIFFERENT = 0.08
 # Predictions of neighbouring nodes may lie so many standard deviations of the noise apart (a sum
@@ -56,11 +61,12 @@ class Tried:
         return np.asarray(self.fitted.model.weights).size > 1
 
 
-def spread(parameters: int) -> Array:
-    """Points (n, parameters) spread over the unit box, always the same."""
+def spread(parameters: int, points: int = SPREAD) -> Array:
+    """Points (n, parameters) spread over the unit box, always the same: so many for one parameter,
+    twice as many else."""
     if parameters == 1:
-        return (np.arange(SPREAD)[:, None] + 0.5) / SPREAD
-    drawn = qmc.Sobol(parameters, scramble=False).random(2 * SPREAD)
+        return (np.arange(points)[:, None] + 0.5) / points
+    drawn = qmc.Sobol(parameters, scramble=False).random(2 * points)
     return np.asarray(0.05 + 0.9 * drawn)
 
 
@@ -74,18 +80,27 @@ def fit_candidate(data: Sample, base: Fitted, profile: Profile) -> Tried:
     """One effect's fit, from its profile above the baseline and from elsewhere."""
     own = base.u.size
     model = resolved(data, base, profile.model)
-    levels = _levels(model, own)
-    elsewhere = spread(own)
-    starts = np.concatenate(
-        [
-            profile.u,
-            np.hstack(
-                [np.repeat(elsewhere, len(levels), axis=0), np.tile(levels, (len(elsewhere), 1))]
-            ),
-        ]
-    )
+    starts = np.concatenate([profile.u, _everywhere(spread(own), _levels(model, own, OTHERS))])
     fitted = _followed(data, model, starts)
     return Tried(fitted, evidence(data, fitted, own))
+
+
+def fit_refined(data: Sample, base: Fitted, tried: Tried) -> Tried:
+    """An effect's fit with the parameters that refine it, to simulations; as it was, where there
+    are none or it is not likelier."""
+    model = tried.fitted.model
+    if not isinstance(model, Refinable) or (refined := model.refinement) is None:
+        return tried
+    own = base.u.size
+    starts = _everywhere(spread(own, CLOSER * SPREAD), _levels(refined, own, REFINING))
+    fitted = _followed(data, refined, starts, MORE * FOLLOWED)
+    found = fit_simulated(data, base, Tried(fitted, evidence(data, fitted, own)))
+    return found if found.log_evidence > tried.log_evidence else tried
+
+
+def _everywhere(points: Array, levels: Array) -> Array:
+    """Each of the baseline's points (n, p) with each of an effect's (m, q): (n m, p + q)."""
+    return np.hstack([np.repeat(points, len(levels), axis=0), np.tile(levels, (len(points), 1))])
 
 
 def resolved(data: Sample, base: Fitted, model: Model) -> Model:
@@ -99,8 +114,9 @@ def resolved(data: Sample, base: Fitted, model: Model) -> Model:
     return model.finer(min(closer, MOST_CLOSER)) if closer > 1 else model
 
 
-def _levels(model: Model, own: int) -> Array:
-    """Points (n, q) of an effect's parameters, from its absence to both bounds of the first."""
+def _levels(model: Model, own: int, others: Sequence[float]) -> Array:
+    """Points (n, q) of an effect's parameters, from its absence to both bounds of the first, the
+    others typical or each at one of ``others``."""
     several = model.parameters[own:]
     typical = np.array([to_box(each, each.typical) for each in several])
     null = to_box(several[0], several[0].null)
@@ -108,15 +124,16 @@ def _levels(model: Model, own: int) -> Array:
     for end in (0.0, 1.0):
         if abs(end - null) > 1e-9:
             for share in LEVELS:
-                for other in (None, 0.1, 0.9) if len(several) > 1 else (None,):
-                    point = typical.copy() if other is None else np.full(typical.size, other)
-                    point[0] = null + share * (end - null)
-                    out.append(point)
+                first = null + share * (end - null)
+                rest = [tuple(typical[1:])]
+                if len(several) > 1:
+                    rest += itertools.product(others, repeat=len(several) - 1)
+                out += [(first, *each) for each in rest]
     return np.array(out)
 
 
-def _followed(data: Sample, model: Model, starts: Array) -> Fitted:
-    """The fit from the best few of many starts (n, p) that differ from each other."""
+def _followed(data: Sample, model: Model, starts: Array, most: int = FOLLOWED) -> Fitted:
+    """The fit from the best few, at ``most``, of many starts (n, p) that differ from each other."""
     noise = np.zeros(1, dtype=np.int64)
     weights = np.asarray(model.weights)
     logs = data.heights(
@@ -126,7 +143,7 @@ def _followed(data: Sample, model: Model, starts: Array) -> Fitted:
     for i in np.argsort(-logs, kind="stable"):
         if all(np.max(np.abs(starts[i] - starts[j])) > DIFFERENT for j in chosen):
             chosen.append(int(i))
-        if len(chosen) == FOLLOWED:
+        if len(chosen) == most:
             break
     return settle(data, model, starts[chosen])
 

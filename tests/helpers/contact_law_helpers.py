@@ -38,6 +38,7 @@ LAWS = [
     Tabulated(KN, (0.0, 5e-6, 1.2e-5, 2e-5), (0.0, 1e-6, 1.5e-5, 1.7e-5)),
     HuntCrossley(KN, 0.4 / SPEED),
     Plastic(KN, 0.45 * MOST),
+    Plastic(KN, 0.45 * MOST, 0.1, 3.0),
     Adhesive(KN, 0.6 * MOST),
 ]
 # Adhesion is for penalty alone.

@@ -40,7 +40,7 @@ def test_effects_bear_the_programs_names_parameters_and_bounds():
     """Leans are drawn within less; a film or a drop carries all but what a bar alone shows."""
     assert set(LISTED) == {name for name, each in EFFECTS.items() if "drops" in each.kinds}
     for name, mine in LISTED.items():
-        (parameter,) = EFFECTS[name].parameters
+        parameter, *_ = EFFECTS[name].parameters
         assert mine.parameter == parameter.name
         assert parameter.low <= mine.low < mine.high <= parameter.high
         assert mine.absent == parameter.null

@@ -149,6 +149,17 @@ def test_a_yielding_contact_gives_back_what_the_spring_holds_at_yield():
     assert done.speed_m_s == pytest.approx(limit / math.sqrt(SOFT * Body().mass_kg), rel=2e-3)
 
 
+def test_a_contact_that_hardens_gives_back_what_a_stiffer_spring_holds():
+    """½ m v² to yield and beyond is ½ Y²/Kn + Y x + ½ h Kn x²; what comes back is ½ F²/(u Kn)."""
+    limit, hardens, unloads = 2.0, 0.1, 3.0
+    done = rigid(Law(PLASTIC, SOFT, limit, hardens, unloads))
+    energy, slope = 0.5 * Body().mass_kg * SPEED**2 - 0.5 * limit**2 / SOFT, hardens * SOFT
+    most = math.sqrt(limit**2 + 2.0 * slope * energy)
+    assert done.peak_force_N == pytest.approx(most, rel=2e-3)
+    left = most / math.sqrt(unloads * SOFT * Body().mass_kg)
+    assert done.speed_m_s == pytest.approx(left, rel=5e-3)
+
+
 def test_adhesion_takes_the_springs_energy_at_pull_off():
     pull = 3.0
     done = rigid(Law(ADHESIVE, SOFT, pull))

@@ -183,7 +183,7 @@ def test_the_effects_are_those_of_the_library():
     told: dict[str, str] = {}
     for names, parameters, _ in readme.table("effect | parameter"):
         found = re.findall(r"`(\w+)`", names)
-        given = [re.findall(r"`(\w+)`", part) for part in parameters.split(", ")]
+        given = [re.findall(r"`(\w+)`", part) for part in parameters.split("; ")[0].split(", ")]
         for name, (parameter, *_) in zip(found, given, strict=True):
             told[name] = parameter
     assert told == {name: each.parameters[0].name for name, each in EFFECTS.items()}

@@ -148,6 +148,13 @@ def test_a_wrong_law_is_refused_with_the_reason(before, after, why):
         outside.load(PLASTIC, source.replace(before, after).encode())
 
 
+@pytest.mark.parametrize("share", ["0.0", "1e-3"])
+def test_a_law_that_hardly_hardens_is_taken(share):
+    """Its tangent falls from Kn to next to nothing between two of the points it is tried at."""
+    source = PLASTIC.read_text().replace("self.yield_N, 0.1)", f"self.yield_N, {share})")
+    outside.load(PLASTIC, source.replace('"my_plastic_law"', f'"flat_{share[0]}"').encode())
+
+
 def test_a_run_is_repeated_from_its_result(tmp_path, capsys):
     own = tmp_path / "own.py"
     own.write_text(EXAMPLE.read_text())

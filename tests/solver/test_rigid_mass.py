@@ -114,6 +114,21 @@ def test_what_yields_gives_back_the_spring_at_its_yield_force(share):
     assert peak == pytest.approx(force, rel=CLOSE)
 
 
+@pytest.mark.parametrize(("hardening", "unloading"), [(0.0, 3.0), (0.1, 1.0), (0.2, 4.0)])
+def test_what_hardens_gives_back_what_it_unloads_by(hardening, unloading):
+    """½ m v² goes into ½ Y²/Kn, and beyond into Y x + ½ h Kn x²; ½ F²/(u Kn) comes back."""
+    force = 0.4 * SPEED * math.sqrt(KN * MARBLE.mass_kg)
+    ratio, _, peak = dropped(Plastic(KN, force, hardening, unloading))
+    energy, slope = 0.5 * MARBLE.mass_kg * SPEED**2, hardening * KN
+    beyond = energy - 0.5 * force**2 / KN
+    most = math.sqrt(force**2 + 2.0 * slope * beyond)
+    over = 2.0 * beyond / (force + most)
+    indented = force / KN + over - most / (unloading * KN)
+    back = 0.5 * most**2 / (unloading * KN) / energy
+    assert ratio == pytest.approx(back - indented / HEIGHT, rel=0.01, abs=5.0 * CLOSE)
+    assert peak == pytest.approx(most, rel=CLOSE)
+
+
 @pytest.mark.parametrize("share", [0.1, 0.5, 0.9])
 def test_letting_go_costs_the_spring_at_its_pull_off_force(share):
     force = share * SPEED * math.sqrt(KN * MARBLE.mass_kg)

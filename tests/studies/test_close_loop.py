@@ -14,6 +14,7 @@ from pathlib import Path
 import commands
 import numpy as np
 import pytest
+from blind.drops import PLASTIC, Truth, seen
 from made_drops import COUNT, QUICK, SIGMA_MM, SIGMA_N, SIGMA_S, write_drops
 
 from bristle.solver.effects.library import EFFECTS
@@ -233,6 +234,29 @@ def test_two_strong_effects_are_both_named(truth, tmp_path, monkeypatch):
     for own, value in truth.values():
         told = content["parameters"][own]
         assert abs(told["estimate"] - value) < told["high"] - told["low"]
+
+
+def test_a_contact_that_yields_by_another_law_is_found_and_confirmed(tmp_path, monkeypatch):
+    """By other physics, and a law that hardens and unloads three times as stiffly."""
+    names = [*QUICK, "plastic_contact"]
+    monkeypatch.setattr(drops_module, "carried", lambda kind, quantities: names)
+    folder, rng = write_drops(tmp_path / "data"), np.random.default_rng(4)
+    heights = rng.permutation(np.resize([0.01, 0.02, 0.03, 0.05, 0.07, 0.09], COUNT))
+    truth = Truth(kn_N_m=2e6, law=PLASTIC, number=25.0, hardens=0.1, unloads=3.0)
+    read = 1e3 * seen(truth, heights, np.zeros((COUNT, 2)))[:, :2]
+    read += SIGMA_MM * rng.standard_normal(read.shape)
+    rows = [f"{i + 1},{y0:.4f},{y1:.4f}\n" for i, (y0, y1) in enumerate(read)]
+    (folder / "drops.csv").write_text("".join(["drop,y0_mm,y1_mm\n", *rows]))
+    assert main(["close-loop", str(folder), "--out", str(tmp_path / "out")]) == 0
+    content = read_strictly(tmp_path / "out" / "verdict.json")
+    assert content["verdict"] == "effect"
+    assert content["effects"] == ["plastic_contact"]
+    for name, true in {"yield_N": 25.0, "hardening": 0.1, "unloading": 3.0}.items():
+        told = content["parameters"][name]
+        assert abs(told["estimate"] - true) < told["high"] - told["low"]
+    held, solid = content["held_out"], content["confirmed_in_3d"]
+    assert held["rms_after"] < 2.0 * SIGMA_MM < 0.1 * held["rms_before"]
+    assert solid["rms_after"] == pytest.approx(held["rms_after"], rel=0.2)
 
 
 def test_noise_that_is_wider_than_declared_is_no_scatter_of_the_surface(quick, tmp_path):

@@ -160,7 +160,7 @@ def test_a_table_is_the_simulation_between_its_nodes(name):
     emulator = Emulator(Bristle(), paper.GRAVITY_M_S2, 0.004, 0.064)
     rng = np.random.default_rng(1)
     kind = EFFECTS[name]
-    (only,) = kind.parameters
+    only, *_ = kind.parameters
     for _ in range(6):
         height, kn = rng.uniform(0.01, 0.05), 2e6 * 10.0 ** rng.uniform(-0.5, 0.5)
         value = only.null + (only.high - only.null) * rng.uniform(0.05, 0.5)
@@ -173,6 +173,26 @@ def test_a_table_is_the_simulation_between_its_nodes(name):
         )
         assert told[0] == pytest.approx(direct[0], rel=1e-3)
         assert told[2] == pytest.approx(direct[2], rel=2e-3)
+
+
+def test_a_refined_table_is_near_the_simulation_and_the_plain_one_where_nothing_yields():
+    """To a few hundredths, from where fits to simulations find the rest; above yield, exactly."""
+    emulator = Emulator(Bristle(), paper.GRAVITY_M_S2, 0.004, 0.064)
+    rng = np.random.default_rng(3)
+    misses = []
+    for _ in range(20):
+        height, kn = rng.uniform(0.01, 0.06), 2e6 * 10.0 ** rng.uniform(-0.5, 0.5)
+        where = np.asarray(height), np.asarray(kn)
+        more = rng.uniform(0.0, 0.2), 10.0 ** rng.uniform(0.0, 0.8)
+        value = rng.uniform(0.2, 0.9) * float(emulator.scale("plastic_contact", *where))
+        scene = Scene(height_m=height, beta_s=paper.BETA_S, law=Linear(kn))
+        yielding = EFFECTS["plastic_contact"](value, *more).enter(scene)
+        found = np.log(emulator.observed([yielding, scene], emulator.step_s(kn), 0.0))
+        misses.append(
+            emulator.change("plastic_contact", *where, value, *more) - found[0] + found[1]
+        )
+        assert not emulator.change("plastic_contact", *where, 3.0 * value / 0.2, *more).any()
+    assert np.median(np.abs(misses), axis=0) == pytest.approx(0.0, abs=0.02)
 
 
 def test_a_slope_is_a_slope_of_the_ground_not_of_each_point(body):

@@ -69,8 +69,8 @@ class BounceModel:
     Computed effects enter all drops at once; two that are random vary together from drop to drop.
 
     ``kn``, ``beta`` where the body's damping is not declared and ``gain`` where forces are measured
-    are the baseline's free parameters; nodes of chance lie ``closer`` so many times. A subclass
-    adds `predict`.
+    are the baseline's free parameters; nodes of chance lie ``closer`` so many times. Where it is
+    ``refined``, effects have the parameters that refine them, too. A subclass adds `predict`.
     """
 
     drops: Drops
@@ -79,6 +79,7 @@ class BounceModel:
     beta: Parameter | None = field(default=None, kw_only=True)
     gain: Parameter | None = field(default=None, kw_only=True)
     closer: int = field(default=1, kw_only=True)
+    refined: bool = field(default=False, kw_only=True)
 
     @property
     def emulator(self) -> Emulator:
@@ -88,6 +89,13 @@ class BounceModel:
     def finer(self, by: int) -> Self:
         """The same with ``by`` times as many nodes of stiffness or of the slope's size."""
         return replace(self, closer=by)
+
+    @property
+    def refinement(self) -> Self | None:
+        """The same with the parameters that refine its effects; None where there are no others."""
+        if self.refined or not any(p.refines for n in self.effects for p in EFFECTS[n].parameters):
+            return None
+        return replace(self, refined=True)
 
     @property
     def possible(self) -> bool:
@@ -107,7 +115,10 @@ class BounceModel:
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        return (*self.own, *(p for name in self.effects for p in self.emulator.parameters(name)))
+        return (*self.own, *(each for name in self.effects for each in self._of(name)))
+
+    def _of(self, name: str) -> tuple[Parameter, ...]:
+        return self.emulator.parameters(name, self.refined)
 
     @cached_property
     def _chance(self) -> tuple[Array, Array]:
@@ -169,7 +180,7 @@ class BounceModel:
             beta = theta[..., 1][..., None, None]
             logs = logs + emulator.change("material_damping", same, kn, beta)
         for name in self.effects:
-            count = len(EFFECTS[name].parameters)
+            count = len(emulator.own(name, self.refined))
             friction = value(name, count) if len(given[name]) > count else None
             if name == "surface_slope":
                 lean = (steepness_deg(nodes[:, 1:2], value(name)), nodes[:, 2:3])
@@ -202,7 +213,7 @@ class BounceModel:
         at = len(self.own)
         out = {}
         for name in self.effects:
-            count = len(self.emulator.parameters(name))
+            count = len(self._of(name))
             out[name] = tuple(theta[..., at + i] for i in range(count))
             at += count
         return out
@@ -243,6 +254,11 @@ class DropModel(BounceModel):
 
     whiten: Array
     correction: Correction | None = field(default=None, kw_only=True)
+
+    @property
+    def refinement(self) -> Self | None:
+        found = super().refinement
+        return found and replace(found, correction=None)
 
     def simulated(self, theta: Array) -> Self:
         """The same with its tables made right at ``theta`` (p,), where every drop is simulated.
@@ -289,14 +305,14 @@ class DropModel(BounceModel):
         """The effects at their values, those that change Kn before the law that it enters."""
         given = self.given(theta)
         return [
-            effect_at(name, *map(float, given[name][: len(EFFECTS[name].parameters)]))
+            effect_at(name, *map(float, given[name][: len(self.emulator.own(name, self.refined))]))
             for name in in_order(self.effects)
         ]
 
     def friction(self, theta: Array) -> float:
         """The coefficient at which what leans slides: fitted, declared, or the paper's."""
         for name, values in self.given(theta).items():
-            if len(values) > len(EFFECTS[name].parameters):
+            if len(values) > len(self.emulator.own(name, self.refined)):
                 return float(values[-1])
         known = self.emulator.friction
         return paper.FRICTION if known is None else known

@@ -45,6 +45,9 @@ DECADES_NODES = 27
 LEAN_NODES = 8
 SLOPE_NODES = 6
 SIDE_NODES = 4
+# Of a table with parameters that refine: stiffnesses, heights, values of each, and the share of a
+# scale up to which a limit is reached for sure, so that what they refine acts.
+REFINED_KN_NODES, REFINED_NODES, REACHED = 11, 5, 0.99
 # Steps over those of `Emulator.step_s`: the table of plain drops is what all is read against. Those
 # of effects say how much an effect changes, at one step for both.
 PLAIN_STEP = 0.25
@@ -58,13 +61,14 @@ FRICTION = Parameter(
 # What tables come from beside the solver and the emulator's own files.
 MADE_BY = (Path(library.__file__).parent, Path(table_drops.__file__), Path(table.__file__))
 
-# A contact law of a stiffness and one more value; what puts a point of a table into a scene.
-Law = Callable[[float, float], ContactLaw]
+# A contact law of a stiffness and more values; what puts a point of a table into a scene.
+Law = Callable[..., ContactLaw]
 Change = Callable[[Scene, tuple[float, ...]], Scene]
-# Effects whose parameter counts against a scale that height and stiffness set: the law, the shares
-# of the scale that matter, and how nodes lie. Adhesion and yield count against the peak force of
-# the same drop without them (more adhesion holds the bristle for good; a yield force beyond changes
-# nothing), a dashpot against critical damping (more than most of it holds the bristle too).
+# Effects whose first parameter counts against a scale that height and stiffness set: the law, the
+# shares of the scale that matter, and how nodes lie. Adhesion and yield count against the peak
+# force of the same drop without them (more adhesion holds the bristle for good; a yield force
+# beyond changes nothing), a dashpot against critical damping (more than most of it holds the
+# bristle too).
 SCALED: Mapping[str, tuple[Law, Axis]] = {
     "adhesion": (Adhesive, Axis(0.0, 0.8, 27)),
     "plastic_contact": (Plastic, Axis(0.05, 1.0, 21)),
@@ -217,6 +221,20 @@ class Emulator:
             self._made[name] = tuple(self._make(name, friction) for friction in frictions)
         return self._made[name]
 
+    def refined(self, name: str) -> Table:
+        """The table of an effect that is `scaled`, with the parameters that refine it."""
+        key = f"{name} refined"
+        if key not in self._made:
+            law, side = self.scaled[name]
+            more = [_axis(each, False) for each in EFFECTS[name].parameters if each.refines]
+            sides = [
+                replace(side, high=REACHED * side.high),
+                *(replace(each, n=REFINED_NODES) for each in more),
+            ]
+            made = self.table(key, sides, self._scaled(name, law), REFINED_KN_NODES)
+            self._made[key] = (made,)
+        return self._made[key][0]
+
     def _make(self, name: str, friction: float | None) -> Table:
         if name == "surface_slope":
             sides = (Axis(0.0, MOST_SLOPE_DEG, SLOPE_NODES, "root"), Axis(0.0, 90.0, SIDE_NODES))
@@ -245,7 +263,7 @@ class Emulator:
         def change(scene: Scene, point: tuple[float, ...]) -> Scene:
             kn = scene.law.kn_N_m
             most = self.scale(name, np.array(scene.height_m), np.array(kn))
-            return replace(scene, law=law(kn, point[0] * float(most)))
+            return replace(scene, law=law(kn, point[0] * float(most), *point[1:]))
 
         return change
 
@@ -263,18 +281,20 @@ class Emulator:
         plain = self.of_drops()
         return self if plain == self else plain
 
-    def parameters(self, name: str) -> tuple[Parameter, ...]:
+    def parameters(self, name: str, refined: bool = False) -> tuple[Parameter, ...]:
         """An effect's parameters, as far as drops show them: with the absence that this body
-        declares, and with friction where the effect hangs on it and nobody knows it."""
-        own = self._own(name)
+        declares, and with friction where the effect hangs on it and nobody knows it; those that
+        refine it where it is ``refined``."""
+        own = self.own(name, refined)
         return (*own, FRICTION) if EFFECTS[name].leaning and self.friction is None else own
 
-    def _own(self, name: str) -> tuple[Parameter, ...]:
+    def own(self, name: str, refined: bool = False) -> tuple[Parameter, ...]:
         """An effect's parameters with what this body declares; those from outside as they are."""
         kind = EFFECTS[name]
         if kind.origin:
             return kind.parameters
-        return tuple(self.bounded(name, each) for each in kind.parameters)
+        every = (each for each in kind.parameters if refined or not each.refines)
+        return tuple(self.bounded(name, each) for each in every)
 
     def bounded(self, name: str, parameter: Parameter) -> Parameter:
         """One parameter of an effect with what this body declares."""
@@ -295,13 +315,17 @@ class Emulator:
         """By how much an effect changes the logarithms of all quantities (quantities, ...)."""
         absent = [np.asarray(0.0)] * len(value)
         if name != "surface_slope":
-            absent = [np.asarray(each.null) for each in self._own(name)]
+            absent = [np.asarray(each.null) for each in self.own(name)]
         if name in self.scaled:
             most = self.scale(name, np.asarray(height_m), np.asarray(kn_N_m))
-            value, absent = (value[0] / most,), [absent[0] / most]
+            value, absent = (value[0] / most, *value[1:]), [absent[0] / most]
         now = [np.asarray(each) for each in (height_m, kn_N_m, *value)]
         without = [*now[:2], *absent]
         tables = self.of(name)
+        if len(now) > len(tables[0].axes):
+            table = self.refined(name)
+            reached = now[2] < table.axes[2].high
+            return np.where(reached, table.at(*now) - tables[0].at(*without), 0.0)
         if len(tables) == 1 or friction is None:
             return tables[0].at(*now) - tables[0].at(*without)
         return np.asarray(_between(tables, np.asarray(friction), now) - tables[0].at(*without))
@@ -317,11 +341,13 @@ def _axis(parameter: Parameter, leans: bool) -> Axis:
 
 
 def effect_at(name: str, *values: float) -> Effect:
-    """The effect at values of its parameters, taken into their bounds."""
+    """The effect at values of its parameters, taken into their bounds; at their nulls, those that
+    are left out."""
     kind = EFFECTS[name]
+    left_out = [each.null for each in kind.parameters[len(values) :]]
     own = {
         each.name: float(np.clip(value, each.low, each.high))
-        for each, value in zip(kind.parameters, values, strict=True)
+        for each, value in zip(kind.parameters, [*values, *left_out], strict=True)
     }
     return kind(**own)
 

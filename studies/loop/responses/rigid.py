@@ -132,7 +132,7 @@ class RigidEmulator(Emulator):
 
     def bounded(self, name: str, parameter: Parameter) -> Parameter:
         """Bounds hold all that `SIDES` covers, from softest and slowest to stiffest and fastest."""
-        if name not in SIDES:
+        if name not in SIDES or parameter.refines:
             return super().bounded(name, parameter)
         side = SIDES[name]
         shares, low = side.shares, side.faintest or side.shares.low

@@ -21,7 +21,7 @@ QUANTITIES = ("y1_m", "contact_time_s", "peak_force_N")
 # Of a table: where a body stays in its dent for good, or sticks, no data lie.
 MOST_LOST = 0.9
 # How many axes a table may have, and of how many quantities splines are evaluated at a time.
-AXES, AT_ONCE = 4, 3
+AXES, AT_ONCE = 5, 3
 
 
 @dataclass(frozen=True)
@@ -64,7 +64,7 @@ class Table:
     def at(self, *places: Array) -> Array:
         """What is tabulated (quantities, ...) at places along the axes, arrays that broadcast."""
         where = [axis.where(x) for axis, x in zip(self.axes, places, strict=True)]
-        if len(where) == AXES and _apart(where):
+        if len(where) == 4 and _apart(where):
             return self._apart(where)
         spots = np.broadcast_arrays(*where)
         flat = np.stack([np.ravel(spot) for spot in spots], axis=1)
@@ -172,39 +172,28 @@ def evaluate(flat: Array, sizes: Array, places: Array, out: Array) -> None:
     ``flat`` (coefficients, 3) are `coefficients` of three quantities, their axes run together,
     ``sizes`` (axes,) how many there are along each, ``out`` is (points, 3).
     """
-    n_axes = len(sizes)
+    last = len(sizes) - 1
     weight = np.zeros((AXES, 4))
     first = np.zeros(AXES, dtype=np.int64)
-    count = np.ones(AXES, dtype=np.int64)
-    stride = np.zeros(AXES, dtype=np.int64)
-    weight[:, 0] = 1.0
-    step = 1
-    for a in range(n_axes - 1, -1, -1):
-        stride[a], count[a] = step, 4
-        step *= sizes[a]
+    stride = np.ones(AXES, dtype=np.int64)
+    for a in range(last - 1, -1, -1):
+        stride[a] = stride[a + 1] * sizes[a + 1]
     for p in range(len(places)):
-        for a in range(n_axes):
+        for a in range(last + 1):
             first[a] = _cubic(places[p, a], sizes[a], weight[a])
         sum0 = sum1 = sum2 = 0.0
-        for i in range(count[0]):
-            at0 = (first[0] + i) * stride[0]
-            for j in range(count[1]):
-                at1 = at0 + (first[1] + j) * stride[1]
-                w1 = weight[0, i] * weight[1, j]
-                for k in range(count[2]):
-                    at = at1 + (first[2] + k) * stride[2] + first[3] * stride[3]
-                    w2 = w1 * weight[2, k]
-                    if n_axes < AXES:
-                        sum0 += w2 * flat[at, 0]
-                        sum1 += w2 * flat[at, 1]
-                        sum2 += w2 * flat[at, 2]
-                        continue
-                    w3, w4 = w2 * weight[3, 0], w2 * weight[3, 1]
-                    w5, w6 = w2 * weight[3, 2], w2 * weight[3, 3]
-                    sum0 += w3 * flat[at, 0] + w4 * flat[at + 1, 0]
-                    sum0 += w5 * flat[at + 2, 0] + w6 * flat[at + 3, 0]
-                    sum1 += w3 * flat[at, 1] + w4 * flat[at + 1, 1]
-                    sum1 += w5 * flat[at + 2, 1] + w6 * flat[at + 3, 1]
-                    sum2 += w3 * flat[at, 2] + w4 * flat[at + 1, 2]
-                    sum2 += w5 * flat[at + 2, 2] + w6 * flat[at + 3, 2]
+        w = weight[last]
+        # every choice of one of four coefficients along each axis but the last
+        for choice in range(4**last):
+            at, product, left = first[last], 1.0, choice
+            for a in range(last):
+                i = left & 3
+                left >>= 2
+                product *= weight[a, i]
+                at += (first[a] + i) * stride[a]
+            for i in range(4):
+                share = product * w[i]
+                sum0 += share * flat[at + i, 0]
+                sum1 += share * flat[at + i, 1]
+                sum2 += share * flat[at + i, 2]
         out[p, 0], out[p, 1], out[p, 2] = sum0, sum1, sum2

@@ -34,13 +34,15 @@ MOST_SLOPE_DEG = 10.0
 
 @dataclass(frozen=True)
 class Truth:
-    """All that a set of drops is made of. ``law`` is a kind of upright.Law with ``number``;
+    """All that a set of drops is made of. ``law`` is a kind of upright.Law with its numbers;
     ``friction`` acts where a bristle leans."""
 
     body: Body = field(default_factory=Body)
     kn_N_m: float = 2e6
     law: int = LINEAR
     number: float = 0.0
+    hardens: float = 0.0
+    unloads: float = 1.0
     friction: float = 0.0
     tilt_deg: float = 0.0
     slope_std_deg: float = 0.0
@@ -179,7 +181,9 @@ def bounce(
         lean = Lean(truth.tilt_deg, float(slopes[0]), float(slopes[1]), truth.friction)
         landed = land(truth.body, kn, lean, speed_m_s)
         return landed.top_m, landed.contact_time_s, landed.peak_force_N
-    found = impact(truth.body, Law(truth.law, kn, truth.number), speed_m_s)
+    found = impact(
+        truth.body, Law(truth.law, kn, truth.number, truth.hardens, truth.unloads), speed_m_s
+    )
     if found.speed_m_s <= 0.0:
         return max(0.0, found.lift_m), found.contact_time_s, found.peak_force_N
     top = max(0.0, found.lift_m + rise(truth, found.speed_m_s))

@@ -176,6 +176,12 @@ def _listed(
     if effect.name == "release_velocity":
         end = effect.high  # pushed up, it comes back as fast
 
+    laws = replace(plan.truth, hardens=0.0, unloads=1.0)
+    if effect.name == "plastic_contact":
+        hardens, unloads = float(rng.choice((0.0, 0.05, 0.1))), float(rng.choice((1.0, 1.5, 3.0)))
+        plan = replace(plan, truth=replace(plan.truth, hardens=hardens, unloads=unloads))
+    ideal = plan.truth == laws
+
     def value(share: float) -> float:
         if effect.logarithmic:
             return absent * (end / absent) ** share
@@ -190,7 +196,8 @@ def _listed(
         return None
     plan = replace(plan, truth=with_effect(plan.truth, effect.name, value(share)))
     data = clear(share)
-    true = {effect.parameter: value(share)}
+    # of another law the program's yield force is not that force
+    true = {effect.parameter: value(share)} if ideal else {}
     return plan, Found(data, effect.name, size(plan.gauge, data), true=true)
 
 

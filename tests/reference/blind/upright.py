@@ -21,15 +21,19 @@ GRAVITY_M_S2 = 9.8
 
 @dataclass(frozen=True)
 class Law:
-    """Contact law: which, stiffness, and its one other number.
+    """Contact law: which, stiffness, and its other number.
 
     Dashpot N s/m; Hunt and Crossley's λ in s/m, F = Kn δ (1 + λ dδ/dt); power law's exponent,
-    F = Kn δ0 (δ/δ0)^p with δ0 20 µm; yield force in N; pull-off force in N.
+    F = Kn δ0 (δ/δ0)^p with δ0 20 µm; yield force in N; pull-off force in N. Beyond yield the force
+    ``hardens`` by this share of Kn, and ``unloads`` so many times as stiffly (O. R. Walton and
+    R. L. Braun, J. Rheol. 30 (1986) 949, from yield on).
     """
 
     kind: int
     kn_N_m: float
     number: float = 0.0
+    hardens: float = 0.0
+    unloads: float = 1.0
 
 
 @dataclass(frozen=True)
@@ -64,7 +68,7 @@ def impact(
     dt = step_s(body, law) if dt_s is None else dt_s
     steps, over = axial_steps(body, dt, modes), left_over_step(body, dt, modes)
     tip = body.axial_tip(modes)
-    rows = np.array([law.kind, law.kn_N_m, law.number])
+    rows = np.array([law.kind, law.kn_N_m, law.number, law.hardens, law.unloads])
     delayed = body.beta_s if body.beta_s > 1e-3 * dt else 0.0
     found = _march(
         steps,
@@ -99,10 +103,13 @@ def _force(law, free, rate, soft, soft_rate, memory):
     if kind == POWER:
         return _power(kn, number, free, soft)
     if kind == PLASTIC:
-        force = max(0.0, kn * (free - memory[0]) / (1.0 + kn * soft))
-        if force > number:
-            force = number
-            memory[0] = free - soft * force - force / kn
+        slope, stiff = law[3] * kn, law[4] * kn
+        spring = stiff if memory[0] > 0.0 else kn
+        force = max(0.0, spring * (free - memory[0]) / (1.0 + spring * soft))
+        limit = (number * (1.0 - law[3]) + slope * free) / (1.0 + slope * soft)
+        if force > limit:
+            force = limit
+            memory[0] = free - soft * force - force / stiff
         return force
     force = kn * free / (1.0 + kn * soft)
     if force > 0.0:

@@ -28,7 +28,7 @@ from ....data import datasets
 from ....data.datasets import Manifest
 from ....data.tables import LEAST_DROPS
 from ...noise import Ints
-from ...problem import Experiment, Problem
+from ...problem import Experiment, Model, Problem, refined_as
 from ...responses.drop_model import DropModel, Drops
 from ...responses.emulator import KN_RANGE_N_M, Emulator
 from ...responses.rigid import RigidEmulator, rigid_emulator
@@ -114,17 +114,20 @@ def drops_problem(data: datasets.Drops) -> Problem:
         experiments=experiments(drops, sigmas, proposed),
         confirm=None
         if emulator.no_solid
-        else lambda effects, theta, groups: _solid(model(effects), theta, groups, number),
+        else lambda effects, theta, groups: _solid(
+            refined_as(model(effects), theta.size), theta, groups, number
+        ),
         confirm_why=emulator.no_solid,
         sigma_declared=data.sigma_y_m is not None,
         notes=notes,
     )
 
 
-def _solid(model: DropModel, theta: Array, groups: Ints, number: Ints) -> Array:
+def _solid(model: Model, theta: Array, groups: Ints, number: Ints) -> Array:
     """Whitened predictions by the 3-D model for the rows of drops numbered ``groups``."""
     from .solid import whitened_solid
 
+    assert isinstance(model, DropModel)
     return whitened_solid(model, theta, groups, number)
 
 

@@ -52,6 +52,11 @@ class ForceModel(BounceModel):
     group: NDArray[np.int64]
     rebound: BounceModel | None
 
+    @property
+    def refinement(self) -> None:
+        """Tables of whole histories have no room for more parameters."""
+        return None
+
     def predict(self, theta: Array) -> Array:
         """Whitened predictions (..., nodes, rows) for parameters (..., p)."""
         every = self.features(theta)[..., self.group, :]
