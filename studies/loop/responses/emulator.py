@@ -323,9 +323,10 @@ class Emulator:
         without = [*now[:2], *absent]
         tables = self.of(name)
         if len(now) > len(tables[0].axes):
-            table = self.refined(name)
-            reached = now[2] < table.axes[2].high
-            return np.where(reached, table.at(*now) - tables[0].at(*without), 0.0)
+            refined = self.refined(name)
+            reached = now[2] < refined.axes[2].high
+            found = np.where(reached, refined.at(*now), tables[0].at(*now[:3]))
+            return np.asarray(found - tables[0].at(*without))
         if len(tables) == 1 or friction is None:
             return tables[0].at(*now) - tables[0].at(*without)
         return np.asarray(_between(tables, np.asarray(friction), now) - tables[0].at(*without))
