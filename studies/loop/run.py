@@ -8,87 +8,32 @@ to pay as well: the log score of the held-out data rises by more than their nois
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import softmax
 
 from ...solver.arrays import Array
-from .adequacy import Adequacy, Direction, assess, outliers_together
+from .adequacy import Adequacy, assess
 from .experiment import next_experiment
+from .explain import SEEN_BY, Explanation, State, credible, explain, missing_otherwise, shares_of
 from .finding import Evidence, Finding, Interval, Near, Verdict
-from .fit import Fitted
-from .heldout import HeldOut, Judge, rms, split, trimmed_rms
+from .heldout import HeldOut, Judge, rms, split
 from .noise import Ints
-from .posterior import Posterior, posterior, refitted
+from .posterior import Posterior, posterior
 from .problem import Problem
 from .profile import Profile, classes, directions, profile
 from .sample import Sample, estimated_units, sample
-from .search import (
-    Tried,
-    fit_baseline,
-    fit_candidate,
-    fit_pairs,
-    fit_refined,
-    fit_simulated,
-    near_likeliest,
-)
+from .search import Tried, fit_baseline, fit_candidate, fit_simulated, near_likeliest
 
 ALARM = 0.01
-LEFT_ALARM = 0.01
-PAIR_LEFT = 0.03
-CREDIBLE, LOOKED_AT, MOST_LOOKED_AT = 0.97, 0.999, 8
-# Nats that a pair must gain over the best single effect: there are many pairs.
-PAIR_COST = 4.0
-# An effect is refined that explains this share of what the likeliest does.
-REFINED = 0.2
+CREDIBLE = 0.97
 # Nats that scatter must gain over all else to be missing where no test finds it.
 SCATTER_GAIN = 8.0
-# Nats by which something unlisted must be likelier than an effect to refuse it. What scatters has
-# to be as likely, since wider noise is always near.
-UNLISTED_MARGIN = 3.0
-# Residuals of so many rows that are beyond this over the declared noise are none.
-MOST_RATIO, LEAST_ROWS = 1.5, 8
-# Held-out errors of a smaller chance are no noise.
-SURPRISE = 0.003
-# Declared standard deviations by which no noise is off, its outliers included: those of a
-# contaminated normal distribution have up to ten times its sigma, and a thousandth of them is three
-# times as far off.
-GROSS = 30.0
 # Residuals of so little rms say that the declared uncertainty is no measure of the noise.
 FAR_SMALLER = 0.5
 # Declared standard deviations by which a few values are worth a second look.
 FAR_OFF, FEW = 6.0, 2
 ROUGH = "these data leave the parameters so loose that the ends of their intervals are rough"
 BARE = "as many free parameters as values to fit: whatever is missing, these data could not show it"
-SEEN_BY = "what is missing is seen by this: "
-
-
-@dataclass(frozen=True)
-class Explanation:
-    """A model with effects, what it leaves, and what it gains on held-out data (None: none)."""
-
-    posterior: Posterior
-    left: Adequacy
-    held: HeldOut | None
-    holds: bool
-    why_not: str
-
-
-@dataclass(frozen=True)
-class State:
-    """What has been worked out before the verdict."""
-
-    problem: Problem
-    data: Sample
-    every: Sample
-    base: Fitted
-    baseline: Posterior
-    profiles: Sequence[Profile]
-    ways: list[Direction]
-    judge: Judge
-    first: Adequacy
-    rng: np.random.Generator
 
 
 def pieces(problem: Problem) -> int:
@@ -134,7 +79,7 @@ def find(
             singles.append(fit_candidate(data, base, each))
             advance()
 
-    noticed = "" if first.p_value <= alarm else _noticed(state, plain)
+    noticed = "" if first.p_value <= alarm else missing_otherwise(state, plain)
     missing = first.p_value <= alarm or bool(noticed)
     # scatter leaves no mean for the tests to see: its likelihood is asked for in any case
     scatters = [np.asarray(each.model.weights).size > 1 for each in profiles]
@@ -151,13 +96,13 @@ def find(
             fit_simulated(data, base, each) if each.log_evidence >= least else each
             for each in singles
         ]
-        explained = _explain(state, singles)
+        explained, singles = explain(state, singles)
     else:
         explained = []
         advance(len(profiles) - len(singles))
     holding = [each for each in explained if each.holds]
-    shares = _weights([each.posterior.log_evidence for each in holding])
-    reported = [holding[i] for i in _credible(shares, CREDIBLE)]
+    shares = shares_of([each.posterior.log_evidence for each in holding])
+    reported = [holding[i] for i in credible(shares, CREDIBLE)]
     best = reported[0] if reported else None
     # what is reported: the likeliest explanation that holds, else the baseline as it is
     final, kept = (best.posterior, best.left) if best else (baseline, first)
@@ -214,107 +159,6 @@ def find(
     )
 
 
-def _explain(state: State, singles: Sequence[Tried]) -> list[Explanation]:
-    """The likeliest single effects; pairs where none of them holds. The likeliest come first."""
-    if not singles:
-        return []
-    looked = _looked_at(state, singles, LEFT_ALARM)
-    if any(each.holds for each in looked):
-        return looked
-    plain = state.baseline.log_evidence
-    least = plain + REFINED * (max(each.log_evidence for each in singles) - plain)
-    refined = [
-        fit_refined(state.data, state.base, each) if each.log_evidence >= least else each
-        for each in singles
-    ]
-    if any(one is not other for one, other in zip(refined, singles, strict=True)):
-        looked = _looked_at(state, refined, LEFT_ALARM)
-        if any(each.holds for each in looked):
-            return looked
-    best = max(each.log_evidence for each in refined)
-    pairs = fit_pairs(state.problem, state.data, state.base, singles, state.ways, state.profiles)
-    better = [each for each in pairs if each.log_evidence > best + PAIR_COST]
-    if not better:
-        return looked
-    alone = max((each.posterior for each in looked), key=lambda each: each.log_evidence)
-    both = _looked_at(state, better, PAIR_LEFT, alone)
-    return both + looked if any(each.holds for each in both) else looked + both
-
-
-def _looked_at(
-    state: State, tried: Sequence[Tried], alarm: float, over: Posterior | None = None
-) -> list[Explanation]:
-    """Tests and held-out scores of the likeliest models, over the baseline and ``over`` another."""
-    shares = _weights([each.log_evidence for each in tried])
-    out = []
-    for i in _credible(shares, LOOKED_AT)[:MOST_LOOKED_AT]:
-        fitted = tried[i].fitted
-        found = posterior(state.data, fitted, state.base.u.size, state.rng)
-        others = [way for way in state.ways if way.name not in fitted.effects]
-        assessed = assess(state.data, found.fitted, others, state.rng)
-        held = state.judge.judge(found) if state.judge.held.values.size else None
-        why = _refused(state, found, assessed, held, alarm, over)
-        out.append(Explanation(found, assessed, held, not why, why))
-    return out
-
-
-def _refused(
-    state: State,
-    found: Posterior,
-    left: Adequacy,
-    held: HeldOut | None,
-    alarm: float,
-    over: Posterior | None,
-) -> str:
-    """Why a model explains the data not, in words; empty where it does."""
-    if left.p_value <= alarm:
-        return f"what it leaves is not noise ({left.statistic}, p = {left.p_value:.2g})"
-    if _large(state.data, left.residual):
-        return "what it leaves is larger than the declared noise"
-    scatters = np.asarray(found.fitted.model.weights).size > 1
-    if state.first.unlisted > found.log_evidence + (0.0 if scatters else UNLISTED_MARGIN):
-        return f"a shape that no effect has explains more ({state.first.shape})"
-    if held is None:
-        return ""
-    if held.log_score_gain_low <= 0.0:
-        return "the log score of held-out data does not rise"
-    if over is not None and state.judge.gain(found, over).total <= 0.0:
-        return "held-out data are predicted no better than with one effect alone"
-    if not scatters and not held.nearer:
-        return "the error on held-out data does not fall"
-    if _surprising(held):
-        return "held-out data lie farther off than their noise allows"
-    return _with_held_out(state, found)
-
-
-def _noticed(state: State, plain: HeldOut | None) -> str:
-    """By what else than the tests of residuals something is seen to be missing, in words; empty
-    where by nothing."""
-    if _large(state.data, state.first.residual):
-        return SEEN_BY + "residuals are larger than the declared noise"
-    if plain is None:
-        return ""
-    if _surprising(plain):
-        return SEEN_BY + "held-out data lie farther off than their noise allows"
-    return SEEN_BY + clear if (clear := _with_held_out(state, state.baseline)) else ""
-
-
-def _with_held_out(state: State, found: Posterior) -> str:
-    """What a model leaves clearly of all data when it is fitted to the held-out ones as well, in
-    words; empty where that is noise: three outliers of which two are held out may be a band."""
-    left = assess(state.every, refitted(state.every, found, state.rng).fitted, [], state.rng)
-    if left.p_value < SURPRISE:
-        return f"with the held-out data, what is left is not noise ({left.statistic})"
-    if outliers_together(state.every, left.residual, state.rng) < LEFT_ALARM:
-        return "outliers lie side by side, and so are not noise"
-    return ""
-
-
-def _surprising(held: HeldOut) -> bool:
-    """Whether held-out errors are more than their noise allows."""
-    return held.surprise < SURPRISE or held.greatest > GROSS
-
-
 def _far_off(problem: Problem, data: Sample, residual: Array, held: HeldOut | None) -> str:
     """Which groups lie far off where few do, in words; a slip of the pen has no effect's name."""
     if not problem.sigma_declared:
@@ -328,17 +172,6 @@ def _far_off(problem: Problem, data: Sample, residual: Array, held: HeldOut | No
     if not 0 < len(far) <= FEW:
         return ""
     return "far off: " + ", ".join(f"no. {g} by {size:.2g} sigma" for g, size in far.items())
-
-
-def _large(data: Sample, residual: Array) -> bool:
-    """Whether a quantity's residuals (rows,) are more than any noise may be, outliers aside, or one
-    is more than any outlier."""
-    if not data.noises.declared:
-        return False
-    sizes = [residual[data.kind == kind] for kind in np.unique(data.kind)]
-    return np.abs(residual).max(initial=0.0) > GROSS or any(
-        z.size >= LEAST_ROWS and trimmed_rms(z) > MOST_RATIO for z in sizes
-    )
 
 
 def _sample(problem: Problem, groups: Ints) -> Sample:
@@ -360,22 +193,10 @@ def _units(problem: Problem, data: Sample) -> Array:
     return unit
 
 
-def _weights(logs: Sequence[float]) -> Array:
-    """Probabilities (models,) from log evidences, with equal priors."""
-    return np.asarray(softmax(logs)) if len(logs) else np.zeros(0)
-
-
-def _credible(shares: Array, level: float) -> list[int]:
-    """The smallest set of models with at least this probability, likeliest first."""
-    order = np.argsort(-shares, kind="stable")
-    enough = int(np.searchsorted(np.cumsum(shares[order]), level - 1e-12)) + 1
-    return [int(i) for i in order[:enough]]
-
-
 def _by_effect(tied: Sequence[Posterior]) -> dict[str, float]:
     """Probability that an effect is there: of all reported models that have it."""
     out: dict[str, float] = {}
-    weights = _weights([each.log_evidence for each in tied])
+    weights = shares_of([each.log_evidence for each in tied])
     for each, weight in zip(tied, weights, strict=True):
         for name in each.effects:
             out[name] = out.get(name, 0.0) + float(weight)

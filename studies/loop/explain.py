@@ -1,0 +1,198 @@
+"""Which models explain the data: tested on what they leave, and scored on held-out data.
+
+An effect explains them that the likelihood asks for, that leaves noise by the tests that the
+baseline did not pass (`adequacy`), and that pays on data that it was not fitted to.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.special import softmax
+
+from ...solver.arrays import Array
+from .adequacy import Adequacy, Direction, assess, outliers_together
+from .fit import Fitted
+from .heldout import HeldOut, Judge, trimmed_rms
+from .posterior import Posterior, posterior, refitted
+from .problem import Problem
+from .profile import Profile
+from .sample import Sample
+from .search import Tried, fit_pairs, fit_refined
+
+LEFT_ALARM = 0.01
+PAIR_LEFT = 0.03
+LOOKED_AT, MOST_LOOKED_AT = 0.999, 8
+# Nats that a pair must gain over the best single effect: there are many pairs.
+PAIR_COST = 4.0
+# An effect is refined that explains this share of what the likeliest does.
+REFINED = 0.2
+# Nats by which something unlisted must be likelier than an effect to refuse it. What scatters has
+# to be as likely, since wider noise is always near.
+UNLISTED_MARGIN = 3.0
+# Residuals of so many rows that are beyond this over the declared noise are none.
+MOST_RATIO, LEAST_ROWS = 1.5, 8
+# Held-out errors of a smaller chance are no noise.
+SURPRISE = 0.003
+# Declared standard deviations by which no noise is off, its outliers included: those of a
+# contaminated normal distribution have up to ten times its sigma, and a thousandth of them is three
+# times as far off.
+GROSS = 30.0
+SEEN_BY = "what is missing is seen by this: "
+
+
+@dataclass(frozen=True)
+class Explanation:
+    """A model with effects, what it leaves, and what it gains on held-out data (None: none)."""
+
+    posterior: Posterior
+    left: Adequacy
+    held: HeldOut | None
+    holds: bool
+    why_not: str
+
+
+@dataclass(frozen=True)
+class State:
+    """What has been worked out before the verdict."""
+
+    problem: Problem
+    data: Sample
+    every: Sample
+    base: Fitted
+    baseline: Posterior
+    profiles: Sequence[Profile]
+    ways: list[Direction]
+    judge: Judge
+    first: Adequacy
+    rng: np.random.Generator
+
+
+def explain(state: State, singles: list[Tried]) -> tuple[list[Explanation], list[Tried]]:
+    """The likeliest single effects, refined where none of them holds; pairs where none does then.
+
+    The likeliest come first; and the single effects, as refined as they are.
+    """
+    if not singles:
+        return [], singles
+    looked = _looked_at(state, singles, LEFT_ALARM)
+    if any(each.holds for each in looked):
+        return looked, singles
+    plain = state.baseline.log_evidence
+    least = plain + REFINED * (max(each.log_evidence for each in singles) - plain)
+    refined = [
+        fit_refined(state.data, state.base, each) if each.log_evidence >= least else each
+        for each in singles
+    ]
+    if any(one is not other for one, other in zip(refined, singles, strict=True)):
+        looked = _looked_at(state, refined, LEFT_ALARM)
+        if any(each.holds for each in looked):
+            return looked, refined
+    best = max(each.log_evidence for each in refined)
+    pairs = fit_pairs(state.problem, state.data, state.base, singles, state.ways, state.profiles)
+    better = [each for each in pairs if each.log_evidence > best + PAIR_COST]
+    if not better:
+        return looked, refined
+    alone = max((each.posterior for each in looked), key=lambda each: each.log_evidence)
+    both = _looked_at(state, better, PAIR_LEFT, alone)
+    explained = both + looked if any(each.holds for each in both) else looked + both
+    return explained, refined
+
+
+def _looked_at(
+    state: State, tried: Sequence[Tried], alarm: float, over: Posterior | None = None
+) -> list[Explanation]:
+    """Tests and held-out scores of the likeliest models, over the baseline and ``over`` another."""
+    shares = shares_of([each.log_evidence for each in tried])
+    out = []
+    for i in credible(shares, LOOKED_AT)[:MOST_LOOKED_AT]:
+        fitted = tried[i].fitted
+        found = posterior(state.data, fitted, state.base.u.size, state.rng)
+        others = [way for way in state.ways if way.name not in fitted.effects]
+        assessed = assess(state.data, found.fitted, others, state.rng)
+        held = state.judge.judge(found) if state.judge.held.values.size else None
+        why = _refused(state, found, assessed, held, alarm, over)
+        out.append(Explanation(found, assessed, held, not why, why))
+    return out
+
+
+def _refused(
+    state: State,
+    found: Posterior,
+    left: Adequacy,
+    held: HeldOut | None,
+    alarm: float,
+    over: Posterior | None,
+) -> str:
+    """Why a model explains the data not, in words; empty where it does."""
+    if left.p_value <= alarm:
+        return f"what it leaves is not noise ({left.statistic}, p = {left.p_value:.2g})"
+    if _large(state.data, left.residual):
+        return "what it leaves is larger than the declared noise"
+    scatters = np.asarray(found.fitted.model.weights).size > 1
+    if state.first.unlisted > found.log_evidence + (0.0 if scatters else UNLISTED_MARGIN):
+        return f"a shape that no effect has explains more ({state.first.shape})"
+    if held is None:
+        return ""
+    if held.log_score_gain_low <= 0.0:
+        return "the log score of held-out data does not rise"
+    if over is not None and state.judge.gain(found, over).total <= 0.0:
+        return "held-out data are predicted no better than with one effect alone"
+    if not scatters and not held.nearer:
+        return "the error on held-out data does not fall"
+    if _surprising(held):
+        return "held-out data lie farther off than their noise allows"
+    return _with_held_out(state, found)
+
+
+def missing_otherwise(state: State, plain: HeldOut | None) -> str:
+    """By what else than the tests of residuals something is seen to be missing, in words; empty
+    where by nothing."""
+    if _large(state.data, state.first.residual):
+        return SEEN_BY + "residuals are larger than the declared noise"
+    if plain is None:
+        return ""
+    if _surprising(plain):
+        return SEEN_BY + "held-out data lie farther off than their noise allows"
+    return SEEN_BY + clear if (clear := _with_held_out(state, state.baseline)) else ""
+
+
+def _with_held_out(state: State, found: Posterior) -> str:
+    """What a model leaves clearly of all data when it is fitted to the held-out ones as well, in
+    words; empty where that is noise: three outliers of which two are held out may be a band."""
+    left = assess(state.every, refitted(state.every, found, state.rng).fitted, [], state.rng)
+    if left.p_value < SURPRISE:
+        return f"with the held-out data, what is left is not noise ({left.statistic})"
+    if outliers_together(state.every, left.residual, state.rng) < LEFT_ALARM:
+        return "outliers lie side by side, and so are not noise"
+    return ""
+
+
+def _surprising(held: HeldOut) -> bool:
+    """Whether held-out errors are more than their noise allows."""
+    return held.surprise < SURPRISE or held.greatest > GROSS
+
+
+def _large(data: Sample, residual: Array) -> bool:
+    """Whether a quantity's residuals (rows,) are more than any noise may be, outliers aside, or one
+    is more than any outlier."""
+    if not data.noises.declared:
+        return False
+    sizes = [residual[data.kind == kind] for kind in np.unique(data.kind)]
+    return np.abs(residual).max(initial=0.0) > GROSS or any(
+        z.size >= LEAST_ROWS and trimmed_rms(z) > MOST_RATIO for z in sizes
+    )
+
+
+def shares_of(logs: Sequence[float]) -> Array:
+    """Probabilities (models,) from log evidences, with equal priors."""
+    return np.asarray(softmax(logs)) if len(logs) else np.zeros(0)
+
+
+def credible(shares: Array, level: float) -> list[int]:
+    """The smallest set of models with at least this probability, likeliest first."""
+    order = np.argsort(-shares, kind="stable")
+    enough = int(np.searchsorted(np.cumsum(shares[order]), level - 1e-12)) + 1
+    return [int(i) for i in order[:enough]]
