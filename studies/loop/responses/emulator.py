@@ -45,9 +45,10 @@ DECADES_NODES = 27
 LEAN_NODES = 8
 SLOPE_NODES = 6
 SIDE_NODES = 4
-# Of a table with parameters that refine: stiffnesses, heights, values of each, and the share of a
-# scale up to which a limit is reached for sure, so that what they refine acts.
-REFINED_KN_NODES, REFINED_NODES, REACHED = 11, 5, 0.99
+# Of a table with parameters that refine: stiffnesses, shares of a scale, values of each, and the
+# share up to which a limit is reached for sure, so that what they refine acts. Few: fits to
+# simulations find the rest.
+REFINED_KN_NODES, REFINED_SHARES, REFINED_NODES, REACHED = 11, 13, 4, 0.99
 # Steps over those of `Emulator.step_s`: the table of plain drops is what all is read against. Those
 # of effects say how much an effect changes, at one step for both.
 PLAIN_STEP = 0.25
@@ -228,7 +229,7 @@ class Emulator:
             law, side = self.scaled[name]
             more = [_axis(each, False) for each in EFFECTS[name].parameters if each.refines]
             sides = [
-                replace(side, high=REACHED * side.high),
+                replace(side, high=REACHED * side.high, n=REFINED_SHARES),
                 *(replace(each, n=REFINED_NODES) for each in more),
             ]
             made = self.table(key, sides, self._scaled(name, law), REFINED_KN_NODES)
