@@ -14,6 +14,7 @@ import numpy as np
 from scipy.stats import qmc
 
 from ...solver.arrays import Array
+from ...solver.errors import ComputationError
 from .adequacy import Direction, left_by_refit
 from .fit import Fitted, fit, likely_noise, settle, to_box, to_theta
 from .posterior import evidence
@@ -87,13 +88,16 @@ def fit_candidate(data: Sample, base: Fitted, profile: Profile) -> Tried:
 
 def fit_refined(data: Sample, base: Fitted, tried: Tried) -> Tried:
     """An effect's fit with the parameters that refine it, to simulations; as it was, where there
-    are none or it is not likelier."""
+    are none, too many drops fail with them, or it is not likelier."""
     model = tried.fitted.model
     if not isinstance(model, Refinable) or (refined := model.refinement) is None:
         return tried
     own = base.u.size
     starts = _everywhere(spread(own, CLOSER * SPREAD), _levels(refined, own, REFINING))
-    fitted = _followed(data, refined, starts, MORE * FOLLOWED)
+    try:
+        fitted = _followed(data, refined, starts, MORE * FOLLOWED)
+    except ComputationError:
+        return tried
     found = fit_simulated(data, base, Tried(fitted, evidence(data, fitted, own)))
     return found if found.log_evidence > tried.log_evidence else tried
 

@@ -10,6 +10,7 @@ from dataclasses import field as dc_field
 import numpy as np
 
 from bristle.solver.effects.base import Parameter
+from bristle.solver.errors import ComputationError
 from bristle.studies.loop.problem import Experiment, Problem
 
 HEIGHTS = np.array([10.0, 20.0, 30.0, 40.0, 50.0])
@@ -131,6 +132,31 @@ class Square:
 
     def predict(self, theta: np.ndarray) -> np.ndarray:
         return np.asarray(theta, dtype=float)[..., None] ** 2 * self.field
+
+
+@dataclass(frozen=True)
+class Curve:
+    """A polynomial of one to three amounts over evenly spaced rows, the third a refinement."""
+
+    rows: int
+    amounts: int
+    fails: bool = False
+    effects: tuple[str, ...] = ("curve",)
+    weights: np.ndarray = dc_field(default_factory=lambda: np.ones(1))
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        return tuple(Parameter(f"a{i}", "1", -50.0, 50.0, 1.0) for i in range(self.amounts))
+
+    @property
+    def refinement(self) -> Curve | None:
+        return replace(self, amounts=3) if self.amounts < 3 else None
+
+    def predict(self, theta: np.ndarray) -> np.ndarray:
+        if self.fails and self.amounts == 3:
+            raise ComputationError("nothing can be simulated with these")
+        powers = np.linspace(-1.0, 1.0, self.rows) ** np.arange(self.amounts)[:, None]
+        return (np.asarray(theta, dtype=float) @ powers)[..., None, :]
 
 
 @dataclass(frozen=True)

@@ -23,13 +23,13 @@ from bristle.studies.loop.finding import Finding, Verdict
 from bristle.studies.loop.fit import fit, settle, to_box, to_theta
 from bristle.studies.loop.heldout import split
 from bristle.studies.loop.noise import MOST_SCALE, log_density
-from bristle.studies.loop.posterior import posterior
+from bristle.studies.loop.posterior import evidence, posterior
 from bristle.studies.loop.problem import Problem
 from bristle.studies.loop.profile import classes, directions, profile
 from bristle.studies.loop.residuals import quantile_residuals
 from bristle.studies.loop.run import find, pieces
 from bristle.studies.loop.sample import Sample, sample
-from bristle.studies.loop.search import fit_baseline, resolved
+from bristle.studies.loop.search import Tried, fit_baseline, fit_refined, resolved
 
 pytestmark = pytest.mark.serial
 
@@ -413,6 +413,23 @@ def test_half_a_sigma_makes_no_misfit_smaller():
     )
     assert find(halved, 3).p_value <= find(problem, 3).p_value
     assert find(halved, 3).verdict is Verdict.UNKNOWN
+
+
+def test_an_effect_is_refined_where_that_is_likelier_and_can_be_computed():
+    problem, _ = toys.problem(3)
+    rows = problem.values.size
+    noise = np.random.default_rng(1).normal(size=rows)
+    curved = toys.Curve(rows, 3).predict(np.array([3.0, 2.0, 8.0]))[0] + noise
+    straight = toys.Curve(rows, 2).predict(np.array([3.0, 2.0]))[0] + noise
+    for values, fails, amounts in ((curved, False, 3), (curved, True, 2), (straight, False, 2)):
+        data = whole(replace(problem, values=values))
+        base = fit_baseline(data, toys.Curve(rows, 1))
+        fitted = settle(data, toys.Curve(rows, 2, fails), np.full((1, 2), 0.5))
+        tried = Tried(fitted, evidence(data, fitted, 1))
+        found = fit_refined(data, base, tried)
+        assert found.fitted.theta.size == amounts
+        assert (found is tried) == (amounts == 2)
+        assert found.fitted.theta[:2] == pytest.approx([3.0, 2.0], abs=4.0 if fails else 1.0)
 
 
 def test_names_and_order_of_rows_change_nothing(named):
