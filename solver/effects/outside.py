@@ -230,6 +230,8 @@ def _predictable(
     """Why the loop could not tell what an effect does, or an empty text."""
     if len(kind.parameters) > MOST_PARAMETERS:
         return f"the loop takes at most {MOST_PARAMETERS} parameters"
+    if any(each.refines for each in kind.parameters):
+        return "the loop refines its own effects alone: no parameter may have refines = True"
     if changed["absent"]:
         return "changes drops where its parameters are those of its absence"
     allowed = COMPUTED_FIELDS if kind.computed else SIMULATED_FIELDS

@@ -323,6 +323,10 @@ def test_a_computed_effect_that_is_none_is_refused(change, words):
         ({"kinds": frozenset({"waves"})}, "its kinds may be drops, forces, tracks"),
         ({"parameters": Good.parameters[:1]}, "its fields must be its parameters"),
         ({"parameters": (Good.parameters[0], Parameter("more_s", "s", 0.0, 1.0, 2.0))}, "more_s"),
+        (
+            {"parameters": (Good.parameters[0], replace(Good.parameters[1], refines=True))},
+            "no parameter may have refines",
+        ),
         ({"enter": lambda self, scene: scene}, "changes nothing"),
         (
             {"enter": lambda self, s: replace(s, drag_kg_m=self.more_s * self.share)},
