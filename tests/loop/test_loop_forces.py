@@ -17,7 +17,9 @@ from bristle.solver.effects.library import EFFECTS
 from bristle.solver.errors import InputError
 from bristle.studies.loop.kinds.forces.problem import forces_problem
 from bristle.studies.loop.kinds.forces.record import read_forces
-from bristle.studies.loop.responses.force_curves import force_history
+from bristle.studies.loop.responses import force_curves
+from bristle.studies.loop.responses.emulator import Emulator
+from bristle.studies.loop.responses.force_curves import ForceEmulator, force_history
 from bristle.studies.loop.responses.table_drops import beam_of, outcomes_of
 from bristle.studies.loop.run import find
 
@@ -117,6 +119,19 @@ def test_coarse_samples_serve(step_s, tmp_path):
     problem, _ = made(tmp_path, {}, step_s=step_s)
     theta, spread, _ = fitted(problem, ())
     assert abs(theta[0] - np.log(KN)) < max(3 * spread[0], 0.02)
+
+
+def test_what_refines_an_effect_is_not_in_tables_of_histories(monkeypatch):
+    """They would take a quarter of an hour; errors stated are those of the yield force alone."""
+    few = {"KN_NODES": 4, "HELD_NODES": 4, "HEIGHT_NODES": 4, "ITS_S": 4e-6, "CHECKS": 1}
+    for name, value in few.items():
+        monkeypatch.setattr(force_curves, name, value)
+    monkeypatch.delattr(Emulator, "refined")
+    emulator = ForceEmulator(Bristle(), 9.8, 0.02, 0.05, (1e6, 4e6))
+    names = ["plastic_contact"]
+    errors = force_curves.table_errors(force_curves.with_shapes(emulator, names), names, KN)
+    assert np.isfinite(errors).all()
+    assert errors.any()
 
 
 @pytest.mark.campaign

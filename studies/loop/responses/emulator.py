@@ -343,10 +343,10 @@ def _axis(parameter: Parameter, leans: bool) -> Axis:
 
 
 def effect_at(name: str, *values: float) -> Effect:
-    """The effect at values of its parameters, taken into their bounds; at their nulls, those that
-    are left out."""
+    """The effect at values of its parameters, taken into their bounds; those that refine it may be
+    left out, and are at their nulls then."""
     kind = EFFECTS[name]
-    left_out = [each.null for each in kind.parameters[len(values) :]]
+    left_out = [each.null for each in kind.parameters[len(values) :] if each.refines]
     own = {
         each.name: float(np.clip(value, each.low, each.high))
         for each, value in zip(kind.parameters, [*values, *left_out], strict=True)

@@ -237,7 +237,7 @@ def table_errors(emulator: ForceEmulator, names: Sequence[str], kn_N_m: float) -
             at = np.array(height), np.array(kn)
             tabulated = emulator.plain.at(*at)
             if name:
-                typical = [each.typical for each in EFFECTS[name].parameters]
+                typical = [each.typical for each in emulator.own(name)]
                 scene = effect_at(name, *typical).enter(scene)
                 tabulated = tabulated + emulator.change(name, *at, *typical)
             found = emulator.curve(scene, finer=2.0) @ emulator.known_shapes.T / CELLS
