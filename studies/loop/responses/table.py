@@ -64,7 +64,7 @@ class Table:
     def at(self, *places: Array) -> Array:
         """What is tabulated (quantities, ...) at places along the axes, arrays that broadcast."""
         where = [axis.where(x) for axis, x in zip(self.axes, places, strict=True)]
-        if len(where) == 4 and _apart(where):
+        if _apart(where):
             return self._apart(where)
         spots = np.broadcast_arrays(*where)
         flat = np.stack([np.ravel(spot) for spot in spots], axis=1)
@@ -97,8 +97,10 @@ class Table:
 
 
 def _apart(where: list[Array]) -> bool:
-    """Whether no place along the first two axes differs between nodes, and none along the others
-    between drops, of arrays (..., nodes, drops)."""
+    """Whether these are four arrays (..., nodes, drops), where no place along the first two axes
+    differs between nodes, and none along the others between drops."""
+    if len(where) != 4:
+        return False
     deep = [np.atleast_2d(each).shape for each in where]
     return all(s[-2] == 1 for s in deep[:2]) and all(s[-1] == 1 for s in deep[2:])
 
@@ -172,28 +174,35 @@ def evaluate(flat: Array, sizes: Array, places: Array, out: Array) -> None:
     ``flat`` (coefficients, 3) are `coefficients` of three quantities, their axes run together,
     ``sizes`` (axes,) how many there are along each, ``out`` is (points, 3).
     """
-    last = len(sizes) - 1
-    weight = np.zeros((AXES, 4))
+    # axes that are not there come first, with one coefficient each
+    absent = AXES - len(sizes)
+    weight = np.ones((AXES, 4))
     first = np.zeros(AXES, dtype=np.int64)
-    stride = np.ones(AXES, dtype=np.int64)
-    for a in range(last - 1, -1, -1):
-        stride[a] = stride[a + 1] * sizes[a + 1]
+    size = np.ones(AXES, dtype=np.int64)
+    size[absent:] = sizes
+    n0, n1, n2, n3, _ = np.minimum(size, 4)
     for p in range(len(places)):
-        for a in range(last + 1):
-            first[a] = _cubic(places[p, a], sizes[a], weight[a])
+        for a in range(absent, AXES):
+            first[a] = _cubic(places[p, a - absent], size[a], weight[a])
+        w0, w1, w2, w3 = weight[AXES - 1]
         sum0 = sum1 = sum2 = 0.0
-        w = weight[last]
-        # every choice of one of four coefficients along each axis but the last
-        for choice in range(4**last):
-            at, product, left = first[last], 1.0, choice
-            for a in range(last):
-                i = left & 3
-                left >>= 2
-                product *= weight[a, i]
-                at += (first[a] + i) * stride[a]
-            for i in range(4):
-                share = product * w[i]
-                sum0 += share * flat[at + i, 0]
-                sum1 += share * flat[at + i, 1]
-                sum2 += share * flat[at + i, 2]
+        for i in range(n0):
+            at_i = first[0] + i
+            for j in range(n1):
+                at_j, share_j = at_i * size[1] + first[1] + j, weight[0, i] * weight[1, j]
+                for k in range(n2):
+                    at_k, share_k = at_j * size[2] + first[2] + k, share_j * weight[2, k]
+                    for m in range(n3):
+                        share = share_k * weight[3, m]
+                        at = (at_k * size[3] + first[3] + m) * size[4] + first[4]
+                        near = flat[at : at + 4]
+                        sum0 += share * (
+                            w0 * near[0, 0] + w1 * near[1, 0] + w2 * near[2, 0] + w3 * near[3, 0]
+                        )
+                        sum1 += share * (
+                            w0 * near[0, 1] + w1 * near[1, 1] + w2 * near[2, 1] + w3 * near[3, 1]
+                        )
+                        sum2 += share * (
+                            w0 * near[0, 2] + w1 * near[1, 2] + w2 * near[2, 2] + w3 * near[3, 2]
+                        )
         out[p, 0], out[p, 1], out[p, 2] = sum0, sum1, sum2
