@@ -63,8 +63,8 @@ class Tried:
 
 
 def spread(parameters: int, points: int = SPREAD) -> Array:
-    """Points (n, parameters) spread over the unit box, always the same: so many for one parameter,
-    twice as many else."""
+    """Points (n, parameters) spread over the unit box, always the same: ``points`` of them for one
+    parameter, twice as many for more."""
     if parameters == 1:
         return (np.arange(points)[:, None] + 0.5) / points
     drawn = qmc.Sobol(parameters, scramble=False).random(2 * points)

@@ -115,9 +115,9 @@ class BounceModel:
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        return (*self.own, *(each for name in self.effects for each in self._of(name)))
+        return (*self.own, *(each for name in self.effects for each in self._parameters_of(name)))
 
-    def _of(self, name: str) -> tuple[Parameter, ...]:
+    def _parameters_of(self, name: str) -> tuple[Parameter, ...]:
         return self.emulator.parameters(name, self.refined)
 
     @cached_property
@@ -213,7 +213,7 @@ class BounceModel:
         at = len(self.own)
         out = {}
         for name in self.effects:
-            count = len(self._of(name))
+            count = len(self._parameters_of(name))
             out[name] = tuple(theta[..., at + i] for i in range(count))
             at += count
         return out

@@ -176,11 +176,11 @@ def _listed(
     if effect.name == "release_velocity":
         end = effect.high  # pushed up, it comes back as fast
 
-    laws = replace(plan.truth, hardens=0.0, unloads=1.0)
+    hardens, unloads = 0.0, 1.0
     if effect.name == "plastic_contact":
         hardens, unloads = float(rng.choice((0.0, 0.05, 0.1))), float(rng.choice((1.0, 1.5, 3.0)))
         plan = replace(plan, truth=replace(plan.truth, hardens=hardens, unloads=unloads))
-    ideal = plan.truth == laws
+    ideal = (hardens, unloads) == (0.0, 1.0)
 
     def value(share: float) -> float:
         if effect.logarithmic:
