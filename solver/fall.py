@@ -23,8 +23,9 @@ def free_fall(height_m: float, gravity_m_s2: float, alpha_1_s: float) -> tuple[f
     def beyond(t_s: float) -> float:
         return damped_path(t_s, gravity_m_s2, alpha_1_s) - height_m
 
-    late = math.sqrt(2.0 * height_m / gravity_m_s2) + 2.0 * height_m * alpha_1_s / gravity_m_s2
-    t = float(brentq(beyond, 0.0, 2.0 * late, xtol=1e-16))
+    # no later than in a vacuum and at the final speed, one after the other
+    latest = math.sqrt(2.0 * height_m / gravity_m_s2) + height_m * alpha_1_s / gravity_m_s2
+    t = float(brentq(beyond, 0.0, 1.01 * latest, xtol=1e-16))
     return t, -gravity_m_s2 * math.expm1(-alpha_1_s * t) / alpha_1_s
 
 

@@ -141,7 +141,7 @@ def _exponentials(
 
 
 @njit
-def _rigid_rows(places: Array) -> Array:
+def rigid_rows(places: Array) -> Array:
     """Displacements (3 n, 6) of points by translations along x, y, z and rotations about them."""
     n = len(places)
     rows = np.zeros((3 * n, 6))
@@ -181,7 +181,7 @@ def chart(flyer: Flyer) -> Chart:
     """The chart of a flyer."""
     powers, modes, by_u, by_v = _exponentials(flyer.omega2, flyer.damping)
     moved = flyer.rows @ flyer.along if flyer.rows.size else flyer.along
-    stiff = _rigid_rows(flyer.places)
+    stiff = rigid_rows(flyer.places)
     nearest = np.linalg.pinv(stiff)
     fit: Array = nearest @ moved
     fit_speed: Array = np.zeros((0, 0))

@@ -154,14 +154,7 @@ def test_clean_records_are_adequate(tmp_path):
         ("hunt_crossley", 0.3),
         ("stiffening_contact", 1.3),
         ("adhesion", 3.0),
-        pytest.param(
-            "bristle_tilt",
-            2.0,
-            marks=pytest.mark.xfail(
-                reason="eleven stiffnesses and nine leans are too few: the touch is 3 µs off, and "
-                "so little noise shows what tables miss; found as unknown"
-            ),
-        ),
+        ("bristle_tilt", 2.0),
     ],
 )
 def test_contact_laws_are_told_apart(name, size, tmp_path):

@@ -16,6 +16,7 @@ from bristle.solver.contact.enforcement import (
     inverse_constant_N_m,
 )
 from bristle.solver.contact.laws import (
+    Adhesive,
     Coulomb,
     Damped,
     Linear,
@@ -23,8 +24,9 @@ from bristle.solver.contact.laws import (
     Stiffening,
     mindlin_ratio,
 )
+from bristle.solver.contact.normal import HELD
 from bristle.solver.contact.points import CONSERVING, Points, Trial
-from bristle.solver.contact.section import new_section
+from bristle.solver.contact.section import new_section, solve_section
 from bristle.solver.contact.step import commit, spring_energy
 from bristle.solver.errors import ComputationError
 
@@ -110,6 +112,33 @@ def test_step_force_is_the_discrete_gradient_of_the_potential(enforcement, seed,
     assert force[:, 0] * (drive1 - drive0)[:, 0] == pytest.approx(stored, abs=1e-9 * size)
     assert (force[:, 0] >= -1e-6).all()
     assert not force[:, 1:].any()
+
+
+def test_adhesion_that_newton_jumps_across_is_found():
+    """Two points pulled at random, each by the other too: some let go, which Newton's method alone
+    does not always decide."""
+    law, reach, jumped = Adhesive(2e6, 5.0), 2.5e-6, 0
+    for seed in range(400):
+        rng = np.random.default_rng(seed)
+        response = some_response(2, 1e-6, rng)
+        start, free = np.zeros((2, 2, 3))
+        start[:, 0] = -reach * rng.uniform(0.2, 0.99, 2)
+        free[:, 0] = start[:, 0] - reach * rng.uniform(0.0, 8.0, 2)
+        alone, step = (a_step(Enforcement.PENALTY, law, response) for _ in range(2))
+        for each in (alone, step):
+            each.memory[:, 2] = HELD
+        trial = Trial(start, free, free.copy(), 0.0 * free, alone.memory, alone.multiplier)
+        jumped += solve_section(alone.points, alone.section, trial) < 0
+        force = step.solve(start, free)
+        end = free + (response @ force.ravel()).reshape(2, 3)
+        assert step.end == pytest.approx(end, abs=1e-9 * np.abs(free).max())
+        # a spring of both signs while it holds; what lets go on the way has pulled so far alone
+        before, after = start[:, 0], end[:, 0]
+        holds = 0.5 * law.kn_N_m * (before + after)
+        lets_go = 0.5 * law.kn_N_m * (before**2 - reach**2) / (before - after)
+        wanted = np.where(np.isclose(force[:, 0], holds) & (after > -reach), holds, lets_go)
+        assert force[:, 0] == pytest.approx(wanted, rel=1e-6)
+    assert jumped > 0
 
 
 @given(seed=st.integers(0, 10_000), free=reals, mu=st.sampled_from([0.0, 0.3, 1.0]))

@@ -63,6 +63,15 @@ def test_every_method_solves_the_equations(make_solid, body, its):
             assert energy_norm(solid, error, *effective) < 2.0 * close * size
 
 
+@pytest.mark.parametrize(("its", "kind"), [(1e-5, "gamg"), (1e-9, "jacobi")])
+def test_multigrid_is_for_long_steps(make_solid, its, kind):
+    solid = make_solid(**BODIES[0])
+    effective = TimeScheme.average().effective(its, 0.0, 0.0)
+    solver = make_solver(solid, Solver.ITERATIVE, *effective)
+    assert solver.solver.getPC().getType() == kind
+    solver.close()
+
+
 def test_methods_bounce_alike_and_close_the_budget(make_solid, monkeypatch):
     solid = make_solid((1, 2, 4), 0.004, order=1)
     its = 1e-6

@@ -25,6 +25,7 @@ from bristle.solver.rigid import (
     turn,
 )
 from bristle.solver.time.flight import Flight
+from bristle.solver.time.motion import rigid_rows
 
 pytestmark = pytest.mark.serial
 G = 9.8
@@ -100,6 +101,19 @@ def test_the_upper_end_leans_and_the_section_is_not_twisted():
     # leaning toward its thin side it stands on the edge on that side
     edge = matrix_of(leaning(2.0)) @ np.array([0.25e-3, 0.0, 0.0])
     assert edge[2] == pytest.approx(-0.25e-3 * math.sin(math.radians(2.0)), rel=1e-12)
+
+
+def test_an_upright_pose_turns_as_it_is_told():
+    quarter = Pose.upright().moved(np.zeros(3), np.array([0.0, 0.0, 0.5 * math.pi]))
+    assert quarter.rotation == pytest.approx(
+        np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]), abs=1e-15
+    )
+
+
+def test_rigid_rows_are_translations_and_rotations_about_the_middle(rng):
+    places, motion = rng.normal(size=(5, 3)), rng.normal(size=6)
+    wanted = motion[:3] + np.cross(motion[3:], places - places.mean(axis=0))
+    assert rigid_rows(places) @ motion == pytest.approx(wanted.ravel(), rel=1e-12)
 
 
 def test_a_small_motion_moves_a_pose_as_displacements_do(rng):

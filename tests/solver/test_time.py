@@ -16,10 +16,10 @@ from bristle.solver.bodies.modal import ModalBody
 from bristle.solver.bristle import Bristle, Material
 from bristle.solver.contact.enforcement import ContactMethod, Enforcement
 from bristle.solver.contact.laws import Linear
-from bristle.solver.ground import Ground, just_touched
+from bristle.solver.ground import Ground, just_touched, place
 from bristle.solver.rigid import Pose, free_rotation, leaning, slope_normal
 from bristle.solver.time.clearance import clearance_of, tip_height
-from bristle.solver.time.flight import Flight
+from bristle.solver.time.flight import Flight, charted
 from bristle.solver.time.march import Marcher
 from bristle.solver.time.ringing import ring_of
 from bristle.solver.time.scheme import TimeScheme
@@ -240,6 +240,21 @@ def test_next_touch_is_found_where_a_dense_sampling_finds_it():
             continue
         assert found == pytest.approx(t[down[0]], abs=2.0 * t[1])
         assert flight.trace(ground, np.array([found]))[0, 2] == pytest.approx(0.0, abs=1e-12)
+
+
+def test_with_nitsche_a_flight_is_clear_by_minus_the_approach(rng):
+    """The traction at the tip, which its points count with, is the march's."""
+    body = rod(6, degree=2, beta=0.01)
+    method = ContactMethod(Linear(1.0), Enforcement.NITSCHE)
+    marcher = Marcher(body, method, TimeScheme.average(), 1e-3, 0.0)
+    pose = Pose(np.array([0.0, 0.0, 0.5]), leaning(0.0, 0.0))
+    ground = Ground.plane(1)
+    marcher.place(place(ground, pose, body.contact))
+    u, v = 1e-2 * rng.normal(size=(2, len(body.omega2)))
+    approach = marcher.approach(u, v)[0, 0] - marcher.ground.gaps_m[0]
+    flight = Flight(body, pose, 0.0, u, v, 0.0, charted(body, marcher.tau))
+    assert marcher.tau > 0.0
+    assert flight.trace(ground, np.zeros(1))[0, 2] == pytest.approx(-approach, rel=1e-9)
 
 
 def test_apex_is_the_highest_point_of_a_dense_sampling():

@@ -113,6 +113,7 @@ def test_every_option_of_help_is_accepted_by_name():
         (["--model", "solid", "--tip", "point"], "--tip: the solid meets"),
         (["--config", "nowhere.toml"], "--config nowhere.toml: cannot be read"),
         (["extra"], "extra: not expected here"),
+        (["one\ntwo"], "one two: not expected here"),
     ],
     ids=str,
 )

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from reference import modal_series_rebound, rate
 
+from bristle import drop as drop_of
 from bristle.solver import paper
 from bristle.solver.analytic import analytic_drop, quarter_period_s
 from bristle.solver.bodies.beam import beam_body
@@ -191,6 +192,24 @@ def test_mass_proportional_damping_slows_the_fall():
     assert fallen == pytest.approx(0.05, rel=1e-10)
     assert speed == pytest.approx(G / 3.0 * (1.0 - math.exp(-3.0 * t)), rel=1e-10)
     assert free_fall(0.05, G, 1e-9)[1] == pytest.approx(math.sqrt(2 * G * 0.05), rel=1e-6)
+    # so strongly damped that it sinks at g/α all but at once
+    assert free_fall(0.05, G, 1e4)[0] == pytest.approx(0.05 * 1e4 / G + 1e-4, rel=1e-10)
+
+
+@pytest.mark.parametrize(("kt_ratio", "mu", "lean"), [(1e4, 0.5, 3.0), (1e5, 3.0, 5.0)])
+def test_holds_so_stiff_that_newton_jumps_across_them_are_found(kt_ratio, mu, lean):
+    """Seen to fail in 14 and 59 of some 70 steps unless the hold is stiffened in stages."""
+    found = drop_of(
+        model="beam",
+        height_m=0.01,
+        tilt_deg=1.0,
+        tilt_wide_deg=lean,
+        friction=mu,
+        kt_ratio=kt_ratio,
+        its_s=5e-6,
+        until="impact",
+    )
+    assert found.energy.closure_relative < 1e-6
 
 
 @pytest.mark.parametrize("scheme", [TimeScheme.newmark(), TimeScheme.generalised(0.8)])
