@@ -17,7 +17,16 @@ import typer
 from ..solver.errors import ComputationError
 from . import __version__
 from .command.ending import run
-from .command.options import Debug, Given, RanksPerCase, Resume, add_command, of_files, optional
+from .command.options import (
+    Debug,
+    Given,
+    RanksPerCase,
+    Resume,
+    a_folder,
+    add_command,
+    of_files,
+    optional,
+)
 from .inputs.fields import (
     DROP_FLAGS,
     LIST_FLAGS,
@@ -337,7 +346,7 @@ def bench(
     ] = None,
     out: Annotated[
         Path | None,
-        optional(metavar="DIR", help="Folder for the result. [default: results/bench-WHAT]"),
+        a_folder(help="Folder for the result. [default: results/bench-WHAT]"),
     ] = None,
 ) -> None:
     """How fast is it, and how near? A table, and a page with the figures behind it.
@@ -361,7 +370,7 @@ def view(
     ],
     out: Annotated[
         Path | None,
-        optional(metavar="DIR", help="Folder for the pictures. [default: RESULT/view]"),
+        a_folder(help="Folder for the pictures. [default: RESULT/view]"),
     ] = None,
 ) -> None:
     """Pictures of a drop's result; of a solid's also the wave as a film, and a script for ParaView.

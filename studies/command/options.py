@@ -19,6 +19,15 @@ from ..inputs.sources import inputs_of
 
 optional = partial(typer.Option, show_default=False)
 of_files = partial(optional, rich_help_panel=OUTPUT)
+
+
+def _folder(name: str) -> Path:
+    if not name:
+        raise typer.BadParameter("is empty; a dot is the current folder")
+    return Path(name)
+
+
+a_folder = partial(optional, metavar="DIR", parser=_folder)
 Config = Annotated[
     Path | None,
     of_files(
@@ -104,7 +113,7 @@ def add_command(
 
 def _out(default: str) -> inspect.Parameter:
     words = f"Folder for the result. [default: {default}]"
-    option = of_files("--out", metavar="DIR", help=words)
+    option = a_folder("--out", help=words, rich_help_panel=OUTPUT)
     return _keyword("out", Annotated[Path, option], Path(default))
 
 

@@ -126,6 +126,8 @@ def test_wrong_input_ends_with_2_and_the_option(arguments, says, tmp_path):
     ("arguments", "says"),
     [
         (["drop", "--kn"], "--kn: requires an argument"),
+        (["drop", "--out", ""], "--out: is empty"),
+        (["view", "nowhere", "--out", ""], "--out: is empty"),
         (["fly"], "fly: there is no such command"),
         (["--speed"], "--speed: there is no such option"),
         (["sweep", "--kn", "1e5;2e6"], "--kn: must be numbers separated by commas"),
