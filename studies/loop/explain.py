@@ -91,7 +91,7 @@ def explain(state: State, singles: list[Tried]) -> tuple[list[Explanation], list
         if any(each.holds for each in looked):
             return looked, refined
     best = max(each.log_evidence for each in refined)
-    pairs = fit_pairs(state.problem, state.data, state.base, singles, state.ways, state.profiles)
+    pairs = fit_pairs(state.problem, state.data, state.base, singles, state.profiles, plain)
     better = [each for each in pairs if each.log_evidence > best + PAIR_COST]
     if not better:
         return looked, refined

@@ -15,12 +15,10 @@ from scipy.stats import qmc
 
 from ...solver.arrays import Array
 from ...solver.errors import ComputationError
-from .adequacy import Direction, left_by_refit
 from .fit import Fitted, fit, likely_noise, settle, to_box, to_theta
 from .posterior import evidence
 from .problem import Emulated, Model, Problem, Refinable, Scattering
 from .profile import Profile
-from .residuals import quantile_residuals
 from .sample import Sample
 
 SPREAD = 8
@@ -41,7 +39,7 @@ NODES_APART, NODE_SHARE, MOST_CLOSER = 1.5, 0.2, 16
 TABLE_NATS, TABLE_SHARE, SIMULATED = 30.0, 0.1, 8
 # A fit that moves by less of what the data leave uncertain is not simulated again.
 SETTLED = 0.1
-PAIRED_WITH, PAIRS_TRIED, SCATTERS_TRIED = 3, 5, 2
+SCATTERS_TRIED = 2
 
 
 @dataclass(frozen=True)
@@ -186,55 +184,36 @@ def fit_pairs(
     data: Sample,
     base: Fitted,
     singles: Sequence[Tried],
-    directions: Sequence[Direction],
     profiles: Sequence[Profile],
+    plain: float,
 ) -> list[Tried]:
-    """Fits, to simulations, of the likeliest single effect with every other, and of the pairs whose
-    second effect lies nearest to what the likeliest single ones leave.
+    """Fits of all pairs of effects, to simulations where they are likely; ``plain`` is the log
+    evidence of none.
 
-    What scatters is not seen in the mean, so the likeliest of it is tried beside them anyway.
+    What scatters takes longer: it is paired with the likeliest others alone, or where it is the
+    likeliest itself with all.
     """
     best = sorted(singles, key=lambda each: -each.log_evidence)
-    order: dict[tuple[str, str], float] = {}
-    for one in best[:PAIRED_WITH]:
-        weights = np.asarray(one.fitted.model.weights)
-        z = quantile_residuals(data.values, one.fitted.predicted, weights, data.starts)
-        project = left_by_refit(one.fitted.mean_slopes[:, one.fitted.loose])
-        for each in directions:
-            shift = project @ each.shift
-            size = float(np.linalg.norm(shift))
-            if each.name in one.effects or size < 0.3:
-                continue
-            promise = one.log_evidence + 0.5 * max(float(z @ shift) / size, 0.0) ** 2
-            key = (one.effects[0], each.name)
-            if promise > order.get(key, -np.inf) and promise > order.get(key[::-1], -np.inf):
-                order.pop(key[::-1], None)
-                order[key] = promise
-    chosen = sorted(order, key=lambda key: (-order[key], key))[:PAIRS_TRIED]
-    scatter = [each for each in best if each.scatters][:SCATTERS_TRIED]
-    for one in best[:SCATTERS_TRIED]:
-        chosen += [
-            (one.effects[0], each.effects[0])
-            for each in scatter
-            if each is not one and not one.scatters
-        ]
-    chosen += [
-        (best[0].effects[0], each.name) for each in profiles if each.name not in best[0].effects
-    ]
+    scatters = [each for each in best if each.scatters]
+    steady = [each for each in best if not each.scatters]
+    pairs = list(itertools.combinations(steady, 2))
+    for i, one in enumerate(scatters):
+        some = steady[:2] if i < SCATTERS_TRIED else steady[:1]
+        pairs += [(one, other) for other in (steady + scatters[1:] if one is best[0] else some)]
     alone = {each.effects[0]: each for each in singles}
     by_name = {each.name: each for each in profiles}
-    out = []
-    for i, key in enumerate(chosen):
-        if key in chosen[:i] or key[::-1] in chosen[:i]:
-            continue
-        model = problem.combine(key)
+    found = []
+    for one, other in pairs:
+        model = problem.combine((*one.effects, *other.effects))
         if isinstance(model, Emulated) and not model.possible:
             continue
         model = resolved(data, base, model)
         fitted = _followed(data, model, _pair_starts(model, base, alone, by_name))
-        tried = Tried(fitted, evidence(data, fitted, base.u.size))
-        out.append(fit_simulated(data, base, tried))
-    return out
+        found.append(Tried(fitted, evidence(data, fitted, base.u.size)))
+    least = near_likeliest(found, plain)
+    return [
+        fit_simulated(data, base, each) if each.log_evidence >= least else each for each in found
+    ]
 
 
 def _pair_starts(
