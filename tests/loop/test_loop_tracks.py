@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 import re
+from dataclasses import replace
 
 import film_data
 import numpy as np
@@ -447,3 +448,21 @@ def test_a_ball_bounces_more_than_once_and_a_dashpot_explains_it(tmp_path):
     best, _, left = fitted(problem, ("contact_damping",))
     is_noise(left, problem, 2)
     assert best["c_N_s_m"] > 0.0
+
+
+def test_the_rebound_and_the_drag_of_a_table_tennis_ball_are_told_apart(tmp_path):
+    """Each alone leaves so much that what it leaves points to neither."""
+    drag = 0.5 * 1.204 * 0.45 * math.pi * 0.02**2 / 2.7e-3
+    rng, films = np.random.default_rng(2101), []
+    for y0 in (0.2, 0.4, 0.6, 0.8, 0.3, 0.5, 0.7):
+        t = np.arange(0.0, rng.uniform(1.8, 2.0) * math.sqrt(y0 / 0.4), 1 / 240)
+        y = film_data.path(t, y0, 4 * [(0.88**2, G, 2e-4)], release_s=0.06, drag_1_m=drag)
+        films.append((t, y + 6e-4 * rng.standard_normal(t.size)))
+    keys = "sigma_y_mm = 0.6\n[body]\nshape = 'rigid'\nmass_kg = 2.7e-3\ndiameter_m = 0.04\n"
+    problem = tracks_problem(read_tracks(film_data.write(tmp_path / "films", films, keys)))
+    steady = [each for each in problem.candidates if np.size(each.weights) == 1]
+    found = find(replace(problem, candidates=steady))
+    assert set(found.weights) == {"contact_damping", "air_drag"}
+    cd = found.parameters["cd"]
+    sigma = (cd.high - cd.low) / (2.0 * 1.645)
+    assert abs(cd.estimate - 0.45) < 4.0 * sigma < 0.02
