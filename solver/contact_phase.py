@@ -104,8 +104,9 @@ def observe(marcher: ContactMarch, state: Moving, step_force: Array, history: Hi
 
 
 def instant_force(marcher: ContactMarch, state: Moving, step_force: Array) -> Array:
-    """Normal force per area share (n,) at the end of a step; on a rigid plane the step's own."""
-    if marcher.rigid_multiplier:
+    """Normal force per area share (n,) at the end of a step; on a rigid plane, and where a dashpot
+    is in it, the step's own mean."""
+    if marcher.rigid_multiplier or marcher.contact.points.dashpot != 0.0:
         return step_force[:, 0]
     return marcher.normal_force(state.approach)
 

@@ -99,15 +99,15 @@ def _step(
     sums.friction_loss_J += friction
     sums.impulse_N_s += marcher.its_s * total
     sums.push_N_s = sums.push_N_s + marcher.its_s * (weights @ marcher.along_axes(force))
-    peak = total if contact.points.dashpot != 0.0 else now
-    sums.peak_force_N = max(sums.peak_force_N, peak)
+    sums.peak_force_N = max(sums.peak_force_N, now)
     if total > 0.0 or (total < 0.0 and marcher.method.law.pulls):
         share = contact.share
         if contact.points.dashpot != 0.0 and state.approach[:, 0].max() > 0.0:
             share = float(share_under_damping(sums.last_N, total))
         sums.release_s = before.t_s + share * (state.t_s - before.t_s)
     sums.last_N = total
-    free = total == 0.0 or (now == 0.0 and not marcher.rigid_multiplier)
+    opened = not marcher.rigid_multiplier and not marcher.normal_force(state.approach).any()
+    free = total == 0.0 or opened
     sums.released = free and state.t_s >= wait_s and _leaving(marcher, state)
     return state
 

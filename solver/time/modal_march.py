@@ -374,7 +374,8 @@ def march(modes: Modes, touching: Touching, u: Array, v: Array, limits: MarchLim
             trial.memory[:, 2] = 0.0  # the next touch meets a fresh place
         loss += _damp(modes, work, fast)
         last = taken.mean
-        peak = max(peak, taken.mean if points.dashpot != 0.0 else taken.final)
+        force = taken.mean if points.dashpot != 0.0 else taken.final
+        peak = max(peak, force)
         work.u[:], work.v[:], work.before[:] = work.later, fast, work.after
         trial.start[:, :] = trial.end
         deepest = trial.start[:, 0].max()
@@ -382,7 +383,7 @@ def march(modes: Modes, touching: Touching, u: Array, v: Array, limits: MarchLim
             history = _longer(history, count + 1)
             history[count, 0] = touching.tip_m + tip @ work.u
             history[count, 1] = touching.centre_m + lift @ work.u
-            history[count, 2] = taken.final
+            history[count, 2] = force
             history[count, 3] = max(deepest, 0.0)
         if not math.isfinite(trial.start[:, 0].sum()):
             status = NOT_FINITE

@@ -217,6 +217,21 @@ def test_a_law_of_ones_own_that_yields_and_hardens(hardening, monkeypatch):
     assert touch.contact_loss_J == pytest.approx(0.5 * MASS * SPEED**2 * (1.0 - kept**2), rel=1e-9)
 
 
+@pytest.mark.parametrize("stepwise", [False, True])
+@pytest.mark.parametrize("damping", [0.1, 0.5])
+def test_a_dashpot_is_in_the_force_that_is_shown(damping, stepwise):
+    """At the first touch it bears c v alone; what is shown adds up to the impulse."""
+    c = 2.0 * damping * math.sqrt(KN * MASS)
+    observer = (lambda state, force: None) if stepwise else None
+    touch, history = bounce(Damped(KN, c), ITS, observer=observer)
+    rows = history.array()
+    force = rows[:, 3]
+    first = force[force > 0.0][0]
+    assert first == pytest.approx(c * SPEED, rel=2.0 * OMEGA * ITS * (1.0 + 1.0 / damping))
+    assert ITS * force.sum() == pytest.approx(touch.impulse_N_s, rel=1e-9)
+    assert force.max() == touch.peak_force_N
+
+
 @pytest.mark.parametrize("share", [0.0, 0.1, 0.5, 0.9])
 def test_adhesion_takes_the_energy_of_the_spring_that_lets_go(share):
     """Speed √(v² - F²/(Kn m)) to rounding, at whatever ITS, after ½ + asin(F/F₀)/π half waves."""
