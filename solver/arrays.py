@@ -1,4 +1,4 @@
-"""The array type that signatures name: NumPy's, of floating-point numbers."""
+"""Array type of signatures: NumPy arrays of floating-point numbers."""
 
 from __future__ import annotations
 

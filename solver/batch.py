@@ -378,7 +378,7 @@ def _dropped(
 def _drop(
     marcher: Marcher, drops: Drops, method: Marcher, *, slides: bool
 ) -> tuple[Array, NDArray[np.int64]]:
-    """As `_dropped`, of ``drops`` that are all seen through the same points.
+    """As `_dropped`, of ``drops`` that share their contact points.
 
     Contact's constants are those of ``method``, which ``marcher`` may see through fewer points.
     """

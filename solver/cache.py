@@ -1,4 +1,4 @@
-"""The cache of dear arrays, from which later runs take what earlier ones made.
+"""Cache of costly arrays (bases, factors, tables) that one run makes and later runs use.
 
 They lie under the user's cache, in a folder named after the sources that could change them. A file
 appears whole or not at all, holds plain numbers, and one that cannot be read is made again.

@@ -1,4 +1,4 @@
-"""What is seen and kept of one touch, however it is marched."""
+"""Record of one contact phase, whichever march computes it: history, sums and end state."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ STAYING = 100
 
 @dataclass
 class History:
-    """What was seen over time: rows of ``HISTORY_COLUMNS``."""
+    """Course of a drop over time: rows of ``HISTORY_COLUMNS``."""
 
     rows: list[tuple[float, ...]] = field(default_factory=list)
 

@@ -1,4 +1,4 @@
-"""Compiled forms, made once and kept: whoever asks first, and never half-made.
+"""Cache of compiled UFL forms, safe against other processes and against interruption.
 
 FFCx keeps compiled forms on disk; a process that finds one begun waits ten seconds for its end and
 then fails, also where whoever began it was killed. Here every process, rank or not, compiles with

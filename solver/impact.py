@@ -1,4 +1,4 @@
-"""One touch, from the instant of contact to release."""
+"""Contact phase of a drop, from first touch to release."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def march_contact(
     """March from (u, v) at ``t_s`` until the tip is free again, or past ``until_s``.
 
     With ``wait_s`` the start may still be free of the plane: a touch is awaited until that time.
-    What is marched step by step is kept in ``checkpoint``, and goes on from there.
+    A march in steps writes to ``checkpoint`` and resumes from it.
     Raises ComputationError where contact forces do not converge, motion is not finite, friction or
     the contact law gave energy, or the tip is still in contact after a number of steps that no
     impact needs.

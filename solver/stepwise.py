@@ -1,4 +1,4 @@
-"""One touch of any body, marched step by step, and kept so that it can go on."""
+"""Contact phase of any body, marched step by step, with checkpoints."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 """Whole vectors of a time step, each read and written once.
 
-Plain array expressions would read them forty times, which is as dear as the solve.
+Plain array expressions would read them forty times, which costs as much as the solve.
 """
 
 from __future__ import annotations

@@ -1,5 +1,7 @@
-"""Where inputs come from, flags over a file over defaults; how errors name their place, and the
-command line that makes a result again."""
+"""Merging of inputs: flags over a file over defaults.
+
+Also how errors name an input's place, and the command line that repeats a result.
+"""
 
 from __future__ import annotations
 

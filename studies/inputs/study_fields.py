@@ -1,5 +1,4 @@
-"""Inputs of `bristle scatter` beyond those of a drop, where their defaults come from, and those of
-`bristle close-loop` beside its dataset."""
+"""Inputs of `bristle scatter` and `bristle close-loop` beyond those of a drop."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Maximum likelihood within the parameters' bounds, and what the data see of the parameters.
+"""Maximum likelihood within the parameters' bounds, and its information matrix.
 
 Levenberg-Marquardt on the likelihood that is summed over nodes, many starts at once. Gradient and
 curvature are those of the complete data, averaged over the nodes, less what not knowing the node

@@ -1,4 +1,4 @@
-"""Profile of a candidate: what it does at growing sizes, once the baseline is refitted.
+"""Profile of a candidate over its effect's size, the baseline refitted at each.
 
 The size of an effect is d, the distance in sigma between the distributions that it and the fitted
 baseline predict, the baseline's own parameters refitted within their bounds. Distances are those

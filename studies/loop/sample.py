@@ -1,4 +1,4 @@
-"""The rows that are looked at together, their order, and their units.
+"""Rows that are analysed together: their order, groups and units.
 
 A `Sample` is a problem's rows of some groups, sorted by group, with the noises that they may have.
 Where sigma is not declared, each quantity is first brought to unit scatter: by replicates (groups

@@ -1,1 +1,1 @@
-"""How cases are computed: over ranks, once each, kept, and taken up again."""
+"""Execution of cases: over ranks, journalled, resumed."""

@@ -1,8 +1,8 @@
 """One case computed, and what cases share.
 
-A `Workshop` keeps what is dear: a mesh and its matrices, a factor, a reduced basis, a beam's
-modes, and the marchers made of them, so that cases that differ in stiffness or height alone cost
-their march and nothing else.
+A `Workshop` keeps what is costly to build: a mesh and its matrices, a factor, a reduced basis, a
+beam's modes, and the marchers made of them, so that cases that differ in stiffness or height alone
+cost their march and nothing else.
 """
 
 from __future__ import annotations
@@ -189,7 +189,7 @@ class Workshop:
             self._spent[part] += time.perf_counter() - started
 
     def _keep[Thing](self, key: Hashable, make: Callable[[], Thing]) -> Thing:
-        """What was made for ``key``; what is made of another kept thing has that one's id in it."""
+        """What was made for ``key``; keys of things made from others contain the ids of those."""
         if key not in self._kept:
             self._kept[key] = make()
         return self._kept[key]  # type: ignore[return-value]
@@ -212,7 +212,7 @@ class Workshop:
             return self._keep(("beam", bristle, *how.values()), lambda: _beam_frame(bristle, **how))
 
     def body_key(self, inputs: DropInputs) -> Hashable:
-        """Equal for cases of the solid that share all that is dear to build."""
+        """Equal for cases of the solid that share all that is costly to build."""
         return (*_solid_key(inputs), *self._basis(inputs).items())
 
     def _make_solid(self, inputs: DropInputs) -> SolidBody:

@@ -1,4 +1,4 @@
-"""The wave in a bristle along its axis, and the window in which all of its motion is seen."""
+"""The wave along a bristle's axis, and the frame that holds all of its motion."""
 
 from __future__ import annotations
 

@@ -1,1 +1,1 @@
-"""How a drop answers to stiffness, damping and effects: tables, made once and interpolated."""
+"""Response of a drop to stiffness, damping and effects: tables, made once and interpolated."""

@@ -1,4 +1,4 @@
-"""Motion of a fall with drag, in closed form, and the instant of release that a mean reading tells.
+"""Motion of a fall with drag, in closed form, and the instant of release from a mean reading.
 
 With drag of c v + k v² a mass, dv/dt = g − c v − k v², and from rest
 

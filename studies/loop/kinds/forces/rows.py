@@ -1,4 +1,4 @@
-"""What one record of an impact's force says whenever it was triggered.
+"""Rows of an impact's force record that do not depend on when it was triggered.
 
 A record is samples of force on a clock of its own. It is laid over simulated histories until the
 best of them, at its best time, leaves least. About that time the record is linear in the amounts of

@@ -1,4 +1,4 @@
-"""Rows of films about the features that all films together tell.
+"""Linearisation of films about features estimated from all films together.
 
 Rows are linear about a track. A film's own best track has the features that it hardly tells wrong
 by so much that the rows of the others, which it tells well, are off by a part of their noise, and
