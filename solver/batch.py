@@ -42,7 +42,7 @@ LONGEST_S, LONGEST_RAD = 0.004, 20.0
 FAILURES = {
     modal_march.NOT_CONVERGED: "the contact forces did not converge; shorten the ITS",
     modal_march.NOT_FINITE: "the motion is not finite; shorten the ITS",
-    modal_march.TOO_LONG: "still in contact after as many steps as no touch takes",
+    modal_march.TOO_LONG: "in contact for more steps than a touch takes; adhesion may hold it",
     FALLEN: "the bristle falls over, onto its side or upper end, which cannot touch here",
     GAINED: "friction or the contact law gave energy, where they can only take",
     OFF_BUDGET: f"the energy budget is off by more than {ASTRAY:g} times the impact's energy; "

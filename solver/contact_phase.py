@@ -122,7 +122,10 @@ def not_finite(t_s: float) -> ComputationError:
 
 
 def too_long(marcher: ContactMarch, limit: int) -> ComputationError:
-    return ComputationError(f"still in contact after {limit} steps of {marcher.its_s:g} s")
+    held = ""
+    if limit < STEP_LIMIT:
+        held = "; adhesion or its own indentation may hold it for good: give --until a time"
+    return ComputationError(f"still in contact after {limit} steps of {marcher.its_s:g} s{held}")
 
 
 def deepest(rows: Array) -> tuple[float, float]:

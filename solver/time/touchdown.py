@@ -100,11 +100,10 @@ def next_touch(motion: Motion, normals: Array, offsets: Array, until: float) -> 
             age = 0
         age += 1
         n_terms = min(in_sight(ring, clear), len(ring.decay))
-        if clear > 0.0:
-            bending = bending_bound(motion, ring, n_terms, t, flyer.places, spin)
-            shortest = math.sqrt(8.0 * TOUCH_SEARCH_M / bending) if bending > 0.0 else until
-        else:  # on its way out: there is nothing to pass over, until it turns
-            shortest = min(ring.finest, until / 8.0)
+        bending = bending_bound(motion, ring, n_terms, t, flyer.places, spin)
+        shortest = math.sqrt(8.0 * TOUCH_SEARCH_M / bending) if bending > 0.0 else until
+        if clear <= 0.0:  # on its way out, until it turns
+            shortest = min(shortest, ring.finest, until / 8.0)
         later = min(t + max(shortest, safe), until)
         turned, spun = free_rotation(attitude, spin, flyer.inertia, flyer.alpha, t, later)
 

@@ -125,8 +125,13 @@ def calibrate(
 
 def _warnings(source: Drops | None, ratio: RatioEstimate, curve: RatioCurve) -> list[str]:
     low, high = curve.reachable
-    doubts = []
-    if ratio.mean.estimate >= high:
+    doubts = [source.doubt] if source is not None and source.doubt else []
+    if ratio.mean.low >= high:
+        doubts.append(
+            f"The drops return {ratio.mean.estimate:.3g} of their height, more than the model does "
+            f"at any Kn ({high:.4f}): none explains them."
+        )
+    elif ratio.mean.estimate >= high:
         doubts.append(
             f"The drops return {ratio.mean.estimate:.3g} of their height, no less than the model "
             f"does at any Kn ({high:.4f}): they bound Kn from above only."

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+import math
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import partial, wraps
@@ -92,8 +93,12 @@ def add_command(
 
         @wraps(command)
         def run(debug: bool, **values: Any) -> None:
+            by_flag = {flag.parameter: values.pop(flag.parameter) for flag in flags}
+            for name, value in values.items():
+                if isinstance(value, float) and math.isnan(value):  # inside any range for click
+                    option = f"--{name.replace('_', '-')}"
+                    raise typer.BadParameter("nan is no number", param_hint=option)
             if flags:
-                by_flag = {flag.parameter: values.pop(flag.parameter) for flag in flags}
                 command(Given(by_flag, flags, values.pop("config"), ignored), **values)
             else:
                 command(**values)

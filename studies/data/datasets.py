@@ -49,7 +49,7 @@ NUMBER_KEYS = {
     "sigma_t_s": (1e-12, 1e3),
     "sigma_force_N": (1e-9, 1e9),
     "fps": (1e-3, 1e9),
-    "gravity_m_s2": (1e-2, 5e3),
+    "gravity_m_s2": (1e-2, 300.0),
 }
 KN_N_M, FRICTION = (1.0, limits.KN_N_M), (0.0, 100.0)
 MOST_LETTERS = 1000
@@ -141,6 +141,17 @@ class Drops:
     peak_force_N: Array | None
     session: tuple[str, ...] | None
     sigma_y_m: float | None
+
+    @property
+    def doubt(self) -> str:
+        """What deserves doubt where most drops rise higher than they fell; empty where not."""
+        higher = int(np.count_nonzero(self.y1_m > self.y0_m))
+        if 2 * higher <= len(self.drop):
+            return ""
+        return (
+            f"y1_mm exceeds y0_mm in {higher} of {len(self.drop)} drops, as if they gained energy; "
+            "are the columns exchanged, or heights read from different marks?"
+        )
 
 
 def read_manifest(folder: Path, only: str | None = None) -> Manifest:

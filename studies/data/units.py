@@ -16,15 +16,16 @@ from ...solver import paper
 from ...solver.arrays import Array
 from ...solver.bristle import Bristle, RigidMass
 from ...solver.errors import InputError
+from ..inputs.limits import MOST_DAMPED
 
 HEIGHTS_MM = (1.0, 5000.0)
 # Rises over the height before: the highest of one drop, the highest of all drops at least.
 MOST_RISE, LEAST_RISE = 10.0, 0.01
 # Times beyond what a rigid bristle on the paper's softest and stiffest contact would do.
 FAR = 30.0
-BAR_SPEED_M_S = (1.0, 30_000.0)
-# Of the first axial mode, over critical; the paper's is 0.26.
-MOST_DAMPED = 30.0
+BAR_SPEED_M_S = (10.0, 30_000.0)
+# Lengths over the thinner side.
+SLENDEREST = 2e4
 
 
 def check_heights(path: Path, lines: Sequence[int], y0_m: Array, y1_m: Array | None = None) -> None:
@@ -106,6 +107,7 @@ def doubtful_body(bristle: Bristle, declared: Container[str]) -> tuple[str, str]
     section, material = bristle.section, bristle.material
     bending = max(section.second_moment_x_m4, section.second_moment_y_m4)
     widest = math.sqrt(12.0 * bending / section.area_m2)  # of a flat wire; of a round one 0.87 d
+    thinnest = section.area_m2 / widest
     speed, (low, high) = material.bar_speed_m_s, BAR_SPEED_M_S
     damping = math.pi / bristle.axial_period_s * material.beta_s
     doubts: list[tuple[bool, tuple[str, ...], str]] = [
@@ -118,6 +120,11 @@ def doubtful_body(bristle: Bristle, declared: Container[str]) -> tuple[str, str]
             bristle.length_m <= widest,
             ("length_m", "thickness_m", "width_m", "diameter_m"),
             f"makes a bristle {bristle.length_m:g} m long and {widest:.3g} m wide; are both in m?",
+        ),
+        (
+            bristle.length_m > SLENDEREST * thinnest,
+            ("length_m", "thickness_m", "width_m", "diameter_m"),
+            f"makes a bristle {bristle.length_m:g} m long, {thinnest:.3g} m thin; are both in m?",
         ),
         (
             damping > MOST_DAMPED,

@@ -46,6 +46,8 @@ SMALL_LEAN_DEG = 0.5
 SPIN = 0.1
 # What bristles are, SI, and by what to multiply a value that was meant in another unit.
 MILLIMETRES = {"mm": 1e-3}
+# Of the first axial mode, over critical; the paper's is 0.26.
+MOST_DAMPED = 30.0
 USUAL: dict[str, tuple[float, float, dict[str, float]]] = {
     "length_m": (5e-3, 2.0, MILLIMETRES),
     "width_m": (1e-5, 2e-2, MILLIMETRES),
@@ -180,7 +182,13 @@ def _unit_warnings(inputs: DropInputs) -> list[str]:
 
 
 def _damping_warnings(inputs: DropInputs) -> list[str]:
-    """Another material with the damping of the paper's steel bristle."""
+    """Damping far beyond critical, or another material with that of the paper's steel bristle."""
+    damping = math.pi / inputs.bristle().axial_period_s * inputs.beta_s
+    if damping > MOST_DAMPED:
+        return [
+            f"--beta {inputs.beta_s:g} s damps the first axial mode {damping:.3g} times "
+            "critically: the bristle bounces as if it were rigid"
+        ]
     same = math.isclose(inputs.youngs_Pa, paper.YOUNGS_PA, rel_tol=ALIKE) and math.isclose(
         inputs.density_kg_m3, paper.DENSITY_KG_M3, rel_tol=ALIKE
     )

@@ -109,16 +109,18 @@ def compare(
     """The error of every step, and the step that each quantity needs (`need`) beside Eq. 8.
 
     Of ``drops`` those of one model, Kn and height differ in ITS alone; quantities that are not
-    known of all of them are left out. Where ``converged`` is the `shortest` step, that has no row.
+    known of any of them are left out, and an unknown one is too far off. Where ``converged`` is the
+    `shortest` step, that has no row.
     """
     errors: list[tuple[Any, ...]] = []
     needs: list[tuple[Any, ...]] = []
     for key, members in drops.groupby(["model", "kn_N_m", "y0_m"], sort=False):
         for name in quantities:
             its_s, values = members.its_s.to_numpy(), members[name].to_numpy(float)
-            if np.isnan(values).any():
+            known = ~np.isnan(values)
+            if not known.any():
                 continue  # no rebound was asked for
-            found = converged(its_s, values)
+            found = converged(its_s[known], values[known])
             error = values / found.value - 1.0
             kept = its_s > (its_s.min() if converged is shortest else 0.0)
             errors += [

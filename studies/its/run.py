@@ -15,6 +15,7 @@ import pandas as pd
 from mpi4py import MPI
 
 from ...solver import paper
+from ...solver.errors import ComputationError
 from ..inputs.fields import Height, Its, Numbers
 from ..report.figures import picture, write_picture
 from ..running.files import to_csv, write_atomically
@@ -55,11 +56,14 @@ def run_its(
     else against the shortest. A reduced model keeps the basis made for the paper's ITS: it is
     modal, so any step costs nothing, and its own error estimate is in the table.
     """
-    study = Study("its", partial(_finish, inputs.bristle().mass_kg), basis_its_s=paper.ITS_S)
+    finish = partial(_finish, inputs.bristle().mass_kg)
+    study = Study("its", finish, basis_its_s=paper.ITS_S, failures=True)
     run_study(study, inputs, out, comm, resume=resume, ranks_per_case=ranks_per_case)
 
 
 def _finish(mass_kg: float, rows: Sequence[Row], out: Path) -> dict[str, Any]:
+    if all(row["energy_closure"] is None for row in rows):
+        raise ComputationError(f"no case could be computed; the last {rows[-1]['warnings'][-1]}")
     errors, needs = compare(pd.DataFrame(rows), QUANTITIES, GOAL, mass_kg)
     needs["paper_its_s"] = paper.ITS_S
     needs["its_over_rule"] = needs.its_needed_s / needs.rule_s.where(needs.rule_s > 0.0)
@@ -89,7 +93,10 @@ def answer(out: Path) -> list[str]:
     ]
     for (model, kn), each in least.reindex(columns=list(QUANTITIES)).fillna("").iterrows():
         lines.append(f"  {model:<10}{kn:<10.6g}" + "".join(f"{words:>22}" for words in each))
-    steps = pd.read_csv(out / TABLE_FILE).its_s.nunique()
+    table = pd.read_csv(out / TABLE_FILE)
+    if failed := int(table.energy_closure.isna().sum()):
+        lines.append(f"  {failed} of {len(table)} cases failed: its.json says why")
+    steps = table.its_s.nunique()
     if steps < FEWEST_STEPS:
         lines.append(f"  of {steps} steps alone: give --its {FEWEST_STEPS} or more to trust it")
     return lines

@@ -30,6 +30,8 @@ CREDIBLE = 0.97
 SCATTER_GAIN = 8.0
 # Residuals of so little rms say that the declared uncertainty is no measure of the noise.
 FAR_SMALLER = 0.5
+# Nats by which an explanation that was refused is worth a second look.
+LIKELIER = 1.0
 # Declared standard deviations by which a few values are worth a second look.
 FAR_OFF, FEW = 6.0, 2
 ROUGH = "these data leave the parameters so loose that the ends of their intervals are rough"
@@ -117,7 +119,8 @@ def find(
     tied = [each.posterior for each in reported]
     bare = data.values.size <= base.u.size
     alone = _far_off(problem, data, kept.residual, best.held if best else plain)
-    doubts = (noticed, alone, ROUGH if final.few else "", BARE if bare else "")
+    likelier = _likelier(best, explained) if best else ""
+    doubts = (noticed, alone, likelier, ROUGH if final.few else "", BARE if bare else "")
     advance()
     return Finding(
         verdict=verdict,
@@ -172,6 +175,17 @@ def _far_off(problem: Problem, data: Sample, residual: Array, held: HeldOut | No
     if not 0 < len(far) <= FEW:
         return ""
     return "far off: " + ", ".join(f"no. {g} by {size:.2g} sigma" for g, size in far.items())
+
+
+def _likelier(best: Explanation, explained: Sequence[Explanation]) -> str:
+    """Which explanations are likelier than the one that is named and do not hold, in words."""
+    than = best.posterior.log_evidence
+    return "; ".join(
+        f"{' with '.join(each.posterior.effects)}, likelier by "
+        f"{each.posterior.log_evidence - than:.2g} nats, was refused: {each.why_not}"
+        for each in explained
+        if not each.holds and each.posterior.log_evidence > than + LIKELIER
+    )
 
 
 def _sample(problem: Problem, groups: Ints) -> Sample:

@@ -119,7 +119,8 @@ class Study:
     ``finish`` writes figures and further tables into a folder, on one rank, and returns what the
     study's JSON says besides. With ``curves`` rows have the tip's path over time, for figures.
     ``basis_its_s`` is the ITS that reduced models are made for, or None for each case's own.
-    ``varied`` are further inputs that differ between cases, which rows have too.
+    ``varied`` are further inputs that differ between cases, which rows have too. With
+    ``failures`` a case that fails is a row without values, its error among its warnings.
     """
 
     name: str
@@ -127,6 +128,7 @@ class Study:
     curves: bool = False
     basis_its_s: float | None = None
     varied: tuple[str, ...] = ()
+    failures: bool = False
 
     @property
     def columns(self) -> tuple[str, ...]:
@@ -265,24 +267,26 @@ def _build_together(workshop: Workshop, cases: Iterable[DropInputs]) -> None:
 
 
 def _row(study: Study, workshop: Workshop, inputs: DropInputs) -> Row:
-    try:
-        result, timings = workshop.run(inputs)
-    except ComputationError as error:
-        varied = "".join(f", {name} {value}" for name, value in _varied(study, inputs).items())
-        case = f"{inputs.model}, Kn {inputs.kn_N_m:g} N/m, y0 {1e3 * inputs.height_m:g} mm, "
-        raise ComputationError(f"{case}ITS {inputs.its_s:g} s{varied}: {error}") from error
     row: Row = {
         "model": inputs.model.value,
         "contact": inputs.contact.value,
         "kn_N_m": inputs.kn_N_m,
         "y0_m": inputs.height_m,
         "its_s": inputs.its_s,
-        "energy_closure": result.energy.closure_relative,
-        "wall_s": timings["total"],
+        **_varied(study, inputs),
     }
+    try:
+        result, timings = workshop.run(inputs)
+    except ComputationError as error:
+        if study.failures:
+            lost = dict.fromkeys(name for name in COLUMNS if name not in row)
+            return {**row, **lost, "wall_s": 0.0, "warnings": [f"failed: {error}"]}
+        varied = "".join(f", {name} {value}" for name, value in _varied(study, inputs).items())
+        case = f"{inputs.model}, Kn {inputs.kn_N_m:g} N/m, y0 {1e3 * inputs.height_m:g} mm, "
+        raise ComputationError(f"{case}ITS {inputs.its_s:g} s{varied}: {error}") from error
+    row |= {"energy_closure": result.energy.closure_relative, "wall_s": timings["total"]}
     row |= {name: results.number(name, inputs, result) for name in COLUMNS if name not in row}
     row["warnings"] = [*input_warnings(inputs), *result_warnings(inputs, result)]
-    row |= _varied(study, inputs)
     if study.curves:
         row["curve"] = _curve(result)
     return row

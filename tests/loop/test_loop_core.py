@@ -11,6 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import stats
 
+from bristle.studies.loop import explain
 from bristle.studies.loop import run as loop_run
 from bristle.studies.loop.adequacy import (
     assess,
@@ -338,6 +339,24 @@ def test_held_out_values_take_no_part(named):
     assert [e.theta for e in found.evidences] == [e.theta for e in named.evidences]
     # and a model that fails on them holds no longer
     assert found.verdict is Verdict.UNKNOWN
+
+
+def test_what_is_likelier_and_was_refused_is_told(monkeypatch):
+    problem = toys.problem(5, {"adhesion": 6.0})[0]
+    plain = find(problem, seed=5)
+    assert plain.effects == ("adhesion",)
+    assert not any("was refused" in each for each in plain.all_warnings())
+
+    def refuse(state, found, *others):
+        return "it is not noise" if found.effects == plain.effects else ""
+
+    monkeypatch.setattr(explain, "_refused", refuse)
+    found = find(problem, seed=5)
+    assert found.effects
+    (told,) = [each for each in found.all_warnings() if "was refused" in each]
+    less = {each.effects: each.log_evidence for each in found.evidences}
+    nats = less[plain.effects] - less[found.effects]
+    assert told == f"adhesion, likelier by {nats:.2g} nats, was refused: it is not noise"
 
 
 def test_error_on_held_out_drops_falls():

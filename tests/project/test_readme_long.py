@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import csv
 import json
+import math
 import re
 from pathlib import Path
 
@@ -123,6 +124,20 @@ def test_what_the_change_to_linear_flight_leaves_over():
         drop |= {"friction": 0.0, "height_m": 0.05, "until": "impact"}
         energy = run_case(checked(DropInputs, drop))[0].energy
         assert readme.agree(shown, abs(energy.numerical_J) / energy.initial_J), (model, lean)
+
+
+def test_what_a_rigid_plane_gives_back():
+    told = re.search(
+        r"comes back to ([\d.]+) of it at `--its 1e-6` and to ([\d.]+) at 1e-7 by Nitsche's "
+        r"method, to ([\d.]+) at 1e-6 by the augmented Lagrangian",
+        " ".join(readme.TEXT.split()),
+    )
+    assert told is not None
+    ways = (("nitsche", 1e-6), ("nitsche", 1e-7), ("augmented", 1e-6))
+    for (contact, its_s), shown in zip(ways, told.groups(), strict=True):
+        rigid = {"contact": contact, "its_s": its_s, "kn_N_m": math.inf, "beta_s": 0.0}
+        ratio = run_case(checked(DropInputs, rigid))[0].rebound_ratio
+        assert readme.agree(shown, ratio), contact
 
 
 def test_what_it_found(tmp_path):

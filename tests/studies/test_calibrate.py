@@ -156,6 +156,20 @@ def test_a_declared_sensor_keeps_the_interval_from_vanishing():
     assert known.high - known.low > 0.05
 
 
+def test_columns_that_were_exchanged_are_doubted(tmp_path):
+    from hostile import drops_table, write_dataset
+
+    table = drops_table().splitlines()
+    rows = [row.split(",") for row in table[1:]]
+    rows = [[row[0], row[2], row[1], *row[3:]] for row in rows]
+    text = "\n".join([table[0], *map(",".join, rows)]) + "\n"
+    drops = read_drops(write_dataset(tmp_path / "data", "drops", table=text))
+    first, second = calibrate(drops, grid_N_m=np.array([1e4, 1e6, 1e8])).warnings[:2]
+    assert f"y1_mm exceeds y0_mm in {len(rows)} of {len(rows)} drops" in first
+    assert "none explains them" in second
+    assert read_drops(write_dataset(tmp_path / "meant", "drops")).doubt == ""
+
+
 def test_a_trend_with_height_is_found_and_none_is_not(rng):
     y0 = rng.uniform(0.01, 0.05, 60)
     noise = 3e-4 * rng.standard_normal(60)
@@ -313,4 +327,6 @@ def test_drops_that_bounce_to_their_own_height_say_so(model, folder):
     found = calibrate(drops, model, grid_N_m=GRID)
     assert found.kn.estimate is None
     assert found.kn.low is None
-    assert any("from above only" in each for each in found.warnings)
+    assert any("none explains them" in each for each in found.warnings)
+    near = read_drops(folder("1,10,10.3\n2,20,19.2\n3,30,30.9\n4,40,40.2\n"))
+    assert any("from above only" in each for each in calibrate(near, model, grid_N_m=GRID).warnings)

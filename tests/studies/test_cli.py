@@ -97,6 +97,7 @@ def test_every_option_of_help_is_accepted_by_name():
         (["--tilt", "50", "--slope", "-50"], "--tilt: tilt and slope together lean the bristle"),
         (["--model", "analytic", "--tilt", "2"], "--tilt: the analytic model is a mass on"),
         (["--tip-shape", "round"], "--tip-shape: tip shape 'round' is not known"),
+        (["--keep", "nan"], "Invalid value for --keep: nan is no number"),
         (["--contact-points", "2"], "--contact-points: must be greater"),
         (["--effect", "air_drag:cf=1"], "--effect: air_drag has no parameter 'cf'"),
         (["--effect", "air_drag:cd=-1"], "--effect: air_drag: cd must lie between"),

@@ -185,6 +185,19 @@ def test_history_is_continuous_in_time_and_ends_where_asked(beam):
     assert first == pytest.approx(result.rebound_height_m, rel=2e-3)
 
 
+@pytest.mark.parametrize(("kn", "beta", "until"), [(2e6, 1.07e-5, 1.05), (1e6, 5e-5, 1.2)])
+def test_bounces_die_out_and_the_bristle_stands_on_its_spring(kn, beta, until):
+    """The last rebounds are lower than the weight sinks in; their flight starts below the plane."""
+    bristle = Bristle(material=Material(beta_s=beta))
+    found = drop(ModalFrame(beam_body(bristle, paper.ELEMENTS)), kn, until_s=until)
+    rows = found.history.array()
+    weight = bristle.mass_kg * G
+    assert rows[-1, 1] == pytest.approx(-weight / kn, rel=1e-6)
+    assert rows[-1, 3] == pytest.approx(weight, rel=1e-6)
+    assert rows[:, 4].max() <= found.max_penetration_m
+    assert found.energy.closure_relative < 1e-9
+
+
 def test_mass_proportional_damping_slows_the_fall():
     """v = (g/α)(1 - exp(-α t)); small α tends to Eq. 1."""
     t, speed = free_fall(0.05, G, 3.0)

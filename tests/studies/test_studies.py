@@ -714,6 +714,28 @@ def test_the_study_of_the_step_compares_with_the_converged_value(out):
 
 
 @serial
+def test_a_step_that_fails_is_a_row_of_the_study_of_the_step(out, monkeypatch):
+    longest, compute = 1e-4, Workshop.run
+
+    def run(workshop, inputs):
+        if inputs.its_s == longest:
+            raise ComputationError("the contact forces did not converge")
+        return compute(workshop, inputs)
+
+    monkeypatch.setattr(Workshop, "run", run)
+    values = {**SMALL, "models": "beam", "kn_N_m": "2e6"}
+    run_its(checked(ItsInputs, {**values, "its_s": "1e-4,1e-5,1e-6,1e-7"}), out)
+    first, *others = read_table(out / "table.csv")
+    assert first["its_s"] == "0.0001"
+    assert first["rebound_ratio"] == first["energy_closure"] == ""
+    assert all(row["rebound_ratio"] for row in others)
+    assert all(float(row["its_needed_s"]) < longest for row in read_table(out / "needs.csv"))
+    assert "1 of 4 cases failed" in its.answer(out)[-1]
+    with pytest.raises(ComputationError, match="no case could be computed"):
+        run_its(checked(ItsInputs, {**values, "its_s": "1e-4"}), out / "none")
+
+
+@serial
 def test_a_basis_of_the_study_serves_every_step(out):
     values = {**SMALL, "models": "reduced", "kn_N_m": "2e6", "its_s": "1e-5,3e-6,1e-6"}
     run_its(checked(ItsInputs, values), out)
@@ -745,10 +767,10 @@ def test_the_study_of_the_step_answers_with_the_shortest_of_all_heights(tmp_path
         ("beam", 1e6, 0.05, "peak_force_N", 1e-7, "<"),
     ]
     (tmp_path / "needs.csv").write_text(to_csv(names, rows))
-    steps = [(f"{10.0**-k:g}",) for k in (4, 5, 6)]
-    (tmp_path / "table.csv").write_text(to_csv(("its_s",), steps))
+    steps = [(f"{10.0**-k:g}", 1e-12) for k in (4, 5, 6)]
+    (tmp_path / "table.csv").write_text(to_csv(("its_s", "energy_closure"), steps))
     assert its.answer(tmp_path)[-1].split() == ["beam", "1e+06", "3e-05", "<1e-07"]
-    (tmp_path / "table.csv").write_text(to_csv(("its_s",), steps[:1]))
+    (tmp_path / "table.csv").write_text(to_csv(("its_s", "energy_closure"), steps[:1]))
     assert "of 1 steps alone" in its.answer(tmp_path)[-1]
 
 

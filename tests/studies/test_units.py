@@ -85,18 +85,28 @@ def test_so_is_a_film(tmp_path, name, factor, says):
     assert says in refused(folder, tmp_path / "out")
 
 
+def test_so_are_forces_of_the_other_sign(tmp_path):
+    table = scaled(TABLES["forces"][1], "force_N", -1.0)
+    folder = write_dataset(tmp_path / "data", "forces", table=table)
+    said = refused(folder, tmp_path / "out")
+    assert said.startswith(f"{folder / TABLES['forces'][0]}:10: drop 1 never presses harder")
+
+
 @pytest.mark.parametrize("kind", ["drops", "tracks", "forces"])
 @pytest.mark.parametrize(
     ("part", "key", "value"),
     [
         ("measurement", "sigma_y_mm", 500.0),
         ("measurement", "gravity_m_s2", 9800.0),
+        ("measurement", "gravity_m_s2", 981.0),
         ("measurement", "gravity_m_s2", 9.8e-3),
         ("body", "length_m", 336.5),
+        ("body", "length_m", 33.65),
         ("body", "length_m", 0.3365e-3),
         ("body", "thickness_m", 0.5),
         ("body", "density_kg_m3", 7.8),
         ("body", "youngs_modulus_Pa", 207.0),
+        ("body", "youngs_modulus_Pa", 207e3),
         ("body", "youngs_modulus_Pa", 207e12),
         ("body", "youngs_modulus_Pa", 10.0e12),
         ("body", "width_m", 0.5),

@@ -61,8 +61,12 @@ def read_forces(folder: Path) -> Forces:
     read.check_drops(LEAST_SAMPLES, "samples")
     numbers = read.number[read.begins[:-1]]
     for i, piece in enumerate(read.pieces):
-        if not read.value[piece].max() > 0.0:
-            raise InputError(f"{read.at(i)}: drop {numbers[i]} never presses")
+        if not read.value[piece].max() > -min(read.value[piece].min(), 0.0):
+            lowest = piece.start + int(np.argmin(read.value[piece]))
+            raise InputError(
+                f"{read.path}:{read.lines[lowest]}: drop {numbers[i]} never presses harder than it "
+                "pulls; force_N is positive where the surface is pressed"
+            )
     y0, y1 = _heights(manifest, read, numbers)
     declared = manifest.measurement
     data = Forces(
