@@ -93,8 +93,8 @@ def test_a_mesh_knows_its_section_and_its_nodes(folder, plain, order):
         gmsh.write(str(hexahedra))
     for path in (plain, hexahedra):
         mesh = opened(path)
-        section = mesh.tip_section
-        assert (section.thickness_m, section.width_m) == pytest.approx((THIN, WIDE))
+        for section in (mesh.tip_section, mesh.mean_section):
+            assert (section.thickness_m, section.width_m) == pytest.approx((THIN, WIDE))
         domain, _ = own_to_dolfinx(mesh, MPI.COMM_SELF)
         space = fem.functionspace(domain, ("Lagrange", order))
         assert mesh.n_nodes(order) == space.dofmap.index_map.size_global

@@ -152,6 +152,7 @@ def test_events_agree_with_plain_marching(kn, beta):
     assert plain.cm_velocity_after_m_s == pytest.approx(events.cm_velocity_after_m_s, rel=5e-3)
     assert plain.max_penetration_m == pytest.approx(events.max_penetration_m, rel=5e-3)
     assert plain.rebound_ratio == pytest.approx(events.rebound_ratio, rel=5e-3)
+    assert plain.rebound_height_m == pytest.approx(plain.rebound_ratio * plan.height_m, rel=1e-12)
     assert plain.peak_force_N == pytest.approx(events.peak_force_N, rel=5e-3)
     assert plain.impulse_N_s == pytest.approx(events.impulse_N_s, rel=2e-3)
     assert plain.contact_time_s == pytest.approx(events.contact_time_s, abs=2 * 5e-6)
