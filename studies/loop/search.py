@@ -190,12 +190,10 @@ def fit_pairs(
     """Fits of all pairs of effects, to simulations where they are likely; ``plain`` is the log
     evidence of none.
 
-    Each of a pair is likelier than none by itself: of the others some mend what is left of any.
     What scatters takes longer: it is paired with the likeliest others alone, or where it is the
     likeliest itself with all.
     """
-    helping = [each for each in singles if each.log_evidence > plain]
-    best = sorted(helping, key=lambda each: -each.log_evidence)
+    best = sorted(singles, key=lambda each: -each.log_evidence)
     scatters = [each for each in best if each.scatters]
     steady = [each for each in best if not each.scatters]
     pairs = list(itertools.combinations(steady, 2))

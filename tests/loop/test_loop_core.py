@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import stats
 
-from bristle.studies.loop import explain, search
+from bristle.studies.loop import explain
 from bristle.studies.loop import run as loop_run
 from bristle.studies.loop.adequacy import (
     assess,
@@ -357,23 +357,6 @@ def test_what_is_likelier_and_was_refused_is_told(monkeypatch):
     less = {each.effects: each.log_evidence for each in found.evidences}
     nats = less[plain.effects] - less[found.effects]
     assert told == f"adhesion, likelier by {nats:.2g} nats, was refused: it is not noise"
-
-
-def test_of_a_pair_each_explains_something_by_itself(monkeypatch):
-    tried = []
-
-    def fit_pairs(*arguments):
-        tried.append((arguments, search.fit_pairs(*arguments)))
-        return tried[-1][1]
-
-    monkeypatch.setattr(explain, "fit_pairs", fit_pairs)
-    found = find(toys.problem(3, unlisted=("bump", 16.0))[0], seed=3)
-    assert found.verdict is Verdict.UNKNOWN
-    (((_, _, _, singles, _, plain), pairs),) = tried
-    alone = {each.effects[0]: each.log_evidence for each in singles}
-    assert min(alone.values()) < plain
-    assert pairs
-    assert all(alone[name] > plain for each in pairs for name in each.effects)
 
 
 def test_error_on_held_out_drops_falls():
