@@ -75,6 +75,11 @@ class Bristle:
         """Period 2L/c of the first free-free axial mode; a rigid impact lasts as long."""
         return 2.0 * self.length_m / self.material.bar_speed_m_s
 
+    @property
+    def axial_damping(self) -> float:
+        """Damping of that mode by β alone, over critical: β ω / 2; the paper's bristle has 0.26."""
+        return math.pi / self.axial_period_s * self.material.beta_s
+
 
 @dataclass(frozen=True)
 class RigidMass:

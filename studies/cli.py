@@ -163,7 +163,7 @@ def its(
     """The integration time step: what each quantity needs, against stiffness.
 
     Without lists: seven steps from 1e-7 to 1e-4 s, the paper's eleven Kn, 50 mm, with the beam and
-    the reduced solid.
+    the reduced solid. A step that fails is a row without values.
 
     Example: bristle its --models beam --kn 1e5,2e6,1e8 --its 1e-4,1e-5,1e-6,1e-7
     """

@@ -143,14 +143,14 @@ class Drops:
     sigma_y_m: float | None
 
     @property
-    def doubt(self) -> str:
-        """What deserves doubt where most drops rise higher than they fell; empty where not."""
+    def doubts(self) -> tuple[str, ...]:
+        """What deserves doubt: that most drops rise higher than they fell."""
         higher = int(np.count_nonzero(self.y1_m > self.y0_m))
         if 2 * higher <= len(self.drop):
-            return ""
+            return ()
         return (
             f"y1_mm exceeds y0_mm in {higher} of {len(self.drop)} drops, as if they gained energy; "
-            "are the columns exchanged, or heights read from different marks?"
+            "are the columns exchanged, or heights read from different marks?",
         )
 
 

@@ -109,7 +109,6 @@ def doubtful_body(bristle: Bristle, declared: Container[str]) -> tuple[str, str]
     widest = math.sqrt(12.0 * bending / section.area_m2)  # of a flat wire; of a round one 0.87 d
     thinnest = section.area_m2 / widest
     speed, (low, high) = material.bar_speed_m_s, BAR_SPEED_M_S
-    damping = math.pi / bristle.axial_period_s * material.beta_s
     doubts: list[tuple[bool, tuple[str, ...], str]] = [
         (
             not low <= speed <= high,
@@ -127,9 +126,9 @@ def doubtful_body(bristle: Bristle, declared: Container[str]) -> tuple[str, str]
             f"makes a bristle {bristle.length_m:g} m long, {thinnest:.3g} m thin; are both in m?",
         ),
         (
-            damping > MOST_DAMPED,
+            bristle.axial_damping > MOST_DAMPED,
             ("damping_beta_s",),
-            f"damps the first axial mode {damping:.3g} times critically; is it in s?",
+            f"damps the first axial mode {bristle.axial_damping:.3g} times critically; is it in s?",
         ),
     ]
     found = ((key, why) for doubt, keys, why in doubts if doubt for key in keys if key in declared)

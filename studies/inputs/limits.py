@@ -46,8 +46,6 @@ SMALL_LEAN_DEG = 0.5
 SPIN = 0.1
 # What bristles are, SI, and by what to multiply a value that was meant in another unit.
 MILLIMETRES = {"mm": 1e-3}
-# Of the first axial mode, over critical; the paper's is 0.26.
-MOST_DAMPED = 30.0
 USUAL: dict[str, tuple[float, float, dict[str, float]]] = {
     "length_m": (5e-3, 2.0, MILLIMETRES),
     "width_m": (1e-5, 2e-2, MILLIMETRES),
@@ -58,6 +56,8 @@ USUAL: dict[str, tuple[float, float, dict[str, float]]] = {
     "density_kg_m3": (200.0, 2.5e4, {"g/cm³": 1e3}),
     "kn_N_m": (1e2, 1e12, {"MN/m": 1e6, "N/mm": 1e3}),
 }
+# Of the first axial mode, over critical.
+MOST_DAMPED = 30.0
 # Elastic constants this close to the steel's are another steel's.
 ALIKE = 0.1
 # Lean at which the side or the upper end reaches the surface.
@@ -183,7 +183,7 @@ def _unit_warnings(inputs: DropInputs) -> list[str]:
 
 def _damping_warnings(inputs: DropInputs) -> list[str]:
     """Damping far beyond critical, or another material with that of the paper's steel bristle."""
-    damping = math.pi / inputs.bristle().axial_period_s * inputs.beta_s
+    damping = inputs.bristle().axial_damping
     if damping > MOST_DAMPED:
         return [
             f"--beta {inputs.beta_s:g} s damps the first axial mode {damping:.3g} times "

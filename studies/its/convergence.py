@@ -122,7 +122,7 @@ def compare(
                 continue  # no rebound was asked for
             found = converged(its_s[known], values[known])
             error = values / found.value - 1.0
-            kept = its_s > (its_s.min() if converged is shortest else 0.0)
+            kept = its_s > (its_s[known].min() if converged is shortest else 0.0)
             errors += [
                 (*key, name, step, value, found.value, found.order, e)
                 for step, value, e in zip(its_s[kept], values[kept], error[kept], strict=True)

@@ -54,7 +54,8 @@ def run_its(
 
     Errors are against Richardson's limit of the three shortest steps where their order is clean,
     else against the shortest. A reduced model keeps the basis made for the paper's ITS: it is
-    modal, so any step costs nothing, and its own error estimate is in the table.
+    modal, so any step costs nothing, and its own error estimate is in the table. A case that fails
+    is a row without values; ComputationError where all do.
     """
     finish = partial(_finish, inputs.bristle().mass_kg)
     study = Study("its", finish, basis_its_s=paper.ITS_S, failures=True)

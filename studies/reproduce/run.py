@@ -1,6 +1,6 @@
 """`bristle reproduce`: every figure and table of the paper, and where it and we differ.
 
-`bristle reproduce`: all drops are computed once, spread over the ranks, and then shown on one page.
+All drops are computed once, spread over the ranks, and then shown on one page.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The wave along a bristle's axis, and the frame that holds all of its motion."""
+"""The wave along a bristle's axis, and the window of a picture that holds all of its motion."""
 
 from __future__ import annotations
 

@@ -120,7 +120,7 @@ def drops_problem(data: datasets.Drops) -> Problem:
         confirm_why=emulator.no_solid,
         sigma_declared=data.sigma_y_m is not None,
         notes=notes,
-        warnings=tuple(filter(None, [data.doubt])),
+        warnings=data.doubts,
     )
 
 
