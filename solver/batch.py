@@ -23,16 +23,14 @@ from .contact_phase import STAYING, STEP_LIMIT
 from .drop import TOUCH_LIMIT, WAIT_STEPS, slowest_period_s
 from .energy import ASTRAY
 from .errors import ComputationError
-from .ground import local_frames
+from .ground import local_frames, touched_offsets
 from .impact import compiled, gain_allowed
-from .rigid import fallen, free_rotation, leaning, matrix_of
+from .rigid import leaning, matrix_of
 from .time import modal_march
-from .time.apex import apex
-from .time.flight import flyer
+from .time.flight import Sky, energies, fly
 from .time.march import Marcher
 from .time.modal_march import MarchLimits, Modes, Touching, march
-from .time.motion import Chart, Flyer, chart, landing, launch, top_of_centre
-from .time.touchdown import after_release
+from .time.motion import Flyer, Stance, centre, flyer, landing, turned
 
 TOO_MANY, FALLEN, GAINED, OFF_BUDGET = 5, 6, 7, 8
 # Contact in an impact that lasts longer, in seconds and in radians of the mass on its spring, is
@@ -156,46 +154,14 @@ class Outcome(NamedTuple):
     n_steps: Array
 
 
-@njit
-def _plane_offsets(normals: Array, rises: Array, rotation: Array, places: Array) -> Array:
-    """Offsets (n,) of planes through the points of a body in the origin, one just touching."""
-    n = len(places)
-    offsets = np.empty(n)
-    clear = math.inf
-    at = np.empty(3)
-    for i in range(n):
-        for c in range(3):
-            at[c] = 0.0
-            for d in range(3):
-                at[c] += rotation[c, d] * places[i, d]
-        # the plane under the point lies where a flat ground would, raised
-        height = rises[i]
-        offsets[i] = normals[i, 0] * at[0] + normals[i, 1] * at[1] + normals[i, 2] * height
-        gap = normals[i, 0] * at[0] + normals[i, 1] * at[1] + normals[i, 2] * at[2] - offsets[i]
-        clear = min(clear, gap / normals[i, 2])
-    for i in range(n):
-        offsets[i] += clear * normals[i, 2]
-    return offsets
-
-
-@njit
-def _energy(omega2: Array, u: Array, v: Array, weight: float, height: float) -> float:
-    total = weight * height
-    for j in range(len(u)):
-        total += 0.5 * (v[j] * v[j] + omega2[j] * u[j] * u[j])
-    return total
-
-
 class Common(NamedTuple):
-    """What all drops share; ``slowest`` is the period of the body's slowest mode, ``slides`` for
-    how long it is followed as it slides."""
+    """What all drops share; ``slides`` is for how long a body is followed as it slides."""
 
     modes: Modes
     flyer: Flyer
+    sky: Sky
     points: Points
     kt_over_kn: float
-    gravity: float
-    slowest: float
     slides: float
 
 
@@ -212,96 +178,78 @@ class Columns(NamedTuple):
 
 
 @njit
-def one_drop(
-    common: Common, table: Chart, points: Points, columns: Columns, which: int, out: Array
-) -> int:
+def one_drop(common: Common, points: Points, columns: Columns, which: int, out: Array) -> int:
     """Write what drop ``which`` gives to ``out``, in the order of `Outcome`; the march's status."""
-    modes, flyer, gravity = common.modes, common.flyer, common.gravity
-    attitude, height = columns.attitude[which], columns.height[which]
+    modes, flyer, sky = common.modes, common.flyer, common.sky
+    places, gravity, height = flyer.points.places, sky.gravity, columns.height[which]
     normals, rises = columns.normals[which], columns.rises[which]
-    m = len(modes.omega2)
-    alpha, damped = flyer.alpha, flyer.damping.max() > 0.0
-    speed = math.sqrt(2.0 * gravity * height)
-    position: Array = np.zeros(3)
-    rotation = matrix_of(attitude)
-    offsets = _plane_offsets(normals, rises, rotation, flyer.places)
-    datum = 0.0
-    for k in range(3):
-        datum += rotation[2, k] * flyer.tip_place[k]
-    u: Array = np.zeros(m)
-    v: Array = -speed * (flyer.translation @ rotation[2])
+    pose = Stance(np.zeros(3), columns.attitude[which], np.zeros(0), np.zeros(0))
+    rotation = matrix_of(pose.attitude)
+    # the plane under a point lies where a flat ground would, raised
+    offsets = np.empty(len(places))
+    for i in range(len(places)):
+        at = rotation @ places[i]
+        offsets[i] = normals[i, 0] * at[0] + normals[i, 1] * at[1] + normals[i, 2] * rises[i]
+    offsets = touched_offsets(normals, offsets, rotation, places)
+    datum = rotation[2] @ flyer.tip.places[0]
+    u: Array = np.zeros(len(modes.omega2))
+    v: Array = flyer.translation @ (-math.sqrt(2.0 * gravity * height) * rotation[2])
     initial = modes.mass * gravity * height
-    top = centre_top = -math.inf
-    loss = rubbed = spent = impulse = peak = 0.0
-    first = -1.0
-    last = now = wait = 0.0
-    touches = steps = 0
-    placed = False
-    weight = modes.mass * gravity
-    limit = STEP_LIMIT // STAYING if points.kind.remembers else STEP_LIMIT
     longest = max(LONGEST_S, LONGEST_RAD * math.sqrt(modes.mass / points.law[0]), common.slides)
+    limit = STEP_LIMIT // STAYING if points.kind.remembers else STEP_LIMIT
     limit = min(limit, int(longest / modes.its) + 1)
+    lost, impulse, peak, first, last = np.zeros(3), 0.0, 0.0, -1.0, 0.0
+    top, centre_top, now, wait, touches, steps = -math.inf, -math.inf, 0.0, 0.0, 0, 0
+    memory: Array = np.zeros(len(places))
+    frames, gaps = local_frames(normals, offsets, pose.position, rotation, places)
     for _ in range(TOUCH_LIMIT):
-        if not placed:
-            rotation = matrix_of(attitude)
-            frames, gaps = local_frames(normals, offsets, position, rotation, flyer.places)
-            if frames[:, 0, 2].min() <= 0.0:
-                return FALLEN
+        if frames[:, 0, 2].min() <= 0.0:
+            return FALLEN
         touching = Touching(points, frames, gaps, rotation[2].copy(), 0.0, 0.0, gravity)
         limits = MarchLimits(max(wait - now, 0.0), math.inf, limit - steps, False)
-        done = march(modes, touching, u, v, limits)
+        done = march(modes, touching, u, v, memory, limits)
         if done.status != modal_march.RELEASED:
             return done.status
-        steps += done.steps
-        loss += done.material_loss
-        rubbed += done.friction_loss
-        spent += done.contact_loss
+        steps, memory = steps + done.steps, done.memory
+        lost += np.array([done.material_loss, done.friction_loss, done.contact_loss])
         if done.impulse != 0.0:
-            touches += 1
-            impulse += done.impulse
-            peak = max(peak, done.peak)
-            if first < 0.0:
-                first = now
-            last = now + done.release
+            touches, impulse, peak = touches + 1, impulse + done.impulse, max(peak, done.peak)
+            first, last = now if first < 0.0 else first, now + done.release
         now += done.steps * modes.its
-        motion = launch(table, flyer, position, attitude, done.u, done.v, gravity)
-        energy = _energy(modes.omega2, done.u, done.v, weight, motion.position[2])
-        closure = abs(initial - energy - loss - rubbed - spent) / initial
-        if not closure <= ASTRAY:  # what went astray may have no next touch that is ever found
+        start = Stance(pose.position, pose.attitude, done.u, done.v)
+        flown = fly(flyer, normals, offsets, start, sky, (1.0 + ASTRAY) * initial - lost.sum())
+        before = energies(flown.motion, 0.0)
+        closure = abs(initial - before.total - lost.sum())
+        if flown.astray or not closure <= ASTRAY * initial:
             return OFF_BUDGET
-        after, over = after_release(motion, normals, offsets, common.slowest)
-        if not over and after < WAIT_STEPS * modes.its:
-            u, v, wait = done.u, done.v, now + after
-            placed = True
+        if flown.soon:
+            u, v, wait = done.u, done.v, now + flown.next
             continue
-        top = max(top, apex(motion, after)[1] - datum)
-        centre_top = max(centre_top, top_of_centre(motion, after)[1])
-        if over:
+        top, centre_top = max(top, flown.tip_m - datum), max(centre_top, flown.centre_m)
+        if flown.over:
             break
-        position, attitude, u, v = landing(motion, after)
-        if damped:
-            loss += energy - _energy(modes.omega2, u, v, weight, position[2])
-        now += after
-        wait = now
-        placed = False
+        pose = landing(flown.motion, flown.next)
+        u, v = pose.u, pose.v
+        after = energies(flown.motion, flown.next)
+        lost[0] += before.total - after.total
+        now += flown.next
+        wait, rotation = now, matrix_of(pose.attitude)
+        frames, gaps = local_frames(normals, offsets, pose.position, rotation, places)
     else:
         return TOO_MANY
-    back = last - now
     out[0], out[1] = top, centre_top
-    out[2] = fallen(motion.position, motion.velocity, gravity, alpha, back)[1][2]
+    out[2] = centre(flown.motion, last - now)[1][2]
     out[3], out[4], out[5], out[6] = last - first, touches, peak, impulse
-    out[7:10] = free_rotation(motion.attitude, motion.spin, flyer.inertia, alpha, 0.0, back)[1]
-    out[10], out[11] = loss, rubbed
-    out[12] = spent
-    out[13] = closure
-    out[14] = steps
+    out[7:10] = turned(flown.motion, last - now)[1]
+    out[10:13] = lost
+    out[13], out[14] = closure / initial, steps
     return modal_march.RELEASED
 
 
 @njit
 def many_drops(common: Common, columns: Columns, out: Array, status: NDArray[np.int64]) -> None:
     """`one_drop` for every row, ``out`` (drops, …) and ``status`` (drops,) written."""
-    table, points = chart(common.flyer), common.points
+    points = common.points
     for i in range(len(columns.height)):
         law = columns.laws[i]
         own = Points(
@@ -316,7 +264,7 @@ def many_drops(common: Common, columns: Columns, out: Array, status: NDArray[np.
             proximal=points.proximal,
             dashpot=points.dashpot,
         )
-        status[i] = one_drop(common, table, own, columns, i, out[i])
+        status[i] = one_drop(common, own, columns, i, out[i])
 
 
 def drop_many(marcher: Marcher, drops: Drops) -> Outcome:
@@ -401,10 +349,9 @@ def _drop(
     common = Common(
         modes=modes,
         flyer=flyer(marcher.body),
+        sky=Sky(marcher.gravity_m_s2, 0.0, slowest, WAIT_STEPS * marcher.its_s),
         points=touching.points._replace(proximal=constants.proximal),
         kt_over_kn=marcher.method.friction.kt_over_kn,
-        gravity=marcher.gravity_m_s2,
-        slowest=slowest,
         slides=slowest if slides else 0.0,
     )
     columns = Columns(
@@ -418,7 +365,9 @@ def _drop(
     )
     meanwhile(many_drops, common, columns, rows, codes)
     found = Outcome(*rows.T)
-    allowed = gain_allowed(marcher, found.n_steps) * modes.mass * common.gravity * columns.height
+    allowed = (
+        gain_allowed(marcher, found.n_steps) * modes.mass * common.sky.gravity * columns.height
+    )
     gained = np.minimum(found.friction_loss_J, found.contact_loss_J) < -allowed
     codes[gained & (codes == modal_march.RELEASED)] = GAINED
     return rows, codes

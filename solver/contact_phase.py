@@ -61,7 +61,7 @@ class ContactPhase(ContactSums):
     ``max_penetration_m`` is the greatest value at the ends of steps, refined by a parabola through
     its neighbours, ``max_penetration_s`` when that was since the start; ``u`` and ``v`` are the
     first state after release. ``contact_J`` is what contact still holds where the march ended
-    before that.
+    before that, ``memory`` (n,) what the law remembers of its points.
     """
 
     start_s: float
@@ -72,6 +72,7 @@ class ContactPhase(ContactSums):
     max_penetration_s: float
     contact_J: float
     n_steps: int
+    memory: Array
 
 
 class Observer(Protocol):

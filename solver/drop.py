@@ -14,14 +14,15 @@ from .bodies.modal import ModalBody
 from .checkpoint import Checkpoint
 from .contact.enforcement import ContactMethod
 from .contact_phase import ContactPhase, History, Observer
-from .energy import MOST_LEFT, Budget, Energy, flight_energy
+from .energy import MOST_LEFT, Budget, Energy
 from .errors import ComputationError
-from .fall import damped_path, dragged_fall, dragged_path, free_fall, risen
+from .fall import damped_path, dragged, dragged_fall, free_fall
 from .ground import Ground, just_touched, place
 from .impact import march_contact
 from .rigid import Pose, leaning, product, quaternion_of
-from .time.flight import Flight, charted
+from .time.flight import Flight, Flown, Sky, fly, stance
 from .time.march import ContactMarch, Marcher
+from .time.motion import flyer
 from .time.scheme import TimeScheme
 
 TOUCH_LIMIT = 10_000
@@ -84,8 +85,7 @@ class DropPlan:
     tip touches. Upright, the body's axes are the columns of ``axes`` (3, 3) in the world (None: the
     world's own). ``until_s`` is a time after release, or None to end after the first rebound;
     ``impact_only`` ends at the last release of the first impact. ``release_speed_m_s`` is the
-    downward speed at the start, ``drag_kg_m`` the air's drag over the square of the speed: exact in
-    the fall, and in the rebound of a bristle that does not turn.
+    downward speed at the start, ``drag_kg_m`` the air's drag over the square of the vertical speed.
     """
 
     height_m: float
@@ -139,31 +139,6 @@ class DropResult:
     reduction_error: float | None = None
 
 
-@dataclass
-class Impact:
-    """The touches of one impact, and the flight that follows it.
-
-    ``top_m`` and ``centre_top_m`` are the greatest heights of the tip and of the centre of mass
-    between its touches. ``ended`` says that no touch of it was to come when the drop ended.
-    """
-
-    touches: list[ContactPhase]
-    flight: Flight
-    energy_after: Energy
-    next_touch_s: float
-    material_loss_J: float
-    friction_loss_J: float
-    contact_loss_J: float
-    n_steps: int
-    top_m: float
-    centre_top_m: float
-    ended: bool
-
-    @property
-    def release_s(self) -> float:
-        return self.touches[-1].release_s
-
-
 def _fall(plan: DropPlan, body: Body) -> tuple[float, float]:
     if not (plan.release_speed_m_s or plan.drag_kg_m):
         return free_fall(plan.height_m, plan.gravity_m_s2, body.alpha_1_s)
@@ -186,79 +161,202 @@ def simulate(
     ``observer`` sees every marched state. What is marched step by step goes on from
     ``checkpoint``. Raises ComputationError.
     """
-    body, g = frame.body, plan.gravity_m_s2
-    marcher = marcher or Marcher(body, plan.method, plan.scheme, plan.its_s, g)
-    stage = Stage(frame, marcher, plan, observer, checkpoint)
-    history = stage.history
-    fall_s, speed = _fall(plan, body)
-    initial = stage.initial_J
-    slowed = initial - 0.5 * body.mass_kg * speed**2
-    loss, dragged = slowed if body.alpha_1_s else 0.0, slowed if plan.drag_kg_m else 0.0
-    rubbed = spent = 0.0
-    _record_fall(history, plan, fall_s, body)
-    end_s = stage.end_s
-    if end_s <= fall_s:
-        raise ComputationError(f"the drop ends at {end_s:g} s, before it touches at {fall_s:g} s")
-
-    t, pose = fall_s, stage.first_pose
-    u: Array = np.zeros(len(body.translation))
-    v: Array = body.translation @ (-speed * pose.rotation[2])
-    impacts: list[Impact] = []
-    rebound: float | None = None
-    centre_rebound: float | None = None
+    body = frame.body
+    marcher = marcher or Marcher(body, plan.method, plan.scheme, plan.its_s, plan.gravity_m_s2)
+    stage = Stage(frame, marcher, plan)
+    t, pose = stage.fall_s, stage.first_pose
+    start = t, np.zeros(len(body.translation)), body.translation @ stage.speed(pose)
+    history, losses, end_s = stage.history, stage.losses, stage.end_s
+    first: Impact | None = None
+    touches: list[ContactPhase] = []
+    tops: list[tuple[float, float]] = []
+    memory, wait_s, n_steps = None, t, 0
+    stage.place(pose)
     while True:
-        impact = stage.impact(t, pose, u, v)
-        impacts.append(impact)
-        loss += impact.material_loss_J
-        rubbed += impact.friction_loss_J
-        spent += impact.contact_loss_J
-        now = impact.energy_after
-        if plan.impact_only:
-            break
-        flight = impact.flight
-        stop = max(min(impact.next_touch_s, end_s), flight.t0_s)
-        if len(impacts) == 1:
-            rebound, centre_rebound = stage.rebound(impact)
-        _record_flight(history, flight, impact.touches[-1].release_s, stop, stage)
-        after = flight_energy(flight, stop)
-        if frame.modal.damping_1_s.any():
-            loss += now.total_J - now.contact_J - after.total_J
-        now = replace(after, contact_J=now.contact_J)
-        if plan.until_s is None or stop >= end_s:
-            break
-        pose, q, qv = flight.state(stop)
-        t, (u, v) = stop, frame.landed(q, qv)
-    first = impacts[0]
-    touches = first.touches
-    deepest = max(touches, key=lambda touch: touch.max_penetration_m)
-    contact_s = math.nan
-    velocity: Array = np.full(3, math.nan)
-    spin: Array = np.full(3, math.nan)
-    if first.ended:
-        contact_s = first.release_s - touches[0].start_s
-        velocity = first.flight.centre(first.release_s)[1]
-        spin = first.flight.turned(first.release_s)[1]
-    found = DropResult(
-        impact_speed_m_s=speed,
-        rebound_ratio=None if rebound is None else rebound / plan.height_m,
-        rebound_height_m=rebound,
-        contact_time_s=contact_s,
-        n_contacts=len(touches),
-        peak_force_N=max(touch.peak_force_N for touch in touches),
-        impulse_N_s=sum(touch.impulse_N_s for touch in touches),
-        max_penetration_m=deepest.max_penetration_m,
-        time_to_max_penetration_s=deepest.start_s + deepest.max_penetration_s - touches[0].start_s,
-        cm_velocity_after_m_s=float(velocity[2]),
-        n_dofs=body.n_dofs,
-        n_steps=sum(impact.n_steps for impact in impacts),
-        energy=Budget.close(initial, now, loss, rubbed, spent, dragged),
-        history=history,
-        cm_rebound_height_m=centre_rebound,
-        velocity_after_m_s=tuple(map(float, velocity)),
-        spin_after_rad_s=tuple(map(float, spin)),
-        friction_impulse_N_s=sum(_across(touch) for touch in touches),
-    )
+        touch = march_contact(marcher, *start, history, observer, end_s, wait_s, checkpoint, memory)
+        touches.append(touch)
+        losses.add(touch)
+        n_steps += touch.n_steps
+        flight, flown = stage.fly(pose, touch)
+        next_s = flight.t0_s + flown.next
+        if not flown.over and next_s < end_s:  # the impact goes on
+            if len(touches) >= TOUCH_LIMIT:
+                raise ComputationError(
+                    f"more than {TOUCH_LIMIT} touches in one impact; shorten the ITS"
+                )
+            memory = touch.memory
+            if flown.soon:
+                start, wait_s = (flight.t0_s, touch.u, touch.v), next_s
+                continue
+            tops.append((flown.tip_m, flown.centre_m))
+        else:
+            first = first or Impact(touches, flight, flown, tops, touch.released and flown.over)
+            next_s = flight.t0_s if plan.impact_only else max(min(next_s, end_s), flight.t0_s)
+            _record_flight(history, flight, touches[-1].release_s, next_s, stage)
+            if plan.impact_only or plan.until_s is None or next_s >= end_s:
+                break
+            memory, touches, tops = None, [], []
+        losses.fly(flight, next_s)
+        pose, q, qv = flight.state(next_s)
+        start, wait_s = (next_s, *frame.landed(q, qv)), next_s
+        stage.place(pose)
+    losses.fly(flight, next_s)
+    now = flight.energies(next_s)
+    energy = Energy(now.kinetic, now.strain, now.potential, touch.contact_J)
+    found = stage.result(first, energy, n_steps)
     return replace(found, reduction_error=_reduction_error(frame, plan, found))
+
+
+@dataclass(frozen=True)
+class Impact:
+    """The touches of one impact, the greatest heights of the tip and of the centre of mass between
+    them, and the flight that follows it; ``ended`` says that no touch of it was to come when the
+    drop ended."""
+
+    all_touches: list[ContactPhase]
+    flight: Flight
+    flown: Flown
+    tops: list[tuple[float, float]]
+    ended: bool
+
+    @property
+    def touches(self) -> list[ContactPhase]:
+        """Those that pushed."""
+        return [touch for touch in self.all_touches if touch.impulse_N_s != 0.0]
+
+
+@dataclass
+class Losses:
+    """What a drop has lost so far, in J; flights lose where they are ``damped`` or the air
+    ``drags``, which takes what rigid motion loses."""
+
+    material_J: float
+    drag_J: float
+    damped: bool
+    drags: bool
+    friction_J: float = 0.0
+    contact_J: float = 0.0
+
+    def add(self, touch: ContactPhase) -> None:
+        """A touch takes its part."""
+        self.material_J += touch.material_loss_J
+        self.friction_J += touch.friction_loss_J
+        self.contact_J += touch.contact_loss_J
+
+    def fly(self, flight: Flight, stop_s: float) -> None:
+        """So does a flight until then: of what rings by its damping, of the rest by drag."""
+        if not (self.damped or self.drags):
+            return
+        start, stop = flight.energies(flight.t0_s), flight.energies(stop_s)
+        lost = start.total - stop.total
+        slowed = lost - (start.elastic - stop.elastic) if self.drags else 0.0
+        self.drag_J += slowed
+        self.material_J += lost - slowed
+
+
+class Stage:
+    """A body over its ground: what the events of one drop share."""
+
+    def __init__(self, frame: FlightFrame, marcher: ContactMarch, plan: DropPlan) -> None:
+        self.frame, self.marcher, self.plan = frame, marcher, plan
+        body, g = frame.body, plan.gravity_m_s2
+        self.history = History()
+        self.end_s = math.inf if plan.until_s is None else plan.until_s
+        self.fall_s, self.speed_m_s = _fall(plan, body)
+        if self.end_s <= self.fall_s:
+            raise ComputationError(
+                f"the drop ends at {self.end_s:g} s, before it touches at {self.fall_s:g} s"
+            )
+        self.initial_J = body.mass_kg * (g * plan.height_m + 0.5 * plan.release_speed_m_s**2)
+        slowed = self.initial_J - 0.5 * body.mass_kg * self.speed_m_s**2
+        damped, drags = bool(frame.modal.damping_1_s.any()), plan.drag_kg_m > 0.0
+        fallen = slowed if body.alpha_1_s else 0.0, slowed if drags else 0.0
+        self.losses = Losses(*fallen, damped, drags)
+        points = body.contact
+        attitude = leaning(plan.tilt_deg, plan.tilt_wide_deg)
+        if plan.axes is not None:
+            attitude = product(attitude, quaternion_of(plan.axes))
+        self.first_pose = Pose(np.zeros(3), attitude)
+        ground = plan.ground or Ground.plane(len(points.weights))
+        self.ground = just_touched(ground, self.first_pose, points)
+        self.datum_m = place(self.ground, self.first_pose, points).tip_m
+        self._flyer = flyer(frame.modal, marcher.tau)
+        self._sky = Sky(
+            gravity=g,
+            drag=plan.drag_kg_m / body.mass_kg,
+            slowest=slowest_period_s(frame.modal),
+            soon=WAIT_STEPS * plan.its_s,
+        )
+        _record_fall(self.history, plan, self.fall_s, body)
+
+    def speed(self, pose: Pose) -> Array:
+        """The velocity (3,) of the fall at its end, along body axes."""
+        return -self.speed_m_s * pose.rotation[2]
+
+    def place(self, pose: Pose) -> None:
+        """The body comes down in ``pose``."""
+        self.marcher.place(place(self.ground, pose, self.frame.body.contact, self.datum_m))
+
+    def fly(self, pose: Pose, touch: ContactPhase) -> tuple[Flight, Flown]:
+        """The flight after a touch, and how it ends."""
+        start = stance(*self.frame.launched(pose, touch.u, touch.v))
+        most = MOST_LEFT * self.initial_J if touch.released else math.inf
+        planes = self.ground.normals, self.ground.offsets_m
+        flown = fly(self._flyer, *planes, start, self._sky, most)
+        flight = Flight.of(flown.motion, touch.end_s)
+        if flown.astray:
+            left = flight.energies(touch.end_s).total
+            raise ComputationError(
+                f"the motion went astray: an impact at {touch.start_s:.6g} s left {left:.3g} J "
+                f"of {self.initial_J:.3g} J; shorten the ITS, or lean it less"
+            )
+        return flight, flown
+
+    def rebound(self, impact: Impact) -> tuple[float, float] | tuple[None, None]:
+        """Greatest heights of the tip and of the centre of mass before the second impact; None
+        where the drop ends before they, or the second impact, have been seen."""
+        flown = impact.flown
+        seen_s = impact.flight.t0_s + max(flown.tip_s, flown.centre_s)
+        if self.plan.impact_only or not impact.ended or self.end_s < seen_s:
+            return None, None
+        tip, centre = np.max([*impact.tops, (flown.tip_m, flown.centre_m)], axis=0)
+        return float(tip - self.datum_m), float(centre)
+
+    def result(self, first: Impact, energy: Energy, n_steps: int) -> DropResult:
+        """What the drop gave, by its ``first`` impact and the ``energy`` at its end."""
+        touches, losses, height = first.touches, self.losses, self.plan.height_m
+        began_s = touches[0].start_s
+        deepest = max(touches, key=lambda touch: touch.max_penetration_m)
+        rebound, centre_rebound = self.rebound(first)
+        contact_s = math.nan
+        velocity: Array = np.full(3, math.nan)
+        spin: Array = np.full(3, math.nan)
+        if first.ended:
+            release_s = touches[-1].release_s
+            contact_s = release_s - began_s
+            velocity = first.flight.centre(release_s)[1]
+            spin = first.flight.turned(release_s)[1]
+        spent = losses.material_J, losses.friction_J, losses.contact_J, losses.drag_J
+        return DropResult(
+            impact_speed_m_s=self.speed_m_s,
+            rebound_ratio=None if rebound is None else rebound / height,
+            rebound_height_m=rebound,
+            contact_time_s=contact_s,
+            n_contacts=len(touches),
+            peak_force_N=max(touch.peak_force_N for touch in touches),
+            impulse_N_s=sum(touch.impulse_N_s for touch in touches),
+            max_penetration_m=deepest.max_penetration_m,
+            time_to_max_penetration_s=deepest.start_s + deepest.max_penetration_s - began_s,
+            cm_velocity_after_m_s=float(velocity[2]),
+            n_dofs=self.frame.body.n_dofs,
+            n_steps=n_steps,
+            energy=Budget.close(self.initial_J, energy, *spent),
+            history=self.history,
+            cm_rebound_height_m=centre_rebound,
+            velocity_after_m_s=tuple(map(float, velocity)),
+            spin_after_rad_s=tuple(map(float, spin)),
+            friction_impulse_N_s=sum(_across(touch) for touch in touches),
+        )
 
 
 def _reduction_error(frame: FlightFrame, plan: DropPlan, found: DropResult) -> float | None:
@@ -311,106 +409,6 @@ def slowest_period_s(body: ModalBody) -> float:
     return float(2.0 * math.pi / math.sqrt(elastic.min())) if len(elastic) else 0.0
 
 
-class Stage:
-    """A body over its ground: what the impacts of one drop share."""
-
-    def __init__(
-        self,
-        frame: FlightFrame,
-        marcher: ContactMarch,
-        plan: DropPlan,
-        observer: Observer | None = None,
-        checkpoint: Checkpoint | None = None,
-    ) -> None:
-        self.frame, self.marcher, self.plan = frame, marcher, plan
-        self.observer, self.checkpoint = observer, checkpoint
-        self.history = History()
-        self.end_s = math.inf if plan.until_s is None else plan.until_s
-        self.initial_J = frame.body.mass_kg * (
-            plan.gravity_m_s2 * plan.height_m + 0.5 * plan.release_speed_m_s**2
-        )
-        points = frame.body.contact
-        attitude = leaning(plan.tilt_deg, plan.tilt_wide_deg)
-        if plan.axes is not None:
-            attitude = product(attitude, quaternion_of(plan.axes))
-        self.first_pose = Pose(np.zeros(3), attitude)
-        ground = plan.ground or Ground.plane(len(points.weights))
-        self.ground = just_touched(ground, self.first_pose, points)
-        self.datum_m = place(self.ground, self.first_pose, points).tip_m
-        self._charted = charted(frame.modal, marcher.tau)
-        self._slowest_s = slowest_period_s(frame.modal)
-
-    def impact(self, t: float, pose: Pose, u: Array, v: Array) -> Impact:
-        """Touch after touch, until the impact is over (`touchdown.after_release`) or the drop."""
-        frame, marcher = self.frame, self.marcher
-        g, its = self.plan.gravity_m_s2, self.plan.its_s
-        damped = bool(frame.modal.damping_1_s.any())
-        touches: list[ContactPhase] = []
-        loss, top, centre_top = 0.0, -math.inf, -math.inf
-        wait = t
-        self._place(pose)
-        for _ in range(TOUCH_LIMIT):
-            touch = march_contact(
-                marcher, t, u, v, self.history, self.observer, self.end_s, wait, self.checkpoint
-            )
-            touches.append(touch)
-            loss += touch.material_loss_J
-            released = touch.end_s
-            start, q, qv = frame.launched(pose, touch.u, touch.v)
-            flight = Flight(frame.modal, start, released, q, qv, g, self._charted)
-            energy = flight_energy(flight, released)
-            if touch.released and not energy.total_J <= MOST_LEFT * self.initial_J:
-                raise ComputationError(  # the search for its next touch might never end
-                    f"the motion went astray: an impact at {t:.6g} s left {energy.total_J:.3g} J "
-                    f"of {self.initial_J:.3g} J; shorten the ITS, or lean it less"
-                )
-            landing, over = flight.after_release(self.ground, self._slowest_s)
-            if over or landing >= self.end_s:
-                break
-            if landing - released < WAIT_STEPS * its:
-                t, u, v, wait = released, touch.u, touch.v, landing
-                continue
-            top = max(top, flight.apex(landing)[1] - self.datum_m)
-            centre_top = max(centre_top, flight.top_of_centre(landing)[1])
-            if damped:
-                loss += energy.total_J - flight_energy(flight, landing).total_J
-            pose, q, qv = flight.state(landing)
-            (u, v), t, wait = frame.landed(q, qv), landing, landing
-            self._place(pose)
-        else:
-            raise ComputationError(
-                f"more than {TOUCH_LIMIT} touches in one impact; shorten the ITS"
-            )
-        return Impact(
-            touches=[touch for touch in touches if touch.impulse_N_s != 0.0],
-            flight=flight,
-            energy_after=replace(energy, contact_J=touch.contact_J),
-            next_touch_s=landing,
-            material_loss_J=loss,
-            friction_loss_J=sum(touch.friction_loss_J for touch in touches),
-            contact_loss_J=sum(touch.contact_loss_J for touch in touches),
-            n_steps=sum(touch.n_steps for touch in touches),
-            top_m=top,
-            centre_top_m=centre_top,
-            ended=touch.released and over,
-        )
-
-    def rebound(self, impact: Impact) -> tuple[float | None, float | None]:
-        """Greatest heights of the tip and of the centre of mass before the second impact; None
-        where the drop ends before they, or the second impact, have been seen."""
-        flight, drag = impact.flight, self.plan.drag_kg_m / self.frame.body.mass_kg
-        tip_s, tip = flight.apex(impact.next_touch_s)
-        centre_s, centre = flight.top_of_centre(impact.next_touch_s)
-        if not impact.ended or self.end_s < max(tip_s, centre_s):
-            return None, None
-        tip = max(tip - self.datum_m, impact.top_m)
-        centre = max(centre, impact.centre_top_m)
-        return float(risen(tip, drag)), float(risen(centre, drag))
-
-    def _place(self, pose: Pose) -> None:
-        self.marcher.place(place(self.ground, pose, self.frame.body.contact, self.datum_m))
-
-
 def _record_fall(history: History, plan: DropPlan, fall_s: float, body: Body) -> None:
     alpha, g, v0 = body.alpha_1_s, plan.gravity_m_s2, plan.release_speed_m_s
     drag = plan.drag_kg_m / body.mass_kg
@@ -418,7 +416,7 @@ def _record_fall(history: History, plan: DropPlan, fall_s: float, body: Body) ->
         if alpha:
             fallen = damped_path(float(t), g, alpha)
         elif drag:
-            fallen = dragged_path(float(t), g, v0, drag)
+            fallen = dragged(float(t), g, v0, drag)[0]
         else:
             fallen = v0 * t + 0.5 * g * t * t
         height = plan.height_m - fallen

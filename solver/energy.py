@@ -6,7 +6,6 @@ from dataclasses import asdict, dataclass
 
 import numpy as np
 
-from .time.flight import Flight
 from .time.march import ContactMarch, Moving
 
 # Energy budgets that close worse, in units of the impact's energy, tell of a motion that went
@@ -94,15 +93,4 @@ def marching_energy(marcher: ContactMarch, state: Moving) -> Energy:
         strain_J=strain,
         potential_J=marcher.gravity_m_s2 * body.mass_kg * marcher.heights(state)[1],
         contact_J=contact,
-    )
-
-
-def flight_energy(flight: Flight, t_s: float) -> Energy:
-    """Energy in flight; ``potential_J`` is zero where the tip first touches."""
-    body = flight.body
-    pose, u, v = flight.state(t_s)
-    return Energy(
-        kinetic_J=0.5 * float(v @ v),
-        strain_J=0.5 * float(u @ (body.omega2 * u)),
-        potential_J=flight.gravity_m_s2 * body.mass_kg * float(pose.position_m[2]),
     )

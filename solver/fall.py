@@ -7,6 +7,7 @@ import math
 import numpy as np
 
 from .arrays import Array
+from .compiled import njit
 from .errors import ComputationError
 
 LEAST_DRAG_1_M = 1e-12
@@ -94,16 +95,23 @@ def damped_path(t_s: float, gravity_m_s2: float, alpha_1_s: float) -> float:
     return gravity_m_s2 * (t_s + math.expm1(-alpha_1_s * t_s) / alpha_1_s) / alpha_1_s
 
 
-def dragged_path(t_s: float, gravity_m_s2: float, speed_m_s: float, drag_1_m: float) -> float:
-    """Distance fallen after ``t_s``, negative while an upward start is above its origin."""
+@njit
+def dragged(
+    t_s: float, gravity_m_s2: float, speed_m_s: float, drag_1_m: float
+) -> tuple[float, float]:
+    """Distance fallen after ``t_s``, negative while an upward start is above its origin, and the
+    speed then, downward."""
     limit = math.sqrt(gravity_m_s2 / drag_1_m)
     rate = gravity_m_s2 / limit
+    start, risen_by, t = 0.0, 0.0, t_s
     if speed_m_s >= 0.0:
         start = math.atanh(speed_m_s / limit)
-        return math.log(math.cosh(start + rate * t_s) / math.cosh(start)) / drag_1_m
-    start = math.atan(speed_m_s / limit)
-    turning = -start / rate
-    if t_s <= turning:
-        return math.log(math.cos(start) / math.cos(start + rate * t_s)) / drag_1_m
-    down = math.log(math.cosh(rate * (t_s - turning))) / drag_1_m
-    return math.log(math.cos(start)) / drag_1_m + down
+    else:
+        angle = math.atan(speed_m_s / limit)
+        if t_s <= -angle / rate:
+            now = angle + rate * t_s
+            path = math.log(math.cos(angle) / math.cos(now)) / drag_1_m
+            return path, limit * math.tan(now)
+        t, risen_by = t_s + angle / rate, math.log(math.cos(angle)) / drag_1_m
+    path = math.log(math.cosh(start + rate * t) / math.cosh(start)) / drag_1_m
+    return risen_by + path, limit * math.tanh(start + rate * t)

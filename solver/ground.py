@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -133,8 +134,20 @@ def place(ground: Ground, pose: Pose, points: ContactPoints, datum_m: float = 0.
     return Placement(ground, datum_m, pose, frames, gaps, ground.scale, up, tip - datum_m, centre)
 
 
+@njit
+def touched_offsets(normals: Array, offsets: Array, rotation: Array, places: Array) -> Array:
+    """Offsets (n,) of the planes moved up or down together until the first of ``places`` just
+    touches, of a body in the origin."""
+    clear = math.inf
+    for i in range(len(places)):
+        gap = normals[i] @ (rotation @ places[i]) - offsets[i]
+        clear = min(clear, gap / normals[i, 2])
+    return offsets + clear * normals[:, 2]
+
+
 def just_touched(ground: Ground, pose: Pose, points: ContactPoints) -> Ground:
     """The ground moved up or down until the unstrained body's first point just touches it."""
-    clear = place(ground, pose, points).gaps_m
-    rise = float((clear / ground.normals[:, 2]).min())
-    return replace(ground, offsets_m=ground.offsets_m + rise * ground.normals[:, 2])
+    places = np.ascontiguousarray(points.places_m, dtype=float)
+    there = ground.offsets_m - ground.normals @ pose.position_m
+    moved = touched_offsets(ground.normals, there, pose.rotation, places)
+    return replace(ground, offsets_m=ground.offsets_m + (moved - there))

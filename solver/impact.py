@@ -40,10 +40,12 @@ def march_contact(
     until_s: float = np.inf,
     wait_s: float = 0.0,
     checkpoint: Checkpoint | None = None,
+    memory: Array | None = None,
 ) -> ContactPhase:
     """March from (u, v) at ``t_s`` until the tip is free again, or past ``until_s``.
 
     With ``wait_s`` the start may still be free of the plane: a touch is awaited until that time.
+    ``memory`` (n,) is what the law remembers of its points, None where they have not been touched.
     A march in steps writes to ``checkpoint`` and resumes from it.
     Raises ComputationError where contact forces do not converge, motion is not finite, friction or
     the contact law gave energy, or the tip is still in contact after a number of steps that no
@@ -54,10 +56,14 @@ def march_contact(
             "a body of second order is marched by compiled code alone: take the conserving scheme, "
             "penalty or the augmented Lagrangian at a finite Kn, and no fields"
         )
+    if memory is None:
+        memory = np.zeros(len(marcher.body.contact.weights))
     if observer is None and compiled(marcher):
-        touch = _march_compiled(marcher, t_s, u, v, history, until_s, wait_s)
+        touch = _march_compiled(marcher, (t_s, u, v), memory, history, until_s, wait_s)
     else:
-        touch = march_stepwise(marcher, t_s, u, v, history, observer, until_s, wait_s, checkpoint)
+        touch = march_stepwise(
+            marcher, (t_s, u, v), memory, history, observer, until_s, wait_s, checkpoint
+        )
     _check_losses(marcher, v, touch)
     return touch
 
@@ -111,21 +117,21 @@ def compiled(marcher: ContactMarch) -> TypeGuard[Marcher]:
 
 def _march_compiled(
     marcher: Marcher,
-    t_s: float,
-    u: Array,
-    v: Array,
+    start: tuple[float, Array, Array],
+    memory: Array,
     history: History,
     until_s: float,
     wait_s: float,
 ) -> ContactPhase:
-    """`march_contact` of a modal body in compiled code."""
+    """`march_contact` of a modal body in compiled code, from a time and state."""
+    t_s, *state = start
     modes, touching = marcher.tables()
     limit = step_limit(marcher, until_s)
     limits = MarchLimits(
         wait=max(wait_s - t_s, 0.0), until=until_s - t_s, limit=limit, history=True
     )
-    u, v = np.ascontiguousarray(u), np.ascontiguousarray(v)
-    marched = modal_march.march(modes, touching, u, v, limits)
+    u, v = map(np.ascontiguousarray, state)
+    marched = modal_march.march(modes, touching, u, v, memory, limits)
     if marched.status == modal_march.NOT_CONVERGED:
         raise ComputationError(
             f"the contact forces did not converge at t = {t_s + marched.steps * modes.its:.6g} s; "
@@ -153,7 +159,8 @@ def _march_compiled(
         material_loss_J=marched.material_loss,
         friction_loss_J=marched.friction_loss,
         contact_loss_J=marched.contact_loss,
-        contact_J=marched.spring + marcher.pressed_J(marched.approach, marched.memory[:, 2]),
+        contact_J=marched.spring + marcher.pressed_J(marched.approach, marched.memory),
         n_steps=marched.steps,
         released=marched.status == modal_march.RELEASED,
+        memory=marched.memory,
     )

@@ -17,9 +17,8 @@ from .energy import Budget, marching_energy
 from .errors import ComputationError
 from .ground import place
 from .stepwise import kept_state, recalled_state
-from .time.flight import flyer
 from .time.march import Marcher, State
-from .time.motion import rigid_part
+from .time.motion import flyer, rigid_part
 
 
 def _first_impact(active: NDArray[np.intp], velocity: Array) -> tuple[int, int]:

@@ -14,6 +14,7 @@ import numpy as np
 
 from .arrays import Array
 from .compiled import njit
+from .fall import dragged
 
 # Angle of one Runge-Kutta step; its error is about angle⁵/120.
 STEP_RAD = 0.02
@@ -130,11 +131,25 @@ def free_rotation(
 
 @njit
 def fallen(
-    position: Array, velocity: Array, gravity_m_s2: float, alpha_1_s: float, t: float
+    position: Array,
+    velocity: Array,
+    gravity_m_s2: float,
+    alpha_1_s: float,
+    t: float,
+    drag_1_m: float = 0.0,
 ) -> tuple[Array, Array]:
-    """Position and velocity (3,) of the centre of mass after ``t`` s of flight."""
+    """Position and velocity (3,) of the centre of mass after ``t`` s of flight.
+
+    Damping by ``alpha_1_s`` acts on all motion, quadratic drag over mass ``drag_1_m`` on the
+    vertical one; one of them may be there.
+    """
     at, speed = position.copy(), velocity.copy()
-    if alpha_1_s > 0.0:
+    if drag_1_m > 0.0:
+        path, down = dragged(t, gravity_m_s2, -velocity[2], drag_1_m)
+        at[:2] += velocity[:2] * t
+        at[2] -= path
+        speed[2] = -down
+    elif alpha_1_s > 0.0:
         decayed = -math.expm1(-alpha_1_s * t) / alpha_1_s
         at += velocity * decayed
         at[2] -= gravity_m_s2 * (t - decayed) / alpha_1_s

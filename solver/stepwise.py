@@ -24,9 +24,8 @@ from .time.march import ContactMarch, Moving
 
 def march_stepwise(
     marcher: ContactMarch,
-    t_s: float,
-    u: Array,
-    v: Array,
+    start: tuple[float, Array, Array],
+    memory: Array,
     history: History,
     observer: Observer | None,
     until_s: float,
@@ -34,10 +33,12 @@ def march_stepwise(
     checkpoint: Checkpoint | None,
 ) -> ContactPhase:
     """`impact.march_contact`, in steps of the marcher."""
+    t_s, *_ = start
     first_row = len(history.rows)
     mark = checkpoint.begin() if checkpoint else None
     if mark is None:
-        count, sums, state, done = 0, ContactSums(t_s), marcher.start(t_s, u, v), False
+        count, sums, state, done = 0, ContactSums(t_s), marcher.start(*start), False
+        marcher.contact.memory[:, 2] = memory
         none = np.zeros((len(marcher.body.contact.weights), 3))
         observe(marcher, state, none, history)
         if observer is not None:
@@ -74,6 +75,7 @@ def march_stepwise(
         max_penetration_s=when - t_s,
         contact_J=held,
         n_steps=count,
+        memory=marcher.contact.memory[:, 2].copy(),
     )
 
 

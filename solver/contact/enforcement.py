@@ -223,7 +223,6 @@ class StepContact:
         force = np.zeros_like(free)
         clear = max(start[:, 0].max(), free[:, 0].max()) <= 0.0 and not self.multiplier.any()
         if clear and not self.holds():
-            self.memory[:, 2] = 0.0  # the next touch meets a fresh place
             self.end = free
             return force
         self.end = np.empty_like(free)

@@ -232,9 +232,9 @@ class Plastic(ContactLaw):
     place is indented for good: it unloads, and loads again, by ``unloading`` times Kn (O. R. Walton
     and R. L. Braun, J. Rheol. 30 (1986) 949, beyond yield). ``yield_N`` is the force at which the
     whole face yields; each point yields at the same traction, however stiff its place. The
-    indentation is remembered through one touch, as long as any point of the tip is in contact or in
-    its indentation: the next touch meets a fresh place, since a bristle does not come down twice on
-    the same microns.
+    indentation is remembered through one impact, however often the tip touches in it: micro-touches
+    some 100 µs apart are one indentation. The next impact meets a fresh place, since a bristle that
+    bounced does not come down on the same microns.
     """
 
     kn_N_m: float

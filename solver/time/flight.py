@@ -1,63 +1,100 @@
-"""A modal body in free flight under gravity: rigid motion exactly, ringing in closed form on top.
-
-The frame of the body floats with its rigid motion; the ringing is small against it, and what the
-frame's rotation does to the ringing (Coriolis and centrifugal forces, of the order of the angular
-velocity over the frequency of bending) is left out.
-"""
+"""The flight of a modal body from a release to its next touch."""
 
 from __future__ import annotations
+
+from typing import NamedTuple
 
 import numpy as np
 
 from ..arrays import Array
 from ..bodies.modal import ModalBody
+from ..compiled import njit
 from ..ground import Ground
-from ..rigid import Pose, fallen, free_rotation
-from .apex import apex
-from .clearance import trace
-from .motion import Chart, Flyer, chart, landing, launch, top_of_centre
-from .touchdown import after_release
+from ..rigid import Pose
+from .motion import Flyer, Motion, Stance, centre, flyer, landing, launch, turned
+from .search import after_release, apex, top_of_centre, trace
 
 
-def flyer(body: ModalBody, tau_m_N: float = 0.0) -> Flyer:
-    """A body as flight sees it: its contact points, or with ``tau_m_N`` minus their approach
-    (contact.enforcement)."""
-    points = body.contact
-    weights, rows = points.weights, points.rows
-    along: Array = np.asarray(points.coordinates)
-    moved: Array = rows @ along
-    tip = np.einsum("i,ixm->xm", weights, moved.reshape(len(weights), 3, -1))
-    with_speed: Array = np.zeros((0, 0))
-    if tau_m_N:
-        along, rows = moved - tau_m_N * points.traction, np.zeros((0, 0))
-        with_speed = -tau_m_N * body.beta_s * np.asarray(points.traction)
-    places = np.ascontiguousarray(points.places_m, dtype=float)
-    return Flyer(
-        omega2=body.omega2,
-        alpha=body.alpha_1_s,
-        damping=body.damping_1_s,
-        translation=np.ascontiguousarray(body.translation),
-        rotation=np.ascontiguousarray(body.rotation),
-        inertia=body.inertia_kg_m2,
-        along=np.ascontiguousarray(along),
-        with_speed=np.ascontiguousarray(with_speed),
-        rows=np.ascontiguousarray(rows),
-        places=places,
-        tip=np.ascontiguousarray(tip),
-        tip_place=weights @ places,
-    )
+class Energies(NamedTuple):
+    """Energy in flight in J: kinetic, strain and potential, the last zero where the tip first
+    touches, and all these; ``elastic`` is what rings, of the first two."""
+
+    kinetic: float
+    strain: float
+    potential: float
+    total: float
+    elastic: float
 
 
-def charted(body: ModalBody, tau_m_N: float = 0.0) -> tuple[Flyer, Chart]:
-    """The `flyer` of a body, and what all its flights have in common."""
-    known = flyer(body, tau_m_N)
-    return known, chart(known)
+class Sky(NamedTuple):
+    """What flights of a body have in common: ``gravity``, quadratic ``drag`` over mass (1/m), the
+    period ``slowest`` of its slowest mode, and the time ``soon`` in which a touch is marched to."""
+
+    gravity: float
+    drag: float
+    slowest: float
+    soon: float
+
+
+class Flown(NamedTuple):
+    """A flight and how it ends: times in s from its start.
+
+    The next touch comes after ``next``, or cannot be missed any more; the impact is ``over`` by
+    then, or the touch comes ``soon``. The middle of the tip is highest at ``tip_s``, the centre of
+    mass at ``centre_s``, of flights that are not soon at their end. One that starts with more than
+    the allowed energy is ``astray`` and not followed.
+    """
+
+    motion: Motion
+    astray: bool
+    next: float
+    over: bool
+    soon: bool
+    tip_s: float
+    tip_m: float
+    centre_s: float
+    centre_m: float
+
+
+@njit
+def energies(motion: Motion, t: float) -> Energies:
+    """The energy at ``t``."""
+    flyer = motion.flyer
+    position, _, u, v = landing(motion, t)
+    kinetic = strain = elastic = mass = 0.0
+    for j in range(len(u)):
+        kinetic += 0.5 * v[j] * v[j]
+        strain += 0.5 * flyer.omega2[j] * u[j] * u[j]
+        elastic += 0.5 * v[j] * v[j] if flyer.omega2[j] > 0.0 else 0.0
+        mass += flyer.translation[j, 2] ** 2
+    potential = mass * motion.gravity * position[2]
+    return Energies(kinetic, strain, potential, kinetic + strain + potential, elastic + strain)
+
+
+@njit
+def fly(
+    flyer: Flyer, normals: Array, offsets: Array, start: Stance, sky: Sky, most_J: float
+) -> Flown:
+    """What follows a release over the planes ``normals`` (n, 3) · x = ``offsets`` (n,).
+
+    What has more energy than ``most_J`` went astray, and might have no next touch that is ever
+    found.
+    """
+    motion = launch(flyer, start, sky.gravity, sky.drag)
+    if not energies(motion, 0.0).total <= most_J:
+        return Flown(motion, True, 0.0, False, False, 0.0, 0.0, 0.0, 0.0)
+    after, over = after_release(motion, normals, offsets, sky.slowest)
+    if not over and after < sky.soon:
+        return Flown(motion, False, after, over, True, 0.0, 0.0, 0.0, 0.0)
+    tip_s, tip = apex(motion, after)
+    centre_s, top = top_of_centre(motion, after)
+    return Flown(motion, False, after, over, False, tip_s, tip, centre_s, top)
 
 
 class Flight:
     """Motion of a modal body from a state (u, v) in ``pose`` at ``t0_s``, gravity alone acting.
 
-    The rigid part of (u, v) moves the pose. Times are absolute, in s. ``known`` is what `charted`
+    The rigid part of (u, v) moves the pose. Times are absolute, in s. ``known`` is what `flyer`
     gives of the body, where that is there already.
     """
 
@@ -69,40 +106,25 @@ class Flight:
         u: Array,
         v: Array,
         gravity_m_s2: float,
-        known: tuple[Flyer, Chart] | None = None,
+        known: Flyer | None = None,
     ) -> None:
-        self.body, self.t0_s, self.gravity_m_s2 = body, t0_s, gravity_m_s2
-        flyer, table = known or charted(body)
-        self.motion = launch(
-            table,
-            flyer,
-            np.asarray(pose.position_m, dtype=float),
-            pose.attitude,
-            np.ascontiguousarray(u),
-            np.ascontiguousarray(v),
-            float(gravity_m_s2),
-        )
+        self.t0_s = t0_s
+        self.motion = launch(known or flyer(body), stance(pose, u, v), float(gravity_m_s2), 0.0)
+
+    @classmethod
+    def of(cls, motion: Motion, t0_s: float) -> Flight:
+        """The flight of a ``motion`` that starts at ``t0_s``."""
+        flight = cls.__new__(cls)
+        flight.t0_s, flight.motion = t0_s, motion
+        return flight
 
     def centre(self, t_s: float) -> tuple[Array, Array]:
         """Position and velocity (3,) of the centre of mass, also before the start."""
-        return fallen(
-            self.motion.position,
-            self.motion.velocity,
-            self.gravity_m_s2,
-            self.body.alpha_1_s,
-            t_s - self.t0_s,
-        )
+        return centre(self.motion, t_s - self.t0_s)
 
     def turned(self, t_s: float) -> tuple[Array, Array]:
         """Attitude (4,), and angular velocity (3,) in body axes."""
-        return free_rotation(
-            self.motion.attitude,
-            self.motion.spin,
-            self.motion.flyer.inertia,
-            self.body.alpha_1_s,
-            0.0,
-            t_s - self.t0_s,
-        )
+        return turned(self.motion, t_s - self.t0_s)
 
     def state(self, t_s: float) -> tuple[Pose, Array, Array]:
         """The pose, and the displacement and velocity (modes,) on top of it.
@@ -112,23 +134,22 @@ class Flight:
         position, attitude, u, v = landing(self.motion, t_s - self.t0_s)
         return Pose(position, attitude), u, v
 
+    def energies(self, t_s: float) -> Energies:
+        """The energy at ``t_s``."""
+        return energies(self.motion, t_s - self.t0_s)
+
     def trace(self, ground: Ground, t_s: Array) -> Array:
         """Heights of the tip's middle and of the centre, and the smallest clearance: (k, 3)."""
-        return np.asarray(
-            trace(self.motion, ground.normals, ground.offsets_m, np.asarray(t_s) - self.t0_s)
-        )
-
-    def after_release(self, ground: Ground, slowest_s: float) -> tuple[float, bool]:
-        """See `touchdown.after_release`; the time is absolute."""
-        after, over = after_release(self.motion, ground.normals, ground.offsets_m, slowest_s)
-        return self.t0_s + after, over
-
-    def top_of_centre(self, until_s: float) -> tuple[float, float]:
-        """Time and height of the highest place of the centre of mass in [t0, ``until_s``]."""
-        after, height = top_of_centre(self.motion, until_s - self.t0_s)
-        return self.t0_s + after, height
+        times = np.asarray(t_s) - self.t0_s
+        return np.asarray(trace(self.motion, ground.normals, ground.offsets_m, times))
 
     def apex(self, until_s: float) -> tuple[float, float]:
         """Time and height of the highest place of the tip's middle in [t0, ``until_s``]."""
         after, height = apex(self.motion, until_s - self.t0_s)
         return self.t0_s + after, height
+
+
+def stance(pose: Pose, u: Array, v: Array) -> Stance:
+    """A body with displacement and velocity (modes,) on top of a pose."""
+    position = np.asarray(pose.position_m, dtype=float)
+    return Stance(position, pose.attitude, np.ascontiguousarray(u), np.ascontiguousarray(v))

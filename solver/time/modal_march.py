@@ -90,8 +90,9 @@ class MarchLimits(NamedTuple):
 class Marched(NamedTuple):
     """What a march gave.
 
-    ``push`` (3,) is the impulse along body axes, ``approach`` (n, 3) the last one, ``history``
-    (steps + 1, 4) has heights of tip and centre, force and penetration.
+    ``push`` (3,) is the impulse along body axes, ``approach`` (n, 3) the last one, ``memory`` (n,)
+    what the law remembers; ``history`` (steps + 1, 4) has heights of tip and centre, force and
+    penetration.
     """
 
     status: int
@@ -336,8 +337,13 @@ def _longer(rows: Array, count: int) -> Array:
 
 
 @njit
-def march(modes: Modes, touching: Touching, u: Array, v: Array, limits: MarchLimits) -> Marched:
-    """March from the state (u, v); times count from the start."""
+def march(
+    modes: Modes, touching: Touching, u: Array, v: Array, memory: Array, limits: MarchLimits
+) -> Marched:
+    """March from the state (u, v), the law remembering ``memory`` (n,).
+
+    Times count from the start.
+    """
     h, weights, points = modes.its, modes.weights, touching.points
     n, m = len(weights), len(u)
     remembers = points.kind.remembers
@@ -345,6 +351,7 @@ def march(modes: Modes, touching: Touching, u: Array, v: Array, limits: MarchLim
     work = _new_work(modes, touching, u, v)
     none = np.zeros((n, 3))
     trial = Trial(none.copy(), none.copy(), none.copy(), none.copy(), none.copy(), none.copy())
+    trial.memory[:, 2] = memory
     axes = 3 if points.mu > 0.0 else 1
     deepest = approaches(modes.along, section, touching.gaps, work.u, axes, trial.start)
     lift = (modes.translation @ touching.up) / modes.mass
@@ -370,8 +377,6 @@ def march(modes: Modes, touching: Touching, u: Array, v: Array, limits: MarchLim
                 release = h * (count - 1 + taken.share)
                 impulse += h * taken.mean
                 _push(weights, touching.frames, h * trial.force, push)
-        else:
-            trial.memory[:, 2] = 0.0  # the next touch meets a fresh place
         loss += _damp(modes, work, fast)
         last = taken.mean
         force = taken.mean if points.dashpot != 0.0 else taken.final
@@ -417,7 +422,7 @@ def march(modes: Modes, touching: Touching, u: Array, v: Array, limits: MarchLim
         contact_loss=spent,
         spring=spring,
         approach=trial.start,
-        memory=trial.memory,
+        memory=trial.memory[:, 2].copy(),
         u=u,
         v=v,
         history=history[:rows],

@@ -1,6 +1,8 @@
-"""Start and end of a free flight. Compiled.
+"""Motion of a modal body in flight: rigid motion exactly, ringing in closed form on top. Compiled.
 
-It falls and turns exactly, as a rigid body; ringing is in closed form on top.
+The frame of the body floats with its rigid motion; the ringing is small against it, and what the
+frame's rotation does to the ringing (Coriolis and centrifugal forces, of the order of the angular
+velocity over the frequency of bending) is left out.
 """
 
 from __future__ import annotations
@@ -12,66 +14,78 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..arrays import Array
+from ..bodies.modal import ModalBody
 from ..compiled import njit
 from ..rigid import fallen, free_rotation, matrix_of, product, turn
 
 Complex = NDArray[np.complex128]
+# Splits of a critically damped mode's two roots, and motion beyond a rigid one, that are rounding.
+SPLIT, ROUNDING = 1e-12, 1e-12
+
+
+class Seen(NamedTuple):
+    """Some points of the end section, as a flight looks at them.
+
+    Point i stands at ``places[i]`` (3,) and is displaced by three ``rows`` (3 n, k) times the
+    section's coordinates (by the coordinates themselves where there are no rows). Elastic motion by
+    exponential j moves these by ``along[j]`` (k,) times its displacement and by ``quick[j]`` times
+    its speed (no columns where speed moves nothing). A unit of it moves no point by more than
+    ``reach[j]``, along the axis by ``reach_up[j]``; what the coordinates leave out is at most
+    ``rest[j]``. ``far`` and ``wide`` are the greatest distances along and from the axis, in m.
+    """
+
+    places: Array
+    rows: Array
+    along: Array
+    quick: Array
+    reach: Array
+    reach_up: Array
+    rest: Array
+    far: float
+    wide: float
 
 
 class Flyer(NamedTuple):
-    """What flight needs to know of a modal body: see ModalBody and ContactPoints.
+    """What flight needs to know of a body, see ModalBody; the same for all its flights.
 
-    ``along`` (k, modes) are the coordinates in which the points move, ``with_speed`` (k, modes)
-    what the velocity adds to them (empty where nothing); displacements are ``rows`` (3 n, k) times
-    these, or these themselves where ``rows`` is empty. ``damping`` (modes,) is each one's own,
-    ``alpha`` that of rigid motion too, ``tip`` (3, modes) is the section's mean displacement.
+    Elastic mode i moves by u_i(t) = Re Σ amount exp(power t) over the exponentials (e,) with
+    ``modes`` = i, an amount being ``by_u`` u_i(0) + ``by_v`` v_i(0); they are ordered by the size
+    of their ``powers``. Searches see the end section as ``rigid``, or all its ``points``; ``tip``
+    is its middle. ``alpha`` damps rigid motion.
     """
 
     omega2: Array
-    alpha: float
-    damping: Array
     translation: Array
     rotation: Array
     inertia: Array
-    along: Array
-    with_speed: Array
-    rows: Array
-    places: Array
-    tip: Array
-    tip_place: Array
-
-
-class Chart(NamedTuple):
-    """What every flight of a `Flyer` has in common.
-
-    The exponentials (e,) of its elastic modes by rising size of their ``powers``: mode i moves by
-    u_i(t) = Re Σ amount exp(power t) over those with ``modes`` = i, an amount being
-    ``by_u`` u_i(0) + ``by_v`` v_i(0). A unit of such an amount moves no point by more than
-    ``reach``, along the axis ``reach_up``.
-
-    Searches see the section as rigid: ``fit`` and ``fit_speed`` (6, modes) are the coordinates of
-    the rigid motion nearest to that of its points, ``stiff`` (3 n, 6) how these move with it,
-    ``rest`` (e,) bounds what that leaves out.
-    """
-
+    alpha: float
     powers: Complex
     modes: NDArray[np.int64]
     by_u: Complex
     by_v: Complex
-    reach: Array
-    reach_up: Array
-    rest: Array
-    fit: Array
-    fit_speed: Array
-    stiff: Array
+    points: Seen
+    rigid: Seen
+    tip: Seen
+
+
+class Stance(NamedTuple):
+    """A body where it is: position (3,) and attitude (4,), and displacement and velocity (modes,)
+    on top of these."""
+
+    position: Array
+    attitude: Array
+    u: Array
+    v: Array
 
 
 class Motion(NamedTuple):
-    """A body in flight at its start, in the world's axes; the ringing as complex exponentials.
+    """A body in flight at its start, in the world's axes; its ringing as ``amounts`` (e,) of the
+    flyer's exponentials, of the sizes ``loud`` (e,).
 
-    ``amounts`` times exp(``powers`` t) (e,) are those of ``modes``, by rising size of the powers.
-    ``reach`` (e,) bounds how far each moves any point, ``reach_up`` along the axis alone and
-    ``rest`` how far other than rigidly.
+    Quadratic drag ``drag`` (1/m, over mass) acts on vertical motion. However the body turns, its
+    angular velocity stays below ``tumbling`` across the axis and ``twirling`` about it, its angular
+    acceleration below ``swerving``, and no place on the axis 1 m from the centre is accelerated by
+    more than ``swinging``.
     """
 
     position: Array
@@ -79,195 +93,233 @@ class Motion(NamedTuple):
     attitude: Array
     spin: Array
     gravity: float
-    powers: Complex
+    drag: float
     amounts: Complex
-    modes: NDArray[np.int64]
-    reach: Array
-    reach_up: Array
-    rest: Array
+    loud: Array
+    tumbling: float
+    twirling: float
+    swerving: float
+    swinging: float
     flyer: Flyer
-    chart: Chart
+
+
+def flyer(body: ModalBody, tau_m_N: float = 0.0) -> Flyer:
+    """A body as flight sees it: its contact points, or with ``tau_m_N`` minus their approach
+    (contact.enforcement)."""
+    points = body.contact
+    places = np.ascontiguousarray(points.places_m, dtype=float)
+    middle = points.weights @ places
+    moved: Array = points.rows @ np.asarray(points.coordinates)
+    tip = np.einsum("i,ixm->xm", points.weights, moved.reshape(len(places), 3, -1))
+    powers, modes, by_u, by_v = _exponentials(body.omega2, body.damping_1_s)
+    none: Array = np.zeros((0, 0))
+
+    def seen(
+        places: Array, rows: Array, along: Array, moved: Array, speed: tuple[Array, Array] | None
+    ) -> Seen:
+        """Of points that modes move by ``moved`` (3 n, modes), and by ``speed``, coordinates and
+        points, where their rates count too."""
+        quick = np.zeros((len(powers), 0))
+        reach, reach_up = _greatest(moved)[modes], _greatest(moved, 2)[modes]
+        rest = _beyond(moved, rows, along)[modes]
+        if speed is not None:
+            quick, size = speed[0].T[modes], np.abs(powers)
+            reach = reach + size * _greatest(speed[1])[modes]
+            reach_up = reach_up + size * _greatest(speed[1], 2)[modes]
+            rest = rest + size * _beyond(speed[1], rows, speed[0])[modes]
+        return Seen(
+            places=places,
+            rows=rows,
+            along=np.ascontiguousarray(along.T[modes]),
+            quick=np.ascontiguousarray(quick),
+            reach=reach,
+            reach_up=reach_up,
+            rest=rest,
+            far=float(np.abs(places[:, 2]).max()),
+            wide=float(np.hypot(places[:, 0], places[:, 1]).max()),
+        )
+
+    stiff = rigid_rows(places)
+    nearest = np.linalg.pinv(stiff)
+    if tau_m_N:
+        moved = moved - tau_m_N * np.asarray(points.traction)
+        quick = -tau_m_N * body.beta_s * np.asarray(points.traction)
+        all_points = seen(places, none, moved, moved, (quick, quick))
+        rigid = seen(places, stiff, nearest @ moved, moved, (nearest @ quick, quick))
+    else:
+        coordinates = np.asarray(points.coordinates)
+        all_points = seen(places, np.ascontiguousarray(points.rows), coordinates, moved, None)
+        rigid = seen(places, stiff, nearest @ moved, moved, None)
+    return Flyer(
+        omega2=body.omega2,
+        translation=np.ascontiguousarray(body.translation),
+        rotation=np.ascontiguousarray(body.rotation),
+        inertia=body.inertia_kg_m2,
+        alpha=body.alpha_1_s,
+        powers=powers,
+        modes=modes,
+        by_u=by_u,
+        by_v=by_v,
+        points=all_points,
+        rigid=rigid,
+        tip=seen(middle[None], none, tip, tip, None),
+    )
+
+
+def _exponentials(
+    omega2: Array, damping: Array
+) -> tuple[Complex, NDArray[np.int64], Complex, Complex]:
+    """``powers``, ``modes``, ``by_u`` and ``by_v`` of a flyer; rigid modes have none."""
+    elastic = np.flatnonzero(omega2 > 0.0)
+    w2, c = omega2[elastic], damping[elastic]
+    inside = c * c - 4.0 * w2
+    # critically damped modes have no second exponential; split roots err by the split squared
+    inside = np.where(np.abs(inside) < SPLIT * c * c, SPLIT * c * c, inside)
+    rings, root = inside < 0.0, np.sqrt(np.abs(inside))
+    ringing = -0.5 * c[rings] + 0.5j * root[rings]
+    fast = -0.5 * (c + root)[~rings] + 0.0j
+    slow = w2[~rings] / fast  # free of cancellation
+    powers = np.concatenate([ringing, fast, slow])
+    by_u = np.concatenate(
+        [1.0 + 1j * ringing.real / ringing.imag, -slow / (fast - slow), fast / (fast - slow)]
+    )
+    by_v = np.concatenate([-1j / ringing.imag, 1.0 / (fast - slow), -1.0 / (fast - slow)])
+    modes = np.concatenate([elastic[rings], elastic[~rings], elastic[~rings]])
+    order = np.argsort(np.abs(powers), kind="stable")
+    return powers[order], modes[order], by_u[order], by_v[order]
+
+
+def rigid_rows(places: Array) -> Array:
+    """Displacements (3 n, 6) of points by translations along x, y, z and rotations about them."""
+    arms = places - places.mean(axis=0)
+    turned = [np.cross(axis, arms).ravel() for axis in np.eye(3)]
+    return np.column_stack([np.tile(np.eye(3), (len(places), 1)), *turned])
+
+
+def _greatest(moved: Array, first: int = 0) -> Array:
+    """Greatest displacement of any point (modes,) by rows (3 n, modes), from axis ``first`` on."""
+    squared = moved.reshape(-1, 3, moved.shape[1])[:, first:] ** 2
+    return np.sqrt(squared.sum(axis=1)).max(axis=0)
+
+
+def _beyond(moved: Array, rows: Array, along: Array) -> Array:
+    """Greatest displacement (modes,) beyond what coordinates have; zero where it is rounding."""
+    left = _greatest(moved - (rows @ along if rows.size else along))
+    return np.where(left > ROUNDING * _greatest(moved), left, 0.0)
 
 
 @njit
 def rigid_part(flyer: Flyer, x: Array) -> tuple[Array, Array]:
     """Translation and rotation (3,) in body axes that modal coordinates ``x`` hold."""
-    shift, angle = np.zeros(3), np.zeros(3)
+    shift, angle = flyer.translation.T @ x, flyer.rotation.T @ x
     for k in range(3):
-        size = 0.0
-        for j in range(len(x)):
-            shift[k] += flyer.translation[j, k] * x[j]
-            angle[k] += flyer.rotation[j, k] * x[j]
-            size += flyer.translation[j, k] ** 2
+        size = (flyer.translation[:, k] ** 2).sum()
         shift[k] = shift[k] / size if size > 0.0 else 0.0
         angle[k] = angle[k] / flyer.inertia[k] if flyer.inertia[k] > 0.0 else 0.0
     return shift, angle
 
 
 @njit
-def _exponentials(
-    omega2: Array, dampings: Array
-) -> tuple[Complex, NDArray[np.int64], Complex, Complex]:
-    """``powers``, ``modes``, ``by_u`` and ``by_v`` of a chart; rigid modes are left out."""
-    n = len(omega2)
-    powers = np.empty(2 * n, dtype=np.complex128)
-    by_u, by_v = np.empty_like(powers), np.empty_like(powers)
-    modes = np.empty(2 * n, dtype=np.int64)
-    count = 0
-    for i in range(n):
-        if omega2[i] == 0.0:
-            continue
-        damping = dampings[i]
-        inside = damping * damping - 4.0 * omega2[i]
-        # critically damped modes have no second exponential; split roots err by the split squared
-        if abs(inside) < 1e-12 * damping * damping:
-            inside = 1e-12 * damping * damping
-        modes[count] = i
-        if inside < 0.0:
-            power = complex(-0.5 * damping, 0.5 * math.sqrt(-inside))
-            powers[count] = power
-            by_u[count] = complex(1.0, power.real / power.imag)
-            by_v[count] = complex(0.0, -1.0 / power.imag)
-            count += 1
-            continue
-        fast = -0.5 * (damping + math.sqrt(inside))
-        slow = omega2[i] / fast  # free of cancellation
-        powers[count], powers[count + 1], modes[count + 1] = fast, slow, i
-        by_u[count], by_v[count] = -slow / (fast - slow), 1.0 / (fast - slow)
-        by_u[count + 1], by_v[count + 1] = fast / (fast - slow), -1.0 / (fast - slow)
-        count += 2
-    order = np.argsort(np.abs(powers[:count]))
-    return powers[order], modes[order], by_u[order], by_v[order]
+def _over(value: float, by: float) -> float:
+    return value / by if by > 0.0 else 0.0
 
 
 @njit
-def rigid_rows(places: Array) -> Array:
-    """Displacements (3 n, 6) of points by translations along x, y, z and rotations about them."""
-    n = len(places)
-    rows = np.zeros((3 * n, 6))
-    for i in range(n):
-        x = places[i, 0] - places[:, 0].mean()
-        y = places[i, 1] - places[:, 1].mean()
-        z = places[i, 2] - places[:, 2].mean()
-        rows[3 * i, 0] = rows[3 * i + 1, 1] = rows[3 * i + 2, 2] = 1.0
-        rows[3 * i + 1, 3], rows[3 * i + 2, 3] = -z, y
-        rows[3 * i, 4], rows[3 * i + 2, 4] = z, -x
-        rows[3 * i, 5], rows[3 * i + 1, 5] = -y, x
-    return rows
+def turning_bounds(inertia: Array, spin: Array) -> tuple[float, float, float, float]:
+    """The bounds of a `Motion` on turning, from energy and angular momentum, which stay.
+
+    With 2 E = Σ I w² and L² = Σ I² w²: 2 E bounds the spin across the axis, and
+    2 E I_x - L² = I_y (I_x - I_y) w_y² + I_z (I_x - I_z) w_z², with I_x the greater of the moments
+    across it, the spin about it.
+    """
+    x, y, z = inertia[0], inertia[1], inertia[2]
+    twice_energy = (inertia * spin**2).sum()
+    across, about = max(x, y), min(x, y)
+    tumbling = math.sqrt(max(_over(twice_energy, about), spin[0] ** 2 + spin[1] ** 2))
+    squared = _over(twice_energy, z)
+    if z < across:
+        left = twice_energy * across - ((inertia * spin) ** 2).sum()
+        squared = min(squared, _over(max(left, 0.0), z * (across - z)))
+    twirling = math.sqrt(max(squared, spin[2] ** 2))
+    both, twice = tumbling * twirling, tumbling * tumbling
+    swerving = math.sqrt(
+        (_over(abs(y - z), x) * both) ** 2
+        + (_over(abs(z - x), y) * both) ** 2
+        + (0.5 * _over(abs(x - y), z) * twice) ** 2
+    )
+    # on the axis what a spin about it does to the tumbling nearly cancels what it does to a point
+    # that tumbles
+    left_over = max(_over(abs(z - x + y), y), _over(abs(y - z - x), x))
+    return tumbling, twirling, swerving, math.hypot(left_over * both, twice)
 
 
 @njit
-def _greatest(moved: Array, first: int) -> Array:
-    """Greatest displacement of any point (modes,) by rows (3 n, modes), from axis ``first`` on."""
-    out = np.zeros(moved.shape[1])
-    for j in range(moved.shape[1]):
-        for i in range(len(moved) // 3):
-            squared = 0.0
-            for c in range(first, 3):
-                squared += moved[3 * i + c, j] ** 2
-            out[j] = max(out[j], math.sqrt(squared))
-    return out
-
-
-@njit
-def _left_over(moved: Array, fitted: Array) -> Array:
-    """Greatest displacement (modes,) beyond what was fitted; zero where that is rounding."""
-    beyond, whole = _greatest(moved - fitted, 0), _greatest(moved, 0)
-    return np.where(beyond > 1e-12 * whole, beyond, 0.0)
-
-
-@njit
-def chart(flyer: Flyer) -> Chart:
-    """The chart of a flyer."""
-    powers, modes, by_u, by_v = _exponentials(flyer.omega2, flyer.damping)
-    moved = flyer.rows @ flyer.along if flyer.rows.size else flyer.along
-    stiff = rigid_rows(flyer.places)
-    nearest = np.linalg.pinv(stiff)
-    fit: Array = nearest @ moved
-    fit_speed: Array = np.zeros((0, 0))
-    # where points stand for their approach, the tip, whose height counts too, may move further
-    reach = np.maximum(_greatest(moved, 0), _greatest(flyer.tip, 0))[modes]
-    reach_up = np.maximum(_greatest(moved, 2), _greatest(flyer.tip, 2))[modes]
-    rest = _left_over(moved, stiff @ fit)[modes]
-    if flyer.with_speed.size:
-        quick, size = flyer.with_speed, np.abs(powers)
-        fit_speed = nearest @ quick
-        reach = reach + size * _greatest(quick, 0)[modes]
-        reach_up = reach_up + size * _greatest(quick, 2)[modes]
-        rest = rest + size * _left_over(quick, stiff @ fit_speed)[modes]
-    return Chart(powers, modes, by_u, by_v, reach, reach_up, rest, fit, fit_speed, stiff)
-
-
-@njit
-def launch(
-    table: Chart, flyer: Flyer, position: Array, attitude: Array, u: Array, v: Array, gravity: float
-) -> Motion:
-    """The flight from a state (u, v) in a pose, whose rigid part moves the pose."""
+def launch(flyer: Flyer, start: Stance, gravity: float, drag: float) -> Motion:
+    """The flight from a ``start``, the rigid part of whose state moves its pose."""
+    position, attitude, u, v = start
     shift, angle = rigid_part(flyer, u)
     speed, spin = rigid_part(flyer, v)
-    start = position + matrix_of(attitude) @ shift
-    turned = product(attitude, turn(angle))
-    e = len(table.powers)
-    powers, amounts = np.empty(e, dtype=np.complex128), np.empty(e, dtype=np.complex128)
-    modes = np.empty(e, dtype=np.int64)
-    reach, reach_up, rest = np.empty(e), np.empty(e), np.empty(e)
-    count = 0
-    for j in range(e):
-        mode = table.modes[j]
-        if u[mode] == 0.0 and v[mode] == 0.0:
-            continue
-        amount = table.by_u[j] * u[mode] + table.by_v[j] * v[mode]
-        size = math.sqrt(amount.real * amount.real + amount.imag * amount.imag)
-        powers[count], amounts[count], modes[count] = table.powers[j], amount, mode
-        reach[count] = size * table.reach[j]
-        reach_up[count] = size * table.reach_up[j]
-        rest[count] = size * table.rest[j]
-        count += 1
+    amounts = np.empty(len(flyer.powers), dtype=np.complex128)
+    loud = np.empty(len(flyer.powers))
+    for j in range(len(flyer.powers)):
+        amounts[j] = flyer.by_u[j] * u[flyer.modes[j]] + flyer.by_v[j] * v[flyer.modes[j]]
+        loud[j] = abs(amounts[j])
+    rotation = matrix_of(attitude)
+    tumbling, twirling, swerving, swinging = turning_bounds(flyer.inertia, spin)
     return Motion(
-        start,
-        matrix_of(attitude) @ speed,
-        turned,
+        position + rotation @ shift,
+        rotation @ speed,
+        product(attitude, turn(angle)),
         spin,
         gravity,
-        powers[:count],
-        amounts[:count],
-        modes[:count],
-        reach[:count],
-        reach_up[:count],
-        rest[:count],
+        drag,
+        amounts,
+        loud,
+        tumbling,
+        twirling,
+        swerving,
+        swinging,
         flyer,
-        table,
     )
 
 
 @njit
-def top_of_centre(motion: Motion, until: float) -> tuple[float, float]:
-    """Time and height of the highest place of the centre of mass in [0, ``until``]."""
-    speed, gravity, alpha = motion.velocity[2], motion.gravity, motion.flyer.alpha
-    rise = 0.0
-    if speed > 0.0:
-        rise = speed / gravity if alpha == 0.0 else math.log1p(alpha * speed / gravity) / alpha
-    top = min(rise, until)
-    return top, fallen(motion.position, motion.velocity, gravity, alpha, top)[0][2]
+def centre(motion: Motion, t: float) -> tuple[Array, Array]:
+    """Position and velocity (3,) of the centre of mass at ``t``, also before the start."""
+    flyer = motion.flyer
+    return fallen(motion.position, motion.velocity, motion.gravity, flyer.alpha, t, motion.drag)
 
 
 @njit
-def landing(motion: Motion, t: float) -> tuple[Array, Array, Array, Array]:
-    """Position and attitude at ``t``, and displacement and velocity (modes,) on top of them.
+def turned(motion: Motion, t: float) -> tuple[Array, Array]:
+    """Attitude (4,), and angular velocity (3,) in body axes, at ``t``."""
+    flyer = motion.flyer
+    return free_rotation(motion.attitude, motion.spin, flyer.inertia, flyer.alpha, 0.0, t)
+
+
+@njit
+def landing(motion: Motion, t: float) -> Stance:
+    """Where the body is at ``t``.
 
     The displacement is elastic alone; the velocity has the rigid one too.
     """
-    flyer, amounts, modes = motion.flyer, motion.amounts, motion.modes
-    position, velocity = fallen(motion.position, motion.velocity, motion.gravity, flyer.alpha, t)
-    attitude, spin = free_rotation(motion.attitude, motion.spin, flyer.inertia, flyer.alpha, 0.0, t)
-    u, v = np.zeros(len(flyer.omega2)), np.zeros(len(flyer.omega2))
-    for e in range(len(motion.powers)):
-        power = motion.powers[e]
-        size = math.exp(power.real * t)
-        wave = complex(size * math.cos(power.imag * t), size * math.sin(power.imag * t))
-        wave = amounts[e] * wave
-        u[modes[e]] += wave.real
-        v[modes[e]] += (power * wave).real
-    v += flyer.translation @ (matrix_of(attitude).T @ velocity)
-    v += flyer.rotation @ spin
-    return position, attitude, u, v
+    flyer = motion.flyer
+    position, velocity = centre(motion, t)
+    attitude, spin = turned(motion, t)
+    u = np.zeros(len(flyer.omega2))
+    v = flyer.translation @ (matrix_of(attitude).T @ velocity) + flyer.rotation @ spin
+    for j in range(len(flyer.powers)):
+        if motion.loud[j] > 0.0:
+            power, wave = flyer.powers[j], motion.amounts[j] * swung(flyer.powers[j], t)
+            u[flyer.modes[j]] += wave.real
+            v[flyer.modes[j]] += (power * wave).real
+    return Stance(position, attitude, u, v)
+
+
+@njit
+def swung(power: complex, t: float) -> complex:
+    """exp(``power`` t)."""
+    size = math.exp(power.real * t)
+    if power.imag == 0.0:
+        return complex(size, 0.0)
+    return complex(size * math.cos(power.imag * t), size * math.sin(power.imag * t))

@@ -15,7 +15,7 @@ from bristle.solver.drop import DropPlan, ModalFrame, simulate
 from bristle.solver.ground import Ground
 from bristle.solver.rigid import leaning, matrix_of
 from bristle.solver.time.flight import Flight
-from bristle.solver.time.touchdown import next_touch
+from bristle.solver.time.search import next_touch
 
 G = 9.8
 HEIGHT = 0.05

@@ -5,6 +5,7 @@ with formulas, or with an integration that shares no code with the program.
 """
 
 import importlib
+import itertools
 import math
 from pathlib import Path
 
@@ -28,6 +29,8 @@ from reference import rate
 from scipy.optimize import brentq
 from scipy.special import beta
 
+from bristle.solver.bodies.beam import beam_body
+from bristle.solver.bristle import Bristle, Material
 from bristle.solver.contact.enforcement import ContactMethod, Enforcement
 from bristle.solver.contact.laws import (
     Adhesive,
@@ -39,6 +42,7 @@ from bristle.solver.contact.laws import (
     Tabulated,
 )
 from bristle.solver.contact_phase import History
+from bristle.solver.drop import DropPlan, ModalFrame, simulate
 from bristle.solver.energy import marching_energy
 from bristle.solver.errors import ComputationError
 from bristle.solver.impact import march_contact
@@ -339,6 +343,55 @@ def test_a_touch_meets_a_fresh_place():
         ]
         assert touches[0].v == touches[1].v
         assert touches[0].contact_loss_J == touches[1].contact_loss_J > 0.0
+
+
+@pytest.mark.parametrize("seen", [None, lambda *_: None], ids=["compiled", "stepwise"])
+def test_a_later_touch_of_the_impact_comes_down_into_its_indentation(seen):
+    """A slow mass is turned by the spring at the depth that the first touch left."""
+    marcher = marcher_of(Plastic(KN, 0.3 * MOST), ITS)
+
+    def touch(speed, memory):
+        start = np.zeros(1), np.full(1, -math.sqrt(MASS) * speed)
+        return march_contact(marcher, 0.0, *start, History(), seen, memory=memory)
+
+    first = touch(SPEED, None)
+    again = touch(0.1 * SPEED, first.memory)
+    elsewhere = touch(0.1 * SPEED, None)
+    (indented,) = first.memory
+    # yields from 0.3 to √(1 - 0.3²) of the way that a spring would give, see the test of yield
+    assert indented > 0.3 * SPEED / OMEGA
+    assert again.max_penetration_m == pytest.approx(indented + 0.1 * SPEED / OMEGA, rel=CLOSE)
+    assert elsewhere.max_penetration_m == pytest.approx(0.1 * SPEED / OMEGA, rel=CLOSE)
+    assert again.memory == first.memory
+    assert again.contact_loss_J == pytest.approx(0.0, abs=1e-12 * first.contact_loss_J)
+
+
+def test_micro_touches_share_an_indentation_and_impacts_do_not(monkeypatch):
+    """Of a bristle whose tip chatters."""
+    from bristle.solver import drop
+
+    seen = []
+
+    def watched(*args):
+        touch = march_contact(*args)
+        seen.append((args[1], args[-1], touch))
+        return touch
+
+    monkeypatch.setattr(drop, "march_contact", watched)
+    body = beam_body(Bristle(material=Material(beta_s=1e-8)), 8)
+    method = ContactMethod(Plastic(1e7, 50.0))
+    plan = DropPlan(0.05, method, 1e-6, 9.8, until_s=0.3, tilt_deg=10.0)
+    result = simulate(ModalFrame(body), plan)
+    assert result.n_contacts > 1
+    impacts = [i for i, (_, memory, _) in enumerate(seen) if memory is None]
+    assert len(impacts) > 1
+    for (t, _, before), (later, memory, _) in itertools.pairwise(seen):
+        if memory is None:
+            assert later - t > 0.01
+        else:
+            assert np.array_equal(memory, before.memory)
+            assert before.memory.any()
+    assert result.energy.closure_relative < 1e-6
 
 
 # --- points -------------------------------------------------------------------------------------

@@ -18,7 +18,7 @@ from bristle.solver.effects.base import Place, Scene
 from bristle.solver.effects.library import EFFECTS, enter_all
 from bristle.solver.effects.surface import MOST_SLOPE_DEG, steepness_deg
 from bristle.solver.errors import InputError
-from bristle.solver.fall import dragged_fall, dragged_path, risen
+from bristle.solver.fall import dragged, dragged_fall, risen
 from bristle.studies.inputs.config import DropInputs
 from bristle.studies.inputs.effects import entered
 from bristle.studies.inputs.named import EffectInput
@@ -140,8 +140,9 @@ def test_a_fall_with_drag_is_the_differential_equations(start, drag):
     assert done.y[0, -1] == pytest.approx(0.05, abs=1e-9)
     assert done.y[1, -1] == pytest.approx(speed, abs=1e-9)
     for t in np.linspace(0.1, 0.9, 5) * time:
-        path = dragged_path(float(t), paper.GRAVITY_M_S2, start, drag)
+        path, speed = dragged(float(t), paper.GRAVITY_M_S2, start, drag)
         assert path == pytest.approx(done.sol(t)[0], abs=1e-8)
+        assert speed == pytest.approx(done.sol(t)[1], abs=1e-8)
 
 
 def test_a_rise_with_drag_ends_where_energy_says():
@@ -200,12 +201,45 @@ def test_air_drag_is_half_density_coefficient_end_section_and_speed_squared(
     vacuum, _ = workshop.run(inputs.model_copy(update={"effects": ()}))
     if model != "analytic":
         mass, fallen = 2700.0 * area * 0.2, g * inputs.height_m - 0.5 * speed**2
-        assert result.energy.drag_loss_J == pytest.approx(mass * fallen, rel=1e-3)
+        back = end([-1e-9, -after], lambda _, y: y[0])[1]
+        flown = 0.5 * (after**2 - back**2)
+        assert result.energy.drag_loss_J == pytest.approx(mass * (fallen + flown), rel=1e-3)
         assert vacuum.energy.drag_loss_J == 0.0
         assert result.energy.material_loss_J < vacuum.energy.material_loss_J
     released = vacuum.cm_rebound_height_m - vacuum.cm_velocity_after_m_s**2 / (2.0 * g)
     top = released - end([0.0, -after], turned)[0]
     assert result.cm_rebound_height_m == pytest.approx(top, abs=1e-7)
+
+
+def test_drag_acts_in_every_flight(workshop):
+    """Heights after the first and the second impact are those of m v' = -m g - k v |v|, and the
+    budget of several impacts closes."""
+    inputs = drop("air_drag:cd=100", model="beam", until=0.5)
+    result, _ = workshop.run(inputs)
+    bristle, g = inputs.bristle(), inputs.gravity_m_s2
+    k = 0.5 * 1.204 * 100.0 * 2.08e-3 * 0.5e-3 / bristle.mass_kg
+    t, _, height, force, _ = result.history.array().T
+    landed = np.flatnonzero((force[1:] > 0.0) & (force[:-1] == 0.0)) + 1
+    assert len(landed) >= 3
+    apart = np.split(np.arange(len(t)), np.flatnonzero(force > 0.0))
+    flights = [rows[2:-1] for rows in apart if t[rows[-1]] - t[rows[0]] > 0.05]
+    assert len(flights) >= 3  # the fall, and two rebounds
+    for rows in flights[1:]:
+        x, s = height[rows], t[rows] - t[rows[0]]
+        # its starting speed from its own first rows, which a cubic fits
+        speed = np.polynomial.Polynomial.fit(s[:9], x[:9], 4).deriv()(0.0)
+        run = solve_ivp(
+            lambda _, y: [y[1], -g - k * y[1] * abs(y[1])],
+            (0.0, s[-1]),
+            [x[0], speed],
+            t_eval=s,
+            rtol=1e-11,
+            atol=1e-13,
+        )
+        assert x == pytest.approx(run.y[0], abs=1e-7)
+        in_vacuum = x[0] + speed * s - 0.5 * g * s * s
+        assert np.abs(in_vacuum - run.y[0]).max() > 1e-5
+    assert result.energy.closure_relative < 1e-6
 
 
 def test_release_speed_counts_as_height(workshop):

@@ -25,7 +25,8 @@ from bristle.solver.rigid import (
     turn,
 )
 from bristle.solver.time.flight import Flight
-from bristle.solver.time.motion import rigid_rows
+from bristle.solver.time.motion import rigid_rows, turning_bounds
+from bristle.solver.time.search import look, start_clock
 
 pytestmark = pytest.mark.serial
 G = 9.8
@@ -392,6 +393,51 @@ def test_apex_is_the_highest_that_dense_sampling_sees(body, seed, loud):
         at = np.interp(t, times, direct.tip)
         assert 0.0 <= t <= until * (1.0 + 1e-12)
         assert at == pytest.approx(height, abs=2e-7)
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_turning_stays_within_its_bounds(seed):
+    """Of bodies of any principal moments, for as long as they tumble."""
+    rng = np.random.default_rng(seed)
+    a, b, c = rng.uniform(0.1, 1.0, 3) ** 2
+    inertia = np.array([b + c, a + c, a + b]) * (1.0, 1.0, 10.0 ** rng.uniform(-3.0, 0.0))
+    spin = rng.normal(size=3) * (1.0, 1.0, 10.0 ** rng.uniform(-2.0, 2.0))
+    tumbling, twirling, swerving, swinging = turning_bounds(inertia, spin)
+    times = np.linspace(0.0, 60.0 / np.linalg.norm(spin), 3001)
+    _, w = eulers_equations(UPRIGHT, spin, inertia, 0.0)(times)
+    x, y, z = w.T
+    rates = np.cross(inertia * w, w) / inertia
+    axis = np.cross(w, np.cross(w, [0.0, 0.0, 1.0])) + np.cross(rates, [0.0, 0.0, 1.0])
+    close = 1.0 + 1e-9
+    assert np.hypot(x, y).max() <= tumbling * close
+    assert np.abs(z).max() <= twirling * close
+    assert np.linalg.norm(rates, axis=1).max() <= swerving * close
+    assert np.linalg.norm(axis, axis=1).max() <= swinging * close
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_a_clearance_stays_above_what_a_look_promised(body, seed):
+    """For as long as the look was to hold, whatever ringing it left out."""
+    rng = np.random.default_rng(200 + seed)
+    pose, u, v = launched(body, seed, loud=1e-4)
+    ground = Ground.plane(len(body.contact.weights), slope_normal(*rng.uniform(-15, 15, 2)))
+    planes = ground.normals, ground.offsets_m
+    motion = Flight(body, pose, 0.0, u, v, G).motion
+    tip, down = motion.flyer.tip, np.array([[0.0, 0.0, -1.0]])
+    for seen, *over in ((motion.flyer.points, *planes), (tip, down, np.array([-0.1]))):
+        for t in rng.uniform(0.0, 0.05, 5):
+            horizon = 10.0 ** rng.uniform(-5.0, -2.0)
+            for allowed in (0.0, 1e-5):
+                now = look(motion, seen, *over, start_clock(motion), t, allowed, horizon)
+                least = math.inf
+                for after in horizon * np.linspace(0.0, 1.0, 200):
+                    later = look(motion, seen, *over, start_clock(motion), t + after, 0.0, 0.0)
+                    if after <= now.safe:
+                        least = min(least, later.clear)
+                    if seen is tip:  # one point, whose rate is the look's
+                        most = now.slack - now.rate * after + 0.5 * now.bending * after**2
+                        assert now.clear - later.clear <= most + 1e-12
+                assert least >= -1e-12 or now.safe == 0.0
 
 
 # --- from the march to flight and back ----------------------------------------------------------

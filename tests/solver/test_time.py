@@ -17,12 +17,12 @@ from bristle.solver.bristle import Bristle, Material
 from bristle.solver.contact.enforcement import ContactMethod, Enforcement
 from bristle.solver.contact.laws import Linear
 from bristle.solver.ground import Ground, just_touched, place
-from bristle.solver.rigid import Pose, free_rotation, leaning, slope_normal
-from bristle.solver.time.clearance import clearance_of, tip_height
-from bristle.solver.time.flight import Flight, charted
+from bristle.solver.rigid import Pose, leaning, slope_normal
+from bristle.solver.time.flight import Flight
 from bristle.solver.time.march import Marcher
-from bristle.solver.time.ringing import ring_of
+from bristle.solver.time.motion import flyer
 from bristle.solver.time.scheme import TimeScheme
+from bristle.solver.time.search import look, start_clock
 
 pytestmark = pytest.mark.serial
 SCHEMES = [
@@ -202,18 +202,16 @@ def test_rates_of_a_flight_are_the_slopes_of_what_it_moves(beta):
     rng, t, step = np.random.default_rng(3), 7e-4, 1e-9
     v = rng.normal(size=len(body.omega2)) / (1.0 + 1e-4 * np.sqrt(body.omega2))
     motion = Flight(body, Pose(np.zeros(3), leaning(20.0, -9.0)), 0.0, 0.0 * v, v, G).motion
-    flyer, n = motion.flyer, len(motion.flyer.places)
+    points, tip = motion.flyer.points, motion.flyer.tip
+    n = len(points.places)
     assert np.linalg.norm(motion.spin) > 10.0
-    ring = ring_of(motion, 0.0, 0.0, 1.0, flyer.along, flyer.with_speed)
-    tips = ring_of(motion, 0.0, 0.0, 1.0, flyer.tip, np.zeros((0, 0)))
     slope, offsets = np.tile(slope_normal(5.0, 3.0), (n, 1)), np.full(n, -1.0)
+    up, level = np.array([[0.0, 0.0, 1.0]]), np.zeros(1)
 
     def at(time):
-        turned = free_rotation(motion.attitude, motion.spin, flyer.inertia, 0.0, 0.0, time)
-        low = clearance_of(
-            motion, ring, len(ring.decay), flyer.rows, slope, offsets, time, *turned, 0.0, 0.0
-        )
-        return np.array([tip_height(motion, tips, len(tips.decay), time, *turned), low[:2]])
+        clock = start_clock(motion)
+        seen = ((tip, up, level), (points, slope, offsets))
+        return np.array([look(motion, *each, clock, time, 0.0, 0.0)[:2] for each in seen])
 
     before, now, after = (at(time) for time in (t - step, t, t + step))
     slopes = (after[:, 0] - before[:, 0]) / (2.0 * step)
@@ -252,7 +250,7 @@ def test_with_nitsche_a_flight_is_clear_by_minus_the_approach(rng):
     marcher.place(place(ground, pose, body.contact))
     u, v = 1e-2 * rng.normal(size=(2, len(body.omega2)))
     approach = marcher.approach(u, v)[0, 0] - marcher.ground.gaps_m[0]
-    flight = Flight(body, pose, 0.0, u, v, 0.0, charted(body, marcher.tau))
+    flight = Flight(body, pose, 0.0, u, v, 0.0, flyer(body, marcher.tau))
     assert marcher.tau > 0.0
     assert flight.trace(ground, np.zeros(1))[0, 2] == pytest.approx(-approach, rel=1e-9)
 
