@@ -204,26 +204,26 @@ def _nearest(
 @njit
 def _closely(
     motion: Motion,
-    normals: Array,
-    offsets: Array,
+    seen: tuple[Seen, Seen],
+    planes: tuple[Array, Array],
     clock: Array,
     t: float,
     expected: float,
     horizon: float,
+    least: float,
 ) -> Look:
-    """A look that leaves out no more than its clearance allows; about ``expected`` is guessed.
+    """A look that leaves out no more than its clearance allows, or ``least``.
 
-    The section is taken as rigid, unless it is not nearly so.
+    About ``expected`` is guessed. The first of ``seen`` serves unless it leaves out too much.
     """
-    seen = motion.flyer.rigid
-    allowed = max(0.5 * TOUCH_SEARCH_M, OUT_OF_SIGHT * expected)
+    which, allowed = seen[0], max(0.5 * least, OUT_OF_SIGHT * expected)
     while True:
-        now = look(motion, seen, normals, offsets, clock, t, allowed, horizon)
-        if now.slack <= max(TOUCH_SEARCH_M, 2.0 * OUT_OF_SIGHT * now.clear):
+        now = look(motion, which, planes[0], planes[1], clock, t, allowed, horizon)
+        if now.slack <= max(least, 2.0 * OUT_OF_SIGHT * now.clear):
             return now
-        wanted = max(0.5 * TOUCH_SEARCH_M, OUT_OF_SIGHT * now.clear)
+        wanted = max(0.5 * least, OUT_OF_SIGHT * now.clear)
         if allowed <= wanted:
-            seen = motion.flyer.points
+            which = seen[1]
         allowed = min(allowed, wanted)
 
 
@@ -234,11 +234,11 @@ def next_touch(motion: Motion, normals: Array, offsets: Array, until: float) -> 
     A point that starts below its plane, on its way up, touches when it turns down before it got
     out.
     """
-    clock = start_clock(motion)
-    t, step, expected = 0.0, 0.0, 0.0
+    seen, planes = (motion.flyer.rigid, motion.flyer.points), (normals, offsets)
+    t, step, expected, clock = 0.0, 0.0, 0.0, start_clock(motion)
     above, before, horizon = False, -math.inf, until
     while True:
-        now = _closely(motion, normals, offsets, clock, t, expected, horizon)
+        now = _closely(motion, seen, planes, clock, t, expected, horizon, TOUCH_SEARCH_M)
         if above and now.clear <= 0.0:
             found = _root(motion, normals, offsets, clock, t - step, t)
             if not math.isinf(found):
@@ -334,13 +334,16 @@ def top_of_centre(motion: Motion, until: float) -> tuple[float, float]:
 
 
 @njit
-def _below(
-    motion: Motion, ceiling: float, clock: Array, t: float, allowed: float, horizon: float
-) -> Look:
-    """How far the middle of the tip is below the ``ceiling``."""
-    down = np.array([[0.0, 0.0, -1.0]])
-    tip = motion.flyer.tip
-    return look(motion, tip, down, np.array([-ceiling]), clock, t, allowed, horizon)
+def _ceiling(height: float) -> tuple[Array, Array]:
+    """The plane at a ``height``, looked at from below."""
+    return np.array([[0.0, 0.0, -1.0]]), np.array([-height])
+
+
+@njit
+def _below(motion: Motion, clock: Array, t: float, allowed: float) -> Look:
+    """How far the middle of the tip is below the height zero."""
+    normals, offsets = _ceiling(0.0)
+    return look(motion, motion.flyer.tip, normals, offsets, clock, t, allowed, 0.0)
 
 
 @njit
@@ -352,20 +355,18 @@ def apex(motion: Motion, until: float) -> tuple[float, float]:
     `APEX_SAG_M` between samples. A coarse look makes the best good from the start.
     """
     best, best_t, clock = -math.inf, 0.0, start_clock(motion)
+    tip = motion.flyer.tip, motion.flyer.tip
     looks = LOOKS if motion.tumbling > 0.0 else 0
     for i in range(looks + 1):
         t = until * (i / LOOKS) if i < looks else top_of_centre(motion, until)[0]
-        height = -_below(motion, 0.0, clock, t, APEX_SEARCH_M, 0.0).clear
+        height = -_below(motion, clock, t, APEX_SEARCH_M).clear
         if height > best:
             best, best_t = height, t
     t, horizon, expected, width, clock = 0.0, until, 0.0, 0.0, start_clock(motion)
     turning, crowded = max(math.hypot(motion.tumbling, motion.twirling), TURN_RAD / until), 0
     while True:
-        allowed = max(APEX_SEARCH_M, OUT_OF_SIGHT * expected)
-        now = _below(motion, best, clock, t, allowed, horizon)
-        if allowed > max(APEX_SEARCH_M, 2.0 * OUT_OF_SIGHT * now.clear):
-            allowed = max(APEX_SEARCH_M, OUT_OF_SIGHT * now.clear)
-            now = _below(motion, best, clock, t, allowed, horizon)
+        ceiling = _ceiling(best)
+        now = _closely(motion, tip, ceiling, clock, t, expected, horizon, APEX_SEARCH_M)
         spacing = _spacing(now, APEX_SAG_M, horizon)
         if now.clear < 0.0:
             best, best_t, width = best - now.clear, t, spacing
@@ -377,7 +378,7 @@ def apex(motion: Motion, until: float) -> tuple[float, float]:
         crowded = crowded + 1 if step < SHORT * spacing else 0
         if crowded > CROWDED and step < until - t:
             most = min(BLOCKS * LANES * spacing, BLOCKS * TURN_RAD / turning, until - t)
-            now = _below(motion, best, clock, t, APEX_SEARCH_M, most)
+            now = look(motion, tip[0], *ceiling, clock, t, APEX_SEARCH_M, most)
             spacing = _spacing(now, APEX_SAG_M, most)
             step = min(BLOCKS * LANES * spacing, most)
             height, when = _sampled(motion, clock, t, step)
@@ -455,7 +456,7 @@ def _highest(motion: Motion, left: float, best: float, right: float) -> tuple[fl
     t, top, top_t = best, -math.inf, best
     other, other_fall, clock = best, 0.0, start_clock(motion)
     for step in range(REFINEMENTS):
-        now = _below(motion, 0.0, clock, t, ROUNDING_M, 0.0)
+        now = _below(motion, clock, t, ROUNDING_M)
         if -now.clear > top:
             top, top_t = -now.clear, t
         if now.rate == 0.0 or (step > 0 and now.rate * other_fall > 0.0):
@@ -477,7 +478,7 @@ def trace(motion: Motion, normals: Array, offsets: Array, times: Array) -> Array
     out, clock, points = np.empty((len(times), 3)), start_clock(motion), motion.flyer.points
     for i in range(len(times)):
         t = times[i]
-        out[i, 0] = -_below(motion, 0.0, clock, t, 0.0, 0.0).clear
+        out[i, 0] = -_below(motion, clock, t, 0.0).clear
         out[i, 1] = centre(motion, t)[0][2]
         out[i, 2] = look(motion, points, normals, offsets, clock, t, 0.0, 0.0).clear
     return out
