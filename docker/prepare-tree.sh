@@ -6,14 +6,19 @@
 
 # Sets `tree` to the path of the tree under the folder $1.
 prepare_tree() {
-    local cache=$1 packages recipe name log
-    packages=$(sed 's/#.*//' "$docker/packages" | xargs | tr ' ' ',')
+    local cache=$1 packages= recipe name log line word
+    while read -r line; do
+        for word in ${line%%#*}; do
+            packages+=${packages:+,}$word
+        done
+    done <"$docker/packages"
     recipe=(--variant=minbase --components=main --include="$packages"
         --dpkgopt='path-exclude=/usr/share/doc/*'
         --dpkgopt='path-include=/usr/share/doc/*/copyright'
         --dpkgopt='path-exclude=/usr/share/locale/*'
         --dpkgopt='path-exclude=/usr/share/man/*')
-    name=tree-$(sha256sum <<<"${recipe[*]}" | cut -c1-12)
+    name=$(sha256sum <<<"${recipe[*]}")
+    name=tree-${name:0:12}
     tree=$cache/$name
     log=$cache/$name.log
     [[ ! -d $tree ]] || return 0

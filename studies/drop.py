@@ -11,8 +11,6 @@ from contextlib import AbstractContextManager, ExitStack, contextmanager, nullco
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
-from mpi4py import MPI
-
 from ..meshes.collective import run_on_one_rank
 from ..solver.checkpoint import Checkpoint
 from ..solver.drop import DropResult
@@ -27,10 +25,13 @@ from .inputs.stance import ANGLES
 from .running import results
 from .running.cases import Prepared, Timings, Workshop
 from .running.files import folder_in_place, prepare_folder, remove, together
+from .running.parallel import all_ranks
 from .running.progress import compilation_noted, progress, say, warn, working
 from .running.steps import Watched, steps_of_contact
 
 if TYPE_CHECKING:
+    from mpi4py import MPI
+
     from ..solver.bodies.solid import SolidBody
 
 FIELDS, CHECKPOINT = "fields", "checkpoint"
@@ -43,7 +44,7 @@ ROUNDING = 1e-9
 def run_drop(
     inputs: DropInputs,
     out: Path,
-    comm: MPI.Intracomm = MPI.COMM_WORLD,
+    comm: MPI.Intracomm | None = None,
     *,
     resume: bool = False,
     keep_s: float = KEEP_S,
@@ -53,10 +54,11 @@ def run_drop(
     With ``resume`` a finished result of the same inputs and version is kept, and returned; one that
     was interrupted while it was marched step by step goes on from its last mark, made every
     ``keep_s`` seconds.
-    Collective. Raises InputError where ``out`` cannot be used or holds another drop's result, and
-    ComputationError; what ``out`` held before is then still there.
+    Collective over ``comm``, all ranks of the job unless it is given. Raises InputError where
+    ``out`` cannot be used or holds another drop's result, and ComputationError; what ``out`` held
+    before is then still there.
     """
-    out = Path(out)
+    out, comm = Path(out), comm or all_ranks()
     there = run_on_one_rank(comm, lambda: _prepare(inputs, out, resume))
     if there is not None:
         say(f"{out / results.RESULT_FILE} is finished already, nothing to do")
@@ -72,12 +74,13 @@ def run_drop(
 
 
 def simulate_drop(
-    inputs: DropInputs, comm: MPI.Intracomm = MPI.COMM_WORLD
+    inputs: DropInputs, comm: MPI.Intracomm | None = None
 ) -> tuple[dict[str, Any], DropResult]:
     """Compute a drop without writing anything: what result.json would hold, and the result.
 
-    Collective; raises ComputationError.
+    Collective over ``comm``, all ranks of the job unless it is given. Raises ComputationError.
     """
+    comm = comm or all_ranks()
     warnings = _warned(input_warnings(inputs))
     with compilation_noted(), Workshop(comm) as workshop:
         result, timings = workshop.run(inputs)

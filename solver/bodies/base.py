@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
-from mpi4py import MPI
 from numpy.typing import NDArray
 
+from ...meshes.collective import ALONE
 from ..arrays import Array
+
+if TYPE_CHECKING:
+    from mpi4py import MPI
 
 SparseOrDense = Any  # a NumPy array or a SciPy sparse matrix; both know `@` and `.T`
 
@@ -35,7 +38,7 @@ class ContactPoints:
     traction: SparseOrDense
     weights: Array
     places_m: Array
-    comm: MPI.Intracomm = field(default_factory=lambda: MPI.COMM_SELF)
+    comm: MPI.Intracomm = ALONE
 
     @cached_property
     def rows(self) -> Array:

@@ -8,17 +8,17 @@ from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
-from mpi4py import MPI
 from scipy.linalg import eigh, orth
 from scipy.sparse.csgraph import connected_components
 
+from ...meshes.collective import ALONE
 from ..arrays import Array
 from ..bristle import RigidMass
 from .axis import Axis
 from .base import ContactPoints, axial_point, dense_of
 
 # What a body holds beside numbers.
-NO_NUMBERS = (ContactPoints, Axis, MPI.Comm, type(None))
+NO_NUMBERS = (ContactPoints, Axis, type(ALONE), type(None))
 
 
 @dataclass(frozen=True)
@@ -143,7 +143,7 @@ def in_modes(contact: ContactPoints, modes: Array) -> ContactPoints:
         contact,
         coordinates=np.ascontiguousarray(contact.moved(modes)),
         traction=np.ascontiguousarray(traction),
-        comm=MPI.COMM_SELF,
+        comm=ALONE,
     )
 
 

@@ -36,7 +36,7 @@ class Fields(BaseModel):
     ``group`` is the panel of help for the fields of a class.
     """
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
+    model_config = ConfigDict(frozen=True, extra="forbid", defer_build=True)
     group: ClassVar[str] = ""
 
     def __init_subclass__(cls, group: str = "", **more: Any) -> None:

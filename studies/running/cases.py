@@ -16,9 +16,8 @@ from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
-from mpi4py import MPI
-
 from ...meshes import geometry
+from ...meshes.collective import ALONE, with_mpi
 from ...meshes.geometry import Tag
 from ...solver.analytic import analytic_drop
 from ...solver.bodies.base import ContactPoints, with_offsets
@@ -41,8 +40,11 @@ from ..inputs.effects import Entered, entered, observed
 from ..inputs.fields import FLAT
 from ..inputs.limits import check_result, count_unknowns, marching_time_s
 from ..inputs.stance import face_offsets_m
+from .parallel import all_ranks
 
-if TYPE_CHECKING:  # dolfinx and gmsh, which a beam does without
+if TYPE_CHECKING:  # MPI, dolfinx and gmsh, which a beam does without
+    from mpi4py import MPI
+
     from ...solver.bodies.reduced import ReducedModel
     from ...solver.bodies.solid import SolidBody
     from ...solver.time.finite import FiniteMarcher
@@ -224,9 +226,9 @@ class Workshop:
         with self._timed("mesh"):
             try:
                 if inputs.mesh is None:
-                    domain, _, facets = to_dolfinx(inputs.mesh_spec(), self.comm)
+                    domain, _, facets = to_dolfinx(inputs.mesh_spec(), with_mpi(self.comm))
                 else:
-                    domain, facets = own_to_dolfinx(inputs.mesh.read(), self.comm)
+                    domain, facets = own_to_dolfinx(inputs.mesh.read(), with_mpi(self.comm))
             except MeshError as error:
                 raise ComputationError(f"the mesh could not be made: {error}") from error
         with self._timed("assemble"):
@@ -321,7 +323,7 @@ class Workshop:
             if vectors * count_unknowns(inputs) > MOST_NUMBERS:
                 break
             if self._alone is None:
-                self._alone = Workshop(MPI.COMM_SELF, self.basis_its_s)
+                self._alone = Workshop(ALONE, self.basis_its_s)
             now = Entered(inputs, prepared.scene)
             frame = self._alone._frame(now, modes)
             result = simulate(frame, plan, self._alone._marcher(now, frame))
@@ -434,11 +436,12 @@ def _launched(inputs: DropInputs, speed_m_s: float, drag_1_m: float) -> DropResu
 
 
 def run_case(
-    inputs: DropInputs, comm: MPI.Intracomm = MPI.COMM_WORLD, observer: Observer | None = None
+    inputs: DropInputs, comm: MPI.Intracomm | None = None, observer: Observer | None = None
 ) -> tuple[DropResult, Timings]:
     """One case by itself: its result, and the seconds of mesh, assemble, factor, march, total.
 
-    Collective over ``comm`` for the reduced and the full solid. Raises ComputationError.
+    Collective over ``comm``, all ranks of the job unless it is given, for the reduced and the full
+    solid. Raises ComputationError.
     """
-    with Workshop(comm) as workshop:
+    with Workshop(comm or all_ranks()) as workshop:
         return workshop.run(inputs, observer)

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TextIO
 
+from ...meshes.collective import ALONE
 from ...solver.errors import BristleError
 
 if TYPE_CHECKING:
@@ -32,6 +33,15 @@ def launched_ranks() -> int:
 def speaks() -> bool:
     """Whether this process is rank 0, without starting MPI."""
     return _told(RANK_VARIABLES, "SLURM_PROCID", 0) == 0
+
+
+def all_ranks() -> MPI.Intracomm:
+    """The ranks of this job, without starting MPI where there is one alone."""
+    if launched_ranks() == 1:
+        return ALONE
+    from mpi4py import MPI
+
+    return MPI.COMM_WORLD
 
 
 def start_petsc(comm: MPI.Intracomm) -> None:

@@ -7,10 +7,9 @@ import resource
 from collections.abc import Mapping
 from dataclasses import asdict, fields
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from mpi4py import MPI
 from pydantic import BaseModel
 
 from ...solver.contact_phase import HISTORY_COLUMNS
@@ -22,6 +21,9 @@ from ..inputs.sources import OPTIONS
 from ..inputs.texts import exists, parse_json, quoted, read_text
 from .cases import Timings
 from .files import to_csv, to_json, write_atomically, write_json
+
+if TYPE_CHECKING:
+    from mpi4py import MPI
 
 SCHEMA = 1
 RESULT_FILE, HISTORY_FILE = "result.json", "history.csv"

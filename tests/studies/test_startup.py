@@ -69,7 +69,19 @@ def test_a_drop_without_a_mesh_loads_no_finite_elements(model: str, tmp_path) ->
     status, names = loaded("drop", "--model", model, "--out", tmp_path / "drop")
     assert status == 0
     assert "numba" in names
-    assert not names & (MESHED | PAGES | STATISTICS)
+    assert not names & (MESHED | PAGES | STATISTICS | {"mpi4py"})
+
+
+def test_compiled_code_is_read_without_what_compiles(tmp_path) -> None:
+    # the second of two alike finds all of it on disk
+    code = CODE.replace("name.partition('.')[0]", "name")
+    drop = ("drop", "--model", "beam", "--out", tmp_path / "drop")
+    for _ in range(2):
+        result = python("-c", code, *drop, timeout_s=500.0)
+    status, names = json.loads(result.stdout.splitlines()[-1])
+    assert status == 0
+    assert "numba.core.dispatcher" in names
+    assert not {"numba.typed.typedlist", "numba.np.random.generator_methods"} & set(names)
 
 
 def test_a_sweep_of_beams_loads_no_finite_elements(tmp_path) -> None:
