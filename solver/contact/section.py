@@ -24,8 +24,9 @@ TOLERANCE = 1e-11
 # A step that does not lessen the residual is halved down to this share of it.
 SHORTEST = 0.1
 # After so many iterations, as many as no smooth step needs, Newton's method may be jumping to and
-# fro across a kink of the law: from then on it goes this share of its way.
-JUMPING, EASED = 50, 0.3
+# fro across a kink of the law: from then on it goes this share of its way, but all of it where the
+# step before left no more than `STRAIGHT` of the residual, so that it met no kink.
+JUMPING, EASED, STRAIGHT = 50, 0.3, 0.75
 # The inverse of Newton's matrix is renewed where an iteration leaves more than this share of the
 # residual; of so few coordinates, as a rigid section has, the matrix is solved with each time.
 SLOW, FEW = 0.2, 8
@@ -320,9 +321,9 @@ def solve_section(points: Points, section: Section, trial: Trial) -> int:
                 _tangent(section, points.weights, slopes, stiff)
                 _invert(section, stiff)
             step[:] = section.inverse @ residual
-        before, share = change, 1.0
-        if iteration >= JUMPING:
+        if iteration >= JUMPING and change > STRAIGHT * before:
             step *= EASED
+        before, share = change, 1.0
         z -= step
     section.factored[0] = False
     section.predictor[:] = 0.0

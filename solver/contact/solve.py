@@ -15,8 +15,27 @@ from .section import Section, solve_section
 STIFFENING_STAGES, STIFFENING = 8, 3.0
 AUGMENTATION_LIMIT = 200
 MULTIPLIER_TOLERANCE = 1e-9
-# Of an approach that some sums of four products make.
-ROUNDING = 1e-14
+# An update that leaves more than this share of the one before is slow. The proximal compliance then
+# shrinks by the factor, down to this part of itself: rounding of an approach, over the proximal
+# compliance, must stay below what Newton's method resolves.
+SLOW_UPDATE, SHRUNK, SMALLEST = 0.5, 0.25, 1.0 / 64.0
+
+
+@njit
+def _changed(points: Points, kt: float, proximal: float) -> Points:
+    """The points with another tangential stiffness and proximal compliance."""
+    return Points(
+        kind=points.kind,
+        law=points.law,
+        kt=kt,
+        mu=points.mu,
+        scale=points.scale,
+        compliance=points.compliance,
+        weights=points.weights,
+        end_weight=points.end_weight,
+        proximal=proximal,
+        dashpot=points.dashpot,
+    )
 
 
 @njit
@@ -28,18 +47,7 @@ def _solve_by_stiffening(points: Points, section: Section, trial: Trial) -> int:
     """
     total = 0
     for stage in range(STIFFENING_STAGES, -1, -1):
-        eased = Points(
-            kind=points.kind,
-            law=points.law,
-            kt=points.kt * STIFFENING**-stage,
-            mu=points.mu,
-            scale=points.scale,
-            compliance=points.compliance,
-            weights=points.weights,
-            end_weight=points.end_weight,
-            proximal=points.proximal,
-            dashpot=points.dashpot,
-        )
+        eased = _changed(points, points.kt * STIFFENING**-stage, points.proximal)
         section.predictor[1, :] = 0.0
         done = solve_section(eased, section, trial)
         if done < 0:
@@ -83,22 +91,37 @@ def _solve_held(points: Points, section: Section, trial: Trial) -> int:
 
 
 @njit
+def _solve_forces(points: Points, section: Section, trial: Trial) -> int:
+    """As `solve_section`, and what is tried where that fails."""
+    done = solve_section(points, section, trial)
+    if done < 0 and points.mu > 0.0 and not math.isinf(points.kt):
+        done = _solve_by_stiffening(points, section, trial)
+    if done < 0 and holds(points, trial.memory):
+        done = _solve_held(points, section, trial)
+    return done
+
+
+@njit
 def solve_step(points: Points, section: Section, trial: Trial) -> int:
     """Write the ``trial``'s force and its approach at the end; returns the iterations.
 
-    Under an augmented Lagrangian its multiplier is updated until it is the force itself: until an
-    update changes no force by more than `MULTIPLIER_TOLERANCE` of the largest, or no approach by
-    more than rounding. Minus one where Newton's method fails, minus two where the updates take too
-    long.
+    Under an augmented Lagrangian its multiplier is updated until it is the force itself. An update
+    changes forces, and leaves approaches as far from the law as the proximal compliance times that
+    change. It is the last where no force changes by more than `MULTIPLIER_TOLERANCE` of the
+    largest, or no approach is farther off than that share of how far the points would move without
+    contact: either way the work of the step is right to that share. The second is for patterns of
+    force to which the body hardly answers, as it does to some on a fine section. Minus one where
+    Newton's method fails, minus two where the updates take too long.
     """
-    total = 0
+    total, axes = 0, 3 if points.mu > 0.0 else 1
     force, multiplier = trial.force, trial.multiplier
+    proximal, least, before = points.proximal, SMALLEST * points.proximal, math.inf
     for _ in range(AUGMENTATION_LIMIT):
-        done = solve_section(points, section, trial)
-        if done < 0 and points.mu > 0.0 and not math.isinf(points.kt):
-            done = _solve_by_stiffening(points, section, trial)
-        if done < 0 and holds(points, trial.memory):
-            done = _solve_held(points, section, trial)
+        at = _changed(points, points.kt, proximal)
+        done = _solve_forces(at, section, trial)
+        if done < 0 and proximal < points.proximal:
+            least = proximal = points.proximal
+            continue
         if done < 0:
             return -1
         total += done
@@ -106,7 +129,11 @@ def solve_step(points: Points, section: Section, trial: Trial) -> int:
             return total
         change = np.abs(force - multiplier).max()
         multiplier[:, :] = force
-        resolved = ROUNDING * np.abs(trial.free).max() / points.proximal
-        if change <= max(MULTIPLIER_TOLERANCE * np.abs(force).max(), resolved):
+        answered = np.abs(trial.free[:, :axes] - trial.start[:, :axes]).max() / proximal
+        if change <= MULTIPLIER_TOLERANCE * max(np.abs(force).max(), answered):
             return total
+        if change > SLOW_UPDATE * before and proximal > least:
+            proximal *= SHRUNK
+            section.factored[0] = False
+        before = change
     return -2

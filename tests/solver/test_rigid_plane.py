@@ -9,6 +9,7 @@ import math
 
 import numpy as np
 import pytest
+from mpi4py import MPI
 from reference import rate, rod
 from scipy.integrate import cumulative_trapezoid
 
@@ -16,9 +17,13 @@ from bristle.solver.bodies.beam import beam_body
 from bristle.solver.bristle import Bristle, Material
 from bristle.solver.contact.enforcement import ContactMethod, Enforcement
 from bristle.solver.contact.laws import Linear
+from bristle.solver.contact.solve import MULTIPLIER_TOLERANCE
 from bristle.solver.drop import DropPlan, ModalFrame, simulate
 from bristle.solver.time.march import Marcher
 from bristle.solver.time.scheme import TimeScheme
+from bristle.studies.inputs.config import DropInputs
+from bristle.studies.inputs.sources import checked
+from bristle.studies.running.cases import run_case
 
 pytestmark = pytest.mark.serial
 JUMP_RATE = 2.0 / 3.0
@@ -146,3 +151,17 @@ def test_penalty_tends_to_the_rigid_limit():
         errors.append(abs(simulate(body, plan).contact_time_s / period - 1.0))
     assert errors[0] > errors[1] > errors[2]
     assert errors[2] < 0.05
+
+
+@pytest.mark.parametrize(("its_s", "modes"), [(3e-8, 40), (1e-8, 20)])
+def test_a_section_that_hardly_answers_to_some_forces_on_a_rigid_plane(its_s, modes):
+    # 81 points on a reduced solid that moves its end section in a third as many ways
+    values = {"model": "reduced", "length_m": 0.02, "cells": (1, 4, 20), "modes": modes}
+    values |= {"its_s": its_s, "beta_s": 0.0, "kn_N_m": math.inf, "contact": "augmented"}
+    values |= {"until": "impact", "reduction_tolerance": 1.0}
+    result = run_case(checked(DropInputs, values), MPI.COMM_SELF)[0]
+    off = result.cm_velocity_after_m_s / result.impact_speed_m_s - 1.0
+    assert abs(off) < 20.0**-JUMP_RATE
+    # what is left of a step's way into the ground, as the multiplier's tolerance says
+    most = MULTIPLIER_TOLERANCE * result.impact_speed_m_s * its_s
+    assert result.max_penetration_m < 10.0 * most
