@@ -25,8 +25,11 @@ from .errors import ComputationError, InputError
 if TYPE_CHECKING:
     from mpi4py import MPI
 
-SCHEMA = "bristle-checkpoint-3"
+SCHEMA = "bristle-checkpoint-4"
 HEADER = "header"
+# Of a march that is begun again, the share by which its start may differ: rounding on another
+# machine, while two touches of one drop differ by far more.
+SAME, NOTHING = 1e-9, 1e-15
 # Steps between looks at the clock, which ranks share.
 LOOK = 16
 
@@ -62,6 +65,7 @@ class Checkpoint:
         self.folder, self.comm, self.every_s = Path(folder), comm, every_s
         self._made_for = {"number of ranks": str(comm.size), **made_for}
         self._march, self._frames, self._whole_frames = -1, 0, 0
+        self._start: list[float] = []
         self._looks, self._last_s = 0, time.monotonic()
         self._waiting: list[tuple[Path, Mapping[str, Array]]] = []
         self._there: dict[int, tuple[int, bool, int]] = {}
@@ -70,14 +74,26 @@ class Checkpoint:
         else:
             self._together(self._cleared, alone=True)
 
-    def begin(self) -> Mark | None:
-        """Say that the next march begins; what was kept of it, or None."""
+    def begin(self, *start: Array | float) -> Mark | None:
+        """Say that the next march begins, from what ``start`` says; what was kept of it, or None.
+
+        InputError where what was kept is of a march that began elsewhere: this run does not take
+        the way of the one that was interrupted.
+        """
         self._march += 1
+        self._start = [float(np.linalg.norm(each)) for each in start]
         found = self._there.get(self._march)
         if found is None:
             return None
         steps, done, last = found
-        arrays = self._read(self._mark(self._march, steps))[1]
+        header, arrays = self._read(self._mark(self._march, steps))
+        began = header["start"]
+        same = len(began) == len(start) and np.allclose(began, self._start, SAME, NOTHING)
+        if not self._agreed(bool(same)):
+            raise InputError(
+                f"{self.folder}: was kept for a march that began elsewhere than this one does; "
+                "remove it, or leave --resume out"
+            )
         frames: list[Mapping[str, Array]] = []
         while self._frames < last:
             frames.append(self._read(self._frame(self._frames))[1])
@@ -96,7 +112,7 @@ class Checkpoint:
         """
         path = self._mark(self._march, steps)
         header = {"march": self._march, "steps": steps, "done": done, "frames": self._frames}
-        self._wait(path, header, arrays)
+        self._wait(path, {**header, "start": self._start}, arrays)
         if done and not self._late():
             return
         self._together(self._write_waiting)

@@ -35,7 +35,7 @@ def march_stepwise(
     """`impact.march_contact`, in steps of the marcher."""
     t_s, *_ = start
     first_row = len(history.rows)
-    mark = checkpoint.begin() if checkpoint else None
+    mark = checkpoint.begin(*start, memory) if checkpoint else None
     if mark is None:
         count, sums, state, done = 0, ContactSums(t_s), marcher.start(*start), False
         marcher.contact.memory[:, 2] = memory

@@ -102,6 +102,18 @@ def test_a_drop_goes_on_to_the_bit(method, share, folder):
     assert again.seen == whole.seen
 
 
+def test_a_march_that_begins_elsewhere_is_refused(folder):
+    body, plan = frame(), plan_of(METHODS[0])
+    with pytest.raises(Interrupted):
+        simulate(body, plan, observer=Seer(20), checkpoint=eager(folder))
+    higher = replace(plan, height_m=1.001 * plan.height_m)
+    with pytest.raises(InputError, match="a march that began elsewhere"):
+        simulate(body, higher, None, Seer(), eager(folder, resume=True))
+    # what another machine's rounding makes of it is let through
+    rounded = replace(plan, height_m=(1.0 + 1e-12) * plan.height_m)
+    simulate(body, rounded, None, Seer(), eager(folder, resume=True))
+
+
 def test_every_touch_of_a_drop_goes_on(folder):
     """Interrupted again and again, each time a little later than where it had come to."""
     body = frame(2)
