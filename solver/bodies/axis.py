@@ -9,6 +9,11 @@ axial motion; the strain energy beyond the linear one is
 
 Damping by β acts on the rate of that strain, so it takes β Σ E A Δz ((ė + q̇)² - ė²) beyond what it
 takes of the linear body: nothing of an axis that shortens as it bends freely.
+
+A loss factor η damps modes, so its law is not one of strains at points. What strains the body is u
+less the axis' static answer to the strain -q, which is -K⁻¹ Eᵀ b with E the rows of e and
+b = EAΔz q. A loss factor damps the rate of that by its matrix C, which is η ω in modes. With
+R = E K⁻¹ C and H = R K⁻¹ Eᵀ it takes 2 (R u̇) · ḃ + ḃ · H ḃ beyond what it takes of the linear body.
 """
 
 from __future__ import annotations
@@ -40,22 +45,49 @@ class Axis:
 
 
 class Shortening(NamedTuple):
-    """What compiled code reads of an axis: the rows stacked (3 g, modes), 1/ω² (modes,), zero for
-    rigid modes, and β in s. No rows where the body is linear."""
+    """What compiled code reads of an axis: the rows stacked (3 g, modes), with a loss factor those
+    of R beneath them (4 g, modes); 1/ω² (modes,), zero for rigid modes; β in s; H (g, g). No rows
+    where the body is linear."""
 
     rows: Array
     weights: Array
     flexibility: Array
     beta_s: float
+    lossy: Array
 
 
-def shortening(axis: Axis | None, omega2: Array, beta_s: float = 0.0) -> Shortening:
+def shortening(
+    axis: Axis | None, omega2: Array, beta_s: float = 0.0, loss_factor: float = 0.0
+) -> Shortening:
     """The tables of an ``axis``, or empty ones."""
-    if axis is None:
-        return Shortening(np.zeros((0, len(omega2))), np.zeros(0), np.zeros(len(omega2)), beta_s)
-    rows = np.ascontiguousarray(np.vstack([axis.strain, axis.slope_x, axis.slope_y]))
     soft = np.divide(1.0, omega2, out=np.zeros_like(omega2), where=omega2 > 0.0)
-    return Shortening(rows, np.asarray(axis.weights_N_m, dtype=float), soft, beta_s)
+    if axis is None:
+        none = np.zeros((0, 0))
+        return Shortening(np.zeros((0, len(omega2))), np.zeros(0), 0.0 * soft, beta_s, none)
+    lost = axis.strain * (loss_factor * np.sqrt(soft))
+    rows = [axis.strain, axis.slope_x, axis.slope_y, *([lost] if loss_factor else [])]
+    return Shortening(
+        rows=np.ascontiguousarray(np.vstack(rows)),
+        weights=np.asarray(axis.weights_N_m, dtype=float),
+        flexibility=soft,
+        beta_s=beta_s,
+        lossy=np.ascontiguousarray((lost * soft) @ axis.strain.T),
+    )
+
+
+@njit
+def _lossy(axis: Shortening, before: Array, after: Array, its: float) -> tuple[Array, Array]:
+    """What bending strains the axis by over a step, in N m (g,), and the axial force in N m (g,) by
+    which a loss factor answers."""
+    g = len(axis.weights)
+    bent = np.zeros(g)
+    if len(before) == 3 * g:
+        return bent, bent
+    for i in range(g):
+        x0, y0, x1, y1 = before[g + i], before[2 * g + i], after[g + i], after[2 * g + i]
+        bent[i] = 0.5 * axis.weights[i] * ((x1 - x0) * (x0 + x1) + (y1 - y0) * (y0 + y1))
+    strained = after[3 * g :] - before[3 * g :] + axis.lossy @ bent
+    return bent, axis.weights * strained / its
 
 
 @njit
@@ -82,10 +114,12 @@ def second_order_force(axis: Shortening, before: Array, after: Array, its: float
     (Simo and Tarnow, ZAMP 43, 1992: mean strain, slope at mid-step), so that the step conserves it.
     """
     g = len(axis.weights)
-    pull = np.empty(3 * g)
+    pull = np.empty(len(before))
+    lossy, tension = _lossy(axis, before, after, its)
+    pull[3 * g :] = -lossy[: len(before) - 3 * g] / its
     for i in range(g):
         linear, bent, x, y = _mean_strain(axis, before, after, its, i)
-        force = axis.weights[i] * (linear + bent)
+        force = axis.weights[i] * (linear + bent) + tension[i]
         pull[i] = -axis.weights[i] * bent
         pull[g + i] = -force * x
         pull[2 * g + i] = -force * y
@@ -96,17 +130,31 @@ def second_order_force(axis: Shortening, before: Array, after: Array, its: float
 def second_order_tangent(axis: Shortening, before: Array, after: Array, its: float) -> Array:
     """Derivative (modes, modes) of `second_order_force` by u at the end of the step."""
     g, rate = len(axis.weights), 0.5 + axis.beta_s / its
-    pull = np.empty_like(axis.rows)
+    pull = np.zeros_like(axis.rows)
+    tension = _lossy(axis, before, after, its)[1]
+    slope_x, slope_y = axis.rows[g : 2 * g], axis.rows[2 * g : 3 * g]
+    if len(pull) > 3 * g:
+        for i in range(g):
+            bending = after[g + i] * slope_x[i] + after[2 * g + i] * slope_y[i]
+            pull[3 * g + i] = -axis.weights[i] / its * bending
+        strained = (axis.rows[3 * g :] - its * axis.lossy @ pull[3 * g :]) / its
+        for i in range(g):
+            x, y = (
+                0.5 * (before[g + i] + after[g + i]),
+                0.5 * (before[2 * g + i] + after[2 * g + i]),
+            )
+            pull[g + i] = -axis.weights[i] * x * strained[i]
+            pull[2 * g + i] = -axis.weights[i] * y * strained[i]
     for i in range(g):
         linear, bent, x, y = _mean_strain(axis, before, after, its, i)
-        force, stiff = axis.weights[i] * (linear + bent), axis.weights[i] * rate
+        force, stiff = axis.weights[i] * (linear + bent) + tension[i], axis.weights[i] * rate
         for j in range(axis.rows.shape[1]):
-            slope_x, slope_y = axis.rows[g + i, j], axis.rows[2 * g + i, j]
-            bending = stiff * (after[g + i] * slope_x + after[2 * g + i] * slope_y)
+            across_x, across_y = slope_x[i, j], slope_y[i, j]
+            bending = stiff * (after[g + i] * across_x + after[2 * g + i] * across_y)
             change = stiff * axis.rows[i, j] + bending
             pull[i, j] = -bending
-            pull[g + i, j] = -change * x - 0.5 * force * slope_x
-            pull[2 * g + i, j] = -change * y - 0.5 * force * slope_y
+            pull[g + i, j] += -change * x - 0.5 * force * across_x
+            pull[2 * g + i, j] += -change * y - 0.5 * force * across_y
     return axis.rows.T @ pull
 
 
@@ -118,7 +166,13 @@ def second_order_loss(axis: Shortening, before: Array, after: Array, its: float)
         x0, y0, x1, y1 = before[g + i], before[2 * g + i], after[g + i], after[2 * g + i]
         bent = 0.5 * ((x1 - x0) * (x0 + x1) + (y1 - y0) * (y0 + y1))
         total += axis.weights[i] * (2.0 * (after[i] - before[i]) + bent) * bent
-    return axis.beta_s / its * total
+    lossy, tension = _lossy(axis, before, after, its)
+    taken = axis.beta_s / its * total
+    for i in range(len(before) - 3 * g):
+        taken += lossy[i] * (
+            tension[i] / axis.weights[i] + (after[3 * g + i] - before[3 * g + i]) / its
+        )
+    return taken
 
 
 @njit
@@ -130,7 +184,7 @@ def shortened(axis: Shortening, u: Array, v: Array) -> tuple[Array, Array]:
     """
     g = len(axis.weights)
     values, speed = axis.rows @ u, axis.rows @ v
-    pull, push = np.zeros(3 * g), np.zeros(3 * g)
+    pull, push = np.zeros(len(values)), np.zeros(len(values))
     for i in range(g):
         x, y = values[g + i], values[2 * g + i]
         pull[i] = -axis.weights[i] * 0.5 * (x * x + y * y)

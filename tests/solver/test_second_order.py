@@ -1,6 +1,7 @@
 """Axial force bends a leaning bristle as it should: Euler's load, energy, finite strain."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -24,6 +25,8 @@ from bristle.solver.contact.laws import Coulomb, Linear
 from bristle.solver.drop import DropPlan, ModalFrame, simulate
 from bristle.solver.rigid import Pose
 from bristle.solver.time.finite import FiniteMarcher
+from bristle.solver.time.march import Marcher
+from bristle.solver.time.modal_march import MarchLimits, march
 from bristle.solver.time.scheme import TimeScheme
 
 G = 9.8
@@ -55,7 +58,7 @@ def test_euler_load_of_a_pinned_bristle(bristle, unknown, slope):
 
 def second_order_energy(axis, seen):
     """½ Σ E A Δz ((e + q)² - e²) of what the axis sees, in J."""
-    e, x, y = seen.reshape(3, -1)
+    e, x, y = seen.reshape(-1, len(axis.weights))[:3]
     q = 0.5 * (x**2 + y**2)
     return 0.5 * axis.weights @ ((2.0 * e + q) * q)
 
@@ -90,6 +93,57 @@ def test_force_is_the_discrete_gradient_of_the_energy(bristle, rng):
         linear = beta / its * axis.weights @ (seen1 - seen0)[:g] ** 2
         true = beta / its * axis.weights @ (strains[1] - strains[0]) ** 2
         assert lost == pytest.approx(true - linear, abs=1e-10 * (true + linear))
+
+
+@pytest.mark.serial
+def test_a_loss_factor_damps_what_strains_the_body(bristle, rng):
+    body = replace(beam_body(bristle, 6, second_order=True), loss_factor=0.1)
+    its, rates = 1e-5, 0.1 * np.sqrt(body.omega2)
+    elastic = shortening(body.axis, body.omega2)
+    damped = shortening(body.axis, body.omega2, loss_factor=body.loss_factor)
+    for _ in range(20):
+        u = rng.normal(size=(2, len(body.omega2))) / (1e4 + np.sqrt(body.omega2))
+        force = [
+            second_order_force(axis, axis.rows @ u[0], axis.rows @ u[1], its)
+            for axis in (elastic, damped)
+        ]
+        lost = second_order_loss(damped, damped.rows @ u[0], damped.rows @ u[1], its)
+        straining = [each - shortened(elastic, each, 0.0 * each)[0] for each in u]
+        linear, true = (rates @ (x[1] - x[0]) ** 2 / its for x in (u, straining))
+        assert lost == pytest.approx(true - linear, abs=1e-10 * (true + linear))
+        work = (force[1] - force[0]) * (u[1] - u[0])
+        assert work.sum() == pytest.approx(-lost, abs=1e-10 * np.abs(work).sum())
+        move = 0.5 * (u[1] - u[0])
+        ahead, far, behind, back = (
+            second_order_force(damped, damped.rows @ u[0], damped.rows @ (u[1] + k * move), its)
+            for k in (1.0, 2.0, -1.0, -2.0)
+        )
+        change = (8.0 * (ahead - behind) - (far - back)) / 12.0  # exact for a cubic
+        tangent = second_order_tangent(damped, damped.rows @ u[0], damped.rows @ u[1], its)
+        scale = 1e-10 * np.abs([ahead, far, behind, back]).max()
+        assert tangent @ move == pytest.approx(change, abs=scale)
+
+
+@pytest.mark.serial
+@pytest.mark.parametrize("damping", [{"beta_s": 1e-7}, {"loss_factor": 0.1}], ids=str)
+def test_damping_takes_nothing_of_an_axis_that_shortens_freely(bristle, damping):
+    """A bristle that bends freely, marched: its bending is damped, its shortening is not."""
+    damping = {"beta_s": 0.0, **damping}
+    body = replace(beam_body(bristle, 32, second_order=True), **damping)
+    slopes = np.linalg.norm(body.axis.slope_x, axis=0)
+    bending = np.flatnonzero((body.omega2 > 0.0) & (slopes > 1e-6 * slopes.max()))[0]
+    u, v = np.zeros((2, len(body.omega2)))
+    v[bending] = 0.1 * np.sqrt(body.omega2[bending]) / np.abs(body.axis.slope_x[:, bending]).max()
+    losses = []
+    for each in (body, replace(body, axis=None)):
+        method = ContactMethod(Linear(2e6))
+        marcher = Marcher(each, method, TimeScheme.average(), 1e-5, 0.0)
+        marcher.place(replace(marcher.ground, gaps_m=marcher.ground.gaps_m + 1.0))
+        modes, touching = marcher.tables()
+        limits = MarchLimits(wait=1.0, until=1e-2, limit=2000, history=False)
+        marched = march(modes, touching, u, v, np.zeros(len(body.contact.weights)), limits)
+        losses.append(marched.material_loss)
+    assert losses[0] == pytest.approx(losses[1], rel=0.02)
 
 
 @pytest.mark.serial
