@@ -26,8 +26,10 @@ from .time import modal_march
 from .time.march import ContactMarch, Marcher
 from .time.modal_march import MarchLimits
 
-# Negative losses that are rounding, in units of the impact's energy: of a touch, and of each step.
-GAIN, GAIN_A_STEP = 1e-12, 1e-15
+# What rounding makes of a step's losses at most, in units of the energy at hand. A loss is work
+# less what comes to be stored. Each is a product of a few rounded factors, and no greater than that
+# energy; area shares sum to one, so that the number of points does not matter.
+ROUNDED = 64.0 * float(np.finfo(float).eps)
 
 
 def march_contact(
@@ -64,20 +66,21 @@ def march_contact(
         touch = march_stepwise(
             marcher, (t_s, u, v), memory, history, observer, until_s, wait_s, checkpoint
         )
-    _check_losses(marcher, v, touch)
+    _check_losses(marcher, u, v, touch)
     return touch
 
 
 def gain_allowed(marcher: ContactMarch, n_steps: Array | int) -> Array | float:
-    """The share of an impact's energy up to which a negative loss is rounding.
+    """The share of the energy at hand up to which a negative loss is rounding.
 
-    A multiplier is found to `MULTIPLIER_TOLERANCE` of the force, and so is the work of a step.
+    A multiplier is found to `MULTIPLIER_TOLERANCE` of the work of a step. All steps of an impact
+    together do work of a few times its energy.
     """
     augmented = marcher.method.enforcement is Enforcement.AUGMENTED
-    return 10.0 * MULTIPLIER_TOLERANCE if augmented else GAIN + GAIN_A_STEP * n_steps
+    return ROUNDED * n_steps + (10.0 * MULTIPLIER_TOLERANCE if augmented else 0.0)
 
 
-def _check_losses(marcher: ContactMarch, v: Array, touch: ContactPhase) -> None:
+def _check_losses(marcher: ContactMarch, u: Array, v: Array, touch: ContactPhase) -> None:
     """ComputationError where friction or the contact law gave energy.
 
     What they took is the difference of work and of what is stored, so that a budget with a law that
@@ -86,7 +89,8 @@ def _check_losses(marcher: ContactMarch, v: Array, touch: ContactPhase) -> None:
     if not marcher.scheme.conserving:
         return
     body = marcher.body
-    energy = 0.5 * body.dot(v, body.mass(v)) + touch.peak_force_N * touch.max_penetration_m
+    energy = 0.5 * (body.dot(v, body.mass(v)) + body.dot(u, body.stiffness(u)))
+    energy += touch.peak_force_N * touch.max_penetration_m
     allowed = float(gain_allowed(marcher, touch.n_steps)) * energy
     for what, loss in (
         ("friction", touch.friction_loss_J),

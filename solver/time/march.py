@@ -422,7 +422,9 @@ class Marcher(ContactMarch):
         """What Rayleigh damping took in a step with the contact ``force`` (n, 3), in J.
 
         By the midpoint rule of the scheme. With Nitsche's method the damping's own traction moves
-        the augmented gap, and the contact force does work on that.
+        the augmented gap, and the contact force does work on that. It belongs to the material: over
+        a touch, with it the loss is that of penalty, without it it is not. A step of it has either
+        sign.
         """
         body = self.body
         v = 0.5 * (before.v + after.v)
@@ -459,7 +461,7 @@ class Marcher(ContactMarch):
                 weights=points.weights,
                 compliance=self._compliance,
                 mass=body.mass_kg,
-                axis=shortening(body.axis, body.omega2, body.beta_s),
+                axis=shortening(body.axis, body.omega2, body.beta_s, body.loss_factor),
             )
         touching = Touching(
             points=contact.points,

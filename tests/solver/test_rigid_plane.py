@@ -6,6 +6,7 @@ rings about its plateau at the frequency of the last cell; its mean is what conv
 """
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -16,9 +17,11 @@ from scipy.integrate import cumulative_trapezoid
 from bristle.solver.bodies.beam import beam_body
 from bristle.solver.bristle import Bristle, Material
 from bristle.solver.contact.enforcement import ContactMethod, Enforcement
-from bristle.solver.contact.laws import Linear
+from bristle.solver.contact.laws import Coulomb, Linear
 from bristle.solver.contact.solve import MULTIPLIER_TOLERANCE
+from bristle.solver.contact_phase import History
 from bristle.solver.drop import DropPlan, ModalFrame, simulate
+from bristle.solver.impact import march_contact
 from bristle.solver.time.march import Marcher
 from bristle.solver.time.scheme import TimeScheme
 from bristle.studies.inputs.config import DropInputs
@@ -151,6 +154,40 @@ def test_penalty_tends_to_the_rigid_limit():
         errors.append(abs(simulate(body, plan).contact_time_s / period - 1.0))
     assert errors[0] > errors[1] > errors[2]
     assert errors[2] < 0.05
+
+
+def test_friction_on_a_rigid_plane_takes_from_a_body_that_was_at_rest():
+    """Bent and pressed together, let go at rest on the plane: its energy is that of its strain."""
+    body = beam_body(Bristle(material=Material(beta_s=0.0)), 6)
+    elastic = np.divide(1.0, body.omega2, out=np.zeros_like(body.omega2), where=body.omega2 > 0.0)
+    rng = np.random.default_rng(1)
+    for mu in np.repeat([0.1, 0.5, 5.0], 3):
+        method = replace(rigid(enforcement=Enforcement.AUGMENTED), friction=Coulomb(mu))
+        marcher = Marcher(body, method, TimeScheme.average(), 1e-6, 9.8)
+        pushes = 0.01 * rng.normal(size=(len(body.contact.weights), 3))
+        pushes[:, 2] = np.abs(pushes[:, 2])
+        u = elastic * (body.contact.displacement.T @ pushes.ravel())
+        u -= body.translation[:, 2] * marcher.gaps(u).min()
+        touch = march_contact(marcher, 0.0, u, np.zeros_like(u), History(), until_s=2e-4)
+        strain = 0.5 * u @ (body.omega2 * u)
+        assert touch.friction_loss_J > -10.0 * MULTIPLIER_TOLERANCE * strain
+
+
+@pytest.mark.parametrize("kn", [2e6, 1e7, 1e8])
+def test_nitsches_method_takes_of_the_material_what_penalty_takes(kn):
+    """The work of the damping's own traction at the plane belongs to the material's loss: without
+    it that would be off by the share of the tip's last cell."""
+    body = beam_body(Bristle(), 16)
+    drops = [
+        simulate(
+            ModalFrame(body),
+            DropPlan(0.05, ContactMethod(Linear(kn), way), 1e-6, 9.8, impact_only=True),
+        )
+        for way in (Enforcement.PENALTY, Enforcement.NITSCHE)
+    ]
+    penalty, nitsche = (drop.energy.material_loss_J for drop in drops)
+    assert nitsche == pytest.approx(penalty, rel=1e-5)
+    assert drops[1].energy.closure_relative < 1e-10
 
 
 @pytest.mark.parametrize(("its_s", "modes"), [(3e-8, 40), (1e-8, 20)])
