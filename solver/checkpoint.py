@@ -176,7 +176,7 @@ class Checkpoint:
             mine.add((header["march"], header["steps"], header["done"], header["frames"]))
         for other in self.comm.allgather(wrong):
             if other:
-                raise InputError(f"{self.folder}: {other}; remove it, or leave --resume out")
+                raise InputError(f"{self.folder}: {other}; remove it, or do not resume")
         every = set.intersection(*self.comm.allgather(mine))
         latest = {march: (steps, done, frames) for march, steps, done, frames in sorted(every)}
         there: dict[int, tuple[int, bool, int]] = {}

@@ -123,10 +123,13 @@ def not_finite(t_s: float) -> ComputationError:
 
 
 def too_long(marcher: ContactMarch, limit: int) -> ComputationError:
-    held = ""
-    if limit < STEP_LIMIT:
-        held = "; adhesion or its own indentation may hold it for good: give --until a time"
-    return ComputationError(f"still in contact after {limit} steps of {marcher.its_s:g} s{held}")
+    found = f"still in contact after {limit} steps of {marcher.its_s:g} s"
+    if limit == STEP_LIMIT:
+        return ComputationError(found)
+    return ComputationError(
+        f"{found}; adhesion or its own indentation may hold it for good: end the drop at a time",
+        inputs=("until",),
+    )
 
 
 def deepest(rows: Array) -> tuple[float, float]:

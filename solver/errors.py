@@ -2,13 +2,21 @@
 
 
 class BristleError(Exception):
-    """Base of the errors that end a command with one line and no traceback."""
+    """Base of the errors that end a command with one line and no traceback.
+
+    ``inputs`` are the inputs that the remedy in the message is about, by their names in Python; a
+    command says how they are called there.
+    """
 
     exit_status = 1
 
+    def __init__(self, message: str = "", *, inputs: tuple[str, ...] = ()) -> None:
+        super().__init__(message)
+        self.inputs = inputs
+
 
 class InputError(BristleError):
-    """The input is wrong; the message names the option, or the file and line."""
+    """The input is wrong; the message names the input, or the file and line."""
 
     exit_status = 2
 

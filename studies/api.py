@@ -14,7 +14,6 @@ from pathlib import Path
 from typing import Any
 
 import pandas as pd
-from mpi4py import MPI
 from pydantic import BaseModel
 
 from ..solver.contact_phase import HISTORY_COLUMNS
@@ -26,6 +25,7 @@ from .inputs.config import DropInputs
 from .inputs.kinds import forgotten_afterwards
 from .inputs.sources import checked
 from .inputs.study_fields import LoopInputs
+from .running.cases import CaseSession
 from .running.results import HISTORY_FILE
 from .running.study import TABLE_FILE, Study, rows_of
 from .sweep import SweepInputs, run_sweep
@@ -82,23 +82,67 @@ def _listed(title: str, rows: list[tuple[str, str]]) -> str:
     return "\n".join([title, *(f"  {name:<24}{value}" for name, value in rows)])
 
 
-@forgotten_afterwards()
+class Session(CaseSession):
+    """Drops and sweeps that share what is costly to build.
+
+        with bristle.Session() as s:
+            for kn in (1e5, 1e6, 1e7):
+                s.drop(model="solid", kn_N_m=kn)
+
+    Meshes, matrices, factors, reduced bases and steppers are kept from one call to the next, so
+    that a drop with another stiffness, height, friction or lean costs its impact alone. They are
+    those of the last three or four solids: the body that was used longest ago is forgotten with
+    all that was made from it. Solids that a sweep computes on groups of ranks are forgotten at its
+    end.
+
+    ``comm`` is the communicator whose ranks compute; all of them make the same calls. `close`, or
+    the end of the block, frees everything, after an error too.
+    """
+
+    @forgotten_afterwards()
+    def drop(self, *, out: str | Path | None = None, **inputs: Any) -> Drop:
+        """As `bristle.drop`."""
+        asked = _checked(DropInputs, inputs)
+        folder = _folder(out)
+        if folder is not None:
+            document = run_drop(asked, folder, session=self)
+            return Drop(document, pd.read_csv(folder / HISTORY_FILE))
+        document, result = simulate_drop(asked, self)
+        return Drop(document, pd.DataFrame(result.history.array(), columns=list(HISTORY_COLUMNS)))
+
+    @forgotten_afterwards()
+    def sweep(self, *, out: str | Path | None = None, **inputs: Any) -> pd.DataFrame:
+        """As `bristle.sweep`."""
+        names = {"height_m": "heights_m", "model": "models"}
+        for one, other in names.items():
+            if one in inputs and other in inputs:
+                raise InputError(f"{one}: given twice, also as {other}")
+        asked = _checked(
+            SweepInputs, {names.get(name, name): each for name, each in inputs.items()}
+        )
+        folder = _folder(out)
+        if folder is not None:
+            run_sweep(asked, folder, session=self)
+            return pd.read_csv(folder / TABLE_FILE)
+        study = Study("sweep", varied=asked.varied)
+        rows = rows_of(study, asked.cases(), self)
+        columns = list(study.columns)
+        seen = [
+            {name: math.nan if row[name] is None else row[name] for name in columns} for row in rows
+        ]
+        return pd.DataFrame(seen, columns=columns)
+
+
 def drop(*, out: str | Path | None = None, **inputs: Any) -> Drop:
     """One drop, as `bristle drop`: ``bristle.drop(model="solid", tilt_deg=2, friction=0)``.
 
     With ``out`` the command's files, fields for ParaView among them, are written into that folder.
     Raises InputError and ComputationError.
     """
-    asked = _checked(DropInputs, inputs)
-    folder = _folder(out)
-    if folder is not None:
-        document = run_drop(asked, folder, MPI.COMM_WORLD)
-        return Drop(document, pd.read_csv(folder / HISTORY_FILE))
-    document, result = simulate_drop(asked, MPI.COMM_WORLD)
-    return Drop(document, pd.DataFrame(result.history.array(), columns=list(HISTORY_COLUMNS)))
+    with Session() as session:
+        return session.drop(out=out, **inputs)
 
 
-@forgotten_afterwards()
 def sweep(*, out: str | Path | None = None, **inputs: Any) -> pd.DataFrame:
     """Every combination of ``models``, ``kn_N_m``, ``height_m``, ``its_s`` and any other number or
     choice, each one or several: ``bristle.sweep(kn_N_m=[1e5, 2e6], tilt_deg=[0, 2])``.
@@ -107,22 +151,8 @@ def sweep(*, out: str | Path | None = None, **inputs: Any) -> pd.DataFrame:
     ``out`` the command's files are written into that folder. Raises InputError and
     ComputationError.
     """
-    names = {"height_m": "heights_m", "model": "models"}
-    for one, other in names.items():
-        if one in inputs and other in inputs:
-            raise InputError(f"{one}: given twice, also as {other}")
-    asked = _checked(SweepInputs, {names.get(name, name): each for name, each in inputs.items()})
-    folder = _folder(out)
-    if folder is not None:
-        run_sweep(asked, folder, MPI.COMM_WORLD)
-        return pd.read_csv(folder / TABLE_FILE)
-    study = Study("sweep", varied=asked.varied)
-    rows = rows_of(study, asked.cases(), MPI.COMM_WORLD)
-    columns = list(study.columns)
-    seen = [
-        {name: math.nan if row[name] is None else row[name] for name in columns} for row in rows
-    ]
-    return pd.DataFrame(seen, columns=columns)
+    with Session() as session:
+        return session.sweep(out=out, **inputs)
 
 
 @forgotten_afterwards()

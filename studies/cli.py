@@ -197,9 +197,9 @@ def mesh(given: Given, out: Path) -> None:
 
     from ..meshes.check import MeshError
     from ..meshes.collective import run_on_one_rank
-    from ..meshes.display import DrawingError
     from .inputs.config import MeshInputs
-    from .mesh import run_mesh
+    from .mesh.display import DrawingError
+    from .mesh.run import run_mesh
     from .running.files import prepare_folder
 
     spec = given.inputs(MeshInputs).mesh_spec()

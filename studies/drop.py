@@ -23,7 +23,7 @@ from .inputs.limits import input_warnings, result_warnings
 from .inputs.sources import OPTIONS
 from .inputs.stance import ANGLES
 from .running import results
-from .running.cases import Prepared, Timings, Workshop
+from .running.cases import CaseSession, Prepared, Timings, session_on
 from .running.files import folder_in_place, prepare_folder, remove, together
 from .running.parallel import all_ranks
 from .running.progress import compilation_noted, progress, say, warn, working
@@ -46,11 +46,13 @@ def run_drop(
     out: Path,
     comm: MPI.Intracomm | None = None,
     *,
+    session: CaseSession | None = None,
     resume: bool = False,
     keep_s: float = KEEP_S,
 ) -> dict[str, Any]:
     """Compute a drop into the folder ``out``; returns what result.json holds, on every rank.
 
+    With a ``session`` its ranks compute it, and what it keeps serves.
     With ``resume`` a finished result of the same inputs and version is kept, and returned; one that
     was interrupted while it was marched step by step goes on from its last mark, made every
     ``keep_s`` seconds.
@@ -58,33 +60,31 @@ def run_drop(
     ``out`` cannot be used or holds another drop's result, and ComputationError; what ``out`` held
     before is then still there.
     """
-    out, comm = Path(out), comm or all_ranks()
+    out, comm = Path(out), session.comm if session else comm or all_ranks()
     there = run_on_one_rank(comm, lambda: _prepare(inputs, out, resume))
     if there is not None:
         say(f"{out / results.RESULT_FILE} is finished already, nothing to do")
         return there
     warnings = _warned(input_warnings(inputs))
     with _by_rank_0(together(out, results.RESULT_FILE), comm):
-        with compilation_noted():
-            result, timings = _compute(inputs, out, comm, every_s=keep_s, resume=resume)
+        with compilation_noted(), session_on(comm, session) as own:
+            result, timings = _compute(inputs, out, own, every_s=keep_s, resume=resume)
         document = _document(inputs, result, timings, warnings, comm)
         written = run_on_one_rank(comm, lambda: results.write_drop(out, document, result))
     run_on_one_rank(comm, lambda: remove(out / CHECKPOINT))
     return written
 
 
-def simulate_drop(
-    inputs: DropInputs, comm: MPI.Intracomm | None = None
-) -> tuple[dict[str, Any], DropResult]:
+def simulate_drop(inputs: DropInputs, session: CaseSession) -> tuple[dict[str, Any], DropResult]:
     """Compute a drop without writing anything: what result.json would hold, and the result.
 
-    Collective over ``comm``, all ranks of the job unless it is given. Raises ComputationError.
+    Collective; raises ComputationError.
     """
-    comm = comm or all_ranks()
     warnings = _warned(input_warnings(inputs))
-    with compilation_noted(), Workshop(comm) as workshop:
-        result, timings = workshop.run(inputs)
-    return _document(inputs, result, timings, warnings, comm), result
+    session.trim()
+    with compilation_noted():
+        result, timings = session.run(inputs)
+    return _document(inputs, result, timings, warnings, session.comm), result
 
 
 def _warned(messages: list[str]) -> list[str]:
@@ -119,44 +119,39 @@ def _prepare(inputs: DropInputs, out: Path, resume: bool) -> dict[str, Any] | No
 
 
 def _checkpoint(
-    inputs: DropInputs, prepared: Prepared | None, comm: MPI.Intracomm, folder: Path, **how: Any
-) -> Checkpoint | None:
-    """The checkpoint of a march in steps; None for one that compiled code is done with soon."""
-    if prepared is None or not (inputs.model is Model.SOLID or inputs.march):
-        return None
+    inputs: DropInputs, prepared: Prepared, comm: MPI.Intracomm, folder: Path, **how: Any
+) -> Checkpoint:
+    """The checkpoint of a solid's march."""
     made_for = {OPTIONS.get(k, k): str(v) for k, v in results.plain_inputs(inputs).items()}
     made_for["version"] = __version__
-    if inputs.model is Model.SOLID:
-        made_for["mesh"] = cast("SolidBody", prepared.frame.body).digest()
+    made_for["mesh"] = cast("SolidBody", prepared.frame.body).digest()
     return Checkpoint(folder, comm, made_for, **how)
 
 
 def _compute(
-    inputs: DropInputs, out: Path, comm: MPI.Intracomm, **how: Any
+    inputs: DropInputs, out: Path, session: CaseSession, **how: Any
 ) -> tuple[DropResult, Timings]:
     """The drop, kept in ``out`` while it is marched: ``how`` is that of a `Checkpoint`."""
-    with Workshop(comm) as workshop:
-        building = working(f"building the {inputs.model} model")
-        with building if inputs.model.meshed else nullcontext():
-            prepared = workshop.prepare(inputs)
-        checkpoint = _checkpoint(inputs, prepared, comm, out / CHECKPOINT, **how)
-        if inputs.model is Model.SOLID and not inputs.march:
-            assert prepared is not None
-            done = _marched_solid(workshop, inputs, prepared, checkpoint, out / FIELDS)
-            if inputs.write_fields:
-                return done
-        else:
-            with working(f"dropping the {inputs.model} model from {inputs.height_m:g} m"):
-                done = workshop.run(inputs, prepared=prepared, checkpoint=checkpoint)
-    run_on_one_rank(comm, lambda: remove(out / FIELDS))
+    building = working(f"building the {inputs.model} model")
+    with building if inputs.model.meshed else nullcontext():
+        prepared = session.prepare(inputs)
+    if prepared is not None and inputs.model is Model.SOLID:
+        checkpoint = _checkpoint(inputs, prepared, session.comm, out / CHECKPOINT, **how)
+        done = _marched_solid(session, inputs, prepared, checkpoint, out / FIELDS)
+        if inputs.write_fields:
+            return done
+    else:  # compiled code is done with soon
+        with working(f"dropping the {inputs.model} model from {inputs.height_m:g} m"):
+            done = session.run(inputs, prepared=prepared)
+    run_on_one_rank(session.comm, lambda: remove(out / FIELDS))
     return done
 
 
 def _marched_solid(
-    workshop: Workshop,
+    session: CaseSession,
     inputs: DropInputs,
     prepared: Prepared,
-    checkpoint: Checkpoint | None,
+    checkpoint: Checkpoint,
     folder: Path,
 ) -> tuple[DropResult, Timings]:
     """The drop of a solid, with its fields for ParaView where they are asked for."""
@@ -166,13 +161,13 @@ def _marched_solid(
         if inputs.write_fields:
             from ..solver.paraview import FLIGHT_FRAMES, FieldWriter
 
-            made = stack.enter_context(_by_rank_0(folder_in_place(folder), workshop.comm))
+            made = stack.enter_context(_by_rank_0(folder_in_place(folder), session.comm))
             body, every = cast("SolidBody", prepared.frame.body), inputs.write_every
             flight = body, made, prepared.marcher, prepared.frame
             writer = stack.enter_context(FieldWriter(*flight, every=every, checkpoint=checkpoint))
         with progress("contact of the solid, expected steps", expected) as advance:
             watched = Watched(inputs.its_s, advance, writer)
-            done = workshop.run(inputs, watched, prepared, checkpoint)
+            done = session.run(inputs, watched, prepared, checkpoint)
         if writer is not None:
             with progress("flight of the solid, frames", FLIGHT_FRAMES) as advance:
                 writer.write_flight(advance=advance)

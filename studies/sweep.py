@@ -33,6 +33,7 @@ from .inputs.flags import refuse
 from .inputs.sources import EXCLUDED, resolved_from
 from .report.figures import picture, write_picture
 from .report.paper_figures import height_figure
+from .running.cases import CaseSession
 from .running.files import read_csv
 from .running.progress import say
 from .running.study import (
@@ -109,14 +110,18 @@ def run_sweep(
     out: Path,
     comm: MPI.Intracomm = MPI.COMM_WORLD,
     *,
+    session: CaseSession | None = None,
     resume: bool = False,
     ranks_per_case: int | None = None,
 ) -> None:
     """Compute the sweep into the folder ``out``; see `study.run_study`."""
+    comm = comm if session is None else session.comm
     finish = partial(_finish, inputs.varied)
     study = Study("sweep", finish, curves=True, varied=inputs.varied)
     before = run_on_one_rank(comm, lambda: _pictures(out / study.document))
-    run_study(study, inputs, out, comm, resume=resume, ranks_per_case=ranks_per_case)
+    run_study(
+        study, inputs, out, comm, session=session, resume=resume, ranks_per_case=ranks_per_case
+    )
     if comm.rank == 0:
         for name in before - _pictures(out / study.document):
             (out / name).unlink(missing_ok=True)

@@ -185,7 +185,8 @@ class Iterative:
         if reason < 0:
             raise ComputationError(
                 f"conjugate gradients ended without an answer after {self.iterations} iterations "
-                f"(PETSc's reason {reason}); take --solver direct"
+                f"(PETSc's reason {reason}); take a direct solver",
+                inputs=("solver",),
             )
         return np.array(self._left.array)
 

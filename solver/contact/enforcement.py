@@ -57,11 +57,6 @@ class Enforcement(StrEnum):
     NITSCHE = "nitsche"
 
 
-def default_gamma0(kn_N_m: float) -> float:
-    """Nitsche's γ₀ where none is given."""
-    return GAMMA0_RIGID if math.isinf(kn_N_m) else GAMMA0
-
-
 def inverse_constant_N_m(body: Body) -> float:
     """The smallest C with Σ w t̂(u)² ≤ C uᵀ K u for every motion u of the body.
 
@@ -124,12 +119,17 @@ class ContactMethod:
         """Tangential stiffness of the whole face."""
         return self.friction.kt_over_kn * self.law.kn_N_m
 
+    @property
+    def stabilisation(self) -> float:
+        """Nitsche's γ₀, as given or by default; infinite for the other two."""
+        if self.enforcement is not Enforcement.NITSCHE:
+            return math.inf
+        return self.gamma0 or (GAMMA0_RIGID if math.isinf(self.law.kn_N_m) else GAMMA0)
+
     def compliance_m_N(self, body: Body) -> float:
         """τ (m/N)."""
-        if self.enforcement is not Enforcement.NITSCHE:
-            return 0.0
-        gamma0 = self.gamma0 or default_gamma0(self.law.kn_N_m)
-        return 1.0 / (gamma0 * inverse_constant_N_m(body))
+        gamma0 = self.stabilisation
+        return 0.0 if math.isinf(gamma0) else 1.0 / (gamma0 * inverse_constant_N_m(body))
 
 
 @dataclass

@@ -110,7 +110,7 @@ class Effect:
             value = getattr(self, parameter.name)
             if not parameter.low <= value <= parameter.high:
                 raise InputError(
-                    f"--effect {self.name}: {parameter.name} must lie between {parameter.low:g} "
+                    f"{self.name}: {parameter.name} must lie between {parameter.low:g} "
                     f"and {parameter.high:g} {parameter.unit}".rstrip()
                     + f", not {value:g}"
                 )

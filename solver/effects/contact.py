@@ -12,7 +12,9 @@ from .base import TOUCHING, Effect, Parameter, Place, Scene
 def _with_law(scene: Scene, law: laws.ContactLaw) -> Scene:
     """The scene with ``law``; contact follows one law, so InputError where it has one already."""
     if type(scene.law) is not laws.Linear:
-        raise InputError("--effect: two of the effects change the contact law; take one of them")
+        raise InputError(
+            "two of the effects change the contact law; take one of them", inputs=("effects",)
+        )
     return replace(scene, law=law)
 
 

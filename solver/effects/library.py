@@ -37,7 +37,9 @@ def enter_all(scene: Scene, effects: Iterable[Effect]) -> Scene:
     for name in in_order(by_name):
         before, scene = scene, by_name[name].enter(scene)
         if type(before.law) is not Linear and type(scene.law) is not type(before.law):
-            raise InputError(f"--effect: {name} replaces the contact law of another; take one")
+            raise InputError(
+                f"{name} replaces the contact law of another; take one", inputs=("effects",)
+            )
     return scene
 
 

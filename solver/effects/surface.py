@@ -82,7 +82,9 @@ def steepness_deg(size: Array | float, std_deg: Array | float) -> Array:
 def _stiffer(scene: Scene, decades: float) -> Scene:
     """The scene with Kn times 10^decades, within `MOST_DECADES`, under a linear law."""
     if type(scene.law) is not Linear:
-        raise InputError("--effect: a stiffness that varies goes before a law of its own")
+        raise InputError(
+            "a stiffness that varies goes before a law of its own", inputs=("effects",)
+        )
     times = 10.0 ** np.clip(decades, -MOST_DECADES, MOST_DECADES)
     return replace(scene, law=Linear(scene.law.kn_N_m * times))
 

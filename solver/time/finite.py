@@ -4,8 +4,8 @@ The increment d of a step solves its balance of momentum at mid-step (solver.for
 for the fixed point of d = G(d), where G linearises the body with a tangent factored some steps ago
 and solves the contact law with no approximation on that linear body, through the compliance of its
 contact points. So neither opening nor slipping asks for a new factor, only a body that has turned
-or bent since: of a drop of 40 steps at 54 675 unknowns two to six are made, where Newton's method
-on the assembled form (`AssembledMarcher`) makes three a step.
+or bent since: of a drop of 40 steps at 54 675 unknowns one to five are made, where Newton's method
+on the assembled form (tests/reference/assembled.py) makes three a step.
 
 The tangent's age leaves a few directions, those of the steepest bending, that converge slowly;
 SNES' Anderson mixing (Walker and Ni, SIAM J. Numer. Anal. 49, 2011) removes them. PETSc's options
@@ -15,6 +15,7 @@ with the prefix ``bristle_`` reach it: ``-bristle_snes_type ngmres``, ``-bristle
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Self
 
 import numpy as np
 from dolfinx import fem
@@ -22,16 +23,17 @@ from dolfinx.fem import petsc as fem_petsc
 from petsc4py import PETSc
 
 from ..arrays import Array
-from ..bodies.linear import factor, solve_columns, take_direct
 from ..bodies.solid import SolidBody
 from ..bodies.tip import TipTractions
 from ..contact.enforcement import ContactMethod
+from ..contact.laws import ContactLaw, Coulomb
 from ..errors import ComputationError
 from ..form_cache import form
 from ..forms import StepForms, own_values
 from ..ground import Placement
 from .march import ContactMarch, Moving, Step
 from .scheme import TimeScheme
+from .tangent import Tangent, Tangents
 
 PREFIX = "bristle_"
 # PETSc takes several inner products at once by BLAS where the vectors lie evenly in memory. Then
@@ -68,23 +70,21 @@ class FiniteMarcher(ContactMarch):
         self.forms = StepForms(body.space, body.material, finite=finite)
         self.forms.its.value = its_s
         self._internal = form(self.forms.internal())
-        self._tangent = form(self.forms.tangent())
         self._energy = form(self.forms.strain_energy())
         self._loss = form(self.forms.stress_loss())
         self._surface: TipTractions | None = None
         if self.tau:
             self._surface = TipTractions(body.tip, self.forms, len(body.contact.weights))
-        self._matrix = fem_petsc.create_matrix(self._tangent)
+        self.tangents = Tangents(body, self.forms, self._surface, self.tau, method.theta)
+        self._tangent: Tangent | None = None
         options = PETSc.Options()
         if not options.hasName(BY_BLAS):
             options.setValue(BY_BLAS, False)
         self._force = fem_petsc.create_vector(self._internal)
-        self._solver: PETSc.KSP | None = None
         self._inertia = (2.0 / its_s + body.alpha_1_s) / its_s
         self._weights = np.repeat(body.contact.weights, 3)
-        self._factored: tuple[Array, Array] | None = None
         size = len(self._weights) if self.tau else body.contact.coordinates.shape[0]
-        self._compliance = np.zeros((size, size))
+        self._compliance = np.zeros((size, size))  # until there is a tangent
         self.place(Placement.upright(body.contact))
 
     # --- the state ------------------------------------------------------------------------------
@@ -125,13 +125,18 @@ class FiniteMarcher(ContactMarch):
             loss += body.alpha_1_s / self.its_s * body.dot(d, after.mu - before.mu)
         return loss
 
+    def with_law(self, law: ContactLaw, friction: Coulomb | None = None) -> Self:
+        other = super().with_law(law, friction)
+        other._tangent = None
+        return other
+
     def memory(self) -> dict[str, Array]:
-        """Where the factor in use was made."""
-        return {} if self._factored is None else dict(zip("ud", self._factored, strict=True))
+        """Where the tangent in use was made."""
+        return {} if self._tangent is None else {"u": self._tangent.u, "d": self._tangent.d}
 
     def recall(self, arrays: Mapping[str, Array]) -> None:
         if arrays:
-            self._factor(arrays["u"], arrays["d"])
+            self._linearise(arrays["u"], arrays["d"])
 
     # --- the step -------------------------------------------------------------------------------
 
@@ -144,9 +149,11 @@ class FiniteMarcher(ContactMarch):
         constant = 2.0 / h * now.mv + self._weight
         self._set(now.u, now.v, np.zeros_like(now.u))
         d: Array = h * now.v
-        if self._factored is None:
+        if self._tangent is None:
             # not at the guess, whose straight paths stretch a turning body
-            self._factor(now.u, np.zeros_like(d))
+            self._linearise(now.u, np.zeros_like(d))
+        elif not self.tangents.has(self._tangent):  # another march has one by now
+            self._linearise(self._tangent.u, self._tangent.d)
         force = np.zeros_like(now.approach)
         for _ in range(FACTORS):
             iteration = Iteration(self, now, constant, force)
@@ -155,7 +162,7 @@ class FiniteMarcher(ContactMarch):
             d, force = iteration.image, iteration.force
             if not np.isfinite(d).all():
                 raise self._not_converged(now, iteration)
-            self._factor(now.u, d)
+            self._linearise(now.u, d)
         else:
             raise self._not_converged(now, iteration)
         return self._arrived(now, iteration.image, iteration.force)
@@ -186,86 +193,35 @@ class FiniteMarcher(ContactMarch):
         """
         self._set(now.u, now.v, d)
         rest = self._inertia * self.body.mass(d) - constant + self._internal_force()
-        points, surface = self.body.contact, self._surface
+        points, surface, tangent = self.body.contact, self._surface, self._tangent
+        assert tangent is not None
         if surface is None:
-            free = d - self._solve(rest)
+            free = d - tangent.solve(rest)
             start = -points.displacements(now.u + free)
         else:
+            assert tangent.to_tractions is not None
+            assert tangent.tractions is not None
             along = self.along_axes(force)
             excess = self._weights.reshape(-1, 3) * (along - surface.mean())
             rest += self._symmetric * surface.pushed(excess)
-            free = d - self._solve(rest)
-            free += self._answers_traction @ (self._weights * along.ravel())
-            moved = surface.end() + (self._seen(free - d)).reshape(-1, 3)
+            free = d - tangent.solve(rest)
+            free += tangent.to_tractions @ (self._weights * along.ravel())
+            moved = surface.end() + tangent.tractions(free - d).reshape(-1, 3)
             start = self.tau * moved - points.displacements(now.u + free)
         force[:] = self.contact.solve(now.approach, self.in_frames(start))
         if not force.any():
             return free
         forces = self._weights * self.along_axes(force).ravel()
-        free += self._answers_points @ (points.rows.T @ forces)
-        if surface is not None:
-            free -= self._answers_traction @ forces
+        free += tangent.to_points @ (points.rows.T @ forces)
+        if tangent.to_tractions is not None:
+            free -= tangent.to_tractions @ forces
         return free
 
-    # --- the tangent ----------------------------------------------------------------------------
-
-    def _factor(self, u: Array, d: Array) -> None:
-        """Factor the tangent at ``d``, with how the contact points answer."""
-        self._factored = (u.copy(), d.copy())
-        self._set(u, np.zeros_like(u), d)
-        self._matrix.zeroEntries()
-        fem_petsc.assemble_matrix(self._matrix, self._tangent)
-        self._matrix.assemble()
-        if self._solver is None:
-            self._solver = PETSc.KSP().create(self.solid.comm)
-            take_direct(self._solver, PETSc.PC.Type.LU)
-        self._solver.setOperators(self._matrix)
-        factor(self._solver, "the tangent")
-        self._solve = self._by_factor
-        points = self.body.contact
-        if self._surface is not None:
-            self._add_tractions(self._surface)
-        self._answers_points = self._solve(points.coordinates.T.toarray(order="F"))
-        if self._surface is None:
-            self._compliance = np.ascontiguousarray(points.moved(self._answers_points))
-        else:
-            by_points = self._answers_points @ points.rows.T - self._answers_traction
-            compliance = self.tau * self._seen(by_points) - points.rows @ points.moved(by_points)
-            self._compliance = np.ascontiguousarray(compliance * self._weights)
+    def _linearise(self, u: Array, d: Array) -> None:
+        """Take the tangent at ``d``, and how the contact points answer with it."""
+        self._tangent = self.tangents.at(u, d)
+        self._compliance = self._tangent.compliance
         self.contact.section = self._section()
-
-    def _add_tractions(self, surface: TipTractions) -> None:
-        """Have the solver know Nitsche's symmetric term, to the accuracy that its tangent has.
-
-        The traction's change is P R with few rows R; the term -κ Rᵀ Pᵀ W P R of the tangent is
-        Woodbury's correction of its inverse.
-        """
-        beta, h = self.solid.beta_s, self.its_s
-        left, right = surface.compressed()
-        columns = self._by_factor(np.asfortranarray(right.T))
-        inner = self._symmetric * (0.5 + beta / h) * (left.T * self._weights) @ left
-        total = self.solid.comm.allreduce
-        capacitance = np.eye(len(inner)) - inner @ total(right @ columns)
-        correction = np.linalg.solve(capacitance, inner)
-
-        def corrected(b: Array) -> Array:
-            x = self._by_factor(b)
-            return np.asarray(x + columns @ (correction @ total(right @ x)))
-
-        self._solve = corrected
-        self._answers_traction = self._symmetric * (corrected(np.asfortranarray(right.T)) @ left.T)
-        self._seen = lambda x: (1.0 + 2.0 * beta / h) * (left @ total(right @ x))
-
-    def _by_factor(self, b: Array) -> Array:
-        assert self._solver is not None
-        if b.ndim == 2:
-            return np.ascontiguousarray(solve_columns(self._solver, b))
-        self._force.array[:] = b
-        x = self._force.duplicate()
-        self._solver.solve(self._force, x)
-        found = x.array.copy()
-        x.destroy()
-        return found
 
     def _internal_force(self) -> Array:
         """At mid-step with its damping, in N (n_local,)."""
@@ -284,10 +240,9 @@ class FiniteMarcher(ContactMarch):
         return self._force.duplicate()
 
     def close(self) -> None:
-        """Free what PETSc holds; the march cannot go on afterwards."""
-        for thing in (self._solver, self._matrix, self._force):
-            if thing is not None:
-                thing.destroy()
+        """Free what PETSc holds; neither this march nor those that `with_law` gave can go on."""
+        self.tangents.close()
+        self._force.destroy()
 
 
 def assemble(vector: PETSc.Vec, load: fem.Form) -> None:
@@ -326,7 +281,9 @@ class Iteration:
         try:
             snes.solve(None, x)
             if self._failure is not None:
-                raise ComputationError(f"at t = {self._now.t_s:.6g} s: {self._failure}")
+                raise ComputationError(
+                    f"at t = {self._now.t_s:.6g} s: {self._failure}", inputs=self._failure.inputs
+                )
             return bool(snes.getConvergedReason() > 0)
         finally:
             for thing in (snes, x, rest):

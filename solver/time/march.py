@@ -106,7 +106,8 @@ class ContactMarch:
             raise ComputationError(
                 f"the bristle falls over: it comes down at {math.degrees(math.acos(along)):.3g} "
                 "degrees to the surface's normal, with its side or upper end, which cannot touch "
-                "here; lean it less, or end the drop before that with --until SECONDS"
+                "here; lean it less, or end the drop before that",
+                inputs=("until",),
             )
         self.ground = placement
         self._pull = -self.gravity_m_s2 * (self.body.translation @ placement.up)
@@ -120,10 +121,22 @@ class ContactMarch:
         return math.isinf(self.method.law.kn_N_m) and self.tau == 0.0
 
     def with_law(self, law: ContactLaw, friction: Coulomb | None = None) -> Self:
-        """The same march under another law and friction: factor and compliance are shared."""
+        """The same march, where it stands, under another law and friction.
+
+        The body's factor and compliance are shared, so whoever closes one march has closed both.
+        Raises ValueError where Nitsche's compliance τ would not be the same: its γ₀, unless it is
+        given, is another one on a rigid plane.
+        """
+        method = replace(
+            self.method, law=law, friction=self.method.friction if friction is None else friction
+        )
+        if method.stabilisation != self.method.stabilisation:
+            raise ValueError(
+                f"Nitsche's gamma0 is {method.stabilisation:g} at a Kn of {law.kn_N_m:g} N/m, and "
+                f"{self.method.stabilisation:g} in this march: make another, or give gamma0"
+            )
         other = copy.copy(self)
-        friction = self.method.friction if friction is None else friction
-        other.method = replace(self.method, law=law, friction=friction)
+        other.method = method
         other.contact = other._step_contact()
         return other
 

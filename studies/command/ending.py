@@ -59,7 +59,7 @@ def _attempt(command: click.Command, arguments: list[str]) -> Ending:
         status = command.main(arguments, prog_name="bristle", standalone_mode=False)
         sys.stdout.flush()
     except BristleError as error:
-        return _failed(error.exit_status, str(error), debug)
+        return _failed(error.exit_status, _with_options(error), debug)
     except click.ClickException as error:
         return _failed(2, _usage(error), debug)
     except click.Abort:
@@ -105,6 +105,14 @@ def _failed(status: int, message: str, debug: bool) -> Ending:
         line = f"{line[: LONGEST // 2]} … {line[-LONGEST // 2 :]}"
     line = f"bristle: error: {line}"
     return Ending(status, f"{traceback.format_exc()}{line}" if debug else line)
+
+
+def _with_options(error: BristleError) -> str:
+    """The message, and the options that set the inputs which it is about."""
+    from ..inputs.sources import OPTIONS
+
+    named = ", ".join(OPTIONS.get(name, name) for name in error.inputs)
+    return f"{error} ({named})" if named else str(error)
 
 
 def _usage(error: click.ClickException) -> str:

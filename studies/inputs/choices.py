@@ -52,12 +52,11 @@ class Deflection(StrEnum):
 
 
 class Solver(StrEnum):
-    """What solves a solid's equations: see solver.bodies.linear, for SNES solver.time.assembled."""
+    """What solves a solid's equations; the values are those of solver.bodies.linear."""
 
     AUTO = "auto"
     DIRECT = "direct"
     ITERATIVE = "iterative"
-    SNES = "snes"
 
 
 class Until(StrEnum):

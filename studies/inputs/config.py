@@ -199,40 +199,16 @@ class DropInputs(Inputs, DropFields, StepField):
             refuse(
                 "deflection",
                 "second-order is for the beam and the reduced solid, under --scheme average, with "
-                "penalty or augmented at a finite --kn, and not with --march",
+                "penalty or augmented at a finite --kn",
             )
         if self.deflection is Deflection.FINITE and not self._may_turn:
             refuse(
                 "deflection",
-                "finite is for the solid, under --scheme average, with any --solver but iterative, "
-                "and not with --march",
+                "finite is for the solid, under --scheme average, with any --solver but iterative",
             )
-        if self.solver is Solver.SNES:
-            self._check_assembled()
         check_effects(self)
         limits.check_drop(self)
         return self
-
-    def _check_assembled(self) -> None:
-        only = "snes assembles the step of the solid"
-        for wrong, field, how in (
-            (self.model is not Model.SOLID, "solver", ": take --model solid"),
-            (self.scheme is not Scheme.AVERAGE, "scheme", " under --scheme average"),
-            (self.contact is Contact.AUGMENTED, "contact", " with contact by penalty or nitsche"),
-            (self.march, "march", " in impacts alone"),
-            (self.tip_shape != fields.FLAT, "tip_shape", " with a flat end face"),
-        ):
-            if wrong:
-                refuse(field, f"{only}{how}")
-        if self.friction_law().mu and self.cells is not None and self.diameter_m is None:
-            only = f"{only} with friction where contact points are nodes: take --friction 0 or"
-            most = 2 * min(self.cells[:2]) + 1
-            if self.order != 2:
-                refuse("order", f"{only} 2")
-            if self.contact_points > most:
-                refuse(
-                    "contact_points", f"{only} {most} with {self.cells[0]} × {self.cells[1]} cells"
-                )
 
     @property
     def _may_bend(self) -> bool:
@@ -241,7 +217,6 @@ class DropInputs(Inputs, DropFields, StepField):
             and self.scheme is Scheme.AVERAGE
             and self.contact is not Contact.NITSCHE
             and math.isfinite(self.kn_N_m)
-            and not self.march
         )
 
     @property
@@ -250,7 +225,6 @@ class DropInputs(Inputs, DropFields, StepField):
             self.model is Model.SOLID
             and self.scheme is Scheme.AVERAGE
             and self.solver is not Solver.ITERATIVE
-            and not self.march
         )
 
     @property
@@ -279,7 +253,6 @@ class DropInputs(Inputs, DropFields, StepField):
         plain = {
             "contact": (Contact.PENALTY, "it has penalty contact only"),
             "scheme": (Scheme.AVERAGE, "it has no time scheme"),
-            "march": (False, "it is not marched"),
             "alpha_1_s": (0.0, "it has no damping"),
             **dict.fromkeys(stance.ANGLES, (0.0, "it falls upright on a level surface")),
             "tip_shape": (fields.FLAT, "it has no end face"),

@@ -11,7 +11,7 @@ from ...solver.drop import DropResult
 from ...solver.effects.base import Place, Scene
 from ...solver.effects.library import enter_all
 from ...solver.errors import InputError
-from .choices import Contact, Model, Scheme, Solver
+from .choices import Contact, Model, Scheme
 from .flags import refuse
 from .stance import ANGLES
 
@@ -83,11 +83,11 @@ def check_effects(inputs: DropInputs) -> None:
         effects = [each.effect() for each in inputs.effects]
         after = enter_all(scene, effects)
     except InputError as error:
-        refuse("effects", str(error).removeprefix("--effect: "))
+        refuse("effects", str(error))
         return
     places = {effect.place for effect in effects}
     plain = inputs.scheme is Scheme.AVERAGE and inputs.contact is not Contact.NITSCHE
-    compiled = plain and math.isfinite(inputs.kn_N_m) and not inputs.march
+    compiled = plain and math.isfinite(inputs.kn_N_m)
     if inputs.model is Model.ANALYTIC:
         for effect in effects:
             leans = any(getattr(after, name) for name in ANGLES)
@@ -101,16 +101,11 @@ def check_effects(inputs: DropInputs) -> None:
             "a contact law of its own needs --scheme average, a finite --kn, and penalty or "
             "augmented",
         )
-    if type(after.law) is not Linear and inputs.solver is Solver.SNES:
-        refuse("effects", "--solver snes knows the linear contact law alone")
     if after.loss_factor and not (compiled and inputs.model in (Model.BEAM, Model.REDUCED)):
         refuse(
             "effects",
             "hysteretic_damping belongs to modes: take the beam, or the solid reduced to its modes "
             "(--model reduced), with --scheme average, a finite --kn, and penalty or augmented",
         )
-    moving = after.release_speed_m_s or after.drag_kg_m
-    if moving and inputs.march:
-        refuse("effects", "air_drag and release_velocity belong to events; leave --march out")
-    if moving and inputs.alpha_1_s:
+    if (after.release_speed_m_s or after.drag_kg_m) and inputs.alpha_1_s:
         refuse("effects", "air_drag and release_velocity exclude --alpha, which is drag itself")

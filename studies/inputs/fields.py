@@ -223,8 +223,7 @@ class DiscretisationFields(MeshFields, group=MESH):
     solver: Solver = option(
         Solver.AUTO,
         "How the solid's equations are solved: auto is direct as long as factors take less "
-        "than 8 GB; snes is Newton's method on the assembled form of a whole step, contact "
-        "included, as a reference.",
+        "than 8 GB.",
     )
     modes: Annotated[int, whole(1, 1000)] = option(
         MODES,
@@ -329,12 +328,6 @@ class TimeFields(Fields, group=TIME):
     )
     rho_inf: Annotated[float, between(0.0, 1.0)] | None = option(
         None, "Spectral radius of generalised-alpha at infinite frequency.", "0…1", f"{RHO_INF:g}"
-    )
-    march: Truth = option(
-        False,
-        "March all of the drop at ITS, to check the exact flight between impacts. Rotation is "
-        "linearised about the release, so a leaning bristle is right only while it has turned "
-        "little.",
     )
 
 

@@ -42,7 +42,7 @@ class EffectInput(Fields):
         try:
             return kind(**self.parameters)
         except InputError as error:
-            raise ValueError(str(error).removeprefix("--effect ")) from None
+            raise ValueError(str(error)) from None
 
     @classmethod
     def of(cls, effect: Effect) -> EffectInput:

@@ -45,6 +45,8 @@ RESOLVED = {
 }
 # Fields that name files. In a TOML file their paths count from its folder.
 FILES = ("mesh", "plugins", "surface")
+# Inputs that earlier versions had, by the one value with which a drop is the same without them.
+RETIRED = {"march": False}
 # Where the material has a name, its damping follows from these.
 DAMPING = ("length_m", "mesh", "youngs_Pa", "density_kg_m3")
 
@@ -184,7 +186,11 @@ def _parse_result(path: Path, text: str) -> dict[str, Any]:
     inputs = data.get("inputs") if isinstance(data, dict) else None
     if not isinstance(inputs, dict):
         raise InputError(f"{path}:1: not a result of this program: it has no inputs")
-    return {key: value for key, value in inputs.items() if value is not None}
+    return {
+        key: value
+        for key, value in inputs.items()
+        if value is not None and (key not in RETIRED or value != RETIRED[key])
+    }
 
 
 def inputs_of[Checked: BaseModel](

@@ -18,7 +18,7 @@ from ..inputs.config import DropInputs
 from ..report.figures import LOOKS
 from ..report.page import Section
 from ..report.prose import Prose
-from ..running.cases import Workshop
+from ..running.cases import CaseSession
 from ..running.groups import run_solids
 from ..running.parallel import share_out
 
@@ -160,7 +160,7 @@ def named(model: pd.Series) -> pd.Series:
 
 def compute(
     cases: Iterable[DropInputs],
-    workshop: Workshop,
+    session: CaseSession,
     tick: Tick = lambda: None,
     ranks_per_case: int | None = None,
 ) -> dict[DropInputs, DropResult]:
@@ -181,9 +181,9 @@ def compute(
 
         return take
 
-    run_solids(workshop, solid, lambda own, case: own.run(case)[0], taking(solid), ranks_per_case)
+    run_solids(session, solid, lambda own, case: own.run(case)[0], taking(solid), ranks_per_case)
     reduced = (case for case in modal if case.model is Model.REDUCED)
-    for first in {workshop.body_key(case): case for case in reduced}.values():
-        workshop.prepare(first)  # by all ranks, so that its cases need no communication later
-    share_out(workshop.comm, len(modal), lambda i: workshop.run(modal[i])[0], taking(modal))
+    for first in {session.body_key(case): case for case in reduced}.values():
+        session.prepare(first)  # by all ranks, so that its cases need no communication later
+    share_out(session.comm, len(modal), lambda i: session.run(modal[i])[0], taking(modal))
     return results

@@ -21,7 +21,7 @@ from ..inputs.limits import input_warnings, result_warnings
 from ..inputs.sources import command_line
 from ..inputs.stance import lean_deg
 from ..report.page import Report, Section, Verdict, write_report
-from ..running.cases import Workshop
+from ..running.cases import CaseSession
 from ..running.files import prepare_folder
 from ..running.progress import progress, working
 from .campaign import Results, Setup, Study, compute, prose
@@ -71,10 +71,10 @@ def run_reproduce(
     studies = paper_studies(setup) if studies is None else list(studies)
     cases = list(dict.fromkeys(case for study in studies for case in study.cases()))
     with (
-        Workshop(comm, basis_its_s=setup.its_s) as workshop,
+        CaseSession(comm, basis_its_s=setup.its_s) as session,
         progress("Drops", len(cases)) as advance,
     ):
-        results = compute(cases, workshop, advance, ranks_per_case)
+        results = compute(cases, session, advance, ranks_per_case)
     for study in studies:
         if isinstance(study, LoopStudy):
             study.prepare(comm)

@@ -1,6 +1,6 @@
 """One case computed, and what cases share.
 
-A `Workshop` keeps what is costly to build: a mesh and its matrices, a factor, a reduced basis, a
+A `CaseSession` keeps what is costly to build: a mesh and its matrices, a factor, a reduced basis, a
 beam's modes, and the marchers made of them, so that cases that differ in stiffness or height alone
 cost their march and nothing else.
 """
@@ -9,12 +9,15 @@ from __future__ import annotations
 
 import copy
 import math
+import sys
 import time
 from collections.abc import Callable, Hashable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any, Self, cast
+
+import numpy as np
 
 from ...meshes import geometry
 from ...meshes.collective import ALONE, with_mpi
@@ -32,28 +35,29 @@ from ...solver.drop import DropPlan, DropResult, FlightFrame, ModalFrame, simula
 from ...solver.effects.base import Scene
 from ...solver.errors import ComputationError
 from ...solver.fall import dragged_fall, risen
-from ...solver.plain_march import march_plainly
 from ...solver.time.march import ContactMarch, Marcher
-from ..inputs.choices import Contact, Model, Solver, Tip, Until
+from ..inputs.choices import Contact, Model, Tip, Until
 from ..inputs.config import DropInputs
 from ..inputs.effects import Entered, entered, observed
 from ..inputs.fields import FLAT
-from ..inputs.limits import check_result, count_unknowns, marching_time_s
+from ..inputs.limits import check_result, count_unknowns
 from ..inputs.stance import face_offsets_m
-from .parallel import all_ranks
+from .parallel import GRACE_S, all_ranks, done_within
 
 if TYPE_CHECKING:  # MPI, dolfinx and gmsh, which a beam does without
     from mpi4py import MPI
 
     from ...solver.bodies.reduced import ReducedModel
     from ...solver.bodies.solid import SolidBody
-    from ...solver.time.finite import FiniteMarcher
 
 # Steps of an axial period that a reduced basis is made for, and how often its Krylov vectors are
 # doubled where that is not enough.
 RESOLVING, DOUBLINGS = 16.0, 3
 # Numbers in the vectors of a basis beyond which they are not doubled: 1 GB, and more beside it.
 MOST_NUMBERS = 1 << 27
+# Meshed bodies, bases, marchers and frames that a session keeps from one call to the next. A drop
+# of the solid needs three of them, four where it leans.
+MOST_KEPT = 12
 PARTS = ("mesh", "assemble", "factor", "march")
 Timings = dict[str, float]
 # What a drop that ends with its first impact has not seen.
@@ -81,39 +85,93 @@ class Prepared:
     marcher: ContactMarch
 
 
-class Workshop:
-    """Computes cases on ``comm``, and keeps what they share until ``close``.
+class CaseSession:
+    """Computes cases on ``comm``, all ranks of the job unless it is given, and keeps what they
+    share until ``close``.
 
     A solid, and the reduced model made from it, are built by all ranks together. Once `prepare`
     has been called on all of them, cases of modal bodies (analytic, beam, reduced) communicate
     no more, so each rank may run its own. The basis of a reduced model is made for the case's own
     ITS, or for ``basis_its_s`` where that is given, and then serves every ITS.
+
+    Everything is kept until `trim`. All that is made from a body is forgotten together with it.
     """
 
-    def __init__(self, comm: MPI.Intracomm, basis_its_s: float | None = None) -> None:
-        self.comm, self.basis_its_s = comm, basis_its_s
-        self._kept: dict[Hashable, object] = {}
-        self._alone: Workshop | None = None
-        self._closing: list[SolidBody | FiniteMarcher] = []
+    def __init__(
+        self, comm: MPI.Intracomm | None = None, basis_its_s: float | None = None
+    ) -> None:
+        self.comm, self.basis_its_s = comm or all_ranks(), basis_its_s
+        # in the order in which they were made, which for solids is that of all ranks
+        self._bodies: dict[Hashable, dict[Hashable, Any]] = {}
+        self._used: dict[Hashable, int] = {}
+        self._alone: CaseSession | None = None
         self._spent = dict.fromkeys(PARTS, 0.0)
+        # of its own, so that how the ranks end meets no other collective call
+        self._ending = self.comm.Dup() if self.comm.size > 1 else self.comm
 
     def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *raised: object) -> None:
-        # PETSc frees on all ranks together: one that failed alone would wait there for ever
-        if raised[0] is None or self.comm.size == 1:
+        # what no rank has any more PETSc frees with the next session, where one rank failed alone
+        if self._all_here(raised[1]):
             self.close()
+        else:
+            self._bodies.clear()
+            self._used.clear()
 
     def close(self) -> None:
-        """Free what PETSc holds; nothing that was handed out can be used afterwards."""
+        """Free what PETSc holds, on all ranks together; nothing that was handed out can be used
+        afterwards."""
         if self._alone is not None:
             self._alone.close()
             self._alone = None
-        for thing in reversed(self._closing):
-            thing.close()
-        self._closing.clear()
-        self._kept.clear()
+        self._forget(list(self._bodies))
+        if self._ending is not self.comm:
+            self._ending.Free()
+            self._ending = self.comm
+
+    def trim(self) -> None:
+        """Forget the bodies that were used longest ago, until there are no more than `MOST_KEPT`
+        things; collective."""
+        kept = sorted(self._bodies, key=lambda key: self._used[key])
+        while sum(len(self._bodies[key]) for key in kept) > MOST_KEPT:
+            del kept[0]
+        those = set(self.comm.bcast(kept))
+        self._forget([key for key in self._bodies if key not in those])
+        if self._alone is not None:
+            self._alone.trim()
+
+    def _forget(self, keys: list[Hashable]) -> None:
+        solids = False
+        for key in keys:
+            del self._used[key]
+            for thing in reversed(self._bodies.pop(key).values()):
+                if hasattr(thing, "close"):
+                    thing.close()
+                    solids = True
+        if solids and self.comm.size > 1:  # what Python let go of alone waits for the other ranks
+            sys.modules["petsc4py.PETSc"].garbage_cleanup(self.comm)
+
+    def _all_here(self, error: object) -> bool:
+        """Whether all ranks end now, this one with an ``error`` or None.
+
+        One that fails waits `GRACE_S` for the others. If it leaves without them, they hear of it.
+        """
+        if self.comm.size == 1:
+            return True
+        if error is not None and not isinstance(error, Exception):
+            return False  # an interrupted process ends
+        from mpi4py import MPI
+
+        here = done_within(self._ending.Ibarrier(), math.inf if error is None else GRACE_S)
+        every = np.array([here])
+        agreed = self._ending.Iallreduce(MPI.IN_PLACE, every, MPI.LAND)
+        if here:
+            done_within(agreed, math.inf)
+            return bool(every[0])
+        self._left = agreed, every  # which others may still read
+        return False
 
     def prepare(self, inputs: DropInputs) -> Prepared | None:
         """Build what ``inputs`` needs and is not there yet; None for the analytic model.
@@ -130,10 +188,10 @@ class Workshop:
         inputs, frame = now.inputs, self._flat_ended(now, modes)
         if inputs.tip_shape != FLAT:
             key = ("face", id(frame), inputs.tip_shape)
-            frame = self._keep(key, lambda: _with_face(frame, inputs))
+            frame = self._keep(inputs, key, lambda: _with_face(frame, inputs))
         loss = now.scene.loss_factor
         if loss and isinstance(frame, ModalFrame):
-            return self._changed(frame, loss_factor=loss)
+            return self._changed(inputs, frame, loss_factor=loss)
         return frame
 
     def _flat_ended(self, now: Entered, modes: int | None) -> ReducedModel | ModalFrame:
@@ -143,7 +201,7 @@ class Workshop:
         if inputs.model is Model.BEAM:
             return self._beam(inputs, now.scene.lateral_inertia)
         frame = self._modal(inputs, modes)
-        return frame if inputs.second_order else self._changed(frame, axis=None)
+        return frame if inputs.second_order else self._changed(inputs, frame, axis=None)
 
     def run(
         self,
@@ -167,13 +225,8 @@ class Workshop:
                 scene, inputs = prepared.scene, prepared.inputs
                 frame, marcher = prepared.frame, prepared.marcher
                 plan = inputs.drop_plan(len(frame.body.contact.weights), scene)
-                if inputs.march:  # at constant ITS from release on
-                    result = march_plainly(frame, plan, marching_time_s(inputs), checkpoint)
-                    if inputs.until is Until.IMPACT:
-                        result = replace(result, **NO_REBOUND)
-                else:
-                    result = simulate(frame, plan, marcher, observer, checkpoint)
-                    result = self._enriched(prepared, plan, result)
+                result = simulate(frame, plan, marcher, observer, checkpoint)
+                result = self._enriched(prepared, plan, result)
                 check_result(inputs, result)
         return observed(result, scene), self.take_timings()
 
@@ -190,16 +243,20 @@ class Workshop:
         finally:
             self._spent[part] += time.perf_counter() - started
 
-    def _keep[Thing](self, key: Hashable, make: Callable[[], Thing]) -> Thing:
-        """What was made for ``key``; keys of things made from others contain the ids of those."""
-        if key not in self._kept:
-            self._kept[key] = make()
-        return self._kept[key]  # type: ignore[return-value]
+    def _keep[Thing](self, inputs: DropInputs, key: Hashable, make: Callable[[], Thing]) -> Thing:
+        """What was made for ``key`` of the body of ``inputs``; keys of things made from others
+        contain the ids of those."""
+        body = _solid_key(inputs) if inputs.model.meshed else ("beam", inputs.bristle())
+        things = self._bodies.setdefault(body, {})
+        self._used[body] = max(self._used.values(), default=0) + 1
+        if key not in things:
+            things[key] = make()
+        return cast("Thing", things[key])
 
-    def _changed(self, frame: ModalFrame, **values: Any) -> ModalFrame:
+    def _changed(self, inputs: DropInputs, frame: ModalFrame, **values: Any) -> ModalFrame:
         """The frame with these ``values`` in its bodies."""
         key = ("changed", id(frame), *values.items())
-        return self._keep(key, lambda: _each(frame, lambda body: replace(body, **values)))
+        return self._keep(inputs, key, lambda: _each(frame, lambda body: replace(body, **values)))
 
     def _beam(self, inputs: DropInputs, lateral_inertia: float) -> ModalFrame:
         how = {
@@ -211,7 +268,8 @@ class Workshop:
         }
         bristle = inputs.bristle()
         with self._timed("assemble"):
-            return self._keep(("beam", bristle, *how.values()), lambda: _beam_frame(bristle, **how))
+            key = ("beam", *how.values())
+            return self._keep(inputs, key, lambda: _beam_frame(bristle, **how))
 
     def body_key(self, inputs: DropInputs) -> Hashable:
         """Equal for cases of the solid that share all that is costly to build."""
@@ -232,17 +290,15 @@ class Workshop:
             except MeshError as error:
                 raise ComputationError(f"the mesh could not be made: {error}") from error
         with self._timed("assemble"):
-            solid = SolidBody(
+            return SolidBody(
                 domain,
                 facets,
                 int(Tag.TIP),
                 inputs.bristle().material,
                 inputs.order,
                 inputs.contact_points,
-                linear.Solver("direct" if inputs.solver is Solver.SNES else inputs.solver.value),
+                linear.Solver(inputs.solver.value),
             )
-        self._closing.append(solid)
-        return solid
 
     def _full(self, inputs: DropInputs) -> ReducedModel:
         """The solid at full order, flying in the coordinates of its reduced model."""
@@ -252,17 +308,18 @@ class Workshop:
         from ...solver.bodies.floating import FloatingModel
 
         small = {each.name: getattr(model, each.name) for each in fields(model)}
-        return self._keep(("floating", id(model)), lambda: FloatingModel(**small))
+        return self._keep(inputs, ("floating", id(model)), lambda: FloatingModel(**small))
 
     def _reduced(self, inputs: DropInputs, modes: int | None = None) -> ReducedModel:
         """The solid and its reduced model, with a flat tip."""
         from ...solver.bodies.reduced import reduce_solid
 
-        solid = self._keep(_solid_key(inputs), lambda: self._make_solid(inputs))
+        solid = self._keep(inputs, "solid", lambda: self._make_solid(inputs))
         how = self._basis(inputs, modes)
         with self._timed("factor"):
             return self._keep(
-                ("reduced", id(solid), *how.items()),
+                inputs,
+                ("reduced", *how.items()),
                 lambda: reduce_solid(solid, second_order=how["leaning"], **how),
             )
 
@@ -288,7 +345,7 @@ class Workshop:
         how = tuple(self._basis(inputs, modes).items())
         made_by = (sources(Path(geometry.__file__).parent), self.comm.size)
         key = ("modal", *_solid_key(inputs)[1:-1], inputs.solver.value, how, *made_by)
-        return self._keep(key, lambda: self._stored(inputs, str(key), modes))
+        return self._keep(inputs, key, lambda: self._stored(inputs, str(key), modes))
 
     def _stored(self, inputs: DropInputs, key: str, modes: int | None) -> ModalFrame:
         """The reduced solid and its coarser ones as an earlier run stored them, else made and
@@ -323,7 +380,7 @@ class Workshop:
             if vectors * count_unknowns(inputs) > MOST_NUMBERS:
                 break
             if self._alone is None:
-                self._alone = Workshop(ALONE, self.basis_its_s)
+                self._alone = CaseSession(ALONE, self.basis_its_s)
             now = Entered(inputs, prepared.scene)
             frame = self._alone._frame(now, modes)
             result = simulate(frame, plan, self._alone._marcher(now, frame))
@@ -337,25 +394,36 @@ class Workshop:
         same = (method.enforcement, method.theta, method.gamma0, method.augmentation)
         key = ("marcher", id(frame), same, scheme, inputs.its_s, inputs.gravity_m_s2)
         with self._timed("factor"):
-            marcher = self._keep(key, lambda: self._make_marcher(inputs, frame, method))
+            marcher = self._keep(inputs, key, lambda: _make_marcher(inputs, frame, method))
             return marcher.with_law(method.law, method.friction)
 
-    def _make_marcher(
-        self, inputs: DropInputs, frame: FlightFrame, method: ContactMethod
-    ) -> ContactMarch:
-        how = (method, inputs.time_scheme(), inputs.its_s, inputs.gravity_m_s2)
-        assembled = inputs.solver is Solver.SNES
-        if not (inputs.finite or assembled):
-            return Marcher(frame.body, *how)
-        from ...solver.bodies.solid import SolidBody
-        from ...solver.time.assembled import AssembledMarcher
-        from ...solver.time.finite import FiniteMarcher
 
-        assert isinstance(frame.body, SolidBody)
-        kind = AssembledMarcher if assembled else FiniteMarcher
-        marcher = kind(frame.body, *how, finite=inputs.finite)
-        self._closing.append(marcher)
-        return marcher
+@contextmanager
+def session_on(
+    comm: MPI.Intracomm, session: CaseSession | None = None, basis_its_s: float | None = None
+) -> Iterator[CaseSession]:
+    """The ``session``, trimmed, or where there is none one on ``comm`` that ends with the block."""
+    if session is None:
+        with CaseSession(comm, basis_its_s) as own:
+            yield own
+        return
+    session.trim()
+    before, session.basis_its_s = session.basis_its_s, basis_its_s
+    try:
+        yield session
+    finally:
+        session.basis_its_s = before
+
+
+def _make_marcher(inputs: DropInputs, frame: FlightFrame, method: ContactMethod) -> ContactMarch:
+    how = (method, inputs.time_scheme(), inputs.its_s, inputs.gravity_m_s2)
+    if not inputs.finite:
+        return Marcher(frame.body, *how)
+    from ...solver.bodies.solid import SolidBody
+    from ...solver.time.finite import FiniteMarcher
+
+    assert isinstance(frame.body, SolidBody)
+    return FiniteMarcher(frame.body, *how)
 
 
 def _solid_key(inputs: DropInputs) -> tuple[Hashable, ...]:
@@ -443,5 +511,5 @@ def run_case(
     Collective over ``comm``, all ranks of the job unless it is given, for the reduced and the full
     solid. Raises ComputationError.
     """
-    with Workshop(comm or all_ranks()) as workshop:
-        return workshop.run(inputs, observer)
+    with CaseSession(comm) as session:
+        return session.run(inputs, observer)

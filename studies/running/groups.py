@@ -16,8 +16,8 @@ from mpi4py import MPI
 
 from ...solver.errors import BristleError, InputError
 from ..inputs.config import DropInputs
-from ..inputs.limits import count_unknowns, marching_time_s
-from .cases import Workshop
+from ..inputs.limits import count_unknowns
+from .cases import CaseSession
 from .parallel import GRACE_S, done_within, share_out
 
 # What building mesh, matrices, factor and basis costs, in steps of the same solid.
@@ -91,22 +91,22 @@ def best_sizes(loads: Sequence[Load], ranks: int) -> list[int]:
 
 
 def run_solids(
-    workshop: Workshop,
+    session: CaseSession,
     cases: Sequence[DropInputs],
-    work: Callable[[Workshop, DropInputs], Any],
+    work: Callable[[CaseSession, DropInputs], Any],
     take: Callable[[int, Any], None],
     ranks_per_case: int | None = None,
 ) -> None:
-    """``work`` for every case of the solid at full order, over groups of the workshop's ranks.
+    """``work`` for every case of the solid at full order, over groups of the session's ranks.
 
     Rank 0 takes results as `parallel.share_out` says. Without ``ranks_per_case`` the groups are
-    those of `best_sizes`. ``workshop`` itself serves where all ranks are one group. Collective;
+    those of `best_sizes`. ``session`` itself serves where all ranks are one group. Collective;
     raises InputError where there are fewer ranks than a case is to have, and ComputationError.
     """
     if not cases:
         return
-    world = workshop.comm
-    loads = [load_of(case, workshop) for case in cases]
+    world = session.comm
+    loads = [load_of(case, session) for case in cases]
     if ranks_per_case is None:
         sizes = best_sizes(loads, world.size)
     elif ranks_per_case <= world.size:
@@ -114,7 +114,7 @@ def run_solids(
     else:
         raise InputError(f"--ranks-per-case: there are {world.size} ranks, not {ranks_per_case}")
     hands, _ = deal(loads, sizes)
-    with _grouped(workshop, sizes) as (group, own), _together(own.comm) as together:
+    with _grouped(session, sizes) as (group, own), _together(own.comm) as together:
         share_out(
             world,
             len(cases),
@@ -126,15 +126,15 @@ def run_solids(
 
 
 @contextmanager
-def _grouped(workshop: Workshop, sizes: Sequence[int]) -> Iterator[tuple[int, Workshop]]:
-    """This rank's group of consecutive ranks, so many in each, and the workshop of that group."""
+def _grouped(session: CaseSession, sizes: Sequence[int]) -> Iterator[tuple[int, CaseSession]]:
+    """This rank's group of consecutive ranks, so many in each, and the session of that group."""
     if len(sizes) == 1:
-        yield 0, workshop
+        yield 0, session
         return
-    world = workshop.comm
+    world = session.comm
     owner = [group for group, size in enumerate(sizes) for _ in range(size)]
     comm = cast(MPI.Intracomm, world.Split(owner[world.rank]))
-    with Workshop(comm, workshop.basis_its_s) as own:
+    with CaseSession(comm, session.basis_its_s) as own:
         yield owner[world.rank], own
     comm.Free()
 
@@ -159,7 +159,6 @@ def _together(comm: MPI.Intracomm) -> Iterator[Callable[[Callable[[], Any]], Any
     after.Free()
 
 
-def load_of(case: DropInputs, workshop: Workshop) -> Load:
+def load_of(case: DropInputs, session: CaseSession) -> Load:
     """What a case of the solid at full order is expected to cost."""
-    marched_s = marching_time_s(case) if case.march else case.contact_s()
-    return Load(marched_s / case.its_s, count_unknowns(case), workshop.body_key(case))
+    return Load(case.contact_s() / case.its_s, count_unknowns(case), session.body_key(case))

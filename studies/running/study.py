@@ -5,8 +5,10 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence, Sized
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from enum import StrEnum
+from functools import partial
 from pathlib import Path
 from typing import Any, Self
 
@@ -23,7 +25,7 @@ from ..inputs.fields import DiscretisationFields, HeightsField, ListFields
 from ..inputs.limits import input_warnings, result_warnings
 from ..inputs.sources import checked
 from . import results
-from .cases import Timings, Workshop
+from .cases import CaseSession, Timings, session_on
 from .files import to_csv, together, write_atomically, write_json
 from .groups import run_solids
 from .journal import Journal
@@ -50,6 +52,7 @@ UNUSED = {
 }
 
 Row = dict[str, Any]
+Sessions = Callable[[], AbstractContextManager[CaseSession]]
 
 
 def check_number(*lists: Sized) -> None:
@@ -146,15 +149,18 @@ def run_study(
     out: Path,
     comm: MPI.Intracomm = MPI.COMM_WORLD,
     *,
+    session: CaseSession | None = None,
     resume: bool = False,
     ranks_per_case: int | None = None,
 ) -> None:
     """Compute every case and write table.csv, the study's own files, and last its JSON.
 
     Cases of modal bodies are dealt out over the ranks, those of the solid over groups of ranks
-    (`groups.run_solids`). With ``resume`` finished cases in ``out`` are kept. Collective. Raises
-    InputError where ``out`` cannot be used or holds another study, and ComputationError.
+    (`groups.run_solids`). With a ``session`` its ranks compute them, and what it keeps serves.
+    With ``resume`` finished cases in ``out`` are kept. Collective. Raises InputError where ``out``
+    cannot be used or holds another study, and ComputationError.
     """
+    comm = comm if session is None else session.comm
     out, started = Path(out), time.perf_counter()
     cases = inputs.cases()
     journal = Journal(out, inputs)
@@ -164,7 +170,8 @@ def run_study(
         return
     if done:
         say(f"{len(done)} of {len(cases)} cases are there already")
-    shared = _compute(study, cases, comm, done, journal.add, ranks_per_case)
+    sessions = partial(session_on, comm, session, study.basis_its_s)
+    shared = _compute(study, cases, sessions, done, journal.add, ranks_per_case)
     spent = {"shared": shared["total"]}
     facts = {"wall_s": spent, "peak_rss_MB": results.peak_rss_MB(comm), "ranks": comm.size}
 
@@ -182,20 +189,19 @@ def run_study(
         say(f"{len(cases)} cases in {out / TABLE_FILE}")
 
 
-def rows_of(
-    study: Study, cases: Sequence[DropInputs], comm: MPI.Intracomm = MPI.COMM_WORLD
-) -> list[Row]:
+def rows_of(study: Study, cases: Sequence[DropInputs], session: CaseSession) -> list[Row]:
     """A row for every case, on every rank, without writing anything. Raises ComputationError."""
     done: dict[int, Row] = {}
-    _compute(study, cases, comm, done, lambda i, row: row)
-    done = comm.bcast(done)
+    sessions = partial(session_on, session.comm, session, study.basis_its_s)
+    _compute(study, cases, sessions, done, lambda i, row: row)
+    done = session.comm.bcast(done)
     return [done[i] for i in range(len(cases))]
 
 
 def _compute(
     study: Study,
     cases: Sequence[DropInputs],
-    comm: MPI.Intracomm,
+    sessions: Sessions,
     done: dict[int, Row],
     keep: Callable[[int, Row], Row],
     ranks_per_case: int | None = None,
@@ -222,7 +228,7 @@ def _compute(
                 advance()
 
         for part in parts.values():  # in turn, since each has bodies of its own
-            spent = _compute_part(study, cases, part, comm, take, ranks_per_case)
+            spent = _compute_part(study, cases, part, sessions, take, ranks_per_case)
             shared = {name: shared.get(name, 0.0) + spent[name] for name in spent}
     return shared or {"total": 0.0}
 
@@ -231,24 +237,24 @@ def _compute_part(
     study: Study,
     cases: Sequence[DropInputs],
     part: Sequence[int],
-    comm: MPI.Intracomm,
+    sessions: Sessions,
     take: Callable[[int, Row], None],
     ranks_per_case: int | None,
 ) -> Timings:
     """Have rank 0 ``take`` the row of each case of ``part``; the seconds of what they shared."""
     modal = [i for i in part if cases[i].model is not Model.SOLID]
     solid = [i for i in part if cases[i].model is Model.SOLID]
-    with Workshop(comm, study.basis_its_s) as workshop:
-        _build_together(workshop, [cases[i] for i in modal])
-        shared = workshop.take_timings()
+    with sessions() as session:
+        _build_together(session, [cases[i] for i in modal])
+        shared = session.take_timings()
         share_out(
-            comm,
+            session.comm,
             len(modal),
-            lambda k: _row(study, workshop, cases[modal[k]]),
+            lambda k: _row(study, session, cases[modal[k]]),
             lambda k, row: take(modal[k], row),
         )
         run_solids(
-            workshop,
+            session,
             [cases[i] for i in solid],
             lambda own, case: _row(study, own, case),
             lambda k, row: take(solid[k], row),
@@ -257,16 +263,16 @@ def _compute_part(
     return shared
 
 
-def _build_together(workshop: Workshop, cases: Iterable[DropInputs]) -> None:
+def _build_together(session: CaseSession, cases: Iterable[DropInputs]) -> None:
     """Build what takes all ranks, so that cases of modal bodies need no communication later."""
     reduced = [case for case in cases if case.model is Model.REDUCED]
     if reduced:
         with working("building the reduced model"):
             for case in {case.its_s: case for case in reduced}.values():
-                workshop.prepare(case)
+                session.prepare(case)
 
 
-def _row(study: Study, workshop: Workshop, inputs: DropInputs) -> Row:
+def _row(study: Study, session: CaseSession, inputs: DropInputs) -> Row:
     row: Row = {
         "model": inputs.model.value,
         "contact": inputs.contact.value,
@@ -276,14 +282,15 @@ def _row(study: Study, workshop: Workshop, inputs: DropInputs) -> Row:
         **_varied(study, inputs),
     }
     try:
-        result, timings = workshop.run(inputs)
+        result, timings = session.run(inputs)
     except ComputationError as error:
         if study.failures:
             lost = dict.fromkeys(name for name in COLUMNS if name not in row)
             return {**row, **lost, "wall_s": 0.0, "warnings": [f"failed: {error}"]}
         varied = "".join(f", {name} {value}" for name, value in _varied(study, inputs).items())
         case = f"{inputs.model}, Kn {inputs.kn_N_m:g} N/m, y0 {1e3 * inputs.height_m:g} mm, "
-        raise ComputationError(f"{case}ITS {inputs.its_s:g} s{varied}: {error}") from error
+        message = f"{case}ITS {inputs.its_s:g} s{varied}: {error}"
+        raise ComputationError(message, inputs=error.inputs) from error
     row |= {"energy_closure": result.energy.closure_relative, "wall_s": timings["total"]}
     row |= {name: results.number(name, inputs, result) for name in COLUMNS if name not in row}
     row["warnings"] = [*input_warnings(inputs), *result_warnings(inputs, result)]

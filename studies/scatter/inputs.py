@@ -19,7 +19,6 @@ FIXED: dict[str, tuple[Any, str]] = {
     "slope_deg": (0.0, "the slope comes from the surface; lean the bristle by --tilt"),
     "slope_wide_deg": (0.0, "the slope comes from the surface; lean the bristle by --tilt-wide"),
     "until": (Until.REBOUND, "every drop ends after its rebound"),
-    "march": (False, "flight is exact here"),
     "effects": ((), "no effect can be switched on here yet"),
     "scheme": (Scheme.AVERAGE, "many drops at once have the conserving scheme only"),
     "alpha_1_s": (0.0, "many drops at once have no damping in proportion to mass"),

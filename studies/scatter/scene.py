@@ -18,7 +18,7 @@ from ...solver.drop import ModalFrame, simulate
 from ...solver.errors import ComputationError
 from ...solver.time.march import Marcher
 from ..inputs.config import DropInputs
-from ..running.cases import Timings, Workshop
+from ..running.cases import CaseSession, Timings
 from ..running.parallel import start_petsc
 from .conditions import Under, draw, ground_of, ground_surface, ground_under, local_ground
 from .inputs import ScatterInputs
@@ -114,11 +114,11 @@ class Scene:
 
 def _body(drop: DropInputs) -> tuple[dict[str, Array], Timings]:
     """The body and coarser ones as arrays, to be sent, and the seconds that they took."""
-    with Workshop(MPI.COMM_SELF) as workshop:
-        ready = workshop.prepare(drop)
+    with CaseSession(MPI.COMM_SELF) as session:
+        ready = session.prepare(drop)
         assert ready is not None
         assert isinstance(ready.frame, ModalFrame)
-        return to_arrays((ready.frame.modal, *ready.frame.coarser)), workshop.take_timings()
+        return to_arrays((ready.frame.modal, *ready.frame.coarser)), session.take_timings()
 
 
 def _attempt(marcher: Marcher, drops: Drops) -> list[Row | str]:

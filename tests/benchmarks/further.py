@@ -17,7 +17,7 @@ from mpi4py import MPI
 
 from bristle.studies.inputs.choices import Model
 from bristle.studies.inputs.config import DropInputs
-from bristle.studies.running.cases import Workshop
+from bristle.studies.running.cases import CaseSession
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -40,11 +40,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
         beta_s=given.beta,
     )
     spent = []
-    with Workshop(MPI.COMM_WORLD) as workshop:
-        workshop.run(inputs)
+    with CaseSession(MPI.COMM_WORLD) as session:
+        session.run(inputs)
         for _ in range(given.times):
             started = time.perf_counter()
-            workshop.run(inputs)
+            session.run(inputs)
             spent.append(time.perf_counter() - started)
     print(json.dumps({"further_s": statistics.median(spent)}))
     return 0

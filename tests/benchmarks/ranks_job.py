@@ -20,7 +20,7 @@ from bristle.solver.bodies.solid import SolidBody
 from bristle.solver.bristle import Material
 from bristle.studies.inputs.choices import Model
 from bristle.studies.inputs.config import DropInputs
-from bristle.studies.running.cases import Timings, Workshop
+from bristle.studies.running.cases import CaseSession, Timings
 from bristle.studies.running.groups import run_solids
 
 from .communication import Bar, solve_B
@@ -54,18 +54,18 @@ def solids(
     steps: dict[int, int] = {}
     place: dict[int, int] = {}
 
-    def work(workshop: Workshop, case: DropInputs) -> tuple[Timings, int, int]:
-        result, timings = workshop.run(case)
+    def work(session: CaseSession, case: DropInputs) -> tuple[Timings, int, int]:
+        result, timings = session.run(case)
         return timings, result.n_steps, comm.rank
 
     def take(i: int, found: tuple[Timings, int, int]) -> None:
         timings, steps[i], place[i] = found
         spent[i] = timings["march"]
 
-    with Workshop(comm) as workshop:
+    with CaseSession(comm) as session:
         comm.Barrier()
         started = time.perf_counter()
-        run_solids(workshop, inputs, work, take, per_case)
+        run_solids(session, inputs, work, take, per_case)
         comm.Barrier()
         total = time.perf_counter() - started
     by_group = [sum(spent[i] for i in spent if place[i] == rank) for rank in set(place.values())]

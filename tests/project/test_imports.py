@@ -1,6 +1,7 @@
 """Imports point one way: no two rooms, files or folders of a package, in a circle."""
 
 import ast
+import re
 from pathlib import Path
 
 import pytest
@@ -29,7 +30,7 @@ def imports(root: Path) -> dict[str, set[str]]:
 @pytest.mark.parametrize(
     ("package", "least"),
     [
-        ("meshes", 10),
+        ("meshes", 8),
         ("solver", 20),
         ("studies", 15),
         ("studies/loop", 15),
@@ -57,6 +58,15 @@ def test_meshes_and_solver_know_nothing_of_studies(package, allowed):
         for node in ast.walk(ast.parse(path.read_text())):
             if isinstance(node, ast.ImportFrom) and node.level == depth:
                 assert (node.module or "").split(".")[0] in allowed, path
+
+
+@pytest.mark.parametrize("package", ["meshes", "solver"])
+def test_meshes_and_solver_know_no_options_of_the_command_line(package):
+    """An error has the names of inputs instead, see solver.errors."""
+    for path in (HERE / package).rglob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text())):
+            if isinstance(node, ast.Constant) and isinstance(node.value, str):
+                assert not re.search(r"(^|\W)--[a-z]", node.value), f"{path}:{node.lineno}"
 
 
 @pytest.mark.parametrize(

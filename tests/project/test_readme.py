@@ -17,6 +17,7 @@ import readme
 from benchmarks.sizes import unknowns
 from benchmarks.step import BODIES
 from commands import python
+from large_rotation import Campaign, speed_kept
 from mpi4py import MPI
 
 from bristle.solver import paper
@@ -24,8 +25,7 @@ from bristle.solver.effects.library import EFFECTS
 from bristle.studies.cli import main
 from bristle.studies.data.datasets import read_manifest
 from bristle.studies.inputs.choices import Deflection, Model
-from bristle.studies.largerotation import Campaign, speed_kept
-from bristle.studies.running.cases import Workshop
+from bristle.studies.running.cases import CaseSession
 
 pytestmark = pytest.mark.serial
 
@@ -156,8 +156,8 @@ def test_less_friction_leaves_less(tmp_path, monkeypatch, capsys):
 def test_the_beam_leans_as_the_table_says():
     how = (Model.BEAM, Deflection.SECOND_ORDER, 0.05, 0.0)
     for lean, _, beam, *_ in readme.table("lean |"):
-        with Workshop(MPI.COMM_SELF) as workshop:
-            kept, _ = speed_kept(workshop, Campaign().case(*how, float(lean.rstrip("°"))))
+        with CaseSession(MPI.COMM_SELF) as session:
+            kept, _ = speed_kept(session, Campaign().case(*how, float(lean.rstrip("°"))))
         assert readme.agree(beam, kept), lean
 
 

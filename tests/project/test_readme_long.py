@@ -17,13 +17,13 @@ import numpy as np
 import pytest
 import readme
 from commands import bristle, mpirun
+from large_rotation import ELEMENTS, Campaign
 from matplotlib.image import imread
 from mpi4py import MPI
 
 from bristle.studies.cli import main
 from bristle.studies.inputs.config import DropInputs
 from bristle.studies.inputs.sources import checked
-from bristle.studies.largerotation import ELEMENTS, Campaign
 from bristle.studies.reproduce.run import run_reproduce
 from bristle.studies.running.cases import run_case
 
@@ -31,7 +31,7 @@ pytestmark = [pytest.mark.serial, pytest.mark.campaign, pytest.mark.timeout(3600
 
 FILMS = {"my-drops": 25.0, "my-drops-again": 250.0}
 LEAN_DEG, KN_N_M, DROPS, SEED = 3.0, 2e6, 40, 5
-# README's names of the columns of largerotation.csv, by place.
+# README's names of the columns of large-rotation.csv, by place.
 COLUMNS = ("solid_linear", "beam_second", "solid_second", "finite")
 LONG = (
     ("drop", "--model", "solid", "--contact"),

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from assembled import AssembledMarcher, drop_assembled, drop_condensed
 from mpi4py import MPI
 
 from bristle.meshes import geometry
@@ -9,17 +10,15 @@ from bristle.meshes.distribute import to_dolfinx
 from bristle.solver.bodies.solid import SolidBody
 from bristle.solver.bristle import Material
 from bristle.solver.contact.enforcement import ContactMethod, Enforcement
-from bristle.solver.contact.laws import Coulomb, Linear
+from bristle.solver.contact.laws import Coulomb, Damped, Linear
 from bristle.solver.errors import InputError
 from bristle.solver.ground import Ground, just_touched, place
 from bristle.solver.rigid import Pose, leaning, slope_normal
-from bristle.solver.time.assembled import AssembledMarcher
 from bristle.solver.time.finite import FiniteMarcher
 from bristle.solver.time.march import Marcher
 from bristle.solver.time.scheme import TimeScheme
 from bristle.studies.inputs.config import DropInputs
 from bristle.studies.inputs.sources import checked
-from bristle.studies.running.cases import run_case
 
 G, ITS, STEPS, SPEED = 9.8, 1e-6, 14, 1.0
 MATERIAL = Material(alpha_1_s=30.0, beta_s=2e-7)
@@ -94,39 +93,49 @@ def test_condensed_march_is_the_assembled_one(solids, case, finite):
 @pytest.mark.parametrize("lean", [{}, {"tilt_deg": 2.0}], ids=["upright", "leaning"])
 def test_a_drop_of_the_assembled_form_is_that_of_the_condensed_march(lean):
     drop = {"model": "solid", "cells": (1, 2, 10), "length_m": 0.02, "friction": 0.0, **lean}
-    drop = {"height_m": 0.01, "its_s": 2e-6, "until": "impact", **drop}
-    condensed, assembled = (
-        run_case(checked(DropInputs, {**drop, "solver": solver}), MPI.COMM_WORLD)[0]
-        for solver in ("direct", "snes")
-    )
+    inputs = checked(DropInputs, {"height_m": 0.01, "its_s": 2e-6, "until": "impact", **drop})
+    condensed, assembled = drop_condensed(inputs), drop_assembled(inputs)
     assert assembled.n_steps == condensed.n_steps
     for name in ("peak_force_N", "contact_time_s", "cm_velocity_after_m_s", "max_penetration_m"):
         assert getattr(assembled, name) == pytest.approx(getattr(condensed, name), rel=1e-8)
 
 
+def test_another_law_is_that_of_a_march_made_for_it(solids):
+    """The plane's numbers in the form follow the law, both ways."""
+    solid, soft, stiff = solids((1, 2, 8), 9), Linear(2e5), Linear(2e6)
+    how = (TimeScheme.average(), ITS, G)
+    made = [AssembledMarcher(solid, ContactMethod(law), *how) for law in (soft, stiff)]
+    try:
+        first, second = (march(marcher, 2.0) for marcher in made)
+        assert np.abs(first[0]).max() < 0.5 * np.abs(second[0]).max()
+        alike(march(made[0].with_law(stiff), 2.0), second, 1e-9)
+        alike(march(made[0], 2.0), first, 1e-9)
+    finally:
+        for marcher in made:
+            marcher.close()
+
+
 @pytest.mark.parametrize(
-    ("values", "named"),
+    ("method", "said"),
     [
-        ({"model": "beam"}, "--model solid"),
-        ({"contact": "augmented"}, "--contact"),
-        ({"scheme": "newmark"}, "--scheme"),
-        ({"march": True}, "--march"),
-        ({"tip_shape": "worn:angle=1"}, "--tip-shape"),
-        ({"tilt_deg": 2.0, "cells": (1, 1, 4)}, "--contact-points: .* or 3 with 1 × 1 cells"),
-        ({"tilt_deg": 2.0, "order": 1, "contact_points": 3}, "--order: .* or 2"),
-        ({"effects": ["plastic_contact:yield_N=20"]}, "--effect: .* linear contact law"),
+        (ContactMethod(Linear(2e6), Enforcement.AUGMENTED), "linear law, by penalty or Nitsche"),
+        (ContactMethod(Damped(2e6, 5.0)), "linear law, by penalty or Nitsche"),
+        (ContactMethod(Linear(2e6), friction=Coulomb(0.1)), "contact points at nodes"),
     ],
-    ids=str,
 )
-def test_what_the_assembled_form_does_not_know_is_refused(values, named):
-    with pytest.raises(InputError, match=named):
-        checked(DropInputs, {"model": "solid", "solver": "snes", **values})
-
-
-@pytest.mark.serial
-def test_friction_between_nodes_is_refused_by_the_assembled_form():
-    """Of a round wire, whose nodes nobody knows before its mesh is made."""
-    inputs = {"model": "solid", "solver": "snes", "tilt_deg": 2.0, "diameter_m": 1e-3}
-    inputs |= {"cells": (2, 2, 8), "length_m": 0.02, "contact_points": 25}
-    with pytest.raises(InputError, match="--contact-points 3"):
-        run_case(checked(DropInputs, inputs), MPI.COMM_SELF)
+def test_what_the_assembled_form_does_not_know_is_refused(solids, method, said):
+    solid, plain = solids((1, 2, 8), 9), ContactMethod(Linear(2e6))
+    with pytest.raises(InputError, match=said):
+        AssembledMarcher(solid, method, TimeScheme.average(), ITS, G)
+    marcher = AssembledMarcher(solid, plain, TimeScheme.average(), ITS, G)
+    try:
+        if method.enforcement is plain.enforcement:
+            with pytest.raises(InputError, match=said):
+                marcher.with_law(method.law, method.friction)
+        points = solid.contact
+        bent = Ground.plane(len(points.weights), slope_normal(1.0, 0.0))
+        bent.normals[0] = (0.0, 0.0, 1.0)
+        with pytest.raises(InputError, match="one plane"):
+            marcher.place(place(bent, Pose(np.zeros(3), leaning(0.0)), points))
+    finally:
+        marcher.close()

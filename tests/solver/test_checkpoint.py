@@ -21,7 +21,6 @@ from bristle.solver.contact.enforcement import ContactMethod, Enforcement
 from bristle.solver.contact.laws import Adhesive, Coulomb, Damped, Linear, Plastic
 from bristle.solver.drop import DropPlan, ModalFrame, simulate
 from bristle.solver.errors import ComputationError, InputError
-from bristle.solver.plain_march import march_plainly
 from bristle.solver.time.march import Marcher
 from bristle.solver.time.scheme import TimeScheme
 from bristle.studies.cli import main
@@ -159,25 +158,6 @@ def test_the_solid_at_full_order_goes_on_to_the_bit(make_solid, folder, strain):
     again = Seer()
     the_same(simulate(body, plan, marcher(), again, eager(folder, resume=True)), uninterrupted)
     assert again.seen == whole.seen
-
-
-@pytest.mark.parametrize("share", [0.1, 0.9])
-def test_a_plain_march_goes_on_to_the_bit(share, folder, monkeypatch):
-    body, plan = frame(), plan_of(METHODS[0], its_s=1e-4)
-    uninterrupted = march_plainly(body, plan, 0.13)
-    step, left = Marcher.step, [int(share * uninterrupted.n_steps)]
-
-    def stops(marcher, state):
-        left[0] -= 1
-        if left[0] < 0:
-            raise Interrupted
-        return step(marcher, state)
-
-    monkeypatch.setattr(Marcher, "step", stops)
-    with pytest.raises(Interrupted):
-        march_plainly(body, plan, 0.13, eager(folder))
-    left[0] = int((1.0 - share) * uninterrupted.n_steps) + 20
-    the_same(march_plainly(body, plan, 0.13, eager(folder, resume=True)), uninterrupted)
 
 
 # --- files ----------------------------------------------------------------------------------------

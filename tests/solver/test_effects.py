@@ -22,7 +22,7 @@ from bristle.solver.fall import dragged, dragged_fall, risen
 from bristle.studies.inputs.config import DropInputs
 from bristle.studies.inputs.effects import entered
 from bristle.studies.inputs.named import EffectInput
-from bristle.studies.running.cases import Workshop
+from bristle.studies.running.cases import CaseSession
 
 pytestmark = pytest.mark.serial
 NAMES = (
@@ -53,8 +53,8 @@ def drop(effect=None, **values):
 
 
 @pytest.fixture(scope="module")
-def workshop():
-    with Workshop(MPI.COMM_SELF) as made:
+def session():
+    with CaseSession(MPI.COMM_SELF) as made:
         yield made
 
 
@@ -112,20 +112,20 @@ def test_no_slope_is_steeper_than_any_and_none_gather_there(std_deg):
 
 
 @pytest.mark.parametrize("name", [n for n in NAMES if n not in ("lateral_inertia",)])
-def test_beam_and_reduced_solid_have_the_same_effect(name, workshop):
+def test_beam_and_reduced_solid_have_the_same_effect(name, session):
     """Where the tip slides or leans, within what the two differ by without it."""
     close = 2e-3 if name not in ("bristle_tilt", "surface_slope") else 1e-2
-    found = [workshop.run(drop(name, model=model))[0] for model in ("beam", "reduced")]
+    found = [session.run(drop(name, model=model))[0] for model in ("beam", "reduced")]
     assert found[0].rebound_ratio == pytest.approx(found[1].rebound_ratio, rel=close)
     assert found[0].peak_force_N == pytest.approx(found[1].peak_force_N, rel=5 * close)
     for result in found:
         assert result.energy.closure_relative < 1e-4
 
 
-def test_a_law_is_the_same_in_the_solid(workshop):
+def test_a_law_is_the_same_in_the_solid(session):
     for name in ("contact_damping", "plastic_contact", "hunt_crossley"):
         solid = drop(name, model="solid", write_fields=False)
-        full, reduced = (workshop.run(each)[0] for each in (solid, drop(name, model="reduced")))
+        full, reduced = (session.run(each)[0] for each in (solid, drop(name, model="reduced")))
         assert full.rebound_ratio == pytest.approx(reduced.rebound_ratio, rel=1e-5)
 
 
@@ -170,7 +170,7 @@ ROUND = ({"diameter_m": 1.5e-3}, math.pi * 0.75e-3**2)
     ids=["analytic", "beam", "round beam", "reduced"],
 )
 def test_air_drag_is_half_density_coefficient_end_section_and_speed_squared(
-    model, section, workshop
+    model, section, session
 ):
     """m v' = m g - ½ ρ c_d A v² down, m v' = -m g - ½ ρ c_d A v² up, air of 1.204 kg/m³."""
     sizes, area = section
@@ -191,14 +191,14 @@ def test_air_drag_is_half_density_coefficient_end_section_and_speed_squared(
         done = solve_ivp(motion, (0.0, 1.0), start, events=event, rtol=1e-12, atol=1e-14)
         return done.y[:, -1]
 
-    result, _ = workshop.run(inputs)
+    result, _ = session.run(inputs)
     speed = end([0.0, 0.0], landed)[1]
     assert speed < (1.0 - 5e-4) * math.sqrt(2.0 * g * inputs.height_m)
     assert result.impact_speed_m_s == pytest.approx(speed, rel=1e-9)
     # what rises is released a penetration away from where it touched
     after = result.cm_velocity_after_m_s
     assert after**2 / (2.0 * g) + end([0.0, -after], turned)[0] > 3e-6
-    vacuum, _ = workshop.run(inputs.model_copy(update={"effects": ()}))
+    vacuum, _ = session.run(inputs.model_copy(update={"effects": ()}))
     if model != "analytic":
         mass, fallen = 2700.0 * area * 0.2, g * inputs.height_m - 0.5 * speed**2
         back = end([-1e-9, -after], lambda _, y: y[0])[1]
@@ -211,11 +211,11 @@ def test_air_drag_is_half_density_coefficient_end_section_and_speed_squared(
     assert result.cm_rebound_height_m == pytest.approx(top, abs=1e-7)
 
 
-def test_drag_acts_in_every_flight(workshop):
+def test_drag_acts_in_every_flight(session):
     """Heights after the first and the second impact are those of m v' = -m g - k v |v|, and the
     budget of several impacts closes."""
     inputs = drop("air_drag:cd=100", model="beam", until=0.5)
-    result, _ = workshop.run(inputs)
+    result, _ = session.run(inputs)
     bristle, g = inputs.bristle(), inputs.gravity_m_s2
     k = 0.5 * 1.204 * 100.0 * 2.08e-3 * 0.5e-3 / bristle.mass_kg
     t, _, height, force, _ = result.history.array().T
@@ -242,11 +242,11 @@ def test_drag_acts_in_every_flight(workshop):
     assert result.energy.closure_relative < 1e-6
 
 
-def test_release_speed_counts_as_height(workshop):
+def test_release_speed_counts_as_height(session):
     """v_i² = v_0² + 2 g y_0, up or down."""
-    plain, _ = workshop.run(drop(model="beam", height_m=0.05 + 0.2**2 / (2 * paper.GRAVITY_M_S2)))
+    plain, _ = session.run(drop(model="beam", height_m=0.05 + 0.2**2 / (2 * paper.GRAVITY_M_S2)))
     for sign in (-1.0, 1.0):
-        thrown, _ = workshop.run(drop(f"release_velocity:speed_m_s={0.2 * sign}", model="beam"))
+        thrown, _ = session.run(drop(f"release_velocity:speed_m_s={0.2 * sign}", model="beam"))
         assert thrown.impact_speed_m_s == pytest.approx(plain.impact_speed_m_s, rel=1e-12)
         assert thrown.rebound_height_m == pytest.approx(plain.rebound_height_m, rel=1e-9)
 
@@ -296,14 +296,14 @@ def test_an_effect_survives_its_own_words():
     assert again.effects == given
 
 
-def test_instruments_see_heights_and_times_as_they_are_off(workshop):
-    plain, _ = workshop.run(drop(model="beam"))
-    high, _ = workshop.run(drop("height_offset:offset_m=0.002", model="beam"))
+def test_instruments_see_heights_and_times_as_they_are_off(session):
+    plain, _ = session.run(drop(model="beam"))
+    high, _ = session.run(drop("height_offset:offset_m=0.002", model="beam"))
     assert high.rebound_height_m == pytest.approx(plain.rebound_height_m + 0.002)
     assert high.rebound_ratio == pytest.approx(high.rebound_height_m / 0.052)
-    slow, _ = workshop.run(drop("clock_error:relative=0.1", model="beam"))
+    slow, _ = session.run(drop("clock_error:relative=0.1", model="beam"))
     assert slow.contact_time_s == pytest.approx(1.1 * plain.contact_time_s)
-    large, _ = workshop.run(drop("scale_error:relative=0.1", model="beam"))
+    large, _ = session.run(drop("scale_error:relative=0.1", model="beam"))
     assert large.rebound_ratio == pytest.approx(plain.rebound_ratio)
     assert large.rebound_height_m == pytest.approx(1.1 * plain.rebound_height_m)
 

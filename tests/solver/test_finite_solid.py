@@ -269,7 +269,7 @@ def test_a_march_goes_on_to_the_bit(make_finite, rng):
     state = marcher.start(0.0, np.zeros_like(v), v)
     for _ in range(8):
         state = marcher.step(state).state
-    marcher._factor(state.u, marcher.its_s * state.v)  # as a step does that is hard to solve
+    marcher._linearise(state.u, marcher.its_s * state.v)  # as a step does that is hard to solve
     kept, memory = marcher.contact.kept(), marcher.memory()
     kept = {name: np.array(value) for name, value in kept.items()}
     onward = marcher.step(state).state
@@ -277,7 +277,7 @@ def test_a_march_goes_on_to_the_bit(make_finite, rng):
     over_ground(other, 4.0)
     other.recall(memory)
     other.contact.recall(kept)
-    assert np.array_equal(other._by_factor(v), marcher._by_factor(v))
+    assert np.array_equal(other._tangent.solve(v), marcher._tangent.solve(v))
     assert np.array_equal(other._compliance, marcher._compliance)
     again = other.step(state).state
     assert np.array_equal(again.u, onward.u)

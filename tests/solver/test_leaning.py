@@ -6,13 +6,13 @@ import leaning_reference as lr
 import numpy as np
 import pytest
 from leaning_helpers import HEIGHT, KT, SPEED, G, beam, drop, kept, plan, series, tip_velocity
+from plain_march import march_plainly
 from reference import rate
 
 from bristle.meshes.section import Circle, Rectangle
 from bristle.solver.contact.enforcement import Enforcement
 from bristle.solver.drop import simulate
 from bristle.solver.ground import Ground
-from bristle.solver.plain_march import march_plainly
 from bristle.solver.rigid import leaning, matrix_of, slope_normal
 
 pytestmark = pytest.mark.serial

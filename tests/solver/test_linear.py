@@ -23,7 +23,7 @@ from bristle.solver.errors import ComputationError
 from bristle.solver.time.scheme import TimeScheme
 from bristle.studies.inputs.choices import Model
 from bristle.studies.inputs.config import DropInputs
-from bristle.studies.running.cases import Workshop
+from bristle.studies.running.cases import CaseSession
 
 BODIES = [
     {"cells": (1, 2, 12), "order": 1},
@@ -123,8 +123,9 @@ def test_conjugate_gradients_that_do_not_arrive_say_so(make_solid, monkeypatch):
     solid = make_solid((1, 2, 12), order=1)
     monkeypatch.setattr(linear, "ITERATIONS", 1)
     solver = make_solver(solid, Solver.ITERATIVE, 1.0, 1e-10)
-    with pytest.raises(ComputationError, match="--solver direct"):
+    with pytest.raises(ComputationError, match="take a direct solver") as raised:
         solver.solve(np.cos(np.arange(solid.n_local, dtype=float)))
+    assert raised.value.inputs == ("solver",)
     solver.close()
 
 
@@ -132,19 +133,19 @@ def test_a_sweep_factors_once_for_each_step_and_damping():
     """Whatever the stiffness, the height and the enforcement are."""
     small = {"model": Model.SOLID, "cells": (1, 1, 12), "length_m": 0.05, "modes": 12}
     base = DropInputs(**small)
-    with Workshop(MPI.COMM_WORLD) as workshop:
+    with CaseSession(MPI.COMM_WORLD) as session:
         for kn in (1e5, 2e6):
             for height in (0.01, 0.05):
-                workshop.run(base.changed(kn_N_m=kn, height_m=height))
-        solid = workshop._full(base).body
+                session.run(base.changed(kn_N_m=kn, height_m=height))
+        solid = session._full(base).body
         assert solid.factorisations == 1
-        workshop.run(base.changed(contact="augmented"))
+        session.run(base.changed(contact="augmented"))
         assert solid.factorisations == 1
-        workshop.run(base.changed(its_s=5e-6))
+        session.run(base.changed(its_s=5e-6))
         assert solid.factorisations == 2
-        workshop.run(base)
+        session.run(base)
         assert solid.factorisations == 2
         # damping belongs to the material, so this is another body
         other = base.changed(beta_s=1e-8)
-        workshop.run(other)
-        assert (solid.factorisations, workshop._full(other).body.factorisations) == (2, 1)
+        session.run(other)
+        assert (solid.factorisations, session._full(other).body.factorisations) == (2, 1)

@@ -33,7 +33,6 @@ from hypothesis import strategies as st
 from bristle.solver.errors import InputError
 from bristle.studies import bench as bench_study
 from bristle.studies import drop as drop_study
-from bristle.studies import mesh as mesh_study
 from bristle.studies import sweep as sweep_study
 from bristle.studies import synth as synth_study
 from bristle.studies.calibrate import run as calibrate_study
@@ -45,6 +44,7 @@ from bristle.studies.loop.kinds.falls.record import read_falls
 from bristle.studies.loop.kinds.forces.record import read_forces
 from bristle.studies.loop.kinds.tracks.record import read_tracks
 from bristle.studies.loop.kinds.waves.record import read_waves
+from bristle.studies.mesh import run as mesh_study
 from bristle.studies.reproduce import run as reproduce_study
 from bristle.studies.scatter import run as scatter_study
 

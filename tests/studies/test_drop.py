@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+from plain_march import march_plainly
 from reference import modal_series_rebound, rate
 
 from bristle import drop as drop_of
@@ -16,7 +17,6 @@ from bristle.solver.contact.laws import Damped, Linear
 from bristle.solver.drop import DropPlan, ModalFrame, simulate
 from bristle.solver.errors import ComputationError
 from bristle.solver.fall import free_fall
-from bristle.solver.plain_march import march_plainly
 from bristle.solver.time.scheme import TimeScheme
 
 pytestmark = pytest.mark.serial

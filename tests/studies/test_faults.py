@@ -223,7 +223,6 @@ def test_nothing_that_is_read_can_hold_code():
 
 WRITERS = {
     "drop": ["drop"],
-    "march": ["drop", "--march", "--its", "1e-4"],
     "sweep": ["sweep", "--models", "analytic", "--kn", "1e5,2e6", "--heights", "0.01"],
     "its": ["its", "--models", "analytic", "--kn", "1e5", "--its", "1e-4,1e-5,1e-6"],
     "calibrate": ["calibrate", "paper"],
@@ -471,7 +470,6 @@ def test_ranks_end_with_their_mpirun(tmp_path):
 
 # --- campaign -------------------------------------------------------------------------------------
 
-SHORT = ("--height", "0.01", "--until", "0.1")
 LONG = {
     "solid": [
         "drop",
@@ -486,14 +484,13 @@ LONG = {
         "--keep",
         "0",
     ],
-    "march": ["drop", "--march", *SHORT, "--its", "1e-5", "--keep", "0"],
     "sweep": ["sweep", *SMALL, "--models", "beam,reduced,solid", "--kn", "1e5,2e6,1e8"],
     "its": ["its", *SMALL, "--models", "beam,reduced", "--kn", "1e5,2e6"],
     "scatter": ["scatter", *SMALL, "--drops", "1500"],
     "synth": ["synth", "--drops", "300", "--effect", "air_drag:cd=1.1"],
     "close-loop": ["close-loop"],
 }
-RESUMABLE = ("solid", "march", "sweep", "its", "scatter")
+RESUMABLE = ("solid", "sweep", "its", "scatter")
 ROUNDS = 6
 
 

@@ -70,7 +70,7 @@ from bristle.solver.errors import ComputationError
 
 from bristle.studies.inputs.config import DropInputs
 from bristle.studies.reproduce.campaign import compute
-from bristle.studies.running.cases import Workshop
+from bristle.studies.running.cases import CaseSession
 
 per_case, out = json.loads(sys.argv[1]), sys.argv[2]
 small = dict(cells=(1, 2, 12), length_m=0.02, write_fields=False, until="impact")
@@ -80,8 +80,8 @@ cases = [
     for its in (1e-6, 2e-6)
     for kn in ((1e6, 4e6) if its == 1e-6 else (2e6,))
 ]
-with Workshop(MPI.COMM_WORLD) as workshop:
-    found = compute(cases, workshop, ranks_per_case=per_case)
+with CaseSession(MPI.COMM_WORLD) as session:
+    found = compute(cases, session, ranks_per_case=per_case)
 if MPI.COMM_WORLD.rank == 0:
     rows = [(case.model.value, found[case]) for case in cases]
     rows = [(model, result.peak_force_N, result.contact_time_s) for model, result in rows]
@@ -128,19 +128,19 @@ from bristle.solver.errors import ComputationError
 
 from bristle.studies.inputs.config import DropInputs
 from bristle.studies.command.ending import run
-from bristle.studies.running.cases import Workshop
+from bristle.studies.running.cases import CaseSession
 from bristle.studies.running.groups import run_solids
 
 @click.command()
 def lone():
-    def work(workshop, case):
-        if case.kn_N_m == 2e6 and (sys.argv[1] == "all" or workshop.comm.rank == 1):
+    def work(session, case):
+        if case.kn_N_m == 2e6 and (sys.argv[1] == "all" or session.comm.rank == 1):
             raise ComputationError("no solution")
-        workshop.comm.Barrier()
+        session.comm.Barrier()
 
     cases = [DropInputs(model="solid", cells=(1, 2, 12), kn_N_m=kn) for kn in (1e6, 2e6, 3e6, 4e6)]
-    with Workshop(MPI.COMM_WORLD) as workshop:
-        run_solids(workshop, cases, work, lambda i, found: None, 2)
+    with CaseSession(MPI.COMM_WORLD) as session:
+        run_solids(session, cases, work, lambda i, found: None, 2)
 
 sys.exit(run(lone, []))
 """

@@ -18,7 +18,7 @@ from bristle.studies.reproduce.discretisation import fewest
 from bristle.studies.reproduce.impact import departs_at, window
 from bristle.studies.reproduce.rebound import track
 from bristle.studies.reproduce.run import paper_studies, run_reproduce
-from bristle.studies.running.cases import Workshop
+from bristle.studies.running.cases import CaseSession
 
 
 @pytest.fixture(scope="module")
@@ -112,8 +112,8 @@ def test_each_case_is_computed_once_and_known_to_rank_0():
     setup = Setup(DropInputs(cells=(1, 1, 20)))
     cases = [setup.case(m, kn) for m in ("beam", "reduced") for kn in (1e6, 2e6)]
     ticks = []
-    with Workshop(MPI.COMM_WORLD, basis_its_s=setup.its_s) as workshop:
-        results = compute([*cases, *cases], workshop, lambda: ticks.append(1))
+    with CaseSession(MPI.COMM_WORLD, basis_its_s=setup.its_s) as session:
+        results = compute([*cases, *cases], session, lambda: ticks.append(1))
     if MPI.COMM_WORLD.rank == 0:
         assert set(results) == set(cases)
         assert len(ticks) == len(cases)
@@ -137,8 +137,8 @@ def test_where_a_ratio_leaves_one():
 def test_windows_and_tracks_begin_and_end_with_what_they_show():
     setup = Setup(DropInputs())
     case = setup.case("beam", 2e6)
-    with Workshop(MPI.COMM_SELF) as workshop:
-        result, _ = workshop.run(case)
+    with CaseSession(MPI.COMM_SELF) as session:
+        result, _ = session.run(case)
     t, depth = window(result)
     assert t[0] == 0.0
     assert depth[0] == 0.0

@@ -319,7 +319,6 @@ def test_ranks_change_nothing(tmp_path, model):
         ({"contact": "nitsche"}, "--contact: a scatter takes penalty or augmented"),
         ({"kn_N_m": "inf", "contact": "augmented"}, "--kn: a scatter needs a finite stiffness"),
         ({"slope_deg": 1.0}, "--slope: the slope comes from the surface"),
-        ({"march": True}, "--march: flight is exact here"),
         ({"flat": True, "rms_height_m": 1e-5}, "--rms-height: has no meaning with --flat"),
         ({"heights_m": ""}, "--heights: must be numbers separated by commas"),
         ({"tilt": 3}, "tilt: is no known input"),

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from commands import mpirun, python
 from mpi4py import MPI
+from plain_march import march_case
 
 from bristle.solver.analytic import quarter_period_s
 from bristle.solver.bodies.reduced import krylov_vectors
@@ -28,7 +29,7 @@ from bristle.studies.its import run as its
 from bristle.studies.its.convergence import Need, limit, need
 from bristle.studies.its.run import ItsInputs, run_its
 from bristle.studies.running import cases, files, results
-from bristle.studies.running.cases import Workshop, run_case
+from bristle.studies.running.cases import CaseSession, run_case
 from bristle.studies.running.files import folder_in_place, to_csv, to_json, write_atomically
 from bristle.studies.running.journal import Journal
 from bristle.studies.running.parallel import share_out
@@ -119,27 +120,32 @@ def test_the_plain_march_agrees_with_events_as_the_step_shrinks():
     gaps = []
     for its_s in (1e-5, 2e-6):
         events, _ = run_case(drop(its_s=its_s, height_m=1e-3, elements=4))
-        plain, _ = run_case(drop(its_s=its_s, height_m=1e-3, elements=4, march=True))
+        plain = march_case(drop(its_s=its_s, height_m=1e-3, elements=4))
         gaps.append(abs(events.rebound_ratio - plain.rebound_ratio))
     assert gaps[0] < 5e-3
     assert gaps[1] < 0.3 * gaps[0]
-    impact, _ = run_case(drop(march=True, until="impact", height_m=1e-3, elements=4))
+    impact = march_case(drop(until="impact", height_m=1e-3, elements=4))
     assert impact.rebound_ratio is None
     assert impact.n_steps < plain.n_steps
 
 
 @serial
-@pytest.mark.parametrize("how", [{}, {"march": True}, {"model": "analytic"}], ids=str)
+@pytest.mark.parametrize("how", ["events", "marched", "analytic"])
 def test_what_a_drop_ends_before_is_not_reported(how):
     """In contact, on the way up, and past the top, before the second impact."""
-    values = {"height_m": 1e-3, "elements": 4, **how}
-    whole, _ = run_case(drop(**values))
+
+    def run(inputs):
+        return march_case(inputs) if how == "marched" else run_case(inputs)[0]
+
+    values = {"height_m": 1e-3, "elements": 4}
+    values |= {"model": "analytic"} if how == "analytic" else {}
+    whole = run(drop(**values))
     fall_s = math.sqrt(2.0 * 1e-3 / 9.8)
     release_s = fall_s + whole.contact_time_s
     rise_s = whole.cm_velocity_after_m_s / 9.8
     for end_s in (fall_s + 0.5 * whole.contact_time_s, release_s + 0.5 * rise_s):
         inputs = drop(**values, until=end_s)
-        result, _ = run_case(inputs)
+        result = run(inputs)
         shown = {name: results.number(name, inputs, result) for name in results.NUMBERS}
         assert shown["rebound_ratio"] is None
         assert shown["rebound_height_m"] is None
@@ -152,7 +158,7 @@ def test_what_a_drop_ends_before_is_not_reported(how):
         (warning,) = warnings
         assert warning.startswith("no rebound was seen: the drop ends at ")
         assert ("within the first impact" in warning) == in_contact
-    seen, _ = run_case(drop(**values, until=release_s + 1.6 * rise_s))
+    seen = run(drop(**values, until=release_s + 1.6 * rise_s))
     assert seen.rebound_ratio == pytest.approx(whole.rebound_ratio, rel=1e-9)
     assert seen.cm_rebound_height_m == pytest.approx(whole.cm_rebound_height_m, rel=1e-9)
 
@@ -173,9 +179,9 @@ def test_sharing_changes_no_result():
         for kn in (1e5, 1e7)
         for height in (0.01, 0.05)
     ]
-    with Workshop(COMM) as workshop:
-        together = [workshop.run(case)[0] for case in cases]
-        timings = workshop.run(cases[0])[1]
+    with CaseSession(COMM) as session:
+        together = [session.run(case)[0] for case in cases]
+        timings = session.run(cases[0])[1]
     assert timings["mesh"] == timings["assemble"] == 0.0
     for case, shared in zip(cases, together, strict=True):
         alone, timings = run_case(case, COMM)
@@ -186,11 +192,11 @@ def test_sharing_changes_no_result():
         assert shared.peak_force_N == pytest.approx(alone.peak_force_N, rel=1e-9)
 
 
-def test_a_workshop_tells_its_bodies_apart():
+def test_a_session_tells_its_bodies_apart():
     changes = ({}, {"elements": 2}, {"beta_s": 0.0}, {"length_m": 0.1}, {"gravity_m_s2": 5.0})
-    with Workshop(COMM) as workshop:
+    with CaseSession(COMM) as session:
         for change in changes:
-            shared, _ = workshop.run(drop(**change))
+            shared, _ = session.run(drop(**change))
             alone, _ = run_case(drop(**change), COMM)
             assert shared.peak_force_N == alone.peak_force_N
 
@@ -266,11 +272,11 @@ def test_a_tip_worn_to_its_lean_lands_flat():
 def test_a_shaped_tip_is_the_same_for_solid_and_reduced():
     lean = {"tilt_deg": 2.0, "deflection": "small"}  # the solid is linear
     shape = {**lean, "tip_shape": "chamfer:width=1e-4,angle=30"}
-    with Workshop(COMM) as workshop:
-        flat, _ = workshop.run(drop(model="solid", **lean))
-        solid, _ = workshop.run(drop(model="solid", **shape))
-        reduced, _ = workshop.run(drop(model="reduced", **shape))
-        again, _ = workshop.run(drop(model="solid", **lean))
+    with CaseSession(COMM) as session:
+        flat, _ = session.run(drop(model="solid", **lean))
+        solid, _ = session.run(drop(model="solid", **shape))
+        reduced, _ = session.run(drop(model="reduced", **shape))
+        again, _ = session.run(drop(model="solid", **lean))
     assert solid.peak_force_N == pytest.approx(reduced.peak_force_N, rel=1e-6)
     assert abs(solid.peak_force_N / flat.peak_force_N - 1.0) > 1e-3
     assert again.peak_force_N == pytest.approx(flat.peak_force_N, rel=1e-12)
@@ -284,7 +290,7 @@ def test_a_stiff_hold_that_newton_jumps_across_is_found_by_stiffening_it():
     assert result.energy.closure_relative < 1e-6
 
 
-def test_a_workshop_tells_leans_frictions_and_faces_apart():
+def test_a_session_tells_leans_frictions_and_faces_apart():
     changes = (
         {},
         {"tilt_deg": 2.0},
@@ -297,9 +303,9 @@ def test_a_workshop_tells_leans_frictions_and_faces_apart():
         {},
     )
     seen = []
-    with Workshop(COMM) as workshop:
+    with CaseSession(COMM) as session:
         for change in changes:
-            shared, _ = workshop.run(drop(**change))
+            shared, _ = session.run(drop(**change))
             alone, _ = run_case(drop(**change), COMM)
             assert shared.peak_force_N == alone.peak_force_N
             assert shared.velocity_after_m_s == alone.velocity_after_m_s
@@ -319,7 +325,7 @@ def test_every_enforcement_leans(contact):
 def test_the_plain_march_leans_too():
     values = {"tilt_deg": 2.0, "height_m": 1e-3, "elements": 4, "its_s": 2e-6, "until": "impact"}
     events, _ = run_case(drop(**values))
-    plain, _ = run_case(drop(**values, march=True))
+    plain = march_case(drop(**values))
     assert plain.cm_velocity_after_m_s == pytest.approx(events.cm_velocity_after_m_s, rel=0.01)
     assert plain.friction_impulse_N_s == pytest.approx(events.friction_impulse_N_s, rel=0.03)
     assert (plain.rebound_ratio, plain.cm_rebound_height_m) == (None, None)
@@ -458,7 +464,7 @@ def test_a_failing_run_leaves_the_old_result(out, monkeypatch):
     def fail(*args, **kwargs):
         raise ComputationError("no")
 
-    monkeypatch.setattr(Workshop, "run", fail)
+    monkeypatch.setattr(CaseSession, "run", fail)
     with pytest.raises(ComputationError):
         run_drop(drop(kn_N_m=1e6), out, COMM)
     COMM.Barrier()
@@ -512,7 +518,7 @@ def test_fields_of_a_solid_come_with_its_result_and_go_with_it(out, monkeypatch)
         raise ComputationError("no")
 
     with monkeypatch.context() as patched:
-        patched.setattr(Workshop, "run", fail)
+        patched.setattr(CaseSession, "run", fail)
         with pytest.raises(ComputationError):
             run_drop(solid, out, COMM)
     COMM.Barrier()
@@ -634,7 +640,7 @@ def test_a_leaning_sweep_over_ranks_gives_the_serial_table(tmp_path):
 @serial
 def test_an_interrupted_sweep_is_taken_up_where_it_stopped(out, monkeypatch):
     inputs = sweep(models="beam", kn_N_m="1e5,1e6,2e6")
-    run, count = Workshop.run, []
+    run, count = CaseSession.run, []
 
     def break_off(self, case, *args, **kwargs):
         count.append(case)
@@ -643,7 +649,7 @@ def test_an_interrupted_sweep_is_taken_up_where_it_stopped(out, monkeypatch):
         return run(self, case, *args, **kwargs)
 
     with monkeypatch.context() as patched:
-        patched.setattr(Workshop, "run", break_off)
+        patched.setattr(CaseSession, "run", break_off)
         with pytest.raises(KeyboardInterrupt):
             run_sweep(inputs, out)
     assert not (out / "table.csv").exists()
@@ -655,7 +661,7 @@ def test_an_interrupted_sweep_is_taken_up_where_it_stopped(out, monkeypatch):
         return run(self, case, *args, **kwargs)
 
     count.clear()
-    monkeypatch.setattr(Workshop, "run", counted)
+    monkeypatch.setattr(CaseSession, "run", counted)
     with pytest.raises(InputError, match="--kn is"):
         run_sweep(sweep(models="beam", kn_N_m="1e5,3e6"), out, resume=True)
     run_sweep(inputs, out, resume=True)
@@ -675,7 +681,7 @@ def test_a_failing_sweep_leaves_the_old_one(out, monkeypatch):
     def fail(self, case, *args, **kwargs):
         raise ComputationError(f"no {case.kn_N_m:g}")
 
-    monkeypatch.setattr(Workshop, "run", fail)
+    monkeypatch.setattr(CaseSession, "run", fail)
     with pytest.raises(ComputationError, match="no 100000"):
         run_sweep(sweep(models="beam"), out)
     after = contents(out)
@@ -715,14 +721,14 @@ def test_the_study_of_the_step_compares_with_the_converged_value(out):
 
 @serial
 def test_a_step_that_fails_is_a_row_of_the_study_of_the_step(out, monkeypatch):
-    longest, compute = 1e-4, Workshop.run
+    longest, compute = 1e-4, CaseSession.run
 
-    def run(workshop, inputs):
+    def run(session, inputs):
         if inputs.its_s == longest:
             raise ComputationError("the contact forces did not converge")
-        return compute(workshop, inputs)
+        return compute(session, inputs)
 
-    monkeypatch.setattr(Workshop, "run", run)
+    monkeypatch.setattr(CaseSession, "run", run)
     values = {**SMALL, "models": "beam", "kn_N_m": "2e6"}
     run_its(checked(ItsInputs, {**values, "its_s": "1e-4,1e-5,1e-6,1e-7"}), out)
     first, *others = read_table(out / "table.csv")

@@ -10,10 +10,9 @@ import pytest
 
 import bristle
 from bristle.studies.cli import main
-from bristle.studies.drop import simulate_drop
 from bristle.studies.inputs.config import DropInputs
 from bristle.studies.inputs.sources import checked
-from bristle.studies.running.cases import Workshop
+from bristle.studies.running.cases import CaseSession
 from bristle.studies.sweep import SweepInputs
 
 pytestmark = pytest.mark.serial
@@ -32,8 +31,7 @@ def test_rows_are_the_drops_of_their_values(tmp_path, capsys):
     assert len(rows) == 4
     for row in rows:
         lean, friction = float(row["tilt_deg"]), float(row["friction"])
-        inputs = checked(DropInputs, {"model": "beam", "tilt_deg": lean, "friction": friction})
-        alone, _ = simulate_drop(inputs)
+        alone = bristle.drop(model="beam", tilt_deg=lean, friction=friction)
         assert float(row["rebound_ratio"]) == alone["rebound_ratio"]
     said = capsys.readouterr().out
     assert len(re.findall(r"friction [\d.]+, tilt_deg [\d.]+: y1/y0", said)) == 4
@@ -85,13 +83,13 @@ def test_choices_too_and_from_python(tmp_path):
 
 def test_what_a_model_has_no_use_for_makes_no_new_case(tmp_path, monkeypatch):
     """A beam has no order, so that two orders are one case, with a row for each."""
-    computed, run = [], Workshop.run
+    computed, run = [], CaseSession.run
 
     def counted(self, inputs, *more):
         computed.append((inputs.model.value, inputs.order))
         return run(self, inputs, *more)
 
-    monkeypatch.setattr(Workshop, "run", counted)
+    monkeypatch.setattr(CaseSession, "run", counted)
     rows = sweep("--models", "beam,analytic", "--order", "1,2", "--elements", "4,8", out=tmp_path)
     assert len(rows) == 8
     assert len(computed) == 3  # beams of 4 and 8 elements, and a mass on a spring

@@ -6,6 +6,8 @@ measurements say that they lack.
     r.rebound_ratio, r.energy.friction_loss_J, r.history
     bristle.sweep(models=["beam", "reduced"], kn_N_m=[1e5, 2e6], height_m=0.05)
     bristle.close_loop("my-drops").effects
+    with bristle.Session() as s:  # keeps meshes, matrices and factors between calls
+        s.drop(model="solid", kn_N_m=1e6), s.drop(model="solid", kn_N_m=1e7)
 
 See `bristle.studies.api`. What computes is loaded when it is first asked for.
 """
@@ -16,12 +18,13 @@ from .solver.errors import ComputationError, InputError
 from .studies import __version__
 
 if TYPE_CHECKING:
-    from .studies.api import Drop, Verdict, close_loop, drop, sweep
+    from .studies.api import Drop, Session, Verdict, close_loop, drop, sweep
 
 __all__ = [
     "ComputationError",
     "Drop",
     "InputError",
+    "Session",
     "Verdict",
     "__version__",
     "close_loop",

@@ -23,7 +23,7 @@ from .....solver.effects.base import Effect
 from .....solver.errors import ComputationError
 from ....inputs.choices import Model
 from ....inputs.sources import checked
-from ....running.cases import Workshop
+from ....running.cases import CaseSession
 from ....running.steps import with_shorter_its
 from ...responses.drop_model import DropModel
 from ...responses.emulator import PLAIN_STEP
@@ -77,8 +77,8 @@ def reduced_solid(
             "tilt_deg": ANY_LEAN_DEG if leaning else 0.0,
         },
     )
-    with Workshop(comm) as workshop:
-        prepared = workshop.prepare(inputs)
+    with CaseSession(comm) as session:
+        prepared = session.prepare(inputs)
         if prepared is None or not isinstance(prepared.frame, ModalFrame):
             raise ComputationError("the solid could not be reduced to its modes")
         return prepared.frame.modal

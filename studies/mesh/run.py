@@ -10,16 +10,14 @@ from typing import Any
 import gmsh
 from mpi4py import MPI
 
-from bristle.meshes.check import check_model
-from bristle.meshes.collective import run_on_one_rank
-from bristle.meshes.convert import write_vtu
-from bristle.meshes.geometry import MeshSpec
-from bristle.meshes.hexahedra import build_model, gmsh_model
-from bristle.meshes.picture import write_picture
-from bristle.meshes.quality import measure_quality, write_csv
-
-from .command.script import as_script
-from .running.files import filled, new_folders
+from ...meshes.check import check_model
+from ...meshes.collective import run_on_one_rank
+from ...meshes.geometry import MeshSpec
+from ...meshes.hexahedra import build_model, gmsh_model
+from ..running.files import filled, new_folders
+from .convert import write_vtu
+from .picture import write_picture
+from .quality import measure_quality, write_csv
 
 
 def run_mesh(spec: MeshSpec, out: Path, comm: MPI.Intracomm = MPI.COMM_WORLD) -> dict[str, Any]:
@@ -69,7 +67,3 @@ def _make(spec: MeshSpec, folder: Path) -> dict[str, float]:
     write_csv(quality, folder / "quality.csv")
     write_picture(folder / "bristle.vtu", folder / "mesh.png")
     return quality
-
-
-if __name__ == "__main__":
-    as_script("mesh")

@@ -9,8 +9,8 @@ from pathlib import Path
 import gmsh
 import numpy as np
 
-from .check import read_cells, volume_m3
-from .geometry import MeshSpec
+from ...meshes.check import read_cells, volume_m3
+from ...meshes.geometry import MeshSpec
 
 UNITS = {"m": "m", "m3": "m3"}
 """Of measures, by the ends of their names; others have none."""

@@ -12,7 +12,7 @@ from pathlib import Path
 import meshio
 import numpy as np
 
-from .geometry import Tag
+from ...meshes.geometry import Tag
 
 TAG_DATA = "tag"
 """Name of the cell data that hold the values of `Tag`."""

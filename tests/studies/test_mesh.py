@@ -14,17 +14,17 @@ import pytest
 import pyvista
 from mpi4py import MPI
 
-from bristle.meshes import display
 from bristle.meshes.check import MeshError
 from bristle.meshes.collective import run_on_one_rank
-from bristle.meshes.convert import write_vtu
-from bristle.meshes.display import DrawingError, run_drawing
 from bristle.meshes.geometry import MeshSpec
 from bristle.meshes.hexahedra import build_model, gmsh_model
-from bristle.meshes.picture import below, read_facets, round_length_mm, thinned, write_picture
 from bristle.meshes.section import Circle, Rectangle
-from bristle.studies import mesh as mesh_study
-from bristle.studies.mesh import run_mesh
+from bristle.studies.mesh import display
+from bristle.studies.mesh import run as mesh_study
+from bristle.studies.mesh.convert import write_vtu
+from bristle.studies.mesh.display import DrawingError, run_drawing
+from bristle.studies.mesh.picture import below, read_facets, round_length_mm, thinned, write_picture
+from bristle.studies.mesh.run import run_mesh
 from bristle.studies.running.interrupts import interruptible
 
 COMM = MPI.COMM_WORLD
@@ -194,7 +194,7 @@ def test_display_ends_with_its_drawing(tmp_path):
 def test_display_ends_when_its_caller_is_killed(tmp_path):
     # No MPI in there: under mpirun it would pass for one of the ranks.
     program = (
-        "import sys\nfrom bristle.meshes.display import run_drawing\nrun_drawing(sys.argv[1:])\n"
+        "import sys; from bristle.studies.mesh.display import run_drawing as run; run(sys.argv[1:])"
     )
     drawing = [*SAY_SERVER, str(tmp_path / "pid"), "60"]
     caller = subprocess.Popen([sys.executable, "-c", program, *drawing])

@@ -1,7 +1,8 @@
 """Comparison of linear, second-order and finite-strain models of a leaning bristle's impact.
 
-A script of its own, since the finite-strain solid refactors its tangent on the way:
-``mpirun -n 2 python3 -m bristle.studies.largerotation --out results/largerotation``.
+    docker/run python3 tests/reference/large_rotation.py --out results/large-rotation
+
+On several ranks by ``mpirun -n 2 python3 …``. It takes an hour.
 """
 
 from __future__ import annotations
@@ -15,13 +16,13 @@ from pathlib import Path
 
 from mpi4py import MPI
 
-from ..meshes.collective import run_on_one_rank
-from ..solver import paper
-from .inputs.choices import Deflection, Model, Until
-from .inputs.config import DropInputs
-from .running.cases import Workshop
-from .running.files import prepare_folder, to_csv, write_atomically
-from .running.progress import logged_to_terminal, progress, say
+from bristle.meshes.collective import run_on_one_rank
+from bristle.solver import paper
+from bristle.studies.inputs.choices import Deflection, Model, Until
+from bristle.studies.inputs.config import DropInputs
+from bristle.studies.running.cases import CaseSession
+from bristle.studies.running.files import to_csv, write_atomically
+from bristle.studies.running.progress import logged_to_terminal, progress, say
 
 BETA_S = 1e-8
 ELEMENTS, MODES = 32, 40
@@ -72,12 +73,12 @@ class Campaign:
         """
         cases = list(itertools.product(self.heights_m, self.frictions, self.leans_deg))
         rows = []
-        with progress("finite strain", len(cases)) as advance, Workshop(comm) as workshop:
+        with progress("finite strain", len(cases)) as advance, CaseSession(comm) as session:
             for height, mu, lean in cases:
                 row = {"height_mm": 1e3 * height, "friction": mu, "lean_deg": lean}
                 for name, how in MODELS.items():
                     case = self.case(*how, height, mu, lean)
-                    row[name], wall_s = speed_kept(workshop, case)
+                    row[name], wall_s = speed_kept(session, case)
                 row["linear_off"] = row["solid_linear"] - row["finite"]
                 row["second_off"] = row["solid_second"] - row["finite"]
                 rows.append(row | {"wall_s": wall_s})
@@ -85,17 +86,17 @@ class Campaign:
         return rows
 
 
-def speed_kept(workshop: Workshop, inputs: DropInputs) -> tuple[float, float]:
+def speed_kept(session: CaseSession, inputs: DropInputs) -> tuple[float, float]:
     """The centre's speed after over before, gravity during contact left out; and seconds."""
-    result, timings = workshop.run(inputs)
+    result, timings = session.run(inputs)
     fallen = inputs.gravity_m_s2 * result.contact_time_s
     return (result.cm_velocity_after_m_s + fallen) / result.impact_speed_m_s, timings["march"]
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Compute the table and write ``largerotation.csv``; the exit status."""
-    parser = argparse.ArgumentParser(prog="bristle.studies.largerotation", description=__doc__)
-    parser.add_argument("--out", type=Path, default=Path("results/largerotation"))
+    """Compute the table and write ``large-rotation.csv``; the exit status."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--out", type=Path, default=Path("results/large-rotation"))
     usual = Campaign()
     parser.add_argument("--leans", type=float, nargs="+", metavar="DEG", default=usual.leans_deg)
     parser.add_argument("--heights", type=float, nargs="+", metavar="M", default=usual.heights_m)
@@ -108,9 +109,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     )
     comm = MPI.COMM_WORLD
     with logged_to_terminal():
-        run_on_one_rank(comm, lambda: prepare_folder(given.out))
+        run_on_one_rank(comm, lambda: given.out.mkdir(parents=True, exist_ok=True))
         rows = campaign.rows(comm)
-        path = given.out / "largerotation.csv"
+        path = given.out / "large-rotation.csv"
         table = to_csv(list(rows[0]), [list(row.values()) for row in rows])
         run_on_one_rank(comm, lambda: write_atomically(path, table))
         for row in rows:

@@ -2,7 +2,7 @@
 
 A bristle is hundreds of times longer than it is wide, so the picture has two panels: the tip in
 true proportions, and the whole with its axis compressed.  `write_picture` is what to call; the
-drawing itself is this module run as a program, see `bristle.meshes.display`.
+drawing itself is this module run as a program, see `display`.
 """
 
 from __future__ import annotations
@@ -13,9 +13,9 @@ from pathlib import Path
 import numpy as np
 import pyvista
 
+from ...meshes.geometry import Tag
 from .convert import TAG_DATA
 from .display import run_drawing
-from .geometry import Tag
 
 PANEL_PIXELS = (800, 900)
 CLOSE_UP_WIDTHS = 2.5
@@ -30,7 +30,7 @@ VIEW_FROM = np.array([1.0, -0.9, -0.75])
 
 
 def write_picture(vtu: Path, png: Path) -> None:
-    """Draw the mesh in `vtu` (from `bristle.meshes.convert.write_vtu`) into `png`, screen or none.
+    """Draw the mesh in `vtu` (from `convert.write_vtu`) into `png`, screen or none.
 
     Raises DrawingError where there is nothing to draw on, or drawing failed.
     """
@@ -38,7 +38,7 @@ def write_picture(vtu: Path, png: Path) -> None:
 
 
 def read_facets(vtu: Path) -> pyvista.UnstructuredGrid:
-    """The facets of a mesh from `bristle.meshes.convert.write_vtu`, with their tags; in mm."""
+    """The facets of a mesh from `convert.write_vtu`, with their tags; in mm."""
     grid = pyvista.read(vtu)
     facets = grid.extract_cells(np.flatnonzero(grid.cell_data[TAG_DATA] != Tag.BODY))
     facets.points *= 1e3

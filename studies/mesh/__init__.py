@@ -1,0 +1,1 @@
+"""The hexahedral mesh of a bristle: its files, its quality, its picture."""
