@@ -186,7 +186,7 @@ def one_drop(common: Common, points: Points, columns: Columns, which: int, out: 
     pose = Stance(np.zeros(3), columns.attitude[which], np.zeros(0), np.zeros(0))
     rotation = matrix_of(pose.attitude)
     # the plane under a point lies where a flat ground would, raised
-    offsets = np.empty(len(places))
+    offsets: Array = np.empty(len(places))
     for i in range(len(places)):
         at = rotation @ places[i]
         offsets[i] = normals[i, 0] * at[0] + normals[i, 1] * at[1] + normals[i, 2] * rises[i]

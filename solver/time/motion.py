@@ -119,7 +119,7 @@ def flyer(body: ModalBody, tau_m_N: float = 0.0) -> Flyer:
     ) -> Seen:
         """Of points that modes move by ``moved`` (3 n, modes), and by ``speed``, coordinates and
         points, where their rates count too."""
-        quick = np.zeros((len(powers), 0))
+        quick: Array = np.zeros((len(powers), 0))
         reach, reach_up = _greatest(moved)[modes], _greatest(moved, 2)[modes]
         rest = _beyond(moved, rows, along)[modes]
         if speed is not None:

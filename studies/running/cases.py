@@ -97,9 +97,7 @@ class CaseSession:
     Everything is kept until `trim`. All that is made from a body is forgotten together with it.
     """
 
-    def __init__(
-        self, comm: MPI.Intracomm | None = None, basis_its_s: float | None = None
-    ) -> None:
+    def __init__(self, comm: MPI.Intracomm | None = None, basis_its_s: float | None = None) -> None:
         self.comm, self.basis_its_s = comm or all_ranks(), basis_its_s
         # in the order in which they were made, which for solids is that of all ranks
         self._bodies: dict[Hashable, dict[Hashable, Any]] = {}

@@ -1,6 +1,7 @@
 """The solid: modes against closed forms, contact rows, the same on any ranks."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -318,3 +319,21 @@ def test_one_factor_serves_every_stiffness_and_law(make_solid):
     )
     assert len(solid._solvers) == 1
     assert other.contact_time_s > one.contact_time_s
+
+
+def test_another_law_keeps_nitsches_compliance_or_is_refused(make_solid):
+    """Its γ₀ is another one on a rigid plane, where none is given."""
+    solid, scheme, its = make_solid((1, 1, 12)), TimeScheme.average(), 1e-6
+    nitsche = ContactMethod(Linear(2e6), Enforcement.NITSCHE)
+    soft = Marcher(solid, nitsche, scheme, its, 9.8)
+    with pytest.raises(ValueError, match="gamma0 is 2 at a Kn of inf N/m, and 10 in this march"):
+        soft.with_law(Linear(math.inf))
+    assert soft.with_law(Linear(1e5)).contact.compliance_m_N == soft.tau
+    given = Marcher(solid, replace(nitsche, gamma0=5.0), scheme, its, 9.8)
+    rigid = given.with_law(Linear(math.inf))
+    made = Marcher(solid, rigid.method, scheme, its, 9.8)
+    assert (rigid.tau, rigid.contact.compliance_m_N) == (made.tau, made.tau)
+    fall = -solid.translation[:, 2]
+    forces = [m.step(m.start(0.0, 0.0 * fall, fall)).force for m in (rigid, made)]
+    assert np.abs(forces[1]).max() > 0.0
+    assert np.array_equal(*forces)

@@ -16,6 +16,7 @@ from commands import bristle, environment, mpirun, python
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from bristle.solver.errors import ComputationError
 from bristle.studies import drop as drop_study
 from bristle.studies.cli import main
 from bristle.studies.inputs.fields import DROP_FLAGS
@@ -329,6 +330,16 @@ def test_an_interruption_ends_with_130_and_leaves_the_old_result(tmp_path, numbe
     assert errors.splitlines()[-1] == "bristle: interrupted"
     assert (out / "result.json").read_bytes() == before
     assert sorted(path.name for path in out.iterdir()) == ["history.csv", "result.json"]
+
+
+def test_a_command_spells_the_inputs_of_an_error_as_its_options(tmp_path, monkeypatch):
+    def fail(*_, **__):
+        raise ComputationError("the bristle falls over; end the drop before", inputs=("until",))
+
+    monkeypatch.setattr(drop_study, "session_on", fail)
+    status, _, lines = run("drop", "--model", "beam", "--out", tmp_path / "out")
+    said = "bristle: error: the bristle falls over; end the drop before (--until)"
+    assert (status, lines[-1]) == (1, said)
 
 
 @pytest.mark.parametrize("module", ["drop", "sweep", "its", "mesh"])
