@@ -165,8 +165,8 @@ def simulate(
     marcher = marcher or Marcher(body, plan.method, plan.scheme, plan.its_s, plan.gravity_m_s2)
     stage = Stage(frame, marcher, plan)
     t, pose = stage.fall_s, stage.first_pose
-    rest: Array = np.zeros(len(body.translation))
-    start = t, rest, body.translation @ stage.speed(pose)
+    none = np.zeros(len(body.translation))
+    start: tuple[float, Array, Array] = (t, none, body.translation @ stage.speed(pose))
     history, losses, end_s = stage.history, stage.losses, stage.end_s
     first: Impact | None = None
     touches: list[ContactPhase] = []
