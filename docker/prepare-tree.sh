@@ -23,7 +23,7 @@ prepare_tree() {
     log=$cache/$name.log
     [[ ! -d $tree ]] || return 0
 
-    mkdir -p "$cache" 2>/dev/null || true
+    mkdir -p -m 755 "$cache" 2>/dev/null || true # code is read from it, by nobody else written
     [[ -w $cache ]] ||
         fail "cannot write to $cache, where the environment is kept; set XDG_CACHE_HOME"
     local lock

@@ -6,11 +6,14 @@ stale. The cache's folder is therefore named after all sources that compiled cod
 
 from __future__ import annotations
 
+import atexit
 import contextlib
 import fcntl
 import hashlib
+import logging
 import os
 import shutil
+import stat
 import tempfile
 import threading
 import time
@@ -27,6 +30,7 @@ from numba.core.typing import Signature
 from numba.core.typing.typeof import Purpose, typeof
 from numba.experimental import function_type  # noqa: F401, which lets `Pointer` be an argument
 
+LOG = logging.getLogger("bristle")
 KEPT_S = 7 * 86400.0
 # Folders of the package that compiled code takes nothing from.
 APART = ("effects",)
@@ -40,7 +44,7 @@ class Decorator(Protocol):
 
 @cache
 def cache_folder() -> Path:
-    """The folder for this version of the sources, under the user's cache or, failing that, /tmp.
+    """The folder for this version of the sources, see `writable_folder`.
 
     It is looked for once: what a process makes belongs to the sources that it began with.
     """
@@ -59,18 +63,53 @@ def version_of(sources: Path) -> str:
 
 
 def writable_folder(kind: str, name: str = "") -> Path:
-    """The user's folder ``name`` of a ``kind``, made where it can be: under the cache, under /tmp,
-    or for this process alone."""
+    """The user's folder ``name`` of a ``kind``, under his cache or, failing that, under /tmp.
+
+    What lies in it is run as code. So it and the folders above that are made here have to be the
+    user's own, and nobody else may write into them; else it is one for this process alone.
+    """
     home = os.environ.get("NUMBA_CACHE_DIR") or os.environ.get("XDG_CACHE_HOME")
-    for root in (Path(home) if home else Path.home() / ".cache", Path(tempfile.gettempdir())):
-        folder = root / "bristle" / f"{kind}-{os.getuid()}" / name
+    uid, temporary = os.getuid(), Path(tempfile.gettempdir())
+    places = (
+        (Path(home) if home else Path.home() / ".cache", Path("bristle", f"{kind}-{uid}", name)),
+        (temporary, Path(f"bristle-{uid}", kind, name)),
+    )
+    for root, inside in places:
+        folder = root / inside
         try:
-            folder.mkdir(parents=True, exist_ok=True)
+            root.mkdir(parents=True, exist_ok=True)
+            made = (root / each for each in (*reversed(inside.parents[:-1]), inside))
+            open_to_others = next((each for each in made if not _made_private(each)), None)
+            if open_to_others is not None:
+                LOG.warning(
+                    "%s is no cache that is safe to use, so code is compiled anew: it must be your "
+                    "own folder, and writable for you alone; remove it, or chmod go-w it",
+                    open_to_others,
+                )
+                continue
             tempfile.TemporaryFile(dir=folder).close()  # root may write, but not where nobody may
         except OSError:
             continue
         return folder
-    return Path(tempfile.mkdtemp(prefix="bristle-"))
+    return process_folder(kind, name)
+
+
+def _made_private(folder: Path) -> bool:
+    """Make ``folder`` where it is missing; whether nobody else can have written into it."""
+    with contextlib.suppress(FileExistsError):
+        folder.mkdir(mode=0o700)
+    found = folder.lstat()
+    mine = stat.S_ISDIR(found.st_mode) and found.st_uid == os.getuid()
+    return mine and not found.st_mode & (stat.S_IWGRP | stat.S_IWOTH)
+
+
+def process_folder(kind: str, name: str = "") -> Path:
+    """A folder that goes with this process."""
+    root = Path(tempfile.mkdtemp(prefix="bristle-"))
+    atexit.register(shutil.rmtree, root, ignore_errors=True)
+    folder = root / kind / name
+    folder.mkdir(parents=True)
+    return folder
 
 
 def _forget_old(folder: Path) -> None:

@@ -9,7 +9,6 @@ been had is therefore nobody's, and is dropped.
 from __future__ import annotations
 
 import fcntl
-import tempfile
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -23,7 +22,7 @@ from dolfinx import default_scalar_type, fem, jit
 from mpi4py import MPI
 
 from .arrays import Array
-from .compiled import writable_folder
+from .compiled import process_folder, writable_folder
 
 LOCK = "lock"
 
@@ -67,5 +66,5 @@ def _folder() -> Path:
     except BlockingIOError:
         pass  # another process holds it, so it works
     except OSError:
-        return Path(tempfile.mkdtemp(prefix="bristle-forms-"))
+        return process_folder("forms")
     return folder

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -142,6 +143,95 @@ def test_a_cache_that_cannot_be_written_is_done_without(where, tmp_path, monkeyp
     monkeypatch.delenv("NUMBA_CACHE_DIR", raising=False)
     assert at_once(lambda: python("-c", FORM)) == ["2.0"]
     assert compiled(tmp_path) == [".c", ".cached", ".o", ".so"]
+
+
+# where code is kept, and what was said of it
+WHERE = """
+import logging, sys
+logging.basicConfig(format="%(message)s", stream=sys.stdout)
+from bristle.solver.compiled import cache_folder
+print(cache_folder())
+"""
+
+
+def open_to_the_group(folder: Path) -> None:
+    folder.mkdir(parents=True)
+    folder.chmod(0o775)
+
+
+def open_to_all(folder: Path) -> None:
+    folder.mkdir(parents=True)
+    folder.chmod(0o757)
+
+
+def someone_elses(folder: Path) -> None:
+    folder.mkdir(parents=True)
+    try:
+        os.chown(folder, 1234, -1)
+    except PermissionError:
+        pytest.skip("only root gives folders away")
+
+
+def a_link(folder: Path) -> None:
+    elsewhere = folder.with_name("elsewhere")
+    elsewhere.mkdir(parents=True)
+    folder.symlink_to(elsewhere)
+
+
+@pytest.mark.parametrize(
+    ("plant", "level"),
+    [
+        (open_to_the_group, 0),
+        (open_to_the_group, 1),
+        (open_to_all, 2),
+        (someone_elses, 0),
+        (someone_elses, 2),
+        (a_link, 1),
+        (a_link, 2),
+    ],
+)
+def test_a_cache_that_others_could_write_is_not_read(cache, tmp_path, monkeypatch, plant, level):
+    """Numba unpickles what lies in it, and what FFCx compiled is loaded: both run it."""
+    monkeypatch.setenv("TMPDIR", str(tmp_path))
+    (own,) = at_once(lambda: python("-c", WHERE))
+    names = Path(own).relative_to(cache).parts
+    assert len(names) == 3
+    shutil.rmtree(cache / "bristle")
+    planted = cache.joinpath(*names[: level + 1])
+    plant(planted)
+    second = tmp_path / f"bristle-{os.getuid()}"
+    said, found = at_once(lambda: python("-c", WHERE))[0].splitlines()
+    assert said.startswith(f"{planted} is no cache that is safe to use")
+    assert found == str(second / "compiled" / names[-1])
+    assert list(planted.iterdir()) == []
+    # that one has a name that others can guess, and where it is theirs it is not read either
+    shutil.rmtree(second)
+    plant(second)
+    *_, found = at_once(lambda: python("-c", WHERE))[0].splitlines()
+    assert Path(found).parents[2] == tmp_path
+    assert Path(found).parents[1] != second
+    assert not Path(found).parents[1].exists()  # it went with its process
+
+
+def test_the_folders_of_a_cache_are_for_their_user_alone(cache):
+    (found,) = at_once(lambda: python("-c", WHERE))
+    for folder in (Path(found), *Path(found).parents[:2]):
+        assert folder.stat().st_mode & 0o777 == 0o700
+        assert folder.stat().st_uid == os.getuid()
+
+
+def test_where_no_cache_can_be_made_what_is_old_beside_it_stays(tmp_path, monkeypatch):
+    """Old versions of compiled code are removed; a folder of the process alone lies among those of
+    other programs."""
+    monkeypatch.setenv("XDG_CACHE_HOME", "/proc/nowhere")
+    monkeypatch.setenv("TMPDIR", str(tmp_path))
+    monkeypatch.delenv("NUMBA_CACHE_DIR", raising=False)
+    (tmp_path / f"bristle-{os.getuid()}").touch()
+    (tmp_path / "old").mkdir()
+    (tmp_path / "old" / "file").write_text("the user's")
+    os.utime(tmp_path / "old", (0.0, 0.0))
+    at_once(lambda: python("-c", WHERE))
+    assert (tmp_path / "old" / "file").read_text() == "the user's"
 
 
 def test_no_type_of_a_function_is_lost_where_two_compile_it_at_once(cache, tmp_path):
