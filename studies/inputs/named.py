@@ -164,6 +164,14 @@ def _read_plugin(value: Any) -> Any:
     return file
 
 
+def digest_of(path: Path) -> str | None:
+    """SHA-256 of what is in a file, None where it cannot be read."""
+    try:
+        return hashlib.sha256(path.read_bytes()).hexdigest()
+    except OSError:
+        return None
+
+
 def _by_path(value: Any) -> Any:
     return {"path": str(Path(value).resolve())} if isinstance(value, str | Path) else value
 

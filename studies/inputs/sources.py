@@ -18,7 +18,7 @@ from ...solver.errors import InputError
 from ...solver.materials import MATERIALS, MaterialName
 from .fields import DROP_FLAGS, LIST_FLAGS
 from .flags import Flag
-from .named import REPLACED
+from .named import REPLACED, digest_of
 from .study_fields import OWN_FLAGS
 from .texts import hints, line_of, parse_json, parse_toml, quoted, read_text
 
@@ -205,10 +205,30 @@ def inputs_of[Checked: BaseModel](
     found = flag_source(given, flags)
     if config is not None:
         read = read_config(config, flags, ignored)
-        if read.values.get("plugins") and "plugins" not in found.values:
-            LOG.info("the code of the plugins that %s names is run", config)
+        _check_plugins(read, found.values.get("plugins", ()))
         found = found.over(read)
     return checked(kind, found.values, found.origins)
+
+
+def _check_plugins(file: Source, named: Iterable[str]) -> None:
+    """InputError where a configuration file names a plugin that the command line does not.
+
+    Plugins are code of anybody's, and only the user says what is run. One that lies elsewhere now
+    is known by its digest.
+    """
+    given = {Path(each).resolve(): digest_of(Path(each)) for each in named}
+    value = file.values.get("plugins") or []
+    for each in value if isinstance(value, list) else [value]:
+        entry = each if isinstance(each, dict) else {"path": each}
+        path, before = Path(str(entry.get("path"))).resolve(), entry.get("sha256")
+        if path in given:
+            if before not in (None, given[path]):
+                LOG.warning("%s has changed since that run, and is taken as it is now", path)
+        elif before is None or before not in given.values():
+            raise InputError(
+                f"{file.origins['plugins']}: names {path}, whose code is run only if the command "
+                f"line names it too: add --plugin {path}"
+            )
 
 
 def command_line(name: str, inputs: BaseModel, usual: BaseModel, out: Path) -> str:

@@ -1,5 +1,6 @@
 """A run does what flags, file and defaults ask for, and refuses what makes no sense."""
 
+import hashlib
 import json
 import math
 import re
@@ -23,6 +24,7 @@ from bristle.studies.cli import MESH_FLAGS
 from bristle.studies.inputs.choices import Contact, Model, Solver, Until
 from bristle.studies.inputs.config import DropInputs, MeshInputs
 from bristle.studies.inputs.fields import DROP_FLAGS, LIST_FLAGS, STUDY_FLAGS
+from bristle.studies.inputs.kinds import forgotten_afterwards
 from bristle.studies.inputs.limits import count_unknowns, input_warnings
 from bristle.studies.inputs.sources import checked, flag_source, inputs_of, read_config
 from bristle.studies.inputs.stance import face_offsets_m, lean_deg, narrow_zone, slowest_bending_1_s
@@ -493,19 +495,59 @@ def test_the_slowest_bending_is_the_beams():
     assert slowest_bending_1_s(Bristle()) == pytest.approx(slowest, rel=1e-4)
 
 
-def test_files_are_looked_for_beside_a_toml_file(tmp_path, caplog):
+def test_files_are_looked_for_beside_a_toml_file(tmp_path):
     (tmp_path / "own.py").write_text("x = 1\n")
     path = config(tmp_path, 'plugins = ["own.py", "/there.py"]\nmesh = "own.msh"\n')
     source = read_config(Path(path), DROP_FLAGS)
     assert source.values["plugins"] == [str(tmp_path / "own.py"), "/there.py"]
     assert source.values["mesh"] == str(tmp_path / "own.msh")
-    one = config(tmp_path, 'plugin = "own.py"\n', "one.toml")
-    with (
-        caplog.at_level("INFO"),
-        pytest.raises(InputError, match="one.toml:1: plugin: .*own.py: defines no subclass"),
-    ):
-        inputs_of(DropInputs, {}, DROP_FLAGS, one)
-    assert f"the code of the plugins that {one} names is run" in caplog.text
+
+
+PLUGIN = (Path(__file__).parents[2] / "docs" / "examples" / "my_effect.py").read_text()
+
+
+def ran(path):
+    """A plugin that leaves a file behind where it is run."""
+    path.write_text(f"{PLUGIN}\nopen({str(path.with_suffix('.ran'))!r}, 'w')\n")
+    return path
+
+
+@forgotten_afterwards()
+def named_by(config, *plugins):
+    return inputs_of(DropInputs, {"plugin": list(map(str, plugins))}, DROP_FLAGS, Path(config))
+
+
+def test_a_plugin_that_a_file_names_runs_only_if_the_command_line_names_it(tmp_path, caplog):
+    own, other = ran(tmp_path / "own.py"), ran(tmp_path / "other.py")
+    toml = config(tmp_path, 'plugin = "own.py"\neffect = ["my_effect:exponent=-0.5"]\n')
+    digest = hashlib.sha256(own.read_bytes()).hexdigest()
+    inputs = {"plugins": [{"path": str(own), "sha256": digest}], "model": "beam"}
+    result = tmp_path / "result.json"
+    result.write_text(json.dumps({"inputs": inputs}))
+    for file in (toml, result):
+        for plugins in ((), (other,)):
+            with pytest.raises(InputError, match=rf"plugins?: names {own}, .*: add --plugin {own}"):
+                named_by(file, *plugins)
+    assert not list(tmp_path.glob("*.ran"))
+    (tmp_path / "link.py").symlink_to(own)
+    assert named_by(toml, tmp_path / "link.py").effects[0].name == "my_effect"
+    assert (tmp_path / "own.ran").exists()
+    assert named_by(result, own).model == "beam"
+    # one that lies elsewhere now is known by its content
+    moved = own.rename(tmp_path / "moved.py")
+    assert named_by(result, moved).plugins[0].path == str(moved)
+    assert not caplog.records
+    ran(own).write_text(PLUGIN)
+    assert named_by(result, own).plugins[0].path == str(own)
+    assert f"{own} has changed since that run" in caplog.text
+
+
+@pytest.mark.parametrize("value", [["/nowhere.py"], {"path": "/nowhere.py"}, 3, [3], [{}], [None]])
+def test_no_plugins_of_a_file_come_by_another_way(tmp_path, value):
+    result = tmp_path / "result.json"
+    result.write_text(json.dumps({"inputs": {"plugins": value}}))
+    with pytest.raises(InputError, match="only if the command line names it too"):
+        named_by(result)
 
 
 def test_read_config_names_its_origin(tmp_path):
