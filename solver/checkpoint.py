@@ -8,8 +8,8 @@ pickles) with a version and a checksum. A mark counts where all ranks have it wh
 
 from __future__ import annotations
 
+import contextlib
 import json
-import shutil
 import time
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from .arrays import Array
-from .cache import read_arrays, write_arrays
+from .cache import PART, read_arrays, write_arrays
 from .errors import ComputationError, InputError
 
 if TYPE_CHECKING:
@@ -72,7 +72,7 @@ class Checkpoint:
         if resume and self._agreed(self.folder.is_dir()):
             self._there = self._whole_marks()
         else:
-            self._together(self._cleared, alone=True)
+            self._together(lambda: clear(self.folder), alone=True)
 
     def begin(self, *start: Array | float) -> Mark | None:
         """Say that the next march begins, from what ``start`` says; what was kept of it, or None.
@@ -157,10 +157,6 @@ class Checkpoint:
             raise ValueError(f"{path} is no {SCHEMA}")
         return header, arrays
 
-    def _cleared(self) -> None:
-        if self.folder.exists():
-            shutil.rmtree(self.folder)
-
     def _whole_marks(self) -> dict[int, tuple[int, bool, int]]:
         """By march: steps, whether it was done, and frames by then, of marks that all ranks have.
 
@@ -220,6 +216,15 @@ class Checkpoint:
         for reported in self.comm.allgather(problem):
             if reported:
                 raise ComputationError(f"the march cannot be kept in {self.folder}: {reported}")
+
+
+def clear(folder: Path) -> None:
+    """Remove the marks and frames of every run in ``folder``, and the folder if that empties it."""
+    for pattern in ("march-*-*-*.npz", "frame-*-*.npz", f"tmp*{PART}"):
+        for path in folder.glob(pattern):
+            path.unlink(missing_ok=True)
+    with contextlib.suppress(OSError):
+        folder.rmdir()
 
 
 def prefixed(prefix: str, arrays: Mapping[str, Any]) -> dict[str, Array]:

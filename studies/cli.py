@@ -193,17 +193,12 @@ def mesh(given: Given, out: Path) -> None:
 
     Example: bristle mesh --diameter 1e-3 --cells 2 1 200 --grading 4
     """
-    from mpi4py import MPI
-
     from ..meshes.check import MeshError
-    from ..meshes.collective import run_on_one_rank
     from .inputs.config import MeshInputs
     from .mesh.display import DrawingError
     from .mesh.run import run_mesh
-    from .running.files import prepare_folder
 
     spec = given.inputs(MeshInputs).mesh_spec()
-    run_on_one_rank(MPI.COMM_WORLD, lambda: prepare_folder(out))
     try:
         summary = run_mesh(spec, out)
     except (MeshError, DrawingError) as error:

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
 from ..meshes.collective import run_on_one_rank
-from ..solver.checkpoint import Checkpoint
+from ..solver.checkpoint import Checkpoint, clear
 from ..solver.drop import DropResult
 from . import __version__
 from .command.script import as_script
@@ -25,6 +25,7 @@ from .inputs.stance import ANGLES
 from .running import results
 from .running.cases import CaseSession, Prepared, Timings, session_on
 from .running.files import folder_in_place, prepare_folder, remove, together
+from .running.mark import claim, refuse_foreign
 from .running.parallel import all_ranks
 from .running.progress import compilation_noted, progress, say, warn, working
 from .running.steps import Watched, steps_of_contact
@@ -35,6 +36,8 @@ if TYPE_CHECKING:
     from ..solver.bodies.solid import SolidBody
 
 FIELDS, CHECKPOINT = "fields", "checkpoint"
+# All that a drop writes.
+FILES = (results.RESULT_FILE, results.HISTORY_FILE, f"{FIELDS}/", f"{CHECKPOINT}/")
 # Seconds between the marks of a long march.
 KEEP_S = 60.0
 # Losses below this share of the impact's energy are none.
@@ -71,7 +74,7 @@ def run_drop(
             result, timings = _compute(inputs, out, own, every_s=keep_s, resume=resume)
         document = _document(inputs, result, timings, warnings, comm)
         written = run_on_one_rank(comm, lambda: results.write_drop(out, document, result))
-    run_on_one_rank(comm, lambda: remove(out / CHECKPOINT))
+    run_on_one_rank(comm, lambda: _forget_checkpoint(out))
     return written
 
 
@@ -109,13 +112,19 @@ def _document(
 
 def _prepare(inputs: DropInputs, out: Path, resume: bool) -> dict[str, Any] | None:
     prepare_folder(out)
-    if not resume:
-        return None
     path = out / results.RESULT_FILE
-    there = results.read_document(path)
+    there = results.read_document(path) if resume else None
     if there is not None:
         results.check_same(path, there, inputs)
+    else:
+        refuse_foreign(out, *FILES)
     return there
+
+
+def _forget_checkpoint(out: Path) -> None:
+    if (out / CHECKPOINT).exists():
+        clear(out / CHECKPOINT)
+        claim(out)
 
 
 def _checkpoint(
@@ -125,6 +134,7 @@ def _checkpoint(
     made_for = {OPTIONS.get(k, k): str(v) for k, v in results.plain_inputs(inputs).items()}
     made_for["version"] = __version__
     made_for["mesh"] = cast("SolidBody", prepared.frame.body).digest()
+    run_on_one_rank(comm, lambda: claim(folder.parent, f"{folder.name}/"))
     return Checkpoint(folder, comm, made_for, **how)
 
 

@@ -7,9 +7,8 @@ Writes table.csv, heights.svg and .png, and sweep.json. Also a script:
 from __future__ import annotations
 
 import itertools
-import json
 import re
-from collections.abc import Sequence
+from collections.abc import Collection, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any, Self
@@ -24,17 +23,17 @@ from pydantic import (
     model_validator,
 )
 
-from ..meshes.collective import run_on_one_rank
 from ..solver import paper
 from .command.script import as_script
 from .inputs.choices import Model
 from .inputs.fields import SHARED_FLAGS, read_items
 from .inputs.flags import refuse
 from .inputs.sources import EXCLUDED, resolved_from
-from .report.figures import picture, write_picture
+from .report.figures import picture, picture_files, write_picture
 from .report.paper_figures import height_figure
 from .running.cases import CaseSession
-from .running.files import read_csv
+from .running.files import read_csv, remove
+from .running.mark import Mark
 from .running.progress import say
 from .running.study import (
     COLUMNS,
@@ -117,23 +116,11 @@ def run_sweep(
     """Compute the sweep into the folder ``out``; see `study.run_study`."""
     comm = comm if session is None else session.comm
     finish = partial(_finish, inputs.varied)
-    study = Study("sweep", finish, curves=True, varied=inputs.varied)
-    before = run_on_one_rank(comm, lambda: _pictures(out / study.document))
+    files = tuple(name for stem in _pictures(inputs) for name in picture_files(stem))
+    study = Study("sweep", finish, curves=True, varied=inputs.varied, files=files)
     run_study(
         study, inputs, out, comm, session=session, resume=resume, ranks_per_case=ranks_per_case
     )
-    if comm.rank == 0:
-        for name in before - _pictures(out / study.document):
-            (out / name).unlink(missing_ok=True)
-
-
-def _pictures(document: Path) -> set[str]:
-    """The pictures that a finished sweep names, of whatever was there."""
-    try:
-        names = json.loads(document.read_text(encoding="utf-8"))["files"]
-        return {name for name in names if re.fullmatch(rf"{FIGURE}[-.\w+]*\.(svg|png)", name)}
-    except (OSError, ValueError, KeyError, TypeError):
-        return set()
 
 
 def _finish(varied: Sequence[str], rows: Sequence[Row], out: Path) -> dict[str, Any]:
@@ -141,10 +128,7 @@ def _finish(varied: Sequence[str], rows: Sequence[Row], out: Path) -> dict[str, 
     pictures: dict[str, list[Row]] = {}
     steps = {row["its_s"] for row in rows}
     for row in sorted(rows, key=lambda row: -row["its_s"]):
-        named = [("its", row["its_s"])] if len(steps) > 1 else []
-        named += [(name, row[name]) for name in varied]
-        words = [f"{name}-{x:.12g}" if isinstance(x, float) else f"{name}-{x}" for name, x in named]
-        pictures.setdefault("-".join([FIGURE, *words]), []).append(row)
+        pictures.setdefault(_stem(row, steps, varied), []).append(row)
     names: list[str] = []
     if len(pictures) > MOST_PICTURES:
         say(f"no figures: {len(pictures)} would be drawn, and {MOST_PICTURES} are the most")
@@ -152,7 +136,25 @@ def _finish(varied: Sequence[str], rows: Sequence[Row], out: Path) -> dict[str, 
     for name, members in pictures.items():
         curves = {(row["model"], row["y0_m"], row["kn_N_m"]): _path(row) for row in members}
         names += write_picture(out / name, picture(height_figure(curves)))
+    for name in Mark.read(out).files:  # of an earlier sweep
+        if name not in names and re.fullmatch(rf"{FIGURE}[-.\w+]*\.(svg|png)", name):
+            remove(out / name)
     return {"files": names}
+
+
+def _pictures(inputs: StudyInputs) -> set[str]:
+    """The names of the sweep's pictures without their endings, none where they are too many."""
+    rows = ({**shared, "its_s": its} for shared in inputs.shared() for its in inputs.its_s)
+    stems = {_stem(row, inputs.its_s, inputs.varied) for row in rows}
+    return stems if len(stems) <= MOST_PICTURES else set()
+
+
+def _stem(row: Mapping[str, Any], steps: Collection[float], varied: Sequence[str]) -> str:
+    """The name of the picture that a row is drawn in."""
+    named = [("its", row["its_s"])] if len(set(steps)) > 1 else []
+    named += [(name, row[name]) for name in varied]
+    words = [f"{name}-{x:.12g}" if isinstance(x, float) else f"{name}-{x}" for name, x in named]
+    return "-".join([FIGURE, *words])
 
 
 def answer(out: Path) -> list[str]:

@@ -7,7 +7,9 @@ a file elsewhere.
 from __future__ import annotations
 
 import hashlib
+import json
 import math
+import os
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
@@ -34,15 +36,17 @@ from .inputs.flags import Fields
 from .inputs.named import EffectInput, read_effects
 from .inputs.sources import checked
 from .loop.responses.table_drops import drops_of, its_s, read_off
-from .running.files import prepare_folder, together, write_atomically, write_json
+from .running.files import cannot_write, prepare_folder, to_json, together, write_atomically
+from .running.mark import FOREIGN, write_whole
 
 COLUMNS = ("drop", "y0_mm", "y1_mm", "contact_time_ms", "peak_force_N")
 # Releases by hand: the height is known as measured, not as meant.
 RELEASE_STD_M = 5e-4
 # Of the unlisted ripple; no multiple of the heights' spacing, which would hide it.
 RIPPLE_M = 0.032
-# How the source of a made dataset begins.
-MADE = 'source = "bristle synth'
+TABLE_FILE, MANIFEST_FILE, TRUTH = "drops.csv", "dataset.toml", "bristle-truth-1"
+# All that lies in a made dataset's folder.
+FILES = (TABLE_FILE, MANIFEST_FILE)
 # Steps of the generator, finer than the loop's.
 FINER = 0.5
 
@@ -211,11 +215,11 @@ def manifest_of(recipe: Recipe) -> str:
 [dataset]
 title = "Made drops of a bristle"
 kind = "drops"
-{MADE} {__version__}"
+source = "bristle synth {__version__}"
 licence = "CC0-1.0"
 
 [measurement]
-file = "drops.csv"
+file = "{TABLE_FILE}"
 sigma_y_mm = {1e3 * recipe.sigma_y_m:g}
 {sensors}gravity_m_s2 = {paper.GRAVITY_M_S2:g}
 """
@@ -225,7 +229,7 @@ def truth_of(made: Made) -> dict[str, Any]:
     """What is behind the dataset, and which table it belongs to."""
     recipe = made.recipe
     return {
-        "schema": "bristle-truth-1",
+        "schema": TRUTH,
         "version": __version__,
         "table_sha256": hashlib.sha256(table_of(made).encode()).hexdigest(),
         "effects": [effect.model_dump() for effect in recipe.effects],
@@ -242,22 +246,31 @@ def truth_of(made: Made) -> dict[str, Any]:
 def prepare_dataset(folder: Path, truth: Path) -> None:
     """Make ``folder``, and see that a dataset and its truth can be written.
 
-    Raises InputError where the truth would lie in the dataset's folder, or there is a dataset that
-    is measured.
+    Raises InputError where the truth would lie in the dataset's folder, or something that is not
+    the program's would be replaced.
     """
     if folder.resolve() in (truth.resolve(), *truth.resolve().parents):
         raise InputError(
             f"--truth {truth}: lies in the dataset's own folder, where it would be seen"
         )
-    prepare_folder(folder)
+    prepare_folder(folder, *FILES)
     if (
         truth.is_dir()
         or not next(each for each in truth.absolute().parents if each.exists()).is_dir()
     ):
         raise InputError(f"--truth {truth}: there can be no such file")
-    there = folder / "dataset.toml"
-    if there.exists() and MADE not in there.read_text(encoding="utf-8", errors="replace"):
-        raise InputError(f"--out {folder}: holds a dataset that was not made by bristle synth")
+    if os.path.lexists(truth) and not _is_truth(truth):
+        raise InputError(f"--truth {truth}: {FOREIGN}; move it away, or choose another --truth")
+
+
+def _is_truth(path: Path) -> bool:
+    """Whether a file says of itself that it is the truth of a dataset, since no mark lies beside
+    it: its folder may be one of many users."""
+    try:
+        found = json.loads(path.read_text(encoding="utf-8"))
+        return path.is_file() and not path.is_symlink() and found["schema"] == TRUTH
+    except (OSError, ValueError, KeyError, TypeError, RecursionError):
+        return False
 
 
 def write_dataset(made: Made, folder: Path, truth: Path) -> None:
@@ -266,10 +279,13 @@ def write_dataset(made: Made, folder: Path, truth: Path) -> None:
     Raises InputError as `prepare_dataset` does.
     """
     prepare_dataset(folder, truth)
-    with together(folder, "dataset.toml"):
-        write_atomically(folder / "drops.csv", table_of(made))
-        write_atomically(folder / "dataset.toml", manifest_of(made.recipe))
-        write_json(truth, truth_of(made))
+    with together(folder, MANIFEST_FILE):
+        write_atomically(folder / TABLE_FILE, table_of(made))
+        write_atomically(folder / MANIFEST_FILE, manifest_of(made.recipe))
+        try:
+            write_whole(truth, to_json(truth_of(made)) + "\n")
+        except OSError as error:
+            raise cannot_write(truth, error) from error
 
 
 def recipe_of(

@@ -21,12 +21,17 @@ from ...solver.bristle import Bristle
 from ...solver.errors import InputError
 from .. import __version__
 from ..data.datasets import Drops, read_drops
+from ..report.page import REPORT_FILES
 from ..running.files import prepare_folder, together, write_json
+from ..running.mark import refuse_foreign
 from .curve import GRID_N_M, RatioCurve, RatioModel, beam_model, mean_curve
 from .estimate import LEVEL, Interval, RatioEstimate, estimate_ratio, paper_ratio
 
 PAPER = "paper"
 SCHEMA = "bristle-calibrate-1"
+RESULT_FILE = "calibrate.json"
+# All that a calibration writes.
+FILES = (RESULT_FILE, *REPORT_FILES)
 
 CONFOUNDED = (
     "y1/y0 of a bristle is one number. Contact stiffness, damping in the contact, damping in the "
@@ -222,12 +227,13 @@ def _run(
     if not 0.5 <= level < 1.0:
         raise InputError(f"level must lie between 0.5 and 1, not {level}")
     drops = None if source == PAPER else read_drops(Path(source))
+    refuse_foreign(out, *FILES)
     found = calibrate(drops, model, seed=seed, level=level)
     content = summary(found, __version__)
-    prepare_folder(out)
-    with together(out, "calibrate.json"):
+    prepare_folder(out, *FILES)
+    with together(out, RESULT_FILE):
         write_calibration(found, out, __version__)
-        write_json(out / "calibrate.json", content)
+        write_json(out / RESULT_FILE, content)
     return content
 
 

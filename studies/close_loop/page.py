@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..inputs.sources import into
-from ..report.page import Report, percent, write_report
+from ..report.figures import picture_files
+from ..report.page import FIGURES, Report, percent, write_report
 from ..running.files import remove
 from .rows import Rows
 from .sections import SECTIONS, prose
@@ -45,8 +46,8 @@ def write_page(closed: Closed, out: Path, version: str) -> Path:
     path = write_report(page, out)
     drawn = {figure.name for section in page.sections for figure in section.figures}
     for name in set(SOMETIMES) - drawn:  # of an earlier run
-        for ending in (".svg", ".png"):
-            remove(out / "figures" / f"{name}{ending}")
+        for file in picture_files(name):
+            remove(out / FIGURES / file)
     return path
 
 

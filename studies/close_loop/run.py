@@ -29,12 +29,8 @@ from ..inputs.study_fields import LoopInputs
 from ..loop.finding import Finding, plain
 from ..loop.problem import Problem
 from ..loop.run import find, pieces
-from ..running.files import (
-    new_folders,
-    prepare_folder,
-    together,
-    write_json,
-)
+from ..running.files import new_folders, prepare_folder, together, write_json
+from ..running.mark import refuse_foreign
 from ..running.parallel import share_out, start_petsc
 from ..running.progress import progress, working
 from .confirm import LEFT_OUT, Confirmation, confirm
@@ -120,7 +116,15 @@ def _begun(dataset: Path, out: Path | None) -> Manifest:
         there = next(each for each in (out.absolute(), *out.absolute().parents) if each.exists())
         if not there.is_dir():
             raise InputError(f"--out {out}: {there} is a file, not a folder")
+        refuse_foreign(out, *_files())
     return manifest
+
+
+def _files() -> tuple[str, ...]:
+    """All that the loop writes."""
+    from ..report.page import REPORT_FILES  # slow to import: not before the dataset is read
+
+    return VERDICT_FILE, *REPORT_FILES
 
 
 def _simulate(
@@ -161,7 +165,7 @@ def _run(
     from .page import write_page
 
     with new_folders(out):
-        prepare_folder(out)
+        prepare_folder(out, *_files())
         closed = close(manifest, problem, inputs)
         content = verdict(closed)
         with together(out, VERDICT_FILE):

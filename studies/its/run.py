@@ -17,7 +17,7 @@ from mpi4py import MPI
 from ...solver import paper
 from ...solver.errors import ComputationError
 from ..inputs.fields import Height, Its, Numbers
-from ..report.figures import picture, write_picture
+from ..report.figures import picture, picture_files, write_picture
 from ..running.files import to_csv, write_atomically
 from ..running.study import TABLE_FILE, Row, Study, StudyInputs, run_study
 from .convergence import compare
@@ -25,7 +25,9 @@ from .figures import error_figure, need_figure
 
 ITS_S = (1e-4, 3e-5, 1e-5, 3e-6, 1e-6, 3e-7, 1e-7)
 GOAL = 0.01
-ERRORS_FILE, NEEDS_FILE = "errors.csv", "needs.csv"
+ERRORS, NEEDS = "errors", "needs"
+ERRORS_FILE, NEEDS_FILE = f"{ERRORS}.csv", f"{NEEDS}.csv"
+FILES = (ERRORS_FILE, NEEDS_FILE, *picture_files(ERRORS), *picture_files(NEEDS))
 FEWEST_STEPS = 3
 QUANTITIES = {
     "rebound_ratio": "rebound ratio y1/y0",
@@ -58,7 +60,7 @@ def run_its(
     is a row without values; ComputationError where all do.
     """
     finish = partial(_finish, inputs.bristle().mass_kg)
-    study = Study("its", finish, basis_its_s=paper.ITS_S, failures=True)
+    study = Study("its", finish, basis_its_s=paper.ITS_S, files=FILES, failures=True)
     run_study(study, inputs, out, comm, resume=resume, ranks_per_case=ranks_per_case)
 
 
@@ -72,9 +74,9 @@ def _finish(mass_kg: float, rows: Sequence[Row], out: Path) -> dict[str, Any]:
         write_atomically(out / name, to_csv(list(frame), frame.itertuples(index=False)))
     names = [ERRORS_FILE, NEEDS_FILE]
     if len(errors):
-        names += write_picture(out / "errors", picture(error_figure(errors, QUANTITIES, GOAL)))
+        names += write_picture(out / ERRORS, picture(error_figure(errors, QUANTITIES, GOAL)))
         drawn = need_figure(needs, QUANTITIES, paper.ITS_S)
-        names += write_picture(out / "needs", picture(drawn))
+        names += write_picture(out / NEEDS, picture(drawn))
     return {"goal": GOAL, "files": names}
 
 

@@ -14,10 +14,13 @@ from ...meshes.check import check_model
 from ...meshes.collective import run_on_one_rank
 from ...meshes.geometry import MeshSpec
 from ...meshes.hexahedra import build_model, gmsh_model
-from ..running.files import filled, new_folders
+from ..running.files import filled, new_folders, prepare_folder
 from .convert import write_vtu
 from .picture import write_picture
 from .quality import measure_quality, write_csv
+
+# All that it writes.
+FILES = ("bristle.msh", "bristle.vtu", "quality.csv", "mesh.png")
 
 
 def run_mesh(spec: MeshSpec, out: Path, comm: MPI.Intracomm = MPI.COMM_WORLD) -> dict[str, Any]:
@@ -37,7 +40,7 @@ def run_mesh(spec: MeshSpec, out: Path, comm: MPI.Intracomm = MPI.COMM_WORLD) ->
     ------
     MeshError : gmsh failed or the mesh is not what was asked for
     DrawingError : the picture could not be drawn
-    OSError : `out` cannot be written
+    InputError : `out` cannot be written, or has files of these names that are not the program's
     """
     return run_on_one_rank(comm, lambda: _write_all(spec, Path(out)))
 
@@ -45,25 +48,24 @@ def run_mesh(spec: MeshSpec, out: Path, comm: MPI.Intracomm = MPI.COMM_WORLD) ->
 def _write_all(spec: MeshSpec, out: Path) -> dict[str, Any]:
     started = time.perf_counter()
     with new_folders(out):
-        out.mkdir(parents=True, exist_ok=True)
+        prepare_folder(out, *FILES)
         with filled(out) as folder:
-            quality = _make(spec, folder)
-            names = sorted(path.name for path in folder.iterdir())
+            quality = _make(spec, *(folder / name for name in FILES))
     return {
         "spec": {**asdict(spec), "cells": list(spec.cells), "shape": type(spec.section).__name__},
-        "files": {name: str(out / name) for name in names},
+        "files": {name: str(out / name) for name in FILES},
         "quality": quality,
         "wall_s": time.perf_counter() - started,
     }
 
 
-def _make(spec: MeshSpec, folder: Path) -> dict[str, float]:
+def _make(spec: MeshSpec, msh: Path, vtu: Path, table: Path, shown: Path) -> dict[str, float]:
     with gmsh_model():
         build_model(spec)
         check_model(spec)
         quality = measure_quality(spec)
-        gmsh.write(str(folder / "bristle.msh"))
-    write_vtu(folder / "bristle.msh", folder / "bristle.vtu")
-    write_csv(quality, folder / "quality.csv")
-    write_picture(folder / "bristle.vtu", folder / "mesh.png")
+        gmsh.write(str(msh))
+    write_vtu(msh, vtu)
+    write_csv(quality, table)
+    write_picture(vtu, shown)
     return quality

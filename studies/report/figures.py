@@ -250,9 +250,14 @@ def picture(figure: Figure) -> Picture:
     return Picture(lines, png.getvalue())
 
 
+def picture_files(stem: str) -> tuple[str, str]:
+    """The names of a picture's files."""
+    return f"{stem}.svg", f"{stem}.png"
+
+
 def write_picture(stem: Path, drawn: Picture) -> list[str]:
     """Write ``stem``.svg and ``stem``.png; returns their names."""
-    files = {f"{stem.name}.svg": drawn.svg.encode(), f"{stem.name}.png": drawn.png}
-    for name, content in files.items():
-        write_atomically(stem.parent / name, content)
-    return list(files)
+    svg, png = picture_files(stem.name)
+    write_atomically(stem.parent / svg, drawn.svg)
+    write_atomically(stem.parent / png, drawn.png)
+    return [svg, png]

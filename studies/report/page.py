@@ -23,6 +23,9 @@ from markupsafe import Markup
 from ..running.files import to_csv, together, write_atomically
 from .figures import Picture, inline_svg, write_picture
 
+# All that `write_report` writes.
+PAGE_FILE, TABLES, FIGURES = "report.html", "tables", "figures"
+REPORT_FILES = (PAGE_FILE, f"{TABLES}/", f"{FIGURES}/")
 TEMPLATES = Path(__file__).parent / "templates"
 ROWS_SHOWN = 120
 # How a text begins that a spreadsheet would compute.
@@ -308,11 +311,11 @@ def write_report(report: Report, folder: Path) -> Path:
 
     All replace older ones together, the page last.
     """
-    page, path = render_report(report), folder / "report.html"
+    page, path = render_report(report), folder / PAGE_FILE
     with together(folder, path.name):
         for table in report.tables():
-            write_atomically(folder / "tables" / f"{table.name}.csv", table.csv_text())
+            write_atomically(folder / TABLES / f"{table.name}.csv", table.csv_text())
         for figure in (figure for section in report.sections for figure in section.figures):
-            write_picture(folder / "figures" / figure.name, figure.picture)
+            write_picture(folder / FIGURES / figure.name, figure.picture)
         write_atomically(path, page)
     return path

@@ -20,7 +20,7 @@ from ..inputs.config import DropInputs
 from ..inputs.limits import input_warnings, result_warnings
 from ..inputs.sources import command_line
 from ..inputs.stance import lean_deg
-from ..report.page import Report, Section, Verdict, write_report
+from ..report.page import REPORT_FILES, Report, Section, Verdict, write_report
 from ..running.cases import CaseSession
 from ..running.files import prepare_folder
 from ..running.progress import progress, working
@@ -66,7 +66,7 @@ def run_reproduce(
     """
     started = time.perf_counter()
     out = Path(out)
-    run_on_one_rank(comm, lambda: prepare_folder(out))
+    run_on_one_rank(comm, lambda: prepare_folder(out, *REPORT_FILES))
     setup = setup or Setup(DropInputs())
     studies = paper_studies(setup) if studies is None else list(studies)
     cases = list(dict.fromkeys(case for study in studies for case in study.cases()))

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import csv
-import errno
 import io
 import json
 import math
-import os
 import shutil
 import tempfile
 from collections.abc import Iterable, Iterator, Sequence
@@ -19,13 +17,12 @@ from typing import Any
 from ...solver.errors import ComputationError, InputError
 from .interrupts import uninterrupted
 from .lock import lock_folder
-
-# How the names of things begin until they are whole.
-UNFINISHED = ".bristle-unfinished-"
+from .mark import MARK, UNFINISHED, Mark, digest, refuse_foreign, write_out
 
 
-def prepare_folder(out: Path) -> None:
-    """Make ``out`` where it is missing; InputError where it is a file or cannot be written.
+def prepare_folder(out: Path, *names: str) -> None:
+    """Make ``out`` where it is missing; InputError where it is a file or cannot be written, or one
+    of ``names`` there is not the program's (`refuse_foreign`).
 
     What a run that was killed left there unfinished is removed; one that still writes there is
     waited for (`lock_folder`).
@@ -33,15 +30,18 @@ def prepare_folder(out: Path) -> None:
     try:
         out.mkdir(parents=True, exist_ok=True)
         lock_folder(out)
-        for path in out.iterdir():
-            if path.name.startswith(UNFINISHED):
-                remove(path)
+        for path in out.glob(f"{UNFINISHED}*"):
+            if (path / MARK).exists() and not path.is_symlink():
+                shutil.rmtree(path, ignore_errors=True)
+            with suppress(OSError):  # one that was killed before it wrote anything
+                path.rmdir()
         with tempfile.TemporaryFile(dir=out):
             pass
     except (FileExistsError, NotADirectoryError):
         raise InputError(f"--out {out}: there is a file of that name, not a folder") from None
     except OSError as error:
         raise InputError(f"--out {out}: cannot be written: {error.strerror}") from error
+    refuse_foreign(out, *names)
 
 
 @contextmanager
@@ -59,36 +59,28 @@ def new_folders(out: Path) -> Iterator[None]:
 
 
 def write_atomically(path: Path, content: str | bytes) -> None:
-    """Write ``content`` beside ``path``, see it on the disk, then give it its name.
+    """Write ``content``, see it on the disk, then give it its name; inside `together` it gets that
+    with the others.
 
-    Inside `together` it gets its name with the others. Raises ComputationError where the disk does
-    not take it.
+    Raises ComputationError where the disk does not take it, InputError where ``path`` is there and
+    not the program's.
     """
-    place = _place(path)
-    try:
-        place.parent.mkdir(parents=True, exist_ok=True)
-        beside = place.with_name(f"{UNFINISHED}{os.getpid()}-{place.name}")
+    with together(path.parent):
         try:
-            with beside.open("wb") as file:
-                file.write(content.encode() if isinstance(content, str) else content)
-                file.flush()
-                os.fsync(file.fileno())
-            beside.replace(place)
-        except BaseException:
-            beside.unlink(missing_ok=True)
-            raise
-    except OSError as error:
-        raise cannot_write(path, error) from error
+            place = _place(path)
+            place.parent.mkdir(parents=True, exist_ok=True)
+            write_out(place, content)
+        except OSError as error:
+            raise cannot_write(path, error) from error
 
 
 @contextmanager
 def folder_in_place(folder: Path) -> Iterator[Path]:
     """A new folder to fill, which takes the place of ``folder`` when the block ends well.
 
-    Inside `together` it does so with the others.
+    Inside `together` it does so with the others. What the user added to the old one stays.
     """
-    waiting = _waiting_for(folder)
-    with together(folder.parent if waiting is None else waiting.out):
+    with together(folder.parent):
         made = _place(folder)
         made.mkdir(parents=True)
         yield made
@@ -96,47 +88,44 @@ def folder_in_place(folder: Path) -> Iterator[Path]:
 
 
 def remove(path: Path) -> None:
-    """Remove a folder or file of an earlier result, if it is there; in `together`, at its end."""
-    waiting = _waiting_for(path)
-    if waiting is not None:
-        waiting.gone.append(path)
-    elif path.is_dir():
-        shutil.rmtree(path, ignore_errors=True)
-    else:
-        path.unlink(missing_ok=True)
+    """Remove what the program wrote of an earlier result, a file or the files of a folder, at the
+    end of the block of `together`."""
+    with together(path.parent):
+        _waiting_for(path).gone.append(path)
 
 
 @dataclass
 class _Waiting:
     """Files that wait in ``made`` for their places in ``out``, those named ``last`` at the end;
-    before them what is ``gone`` leaves."""
+    before them what is ``gone`` leaves, by way of ``aside``."""
 
     out: Path
     made: Path
+    aside: Path
     last: list[str]
     gone: list[Path] = field(default_factory=list)
 
     def place(self) -> None:
+        mark = Mark.read(self.out)
         new = sorted(path for path in self.made.rglob("*") if path.is_file())
-        names = [path.relative_to(self.made) for path in new]
+        names = [path.relative_to(self.made).as_posix() for path in new]
         for name in names:
-            place = self.out / name
-            if any(place.is_relative_to(each) for each in self.gone):
-                continue
-            if place.is_dir():
-                raise IsADirectoryError(errno.EISDIR, f"{name} is a folder there", str(name))
-            place.parent.mkdir(parents=True, exist_ok=True)
-        names.sort(key=lambda name: str(name) in self.last)
-        old = self.made / UNFINISHED
-        old.mkdir()
+            mark.check(name)
+            (self.out / name).parent.mkdir(parents=True, exist_ok=True)
+        gone = mark.below(self.gone)
+        mark.add({name: digest(self.made / name) for name in names})
+        names.sort(key=lambda name: name in self.last)
+        self.aside.mkdir()
         with uninterrupted():
-            for i, path in enumerate(self.gone):
-                if path.exists():
-                    path.replace(old / str(i))
+            mark.write()
+            for i, name in enumerate(gone):
+                (self.out / name).replace(self.aside / str(i))
             for name in names:
-                (self.out / name).parent.mkdir(parents=True, exist_ok=True)
                 (self.made / name).replace(self.out / name)
-            shutil.rmtree(old, ignore_errors=True)
+            left = {parent for name in gone for parent in Path(name).parents[:-1]}
+            for folder in sorted(left, reverse=True):
+                with suppress(OSError):  # one that is not empty
+                    (self.out / folder).rmdir()
 
 
 _open: list[_Waiting] = []
@@ -147,11 +136,12 @@ def together(out: Path, *last: str) -> Iterator[None]:
     """What the block writes into ``out`` takes its place when the block ends well, else nothing.
 
     The files named ``last`` come last, since they say that all is there. A block inside another of
-    the same folder joins it. Raises ComputationError where the disk does not take them.
+    the same folder, or one around it, joins it. Raises ComputationError where the disk does not
+    take them, InputError where one would replace what is not the program's.
     """
-    for outer in _open:
-        if outer.out == out:
-            outer.last.extend(last)
+    for outer in reversed(_open):
+        if out.is_relative_to(outer.out):
+            outer.last.extend((out / name).relative_to(outer.out).as_posix() for name in last)
             yield
             return
     try:
@@ -164,24 +154,29 @@ def together(out: Path, *last: str) -> Iterator[None]:
 @contextmanager
 def filled(out: Path, *last: str) -> Iterator[Path]:
     """`together` for those that write files themselves: into the folder that it gives."""
-    waiting = _Waiting(out, Path(tempfile.mkdtemp(prefix=UNFINISHED, dir=out)), list(last))
+    out.mkdir(parents=True, exist_ok=True)
+    staging = out / Path(tempfile.mkdtemp(prefix=UNFINISHED, dir=out)).name
+    waiting = _Waiting(out, staging / "made", staging / "aside", list(last))
     _open.append(waiting)
     try:
+        (staging / MARK).touch()
+        waiting.made.mkdir()
         yield waiting.made
         waiting.place()
     finally:
         _open.remove(waiting)
-        shutil.rmtree(waiting.made, ignore_errors=True)
+        shutil.rmtree(staging, ignore_errors=True)
 
 
-def _waiting_for(path: Path) -> _Waiting | None:
-    return next((each for each in reversed(_open) if path.is_relative_to(each.out)), None)
+def _waiting_for(path: Path) -> _Waiting:
+    """The block that ``path`` is written in."""
+    return next(each for each in reversed(_open) if path.is_relative_to(each.out))
 
 
 def _place(path: Path) -> Path:
     """Where a file is written to, for now."""
     waiting = _waiting_for(path)
-    if waiting is None or path.is_relative_to(waiting.made):
+    if path.is_relative_to(waiting.made):
         return path
     return waiting.made / path.relative_to(waiting.out)
 

@@ -18,6 +18,7 @@ from pydantic import BaseModel
 from ...solver.errors import InputError
 from .files import cannot_write, prepare_folder, write_atomically
 from .interrupts import uninterrupted
+from .mark import claim, refuse_foreign
 from .results import check_same, head, read_document
 
 SCHEMA, CHECK = "bristle-journal-2", "sha256"
@@ -31,24 +32,29 @@ class Journal:
         self.path, self.previous = out / JOURNAL, out / PREVIOUS
         self._inputs = inputs
 
-    def prepare(self, document: str, *, resume: bool) -> dict[int, dict[str, Any]] | None:
+    def prepare(
+        self, document: str, *others: str, resume: bool
+    ) -> dict[int, dict[str, Any]] | None:
         """Begin anew, or what is done already: None where the study's ``document`` is there.
 
-        Raises InputError where what is to be resumed has other inputs.
+        Raises InputError where what is to be resumed has other inputs, or the document or one of
+        the ``others`` that the study writes is there and not the program's.
         """
         out = self.path.parent
         prepare_folder(out)
-        if not resume:
-            self.begin()
-            return {}
-        found = read_document(out / document)
-        if found is None:
+        found = read_document(out / document) if resume else None
+        if found is not None:
+            check_same(out / document, found, self._inputs)
+            return None
+        refuse_foreign(out, JOURNAL, PREVIOUS, document, *others)
+        if resume:
             return self.resume()
-        check_same(out / document, found, self._inputs)
-        return None
+        self.begin()
+        return {}
 
     def begin(self) -> None:
         """Start anew; the journal that was there is kept until `finish`."""
+        claim(self.path.parent, JOURNAL, PREVIOUS)
         if self.path.exists():
             self.path.replace(self.previous)
         self._write([])
@@ -94,6 +100,7 @@ class Journal:
     def finish(self) -> None:
         """Give up what an earlier study left: this one's results are complete."""
         self.previous.unlink(missing_ok=True)
+        claim(self.path.parent)
 
     def _write(self, lines: list[dict[str, Any]]) -> None:
         whole = [head(self._inputs, SCHEMA), *lines]

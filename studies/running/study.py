@@ -120,10 +120,11 @@ class Study:
     """What tells one study from another: its name, its result, and what it makes of its rows.
 
     ``finish`` writes figures and further tables into a folder, on one rank, and returns what the
-    study's JSON says besides. With ``curves`` rows have the tip's path over time, for figures.
-    ``basis_its_s`` is the ITS that reduced models are made for, or None for each case's own.
-    ``varied`` are further inputs that differ between cases, which rows have too. With
-    ``failures`` a case that fails is a row without values, its error among its warnings.
+    study's JSON says besides; ``files`` are all that it may write, folders with a slash at their
+    end. With ``curves`` rows have the tip's path over time, for figures. ``basis_its_s`` is the ITS
+    that reduced models are made for, or None for each case's own. ``varied`` are further inputs
+    that differ between cases, which rows have too. With ``failures`` a case that fails is a row
+    without values, its error among its warnings.
     """
 
     name: str
@@ -131,6 +132,7 @@ class Study:
     curves: bool = False
     basis_its_s: float | None = None
     varied: tuple[str, ...] = ()
+    files: tuple[str, ...] = ()
     failures: bool = False
 
     @property
@@ -164,7 +166,8 @@ def run_study(
     out, started = Path(out), time.perf_counter()
     cases = inputs.cases()
     journal = Journal(out, inputs)
-    done = run_on_one_rank(comm, lambda: journal.prepare(study.document, resume=resume))
+    files = (study.document, TABLE_FILE, *study.files)
+    done = run_on_one_rank(comm, lambda: journal.prepare(*files, resume=resume))
     if done is None:
         say(f"{out / study.document} is finished already, nothing to do")
         return

@@ -20,6 +20,7 @@ from ...solver.batch import Outcome
 from ...solver.errors import ComputationError
 from .. import __version__
 from ..inputs.limits import closure_warnings, input_warnings
+from ..report.page import REPORT_FILES
 from ..running import results
 from ..running.files import together, write_atomically, write_json
 from ..running.journal import Journal
@@ -50,7 +51,8 @@ def run_scatter(
     out, started = Path(out), time.perf_counter()
     inputs.drop()  # refused before anything is written
     journal = Journal(out, inputs)
-    done = run_on_one_rank(comm, lambda: journal.prepare(DOCUMENT, resume=resume))
+    files = (DOCUMENT, TABLE, *REPORT_FILES)
+    done = run_on_one_rank(comm, lambda: journal.prepare(*files, resume=resume))
     if done is None:
         say(f"{out / DOCUMENT} is finished already, nothing to do")
         return

@@ -11,7 +11,7 @@ from ...meshes.collective import run_on_one_rank
 from ...solver.errors import InputError
 from ...solver.paraview import SOLID_FILE
 from ..inputs.texts import exists, parse_json, read_text
-from ..report.figures import picture, write_picture
+from ..report.figures import picture, picture_files, write_picture
 from ..running.files import filled, prepare_folder
 from ..running.progress import note, progress
 from ..running.results import HISTORY_FILE, RESULT_FILE
@@ -21,6 +21,13 @@ if TYPE_CHECKING:
 
 FIELDS_FOLDER = "fields"
 VIEW_FOLDER = "view"
+HISTORY, WAVE, TIP_STRESS, SPACE_TIME = "history", "wave", "tip-stress", "space-time"
+ANIMATION = "wave.gif"
+# All that is drawn.
+FILES = (
+    *(name for stem in (HISTORY, WAVE, TIP_STRESS, SPACE_TIME) for name in picture_files(stem)),
+    ANIMATION,
+)
 
 
 def run_view(
@@ -35,7 +42,8 @@ def run_view(
 
     Raises
     ------
-    InputError : there is no result, or a file of it is not what this program writes
+    InputError : there is no result, a file of it is not what this program writes, or one that would
+        be replaced is not the program's
     """
     return run_on_one_rank(comm, lambda: _view(Path(result_dir), out))
 
@@ -47,18 +55,21 @@ def _view(result: Path, out: Path | None) -> list[Path]:
 
     history = read_history(result / HISTORY_FILE)
     target = Path(out) if out is not None else result / VIEW_FOLDER
-    prepare_folder(target)
+    solid = (result / FIELDS_FOLDER).is_dir()
+    if solid:
+        from .paraview_state import SCRIPT_FILE, write_state_script
+
+        prepare_folder(result, SCRIPT_FILE)
+    prepare_folder(target, *FILES)
     touch_s, wave = touch_time_s(history), None
     with filled(target) as folder:
-        write_picture(folder / "history", picture(history_figure(history, document)))
-        if (result / FIELDS_FOLDER).is_dir():
+        write_picture(folder / HISTORY, picture(history_figure(history, document)))
+        if solid:
             wave = _view_fields(result, document, touch_s, folder)
         else:
             note(f"{result} has no fields: for pictures of the wave, drop it with --model solid")
         written = [target / name for name in sorted(path.name for path in folder.iterdir())]
     if wave is not None:
-        from .paraview_state import write_state_script
-
         written.append(write_state_script(result, FIELDS_FOLDER, wave, touch_s))
     return written
 
@@ -87,11 +98,11 @@ def _view_fields(result: Path, document: dict[str, Any], touch_s: float, folder:
         # each frame is read, and those of the animation once more
         with progress("pictures of the wave, frames", count + len(animated(count))) as advance:
             wave = read_wave(series, touch_s, advance)
-            animate(series, wave, folder / "wave.gif", advance)
+            animate(series, wave, folder / ANIMATION, advance)
         figures = {
-            "wave": stills_figure(series, wave),
-            "tip-stress": tip_figure(series, wave),
-            "space-time": space_time_figure(wave, _bar_speed_m_s(document)),
+            WAVE: stills_figure(series, wave),
+            TIP_STRESS: tip_figure(series, wave),
+            SPACE_TIME: space_time_figure(wave, _bar_speed_m_s(document)),
         }
     for name, figure in figures.items():
         write_picture(folder / name, picture(figure))

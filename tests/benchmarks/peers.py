@@ -16,7 +16,6 @@ from mpi4py import MPI
 
 from bristle.solver.errors import ComputationError, InputError
 from bristle.studies.inputs.fields import MODES
-from bristle.studies.running.files import prepare_folder
 from bristle.studies.running.progress import progress
 
 from .column import column
@@ -45,7 +44,7 @@ from .programs import (
     Setting,
     bench_folder,
 )
-from .records import Part, curves_figure, publish
+from .records import Part, curves_figure, prepare, publish
 
 REPEATS = 3
 NEVER = "–"
@@ -170,7 +169,7 @@ def run_peers(out: Path, repeats: int = REPEATS, blocks: tuple[Block, ...] = BLO
     """
     if MPI.COMM_WORLD.size > 1:
         raise InputError("bench peers measures one process at a time: run it without mpirun")
-    prepare_folder(out)
+    prepare("peers", out)
     about = [load(), *facts()]
     plan = [
         (program, Setting(block.physics, block.cells, its, block.modes))

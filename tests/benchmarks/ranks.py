@@ -17,7 +17,6 @@ from pathlib import Path
 from typing import Any
 
 from bristle.solver.errors import ComputationError, InputError
-from bristle.studies.running.files import prepare_folder
 from bristle.studies.running.parallel import launched_ranks
 from bristle.studies.running.progress import progress
 
@@ -25,7 +24,7 @@ from .column import column
 from .communication import Machine, prediction
 from .environment import unlaunched
 from .machine import facts, load, with_benchmarks
-from .records import Part, curves_figure, publish
+from .records import Part, curves_figure, prepare, publish
 
 # Cells of the one large solid (172 000 unknowns), and of the many.
 LARGE, SMALL = (2, 8, 337), (1, 4, 337)
@@ -156,7 +155,7 @@ def run_ranks(
     """
     if launched_ranks() > 1:
         raise InputError("bench ranks: starts mpirun itself, and is not to be run under mpirun")
-    prepare_folder(out)
+    prepare("ranks", out)
     about = [load(), *facts()]
     cores = len(os.sched_getaffinity(0))
     ranks = most or max(cores, 2)

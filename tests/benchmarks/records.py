@@ -20,8 +20,23 @@ from bristle.studies.report.figures import (
     picture,
     styled,
 )
-from bristle.studies.report.page import Column, Figure, Report, Section, Table, show, write_report
-from bristle.studies.running.files import to_csv, together, write_atomically, write_json
+from bristle.studies.report.page import (
+    REPORT_FILES,
+    Column,
+    Figure,
+    Report,
+    Section,
+    Table,
+    show,
+    write_report,
+)
+from bristle.studies.running.files import (
+    prepare_folder,
+    to_csv,
+    together,
+    write_atomically,
+    write_json,
+)
 
 # Values along x and y by the name of a curve.
 Curves = Mapping[str, tuple[Sequence[float], Sequence[float]]]
@@ -75,6 +90,11 @@ class Part:
             for row in (*heads, *cells)
         ]
         return [self.title, *(f"  {line}" for line in (*rows, *self.text)), ""]
+
+
+def prepare(name: str, out: Path) -> None:
+    """Make ``out`` ready for what `publish` writes; InputError where it cannot be."""
+    prepare_folder(out, f"{name}.csv", f"{name}.json", *REPORT_FILES)
 
 
 def publish(

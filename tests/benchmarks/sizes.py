@@ -23,7 +23,6 @@ import numpy as np
 from bristle.solver import paper
 from bristle.solver.errors import ComputationError, InputError
 from bristle.solver.time.scheme import TimeScheme
-from bristle.studies.running.files import prepare_folder
 from bristle.studies.running.progress import progress
 
 from .column import column
@@ -178,7 +177,9 @@ def run_sizes(out: Path, largest: int = 3_000_000) -> str:
     cases = list(_cases(largest))
     if not cases:
         raise InputError(f"--largest: the smallest size has more unknowns than {largest}")
-    prepare_folder(out)
+    from .records import prepare
+
+    prepare("sizes", out)
     about = [load(), *facts()]
     lines, failed = [], []
     # a size takes about as long as it has unknowns

@@ -24,12 +24,11 @@ from bristle.solver.contact.enforcement import ContactMethod
 from bristle.solver.contact.laws import Linear
 from bristle.solver.time.march import Marcher
 from bristle.solver.time.scheme import TimeScheme
-from bristle.studies.running.files import prepare_folder
 from bristle.studies.running.progress import progress
 
 from .column import column
 from .machine import facts, load
-from .records import Part, curves_figure, publish
+from .records import Part, curves_figure, prepare, publish
 
 BODIES = (((1, 4, 337), 2), ((2, 8, 337), 2), ((1, 4, 337), 1))
 REPEATS = 15
@@ -191,7 +190,7 @@ def run_step(
 
     Everything runs on one rank and one thread.
     """
-    prepare_folder(out)
+    prepare("step", out)
     about = [load(), *facts()]
     lines = []
     with progress("Bodies", len(bodies)) as advance:

@@ -13,7 +13,7 @@ from pathlib import Path
 
 from commands import environment
 
-from bristle.studies.running.files import UNFINISHED
+from bristle.studies.running.mark import MARK, UNFINISHED
 
 # What differs from run to run: times, memory, and how many cases were left to do.
 TIMES = ("wall_s", "peak_rss_MB", "drops_per_second", "ranks")
@@ -106,11 +106,11 @@ WRITTEN_WHEN = ("md.idx", "profiling.json")
 
 
 def told(out):
-    """Everything that a result holds, file by file, but times and memory."""
+    """Everything that a result holds, file by file, but times, memory and their digests."""
     return {
         str(path.relative_to(out)): _content(path)
         for path in sorted(Path(out).rglob("*"))
-        if path.is_file() and path.suffix != ".png" and path.name not in WRITTEN_WHEN
+        if path.is_file() and path.suffix != ".png" and path.name not in (MARK, *WRITTEN_WHEN)
     }
 
 

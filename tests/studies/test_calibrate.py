@@ -36,6 +36,7 @@ from bristle.studies.calibrate.run import (
 from bristle.studies.close_loop.run import problem_of
 from bristle.studies.data.datasets import read_drops, read_manifest
 from bristle.studies.loop.kinds.drops.problem import emulator_for
+from bristle.studies.running.mark import MARK
 
 pytestmark = pytest.mark.serial
 
@@ -233,7 +234,7 @@ def test_command_writes_json_and_page_of_a_dataset(folder, tmp_path):
     assert "&lt;b&gt;T&lt;/b&gt;" in page
     assert "<b>T</b>" not in page
     assert {path.name for path in out.iterdir()} == {
-        "calibrate.json", "report.html", "tables", "figures",
+        "calibrate.json", "report.html", "tables", "figures", MARK,
     }  # fmt: skip
     doubts = [text for name, text in told(content) if name == "doubt"]
     assert doubts == content["warnings"] != []

@@ -20,6 +20,7 @@ from bristle.solver.errors import ComputationError
 from bristle.studies import drop as drop_study
 from bristle.studies.cli import main
 from bristle.studies.inputs.fields import DROP_FLAGS
+from bristle.studies.running.mark import MARK
 
 pytestmark = pytest.mark.serial
 
@@ -329,7 +330,7 @@ def test_an_interruption_ends_with_130_and_leaves_the_old_result(tmp_path, numbe
     assert process.returncode == 130
     assert errors.splitlines()[-1] == "bristle: interrupted"
     assert (out / "result.json").read_bytes() == before
-    assert sorted(path.name for path in out.iterdir()) == ["history.csv", "result.json"]
+    assert sorted(path.name for path in out.iterdir()) == ["history.csv", "result.json", MARK]
 
 
 def test_a_command_spells_the_inputs_of_an_error_as_its_options(tmp_path, monkeypatch):

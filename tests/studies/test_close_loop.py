@@ -28,6 +28,8 @@ from bristle.studies.loop.kinds.drops import problem as drops_module
 from bristle.studies.loop.kinds.drops.problem import drops_problem
 from bristle.studies.loop.kinds.drops.solid import chances, solid_drops
 from bristle.studies.loop.run import find
+from bristle.studies.running.files import write_atomically
+from bristle.studies.running.mark import MARK
 
 pytestmark = pytest.mark.serial
 
@@ -119,7 +121,7 @@ def test_the_page_has_every_step_with_its_table_and_escapes_the_title(worn):
     assert len(rows) == COUNT + 1
     assert rows[0] == "group,quantity,height,order,before,after,held_out"
     assert {path.name for path in worn[1].iterdir()} == {
-        "verdict.json", "report.html", "tables", "figures",
+        "verdict.json", "report.html", "tables", "figures", MARK,
     }  # fmt: skip
 
 
@@ -359,12 +361,12 @@ def test_a_loop_that_fails_ends_with_1_and_keeps_what_was_there(worn, tmp_path, 
     dataset, _ = worn
     kept = tmp_path / "kept"
     kept.mkdir()
-    (kept / "verdict.json").write_text("mine")
+    write_atomically(kept / "verdict.json", "earlier")
     monkeypatch.setattr(close_loop_study, "find", fail)
     for out in (kept, tmp_path / "new" / "out"):
         assert main(["close-loop", str(dataset), "--out", str(out)]) == 1
     assert [path.name for path in tmp_path.iterdir()] == ["kept"]
-    assert (kept / "verdict.json").read_text() == "mine"
+    assert (kept / "verdict.json").read_text() == "earlier"
 
 
 def test_help_shows_an_example():

@@ -32,6 +32,7 @@ from bristle.solver.errors import ComputationError, InputError
 from bristle.studies.inputs.config import DropInputs
 from bristle.studies.running import files, lock
 from bristle.studies.running.journal import JOURNAL, Journal
+from bristle.studies.running.mark import MARK
 
 pytestmark = pytest.mark.serial
 
@@ -44,10 +45,11 @@ SWEEP = ["sweep", "--models", "beam", "--its", "1e-6", "--heights", "0.01,0.05"]
 
 
 def contents(folder):
+    """What lies in a folder by its name, but for the mark."""
     return {
         str(path.relative_to(folder)): path.read_text()
         for path in folder.rglob("*")
-        if path.is_file()
+        if path.is_file() and path.name != MARK
     }
 
 
@@ -60,9 +62,11 @@ def write_all(out):
 
 
 def earlier(out):
-    for name in ("result.json", "tables/a.csv", "fields/c", "older.svg", "notes.txt"):
-        (out / name).parent.mkdir(parents=True, exist_ok=True)
-        (out / name).write_text("old")
+    with files.together(out):
+        for name in ("result.json", "tables/a.csv", "fields/c", "older.svg"):
+            files.write_atomically(out / name, "old")
+    for name in ("notes.txt", "fields/notes.txt"):
+        (out / name).write_text("the user's")
     return contents(out)
 
 
@@ -75,7 +79,8 @@ def test_files_take_their_places_together(tmp_path):
             files.write_atomically(tmp_path / "report.html", "new")
         assert not (tmp_path / "report.html").exists()
     names = ("result.json", "tables/a.csv", "fields/b", "report.html")
-    assert contents(tmp_path) == {**dict.fromkeys(names, "new"), "notes.txt": "old"}
+    users = ("notes.txt", "fields/notes.txt")
+    assert contents(tmp_path) == dict.fromkeys(names, "new") | dict.fromkeys(users, "the user's")
     assert hidden(tmp_path) == []
 
 
@@ -96,14 +101,15 @@ def test_or_none_of_them_does(tmp_path, error):
 
 def test_what_stands_in_the_way_is_seen_before_anything_moves(tmp_path):
     before = earlier(tmp_path)
-    (tmp_path / "z.csv").mkdir()
+    (tmp_path / "z.csv").write_text("the user's")
+    before |= contents(tmp_path)
 
     def write():
         with files.together(tmp_path, "result.json"):
             write_all(tmp_path)
             files.write_atomically(tmp_path / "z.csv", "new")
 
-    with pytest.raises(ComputationError, match="z.csv is a folder there"):
+    with pytest.raises(InputError, match="z.csv: was not written by this program"):
         write()
     assert contents(tmp_path) == before
 
@@ -313,7 +319,7 @@ def test_a_dataset_measured_is_not_overwritten_by_a_made_one(tmp_path):
     write_dataset(tmp_path, "drops")
     status, _, lines = run("synth", "--out", tmp_path, "--truth", tmp_path.parent / "t.json")
     assert status == 2
-    assert "holds a dataset that was not made by" in kept_promise(status, lines)
+    assert "drops.csv: was not written by this program" in kept_promise(status, lines)
     assert (tmp_path / "drops.csv").read_text() == drops_table()
 
 

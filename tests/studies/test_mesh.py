@@ -19,13 +19,16 @@ from bristle.meshes.collective import run_on_one_rank
 from bristle.meshes.geometry import MeshSpec
 from bristle.meshes.hexahedra import build_model, gmsh_model
 from bristle.meshes.section import Circle, Rectangle
+from bristle.solver.errors import InputError
 from bristle.studies.mesh import display
 from bristle.studies.mesh import run as mesh_study
 from bristle.studies.mesh.convert import write_vtu
 from bristle.studies.mesh.display import DrawingError, run_drawing
 from bristle.studies.mesh.picture import below, read_facets, round_length_mm, thinned, write_picture
 from bristle.studies.mesh.run import run_mesh
+from bristle.studies.running.files import write_atomically
 from bristle.studies.running.interrupts import interruptible
+from bristle.studies.running.mark import MARK
 
 COMM = MPI.COMM_WORLD
 FILES = ["bristle.msh", "bristle.vtu", "mesh.png", "quality.csv"]
@@ -39,8 +42,9 @@ def out(tmp_path):
 
 
 def listing(folder):
-    """Return the names in a folder, seen when every rank has come here."""
-    return run_on_one_rank(COMM, lambda: sorted(path.name for path in folder.iterdir()))
+    """Return the names in a folder but the mark, seen when every rank has come here."""
+    names = run_on_one_rank(COMM, lambda: sorted(path.name for path in folder.iterdir()))
+    return [name for name in names if name != MARK]
 
 
 def written_quality(folder):
@@ -107,8 +111,7 @@ def test_failure_leaves_what_was_there(out, stage, monkeypatch):
         run_mesh(SPEC, out)
     assert listing(root) == []
 
-    run_on_one_rank(COMM, lambda: out.mkdir(parents=True))
-    run_on_one_rank(COMM, lambda: (out / "mesh.png").write_text("older"))
+    run_on_one_rank(COMM, lambda: write_atomically(out / "mesh.png", "older"))
     with pytest.raises(OSError, match=f"no space for {stage}"):
         run_mesh(SPEC, out)
     assert listing(out) == ["mesh.png"]
@@ -117,9 +120,8 @@ def test_failure_leaves_what_was_there(out, stage, monkeypatch):
 
 @pytest.mark.serial
 def test_an_interruption_waits_until_all_files_are_in_place(out, monkeypatch):
-    out.mkdir(parents=True)
     for name in FILES:
-        (out / name).write_text("older")
+        write_atomically(out / name, "older")
     replace = Path.replace
 
     def interrupted(path, target):
@@ -144,8 +146,7 @@ def test_unsound_mesh_writes_nothing(out, monkeypatch):
 
 
 def test_older_files_are_replaced_and_strangers_kept(out):
-    run_on_one_rank(COMM, lambda: out.mkdir(parents=True))
-    run_on_one_rank(COMM, lambda: (out / "quality.csv").write_text("older"))
+    run_on_one_rank(COMM, lambda: write_atomically(out / "quality.csv", "older"))
     run_on_one_rank(COMM, lambda: (out / "notes.txt").write_text("mine"))
     run_mesh(SPEC, out)
     assert listing(out) == sorted([*FILES, "notes.txt"])
@@ -155,7 +156,7 @@ def test_older_files_are_replaced_and_strangers_kept(out):
 def test_a_file_in_the_place_of_the_folder_is_an_error(out):
     run_on_one_rank(COMM, lambda: out.parent.mkdir())
     run_on_one_rank(COMM, lambda: out.write_text("a file"))
-    with pytest.raises(FileExistsError):
+    with pytest.raises(InputError, match="there is a file of that name"):
         run_mesh(SPEC, out)
     assert out.read_text() == "a file"
 

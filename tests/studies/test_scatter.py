@@ -26,6 +26,7 @@ from bristle.studies.inputs.fields import DROP_FLAGS, LIST_FLAGS
 from bristle.studies.inputs.sources import checked, inputs_of
 from bristle.studies.inputs.study_fields import SCATTER_FLAGS
 from bristle.studies.running.cases import run_case
+from bristle.studies.running.mark import claim
 from bristle.studies.scatter import scene as scatter_scene
 from bristle.studies.scatter.conditions import draw, ground_of, ground_surface, ground_under
 from bristle.studies.scatter.inputs import ScatterInputs
@@ -252,6 +253,7 @@ def test_a_scatter_repeats_from_its_own_result(done, tmp_path):
 def test_resume_does_what_is_missing_and_no_more(done, tmp_path, monkeypatch):
     lines = (done / "cases.jsonl").read_text().splitlines(keepends=True)
     (tmp_path / "cases.jsonl").write_text("".join(lines[:3]) + lines[3][:50])
+    claim(tmp_path, "cases.jsonl")
     computed = []
     drop_many = scatter_scene.drop_many
 

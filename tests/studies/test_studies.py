@@ -32,6 +32,7 @@ from bristle.studies.running import cases, files, results
 from bristle.studies.running.cases import CaseSession, run_case
 from bristle.studies.running.files import folder_in_place, to_csv, to_json, write_atomically
 from bristle.studies.running.journal import Journal
+from bristle.studies.running.mark import MARK
 from bristle.studies.running.parallel import share_out
 from bristle.studies.running.study import COLUMNS, StudyInputs
 from bristle.studies.sweep import run_sweep
@@ -71,7 +72,8 @@ def read_table(path):
 
 
 def contents(folder):
-    return {path.name: path.read_bytes() for path in folder.iterdir() if path.is_file()}
+    files = (path for path in folder.iterdir() if path.is_file() and path.name != MARK)
+    return {path.name: path.read_bytes() for path in files}
 
 
 @pytest.fixture
@@ -499,7 +501,7 @@ def test_a_folder_is_replaced_whole_or_not_at_all(tmp_path):
 
     with pytest.raises(KeyError):
         fail()
-    assert [path.name for path in tmp_path.iterdir()] == ["fields"]
+    assert {path.name for path in tmp_path.iterdir()} == {"fields", MARK}
     assert contents(folder) == {"a": b"1"}
     with folder_in_place(folder) as made:
         (made / "b").write_text("2")
@@ -525,7 +527,7 @@ def test_fields_of_a_solid_come_with_its_result_and_go_with_it(out, monkeypatch)
     assert frames.read_text() == before
     run_drop(drop(), out, COMM)
     COMM.Barrier()
-    assert sorted(path.name for path in out.iterdir()) == ["history.csv", "result.json"]
+    assert sorted(path.name for path in out.iterdir()) == ["history.csv", "result.json", MARK]
 
 
 @serial
@@ -586,7 +588,7 @@ def test_a_sweep_is_the_same_as_its_drops(out):
         assert float(row["rebound_ratio"]) == pytest.approx(alone.rebound_ratio, rel=1e-9)
         assert float(row["peak_force_N"]) == pytest.approx(alone.peak_force_N, rel=1e-9)
     names = {path.name for path in out.iterdir()}
-    assert names == {"table.csv", "sweep.json", "heights.svg", "heights.png", "cases.jsonl"}
+    assert names == {"table.csv", "sweep.json", "heights.svg", "heights.png", "cases.jsonl", MARK}
 
 
 @serial
@@ -874,11 +876,11 @@ def test_what_a_killed_run_left_goes_and_what_the_user_hid_stays(tmp_path, monke
     mine = tmp_path / ".my-settings"
     mine.write_text("keep")
     monkeypatch.setattr(files.Path, "replace", _refuse)
-    monkeypatch.setattr(files.Path, "unlink", lambda path, missing_ok=False: None)
+    monkeypatch.setattr(files.shutil, "rmtree", lambda *args, **kwargs: None)
     with pytest.raises(ComputationError, match="killed here"):
         write_atomically(tmp_path / "result.json", "{}")
     monkeypatch.undo()
-    assert len(list(tmp_path.iterdir())) == 2
+    assert len(list(tmp_path.iterdir())) > 1
     files.prepare_folder(tmp_path)
     assert list(tmp_path.iterdir()) == [mine]
 
