@@ -31,17 +31,17 @@ SOLID = ("drop", "--model", "solid", *CELLS, "--order", "1", "--its", "2e-5")
 SWEEP = ("sweep", "--models", "analytic", "--kn", "1e5,2e6", "--its", "1e-5,1e-6")
 # Commands, and what of each computes.
 COMMANDS = {
-    "drop": (SOLID, "bristle.studies.drop.CaseSession"),
-    "sweep": ((*SWEEP, "--friction", "0,0.5"), "running.study.CaseSession"),
+    "drop": (SOLID, "bristle.studies.drop.session_on"),
+    "sweep": ((*SWEEP, "--friction", "0,0.5"), "running.study.session_on"),
     "its": (
         ("its", "--models", "analytic", "--kn", "1e5", "--its", "1e-4,1e-5,1e-6"),
-        "running.study.CaseSession",
+        "running.study.session_on",
     ),
     "scatter": (("scatter", "--drops", "10", "--model", "beam", "--flat"), "scatter.run.Scene"),
     "calibrate": (("calibrate", "paper"), "calibrate.run.calibrate"),
     "close-loop": (("close-loop", "DATA", "--no-3d"), "close_loop.run.problem_of"),
     "synth": (("synth", "--drops", "6"), "synth.reduced_body"),
-    "mesh": (("mesh", *CELLS), "mesh._make"),
+    "mesh": (("mesh", *CELLS), "mesh.run._make"),
     "view": (("view", "RESULT"), "view.run.write_picture"),
     "reproduce": (("reproduce",), "reproduce.run.CaseSession"),
 }
