@@ -92,7 +92,7 @@ class Checkpoint:
         if not self._agreed(bool(same)):
             raise InputError(
                 f"{self.folder}: was kept for a march that began elsewhere than this one does; "
-                "remove it, or leave --resume out"
+                "remove it, or do not resume"
             )
         frames: list[Mapping[str, Array]] = []
         while self._frames < last:

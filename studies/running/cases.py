@@ -111,7 +111,7 @@ class CaseSession:
         return self
 
     def __exit__(self, *raised: object) -> None:
-        # what no rank has any more PETSc frees with the next session, where one rank failed alone
+        # where one rank failed alone, PETSc frees the factors at the end of the next session
         if self._all_here(raised[1]):
             self.close()
         else:
