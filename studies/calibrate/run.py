@@ -233,8 +233,7 @@ def _run(
     prepare_folder(out, *FILES)
     with together(out, RESULT_FILE):
         write_calibration(found, out, __version__)
-        write_json(out / RESULT_FILE, content)
-    return content
+        return write_json(out / RESULT_FILE, content)
 
 
 def told(content: dict[str, Any]) -> list[tuple[str, str]]:

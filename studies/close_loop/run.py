@@ -170,8 +170,7 @@ def _run(
         content = verdict(closed)
         with together(out, VERDICT_FILE):
             write_page(closed, out, __version__)
-            write_json(out / VERDICT_FILE, content)
-    return content
+            return write_json(out / VERDICT_FILE, content)
 
 
 def close(manifest: Manifest, problem: Problem, inputs: LoopInputs) -> Closed:

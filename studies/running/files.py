@@ -8,7 +8,7 @@ import json
 import math
 import shutil
 import tempfile
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -186,9 +186,11 @@ def cannot_write(path: Path, error: OSError) -> ComputationError:
     return ComputationError(f"{path}: cannot be written: {error.strerror or error}")
 
 
-def write_json(path: Path, document: Any) -> None:
-    """Write a document as `to_json` has it, atomically."""
-    write_atomically(path, to_json(document) + "\n")
+def write_json(path: Path, document: Mapping[str, Any]) -> dict[str, Any]:
+    """Write a result as `to_json` has it, atomically. It names the folder's mark; returns it."""
+    named = {**document, "mark": MARK}
+    write_atomically(path, to_json(named) + "\n")
+    return named
 
 
 def to_json(document: Any, indent: int | None = 2) -> str:

@@ -82,11 +82,10 @@ def number(name: str, inputs: DropInputs, result: DropResult) -> Any:
 
 
 def write_drop(out: Path, document: dict[str, Any], result: DropResult) -> dict[str, Any]:
-    """Write history.csv, then result.json, into ``out``; for one rank. Returns ``document``."""
+    """Write history.csv, then result.json, into ``out``; for one rank. Returns the latter."""
     history = to_csv(HISTORY_COLUMNS, list(result.history.array()))
     write_atomically(out / HISTORY_FILE, history)
-    write_json(out / RESULT_FILE, document)
-    return document
+    return write_json(out / RESULT_FILE, document)
 
 
 def read_document(path: Path) -> dict[str, Any] | None:

@@ -410,7 +410,7 @@ def test_result_has_the_contracts_keys(out):
     assert written == json.loads(to_json(document))
     promised = set(CONTRACT_KEYS.split())
     assert promised <= set(written)
-    assert set(written) - promised == {"warnings", "reduction_error", "deflection"}
+    assert set(written) - promised == {"warnings", "reduction_error", "deflection", "mark"}
     assert list(written["energy"]) == ENERGY_KEYS.split()
     assert list(written["wall_s"]) == ["mesh", "assemble", "factor", "march", "total"]
     assert isinstance(written["schema"], int)
