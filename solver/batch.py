@@ -170,7 +170,8 @@ class Columns(NamedTuple):
 
     laws: Array
     mu: Array
-    attitude: Array
+    tilt: Array
+    tilt_wide: Array
     height: Array
     normals: Array
     rises: Array
@@ -183,7 +184,8 @@ def one_drop(common: Common, points: Points, columns: Columns, which: int, out: 
     modes, flyer, sky = common.modes, common.flyer, common.sky
     places, gravity, height = flyer.points.places, sky.gravity, columns.height[which]
     normals, rises = columns.normals[which], columns.rises[which]
-    pose = Stance(np.zeros(3), columns.attitude[which], np.zeros(0), np.zeros(0))
+    attitude = leaning(columns.tilt[which], columns.tilt_wide[which])
+    pose = Stance(np.zeros(3), attitude, np.zeros(0), np.zeros(0))
     rotation = matrix_of(pose.attitude)
     # the plane under a point lies where a flat ground would, raised
     offsets: Array = np.empty(len(places))
@@ -312,14 +314,13 @@ def _dropped(
     assert isinstance(marcher.body, ModalBody)
     out = np.zeros((len(drops), len(Outcome._fields)))
     status = np.zeros(len(drops), dtype=np.int64)
+    rest: NDArray[np.bool_] = np.ones(len(drops), dtype=bool)
     column = as_column(marcher.body)
-    upright = drops.upright() if column is not None else np.zeros(len(drops), dtype=bool)
-    if column is not None and upright.any():
+    if column is not None:
+        rest = ~drops.upright()
         own = Marcher(column, marcher.method, marcher.scheme, marcher.its_s, marcher.gravity_m_s2)
-        out[upright], status[upright] = _drop(own, drops.chosen(upright, 1), marcher, slides=slides)
-    if not upright.all():
-        rest = drops.chosen(~upright)
-        out[~upright], status[~upright] = _drop(marcher, rest, marcher, slides=slides)
+        out[~rest], status[~rest] = _drop(own, drops.chosen(~rest, 1), marcher, slides=slides)
+    out[rest], status[rest] = _drop(marcher, drops.chosen(rest), marcher, slides=slides)
     return out, status
 
 
@@ -334,14 +335,9 @@ def _drop(
     assert isinstance(method.body, ModalBody)
     modes, touching = marcher.tables()
     constants = method.tables()[1].points
-    attitude = np.array(
-        [
-            leaning(float(thin), float(wide))
-            for thin, wide in zip(drops.tilt_deg, drops.tilt_wide_deg, strict=True)
-        ]
-    ).reshape(-1, 4)
-    laws = np.tile(touching.points.law, (len(drops), 1)) if drops.laws is None else drops.laws
-    laws = np.array(laws)
+    laws = np.array(drops.laws)
+    if drops.laws is None:
+        laws = np.tile(touching.points.law, (len(drops), 1))
     laws[:, 0] = drops.kn_N_m
     rows = np.zeros((len(drops), len(Outcome._fields)))
     codes = np.zeros(len(drops), dtype=np.int64)
@@ -357,7 +353,8 @@ def _drop(
     columns = Columns(
         laws=laws,
         mu=np.ascontiguousarray(drops.mu),
-        attitude=attitude,
+        tilt=np.ascontiguousarray(drops.tilt_deg, dtype=float),
+        tilt_wide=np.ascontiguousarray(drops.tilt_wide_deg, dtype=float),
         height=np.ascontiguousarray(drops.height_m),
         normals=np.ascontiguousarray(drops.normals),
         rises=np.ascontiguousarray(drops.rises_m),

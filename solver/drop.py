@@ -16,7 +16,7 @@ from .contact.enforcement import ContactMethod
 from .contact_phase import ContactPhase, History, Observer
 from .energy import MOST_LEFT, Budget, Energy
 from .errors import ComputationError
-from .fall import damped_path, dragged, dragged_fall, free_fall
+from .fall import dragged_fall, falling, free_fall
 from .ground import Ground, just_touched, place
 from .impact import march_contact
 from .rigid import Pose, leaning, product, quaternion_of
@@ -411,17 +411,11 @@ def slowest_period_s(body: ModalBody) -> float:
 
 
 def _record_fall(history: History, plan: DropPlan, fall_s: float, body: Body) -> None:
-    alpha, g, v0 = body.alpha_1_s, plan.gravity_m_s2, plan.release_speed_m_s
-    drag = plan.drag_kg_m / body.mass_kg
-    for t in np.linspace(0.0, fall_s, FLIGHT_ROWS, endpoint=False):
-        if alpha:
-            fallen = damped_path(float(t), g, alpha)
-        elif drag:
-            fallen = dragged(float(t), g, v0, drag)[0]
-        else:
-            fallen = v0 * t + 0.5 * g * t * t
-        height = plan.height_m - fallen
-        history.rows.append((float(t), height, height, 0.0, 0.0))
+    slowed = body.alpha_1_s, plan.drag_kg_m / body.mass_kg
+    for t in map(float, np.linspace(0.0, fall_s, FLIGHT_ROWS, endpoint=False)):
+        path, _ = falling(t, plan.gravity_m_s2, plan.release_speed_m_s, *slowed)
+        height = plan.height_m - path
+        history.rows.append((t, height, height, 0.0, 0.0))
 
 
 def _record_flight(

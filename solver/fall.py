@@ -22,12 +22,12 @@ def free_fall(height_m: float, gravity_m_s2: float, alpha_1_s: float) -> tuple[f
     from scipy.optimize import brentq
 
     def beyond(t_s: float) -> float:
-        return damped_path(t_s, gravity_m_s2, alpha_1_s) - height_m
+        return float(falling(t_s, gravity_m_s2, 0.0, alpha_1_s, 0.0)[0]) - height_m
 
     # no later than in a vacuum and at the final speed, one after the other
     latest = math.sqrt(2.0 * height_m / gravity_m_s2) + height_m * alpha_1_s / gravity_m_s2
     t = float(brentq(beyond, 0.0, 1.01 * latest, xtol=1e-16))
-    return t, -gravity_m_s2 * math.expm1(-alpha_1_s * t) / alpha_1_s
+    return t, float(falling(t, gravity_m_s2, 0.0, alpha_1_s, 0.0)[1])
 
 
 def dragged_fall(
@@ -90,17 +90,21 @@ def risen(height_m: Array | float, drag_1_m: Array | float) -> Array:
     return np.where(np.asarray(drag_1_m) < LEAST_DRAG_1_M, height_m, slowed)
 
 
-def damped_path(t_s: float, gravity_m_s2: float, alpha_1_s: float) -> float:
-    """Distance fallen from rest after ``t_s`` under damping in proportion to mass."""
-    return gravity_m_s2 * (t_s + math.expm1(-alpha_1_s * t_s) / alpha_1_s) / alpha_1_s
-
-
 @njit
-def dragged(
-    t_s: float, gravity_m_s2: float, speed_m_s: float, drag_1_m: float
+def falling(
+    t_s: float, gravity_m_s2: float, speed_m_s: float, alpha_1_s: float, drag_1_m: float
 ) -> tuple[float, float]:
     """Distance fallen after ``t_s``, negative while an upward start is above its origin, and the
-    speed then, downward."""
+    speed then, both downward as is the start's ``speed_m_s``.
+
+    Damping in proportion to mass ``alpha_1_s`` or quadratic drag over mass ``drag_1_m`` acts.
+    """
+    if drag_1_m == 0.0 and alpha_1_s == 0.0:
+        return speed_m_s * t_s + 0.5 * gravity_m_s2 * t_s * t_s, speed_m_s + gravity_m_s2 * t_s
+    if drag_1_m == 0.0:
+        decayed = -math.expm1(-alpha_1_s * t_s) / alpha_1_s
+        path = speed_m_s * decayed + gravity_m_s2 * (t_s - decayed) / alpha_1_s
+        return path, speed_m_s * math.exp(-alpha_1_s * t_s) + gravity_m_s2 * decayed
     limit = math.sqrt(gravity_m_s2 / drag_1_m)
     rate = gravity_m_s2 / limit
     start, risen_by, t = 0.0, 0.0, t_s

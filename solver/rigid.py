@@ -14,10 +14,12 @@ import numpy as np
 
 from .arrays import Array
 from .compiled import njit
-from .fall import dragged
+from .fall import falling
 
 # Angle of one Runge-Kutta step; its error is about angle⁵/120.
 STEP_RAD = 0.02
+# Attitude, then angular velocity, of a body that turns.
+State = tuple[float, float, float, float, float, float, float]
 
 
 @njit
@@ -61,32 +63,23 @@ def turn(vector: Array) -> Array:
 
 
 @njit
-def _rates(
-    q: tuple[float, float, float, float], w: tuple[float, float, float], inertia: Array
-) -> tuple[tuple[float, float, float, float], tuple[float, float, float]]:
+def _rates(s: State, inertia: Array) -> State:
     """Rates of attitude and angular velocity without torque: Euler's equations."""
-    dw0 = (inertia[1] - inertia[2]) * w[1] * w[2] / inertia[0] if inertia[0] > 0.0 else 0.0
-    dw1 = (inertia[2] - inertia[0]) * w[2] * w[0] / inertia[1] if inertia[1] > 0.0 else 0.0
-    dw2 = (inertia[0] - inertia[1]) * w[0] * w[1] / inertia[2] if inertia[2] > 0.0 else 0.0
-    dq0 = 0.5 * (-q[1] * w[0] - q[2] * w[1] - q[3] * w[2])
-    dq1 = 0.5 * (q[0] * w[0] + q[2] * w[2] - q[3] * w[1])
-    dq2 = 0.5 * (q[0] * w[1] - q[1] * w[2] + q[3] * w[0])
-    dq3 = 0.5 * (q[0] * w[2] + q[1] * w[1] - q[2] * w[0])
-    return (dq0, dq1, dq2, dq3), (dw0, dw1, dw2)
+    q0, q1, q2, q3, w0, w1, w2 = s
+    dw0 = (inertia[1] - inertia[2]) * w1 * w2 / inertia[0] if inertia[0] > 0.0 else 0.0
+    dw1 = (inertia[2] - inertia[0]) * w2 * w0 / inertia[1] if inertia[1] > 0.0 else 0.0
+    dw2 = (inertia[0] - inertia[1]) * w0 * w1 / inertia[2] if inertia[2] > 0.0 else 0.0
+    dq0 = 0.5 * (-q1 * w0 - q2 * w1 - q3 * w2)
+    dq1 = 0.5 * (q0 * w0 + q2 * w2 - q3 * w1)
+    dq2 = 0.5 * (q0 * w1 - q1 * w2 + q3 * w0)
+    dq3 = 0.5 * (q0 * w2 + q1 * w1 - q2 * w0)
+    return dq0, dq1, dq2, dq3, dw0, dw1, dw2
 
 
 @njit
-def _ahead4(
-    q: tuple[float, float, float, float], h: float, d: tuple[float, float, float, float]
-) -> tuple[float, float, float, float]:
-    return q[0] + h * d[0], q[1] + h * d[1], q[2] + h * d[2], q[3] + h * d[3]
-
-
-@njit
-def _ahead3(
-    w: tuple[float, float, float], h: float, d: tuple[float, float, float]
-) -> tuple[float, float, float]:
-    return w[0] + h * d[0], w[1] + h * d[1], w[2] + h * d[2]
+def _ahead(s: State, h: float, d: State) -> State:
+    s0, s1, s2, s3 = s[0] + h * d[0], s[1] + h * d[1], s[2] + h * d[2], s[3] + h * d[3]
+    return s0, s1, s2, s3, s[4] + h * d[4], s[5] + h * d[5], s[6] + h * d[6]
 
 
 @njit
@@ -113,20 +106,18 @@ def free_rotation(
         return product(q, turn(w * duration)), w * slowed
     n = math.ceil(size * abs(duration) / STEP_RAD)
     h = duration / n
-    # tuples, not arrays: nothing is allocated in the loop
-    p, v = (q[0], q[1], q[2], q[3]), (w[0], w[1], w[2])
+    # a tuple, not an array: nothing is allocated in the loop
+    s = (q[0], q[1], q[2], q[3], w[0], w[1], w[2])
     for _ in range(n):
-        p1, v1 = _rates(p, v, inertia)
-        p2, v2 = _rates(_ahead4(p, 0.5 * h, p1), _ahead3(v, 0.5 * h, v1), inertia)
-        p3, v3 = _rates(_ahead4(p, 0.5 * h, p2), _ahead3(v, 0.5 * h, v2), inertia)
-        p4, v4 = _rates(_ahead4(p, h, p3), _ahead3(v, h, v3), inertia)
-        p = _ahead4(_ahead4(p, h / 6.0, p1), h / 3.0, p2)
-        p = _ahead4(_ahead4(p, h / 3.0, p3), h / 6.0, p4)
-        v = _ahead3(_ahead3(v, h / 6.0, v1), h / 3.0, v2)
-        v = _ahead3(_ahead3(v, h / 3.0, v3), h / 6.0, v4)
-        size = math.sqrt(p[0] ** 2 + p[1] ** 2 + p[2] ** 2 + p[3] ** 2)
-        p = (p[0] / size, p[1] / size, p[2] / size, p[3] / size)
-    return np.array(p), np.array(v) * slowed
+        d1 = _rates(s, inertia)
+        d2 = _rates(_ahead(s, 0.5 * h, d1), inertia)
+        d3 = _rates(_ahead(s, 0.5 * h, d2), inertia)
+        d4 = _rates(_ahead(s, h, d3), inertia)
+        s = _ahead(_ahead(s, h / 6.0, d1), h / 3.0, d2)
+        s = _ahead(_ahead(s, h / 3.0, d3), h / 6.0, d4)
+        size = math.sqrt(s[0] ** 2 + s[1] ** 2 + s[2] ** 2 + s[3] ** 2)
+        s = (s[0] / size, s[1] / size, s[2] / size, s[3] / size, s[4], s[5], s[6])
+    return np.array(s[:4]), np.array(s[4:]) * slowed
 
 
 @njit
@@ -144,21 +135,12 @@ def fallen(
     vertical one; one of them may be there.
     """
     at, speed = position.copy(), velocity.copy()
-    if drag_1_m > 0.0:
-        path, down = dragged(t, gravity_m_s2, -velocity[2], drag_1_m)
-        at[:2] += velocity[:2] * t
-        at[2] -= path
-        speed[2] = -down
-    elif alpha_1_s > 0.0:
-        decayed = -math.expm1(-alpha_1_s * t) / alpha_1_s
-        at += velocity * decayed
-        at[2] -= gravity_m_s2 * (t - decayed) / alpha_1_s
-        speed *= math.exp(-alpha_1_s * t)
-        speed[2] -= gravity_m_s2 * decayed
-    else:
-        at += velocity * t
-        at[2] -= 0.5 * gravity_m_s2 * t * t
-        speed[2] -= gravity_m_s2 * t
+    path, down = falling(t, gravity_m_s2, -velocity[2], alpha_1_s, drag_1_m)
+    decayed = -math.expm1(-alpha_1_s * t) / alpha_1_s if alpha_1_s > 0.0 else t
+    at[:2] += velocity[:2] * decayed
+    speed[:2] *= math.exp(-alpha_1_s * t)
+    at[2] -= path
+    speed[2] = -down
     return at, speed
 
 
@@ -187,18 +169,18 @@ class Pose:
         )
 
 
+@njit
 def leaning(tilt_deg: float, tilt_wide_deg: float = 0.0) -> Array:
     """Attitude (4,) of a bristle whose upper end leans toward its thin (x) and wide (y) side.
 
     The axis points along (tan tilt, tan tilt_wide, 1); the section is not twisted about it.
     """
-    axis = np.array([math.tan(math.radians(tilt_deg)), math.tan(math.radians(tilt_wide_deg)), 1.0])
-    sideways = math.hypot(axis[0], axis[1])
+    x, y = math.tan(math.radians(tilt_deg)), math.tan(math.radians(tilt_wide_deg))
+    sideways = math.hypot(x, y)
     if sideways == 0.0:
         return np.array([1.0, 0.0, 0.0, 0.0])
-    angle = math.atan(sideways)
-    vector = np.array([-axis[1], axis[0], 0.0]) * (angle / sideways)
-    return np.asarray(turn(vector))
+    share = math.atan(sideways) / sideways
+    return turn(np.array([-y * share, x * share, 0.0]))
 
 
 def slope_normal(slope_deg: float, slope_wide_deg: float = 0.0) -> Array:

@@ -18,7 +18,7 @@ from bristle.solver.effects.base import Place, Scene
 from bristle.solver.effects.library import EFFECTS, enter_all
 from bristle.solver.effects.surface import MOST_SLOPE_DEG, steepness_deg
 from bristle.solver.errors import InputError
-from bristle.solver.fall import dragged, dragged_fall, risen
+from bristle.solver.fall import dragged_fall, falling, risen
 from bristle.studies.inputs.config import DropInputs
 from bristle.studies.inputs.effects import entered
 from bristle.studies.inputs.named import EffectInput
@@ -140,7 +140,7 @@ def test_a_fall_with_drag_is_the_differential_equations(start, drag):
     assert done.y[0, -1] == pytest.approx(0.05, abs=1e-9)
     assert done.y[1, -1] == pytest.approx(speed, abs=1e-9)
     for t in np.linspace(0.1, 0.9, 5) * time:
-        path, speed = dragged(float(t), paper.GRAVITY_M_S2, start, drag)
+        path, speed = falling(float(t), paper.GRAVITY_M_S2, start, 0.0, drag)
         assert path == pytest.approx(done.sol(t)[0], abs=1e-8)
         assert speed == pytest.approx(done.sol(t)[1], abs=1e-8)
 
