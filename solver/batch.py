@@ -212,7 +212,7 @@ def one_drop(common: Common, points: Points, columns: Columns, which: int, out: 
         done = march(modes, touching, u, v, memory, limits)
         if done.status != modal_march.RELEASED:
             return done.status
-        steps, memory = steps + done.steps, done.memory
+        steps, memory = steps + done.steps, done.memory[:, 2].copy()
         lost += np.array([done.material_loss, done.friction_loss, done.contact_loss])
         if done.impulse != 0.0:
             touches, impulse, peak = touches + 1, impulse + done.impulse, max(peak, done.peak)

@@ -25,7 +25,7 @@ from .errors import ComputationError, InputError
 if TYPE_CHECKING:
     from mpi4py import MPI
 
-SCHEMA = "bristle-checkpoint-4"
+SCHEMA = "bristle-checkpoint-5"
 HEADER = "header"
 # Of a march that is begun again, the share by which its start may differ: rounding on another
 # machine, while two touches of one drop differ by far more.

@@ -148,6 +148,8 @@ caching.IndexDataCacheFile = _Index
 caching.Cache.load_overload = _load_overload
 
 njit = cast(Decorator, numba.njit(cache=True, nogil=True))
+# For small functions of many arrays, which are costly to hand over.
+inlined = cast(Decorator, numba.njit(cache=True, nogil=True, forceinline=True))
 # Sums may be taken in any order: for long runs, which vector units then add up side by side.
 fast = cast(Decorator, numba.njit(cache=True, nogil=True, fastmath=True))
 

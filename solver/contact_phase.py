@@ -1,4 +1,4 @@
-"""Record of one contact phase, whichever march computes it: history, sums and end state."""
+"""One contact phase, marched in steps of any body, with checkpoints; and its record."""
 
 from __future__ import annotations
 
@@ -9,7 +9,8 @@ from typing import Protocol
 import numpy as np
 
 from .arrays import Array
-from .checkpoint import Mark
+from .checkpoint import Checkpoint, Mark, prefixed, under
+from .energy import contact_energy_J
 from .errors import ComputationError
 from .time.march import ContactMarch, Moving
 
@@ -40,7 +41,7 @@ class ContactSums:
     """What has come together in a touch; ``released`` says that the tip is free again.
 
     ``peak_force_N`` is the greatest value at the ends of steps, ``push_N_s`` (3,) the impulse along
-    body axes, friction included, ``last_N`` the mean normal force of the latest step.
+    body axes, friction included.
     """
 
     release_s: float
@@ -51,7 +52,6 @@ class ContactSums:
     material_loss_J: float = 0.0
     friction_loss_J: float = 0.0
     contact_loss_J: float = 0.0
-    last_N: float = 0.0
 
 
 @dataclass(kw_only=True)
@@ -74,6 +74,25 @@ class ContactPhase(ContactSums):
     n_steps: int
     memory: Array
 
+    @classmethod
+    def ended(
+        cls, marcher: ContactMarch, sums: ContactSums, rows: Array, state: Moving
+    ) -> ContactPhase:
+        """That of a march that has ended in ``state``, by its history ``rows`` (steps + 1, 5)."""
+        start_s, (depth, when) = float(rows[0, 0]), deepest(rows)
+        return cls(
+            **vars(sums),
+            start_s=start_s,
+            end_s=state.t_s,
+            u=state.u,
+            v=state.v,
+            max_penetration_m=depth,
+            max_penetration_s=when - start_s,
+            contact_J=contact_energy_J(marcher, state),
+            n_steps=len(rows) - 1,
+            memory=marcher.contact.memory[:, 2].copy(),
+        )
+
 
 class Observer(Protocol):
     """What sees every marched state, and the step's forces (n, 3) along the points' frames.
@@ -90,6 +109,127 @@ class Observer(Protocol):
     def recall(self, mark: Mark, state: Moving) -> None:
         """Go on from what ``mark`` kept of it, the march being at ``state``."""
         ...
+
+
+def march_stepwise(
+    marcher: ContactMarch,
+    start: tuple[float, Array, Array],
+    memory: Array,
+    history: History,
+    observer: Observer | None,
+    until_s: float,
+    wait_s: float,
+    checkpoint: Checkpoint | None,
+) -> ContactPhase:
+    """`impact.march_contact`, in steps of the marcher."""
+    t_s, *_ = start
+    first_row = len(history.rows)
+    mark = checkpoint.begin(*start, memory) if checkpoint else None
+    if mark is None:
+        count, sums, state, done = 0, ContactSums(t_s), marcher.start(*start), False
+        marcher.contact.memory[:, 2] = memory
+        none = np.zeros((len(marcher.body.contact.weights), 3))
+        observe(marcher, state, none, history)
+        if observer is not None:
+            observer(state, none)
+    else:
+        count, done = mark.steps, mark.done
+        sums, state = _recalled(mark, marcher, history)
+        if observer is not None:
+            observer.recall(mark, state)
+    limit = step_limit(marcher, until_s)
+    while not done:
+        count += 1
+        if count >= limit:
+            raise too_long(marcher, limit)
+        state = _step(marcher, state, sums, history, observer, wait_s)
+        done = sums.released or state.t_s >= until_s
+        if checkpoint and (done or checkpoint.due()):
+            rows = np.array(history.rows[first_row:])
+            saved = _kept(marcher, state, sums, rows, observer)
+            checkpoint.save(count, saved, done=done)
+    return ContactPhase.ended(marcher, sums, np.array(history.rows[first_row:]), state)
+
+
+def _step(
+    marcher: ContactMarch,
+    before: Moving,
+    sums: ContactSums,
+    history: History,
+    observer: Observer | None,
+    wait_s: float,
+) -> Moving:
+    """The state after a step from ``before``; what it did comes into ``sums`` and ``history``."""
+    weights = marcher.body.contact.weights
+    step = marcher.step(before)
+    state, force, total = step.state, step.force, step.mean_N
+    if not np.isfinite(state.approach).all():
+        raise not_finite(state.t_s)
+    now = observe(marcher, state, force, history)
+    if observer is not None:
+        observer(state, force)
+    sums.contact_loss_J += step.contact_loss_J
+    sums.material_loss_J += marcher.damping_loss_J(before, state, force)
+    sums.friction_loss_J += step.friction_loss_J
+    sums.impulse_N_s += marcher.its_s * total
+    sums.push_N_s = sums.push_N_s + marcher.its_s * (weights @ marcher.along_axes(force))
+    sums.peak_force_N = max(sums.peak_force_N, now)
+    if total > 0.0 or (total < 0.0 and marcher.method.law.pulls):
+        sums.release_s = before.t_s + step.share * (state.t_s - before.t_s)
+    free = total == 0.0 or step.final_N == 0.0
+    sums.released = free and state.t_s >= wait_s and _leaving(marcher, state)
+    if sums.released:
+        sums.friction_loss_J += marcher.contact.let_go()
+    return state
+
+
+def _leaving(marcher: ContactMarch, state: Moving) -> bool:
+    """Whether every point is clear and none is held, or on its way to be.
+
+    A rigid plane under a multiplier has points that rest on it without a push.
+    """
+    if not marcher.rigid_multiplier:
+        return bool(state.approach[:, 0].max() <= 0.0) and not marcher.contact.holds()
+    rising = marcher.gaps(state.v) - marcher.ground.gaps_m
+    return bool(np.all((marcher.gaps(state.u) > 0.0) | (rising > 0.0)))
+
+
+def _kept(
+    marcher: ContactMarch, state: Moving, sums: ContactSums, rows: Array, observer: Observer | None
+) -> dict[str, Array]:
+    """Everything that the next step, and the touch, will need."""
+    return {
+        **kept_state(marcher, state),
+        **prefixed("sums", vars(sums)),
+        **prefixed("observer", observer.memory() if observer is not None else {}),
+        "rows": rows,
+    }
+
+
+def _recalled(mark: Mark, marcher: ContactMarch, history: History) -> tuple[ContactSums, Moving]:
+    """What `_kept` was given; the rows come back into ``history``."""
+    history.extend(mark.arrays["rows"])
+    sums = ContactSums(0.0)
+    for name, value in under("sums", mark.arrays):
+        setattr(sums, name, value.copy() if value.ndim else value.item())
+    return sums, recalled_state(mark, marcher)
+
+
+def kept_state(marcher: ContactMarch, state: Moving) -> dict[str, Array]:
+    """The state and what contact remembers, as arrays by name."""
+    return {
+        **prefixed("state", vars(state)),
+        **prefixed("contact", marcher.contact.kept()),
+        **prefixed("march", marcher.memory()),
+    }
+
+
+def recalled_state(mark: Mark, marcher: ContactMarch) -> Moving:
+    """The state that `kept_state` was given; contact remembers again."""
+    marcher.recall(dict(under("march", mark.arrays)))
+    marcher.contact.recall(dict(under("contact", mark.arrays)))
+    state = dict(under("state", mark.arrays))
+    return marcher.state_type(t_s=float(state.pop("t_s")), **state)
 
 
 def observe(marcher: ContactMarch, state: Moving, step_force: Array, history: History) -> float:

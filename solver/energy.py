@@ -73,24 +73,28 @@ class Budget:
         )
 
 
-def marching_energy(marcher: ContactMarch, state: Moving) -> Energy:
-    """Energy of the latest state on the march; Nitsche's boundary terms and friction's springs
-    are contact's.
-
-    ``potential_J`` is zero where the tip first touches.
-    """
-    body, method = marcher.body, marcher.method
-    contact = marcher.contact.spring_energy_J()
+def contact_energy_J(marcher: ContactMarch, state: Moving) -> float:
+    """What contact holds in the latest state on the march: the law, friction's springs, and
+    Nitsche's boundary terms."""
+    weights, contact = marcher.body.contact.weights, marcher.contact
+    held = contact.spring_energy_J()
     if not marcher.rigid_multiplier:
-        contact += marcher.pressed_J(state.approach, marcher.contact.memory[:, 2])
-    strain = marcher.strain_energy_J(state)
-    if method.theta and marcher.tau:
-        boundary = 0.5 * method.theta * marcher.tau
-        boundary *= float(body.contact.weights @ np.sum(marcher.tractions(state) ** 2, axis=1))
-        contact -= boundary
+        law, scale = marcher.method.law, marcher.ground.scale
+        pressed = law.potential(state.approach[:, 0], marcher.tau, scale, contact.memory[:, 2])
+        held += float(weights @ pressed)
+    boundary = 0.5 * marcher.method.theta * marcher.tau
+    if boundary:
+        held -= boundary * float(weights @ np.sum(marcher.tractions(state) ** 2, axis=1))
+    return held
+
+
+def marching_energy(marcher: ContactMarch, state: Moving) -> Energy:
+    """Energy of the latest state on the march; ``potential_J`` is zero where the tip first
+    touches."""
+    body = marcher.body
     return Energy(
         kinetic_J=0.5 * body.dot(state.v, state.mv),
-        strain_J=strain,
+        strain_J=marcher.strain_energy_J(state),
         potential_J=marcher.gravity_m_s2 * body.mass_kg * marcher.heights(state)[1],
-        contact_J=contact,
+        contact_J=contact_energy_J(marcher, state),
     )

@@ -13,17 +13,17 @@ from .contact.enforcement import Enforcement
 from .contact.solve import MULTIPLIER_TOLERANCE
 from .contact_phase import (
     ContactPhase,
+    ContactSums,
     History,
     Observer,
-    deepest,
+    march_stepwise,
     not_finite,
     step_limit,
     too_long,
 )
 from .errors import ComputationError
-from .stepwise import march_stepwise
 from .time import modal_march
-from .time.march import ContactMarch, Marcher
+from .time.march import ContactMarch, Marcher, Moving
 from .time.modal_march import MarchLimits
 
 # What rounding makes of a step's losses at most, in units of the energy at hand. A loss is work
@@ -136,35 +136,30 @@ def _march_compiled(
     )
     u, v = map(np.ascontiguousarray, state)
     marched = modal_march.march(modes, touching, u, v, memory, limits)
+    times = t_s + modes.its * np.arange(marched.steps + 1)
     if marched.status == modal_march.NOT_CONVERGED:
         raise ComputationError(
-            f"the contact forces did not converge at t = {t_s + marched.steps * modes.its:.6g} s; "
-            "shorten the ITS"
+            f"the contact forces did not converge at t = {times[-1]:.6g} s; shorten the ITS"
         )
     if marched.status == modal_march.NOT_FINITE:
-        raise not_finite(t_s + marched.steps * modes.its)
+        raise not_finite(times[-1])
     if marched.status == modal_march.TOO_LONG:
         raise too_long(marcher, limit)
-    times = t_s + modes.its * np.arange(marched.steps + 1)
     rows = np.column_stack([times, marched.history])
     history.extend(rows)
-    depth, when = deepest(rows)
-    return ContactPhase(
-        start_s=t_s,
+    marcher.contact.memory[:] = marched.memory
+    sums = ContactSums(
         release_s=t_s + marched.release,
-        end_s=float(times[-1]),
-        u=marched.u,
-        v=marched.v,
+        released=marched.status == modal_march.RELEASED,
         peak_force_N=marched.peak,
         impulse_N_s=marched.impulse,
         push_N_s=marched.push,
-        max_penetration_m=depth,
-        max_penetration_s=when - t_s,
         material_loss_J=marched.material_loss,
         friction_loss_J=marched.friction_loss,
         contact_loss_J=marched.contact_loss,
-        contact_J=marched.spring + marcher.pressed_J(marched.approach, marched.memory),
-        n_steps=marched.steps,
-        released=marched.status == modal_march.RELEASED,
-        memory=marched.memory,
     )
+    u, v = marched.u, marched.v
+    end = Moving(
+        float(times[-1]), u, v, marcher.body.mass(u), marcher.body.mass(v), marched.approach
+    )
+    return ContactPhase.ended(marcher, sums, rows, end)

@@ -38,12 +38,12 @@ from numpy.typing import NDArray
 from ..arrays import Array
 from ..bodies.base import Body, dense_of
 from ..errors import ComputationError
-from . import step
 from .laws import ContactLaw, Coulomb, check_compiled
 from .normal import holds
 from .points import CONSERVING, Points, Trial
 from .section import NEWTON_LIMIT, Section
 from .solve import AUGMENTATION_LIMIT, solve_step
+from .step import Taken, let_go, spring_energy, take
 
 # Patterns of force that a body answers less than this share of the softest count as rigid.
 STIFFEST = 1e-2
@@ -140,7 +140,7 @@ class StepContact:
     ``compliance_m_N`` is Nitsche's τ, ``scale`` (n,) each point's stiffness over the law's.
     ``end_weight`` is None for the discrete gradient, else the weight of the end of the step.
     ``multiplier`` (n, 3) belongs to the augmented Lagrangian, ``memory`` (n, 3) to friction and the
-    law. ``share`` is the part of the step before in which there was contact.
+    law, ``last`` (1,) is the mean normal force of the step before, in N.
     """
 
     method: ContactMethod
@@ -185,8 +185,7 @@ class StepContact:
         n = len(self.weights)
         self.multiplier: Array = np.zeros((n, 3))
         self.memory: Array = np.zeros((n, 3))
-        self.end: Array = np.zeros((n, 3))
-        self.share = 1.0
+        self.last: Array = np.zeros(1)
 
     def kept(self) -> dict[str, NDArray[Any]]:
         """What the next step needs of the steps before, as arrays by name."""
@@ -194,8 +193,7 @@ class StepContact:
         return {
             "multiplier": self.multiplier,
             "memory": self.memory,
-            "end": self.end,
-            "share": np.array(self.share),
+            "last": self.last,
             "inverse": section.inverse,
             "factored": section.factored,
             "predictor": section.predictor,
@@ -203,12 +201,8 @@ class StepContact:
 
     def recall(self, arrays: Mapping[str, Array]) -> None:
         """Go on from what `kept` gave."""
-        self.multiplier = arrays["multiplier"].copy()
-        self.memory, self.end = arrays["memory"].copy(), arrays["end"].copy()
-        self.share = float(arrays["share"])
-        self.section.inverse[...] = arrays["inverse"]
-        self.section.factored[...] = arrays["factored"]
-        self.section.predictor[...] = arrays["predictor"]
+        for name, own in self.kept().items():
+            own[...] = arrays[name]
 
     def _trial(self, start: Array, free: Array, force: Array) -> Trial:
         return Trial(start, free, self.end, force, self.memory, self.multiplier)
@@ -239,15 +233,11 @@ class StepContact:
             )
         return force
 
-    def commit(self, start: Array, force: Array) -> tuple[float, float]:
-        """Let friction's springs and the law's memory follow the step that was solved.
-
-        Returns what friction and what the law took, in J.
-        """
-        trial = self._trial(start, self.end, force)
-        self.share = float(step.share_in_contact(self.points, trial))
-        friction = float(step.commit(self.points, trial))
-        return friction, float(step.settle(self.points, trial))
+    def commit(self, start: Array, force: Array) -> Taken:
+        """Let friction's springs and the law's memory follow the step that was solved."""
+        taken = take(self.points, self._trial(start, self.end, force), self.last[0])
+        self.last[0] = taken.mean_N
+        return taken
 
     def holds(self) -> bool:
         """Whether adhesion holds a point."""
@@ -255,4 +245,8 @@ class StepContact:
 
     def spring_energy_J(self) -> float:
         """What the springs of friction hold."""
-        return float(step.spring_energy(self.points, self.memory))
+        return float(spring_energy(self.points, self.memory))
+
+    def let_go(self) -> float:
+        """Have the springs of friction hold nothing; returns what they held, in J."""
+        return float(let_go(self.points, self.memory))

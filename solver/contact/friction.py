@@ -17,52 +17,56 @@ from __future__ import annotations
 
 import math
 
-from ..compiled import njit
+from ..compiled import inlined
 from .normal import normal_at_end
-from .points import PointLaw, PointTrial
+from .points import Points, Trial
 
 
-@njit
-def tangential_stiffness(at: PointLaw) -> float:
-    """The tangential spring in series with Nitsche's compliance; infinite where both allow."""
-    stiffness = at.scale * at.kt
-    return 1.0 / (1.0 / stiffness + at.compliance) if at.compliance > 0.0 else stiffness
+@inlined
+def tangential_stiffness(points: Points, i: int) -> float:
+    """Point ``i``'s tangential spring in series with Nitsche's compliance; infinite where both
+    allow."""
+    stiffness = points.scale[i] * points.kt
+    return 1.0 / (1.0 / stiffness + points.compliance) if points.compliance > 0.0 else stiffness
 
 
-@njit
+@inlined
 def friction_force(
-    at: PointLaw, point: PointTrial, limit: float, part: float
+    points: Points, trial: Trial, i: int, limit: float, part: float
 ) -> tuple[float, float, float, bool]:
     """Friction (2,) by return mapping, d T / d slip while it sticks, and whether it slides.
 
     ``part`` is the share of the step after which the law is asked (½ or 1), ``limit`` is μ N.
     """
-    stiffness, proximal = tangential_stiffness(at), at.proximal
+    start, end, memory, multiplier = trial.start, trial.end, trial.memory, trial.multiplier
+    stiffness, proximal = tangential_stiffness(points, i), points.proximal
     compliance = part * proximal
     if not math.isinf(stiffness):
         compliance += 1.0 / stiffness
-    t0 = (point.e0 + part * (point.slip0 + proximal * point.m0)) / compliance
-    t1 = (point.e1 + part * (point.slip1 + proximal * point.m1)) / compliance
+    slip0 = end[i, 1] - start[i, 1] + proximal * multiplier[i, 1]
+    slip1 = end[i, 2] - start[i, 2] + proximal * multiplier[i, 2]
+    t0 = (memory[i, 0] + part * slip0) / compliance
+    t1 = (memory[i, 1] + part * slip1) / compliance
     size = math.hypot(t0, t1)
     if size <= limit:
         return t0, t1, part / compliance, False
     return limit * t0 / size, limit * t1 / size, part / compliance * limit / size, True
 
 
-@njit
-def elongated(
-    at: PointLaw, point: PointTrial, normal: float, t0: float, t1: float
-) -> tuple[float, float]:
-    """Elongation (2,) of the spring after a step of the conserving scheme with the mean force
-    (``normal``, ``t0``, ``t1``).
+@inlined
+def elongated(points: Points, trial: Trial, i: int) -> tuple[float, float]:
+    """Elongation (2,) of point ``i``'s spring after a step of the conserving scheme.
 
     Where it slides its direction is that of a path with a constant limit to second order in the
     slip, and the path's own where the slip is long (see the tractrix: tan φ/2 falls as exp(-s/R),
     with φ the angle to the slip s and R the elongation at the limit).
     """
-    stiffness, e0, e1 = tangential_stiffness(at), point.e0, point.e1
-    slip0, slip1 = point.slip0, point.slip1
-    limit, most = at.mu * normal / stiffness, at.mu * normal_at_end(at, point) / stiffness
+    start, end, force, memory = trial.start, trial.end, trial.force, trial.memory
+    normal, t0, t1 = force[i, 0], force[i, 1], force[i, 2]
+    stiffness, e0, e1 = tangential_stiffness(points, i), memory[i, 0], memory[i, 1]
+    slip0, slip1 = end[i, 1] - start[i, 1], end[i, 2] - start[i, 2]
+    limit = points.mu * normal / stiffness
+    most = points.mu * normal_at_end(points, trial, i) / stiffness
     if math.hypot(e0 + 0.5 * slip0, e1 + 0.5 * slip1) <= limit:
         new0, new1 = 2.0 * t0 / stiffness - e0, 2.0 * t1 / stiffness - e1
         size = math.hypot(new0, new1)

@@ -21,8 +21,8 @@ import math
 import numpy as np
 
 from ..arrays import Array
-from ..compiled import njit
-from .points import CONSERVING, Kind, PointLaw, Points, PointTrial
+from ..compiled import inlined, njit
+from .points import CONSERVING, Kind, Points, Trial
 
 # Memory of a point that adhesion holds; for one step, of one that is held without limit, and of one
 # that is sure to let go.
@@ -175,24 +175,20 @@ ADHESIVE = Kind.of(_adhesive, _held, _at_pull_off, pulls=True)
 
 
 @njit
-def internal(points: Points, memory: Array, i: int) -> float:
-    """The law's internal variable at point ``i``."""
-    return memory[i, 2] if points.kind.remembers else 0.0
-
-
-@njit
 def holds(points: Points, memory: Array) -> bool:
     """Whether adhesion holds a point."""
     return points.kind.pulls and memory[:, 2].max() > 0.0
 
 
-@njit
-def _mean_elastic(at: PointLaw, start: float, end: float, memory: float) -> tuple[float, float]:
+@inlined
+def _mean_elastic(
+    points: Points, i: int, start: float, end: float, memory: float
+) -> tuple[float, float]:
     """The mean over a step of the force without damping, and its derivative by the approach at the
     end."""
-    law, scale, compliance, elastic = at.law, at.scale, at.compliance, at.kind.elastic
-    change = end - start
-    if at.kind.pulls and memory > 0.0:
+    kind, law, scale, compliance = points.kind, points.law, points.scale[i], points.compliance
+    weight, change = points.end_weight, end - start
+    if kind.pulls and memory > 0.0:
         stiffness = scale * law[0]
         reach = law[1] / stiffness
         lets_go = end <= -reach or memory == LETTING_GO
@@ -200,32 +196,33 @@ def _mean_elastic(at: PointLaw, start: float, end: float, memory: float) -> tupl
             # the force ends on the way, be that ever so short
             mean = 0.5 * stiffness * (start - reach) * (start + reach) / -change
             return mean, mean / -change
-    force1, slope1, energy1 = elastic(law, scale, end, compliance, memory)
-    force0, _, energy0 = elastic(law, scale, start, compliance, memory)
-    if at.end_weight != CONSERVING:
-        weight = at.end_weight
+    force1, slope1, energy1 = kind.elastic(law, scale, end, compliance, memory)
+    force0, _, energy0 = kind.elastic(law, scale, start, compliance, memory)
+    if weight != CONSERVING:
         return weight * force1 + (1.0 - weight) * force0, weight * slope1
     if abs(change) <= SHORT * max(abs(start), abs(end)):
-        force, slope, _ = elastic(law, scale, 0.5 * (start + end), compliance, memory)
+        force, slope, _ = kind.elastic(law, scale, 0.5 * (start + end), compliance, memory)
         return force, 0.5 * slope
     mean = (energy1 - energy0) / change
     return mean, (force1 - mean) / change
 
 
-@njit
-def _mean_normal(at: PointLaw, start: float, end: float, memory: float) -> tuple[float, float]:
+@inlined
+def _mean_normal(
+    points: Points, i: int, start: float, end: float, memory: float
+) -> tuple[float, float]:
     """Normal force over a step and its derivative by the approach at the end.
 
     A dashpot's force is the damping over the step times the change of penetration, Hunt and
     Crossley's that times the spring's mean force; together with the spring both push or do nothing.
     """
-    mean, slope = _mean_elastic(at, start, end, memory)
-    if at.dashpot != 0.0 and (start > 0.0 or end > 0.0):
-        law, damping = at.law, at.dashpot * at.scale
+    mean, slope = _mean_elastic(points, i, start, end, memory)
+    if points.dashpot != 0.0 and (start > 0.0 or end > 0.0):
+        kn, damping = points.law[0], points.dashpot * points.scale[i]
         before, after = max(start, 0.0), max(end, 0.0)
-        if at.kind.damps_spring:
-            mean += 0.5 * law[0] * damping * (after + before) * (after - before)
-            slope += law[0] * damping * after
+        if points.kind.damps_spring:
+            mean += 0.5 * kn * damping * (after + before) * (after - before)
+            slope += kn * damping * after
         else:
             mean += damping * (after - before)
             slope += damping if end > 0.0 else 0.0
@@ -234,22 +231,24 @@ def _mean_normal(at: PointLaw, start: float, end: float, memory: float) -> tuple
     return mean, slope
 
 
-@njit
-def normal_force(at: PointLaw, point: PointTrial) -> tuple[float, float]:
-    """Normal force over a step and its derivative by the approach at the end, the multiplier
-    included."""
-    proximal, internal = at.proximal, point.internal
+@inlined
+def normal_force(points: Points, trial: Trial, i: int) -> tuple[float, float]:
+    """Normal force of point ``i`` over a step and its derivative by the approach at the end, the
+    multiplier included."""
+    proximal, start, end = points.proximal, trial.start[i, 0], trial.end[i, 0]
+    multiplier, memory = trial.multiplier[i, 0], trial.memory[i, 2]
     if proximal == 0.0:
-        return _mean_normal(at, point.start, point.end, internal)
-    if math.isinf(at.law[0]):  # Signorini's condition holds at the end of the step
-        end, compliance = point.end + proximal * point.m, at.compliance + proximal
-        force, slope, _ = at.kind.elastic(at.law, at.scale, end, compliance, internal)
+        return _mean_normal(points, i, start, end, memory)
+    if math.isinf(points.law[0]):  # Signorini's condition holds at the end of the step
+        augmented, compliance = end + proximal * multiplier, points.compliance + proximal
+        law, scale = points.law, points.scale[i]
+        force, slope, _ = points.kind.elastic(law, scale, augmented, compliance, memory)
         return force, slope
-    force = point.m
+    force = multiplier
     slope = 0.0
     for _ in range(SCALAR_LIMIT):
-        augmented = point.end + proximal * (point.m - force)
-        mean, slope = _mean_normal(at, point.start, augmented, internal)
+        augmented = end + proximal * (multiplier - force)
+        mean, slope = _mean_normal(points, i, start, augmented, memory)
         step = (mean - force) / (1.0 + proximal * slope)
         force += step
         if abs(step) <= 1e-15 * abs(force):
@@ -257,11 +256,20 @@ def normal_force(at: PointLaw, point: PointTrial) -> tuple[float, float]:
     return force, slope / (1.0 + proximal * slope)
 
 
-@njit
-def normal_at_end(at: PointLaw, point: PointTrial) -> float:
-    """Normal force at the end of a step, with damping at the step's mean speed."""
-    force = at.kind.elastic(at.law, at.scale, point.end, at.compliance, point.internal)[0]
-    if at.dashpot != 0.0 and point.end > 0.0:
-        speed = at.dashpot * (point.end - max(point.start, 0.0))
-        force += speed * (force if at.kind.damps_spring else at.scale)
+@inlined
+def elastic_at_end(points: Points, trial: Trial, i: int) -> tuple[float, float]:
+    """Normal force of point ``i`` at the end of a step, without damping, and its tangent."""
+    law, scale, end, memory = points.law, points.scale[i], trial.end[i, 0], trial.memory[i, 2]
+    force, slope, _ = points.kind.elastic(law, scale, end, points.compliance, memory)
+    return force, slope
+
+
+@inlined
+def normal_at_end(points: Points, trial: Trial, i: int) -> float:
+    """Normal force of point ``i`` at the end of a step, with damping at the step's mean speed."""
+    start, end = trial.start[i, 0], trial.end[i, 0]
+    force, _ = elastic_at_end(points, trial, i)
+    if points.dashpot != 0.0 and end > 0.0:
+        speed = points.dashpot * (end - max(start, 0.0))
+        force += speed * (force if points.kind.damps_spring else points.scale[i])
     return max(force, 0.0)

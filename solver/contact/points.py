@@ -15,7 +15,7 @@ from typing import NamedTuple, Self
 import numba
 
 from ..arrays import Array
-from ..compiled import Pointer, njit
+from ..compiled import Pointer
 
 # The ``end_weight`` that asks for the discrete gradient of the potential.
 CONSERVING = 0.0
@@ -101,7 +101,7 @@ class Trial(NamedTuple):
     (``free``) and with them (``end``), the ``force`` over the step per area share, the augmented
     Lagrangian's ``multiplier``, and what changes from step to step: ``memory`` has the elongation
     in m of friction's springs along both tangents, then the internal variable of the law
-    (contact.normal)."""
+    (contact.normal), zero where the law has none."""
 
     start: Array
     free: Array
@@ -109,36 +109,6 @@ class Trial(NamedTuple):
     force: Array
     memory: Array
     multiplier: Array
-
-
-class PointLaw(NamedTuple):
-    """`Points` as one point sees them."""
-
-    kind: Kind
-    law: Array
-    kt: float
-    mu: float
-    scale: float
-    compliance: float
-    end_weight: float
-    proximal: float
-    dashpot: float
-
-
-class PointTrial(NamedTuple):
-    """`Trial` at one point: normal approach at both ends of the step, how far it slips in between,
-    the elongation of friction's spring, the multiplier, and the law's internal variable."""
-
-    start: float
-    end: float
-    slip0: float
-    slip1: float
-    e0: float
-    e1: float
-    m: float
-    m0: float
-    m1: float
-    internal: float
 
 
 class PointForce(NamedTuple):
@@ -154,37 +124,3 @@ class PointForce(NamedTuple):
     t0_1: float
     t0_s: float
     t1_s: float
-
-
-@njit
-def law_at(points: Points, i: int) -> PointLaw:
-    """What point ``i`` sees of the ``points``."""
-    return PointLaw(
-        points.kind,
-        points.law,
-        points.kt,
-        points.mu,
-        points.scale[i],
-        points.compliance,
-        points.end_weight,
-        points.proximal,
-        points.dashpot,
-    )
-
-
-@njit
-def trial_at(trial: Trial, i: int, internal: float) -> PointTrial:
-    """What point ``i`` sees of the ``trial``, with its ``internal`` variable."""
-    start, end, memory, multiplier = trial.start, trial.end, trial.memory, trial.multiplier
-    return PointTrial(
-        start[i, 0],
-        end[i, 0],
-        end[i, 1] - start[i, 1],
-        end[i, 2] - start[i, 2],
-        memory[i, 0],
-        memory[i, 1],
-        multiplier[i, 0],
-        multiplier[i, 1],
-        multiplier[i, 2],
-        internal,
-    )

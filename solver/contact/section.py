@@ -14,9 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..arrays import Array
-from ..compiled import njit
-from .normal import internal
-from .points import Points, PointTrial, Trial, law_at
+from ..compiled import inlined, njit
+from .points import Points, Trial
 from .step import point_force
 
 NEWTON_LIMIT = 200
@@ -65,95 +64,53 @@ def new_section(support: NDArray[np.int64], values: Array, compliance: Array) ->
     return Section(support, values, compliance, np.zeros((r, r)), factored, reach, predictor)
 
 
-@njit
-def section_moves(section: Section, z: Array, axes: int, moved: Array) -> None:
-    """Write what ``z`` moves the points by along the first ``axes`` of their frames (n, 3)."""
-    n, s = section.support.shape
-    support, values = section.support, section.values
-    for i in range(n):
-        for c in range(axes):
-            total = 0.0
-            for a in range(s):
-                total += values[i, c, a] * z[support[i, a]]
-            moved[i, c] = total
+@inlined
+def moved_approach(section: Section, z: Array, i: int, axis: int, free: float) -> float:
+    """The approach of point ``i`` along an axis of its frame where ``z`` moves it from ``free``."""
+    for a in range(section.support.shape[1]):
+        free -= section.values[i, axis, a] * z[section.support[i, a]]
+    return free
 
 
 @njit
-def section_gathers(section: Section, weights: Array, force: Array) -> Array:
-    """Forces (n, 3) along the local frames as loads (r,) on the section's coordinates."""
+def gather(section: Section, weights: Array, force: Array, gathered: Array) -> None:
+    """Write forces (n, 3) along the local frames as loads (r,) on the section's coordinates."""
     n, s = section.support.shape
     support, values = section.support, section.values
-    gathered = np.zeros(len(section.compliance))
+    gathered[:] = 0.0
     for i in range(n):
         if force[i, 0] == 0.0:
             continue
-        for c in range(3):
-            pushed = weights[i] * force[i, c]
-            if pushed != 0.0:
-                for a in range(s):
-                    gathered[support[i, a]] += values[i, c, a] * pushed
-    return gathered
+        f, f0, f1 = weights[i] * force[i, 0], weights[i] * force[i, 1], weights[i] * force[i, 2]
+        for a in range(s):
+            pushed = f * values[i, 0, a] + f0 * values[i, 1, a] + f1 * values[i, 2, a]
+            gathered[support[i, a]] += pushed
 
 
 @njit
-def _gathered_forces(
-    points: Points, section: Section, trial: Trial, z: Array, slopes: Array, gathered: Array
-) -> None:
-    """Write the points' forces with their ``slopes`` (n, 6) at ``z``, and gather them (r,).
+def _write_forces(points: Points, section: Section, trial: Trial, z: Array, slopes: Array) -> None:
+    """Write the points' approach at the end and force at ``z``, with the ``slopes`` (n, 6) of the
+    force.
 
     Points that do not touch cost one product.
     """
-    n, s = section.support.shape
-    support, values, weights = section.support, section.values, points.weights
-    start, free, force = trial.start, trial.free, trial.force
-    memory, multiplier = trial.memory, trial.multiplier
-    rubs = points.mu > 0.0
-    gathered[:] = 0.0
-    for i in range(n):
-        end = free[i, 0]
-        for a in range(s):
-            end -= values[i, 0, a] * z[support[i, a]]
-        m = multiplier[i, 0]
-        remembered = internal(points, memory, i)
-        clear = end + points.proximal * m <= 0.0 and start[i, 0] <= 0.0 and m == 0.0
-        if clear and remembered == 0.0:
+    start, free, end, force = trial.start, trial.free, trial.end, trial.force
+    for i in range(len(points.weights)):
+        end[i, 0] = moved_approach(section, z, i, 0, free[i, 0])
+        m = trial.multiplier[i, 0]
+        clear = end[i, 0] + points.proximal * m <= 0.0 and start[i, 0] <= 0.0 and m == 0.0
+        if clear and trial.memory[i, 2] == 0.0:
             force[i, 0] = force[i, 1] = force[i, 2] = 0.0
             for c in range(6):
                 slopes[i, c] = 0.0
             continue
-        slip0 = slip1 = 0.0
-        if rubs:
-            slip0, slip1 = free[i, 1] - start[i, 1], free[i, 2] - start[i, 2]
-            for a in range(s):
-                moved = z[support[i, a]]
-                slip0 -= values[i, 1, a] * moved
-                slip1 -= values[i, 2, a] * moved
-        response = point_force(
-            law_at(points, i),
-            PointTrial(
-                start[i, 0],
-                end,
-                slip0,
-                slip1,
-                memory[i, 0],
-                memory[i, 1],
-                m,
-                multiplier[i, 1],
-                multiplier[i, 2],
-                remembered,
-            ),
-        )
-        force[i, 0], force[i, 1], force[i, 2] = response.n, response.t0, response.t1
-        slopes[i, 0], slopes[i, 1], slopes[i, 2] = response.n_s, response.t0_0, response.t1_1
-        slopes[i, 3], slopes[i, 4], slopes[i, 5] = response.t0_1, response.t0_s, response.t1_s
-        f, f0, f1 = weights[i] * response.n, weights[i] * response.t0, weights[i] * response.t1
-        if rubs:
-            for a in range(s):
-                pushed = f * values[i, 0, a] + f0 * values[i, 1, a] + f1 * values[i, 2, a]
-                gathered[support[i, a]] += pushed
-        else:
-            for a in range(s):
-                gathered[support[i, a]] += f * values[i, 0, a]
+        if points.mu > 0.0:
+            end[i, 1] = moved_approach(section, z, i, 1, free[i, 1])
+            end[i, 2] = moved_approach(section, z, i, 2, free[i, 2])
+        push = point_force(points, trial, i)
+        force[i, 0], force[i, 1], force[i, 2] = push.n, push.t0, push.t1
+        slopes[i, 0], slopes[i, 1], slopes[i, 2] = push.n_s, push.t0_0, push.t1_1
+        slopes[i, 3], slopes[i, 4], slopes[i, 5] = push.t0_1, push.t0_s, push.t1_s
 
 
 @njit
@@ -192,34 +149,17 @@ def _tangent(section: Section, weights: Array, slopes: Array, stiff: Array) -> N
 @njit
 def _invert(section: Section, stiff: Array) -> None:
     """Write the inverse of Newton's matrix 1 + C ``stiff``, by way of the rows that are pushed."""
-    r = len(stiff)
-    pushed = np.zeros(r, dtype=np.bool_)
-    for a in range(r):
-        for b in range(r):
+    pushed = np.zeros(len(stiff), dtype=np.bool_)
+    for a in range(len(stiff)):
+        for b in range(len(stiff)):
             if stiff[a, b] != 0.0:
                 pushed[a] = pushed[b] = True
     inner = np.flatnonzero(pushed)
-    m = len(inner)
-    product = np.zeros((m, r))
-    for k in range(m):
-        column = section.compliance[:, inner[k]].copy()
-        for j in range(m):
-            factor = stiff[inner[k], inner[j]]
-            if factor != 0.0:
-                for a in range(r):
-                    product[j, a] += factor * column[a]
-    core = np.empty((m, m))
-    for j in range(m):
-        for k in range(m):
-            core[k, j] = product[j, inner[k]]
-        core[j, j] += 1.0
-    solution = np.linalg.inv(core).T @ product
-    inverse = section.inverse
-    inverse[:, :] = 0.0
-    for a in range(r):
-        inverse[a, a] = 1.0
-        for k in range(m):
-            inverse[a, inner[k]] -= solution[k, a]
+    answers = section.compliance[:, inner] @ stiff[inner][:, inner]
+    correction = answers @ np.linalg.inv(np.eye(len(inner)) + answers[inner])
+    section.inverse[:, :] = np.eye(len(stiff))
+    for k in range(len(inner)):
+        section.inverse[:, inner[k]] -= correction[:, k]
     section.factored[0] = True
 
 
@@ -285,7 +225,7 @@ def solve_section(points: Points, section: Section, trial: Trial) -> int:
     Minus one where they do not converge.
     """
     n, r = len(points.weights), len(section.compliance)
-    start, free, end = trial.start, trial.free, trial.end
+    start, free = trial.start, trial.free
     axes = 3 if points.mu > 0.0 else 1
     old = section.predictor[0].copy()
     z = old + section.predictor[1]
@@ -299,14 +239,14 @@ def solve_section(points: Points, section: Section, trial: Trial) -> int:
             far = max(far, abs(free[i, c] - start[i, c]))
     before, share = math.inf, 1.0
     for iteration in range(NEWTON_LIMIT):
-        _gathered_forces(points, section, trial, z, slopes, gathered)
+        _write_forces(points, section, trial, z, slopes)
+        gather(section, points.weights, trial.force, gathered)
         change = _residual(section, z, gathered, residual)
         if change <= TOLERANCE * far:
             section.predictor[0], section.predictor[1] = z, z - old
-            section_moves(section, z, 3, end)
             for i in range(n):
                 for c in range(3):
-                    end[i, c] = free[i, c] - end[i, c]
+                    trial.end[i, c] = moved_approach(section, z, i, c, free[i, c])
             return iteration + 1
         if change >= before and share > SHORTEST:
             share *= 0.5
@@ -335,7 +275,7 @@ def contact_stiffness(points: Points, section: Section, trial: Trial) -> Array:
     """The contact's stiffness (r, r) in series with the section's compliance, about the last
     solution: what the gathered forces lose for each unit by which the free section moves."""
     n, r = len(points.weights), len(section.compliance)
-    slopes, gathered, stiff = np.empty((n, 6)), np.empty(r), np.empty((r, r))
-    _gathered_forces(points, section, trial, section.predictor[0], slopes, gathered)
+    slopes, stiff = np.empty((n, 6)), np.empty((r, r))
+    _write_forces(points, section, trial, section.predictor[0], slopes)
     _tangent(section, points.weights, slopes, stiff)
     return np.linalg.solve(np.eye(r) + stiff @ section.compliance, stiff)

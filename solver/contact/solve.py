@@ -91,17 +91,6 @@ def _solve_held(points: Points, section: Section, trial: Trial) -> int:
 
 
 @njit
-def _solve_forces(points: Points, section: Section, trial: Trial) -> int:
-    """As `solve_section`, and what is tried where that fails."""
-    done = solve_section(points, section, trial)
-    if done < 0 and points.mu > 0.0 and not math.isinf(points.kt):
-        done = _solve_by_stiffening(points, section, trial)
-    if done < 0 and holds(points, trial.memory):
-        done = _solve_held(points, section, trial)
-    return done
-
-
-@njit
 def solve_step(points: Points, section: Section, trial: Trial) -> int:
     """Write the ``trial``'s force and its approach at the end; returns the iterations.
 
@@ -118,7 +107,11 @@ def solve_step(points: Points, section: Section, trial: Trial) -> int:
     proximal, least, before = points.proximal, SMALLEST * points.proximal, math.inf
     for _ in range(AUGMENTATION_LIMIT):
         at = _changed(points, points.kt, proximal)
-        done = _solve_forces(at, section, trial)
+        done = solve_section(at, section, trial)
+        if done < 0 and points.mu > 0.0 and not math.isinf(points.kt):
+            done = _solve_by_stiffening(at, section, trial)
+        if done < 0 and holds(points, trial.memory):
+            done = _solve_held(at, section, trial)
         if done < 0 and proximal < points.proximal:
             least = proximal = points.proximal
             continue

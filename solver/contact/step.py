@@ -12,36 +12,49 @@ approach plus the compliance × (multiplier - force).
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 from ..arrays import Array
-from ..compiled import njit
+from ..compiled import inlined, njit
 from .friction import elongated, friction_force, tangential_stiffness
-from .normal import internal, normal_force
-from .points import CONSERVING, PointForce, PointLaw, Points, PointTrial, Trial, law_at, trial_at
+from .normal import elastic_at_end, normal_force
+from .points import CONSERVING, PointForce, Points, Trial
 
 
-@njit
-def point_force(at: PointLaw, point: PointTrial) -> PointForce:
-    """Force of one point over a step, with its derivatives."""
-    normal, k = normal_force(at, point)
-    mu = at.mu
+class Taken(NamedTuple):
+    """What contact did in a step: its mean and its final normal force in N, the ``share`` of the
+    step after which it has ended, and what friction and the law took in J.
+
+    The final force is that of the law without damping; on a rigid plane it is the mean one.
+    """
+
+    mean_N: float
+    final_N: float
+    share: float
+    friction_loss_J: float
+    contact_loss_J: float
+
+
+@inlined
+def point_force(points: Points, trial: Trial, i: int) -> PointForce:
+    """Force of point ``i`` over a step, with its derivatives."""
+    normal, k = normal_force(points, trial, i)
+    mu = points.mu
     if mu == 0.0 or normal <= 0.0:
         return PointForce(normal, 0.0, 0.0, k, 0.0, 0.0, 0.0, 0.0, 0.0)
     part, weight, at_end, k_end = 1.0, 1.0, normal, k
-    rigid = math.isinf(at.law[0])
-    if at.end_weight == CONSERVING and not rigid:
+    rigid = math.isinf(points.law[0])
+    if points.end_weight == CONSERVING and not rigid:
         part = 0.5
     elif not rigid:
-        weight = at.end_weight
-        at_end, k_end, _ = at.kind.elastic(
-            at.law, at.scale, point.end, at.compliance, point.internal
-        )
-    t0, t1, stick, slides = friction_force(at, point, mu * at_end, part)
+        weight = points.end_weight
+        at_end, k_end = elastic_at_end(points, trial, i)
+    t0, t1, stick, slides = friction_force(points, trial, i, mu * at_end, part)
     f0, f1 = weight * t0, weight * t1
-    if weight != 1.0 and point.start > 0.0:
-        stiffness = tangential_stiffness(at)
-        f0 += (1.0 - weight) * stiffness * point.e0
-        f1 += (1.0 - weight) * stiffness * point.e1
+    if weight != 1.0 and trial.start[i, 0] > 0.0:
+        stiffness = tangential_stiffness(points, i)
+        f0 += (1.0 - weight) * stiffness * trial.memory[i, 0]
+        f1 += (1.0 - weight) * stiffness * trial.memory[i, 1]
     k_t = weight * stick
     if not slides:
         return PointForce(normal, f0, f1, k, k_t, k_t, 0.0, 0.0, 0.0)
@@ -64,6 +77,27 @@ def point_force(at: PointLaw, point: PointTrial) -> PointForce:
 
 
 @njit
+def take(points: Points, trial: Trial, last: float) -> Taken:
+    """Let friction's springs and the law's memory follow a step; ``last`` is the mean normal force
+    of the step before, in N."""
+    weights, end = points.weights, trial.end
+    rigid = math.isinf(points.law[0]) and points.proximal > 0.0
+    mean = final = 0.0
+    for i in range(len(weights)):
+        mean += weights[i] * trial.force[i, 0]
+    share = 1.0
+    if points.dashpot != 0.0 and end[:, 0].max() > 0.0:
+        share = _share_under_damping(last, mean)
+    elif points.kind.remembers or end[:, 0].max() < 0.0:
+        share = _share_in_contact(points, trial)
+    friction, lost = commit(points, trial), settle(points, trial)
+    for i in range(len(weights)):
+        if not rigid and (end[i, 0] > 0.0 or points.kind.remembers):
+            final += weights[i] * elastic_at_end(points, trial, i)[0]
+    return Taken(mean, mean if rigid else final, share, friction, lost)
+
+
+@inlined
 def commit(points: Points, trial: Trial) -> float:
     """Let friction's springs in the memory follow a step; returns what it took, in J.
 
@@ -78,8 +112,7 @@ def commit(points: Points, trial: Trial) -> float:
         e0, e1 = memory[i, 0], memory[i, 1]
         if force[i, 0] <= 0.0 and e0 == 0.0 and e1 == 0.0:
             continue
-        at = law_at(points, i)
-        stiffness = tangential_stiffness(at)
+        stiffness = tangential_stiffness(points, i)
         pull0, pull1 = force[i, 1], force[i, 2]
         work = pull0 * (end[i, 1] - start[i, 1]) + pull1 * (end[i, 2] - start[i, 2])
         if math.isinf(stiffness):
@@ -91,8 +124,7 @@ def commit(points: Points, trial: Trial) -> float:
             taken += weights[i] * before
             continue
         if weight == CONSERVING:
-            point = trial_at(trial, i, internal(points, memory, i))
-            e0, e1 = elongated(at, point, force[i, 0], pull0, pull1)
+            e0, e1 = elongated(points, trial, i)
         else:
             old = (1.0 - weight) * stiffness if start[i, 0] > 0.0 else 0.0
             e0 = (pull0 - old * e0) / (weight * stiffness)
@@ -103,7 +135,7 @@ def commit(points: Points, trial: Trial) -> float:
     return taken
 
 
-@njit
+@inlined
 def settle(points: Points, trial: Trial) -> float:
     """Let the law's internal variables follow a step; returns what the law took, in J.
 
@@ -115,7 +147,7 @@ def settle(points: Points, trial: Trial) -> float:
         return taken
     start, end, force, memory = trial.start, trial.end, trial.force, trial.memory
     for i in range(len(points.weights)):
-        old = internal(points, memory, i)
+        old = memory[i, 2]
         if start[i, 0] > 0.0 or end[i, 0] > 0.0 or old != 0.0:
             scale = points.scale[i]
             new = kind.remembered(law, scale, end[i, 0], old)
@@ -123,13 +155,12 @@ def settle(points: Points, trial: Trial) -> float:
             held -= kind.elastic(law, scale, start[i, 0], points.compliance, old)[2]
             work = force[i, 0] * (end[i, 0] - start[i, 0])
             taken += points.weights[i] * (work - held)
-            if remembers:
-                memory[i, 2] = new
+            memory[i, 2] = new
     return taken
 
 
-@njit
-def share_in_contact(points: Points, trial: Trial) -> float:
+@inlined
+def _share_in_contact(points: Points, trial: Trial) -> float:
     """The share of a step after which its forces have ended: one, or less where contact ends in it.
 
     To be asked before `settle`.
@@ -149,7 +180,7 @@ def share_in_contact(points: Points, trial: Trial) -> float:
 
 
 @njit
-def share_under_damping(before: float, total: float) -> float:
+def _share_under_damping(before: float, total: float) -> float:
     """The share of a step after which a force that a dashpot ends in compression has ended.
 
     ``before`` and ``total`` are the mean forces of the step before and of this one, in N: the force
@@ -167,7 +198,15 @@ def spring_energy(points: Points, memory: Array) -> float:
     if points.mu == 0.0 or math.isinf(points.kt):
         return held
     for i in range(len(points.weights)):
-        stiffness = tangential_stiffness(law_at(points, i))
         squared = memory[i, 0] ** 2 + memory[i, 1] ** 2
-        held += 0.5 * points.weights[i] * stiffness * squared
+        held += 0.5 * points.weights[i] * tangential_stiffness(points, i) * squared
+    return held
+
+
+@njit
+def let_go(points: Points, memory: Array) -> float:
+    """Have friction's springs hold nothing, as they do once a touch has ended; returns what they
+    held, in J, which is lost with it."""
+    held = spring_energy(points, memory)
+    memory[:, :2] = 0.0
     return held

@@ -42,15 +42,6 @@ def newmark(
 
 
 @njit
-def residue(rhs: Array, ma: Array, c_mass: float, c_stiffness: float) -> Array:
-    """K a of the a that solves c_mass M a + c_stiffness K a = rhs."""
-    out = np.empty_like(rhs)
-    for i in range(len(rhs)):
-        out[i] = (rhs[i] - c_mass * ma[i]) / c_stiffness
-    return out
-
-
-@njit
 def combine(x: Array, columns: Array, amounts: Array) -> None:
     """Add the ``columns`` (n, r), in Fortran's order, by their ``amounts`` (r,); zeros are free."""
     used = np.flatnonzero(amounts)

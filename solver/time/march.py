@@ -20,7 +20,7 @@ from ..contact.laws import ContactLaw, Coulomb
 from ..contact.section import Section, new_section
 from ..errors import ComputationError
 from ..ground import Placement
-from .advance import balance, combine, newmark, residue
+from .advance import balance, combine, newmark
 from .modal_march import Modes, Touching
 from .scheme import TimeScheme
 
@@ -63,10 +63,13 @@ class State(Moving):
 
 class Step(NamedTuple):
     """What a step gave: the state after it, the contact forces per area share over it (n, 3) in N
-    along the points' local frames, and what friction and the contact law took in J."""
+    along the points' local frames, and what contact did (`contact.step.Taken`)."""
 
     state: Any
     force: Array
+    mean_N: float
+    final_N: float
+    share: float
     friction_loss_J: float
     contact_loss_J: float
 
@@ -230,11 +233,6 @@ class ContactMarch:
         all that has been marched."""
         memory = self.contact.memory[:, 2]
         return self.method.law.force(approach[:, 0], self.tau, self.ground.scale, memory)
-
-    def pressed_J(self, approach: Array, memory: Array) -> float:
-        """What the law holds at approaches (n, 3) where it remembers ``memory`` (n,), in J."""
-        held = self.method.law.potential(approach[:, 0], self.tau, self.ground.scale, memory)
-        return float(self.body.contact.weights @ held)
 
 
 class Marcher(ContactMarch):
@@ -403,7 +401,7 @@ class Marcher(ContactMarch):
             u, v = newmark(now.u, now.v, now.a, a, h, scheme.beta, scheme.gamma)
             approach = self.contact.end
         ma = body.mass(a)
-        ka = residue(rhs, ma, self._c_mass, self._c_stiffness)
+        ka = (rhs - self._c_mass * ma) / self._c_stiffness
         mu, mv = newmark(now.mu, now.mv, now.ma, ma, h, scheme.beta, scheme.gamma)
         ku, kv = newmark(now.ku, now.kv, now.ka, ka, h, scheme.beta, scheme.gamma)
         later = State(

@@ -26,12 +26,12 @@ from ..contact.points import Points, Trial
 from ..contact.section import (
     Section,
     contact_stiffness,
+    gather,
+    moved_approach,
     new_section,
-    section_gathers,
-    section_moves,
 )
 from ..contact.solve import solve_step
-from ..contact.step import commit, settle, share_in_contact, share_under_damping, spring_energy
+from ..contact.step import Taken, let_go, take
 from .fixed_point import Secants, new_secants, next_move, remember
 
 # The second-order force of a step is found by Anderson's acceleration, to this share of itself.
@@ -90,9 +90,9 @@ class MarchLimits(NamedTuple):
 class Marched(NamedTuple):
     """What a march gave.
 
-    ``push`` (3,) is the impulse along body axes, ``approach`` (n, 3) the last one, ``memory`` (n,)
-    what the law remembers; ``history`` (steps + 1, 4) has heights of tip and centre, force and
-    penetration.
+    ``push`` (3,) is the impulse along body axes, ``approach`` (n, 3) the last one, ``memory``
+    (n, 3) that of `Trial`; ``history`` (steps + 1, 4) has heights of tip and centre, force and
+    penetration, where it was asked for.
     """
 
     status: int
@@ -104,7 +104,6 @@ class Marched(NamedTuple):
     material_loss: float
     friction_loss: float
     contact_loss: float
-    spring: float
     approach: Array
     memory: Array
     u: Array
@@ -134,31 +133,6 @@ class Work(NamedTuple):
     made: NDArray[np.bool_]
 
 
-class Taken(NamedTuple):
-    """What contact did in a step: its mean and its final normal force, and what friction and the
-    law took, in N and J; ``share`` is that of the step after which it has ended."""
-
-    mean: float
-    final: float
-    share: float
-    friction: float
-    law: float
-
-
-@njit
-def local_section(modes: Modes, frames: Array) -> Section:
-    """The section as contact.section sees it, along the points' local ``frames`` (n, 3, 3)."""
-    n, s = modes.support.shape
-    values = np.zeros((n, 3, s))
-    for i in range(n):
-        for a in range(3):
-            for x in range(3):
-                factor = frames[i, a, x]
-                for c in range(s):
-                    values[i, a, c] += factor * modes.shapes[i, x, c]
-    return new_section(modes.support, values, modes.compliance)
-
-
 @njit
 def approaches(
     along: Array, section: Section, gaps: Array, u: Array, axes: int, approach: Array
@@ -167,12 +141,10 @@ def approaches(
 
     Returns the greatest along the normal.
     """
-    section_moves(section, along @ u, axes, approach)
-    most = -math.inf
+    z, most = along @ u, -math.inf
     for i in range(len(gaps)):
-        for a in range(axes):
-            approach[i, a] = -approach[i, a]
-        approach[i, 0] -= gaps[i]
+        for c in range(axes):
+            approach[i, c] = moved_approach(section, z, i, c, -gaps[i] if c == 0 else 0.0)
         most = max(most, approach[i, 0])
     return most
 
@@ -221,7 +193,7 @@ def _solve(
         work.free[j] = admittance[j] * (work.pull[j] - elastic_pull - damped)
     # without friction nobody asks for tangential approaches
     axes = 3 if points.mu > 0.0 else 1
-    touches, before, move = False, bend, bend
+    loads, touches, before, move = np.empty(len(modes.along)), False, bend, bend
     least, restarted = math.inf, False
     for turn in range(COUPLING_LIMIT):
         for j in range(m):
@@ -234,7 +206,8 @@ def _solve(
         if touches:
             if solve_step(points, section, trial) < 0:
                 return False, touches
-            pushed = section_gathers(section, modes.weights, trial.force) @ modes.along
+            gather(section, modes.weights, trial.force, loads)
+            pushed = loads @ modes.along
             for j in range(m):
                 change = admittance[j] * pushed[j]
                 a[j] += change
@@ -287,28 +260,6 @@ def _newton_matrix(
 
 
 @njit
-def _take(points: Points, trial: Trial, last: float) -> Taken:
-    """Let friction's springs and the law's memory follow a step; ``last`` is the mean normal force
-    of the step before."""
-    kind, law, weights, end = points.kind, points.law, points.weights, trial.end
-    remembers = kind.remembers
-    mean = final = 0.0
-    for i in range(len(weights)):
-        mean += weights[i] * trial.force[i, 0]
-    share = 1.0
-    if points.dashpot != 0.0 and end[:, 0].max() > 0.0:
-        share = share_under_damping(last, mean)
-    elif remembers or end[:, 0].max() < 0.0:
-        share = share_in_contact(points, trial)
-    friction, lost = commit(points, trial), settle(points, trial)
-    for i in range(len(weights)):
-        if end[i, 0] > 0.0 or remembers:
-            remembered = trial.memory[i, 2]
-            final += weights[i] * kind.elastic(law, points.scale[i], end[i, 0], 0.0, remembered)[0]
-    return Taken(mean, final, share, friction, lost)
-
-
-@njit
 def _damp(modes: Modes, work: Work, fast: Array) -> float:
     """Write the velocity ``fast`` at the end of a step; returns what damping took in it."""
     loss = second_order_loss(modes.axis, work.before, work.after, modes.its)
@@ -317,17 +268,6 @@ def _damp(modes: Modes, work: Work, fast: Array) -> float:
         middle = 0.5 * (work.v[j] + fast[j])
         loss += modes.its * modes.damping[j] * middle * middle
     return loss
-
-
-@njit
-def _push(weights: Array, frames: Array, force: Array, push: Array) -> None:
-    """Add a force (n, 3) along local frames to ``push`` (3,) along body axes."""
-    for i in range(len(weights)):
-        if force[i, 0] != 0.0:
-            for c in range(3):
-                share = weights[i] * force[i, c]
-                for x in range(3):
-                    push[x] += share * frames[i, c, x]
 
 
 @njit
@@ -344,10 +284,12 @@ def march(
 
     Times count from the start.
     """
-    h, weights, points = modes.its, modes.weights, touching.points
+    h, weights, points, frames = modes.its, modes.weights, touching.points, touching.frames
     n, m = len(weights), len(u)
-    remembers = points.kind.remembers
-    section = local_section(modes, touching.frames)
+    values = np.empty(modes.shapes.shape)
+    for i in range(n):
+        values[i] = frames[i] @ modes.shapes[i]
+    section = new_section(modes.support, values, modes.compliance)
     work = _new_work(modes, touching, u, v)
     none = np.zeros((n, 3))
     trial = Trial(none.copy(), none.copy(), none.copy(), none.copy(), none.copy(), none.copy())
@@ -356,9 +298,9 @@ def march(
     deepest = approaches(modes.along, section, touching.gaps, work.u, axes, trial.start)
     lift = (modes.translation @ touching.up) / modes.mass
     tip = modes.tip.T @ touching.up
-    fast, push = np.empty(m), np.zeros(3)
+    fast, pushed = np.empty(m), np.zeros((n, 3))
     history: Array = np.zeros((64 if limits.history else 1, 4))
-    release = impulse = peak = loss = rubbed = spent = 0.0
+    release = peak = loss = rubbed = spent = 0.0
     status, count, last = TOO_LONG, 0, 0.0
     history[0, 0] = touching.tip_m + tip @ work.u
     history[0, 1] = touching.centre_m + lift @ work.u
@@ -370,16 +312,15 @@ def march(
             break
         taken = Taken(0.0, 0.0, 1.0, 0.0, 0.0)
         if touches:
-            taken = _take(points, trial, last)
-            rubbed += taken.friction
-            spent += taken.law
-            if taken.mean > 0.0 or (remembers and taken.mean < 0.0):
+            taken = take(points, trial, last)
+            rubbed += taken.friction_loss_J
+            spent += taken.contact_loss_J
+            pushed += trial.force
+            if taken.mean_N > 0.0 or (points.kind.remembers and taken.mean_N < 0.0):
                 release = h * (count - 1 + taken.share)
-                impulse += h * taken.mean
-                _push(weights, touching.frames, h * trial.force, push)
         loss += _damp(modes, work, fast)
-        last = taken.mean
-        force = taken.mean if points.dashpot != 0.0 else taken.final
+        last = taken.mean_N
+        force = taken.mean_N if points.dashpot != 0.0 else taken.final_N
         peak = max(peak, force)
         work.u[:], work.v[:], work.before[:] = work.later, fast, work.after
         trial.start[:, :] = trial.end
@@ -393,37 +334,35 @@ def march(
         if not math.isfinite(trial.start[:, 0].sum()):
             status = NOT_FINITE
             break
-        clear = deepest <= 0.0 and taken.final == 0.0 and not holds(points, trial.memory)
+        clear = deepest <= 0.0 and taken.final_N == 0.0 and not holds(points, trial.memory)
         if clear and count * h >= limits.wait:
             status = RELEASED
+            rubbed += let_go(points, trial.memory)
             break
         if count * h >= limits.until:
             status = UNTIL
             break
-    spring = spring_energy(points, trial.memory)
-    if status == RELEASED:
-        # what the springs of friction still hold is lost with the touch
-        rubbed += spring
-        spring = 0.0
     u, v = work.u, work.v
     if len(modes.axis.weights):
         du, dv = shortened(modes.axis, u, v)
         u, v = u - du, v - dv
-    rows = count + 1 if limits.history else 0
+    push = np.zeros(3)
+    for i in range(n):
+        pushed[i] *= h * weights[i]
+        push += pushed[i] @ frames[i]
     return Marched(
         status=status,
         steps=count,
         release=release,
-        impulse=impulse,
+        impulse=pushed[:, 0].sum(),
         push=push,
         peak=peak,
         material_loss=loss,
         friction_loss=rubbed,
         contact_loss=spent,
-        spring=spring,
         approach=trial.start,
-        memory=trial.memory[:, 2].copy(),
+        memory=trial.memory,
         u=u,
         v=v,
-        history=history[:rows],
+        history=history[: count + 1],
     )

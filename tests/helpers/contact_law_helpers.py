@@ -18,7 +18,7 @@ from bristle.solver.contact.laws import (
     Stiffening,
     Tabulated,
 )
-from bristle.solver.contact.points import Trial, law_at, trial_at
+from bristle.solver.contact.points import Trial
 from bristle.solver.contact.step import point_force
 from bristle.solver.contact_phase import History
 from bristle.solver.ground import Ground, place
@@ -53,9 +53,7 @@ ENFORCED = [
 def pushed(points, start, end, memory, multiplier):
     """Force (3,) of a single point over a step, and its tangent (3, 3), by approaches (3,)."""
     trial = Trial(start[None], end[None], end[None], np.zeros((1, 3)), memory, multiplier)
-    internal = float(memory[0, 2]) if memory.shape[1] > 2 else 0.0
-    push = point_force(law_at(points, 0), trial_at(trial, 0, internal))
-    n, t0, t1, n_s, t0_0, t1_1, t0_1, t0_s, t1_s = push
+    n, t0, t1, n_s, t0_0, t1_1, t0_1, t0_s, t1_s = point_force(points, trial, 0)
     tangent = np.array([[n_s, 0.0, 0.0], [t0_s, t0_0, t0_1], [t1_s, t0_1, t1_1]])
     return np.array([n, t0, t1]), tangent
 

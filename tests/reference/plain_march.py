@@ -58,8 +58,10 @@ def march_plainly(frame: FlightFrame, plan: DropPlan, until_s: float) -> DropRes
     steps: list[Array] = []
     for _ in range(math.ceil(until_s / plan.its_s)):
         before = state
-        state, force, friction, damped = marcher.step(before)
-        sums += (marcher.damping_loss_J(before, state, force), friction, damped)
+        step = marcher.step(before)
+        state, force = step.state, step.force
+        damped = marcher.damping_loss_J(before, state, force)
+        sums += (damped, step.friction_loss_J, step.contact_loss_J)
         observe(marcher, state, force, history)
         velocity = [body.dot(axis, state.mv) for axis in body.translation.T]
         pushed = body.contact.weights @ marcher.along_axes(force)

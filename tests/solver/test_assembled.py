@@ -49,7 +49,7 @@ def march(marcher, tilt_deg, slope_deg=0.0):
     down = marcher.body.translation @ (-SPEED * pose.rotation[2])
     state, forces = marcher.start(0.0, np.zeros_like(down), down), []
     for _ in range(STEPS):
-        state, force, _, _ = marcher.step(state)
+        state, force, *_ = marcher.step(state)
         forces.append(force)
     return np.array(forces), state
 

@@ -218,7 +218,7 @@ def test_tangent_of_a_point_against_finite_differences(state, end_weight, soft):
     kt = mindlin_ratio(0.28) * kn
     law = Linear(kn)
     start = np.array([[s0, 0.0, 0.0]])
-    elongation, multiplier = np.array([[2e-7, -1e-7]]), np.array([[3.0, 0.5, -0.2]])
+    elongation, multiplier = np.array([[2e-7, -1e-7, 0.0]]), np.array([[3.0, 0.5, -0.2]])
 
     points = Points(law.kind, law.parameters, kt, mu, np.ones(1), 0.0, np.ones(1), end_weight, soft)
 
@@ -241,7 +241,7 @@ def test_friction_never_gives_energy_and_its_spring_closes_the_books(seed):
     kn, mu = 2e6, 0.4
     kt, law = mindlin_ratio(0.28) * kn, Linear(kn)
     points = Points(law.kind, law.parameters, kt, mu, np.ones(1), 0.0, np.ones(1), CONSERVING, 0.0)
-    elongation, none = np.zeros((1, 2)), np.zeros((1, 3))
+    elongation, none = np.zeros((1, 3)), np.zeros((1, 3))
     start, work, lost = np.array([[1e-5, 0.0, 0.0]]), 0.0, 0.0
     for _ in range(40):
         end = start + 1e-5 * rng.normal(size=(1, 3))

@@ -380,7 +380,7 @@ def test_the_return_mapping_knows_no_direction(angle, slip, stretch, end_weight,
     spring, multiplier = np.array([0.0, stretch, -0.5 * stretch]), np.array([8.0, 1.0, -2.0])
 
     def seen(frame):
-        memory = (frame @ spring)[None, 1:]
+        memory = np.array([[*(frame @ spring)[1:], 0.0]])
         return pushed(points, frame @ start, frame @ end, memory, (frame @ multiplier)[None])
 
     (force, slope), (other, other_slope) = seen(np.eye(3)), seen(turned)
