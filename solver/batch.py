@@ -18,7 +18,7 @@ from .arrays import Array
 from .bodies.base import axial_point
 from .bodies.modal import ModalBody
 from .compiled import meanwhile, njit
-from .contact.points import Points
+from .contact.points import Points, changed
 from .contact_phase import STAYING, STEP_LIMIT
 from .drop import TOUCH_LIMIT, WAIT_STEPS, slowest_period_s
 from .energy import ASTRAY
@@ -254,18 +254,8 @@ def many_drops(common: Common, columns: Columns, out: Array, status: NDArray[np.
     points = common.points
     for i in range(len(columns.height)):
         law = columns.laws[i]
-        own = Points(
-            kind=points.kind,
-            law=law,
-            kt=common.kt_over_kn * law[0],
-            mu=columns.mu[i],
-            scale=columns.scale[i],
-            compliance=points.compliance,
-            weights=points.weights,
-            end_weight=points.end_weight,
-            proximal=points.proximal,
-            dashpot=points.dashpot,
-        )
+        kt, mu, scale = common.kt_over_kn * law[0], columns.mu[i], columns.scale[i]
+        own = changed(points, law, kt, mu, scale, points.proximal)
         status[i] = one_drop(common, own, columns, i, out[i])
 
 

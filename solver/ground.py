@@ -85,42 +85,20 @@ class Placement:
 
 
 @njit
-def _frame(normal: Array, rotation: Array, frame: Array) -> None:
-    """Write the frame (3, 3) of a plane with ``normal`` in the world's axes."""
-    n0 = rotation[0, 0] * normal[0] + rotation[1, 0] * normal[1] + rotation[2, 0] * normal[2]
-    n1 = rotation[0, 1] * normal[0] + rotation[1, 1] * normal[1] + rotation[2, 1] * normal[2]
-    n2 = rotation[0, 2] * normal[0] + rotation[1, 2] * normal[1] + rotation[2, 2] * normal[2]
-    size = np.sqrt((1.0 - n0 * n0) ** 2 + (n0 * n1) ** 2 + (n0 * n2) ** 2)
-    a0, a1, a2 = (1.0 - n0 * n0) / size, -n0 * n1 / size, -n0 * n2 / size
-    frame[0, 0], frame[0, 1], frame[0, 2] = n0, n1, n2
-    frame[1, 0], frame[1, 1], frame[1, 2] = a0, a1, a2
-    frame[2, 0], frame[2, 1], frame[2, 2] = n1 * a2 - n2 * a1, n2 * a0 - n0 * a2, n0 * a1 - n1 * a0
-
-
-@njit
 def local_frames(
     normals: Array, offsets: Array, position: Array, rotation: Array, places: Array
 ) -> tuple[Array, Array]:
     """Frames (n, 3, 3) in body axes, the first tangent nearest to x, and gaps (n,)."""
-    n = len(places)
-    frames = np.empty((n, 3, 3))
-    gaps = np.empty(n)
-    for i in range(n):
-        same = i > 0
-        for x in range(3):
-            same = same and normals[i, x] == normals[i - 1, x]
-        if same:
-            frames[i] = frames[i - 1]
-        else:
-            _frame(normals[i], rotation, frames[i])
-        gap = -offsets[i]
-        for x in range(3):
-            at = position[x]
-            for y in range(3):
-                at += rotation[x, y] * places[i, y]
-            gap += normals[i, x] * at
-        gaps[i] = gap
-    return frames, gaps
+    frames = np.empty((len(places), 3, 3))
+    normal = normals @ rotation
+    for i in range(len(places)):
+        n0, n1, n2 = normal[i, 0], normal[i, 1], normal[i, 2]
+        size = math.sqrt((1.0 - n0 * n0) ** 2 + (n0 * n1) ** 2 + (n0 * n2) ** 2)
+        a0, a1, a2 = (1.0 - n0 * n0) / size, -n0 * n1 / size, -n0 * n2 / size
+        frames[i, 0] = n0, n1, n2
+        frames[i, 1] = a0, a1, a2
+        frames[i, 2] = n1 * a2 - n2 * a1, n2 * a0 - n0 * a2, n0 * a1 - n1 * a0
+    return frames, normals @ position + (normal * places).sum(axis=1) - offsets
 
 
 def place(ground: Ground, pose: Pose, points: ContactPoints, datum_m: float = 0.0) -> Placement:

@@ -38,15 +38,14 @@ def friction_force(
 
     ``part`` is the share of the step after which the law is asked (½ or 1), ``limit`` is μ N.
     """
-    start, end, memory, multiplier = trial.start, trial.end, trial.memory, trial.multiplier
     stiffness, proximal = tangential_stiffness(points, i), points.proximal
     compliance = part * proximal
     if not math.isinf(stiffness):
         compliance += 1.0 / stiffness
-    slip0 = end[i, 1] - start[i, 1] + proximal * multiplier[i, 1]
-    slip1 = end[i, 2] - start[i, 2] + proximal * multiplier[i, 2]
-    t0 = (memory[i, 0] + part * slip0) / compliance
-    t1 = (memory[i, 1] + part * slip1) / compliance
+    slip0 = trial.end[i, 1] - trial.start[i, 1] + proximal * trial.multiplier[i, 1]
+    slip1 = trial.end[i, 2] - trial.start[i, 2] + proximal * trial.multiplier[i, 2]
+    t0 = (trial.memory[i, 0] + part * slip0) / compliance
+    t1 = (trial.memory[i, 1] + part * slip1) / compliance
     size = math.hypot(t0, t1)
     if size <= limit:
         return t0, t1, part / compliance, False
@@ -61,10 +60,9 @@ def elongated(points: Points, trial: Trial, i: int) -> tuple[float, float]:
     slip, and the path's own where the slip is long (see the tractrix: tan φ/2 falls as exp(-s/R),
     with φ the angle to the slip s and R the elongation at the limit).
     """
-    start, end, force, memory = trial.start, trial.end, trial.force, trial.memory
-    normal, t0, t1 = force[i, 0], force[i, 1], force[i, 2]
-    stiffness, e0, e1 = tangential_stiffness(points, i), memory[i, 0], memory[i, 1]
-    slip0, slip1 = end[i, 1] - start[i, 1], end[i, 2] - start[i, 2]
+    normal, t0, t1 = trial.force[i, 0], trial.force[i, 1], trial.force[i, 2]
+    stiffness, e0, e1 = tangential_stiffness(points, i), trial.memory[i, 0], trial.memory[i, 1]
+    slip0, slip1 = trial.end[i, 1] - trial.start[i, 1], trial.end[i, 2] - trial.start[i, 2]
     limit = points.mu * normal / stiffness
     most = points.mu * normal_at_end(points, trial, i) / stiffness
     if math.hypot(e0 + 0.5 * slip0, e1 + 0.5 * slip1) <= limit:

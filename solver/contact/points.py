@@ -15,7 +15,7 @@ from typing import NamedTuple, Self
 import numba
 
 from ..arrays import Array
-from ..compiled import Pointer
+from ..compiled import Pointer, njit
 
 # The ``end_weight`` that asks for the discrete gradient of the potential.
 CONSERVING = 0.0
@@ -94,6 +94,25 @@ class Points(NamedTuple):
     end_weight: float
     proximal: float
     dashpot: float = 0.0
+
+
+@njit
+def changed(
+    points: Points, law: Array, kt: float, mu: float, scale: Array, proximal: float
+) -> Points:
+    """The points under other numbers of their law and friction, or another proximal compliance."""
+    return Points(
+        kind=points.kind,
+        law=law,
+        kt=kt,
+        mu=mu,
+        scale=scale,
+        compliance=points.compliance,
+        weights=points.weights,
+        end_weight=points.end_weight,
+        proximal=proximal,
+        dashpot=points.dashpot,
+    )
 
 
 class Trial(NamedTuple):

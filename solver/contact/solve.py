@@ -8,7 +8,7 @@ import numpy as np
 
 from ..compiled import njit
 from .normal import HELD, HELD_FAST, LETTING_GO, holds
-from .points import Points, Trial
+from .points import Points, Trial, changed
 from .section import Section, solve_section
 
 # Stages, and the factor between them, of `_solve_by_stiffening`.
@@ -22,23 +22,6 @@ SLOW_UPDATE, SHRUNK, SMALLEST = 0.5, 0.25, 1.0 / 64.0
 
 
 @njit
-def _changed(points: Points, kt: float, proximal: float) -> Points:
-    """The points with another tangential stiffness and proximal compliance."""
-    return Points(
-        kind=points.kind,
-        law=points.law,
-        kt=kt,
-        mu=points.mu,
-        scale=points.scale,
-        compliance=points.compliance,
-        weights=points.weights,
-        end_weight=points.end_weight,
-        proximal=proximal,
-        dashpot=points.dashpot,
-    )
-
-
-@njit
 def _solve_by_stiffening(points: Points, section: Section, trial: Trial) -> int:
     """As `solve_section`, friction's springs brought to their stiffness in stages.
 
@@ -47,7 +30,8 @@ def _solve_by_stiffening(points: Points, section: Section, trial: Trial) -> int:
     """
     total = 0
     for stage in range(STIFFENING_STAGES, -1, -1):
-        eased = _changed(points, points.kt * STIFFENING**-stage, points.proximal)
+        kt = points.kt * STIFFENING**-stage
+        eased = changed(points, points.law, kt, points.mu, points.scale, points.proximal)
         section.predictor[1, :] = 0.0
         done = solve_section(eased, section, trial)
         if done < 0:
@@ -106,7 +90,7 @@ def solve_step(points: Points, section: Section, trial: Trial) -> int:
     force, multiplier = trial.force, trial.multiplier
     proximal, least, before = points.proximal, SMALLEST * points.proximal, math.inf
     for _ in range(AUGMENTATION_LIMIT):
-        at = _changed(points, points.kt, proximal)
+        at = changed(points, points.law, points.kt, points.mu, points.scale, proximal)
         done = solve_section(at, section, trial)
         if done < 0 and points.mu > 0.0 and not math.isinf(points.kt):
             done = _solve_by_stiffening(at, section, trial)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar, NamedTuple, Self
 
@@ -304,7 +304,11 @@ class Marcher(ContactMarch):
         points, h, scheme = self.body.contact, self.its_s, self.scheme
         du, dv = scheme.beta * h * h, scheme.gamma * h
         if self._green is None:
-            return du * np.hstack([points.moved(part) for part in self._responses()])
+            parts = [
+                points.moved(self._solve(dense_of(self._forcing[:, first : first + AT_ONCE])))
+                for first in range(0, self._forcing.shape[1], AT_ONCE)
+            ]
+            return du * np.hstack(parts)
         if not self.tau:
             return np.ascontiguousarray(du * points.moved(self._green))
         n = 3 * len(points.weights)
@@ -312,11 +316,6 @@ class Marcher(ContactMarch):
         compliance += self.tau * (du + self.body.beta_s * dv) * points.tractions(self._green)
         pushes = np.stack([self._loads(unit.reshape(-1, 3)) for unit in np.eye(n)], axis=1)
         return np.ascontiguousarray(compliance.reshape(n, -1) @ pushes)
-
-    def _responses(self) -> Iterator[Array]:
-        """Responses to the columns that contact pushes along, a few at a time."""
-        for first in range(0, self._forcing.shape[1], AT_ONCE):
-            yield self._solve(dense_of(self._forcing[:, first : first + AT_ONCE]))
 
     def _loads(self, force: Array) -> Array:
         """Forces (n, 3) along body axes per area share, as amounts of the columns that force."""
@@ -404,19 +403,7 @@ class Marcher(ContactMarch):
         ka = (rhs - self._c_mass * ma) / self._c_stiffness
         mu, mv = newmark(now.mu, now.mv, now.ma, ma, h, scheme.beta, scheme.gamma)
         ku, kv = newmark(now.ku, now.kv, now.ka, ka, h, scheme.beta, scheme.gamma)
-        later = State(
-            t_s=now.t_s + h,
-            u=u,
-            v=v,
-            a=a,
-            mu=mu,
-            mv=mv,
-            ma=ma,
-            ku=ku,
-            kv=kv,
-            ka=ka,
-            approach=approach,
-        )
+        later = State(now.t_s + h, u, v, mu, mv, approach, a, ma, ku, kv, ka)
         return Step(later, force, *self.contact.commit(now.approach, force))
 
     def tractions(self, state: State) -> Array:
