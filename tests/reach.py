@@ -14,7 +14,7 @@ from mutants import Mutant
 ROOT = Path(__file__).absolute().parents[1]
 SOURCES = ("meshes", "solver", "studies")
 # Where a file has functions that run compiled, and so unseen.
-COMPILED = re.compile(r"^@(njit|fast)\b|\b(Pointer|Kind\.of)\(", re.M)
+COMPILED = re.compile(r"^@(njit|inlined|fast)\b|\b(Pointer|Kind\.of)\(", re.M)
 
 
 @dataclass(frozen=True)

@@ -58,7 +58,7 @@ def test_only_tests_that_execute_a_python_line_are_run_near_and_quick_ones_first
 
 def test_compiled_lines_are_reached_from_files_that_import_them():
     """Directly, or through others that are compiled: the march of modes calls these laws."""
-    fault, _ = fault_at("solver/contact/friction.py", "@njit")
+    fault, _ = fault_at("solver/contact/friction.py", "@inlined")
     assert is_compiled(ROOT / "solver" / "contact" / "friction.py")
     assert not is_compiled(ROOT / "solver" / "bristle.py")
     near = importers(ROOT / fault.path, within=is_compiled)
