@@ -1,8 +1,11 @@
-"""Work of one rank that ends on all ranks, and a communicator for a process without others."""
+"""Work of one rank, or its failure, that ends on all; a communicator for a process alone."""
 
 from __future__ import annotations
 
+import math
 import pickle
+import time
+from array import array
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, cast
 
@@ -29,6 +32,8 @@ class _Alone:
 
 
 ALONE = cast("MPI.Intracomm", _Alone())
+# Ranks that fail together reach the end within this time of each other.
+GRACE_S = 5.0
 
 
 def with_mpi(comm: MPI.Intracomm) -> MPI.Intracomm:
@@ -49,6 +54,8 @@ def run_on_one_rank[Result](
     is raised on every rank, so that none waits for one that has given up; as a `RuntimeError` with
     the same message where the error itself cannot be sent.
     """
+    if comm.size == 1:
+        return action()
     result: Any = None
     error: Exception | None = None
     if comm.rank == rank:
@@ -63,6 +70,48 @@ def run_on_one_rank[Result](
     if sent_error is not None:
         raise sent_error
     return result
+
+
+class Parting:
+    """How the ranks leave what they can close only together; collective."""
+
+    def __init__(self, comm: MPI.Intracomm) -> None:
+        # of its own, so that how the ranks end meets no other collective call
+        self._comm = comm.Dup() if comm.size > 1 else None
+
+    def together(self, error: object) -> bool:
+        """Whether all ranks end now, this one with an ``error`` or None.
+
+        One that fails waits `GRACE_S` for the others. If it leaves without them, they hear of it.
+        """
+        if self._comm is None:
+            return True
+        if error is not None and not isinstance(error, Exception):
+            return False  # an interrupted process ends
+        here = done_within(self._comm.Ibarrier(), math.inf if error is None else GRACE_S)
+        left, gone = array("i", [not here]), array("i", [0])
+        heard = self._comm.Iallreduce(left, gone)
+        if here:
+            done_within(heard, math.inf)
+            return not gone[0]
+        self._left = heard, left, gone  # which others may still read
+        return False
+
+    def close(self) -> None:
+        """Free the communicator; collective."""
+        if self._comm is not None:
+            self._comm.Free()
+            self._comm = None
+
+
+def done_within(request: Any, seconds: float) -> bool:
+    """Whether ``request`` is completed within the time."""
+    until = time.monotonic() + seconds
+    while not request.Test():
+        if time.monotonic() > until:
+            return False
+        time.sleep(0.01)
+    return True
 
 
 def _sendable(error: Exception | None) -> Exception | None:

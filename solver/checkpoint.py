@@ -20,7 +20,7 @@ import numpy as np
 
 from .arrays import Array
 from .cache import PART, read_arrays, write_arrays
-from .errors import ComputationError, InputError
+from .errors import InputError, require
 
 if TYPE_CHECKING:
     from mpi4py import MPI
@@ -213,9 +213,8 @@ class Checkpoint:
                 work()
             except OSError as error:
                 problem = error.strerror or str(error)
-        for reported in self.comm.allgather(problem):
-            if reported:
-                raise ComputationError(f"the march cannot be kept in {self.folder}: {reported}")
+        message = f"the march cannot be kept in {self.folder}: {problem}"
+        require(self.comm, problem is None, message)
 
 
 def clear(folder: Path) -> None:

@@ -20,7 +20,7 @@ from .fall import dragged_fall, falling, free_fall
 from .ground import Ground, just_touched, place
 from .impact import march_contact
 from .rigid import Pose, leaning, product, quaternion_of
-from .time.flight import Flight, Flown, Sky, fly, stance
+from .time.flight import Energies, Flight, Flown, Sky, fly, stance
 from .time.march import ContactMarch, Marcher
 from .time.motion import flyer
 from .time.scheme import TimeScheme
@@ -54,7 +54,12 @@ class FlightFrame(Protocol):
         ...
 
     def landed(self, q: Array, qv: Array) -> tuple[Array, Array]:
-        """The body's own vectors of displacement and velocity in modes."""
+        """The body's own vectors of displacement and velocity in modes; ComputationError where they
+        are not found."""
+        ...
+
+    def energy_J(self, u: Array, v: Array) -> float:
+        """Kinetic and strain energy of the body's own vectors."""
         ...
 
 
@@ -74,6 +79,9 @@ class ModalFrame:
 
     def landed(self, q: Array, qv: Array) -> tuple[Array, Array]:
         return q, qv
+
+    def energy_J(self, u: Array, v: Array) -> float:
+        return 0.5 * float(v @ v + u @ (self.modal.omega2 * u))
 
 
 @dataclass(frozen=True)
@@ -190,7 +198,8 @@ def simulate(
                 start, wait_s = (flight.t0_s, touch.u, touch.v), next_s
                 continue
             tops.append((flown.tip_m, flown.centre_m))
-        else:
+        losses.change(flight.energies(flight.t0_s), frame.energy_J(touch.u, touch.v), 1.0)
+        if flown.over or next_s >= end_s:
             first = first or Impact(touches, flight, flown, tops, touch.released and flown.over)
             next_s = flight.t0_s if plan.impact_only else max(min(next_s, end_s), flight.t0_s)
             _record_flight(history, flight, touches[-1].release_s, next_s, stage)
@@ -200,6 +209,7 @@ def simulate(
         losses.fly(flight, next_s)
         pose, q, qv = flight.state(next_s)
         start, wait_s = (next_s, *frame.landed(q, qv)), next_s
+        losses.change(flight.energies(next_s), frame.energy_J(*start[1:]), -1.0)
         stage.place(pose)
     losses.fly(flight, next_s)
     now = flight.energies(next_s)
@@ -237,6 +247,12 @@ class Losses:
     drags: bool
     friction_J: float = 0.0
     contact_J: float = 0.0
+    flight_J: float = 0.0
+
+    def change(self, flying: Energies, own_J: float, sign: float) -> None:
+        """The body takes off (``sign`` 1) or lands (-1): what its own motion has beyond that in
+        the modes that it flies in."""
+        self.flight_J += sign * (own_J - flying.kinetic - flying.strain)
 
     def add(self, touch: ContactPhase) -> None:
         """A touch takes its part."""
@@ -351,7 +367,7 @@ class Stage:
             cm_velocity_after_m_s=float(velocity[2]),
             n_dofs=self.frame.body.n_dofs,
             n_steps=n_steps,
-            energy=Budget.close(self.initial_J, energy, *spent),
+            energy=replace(Budget.close(self.initial_J, energy, *spent), flight_J=losses.flight_J),
             history=self.history,
             cm_rebound_height_m=centre_rebound,
             velocity_after_m_s=tuple(map(float, velocity)),

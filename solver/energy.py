@@ -33,7 +33,8 @@ class Energy:
 class Budget:
     """The energy budget: what there was, is, was lost to what, and what is unaccounted for.
 
-    ``closure_relative`` is |``numerical_J``| over the energy of the impact, m g y0.
+    ``closure_relative`` is |``numerical_J``| over the energy of the impact, m g y0. ``flight_J`` is
+    the part of ``numerical_J`` that changes to and from the modes which a solid flies in leave out.
     """
 
     initial_J: float
@@ -47,6 +48,7 @@ class Budget:
     drag_loss_J: float
     numerical_J: float
     closure_relative: float
+    flight_J: float = 0.0
 
     @classmethod
     def close(

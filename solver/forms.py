@@ -83,6 +83,17 @@ class Elasticity:
         return change * normal
 
 
+def cells_of(space: fem.FunctionSpace) -> ufl.Measure:
+    """The measure for products of ``space``'s shape functions or of their gradients.
+
+    They reach twice the degree along each axis, and the geometry's Jacobian adds to that on curved
+    cells only. Small and finite strain share it, so that one is the other's limit on any mesh.
+    """
+    domain = space.mesh
+    degree = 2 * space.element.basix_element.degree + 2 * (domain.geometry.cmap.degree - 1)
+    return ufl.Measure("dx", domain=domain, metadata={"quadrature_degree": degree})
+
+
 @dataclass(frozen=True)
 class TipMeasure:
     """The tip's facets with the quadrature rules whose points are the contact points.
@@ -112,10 +123,9 @@ class StepForms:
             for value in (1.0, material.density_kg_m3, material.alpha_1_s, material.beta_s)
         )
         self.pull = fem.Constant(domain, np.zeros(3, dtype=real))
-        order = space.element.basix_element.degree
-        # that of the small-strain stiffness: strain and stress are conserved point by point, so a
-        # degree below that of finite strain's polynomials costs no conservation
-        self._dx = ufl.Measure("dx", domain=domain, metadata={"quadrature_degree": 2 * order})
+        # strain and stress are conserved point by point, so a degree below that of finite strain's
+        # polynomials costs no conservation
+        self._dx = cells_of(space)
         self.normal = ufl.FacetNormal(domain)
 
     @property

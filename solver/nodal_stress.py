@@ -37,7 +37,7 @@ class NodalStress:
     def __init__(
         self, displacement: fem.Function, material: Material, *, finite: bool = False
     ) -> None:
-        space = displacement.function_space
+        self.displacement, space = displacement, displacement.function_space
         self._domain = space.mesh
         element = space.element.basix_element
         points = stress_points(element)

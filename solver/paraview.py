@@ -16,7 +16,6 @@ from __future__ import annotations
 
 import math
 import shutil
-import time
 from collections.abc import Callable
 from enum import StrEnum
 from pathlib import Path
@@ -26,12 +25,12 @@ import numpy as np
 from dolfinx import fem
 from dolfinx.io import VTXMeshPolicy, VTXWriter
 
-from ..meshes.collective import run_on_one_rank
+from ..meshes.collective import Parting, run_on_one_rank
 from .arrays import Array
+from .bodies.reduced import ReducedModel
 from .bodies.solid import SolidBody
 from .checkpoint import Checkpoint, Mark, under
 from .contact_phase import instant_force
-from .drop import FlightFrame
 from .errors import ComputationError
 from .forms import own_values
 from .ground import Placement, place
@@ -48,7 +47,6 @@ GROUND_REACH = 0.1
 # Frames of a flight from touch to touch, and of the last one.
 BETWEEN, FLIGHT_FRAMES = 12, 80
 FRAMES_PER_PERIOD = 40
-FAREWELL_S = 5.0
 AXIAL = VOIGT.index((2, 2))
 
 
@@ -68,7 +66,9 @@ class FieldWriter:
     world, rotation included. The world's origin is where the tip first touches the ground (the
     middle of what touches at once), its z points up, so that an upright bristle is not displaced
     when it touches. Velocity stands along the world's axes, stresses along the body's own.
-    ``pressure_Pa`` integrates over the face to the contact force, see `TipFace`: with ``marcher``
+    In flight both are the sum of the modes that the body flies in, whose rotation is the pose's, so
+    a displacement lacks what is of second order in the slopes of the bending. ``pressure_Pa``
+    integrates over the face to the contact force, see `TipFace`: with ``marcher``
     the force at the frame's own instant, without it the mean over the step before.
 
     A frame is written at each touch, then every ``every`` steps, and at release. Left out,
@@ -95,7 +95,7 @@ class FieldWriter:
         solid: SolidBody,
         folder: Path,
         marcher: ContactMarch | None = None,
-        frame: FlightFrame | None = None,
+        frame: ReducedModel | None = None,
         *,
         every: int | None = None,
         max_frames: int = 200,
@@ -134,13 +134,16 @@ class FieldWriter:
         self.velocity = fem.Function(space, name="velocity_m_s")
         self.axial_stress = fem.Function(scalar, name="axial_stress_Pa")
         self.von_mises = fem.Function(scalar, name="von_mises_Pa")
-        finite = isinstance(self._marcher, FiniteMarcher)
-        self._stress = NodalStress(self.displacement, self.solid.material, finite=finite)
+        what = self.displacement, self.solid.material
+        flying = marched = NodalStress(*what)
+        if isinstance(self._marcher, FiniteMarcher):
+            marched = NodalStress(*what, finite=True)
+        self._stresses = marched, flying
         self._tip = TipFace(self.solid)
 
     def _open(self) -> None:
         run_on_one_rank(self.comm, self._clear)
-        self._failing = self.comm.Dup()
+        self._parting = Parting(self.comm)
         body = [self.displacement, self.velocity, self.axial_stress, self.von_mises]
         self._writers = [
             VTXWriter(
@@ -176,7 +179,7 @@ class FieldWriter:
             if step_force.any():
                 force = instant_force(self._marcher, state, step_force)
         self._last, self._since = state, self._since + 1
-        self._phase = self._next_phase(state, step_force, force)
+        self._phase = phase = self.comm.bcast(self._next_phase(state, step_force, force))
         due = self._since >= self._every or self._phase is not before
         kept = 0 if self._phase is Phase.RELEASE else 1
         if due and self._n_contact < self._max_frames - kept:
@@ -184,7 +187,7 @@ class FieldWriter:
                 shown = {"t_s": state.t_s, "u": state.u, "v": state.v, "force": force}
                 shown["phase"] = str(self._phase)
                 self._checkpoint.keep_frame({k: np.asarray(value) for k, value in shown.items()})
-            self.write(state.t_s, state.u, state.v, force, self._phase)
+            self.write(state.t_s, state.u, state.v, force, phase)
             self._count()
 
     def memory(self) -> dict[str, Array]:
@@ -242,7 +245,7 @@ class FieldWriter:
         if self._origin_m is None:
             self._origin_m = self._set_ground()
         own_values(self.displacement, u)
-        stress = self._stress()
+        stress = self._stresses[phase is Phase.FLIGHT]()
         self.axial_stress.x.array[:] = stress[:, AXIAL]
         self.von_mises.x.array[:] = von_mises(stress)
         gaps = self._placement.gaps(self.solid.contact.displacements(u))
@@ -305,7 +308,8 @@ class FieldWriter:
         for t in map(float, times_s):
             pose, q, qv = flight.state(t)
             self._placement = place(placed.ground, pose, self.solid.contact, placed.datum_m)
-            self.write(t, *frame.landed(q, qv), None, Phase.FLIGHT)
+            u, v = frame.from_modal(np.column_stack([q, qv])).T
+            self.write(t, u, v, None, Phase.FLIGHT)
             advance()
 
     def close(self) -> None:
@@ -315,24 +319,14 @@ class FieldWriter:
         for writer in self._writers:
             writer.close()
         self._writers = []
-        self._failing.Free()
+        self._parting.close()
 
     def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *raised: object) -> None:
-        if raised[0] is None or self._all_failed():
+        if self._writers and self._parting.together(raised[1]):
             self.close()
-
-    def _all_failed(self) -> bool:
-        """Whether all ranks are here within seconds: alone, one would wait in close for ever."""
-        arrived = self._failing.Ibarrier()
-        patience = time.monotonic() + FAREWELL_S
-        while not arrived.Test():
-            if time.monotonic() > patience:
-                return False
-            time.sleep(0.01)
-        return True
 
 
 def _square_vtk(normal: Array, half_m: float) -> str:

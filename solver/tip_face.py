@@ -5,13 +5,14 @@ from __future__ import annotations
 import numpy as np
 import ufl
 from dolfinx import fem, la, mesh
+from mpi4py import MPI
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from .arrays import Array
 from .bodies.solid import SolidBody
 from .bodies.tip import SAME_POINT_M
-from .errors import ComputationError
+from .errors import require
 from .form_cache import form
 
 
@@ -35,9 +36,9 @@ class TipFace:
         self.gap = fem.Function(scalar, name="gap_m")
         self.displacement = fem.Function(vector, name="displacement_m")
         nodes, places = solid.space.tabulate_dof_coordinates(), scalar.tabulate_dof_coordinates()
-        self._node = _nearest(nodes, places)
+        self._node = _nearest(domain.comm, nodes, places)
         moving = contact.moved(nodes[: solid.n_local // 3].ravel()).reshape(-1, 3)
-        self._moving = _nearest(moving, places)
+        self._moving = _nearest(domain.comm, moving, places)
         shares_m2 = self._shares_m2(scalar, len(moving))
         self.area_m2 = float(shares_m2.sum())
         self._fit = _fit(contact.rows[2::3, 2::3], contact.weights, shares_m2 / self.area_m2)
@@ -77,13 +78,10 @@ def _fit(shapes: Array, weights: Array, shares: Array) -> Array:
     return np.linalg.solve(normal, np.vstack([weighted, weights]))[:-1]
 
 
-def _nearest(candidates: Array, places: Array) -> NDArray[np.intp]:
-    """Index of the candidate at each place; raises ComputationError where there is none."""
-    if not len(places):
-        return np.empty(0, dtype=np.intp)
+def _nearest(comm: MPI.Intracomm, candidates: Array, places: Array) -> NDArray[np.intp]:
+    """Index of the candidate at each place; ComputationError on all ranks where one has none."""
     distance, index = cKDTree(candidates).query(places)
-    if distance.max() > 2.0 * SAME_POINT_M:
-        raise ComputationError(
-            f"a node of the tip is {distance.max():.3g} m from the nearest node of the solid"
-        )
+    far = float(distance.max(initial=0.0))
+    message = f"a node of the tip is {far:.3g} m from the nearest node of the solid"
+    require(comm, far <= 2.0 * SAME_POINT_M, message)
     return np.asarray(index, dtype=np.intp)

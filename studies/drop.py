@@ -33,6 +33,7 @@ from .running.steps import Watched, steps_of_contact
 if TYPE_CHECKING:
     from mpi4py import MPI
 
+    from ..solver.bodies.reduced import ReducedModel
     from ..solver.bodies.solid import SolidBody
 
 FIELDS, CHECKPOINT = "fields", "checkpoint"
@@ -173,7 +174,8 @@ def _marched_solid(
 
             made = stack.enter_context(_by_rank_0(folder_in_place(folder), session.comm))
             body, every = cast("SolidBody", prepared.frame.body), inputs.write_every
-            flight = body, made, prepared.marcher, prepared.frame
+            frame = cast("ReducedModel", prepared.frame)
+            flight = body, made, prepared.marcher, frame
             writer = stack.enter_context(FieldWriter(*flight, every=every, checkpoint=checkpoint))
         with progress("contact of the solid, expected steps", expected) as advance:
             watched = Watched(inputs.its_s, advance, writer)

@@ -17,20 +17,11 @@ from petsc4py import PETSc
 
 from ..arrays import Array
 from ..compiled import fast
-from ..errors import ComputationError
+from ..errors import require
 from ..form_cache import form
+from ..forms import cells_of
 
 Rows = tuple[NDArray[np.integer], NDArray[np.integer], Array]
-
-
-def degree_of_products(space: fem.FunctionSpace) -> int:
-    """Quadrature degree for products of shape functions or of their gradients.
-
-    They reach twice the degree along each axis, and the geometry's Jacobian adds to that on curved
-    cells only.
-    """
-    order: int = space.element.basix_element.degree
-    return 2 * order + 2 * (space.mesh.geometry.cmap.degree - 1)
 
 
 def assembled_rows(energy: fem.Form) -> tuple[Rows, IndexMap]:
@@ -62,14 +53,11 @@ class NodeMass:
     def __init__(self, space: fem.FunctionSpace, density_kg_m3: float) -> None:
         domain = space.mesh
         scalar = fem.functionspace(domain, ("Lagrange", space.element.basix_element.degree))
-        if not np.array_equal(scalar.dofmap.list, space.dofmap.list):
-            raise ComputationError("dolfinx numbers the nodes of scalars and of vectors apart")
+        same = np.array_equal(scalar.dofmap.list, space.dofmap.list)
+        require(domain.comm, same, "dolfinx numbers the nodes of scalars and of vectors apart")
         u, v = ufl.TrialFunction(scalar), ufl.TestFunction(scalar)
-        dx = ufl.Measure(
-            "dx", domain=domain, metadata={"quadrature_degree": degree_of_products(space)}
-        )
         density = fem.Constant(domain, PETSc.ScalarType(density_kg_m3))
-        self.rows, self.columns = assembled_rows(form(density * ufl.inner(u, v) * dx))
+        self.rows, self.columns = assembled_rows(form(density * ufl.inner(u, v) * cells_of(space)))
         self.comm = domain.comm
         self._moved = la.vector(self.columns, 3)
 

@@ -15,11 +15,11 @@ from scipy.sparse import csr_matrix
 
 from ..arrays import Array
 from ..bristle import CONTACT_POINTS, Material
-from ..errors import ComputationError
+from ..errors import require
 from ..form_cache import form
-from ..forms import Elasticity
+from ..forms import Elasticity, cells_of
 from .linear import Cholesky, Iterative, Solver, choose, make_solver
-from .matrices import NodeMass, assembled_rows, degree_of_products, petsc_matrix
+from .matrices import NodeMass, assembled_rows, petsc_matrix
 from .tip import tip_contact
 
 # Of a height in m up to which nodes stand on one layer.
@@ -76,10 +76,9 @@ class SolidBody:
 
     def _assemble(self) -> None:
         u, v = ufl.TrialFunction(self.space), ufl.TestFunction(self.space)
-        metadata = {"quadrature_degree": degree_of_products(self.space)}
-        dx = ufl.Measure("dx", domain=self.domain, metadata=metadata)
         hooke = self._elasticity
-        energy = form(ufl.inner(hooke.stress(hooke.strain(u)), hooke.strain(v)) * dx)
+        work = ufl.inner(hooke.stress(hooke.strain(u)), hooke.strain(v))
+        energy = form(work * cells_of(self.space))
         self._rows, self._columns = assembled_rows(energy)
         first, column, value = self._rows
         count = self._columns.size_local + self._columns.num_ghosts
@@ -88,8 +87,8 @@ class SolidBody:
         self.node_mass = NodeMass(self.space, self.material.density_kg_m3)
         nodes = self.node_mass.columns
         own = np.arange(nodes.size_local + nodes.num_ghosts, dtype=np.int32)
-        if not np.array_equal(self.columns[::3], 3 * nodes.local_to_global(own)):
-            raise ComputationError("dolfinx numbers the columns of stiffness and of mass apart")
+        same = np.array_equal(self.columns[::3], 3 * nodes.local_to_global(own))
+        require(self.comm, same, "dolfinx numbers the columns of stiffness and of mass apart")
 
     @cached_property
     def stiffness_matrix(self) -> PETSc.Mat:

@@ -12,6 +12,7 @@ from dolfinx import fem, la, mesh
 from numpy.typing import NDArray
 from scipy.sparse import csr_matrix
 
+from ...meshes.collective import run_on_one_rank
 from ...meshes.distribute import coordinate_element
 from ...meshes.section import gauss_lobatto
 from ..arrays import Array
@@ -383,7 +384,10 @@ class TipTractions:
         index = (tip.index[:, None, None], np.arange(3)[:, None], self._place[:, None])
         np.add.at(rows, index, scaled)
         rows = self._comm.allreduce(rows).reshape(3 * self._n, -1)
-        left, size, right = np.linalg.svd(rows, full_matrices=False)
+        # how many are significant may hang on rounding, which is another on another kind of node
+        left, size, right = run_on_one_rank(
+            self._comm, lambda: tuple(np.linalg.svd(rows, full_matrices=False))
+        )
         significant = size > FAINT * size[0]
         own = np.zeros((int(significant.sum()), self._own))
         own[:, self._owned_local] = right[significant][:, self._owned]

@@ -11,6 +11,7 @@ from typing import Any, ClassVar, NamedTuple, Self
 import numpy as np
 from scipy.sparse import issparse, vstack
 
+from ...meshes.collective import run_on_one_rank
 from ..arrays import Array
 from ..bodies.axis import shortening
 from ..bodies.base import Body, SparseOrDense, dense_of
@@ -18,6 +19,7 @@ from ..bodies.modal import ModalBody
 from ..contact.enforcement import ContactMethod, StepContact
 from ..contact.laws import ContactLaw, Coulomb
 from ..contact.section import Section, new_section
+from ..contact.step import Taken
 from ..errors import ComputationError
 from ..ground import Placement
 from .advance import balance, combine, newmark
@@ -184,6 +186,29 @@ class ContactMarch:
         approach = np.einsum("iax,ix->ia", self.ground.frames, moved)
         approach[:, 0] -= self.ground.gaps_m
         return np.asarray(approach)
+
+    def pushed(self, before: Array, free: Array) -> Array:
+        """The forces of `StepContact.solve`, as rank 0 finds them; collective.
+
+        Rounding is another on another kind of node, and what the ranks do together hangs on whether
+        there is a force.
+        """
+
+        def solved() -> tuple[Array, Array]:
+            return self.contact.solve(before, free), self.contact.end
+
+        force, self.contact.end = run_on_one_rank(self.body.contact.comm, solved)
+        return force
+
+    def taken(self, before: Array, force: Array) -> Taken:
+        """What `StepContact.commit` gives, as rank 0 finds it; collective."""
+        contact = self.contact
+
+        def committed() -> tuple[Taken, Array, Array]:
+            return contact.commit(before, force), contact.memory, contact.last
+
+        taken, contact.memory, contact.last = run_on_one_rank(self.body.contact.comm, committed)
+        return taken
 
     def heights(self, state: Moving, moved: Array | None = None) -> tuple[float, float]:
         """Heights in m of the middle of the end section and of the centre of mass.
@@ -389,7 +414,7 @@ class Marcher(ContactMarch):
         a = self._solve(rhs)
         u, v = newmark(now.u, now.v, now.a, a, h, scheme.beta, scheme.gamma)
         approach = self.approach(u, v)
-        force = self.contact.solve(now.approach, approach)
+        force = self.pushed(now.approach, approach)
         if force.any():
             loads = self._loads(self.along_axes(force))
             rhs += self._forcing @ loads
@@ -404,7 +429,7 @@ class Marcher(ContactMarch):
         mu, mv = newmark(now.mu, now.mv, now.ma, ma, h, scheme.beta, scheme.gamma)
         ku, kv = newmark(now.ku, now.kv, now.ka, ka, h, scheme.beta, scheme.gamma)
         later = State(now.t_s + h, u, v, mu, mv, approach, a, ma, ku, kv, ka)
-        return Step(later, force, *self.contact.commit(now.approach, force))
+        return Step(later, force, *self.taken(now.approach, force))
 
     def tractions(self, state: State) -> Array:
         return self.body.contact.tractions(state.u)

@@ -13,14 +13,12 @@ import sys
 import time
 from collections.abc import Callable, Hashable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self, cast
 
-import numpy as np
-
 from ...meshes import geometry
-from ...meshes.collective import ALONE, with_mpi
+from ...meshes.collective import ALONE, Parting, with_mpi
 from ...meshes.geometry import Tag
 from ...solver.analytic import analytic_drop
 from ...solver.bodies.base import ContactPoints, with_offsets
@@ -42,7 +40,7 @@ from ..inputs.effects import Entered, entered, observed
 from ..inputs.fields import FLAT
 from ..inputs.limits import check_result, count_unknowns
 from ..inputs.stance import face_offsets_m
-from .parallel import GRACE_S, all_ranks, done_within
+from .parallel import all_ranks
 
 if TYPE_CHECKING:  # MPI, dolfinx and gmsh, which a beam does without
     from mpi4py import MPI
@@ -104,15 +102,14 @@ class CaseSession:
         self._used: dict[Hashable, int] = {}
         self._alone: CaseSession | None = None
         self._spent = dict.fromkeys(PARTS, 0.0)
-        # of its own, so that how the ranks end meets no other collective call
-        self._ending = self.comm.Dup() if self.comm.size > 1 else self.comm
+        self._parting = Parting(self.comm)
 
     def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *raised: object) -> None:
         # where one rank failed alone, PETSc frees the factors at the end of the next session
-        if self._all_here(raised[1]):
+        if self._parting.together(raised[1]):
             self.close()
         else:
             self._bodies.clear()
@@ -125,9 +122,7 @@ class CaseSession:
             self._alone.close()
             self._alone = None
         self._forget(list(self._bodies))
-        if self._ending is not self.comm:
-            self._ending.Free()
-            self._ending = self.comm
+        self._parting.close()
 
     def trim(self) -> None:
         """Forget the bodies that were used longest ago, until there are no more than `MOST_KEPT`
@@ -150,26 +145,6 @@ class CaseSession:
                     solids = True
         if solids and self.comm.size > 1:  # what Python let go of alone waits for the other ranks
             sys.modules["petsc4py.PETSc"].garbage_cleanup(self.comm)
-
-    def _all_here(self, error: object) -> bool:
-        """Whether all ranks end now, this one with an ``error`` or None.
-
-        One that fails waits `GRACE_S` for the others. If it leaves without them, they hear of it.
-        """
-        if self.comm.size == 1:
-            return True
-        if error is not None and not isinstance(error, Exception):
-            return False  # an interrupted process ends
-        from mpi4py import MPI
-
-        here = done_within(self._ending.Ibarrier(), math.inf if error is None else GRACE_S)
-        every = np.array([here])
-        agreed = self._ending.Iallreduce(MPI.IN_PLACE, every, MPI.LAND)
-        if here:
-            done_within(agreed, math.inf)
-            return bool(every[0])
-        self._left = agreed, every  # which others may still read
-        return False
 
     def prepare(self, inputs: DropInputs) -> Prepared | None:
         """Build what ``inputs`` needs and is not there yet; None for the analytic model.
@@ -299,27 +274,31 @@ class CaseSession:
             )
 
     def _full(self, inputs: DropInputs) -> ReducedModel:
-        """The solid at full order, flying in the coordinates of its reduced model."""
-        model = self._reduced(inputs)
-        if not inputs.finite:
-            return model
+        """The solid at full order, and the modes that it flies in, which are kept from run to
+        run."""
         from ...solver.bodies.floating import FloatingModel
+        from ...solver.bodies.reduced import flying_solid
 
-        small = {each.name: getattr(model, each.name) for each in fields(model)}
-        return self._keep(inputs, ("floating", id(model)), lambda: FloatingModel(**small))
+        solid = self._solid(inputs)
+        how = {k: v for k, v in self._basis(inputs).items() if k != "tractions"}
+
+        def make() -> ReducedModel:
+            model = flying_solid(solid, **how)
+            return FloatingModel(**vars(model)) if inputs.finite else model
+
+        with self._timed("factor"):
+            return self._keep(inputs, ("flying", inputs.finite, *how.items()), make)
+
+    def _solid(self, inputs: DropInputs) -> SolidBody:
+        return self._keep(inputs, "solid", lambda: self._make_solid(inputs))
 
     def _reduced(self, inputs: DropInputs, modes: int | None = None) -> ReducedModel:
         """The solid and its reduced model, with a flat tip."""
         from ...solver.bodies.reduced import reduce_solid
 
-        solid = self._keep(inputs, "solid", lambda: self._make_solid(inputs))
-        how = self._basis(inputs, modes)
+        solid, how = self._solid(inputs), self._basis(inputs, modes)
         with self._timed("factor"):
-            return self._keep(
-                inputs,
-                ("reduced", *how.items()),
-                lambda: reduce_solid(solid, second_order=how["leaning"], **how),
-            )
+            return reduce_solid(solid, second_order=how["leaning"], **how)
 
     def _basis(self, inputs: DropInputs, modes: int | None = None) -> dict[str, Any]:
         """What `reduce_solid` is told beside the solid.

@@ -14,11 +14,12 @@ from typing import Any, cast
 
 from mpi4py import MPI
 
+from ...meshes.collective import GRACE_S, done_within
 from ...solver.errors import BristleError, InputError
 from ..inputs.config import DropInputs
 from ..inputs.limits import count_unknowns
 from .cases import CaseSession
-from .parallel import GRACE_S, done_within, share_out
+from .parallel import share_out
 
 # What building mesh, matrices, factor and basis costs, in steps of the same solid.
 BUILDING_STEPS = 250.0

@@ -5,14 +5,13 @@ from __future__ import annotations
 import importlib
 import os
 import sys
-import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TextIO
 
-from ...meshes.collective import ALONE
+from ...meshes.collective import ALONE, GRACE_S, done_within
 from ...solver.errors import BristleError
 
 if TYPE_CHECKING:
@@ -21,8 +20,6 @@ if TYPE_CHECKING:
 # Set by Open MPI, and by the launchers of MPICH and its kin.
 SIZE_VARIABLES = ("OMPI_COMM_WORLD_SIZE", "PMI_SIZE")
 RANK_VARIABLES = ("OMPI_COMM_WORLD_RANK", "PMI_RANK")
-# Ranks that fail together reach the end within this time of each other.
-GRACE_S = 5.0
 
 
 def launched_ranks() -> int:
@@ -124,16 +121,6 @@ class Ranks:
             worst.tell()
         self._comm.Barrier()  # nobody leaves before rank 0 has spoken: mpirun would end it
         return worst.status
-
-
-def done_within(request: Any, seconds: float) -> bool:
-    """Whether ``request`` is completed within the time."""
-    until = time.monotonic() + seconds
-    while not request.Test():
-        if time.monotonic() > until:
-            return False
-        time.sleep(0.01)
-    return True
 
 
 def share_out(

@@ -4,17 +4,23 @@ import math
 
 import numpy as np
 import pytest
+from dolfinx.fem import petsc as fem_petsc
 from mpi4py import MPI
+from petsc4py import PETSc
 
 from bristle.meshes import geometry
 from bristle.meshes.distribute import to_dolfinx
+from bristle.meshes.section import Circle
 from bristle.solver.bodies.solid import SolidBody
 from bristle.solver.bristle import Material
-from bristle.solver.contact.enforcement import ContactMethod, Enforcement
+from bristle.solver.contact.enforcement import ContactMethod, Enforcement, StepContact
 from bristle.solver.contact.laws import Coulomb, Linear
 from bristle.solver.errors import ComputationError
+from bristle.solver.form_cache import form
+from bristle.solver.forms import StepForms, own_values
 from bristle.solver.ground import Ground, just_touched, place
 from bristle.solver.rigid import Pose, leaning
+from bristle.solver.time import finite
 from bristle.solver.time.finite import FiniteMarcher
 from bristle.solver.time.march import Marcher
 from bristle.solver.time.scheme import TimeScheme
@@ -289,6 +295,71 @@ def test_a_march_goes_on_to_the_bit(make_finite, rng):
         heap[:] = [np.empty(size) for size in rng.integers(1, 9000, 30)]
         marcher.contact.recall(kept)
         assert np.array_equal(marcher.step(state).state.u, onward.u)
+
+
+def test_contact_forces_converge_where_the_increment_does_not_tell_of_them(
+    make_finite, monkeypatch
+):
+    """An increment that is mostly rigid motion has arrived long before the forces have."""
+    histories = []
+    for precision in (finite.PRECISION, 1e-2):
+        monkeypatch.setattr(finite, "PRECISION", precision)
+        marcher = make_finite(method=ContactMethod(Linear(1e8)))
+        v = over_ground(marcher, 4.0)
+        state, forces = marcher.start(0.0, np.zeros_like(v), v), []
+        for _ in range(25):
+            state, force, _, _ = marcher.step(state)
+            forces.append(float(marcher.body.contact.weights @ force[:, 0]))
+        histories.append(np.array(forces))
+    exact, found = histories
+    assert np.abs(found - exact).max() < finite.FORCE_PRECISION * exact.max()
+
+
+@pytest.mark.parametrize("geometry_order", [1, 2])
+def test_finite_strain_has_the_small_limit_on_curved_cells_too(make_solid, rng, geometry_order):
+    """Stiffness and mass of both to rounding, and the load of a small displacement's stress."""
+    section, its = Circle(1e-3), 1e-6
+    how = {"section": section, "material": UNDAMPED, "geometry_order": geometry_order}
+    solid = make_solid((2, 2, 4), LENGTH_M, **how)
+    forms = StepForms(solid.space, UNDAMPED, finite=True)
+    forms.its.value = its
+    x = rng.normal(size=solid.n_local)
+    tangent = fem_petsc.assemble_matrix(form(forms.tangent()))
+    tangent.assemble()
+    small = solid.effective_matrix(2.0 / its**2, 0.5)
+    apart = tangent.copy()
+    apart.axpy(-1.0, small)
+    assert apart.norm() < 1e-12 * small.norm()
+    for matrix in (tangent, small, apart):
+        matrix.destroy()
+    own_values(forms.u, 1e-12 * x)
+    load = fem_petsc.assemble_vector(form(forms.stress_load()))
+    load.ghostUpdate(addv=PETSc.InsertMode.ADD, mode=PETSc.ScatterMode.REVERSE)
+    linear = solid.stiffness(1e-12 * x)
+    assert np.abs(load.array - linear).max() < 1e-7 * np.abs(linear).max()
+    load.destroy()
+
+
+@pytest.mark.skipif(MPI.COMM_WORLD.size == 1, reason="needs ranks that round otherwise")
+@pytest.mark.parametrize("kind", [FiniteMarcher, Marcher])
+def test_ranks_that_round_otherwise_march_as_rank_0(make_finite, monkeypatch, kind):
+    """As on another kind of node: what is not zero there is no reason for a solve of its own."""
+    marcher = make_finite((1, 1, 12))
+    if kind is Marcher:
+        monkeypatch.setattr("bristle.solver.time.march.MOST_KEPT", 0)  # it solves where it touches
+        how = (marcher.method, marcher.scheme, marcher.its_s, marcher.gravity_m_s2)
+        marcher = Marcher(marcher.body, *how)
+    v = over_ground(marcher, 4.0, clear_m=3e-6)
+    solve = StepContact.solve
+    if MPI.COMM_WORLD.rank == 1:
+        monkeypatch.setattr(StepContact, "solve", lambda *given: solve(*given) + 1e-13)
+    state, forces = marcher.start(0.0, np.zeros_like(v), v), []
+    for _ in range(8):
+        state, force, _, _ = marcher.step(state)
+        forces.append(force)
+    every = MPI.COMM_WORLD.allgather(np.array(forces))
+    assert all(np.array_equal(each, every[0]) for each in every)
+    assert np.any(every[0])
 
 
 def test_what_cannot_be_marched_is_refused(make_finite):

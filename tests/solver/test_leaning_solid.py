@@ -1,16 +1,22 @@
 """A leaning solid bounces alike at full order and reduced, as a beam does, on any ranks."""
 
 import math
+import time
 
 import numpy as np
 import pytest
-from leaning_helpers import beam, plan
+from leaning_helpers import G, beam, plan
 from mpi4py import MPI
 
-from bristle.solver.bodies.reduced import reduce_solid
+from bristle.solver.bodies.floating import SETTLED, FloatingModel
+from bristle.solver.bodies.reduced import flying_solid, reduce_solid
 from bristle.solver.bristle import Material
 from bristle.solver.contact.enforcement import Enforcement
 from bristle.solver.drop import ModalFrame, simulate
+from bristle.solver.errors import ComputationError
+from bristle.solver.rigid import Pose
+from bristle.solver.time.finite import FiniteMarcher
+from bristle.solver.time.march import Marcher
 from bristle.solver.time.scheme import TimeScheme
 
 LENGTH, CELLS, ITS = 0.05, (1, 2, 24), 1e-6
@@ -130,3 +136,115 @@ def test_the_march_of_a_reduced_solid_is_the_general_one(models):
     compiled = simulate(frame, the_plan)
     general = simulate(frame, the_plan, observer=lambda state, force: None)
     assert differences(compiled, general).max() < 1e-8
+
+
+# --- the solid at finite strain: it flies in modes of small strain ---
+
+
+@pytest.fixture(scope="module")
+def flying(make_solid):
+    """A solid that flies in modes of its own, at finite strain."""
+    solid = make_solid(CELLS, LENGTH, material=MATERIAL)
+    c_mass, c_stiffness = TimeScheme.average().effective(ITS, 0.0, MATERIAL.beta_s)
+    return FloatingModel(**vars(flying_solid(solid, c_mass / c_stiffness, 24, leaning=True)))
+
+
+def bent(model, slope):
+    """Modes (q, qv) of slow bending with slopes of about so much, turning and falling."""
+    omega = np.sqrt(model.modal.omega2)
+    slow = np.argsort(omega)[6:12]
+    q, qv = np.zeros_like(omega), np.zeros_like(omega)
+    shapes = np.abs(model.from_modal(np.eye(omega.size)[:, slow])).max(axis=0)
+    q[slow] = slope * LENGTH / (10.0 * shapes) * [1, -1, 1, 1, -1, 1]
+    qv[slow] = omega[slow] * q[slow]
+    qv += model.modal.rotation @ np.array([3.0, -5.0, 1.0]) - model.modal.translation[:, 2]
+    return q, qv
+
+
+def test_landing_ends_where_the_stress_is_that_of_the_flight(flying):
+    """To what it says, slow bending included; a body that is bent too far says so."""
+    q, qv = bent(flying, 0.05)
+    u, v = flying.landed(q, qv)
+    still = np.where(flying.modal.omega2 > 0.0, qv, 0.0)
+    for found, modal in zip(flying._stress_loads(u, v), (q, still), strict=True):
+        left = flying.flexibility * flying.seen(found) - modal
+        energy = flying.modal.omega2 @ modal**2
+        assert flying.modal.omega2 @ left**2 < SETTLED**2 * energy
+    with pytest.raises(ComputationError, match="bends too far"):
+        flying.landed(*bent(flying, 30.0))
+
+
+def test_take_off_and_landing_lose_the_square_of_the_slope(flying):
+    """There and back again, and the energy on the way; rotation of the body's axes included."""
+    apart = []
+    for slope in (0.02, 0.01):
+        q, qv = bent(flying, slope)
+        u, v = flying.landed(q, qv)
+        upright = Pose(np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0]))
+        _, again, _ = flying.launched(upright, u, v)
+        size = np.sqrt(flying.modal.omega2 @ q**2)
+        off = np.sqrt(flying.modal.omega2 @ (again - q) ** 2) / size
+        elastic = np.where(flying.modal.omega2 > 0.0, qv, 0.0)
+        _, slow = flying.landed(q, elastic)
+        kept = flying.energy_J(u, slow) / (0.5 * (elastic @ elastic + size**2)) - 1.0
+        apart.append((off, abs(kept)))
+    (off, kept), (less_off, less_kept) = apart
+    assert off < 1e-6
+    assert less_off < 1e-6
+    assert 3.0 < kept / less_kept < 5.0
+
+
+@pytest.mark.parametrize("lean", [0.3, 0.6])
+def test_a_finite_solid_states_what_its_flights_leave_out(flying, lean):
+    """All that the budget lacks: the march itself conserves. Touch after touch, and after a flight
+    too."""
+    the_plan = plan(tilt_deg=lean, until_s=0.32, its=2e-6)
+    marcher = FiniteMarcher(
+        flying.body, the_plan.method, the_plan.scheme, the_plan.its_s, the_plan.gravity_m_s2
+    )
+    landings = []
+    own = flying.landed
+    flying.__dict__["landed"] = lambda *modal: landings.append(1) or own(*modal)
+    result = simulate(flying, the_plan, marcher)
+    del flying.__dict__["landed"]
+    marcher.close()
+    energy = result.energy
+    assert landings
+    assert abs(energy.numerical_J - energy.flight_J) < 1e-8 * energy.initial_J
+    assert 1e-8 * energy.initial_J < abs(energy.flight_J) < 1e-2 * energy.initial_J
+
+
+def test_what_flies_is_kept_from_run_to_run(make_solid, monkeypatch):
+    """To the bit, and made again for another material."""
+    made = []
+
+    def counted(*given, **how):
+        made.append(given)
+        return reduce_solid(*given, **how)
+
+    monkeypatch.setattr("bristle.solver.bodies.reduced.reduce_solid", counted)
+    density = 7000.0 + time.time() % 1000.0  # a body that no run had before
+    density = MPI.COMM_WORLD.bcast(density)
+    material = Material(density_kg_m3=density)
+    solid = make_solid(CELLS, LENGTH, material=material)
+    one, other = (flying_solid(solid, 1e10, 8, leaning=True) for _ in range(2))
+    assert len(made) == 1
+    assert np.array_equal(one.vectors, other.vectors)
+    assert np.array_equal(one.turn, other.turn)
+    assert np.array_equal(one.modal.omega2, other.modal.omega2)
+    assert np.array_equal(one.modal.contact.rows, other.modal.contact.rows)
+    flying_solid(solid, 2e10, 8, leaning=True)
+    assert len(made) == 2
+
+
+def test_modes_of_flight_hold_what_leaves_an_impact(make_solid):
+    """All but 1e-4 of its energy, in half the vectors of a body that touches in them."""
+    solid = make_solid(CELLS, LENGTH, material=MATERIAL)
+    the_plan = plan(1e8, tilt_deg=5.0, mu=0.3)
+    marcher = Marcher(solid, the_plan.method, the_plan.scheme, the_plan.its_s, G)
+    c_mass, c_stiffness = the_plan.scheme.effective(the_plan.its_s, 0.0, MATERIAL.beta_s)
+    shift = c_mass / c_stiffness
+    small = reduce_solid(solid, shift, leaning=True, flying=True)
+    found = simulate(small, the_plan, marcher)
+    assert 0.0 < found.energy.flight_J < 1e-4 * found.energy.initial_J
+    assert small.modal.n_dofs < 0.6 * reduce_solid(solid, shift, leaning=True).modal.n_dofs

@@ -101,10 +101,10 @@ from mpi4py import MPI
 from petsc4py import PETSc
 PETSc.Log.begin()
 import bristle
-from bristle.studies.running import cases
+from bristle.meshes import collective
 
 world, how, log = MPI.COMM_WORLD, sys.argv[1], sys.argv[2]
-cases.GRACE_S = 0.2
+collective.GRACE_S = 0.2
 small = dict(model="solid", cells=(1, 1, 12), length_m=0.02, until="impact")
 
 def work(session):
