@@ -46,9 +46,10 @@ def test_their_python_runs(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(drops_module, "carried", lambda kind, quantities: list(QUICK))
     write_drops(tmp_path / "my-drops", [EFFECTS["wear"](decades=2.0)], "worn")
-    (block,) = readme.blocks("python")
+    block, further = readme.blocks("python")
     names: dict = {}
     exec(block.replace('"my-drops")', '"my-drops", no_3d=True)'), names)
+    exec(further, {})
     ratio, loss_J = re.findall(r"# ([\d.]+), ([\d.]+) J", block)[0]
     assert readme.agree(ratio, names["r"].rebound_ratio)
     assert readme.agree(loss_J, names["r"].energy.material_loss_J)
