@@ -21,6 +21,7 @@ TURNS, STILL_RAD = 20, 1e-13
 # In the energy norm. What the change between small and finite strain itself leaves out is of second
 # order in the slopes of the bending, 1e-4 and more.
 CORRECTIONS, SETTLED = 30, 1e-8
+RUNAWAY = 1e6  # further corrections would only grow
 SMALLEST = float(np.finfo(float).tiny)  # an energy, where there is none
 
 
@@ -100,10 +101,12 @@ class FloatingModel(ReducedModel):
             off = np.sqrt(np.abs(summed(solid.comm, np.sum(change * left, axis=0))) / energies)
             if off.max() <= SETTLED:
                 return u, v
+            if not off.max() < RUNAWAY:
+                break
         raise ComputationError(
-            f"the body bends too far to touch again: after {CORRECTIONS} corrections its stress is "
-            f"off by {off.max():.2g} from that of its flight; lean it less, or end the drop with "
-            "its first impact",
+            "the body bends too far to touch again: corrected, its stress is still off by "
+            f"{off.max():.2g} from that of its flight; lean it less, or end the drop with its "
+            "first impact",
             inputs=("until",),
         )
 

@@ -154,7 +154,8 @@ def bent(model, slope):
     omega = np.sqrt(model.modal.omega2)
     slow = np.argsort(omega)[6:12]
     q, qv = np.zeros_like(omega), np.zeros_like(omega)
-    shapes = np.abs(model.from_modal(np.eye(omega.size)[:, slow])).max(axis=0)
+    own = np.abs(model.from_modal(np.eye(omega.size)[:, slow])).max(axis=0)
+    shapes = np.max(model.body.comm.allgather(own), axis=0)  # the same on each rank
     q[slow] = slope * LENGTH / (10.0 * shapes) * [1, -1, 1, 1, -1, 1]
     qv[slow] = omega[slow] * q[slow]
     qv += model.modal.rotation @ np.array([3.0, -5.0, 1.0]) - model.modal.translation[:, 2]
