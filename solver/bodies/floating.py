@@ -21,7 +21,7 @@ TURNS, STILL_RAD = 20, 1e-13
 # In the energy norm. What the change between small and finite strain itself leaves out is of second
 # order in the slopes of the bending, 1e-4 and more.
 CORRECTIONS, SETTLED = 30, 1e-8
-RUNAWAY = 1e6  # further corrections would only grow
+RUNAWAY = 1e6  # off by this much in the energy norm, corrections only grow
 SMALLEST = float(np.finfo(float).tiny)  # an energy, where there is none
 
 
