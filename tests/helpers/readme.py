@@ -1,4 +1,8 @@
-"""What README and the documents say: commands, the output under them, tables."""
+"""What README and the documents say: commands, the output under them, marked numbers and tables.
+
+A number that a test checks has a mark right after it, ``0.65<!-- measured-mean -->``. A table has
+one in the line before, ``<!-- table: leaning -->``. Sentences around them are free to change.
+"""
 
 from __future__ import annotations
 
@@ -21,6 +25,8 @@ PAGES = [
 TEXT = "\n".join(path.read_text(encoding="utf-8") for path in PAGES)
 FENCE = re.compile(r"^( *)```(\w+)\n(.*?)^\1```$", re.MULTILINE | re.DOTALL)
 NUMBER = re.compile(r"-?\d+(?:\.\d+)?(?:e[+-]?\d+)?")
+MARK = re.compile(rf"({NUMBER.pattern})<!-- ([\w-]+) -->")
+MARK_OF_A_TABLE = re.compile(r"^ *<!-- table: ([\w-]+) -->\n((?: *\|.*\n)+)", re.MULTILINE)
 GROUP = typer.main.get_command(app)
 assert isinstance(GROUP, click.Group)
 
@@ -85,11 +91,24 @@ def options() -> set[str]:
     }
 
 
-def table(head: str) -> list[list[str]]:
-    """The rows of the table whose first row begins with ``head``, markup taken off."""
-    start = TEXT.index(f"| {head}")
-    lines = TEXT[start:].split("\n\n", 1)[0].splitlines()
-    return [[cell.strip() for cell in line.strip("|").split("|")] for line in lines[2:]]
+def number(name: str) -> str:
+    """The number that bears a mark, as it is written."""
+    (found,) = [shown for shown, mark in MARK.findall(TEXT) if mark == name]
+    return found
+
+
+def table(name: str) -> list[list[str]]:
+    """The rows below the head of the table that bears a mark."""
+    (found,) = [body for mark, body in MARK_OF_A_TABLE.findall(TEXT) if mark == name]
+    return [
+        [cell.strip() for cell in line.strip().strip("|").split("|")]
+        for line in found.splitlines()[2:]
+    ]
+
+
+def marks() -> list[str]:
+    """Every mark, in whatever form: those that `number` and `table` do not read too."""
+    return re.findall(r"<!-- (?:table: )?([^>]*?) -->", TEXT)
 
 
 def differences(shown: str, printed: str) -> list[str]:

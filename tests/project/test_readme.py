@@ -145,7 +145,7 @@ def test_what_is_quick_runs_and_ends_with_what_to_look_at(words, tmp_path, monke
 
 
 def test_less_friction_leaves_less(tmp_path, monkeypatch, capsys):
-    (shown,) = re.findall(r"With `--friction 0` the same drop gives y1/y0 = ([\d.]+)", readme.TEXT)
+    shown = readme.number("leaning-without-friction")
     (leaning,) = [session for session in DROPS if "--tilt" in session.words]
     monkeypatch.chdir(tmp_path)
     assert main([*leaning.words[1:], "--friction", "0"]) == 0
@@ -155,14 +155,15 @@ def test_less_friction_leaves_less(tmp_path, monkeypatch, capsys):
 
 def test_the_beam_leans_as_the_table_says():
     how = (Model.BEAM, Deflection.SECOND_ORDER, 0.05, 0.0)
-    for lean, _, beam, *_ in readme.table("lean |"):
+    for lean, _, beam, *_ in readme.table("leaning"):
         with CaseSession(MPI.COMM_SELF) as session:
             kept, _ = speed_kept(session, Campaign().case(*how, float(lean.rstrip("°"))))
         assert readme.agree(beam, kept), lean
 
 
-def test_defaults_of_the_options_are_as_the_table_says():
-    for names, default, _ in readme.table("option | default | meaning"):
+@pytest.mark.parametrize("table", ["leaning-options", "mesh-options", "loop-options"])
+def test_defaults_of_the_options_are_as_the_tables_say(table):
+    for names, default, _ in readme.table(table):
         for name, shown in zip(
             re.findall(r"`(--[\w-]+)`", names), default.split(", "), strict=False
         ):
@@ -179,9 +180,30 @@ def test_defaults_of_the_options_are_as_the_table_says():
                 assert found[1] == shown.strip("`"), name
 
 
+def test_every_mark_is_read_by_a_test():
+    marks = readme.marks()
+    assert len(set(marks)) == len(marks)
+    tests = sorted((readme.REPOSITORY / "tests").rglob("test_*.py"))
+    text = "\n".join(path.read_text(encoding="utf-8") for path in tests)
+    assert [name for name in marks if f'"{name}"' not in text] == []
+
+
+def test_a_mark_is_found_wherever_its_number_stands(monkeypatch):
+    text = "From 1.5e-3<!-- first --> to\n-2<!-- second -->.\n"
+    text += "<!-- table: third -->\n| a |\n|---|\n| 7 |\n"
+    monkeypatch.setattr(readme, "TEXT", text)
+    assert readme.number("first") == "1.5e-3"
+    assert readme.number("second") == "-2"
+    assert readme.table("third") == [["7"]]
+    assert readme.marks() == ["first", "second", "third"]
+    monkeypatch.setattr(readme, "TEXT", text.replace("2<", "2 <"))
+    with pytest.raises(ValueError, match="unpack"):
+        readme.number("second")
+
+
 def test_the_effects_are_those_of_the_library():
     told: dict[str, str] = {}
-    for names, parameters, _ in readme.table("effect | parameter"):
+    for names, parameters, _ in readme.table("effects"):
         found = re.findall(r"`(\w+)`", names)
         given = [re.findall(r"`(\w+)`", part) for part in parameters.split("; ")[0].split(", ")]
         for name, (parameter, *_) in zip(found, given, strict=True):
@@ -190,22 +212,24 @@ def test_the_effects_are_those_of_the_library():
 
 
 def test_what_was_measured_is_what_the_paper_says():
-    told = re.search(r"y1/y0 = ([\d.]+) ± ([\d.]+) over (\d+) drops", readme.TEXT)
-    assert told is not None
-    measured = (paper.RATIO_MEAN, paper.RATIO_STD, paper.N_DROPS)
-    assert tuple(map(float, told.groups())) == measured
-    sizes = re.findall(r"([\d.]+) × ([\d.]+) × ([\d.]+) mm", readme.TEXT)[0]
-    own = (paper.THICKNESS_M, paper.WIDTH_M, paper.LENGTH_M)
-    assert [float(each) for each in sizes] == [pytest.approx(1e3 * each) for each in own]
-    (beta,) = re.findall(r"paper's β of ([\d.e-]+) s is (\d+) times", readme.TEXT)
+    told = {
+        "measured-mean": paper.RATIO_MEAN,
+        "measured-std": paper.RATIO_STD,
+        "measured-drops": paper.N_DROPS,
+        "thickness-mm": pytest.approx(1e3 * paper.THICKNESS_M),
+        "width-mm": pytest.approx(1e3 * paper.WIDTH_M),
+        "length-mm": pytest.approx(1e3 * paper.LENGTH_M),
+        "paper-beta": paper.BETA_S,
+    }
+    assert {name: float(readme.number(name)) for name in told} == told
     (bar,) = [session for session in readme.sessions() if SQUARE_BAR in session.words]
     (found,) = [line.split()[1] for line in bar.lines if line.startswith("beta_s")]
-    assert float(beta[0]) == paper.BETA_S
-    assert float(beta[1]) == pytest.approx(paper.BETA_S / float(found), rel=0.05)
+    times = float(readme.number("beta-too-large"))
+    assert times == pytest.approx(paper.BETA_S / float(found), rel=0.05)
 
 
 def test_bodies_that_steps_are_measured_on_have_the_unknowns_told():
-    told = [int(row[0].replace(" ", "")) for row in readme.table("unknowns, one rank")]
+    told = [int(row[0].replace(" ", "")) for row in readme.table("steps")]
     assert told == [unknowns(cells) for cells, order in BODIES if order == 2]
 
 
