@@ -93,13 +93,13 @@ def options() -> set[str]:
 
 def number(name: str) -> str:
     """The number that bears a mark, as it is written."""
-    (found,) = [shown for shown, mark in MARK.findall(TEXT) if mark == name]
+    (found,) = [shown for shown, mark in MARK.findall(_marked()) if mark == name]
     return found
 
 
 def table(name: str) -> list[list[str]]:
     """The rows below the head of the table that bears a mark."""
-    (found,) = [body for mark, body in MARK_OF_A_TABLE.findall(TEXT) if mark == name]
+    (found,) = [body for mark, body in MARK_OF_A_TABLE.findall(_marked()) if mark == name]
     return [
         [cell.strip() for cell in line.strip().strip("|").split("|")]
         for line in found.splitlines()[2:]
@@ -108,7 +108,12 @@ def table(name: str) -> list[list[str]]:
 
 def marks() -> list[str]:
     """Every mark, in whatever form: those that `number` and `table` do not read too."""
-    return re.findall(r"<!-- (?:table: )?([^>]*?) -->", TEXT)
+    return re.findall(r"<!-- (?:table: )?([^>]*?) -->", _marked())
+
+
+def _marked() -> str:
+    """The text without what stands in code, where marks are explained."""
+    return re.sub(r"`[^`\n]*<!--[^`\n]*`", "", TEXT)
 
 
 def differences(shown: str, printed: str) -> list[str]:
