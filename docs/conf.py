@@ -10,9 +10,9 @@ from bristle.studies.inputs.study_fields import LOOP_FLAGS, OWN_FLAGS
 project = "bristle"
 author = "the bristle authors"
 release = __version__
-extensions = ["myst_parser", "sphinx.ext.autodoc"]
+extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx_gallery.gen_gallery"]
 myst_heading_anchors = 3
-exclude_patterns = ["examples"]
+exclude_patterns = ["examples", "gallery"]
 html_theme = "alabaster"
 html_theme_options = {
     "description": "impact of a bristle, in one and three dimensions",
@@ -22,6 +22,17 @@ smartquotes = False  # they would make one dash of the two of an option
 autodoc_member_order = "bysource"
 autodoc_typehints = "description"
 lexers["csv"] = TextLexer()  # which Pygments does not know
+
+# The lessons of gallery/ are run, and their pages are made in lessons/.
+sphinx_gallery_conf = {
+    "examples_dirs": "gallery",
+    "gallery_dirs": "lessons",
+    "filename_pattern": r"/\d\d_\w+\.py$",
+    "within_subsection_order": "FileNameSortKey",
+    "download_all_examples": False,
+    "show_signature": False,
+    "backreferences_dir": None,
+}
 
 TABLES = {"drop": DROP_FLAGS, "lists": LIST_FLAGS, "scatter": OWN_FLAGS, "loop": LOOP_FLAGS}
 

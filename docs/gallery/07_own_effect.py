@@ -75,22 +75,22 @@ subprocess.run(
 )
 
 # %%
-# Ask the loop twice, without and with the plugin. The second call simulates one effect more.
-
-without = bristle.close_loop(made, no_3d=True)
-print(without.verdict, without.effects)
+# Ask the loop, with the plugin. It simulates your effect once and keeps the table.
 
 found = bristle.close_loop(made, no_3d=True, plugins=[plugin])
 print(found)
 
 # %%
-# Without the plugin the loop cannot know the true effect. With it, the effect stands beside all the
-# others: same tests, same held-out drops. Compare what each explains. The greater the log evidence, the
-# likelier the effect:
+# Your effect stands beside all the others, with the same tests and the same held-out drops. Compare what
+# each explains. The greater the log evidence, the likelier the effect:
 
 ranked = sorted(found.evidence, key=lambda each: -each["log_evidence"])
 for each in ranked[:5]:
     print(f"{each['log_evidence']:8.1f}  {', '.join(each['effects']) or 'nothing added'}")
+
+# %%
+# Without the plugin the loop can only choose among the effects that it knows, or say *unknown*. Whatever
+# it says then is not the truth: a name is as good as the list that it was chosen from.
 
 # %%
 # Rules for a good effect
