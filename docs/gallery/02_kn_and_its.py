@@ -34,8 +34,8 @@ axes.legend()
 plt.show()
 
 # %%
-# Then put the measured y1/y0 onto the curve. ``bristle calibrate`` does this with intervals. Give it a
-# folder with your own drops (lesson 5 shows one), or ``paper`` for what the paper published:
+# Then put the measured y1/y0 onto the curve. ``bristle calibrate`` does this with intervals. Give
+# it a folder with your own drops (lesson 5 shows one), or ``paper`` for what the paper published:
 
 folder = Path(tempfile.mkdtemp())
 done = subprocess.run(
@@ -45,14 +45,15 @@ print(done.stdout)
 
 # %%
 # The doubts at the end matter. A rebound ratio is a single number, and several things change it:
-# stiffness, damping in the contact, damping in the material, lean and friction. If you can measure the
-# contact time or the force as well, do it.
+# stiffness, damping in the contact, damping in the material, lean and friction. If you can measure
+# the contact time or the force as well, do it.
 
 # %%
 # Where to enter Kn
 # -----------------
 #
-# Kn is a force over a penetration, for the whole end face: N/m. Programs ask for it in one of two ways:
+# Kn is a force over a penetration, for the whole end face: N/m. Programs ask for it in one of two
+# ways:
 #
 # - as pressure over penetration. Divide Kn by the area of the end face;
 # - as a spring at each node that touches. Divide Kn by the number of these nodes.
@@ -65,24 +66,25 @@ for _, row in entries.iterrows():
     print(f"    {row['is']}: {row.value_si:.3g} with m and N, {row.value_mm:.4g} with mm and N")
 
 # %%
-# LS-DYNA's penalty contact takes no stiffness of its own. It computes one from the bulk modulus and the
-# size of the elements, and scales it by ``SLSFAC`` (``*CONTROL_CONTACT``) and by ``SFS`` and ``SFM``
-# (``*CONTACT``, card 3; newer manuals call them ``SFSA`` and ``SFSB``). Keep ``SOFT=0``, since the other
-# values make the stiffness depend on the time step. Then find the scale by the test below. Or put a
-# spring at the tip in place of the contact: ``*ELEMENT_DISCRETE`` with
+# LS-DYNA's penalty contact takes no stiffness of its own. It computes one from the bulk modulus and
+# the size of the elements, and scales it by ``SLSFAC`` (``*CONTROL_CONTACT``) and by ``SFS`` and
+# ``SFM`` (``*CONTACT``, card 3; newer manuals call them ``SFSA`` and ``SFSB``). Keep ``SOFT=0``,
+# since the other values make the stiffness depend on the time step. Then find the scale by the test
+# below. Or put a spring at the tip in place of the contact: ``*ELEMENT_DISCRETE`` with
 # ``*MAT_SPRING_NONLINEAR_ELASTIC`` and a curve that has a force in compression only.
 #
-# Whatever your program: **test it**. Press the bristle onto the ground slowly, with a known force F, and
-# keep it upright. Read the penetration δ of the tip into the ground. F/δ must be Kn.
+# Whatever your program: **test it**. Press the bristle onto the ground slowly, with a known force
+# F, and keep it upright. Read the penetration δ of the tip into the ground. F/δ must be Kn.
 
 # %%
 # Three more settings must fit
 # ----------------------------
 #
-# - **No damping in the contact.** The Kn found above belongs to a contact that loses nothing. Rayleigh
-#   damping by β must act on the bristle alone. CalculiX damps the contact springs together with the
-#   material; compare it with β = 0 first.
-# - **No numerical damping.** Most programs have some by default. The table below says how to set it off.
+# - **No damping in the contact.** The Kn found above belongs to a contact that loses nothing.
+#   Rayleigh damping by β must act on the bristle alone. CalculiX damps the contact springs together
+#   with the material; compare it with β = 0 first.
+# - **No numerical damping.** Most programs have some by default. The table below says how to set it
+#   off.
 # - **The β of your material.** The default here, 1.07e-5 s, was found on steel bristles.
 #
 # ================== =====================================================================
@@ -127,21 +129,22 @@ for stiffness, rows in steps.groupby("kn_N_m"):
         ordered = rows.sort_values("its_s")
         error = abs(ordered[name] / ordered[name].iloc[0] - 1)
         good = (error < 0.01).cummin()
-        print(f"Kn {stiffness:.0e} N/m, {title:<14} ITS up to {1e3 * ordered.its_s[good].max():.1e} ms")
+        longest_ms = 1e3 * ordered.its_s[good].max()
+        print(f"Kn {stiffness:.0e} N/m, {title:<14} ITS up to {longest_ms:.1e} ms")
 
 # %%
 # The rebound is patient: 0.01 ms is short enough for it. Forces need shorter steps, the more so the
 # harder the contact. ``bristle its`` makes this study for all the paper's stiffnesses.
 #
-# These steps are for implicit programs. Explicit ones have a shorter limit of their own: the time of a
-# wave through the smallest element.
+# These steps are for implicit programs. Explicit ones have a shorter limit of their own: the time
+# of a wave through the smallest element.
 
 # %%
 # Where to enter ITS
 # ------------------
 #
-# The step must be fixed. A program that may choose it takes long steps in flight, and can step over the
-# impact.
+# The step must be fixed. A program that may choose it takes long steps in flight, and can step over
+# the impact.
 #
 # ================== =====================================================================
 # program            fixed step

@@ -6,8 +6,8 @@ Real bristles do not fall exactly upright. What does a lean of a few degrees cha
 """
 
 # %%
-# An upright bristle lands on its whole end face. A bristle that leans lands on one edge. It may slide, it
-# bends, and it flies off turning. Compute one that leans by 2° toward its thin side:
+# An upright bristle lands on its whole end face. A bristle that leans lands on one edge. It may
+# slide, it bends, and it flies off turning. Compute one that leans by 2° toward its thin side:
 
 import matplotlib.pyplot as plt
 
@@ -17,9 +17,9 @@ drop = bristle.drop(tilt_deg=2.0)
 print(drop)
 
 # %%
-# Two numbers are new. ``cm_rebound_ratio`` is the rebound of the centre of mass. For a bristle that turns
-# it says more than the rebound of the tip. ``spin_after_rad_s`` says how fast the bristle turns about its
-# three axes after the impact.
+# Two numbers are new. ``cm_rebound_ratio`` is the rebound of the centre of mass. For a bristle that
+# turns it says more than the rebound of the tip. ``spin_after_rad_s`` says how fast the bristle
+# turns about its three axes after the impact.
 
 print(f"tip             y1/y0 = {drop.rebound_ratio:.4f}")
 print(f"centre of mass  y1/y0 = {drop.cm_rebound_ratio:.4f}")
@@ -33,7 +33,11 @@ print("spin (rad/s)   ", [round(each, 2) for each in drop.spin_after_rad_s])
 
 leans_deg = [0.0, 0.5, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0]
 table = bristle.sweep(
-    models=["beam"], tilt_deg=leans_deg, friction=[0.0, 0.05, 0.1, 0.5], height_m=[0.05], kn_N_m=[2e6]
+    models=["beam"],
+    tilt_deg=leans_deg,
+    friction=[0.0, 0.05, 0.1, 0.5],
+    height_m=[0.05],
+    kn_N_m=[2e6],
 )
 figure, axes = plt.subplots(figsize=(6, 3.5), layout="constrained")
 for friction, rows in table.groupby("friction"):
@@ -43,20 +47,21 @@ axes.legend(title="friction")
 plt.show()
 
 # %%
-# With friction the tip sticks, and the lean changes little. Without friction the tip slides away: the
-# bristle bends and turns, and much of the energy is not available for height any more. A few degrees
-# then take most of the rebound.
+# With friction the tip sticks, and the lean changes little. A little friction is enough for a small
+# lean: at 0.05 the tip sticks up to 3°. Without friction the tip slides away: the bristle bends and
+# turns, and much of the energy is not available for height any more. A few degrees then take most
+# of the rebound.
 #
-# Steel on concrete has friction. If your drops scatter much more than their heights can be read, look
-# for water, oil or dust on the surface before you blame the lean.
+# Steel on concrete has friction. If your drops scatter much more than their heights can be read,
+# look for water, oil or dust on the surface before you blame the lean.
 
 # %%
 # Do not use linear theory here
 # -----------------------------
 #
-# The force of the impact is a hundred times the load that would buckle the bristle slowly. It acts on an
-# axis that is bent already, and bends it further. Linear theory leaves this out. The default for a leaning
-# beam or reduced solid is ``deflection="second-order"``, which does not:
+# The force of the impact is a hundred times the load that would buckle the bristle slowly. It acts
+# on an axis that is bent already, and bends it further. Linear theory leaves this out. The default
+# for a leaning beam or reduced solid is ``deflection="second-order"``, which does not:
 
 table = bristle.sweep(
     models=["beam"],
@@ -74,8 +79,8 @@ axes.legend(title="deflection")
 plt.show()
 
 # %%
-# A result says what deserves doubt. Ask for linear theory at 2°, and there is a warning with its reason
-# and its remedy:
+# A result says what deserves doubt. Ask for linear theory at 2°, and there is a warning with its
+# reason and its remedy:
 
 for warning in bristle.drop(tilt_deg=2.0, friction=0.0, deflection="small").warnings:
     print(warning)

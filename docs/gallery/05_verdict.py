@@ -23,14 +23,15 @@ drops = pd.read_csv(data / "drops.csv")
 print(drops.head())
 
 # %%
-# ``dataset.toml`` says what was measured, and how well. The ``sigma`` values are the uncertainties. Find
-# yours by measuring one drop ten times. Without a table ``[body]``, the bristle is the paper's.
+# ``dataset.toml`` says what was measured, and how well. The ``sigma`` values are the uncertainties.
+# Find yours by measuring one drop ten times. Without a table ``[body]``, the bristle is the
+# paper's.
 
 print((data / "dataset.toml").read_text())
 
 # %%
-# These drops are made up, so that the truth is known. It stands in the source line above. Forget it for
-# now.
+# These drops are made up, so that the truth is known. It stands in the source line above. Forget it
+# for now.
 #
 # Look first
 # ----------
@@ -61,12 +62,12 @@ print(ruler)
 
 # %%
 # The verdict is *adequate*: the model explains these heights, with the stiffness ``kn_N_m`` that it
-# fitted. Is this stiffness right? Heights alone cannot say. Damping in the contact and a stiffer contact
-# lower the rebound in the same way.
+# fitted. Is this stiffness right? Heights alone cannot say. Damping in the contact and a stiffer
+# contact lower the rebound in the same way.
 #
 # **Adequate means: these data show nothing missing. It does not mean that nothing is missing.**
-# ``detectable`` says how large each effect would have to be before these data showed it. ``None`` means
-# that they would show no size of it:
+# ``detectable`` says how large each effect would have to be before these data showed it. ``None``
+# means that they would show no size of it:
 
 for name, size in ruler.detectable.items():
     print(f"{name:<22}{'no size' if size is None else f'{size:.3g}'}")
@@ -75,8 +76,8 @@ for name, size in ruler.detectable.items():
 # With contact times and forces
 # -----------------------------
 #
-# Now use all columns. The first run of such data simulates every effect, which takes a minute or two.
-# Later runs take seconds.
+# Now use all columns. The first run of such data simulates every effect, which takes a minute or
+# two. Later runs take seconds.
 
 full = bristle.close_loop(data, no_3d=True)
 print(full)
@@ -84,12 +85,13 @@ print(full)
 # %%
 # The verdict is *effect*, and the effect is damping in the contact. Read the lines like this:
 #
-# - *something is missing*: the probability of a misfit this large if the model lacked nothing. It is
-#   tiny, so the model lacks something.
-# - *something is left*: the same after the effect is added. It is not small, so what is left is noise.
+# - *something is missing*: the probability of a misfit this large if the model lacked nothing. It
+#   is tiny, so the model lacks something.
+# - *something is left*: the same after the effect is added. It is not small, so what is left is
+#   noise.
 # - ``kn_N_m`` and ``c_N_s_m``: stiffness and damping with their 90 % intervals.
-# - *held-out error*: some drops took no part in the fit. The model with the effect predicts them much
-#   better than the model without.
+# - *held-out error*: some drops took no part in the fit. The model with the effect predicts them
+#   much better than the model without.
 #
 # The truth was Kn = 2 MN/m and a damping of 8 N s/m. The stiffness from the ruler was far off:
 
@@ -107,8 +109,9 @@ plt.show()
 # What to do with your own drops
 # ------------------------------
 #
-# - Measure the contact time if you can. A wire from the bristle and one from a metal plate are enough.
-# - Drop from several heights, in a random order, and number the drops in the order in which you made
-#   them. Wear shows in nothing else.
-# - Use ``bristle close-loop FOLDER`` for the page with all figures, and without ``--no-3d`` to have the
-#   3-D model confirm the result.
+# - Measure the contact time if you can. A wire from the bristle and one from a metal plate are
+#   enough.
+# - Drop from several heights, in a random order, and number the drops in the order in which you
+#   made them. Wear shows in nothing else.
+# - Use ``bristle close-loop FOLDER`` for the page with all figures, and without ``--no-3d`` to have
+#   the 3-D model confirm the result.

@@ -2,8 +2,8 @@
 What "unknown" means
 ====================
 
-Sometimes the loop says *unknown*: something is missing, and no effect that it knows explains it. This is
-an answer. What do you do with it?
+Sometimes the loop says *unknown*: something is missing, and no effect that it knows explains it.
+This is an answer. What do you do with it?
 """
 
 # %%
@@ -25,18 +25,18 @@ found = bristle.close_loop(data, no_3d=True, out=folder)
 print(found)
 
 # %%
-# The loop does not name an effect just because it fits better than nothing. The last line says which
-# effect came nearest, how much of the misfit it explains, and why it was refused. The words in brackets
-# name the test that the rest failed. Take them as a hint where to look. Here it is the order of the
-# drops: something differs in one of several drops.
+# The loop does not name an effect just because it fits better than nothing. The last line says
+# which effect came nearest, how much of the misfit it explains, and why it was refused. The words
+# in brackets name the test that the rest failed. Take them as a hint where to look. Here it is the
+# order of the drops: something differs in one of several drops.
 
 # %%
 # Step 1: look at the residuals
 # -----------------------------
 #
-# A residual is the measured value minus the predicted one, in units of sigma. ``residuals.csv`` has them
-# with the height, the number of the drop and the quantity. Draw them against everything that you know of
-# the drops. The height shows little, the order shows more:
+# A residual is the measured value minus the predicted one, in units of sigma. ``residuals.csv`` has
+# them with the height, the number of the drop and the quantity. Draw them against everything that
+# you know of the drops. The height shows little, the order shows more:
 
 residuals = pd.read_csv(folder / "tables" / "residuals.csv")
 heights = residuals[residuals.quantity == "y1 (mm)"]
@@ -58,24 +58,24 @@ plt.show()
 # Step 2: which quantities are concerned?
 # ---------------------------------------
 #
-# A change of the bristle or the ground would show in contact times and forces as well. Compare the means
-# of odd and even drops:
+# A change of the bristle or the ground would show in contact times and forces as well. Compare the
+# means of odd and even drops:
 
 residuals["numbers"] = residuals.group.map(lambda number: "odd" if number % 2 else "even")
 means = residuals.groupby(["quantity", "numbers"]).before.agg(["mean", "sem"])
 print(means.round(2))
 
 # %%
-# The heights differ far more than times and forces do, so the impact is nearly the same in all drops.
-# Suspect what happens to the bristle after the impact, or how the heights are read.
+# The heights differ far more than times and forces do, so the impact is nearly the same in all
+# drops. Suspect what happens to the bristle after the impact, or how the heights are read.
 
 # %%
 # Step 3: test the suspicion
 # --------------------------
 #
-# You found the pattern by looking, and who looks long enough always finds one. So ask how often chance
-# alone makes a difference this large. Deal the words *odd* and *even* out to the drops at random, many
-# times:
+# You found the pattern by looking, and who looks long enough always finds one. So ask how often
+# chance alone makes a difference this large. Deal the words *odd* and *even* out to the drops at
+# random, many times:
 
 
 def apart(odd, even, axis):
@@ -88,23 +88,24 @@ chance = stats.permutation_test(groups, apart, n_resamples=9999, rng=np.random.d
 print(f"difference {chance.statistic:.2f} sigma, by chance in {chance.pvalue:.2g} of all deals")
 
 # %%
-# The number is small, and the pattern was named by the loop's own test, which counts all its attempts. To
-# have the loop look exactly there, add a column ``session`` with *odd* and *even* to ``drops.csv`` and run
-# it again.
+# The number is small, and the pattern was named by the loop's own test, which counts all its
+# attempts. To have the loop look exactly there, add a column ``session`` with *odd* and *even* to
+# ``drops.csv`` and run it again.
 
 # %%
 # Step 4: decide
 # --------------
 #
-# You now know where and what: every second rebound is read some per cent higher. Go to the laboratory
-# with this. Did two people read the ruler in turn? Was the bristle turned round after every drop? Then
+# You now know where and what: every second rebound is read some per cent higher. Go to the
+# laboratory with this. Did two people read the ruler in turn? Was the bristle turned round after
+# every drop? Then
 #
 # - mend the cause and measure again; or
 # - keep only the drops that you trust, and say so; or
 # - if it is physics, write it as an effect of your own, and the loop will test it: the next lesson.
 #
-# What you should not do is to take the nearest effect. The loop refused it for a reason, and a model with
-# a wrong effect predicts worse than one that is known to lack something.
+# What you should not do is to take the nearest effect. The loop refused it for a reason, and a
+# model with a wrong effect predicts worse than one that is known to lack something.
 
 # %%
 # Other hints and what they suggest

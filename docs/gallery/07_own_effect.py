@@ -2,23 +2,23 @@
 An effect of your own
 =====================
 
-You suspect physics that the program does not have. Write it as an *effect*: a small class. Then every
-model can compute with it, and the loop looks for it in your data.
+You suspect physics that the program does not have. Write it as an *effect*: a small class. Then
+every model can compute with it, and the loop looks for it in your data.
 """
 
 # %%
 # The suspicion
 # -------------
 #
-# Suppose that your ground is asphalt. When it is hit faster, it is stiffer. As a first guess, the contact
-# stiffness grows with a power of the speed of impact.
+# Suppose that your ground is asphalt. When it is hit faster, it is stiffer. As a first guess, the
+# contact stiffness grows with a power of the speed of impact.
 #
 # The class
 # ---------
 #
-# ``docs/examples/my_effect.py`` says just that. An effect has a name, a place where it enters, the kinds
-# of data that can show it, and parameters with bounds. ``enter`` gets the drop as a ``Scene`` and returns
-# it changed.
+# ``docs/examples/my_effect.py`` says just that. An effect has a name, a place where it enters, the
+# kinds of data that can show it, and parameters with bounds. ``enter`` gets the drop as a ``Scene``
+# and returns it changed.
 
 import subprocess
 import tempfile
@@ -35,8 +35,8 @@ print(plugin.read_text().split('"""', 2)[2])
 # Drops with the effect
 # ---------------------
 #
-# ``plugins`` names the file, ``effects`` switches the effect on. Everything else is as before. Without
-# the effect, the contact time is the same from every height. With it, it is not:
+# ``plugins`` names the file, ``effects`` switches the effect on. Everything else is as before.
+# Without the effect, the contact time is the same from every height. With it, it is not:
 
 heights_m = [0.01, 0.02, 0.03, 0.05, 0.08]
 figure, panels = plt.subplots(1, 2, figsize=(9, 3.2), layout="constrained")
@@ -67,12 +67,11 @@ plt.show()
 
 folder = Path(tempfile.mkdtemp())
 made = folder / "asphalt"
-subprocess.run(
-    ["bristle", "synth", "--plugin", plugin, "--effect", "my_effect:exponent=0.3"]
-    + ["--drops", "30", "--seed", "1", "--out", made, "--truth", folder / "truth.json"],
-    check=True,
-    capture_output=True,
-)
+command = [
+    *("bristle", "synth", "--plugin", plugin, "--effect", "my_effect:exponent=0.3"),
+    *("--drops", "30", "--seed", "1", "--out", made, "--truth", folder / "truth.json"),
+]
+subprocess.run(command, check=True, capture_output=True)
 
 # %%
 # Ask the loop, with the plugin. It simulates your effect once and keeps the table.
@@ -81,16 +80,16 @@ found = bristle.close_loop(made, no_3d=True, plugins=[plugin])
 print(found)
 
 # %%
-# Your effect stands beside all the others, with the same tests and the same held-out drops. Compare what
-# each explains. The greater the log evidence, the likelier the effect:
+# Your effect stands beside all the others, with the same tests and the same held-out drops. Compare
+# what each explains. The greater the log evidence, the likelier the effect:
 
 ranked = sorted(found.evidence, key=lambda each: -each["log_evidence"])
 for each in ranked[:5]:
     print(f"{each['log_evidence']:8.1f}  {', '.join(each['effects']) or 'nothing added'}")
 
 # %%
-# Without the plugin the loop can only choose among the effects that it knows, or say *unknown*. Whatever
-# it says then is not the truth: a name is as good as the list that it was chosen from.
+# Without the plugin the loop can only choose among the effects that it knows, or say *unknown*.
+# Whatever it says then is not the truth: a name is as good as the list that it was chosen from.
 
 # %%
 # Rules for a good effect
@@ -99,6 +98,6 @@ for each in ranked[:5]:
 # - The neutral value of a parameter (here 0) must give the drop without the effect.
 # - Bounds say what is physically possible. The loop searches all of it.
 # - Declare a source. Whoever reads the page should be able to check it.
-# - An effect that needs no simulation can say ``computed = True``, and is then a hundred times faster
-#   (see the page on effects).
+# - An effect that needs no simulation can say ``computed = True``, and is then a hundred times
+#   faster (see the page on effects).
 # - A plugin is code that is run. Use only files that you trust.

@@ -2,16 +2,17 @@
 Inside the solid
 ================
 
-You know FEniCSx. This lesson opens the solid: its mesh, its fields over time, and your own forms on the
-same mesh.
+You know FEniCSx. This lesson opens the solid: its mesh, its fields over time, and your own forms on
+the same mesh.
 """
 
 # %%
 # A drop with fields
 # ------------------
 #
-# The full solid writes its fields when ``out`` names a folder. ``until="impact"`` stops after the first
-# impact, and ``write_every=2`` keeps every second step. A shorter time step makes the wave sharp.
+# The full solid writes its fields when ``out`` names a folder. ``until="impact"`` stops after the
+# first impact, and ``write_every=2`` keeps every second step. A shorter time step makes the wave
+# sharp.
 
 import tempfile
 from pathlib import Path
@@ -41,9 +42,9 @@ print(drop)
 # Read the fields
 # ---------------
 #
-# ``fields/solid.bp`` is a series of ADIOS2 steps. ParaView opens it (``bristle view`` writes a script for
-# that), and so does Python. ``frames.csv`` has the time of every step. Take the axial stress and average
-# it over each height:
+# ``fields/solid.bp`` is a series of ADIOS2 steps. ParaView opens it (``bristle view`` writes a
+# script for that), and so does Python. ``frames.csv`` has the time of every step. Take the axial
+# stress and average it over each height:
 
 frames = pd.read_csv(folder / "fields" / "frames.csv")
 stress_Pa = []
@@ -55,14 +56,20 @@ with adios2.FileReader(str(folder / "fields" / "solid.bp")) as file:
         stress_Pa.append(np.bincount(level, values) / np.bincount(level))
 
 # %%
-# The wave in one picture: time to the right, height upward, blue is compression. It runs up with the
-# speed of sound √(E/ρ), turns round at the free end as a wave of tension, and comes back.
+# The wave in one picture: time to the right, height upward, blue is compression. It runs up with
+# the speed of sound √(E/ρ). The free end turns it into a wave of tension, which cancels the
+# compression on its way down. The dashed line is a path with the speed of sound.
 
 time_us = 1e6 * (frames.t_s - frames.t_s.iloc[0])
 figure, axes = plt.subplots(figsize=(7, 4), layout="constrained")
 most_MPa = 1e-6 * np.abs(stress_Pa).max()
 drawn = axes.pcolormesh(
-    time_us, 1e3 * levels_m, 1e-6 * np.array(stress_Pa).T, cmap="RdBu", vmin=-most_MPa, vmax=most_MPa
+    time_us,
+    1e3 * levels_m,
+    1e-6 * np.array(stress_Pa).T,
+    cmap="RdBu_r",
+    vmin=-most_MPa,
+    vmax=most_MPa,
 )
 figure.colorbar(drawn, label="axial stress (MPa)")
 speed_m_s = (paper.YOUNGS_PA / paper.DENSITY_KG_M3) ** 0.5
@@ -75,9 +82,9 @@ plt.show()
 # The same mesh for your own forms
 # --------------------------------
 #
-# ``to_dolfinx`` makes the program's mesh, with tags for the tip, the top and the side. From here on this
-# is plain FEniCSx. As an example, press the bristle slowly: hold its top, push its tip by a force F, and
-# ask how stiff it is.
+# ``to_dolfinx`` makes the program's mesh, with tags for the tip, the top and the side. From here on
+# this is plain FEniCSx. As an example, press the bristle slowly: hold its top, push its tip by a
+# force F, and ask how stiff it is.
 
 mesh, _, facets = to_dolfinx(MeshSpec(cells=CELLS), MPI.COMM_SELF)
 space = fem.functionspace(mesh, ("Lagrange", 2, (3,)))
@@ -115,8 +122,8 @@ print(f"stiffness         {1e-6 * FORCE_N / shortened_m:.4f} MN/m")
 print(f"E A / L           {1e-6 * paper.YOUNGS_PA * area_m2 / paper.LENGTH_M:.4f} MN/m")
 
 # %%
-# Both agree. Compare them with Kn: a contact of 2 MN/m is stiffer than the whole bristle. That is why
-# waves matter in this impact, and why a rigid mass on a spring is a poor model of it.
+# Both agree. Compare them with Kn: a contact of 2 MN/m is stiffer than the whole bristle. That is
+# why waves matter in this impact, and why a rigid mass on a spring is a poor model of it.
 
 # %%
 # Your own output
@@ -133,6 +140,7 @@ print(sorted(path.name for path in folder.iterdir()))
 # ------------
 #
 # - Under ``mpirun`` all of this runs on many ranks. Give ``to_dolfinx`` your communicator.
-# - ``bristle.Session`` keeps mesh, matrices and factors between drops that differ only in Kn, height,
-#   friction or lean.
-# - ``bristle/solver/forms.py`` has the forms of the impact itself, and the theory page their equations.
+# - ``bristle.Session`` keeps mesh, matrices and factors between drops that differ only in Kn,
+#   height, friction or lean.
+# - ``bristle/solver/forms.py`` has the forms of the impact itself, and the theory page their
+#   equations.

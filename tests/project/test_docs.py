@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import html
 import re
+import shutil
+from pathlib import Path
 
 import pytest
 import readme
@@ -17,12 +20,33 @@ from bristle.studies.loop.kinds.drops import problem as drops_module
 pytestmark = pytest.mark.serial
 
 
-def test_they_build_without_a_warning(tmp_path):
-    built = tmp_path / "site"
-    done = python(
-        "-m", "sphinx", "-W", "-q", "-d", tmp_path / "tree", readme.REPOSITORY / "docs", built
+# What the lessons print, as a reader sees it: what each of them is there to show.
+LESSONS = {
+    "01_first_drop": (r"y1/y0 +0\.6575", r"numerical_J +-?0\.0000 µJ"),
+    "02_kn_and_its": (r"Kn +2\.05 MN/m", r"Kn 2e\+06 N/m, rebound ratio +ITS up to 3\.2e-02 ms"),
+    "03_leaning": (r"tip +y1/y0 = 0\.6748", r"leans by 2 degrees and is linear here"),
+    "04_own_mesh": (r"notch 0\.8 mm +y1/y0 0\.\d+", r"were they in mm\?"),
+    "05_verdict": (r"verdict +adequate", r"verdict +effect\n +effects +contact_damping"),
+    "06_unknown": (r"verdict +unknown", r"by chance in \de-04|by chance in 0\.000\d"),
+    "07_own_effect": (r"effects +my_effect", r"\n *-\d+\.\d  my_effect\n"),
+    "08_inside_the_solid": (r"stiffness +0\.6399 MN/m", r"E A / L +0\.6398 MN/m"),
+    "09_cluster": (r"24 cases in", r"ended with status 130", r"12 drops in the table"),
+}
+
+
+def build(tmp_path: Path, *options: str) -> Path:
+    """The site, made from a copy of the documents, since lessons are made beside them."""
+    source = shutil.copytree(
+        readme.REPOSITORY / "docs", tmp_path / "docs", ignore=shutil.ignore_patterns("lessons")
     )
+    built = tmp_path / "site"
+    done = python("-m", "sphinx", "-W", "-q", *options, source, built, timeout_s=900.0)
     assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
+    return built
+
+
+def test_they_build_without_a_warning(tmp_path):
+    built = build(tmp_path, "-D", "sphinx_gallery_conf.plot_gallery=0")
     pages = {path.stem for path in (readme.REPOSITORY / "docs").glob("*.md")}
     assert pages <= {path.stem for path in built.glob("*.html")}
     inputs = (built / "inputs.html").read_text()
@@ -30,6 +54,21 @@ def test_they_build_without_a_warning(tmp_path):
         assert f">{flag.option}</span>" in inputs
         assert f">{flag.field}</span>" in inputs
     assert "bristle.studies.api.close_loop" in (built / "python.html").read_text()
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(1200)
+def test_lessons_run_and_print_what_they_are_there_to_show(tmp_path):
+    built = build(tmp_path)
+    scripts = {path.stem for path in (readme.REPOSITORY / "docs" / "gallery").glob("*.py")}
+    assert scripts == LESSONS.keys()
+    for name, expected in LESSONS.items():
+        page = (built / "lessons" / f"{name}.html").read_text()
+        blocks = re.findall(r"sphx-glr-script-out.*?<pre>(.*?)</pre>", page, re.DOTALL)
+        printed = html.unescape(re.sub(r"<[^>]+>", "", "\n".join(blocks)))
+        for each in expected:
+            assert re.search(each, printed), (name, each, printed)
+        assert list((built / "_images").glob(f"sphx_glr_{name}_001.png")), name
 
 
 @pytest.mark.parametrize("page", readme.PAGES, ids=lambda page: page.stem)
