@@ -45,11 +45,10 @@ plt.show()
 # The impact
 # ----------
 #
-# The impact is a thousand times shorter than the flight. The force does not rise and fall as it
-# does with a mass on a spring. It stays on a plateau while a wave of compression runs up the
-# bristle and back again. The wave is back after 2L/c: twice the length over the speed of sound in
-# steel. A little later the impact ends. The delay comes from the ground, which gives way before it
-# pushes back.
+# The impact is a thousand times shorter than the flight. The force rises, and then it flattens: a
+# wave of compression runs up the bristle, and the tip knows nothing of the upper end until the wave
+# is back. This takes 2L/c: twice the length over the speed of sound in steel. A little later the
+# impact ends. The delay comes from the ground, which gives way before it pushes back.
 
 first_s = history.t_s[history.penetration_m > 0.0].iloc[0]
 during = history[(history.t_s - first_s).between(-2e-5, 1.2 * drop.contact_time_s)]
