@@ -66,8 +66,8 @@ print(ruler)
 # contact lower the rebound in the same way.
 #
 # **Adequate means: these data show nothing missing. It does not mean that nothing is missing.**
-# ``detectable`` says how large each effect would have to be before these data showed it. ``None``
-# means that they would show no size of it:
+# ``detectable`` says how large each effect would have to be before these data showed it. *No size*
+# means that they would not show it however large it is:
 
 for name, size in ruler.detectable.items():
     print(f"{name:<22}{'no size' if size is None else f'{size:.3g}'}")
