@@ -30,7 +30,6 @@ from .command.options import (
 from .inputs.fields import (
     DROP_FLAGS,
     LIST_FLAGS,
-    PLUGIN,
     STUDY_FLAGS,
     SWEEP_FLAGS,
     BodyFields,
@@ -39,7 +38,15 @@ from .inputs.fields import (
     StepField,
 )
 from .inputs.flags import flags_of
-from .inputs.study_fields import LOOP_FLAGS, SCATTER_FLAGS, LoopInputs
+from .inputs.study_fields import (
+    CALIBRATE_FLAGS,
+    LOOP_FLAGS,
+    SCATTER_FLAGS,
+    SYNTH_FLAGS,
+    CalibrateInputs,
+    LoopInputs,
+    Recipe,
+)
 
 REPRODUCE_FLAGS = flags_of(StepField, DiscretisationFields)
 MESH_FLAGS = flags_of(BodyFields, MeshFields)
@@ -210,8 +217,9 @@ def mesh(given: Given, out: Path) -> None:
         print(path)
 
 
-@command()
+@command(CALIBRATE_FLAGS)
 def calibrate(
+    given: Given,
     dataset: Annotated[
         str,
         typer.Argument(
@@ -219,8 +227,6 @@ def calibrate(
         ),
     ],
     out: Path,
-    seed: Annotated[int, typer.Option(min=0, help="Seed of the bootstrap.")] = 0,
-    level: Annotated[float, typer.Option(min=0.5, max=0.999, help="Level of the intervals.")] = 0.9,
 ) -> None:
     """Normal contact stiffness, with its interval, from measured drops.
 
@@ -228,65 +234,27 @@ def calibrate(
     """
     from .calibrate.run import run_calibrate, told
 
-    show(told(run_calibrate(dataset, out, seed=seed, level=level)))
+    show(told(run_calibrate(dataset, out, given.inputs(CalibrateInputs))))
     show([("page", out / "report.html")])
 
 
-@command()
+@command(SYNTH_FLAGS, ANY_FLAGS)
 def synth(
+    given: Given,
     out: Path,
-    effect: Annotated[
-        list[str] | None,
-        optional(
-            metavar="NAME:PARAM=VALUE,…", help="An effect that the dataset hides; repeatable."
-        ),
-    ] = None,
-    plugin: Annotated[list[str] | None, optional(**PLUGIN)] = None,
-    unlisted: Annotated[
-        str | None,
-        optional(
-            metavar="NAME=STRENGTH",
-            help="An effect that no list has: session-shift, height-ripple or alternation, with "
-            "its relative strength on the height after.",
-        ),
-    ] = None,
-    drops: Annotated[int, typer.Option(min=6, max=10_000, help="How many drops.")] = 48,
-    kn: Annotated[float, typer.Option(min=2e5, max=5e7, help="Contact stiffness, N/m.")] = 2e6,
-    noise: Annotated[
-        str,
-        typer.Option(help="Its kind: gaussian, heavy-tailed, outliers or autocorrelated."),
-    ] = "gaussian",
-    sigma_y: Annotated[
-        float, typer.Option(min=1e-6, max=1e-2, help="Standard error of a height, m.")
-    ] = 3e-4,
-    heights_only: Annotated[
-        bool, typer.Option("--heights-only", help="Without contact times and forces.")
-    ] = False,
-    seed: Annotated[int, typer.Option(min=0, help="Seed of release, chance and errors.")] = 0,
     truth: Annotated[
         Path | None,
-        optional(metavar="FILE", help="Where the truth goes; beside the dataset unless given."),
+        of_files(metavar="FILE", help="Where the truth goes. [default: beside the dataset]"),
     ] = None,
 ) -> None:
     """A dataset of drops with an effect in it that it does not declare, by the reduced solid.
 
     Example: bristle synth --effect contact_damping:c_N_s_m=5 --out results/mystery
     """
-    from .synth import recipe_of, run_synth
+    from .synth import run_synth
 
-    recipe = recipe_of(
-        effect or [],
-        unlisted,
-        plugin or [],
-        n_drops=drops,
-        kn_N_m=kn,
-        noise=noise,
-        sigma_y_m=sigma_y,
-        sensors=not heights_only,
-        seed=seed,
-    )
     truth = truth or Path(f"{out}-truth.json")
-    run_synth(recipe, out, truth)
+    run_synth(given.inputs(Recipe), out, truth)
     show([("dataset", out / "dataset.toml"), ("what is in it", truth)])
     show([("to look for it", _next("close-loop", out))])
 

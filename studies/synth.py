@@ -12,14 +12,13 @@ import math
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from enum import StrEnum
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pandas as pd
-from pydantic import BeforeValidator
 
+from ..meshes.collective import run_on_one_rank, with_mpi
 from ..solver import paper
 from ..solver.arrays import Array
 from ..solver.bodies.modal import ModalBody
@@ -31,13 +30,15 @@ from ..solver.errors import InputError
 from ..solver.fall import fallen
 from . import __version__
 from .command.script import as_script
-from .inputs.fields import Plugins
-from .inputs.flags import Fields
-from .inputs.named import EffectInput, read_effects
-from .inputs.sources import checked
+from .inputs.choices import Noise, Strange
+from .inputs.study_fields import Recipe
 from .loop.responses.table_drops import drops_of, its_s, read_off
 from .running.files import cannot_write, prepare_folder, to_json, together, write_atomically
 from .running.mark import FOREIGN, write_whole
+from .running.parallel import all_ranks
+
+if TYPE_CHECKING:
+    from mpi4py import MPI
 
 COLUMNS = ("drop", "y0_mm", "y1_mm", "contact_time_ms", "peak_force_N")
 # Releases by hand: the height is known as measured, not as meant.
@@ -51,70 +52,11 @@ FILES = (TABLE_FILE, MANIFEST_FILE)
 FINER = 0.5
 
 
-class Noise(StrEnum):
-    """How errors of measurement are distributed, at the declared standard deviation.
-
-    Heavy-tailed ones are Student's of three degrees of freedom, one in twenty is five times as
-    large among outliers, and those of neighbouring drops correlate by a half.
-    """
-
-    GAUSSIAN = "gaussian"
-    HEAVY = "heavy-tailed"
-    OUTLIERS = "outliers"
-    CORRELATED = "autocorrelated"
-
-
-class Strange(StrEnum):
-    """Effects that no list has: of them the loop can only say that something is missing."""
-
-    SHIFT = "session-shift"
-    RIPPLE = "height-ripple"
-    ALTERNATION = "alternation"
-
-
-def read_unlisted(value: Any) -> Any:
-    """An unlisted effect and its strength, also as ``NAME=STRENGTH``."""
-    if not isinstance(value, str):
-        return value
-    name, _, strength = value.partition("=")
-    try:
-        found = Strange(name), float(strength)
-    except ValueError:
-        found = None
-    if found is None or not abs(found[1]) < 1.0:
-        raise ValueError(
-            f"must be NAME=STRENGTH, NAME one of {', '.join(Strange)}, STRENGTH between -1 and 1, "
-            f"not '{value}'"
-        )
-    return found
-
-
-class Recipe(Fields):
-    """What a made dataset holds; an ``unlisted`` effect has a relative strength on the height
-    after."""
-
-    plugins: Plugins = ()
-    effects: Annotated[tuple[EffectInput, ...], BeforeValidator(read_effects)] = ()
-    unlisted: Annotated[tuple[Strange, float] | None, BeforeValidator(read_unlisted)] = None
-    n_drops: int = 48
-    heights_m: tuple[float, ...] = paper.HEIGHTS_M
-    kn_N_m: float = paper.KN_CHOSEN_N_M
-    sigma_y_m: float = 3e-4
-    sigma_t_s: float = 2e-6
-    sigma_force_N: float = 0.5
-    noise: Noise = Noise.GAUSSIAN
-    sensors: bool = True
-    friction: float = paper.FRICTION
-    seed: int = 0
-
-
-def reduced_body() -> ModalBody:
+def reduced_body(comm: MPI.Intracomm) -> ModalBody:
     """The paper's bristle as a reduced solid that may lean; collective."""
-    from mpi4py import MPI
-
     from .loop.kinds.drops.solid import reduced_solid
 
-    return reduced_solid(Bristle(), paper.GRAVITY_M_S2, True, MPI.COMM_WORLD)
+    return reduced_solid(Bristle(), paper.GRAVITY_M_S2, True, comm)
 
 
 @dataclass(frozen=True)
@@ -131,9 +73,9 @@ def make(recipe: Recipe, body: ModalBody) -> Made:
     """Drop, disturb, measure. The same recipe gives the same numbers."""
     chance, errors = (np.random.default_rng([recipe.seed, stream]) for stream in (1, 2))
     effects = [each.effect() for each in recipe.effects]
-    cycle = -(-recipe.n_drops // len(recipe.heights_m))
-    meant = chance.permutation(np.repeat(recipe.heights_m, cycle)[: recipe.n_drops])
-    heights = np.maximum(meant + RELEASE_STD_M * chance.normal(size=recipe.n_drops), 1e-3)
+    cycle = -(-recipe.drops // len(recipe.heights_m))
+    meant = chance.permutation(np.repeat(recipe.heights_m, cycle)[: recipe.drops])
+    heights = np.maximum(meant + RELEASE_STD_M * chance.normal(size=recipe.drops), 1e-3)
     scenes = [
         enter_all(
             Scene(
@@ -202,14 +144,14 @@ def table_of(made: Made) -> str:
     """The dataset's table as CSV, in the units of CONTRACT.md."""
     table = pd.DataFrame(made.measured * [1e3, 1e3, 1e3, 1.0], columns=COLUMNS[1:])
     table.insert(0, COLUMNS[0], 1 + np.arange(len(table)))
-    columns = COLUMNS if made.recipe.sensors else COLUMNS[:3]
+    columns = COLUMNS[:3] if made.recipe.heights_only else COLUMNS
     return table.to_csv(columns=columns, index=False, float_format="%.6g")
 
 
 def manifest_of(recipe: Recipe) -> str:
     """The dataset's dataset.toml, which declares the instruments and no effect."""
     sensors = ""
-    if recipe.sensors:
+    if not recipe.heights_only:
         sensors = f"sigma_t_s = {recipe.sigma_t_s:g}\nsigma_force_N = {recipe.sigma_force_N:g}\n"
     return f"""\
 [dataset]
@@ -273,38 +215,35 @@ def _is_truth(path: Path) -> bool:
         return False
 
 
-def write_dataset(made: Made, folder: Path, truth: Path) -> None:
-    """Write the dataset into ``folder``, its truth to the file ``truth`` outside it.
+def write_dataset(made: Made, folder: Path, truth: Path) -> dict[str, Any]:
+    """Write the dataset into ``folder``, its truth to the file ``truth`` outside it, and return it.
 
     Raises InputError as `prepare_dataset` does.
     """
     prepare_dataset(folder, truth)
+    content = truth_of(made)
     with together(folder, MANIFEST_FILE):
         write_atomically(folder / TABLE_FILE, table_of(made))
         write_atomically(folder / MANIFEST_FILE, manifest_of(made.recipe))
         try:
-            write_whole(truth, to_json(truth_of(made)) + "\n")
+            write_whole(truth, to_json(content) + "\n")
         except OSError as error:
             raise cannot_write(truth, error) from error
+    return content
 
 
-def recipe_of(
-    effects: Sequence[str], unlisted: str | None, plugins: Sequence[str] = (), **values: Any
-) -> Recipe:
-    """The recipe of a command line. Raises InputError naming the option."""
-    values |= {"plugins": plugins, "effects": effects, "unlisted": unlisted}
-    return checked(Recipe, values, {name: f"--{name}" for name in ("noise", "unlisted")})
+def run_synth(
+    recipe: Recipe, out: Path, truth: Path, comm: MPI.Intracomm | None = None
+) -> dict[str, Any]:
+    """Make the dataset of ``recipe`` in the folder ``out``; returns its truth, on every rank.
 
-
-def run_synth(recipe: Recipe, out: Path, truth: Path) -> None:
-    """Make the dataset of ``recipe``; collective. Raises InputError, ComputationError."""
-    from mpi4py import MPI
-
-    from ..meshes.collective import run_on_one_rank
-
-    run_on_one_rank(MPI.COMM_WORLD, lambda: prepare_dataset(out, truth))
-    body = reduced_body()
-    run_on_one_rank(MPI.COMM_WORLD, lambda: write_dataset(make(recipe, body), out, truth))
+    Collective over ``comm``, all ranks of the job unless it is given. Raises InputError and
+    ComputationError.
+    """
+    comm = with_mpi(comm or all_ranks())
+    run_on_one_rank(comm, lambda: prepare_dataset(out, truth))
+    body = reduced_body(comm)
+    return run_on_one_rank(comm, lambda: write_dataset(make(recipe, body), out, truth))
 
 
 if __name__ == "__main__":

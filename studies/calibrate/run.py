@@ -18,9 +18,9 @@ from ...meshes.collective import run_on_one_rank
 from ...solver import paper
 from ...solver.arrays import Array
 from ...solver.bristle import Bristle
-from ...solver.errors import InputError
 from .. import __version__
 from ..data.datasets import Drops, read_drops
+from ..inputs.study_fields import CalibrateInputs
 from ..report.page import REPORT_FILES
 from ..running.files import prepare_folder, together, write_json
 from ..running.mark import refuse_foreign
@@ -204,32 +204,34 @@ def summary(found: Calibration, version: str) -> dict[str, Any]:
 
 def run_calibrate(
     source: str | Path,
-    out: Path,
+    out: Path | None,
+    inputs: CalibrateInputs | None = None,
     *,
-    seed: int = 0,
-    level: float = LEVEL,
     model: RatioModel | None = None,
     comm: MPI.Intracomm = MPI.COMM_WORLD,
 ) -> dict[str, Any]:
-    """Calibrate and write ``calibrate.json``, ``report.html``, figures and tables into ``out``.
+    """Calibrate and write ``calibrate.json``, ``report.html``, figures and tables into ``out``, or
+    nothing where that is None.
 
     ``source`` is a dataset's folder, or "paper". Collective; rank 0 works. Returns the summary.
     Raises InputError where the dataset is wrong, ComputationError where no Kn can be told.
     """
-    return run_on_one_rank(comm, lambda: _run(str(source), Path(out), seed, level, model))
+    asked = inputs or CalibrateInputs()
+    return run_on_one_rank(comm, lambda: _run(str(source), out, asked, model))
 
 
 def _run(
-    source: str, out: Path, seed: int, level: float, model: RatioModel | None
+    source: str, out: Path | None, inputs: CalibrateInputs, model: RatioModel | None
 ) -> dict[str, Any]:
+    drops = None if source == PAPER else read_drops(Path(source))
+    if out is not None:
+        refuse_foreign(out, *FILES)
+    found = calibrate(drops, model, seed=inputs.seed, level=inputs.level)
+    content = summary(found, __version__)
+    if out is None:
+        return content
     from .page import write_calibration
 
-    if not 0.5 <= level < 1.0:
-        raise InputError(f"level must lie between 0.5 and 1, not {level}")
-    drops = None if source == PAPER else read_drops(Path(source))
-    refuse_foreign(out, *FILES)
-    found = calibrate(drops, model, seed=seed, level=level)
-    content = summary(found, __version__)
     prepare_folder(out, *FILES)
     with together(out, RESULT_FILE):
         write_calibration(found, out, __version__)

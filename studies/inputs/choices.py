@@ -64,3 +64,25 @@ class Until(StrEnum):
 
     IMPACT = "impact"
     REBOUND = "rebound"
+
+
+class Noise(StrEnum):
+    """How errors of measurement are distributed, at the declared standard deviation.
+
+    Heavy-tailed ones follow Student's distribution of three degrees of freedom. Of outliers, one
+    in twenty is five times as large. Autocorrelated errors of neighbouring drops correlate by a
+    half.
+    """
+
+    GAUSSIAN = "gaussian"
+    HEAVY = "heavy-tailed"
+    OUTLIERS = "outliers"
+    CORRELATED = "autocorrelated"
+
+
+class Strange(StrEnum):
+    """Effects that no list has: of them the loop can only say that something is missing."""
+
+    SHIFT = "session-shift"
+    RIPPLE = "height-ripple"
+    ALTERNATION = "alternation"

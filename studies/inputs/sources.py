@@ -19,11 +19,15 @@ from ...solver.materials import MATERIALS, MaterialName
 from .fields import DROP_FLAGS, LIST_FLAGS
 from .flags import Flag
 from .named import REPLACED, digest_of
-from .study_fields import OWN_FLAGS
+from .study_fields import CALIBRATE_FLAGS, LOOP_FLAGS, OWN_FLAGS, SYNTH_FLAGS
 from .texts import hints, line_of, parse_json, parse_toml, quoted, read_text
 
 LOG = logging.getLogger("bristle")
-OPTIONS = {flag.field: flag.option for flag in (*OWN_FLAGS, *DROP_FLAGS, *LIST_FLAGS)}
+EVERY_FLAG = (
+    *(*SYNTH_FLAGS, *CALIBRATE_FLAGS, *LOOP_FLAGS),
+    *(*OWN_FLAGS, *DROP_FLAGS, *LIST_FLAGS),
+)
+OPTIONS = {flag.field: flag.option for flag in EVERY_FLAG}
 
 # What a value excludes, and what an earlier run resolved from it.
 EXCLUDED = {

@@ -1,19 +1,22 @@
-"""Inputs of `bristle scatter` and `bristle close-loop` beyond those of a drop."""
+"""Inputs of `bristle scatter`, `calibrate`, `close-loop` and `synth` beyond those of a drop."""
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, Any
 
-from pydantic import Field
+from pydantic import BeforeValidator, Field
 
 from ...solver import paper
-from .choices import Contact, Model
+from .choices import Contact, Model, Noise, Strange
 from .fields import (
     CONTACT,
+    DROP,
     MODEL,
     BodyFields,
+    Height,
     HeightsField,
     Kn,
+    Numbers,
     Plugins,
     SharedFields,
     StepField,
@@ -23,8 +26,10 @@ from .fields import (
     whole,
 )
 from .flags import Fields, flags_of, option
+from .named import EffectInput, read_effects
 
 RANDOM, SURFACE, LOOP = "Random drops", "Surface", "Loop"
+CALIBRATION, DATASET = "Calibration", "Dataset"
 
 DROPS, MOST_DROPS = 2000, 1_000_000
 SEEDS = 2**32 - 1
@@ -102,6 +107,83 @@ class LoopInputs(Fields, group=LOOP):
     no_3d: Truth = option(False, "Leave out the confirmation by the 3-D model.")
 
 
+class CalibrateInputs(Fields, group=CALIBRATION):
+    """Every option of `bristle calibrate`, checked."""
+
+    seed: Annotated[int, whole(0, SEEDS)] = option(0, "Seed of the bootstrap.", "N")
+    level: Annotated[float, between(0.5, 0.999)] = option(
+        0.9, "Probability of the intervals.", "LEVEL"
+    )
+
+
+def read_unlisted(value: Any) -> Any:
+    """An unlisted effect and its strength, also as ``NAME=STRENGTH``."""
+    if not isinstance(value, str):
+        return value
+    name, _, strength = value.partition("=")
+    try:
+        found = Strange(name), float(strength)
+    except ValueError:
+        found = None
+    if found is None or not abs(found[1]) < 1.0:
+        raise ValueError(
+            f"must be NAME=STRENGTH, NAME one of {', '.join(Strange)}, STRENGTH between -1 and 1, "
+            f"not '{value}'"
+        )
+    return found
+
+
+class Recipe(Fields, group=DATASET):
+    """Every option of `bristle synth`, checked: what a made dataset holds."""
+
+    plugins: Plugins = plugin_option()  # before the effects that may come from them
+    effects: Annotated[tuple[EffectInput, ...], BeforeValidator(read_effects)] = option(
+        (),
+        "An effect that the dataset hides, repeatable, e.g. contact_damping:c_N_s_m=5.",
+        "NAME:PARAM=VALUE,…",
+        kind=list,
+        name="effect",
+    )
+    unlisted: Annotated[tuple[Strange, float] | None, BeforeValidator(read_unlisted)] = option(
+        None,
+        f"An effect that no list has: {', '.join(Strange)}. STRENGTH is its share of the height "
+        "after the impact.",
+        "NAME=STRENGTH",
+        kind=str,
+    )
+    drops: Annotated[int, whole(6, 10_000)] = option(48, "How many drops.", "N")
+    heights_m: Annotated[tuple[Height, ...], Numbers, Field(min_length=1)] = option(
+        paper.HEIGHTS_M,
+        "Heights of release, separated by commas.",
+        "M,…",
+        "",
+        str,
+        group=DROP,
+        alias="--height",
+    )
+    kn_N_m: Annotated[float, between(2e5, 5e7)] = option(
+        paper.KN_CHOSEN_N_M, "Normal contact stiffness.", group=CONTACT
+    )
+    friction: Annotated[float, between(0.0, 100.0)] = option(
+        paper.FRICTION,
+        "Coulomb's coefficient. It acts where an effect makes the bristle lean.",
+        "MU",
+        group=CONTACT,
+    )
+    noise: Noise = option(Noise.GAUSSIAN, "Distribution of the errors of measurement.")
+    sigma_y_m: Annotated[float, between(1e-6, 1e-2)] = option(3e-4, "Standard error of a height.")
+    sigma_t_s: Annotated[float, between(1e-9, 1e-2)] = option(
+        2e-6, "Standard error of a contact time."
+    )
+    sigma_force_N: Annotated[float, between(1e-6, 1e3)] = option(
+        0.5, "Standard error of a peak force."
+    )
+    heights_only: Truth = option(False, "Leave out contact times and forces.")
+    seed: Annotated[int, whole(0, SEEDS)] = option(
+        0, "Seed of releases, random effects and errors.", "N"
+    )
+
+
 # What of a drop's other options many drops at once can have.
 TAKEN = (
     *("deflection", "tip", "friction", "kt-ratio", "tip-shape", "contact-points"),
@@ -114,3 +196,5 @@ SCATTER_FLAGS = (
     *flags_of(SharedFields, only=TAKEN),
 )
 LOOP_FLAGS = flags_of(LoopInputs)
+CALIBRATE_FLAGS = flags_of(CalibrateInputs)
+SYNTH_FLAGS = flags_of(Recipe)

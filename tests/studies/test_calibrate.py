@@ -35,6 +35,7 @@ from bristle.studies.calibrate.run import (
 )
 from bristle.studies.close_loop.run import problem_of
 from bristle.studies.data.datasets import read_drops, read_manifest
+from bristle.studies.inputs.study_fields import CalibrateInputs
 from bristle.studies.loop.kinds.drops.problem import emulator_for
 from bristle.studies.running.mark import MARK
 
@@ -227,7 +228,7 @@ def test_command_writes_json_and_page_of_a_dataset(folder, tmp_path):
         return 0.31 + 0.69 / (1.0 + kn / 2e6)
 
     out = tmp_path / "out"
-    content = run_calibrate(where, out, model=model, seed=3)
+    content = run_calibrate(where, out, CalibrateInputs(seed=3), model=model)
     assert json.loads((out / "calibrate.json").read_text()) == content
     assert content["kn_N_m"]["low"] < content["kn_N_m"]["estimate"] < content["kn_N_m"]["high"]
     page = (out / "report.html").read_text()

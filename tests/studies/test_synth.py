@@ -16,19 +16,13 @@ from bristle.solver.effects.library import EFFECTS
 from bristle.solver.errors import InputError
 from bristle.solver.fall import dragged_fall, fallen, risen
 from bristle.studies.data.datasets import read_drops
+from bristle.studies.inputs.choices import Noise, Strange
+from bristle.studies.inputs.sources import checked
+from bristle.studies.inputs.study_fields import Recipe
 from bristle.studies.loop.responses.emulator import PLAIN_STEP, Emulator
 from bristle.studies.loop.responses.table import Axis, Table, coefficients, evaluate
 from bristle.studies.loop.responses.table_drops import drops_of
-from bristle.studies.synth import (
-    Noise,
-    Recipe,
-    Strange,
-    make,
-    recipe_of,
-    table_of,
-    truth_of,
-    write_dataset,
-)
+from bristle.studies.synth import make, table_of, truth_of, write_dataset
 
 pytestmark = pytest.mark.serial
 
@@ -39,13 +33,13 @@ def body():
 
 
 def test_the_same_recipe_gives_the_same_table_another_seed_another(body):
-    recipe = Recipe(n_drops=10, seed=3)
+    recipe = Recipe(drops=10, seed=3)
     assert table_of(make(recipe, body)) == table_of(make(recipe, body))
-    assert table_of(make(recipe, body)) != table_of(make(Recipe(n_drops=10, seed=4), body))
+    assert table_of(make(recipe, body)) != table_of(make(Recipe(drops=10, seed=4), body))
 
 
 def test_a_written_dataset_reads_as_made_and_keeps_its_secret(body, tmp_path):
-    recipe = Recipe(effects=["contact_damping:c_N_s_m=7"], n_drops=12)
+    recipe = Recipe(effects=["contact_damping:c_N_s_m=7"], drops=12)
     made = make(recipe, body)
     write_dataset(made, tmp_path / "data", tmp_path / "truth.json")
     found = read_drops(tmp_path / "data")
@@ -61,7 +55,7 @@ def test_a_written_dataset_reads_as_made_and_keeps_its_secret(body, tmp_path):
 
 
 def test_the_truth_may_not_lie_in_the_dataset(body, tmp_path):
-    made = make(Recipe(n_drops=6), body)
+    made = make(Recipe(drops=6), body)
     with pytest.raises(InputError, match="--truth"):
         write_dataset(made, tmp_path / "data", tmp_path / "data" / "deep" / "truth.json")
     assert not (tmp_path / "data").exists()
@@ -69,7 +63,7 @@ def test_the_truth_may_not_lie_in_the_dataset(body, tmp_path):
 
 @pytest.mark.parametrize("noise", list(Noise))
 def test_errors_are_as_large_as_declared(body, noise):
-    recipe = Recipe(n_drops=600, heights_m=(0.02,), noise=noise, seed=5)
+    recipe = Recipe(drops=600, heights_m=(0.02,), noise=noise, seed=5)
     made = make(recipe, body)
     sigma = np.array([recipe.sigma_y_m, recipe.sigma_y_m, recipe.sigma_t_s, recipe.sigma_force_N])
     errors = (made.measured - made.true) / sigma
@@ -85,9 +79,9 @@ def test_errors_are_as_large_as_declared(body, noise):
 
 
 def test_unlisted_effects_change_the_height_after_alone(body):
-    plain = make(Recipe(n_drops=20), body)
+    plain = make(Recipe(drops=20), body)
     for strange in Strange:
-        made = make(Recipe(n_drops=20, unlisted=(strange, 0.05)), body)
+        made = make(Recipe(drops=20, unlisted=(strange, 0.05)), body)
         assert np.array_equal(made.true[:, [0, 2, 3]], plain.true[:, [0, 2, 3]])
         changed = made.true[:, 1] / plain.true[:, 1] - 1.0
         assert 0.02 < np.abs(changed).max() <= 0.05 + 1e-12
@@ -105,9 +99,8 @@ def test_unlisted_effects_change_the_height_after_alone(body):
     ],
 )
 def test_nonsense_is_refused(given_, word):
-    values = {"effects": [], "unlisted": None, "noise": "gaussian", **given_}
     with pytest.raises(InputError, match=word):
-        recipe_of(values.pop("effects"), values.pop("unlisted"), **values)
+        checked(Recipe, given_)
 
 
 # tables
