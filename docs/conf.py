@@ -4,13 +4,16 @@ from pygments.lexers.special import TextLexer
 from sphinx.highlighting import lexers
 
 from bristle import __version__
-from bristle.studies.inputs.fields import DROP_FLAGS, LIST_FLAGS
-from bristle.studies.inputs.study_fields import LOOP_FLAGS, OWN_FLAGS
 
 project = "bristle"
 author = "the bristle authors"
 release = __version__
-extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx_gallery.gen_gallery"]
+extensions = [
+    "myst_parser",
+    "sphinx.ext.autodoc",
+    "sphinx.ext.napoleon",
+    "sphinx_gallery.gen_gallery",
+]
 myst_heading_anchors = 3
 exclude_patterns = ["examples", "gallery"]
 html_theme = "alabaster"
@@ -33,24 +36,3 @@ sphinx_gallery_conf = {
     "show_signature": False,
     "backreferences_dir": None,
 }
-
-TABLES = {"drop": DROP_FLAGS, "lists": LIST_FLAGS, "scatter": OWN_FLAGS, "loop": LOOP_FLAGS}
-
-
-def table(flags):
-    """Flags as a table: how the command line and Python call them, default, meaning."""
-    rows = ["| option | in Python | default | meaning |", "|---|---|---|---|"]
-    for flag in flags:
-        cells = (f"`{flag.option}`", f"`{flag.field}`", flag.default_text(), flag.help)
-        rows.append("| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |")
-    return "\n".join(rows)
-
-
-def fill(app, name, text):
-    """Put tables where a page asks for them by a line as `@drop@`."""
-    for key, flags in TABLES.items():
-        text[0] = text[0].replace(f"@{key}@", table(flags))
-
-
-def setup(app):
-    app.connect("source-read", fill)

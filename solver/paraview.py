@@ -35,6 +35,7 @@ from .errors import ComputationError
 from .forms import own_values
 from .ground import Placement, place
 from .nodal_stress import VOIGT, NodalStress, von_mises
+from .solid_fields import carried, turned
 from .time.finite import FiniteMarcher
 from .time.flight import Flight
 from .time.march import ContactMarch, Moving
@@ -123,7 +124,6 @@ class FieldWriter:
         points = solid.contact
         self._none = np.zeros_like(points.weights)
         self._placement = marcher.ground if marcher else Placement.upright(points)
-        self._nodes = solid.space.tabulate_dof_coordinates()[: solid.n_local // 3]
         self._make_fields()
         self._open()
 
@@ -249,9 +249,10 @@ class FieldWriter:
         self.axial_stress.x.array[:] = stress[:, AXIAL]
         self.von_mises.x.array[:] = von_mises(stress)
         gaps = self._placement.gaps(self.solid.contact.displacements(u))
-        rotation = self._placement.pose.rotation
-        own_values(self.displacement, self._carried(u, self._origin_m))
-        own_values(self.velocity, (v.reshape(-1, 3) @ rotation.T).ravel())
+        pose = self._placement.pose
+        place = carried(self.solid, u, pose, self._origin_m)
+        own_values(self.displacement, place)
+        own_values(self.velocity, turned(v, pose))
         self._tip.update(self.displacement, self._none if force is None else force, gaps)
         for writer in self._writers:
             writer.write(t_s)
@@ -267,13 +268,6 @@ class FieldWriter:
         if self.comm.rank == 0:
             (self.folder / GROUND_FILE).write_text(_square_vtk(normal, half))
         return origin
-
-    def _carried(self, u: Array, origin_m: Array) -> Array:
-        """Displacement of the upright mesh to the body's place, ``u`` on top of it."""
-        pose = self._placement.pose
-        arm = self._nodes - self.solid.centre_m + u.reshape(-1, 3)
-        place = arm @ pose.rotation.T + (pose.position_m - origin_m)
-        return np.asarray(place - self._nodes).ravel()
 
     def write_flight(
         self, n_frames: int = FLIGHT_FRAMES, advance: Callable[[], None] = lambda: None

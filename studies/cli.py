@@ -30,11 +30,10 @@ from .command.options import (
 from .inputs.fields import (
     DROP_FLAGS,
     LIST_FLAGS,
+    MESH_FLAGS,
     STUDY_FLAGS,
     SWEEP_FLAGS,
-    BodyFields,
     DiscretisationFields,
-    MeshFields,
     StepField,
 )
 from .inputs.flags import flags_of
@@ -49,7 +48,6 @@ from .inputs.study_fields import (
 )
 
 REPRODUCE_FLAGS = flags_of(StepField, DiscretisationFields)
-MESH_FLAGS = flags_of(BodyFields, MeshFields)
 # Keys of a configuration file that a command with other flags passes over.
 ANY_FLAGS = (*DROP_FLAGS, *LIST_FLAGS)
 

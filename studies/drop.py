@@ -6,7 +6,7 @@ Also a script: ``mpirun -n 2 python3 -m bristle.studies.drop --model solid``.
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
@@ -35,6 +35,10 @@ if TYPE_CHECKING:
 
     from ..solver.bodies.reduced import ReducedModel
     from ..solver.bodies.solid import SolidBody
+    from ..solver.contact_phase import Observer
+    from ..solver.time.march import ContactMarch
+
+    Observe = Callable[[SolidBody, ContactMarch], Observer]
 
 FIELDS, CHECKPOINT = "fields", "checkpoint"
 # All that a drop writes.
@@ -53,10 +57,12 @@ def run_drop(
     session: CaseSession | None = None,
     resume: bool = False,
     keep_s: float = KEEP_S,
+    observe: Observe | None = None,
 ) -> dict[str, Any]:
     """Compute a drop into the folder ``out``; returns what result.json holds, on every rank.
 
-    With a ``session`` its ranks compute it, and what it keeps serves.
+    With a ``session`` its ranks compute it, and what it keeps serves. ``observe`` makes a further
+    observer of the march of a solid.
     With ``resume`` a finished result of the same inputs and version is kept, and returned; one that
     was interrupted while it was marched step by step goes on from its last mark, made every
     ``keep_s`` seconds.
@@ -72,22 +78,33 @@ def run_drop(
     warnings = _warned(input_warnings(inputs))
     with _by_rank_0(together(out, results.RESULT_FILE), comm):
         with compilation_noted(), session_on(comm, session) as own:
-            result, timings = _compute(inputs, out, own, every_s=keep_s, resume=resume)
+            how = {"every_s": keep_s, "resume": resume}
+            result, timings = _compute(inputs, out, own, observe, **how)
         document = _document(inputs, result, timings, warnings, comm)
         written = run_on_one_rank(comm, lambda: results.write_drop(out, document, result))
     run_on_one_rank(comm, lambda: _forget_checkpoint(out))
     return written
 
 
-def simulate_drop(inputs: DropInputs, session: CaseSession) -> tuple[dict[str, Any], DropResult]:
+def simulate_drop(
+    inputs: DropInputs, session: CaseSession, observe: Observe | None = None
+) -> tuple[dict[str, Any], DropResult]:
     """Compute a drop without writing anything: what result.json would hold, and the result.
+
+    ``observe`` is that of `run_drop`.
 
     Collective; raises ComputationError.
     """
     warnings = _warned(input_warnings(inputs))
     session.trim()
     with compilation_noted():
-        result, timings = session.run(inputs)
+        if observe is not None and inputs.model is Model.SOLID:
+            prepared = session.prepare(inputs)
+            assert prepared is not None
+            observer = _observer(observe, prepared)
+            result, timings = session.run(inputs, observer, prepared)
+        else:
+            result, timings = session.run(inputs)
     return _document(inputs, result, timings, warnings, session.comm), result
 
 
@@ -139,8 +156,12 @@ def _checkpoint(
     return Checkpoint(folder, comm, made_for, **how)
 
 
+def _observer(observe: Observe, prepared: Prepared) -> Observer:
+    return observe(cast("SolidBody", prepared.frame.body), prepared.marcher)
+
+
 def _compute(
-    inputs: DropInputs, out: Path, session: CaseSession, **how: Any
+    inputs: DropInputs, out: Path, session: CaseSession, observe: Observe | None, **how: Any
 ) -> tuple[DropResult, Timings]:
     """The drop, kept in ``out`` while it is marched: ``how`` is that of a `Checkpoint`."""
     building = working(f"building the {inputs.model} model")
@@ -148,7 +169,8 @@ def _compute(
         prepared = session.prepare(inputs)
     if prepared is not None and inputs.model is Model.SOLID:
         checkpoint = _checkpoint(inputs, prepared, session.comm, out / CHECKPOINT, **how)
-        done = _marched_solid(session, inputs, prepared, checkpoint, out / FIELDS)
+        further = [] if observe is None else [_observer(observe, prepared)]
+        done = _marched_solid(session, inputs, prepared, checkpoint, out / FIELDS, further)
         if inputs.write_fields:
             return done
     else:  # compiled code is done with soon
@@ -164,8 +186,10 @@ def _marched_solid(
     prepared: Prepared,
     checkpoint: Checkpoint,
     folder: Path,
+    further: list[Observer],
 ) -> tuple[DropResult, Timings]:
-    """The drop of a solid, with its fields for ParaView where they are asked for."""
+    """The drop of a solid, with its fields for ParaView where they are asked for, and ``further``
+    observers."""
     expected = steps_of_contact(inputs.bristle(), inputs.kn_N_m, inputs.its_s)
     with ExitStack() as stack:
         writer = None
@@ -178,7 +202,8 @@ def _marched_solid(
             flight = body, made, prepared.marcher, frame
             writer = stack.enter_context(FieldWriter(*flight, every=every, checkpoint=checkpoint))
         with progress("contact of the solid, expected steps", expected) as advance:
-            watched = Watched(inputs.its_s, advance, writer)
+            observers = further if writer is None else [writer, *further]
+            watched = Watched(inputs.its_s, advance, *observers)
             done = session.run(inputs, watched, prepared, checkpoint)
         if writer is not None:
             with progress("flight of the solid, frames", FLIGHT_FRAMES) as advance:

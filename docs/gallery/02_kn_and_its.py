@@ -13,13 +13,8 @@ which integration time step ITS do you set there?
 # The harder the contact, the less the bristle bounces. This is because a hard contact makes a sharp
 # wave, and the damping of the material takes more of a sharp wave. First compute the curve:
 
-import subprocess
-import tempfile
-from pathlib import Path
-
 import matplotlib.pyplot as plt
 import numpy as np
-import pandas as pd
 
 import bristle
 
@@ -34,14 +29,11 @@ axes.legend()
 plt.show()
 
 # %%
-# Then put the measured y1/y0 onto the curve. ``bristle calibrate`` does this with intervals. Give
-# it a folder with your own drops (lesson 5 shows one), or ``paper`` for what the paper published:
+# Then put the measured y1/y0 onto the curve. ``calibrate`` does this with intervals. Give it a
+# folder with your own drops (lesson 5 shows one), or ``paper`` for what the paper published:
 
-folder = Path(tempfile.mkdtemp())
-done = subprocess.run(
-    ["bristle", "calibrate", "paper", "--out", folder], capture_output=True, text=True, check=True
-)
-print(done.stdout)
+found = bristle.calibrate("paper")
+print(found)
 
 # %%
 # The doubts at the end matter. A rebound ratio is a single number, and several things change it:
@@ -60,8 +52,7 @@ print(done.stdout)
 #
 # The table of the calibration has both, in m and N and in mm and N:
 
-entries = pd.read_csv(folder / "tables" / "other_programs.csv")
-for _, row in entries.iterrows():
+for _, row in found.programs.iterrows():
     print(f"{row.program}: {row.option}")
     print(f"    {row['is']}: {row.value_si:.3g} with m and N, {row.value_mm:.4g} with mm and N")
 

@@ -10,57 +10,49 @@ the same mesh.
 # A drop with fields
 # ------------------
 #
-# The full solid writes its fields when ``out`` names a folder. ``until="impact"`` stops after the
-# first impact, and ``write_every=2`` keeps every second step. A shorter time step makes the wave
-# sharp.
+# The full solid keeps its fields. ``until="impact"`` stops after the first impact, and
+# ``write_every=2`` keeps every second step. A shorter time step makes the wave sharp.
 
 import tempfile
 from pathlib import Path
 
-import adios2
 import matplotlib.pyplot as plt
 import numpy as np
-import pandas as pd
 import ufl
 from dolfinx import fem, io
 from dolfinx.fem.petsc import LinearProblem
-from mpi4py import MPI
 
 import bristle
-from bristle.meshes.distribute import to_dolfinx
-from bristle.meshes.geometry import MeshSpec, Tag
+from bristle.meshes.geometry import Tag
 from bristle.solver import paper
 
-CELLS = (1, 2, 120)
-folder = Path(tempfile.mkdtemp())
 drop = bristle.drop(
-    model="solid", cells=CELLS, kn_N_m=1e7, its_s=1e-6, until="impact", write_every=2, out=folder
+    model="solid", cells=(1, 2, 120), kn_N_m=1e7, its_s=1e-6, until="impact", write_every=2
 )
+fields = drop.fields
 print(drop)
+print(fields)
 
 # %%
-# Read the fields
-# ---------------
+# The wave
+# --------
 #
-# ``fields/solid.bp`` is a series of ADIOS2 steps. ParaView opens it (``bristle view`` writes a
-# script for that), and so does Python. ``frames.csv`` has the time of every step. Take the axial
-# stress and average it over each height:
+# ``fields.stress[i]`` is a dolfinx Function: a tensor of shape (3, 3) at the i-th instant. Take its
+# axial component, and average it over each height:
 
-frames = pd.read_csv(folder / "fields" / "frames.csv")
+nodes_m = fields.stress[0].function_space.tabulate_dof_coordinates()
+levels_m, level = np.unique(np.round(nodes_m[:, 2], 7), return_inverse=True)
 stress_Pa = []
-with adios2.FileReader(str(folder / "fields" / "solid.bp")) as file:
-    height_m = np.round(file.read("geometry")[:, 2], 7)
-    levels_m, level = np.unique(height_m, return_inverse=True)
-    for step in range(file.num_steps()):
-        values = file.read("axial_stress_Pa", step_selection=[step, 1]).ravel()
-        stress_Pa.append(np.bincount(level, values) / np.bincount(level))
+for tensor in fields.stress:
+    axial_Pa = tensor.x.array.reshape(-1, 3, 3)[:, 2, 2]
+    stress_Pa.append(np.bincount(level, axial_Pa) / np.bincount(level))
 
 # %%
 # The wave in one picture: time to the right, height upward, blue is compression. It runs up with
 # the speed of sound √(E/ρ). The free end turns it into a wave of tension, which cancels the
 # compression on its way down. The dashed line is a path with the speed of sound.
 
-time_us = 1e6 * (frames.t_s - frames.t_s.iloc[0])
+time_us = 1e6 * (fields.times_s - fields.times_s[0])
 figure, axes = plt.subplots(figsize=(7, 4), layout="constrained")
 most_MPa = 1e-6 * np.abs(stress_Pa).max()
 drawn = axes.pcolormesh(
@@ -79,18 +71,13 @@ axes.set(xlabel="time since first touch (µs)", ylabel="height in the bristle (m
 plt.show()
 
 # %%
-# The same mesh for your own forms
-# --------------------------------
+# Your own forms
+# --------------
 #
-# ``to_dolfinx`` makes the program's mesh, with tags for the tip, the top and the side. From here on
-# this is plain FEniCSx. As an example, press the bristle slowly: hold its top, push its tip by a
-# force F, and ask how stiff it is.
+# Forms take these functions as they are. As an example, compute the kinetic energy at each instant,
+# and the energy that the strain of the bristle holds:
 
-mesh, _, facets = to_dolfinx(MeshSpec(cells=CELLS), MPI.COMM_SELF)
-space = fem.functionspace(mesh, ("Lagrange", 2, (3,)))
-u, w = ufl.TrialFunction(space), ufl.TestFunction(space)
-
-nu = paper.POISSON
+density, nu = paper.DENSITY_KG_M3, paper.POISSON
 lame = paper.YOUNGS_PA * nu / ((1 + nu) * (1 - 2 * nu))
 shear = paper.YOUNGS_PA / (2 * (1 + nu))
 
@@ -101,6 +88,33 @@ def stress(displacement):
     return lame * ufl.tr(strain) * ufl.Identity(3) + 2 * shear * strain
 
 
+moving_J, strained_J = [], []
+for u, v in zip(fields.displacement, fields.velocity, strict=True):
+    kinetic = 0.5 * density * ufl.inner(v, v) * ufl.dx
+    elastic = 0.5 * ufl.inner(stress(u), ufl.grad(u)) * ufl.dx
+    moving_J.append(fem.assemble_scalar(fem.form(kinetic)))
+    strained_J.append(fem.assemble_scalar(fem.form(elastic)))
+
+figure, axes = plt.subplots(figsize=(6, 3), layout="constrained")
+axes.plot(time_us, 1e3 * np.array(moving_J), label="kinetic")
+axes.plot(time_us, 1e3 * np.array(strained_J), label="elastic")
+axes.set(xlabel="time since first touch (µs)", ylabel="energy (mJ)")
+axes.legend()
+plt.show()
+print(f"fall from 50 mm    {1e3 * drop.energy.initial_J:.4f} mJ")
+print(f"kinetic at touch   {1e3 * moving_J[0]:.4f} mJ")
+
+# %%
+# The same mesh for another problem
+# ---------------------------------
+#
+# ``fields.mesh`` is a plain dolfinx mesh, and ``fields.facet_tags`` mark its tip, top and side. As
+# an example, press the bristle slowly: hold its top, push its tip by a force F, and ask how stiff
+# it is.
+
+mesh, facets = fields.mesh, fields.facet_tags
+space = fem.functionspace(mesh, ("Lagrange", 2, (3,)))
+u, w = ufl.TrialFunction(space), ufl.TestFunction(space)
 tip = ufl.Measure("ds", domain=mesh, subdomain_data=facets)(int(Tag.TIP))
 area_m2 = fem.assemble_scalar(fem.form(fem.Constant(mesh, 1.0) * tip))
 top = fem.locate_dofs_topological(space, 2, facets.find(Tag.TOP))
@@ -131,6 +145,7 @@ print(f"E A / L           {1e-6 * paper.YOUNGS_PA * area_m2 / paper.LENGTH_M:.4f
 #
 # Any function on this mesh can be written as usual, for example for ParaView:
 
+folder = Path(tempfile.mkdtemp())
 with io.VTXWriter(mesh.comm, folder / "pressed.bp", [pressed]) as writer:
     writer.write(0.0)
 print(sorted(path.name for path in folder.iterdir()))
@@ -139,7 +154,7 @@ print(sorted(path.name for path in folder.iterdir()))
 # Good to know
 # ------------
 #
-# - Under ``mpirun`` all of this runs on many ranks. Give ``to_dolfinx`` your communicator.
+# - Under ``mpirun`` all of this runs on many ranks. Sum what you assemble over ``mesh.comm``.
 # - ``bristle.Session`` keeps mesh, matrices and factors between drops that differ only in Kn,
 #   height, friction or lean.
 # - ``bristle/solver/forms.py`` has the forms of the impact itself, and the theory page their

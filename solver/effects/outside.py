@@ -44,6 +44,8 @@ LOW = Scene(height_m=0.01, beta_s=paper.BETA_S, loss_factor=1e-3, lateral_inerti
 HIGH = replace(LOW, height_m=0.05)
 LATER: tuple[dict[str, Any], ...] = ({"order": 7}, {"chance": (-1.0, 2.0)})
 PLAIN = (LOW, HIGH, *(replace(LOW, **late) for late in LATER))
+# Names of the effects of installed packages.
+INSTALLED: set[str] = set()
 # How the modules of users' files are called, before the beginning of their digest.
 MODULE = "bristle_plugin_"
 MOST_PARAMETERS = 2
@@ -53,14 +55,14 @@ DEEPEST_M, DEPTHS = 1e-4, 1001
 
 @contextmanager
 def forgotten_afterwards() -> Iterator[None]:
-    """The effects of users' files that the block takes in are known inside it alone."""
+    """The effects that the block takes in are known inside it alone, but for those of installed
+    packages."""
     before = set(EFFECTS)
     try:
         yield
     finally:
-        for name in EFFECTS.keys() - before:
-            if EFFECTS[name].__module__.startswith(MODULE):
-                del EFFECTS[name]
+        for name in EFFECTS.keys() - before - INSTALLED:
+            del EFFECTS[name]
 
 
 def load(path: Path, source: bytes) -> ModuleType:
@@ -98,10 +100,20 @@ def load_installed() -> None:
             kind = point.load()
             package = point.dist
             register(kind, f"{point.value} {package.version if package else ''}")
+            INSTALLED.add(kind.name)
         except Exception as error:
             logging.getLogger("bristle").warning(
                 "the effect %s of an installed package is left out: %s", point.name, error
             )
+
+
+def taken_in(effect: Effect) -> Effect:
+    """An effect that was made in Python, once its class is known. Raises InputError where the class
+    is refused."""
+    kind = type(effect)
+    if EFFECTS.get(kind.name) is not kind:
+        register(kind, f"{kind.__module__}.{kind.__qualname__} {id(kind)}")
+    return effect
 
 
 def register(kind: type[Effect], origin: str) -> None:

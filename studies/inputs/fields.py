@@ -417,5 +417,6 @@ class ListFields(Fields):
 DROP_FLAGS = flags_of(DropFields, StepField, SharedFields)
 LIST_FLAGS = flags_of(ListFields, HeightsField)
 SHARED_FLAGS = flags_of(SharedFields)
+MESH_FLAGS = flags_of(BodyFields, MeshFields)
 STUDY_FLAGS = (*LIST_FLAGS, *SHARED_FLAGS)
 SWEEP_FLAGS = (*LIST_FLAGS, *several(SHARED_FLAGS))

@@ -65,11 +65,13 @@ def load_installed() -> None:
 
 @contextmanager
 def forgotten_afterwards() -> Iterator[None]:
-    """Effects and kinds of users' files that the block takes in are known inside it alone."""
-    before = dict(KINDS)
+    """Effects and kinds that the block takes in are known inside it alone, but for those of
+    installed packages."""
+    before = set(KINDS)
     try:
         with outside.forgotten_afterwards():
             yield
     finally:
-        KINDS.clear()
-        KINDS.update(before)
+        for name in KINDS.keys() - before:
+            if not isinstance(KINDS[name], EntryPoint):
+                del KINDS[name]

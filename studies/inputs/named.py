@@ -84,16 +84,34 @@ def _kind(name: str) -> type[Effect]:
 
 
 def read_effects(value: Any) -> Any:
-    """Effects from texts or from what a result holds; ValueError where one is malformed."""
+    """Effects from texts, from instances or from what a result holds; ValueError where one is
+    malformed."""
     if not isinstance(value, list | tuple):
         raise ValueError(f"must be a list of NAME:param=value,…, not {value!r}")
     found: list[EffectInput] = []
     for item in value:
-        given = parse_effect(item) if isinstance(item, str) else EffectInput.model_validate(item)
+        given = _effect_input(item)
         if any(given.name == other.name for other in found):
             raise ValueError(f"names {given.name} twice")
         found.append(EffectInput.of(given.effect()))
     return tuple(found)
+
+
+def _effect_input(item: Any) -> EffectInput:
+    """One item of `read_effects`."""
+    if isinstance(item, str):
+        return parse_effect(item)
+    if isinstance(item, EffectInput | dict):
+        return EffectInput.model_validate(item)
+    from ...solver.effects.base import Effect
+    from ...solver.effects.outside import taken_in
+
+    if not isinstance(item, Effect):
+        raise ValueError(f"must be NAME:param=value,… or an Effect, not {item!r}")
+    try:
+        return EffectInput.of(taken_in(item))
+    except InputError as error:
+        raise ValueError(str(error)) from None
 
 
 class GivenFile(Fields):

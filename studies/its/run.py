@@ -18,6 +18,7 @@ from ...solver import paper
 from ...solver.errors import ComputationError
 from ..inputs.fields import Height, Its, Numbers
 from ..report.figures import picture, picture_files, write_picture
+from ..running.cases import CaseSession
 from ..running.files import to_csv, write_atomically
 from ..running.study import TABLE_FILE, Row, Study, StudyInputs, run_study
 from .convergence import compare
@@ -49,6 +50,7 @@ def run_its(
     out: Path,
     comm: MPI.Intracomm = MPI.COMM_WORLD,
     *,
+    session: CaseSession | None = None,
     resume: bool = False,
     ranks_per_case: int | None = None,
 ) -> None:
@@ -61,7 +63,9 @@ def run_its(
     """
     finish = partial(_finish, inputs.bristle().mass_kg)
     study = Study("its", finish, basis_its_s=paper.ITS_S, files=FILES, failures=True)
-    run_study(study, inputs, out, comm, resume=resume, ranks_per_case=ranks_per_case)
+    run_study(
+        study, inputs, out, comm, session=session, resume=resume, ranks_per_case=ranks_per_case
+    )
 
 
 def _finish(mass_kg: float, rows: Sequence[Row], out: Path) -> dict[str, Any]:

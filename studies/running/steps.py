@@ -40,12 +40,12 @@ def with_shorter_its[Found](run: Callable[[float], Found], its_s: float) -> Foun
 
 
 class Watched:
-    """An observer of ``simulate`` that tells of every step, around another one or none.
+    """An observer of ``simulate`` that tells of every step, around others or none.
 
     ``advance`` is called with the number of steps since it was last called.
     """
 
-    def __init__(self, its_s: float, advance: Callable[..., None], inner: Observer | None) -> None:
+    def __init__(self, its_s: float, advance: Callable[..., None], *inner: Observer) -> None:
         self._its_s, self._advance, self._inner = its_s, advance, inner
         self._began_s, self._told = math.nan, 0
 
@@ -53,19 +53,19 @@ class Watched:
         if math.isnan(self._began_s):
             self._began_s = state.t_s
         self._tell(state)
-        if self._inner is not None:
-            self._inner(state, step_force)
+        for each in self._inner:
+            each(state, step_force)
 
     def memory(self) -> dict[str, Array]:
-        """What the inner one needs to go on: counting starts anew."""
-        return {} if self._inner is None else self._inner.memory()
+        """What the inner ones need to go on: counting starts anew."""
+        return {name: each for inner in self._inner for name, each in inner.memory().items()}
 
     def recall(self, mark: Mark, state: Moving) -> None:
         """Go on after the steps that were kept."""
         self._began_s = state.t_s - mark.steps * self._its_s
         self._tell(state)
-        if self._inner is not None:
-            self._inner.recall(mark, state)
+        for each in self._inner:
+            each.recall(mark, state)
 
     def _tell(self, state: Moving) -> None:
         done = round((state.t_s - self._began_s) / self._its_s)

@@ -124,7 +124,7 @@ def first_order(
     levels = np.unique(factor)
     if len(levels) < 2 or float(np.std(ratio)) < SAME or len(ratio) < 2 * IN_A_BIN:
         return None
-    if len(levels) <= BINS:
+    if len(levels) <= min(BINS, len(ratio) // 2):
         bins = np.searchsorted(levels, factor)
     else:
         count = min(BINS, len(ratio) // IN_A_BIN)

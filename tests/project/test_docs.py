@@ -13,8 +13,7 @@ from commands import python
 from made_drops import QUICK, write_drops
 
 from bristle.solver.effects.library import EFFECTS
-from bristle.studies.inputs.fields import DROP_FLAGS, LIST_FLAGS
-from bristle.studies.inputs.study_fields import LOOP_FLAGS, OWN_FLAGS
+from bristle.studies.inputs.sources import EVERY_FLAG
 from bristle.studies.loop.kinds.drops import problem as drops_module
 
 pytestmark = pytest.mark.serial
@@ -50,7 +49,7 @@ def test_they_build_without_a_warning(tmp_path):
     pages = {path.stem for path in (readme.REPOSITORY / "docs").glob("*.md")}
     assert pages <= {path.stem for path in built.glob("*.html")}
     inputs = (built / "inputs.html").read_text()
-    for flag in (*DROP_FLAGS, *LIST_FLAGS, *OWN_FLAGS, *LOOP_FLAGS):
+    for flag in EVERY_FLAG:
         assert f">{flag.option}</span>" in inputs
         assert f">{flag.field}</span>" in inputs
     assert "bristle.studies.api.close_loop" in (built / "python.html").read_text()
@@ -85,10 +84,13 @@ def test_their_python_runs(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(drops_module, "carried", lambda kind, quantities: list(QUICK))
     write_drops(tmp_path / "my-drops", [EFFECTS["wear"](decades=2.0)], "worn")
-    block, further = readme.blocks("python")
+    block, *further = readme.blocks("python")
     names: dict = {}
     exec(block.replace('"my-drops")', '"my-drops", no_3d=True)'), names)
-    exec(further, {})
+    shared: dict = {}
+    for each in further:
+        exec(each, shared)
+    assert shared["s"].x.array.size
     ratio, loss_J = re.findall(r"# ([\d.]+), ([\d.]+) J", block)[0]
     assert readme.agree(ratio, names["r"].rebound_ratio)
     assert readme.agree(loss_J, names["r"].energy.material_loss_J)

@@ -2,25 +2,37 @@
 
 from __future__ import annotations
 
+import inspect
 import json
-import logging
 import math
 import pickle
+import re
+import warnings
+from dataclasses import dataclass, replace
+from pathlib import Path
 
+import derived
+import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
 import pytest
 from commands import mpirun, python
 from made_drops import QUICK, write_drops
+from matplotlib.axes import Axes
 
 import bristle
+from bristle.solver import paper
+from bristle.solver.effects.base import Effect, Parameter, Place
 from bristle.solver.effects.library import EFFECTS
+from bristle.studies.api import SIGNATURES
+from bristle.studies.api.signatures import in_python
 from bristle.studies.cli import main
 from bristle.studies.loop.kinds.drops import problem as drops_module
 from bristle.studies.running.mark import MARK
 
 pytestmark = pytest.mark.serial
 
+ROOT = Path(__file__).parents[2]
 LEANING = {"model": "solid", "tilt_deg": 2, "friction": 0, "cells": (1, 2, 24), "length_m": 0.05}
 # What differs from run to run, and what a folder alone has.
 OWN = {"wall_s", "peak_rss_MB", "mark"}
@@ -97,12 +109,172 @@ def test_the_loop_gives_the_verdict_of_the_command(tmp_path, monkeypatch):
     assert "wear" in repr(found)
 
 
-def test_warnings_are_logged_and_nothing_is_printed(capsys, caplog):
-    with caplog.at_level(logging.WARNING, logger="bristle"):
-        found = bristle.drop(model="beam", its_s=1e-4, until="impact")
-    assert found.warnings
-    assert [record.getMessage() for record in caplog.records] == found.warnings
+def test_warnings_come_at_the_line_of_the_call_and_nothing_is_printed(capsys, tmp_path):
+    coarse = {"its_s": 1e-4, "until": "impact"}
+    with warnings.catch_warnings(record=True) as seen:
+        warnings.simplefilter("always")
+        found = bristle.drop(model="beam", **coarse)
+        written = bristle.drop(model="beam", **coarse, out=tmp_path)
+    said = [in_python(each) for each in found.warnings + written.warnings]
+    assert [str(each.message) for each in seen] == said != []
+    assert {each.category for each in seen} == {bristle.BristleWarning}
+    assert {each.filename for each in seen} == {__file__}
+    assert (
+        "bristle.drop"
+        in inspect.getsource(inspect.currentframe()).splitlines()[
+            seen[0].lineno - inspect.currentframe().f_code.co_firstlineno
+        ]
+    )
     assert capsys.readouterr() == ("", "")
+
+
+def test_a_sweep_that_writes_nothing_warns_as_one_that_does(tmp_path):
+    asked = {"models": "beam", "kn_N_m": [1e6, 2e6], "height_m": 0.05, "deflection": "small"}
+    with pytest.warns(bristle.BristleWarning, match=r"leans by 20 degrees.*\(2 of 4 cases\)"):
+        table = bristle.sweep(**asked, tilt_deg=[0, 20])
+    assert list(table.attrs["warnings"].values()) == [2]
+    with pytest.warns(bristle.BristleWarning, match="2 of 4 cases have warnings"):
+        bristle.sweep(**asked, tilt_deg=[0, 20], out=tmp_path)
+
+
+def test_every_input_of_a_command_is_a_parameter_with_its_meaning():
+    for name, asked in SIGNATURES.items():
+        function, method = getattr(bristle, name), getattr(bristle.Session, name)
+        parameters = inspect.signature(function).parameters
+        text = inspect.getdoc(function)
+        assert {flag.field for flag in asked.flags} <= set(parameters)
+        for flag in asked.flags:
+            default = parameters[flag.field].default
+            assert asked.model.model_fields[flag.field].default in (default, flag.default)
+            assert re.search(rf"^{flag.field} : .+\n    \S", text, re.MULTILINE), flag.field
+        assert "--" not in re.sub(r"(?m)^-+$", "", text), name
+        assert set(inspect.signature(method).parameters) - {"self"} == set(parameters) - {"comm"}
+    assert "kn_N_m : float, in N/m" in inspect.getdoc(bristle.drop)
+    assert "height_m: float = 0.05" in str(inspect.signature(bristle.drop))
+
+
+def test_what_is_derived_from_the_declared_inputs_is_up_to_date():
+    """Otherwise: docker/run python3 tests/derived.py."""
+    assert derived.STUB.read_text() == derived.stub()
+    page = derived.INPUTS.read_text()
+    assert derived.with_tables(page) == page
+
+
+def test_a_type_checker_sees_the_inputs(monkeypatch, tmp_path):
+    monkeypatch.chdir(ROOT)
+    lines = {
+        "bristle.drop(model='beam', kn_N_m=1e6).energy.kinetic_J + 1.0": "",
+        "bristle.sweep(models=['beam'], kn_N_m=np.array([1e6]), height_m=0.05).iloc[0]": "",
+        "bristle.drop(effects=[ContactDamping(c_N_s_m=5.0), 'wear:decades=1'])": "",
+        "bristle.Session().drop(model='beam').plot().set_title('one')": "",
+        "bristle.drop(model='solid').fields.stress[0]": "union-attr",
+        "bristle.drop(kn=1e6)": "call-arg",
+        "bristle.drop(model='bar')": "arg-type",
+        "bristle.close_loop()": "call-arg",
+        "bristle.Session().drop(height_m='0.05')": "arg-type",
+    }
+    path = tmp_path / "use.py"
+    head = "import numpy as np\nfrom bristle.solver.effects.contact import ContactDamping\n"
+    path.write_text("\n".join([f"import bristle\n{head}", *lines]))
+    done = python("-m", "mypy", "--cache-dir", tmp_path, path, timeout_s=300.0)
+    found = dict.fromkeys(range(5, 5 + len(lines)), "")
+    for line, code in re.findall(rf"^{path}:(\d+): error: .*\[([a-z-]+)\]$", done.stdout, re.M):
+        found[int(line)] = code
+    assert list(found.values()) == list(lines.values()), done.stdout
+
+
+def test_infinity_and_the_history_are_what_they_are():
+    found = bristle.drop(model="beam", kn_N_m=math.inf, contact="augmented", until="impact")
+    assert found.inputs.kn_N_m == math.inf
+    assert found.to_dict()["inputs"]["kn_N_m"] == "inf"
+    assert found["history"] is found.history
+    assert set(bristle.Energy.__annotations__) == set(found.energy)
+    assert set(found) <= set(bristle.Drop.__annotations__)
+    with pytest.raises(KeyError):
+        _ = found["nothing"]
+
+
+@dataclass(frozen=True)
+class Softer(Effect):
+    """As a user writes it in a cell of a notebook."""
+
+    name = "softer"
+    title = "Less damping in the material"
+    place = Place.BODY
+    kinds = frozenset()
+    source = "a test"
+    parameters = (Parameter("share", "", 0.1, 2.0, 0.5, 1.0),)
+    share: float = 1.0
+
+    def enter(self, scene):
+        return replace(scene, beta_s=scene.beta_s * self.share)
+
+
+def test_an_effect_may_be_an_instance_of_a_class_from_anywhere():
+    expected = bristle.drop(model="beam", beta_s=0.5 * paper.BETA_S).rebound_ratio
+    again = type("Softer", (Softer,), {})
+    for kind in (Softer, Softer, again):  # the cell is run again
+        found = bristle.drop(model="beam", effects=[kind(share=0.5)])
+        assert found.rebound_ratio == expected
+        assert found.inputs.effects == [{"name": "softer", "parameters": {"share": 0.5}}]
+    with pytest.raises(bristle.InputError, match="unknown effect 'softer'"):
+        bristle.drop(model="beam", effects=["softer:share=0.5"])
+    own = EFFECTS["contact_damping"](c_N_s_m=5.0)
+    by_name = bristle.drop(model="beam", effects=["contact_damping:c_N_s_m=5"])
+    assert bristle.drop(model="beam", effects=[own]).rebound_ratio == by_name.rebound_ratio
+    with pytest.raises(bristle.InputError, match=r"^effects: must be NAME:param=value"):
+        bristle.drop(model="beam", effects=[3.0])
+
+
+def test_steps_scatter_and_calibration_are_those_of_the_commands(tmp_path):
+    steps = bristle.its(models="beam", kn_N_m=[1e5, 2e6], its_s=[1e-5, 3e-6, 1e-6], out=tmp_path)
+    assert len(steps.table) == 6
+    pd.testing.assert_frame_equal(steps.needs, pd.read_csv(tmp_path / "needs.csv"))
+    assert "rebound_ratio" in repr(steps)
+    asked = {"model": "beam", "drops": 40, "seed": 3, "elements": 8}
+    drops = bristle.scatter(**asked)
+    assert len(drops.table) == drops.n_drops == 40
+    assert drops.table.rebound_ratio.mean() == pytest.approx(drops.statistics.mean.estimate)
+    found = bristle.calibrate("paper", level=0.95)
+    assert found.kn_N_m.low < found.kn_N_m.estimate < found.kn_N_m.high
+    per_face, at_node = found.programs.value_si.iloc[:2]
+    assert at_node == pytest.approx(found.kn_N_m.estimate)
+    assert per_face == pytest.approx(found.kn_per_area_N_m3)
+    for record in (steps, drops, found):
+        assert record._repr_html_().startswith("<table>")
+        assert isinstance(record.plot(), Axes)
+        assert pickle.loads(pickle.dumps(record)) == record
+
+
+def test_a_made_dataset_and_a_mesh(tmp_path):
+    made = bristle.synth(effects=["wear:decades=1"], drops=12, seed=3, out=tmp_path / "data")
+    assert made.effects[0].parameters.decades == 1.0
+    pd.testing.assert_frame_equal(made.table, pd.read_csv(tmp_path / "data" / "drops.csv"))
+    assert json.loads((tmp_path / "data-truth.json").read_text())["seed"] == 3
+    mesh = bristle.mesh(cells=(1, 2, 20))
+    assert mesh.grid.n_cells == mesh.quality.n_cells == 40
+    assert mesh.grid.volume == pytest.approx(mesh.quality.volume_m3, rel=1e-5)
+    assert all(isinstance(each.plot(), Axes) for each in (made, mesh))
+    with pytest.raises(bristle.InputError, match=r"^friction: is no input of mesh"):
+        bristle.mesh(friction=0.1)
+
+
+def test_a_plot_shows_what_the_history_holds():
+    found = bristle.drop(model="beam")
+    figure, ax = plt.subplots()
+    assert found.plot(ax) is ax
+    line = ax.lines[0].get_ydata()
+    assert max(line) == pytest.approx(1e3 * found.history.tip_y_m.max())
+    (force,) = ax.child_axes[0].lines
+    assert max(force.get_ydata()) == pytest.approx(found.peak_force_N, rel=1e-9)
+    plt.close(figure)
+
+
+def test_pictures_of_a_result(tmp_path):
+    bristle.drop(model="beam", out=tmp_path)
+    written = bristle.view(tmp_path)
+    assert {path.name for path in written} == {"history.svg", "history.png"}
+    assert all(path.exists() for path in written)
 
 
 def test_to_import_it_loads_nothing_that_computes():
@@ -124,3 +296,24 @@ def test_every_rank_has_the_answer():
     said = json.loads(done.stdout)
     assert [rank for rank, _ in said] == [0, 1]
     assert said[0][1] == said[1][1]
+
+
+def test_each_rank_may_work_alone_or_all_on_a_study():
+    code = (
+        "import bristle; from mpi4py import MPI; w = MPI.COMM_WORLD;"
+        "own = bristle.drop(model='solid', cells=(1, 1, 12), length_m=0.05,"
+        "  kn_N_m=1e6 * (1 + w.rank), until='impact', comm=MPI.COMM_SELF);"
+        "steps = bristle.its(models='beam', kn_N_m=1e6, its_s=[1e-5, 3e-6]);"
+        "made = bristle.synth(drops=6);"
+        "kn = bristle.calibrate('paper').kn_N_m.estimate;"
+        "n = bristle.scatter(model='beam', drops=20, elements=8).n_drops;"
+        "cells = bristle.mesh(cells=(1, 1, 10)).grid.n_cells;"
+        "said = (own.ranks, own.peak_force_N, [float(x) for x in steps.needs.its_needed_s],"
+        "  made.table.sum().tolist(), kn, n, cells);"
+        "all = w.gather(said); w.rank == 0 and print(json.dumps(all))"
+    )
+    done = mpirun(2, "-c", f"import json; {code}", timeout_s=300.0)
+    one, other = json.loads(done.stdout)
+    assert one[0] == other[0] == 1
+    assert one[1] < other[1]
+    assert one[2:] == other[2:]

@@ -82,3 +82,13 @@ def test_samples_of_26_have_the_standard_errors_of_26():
     a = 13.0 / 14.0
     left = (1 - a) ** 2 + (3 - 2 * a) ** 2 + (2 - 3 * a) ** 2
     assert r_squared(line, y) == pytest.approx(1.0 - left / 2.0)
+
+
+@pytest.mark.parametrize("n", [20, 21, 39, 40])
+def test_few_drops_each_with_another_lean_have_a_share_all_the_same(n):
+    """As many values as bins are no levels: nothing would vary within them."""
+    random = np.random.default_rng(n)
+    factor = random.normal(size=n)
+    found = first_order(factor + 0.01 * random.normal(size=n), factor, random)
+    assert found.low < found.estimate <= 1.0
+    assert found.estimate > 0.3

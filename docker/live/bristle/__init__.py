@@ -12,24 +12,37 @@ measurements say that they lack.
 See `bristle.studies.api`. What computes is loaded when it is first asked for.
 """
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from .solver.errors import ComputationError, InputError
 from .studies import __version__
 
-if TYPE_CHECKING:
-    from .studies.api import Drop, Session, Verdict, close_loop, drop, sweep
-
+# The types of these stand in __init__.pyi, which tests/derived.py writes.
 __all__ = [
+    "BristleWarning",
+    "Calibration",
     "ComputationError",
+    "Dataset",
     "Drop",
+    "Effect",
+    "Energy",
     "InputError",
+    "Mesh",
+    "Record",
+    "Scatter",
     "Session",
+    "TimeSteps",
     "Verdict",
     "__version__",
+    "calibrate",
     "close_loop",
     "drop",
+    "its",
+    "mesh",
+    "scatter",
     "sweep",
+    "synth",
+    "view",
 ]
 
 

@@ -1,0 +1,574 @@
+"""The Python interface, `import bristle`: every study as a function, with a typed result.
+
+Keyword arguments are the inputs of result.json by name (SI units, angles in degrees), checked as
+the command line's are. Under mpirun every rank makes the same call and gets the same answer.
+Nothing is printed. Warnings are Python warnings of the category `BristleWarning`, at the line of
+the call; they and progress also go to the logger ``bristle``.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import functools
+import inspect
+import logging
+import math
+import re
+import tempfile
+import warnings
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pandas as pd
+import pydantic
+from pydantic import BaseModel
+
+from ...meshes.collective import run_on_one_rank, with_mpi
+from ...solver.contact_phase import HISTORY_COLUMNS
+from ...solver.effects.base import Effect
+from ...solver.errors import ComputationError, InputError
+from .. import __version__
+from ..drop import run_drop, simulate_drop
+from ..inputs.config import DropInputs, MeshInputs
+from ..inputs.fields import DROP_FLAGS, MESH_FLAGS, STUDY_FLAGS, SWEEP_FLAGS
+from ..inputs.kinds import forgotten_afterwards
+from ..inputs.sources import checked
+from ..inputs.study_fields import (
+    CALIBRATE_FLAGS,
+    LOOP_FLAGS,
+    SCATTER_FLAGS,
+    SYNTH_FLAGS,
+    CalibrateInputs,
+    LoopInputs,
+    Recipe,
+)
+from ..its.run import ERRORS_FILE, NEEDS_FILE, ItsInputs, run_its
+from ..running.cases import CaseSession
+from ..running.results import HISTORY_FILE
+from ..running.study import TABLE_FILE, Study, rows_of
+from ..scatter.inputs import ScatterInputs
+from ..sweep import LISTED, SweepInputs, run_sweep
+from .records import Calibration, Dataset, Drop, Energy, Mesh, Record, Scatter, TimeSteps, Verdict
+from .signatures import Signature, in_python, signed
+
+if TYPE_CHECKING:
+    from mpi4py import MPI
+
+    from ...solver.bodies.solid import SolidBody
+    from ...solver.contact_phase import Observer
+    from ...solver.solid_fields import FieldRecorder
+    from ...solver.time.march import ContactMarch
+
+__all__ = [
+    "BristleWarning",
+    "Calibration",
+    "ComputationError",
+    "Dataset",
+    "Drop",
+    "Effect",
+    "Energy",
+    "InputError",
+    "Mesh",
+    "Record",
+    "Scatter",
+    "Session",
+    "TimeSteps",
+    "Verdict",
+    "__version__",
+    "calibrate",
+    "close_loop",
+    "drop",
+    "its",
+    "mesh",
+    "scatter",
+    "sweep",
+    "synth",
+    "view",
+]
+
+LOG = logging.getLogger("bristle")
+Folder = str | Path
+# VTK's numbers of a hexahedron with 8, 20 and 27 nodes, and of Lagrange's.
+HEXAHEDRA = (12, 25, 29, 72)
+SIGNATURES = {
+    "drop": Signature(DropInputs, DROP_FLAGS),
+    "sweep": Signature(SweepInputs, SWEEP_FLAGS, tuple(LISTED)),
+    "its": Signature(ItsInputs, STUDY_FLAGS),
+    "scatter": Signature(ScatterInputs, SCATTER_FLAGS),
+    "calibrate": Signature(CalibrateInputs, CALIBRATE_FLAGS),
+    "close_loop": Signature(LoopInputs, LOOP_FLAGS),
+    "synth": Signature(Recipe, SYNTH_FLAGS),
+    "mesh": Signature(MeshInputs, MESH_FLAGS),
+}
+
+
+class BristleWarning(UserWarning):
+    """A doubt about a result, or about the inputs that lead to it."""
+
+
+class _AsWarnings(logging.Handler):
+    """Makes Python warnings of what is logged as warnings, at the caller's line."""
+
+    def emit(self, record: logging.LogRecord) -> None:
+        if record.levelno >= logging.WARNING:
+            message = in_python(record.getMessage())
+            warnings.warn(message, BristleWarning, skip_file_prefixes=_passed_through())
+
+
+@functools.cache
+def _passed_through() -> tuple[str, ...]:
+    """Where frames between the caller and a warning lie, as beginnings of their files' names."""
+    package = Path(__file__).parents[2]
+    rooms = [str((package / room).resolve()) for room in ("meshes", "solver", "studies")]
+    libraries = (str(each.__file__) for each in (contextlib, functools, logging, pydantic))
+    return (str(package), *rooms, *(re.sub(r"(__init__)?\.py$", "", each) for each in libraries))
+
+
+@contextmanager
+def _call() -> Iterator[None]:
+    """One call: it raises warnings, and forgets the effects and kinds of its plugins."""
+    handler = _AsWarnings()
+    LOG.addHandler(handler)
+    try:
+        with forgotten_afterwards():
+            yield
+    finally:
+        LOG.removeHandler(handler)
+
+
+class Session(CaseSession):
+    """Studies that share what is costly to build.
+
+        with bristle.Session() as s:
+            for kn in (1e5, 1e6, 1e7):
+                s.drop(model="solid", kn_N_m=kn)
+
+    Meshes, matrices, factors, reduced bases and steppers are kept from one call to the next, so
+    that a drop with another stiffness, height, friction or lean costs its impact alone. They are
+    those of the last three or four solids: the body that was used longest ago is forgotten with
+    all that was made from it. Solids that a sweep computes on groups of ranks are forgotten at its
+    end.
+
+    ``comm`` is the communicator whose ranks compute; all of them make the same calls. `close`, or
+    the end of the block, frees everything, after an error too.
+
+    Each method is the function of the same name, which has a session of its own.
+    """
+
+    @_call()
+    @signed(SIGNATURES["drop"], returns=Drop)
+    def drop(self, *, out: Folder | None = None, **inputs: Any) -> Drop:
+        """One drop, as `bristle drop`: ``bristle.drop(model="solid", tilt_deg=2, friction=0)``.
+
+        The full-order solid keeps its fields at the marched instants; ``write_every`` thins them.
+
+        Parameters
+        ----------
+        out : str | Path | None
+            A folder for the command's files, fields for ParaView among them. Default: none.
+
+        Returns
+        -------
+        Drop
+            What result.json holds, the history and the fields.
+
+        Raises
+        ------
+        InputError
+            An input is wrong.
+        ComputationError
+            The impact could not be computed.
+        """
+        asked = self._checked("drop", inputs)
+        recorders: list[FieldRecorder] = []
+
+        def observe(solid: SolidBody, marcher: ContactMarch) -> Observer:
+            from ...solver.solid_fields import FieldRecorder
+
+            recorders.append(FieldRecorder(solid, marcher, asked.write_every or 1))
+            return recorders[-1]
+
+        folder = _folder(out)
+        if folder is not None:
+            document = run_drop(asked, folder, session=self, observe=observe)
+            history = pd.read_csv(folder / HISTORY_FILE)
+        else:
+            document, result = simulate_drop(asked, self, observe)
+            history = pd.DataFrame(result.history.array(), columns=list(HISTORY_COLUMNS))
+        return Drop(document, history, recorders[0].fields() if recorders else None)
+
+    @_call()
+    @signed(SIGNATURES["sweep"], returns=pd.DataFrame)
+    def sweep(self, *, out: Folder | None = None, **inputs: Any) -> pd.DataFrame:
+        """Every combination of several stiffnesses, heights, models and any other numbers or
+        choices, as `bristle sweep`: ``bristle.sweep(kn_N_m=[1e5, 2e6], tilt_deg=[0, 2])``.
+
+        Parameters
+        ----------
+        out : str | Path | None
+            A folder for the command's files. Default: none.
+
+        Returns
+        -------
+        DataFrame
+            A row for each case, with table.csv's columns and one for each further input that has
+            several values. Its ``attrs["warnings"]`` counts the cases of each warning.
+
+        Raises
+        ------
+        InputError
+            An input is wrong.
+        ComputationError
+            A case could not be computed.
+        """
+        asked = self._checked("sweep", inputs)
+        folder = _folder(out)
+        if folder is not None:
+            run_sweep(asked, folder, session=self)
+            return pd.read_csv(folder / TABLE_FILE)
+        study = Study("sweep", varied=asked.varied)
+        rows = rows_of(study, asked.cases(), self)
+        columns = list(study.columns)
+        seen = [
+            {name: math.nan if row[name] is None else row[name] for name in columns} for row in rows
+        ]
+        table = pd.DataFrame(seen, columns=columns)
+        table.attrs["warnings"] = dict(Counter(each for row in rows for each in row["warnings"]))
+        for message, count in table.attrs["warnings"].items():
+            LOG.warning("%s (%d of %d cases)", message, count, len(rows))
+        return table
+
+    @_call()
+    @signed(SIGNATURES["its"], returns=TimeSteps)
+    def its(self, *, out: Folder | None = None, **inputs: Any) -> TimeSteps:
+        """The longest integration time step that each quantity allows, as `bristle its`.
+
+        Parameters
+        ----------
+        out : str | Path | None
+            A folder for the command's files. Default: none.
+
+        Returns
+        -------
+        TimeSteps
+            What its.json holds, and the tables of needs, errors and cases.
+
+        Raises
+        ------
+        InputError
+            An input is wrong.
+        ComputationError
+            No case could be computed.
+        """
+        asked = self._checked("its", inputs)
+        with self._into(out) as folder:
+            run_its(asked, folder, session=self)
+            names = NEEDS_FILE, ERRORS_FILE, TABLE_FILE
+            return TimeSteps(self._document(folder / "its.json"), *self._tables(folder, *names))
+
+    @_call()
+    @signed(SIGNATURES["scatter"], returns=Scatter)
+    def scatter(self, *, out: Folder | None = None, **inputs: Any) -> Scatter:
+        """Many drops that lean by chance onto a rough, composite surface, as `bristle scatter`.
+
+        Parameters
+        ----------
+        out : str | Path | None
+            A folder for the command's files. Default: none.
+
+        Returns
+        -------
+        Scatter
+            What scatter.json holds, and a table with a row for each drop.
+
+        Raises
+        ------
+        InputError
+            An input is wrong.
+        ComputationError
+            Too many drops failed.
+        """
+        from ..scatter.run import DOCUMENT, TABLE, run_scatter
+
+        asked = self._checked("scatter", inputs)
+        with self._into(out) as folder:
+            run_scatter(asked, folder, with_mpi(self.comm))
+            return Scatter(self._document(folder / DOCUMENT), *self._tables(folder, TABLE))
+
+    @_call()
+    @signed(SIGNATURES["calibrate"], returns=Calibration)
+    def calibrate(
+        self, dataset: Folder, *, out: Folder | None = None, **inputs: Any
+    ) -> Calibration:
+        """Normal contact stiffness with its interval from measured drops, as `bristle calibrate`.
+
+        Parameters
+        ----------
+        dataset : str | Path
+            Folder of a dataset, or "paper" for what the paper published.
+        out : str | Path | None
+            A folder for the command's files. Default: none.
+
+        Returns
+        -------
+        Calibration
+            What calibrate.json holds.
+
+        Raises
+        ------
+        InputError
+            The dataset or an input is wrong.
+        ComputationError
+            The model's y1/y0 does not fall with Kn.
+        """
+        from ..calibrate.run import run_calibrate
+
+        asked = self._checked("calibrate", inputs)
+        where = _dataset(dataset)
+        return Calibration(run_calibrate(where, _folder(out), asked, comm=with_mpi(self.comm)))
+
+    @_call()
+    @signed(SIGNATURES["close_loop"], returns=Verdict)
+    def close_loop(self, dataset: Folder, *, out: Folder | None = None, **inputs: Any) -> Verdict:
+        """What the model lacks to explain the measurements in a folder, as `bristle close-loop`.
+
+        Parameters
+        ----------
+        dataset : str | Path
+            Folder of a dataset.
+        out : str | Path | None
+            A folder for verdict.json and the page with its figures. Default: none.
+
+        Returns
+        -------
+        Verdict
+            What verdict.json holds.
+
+        Raises
+        ------
+        InputError
+            The dataset or an input is wrong.
+        ComputationError
+            A simulation failed.
+        """
+        from ..close_loop.run import run_close_loop
+
+        asked = self._checked("close_loop", inputs)
+        where = Path(_dataset(dataset))
+        return Verdict(run_close_loop(where, _folder(out), asked, comm=with_mpi(self.comm)))
+
+    @_call()
+    @signed(SIGNATURES["synth"], returns=Dataset)
+    def synth(
+        self, *, out: Folder | None = None, truth: Folder | None = None, **inputs: Any
+    ) -> Dataset:
+        """Measurements with an effect that their dataset does not declare, as `bristle synth`.
+
+        Parameters
+        ----------
+        out : str | Path | None
+            A folder for the dataset. Default: none.
+        truth : str | Path | None
+            A file for the truth, outside that folder. Default: beside it.
+
+        Returns
+        -------
+        Dataset
+            The truth, and the table of what was measured.
+
+        Raises
+        ------
+        InputError
+            An input is wrong.
+        ComputationError
+            A drop could not be computed.
+        """
+        from ..synth import TABLE_FILE as MEASURED
+        from ..synth import run_synth
+
+        asked = self._checked("synth", inputs)
+        with self._into(out, "dataset") as folder:
+            file = _folder(truth, "truth") or Path(f"{folder}-truth.json")
+            found = run_synth(asked, folder, file, self.comm)
+            (table,) = self._tables(folder, MEASURED)
+            return Dataset(found, table, None if out is None else folder)
+
+    @_call()
+    @signed(SIGNATURES["mesh"], returns=Mesh)
+    def mesh(self, *, out: Folder | None = None, **inputs: Any) -> Mesh:
+        """The hexahedral bristle, as `bristle mesh`.
+
+        Parameters
+        ----------
+        out : str | Path | None
+            A folder for the command's files. Default: none.
+
+        Returns
+        -------
+        Mesh
+            Measures, quality, and the cells as a grid of PyVista.
+
+        Raises
+        ------
+        InputError
+            An input is wrong.
+        ComputationError
+            The mesh could not be made.
+        """
+        import pyvista
+
+        from ...meshes.check import MeshError
+        from ..mesh.display import DrawingError
+        from ..mesh.run import run_mesh
+
+        spec = self._checked("mesh", inputs).mesh_spec()
+        with self._into(out) as folder:
+            try:
+                found = run_mesh(spec, folder, with_mpi(self.comm))
+            except (MeshError, DrawingError) as error:
+                raise ComputationError(str(error)) from error
+            grid = run_on_one_rank(self.comm, lambda: pyvista.read(folder / "bristle.vtu"))
+            return Mesh(found, grid.extract_cells(np.isin(grid.celltypes, HEXAHEDRA)))
+
+    def _checked(self, name: str, values: Mapping[str, Any]) -> Any:
+        """The inputs of the method of this name, of keywords; paths, effects and numpy's numbers
+        among them. Raises InputError."""
+        asked = SIGNATURES[name]
+        renamed = asked.aliases()
+        for one, other in renamed.items():
+            if values.get(one) is not None and values.get(other) is not None:
+                raise InputError(f"{one}: given twice, also as {other}")
+        known = {*(flag.field for flag in asked.flags), *renamed}
+        for each in values:
+            if each not in known and each in asked.model.model_fields:
+                raise InputError(f"{each}: is no input of {name}")
+        plain = {
+            renamed.get(each, each): _plain(value)
+            for each, value in values.items()
+            if not (each in renamed and value is None)
+        }
+        return _validated(asked.model, plain)
+
+    @contextmanager
+    def _into(self, out: Folder | None, name: str = "") -> Iterator[Path]:
+        """The folder ``out`` or, for the time of the block, one of all ranks."""
+        folder = _folder(out)
+        if folder is not None:
+            yield folder
+            return
+        with contextlib.ExitStack() as stack:
+
+            def made() -> Path:
+                return Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="bristle-")))
+
+            yield run_on_one_rank(self.comm, made) / name
+
+    def _document(self, path: Path) -> dict[str, Any]:
+        """A JSON that a study wrote."""
+        import json
+
+        return run_on_one_rank(self.comm, lambda: json.loads(path.read_text(encoding="utf-8")))
+
+    def _tables(self, folder: Path, *names: str) -> list[pd.DataFrame]:
+        """Tables that a study wrote."""
+        return run_on_one_rank(self.comm, lambda: [pd.read_csv(folder / name) for name in names])
+
+
+def _function(name: str) -> Callable[..., Any]:
+    """The method of `Session` of this name as a function with a session of its own, on the
+    communicator ``comm``."""
+    method = getattr(Session, name)
+
+    @functools.wraps(method)
+    def call(*args: Any, comm: MPI.Intracomm | None = None, **inputs: Any) -> Any:
+        with Session(comm) as session:
+            return getattr(session, name)(*args, **inputs)
+
+    there = inspect.signature(method)
+    own = [each for each in there.parameters.values() if each.name != "self"]
+    kind = inspect.Parameter.KEYWORD_ONLY
+    own.append(inspect.Parameter("comm", kind, default=None, annotation="MPI.Intracomm | None"))
+    call.__signature__ = there.replace(parameters=own)  # type: ignore[attr-defined]
+    call.__qualname__ = name
+    del call.__wrapped__
+    call.__doc__ = str(method.__doc__).replace(
+        "\nReturns\n-------",
+        "comm : MPI.Intracomm | None\n    The ranks that compute. Default: all of the job.\n\n"
+        "Returns\n-------",
+        1,
+    )
+    return call
+
+
+drop = _function("drop")
+sweep = _function("sweep")
+its = _function("its")
+scatter = _function("scatter")
+calibrate = _function("calibrate")
+close_loop = _function("close_loop")
+synth = _function("synth")
+mesh = _function("mesh")
+
+
+@_call()
+def view(
+    result: Folder, *, out: Folder | None = None, comm: MPI.Intracomm | None = None
+) -> list[Path]:
+    """Draw the result of a drop, as `bristle view`.
+
+    Parameters
+    ----------
+    result : str | Path
+        Folder of a drop's result.
+    out : str | Path | None
+        Folder for the pictures. Default: ``view`` in that folder.
+    comm : MPI.Intracomm | None
+        The ranks of which the first draws. Default: all of the job.
+
+    Returns
+    -------
+    list[Path]
+        What was written.
+
+    Raises
+    ------
+    InputError
+        The folder holds no result.
+    """
+    from ..running.parallel import all_ranks
+    from ..view.run import run_view
+
+    folder = _folder(result, "result")
+    assert folder is not None
+    return run_view(folder, _folder(out), comm or all_ranks())
+
+
+def _dataset(value: Any) -> str:
+    if not isinstance(value, str | Path):
+        raise InputError(f"dataset: must be a folder, not {value!r}")
+    return str(value)
+
+
+def _folder(value: Any, name: str = "out") -> Path | None:
+    if value is not None and (not isinstance(value, str | Path) or not str(value)):
+        raise InputError(f"{name}: must be a folder, not {value!r}")
+    return None if value is None else Path(value)
+
+
+def _validated[Inputs: BaseModel](kind: type[Inputs], values: Mapping[str, Any]) -> Inputs:
+    return checked(kind, values, {name: name for name in (*kind.model_fields, *values)})
+
+
+def _plain(value: Any) -> Any:
+    """A value as the inputs take it: paths as text, arrays and other collections as lists."""
+    if isinstance(value, Path):
+        return str(value)
+    if hasattr(value, "tolist"):  # numbers and arrays of numpy, series of pandas
+        return value.tolist()
+    if isinstance(value, str | Mapping | BaseModel) or not hasattr(value, "__iter__"):
+        return value
+    return [_plain(each) for each in value]

@@ -1,0 +1,178 @@
+"""Signatures and docstrings of the Python functions, made from the declared inputs.
+
+Of each input the declaration says type, bounds, unit, default and help (`inputs.fields`). Here it
+becomes a parameter that `help`, completion, type checkers and Sphinx see.
+"""
+
+from __future__ import annotations
+
+import inspect
+import re
+from collections.abc import Callable, Collection, Iterable
+from dataclasses import dataclass
+from enum import StrEnum
+from functools import reduce
+from operator import or_
+from pathlib import Path
+from textwrap import fill
+from types import GenericAlias, NoneType, UnionType
+from typing import Annotated, Any, Literal, Union, get_args, get_origin
+
+from pydantic import BaseModel
+
+from ...solver.effects.base import Effect
+from ..inputs.flags import Flag
+from ..inputs.named import EffectInput, GivenFile
+from ..inputs.sources import OPTIONS
+
+# How a unit at the end of a field's name is written.
+UNITS = {
+    "_kg_m3": "kg/m³",
+    "_m_s2": "m/s²",
+    "_N_m": "N/m",
+    "_1_s": "1/s",
+    "_deg": "degrees",
+    "_Pa": "Pa",
+    "_m": "m",
+    "_s": "s",
+    "_N": "N",
+}
+# Further names of inputs that take several, as they are called where there is one.
+ALIASES = {"model": "models", "height_m": "heights_m"}
+FIELDS = {option: name for name, option in OPTIONS.items()} | {"--no-fields": "write_fields=False"}
+
+
+@dataclass(frozen=True)
+class Signature:
+    """The inputs of a function: ``flags`` of a ``model``, of which it takes ``several`` at once."""
+
+    model: type[BaseModel]
+    flags: tuple[Flag, ...]
+    several: Collection[str] = ()
+
+    def aliases(self) -> dict[str, str]:
+        """The names of `ALIASES` that this function takes."""
+        there = {flag.field for flag in self.flags}
+        return {one: many for one, many in ALIASES.items() if many in there and one not in there}
+
+    def parameters(self) -> list[inspect.Parameter]:
+        """Each input as a keyword, as it is declared."""
+        found = [_keyword(flag.field, self._kind(flag), self._default(flag)) for flag in self.flags]
+        by_name = {each.name: each.annotation for each in found}
+        return [
+            *found,
+            *(_keyword(one, by_name[many] | None, None) for one, many in self.aliases().items()),
+        ]
+
+    def described(self) -> str:
+        """The inputs as numpydoc has them: type, unit, meaning, default."""
+        lines: list[str] = []
+        for flag, parameter in zip(self.flags, self.parameters(), strict=False):
+            unit = next((text for end, text in UNITS.items() if flag.field.endswith(end)), "")
+            kind = type_text(parameter.annotation)
+            lines.append(f"{flag.field} : {kind}{f', in {unit}' if unit else ''}")
+            words = in_python(flag.help)
+            if default := in_python(_default_text(flag, parameter.default)):
+                words += f" Default: {default}."
+            lines.append(fill(words, 92, initial_indent="    ", subsequent_indent="    "))
+        for one, many in self.aliases().items():
+            lines += [one, f"    The same as {many}."]
+        return "\n".join(lines)
+
+    def _kind(self, flag: Flag) -> Any:
+        kind = _python_type(self.model.model_fields[flag.field].annotation)
+        if flag.field == "unlisted":
+            kind |= str
+        return _one_or_several(kind) if flag.field in self.several else kind
+
+    def _default(self, flag: Flag) -> Any:
+        return _plain(self.model.model_fields[flag.field].default)
+
+
+def signed[**P, R](
+    signature: Signature, *, returns: Any
+) -> Callable[[Callable[..., R]], Callable[..., R]]:
+    """Give a function that ends with ``**inputs`` its real signature, and its inputs a place in its
+    docstring before what that says of ``Returns`` and ``Raises``."""
+
+    def sign(function: Callable[..., R]) -> Callable[..., R]:
+        own = list(inspect.signature(function, eval_str=True).parameters.values())[:-1]
+        every = [*own, *signature.parameters()]
+        # keywords without a default cannot be among these
+        function.__signature__ = inspect.Signature(every, return_annotation=returns)  # type: ignore[attr-defined]
+        head, rule, tail = (inspect.getdoc(function) or "").partition("\nReturns\n")
+        inputs = f"\nOther Parameters\n----------------\n{signature.described()}\n"
+        function.__doc__ = f"{head}{inputs}{rule}{tail}"
+        return function
+
+    return sign
+
+
+def type_text(kind: Any) -> str:
+    """A type as Python writes it."""
+    if kind in (None, NoneType):
+        return "None"
+    if kind is Any:
+        return "Any"
+    if get_origin(kind) in (Union, UnionType):
+        return " | ".join(map(type_text, get_args(kind)))
+    if get_origin(kind) is Literal:
+        return f"Literal[{', '.join(map(repr, get_args(kind)))}]"
+    if get_args(kind):
+        inner = ", ".join("..." if each is ... else type_text(each) for each in get_args(kind))
+        return f"{get_origin(kind).__name__}[{inner}]"
+    return str(kind.__name__)
+
+
+def in_python(text: str) -> str:
+    """A help text with the names of inputs in place of those of options."""
+    return re.sub(r"--[a-z][a-z0-9-]*", lambda found: FIELDS.get(found[0], found[0]), text)
+
+
+def _python_type(kind: Any) -> Any:
+    """What a caller gives for a field of this type."""
+    if get_origin(kind) is Annotated:
+        return _python_type(get_args(kind)[0])
+    if get_origin(kind) in (Union, UnionType):
+        return reduce(or_, map(_python_type, get_args(kind)))
+    if get_origin(kind) is tuple:
+        inner = get_args(kind)
+        if inner[-1] is not ...:
+            return GenericAlias(tuple, tuple(map(_python_type, inner)))
+        item = _python_type(inner[0])
+        some = GenericAlias(Iterable, (item,))
+        return some if inner[0] is EffectInput else _one_or_several(item)
+    if kind is EffectInput:
+        return str | Effect
+    if isinstance(kind, type) and issubclass(kind, GivenFile):
+        return str | Path
+    if isinstance(kind, type) and issubclass(kind, StrEnum):
+        return Literal[tuple(map(str, kind))]
+    return kind
+
+
+def _one_or_several(kind: Any) -> Any:
+    """One of a kind, or several."""
+    if get_origin(kind) in (Union, UnionType) and NoneType in get_args(kind):
+        kind = reduce(or_, (each for each in get_args(kind) if each is not NoneType))
+        return kind | GenericAlias(Iterable, (kind,)) | None
+    return kind | GenericAlias(Iterable, (kind,))
+
+
+def _plain(value: Any) -> Any:
+    """A default as a caller would write it."""
+    if isinstance(value, StrEnum):
+        return str(value)
+    return tuple(map(_plain, value)) if isinstance(value, tuple) else value
+
+
+def _default_text(flag: Flag, default: Any) -> str:
+    """The default as a docstring has it; that of a tuple or None only where help says it."""
+    if flag.shown is not None or default is None:
+        return flag.shown or ""
+    return "" if default == () else f"{default:g}" if isinstance(default, float) else str(default)
+
+
+def _keyword(name: str, annotation: Any, default: Any) -> inspect.Parameter:
+    kind = inspect.Parameter.KEYWORD_ONLY
+    return inspect.Parameter(name, kind, default=default, annotation=annotation)
