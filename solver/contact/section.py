@@ -26,6 +26,8 @@ SHORTEST = 0.1
 # fro across a kink of the law: from then on it goes this share of its way, but all of it where the
 # step before left no more than `STRAIGHT` of the residual, so that it met no kink.
 JUMPING, EASED, STRAIGHT = 50, 0.3, 0.75
+# Without friction the energy's slope along a step is then brought to this share of what it was.
+NEARLY, BISECTIONS = 0.1, 40
 # The inverse of Newton's matrix is renewed where an iteration leaves more than this share of the
 # residual; of so few coordinates, as a rigid section has, the matrix is solved with each time.
 SLOW, FEW = 0.2, 8
@@ -219,6 +221,41 @@ def _residual(section: Section, z: Array, gathered: Array, residual: Array) -> f
 
 
 @njit
+def _descend(points: Points, section: Section, trial: Trial, z: Array, least: float) -> None:
+    """Newton's method for ``z`` (r,) without friction, down to a residual of ``least``.
+
+    The residual is then the compliance times the gradient of a convex energy, that of the section
+    and of contact. The slope of the energy along each step is searched for its zero, so the energy
+    falls with every step, and the iteration cannot jump to and fro (J. Nocedal and S. J. Wright,
+    Numerical Optimization (2006), §3.1).
+    """
+    n, r = len(points.weights), len(z)
+    residual, gathered = np.empty(r), np.empty(r)
+    slopes, stiff = np.empty((n, 6)), np.empty((r, r))
+    here = z.copy()
+    for _ in range(NEWTON_LIMIT):
+        _write_forces(points, section, trial, z, slopes)
+        gather(section, points.weights, trial.force, gathered)
+        if _residual(section, z, gathered, residual) <= least:
+            return
+        _tangent(section, points.weights, slopes, stiff)
+        step = np.linalg.solve(np.eye(r) + section.compliance @ stiff, residual)
+        along = np.linalg.lstsq(section.compliance, step)[0]
+        first, low, high, share = along @ residual, 0.0, 2.0, 1.0
+        here[:] = z
+        for _ in range(BISECTIONS):
+            z[:] = here - share * step
+            _write_forces(points, section, trial, z, slopes)
+            gather(section, points.weights, trial.force, gathered)
+            _residual(section, z, gathered, residual)
+            slope = along @ residual
+            if abs(slope) <= NEARLY * first or (share == 1.0 and slope > 0.0):
+                break
+            low, high = (share, high) if slope > 0.0 else (low, share)
+            share = 0.5 * (low + high)
+
+
+@njit
 def solve_section(points: Points, section: Section, trial: Trial) -> int:
     """Write the ``trial``'s force, and its approach at the end; the number of iterations.
 
@@ -237,7 +274,7 @@ def solve_section(points: Points, section: Section, trial: Trial) -> int:
         far = max(far, abs(free[i, 0]))
         for c in range(axes):
             far = max(far, abs(free[i, c] - start[i, c]))
-    before, share = math.inf, 1.0
+    before, share, descended = math.inf, 1.0, False
     for iteration in range(NEWTON_LIMIT):
         _write_forces(points, section, trial, z, slopes)
         gather(section, points.weights, trial.force, gathered)
@@ -248,6 +285,11 @@ def solve_section(points: Points, section: Section, trial: Trial) -> int:
                 for c in range(3):
                     trial.end[i, c] = moved_approach(section, z, i, c, free[i, c])
             return iteration + 1
+        if iteration >= JUMPING and points.mu == 0.0 and not descended:
+            _descend(points, section, trial, z, TOLERANCE * far)
+            section.factored[0], descended = False, True
+            before, share = math.inf, 1.0
+            continue
         if change >= before and share > SHORTEST:
             share *= 0.5
             z += share * step

@@ -184,6 +184,20 @@ def test_about_a_principal_axis_it_is_closed_form(axis):
     assert (turned == spin).all()
 
 
+@pytest.mark.parametrize("without", [0, 1, 2])
+def test_without_spin_about_one_axis_it_still_tumbles(without):
+    """And in no time nothing changes."""
+    spin = np.insert([3.0, -5.0], without, 0.0)
+    found, turned = free_rotation(UPRIGHT, spin, TOP, 0.0, 0.0, 4.0)
+    wanted, spins = eulers_equations(UPRIGHT, spin, TOP, 0.0)(np.array([4.0]))
+    close = 20.0 * runge_kutta_error(4.0 * np.linalg.norm(spin))
+    assert (as_scipy(found) * as_scipy(wanted[0]).inv()).magnitude() < close
+    assert np.abs(turned - spins[0]).max() < close * np.linalg.norm(spin)
+    same, still = free_rotation(UPRIGHT, spin, TOP, 0.5, 4.0, 4.0)
+    assert (same == UPRIGHT).all()
+    assert (still == spin).all()
+
+
 def test_damping_slows_the_clock():
     """About one axis: ω = ω₀ exp(-αt), the angle ω₀ (1 - exp(-αt))/α."""
     spin, alpha, t = np.array([0.0, 6.0, 0.0]), 0.7, 3.0
