@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from typing import overload
 
 import numpy as np
 from dolfinx import fem
@@ -58,8 +59,15 @@ class Series:
     def __len__(self) -> int:
         return len(self.times_s)
 
-    def __getitem__(self, i: int) -> fem.Function:
-        return self.make(range(len(self))[i])
+    @overload
+    def __getitem__(self, i: int) -> fem.Function: ...
+
+    @overload
+    def __getitem__(self, i: slice) -> list[fem.Function]: ...
+
+    def __getitem__(self, i: int | slice) -> fem.Function | list[fem.Function]:
+        chosen = range(len(self))[i]
+        return self.make(chosen) if isinstance(chosen, int) else list(map(self.make, chosen))
 
     def __iter__(self) -> Iterator[fem.Function]:
         return map(self.make, range(len(self)))

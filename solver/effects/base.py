@@ -56,7 +56,8 @@ class Scene:
     """All that one drop is made of and seen by, before effects and after them; of many drops at
     once where its fields are arrays (`Effect.computed`).
 
-    ``order`` counts drops from zero in the order they were made. ``chance`` are standard normal
+    ``order`` counts drops from zero in the order they were made, ``session`` is zero in the first
+    of two sessions and one in the other. ``chance`` are standard normal
     numbers of this drop for effects that differ from drop to drop. ``loss_factor`` is the loss
     per radian of every elastic mode over its energy, independent of frequency.
     ``front_m2`` is the area that goes first, ``drag_kg_m`` drag force over the square of the speed,
@@ -81,6 +82,7 @@ class Scene:
     y_offset_m: float = 0.0
     y_scale: float = 1.0
     t_scale: float = 1.0
+    session: float = 1.0
 
 
 @dataclass(frozen=True)
@@ -108,7 +110,13 @@ class Effect:
     def __post_init__(self) -> None:
         for parameter in self.parameters:
             value = getattr(self, parameter.name)
-            if not parameter.low <= value <= parameter.high:
+            try:
+                inside = parameter.low <= value <= parameter.high
+            except TypeError:
+                raise InputError(
+                    f"{self.name}: {parameter.name} must be a number, not {value!r}"
+                ) from None
+            if not inside:
                 raise InputError(
                     f"{self.name}: {parameter.name} must lie between {parameter.low:g} "
                     f"and {parameter.high:g} {parameter.unit}".rstrip()

@@ -156,8 +156,14 @@ class Session(CaseSession):
     ``comm`` is the communicator whose ranks compute; all of them make the same calls. `close`, or
     the end of the block, frees everything, after an error too.
 
-    Each method is the function of the same name, which has a session of its own.
+    Each method is the function of the same name, which has a session of its own. Raises InputError
+    where ``comm`` is no communicator.
     """
+
+    def __init__(self, comm: MPI.Intracomm | None = None) -> None:
+        if comm is not None and not hasattr(comm, "allgather"):
+            raise InputError(f"comm: must be a communicator of mpi4py, not {comm!r}")
+        super().__init__(comm)
 
     @_call()
     @signed(SIGNATURES["drop"], returns=Drop)
@@ -392,7 +398,7 @@ class Session(CaseSession):
 
         asked = self._checked("synth", inputs)
         with self._into(out, "dataset") as folder:
-            file = _folder(truth, "truth") or Path(f"{folder}-truth.json")
+            file = _folder(truth, "truth", "a file") or Path(f"{folder}-truth.json")
             found = run_synth(asked, folder, file, self.comm)
             (table,) = self._tables(folder, MEASURED)
             return Dataset(found, table, None if out is None else folder)
@@ -451,7 +457,10 @@ class Session(CaseSession):
             for each, value in values.items()
             if not (each in renamed and value is None)
         }
-        return _validated(asked.model, plain)
+        given = {renamed.get(each, each): each for each in values}
+        return checked(
+            asked.model, plain, {**{each: each for each in asked.model.model_fields}, **given}
+        )
 
     @contextmanager
     def _into(self, out: Folder | None, name: str = "") -> Iterator[Path]:
@@ -542,25 +551,23 @@ def view(
     from ..running.parallel import all_ranks
     from ..view.run import run_view
 
-    folder = _folder(result, "result")
-    assert folder is not None
-    return run_view(folder, _folder(out), comm or all_ranks())
+    return run_view(Path(_dataset(result, "result")), _folder(out), comm or all_ranks())
 
 
-def _dataset(value: Any) -> str:
-    if not isinstance(value, str | Path):
-        raise InputError(f"dataset: must be a folder, not {value!r}")
-    return str(value)
-
-
-def _folder(value: Any, name: str = "out") -> Path | None:
-    if value is not None and (not isinstance(value, str | Path) or not str(value)):
+def _dataset(value: Any, name: str = "dataset") -> str:
+    """A folder that must be given."""
+    if value is None or (isinstance(value, str) and not value):
         raise InputError(f"{name}: must be a folder, not {value!r}")
-    return None if value is None else Path(value)
+    return str(_folder(value, name))
 
 
-def _validated[Inputs: BaseModel](kind: type[Inputs], values: Mapping[str, Any]) -> Inputs:
-    return checked(kind, values, {name: name for name in (*kind.model_fields, *values)})
+def _folder(value: Any, name: str = "out", what: str = "a folder") -> Path | None:
+    """A path that may be given."""
+    if value is None:
+        return None
+    if not isinstance(value, str | Path) or not str(value) or "\0" in str(value):
+        raise InputError(f"{name}: must be {what}, not {value!r}")
+    return Path(value)
 
 
 def _plain(value: Any) -> Any:

@@ -51,7 +51,7 @@ def read_until(value: Any) -> Any:
         return Until(value)
     try:
         seconds = math.nan if isinstance(value, bool) else float(value)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         seconds = math.nan
     if not 0.0 < seconds <= LONGEST_S:
         raise ValueError(
@@ -392,7 +392,7 @@ class HeightsField(Fields, group=DROP):
 class ListFields(Fields):
     """Several models, stiffnesses and time steps."""
 
-    models: Annotated[tuple[Model, ...], BeforeValidator(read_list)] = option(
+    models: Annotated[tuple[Model, ...], BeforeValidator(read_list), Field(min_length=1)] = option(
         (Model.BEAM, Model.REDUCED),
         "Models, separated by commas.",
         "MODEL,…",
@@ -401,7 +401,7 @@ class ListFields(Fields):
         group=MODEL,
         alias="--model",
     )
-    kn_N_m: Annotated[tuple[Kn, ...], Numbers] = option(
+    kn_N_m: Annotated[tuple[Kn, ...], Numbers, Field(min_length=1)] = option(
         paper.KN_N_M,
         "Normal contact stiffnesses, separated by commas.",
         "N/M,…",
@@ -409,7 +409,7 @@ class ListFields(Fields):
         str,
         group=CONTACT,
     )
-    its_s: Annotated[tuple[Its, ...], Numbers] = option(
+    its_s: Annotated[tuple[Its, ...], Numbers, Field(min_length=1)] = option(
         (paper.ITS_S,), "Integration time steps, separated by commas.", "S,…", "", str, group=TIME
     )
 

@@ -132,6 +132,8 @@ def _explain(error: Any, kind: type[BaseModel]) -> tuple[str, str]:
         same = [each for each in kind.model_fields if OPTIONS.get(each) == flag]
         near = [f"did you mean {each}?" for each in same] or hints(name, kind.model_fields)
         return name, "; ".join(["is no known input", *near])
+    if error["type"] == "too_short":
+        return name, "is an empty list"
     if error["type"] == "value_error":
         return name, str(error["ctx"]["error"])
     if name == "cells" and error["type"] in ("missing", "too_long", "tuple_type"):

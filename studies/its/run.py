@@ -13,6 +13,7 @@ from typing import Annotated, Any
 
 import pandas as pd
 from mpi4py import MPI
+from pydantic import Field
 
 from ...solver import paper
 from ...solver.errors import ComputationError
@@ -41,8 +42,8 @@ QUANTITIES = {
 class ItsInputs(StudyInputs):
     """As a sweep's, with a list of time steps and one height."""
 
-    heights_m: Annotated[tuple[Height, ...], Numbers] = paper.HEIGHTS_M[-1:]
-    its_s: Annotated[tuple[Its, ...], Numbers] = ITS_S
+    heights_m: Annotated[tuple[Height, ...], Numbers, Field(min_length=1)] = paper.HEIGHTS_M[-1:]
+    its_s: Annotated[tuple[Its, ...], Numbers, Field(min_length=1)] = ITS_S
 
 
 def run_its(

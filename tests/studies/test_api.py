@@ -84,6 +84,25 @@ def test_wrong_inputs_are_named_as_they_were_given():
         bristle.drops()
 
 
+@pytest.mark.parametrize(
+    ("call", "words"),
+    [
+        (lambda: bristle.its(models=[]), "models: is an empty list"),
+        (lambda: bristle.sweep(models="beam", height_m=[]), "height_m: is an empty list"),
+        (lambda: bristle.view(None), "result: must be a folder"),
+        (lambda: bristle.drop(out="a\0b"), "out: must be a folder"),
+        (lambda: bristle.calibrate("a\0b"), "dataset: must be a folder"),
+        (lambda: bristle.drop(until=10**400), "until: must be impact"),
+        (lambda: bristle.drop(comm=3), "comm: must be a communicator"),
+        (lambda: bristle.synth(truth=3), "truth: must be a file"),
+        (lambda: EFFECTS["wear"]("a"), "wear: decades must be a number"),
+    ],
+)
+def test_what_is_no_input_at_all_is_refused_as_one(call, words):
+    with pytest.raises(bristle.InputError, match=f"^{words}"):
+        call()
+
+
 def test_a_sweep_is_a_table(tmp_path):
     asked = {"models": ["beam", "analytic"], "kn_N_m": [1e5, 2e6], "height_m": 0.05}
     table = bristle.sweep(**asked)

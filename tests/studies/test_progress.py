@@ -123,12 +123,12 @@ class Kept:
 
 def test_every_step_is_told_once_also_of_a_march_that_goes_on():
     told: list[int] = []
-    watched = Watched(1e-5, lambda count=1: told.append(count), None)
+    watched = Watched(1e-5, lambda count=1: told.append(count))
     for step in range(4):
         watched(At(0.1 + step * 1e-5), np.zeros(3))
     assert sum(told) == 3
     again: list[int] = []
-    watched = Watched(1e-5, lambda count=1: again.append(count), None)
+    watched = Watched(1e-5, lambda count=1: again.append(count))
     watched.recall(Kept(), At(0.1 + 7e-5))
     watched(At(0.1 + 8e-5), np.zeros(3))
     assert again == [7, 1]
