@@ -81,6 +81,7 @@ def make(recipe: Recipe, body: ModalBody) -> Made:
             Scene(
                 height_m=float(height),
                 order=i,
+                session=float(2 * i >= recipe.drops),
                 chance=tuple(map(float, chance.normal(size=2))),
                 beta_s=body.beta_s,
                 law=Linear(recipe.kn_N_m),
@@ -206,13 +207,19 @@ def prepare_dataset(folder: Path, truth: Path) -> None:
 
 
 def _is_truth(path: Path) -> bool:
-    """Whether a file says of itself that it is the truth of a dataset, since no mark lies beside
-    it: its folder may be one of many users."""
+    """Whether a file is the truth of a dataset as it was written. It says so itself, since no mark
+    lies beside it: its folder may be one of many users."""
     try:
         found = json.loads(path.read_text(encoding="utf-8"))
-        return path.is_file() and not path.is_symlink() and found["schema"] == TRUTH
+        own = found.pop("sha256") == _sealed(found)["sha256"]
+        return path.is_file() and not path.is_symlink() and found["schema"] == TRUTH and own
     except (OSError, ValueError, KeyError, TypeError, RecursionError):
         return False
+
+
+def _sealed(content: dict[str, Any]) -> dict[str, Any]:
+    """The content with its own digest, by which it is known again."""
+    return {**content, "sha256": hashlib.sha256(to_json(content).encode()).hexdigest()}
 
 
 def write_dataset(made: Made, folder: Path, truth: Path) -> dict[str, Any]:
@@ -221,7 +228,7 @@ def write_dataset(made: Made, folder: Path, truth: Path) -> dict[str, Any]:
     Raises InputError as `prepare_dataset` does.
     """
     prepare_dataset(folder, truth)
-    content = truth_of(made)
+    content = _sealed(truth_of(made))
     with together(folder, MANIFEST_FILE):
         write_atomically(folder / TABLE_FILE, table_of(made))
         write_atomically(folder / MANIFEST_FILE, manifest_of(made.recipe))

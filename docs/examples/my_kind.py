@@ -16,7 +16,7 @@ from bristle.studies.data.tables import column, read_table
 from bristle.studies.inputs.kinds import Kind
 from bristle.studies.loop.kinds.drops.problem import damping, emulator_for, stiffness
 from bristle.studies.loop.problem import Problem
-from bristle.studies.loop.responses.drop_model import DropModel, Drops
+from bristle.studies.loop.responses.drop_model import DropModel, Drops, Errors
 
 TIME = 1  # of `table.QUANTITIES`
 EFFECTS = ("contact_damping", "stiffening_contact", "plastic_contact", "adhesion", "wear")
@@ -33,11 +33,11 @@ def closures(folder: Path) -> Problem:
     sigma_s = manifest.measurement.get("sigma_t_s", 1e-6)
     emulator = emulator_for(y0_m, manifest)
     drops = Drops(emulator, y0_m, drop - drop[0], (TIME,))
-    whiten = np.full((len(drops), 1, 1), 1.0 / sigma_s)
+    errors = Errors.independent(np.array([sigma_s]), np.ones((len(drops), 1), dtype=bool))
     kn, beta = stiffness(manifest.kn_N_m, emulator), damping(manifest)
 
     def model(effects: tuple[str, ...]) -> DropModel:
-        return DropModel(drops, kn, effects, whiten, beta=beta)
+        return DropModel(drops, kn, effects, errors, beta=beta)
 
     return Problem(
         values=closed_s / sigma_s,

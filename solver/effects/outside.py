@@ -38,7 +38,7 @@ COMPUTED_FIELDS = {
     *("y_offset_m", "y_scale", "t_scale"),
 }
 # What a drop takes from its own inputs, whatever an effect makes of it.
-IGNORED = ("height_m", "order", "chance", "front_m2")
+IGNORED = ("height_m", "order", "session", "chance", "front_m2")
 # Drops on which effects are tried.
 LOW = Scene(height_m=0.01, beta_s=paper.BETA_S, loss_factor=1e-3, lateral_inertia=1.0)
 HIGH = replace(LOW, height_m=0.05)

@@ -135,3 +135,33 @@ class Wear(Effect):
 
     def enter(self, scene: Scene) -> Scene:
         return _stiffer(scene, self.decades * scene.order / WEAR_DROPS)
+
+
+@dataclass(frozen=True)
+class Session(Effect):
+    """Contact is stiffer or softer on another day: another place of the surface, another tip, other
+    weather."""
+
+    decades: float = 0.1
+
+    name = "session"
+    computed = True
+    title = "a difference between sessions"
+    place = Place.SURFACE
+    kinds = frozenset({"drops"})
+    source = (
+        "block effects: G. E. P. Box, J. S. Hunter and W. G. Hunter, Statistics for Experimenters"
+    )
+    parameters = (
+        Parameter(
+            "decades",
+            "decades",
+            -1.0,
+            1.0,
+            0.1,
+            why="of Kn; 12 to 80 GPa, the phases of concrete, are 0.8 decades",
+        ),
+    )
+
+    def enter(self, scene: Scene) -> Scene:
+        return _stiffer(scene, self.decades * scene.session)

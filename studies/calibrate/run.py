@@ -223,7 +223,7 @@ def run_calibrate(
 def _run(
     source: str, out: Path | None, inputs: CalibrateInputs, model: RatioModel | None
 ) -> dict[str, Any]:
-    drops = None if source == PAPER else read_drops(Path(source))
+    drops = None if source == PAPER else read_drops(Path(source)).complete
     if out is not None:
         refuse_foreign(out, *FILES)
     found = calibrate(drops, model, seed=inputs.seed, level=inputs.level)

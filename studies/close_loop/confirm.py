@@ -75,7 +75,7 @@ def confirm(problem: Problem, finding: Finding) -> Confirmation:
             after = problem.confirm(finding.model_effects, finding.theta, groups)
     except BristleError as error:
         return Confirmation(None, f"the 3-D model failed: {error}")
-    main = problem.quantity[rows] == problem.quantity[0]
+    main = problem.is_main[rows]
     scale = problem.scale[rows][main]
     several = (each[main] * scale for each in (problem.values[rows], before, after))
     return Confirmation(Solid(problem.unit, rows[main], *several))

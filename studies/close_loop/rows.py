@@ -56,8 +56,7 @@ class Rows:
     @property
     def main(self) -> NDArray[np.bool_]:
         """Rows of the main quantity, the one that errors are told of."""
-        quantity = self.closed.problem.quantity
-        return np.asarray(quantity == quantity[0])
+        return self.closed.problem.is_main
 
     @cached_property
     def held(self) -> NDArray[np.bool_]:

@@ -27,7 +27,7 @@ from ..data.datasets import Manifest, read_manifest
 from ..inputs.kinds import KINDS
 from ..inputs.study_fields import LoopInputs
 from ..loop.finding import Finding, plain
-from ..loop.problem import Problem
+from ..loop.problem import Entry, Problem
 from ..loop.run import find, pieces
 from ..running.files import new_folders, prepare_folder, together, write_json
 from ..running.mark import refuse_foreign
@@ -258,6 +258,7 @@ def summary(content: dict[str, Any]) -> list[tuple[str, str]]:
         rows.append(("measure next", content["next_experiment"]["change"]))
     rows += [("doubt", each) for each in content["warnings"]]
     rows += [("left aside", each) for each in content["left_aside"]]
+    rows += [("written wrongly?", Entry(**each).words()) for each in content["bookkeeping"]]
     return rows
 
 

@@ -58,7 +58,7 @@ prose = Prose(path, HEADS, title_of=title_of, names_of=names_of)
 def quantity_of(rows: Rows) -> str:
     """The main quantity with its unit."""
     problem = rows.closed.problem
-    name = str(problem.quantity[0])
+    name = str(problem.quantity[problem.is_main][0])
     return name if "(" in name else f"{name} ({problem.unit})"
 
 

@@ -8,12 +8,14 @@ file and line. What a dataset leaves out is the paper's bristle.
 from __future__ import annotations
 
 import difflib
+import itertools
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ...solver import paper
 from ...solver.arrays import Array
@@ -45,12 +47,16 @@ RIGID_KEYS = {"mass_kg": (1e-9, 1e6), "diameter_m": (1e-6, 100.0)}
 # Beyond these no instrument is meant.
 NUMBER_KEYS = {
     "sigma_y_mm": (1e-6, 1e6),
+    "sigma_y0_mm": (1e-6, 1e6),
     "sigma_y_px": (1e-6, 1e6),
     "sigma_t_s": (1e-12, 1e3),
     "sigma_force_N": (1e-9, 1e9),
     "fps": (1e-3, 1e9),
     "gravity_m_s2": (1e-2, 300.0),
 }
+# A height may be read below zero by so many standard deviations, those of `SIGMA_MM` where none is
+# declared.
+BELOW, SIGMA_MM = 5.0, 1.0
 KN_N_M, FRICTION = (1.0, limits.KN_N_M), (0.0, 100.0)
 MOST_LETTERS = 1000
 WAVE_KEYS = (
@@ -129,8 +135,9 @@ class Manifest:
 class Drops:
     """Drops in the order they were made: heights before and after in m.
 
-    ``sigma_y_m`` is the declared uncertainty of a height, or None; optional columns are None
-    where the table has none of them, and hold NaN where it has no value.
+    ``sigma_y_m`` is the declared uncertainty of a height, or None, and ``sigma_y0_m`` that of the
+    height before. Where a cell is empty there is NaN; optional columns are None where the table has
+    no value in them at all.
     """
 
     manifest: Manifest
@@ -141,15 +148,39 @@ class Drops:
     peak_force_N: Array | None
     session: tuple[str, ...] | None
     sigma_y_m: float | None
+    sigma_y0_m: float | None = None
+
+    def of(self, which: NDArray[np.bool_]) -> Drops:
+        """Those drops that ``which`` (drops,) tells."""
+        chosen = {
+            name: value[which]
+            for name in ("drop", "y0_m", "y1_m", "contact_time_s", "peak_force_N")
+            if (value := getattr(self, name)) is not None
+        }
+        if self.session is not None:
+            chosen["session"] = tuple(itertools.compress(self.session, which))
+        return replace(self, **chosen)
+
+    def with_sigma(self, times: float) -> Drops:
+        """The same with uncertainties of the heights that are so many times as large."""
+        both = (self.sigma_y_m, self.sigma_y0_m)
+        one, other = (None if each is None else times * each for each in both)
+        return replace(self, sigma_y_m=one, sigma_y0_m=other)
+
+    @property
+    def complete(self) -> Drops:
+        """The drops of which both heights were read."""
+        return self.of(np.isfinite(self.y0_m) & np.isfinite(self.y1_m))
 
     @property
     def doubts(self) -> tuple[str, ...]:
         """What deserves doubt: that most drops rise higher than they fell."""
         higher = int(np.count_nonzero(self.y1_m > self.y0_m))
-        if 2 * higher <= len(self.drop):
+        count = int(np.count_nonzero(np.isfinite(self.y1_m)))
+        if 2 * higher <= count:
             return ()
         return (
-            f"y1_mm exceeds y0_mm in {higher} of {len(self.drop)} drops, as if they gained energy; "
+            f"y1_mm exceeds y0_mm in {higher} of {count} drops, as if they gained energy; "
             "are the columns exchanged, or heights read from different marks?",
         )
 
@@ -194,7 +225,7 @@ def read_manifest(folder: Path, only: str | None = None) -> Manifest:
 
 
 def read_drops(folder: Path) -> Drops:
-    """Read a dataset of kind ``drops``; at least three drops.
+    """Read a dataset of kind ``drops``; at least three drops of which both heights were read.
 
     Raises InputError naming file and line of the first value that cannot be used.
     """
@@ -207,14 +238,18 @@ def read_drops(folder: Path) -> Drops:
         )
     drop = column(path, rows, "drop", whole=True)
     check_order(path, rows, "drop", drop)
-    y0 = column(path, rows, "y0_mm", above=0.0)
-    y1 = column(path, rows, "y1_mm", least=0.0)
-    sigma = manifest.measurement.get("sigma_y_mm")
+    sigma, sigma_0 = (manifest.measurement.get(f"sigma_{y}_mm") for y in ("y", "y0"))
+    y0 = column(path, rows, "y0_mm", above=0.0, empty=True)
+    y1 = column(path, rows, "y1_mm", least=-BELOW * (sigma or SIGMA_MM), empty=True)
+    both = int(np.count_nonzero(np.isfinite(y0 + y1)))
+    if both < 3:
+        raise InputError(f"{path}: both heights were read in {both} drops; three are needed")
     times = optional_column(path, rows, "contact_time_ms", 1e-3)
     peaks = optional_column(path, rows, "peak_force_N", 1.0)
     lines = [line for line, _ in rows]
     check_heights(path, lines, 1e-3 * y0, 1e-3 * y1)
     manifest.check_sigma("sigma_y_mm", 1e-3, 1e-3 * y0)
+    manifest.check_sigma("sigma_y0_mm", 1e-3, 1e-3 * y0)
     if times is not None:
         check_contact_times(path, lines, "contact_time_ms", times, manifest.body)
         manifest.check_sigma("sigma_t_s", 1.0, times)
@@ -227,11 +262,17 @@ def read_drops(folder: Path) -> Drops:
         drop=drop,
         y0_m=1e-3 * y0,
         y1_m=1e-3 * y1,
-        contact_time_s=times,
-        peak_force_N=peaks,
+        contact_time_s=_unless_empty(times),
+        peak_force_N=_unless_empty(peaks),
         session=tuple(row["session"] for _, row in rows) if "session" in rows[0][1] else None,
         sigma_y_m=None if sigma is None else 1e-3 * sigma,
+        sigma_y0_m=None if sigma_0 is None else 1e-3 * sigma_0,
     )
+
+
+def _unless_empty(values: Array | None) -> Array | None:
+    """A column; None where it has no value at all."""
+    return None if values is None or np.isnan(values).all() else values
 
 
 def _read(folder: Path) -> _Declarations:

@@ -95,8 +95,12 @@ def column(
     above: float | None = None,
     least: float | None = None,
     whole: bool = False,
+    empty: bool = False,
 ) -> Array:
-    """The numbers (rows,) of a column; InputError at the first that is none, or not as asked."""
+    """The numbers (rows,) of a column; InputError at the first that is none, or not as asked.
+
+    A cell may be ``empty``, which is NaN.
+    """
     checks: list[tuple[Callable[[float], bool], str]] = [
         (math.isfinite, "a finite number"),
         (lambda x: abs(x) <= LARGEST, f"at most {LARGEST:g} in size"),
@@ -109,6 +113,9 @@ def column(
         checks.append((lambda x: x == int(x), "a whole number"))
     values = np.empty(len(rows))
     for i, (line, row) in enumerate(rows):
+        if empty and not row[name]:
+            values[i] = np.nan
+            continue
         try:
             values[i] = _number(row[name])
         except ValueError as error:
@@ -204,7 +211,4 @@ def optional_column(path: Path, rows: Rows, name: str, unit: float) -> Array | N
     """The column in ``unit``, NaN where a row has no value; None where the table has it not."""
     if name not in rows[0][1]:
         return None
-    values = np.full(len(rows), np.nan)
-    there = [i for i, (_, row) in enumerate(rows) if row[name]]
-    values[there] = unit * column(path, [rows[i] for i in there], name, least=0.0)
-    return values
+    return unit * column(path, rows, name, least=0.0, empty=True)

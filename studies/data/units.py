@@ -32,7 +32,7 @@ def check_heights(path: Path, lines: Sequence[int], y0_m: Array, y1_m: Array | N
     """InputError at the first drop (drops,) from, or to, a height that is none of mm."""
     low, high = HEIGHTS_MM
     for line, y0 in zip(lines, 1e3 * y0_m, strict=True):
-        if not low * (1.0 - 1e-9) <= y0 <= high * (1.0 + 1e-9):
+        if math.isfinite(y0) and not low * (1.0 - 1e-9) <= y0 <= high * (1.0 + 1e-9):
             raise InputError(
                 f"{path}:{line}: y0_mm must lie between {low:g} and {high:g}, not {y0:g}; "
                 "is it in mm?"
@@ -94,7 +94,7 @@ def check_peaks(
             float(mv * math.sqrt(kn / body.mass_kg))
             for kn in (min(paper.KN_N_M), max(paper.KN_N_M))
         )
-        if not low / FAR <= peak <= FAR * high and math.isfinite(peak):
+        if not low / FAR <= peak <= FAR * high and math.isfinite(peak * mv):
             raise InputError(
                 f"{path}:{line}: {name}: a peak of {peak:.3g} N is not one of this body from "
                 f"{1e3 * mv * mv / (2.0 * gravity_m_s2 * body.mass_kg**2):.3g} mm, "

@@ -51,6 +51,7 @@ STATE_SHARES = np.array([0.1, 0.2, 0.35, 0.5, 0.65, 0.8, 0.9])
 STATE_SHIFTS = np.array([2.0, 3.0, 4.0, 6.0, 9.0, 14.0])
 STATES_TRIED = 24
 WIDER = np.geomspace(1.3, 40.0, 14)
+WIDER_NOISE = "noise some"
 STATE_SPREADS = np.array([0.7, 0.85, 1.0, 1.2, 1.45, 1.75, 2.2, 3.0, 4.5])
 
 
@@ -380,7 +381,9 @@ def _wider(data: Sample, z: Array) -> tuple[float, str]:
     """Log evidence, and words, of noise that is wider than any that the declared one may be."""
     logs = data.heights_of_noise(z / WIDER[:, None]).max(axis=1) - z.size * np.log(WIDER)
     best = int(np.argmax(logs))
-    return float(logs[best]) - OCCAM, f"noise some {WIDER[best]:.2g} times as wide as is declared"
+    return float(
+        logs[best]
+    ) - OCCAM, f"{WIDER_NOISE} {WIDER[best]:.2g} times as wide as is declared"
 
 
 def p_values(observed: Array, simulated: Array) -> tuple[Array, Array]:

@@ -11,7 +11,7 @@ from ...solver.arrays import Array
 from .adequacy import Test
 from .heldout import HeldOut
 from .noise import Ints
-from .problem import Model
+from .problem import Entry, Model
 
 
 class Verdict(StrEnum):
@@ -117,6 +117,7 @@ class Finding:
     covariates: Mapping[str, Array]
     warnings: tuple[str, ...]
     left_aside: tuple[str, ...]
+    bookkeeping: tuple[Entry, ...]
     seed: int
     alarm: float
 
@@ -166,6 +167,7 @@ class Finding:
             "noise": dict(self.noise),
             "warnings": self.all_warnings(),
             "left_aside": list(self.left_aside),
+            "bookkeeping": plain(self.bookkeeping),
             "held_out": None if self.held_out is None else self.held_out.keys(),
             "next_experiment": plain(self.next_experiment),
             "seed": self.seed,

@@ -173,7 +173,7 @@ class Judge:
         """Errors of baseline and final model on the held-out rows of the main quantity."""
         problem, held = self.problem, self.held
         rng = np.random.default_rng([self.seed, 5])
-        mine = np.flatnonzero(problem.quantity[held.rows] == problem.quantity[0])
+        mine = np.flatnonzero(problem.is_main[held.rows])
         if not mine.size:
             mine = np.arange(held.rows.size)
         rows = held.rows[mine]

@@ -12,6 +12,7 @@ his effect tightly (unit information: Kass and Wasserman, J. Am. Stat. Assoc. 90
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,6 +22,7 @@ from ...solver.arrays import Array
 from .adequacy import OCCAM
 from .fit import BOX_PRECISION, Fitted, fit, likely_noise, others, to_theta
 from .noise import Ints, Noises
+from .problem import Chosen
 from .sample import Sample
 
 DEGREES = 5.0
@@ -70,14 +72,15 @@ class Posterior:
 
 def evidence(data: Sample, fitted: Fitted, own: int) -> float:
     """Log evidence of a fit whose first ``own`` parameters are the baseline's."""
-    count = 0
+    count, model = 0, fitted.model
     if fitted.u.size > own:
         h = fitted.information
         cross = h[:own, own:]
         inner = h[:own, :own] + 1e-9 * np.eye(own)
         profiled = h[own:, own:] - cross.T @ np.linalg.solve(inner, cross)
         count = max(int(np.sum(np.linalg.eigvalsh(profiled) > BOX_PRECISION)), 1)
-    return likely_noise(data, fitted)[1] - OCCAM * count
+    chosen = math.log(model.choices) if isinstance(model, Chosen) else 0.0
+    return likely_noise(data, fitted)[1] - OCCAM * count - chosen
 
 
 def posterior(data: Sample, fitted: Fitted, own: int, rng: np.random.Generator) -> Posterior:

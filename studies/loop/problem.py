@@ -76,6 +76,16 @@ class Refinable(Model, Protocol):
         ...
 
 
+@runtime_checkable
+class Chosen(Model, Protocol):
+    """A model that was chosen by the data among several, which counts against it."""
+
+    @property
+    def choices(self) -> int:
+        """Among how many."""
+        ...
+
+
 def refined_as(model: Model, parameters: int) -> Model:
     """The model, or its refinement where that is the one with so many parameters."""
     if len(model.parameters) < parameters and isinstance(model, Refinable):
@@ -96,19 +106,37 @@ class Experiment:
 
 
 @dataclass(frozen=True)
+class Entry:
+    """What a table itself seems to have wrong: ``kind`` is slip, repeated or exchanged, ``drops``
+    are the numbers of the rows, ``why`` says what speaks for it."""
+
+    kind: str
+    drops: tuple[int, ...]
+    why: str
+
+    def words(self) -> str:
+        """A sentence."""
+        drops = ", ".join(map(str, self.drops))
+        return f"drop{'s' if len(self.drops) > 1 else ''} {drops}: {self.why}"
+
+
+@dataclass(frozen=True)
 class Problem:
     """A dataset, whitened by its declared noise, and the models that may explain it.
 
     ``values`` (rows,) are in units of their standard deviation; ``scale`` (rows,) turns a whitened
     residual back into ``unit`` (values of several units: each its own, ``quantity`` (rows,) names
-    it). ``group`` (rows,) numbers the drop, fall or pass that a row belongs to: groups are
-    independent, rows of one group need not be. ``covariates`` (name: (rows,)) are what residuals
+    it; errors are told of the ``main`` one, the first where it is not said). ``group`` (rows,)
+    numbers the drop, fall or pass that a row belongs to: groups are independent, rows of one group
+    need not be. ``covariates`` (name: (rows,)) are what residuals
     are looked at against: height, speed, order, phase, time. ``candidates`` are all effects, alone,
     that a dataset of this kind can carry; ``combine`` builds the model of several at once.
     ``held`` are groups to be held out; where it is None, they are chosen by the seed.
     ``confirm``, where it is not None, gives whitened predictions of the baseline and of a fitted
     model by the 3-D model, for the rows of the groups asked for. ``warnings`` and ``left_aside``
     are sentences for the user: what deserves doubt, and which of the data are not used and why.
+    ``bookkeeping`` is what the table has wrong, whose rows are left aside. ``with_sigma``, where it
+    is not None, gives the same with errors of the main quantity that are so many times as large.
     """
 
     values: Array
@@ -125,9 +153,17 @@ class Problem:
     confirm: Callable[[tuple[str, ...], Array, NDArray[np.int64]], Array] | None = None
     confirm_why: str = ""
     sigma_declared: bool = True
+    main: str = ""
     notes: Mapping[str, Any] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
     left_aside: tuple[str, ...] = ()
+    bookkeeping: tuple[Entry, ...] = ()
+    with_sigma: Callable[[float], Problem] | None = None
+
+    @property
+    def is_main(self) -> NDArray[np.bool_]:
+        """Rows (rows,) of the main quantity."""
+        return np.asarray(self.quantity == (self.main or self.quantity[0]))
 
 
 def carried(kind: str, effects: Sequence[str], possible: Iterable[str]) -> tuple[str, ...]:

@@ -18,7 +18,7 @@ from scipy.spatial.distance import squareform
 from ...solver.arrays import Array
 from .adequacy import Direction
 from .fit import STEP, Fitted, differences, to_box, to_theta
-from .problem import Model
+from .problem import Chosen, Model
 from .sample import Sample
 
 # Shares of the way from absence to a bound.
@@ -142,10 +142,15 @@ def _refitted(data: Sample, model: Model, u: Array, own: int, target: Array) -> 
 
 
 def directions(data: Sample, base: Fitted, profiles: Sequence[Profile]) -> list[Direction]:
-    """What each candidate does to the baseline's residuals at a moderate size, by ray."""
+    """What each candidate does to the baseline's residuals at a moderate size, by ray.
+
+    One that the data chose among several has none: what they would be held against is not chosen.
+    """
     rows = data.values.size
     out = []
     for each in profiles:
+        if isinstance(each.model, Chosen) and each.model.choices > 1:
+            continue
         for point in each.nearest(DIRECTION_D):
             if each.d[point] < 0.5:
                 continue

@@ -8,13 +8,23 @@ to pay as well: the log score of the held-out data rises by more than their nois
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from ...solver.arrays import Array
-from .adequacy import Adequacy, assess
+from .adequacy import WIDER_NOISE, Adequacy, assess
 from .experiment import next_experiment
-from .explain import SEEN_BY, Explanation, State, credible, explain, missing_otherwise, shares_of
+from .explain import (
+    SEEN_BY,
+    UNLISTED_MARGIN,
+    Explanation,
+    State,
+    credible,
+    explain,
+    missing_otherwise,
+    shares_of,
+)
 from .finding import Evidence, Finding, Interval, Near, Verdict
 from .heldout import HeldOut, Judge, rms, split
 from .noise import Ints
@@ -22,6 +32,7 @@ from .posterior import Posterior, posterior
 from .problem import Problem
 from .profile import Profile, classes, directions, profile
 from .sample import Sample, estimated_units, sample
+from .scatter import Scatter
 from .search import Tried, fit_baseline, fit_candidate, fit_simulated, near_likeliest
 
 ALARM = 0.01
@@ -54,7 +65,45 @@ def find(
     ``alarm`` is the rate at which data that lack nothing are said to lack something. The same
     problem, seed and rate give the same finding to the bit. ``advance`` is called as `pieces` get
     done, with their number where it is not one.
+
+    Where values scatter about a smooth course by far less than was declared, the declared errors
+    are wrong, and the data's own are taken. Where they scatter by more, that may be physics: the
+    data's own are taken if wider noise is what explains them best, and nothing is missing then.
     """
+    told = Scatter.of(problem)
+    if told is None or problem.with_sigma is None:
+        return _find(problem, seed, alarm, advance)
+    if told.far_smaller:
+        found = _find(problem.with_sigma(told.ratio), seed, alarm, advance)
+        return replace(found, warnings=(told.words(), *found.warnings))
+    found = _find(problem, seed, alarm, advance)
+    if not told.larger or not _wider_is_best(found):
+        return found
+    other = _find(problem.with_sigma(told.ratio), seed, alarm)
+    if other.verdict is not Verdict.ADEQUATE:
+        return found
+    return replace(other, warnings=(told.words(), *other.warnings))
+
+
+def _wider_is_best(found: Finding) -> bool:
+    """Whether noise that is wider than declared explains data best: as well as what is reported,
+    and better than any other shape that no effect has."""
+    if found.verdict is Verdict.ADEQUATE or not found.shape.startswith(WIDER_NOISE):
+        return False
+    if found.verdict is Verdict.UNKNOWN:
+        return True
+    reported = [each for each in found.evidences if set(each.effects) & set(found.effects)]
+    by_chance = np.asarray(found.model.weights).size > 1
+    return by_chance and found.unlisted > max(e.log_evidence for e in reported) - UNLISTED_MARGIN
+
+
+def _find(
+    problem: Problem,
+    seed: int,
+    alarm: float,
+    advance: Callable[..., None] = lambda count=1: None,
+) -> Finding:
+    """`find` with the errors as the problem has them."""
     groups, apart = split(problem, seed)
     data = _sample(problem, groups)
     rng = np.random.default_rng([seed, 2])
@@ -157,6 +206,7 @@ def find(
         covariates=data.covariates,
         warnings=(*problem.warnings, *filter(None, doubts)),
         left_aside=problem.left_aside,
+        bookkeeping=problem.bookkeeping,
         seed=seed,
         alarm=alarm,
     )

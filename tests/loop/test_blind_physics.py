@@ -234,6 +234,7 @@ SAME = {
     "surface_slope": 3.0,
     "surface_phases": 0.3,
     "wear": 1.0,
+    "session": 0.2,
 }
 
 
@@ -254,6 +255,8 @@ def test_a_name_means_the_same_physics_as_in_the_program(beam, name):
     mine = seen(truth, np.array([height]), np.array([luck]))[0]
     if name == "wear":  # whose drop is not the first
         mine[1:] = bounce(truth, speed_down(truth, height, 0.0), order, luck)
+    if name == "session":  # whose drop is of the second one
+        mine = seen(truth, np.full(2, height), np.array([luck, luck]))[1]
     scene = Scene(height, order, luck, beta_s=Body().beta_s, law=Linear(kn))
     scene = EFFECTS[name](value).enter(scene)
     drag, start = scene.drag_kg_m / Body().mass_kg, scene.release_speed_m_s

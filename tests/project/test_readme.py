@@ -35,7 +35,12 @@ SQUARE_BAR = "studies/measured/square-bar"
 STUDIES = readme.REPOSITORY / "studies"
 # Scripts that take the flags of a command.
 SCRIPTS = {"sweep", "its", "drop", "scatter", "close-loop", "reproduce"}
-OF_OTHERS = {"--help", "--script", "--datasets"}  # click's own, paraview's, a script's of tests
+OF_OTHERS = {
+    "--help",
+    "--script",
+    "--datasets",
+    "--rows",
+}  # click's own, paraview's, a script's of tests
 QUICK = (
     ("drop", "--model", "reduced", "--kn"),
     ("drop", "--slope"),

@@ -43,6 +43,7 @@ NAMES = (
     "surface_slope",
     "surface_phases",
     "wear",
+    "session",
 )
 
 

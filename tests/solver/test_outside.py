@@ -24,7 +24,7 @@ from bristle.solver.errors import InputError
 from bristle.studies.cli import main
 from bristle.studies.loop.kinds.drops import problem as drops_module
 from bristle.studies.loop.responses import emulator as emulator_module
-from bristle.studies.loop.responses.drop_model import DropModel, Drops
+from bristle.studies.loop.responses.drop_model import DropModel, Drops, Errors
 from bristle.studies.loop.responses.emulator import PLAIN_STEP, Emulator, effect_at
 
 pytestmark = pytest.mark.serial
@@ -252,7 +252,8 @@ def test_a_computed_effect_is_known_for_every_drop_and_chance():
     heights, order = np.array([0.025, 0.04, 0.05]), np.array([0.0, 4.0, 9.0])
     drops = Drops(emulator, heights, order, (0, 1, 2))
     kn = Parameter("kn_N_m", "N/m", 1e6, 4e6, 2e6)
-    model = DropModel(drops, kn, ("wetting",), np.eye(3)[None].repeat(3, 0))
+    errors = Errors.independent(np.ones(3), np.ones((3, 3), dtype=bool))
+    model = DropModel(drops, kn, ("wetting",), errors)
     theta = np.array([2.2e6, 0.3, 0.02])
     predicted = model.measured(theta)
     chances = np.linspace(-3.25, 3.25, len(model.weights))

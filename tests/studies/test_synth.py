@@ -222,3 +222,13 @@ def test_drops_that_fall_in_different_ways_do_not_mix(height, speed, drag):
     assert found[1] <= found[0] * (1.0 + 1e-12)
     assert risen(found, drags)[0] == found[0]
     assert np.all(risen(found[1:], drag) < found[1:])
+
+
+def test_a_truth_that_was_edited_is_not_replaced(body, tmp_path):
+    made, folder, truth = make(Recipe(drops=6), body), tmp_path / "data", tmp_path / "truth.json"
+    write_dataset(made, folder, truth)
+    write_dataset(made, folder, truth)
+    truth.write_text(truth.read_text().replace("{", '{"my_notes": 1,', 1))
+    with pytest.raises(InputError, match="--truth"):
+        write_dataset(made, folder, truth)
+    assert "my_notes" in truth.read_text()

@@ -8,6 +8,7 @@ from functools import cached_property
 from typing import Any, NamedTuple, Self
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ....solver import paper
 from ....solver.arrays import Array
@@ -25,6 +26,8 @@ from .emulator import Emulator, effect_at
 # slope's direction.
 DEVIATES = (-3.25, 3.25, 53)
 SIZES = (0.1, 3.5, 18)
+# Share of a height by which slopes over it are found.
+STEP = 1e-3
 # In the unit box: farther away a correction's slopes tell no more.
 TRUSTED = 0.25
 DIRECTIONS_DEG = (9.0, 27.0, 45.0, 63.0, 81.0)
@@ -33,12 +36,15 @@ DIRECTIONS_DEG = (9.0, 27.0, 45.0, 63.0, 81.0)
 @dataclass(frozen=True)
 class Drops:
     """Drops as they were measured: ``y0_m``, ``order`` (drops,), and which quantities (of
-    `table.QUANTITIES`) were."""
+    `table.QUANTITIES`) were. ``session`` (drops,) is one in the second of two sessions, which were
+    told apart among so many ``partings``."""
 
     emulator: Emulator
     y0_m: Array
     order: Array
     quantities: tuple[int, ...]
+    session: Array | float = 0.0
+    partings: int = 1
 
     def __len__(self) -> int:
         return len(self.y0_m)
@@ -96,6 +102,11 @@ class BounceModel:
         if self.refined or not any(p.refines for n in self.effects for p in EFFECTS[n].parameters):
             return None
         return replace(self, refined=True)
+
+    @property
+    def choices(self) -> int:
+        """Of how many models this one was chosen by the data: see `problem.Chosen`."""
+        return self.drops.partings if "session" in self.effects else 1
 
     @property
     def possible(self) -> bool:
@@ -163,6 +174,7 @@ class BounceModel:
             "law": Linear(theta[..., 0][..., None, None]),  # type: ignore[arg-type]
             "height_m": drops.y0_m,
             "order": drops.order,
+            "session": drops.session,
             "chance": (nodes[:, :1], 0.0),
         }
         scene = replace(emulator.scene(), **every)
@@ -246,13 +258,58 @@ class Correction:
 
 
 @dataclass(frozen=True)
-class DropModel(BounceModel):
-    """A `Model` of whitened quantities, drop after drop.
+class Errors:
+    """How readings of drops err: ``sigma`` (q,) of each quantity, ``sigma_y0_m`` of the height
+    before, which all quantities of a drop share; ``present`` (drops, q) tells what was read.
 
-    ``whiten`` (drops, q, q) takes residuals of a drop to independent ones of unit variance.
+    ``whiten`` (drops, q, q) takes residuals of a drop to independent ones of unit variance, for the
+    slopes over the height that the data show; what was not read stays apart. Where ``values``
+    (drops, q) are given, residuals are whitened by the slopes of the model itself: each height is
+    then as the drop's readings together would have it, not as one of them has it (errors in
+    variables: W. A. Fuller, Measurement Error Models (1987), §1.3). Where heights differ by little
+    more than they err, a model would else gain from a slope that is too small.
     """
 
+    sigma: Array
+    sigma_y0_m: float
+    present: NDArray[np.bool_]
     whiten: Array
+    values: Array | None = None
+
+    @classmethod
+    def independent(
+        cls, sigma: Array, present: NDArray[np.bool_], sigma_y0_m: float = 0.0
+    ) -> Errors:
+        """Of quantities (q,) whose errors have nothing in common yet."""
+        return cls(sigma, sigma_y0_m, present, np.diag(1.0 / sigma)[None].repeat(len(present), 0))
+
+    def of(self, which: Sequence[int]) -> Errors:
+        """Those of the drops numbered ``which``, whitened by the data's slopes."""
+        chosen = list(which)
+        return replace(self, present=self.present[chosen], whiten=self.whiten[chosen], values=None)
+
+    def factors(self, slopes: Array) -> Array:
+        """Inverse Cholesky factors (..., drops, q, q) for slopes (..., drops, q) over the
+        height."""
+        moved = np.where(self.present, self.sigma_y0_m * slopes, 0.0)
+        own = np.where(self.present, self.sigma**2, 1.0)
+        covariance = np.einsum("...q,...r->...qr", moved, moved)
+        diagonal = np.arange(len(self.sigma))
+        covariance[..., diagonal, diagonal] += own
+        return np.asarray(np.linalg.inv(np.linalg.cholesky(covariance)))
+
+    def rows(self, measured: Array, whiten: Array | None = None) -> Array:
+        """Whitened rows (..., rows) of quantities (..., drops, q), of those that were read."""
+        factors = self.whiten if whiten is None else whiten
+        known = np.where(self.present, measured, 0.0)
+        return np.asarray(np.einsum("...dqr,...dr->...dq", factors, known)[..., self.present])
+
+
+@dataclass(frozen=True)
+class DropModel(BounceModel):
+    """A `Model` of whitened quantities, drop after drop, those that were read."""
+
+    errors: Errors
     correction: Correction | None = field(default=None, kw_only=True)
 
     @property
@@ -333,6 +390,7 @@ class DropModel(BounceModel):
                 emulator.scene(),
                 height_m=height,
                 order=int(drops.order[i]),
+                session=float(np.broadcast_to(drops.session, len(drops))[i]),
                 law=Linear(float(theta[0])),
             )
             if self.beta is not None:
@@ -346,9 +404,18 @@ class DropModel(BounceModel):
 
     def predict(self, theta: Array) -> Array:
         """Whitened predictions (..., nodes, rows) for parameters (..., p)."""
-        measured = self.measured(theta)
-        rows = np.einsum("dqr,...dr->...dq", self.whiten, measured)
-        return np.asarray(rows.reshape(*rows.shape[:-2], -1))
+        errors, measured = self.errors, self.measured(theta)
+        if errors.values is None:
+            return errors.rows(measured)
+        factors = errors.factors(self.slopes(theta, measured))
+        left = errors.rows(errors.values - measured, factors)
+        return np.asarray(errors.rows(errors.values) - left)
+
+    def slopes(self, theta: Array, measured: Array) -> Array:
+        """The change of what is ``measured`` over the height, in SI of both."""
+        step = STEP * self.drops.y0_m
+        higher = replace(self, drops=replace(self.drops, y0_m=self.drops.y0_m + step))
+        return np.asarray((higher.measured(theta) - measured) / step[:, None])
 
     def measured(self, theta: Array) -> Array:
         """What instruments show, in SI (..., nodes, drops, quantities)."""

@@ -48,6 +48,7 @@ class Truth:
     slope_std_deg: float = 0.0
     phases_decades: float = 0.0
     wear_decades: float = 0.0
+    session_decades: float = 0.0
     cd: float = 0.0
     release_m_s: float = 0.0
     offset_m: float = 0.0
@@ -86,6 +87,7 @@ LISTED = {
         Listed("surface_slope", "std_deg", 0.0, 5.0),
         Listed("surface_phases", "std_decades", 0.0, 1.0),
         Listed("wear", "decades", -4.0, 4.0),
+        Listed("session", "decades", -1.0, 1.0),
     )
 }
 _LAWS = {
@@ -105,6 +107,7 @@ _FIELDS = {
     "surface_slope": "slope_std_deg",
     "surface_phases": "phases_decades",
     "wear": "wear_decades",
+    "session": "session_decades",
 }
 
 
@@ -127,7 +130,9 @@ def seen(truth: Truth, heights_m: Array, chance: Array) -> Array:
     out = np.empty((len(heights_m), 4))
     for i, (height, luck) in enumerate(zip(heights_m, chance, strict=True)):
         speed = speed_down(truth, height, truth.release_m_s)
-        top, out[i, 2], out[i, 3] = bounce(truth, speed, i, luck)
+        later = truth.session_decades if 2 * i >= len(heights_m) else 0.0
+        own = replace(truth, kn_N_m=truth.kn_N_m * 10.0**later)
+        top, out[i, 2], out[i, 3] = bounce(own, speed, i, luck)
         out[i, 0], out[i, 1] = height, top
     out[:, :2] = (1.0 + truth.scale) * (out[:, :2] + truth.offset_m)
     out[:, 2] *= 1.0 + truth.clock

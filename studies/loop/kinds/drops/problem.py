@@ -1,8 +1,9 @@
 """A dataset of drops as a problem of the loop.
 
-Rows are, drop after drop, the height after the impact and, where they were measured, the contact
-time and the peak force. The height before it is measured too: its error is carried into all rows
-of its drop, through the slope that the baseline and the data show. What is not declared is
+Rows are, drop after drop, the height after the impact, the contact time and the peak force, each
+where it was read. The height before it is measured too: its error is carried into all rows of its
+drop, through the slope that the baseline and the data show or, where heights hardly differ, that
+of each model (`Errors`). What is not declared is
 unknown: friction, on which what leans hangs, the damping of a body that is described without one,
 and the gain of a force sensor to within its class.
 """
@@ -28,10 +29,11 @@ from ....data import datasets
 from ....data.datasets import Manifest
 from ....data.tables import LEAST_DROPS
 from ...noise import Ints
-from ...problem import Experiment, Model, Problem, refined_as
-from ...responses.drop_model import DropModel, Drops
+from ...problem import Entry, Experiment, Model, Problem, refined_as
+from ...responses.drop_model import STEP, DropModel, Drops, Errors
 from ...responses.emulator import KN_RANGE_N_M, Emulator
 from ...responses.rigid import RigidEmulator, rigid_emulator
+from .bookkeeping import Table, misread
 
 KIND = "drops"
 # A contact stiffness that is declared is taken as known to this share.
@@ -46,6 +48,14 @@ SIGMA_M = 1e-3
 BETA_UNKNOWN_S = 1e-7
 # Of the ratio of data to baseline over the height: an error of its slope is one of a variance.
 RATIO_DEGREE = 3
+# Sum of squares, in standard deviations, of what a slope that is too small leaves, from which on
+# errors of the heights count as those of every model: a tenth of one value's noise.
+DILUTED = 0.1
+# Numbers missing, over the usual step between them, after which another session began; and how many
+# drops a session has, to be told from slips.
+MISSING, FEWEST_IN_SESSION = 10.0, 4
+# Standard deviations by which a fitted height may differ from the one that was read.
+MOST_SHIFTED = 3.0
 SCALES = (1e3, 1e6, 1.0)
 # What is within reach: an electrical contact's timing, a piezo-electric cell under the plate, a
 # ruler in the film's plane read to a tenth of a millimetre.
@@ -53,6 +63,8 @@ NEXT_TIME_S = 1e-6
 NEXT_FORCE_N = 0.5
 NEXT_HEIGHT_M = 1e-4
 Build = Callable[[Drops, Mapping[int, float], tuple[str, ...]], DropModel]
+# As a table has them.
+COLUMNS, IN_TABLE = ("y1_mm", "contact_time_ms", "peak_force_N"), (1e3, 1e3, 1.0)
 NAMES = ("y1 (mm)", "contact time (µs)", "peak force (N)")
 
 
@@ -61,67 +73,118 @@ def read_problem(folder: Path) -> Problem:
     return drops_problem(datasets.read_drops(folder))
 
 
-def drops_problem(data: datasets.Drops) -> Problem:
-    """The problem of a dataset of drops. Raises InputError where it cannot be one."""
-    manifest = data.manifest
+def drops_problem(data: datasets.Drops, wrong: tuple[Entry, ...] = ()) -> Problem:
+    """The problem of a dataset of drops; ``wrong`` is what its table had wrong, and is set aside.
+
+    Raises InputError where it cannot be one.
+    """
+    manifest, every = data.manifest, data
+    without = data.drop[~np.isfinite(data.y0_m)]
+    data = data.of(np.isfinite(data.y0_m))
     measured, sigmas, notes = _measured(data)
     emulator = emulator_for(data.y0_m, manifest)
-    drops = Drops(emulator, data.y0_m, data.drop - data.drop[0], tuple(measured))
+    drops = Drops(emulator, data.y0_m, order_of(data.drop), tuple(measured))
     values = np.stack([measured[q] for q in drops.quantities], axis=1)
-    keep = np.asarray(np.isfinite(values).all(axis=1))
-    if not keep.all():
-        drops = replace(drops, y0_m=drops.y0_m[keep], order=drops.order[keep])
-        values = values[keep]
     for name in carried(KIND, drops.quantities):
         if EFFECTS[name].origin and not emulator.carries(name):
             notes[name] = "left aside: of a rigid body the loop knows its own effects alone"
-    unwhitened = np.eye(len(measured))[None].repeat(len(values), 0)
     kn, beta = stiffness(manifest.kn_N_m, emulator), damping(manifest)
     gain = FORCE_GAIN if 2 in measured else None
-    bare = DropModel(drops, kn, (), unwhitened, beta=beta, gain=gain)
     sigma = np.array([sigmas[q] for q in drops.quantities])
+    sigma_0 = data.sigma_y0_m or sigmas[0]
+    plain = Errors.independent(sigma, np.isfinite(values), sigma_0)
+    bare = DropModel(drops, kn, (), plain, beta=beta, gain=gain)
     start = _start(bare, values, sigma)
+    entries = _misread(data, bare, start, values)
+    if entries:
+        aside = [n for each in entries for n in each.drops[each.kind == "repeated" :]]
+        return drops_problem(every.of(~np.isin(every.drop, aside)), (*wrong, *entries))
     predicted = bare.measured(start)[0]
-    ratios = dict(zip(drops.quantities, _ratios(drops.y0_m, values, predicted, sigma), strict=True))
-    whiten = _whitening(bare, start, sigma, ratios)
-    n_q = len(drops.quantities)
-    number = (drops.order + data.drop[0]).astype(np.int64)
+    close = _close_together(data.y0_m, sigma_0)
+    most = 0 if close else RATIO_DEGREE
+    fits = _ratios(drops.y0_m, values, predicted, sigma, most)
+    ratios = dict(zip(drops.quantities, fits, strict=True))
+    slopes = _slopes(bare, start, ratios)
+    errors = replace(plain, whiten=plain.factors(slopes), values=values if close else None)
+    present = errors.present
+    height_m = drops.y0_m
+    expected = predicted * np.stack([each(drops.y0_m) for each in fits], axis=1)
+    left = (values - expected) / np.hypot(sigma, sigma_0 * slopes)
+    session, partings = sessions(data, left)
+    bare = replace(bare, drops=replace(drops, session=session, partings=partings))
+    if close:
+        height_m = _fitted_heights(drops.y0_m, errors, slopes, values - expected)
+    number = np.broadcast_to(data.drop.astype(np.int64)[:, None], values.shape)
 
     def model(effects: Sequence[str]) -> DropModel:
-        return replace(bare, effects=tuple(effects), whiten=whiten)
+        return replace(bare, effects=tuple(effects), errors=errors)
 
     def proposed(other: Drops, known: Mapping[int, float], effects: tuple[str, ...]) -> DropModel:
         each = np.array([known[q] for q in other.quantities])
-        plain = replace(bare, drops=other, whiten=np.eye(len(each))[None].repeat(len(other), 0))
-        return replace(plain, effects=effects, whiten=_whitening(plain, start, each, ratios))
+        least = sigma_0 * min(1.0, known[0] / sigmas[0])
+        plain = Errors.independent(each, np.ones((len(other), each.size), dtype=bool), least)
+        unlike = replace(bare, drops=other, effects=(), errors=plain)
+        own = replace(plain, whiten=plain.factors(_slopes(unlike, start, ratios)))
+        return replace(unlike, effects=effects, errors=own)
 
     # the last row of a Cholesky factor's inverse has its own scale on the diagonal
-    scale = np.array([SCALES[q] for q in drops.quantities]) / np.einsum("dqq->dq", whiten)
+    whiten = np.einsum("dqq->dq", errors.whiten)
+    scale = np.array([SCALES[q] for q in drops.quantities]) / whiten
+    names = np.array([NAMES[q] for q in drops.quantities])
+    listed = ", ".join(f"{each:g}" for each in without)
     return Problem(
-        values=np.einsum("dqr,dr->dq", whiten, values).ravel(),
-        scale=scale.ravel(),
+        values=errors.rows(values),
+        scale=scale[present],
         unit="mm",
-        quantity=np.tile(np.array([NAMES[q] for q in drops.quantities]), len(values)),
-        group=np.repeat(number, n_q),
-        covariates=_covariates(data, drops, keep),
+        quantity=np.broadcast_to(names, values.shape)[present],
+        main=NAMES[0],
+        group=number[present],
+        covariates=_covariates(data, drops, height_m, present),
         baseline=model(()),
         candidates=[
             model((name,))
             for name in carried(KIND, drops.quantities)
-            if emulator.carries(name) and (beta is None or name != "material_damping")
+            if emulator.carries(name)
+            and (beta is None or name != "material_damping")
+            and (partings or name != "session")
         ],
         combine=model,
         experiments=experiments(drops, sigmas, proposed),
         confirm=None
         if emulator.no_solid
         else lambda effects, theta, groups: _solid(
-            refined_as(model(effects), theta.size), theta, groups, number
+            refined_as(model(effects), theta.size), theta, groups, number[:, 0]
         ),
         confirm_why=emulator.no_solid,
         sigma_declared=data.sigma_y_m is not None,
         notes=notes,
         warnings=data.doubts,
+        left_aside=(f"drops without y0_mm: {listed}",) if listed else (),
+        bookkeeping=wrong,
+        with_sigma=lambda times: drops_problem(every.with_sigma(times), wrong),
     )
+
+
+def _misread(data: datasets.Drops, bare: DropModel, start: Array, values: Array) -> list[Entry]:
+    """What the table has wrong."""
+
+    def predict(y0_m: Array) -> Array:
+        others = replace(bare.drops, y0_m=y0_m, order=np.zeros(len(y0_m)))
+        return np.asarray(replace(bare, drops=others).measured(start)[0])
+
+    errors, quantities = bare.errors, bare.drops.quantities
+    moved = errors.sigma_y0_m * _slopes(bare, start, {})
+    table = Table(
+        number=data.drop.astype(np.int64),
+        y0_m=data.y0_m,
+        values=values,
+        sigma=np.hypot(errors.sigma, moved),
+        sigma_y0_m=errors.sigma_y0_m,
+        columns=tuple(COLUMNS[q] for q in quantities),
+        unit=tuple(IN_TABLE[q] for q in quantities),
+        predict=predict,
+    )
+    return misread(table)
 
 
 def _solid(model: Model, theta: Array, groups: Ints, number: Ints) -> Array:
@@ -132,13 +195,106 @@ def _solid(model: Model, theta: Array, groups: Ints, number: Ints) -> Array:
     return whitened_solid(model, theta, groups, number)
 
 
-def _covariates(data: datasets.Drops, drops: Drops, keep: NDArray[np.bool_]) -> dict[str, Array]:
+def _covariates(
+    data: datasets.Drops, drops: Drops, height_m: Array, present: NDArray[np.bool_]
+) -> dict[str, Array]:
     """By name (rows,); sessions are numbered as they first come."""
-    found = {"height": drops.y0_m, "order": drops.order.astype(float)}
+    found = {"height": height_m, "order": drops.order.astype(float)}
     if data.session is not None:
         number = {name: float(i) for i, name in enumerate(dict.fromkeys(data.session))}
-        found["session"] = np.array([number[name] for name in data.session])[keep]
-    return {name: np.repeat(values, len(drops.quantities)) for name, values in found.items()}
+        found["session"] = np.array([number[name] for name in data.session])
+    return {
+        name: np.broadcast_to(values[:, None], present.shape)[present]
+        for name, values in found.items()
+    }
+
+
+def _close_together(y0_m: Array, sigma_y0_m: float) -> bool:
+    """Whether heights differ so little that a slope over them, as measured, is too small by as much
+    as data of this number would show.
+
+    It is too small by the variance of the errors over that of the heights. What this leaves has a
+    sum of squares of at most that share times the number of drops, in standard deviations.
+    Heights that come again and again to the last digit were set and not read: what they are off by
+    makes no slope too small (J. Berkson, J. Am. Stat. Assoc. 45 (1950) 164).
+    """
+    if 2 * np.unique(y0_m).size <= len(y0_m):
+        return False
+    spread = float(np.var(y0_m))
+    return len(y0_m) * sigma_y0_m**2 > DILUTED * spread
+
+
+def _slopes(plain: DropModel, at: Array, ratios: Mapping[int, Legendre]) -> Array:
+    """Slopes (drops, q) over the height of what is expected: the baseline's predictions times what
+    is measured over them, ``ratios`` by quantity."""
+    y0_m = plain.drops.y0_m
+
+    def expected(y0_m: Array) -> Array:
+        drops = replace(plain.drops, y0_m=y0_m)
+        found = replace(plain, drops=drops).measured(at)[0]
+        for i, q in enumerate(drops.quantities):
+            if q in ratios:
+                found[:, i] *= ratios[q](np.clip(y0_m, *ratios[q].domain))
+        return found
+
+    step = STEP * y0_m
+    return np.asarray((expected(y0_m + step) - expected(y0_m - step)) / (2.0 * step)[:, None])
+
+
+def _fitted_heights(y0_m: Array, errors: Errors, slopes: Array, left: Array) -> Array:
+    """Heights (drops,) as all readings of each drop have them; ``left`` (drops, q) is what the
+    expectation at the height as read leaves. What it leaves is independent of these heights, and
+    not of those that were read."""
+    moved = np.where(errors.present, errors.sigma_y0_m * slopes, 0.0)
+    weight = 1.0 / errors.sigma**2
+    known = np.where(errors.present, left, 0.0)
+    shift = np.sum(moved * weight * known, axis=1) / (1.0 + np.sum(moved**2 * weight, axis=1))
+    return y0_m + errors.sigma_y0_m * np.clip(shift, -MOST_SHIFTED, MOST_SHIFTED)
+
+
+def order_of(drop: Array) -> Array:
+    """Drops (drops,) counted from zero by their numbers; what was not numbered between two sessions
+    was not made."""
+    step = np.diff(drop, prepend=drop[:1])
+    return np.asarray(np.cumsum(np.where(_later(drop), 1.0, step)))
+
+
+def _later(drop: Array) -> NDArray[np.bool_]:
+    """Whether so many numbers are missing before a drop (drops,) that it began a session."""
+    step = np.diff(drop, prepend=drop[:1])
+    usual = float(np.median(step[1:])) if step.size > 1 else 1.0
+    return np.asarray(step > MISSING * max(usual, 1.0))
+
+
+def sessions(data: datasets.Drops, left: Array) -> tuple[Array, int]:
+    """Which drops (drops,) are of the second of two sessions, and among how many ways to part them
+    that was chosen: the one that explains most of what is ``left`` (drops, q) by two levels.
+
+    Where sessions are told, by a column or by gaps in the numbering, they are parted at one of
+    their boundaries, or one of them from all others; else anywhere in the order.
+    """
+    n = len(data.drop)
+    if data.session is not None:
+        names = list(dict.fromkeys(data.session))
+        label = np.array([names.index(each) for each in data.session])
+    else:
+        label = np.cumsum(_later(data.drop))
+    count = int(label.max()) + 1
+    if count > 1:
+        ways = [label >= k for k in range(1, count)]
+        ways += [label == k for k in range(1, count - 1)] if count > 2 else []
+    else:
+        ways = [np.arange(n) >= k for k in range(FEWEST_IN_SESSION, n - FEWEST_IN_SESSION + 1)]
+    ways = [way for way in ways if min(way.sum(), n - way.sum()) >= FEWEST_IN_SESSION]
+    if not ways:
+        return np.zeros(n), 0
+    there, soft = np.isfinite(left), np.clip(np.where(np.isfinite(left), left, 0.0), -5.0, 5.0)
+    gains = []
+    for way in ways:
+        sizes = np.array([there[side].sum(axis=0) for side in (way, ~way)])
+        sums = np.array([soft[side].sum(axis=0) for side in (way, ~way)])
+        gains.append(float(np.sum(sums**2 / np.maximum(sizes, 1))))
+    return ways[int(np.argmax(gains))].astype(float), len(ways)
 
 
 def carried(kind: str, quantities: Sequence[int]) -> list[str]:
@@ -215,9 +371,10 @@ def _measured(
         raise InputError(
             f"{data.manifest.table()}: {len(data.y1_m)} drops; the loop needs four or more"
         )
-    if np.ptp(data.y1_m) == 0.0 < np.ptp(data.y0_m):
+    least, most = np.nanmin(data.y1_m), np.nanmax(data.y1_m)
+    if least == most and np.ptp(data.y0_m) > 0.0:
         raise InputError(
-            f"{data.manifest.table()}: y1_mm is {1e3 * data.y1_m[0]:g} in every drop, whatever "
+            f"{data.manifest.table()}: y1_mm is {1e3 * least:g} in every drop, whatever "
             "y0_mm; is the reading stuck?"
         )
     return measured, sigmas, notes
@@ -230,45 +387,31 @@ def _start(plain: DropModel, values: Array, sigmas: Array) -> Array:
         for i, each in enumerate(plain.parameters)
     ]
     grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, len(axes))
-    miss = (((plain.measured(grid)[:, 0] - values) / sigmas) ** 2).sum(axis=2)
+    miss = np.nansum(((plain.measured(grid)[:, 0] - values) / sigmas) ** 2, axis=2)
     return np.asarray(grid[int(np.argmin(np.median(miss, axis=1)))])
 
 
-def _ratios(y0_m: Array, values: Array, predicted: Array, sigmas: Array) -> list[Legendre]:
+def _ratios(
+    y0_m: Array, values: Array, predicted: Array, sigmas: Array, most: int
+) -> list[Legendre]:
     """Of each quantity, what is measured (drops, q) over what is ``predicted``, as a function of
-    the height: a polynomial, whose degree the Bayesian information criterion chooses (G. Schwarz,
-    Ann. Stat. 6 (1978) 461). Where an effect is strong its slope is not the baseline's."""
-    n = len(y0_m)
-    most = min(RATIO_DEGREE, n // 4 - 1, np.unique(y0_m).size - 2)
+    the height: a polynomial of ``most`` degrees, which the Bayesian information criterion chooses
+    (G. Schwarz, Ann. Stat. 6 (1978) 461). Where an effect is strong its slope is not the
+    baseline's."""
     out = []
+    low, high = float(y0_m.min()), float(y0_m.max())
+    domain = [low, high if high > low else 1.01 * low]  # slopes are asked for at every height
     for value, expected, sigma in zip(values.T, predicted.T, sigmas, strict=True):
-        ratio, weight = value / expected, np.abs(expected) / sigma
-        fits = [Legendre.fit(y0_m, ratio, k, w=weight) for k in range(max(most, 0) + 1)]
-        misses = [float(np.mean((weight * (ratio - each(y0_m))) ** 2)) for each in fits]
+        there = np.isfinite(value)
+        x, n = y0_m[there], int(np.sum(there))
+        ratio = np.asarray(value / expected)[there]
+        weight = np.asarray(np.abs(expected) / sigma)[there]
+        highest = max(min(most, n // 4 - 1, np.unique(x).size - 2), 0)
+        fits = [Legendre.fit(x, ratio, k, w=weight, domain=domain) for k in range(highest + 1)]
+        misses = [float(np.mean((weight * (ratio - each(x))) ** 2)) for each in fits]
         costs = [n * math.log(max(miss, 1e-12)) + k * math.log(n) for k, miss in enumerate(misses)]
         out.append(fits[int(np.argmin(costs))])
     return out
-
-
-def _whitening(plain: DropModel, at: Array, sigmas: Array, ratios: Mapping[int, Legendre]) -> Array:
-    """Per drop, the inverse Cholesky factor of noise and of the error of y0, (drops, q, q).
-
-    ``ratios`` by quantity are what is measured over the baseline's predictions.
-    """
-    step = 1e-3 * plain.drops.y0_m
-
-    def expected(y0_m: Array) -> Array:
-        drops = replace(plain.drops, y0_m=y0_m)
-        found = replace(plain, drops=drops).measured(at)[0]
-        for i, q in enumerate(drops.quantities):
-            if q in ratios:
-                found[:, i] *= ratios[q](np.clip(y0_m, *ratios[q].domain))
-        return found
-
-    change = expected(plain.drops.y0_m + step) - expected(plain.drops.y0_m - step)
-    moved = sigmas[0] * change / (2.0 * step)[:, None]
-    covariance = np.diag(sigmas**2) + np.einsum("dq,dr->dqr", moved, moved)
-    return np.linalg.inv(np.linalg.cholesky(covariance))
 
 
 def experiments(drops: Drops, sigmas: Mapping[int, float], build: Build) -> list[Experiment]:

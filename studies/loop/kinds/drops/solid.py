@@ -142,5 +142,4 @@ def whitened_solid(
     the model's drops."""
     which = [int(i) for i in np.flatnonzero(np.isin(group, groups))]
     measured = solid_drops(model, np.asarray(theta, dtype=float), which)
-    rows = np.einsum("dqr,dr->dq", model.whiten[which], measured)
-    return np.asarray(rows.ravel())
+    return model.errors.of(which).rows(measured)

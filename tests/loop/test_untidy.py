@@ -1,0 +1,346 @@
+"""Tables as laboratories hand them in: slips, empty cells, wrong error bars, sessions, heights that
+hardly differ. Found as they are, and taken for no effect."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from made_drops import QUICK, SIGMA_MM, write_drops
+from scipy.stats import binom
+
+from bristle.solver.effects.library import EFFECTS
+from bristle.solver.errors import InputError
+from bristle.studies.data.datasets import read_drops
+from bristle.studies.loop.kinds.drops import problem as drops_module
+from bristle.studies.loop.kinds.drops.bookkeeping import Table, meant, misread
+from bristle.studies.loop.kinds.drops.problem import drops_problem, order_of
+from bristle.studies.loop.responses.drop_model import Errors
+from bristle.studies.loop.run import find
+from bristle.studies.loop.scatter import Scatter
+
+pytestmark = pytest.mark.serial
+HEAD = "[dataset]\ntitle = 'T'\nkind = 'drops'\n\n[measurement]\nsigma_y_mm = 0.3\n"
+
+
+# --- slips, on tables of a toy that falls in proportion to the height ---------------------------
+
+
+def toy(rng, n=48, sigma=2.5e-4, noise=None):
+    """A table whose y1 is 0.6 of y0, smoothly changed by something that no effect need be."""
+    y0 = rng.permutation(np.resize([0.01, 0.02, 0.03, 0.04, 0.05], n)) + 5e-4 * rng.normal(size=n)
+    order = np.log1p(np.arange(n)) / math.log(n)
+    y1 = 0.6 * y0 * (1.0 + 0.2 * rng.normal() * y0 / 0.05 + 0.1 * rng.normal() * order)
+    errors = rng.normal(size=(n, 2)) if noise is None else noise(rng, (n, 2))
+    seen = np.round(np.column_stack([y0, y1]) + sigma * errors, 5)
+    return table(seen[:, 0], seen[:, 1:], sigma)
+
+
+def table(y0, values, sigma=2.5e-4):
+    return Table(
+        number=1 + np.arange(len(y0)),
+        y0_m=y0,
+        values=values,
+        sigma=np.full(values.shape, math.hypot(sigma, 0.6 * sigma)),
+        sigma_y0_m=sigma,
+        columns=("y1_mm",),
+        unit=(1e3,),
+        predict=lambda heights: 0.6 * heights[:, None],
+    )
+
+
+def with_slip(made, how, rng):
+    """The table with one thing written wrongly in a drop of at least 30 mm, and that drop."""
+    y0, values = made.y0_m.copy(), made.values.copy()
+    row = int(rng.choice(np.flatnonzero(y0 > 0.028)))
+    text = f"{1e3 * values[row, 0]:.2f}"
+    if how == "point":
+        values[row] *= rng.choice([0.1, 10.0])
+    elif how == "missing":
+        values[row] = 1e-3 * float(text[1:])
+    elif how == "doubled":
+        values[row] = 1e-3 * float(text[0] + text)
+    elif how == "columns":
+        y0[row], values[row, 0] = values[row, 0], y0[row]
+    elif how == "y0":
+        y0[row] *= 0.1
+    elif how == "anything":
+        values[row] *= 1.6
+    return table(y0, values), row + 1
+
+
+@pytest.mark.parametrize("how", ["point", "missing", "doubled", "columns", "y0", "anything"])
+def test_a_slip_is_named_with_its_row(how):
+    found = []
+    for seed in range(20):
+        rng = np.random.default_rng([seed, len(how)])
+        wrong, drop = with_slip(toy(rng), how, rng)
+        found.append([(each.kind, each.drops) for each in misread(wrong)] == [("slip", (drop,))])
+    assert sum(found) >= 18
+
+
+def test_rows_that_have_changed_places_and_rows_written_twice():
+    rng = np.random.default_rng(5)
+    made = toy(rng)
+    low, high = int(np.argmin(made.y0_m)), int(np.argmax(made.y0_m))
+    values = made.values.copy()
+    values[[low, high]] = values[[high, low]]
+    (entry,) = misread(replace(made, values=values))
+    assert (entry.kind, set(entry.drops)) == ("exchanged", {low + 1, high + 1})
+    y0, values = made.y0_m.copy(), made.values.copy()
+    y0[30], values[30] = y0[12], values[12]
+    (entry,) = misread(replace(made, y0_m=y0, values=values))
+    assert (entry.kind, entry.drops) == ("repeated", (13, 31))
+    coarse = replace(made, y0_m=np.round(y0, 3), values=np.round(values, 3))
+    assert not misread(coarse)  # read to a millimetre, such rows come by chance
+
+
+def heavy(rng, shape):
+    return rng.standard_t(3.0, size=shape) / math.sqrt(3.0)
+
+
+def outliers(rng, shape):
+    return rng.normal(size=shape) * np.where(rng.random(shape) < 0.05, 5.0, 1.0)
+
+
+@pytest.mark.parametrize("noise", [None, heavy, outliers], ids=["normal", "heavy", "outliers"])
+def test_noise_is_seldom_taken_for_a_slip(noise):
+    """In one table of a hundred, or three where the noise itself has outliers."""
+    count, rate = 150, 0.03 if noise is outliers else 0.01
+    found = sum(bool(misread(toy(np.random.default_rng(s), noise=noise))) for s in range(count))
+    assert found <= binom.ppf(0.999, count, rate)
+
+
+def test_many_rows_that_are_off_are_no_slips():
+    """They are a shape: a band of heights, or drops side by side."""
+    made = toy(np.random.default_rng(8))
+    values = made.values.copy()
+    values[made.y0_m > 0.045] *= 1.6
+    assert not misread(replace(made, values=values))
+    rng = np.random.default_rng(9)
+    heights = 0.05 + 2.5e-4 * rng.normal(size=48)
+    level = table(heights, 0.03 + 2.5e-4 * rng.normal(size=(48, 1)))
+    values = level.values.copy()
+    values[20:24] *= 1.6
+    assert not misread(replace(level, values=values))
+    values[21:23] = level.values[21:23]
+    assert [each.drops for each in misread(replace(level, values=values))] == [(21,), (24,)]
+
+
+def test_what_may_have_been_meant():
+    written, share, _ = meant(34.1)
+    for each in (341.0, 3.41, 43.1, 34.17, 234.1):
+        assert np.isclose(written, each).any(), each
+    assert (share > 0.0).all()
+    assert np.isclose(meant(33.1)[0], 3.1).any()
+
+
+# --- errors in both heights ---------------------------------------------------------------------
+
+
+def test_residuals_of_a_drop_are_whitened_for_any_slope():
+    """Against draws: unit variance and no correlation, a quantity that was not read left out."""
+    rng = np.random.default_rng(2)
+    sigma, sigma_0 = np.array([3e-4, 2e-6]), 4e-4
+    errors = Errors.independent(sigma, np.array([[True, True], [True, False]]), sigma_0)
+    slopes = np.array([[0.6, 3e-3], [0.6, 3e-3]])
+    heights = sigma_0 * rng.normal(size=(200_000, 2, 1))
+    left = sigma * rng.normal(size=(200_000, 2, 2)) - slopes * heights
+    left[:, 1, 1] = np.nan
+    rows = errors.rows(left, errors.factors(slopes))
+    assert rows.shape == (200_000, 3)
+    assert np.cov(rows.T) == pytest.approx(np.eye(3), abs=0.02)
+
+
+@pytest.mark.parametrize("true_spread_m", [0.0, 2e-4, 5e-4])
+def test_the_slope_of_heights_that_hardly_differ_is_not_taken_for_an_effect(
+    true_spread_m, tmp_path
+):
+    """Sixty drops from 50 mm: what is read of the height after falls with the error of the one
+    before, as it would if contact yielded. What is tested is looked at against heights that both
+    readings make together, of which the rest is independent."""
+    rng = np.random.default_rng(3)
+    height = 0.05 + true_spread_m * rng.normal(size=60)
+    seen = np.column_stack([height, 0.6575 * height]) + 4e-4 * rng.normal(size=(60, 2))
+    write_table(tmp_path, seen, sigma_mm=0.4)
+    problem = drops_problem(read_drops(tmp_path))
+    assert problem.baseline.errors.values is not None
+    left = problem.values - problem.baseline.predict(np.array([2e6]))[0]
+    fitted = problem.covariates["height"]
+    error = 1.0 / math.sqrt(58)
+    # by theory the correlation with what was read is -0.55 where heights are all the same
+    as_read = np.corrcoef(left, seen[:, 0])[0, 1]
+    if true_spread_m == 0.0:
+        assert as_read == pytest.approx(-0.6575 / math.hypot(1.0, 0.6575), abs=3.0 * error)
+    assert np.corrcoef(left, fitted)[0, 1] == pytest.approx(0.0, abs=3.0 * error)
+    assert find(problem).verdict == "adequate"
+
+
+def test_the_error_of_the_height_before_may_be_declared_apart(tmp_path):
+    write_drops(tmp_path)
+    one = drops_problem(read_drops(tmp_path))
+    text = (tmp_path / "dataset.toml").read_text()
+    (tmp_path / "dataset.toml").write_text(f"{text}sigma_y0_mm = 1.2\n")
+    other = drops_problem(read_drops(tmp_path))
+    slope = float(np.median(read_drops(tmp_path).y1_m / read_drops(tmp_path).y0_m))
+    expected = math.hypot(1.0, 4.0 * slope) / math.hypot(1.0, slope)
+    assert np.median(other.scale) / np.median(one.scale) == pytest.approx(expected, rel=0.02)
+
+
+# --- cells --------------------------------------------------------------------------------------
+
+
+def write_table(folder: Path, seen, sigma_mm=SIGMA_MM, numbers=None, extra=None):
+    """Heights in m (drops, 2) as a dataset; ``extra`` is a column and its cells."""
+    numbers = 1 + np.arange(len(seen)) if numbers is None else numbers
+    head, cells = extra or ("", [""] * len(seen))
+    rows = [
+        f"{n},{1e3 * y0:.4f},{1e3 * y1:.4f}{',' if head else ''}{cell}"
+        for n, (y0, y1), cell in zip(numbers, seen, cells, strict=True)
+    ]
+    title = "drop,y0_mm,y1_mm" + (f",{head}" if head else "")
+    (folder / "drops.csv").write_text("\n".join([title, *rows, ""]))
+    (folder / "dataset.toml").write_text(HEAD.replace("0.3", f"{sigma_mm}"))
+    return folder
+
+
+def edited(folder: Path, change):
+    """The dataset with the cells of its rows changed."""
+    head, *rows = [line.split(",") for line in (folder / "drops.csv").read_text().split()]
+    change(rows)
+    (folder / "drops.csv").write_text("\n".join(",".join(row) for row in (head, *rows)) + "\n")
+    return folder
+
+
+def test_an_empty_cell_costs_itself(tmp_path):
+    """Of the quantities that a drop has, each that was read is a row of its own."""
+    write_drops(tmp_path, forces=True)
+    whole = drops_problem(read_drops(tmp_path))
+
+    def empty(rows):
+        rows[0][2] = ""  # the first height after
+        for row in rows[6:]:
+            row[3] = ""  # contact times in six drops alone
+        rows[9][1] = ""  # of a drop no height before
+
+    problem = drops_problem(read_drops(edited(tmp_path, empty)))
+    names = list(problem.quantity)
+    assert [names.count(name) for name in dict.fromkeys(whole.quantity)] == [38, 6, 39]
+    assert problem.main == "y1 (mm)"
+    assert problem.left_aside == ("drops without y0_mm: 10",)
+    assert 10 not in problem.group
+    theta = np.array([2e6, 1.0])
+    for model, of in ((whole, whole.group), (problem, problem.group)):
+        assert model.baseline.predict(theta).shape[-1] == of.size
+    # whitening ties a drop's quantities together, and the heights after come first
+    first = (problem.quantity == "y1 (mm)") & (problem.group > 6)
+    same = (whole.quantity == "y1 (mm)") & np.isin(whole.group, problem.group[first])
+    assert problem.values[first] == pytest.approx(whole.values[same], rel=2e-3)
+
+
+def test_a_column_without_a_value_is_as_none(tmp_path):
+    write_drops(tmp_path, forces=True)
+    found = read_drops(edited(tmp_path, lambda rows: [row.__setitem__(3, "") for row in rows]))
+    assert found.contact_time_s is None
+    assert set(drops_problem(found).quantity) == {"y1 (mm)", "peak force (N)"}
+
+
+def test_a_reading_may_lie_some_sigma_below_zero(tmp_path):
+    write_drops(tmp_path)
+    edited(tmp_path, lambda rows: rows[3].__setitem__(2, "-1.4"))
+    assert read_drops(tmp_path).y1_m[3] == -1.4e-3
+    edited(tmp_path, lambda rows: rows[3].__setitem__(2, "-1.6"))
+    with pytest.raises(InputError, match=r"drops.csv:5: y1_mm must be -1.5 or more"):
+        read_drops(tmp_path)
+
+
+# --- sessions and error bars --------------------------------------------------------------------
+
+
+def test_numbers_that_are_missing_begin_a_session_and_are_no_drops():
+    numbers = np.array([1.0, 2.0, 4.0, 5.0, 1001.0, 1002.0])
+    assert list(order_of(numbers)) == [0.0, 1.0, 3.0, 4.0, 5.0, 6.0]
+    assert list(order_of(np.arange(5.0, 105.0, 5.0))) == list(np.arange(0.0, 100.0, 5.0))
+
+
+@pytest.fixture
+def few(monkeypatch):
+    """A handful of candidates, which need no tables of their own."""
+    names = [*QUICK, "session"]
+    monkeypatch.setattr(drops_module, "carried", lambda kind, quantities: list(names))
+
+
+def two_days(tmp_path, **how):
+    """Drops whose contact is a fifth stiffer in the second half, by the program's own beam."""
+    one, other = tmp_path / "one", tmp_path / "other"
+    write_drops(one)
+    write_drops(other, [EFFECTS["session"](0.12)])
+    parts = [read_drops(each) for each in (one, other)]
+    seen = np.concatenate(
+        [
+            np.column_stack([each.y0_m, each.y1_m])[20 * i : 20 * (i + 1)]
+            for i, each in enumerate(parts)
+        ]
+    )
+    return write_table(tmp_path, seen, **how)
+
+
+@pytest.mark.parametrize("told", ["column", "gap", "nowhere"])
+def test_a_difference_between_sessions_is_named_as_such(told, few, tmp_path):
+    how = {
+        "column": {"extra": ("session", ["a"] * 20 + ["b"] * 20)},
+        "gap": {"numbers": [*range(1, 21), *range(1001, 1021)]},
+        "nowhere": {},
+    }[told]
+    found = find(drops_problem(read_drops(two_days(tmp_path, **how))))
+    assert found.effects == ("session",)
+    assert found.parameters["decades"].low < 0.12 < found.parameters["decades"].high
+
+
+def test_wear_is_no_session(few, tmp_path):
+    write_drops(tmp_path, [EFFECTS["wear"](1.5)])
+    assert find(drops_problem(read_drops(tmp_path))).effects == ("wear",)
+
+
+def test_error_bars_that_are_too_large_are_said_to_be_and_hide_nothing(few, tmp_path):
+    write_drops(tmp_path, [EFFECTS["wear"](1.0)])
+    text = (tmp_path / "dataset.toml").read_text()
+    (tmp_path / "dataset.toml").write_text(text.replace(f"= {SIGMA_MM}", f"= {5 * SIGMA_MM}"))
+    problem = drops_problem(read_drops(tmp_path))
+    told = Scatter.of(problem)
+    assert 5.0 / (1.0 + 3.0 * told.error) < 1.0 / told.ratio < 5.0 * (1.0 + 3.0 * told.error)
+    found = find(problem)
+    assert found.effects == ("wear",)
+    assert found.warnings[0].startswith("your error bars are")
+    assert "times too large" in found.warnings[0]
+
+
+def test_error_bars_that_are_too_small_are_said_to_be_and_are_no_effect(few, tmp_path):
+    rng = np.random.default_rng(9)
+    height = rng.uniform(0.045, 0.05, 48)
+    seen = np.column_stack([height, 0.6575 * height]) + 3e-4 * rng.normal(size=(48, 2))
+    write_table(tmp_path, seen, sigma_mm=0.1)
+    found = find(drops_problem(read_drops(tmp_path)))
+    assert found.verdict == "adequate"
+    assert "times too small" in found.warnings[0]
+
+
+def test_a_slip_is_set_aside_and_the_effect_is_found(few, tmp_path):
+    write_drops(tmp_path, [EFFECTS["wear"](1.5)])
+    edited(tmp_path, lambda rows: rows[17].__setitem__(2, f"{0.1 * float(rows[17][2]):.4f}"))
+    found = find(drops_problem(read_drops(tmp_path)))
+    assert found.effects == ("wear",)
+    (entry,) = found.verdict_json()["bookkeeping"]
+    assert (entry["kind"], entry["drops"]) == ("slip", [18])
+    assert "point is displaced" in entry["why"]
+
+
+@pytest.mark.parametrize("scatter_mm", [0.0, 0.3])
+def test_one_height_to_the_last_digit_is_a_table_like_others(scatter_mm, few, tmp_path):
+    rng = np.random.default_rng(4)
+    seen = np.column_stack([np.full(20, 0.03), 0.0195 + 1e-3 * scatter_mm * rng.normal(size=20)])
+    write_table(tmp_path, seen)
+    assert find(drops_problem(read_drops(tmp_path))).verdict == "adequate"
