@@ -98,13 +98,10 @@ def simulate_drop(
     warnings = _warned(input_warnings(inputs))
     session.trim()
     with compilation_noted():
-        if observe is not None and inputs.model is Model.SOLID:
-            prepared = session.prepare(inputs)
-            assert prepared is not None
+        prepared, observer = session.prepare(inputs), None
+        if observe is not None and prepared is not None and inputs.model is Model.SOLID:
             observer = _observer(observe, prepared)
-            result, timings = session.run(inputs, observer, prepared)
-        else:
-            result, timings = session.run(inputs)
+        result, timings = session.run(inputs, observer, prepared)
     return _document(inputs, result, timings, warnings, session.comm), result
 
 

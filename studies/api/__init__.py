@@ -11,6 +11,7 @@ from __future__ import annotations
 import contextlib
 import functools
 import inspect
+import json
 import logging
 import math
 import re
@@ -29,9 +30,8 @@ from pydantic import BaseModel
 
 from ...meshes.collective import run_on_one_rank, with_mpi
 from ...solver.contact_phase import HISTORY_COLUMNS
-from ...solver.effects.base import Effect
+from ...solver.effects.base import Effect as Effect
 from ...solver.errors import ComputationError, InputError
-from .. import __version__
 from ..drop import run_drop, simulate_drop
 from ..inputs.config import DropInputs, MeshInputs
 from ..inputs.fields import DROP_FLAGS, MESH_FLAGS, STUDY_FLAGS, SWEEP_FLAGS
@@ -52,7 +52,9 @@ from ..running.results import HISTORY_FILE
 from ..running.study import TABLE_FILE, Study, rows_of
 from ..scatter.inputs import ScatterInputs
 from ..sweep import LISTED, SweepInputs, run_sweep
-from .records import Calibration, Dataset, Drop, Energy, Mesh, Record, Scatter, TimeSteps, Verdict
+from .records import Calibration, Dataset, Drop, Mesh, Scatter, TimeSteps, Verdict
+from .records import Energy as Energy
+from .records import Record as Record
 from .signatures import Signature, in_python, signed
 
 if TYPE_CHECKING:
@@ -62,33 +64,6 @@ if TYPE_CHECKING:
     from ...solver.contact_phase import Observer
     from ...solver.solid_fields import FieldRecorder
     from ...solver.time.march import ContactMarch
-
-__all__ = [
-    "BristleWarning",
-    "Calibration",
-    "ComputationError",
-    "Dataset",
-    "Drop",
-    "Effect",
-    "Energy",
-    "InputError",
-    "Mesh",
-    "Record",
-    "Scatter",
-    "Session",
-    "TimeSteps",
-    "Verdict",
-    "__version__",
-    "calibrate",
-    "close_loop",
-    "drop",
-    "its",
-    "mesh",
-    "scatter",
-    "sweep",
-    "synth",
-    "view",
-]
 
 LOG = logging.getLogger("bristle")
 Folder = str | Path
@@ -478,8 +453,6 @@ class Session(CaseSession):
 
     def _document(self, path: Path) -> dict[str, Any]:
         """A JSON that a study wrote."""
-        import json
-
         return run_on_one_rank(self.comm, lambda: json.loads(path.read_text(encoding="utf-8")))
 
     def _tables(self, folder: Path, *names: str) -> list[pd.DataFrame]:

@@ -21,22 +21,10 @@ from typing import Annotated, Any, Literal, Union, get_args, get_origin
 from pydantic import BaseModel
 
 from ...solver.effects.base import Effect
-from ..inputs.flags import Flag
+from ..inputs.flags import UNITS, Flag, unit_of
 from ..inputs.named import EffectInput, GivenFile
 from ..inputs.sources import OPTIONS
 
-# How a unit at the end of a field's name is written.
-UNITS = {
-    "_kg_m3": "kg/m³",
-    "_m_s2": "m/s²",
-    "_N_m": "N/m",
-    "_1_s": "1/s",
-    "_deg": "degrees",
-    "_Pa": "Pa",
-    "_m": "m",
-    "_s": "s",
-    "_N": "N",
-}
 # Further names of inputs that take several, as they are called where there is one.
 ALIASES = {"model": "models", "height_m": "heights_m"}
 FIELDS = {option: name for name, option in OPTIONS.items()} | {"--no-fields": "write_fields=False"}
@@ -68,7 +56,7 @@ class Signature:
         """The inputs as numpydoc has them: type, unit, meaning, default."""
         lines: list[str] = []
         for flag, parameter in zip(self.flags, self.parameters(), strict=False):
-            unit = next((text for end, text in UNITS.items() if flag.field.endswith(end)), "")
+            unit = UNITS.get(unit_of(flag.field))
             kind = type_text(parameter.annotation)
             lines.append(f"{flag.field} : {kind}{f', in {unit}' if unit else ''}")
             words = in_python(flag.help)

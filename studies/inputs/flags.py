@@ -17,18 +17,20 @@ from typing import Any, ClassVar, NoReturn, Union, get_args, get_origin
 from pydantic import BaseModel, ConfigDict, Field
 from pydantic_core import PydanticCustomError
 
-# Ends of fields' names, the longest first, and how help shows such a value.
+# Ends of fields' names, the longest first, and the unit that they stand for.
 UNITS = {
-    "_kg_m3": "KG/M3",
-    "_m_s2": "M/S2",
-    "_N_m": "N/M",
-    "_1_s": "1/S",
-    "_deg": "DEGREES",
-    "_Pa": "PA",
+    "_kg_m3": "kg/m³",
+    "_m_s2": "m/s²",
+    "_N_m": "N/m",
+    "_1_s": "1/s",
+    "_deg": "degrees",
+    "_Pa": "Pa",
     "_N": "N",
-    "_m": "M",
-    "_s": "S",
+    "_m": "m",
+    "_s": "s",
 }
+# As a command line shows it, in capitals and without exponents.
+PLAIN = str.maketrans("²³", "23")
 
 
 class Fields(BaseModel):
@@ -120,6 +122,11 @@ class Flag:
         return f"{self.default:g}" if isinstance(self.default, float) else str(self.default)
 
 
+def unit_of(field: str) -> str:
+    """The end of a field's name that says its unit, or an empty text."""
+    return next((end for end in UNITS if field.endswith(end)), "")
+
+
 def flags_of(*models: type[Fields], only: tuple[str, ...] = ()) -> tuple[Flag, ...]:
     """The flags of the fields that are an `option`, each once; ``only`` those of these names."""
     found: dict[str, Flag] = {}
@@ -133,14 +140,14 @@ def flags_of(*models: type[Fields], only: tuple[str, ...] = ()) -> tuple[Flag, .
 
 def _complete(flag: Flag, model: type[Fields], field: str) -> Flag:
     """The flag with what the field of a model says of it."""
-    unit = next((unit for unit in UNITS if field.endswith(unit)), "")
+    unit = unit_of(field)
     owner = next(each for each in model.__mro__ if field in get_annotations(each))
     return replace(
         flag,
         field=field,
         name=flag.name or field.removesuffix(unit).replace("_", "-"),
         group=flag.group or getattr(owner, "group", ""),
-        metavar=flag.metavar or UNITS.get(unit),
+        metavar=flag.metavar or UNITS.get(unit, "").upper().translate(PLAIN) or None,
         kind=flag.kind or _kind(model.model_fields[field].annotation),
     )
 

@@ -32,15 +32,13 @@ from .posterior import Posterior, posterior
 from .problem import Problem
 from .profile import Profile, classes, directions, profile
 from .sample import Sample, estimated_units, sample
-from .scatter import Scatter
+from .scatter import FAR_SMALLER, Scatter
 from .search import Tried, fit_baseline, fit_candidate, fit_simulated, near_likeliest
 
 ALARM = 0.01
 CREDIBLE = 0.97
 # Nats that scatter must gain over all else to be missing where no test finds it.
 SCATTER_GAIN = 8.0
-# Residuals of so little rms say that the declared uncertainty is no measure of the noise.
-FAR_SMALLER = 0.5
 # Nats by which an explanation that was refused is worth a second look.
 LIKELIER = 1.0
 # Declared standard deviations by which a few values are worth a second look.

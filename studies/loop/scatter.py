@@ -24,6 +24,7 @@ SURE, LEVEL = 3.3, 1.645
 ENOUGH = 3
 # Powers of height and order: what wears changes in proportion to the height.
 TERMS = ((0, 0), (1, 0), (2, 0), (3, 0), (0, 1), (1, 1), (0, 2), (1, 2))
+# A share of the declared errors: where values scatter by less, those are no measure of the noise.
 FAR_SMALLER = 0.5
 
 

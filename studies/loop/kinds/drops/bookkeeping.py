@@ -21,7 +21,7 @@ from scipy.special import log_softmax, logsumexp
 from scipy.stats import poisson
 
 from .....solver.arrays import Array
-from ...noise import SHAPES, log_density_at
+from ...noise import DECLARED, SHAPES, log_density_at
 from ...problem import Entry
 
 SLIP, ANYTHING = 0.01, 0.001
@@ -32,8 +32,10 @@ TOO_MANY, SIDE_BY_SIDE = 1e-3, 0.01
 # Coincidences that are expected: below it a row that comes twice was written twice.
 COINCIDENT = 0.01
 FEWEST, DEGREE, DECIMALS = 8, 3, 6
-# The noises that `noise` declares, each at one core scale.
-CORES = {"gaussian": (0.82, 1.0), "t5": (0.06, 0.78), "t3": (0.06, 0.65), "outliers": (0.06, 1.0)}
+# The core scale at which each noise that `noise` declares is looked at. What is no other is normal.
+CORES = {"gaussian": 1.0, "t5": 0.78, "t3": 0.65, "outliers": 1.0}
+OTHERS = {name: DECLARED[name][0] for name in CORES if name != "gaussian"}
+PRIOR = {"gaussian": 1.0 - sum(OTHERS.values()), **OTHERS}
 # Of slips: a displaced point, a missing or doubled digit, two exchanged ones, exchanged columns.
 KINDS = 5
 # Standard deviations from which on a row is looked at.
@@ -196,12 +198,12 @@ def _noise(smooth: Smooth, z: Array) -> Array:
     shapes = np.array(
         [
             log_density_at(np.where(there, z, 0.0) / core, SHAPES.index(name)) - math.log(core)
-            for name, (_, core) in CORES.items()
+            for name, core in CORES.items()
         ]
     )
     each = np.where(there, np.logaddexp(shapes, math.log(SLIP + ANYTHING) + smooth.anywhere), 0.0)
     others = each.sum(axis=(1, 2), keepdims=True) - each
-    prior = np.log([weight for weight, _ in CORES.values()])[:, None, None]
+    prior = np.log([PRIOR[name] for name in CORES])[:, None, None]
     weight = log_softmax(others + prior, axis=0)
     return np.where(there, logsumexp(shapes + weight, axis=0), 0.0)
 

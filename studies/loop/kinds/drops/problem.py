@@ -43,7 +43,7 @@ FORCE_GAIN = Parameter(
     "force_gain", "", 0.995, 1.005, 1.0, null=1.0, why="class 0.5 of ISO 7500-1: within 0.5 %"
 )
 # Uncertainty taken for heights where none is declared, until the scatter says better.
-SIGMA_M = 1e-3
+SIGMA_M = 1e-3 * datasets.SIGMA_MM
 # At which effects are simulated beside a damping that nobody declared: between metals and joints.
 BETA_UNKNOWN_S = 1e-7
 # Of the ratio of data to baseline over the height: an error of its slope is one of a variance.
@@ -288,7 +288,8 @@ def sessions(data: datasets.Drops, left: Array) -> tuple[Array, int]:
     ways = [way for way in ways if min(way.sum(), n - way.sum()) >= FEWEST_IN_SESSION]
     if not ways:
         return np.zeros(n), 0
-    there, soft = np.isfinite(left), np.clip(np.where(np.isfinite(left), left, 0.0), -5.0, 5.0)
+    there = np.isfinite(left)
+    soft = np.clip(np.where(there, left, 0.0), -5.0, 5.0)
     gains = []
     for way in ways:
         sizes = np.array([there[side].sum(axis=0) for side in (way, ~way)])
