@@ -61,8 +61,9 @@ plt.show()
 # would:
 
 leaning = [
-    *("bristle", "sweep", "--models", "reduced", "--kn", "2e6", "--heights", "0.05"),
-    *("--tilt", "1,2,3,4", "--friction", "0,0.05,0.1", "--out", folder / "leaning"),
+    *("bristle", "sweep", "--models", "reduced", "--kn", "2e6", "--out", folder / "leaning"),
+    *("--heights", "0.01,0.02,0.03,0.04,0.05", "--friction", "0,0.05,0.1"),
+    *("--tilt", "0.5,1,1.5,2,2.5,3,3.5,4"),
 ]
 journal = folder / "leaning" / "cases.jsonl"
 
