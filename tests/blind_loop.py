@@ -68,6 +68,7 @@ def _verdict(folder: Path, case: Case) -> Outcome:
     keys = ("verdict", "effects", "weights", "classes", "parameters", "held_out", "detection")
     kept: dict[str, Any] = {key: said[key] for key in keys}
     return kept | {
+        "probabilities": said.get("probabilities"),
         "open_set": said["open_set"],
         "rms_sigma": _after(said.get("fit")),
         "warnings": said.get("warnings", (said.get("fit") or {}).get("warnings", [])),

@@ -11,6 +11,7 @@ from ..inputs.sources import into
 from ..report.figures import picture_files
 from ..report.page import FIGURES, Report, percent, write_report
 from ..running.files import remove
+from .opening import opening, would_have_shown
 from .rows import Rows
 from .sections import SECTIONS, prose
 
@@ -53,4 +54,6 @@ def write_page(closed: Closed, out: Path, version: str) -> Path:
 
 def headline(closed: Closed) -> list[str]:
     """The verdict and what it is worth, in a few sentences."""
-    return prose.text("headline", finding=closed.finding, solid=closed.confirmation.solid)
+    found = closed.finding
+    told = {"opening": opening(found), "shown": would_have_shown(found)}
+    return prose.text("headline", finding=found, solid=closed.confirmation.solid, **told)

@@ -34,6 +34,7 @@ from ..running.mark import refuse_foreign
 from ..running.parallel import share_out, start_petsc
 from ..running.progress import progress, working
 from .confirm import LEFT_OUT, Confirmation, confirm
+from .opening import opening, would_have_shown
 
 SCHEMA = "bristle-close-loop-1"
 VERDICT_FILE = "verdict.json"
@@ -68,7 +69,8 @@ def run_close_loop(
     if not asked.no_3d:
         start_petsc(comm)
     manifest = run_on_one_rank(comm, lambda: _begun(dataset, out))
-    with working("preparing the data, for force records minutes the first time"):
+    slow = ", which takes minutes the first time" if manifest.kind == "forces" else ""
+    with working(f"preparing the data{slow}"):
         problem = _made(lambda: problem_of(manifest), comm)
     with progress("Effects simulated", len(problem.candidates), alike=False) as advance:
         _simulate(problem, comm, advance)
@@ -213,6 +215,8 @@ def verdict(closed: Closed) -> dict[str, Any]:
         "schema": SCHEMA,
         "version": __version__,
         **finding.verdict_json(),
+        "in_words": opening(finding),
+        "would_have_shown": would_have_shown(finding),
         **closed.confirmation.keys(),
         "kind": closed.manifest.kind,
         "title": closed.manifest.title,
@@ -226,9 +230,11 @@ def verdict(closed: Closed) -> dict[str, Any]:
                 "effects": list(each.effects),
                 "log_evidence": each.log_evidence,
                 "left_p_value": each.left_p_value,
+                "why_not": each.why_not,
             }
             for each in finding.evidences
         ],
+        "unlisted": {"shape": finding.shape, "log_evidence": finding.unlisted},
         "inputs": closed.inputs.model_dump(mode="json"),
     }
 
@@ -240,6 +246,9 @@ def summary(content: dict[str, Any]) -> list[tuple[str, str]]:
     rows = [("verdict", content["verdict"])]
     if names:
         rows.append(("effects", ", ".join(names)))
+    rows.append(("in words", " ".join(content["in_words"])))
+    if content["verdict"] == "adequate" and content["would_have_shown"]:
+        rows.append(("would have shown", content["would_have_shown"]))
     rows.append(("something is missing", f"p = {content['detection']['p_value']:.2g}"))
     rows.append(("something is left", f"p = {content['open_set']['p_value']:.2g}"))
     for name, each in content["parameters"].items():

@@ -21,6 +21,7 @@ from ..report.prose import Draft, Prose
 from . import figures
 from .confirm import Solid
 from .directions import directions
+from .opening import opening
 from .rows import Rows, names_of, title_of
 
 BINS = np.linspace(-6.0, 6.0, 33)
@@ -213,7 +214,7 @@ def _evidence(rows: Rows) -> Section:
 
 def _attribution(rows: Rows) -> Section:
     finding = rows.closed.finding
-    draft = prose("attribution", finding=finding)
+    draft = prose("attribution", finding=finding, opening=opening(finding))
     parameters = {
         "parameter": list(finding.parameters),
         **_attributes(list(finding.parameters.values()), "estimate", "low", "high", "unit"),

@@ -22,6 +22,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.sparse import csr_array
 
 from ...solver.arrays import Array
 from .fit import BOX_PRECISION, Fitted
@@ -122,18 +123,18 @@ def assess(
     tangent = fitted.mean_slopes[:, fitted.loose] / np.sqrt(1 + fitted.spread**2)[:, None]
     noise = likeliest_noise(data, z, correlated=weights.size == 1)
     drawn = data.noises.draw(np.full(sets, noise), rng)
-    project = left_by_refit(tangent)
-    drawn = drawn @ project
+    free = left_by_refit(tangent)
+    drawn = free(drawn)
     both = _soft(np.concatenate([z[None], drawn]))
     patterns = patterns_of(data, fitted)
-    statistics, shapes = _family(data, patterns, project, directions)
+    statistics, shapes = _family(data, patterns, free, directions)
     names = list(statistics)
     values = np.stack([statistics[name](both) for name in names], axis=1)
     single, simulated = p_values(values[0], values[1:])
     p_value, least = corrected(single, simulated)
     threshold = float(np.quantile(least, 0.02))
     unlisted, shape = max(
-        _best_shape(data, z, project @ z, shapes),
+        _best_shape(data, z, free(z), shapes),
         (_log_two_states(data, z, patterns), "two states"),
         _wider(data, z),
     )
@@ -166,32 +167,36 @@ def outliers_together(data: Sample, z: Array, rng: np.random.Generator) -> float
     outliers = np.abs(z) > KNEE
     if np.sum(outliers) < LEAST_BAND or first_of(data.covariates, WITHIN) is not None:
         return 1.0
-    signs = np.tile(np.sign(z) * outliers, (JOIN_SETS + 1, 1))
+    signs = np.tile((np.sign(z) * outliers).astype(np.int8), (JOIN_SETS + 1, 1))
     for kind in np.unique(data.kind):
         mine = np.flatnonzero(data.kind == kind)
         signs[1:, mine] = rng.permuted(signs[1:, mine], axis=1)
-    signs[1:] *= rng.choice([-1.0, 1.0], signs[1:].shape)
+    signs[1:] *= rng.choice(np.array([-1, 1], dtype=np.int8), signs[1:].shape)
     ranks = []
     for x in distinct(data.covariates).values():
         level = levels(x)
-        apart = np.abs(np.subtract.outer(level, level)) + z.size * np.not_equal.outer(
-            data.kind, data.kind
-        )
-        reach = SIDE_BY_SIDE if 2 * np.unique(level).size > z.size else 0
-        one, other = np.triu(apart <= reach, 1).nonzero()
-        joins = np.sum(signs[:, one] * signs[:, other] > 0, axis=1)
+        count = int(level.max()) + 1
+        reach = SIDE_BY_SIDE if 2 * count > z.size else 0
+        # levels of each quantity, with a gap between that nothing reaches over
+        place = level + data.kind * (count + reach)
+        cells = csr_array((np.ones(z.size, dtype=np.int32), (np.arange(z.size), place)))
+        joins = np.zeros(len(signs), dtype=np.int64)
+        for side in (signs > 0, signs < 0):
+            number = side @ cells
+            joins += np.sum(number * (number - 1) // 2, axis=1)
+            for away in range(1, reach + 1):
+                joins += np.sum(number[:, away:] * number[:, :-away], axis=1)
         ranks.append(np.searchsorted(np.sort(-joins), -joins, side="right"))
     least = np.min(ranks, axis=0)
     return float(np.mean(least <= least[0]))
 
 
-def left_by_refit(tangent: Array) -> Array:
-    """The symmetric matrix (rows, rows) that takes residuals to what a refit along tangents
-    (rows, p) leaves of them. The width of the unit box is its prior: a direction that the data do
-    not see absorbs nothing."""
-    rows, p = tangent.shape
-    normal = tangent.T @ tangent + BOX_PRECISION * np.eye(p)
-    return np.eye(rows) - tangent @ np.linalg.solve(normal, tangent.T)
+def left_by_refit(tangent: Array) -> Callable[[Array], Array]:
+    """What a refit along tangents (rows, p) leaves of residuals (..., rows). The width of the unit
+    box is its prior: a direction that the data do not see absorbs nothing."""
+    normal = tangent.T @ tangent + BOX_PRECISION * np.eye(tangent.shape[1])
+    follow = np.linalg.solve(normal, tangent.T)
+    return lambda residual: residual - (residual @ tangent) @ follow
 
 
 def likeliest_noise(data: Sample, z: Array, correlated: bool) -> int:
@@ -213,16 +218,16 @@ def _soft(z: Array) -> Array:
 
 
 def _family(
-    data: Sample, patterns: list[Array], project: Array, directions: list[Direction]
+    data: Sample, patterns: list[Array], free: Statistic, directions: list[Direction]
 ) -> tuple[dict[str, Statistic], dict[str, Shapes]]:
     """All statistics by name, each takes residuals (sets, rows) to numbers (sets,); and the shapes
-    of those that look for a shift. ``project`` is `left_by_refit`."""
+    of those that look for a shift. ``free`` is what `left_by_refit` gives."""
     out: dict[str, Statistic] = {"size": lambda z: np.sum(z**2, axis=1)}
     listed: dict[str, Shapes] = {}
     kinds = np.unique(data.kind)
 
     def linear(name: str, shapes: Array, degree: Array | None = None) -> None:
-        unit, independent = unit_shapes(shapes, project)
+        unit, independent = unit_shapes(shapes, free)
         if not independent.any():
             return
         listed[name] = Shapes(unit, degree is not None)
@@ -233,7 +238,7 @@ def _family(
             out[name] = lambda z: ((z @ unit.T) ** 2) @ share
 
     def wavy(name: str, x: Array) -> None:
-        pairs = [unit_shapes(np.concatenate([w * e for e in every]), project) for w in waves_of(x)]
+        pairs = [unit_shapes(np.concatenate([w * e for e in every]), free) for w in waves_of(x)]
         units = [unit for unit, independent in pairs if independent.any()]
         if not units:
             return
@@ -260,7 +265,7 @@ def _family(
         linear(f"trend with {name}", shapes[degree == 1], np.ones(int(np.sum(degree == 1))))
         if degree.max() > 1:
             linear(f"smooth in {name}", shapes[degree > 1], degree[degree > 1].astype(float))
-            listed[f"any function of {name}"] = Shapes(unit_shapes(shapes, project)[0], True)
+            listed[f"any function of {name}"] = Shapes(unit_shapes(shapes, free)[0], True)
         bands = bands_of(x)
         linear(f"band of {name}", np.concatenate([bands * each for each in every]))
         spreading(name, shapes[degree == 1].sum(axis=0))
@@ -288,7 +293,7 @@ def _family(
     def greatest(name: str, several: list[Statistic]) -> None:
         out[name] = lambda z: np.max([each(z) for each in several], axis=0)
 
-    for name, several in _by_name(directions, project).items():
+    for name, several in _by_name(directions, free).items():
         greatest(name, several)
     return out, listed
 
@@ -321,18 +326,18 @@ def _best_shape(
     return float(logs[best]), ["nothing", *listed][best]
 
 
-def _by_name(directions: list[Direction], project: Array) -> dict[str, list[Statistic]]:
+def _by_name(directions: list[Direction], free: Statistic) -> dict[str, list[Statistic]]:
     """The statistics of each effect's senses, of those that a refit does not absorb."""
     found: dict[str, list[Statistic]] = {}
     for each in directions:
-        one_sided = _one_sided(each, project)
+        one_sided = _one_sided(each, free)
         if one_sided is not None:
             found.setdefault(each.name, []).append(one_sided)
     return found
 
 
-def _one_sided(direction: Direction, project: Array) -> Statistic | None:
-    shift = project @ direction.shift
+def _one_sided(direction: Direction, free: Statistic) -> Statistic | None:
+    shift = free(direction.shift)
     size, wide = float(np.linalg.norm(shift)), float(np.linalg.norm(direction.scatter))
     if wide > size:
         scatter = direction.scatter / wide

@@ -6,6 +6,7 @@ baseline did not pass (`adequacy`), and that pays on data that it was not fitted
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -13,7 +14,7 @@ import numpy as np
 from scipy.special import softmax
 
 from ...solver.arrays import Array
-from .adequacy import Adequacy, Direction, assess, outliers_together
+from .adequacy import OCCAM, Adequacy, Direction, assess, outliers_together
 from .fit import Fitted
 from .heldout import HeldOut, Judge, trimmed_rms
 from .posterior import Posterior, posterior, refitted
@@ -23,10 +24,7 @@ from .sample import Sample
 from .search import Tried, fit_pairs, fit_refined
 
 LEFT_ALARM = 0.01
-PAIR_LEFT = 0.03
 LOOKED_AT, MOST_LOOKED_AT = 0.999, 8
-# Nats that a pair must gain over the best single effect: there are many pairs.
-PAIR_COST = 4.0
 # An effect is refined that explains this share of what the likeliest does.
 REFINED = 0.2
 # Nats by which something unlisted must be likelier than an effect to refuse it. What scatters has
@@ -40,16 +38,19 @@ SURPRISE = 0.003
 # contaminated normal distribution have up to ten times its sigma, and a thousandth of them is three
 # times as far off.
 GROSS = 30.0
-SEEN_BY = "what is missing is seen by this: "
 
 
 @dataclass(frozen=True)
 class Explanation:
-    """A model with effects, what it leaves, and what it gains on held-out data (None: none)."""
+    """A model with effects, what it leaves, and what it gains on held-out data (None: none).
+
+    It ``fits`` where what it leaves is noise, and ``holds`` where it pays as well.
+    """
 
     posterior: Posterior
     left: Adequacy
     held: HeldOut | None
+    fits: bool
     holds: bool
     why_not: str
 
@@ -69,68 +70,75 @@ class State:
     first: Adequacy
     rng: np.random.Generator
 
+    @property
+    def cost(self) -> float:
+        """What every effect costs in nats: of those that such data can carry, one is expected to
+        be there, each as likely and for itself."""
+        return math.log(max(len(self.profiles) - 1, 1))
+
+    def credence(self, found: Posterior) -> float:
+        """Log evidence with the prior on the number of effects, over no effect's."""
+        gained = found.log_evidence - self.baseline.log_evidence
+        return gained - self.cost * len(found.effects)
+
 
 def explain(state: State, singles: list[Tried]) -> tuple[list[Explanation], list[Tried]]:
-    """The likeliest single effects, refined where none of them holds; pairs where none does then.
-
-    The likeliest come first; and the single effects, as refined as they are.
-    """
+    """The likeliest single effects, refined where none of them holds, and the pairs that are
+    likelier than all of these; and the single effects, as refined as they are."""
     if not singles:
         return [], singles
-    looked = _looked_at(state, singles, LEFT_ALARM)
-    if any(each.holds for each in looked):
-        return looked, singles
+    looked, refined = _looked_at(state, singles), singles
     plain = state.baseline.log_evidence
-    least = plain + REFINED * (max(each.log_evidence for each in singles) - plain)
-    refined = [
-        fit_refined(state.data, state.base, each) if each.log_evidence >= least else each
-        for each in singles
-    ]
-    if any(one is not other for one, other in zip(refined, singles, strict=True)):
-        looked = _looked_at(state, refined, LEFT_ALARM)
-        if any(each.holds for each in looked):
-            return looked, refined
-    best = max(each.log_evidence for each in refined)
-    pairs = fit_pairs(state.problem, state.data, state.base, singles, state.profiles, plain)
-    better = [each for each in pairs if each.log_evidence > best + PAIR_COST]
-    if not better:
-        return looked, refined
-    alone = max((each.posterior for each in looked), key=lambda each: each.log_evidence)
-    both = _looked_at(state, better, PAIR_LEFT, alone)
-    explained = both + looked if any(each.holds for each in both) else looked + both
-    return explained, refined
+    if not any(each.holds for each in looked):
+        least = plain + REFINED * (max(each.log_evidence for each in singles) - plain)
+        refined = [
+            fit_refined(state.data, state.base, each) if each.log_evidence >= least else each
+            for each in singles
+        ]
+        if any(one is not other for one, other in zip(refined, singles, strict=True)):
+            looked = _looked_at(state, refined)
+    least = max(each.log_evidence for each in refined) + state.cost
+    pairs = fit_pairs(state.problem, state.data, state.base, singles, state.profiles, plain, least)
+    better = [each for each in pairs if each.log_evidence > least]
+    return [*looked, *_looked_at(state, better, refined)], refined
 
 
 def _looked_at(
-    state: State, tried: Sequence[Tried], alarm: float, over: Posterior | None = None
+    state: State, tried: Sequence[Tried], parts: Sequence[Tried] = ()
 ) -> list[Explanation]:
-    """Tests and held-out scores of the likeliest models, over the baseline and ``over`` another."""
+    """Tests and held-out scores of the likeliest models, over the baseline and, of pairs, over the
+    likelier of their ``parts``."""
     shares = shares_of([each.log_evidence for each in tried])
     out = []
-    for i in credible(shares, LOOKED_AT)[:MOST_LOOKED_AT]:
-        fitted = tried[i].fitted
-        found = posterior(state.data, fitted, state.base.u.size, state.rng)
-        others = [way for way in state.ways if way.name not in fitted.effects]
+    for i in credible(shares, LOOKED_AT)[:MOST_LOOKED_AT] if tried else ():
+        found = _sampled(state, tried[i])
+        others = [way for way in state.ways if way.name not in found.effects]
         assessed = assess(state.data, found.fitted, others, state.rng)
         held = state.judge.judge(found) if state.judge.held.values.size else None
-        why = _refused(state, found, assessed, held, alarm, over)
-        out.append(Explanation(found, assessed, held, not why, why))
+        own = [each for each in parts if each.effects[0] in found.effects]
+        part = max(own, key=lambda each: each.log_evidence, default=None)
+        over = _sampled(state, part) if part else None
+        fits = _unfit(state, found, assessed)
+        why = fits or _refused(state, found, held, over)
+        out.append(Explanation(found, assessed, held, not fits, not why, why))
     return out
 
 
-def _refused(
-    state: State,
-    found: Posterior,
-    left: Adequacy,
-    held: HeldOut | None,
-    alarm: float,
-    over: Posterior | None,
-) -> str:
-    """Why a model explains the data not, in words; empty where it does."""
-    if left.p_value <= alarm:
+def _sampled(state: State, tried: Tried) -> Posterior:
+    return posterior(state.data, tried.fitted, state.base.u.size, state.rng)
+
+
+def _unfit(state: State, found: Posterior, left: Adequacy) -> str:
+    """Why what a model leaves is not noise, in words; empty where it is."""
+    if left.p_value <= LEFT_ALARM:
         return f"what it leaves is not noise ({left.statistic}, p = {left.p_value:.2g})"
     if _large(state.data, left.residual):
         return "what it leaves is larger than the declared noise"
+    return ""
+
+
+def _refused(state: State, found: Posterior, held: HeldOut | None, over: Posterior | None) -> str:
+    """Why a model that leaves noise does not explain the data, in words; empty where it does."""
     scatters = np.asarray(found.fitted.model.weights).size > 1
     if state.first.unlisted > found.log_evidence + (0.0 if scatters else UNLISTED_MARGIN):
         return f"a shape that no effect has explains more ({state.first.shape})"
@@ -151,12 +159,12 @@ def missing_otherwise(state: State, plain: HeldOut | None) -> str:
     """By what else than the tests of residuals something is seen to be missing, in words; empty
     where by nothing."""
     if _large(state.data, state.first.residual):
-        return SEEN_BY + "residuals are larger than the declared noise"
+        return "residuals are larger than the declared noise"
     if plain is None:
         return ""
     if _surprising(plain):
-        return SEEN_BY + "held-out data lie farther off than their noise allows"
-    return SEEN_BY + clear if (clear := _with_held_out(state, state.baseline)) else ""
+        return "held-out data lie farther off than their noise allows"
+    return _with_held_out(state, state.baseline)
 
 
 def _with_held_out(state: State, found: Posterior) -> str:
@@ -184,6 +192,32 @@ def _large(data: Sample, residual: Array) -> bool:
     return np.abs(residual).max(initial=0.0) > GROSS or any(
         z.size >= LEAST_ROWS and trimmed_rms(z) > MOST_RATIO for z in sizes
     )
+
+
+def probabilities(state: State, explained: Sequence[Explanation]) -> dict[str, float]:
+    """How likely each effect is to be in the data, by what `explain` found; where that is nothing,
+    since nothing is missing, by what each would gain on the baseline.
+
+    Among none, one and two effects, and something that no effect has, which is as likely as one of
+    them beforehand. What leaves more than noise is out. Empty where nothing is left.
+    """
+    unlisted = state.first.unlisted - state.baseline.log_evidence - state.cost
+    logs: dict[tuple[str, ...], float] = {(): 0.0, ("?",): unlisted}
+    if explained:
+        fitting = [each.posterior for each in explained if each.fits]
+        if not any(each.holds for each in explained):
+            return {}
+        logs |= {each.effects: state.credence(each) for each in fitting}
+    else:
+        gains = {each.name: 0.5 * each.value for each in state.first.table}
+        names = {each.name for each in state.profiles} & gains.keys()
+        logs |= {(name,): gains[name] - OCCAM - state.cost for name in sorted(names)}
+    out: dict[str, float] = {}
+    for effects, share in zip(logs, shares_of(list(logs.values())), strict=True):
+        for name in effects:
+            out[name] = out.get(name, 0.0) + float(share)
+    out.pop("?")
+    return dict(sorted(out.items(), key=lambda each: -each[1]))
 
 
 def shares_of(logs: Sequence[float]) -> Array:

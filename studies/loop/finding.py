@@ -13,6 +13,8 @@ from .heldout import HeldOut
 from .noise import Ints
 from .problem import Entry, Model
 
+SEEN_BY = "what is missing is seen by this: "
+
 
 class Verdict(StrEnum):
     """The four answers of CONTRACT.md."""
@@ -77,6 +79,10 @@ class Proposal:
 class Finding:
     """All that verdict.json and the report's figures need.
 
+    ``reported`` are the effects of each model that explains the data, the likeliest first,
+    ``weights`` the shares of these effects in them, ``probabilities`` those that effects are in the
+    data, whatever is reported; ``noticed`` says by what else than the tests something is seen to be
+    missing.
     ``rows`` numbers the problem's rows that were fitted; ``residual_before``, ``residual_after``
     are their quantile residuals, ``covariates`` what they are drawn against. ``theta`` are the
     likeliest parameters of the reported ``model``, ``parameters`` posterior medians with intervals.
@@ -87,7 +93,8 @@ class Finding:
 
     verdict: Verdict
     weights: Mapping[str, float]
-    together: tuple[tuple[str, ...], ...]
+    probabilities: Mapping[str, float]
+    reported: tuple[tuple[str, ...], ...]
     statistic: str
     p_value: float
     open_set_p_value: float
@@ -115,11 +122,17 @@ class Finding:
     residual_before: Array
     residual_after: Array
     covariates: Mapping[str, Array]
+    noticed: str
     warnings: tuple[str, ...]
     left_aside: tuple[str, ...]
     bookkeeping: tuple[Entry, ...]
     seed: int
     alarm: float
+
+    @property
+    def together(self) -> tuple[tuple[str, ...], ...]:
+        """Reported effects that explain the data only together."""
+        return tuple(names for names in self.reported if len(names) > 1)
 
     @property
     def model_effects(self) -> tuple[str, ...]:
@@ -133,7 +146,7 @@ class Finding:
 
     def all_warnings(self) -> list[str]:
         """Sentences on what deserves doubt."""
-        out = list(self.warnings)
+        out = [each for each in (self.noticed and SEEN_BY + self.noticed, *self.warnings) if each]
         if self.at_bounds:
             out.append(f"on a bound of what is searched: {', '.join(self.at_bounds)}")
         if self.unidentified:
@@ -150,6 +163,7 @@ class Finding:
             "verdict": str(self.verdict),
             "effects": list(self.effects),
             "weights": {name: self.weights[name] for name in self.effects},
+            "probabilities": dict(self.probabilities),
             "together": plain(self.together),
             "detection": {"statistic": self.statistic, "p_value": self.p_value},
             "open_set": {"p_value": self.open_set_p_value},

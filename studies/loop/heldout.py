@@ -28,6 +28,9 @@ RESAMPLED = 999
 DRAWS = 999
 POINTS = 60
 FOLDS = 3
+# So many neighbours in order are in one block: correlation of 0.65, the strongest that noise may
+# have, is 0.2 at that distance.
+IN_BLOCK = 4
 TRIMMED = 1 / 8
 # Of `HeldOut`, by their own names in verdict.json.
 KEYS = (
@@ -143,7 +146,7 @@ class Judge:
         """What a model gains over another (the baseline) on data that it was not fitted to.
 
         Cross-validated: the held-out groups are scored by the models as they are fitted, and
-        each third of the others by models fitted anew without it.
+        each third of the others, in blocks, by models fitted anew without it.
         """
         rng = np.random.default_rng([self.seed, 4])
         two = self.base if before is None else before
@@ -152,8 +155,7 @@ class Judge:
         if labels.size >= 2 * FOLDS:
             unit = np.ones(self.problem.values.size)
             unit[self.data.rows] = self.data.unit
-            mixed = np.random.default_rng([self.seed, 6]).permutation(labels)
-            for part in np.array_split(mixed, FOLDS):
+            for part in self._folds(labels):
                 rest = np.setdiff1d(labels, part)
                 folds.append((sample(self.problem, rest, unit), sample(self.problem, part, unit)))
         each: list[Array] = [np.zeros(0)]
@@ -168,6 +170,14 @@ class Judge:
         totals = gains[rng.integers(gains.size, size=(RESAMPLED, gains.size))].sum(axis=1)
         low, high = np.quantile(totals, [0.05, 0.95])
         return Gain(float(gains.sum()), float(low), float(high), bool(squares[0] < squares[1]))
+
+    def _folds(self, labels: Ints) -> list[Ints]:
+        """Groups ``labels`` in `FOLDS` parts of blocks: neighbours in order stay together, since
+        what they share would tell of each other."""
+        count = max(labels.size // IN_BLOCK, FOLDS)
+        order = np.random.default_rng([self.seed, 6]).permutation(count)
+        block = np.arange(labels.size) * count // labels.size
+        return [labels[np.isin(block, order[k::FOLDS])] for k in range(FOLDS)]
 
     def judge(self, final: Posterior) -> HeldOut:
         """Errors of baseline and final model on the held-out rows of the main quantity."""

@@ -16,13 +16,13 @@ from ...solver.arrays import Array
 from .adequacy import WIDER_NOISE, Adequacy, assess
 from .experiment import next_experiment
 from .explain import (
-    SEEN_BY,
     UNLISTED_MARGIN,
     Explanation,
     State,
     credible,
     explain,
     missing_otherwise,
+    probabilities,
     shares_of,
 )
 from .finding import Evidence, Finding, Interval, Near, Verdict
@@ -137,12 +137,12 @@ def _find(
         least = max(baseline.log_evidence, first.unlisted) + SCATTER_GAIN
         missing = any(each.log_evidence > least for each in singles)
         if missing:
-            noticed = SEEN_BY + "it is much likelier that drops differ by chance"
+            noticed = "it is much likelier that drops differ by chance"
             look_at([each for each, chance in zip(profiles, scatters, strict=True) if not chance])
     if missing:
         least = near_likeliest(singles, baseline.log_evidence)
         singles = [
-            fit_simulated(data, base, each) if each.log_evidence >= least else each
+            fit_simulated(data, base, each, least) if each.log_evidence >= least else each
             for each in singles
         ]
         explained, singles = explain(state, singles)
@@ -150,12 +150,12 @@ def _find(
         explained = []
         advance(len(profiles) - len(singles))
     holding = [each for each in explained if each.holds]
-    shares = shares_of([each.posterior.log_evidence for each in holding])
+    shares = shares_of([state.credence(each.posterior) for each in holding])
     reported = [holding[i] for i in credible(shares, CREDIBLE)]
     best = reported[0] if reported else None
     # what is reported: the likeliest explanation that holds, else the baseline as it is
     final, kept = (best.posterior, best.left) if best else (baseline, first)
-    nearest = max(explained, key=lambda each: each.posterior.log_evidence, default=None)
+    nearest = max(explained, key=lambda each: state.credence(each.posterior), default=None)
     left = nearest.left if nearest and best is None else kept
     if not missing:
         verdict = Verdict.ADEQUATE
@@ -166,13 +166,14 @@ def _find(
     tied = [each.posterior for each in reported]
     bare = data.values.size <= base.u.size
     alone = _far_off(problem, data, kept.residual, best.held if best else plain)
-    likelier = _likelier(best, explained) if best else ""
-    doubts = (noticed, alone, likelier, ROUGH if final.few else "", BARE if bare else "")
+    likelier = _likelier(state, best, explained) if best else ""
+    doubts = (alone, likelier, ROUGH if final.few else "", BARE if bare else "")
     advance()
     return Finding(
         verdict=verdict,
-        weights=_by_effect(tied),
-        together=tuple(each.effects for each in tied if len(each.effects) > 1),
+        weights=_by_effect(state, tied),
+        probabilities=probabilities(state, explained),
+        reported=tuple(each.effects for each in tied),
         statistic=first.statistic,
         p_value=first.p_value,
         open_set_p_value=left.p_value,
@@ -202,6 +203,7 @@ def _find(
         residual_before=first.residual,
         residual_after=kept.residual,
         covariates=data.covariates,
+        noticed=noticed,
         warnings=(*problem.warnings, *filter(None, doubts)),
         left_aside=problem.left_aside,
         bookkeeping=problem.bookkeeping,
@@ -225,14 +227,14 @@ def _far_off(problem: Problem, data: Sample, residual: Array, held: HeldOut | No
     return "far off: " + ", ".join(f"no. {g} by {size:.2g} sigma" for g, size in far.items())
 
 
-def _likelier(best: Explanation, explained: Sequence[Explanation]) -> str:
+def _likelier(state: State, best: Explanation, explained: Sequence[Explanation]) -> str:
     """Which explanations are likelier than the one that is named and do not hold, in words."""
-    than = best.posterior.log_evidence
+    by = [state.credence(each.posterior) - state.credence(best.posterior) for each in explained]
     return "; ".join(
-        f"{' with '.join(each.posterior.effects)}, likelier by "
-        f"{each.posterior.log_evidence - than:.2g} nats, was refused: {each.why_not}"
-        for each in explained
-        if not each.holds and each.posterior.log_evidence > than + LIKELIER
+        f"{' with '.join(each.posterior.effects)}, likelier by {nats:.2g} nats, was refused: "
+        f"{each.why_not}"
+        for each, nats in zip(explained, by, strict=True)
+        if not each.holds and nats > LIKELIER
     )
 
 
@@ -255,10 +257,10 @@ def _units(problem: Problem, data: Sample) -> Array:
     return unit
 
 
-def _by_effect(tied: Sequence[Posterior]) -> dict[str, float]:
-    """Probability that an effect is there: of all reported models that have it."""
+def _by_effect(state: State, tied: Sequence[Posterior]) -> dict[str, float]:
+    """Share of an effect in what is reported: of all reported models that have it."""
     out: dict[str, float] = {}
-    weights = shares_of([each.log_evidence for each in tied])
+    weights = shares_of([state.credence(each) for each in tied])
     for each, weight in zip(tied, weights, strict=True):
         for name in each.effects:
             out[name] = out.get(name, 0.0) + float(weight)

@@ -21,6 +21,8 @@ from .problem import Model, Problem
 WITHIN = ("time", "phase")
 BETWEEN = ("order",)
 HEIGHT = ("height", "speed")
+# Numbers that are predicted at once: a hundred megabytes with all that they are made from.
+MOST_AT_ONCE = 500_000
 
 
 @dataclass(frozen=True)
@@ -46,7 +48,15 @@ class Sample:
 
     def predict(self, model: Model, theta: Array) -> Array:
         """Predictions (..., nodes, rows) at parameters (..., p)."""
-        return self.pick(np.asarray(model.predict(theta), dtype=float))
+        theta = np.asarray(theta, dtype=float)
+        points = theta.reshape(-1, theta.shape[-1])
+        at_once = max(MOST_AT_ONCE // (np.asarray(model.weights).size * self.rows.size), 1)
+        found = [
+            self.pick(np.asarray(model.predict(points[i : i + at_once]), dtype=float))
+            for i in range(0, len(points), at_once)
+        ]
+        every = found[0] if len(found) == 1 else np.concatenate(found)
+        return every.reshape(*theta.shape[:-1], *every.shape[1:])
 
     def log_likelihood(
         self, values: Array, predicted: Array, weights: Array, at: tuple[Ints, Ints, Ints]

@@ -1,4 +1,4 @@
-"""Search over explanations: each candidate fitted from wide starts, then pairs of them.
+"""Search over explanations: each candidate fitted from wide starts, then pairs that would gain.
 
 Where an effect would take the baseline's own parameters cannot be told from the fit without it, so
 starts are spread over the whole box of the baseline, and the best few that differ are followed.
@@ -7,7 +7,7 @@ starts are spread over the whole box of the baseline, and the best few that diff
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -37,9 +37,15 @@ NODES_APART, NODE_SHARE, MOST_CLOSER = 1.5, 0.2, 16
 # What tables are off by may have put a model that is right below the likeliest by so many nats, or
 # by this share of what that gains over none; and it is fitted so often to simulations.
 TABLE_NATS, TABLE_SHARE, SIMULATED = 30.0, 0.1, 8
+# After so many simulations it is seen whether a fit is of any use.
+SOON = 3
 # A fit that moves by less of what the data leave uncertain is not simulated again.
 SETTLED = 0.1
-SCATTERS_TRIED = 2
+# Pairs are followed from so many starts by so many steps first, which may leave them so many nats
+# too low; at most so many are fitted then.
+FEW_FOLLOWED, FIRST_STEPS, FIRST_NATS, MOST_PAIRS = 4, 4, 5.0, 24
+# Tables of a pair may be off by this share more or less than those of its parts.
+PAIR_OFF = 0.5
 
 
 @dataclass(frozen=True)
@@ -56,8 +62,11 @@ class Tried:
         return self.fitted.effects
 
     @property
-    def scatters(self) -> bool:
-        return np.asarray(self.fitted.model.weights).size > 1
+    def corrected(self) -> float:
+        """How many nats likelier simulations made it; zero where none were asked for."""
+        if self.tables is None:
+            return 0.0
+        return self.fitted.log_likelihood - self.tables.log_likelihood
 
 
 def spread(parameters: int, points: int = SPREAD) -> Array:
@@ -136,6 +145,11 @@ def _levels(model: Model, own: int, others: Sequence[float]) -> Array:
 
 def _followed(data: Sample, model: Model, starts: Array, most: int = FOLLOWED) -> Fitted:
     """The fit from the best few, at ``most``, of many starts (n, p) that differ from each other."""
+    return settle(data, model, starts[_likeliest(data, model, starts, most)])
+
+
+def _likeliest(data: Sample, model: Model, starts: Array, most: int) -> list[int]:
+    """The numbers of the likeliest starts (n, p) that differ from each other, at ``most``."""
     noise = np.zeros(1, dtype=np.int64)
     weights = np.asarray(model.weights)
     logs = data.heights(
@@ -147,7 +161,7 @@ def _followed(data: Sample, model: Model, starts: Array, most: int = FOLLOWED) -
             chosen.append(int(i))
         if len(chosen) == most:
             break
-    return settle(data, model, starts[chosen])
+    return chosen
 
 
 def near_likeliest(tried: Sequence[Tried], plain: float) -> float:
@@ -157,12 +171,13 @@ def near_likeliest(tried: Sequence[Tried], plain: float) -> float:
     return best - max(TABLE_NATS, TABLE_SHARE * (best - plain))
 
 
-def fit_simulated(data: Sample, base: Fitted, tried: Tried) -> Tried:
-    """The model fitted again, to simulations at its fit; where that does not settle, at the
-    likeliest of the points that were simulated."""
+def fit_simulated(data: Sample, base: Fitted, tried: Tried, least: float = -np.inf) -> Tried:
+    """The model fitted again, to simulations at its fit; where that does not settle, or is soon
+    seen not to reach the log evidence ``least``, at the likeliest of the points that were
+    simulated."""
     fitted, best = tried.fitted, tried.fitted
     most = -np.inf
-    for _ in range(SIMULATED):
+    for turn in range(SIMULATED):
         if not isinstance(fitted.model, Emulated):
             return tried
         model = fitted.model.simulated(fitted.theta)
@@ -171,6 +186,8 @@ def fit_simulated(data: Sample, base: Fitted, tried: Tried) -> Tried:
         here = fit(data, model, fitted.u, fitted.noise, iterations=0)
         if (found := likely_noise(data, here)[1]) > most:
             best, most = here, found
+        if turn + 1 >= SOON and most < least:
+            break
         fitted = settle(data, model, np.array([here.u, *fitted.modes]))
         moved = fitted.u - here.u
         if moved @ fitted.information @ moved < SETTLED**2:
@@ -186,34 +203,45 @@ def fit_pairs(
     singles: Sequence[Tried],
     profiles: Sequence[Profile],
     plain: float,
+    least: float,
 ) -> list[Tried]:
-    """Fits of all pairs of effects, to simulations where they are likely; ``plain`` is the log
-    evidence of none.
-
-    What scatters takes longer: it is paired with the likeliest others alone, or where it is the
-    likeliest itself with all.
-    """
-    best = sorted(singles, key=lambda each: -each.log_evidence)
-    scatters = [each for each in best if each.scatters]
-    steady = [each for each in best if not each.scatters]
-    pairs = list(itertools.combinations(steady, 2))
-    for i, one in enumerate(scatters):
-        some = steady[:2] if i < SCATTERS_TRIED else steady[:1]
-        pairs += [(one, other) for other in (steady + scatters[1:] if one is best[0] else some)]
+    """Fits of the pairs of effects whose log evidence may be ``least`` or more, to simulations
+    where they are likely; ``plain`` is the baseline's."""
+    share = TABLE_SHARE * (least - plain)
     alone = {each.effects[0]: each for each in singles}
     by_name = {each.name: each for each in profiles}
-    found = []
-    for one, other in pairs:
-        model = problem.combine((*one.effects, *other.effects))
+    noise = max(singles, key=lambda each: each.log_evidence).fitted.noise
+    begun: list[tuple[float, Model, Array]] = []
+    for names in itertools.combinations(alone, 2):
+        model = problem.combine(names)
         if isinstance(model, Emulated) and not model.possible:
             continue
-        model = resolved(data, base, model)
-        fitted = _followed(data, model, _pair_starts(model, base, alone, by_name))
+        starts = _pair_starts(model, base, alone, by_name)
+        best = starts[_likeliest(data, model, starts, FEW_FOLLOWED)]
+        steps = FIRST_STEPS if np.asarray(model.weights).size == 1 else 0
+        first = fit(data, model, best, noise, steps)
+        height = evidence(data, first, base.u.size)
+        if height + _correctable(alone, names, share) >= least - FIRST_NATS:
+            begun.append((height, model, np.concatenate([first.u[None], best])))
+    begun.sort(key=lambda each: -each[0])
+    found = []
+    for _, model, starts in begun[:MOST_PAIRS]:
+        fitted = settle(data, resolved(data, base, model), starts)
         found.append(Tried(fitted, evidence(data, fitted, base.u.size)))
-    least = near_likeliest(found, plain)
+    hoped = [each.log_evidence + _correctable(alone, each.effects, share) for each in found]
+    near = max((each.log_evidence for each in found), default=least) - FIRST_NATS
     return [
-        fit_simulated(data, base, each) if each.log_evidence >= least else each for each in found
+        fit_simulated(data, base, each, least)
+        for each, most in zip(found, hoped, strict=True)
+        if most >= min(near, max(hoped))
     ]
+
+
+def _correctable(alone: Mapping[str, Tried], effects: Sequence[str], share: float) -> float:
+    """How many nats simulations may make of a pair beyond tables: what they made of its parts, and
+    for what one effect does to the other `PAIR_OFF` of that, or ``share`` if that is more."""
+    parts = np.array([alone[name].corrected for name in effects])
+    return float(parts.sum() + max(PAIR_OFF * np.abs(parts).sum(), share))
 
 
 def _pair_starts(

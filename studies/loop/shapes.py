@@ -5,7 +5,7 @@ Each is an array over the rows, for shifts of the residuals or for their scatter
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from itertools import combinations, pairwise
 
 import numpy as np
@@ -19,6 +19,8 @@ DEGREES = 5
 MOST_EDGES = 32
 LEAST_BAND = 3
 MOST_PERIOD = 9
+# Faster waves, of which many data could show more, are left to bands and to one in several.
+MOST_WAVES = 48
 # Rows of longer groups are a record in time: what they share shows in runs.
 MOST_SHARED = 6
 # Values of a covariate nearer than this share of its range are meant to be the same.
@@ -54,10 +56,10 @@ def patterns_of(data: Sample, fitted: Fitted) -> list[Array]:
     return [alike] if np.ptp(proportional) < 0.2 else [alike, proportional]
 
 
-def unit_shapes(shapes: Array, project: Array) -> tuple[Array, Array]:
+def unit_shapes(shapes: Array, free_of_refit: Callable[[Array], Array]) -> tuple[Array, Array]:
     """Unit shapes (k, rows) freed of what a refit absorbs, and which of them are kept."""
     before = np.linalg.norm(shapes, axis=1)
-    free = shapes @ project
+    free = free_of_refit(shapes)
     size = np.linalg.norm(free, axis=1)
     independent = (size > np.sqrt(1 - ABSORBED**2) * before) & (before > 0)
     return free[independent] / size[independent, None], independent
@@ -127,11 +129,12 @@ def residue_classes(order: Array) -> Array:
 
 
 def waves_of(x: Array) -> list[Array]:
-    """Cosine and sine (2, rows) of each frequency, from half a wave in all to half a wave each."""
+    """Cosine and sine (2, rows) of each frequency, from half a wave in all to half a wave each, or
+    to `MOST_WAVES` in all."""
     if np.ptp(x) <= 0.0:
         return []
     t = (x - x.min()) / np.ptp(x)
-    most = (int(levels(x).max()) + 1) // 2
+    most = min((int(levels(x).max()) + 1) // 2, MOST_WAVES)
     return [
         np.stack([np.cos(2 * np.pi * f * t), np.sin(2 * np.pi * f * t)])
         for f in np.arange(0.5, most + 0.25, 0.5)

@@ -18,12 +18,14 @@ from blind.films import (
     flight,
     rise_time,
 )
-from blind.make import ROWS, make
+from blind.make import ROWS, beside, make
 from blind.noise import ROUNDED, UNKNOWN
+from blind.read import Plan
 from blind.shapes import FAMILIES, Drops, impossible, unlisted
-from blind.size import Gauge, plain, size
+from blind.size import Gauge, plain, size, whitened
 from blind.table import covered, exact, explained, table
 from scipy.integrate import solve_ivp
+from scipy.optimize import least_squares
 from scipy.stats import binomtest
 
 from bristle.solver.effects.library import EFFECTS
@@ -127,6 +129,39 @@ def test_rows_hold_the_sizes_they_name(row):
     least, most = ROWS[row].d
     for number in (0, 2, 3):
         assert 0.95 * least <= make(5, row, number).d <= 1.05 * most
+
+
+@pytest.mark.parametrize("number", range(4))
+def test_pairs_hold_two_effects_of_which_neither_does_for_the_other(number):
+    """Each is at least of the size that is asked for."""
+    made = make(5, "pairs", number)
+    assert len(set(made.truth.split(" with "))) == 2
+    assert made.d >= ROWS["pairs"].d[0]
+
+
+def test_what_one_of_two_effects_moves_beside_the_other_is_what_a_refit_of_it_leaves():
+    """By least squares over the other's amount and Kn, of what is all but linear: an offset of the
+    heights beside wear, in the order of the heights."""
+    heights, shares = np.linspace(0.01, 0.05, 24), np.array([1.0, 1.0])
+    truth = replace(Truth(), kn_N_m=2e6)
+    plan = Plan(truth, GAUGE, heights, np.zeros((24, 2)), False)
+
+    def clear(amounts):
+        offset, wear = amounts * [1e-4, 0.01]
+        return seen(replace(truth, offset_m=offset, wear_decades=wear), heights, plan.chance)
+
+    data = clear(shares)
+
+    def left(x):
+        other = clear(np.array([0.0, x[0]]))
+        stiff = plain(truth.body, math.log10(2e6) + 0.1 * (x[1] - 1.0), other[:, 0])
+        stiff /= plain(truth.body, math.log10(2e6), other[:, 0])
+        other[:, 1:] *= stiff
+        return whitened(GAUGE, data, [other - data])[0]
+
+    refit = least_squares(left, [1.0, 1.0], diff_step=1e-3)
+    expected = math.sqrt(2.0 * refit.cost)
+    assert beside(plan, clear, shares, 0) == pytest.approx(expected, rel=0.03)
 
 
 @pytest.mark.parametrize("name", UNKNOWN)

@@ -2,6 +2,7 @@
 
 import itertools
 import json
+import math
 from dataclasses import replace
 
 import loop_toys as toys
@@ -300,8 +301,8 @@ def test_a_refit_absorbs_no_more_than_bounds_allow():
     even, trend = np.ones(40), np.linspace(-1.0, 1.0, 40)
     tangent = np.stack([100.0 * even, 100.0 * even + 0.03 * trend], axis=1)
     left = left_by_refit(tangent)
-    assert np.linalg.norm(left @ trend) > 0.99 * np.linalg.norm(trend)
-    assert np.linalg.norm(left @ even) < 0.01 * np.linalg.norm(even)
+    assert np.linalg.norm(left(trend)) > 0.99 * np.linalg.norm(trend)
+    assert np.linalg.norm(left(even)) < 0.01 * np.linalg.norm(even)
 
 
 @pytest.fixture(scope="module")
@@ -350,7 +351,8 @@ def test_what_is_likelier_and_was_refused_is_told(monkeypatch):
     def refuse(state, found, *others):
         return "it is not noise" if found.effects == plain.effects else ""
 
-    monkeypatch.setattr(explain, "_refused", refuse)
+    monkeypatch.setattr(explain, "_unfit", refuse)
+    monkeypatch.setattr(explain, "_refused", lambda *_: "")
     found = find(problem, seed=5)
     assert found.effects
     (told,) = [each for each in found.all_warnings() if "was refused" in each]
@@ -384,6 +386,42 @@ def test_two_effects_are_found_together():
     found = find(toys.problem(0, {"offset": 14.0, "wear": 14.0})[0], seed=0)
     assert set(found.effects) >= {"offset", "wear"}
     assert ("offset", "wear") in found.together or ("wear", "offset") in found.together
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_second_effect_is_looked_for_though_the_first_explains_much(seed):
+    """Of seven sigma: its log evidence is 24.5 nats by its size, less 5 for being one of many."""
+    found = find(toys.problem(seed, {"offset": 14.0, "wear": 7.0})[0], seed=seed)
+    assert found.verdict is Verdict.EFFECT
+    assert found.reported in ((("offset", "wear"),), (("wear", "offset"),))
+    assert min(found.probabilities[name] for name in ("offset", "wear")) > 0.95
+
+
+def test_effects_are_improbable_where_nothing_is_missing_and_untold_where_all_is():
+    """Each costs one of fifteen beforehand and a parameter."""
+    adequate = find(toys.problem(2)[0], seed=2)
+    assert adequate.verdict is Verdict.ADEQUATE
+    assert set(adequate.probabilities) == {e.effects[0] for e in toys.problem(2)[0].candidates}
+    assert max(adequate.probabilities.values()) < 0.2
+    unknown = find(toys.problem(3, unlisted=("bump", 16.0))[0], seed=3)
+    assert unknown.probabilities == {}
+
+
+def test_stated_probabilities_are_those_of_draws_from_the_prior():
+    """One of fifteen effects is expected in each of the sets, of three to twelve sigma. The sum of
+    probabilities is the number of effects that are there, within four deviations of both."""
+    rng, told, there = np.random.default_rng(8), [], []
+    names = [each.effects[0] for each in toys.problem(0)[0].candidates]
+    for number in range(24):
+        chosen = [name for name in names if rng.random() < 1.0 / len(names)]
+        sizes = {name: float(rng.uniform(3.0, 12.0)) for name in chosen}
+        found = find(toys.problem(100 + number, sizes)[0], seed=number)
+        if found.probabilities:
+            told += [found.probabilities.get(name, 0.0) for name in names]
+            there += [name in chosen for name in names]
+    probability = np.array(told)
+    deviation = math.sqrt(np.sum(probability * (1.0 - probability)))
+    assert abs(np.sum(there) - probability.sum()) < 4.0 * deviation + 1.0
 
 
 def test_two_effects_are_found_where_sampling_finds_each_less_likely(monkeypatch):

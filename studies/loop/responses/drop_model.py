@@ -289,14 +289,20 @@ class Errors:
         return replace(self, present=self.present[chosen], whiten=self.whiten[chosen], values=None)
 
     def factors(self, slopes: Array) -> Array:
-        """Inverse Cholesky factors (..., drops, q, q) for slopes (..., drops, q) over the
-        height."""
+        """Inverse Cholesky factors (..., drops, q, q) for slopes (..., drops, q) over the height.
+
+        Each quantity in turn is freed of what those before it say of the height's error.
+        """
         moved = np.where(self.present, self.sigma_y0_m * slopes, 0.0)
         own = np.where(self.present, self.sigma**2, 1.0)
-        covariance = np.einsum("...q,...r->...qr", moved, moved)
+        told = moved**2 / own
+        known = 1.0 + np.cumsum(told, axis=-1) - told
+        deviation = np.sqrt(own + moved**2 / known)
+        out = -(moved / (known * deviation))[..., :, None] * (moved / own)[..., None, :]
+        out *= np.tri(len(self.sigma), k=-1)
         diagonal = np.arange(len(self.sigma))
-        covariance[..., diagonal, diagonal] += own
-        return np.asarray(np.linalg.inv(np.linalg.cholesky(covariance)))
+        out[..., diagonal, diagonal] = 1.0 / deviation
+        return np.asarray(out)
 
     def rows(self, measured: Array, whiten: Array | None = None) -> Array:
         """Whitened rows (..., rows) of quantities (..., drops, q), of those that were read."""

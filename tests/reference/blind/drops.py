@@ -90,7 +90,7 @@ LISTED = {
         Listed("session", "decades", -1.0, 1.0),
     )
 }
-_LAWS = {
+LAWS = {
     "contact_damping": DASHPOT,
     "hunt_crossley": HUNT_CROSSLEY,
     "stiffening_contact": POWER,
@@ -113,8 +113,8 @@ _FIELDS = {
 
 def with_effect(truth: Truth, name: str, value: float) -> Truth:
     """``truth`` with a listed effect in it."""
-    if name in _LAWS:
-        return replace(truth, law=_LAWS[name], number=value)
+    if name in LAWS:
+        return replace(truth, law=LAWS[name], number=value)
     if name == "material_damping":
         return replace(truth, body=replace(truth.body, beta_s=value))
     if name == "hysteretic_damping":

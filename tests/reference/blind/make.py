@@ -1,4 +1,4 @@
-"""Datasets whose truth is hidden: drops and films with nothing, one listed effect, or a misfit.
+"""Datasets whose truth is hidden: drops and films with nothing, listed effects, or a misfit.
 
 Every dataset has a random stream of its own, from a seed and a constant that nothing else uses;
 design, body, stiffness, noise and misfit are drawn from it. A misfit is scaled until its size d is
@@ -14,10 +14,10 @@ from dataclasses import replace
 import numpy as np
 
 from .body import Array, Body
-from .drops import LISTED, Listed, Truth, seen, with_effect
+from .drops import LAWS, LISTED, Listed, Truth, seen, with_effect
 from .read import FORCE, TIME, Y1, Found, Made, Plan, Row, measured
 from .shapes import FAMILIES, Drops, impossible, unlisted
-from .size import Gauge, size
+from .size import Gauge, plain, size, whitened
 from .upright import GRAVITY_M_S2
 
 TAG = 0xB11D_F01D
@@ -27,6 +27,8 @@ LEVEL = ("contact_damping", "material_damping", "hysteretic_damping", "bristle_t
 # What else an effect needs to be seen at all.
 NEEDS = {"scale_error": FORCE, "clock_error": TIME}
 LEANING = ("bristle_tilt", "surface_slope")
+# Of these a drop here has one: laws of the contact, and what leans on a spring alone.
+ONE_OF = (*LAWS, *LEANING)
 FRICTIONS = (0.0, 0.2, 0.5)
 FILMED = (
     "air_drag",
@@ -53,6 +55,7 @@ ROWS = {
         Row("unlisted8", "unlisted", (8.0, 8.0)),
         Row("films", "nothing", films=True),
         Row("films16", "listed", (16.0, 40.0), films=True),
+        Row("pairs", "pair", (6.0, 40.0)),
     )
 }
 
@@ -85,6 +88,8 @@ def make(seed: int, row: str, number: int) -> Made:
         target = math.exp(rng.uniform(*np.log(asked.d)))
         if asked.holds == "listed":
             found = _listed(rng, asked, LISTED[name], target)
+        elif asked.holds == "pair":
+            found = _pair(rng, asked)
         elif asked.holds == "unlisted":
             found = _unlisted(rng, asked, family, target)
         else:
@@ -94,18 +99,20 @@ def make(seed: int, row: str, number: int) -> Made:
     raise NoDesign(f"{row} {number}: no design has the size asked for, of {name} or {family}")
 
 
-def _plan(rng: np.random.Generator, row: Row, name: str = "") -> Plan:
-    """A design in which the effect ``name`` can be seen."""
-    body = _body(rng, row, name)
+def _plan(rng: np.random.Generator, row: Row, *names: str) -> Plan:
+    """A design in which the effects ``names`` can be seen."""
+    leans = bool(set(names) & set(LEANING))
+    body = _body(rng, row, leans)
     # a film shows heights alone
-    columns = (Y1,) if row.films else _columns(rng, NEEDS.get(name))
+    needed = {NEEDS[name] for name in names if name in NEEDS}
+    columns = (Y1,) if row.films else _columns(rng, needed)
     n = int(rng.integers(8, 17)) if row.films else 48
     if not row.films and rng.random() < 0.4:
         n = int(rng.integers(8, 49))
     low, high = (0.03, 0.15) if row.films else (0.01, 0.05)
-    if name == "air_drag":
+    if "air_drag" in names:
         low, high = 0.2, rng.uniform(0.6, 1.0)
-    elif name == "hunt_crossley" and rng.random() < 0.5:
+    elif "hunt_crossley" in names and rng.random() < 0.5:
         high *= 2.5
     heights = rng.uniform(low, high, size=n)
     if rng.random() < 0.6:
@@ -113,21 +120,19 @@ def _plan(rng: np.random.Generator, row: Row, name: str = "") -> Plan:
         heights = rng.permutation(np.resize(levels, n)) + 5e-4 * rng.normal(size=n)
     kn = 10.0 ** rng.uniform(math.log10(5e4), math.log10(2e7))
     # of no account to what stands upright, but it may be declared
-    friction = float(rng.choice(FRICTIONS)) if name in LEANING else FRICTIONS[-1]
+    friction = float(rng.choice(FRICTIONS)) if leans else FRICTIONS[-1]
     truth = Truth(body=body, kn_N_m=kn, friction=friction)
-    declared = columns == (Y1,) and not row.films and name in LEVEL
+    declared = columns == (Y1,) and not row.films and bool(set(names) & set(LEVEL))
     gauge = Gauge(
         body,
         columns,
         sigma_y_m=float(f"{rng.uniform(1e-4, 5e-4):.3g}"),
         sigma_t_s=float(f"{math.exp(rng.uniform(math.log(4e-7), math.log(2e-6))):.3g}"),
         sigma_force_N=float(f"{rng.uniform(0.2, 1.0):.3g}"),
-        kn_N_m=kn if declared or (name == "" and rng.random() < 0.1) else None,
+        kn_N_m=kn if declared or (not names and rng.random() < 0.1) else None,
     )
     chance = rng.normal(size=(n, 2))
-    return Plan(
-        truth, gauge, heights, chance, bool(rng.random() < (0.5 if name in LEANING else 0.2))
-    )
+    return Plan(truth, gauge, heights, chance, bool(rng.random() < (0.5 if leans else 0.2)))
 
 
 def _others(seed: int) -> tuple[Body, ...]:
@@ -150,17 +155,17 @@ def _digits(value: float) -> float:
     return float(f"{value:.4g}")
 
 
-def _body(rng: np.random.Generator, row: Row, name: str) -> Body:
+def _body(rng: np.random.Generator, row: Row, leans: bool) -> Body:
     """The paper's bristle in two of three, else another; only flat ones lean."""
     if rng.random() < 2.0 / 3.0:
         return Body()
-    allowed = [each for each in row.others if each.diameter_m is None or name not in LEANING]
+    allowed = [each for each in row.others if each.diameter_m is None or not leans]
     return allowed[int(rng.integers(len(allowed)))]
 
 
-def _columns(rng: np.random.Generator, needed: int | None) -> tuple[int, ...]:
+def _columns(rng: np.random.Generator, needed: set[int]) -> tuple[int, ...]:
     every = [(Y1,), (Y1, TIME), (Y1, FORCE), (Y1, TIME, FORCE)]
-    allowed = [each for each in every if needed is None or needed in each]
+    allowed = [each for each in every if needed <= set(each)]
     return allowed[int(rng.integers(len(allowed)))]
 
 
@@ -169,23 +174,12 @@ def _listed(
 ) -> tuple[Plan, Found] | None:
     """A design with a listed effect of size ``target``; None where its bounds do not allow it."""
     plan = _plan(rng, row, effect.name)
-    absent, ends = effect.absent, [effect.low, effect.high]
-    if effect.name == "material_damping":
-        absent = plan.truth.body.beta_s
-    end = float(rng.choice([each for each in ends if each != absent]))
-    if effect.name == "release_velocity":
-        end = effect.high  # pushed up, it comes back as fast
-
+    value = _values(rng, effect, plan.truth.body)
     hardens, unloads = 0.0, 1.0
     if effect.name == "plastic_contact":
         hardens, unloads = float(rng.choice((0.0, 0.05, 0.1))), float(rng.choice((1.0, 1.5, 3.0)))
         plan = replace(plan, truth=replace(plan.truth, hardens=hardens, unloads=unloads))
     ideal = (hardens, unloads) == (0.0, 1.0)
-
-    def value(share: float) -> float:
-        if effect.logarithmic:
-            return absent * (end / absent) ** share
-        return absent + share * (end - absent)
 
     def clear(share: float) -> Array:
         truth = with_effect(plan.truth, effect.name, value(share))
@@ -199,6 +193,79 @@ def _listed(
     # of another law the program's yield force is not that force
     true = {effect.parameter: value(share)} if ideal else {}
     return plan, Found(data, effect.name, size(plan.gauge, data), true=true)
+
+
+def _values(rng: np.random.Generator, effect: Listed, body: Body) -> Callable[[float], float]:
+    """An effect's parameter by the share of its way from absence to one of its bounds."""
+    absent, ends = effect.absent, [effect.low, effect.high]
+    if effect.name == "material_damping":
+        absent = body.beta_s
+    end = float(rng.choice([each for each in ends if each != absent]))
+    if effect.name == "release_velocity":
+        end = effect.high  # pushed up, it comes back as fast
+
+    def value(share: float) -> float:
+        if effect.logarithmic:
+            return absent * (end / absent) ** share
+        return absent + share * (end - absent)
+
+    return value
+
+
+def _pair(rng: np.random.Generator, row: Row) -> tuple[Plan, Found] | None:
+    """A design with two listed effects, each of the size asked for with the other there; None where
+    it is not."""
+    names = [str(each) for each in rng.choice(list(LISTED), size=2, replace=False)]
+    if set(names) <= set(ONE_OF) and set(names) != set(LEANING):
+        return None
+    plan = _plan(rng, row, *names)
+    values = [_values(rng, LISTED[name], plan.truth.body) for name in names]
+
+    def clear(shares: Array) -> Array:
+        truth = plan.truth
+        for name, value, share in zip(names, values, shares, strict=True):
+            truth = with_effect(truth, name, value(share)) if share else truth
+        return seen(truth, plan.heights_m, plan.chance)
+
+    shares = np.zeros(2)
+    for i, alone in enumerate(np.eye(2)):
+        target = math.exp(rng.uniform(*np.log(row.d)))
+
+        def alone_d(share: float, alone: Array = alone) -> float:
+            return size(plan.gauge, clear(share * alone))
+
+        share = _scaled(alone_d, target)
+        if share is None:
+            return None
+        shares[i] = share
+    data = clear(shares)
+    conditional = [beside(plan, clear, shares, i) for i in range(2)]
+    if min(conditional) < row.d[0]:
+        return None
+    truth = plan.truth
+    for name, value, share in zip(names, values, shares, strict=True):
+        truth = with_effect(truth, name, value(share))
+    true = {LISTED[n].parameter: v(s) for n, v, s in zip(names, values, shares, strict=True)}
+    if len(true) < 2 or "plastic_contact" in names:
+        true = {}
+    found = Found(data, " with ".join(names), min(conditional), true=true)
+    return replace(plan, truth=truth), found
+
+
+def beside(plan: Plan, clear: Callable[[Array], Array], shares: Array, which: int) -> float:
+    """The size of one of two effects where the other is there: what its absence moves, less what
+    Kn and the other follow of it."""
+    data, other = clear(shares), 1 - which
+    without, more = shares.copy(), shares.copy()
+    without[which], more[other] = 0.0, 1.05 * shares[other]
+    moves = [clear(without) - data, clear(more) - data]
+    if plan.gauge.kn_N_m is None:
+        stiffer = plain(plan.truth.body, math.log10(plan.truth.kn_N_m) + 0.01, data[:, 0])
+        stiffer /= plain(plan.truth.body, math.log10(plan.truth.kn_N_m), data[:, 0])
+        moves.append(np.hstack([np.zeros((len(data), 1)), data[:, 1:] * (stiffer - 1.0)]))
+    moved, *follow = whitened(plan.gauge, data, moves)
+    left = moved - np.stack(follow, 1) @ np.linalg.lstsq(np.stack(follow, 1), moved)[0]
+    return float(np.linalg.norm(left))
 
 
 def _unlisted(

@@ -21,8 +21,8 @@ Y1, TIME, FORCE = 0, 1, 2
 
 @dataclass(frozen=True)
 class Row:
-    """A kind of dataset. ``holds`` is nothing, listed, unlisted or gross; ``d`` (least, most);
-    ``others`` are the bodies beside the paper's."""
+    """A kind of dataset. ``holds`` is nothing, listed, pair, unlisted or gross, ``d`` (least, most)
+    its size; ``others`` are the bodies beside the paper's."""
 
     name: str
     holds: str
@@ -112,7 +112,7 @@ def measured(
     else:
         table, fps = _table(rng, gauge, plan.gauge.sigma_y_m, clear, draw, mark), 0.0
     known = {} if gauge.kn_N_m is not None else {"kn_N_m": plan.truth.kn_N_m}
-    knowable = row.holds in ("nothing", "listed")
+    knowable = row.holds in ("nothing", "listed", "pair")
     share = 0.0 if row.films else float(np.mean((clear[:, 1] / clear[:, 0]) ** 2))
     kind = "tracks" if row.films else "drops"
     return Made(

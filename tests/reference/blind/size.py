@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -87,13 +87,30 @@ def _norm(gauge: Gauge, seen: Array) -> Callable[[float], float]:
     all columns through the slopes that the data themselves have."""
     columns, y0 = list(gauge.columns), seen[:, 0]
     values = seen[:, [1 + c for c in columns]]
-    slopes = np.stack([seen[:, 1] / y0, np.zeros_like(y0), 0.5 * seen[:, 3] / y0], axis=1)
-    slopes = slopes[:, columns] * gauge.sigma_y_m
-    covariance = np.diag(gauge.sigmas**2) + slopes[:, :, None] * slopes[:, None, :]
-    whiten = np.linalg.inv(np.linalg.cholesky(covariance))
+    whiten = _whitening(gauge, seen)[0]
 
     def norm(log_kn: float) -> float:
         left = values - plain(gauge.body, log_kn, y0)[:, columns]
         return float(np.linalg.norm(np.einsum("dij,dj->di", whiten, left)))
 
     return norm
+
+
+def _whitening(gauge: Gauge, seen: Array) -> tuple[Array, Array]:
+    """Inverse Cholesky factors (drops, columns, columns), and slopes (drops, columns) over the
+    height, which the data themselves have."""
+    columns, y0 = list(gauge.columns), seen[:, 0]
+    slopes = np.stack([seen[:, 1] / y0, np.zeros_like(y0), 0.5 * seen[:, 3] / y0], axis=1)
+    slopes = slopes[:, columns]
+    moved = slopes * gauge.sigma_y_m
+    covariance = np.diag(gauge.sigmas**2) + moved[:, :, None] * moved[:, None, :]
+    return np.linalg.inv(np.linalg.cholesky(covariance)), slopes
+
+
+def whitened(gauge: Gauge, seen: Array, moves: Sequence[Array]) -> list[Array]:
+    """Small ``moves`` (drops, 4) of what is seen, each in sigma; a move of the height before is one
+    of the values beside it, along their slopes."""
+    whiten, slopes = _whitening(gauge, seen)
+    columns = [1 + c for c in gauge.columns]
+    beside = [each[:, columns] - slopes * each[:, :1] for each in moves]
+    return [np.einsum("dij,dj->di", whiten, each).ravel() for each in beside]

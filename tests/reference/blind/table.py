@@ -6,6 +6,7 @@ import math
 import statistics
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any
 
 from scipy.stats import beta, chi2
@@ -13,6 +14,8 @@ from scipy.stats import beta, chi2
 LEVEL = 0.95
 # Held-out errors beyond so many times the noise are not explained; more where drops are few.
 NOISE = 1.2
+# Ends of the classes of stated probabilities.
+PROBABILITIES = (0.02, 0.2, 0.5, 0.8, 0.95, 1.01)
 Outcome = dict[str, Any]
 
 
@@ -82,10 +85,12 @@ def pays(outcome: Outcome) -> bool:
 def covered(outcome: Outcome) -> list[bool]:
     """Whether the 90 % intervals of true parameters hold them, where the true model is reported.
 
-    An effect's parameter is asked of the effect that stands first alone.
+    An effect's parameter is asked of the effect that stands first alone, or of both of a pair.
     """
     if outcome["truth"] == "nothing":
         right = outcome["verdict"] == "adequate"
+    elif len(there := _there(outcome)) > 1:
+        right = set(outcome["effects"]) == there
     else:
         right = bool(outcome["effects"]) and outcome["effects"][0] == outcome["truth"]
     if not right:
@@ -117,6 +122,7 @@ def table(outcomes: Iterable[Outcome]) -> list[Line]:
         lines += _listed(row, by.get(row, []))
     for row, least in (("unlisted16", 0.9), ("unlisted8", 0.6)):
         lines += _unlisted(row, by.get(row, []), least)
+    lines += [*_pairs("pairs", by.get("pairs", [])), *_calibrated(done)]
     claims = [each for each in done if named(each)]
     told = [each for each in claims if "log_score_gain_low" in (each["held_out"] or {})]
     lines += _share("all", "named although the held-out log score does not rise",
@@ -187,6 +193,43 @@ def _listed(row: str, own: Sequence[Outcome]) -> list[Line]:
         mine = [_in(each) for each in own if each["truth"] == name]
         lines += _share(row, f"  {name} in the set", mine)
     return lines
+
+
+def _pairs(row: str, own: Sequence[Outcome]) -> list[Line]:
+    """Two listed effects."""
+    both = [_there(each) <= set(each["effects"]) for each in own]
+    lines = _share(row, "both names in the set", both, 0.8)
+    third = [bool(set(each["effects"]) - _there(each)) for each in own]
+    lines += _share(row, "a wrong name in the set", third)
+    rich = [wrong and hit for wrong, hit in zip(third, both, strict=True)]
+    lines += _share(row, "a wrong third", rich, most=0.05)
+    bold = [each["verdict"] == "effect" and not set(each["effects"]) & _there(each) for each in own]
+    lines += _share(row, "wrong names alone", bold, most=0.03)
+    for verdict in ("adequate", "unknown"):
+        lines += _share(row, f"called {verdict}", [each["verdict"] == verdict for each in own])
+    return lines
+
+
+def _calibrated(done: Sequence[Outcome]) -> list[Line]:
+    """How many of the effects that are given some probability are there."""
+    told = [
+        (value, name in _there(each))
+        for each in done
+        if each["row"] not in ("gross", "unlisted8", "unlisted16")
+        for name, value in (each.get("probabilities") or {}).items()
+    ]
+    lines = []
+    for low, high in pairwise(PROBABILITIES):
+        hits = [hit for value, hit in told if low <= value < high]
+        bounds = (0.75, 0.97) if (low, high) == (0.8, 0.95) else (0.0, 1.0)
+        words = f"effects given {low:g} to {min(high, 1.0):g} that are there"
+        lines += _share("all", words, hits, *bounds)
+    return lines
+
+
+def _there(outcome: Outcome) -> set[str]:
+    """The effects that are in the data."""
+    return set(outcome["truth"].split(" with "))
 
 
 def _unlisted(row: str, own: Sequence[Outcome], least: float) -> list[Line]:

@@ -1,0 +1,121 @@
+"""A finding's first sentences, for who has read nothing of the loop."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+from ...solver.effects.library import EFFECTS
+from ..loop.finding import Finding, Verdict
+from .rows import COVARIATES, title_of
+
+# What a test sees, by how its name begins; the rest of the name is a covariate's.
+SEEN = {
+    "size": "the data lie farther from the model than their errors allow",
+    "level": "the data lie off the model by the same amount everywhere",
+    "trend with ": "what the model leaves grows or falls steadily with the {}",
+    "smooth in ": "what the model leaves bends with the {}",
+    "band of ": "the data are off in one range of the {}",
+    "wave in ": "what the model leaves rises and falls with the {}",
+    "scatter with ": "the data scatter more and more with the {}",
+    "scatter in a band of ": "the data scatter more in one range of the {}",
+    "scatter of one in several": "one in several of the data scatters more",
+    "one in several of the order": "one in several of the data is off",
+    "runs": "neighbours in order are off to the same side",
+    "two states": "some of the data are off by one amount, and the others are not",
+    "shared within a group": "what was read of one drop is off together",
+}
+# Once in more than this is told no closer.
+RAREST = 1e9
+
+
+def opening(finding: Finding) -> list[str]:
+    """The verdict and what it is worth, in plain sentences."""
+    told = [_verdict(finding), _chance(finding)]
+    held = finding.held_out
+    if held is not None and finding.model_effects:
+        before, after, noise = (
+            f"{each:.2g}" for each in (held.rms_before, held.rms_after, held.sigma)
+        )
+        told.append(
+            f"On data that took no part in the fit, the error falls from {before} to {after} "
+            f"{held.unit}; noise alone makes {noise} {held.unit}."
+            if held.rms_after < held.rms_before
+            else f"The size of the error on data that took no part in the fit stays {after} "
+            f"{held.unit}: what differs by chance cannot be foretold, but how much it differs can."
+        )
+    return told
+
+
+def _verdict(finding: Finding) -> str:
+    seen = _seen(finding)
+    if finding.verdict is Verdict.ADEQUATE:
+        return "Nothing is missing that these data could show: what the model leaves is noise."
+    if finding.verdict is Verdict.UNKNOWN:
+        return f"{seen}, and no effect that is known here explains it."
+    if finding.verdict is Verdict.EFFECT:
+        (names,) = finding.reported
+        return f"{seen}; {_with_sizes(finding, names)} explain{'s' * (len(names) == 1)} it."
+    each = "; ".join(" with ".join(map(title_of, names)) for names in finding.reported)
+    return f"{seen}. Each of these explains it, and these data do not tell which: {each}."
+
+
+def _seen(finding: Finding) -> str:
+    """What shows that something is missing; the beginning of a sentence."""
+    if finding.noticed:
+        return finding.noticed[:1].upper() + finding.noticed[1:]
+    name = finding.statistic
+    if name in finding.effects:
+        return "Something is missing from the model"
+    if name in EFFECTS:
+        return f"The data are off as {title_of(name)} would make them"
+    start = max((each for each in SEEN if name.startswith(each)), key=len, default="size")
+    covariate = name.removeprefix(start).removeprefix("the ")
+    label = COVARIATES[covariate].label if covariate in COVARIATES else covariate
+    words = SEEN[start].format(label)
+    return words[:1].upper() + words[1:]
+
+
+def _with_sizes(finding: Finding, names: Sequence[str]) -> str:
+    """Effects in words, each with its first parameter and that one's 90 % interval."""
+    told = []
+    for name in names:
+        known = EFFECTS[name].parameters if name in EFFECTS else ()
+        own = next((each.name for each in known if each.name in finding.parameters), "")
+        size = ""
+        if own:
+            found = finding.parameters[own]
+            value = f"{own} {found.estimate:.3g} {found.unit}".rstrip()
+            size = f" ({value}, 90 % interval {found.low:.3g} to {found.high:.3g})"
+        told.append(title_of(name) + size)
+    return " with ".join(told)
+
+
+def _chance(finding: Finding) -> str:
+    """What the p-value of the first tests means."""
+    if finding.verdict is Verdict.ADEQUATE:
+        return f"Data that lack nothing look as odd as these or odder {times(finding.p_value)}."
+    if finding.noticed:
+        return f"The tests of the fitted data alone do not show it (p = {finding.p_value:.2g})."
+    return f"If nothing were missing, data as odd as these would come {times(finding.p_value)}."
+
+
+def times(p: float) -> str:
+    """A probability as a count, with itself behind it."""
+    if p >= 0.01:
+        return f"in {100 * p:.0f} of 100 cases (p = {p:.2g})"
+    if p * RAREST < 1.0:
+        return "less than once in a billion times"
+    return f"once in {float(f'{1.0 / p:.2g}'):,.0f} times (p = {p:.2g})".replace(",", "\u202f")
+
+
+def would_have_shown(finding: Finding) -> str:
+    """The smallest size of each effect that these data show nine times in ten."""
+    told = []
+    for candidate, least in finding.detectable.items():
+        if least is not None and candidate in EFFECTS:
+            first = EFFECTS[candidate].parameters[0]
+            away = f"{first.null:g} ± " if first.null and math.isfinite(first.null) else ""
+            size = f"{first.name} {away}{least:.2g} {first.unit}".rstrip()
+            told.append(f"{title_of(candidate)} from {size} on")
+    return "; ".join(told)

@@ -1,0 +1,74 @@
+"""The first sentences of a verdict: true of the numbers beside them, and about the right thing."""
+
+from dataclasses import replace
+
+import loop_toys as toys
+import pytest
+
+from bristle.solver.effects.library import EFFECTS
+from bristle.studies.close_loop.opening import SEEN, opening, times, would_have_shown
+from bristle.studies.loop.finding import Finding, Interval, Verdict
+from bristle.studies.loop.run import find
+
+
+@pytest.fixture(scope="module")
+def worn() -> Finding:
+    return find(toys.problem(0, {"wear": 14.0})[0], seed=0)
+
+
+@pytest.fixture(scope="module")
+def clean() -> Finding:
+    return find(toys.problem(2)[0], seed=2)
+
+
+@pytest.mark.parametrize(
+    ("p", "words"),
+    [
+        (0.42, "in 42 of 100 cases (p = 0.42)"),
+        (0.0099, "once in 100 times (p = 0.0099)"),
+        (3.1e-6, "once in 320\u202f000 times (p = 3.1e-06)"),
+        (1e-12, "less than once in a billion times"),
+    ],
+)
+def test_a_probability_is_told_as_a_count(p, words):
+    assert times(p) == words
+
+
+def test_an_effect_is_told_with_its_size_and_what_it_does_for_held_out_data(worn):
+    decades = {"decades": Interval(2.9, 2.5, 3.3, "decades")}
+    verdict, chance, held = opening(replace(worn, parameters=decades))
+    told = "drift with the order of drops (decades 2.9 decades, 90 % interval 2.5 to 3.3)"
+    assert told in verdict
+    assert verdict.endswith("explains it.")
+    assert chance.startswith("If nothing were missing")
+    assert f"from {worn.held_out.rms_before:.2g} to {worn.held_out.rms_after:.2g} " in held
+
+
+def test_nothing_missing_is_told_with_what_would_have_shown(clean):
+    told = opening(clean)
+    assert told[0].startswith("Nothing is missing that these data could show")
+    assert len(told) == 2
+    shown = {name for name, least in clean.detectable.items() if least is not None}
+    assert would_have_shown(clean).count(" from ") == len(shown & EFFECTS.keys())
+
+
+def test_effects_that_are_tied_are_all_told_and_so_is_which_go_together(worn):
+    tied = replace(worn, verdict=Verdict.AMBIGUOUS, reported=(("wear",), ("adhesion", "wear")))
+    told = opening(tied)[0]
+    assert "drift with the order of drops; adhesion with drift with the order of drops." in told
+    assert "do not tell which" in told
+
+
+def test_what_no_test_shows_is_told_by_what_does(worn):
+    otherwise = replace(worn, verdict=Verdict.UNKNOWN, noticed="outliers lie side by side")
+    told = opening(otherwise)
+    assert told[0].startswith("Outliers lie side by side, and no effect")
+    assert told[1].startswith("The tests of the fitted data alone do not show it")
+
+
+def test_every_test_of_the_family_has_its_words(worn, clean):
+    for found in (worn, clean):
+        for each in found.tests:
+            start = [name for name in SEEN if each.name.startswith(name)]
+            known = each.name in found.needed_d or each.name in EFFECTS
+            assert start or known, each.name
