@@ -50,7 +50,18 @@ STOP = threading.Event()
 SURVIVED = "SURVIVED"
 FAILED = r"^(?:FAILED|ERROR) (\S+)"
 PYTEST = (
-    *("-m", "pytest", "-v", "-rfE", "--color=no", "--tb=short", "-p", "no:cacheprovider"),
+    *(
+        "-m",
+        "pytest",
+        "-n",
+        "0",
+        "-v",
+        "-rfE",
+        "--color=no",
+        "--tb=short",
+        "-p",
+        "no:cacheprovider",
+    ),
     *("--hypothesis-seed=0", "-p", "fault_order"),
 )
 

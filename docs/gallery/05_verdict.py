@@ -85,9 +85,10 @@ print(full)
 # %%
 # The verdict is *effect*, and the effect is damping in the contact. Read the lines like this:
 #
-# - *something is missing*: the probability of a misfit this large if the model lacked nothing. It
-#   is tiny, so the model lacks something.
-# - *something is left*: the same after the effect is added. It is not small, so what is left is
+# - *in words*: what shows that something is missing, and what explains it.
+# - *something is missing*: how often chance alone makes data as odd as these. It is very seldom, so
+#   the model lacks something.
+# - *something is left*: the same after the effect is added. It is not seldom, so what is left is
 #   noise.
 # - ``kn_N_m`` and ``c_N_s_m``: stiffness and damping with their 90 % intervals.
 # - *held-out error*: some drops took no part in the fit. The model with the effect predicts them

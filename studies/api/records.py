@@ -170,6 +170,8 @@ class Verdict(Record):
     verdict: str
     effects: list[str]
     weights: Record
+    probabilities: Record
+    in_words: list[str]
     detection: Record
     open_set: Record
     parameters: Record
@@ -178,6 +180,7 @@ class Verdict(Record):
     fit: Record
     noise: Record
     warnings: list[str]
+    bookkeeping: list[Record]
     held_out: Record | None
     confirmed_in_3d: Record | None
     next_experiment: Record | None

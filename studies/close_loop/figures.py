@@ -145,9 +145,9 @@ def evidence_figure(ax: Axes, evidences: Sequence[Evidence], unlisted: float) ->
     _legend_above(ax, 2)
 
 
-@drawing("probability", legend=None, xlim=(0, 1.02))
+@drawing("share in the verdict", legend=None, xlim=(0, 1.02))
 def weights_figure(ax: Axes, finding: Finding) -> None:
-    """Probability of each effect of the verdict."""
+    """Share of each effect in the verdict."""
     weights = [finding.weights[name] for name in finding.effects]
     ax.barh(range(len(weights)), weights, color=BLUE, height=0.6)
     _named(ax, [title_of(name) for name in finding.effects])

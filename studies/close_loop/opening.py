@@ -13,14 +13,15 @@ from .rows import COVARIATES, title_of
 SEEN = {
     "size": "the data lie farther from the model than their errors allow",
     "level": "the data lie off the model by the same amount everywhere",
-    "trend with ": "what the model leaves grows or falls steadily with the {}",
-    "smooth in ": "what the model leaves bends with the {}",
-    "band of ": "the data are off in one range of the {}",
-    "wave in ": "what the model leaves rises and falls with the {}",
-    "scatter with ": "the data scatter more and more with the {}",
-    "scatter in a band of ": "the data scatter more in one range of the {}",
+    "trend with ": "what the model leaves grows or falls steadily with {}",
+    "smooth in ": "what the model leaves bends with {}",
+    "band of ": "the data are off in one range of {}",
+    "wave in ": "what the model leaves rises and falls with {}",
+    "scatter with ": "the data scatter more and more with {}",
+    "scatter in a band of ": "the data scatter more in one range of {}",
     "scatter of one in several": "one in several of the data scatters more",
     "one in several of the order": "one in several of the data is off",
+    "settling in the order": "the first of the data are off, and the later ones less and less",
     "runs": "neighbours in order are off to the same side",
     "two states": "some of the data are off by one amount, and the others are not",
     "shared within a group": "what was read of one drop is off together",
@@ -52,7 +53,9 @@ def _verdict(finding: Finding) -> str:
     if finding.verdict is Verdict.ADEQUATE:
         return "Nothing is missing that these data could show: what the model leaves is noise."
     if finding.verdict is Verdict.UNKNOWN:
-        return f"{seen}, and no effect that is known here explains it."
+        best = max(each.log_evidence for each in finding.evidences)
+        shape = f" Likelier is a shape: {finding.shape}." if finding.unlisted > best else ""
+        return f"{seen}, and no effect that is known here explains it.{shape}"
     if finding.verdict is Verdict.EFFECT:
         (names,) = finding.reported
         return f"{seen}; {_with_sizes(finding, names)} explain{'s' * (len(names) == 1)} it."
@@ -65,14 +68,12 @@ def _seen(finding: Finding) -> str:
     if finding.noticed:
         return finding.noticed[:1].upper() + finding.noticed[1:]
     name = finding.statistic
-    if name in finding.effects:
+    if name in finding.needed_d:  # an effect's own test: which effect it is comes after
         return "Something is missing from the model"
-    if name in EFFECTS:
-        return f"The data are off as {title_of(name)} would make them"
     start = max((each for each in SEEN if name.startswith(each)), key=len, default="size")
     covariate = name.removeprefix(start).removeprefix("the ")
     label = COVARIATES[covariate].label if covariate in COVARIATES else covariate
-    words = SEEN[start].format(label)
+    words = SEEN[start].format(label if label == "time" else f"the {label}")
     return words[:1].upper() + words[1:]
 
 
@@ -93,20 +94,21 @@ def _with_sizes(finding: Finding, names: Sequence[str]) -> str:
 
 def _chance(finding: Finding) -> str:
     """What the p-value of the first tests means."""
+    p = f"(p = {finding.p_value:.2g})"
     if finding.verdict is Verdict.ADEQUATE:
-        return f"Data that lack nothing look as odd as these or odder {times(finding.p_value)}."
+        return f"Data that lack nothing look as odd as these or odder {times(finding.p_value)} {p}."
     if finding.noticed:
-        return f"The tests of the fitted data alone do not show it (p = {finding.p_value:.2g})."
-    return f"If nothing were missing, data as odd as these would come {times(finding.p_value)}."
+        return f"The tests of the fitted data alone do not show it {p}."
+    return f"If nothing were missing, data as odd as these would come {times(finding.p_value)} {p}."
 
 
 def times(p: float) -> str:
-    """A probability as a count, with itself behind it."""
+    """A probability as a count."""
     if p >= 0.01:
-        return f"in {100 * p:.0f} of 100 cases (p = {p:.2g})"
+        return f"in {100 * p:.0f} of 100 cases"
     if p * RAREST < 1.0:
         return "less than once in a billion times"
-    return f"once in {float(f'{1.0 / p:.2g}'):,.0f} times (p = {p:.2g})".replace(",", "\u202f")
+    return f"once in {float(f'{1.0 / p:.2g}'):,.0f} times"
 
 
 def would_have_shown(finding: Finding) -> str:

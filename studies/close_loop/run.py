@@ -34,7 +34,7 @@ from ..running.mark import refuse_foreign
 from ..running.parallel import share_out, start_petsc
 from ..running.progress import progress, working
 from .confirm import LEFT_OUT, Confirmation, confirm
-from .opening import opening, would_have_shown
+from .opening import opening, times, would_have_shown
 
 SCHEMA = "bristle-close-loop-1"
 VERDICT_FILE = "verdict.json"
@@ -246,11 +246,15 @@ def summary(content: dict[str, Any]) -> list[tuple[str, str]]:
     rows = [("verdict", content["verdict"])]
     if names:
         rows.append(("effects", ", ".join(names)))
-    rows.append(("in words", " ".join(content["in_words"])))
+    rows.append(("in words", content["in_words"][0]))
     if content["verdict"] == "adequate" and content["would_have_shown"]:
         rows.append(("would have shown", content["would_have_shown"]))
-    rows.append(("something is missing", f"p = {content['detection']['p_value']:.2g}"))
-    rows.append(("something is left", f"p = {content['open_set']['p_value']:.2g}"))
+    first, last = content["detection"]["p_value"], content["open_set"]["p_value"]
+    chance = f"p = {first:.2g}: chance makes data as odd as these {times(first)}"
+    if content["verdict"] != "adequate" and first > content["alarm"]:
+        chance = f"p = {first:.2g} by the tests of these data alone; the doubts say what shows it"
+    rows.append(("something is missing", chance))
+    rows.append(("something is left", f"p = {last:.2g}: chance leaves as much {times(last)}"))
     for name, each in content["parameters"].items():
         value = f"{each['estimate']:.4g} ({each['low']:.4g} to {each['high']:.4g}) {each['unit']}"
         rows.append((name, value.rstrip()))

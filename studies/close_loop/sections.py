@@ -43,7 +43,8 @@ HEADS: dict[str, Head] = {
     "log_evidence": ("log evidence over the baseline's", "nats"),
     "left_p_value": ("p of what it leaves", "", 2),
     "why_not": "why it does not hold",
-    "weight": "probability",
+    "weight": ("share in the verdict", "", 3),
+    "probability": ("probability that it is there", "", 3),
     "normal": ("normal quantile", "σ"),
     "reduction_low": ("less by, 90 % from", "", 3),
     "reduction_high": ("to", "", 3),
@@ -224,6 +225,7 @@ def _attribution(rows: Rows) -> Section:
         "effect": finding.effects,
         "title": map(title_of, finding.effects),
         "weight": [float(finding.weights[each]) for each in finding.effects],
+        "probability": [finding.probabilities.get(each) for each in finding.effects],
     }
     if finding.effects:
         drawn = figures.weights_figure(finding)

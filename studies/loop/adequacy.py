@@ -3,9 +3,9 @@
 One family of statistics, declared here and nowhere else, looks at the quantile residuals of a
 fitted model: their size; each quantity's level; against every covariate smooth shapes, bands and
 thresholds, for the residuals and for their scatter; in the order of the groups every residue
-class and runs, there and in height waves; two states; what rows of one group share; and the
-directions of known effects. Shifts are looked for alike at all rows and in proportion to the
-prediction.
+class, runs and what settles, there and in height waves; two states; what rows of one group share;
+and the directions of known effects. Shifts are looked for alike at all rows and in proportion to
+the prediction.
 
 Nothing here forgives a large residual: statistics grow with the residuals themselves (their
 logarithm beyond `KNEE`), after the full fit within its bounds, and what they are held against is
@@ -37,6 +37,7 @@ from .shapes import (
     patterns_of,
     polynomials,
     residue_classes,
+    settlings_of,
     shared_pairs,
     unit_shapes,
     waves_of,
@@ -276,6 +277,8 @@ def _family(
     if order is not None and np.unique(order).size >= LEAST_ORDERED:
         classes = residue_classes(order)
         linear("one in several of the order", np.concatenate([classes * e for e in every]))
+        settlings = settlings_of(order)
+        linear("settling in the order", np.concatenate([settlings * e for e in every]))
         wavy("the order", order)
         scattered("scatter of one in several", classes)
     linked = np.flatnonzero(data.noises.previous >= 0)

@@ -140,7 +140,8 @@ def _unfit(state: State, found: Posterior, left: Adequacy) -> str:
 def _refused(state: State, found: Posterior, held: HeldOut | None, over: Posterior | None) -> str:
     """Why a model that leaves noise does not explain the data, in words; empty where it does."""
     scatters = np.asarray(found.fitted.model.weights).size > 1
-    if state.first.unlisted > found.log_evidence + (0.0 if scatters else UNLISTED_MARGIN):
+    more = state.cost * (len(found.effects) - 1)
+    if state.first.unlisted > found.log_evidence - more + (0.0 if scatters else UNLISTED_MARGIN):
         return f"a shape that no effect has explains more ({state.first.shape})"
     if held is None:
         return ""

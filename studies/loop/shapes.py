@@ -19,6 +19,7 @@ DEGREES = 5
 MOST_EDGES = 32
 LEAST_BAND = 3
 MOST_PERIOD = 9
+SETTLINGS = 5
 # Faster waves, of which many data could show more, are left to bands and to one in several.
 MOST_WAVES = 48
 # Rows of longer groups are a record in time: what they share shows in runs.
@@ -126,6 +127,15 @@ def residue_classes(order: Array) -> Array:
     most = min(MOST_PERIOD, np.unique(place).size // 3)
     out = [(place % k == j).astype(float) for k in range(2, most + 1) for j in range(k)]
     return np.array([each for each in out if 0 < each.sum() < order.size]).reshape(-1, order.size)
+
+
+def settlings_of(order: Array) -> Array:
+    """Shapes (shapes, rows) of what differs at first and then settles, exponentially, sooner or
+    later in the order."""
+    place = counted(order).astype(float)
+    count = np.unique(place).size
+    scales = np.geomspace(LEAST_BAND, max(count / 2.0, LEAST_BAND), SETTLINGS)
+    return np.exp(-place / np.unique(scales)[:, None])
 
 
 def waves_of(x: Array) -> list[Array]:

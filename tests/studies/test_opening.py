@@ -24,9 +24,9 @@ def clean() -> Finding:
 @pytest.mark.parametrize(
     ("p", "words"),
     [
-        (0.42, "in 42 of 100 cases (p = 0.42)"),
-        (0.0099, "once in 100 times (p = 0.0099)"),
-        (3.1e-6, "once in 320\u202f000 times (p = 3.1e-06)"),
+        (0.42, "in 42 of 100 cases"),
+        (0.0099, "once in 100 times"),
+        (3.1e-6, "once in 320,000 times"),
         (1e-12, "less than once in a billion times"),
     ],
 )
@@ -70,5 +70,4 @@ def test_every_test_of_the_family_has_its_words(worn, clean):
     for found in (worn, clean):
         for each in found.tests:
             start = [name for name in SEEN if each.name.startswith(name)]
-            known = each.name in found.needed_d or each.name in EFFECTS
-            assert start or known, each.name
+            assert start or each.name in found.needed_d, each.name

@@ -115,7 +115,9 @@ def forces_problem(data: Forces, library: Sequence[str] | None = None) -> Proble
         own = emulator.of_drops()
         rebound = BounceModel(Drops(own, data.y0_m, order, (0,)), stiff, ())
     y1 = data.y1_m if rebound is not None else None
-    values, weights, known = _together(made, data.y0_m, y1, data.sigma_y_m)
+    # what tables miss is common to all drops
+    missed = len(records) * np.append(errors, [0.0] * (y1 is not None)) ** 2
+    values, weights, known = _together(made, data.y0_m, y1, data.sigma_y_m, missed)
     leading = [
         np.append(each.leading, SHAPES)[: len(v)] for each, v in zip(made, values, strict=True)
     ]
@@ -157,9 +159,10 @@ def _taken_as_known(manifest: Manifest) -> tuple[str, ...]:
 
 
 def _together(
-    made: list[Rows], y0_m: Array, y1_m: Array | None, sigma_y_m: float | None
+    made: list[Rows], y0_m: Array, y1_m: Array | None, sigma_y_m: float | None, missed: Array
 ) -> tuple[list[Array], list[Array], list[Array]]:
-    """Values, weights and how well each row is known, with the error of y0 in all of a drop."""
+    """Values, weights and how well each row is known, with the error of y0 in all of a drop, and
+    the variance (features,) of what tables have ``missed``."""
     values: list[Array] = []
     weights: list[Array] = []
     known: list[Array] = []
@@ -174,7 +177,8 @@ def _together(
             moved = np.append(moved, value[-1] / y0_m[i])
             sizes = np.append(sizes, 1.0 / sigma_y_m)
         moved = moved * (sigma_y_m or 0.0)
-        factor = np.linalg.cholesky(np.eye(len(value)) + np.outer(moved, moved))
+        covariance = np.eye(len(value)) + np.outer(moved, moved) + (own * missed) @ own.T
+        factor = np.linalg.cholesky(covariance)
         values.append(np.linalg.solve(factor, value))
         weights.append(np.linalg.solve(factor, own))
         known.append(sizes / np.diag(factor))
