@@ -82,8 +82,8 @@ def test_every_command_is_understood(words):
         case "sbatch":
             assert (readme.REPOSITORY / words[1]).is_file()
             readme.parse(("sweep", *words[2:]))
-        case _:
-            assert words == ("pytest",)
+        case _:  # test_install.py installs it
+            assert words in (("pytest",), ("pip", "install", "."))
 
 
 def _understood_by_script(module: str, words: tuple[str, ...]) -> None:
