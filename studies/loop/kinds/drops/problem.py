@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -78,83 +78,51 @@ def drops_problem(data: datasets.Drops, wrong: tuple[Entry, ...] = ()) -> Proble
 
     Raises InputError where it cannot be one.
     """
-    manifest, every = data.manifest, data
-    without = data.drop[~np.isfinite(data.y0_m)]
-    data = data.of(np.isfinite(data.y0_m))
-    measured, sigmas, notes = _measured(data)
-    emulator = emulator_for(data.y0_m, manifest)
-    drops = Drops(emulator, data.y0_m, order_of(data.drop), tuple(measured))
-    values = np.stack([measured[q] for q in drops.quantities], axis=1)
-    for name in carried(KIND, drops.quantities):
-        if EFFECTS[name].origin and not emulator.carries(name):
-            notes[name] = "left aside: of a rigid body the loop knows its own effects alone"
-    kn, beta = stiffness(manifest.kn_N_m, emulator), damping(manifest)
-    gain = FORCE_GAIN if 2 in measured else None
-    sigma = np.array([sigmas[q] for q in drops.quantities])
-    sigma_0 = data.sigma_y0_m or sigmas[0]
-    plain = Errors.independent(sigma, np.isfinite(values), sigma_0)
-    bare = DropModel(drops, kn, (), plain, beta=beta, gain=gain)
-    start = _start(bare, values, sigma)
+    every = data
+    data = every.of(np.isfinite(every.y0_m))
+    bare, values, notes = _bare(data)
+    start = _start(bare, values, bare.errors.sigma)
     entries = _misread(data, bare, start, values)
     if entries:
         aside = [n for each in entries for n in each.drops[each.kind == "repeated" :]]
         return drops_problem(every.of(~np.isin(every.drop, aside)), (*wrong, *entries))
-    predicted = bare.measured(start)[0]
-    close = _close_together(data.y0_m, sigma_0)
-    most = 0 if close else RATIO_DEGREE
-    fits = _ratios(drops.y0_m, values, predicted, sigma, most)
-    ratios = dict(zip(drops.quantities, fits, strict=True))
-    slopes = _slopes(bare, start, ratios)
-    errors = replace(plain, whiten=plain.factors(slopes), values=values if close else None)
-    present = errors.present
-    height_m = drops.y0_m
-    expected = predicted * np.stack([each(drops.y0_m) for each in fits], axis=1)
-    left = (values - expected) / np.hypot(sigma, sigma_0 * slopes)
-    session, partings = sessions(data, left)
-    bare = replace(bare, drops=replace(drops, session=session, partings=partings))
-    if close:
-        height_m = _fitted_heights(drops.y0_m, errors, slopes, values - expected)
+    seen = _seen(bare, start, values)
+    session, partings = sessions(data, seen.left)
+    bare = replace(bare, drops=replace(bare.drops, session=session, partings=partings))
+    drops, emulator, errors = bare.drops, bare.emulator, seen.errors
     number = np.broadcast_to(data.drop.astype(np.int64)[:, None], values.shape)
 
     def model(effects: Sequence[str]) -> DropModel:
         return replace(bare, effects=tuple(effects), errors=errors)
 
-    def proposed(other: Drops, known: Mapping[int, float], effects: tuple[str, ...]) -> DropModel:
-        each = np.array([known[q] for q in other.quantities])
-        least = sigma_0 * min(1.0, known[0] / sigmas[0])
-        plain = Errors.independent(each, np.ones((len(other), each.size), dtype=bool), least)
-        unlike = replace(bare, drops=other, effects=(), errors=plain)
-        own = replace(plain, whiten=plain.factors(_slopes(unlike, start, ratios)))
-        return replace(unlike, effects=effects, errors=own)
+    def confirm(effects: tuple[str, ...], theta: Array, groups: Ints) -> Array:
+        return _solid(refined_as(model(effects), theta.size), theta, groups, number[:, 0])
 
     # the last row of a Cholesky factor's inverse has its own scale on the diagonal
     whiten = np.einsum("dqq->dq", errors.whiten)
     scale = np.array([SCALES[q] for q in drops.quantities]) / whiten
     names = np.array([NAMES[q] for q in drops.quantities])
-    listed = ", ".join(f"{each:g}" for each in without)
+    listed = ", ".join(f"{each:g}" for each in every.drop[~np.isfinite(every.y0_m)])
+    sigmas = dict(zip(drops.quantities, map(float, errors.sigma), strict=True))
     return Problem(
         values=errors.rows(values),
-        scale=scale[present],
+        scale=scale[errors.present],
         unit="mm",
-        quantity=np.broadcast_to(names, values.shape)[present],
+        quantity=np.broadcast_to(names, values.shape)[errors.present],
         main=NAMES[0],
-        group=number[present],
-        covariates=_covariates(data, drops, height_m, present),
+        group=number[errors.present],
+        covariates=_covariates(data, drops, seen.height_m, errors.present),
         baseline=model(()),
         candidates=[
             model((name,))
             for name in carried(KIND, drops.quantities)
             if emulator.carries(name)
-            and (beta is None or name != "material_damping")
+            and (bare.beta is None or name != "material_damping")
             and (partings or name != "session")
         ],
         combine=model,
-        experiments=experiments(drops, sigmas, proposed),
-        confirm=None
-        if emulator.no_solid
-        else lambda effects, theta, groups: _solid(
-            refined_as(model(effects), theta.size), theta, groups, number[:, 0]
-        ),
+        experiments=experiments(drops, sigmas, _proposed(bare, start, seen.ratios)),
+        confirm=None if emulator.no_solid else confirm,
         confirm_why=emulator.no_solid,
         sigma_declared=data.sigma_y_m is not None,
         notes=notes,
@@ -163,6 +131,67 @@ def drops_problem(data: datasets.Drops, wrong: tuple[Entry, ...] = ()) -> Proble
         bookkeeping=wrong,
         with_sigma=lambda times: drops_problem(every.with_sigma(times), wrong),
     )
+
+
+def _bare(data: datasets.Drops) -> tuple[DropModel, Array, dict[str, str]]:
+    """The model without effects, with errors that have nothing in common yet; what is measured
+    (drops, q); and notes for the reader."""
+    manifest = data.manifest
+    measured, sigmas, notes = _measured(data)
+    emulator = emulator_for(data.y0_m, manifest)
+    drops = Drops(emulator, data.y0_m, order_of(data.drop), tuple(measured))
+    values = np.stack([measured[q] for q in drops.quantities], axis=1)
+    for name in carried(KIND, drops.quantities):
+        if EFFECTS[name].origin and not emulator.carries(name):
+            notes[name] = "left aside: of a rigid body the loop knows its own effects alone"
+    kn, beta = stiffness(manifest.kn_N_m, emulator), damping(manifest)
+    sigma = np.array([sigmas[q] for q in drops.quantities])
+    errors = Errors.independent(sigma, np.isfinite(values), data.sigma_y0_m or sigmas[0])
+    gain = FORCE_GAIN if 2 in measured else None
+    return DropModel(drops, kn, (), errors, beta=beta, gain=gain), values, notes
+
+
+@dataclass(frozen=True)
+class _Seen:
+    """What data show of the height before: the ``errors`` that it causes, the heights (drops,) as
+    all readings have them, what the expectation leaves (drops, q) in sigma, and ``ratios`` of data
+    to baseline over the height, by quantity."""
+
+    errors: Errors
+    height_m: Array
+    left: Array
+    ratios: Mapping[int, Legendre]
+
+
+def _seen(bare: DropModel, start: Array, values: Array) -> _Seen:
+    plain, drops = bare.errors, bare.drops
+    predicted = bare.measured(start)[0]
+    close = _close_together(drops.y0_m, plain.sigma_y0_m)
+    fits = _ratios(drops.y0_m, values, predicted, plain.sigma, 0 if close else RATIO_DEGREE)
+    ratios = dict(zip(drops.quantities, fits, strict=True))
+    slopes = _slopes(bare, start, ratios)
+    errors = replace(plain, whiten=plain.factors(slopes), values=values if close else None)
+    expected = predicted * np.stack([each(drops.y0_m) for each in fits], axis=1)
+    height_m = drops.y0_m
+    if close:
+        height_m = _fitted_heights(height_m, errors, slopes, values - expected)
+    left = (values - expected) / np.hypot(plain.sigma, plain.sigma_y0_m * slopes)
+    return _Seen(errors, height_m, left, ratios)
+
+
+def _proposed(bare: DropModel, start: Array, ratios: Mapping[int, Legendre]) -> Build:
+    """What builds models of other drops, with the errors that these have shown."""
+    sigma_0, sigma_y = bare.errors.sigma_y0_m, float(bare.errors.sigma[0])
+
+    def build(other: Drops, known: Mapping[int, float], effects: tuple[str, ...]) -> DropModel:
+        each = np.array([known[q] for q in other.quantities])
+        least = sigma_0 * min(1.0, known[0] / sigma_y)
+        plain = Errors.independent(each, np.ones((len(other), each.size), dtype=bool), least)
+        unlike = replace(bare, drops=other, effects=(), errors=plain)
+        own = replace(plain, whiten=plain.factors(_slopes(unlike, start, ratios)))
+        return replace(unlike, effects=effects, errors=own)
+
+    return build
 
 
 def _misread(data: datasets.Drops, bare: DropModel, start: Array, values: Array) -> list[Entry]:
