@@ -242,7 +242,7 @@ def verdict(closed: Closed) -> dict[str, Any]:
 def summary(content: dict[str, Any]) -> list[tuple[str, str]]:
     """Name and value of what a terminal shows."""
     held, solid = content["held_out"], content["confirmed_in_3d"]
-    names = [f"{name} ({content['weights'][name]:.2f})" for name in content["effects"]]
+    names = [f"{name} ({content['probabilities'][name]:.2f})" for name in content["effects"]]
     rows = [("verdict", content["verdict"])]
     if names:
         rows.append(("effects", ", ".join(names)))

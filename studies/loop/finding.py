@@ -13,6 +13,8 @@ from .heldout import HeldOut
 from .noise import Ints
 from .problem import Entry, Model
 
+# An effect that is named alone and is less probable has a doubt beside it.
+SURE = 0.9
 SEEN_BY = "what is missing is seen by this: "
 
 
@@ -147,6 +149,10 @@ class Finding:
     def all_warnings(self) -> list[str]:
         """Sentences on what deserves doubt."""
         out = [each for each in (self.noticed and SEEN_BY + self.noticed, *self.warnings) if each]
+        unsure = [name for name in self.effects if self.probabilities[name] < SURE]
+        if unsure and self.verdict is Verdict.EFFECT:
+            told = ", ".join(f"{name} {self.probabilities[name]:.2f}" for name in unsure)
+            out.append(f"as these data have it, no more than probable: {told}")
         if self.at_bounds:
             out.append(f"on a bound of what is searched: {', '.join(self.at_bounds)}")
         if self.unidentified:

@@ -36,8 +36,8 @@ pytestmark = pytest.mark.serial
 DATA = Path(__file__).resolve().parents[3] / "shared" / "data"
 MEASURED = Path(__file__).resolve().parents[2] / "studies" / "measured"
 KEYS = {
-    "verdict", "effects", "weights", "detection", "open_set", "parameters", "classes", "detectable",
-    "held_out", "confirmed_in_3d", "next_experiment", "seed",
+    "verdict", "effects", "weights", "probabilities", "bookkeeping", "fit", "noise", "detection", "open_set", "parameters", "classes", "detectable",
+    "held_out", "confirmed_in_3d", "next_experiment", "seed", "in_words", "warnings",
 }  # fmt: skip
 SECTIONS = (
     "noise", "baseline", "residuals", "tests", "detectable", "evidence", "attribution", "left",
@@ -79,6 +79,7 @@ def test_the_verdict_has_the_keys_of_the_contract_and_names_what_is_missing(worn
     assert content["verdict"] == "effect"
     assert content["effects"] == ["wear"]
     assert content["weights"]["wear"] == pytest.approx(1.0, abs=0.05)
+    assert content["probabilities"]["wear"] > 0.9
     assert content["seed"] == 3
     assert content["detection"]["p_value"] < 0.03 < content["open_set"]["p_value"]
     wear = content["parameters"]["decades"]
