@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
+import numpy as np
+
 from ...solver.effects.library import EFFECTS
 from ..loop.finding import Finding, Verdict
 from .rows import COVARIATES, title_of
@@ -12,7 +14,7 @@ from .rows import COVARIATES, title_of
 # What a test sees, by how its name begins; the rest of the name is a covariate's.
 SEEN = {
     "size": "the data lie farther from the model than their errors allow",
-    "level": "the data lie off the model by the same amount everywhere",
+    "level": "the data lie off the model to the same side everywhere",
     "trend with ": "what the model leaves grows or falls steadily with {}",
     "smooth in ": "what the model leaves bends with {}",
     "band of ": "the data are off in one range of {}",
@@ -54,8 +56,11 @@ def _verdict(finding: Finding) -> str:
         return "Nothing is missing that these data could show: what the model leaves is noise."
     if finding.verdict is Verdict.UNKNOWN:
         best = max(each.log_evidence for each in finding.evidences)
-        shape = f" Likelier is a shape: {finding.shape}." if finding.unlisted > best else ""
-        return f"{seen}, and no effect that is known here explains it.{shape}"
+        shape = f" A shape explains more than any of them: {finding.shape}."
+        return (
+            f"{seen}, and no effect that is known here explains it."
+            f"{shape if finding.unlisted > best else ''}"
+        )
     if finding.verdict is Verdict.EFFECT:
         (names,) = finding.reported
         return f"{seen}; {_with_sizes(finding, names)} explain{'s' * (len(names) == 1)} it."
@@ -68,6 +73,8 @@ def _seen(finding: Finding) -> str:
     if finding.noticed:
         return finding.noticed[:1].upper() + finding.noticed[1:]
     name = finding.statistic
+    if np.asarray(finding.model.weights).size > 1:
+        return "Drops differ more than their errors allow"
     if name in finding.needed_d:  # an effect's own test: which effect it is comes after
         return "Something is missing from the model"
     start = max((each for each in SEEN if name.startswith(each)), key=len, default="size")
@@ -86,9 +93,9 @@ def _with_sizes(finding: Finding, names: Sequence[str]) -> str:
         size = ""
         if own:
             found = finding.parameters[own]
-            value = f"{own} {found.estimate:.3g} {found.unit}".rstrip()
+            value = quantity(own, f"{found.estimate:.3g}", found.unit)
             size = f" ({value}, 90 % interval {found.low:.3g} to {found.high:.3g})"
-        told.append(title_of(name) + size)
+        told.append(f"{title_of(name)} {finding.remarks.get(name, '')}".rstrip() + size)
     return " with ".join(told)
 
 
@@ -104,20 +111,26 @@ def _chance(finding: Finding) -> str:
 
 def times(p: float) -> str:
     """A probability as a count."""
+    p = float(f"{p:.2g}")
     if p >= 0.01:
-        return f"in {100 * p:.0f} of 100 cases"
+        return f"in {100 * p:g} of 100 cases"
     if p * RAREST < 1.0:
         return "less than once in a billion times"
     return f"once in {float(f'{1.0 / p:.2g}'):,.0f} times"
 
 
-def would_have_shown(finding: Finding) -> str:
+def would_have_shown(finding: Finding) -> list[str]:
     """The smallest size of each effect that these data show nine times in ten."""
     told = []
     for candidate, least in finding.detectable.items():
         if least is not None and candidate in EFFECTS:
             first = EFFECTS[candidate].parameters[0]
             away = f"{first.null:g} ± " if first.null and math.isfinite(first.null) else ""
-            size = f"{first.name} {away}{least:.2g} {first.unit}".rstrip()
+            size = quantity(first.name, f"{away}{least:.2g}", first.unit)
             told.append(f"{title_of(candidate)} from {size} on")
-    return "; ".join(told)
+    return told
+
+
+def quantity(name: str, value: str, unit: str) -> str:
+    """A parameter with its value and unit; a unit that says what it is stands alone."""
+    return f"{value} {unit}" if unit.startswith(name) else f"{name} {value} {unit}".rstrip()

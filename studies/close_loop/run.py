@@ -248,7 +248,8 @@ def summary(content: dict[str, Any]) -> list[tuple[str, str]]:
         rows.append(("effects", ", ".join(names)))
     rows.append(("in words", content["in_words"][0]))
     if content["verdict"] == "adequate" and content["would_have_shown"]:
-        rows.append(("would have shown", content["would_have_shown"]))
+        labels = ["would have shown", *[""] * len(content["would_have_shown"])]
+        rows += zip(labels, content["would_have_shown"], strict=False)
     first, last = content["detection"]["p_value"], content["open_set"]["p_value"]
     chance = f"p = {first:.2g}: chance makes data as odd as these {times(first)}"
     if content["verdict"] != "adequate" and first > content["alarm"]:

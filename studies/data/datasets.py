@@ -26,7 +26,7 @@ from ..inputs.config import Inputs
 from ..inputs.kinds import KINDS, load_installed
 from ..inputs.sources import checked
 from ..inputs.texts import finite, line_of, parse_toml, printable, quoted
-from .tables import check_order, column, inside, optional_column, read_table, read_text
+from .tables import Rows, check_order, column, inside, optional_column, read_table, read_text
 from .units import check_contact_times, check_heights, check_peaks, doubtful_body
 
 PARTS = ("dataset", "body", "contact", "measurement")
@@ -137,7 +137,7 @@ class Drops:
 
     ``sigma_y_m`` is the declared uncertainty of a height, or None, and ``sigma_y0_m`` that of the
     height before. Where a cell is empty there is NaN; optional columns are None where the table has
-    no value in them at all.
+    no value in them at all. ``again`` are the numbers of drops whose row stands twice.
     """
 
     manifest: Manifest
@@ -149,6 +149,7 @@ class Drops:
     session: tuple[str, ...] | None
     sigma_y_m: float | None
     sigma_y0_m: float | None = None
+    again: tuple[int, ...] = ()
 
     def of(self, which: NDArray[np.bool_]) -> Drops:
         """Those drops that ``which`` (drops,) tells."""
@@ -236,6 +237,7 @@ def read_drops(folder: Path) -> Drops:
         raise InputError(
             f"{path}: too few drops, {len(rows)}: an interval needs three, the loop four"
         )
+    rows, twice = _once(rows)
     drop = column(path, rows, "drop", whole=True)
     check_order(path, rows, "drop", drop)
     sigma, sigma_0 = (manifest.measurement.get(f"sigma_{y}_mm") for y in ("y", "y0"))
@@ -267,7 +269,19 @@ def read_drops(folder: Path) -> Drops:
         session=tuple(row["session"] for _, row in rows) if "session" in rows[0][1] else None,
         sigma_y_m=None if sigma is None else 1e-3 * sigma,
         sigma_y0_m=None if sigma_0 is None else 1e-3 * sigma_0,
+        again=tuple(int(n) for n in column(path, twice, "drop", whole=True)),
     )
+
+
+def _once(rows: Rows) -> tuple[Rows, Rows]:
+    """The rows without those that say what an earlier one does, number and all; and these."""
+    said: set[tuple[str, ...]] = set()
+    first, again = Rows(), Rows()
+    for line, row in rows:
+        words = tuple(row.values())
+        (again if words in said else first).append((line, row))
+        said.add(words)
+    return first, again
 
 
 def _unless_empty(values: Array | None) -> Array | None:

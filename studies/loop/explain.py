@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.special import softmax
+from scipy.stats import norm
 
 from ...solver.arrays import Array
 from .adequacy import OCCAM, Adequacy, Direction, assess, outliers_together
@@ -44,13 +45,12 @@ GROSS = 30.0
 class Explanation:
     """A model with effects, what it leaves, and what it gains on held-out data (None: none).
 
-    It ``fits`` where what it leaves is noise, and ``holds`` where it pays as well.
+    It ``holds`` where what it leaves is noise and it pays as well.
     """
 
     posterior: Posterior
     left: Adequacy
     held: HeldOut | None
-    fits: bool
     holds: bool
     why_not: str
 
@@ -118,9 +118,8 @@ def _looked_at(
         own = [each for each in parts if each.effects[0] in found.effects]
         part = max(own, key=lambda each: each.log_evidence, default=None)
         over = _sampled(state, part) if part else None
-        fits = _unfit(state, found, assessed)
-        why = fits or _refused(state, found, held, over)
-        out.append(Explanation(found, assessed, held, not fits, not why, why))
+        why = _unfit(state, found, assessed) or _refused(state, found, held, over)
+        out.append(Explanation(found, assessed, held, not why, why))
     return out
 
 
@@ -195,24 +194,29 @@ def _large(data: Sample, residual: Array) -> bool:
     )
 
 
-def probabilities(state: State, explained: Sequence[Explanation]) -> dict[str, float]:
+def probabilities(
+    state: State, singles: Sequence[Tried], explained: Sequence[Explanation]
+) -> dict[str, float]:
     """How likely each effect is to be in the data, by what `explain` found; where that is nothing,
     since nothing is missing, by what each would gain on the baseline.
 
-    Among none, one and two effects, and something that no effect has, which is as likely as one of
-    them beforehand. What leaves more than noise is out. Empty where nothing is left.
+    Among none, one and two effects, and a shape that no effect has, which is as likely beforehand
+    as it has to be to refuse an effect. What was refused is out. Empty where nothing is left.
     """
-    unlisted = state.first.unlisted - state.baseline.log_evidence - state.cost
-    logs: dict[tuple[str, ...], float] = {(): 0.0, ("?",): unlisted}
+    plain = state.baseline.log_evidence
+    logs = {(): 0.0, ("?",): state.first.unlisted - plain - state.cost - UNLISTED_MARGIN}
     if explained:
-        fitting = [each.posterior for each in explained if each.fits]
-        if not any(each.holds for each in explained):
+        holding = [each.posterior for each in explained if each.holds]
+        if not holding:
             return {}
-        logs |= {each.effects: state.credence(each) for each in fitting}
+        logs |= {each.effects: state.credence(each) for each in holding}
     else:
-        gains = {each.name: 0.5 * each.value for each in state.first.table}
-        names = {each.name for each in state.profiles} & gains.keys()
-        logs |= {(name,): gains[name] - OCCAM - state.cost for name in sorted(names)}
+        # the square of a normal number that has the p-value of the effect's own test
+        for each in state.first.table:
+            if any(each.name == way.name for way in state.profiles):
+                gain = 0.5 * max(float(norm.isf(each.p_value)), 0.0) ** 2
+                logs[each.name,] = gain - OCCAM - state.cost
+        logs |= {each.effects: each.log_evidence - plain - state.cost for each in singles}
     out: dict[str, float] = {}
     for effects, share in zip(logs, shares_of(list(logs.values())), strict=True):
         for name in effects:

@@ -128,6 +128,7 @@ class Finding:
     warnings: tuple[str, ...]
     left_aside: tuple[str, ...]
     bookkeeping: tuple[Entry, ...]
+    remarks: Mapping[str, str]
     seed: int
     alarm: float
 
@@ -188,6 +189,7 @@ class Finding:
             "warnings": self.all_warnings(),
             "left_aside": list(self.left_aside),
             "bookkeeping": plain(self.bookkeeping),
+            "remarks": {name: self.remarks[name] for name in self.effects if name in self.remarks},
             "held_out": None if self.held_out is None else self.held_out.keys(),
             "next_experiment": plain(self.next_experiment),
             "seed": self.seed,

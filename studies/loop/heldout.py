@@ -31,6 +31,8 @@ FOLDS = 3
 # So many neighbours in order are in one block: correlation of 0.65, the strongest that noise may
 # have, is 0.2 at that distance.
 IN_BLOCK = 4
+# A model is fitted anew to so many groups or more.
+LEAST_FITTED = 2
 TRIMMED = 1 / 8
 # Of `HeldOut`, by their own names in verdict.json.
 KEYS = (
@@ -146,13 +148,14 @@ class Judge:
         """What a model gains over another (the baseline) on data that it was not fitted to.
 
         Cross-validated: the held-out groups are scored by the models as they are fitted, and
-        each third of the others, in blocks, by models fitted anew without it.
+        each third of the others, in blocks, by models fitted anew without it; where there are few,
+        each by itself.
         """
         rng = np.random.default_rng([self.seed, 4])
         two = self.base if before is None else before
         folds = [(self.data, self.held)] if self.held.values.size else []
         labels = np.unique(self.problem.group[self.data.rows])
-        if labels.size >= 2 * FOLDS:
+        if labels.size >= LEAST_FITTED + 1:
             unit = np.ones(self.problem.values.size)
             unit[self.data.rows] = self.data.unit
             for part in self._folds(labels):
@@ -174,6 +177,8 @@ class Judge:
     def _folds(self, labels: Ints) -> list[Ints]:
         """Groups ``labels`` in `FOLDS` parts of blocks: neighbours in order stay together, since
         what they share would tell of each other."""
+        if labels.size < 2 * FOLDS:  # one by one
+            return list(labels[:, None])
         count = max(labels.size // IN_BLOCK, FOLDS)
         order = np.random.default_rng([self.seed, 6]).permutation(count)
         block = np.arange(labels.size) * count // labels.size

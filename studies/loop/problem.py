@@ -135,6 +135,7 @@ class Problem:
     ``confirm``, where it is not None, gives whitened predictions of the baseline and of a fitted
     model by the 3-D model, for the rows of the groups asked for. ``warnings`` and ``left_aside``
     are sentences for the user: what deserves doubt, and which of the data are not used and why.
+    ``remarks`` tell by effect what its parameters do not, such as where it acts.
     ``bookkeeping`` is what the table has wrong, whose rows are left aside. ``with_sigma``, where it
     is not None, gives the same with errors of the main quantity that are so many times as large.
     """
@@ -157,6 +158,7 @@ class Problem:
     notes: Mapping[str, Any] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
     left_aside: tuple[str, ...] = ()
+    remarks: Mapping[str, str] = field(default_factory=dict)
     bookkeeping: tuple[Entry, ...] = ()
     with_sigma: Callable[[float], Problem] | None = None
 

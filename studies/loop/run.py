@@ -172,7 +172,7 @@ def _find(
     return Finding(
         verdict=verdict,
         weights=_by_effect(state, tied),
-        probabilities=probabilities(state, explained),
+        probabilities=probabilities(state, singles, explained),
         reported=tuple(each.effects for each in tied),
         statistic=first.statistic,
         p_value=first.p_value,
@@ -207,6 +207,7 @@ def _find(
         warnings=(*problem.warnings, *filter(None, doubts)),
         left_aside=problem.left_aside,
         bookkeeping=problem.bookkeeping,
+        remarks=problem.remarks,
         seed=seed,
         alarm=alarm,
     )

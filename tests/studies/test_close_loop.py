@@ -36,7 +36,8 @@ pytestmark = pytest.mark.serial
 DATA = Path(__file__).resolve().parents[3] / "shared" / "data"
 MEASURED = Path(__file__).resolve().parents[2] / "studies" / "measured"
 KEYS = {
-    "verdict", "effects", "weights", "probabilities", "bookkeeping", "fit", "noise", "detection", "open_set", "parameters", "classes", "detectable",
+    "verdict", "effects", "weights", "probabilities", "bookkeeping", "fit", "noise",
+    "detection", "open_set", "parameters", "classes", "detectable",
     "held_out", "confirmed_in_3d", "next_experiment", "seed", "in_words", "warnings",
 }  # fmt: skip
 SECTIONS = (

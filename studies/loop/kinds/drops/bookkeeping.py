@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import itertools
 import math
+import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -40,6 +41,8 @@ PRIOR = {"gaussian": 1.0 - sum(OTHERS.values()), **OTHERS}
 KINDS = 5
 # Standard deviations from which on a row is looked at.
 SUSPECT = 4.0
+# Heights that were meant are within this factor of all others.
+BEYOND = 1.2
 
 
 @dataclass(frozen=True)
@@ -160,7 +163,9 @@ class Smooth:
             if seen.size <= 2 * terms.shape[1]:
                 found.factors[0, q] = float(np.median(seen / design[:, 0]))
                 continue
-            fit = sm.RLM(seen, design, M=sm.robust.norms.TukeyBiweight()).fit()
+            with warnings.catch_warnings():  # of values that are all the same
+                warnings.simplefilter("ignore")
+                fit = sm.RLM(seen, design, M=sm.robust.norms.TukeyBiweight()).fit()
             found.factors[:, q] = fit.params
             spread = float(np.median(np.abs(seen - design @ fit.params)))
             found.width[q] = max(1.4826 * spread, 1.0)
@@ -230,9 +235,16 @@ def _slip(smooth: Smooth, z: Array, noise: Array, row: int) -> str:
         best = int(np.argmax(_normal(off) + np.log(share)))
         add(f"{shown}: {how[best]}, {written[best]:.6g} would fit", others, share, off)
     written, share, how = meant(1e3 * float(y0_m))
-    off = smooth.off(np.full(written.size, row), 1e-3 * written, np.tile(own, (written.size, 1)))
-    best = int(np.argmax(_normal(off) + np.log(share)))
-    add(f"y0_mm of {1e3 * y0_m:.6g}: {how[best]}, {written[best]:.6g} would fit", 0.0, share, off)
+    others_m = np.delete(table.y0_m, row)
+    meant_m = 1e-3 * written
+    there = (meant_m > others_m.min() / BEYOND) & (meant_m < others_m.max() * BEYOND)
+    if there.any():  # heights were chosen, and no drop is from far beside the others
+        rows, every = np.full(written.size, row), np.tile(own, (written.size, 1))
+        off = smooth.off(rows, meant_m, every)
+        logs = np.where(there, _normal(off) + np.log(share), -np.inf)
+        best = int(np.argmax(logs))
+        words = f"y0_mm of {1e3 * y0_m:.6g}: {how[best]}, {written[best]:.6g} would fit"
+        add(words, 0.0, share[there], off[there])
     if own[0] > 0.0:
         exchanged = np.concatenate([[y0_m], own[1:]])[None]
         off = smooth.off(np.array([row]), own[:1], exchanged)

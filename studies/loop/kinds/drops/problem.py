@@ -70,7 +70,9 @@ NAMES = ("y1 (mm)", "contact time (µs)", "peak force (N)")
 
 def read_problem(folder: Path) -> Problem:
     """The problem of a dataset's folder. Raises InputError."""
-    return drops_problem(datasets.read_drops(folder))
+    data = datasets.read_drops(folder)
+    why = "this row stands twice, with its number; one is kept"
+    return drops_problem(data, tuple(Entry("repeated", (drop,), why) for drop in data.again))
 
 
 def drops_problem(data: datasets.Drops, wrong: tuple[Entry, ...] = ()) -> Problem:
@@ -128,6 +130,7 @@ def drops_problem(data: datasets.Drops, wrong: tuple[Entry, ...] = ()) -> Proble
         notes=notes,
         warnings=data.doubts,
         left_aside=(f"drops without y0_mm: {listed}",) if listed else (),
+        remarks={"session": _second(data, session)} if partings else {},
         bookkeeping=wrong,
         with_sigma=lambda times: drops_problem(every.with_sigma(times), wrong),
     )
@@ -177,6 +180,15 @@ def _seen(bare: DropModel, start: Array, values: Array) -> _Seen:
         height_m = _fitted_heights(height_m, errors, slopes, values - expected)
     left = (values - expected) / np.hypot(plain.sigma, plain.sigma_y0_m * slopes)
     return _Seen(errors, height_m, left, ratios)
+
+
+def _second(data: datasets.Drops, session: Array) -> str:
+    """Which drops are those of the second session, in words."""
+    second = np.flatnonzero(session > 0.0)
+    if data.session is not None:
+        return "of " + ", ".join(dict.fromkeys(data.session[i] for i in second))
+    first, last = (f"{data.drop[i]:g}" for i in second[[0, -1]])
+    return f"from drop {first} on" if second[-1] == len(session) - 1 else f"drops {first} to {last}"
 
 
 def _proposed(bare: DropModel, start: Array, ratios: Mapping[int, Legendre]) -> Build:
