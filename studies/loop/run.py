@@ -7,6 +7,7 @@ to pay as well: the log score of the held-out data rises by more than their nois
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
@@ -41,6 +42,8 @@ CREDIBLE = 0.97
 SCATTER_GAIN = 8.0
 # Nats by which an explanation that was refused is worth a second look.
 LIKELIER = 1.0
+# Beyond so many nats nobody wants to know how many times.
+MANY = math.log(1e3)
 # Declared standard deviations by which a few values are worth a second look.
 FAR_OFF, FEW = 6.0, 2
 ROUGH = "these data leave the parameters so loose that the ends of their intervals are rough"
@@ -232,11 +235,16 @@ def _likelier(state: State, best: Explanation, explained: Sequence[Explanation])
     """Which explanations are likelier than the one that is named and do not hold, in words."""
     by = [state.credence(each.posterior) - state.credence(best.posterior) for each in explained]
     return "; ".join(
-        f"{' with '.join(each.posterior.effects)}, likelier by {nats:.2g} nats, was refused: "
+        f"{' with '.join(each.posterior.effects)}, {_times(nats)} as probable, was refused: "
         f"{each.why_not}"
         for each, nats in zip(explained, by, strict=True)
         if not each.holds and nats > LIKELIER
     )
+
+
+def _times(nats: float) -> str:
+    """How many times as probable, by the difference of logarithms."""
+    return f"{math.exp(nats):.2g} times" if nats < MANY else "thousands of times"
 
 
 def _sample(problem: Problem, groups: Ints) -> Sample:

@@ -358,7 +358,8 @@ def test_what_is_likelier_and_was_refused_is_told(monkeypatch):
     (told,) = [each for each in found.all_warnings() if "was refused" in each]
     less = {each.effects: each.log_evidence for each in found.evidences}
     nats = less[plain.effects] - less[found.effects]
-    assert told == f"adhesion, likelier by {nats:.2g} nats, was refused: it is not noise"
+    times = f"{math.exp(nats):.2g} times" if nats < math.log(1e3) else "thousands of times"
+    assert told == f"adhesion, {times} as probable, was refused: it is not noise"
 
 
 def test_error_on_held_out_drops_falls():
