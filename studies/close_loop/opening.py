@@ -74,7 +74,7 @@ def _seen(finding: Finding) -> str:
         return finding.noticed[:1].upper() + finding.noticed[1:]
     name = finding.statistic
     if np.asarray(finding.model.weights).size > 1:
-        return "Drops differ more than their errors allow"
+        return "What was measured varies more than its errors allow"
     if name in finding.needed_d:  # an effect's own test: which effect it is comes after
         return "Something is missing from the model"
     start = max((each for each in SEEN if name.startswith(each)), key=len, default="size")
@@ -112,8 +112,10 @@ def _chance(finding: Finding) -> str:
 def times(p: float) -> str:
     """A probability as a count."""
     p = float(f"{p:.2g}")
+    if p >= 0.1:
+        return f"in {100 * p:.0f} of 100 cases"
     if p >= 0.01:
-        return f"in {100 * p:g} of 100 cases"
+        return f"in {1000 * p:.0f} of 1,000 cases"
     if p * RAREST < 1.0:
         return "less than once in a billion times"
     return f"once in {float(f'{1.0 / p:.2g}'):,.0f} times"

@@ -25,6 +25,7 @@ def clean() -> Finding:
     ("p", "words"),
     [
         (0.42, "in 42 of 100 cases"),
+        (0.098, "in 98 of 1,000 cases"),
         (0.0099, "once in 100 times"),
         (3.1e-6, "once in 320,000 times"),
         (1e-12, "less than once in a billion times"),
