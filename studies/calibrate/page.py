@@ -15,9 +15,9 @@ from ..report.figures import BLACK, BLUE, DARK, GREY, SKY, VERMILION, beside, dr
 from ..report.page import Head, Report, Section, write_report
 from ..report.paper_figures import HEIGHTS
 from ..report.prose import Prose
+from .calibration import PAPER, Calibration
 from .curve import RatioCurve
 from .estimate import LEVEL, RatioEstimate
-from .run import PAPER, Calibration
 
 HEADS: dict[str, Head] = {
     "low": "from",

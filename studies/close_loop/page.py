@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -11,12 +10,10 @@ from ..inputs.sources import into
 from ..report.figures import picture_files
 from ..report.page import FIGURES, Report, percent, write_report
 from ..running.files import remove
+from .closed import Closed
 from .opening import opening, would_have_shown
 from .rows import Rows
 from .sections import SECTIONS, prose
-
-if TYPE_CHECKING:
-    from .run import Closed
 
 SOMETIMES = ("weights", "held-out", "solid")
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,9 +11,7 @@ from scipy.special import log_ndtr, logsumexp, ndtri_exp
 
 from ...solver.arrays import Array
 from ...solver.effects.library import EFFECTS
-
-if TYPE_CHECKING:
-    from .run import Closed
+from .closed import Closed
 
 
 @dataclass(frozen=True)

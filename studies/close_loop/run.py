@@ -11,7 +11,7 @@ import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import nullcontext
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from importlib.metadata import EntryPoint
 from pathlib import Path
 from typing import Any
@@ -33,22 +33,12 @@ from ..running.files import new_folders, prepare_folder, together, write_json
 from ..running.mark import refuse_foreign
 from ..running.parallel import share_out, start_petsc
 from ..running.progress import progress, working
+from .closed import Closed
 from .confirm import LEFT_OUT, Confirmation, confirm
 from .opening import opening, times, would_have_shown
 
 SCHEMA = "bristle-close-loop-1"
 VERDICT_FILE = "verdict.json"
-
-
-@dataclass(frozen=True)
-class Closed:
-    """A loop that ran: what was asked, the data as a problem, what was found, and in 3-D."""
-
-    manifest: Manifest
-    inputs: LoopInputs
-    problem: Problem
-    finding: Finding
-    confirmation: Confirmation
 
 
 def run_close_loop(

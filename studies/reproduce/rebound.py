@@ -12,9 +12,9 @@ import pandas as pd
 from ...solver import paper
 from ...solver.arrays import Array
 from ...solver.drop import DropResult
+from ..calibrate.calibration import Calibration, calibrate, stiffness_interval
 from ..calibrate.curve import GRID_N_M, RatioCurve, short_its_s
 from ..calibrate.page import headline, kn_section
-from ..calibrate.run import Calibration, calibrate, stiffness_interval
 from ..inputs.config import DropInputs
 from ..report.page import Head, Section
 from ..report.paper_figures import cloud_figure, height_figure

@@ -17,6 +17,7 @@ from bristle.solver.contact.enforcement import ContactMethod
 from bristle.solver.contact.laws import Linear
 from bristle.solver.drop import DropPlan, ModalFrame, simulate
 from bristle.solver.errors import ComputationError, InputError
+from bristle.studies.calibrate.calibration import calibrate, stiffness_interval
 from bristle.studies.calibrate.curve import RatioCurve, beam_model, mean_curve, ratio_curve
 from bristle.studies.calibrate.estimate import (
     Interval,
@@ -26,13 +27,7 @@ from bristle.studies.calibrate.estimate import (
     slope_interval,
 )
 from bristle.studies.calibrate.page import AREA, NODE, programs
-from bristle.studies.calibrate.run import (
-    calibrate,
-    run_calibrate,
-    stiffness_interval,
-    summary,
-    told,
-)
+from bristle.studies.calibrate.run import run_calibrate, summary, told
 from bristle.studies.close_loop.run import problem_of
 from bristle.studies.data.datasets import read_drops, read_manifest
 from bristle.studies.inputs.study_fields import CalibrateInputs
