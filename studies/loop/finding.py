@@ -152,8 +152,10 @@ class Finding:
         out = [each for each in (self.noticed and SEEN_BY + self.noticed, *self.warnings) if each]
         unsure = [name for name in self.effects if self.probabilities[name] < SURE]
         if unsure and self.verdict is Verdict.EFFECT:
-            told = ", ".join(f"{name} {self.probabilities[name]:.2f}" for name in unsure)
-            out.append(f"as these data have it, no more than probable: {told}")
+            out += [
+                f"{name} is in these data with a probability of {self.probabilities[name]:.2g} only"
+                for name in unsure
+            ]
         if self.at_bounds:
             out.append(f"on a bound of what is searched: {', '.join(self.at_bounds)}")
         if self.unidentified:
