@@ -1,4 +1,4 @@
-"""A finding's first sentences, for who has read nothing of the loop."""
+"""A finding's first sentences, for a reader who knows nothing of the loop."""
 
 from __future__ import annotations
 
@@ -51,9 +51,9 @@ def opening(finding: Finding) -> list[str]:
 
 
 def _verdict(finding: Finding) -> str:
-    seen = _seen(finding)
     if finding.verdict is Verdict.ADEQUATE:
         return "Nothing is missing that these data could show: what the model leaves is noise."
+    seen = _seen(finding)
     if finding.verdict is Verdict.UNKNOWN:
         best = max(each.log_evidence for each in finding.evidences)
         shape = f" A shape explains more than any of them: {finding.shape}."

@@ -72,8 +72,8 @@ class State:
 
     @property
     def cost(self) -> float:
-        """What every effect costs in nats: of those that such data can carry, one is expected to
-        be there, each as likely and for itself."""
+        """What every effect costs in nats. Beforehand, one of those that such data can carry is
+        expected to be there; all are equally likely, and independent of each other."""
         return math.log(max(len(self.profiles) - 1, 1))
 
     def credence(self, found: Posterior) -> float:
