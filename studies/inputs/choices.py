@@ -86,3 +86,20 @@ class Strange(StrEnum):
     SHIFT = "session-shift"
     RIPPLE = "height-ripple"
     ALTERNATION = "alternation"
+
+
+class Body(StrEnum):
+    """What falls in a film."""
+
+    BRISTLE = "bristle"
+    BALL = "ball"
+
+
+class Down(StrEnum):
+    """Which way things fall in a picture; ``auto`` tries each, ``down`` first."""
+
+    AUTO = "auto"
+    DOWN = "down"
+    LEFT = "left"
+    RIGHT = "right"
+    UP = "up"

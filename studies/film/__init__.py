@@ -1,0 +1,1 @@
+"""From films of drops to tracks of the lower tip."""

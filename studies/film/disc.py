@@ -1,0 +1,219 @@
+"""A ball in a picture: a disc that moves, drawn long by its speed.
+
+It is found as what differs from the background, has the same width in most samples, and touches no
+border of the picture, as a hand does. Its centre is found by least squares of grey levels: a disc
+that moves down by a length within the exposure, blurred by the lens. Near its edge its brightness
+is linear across.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+from scipy.special import ndtr
+
+from ...solver.arrays import Array
+from .reading import Frame, Picture
+from .scan import Scan
+
+COARSE_ROWS = 240
+LEAST_RADIUS_PX = 3.0
+LIKE = 0.2
+"""By what share a blob's width may differ from the ball's."""
+INSTANTS = 8
+TURNS = 15
+PSF_PX = 0.7
+FAR = 4.0
+RIM_PX = 5.0
+"""How far inward from its edge the disc is looked at: farther in it may shine."""
+
+
+@dataclass(frozen=True)
+class Disc:
+    """A ball in one frame: its centre in px, the length that it moves down within the exposure, its
+    radius and brightness, and the standard error of the centre."""
+
+    number: int
+    t_s: float
+    column: float
+    row: float
+    length: float
+    radius: float
+    sigma: float
+
+
+@dataclass(frozen=True)
+class Ball:
+    """What is known of a film's ball: the picture without it, its radius in px, its brightness over
+    the background's, and the factor by which pictures are made coarser to look for it."""
+
+    still: Array
+    radius: float
+    contrast: float
+    factor: int
+    noise: float
+
+
+def find_ball(film: Scan) -> Ball | None:
+    """The ball that moves in a film; None where there is none."""
+    still = np.median(film.samples, axis=0).astype(np.float32)
+    factor = max(1, round(film.shape[0] / COARSE_ROWS))
+    found = []
+    for sample in film.samples:
+        seen = blobs(sample, still, factor, film.noise)
+        found += [(each[2], each[4], each[0], each[1]) for each in seen]
+    if not found:
+        return None
+    every: Array = np.array(found)
+    width, contrast, column, row = (every[:, k] for k in range(4))
+    near = np.abs(width[:, None] - width) < LIKE * width
+    same = near & (np.sign(contrast)[:, None] == np.sign(contrast))
+    most = same[int(np.argmax(same.sum(axis=1)))]
+    moved = np.hypot(np.ptp(column[most]), np.ptp(row[most]))
+    if most.sum() < max(3, len(film.samples) // 8) or moved < 0.5 * np.median(width[most]):
+        return None
+    radius = float(np.median(width[most])) / 2.0
+    ball = Ball(still, radius, float(np.median(contrast[most])), factor, film.noise)
+    fitted = []
+    for sample in film.samples:
+        start = _start(sample, ball, None)
+        if start is not None:
+            disc = _fitted(Frame(0, 0.0, sample), ball, start, free_radius=True)
+            if disc is not None:
+                fitted.append(disc.radius)
+    if len(fitted) < 3:
+        return None
+    return Ball(still, float(np.median(fitted)), ball.contrast, factor, film.noise)
+
+
+def discs(frames: Iterable[Frame], ball: Ball) -> list[Disc]:
+    """The ball in each frame in which it is seen whole."""
+    found: list[Disc] = []
+    for frame in frames:
+        start = _start(frame.grey, ball, found[-1] if found else None)
+        seen = None if start is None else _fitted(frame, ball, start)
+        if seen is not None:
+            found.append(seen)
+    return found
+
+
+def blobs(
+    grey: Picture, still: Array, factor: int, noise: float
+) -> list[tuple[float, float, float, float, float]]:
+    """Column, row, width, height and contrast of what differs from the background and touches no
+    border, in px."""
+    rows, columns = grey.shape[0] // factor, grey.shape[1] // factor
+    change = grey[: rows * factor, : columns * factor].astype(np.float32)
+    change -= still[: rows * factor, : columns * factor]
+    coarse = change.reshape(rows, factor, columns, factor).mean(axis=(1, 3))
+    size = np.abs(coarse)
+    threshold = max(6.0 * noise / factor + 3.0, 0.35 * float(size.max()))
+    labels, count = ndimage.label(size > threshold)
+    found = []
+    for number, box in enumerate(ndimage.find_objects(labels), start=1):
+        down, right = box
+        height, width = down.stop - down.start, right.stop - right.start
+        inside = down.start > 0 and right.start > 0 and down.stop < rows and right.stop < columns
+        mask = labels[box] == number
+        # a disc fills pi / 4 of the square about it, one drawn long more
+        if not inside or width * factor < 2 * LEAST_RADIUS_PX or not 0.6 < mask.mean() <= 1.0:
+            continue
+        if not 0.8 * width < height < 6.0 * width:
+            continue
+        contrast = float(np.median(coarse[box][mask]))
+        middle = (factor - 1) / 2.0
+        column = factor * (right.start + (width - 1) / 2.0) + middle
+        row = factor * (down.start + (height - 1) / 2.0) + middle
+        # the middle row of the mask is as wide as the disc
+        wide = float(np.median(mask.sum(axis=1)[height // 3 : height - height // 3]))
+        found.append((column, row, factor * wide, float(factor * height), contrast))
+    return found if count else []
+
+
+def _start(grey: Picture, ball: Ball, last: Disc | None) -> tuple[float, float, float] | None:
+    """Column, row and length of the blob that is most like the ball, or nearest to the last."""
+    good = [
+        (column, row, max(height - width, 0.0), abs(width / ball.radius / 2.0 - 1.0))
+        for column, row, width, height, contrast in blobs(grey, ball.still, ball.factor, ball.noise)
+        if abs(width / ball.radius / 2.0 - 1.0) < 1.5 * LIKE
+        and np.sign(contrast) == np.sign(ball.contrast)
+    ]
+    if not good:
+        return None
+    if last is None:
+        return min(good, key=lambda each: each[3])[:3]
+    return min(good, key=lambda each: np.hypot(each[0] - last.column, each[1] - last.row))[:3]
+
+
+def _fitted(
+    frame: Frame, ball: Ball, start: tuple[float, float, float], free_radius: bool = False
+) -> Disc | None:
+    """The disc near ``start``, by damped least squares; None where it is not in the picture."""
+    grey = frame.grey
+    reach_x = int(ball.radius + 6.0)
+    reach_y = int(ball.radius + 0.7 * start[2] + 6.0)
+    left, top = round(start[0]) - reach_x, round(start[1]) - reach_y
+    part = np.s_[max(top, 0) : top + 2 * reach_y + 1, max(left, 0) : left + 2 * reach_x + 1]
+    level = grey[part].astype(float)
+    behind = ball.still[part].astype(float)
+    if level.size < 9:
+        return None
+    row, column = np.mgrid[part]
+    p = np.array([start[0], start[1], max(start[2], 0.5), ball.radius])
+    free = 4 if free_radius else 3
+    step_of = np.array([0.05, 0.05, 0.1, 0.05])
+
+    def residual(p: Array) -> tuple[Array, Array]:
+        """Levels that are left, and the disc's share of each pixel."""
+        instants = p[2] * ((np.arange(INSTANTS) + 0.5) / INSTANTS - 0.5)
+        away = np.hypot(column[..., None] - p[0], row[..., None] - p[1] - instants)
+        share = ndtr((p[3] - away) / PSF_PX).mean(axis=-1)
+        rim = (away > p[3] - RIM_PX).any(axis=-1).ravel()
+        flat = share.ravel() * rim
+        design = np.stack(
+            [flat, flat * (column - p[0]).ravel(), flat * (row - p[1]).ravel()], axis=1
+        )
+        want = (level - behind * (1.0 - share)).ravel() * rim
+        shading = np.linalg.lstsq(design, want, rcond=None)[0]
+        return want - design @ shading, share
+
+    now, share = residual(p)
+    damping, normal = 1e-3, np.eye(free)
+    for _ in range(TURNS):
+        slopes = np.stack(
+            [
+                (residual(p + step_of * (k == np.arange(4)))[0] - now) / step_of[k]
+                for k in range(free)
+            ],
+            axis=1,
+        )
+        usual = max(1.4826 * float(np.median(np.abs(now))), 0.5)
+        weight = np.minimum(1.0, FAR * usual / np.maximum(np.abs(now), 1e-9))
+        normal = (slopes * weight[:, None]).T @ slopes + 1e-9 * np.eye(free)
+        step = np.linalg.solve(
+            normal + damping * np.diag(np.diag(normal)), slopes.T @ (weight * now)
+        )
+        new = p.copy()
+        new[:free] -= np.clip(step, -3.0, 3.0)
+        new[2] = abs(new[2])
+        after, share_new = residual(new)
+        if np.sum(weight * after**2) < np.sum(weight * now**2):
+            p, now, share, damping = new, after, share_new, 0.3 * damping
+            if np.abs(step[:2]).max() < 2e-3:
+                break
+        else:
+            damping *= 10.0
+            if damping > 1e4:
+                break
+    inside: NDArray[np.bool_] = share > 0.5
+    if inside.sum() < 0.5 * np.pi * p[3] ** 2:
+        return None
+    square = float(np.mean(now**2))
+    if square > (0.35 * ball.contrast) ** 2:
+        return None
+    sigma = float(np.sqrt(square * np.linalg.inv(normal)[1, 1]))
+    return Disc(frame.number, frame.t_s, float(p[0]), float(p[1]), float(p[2]), float(p[3]), sigma)

@@ -1,0 +1,248 @@
+"""The strip of a bristle from frame to frame: its axis, and grey levels along it about its ends."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...solver.arrays import Array
+from .reading import Frame, Picture
+from .strip import LEAST_RUN, MOST_SLOPE, Looks, Strip
+
+ASIDE_PX, TURN = 14, 0.05
+"""How far the axis may be from where the frame before had it: px at the end, and its slope."""
+AXIS_PX = 400
+"""Rows above the end that the axis is fitted to: more do not make the end surer."""
+WINDOW_PX = 28
+"""Rows of the grey levels on each side of an end, beyond what blurs it."""
+LEAST_SHARE = 0.5
+"""Of the usual contrast, that a strip has on the rows above its end."""
+
+
+@dataclass(frozen=True)
+class End:
+    """An end of the strip: its row as a first guess, and levels along the axis over rows.
+
+    ``rows``, ``level`` and ``behind`` (rows,) run from the strip's inside to beyond its end, so
+    that they count downward in the picture for the lower end and upward for the upper one;
+    ``behind`` is what the background has there.
+    """
+
+    row: float
+    rows: Array
+    level: Array
+    behind: Array
+
+
+@dataclass(frozen=True)
+class Sight:
+    """The strip in one frame: the axis' column at row zero and slope, with the slope's standard
+    error and that of the axis' column at the tip in px; and its ends."""
+
+    number: int
+    t_s: float
+    column: float
+    slope: float
+    sigma_slope: float
+    sigma_column: float
+    tip: End
+    top: End | None
+
+
+class Follower:
+    """Finds the strip in one frame after the other; see `Sight`.
+
+    ``found`` are strips by the number of their frame, from which it begins and where it goes on
+    when it has lost the strip.
+    """
+
+    def __init__(self, looks: Looks, found: dict[int, Strip]) -> None:
+        self.looks, self.found = looks, found
+        self.sign, self.contrast = np.sign(looks.contrast), abs(looks.contrast)
+        self.last: Strip | None = None
+        self.inner = max(1.0, 0.7 * looks.width)
+        # how far the tip went from a frame to the next of late, which blurs it
+        self.speed_px = 0.0
+
+    def sights(self, frames: Iterable[Frame]) -> list[Sight]:
+        """What is seen in each frame in which the strip and its lower end are."""
+        return [each for frame in frames if (each := self.sight(frame)) is not None]
+
+    def sight(self, frame: Frame) -> Sight | None:
+        """The strip in a frame; None where it is not seen, or its lower end is not."""
+        starts = [self.last, self._sample(frame.number)]
+        for start in starts:
+            if start is not None:
+                seen = self._near(frame, start)
+                if seen is not None:
+                    return seen
+        self.last = None
+        return None
+
+    def _sample(self, number: int) -> Strip | None:
+        """The strip of the sample nearest in time."""
+        if not self.found:
+            return None
+        return self.found[min(self.found, key=lambda each: abs(each - number))]
+
+    def _near(self, frame: Frame, start: Strip) -> Sight | None:
+        grey = frame.grey
+        strip = self._coarsely(grey, start)
+        rows = np.arange(max(0, int(strip.tip) - AXIS_PX), int(strip.tip) + 1)
+        axis = None
+        for half in (self.looks.width / 2.0 + 5.0, self.looks.width / 2.0 + 2.5):
+            fitted = self._axis(grey, strip, rows, half)
+            if fitted is None:
+                return None
+            strip, axis = fitted
+            tip = self._lower_end(grey, strip)
+            if tip is None:
+                return None
+            strip = _with(strip, tip=tip)
+            rows = np.arange(max(0, int(tip) - AXIS_PX), int(tip) + 1)
+        if axis is None or strip.tip > grey.shape[0] - 4:
+            return None
+        self.speed_px = max(abs(strip.tip - start.tip), 0.7 * self.speed_px)
+        top = self._upper_end(grey, strip)
+        self.last = _with(strip, top=strip.top if top is None else top)
+        sigma_slope, sigma_middle, middle = axis
+        sigma = float(np.hypot(sigma_middle, sigma_slope * (strip.tip - middle)))
+        return Sight(
+            frame.number,
+            frame.t_s,
+            strip.column,
+            strip.slope,
+            sigma_slope,
+            sigma,
+            self._end(grey, strip, strip.tip, 1),
+            None if top is None else self._end(grey, strip, top, -1),
+        )
+
+    def _coarsely(self, grey: Picture, start: Strip) -> Strip:
+        """The strip that is strongest among those near ``start``."""
+        low, high = max(start.top, start.tip - AXIS_PX), start.tip - 2.0
+        rows = np.arange(low, high, max(1.0, (high - low) / 60.0)).astype(int)
+        aside = np.arange(-ASIDE_PX, ASIDE_PX + 1)
+        turns = np.linspace(-TURN, TURN, 11)
+        at = start.at(rows)[None, None, :] + aside[:, None, None]
+        at = at + turns[None, :, None] * (rows - start.tip)
+        column = np.clip(np.round(at).astype(int), 0, grey.shape[1] - 1)
+        share = self._share(grey, rows, column)
+        i, k = np.unravel_index(np.argmax(share.mean(axis=-1)), share.shape[:2])
+        slope = float(np.clip(start.slope + turns[k], -MOST_SLOPE, MOST_SLOPE))
+        return _with(
+            start, column=float(start.at(start.tip)) + aside[i] - slope * start.tip, slope=slope
+        )
+
+    def _share(self, grey: Picture, rows: NDArray[np.int64], columns: NDArray[np.int64]) -> Array:
+        """Contrast at pixels over the usual one, within bounds."""
+        excess = grey[rows, columns].astype(np.float32) - self.looks.still[rows, columns]
+        return np.asarray(np.clip(self.sign * excess / self.contrast, -0.5, 1.3))
+
+    def _axis(
+        self, grey: Picture, strip: Strip, rows: NDArray[np.int64], half: float
+    ) -> tuple[Strip, tuple[float, float, float]] | None:
+        """The axis by the rows' centroids within ``half`` px of ``strip``'s; with the standard
+        errors of its slope and of its column in the middle row, and that row."""
+        wide = int(np.ceil(half))
+        about = strip.at(rows)
+        column = np.round(about).astype(int)[:, None] + np.arange(-wide, wide + 1)
+        inside = (column >= 0) & (column < grey.shape[1])
+        share = self._share(grey, rows[:, None], np.clip(column, 0, grey.shape[1] - 1))
+        near = np.clip(half + 0.5 - np.abs(column - about[:, None]), 0.0, 1.0) * inside
+        weight = np.maximum(share - 0.15, 0.0) * near
+        mass = weight.sum(axis=1)
+        usual = np.median(mass[mass > 0.2]) if (mass > 0.2).any() else 0.0
+        good = (mass > 0.5 * usual) & (mass < 1.6 * usual)
+        if good.sum() < LEAST_RUN or usual < 0.3:
+            return None
+        centre = (weight * column).sum(axis=1)[good] / mass[good]
+        row = rows[good].astype(float)
+        use = np.ones(len(row), dtype=bool)
+        for _ in range(3):
+            slope, column_0 = np.polyfit(row[use], centre[use], 1)
+            left = centre - column_0 - slope * row
+            spread = 1.4826 * np.median(np.abs(left[use])) + 0.02
+            use = np.abs(left) < 3.0 * spread
+        left = left[use]
+        # neighbouring rows err alike, by compression above all
+        memory = (
+            float(np.clip(np.corrcoef(left[1:], left[:-1])[0, 1], 0.0, 0.95))
+            if len(left) > 9
+            else 0.5
+        )
+        count = max(len(left) * (1.0 - memory) / (1.0 + memory), 3.0)
+        deviation = max(float(left.std()), 0.02)
+        length = max(float(row[use].std()), 1.0)
+        errors = (
+            deviation / np.sqrt(count) / length,
+            deviation / np.sqrt(count),
+            float(row[use].mean()),
+        )
+        if abs(slope) > 1.2 * MOST_SLOPE:
+            return None
+        return _with(strip, column=float(column_0), slope=float(slope)), errors
+
+    def along(self, picture: Array | Picture, strip: Strip, rows: NDArray[np.int64]) -> Array:
+        """Means over the inner width of the strip, row by row, of a picture."""
+        wide = int(np.ceil(self.inner / 2.0)) + 1
+        about = strip.at(rows)
+        column = np.round(about).astype(int)[:, None] + np.arange(-wide, wide + 1)
+        part = np.clip(self.inner / 2.0 + 0.5 - np.abs(column - about[:, None]), 0.0, 1.0)
+        values = picture[rows[:, None], np.clip(column, 0, picture.shape[1] - 1)]
+        return np.asarray((values * part).sum(axis=1) / part.sum(axis=1))
+
+    def _shares_along(self, grey: Picture, strip: Strip, rows: NDArray[np.int64]) -> Array:
+        excess = self.along(grey, strip, rows) - self.along(self.looks.still, strip, rows)
+        return np.asarray(np.clip(self.sign * excess / self.contrast, -0.5, 1.5))
+
+    def _lower_end(self, grey: Picture, strip: Strip) -> float | None:
+        """The row at which the strip ends: where the sum of its share over a half is greatest."""
+        begin = int(max(0.0, strip.top, strip.tip - 160.0 - 2.0 * self.speed_px))
+        begin = min(begin, int(max(0.0, strip.tip - 60.0 - 2.0 * self.speed_px)))
+        rows = np.arange(begin, grey.shape[0])
+        share = self._shares_along(grey, strip, rows)
+        end = int(np.argmax(np.cumsum(share - 0.5)))
+        above = share[max(0, end - 40) : max(end - 3, 1)]
+        if end < LEAST_RUN or above.mean() < LEAST_SHARE:
+            return None
+        usual = float(np.median(above))
+        self.contrast *= float(np.clip(usual, 0.9, 1.1))
+        return float(rows[end]) + 0.5
+
+    def _upper_end(self, grey: Picture, strip: Strip) -> float | None:
+        """The row above which the strip is no more; None where that is not in the picture."""
+        rows = np.arange(int(strip.tip) - 10, -1, -1)
+        share = self._shares_along(grey, strip, rows)
+        end = int(np.argmax(np.cumsum(share - 0.5)))
+        row = float(rows[end]) - 0.5
+        return None if row < 4.0 else row
+
+    def _end(self, grey: Picture, strip: Strip, row: float, down: int) -> End:
+        """Levels about an end, from inside outward."""
+        reach = WINDOW_PX + int(1.2 * self.speed_px)
+        rows = np.round(row).astype(int) + down * np.arange(-reach, reach + 1)
+        inside = (rows >= 0) & (rows < grey.shape[0])
+        rows = rows[inside]
+        return End(
+            row,
+            rows.astype(float),
+            self.along(grey, strip, rows),
+            self.along(self.looks.still, strip, rows),
+        )
+
+
+def _with(strip: Strip, **values: float) -> Strip:
+    fields = {name: getattr(strip, name) for name in strip.__dataclass_fields__}
+    return Strip(**(fields | values))
+
+
+def tips(sights: Sequence[Sight]) -> tuple[Array, Array, Array]:
+    """Times (frames,) in s, columns and rows (frames,) of the first guesses of the lower end."""
+    t = np.array([each.t_s for each in sights])
+    row = np.array([each.tip.row for each in sights])
+    column = np.array([each.column + each.slope * each.tip.row for each in sights])
+    return t, column, row

@@ -1,0 +1,112 @@
+"""The first look at a film: samples of what moves, the noise, and the picture without the body."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...solver.arrays import Array
+from ...solver.errors import InputError
+from .reading import Film, Frame, Picture
+
+# Samples of a film, and the most memory that they take.
+SAMPLES, SAMPLE_BYTES = 32, 40_000_000
+LEAST_SAMPLES = 12
+LEAST_FRAMES = 6
+LEAST_NOISE = 0.6
+"""In grey levels: rounding to whole levels alone has 0.3, in either of two frames compared."""
+CHANGED = 12
+"""Grey levels by which a pixel changes where something moves; noise and flicker change less."""
+MOST_PIXELS = 15_000
+"""On how many pixels a change is looked for."""
+
+
+@dataclass(frozen=True)
+class Scan:
+    """What one reading of a film tells.
+
+    ``t_s`` (frames,); ``samples`` (samples, rows, columns) and ``number`` (samples,) are frames
+    chosen evenly over what moves; ``noise`` is a pixel's standard deviation in grey levels.
+    """
+
+    t_s: Array
+    number: Array
+    samples: Picture
+    noise: float
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Rows and columns."""
+        return self.samples.shape[1], self.samples.shape[2]
+
+
+def scan(film: Film) -> Scan:
+    """Read a film once. Raises InputError where it has too few frames."""
+    frames = film.frames()
+    first = next(frames)
+    rows, columns = first.grey.shape
+    most = int(np.clip(SAMPLE_BYTES // (rows * columns), LEAST_SAMPLES, SAMPLES))
+    step = max(1, int(np.sqrt(rows * columns / MOST_PIXELS)))
+    kept, times, spread = _Kept(first.grey, most), [first.t_s], []
+    last = first.grey[::step, ::step].astype(np.int16)
+    for frame in frames:
+        coarse = frame.grey[::step, ::step].astype(np.int16)
+        change = np.abs(coarse - last)
+        last = coarse
+        spread.append(float(np.mean(change[change <= np.percentile(change, 90)] ** 2)))
+        kept.add(frame, float((change > CHANGED).sum()))
+        times.append(frame.t_s)
+    if len(times) < LEAST_FRAMES:
+        raise InputError(f"{film.path}: {len(times)} frames; {LEAST_FRAMES} or more are needed")
+    # of a normal distribution, values within its 90th percentile of size have 0.48 of its variance;
+    # a difference has twice the variance of a frame
+    noise = float(np.sqrt(np.median(spread) / 0.48 / 2.0))
+    number, samples = kept.evenly()
+    return Scan(np.array(times), number, samples, max(noise, LEAST_NOISE))
+
+
+class _Kept:
+    """Frames chosen so that as much changes from one to the next, without knowing how many come."""
+
+    def __init__(self, first: Picture, most: int) -> None:
+        self.most, self.every, self.change = most, 0.0, 0.0
+        self.frames: list[tuple[int, Picture]] = [(0, first)]
+
+    def add(self, frame: Frame, change: float) -> None:
+        # a frame in which nothing moves still counts a little, or a still film had one sample
+        self.change += change + 1.0
+        if self.change < self.every:
+            return
+        self.change = 0.0
+        self.frames.append((frame.number, frame.grey))
+        if len(self.frames) >= 2 * self.most:
+            self.frames = self.frames[::2]
+            self.every = 2.0 * self.every or 2.0
+
+    def evenly(self) -> tuple[Array, Picture]:
+        """Numbers and pictures of the samples."""
+        step = -(-len(self.frames) // self.most)
+        chosen = self.frames[::step]
+        return np.array([number for number, _ in chosen]), np.stack([grey for _, grey in chosen])
+
+
+def clear_background(samples: Picture, covered: Array) -> Array:
+    """The picture (rows, columns) without the body: the median of what is not ``covered``.
+
+    ``covered`` (samples, rows, columns) is boolean. A pixel that all samples cover is made of the
+    nearest ones beside it.
+    """
+    still = np.empty(samples.shape[1:], dtype=np.float32)
+    for row in range(len(still)):
+        hidden = covered[:, row]
+        values = np.where(hidden, np.nan, samples[:, row].astype(np.float32))
+        values.sort(axis=0)  # what is hidden comes last
+        seen = len(values) - hidden.sum(axis=0)
+        middle = np.stack([np.maximum(seen - 1, 0) // 2, np.maximum(seen, 1) // 2])
+        still[row] = np.take_along_axis(values, middle, axis=0).mean(axis=0)
+        never = seen == 0
+        if never.any() and not never.all():
+            there = np.flatnonzero(~never)
+            still[row, never] = np.interp(np.flatnonzero(never), there, still[row, there])
+    return np.nan_to_num(still)

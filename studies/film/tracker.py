@@ -1,0 +1,360 @@
+"""The track of a body through a film: where its lower end is in every frame of every drop.
+
+The first reading of the film finds the body, the second follows it. All that comes after works on
+the few grey levels about its ends: drops, the camera's exposure, and the ends once more.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...solver.arrays import Array
+from ...solver.errors import InputError
+from ..inputs.choices import Body, Down
+from .disc import discs, find_ball
+from .edge import Camera, Ends, camera_of, edges
+from .flights import TURNED, Drop, clear_of, drops_of, settled
+from .follow import Follower, Sight
+from .reading import TURNS, Film
+from .scan import Scan, scan
+from .strip import find_strip
+
+FIRST_SIGMA_PX = 0.3
+"""Of the first guess of an end, which counts whole pixels."""
+LEAST_SIGMA_PX = 0.02
+DISC_SIGMA_PX = 0.05
+"""Of a disc's centre, since no ball is as bright as a linear function across."""
+BALL_TURNED = 1e-3
+"""By what share a ball's flights differ in acceleration: it does not matter that it turns."""
+CHAIN_PX = 0.1
+"""What is added to errors where flights are looked for: an end may stray for a frame."""
+MISTAKEN = 5.0
+"""Standard errors beyond which a frame of a flight is a mistake."""
+PHONE_GAMMA = 2.2
+LEVEL = float(np.radians(0.5))
+"""How level a camera is that somebody set up by eye."""
+GAMMA_FELT_PX = 3.0
+"""An end that moves more in an exposure lies elsewhere for another gamma."""
+
+
+@dataclass(frozen=True)
+class Tracked:
+    """What is seen of a body in a film, in the frames in which it is seen.
+
+    All arrays are (frames,). ``number`` and ``t_s`` are frames and the middles of their exposures
+    in s. ``column`` and ``row`` say where the lower end (of a ball: its lowest point) is in the
+    turned picture, ``down`` how far along the vertical, in px, and ``sigma`` its standard error.
+    ``turn`` is by how much a bristle leans from the vertical, its upper end to the right, in
+    radians, and ``sigma_turn`` its standard error. ``length`` is that of the body in px where it is
+    seen whole. ``vertical`` is the vertical's slope in columns a row, with its standard error.
+    """
+
+    film: Film
+    body: Body
+    shape: tuple[int, int]
+    frame_s: float
+    frames: int
+    camera: Camera
+    number: NDArray[np.int64]
+    t_s: Array
+    column: Array
+    row: Array
+    down: Array
+    sigma: Array
+    turn: Array | None
+    sigma_turn: Array | None
+    length: Array
+    vertical: tuple[float, float]
+    drops: Sequence[Drop]
+
+    def used(self, drop: Drop) -> NDArray[np.int64]:
+        """The frames of a drop that can be relied on: no impact blurs them, none is mistaken."""
+        own = np.zeros(len(self.t_s), dtype=bool)
+        own[drop.first : drop.last + 1] = True
+        own &= clear_of(drop, self.t_s, self.camera.exposure_s)
+        off = np.abs(-self.down - drop.height(self.t_s))
+        near_release = (
+            drop.release_s is not None and np.abs(self.t_s - drop.release_s) < self.frame_s
+        )
+        return np.flatnonzero(own & ((off < MISTAKEN * self.sigma + 0.3) | near_release))
+
+    def residual(self, drop: Drop) -> Array:
+        """Heights less those of the drop's parabolas in px, in the frames (frames,) used."""
+        used = self.used(drop)
+        return np.asarray(-self.down[used] - drop.height(self.t_s[used]))
+
+
+def tracked(film: Film, body: Body, given: Camera | None = None, rolling_s: float = 0.0) -> Tracked:
+    """Track a film. ``rolling_s`` is by how much a row of the picture is later than the one above.
+
+    Raises InputError where no body is seen to fall, in a way that says what was looked for.
+    """
+    given = given or Camera()
+    ways = list(TURNS) if film.down is Down.AUTO else [film.down]
+    doubt = ""
+    for down in ways:
+        turned = replace(film, down=down)
+        seen = scan(turned)
+        found = _bristle(turned, seen) if body is Body.BRISTLE else _ball(turned, seen)
+        if isinstance(found, str):
+            doubt = doubt or found
+            continue
+        result = _settle(turned, body, seen, found, given, rolling_s)
+        if result.drops:
+            return result
+        doubt = (
+            f"a {body} is in view in {len(result.t_s)} of {len(seen.t_s)} frames, but it never "
+            "falls freely for four frames or more"
+        )
+    looked = {
+        Body.BRISTLE: "a thin straight strip, nearly upright, whose lower end moves",
+        Body.BALL: "a disc that moves and touches no border of the picture",
+    }[body]
+    raise InputError(
+        f"{film.path}: no {body} that falls: {doubt}. Looked for was {looked}. Show where it is by "
+        "--roi, which way is down by --down, or choose --body"
+    )
+
+
+@dataclass(frozen=True)
+class _Seen:
+    """The raw sights of a film: what `_settle` makes a track of."""
+
+    number: NDArray[np.int64]
+    t_s: Array
+    row: Array
+    column: Array
+    sigma: Array
+    sights: Sequence[Sight] = ()
+    length: Array | None = None
+    blur: Array | None = None
+
+
+def _bristle(film: Film, seen: Scan) -> _Seen | str:
+    found = find_strip(seen)
+    if found is None:
+        return "nothing of that shape moves"
+    looks, strips = found
+    sights = Follower(looks, strips).sights(film.frames())
+    if len(sights) < 6:
+        return f"it is in view in {len(sights)} frames"
+    row = np.array([each.tip.row for each in sights])
+    column = np.array([each.column + each.slope * each.tip.row for each in sights])
+    return _Seen(
+        np.array([each.number for each in sights]),
+        np.array([each.t_s for each in sights]),
+        row,
+        column,
+        np.full(len(row), FIRST_SIGMA_PX),
+        sights,
+    )
+
+
+def _ball(film: Film, seen: Scan) -> _Seen | str:
+    ball = find_ball(seen)
+    if ball is None:
+        return "nothing of that shape moves"
+    found = discs(film.frames(), ball)
+    if len(found) < 6:
+        return f"it is in view in {len(found)} frames"
+    row = np.array([each.row + each.radius for each in found])
+    return _Seen(
+        np.array([each.number for each in found]),
+        np.array([each.t_s for each in found]),
+        row,
+        np.array([each.column for each in found]),
+        np.array([np.hypot(each.sigma, DISC_SIGMA_PX) for each in found]),
+        length=np.array([2.0 * each.radius for each in found]),
+        blur=np.array([each.length for each in found]),
+    )
+
+
+def _settle(
+    film: Film, body: Body, seen: Scan, raw: _Seen, given: Camera, rolling_s: float
+) -> Tracked:
+    """Drops, camera and ends in turn: each makes the others surer."""
+    t, height, sigma = raw.t_s, -raw.row, raw.sigma
+    frame_s = float(np.median(np.diff(seen.t_s)))
+    drops = drops_of(t, height, sigma)
+    camera, length = given, raw.length
+    if raw.sights:
+        ends = Ends.of([each.tip for each in raw.sights], 1)
+        for turn in range(3):
+            if not drops:
+                break
+            speed, bend, free = _motion(t, height, drops)
+            if turn < 2:
+                camera = camera_of(ends, -speed, -bend, free, frame_s, given)
+            found = edges(ends, -speed, -bend, camera)
+            height, sigma = -found.at, np.maximum(found.sigma, LEAST_SIGMA_PX)
+            sigma = np.hypot(sigma, _by_gamma(ends, speed, bend, camera, found.at))
+            drops = _again(t, height, sigma, camera)
+            sigma = _scattered(t, height, sigma, drops, camera)
+        if drops:
+            length = _lengths(raw.sights, t, height, drops, camera)
+    elif drops:
+        camera = replace(given, exposure_s=_exposure_of(raw, drops, given, frame_s))
+        drops = _again(t, height, sigma, camera)
+        sigma = _scattered(t, height, sigma, drops, camera)
+    row = -height
+    column, turn_rad, sigma_turn = raw.column, None, None
+    if raw.sights:
+        column = np.array([s.column + s.slope * r for s, r in zip(raw.sights, row, strict=True)])
+    vertical = _vertical(t, column, row, sigma, drops, raw.sights)
+    if raw.sights:
+        slope = np.array([each.slope for each in raw.sights])
+        turn_rad = -(np.arctan(slope) - np.arctan(vertical[0]))
+        sigma_turn = np.array([each.sigma_slope for each in raw.sights])
+    down = (row + vertical[0] * column) / np.hypot(1.0, vertical[0])
+    t = t + 0.5 * camera.exposure_s + rolling_s * film.shown(column, row, seen.shape)[1]
+    turned = TURNED if raw.sights else BALL_TURNED
+    loose = np.hypot(sigma, CHAIN_PX)
+    drops = settled(drops_of(t, -down, loose), t, -down, sigma, camera.exposure_s, turned)
+    return Tracked(
+        film,
+        body,
+        seen.shape,
+        frame_s,
+        len(seen.t_s),
+        camera,
+        raw.number,
+        t,
+        column,
+        row,
+        down,
+        sigma,
+        turn_rad,
+        sigma_turn,
+        np.full(len(t), np.nan) if length is None else length,
+        vertical,
+        drops,
+    )
+
+
+def _again(t: Array, height: Array, sigma: Array, camera: Camera) -> list[Drop]:
+    """Drops with an uncertainty that allows for what the ends' own leaves out."""
+    loose = np.hypot(sigma, CHAIN_PX)
+    found = drops_of(t, height, loose)
+    return settled(found, t, height, loose, camera.exposure_s)
+
+
+def _motion(
+    t: Array, height: Array, drops: Sequence[Drop]
+) -> tuple[Array, Array, NDArray[np.bool_]]:
+    """Upward speeds and accelerations (frames,) in px and s, and which frames fly freely."""
+    speed, bend = np.gradient(height, t), np.zeros(len(t))
+    free: NDArray[np.bool_] = np.zeros(len(t), dtype=bool)
+    for drop in drops:
+        own = np.arange(drop.first, drop.last + 1)
+        phase = np.array([drop.phase(each) for each in t[own]])
+        speed[own] = drop.speed(t[own])
+        bend[own] = np.where(phase >= 0, -drop.gravity, 0.0)
+        free[own] = phase >= 0
+    return speed, bend, free
+
+
+def _by_gamma(ends: Ends, speed: Array, bend: Array, camera: Camera, at: Array) -> Array:
+    """By how much fast ends would lie elsewhere if the camera's gamma, which the film does not
+    show, were a phone's: a standard error (frames,) in px."""
+    unsure: Array = np.zeros(len(at))
+    felt = np.abs(speed) * camera.exposure_s > GAMMA_FELT_PX
+    if camera.gamma_known or not felt.any():
+        return unsure
+    other = edges(
+        ends.of_frames(felt), -speed[felt], -bend[felt], replace(camera, gamma=PHONE_GAMMA)
+    )
+    unsure[felt] = 0.5 * np.abs(other.at - at[felt])
+    return unsure
+
+
+def _scattered(
+    t: Array, height: Array, sigma: Array, drops: Sequence[Drop], camera: Camera
+) -> Array:
+    """Standard errors with what frames scatter about their parabolas beyond them: compression and
+    textures move ends by more than noise does."""
+    squares, own = [], []
+    for drop in drops:
+        frames: NDArray[np.int64] = np.arange(drop.first, drop.last + 1)
+        frames = frames[clear_of(drop, t[frames], camera.exposure_s)]
+        phase = np.array([drop.phase(each) for each in t[frames]])
+        for k in range(len(drop.flights)):
+            part = frames[phase == k]
+            if len(part) < 4:
+                continue
+            left = height[part] - drop.height(t[part])
+            # a parabola takes up two or three numbers of a flight's frames
+            squares.append(left**2 * len(part) / (len(part) - 2.5))
+            own.append(sigma[part] ** 2)
+    if not squares:
+        return np.hypot(sigma, FIRST_SIGMA_PX / 2.0)
+    # the median of a chi square of one degree is 0.455
+    extra = float(np.median(np.concatenate(squares)) / 0.455 - np.median(np.concatenate(own)))
+    return np.sqrt(sigma**2 + max(extra, 0.0))
+
+
+def _lengths(
+    sights: Sequence[Sight], t: Array, height: Array, drops: Sequence[Drop], camera: Camera
+) -> Array:
+    """Lengths (frames,) of the strip in px where both ends are in view and it flies freely, so that
+    no hand hides the upper one."""
+    speed, bend, free = _motion(t, height, drops)
+    length = np.full(len(t), np.nan)
+    both = np.flatnonzero(free & np.array([each.top is not None for each in sights]))
+    if not len(both):
+        return length
+    tops = Ends.of([end for i in both if (end := sights[i].top) is not None], -1)
+    found = edges(tops, speed[both], bend[both], camera)
+    upper = -found.at
+    slope = np.array([sights[i].slope for i in both])
+    length[both] = (-height[both] - upper) * np.hypot(1.0, slope)
+    return length
+
+
+def _exposure_of(raw: _Seen, drops: Sequence[Drop], given: Camera, frame_s: float) -> float:
+    """The exposure in s by which a ball is drawn long, unless it is given."""
+    if given.exposure_known or raw.blur is None:
+        return given.exposure_s
+    speed, _, free = _motion(raw.t_s, -raw.row, drops)
+    if free.sum() < 3:
+        return 0.0
+    speed = np.abs(speed[free])
+    slow, fast = speed < np.percentile(speed, 30), speed > np.percentile(speed, 70)
+    blur = raw.blur[free]
+    drawn = (np.median(blur[fast]) - np.median(blur[slow])) / max(
+        float(np.median(speed[fast]) - np.median(speed[slow])), 1e-9
+    )
+    return float(np.clip(drawn, 0.0, frame_s))
+
+
+def _vertical(
+    t: Array,
+    column: Array,
+    row: Array,
+    sigma: Array,
+    drops: Sequence[Drop],
+    sights: Sequence[Sight],
+) -> tuple[float, float]:
+    """The vertical's slope in columns a row, and its standard error: the way down of what falls.
+
+    Zero where falls do not show it better than a level camera would.
+    """
+    moves, square, weight = 0.0, 0.0, 0.0
+    for drop in drops:
+        fall = np.array([i for i in range(drop.first, drop.last + 1) if drop.phase(t[i]) == 0])
+        fall = fall[clear_of(drop, t[fall], 0.0)] if len(fall) else fall
+        if len(fall) < 4:
+            continue
+        x, y = column[fall] - column[fall].mean(), row[fall] - row[fall].mean()
+        slope = float(x @ y) / float(y @ y)
+        left = x - slope * y
+        error = max(float(left @ left) / (len(fall) - 2), LEAST_SIGMA_PX**2) / float(y @ y)
+        moves, weight = moves + slope / error, weight + 1.0 / error
+        square += slope**2 / error
+    if not weight:
+        return 0.0, LEVEL
+    slope, error = moves / weight, weight**-0.5
+    return (slope, error) if error < LEVEL else (0.0, LEVEL)
