@@ -50,6 +50,7 @@ NUMBER_KEYS = {
     "sigma_y0_mm": (1e-6, 1e6),
     "sigma_y_px": (1e-6, 1e6),
     "sigma_t_s": (1e-12, 1e3),
+    "sigma_scale": (1e-6, 0.1),
     "sigma_force_N": (1e-9, 1e9),
     "fps": (1e-3, 1e9),
     "gravity_m_s2": (1e-2, 300.0),

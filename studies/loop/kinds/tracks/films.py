@@ -151,7 +151,7 @@ def _of_noise(
 def faster(film: Film, found: Track, fps: float) -> Track:
     """The same drop at a rate of ``fps``, as its track would have it."""
     t = np.arange(film.t_s[0], film.t_s[-1], 1.0 / fps)
-    more = replace(film, t_s=t, y_m=np.interp(t, film.t_s, film.y_m))
+    more = replace(film, t_s=t, y_m=np.interp(t, film.t_s, film.y_m), relative=1.0)
     phase, held = phases(more, found.p)
     predicted = heights(found.p, t, phase, film.gravity_m_s2)
     return reduced(replace(more, y_m=predicted), found.p, phase, held)
@@ -173,7 +173,14 @@ def _in_metres(data: Tracks) -> tuple[float | None, list[Film]]:
     pieces = data.pieces
     rough = _rough_sigma([data.y[piece] for piece in pieces])
     films = [
-        Film(_since(data, piece), data.y[piece], sigma or rough, data.sigma_t_s, gravity)
+        Film(
+            _since(data, piece),
+            data.y[piece],
+            sigma or rough,
+            data.sigma_t_s,
+            gravity,
+            relative=data.relative[piece],
+        )
         for piece in pieces
     ]
     if not data.in_pixels:

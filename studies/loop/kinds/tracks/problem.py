@@ -56,6 +56,8 @@ LEAST_GRAVITY = 0.05
 """Of the rise's apparent gravity over g: a bristle that spins faster turns over."""
 SCALE_RANGE = 3.0
 """How far metres per pixel may be from what the parabolas' gravity says at once, as a ratio."""
+WITHIN = 2.5
+"""Standard errors of a declared scale within which it is sought."""
 IN_FLIGHT = (Place.RELEASE, Place.FLIGHT, Place.OBSERVATION)
 
 
@@ -257,6 +259,10 @@ def _model(
             logarithmic=True,
             why=why,
         )
+    elif "sigma_scale" in manifest.measurement:
+        share = WITHIN * float(manifest.measurement["sigma_scale"])
+        why = f"the declared uncertainty of the scale, {WITHIN:g} times to either side"
+        scale = Parameter("scale", "", 1.0 - share, 1.0 + share, 1.0, 1.0, why=why)
     return TrackModel(
         drops,
         kn,

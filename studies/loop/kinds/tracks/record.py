@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -11,7 +12,7 @@ from numpy.typing import NDArray
 from .....solver.arrays import Array
 from .....solver.errors import InputError
 from ....data.datasets import Manifest, read_manifest
-from ....data.tables import InPieces, read_series, read_table
+from ....data.tables import InPieces, optional_column, read_series, read_table
 from ....data.units import check_marks
 
 KIND = "tracks"
@@ -26,7 +27,8 @@ class Tracks(InPieces):
     ``y`` is in m or, where ``in_pixels``, in pixels. ``begins`` (films + 1,) says where each film's
     frames begin, ``line`` (films,) at which line of the table. Times are those of the table.
     ``sigma_y_m`` and ``sigma_y_px`` are the declared uncertainty of a height, or None,
-    ``sigma_t_s`` that of a time.
+    ``sigma_t_s`` that of a time. ``relative`` (frames,) is how uncertain each frame is over that:
+    one, unless the table has a column of its own for it.
     """
 
     manifest: Manifest
@@ -39,6 +41,7 @@ class Tracks(InPieces):
     sigma_y_m: float | None
     sigma_y_px: float | None
     sigma_t_s: float
+    relative: Array
 
 
 def read_tracks(folder: Path) -> Tracks:
@@ -71,7 +74,13 @@ def read_tracks(folder: Path) -> Tracks:
         y = 1e-3 * y
         check_marks(path, read.lines, y)
         manifest.check_sigma("sigma_y_mm", 1e-3, y)
-    sigma_mm, sigma_px = (manifest.measurement.get(f"sigma_y_{unit}") for unit in ("mm", "px"))
+    unit = "px" if in_pixels else "mm"
+    own = optional_column(path, read.rows, f"sigma_{unit}", 1.0)
+    sigmas = {each: manifest.measurement.get(f"sigma_y_{each}") for each in ("mm", "px")}
+    relative: Array = np.ones(len(y))
+    if own is not None:
+        sigmas[unit], relative = _of_rows(path, read.lines, own, sigmas[unit])
+    sigma_mm, sigma_px = sigmas["mm"], sigmas["px"]
     return Tracks(
         manifest=manifest,
         drop=read.number,
@@ -83,7 +92,23 @@ def read_tracks(folder: Path) -> Tracks:
         sigma_y_m=None if sigma_mm is None else 1e-3 * float(sigma_mm),
         sigma_y_px=None if sigma_px is None else float(sigma_px),
         sigma_t_s=float(manifest.measurement.get("sigma_t_s", 0.0)),
+        relative=relative,
     )
+
+
+def _of_rows(
+    path: Path, lines: Sequence[int], own: Array, declared: float | None
+) -> tuple[float, Array]:
+    """The usual uncertainty of a column of its own, and each row's over that (frames,).
+
+    An empty cell is as uncertain as is ``declared``, or as is usual. InputError where one is zero.
+    """
+    for line, each in zip(lines, own, strict=True):
+        if each == 0.0:
+            raise InputError(f"{path}:{line}: an uncertainty must be more than zero")
+    known = own[np.isfinite(own)]
+    usual = float(np.median(known)) if len(known) else declared or 1.0
+    return usual, np.where(np.isfinite(own), own, declared or usual) / usual
 
 
 def _frame_rate(manifest: Manifest, path: Path, line: int, times: Array) -> None:

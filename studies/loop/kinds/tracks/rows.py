@@ -39,6 +39,7 @@ ORDER = ("r", "b", "a", "h", "u", "z", "d")
 class Film:
     """Frames of one drop: ``t_s``, ``y_m`` (frames,), their deviations in m and s, and gravity.
 
+    A height's deviation is ``sigma_y_m`` times ``relative`` (frames,).
     The surface is near ``floor_m``, to within ``floor_loose_m``; ``floor_known`` where heights are
     declared to be over it.
     """
@@ -51,6 +52,7 @@ class Film:
     floor_known: bool = True
     floor_m: float = 0.0
     floor_loose_m: float = LOOSE["z"]
+    relative: Array | float = 1.0
 
 
 @dataclass(frozen=True)
@@ -106,9 +108,10 @@ def is_free(film: Film, p: Array, held: bool) -> tuple[NDArray[np.bool_], NDArra
     return nuisances, features
 
 
-def deviation(film: Film, slopes: Array) -> Array:
-    """Standard deviations (frames,) in m, with what an error of the time moves."""
-    return np.hypot(film.sigma_y_m, film.sigma_t_s * slopes[:, 0])
+def deviation(film: Film, slopes: Array, used: NDArray[np.bool_] | slice = slice(None)) -> Array:
+    """Standard deviations (frames used,) in m, with what an error of the time moves."""
+    relative = np.broadcast_to(film.relative, film.t_s.shape)[used]
+    return np.hypot(film.sigma_y_m * relative, film.sigma_t_s * slopes[:, 0])
 
 
 def reduced(film: Film, p: Array, phase: Phases, held: bool) -> Track:
@@ -116,7 +119,7 @@ def reduced(film: Film, p: Array, phase: Phases, held: bool) -> Track:
     used = phase != UNUSED
     t, part, g = film.t_s[used], phase[used], film.gravity_m_s2
     slopes = derivatives(p, t, part, g, steps_of(p))
-    sigma = deviation(film, slopes)
+    sigma = deviation(film, slopes, used)
     slopes /= sigma[:, None]
     residual = (film.y_m[used] - heights(p, t, part, g)) / sigma
     nuisances, features = is_free(film, p, held)

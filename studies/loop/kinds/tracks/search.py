@@ -114,7 +114,8 @@ def _mistaken(film: Film, p: Array, held: bool) -> NDArray[np.bool_]:
     phase, _ = phases(film, p)
     used = phase != UNUSED
     residual = np.abs(film.y_m - heights(p, film.t_s, phase, film.gravity_m_s2))
-    sigma = max(film.sigma_y_m, 1.4826 * float(np.median(residual[used])) if used.any() else 0.0)
+    usual = 1.4826 * float(np.median(residual[used])) if used.any() else 0.0
+    sigma = np.maximum(film.sigma_y_m * np.asarray(film.relative), usual)
     speed = np.abs(derivatives(p, film.t_s, phase, film.gravity_m_s2, steps_of(p))[:, 0])
     return used & (residual > OUTLYING * np.hypot(sigma, film.sigma_t_s * speed))
 
@@ -140,7 +141,7 @@ def _least(
     free = np.flatnonzero(nuisances | features)
     usual, tight = _prior(film, p) if prior is None else prior
     loose = tight[free]
-    sigma = deviation(film, derivatives(p, t, part, g, steps_of(p)))
+    sigma = deviation(film, derivatives(p, t, part, g, steps_of(p)), used)
 
     def left(q: Array) -> Array:
         return np.concatenate([(y - heights(q, t, part, g)) / sigma, loose * (usual - q)[free]])
@@ -196,14 +197,14 @@ def _cost(film: Film, p: Array, held: bool) -> float:
     for j in range(len(rises)):
         whole[t >= rises[j, 0]] = RISE + j
     y = heights(levelled, t, whole, g)
-    sigma = np.full(len(t), film.sigma_y_m)
+    sigma = np.broadcast_to(film.sigma_y_m * np.asarray(film.relative), len(t)).copy()
     weight = np.ones(len(t))
     if len(rises):
         later = t > end
         speed, ratio = np.sqrt(p[len(HEAD)]) * p[1], p[len(HEAD)]
         faster = speed * np.sqrt(ratio)
         y[later] = [bouncing(float(since), faster, ratio, g) + level for since in t[later] - end]
-        sigma[later] = np.hypot(film.sigma_y_m, 0.005 * p[1] + 0.025 * p[1] ** 2 / g)
+        sigma[later] = np.hypot(sigma[later], 0.005 * p[1] + 0.025 * p[1] ** 2 / g)
         weight[later] = LATER
     squares = np.minimum(((film.y_m - y) / sigma) ** 2, CAP)
     # frames beside an event may be on its other side
