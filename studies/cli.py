@@ -42,9 +42,11 @@ from .inputs.study_fields import (
     LOOP_FLAGS,
     SCATTER_FLAGS,
     SYNTH_FLAGS,
+    TRACK_FLAGS,
     CalibrateInputs,
     LoopInputs,
     Recipe,
+    TrackInputs,
 )
 
 REPRODUCE_FLAGS = flags_of(StepField, DiscretisationFields)
@@ -249,10 +251,15 @@ def synth(
 
     Example: bristle synth --effect contact_damping:c_N_s_m=5 --out results/mystery
     """
-    from .synth import run_synth
+    from .synth import FILMS, run_synth
 
-    truth = truth or Path(f"{out}-truth.json")
-    run_synth(given.inputs(Recipe), out, truth)
+    truth, recipe = truth or Path(f"{out}-truth.json"), given.inputs(Recipe)
+    run_synth(recipe, out, truth)
+    if recipe.film:
+        films = shlex.join(["bristle", "track", str(out / FILMS)])
+        show([("films", out / FILMS), ("what is in them", truth)])
+        show([("to read them", f"{films}/*.mp4")])
+        return
     show([("dataset", out / "dataset.toml"), ("what is in it", truth)])
     show([("to look for it", _next("close-loop", out))])
 
@@ -276,6 +283,30 @@ def close_loop(
 
     show(summary(run_close_loop(dataset, out, given.inputs(LoopInputs))))
     show([("page", out / "report.html")])
+
+
+@command(TRACK_FLAGS)
+def track(
+    given: Given,
+    films: Annotated[
+        list[Path],
+        typer.Argument(metavar="FILM…", help="Films, or folders of pictures.", show_default=False),
+    ],
+    out: Path,
+) -> None:
+    """Films of drops into a dataset of tracks: where the lower end is in each frame, how sure that
+    is, and how the bristle leans.
+
+    A film needs a still camera and a body that falls freely in view. Several drops in one film are
+    told apart. Open report.html to see whether the marks lie on the body.
+
+    Example: bristle track drop1.mp4 drop2.mp4 --out results/my-films
+    """
+    from .track.run import run_track, told
+
+    document, _ = run_track(films, out, given.inputs(TrackInputs))
+    show(told(document))
+    show([("dataset", out / "dataset.toml"), ("page", out / "report.html")])
 
 
 @command()

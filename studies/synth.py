@@ -33,9 +33,17 @@ from .command.script import as_script
 from .inputs.choices import Noise, Strange
 from .inputs.study_fields import Recipe
 from .loop.responses.table_drops import drops_of, its_s, read_off
-from .running.files import cannot_write, prepare_folder, to_json, together, write_atomically
+from .running.files import (
+    cannot_write,
+    folder_in_place,
+    prepare_folder,
+    to_json,
+    together,
+    write_atomically,
+)
 from .running.mark import FOREIGN, write_whole
 from .running.parallel import all_ranks
+from .running.progress import progress
 
 if TYPE_CHECKING:
     from mpi4py import MPI
@@ -48,6 +56,8 @@ RIPPLE_M = 0.032
 TABLE_FILE, MANIFEST_FILE, TRUTH = "drops.csv", "dataset.toml", "bristle-truth-1"
 # All that lies in a made dataset's folder.
 FILES = (TABLE_FILE, MANIFEST_FILE)
+# The folder of films, where these are asked for.
+FILMS = "films"
 # Steps of the generator, finer than the loop's.
 FINER = 0.5
 
@@ -62,11 +72,14 @@ def reduced_body(comm: MPI.Intracomm) -> ModalBody:
 @dataclass(frozen=True)
 class Made:
     """A dataset and its truth: ``measured`` and ``true`` (drops, 4) are y0, y1, contact time and
-    peak force as read, and as an instrument without noise would read them."""
+    peak force as read, and as an instrument without noise would read them; ``scenes`` (drops,) are
+    what the drops of a body of mass ``mass_kg`` are made of."""
 
     recipe: Recipe
     measured: Array
     true: Array
+    scenes: Sequence[Scene]
+    mass_kg: float
 
 
 def make(recipe: Recipe, body: ModalBody) -> Made:
@@ -97,7 +110,7 @@ def make(recipe: Recipe, body: ModalBody) -> Made:
     sigma = np.array([recipe.sigma_y_m, recipe.sigma_y_m, recipe.sigma_t_s, recipe.sigma_force_N])
     measured = true + sigma * _errors(recipe.noise, (len(true), 4), errors)
     measured[:, :2] = np.maximum(measured[:, :2], [1e-4, 0.0])
-    return Made(recipe, measured, true)
+    return Made(recipe, measured, true, scenes, body.mass_kg)
 
 
 def _seen(scenes: Sequence[Scene], recipe: Recipe, body: ModalBody) -> Array:
@@ -186,7 +199,7 @@ def truth_of(made: Made) -> dict[str, Any]:
     }
 
 
-def prepare_dataset(folder: Path, truth: Path) -> None:
+def prepare_dataset(folder: Path, truth: Path, *files: str) -> None:
     """Make ``folder``, and see that a dataset and its truth can be written.
 
     Raises InputError where the truth would lie in the dataset's folder, or something that is not
@@ -196,7 +209,7 @@ def prepare_dataset(folder: Path, truth: Path) -> None:
         raise InputError(
             f"--truth {truth}: lies in the dataset's own folder, where it would be seen"
         )
-    prepare_folder(folder, *FILES)
+    prepare_folder(folder, *(files or FILES))
     if (
         truth.is_dir()
         or not next(each for each in truth.absolute().parents if each.exists()).is_dir()
@@ -239,18 +252,55 @@ def write_dataset(made: Made, folder: Path, truth: Path) -> dict[str, Any]:
     return content
 
 
+def write_films(made: Made, folder: Path, truth: Path) -> dict[str, Any]:
+    """Write a film of each drop into the folder `FILMS` in ``folder``, as a camera of 240 frames a
+    second sees it, and the truth to the file ``truth`` outside it, which is returned.
+
+    The lower end follows the drop; the bristle keeps its lean. Raises InputError as
+    `prepare_dataset` does, ComputationError where a film cannot be written.
+    """
+    from .film.render import Flown, Look, bouncing, write_film
+
+    prepare_dataset(folder, truth, f"{FILMS}/")
+    content = _sealed(truth_of(made))
+    with together(folder), folder_in_place(folder / FILMS) as films:
+        with progress("films", len(made.scenes)) as advance:
+            for k, scene in enumerate(made.scenes):
+                _, y1_m, contact_s, _ = made.true[k].tolist()
+                height, until = bouncing(
+                    scene.height_m,
+                    y1_m / scene.y_scale - scene.y_offset_m,
+                    contact_s / scene.t_scale,
+                    paper.GRAVITY_M_S2,
+                    release_m_s=scene.release_speed_m_s,
+                    drag_1_m=scene.drag_kg_m / made.mass_kg,
+                )
+                flown = Flown(height, until, scene.tilt_deg)
+                rng = np.random.default_rng([made.recipe.seed, 3, k])
+                write_film(films / f"drop-{k + 1:03d}.mp4", flown, Look(), rng)
+                advance()
+        try:
+            write_whole(truth, to_json(content) + "\n")
+        except OSError as error:
+            raise cannot_write(truth, error) from error
+    return content
+
+
 def run_synth(
     recipe: Recipe, out: Path, truth: Path, comm: MPI.Intracomm | None = None
 ) -> dict[str, Any]:
-    """Make the dataset of ``recipe`` in the folder ``out``; returns its truth, on every rank.
+    """Make the dataset of ``recipe``, or its films, in the folder ``out``; returns its truth, on
+    every rank.
 
     Collective over ``comm``, all ranks of the job unless it is given. Raises InputError and
     ComputationError.
     """
     comm = with_mpi(comm or all_ranks())
-    run_on_one_rank(comm, lambda: prepare_dataset(out, truth))
+    files = (f"{FILMS}/",) if recipe.film else FILES
+    run_on_one_rank(comm, lambda: prepare_dataset(out, truth, *files))
     body = reduced_body(comm)
-    return run_on_one_rank(comm, lambda: write_dataset(make(recipe, body), out, truth))
+    write = write_films if recipe.film else write_dataset
+    return run_on_one_rank(comm, lambda: write(make(recipe, body), out, truth))
 
 
 if __name__ == "__main__":

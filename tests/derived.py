@@ -23,6 +23,7 @@ from bristle.studies.inputs.study_fields import (
     LOOP_FLAGS,
     OWN_FLAGS,
     SYNTH_FLAGS,
+    TRACK_FLAGS,
 )
 
 ROOT = Path(__file__).parents[1]
@@ -35,6 +36,7 @@ TABLES = {
     "calibrate": CALIBRATE_FLAGS,
     "loop": LOOP_FLAGS,
     "synth": SYNTH_FLAGS,
+    "track": TRACK_FLAGS,
 }
 HEAD = '''\
 """Types of `import bristle`. Written by tests/derived.py from the declared inputs; do not edit."""

@@ -18,7 +18,7 @@ import re
 import tempfile
 import warnings
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -42,9 +42,11 @@ from ..inputs.study_fields import (
     LOOP_FLAGS,
     SCATTER_FLAGS,
     SYNTH_FLAGS,
+    TRACK_FLAGS,
     CalibrateInputs,
     LoopInputs,
     Recipe,
+    TrackInputs,
 )
 from ..its.run import ERRORS_FILE, NEEDS_FILE, ItsInputs, run_its
 from ..running.cases import CaseSession
@@ -52,7 +54,7 @@ from ..running.results import HISTORY_FILE
 from ..running.study import TABLE_FILE, Study, rows_of
 from ..scatter.inputs import ScatterInputs
 from ..sweep import LISTED, SweepInputs, run_sweep
-from .records import Calibration, Dataset, Drop, Mesh, Scatter, TimeSteps, Verdict
+from .records import Calibration, Dataset, Drop, Mesh, Scatter, TimeSteps, Tracks, Verdict
 from .records import Energy as Energy
 from .records import Record as Record
 from .signatures import Signature, in_python, signed
@@ -77,6 +79,7 @@ SIGNATURES = {
     "calibrate": Signature(CalibrateInputs, CALIBRATE_FLAGS),
     "close_loop": Signature(LoopInputs, LOOP_FLAGS),
     "synth": Signature(Recipe, SYNTH_FLAGS),
+    "track": Signature(TrackInputs, TRACK_FLAGS),
     "mesh": Signature(MeshInputs, MESH_FLAGS),
 }
 
@@ -359,7 +362,8 @@ class Session(CaseSession):
         Returns
         -------
         Dataset
-            The truth, and the table of what was measured.
+            The truth, and the table of what was measured; of films, in m, s and N, of what is in
+            them.
 
         Raises
         ------
@@ -375,8 +379,46 @@ class Session(CaseSession):
         with self._into(out, "dataset") as folder:
             file = _folder(truth, "truth", "a file") or Path(f"{folder}-truth.json")
             found = run_synth(asked, folder, file, self.comm)
-            (table,) = self._tables(folder, MEASURED)
+            if asked.film:
+                table = pd.DataFrame(found["without_noise"], columns=found["columns"])
+                table.insert(0, "drop", 1 + np.arange(len(table)))
+            else:
+                (table,) = self._tables(folder, MEASURED)
             return Dataset(found, table, None if out is None else folder)
+
+    @_call()
+    @signed(SIGNATURES["track"], returns=Tracks)
+    def track(
+        self, films: Folder | Iterable[Folder], *, out: Folder | None = None, **inputs: Any
+    ) -> Tracks:
+        """Films of drops as tracks of the lower end, as `bristle track`.
+
+        Parameters
+        ----------
+        films : str | Path | Iterable[str | Path]
+            Films, or folders of pictures.
+        out : str | Path | None
+            A folder for the dataset, its page and the overlay films. Default: none.
+
+        Returns
+        -------
+        Tracks
+            What track.json holds, and the table of the tracks.
+
+        Raises
+        ------
+        InputError
+            A film cannot be read or shows no body that falls, or an input is wrong.
+        ComputationError
+            An overlay film cannot be written.
+        """
+        from ..track.run import run_track
+
+        asked = self._checked("track", inputs)
+        several = [films] if isinstance(films, (str, Path)) else list(films)
+        paths = [Path(_dataset(each)) for each in several]
+        found, table = run_track(paths, _folder(out), asked, with_mpi(self.comm))
+        return Tracks(found, table, None if out is None else Path(out))
 
     @_call()
     @signed(SIGNATURES["mesh"], returns=Mesh)
@@ -493,6 +535,7 @@ scatter = _function("scatter")
 calibrate = _function("calibrate")
 close_loop = _function("close_loop")
 synth = _function("synth")
+track = _function("track")
 mesh = _function("mesh")
 
 

@@ -341,6 +341,49 @@ class Calibration(Record):
         return ax
 
 
+class Tracks(Record):
+    """Tracked films: what track.json holds by name, and ``table``, a DataFrame with the columns of
+    tracks.csv.
+
+    ``folder`` is where the dataset lies, or None where it was not written.
+    """
+
+    unit: str
+    films: list[Record]
+    drops: list[Record]
+    warnings: list[str]
+    table: pd.DataFrame
+    folder: Path | None
+
+    def __init__(
+        self, values: Mapping[str, Any], table: pd.DataFrame, folder: Path | None = None
+    ) -> None:
+        super().__init__(values)
+        self.table, self.folder = table, folder
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return type(self), (dict(self), self.table, self.folder)
+
+    def rows(self) -> list[tuple[str, str]]:
+        from ..track.run import told
+
+        return told(self.to_dict())
+
+    def heading(self) -> str:
+        return f"tracks of {len(self.drops)} drops"
+
+    def plot(self, ax: Axes | None = None) -> Axes:
+        """Heights over time since each drop's first frame."""
+        ax = _axes(ax)
+        for drop, rows in self.table.groupby("drop"):
+            since = rows.t_s - rows.t_s.iloc[0]
+            ax.plot(since, rows[f"y_{self.unit}"], ".", markersize=3, label=f"drop {drop}")
+        ax.set(xlabel="time (s)", ylabel=f"height of the end ({self.unit})", title=self.heading())
+        if len(self.drops) <= 8:
+            ax.legend()
+        return ax
+
+
 class Dataset(Record):
     """A made dataset: its truth by name, and ``table``, a DataFrame of what was measured.
 

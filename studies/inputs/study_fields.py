@@ -1,13 +1,13 @@
-"""Inputs of `bristle scatter`, `calibrate`, `close-loop` and `synth` beyond those of a drop."""
+"""Inputs of `bristle scatter`, `calibrate`, `close-loop`, `synth` and `track` beyond a drop's."""
 
 from __future__ import annotations
 
-from typing import Annotated, Any
+from typing import Annotated, Any, Self
 
-from pydantic import BeforeValidator, Field
+from pydantic import BeforeValidator, Field, model_validator
 
 from ...solver import paper
-from .choices import Contact, Model, Noise, Strange
+from .choices import Body, Contact, Down, Model, Noise, Strange
 from .fields import (
     CONTACT,
     DROP,
@@ -25,13 +25,16 @@ from .fields import (
     plugin_option,
     whole,
 )
-from .flags import Fields, flags_of, option
+from .flags import Fields, flags_of, option, refuse
 from .named import EffectInput, read_effects
 
 RANDOM, SURFACE, LOOP = "Random drops", "Surface", "Loop"
 CALIBRATION, DATASET = "Calibration", "Dataset"
+FILM = "Film"
 
 DROPS, MOST_DROPS = 2000, 1_000_000
+Pixel = Annotated[int, whole(0, 100_000)]
+Side = Annotated[int, whole(1, 100_000)]
 SEEDS = 2**32 - 1
 # Rate of false alarms.
 ALARM = 0.01
@@ -116,6 +119,71 @@ class CalibrateInputs(Fields, group=CALIBRATION):
     )
 
 
+class TrackInputs(Fields, group=FILM):
+    """Every option of `bristle track`, checked."""
+
+    body: Body = option(Body.BRISTLE, "What falls: a bristle, or a ball.")
+    diameter_mm: Annotated[float, between(0.1, 1e4)] | None = option(
+        None, "Diameter of the ball. It gives the scale.", "MM", name="diameter-mm"
+    )
+    mass_g: Annotated[float, between(1e-6, 1e9)] | None = option(
+        None, "Mass of the ball.", "G", "that of steel", name="mass-g"
+    )
+    length_mm: Annotated[float, between(1.0, 1e4)] | None = option(
+        None,
+        "Length of the bristle. It gives the scale where the whole length is in view.",
+        "MM",
+        "336.5, the paper's",
+        name="length-mm",
+    )
+    mm_per_px: Annotated[float, between(1e-4, 1e3)] | None = option(
+        None,
+        "Scale of the picture in the plane of the fall, where a length in view does not give it.",
+        "MM",
+        name="mm-per-px",
+    )
+    fps: Annotated[float, between(0.1, 1e6)] | None = option(
+        None,
+        "Frames a second. It overrides the film's own time stamps; a folder of pictures needs it.",
+        "RATE",
+    )
+    roi: tuple[Pixel, Pixel, Side, Side] | None = option(
+        None,
+        "The part of the picture to look at: left edge, top edge, width and height in pixels.",
+        "X Y W H",
+    )
+    down: Down = option(
+        Down.AUTO,
+        "Which way things fall in the picture; auto tries each.",
+        "[auto|left|right|up|down]",
+    )
+    exposure_s: Annotated[float, between(0.0, 10.0)] | None = option(
+        None,
+        "Exposure of a frame in s.",
+        "S",
+        "what the blur of fast frames shows",
+        name="exposure-s",
+    )
+    rolling_shutter_s_per_row: Annotated[float, between(-1e-2, 1e-2)] = option(
+        0.0,
+        "By how much later a row of the picture is taken than the row above it, in s.",
+        "S",
+        name="rolling-shutter-s-per-row",
+    )
+    gravity_m_s2: Annotated[float, between(0.01, 300.0)] = option(paper.GRAVITY_M_S2, "Gravity.")
+
+    @model_validator(mode="after")
+    def _possible(self) -> Self:
+        """Refuse what does not belong to the body."""
+        if self.body is Body.BRISTLE:
+            for field in ("diameter_mm", "mass_g"):
+                if getattr(self, field) is not None:
+                    refuse(field, "is for --body ball")
+        elif self.length_mm is not None:
+            refuse("length_mm", "is for --body bristle; a ball has --diameter-mm")
+        return self
+
+
 def read_unlisted(value: Any) -> Any:
     """An unlisted effect and its strength, also as ``NAME=STRENGTH``."""
     if not isinstance(value, str):
@@ -179,6 +247,9 @@ class Recipe(Fields, group=DATASET):
         0.5, "Standard error of a peak force."
     )
     heights_only: Truth = option(False, "Leave out contact times and forces.")
+    film: Truth = option(
+        False, "Films of the drops instead of a table, for `bristle track`: one for each drop."
+    )
     seed: Annotated[int, whole(0, SEEDS)] = option(
         0, "Seed of releases, random effects and errors.", "N"
     )
@@ -198,3 +269,4 @@ SCATTER_FLAGS = (
 LOOP_FLAGS = flags_of(LoopInputs)
 CALIBRATE_FLAGS = flags_of(CalibrateInputs)
 SYNTH_FLAGS = flags_of(Recipe)
+TRACK_FLAGS = flags_of(TrackInputs)

@@ -32,6 +32,7 @@ __all__ = [
     "Scatter",
     "Session",
     "TimeSteps",
+    "Tracks",
     "Verdict",
     "__version__",
     "calibrate",
@@ -42,6 +43,7 @@ __all__ = [
     "scatter",
     "sweep",
     "synth",
+    "track",
     "view",
 ]
 

@@ -21,6 +21,7 @@ from .studies.api import Mesh as Mesh
 from .studies.api import Record as Record
 from .studies.api import Scatter as Scatter
 from .studies.api import TimeSteps as TimeSteps
+from .studies.api import Tracks as Tracks
 from .studies.api import Verdict as Verdict
 
 def drop(
@@ -254,10 +255,29 @@ def synth(
     sigma_t_s: float = 2e-06,
     sigma_force_N: float = 0.5,
     heights_only: bool = False,
+    film: bool = False,
     seed: int = 0,
     height_m: float | Iterable[float] | None = None,
     comm: MPI.Intracomm | None = None,
 ) -> Dataset: ...
+
+def track(
+    films: str | Path | Iterable[str | Path],
+    *,
+    out: str | Path | None = None,
+    body: Literal['bristle', 'ball'] = 'bristle',
+    diameter_mm: float | None = None,
+    mass_g: float | None = None,
+    length_mm: float | None = None,
+    mm_per_px: float | None = None,
+    fps: float | None = None,
+    roi: tuple[int, int, int, int] | None = None,
+    down: Literal['auto', 'down', 'left', 'right', 'up'] = 'auto',
+    exposure_s: float | None = None,
+    rolling_shutter_s_per_row: float = 0.0,
+    gravity_m_s2: float = 9.8,
+    comm: MPI.Intracomm | None = None,
+) -> Tracks: ...
 
 def mesh(
     *,
@@ -516,9 +536,27 @@ class Session:
         sigma_t_s: float = 2e-06,
         sigma_force_N: float = 0.5,
         heights_only: bool = False,
+        film: bool = False,
         seed: int = 0,
         height_m: float | Iterable[float] | None = None,
     ) -> Dataset: ...
+    def track(
+        self,
+        films: str | Path | Iterable[str | Path],
+        *,
+        out: str | Path | None = None,
+        body: Literal['bristle', 'ball'] = 'bristle',
+        diameter_mm: float | None = None,
+        mass_g: float | None = None,
+        length_mm: float | None = None,
+        mm_per_px: float | None = None,
+        fps: float | None = None,
+        roi: tuple[int, int, int, int] | None = None,
+        down: Literal['auto', 'down', 'left', 'right', 'up'] = 'auto',
+        exposure_s: float | None = None,
+        rolling_shutter_s_per_row: float = 0.0,
+        gravity_m_s2: float = 9.8,
+    ) -> Tracks: ...
     def mesh(
         self,
         *,

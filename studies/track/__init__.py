@@ -1,0 +1,1 @@
+"""`bristle track`: films of drops into a dataset of tracks."""

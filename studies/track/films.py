@@ -1,0 +1,266 @@
+"""Films of drops as one dataset: their tracks in one unit, numbered, with what each shows."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from ...solver import paper
+from .. import __version__
+from ..film.edge import Camera
+from ..film.flights import Drop
+from ..film.reading import Film
+from ..film.scale import Scale, doubts_of, floor_of, gravity_px, heights, scale_of
+from ..film.tracker import Tracked, tracked
+from ..inputs.choices import Body
+from ..inputs.study_fields import TrackInputs
+from ..running import results
+from ..running.progress import progress
+
+SCHEMA = "bristle-track-1"
+TABLE = "tracks.csv"
+STEEL_KG_M3 = 7800.0
+NORMAL_90 = 1.645
+
+
+@dataclass(frozen=True)
+class FilmedDrop:
+    """A drop of a film: its number in the dataset, and where it is."""
+
+    number: int
+    film: int
+    drop: Drop
+
+
+@dataclass(frozen=True)
+class TrackedFilms:
+    """All films: their tracks, scales, surfaces (height and its standard error, px) and drops, a
+    row of ``table`` for each frame that is used, and what deserves doubt."""
+
+    inputs: TrackInputs
+    tracks: Sequence[Tracked]
+    scales: Sequence[Scale | None]
+    floors: Sequence[tuple[float, float]]
+    drops: Sequence[FilmedDrop]
+    table: pd.DataFrame
+    warnings: Sequence[str]
+
+    @property
+    def unit(self) -> str:
+        """mm, or px where a film has no scale."""
+        return "px" if None in self.scales else "mm"
+
+
+def track_films(films: Sequence[Path], inputs: TrackInputs) -> TrackedFilms:
+    """Track films one after the other. Raises InputError."""
+    given = Camera(
+        exposure_s=inputs.exposure_s or 0.0, exposure_known=inputs.exposure_s is not None
+    )
+    tracks = []
+    with progress("films", len(films)) as advance:
+        for path in films:
+            film = Film(path, inputs.fps, inputs.roi, inputs.down)
+            tracks.append(tracked(film, inputs.body, given, inputs.rolling_shutter_s_per_row))
+            advance()
+    length = inputs.diameter_mm
+    if inputs.body is Body.BRISTLE:
+        length = inputs.length_mm or 1e3 * paper.LENGTH_M
+    scales = [scale_of(track, length, inputs.mm_per_px) for track in tracks]
+    warnings = [
+        doubt
+        for track, scale in zip(tracks, scales, strict=True)
+        for doubt in _doubts(track, scale, inputs)
+    ]
+    if None in scales and any(scales):
+        warnings.append(
+            "some films have no scale, so all heights are in pixels: give --mm-per-px, or show the "
+            "whole body"
+        )
+        scales = [None] * len(scales)
+    floors: list[tuple[float, float]] = []
+    drops: list[FilmedDrop] = []
+    for k, track in enumerate(tracks):
+        floor = floor_of(track.drops)
+        floors.append((float(-track.down.max()), 0.0) if floor is None else floor)
+        for drop in track.drops:
+            drops.append(FilmedDrop(len(drops) + 1, k, drop))
+    frames = [
+        _rows(each, tracks[each.film], scales[each.film], floors[each.film]) for each in drops
+    ]
+    return TrackedFilms(
+        inputs, tracks, scales, floors, drops, pd.concat(frames, ignore_index=True), warnings
+    )
+
+
+def _doubts(track: Tracked, scale: Scale | None, inputs: TrackInputs) -> list[str]:
+    """What of a film deserves doubt, in sentences."""
+    name = track.film.path.name
+    doubts = doubts_of(track, scale, inputs.gravity_m_s2)
+    if not any(len(drop.impact_s) for drop in track.drops):
+        doubts.append(f"{name}: no impact is seen, so heights count from the lowest frame")
+    if scale is None:
+        doubts.append(
+            f"{name}: nothing of known length is in view, so heights are in pixels; give "
+            "--mm-per-px if you know the scale"
+        )
+    if len(track.t_s) < 0.5 * track.frames:
+        doubts.append(
+            f"{name}: the {track.body} is seen in {len(track.t_s)} of {track.frames} frames"
+        )
+    return doubts
+
+
+def _rows(
+    each: FilmedDrop, track: Tracked, scale: Scale | None, floor: tuple[float, float]
+) -> pd.DataFrame:
+    """A row for each frame of a drop that is used; standard errors include the surface's."""
+    used = track.used(each.drop)
+    unit, by = ("px", 1.0) if scale is None else ("mm", scale.mm_per_px)
+    x, y = track.film.shown(track.column, track.row, track.shape)
+    rows: dict[str, Any] = {
+        "drop": each.number,
+        "t_s": np.round(track.t_s[used], 7),
+        f"y_{unit}": np.round(by * heights(track, each.drop, floor[0]), 4),
+        f"sigma_{unit}": np.round(by * np.hypot(track.sigma[used], floor[1]), 4),
+    }
+    if track.turn is not None and track.sigma_turn is not None:
+        rows["lean_deg"] = np.round(np.degrees(track.turn[used]), 4)
+        sigma = np.hypot(track.sigma_turn[used], track.vertical[1])
+        rows["sigma_lean_deg"] = np.round(np.degrees(sigma), 4)
+    rows |= {
+        "film": each.film + 1,
+        "frame": track.number[used],
+        "tip_x_px": np.round(x[used], 3),
+        "tip_y_px": np.round(y[used], 3),
+        "flight": [each.drop.phase(t) for t in track.t_s[used]],
+    }
+    return pd.DataFrame(rows)
+
+
+def summary(found: TrackedFilms) -> dict[str, Any]:
+    """``track.json``: what each film and each drop shows."""
+    films = [_film(*each) for each in zip(found.tracks, found.scales, strict=True)]
+    return {
+        "schema": SCHEMA,
+        "version": __version__,
+        "inputs": results.plain_inputs(found.inputs),
+        "unit": found.unit,
+        "films": films,
+        "drops": [_drop(each, found) for each in found.drops],
+        "warnings": list(found.warnings),
+    }
+
+
+def _film(track: Tracked, scale: Scale | None) -> dict[str, Any]:
+    seen = gravity_px(track)
+    gravity = None
+    if scale is not None and seen is not None:
+        value = 1e-3 * scale.mm_per_px * seen[0]
+        error = NORMAL_90 * value * float(np.hypot(seen[1], scale.error))
+        gravity = {"estimate": value, "low": value - error, "high": value + error}
+    return {
+        "film": str(track.film.path),
+        "frames": track.frames,
+        "frames_seen": len(track.t_s),
+        "frames_per_s": 1.0 / track.frame_s,
+        "down": str(track.film.down),
+        "mm_per_px": None if scale is None else scale.mm_per_px,
+        "mm_per_px_error": None if scale is None else scale.error,
+        "scale_from": None if scale is None else scale.source,
+        "gravity_m_s2": gravity,
+        "exposure_s": track.camera.exposure_s,
+        "exposure_known": track.camera.exposure_known,
+        "blur_px": track.camera.psf_px,
+        "gamma": track.camera.gamma,
+        "roll_deg": float(np.degrees(np.arctan(track.vertical[0]))),
+        "roll_error_deg": float(np.degrees(track.vertical[1])),
+    }
+
+
+def _drop(each: FilmedDrop, found: TrackedFilms) -> dict[str, Any]:
+    track, scale = found.tracks[each.film], found.scales[each.film]
+    drop, by = each.drop, 1.0 if scale is None else scale.mm_per_px
+    unit = found.unit
+    ratios = drop.restitution
+    errors = np.zeros_like(ratios) if drop.restitution_error is None else drop.restitution_error
+    used = track.used(drop)
+    fall = drop.flights[0]
+    top = (
+        drop.held if drop.held is not None else float(fall.at(fall.t_s + fall.speed / fall.gravity))
+    )
+    lean = None
+    if track.turn is not None:
+        own = used[[drop.phase(t) <= 0 for t in track.t_s[used]]]
+        lean = float(np.degrees(np.median(track.turn[own]))) if len(own) else None
+    return {
+        "drop": each.number,
+        "film": each.film + 1,
+        "release_s": drop.release_s,
+        f"y0_{unit}": by * (top - found.floors[each.film][0]),
+        "impact_s": drop.impact_s.tolist(),
+        "restitution": [
+            {"estimate": float(e), "low": float(e - s), "high": float(e + s)}
+            for e, s in zip(ratios, NORMAL_90 * errors, strict=True)
+        ],
+        "lean_before_deg": lean,
+        "frames": int(drop.last - drop.first + 1),
+        "frames_used": len(used),
+        f"rms_residual_{unit}": by * float(np.sqrt(np.mean(track.residual(drop) ** 2))),
+        f"sigma_{unit}": by * float(np.median(track.sigma[used])),
+    }
+
+
+def manifest(found: TrackedFilms) -> str:
+    """``dataset.toml`` of the tracks."""
+    inputs = found.inputs
+    names = ", ".join(track.film.path.name for track in found.tracks)
+    lines = [
+        "[dataset]",
+        f'title = "tracks of {len(found.drops)} drops in {len(found.tracks)} films"',
+        'kind = "tracks"',
+        f'source = "bristle track: {_quoted(names[:700])}"',
+        'licence = ""',
+        "",
+    ]
+    if inputs.body is Body.BALL:
+        diameter = inputs.diameter_mm or 10.0
+        mass = 1e-3 * inputs.mass_g if inputs.mass_g else _steel_kg(diameter)
+        lines += ["[body]", 'shape = "rigid"']
+        if not inputs.mass_g:
+            lines.append("# no --mass-g was given: that of a steel ball")
+        lines.append(f"mass_kg = {mass:.6g}")
+        if inputs.diameter_mm:
+            lines.append(f"diameter_m = {1e-3 * inputs.diameter_mm:.6g}")
+        lines.append("")
+    elif inputs.length_mm:
+        lines += [
+            "[body]",
+            f"length_m = {1e-3 * inputs.length_mm:.6g}",
+            f"width_m = {paper.WIDTH_M:g}",
+            f"thickness_m = {paper.THICKNESS_M:g}",
+            "",
+        ]
+    lines += ["[measurement]", f'file = "{TABLE}"', f"gravity_m_s2 = {inputs.gravity_m_s2:g}"]
+    errors = [scale.error for scale in found.scales if scale is not None]
+    if errors and max(errors) > 0.0:
+        lines += [
+            "# standard error of the scale, as a share: it is common to all frames of a film",
+            f"sigma_scale = {max(errors):.4g}",
+        ]
+    return "\n".join(lines) + "\n"
+
+
+def _steel_kg(diameter_mm: float) -> float:
+    return STEEL_KG_M3 * math.pi / 6.0 * (1e-3 * diameter_mm) ** 3
+
+
+def _quoted(text: str) -> str:
+    """A text as it may stand in a string of TOML."""
+    safe = "".join(each if each.isprintable() else "?" for each in text)
+    return safe.replace("\\", "\\\\").replace('"', '\\"')
