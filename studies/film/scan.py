@@ -14,6 +14,8 @@ from .reading import Film, Frame, Picture
 SAMPLES, SAMPLE_BYTES = 32, 40_000_000
 LEAST_SAMPLES = 12
 LEAST_FRAMES = 6
+LEAST_CLEAR = 3
+"""Samples that show a pixel of the background: one of them may be mistaken."""
 LEAST_NOISE = 0.6
 """In grey levels: rounding to whole levels alone has 0.3, in either of two frames compared."""
 CHANGED = 12
@@ -94,8 +96,8 @@ class _Kept:
 def clear_background(samples: Picture, covered: Array) -> Array:
     """The picture (rows, columns) without the body: the median of what is not ``covered``.
 
-    ``covered`` (samples, rows, columns) is boolean. A pixel that all samples cover is made of the
-    nearest ones beside it.
+    ``covered`` (samples, rows, columns) is boolean. A pixel that fewer than `LEAST_CLEAR` samples
+    show is made of the nearest ones beside it.
     """
     still = np.empty(samples.shape[1:], dtype=np.float32)
     for row in range(len(still)):
@@ -105,7 +107,7 @@ def clear_background(samples: Picture, covered: Array) -> Array:
         seen = len(values) - hidden.sum(axis=0)
         middle = np.stack([np.maximum(seen - 1, 0) // 2, np.maximum(seen, 1) // 2])
         still[row] = np.take_along_axis(values, middle, axis=0).mean(axis=0)
-        never = seen == 0
+        never = seen < LEAST_CLEAR
         if never.any() and not never.all():
             there = np.flatnonzero(~never)
             still[row, never] = np.interp(np.flatnonzero(never), there, still[row, there])

@@ -29,8 +29,8 @@ FINE_ROWS = 320
 LEAST_RUN = 12
 """In rows: a strip that shows less has no direction."""
 NEARBY = 3
-BESIDE = 2.0
-"""How far from a strip's flanks the background begins, in px."""
+BELOW_PX = 8.0
+"""How far below a strip's end the lens blurs it, at most."""
 
 
 @dataclass(frozen=True)
@@ -83,6 +83,10 @@ def find_strip(film: Scan) -> tuple[Looks, dict[int, Strip]] | None:
     fine = {sample: _finer(strip, factor) for sample, strip in best.items()}
     contrast = float(np.median([strip.contrast for strip in fine.values()]))
     width = float(np.median([strip.width for strip in fine.values()]))
+    numbers = film.number[sorted(fine)]
+    tips = np.array([fine[sample].tip for sample in sorted(fine)])
+    # an exposure is at most as long as from one frame to the next
+    below = BELOW_PX + float(np.max(np.abs(np.diff(tips)) / np.diff(numbers)))
     covered = np.zeros(film.samples.shape, dtype=bool)
     rows, columns = film.shape
     row = np.arange(rows)[:, None]
@@ -92,7 +96,7 @@ def find_strip(film: Scan) -> tuple[Looks, dict[int, Strip]] | None:
         if sample in fine:
             strip = fine[sample]
             aside = np.abs(np.arange(columns) - strip.at(row))
-            end = strip.tip + max(8.0, 0.05 * rows)
+            end = strip.tip + below
             covered[sample] = (aside < width / 2.0 + 3.0) & (row < end)
     still = clear_background(film.samples, covered)
     looks = Looks(still, width, contrast, np.kron(moves, np.ones((factor, factor))) > 0, film.noise)

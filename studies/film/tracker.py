@@ -30,7 +30,7 @@ DISC_SIGMA_PX = 0.05
 """Of a disc's centre, since no ball is as bright as a linear function across."""
 BALL_TURNED = 1e-3
 """By what share a ball's flights differ in acceleration: it does not matter that it turns."""
-CHAIN_PX = 0.1
+CHAIN_PX = 0.25
 """What is added to errors where flights are looked for: an end may stray for a frame."""
 MISTAKEN = 5.0
 """Standard errors beyond which a frame of a flight is a mistake."""
