@@ -1,0 +1,1 @@
+"""Geometrically exact rods clamped in a moving hub: statics, dynamics, contact with a plane."""

@@ -1,0 +1,61 @@
+"""The surface that rods meet: a plane, how stiff it is, and its friction."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from .. import paper
+from ..arrays import Array
+from ..bristle import positive
+from ..contact.laws import mindlin_ratio
+from ..errors import InputError
+
+
+@dataclass(frozen=True)
+class Ground:
+    """A plane through ``point_m`` (3,) with an outward ``normal`` (3,), and its contact.
+
+    ``kn_N_m`` is the normal stiffness of an end section that lies flat, shared among its points.
+    Every other section that touches has the same. The coefficient of friction falls from the static
+    one to the kinetic one over the sliding speed: μ(v) = μk + (μs - μk) exp(-(v/vs)²) (Stribeck's
+    transition; Olsson et al., Eur. J. Control 4 (1998), Sec. 2). With ``stribeck_speed_m_s`` zero
+    it falls at once: a point that slides has the kinetic coefficient until it sticks again.
+    ``kt_over_kn`` is the stiffness of the tangential spring that a point sticks by.
+
+    Raises InputError where a number is out of its range.
+    """
+
+    kn_N_m: float = paper.KN_CHOSEN_N_M
+    friction_kinetic: float = paper.FRICTION
+    friction_static: float = paper.FRICTION
+    stribeck_speed_m_s: float = 0.0
+    kt_over_kn: float = mindlin_ratio(paper.POISSON)
+    point_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    normal: tuple[float, float, float] = (0.0, 0.0, 1.0)
+
+    def __post_init__(self) -> None:
+        positive("Kn", self.kn_N_m)
+        positive("Kt / Kn", self.kt_over_kn)
+        for name in ("friction_kinetic", "friction_static", "stribeck_speed_m_s"):
+            value = getattr(self, name)
+            if not (math.isfinite(value) and value >= 0.0):
+                raise InputError(f"{name} must be zero or more, not {value}")
+        if self.friction_static < self.friction_kinetic:
+            raise InputError(
+                f"the static coefficient of friction, {self.friction_static}, must not be below "
+                f"the kinetic one, {self.friction_kinetic}"
+            )
+        if not (np.all(np.isfinite(self.point_m)) and np.linalg.norm(self.normal) > 0.0):
+            raise InputError("the plane needs a finite point and a normal that is not zero")
+
+    @property
+    def unit_normal(self) -> Array:
+        """(3,)"""
+        return np.asarray(self.normal, dtype=float) / np.linalg.norm(self.normal)
+
+    def gaps_m(self, points_m: Array) -> Array:
+        """Heights (…,) of points (…, 3) above the plane."""
+        return (points_m - np.asarray(self.point_m)) @ self.unit_normal

@@ -1,0 +1,236 @@
+"""The hub: where bristles are clamped in it, and how it moves."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Protocol, Self
+
+import numpy as np
+from scipy.interpolate import Akima1DInterpolator
+
+from ..arrays import Array
+from ..compiled import njit
+from ..errors import InputError
+from .rotation import rotation_vector_matrix, spin_of
+
+# Rows of a table that ask for a faster hub than this do not describe a motion but a jump.
+FASTEST_M_S, FASTEST_RAD_S = 100.0, 1e4
+ORDER = 6
+
+
+@dataclass(frozen=True)
+class Clamps:
+    """Where bristles are clamped, in the hub's axes.
+
+    Parameters
+    ----------
+    position_m : (n, 3)
+    rotation : (n, 3, 3), columns are the bristle's thin side, its wide side, and its axis, which
+        points away from the hub
+    length_m : (n,), free length of each bristle
+
+    Raises
+    ------
+    InputError : shapes do not match, a rotation is none, or a length is not positive
+    """
+
+    position_m: Array
+    rotation: Array
+    length_m: Array
+
+    def __post_init__(self) -> None:
+        for name in ("position_m", "rotation", "length_m"):
+            object.__setattr__(self, name, np.array(getattr(self, name), dtype=float))
+        n = len(self.length_m)
+        shapes = (self.position_m.shape, self.rotation.shape, self.length_m.shape)
+        if n == 0 or shapes != ((n, 3), (n, 3, 3), (n,)):
+            raise InputError(f"clamps must have shapes (n, 3), (n, 3, 3) and (n,), not {shapes}")
+        if not (np.all(np.isfinite(self.position_m)) and np.all(np.isfinite(self.length_m))):
+            raise InputError("positions and lengths of clamps must be finite")
+        if not np.all(self.length_m > 0.0):
+            raise InputError("every bristle must have a positive length")
+        squares = self.rotation @ self.rotation.transpose(0, 2, 1)
+        if not (
+            np.allclose(squares, np.eye(3), atol=1e-9) and np.all(np.linalg.det(self.rotation) > 0)
+        ):
+            raise InputError("the rotation of every clamp must be a proper rotation matrix")
+
+    def __len__(self) -> int:
+        return len(self.length_m)
+
+
+@dataclass(frozen=True)
+class HubPose:
+    """Where the hub is at one instant: its origin (3,), its axes in the world's (3, 3), and their
+    velocity and angular velocity (3,), all in world axes."""
+
+    position_m: Array
+    rotation: Array
+    velocity_m_s: Array
+    angular_velocity_rad_s: Array
+
+
+class HubMotion(Protocol):
+    """A prescribed motion: a polynomial in each of six coordinates over each of some segments.
+
+    The coordinates are the hub's position and its rotation vector. ``breaks`` (m + 1,) in s
+    separate segments; ``coefficients`` (6, m, 6) are of falling powers of the time since a
+    segment's begin, as those of scipy's PPoly. Compiled code evaluates them.
+    """
+
+    @property
+    def breaks(self) -> Array: ...
+
+    @property
+    def coefficients(self) -> Array: ...
+
+    def pose(self, t_s: float) -> HubPose:
+        """The pose at a time."""
+        ...
+
+
+@njit
+def hub_coordinates(breaks: Array, coefficients: Array, t_s: float, out: Array) -> None:
+    """Write the hub's six coordinates and their rates (2, 6) at a time into ``out``.
+
+    The first segment holds before the first break, the last one after the last break.
+    """
+    segment = min(max(np.searchsorted(breaks, t_s, side="right") - 1, 0), len(breaks) - 2)
+    s = t_s - breaks[segment]
+    for c in range(6):
+        value, rate = 0.0, 0.0
+        for k in range(coefficients.shape[0]):
+            rate = rate * s + value
+            value = value * s + coefficients[k, segment, c]
+        out[0, c], out[1, c] = value, rate
+
+
+@dataclass(frozen=True)
+class HubPath:
+    """A `HubMotion` by its polynomials; InputError where the motion jumps from one segment to the
+    next."""
+
+    breaks: Array
+    coefficients: Array
+
+    def __post_init__(self) -> None:
+        if not (np.all(np.diff(self.breaks) > 0.0) and np.all(np.isfinite(self.coefficients))):
+            raise InputError("the times of a hub's path must increase, and its values be finite")
+        span = np.diff(self.breaks)[:, None]
+        ends = np.zeros(self.coefficients.shape[1:])
+        for row in self.coefficients:
+            ends = ends * span + row
+        jumps = np.abs(ends[:-1] - self.coefficients[-1, 1:])
+        if np.any(jumps > 1e-9 * (1.0 + np.abs(ends[:-1]))):
+            at = self.breaks[1:-1][np.any(jumps > 1e-9 * (1.0 + np.abs(ends[:-1])), axis=1)][0]
+            raise InputError(f"the hub's path jumps at {at:g} s")
+
+    def pose(self, t_s: float) -> HubPose:
+        """The pose at a time."""
+        out = np.empty((2, 6))
+        hub_coordinates(self.breaks, self.coefficients, float(t_s), out)
+        turned = out[0, 3:]
+        return HubPose(
+            out[0, :3].copy(),
+            rotation_vector_matrix(turned),
+            out[1, :3].copy(),
+            spin_of(turned, out[1, 3:]),
+        )
+
+    @classmethod
+    def still(cls) -> Self:
+        """At rest with its axes along the world's, its origin in the world's."""
+        return cls(np.array([0.0, 1.0]), np.zeros((ORDER, 1, 6)))
+
+    @classmethod
+    def press(cls, depth_m: float, over_s: float) -> Self:
+        """Down by ``depth_m``, at rest before and after; the path is quintic in time.
+
+        Raises InputError unless the depth is zero or more and the time positive.
+        """
+        return cls.still()._pressed(depth_m, over_s)
+
+    @classmethod
+    def slide(
+        cls,
+        depth_m: float,
+        speed_m_s: float,
+        over_s: float,
+        ramp_s: float,
+        direction: Sequence[float] = (1.0, 0.0),
+    ) -> Self:
+        """Pressed down over ``over_s``, then along a horizontal ``direction`` at a constant speed,
+        which it reaches in ``ramp_s``."""
+        x, y = np.array(direction, dtype=float) / np.linalg.norm(direction)
+        rates = np.array([speed_m_s * x, speed_m_s * y, 0.0, 0.0, 0.0, 0.0])
+        return cls.press(depth_m, over_s)._set_off(rates, ramp_s)
+
+    @classmethod
+    def rotate(cls, depth_m: float, rpm: float, over_s: float, ramp_s: float) -> Self:
+        """Pressed down over ``over_s``, then turned about the vertical through the hub's origin at
+        a constant rate, which it reaches in ``ramp_s``."""
+        rates = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 2.0 * math.pi * rpm / 60.0])
+        return cls.press(depth_m, over_s)._set_off(rates, ramp_s)
+
+    @classmethod
+    def table(cls, t_s: Array, pose: Array) -> Self:
+        """Through rows of a table: ``t_s`` (m,), position in m and rotation vector in rad (m, 6).
+
+        The interpolation is Akima's (modified; scipy's ``makima``): its first derivative is
+        continuous, and a hub that rests over three rows does not overshoot. The hub rests before the
+        first row and after the last.
+
+        Raises
+        ------
+        InputError : fewer than two rows, times that do not increase, values that are not finite,
+            or rows between which the hub would be faster than 100 m/s or 1e4 rad/s
+        """
+        t, rows = np.asarray(t_s, dtype=float), np.asarray(pose, dtype=float)
+        if rows.shape != (len(t), 6) or len(t) < 2:
+            raise InputError("a hub's path needs two rows or more of time and six coordinates")
+        if not (np.all(np.isfinite(t)) and np.all(np.isfinite(rows))):
+            raise InputError("a hub's path must have finite numbers only")
+        late = np.flatnonzero(np.diff(t) <= 0.0)
+        if len(late):
+            raise InputError(f"the times of a hub's path must increase; row {late[0] + 2} does not")
+        rates = np.abs(np.diff(rows, axis=0)) / np.diff(t)[:, None]
+        limits = np.repeat([FASTEST_M_S, FASTEST_RAD_S], 3)
+        far = np.flatnonzero(np.any(rates > limits, axis=1))
+        if len(far):
+            raise InputError(f"the hub's path jumps between rows {far[0] + 1} and {far[0] + 2}")
+        if len(t) == 2:
+            cubic = np.zeros((4, 1, 6))
+            cubic[2, 0], cubic[3, 0] = (rows[1] - rows[0]) / (t[1] - t[0]), rows[0]
+        else:
+            cubic = Akima1DInterpolator(t, rows, method="makima").c
+        held = np.zeros((2, 4, 1, 6))
+        held[0, 3, 0], held[1, 3, 0] = rows[0], rows[-1]
+        every = np.concatenate([held[0], cubic, held[1]], axis=1)
+        orders = np.concatenate([np.zeros((ORDER - 4, *every.shape[1:])), every])
+        return cls(np.array([t[0] - 1.0, *t, t[-1] + 1.0]), orders)
+
+    def _pressed(self, depth_m: float, over_s: float) -> Self:
+        if not (math.isfinite(depth_m) and depth_m >= 0.0):
+            raise InputError(f"the hub's penetration must be zero or more, not {depth_m}")
+        if not (math.isfinite(over_s) and over_s > 0.0):
+            raise InputError(f"the time of pressing must be positive, not {over_s}")
+        down = np.zeros((ORDER, 2, 6))
+        for power, factor in ((5, -6.0), (4, 15.0), (3, -10.0)):
+            down[ORDER - 1 - power, 0, 2] = factor * depth_m / over_s**power
+        down[-1, 1, 2] = -depth_m
+        return type(self)(np.array([0.0, over_s, over_s + 1.0]), down)
+
+    def _set_off(self, rates: Array, ramp_s: float) -> Self:
+        """Uniform motion from the last break but one on, its rates smoothly from zero."""
+        if not (np.all(np.isfinite(rates)) and math.isfinite(ramp_s) and ramp_s > 0.0):
+            raise InputError(f"speeds must be finite and the ramp {ramp_s} s long positive")
+        start, here = self.breaks[-2], self.coefficients[-1, -1]
+        ramp, steady = np.zeros((ORDER, 6)), np.zeros((ORDER, 6))
+        ramp[ORDER - 1 - 4], ramp[ORDER - 1 - 3] = -0.5 * rates / ramp_s**3, rates / ramp_s**2
+        ramp[-1] = here
+        steady[-2], steady[-1] = rates, here + 0.5 * rates * ramp_s
+        coefficients = np.stack([*self.coefficients.swapaxes(0, 1)[:-1], ramp, steady], axis=1)
+        breaks = np.array([*self.breaks[:-1], start + ramp_s, start + ramp_s + 1.0])
+        return type(self)(breaks, coefficients)
