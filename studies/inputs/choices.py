@@ -59,6 +59,24 @@ class Solver(StrEnum):
     ITERATIVE = "iterative"
 
 
+class Layout(StrEnum):
+    """How bristles stand in a brush: see studies.brush.layout."""
+
+    SINGLE = "single"
+    ROW = "row"
+    RING = "ring"
+    CUP = "cup"
+
+
+class Motion(StrEnum):
+    """How a brush's hub moves: see studies.brush.motion."""
+
+    PRESS = "press"
+    SLIDE = "slide"
+    ROTATE = "rotate"
+    FILE = "file"
+
+
 class Until(StrEnum):
     """Where a drop ends, other than at a given time."""
 

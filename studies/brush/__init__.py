@@ -1,0 +1,1 @@
+"""A brush: bristles clamped in a hub that is pressed on a surface and moved."""
