@@ -179,8 +179,8 @@ class HubPath:
         """Through rows of a table: ``t_s`` (m,), position in m and rotation vector in rad (m, 6).
 
         The interpolation is Akima's (modified; scipy's ``makima``): its first derivative is
-        continuous, and a hub that rests over three rows does not overshoot. The hub rests before the
-        first row and after the last.
+        continuous, and a hub that rests over three rows does not overshoot. The hub rests before
+        the first row and after the last.
 
         Raises
         ------

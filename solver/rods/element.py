@@ -1,0 +1,360 @@
+"""The two-node element of a geometrically exact rod: strains, forces and their tangent.
+
+Simo, Comput. Methods Appl. Mech. Engng 49 (1985) 55, and Reissner. Rotation runs between the nodes
+along the shortest way at a constant rate, so the strains do not depend on the path of loading and
+do not change with a rigid motion (Crisfield and Jelenić, Proc. R. Soc. A 455 (1999) 1125). With the
+rotation R of the middle and the rotation vector φ from the first node to the second, over the
+length l,
+
+    Γ = Rᵀ (x₂ - x₁) / l,    K = φ / l,
+
+one point of integration. Let a and b be the nodes' spins in the axes of the middle. Then, exactly,
+
+    δφ = S (b - a),    spin of the middle = (a + b)/2 - g × (b - a),
+
+    S = s 1 + σ φ φᵀ,   s = ½φ / sin ½φ,   σ = (1 - s) / φ²,   g = τ φ,   τ = tan(¼φ) / (2φ).
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from ..arrays import Array
+from ..compiled import inlined, njit
+from .chain import Chain, System
+from .rotation import between, vector_factor, write_matrix
+
+# Below this angle between nodes, in rad, coefficients are their series.
+SMALL_RAD = 0.05
+
+
+@inlined
+def coefficients(square: float) -> tuple[float, float, float, float, float, float]:
+    """s, σ, τ and their derivatives by ½φ², of the squared angle between nodes."""
+    if square < SMALL_RAD * SMALL_RAD:
+        s = 1.0 + square * (1.0 / 24.0 + square * (7.0 / 5760.0 + square * 31.0 / 967680.0))
+        sigma = -(1.0 / 24.0 + square * (7.0 / 5760.0 + square * 31.0 / 967680.0))
+        tau = 0.125 + square * (1.0 / 384.0 + square / 15360.0)
+        s_rate = 1.0 / 12.0 + square * (7.0 / 1440.0 + square * 31.0 / 161280.0)
+        sigma_rate = -(7.0 / 2880.0 + square * 31.0 / 241920.0)
+        tau_rate = 1.0 / 192.0 + square / 3840.0
+        return s, sigma, tau, s_rate, sigma_rate, tau_rate
+    angle = math.sqrt(square)
+    sine, cosine, tangent = math.sin(0.5 * angle), math.cos(0.5 * angle), math.tan(0.25 * angle)
+    s = 0.5 * angle / sine
+    sigma = (1.0 - s) / square
+    tau = 0.5 * tangent / angle
+    s_rate = (0.5 - 0.5 * s * cosine) / (sine * angle)
+    sigma_rate = -(s_rate + 2.0 * sigma) / square
+    tau_rate = (0.125 * (1.0 + tangent * tangent) - tau) / square
+    return s, sigma, tau, s_rate, sigma_rate, tau_rate
+
+
+@inlined
+def measure(x: Array, q: Array, e: int, length: float, middle: Array, strain: Array) -> None:
+    """Write the rotation of an element's middle (3, 3) and its strains (6,): Γ, K."""
+    w, v0, v1, v2 = between(q[e], q[e + 1])
+    factor = vector_factor(w, v0, v1, v2) / length
+    strain[3], strain[4], strain[5] = factor * v0, factor * v1, factor * v2
+    half = np.empty(4)
+    half[0] = math.sqrt(0.5 * (1.0 + w))
+    half[1], half[2], half[3] = 0.5 * v0 / half[0], 0.5 * v1 / half[0], 0.5 * v2 / half[0]
+    p, m = q[e], np.empty(4)
+    m[0] = p[0] * half[0] - p[1] * half[1] - p[2] * half[2] - p[3] * half[3]
+    m[1] = p[0] * half[1] + p[1] * half[0] + p[2] * half[3] - p[3] * half[2]
+    m[2] = p[0] * half[2] - p[1] * half[3] + p[2] * half[0] + p[3] * half[1]
+    m[3] = p[0] * half[3] + p[1] * half[2] - p[2] * half[1] + p[3] * half[0]
+    write_matrix(m, middle)
+    d0, d1, d2 = x[e + 1, 0] - x[e, 0], x[e + 1, 1] - x[e, 1], x[e + 1, 2] - x[e, 2]
+    for c in range(3):
+        strain[c] = (middle[0, c] * d0 + middle[1, c] * d1 + middle[2, c] * d2) / length
+
+
+@njit
+def strains(chain: Chain, x: Array, q: Array, out: Array) -> None:
+    """Write the strains (e, 6) of every element."""
+    middle = np.empty((3, 3))
+    for e in range(len(chain.length)):
+        measure(x, q, e, chain.length[e], middle, out[e])
+
+
+@inlined
+def foresee(
+    chain: Chain,
+    x: Array,
+    q: Array,
+    e: int,
+    solution: Array,
+    share: float,
+    middle: Array,
+    strain: Array,
+    out: Array,
+) -> None:
+    """Write Γ (3,) of an element after a ``share`` of the nodes' displacements and spins (n, 6), to
+    first order."""
+    length = chain.length[e]
+    measure(x, q, e, length, middle, strain)
+    f0, f1, f2 = length * strain[3], length * strain[4], length * strain[5]
+    _, _, tau, _, _, _ = coefficients(f0 * f0 + f1 * f1 + f2 * f2)
+    g0, g1, g2 = tau * f0, tau * f1, tau * f2
+    one, two = solution[e], solution[e + 1]
+    moved, mean, apart = np.empty(3), np.empty(3), np.empty(3)
+    for c in range(3):
+        moved[c] = mean[c] = apart[c] = 0.0
+        for k in range(3):
+            moved[c] += middle[k, c] * (two[k] - one[k])
+            mean[c] += 0.5 * middle[k, c] * (two[3 + k] + one[3 + k])
+            apart[c] += middle[k, c] * (two[3 + k] - one[3 + k])
+    w0 = mean[0] - (g1 * apart[2] - g2 * apart[1])
+    w1 = mean[1] - (g2 * apart[0] - g0 * apart[2])
+    w2 = mean[2] - (g0 * apart[1] - g1 * apart[0])
+    out[0] = strain[0] + share * (moved[0] / length + strain[1] * w2 - strain[2] * w1)
+    out[1] = strain[1] + share * (moved[1] / length + strain[2] * w0 - strain[0] * w2)
+    out[2] = strain[2] + share * (moved[2] / length + strain[0] * w1 - strain[1] * w0)
+
+
+@njit
+def strain_energy(chain: Chain, strain: Array) -> float:
+    """In J, of strains (e, 6)."""
+    energy = 0.0
+    for e in range(len(chain.length)):
+        for c in range(6):
+            change = strain[e, c] - chain.rest[e, c]
+            energy += 0.5 * chain.length[e] * chain.stiffness[e, c] * change * change
+    return energy
+
+
+@inlined
+def _skew(v: Array, out: Array) -> None:
+    out[0, 0] = out[1, 1] = out[2, 2] = 0.0
+    out[0, 1], out[0, 2], out[1, 2] = -v[2], v[1], -v[0]
+    out[1, 0], out[2, 0], out[2, 1] = v[2], -v[1], v[0]
+
+
+@inlined
+def _times(a: Array, b: Array, out: Array) -> None:
+    for i in range(3):
+        for j in range(3):
+            out[i, j] = a[i, 0] * b[0, j] + a[i, 1] * b[1, j] + a[i, 2] * b[2, j]
+
+
+@inlined
+def _turned(rotation: Array, block: Array, room: Array, sign: float, out: Array) -> None:
+    """Add ``sign`` R ``block`` Rᵀ to ``out`` (3, 3)."""
+    _times(rotation, block, room)
+    for i in range(3):
+        for j in range(3):
+            value = room[i, 0] * rotation[j, 0]
+            value += room[i, 1] * rotation[j, 1] + room[i, 2] * rotation[j, 2]
+            out[i, j] += sign * value
+
+
+@inlined
+def _forces(chain: Chain, e: int, strain: Array, before: Array, rate: float, out: Array) -> None:
+    """Write N and M (6,) in the middle's axes, damping by the strains ``before`` included.
+
+    ``rate`` is β over the time step.
+    """
+    for c in range(6):
+        change = strain[c] - chain.rest[e, c] + rate * (strain[c] - before[c])
+        out[c] = chain.stiffness[e, c] * change
+
+
+@njit
+def end_loads(chain: Chain, x: Array, q: Array, before: Array, rate: float, out: Array) -> None:
+    """Write the forces and moments (e, 2, 6) in world axes that make every element's strains.
+
+    The first of an element's two is at its first node. See `_forces` for ``before`` and ``rate``.
+    """
+    middle, strain, load = np.empty((3, 3)), np.empty(6), np.empty(6)
+    for e in range(len(chain.length)):
+        length = chain.length[e]
+        measure(x, q, e, length, middle, strain)
+        _forces(chain, e, strain, before[e], rate, load)
+        c, twist = _moments(length, strain, load)
+        for i in range(3):
+            force, one, two = 0.0, 0.0, 0.0
+            for k in range(3):
+                force += middle[i, k] * load[k]
+                one += middle[i, k] * (0.5 * c[k] - twist[k])
+                two += middle[i, k] * (0.5 * c[k] + twist[k])
+            out[e, 0, i], out[e, 1, i] = -force, force
+            out[e, 0, 3 + i], out[e, 1, 3 + i] = one, two
+
+
+@inlined
+def _moments(
+    length: float, strain: Array, load: Array
+) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
+    """c = N × d and S M - c × g, in the middle's axes."""
+    d0, d1, d2 = length * strain[0], length * strain[1], length * strain[2]
+    c0 = load[1] * d2 - load[2] * d1
+    c1 = load[2] * d0 - load[0] * d2
+    c2 = load[0] * d1 - load[1] * d0
+    f0, f1, f2 = length * strain[3], length * strain[4], length * strain[5]
+    s, sigma, tau, _, _, _ = coefficients(f0 * f0 + f1 * f1 + f2 * f2)
+    along = sigma * (f0 * load[3] + f1 * load[4] + f2 * load[5])
+    g0, g1, g2 = tau * f0, tau * f1, tau * f2
+    t0 = s * load[3] + along * f0 - (c1 * g2 - c2 * g1)
+    t1 = s * load[4] + along * f1 - (c2 * g0 - c0 * g2)
+    t2 = s * load[5] + along * f2 - (c0 * g1 - c1 * g0)
+    return (c0, c1, c2), (t0, t1, t2)
+
+
+@njit
+def assemble(
+    chain: Chain, x: Array, q: Array, before: Array, rate: float, system: System, room: Array
+) -> None:
+    """Write the elements' forces into the residual and their exact tangent into the blocks.
+
+    ``room`` is (24, 3, 3). See `_forces` for ``before`` and ``rate``.
+    """
+    for name in (system.diagonal, system.above, system.below):
+        name[:] = 0.0
+    system.residual[:] = 0.0
+    strain, load, vector = np.empty(6), np.empty(6), np.empty(3)
+    middle = room[0]
+    for e in range(len(chain.length)):
+        length = chain.length[e]
+        measure(x, q, e, length, middle, strain)
+        _forces(chain, e, strain, before[e], rate, load)
+        c, twist = _moments(length, strain, load)
+        for i in range(3):
+            force, one, two = 0.0, 0.0, 0.0
+            for k in range(3):
+                force += middle[i, k] * load[k]
+                one += middle[i, k] * (0.5 * c[k] - twist[k])
+                two += middle[i, k] * (0.5 * c[k] + twist[k])
+            system.residual[e, i] -= force
+            system.residual[e + 1, i] += force
+            system.residual[e, 3 + i] += one
+            system.residual[e + 1, 3 + i] += two
+        _tangent(chain, e, strain, load, c, twist, rate, room, vector)
+        _scatter(e, room, system)
+
+
+@inlined
+def _tangent(
+    chain: Chain,
+    e: int,
+    strain: Array,
+    load: Array,
+    c: tuple[float, float, float],
+    twist: tuple[float, float, float],
+    rate: float,
+    room: Array,
+    vector: Array,
+) -> None:
+    """Write into ``room[1:10]`` how the force and the two moments (rows) change with x₂ - x₁ and
+    with the spins a and b (columns), all in the middle's axes."""
+    length = chain.length[e]
+    stretch, force_x, couple_x = room[1], room[10], room[11]
+    arm, force_arm, g_cross, bend = room[12], room[13], room[14], room[15]
+    half_a, half_b, tmp, spin, c_cross = room[16], room[17], room[18], room[19], room[20]
+    # dN = stretch d(d); dc = couple_x (dx + d × spin)
+    for i in range(3):
+        vector[i] = length * strain[i]
+    _skew(vector, arm)
+    _skew(load[:3], force_arm)
+    for i in range(3):
+        for j in range(3):
+            stiff = chain.stiffness[e, j] * (1.0 + rate) / length
+            stretch[i, j] = stiff if i == j else 0.0
+            couple_x[i, j] = force_arm[i, j] - arm[i, j] * stiff
+    for i in range(3):
+        for j in range(3):
+            force_x[i, j] = couple_x[j, i]  # of the spin
+    f = (length * strain[3], length * strain[4], length * strain[5])
+    s, sigma, tau, s_rate, sigma_rate, tau_rate = coefficients(
+        f[0] * f[0] + f[1] * f[1] + f[2] * f[2]
+    )
+    for i in range(3):
+        vector[i] = tau * f[i]
+    _skew(vector, g_cross)
+    for i in range(3):
+        for j in range(3):
+            half = 0.5 if i == j else 0.0
+            half_a[i, j], half_b[i, j] = half + g_cross[i, j], half - g_cross[i, j]
+    # d(S M - c × g) at fixed c by b - a, through dφ = S (b - a)
+    dot = f[0] * load[3] + f[1] * load[4] + f[2] * load[5]
+    for i in range(3):
+        vector[i] = c[i]
+    _skew(vector, c_cross)
+    for i in range(3):
+        for j in range(3):
+            one = 1.0 if i == j else 0.0
+            m_i, m_j = load[3 + i], load[3 + j]
+            stiff = chain.stiffness[e, 3 + j] * (1.0 + rate) / length
+            value = (s * one + sigma * f[i] * f[j]) * stiff
+            value += (s_rate * m_i + sigma_rate * dot * f[i]) * f[j]
+            value += sigma * (one * dot + f[i] * m_j)
+            for k in range(3):
+                gradient = (tau if k == j else 0.0) + tau_rate * f[k] * f[j]
+                value -= c_cross[i, k] * gradient
+            tmp[i, j] = value
+            spin[i, j] = s * one + sigma * f[i] * f[j]
+    _times(tmp, spin, bend)
+    _times(force_x, half_a, room[2])
+    _times(force_x, half_b, room[3])
+    _times(couple_x, arm, spin)  # dc by the spin of the middle
+    for node in range(2):
+        sign = 2.0 * node - 1.0
+        lever = half_b if node == 0 else half_a
+        row = 4 + 3 * node
+        _times(lever, couple_x, room[row])
+        _times(lever, spin, tmp)
+        for i in range(3):
+            vector[i] = 0.5 * c[i] + sign * twist[i]
+        _skew(vector, c_cross)
+        for i in range(3):
+            for j in range(3):
+                tmp[i, j] -= c_cross[i, j]
+        _times(tmp, half_a, room[row + 1])
+        _times(tmp, half_b, room[row + 2])
+        for i in range(3):
+            for j in range(3):
+                room[row + 1, i, j] -= sign * bend[i, j]
+                room[row + 2, i, j] += sign * bend[i, j]
+
+
+@inlined
+def _scatter(e: int, room: Array, system: System) -> None:
+    """Add the nine blocks of an element, turned into world axes, to the system's."""
+    middle, tmp = room[0], room[21]
+    one, two = system.diagonal[e], system.diagonal[e + 1]
+    up, down = system.above[e], system.below[e + 1]
+    turned = room[22]
+    for block in range(9):
+        turned[:] = 0.0
+        _turned(middle, room[1 + block], tmp, 1.0, turned)
+        row, column = block // 3, block % 3
+        for i in range(3):
+            for j in range(3):
+                value = turned[i, j]
+                if row == 0 and column == 0:
+                    one[i, j] += value
+                    two[i, j] += value
+                    up[i, j] -= value
+                    down[i, j] -= value
+                elif row == 0 and column == 1:
+                    one[i, 3 + j] -= value
+                    down[i, 3 + j] += value
+                elif row == 0:
+                    up[i, 3 + j] -= value
+                    two[i, 3 + j] += value
+                elif row == 1 and column == 0:
+                    one[3 + i, j] -= value
+                    up[3 + i, j] += value
+                elif row == 1 and column == 1:
+                    one[3 + i, 3 + j] += value
+                elif row == 1:
+                    up[3 + i, 3 + j] += value
+                elif column == 0:
+                    down[3 + i, j] -= value
+                    two[3 + i, j] += value
+                elif column == 1:
+                    down[3 + i, 3 + j] += value
+                else:
+                    two[3 + i, 3 + j] += value

@@ -1,0 +1,119 @@
+"""Equilibrium of one rod under dead loads at its nodes: Newton's method with load steps."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..arrays import Array
+from ..compiled import njit
+from ..errors import ComputationError
+from .chain import Chain, System, new_system, solve
+from .element import assemble, foresee, measure
+from .rotation import exponential, multiply, normalise
+
+ITERATIONS = 200
+# Newton's step turns no node by more, in rad.
+FURTHEST_RAD = 0.5
+# A residual counts as none below this share of EI / L², or where it is the rounding of coordinates
+# that the stiffest springs of an element feel.
+NEAR, ROUNDING = 1e-9, 2e-15
+
+
+@njit
+def force_tolerance(chain: Chain, x: Array, near: float) -> float:
+    """A force in N that is nothing to this rod: moments are compared with it times the length."""
+    total, stiffest = chain.length.sum(), 0.0
+    for e in range(len(chain.length)):
+        for c in range(3):
+            stiffest = max(stiffest, chain.stiffness[e, c] / chain.length[e])
+    bending = min(chain.stiffness[0, 3], chain.stiffness[0, 4]) / (total * total)
+    return near * bending + ROUNDING * stiffest * (np.abs(x).max() + total)
+
+
+@njit
+def residual_norm(residual: Array, total: float) -> float:
+    """The greatest force in N, or moment over the rod's length, on nodes that are free."""
+    most = 0.0
+    for i in range(1, len(residual)):
+        for c in range(3):
+            most = max(most, abs(residual[i, c]), abs(residual[i, 3 + c]) / total)
+    return most
+
+
+@njit
+def move(chain: Chain, x: Array, q: Array, solution: Array, furthest: float, target: Array) -> None:
+    """Move free nodes by Newton's step, shortened so that none turns further than ``furthest``.
+
+    Rotations take the step as it is. Positions are then those that give every element the stretch
+    and the shear which the step foresees, from the clamp on: straight displacements would stretch
+    an element that turns, by the square of its angle, and set off its stiffest springs. Both agree
+    to first order. ``target`` (e, 3) is room.
+    """
+    most = 0.0
+    for i in range(1, len(x)):
+        for c in range(3):
+            most = max(most, abs(solution[i, 3 + c]))
+    share = min(1.0, furthest / most) if most > 0.0 else 1.0
+    middle, strain, step = np.empty((3, 3)), np.empty(6), np.empty(4)
+    for e in range(len(chain.length)):
+        foresee(chain, x, q, e, solution, share, middle, strain, target[e])
+    for i in range(1, len(x)):
+        w = solution[i]
+        exponential(share * w[3], share * w[4], share * w[5], step)
+        multiply(step, q[i], q[i])
+        normalise(q[i])
+    for e in range(len(chain.length)):
+        measure(x, q, e, chain.length[e], middle, strain)
+        for i in range(3):
+            along = 0.0
+            for k in range(3):
+                along += middle[i, k] * target[e, k]
+            x[e + 1, i] = x[e, i] + chain.length[e] * along
+
+
+@njit
+def _newton(
+    chain: Chain, x: Array, q: Array, loads: Array, system: System, tolerance: float
+) -> int:
+    """Iterations until the residual is below the tolerance, -1 where it does not get there."""
+    before, room, total = chain.rest, np.empty((24, 3, 3)), chain.length.sum()
+    target = np.empty((len(chain.length), 3))
+    for iteration in range(ITERATIONS):
+        assemble(chain, x, q, before, 0.0, system, room)
+        for i in range(1, len(x)):
+            for c in range(6):
+                system.residual[i, c] -= loads[i, c]
+        norm = residual_norm(system.residual, total)
+        if norm <= tolerance:
+            return iteration
+        if not np.isfinite(norm) or not solve(system):
+            return -1
+        move(chain, x, q, system.solution, FURTHEST_RAD, target)
+    return -1
+
+
+def equilibrium(
+    chain: Chain, x: Array, q: Array, loads: Array, *, steps: int = 1
+) -> tuple[Array, Array]:
+    """Centre line (n, 3) and quaternions (n, 4) in equilibrium, the first node held.
+
+    Parameters
+    ----------
+    x, q : the shape to begin with
+    loads : (n, 6), dead forces in N and moments in N m about world axes, at every node
+    steps : equal steps that the loads are brought on in
+
+    Raises
+    ------
+    ComputationError : Newton's method does not converge
+    """
+    x, q = np.array(x, dtype=float), np.array(q, dtype=float)
+    system = new_system(len(x))
+    tolerance = max(float(force_tolerance(chain, x, NEAR)), 1e-12 * float(np.abs(loads).max()))
+    for step in range(1, steps + 1):
+        if _newton(chain, x, q, loads * (step / steps), system, tolerance) < 0:
+            raise ComputationError(
+                f"the rod finds no equilibrium at {step / steps:.3g} of its loads; try more steps "
+                f"than {steps}"
+            )
+    return x, q
