@@ -5,12 +5,13 @@ Node 0 is clamped. Its row is kept for the reaction; the system is that of the o
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
 from ..arrays import Array
-from ..compiled import inlined, njit
+from ..compiled import njit
 from .section import RodSection
 
 
@@ -72,6 +73,26 @@ def at_rest(chain: Chain, position_m: Array, rotation: Array) -> tuple[Array, Ar
     return np.array(places), np.ascontiguousarray(quaternions[:, [3, 0, 1, 2]])
 
 
+def stacked(chains: Sequence[Chain]) -> Chain:
+    """Chains of as many elements each, their arrays stacked along a first axis."""
+    rows = [np.stack(each) for each in list(zip(*chains, strict=True))[:5]]
+    return Chain(*rows, beta=chains[0].beta, alpha=chains[0].alpha)
+
+
+@njit
+def chain_of(stack: Chain, i: int) -> Chain:
+    """A view of one of the stacked chains."""
+    return Chain(
+        stack.length[i],
+        stack.stiffness[i],
+        stack.rest[i],
+        stack.mass[i],
+        stack.inertia[i],
+        stack.beta,
+        stack.alpha,
+    )
+
+
 class System(NamedTuple):
     """Newton's system of one rod: blocks (n, 6, 6) of the diagonal, above and below it, residual
     (n, 6), and room for its solution (n, 6) and for elimination (6, 13).
@@ -101,7 +122,7 @@ def new_system(n: int) -> System:
     )
 
 
-@inlined
+@njit
 def _eliminate(room: Array, width: int) -> bool:
     """Gauss and Jordan with pivots on 6 rows of ``width`` columns; False where it is singular."""
     for k in range(6):

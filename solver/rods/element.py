@@ -52,7 +52,7 @@ def coefficients(square: float) -> tuple[float, float, float, float, float, floa
     return s, sigma, tau, s_rate, sigma_rate, tau_rate
 
 
-@inlined
+@njit
 def measure(x: Array, q: Array, e: int, length: float, middle: Array, strain: Array) -> None:
     """Write the rotation of an element's middle (3, 3) and its strains (6,): Γ, K."""
     w, v0, v1, v2 = between(q[e], q[e + 1])
@@ -80,7 +80,7 @@ def strains(chain: Chain, x: Array, q: Array, out: Array) -> None:
         measure(x, q, e, chain.length[e], middle, out[e])
 
 
-@inlined
+@njit
 def foresee(
     chain: Chain,
     x: Array,
@@ -126,21 +126,21 @@ def strain_energy(chain: Chain, strain: Array) -> float:
     return energy
 
 
-@inlined
+@njit
 def _skew(v: Array, out: Array) -> None:
     out[0, 0] = out[1, 1] = out[2, 2] = 0.0
     out[0, 1], out[0, 2], out[1, 2] = -v[2], v[1], -v[0]
     out[1, 0], out[2, 0], out[2, 1] = v[2], -v[1], v[0]
 
 
-@inlined
+@njit
 def _times(a: Array, b: Array, out: Array) -> None:
     for i in range(3):
         for j in range(3):
             out[i, j] = a[i, 0] * b[0, j] + a[i, 1] * b[1, j] + a[i, 2] * b[2, j]
 
 
-@inlined
+@njit
 def _turned(rotation: Array, block: Array, room: Array, sign: float, out: Array) -> None:
     """Add ``sign`` R ``block`` Rᵀ to ``out`` (3, 3)."""
     _times(rotation, block, room)
@@ -151,7 +151,7 @@ def _turned(rotation: Array, block: Array, room: Array, sign: float, out: Array)
             out[i, j] += sign * value
 
 
-@inlined
+@njit
 def _forces(chain: Chain, e: int, strain: Array, before: Array, rate: float, out: Array) -> None:
     """Write N and M (6,) in the middle's axes, damping by the strains ``before`` included.
 
@@ -184,7 +184,7 @@ def end_loads(chain: Chain, x: Array, q: Array, before: Array, rate: float, out:
             out[e, 0, 3 + i], out[e, 1, 3 + i] = one, two
 
 
-@inlined
+@njit
 def _moments(
     length: float, strain: Array, load: Array
 ) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
@@ -235,7 +235,7 @@ def assemble(
         _scatter(e, room, system)
 
 
-@inlined
+@njit
 def _tangent(
     chain: Chain,
     e: int,
@@ -319,7 +319,7 @@ def _tangent(
                 room[row + 2, i, j] += sign * bend[i, j]
 
 
-@inlined
+@njit
 def _scatter(e: int, room: Array, system: System) -> None:
     """Add the nine blocks of an element, turned into world axes, to the system's."""
     middle, tmp = room[0], room[21]

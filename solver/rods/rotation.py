@@ -88,3 +88,8 @@ def spin_of(vector: Array, rate: Array) -> Array:
         second = (angle - math.sin(angle)) / angle**3
     once = np.cross(vector, rate)
     return rate + first * once + second * np.cross(vector, once)
+
+
+def world_to_body(q: Array, vector: Array) -> Array:
+    """A world vector (3,) in the axes of each of the quaternions (n, 4)."""
+    return np.stack([np.asarray(matrix_of(each)).T @ vector for each in q])

@@ -41,8 +41,8 @@ def residual_norm(residual: Array, total: float) -> float:
 
 
 @njit
-def move(chain: Chain, x: Array, q: Array, solution: Array, furthest: float, target: Array) -> None:
-    """Move free nodes by Newton's step, shortened so that none turns further than ``furthest``.
+def move(chain: Chain, x: Array, q: Array, solution: Array, part: float, target: Array) -> None:
+    """Move free nodes by ``part`` of Newton's step, or less: none turns by more than 0.5 rad.
 
     Rotations take the step as it is. Positions are then those that give every element the stretch
     and the shear which the step foresees, from the clamp on: straight displacements would stretch
@@ -53,7 +53,7 @@ def move(chain: Chain, x: Array, q: Array, solution: Array, furthest: float, tar
     for i in range(1, len(x)):
         for c in range(3):
             most = max(most, abs(solution[i, 3 + c]))
-    share = min(1.0, furthest / most) if most > 0.0 else 1.0
+    share = min(part, FURTHEST_RAD / most) if most > 0.0 else part
     middle, strain, step = np.empty((3, 3)), np.empty(6), np.empty(4)
     for e in range(len(chain.length)):
         foresee(chain, x, q, e, solution, share, middle, strain, target[e])
@@ -88,7 +88,7 @@ def _newton(
             return iteration
         if not np.isfinite(norm) or not solve(system):
             return -1
-        move(chain, x, q, system.solution, FURTHEST_RAD, target)
+        move(chain, x, q, system.solution, 1.0, target)
     return -1
 
 

@@ -1,0 +1,241 @@
+"""Contact of a rod's sections with a plane, and friction with a static and a kinetic coefficient.
+
+Every node but the clamped one has a section whose points on the rim can touch. A point's normal
+force is its share of Kn times its penetration. Friction is a return map behind a tangential spring,
+at the end of the step, as in `solver.contact.friction` (Wriggers, Computational Contact Mechanics,
+2006, Sec. 9.1). Three things differ from there: rods turn far, so the spring's elongation is kept
+in world axes; the limit falls with the speed of sliding; and a point knows whether it slides.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from ..arrays import Array
+from ..compiled import inlined, njit
+from .chain import System
+from .ground import Ground
+from .section import RodSection
+
+FREE, STICKS, SLIDES = 0, 1, 2
+# The speed in m/s of a point that slides where there is no time, as in statics.
+SLOW_M_S = 1e-300
+
+
+class Surface(NamedTuple):
+    """The plane and its law, for compiled code: ``kn`` and ``kt`` in N/m of one point of the rim,
+    ``rim`` (k, 2) in m and how far it reaches from the axis, and whether there is a surface at
+    all."""
+
+    there: bool
+    point: Array
+    normal: Array
+    rim: Array
+    reach: float
+    kn: float
+    kt: float
+    static: float
+    kinetic: float
+    speed: float
+
+
+def surface_of(ground: Ground | None, section: RodSection) -> Surface:
+    """The surface as a section meets it: Kn shared equally among the points of its rim."""
+    there = ground is not None
+    ground = ground or Ground()
+    rim = np.ascontiguousarray(section.rim_m)
+    kn = ground.kn_N_m / len(rim)
+    return Surface(
+        there,
+        np.array(ground.point_m, dtype=float),
+        ground.unit_normal,
+        rim,
+        float(np.linalg.norm(rim, axis=1).max()),
+        kn,
+        ground.kt_over_kn * kn,
+        ground.friction_static,
+        ground.friction_kinetic,
+        ground.stribeck_speed_m_s,
+    )
+
+
+class Touch(NamedTuple):
+    """What the points (nodes, k) of one rod remember of the surface: the elongation (…, 3) in m of
+    their tangential springs, whether they stick or slide, their speed of sliding in m/s, and their
+    normal and tangential force in N. A free point has the speed along the surface of its own."""
+
+    elongation: Array
+    state: Array
+    speed: Array
+    normal: Array
+    friction: Array
+
+
+def no_touch(nodes: int, points: int) -> Touch:
+    """Points that are free."""
+    shape = nodes, points
+    return Touch(
+        np.zeros((*shape, 3)),
+        np.zeros(shape, dtype=np.int8),
+        np.zeros(shape),
+        np.zeros(shape),
+        np.zeros(shape),
+    )
+
+
+@njit
+def release(touch: Touch, node: int) -> None:
+    """Make the points of a section free."""
+    touch.elongation[node, :, :] = 0.0
+    touch.state[node, :] = FREE
+    touch.speed[node, :] = touch.normal[node, :] = touch.friction[node, :] = 0.0
+
+
+@inlined
+def coefficient(surface: Surface, speed: float) -> float:
+    """The coefficient of friction at a sliding speed in m/s, which is zero at a point that sticks.
+
+    A step takes the speed of sliding at the end of the step before. With its own speed the law
+    would fall, over a short step, faster than the tangential spring holds, and a step would have
+    several solutions or none.
+    """
+    if speed == 0.0:
+        return surface.static
+    ratio = speed / surface.speed if surface.speed > 0.0 else math.inf
+    return surface.kinetic + (surface.static - surface.kinetic) * math.exp(-ratio * ratio)
+
+
+@njit
+def lowest(surface: Surface, x: Array, matrix: Array) -> float:
+    """The least gap in m of a section's points over the plane."""
+    least = math.inf
+    for k in range(len(surface.rim)):
+        gap = 0.0
+        for c in range(3):
+            place = x[c] + matrix[c, 0] * surface.rim[k, 0] + matrix[c, 1] * surface.rim[k, 1]
+            gap += surface.normal[c] * (place - surface.point[c])
+        least = min(least, gap)
+    return least
+
+
+@njit
+def touch_section(
+    surface: Surface,
+    node: int,
+    x: Array,
+    matrix: Array,
+    x_before: Array,
+    matrix_before: Array,
+    before: Touch,
+    now: Touch,
+    step: float,
+    system: System,
+) -> tuple[float, float]:
+    """Take the forces of a section's points off the residual, add their tangent to the diagonal
+    block, and write what the points remember at the end of the step.
+
+    Returns how much friction dissipated over the step and what contact holds at its end, in J.
+    """
+    n, block = surface.normal, system.diagonal[node]
+    arm, place, slip, push = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
+    stiff, lever, turned = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))
+    lost = held = 0.0
+    for k in range(len(surface.rim)):
+        r0, r1 = surface.rim[k, 0], surface.rim[k, 1]
+        gap = normal_slip = 0.0
+        for c in range(3):
+            arm[c] = matrix[c, 0] * r0 + matrix[c, 1] * r1
+            place[c] = x[c] + arm[c]
+            was = x_before[c] + matrix_before[c, 0] * r0 + matrix_before[c, 1] * r1
+            slip[c] = place[c] - was
+            gap += n[c] * (place[c] - surface.point[c])
+            normal_slip += n[c] * slip[c]
+        along = 0.0
+        for c in range(3):
+            slip[c] -= normal_slip * n[c]
+            along += slip[c] * slip[c]
+        if gap >= 0.0:
+            now.state[node, k], now.normal[node, k], now.friction[node, k] = FREE, 0.0, 0.0
+            now.speed[node, k] = math.sqrt(along) / step if step > 0.0 else 0.0
+            now.elongation[node, k, :] = 0.0
+            # a spring that loses its hold gives its energy to friction
+            for c in range(3):
+                lost += 0.5 * surface.kt * before.elongation[node, k, c] ** 2
+            continue
+        normal = -surface.kn * gap
+        size = 0.0
+        for c in range(3):
+            slip[c] += before.elongation[node, k, c]
+            size += slip[c] * slip[c]
+        size = math.sqrt(size)
+        mu = coefficient(surface, before.speed[node, k])
+        slides = surface.kt * size > mu * normal
+        force = mu * normal if slides else surface.kt * size
+        gives = size - force / surface.kt if slides else 0.0
+        slope, secant = (0.0, force / size) if slides else (surface.kt, surface.kt)
+        grows = mu if slides else 0.0
+        now.normal[node, k], now.friction[node, k] = normal, force
+        now.state[node, k] = SLIDES if slides else STICKS
+        now.speed[node, k] = 0.0
+        if slides:
+            now.speed[node, k] = gives / step if step > 0.0 else SLOW_M_S
+        kept = force / (surface.kt * size) if slides else 1.0
+        lost += 0.5 * (force + before.friction[node, k]) * gives
+        held += 0.5 * surface.kn * gap * gap
+        for i in range(3):
+            now.elongation[node, k, i] = kept * slip[i]
+            held += 0.5 * surface.kt * (kept * slip[i]) ** 2
+            e_i = slip[i] / size if size > 0.0 else 0.0
+            push[i] = normal * n[i] - force * e_i
+            for j in range(3):
+                e_j = slip[j] / size if size > 0.0 else 0.0
+                across = (1.0 if i == j else 0.0) - n[i] * n[j] - e_i * e_j
+                stiff[i, j] = surface.kn * n[i] * n[j] + secant * across + slope * e_i * e_j
+                # normal = -kn gap falls as the point rises, and friction with it
+                stiff[i, j] -= surface.kn * grows * e_i * n[j]
+        _add_point(arm, push, stiff, lever, turned, block, system.residual[node])
+    return lost, held
+
+
+@njit
+def _add_point(
+    arm: Array,
+    push: Array,
+    stiff: Array,
+    lever: Array,
+    turned: Array,
+    block: Array,
+    residual: Array,
+) -> None:
+    """A force ``push`` on a point at ``arm``, whose loss by its displacement is ``stiff``."""
+    lever[0, 0] = lever[1, 1] = lever[2, 2] = 0.0
+    lever[0, 1], lever[0, 2], lever[1, 2] = -arm[2], arm[1], -arm[0]
+    lever[1, 0], lever[2, 0], lever[2, 1] = arm[2], -arm[1], arm[0]
+    along = arm[0] * push[0] + arm[1] * push[1] + arm[2] * push[2]
+    moment = (
+        arm[1] * push[2] - arm[2] * push[1],
+        arm[2] * push[0] - arm[0] * push[2],
+        arm[0] * push[1] - arm[1] * push[0],
+    )
+    for i in range(3):
+        residual[i] -= push[i]
+        residual[3 + i] -= moment[i]
+        for j in range(3):
+            turned[i, j] = 0.0
+            for m in range(3):
+                turned[i, j] -= stiff[i, m] * lever[m, j]
+    for i in range(3):
+        for j in range(3):
+            block[i, j] += stiff[i, j]
+            block[i, 3 + j] += turned[i, j]
+            rows = columns = 0.0
+            for m in range(3):
+                rows += lever[i, m] * stiff[m, j]
+                columns += lever[i, m] * turned[m, j]
+            block[3 + i, j] += rows
+            # the arm turns too: δ(arm × push) = (spin × arm) × push
+            turning = arm[i] * push[j] - (along if i == j else 0.0)
+            block[3 + i, 3 + j] += columns - turning

@@ -1,0 +1,164 @@
+"""State of rods in motion, and the clamped node that the hub moves."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from ..arrays import Array
+from ..compiled import njit
+from ..time.scheme import TimeScheme
+from .chain import Chain
+from .contact import Touch, no_touch
+from .element import strain_energy, strains
+from .hub import hub_coordinates
+from .rotation import exponential, multiply, spin_of, write_matrix
+
+
+class Scheme(NamedTuple):
+    """Generalised-alpha's constants (see `solver.time.scheme`), the greatest error in m of a step,
+    and whether there is inertia at all: without it every step ends in equilibrium."""
+
+    alpha_m: float
+    alpha_f: float
+    beta: float
+    gamma: float
+    error_m: float
+    inertia: bool
+
+
+def scheme_of(time: TimeScheme, error_m: float, *, inertia: bool = True) -> Scheme:
+    """The constants for compiled code."""
+    return Scheme(time.alpha_m, time.alpha_f, time.beta, time.gamma, error_m, inertia)
+
+
+class Hub(NamedTuple):
+    """One clamp and the hub's path: ``place`` (3,) and ``attitude`` (4,) of the clamp in the hub's
+    axes, see `hub.HubPath` for the others."""
+
+    breaks: Array
+    coefficients: Array
+    place: Array
+    attitude: Array
+
+
+# Rows of `Motion.totals`.
+TIME, STEP, HUB_WORK, MATERIAL, FRICTION, CONTACT, STEPS, ITERATIONS = range(8)
+TOTALS = 8
+
+
+class Motion(NamedTuple):
+    """One rod at one instant, or the next.
+
+    ``x`` (n, 3) and ``q`` (n, 4) are its nodes' places and axes. ``velocity`` (n, 6) is linear in
+    world axes, then angular about the section's own, and so are ``acceleration`` and the scheme's
+    ``auxiliary``. ``strain`` (e, 6) see `element.measure`. ``holding`` and ``reaction`` (6,) are
+    what the clamp does to the rod, without and with its own half element's inertia. ``totals``
+    (`TOTALS`,) are the time, the next step, sums over time, and counts.
+    """
+
+    x: Array
+    q: Array
+    velocity: Array
+    acceleration: Array
+    auxiliary: Array
+    strain: Array
+    holding: Array
+    reaction: Array
+    totals: Array
+    touch: Touch
+
+
+def motion_of(rods: int, nodes: int, points: int) -> Motion:
+    """Room for so many rods, stacked along a first axis."""
+    rows = nodes, 6
+    touch = no_touch(rods * nodes, points)
+    return Motion(
+        np.zeros((rods, nodes, 3)),
+        np.zeros((rods, nodes, 4)),
+        np.zeros((rods, *rows)),
+        np.zeros((rods, *rows)),
+        np.zeros((rods, *rows)),
+        np.zeros((rods, nodes - 1, 6)),
+        np.zeros((rods, 6)),
+        np.zeros((rods, 6)),
+        np.zeros((rods, TOTALS)),
+        Touch(*(each.reshape(rods, nodes, *each.shape[1:]) for each in touch)),
+    )
+
+
+@njit
+def rod(stack: Motion, i: int) -> Motion:
+    """A view of one of the stacked rods."""
+    touch = stack.touch
+    return Motion(
+        stack.x[i],
+        stack.q[i],
+        stack.velocity[i],
+        stack.acceleration[i],
+        stack.auxiliary[i],
+        stack.strain[i],
+        stack.holding[i],
+        stack.reaction[i],
+        stack.totals[i],
+        Touch(
+            touch.elongation[i],
+            touch.state[i],
+            touch.speed[i],
+            touch.normal[i],
+            touch.friction[i],
+        ),
+    )
+
+
+@njit
+def copy(source: Motion, into: Motion) -> None:
+    """Write all of one rod's state over another's."""
+    into.x[:], into.q[:] = source.x, source.q
+    into.velocity[:], into.acceleration[:] = source.velocity, source.acceleration
+    into.auxiliary[:], into.strain[:] = source.auxiliary, source.strain
+    into.holding[:], into.reaction[:] = source.holding, source.reaction
+    into.totals[:] = source.totals
+    into.touch.elongation[:], into.touch.state[:] = source.touch.elongation, source.touch.state
+    into.touch.speed[:] = source.touch.speed
+    into.touch.normal[:], into.touch.friction[:] = source.touch.normal, source.touch.friction
+
+
+@njit
+def clamp(hub: Hub, t_s: float, x: Array, q: Array, velocity: Array) -> None:
+    """Write the place (3,), attitude (4,) and velocity (6,) of the clamped node at a time."""
+    pose, turned, matrix = np.empty((2, 6)), np.empty(4), np.empty((3, 3))
+    hub_coordinates(hub.breaks, hub.coefficients, t_s, pose)
+    r, rate = pose[0, 3:], pose[1, 3:]
+    exponential(r[0], r[1], r[2], turned)
+    write_matrix(turned, matrix)
+    spin = spin_of(r, rate)
+    arm = np.empty(3)
+    for c in range(3):
+        arm[c] = matrix[c, 0] * hub.place[0] + matrix[c, 1] * hub.place[1]
+        arm[c] += matrix[c, 2] * hub.place[2]
+    x[:] = pose[0, :3] + arm
+    velocity[:3] = pose[1, :3] + np.cross(spin, arm)
+    multiply(turned, hub.attitude, q)
+    write_matrix(q, matrix)
+    for c in range(3):
+        velocity[3 + c] = matrix[0, c] * spin[0] + matrix[1, c] * spin[1] + matrix[2, c] * spin[2]
+
+
+@njit
+def energies(chain: Chain, now: Motion, gravity: Array) -> tuple[float, float, float]:
+    """Kinetic, strain and potential energy in J; the last is zero in the world's origin."""
+    kinetic = potential = 0.0
+    for i in range(len(now.x)):
+        for c in range(3):
+            kinetic += 0.5 * chain.mass[i] * now.velocity[i, c] ** 2
+            kinetic += 0.5 * chain.inertia[i, c] * now.velocity[i, 3 + c] ** 2
+            potential -= chain.mass[i] * gravity[c] * now.x[i, c]
+    return kinetic, strain_energy(chain, now.strain), potential
+
+
+@njit
+def set_strains(chain: Chain, now: Motion) -> None:
+    """Renew the strains from the nodes."""
+    strains(chain, now.x, now.q, now.strain)

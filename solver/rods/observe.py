@@ -1,0 +1,106 @@
+"""What all rods of a rank do over a time, and what is to be seen of them: compiled."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from ..arrays import Array
+from ..compiled import njit
+from .chain import Chain, chain_of
+from .contact import SLIDES, Surface, lowest
+from .element import end_loads
+from .motion import CONTACT, FRICTION, HUB_WORK, MATERIAL, STEPS, Hub, Motion, Scheme, energies, rod
+from .rotation import write_matrix
+from .step import march
+
+
+@njit
+def march_all(
+    chains: Chain,
+    scheme: Scheme,
+    surface: Surface,
+    loads: Array,
+    hubs: Hub,
+    stack: Motion,
+    other: Motion,
+    end_s: float,
+) -> int:
+    """March every stacked rod to ``end_s``; -1, or the first rod that fails.
+
+    The ``loads`` (rods, nodes, 6) and the ``place`` and ``attitude`` of ``hubs`` are stacked too.
+    """
+    for i in range(len(stack.x)):
+        hub = Hub(hubs.breaks, hubs.coefficients, hubs.place[i], hubs.attitude[i])
+        now = rod(stack, i)
+        if march(chain_of(chains, i), scheme, surface, loads[i], hub, now, other, end_s) != 0:
+            return i
+    return -1
+
+
+@njit
+def clearance(surface: Surface, now: Motion) -> float:
+    """The gap in m of a rod's lowest section but the clamped one; infinite without a surface."""
+    least, matrix = np.inf, np.empty((3, 3))
+    for k in range(1, len(now.x)):
+        if surface.there:
+            write_matrix(now.q[k], matrix)
+            least = min(least, lowest(surface, now.x[k], matrix))
+    return least
+
+
+class Seen(NamedTuple):
+    """Of every rod: nodes ``x`` (n, nodes, 3) and ``q`` (n, nodes, 4), bending ``moment`` at them
+    about the section's axes (n, nodes, 3), the clamp's ``reaction`` (n, 6) on the rod, ``surface``
+    (n, 3): normal force, friction, state; and ``energy`` (n, 8):
+    kinetic, strain, potential, hub's work, material loss, contact, friction loss, and steps."""
+
+    x: Array
+    q: Array
+    moment: Array
+    reaction: Array
+    surface: Array
+    energy: Array
+
+
+@njit
+def observe(chains: Chain, surface: Surface, gravity: Array, stack: Motion) -> Seen:
+    """What is to be seen of the stacked rods."""
+    rods, nodes = stack.x.shape[0], stack.x.shape[1]
+    moment, met = np.zeros((rods, nodes, 3)), np.zeros((rods, 3))
+    energy = np.zeros((rods, 8))
+    ends, matrix = np.empty((nodes - 1, 2, 6)), np.empty((3, 3))
+    for i in range(rods):
+        chain, now = chain_of(chains, i), rod(stack, i)
+        end_loads(chain, now.x, now.q, now.strain, 0.0, ends)
+        for k in range(nodes):
+            write_matrix(now.q[k], matrix)
+            # what the element after the clamp, and before every other node, bears there
+            load = -ends[0, 0] if k == 0 else ends[k - 1, 1]
+            for c in range(3):
+                for d in range(3):
+                    moment[i, k, c] += matrix[d, c] * load[3 + d]
+        _meet(surface, now, met[i])
+        energy[i, 0], energy[i, 1], energy[i, 2] = energies(chain, now, gravity)
+        energy[i, 3], energy[i, 4] = now.totals[HUB_WORK], now.totals[MATERIAL]
+        energy[i, 5], energy[i, 6] = now.totals[CONTACT], now.totals[FRICTION]
+        energy[i, 7] = now.totals[STEPS]
+    return Seen(stack.x.copy(), stack.q.copy(), moment, stack.reaction.copy(), met, energy)
+
+
+@njit
+def _meet(surface: Surface, now: Motion, out: Array) -> None:
+    """Write the normal force, the size of the friction, and whether the rod is free, sticks, or
+    slides."""
+    push, sliding = np.zeros(3), 0.0
+    touch = now.touch
+    for k in range(len(now.x)):
+        for p in range(touch.normal.shape[1]):
+            out[0] += touch.normal[k, p]
+            sliding += touch.normal[k, p] if touch.state[k, p] == SLIDES else 0.0
+            for c in range(3):
+                push[c] += surface.kt * touch.elongation[k, p, c]
+    out[1] = np.sqrt(push[0] ** 2 + push[1] ** 2 + push[2] ** 2)
+    if out[0] > 0.0:
+        out[2] = 2.0 if sliding > 0.5 * out[0] else 1.0

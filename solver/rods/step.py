@@ -1,0 +1,456 @@
+"""One time step of one rod, and its march with steps that adapt: all compiled.
+
+Generalised-alpha on the rotation group (Arnold and Brüls, Multibody Syst. Dyn. 18 (2007) 185, Eqs.
+11 to 14; Brüls, Cardona and Arnold, Mech. Mach. Theory 48 (2012) 121). It asks for equilibrium at
+the end of every step and averages accelerations, not strains, so contact and friction are met where
+the step ends, and a rod that turns is not stretched by the scheme. It damps what a step does not
+resolve: the axial and the shear waves of an element, and what contact sets off as it closes.
+Damping by β takes strain rates as differences over the step, which adds to generalised-alpha's
+second order an error of first order in β times the step, βhω²/2 of the elastic force.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from ..arrays import Array
+from ..compiled import inlined, njit
+from .chain import Chain, System, new_system, solve
+from .contact import FREE, Surface, lowest, release, touch_section
+from .element import assemble, measure
+from .motion import (
+    CONTACT,
+    FRICTION,
+    HUB_WORK,
+    ITERATIONS,
+    MATERIAL,
+    STEP,
+    STEPS,
+    TIME,
+    Hub,
+    Motion,
+    Scheme,
+    clamp,
+    copy,
+    set_strains,
+)
+from .rotation import between, exponential, multiply, normalise, vector_factor, write_matrix
+from .statics import ROUNDING, force_tolerance, move, residual_norm
+
+# Newton's iterations of one step; one that needs more is halved instead.
+ITERATION_LIMIT = 40
+# A step's residual against EI/L², see `statics.force_tolerance`.
+NEAR = 1e-8
+# A step changes by these factors at most, aims at this share of the error it may have, and is
+# taken again where it has so many times that.
+LEAST_CHANGE, MOST_CHANGE, AIM, TOO_MUCH = 0.2, 1.6, 0.8, 2.0
+SHORTEST_S = 1e-9
+# A section that comes down in one of Newton's steps goes in by a force of so many EI/L² at most,
+# found in so many trials.
+DEEPEST, SHORTER = 10.0, 12
+# After so many iterations a step that does not lessen the residual is halved, down to this part.
+PATIENT, SHORTEST_PART = 6, 0.1
+# The most steps that a rod's weight comes on in.
+MOST_PARTS = 256
+# An iteration count from which on steps do not grow.
+MANY = 8
+
+
+@njit
+def _predict(chain: Chain, old: Motion, new: Motion, h: float, room: Array) -> None:
+    """Where free nodes would be: they turn on, and elements keep their stretch and shear."""
+    turn, strain, middle = np.empty(4), np.empty(6), room[0]
+    for i in range(1, len(new.x)):
+        w, a = old.velocity[i], old.auxiliary[i]
+        exponential(
+            h * (w[3] + 0.5 * h * a[3]),
+            h * (w[4] + 0.5 * h * a[4]),
+            h * (w[5] + 0.5 * h * a[5]),
+            turn,
+        )
+        multiply(old.q[i], turn, new.q[i])
+        normalise(new.q[i])
+    for e in range(len(chain.length)):
+        measure(new.x, new.q, e, chain.length[e], middle, strain)
+        for i in range(3):
+            along = 0.0
+            for k in range(3):
+                along += middle[i, k] * old.strain[e, k]
+            new.x[e + 1, i] = new.x[e, i] + chain.length[e] * along
+
+
+@inlined
+def _rates(
+    scheme: Scheme, h: float, moved: float, velocity: float, auxiliary: float, acceleration: float
+) -> tuple[float, float, float]:
+    """Velocity, acceleration and auxiliary at the end of a step that moved by so much."""
+    new = (moved / (h * h) - velocity / h - (0.5 - scheme.beta) * auxiliary) / scheme.beta
+    speed = velocity + h * ((1.0 - scheme.gamma) * auxiliary + scheme.gamma * new)
+    mean = (1.0 - scheme.alpha_m) * new + scheme.alpha_m * auxiliary
+    return speed, (mean - scheme.alpha_f * acceleration) / (1.0 - scheme.alpha_f), new
+
+
+@njit
+def _inertia(
+    chain: Chain,
+    scheme: Scheme,
+    i: int,
+    old: Motion,
+    new: Motion,
+    h: float,
+    system: System,
+    matrix: Array,
+) -> None:
+    """Add a free node's inertia and α-damping to the residual and the diagonal block.
+
+    The tangent leaves out how a step's rotation vector differs from the spin, and gyroscopic
+    moments: both are of the order of the angle of a step.
+    """
+    weight = (1.0 - scheme.alpha_m) / ((1.0 - scheme.alpha_f) * scheme.beta * h * h)
+    weight += chain.alpha * scheme.gamma / (scheme.beta * h)
+    w, v0, v1, v2 = between(old.q[i], new.q[i])
+    factor = vector_factor(w, v0, v1, v2)
+    turned = (factor * v0, factor * v1, factor * v2)
+    for c in range(3):
+        new.velocity[i, c], new.acceleration[i, c], new.auxiliary[i, c] = _rates(
+            scheme,
+            h,
+            new.x[i, c] - old.x[i, c],
+            old.velocity[i, c],
+            old.auxiliary[i, c],
+            old.acceleration[i, c],
+        )
+        k = 3 + c
+        new.velocity[i, k], new.acceleration[i, k], new.auxiliary[i, k] = _rates(
+            scheme,
+            h,
+            turned[c],
+            old.velocity[i, k],
+            old.auxiliary[i, k],
+            old.acceleration[i, k],
+        )
+        force = new.acceleration[i, c] + chain.alpha * new.velocity[i, c]
+        system.residual[i, c] += chain.mass[i] * force
+        system.diagonal[i, c, c] += chain.mass[i] * weight
+    moment = _inertial_moment(chain, i, new)
+    for c in range(3):
+        for d in range(3):
+            system.residual[i, 3 + c] += matrix[c, d] * moment[d]
+            value = 0.0
+            for k in range(3):
+                value += matrix[c, k] * chain.inertia[i, k] * matrix[d, k]
+            system.diagonal[i, 3 + c, 3 + d] += weight * value
+
+
+@inlined
+def _inertial_moment(chain: Chain, i: int, now: Motion) -> tuple[float, float, float]:
+    """J Ω̇ + Ω × J Ω + α J Ω about the section's axes."""
+    j0, j1, j2 = chain.inertia[i, 0], chain.inertia[i, 1], chain.inertia[i, 2]
+    w0, w1, w2 = now.velocity[i, 3], now.velocity[i, 4], now.velocity[i, 5]
+    a, alpha = now.acceleration[i], chain.alpha
+    return (
+        j0 * (a[3] + alpha * w0) + (j2 - j1) * w1 * w2,
+        j1 * (a[4] + alpha * w1) + (j0 - j2) * w2 * w0,
+        j2 * (a[5] + alpha * w2) + (j1 - j0) * w0 * w1,
+    )
+
+
+@njit
+def step(
+    chain: Chain,
+    scheme: Scheme,
+    surface: Surface,
+    loads: Array,
+    hub: Hub,
+    old: Motion,
+    new: Motion,
+    h: float,
+    system: System,
+    room: Array,
+    target: Array,
+) -> int:
+    """Write the rod after a step of ``h`` seconds into ``new``; Newton's iterations, or -1.
+
+    ``loads`` (n, 6) are dead forces and moments at the nodes in world axes. ``room`` (24, 3, 3) and
+    ``target`` (e, 3) are scratch.
+    """
+    n, t = len(old.x), old.totals[TIME] + h
+    total, rate = chain.length.sum(), chain.beta / h if scheme.inertia else 0.0
+    new.x[:], new.q[:] = old.x, old.q
+    clamp(hub, t, new.x[0], new.q[0], new.velocity[0])
+    _predict(chain, old, new, h if scheme.inertia else 0.0, room)
+    tolerance = force_tolerance(chain, new.x, NEAR)
+    if scheme.inertia:
+        tolerance += ROUNDING * chain.mass.max() / (scheme.beta * h * h) * np.abs(new.x).max()
+    matrix, matrix_before, gaps = np.empty((3, 3)), np.empty((3, 3)), np.ones(n)
+    x, q, solution = np.empty((n, 3)), np.empty((n, 4)), np.empty((n, 6))
+    least, part = math.inf, 1.0
+    for iteration in range(ITERATION_LIMIT):
+        assemble(chain, new.x, new.q, old.strain, rate, system, room)
+        lost = held = 0.0
+        for i in range(1, n):
+            write_matrix(new.q[i], matrix)
+            for c in range(3):
+                system.residual[i, c] -= loads[i, c]
+                system.residual[i, 3 + c] -= loads[i, 3 + c]
+            if scheme.inertia:
+                _inertia(chain, scheme, i, old, new, h, system, matrix)
+            if surface.there:
+                height = _height(surface, new.x[i])
+                gaps[i] = height
+                touched = False
+                for k in range(len(surface.rim)):
+                    touched = touched or old.touch.state[i, k] != FREE
+                if height > surface.reach and not touched:
+                    release(new.touch, i)
+                    continue
+                gaps[i] = lowest(surface, new.x[i], matrix)
+                write_matrix(old.q[i], matrix_before)
+                took, holds = touch_section(
+                    surface,
+                    i,
+                    new.x[i],
+                    matrix,
+                    old.x[i],
+                    matrix_before,
+                    old.touch,
+                    new.touch,
+                    h if scheme.inertia else 0.0,
+                    system,
+                )
+                lost += took
+                held += holds
+        norm = residual_norm(system.residual, total)
+        if norm <= tolerance:
+            _finish(chain, scheme, loads, old, new, h, system, lost, held)
+            new.totals[ITERATIONS] += iteration
+            return iteration
+        if iteration > PATIENT and norm >= least and part > SHORTEST_PART:
+            # a kink: go back along the last step
+            part *= 0.5
+            new.x[:], new.q[:] = x, q
+            move(chain, new.x, new.q, solution, part, target)
+            continue
+        if not math.isfinite(norm) or not solve(system):
+            return -1
+        x[:], q[:], solution[:] = new.x, new.q, system.solution
+        least, part = norm, 1.0
+        if surface.there:
+            _move_to_touch(chain, surface, new, gaps, system.solution, target, matrix)
+        else:
+            move(chain, new.x, new.q, system.solution, 1.0, target)
+    return -1
+
+
+@njit
+def _move_to_touch(
+    chain: Chain,
+    surface: Surface,
+    new: Motion,
+    gaps: Array,
+    solution: Array,
+    target: Array,
+    matrix: Array,
+) -> None:
+    """Move by Newton's step, or by so much of it that sections over the surface just touch it.
+
+    ``gaps`` (n,) are where the step begins. Without this a rod that bends far would fall deep into
+    a stiff surface, which throws it out again, for ever.
+    """
+    bending = min(chain.stiffness[0, 3], chain.stiffness[0, 4]) / chain.length.sum() ** 2
+    allowed = DEEPEST * bending / surface.kn
+    x, q, part = new.x.copy(), new.q.copy(), 1.0
+    for _ in range(SHORTER):
+        move(chain, new.x, new.q, solution, part, target)
+        least = 1.0
+        for i in range(1, len(gaps)):
+            if gaps[i] > 0.0 and _height(surface, new.x[i]) <= surface.reach:
+                write_matrix(new.q[i], matrix)
+                gap = lowest(surface, new.x[i], matrix)
+                if gap < -allowed:
+                    least = min(least, (gaps[i] + 0.5 * allowed) / (gaps[i] - gap))
+        if least == 1.0:
+            return
+        part *= max(least, 0.1)
+        new.x[:], new.q[:] = x, q
+    move(chain, new.x, new.q, solution, part, target)
+
+
+@inlined
+def _height(surface: Surface, x: Array) -> float:
+    height = 0.0
+    for c in range(3):
+        height += surface.normal[c] * (x[c] - surface.point[c])
+    return height
+
+
+@njit
+def _finish(
+    chain: Chain,
+    scheme: Scheme,
+    loads: Array,
+    old: Motion,
+    new: Motion,
+    h: float,
+    system: System,
+    lost: float,
+    held: float,
+) -> None:
+    """Write strains, reactions and sums of energy at the end of a step."""
+    set_strains(chain, new)
+    new.totals[:] = old.totals
+    new.totals[TIME] = old.totals[TIME] + h
+    new.totals[STEPS] += 1.0
+    w, v0, v1, v2 = between(old.q[0], new.q[0])
+    factor = vector_factor(w, v0, v1, v2)
+    matrix, turned, spin = np.empty((3, 3)), np.empty(3), (factor * v0, factor * v1, factor * v2)
+    write_matrix(old.q[0], matrix)
+    for c in range(3):
+        # a rotation vector is the same in the axes before and after it
+        turned[c] = matrix[c, 0] * spin[0] + matrix[c, 1] * spin[1] + matrix[c, 2] * spin[2]
+        if scheme.inertia:
+            new.acceleration[0, c] = (new.velocity[0, c] - old.velocity[0, c]) / h
+            new.acceleration[0, 3 + c] = (new.velocity[0, 3 + c] - old.velocity[0, 3 + c]) / h
+    write_matrix(new.q[0], matrix)
+    moment = _inertial_moment(chain, 0, new)
+    work = 0.0
+    for c in range(3):
+        drag = chain.mass[0] * chain.alpha * new.velocity[0, c] if scheme.inertia else 0.0
+        new.holding[c] = system.residual[0, c] - loads[0, c] + drag
+        new.holding[3 + c] = system.residual[0, 3 + c] - loads[0, 3 + c]
+        new.reaction[c], new.reaction[3 + c] = new.holding[c], new.holding[3 + c]
+        if scheme.inertia:
+            new.reaction[c] += chain.mass[0] * new.acceleration[0, c]
+            for k in range(3):
+                new.reaction[3 + c] += matrix[c, k] * moment[k]
+            work += 0.5 * chain.mass[0] * (new.velocity[0, c] ** 2 - old.velocity[0, c] ** 2)
+            turning = new.velocity[0, 3 + c] ** 2 - old.velocity[0, 3 + c] ** 2
+            work += 0.5 * chain.inertia[0, c] * turning
+        work += 0.5 * (old.holding[c] + new.holding[c]) * (new.x[0, c] - old.x[0, c])
+        work += 0.5 * (old.holding[3 + c] + new.holding[3 + c]) * turned[c]
+    new.totals[HUB_WORK] += work
+    new.totals[FRICTION] += lost
+    new.totals[CONTACT] = held
+    if scheme.inertia:
+        new.totals[MATERIAL] += _damped(chain, old, new, h)
+
+
+@njit
+def _damped(chain: Chain, old: Motion, new: Motion, h: float) -> float:
+    """What material damping took over a step, in J."""
+    taken = 0.0
+    for e in range(len(chain.length)):
+        for c in range(6):
+            change = new.strain[e, c] - old.strain[e, c]
+            taken += chain.length[e] * chain.stiffness[e, c] * chain.beta / h * change * change
+    if chain.alpha > 0.0:
+        for i in range(len(old.x)):
+            for c in range(3):
+                squares = old.velocity[i, c] ** 2 + new.velocity[i, c] ** 2
+                taken += 0.5 * h * chain.alpha * chain.mass[i] * squares
+                squares = old.velocity[i, 3 + c] ** 2 + new.velocity[i, 3 + c] ** 2
+                taken += 0.5 * h * chain.alpha * chain.inertia[i, c] * squares
+    return taken
+
+
+@njit
+def _error(scheme: Scheme, old: Motion, new: Motion, h: float) -> float:
+    """The greatest local error in m of a node's place: (β - 1/6) h³ times the acceleration's
+    rate (Zienkiewicz and Xie, Earthquake Engng Struct. Dyn. 20 (1991) 871)."""
+    most = 0.0
+    for i in range(1, len(new.x)):
+        square = 0.0
+        for c in range(3):
+            square += (new.auxiliary[i, c] - old.auxiliary[i, c]) ** 2
+        most = max(most, square)
+    return abs(scheme.beta - 1.0 / 6.0) * h * h * math.sqrt(most)
+
+
+@njit
+def settle(
+    chain: Chain,
+    scheme: Scheme,
+    surface: Surface,
+    loads: Array,
+    hub: Hub,
+    now: Motion,
+    other: Motion,
+) -> bool:
+    """Bring a rod into equilibrium with its weight and the surface; False where it finds none.
+
+    The weight comes on in equal steps, as few as will do. ``scheme`` has no inertia.
+    """
+    system, room = new_system(len(now.x)), np.empty((24, 3, 3))
+    target, start = np.empty((len(chain.length), 3)), now.x.copy()
+    first = now.q.copy()
+    parts = 1
+    while parts <= MOST_PARTS:
+        done = 0
+        while done < parts:
+            weight = loads * ((done + 1.0) / parts)
+            count = step(chain, scheme, surface, weight, hub, now, other, 0.0, system, room, target)
+            if count < 0:
+                break
+            copy(other, now)
+            done += 1
+        if done == parts:
+            now.totals[:] = 0.0
+            now.totals[CONTACT] = other.totals[CONTACT]
+            return True
+        now.x[:], now.q[:] = start, first
+        for i in range(len(now.x)):
+            release(now.touch, i)
+        set_strains(chain, now)
+        parts *= 2
+    return False
+
+
+@njit
+def march(
+    chain: Chain,
+    scheme: Scheme,
+    surface: Surface,
+    loads: Array,
+    hub: Hub,
+    now: Motion,
+    other: Motion,
+    end_s: float,
+) -> int:
+    """March one rod to ``end_s``; 0, or 1 where a step fails however short it is.
+
+    ``other`` is room. Steps end at the hub's breaks.
+    """
+    system, room = new_system(len(now.x)), np.empty((24, 3, 3))
+    target = np.empty((len(chain.length), 3))
+    while now.totals[TIME] < end_s:
+        until = end_s
+        for at in hub.breaks:
+            if now.totals[TIME] < at < until:
+                until = at
+        left, wanted = until - now.totals[TIME], now.totals[STEP]
+        h = left / math.ceil(left / wanted * (1.0 - 1e-9))
+        last = h > 0.9999 * left
+        count = step(chain, scheme, surface, loads, hub, now, other, h, system, room, target)
+        if count < 0:
+            now.totals[STEP] = 0.5 * h
+            if now.totals[STEP] < SHORTEST_S:
+                return 1
+            continue
+        change = MOST_CHANGE
+        error = _error(scheme, now, other, h)
+        if error > 0.0:
+            change = AIM * (scheme.error_m / error) ** (1.0 / 3.0)
+        change = min(max(change, LEAST_CHANGE), MOST_CHANGE)
+        if error > TOO_MUCH * scheme.error_m and h > SHORTEST_S:
+            now.totals[STEP] = h * min(change, 0.5)
+            continue
+        if count > MANY:
+            change = min(change, 1.0)
+        copy(other, now)
+        # a step that was shortened to end in time tells less of the next one's length
+        now.totals[STEP] = h * change if change < 1.0 else max(wanted, h * change)
+        if last:
+            now.totals[TIME] = until
+    return 0

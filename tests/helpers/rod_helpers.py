@@ -1,0 +1,82 @@
+"""Rods for tests: one at a time, step by step, or clamped by their axis."""
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from bristle.solver.rods.chain import at_rest, new_system
+from bristle.solver.rods.contact import surface_of
+from bristle.solver.rods.hub import Clamps, HubPath
+from bristle.solver.rods.motion import Hub, copy, motion_of, rod, scheme_of, set_strains
+from bristle.solver.rods.section import RodSection
+from bristle.solver.rods.step import step
+from bristle.solver.time.scheme import TimeScheme
+
+THIN, HALF = 1e-4, 1e-8
+SLENDER = RodSection(
+    EA_N=1.0 / THIN**2,
+    GA1_N=1.0 / THIN**2,
+    GA2_N=1.0 / THIN**2,
+    EI1_Nm2=1.0,
+    EI2_Nm2=1.0,
+    GJ_Nm2=1.0,
+    rhoA_kg_m=1.0,
+    rhoI1_kg_m=THIN**2,
+    rhoI2_kg_m=THIN**2,
+    half_thin_m=HALF,
+    half_wide_m=HALF,
+)
+"""EI = ρA = 1, so slender that it is Euler's inextensible rod to 1e-8; in contact it is a line."""
+
+
+def along(axis, wide=(0.0, 1.0, 0.0)):
+    """The rotation (3, 3) of a clamp by its bristle's axis and wide side."""
+    return np.stack([np.cross(wide, axis), wide, axis], axis=1)
+
+
+def leaning(lean_rad):
+    """A bristle that points down, its tip toward -x by an angle."""
+    return along([-np.sin(lean_rad), 0.0, -np.cos(lean_rad)])
+
+
+def one_clamp(place, rotation, length_m):
+    return Clamps(np.array([place], dtype=float), rotation[None], np.array([length_m]))
+
+
+class OneRod:
+    """One rod, stepped by hand: ``now`` is its state, ``loads`` (n, 6) act on its nodes."""
+
+    def __init__(self, chain, place, rotation, *, path=None, section=SLENDER, ground=None, rho=0.6):
+        nodes = len(chain.mass)
+        self.chain, self.surface = chain, surface_of(ground, section)
+        path = path or HubPath.still()
+        turned = Rotation.from_matrix(rotation).as_quat()[[3, 0, 1, 2]]
+        place = np.array(place, dtype=float)
+        self.hub = Hub(path.breaks, path.coefficients, place, turned)
+        points = len(self.surface.rim)
+        self.now, self.next = (rod(motion_of(1, nodes, points), 0) for _ in range(2))
+        self.now.x[:], self.now.q[:] = at_rest(chain, place, rotation)
+        set_strains(chain, self.now)
+        self.loads = np.zeros((nodes, 6))
+        self.scheme = scheme_of(TimeScheme.generalised(rho), 1.0)
+        self.room = new_system(nodes), np.empty((24, 3, 3)), np.empty((nodes - 1, 3))
+
+    def step(self, h, *, friction=True):
+        """One step of ``h`` seconds, or False where Newton's method does not converge."""
+        surface = self.surface
+        if not friction:
+            surface = surface._replace(static=0.0, kinetic=0.0)
+        arguments = self.chain, self.scheme, surface, self.loads, self.hub, self.now, self.next
+        if step(*arguments, h, *self.room) < 0:
+            return False
+        copy(self.next, self.now)
+        return True
+
+    def slowly(self, until_s, h_s, **how):
+        """Equilibria up to a time, with steps that are halved where they fail."""
+        self.scheme = self.scheme._replace(inertia=False)
+        h = h_s
+        while self.now.totals[0] < until_s - 1e-12:
+            h = min(1.5 * h, h_s, until_s - self.now.totals[0])
+            while not self.step(h, **how):
+                h *= 0.5
+                assert h > 1e-6 * h_s

@@ -1,0 +1,139 @@
+"""Many rods in one hub: ranks, checkpoints, forces on the hub, and what is refused."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from mpi4py import MPI
+from rod_helpers import along, leaning, one_clamp
+from scipy.spatial.transform import Rotation
+
+from bristle.solver.bristle import Bristle
+from bristle.solver.errors import InputError
+from bristle.solver.rods.frame import TipState
+from bristle.solver.rods.ground import Ground
+from bristle.solver.rods.hub import Clamps, HubPath
+from bristle.solver.rods.rods import Rods
+from bristle.solver.rods.section import RodSection
+
+LENGTH, LEAN = 0.3365, math.radians(20)
+HEIGHT = LENGTH * math.cos(LEAN)
+PATH = HubPath.slide(0.02, 0.5, 0.02, 0.02)
+
+
+def rows(count=5, comm=MPI.COMM_WORLD, path=PATH, **how):
+    """Bristles of different lengths side by side, leaning."""
+    section = RodSection.of(Bristle())
+    lengths = LENGTH * (1.0 - 0.01 * np.arange(count))
+    places = np.zeros((count, 3))
+    places[:, 1] = 0.01 * np.arange(count)
+    places[:, 2] = HEIGHT + section.half_thin_m
+    clamps = Clamps(places, np.tile(leaning(LEAN), (count, 1, 1)), lengths)
+    ground = Ground(2e6, 0.3, 0.5, 0.05)
+    return Rods(section, clamps, path, ground, 6, comm=comm, tolerance=1e-5, **how)
+
+
+def test_the_result_is_the_same_on_any_number_of_ranks():
+    """Each rank has a block of the bristles; sums are taken in one order on the first rank."""
+    one = list(rows(comm=MPI.COMM_SELF).march(0.05, 0.01))
+    every = list(rows().march(0.05, 0.01))
+    assert len(one) == len(every) == 5
+    if MPI.COMM_WORLD.rank == 0:
+        for a, b in zip(one, every, strict=True):
+            assert np.array_equal(a.force_N, b.force_N)
+            assert np.array_equal(a.centre_m, b.centre_m)
+            assert np.array_equal(a.state, b.state)
+            assert a.energy == b.energy
+
+
+def test_a_run_goes_on_from_a_checkpoint_to_the_bit():
+    through, first, second = rows(), rows(), rows()
+    expected = list(through.march(0.06, 0.01))[-1]
+    list(first.march(0.03, 0.01))
+    kept = {name: array.copy() for name, array in first.checkpoint().items()}
+    second.restore(kept)
+    assert second.t_s == first.t_s
+    found = list(second.march(0.06, 0.01))
+    assert len(found) == 3
+    assert found[-1].t_s == expected.t_s
+    for name in ("force_N", "torque_Nm", "centre_m", "rotation", "tip_normal_N", "state"):
+        assert np.array_equal(getattr(found[-1], name), getattr(expected, name))
+    assert found[-1].energy == expected.energy
+    with pytest.raises(InputError, match="checkpoint"):
+        rows(4).restore(kept)
+
+
+def test_what_the_bristles_do_to_the_hub_is_what_the_ground_does_to_them():
+    """Pressed slowly and left to settle: normal force and friction pass on to the hub, with its
+    moment about the hub's origin, where the weight is known."""
+    section = RodSection.of(Bristle())
+    clamp = one_clamp([0.05, 0.02, HEIGHT + section.half_thin_m], leaning(LEAN), LENGTH)
+    # strong damping by mass brings it to rest
+    calm = replace(section, alpha_1_s=60.0)
+    rods = Rods(calm, clamp, HubPath.press(0.02, 0.05), Ground(2e6, 0.3, 0.5), 20)
+    frame = list(rods.march(0.6, 0.6))[-1]
+    if MPI.COMM_WORLD.rank > 0:
+        return
+    share = np.full(21, LENGTH / 20)
+    share[[0, -1]] *= 0.5
+    weights = 9.8 * section.rhoA_kg_m * share
+    assert frame.state[0] == TipState.STICK
+    assert frame.force_N[2] == pytest.approx(frame.tip_normal_N[0] - weights.sum(), rel=1e-4)
+    assert abs(frame.force_N[0]) == pytest.approx(frame.tip_friction_N[0], rel=1e-4)
+    assert frame.tip_friction_N[0] < 0.5 * frame.tip_normal_N[0]
+    # about the hub's origin, 0.02 m below the world's: the lower edge's force, and the weights
+    thin = Rotation.from_quat(frame.rotation[0, -1, [1, 2, 3, 0]]).as_matrix()[:, 0]
+    edge = frame.tip_m[0] - math.copysign(section.half_thin_m, thin[2]) * thin
+    moment = frame.centre_m[0, :, 0] @ weights - edge[0] * frame.tip_normal_N[0]
+    moment += (edge[2] + 0.02) * frame.force_N[0]
+    assert frame.torque_Nm[1] == pytest.approx(moment, rel=1e-4)
+    # and the root's moment is the greatest stress of the rod
+    above = HEIGHT + section.half_thin_m
+    root = frame.torque_Nm[1] - above * frame.force_N[0] + 0.05 * frame.force_N[2]
+    modulus = 2.08e-3 * 0.5e-3**2 / 6.0
+    assert frame.bending_stress_Pa[0, 0] == pytest.approx(abs(root) / modulus, rel=1e-3)
+
+
+def test_an_upright_bristle_buckles():
+    """It bears about Euler's load of a column that is clamped and pinned, 20.19 EI/L², while its
+    tip sticks; compressed without buckling it would bear EA δ/L, 5 000 times as much."""
+    section = RodSection.of(Bristle())
+    clamp = one_clamp([0.0, 0.0, LENGTH], leaning(0.0), LENGTH)
+    rods = Rods(section, clamp, HubPath.press(0.01, 0.1), Ground(2e6, 5.0, 5.0), 20)
+    frame = list(rods.march(0.2, 0.2))[-1]
+    if MPI.COMM_WORLD.rank == 0:
+        euler = 20.19 * section.EI2_Nm2 / LENGTH**2
+        assert 0.2 * euler < frame.tip_normal_N[0] < 3.0 * euler
+        assert np.abs(frame.centre_m[0, :, 0]).max() > 0.1 * LENGTH
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"place": [0.0, 0.0, -0.1]}, "clamp of bristle 0 is 0.1 m below"),
+        ({"place": [0.0, 0.0, 0.9 * HEIGHT]}, "begins 0.03"),
+        ({"elements": 0}, "at least one element"),
+        ({"gravity_m_s2": math.nan}, "gravity"),
+        ({"tolerance": 0.0}, "tolerance"),
+    ],
+)
+def test_impossible_input_is_refused(change, words):
+    section = RodSection.of(Bristle())
+    place = change.pop("place", [0.0, 0.0, 2.0 * HEIGHT])
+    with pytest.raises(InputError, match=words):
+        Rods(section, one_clamp(place, leaning(LEAN), LENGTH), PATH, Ground(), **change)
+
+
+def test_a_hub_that_goes_below_the_surface_is_refused_before_the_march():
+    deep = HubPath.press(1.01 * HEIGHT, 0.1)
+    with pytest.raises(InputError, match="below the surface at 0.0"):
+        next(rows(path=deep).march(0.2, 0.01))
+
+
+def test_a_clamp_below_a_tilted_plane_is_refused():
+    section = RodSection.of(Bristle())
+    clamp = one_clamp([1.0, 0.0, 0.5], along([0.0, 0.0, 1.0]), 0.1)
+    Rods(section, clamp, HubPath.still(), Ground(), 4)
+    with pytest.raises(InputError, match="clamp"):
+        Rods(section, clamp, HubPath.still(), Ground(normal=(-1.0, 0.0, 1.0)), 4)
