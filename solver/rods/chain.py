@@ -64,7 +64,8 @@ def at_rest(chain: Chain, position_m: Array, rotation: Array) -> tuple[Array, Ar
 
     attitude = Rotation.from_matrix(rotation)
     places, attitudes = [np.asarray(position_m, dtype=float)], [attitude]
-    for length, rest in zip(chain.length, chain.rest, strict=True):
+    for e in range(len(chain.length)):
+        length, rest = chain.length[e], chain.rest[e]
         half = Rotation.from_rotvec(0.5 * length * rest[3:])
         places.append(places[-1] + length * (attitude * half).apply(rest[:3]))
         attitude = attitude * half * half
@@ -75,8 +76,15 @@ def at_rest(chain: Chain, position_m: Array, rotation: Array) -> tuple[Array, Ar
 
 def stacked(chains: Sequence[Chain]) -> Chain:
     """Chains of as many elements each, their arrays stacked along a first axis."""
-    rows = [np.stack(each) for each in list(zip(*chains, strict=True))[:5]]
-    return Chain(*rows, beta=chains[0].beta, alpha=chains[0].alpha)
+    return Chain(
+        np.stack([each.length for each in chains]),
+        np.stack([each.stiffness for each in chains]),
+        np.stack([each.rest for each in chains]),
+        np.stack([each.mass for each in chains]),
+        np.stack([each.inertia for each in chains]),
+        chains[0].beta,
+        chains[0].alpha,
+    )
 
 
 @njit
@@ -91,6 +99,15 @@ def chain_of(stack: Chain, i: int) -> Chain:
         stack.beta,
         stack.alpha,
     )
+
+
+@njit
+def total_length(chain: Chain) -> float:
+    """In m."""
+    total = 0.0
+    for e in range(len(chain.length)):
+        total += chain.length[e]
+    return total
 
 
 class System(NamedTuple):
@@ -157,7 +174,8 @@ def solve(system: System) -> bool:
     """
     diagonal, above, below, solution = system.diagonal, system.above, system.below, system.solution
     room, n = system.room, len(diagonal)
-    solution[0] = 0.0
+    for r in range(6):
+        solution[0, r] = 0.0
     for i in range(1, n):
         width = 13 if i < n - 1 else 7
         for r in range(6):

@@ -89,9 +89,11 @@ def no_touch(nodes: int, points: int) -> Touch:
 @njit
 def release(touch: Touch, node: int) -> None:
     """Make the points of a section free."""
-    touch.elongation[node, :, :] = 0.0
-    touch.state[node, :] = FREE
-    touch.speed[node, :] = touch.normal[node, :] = touch.friction[node, :] = 0.0
+    for k in range(touch.normal.shape[1]):
+        touch.state[node, k] = FREE
+        touch.speed[node, k] = touch.normal[node, k] = touch.friction[node, k] = 0.0
+        for c in range(3):
+            touch.elongation[node, k, c] = 0.0
 
 
 @inlined
@@ -160,9 +162,9 @@ def touch_section(
         if gap >= 0.0:
             now.state[node, k], now.normal[node, k], now.friction[node, k] = FREE, 0.0, 0.0
             now.speed[node, k] = math.sqrt(along) / step if step > 0.0 else 0.0
-            now.elongation[node, k, :] = 0.0
             # a spring that loses its hold gives its energy to friction
             for c in range(3):
+                now.elongation[node, k, c] = 0.0
                 lost += 0.5 * surface.kt * before.elongation[node, k, c] ** 2
             continue
         normal = -surface.kn * gap

@@ -24,7 +24,7 @@ import numpy as np
 from ..arrays import Array
 from ..compiled import inlined, njit
 from .chain import Chain, System
-from .rotation import between, vector_factor, write_matrix
+from .rotation import between, vector_factor, write_matrix_of
 
 # Below this angle between nodes, in rad, coefficients are their series.
 SMALL_RAD = 0.05
@@ -58,15 +58,17 @@ def measure(x: Array, q: Array, e: int, length: float, middle: Array, strain: Ar
     w, v0, v1, v2 = between(q[e], q[e + 1])
     factor = vector_factor(w, v0, v1, v2) / length
     strain[3], strain[4], strain[5] = factor * v0, factor * v1, factor * v2
-    half = np.empty(4)
-    half[0] = math.sqrt(0.5 * (1.0 + w))
-    half[1], half[2], half[3] = 0.5 * v0 / half[0], 0.5 * v1 / half[0], 0.5 * v2 / half[0]
-    p, m = q[e], np.empty(4)
-    m[0] = p[0] * half[0] - p[1] * half[1] - p[2] * half[2] - p[3] * half[3]
-    m[1] = p[0] * half[1] + p[1] * half[0] + p[2] * half[3] - p[3] * half[2]
-    m[2] = p[0] * half[2] - p[1] * half[3] + p[2] * half[0] + p[3] * half[1]
-    m[3] = p[0] * half[3] + p[1] * half[2] - p[2] * half[1] + p[3] * half[0]
-    write_matrix(m, middle)
+    # the first node's rotation, then half of that between
+    h = math.sqrt(0.5 * (1.0 + w))
+    h0, h1, h2 = 0.5 * v0 / h, 0.5 * v1 / h, 0.5 * v2 / h
+    p, p0, p1, p2 = q[e, 0], q[e, 1], q[e, 2], q[e, 3]
+    write_matrix_of(
+        p * h - p0 * h0 - p1 * h1 - p2 * h2,
+        p * h0 + p0 * h + p1 * h2 - p2 * h1,
+        p * h1 - p0 * h2 + p1 * h + p2 * h0,
+        p * h2 + p0 * h1 - p1 * h0 + p2 * h,
+        middle,
+    )
     d0, d1, d2 = x[e + 1, 0] - x[e, 0], x[e + 1, 1] - x[e, 1], x[e + 1, 2] - x[e, 2]
     for c in range(3):
         strain[c] = (middle[0, c] * d0 + middle[1, c] * d1 + middle[2, c] * d2) / length
@@ -78,6 +80,18 @@ def strains(chain: Chain, x: Array, q: Array, out: Array) -> None:
     middle = np.empty((3, 3))
     for e in range(len(chain.length)):
         measure(x, q, e, chain.length[e], middle, out[e])
+
+
+@njit
+def _turned_back(middle: Array, solution: Array, e: int, c: int) -> tuple[float, float, float]:
+    """A component, in the middle's axes, of the displacement of an element's second node over its
+    first's, of their mean spin, and of the spin of the second over the first's."""
+    moved = mean = apart = 0.0
+    for k in range(3):
+        moved += middle[k, c] * (solution[e + 1, k] - solution[e, k])
+        mean += 0.5 * middle[k, c] * (solution[e + 1, 3 + k] + solution[e, 3 + k])
+        apart += middle[k, c] * (solution[e + 1, 3 + k] - solution[e, 3 + k])
+    return moved, mean, apart
 
 
 @njit
@@ -99,20 +113,16 @@ def foresee(
     f0, f1, f2 = length * strain[3], length * strain[4], length * strain[5]
     _, _, tau, _, _, _ = coefficients(f0 * f0 + f1 * f1 + f2 * f2)
     g0, g1, g2 = tau * f0, tau * f1, tau * f2
-    one, two = solution[e], solution[e + 1]
-    moved, mean, apart = np.empty(3), np.empty(3), np.empty(3)
-    for c in range(3):
-        moved[c] = mean[c] = apart[c] = 0.0
-        for k in range(3):
-            moved[c] += middle[k, c] * (two[k] - one[k])
-            mean[c] += 0.5 * middle[k, c] * (two[3 + k] + one[3 + k])
-            apart[c] += middle[k, c] * (two[3 + k] - one[3 + k])
-    w0 = mean[0] - (g1 * apart[2] - g2 * apart[1])
-    w1 = mean[1] - (g2 * apart[0] - g0 * apart[2])
-    w2 = mean[2] - (g0 * apart[1] - g1 * apart[0])
-    out[0] = strain[0] + share * (moved[0] / length + strain[1] * w2 - strain[2] * w1)
-    out[1] = strain[1] + share * (moved[1] / length + strain[2] * w0 - strain[0] * w2)
-    out[2] = strain[2] + share * (moved[2] / length + strain[0] * w1 - strain[1] * w0)
+    m0, a0, b0 = _turned_back(middle, solution, e, 0)
+    m1, a1, b1 = _turned_back(middle, solution, e, 1)
+    m2, a2, b2 = _turned_back(middle, solution, e, 2)
+    # the spin of the middle, of which a half is from either node
+    w0 = a0 - (g1 * b2 - g2 * b1)
+    w1 = a1 - (g2 * b0 - g0 * b2)
+    w2 = a2 - (g0 * b1 - g1 * b0)
+    out[0] = strain[0] + share * (m0 / length + strain[1] * w2 - strain[2] * w1)
+    out[1] = strain[1] + share * (m1 / length + strain[2] * w0 - strain[0] * w2)
+    out[2] = strain[2] + share * (m2 / length + strain[0] * w1 - strain[1] * w0)
 
 
 @njit
@@ -211,9 +221,11 @@ def assemble(
 
     ``room`` is (24, 3, 3). See `_forces` for ``before`` and ``rate``.
     """
-    for name in (system.diagonal, system.above, system.below):
-        name[:] = 0.0
-    system.residual[:] = 0.0
+    for i in range(len(x)):
+        for r in range(6):
+            system.residual[i, r] = 0.0
+            for c in range(6):
+                system.diagonal[i, r, c] = system.above[i, r, c] = system.below[i, r, c] = 0.0
     strain, load, vector = np.empty(6), np.empty(6), np.empty(3)
     middle = room[0]
     for e in range(len(chain.length)):

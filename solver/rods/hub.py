@@ -97,7 +97,9 @@ def hub_coordinates(breaks: Array, coefficients: Array, t_s: float, out: Array) 
 
     The first segment holds before the first break, the last one after the last break.
     """
-    segment = min(max(np.searchsorted(breaks, t_s, side="right") - 1, 0), len(breaks) - 2)
+    segment = 0
+    while segment < len(breaks) - 2 and breaks[segment + 1] <= t_s:
+        segment += 1
     s = t_s - breaks[segment]
     for c in range(6):
         value, rate = 0.0, 0.0

@@ -1,4 +1,4 @@
-"""What all rods of a rank do over a time, and what is to be seen of them: compiled."""
+"""What is to be seen of a rank's rods: forces, moments, energy."""
 
 from __future__ import annotations
 
@@ -11,32 +11,8 @@ from ..compiled import njit
 from .chain import Chain, chain_of
 from .contact import SLIDES, Surface, lowest
 from .element import end_loads
-from .motion import CONTACT, FRICTION, HUB_WORK, MATERIAL, STEPS, Hub, Motion, Scheme, energies, rod
+from .motion import CONTACT, FRICTION, HUB_WORK, MATERIAL, STEPS, Motion, energies, rod
 from .rotation import write_matrix
-from .step import march
-
-
-@njit
-def march_all(
-    chains: Chain,
-    scheme: Scheme,
-    surface: Surface,
-    loads: Array,
-    hubs: Hub,
-    stack: Motion,
-    other: Motion,
-    end_s: float,
-) -> int:
-    """March every stacked rod to ``end_s``; -1, or the first rod that fails.
-
-    The ``loads`` (rods, nodes, 6) and the ``place`` and ``attitude`` of ``hubs`` are stacked too.
-    """
-    for i in range(len(stack.x)):
-        hub = Hub(hubs.breaks, hubs.coefficients, hubs.place[i], hubs.attitude[i])
-        now = rod(stack, i)
-        if march(chain_of(chains, i), scheme, surface, loads[i], hub, now, other, end_s) != 0:
-            return i
-    return -1
 
 
 @njit

@@ -21,15 +21,16 @@ from .frame import Frame, RodEnergy
 from .ground import Ground
 from .hub import Clamps, HubMotion
 from .motion import Hub, motion_of, rod, scheme_of, set_strains
-from .observe import clearance, march_all, observe
+from .observe import clearance, observe
 from .rotation import world_to_body
 from .section import RodSection
-from .step import settle
+from .settle import settle
+from .step import march_all
 
 # The spectral radius of generalised-alpha at infinite frequency.
 RHO_INFINITY = 0.6
 # The greatest error of a step over a bristle's length.
-TOLERANCE = 1e-5
+TOLERANCE = 1e-6
 FIRST_STEP_S = 1e-5
 # A wire is no straighter than this; a perfect one would be compressed for ever instead of buckling.
 BOW_RAD = 1e-4
@@ -249,9 +250,8 @@ class Rods:
         set_strains(chain, now)
         self._refuse_tips_below(at, i)
         hub = self._hub._replace(place=self._hub.place[at], attitude=self._hub.attitude[at])
-        still = self._scheme._replace(inertia=False)
-        smooth = self._surface._replace(static=0.0, kinetic=0.0)
-        if not settle(chain, still, smooth, self._loads[at], hub, now, self._other):
+        loads = self._loads[at]
+        if not settle(chain, self._scheme, self._surface, loads, hub, now, self._other):
             raise ComputationError(
                 f"bristle {i} finds no equilibrium under its weight; try more elements"
             )

@@ -52,13 +52,18 @@ def vector_factor(w: float, x: float, y: float, z: float) -> float:
 
 
 @inlined
-def write_matrix(q: Array, out: Array) -> None:
-    """Write the rotation matrix (3, 3) of a unit quaternion."""
-    w, x, y, z = q[0], q[1], q[2], q[3]
+def write_matrix_of(w: float, x: float, y: float, z: float, out: Array) -> None:
+    """Write the rotation matrix (3, 3) of a unit quaternion by its components."""
     out[0, 0], out[1, 1] = 1.0 - 2.0 * (y * y + z * z), 1.0 - 2.0 * (x * x + z * z)
     out[2, 2] = 1.0 - 2.0 * (x * x + y * y)
     out[0, 1], out[0, 2], out[1, 2] = 2 * (x * y - w * z), 2 * (x * z + w * y), 2 * (y * z - w * x)
     out[1, 0], out[2, 0], out[2, 1] = 2 * (x * y + w * z), 2 * (x * z - w * y), 2 * (y * z + w * x)
+
+
+@inlined
+def write_matrix(q: Array, out: Array) -> None:
+    """Write the rotation matrix (3, 3) of a unit quaternion."""
+    write_matrix_of(q[0], q[1], q[2], q[3], out)
 
 
 @inlined
@@ -80,14 +85,23 @@ def spin_of(vector: Array, rate: Array) -> Array:
 
     Its tangent operator: Ibrahimbegovic, Frey and Kozar, Int. J. Numer. Meth. Engng 38 (1995).
     """
-    angle = math.sqrt(vector @ vector)
+    angle = math.sqrt(vector[0] ** 2 + vector[1] ** 2 + vector[2] ** 2)
     if angle < 1e-4:
         first, second = 0.5 - angle**2 / 24.0, 1.0 / 6.0 - angle**2 / 120.0
     else:
         first = (1.0 - math.cos(angle)) / angle**2
         second = (angle - math.sin(angle)) / angle**3
-    once = np.cross(vector, rate)
-    return rate + first * once + second * np.cross(vector, once)
+    v0, v1, v2 = vector[0], vector[1], vector[2]
+    a0, a1, a2 = (
+        v1 * rate[2] - v2 * rate[1],
+        v2 * rate[0] - v0 * rate[2],
+        v0 * rate[1] - v1 * rate[0],
+    )
+    out = np.empty(3)
+    out[0] = rate[0] + first * a0 + second * (v1 * a2 - v2 * a1)
+    out[1] = rate[1] + first * a1 + second * (v2 * a0 - v0 * a2)
+    out[2] = rate[2] + first * a2 + second * (v0 * a1 - v1 * a0)
+    return out
 
 
 def world_to_body(q: Array, vector: Array) -> Array:

@@ -7,7 +7,7 @@ import numpy as np
 from ..arrays import Array
 from ..compiled import njit
 from ..errors import ComputationError
-from .chain import Chain, System, new_system, solve
+from .chain import Chain, System, new_system, solve, total_length
 from .element import assemble, foresee, measure
 from .rotation import exponential, multiply, normalise
 
@@ -22,12 +22,14 @@ NEAR, ROUNDING = 1e-9, 2e-15
 @njit
 def force_tolerance(chain: Chain, x: Array, near: float) -> float:
     """A force in N that is nothing to this rod: moments are compared with it times the length."""
-    total, stiffest = chain.length.sum(), 0.0
+    total = stiffest = farthest = 0.0
     for e in range(len(chain.length)):
+        total += chain.length[e]
         for c in range(3):
+            farthest = max(farthest, abs(x[e, c]), abs(x[e + 1, c]))
             stiffest = max(stiffest, chain.stiffness[e, c] / chain.length[e])
     bending = min(chain.stiffness[0, 3], chain.stiffness[0, 4]) / (total * total)
-    return near * bending + ROUNDING * stiffest * (np.abs(x).max() + total)
+    return near * bending + ROUNDING * stiffest * (farthest + total)
 
 
 @njit
@@ -76,7 +78,7 @@ def _newton(
     chain: Chain, x: Array, q: Array, loads: Array, system: System, tolerance: float
 ) -> int:
     """Iterations until the residual is below the tolerance, -1 where it does not get there."""
-    before, room, total = chain.rest, np.empty((24, 3, 3)), chain.length.sum()
+    before, room, total = chain.rest, np.empty((24, 3, 3)), total_length(chain)
     target = np.empty((len(chain.length), 3))
     for iteration in range(ITERATIONS):
         assemble(chain, x, q, before, 0.0, system, room)

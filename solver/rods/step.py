@@ -12,12 +12,13 @@ second order an error of first order in β times the step, βhω²/2 of the elas
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
 from ..arrays import Array
 from ..compiled import inlined, njit
-from .chain import Chain, System, new_system, solve
+from .chain import Chain, System, chain_of, new_system, solve, total_length
 from .contact import FREE, Surface, lowest, release, touch_section
 from .element import assemble, measure
 from .motion import (
@@ -34,7 +35,9 @@ from .motion import (
     Scheme,
     clamp,
     copy,
+    rod,
     set_strains,
+    write,
 )
 from .rotation import between, exponential, multiply, normalise, vector_factor, write_matrix
 from .statics import ROUNDING, force_tolerance, move, residual_norm
@@ -52,8 +55,6 @@ SHORTEST_S = 1e-9
 DEEPEST, SHORTER = 10.0, 12
 # After so many iterations a step that does not lessen the residual is halved, down to this part.
 PATIENT, SHORTEST_PART = 6, 0.1
-# The most steps that a rod's weight comes on in.
-MOST_PARTS = 256
 # An iteration count from which on steps do not grow.
 MANY = 8
 
@@ -157,113 +158,61 @@ def _inertial_moment(chain: Chain, i: int, now: Motion) -> tuple[float, float, f
     )
 
 
-@njit
-def step(
-    chain: Chain,
-    scheme: Scheme,
-    surface: Surface,
-    loads: Array,
-    hub: Hub,
-    old: Motion,
-    new: Motion,
-    h: float,
-    system: System,
-    room: Array,
-    target: Array,
-) -> int:
-    """Write the rod after a step of ``h`` seconds into ``new``; Newton's iterations, or -1.
+@inlined
+def _height(surface: Surface, x: Array) -> float:
+    height = 0.0
+    for c in range(3):
+        height += surface.normal[c] * (x[c] - surface.point[c])
+    return height
 
-    ``loads`` (n, 6) are dead forces and moments at the nodes in world axes. ``room`` (24, 3, 3) and
-    ``target`` (e, 3) are scratch.
-    """
-    n, t = len(old.x), old.totals[TIME] + h
-    total, rate = chain.length.sum(), chain.beta / h if scheme.inertia else 0.0
-    new.x[:], new.q[:] = old.x, old.q
-    clamp(hub, t, new.x[0], new.q[0], new.velocity[0])
-    _predict(chain, old, new, h if scheme.inertia else 0.0, room)
-    tolerance = force_tolerance(chain, new.x, NEAR)
-    if scheme.inertia:
-        tolerance += ROUNDING * chain.mass.max() / (scheme.beta * h * h) * np.abs(new.x).max()
-    matrix, matrix_before, gaps = np.empty((3, 3)), np.empty((3, 3)), np.ones(n)
-    x, q, solution = np.empty((n, 3)), np.empty((n, 4)), np.empty((n, 6))
-    least, part = math.inf, 1.0
-    for iteration in range(ITERATION_LIMIT):
-        assemble(chain, new.x, new.q, old.strain, rate, system, room)
-        lost = held = 0.0
-        for i in range(1, n):
-            write_matrix(new.q[i], matrix)
-            for c in range(3):
-                system.residual[i, c] -= loads[i, c]
-                system.residual[i, 3 + c] -= loads[i, 3 + c]
-            if scheme.inertia:
-                _inertia(chain, scheme, i, old, new, h, system, matrix)
-            if surface.there:
-                height = _height(surface, new.x[i])
-                gaps[i] = height
-                touched = False
-                for k in range(len(surface.rim)):
-                    touched = touched or old.touch.state[i, k] != FREE
-                if height > surface.reach and not touched:
-                    release(new.touch, i)
-                    continue
-                gaps[i] = lowest(surface, new.x[i], matrix)
-                write_matrix(old.q[i], matrix_before)
-                took, holds = touch_section(
-                    surface,
-                    i,
-                    new.x[i],
-                    matrix,
-                    old.x[i],
-                    matrix_before,
-                    old.touch,
-                    new.touch,
-                    h if scheme.inertia else 0.0,
-                    system,
-                )
-                lost += took
-                held += holds
-        norm = residual_norm(system.residual, total)
-        if norm <= tolerance:
-            _finish(chain, scheme, loads, old, new, h, system, lost, held)
-            new.totals[ITERATIONS] += iteration
-            return iteration
-        if iteration > PATIENT and norm >= least and part > SHORTEST_PART:
-            # a kink: go back along the last step
-            part *= 0.5
-            new.x[:], new.q[:] = x, q
-            move(chain, new.x, new.q, solution, part, target)
-            continue
-        if not math.isfinite(norm) or not solve(system):
-            return -1
-        x[:], q[:], solution[:] = new.x, new.q, system.solution
-        least, part = norm, 1.0
-        if surface.there:
-            _move_to_touch(chain, surface, new, gaps, system.solution, target, matrix)
-        else:
-            move(chain, new.x, new.q, system.solution, 1.0, target)
-    return -1
+
+class Scratch(NamedTuple):
+    """Room for a step of one rod: of elements (24, 3, 3) and (e, 3), of Newton's step as it was
+    and of a part of it (n, 3), (n, 4), (n, 6), of two rotations, and of the gaps (n,) in m."""
+
+    element: Array
+    target: Array
+    x: Array
+    q: Array
+    x_part: Array
+    q_part: Array
+    solution: Array
+    matrix: Array
+    matrix_before: Array
+    gaps: Array
 
 
 @njit
-def _move_to_touch(
-    chain: Chain,
-    surface: Surface,
-    new: Motion,
-    gaps: Array,
-    solution: Array,
-    target: Array,
-    matrix: Array,
-) -> None:
+def new_scratch(n: int) -> Scratch:
+    """Room for a rod of ``n`` nodes."""
+    return Scratch(
+        np.zeros((24, 3, 3)),
+        np.zeros((n - 1, 3)),
+        np.zeros((n, 3)),
+        np.zeros((n, 4)),
+        np.zeros((n, 3)),
+        np.zeros((n, 4)),
+        np.zeros((n, 6)),
+        np.zeros((3, 3)),
+        np.zeros((3, 3)),
+        np.zeros(n),
+    )
+
+
+@njit
+def _move_to_touch(chain: Chain, surface: Surface, new: Motion, scratch: Scratch) -> None:
     """Move by Newton's step, or by so much of it that sections over the surface just touch it.
 
-    ``gaps`` (n,) are where the step begins. Without this a rod that bends far would fall deep into
-    a stiff surface, which throws it out again, for ever.
+    Without this a rod that bends far would fall deep into a stiff surface, which throws it out
+    again, for ever.
     """
-    bending = min(chain.stiffness[0, 3], chain.stiffness[0, 4]) / chain.length.sum() ** 2
+    bending = min(chain.stiffness[0, 3], chain.stiffness[0, 4]) / total_length(chain) ** 2
     allowed = DEEPEST * bending / surface.kn
-    x, q, part = new.x.copy(), new.q.copy(), 1.0
-    for _ in range(SHORTER):
-        move(chain, new.x, new.q, solution, part, target)
+    gaps, matrix, part = scratch.gaps, scratch.matrix, 1.0
+    write(new.x, scratch.x_part)
+    write(new.q, scratch.q_part)
+    for trial in range(SHORTER + 1):
+        move(chain, new.x, new.q, scratch.solution, part, scratch.target)
         least = 1.0
         for i in range(1, len(gaps)):
             if gaps[i] > 0.0 and _height(surface, new.x[i]) <= surface.reach:
@@ -271,19 +220,11 @@ def _move_to_touch(
                 gap = lowest(surface, new.x[i], matrix)
                 if gap < -allowed:
                     least = min(least, (gaps[i] + 0.5 * allowed) / (gaps[i] - gap))
-        if least == 1.0:
+        if least == 1.0 or trial == SHORTER:
             return
         part *= max(least, 0.1)
-        new.x[:], new.q[:] = x, q
-    move(chain, new.x, new.q, solution, part, target)
-
-
-@inlined
-def _height(surface: Surface, x: Array) -> float:
-    height = 0.0
-    for c in range(3):
-        height += surface.normal[c] * (x[c] - surface.point[c])
-    return height
+        write(scratch.x_part, new.x)
+        write(scratch.q_part, new.q)
 
 
 @njit
@@ -300,7 +241,7 @@ def _finish(
 ) -> None:
     """Write strains, reactions and sums of energy at the end of a step."""
     set_strains(chain, new)
-    new.totals[:] = old.totals
+    write(old.totals, new.totals)
     new.totals[TIME] = old.totals[TIME] + h
     new.totals[STEPS] += 1.0
     w, v0, v1, v2 = between(old.q[0], new.q[0])
@@ -356,6 +297,100 @@ def _damped(chain: Chain, old: Motion, new: Motion, h: float) -> float:
 
 
 @njit
+def step(
+    chain: Chain,
+    scheme: Scheme,
+    surface: Surface,
+    loads: Array,
+    hub: Hub,
+    old: Motion,
+    new: Motion,
+    h: float,
+    system: System,
+    scratch: Scratch,
+) -> int:
+    """Write the rod after a step of ``h`` seconds into ``new``; Newton's iterations, or -1.
+
+    ``loads`` (n, 6) are dead forces and moments at the nodes in world axes.
+    """
+    n, t, total = len(old.x), old.totals[TIME] + h, total_length(chain)
+    rate = chain.beta / h if scheme.inertia else 0.0
+    x, q, solution, gaps = scratch.x, scratch.q, scratch.solution, scratch.gaps
+    matrix, matrix_before = scratch.matrix, scratch.matrix_before
+    least, part = math.inf, 1.0
+    write(old.x, new.x)
+    write(old.q, new.q)
+    clamp(hub, t, new.x[0], new.q[0], new.velocity[0])
+    _predict(chain, old, new, h if scheme.inertia else 0.0, scratch.element)
+    tolerance = force_tolerance(chain, new.x, NEAR)
+    if scheme.inertia:
+        heaviest = farthest = 0.0
+        for i in range(n):
+            heaviest, gaps[i] = max(heaviest, chain.mass[i]), 1.0
+            for c in range(3):
+                farthest = max(farthest, abs(new.x[i, c]))
+        tolerance += ROUNDING * heaviest / (scheme.beta * h * h) * farthest
+    for iteration in range(ITERATION_LIMIT):
+        assemble(chain, new.x, new.q, old.strain, rate, system, scratch.element)
+        lost = held = 0.0
+        for i in range(1, n):
+            write_matrix(new.q[i], matrix)
+            for c in range(3):
+                system.residual[i, c] -= loads[i, c]
+                system.residual[i, 3 + c] -= loads[i, 3 + c]
+            if scheme.inertia:
+                _inertia(chain, scheme, i, old, new, h, system, matrix)
+            if surface.there:
+                height = _height(surface, new.x[i])
+                gaps[i] = height
+                touched = False
+                for k in range(len(surface.rim)):
+                    touched = touched or old.touch.state[i, k] != FREE
+                if height > surface.reach and not touched:
+                    release(new.touch, i)
+                    continue
+                gaps[i] = lowest(surface, new.x[i], matrix)
+                write_matrix(old.q[i], matrix_before)
+                took, holds = touch_section(
+                    surface,
+                    i,
+                    new.x[i],
+                    matrix,
+                    old.x[i],
+                    matrix_before,
+                    old.touch,
+                    new.touch,
+                    h if scheme.inertia else 0.0,
+                    system,
+                )
+                lost += took
+                held += holds
+        norm = residual_norm(system.residual, total)
+        if norm <= tolerance:
+            _finish(chain, scheme, loads, old, new, h, system, lost, held)
+            new.totals[ITERATIONS] += iteration
+            return iteration
+        if iteration > PATIENT and norm >= least and part > SHORTEST_PART:
+            # a kink: go back along the last step
+            part *= 0.5
+            write(x, new.x)
+            write(q, new.q)
+            move(chain, new.x, new.q, solution, part, scratch.target)
+            continue
+        if not math.isfinite(norm) or not solve(system):
+            return -1
+        write(new.x, x)
+        write(new.q, q)
+        write(system.solution, solution)
+        least, part = norm, 1.0
+        if surface.there:
+            _move_to_touch(chain, surface, new, scratch)
+        else:
+            move(chain, new.x, new.q, solution, 1.0, scratch.target)
+    return -1
+
+
+@njit
 def _error(scheme: Scheme, old: Motion, new: Motion, h: float) -> float:
     """The greatest local error in m of a node's place: (β - 1/6) h³ times the acceleration's
     rate (Zienkiewicz and Xie, Earthquake Engng Struct. Dyn. 20 (1991) 871)."""
@@ -369,88 +404,57 @@ def _error(scheme: Scheme, old: Motion, new: Motion, h: float) -> float:
 
 
 @njit
-def settle(
-    chain: Chain,
-    scheme: Scheme,
-    surface: Surface,
-    loads: Array,
-    hub: Hub,
-    now: Motion,
-    other: Motion,
-) -> bool:
-    """Bring a rod into equilibrium with its weight and the surface; False where it finds none.
-
-    The weight comes on in equal steps, as few as will do. ``scheme`` has no inertia.
-    """
-    system, room = new_system(len(now.x)), np.empty((24, 3, 3))
-    target, start = np.empty((len(chain.length), 3)), now.x.copy()
-    first = now.q.copy()
-    parts = 1
-    while parts <= MOST_PARTS:
-        done = 0
-        while done < parts:
-            weight = loads * ((done + 1.0) / parts)
-            count = step(chain, scheme, surface, weight, hub, now, other, 0.0, system, room, target)
-            if count < 0:
-                break
-            copy(other, now)
-            done += 1
-        if done == parts:
-            now.totals[:] = 0.0
-            now.totals[CONTACT] = other.totals[CONTACT]
-            return True
-        now.x[:], now.q[:] = start, first
-        for i in range(len(now.x)):
-            release(now.touch, i)
-        set_strains(chain, now)
-        parts *= 2
-    return False
+def _next_end(hub: Hub, t_s: float, end_s: float) -> float:
+    """The hub's next break, or the end where that comes first."""
+    for at in hub.breaks:
+        if t_s < at < end_s:
+            return at
+    return end_s
 
 
 @njit
-def march(
-    chain: Chain,
+def march_all(
+    chains: Chain,
     scheme: Scheme,
     surface: Surface,
     loads: Array,
-    hub: Hub,
-    now: Motion,
+    hubs: Hub,
+    stack: Motion,
     other: Motion,
     end_s: float,
 ) -> int:
-    """March one rod to ``end_s``; 0, or 1 where a step fails however short it is.
+    """March every stacked rod to ``end_s``; -1, or the first rod whose step fails however short.
 
-    ``other`` is room. Steps end at the hub's breaks.
+    The ``loads`` (rods, n, 6) and the ``place`` and ``attitude`` of ``hubs`` are stacked too;
+    ``other`` is room for one rod. Steps end at the hub's breaks.
     """
-    system, room = new_system(len(now.x)), np.empty((24, 3, 3))
-    target = np.empty((len(chain.length), 3))
-    while now.totals[TIME] < end_s:
-        until = end_s
-        for at in hub.breaks:
-            if now.totals[TIME] < at < until:
-                until = at
-        left, wanted = until - now.totals[TIME], now.totals[STEP]
-        h = left / math.ceil(left / wanted * (1.0 - 1e-9))
-        last = h > 0.9999 * left
-        count = step(chain, scheme, surface, loads, hub, now, other, h, system, room, target)
-        if count < 0:
-            now.totals[STEP] = 0.5 * h
-            if now.totals[STEP] < SHORTEST_S:
-                return 1
-            continue
-        change = MOST_CHANGE
-        error = _error(scheme, now, other, h)
-        if error > 0.0:
-            change = AIM * (scheme.error_m / error) ** (1.0 / 3.0)
-        change = min(max(change, LEAST_CHANGE), MOST_CHANGE)
-        if error > TOO_MUCH * scheme.error_m and h > SHORTEST_S:
-            now.totals[STEP] = h * min(change, 0.5)
-            continue
-        if count > MANY:
-            change = min(change, 1.0)
-        copy(other, now)
-        # a step that was shortened to end in time tells less of the next one's length
-        now.totals[STEP] = h * change if change < 1.0 else max(wanted, h * change)
-        if last:
-            now.totals[TIME] = until
-    return 0
+    system, scratch = new_system(stack.x.shape[1]), new_scratch(stack.x.shape[1])
+    for i in range(len(stack.x)):
+        chain, now = chain_of(chains, i), rod(stack, i)
+        hub = Hub(hubs.breaks, hubs.coefficients, hubs.place[i], hubs.attitude[i])
+        while now.totals[TIME] < end_s:
+            until = _next_end(hub, now.totals[TIME], end_s)
+            left, wanted = until - now.totals[TIME], now.totals[STEP]
+            h = left / math.ceil(left / wanted * (1.0 - 1e-9))
+            count = step(chain, scheme, surface, loads[i], hub, now, other, h, system, scratch)
+            if count < 0:
+                now.totals[STEP] = 0.5 * h
+                if now.totals[STEP] < SHORTEST_S:
+                    return i
+                continue
+            error = _error(scheme, now, other, h)
+            change = MOST_CHANGE
+            if error > 0.0:
+                change = AIM * (scheme.error_m / error) ** (1.0 / 3.0)
+                change = min(max(change, LEAST_CHANGE), MOST_CHANGE)
+            if error > TOO_MUCH * scheme.error_m and h > SHORTEST_S:
+                now.totals[STEP] = h * min(change, 0.5)
+                continue
+            if count > MANY:
+                change = min(change, 1.0)
+            copy(other, now)
+            # a step that was shortened to end in time tells less of the next one's length
+            now.totals[STEP] = h * change if change < 1.0 else max(wanted, h * change)
+            if h > 0.9999 * left:
+                now.totals[TIME] = until
+    return -1

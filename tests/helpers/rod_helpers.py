@@ -8,7 +8,7 @@ from bristle.solver.rods.contact import surface_of
 from bristle.solver.rods.hub import Clamps, HubPath
 from bristle.solver.rods.motion import Hub, copy, motion_of, rod, scheme_of, set_strains
 from bristle.solver.rods.section import RodSection
-from bristle.solver.rods.step import step
+from bristle.solver.rods.step import new_scratch, step
 from bristle.solver.time.scheme import TimeScheme
 
 THIN, HALF = 1e-4, 1e-8
@@ -58,7 +58,7 @@ class OneRod:
         set_strains(chain, self.now)
         self.loads = np.zeros((nodes, 6))
         self.scheme = scheme_of(TimeScheme.generalised(rho), 1.0)
-        self.room = new_system(nodes), np.empty((24, 3, 3)), np.empty((nodes - 1, 3))
+        self.room = new_system(nodes), new_scratch(nodes)
 
     def step(self, h, *, friction=True):
         """One step of ``h`` seconds, or False where Newton's method does not converge."""
