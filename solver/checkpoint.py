@@ -49,8 +49,8 @@ class Checkpoint:
     """The marks of one run in ``folder``, at least ``every_s`` seconds apart.
 
     ``made_for`` names what the run depends on; with ``resume`` the marks of an earlier run are
-    taken up, and InputError names what is not the same. Without, they are removed. All methods are
-    collective over ``comm``.
+    taken up, and InputError names what is not the same. Without, they are removed. The clock is
+    looked at after every ``look`` steps. All methods are collective over ``comm``.
     """
 
     def __init__(
@@ -61,8 +61,9 @@ class Checkpoint:
         *,
         every_s: float = 60.0,
         resume: bool = False,
+        look: int = LOOK,
     ) -> None:
-        self.folder, self.comm, self.every_s = Path(folder), comm, every_s
+        self.folder, self.comm, self.every_s, self._look = Path(folder), comm, every_s, look
         self._made_for = {"number of ranks": str(comm.size), **made_for}
         self._march, self._frames, self._whole_frames = -1, 0, 0
         self._start: list[float] = []
@@ -103,7 +104,7 @@ class Checkpoint:
     def due(self) -> bool:
         """Whether a mark is to be made after this step."""
         self._looks += 1
-        return self._looks % LOOK == 0 and self._late()
+        return self._looks % self._look == 0 and self._late()
 
     def save(self, steps: int, arrays: Mapping[str, Array], *, done: bool = False) -> None:
         """Make the running march's mark; ComputationError where the disk does not take it.

@@ -5,28 +5,24 @@ Also a script: ``mpirun -n 2 python3 -m bristle.studies.drop --model solid``.
 
 from __future__ import annotations
 
-import sys
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
+from collections.abc import Callable, Mapping
+from contextlib import ExitStack, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
 from ..meshes.collective import run_on_one_rank
-from ..solver.checkpoint import Checkpoint, clear
+from ..solver.checkpoint import Checkpoint
 from ..solver.drop import DropResult
-from . import __version__
 from .command.script import as_script
 from .inputs.choices import Model
 from .inputs.config import DropInputs
 from .inputs.fields import FLAT
 from .inputs.limits import input_warnings, result_warnings
-from .inputs.sources import OPTIONS
 from .inputs.stance import ANGLES
 from .running import results
 from .running.cases import CaseSession, Prepared, Timings, session_on
-from .running.files import folder_in_place, prepare_folder, remove, together
-from .running.mark import claim, refuse_foreign
-from .running.parallel import all_ranks
+from .running.files import folder_in_place, remove, together
+from .running.parallel import all_ranks, by_rank_0
 from .running.progress import compilation_noted, progress, say, warn, working
 from .running.steps import Watched, steps_of_contact
 
@@ -40,9 +36,9 @@ if TYPE_CHECKING:
 
     Observe = Callable[[SolidBody, ContactMarch], Observer]
 
-FIELDS, CHECKPOINT = "fields", "checkpoint"
+FIELDS = "fields"
 # All that a drop writes.
-FILES = (results.RESULT_FILE, results.HISTORY_FILE, f"{FIELDS}/", f"{CHECKPOINT}/")
+FILES = (results.RESULT_FILE, results.HISTORY_FILE, f"{FIELDS}/", f"{results.CHECKPOINT}/")
 # Seconds between the marks of a long march.
 KEEP_S = 60.0
 # Losses below this share of the impact's energy are none.
@@ -71,18 +67,18 @@ def run_drop(
     before is then still there.
     """
     out, comm = Path(out), session.comm if session else comm or all_ranks()
-    there = run_on_one_rank(comm, lambda: _prepare(inputs, out, resume))
+    there = run_on_one_rank(comm, lambda: results.prepare(inputs, out, *FILES, resume=resume))
     if there is not None:
         say(f"{out / results.RESULT_FILE} is finished already, nothing to do")
         return there
     warnings = _warned(input_warnings(inputs))
-    with _by_rank_0(together(out, results.RESULT_FILE), comm):
+    with by_rank_0(together(out, results.RESULT_FILE), comm):
         with compilation_noted(), session_on(comm, session) as own:
             how = {"every_s": keep_s, "resume": resume}
             result, timings = _compute(inputs, out, own, observe, **how)
         document = _document(inputs, result, timings, warnings, comm)
         written = run_on_one_rank(comm, lambda: results.write_drop(out, document, result))
-    run_on_one_rank(comm, lambda: _forget_checkpoint(out))
+    run_on_one_rank(comm, lambda: results.forget_checkpoint(out))
     return written
 
 
@@ -125,34 +121,6 @@ def _document(
     return results.drop_document(inputs, result, timings, every, memory, comm.size)
 
 
-def _prepare(inputs: DropInputs, out: Path, resume: bool) -> dict[str, Any] | None:
-    prepare_folder(out)
-    path = out / results.RESULT_FILE
-    there = results.read_document(path) if resume else None
-    if there is not None:
-        results.check_same(path, there, inputs)
-    else:
-        refuse_foreign(out, *FILES)
-    return there
-
-
-def _forget_checkpoint(out: Path) -> None:
-    if (out / CHECKPOINT).exists():
-        clear(out / CHECKPOINT)
-        claim(out)
-
-
-def _checkpoint(
-    inputs: DropInputs, prepared: Prepared, comm: MPI.Intracomm, folder: Path, **how: Any
-) -> Checkpoint:
-    """The checkpoint of a solid's march."""
-    made_for = {OPTIONS.get(k, k): str(v) for k, v in results.plain_inputs(inputs).items()}
-    made_for["version"] = __version__
-    made_for["mesh"] = cast("SolidBody", prepared.frame.body).digest()
-    run_on_one_rank(comm, lambda: claim(folder.parent, f"{folder.name}/"))
-    return Checkpoint(folder, comm, made_for, **how)
-
-
 def _observer(observe: Observe, prepared: Prepared) -> Observer:
     return observe(cast("SolidBody", prepared.frame.body), prepared.marcher)
 
@@ -165,7 +133,8 @@ def _compute(
     with building if inputs.model.meshed else nullcontext():
         prepared = session.prepare(inputs)
     if prepared is not None and inputs.model is Model.SOLID:
-        checkpoint = _checkpoint(inputs, prepared, session.comm, out / CHECKPOINT, **how)
+        mesh = {"mesh": cast("SolidBody", prepared.frame.body).digest()}
+        checkpoint = results.checkpoint(inputs, out, session.comm, mesh, **how)
         further = [] if observe is None else [_observer(observe, prepared)]
         done = _marched_solid(session, inputs, prepared, checkpoint, out / FIELDS, further)
         if inputs.write_fields:
@@ -193,7 +162,7 @@ def _marched_solid(
         if inputs.write_fields:
             from ..solver.paraview import FLIGHT_FRAMES, FieldWriter
 
-            made = stack.enter_context(_by_rank_0(folder_in_place(folder), session.comm))
+            made = stack.enter_context(by_rank_0(folder_in_place(folder), session.comm))
             body, every = cast("SolidBody", prepared.frame.body), inputs.write_every
             frame = cast("ReducedModel", prepared.frame)
             flight = body, made, prepared.marcher, frame
@@ -206,19 +175,6 @@ def _marched_solid(
             with progress("flight of the solid, frames", FLIGHT_FRAMES) as advance:
                 writer.write_flight(advance=advance)
         return done
-
-
-@contextmanager
-def _by_rank_0[Made](context: AbstractContextManager[Made], comm: MPI.Intracomm) -> Iterator[Made]:
-    """What rank 0 enters and leaves for all; one that fails alone leaves nobody waiting."""
-    made = run_on_one_rank(comm, context.__enter__)
-    try:
-        yield made
-    except BaseException:
-        if comm.rank == 0:
-            context.__exit__(*sys.exc_info())
-        raise
-    run_on_one_rank(comm, lambda: context.__exit__(None, None, None) and None)
 
 
 def summary(document: Mapping[str, Any]) -> list[tuple[str, str]]:

@@ -6,12 +6,12 @@ import importlib
 import os
 import sys
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TextIO
 
-from ...meshes.collective import ALONE, GRACE_S, done_within
+from ...meshes.collective import ALONE, GRACE_S, done_within, run_on_one_rank
 from ...solver.errors import BristleError
 
 if TYPE_CHECKING:
@@ -71,6 +71,19 @@ def rank_0_speaks() -> Iterator[None]:
             yield
         finally:
             sys.stdout, sys.stderr = streams
+
+
+@contextmanager
+def by_rank_0[Made](context: AbstractContextManager[Made], comm: MPI.Intracomm) -> Iterator[Made]:
+    """What rank 0 enters and leaves for all; one that fails alone leaves nobody waiting."""
+    made = run_on_one_rank(comm, context.__enter__)
+    try:
+        yield made
+    except BaseException:
+        if comm.rank == 0:
+            context.__exit__(*sys.exc_info())
+        raise
+    run_on_one_rank(comm, lambda: context.__exit__(None, None, None) and None)
 
 
 @dataclass(frozen=True)

@@ -22,12 +22,12 @@ def progress(
 ) -> Iterator[Callable[..., None]]:
     """A function to call for each finished piece of ``total``, of which ``done`` are already.
 
-    It takes how many they are, where it is not one. Both forms tell the time that is left, where
-    the pieces are ``alike``; a bar also the time that is spent, which goes on while the first piece
-    is prepared.
+    It takes how many they are, where it is not one, and a few words on how things stand. Both forms
+    tell the time that is left, where the pieces are ``alike``; a bar also the time that is spent,
+    which goes on while the first piece is prepared.
     """
     if not speaks():
-        yield lambda count=1: None
+        yield lambda count=1, words="": None
     elif sys.stderr.isatty():
         with _bar(title, total, done, alike) as advance:
             yield advance
@@ -62,7 +62,11 @@ def _bar(title: str, total: int, done: int, alike: bool) -> Iterator[Callable[..
     )
     with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
         task = bar.add_task(title, total=total, completed=done)
-        yield lambda count=1: bar.advance(task, count)
+
+        def advance(count: int = 1, words: str = "") -> None:
+            bar.update(task, advance=count, description=f"{title}, {words}" if words else title)
+
+        yield advance
 
 
 class _Lines:
@@ -70,11 +74,12 @@ class _Lines:
 
     def __init__(self, title: str, total: int, done: int, alike: bool) -> None:
         self.title, self.total, self.done, self.alike = title, total, done, alike
+        self.words = ""
         self._first: tuple[float, int] | None = None
         self._say()
 
-    def advance(self, count: int = 1) -> None:
-        self.done += count
+    def advance(self, count: int = 1, words: str = "") -> None:
+        self.done, self.words = self.done + count, words and f", {words}"
         # what is built before the first is not what the others take
         self._first = self._first or (time.monotonic(), self.done)
         if self.done == self.total or time.monotonic() - self._said > PLAIN_EVERY_S:
@@ -88,7 +93,7 @@ class _Lines:
             since = self.done - before
             if since >= EARLY * (self.total - before):
                 words = f", {duration(left * (self._said - began) / since)} left"
-        note(f"{self.title}: {self.done} of {self.total}{words}")
+        note(f"{self.title}: {self.done} of {self.total}{self.words}{words}")
 
 
 def duration(seconds: float) -> str:

@@ -12,6 +12,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from pydantic import BaseModel
 
+from ...meshes.collective import run_on_one_rank
+from ...solver.checkpoint import Checkpoint, clear
 from ...solver.contact_phase import HISTORY_COLUMNS
 from ...solver.drop import DropResult
 from ...solver.errors import InputError
@@ -20,13 +22,14 @@ from ..inputs.config import DropInputs
 from ..inputs.sources import OPTIONS
 from ..inputs.texts import exists, parse_json, quoted, read_text
 from .cases import Timings
-from .files import to_csv, to_json, write_atomically, write_json
+from .files import prepare_folder, to_csv, to_json, write_atomically, write_json
+from .mark import claim, refuse_foreign
 
 if TYPE_CHECKING:
     from mpi4py import MPI
 
 SCHEMA = 1
-RESULT_FILE, HISTORY_FILE = "result.json", "history.csv"
+RESULT_FILE, HISTORY_FILE, CHECKPOINT = "result.json", "history.csv", "checkpoint"
 OTHERS = ("energy", "history", "reduction_error")
 NUMBERS = (
     *(each.name for each in fields(DropResult) if each.name not in OTHERS),
@@ -42,6 +45,40 @@ def plain_inputs(inputs: BaseModel) -> dict[str, Any]:
 def head(inputs: BaseModel, schema: int | str = SCHEMA) -> dict[str, Any]:
     """How every document of a run begins, by which `check_same` knows it again."""
     return {"schema": schema, "version": __version__, "inputs": plain_inputs(inputs)}
+
+
+def prepare(inputs: BaseModel, out: Path, *files: str, resume: bool) -> dict[str, Any] | None:
+    """Make the folder of one run ready: with ``resume`` the result that is there, if any.
+
+    ``files`` are all that the run may write. Raises InputError where the folder cannot be used, one
+    of them is not the program's, or the result has other inputs.
+    """
+    prepare_folder(out)
+    path = out / RESULT_FILE
+    there = read_document(path) if resume else None
+    if there is not None:
+        check_same(path, there, inputs)
+    else:
+        refuse_foreign(out, *files)
+    return there
+
+
+def checkpoint(
+    inputs: BaseModel, out: Path, comm: MPI.Intracomm, made_of: Mapping[str, str] = {}, **how: Any
+) -> Checkpoint:
+    """The checkpoint of one run in its folder, for these inputs and this version, and for what it
+    is ``made_of`` further; ``how`` is that of a `Checkpoint`."""
+    made_for = {OPTIONS.get(k, k): str(v) for k, v in plain_inputs(inputs).items()}
+    made_for |= {"version": __version__, **made_of}
+    run_on_one_rank(comm, lambda: claim(out, f"{CHECKPOINT}/"))
+    return Checkpoint(out / CHECKPOINT, comm, made_for, **how)
+
+
+def forget_checkpoint(out: Path) -> None:
+    """Remove the checkpoint of a run that is done."""
+    if (out / CHECKPOINT).exists():
+        clear(out / CHECKPOINT)
+        claim(out)
 
 
 def drop_document(

@@ -186,6 +186,12 @@ def test_marks_come_back_with_their_frames(folder):
     assert again.begin() is None
 
 
+@pytest.mark.parametrize("look", [1, 3])
+def test_the_clock_is_looked_at_as_often_as_asked_for(folder, look):
+    kept = eager(folder, look=look)
+    assert [kept.due() for _ in range(6)] == [(i + 1) % look == 0 for i in range(6)]
+
+
 def test_without_resume_an_earlier_run_is_forgotten(folder):
     two_marks(folder)
     assert eager(folder).begin() is None

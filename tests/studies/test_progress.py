@@ -64,6 +64,16 @@ def test_of_pieces_that_are_not_alike_no_time_is_told(monkeypatch, capsys):
     assert not any("left" in line for line in lines)
 
 
+def test_words_on_how_things_stand_come_before_the_time_left(monkeypatch, capsys):
+    clock = iter([0.0, 0.0, 0.0, 30.0, 30.0])
+    monkeypatch.setattr(module.time, "monotonic", lambda: next(clock))
+    with logged_to_terminal(), progress("brush", 4) as advance:
+        advance(words="force 1 N")
+        advance(words="force 2 N")
+    lines = capsys.readouterr().err.splitlines()
+    assert lines == ["brush: 0 of 4", "brush: 2 of 4, force 2 N, about 60 s left"]
+
+
 @pytest.mark.parametrize(
     ("seconds", "words"),
     [(0.2, "about 1 s"), (80.0, "about 80 s"), (150.0, "about 2 min"), (9000.0, "about 2 h")],
