@@ -25,7 +25,8 @@ class MaterialName(StrEnum):
 
 @dataclass(frozen=True)
 class Typical:
-    """A material: E in Pa, Poisson's ratio, density in kg/m³, and its damping.
+    """A material: E in Pa, Poisson's ratio, density in kg/m³, its yield strength in Pa, and its
+    damping.
 
     Damping is the loss per radian over the elastic energy, ``loss_factor``, or Rayleigh's
     ``beta_s`` in s where that was found itself. ``source`` has the ranges.
@@ -34,6 +35,7 @@ class Typical:
     youngs_Pa: float
     poisson: float
     density_kg_m3: float
+    yield_Pa: float
     source: str
     loss_factor: float = 0.0
     beta_s: float | None = None
@@ -49,15 +51,35 @@ class Typical:
 
 MATERIALS = {
     MaterialName.STEEL: Typical(
-        paper.YOUNGS_PA, paper.POISSON, paper.DENSITY_KG_M3, paper.CITATION, beta_s=paper.BETA_S
+        paper.YOUNGS_PA,
+        paper.POISSON,
+        paper.DENSITY_KG_M3,
+        1e9,
+        f"{paper.CITATION}; yield 0.4 to 1.16 GPa of high carbon steel: {ASHBY}",
+        beta_s=paper.BETA_S,
     ),
     MaterialName.STAINLESS: Typical(
-        200e9, 0.3, 7900.0, f"1.4301: EN 10088-1, EN 1993-1-4; loss factor 0.001: {ASHBY}", 1e-3
+        200e9,
+        0.3,
+        7900.0,
+        210e6,
+        f"1.4301, annealed: EN 10088-1, EN 1993-1-4; loss factor 0.001: {ASHBY}",
+        1e-3,
     ),
     MaterialName.POLYPROPYLENE: Typical(
-        1.2e9, 0.42, 900.0, f"E 0.9 to 1.55 GPa, loss factor 0.026 to 0.045: {ASHBY}", 0.035
+        1.2e9,
+        0.42,
+        900.0,
+        30e6,
+        f"E 0.9 to 1.55 GPa, yield 21 to 37 MPa, loss factor 0.026 to 0.045: {ASHBY}",
+        0.035,
     ),
     MaterialName.NYLON: Typical(
-        2.9e9, 0.35, 1130.0, f"dry, E 2.6 to 3.2 GPa, loss factor 0.012 to 0.015: {ASHBY}", 0.014
+        2.9e9,
+        0.35,
+        1130.0,
+        60e6,
+        f"dry, E 2.6 to 3.2 GPa, yield 50 to 95 MPa, loss factor 0.012 to 0.015: {ASHBY}",
+        0.014,
     ),
 }
