@@ -18,6 +18,7 @@ one point of integration. Let a and b be the nodes' spins in the axes of the mid
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
@@ -151,17 +152,6 @@ def _times(a: Array, b: Array, out: Array) -> None:
 
 
 @njit
-def _turned(rotation: Array, block: Array, room: Array, sign: float, out: Array) -> None:
-    """Add ``sign`` R ``block`` Rᵀ to ``out`` (3, 3)."""
-    _times(rotation, block, room)
-    for i in range(3):
-        for j in range(3):
-            value = room[i, 0] * rotation[j, 0]
-            value += room[i, 1] * rotation[j, 1] + room[i, 2] * rotation[j, 2]
-            out[i, j] += sign * value
-
-
-@njit
 def _forces(chain: Chain, e: int, strain: Array, before: Array, rate: float, out: Array) -> None:
     """Write N and M (6,) in the middle's axes, damping by the strains ``before`` included.
 
@@ -170,28 +160,6 @@ def _forces(chain: Chain, e: int, strain: Array, before: Array, rate: float, out
     for c in range(6):
         change = strain[c] - chain.rest[e, c] + rate * (strain[c] - before[c])
         out[c] = chain.stiffness[e, c] * change
-
-
-@njit
-def end_loads(chain: Chain, x: Array, q: Array, before: Array, rate: float, out: Array) -> None:
-    """Write the forces and moments (e, 2, 6) in world axes that make every element's strains.
-
-    The first of an element's two is at its first node. See `_forces` for ``before`` and ``rate``.
-    """
-    middle, strain, load = np.empty((3, 3)), np.empty(6), np.empty(6)
-    for e in range(len(chain.length)):
-        length = chain.length[e]
-        measure(x, q, e, length, middle, strain)
-        _forces(chain, e, strain, before[e], rate, load)
-        c, twist = _moments(length, strain, load)
-        for i in range(3):
-            force, one, two = 0.0, 0.0, 0.0
-            for k in range(3):
-                force += middle[i, k] * load[k]
-                one += middle[i, k] * (0.5 * c[k] - twist[k])
-                two += middle[i, k] * (0.5 * c[k] + twist[k])
-            out[e, 0, i], out[e, 1, i] = -force, force
-            out[e, 0, 3 + i], out[e, 1, 3 + i] = one, two
 
 
 @njit
@@ -214,37 +182,85 @@ def _moments(
 
 
 @njit
-def assemble(
-    chain: Chain, x: Array, q: Array, before: Array, rate: float, system: System, room: Array
+def _end_loads(
+    length: float, middle: Array, strain: Array, load: Array, one: Array, two: Array
 ) -> None:
-    """Write the elements' forces into the residual and their exact tangent into the blocks.
+    """Write an element's force and moment (6,) at its first and at its second node."""
+    c, twist = _moments(length, strain, load)
+    for i in range(3):
+        force, mean, apart = 0.0, 0.0, 0.0
+        for k in range(3):
+            force += middle[i, k] * load[k]
+            mean += 0.5 * middle[i, k] * c[k]
+            apart += middle[i, k] * twist[k]
+        one[i], two[i] = -force, force
+        one[3 + i], two[3 + i] = mean - apart, mean + apart
 
-    ``room`` is (24, 3, 3). See `_forces` for ``before`` and ``rate``.
+
+@njit
+def end_loads(chain: Chain, x: Array, q: Array, before: Array, rate: float, out: Array) -> None:
+    """Write the forces and moments (e, 2, 6) in world axes that make every element's strains.
+
+    The first of an element's two is at its first node. See `_forces` for ``before`` and ``rate``.
     """
+    middle, strain, load = np.empty((3, 3)), np.empty(6), np.empty(6)
+    for e in range(len(chain.length)):
+        measure(x, q, e, chain.length[e], middle, strain)
+        _forces(chain, e, strain, before[e], rate, load)
+        _end_loads(chain.length[e], middle, strain, load, out[e, 0], out[e, 1])
+
+
+class Elements(NamedTuple):
+    """The elements of one rod as last assembled: ``middle`` (e, 3, 3), ``strain`` and ``load``
+    (e, 6) in the middle's axes, and room for two ends' loads (2, 6) and for blocks (24, 3, 3)."""
+
+    middle: Array
+    strain: Array
+    load: Array
+    ends: Array
+    room: Array
+
+
+@njit
+def new_elements(n: int) -> Elements:
+    """Room for so many."""
+    return Elements(
+        np.zeros((n, 3, 3)),
+        np.zeros((n, 6)),
+        np.zeros((n, 6)),
+        np.zeros((2, 6)),
+        np.zeros((24, 3, 3)),
+    )
+
+
+@njit
+def assemble_forces(
+    chain: Chain,
+    x: Array,
+    q: Array,
+    before: Array,
+    rate: float,
+    system: System,
+    elements: Elements,
+) -> None:
+    """Write the elements' forces into the residual, and zero into the diagonal blocks.
+
+    See `_forces` for ``before`` and ``rate``.
+    """
+    one, two = elements.ends[0], elements.ends[1]
     for i in range(len(x)):
         for r in range(6):
             system.residual[i, r] = 0.0
             for c in range(6):
-                system.diagonal[i, r, c] = system.above[i, r, c] = system.below[i, r, c] = 0.0
-    strain, load, vector = np.empty(6), np.empty(6), np.empty(3)
-    middle = room[0]
+                system.diagonal[i, r, c] = 0.0
     for e in range(len(chain.length)):
-        length = chain.length[e]
-        measure(x, q, e, length, middle, strain)
+        middle, strain, load = elements.middle[e], elements.strain[e], elements.load[e]
+        measure(x, q, e, chain.length[e], middle, strain)
         _forces(chain, e, strain, before[e], rate, load)
-        c, twist = _moments(length, strain, load)
-        for i in range(3):
-            force, one, two = 0.0, 0.0, 0.0
-            for k in range(3):
-                force += middle[i, k] * load[k]
-                one += middle[i, k] * (0.5 * c[k] - twist[k])
-                two += middle[i, k] * (0.5 * c[k] + twist[k])
-            system.residual[e, i] -= force
-            system.residual[e + 1, i] += force
-            system.residual[e, 3 + i] += one
-            system.residual[e + 1, 3 + i] += two
-        _tangent(chain, e, strain, load, c, twist, rate, room, vector)
-        _scatter(e, room, system)
+        _end_loads(chain.length[e], middle, strain, load, one, two)
+        for r in range(6):
+            system.residual[e, r] += one[r]
+            system.residual[e + 1, r] += two[r]
 
 
 @njit
@@ -332,41 +348,61 @@ def _tangent(
 
 
 @njit
-def _scatter(e: int, room: Array, system: System) -> None:
-    """Add the nine blocks of an element, turned into world axes, to the system's."""
-    middle, tmp = room[0], room[21]
+def _give(turned: Array, column: int, row: int, sign: float, first: Array, second: Array) -> None:
+    """Add a block to rows of the blocks of the first and the second node's columns."""
+    for i in range(3):
+        for j in range(3):
+            value = sign * turned[i, j]
+            if column == 0:
+                first[row + i, j] -= value
+                second[row + i, j] += value
+            elif column == 1:
+                first[row + i, 3 + j] += value
+            else:
+                second[row + i, 3 + j] += value
+
+
+@njit
+def _scatter(e: int, middle: Array, room: Array, system: System) -> None:
+    """Turn the nine blocks of an element into world axes, and give them to the nodes' blocks."""
+    turned, tmp = room[22], room[21]
     one, two = system.diagonal[e], system.diagonal[e + 1]
     up, down = system.above[e], system.below[e + 1]
-    turned = room[22]
     for block in range(9):
-        turned[:] = 0.0
-        _turned(middle, room[1 + block], tmp, 1.0, turned)
+        own = room[1 + block]
+        for i in range(3):
+            for j in range(3):
+                tmp[i, j] = (
+                    middle[i, 0] * own[0, j] + middle[i, 1] * own[1, j] + middle[i, 2] * own[2, j]
+                )
         row, column = block // 3, block % 3
         for i in range(3):
             for j in range(3):
-                value = turned[i, j]
-                if row == 0 and column == 0:
-                    one[i, j] += value
-                    two[i, j] += value
-                    up[i, j] -= value
-                    down[i, j] -= value
-                elif row == 0 and column == 1:
-                    one[i, 3 + j] -= value
-                    down[i, 3 + j] += value
-                elif row == 0:
-                    up[i, 3 + j] -= value
-                    two[i, 3 + j] += value
-                elif row == 1 and column == 0:
-                    one[3 + i, j] -= value
-                    up[3 + i, j] += value
-                elif row == 1 and column == 1:
-                    one[3 + i, 3 + j] += value
-                elif row == 1:
-                    up[3 + i, 3 + j] += value
-                elif column == 0:
-                    down[3 + i, j] -= value
-                    two[3 + i, j] += value
-                elif column == 1:
-                    down[3 + i, 3 + j] += value
-                else:
-                    two[3 + i, 3 + j] += value
+                turned[i, j] = (
+                    tmp[i, 0] * middle[j, 0] + tmp[i, 1] * middle[j, 1] + tmp[i, 2] * middle[j, 2]
+                )
+        # rows: force on the second node, moment on the first, moment on the second; columns: the
+        # second node's displacement over the first's, then the spins of the two
+        if row == 0:
+            _give(turned, column, 0, -1.0, one, up)
+            _give(turned, column, 0, 1.0, down, two)
+        elif row == 1:
+            _give(turned, column, 3, 1.0, one, up)
+        else:
+            _give(turned, column, 3, 1.0, down, two)
+
+
+@njit
+def assemble_tangent(chain: Chain, rate: float, system: System, elements: Elements) -> None:
+    """Add the exact tangent of the forces that `assemble_forces` has just written to the diagonal
+    blocks, and write the others."""
+    room, vector = elements.room, elements.ends[0]
+    for i in range(len(system.residual)):
+        for r in range(6):
+            for c in range(6):
+                system.above[i, r, c] = system.below[i, r, c] = 0.0
+    for e in range(len(chain.length)):
+        strain, load = elements.strain[e], elements.load[e]
+        c, twist = _moments(chain.length[e], strain, load)
+        _tangent(chain, e, strain, load, c, twist, rate, room, vector)
+        _scatter(e, elements.middle[e], room, system)

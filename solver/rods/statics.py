@@ -8,7 +8,7 @@ from ..arrays import Array
 from ..compiled import njit
 from ..errors import ComputationError
 from .chain import Chain, System, new_system, solve, total_length
-from .element import assemble, foresee, measure
+from .element import assemble_forces, assemble_tangent, foresee, measure, new_elements
 from .rotation import exponential, multiply, normalise
 
 ITERATIONS = 200
@@ -78,17 +78,20 @@ def _newton(
     chain: Chain, x: Array, q: Array, loads: Array, system: System, tolerance: float
 ) -> int:
     """Iterations until the residual is below the tolerance, -1 where it does not get there."""
-    before, room, total = chain.rest, np.empty((24, 3, 3)), total_length(chain)
+    before, elements, total = chain.rest, new_elements(len(chain.length)), total_length(chain)
     target = np.empty((len(chain.length), 3))
     for iteration in range(ITERATIONS):
-        assemble(chain, x, q, before, 0.0, system, room)
+        assemble_forces(chain, x, q, before, 0.0, system, elements)
         for i in range(1, len(x)):
             for c in range(6):
                 system.residual[i, c] -= loads[i, c]
         norm = residual_norm(system.residual, total)
         if norm <= tolerance:
             return iteration
-        if not np.isfinite(norm) or not solve(system):
+        if not np.isfinite(norm):
+            return -1
+        assemble_tangent(chain, 0.0, system, elements)
+        if not solve(system):
             return -1
         move(chain, x, q, system.solution, 1.0, target)
     return -1

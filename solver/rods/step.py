@@ -20,7 +20,13 @@ from ..arrays import Array
 from ..compiled import inlined, njit
 from .chain import Chain, System, chain_of, new_system, solve, total_length
 from .contact import FREE, Surface, lowest, release, touch_section
-from .element import assemble, measure
+from .element import (
+    Elements,
+    assemble_forces,
+    assemble_tangent,
+    measure,
+    new_elements,
+)
 from .motion import (
     CONTACT,
     FRICTION,
@@ -167,10 +173,10 @@ def _height(surface: Surface, x: Array) -> float:
 
 
 class Scratch(NamedTuple):
-    """Room for a step of one rod: of elements (24, 3, 3) and (e, 3), of Newton's step as it was
+    """Room for a step of one rod: of elements and of (e, 3) numbers, of Newton's step as it was
     and of a part of it (n, 3), (n, 4), (n, 6), of two rotations, and of the gaps (n,) in m."""
 
-    element: Array
+    elements: Elements
     target: Array
     x: Array
     q: Array
@@ -186,7 +192,7 @@ class Scratch(NamedTuple):
 def new_scratch(n: int) -> Scratch:
     """Room for a rod of ``n`` nodes."""
     return Scratch(
-        np.zeros((24, 3, 3)),
+        new_elements(n - 1),
         np.zeros((n - 1, 3)),
         np.zeros((n, 3)),
         np.zeros((n, 4)),
@@ -321,7 +327,7 @@ def step(
     write(old.x, new.x)
     write(old.q, new.q)
     clamp(hub, t, new.x[0], new.q[0], new.velocity[0])
-    _predict(chain, old, new, h if scheme.inertia else 0.0, scratch.element)
+    _predict(chain, old, new, h if scheme.inertia else 0.0, scratch.elements.room)
     tolerance = force_tolerance(chain, new.x, NEAR)
     if scheme.inertia:
         heaviest = farthest = 0.0
@@ -331,7 +337,7 @@ def step(
                 farthest = max(farthest, abs(new.x[i, c]))
         tolerance += ROUNDING * heaviest / (scheme.beta * h * h) * farthest
     for iteration in range(ITERATION_LIMIT):
-        assemble(chain, new.x, new.q, old.strain, rate, system, scratch.element)
+        assemble_forces(chain, new.x, new.q, old.strain, rate, system, scratch.elements)
         lost = held = 0.0
         for i in range(1, n):
             write_matrix(new.q[i], matrix)
@@ -377,7 +383,10 @@ def step(
             write(q, new.q)
             move(chain, new.x, new.q, solution, part, scratch.target)
             continue
-        if not math.isfinite(norm) or not solve(system):
+        if not math.isfinite(norm):
+            return -1
+        assemble_tangent(chain, rate, system, scratch.elements)
+        if not solve(system):
             return -1
         write(new.x, x)
         write(new.q, q)

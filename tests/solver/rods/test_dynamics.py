@@ -11,7 +11,7 @@ from scipy.linalg import eigh
 from scipy.optimize import brentq
 
 from bristle.solver.rods.chain import Chain, at_rest, new_system, uniform_chain
-from bristle.solver.rods.element import assemble
+from bristle.solver.rods.element import assemble_forces, assemble_tangent, new_elements
 from bristle.solver.rods.hub import HubPath
 from bristle.solver.rods.motion import energies
 from bristle.solver.rods.rods import Rods
@@ -22,7 +22,9 @@ def frequencies_Hz(chain):
     """Of small vibrations about the straight rod, from its tangent and its lumped masses."""
     x, q = at_rest(chain, np.zeros(3), np.eye(3))
     n, system = len(x), new_system(len(x))
-    assemble(chain, x, q, chain.rest, 0.0, system, np.empty((24, 3, 3)))
+    elements = new_elements(n - 1)
+    assemble_forces(chain, x, q, chain.rest, 0.0, system, elements)
+    assemble_tangent(chain, 0.0, system, elements)
     stiffness = np.zeros((n, 6, n, 6))
     for i in range(n):
         stiffness[i, :, i] = system.diagonal[i]

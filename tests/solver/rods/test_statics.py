@@ -11,7 +11,14 @@ from scipy.spatial.transform import Rotation
 from bristle.meshes.section import Rectangle
 from bristle.solver.bristle import Bristle, Material
 from bristle.solver.rods.chain import Chain, at_rest, new_system, uniform_chain
-from bristle.solver.rods.element import assemble, end_loads, strain_energy, strains
+from bristle.solver.rods.element import (
+    assemble_forces,
+    assemble_tangent,
+    end_loads,
+    new_elements,
+    strain_energy,
+    strains,
+)
 from bristle.solver.rods.section import RodSection
 from bristle.solver.rods.statics import equilibrium
 
@@ -173,11 +180,11 @@ def nudged(x, q, unknown, by):
 def test_tangent_and_forces_are_derivatives(rng, angle):
     """Central differences at h = 1e-5 leave some 1e-10 of truncation and 1e-11/h of rounding."""
     chain, x, q, before = bent(rng, angle=angle)
-    n, h, room = len(x), 1e-5, np.empty((24, 3, 3))
+    n, h, elements = len(x), 1e-5, new_elements(len(x) - 1)
     system = new_system(n)
 
     def residual(x, q):
-        assemble(chain, x, q, before, 0.3, system, room)
+        assemble_forces(chain, x, q, before, 0.3, system, elements)
         return system.residual.copy().ravel()
 
     def energy(x, q):
@@ -186,6 +193,7 @@ def test_tangent_and_forces_are_derivatives(rng, angle):
         return strain_energy(chain, strain)
 
     residual(x, q)
+    assemble_tangent(chain, 0.3, system, elements)
     tangent = np.zeros((n, 6, n, 6))
     for i in range(n):
         tangent[i, :, i] = system.diagonal[i]
