@@ -27,6 +27,7 @@ from .command.options import (
     of_files,
     optional,
 )
+from .inputs.brush_fields import BRUSH_FLAGS
 from .inputs.fields import (
     DROP_FLAGS,
     LIST_FLAGS,
@@ -49,6 +50,16 @@ from .inputs.study_fields import (
     TrackInputs,
 )
 
+Keep = Annotated[
+    float,
+    of_files(
+        "--keep",
+        metavar="SECONDS",
+        min=0.0,
+        help="How often a march in steps is kept, for --resume to go on from.",
+        show_default=True,
+    ),
+]
 REPRODUCE_FLAGS = flags_of(StepField, DiscretisationFields)
 # Keys of a configuration file that a command with other flags passes over.
 ANY_FLAGS = (*DROP_FLAGS, *LIST_FLAGS)
@@ -120,16 +131,7 @@ def drop(
     given: Given,
     out: Path,
     resume: Resume = False,
-    keep: Annotated[
-        float,
-        of_files(
-            "--keep",
-            metavar="SECONDS",
-            min=0.0,
-            help="How often a march in steps is kept, for --resume to go on from.",
-            show_default=True,
-        ),
-    ] = 60.0,
+    keep: Keep = 60.0,
 ) -> None:
     """One drop. All values are in SI units, angles in degrees.
 
@@ -192,6 +194,22 @@ def scatter(given: Given, out: Path, resume: Resume = False) -> None:
     from .scatter.run import run_scatter
 
     run_scatter(given.inputs(ScatterInputs), out, resume=resume)
+
+
+@command(BRUSH_FLAGS, ANY_FLAGS)
+def brush(given: Given, out: Path, resume: Resume = False, keep: Keep = 60.0) -> None:
+    """Bristles clamped in a hub that is pressed on a surface and moved: force and torque on it.
+
+    Without options: one bristle, dragged for a second at 1 m/s.
+
+    Example: bristle brush --layout cup --count 240 --rows 2 --flare 20 --motion rotate:rpm=100
+    """
+    from .brush.inputs import BrushInputs
+    from .brush.run import run_brush, summary
+
+    document = run_brush(given.inputs(BrushInputs), out, resume=resume, keep_s=keep)
+    show(summary(document))
+    show([("page", out / "report.html")])
 
 
 @command(MESH_FLAGS, ANY_FLAGS)

@@ -16,6 +16,7 @@ from pathlib import Path
 import bristle
 from bristle.studies.api import SIGNATURES, Session
 from bristle.studies.api.signatures import type_text
+from bristle.studies.inputs.brush_fields import BRUSH_OWN_FLAGS
 from bristle.studies.inputs.fields import DROP_FLAGS, LIST_FLAGS
 from bristle.studies.inputs.flags import Flag
 from bristle.studies.inputs.study_fields import (
@@ -33,6 +34,7 @@ TABLES = {
     "drop": DROP_FLAGS,
     "lists": LIST_FLAGS,
     "scatter": OWN_FLAGS,
+    "brush": BRUSH_OWN_FLAGS,
     "calibrate": CALIBRATE_FLAGS,
     "loop": LOOP_FLAGS,
     "synth": SYNTH_FLAGS,

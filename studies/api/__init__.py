@@ -32,7 +32,9 @@ from ...meshes.collective import run_on_one_rank, with_mpi
 from ...solver.contact_phase import HISTORY_COLUMNS
 from ...solver.effects.base import Effect as Effect
 from ...solver.errors import ComputationError, InputError
+from ..brush.inputs import BrushInputs
 from ..drop import run_drop, simulate_drop
+from ..inputs.brush_fields import BRUSH_FLAGS
 from ..inputs.config import DropInputs, MeshInputs
 from ..inputs.fields import DROP_FLAGS, MESH_FLAGS, STUDY_FLAGS, SWEEP_FLAGS
 from ..inputs.kinds import forgotten_afterwards
@@ -54,7 +56,7 @@ from ..running.results import HISTORY_FILE
 from ..running.study import TABLE_FILE, Study, rows_of
 from ..scatter.inputs import ScatterInputs
 from ..sweep import LISTED, SweepInputs, run_sweep
-from .records import Calibration, Dataset, Drop, Mesh, Scatter, TimeSteps, Tracks, Verdict
+from .records import Brush, Calibration, Dataset, Drop, Mesh, Scatter, TimeSteps, Tracks, Verdict
 from .records import Energy as Energy
 from .records import Record as Record
 from .signatures import Signature, in_python, signed
@@ -76,6 +78,7 @@ SIGNATURES = {
     "sweep": Signature(SweepInputs, SWEEP_FLAGS, tuple(LISTED)),
     "its": Signature(ItsInputs, STUDY_FLAGS),
     "scatter": Signature(ScatterInputs, SCATTER_FLAGS),
+    "brush": Signature(BrushInputs, BRUSH_FLAGS),
     "calibrate": Signature(CalibrateInputs, CALIBRATE_FLAGS),
     "close_loop": Signature(LoopInputs, LOOP_FLAGS),
     "synth": Signature(Recipe, SYNTH_FLAGS),
@@ -282,6 +285,36 @@ class Session(CaseSession):
         with self._into(out) as folder:
             run_scatter(asked, folder, with_mpi(self.comm))
             return Scatter(self._document(folder / DOCUMENT), *self._tables(folder, TABLE))
+
+    @_call()
+    @signed(SIGNATURES["brush"], returns=Brush)
+    def brush(self, *, out: Folder | None = None, **inputs: Any) -> Brush:
+        """Bristles clamped in a hub that is pressed on a surface and moved, as `bristle brush`:
+        ``bristle.brush(motion="slide:speed=0.5", mount_angle_deg=30)``.
+
+        Parameters
+        ----------
+        out : str | Path | None
+            A folder for the command's files. Default: none.
+
+        Returns
+        -------
+        Brush
+            What result.json holds, and the tables of the hub and of the tips.
+
+        Raises
+        ------
+        InputError
+            An input is wrong.
+        ComputationError
+            The bristles' motion could not be computed.
+        """
+        from ..brush.run import HUB_FILE, TIPS_FILE, run_brush
+
+        asked = self._checked("brush", inputs)
+        with self._into(out) as folder:
+            found = run_brush(asked, folder, self.comm)
+            return Brush(found, *self._tables(folder, HUB_FILE, TIPS_FILE))
 
     @_call()
     @signed(SIGNATURES["calibrate"], returns=Calibration)
@@ -532,6 +565,7 @@ drop = _function("drop")
 sweep = _function("sweep")
 its = _function("its")
 scatter = _function("scatter")
+brush = _function("brush")
 calibrate = _function("calibrate")
 close_loop = _function("close_loop")
 synth = _function("synth")

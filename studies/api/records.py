@@ -299,6 +299,54 @@ class Scatter(Record):
         return ax
 
 
+class Brush(Record):
+    """A brush: what result.json holds, by name.
+
+    ``hub`` is a DataFrame with hub.csv's columns, ``tips`` one with those of tips.csv.
+    """
+
+    inputs: Record
+    n_bristles: int
+    hub_at_first_touch_m: float
+    steady_from_s: float
+    force_N: Record
+    torque_Nm: Record
+    tips_share: Record
+    bending_stress: Record
+    energy: Record
+    n_steps: int
+    warnings: list[str]
+    wall_s: Record
+    peak_rss_MB: float
+    ranks: int
+    hub: pd.DataFrame
+    tips: pd.DataFrame
+
+    def __init__(self, values: Mapping[str, Any], hub: pd.DataFrame, tips: pd.DataFrame) -> None:
+        super().__init__(values)
+        self.hub, self.tips = hub, tips
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return type(self), (dict(self), self.hub, self.tips)
+
+    def rows(self) -> list[tuple[str, str]]:
+        from ..brush.run import summary
+
+        return summary(self)
+
+    def heading(self) -> str:
+        return f"a brush of {self.n_bristles}, {self.inputs.layout}"
+
+    def plot(self, ax: Axes | None = None) -> Axes:
+        """The force on the hub over time, by component."""
+        ax = _axes(ax)
+        for axis in "xyz":
+            ax.plot(self.hub.t_s, self.hub[f"f{axis}_N"], label=axis)
+        ax.set(xlabel="time (s)", ylabel="force on the hub (N)", title=self.heading())
+        ax.legend()
+        return ax
+
+
 class Calibration(Record):
     """Kn from measured drops: calibrate.json by name."""
 

@@ -22,7 +22,7 @@ from pydantic import BaseModel
 
 from ...solver.effects.base import Effect
 from ..inputs.flags import UNITS, Flag, unit_of
-from ..inputs.named import EffectInput, GivenFile
+from ..inputs.named import EffectInput, GivenFile, MotionInput
 from ..inputs.sources import OPTIONS
 
 # Further names of inputs that take several, as they are called where there is one.
@@ -132,6 +132,8 @@ def _python_type(kind: Any) -> Any:
         return some if inner[0] is EffectInput else _one_or_several(item)
     if kind is EffectInput:
         return str | Effect
+    if kind is MotionInput:
+        return str
     if isinstance(kind, type) and issubclass(kind, GivenFile):
         return str | Path
     if isinstance(kind, type) and issubclass(kind, StrEnum):

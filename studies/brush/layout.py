@@ -51,8 +51,7 @@ def stand(
     if layout is Layout.ROW:
         grid = spacing_m * _grid(rows, each)
         return Stand(grid, np.tile([1.0, 0.0], (count, 1)))
-    tuft, around = np.zeros((1, 2)), each
-    depth = 1
+    tuft, depth, around = _grid(1, 1), 1, each
     if layout is Layout.CUP:
         wide = math.ceil(math.sqrt(each))
         depth, around = math.ceil(each / wide), tufts

@@ -49,7 +49,7 @@ class Inputs(SharedFields):
             return data
         data = dict(data)
         _resolve_shape(data)
-        _resolve_material(data)
+        resolve_material(data)
         poisson = data.get("poisson", paper.POISSON)
         if isinstance(poisson, float) and -1.0 < poisson < 0.5:
             _default(data, "kt_ratio", mindlin_ratio(poisson))
@@ -314,16 +314,21 @@ def _resolve_shape(data: dict[str, Any]) -> None:
             if data.get(field) is not None:
                 refuse(field, "excluded by --mesh, which says it itself")
         return
-    _default(data, "length_m", paper.LENGTH_M)
-    if data.get("diameter_m") is None:
-        _default(data, "width_m", paper.WIDTH_M)
-        _default(data, "thickness_m", paper.THICKNESS_M)
+    resolve_measures(data)
     _default(data, "cells", fields.CELLS)
     _default(data, "grading", 1.0)
     _default(data, "geometry_order", 1 if data.get("diameter_m") is None else 2)
 
 
-def _resolve_material(data: dict[str, Any]) -> None:
+def resolve_measures(data: dict[str, Any]) -> None:
+    """Fill in the paper's bristle where measures are missing."""
+    _default(data, "length_m", paper.LENGTH_M)
+    if data.get("diameter_m") is None:
+        _default(data, "width_m", paper.WIDTH_M)
+        _default(data, "thickness_m", paper.THICKNESS_M)
+
+
+def resolve_material(data: dict[str, Any]) -> None:
     """Fill in what a material by name is like."""
     if data.get("material") not in tuple(MaterialName):
         return

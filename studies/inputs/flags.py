@@ -21,6 +21,7 @@ from pydantic_core import PydanticCustomError
 UNITS = {
     "_kg_m3": "kg/m³",
     "_m_s2": "m/s²",
+    "_m_s": "m/s",
     "_N_m": "N/m",
     "_1_s": "1/s",
     "_deg": "degrees",

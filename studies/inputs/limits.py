@@ -21,6 +21,8 @@ from .sources import OPTIONS
 from .stance import lean_deg, narrow_zone, slowest_bending_1_s, surface_normal
 
 if TYPE_CHECKING:
+    from pydantic import BaseModel
+
     from .config import DropInputs, Inputs
 
 UNKNOWNS = 10_000_000
@@ -145,17 +147,17 @@ def _check_spring(inputs: DropInputs) -> None:
 
 def input_warnings(inputs: DropInputs) -> list[str]:
     """What a user should know before the run: value, limit, and what to change."""
-    found = [*_unit_warnings(inputs), *_damping_warnings(inputs)]
+    found = [*unit_warnings(inputs), *_damping_warnings(inputs)]
     if inputs.model is Model.ANALYTIC:
         return found
     return [*found, *_step_warnings(inputs), *_lean_warnings(inputs)]
 
 
-def _unit_warnings(inputs: DropInputs) -> list[str]:
+def unit_warnings(inputs: BaseModel) -> list[str]:
     """Values far outside what bristles are, with the unit that was probably meant."""
     found = []
     for field, (low, high, units) in USUAL.items():
-        value = getattr(inputs, field)
+        value = getattr(inputs, field, None)
         if value is None or math.isinf(value) or low <= value <= high:
             continue
         unit, option = field.partition("_")[2].replace("_", "/"), OPTIONS[field]

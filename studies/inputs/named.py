@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 from pydantic import Field
 
 from ...solver.errors import InputError
+from .choices import Motion
 from .flags import Fields
 from .texts import hints
 
@@ -119,6 +120,68 @@ class GivenFile(Fields):
 
     path: str
     sha256: str
+
+
+class MotionInput(Fields):
+    """How a hub moves: ``speed_m_s`` of one that slides, ``rpm`` of one that rotates, or its path
+    in a ``file``."""
+
+    kind: Motion
+    speed_m_s: float | None = None
+    rpm: float | None = None
+    file: GivenFile | None = None
+
+    def __str__(self) -> str:
+        """As the option has it."""
+        if self.file is not None:
+            return f"{self.kind}:{self.file.path}"
+        given = {"speed": self.speed_m_s, "rpm": self.rpm}
+        said = (f":{name}={value:g}" for name, value in given.items() if value is not None)
+        return f"{self.kind}{next(said, '')}"
+
+
+def read_motion(value: Any) -> Any:
+    """A `MotionInput` of ``press``, ``slide:speed=…``, ``rotate:rpm=…`` or ``file:FILE.csv``, or of
+    what a result holds; ValueError where it is malformed, or the file has changed since."""
+    if isinstance(value, dict) and _has_path(value.get("file")):
+        kept = value["file"]
+        value = {**value, "file": _unchanged(kept, _sha256(kept["path"]), "--motion")}
+    if isinstance(value, dict):
+        return MotionInput.model_validate(value)
+    if not isinstance(value, str):
+        return value
+    name, _, rest = value.strip().partition(":")
+    key, _, text = (part.strip() for part in rest.partition("="))
+    if name == Motion.FILE and rest:
+        path = str(Path(rest).resolve())
+        return MotionInput(kind=Motion.FILE, file=GivenFile(path=path, sha256=_sha256(path)))
+    if name == Motion.PRESS and not rest:
+        return MotionInput(kind=Motion.PRESS)
+    keys = {Motion.SLIDE: ("speed", "speed_m_s"), Motion.ROTATE: ("rpm", "rpm")}
+    for kind, (said, field) in keys.items():
+        if name == kind and key == said:
+            return MotionInput.model_validate({"kind": kind, field: _speed(said, text)})
+    raise ValueError(
+        f"must be press, slide:speed=M/S, rotate:rpm=RPM or file:FILE.csv, not '{value}'"
+    )
+
+
+def _speed(name: str, text: str) -> float:
+    try:
+        speed = float(text)
+    except ValueError:
+        speed = math.nan
+    if not math.isfinite(speed) or speed == 0.0:
+        raise ValueError(f"must give '{name}' a finite number other than 0, not '{text}'")
+    return speed
+
+
+def _sha256(path: str) -> str:
+    """Of what is in a file; ValueError where it cannot be read."""
+    found = digest_of(Path(path))
+    if found is None:
+        raise ValueError(f"{path}: cannot be read")
+    return found
 
 
 class MeshFile(GivenFile):

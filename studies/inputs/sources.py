@@ -16,6 +16,8 @@ from pydantic import BaseModel, ValidationError
 
 from ...solver.errors import InputError
 from ...solver.materials import MATERIALS, MaterialName
+from .brush_fields import BRUSH_FLAGS
+from .choices import Motion
 from .fields import DROP_FLAGS, LIST_FLAGS
 from .flags import Flag
 from .named import REPLACED, digest_of
@@ -24,6 +26,7 @@ from .texts import hints, line_of, parse_json, parse_toml, quoted, read_text
 
 LOG = logging.getLogger("bristle")
 EVERY_FLAG = (
+    *BRUSH_FLAGS,
     *(*SYNTH_FLAGS, *CALIBRATE_FLAGS, *LOOP_FLAGS),
     *(*OWN_FLAGS, *DROP_FLAGS, *LIST_FLAGS),
 )
@@ -45,10 +48,16 @@ RESOLVED = {
     "width_m": ("geometry_order",),
     "thickness_m": ("geometry_order",),
     "poisson": ("kt_ratio",),
-    "material": ("youngs_Pa", "poisson", "density_kg_m3", "beta_s", "kt_ratio"),
+    "material": (
+        *("youngs_Pa", "poisson", "density_kg_m3", "beta_s", "kt_ratio", "yield_strength_Pa"),
+    ),
+    "friction": ("friction_static",),
+    "motion": ("penetration_m", "until_s", "every_s"),
+    "until_s": ("every_s",),
 }
 # Fields that name files. In a TOML file their paths count from its folder.
 FILES = ("mesh", "plugins", "surface")
+OF_FILE = f"{Motion.FILE}:"
 # Inputs that earlier versions had, by the one value with which a drop is the same without them.
 RETIRED = {"march": False}
 # Where the material has a name, its damping follows from these.
@@ -167,6 +176,8 @@ def read_config(path: Path, flags: Iterable[Flag], ignored: Iterable[Flag] = ())
             raise InputError(f"{place}: given twice, also as {found.origins[name]}")
         if name in FILES and not found.resolved:
             value = _beside(path, value)
+        if name == "motion" and str(value).startswith(OF_FILE):
+            value = f"{OF_FILE}{_beside(path, value.removeprefix(OF_FILE))}"
         found.values[name], found.origins[name] = value, place
     return found
 
@@ -245,7 +256,7 @@ def command_line(name: str, inputs: BaseModel, usual: BaseModel, out: Path) -> s
         if key not in type(inputs).model_fields or value in (None, getattr(usual, key)):
             continue
         if isinstance(value, bool):
-            words.append(option)
+            words.append(option if value else option.replace("--", "--no-", 1))
         elif isinstance(value, tuple) and key != "cells":
             words += [option, ",".join(map(str, value))]
         else:

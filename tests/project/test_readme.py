@@ -34,7 +34,7 @@ pytestmark = pytest.mark.serial
 SQUARE_BAR = "studies/measured/square-bar"
 STUDIES = readme.REPOSITORY / "studies"
 # Scripts that take the flags of a command.
-SCRIPTS = {"sweep", "its", "drop", "scatter", "close-loop", "reproduce"}
+SCRIPTS = {"sweep", "its", "drop", "scatter", "brush", "close-loop", "reproduce"}
 OF_OTHERS = {
     "--help",
     "--script",

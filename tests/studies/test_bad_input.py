@@ -35,6 +35,7 @@ from bristle.studies import bench as bench_study
 from bristle.studies import drop as drop_study
 from bristle.studies import sweep as sweep_study
 from bristle.studies import synth as synth_study
+from bristle.studies.brush import run as brush_study
 from bristle.studies.calibrate import run as calibrate_study
 from bristle.studies.cli import app
 from bristle.studies.close_loop import run as loop_study
@@ -95,6 +96,7 @@ def marked(monkeypatch):
         (mesh_study, "run_mesh"),
         (reproduce_study, "run_reproduce"),
         (scatter_study, "Scene"),
+        (brush_study, "make_rods"),
         (calibrate_study, "calibrate"),
         (synth_study, "run_synth"),
         (loop_study, "_simulate"),
@@ -128,7 +130,7 @@ class _Watch:
 
 # --- configurations -------------------------------------------------------------------------------
 
-STUDIES = ("drop", "sweep", "its", "mesh", "reproduce", "scatter")
+STUDIES = ("drop", "sweep", "its", "mesh", "reproduce", "scatter", "brush")
 
 
 def promises_of_a_configuration(content, command, seen):

@@ -231,6 +231,7 @@ WRITERS = {
     "drop": ["drop"],
     "sweep": ["sweep", "--models", "analytic", "--kn", "1e5,2e6", "--heights", "0.01"],
     "its": ["its", "--models", "analytic", "--kn", "1e5", "--its", "1e-4,1e-5,1e-6"],
+    "brush": ["brush", "--elements", "3", "--until", "0.004", "--every", "0.001"],
     "calibrate": ["calibrate", "paper"],
 }
 ALL = {
@@ -493,10 +494,11 @@ LONG = {
     "sweep": ["sweep", *SMALL, "--models", "beam,reduced,solid", "--kn", "1e5,2e6,1e8"],
     "its": ["its", *SMALL, "--models", "beam,reduced", "--kn", "1e5,2e6"],
     "scatter": ["scatter", *SMALL, "--drops", "1500"],
+    "brush": ["brush", "--layout", "row", "--count", "20", "--keep", "0"],
     "synth": ["synth", "--drops", "300", "--effect", "air_drag:cd=1.1"],
     "close-loop": ["close-loop"],
 }
-RESUMABLE = ("solid", "sweep", "its", "scatter")
+RESUMABLE = ("solid", "sweep", "its", "scatter", "brush")
 ROUNDS = 6
 
 

@@ -29,6 +29,7 @@ pytestmark = pytest.mark.serial
 CELLS = ("--cells", "1", "1", "8")
 SOLID = ("drop", "--model", "solid", *CELLS, "--order", "1", "--its", "2e-5")
 SWEEP = ("sweep", "--models", "analytic", "--kn", "1e5,2e6", "--its", "1e-5,1e-6")
+SHORT = ("--elements", "3", "--until", "0.004", "--every", "0.001")
 # Commands, and what of each computes.
 COMMANDS = {
     "drop": (SOLID, "bristle.studies.drop.session_on"),
@@ -38,6 +39,7 @@ COMMANDS = {
         "running.study.session_on",
     ),
     "scatter": (("scatter", "--drops", "10", "--model", "beam", "--flat"), "scatter.run.Scene"),
+    "brush": (("brush", *SHORT), "brush.run.make_rods"),
     "calibrate": (("calibrate", "paper"), "calibrate.run.calibrate"),
     "close-loop": (("close-loop", "DATA", "--no-3d"), "close_loop.run.problem_of"),
     "synth": (("synth", "--drops", "6"), "synth.reduced_body"),

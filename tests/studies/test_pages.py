@@ -29,7 +29,7 @@ from bristle.studies.reproduce.run import run_reproduce
 
 pytestmark = [pytest.mark.serial, needs_chromium]
 
-COMMANDS = ("reproduce", "close-loop", "scatter", "calibrate", "calibrate-paper")
+COMMANDS = ("reproduce", "close-loop", "scatter", "brush", "calibrate", "calibrate-paper")
 BENCHES = ("peers", "step", "sizes", "ranks")
 PAGES = (*COMMANDS, *BENCHES)
 PHONE, DESK = 390, 1280
@@ -91,6 +91,7 @@ def pages(tmp_path_factory) -> Path:
         for command, *rest in (
             ["close-loop", str(drops)],
             ["scatter", *few],
+            ["brush", "--until", "0.02", "--elements", "5"],
             ["calibrate", str(drops)],
         ):
             assert main([command, *rest, "--out", str(folder / command)]) == 0

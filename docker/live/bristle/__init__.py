@@ -20,6 +20,7 @@ from .studies import __version__
 # The types of these stand in __init__.pyi, which tests/derived.py writes.
 __all__ = [
     "BristleWarning",
+    "Brush",
     "Calibration",
     "ComputationError",
     "Dataset",
@@ -35,6 +36,7 @@ __all__ = [
     "Tracks",
     "Verdict",
     "__version__",
+    "brush",
     "calibrate",
     "close_loop",
     "drop",

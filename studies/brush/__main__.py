@@ -1,0 +1,5 @@
+"""The folder as a script: ``python3 -m bristle.studies.brush``."""
+
+from ..command.script import as_script
+
+as_script("brush")

@@ -1,0 +1,215 @@
+"""Inputs of a brush, checked together, and what the solver's rods are made of."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any, Self
+
+import numpy as np
+from pydantic import model_validator
+
+from ...meshes.section import Circle, Rectangle, Section
+from ...solver import paper
+from ...solver.arrays import Array
+from ...solver.bristle import Bristle, Material
+from ...solver.contact.laws import mindlin_ratio
+from ...solver.materials import MATERIALS, MaterialName
+from ...solver.rods.hub import Clamps, HubPath
+from ..inputs.brush_fields import ROWS_OVER_TIME, BrushFields
+from ..inputs.choices import Layout, Motion
+from ..inputs.config import resolve_material, resolve_measures
+from ..inputs.fields import BodyFields, MaterialFields
+from ..inputs.flags import refuse
+from ..inputs.named import MotionInput, read_motion
+from .layout import directions, lowest_m, overlapping, stand
+from .motion import read_path, stroke
+
+PENETRATION_M, UNTIL_S = 0.02, 1.0
+MOST_ROWS = 100_000
+# Instants of a path at which the clamps' height is looked at, between two rows.
+LOOKS = 8
+# A clamp on the surface, and a bristle that touches at the start, but for rounding.
+TOUCHING_M = 1e-9
+
+
+class BrushInputs(MaterialFields, BodyFields, BrushFields):
+    """Every option of `bristle brush`, resolved and checked."""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _resolve(cls, data: Any) -> Any:
+        """Fill in what depends on other options."""
+        if not isinstance(data, dict):
+            return data
+        data = {name: value for name, value in data.items() if value is not None}
+        resolve_measures(data)
+        resolve_material(data)
+        material = data.get("material", MaterialName.STEEL)
+        if material in tuple(MaterialName):
+            data.setdefault("yield_strength_Pa", MATERIALS[MaterialName(material)].yield_Pa)
+        poisson = data.get("poisson", paper.POISSON)
+        if isinstance(poisson, float) and -1.0 < poisson < 0.5:
+            data.setdefault("kt_ratio", mindlin_ratio(poisson))
+        data.setdefault("friction_static", data.get("friction", paper.FRICTION))
+        data.setdefault("motion", cls.model_fields["motion"].default)
+        data["motion"] = moved = _motion(data["motion"])
+        if moved.file is not None:
+            data.setdefault("until_s", _end_s(read_path(Path(moved.file.path))))
+        else:
+            data.setdefault("penetration_m", PENETRATION_M)
+        data.setdefault("until_s", UNTIL_S)
+        if isinstance(data["until_s"], float | int):
+            data.setdefault("every_s", data["until_s"] / ROWS_OVER_TIME)
+        return data
+
+    @model_validator(mode="after")
+    def _possible(self) -> Self:
+        """Refuse what no brush can be or do."""
+        if self.diameter_m is not None and (self.width_m or self.thickness_m):
+            refuse("diameter_m", "a round wire has neither --width nor --thickness")
+        if self.friction_static is not None and self.friction_static < self.friction:
+            refuse("friction_static", f"is less than the {self.friction:g} of --friction")
+        if self.flare_deg and self.layout not in (Layout.RING, Layout.CUP):
+            refuse("flare_deg", "is for a ring or a cup, whose hub has an axis to spread from")
+        if self.duration_s > MOST_ROWS * self.interval_s:
+            refuse("every_s", f"makes more than {MOST_ROWS:,} rows")
+        if 3.0 * self.length_std_m > self.bristle().length_m:
+            refuse("length_std_m", "is more than a third of the length")
+        try:
+            clamps = self.clamps
+        except ValueError as error:
+            refuse("count", str(error))
+        pair = overlapping(self.section, clamps.position_m, clamps.rotation, clamps.length_m)
+        if pair is not None:
+            refuse("spacing_m", f"bristles {pair[0]} and {pair[1]} overlap at the start")
+        self._check_path()
+        return self
+
+    def _check_path(self) -> None:
+        """Refuse a hub that takes a clamp below the surface, or starts with a bristle in it."""
+        path, clamps = self.hub_motion, self.clamps
+        first = path.pose(0.0)
+        height = float(first.position_m[2] + self._lowest_m(first.rotation))
+        if self.motion.file is None:
+            depth, reach = self.penetration_m or 0.0, float(clamps.length_m.max())
+            if depth >= reach:
+                refuse("penetration_m", f"goes beyond the bristles' length of {reach:.4g} m")
+            if first.position_m[2] - depth <= TOUCHING_M:
+                refuse(
+                    "penetration_m",
+                    f"takes the clamps below the surface: they stand {first.position_m[2]:.4g} m "
+                    "above it when the first bristle touches",
+                )
+            return
+        if self.penetration_m is not None:
+            refuse("penetration_m", "is in the heights of --motion file:…; leave it out")
+        if self.duration_s > _end_s(path) + TOUCHING_M:
+            refuse("until_s", f"{self.duration_s:g} s is after the path's end, {_end_s(path):g} s")
+        looks = np.interp(
+            np.arange(LOOKS * (len(path.breaks) - 2) + 1) / LOOKS,
+            np.arange(len(path.breaks)),
+            path.breaks,
+        )
+        for t in looks:
+            pose = path.pose(t)
+            if (pose.position_m[2] + clamps.position_m @ pose.rotation[2]).min() <= TOUCHING_M:
+                refuse("motion", f"the path takes a clamp below the surface, at {t:.4g} s")
+        if height < -TOUCHING_M:
+            refuse("motion", f"a bristle starts {-height:.3g} m below the surface")
+
+    @property
+    def duration_s(self) -> float:
+        """When it ends."""
+        return UNTIL_S if self.until_s is None else self.until_s
+
+    @property
+    def interval_s(self) -> float:
+        """Time between rows."""
+        return self.duration_s / ROWS_OVER_TIME if self.every_s is None else self.every_s
+
+    @property
+    def section(self) -> Section:
+        """Of each bristle."""
+        if self.diameter_m is not None:
+            return Circle(self.diameter_m)
+        return Rectangle(self.thickness_m or paper.THICKNESS_M, self.width_m or paper.WIDTH_M)
+
+    def bristle(self) -> Bristle:
+        """A bristle of mean length."""
+        material = Material(
+            self.youngs_Pa, self.poisson, self.density_kg_m3, self.alpha_1_s, self.beta_s
+        )
+        return Bristle(self.length_m or paper.LENGTH_M, self.section, material)
+
+    @property
+    def upright(self) -> bool:
+        """Whether clamps hold bristles along the vertical, but for what is drawn at random."""
+        return not (self.mount_angle_deg or self.flare_deg)
+
+    @property
+    def clamps(self) -> Clamps:
+        """Where each bristle is clamped, in the hub's axes; ValueError as `layout.stand` has it."""
+        stood = stand(self.layout, self.count, self.rows, self.tufts, self.radius_m, self.spacing_m)
+        # a row for each bristle, so that more bristles change none of the first
+        drawn = np.random.default_rng(self.seed).standard_normal((self.count, 3))
+        lean = np.array([self.mount_angle_deg, 0.0]) + self.angle_std_deg * drawn[:, :2]
+        rotation = directions(
+            stood.outward, self._forward(stood.outward), lean, self.flare_deg, self.twist_deg
+        )
+        place = np.column_stack([stood.place_m, np.zeros(self.count)])
+        length = self.bristle().length_m + self.length_std_m * drawn[:, 2]
+        return Clamps(place, rotation, length)
+
+    def _forward(self, outward: Array) -> Array:
+        """The direction of motion (n, 2) of each bristle at the start."""
+        sign = math.copysign(1.0, self.motion.rpm or self.motion.speed_m_s or 1.0)
+        if self.motion.kind is Motion.ROTATE:
+            return sign * np.column_stack([-outward[:, 1], outward[:, 0]])
+        return np.tile([sign, 0.0], (len(outward), 1))
+
+    @property
+    def hub_motion(self) -> HubPath:
+        """How the hub moves; a stroke begins where the first bristle touches."""
+        if self.motion.file is not None:
+            return read_path(Path(self.motion.file.path))
+        return stroke(
+            self.first_touch_m,
+            self.penetration_m or 0.0,
+            self.start_s,
+            self.motion.speed_m_s or 0.0,
+            2.0 * math.pi * (self.motion.rpm or 0.0) / 60.0,
+        )
+
+    @property
+    def first_touch_m(self) -> float:
+        """Height of the hub, with its axes along the world's, where the first bristle touches."""
+        return -self._lowest_m(np.eye(3))
+
+    def _lowest_m(self, attitude: Array) -> float:
+        """Height of the lowest point of all straight bristles above the hub, which is turned to
+        ``attitude`` (3, 3)."""
+        clamps = self.clamps
+        roots, rotation = clamps.position_m @ attitude.T, attitude @ clamps.rotation
+        return float(lowest_m(self.section, roots, rotation, clamps.length_m).min())
+
+    @property
+    def steady_from_s(self) -> float:
+        """When means begin: after the hub has come down, or at the start of a path."""
+        return 0.0 if self.motion.file is not None else min(self.start_s, self.duration_s)
+
+
+def _motion(value: Any) -> MotionInput:
+    """A motion of what was given; ends validation where it is none."""
+    try:
+        moved = read_motion(value)
+    except ValueError as error:
+        refuse("motion", str(error))
+    if not isinstance(moved, MotionInput):
+        refuse("motion", f"must be text such as slide:speed=1, not {value!r}")
+    return moved
+
+
+def _end_s(path: HubPath) -> float:
+    """When the last row of a file's path is reached; the hub then rests."""
+    return float(path.breaks[-2])

@@ -1,0 +1,188 @@
+"""Page and figures of a brush."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection
+from matplotlib.figure import Figure
+
+from ...solver.arrays import Array
+from .. import __version__
+from ..inputs.choices import Layout
+from ..inputs.sources import checked, command_line
+from ..report.figures import BLACK, BLUE, GREEN, GREY, VERMILION, drawing, panels, styled
+from ..report.page import Head, Report, Section, write_report
+from ..report.prose import Prose
+from .inputs import BrushInputs
+from .record import DRAWN, Record
+
+# Instants of which the shape is drawn: of one bristle several, of many the last.
+INSTANTS = 7
+# Of a view of the brush, over its height.
+LEAST_WIDTH = 0.4
+HEADS: dict[str, Head] = {
+    "in_contact": ("in contact", "share of tips", 3),
+    "sticking": ("sticking", "share of tips", 3),
+    "slipping": ("slipping", "share of tips", 3),
+    "stress_MPa": ("bending stress", "MPa", 4),
+    **{f"f{axis}_N": (f"force along {axis}", "N", 4) for axis in "xyz"},
+    **{f"m{axis}_Nm": (f"torque about {axis}", "N m", 4) for axis in "xyz"},
+    "energy_J": ("energy", "J", 4),
+}
+ENERGIES = {
+    "hub_work_J": "work of the hub",
+    "kinetic_J": "motion of the bristles",
+    "strain_J": "elastic energy of the bristles",
+    "potential_J": "height of the bristles",
+    "contact_J": "held by the contact springs",
+    "material_loss_J": "lost in the material",
+    "friction_loss_J": "lost to friction",
+    "numerical_J": "lost by the time steps",
+}
+prose = Prose(Path(__file__).with_name("words.j2"), HEADS)
+
+
+def write_page(inputs: BrushInputs, record: Record, document: Mapping[str, Any], out: Path) -> None:
+    """Write ``report.html``, ``figures/`` and ``tables/`` of what a brush did."""
+    sections = [
+        _force_section(record.hub_table(), document),
+        _tips_section(record.over_time(), document),
+        _shape_section(inputs, record),
+        _stress_section(record.over_time(), document, inputs.yield_strength_Pa),
+        _energy_section(inputs, document),
+    ]
+    if document["warnings"]:
+        sections.append(Section("warnings", "What deserves doubt", document["warnings"]))
+    page = Report(
+        title="A brush on a surface",
+        lead=prose.text("lead", inputs=inputs)[0],
+        version=__version__,
+        command=command_line("brush", inputs, checked(BrushInputs, {}), out),
+        headline=prose.text("headline", said=document, inputs=inputs),
+        facts=[("bristles", str(inputs.count)), ("time steps", str(record.steps))],
+        sections=sections,
+    )
+    write_report(page, out)
+
+
+def _force_section(hub: pd.DataFrame, document: Mapping[str, Any]) -> Section:
+    draft = prose("force", said=document)
+    data = draft.data("hub", hub)
+    draft.figure("force", force_figure(hub), data)
+    draft.figure("torque", torque_figure(hub), data)
+    return draft.section()
+
+
+def _over_time(ax: Axes, table: pd.DataFrame, names: Sequence[str]) -> None:
+    for name, axis, colour in zip(names, "xyz", (VERMILION, GREEN, BLUE), strict=True):
+        ax.plot(table.t_s, table[name], color=colour, label=axis)
+
+
+@drawing("time (s)", "force on the hub (N)")
+def force_figure(ax: Axes, hub: pd.DataFrame) -> None:
+    """The three components of the force over time."""
+    _over_time(ax, hub, ("fx_N", "fy_N", "fz_N"))
+
+
+@drawing("time (s)", "torque on the hub (N m)")
+def torque_figure(ax: Axes, hub: pd.DataFrame) -> None:
+    """The three components of the torque over time."""
+    _over_time(ax, hub, ("mx_Nm", "my_Nm", "mz_Nm"))
+
+
+def _tips_section(over: pd.DataFrame, document: Mapping[str, Any]) -> Section:
+    draft = prose("tips", said=document)
+    data = draft.data("shares", over.drop(columns="bending_stress_Pa"))
+    draft.figure("shares", shares_figure(over), data)
+    return draft.section()
+
+
+@drawing("time (s)", "share of tips", ylim=(-0.03, 1.03))
+def shares_figure(ax: Axes, over: pd.DataFrame) -> None:
+    """Shares of tips that stick and that slip over time."""
+    ax.stackplot(
+        over.t_s,
+        over.sticking,
+        over.slipping,
+        labels=["stick", "slip"],
+        colors=[BLUE, VERMILION],
+        alpha=0.55,
+        lw=0,
+    )
+
+
+def _shape_section(inputs: BrushInputs, record: Record) -> Section:
+    several = inputs.layout is Layout.SINGLE
+    number = len(record.times_s)
+    chosen = np.unique(np.linspace(0, number - 1, INSTANTS).astype(int)) if several else [-1]
+    shapes, rows, path = [], [], inputs.hub_motion
+    for i in chosen:
+        origin = path.pose(record.times_s[i]).position_m
+        lines = record.shapes[i] - [origin[0], origin[1], 0.0, 0.0]
+        shapes.extend(lines)
+        for bristle, line in zip(record.drawn, lines, strict=True):
+            points = pd.DataFrame(1e3 * line[:, :3], columns=["x_mm", "y_mm", "z_mm"])
+            points["stress_MPa"] = 1e-6 * line[:, 3]
+            points.insert(0, "bristle", bristle)
+            points.insert(0, "t_s", record.times_s[i])
+            rows.append(points)
+    draft = prose("shape", several=several, drawn=min(inputs.count, DRAWN), count=inputs.count)
+    data = draft.data("shape", pd.concat(rows))
+    draft.figure("shape", shape_figure(np.array(shapes)), data)
+    return draft.section()
+
+
+@styled
+def shape_figure(lines: Array) -> Figure:
+    """Bristles (n, nodes, 4) from two sides, coloured by bending stress, the last coordinate."""
+    figure, axes = panels(columns=2, height_in=3.6)
+    stress, points = 1e-6 * lines[:, :, 3], 1e3 * lines[:, :, :3]
+    low, high = points.min(axis=(0, 1)), points.max(axis=(0, 1))
+    # equally wide, so that both have one scale
+    half = 0.55 * max(*(high - low)[:2], LEAST_WIDTH * high[2])
+    for ax, side, name in zip(axes[0], (0, 1), "xy", strict=True):
+        seen = points[:, :, [side, 2]]
+        pieces = np.stack([seen[:, :-1], seen[:, 1:]], axis=2).reshape(-1, 2, 2)
+        drawn = LineCollection(list(pieces), cmap="viridis", linewidths=1.0)
+        drawn.set_array(0.5 * (stress[:, :-1] + stress[:, 1:]).ravel())
+        drawn.set_clim(0.0, max(float(stress.max()), 1e-9))
+        ax.add_collection(drawn)
+        ax.axhline(0.0, color=GREY, lw=0.8)
+        middle = 0.5 * (low[side] + high[side])
+        ax.set(xlabel=f"{name} from the hub (mm)", aspect="equal")
+        ax.set(xlim=(middle - half, middle + half), ylim=(-0.05 * high[2], 1.05 * high[2]))
+        ax.locator_params(axis="x", nbins=4)
+    axes[0, 0].set_ylabel("height (mm)")
+    figure.colorbar(drawn, ax=axes, label="bending stress (MPa)", shrink=0.8)
+    return figure
+
+
+def _stress_section(
+    over: pd.DataFrame, document: Mapping[str, Any], yield_strength_Pa: float | None
+) -> Section:
+    draft = prose("stress", said=document, limit=yield_strength_Pa)
+    table = pd.DataFrame({"t_s": over.t_s, "stress_MPa": 1e-6 * over.bending_stress_Pa})
+    draft.figure("stress", stress_figure(table, yield_strength_Pa), draft.data("stress", table))
+    return draft.section()
+
+
+@drawing("time (s)", "greatest bending stress (MPa)", ylim=(0.0, None))
+def stress_figure(ax: Axes, table: pd.DataFrame, yield_strength_Pa: float | None) -> None:
+    """The greatest bending stress of all bristles over time, and the yield strength."""
+    ax.plot(table.t_s, table.stress_MPa, color=BLUE, label="greatest of all bristles")
+    if yield_strength_Pa is not None:
+        ax.axhline(1e-6 * yield_strength_Pa, color=BLACK, ls="--", label="yield strength")
+
+
+def _energy_section(inputs: BrushInputs, document: Mapping[str, Any]) -> Section:
+    draft = prose("energy", said=document, inputs=inputs)
+    energy = document["energy"]
+    rows = {"what": list(ENERGIES.values()), "energy_J": [energy[name] for name in ENERGIES]}
+    draft.table("energy", rows)
+    return draft.section()
