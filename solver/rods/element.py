@@ -398,9 +398,9 @@ def assemble_tangent(chain: Chain, rate: float, system: System, elements: Elemen
     blocks, and write the others."""
     room, vector = elements.room, elements.ends[0]
     for i in range(len(system.residual)):
-        for r in range(6):
-            for c in range(6):
-                system.above[i, r, c] = system.below[i, r, c] = 0.0
+        for row in range(6):
+            for column in range(6):
+                system.above[i, row, column] = system.below[i, row, column] = 0.0
     for e in range(len(chain.length)):
         strain, load = elements.strain[e], elements.load[e]
         c, twist = _moments(chain.length[e], strain, load)

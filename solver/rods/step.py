@@ -414,9 +414,9 @@ def _error(scheme: Scheme, old: Motion, new: Motion, h: float) -> float:
 
 @njit
 def _next_end(hub: Hub, t_s: float, end_s: float) -> float:
-    """The hub's next break, or the end where that comes first."""
+    """The hub's next break, or the end where that comes first or all but at once."""
     for at in hub.breaks:
-        if t_s < at < end_s:
+        if t_s + SHORTEST_S < at < end_s - SHORTEST_S:
             return at
     return end_s
 

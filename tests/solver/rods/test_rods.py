@@ -125,6 +125,15 @@ def test_impossible_input_is_refused(change, words):
         Rods(section, one_clamp(place, leaning(LEAN), LENGTH), PATH, Ground(), **change)
 
 
+def test_a_frame_may_fall_on_a_break_of_the_path_but_for_rounding():
+    """Steps end at breaks; none is left of 1e-17 s."""
+    breaks = np.array([0.0, 0.1 + 0.2, 1.0])
+    assert breaks[1] > 0.3
+    path = HubPath(breaks, np.zeros((6, 2, 6)))
+    rods = rows(1, path=path)
+    assert [frame.t_s for frame in rods.march(0.32, 0.3)] == [0.3, 0.32]
+
+
 def test_a_hub_that_goes_below_the_surface_is_refused_before_the_march():
     deep = HubPath.press(1.01 * HEIGHT, 0.1)
     with pytest.raises(InputError, match="below the surface at 0.0"):
