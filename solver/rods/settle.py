@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Iterator
+
 from ..arrays import Array
-from .chain import Chain, new_system
+from .chain import Chain, new_system, total_length
 from .contact import Surface, release
 from .motion import CONTACT, Hub, Motion, Scheme, copy, set_strains
 from .step import new_scratch, step
 
 # The most steps that a rod's weight comes on in.
 MOST_PARTS = 256
+# The surface is at first so many times EI/L³ stiff, and then stiffer by so much at a time.
+SOFT, STIFFER = 1e3, 10.0
 
 
 def settle(
@@ -23,21 +28,23 @@ def settle(
 ) -> bool:
     """Bring a rod into equilibrium with dead loads (n, 6) and the surface without friction.
 
-    The loads come on in equal steps, as few as will do; False where even many do not. Two states
-    of contact would serve friction at rest, so it begins with none. ``other`` is room.
+    The loads come on in equal steps over a soft surface, as few as will do, which is then made as
+    stiff as it is. False where even many steps do not do. Friction at rest can be anything below
+    its limit, so a rod begins with none. ``other`` is room.
     """
-    still, smooth = scheme._replace(inertia=False), surface._replace(static=0.0, kinetic=0.0)
+    still = scheme._replace(inertia=False)
     system, scratch = new_system(len(now.x)), new_scratch(len(now.x))
     start, parts = (now.x.copy(), now.q.copy()), 1
     while parts <= MOST_PARTS:
         done = 0
-        while done < parts:
-            load = loads * ((done + 1) / parts)
-            if step(chain, still, smooth, load, hub, now, other, 0.0, system, scratch) < 0:
+        stages = [*_loading(chain, surface, parts)]
+        for share, plane in stages:
+            load = loads * share
+            if step(chain, still, plane, load, hub, now, other, 0.0, system, scratch) < 0:
                 break
             copy(other, now)
             done += 1
-        if done == parts:
+        if done == len(stages):
             held = now.totals[CONTACT]
             now.totals[:] = 0.0
             now.totals[CONTACT] = held
@@ -48,3 +55,15 @@ def settle(
         set_strains(chain, now)
         parts *= 2
     return False
+
+
+def _loading(chain: Chain, surface: Surface, parts: int) -> Iterator[tuple[float, Surface]]:
+    """Shares of the load, each with the surface as it is then."""
+    bending = min(chain.stiffness[0, 3:5])
+    soft = min(surface.kn, SOFT * bending / total_length(chain) ** 3)
+    smooth = surface._replace(static=0.0, kinetic=0.0, kn=soft)
+    for k in range(1, parts + 1):
+        yield k / parts, smooth
+    steps = math.ceil(math.log(surface.kn / soft) / math.log(STIFFER))
+    for k in range(1, steps + 1):
+        yield 1.0, smooth._replace(kn=soft * (surface.kn / soft) ** (k / steps))

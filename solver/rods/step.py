@@ -329,13 +329,15 @@ def step(
     clamp(hub, t, new.x[0], new.q[0], new.velocity[0])
     _predict(chain, old, new, h if scheme.inertia else 0.0, scratch.elements.room)
     tolerance = force_tolerance(chain, new.x, NEAR)
+    heaviest = farthest = 0.0
+    for i in range(n):
+        heaviest, gaps[i] = max(heaviest, chain.mass[i]), 1.0
+        for c in range(3):
+            farthest = max(farthest, abs(new.x[i, c]))
     if scheme.inertia:
-        heaviest = farthest = 0.0
-        for i in range(n):
-            heaviest, gaps[i] = max(heaviest, chain.mass[i]), 1.0
-            for c in range(3):
-                farthest = max(farthest, abs(new.x[i, c]))
         tolerance += ROUNDING * heaviest / (scheme.beta * h * h) * farthest
+    if surface.there:
+        tolerance += ROUNDING * surface.kn * farthest
     for iteration in range(ITERATION_LIMIT):
         assemble_forces(chain, new.x, new.q, old.strain, rate, system, scratch.elements)
         lost = held = 0.0

@@ -95,6 +95,25 @@ def test_what_the_bristles_do_to_the_hub_is_what_the_ground_does_to_them():
     assert frame.bending_stress_Pa[0, 0] == pytest.approx(abs(root) / modulus, rel=1e-3)
 
 
+@pytest.mark.parametrize("kn_N_m", [1e2, 2e6, 1e10])
+def test_a_bristle_begins_at_rest_on_any_surface(kn_N_m):
+    """One that sags on the surface by its weight stays where it is, whatever Kn: it moves by no
+    more than Newton's tolerance times its flexibility. The hub carries what the surface does not,
+    to the rounding of coordinates times Kn.
+    """
+    section = RodSection.of(Bristle())
+    place = [0.0, 0.0, HEIGHT + section.half_thin_m * math.sin(LEAN) + 1e-4]
+    clamp = one_clamp(place, leaning(LEAN), LENGTH)
+    rods = Rods(section, clamp, HubPath.still(), Ground(kn_N_m, 0.0, 0.0), 20)
+    before = rods.frame()
+    (after,) = rods.march(0.02, 0.02)
+    if MPI.COMM_WORLD.rank == 0:
+        assert np.abs(after.centre_m - before.centre_m).max() < 1e-7
+        weight = 9.8 * section.rhoA_kg_m * LENGTH
+        assert before.tip_normal_N[0] > 0.2 * weight
+        assert -before.force_N[2] == pytest.approx(weight - before.tip_normal_N[0], abs=1e-5)
+
+
 def test_an_upright_bristle_buckles():
     """It bears about Euler's load of a column that is clamped and pinned, 20.19 EI/L², while its
     tip sticks; compressed without buckling it would bear EA δ/L, 5 000 times as much."""
