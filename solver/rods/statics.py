@@ -20,8 +20,11 @@ NEAR, ROUNDING = 1e-9, 2e-15
 
 
 @njit
-def force_tolerance(chain: Chain, x: Array, near: float) -> float:
-    """A force in N that is nothing to this rod: moments are compared with it times the length."""
+def force_tolerance(chain: Chain, x: Array, near: float, rate: float) -> float:
+    """A force in N that is nothing to this rod: moments are compared with it times the length.
+
+    ``rate``, β over the time step, stiffens it against rounding too.
+    """
     total = stiffest = farthest = 0.0
     for e in range(len(chain.length)):
         total += chain.length[e]
@@ -29,7 +32,7 @@ def force_tolerance(chain: Chain, x: Array, near: float) -> float:
             farthest = max(farthest, abs(x[e, c]), abs(x[e + 1, c]))
             stiffest = max(stiffest, chain.stiffness[e, c] / chain.length[e])
     bending = min(chain.stiffness[0, 3], chain.stiffness[0, 4]) / (total * total)
-    return near * bending + ROUNDING * stiffest * (farthest + total)
+    return near * bending + ROUNDING * (1.0 + rate) * stiffest * (farthest + total)
 
 
 @njit
@@ -114,7 +117,7 @@ def equilibrium(
     """
     x, q = np.array(x, dtype=float), np.array(q, dtype=float)
     system = new_system(len(x))
-    tolerance = max(float(force_tolerance(chain, x, NEAR)), 1e-12 * float(np.abs(loads).max()))
+    tolerance = max(float(force_tolerance(chain, x, NEAR, 0.0)), 1e-12 * float(np.abs(loads).max()))
     for step in range(1, steps + 1):
         if _newton(chain, x, q, loads * (step / steps), system, tolerance) < 0:
             raise ComputationError(

@@ -328,7 +328,7 @@ def step(
     write(old.q, new.q)
     clamp(hub, t, new.x[0], new.q[0], new.velocity[0])
     _predict(chain, old, new, h if scheme.inertia else 0.0, scratch.elements.room)
-    tolerance = force_tolerance(chain, new.x, NEAR)
+    tolerance = force_tolerance(chain, new.x, NEAR, rate)
     heaviest = farthest = 0.0
     for i in range(n):
         heaviest, gaps[i] = max(heaviest, chain.mass[i]), 1.0

@@ -7,9 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from elastica import filament
+from mpi4py import MPI
 from rod_helpers import HALF, SLENDER, OneRod, along, leaning, one_clamp
 from scipy.spatial.transform import Rotation
 
+from bristle.solver.bristle import Bristle
 from bristle.solver.rods.chain import at_rest, new_system, uniform_chain
 from bristle.solver.rods.contact import SLIDES, STICKS, no_touch, surface_of, touch_section
 from bristle.solver.rods.frame import TipState
@@ -192,23 +194,30 @@ def test_stick_and_slip_of_a_mass_on_a_belt():
         assert (s - e) * h == pytest.approx(loose / speed, rel=0.01)
 
 
-def dragged(tolerance=1e-6, elements=10, until_s=0.12, ground=None, lean_deg=20.0, comm=None):
-    """The paper's bristle pressed down by a tenth of its length while it is dragged at 1 m/s."""
-    from mpi4py import MPI
-
-    from bristle.solver.bristle import Bristle
-
-    section, lean, length = RodSection.of(Bristle()), math.radians(lean_deg), 0.3365
+def dragged(tolerance, **numbers):
+    """The paper's bristle pressed down by a tenth of its length, then dragged at 1 m/s."""
+    section = replace(RodSection.of(Bristle()), **numbers)
+    lean, length = math.radians(20.0), 0.3365
     height = length * math.cos(lean) + section.half_thin_m * math.sin(lean)
     return Rods(
         section,
         one_clamp([0.0, 0.0, height], leaning(lean), length),
         HubPath.slide(0.1 * length, 1.0, 0.05, 0.05),
-        ground or Ground(2e6, 0.4, 0.6, 0.05),
-        elements,
+        Ground(2e6, 0.4, 0.6, 0.05),
+        10,
         tolerance=tolerance,
-        comm=comm or MPI.COMM_SELF,
+        comm=MPI.COMM_SELF,
     )
+
+
+@pytest.mark.parametrize("beta_s", [1e-3, 1.0])
+def test_strong_damping_asks_for_no_shorter_steps(beta_s):
+    """Damping is implicit: what grows with β over the step is stiff, as elements are anyway."""
+    calm, usual = dragged(1e-5, beta_s=beta_s), dragged(1e-5)
+    (after,), (expected,) = calm.march(0.12, 0.12), usual.march(0.12, 0.12)
+    assert after.steps < 2 * expected.steps
+    assert after.energy.material_loss_J > expected.energy.material_loss_J
+    assert after.energy.closure_relative < 0.05
 
 
 def test_energy_closes_with_contact_and_friction():
