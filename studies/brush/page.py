@@ -159,7 +159,8 @@ def shape_figure(lines: Array) -> Figure:
         ax.set(xlim=(middle - half, middle + half), ylim=(-0.05 * high[2], 1.05 * high[2]))
         ax.locator_params(axis="x", nbins=4)
     axes[0, 0].set_ylabel("height (mm)")
-    figure.colorbar(drawn, ax=axes, label="bending stress (MPa)", shrink=0.8)
+    bar = figure.colorbar(drawn, ax=axes, label="bending stress (MPa)", shrink=0.8)
+    bar.solids.set(rasterized=False, edgecolor="face")  # a page takes no pictures of pixels
     return figure
 
 
