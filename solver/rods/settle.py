@@ -59,8 +59,8 @@ def settle(
 
 def _loading(chain: Chain, surface: Surface, parts: int) -> Iterator[tuple[float, Surface]]:
     """Shares of the load, each with the surface as it is then."""
-    bending = min(chain.stiffness[0, 3:5])
-    soft = min(surface.kn, SOFT * bending / total_length(chain) ** 3)
+    bending = float(chain.stiffness[0, 3:5].min())
+    soft = min(surface.kn, SOFT * bending / float(total_length(chain)) ** 3)
     smooth = surface._replace(static=0.0, kinetic=0.0, kn=soft)
     for k in range(1, parts + 1):
         yield k / parts, smooth

@@ -259,7 +259,8 @@ def test_a_rod_pulled_along_a_floor_accelerates_by_what_friction_leaves(bristle)
     clamp = one_clamp(
         [0.0, 0.0, section.half_thin_m], along([-1.0, 0.0, 0.0], wide=(0, 1.0, 0)), length
     )
-    rods = Rods(section, clamp, HubPath(np.array([0.0, 5.0]), path), Ground(2e6, mu, mu), 20)
+    along_floor, floor = HubPath(np.array([0.0, 5.0]), path), Ground(2e6, mu, mu)
+    rods = Rods(section, clamp, along_floor, floor, 20, comm=MPI.COMM_SELF)
     (frame,) = rods.march(0.4, 0.4)
     mass = section.rhoA_kg_m * length
     assert frame.tip_normal_N[0] == pytest.approx(mass * 9.8, rel=0.04)

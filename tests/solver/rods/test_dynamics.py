@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from mpi4py import MPI
 from rod_helpers import SLENDER, OneRod, along, one_clamp
 from scipy.interpolate import BPoly, PPoly
 from scipy.linalg import eigh
@@ -83,7 +84,7 @@ def test_spin_up_of_an_arm_lags_and_stretches():
     )
     path = spun_up()
     arm = one_clamp(np.zeros(3), along([1.0, 0.0, 0.0], wide=(0.0, 0.0, 1.0)), 10.0)
-    rods = Rods(section, arm, path, None, 40, gravity_m_s2=0.0)
+    rods = Rods(section, arm, path, None, 40, gravity_m_s2=0.0, comm=MPI.COMM_SELF)
     lags, stretches, times = [], [], []
     for frame in rods.march(30.0, 0.02):
         tip = path.pose(frame.t_s).rotation.T @ frame.tip_m[0]
@@ -197,7 +198,8 @@ def test_gravity_and_reaction_at_rest(bristle):
     """The hub carries the weight and its moment about the hub's origin, of nodes as they hang."""
     section = RodSection.of(bristle)
     clamp = one_clamp([0.1, 0.0, 0.0], along([1.0, 0.0, 0.0], wide=(0.0, 0.0, 1.0)), 0.3)
-    frame = Rods(section, clamp, HubPath.still(), None, bow_rad=0.0).frame()
+    rods = Rods(section, clamp, HubPath.still(), None, bow_rad=0.0, comm=MPI.COMM_SELF)
+    frame = rods.frame()
     weights = 9.8 * uniform_chain(section, 0.3, 20).mass
     assert frame.force_N == pytest.approx([0.0, 0.0, -weights.sum()], abs=1e-8)
     moment = weights @ frame.centre_m[0, :, 0]
