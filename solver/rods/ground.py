@@ -21,7 +21,7 @@ class Ground:
     ``kn_N_m`` is the normal stiffness of an end section that lies flat, shared among its points.
     Every other section that touches has the same. The coefficient of friction falls from the static
     one to the kinetic one over the sliding speed: μ(v) = μk + (μs - μk) exp(-(v/vs)²) (Stribeck's
-    transition; Olsson et al., Eur. J. Control 4 (1998), Sec. 2). With ``stribeck_speed_m_s`` zero
+    transition; Olsson et al., Eur. J. Control 4 (1998) 176). With ``stribeck_speed_m_s`` zero
     it falls at once: a point that slides has the kinetic coefficient until it sticks again.
     ``kt_over_kn`` is the stiffness of the tangential spring that a point sticks by.
 

@@ -20,12 +20,12 @@ from .contact import surface_of
 from .frame import Frame, RodEnergy
 from .ground import Ground
 from .hub import Clamps, HubMotion
+from .march import march_all
 from .motion import Hub, motion_of, rod, scheme_of, set_strains
 from .observe import clearance, observe
 from .rotation import world_to_body
 from .section import RodSection
 from .settle import settle
-from .step import march_all
 
 # The spectral radius of generalised-alpha at infinite frequency.
 RHO_INFINITY = 0.6

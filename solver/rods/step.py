@@ -1,7 +1,7 @@
-"""One time step of one rod, and its march with steps that adapt: all compiled.
+"""One time step of one rod, compiled.
 
-Generalised-alpha on the rotation group (Arnold and Brüls, Multibody Syst. Dyn. 18 (2007) 185, Eqs.
-11 to 14; Brüls, Cardona and Arnold, Mech. Mach. Theory 48 (2012) 121). It asks for equilibrium at
+Generalised-alpha on the rotation group (Arnold and Brüls, Multibody Syst. Dyn. 18 (2007) 185;
+Brüls, Cardona and Arnold, Mech. Mach. Theory 48 (2012) 121). It asks for equilibrium at
 the end of every step and averages accelerations, not strains, so contact and friction are met where
 the step ends, and a rod that turns is not stretched by the scheme. It damps what a step does not
 resolve: the axial and the shear waves of an element, and what contact sets off as it closes.
@@ -18,7 +18,7 @@ import numpy as np
 
 from ..arrays import Array
 from ..compiled import inlined, njit
-from .chain import Chain, System, chain_of, new_system, solve, total_length
+from .chain import Chain, System, solve, total_length
 from .contact import FREE, Surface, lowest, release, touch_section
 from .element import (
     Elements,
@@ -33,15 +33,12 @@ from .motion import (
     HUB_WORK,
     ITERATIONS,
     MATERIAL,
-    STEP,
     STEPS,
     TIME,
     Hub,
     Motion,
     Scheme,
     clamp,
-    copy,
-    rod,
     set_strains,
     write,
 )
@@ -52,17 +49,11 @@ from .statics import ROUNDING, force_tolerance, move, residual_norm
 ITERATION_LIMIT = 40
 # A step's residual against EI/L², see `statics.force_tolerance`.
 NEAR = 1e-8
-# A step changes by these factors at most, aims at this share of the error it may have, and is
-# taken again where it has so many times that.
-LEAST_CHANGE, MOST_CHANGE, AIM, TOO_MUCH = 0.2, 1.6, 0.8, 2.0
-SHORTEST_S = 1e-9
 # A section that comes down in one of Newton's steps goes in by a force of so many EI/L² at most,
 # found in so many trials.
 DEEPEST, SHORTER = 10.0, 12
 # After so many iterations a step that does not lessen the residual is halved, down to this part.
 PATIENT, SHORTEST_PART = 6, 0.1
-# An iteration count from which on steps do not grow.
-MANY = 8
 
 
 @njit
@@ -398,74 +389,4 @@ def step(
             _move_to_touch(chain, surface, new, scratch)
         else:
             move(chain, new.x, new.q, solution, 1.0, scratch.target)
-    return -1
-
-
-@njit
-def _error(scheme: Scheme, old: Motion, new: Motion, h: float) -> float:
-    """The greatest local error in m of a node's place: (β - 1/6) h³ times the acceleration's
-    rate (Zienkiewicz and Xie, Earthquake Engng Struct. Dyn. 20 (1991) 871)."""
-    most = 0.0
-    for i in range(1, len(new.x)):
-        square = 0.0
-        for c in range(3):
-            square += (new.auxiliary[i, c] - old.auxiliary[i, c]) ** 2
-        most = max(most, square)
-    return abs(scheme.beta - 1.0 / 6.0) * h * h * math.sqrt(most)
-
-
-@njit
-def _next_end(hub: Hub, t_s: float, end_s: float) -> float:
-    """The hub's next break, or the end where that comes first or all but at once."""
-    for at in hub.breaks:
-        if t_s + SHORTEST_S < at < end_s - SHORTEST_S:
-            return at
-    return end_s
-
-
-@njit
-def march_all(
-    chains: Chain,
-    scheme: Scheme,
-    surface: Surface,
-    loads: Array,
-    hubs: Hub,
-    stack: Motion,
-    other: Motion,
-    end_s: float,
-) -> int:
-    """March every stacked rod to ``end_s``; -1, or the first rod whose step fails however short.
-
-    The ``loads`` (rods, n, 6) and the ``place`` and ``attitude`` of ``hubs`` are stacked too;
-    ``other`` is room for one rod. Steps end at the hub's breaks.
-    """
-    system, scratch = new_system(stack.x.shape[1]), new_scratch(stack.x.shape[1])
-    for i in range(len(stack.x)):
-        chain, now = chain_of(chains, i), rod(stack, i)
-        hub = Hub(hubs.breaks, hubs.coefficients, hubs.place[i], hubs.attitude[i])
-        while now.totals[TIME] < end_s:
-            until = _next_end(hub, now.totals[TIME], end_s)
-            left, wanted = until - now.totals[TIME], now.totals[STEP]
-            h = left / math.ceil(left / wanted * (1.0 - 1e-9))
-            count = step(chain, scheme, surface, loads[i], hub, now, other, h, system, scratch)
-            if count < 0:
-                now.totals[STEP] = 0.5 * h
-                if now.totals[STEP] < SHORTEST_S:
-                    return i
-                continue
-            error = _error(scheme, now, other, h)
-            change = MOST_CHANGE
-            if error > 0.0:
-                change = AIM * (scheme.error_m / error) ** (1.0 / 3.0)
-                change = min(max(change, LEAST_CHANGE), MOST_CHANGE)
-            if error > TOO_MUCH * scheme.error_m and h > SHORTEST_S:
-                now.totals[STEP] = h * min(change, 0.5)
-                continue
-            if count > MANY:
-                change = min(change, 1.0)
-            copy(other, now)
-            # a step that was shortened to end in time tells less of the next one's length
-            now.totals[STEP] = h * change if change < 1.0 else max(wanted, h * change)
-            if h > 0.9999 * left:
-                now.totals[TIME] = until
     return -1
