@@ -29,8 +29,8 @@ FINE_ROWS = 320
 LEAST_RUN = 12
 """In rows: a strip that shows less has no direction."""
 NEARBY = 3
-BELOW_PX = 8.0
-"""How far below a strip's end the lens blurs it, at most."""
+BELOW_PX = 14.0
+"""How far below its first guess a strip may end, drawn out by the lens."""
 
 
 @dataclass(frozen=True)

@@ -123,6 +123,14 @@ def test_the_pictures_that_are_read_are_not_written_over(tmp_path):
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(900)
+def test_the_verdict_is_the_one_that_the_documents_show(four, tmp_path):
+    page = (readme.REPOSITORY / "docs" / "films.md").read_text()
+    shown = re.search(r"\$ docker/run bristle close-loop .*?\n(verdict +\w+)\n", page)[1]
+    assert bristle.close_loop(four[1]).verdict == shown.split()[1]
+
+
+@pytest.mark.slow
 def test_an_effect_in_made_films_is_found_again(tmp_path):
     """Effect, film, track, verdict."""
     made = bristle.synth(
