@@ -1,7 +1,6 @@
 """Many rods in one hub: ranks, checkpoints, forces on the hub, and what is refused."""
 
 import math
-import time
 from dataclasses import replace
 
 import numpy as np
@@ -188,11 +187,3 @@ def test_a_steady_drag_takes_long_steps():
     assert after.energy.friction_loss_J > before.energy.friction_loss_J
     assert after.steps - before.steps < 2000
     assert after.energy.closure_relative < 1e-4
-
-
-@pytest.mark.campaign
-def test_a_second_of_drag_takes_half_a_second_of_one_core():
-    rods, _ = one_second_dragged()
-    start = time.process_time()
-    list(rods.march(2.0, 2.0))
-    assert time.process_time() - start < 0.5
