@@ -12,6 +12,7 @@ from dataclasses import replace
 
 import film_data
 import numpy as np
+import pandas as pd
 import pytest
 from scipy.optimize import least_squares
 from scipy.special import logsumexp
@@ -300,6 +301,46 @@ def test_frames_say_what_their_scatter_is(tmp_path):
     assert "no uncertainty of a height is declared: 0.25" in silent.warnings[0]
     freedom = silent.notes["freedom"]
     assert abs(silent.notes["sigma_y_m"] / 2.5e-4 - 1) < 4 / math.sqrt(2 * freedom)
+
+
+def _with_column(folder, name, values, change=None):
+    """The table of a dataset with a further column, and heights to which ``change`` is added."""
+    path = folder / "tracks.csv"
+    table = pd.read_csv(path)
+    if change is not None:
+        table["y_mm"] += change(table)
+    table[name] = values(table) if callable(values) else values
+    table.to_csv(path, index=False)
+    return read_tracks(folder)
+
+
+def test_every_row_may_have_an_uncertainty_of_its_own(tmp_path):
+    """Every third frame is read four times as badly, and the table says so."""
+    made(tmp_path, {}, keys="", **{**HIGH, "seconds": 0.6})
+    rng = np.random.default_rng(8)
+
+    def worse(table):
+        return np.where(np.arange(len(table)) % 3 == 0, 4.0, 1.0)
+
+    def added(table):
+        return 0.25 * np.sqrt(worse(table) ** 2 - 1.0) * rng.standard_normal(len(table))
+
+    data = _with_column(tmp_path / "films", "sigma_mm", lambda t: 0.25 * worse(t), added)
+    problem = tracks_problem(data)
+    assert not any("times the declared" in each for each in problem.warnings)
+    is_noise(fitted(problem, ())[2], problem, 1)
+
+
+def test_a_scale_is_fitted_within_its_declared_error(tmp_path):
+    made(tmp_path, {}, keys="sigma_y_mm = 0.25\nsigma_scale = 0.01\n", **{**HIGH, "seconds": 0.6})
+    data = _with_column(tmp_path / "films", "lean_deg", 2.0, lambda t: 0.012 * t.y_mm)
+    problem = tracks_problem(data)
+    best, apart, left = fitted(problem, ())
+    is_noise(left, problem, 2)
+    # lengths are read 1.2 % too long
+    assert abs(1.0 / best["scale"] - 1.012) < 4.0 * apart["scale"]
+    assert apart["scale"] < 0.003
+    assert any("lean by 2.0 degrees" in each for each in problem.warnings)
 
 
 def test_what_is_not_used_is_told(tmp_path):

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from .....solver.arrays import Array
 from .....solver.errors import InputError
 from ....data.datasets import Manifest, read_manifest
-from ....data.tables import InPieces, optional_column, read_series, read_table
+from ....data.tables import InPieces, column, optional_column, read_series, read_table
 from ....data.units import check_marks
 
 KIND = "tracks"
@@ -28,7 +28,8 @@ class Tracks(InPieces):
     frames begin, ``line`` (films,) at which line of the table. Times are those of the table.
     ``sigma_y_m`` and ``sigma_y_px`` are the declared uncertainty of a height, or None,
     ``sigma_t_s`` that of a time. ``relative`` (frames,) is how uncertain each frame is over that:
-    one, unless the table has a column of its own for it.
+    one, unless the table has a column of its own for it. ``lean_deg`` (frames,) is by how much the
+    bristle leans in the picture, or None.
     """
 
     manifest: Manifest
@@ -42,6 +43,15 @@ class Tracks(InPieces):
     sigma_y_px: float | None
     sigma_t_s: float
     relative: Array
+    lean_deg: Array | None = None
+
+    @property
+    def lean_before_deg(self) -> Array:
+        """The median lean (films,) in degrees in the first quarter of each film's frames."""
+        if self.lean_deg is None:
+            return np.zeros(0)
+        parts = [self.lean_deg[p.start : (3 * p.start + p.stop) // 4 + 1] for p in self.pieces]
+        return np.array([np.nanmedian(part) for part in parts if np.isfinite(part).any()])
 
 
 def read_tracks(folder: Path) -> Tracks:
@@ -93,6 +103,7 @@ def read_tracks(folder: Path) -> Tracks:
         sigma_y_px=None if sigma_px is None else float(sigma_px),
         sigma_t_s=float(manifest.measurement.get("sigma_t_s", 0.0)),
         relative=relative,
+        lean_deg=column(path, read.rows, "lean_deg", empty=True) if "lean_deg" in columns else None,
     )
 
 
