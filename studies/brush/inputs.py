@@ -15,7 +15,7 @@ from ...solver.arrays import Array
 from ...solver.bristle import Bristle, Material
 from ...solver.contact.laws import mindlin_ratio
 from ...solver.materials import MATERIALS, MaterialName
-from ...solver.rods.hub import Clamps, HubPath
+from ...solver.rods.hub import FASTEST_M_S, Clamps, HubPath
 from ..inputs.brush_fields import ROWS_OVER_TIME, BrushFields
 from ..inputs.choices import Layout, Motion
 from ..inputs.config import resolve_material, resolve_measures
@@ -27,6 +27,7 @@ from .motion import read_path, stroke
 
 PENETRATION_M, UNTIL_S = 0.02, 1.0
 MOST_ROWS = 100_000
+STEEPEST_DEG = 85.0
 # Instants of a path at which the clamps' height is looked at, between two rows.
 LOOKS = 8
 # A clamp on the surface, and a bristle that touches at the start, but for rounding.
@@ -76,6 +77,17 @@ class BrushInputs(MaterialFields, BodyFields, BrushFields):
             refuse("every_s", f"makes more than {MOST_ROWS:,} rows")
         if 3.0 * self.length_std_m > self.bristle().length_m:
             refuse("length_std_m", "is more than a third of the length")
+        fastest = abs(self.motion.speed_m_s or 0.0)
+        fastest = max(fastest, 2.0 * math.pi * abs(self.motion.rpm or 0.0) / 60.0 * self.radius_m)
+        if fastest > FASTEST_M_S:
+            refuse("motion", f"moves at {fastest:.3g} m/s; {FASTEST_M_S:g} is the most")
+        if (steepest := float(np.abs(self._lean_deg).max())) > STEEPEST_DEG:
+            refuse(
+                "angle_std_deg",
+                f"leans a clamp by {steepest:.3g} degrees; {STEEPEST_DEG:g} is the most",
+            )
+        if (shortest := float(self._lengths_m.min())) <= 0.0:
+            refuse("length_std_m", f"makes a bristle {shortest:.3g} m long")
         try:
             clamps = self.clamps
         except ValueError as error:
@@ -151,15 +163,26 @@ class BrushInputs(MaterialFields, BodyFields, BrushFields):
     def clamps(self) -> Clamps:
         """Where each bristle is clamped, in the hub's axes; ValueError as `layout.stand` has it."""
         stood = stand(self.layout, self.count, self.rows, self.tufts, self.radius_m, self.spacing_m)
-        # a row for each bristle, so that more bristles change none of the first
-        drawn = np.random.default_rng(self.seed).standard_normal((self.count, 3))
-        lean = np.array([self.mount_angle_deg, 0.0]) + self.angle_std_deg * drawn[:, :2]
+        forward = self._forward(stood.outward)
         rotation = directions(
-            stood.outward, self._forward(stood.outward), lean, self.flare_deg, self.twist_deg
+            stood.outward, forward, self._lean_deg, self.flare_deg, self.twist_deg
         )
         place = np.column_stack([stood.place_m, np.zeros(self.count)])
-        length = self.bristle().length_m + self.length_std_m * drawn[:, 2]
-        return Clamps(place, rotation, length)
+        return Clamps(place, rotation, self._lengths_m)
+
+    @property
+    def _drawn(self) -> Array:
+        """Numbers of chance (count, 3): a row for each, so that more bristles change no other."""
+        return np.random.default_rng(self.seed).standard_normal((self.count, 3))
+
+    @property
+    def _lean_deg(self) -> Array:
+        """How far each clamp leans (count, 2), in the direction of motion and across it."""
+        return np.array([self.mount_angle_deg, 0.0]) + self.angle_std_deg * self._drawn[:, :2]
+
+    @property
+    def _lengths_m(self) -> Array:
+        return np.asarray(self.bristle().length_m + self.length_std_m * self._drawn[:, 2])
 
     def _forward(self, outward: Array) -> Array:
         """The direction of motion (n, 2) of each bristle at the start."""

@@ -38,6 +38,10 @@ def from_arrays(arrays: Mapping[str, Array]) -> Frame:
     return Frame(**plain, energy=energy)
 
 
+# Parts of the time whose means say how sure the mean of all is.
+BATCHES = 10
+
+
 @dataclass
 class Record:
     """The frames so far, on one rank, and their files in ``folder`` unless that is None."""
@@ -142,10 +146,16 @@ class Record:
 
 def _statistics(vectors: Array, times_s: pd.Series) -> dict[str, Any]:
     """Mean and root mean square of the components of ``vectors`` (n, 3), and of their sizes; the
-    greatest size, and when."""
+    greatest size, and when; and the standard errors of the means, by the means of `BATCHES` parts
+    one after the other: None where instants are fewer."""
     sizes = np.linalg.norm(vectors, axis=1)
+    error = None
+    if len(vectors) >= 2 * BATCHES:
+        parts = [part.mean(axis=0) for part in np.array_split(vectors, BATCHES)]
+        error = (np.std(parts, axis=0, ddof=1) / np.sqrt(BATCHES)).tolist()
     return {
         "mean": vectors.mean(axis=0).tolist(),
+        "mean_error": error,
         "rms": np.sqrt((vectors**2).mean(axis=0)).tolist(),
         "mean_size": float(sizes.mean()),
         "rms_size": float(np.sqrt((sizes**2).mean())),

@@ -42,6 +42,8 @@ FILES = (
 )
 # Seconds between the marks of a long march.
 KEEP_S = 60.0
+# Share of the mean force beyond which its standard error deserves a warning.
+UNSURE = 0.2
 # Share of all energy beyond which what the time steps lose deserves a warning.
 CLOSURE = 0.05
 # The surface for ParaView reaches so many lengths beyond the tips.
@@ -161,7 +163,11 @@ def _march(
 def _document(inputs: BrushInputs, record: Record, warnings: list[str]) -> dict[str, Any]:
     """What result.json holds but for what the run took."""
     found = record.summary(inputs.steady_from_s)
-    more = [*_stress_warnings(inputs, found), *_result_warnings(record, found)]
+    more = [
+        *_stress_warnings(inputs, found),
+        *_mean_warnings(inputs, found),
+        *_result_warnings(record, found),
+    ]
     for message in more:
         warn(message)
     return {
@@ -190,6 +196,22 @@ def _stress_warnings(inputs: BrushInputs, found: Mapping[str, Any]) -> list[str]
         f"bristle {stress['bristle']} bends to {1e-6 * stress['greatest_Pa']:.4g} MPa at "
         f"{stress['t_s']:.4g} s, and yields at {1e-6 * limit:.4g} MPa: it would stay bent, which "
         "is not computed; take less --penetration, or give the wire's own --yield-strength"
+    ]
+
+
+def _mean_warnings(inputs: BrushInputs, found: Mapping[str, Any]) -> list[str]:
+    """Whether the means of result.json are those of a steady state, and sure."""
+    if inputs.duration_s <= inputs.steady_from_s:
+        return [
+            "the run ends before the hub has come down and reached its speed: what is called a "
+            "mean is the last instant alone; give --until more than --start"
+        ]
+    mean, error = found["force_N"]["mean"], found["force_N"]["mean_error"]
+    if error is None or np.linalg.norm(error) <= UNSURE * np.linalg.norm(mean):
+        return []
+    return [
+        f"the mean force is sure to ±{np.linalg.norm(error):.2g} N alone: it is that of instants, "
+        "between which tips bounce; give a smaller --every or a longer --until"
     ]
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import av
@@ -40,13 +40,15 @@ class Film:
 
     ``roi`` is x, y, width and height of the part that is used, in pixels of the picture as a player
     shows it. ``down`` is the way things fall there; frames are turned so that they fall down the
-    rows. ``fps`` overrides the time stamps, and is needed for a folder.
+    rows. ``fps`` overrides the time stamps, and is needed for a folder. ``damage`` says, once it is
+    read, where a film ends before its end.
     """
 
     path: Path
     fps: float | None = None
     roi: tuple[int, int, int, int] | None = None
     down: Down = Down.DOWN
+    damage: set[str] = field(default_factory=set, compare=False, repr=False)
 
     def frames(self) -> Iterator[Frame]:
         """The pictures one after the other; time counts from the first.
@@ -57,7 +59,7 @@ class Film:
         if not self.path.exists():
             raise InputError(f"{self.path}: no such film")
         read = self._pictures() if self.path.is_dir() else self._decoded()
-        first = last = None
+        first = last = shape = None
         for number, (stamp, grey) in enumerate(read):
             first = stamp if first is None else first
             t_s = number / self.fps if self.fps else stamp - first
@@ -67,6 +69,9 @@ class Film:
                     "before; give the frames a second by --fps"
                 )
             last = t_s
+            if shape not in (None, grey.shape):
+                raise InputError(f"{self.path}: frame {number} is not as large as the first")
+            shape = grey.shape
             yield Frame(number, t_s, np.ascontiguousarray(self._turned(grey)))
 
     def shown(self, x: Array, y: Array, shape: tuple[int, int]) -> tuple[Array, Array]:
@@ -96,7 +101,7 @@ class Film:
             grey = grey[y : y + height, x : x + width]
         if min(grey.shape) < LEAST_SIDE:
             raise InputError(
-                f"{self.path}: a picture of {columns} x {rows} pixels is too small to see a body in"
+                f"{self.path}: {grey.shape[1]} x {grey.shape[0]} pixels are too few to see in"
             )
         return np.rot90(grey, TURNS[self.down])
 
@@ -107,23 +112,26 @@ class Film:
             raise InputError(f"{self.path}: no pictures in this folder ({', '.join(PICTURES)})")
         if not self.fps:
             raise InputError(f"{self.path}: a folder of pictures needs --fps, the frames a second")
-        shape = None
+        full: float | None = None
         for path in sorted(paths, key=_by_number):
             try:
                 with Image.open(path) as picture:
-                    grey = np.asarray(picture.convert("L"))
+                    if picture.mode[0] in "IF":  # of more than eight bits
+                        deep = np.asarray(picture, dtype=float)
+                        # twelve bits are often written as sixteen
+                        full = full or 2.0 ** np.ceil(np.log2(max(float(deep.max()), 1.0))) - 1.0
+                        grey = np.clip(255.0 / full * deep, 0.0, 255.0).astype(np.uint8)
+                    else:
+                        grey = np.asarray(picture.convert("L"))
             except (OSError, ValueError, Image.DecompressionBombError) as error:
                 raise InputError(f"{path}: cannot be read as a picture: {error}") from error
-            if shape not in (None, grey.shape):
-                raise InputError(f"{path}: is of another size than the pictures before it")
-            shape = grey.shape
             yield 0.0, grey
 
     def _decoded(self) -> Iterator[tuple[float, Picture]]:
         """The pictures of a film, turned as its container says, and their time stamps."""
         count = 0
         try:
-            with av.open(str(self.path)) as container:
+            with av.open(str(self.path.absolute())) as container:
                 if not container.streams.video:
                     raise InputError(f"{self.path}: there is no film in this file")
                 stream = container.streams.video[0]
@@ -142,6 +150,7 @@ class Film:
             if not count:  # a film that is cut off ends where it does
                 reason = getattr(error, "strerror", None) or error
                 raise InputError(f"{self.path}: cannot be read as a film: {reason}") from error
+            self.damage.add(f"{self.path.name}: is damaged after frame {count - 1}, where it ends")
         if not count:
             raise InputError(f"{self.path}: there is no picture in this film")
 

@@ -98,7 +98,7 @@ def doubts_of(track: Tracked, scale: Scale | None, gravity_m_s2: float) -> list[
         f"{track.film.path.name}: things fall here with {shown:.3g} m/s2 instead of "
         f"{gravity_m_s2:g}. Either the film has {fitting:.4g} frames a second, not {rate:.4g} "
         f"(give --fps {fitting:.4g}), or a pixel is {scale.mm_per_px / ratio:.4g} mm, not "
-        f"{scale.mm_per_px:.4g} by {scale.source}"
+        f"{scale.mm_per_px:.4g} by {scale.source} (give its true length, or --mm-per-px)"
     ]
 
 

@@ -99,6 +99,12 @@ def tracked(film: Film, body: Body, given: Camera | None = None, rolling_s: floa
     for down in ways:
         turned = replace(film, down=down)
         seen = scan(turned)
+        longest = float(np.max(np.diff(seen.t_s)))
+        if given.exposure_s > longest:
+            raise InputError(
+                f"{film.path}: --exposure-s of {given.exposure_s:g} s is longer than from a frame "
+                f"to the next, {longest:.4g} s"
+            )
         found = _bristle(turned, seen) if body is Body.BRISTLE else _ball(turned, seen)
         if isinstance(found, str):
             doubt = doubt or found

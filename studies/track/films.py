@@ -26,6 +26,9 @@ from ..running.progress import progress
 SCHEMA = "bristle-track-1"
 TABLE = "tracks.csv"
 STEEL_KG_M3 = 7800.0
+UNKNOWN_BALL_MM = 10.0
+# A drop in mid-flight so many frames after the body is first seen has lost what was before.
+LATE_FRAMES = 5
 NORMAL_90 = 1.645
 
 
@@ -102,6 +105,14 @@ def _doubts(track: Tracked, scale: Scale | None, inputs: TrackInputs) -> list[st
     """What of a film deserves doubt, in sentences."""
     name = track.film.path.name
     doubts = doubts_of(track, scale, inputs.gravity_m_s2)
+    doubts += sorted(track.film.damage)
+    for drop in track.drops:
+        if drop.release_s is None and drop.first > LATE_FRAMES:
+            doubts.append(
+                f"{name}: a drop begins in mid-flight, at {track.t_s[drop.first]:.3f} s, though "
+                f"the {track.body} is in view before; an earlier impact may be missing. Look at "
+                "the overlay film, and show the body alone by --roi"
+            )
     if not any(len(drop.impact_s) for drop in track.drops):
         doubts.append(f"{name}: no impact is seen, so heights count from the lowest frame")
     if scale is None:
@@ -109,6 +120,8 @@ def _doubts(track: Tracked, scale: Scale | None, inputs: TrackInputs) -> list[st
             f"{name}: nothing of known length is in view, so heights are in pixels; give "
             "--mm-per-px if you know the scale"
         )
+    if inputs.body is Body.BALL and not inputs.mass_g:
+        doubts.append(f"{name}: no --mass-g is given, so dataset.toml has that of a steel ball")
     if len(track.t_s) < 0.5 * track.frames:
         doubts.append(
             f"{name}: the {track.body} is seen in {len(track.t_s)} of {track.frames} frames"
@@ -229,16 +242,14 @@ def manifest(found: TrackedFilms) -> str:
         "",
     ]
     if inputs.body is Body.BALL:
-        diameter = inputs.diameter_mm or 10.0
+        diameter = _ball_mm(found)
         mass = 1e-3 * inputs.mass_g if inputs.mass_g else _steel_kg(diameter)
         lines += ["[body]", 'shape = "rigid"']
         if not inputs.mass_g:
-            lines.append("# no --mass-g was given: that of a steel ball")
-        lines.append(f"mass_kg = {mass:.6g}")
-        if inputs.diameter_mm:
-            lines.append(f"diameter_m = {1e-3 * inputs.diameter_mm:.6g}")
-        lines.append("")
-    elif inputs.length_mm:
+            lines.append(f"# no --mass-g was given: that of a steel ball of {diameter:.3g} mm")
+        lines += [f"mass_kg = {mass:.6g}", f"diameter_m = {1e-3 * diameter:.6g}", ""]
+    elif inputs.length_mm and abs(inputs.length_mm - 1e3 * paper.LENGTH_M) > 1e-6:
+        # of another section: edit these
         lines += [
             "[body]",
             f"length_m = {1e-3 * inputs.length_mm:.6g}",
@@ -254,6 +265,15 @@ def manifest(found: TrackedFilms) -> str:
             f"sigma_scale = {max(errors):.4g}",
         ]
     return "\n".join(lines) + "\n"
+
+
+def _ball_mm(found: TrackedFilms) -> float:
+    """The ball's diameter, as given or as the films show it."""
+    if found.inputs.diameter_mm:
+        return found.inputs.diameter_mm
+    pairs = zip(found.tracks, found.scales, strict=True)
+    seen = [float(np.nanmedian(track.length)) * scale.mm_per_px for track, scale in pairs if scale]
+    return float(np.median(seen)) if seen else UNKNOWN_BALL_MM
 
 
 def _steel_kg(diameter_mm: float) -> float:

@@ -8,6 +8,7 @@ import pytest
 from PIL import Image
 
 from bristle.solver.errors import InputError
+from bristle.studies.film.edge import Camera
 from bristle.studies.film.reading import Film
 from bristle.studies.film.render import Flown, Look, bouncing, write_film
 from bristle.studies.film.scale import floor_of, gravity_px, scale_of
@@ -225,4 +226,34 @@ def test_a_film_that_is_cut_off_ends_where_it_does(tmp_path):
                 target.mux(packet)
     cut = tmp_path / "cut.ts"
     cut.write_bytes(remuxed.read_bytes()[: remuxed.stat().st_size // 2])
-    assert 10 < sum(1 for _ in Film(cut).frames()) < whole
+    film = Film(cut)
+    assert 10 < sum(1 for _ in film.frames()) < whole
+
+
+def test_a_damaged_film_says_where_it_ends(tmp_path):
+    content = bytearray(FOUR.read_bytes())
+    content[9000:9400] = bytes(400)
+    path = tmp_path / "hurt.mp4"
+    path.write_bytes(content)
+    film = Film(path)
+    count = sum(1 for _ in film.frames())
+    if count < 470:  # a decoder may also conceal it
+        assert film.damage == {f"hurt.mp4: is damaged after frame {count - 1}, where it ends"}
+
+
+def test_pictures_of_twelve_bits(tmp_path, ball):
+    folder, fps = ball
+    for path in folder.iterdir():
+        with Image.open(path) as picture:
+            deep = np.asarray(picture).astype(np.uint16) * 16
+            Image.fromarray(deep).save(tmp_path / path.name)
+    eight = [frame.grey for frame in Film(folder, fps=fps).frames()]
+    twelve = [frame.grey for frame in Film(tmp_path, fps=fps).frames()]
+    assert np.abs(np.array(eight, int) - np.array(twelve, int)).max() <= 1
+
+
+def test_an_exposure_is_not_longer_than_from_frame_to_frame(ball):
+    folder, fps = ball
+    given = Camera(exposure_s=0.1, exposure_known=True)
+    with pytest.raises(InputError, match="--exposure-s of 0.1 s is longer"):
+        tracked(Film(folder, fps=fps), Body.BALL, given)
