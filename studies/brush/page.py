@@ -160,7 +160,8 @@ def shape_figure(lines: Array) -> Figure:
         ax.locator_params(axis="x", nbins=4)
     axes[0, 0].set_ylabel("height (mm)")
     bar = figure.colorbar(drawn, ax=axes, label="bending stress (MPa)", shrink=0.8)
-    bar.solids.set(rasterized=False, edgecolor="face")  # a page takes no pictures of pixels
+    if bar.solids is not None:  # a page takes no pictures of pixels
+        bar.solids.set(rasterized=False, edgecolor="face")
     return figure
 
 
