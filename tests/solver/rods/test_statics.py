@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from elastica import cantilever
+from rod_helpers import SLENDER, THIN
 from scipy.spatial.transform import Rotation
 
 from bristle.meshes.section import Rectangle
@@ -21,22 +22,6 @@ from bristle.solver.rods.element import (
 )
 from bristle.solver.rods.section import RodSection
 from bristle.solver.rods.statics import equilibrium
-
-THIN = 1e-4
-SLENDER = RodSection(
-    EA_N=1.0 / THIN**2,
-    GA1_N=1.0 / THIN**2,
-    GA2_N=1.0 / THIN**2,
-    EI1_Nm2=1.0,
-    EI2_Nm2=1.0,
-    GJ_Nm2=1.0,
-    rhoA_kg_m=1.0,
-    rhoI1_kg_m=THIN**2,
-    rhoI2_kg_m=THIN**2,
-    half_thin_m=THIN,
-    half_wide_m=THIN,
-)
-"""EI = 1, so slender that it is Euler's inextensible rod to 1e-8."""
 
 
 def loaded(section, length_m, elements, *, force=(0, 0, 0), moment=(0, 0, 0), steps=1, along=None):
