@@ -154,12 +154,17 @@ def _errors(noise: Noise, shape: tuple[int, int], rng: np.random.Generator) -> A
     return plain
 
 
-def table_of(made: Made) -> str:
-    """The dataset's table as CSV, in the units of CONTRACT.md."""
-    table = pd.DataFrame(made.measured * [1e3, 1e3, 1e3, 1.0], columns=COLUMNS[1:])
+def frame_of(values: Array) -> pd.DataFrame:
+    """The table of `Made` values (drops, 4), in a dataset's units."""
+    table = pd.DataFrame(values * [1e3, 1e3, 1e3, 1.0], columns=COLUMNS[1:])
     table.insert(0, COLUMNS[0], 1 + np.arange(len(table)))
+    return table
+
+
+def table_of(made: Made) -> str:
+    """The dataset's table as CSV."""
     columns = COLUMNS[:3] if made.recipe.heights_only else COLUMNS
-    return table.to_csv(columns=columns, index=False, float_format="%.6g")
+    return frame_of(made.measured).to_csv(columns=columns, index=False, float_format="%.6g")
 
 
 def manifest_of(recipe: Recipe) -> str:

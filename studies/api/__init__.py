@@ -395,8 +395,7 @@ class Session(CaseSession):
         Returns
         -------
         Dataset
-            The truth, and the table of what was measured; of films, in m, s and N, of what is in
-            them.
+            The truth, and the table of what was measured; of films, of what is in them.
 
         Raises
         ------
@@ -406,15 +405,14 @@ class Session(CaseSession):
             A drop could not be computed.
         """
         from ..synth import TABLE_FILE as MEASURED
-        from ..synth import run_synth
+        from ..synth import frame_of, run_synth
 
         asked = self._checked("synth", inputs)
         with self._into(out, "dataset") as folder:
             file = _folder(truth, "truth", "a file") or Path(f"{folder}-truth.json")
             found = run_synth(asked, folder, file, self.comm)
             if asked.film:
-                table = pd.DataFrame(found["without_noise"], columns=found["columns"])
-                table.insert(0, "drop", 1 + np.arange(len(table)))
+                table = frame_of(np.array(found["without_noise"]))
             else:
                 (table,) = self._tables(folder, MEASURED)
             return Dataset(found, table, None if out is None else folder)

@@ -389,17 +389,10 @@ class Calibration(Record):
         return ax
 
 
-class Tracks(Record):
-    """Tracked films: what track.json holds by name, and ``table``, a DataFrame with the columns of
-    tracks.csv.
+class InFolder(Record):
+    """A record with a ``table``, a DataFrame, and the ``folder`` where the dataset lies, which is
+    None where it was not written."""
 
-    ``folder`` is where the dataset lies, or None where it was not written.
-    """
-
-    unit: str
-    films: list[Record]
-    drops: list[Record]
-    warnings: list[str]
     table: pd.DataFrame
     folder: Path | None
 
@@ -411,6 +404,16 @@ class Tracks(Record):
 
     def __reduce__(self) -> tuple[Any, ...]:
         return type(self), (dict(self), self.table, self.folder)
+
+
+class Tracks(InFolder):
+    """Tracked films: what track.json holds by name, and a ``table`` with the columns of
+    tracks.csv."""
+
+    unit: str
+    films: list[Record]
+    drops: list[Record]
+    warnings: list[str]
 
     def rows(self) -> list[tuple[str, str]]:
         from ..track.run import told
@@ -432,24 +435,10 @@ class Tracks(Record):
         return ax
 
 
-class Dataset(Record):
-    """A made dataset: its truth by name, and ``table``, a DataFrame of what was measured.
-
-    ``folder`` is where it lies, or None where it was not written.
-    """
+class Dataset(InFolder):
+    """A made dataset: its truth by name, and a ``table`` of what was measured."""
 
     effects: list[Record]
-    table: pd.DataFrame
-    folder: Path | None
-
-    def __init__(
-        self, values: Mapping[str, Any], table: pd.DataFrame, folder: Path | None = None
-    ) -> None:
-        super().__init__(values)
-        self.table, self.folder = table, folder
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return type(self), (dict(self), self.table, self.folder)
 
     def rows(self) -> list[tuple[str, str]]:
         hidden = [each.name for each in self.effects]

@@ -9,7 +9,7 @@ is linear across.
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +18,7 @@ from scipy.special import ndtr
 
 from ...solver.arrays import Array
 from .reading import Frame, Picture
-from .scan import Scan
+from .scan import Scan, coarser
 
 COARSE_ROWS = 240
 LEAST_RADIUS_PX = 3.0
@@ -34,8 +34,8 @@ RIM_PX = 5.0
 
 @dataclass(frozen=True)
 class Disc:
-    """A ball in one frame: its centre in px, the length that it moves down within the exposure, its
-    radius and brightness, and the standard error of the centre."""
+    """A ball in one frame: its centre, the length that it moves down within the exposure, its
+    radius, and the standard error of the centre's row, all in px."""
 
     number: int
     t_s: float
@@ -87,7 +87,7 @@ def find_ball(film: Scan) -> Ball | None:
                 fitted.append(disc.radius)
     if len(fitted) < 3:
         return None
-    return Ball(still, float(np.median(fitted)), ball.contrast, factor, film.noise)
+    return replace(ball, radius=float(np.median(fitted)))
 
 
 def discs(frames: Iterable[Frame], ball: Ball) -> list[Disc]:
@@ -106,13 +106,11 @@ def blobs(
 ) -> list[tuple[float, float, float, float, float]]:
     """Column, row, width, height and contrast of what differs from the background and touches no
     border, in px."""
-    rows, columns = grey.shape[0] // factor, grey.shape[1] // factor
-    change = grey[: rows * factor, : columns * factor].astype(np.float32)
-    change -= still[: rows * factor, : columns * factor]
-    coarse = change.reshape(rows, factor, columns, factor).mean(axis=(1, 3))
+    coarse = coarser(grey - still, factor)
+    rows, columns = coarse.shape
     size = np.abs(coarse)
     threshold = max(6.0 * noise / factor + 3.0, 0.35 * float(size.max()))
-    labels, count = ndimage.label(size > threshold)
+    labels, _ = ndimage.label(size > threshold)
     found = []
     for number, box in enumerate(ndimage.find_objects(labels), start=1):
         down, right = box
@@ -131,7 +129,7 @@ def blobs(
         # the middle row of the mask is as wide as the disc
         wide = float(np.median(mask.sum(axis=1)[height // 3 : height - height // 3]))
         found.append((column, row, factor * wide, float(factor * height), contrast))
-    return found if count else []
+    return found
 
 
 def _start(grey: Picture, ball: Ball, last: Disc | None) -> tuple[float, float, float] | None:

@@ -87,13 +87,12 @@ class Ends:
 
 @dataclass(frozen=True)
 class Edges:
-    """Where ends are: ``at`` (frames,) in px outward, its standard error, the mean square that is
-    left over the noise (frames,), and the noise in grey levels (frames,)."""
+    """Where ends are: ``at`` (frames,) in px outward, its standard error, and the mean square that
+    is left, in grey levels (frames,)."""
 
     at: Array
     sigma: Array
     square: Array
-    noise: Array
 
 
 def edges(ends: Ends, speed: Array, bend: Array, camera: Camera) -> Edges:
@@ -111,7 +110,6 @@ def edges(ends: Ends, speed: Array, bend: Array, camera: Camera) -> Edges:
     tilt: Array = np.zeros(n)
     offset: Array = np.zeros(n)
     weight: Array = np.ones_like(ends.level)
-    noise: Array = np.full(n, 3.0)
     normal = np.tile(np.eye(4), (n, 1, 1))
     for turn in range(TURNS):
         near = (ends.along > (at + back)[:, None] - INSIDE_PX) & (
@@ -140,7 +138,7 @@ def edges(ends: Ends, speed: Array, bend: Array, camera: Camera) -> Edges:
             break
     square = (w * left**2).sum(axis=1) / np.maximum(count - 4, 2)
     sigma = np.sqrt(square * np.linalg.inv(normal)[:, 0, 0])
-    return Edges(at, sigma, square, noise)
+    return Edges(at, sigma, square)
 
 
 def _model(

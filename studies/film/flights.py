@@ -91,26 +91,22 @@ class Drop:
     gravity_error: float | None = None
     floor_error: float = 0.0
 
-    def phase(self, t_s: float) -> int:
-        """Of which flight an instant is: 0 the fall, 1 the first after an impact; -1 held."""
-        if self.release_s is not None and t_s < self.release_s:
-            return -1
-        return int(np.searchsorted(self.impact_s, t_s))
+    def phase(self, t_s: Array) -> NDArray[np.int64]:
+        """Of which flight instants (n,) are: 0 the fall, 1 the first after an impact; -1 held."""
+        phase = np.searchsorted(self.impact_s, t_s)
+        return phase if self.release_s is None else np.where(t_s < self.release_s, -1, phase)
 
     def speed(self, t_s: Array) -> Array:
-        """Upward speeds (frames,) in px/s."""
-        return np.array([self._flight(t, "speed_at") for t in t_s])
+        """Upward speeds (n,) in px/s."""
+        return self._of_flights(t_s, [each.speed_at(t_s) for each in self.flights], 0.0)
 
     def height(self, t_s: Array) -> Array:
-        """Heights (frames,) in px of hold and parabolas."""
-        return np.array([self._flight(t, "at") for t in t_s])
+        """Heights (n,) in px of hold and parabolas."""
+        return self._of_flights(t_s, [each.at(t_s) for each in self.flights], self.held or 0.0)
 
-    def _flight(self, t_s: float, what: str) -> float:
-        phase = self.phase(t_s)
-        if phase < 0:
-            return 0.0 if what == "speed_at" else float(self.held or 0.0)
-        flight = self.flights[min(phase, len(self.flights) - 1)]
-        return float(getattr(flight, what)(t_s))
+    def _of_flights(self, t_s: Array, values: Sequence[Array], held: float) -> Array:
+        phase = np.minimum(self.phase(t_s), len(self.flights) - 1)
+        return np.where(phase < 0, held, np.choose(np.maximum(phase, 0), values))
 
     @property
     def gravity(self) -> float:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,14 +40,13 @@ class End:
 @dataclass(frozen=True)
 class Sight:
     """The strip in one frame: the axis' column at row zero and slope, with the slope's standard
-    error and that of the axis' column at the tip in px; and its ends."""
+    error; and its ends."""
 
     number: int
     t_s: float
     column: float
     slope: float
     sigma_slope: float
-    sigma_column: float
     tip: End
     top: End | None
 
@@ -92,33 +91,30 @@ class Follower:
         grey = frame.grey
         strip = self._coarsely(grey, start)
         rows = np.arange(max(0, int(strip.tip) - AXIS_PX), int(strip.tip) + 1)
-        axis = None
+        sigma_slope = 0.0
         for half in (self.looks.width / 2.0 + 5.0, self.looks.width / 2.0 + 2.5):
             fitted = self._axis(grey, strip, rows, half)
             if fitted is None:
                 return None
-            strip, axis = fitted
+            strip, sigma_slope = fitted
             tip = self._lower_end(grey, strip)
             if tip is None:
                 return None
-            strip = _with(strip, tip=tip)
+            strip = replace(strip, tip=tip)
             rows = np.arange(max(0, int(tip) - AXIS_PX), int(tip) + 1)
-        if axis is None or strip.tip > grey.shape[0] - 4:
+        if strip.tip > grey.shape[0] - 4:
             return None
         self.speed_px = max(abs(strip.tip - start.tip), 0.7 * self.speed_px)
         top = self._upper_end(grey, strip)
-        self.last = _with(strip, top=strip.top if top is None else top)
-        sigma_slope, sigma_middle, middle = axis
-        sigma = float(np.hypot(sigma_middle, sigma_slope * (strip.tip - middle)))
+        self.last = replace(strip, top=strip.top if top is None else top)
         return Sight(
-            frame.number,
-            frame.t_s,
-            strip.column,
-            strip.slope,
-            sigma_slope,
-            sigma,
-            self._end(grey, strip, strip.tip, 1),
-            None if top is None else self._end(grey, strip, top, -1),
+            number=frame.number,
+            t_s=frame.t_s,
+            column=strip.column,
+            slope=strip.slope,
+            sigma_slope=sigma_slope,
+            tip=self._end(grey, strip, strip.tip, 1),
+            top=None if top is None else self._end(grey, strip, top, -1),
         )
 
     def _coarsely(self, grey: Picture, start: Strip) -> Strip:
@@ -133,7 +129,7 @@ class Follower:
         share = self._share(grey, rows, column)
         i, k = np.unravel_index(np.argmax(share.mean(axis=-1)), share.shape[:2])
         slope = float(np.clip(start.slope + turns[k], -MOST_SLOPE, MOST_SLOPE))
-        return _with(
+        return replace(
             start, column=float(start.at(start.tip)) + aside[i] - slope * start.tip, slope=slope
         )
 
@@ -144,9 +140,9 @@ class Follower:
 
     def _axis(
         self, grey: Picture, strip: Strip, rows: NDArray[np.int64], half: float
-    ) -> tuple[Strip, tuple[float, float, float]] | None:
-        """The axis by the rows' centroids within ``half`` px of ``strip``'s; with the standard
-        errors of its slope and of its column in the middle row, and that row."""
+    ) -> tuple[Strip, float] | None:
+        """The axis by the rows' centroids within ``half`` px of ``strip``'s, and the standard error
+        of its slope."""
         wide = int(np.ceil(half))
         about = strip.at(rows)
         column = np.round(about).astype(int)[:, None] + np.arange(-wide, wide + 1)
@@ -177,14 +173,10 @@ class Follower:
         count = max(len(left) * (1.0 - memory) / (1.0 + memory), 3.0)
         deviation = max(float(left.std()), 0.02)
         length = max(float(row[use].std()), 1.0)
-        errors = (
-            deviation / np.sqrt(count) / length,
-            deviation / np.sqrt(count),
-            float(row[use].mean()),
-        )
         if abs(slope) > 1.2 * MOST_SLOPE:
             return None
-        return _with(strip, column=float(column_0), slope=float(slope)), errors
+        fitted = replace(strip, column=float(column_0), slope=float(slope))
+        return fitted, float(deviation / np.sqrt(count) / length)
 
     def along(self, picture: Array | Picture, strip: Strip, rows: NDArray[np.int64]) -> Array:
         """Means over the inner width of the strip, row by row, of a picture."""
@@ -233,11 +225,6 @@ class Follower:
             self.along(grey, strip, rows),
             self.along(self.looks.still, strip, rows),
         )
-
-
-def _with(strip: Strip, **values: float) -> Strip:
-    fields = {name: getattr(strip, name) for name in strip.__dataclass_fields__}
-    return Strip(**(fields | values))
 
 
 def tips(sights: Sequence[Sight]) -> tuple[Array, Array, Array]:

@@ -19,8 +19,6 @@ from ..inputs.choices import Down
 PICTURES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".pgm", ".webp")
 LEAST_SIDE = 16
 Picture = NDArray[np.uint8]
-
-
 # Quarter turns, counterclockwise as numpy.rot90 has them, after which things fall down the rows.
 TURNS = {Down.DOWN: 0, Down.LEFT: 1, Down.UP: 2, Down.RIGHT: 3}
 
@@ -119,7 +117,7 @@ class Film:
                     if picture.mode[0] in "IF":  # of more than eight bits
                         deep = np.asarray(picture, dtype=float)
                         # twelve bits are often written as sixteen
-                        full = full or 2.0 ** np.ceil(np.log2(max(float(deep.max()), 1.0))) - 1.0
+                        full = full or 2.0 ** np.ceil(np.log2(max(float(deep.max()), 255.0))) - 1.0
                         grey = np.clip(255.0 / full * deep, 0.0, 255.0).astype(np.uint8)
                     else:
                         grey = np.asarray(picture.convert("L"))
@@ -145,8 +143,6 @@ class Film:
                     yield float(stamp), np.rot90(grey, frame.rotation // 90 % 4)
                     count += 1
         except (av.error.FFmpegError, OSError, ValueError) as error:
-            if isinstance(error, InputError):
-                raise
             if not count:  # a film that is cut off ends where it does
                 reason = getattr(error, "strerror", None) or error
                 raise InputError(f"{self.path}: cannot be read as a film: {reason}") from error

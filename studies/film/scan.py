@@ -112,3 +112,11 @@ def clear_background(samples: Picture, covered: Array) -> Array:
             there = np.flatnonzero(~never)
             still[row, never] = np.interp(np.flatnonzero(never), there, still[row, there])
     return np.nan_to_num(still)
+
+
+def coarser(pictures: Array | Picture, factor: int) -> Array:
+    """Means over squares of so many pixels, of pictures (..., rows, columns)."""
+    rows, columns = (side // factor for side in pictures.shape[-2:])
+    cut = pictures[..., : rows * factor, : columns * factor]
+    blocks = cut.reshape(*cut.shape[:-2], rows, factor, columns, factor)
+    return np.asarray(blocks.mean(axis=(-3, -1), dtype=np.float32))

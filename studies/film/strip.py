@@ -16,8 +16,7 @@ from numpy.typing import NDArray
 
 from ...solver.arrays import Array
 from ...solver.compiled import njit
-from .reading import Picture
-from .scan import Scan, clear_background
+from .scan import Scan, clear_background, coarser
 
 WIDTHS = (1, 2, 3, 5, 8, 12, 18)
 """Widths in px that are tried."""
@@ -52,20 +51,18 @@ class Strip:
 
 @dataclass(frozen=True)
 class Looks:
-    """What the strip of a film looks like, and what is behind it: ``still`` (rows, columns), with
-    the typical ``contrast`` and ``width``; ``moves`` (rows, columns) is where something moves."""
+    """What the strip of a film looks like, its typical ``width`` in px and ``contrast`` in grey
+    levels; and what is behind it, ``still`` (rows, columns)."""
 
     still: Array
     width: float
     contrast: float
-    moves: NDArray[np.bool_]
-    noise: float
 
 
 def find_strip(film: Scan) -> tuple[Looks, dict[int, Strip]] | None:
     """The strip that moves in a film, and where it is in samples; None where there is none."""
     factor = max(1, round(film.shape[0] / FINE_ROWS))
-    coarse = _coarser(film.samples, factor)
+    coarse = coarser(film.samples, factor)
     noise = film.noise / factor + 0.5
     spread = np.ptp(coarse, axis=0)
     moves = spread > max(8.0 * noise, 10.0)
@@ -99,7 +96,7 @@ def find_strip(film: Scan) -> tuple[Looks, dict[int, Strip]] | None:
             end = strip.tip + below
             covered[sample] = (aside < width / 2.0 + 3.0) & (row < end)
     still = clear_background(film.samples, covered)
-    looks = Looks(still, width, contrast, np.kron(moves, np.ones((factor, factor))) > 0, film.noise)
+    looks = Looks(still, width, contrast)
     return looks, {int(film.number[sample]): strip for sample, strip in fine.items()}
 
 
@@ -226,15 +223,6 @@ def _moving(group: dict[int, Strip], samples: int) -> bool:
 
 def _size(strip: Strip) -> float:
     return abs(strip.contrast) * (strip.tip - strip.top) * np.sqrt(strip.width)
-
-
-def _coarser(pictures: Picture, factor: int) -> Array:
-    """Means over squares of so many pixels."""
-    count, rows, columns = pictures.shape
-    rows, columns = rows // factor, columns // factor
-    cut = pictures[:, : rows * factor, : columns * factor]
-    blocks = cut.reshape(count, rows, factor, columns, factor)
-    return np.asarray(blocks.mean(axis=(2, 4), dtype=np.float32))
 
 
 def _finer(strip: Strip, factor: int) -> Strip:

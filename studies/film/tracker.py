@@ -18,7 +18,7 @@ from ..inputs.choices import Body, Down
 from .disc import discs, find_ball
 from .edge import Camera, Ends, camera_of, edges
 from .flights import TURNED, Drop, clear_of, drops_of, settled
-from .follow import Follower, Sight
+from .follow import Follower, Sight, tips
 from .reading import TURNS, Film
 from .scan import Scan, scan
 from .strip import find_strip
@@ -148,15 +148,14 @@ def _bristle(film: Film, seen: Scan) -> _Seen | str:
     sights = Follower(looks, strips).sights(film.frames())
     if len(sights) < 6:
         return f"it is in view in {len(sights)} frames"
-    row = np.array([each.tip.row for each in sights])
-    column = np.array([each.column + each.slope * each.tip.row for each in sights])
+    t_s, column, row = tips(sights)
     return _Seen(
-        np.array([each.number for each in sights]),
-        np.array([each.t_s for each in sights]),
-        row,
-        column,
-        np.full(len(row), FIRST_SIGMA_PX),
-        sights,
+        number=np.array([each.number for each in sights]),
+        t_s=t_s,
+        row=row,
+        column=column,
+        sigma=np.full(len(row), FIRST_SIGMA_PX),
+        sights=sights,
     )
 
 
@@ -169,11 +168,11 @@ def _ball(film: Film, seen: Scan) -> _Seen | str:
         return f"it is in view in {len(found)} frames"
     row = np.array([each.row + each.radius for each in found])
     return _Seen(
-        np.array([each.number for each in found]),
-        np.array([each.t_s for each in found]),
-        row,
-        np.array([each.column for each in found]),
-        np.array([np.hypot(each.sigma, DISC_SIGMA_PX) for each in found]),
+        number=np.array([each.number for each in found]),
+        t_s=np.array([each.t_s for each in found]),
+        row=row,
+        column=np.array([each.column for each in found]),
+        sigma=np.array([np.hypot(each.sigma, DISC_SIGMA_PX) for each in found]),
         length=np.array([2.0 * each.radius for each in found]),
         blur=np.array([each.length for each in found]),
     )
@@ -195,9 +194,9 @@ def _settle(
             speed, bend, free = _motion(t, height, drops)
             if turn < 2:
                 camera = camera_of(ends, -speed, -bend, free, frame_s, given)
-            found = edges(ends, -speed, -bend, camera)
-            height, sigma = -found.at, np.maximum(found.sigma, LEAST_SIGMA_PX)
-            sigma = np.hypot(sigma, _by_gamma(ends, speed, bend, camera, found.at))
+            fitted = edges(ends, -speed, -bend, camera)
+            height, sigma = -fitted.at, np.maximum(fitted.sigma, LEAST_SIGMA_PX)
+            sigma = np.hypot(sigma, _by_gamma(ends, speed, bend, camera, fitted.at))
             drops = _again(t, height, sigma, camera)
             sigma = _scattered(t, height, sigma, drops, camera)
         if drops:
@@ -210,7 +209,7 @@ def _settle(
     column, turn_rad, sigma_turn = raw.column, None, None
     if raw.sights:
         column = np.array([s.column + s.slope * r for s, r in zip(raw.sights, row, strict=True)])
-    vertical = _vertical(t, column, row, sigma, drops, raw.sights)
+    vertical = _vertical(t, column, row, drops)
     if raw.sights:
         slope = np.array([each.slope for each in raw.sights])
         turn_rad = -(np.arctan(slope) - np.arctan(vertical[0]))
@@ -220,25 +219,27 @@ def _settle(
     turned = TURNED if raw.sights else BALL_TURNED
     loose = np.hypot(sigma, CHAIN_PX)
     drops = settled(drops_of(t, -down, loose), t, -down, sigma, camera.exposure_s, turned)
-    return Tracked(
-        film,
-        body,
-        seen.shape,
-        frame_s,
-        len(seen.t_s),
-        camera,
-        raw.number,
-        t,
-        column,
-        row,
-        down,
-        sigma,
-        turn_rad,
-        sigma_turn,
-        np.full(len(t), np.nan) if length is None else length,
-        vertical,
-        drops,
+    found = Tracked(
+        film=film,
+        body=body,
+        shape=seen.shape,
+        frame_s=frame_s,
+        frames=len(seen.t_s),
+        camera=camera,
+        number=raw.number,
+        t_s=t,
+        column=column,
+        row=row,
+        down=down,
+        sigma=sigma,
+        turn=turn_rad,
+        sigma_turn=sigma_turn,
+        length=np.full(len(t), np.nan) if length is None else length,
+        vertical=vertical,
+        drops=drops,
     )
+    # one whose every frame an impact blurs tells nothing
+    return replace(found, drops=[drop for drop in drops if len(found.used(drop))])
 
 
 def _again(t: Array, height: Array, sigma: Array, camera: Camera) -> list[Drop]:
@@ -256,7 +257,7 @@ def _motion(
     free: NDArray[np.bool_] = np.zeros(len(t), dtype=bool)
     for drop in drops:
         own = np.arange(drop.first, drop.last + 1)
-        phase = np.array([drop.phase(each) for each in t[own]])
+        phase = drop.phase(t[own])
         speed[own] = drop.speed(t[own])
         bend[own] = np.where(phase >= 0, -drop.gravity, 0.0)
         free[own] = phase >= 0
@@ -286,7 +287,7 @@ def _scattered(
     for drop in drops:
         frames: NDArray[np.int64] = np.arange(drop.first, drop.last + 1)
         frames = frames[clear_of(drop, t[frames], camera.exposure_s)]
-        phase = np.array([drop.phase(each) for each in t[frames]])
+        phase = drop.phase(t[frames])
         for k in range(len(drop.flights)):
             part = frames[phase == k]
             if len(part) < 4:
@@ -336,22 +337,15 @@ def _exposure_of(raw: _Seen, drops: Sequence[Drop], given: Camera, frame_s: floa
     return float(np.clip(drawn, 0.0, frame_s))
 
 
-def _vertical(
-    t: Array,
-    column: Array,
-    row: Array,
-    sigma: Array,
-    drops: Sequence[Drop],
-    sights: Sequence[Sight],
-) -> tuple[float, float]:
+def _vertical(t: Array, column: Array, row: Array, drops: Sequence[Drop]) -> tuple[float, float]:
     """The vertical's slope in columns a row, and its standard error: the way down of what falls.
 
     Zero where falls do not show it better than a level camera would.
     """
     moves, square, weight = 0.0, 0.0, 0.0
     for drop in drops:
-        fall = np.array([i for i in range(drop.first, drop.last + 1) if drop.phase(t[i]) == 0])
-        fall = fall[clear_of(drop, t[fall], 0.0)] if len(fall) else fall
+        own: NDArray[np.int64] = np.arange(drop.first, drop.last + 1)
+        fall = own[(drop.phase(t[own]) == 0) & clear_of(drop, t[own], 0.0)]
         if len(fall) < 4:
             continue
         x, y = column[fall] - column[fall].mean(), row[fall] - row[fall].mean()

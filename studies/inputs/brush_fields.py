@@ -42,15 +42,15 @@ class LayoutFields(Fields, group=BRUSH):
         "around the hub's axis. cup: tufts on rings around it, as in a gutter brush.",
     )
     count: Annotated[int, whole(1, MOST_BRISTLES)] = option(
-        1, "How many bristles all rows, rings or tufts have together.", "N"
+        1, "Number of bristles in the whole brush.", "N"
     )
     rows: Annotated[int, whole(1, 1000)] = option(
-        1, "Rows one behind the other, or rings one inside the other.", "N"
+        1, "Number of rows one behind the other, or of rings one inside the other.", "N"
     )
-    tufts: Annotated[int, whole(1, 1000)] = option(12, "Tufts on each ring of a cup.", "N")
-    radius_m: Annotated[float, above_zero(10.0)] = option(0.1, "Of the outermost ring.")
+    tufts: Annotated[int, whole(1, 1000)] = option(12, "Number of tufts on each ring of a cup.", "N")
+    radius_m: Annotated[float, above_zero(10.0)] = option(0.1, "Radius of the outermost ring.")
     spacing_m: Annotated[float, above_zero(1.0)] = option(
-        4e-3, "From bristle to bristle in a row or a tuft, and from row to row or ring to ring."
+        4e-3, "Distance of neighbouring bristles, and of neighbouring rows or rings."
     )
     mount_angle_deg: Annotated[float, between(-80.0, 80.0)] = option(
         20.0,
@@ -89,7 +89,7 @@ class HubFields(Fields, group=HUB):
     penetration_m: Annotated[float, between(0.0, 10.0)] | None = option(
         None,
         "How far the hub comes down below the height where the first bristle touches.",
-        shown="0.02; a file has it in its path",
+        shown="0.02; not for a path from a file",
     )
     start_s: Annotated[float, between(1e-4, LONGEST_S)] = option(
         0.1,

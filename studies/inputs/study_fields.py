@@ -138,7 +138,7 @@ class TrackInputs(Fields, group=FILM):
     )
     mm_per_px: Annotated[float, between(1e-4, 1e3)] | None = option(
         None,
-        "Scale of the picture in the plane of the fall, where a length in view does not give it.",
+        "Length of a pixel where the body falls. It wins over a length in view.",
         "MM",
         name="mm-per-px",
     )

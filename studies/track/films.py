@@ -151,7 +151,7 @@ def _rows(
         "frame": track.number[used],
         "tip_x_px": np.round(x[used], 3),
         "tip_y_px": np.round(y[used], 3),
-        "flight": [each.drop.phase(t) for t in track.t_s[used]],
+        "flight": each.drop.phase(track.t_s[used]),
     }
     return pd.DataFrame(rows)
 
@@ -209,7 +209,7 @@ def _drop(each: FilmedDrop, found: TrackedFilms) -> dict[str, Any]:
     )
     lean = None
     if track.turn is not None:
-        own = used[[drop.phase(t) <= 0 for t in track.t_s[used]]]
+        own = used[drop.phase(track.t_s[used]) <= 0]
         lean = float(np.degrees(np.median(track.turn[own]))) if len(own) else None
     return {
         "drop": each.number,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -11,7 +12,7 @@ from PIL import Image, ImageDraw
 from ...solver.arrays import Array
 from ..film.encoding import film_writer
 from ..film.flights import Drop
-from ..film.reading import Picture
+from ..film.reading import Frame, Picture
 from ..film.tracker import Tracked
 
 MARK, AXIS = (255, 40, 0), (0, 200, 255)
@@ -34,12 +35,16 @@ class Marked:
     picture: Picture
 
 
-def marked_frames(track: Tracked) -> list[list[Marked]]:
-    """For each drop of a film, frames about its release, its first impact and its highest point,
-    cut to the surroundings of the end."""
+def write_overlay(track: Tracked, path: Path) -> list[list[Marked]]:
+    """Write a film of the frames of all drops with what was found in them, slowly; and return, for
+    each drop, frames about its release, its first impact and its highest point, cut to the
+    surroundings of the end.
+
+    Raises ComputationError where the film cannot be written.
+    """
     wanted = [_moments(track, drop) for drop in track.drops]
     numbers = {int(track.number[i]) for moments in wanted for i in moments.values()}
-    kept = {f.number: f.grey for f in track.film.frames() if f.number in numbers}
+    kept = {f.number: f.grey for f in _overlaid(track, path) if f.number in numbers}
     return [
         [_cut(track, drop, label, i, kept[int(track.number[i])]) for label, i in moments.items()]
         for drop, moments in zip(track.drops, wanted, strict=True)
@@ -96,11 +101,8 @@ def marked(track: Tracked, i: int | None, grey: Picture) -> Picture:
     return np.asarray(picture)
 
 
-def write_overlay(track: Tracked, path: Path) -> None:
-    """A film of the frames of all drops with what was found in them, slowly.
-
-    Raises ComputationError where it cannot be written.
-    """
+def _overlaid(track: Tracked, path: Path) -> Iterator[Frame]:
+    """The film's frames; those of drops are written to the overlay film on the way."""
     shown = np.zeros(track.frames, dtype=bool)
     for drop in track.drops:
         first, last = int(track.number[drop.first]), int(track.number[drop.last])
@@ -113,6 +115,7 @@ def write_overlay(track: Tracked, path: Path) -> None:
     rows, columns = (times * side // 2 * 2 for side in (rows, columns))
     with film_writer(path, OVERLAY_FPS, rows, columns) as add:
         for frame in track.film.frames():
+            yield frame
             if frame.number < len(shown) and shown[frame.number]:
                 picture = marked(track, at.get(frame.number), frame.grey)
                 larger = np.repeat(np.repeat(picture, times, axis=0), times, axis=1)

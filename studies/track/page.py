@@ -14,7 +14,7 @@ from ..inputs.sources import into
 from ..report.figures import BLACK, BLUE, GREY, VERMILION, WIDTH_IN, panels, styled
 from ..report.page import Head, Report, Section, write_report
 from ..report.prose import Prose
-from .films import FilmedDrop, TrackedFilms, summary
+from .films import FilmedDrop, TrackedFilms
 from .overlay import Marked
 
 MOST_DROPS = 24
@@ -36,11 +36,13 @@ prose = Prose(Path(__file__).with_name("words.j2"), HEADS)
 
 
 def write_tracks(
-    found: TrackedFilms, pictures: Sequence[Sequence[Sequence[Marked]]], out: Path
+    found: TrackedFilms,
+    document: dict[str, Any],
+    pictures: Sequence[Sequence[Sequence[Marked]]],
+    out: Path,
 ) -> Path:
-    """Write ``report.html``, figures and tables into ``out``; ``pictures`` are those of each drop
-    of each film. Returns the page's path."""
-    document = summary(found)
+    """Write ``report.html``, figures and tables into ``out``; ``document`` is what track.json
+    holds, ``pictures`` are those of each drop of each film. Returns the page's path."""
     shown = list(zip(found.drops, (each for film in pictures for each in film), strict=True))
     names = [str(track.film.path) for track in found.tracks]
     sections = [_overview(found, document)]

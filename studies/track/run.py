@@ -54,14 +54,16 @@ def _run(
     found = track_films(films, inputs)
     document = summary(found)
     if out is not None:
-        from .overlay import marked_frames, write_overlay
+        from .overlay import write_overlay
         from .page import write_tracks
 
         with together(out, DOCUMENT):
             with folder_in_place(out / OVERLAYS) as made:
-                for k, track in enumerate(found.tracks):
+                pictures = [
                     write_overlay(track, made / f"{k + 1}-{track.film.path.stem}.mp4")
-            write_tracks(found, [marked_frames(track) for track in found.tracks], out)
+                    for k, track in enumerate(found.tracks)
+                ]
+            write_tracks(found, document, pictures, out)
             columns = list(found.table.columns)
             rows = found.table.astype(object).where(found.table.notna(), None)
             write_atomically(out / TABLE, to_csv(columns, rows.to_numpy().tolist()))

@@ -136,11 +136,12 @@ def test_an_effect_in_made_films_is_found_again(tmp_path):
     made = bristle.synth(
         film=True, drops=8, effects=["contact_damping:c_N_s_m=4"], seed=3, out=tmp_path / "made"
     )
+    made.plot()
     films = sorted((tmp_path / "made" / "films").iterdir())
     assert len(films) == 8
     found = bristle.track(films, out=tmp_path / "tracks")
     heights = found.table.groupby("drop").y_mm.first().to_numpy()
     # what the table of a dataset would have had, read without error
-    assert heights == pytest.approx(1e3 * made.table.y0_m.to_numpy(), rel=0.005, abs=0.15)
+    assert heights == pytest.approx(made.table.y0_mm.to_numpy(), rel=0.005, abs=0.15)
     kept = np.array([drop.restitution[0].estimate for drop in found.drops])
-    assert kept == pytest.approx(np.sqrt(made.table.y1_m / made.table.y0_m), abs=0.008)
+    assert kept == pytest.approx(np.sqrt(made.table.y1_mm / made.table.y0_mm), abs=0.008)
