@@ -47,7 +47,9 @@ class LayoutFields(Fields, group=BRUSH):
     rows: Annotated[int, whole(1, 1000)] = option(
         1, "Number of rows one behind the other, or of rings one inside the other.", "N"
     )
-    tufts: Annotated[int, whole(1, 1000)] = option(12, "Number of tufts on each ring of a cup.", "N")
+    tufts: Annotated[int, whole(1, 1000)] = option(
+        12, "Number of tufts on each ring of a cup.", "N"
+    )
     radius_m: Annotated[float, above_zero(10.0)] = option(0.1, "Radius of the outermost ring.")
     spacing_m: Annotated[float, above_zero(1.0)] = option(
         4e-3, "Distance of neighbouring bristles, and of neighbouring rows or rings."
