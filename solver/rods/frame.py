@@ -1,4 +1,4 @@
-"""What is shown of rods at one instant."""
+"""What is shown of rods at one instant, and over the time before it."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from enum import IntEnum
 
 from ..arrays import Array
+from .tally import Means
 
 
 class TipState(IntEnum):
@@ -65,6 +66,7 @@ class Frame:
     bending_stress_Pa : (n, nodes), the greatest over each section
     energy : the sum over all bristles
     steps : time steps of all bristles so far
+    means : over the time since the frame before
     """
 
     t_s: float
@@ -79,3 +81,4 @@ class Frame:
     bending_stress_Pa: Array
     energy: RodEnergy
     steps: int
+    means: Means

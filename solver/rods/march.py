@@ -10,6 +10,7 @@ from .chain import Chain, chain_of, new_system
 from .contact import Surface
 from .motion import STEP, TIME, Hub, Motion, Scheme, copy, rod
 from .step import new_scratch, step
+from .tally import add_step
 
 # A step changes by these factors at most, aims at this share of the error it may have, and is
 # taken again where it has so many times that.
@@ -51,13 +52,17 @@ def march_all(
     stack: Motion,
     other: Motion,
     end_s: float,
+    sums: Array,
 ) -> int:
     """March every stacked rod to ``end_s``; -1, or the first rod whose step fails however short.
 
     The ``loads`` (rods, n, 6) and the ``place`` and ``attitude`` of ``hubs`` are stacked too;
-    ``other`` is room for one rod. Steps end at the hub's breaks.
+    ``other`` is room for one rod. Steps end at the hub's breaks. ``sums`` are those of
+    `tally.add_step`, of windows of equal width from now on to the end.
     """
     system, scratch = new_system(stack.x.shape[1]), new_scratch(stack.x.shape[1])
+    begin_s = stack.totals[0, TIME]
+    width_s = (end_s - begin_s) / len(sums)
     for i in range(len(stack.x)):
         chain, now = chain_of(chains, i), rod(stack, i)
         hub = Hub(hubs.breaks, hubs.coefficients, hubs.place[i], hubs.attitude[i])
@@ -81,6 +86,7 @@ def march_all(
                 continue
             if count > MANY:
                 change = min(change, 1.0)
+            add_step(surface, hub, now, other, begin_s, width_s, sums)
             copy(other, now)
             # a step that was shortened to end in time tells less of the next one's length
             now.totals[STEP] = h * change if change < 1.0 else max(wanted, h * change)

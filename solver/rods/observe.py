@@ -57,7 +57,7 @@ def observe(chains: Chain, surface: Surface, gravity: Array, stack: Motion) -> S
             for c in range(3):
                 for d in range(3):
                     moment[i, k, c] += matrix[d, c] * load[3 + d]
-        _meet(surface, now, met[i])
+        meet(surface, now, met[i])
         energy[i, 0], energy[i, 1], energy[i, 2] = energies(chain, now, gravity)
         energy[i, 3], energy[i, 4] = now.totals[HUB_WORK], now.totals[MATERIAL]
         energy[i, 5], energy[i, 6] = now.totals[CONTACT], now.totals[FRICTION]
@@ -66,7 +66,7 @@ def observe(chains: Chain, surface: Surface, gravity: Array, stack: Motion) -> S
 
 
 @njit
-def _meet(surface: Surface, now: Motion, out: Array) -> None:
+def meet(surface: Surface, now: Motion, out: Array) -> None:
     """Write the normal force, the size of the friction, and whether the rod is free, sticks, or
     slides."""
     push, sliding = np.zeros(3), 0.0

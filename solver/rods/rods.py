@@ -26,6 +26,7 @@ from .observe import clearance, observe
 from .rotation import world_to_body
 from .section import RodSection
 from .settle import settle
+from .tally import COLUMNS, Means
 
 # The spectral radius of generalised-alpha at infinite frequency.
 RHO_INFINITY = 0.6
@@ -36,6 +37,8 @@ FIRST_STEP_S = 1e-5
 BOW_RAD = 1e-4
 # Instants at which a march looks ahead whether the hub takes a clamp into the surface.
 LOOKS = 500
+# Forces are averaged over windows of time no longer than this.
+WINDOW_S = 1e-3
 # A tip may lie this share of its length below the surface at the start: it hangs by its weight.
 TOUCHING = 1e-6
 
@@ -117,6 +120,7 @@ class Rods:
         for found in comm.allgather(wrong):
             if found is not None:
                 raise found
+        self._means = Means.none()
         first = self._observed()
         self._initial_J = float(first["energy"][:, :2].sum() + first["energy"][:, 5].sum())
         self._datum_J = float(first["energy"][:, 2].sum())
@@ -141,13 +145,15 @@ class Rods:
         self._refuse_below(np.linspace(self.t_s, until_s, LOOKS))
         count = math.floor(self.t_s / every_s + 1e-9) + 1
         while self.t_s < until_s:
-            self.advance(min(count * every_s, until_s))
+            end_s = min(count * every_s, until_s)
+            self.advance(end_s, math.ceil((end_s - self.t_s) / WINDOW_S * (1.0 - 1e-9)))
             yield self.frame()
             count += 1
 
-    def advance(self, end_s: float) -> None:
-        """March every bristle to ``end_s``; collective. Raises ComputationError as `march`."""
-        failed = -1
+    def advance(self, end_s: float, windows: int = 1) -> None:
+        """March every bristle to ``end_s``, and take means over so many ``windows`` until there;
+        collective. Raises ComputationError as `march`."""
+        failed, begin_s, sums = -1, self.t_s, np.zeros((windows, COLUMNS))
         if len(self.mine):
             failed = march_all(
                 self._chains,
@@ -158,6 +164,7 @@ class Rods:
                 self._now,
                 self._other,
                 end_s,
+                sums,
             )
         else:
             self._now.totals[0, rows.TIME] = end_s
@@ -169,6 +176,10 @@ class Rods:
                 f"{step:.3g} s; try a lower Kn, more elements, or a slower motion"
             )
         require(self.comm, failed < 0, message)
+        parts = self.comm.gather(sums)
+        whole = sums if parts is None else np.sum(parts, axis=0)
+        rods = len(self.mine if parts is None else self.clamps)
+        self._means = Means.of(begin_s, end_s, whole, max(rods, 1))
 
     def frame(self) -> Frame:
         """All bristles as they are now; collective."""
@@ -200,6 +211,7 @@ class Rods:
                 friction_loss_J=float(energy[6]),
             ),
             steps=int(energy[7]),
+            means=self._means,
         )
 
     def checkpoint(self) -> dict[str, Array]:
@@ -228,6 +240,7 @@ class Rods:
         if not len(self.mine):
             self._now.totals[:] = kept["totals"][:1]
         self._initial_J, self._datum_J = map(float, kept["energy_at_start_J"])
+        self._means = Means.none()
 
     # --- start ------------------------------------------------------------------------------------
 

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 from ..arrays import Array
 from .chain import Chain, new_system, total_length
-from .contact import Surface, release
+from .contact import FREE, STICKS, Surface, release
 from .motion import CONTACT, Hub, Motion, Scheme, copy, set_strains
 from .step import new_scratch, step
 
@@ -30,7 +30,7 @@ def settle(
 
     The loads come on in equal steps over a soft surface, as few as will do, which is then made as
     stiff as it is. False where even many steps do not do. Friction at rest can be anything below
-    its limit, so a rod begins with none. ``other`` is room.
+    its limit, so a rod begins with none, and what touches sticks. ``other`` is room.
     """
     still = scheme._replace(inertia=False)
     system, scratch = new_system(len(now.x)), new_scratch(len(now.x))
@@ -48,6 +48,8 @@ def settle(
             held = now.totals[CONTACT]
             now.totals[:] = 0.0
             now.totals[CONTACT] = held
+            now.touch.state[now.touch.state != FREE] = STICKS
+            now.touch.speed[:] = 0.0
             return True
         now.x[:], now.q[:] = start
         for node in range(len(now.x)):

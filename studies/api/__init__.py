@@ -300,7 +300,7 @@ class Session(CaseSession):
         Returns
         -------
         Brush
-            What result.json holds, and the tables of the hub and of the tips.
+            What result.json holds, and the tables of the hub, of means, and of the tips.
 
         Raises
         ------
@@ -309,12 +309,12 @@ class Session(CaseSession):
         ComputationError
             The bristles' motion could not be computed.
         """
-        from ..brush.run import HUB_FILE, TIPS_FILE, run_brush
+        from ..brush.run import HUB_FILE, MEANS_FILE, TIPS_FILE, run_brush
 
         asked = self._checked("brush", inputs)
         with self._into(out) as folder:
             found = run_brush(asked, folder, self.comm)
-            return Brush(found, *self._tables(folder, HUB_FILE, TIPS_FILE))
+            return Brush(found, *self._tables(folder, HUB_FILE, MEANS_FILE, TIPS_FILE))
 
     @_call()
     @signed(SIGNATURES["calibrate"], returns=Calibration)

@@ -302,13 +302,15 @@ class Scatter(Record):
 class Brush(Record):
     """A brush: what result.json holds, by name.
 
-    ``hub`` is a DataFrame with hub.csv's columns, ``tips`` one with those of tips.csv.
+    ``hub``, ``means`` and ``tips`` are DataFrames with the columns of hub.csv, means.csv and
+    tips.csv.
     """
 
     inputs: Record
     n_bristles: int
     hub_at_first_touch_m: float
     steady_from_s: float
+    window_s: float
     force_N: Record
     torque_Nm: Record
     tips_share: Record
@@ -320,14 +322,17 @@ class Brush(Record):
     peak_rss_MB: float
     ranks: int
     hub: pd.DataFrame
+    means: pd.DataFrame
     tips: pd.DataFrame
 
-    def __init__(self, values: Mapping[str, Any], hub: pd.DataFrame, tips: pd.DataFrame) -> None:
+    def __init__(
+        self, values: Mapping[str, Any], hub: pd.DataFrame, means: pd.DataFrame, tips: pd.DataFrame
+    ) -> None:
         super().__init__(values)
-        self.hub, self.tips = hub, tips
+        self.hub, self.means, self.tips = hub, means, tips
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return type(self), (dict(self), self.hub, self.tips)
+        return type(self), (dict(self), self.hub, self.means, self.tips)
 
     def rows(self) -> list[tuple[str, str]]:
         from ..brush.run import summary
@@ -341,7 +346,7 @@ class Brush(Record):
         """The force on the hub over time, by component."""
         ax = _axes(ax)
         for axis in "xyz":
-            ax.plot(self.hub.t_s, self.hub[f"f{axis}_N"], label=axis)
+            ax.plot(self.means.to_s, self.means[f"f{axis}_N"], label=axis)
         ax.set(xlabel="time (s)", ylabel="force on the hub (N)", title=self.heading())
         ax.legend()
         return ax

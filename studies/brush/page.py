@@ -20,13 +20,15 @@ from ..report.figures import BLACK, BLUE, GREEN, GREY, VERMILION, drawing, panel
 from ..report.page import Head, Report, Section, write_report
 from ..report.prose import Prose
 from .inputs import BrushInputs
-from .record import DRAWN, Record
+from .record import DRAWN, LOAD_COLUMNS, SHARE_COLUMNS, Record
 
 # Instants of which the shape is drawn: of one bristle several, of many the last.
 INSTANTS = 7
 # Of a view of the brush, over its height.
 LEAST_WIDTH = 0.4
 HEADS: dict[str, Head] = {
+    "from_s": ("from", "s", 4),
+    "to_s": ("to", "s", 4),
     "in_contact": ("in contact", "share of tips", 3),
     "sticking": ("sticking", "share of tips", 3),
     "slipping": ("slipping", "share of tips", 3),
@@ -51,8 +53,8 @@ prose = Prose(Path(__file__).with_name("words.j2"), HEADS)
 def write_page(inputs: BrushInputs, record: Record, document: Mapping[str, Any], out: Path) -> None:
     """Write ``report.html``, ``figures/`` and ``tables/`` of what a brush did."""
     sections = [
-        _force_section(record.hub_table(), document),
-        _tips_section(record.over_time(), document),
+        _force_section(record.interval_table(), document),
+        _tips_section(record.interval_table(), document),
         _shape_section(inputs, record),
         _stress_section(record.over_time(), document, inputs.yield_strength_Pa),
         _energy_section(inputs, document),
@@ -71,34 +73,39 @@ def write_page(inputs: BrushInputs, record: Record, document: Mapping[str, Any],
     write_report(page, out)
 
 
-def _force_section(hub: pd.DataFrame, document: Mapping[str, Any]) -> Section:
+def _force_section(over: pd.DataFrame, document: Mapping[str, Any]) -> Section:
     draft = prose("force", said=document)
-    data = draft.data("hub", hub)
-    draft.figure("force", force_figure(hub), data)
-    draft.figure("torque", torque_figure(hub), data)
+    data = draft.data("means", over[["from_s", "to_s", *LOAD_COLUMNS]])
+    draft.figure("force", force_figure(over), data)
+    draft.figure("torque", torque_figure(over), data)
     return draft.section()
 
 
 def _over_time(ax: Axes, table: pd.DataFrame, names: Sequence[str]) -> None:
     for name, axis, colour in zip(names, "xyz", (VERMILION, GREEN, BLUE), strict=True):
-        ax.plot(table.t_s, table[name], color=colour, label=axis)
+        ax.stairs(table[name], edges(table), color=colour, label=axis, baseline=None)
+
+
+def edges(table: pd.DataFrame) -> Array:
+    """Where intervals that follow each other begin and end."""
+    return np.array([*table.from_s, table.to_s.iloc[-1]])
 
 
 @drawing("time (s)", "force on the hub (N)")
-def force_figure(ax: Axes, hub: pd.DataFrame) -> None:
-    """The three components of the force over time."""
-    _over_time(ax, hub, ("fx_N", "fy_N", "fz_N"))
+def force_figure(ax: Axes, over: pd.DataFrame) -> None:
+    """The three components of the mean force over each interval."""
+    _over_time(ax, over, LOAD_COLUMNS[:3])
 
 
 @drawing("time (s)", "torque on the hub (N m)")
-def torque_figure(ax: Axes, hub: pd.DataFrame) -> None:
-    """The three components of the torque over time."""
-    _over_time(ax, hub, ("mx_Nm", "my_Nm", "mz_Nm"))
+def torque_figure(ax: Axes, over: pd.DataFrame) -> None:
+    """The three components of the mean torque over each interval."""
+    _over_time(ax, over, LOAD_COLUMNS[3:])
 
 
 def _tips_section(over: pd.DataFrame, document: Mapping[str, Any]) -> Section:
     draft = prose("tips", said=document)
-    data = draft.data("shares", over.drop(columns="bending_stress_Pa"))
+    data = draft.data("shares", over[["from_s", "to_s", *SHARE_COLUMNS]])
     draft.figure("shares", shares_figure(over), data)
     return draft.section()
 
@@ -107,9 +114,9 @@ def _tips_section(over: pd.DataFrame, document: Mapping[str, Any]) -> Section:
 def shares_figure(ax: Axes, over: pd.DataFrame) -> None:
     """Shares of tips that stick and that slip over time."""
     ax.stackplot(
-        over.t_s,
-        over.sticking,
-        over.slipping,
+        np.repeat(edges(over), 2)[1:-1],
+        np.repeat(over.sticking, 2),
+        np.repeat(over.slipping, 2),
         labels=["stick", "slip"],
         colors=[BLUE, VERMILION],
         alpha=0.55,

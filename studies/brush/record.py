@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
 from typing import Any
@@ -14,20 +14,27 @@ from numpy.typing import NDArray
 from ...solver.arrays import Array
 from ...solver.checkpoint import prefixed, under
 from ...solver.rods.frame import Frame, RodEnergy, TipState
+from ...solver.rods.tally import Means
 from .paraview import write_lines, write_series
 
-HUB_COLUMNS = ("t_s", "fx_N", "fy_N", "fz_N", "mx_Nm", "my_Nm", "mz_Nm")
+LOAD_COLUMNS = ("fx_N", "fy_N", "fz_N", "mx_Nm", "my_Nm", "mz_Nm")
+HUB_COLUMNS = ("t_s", *LOAD_COLUMNS)
+SHARE_COLUMNS = ("in_contact", "sticking", "slipping")
+MEAN_COLUMNS = ("from_s", "to_s", *LOAD_COLUMNS, *SHARE_COLUMNS)
 TIP_COLUMNS = ("x_m", "y_m", "z_m", "normal_N", "friction_N")
 STATES = {TipState.FREE: "free", TipState.STICK: "stick", TipState.SLIP: "slip"}
 # Bristles whose shape is kept for pictures.
 DRAWN = 100
+# Times that differ by less are the same.
+SAME_S = 1e-12
 
 
 def to_arrays(frame: Frame) -> dict[str, Array]:
     """A frame as arrays by name, as a checkpoint keeps it."""
     plain = {each.name: getattr(frame, each.name) for each in fields(frame)}
-    energy = asdict(plain.pop("energy"))
-    return {name: np.asarray(value) for name, value in plain.items()} | prefixed("energy", energy)
+    parts = {name: asdict(plain.pop(name)) for name in ("energy", "means")}
+    whole = {name: np.asarray(value) for name, value in plain.items()}
+    return whole | prefixed("energy", parts["energy"]) | prefixed("means", parts["means"])
 
 
 def from_arrays(arrays: Mapping[str, Array]) -> Frame:
@@ -35,7 +42,7 @@ def from_arrays(arrays: Mapping[str, Array]) -> Frame:
     energy = RodEnergy(**{name: float(value) for name, value in under("energy", arrays)})
     plain: dict[str, Any] = {name: each for name, each in arrays.items() if "." not in name}
     plain |= {"t_s": float(arrays["t_s"]), "steps": int(arrays["steps"])}
-    return Frame(**plain, energy=energy)
+    return Frame(**plain, energy=energy, means=Means(**dict(under("means", arrays))))
 
 
 # Parts of the time whose means say how sure the mean of all is.
@@ -49,6 +56,7 @@ class Record:
     folder: Path | None
     times_s: list[float] = field(default_factory=list)
     hub: list[Array] = field(default_factory=list)
+    means: list[Array] = field(default_factory=list)
     tips: list[Array] = field(default_factory=list)
     states: list[Array] = field(default_factory=list)
     stress_Pa: list[Array] = field(default_factory=list)
@@ -61,6 +69,9 @@ class Record:
         number = len(self.times_s)
         self.times_s.append(frame.t_s)
         self.hub.append(np.concatenate([frame.force_N, frame.torque_Nm]))
+        mean = frame.means
+        ends = [mean.begin_s, mean.end_s]
+        self.means.append(np.column_stack([*ends, mean.force_N, mean.torque_Nm, mean.share]))
         contact = np.column_stack([frame.tip_normal_N, frame.tip_friction_N])
         self.tips.append(np.column_stack([frame.tip_m, contact]))
         self.states.append(np.array(frame.state, dtype=np.int64))
@@ -93,6 +104,19 @@ class Record:
         rows = np.column_stack([self.times_s, np.array(self.hub)])
         return pd.DataFrame(rows, columns=list(HUB_COLUMNS))
 
+    def mean_table(self) -> pd.DataFrame:
+        """A row for each window of time, of means over it: means.csv."""
+        return pd.DataFrame(np.concatenate(self.means), columns=list(MEAN_COLUMNS))
+
+    def interval_table(self) -> pd.DataFrame:
+        """As `mean_table`, of the longer intervals between frames."""
+        rows = [
+            np.average(each, axis=0, weights=each[:, 1] - each[:, 0]) for each in self.means[1:]
+        ]
+        table = pd.DataFrame(rows, columns=list(MEAN_COLUMNS))
+        table["from_s"], table["to_s"] = self.times_s[:-1], self.times_s[1:]
+        return table
+
     def tip_table(self) -> pd.DataFrame:
         """A row for each instant and bristle: tips.csv."""
         n = len(self.states[0])
@@ -103,32 +127,29 @@ class Record:
         return table
 
     def over_time(self) -> pd.DataFrame:
-        """A row for each instant: shares of tips in contact, sticking and slipping, and the
-        greatest bending stress."""
-        states = np.array(self.states)
-        shares = {
-            "in_contact": (states != TipState.FREE).mean(axis=1),
-            "sticking": (states == TipState.STICK).mean(axis=1),
-            "slipping": (states == TipState.SLIP).mean(axis=1),
-        }
+        """A row for each instant: the greatest bending stress of all bristles."""
         stress = np.max(self.stress_Pa, axis=1)
-        return pd.DataFrame({"t_s": self.times_s, **shares, "bending_stress_Pa": stress})
+        return pd.DataFrame({"t_s": self.times_s, "bending_stress_Pa": stress})
 
     def summary(self, from_s: float) -> dict[str, Any]:
-        """What result.json has of the time from ``from_s`` on, energies and stress of all of it."""
-        hub, over = self.hub_table(), self.over_time()
-        later = (hub.t_s >= from_s).to_numpy()
-        if not later.any():
-            later[-1] = True
+        """What result.json has of the time from ``from_s`` on, energies and stress of all of it.
+
+        Means, rms and greatest values are those of the windows of `mean_table` after ``from_s``, or
+        of the last one if there is none.
+        """
+        means, over = self.mean_table(), self.over_time()
+        later = means[means.from_s >= from_s - SAME_S]
+        later = later if len(later) else means[-1:]
+        width = (later.to_s - later.from_s).to_numpy()
         last = self.energies[-1]
         worst = int(over.bending_stress_Pa.argmax())
         return {
             "steady_from_s": from_s,
-            "force_N": _statistics(hub.iloc[:, 1:4].to_numpy()[later], hub.t_s[later]),
-            "torque_Nm": _statistics(hub.iloc[:, 4:].to_numpy()[later], hub.t_s[later]),
+            "window_s": float(width.max()),
+            "force_N": _statistics(later, LOAD_COLUMNS[:3], width),
+            "torque_Nm": _statistics(later, LOAD_COLUMNS[3:], width),
             "tips_share": {
-                name: float(over[name][later].mean())
-                for name in ("in_contact", "sticking", "slipping")
+                name: float(np.average(later[name], weights=width)) for name in SHARE_COLUMNS
             },
             "bending_stress": {
                 "greatest_Pa": float(over.bending_stress_Pa[worst]),
@@ -144,21 +165,23 @@ class Record:
         }
 
 
-def _statistics(vectors: Array, times_s: pd.Series) -> dict[str, Any]:
-    """Mean and root mean square of the components of ``vectors`` (n, 3), and of their sizes; the
-    greatest size, and when; and the standard errors of the means, by the means of `BATCHES` parts
-    one after the other: None where instants are fewer."""
+def _statistics(windows: pd.DataFrame, names: Sequence[str], width: Array) -> dict[str, Any]:
+    """Mean and root mean square of the three columns ``names``, and of the size of the vector that
+    they are; the greatest size, and when; and the standard errors of the means, by the means of
+    `BATCHES` parts one after the other: None where windows are fewer. ``width`` (n,) weighs them.
+    """
+    vectors = windows[list(names)].to_numpy()
     sizes = np.linalg.norm(vectors, axis=1)
     error = None
     if len(vectors) >= 2 * BATCHES:
         parts = [part.mean(axis=0) for part in np.array_split(vectors, BATCHES)]
         error = (np.std(parts, axis=0, ddof=1) / np.sqrt(BATCHES)).tolist()
     return {
-        "mean": vectors.mean(axis=0).tolist(),
+        "mean": np.average(vectors, axis=0, weights=width).tolist(),
         "mean_error": error,
-        "rms": np.sqrt((vectors**2).mean(axis=0)).tolist(),
-        "mean_size": float(sizes.mean()),
-        "rms_size": float(np.sqrt((sizes**2).mean())),
+        "rms": np.sqrt(np.average(vectors**2, axis=0, weights=width)).tolist(),
+        "mean_size": float(np.average(sizes, weights=width)),
+        "rms_size": float(np.sqrt(np.average(sizes**2, weights=width))),
         "greatest_size": float(sizes.max()),
-        "greatest_at_s": float(times_s.iloc[sizes.argmax()]),
+        "greatest_at_s": float(windows.to_s.iloc[sizes.argmax()]),
     }

@@ -1,7 +1,7 @@
 """`bristle brush`: bristles clamped in a moving hub, on a surface.
 
-Writes result.json, hub.csv, tips.csv, report.html and the series for ParaView. Also a script:
-``mpirun -n 2 python3 -m bristle.studies.brush --layout cup --count 240``.
+Writes result.json, hub.csv, means.csv, tips.csv, report.html and the series for ParaView. Also a
+script: ``mpirun -n 2 python3 -m bristle.studies.brush --layout cup --count 240``.
 """
 
 from __future__ import annotations
@@ -34,10 +34,11 @@ from .record import Record, from_arrays, to_arrays
 if TYPE_CHECKING:
     from mpi4py import MPI
 
-HUB_FILE, TIPS_FILE, FIELDS = "hub.csv", "tips.csv", "fields"
+HUB_FILE, MEANS_FILE, TIPS_FILE, FIELDS = "hub.csv", "means.csv", "tips.csv", "fields"
 # All that a brush writes.
 FILES = (
-    *(results.RESULT_FILE, HUB_FILE, TIPS_FILE, f"{FIELDS}/", f"{results.CHECKPOINT}/"),
+    *(results.RESULT_FILE, HUB_FILE, MEANS_FILE, TIPS_FILE),
+    *(f"{FIELDS}/", f"{results.CHECKPOINT}/"),
     *REPORT_FILES,
 )
 # Seconds between the marks of a long march.
@@ -91,6 +92,7 @@ def run_brush(
             if not inputs.write_fields:
                 remove(out / FIELDS)
             write_atomically(out / HUB_FILE, record.hub_table().to_csv(index=False))
+            write_atomically(out / MEANS_FILE, record.mean_table().to_csv(index=False))
             write_atomically(out / TIPS_FILE, record.tip_table().to_csv(index=False))
             write_page(inputs, record, document, out)
             wall_s["total"] = time.perf_counter() - started
@@ -204,14 +206,14 @@ def _mean_warnings(inputs: BrushInputs, found: Mapping[str, Any]) -> list[str]:
     if inputs.duration_s <= inputs.steady_from_s:
         return [
             "the run ends before the hub has come down and reached its speed: what is called a "
-            "mean is the last instant alone; give --until more than --start"
+            "mean is that of the last window alone; give --until more than --start"
         ]
     mean, error = found["force_N"]["mean"], found["force_N"]["mean_error"]
     if error is None or np.linalg.norm(error) <= UNSURE * np.linalg.norm(mean):
         return []
     return [
-        f"the mean force is sure to ±{np.linalg.norm(error):.2g} N alone: it is that of instants, "
-        "between which tips bounce; give a smaller --every or a longer --until"
+        f"the mean force is known to ±{np.linalg.norm(error):.2g} N only, because it varies while "
+        "tips bounce; give a longer --until"
     ]
 
 

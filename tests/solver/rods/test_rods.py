@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from bristle.solver.bristle import Bristle
 from bristle.solver.errors import InputError
+from bristle.solver.rods.chain import uniform_chain
 from bristle.solver.rods.frame import TipState
 from bristle.solver.rods.ground import Ground
 from bristle.solver.rods.hub import Clamps, HubPath
@@ -45,6 +46,46 @@ def test_the_result_is_the_same_on_any_number_of_ranks():
             assert np.array_equal(a.centre_m, b.centre_m)
             assert np.array_equal(a.state, b.state)
             assert a.energy == b.energy
+
+
+def test_mean_forces_are_impulses_even_of_tips_that_bounce():
+    """Without friction the hub alone pushes along x: what it gives is what the bristle gains.
+
+    Instants tell nothing of it: the tip bounces between them.
+    """
+    section = RodSection.of(Bristle())
+    clamp = one_clamp([0.0, 0.0, HEIGHT + section.half_thin_m], leaning(LEAN), LENGTH)
+    path = HubPath.slide(0.02, 1.0, 0.05, 0.05)
+    rods = Rods(section, clamp, path, Ground(2e6, 0.0, 0.0), comm=MPI.COMM_SELF)
+    mass, momentum, impulse, instants = uniform_chain(section, LENGTH, 20).mass, [], [], []
+    for frame in rods.march(0.2, 0.01):
+        momentum.append(mass @ rods.checkpoint()["velocity"][0, :, 0])
+        means = frame.means
+        assert means.end_s[-1] == frame.t_s
+        assert len(means.end_s) == 10
+        impulse.append(np.sum((means.end_s - means.begin_s) * means.force_N[:, 0]))
+        instants.append(0.01 * frame.force_N[0])
+        assert 0.0 <= means.share.min() <= means.share.max() <= 1.0
+    gained, largest = np.diff(momentum), np.abs(impulse).max()
+    np.testing.assert_allclose(-np.array(impulse[1:]), gained, atol=2e-3 * largest)
+    assert np.abs(np.array(instants[1:]) + gained).max() > 0.2 * largest
+
+
+def test_a_step_gives_to_every_window_what_falls_into_it():
+    """Frames so close that each is one step: the mean is that of its two ends, and so is the
+    torque's about a hub that moves. In windows, steps that end elsewhere give the same sum."""
+    fine, whole, cut = rows(1), rows(1), rows(1)
+    before = fine.frame()
+    for frame in fine.march(2e-5, 1e-6):
+        for name in ("force_N", "torque_Nm"):
+            mean = 0.5 * (getattr(before, name) + getattr(frame, name))
+            np.testing.assert_allclose(getattr(frame.means, name)[0], mean, rtol=1e-9, atol=1e-12)
+        before = frame
+    whole.advance(0.03)
+    cut.advance(0.03, 7)
+    for name in ("force_N", "torque_Nm", "share"):
+        seven, one = (getattr(each.frame().means, name) for each in (cut, whole))
+        np.testing.assert_allclose(seven.mean(axis=0), one[0], rtol=1e-9, atol=1e-12)
 
 
 def test_a_run_goes_on_from_a_checkpoint_to_the_bit():

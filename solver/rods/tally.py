@@ -1,0 +1,99 @@
+"""Force and torque of rods on their hub, and shares of rods that touch, as means over windows.
+
+A window is a short span of time, the same for all rods. Every rod has time steps of its own. Each
+adds the integral over its steps, in which forces are taken as linear; what falls into a window over
+the window's width is the mean there. Means are additive, so those of all rods are the sum. An
+instant's force is not: between two instants a tip may bounce.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..arrays import Array
+from ..compiled import njit
+from .contact import Surface
+from .hub import hub_coordinates
+from .motion import TIME, Hub, Motion
+from .observe import meet
+
+# Columns of a tally: force, torque, then one each for rods that touch, stick, slip.
+COLUMNS, STATE = 9, 6
+
+
+@dataclass(frozen=True)
+class Means:
+    """Means over windows of time that follow each other, the first from ``begin_s`` on.
+
+    Parameters
+    ----------
+    begin_s, end_s : (w,), when each begins and ends
+    force_N, torque_Nm : (w, 3), what the bristles do to the hub, the torque about the hub's origin
+    share : (w, 3), of bristles that touch the surface, stick, slip; over time and bristles
+    """
+
+    begin_s: Array
+    end_s: Array
+    force_N: Array
+    torque_Nm: Array
+    share: Array
+
+    @classmethod
+    def of(cls, begin_s: float, end_s: float, sums: Array, rods: int) -> Means:
+        """Of the ``sums`` (w, `COLUMNS`) that `add_step` gathered over so many rods."""
+        ends = np.linspace(begin_s, end_s, len(sums) + 1)
+        mean = sums / np.diff(ends)[:, None]
+        return cls(ends[:-1], ends[1:], mean[:, :3], mean[:, 3:STATE], mean[:, STATE:] / rods)
+
+    @classmethod
+    def none(cls) -> Means:
+        """Of no window."""
+        return cls.of(0.0, 0.0, np.zeros((0, COLUMNS)), 1)
+
+
+@njit
+def _write_row(surface: Surface, hub: Hub, now: Motion, row: Array) -> None:
+    """Write what a rod gives to the columns of a tally at one instant."""
+    pose, met = np.empty((2, 6)), np.zeros(3)
+    hub_coordinates(hub.breaks, hub.coefficients, now.totals[TIME], pose)
+    a0, a1, a2 = now.x[0, 0] - pose[0, 0], now.x[0, 1] - pose[0, 1], now.x[0, 2] - pose[0, 2]
+    for c in range(6):
+        row[c] = -now.reaction[c]
+    row[3] += a1 * row[2] - a2 * row[1]
+    row[4] += a2 * row[0] - a0 * row[2]
+    row[5] += a0 * row[1] - a1 * row[0]
+    meet(surface, now, met)
+    row[STATE] = 1.0 if met[2] > 0.0 else 0.0
+    row[STATE + 1] = 1.0 if met[2] == 1.0 else 0.0
+    row[STATE + 2] = 1.0 if met[2] == 2.0 else 0.0
+
+
+@njit
+def add_step(
+    surface: Surface,
+    hub: Hub,
+    old: Motion,
+    new: Motion,
+    begin_s: float,
+    width_s: float,
+    sums: Array,
+) -> None:
+    """Add a rod's step from ``old`` to ``new`` to the ``sums`` (w, `COLUMNS`) of windows from
+    ``begin_s`` on: integrals over time by the trapezoidal rule."""
+    first, last = np.empty(COLUMNS), np.empty(COLUMNS)
+    _write_row(surface, hub, old, first)
+    _write_row(surface, hub, new, last)
+    start, h = old.totals[TIME], new.totals[TIME] - old.totals[TIME]
+    done = 0.0
+    while done < 1.0:
+        k = int((start + done * h - begin_s) / width_s + 1e-9)
+        k = min(max(k, 0), len(sums) - 1)
+        upto = 1.0
+        if k < len(sums) - 1:
+            upto = min(max((begin_s + (k + 1) * width_s - start) / h, done + 1e-12), 1.0)
+        middle = 0.5 * (done + upto)
+        for c in range(COLUMNS):
+            sums[k, c] += (upto - done) * h * ((1.0 - middle) * first[c] + middle * last[c])
+        done = upto
