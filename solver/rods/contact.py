@@ -110,16 +110,22 @@ def coefficient(surface: Surface, speed: float) -> float:
     return surface.kinetic + (surface.static - surface.kinetic) * math.exp(-ratio * ratio)
 
 
+@inlined
+def point_gap(surface: Surface, k: int, x: Array, matrix: Array) -> float:
+    """The gap in m of one of a section's points over the plane."""
+    gap = 0.0
+    for c in range(3):
+        place = x[c] + matrix[c, 0] * surface.rim[k, 0] + matrix[c, 1] * surface.rim[k, 1]
+        gap += surface.normal[c] * (place - surface.point[c])
+    return gap
+
+
 @njit
 def lowest(surface: Surface, x: Array, matrix: Array) -> float:
     """The least gap in m of a section's points over the plane."""
     least = math.inf
     for k in range(len(surface.rim)):
-        gap = 0.0
-        for c in range(3):
-            place = x[c] + matrix[c, 0] * surface.rim[k, 0] + matrix[c, 1] * surface.rim[k, 1]
-            gap += surface.normal[c] * (place - surface.point[c])
-        least = min(least, gap)
+        least = min(least, point_gap(surface, k, x, matrix))
     return least
 
 

@@ -8,7 +8,8 @@ from ..arrays import Array
 from ..compiled import njit
 from .chain import Chain, chain_of, new_system
 from .contact import Surface
-from .motion import STEP, TIME, Hub, Motion, Scheme, copy, rod
+from .crossing import allowed_J, first_crossing
+from .motion import STEP, TIME, Hub, Motion, Scheme, copy, fit_to_step, rod
 from .step import new_scratch, step
 from .tally import add_step
 
@@ -16,6 +17,8 @@ from .tally import add_step
 # taken again where it has so many times that.
 LEAST_CHANGE, MOST_CHANGE, AIM, TOO_MUCH = 0.2, 1.6, 0.8, 2.0
 SHORTEST_S = 1e-9
+# A step is taken again up to where contact begins or ends if that is before this share of it.
+NEARLY = 0.9
 # An iteration count from which on steps do not grow.
 MANY = 8
 
@@ -66,10 +69,12 @@ def march_all(
     for i in range(len(stack.x)):
         chain, now = chain_of(chains, i), rod(stack, i)
         hub = Hub(hubs.breaks, hubs.coefficients, hubs.place[i], hubs.attitude[i])
+        allowed, lands = allowed_J(chain, scheme), False
         while now.totals[TIME] < end_s:
             until = _next_end(hub, now.totals[TIME], end_s)
             left, wanted = until - now.totals[TIME], now.totals[STEP]
             h = left / math.ceil(left / wanted * (1.0 - 1e-9))
+            fit_to_step(now, h)
             count = step(chain, scheme, surface, loads[i], hub, now, other, h, system, scratch)
             if count < 0:
                 now.totals[STEP] = 0.5 * h
@@ -84,6 +89,11 @@ def march_all(
             if error > TOO_MUCH * scheme.error_m and h > SHORTEST_S:
                 now.totals[STEP] = h * min(change, 0.5)
                 continue
+            share = 1.0 if lands else first_crossing(surface, now, other, allowed)
+            if share < NEARLY:
+                now.totals[STEP], lands = h * share, True
+                continue
+            lands = False
             if count > MANY:
                 change = min(change, 1.0)
             add_step(surface, hub, now, other, begin_s, width_s, sums)

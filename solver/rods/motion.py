@@ -44,8 +44,8 @@ class Hub(NamedTuple):
 
 
 # Rows of `Motion.totals`.
-TIME, STEP, HUB_WORK, MATERIAL, FRICTION, CONTACT, STEPS, ITERATIONS = range(8)
-TOTALS = 8
+TIME, STEP, HUB_WORK, MATERIAL, FRICTION, CONTACT, STEPS, ITERATIONS, LAST = range(9)
+TOTALS = 9
 
 
 class Motion(NamedTuple):
@@ -55,7 +55,8 @@ class Motion(NamedTuple):
     world axes, then angular about the section's own, and so are ``acceleration`` and the scheme's
     ``auxiliary``. ``strain`` (e, 6) see `element.measure`. ``holding`` and ``reaction`` (6,) are
     what the clamp does to the rod, without and with its own half element's inertia. ``totals``
-    (`TOTALS`,) are the time, the next step, sums over time, and counts.
+    (`TOTALS`,) are the time, the next step, sums over time, counts, and the step that
+    ``auxiliary`` belongs to, see `fit_to_step`.
     """
 
     x: Array
@@ -137,6 +138,30 @@ def copy(source: Motion, into: Motion) -> None:
     write(source.touch.speed, into.touch.speed)
     write(source.touch.normal, into.touch.normal)
     write(source.touch.friction, into.touch.friction)
+
+
+# Times that a step's accelerations are stretched by at most.
+STEEPEST = 2.0
+
+
+@njit
+def fit_to_step(now: Motion, h: float) -> None:
+    """Make the scheme's auxiliary accelerations those of a step of ``h`` seconds.
+
+    They are accelerations a little later than the present, by a share of the step. Without this
+    the scheme is of first order where steps change their length (Brüls and Arnold, J. Comput.
+    Nonlinear Dyn. 3 (2008) 041007). Steps that alternate by a factor of four diverge with it, so
+    a step that is far longer than the last one takes less.
+    """
+    last = now.totals[LAST]
+    now.totals[LAST] = h
+    if last == 0.0 or last == h:
+        return
+    ratio = min(h / last, STEEPEST)
+    for i in range(len(now.x)):
+        for c in range(6):
+            a = now.acceleration[i, c]
+            now.auxiliary[i, c] = a + ratio * (now.auxiliary[i, c] - a)
 
 
 @njit

@@ -6,7 +6,15 @@ from scipy.spatial.transform import Rotation
 from bristle.solver.rods.chain import at_rest, new_system
 from bristle.solver.rods.contact import surface_of
 from bristle.solver.rods.hub import Clamps, HubPath
-from bristle.solver.rods.motion import Hub, copy, motion_of, rod, scheme_of, set_strains
+from bristle.solver.rods.motion import (
+    Hub,
+    copy,
+    fit_to_step,
+    motion_of,
+    rod,
+    scheme_of,
+    set_strains,
+)
 from bristle.solver.rods.section import RodSection
 from bristle.solver.rods.step import new_scratch, step
 from bristle.solver.time.scheme import TimeScheme
@@ -65,6 +73,7 @@ class OneRod:
         surface = self.surface
         if not friction:
             surface = surface._replace(static=0.0, kinetic=0.0)
+        fit_to_step(self.now, h)
         arguments = self.chain, self.scheme, surface, self.loads, self.hub, self.now, self.next
         if step(*arguments, h, *self.room) < 0:
             return False
