@@ -376,14 +376,17 @@ def bench(
 def view(
     result: Annotated[
         Path,
-        typer.Argument(metavar="RESULT", help="Folder of a drop's result.", show_default=False),
+        typer.Argument(
+            metavar="RESULT", help="Folder of a drop's or a brush's result.", show_default=False
+        ),
     ],
     out: Annotated[
         Path | None,
         a_folder(help="Folder for the pictures. [default: RESULT/view]"),
     ] = None,
 ) -> None:
-    """Pictures of a drop's result; of a solid's also the wave as a film, and a script for ParaView.
+    """Pictures of the result of a drop or a brush; of a brush also a film, of a solid's drop the
+    wave as a film and a script for ParaView.
 
     Example: bristle view results/drop
     """

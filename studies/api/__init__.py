@@ -575,12 +575,12 @@ mesh = _function("mesh")
 def view(
     result: Folder, *, out: Folder | None = None, comm: MPI.Intracomm | None = None
 ) -> list[Path]:
-    """Draw the result of a drop, as `bristle view`.
+    """Draw the result of a drop or a brush, as `bristle view`.
 
     Parameters
     ----------
     result : str | Path
-        Folder of a drop's result.
+        Folder of a drop's or a brush's result.
     out : str | Path | None
         Folder for the pictures. Default: ``view`` in that folder.
     comm : MPI.Intracomm | None

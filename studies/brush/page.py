@@ -9,23 +9,21 @@ from typing import Any
 import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
-from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 
 from ...solver.arrays import Array
 from .. import __version__
 from ..inputs.choices import Layout
 from ..inputs.sources import checked, command_line
-from ..report.figures import BLACK, BLUE, GREEN, GREY, VERMILION, drawing, panels, styled
+from ..report.figures import BLACK, BLUE, GREEN, VERMILION, drawing, panels, styled
 from ..report.page import Head, Report, Section, write_report
 from ..report.prose import Prose
 from .inputs import BrushInputs
 from .record import DRAWN, LOAD_COLUMNS, SHARE_COLUMNS, Record
+from .shape import Sides
 
 # Instants of which the shape is drawn: of one bristle several, of many the last.
 INSTANTS = 7
-# Of a view of the brush, over its height.
-LEAST_WIDTH = 0.4
 HEADS: dict[str, Head] = {
     "from_s": ("from", "s", 4),
     "to_s": ("to", "s", 4),
@@ -81,7 +79,8 @@ def _force_section(over: pd.DataFrame, document: Mapping[str, Any]) -> Section:
     return draft.section()
 
 
-def _over_time(ax: Axes, table: pd.DataFrame, names: Sequence[str]) -> None:
+def over_time(ax: Axes, table: pd.DataFrame, names: Sequence[str]) -> None:
+    """Draw three components over the intervals of a table."""
     for name, axis, colour in zip(names, "xyz", (VERMILION, GREEN, BLUE), strict=True):
         ax.stairs(table[name], edges(table), color=colour, label=axis, baseline=None)
 
@@ -94,13 +93,13 @@ def edges(table: pd.DataFrame) -> Array:
 @drawing("time (s)", "force on the hub (N)")
 def force_figure(ax: Axes, over: pd.DataFrame) -> None:
     """The three components of the mean force over each interval."""
-    _over_time(ax, over, LOAD_COLUMNS[:3])
+    over_time(ax, over, LOAD_COLUMNS[:3])
 
 
 @drawing("time (s)", "torque on the hub (N m)")
 def torque_figure(ax: Axes, over: pd.DataFrame) -> None:
     """The three components of the mean torque over each interval."""
-    _over_time(ax, over, LOAD_COLUMNS[3:])
+    over_time(ax, over, LOAD_COLUMNS[3:])
 
 
 def _tips_section(over: pd.DataFrame, document: Mapping[str, Any]) -> Section:
@@ -151,22 +150,9 @@ def shape_figure(lines: Array) -> Figure:
     figure, axes = panels(columns=2, height_in=3.6)
     stress, points = 1e-6 * lines[:, :, 3], 1e3 * lines[:, :, :3]
     low, high = points.min(axis=(0, 1)), points.max(axis=(0, 1))
-    # equally wide, so that both have one scale
-    half = 0.55 * max(*(high - low)[:2], LEAST_WIDTH * high[2])
-    for ax, side, name in zip(axes[0], (0, 1), "xy", strict=True):
-        seen = points[:, :, [side, 2]]
-        pieces = np.stack([seen[:, :-1], seen[:, 1:]], axis=2).reshape(-1, 2, 2)
-        drawn = LineCollection(list(pieces), cmap="viridis", linewidths=1.0)
-        drawn.set_array(0.5 * (stress[:, :-1] + stress[:, 1:]).ravel())
-        drawn.set_clim(0.0, max(float(stress.max()), 1e-9))
-        ax.add_collection(drawn)
-        ax.axhline(0.0, color=GREY, lw=0.8)
-        middle = 0.5 * (low[side] + high[side])
-        ax.set(xlabel=f"{name} from the hub (mm)", aspect="equal")
-        ax.set(xlim=(middle - half, middle + half), ylim=(-0.05 * high[2], 1.05 * high[2]))
-        ax.locator_params(axis="x", nbins=4)
-    axes[0, 0].set_ylabel("height (mm)")
-    bar = figure.colorbar(drawn, ax=axes, label="bending stress (MPa)", shrink=0.8)
+    sides = Sides(figure, tuple(axes[0]), low, high, float(stress.max()))
+    sides.show(points, stress)
+    bar = sides.bar
     if bar.solids is not None:  # a page takes no pictures of pixels
         bar.solids.set(rasterized=False, edgecolor="face")
     return figure

@@ -1,4 +1,4 @@
-"""Pictures and an animation of a drop's result."""
+"""Pictures and an animation of the result of a drop or a brush."""
 
 from __future__ import annotations
 
@@ -16,29 +16,35 @@ from ..running.files import filled, prepare_folder
 from ..running.progress import note, progress
 from ..running.results import HISTORY_FILE, RESULT_FILE
 
+MEANS_FILE = "means.csv"
+
 if TYPE_CHECKING:
     from .wave import Wave
 
 FIELDS_FOLDER = "fields"
 VIEW_FOLDER = "view"
 HISTORY, WAVE, TIP_STRESS, SPACE_TIME = "history", "wave", "tip-stress", "space-time"
-ANIMATION = "wave.gif"
+LOADS, SHAPE = "loads", "shape"
+ANIMATION, BRUSH_FILM = "wave.gif", "brush.mp4"
 # All that is drawn.
 FILES = (
     *(name for stem in (HISTORY, WAVE, TIP_STRESS, SPACE_TIME) for name in picture_files(stem)),
-    ANIMATION,
+    *(name for stem in (LOADS, SHAPE) for name in picture_files(stem)),
+    *(ANIMATION, BRUSH_FILM),
 )
 
 
 def run_view(
     result_dir: Path, out: Path | None = None, comm: MPI.Intracomm = MPI.COMM_WORLD
 ) -> list[Path]:
-    """Draw a drop's result; returns what was written, the same on every rank. Collective.
+    """Draw the result of a drop or a brush; returns what was written, the same on every rank.
+    Collective.
 
     Into ``out`` (``view`` in the result's folder, where it is left out) come ``history`` (.svg and
     .png), and for a solid with fields ``space-time``, ``wave``, ``tip-stress`` (each .svg and
     .png) and ``wave.gif``; ``open_in_paraview.py`` comes into the result's own folder, beside the
-    fields. What was there before is replaced when everything is drawn.
+    fields. Of a brush come ``loads``, and with fields ``shape`` (each .svg and .png) and
+    ``brush.mp4``. What was there before is replaced when everything is drawn.
 
     Raises
     ------
@@ -50,6 +56,8 @@ def run_view(
 
 def _view(result: Path, out: Path | None) -> list[Path]:
     document = read_result(result)
+    if "n_bristles" in document:
+        return _view_brush(result, Path(out) if out is not None else result / VIEW_FOLDER)
     # matplotlib and VTK take a second to import, which other commands need not wait for
     from .history_picture import history_figure, read_history, touch_time_s
 
@@ -80,11 +88,30 @@ def read_result(result: Path) -> dict[str, Any]:
     if not result.is_dir():
         raise InputError(f"{result}: there is no such folder")
     if not exists(path):
-        raise InputError(f"{result}: no {RESULT_FILE} here: this is no result of a drop")
+        raise InputError(f"{result}: no {RESULT_FILE} here: this is no result of a drop or a brush")
     document = parse_json(path, read_text(path))
-    if not isinstance(document, dict) or "model" not in document:
-        raise InputError(f"{path}: not a result of this program: it names no model")
+    if not isinstance(document, dict) or not {"model", "n_bristles"} & document.keys():
+        raise InputError(f"{path}: not a result of a drop or a brush: it names no model")
     return document
+
+
+def _view_brush(result: Path, target: Path) -> list[Path]:
+    """Draw a brush into the folder ``target``; returns the files."""
+    from .brush_pictures import BrushSeries, filmed, load_figure, read_means, write_film
+
+    means, fields = read_means(result / MEANS_FILE), result / FIELDS_FOLDER
+    series = BrushSeries.of(fields) if fields.is_dir() else None
+    prepare_folder(target, *FILES)
+    with filled(target) as folder:
+        write_picture(folder / LOADS, picture(load_figure(means)))
+        if series is None:
+            note(f"{result} has no fields: for a film, compute the brush without --no-fields")
+        else:
+            count = 2 * len(filmed(len(series.times_s)))
+            with progress("film of the brush, frames", count) as advance:
+                last = write_film(series, means, folder / BRUSH_FILM, advance)
+            write_picture(folder / SHAPE, picture(last))
+        return [target / name for name in sorted(path.name for path in folder.iterdir())]
 
 
 def _view_fields(result: Path, document: dict[str, Any], touch_s: float, folder: Path) -> Wave:
