@@ -13,16 +13,13 @@ whole drop or sweep 1.5 times faster than these two.
 from __future__ import annotations
 
 from enum import StrEnum
-from typing import TYPE_CHECKING
+from typing import Protocol
 
 import numpy as np
 from petsc4py import PETSc
 
 from ..arrays import Array
 from ..errors import ComputationError
-
-if TYPE_CHECKING:
-    from .solid import SolidBody
 
 # Numbers in a factor. A leaning bristle keeps three, which then take 8 GB.
 LARGEST_FACTOR = 330_000_000
@@ -59,8 +56,23 @@ def choose(solver: Solver, unknowns: int, layers: int, order: int) -> Solver:
     return Solver.DIRECT if min(compact, slender) <= LARGEST_FACTOR else Solver.ITERATIVE
 
 
+class Solid(Protocol):
+    """What a solver wants to know of a solid."""
+
+    @property
+    def stiffest_1_s2(self) -> float:
+        """The greatest ratio of the diagonals of K and M."""
+
+    @property
+    def places_m(self) -> Array:
+        """Where this rank's nodes are (n, 3)."""
+
+    def effective_matrix(self, c_mass: float, c_stiffness: float) -> PETSc.Mat:
+        """c_mass M + c_stiffness K as a matrix of its own."""
+
+
 def make_solver(
-    solid: SolidBody, method: Solver, c_mass: float, c_stiffness: float
+    solid: Solid, method: Solver, c_mass: float, c_stiffness: float
 ) -> Cholesky | Iterative:
     """A solver of c_mass M + c_stiffness K. Collective; raises ComputationError."""
     matrix = solid.effective_matrix(c_mass, c_stiffness)
@@ -149,7 +161,7 @@ class Iterative:
     aggregation that is told the rigid motions (Vaněk, Mandel and Brezina, Computing 56, 1996).
     """
 
-    def __init__(self, matrix: PETSc.Mat, solid: SolidBody, *, stiff: bool) -> None:
+    def __init__(self, matrix: PETSc.Mat, solid: Solid, *, stiff: bool) -> None:
         self.solver = PETSc.KSP().create(matrix.comm)
         self.solver.setOperators(matrix)
         self._right, self._left = matrix.createVecs()

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
-from ...solver.contact.laws import Linear
 from ...solver.drop import DropResult
 from ...solver.effects.base import Place, Scene
 from ...solver.effects.library import enter_all
@@ -14,36 +12,23 @@ from ...solver.errors import InputError
 from .choices import Contact, Model, Scheme
 from .flags import refuse
 from .stance import ANGLES
-
-if TYPE_CHECKING:
-    from .config import DropInputs
+from .values import DropValues
 
 
 @dataclass(frozen=True)
-class Entered:
+class Entered[Drop: DropValues]:
     """A drop with its effects in: ``inputs`` names none any more, ``scene`` holds what no option
     says."""
 
-    inputs: DropInputs
+    inputs: Drop
     scene: Scene
 
 
-def scene_of(inputs: DropInputs) -> Scene:
-    """What the options alone make of a drop."""
-    return Scene(
-        height_m=inputs.height_m,
-        front_m2=inputs.bristle().section.area_m2,
-        beta_s=inputs.beta_s,
-        law=Linear(inputs.kn_N_m),
-        **{name: getattr(inputs, name) for name in ANGLES},
-    )
-
-
-def entered(inputs: DropInputs) -> Entered:
+def entered[Drop: DropValues](inputs: Drop) -> Entered[Drop]:
     """The drop with all its effects in. Raises InputError where they make it impossible."""
     if not inputs.effects:
-        return Entered(inputs, scene_of(inputs))
-    scene = enter_all(scene_of(inputs), [each.effect() for each in inputs.effects])
+        return Entered(inputs, inputs.scene())
+    scene = enter_all(inputs.scene(), [each.effect() for each in inputs.effects])
     plain = inputs.changed(
         effects=(),
         kn_N_m=scene.law.kn_N_m,
@@ -76,9 +61,9 @@ def observed(result: DropResult, scene: Scene) -> DropResult:
     )
 
 
-def check_effects(inputs: DropInputs) -> None:
+def check_effects(inputs: DropValues) -> None:
     """Refuse effects that the model, the enforcement or the scheme cannot have."""
-    scene = scene_of(inputs)
+    scene = inputs.scene()
     try:
         effects = [each.effect() for each in inputs.effects]
         after = enter_all(scene, effects)

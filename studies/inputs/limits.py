@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+
+import numpy as np
+from pydantic import BaseModel
 
 from ...meshes.section import Rectangle
 from ...solver import paper
@@ -18,12 +20,14 @@ from .choices import Contact, Deflection, Model, Scheme, Tip, Until
 from .fields import FLAT, MOST_CONTACT_POINTS
 from .flags import refuse
 from .sources import OPTIONS
-from .stance import lean_deg, narrow_zone, slowest_bending_1_s, surface_normal
-
-if TYPE_CHECKING:
-    from pydantic import BaseModel
-
-    from .config import DropInputs, Inputs
+from .stance import (
+    LINEAR_LEAN_DEG,
+    face_offsets_m,
+    lean_deg,
+    slowest_bending_1_s,
+    surface_normal,
+)
+from .values import DropValues, Values
 
 UNKNOWNS = 10_000_000
 STEPS = 2_000_000
@@ -40,8 +44,6 @@ STRAIN = 0.1
 CLOSURE = 1e-6
 # Of a body that bends or turns by more than is small: what the change to linear flight leaves over.
 CLOSURE_BENT = 1e-2
-# Lean in degrees up to which small strain and rotation in contact are taken to be enough.
-LINEAR_LEAN_DEG = 10.0
 # Lean from which a linear body is off by more than a hundredth of the speed (tests/reference).
 SMALL_LEAN_DEG = 0.5
 # Angular velocity over the slowest bending's: what turning does to ringing is left out of flight.
@@ -66,7 +68,7 @@ ALIKE = 0.1
 FALLEN_DEG = 90.0
 
 
-def count_unknowns(inputs: Inputs) -> int:
+def count_unknowns(inputs: Values) -> int:
     """Unknowns of the solid, exactly but for a round wire."""
     p = inputs.order
     if inputs.mesh is not None:
@@ -80,7 +82,7 @@ def count_unknowns(inputs: Inputs) -> int:
     return 3 * nodes * (p * nz + 1)
 
 
-def check_unknowns(inputs: Inputs) -> None:
+def check_unknowns(inputs: Values) -> None:
     """Refuse a solid of more than ``UNKNOWNS``."""
     n = count_unknowns(inputs)
     if n > UNKNOWNS:
@@ -90,7 +92,7 @@ def check_unknowns(inputs: Inputs) -> None:
         refuse(field, f"{cells} make {n:,} unknowns; at most {UNKNOWNS:,} can be factored here")
 
 
-def check_drop(inputs: DropInputs) -> None:
+def check_drop(inputs: DropValues) -> None:
     """Refuse a spring too soft for the bristle, steps too many or too long, too early an end."""
     _check_spring(inputs)
     fall_s, speed_m_s = free_fall(inputs.height_m, inputs.gravity_m_s2, inputs.alpha_1_s)
@@ -120,7 +122,7 @@ def check_drop(inputs: DropInputs) -> None:
         )
 
 
-def _check_drag(inputs: DropInputs, speed_m_s: float) -> None:
+def _check_drag(inputs: DropValues, speed_m_s: float) -> None:
     """Refuse drag after which the spring could not throw a rigid bristle off against gravity."""
     if not inputs.alpha_1_s or math.isinf(inputs.kn_N_m):
         return
@@ -134,7 +136,7 @@ def _check_drag(inputs: DropInputs, speed_m_s: float) -> None:
         )
 
 
-def _check_spring(inputs: DropInputs) -> None:
+def _check_spring(inputs: DropValues) -> None:
     weight = inputs.bristle().mass_kg * inputs.gravity_m_s2
     depth = weight / inputs.kn_N_m + math.sqrt(2.0 * weight * inputs.height_m / inputs.kn_N_m)
     if depth > inputs.bristle().length_m:
@@ -145,7 +147,7 @@ def _check_spring(inputs: DropInputs) -> None:
         )
 
 
-def input_warnings(inputs: DropInputs) -> list[str]:
+def input_warnings(inputs: DropValues) -> list[str]:
     """What a user should know before the run: value, limit, and what to change."""
     found = [*unit_warnings(inputs), *_damping_warnings(inputs)]
     if inputs.model is Model.ANALYTIC:
@@ -173,7 +175,7 @@ def unit_warnings(inputs: BaseModel) -> list[str]:
     return found
 
 
-def _damping_warnings(inputs: DropInputs) -> list[str]:
+def _damping_warnings(inputs: DropValues) -> list[str]:
     """Damping far beyond critical, or another material with that of the paper's steel bristle."""
     damping = inputs.bristle().axial_damping
     if damping > MOST_DAMPED:
@@ -193,7 +195,7 @@ def _damping_warnings(inputs: DropInputs) -> list[str]:
     ]
 
 
-def _step_warnings(inputs: DropInputs) -> list[str]:
+def _step_warnings(inputs: DropValues) -> list[str]:
     if math.isinf(inputs.kn_N_m):
         return []
     quarter_s = quarter_period_s(inputs.bristle().mass_kg, inputs.kn_N_m)
@@ -207,7 +209,7 @@ def _step_warnings(inputs: DropInputs) -> list[str]:
     ]
 
 
-def _lean_warnings(inputs: DropInputs) -> list[str]:
+def _lean_warnings(inputs: DropValues) -> list[str]:
     found = []
     lean = lean_deg(inputs)
     bent = inputs.resolved_deflection
@@ -234,7 +236,7 @@ def _lean_warnings(inputs: DropInputs) -> list[str]:
     return found
 
 
-def check_result(inputs: DropInputs, result: DropResult) -> None:
+def check_result(inputs: DropValues, result: DropResult) -> None:
     """ComputationError where the energy budget of a conserving scheme says that it went astray."""
     closure = result.energy.closure_relative
     if _conserves(inputs) and closure > ASTRAY:
@@ -244,7 +246,7 @@ def check_result(inputs: DropInputs, result: DropResult) -> None:
         )
 
 
-def result_warnings(inputs: DropInputs, result: DropResult) -> list[str]:
+def result_warnings(inputs: DropValues, result: DropResult) -> list[str]:
     """What a user should know of the result."""
     found = _end_warnings(inputs, result)
     if _conserves(inputs):
@@ -262,13 +264,13 @@ def result_warnings(inputs: DropInputs, result: DropResult) -> list[str]:
     return found
 
 
-def _conserves(inputs: DropInputs) -> bool:
+def _conserves(inputs: DropValues) -> bool:
     """Whether the budget should close: a rigid plane's multiplier does work of its own."""
     rigid = inputs.contact is Contact.AUGMENTED and math.isinf(inputs.kn_N_m)
     return inputs.scheme is Scheme.AVERAGE and not rigid
 
 
-def closure_warnings(inputs: DropInputs, closures: Sequence[float] | Array) -> list[str]:
+def closure_warnings(inputs: DropValues, closures: Sequence[float] | Array) -> list[str]:
     """Energy budgets, of one drop or many, that close worse than a conserving scheme's should."""
     leans = any(each.effect().leaning for each in inputs.effects)
     small = inputs.resolved_deflection is Deflection.SMALL and not leans
@@ -284,7 +286,7 @@ def closure_warnings(inputs: DropInputs, closures: Sequence[float] | Array) -> l
     ]
 
 
-def _end_warnings(inputs: DropInputs, result: DropResult) -> list[str]:
+def _end_warnings(inputs: DropValues, result: DropResult) -> list[str]:
     """An end that leaves no rebound to be seen."""
     if isinstance(inputs.until, Until) or result.rebound_ratio is not None:
         return []
@@ -294,7 +296,32 @@ def _end_warnings(inputs: DropInputs, result: DropResult) -> list[str]:
     return [f"no rebound was seen: the drop ends at {inputs.until:g} s, {where}; raise --until"]
 
 
-def _zone_warnings(inputs: DropInputs, result: DropResult) -> list[str]:
+def narrow_zone(
+    inputs: DropValues, depth_m: float, n_points: int | None = None
+) -> tuple[float, float] | None:
+    """Where fewer points touch than a pressure needs: the zone's width, and the points' distance.
+
+    At the penetration ``depth_m`` an undeformed end face touches with all points that stand back
+    less; they should be more than one row along both sides. None where they are.
+    """
+    section = inputs.end_section()
+    xy, _ = section.contact_points(n_points or inputs.contact_points)
+    normal, back = surface_normal(inputs), face_offsets_m(inputs.face(), section, xy)
+    gaps = xy @ normal[:2] + back * normal[2]
+    gaps -= gaps.min()
+    zone = gaps <= depth_m
+    for axis in range(2):
+        here = xy[zone, axis]
+        if np.ptp(here) > 0.0:
+            continue
+        distance = np.abs(xy[:, axis] - here[0])
+        spacing = float(distance[distance > 1e-6 * distance.max()].min())
+        step = float(gaps[np.isclose(distance, spacing)].min())
+        return spacing * depth_m / step, spacing
+    return None
+
+
+def _zone_warnings(inputs: DropValues, result: DropResult) -> list[str]:
     """A contact zone that falls between the contact points."""
     if inputs.tip is Tip.POINT or math.isinf(inputs.kn_N_m):
         return []
@@ -313,7 +340,7 @@ def _zone_warnings(inputs: DropInputs, result: DropResult) -> list[str]:
     ]
 
 
-def _patch_warnings(inputs: DropInputs, result: DropResult) -> list[str]:
+def _patch_warnings(inputs: DropValues, result: DropResult) -> list[str]:
     """A contact patch that one cell covers."""
     section = inputs.bristle().section
     if not isinstance(section, Rectangle) or inputs.tip_shape != FLAT:
@@ -340,7 +367,7 @@ def _patch_warnings(inputs: DropInputs, result: DropResult) -> list[str]:
     return found
 
 
-def _turning_warnings(inputs: DropInputs, result: DropResult) -> list[str]:
+def _turning_warnings(inputs: DropValues, result: DropResult) -> list[str]:
     """A flight in which the bristle turns too fast, or too far, for what is computed of it."""
     found = []
     spin = math.hypot(*result.spin_after_rad_s)

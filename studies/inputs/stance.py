@@ -1,9 +1,8 @@
-"""How a bristle stands to the surface, and which of its contact points land first."""
+"""How a bristle stands to the surface."""
 
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -12,31 +11,31 @@ from ...meshes.tip_shape import TipShape
 from ...solver.arrays import Array
 from ...solver.bristle import Bristle
 from ...solver.rigid import leaning, matrix_of, slope_normal
+from .fields import PlaceFields
 from .flags import refuse
-
-if TYPE_CHECKING:
-    from .config import DropInputs, Inputs
 
 ANGLES = ("tilt_deg", "tilt_wide_deg", "slope_deg", "slope_wide_deg")
 # Bristle against the surface's normal; beyond it the side touches before the end face.
 LEAN_DEG = 80.0
+# Lean in degrees up to which small strain and rotation in contact are taken to be enough.
+LINEAR_LEAN_DEG = 10.0
 # First root of cos x cosh x = 1: the slowest bending of a free bar.
 FREE_BENDING = 4.730040744862704
 
 
-def surface_normal(inputs: Inputs) -> Array:
+def surface_normal(inputs: PlaceFields) -> Array:
     """The surface's normal (3,) along the bristle's own axes."""
     attitude = matrix_of(leaning(inputs.tilt_deg, inputs.tilt_wide_deg))
     return np.asarray(attitude.T @ slope_normal(inputs.slope_deg, inputs.slope_wide_deg))
 
 
-def lean_deg(inputs: Inputs) -> float:
+def lean_deg(inputs: PlaceFields) -> float:
     """Angle between the bristle and the surface's normal."""
     normal = surface_normal(inputs)
     return math.degrees(math.atan2(math.hypot(normal[0], normal[1]), normal[2]))
 
 
-def check_lean(inputs: Inputs) -> None:
+def check_lean(inputs: PlaceFields) -> None:
     """Refuse a bristle that would land on its side."""
     lean = lean_deg(inputs)
     if lean > LEAN_DEG * (1.0 + 1e-9):
@@ -60,31 +59,6 @@ def face_offsets_m(shape: TipShape, section: Section, xy_m: Array) -> Array:
         radius = 0.5 * section.diameter_m
         inside = xy_m / np.maximum(np.hypot(*xy_m.T) / radius, 1.0)[:, None]
     return np.asarray(shape.offset_m(inside[:, 0], inside[:, 1], section))
-
-
-def narrow_zone(
-    inputs: DropInputs, depth_m: float, n_points: int | None = None
-) -> tuple[float, float] | None:
-    """Where fewer points touch than a pressure needs: the zone's width, and the points' distance.
-
-    At the penetration ``depth_m`` an undeformed end face touches with all points that stand back
-    less; they should be more than one row along both sides. None where they are.
-    """
-    section = inputs.end_section()
-    xy, _ = section.contact_points(n_points or inputs.contact_points)
-    normal, back = surface_normal(inputs), face_offsets_m(inputs.face(), section, xy)
-    gaps = xy @ normal[:2] + back * normal[2]
-    gaps -= gaps.min()
-    zone = gaps <= depth_m
-    for axis in range(2):
-        here = xy[zone, axis]
-        if np.ptp(here) > 0.0:
-            continue
-        distance = np.abs(xy[:, axis] - here[0])
-        spacing = float(distance[distance > 1e-6 * distance.max()].min())
-        step = float(gaps[np.isclose(distance, spacing)].min())
-        return spacing * depth_m / step, spacing
-    return None
 
 
 def slowest_bending_1_s(bristle: Bristle) -> float:

@@ -157,7 +157,7 @@ class CaseSession:
         frame = self._frame(now)
         return Prepared(now.inputs, now.scene, frame, self._marcher(now, frame))
 
-    def _frame(self, now: Entered, modes: int | None = None) -> FlightFrame:
+    def _frame(self, now: Entered[DropInputs], modes: int | None = None) -> FlightFrame:
         inputs, frame = now.inputs, self._flat_ended(now, modes)
         if inputs.tip_shape != FLAT:
             key = ("face", id(frame), inputs.tip_shape)
@@ -167,7 +167,7 @@ class CaseSession:
             return self._changed(inputs, frame, loss_factor=loss)
         return frame
 
-    def _flat_ended(self, now: Entered, modes: int | None) -> ReducedModel | ModalFrame:
+    def _flat_ended(self, now: Entered[DropInputs], modes: int | None) -> ReducedModel | ModalFrame:
         inputs = now.inputs
         if inputs.model is Model.SOLID:
             return self._full(inputs)
@@ -363,7 +363,7 @@ class CaseSession:
             result = simulate(frame, plan, self._alone._marcher(now, frame))
         return result
 
-    def _marcher(self, now: Entered, frame: FlightFrame) -> ContactMarch:
+    def _marcher(self, now: Entered[DropInputs], frame: FlightFrame) -> ContactMarch:
         """A marcher for this case; those that differ in Kn, friction or lean alone share factor
         and compliance."""
         inputs = now.inputs
@@ -440,7 +440,7 @@ def _beam_frame(bristle: Bristle, **how: Any) -> ModalFrame:
         ) from error
 
 
-def _analytic(now: Entered) -> DropResult:
+def _analytic(now: Entered[DropInputs]) -> DropResult:
     """Eqs. 1 to 8, up to the end of the impact where no more is asked for."""
     inputs, scene = now.inputs, now.scene
     mass, g = inputs.bristle().mass_kg, inputs.gravity_m_s2

@@ -49,8 +49,7 @@ def test_no_two_rooms_import_each_other_in_a_circle(package, least):
 
 
 def modules() -> dict[str, set[str]]:
-    """Every module with those that it imports when it runs, whenever that be; names for a type
-    checker alone are left out."""
+    """Every module with those that it imports, whenever that be and if for a type checker alone."""
     every = {
         ".".join(path.relative_to(HERE).with_suffix("").parts): path
         for room in ("meshes", "solver", "studies")
@@ -59,14 +58,8 @@ def modules() -> dict[str, set[str]]:
     found: dict[str, set[str]] = {}
     for module, path in every.items():
         tree, into = ast.parse(path.read_text()), set()
-        untyped = {
-            id(inner)
-            for node in ast.walk(tree)
-            if isinstance(node, ast.If) and "TYPE_CHECKING" in ast.unparse(node.test)
-            for inner in ast.walk(node)
-        }
         for node in ast.walk(tree):
-            if isinstance(node, ast.ImportFrom) and node.level and id(node) not in untyped:
+            if isinstance(node, ast.ImportFrom) and node.level:
                 base = module.split(".")[: -node.level] + (node.module or "").split(".")
                 name = ".".join(filter(None, base))
                 into |= {f"{name}.{alias.name}" for alias in node.names} | {name}

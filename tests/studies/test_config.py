@@ -25,9 +25,9 @@ from bristle.studies.inputs.choices import Contact, Model, Solver, Until
 from bristle.studies.inputs.config import DropInputs, MeshInputs
 from bristle.studies.inputs.fields import DROP_FLAGS, LIST_FLAGS, STUDY_FLAGS
 from bristle.studies.inputs.kinds import forgotten_afterwards
-from bristle.studies.inputs.limits import count_unknowns, input_warnings
+from bristle.studies.inputs.limits import count_unknowns, input_warnings, narrow_zone
 from bristle.studies.inputs.sources import checked, flag_source, inputs_of, read_config
-from bristle.studies.inputs.stance import face_offsets_m, lean_deg, narrow_zone, slowest_bending_1_s
+from bristle.studies.inputs.stance import face_offsets_m, lean_deg, slowest_bending_1_s
 from bristle.studies.its.run import ItsInputs
 from bristle.studies.running.files import to_json
 from bristle.studies.running.results import plain_inputs

@@ -1,0 +1,183 @@
+"""The solver's objects that the inputs of a run become: body, mesh, contact, plan of a drop.
+
+The fields have their values here already, resolved and checked by `config`.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any, Self
+
+from ...meshes import geometry
+from ...meshes.section import Circle, Rectangle, Section
+from ...meshes.tip_shape import TipShape, parse_tip_shape
+from ...solver import paper
+from ...solver.analytic import quarter_period_s
+from ...solver.bristle import Bristle, Material
+from ...solver.contact.enforcement import ContactMethod, Enforcement
+from ...solver.contact.laws import ContactLaw, Coulomb, Linear, mindlin_ratio
+from ...solver.drop import DropPlan
+from ...solver.effects.base import Scene
+from ...solver.ground import Ground
+from ...solver.rigid import slope_normal
+from ...solver.time.scheme import TimeScheme
+from . import fields, stance
+from .choices import Contact, Deflection, Model, Scheme, Solver, Until
+from .fields import DropFields, SharedFields, StepField
+from .sources import checked
+
+
+class Values(SharedFields):
+    """What a drop and a sweep share, as objects."""
+
+    @property
+    def leaning(self) -> bool:
+        """Whether the tip can slide: something leans, or the tip is not flat or the bristle bent.
+
+        A flat tip that lands upright on a level surface is pushed along its axis alone; friction
+        is left out there, and a reduced model needs no bending.
+        """
+        if self.mesh is not None and not self.mesh.read().straight:
+            return True
+        return any(getattr(self, name) for name in stance.ANGLES) or self.tip_shape != fields.FLAT
+
+    def face(self) -> TipShape:
+        """The shape of the end face."""
+        return parse_tip_shape(self.tip_shape)
+
+    def bristle(self) -> Bristle:
+        """The body that falls; of a mesh, a flat wire of the same length and mass."""
+        material = Material(
+            self.youngs_Pa, self.poisson, self.density_kg_m3, self.alpha_1_s, self.beta_s
+        )
+        if self.mesh is not None:
+            own = self.mesh.read()
+            return Bristle(own.length_m, own.mean_section, material)
+        return Bristle(self.length_m or paper.LENGTH_M, self.end_section(), material)
+
+    def shape(self) -> geometry.MeshSpec | str:
+        """What tells a solid's mesh from others: its parameters, or the digest of the user's."""
+        return self.mesh_spec() if self.mesh is None else self.mesh.sha256
+
+    def mesh_spec(self) -> geometry.MeshSpec:
+        """The mesh of hexahedra; ValueError where gmsh could not make it."""
+        return geometry.MeshSpec(
+            self.length_m or paper.LENGTH_M,
+            self.end_section(),
+            self.cells or fields.CELLS,
+            self.geometry_order or 1,
+            self.grading or 1.0,
+        )
+
+    def end_section(self) -> Section:
+        """The section at the tip."""
+        if self.mesh is not None:
+            return self.mesh.read().tip_section
+        if self.diameter_m is not None:
+            return Circle(self.diameter_m)
+        return Rectangle(self.thickness_m or paper.THICKNESS_M, self.width_m or paper.WIDTH_M)
+
+    def time_scheme(self) -> TimeScheme:
+        """The time scheme with its constants."""
+        if self.scheme is Scheme.GENERALISED and self.rho_inf is not None:
+            return TimeScheme.generalised(self.rho_inf)
+        return TimeScheme.newmark() if self.scheme is Scheme.NEWMARK else TimeScheme.average()
+
+
+class DropValues(Values, DropFields, StepField):
+    """One drop, as objects."""
+
+    @property
+    def may_bend(self) -> bool:
+        """Whether the axial force can act on the slope in this run."""
+        return (
+            self.model in (Model.BEAM, Model.REDUCED)
+            and self.scheme is Scheme.AVERAGE
+            and self.contact is not Contact.NITSCHE
+            and math.isfinite(self.kn_N_m)
+        )
+
+    @property
+    def may_turn(self) -> bool:
+        """Whether strain and rotation can be finite in this run."""
+        return (
+            self.model is Model.SOLID
+            and self.scheme is Scheme.AVERAGE
+            and self.solver is not Solver.ITERATIVE
+        )
+
+    @property
+    def resolved_deflection(self) -> Deflection:
+        """How far bending and turning go into this run: as asked for, or as it matters and can."""
+        if self.deflection is not None:
+            return self.deflection
+        if self.leaning and self.may_turn:
+            return Deflection.FINITE
+        gentle = stance.lean_deg(self) <= stance.LINEAR_LEAN_DEG
+        bends = self.leaning and gentle and self.may_bend
+        return Deflection.SECOND_ORDER if bends else Deflection.SMALL
+
+    @property
+    def second_order(self) -> bool:
+        """Whether the axial force acts on the slope."""
+        return self.resolved_deflection is Deflection.SECOND_ORDER
+
+    @property
+    def finite(self) -> bool:
+        """Whether strain and rotation are finite."""
+        return self.resolved_deflection is Deflection.FINITE
+
+    def scene(self) -> Scene:
+        """What the options alone make of the drop, no effect entered."""
+        return Scene(
+            height_m=self.height_m,
+            front_m2=self.bristle().section.area_m2,
+            beta_s=self.beta_s,
+            law=Linear(self.kn_N_m),
+            **{name: getattr(self, name) for name in stance.ANGLES},
+        )
+
+    def friction_law(self) -> Coulomb:
+        """Friction, none where nothing can slide."""
+        ratio = mindlin_ratio(self.poisson) if self.kt_ratio is None else self.kt_ratio
+        return Coulomb(self.friction if self.leaning else 0.0, ratio)
+
+    def contact_method(self, law: ContactLaw | None = None) -> ContactMethod:
+        """The contact law (None: linear) with friction, and its enforcement."""
+        law, how = law or Linear(self.kn_N_m), Enforcement(self.contact.value)
+        friction = self.friction_law()
+        if self.theta is None:
+            return ContactMethod(law, how, friction=friction)
+        return ContactMethod(law, how, theta=self.theta, gamma0=self.gamma0, friction=friction)
+
+    def drop_plan(self, n_points: int, scene: Scene | None = None) -> DropPlan:
+        """What solver.drop.simulate is to do with a body of ``n_points`` that can touch.
+
+        ``scene`` has what effects changed beyond the options.
+        """
+        scene = scene or self.scene()
+        normal = slope_normal(self.slope_deg, self.slope_wide_deg)
+        return DropPlan(
+            height_m=self.height_m,
+            method=self.contact_method(scene.law),
+            its_s=self.its_s,
+            gravity_m_s2=self.gravity_m_s2,
+            scheme=self.time_scheme(),
+            until_s=None if isinstance(self.until, Until) else self.until,
+            impact_only=self.until is Until.IMPACT,
+            tilt_deg=self.tilt_deg,
+            tilt_wide_deg=self.tilt_wide_deg,
+            ground=Ground.plane(n_points, normal),
+            release_speed_m_s=scene.release_speed_m_s,
+            drag_kg_m=scene.drag_kg_m,
+            axes=None if self.mesh is None else self.mesh.read().axes,
+        )
+
+    def contact_s(self) -> float:
+        """About how long an impact lasts: half a period on the spring, and one of the bar."""
+        bristle = self.bristle()
+        return 2.0 * quarter_period_s(bristle.mass_kg, self.kn_N_m) + bristle.axial_period_s
+
+    def changed(self, **values: Any) -> Self:
+        """The same drop with other ``values``, checked again; InputError as in `sources`."""
+        return checked(type(self), {**self.model_dump(), **values})
