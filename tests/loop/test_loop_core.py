@@ -408,6 +408,7 @@ def test_effects_are_improbable_where_nothing_is_missing_and_untold_where_all_is
     assert unknown.probabilities == {}
 
 
+@pytest.mark.campaign
 def test_stated_probabilities_are_those_of_draws_from_the_prior():
     """One of fifteen effects is expected in each of the sets, of three to twelve sigma. The sum of
     probabilities is the number of effects that are there, within four deviations of both."""

@@ -55,7 +55,7 @@ def test_they_build_without_a_warning(tmp_path):
     assert "bristle.studies.api.close_loop" in (built / "python.html").read_text()
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 @pytest.mark.timeout(1200)
 def test_lessons_run_and_print_what_they_are_there_to_show(tmp_path):
     built = build(tmp_path)

@@ -87,7 +87,7 @@ def test_what_is_not_there_is_said(monkeypatch, tmp_path):
     assert not by_name["bristle, beam"].absent()
 
 
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_peers_on_a_tiny_mesh(monkeypatch, tmp_path):
     few = [each for each in programs.PROGRAMS if each.name in ("bristle, beam", "scipy, plain")]
     broken = replace(few[0], name="broken", model="", script="impact.py")

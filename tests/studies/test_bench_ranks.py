@@ -52,7 +52,7 @@ def test_a_job_that_fails_says_why():
 
 
 @pytest.mark.serial
-@pytest.mark.slow
+@pytest.mark.campaign
 def test_the_benchmark_writes_what_it_prints(tmp_path):
     text = run_ranks(tmp_path, repeats=1, most=2, large=TINY, small=TINY)
     rows = list(csv.DictReader((tmp_path / "ranks.csv").open()))

@@ -18,6 +18,9 @@ from bristle.solver.rods.motion import energies
 from bristle.solver.rods.rods import Rods
 from bristle.solver.rods.section import RodSection
 
+# one rod, which no rank shares
+pytestmark = pytest.mark.serial
+
 
 def frequencies_Hz(chain):
     """Of small vibrations about the straight rod, from its tangent and its lumped masses."""

@@ -7,6 +7,9 @@ from scipy.spatial.transform import Rotation
 from bristle.solver.errors import InputError
 from bristle.solver.rods.hub import Clamps, HubPath
 
+# one rod, which no rank shares
+pytestmark = pytest.mark.serial
+
 TURNED = HubPath.rotate(0.01, 100.0, 0.1, 0.05)
 TABLE = HubPath.table(
     np.array([0.0, 0.1, 0.3, 0.4, 0.6]),

@@ -20,6 +20,9 @@ from bristle.solver.rods.hub import HubPath
 from bristle.solver.rods.rods import Rods
 from bristle.solver.rods.section import RodSection
 
+# one rod, which no rank shares
+pytestmark = pytest.mark.serial
+
 # N L²/EI of a filament pressed on a plane, by clamp's lean in degrees and friction, at depths of
 # 0.05, 0.1 and 0.2 of its length.
 NORMAL = {

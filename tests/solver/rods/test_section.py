@@ -11,6 +11,9 @@ from bristle.solver.errors import InputError
 from bristle.solver.rods.ground import Ground
 from bristle.solver.rods.section import RodSection
 
+# one rod, which no rank shares
+pytestmark = pytest.mark.serial
+
 
 def test_the_weak_axis_is_the_wide_side(bristle):
     section = RodSection.of(bristle)

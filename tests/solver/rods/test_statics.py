@@ -23,6 +23,9 @@ from bristle.solver.rods.element import (
 from bristle.solver.rods.section import RodSection
 from bristle.solver.rods.statics import equilibrium
 
+# one rod, which no rank shares
+pytestmark = pytest.mark.serial
+
 
 def loaded(section, length_m, elements, *, force=(0, 0, 0), moment=(0, 0, 0), steps=1, along=None):
     """The tip of a rod that stands in the origin along z under loads at its end."""
