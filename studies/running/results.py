@@ -140,18 +140,25 @@ def read_document(path: Path) -> dict[str, Any] | None:
 
 def check_same(path: Path, there: Mapping[str, Any], inputs: BaseModel) -> None:
     """InputError that names the first difference between what is ``there`` and what is asked."""
+    check_version(path, there)
+    old, new = there["inputs"], plain_inputs(inputs)
+    different = [key for key in {**new, **old} if old.get(key) != new.get(key)]
+    if different:
+        # a study is another one by what is no list first
+        key = min(different, key=lambda key: isinstance(new.get(key), list))
+        raise InputError(
+            f"--resume {path}: {OPTIONS.get(key, key)} is {_shown(old.get(key))} there, "
+            f"{_shown(new.get(key))} is asked for; choose another --out"
+        )
+
+
+def check_version(path: Path, there: Mapping[str, Any]) -> None:
+    """InputError where what is ``there`` was made by another version."""
     if there.get("version") != __version__:
         raise InputError(
             f"--resume {path}: made by version {quoted(there.get('version'))}, "
             f"this is {__version__}; choose another --out"
         )
-    old, new = there["inputs"], plain_inputs(inputs)
-    for key in [*new, *(key for key in old if key not in new)]:
-        if old.get(key) != new.get(key):
-            raise InputError(
-                f"--resume {path}: {OPTIONS.get(key, key)} is {_shown(old.get(key))} there, "
-                f"{_shown(new.get(key))} is asked for; choose another --out"
-            )
 
 
 def _shown(value: Any) -> str:

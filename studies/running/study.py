@@ -9,6 +9,7 @@ from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from enum import StrEnum
 from functools import partial
+from hashlib import sha256
 from pathlib import Path
 from typing import Any, Self
 
@@ -159,13 +160,15 @@ def run_study(
 
     Cases of modal bodies are dealt out over the ranks, those of the solid over groups of ranks
     (`groups.run_solids`). With a ``session`` its ranks compute them, and what it keeps serves.
-    With ``resume`` finished cases in ``out`` are kept. Collective. Raises InputError where ``out``
-    cannot be used or holds another study, and ComputationError.
+    With ``resume`` finished cases in ``out`` are kept, those of shorter lists too. Collective.
+    Raises InputError where ``out`` cannot be used or has no case of this study, and
+    ComputationError.
     """
     comm = comm if session is None else session.comm
     out, started = Path(out), time.perf_counter()
     cases = inputs.cases()
-    journal = Journal(out, inputs)
+    names = _names(study, cases)
+    journal = Journal(out, inputs, names)
     files = (study.document, TABLE_FILE, *study.files)
     done = run_on_one_rank(comm, lambda: journal.prepare(*files, resume=resume))
     if done is None:
@@ -173,8 +176,9 @@ def run_study(
         return
     if done:
         say(f"{len(done)} of {len(cases)} cases are there already")
+    done = {i: {**row, **_varied(study, cases[i])} for i, row in done.items()}
     sessions = partial(session_on, comm, session, study.basis_its_s)
-    shared = _compute(study, cases, sessions, done, journal.add, ranks_per_case)
+    shared = _compute(study, cases, names, sessions, done, journal.add, ranks_per_case)
     spent = {"shared": shared["total"]}
     facts = {"wall_s": spent, "peak_rss_MB": results.peak_rss_MB(comm), "ranks": comm.size}
 
@@ -196,14 +200,25 @@ def rows_of(study: Study, cases: Sequence[DropInputs], session: CaseSession) -> 
     """A row for every case, on every rank, without writing anything. Raises ComputationError."""
     done: dict[int, Row] = {}
     sessions = partial(session_on, session.comm, session, study.basis_its_s)
-    _compute(study, cases, sessions, done, lambda i, row: row)
+    _compute(study, cases, _names(study, cases), sessions, done, lambda i, row: row)
     done = session.comm.bcast(done)
     return [done[i] for i in range(len(cases))]
+
+
+def _names(study: Study, cases: Sequence[DropInputs]) -> list[str]:
+    """What tells cases apart: all inputs but those that their model has no use for."""
+    return [
+        sha256(
+            f"{study.name} {case.model_dump_json(exclude=UNUSED[case.model])}".encode()
+        ).hexdigest()
+        for case in cases
+    ]
 
 
 def _compute(
     study: Study,
     cases: Sequence[DropInputs],
+    names: Sequence[str],
     sessions: Sessions,
     done: dict[int, Row],
     keep: Callable[[int, Row], Row],
@@ -212,12 +227,12 @@ def _compute(
     """Fill ``done`` on rank 0 with what is missing and ``keep`` has kept; the seconds of what the
     cases shared.
 
-    Cases that differ only in what their model has no use for are computed once.
+    Cases with the same of the ``names`` are computed once.
     """
     alike: dict[str, list[int]] = {}
-    for i, case in enumerate(cases):
+    for i, name in enumerate(names):
         if i not in done:
-            alike.setdefault(case.model_dump_json(exclude=UNUSED[case.model]), []).append(i)
+            alike.setdefault(name, []).append(i)
     same = {each[0]: each for each in alike.values()}
     parts: dict[tuple[Any, ...], list[int]] = {}
     for i in same:
@@ -226,8 +241,9 @@ def _compute(
     with progress(study.name, len(cases), done=len(done)) as advance:
 
         def take(i: int, row: Row) -> None:
+            kept = keep(i, row)
             for k in same[i]:
-                done[k] = keep(k, {**row, **_varied(study, cases[k])})
+                done[k] = {**kept, **_varied(study, cases[k])}
                 advance()
 
         for part in parts.values():  # in turn, since each has bodies of its own

@@ -35,7 +35,7 @@ from bristle.studies.running.journal import Journal
 from bristle.studies.running.mark import MARK
 from bristle.studies.running.parallel import share_out
 from bristle.studies.running.study import COLUMNS, StudyInputs
-from bristle.studies.sweep import run_sweep
+from bristle.studies.sweep import SweepInputs, run_sweep
 from bristle.studies.view.field_series import FieldSeries
 
 COMM = MPI.COMM_WORLD
@@ -669,8 +669,8 @@ def test_an_interrupted_sweep_is_taken_up_where_it_stopped(out, monkeypatch):
 
     count.clear()
     monkeypatch.setattr(CaseSession, "run", counted)
-    with pytest.raises(InputError, match="--kn is"):
-        run_sweep(sweep(models="beam", kn_N_m="1e5,3e6"), out, resume=True)
+    with pytest.raises(InputError, match="--friction is"):
+        run_sweep(sweep(models="beam", kn_N_m="1e5,3e6", friction=0.1), out, resume=True)
     run_sweep(inputs, out, resume=True)
     assert [case.kn_N_m for case in count] == [2e6]
     assert [float(row["kn_N_m"]) for row in read_table(out / "table.csv")] == [1e5, 1e6, 2e6]
@@ -678,6 +678,24 @@ def test_an_interrupted_sweep_is_taken_up_where_it_stopped(out, monkeypatch):
     run_sweep(inputs, out, resume=True)
     assert len(count) == 1
     assert contents(out) == before
+    # longer lists, and an input that is a list now, take up what is there
+    count.clear()
+    lists = {"models": "beam", "kn_N_m": "1e5,1e6,3e6", "heights_m": "0.01", "poisson": "0.28,0.3"}
+    grown = checked(SweepInputs, {**SMALL, **lists})
+    run_sweep(grown, out, resume=True)
+    assert [(case.kn_N_m, case.poisson) for case in count] == [
+        (3e6, 0.28),
+        (1e5, 0.3),
+        (1e6, 0.3),
+        (3e6, 0.3),
+    ]
+    run_sweep(grown, out.with_name("anew"))
+    again, anew = (read_table(folder / "table.csv") for folder in (out, out.with_name("anew")))
+    assert [{**row, "wall_s": ""} for row in again] == [{**row, "wall_s": ""} for row in anew]
+    # and what was left out for a while is still there
+    count.clear()
+    run_sweep(inputs, out, resume=True)
+    assert count == []
 
 
 @serial
