@@ -5,6 +5,9 @@ force is its share of Kn times its penetration. Friction is a return map behind 
 at the end of the step, as in `solver.contact.friction` (Wriggers, Computational Contact Mechanics,
 2006, Sec. 9.1). Three things differ from there: rods turn far, so the spring's elongation is kept
 in world axes; the limit falls with the speed of sliding; and a point knows whether it slides.
+That law does not serve here as it is: it keeps the elongation in the body's axes, which is exact
+for a body that turns little, and its conserving scheme asks for forces at mid-step, whereas rods
+ask at the end. What both have in common, a force limited to μ N, is a line.
 """
 
 from __future__ import annotations

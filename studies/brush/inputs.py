@@ -71,8 +71,7 @@ class BrushInputs(MaterialFields, BodyFields, BrushFields):
             refuse("diameter_m", "a round wire has neither --width nor --thickness")
         if self.friction_static is not None and self.friction_static < self.friction:
             refuse("friction_static", f"is less than the {self.friction:g} of --friction")
-        if self.flare_deg and self.layout not in (Layout.RING, Layout.CUP):
-            refuse("flare_deg", "is for a ring or a cup, whose hub has an axis to spread from")
+        self._check_unused()
         if self.duration_s > MOST_ROWS * self.interval_s:
             refuse("every_s", f"makes more than {MOST_ROWS:,} rows")
         if 3.0 * self.length_std_m > self.bristle().length_m:
@@ -97,6 +96,21 @@ class BrushInputs(MaterialFields, BodyFields, BrushFields):
             refuse("spacing_m", f"bristles {pair[0]} and {pair[1]} overlap at the start")
         self._check_path()
         return self
+
+    def _check_unused(self) -> None:
+        """Refuse an option that this layout or this motion would not look at."""
+        rings, several = (Layout.RING, Layout.CUP), tuple(set(Layout) - {Layout.SINGLE})
+        for name, layouts, why in (
+            ("flare_deg", rings, "is for a ring or a cup, whose hub has an axis to spread from"),
+            ("radius_m", rings, "is for a ring or a cup; other layouts have no radius"),
+            ("tufts", (Layout.CUP,), "is for a cup; other layouts have no tufts"),
+            ("rows", several, "is for more than one bristle; give --layout row, ring or cup"),
+            ("spacing_m", several, "is for more than one bristle; give --layout row, ring or cup"),
+        ):
+            if self.layout not in layouts and getattr(self, name) != _default(name):
+                refuse(name, why)
+        if self.motion.file is not None and self.start_s != _default("start_s"):
+            refuse("start_s", "is in the times of --motion file:…; leave it out")
 
     def _check_path(self) -> None:
         """Refuse a hub that takes a clamp below the surface, or starts with a bristle in it."""
@@ -220,6 +234,10 @@ class BrushInputs(MaterialFields, BodyFields, BrushFields):
     def steady_from_s(self) -> float:
         """When means begin: after the hub has come down, or at the start of a path."""
         return 0.0 if self.motion.file is not None else min(self.start_s, self.duration_s)
+
+
+def _default(name: str) -> Any:
+    return BrushInputs.model_fields[name].default
 
 
 def _motion(value: Any) -> MotionInput:

@@ -212,7 +212,8 @@ def test_paraview_itself_opens_it(done, tmp_path):
 def test_a_hub_at_rest_in_the_air_carries_the_weight(tmp_path):
     """Three upright bristles 0.1 m in front of the hub: weight and its lever, to rounding."""
     path = path_file(tmp_path, [(0, 0, 0, 0.4), (0.02, 0, 0, 0.4)])
-    inputs = {"motion": f"file:{path}", "mount_angle_deg": 0.0, "penetration_m": None}
+    inputs = {"motion": f"file:{path}", "mount_angle_deg": 0.0}
+    inputs |= {"penetration_m": None, "start_s": None}
     found = bristle.brush(**{**SHORT, **inputs}, layout="row", count=3, rows=3, comm=ALONE)
     np.testing.assert_allclose(found.hub.fz_N, -3.0 * WEIGHT_N, rtol=1e-6)
     np.testing.assert_allclose(found.hub[["fx_N", "fy_N"]], 0.0, atol=1e-6 * WEIGHT_N)
@@ -390,6 +391,9 @@ def test_without_fields_an_earlier_series_goes(tmp_path):
         ),
         (["--layout", "ring", "--count", "40", "--flare", "-60"], "--spacing: bristles 0 and"),
         (["--layout", "row", "--flare", "5"], "--flare: is for a ring or a cup"),
+        (["--layout", "ring", "--count", "12", "--tufts", "3"], "--tufts: is for a cup"),
+        (["--radius", "0.2"], "--radius: is for a ring or a cup"),
+        (["--rows", "2"], "--rows: is for more than one bristle"),
         (["--motion", "slide"], "--motion: must be press, slide:speed=M/S"),
         (["--motion", "slide:speed=fast"], "--motion: must give 'speed' a finite number"),
         (["--motion", "rotate:rpm=nan"], "--motion: must give 'rpm' a finite number"),
@@ -419,6 +423,7 @@ HIGH = 0.32
         ([(0, 0, 0, 0.2), (1, 0, 0, 0.2)], [], "--motion: a bristle starts 0.116 m below"),
         ([(0, 0, 0, HIGH), (1, 0, 0, HIGH)], ["--until", "2"], "--until: 2 s is after the path's"),
         ([(0, 0, 0, HIGH), (1, 0, 0, HIGH)], ["--penetration", "0.01"], "--penetration: is in the"),
+        ([(0, 0, 0, HIGH), (1, 0, 0, HIGH)], ["--start", "0.2"], "--start: is in the times of"),
     ],
     ids=str,
 )
