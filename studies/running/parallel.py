@@ -1,15 +1,18 @@
-"""Work over ranks: rank 0 speaks, cases are shared out, a failing rank ends the job."""
+"""Work over ranks: rank 0 speaks and hands out cases, a failing rank ends the job."""
 
 from __future__ import annotations
 
 import importlib
 import os
 import sys
+import threading
+import time
+from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TextIO
+from typing import TYPE_CHECKING, Any, Self, TextIO
 
 from ...meshes.collective import ALONE, GRACE_S, done_within, run_on_one_rank
 from ...solver.errors import BristleError
@@ -145,17 +148,21 @@ def share_out(
     *,
     leads: bool = True,
 ) -> None:
-    """Do ``work(i)`` for i < ``count``, dealt out over the ranks; rank 0 takes what comes of it.
+    """Do ``work(i)`` for i < ``count`` over the ranks; rank 0 takes what comes of it.
 
-    Rank 0 calls ``take(i, result)`` as results arrive, in no fixed order. ``work`` must not
-    communicate, or only within a group of ranks with the same cases ``mine``, of which one, rank 0
-    for its own, ``leads``. A rank that fails with a BristleError goes on with its other cases; at
-    the end the failure with the smallest i is raised on all ranks. Collective.
+    A rank gets its next ones when it asks for them. Rank 0 calls ``take(i, result)`` as soon as a
+    result is there, in no fixed order, one at a time, and from another thread while it works.
+    ``work`` must not communicate, or only within a group of ranks with the same cases ``mine``, of
+    which one, rank 0 for its own, ``leads``. A rank that fails with a BristleError goes on with
+    other cases; at the end the failure with the smallest i is raised on all ranks. Collective.
     """
-    if mine is None:
-        mine = range(comm.rank, count, comm.size)
     failed: dict[int, BristleError] = {}
-    awaited, sent = count - len(mine), []
+
+    def attempt(i: int) -> Done:
+        try:
+            return i, work(i), None
+        except BristleError as error:
+            return i, None, error
 
     def note(i: int, result: Any, error: BristleError | None) -> None:
         if error is None:
@@ -163,23 +170,100 @@ def share_out(
         else:
             failed[i] = error
 
-    for i in mine:
-        done: tuple[int, Any, BristleError | None]
-        try:
-            done = i, work(i), None
-        except BristleError as error:
-            done = i, None, error
-        if comm.rank and leads:
-            sent.append(comm.isend(done, dest=0))
-        elif comm.rank == 0:
-            note(*done)
-            while awaited and comm.iprobe():
-                note(*comm.recv())
-                awaited -= 1
-    for request in sent:
-        request.wait()
-    for _ in range(awaited if comm.rank == 0 else 0):
-        note(*comm.recv())
+    if comm.rank == 0:
+        with _Desk(comm, count, note, mine) as desk:
+            while (i := desk.next()) is not None:
+                desk.note(attempt(i))
+    else:
+        sent, numbers = [], comm.sendrecv((None, True), dest=0, source=0) if mine is None else mine
+        while numbers:
+            for i in numbers:
+                done, asks = attempt(i), mine is None and i == numbers[-1]
+                if leads:
+                    sent.append(comm.isend((done, asks), dest=0))
+            numbers = comm.recv(source=0) if mine is None else ()
+        for request in sent:
+            request.wait()
     failed = comm.bcast(failed)
     if failed:
         raise failed[min(failed)]
+
+
+# A number, what came of it, and what it failed with.
+Done = tuple[int, Any, BristleError | None]
+# Between two looks at the messages: short beside a case, long beside a look.
+LOOK_S = 2e-3
+# Of what is left, a rank that asks gets one part of so many for each rank.
+PARTS = 4
+
+
+class _Desk:
+    """Rank 0's: hands out numbers below ``count``, and notes what comes of them.
+
+    A thread serves the other ranks meanwhile. With ``mine`` they have numbers of their own.
+    """
+
+    def __init__(
+        self, comm: Any, count: int, note: Callable[..., None], mine: Sequence[int] | None
+    ) -> None:
+        self._comm, self._note = comm, note
+        self._left = deque(range(count) if mine is None else mine)
+        # results of other ranks that are still to come, and ranks that have not asked in vain
+        self._awaited = 0 if mine is None else count - len(mine)
+        self._asking = comm.size - 1 if mine is None else 0
+        self._lock = threading.Lock()
+        self._error: BaseException | None = None
+        self._thread = threading.Thread(target=self._serve, daemon=True)
+
+    def __enter__(self) -> Self:
+        if self._awaited or self._asking:
+            self._thread.start()
+        return self
+
+    def __exit__(self, kind: object, *raised: object) -> None:
+        if kind is None and self._thread.ident is not None:
+            self._thread.join()
+            self._check()
+
+    def next(self) -> int | None:
+        """The next number, None where there is none; raises what noting another rank's did."""
+        self._check()
+        with self._lock:
+            return self._left.popleft() if self._left else None
+
+    def note(self, done: Done) -> None:
+        """Note what came of a number."""
+        with self._lock:
+            self._note(*done)
+
+    def _serve(self) -> None:
+        from mpi4py import MPI
+
+        status = MPI.Status()
+        try:
+            while self._awaited or self._asking:
+                if not self._comm.iprobe(status=status):
+                    time.sleep(LOOK_S)
+                    continue
+                rank = status.Get_source()
+                done, asks = self._comm.recv(source=rank)
+                if asks:
+                    self._comm.send(self._several(), dest=rank)
+                if done is not None:
+                    self._awaited -= 1
+                    self.note(done)
+        except BaseException as error:  # of `take`; the other ranks are left as they are
+            self._error = error
+
+    def _several(self) -> list[int]:
+        """Numbers for a rank that asks."""
+        with self._lock:
+            many = -(-len(self._left) // (PARTS * self._comm.size))
+            several = [self._left.popleft() for _ in range(many)]
+        self._awaited += len(several)
+        self._asking -= not several
+        return several
+
+    def _check(self) -> None:
+        if self._error is not None:
+            raise self._error

@@ -5,6 +5,7 @@ import json
 import math
 import os
 import re
+import time
 import tomllib
 from dataclasses import replace
 from pathlib import Path
@@ -856,6 +857,22 @@ def test_a_failing_case_is_told_to_all_ranks_and_the_others_are_done():
         share_out(COMM, 9, work, lambda i, result: taken.append(i))
     if COMM.rank == 0:
         assert sorted(taken) == [0, 1, 2, 3, 5, 6, 8]
+
+
+def test_whoever_is_free_works_and_results_are_taken_meanwhile():
+    """Rank 0 waits in its first case until all others are done."""
+    taken, mine = [], []
+
+    def work(i):
+        mine.append(i)
+        until = time.monotonic() + 60.0
+        while COMM.rank == 0 and COMM.size > 1 and len(taken) < 19 and time.monotonic() < until:
+            time.sleep(0.01)
+
+    share_out(COMM, 20, work, lambda i, result: taken.append(i))
+    if COMM.rank == 0:
+        assert sorted(taken) == list(range(20))
+        assert len(mine) == (1 if COMM.size > 1 else 20)
 
 
 @serial
