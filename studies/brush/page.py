@@ -73,7 +73,7 @@ def write_page(inputs: BrushInputs, record: Record, document: Mapping[str, Any],
 
 def _force_section(over: pd.DataFrame, document: Mapping[str, Any]) -> Section:
     draft = prose("force", said=document)
-    data = draft.data("means", over[["from_s", "to_s", *LOAD_COLUMNS]])
+    data = draft.data("intervals", over[["from_s", "to_s", *LOAD_COLUMNS]])
     draft.figure("force", force_figure(over), data)
     draft.figure("torque", torque_figure(over), data)
     return draft.section()

@@ -14,6 +14,7 @@ from scipy.spatial.transform import Rotation
 from bristle.solver.bristle import Bristle
 from bristle.solver.rods.chain import at_rest, new_system, uniform_chain
 from bristle.solver.rods.contact import SLIDES, STICKS, no_touch, surface_of, touch_section
+from bristle.solver.rods.crossing import first_crossing
 from bristle.solver.rods.frame import TipState
 from bristle.solver.rods.ground import Ground
 from bristle.solver.rods.hub import HubPath
@@ -195,6 +196,23 @@ def test_stick_and_slip_of_a_mass_on_a_belt():
         assert slip == pytest.approx(loose, rel=0.01)
     for (_, e), (s, _) in itertools.pairwise(large[1:]):
         assert (s - e) * h == pytest.approx(loose / speed, rel=0.01)
+
+
+def test_a_step_that_crosses_the_surface_is_cut_where_it_does():
+    """The tip goes from 3 mm above to 1 mm below, or back: at 3/4 of the step, or at 1/4."""
+    rod = OneRod(
+        uniform_chain(SLENDER, 1.0, 2), [0.0, 0.0, 1.0], leaning(0.0), ground=Ground(4e5, 0.0, 0.0)
+    )
+    above, below = rod.now, rod.next
+    for state, height in ((above, 3e-3), (below, -1e-3)):
+        state.x[:, 2], state.q[:] = [1.0, 0.5, height], rod.now.q
+    below.touch.state[-1], below.touch.normal[-1] = SLIDES, 1e5 * 1e-3
+    held = 0.5 * 1e5 * 1e-3**2
+    down, up = (above, below), (below, above)
+    for (old, new), share in ((down, 0.75), (up, 0.25)):
+        found = first_crossing(rod.surface, old, new, 0.9 * held)
+        assert share < found < 1.03 * share
+        assert first_crossing(rod.surface, old, new, 1.1 * held) == 1.0
 
 
 def dragged(tolerance, **numbers):
