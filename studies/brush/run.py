@@ -103,22 +103,26 @@ def run_brush(
     return written
 
 
-def make_rods(inputs: BrushInputs, comm: MPI.Intracomm) -> Rods:
-    """The solver's rods at the start; collective."""
+def ground_of(inputs: BrushInputs) -> Ground:
+    """The surface."""
     assert inputs.friction_static is not None
     assert inputs.kt_ratio is not None
-    ground = Ground(
+    return Ground(
         inputs.kn_N_m,
         inputs.friction,
         inputs.friction_static,
         inputs.stribeck_speed_m_s,
         inputs.kt_ratio,
     )
+
+
+def make_rods(inputs: BrushInputs, comm: MPI.Intracomm) -> Rods:
+    """The solver's rods at the start; collective."""
     return Rods(
         RodSection.of(inputs.bristle()),
         inputs.clamps,
         inputs.hub_motion,
-        ground,
+        ground_of(inputs),
         inputs.elements,
         gravity_m_s2=inputs.gravity_m_s2,
         bow_rad=-BOW_RAD if inputs.upright else 0.0,

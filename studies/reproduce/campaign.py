@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import pandas as pd
+from mpi4py import MPI
 
 from ...solver import paper
 from ...solver.analytic import analytic_drop
@@ -108,6 +109,14 @@ class Study(ABC):
     @abstractmethod
     def section(self, results: Results) -> Section:
         """The section with its figures and tables."""
+
+
+class PreparedStudy(Study):
+    """A section that needs more than drops."""
+
+    @abstractmethod
+    def prepare(self, comm: MPI.Intracomm) -> None:
+        """Compute it before ``section``; collective."""
 
 
 @dataclass(frozen=True)

@@ -34,7 +34,7 @@ from ..loop.problem import Problem
 from ..report.page import Figure, Head, Section
 from ..report.paper_figures import cloud_figure
 from ..report.prose import Draft
-from .campaign import Results, Study, prose
+from .campaign import PreparedStudy, Results, prose
 from .published_drops import Film, dataset, draw, planned_heights_m
 
 SETS, SEED = 5, 26
@@ -57,7 +57,7 @@ HEADS: dict[str, Head] = {
 }
 
 
-class LoopStudy(Study):
+class LoopStudy(PreparedStudy):
     """A section of `bristle reproduce` on what the loop finds: made after `prepare`."""
 
     closed: Sequence[Closed] = ()

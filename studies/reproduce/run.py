@@ -24,11 +24,12 @@ from ..report.page import REPORT_FILES, Report, Section, Verdict, write_report
 from ..running.cases import CaseSession
 from ..running.files import prepare_folder
 from ..running.progress import progress, working
-from .campaign import Results, Setup, Study, compute, prose
+from .campaign import PreparedStudy, Results, Setup, Study, compute, prose
 from .discretisation import CrossCheck, ElementStudy, Enforcements, StepStudy
+from .dragged import Dragged
 from .impact import Figure9, PeakTime
 from .leaning import Bars, Leaning, Sticking
-from .loop_section import LoopOnMeasured, LoopOnPaper, LoopStudy
+from .loop_section import LoopOnMeasured, LoopOnPaper
 from .rebound import Figure13, Figures10To12, KnStudy
 
 
@@ -48,7 +49,7 @@ def paper_studies(setup: Setup) -> list[Study]:
         *(Figure9, Figures10To12, KnStudy, Figure13, CrossCheck, Enforcements, ElementStudy),
         *(StepStudy, PeakTime, Leaning, Sticking, Bars),
     )
-    return [*(study(setup) for study in on_drops), LoopOnPaper(), LoopOnMeasured()]
+    return [*(study(setup) for study in on_drops), Dragged(), LoopOnPaper(), LoopOnMeasured()]
 
 
 def run_reproduce(
@@ -76,7 +77,7 @@ def run_reproduce(
     ):
         results = compute(cases, session, advance, ranks_per_case)
     for study in studies:
-        if isinstance(study, LoopStudy):
+        if isinstance(study, PreparedStudy):
             study.prepare(comm)
 
     def write() -> Reproduction:

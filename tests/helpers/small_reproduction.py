@@ -14,6 +14,7 @@ from bristle.studies.reproduce.discretisation import (
     Enforcements,
     StepStudy,
 )
+from bristle.studies.reproduce.dragged import Dragged
 from bristle.studies.reproduce.impact import Figure9, PeakTime
 from bristle.studies.reproduce.leaning import Bars, Leaning, Sticking
 from bristle.studies.reproduce.loop_section import LoopOnMeasured, LoopOnPaper
@@ -45,6 +46,7 @@ def small() -> tuple[Setup, list]:
         Leaning(setup, (0.0, 2.0)),
         Sticking(setup, (4, 8), (1e-5, 5e-6), ((1, 1, 20), (1, 1, 40)), (3, 5)),
         Bars(setup, (0.1, 0.2), (0.0, 20.0)),
+        Dragged((1, 1, 20), 2e-4),
         LoopOnPaper(1, toy),
         LoopOnMeasured(),
     ]

@@ -42,7 +42,7 @@ def test_every_section_is_on_the_page_and_none_is_empty(done, page):
     assert [type(study) for study in small()[1]] == [
         type(study) for study in paper_studies(Setup(DropInputs()))
     ]
-    assert len(done.sections) == 14 + 1
+    assert len(done.sections) == 15 + 1
     assert done.sections[-1].ident == "warnings"
     (table,) = done.sections[-1].tables
     assert any("degrees against the surface's normal" in row[-1] for row in table.rows)
