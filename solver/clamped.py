@@ -47,7 +47,8 @@ from .time.scheme import TimeScheme
 NEAR = 1e-7
 ITERATIONS = 40
 # Newton's matrix takes most of a step's time. It is kept until a point touches, lets go, sticks or
-# slides, or so many iterations were not enough.
+# slides, or so many iterations were not enough. Equilibrium is far from its guess and takes it anew
+# in each.
 PATIENT = 4
 # A tangential spring so much longer than any slides, whichever way the point moves.
 SLIDING_M = 1.0
@@ -284,7 +285,7 @@ class ClampedSolid:
     def _jacobian(self, snes: PETSc.SNES, x: PETSc.Vec, jacobian: PETSc.Mat, __: PETSc.Mat) -> None:
         self._press(x.getArray(readonly=True).reshape(-1, 3))
         touch = self._h, self._after.state.tobytes()
-        old = touch != self._factored or snes.getIterationNumber() > PATIENT
+        old = touch != self._factored or snes.getIterationNumber() > (PATIENT if self._h else 0)
         old = self.comm.allreduce(old, MPI.LOR)
         snes.getKSP().getPC().setReusePreconditioner(not old)
         if not old:

@@ -46,7 +46,7 @@ def small() -> tuple[Setup, list]:
         Leaning(setup, (0.0, 2.0)),
         Sticking(setup, (4, 8), (1e-5, 5e-6), ((1, 1, 20), (1, 1, 40)), (3, 5)),
         Bars(setup, (0.1, 0.2), (0.0, 20.0)),
-        Dragged((1, 1, 20), 2e-4),
+        Dragged((1, 1, 40), 2e-4),
         LoopOnPaper(1, toy),
         LoopOnMeasured(),
     ]
