@@ -112,7 +112,7 @@ def calibrate(
 
 def _warnings(source: Drops | None, ratio: RatioEstimate, curve: RatioCurve) -> list[str]:
     low, high = curve.reachable
-    doubts = [] if source is None else list(source.doubts)
+    doubts = [source.doubt] if source is not None and source.doubt else []
     if ratio.mean.low >= high:
         doubts.append(
             f"The drops return {ratio.mean.estimate:.3g} of their height, more than the model does "

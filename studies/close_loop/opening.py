@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
 from ...solver.effects.library import EFFECTS
 from ..loop.finding import Finding, Verdict
+from ..loop.problem import Problem
+from ..loop.shapes import MOST_SHARED
 from .rows import COVARIATES, title_of
 
 # What a test sees, by how its name begins; the rest of the name is a covariate's.
@@ -30,11 +33,17 @@ SEEN = {
 }
 # Once in more than this is told no closer.
 RAREST = 1e9
+# Fewer drops than this show so little that it has to be said; and fewer records in time, of which
+# none can be held out.
+ENOUGH_GROUPS, ENOUGH_RECORDS = 12, 4
+GROUPS = {"falls": "falls", "waves": "passes"}
 
 
 def opening(finding: Finding) -> list[str]:
     """The verdict and what it is worth, in plain sentences."""
     told = [_verdict(finding), _chance(finding)]
+    if finding.lead:
+        told.insert(0, f"Before all: {finding.lead}" + "." * (finding.lead[-1] not in ".?"))
     held = finding.held_out
     if held is not None and finding.model_effects:
         before, after, noise = (
@@ -121,16 +130,42 @@ def times(p: float) -> str:
     return f"once in {float(f'{1.0 / p:.2g}'):,.0f} times"
 
 
-def would_have_shown(finding: Finding) -> list[str]:
+def would_have_shown(finding: Finding, problem: Problem) -> list[str]:
     """The smallest size of each effect that these data show nine times in ten."""
-    told = []
-    for candidate, least in finding.detectable.items():
-        if least is not None and candidate in EFFECTS:
-            first = EFFECTS[candidate].parameters[0]
+    told, base = [], len(problem.baseline.parameters)
+    for each in problem.candidates:
+        (name,), first = each.effects, each.parameters[base]
+        least = finding.detectable.get(name)
+        if least is not None:
             away = f"{first.null:g} ± " if first.null and math.isfinite(first.null) else ""
             size = quantity(first.name, f"{away}{least:.2g}", first.unit)
-            told.append(f"{title_of(candidate)} from {size} on")
+            told.append(f"{title_of(name)} from {size} on")
     return told
+
+
+def few_data(finding: Finding, problem: Problem, kind: str) -> dict[str, Any] | None:
+    """What so few drops or falls can and cannot show, by effect; None where they are enough."""
+    groups, rows = np.unique(problem.group, return_counts=True)
+    enough = ENOUGH_RECORDS if rows.mean() > MOST_SHARED else ENOUGH_GROUPS
+    if groups.size >= enough:
+        return None
+    hidden = [name for name, least in finding.detectable.items() if least is None]
+    return {
+        "groups": f"{groups.size} {GROUPS.get(kind, 'drops')}",
+        "can_show": would_have_shown(finding, problem),
+        "cannot_show": [title_of(name) for name in hidden],
+    }
+
+
+def on_few(few: dict[str, Any]) -> list[str]:
+    """Sentences on what `few_data` has."""
+    these = f"Only {few['groups']}"
+    told = [f"{these}: nine times in ten they show {'; '.join(few['can_show'])}."]
+    if not few["can_show"]:
+        told = [f"{these}: they can show no effect at any size within its bounds."]
+    elif few["cannot_show"]:
+        told.append(f"They cannot show, at any size: {', '.join(few['cannot_show'])}.")
+    return [*told, "What is smaller may be there all the same; more of them would tell."]
 
 
 def quantity(name: str, value: str, unit: str) -> str:

@@ -11,7 +11,7 @@ from ..report.figures import picture_files
 from ..report.page import FIGURES, Report, percent, write_report
 from ..running.files import remove
 from .closed import Closed
-from .opening import opening, would_have_shown
+from .opening import few_data, on_few, opening, would_have_shown
 from .rows import Rows
 from .sections import SECTIONS, prose
 
@@ -52,5 +52,7 @@ def write_page(closed: Closed, out: Path, version: str) -> Path:
 def headline(closed: Closed) -> list[str]:
     """The verdict and what it is worth, in a few sentences."""
     found = closed.finding
-    told = {"opening": opening(found), "shown": would_have_shown(found)}
+    few = few_data(found, closed.problem, closed.manifest.kind)
+    shown = would_have_shown(found, closed.problem) if few is None else []
+    told = {"opening": opening(found), "shown": shown, "few": on_few(few) if few else []}
     return prose.text("headline", finding=found, solid=closed.confirmation.solid, **told)

@@ -35,7 +35,7 @@ from ..running.parallel import share_out, start_petsc
 from ..running.progress import progress, working
 from .closed import Closed
 from .confirm import LEFT_OUT, Confirmation, confirm
-from .opening import opening, times, would_have_shown
+from .opening import few_data, on_few, opening, times, would_have_shown
 
 SCHEMA = "bristle-close-loop-1"
 VERDICT_FILE = "verdict.json"
@@ -206,7 +206,8 @@ def verdict(closed: Closed) -> dict[str, Any]:
         "version": __version__,
         **finding.verdict_json(),
         "in_words": opening(finding),
-        "would_have_shown": would_have_shown(finding),
+        "would_have_shown": would_have_shown(finding, problem),
+        "few_data": few_data(finding, problem, closed.manifest.kind),
         **closed.confirmation.keys(),
         "kind": closed.manifest.kind,
         "title": closed.manifest.title,
@@ -236,8 +237,13 @@ def summary(content: dict[str, Any]) -> list[tuple[str, str]]:
     rows = [("verdict", content["verdict"])]
     if names:
         rows.append(("effects", ", ".join(names)))
-    rows.append(("in words", content["in_words"][0]))
-    if content["verdict"] == "adequate" and content["would_have_shown"]:
+    told = content["in_words"][: 2 if content["lead"] else 1]
+    rows += zip(["in words", ""], told, strict=False)
+    few = content["few_data"]
+    if few is not None:
+        told = on_few(few)
+        rows += zip(["few data", *[""] * len(told)], told, strict=False)
+    elif content["verdict"] == "adequate" and content["would_have_shown"]:
         labels = ["would have shown", *[""] * len(content["would_have_shown"])]
         rows += zip(labels, content["would_have_shown"], strict=False)
     first, last = content["detection"]["p_value"], content["open_set"]["p_value"]

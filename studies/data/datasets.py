@@ -175,15 +175,15 @@ class Drops:
         return self.of(np.isfinite(self.y0_m) & np.isfinite(self.y1_m))
 
     @property
-    def doubts(self) -> tuple[str, ...]:
-        """What deserves doubt: that most drops rise higher than they fell."""
+    def doubt(self) -> str:
+        """What deserves doubt before all else: that most drops rise higher than they fell."""
         higher = int(np.count_nonzero(self.y1_m > self.y0_m))
         count = int(np.count_nonzero(np.isfinite(self.y1_m)))
         if 2 * higher <= count:
-            return ()
+            return ""
         return (
             f"y1_mm exceeds y0_mm in {higher} of {count} drops, as if they gained energy; "
-            "are the columns exchanged, or heights read from different marks?",
+            "are the columns exchanged, or heights read from different marks?"
         )
 
 

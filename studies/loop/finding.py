@@ -88,6 +88,7 @@ class Finding:
     ``rows`` numbers the problem's rows that were fitted; ``residual_before``, ``residual_after``
     are their quantile residuals, ``covariates`` what they are drawn against. ``theta`` are the
     likeliest parameters of the reported ``model``, ``parameters`` posterior medians with intervals.
+    ``lead`` is a doubt that comes before the verdict.
     ``unlisted`` is the log evidence of the best shape that no effect has, ``shape``, on the scale
     of ``evidences``. ``detectable`` and ``needed_d``: magnitude and size at which an effect is
     noticed nine times in ten.
@@ -128,6 +129,7 @@ class Finding:
     warnings: tuple[str, ...]
     left_aside: tuple[str, ...]
     bookkeeping: tuple[Entry, ...]
+    lead: str
     remarks: Mapping[str, str]
     seed: int
     alarm: float
@@ -189,6 +191,7 @@ class Finding:
             "nearest": plain(self.nearest),
             "noise": dict(self.noise),
             "warnings": self.all_warnings(),
+            "lead": self.lead,
             "left_aside": list(self.left_aside),
             "bookkeeping": plain(self.bookkeeping),
             "remarks": {name: self.remarks[name] for name in self.effects if name in self.remarks},

@@ -86,7 +86,7 @@ class HeldOut:
 def split(problem: Problem, seed: int) -> tuple[Ints, Ints]:
     """Groups for fitting and groups held out."""
     rng = np.random.default_rng([seed, 1])
-    groups = np.unique(problem.group)
+    groups = problem.groups
     if problem.held is not None:
         apart = np.isin(groups, problem.held)
         return groups[~apart], groups[apart]

@@ -7,7 +7,7 @@ attribution and verdict are written once and see only this.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
@@ -49,6 +49,15 @@ class Scattering(Model, Protocol):
 
     def finer(self, by: int) -> Model:
         """The same with ``by`` times as many nodes."""
+        ...
+
+
+@runtime_checkable
+class Divisible(Model, Protocol):
+    """A model that can predict some rows without all others."""
+
+    def only(self, rows: NDArray[np.int64]) -> Model:
+        """The same of these rows alone, which are all rows of their groups."""
         ...
 
 
@@ -108,7 +117,7 @@ class Experiment:
 @dataclass(frozen=True)
 class Entry:
     """What a table itself seems to have wrong: ``kind`` is slip, repeated or exchanged, ``drops``
-    are the numbers of the rows, ``why`` says what speaks for it."""
+    are the numbers of the rows or of the records, ``why`` says what speaks for it."""
 
     kind: str
     drops: tuple[int, ...]
@@ -136,7 +145,9 @@ class Problem:
     model by the 3-D model, for the rows of the groups asked for. ``warnings`` and ``left_aside``
     are sentences for the user: what deserves doubt, and which of the data are not used and why.
     ``remarks`` tell by effect what its parameters do not, such as where it acts.
-    ``bookkeeping`` is what the table has wrong, whose rows are left aside. ``with_sigma``, where it
+    ``bookkeeping`` is what the table has wrong, whose rows are left aside: those of the groups
+    ``aside`` are still among these. Where groups are ``records``, two that hold the same numbers
+    are one. ``lead`` is a doubt that comes before all that is found. ``with_sigma``, where it
     is not None, gives the same with errors of the main quantity that are so many times as large.
     """
 
@@ -161,6 +172,27 @@ class Problem:
     remarks: Mapping[str, str] = field(default_factory=dict)
     bookkeeping: tuple[Entry, ...] = ()
     with_sigma: Callable[[float], Problem] | None = None
+    records: bool = False
+    aside: tuple[int, ...] = ()
+    lead: str = ""
+
+    @property
+    def groups(self) -> NDArray[np.int64]:
+        """The groups that take part."""
+        return np.setdiff1d(self.group, self.aside).astype(np.int64)
+
+    def once(self) -> Problem:
+        """The same with every record once: of those that hold the same numbers, the first."""
+        alike: dict[bytes, list[int]] = {}
+        for group in self.groups if self.records else ():
+            alike.setdefault(self.values[self.group == group].tobytes(), []).append(int(group))
+        twice = [tuple(each) for each in alike.values() if len(each) > 1]
+        if not twice:
+            return self
+        why = "these records hold the same numbers; the first is kept"
+        entries = tuple(Entry("repeated", each, why) for each in twice)
+        again = (group for each in twice for group in each[1:])
+        return replace(self, bookkeeping=(*self.bookkeeping, *entries), aside=(*self.aside, *again))
 
     @property
     def is_main(self) -> NDArray[np.bool_]:

@@ -8,6 +8,7 @@ at a common mean; C. Atkinson and A. F. S. Mitchell, Sankhyā A 43 (1981) 345).
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -34,8 +35,8 @@ class Profile:
     """Points of an effect along rays from its absence to the bounds of its first parameter.
 
     ``u`` (points, p) in the unit box, ``ray`` (points,), ``d`` (points,), ``features`` (points,
-    2 rows): mean and log variance over √2; ``size`` (points,): distance of the first parameter
-    from its absence, in its unit.
+    2 rows of the data's `first`): mean and log variance over √2, as far apart as those of all rows;
+    ``size`` (points,): distance of the first parameter from its absence, in its unit.
     """
 
     model: Model
@@ -94,8 +95,10 @@ def profile(data: Sample, base: Fitted, model: Model) -> Profile:
         rays += [ray] * SHARES.size
     effect = np.concatenate(points)
     u = np.concatenate([np.repeat(base.u[None], len(effect), axis=0), effect], axis=1)
-    target = features(base.mean[None], np.ones(1))
-    u, found = _refitted(data, model, u, own, target)
+    few, times = data.first, math.sqrt(data.times)
+    mean = base.mean if few is data else few.predict(base.model, base.theta)[0]
+    target = features(mean[None], np.ones(1))
+    u, found = _refitted(few, model, u, own, target)
     first = several[0]
     absent = 0.0 if np.isinf(first.null) else first.null
     value = to_theta(several, u[:, own:])[:, 0]
@@ -103,8 +106,8 @@ def profile(data: Sample, base: Fitted, model: Model) -> Profile:
         model=model,
         u=u,
         ray=np.array(rays),
-        d=np.linalg.norm(found - target, axis=1),
-        features=found,
+        d=times * np.linalg.norm(found - target, axis=1),
+        features=times * found,
         size=np.maximum(np.abs(value - absent), 1e-300),
     )
 
@@ -146,7 +149,6 @@ def directions(data: Sample, base: Fitted, profiles: Sequence[Profile]) -> list[
 
     One that the data chose among several has none: what they would be held against is not chosen.
     """
-    rows = data.values.size
     out = []
     for each in profiles:
         if isinstance(each.model, Chosen) and each.model.choices > 1:
@@ -154,8 +156,12 @@ def directions(data: Sample, base: Fitted, profiles: Sequence[Profile]) -> list[
         for point in each.nearest(DIRECTION_D):
             if each.d[point] < 0.5:
                 continue
-            shift = each.features[point, :rows] - base.mean
-            scatter = np.expm1(np.sqrt(2) * each.features[point, rows:])
+            found = each.features[point]
+            if data.first is not data:
+                theta = to_theta(each.model.parameters, each.u[point])
+                found = features(data.predict(each.model, theta), np.asarray(each.model.weights))
+            mean, variance = np.split(found, 2)
+            shift, scatter = mean - base.mean, np.expm1(np.sqrt(2) * variance)
             out.append(Direction(each.name, shift, scatter))
     return out
 

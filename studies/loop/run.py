@@ -40,6 +40,8 @@ ALARM = 0.01
 CREDIBLE = 0.97
 # Nats that scatter must gain over all else to be missing where no test finds it.
 SCATTER_GAIN = 8.0
+# The chance of an effect's own test from which on it may gain these: they are one of 6e-5.
+SCATTER_ODD = 0.01
 # Nats by which an explanation that was refused is worth a second look.
 LIKELIER = 1.0
 # Beyond so many nats nobody wants to know how many times.
@@ -71,6 +73,7 @@ def find(
     are wrong, and the data's own are taken. Where they scatter by more, that may be physics: the
     data's own are taken if wider noise is what explains them best, and nothing is missing then.
     """
+    problem = problem.once()
     told = Scatter.of(problem)
     if told is None or problem.with_sigma is None:
         return _find(problem, seed, alarm, advance)
@@ -89,9 +92,9 @@ def find(
 def _wider_is_best(found: Finding) -> bool:
     """Whether noise that is wider than declared explains data best: as well as what is reported,
     and better than any other shape that no effect has."""
-    if found.verdict is Verdict.ADEQUATE or not found.shape.startswith(WIDER_NOISE):
+    if not found.shape.startswith(WIDER_NOISE):
         return False
-    if found.verdict is Verdict.UNKNOWN:
+    if found.verdict in (Verdict.ADEQUATE, Verdict.UNKNOWN):
         return True
     reported = [each for each in found.evidences if set(each.effects) & set(found.effects)]
     by_chance = np.asarray(found.model.weights).size > 1
@@ -135,6 +138,10 @@ def _find(
     missing = first.p_value <= alarm or bool(noticed)
     # scatter leaves no mean for the tests to see: its likelihood is asked for in any case
     scatters = [np.asarray(each.model.weights).size > 1 for each in profiles]
+    if data.first is not data:
+        # of many rows the effect's own test tells nearly as much, and at once
+        odd = {each.name for each in first.table if each.p_value < SCATTER_ODD}
+        scatters = [by and p.name in odd for by, p in zip(scatters, profiles, strict=True)]
     look_at([each for each, chance in zip(profiles, scatters, strict=True) if missing or chance])
     if not missing:
         least = max(baseline.log_evidence, first.unlisted) + SCATTER_GAIN
@@ -207,9 +214,10 @@ def _find(
         residual_after=kept.residual,
         covariates=data.covariates,
         noticed=noticed,
-        warnings=(*problem.warnings, *filter(None, doubts)),
+        warnings=(*filter(None, (problem.lead,)), *problem.warnings, *filter(None, doubts)),
         left_aside=problem.left_aside,
         bookkeeping=problem.bookkeeping,
+        lead=problem.lead,
         remarks=problem.remarks,
         seed=seed,
         alarm=alarm,

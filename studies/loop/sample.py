@@ -15,7 +15,7 @@ import numpy as np
 
 from ...solver.arrays import Array
 from .noise import Chain, Ints, Noises, log_density, log_likelihoods, noises
-from .problem import Model, Problem
+from .problem import Divisible, Model, Problem
 
 # Covariates that say in which order values were made, the finest first.
 WITHIN = ("time", "phase")
@@ -23,6 +23,11 @@ BETWEEN = ("order",)
 HEIGHT = ("height", "speed")
 # Numbers that are predicted at once: a hundred megabytes with all that they are made from.
 MOST_AT_ONCE = 500_000
+# So many groups are enough to find out where a fit begins. With half as many a faint effect is
+# begun elsewhere and found by the fit to all; with twice as many the search takes twice as long.
+ENOUGH = 120
+# Of fewer groups than these all are searched.
+MANY = 400
 
 
 @dataclass(frozen=True)
@@ -30,7 +35,8 @@ class Sample:
     """Rows of some groups: ``rows`` numbers them in the problem; all else is by row here.
 
     ``unit`` (rows,) multiplies whitened values where sigma is estimated. ``starts`` (groups + 1,).
-    ``kind`` numbers the quantity of each row.
+    ``kind`` numbers the quantity of each row. ``share`` is a sample of some of these groups, from
+    all heights, where there are many of them and models are `Divisible`.
     """
 
     rows: Ints
@@ -41,6 +47,18 @@ class Sample:
     kind: Ints
     covariates: dict[str, Array]
     noises: Noises
+    share: Sample | None = None
+    alone: bool = False
+
+    @property
+    def first(self) -> Sample:
+        """The sample on which fits begin."""
+        return self.share or self
+
+    @property
+    def times(self) -> float:
+        """How many times as many rows this has as `first`."""
+        return self.values.size / self.first.values.size
 
     def pick(self, predicted: Array) -> Array:
         """Predictions (..., rows) of these rows from those of all the problem's rows."""
@@ -50,13 +68,21 @@ class Sample:
         """Predictions (..., nodes, rows) at parameters (..., p)."""
         theta = np.asarray(theta, dtype=float)
         points = theta.reshape(-1, theta.shape[-1])
+        if self.alone and isinstance(model, Divisible):
+            model, pick = model.only(self.rows), self._scaled
+        else:
+            pick = self.pick
         at_once = max(MOST_AT_ONCE // (np.asarray(model.weights).size * self.rows.size), 1)
         found = [
-            self.pick(np.asarray(model.predict(points[i : i + at_once]), dtype=float))
+            pick(np.asarray(model.predict(points[i : i + at_once]), dtype=float))
             for i in range(0, len(points), at_once)
         ]
         every = found[0] if len(found) == 1 else np.concatenate(found)
         return every.reshape(*theta.shape[:-1], *every.shape[1:])
+
+    def _scaled(self, predicted: Array) -> Array:
+        place = np.argsort(np.argsort(self.rows))  # groups may stand in any order
+        return predicted[..., place] * self.unit
 
     def log_likelihood(
         self, values: Array, predicted: Array, weights: Array, at: tuple[Ints, Ints, Ints]
@@ -97,13 +123,26 @@ class Sample:
         at = (np.arange(len(values))[:, None], np.arange(len(predicted))[:, None], among[None])
         return self.noises.prior[among] + self.log_likelihood(values, predicted, weights, at)
 
+    def heights_at(self, model: Model, theta: Array, among: Ints) -> Array:
+        """`heights` (points, noises) of the values at parameters (points, p)."""
+        weights = np.asarray(model.weights)
+        at_once = max(2 * MOST_AT_ONCE // (weights.size * self.rows.size), 1)
+        found = [np.zeros((0, among.size))]
+        for i in range(0, len(theta), at_once):
+            predicted = self.predict(model, theta[i : i + at_once])
+            found.append(self.heights(self.values[None], predicted, weights, among))
+        return np.concatenate(found)
+
     def heights_of_noise(self, residuals: Array, among: Ints | None = None) -> Array:
         """`heights` of residuals (n, rows)."""
         return self.heights(residuals, np.zeros((1, 1, residuals.shape[1])), np.ones(1), among)
 
 
-def sample(problem: Problem, groups: Ints, unit: Array | None = None) -> Sample:
-    """The rows of these groups. ``unit`` (rows of the problem,) overrides what is estimated."""
+def sample(
+    problem: Problem, groups: Ints, unit: Array | None = None, alone: bool = False
+) -> Sample:
+    """The rows of these groups. ``unit`` (rows of the problem,) overrides what is estimated. Models
+    predict them ``alone`` where they are few of many."""
     rows = np.flatnonzero(np.isin(problem.group, groups))
     rows = rows[np.argsort(problem.group[rows], kind="stable")]
     kinds = np.unique(problem.quantity, return_inverse=True)[1]
@@ -113,6 +152,9 @@ def sample(problem: Problem, groups: Ints, unit: Array | None = None) -> Sample:
     covariates = {name: np.asarray(x, dtype=float)[rows] for name, x in problem.covariates.items()}
     chain = _chain(label, kind, covariates)
     scaling = np.ones(rows.size) if unit is None else unit[rows]
+    share = None
+    if len(groups) > MANY and isinstance(problem.baseline, Divisible):
+        share = sample(problem, _some(problem, groups), unit, alone=True)
     return Sample(
         rows=rows,
         values=problem.values[rows] * scaling,
@@ -122,7 +164,20 @@ def sample(problem: Problem, groups: Ints, unit: Array | None = None) -> Sample:
         kind=kind,
         covariates=covariates,
         noises=noises(chain, problem.sigma_declared),
+        share=share,
+        alone=alone,
     )
+
+
+def _some(problem: Problem, groups: Ints) -> Ints:
+    """`ENOUGH` of ``groups``, evenly over the height."""
+    numbers, first = np.unique(problem.group, return_index=True)
+    row = first[np.isin(numbers, groups)]
+    height = first_of(problem.covariates, HEIGHT, np.zeros(problem.group.size))
+    order = np.random.default_rng(0).permutation(row.size)  # of equal heights, none in turn
+    order = order[np.argsort(np.asarray(height)[row][order], kind="stable")]
+    chosen = order[((np.arange(ENOUGH) + 0.5) * (row.size / ENOUGH)).astype(np.int64)]
+    return np.sort(numbers[np.isin(numbers, groups)][chosen])
 
 
 def first_of(covariates: Mapping[str, Array], names: tuple[str, ...], otherwise: Any = None) -> Any:

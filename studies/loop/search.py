@@ -7,6 +7,7 @@ starts are spread over the whole box of the baseline, and the best few that diff
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -44,6 +45,8 @@ SETTLED = 0.1
 # Pairs are followed from so many starts by so many steps first, which may leave them so many nats
 # too low; at most so many are fitted then.
 FEW_FOLLOWED, FIRST_STEPS, FIRST_NATS, MOST_PAIRS = 4, 4, 5.0, 24
+# Standard errors by which a share of the rows has to show that a pair falls short.
+SURE = 3.0
 # Tables of a pair may be off by this share more or less than those of its parts.
 PAIR_OFF = 0.5
 
@@ -145,7 +148,9 @@ def _levels(model: Model, own: int, others: Sequence[float]) -> Array:
 
 def _followed(data: Sample, model: Model, starts: Array, most: int = FOLLOWED) -> Fitted:
     """The fit from the best few, at ``most``, of many starts (n, p) that differ from each other."""
-    return settle(data, model, starts[_likeliest(data, model, starts, most)])
+    few = data.first
+    found = settle(few, model, starts[_likeliest(few, model, starts, most)])
+    return found if few is data else settle(data, model, np.array([found.u, *found.modes]))
 
 
 def _likeliest(data: Sample, model: Model, starts: Array, most: int) -> list[int]:
@@ -207,26 +212,46 @@ def fit_pairs(
 ) -> list[Tried]:
     """Fits of the pairs of effects whose log evidence may be ``least`` or more, to simulations
     where they are likely; ``plain`` is the baseline's."""
-    share = TABLE_SHARE * (least - plain)
+    few, share = data.first, TABLE_SHARE * (least - plain)
     alone = {each.effects[0]: each for each in singles}
     by_name = {each.name: each for each in profiles}
-    noise = max(singles, key=lambda each: each.log_evidence).fitted.noise
+    best = max(singles, key=lambda each: each.log_evidence)
+    noise = best.fitted.noise
+    reached = best.log_evidence
+    if few is not data:
+        again = fit(few, best.fitted.model, best.fitted.u, noise, iterations=0)
+        reached = evidence(few, again, base.u.size)
+
+    def of_all(height: float) -> float:
+        """Log evidence that all rows may give where those that fits begin on give ``height``: as
+        much more than the best single effect's as there are more rows, and `SURE` standard errors.
+        (The variance of a logarithm of a likelihood ratio is about twice its mean.)"""
+        more = height - reached
+        error = math.sqrt(2.0 * max(abs(more), 1.0) * (1.0 - 1.0 / data.times))
+        return best.log_evidence + data.times * (more + SURE * error)
+
     begun: list[tuple[float, Model, Array]] = []
     for names in itertools.combinations(alone, 2):
         model = problem.combine(names)
         if isinstance(model, Emulated) and not model.possible:
             continue
         starts = _pair_starts(model, base, alone, by_name)
-        best = starts[_likeliest(data, model, starts, FEW_FOLLOWED)]
+        starts = starts[_likeliest(few, model, starts, FEW_FOLLOWED)]
         steps = FIRST_STEPS if np.asarray(model.weights).size == 1 else 0
-        first = fit(data, model, best, noise, steps)
-        height = evidence(data, first, base.u.size)
+        first = fit(few, model, starts, noise, steps)
+        height = of_all(evidence(few, first, base.u.size))
         if height + _correctable(alone, names, share) >= least - FIRST_NATS:
-            begun.append((height, model, np.concatenate([first.u[None], best])))
+            begun.append((height, model, np.concatenate([first.u[None], starts])))
     begun.sort(key=lambda each: -each[0])
     found = []
     for _, model, starts in begun[:MOST_PAIRS]:
-        fitted = settle(data, resolved(data, base, model), starts)
+        model = resolved(data, base, model)
+        fitted = settle(few, model, starts)
+        if few is not data:
+            most = of_all(evidence(few, fitted, base.u.size))
+            if most + _correctable(alone, model.effects, share) < least - FIRST_NATS:
+                continue
+            fitted = settle(data, model, np.array([fitted.u, *fitted.modes]))
         found.append(Tried(fitted, evidence(data, fitted, base.u.size)))
     hoped = [each.log_evidence + _correctable(alone, each.effects, share) for each in found]
     near = max((each.log_evidence for each in found), default=least) - FIRST_NATS

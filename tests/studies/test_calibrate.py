@@ -163,7 +163,7 @@ def test_columns_that_were_exchanged_are_doubted(tmp_path):
     first, second = calibrate(drops, grid_N_m=np.array([1e4, 1e6, 1e8])).warnings[:2]
     assert f"y1_mm exceeds y0_mm in {len(rows)} of {len(rows)} drops" in first
     assert "none explains them" in second
-    assert read_drops(write_dataset(tmp_path / "meant", "drops")).doubts == ()
+    assert read_drops(write_dataset(tmp_path / "meant", "drops")).doubt == ""
 
 
 def test_a_trend_with_height_is_found_and_none_is_not(rng):

@@ -3,10 +3,17 @@
 from dataclasses import replace
 
 import loop_toys as toys
+import numpy as np
 import pytest
 
-from bristle.solver.effects.library import EFFECTS
-from bristle.studies.close_loop.opening import SEEN, opening, times, would_have_shown
+from bristle.studies.close_loop.opening import (
+    SEEN,
+    few_data,
+    on_few,
+    opening,
+    times,
+    would_have_shown,
+)
 from bristle.studies.loop.finding import Finding, Interval, Verdict
 from bristle.studies.loop.run import find
 
@@ -50,7 +57,7 @@ def test_nothing_missing_is_told_with_what_would_have_shown(clean):
     assert told[0].startswith("Nothing is missing that these data could show")
     assert len(told) == 2
     shown = {name for name, least in clean.detectable.items() if least is not None}
-    assert len(would_have_shown(clean)) == len(shown & EFFECTS.keys())
+    assert len(would_have_shown(clean, toys.problem(2)[0])) == len(shown)
 
 
 def test_effects_that_are_tied_are_all_told_and_so_is_which_go_together(worn):
@@ -72,3 +79,33 @@ def test_every_test_of_the_family_has_its_words(worn, clean):
         for each in found.tests:
             start = [name for name in SEEN if each.name.startswith(name)]
             assert start or each.name in found.needed_d, each.name
+
+
+def test_few_drops_are_told_what_they_can_and_cannot_show():
+    made = toys.problem(3, drops=6, quantities=1)[0]
+    found = find(made, seed=0)
+    few = few_data(found, made, "drops")
+    assert few["groups"] == "6 drops"
+    shown = {name for name, least in found.detectable.items() if least is not None}
+    assert len(few["can_show"]) == len(shown)
+    assert len(few["can_show"]) + len(few["cannot_show"]) == len(made.candidates)
+    told = on_few(few)
+    assert told[0].startswith("Only 6 drops")
+    assert all(each in told[0] for each in few["can_show"])
+    assert few_data(found, toys.problem(2)[0], "drops") is None
+
+
+def test_a_record_that_is_there_twice_counts_once():
+    made = toys.problem(2)[0]
+    again = np.where(made.group == 7, 3, made.group)  # what no. 7 reads is what no. 3 reads
+    twice = replace(made, values=made.values.copy(), records=True)
+    twice.values[made.group == 7] = made.values[made.group == 3]
+    once = twice.once()
+    assert [(each.kind, each.drops) for each in once.bookkeeping] == [("repeated", (3, 7))]
+    assert np.array_equal(once.groups, np.unique(again))
+    assert replace(twice, records=False).once().bookkeeping == ()
+
+
+def test_what_cannot_be_leads(worn):
+    doubt = "y1_mm exceeds y0_mm in 48 of 48 drops"
+    assert opening(replace(worn, lead=doubt))[0] == f"Before all: {doubt}."

@@ -20,7 +20,9 @@ from ....solver.effects.surface import steepness_deg
 from ....solver.errors import InputError
 from ....solver.fall import fallen, risen
 from ..fit import to_unit
+from ..noise import Ints
 from .emulator import Emulator, effect_at
+from .mesh import Mesh, mesh_of
 
 # Nodes of chance, ends and how many: stiffness by its normal deviate, slope by its size; and the
 # slope's direction.
@@ -48,6 +50,20 @@ class Drops:
 
     def __len__(self) -> int:
         return len(self.y0_m)
+
+    @cached_property
+    def _meshes(self) -> dict[tuple[bool, bool], Mesh | None]:
+        return {}
+
+    def mesh(self, order: bool, session: bool) -> Mesh | None:
+        """Few drops that tell what these do, if that hangs on the height and on their ``order`` or
+        ``session``; None where these are few themselves."""
+        if (order, session) not in self._meshes:
+            apart = np.broadcast_to(self.session, len(self))
+            self._meshes[order, session] = mesh_of(
+                self.y0_m, self.order if order else None, apart if session else None
+            )
+        return self._meshes[order, session]
 
 
 class Landing(NamedTuple):
@@ -246,6 +262,17 @@ class Correction:
         logs = np.tensordot(away, self.slopes, axes=1) + self.logs
         return np.moveaxis(logs, -2, 0)[..., None, :]
 
+    def of(self, which: Ints) -> Correction:
+        """That of the drops numbered ``which``."""
+        return replace(self, logs=self.logs[..., which], slopes=self.slopes[..., which])
+
+    def spread(self, mesh: Mesh | None) -> Correction:
+        """That of all drops from that of a mesh; itself where there is none."""
+        if mesh is None:
+            return self
+        logs, slopes = (mesh.spread(each[..., None])[..., 0] for each in (self.logs, self.slopes))
+        return replace(self, logs=logs, slopes=slopes)
+
     def moved(self, u: Array, logs: Array) -> Correction:
         """About another point where drops were simulated; slopes learn from it (C. G. Broyden,
         Math. Comp. 19 (1965) 577; space mapping: Bakr et al., Optim. Eng. 1 (2000) 241)."""
@@ -285,8 +312,13 @@ class Errors:
 
     def of(self, which: Sequence[int]) -> Errors:
         """Those of the drops numbered ``which``, whitened by the data's slopes."""
-        chosen = list(which)
-        return replace(self, present=self.present[chosen], whiten=self.whiten[chosen], values=None)
+        return replace(self.only(np.array(which, dtype=np.int64)), values=None)
+
+    def only(self, which: Ints) -> Errors:
+        """Those of the drops numbered ``which``."""
+        values = None if self.values is None else self.values[which]
+        present, whiten = self.present[which], self.whiten[which]
+        return replace(self, present=present, whiten=whiten, values=values)
 
     def factors(self, slopes: Array) -> Array:
         """Inverse Cholesky factors (..., drops, q, q) for slopes (..., drops, q) over the height.
@@ -323,6 +355,44 @@ class DropModel(BounceModel):
         found = super().refinement
         return found and replace(found, correction=None)
 
+    def only(self, rows: Ints) -> Self:
+        """The same of these rows alone, all of their drops."""
+        which = np.unique(np.nonzero(self.errors.present)[0][rows])
+        apart = np.broadcast_to(self.drops.session, len(self.drops))[which]
+        y0_m, order = self.drops.y0_m[which], self.drops.order[which]
+        correction = self.correction
+        if correction is not None:
+            correction = correction.spread(self._mesh if self._smooth else None).of(which)
+        return replace(
+            self,
+            drops=replace(self.drops, y0_m=y0_m, order=order, session=apart),
+            errors=self.errors.only(which),
+            correction=correction,
+        )
+
+    @property
+    def _smooth(self) -> bool:
+        """Whether predictions have no kink over the height: none that a law makes where it begins
+        to yield, or tables where wear leads out of them."""
+        return not {"plastic_contact", "wear"} & set(self.effects)
+
+    @cached_property
+    def _mesh(self) -> Mesh | None:
+        """Few drops that tell of all; None where there are few, or an effect from outside may hang
+        on their order in any way."""
+        if any(EFFECTS[name].origin for name in self.effects):
+            return None
+        return self.drops.mesh("wear" in self.effects, "session" in self.effects)
+
+    @cached_property
+    def _few(self) -> Self:
+        """The model at the drops of the mesh."""
+        assert self._mesh is not None
+        mesh, each = self._mesh, self.errors
+        few = replace(self.drops, y0_m=mesh.y0_m, order=mesh.order, session=mesh.session)
+        plain = replace(each, present=np.ones((len(few), len(self.drops.quantities)), bool))
+        return replace(self, drops=few, errors=plain)
+
     def simulated(self, theta: Array) -> Self:
         """The same with its tables made right at ``theta`` (p,), where every drop is simulated.
 
@@ -336,6 +406,8 @@ class DropModel(BounceModel):
         if not acting or len(self.weights) > 1 or isinstance(emulator.body, RigidMass):
             return self
         theta = np.asarray(theta, dtype=float)
+        if self._mesh is not None:
+            return self._simulated_on(self._mesh, theta)
         landing, logs = self.answer(theta)
         tabulated = logs - emulator.plain.at(landing.same_m, landing.kn_N_m)
         falls = zip(landing.same_m[0], landing.kn_N_m[0], strict=True)
@@ -356,6 +428,20 @@ class DropModel(BounceModel):
         if self.correction is None:
             return replace(self, correction=Correction(u, logs, np.zeros((u.size, *logs.shape))))
         return replace(self, correction=self.correction.moved(u, logs))
+
+    def _simulated_on(self, mesh: Mesh, theta: Array) -> Self:
+        """`simulated` at the drops of the mesh alone."""
+        if self._smooth:
+            found = self._few.simulated(theta)
+            return self if found is self._few else replace(self, correction=found.correction)
+        plain = replace(self._few, correction=None)
+        found = plain.simulated(theta)
+        if found.correction is None:
+            return self
+        new = found.correction.spread(mesh)
+        if self.correction is not None:
+            new = self.correction.moved(new.u, new.logs)
+        return replace(self, correction=new)
 
     def _place(self, theta: Array) -> Array:
         """Points of the unit box (..., p); of a sensor's gain, which moves no drop, always one."""
@@ -410,10 +496,16 @@ class DropModel(BounceModel):
 
     def predict(self, theta: Array) -> Array:
         """Whitened predictions (..., nodes, rows) for parameters (..., p)."""
-        errors, measured = self.errors, self.measured(theta)
-        if errors.values is None:
+        errors, mesh = self.errors, self._mesh if self._smooth else None
+        few = self if mesh is None else self._few
+        measured = few.measured(theta)
+        slopes = None if errors.values is None else few.slopes(theta, measured)
+        if mesh is not None:
+            measured = mesh.spread(measured)
+            slopes = None if slopes is None else mesh.spread(slopes)
+        if slopes is None:
             return errors.rows(measured)
-        factors = errors.factors(self.slopes(theta, measured))
+        factors = errors.factors(slopes)
         left = errors.rows(errors.values - measured, factors)
         return np.asarray(errors.rows(errors.values) - left)
 

@@ -108,10 +108,10 @@ def _repeated(table: Table) -> list[Entry]:
     read: dict[bytes, list[int]] = {}
     for row in np.flatnonzero(np.isfinite(every).sum(axis=1) > 1):
         read.setdefault(np.round(every[row], DECIMALS).tobytes(), []).append(int(row))
-    n = len(every)
-    apart = np.abs(table.y0_m[:, None] - table.y0_m[None])[np.triu_indices(n, 1)]
-    near = 5.0 * table.sigma_y0_m
-    chance = _quantum(every[:, 0]) * 1e-3 * np.sum(apart < near) / (2.0 * near)
+    n, near = len(every), 5.0 * table.sigma_y0_m
+    heights = np.sort(table.y0_m)
+    pairs = np.sum(np.searchsorted(heights, heights + near) - np.arange(1, n + 1))
+    chance = _quantum(every[:, 0]) * 1e-3 * pairs / (2.0 * near)
     for q, unit in enumerate(table.unit):
         wide = 2.0 * math.sqrt(math.pi) * float(np.median(table.sigma[:, q]) * unit)
         chance *= min(_quantum(every[:, 1 + q]) / wide, 1.0)

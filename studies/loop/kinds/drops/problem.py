@@ -51,6 +51,8 @@ RATIO_DEGREE = 3
 # Sum of squares, in standard deviations, of what a slope that is too small leaves, from which on
 # errors of the heights count as those of every model: a tenth of one value's noise.
 DILUTED = 0.1
+# Standard errors of a variance within which heights are one height.
+ONE_HEIGHT = 3.0
 # Numbers missing, over the usual step between them, after which another session began; and how many
 # drops a session has, to be told from slips.
 MISSING, FEWEST_IN_SESSION = 10.0, 4
@@ -128,7 +130,7 @@ def drops_problem(data: datasets.Drops, wrong: tuple[Entry, ...] = ()) -> Proble
         confirm_why=emulator.no_solid,
         sigma_declared=data.sigma_y_m is not None,
         notes=notes,
-        warnings=data.doubts,
+        lead=data.doubt,
         left_aside=(f"drops without y0_mm: {listed}",) if listed else (),
         remarks={"session": _second(data, session)} if partings else {},
         bookkeeping=wrong,
@@ -176,7 +178,9 @@ def _seen(bare: DropModel, start: Array, values: Array) -> _Seen:
     errors = replace(plain, whiten=plain.factors(slopes), values=values if close else None)
     expected = predicted * np.stack([each(drops.y0_m) for each in fits], axis=1)
     height_m = drops.y0_m
-    if close:
+    if _one_height(drops.y0_m, plain.sigma_y0_m):
+        height_m = np.full(len(drops), float(np.mean(drops.y0_m)))
+    elif close:
         height_m = _fitted_heights(height_m, errors, slopes, values - expected)
     left = (values - expected) / np.hypot(plain.sigma, plain.sigma_y0_m * slopes)
     return _Seen(errors, height_m, left, ratios)
@@ -265,6 +269,14 @@ def _close_together(y0_m: Array, sigma_y0_m: float) -> bool:
     return len(y0_m) * sigma_y0_m**2 > DILUTED * spread
 
 
+def _one_height(y0_m: Array, sigma_y0_m: float) -> bool:
+    """Whether heights differ by no more than they err: then nothing can hang on them, and heights
+    that are fitted to what scatters for another reason would follow it."""
+    n = len(y0_m)
+    most = sigma_y0_m**2 * (1.0 + ONE_HEIGHT * math.sqrt(2.0 / (n - 1)))
+    return bool(np.var(y0_m, ddof=1) < most)
+
+
 def _slopes(plain: DropModel, at: Array, ratios: Mapping[int, Legendre]) -> Array:
     """Slopes (drops, q) over the height of what is expected: the baseline's predictions times what
     is measured over them, ``ratios`` by quantity."""
@@ -320,23 +332,29 @@ def sessions(data: datasets.Drops, left: Array) -> tuple[Array, int]:
         label = np.array([names.index(each) for each in data.session])
     else:
         label = np.cumsum(_later(data.drop))
-    count = int(label.max()) + 1
-    if count > 1:
-        ways = [label >= k for k in range(1, count)]
-        ways += [label == k for k in range(1, count - 1)] if count > 2 else []
-    else:
-        ways = [np.arange(n) >= k for k in range(FEWEST_IN_SESSION, n - FEWEST_IN_SESSION + 1)]
-    ways = [way for way in ways if min(way.sum(), n - way.sum()) >= FEWEST_IN_SESSION]
-    if not ways:
-        return np.zeros(n), 0
+    told = int(label.max()) > 0
+    label = label if told else np.arange(n)
     there = np.isfinite(left)
     soft = np.clip(np.where(there, left, 0.0), -5.0, 5.0)
-    gains = []
-    for way in ways:
-        sizes = np.array([there[side].sum(axis=0) for side in (way, ~way)])
-        sums = np.array([soft[side].sum(axis=0) for side in (way, ~way)])
-        gains.append(float(np.sum(sums**2 / np.maximum(sizes, 1))))
-    return ways[int(np.argmax(gains))].astype(float), len(ways)
+    count = int(label.max()) + 1
+    drops = np.bincount(label)
+    sizes, sums = np.zeros((2, count, left.shape[1]))
+    np.add.at(sizes, label, there)
+    np.add.at(sums, label, soft)
+    # from each label on; and of labels that are told each one alone
+    parts = [np.cumsum(each[::-1], axis=0)[::-1][1:] for each in (drops, sizes, sums)]
+    if told and count > 2:
+        alone = (each[1:-1] for each in (drops, sizes, sums))
+        parts = [np.concatenate(each) for each in zip(parts, alone, strict=True)]
+    second, size, load = parts
+    possible = np.flatnonzero(np.minimum(second, n - second) >= FEWEST_IN_SESSION)
+    if not possible.size:
+        return np.zeros(n), 0
+    gains = load**2 / np.maximum(size, 1)
+    gains += (sums.sum(axis=0) - load) ** 2 / np.maximum(sizes.sum(axis=0) - size, 1)
+    best = int(possible[np.argmax(gains[possible].sum(axis=1))])
+    way = label >= 1 + best if best < count - 1 else label == 2 + best - count
+    return way.astype(float), possible.size
 
 
 def carried(kind: str, quantities: Sequence[int]) -> list[str]:

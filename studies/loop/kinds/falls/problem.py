@@ -128,6 +128,7 @@ def fall_problem(data: Falls, library: Sequence[str] = LIBRARY) -> Problem:
     if data.height_m is not None:
         covariates["height"] = data.height_m[index]
     return Problem(
+        records=True,
         values=bins.rows(bins.mean_m_s2),
         scale=bins.sigma_m_s2[place],
         unit="m/s²",

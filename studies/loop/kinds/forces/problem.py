@@ -126,6 +126,7 @@ def forces_problem(data: Forces, library: Sequence[str] | None = None) -> Proble
     titles = np.array([*(f"shape {k + 1} of the force (N)" for k in range(SHAPES)), REBOUND])
     plain = ForceModel(drops, stiff, (), np.concatenate(weights), group, rebound)
     return Problem(
+        records=True,
         values=np.concatenate(values),
         scale=np.where(kinds == SHAPES, 1e3, 1.0) / np.concatenate(known),
         unit="N",

@@ -198,6 +198,7 @@ def tracks_problem(data: Tracks) -> Problem:
     units = np.array([unit[name] for name in FEATURES])[leading]
     of_height = np.isin(leading, [FEATURES.index("r"), FEATURES.index("h")])
     return Problem(
+        records=True,
         values=np.concatenate([each.values for each in tracks]),
         scale=np.where(of_height, 1e3 * y0[drop], units) / known,
         unit="mm",

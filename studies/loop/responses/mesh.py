@@ -1,0 +1,95 @@
+"""Few drops, from which what is predicted of many is interpolated.
+
+A prediction is smooth in the height and, where drops wear, in their order. So thousands of drops
+need no more of a table, or of a simulation, than a mesh of both.
+"""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.sparse import csr_array
+
+from ....solver.arrays import Array
+from ..noise import Ints
+
+# Cubic interpolation between so many heights is off by 1e-7 of a height: tables are smooth, and
+# themselves cubic. Half as many would still do; twice as many cost twice the time.
+HEIGHTS = 96
+# Of what wears only corrections are taken from so many heights and places in the order: they are
+# hundredths of an effect, and so may be off by a tenth.
+WORN = (32, 8)
+# Of fewer drops a mesh saves little.
+SMALLER = 6
+
+
+@dataclass(frozen=True)
+class Mesh:
+    """Where drops are predicted, ``y0_m``, ``order`` and ``session`` (points,), and the shares
+    (drops, points) of these in each drop."""
+
+    y0_m: Array
+    order: Array
+    session: Array
+    shares: csr_array
+
+    def spread(self, found: Array) -> Array:
+        """Of values (..., points, q) at the mesh those at the drops (..., drops, q)."""
+        last = np.moveaxis(found, -2, 0)
+        every = self.shares @ last.reshape(len(last), -1)
+        return np.moveaxis(every.reshape(-1, *last.shape[1:]), 0, -2)
+
+
+def mesh_of(y0_m: Array, order: Array | None, session: Array | None) -> Mesh | None:
+    """The mesh of drops (drops,), over their order and session where these are given; None where
+    it would not be `SMALLER` than they are."""
+    drops = len(y0_m)
+    axes: list[tuple[Array, Ints, Array]] = []
+    root = np.sqrt(y0_m)
+    nodes, *weights = _cubic(root, HEIGHTS if order is None else WORN[0])
+    axes.append((nodes**2, *weights))
+    if order is not None:
+        axes.append(_cubic(order, WORN[1]))
+    if session is not None:
+        levels, place = np.unique(session, return_inverse=True)
+        axes.append((levels, place[:, None].astype(np.int64), np.ones((drops, 1))))
+    sizes = [len(nodes) for nodes, *_ in axes]
+    if SMALLER * np.prod(sizes) > drops:
+        return None
+    column, share = np.zeros((drops, 1), dtype=np.int64), np.ones((drops, 1))
+    for (_, place, weight), size in zip(axes, sizes, strict=True):
+        column = (column[:, :, None] * size + place[:, None, :]).reshape(drops, -1)
+        share = (share[:, :, None] * weight[:, None, :]).reshape(drops, -1)
+    row = np.repeat(np.arange(drops), column.shape[1])
+    shares = csr_array((share.ravel(), (row, column.ravel())), shape=(drops, int(np.prod(sizes))))
+    points = np.array(list(itertools.product(*(nodes for nodes, *_ in axes))))
+    named = iter(points.T[1:])
+    return Mesh(
+        y0_m=points[:, 0],
+        order=next(named) if order is not None else np.zeros(len(points)),
+        session=next(named) if session is not None else np.zeros(len(points)),
+        shares=shares,
+    )
+
+
+def _cubic(x: Array, count: int) -> tuple[Array, Ints, Array]:
+    """``count`` equally spaced nodes over x (n,), the numbers (n, 4) of those about each, and their
+    shares (n, 4) in it (Lagrange)."""
+    low, high = float(x.min()), float(x.max())
+    high = high if high > low else low + 1.0
+    nodes = np.linspace(low, high, count)
+    at = (x - low) / (high - low) * (count - 1)
+    first = np.clip(np.floor(at).astype(np.int64) - 1, 0, count - 4)
+    t = at - first
+    shares = np.stack(
+        [
+            -(t - 1) * (t - 2) * (t - 3) / 6,
+            t * (t - 2) * (t - 3) / 2,
+            -t * (t - 1) * (t - 3) / 2,
+            t * (t - 1) * (t - 2) / 6,
+        ],
+        axis=1,
+    )
+    return nodes, first[:, None] + np.arange(4), shares
