@@ -158,13 +158,14 @@ def few_data(finding: Finding, problem: Problem, kind: str) -> dict[str, Any] | 
 
 
 def on_few(few: dict[str, Any]) -> list[str]:
-    """Sentences on what `few_data` has."""
+    """Lines on what `few_data` has."""
     these = f"Only {few['groups']}"
-    told = [f"{these}: nine times in ten they show {'; '.join(few['can_show'])}."]
     if not few["can_show"]:
         told = [f"{these}: they can show no effect at any size within its bounds."]
-    elif few["cannot_show"]:
-        told.append(f"They cannot show, at any size: {', '.join(few['cannot_show'])}.")
+    else:
+        told = [f"{these}. Nine times in ten they would show:", *few["can_show"]]
+        if few["cannot_show"]:
+            told.append(f"They cannot show, at any size: {', '.join(few['cannot_show'])}.")
     return [*told, "What is smaller may be there all the same; more of them would tell."]
 
 

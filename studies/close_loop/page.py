@@ -11,7 +11,7 @@ from ..report.figures import picture_files
 from ..report.page import FIGURES, Report, percent, write_report
 from ..running.files import remove
 from .closed import Closed
-from .opening import few_data, on_few, opening, would_have_shown
+from .opening import few_data, opening, would_have_shown
 from .rows import Rows
 from .sections import SECTIONS, prose
 
@@ -54,5 +54,5 @@ def headline(closed: Closed) -> list[str]:
     found = closed.finding
     few = few_data(found, closed.problem, closed.manifest.kind)
     shown = would_have_shown(found, closed.problem) if few is None else []
-    told = {"opening": opening(found), "shown": shown, "few": on_few(few) if few else []}
+    told = {"opening": opening(found), "shown": shown, "few": few}
     return prose.text("headline", finding=found, solid=closed.confirmation.solid, **told)

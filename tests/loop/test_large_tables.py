@@ -76,9 +76,12 @@ def test_sessions_are_parted_where_two_levels_explain_most(told, tmp_path):
         sides = (np.clip(left[side], -5, 5) for side in (way, ~way))
         return sum(np.sum(np.nansum(s, axis=0) ** 2 / np.isfinite(s).sum(axis=0)) for s in sides)
 
-    found, count = sessions(data, left)
+    found, count, (first, last) = sessions(data, left)
     assert count == len(ways)
     assert gain(found > 0) == pytest.approx(max(map(gain, ways)))
+    if told == "by nothing":  # its change is at drop 18, which has number 18
+        assert first <= data.drop[np.argmax(found)] <= last
+        assert first <= 18 <= last
 
 
 def test_two_states_are_weighed_as_their_likelihood_says():

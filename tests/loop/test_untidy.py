@@ -162,7 +162,8 @@ def test_the_slope_of_heights_that_hardly_differ_is_not_taken_for_an_effect(
 ):
     """Sixty drops from 50 mm: what is read of the height after falls with the error of the one
     before, as it would if contact yielded. What is tested is looked at against heights that both
-    readings make together, of which the rest is independent."""
+    readings make together, of which the rest is independent; or against one height, where these
+    differ by no more than they err."""
     rng = np.random.default_rng(3)
     height = 0.05 + true_spread_m * rng.normal(size=60)
     seen = np.column_stack([height, 0.6575 * height]) + 4e-4 * rng.normal(size=(60, 2))
@@ -176,7 +177,9 @@ def test_the_slope_of_heights_that_hardly_differ_is_not_taken_for_an_effect(
     as_read = np.corrcoef(left, seen[:, 0])[0, 1]
     if true_spread_m == 0.0:
         assert as_read == pytest.approx(-0.6575 / math.hypot(1.0, 0.6575), abs=3.0 * error)
-    assert np.corrcoef(left, fitted)[0, 1] == pytest.approx(0.0, abs=3.0 * error)
+    assert (np.ptp(fitted) > 0.0) == (true_spread_m > 4e-4)
+    if np.ptp(fitted) > 0.0:
+        assert np.corrcoef(left, fitted)[0, 1] == pytest.approx(0.0, abs=3.0 * error)
     assert find(problem).verdict == "adequate"
 
 

@@ -46,16 +46,14 @@ def mesh_of(y0_m: Array, order: Array | None, session: Array | None) -> Mesh | N
     """The mesh of drops (drops,), over their order and session where these are given; None where
     it would not be `SMALLER` than they are."""
     drops = len(y0_m)
-    axes: list[tuple[Array, Ints, Array]] = []
-    root = np.sqrt(y0_m)
-    nodes, *weights = _cubic(root, HEIGHTS if order is None else WORN[0])
-    axes.append((nodes**2, *weights))
+    nodes, place, share = _cubic(np.sqrt(y0_m), HEIGHTS if order is None else WORN[0])
+    axes = [(np.asarray(nodes**2), place, share)]
     if order is not None:
         axes.append(_cubic(order, WORN[1]))
     if session is not None:
-        levels, place = np.unique(session, return_inverse=True)
-        axes.append((levels, place[:, None].astype(np.int64), np.ones((drops, 1))))
-    sizes = [len(nodes) for nodes, *_ in axes]
+        levels, which = np.unique(session, return_inverse=True)
+        axes.append((levels, which[:, None].astype(np.int64), np.ones((drops, 1))))
+    sizes = [len(each[0]) for each in axes]
     if SMALLER * np.prod(sizes) > drops:
         return None
     column, share = np.zeros((drops, 1), dtype=np.int64), np.ones((drops, 1))
@@ -64,7 +62,7 @@ def mesh_of(y0_m: Array, order: Array | None, session: Array | None) -> Mesh | N
         share = (share[:, :, None] * weight[:, None, :]).reshape(drops, -1)
     row = np.repeat(np.arange(drops), column.shape[1])
     shares = csr_array((share.ravel(), (row, column.ravel())), shape=(drops, int(np.prod(sizes))))
-    points = np.array(list(itertools.product(*(nodes for nodes, *_ in axes))))
+    points = np.array(list(itertools.product(*(each[0] for each in axes))))
     named = iter(points.T[1:])
     return Mesh(
         y0_m=points[:, 0],

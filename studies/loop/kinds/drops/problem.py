@@ -56,6 +56,8 @@ ONE_HEIGHT = 3.0
 # Numbers missing, over the usual step between them, after which another session began; and how many
 # drops a session has, to be told from slips.
 MISSING, FEWEST_IN_SESSION = 10.0, 4
+# Nats by which another beginning of the second session is hardly less likely.
+NEARLY = 2.0
 # Standard deviations by which a fitted height may differ from the one that was read.
 MOST_SHIFTED = 3.0
 SCALES = (1e3, 1e6, 1.0)
@@ -91,7 +93,7 @@ def drops_problem(data: datasets.Drops, wrong: tuple[Entry, ...] = ()) -> Proble
         aside = [n for each in entries for n in each.drops[each.kind == "repeated" :]]
         return drops_problem(every.of(~np.isin(every.drop, aside)), (*wrong, *entries))
     seen = _seen(bare, start, values)
-    session, partings = sessions(data, seen.left)
+    session, partings, near = sessions(data, seen.left)
     bare = replace(bare, drops=replace(bare.drops, session=session, partings=partings))
     drops, emulator, errors = bare.drops, bare.emulator, seen.errors
     number = np.broadcast_to(data.drop.astype(np.int64)[:, None], values.shape)
@@ -132,7 +134,7 @@ def drops_problem(data: datasets.Drops, wrong: tuple[Entry, ...] = ()) -> Proble
         notes=notes,
         lead=data.doubt,
         left_aside=(f"drops without y0_mm: {listed}",) if listed else (),
-        remarks={"session": _second(data, session)} if partings else {},
+        remarks={"session": _second(data, session, near)} if partings else {},
         bookkeeping=wrong,
         with_sigma=lambda times: drops_problem(every.with_sigma(times), wrong),
     )
@@ -186,13 +188,19 @@ def _seen(bare: DropModel, start: Array, values: Array) -> _Seen:
     return _Seen(errors, height_m, left, ratios)
 
 
-def _second(data: datasets.Drops, session: Array) -> str:
+def _second(data: datasets.Drops, session: Array, near: tuple[int, int]) -> str:
     """Which drops are those of the second session, in words."""
     second = np.flatnonzero(session > 0.0)
     if data.session is not None:
         return "of " + ", ".join(dict.fromkeys(data.session[i] for i in second))
     first, last = (f"{data.drop[i]:g}" for i in second[[0, -1]])
-    return f"from drop {first} on" if second[-1] == len(session) - 1 else f"drops {first} to {last}"
+    if second[-1] < len(session) - 1:
+        return f"drops {first} to {last}"
+    if near[0] == near[1]:
+        return f"from drop {first} on"
+    return (
+        f"from drop {first} on (it may be from any of {near[0]} to {near[1]}, and its size with it)"
+    )
 
 
 def _proposed(bare: DropModel, start: Array, ratios: Mapping[int, Legendre]) -> Build:
@@ -319,9 +327,10 @@ def _later(drop: Array) -> NDArray[np.bool_]:
     return np.asarray(step > MISSING * max(usual, 1.0))
 
 
-def sessions(data: datasets.Drops, left: Array) -> tuple[Array, int]:
-    """Which drops (drops,) are of the second of two sessions, and among how many ways to part them
-    that was chosen: the one that explains most of what is ``left`` (drops, q) by two levels.
+def sessions(data: datasets.Drops, left: Array) -> tuple[Array, int, tuple[int, int]]:
+    """Which drops (drops,) are of the second of two sessions; among how many ways to part them that
+    was chosen: the one that explains most of what is ``left`` (drops, q) by two levels; and the
+    numbers of the first and last drop with which the second session may begin nearly as well.
 
     Where sessions are told, by a column or by gaps in the numbering, they are parted at one of
     their boundaries, or one of them from all others; else anywhere in the order.
@@ -349,12 +358,15 @@ def sessions(data: datasets.Drops, left: Array) -> tuple[Array, int]:
     second, size, load = parts
     possible = np.flatnonzero(np.minimum(second, n - second) >= FEWEST_IN_SESSION)
     if not possible.size:
-        return np.zeros(n), 0
+        return np.zeros(n), 0, (0, 0)
     gains = load**2 / np.maximum(size, 1)
     gains += (sums.sum(axis=0) - load) ** 2 / np.maximum(sizes.sum(axis=0) - size, 1)
-    best = int(possible[np.argmax(gains[possible].sum(axis=1))])
+    gain = gains[possible].sum(axis=1)
+    best = int(possible[np.argmax(gain)])
     way = label >= 1 + best if best < count - 1 else label == 2 + best - count
-    return way.astype(float), possible.size
+    near = 1 + possible[gain > gain.max() - 2.0 * NEARLY]
+    first, last = (0, 0) if told else (int(data.drop[near.min()]), int(data.drop[near.max()]))
+    return way.astype(float), possible.size, (first, last)
 
 
 def carried(kind: str, quantities: Sequence[int]) -> list[str]:
