@@ -76,7 +76,7 @@ def _cubic(x: Array, count: int) -> tuple[Array, Ints, Array]:
     """``count`` equally spaced nodes over x (n,), the numbers (n, 4) of those about each, and their
     shares (n, 4) in it (Lagrange)."""
     low, high = float(x.min()), float(x.max())
-    high = high if high > low else low + 1.0
+    high = high if high > low else 1.01 * low + 1e-6
     nodes = np.linspace(low, high, count)
     at = (x - low) / (high - low) * (count - 1)
     first = np.clip(np.floor(at).astype(np.int64) - 1, 0, count - 4)
