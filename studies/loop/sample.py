@@ -127,7 +127,7 @@ class Sample:
         """`heights` (points, noises) of the values at parameters (points, p)."""
         weights = np.asarray(model.weights)
         at_once = max(2 * MOST_AT_ONCE // (weights.size * self.rows.size), 1)
-        found = [np.zeros((0, among.size))]
+        found: list[Array] = [np.zeros((0, among.size))]
         for i in range(0, len(theta), at_once):
             predicted = self.predict(model, theta[i : i + at_once])
             found.append(self.heights(self.values[None], predicted, weights, among))
