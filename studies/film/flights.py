@@ -39,6 +39,11 @@ SHARED = 0.03
 """By what share a fall's acceleration may differ from that of the flights after it."""
 TURNED = 0.01
 """The same, once it is known which frames belong to which flight."""
+MOST_CUT, CUT_COSTS = 6, 6.0
+"""How many frames at a drop's end may be left out, and by how much each has to lower the sum of
+squares."""
+HELD_TELLS = 2.0
+"""How many independent frames all those tell in which the body is held."""
 TOUCHING_S = 1e-3
 """About how long a body touches: a frame so near to an impact may show it."""
 FAR_PX, FAR_SIGMAS = 30.0, 300.0
@@ -154,16 +159,64 @@ def settled(
     sigma: Array,
     exposure_s: float,
     turned: float = TURNED,
+    *,
+    known: Known | None = None,
+    turnings: Sequence[Turning] | None = None,
 ) -> list[Drop]:
     """The drops once more, each by all its frames that no impact blurs, at once: flights begin and
     end at one surface, and their accelerations are that of the fall to within a share ``turned``,
-    by which a bristle's turning changes it."""
-    return [
-        _Joint(drop, t_s, height, sigma, exposure_s, turned).solved()
-        if len(drop.impact_s)
-        else drop
-        for drop in drops
-    ]
+    by which a bristle's turning changes it.
+
+    ``known`` is what is known besides, and ``turnings`` how each drop's body turns, where that is
+    seen.
+    """
+    found, told = [], known or Known()
+    for k, drop in enumerate(drops):
+        n = len(drop.impact_s)
+        turning = (
+            Turning(np.zeros(n), np.full(n, turned), np.zeros(n))
+            if turnings is None
+            else turnings[k]
+        )
+        if not n:
+            found.append(drop)
+            continue
+        # at its end a hand may already hold what flies: frames go that the rest contradicts
+        tried = [
+            _Joint(
+                replace(drop, last=drop.last - cut), t_s, height, sigma, exposure_s, turning, told
+            )
+            for cut in range(MOST_CUT + 1 if known else 1)
+        ]
+        best = tried[0].solved(), tried[0].square + 0.0
+        for cut, joint in enumerate(tried[1:], start=1):
+            if best[1] < 1.3 * len(tried[0].t):
+                break
+            solved = joint.solved()
+            if joint.square + CUT_COSTS * cut < best[1]:
+                best = solved, joint.square + CUT_COSTS * cut
+        found.append(best[0])
+    return found
+
+
+@dataclass(frozen=True)
+class Known:
+    """What is known of gravity in px/s² and of the surface's height in px from elsewhere, each with
+    its standard error."""
+
+    gravity: tuple[float, float] | None = None
+    floor: tuple[float, float] | None = None
+
+
+@dataclass(frozen=True)
+class Turning:
+    """How a body turns: by which ``shares`` (impacts,) its end's acceleration after each impact
+    differs from gravity, their standard ``errors``, and how much lower than the middle of its end
+    the ``corner`` (impacts,) is that touches, in px."""
+
+    shares: Array
+    errors: Array
+    corner: Array
 
 
 class _Joint:
@@ -176,16 +229,28 @@ class _Joint:
     """
 
     def __init__(
-        self, drop: Drop, t_s: Array, height: Array, sigma: Array, exposure_s: float, turned: float
+        self,
+        drop: Drop,
+        t_s: Array,
+        height: Array,
+        sigma: Array,
+        exposure_s: float,
+        turning: Turning,
+        known: Known,
     ) -> None:
-        self.drop, self.turned, self.n = drop, turned, len(drop.impact_s)
+        self.drop, self.turning, self.known, self.n = drop, turning, known, len(drop.impact_s)
+        self.square = np.inf
         last, floor = drop.flights[-1], float(np.median(drop.floor))
         landing = _landing(last, floor)
         own = np.zeros(len(t_s), dtype=bool)
         own[drop.first : drop.last + 1] = True
         own &= clear_of(drop, t_s, exposure_s) & (t_s < landing - 0.5 * exposure_s - TOUCHING_S)
         self.frames = np.flatnonzero(own)
-        self.t, self.y, self.sigma = t_s[own], height[own], sigma[own]
+        self.t, self.y, self.sigma = t_s[own], height[own], sigma[own].copy()
+        if drop.release_s is not None:
+            # a body that is held lies on the same pixels in all frames, and they all err alike
+            held = self.t < drop.release_s
+            self.sigma[held] *= np.sqrt(max(held.sum() / HELD_TELLS, 1.0))
         fall = drop.flights[0]
         start = drop.held if drop.held is not None else -float(fall.speed_at(drop.impact_s[0]))
         self.p = np.concatenate(
@@ -197,17 +262,18 @@ class _Joint:
 
     def flights(self, p: Array) -> list[Flight]:
         """The parabolas of the numbers ``p``."""
-        g, floor, start = p[:3]
+        g, start = p[0], p[2]
         at, shares = p[3 : 4 + self.n], p[4 + self.n :]
+        floor = p[1] + self.turning.corner[[*range(self.n), -1]]
         if self.drop.held is not None:
-            release = at[0] - np.sqrt(2.0 * max(start - floor, 1e-9) / g)
+            release = at[0] - np.sqrt(2.0 * max(start - floor[0], 1e-9) / g)
             found = [Flight(0, 0, float(release), float(start), 0.0, float(g))]
         else:
-            found = [Flight(0, 0, float(at[0]), float(floor), float(-start), float(g))]
+            found = [Flight(0, 0, float(at[0]), float(floor[0]), float(-start), float(g))]
         for k in range(self.n):
-            bend = float(g * (1.0 + shares[k]))
-            up = 0.5 * bend * float(at[k + 1] - at[k])
-            found.append(Flight(0, 0, float(at[k]), float(floor), up, bend))
+            bend, lasts = float(g * (1.0 + shares[k])), float(at[k + 1] - at[k])
+            up = 0.5 * bend * lasts + float(floor[k + 1] - floor[k]) / max(lasts, 1e-9)
+            found.append(Flight(0, 0, float(at[k]), float(floor[k]), up, bend))
         return found
 
     def phase(self, p: Array, flights: Sequence[Flight]) -> NDArray[np.int64]:
@@ -224,7 +290,14 @@ class _Joint:
         phase = self.phase(p, flights)
         value = np.choose(np.maximum(phase, 0), [each.at(self.t) for each in flights])
         value = np.where(phase < 0, p[2], value)
-        return np.concatenate([(self.y - value) / self.sigma, p[4 + self.n :] / self.turned])
+        told = zip(p[:2], (self.known.gravity, self.known.floor), strict=True)
+        return np.concatenate(
+            [
+                (self.y - value) / self.sigma,
+                (p[4 + self.n :] - self.turning.shares) / self.turning.errors,
+                [(number - each[0]) / each[1] for number, each in told if each is not None],
+            ]
+        )
 
     def solved(self) -> Drop:
         """The drop of least squares; as it was where there is none."""
@@ -245,6 +318,9 @@ class _Joint:
             first, last = (int(own[0]), int(own[-1])) if len(own) else (old.first, old.last)
             placed.append(replace(each, first=first, last=last))
         covariance = np.linalg.pinv(found.jac.T @ found.jac) * np.outer(self.scale, self.scale)
+        left = self.left(found.x)
+        self.square = float(left @ left)
+        covariance *= _alike(left[: len(self.t)], phase)
         slopes = np.stack(
             [
                 (_ratios(self.flights(p + step), (p + step)[3:]) - _ratios(flights, p[3:]))
@@ -273,6 +349,15 @@ def _ratios(flights: Sequence[Flight], impact_s: Array) -> Array:
     """Speed after each impact over that before it (impacts,)."""
     pairs = zip(impact_s, flights[:-1], flights[1:], strict=False)
     return np.array([-b.speed_at(float(t)) / a.speed_at(float(t)) for t, a, b in pairs])
+
+
+def _alike(left: Array, phase: NDArray[np.int64]) -> float:
+    """By how much the variance of what frames tell together is larger than were they independent
+    and as sure as they say; ``left`` is what they leave, over their errors."""
+    together = (phase[1:] == phase[:-1]) & (phase[1:] >= 0)
+    pairs, square = left[1:][together] * left[:-1][together], float(np.mean(left**2))
+    rho = float(np.clip(np.mean(pairs) / square, 0.0, 0.9)) if len(pairs) > 9 else 0.3
+    return max(square, 1.0) * (1.0 + rho) / (1.0 - rho)
 
 
 def _landing(flight: Flight, floor: float) -> float:

@@ -14,6 +14,10 @@ from .strip import LEAST_RUN, MOST_SLOPE, Looks, Strip
 
 ASIDE_PX, TURN = 14, 0.05
 """How far the axis may be from where the frame before had it: px at the end, and its slope."""
+LEAST_LIKE = 0.15
+"""Share of the contrast below which a pixel is not of the strip."""
+AXIS_SIGMA_PX = 0.02
+"""By how much the sides of a strip are unsure together: compression and what is behind it."""
 AXIS_PX = 400
 """Rows above the end that the axis is fitted to: more do not make the end surer."""
 WINDOW_PX = 28
@@ -40,13 +44,14 @@ class End:
 @dataclass(frozen=True)
 class Sight:
     """The strip in one frame: the axis' column at row zero and slope, with the slope's standard
-    error; and its ends."""
+    error, its width in px, and its ends."""
 
     number: int
     t_s: float
     column: float
     slope: float
     sigma_slope: float
+    width: float
     tip: End
     top: End | None
 
@@ -91,12 +96,12 @@ class Follower:
         grey = frame.grey
         strip = self._coarsely(grey, start)
         rows = np.arange(max(0, int(strip.tip) - AXIS_PX), int(strip.tip) + 1)
-        sigma_slope = 0.0
+        sigma_slope = width = 0.0
         for half in (self.looks.width / 2.0 + 5.0, self.looks.width / 2.0 + 2.5):
             fitted = self._axis(grey, strip, rows, half)
             if fitted is None:
                 return None
-            strip, sigma_slope = fitted
+            strip, sigma_slope, width = fitted
             tip = self._lower_end(grey, strip)
             if tip is None:
                 return None
@@ -113,6 +118,7 @@ class Follower:
             column=strip.column,
             slope=strip.slope,
             sigma_slope=sigma_slope,
+            width=width,
             tip=self._end(grey, strip, strip.tip, 1),
             top=None if top is None else self._end(grey, strip, top, -1),
         )
@@ -140,16 +146,16 @@ class Follower:
 
     def _axis(
         self, grey: Picture, strip: Strip, rows: NDArray[np.int64], half: float
-    ) -> tuple[Strip, float] | None:
-        """The axis by the rows' centroids within ``half`` px of ``strip``'s, and the standard error
-        of its slope."""
+    ) -> tuple[Strip, float, float] | None:
+        """The axis by the rows' centroids within ``half`` px of ``strip``'s, the standard error of
+        its slope, and its width in px."""
         wide = int(np.ceil(half))
         about = strip.at(rows)
         column = np.round(about).astype(int)[:, None] + np.arange(-wide, wide + 1)
         inside = (column >= 0) & (column < grey.shape[1])
         share = self._share(grey, rows[:, None], np.clip(column, 0, grey.shape[1] - 1))
         near = np.clip(half + 0.5 - np.abs(column - about[:, None]), 0.0, 1.0) * inside
-        weight = np.maximum(share - 0.15, 0.0) * near
+        weight = np.maximum(share - LEAST_LIKE, 0.0) * near
         mass = weight.sum(axis=1)
         usual = np.median(mass[mass > 0.2]) if (mass > 0.2).any() else 0.0
         good = (mass > 0.5 * usual) & (mass < 1.6 * usual)
@@ -176,7 +182,8 @@ class Follower:
         if abs(slope) > 1.2 * MOST_SLOPE:
             return None
         fitted = replace(strip, column=float(column_0), slope=float(slope))
-        return fitted, float(deviation / np.sqrt(count) / length)
+        sigma_slope = np.hypot(deviation / np.sqrt(count), AXIS_SIGMA_PX) / length
+        return fitted, float(sigma_slope), float(usual / np.median(weight.max(axis=1)[good]))
 
     def along(self, picture: Array | Picture, strip: Strip, rows: NDArray[np.int64]) -> Array:
         """Means over the inner width of the strip, row by row, of a picture."""

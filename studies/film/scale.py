@@ -3,18 +3,34 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ...solver.arrays import Array
-from .flights import Drop
-from .tracker import Tracked
+from .flights import TURNED, Drop, Known, Turning, settled
+from .tracker import BALL_TURNED, Tracked
 
 LENS = 0.002
 """Share by which a lens' distortion and a body beside the plane of its fall change a scale."""
 EDGES_PX = 0.15
 """By how much both edges of a body may seem farther apart than they are: light spreads."""
+CLOCK = 0.0015
+"""Share by which drag and a clock may change what falls show of gravity."""
+AGREEING = 2.6
+"""Standard errors within which gravity and a length in view agree on the scale."""
+LEAST_SHARE, MOST_SHARE = 1e-3, 0.05
+"""How sure it may be by which share a bristle that turns falls more slowly."""
+FEW, SCATTERS = 8, (0.5, 2.0)
+"""Fewer frames than that say nothing of their errors, and none says more than this."""
+LEAN_FRAMES = 6
+"""About an impact, whose median lean says which corner of the end touches."""
+SURFACE_PX = 0.04
+"""By how much an end at rest and one that comes down fast may be seen to differ: common to all
+frames of a film."""
+GIVEN = 0.001
+"""Share by which a given scale, which holds in the middle of a picture, is off elsewhere."""
 DIFFERENT = 0.03
 """Share by which two scales differ visibly, whatever their errors."""
 ROUND_RATES = (
@@ -36,11 +52,17 @@ ROUND_RATES = (
 
 @dataclass(frozen=True)
 class Scale:
-    """Millimetres a pixel, the share by which it may be off (a standard error), and its source."""
+    """Millimetres a pixel, the share by which it may be off (a standard error), and its source.
+
+    ``by_length`` is the scale of the length in view over this one, and ``length_error`` its own
+    standard error as a share: where gravity was used as well, they are what does not rest on it.
+    """
 
     mm_per_px: float
     error: float
     source: str
+    by_length: float = 1.0
+    length_error: float = 0.0
 
 
 def scale_of(track: Tracked, length_mm: float | None, mm_per_px: float | None) -> Scale | None:
@@ -49,7 +71,7 @@ def scale_of(track: Tracked, length_mm: float | None, mm_per_px: float | None) -
     ``length_mm`` is the length of the bristle, or the diameter of the ball.
     """
     if mm_per_px is not None:
-        return Scale(mm_per_px, 0.0, "--mm-per-px")
+        return Scale(mm_per_px, GIVEN, "--mm-per-px", 1.0, GIVEN)
     seen = track.length[np.isfinite(track.length)]
     if length_mm is None or len(seen) < 3:
         return None
@@ -57,11 +79,105 @@ def scale_of(track: Tracked, length_mm: float | None, mm_per_px: float | None) -
     length = float(np.median(seen))
     spread = 1.4826 * float(np.median(np.abs(seen - length))) / np.sqrt(len(seen))
     edges = EDGES_PX / length
-    return Scale(
-        length_mm / length,
-        float(np.sqrt((spread / length) ** 2 + edges**2 + LENS**2)),
-        f"the {track.body} in view, {length_mm:g} mm long and {length:.1f} px",
+    error = float(np.sqrt((spread / length) ** 2 + edges**2 + LENS**2))
+    source = f"the {track.body} in view, {length_mm:g} mm long and {length:.1f} px"
+    return Scale(length_mm / length, error, source, 1.0, error)
+
+
+def weighed(
+    track: Tracked, scale: Scale | None, gravity_m_s2: float, length_mm: float | None
+) -> tuple[Tracked, Scale | None]:
+    """The track and its scale once more, with what gravity says of a pixel where that agrees: a
+    fall that is known better has its impacts, and so the surface, in surer places."""
+    seen = gravity_px(track)
+    if scale is None or seen is None:
+        return track, scale
+    by_fall, error = 1e3 * gravity_m_s2 / seen[0], float(np.hypot(seen[1], CLOCK))
+    apart = np.log(by_fall / scale.mm_per_px)
+    if abs(apart) > AGREEING * np.hypot(error, scale.error):
+        return track, scale
+    g_px = 1e3 * gravity_m_s2 / scale.mm_per_px
+    gravity = g_px, g_px * float(np.hypot(scale.error, CLOCK))
+    turnings = None
+    if track.turn is not None and length_mm is not None:
+        half_px = 0.5 * length_mm / scale.mm_per_px
+        turnings = [_turning(track, drop, half_px / g_px) for drop in track.drops]
+    turned, floor = TURNED if track.turn is not None else BALL_TURNED, None
+    for _ in range(2):  # then once more with the surface that all drops have in common
+        drops = settled(
+            track.drops,
+            track.t_s,
+            -track.down,
+            track.sigma,
+            track.camera.exposure_s,
+            turned,
+            known=Known(gravity, floor),
+            turnings=turnings,
+        )
+        if len(drops) < 2:
+            break
+        floor = floor_of(drops)
+    track = replace(track, drops=drops)
+    track = replace(track, sigma=track.sigma * _scatter(track))
+    if scale.source == "--mm-per-px":
+        return track, scale
+    share = scale.error**2 / (scale.error**2 + error**2)
+    better = scale.mm_per_px * float(np.exp(share * apart))
+    return track, Scale(
+        better,
+        scale.error * error / float(np.hypot(scale.error, error)),
+        scale.source,
+        scale.mm_per_px / better,
+        scale.error,
     )
+
+
+def _scatter(track: Tracked) -> float:
+    """By how much frames in flight scatter about their parabolas, over their standard errors."""
+    parts, freedom = [np.zeros(0)], 0
+    for drop in track.drops:
+        used = track.used(drop)
+        flying = drop.phase(track.t_s[used]) >= 0
+        parts.append((track.residual(drop) / track.sigma[used])[flying])
+        freedom += len(parts[-1]) - 2 * len(drop.flights)
+    left = np.concatenate(parts)
+    if freedom < FEW:
+        return 1.0
+    # not so far off as to be mistaken, of which the rest has its usual share
+    robust = 1.4826 * float(np.median(np.abs(left)))
+    near = left[np.abs(left) < 3.0 * max(robust, 0.2)]
+    spread = float(np.sqrt(near @ near / freedom)) if len(near) else 1.0
+    return float(np.clip(spread, *SCATTERS))
+
+
+def _turning(track: Tracked, drop: Drop, half_s2: float) -> Turning:
+    """How the lower end of a bristle moves that turns with ω: it falls more slowly by the share
+    L/2 ω² over g. ``half_s2`` is L/2 over g."""
+    used = track.used(drop)
+    phase, shares, errors, corner = drop.phase(track.t_s[used]), [], [], []
+    for k, impact_s in enumerate(drop.impact_s):
+        spin = spin_of(track, used[phase == k + 1])
+        rate, error = (0.0, 0.0) if spin is None else spin
+        shares.append(-half_s2 * max(rate**2 - error**2, 0.0))
+        unsure = half_s2 * np.hypot(2.0 * rate * error, error**2)
+        errors.append(TURNED if spin is None else np.clip(unsure, LEAST_SHARE, MOST_SHARE))
+        near = used[np.argsort(np.abs(track.t_s[used] - impact_s))[:LEAN_FRAMES]]
+        lean = 0.0 if track.turn is None else float(np.median(track.turn[near]))
+        corner.append(0.5 * track.width * abs(np.sin(lean)))
+    return Turning(np.array(shares), np.array(errors), np.array(corner))
+
+
+def spin_of(track: Tracked, own: NDArray[np.int64]) -> tuple[float, float] | None:
+    """How fast a bristle turns in frames of one flight, in rad/s, and its standard error; None
+    where they do not tell."""
+    if track.turn is None or len(own) < 3 or np.ptp(track.t_s[own]) <= 0.0:
+        return None
+    t, turn = track.t_s[own] - track.t_s[own].mean(), track.turn[own]
+    rate = float(t @ turn) / float(t @ t)
+    left = turn - turn.mean() - rate * t
+    spread = float(np.sqrt(left @ left / max(len(own) - 2, 1)))
+    usual = 0.0 if track.sigma_turn is None else float(np.median(track.sigma_turn[own]))
+    return rate, max(spread, 0.3 * usual) * 2.0 / float(np.sqrt(t @ t))
 
 
 def gravity_px(track: Tracked) -> tuple[float, float] | None:
@@ -117,4 +233,4 @@ def floor_of(drops: Sequence[Drop]) -> tuple[float, float] | None:
     weights = errors**-2.0
     mean = float(np.average(floors, weights=weights))
     square = float(np.sum(weights * (floors - mean) ** 2)) / max(len(floors) - 1, 1)
-    return mean, float(np.sqrt(max(square, 1.0) / weights.sum()))
+    return mean, float(np.hypot(np.sqrt(max(square, 1.0) / weights.sum()), SURFACE_PX))

@@ -94,7 +94,7 @@ def find_strip(film: Scan) -> tuple[Looks, dict[int, Strip]] | None:
             strip = fine[sample]
             aside = np.abs(np.arange(columns) - strip.at(row))
             end = strip.tip + below
-            covered[sample] = (aside < width / 2.0 + 3.0) & (row < end)
+            covered[sample] = (aside < 0.8 * width + 4.0) & (row < end)
     still = clear_background(film.samples, covered)
     looks = Looks(still, width, contrast)
     return looks, {int(film.number[sample]): strip for sample, strip in fine.items()}

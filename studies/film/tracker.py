@@ -50,7 +50,7 @@ class Tracked:
     turned picture, ``down`` how far along the vertical, in px, and ``sigma`` its standard error.
     ``turn`` is by how much a bristle leans from the vertical, its upper end to the right, in
     radians, and ``sigma_turn`` its standard error. ``length`` is that of the body in px where it is
-    seen whole. ``vertical`` is the vertical's slope in columns a row, with its standard error.
+    seen whole, ``width`` about that of a bristle. ``vertical`` is the vertical's slope in columns a row, with its standard error.
     """
 
     film: Film
@@ -68,6 +68,7 @@ class Tracked:
     turn: Array | None
     sigma_turn: Array | None
     length: Array
+    width: float
     vertical: tuple[float, float]
     drops: Sequence[Drop]
 
@@ -138,6 +139,7 @@ class _Seen:
     sights: Sequence[Sight] = ()
     length: Array | None = None
     blur: Array | None = None
+    width: float = 0.0
 
 
 def _bristle(film: Film, seen: Scan) -> _Seen | str:
@@ -156,6 +158,7 @@ def _bristle(film: Film, seen: Scan) -> _Seen | str:
         column=column,
         sigma=np.full(len(row), FIRST_SIGMA_PX),
         sights=sights,
+        width=float(np.median([each.width for each in sights])),
     )
 
 
@@ -235,6 +238,7 @@ def _settle(
         turn=turn_rad,
         sigma_turn=sigma_turn,
         length=np.full(len(t), np.nan) if length is None else length,
+        width=raw.width,
         vertical=vertical,
         drops=drops,
     )

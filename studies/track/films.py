@@ -14,9 +14,9 @@ import pandas as pd
 from ...solver import paper
 from .. import __version__
 from ..film.edge import Camera
-from ..film.flights import Drop
+from ..film.flights import HELD_TELLS, Drop
 from ..film.reading import Film
-from ..film.scale import Scale, doubts_of, floor_of, gravity_px, heights, scale_of
+from ..film.scale import Scale, doubts_of, floor_of, gravity_px, heights, scale_of, weighed
 from ..film.tracker import Tracked, tracked
 from ..inputs.choices import Body
 from ..inputs.study_fields import TrackInputs
@@ -74,7 +74,11 @@ def track_films(films: Sequence[Path], inputs: TrackInputs) -> TrackedFilms:
     length = inputs.diameter_mm
     if inputs.body is Body.BRISTLE:
         length = inputs.length_mm or 1e3 * paper.LENGTH_M
-    scales = [scale_of(track, length, inputs.mm_per_px) for track in tracks]
+    found = [
+        weighed(track, scale_of(track, length, inputs.mm_per_px), inputs.gravity_m_s2, length)
+        for track in tracks
+    ]
+    tracks, scales = [track for track, _ in found], [scale for _, scale in found]
     warnings = [
         doubt
         for track, scale in zip(tracks, scales, strict=True)
@@ -136,11 +140,18 @@ def _rows(
     used = track.used(each.drop)
     unit, by = ("px", 1.0) if scale is None else ("mm", scale.mm_per_px)
     x, y = track.film.shown(track.column, track.row, track.shape)
+    up = by * heights(track, each.drop, floor[0])
+    share = 0.0 if scale is None else scale.error
+    total = np.sqrt((by * track.sigma[used]) ** 2 + (by * floor[1]) ** 2 + (share * up) ** 2)
+    # frames of a body that is held err alike, since it lies on the same pixels in all of them
+    held = each.drop.phase(track.t_s[used]) < 0
+    own = by * track.sigma[used] * np.where(held, np.sqrt(max(held.sum() / HELD_TELLS, 1.0)), 1.0)
     rows: dict[str, Any] = {
         "drop": each.number,
         "t_s": np.round(track.t_s[used], 7),
-        f"y_{unit}": np.round(by * heights(track, each.drop, floor[0]), 4),
-        f"sigma_{unit}": np.round(by * np.hypot(track.sigma[used], floor[1]), 4),
+        f"y_{unit}": np.round(up, 4),
+        f"sigma_{unit}": np.round(total, 4),
+        f"sigma_frame_{unit}": np.round(own, 4),
     }
     if track.turn is not None and track.sigma_turn is not None:
         rows["lean_deg"] = np.round(np.degrees(track.turn[used]), 4)
@@ -258,11 +269,19 @@ def manifest(found: TrackedFilms) -> str:
             "",
         ]
     lines += ["[measurement]", f'file = "{TABLE}"', f"gravity_m_s2 = {inputs.gravity_m_s2:g}"]
-    errors = [scale.error for scale in found.scales if scale is not None]
-    if errors and max(errors) > 0.0:
+    surface = max(
+        error * (1.0 if scale is None else scale.mm_per_px)
+        for (_, error), scale in zip(found.floors, found.scales, strict=True)
+    )
+    lines += ["# standard error of the zero, which is common to all frames of a film"]
+    lines += [f"sigma_surface_{found.unit} = {surface:.4g}"] if surface > 0.0 else []
+    scales = [scale for scale in found.scales if scale is not None]
+    if scales:
         lines += [
-            "# standard error of the scale, as a share: it is common to all frames of a film",
-            f"sigma_scale = {max(errors):.4g}",
+            "# by which all heights are to be multiplied were gravity not used for the scale, and",
+            "# the standard error of that, as a share: the loop fits the scale within it",
+            f"scale = {np.mean([scale.by_length for scale in scales]):.5g}",
+            f"sigma_scale = {max(scale.length_error for scale in scales):.4g}",
         ]
     return "\n".join(lines) + "\n"
 

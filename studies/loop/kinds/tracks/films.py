@@ -199,6 +199,7 @@ def _in_metres(data: Tracks) -> tuple[float | None, list[Film]]:
             data.sigma_t_s,
             gravity,
             relative=data.relative[piece],
+            sigma_floor_m=data.sigma_surface,
         )
         for piece in pieces
     ]
@@ -219,6 +220,7 @@ def _in_metres(data: Tracks) -> tuple[float | None, list[Film]]:
             film,
             y_m=pixel * film.y_m,
             sigma_y_m=pixel * (data.sigma_y_px or of_mm or rough),
+            sigma_floor_m=pixel * film.sigma_floor_m,
             floor_m=pixel * film.floor_m,
             floor_loose_m=pixel * film.floor_loose_m,
         )

@@ -263,7 +263,8 @@ def _model(
     elif "sigma_scale" in manifest.measurement:
         share = WITHIN * float(manifest.measurement["sigma_scale"])
         why = f"the declared uncertainty of the scale, {WITHIN:g} times to either side"
-        scale = Parameter("scale", "", 1.0 - share, 1.0 + share, 1.0, 1.0, why=why)
+        middle = float(manifest.measurement.get("scale", 1.0))
+        scale = Parameter("scale", "", middle - share, middle + share, middle, middle, why=why)
     return TrackModel(
         drops,
         kn,

@@ -28,7 +28,8 @@ class Tracks(InPieces):
     frames begin, ``line`` (films,) at which line of the table. Times are those of the table.
     ``sigma_y_m`` and ``sigma_y_px`` are the declared uncertainty of a height, or None,
     ``sigma_t_s`` that of a time. ``relative`` (frames,) is how uncertain each frame is over that:
-    one, unless the table has a column of its own for it. ``lean_deg`` (frames,) is by how much the
+    one, unless the table has a column of its own for it. ``sigma_surface`` is how uncertain the zero
+    of the heights is, in m or in pixels. ``lean_deg`` (frames,) is by how much the
     bristle leans in the picture, or None.
     """
 
@@ -43,6 +44,7 @@ class Tracks(InPieces):
     sigma_y_px: float | None
     sigma_t_s: float
     relative: Array
+    sigma_surface: float = 0.0
     lean_deg: Array | None = None
 
     @property
@@ -85,7 +87,9 @@ def read_tracks(folder: Path) -> Tracks:
         check_marks(path, read.lines, y)
         manifest.check_sigma("sigma_y_mm", 1e-3, y)
     unit = "px" if in_pixels else "mm"
-    own = optional_column(path, read.rows, f"sigma_{unit}", 1.0)
+    # of an error that is common to all frames, rows tell apart what each has of its own
+    apart = f"sigma_frame_{unit}" in columns
+    own = optional_column(path, read.rows, f"sigma_{'frame_' * apart}{unit}", 1.0)
     sigmas = {each: manifest.measurement.get(f"sigma_y_{each}") for each in ("mm", "px")}
     relative: Array = np.ones(len(y))
     if own is not None:
@@ -103,6 +107,8 @@ def read_tracks(folder: Path) -> Tracks:
         sigma_y_px=None if sigma_px is None else float(sigma_px),
         sigma_t_s=float(manifest.measurement.get("sigma_t_s", 0.0)),
         relative=relative,
+        sigma_surface=(1.0 if in_pixels else 1e-3)
+        * float(manifest.measurement.get(f"sigma_surface_{unit}", 0.0)),
         lean_deg=column(path, read.rows, "lean_deg", empty=True) if "lean_deg" in columns else None,
     )
 

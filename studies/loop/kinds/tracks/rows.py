@@ -41,7 +41,7 @@ class Film:
 
     A height's deviation is ``sigma_y_m`` times ``relative`` (frames,).
     The surface is near ``floor_m``, to within ``floor_loose_m``; ``floor_known`` where heights are
-    declared to be over it.
+    declared to be over it, to within ``sigma_floor_m``.
     """
 
     t_s: Array
@@ -53,6 +53,7 @@ class Film:
     floor_m: float = 0.0
     floor_loose_m: float = LOOSE["z"]
     relative: Array | float = 1.0
+    sigma_floor_m: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -123,8 +124,14 @@ def reduced(film: Film, p: Array, phase: Phases, held: bool) -> Track:
     slopes /= sigma[:, None]
     residual = (film.y_m[used] - heights(p, t, part, g)) / sigma
     nuisances, features = is_free(film, p, held)
-    frame, _ = np.linalg.qr(slopes[:, nuisances])
-    speed = np.linalg.pinv(slopes[:, nuisances])[np.flatnonzero(nuisances) == 1][0]
+    confounded = slopes[:, nuisances]
+    if features[2] and film.sigma_floor_m > 0.0:
+        # the zero is common to all frames: a further nuisance, and a reading of it that says none
+        own = np.append(slopes[:, 2], 1.0 / film.sigma_floor_m)
+        confounded = np.column_stack([np.pad(confounded, ((0, 1), (0, 0))), own])
+        slopes, residual = np.pad(slopes, ((0, 1), (0, 0))), np.append(residual, 0.0)
+    frame, _ = np.linalg.qr(confounded)
+    speed = np.linalg.pinv(confounded)[: nuisances.sum()][np.flatnonzero(nuisances) == 1][0]
     by_features = -speed @ (slopes * features)
     names = names_of(p)
     basis = list(frame.T)
@@ -143,10 +150,10 @@ def reduced(film: Film, p: Array, phase: Phases, held: bool) -> Track:
             drop.append(max(k - len(HEAD), 0) // len(BOUNCE))
             known.append(size)
     every = np.array(basis)
-    rows = every[n:].reshape(-1, len(t))
+    rows = every[n:].reshape(-1, len(residual))
     of_rows = rows @ (slopes * features)
     beyond = residual - every.T @ (every @ residual)
-    in_row = part[2:] == part[:-2]
+    in_row, beyond = part[2:] == part[:-2], beyond[: len(t)]
     one, two = (beyond[2:] - beyond[1:-1])[in_row], (beyond[2:] - beyond[:-2])[in_row]
     rises = rises_of(p, g)
     return Track(
@@ -162,7 +169,7 @@ def reduced(film: Film, p: Array, phase: Phases, held: bool) -> Track:
         drop=np.array(drop, dtype=np.int64),
         known=np.array(known),
         misfit=float(beyond @ beyond),
-        freedom=int(used.sum()) - len(every),
+        freedom=len(residual) - len(every),
         changes=(float(np.mean(one**2)), float(np.mean(two**2))) if len(one) else (0.0, 0.0),
         pairs=len(one),
     )
