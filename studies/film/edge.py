@@ -104,9 +104,7 @@ def edges(ends: Ends, speed: Array, bend: Array, camera: Camera) -> Edges:
     ahead, back = moved.max(axis=1), moved.min(axis=1)
     at = ends.guess.copy()
     inside = ends.used & (ends.along < (at + back)[:, None] - 3.0)
-    level = _median(
-        ends.level, inside & (ends.along > (at + back)[:, None] - INSIDE_PX), ends.level
-    )
+    level = _median(ends.level, inside & (ends.along > (at + back)[:, None] - INSIDE_PX))
     tilt: Array = np.zeros(n)
     offset: Array = np.zeros(n)
     weight: Array = np.ones_like(ends.level)
@@ -120,7 +118,7 @@ def edges(ends: Ends, speed: Array, bend: Array, camera: Camera) -> Edges:
         left = ends.level - value
         count = np.maximum((w > 0).sum(axis=1), 6)
         if turn > 2:
-            noise = 1.4826 * _median(np.abs(left), w > 0, np.zeros_like(left))
+            noise = 1.4826 * _median(np.abs(left), w > 0)
             noise = np.maximum(noise, LEAST_NOISE)
             weight = np.minimum(1.0, FAR * noise[:, None] / np.maximum(np.abs(left), 1e-9))
         normal = np.einsum("fp,ifp,jfp->fij", w, slopes, slopes)
@@ -168,12 +166,13 @@ def _model(
     return value, np.stack([of_at, of_strip, of_strip * inward, of_back])
 
 
-def _median(values: Array, used: Array, otherwise: Array) -> Array:
-    """Medians (frames,) of what is ``used``; of ``otherwise`` where nothing is."""
-    some = used.any(axis=1)
-    masked = np.where(used, values, np.nan)
-    masked[~some] = otherwise[~some]
-    return np.asarray(np.nanmedian(masked, axis=1))
+def _median(values: Array, used: NDArray[np.bool_]) -> Array:
+    """Medians (frames,) of what is ``used``; of all where nothing is."""
+    used = np.where(used.any(axis=1)[:, None], used, True)
+    ordered = np.sort(np.where(used, values, np.inf), axis=1)  # what is not used comes last
+    count = used.sum(axis=1)
+    middle = np.stack([(count - 1) // 2, count // 2], axis=1)
+    return np.asarray(np.take_along_axis(ordered, middle, axis=1).mean(axis=1))
 
 
 def camera_of(

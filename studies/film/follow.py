@@ -97,8 +97,10 @@ class Follower:
         strip = self._coarsely(grey, start)
         rows = np.arange(max(0, int(strip.tip) - AXIS_PX), int(strip.tip) + 1)
         sigma_slope = width = 0.0
-        for half in (self.looks.width / 2.0 + 5.0, self.looks.width / 2.0 + 2.5):
-            fitted = self._axis(grey, strip, rows, half)
+        # a few rows first, then all
+        for half, every in ((self.looks.width / 2.0 + 5.0, 4), (self.looks.width / 2.0 + 2.5, 1)):
+            some = rows[-1 :: -min(every, len(rows) // (2 * LEAST_RUN) or 1)]
+            fitted = self._axis(grey, strip, some, half)
             if fitted is None:
                 return None
             strip, sigma_slope, width = fitted
@@ -165,7 +167,9 @@ class Follower:
         row = rows[good].astype(float)
         use = np.ones(len(row), dtype=bool)
         for _ in range(3):
-            slope, column_0 = np.polyfit(row[use], centre[use], 1)
+            x, y = centre[use].mean(), row[use].mean()
+            slope = (row[use] - y) @ centre[use] / max(float((row[use] - y) @ row[use]), 1e-9)
+            column_0 = x - slope * y
             left = centre - column_0 - slope * row
             spread = 1.4826 * np.median(np.abs(left[use])) + 0.02
             use = np.abs(left) < 3.0 * spread

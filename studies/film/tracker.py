@@ -50,7 +50,8 @@ class Tracked:
     turned picture, ``down`` how far along the vertical, in px, and ``sigma`` its standard error.
     ``turn`` is by how much a bristle leans from the vertical, its upper end to the right, in
     radians, and ``sigma_turn`` its standard error. ``length`` is that of the body in px where it is
-    seen whole, ``width`` about that of a bristle. ``vertical`` is the vertical's slope in columns a row, with its standard error.
+    seen whole, ``width`` about that of a bristle. ``vertical`` is the vertical's slope in columns a
+    row, with its standard error.
     """
 
     film: Film

@@ -28,9 +28,9 @@ class Tracks(InPieces):
     frames begin, ``line`` (films,) at which line of the table. Times are those of the table.
     ``sigma_y_m`` and ``sigma_y_px`` are the declared uncertainty of a height, or None,
     ``sigma_t_s`` that of a time. ``relative`` (frames,) is how uncertain each frame is over that:
-    one, unless the table has a column of its own for it. ``sigma_surface`` is how uncertain the zero
-    of the heights is, in m or in pixels. ``lean_deg`` (frames,) is by how much the
-    bristle leans in the picture, or None.
+    one, unless the table has a column of its own for it. ``sigma_surface`` is how uncertain the
+    zero of the heights is, in m or in pixels. ``lean_deg`` (frames,) is by how much the bristle
+    leans in the picture, or None.
     """
 
     manifest: Manifest
