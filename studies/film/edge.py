@@ -168,7 +168,7 @@ def _model(
 
 def _median(values: Array, used: NDArray[np.bool_]) -> Array:
     """Medians (frames,) of what is ``used``; of all where nothing is."""
-    used = np.where(used.any(axis=1)[:, None], used, True)
+    used = used | ~np.asarray(used.any(axis=1))[:, None]
     ordered = np.sort(np.where(used, values, np.inf), axis=1)  # what is not used comes last
     count = used.sum(axis=1)
     middle = np.stack([(count - 1) // 2, count // 2], axis=1)

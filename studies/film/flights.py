@@ -123,22 +123,27 @@ class Drop:
         return _ratios(self.flights, self.impact_s)
 
 
-def drops_of(t_s: Array, height: Array, sigma: Array) -> list[Drop]:
+def drops_of(t_s: Array, height: Array, sigma: Array, gravity: float | None = None) -> list[Drop]:
     """The drops in a track: ``height`` (frames,) upward and ``sigma`` in px at times in s.
 
     Where none is seen, longer stretches are looked at: a film may be played slower than it was
-    taken.
+    taken. Last, where ``gravity`` is about known in px/s², flights of three frames are enough.
     """
     size = _frames_of(t_s)
     while True:
         found = _drops_of(t_s, height, sigma, size)
         if found or 2 * size > min(MOST_FRAMES, len(t_s)):
-            return found
+            break
         size *= 2
+    if not found and gravity is not None:
+        found = _drops_of(t_s, height, sigma, LEAST_FRAMES - 1, gravity)
+    return found
 
 
-def _drops_of(t_s: Array, height: Array, sigma: Array, size: int) -> list[Drop]:
-    gravity = gravity_of(t_s, height, sigma, size)
+def _drops_of(
+    t_s: Array, height: Array, sigma: Array, size: int, known: float | None = None
+) -> list[Drop]:
+    gravity = known or gravity_of(t_s, height, sigma, size)
     if gravity is None:
         return []
     flights = _flights(t_s, height, sigma, gravity, size)
@@ -266,7 +271,7 @@ class _Joint:
         at, shares = p[3 : 4 + self.n], p[4 + self.n :]
         floor = p[1] + self.turning.corner[[*range(self.n), -1]]
         if self.drop.held is not None:
-            release = at[0] - np.sqrt(2.0 * max(start - floor[0], 1e-9) / g)
+            release = at[0] - np.sqrt(2.0 * max(start - floor[0], 1e-9) / max(g, 1e-9))
             found = [Flight(0, 0, float(release), float(start), 0.0, float(g))]
         else:
             found = [Flight(0, 0, float(at[0]), float(floor[0]), float(-start), float(g))]

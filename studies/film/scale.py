@@ -24,6 +24,7 @@ LEAST_SHARE, MOST_SHARE = 1e-3, 0.05
 """How sure it may be by which share a bristle that turns falls more slowly."""
 FEW, SCATTERS = 8, (0.5, 2.0)
 """Fewer frames than that say nothing of their errors, and none says more than this."""
+SURELY = 2.6
 LEAN_FRAMES = 6
 """About an impact, whose median lean says which corner of the end touches."""
 SURFACE_PX = 0.04
@@ -56,6 +57,8 @@ class Scale:
 
     ``by_length`` is the scale of the length in view over this one, and ``length_error`` its own
     standard error as a share: where gravity was used as well, they are what does not rest on it.
+    ``gravity`` is with which acceleration things fall by that length alone, in m/s², and its
+    standard error.
     """
 
     mm_per_px: float
@@ -63,6 +66,7 @@ class Scale:
     source: str
     by_length: float = 1.0
     length_error: float = 0.0
+    gravity: tuple[float, float] | None = None
 
 
 def scale_of(track: Tracked, length_mm: float | None, mm_per_px: float | None) -> Scale | None:
@@ -92,6 +96,8 @@ def weighed(
     seen = gravity_px(track)
     if scale is None or seen is None:
         return track, scale
+    shown = 1e-3 * scale.mm_per_px * seen[0]
+    scale = replace(scale, gravity=(shown, shown * float(np.hypot(seen[1], scale.error))))
     by_fall, error = 1e3 * gravity_m_s2 / seen[0], float(np.hypot(seen[1], CLOCK))
     apart = np.log(by_fall / scale.mm_per_px)
     if abs(apart) > AGREEING * np.hypot(error, scale.error):
@@ -123,18 +129,18 @@ def weighed(
         return track, scale
     share = scale.error**2 / (scale.error**2 + error**2)
     better = scale.mm_per_px * float(np.exp(share * apart))
-    return track, Scale(
-        better,
-        scale.error * error / float(np.hypot(scale.error, error)),
-        scale.source,
-        scale.mm_per_px / better,
-        scale.error,
+    return track, replace(
+        scale,
+        mm_per_px=better,
+        error=scale.error * error / float(np.hypot(scale.error, error)),
+        by_length=scale.mm_per_px / better,
     )
 
 
 def _scatter(track: Tracked) -> float:
     """By how much frames in flight scatter about their parabolas, over their standard errors."""
-    parts, freedom = [np.zeros(0)], 0
+    parts: list[Array] = [np.zeros(0)]
+    freedom = 0
     for drop in track.drops:
         used = track.used(drop)
         flying = drop.phase(track.t_s[used]) >= 0
@@ -165,6 +171,29 @@ def _turning(track: Tracked, drop: Drop, half_s2: float) -> Turning:
         lean = 0.0 if track.turn is None else float(np.median(track.turn[near]))
         corner.append(0.5 * track.width * abs(np.sin(lean)))
     return Turning(np.array(shares), np.array(errors), np.array(corner))
+
+
+def of_centre(track: Tracked, drop: Drop, length_px: float) -> Array:
+    """Restitutions (impacts,) of the centre of mass: a bristle of uniform mass that leans by θ and
+    turns with ω has it L/2 above its end, which is so faster by L/2 ω sin θ."""
+    if track.turn is None:
+        return drop.restitution
+    used = track.used(drop)
+    phase, ratios = drop.phase(track.t_s[used]), []
+    flights = zip(drop.flights[:-1], drop.flights[1:], drop.impact_s, strict=False)
+    for k, (before, after, impact_s) in enumerate(flights):
+        speeds = []
+        for number, flight in ((k, before), (k + 1, after)):
+            own = used[phase == number]
+            spin, added = spin_of(track, own), 0.0
+            # what a film shows less surely than that it turns is no turn
+            if spin is not None and abs(spin[0]) > SURELY * spin[1]:
+                middle = float(track.t_s[own].mean())
+                lean = float(np.mean(track.turn[own])) + spin[0] * (float(impact_s) - middle)
+                added = 0.5 * length_px * spin[0] * np.sin(lean)
+            speeds.append(float(flight.speed_at(float(impact_s))) - added)
+        ratios.append(-speeds[1] / speeds[0])
+    return np.array(ratios)
 
 
 def spin_of(track: Tracked, own: NDArray[np.int64]) -> tuple[float, float] | None:
@@ -198,12 +227,11 @@ def gravity_px(track: Tracked) -> tuple[float, float] | None:
 
 def doubts_of(track: Tracked, scale: Scale | None, gravity_m_s2: float) -> list[str]:
     """What scale, clock and gravity say of each other where they disagree, in sentences."""
-    seen = gravity_px(track)
-    if scale is None or seen is None:
+    if scale is None or scale.gravity is None:
         return []
-    shown = 1e-3 * scale.mm_per_px * seen[0]
+    shown, error = scale.gravity
     ratio = shown / gravity_m_s2
-    if abs(ratio - 1.0) < max(3.0 * float(np.hypot(scale.error, seen[1])), DIFFERENT):
+    if abs(ratio - 1.0) < max(3.0 * error / shown, DIFFERENT):
         return []
     rate = 1.0 / track.frame_s
     fitting = rate / np.sqrt(ratio)

@@ -90,7 +90,28 @@ class Tracked:
         return np.asarray(-self.down[used] - drop.height(self.t_s[used]))
 
 
-def tracked(film: Film, body: Body, given: Camera | None = None, rolling_s: float = 0.0) -> Tracked:
+@dataclass(frozen=True)
+class Expected:
+    """What is known of a film's falls: gravity in mm/s², and the body's length or a pixel in mm."""
+
+    gravity_mm_s2: float = 9800.0
+    length_mm: float | None = None
+    mm_per_px: float | None = None
+
+    def gravity_px(self, length_px: float) -> float | None:
+        """About gravity in px/s², where the body seems to be so long."""
+        if self.mm_per_px is None and (self.length_mm is None or not length_px > 0.0):
+            return None
+        return self.gravity_mm_s2 / (self.mm_per_px or (self.length_mm or 0.0) / length_px)
+
+
+def tracked(
+    film: Film,
+    body: Body,
+    given: Camera | None = None,
+    rolling_s: float = 0.0,
+    expected: Expected | None = None,
+) -> Tracked:
     """Track a film. ``rolling_s`` is by how much a row of the picture is later than the one above.
 
     Raises InputError where no body is seen to fall, in a way that says what was looked for.
@@ -111,7 +132,7 @@ def tracked(film: Film, body: Body, given: Camera | None = None, rolling_s: floa
         if isinstance(found, str):
             doubt = doubt or found
             continue
-        result = _settle(turned, body, seen, found, given, rolling_s)
+        result = _settle(turned, body, seen, found, given, rolling_s, expected or Expected())
         if result.drops:
             return result
         doubt = (
@@ -141,6 +162,15 @@ class _Seen:
     length: Array | None = None
     blur: Array | None = None
     width: float = 0.0
+
+    @property
+    def about_px(self) -> float:
+        """About how long the body is, in px; zero where that is not seen."""
+        ends = [each.tip.row - each.top.row for each in self.sights if each.top is not None]
+        if self.length is not None:
+            ends = list(self.length)
+        # a hand hides a part in many frames
+        return float(np.percentile(ends, 80)) if ends else 0.0
 
 
 def _bristle(film: Film, seen: Scan) -> _Seen | str:
@@ -183,12 +213,19 @@ def _ball(film: Film, seen: Scan) -> _Seen | str:
 
 
 def _settle(
-    film: Film, body: Body, seen: Scan, raw: _Seen, given: Camera, rolling_s: float
+    film: Film,
+    body: Body,
+    seen: Scan,
+    raw: _Seen,
+    given: Camera,
+    rolling_s: float,
+    expected: Expected,
 ) -> Tracked:
     """Drops, camera and ends in turn: each makes the others surer."""
     t, height, sigma = raw.t_s, -raw.row, raw.sigma
     frame_s = float(np.median(np.diff(seen.t_s)))
-    drops = drops_of(t, height, sigma)
+    gravity = expected.gravity_px(raw.about_px)
+    drops = drops_of(t, height, sigma, gravity)
     camera, length = given, raw.length
     if raw.sights:
         ends = Ends.of([each.tip for each in raw.sights], 1)
@@ -201,13 +238,13 @@ def _settle(
             fitted = edges(ends, -speed, -bend, camera)
             height, sigma = -fitted.at, np.maximum(fitted.sigma, LEAST_SIGMA_PX)
             sigma = np.hypot(sigma, _by_gamma(ends, speed, bend, camera, fitted.at))
-            drops = _again(t, height, sigma, camera)
+            drops = _again(t, height, sigma, camera, gravity)
             sigma = _scattered(t, height, sigma, drops, camera)
         if drops:
             length = _lengths(raw.sights, t, height, drops, camera)
     elif drops:
         camera = replace(given, exposure_s=_exposure_of(raw, drops, given, frame_s))
-        drops = _again(t, height, sigma, camera)
+        drops = _again(t, height, sigma, camera, gravity)
         sigma = _scattered(t, height, sigma, drops, camera)
     row = -height
     column, turn_rad, sigma_turn = raw.column, None, None
@@ -222,7 +259,7 @@ def _settle(
     t = t + 0.5 * camera.exposure_s + rolling_s * film.shown(column, row, seen.shape)[1]
     turned = TURNED if raw.sights else BALL_TURNED
     loose = np.hypot(sigma, CHAIN_PX)
-    drops = settled(drops_of(t, -down, loose), t, -down, sigma, camera.exposure_s, turned)
+    drops = settled(drops_of(t, -down, loose, gravity), t, -down, sigma, camera.exposure_s, turned)
     found = Tracked(
         film=film,
         body=body,
@@ -247,10 +284,12 @@ def _settle(
     return replace(found, drops=[drop for drop in drops if len(found.used(drop))])
 
 
-def _again(t: Array, height: Array, sigma: Array, camera: Camera) -> list[Drop]:
+def _again(
+    t: Array, height: Array, sigma: Array, camera: Camera, gravity: float | None
+) -> list[Drop]:
     """Drops with an uncertainty that allows for what the ends' own leaves out."""
     loose = np.hypot(sigma, CHAIN_PX)
-    found = drops_of(t, height, loose)
+    found = drops_of(t, height, loose, gravity)
     return settled(found, t, height, loose, camera.exposure_s)
 
 

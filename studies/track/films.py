@@ -16,8 +16,16 @@ from .. import __version__
 from ..film.edge import Camera
 from ..film.flights import HELD_TELLS, Drop
 from ..film.reading import Film
-from ..film.scale import Scale, doubts_of, floor_of, gravity_px, heights, scale_of, weighed
-from ..film.tracker import Tracked, tracked
+from ..film.scale import (
+    Scale,
+    doubts_of,
+    floor_of,
+    heights,
+    of_centre,
+    scale_of,
+    weighed,
+)
+from ..film.tracker import Expected, Tracked, tracked
 from ..inputs.choices import Body
 from ..inputs.study_fields import TrackInputs
 from ..running import results
@@ -65,15 +73,16 @@ def track_films(films: Sequence[Path], inputs: TrackInputs) -> TrackedFilms:
     given = Camera(
         exposure_s=inputs.exposure_s or 0.0, exposure_known=inputs.exposure_s is not None
     )
+    length = _length_mm(inputs)
+    expected = Expected(1e3 * inputs.gravity_m_s2, length, inputs.mm_per_px)
     tracks = []
     with progress("films", len(films)) as advance:
         for path in films:
             film = Film(path, inputs.fps, inputs.roi, inputs.down)
-            tracks.append(tracked(film, inputs.body, given, inputs.rolling_shutter_s_per_row))
+            tracks.append(
+                tracked(film, inputs.body, given, inputs.rolling_shutter_s_per_row, expected)
+            )
             advance()
-    length = inputs.diameter_mm
-    if inputs.body is Body.BRISTLE:
-        length = inputs.length_mm or 1e3 * paper.LENGTH_M
     found = [
         weighed(track, scale_of(track, length, inputs.mm_per_px), inputs.gravity_m_s2, length)
         for track in tracks
@@ -103,6 +112,13 @@ def track_films(films: Sequence[Path], inputs: TrackInputs) -> TrackedFilms:
     return TrackedFilms(
         inputs, tracks, scales, floors, drops, pd.concat(frames, ignore_index=True), warnings
     )
+
+
+def _length_mm(inputs: TrackInputs) -> float | None:
+    """The length of the bristle, or the diameter of the ball where that is given."""
+    if inputs.body is Body.BALL:
+        return inputs.diameter_mm
+    return inputs.length_mm or 1e3 * paper.LENGTH_M
 
 
 def _doubts(track: Tracked, scale: Scale | None, inputs: TrackInputs) -> list[str]:
@@ -182,11 +198,9 @@ def summary(found: TrackedFilms) -> dict[str, Any]:
 
 
 def _film(track: Tracked, scale: Scale | None) -> dict[str, Any]:
-    seen = gravity_px(track)
     gravity = None
-    if scale is not None and seen is not None:
-        value = 1e-3 * scale.mm_per_px * seen[0]
-        error = NORMAL_90 * value * float(np.hypot(seen[1], scale.error))
+    if scale is not None and scale.gravity is not None:
+        value, error = scale.gravity[0], NORMAL_90 * scale.gravity[1]
         gravity = {"estimate": value, "low": value - error, "high": value + error}
     return {
         "film": str(track.film.path),
@@ -212,6 +226,8 @@ def _drop(each: FilmedDrop, found: TrackedFilms) -> dict[str, Any]:
     drop, by = each.drop, 1.0 if scale is None else scale.mm_per_px
     unit = found.unit
     ratios = drop.restitution
+    if scale is not None and (length := _length_mm(found.inputs)) is not None:
+        ratios = of_centre(track, drop, length / scale.mm_per_px)
     errors = np.zeros_like(ratios) if drop.restitution_error is None else drop.restitution_error
     used = track.used(drop)
     fall = drop.flights[0]

@@ -1,10 +1,13 @@
 """Flights in tracks: parabolas, impacts and gravity of what is known exactly."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
-from bristle.studies.film.flights import drops_of, gravity_of, settled
+from bristle.studies.film.flights import Drop, Flight, drops_of, gravity_of, settled
 from bristle.studies.film.render import bouncing
+from bristle.studies.film.scale import of_centre
 
 pytestmark = pytest.mark.serial
 G, PX = 9.8, 0.5e-3
@@ -46,6 +49,30 @@ def test_what_is_carried_is_no_drop():
     t = np.arange(0.0, 2.0, 1.0 / 240.0)
     y = 60.0 * np.sin(2.0 * np.pi * 0.7 * t) + 0.1 * np.random.default_rng(1).normal(size=len(t))
     assert drops_of(t, y, np.full(len(t), 0.1)) == []
+
+
+def test_flights_of_three_frames_are_enough_where_gravity_is_about_known():
+    # 25 frames a second, and rows of whole pixels
+    height, _ = bouncing(0.05, 0.028, 0.0, G, held_s=0.2)
+    t = np.arange(0.02, 0.47, 0.04)
+    y = np.round(height(t) / 1e-3)
+    sigma = np.full(len(t), 0.4)
+    assert drops_of(t, y, sigma) == []
+    (drop,) = drops_of(t, y, sigma, 1.03 * G / 1e-3)
+    assert drop.restitution[0] == pytest.approx(np.sqrt(0.028 / 0.05), abs=0.03)
+
+
+def test_the_centre_of_a_bristle_that_turns_keeps_another_share_than_its_end():
+    # a rod of 500 px that falls at 3 degrees, and turns with 0.6 rad/s after the impact
+    lean, spin, down, up, length = np.radians(3.0), 0.6, 1500.0, 1100.0, 500.0
+    t = np.linspace(-0.08, 0.1, 60)
+    turn = lean + spin * np.maximum(t, 0.0)
+    faster = 0.5 * length * spin * np.sin(lean)
+    flights = (Flight(0, 0, 0.0, 0.0, -down, G / PX), Flight(0, 0, 0.0, 0.0, up + faster, G / PX))
+    drop = Drop(0, 59, None, None, flights, np.zeros(1), np.zeros(1))
+    track = SimpleNamespace(t_s=t, turn=turn, sigma_turn=None, used=lambda _: np.arange(60))
+    assert drop.restitution[0] == pytest.approx((up + faster) / down)
+    assert of_centre(track, drop, length)[0] == pytest.approx(up / down, rel=1e-4)
 
 
 def test_at_few_frames_a_second_the_fall_is_found_before_the_rise():

@@ -11,7 +11,7 @@ from bristle.solver.errors import InputError
 from bristle.studies.film.edge import Camera
 from bristle.studies.film.reading import Film
 from bristle.studies.film.render import Flown, Look, bouncing, write_film
-from bristle.studies.film.scale import floor_of, gravity_px, scale_of
+from bristle.studies.film.scale import floor_of, gravity_px, scale_of, weighed
 from bristle.studies.film.tracker import tracked
 from bristle.studies.inputs.choices import Body, Down
 
@@ -77,11 +77,16 @@ def test_ends_are_found_and_their_errors_hold_up(tmp_path, look):
     error = -found.down[used] - true
     error -= np.median(error)  # the surface's row in the picture is not the tracker's to know
     assert np.sqrt(np.mean(error**2)) < SHARP_PX
-    within = np.mean(np.abs(error) < 1.645 * found.sigma[used])
-    # of so few frames, whose errors are alike from one to the next, no more can be asked
-    assert within > 0.75
     kept = np.sqrt(0.018 / 0.03)
+    found, scale = weighed(found, scale_of(found, 336.5, None), G, 336.5)
     drop = found.drops[0]
+    used = found.used(drop)
+    floor, floor_error = floor_of(found.drops)
+    up = -found.down[used] - floor
+    total = np.sqrt(found.sigma[used] ** 2 + floor_error**2 + (scale.error * up) ** 2)
+    error = scale.mm_per_px * up - 1e3 * height(times[found.number[used]])
+    # of so few frames, whose errors are alike from one to the next, no more can be asked
+    assert np.mean(np.abs(error) < 1.645 * scale.mm_per_px * total) > 0.8
     assert drop.restitution[0] == pytest.approx(
         kept, abs=max(0.005, 2.6 * drop.restitution_error[0])
     )
