@@ -106,21 +106,6 @@ def test_rows_are_unit_noise_wherever_a_film_begins(begins, bounces, floor_known
     assert low < misfit < high + 2 * len(tracks)
 
 
-def test_a_zero_that_is_common_to_the_frames_of_a_film_is_no_noise_of_each():
-    rng = np.random.default_rng(5)
-    made = [body(rng, rng.uniform(0.05, 0.3), [0.7], begins="held") for _ in range(80)]
-    off, truths = 2e-3, [truth for _, truth in made]
-    films = [replace(film, y_m=film.y_m + off * rng.normal()) for film, _ in made]
-    told = [replace(film, sigma_floor_m=off) for film in films]
-    left, leading, tracks = noise_of(told, truths)
-    is_unit_noise(left, leading)
-    misfit, freedom = sum(t.misfit for t in tracks), sum(t.freedom for t in tracks)
-    assert misfit < chi2.ppf(0.9995, freedom) + 2 * len(tracks)
-    # were it not told, the surface would seem to lie elsewhere
-    left, *_ = noise_of(films, truths)
-    assert left @ left > 2.0 * chi2.ppf(0.9995, left.size)
-
-
 @pytest.mark.parametrize(("y0", "sigma_m"), [(0.05, 1e-3), (0.03, 2e-4)])
 def test_rows_are_unit_noise_at_25_frames_a_second(y0, sigma_m):
     """A fall has two or three frames: films that can be read in two ways are left aside."""
