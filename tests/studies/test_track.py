@@ -43,7 +43,7 @@ def test_the_dataset_is_one_that_the_loop_reads(four):
     table = pd.read_csv(folder / "tracks.csv")
     assert {"drop", "t_s", "y_mm", "sigma_mm", "lean_deg"} <= set(table)
     # each row is as uncertain as the table says
-    assert np.allclose(1e3 * data.sigma_y_m * data.relative, table.sigma_mm, rtol=1e-6)
+    assert np.allclose(1e3 * data.sigma_y_m * data.relative, table.sigma_frame_mm, rtol=1e-6)
     assert float(data.manifest.measurement["sigma_scale"]) > 0.0
     first = table.groupby("drop").y_mm.first()
     assert first.to_numpy() == pytest.approx([41.0, 28.5, 48.2, 19.3], abs=0.25)
