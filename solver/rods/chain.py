@@ -112,7 +112,7 @@ def total_length(chain: Chain) -> float:
 
 class System(NamedTuple):
     """Newton's system of one rod: blocks (n, 6, 6) of the diagonal, above and below it, residual
-    (n, 6), and room for its solution (n, 6) and for elimination (6, 13).
+    (n, 6), and room for its solution (n, 6).
 
     Of a node's six rows and unknowns the first three are forces and displacements in world axes,
     the others moments and rotations about world axes.
@@ -123,7 +123,6 @@ class System(NamedTuple):
     below: Array
     residual: Array
     solution: Array
-    room: Array
 
 
 @njit
@@ -135,7 +134,6 @@ def new_system(n: int) -> System:
         np.zeros((n, 6, 6)),
         np.zeros((n, 6)),
         np.zeros((n, 6)),
-        np.zeros((6, 13)),
     )
 
 
@@ -165,40 +163,57 @@ def _eliminate(room: Array, width: int) -> bool:
 
 
 @njit
-def solve(system: System) -> bool:
-    """Solve for all nodes but the clamped one, which does not move: block Gauss elimination.
+def solve_columns(system: System, columns: Array) -> bool:
+    """Solve for ``columns`` (n, 6, m) of loads in place: block Gauss elimination.
 
-    ``solution`` is what takes the residual away, to first order. Blocks of six are eliminated by
-    hand: LAPACK's overhead on them is several times the arithmetic. The blocks ``above`` are used
-    up. Returns False where the matrix is singular.
+    The clamped node does not move. Blocks of six are eliminated by hand: LAPACK's overhead on them
+    is several times the arithmetic. The blocks ``above`` are used up. Returns False where the
+    matrix is singular.
     """
-    diagonal, above, below, solution = system.diagonal, system.above, system.below, system.solution
-    room, n = system.room, len(diagonal)
+    diagonal, above, below = system.diagonal, system.above, system.below
+    n, many = columns.shape[0], columns.shape[2]
+    room = np.empty((6, 12 + many))
     for r in range(6):
-        solution[0, r] = 0.0
+        for j in range(many):
+            columns[0, r, j] = 0.0
     for i in range(1, n):
-        width = 13 if i < n - 1 else 7
+        width = 12 + many if i < n - 1 else 6 + many
         for r in range(6):
-            load = -system.residual[i, r]
             for c in range(6):
                 value = diagonal[i, r, c]
                 if i > 1:
                     for k in range(6):
                         value -= below[i, r, k] * above[i - 1, k, c]
-                    load -= below[i, r, c] * solution[i - 1, c]
                 room[r, c] = value
-                if width == 13:
-                    room[r, 7 + c] = above[i, r, c]
-            room[r, 6] = load
+                if i < n - 1:
+                    room[r, 6 + many + c] = above[i, r, c]
+            for j in range(many):
+                load = columns[i, r, j]
+                if i > 1:
+                    for k in range(6):
+                        load -= below[i, r, k] * columns[i - 1, k, j]
+                room[r, 6 + j] = load
         if not _eliminate(room, width):
             return False
         for r in range(6):
-            solution[i, r] = room[r, 6]
-            if width == 13:
+            for j in range(many):
+                columns[i, r, j] = room[r, 6 + j]
+            if i < n - 1:
                 for c in range(6):
-                    above[i, r, c] = room[r, 7 + c]
+                    above[i, r, c] = room[r, 6 + many + c]
     for i in range(n - 2, 0, -1):
         for r in range(6):
             for c in range(6):
-                solution[i, r] -= above[i, r, c] * solution[i + 1, c]
+                for j in range(many):
+                    columns[i, r, j] -= above[i, r, c] * columns[i + 1, c, j]
     return True
+
+
+@njit
+def solve(system: System) -> bool:
+    """Write the ``solution`` that takes the residual away, to first order; see `solve_columns`."""
+    n = len(system.residual)
+    for i in range(n):
+        for r in range(6):
+            system.solution[i, r] = -system.residual[i, r]
+    return solve_columns(system, system.solution.reshape((n, 6, 1)))

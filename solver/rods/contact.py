@@ -100,7 +100,7 @@ def release(touch: Touch, node: int) -> None:
 
 
 @inlined
-def coefficient(surface: Surface, speed: float) -> float:
+def coefficient(static: float, kinetic: float, stribeck: float, speed: float) -> float:
     """The coefficient of friction at a sliding speed in m/s, which is zero at a point that sticks.
 
     A step takes the speed of sliding at the end of the step before. With its own speed the law
@@ -108,9 +108,9 @@ def coefficient(surface: Surface, speed: float) -> float:
     several solutions or none.
     """
     if speed == 0.0:
-        return surface.static
-    ratio = speed / surface.speed if surface.speed > 0.0 else math.inf
-    return surface.kinetic + (surface.static - surface.kinetic) * math.exp(-ratio * ratio)
+        return static
+    ratio = speed / stribeck if stribeck > 0.0 else math.inf
+    return kinetic + (static - kinetic) * math.exp(-ratio * ratio)
 
 
 @inlined
@@ -130,6 +130,79 @@ def lowest(surface: Surface, x: Array, matrix: Array) -> float:
     for k in range(len(surface.rim)):
         least = min(least, point_gap(surface, k, x, matrix))
     return least
+
+
+@njit
+def point_force(
+    kn: float, kt: float, mu: float, gap: float, n: Array, pull: Array, push: Array, stiff: Array
+) -> tuple[float, float, float]:
+    """Write the force ``push`` (3,) on a point that is ``gap`` below a plane of normal ``n``, and
+    its loss ``stiff`` (3, 3) by the point's displacement.
+
+    ``pull`` (3,) is the elongation of its tangential spring if it stuck. Returns the normal force,
+    the size of the friction, both in N, and how far the point slides, in m.
+    """
+    normal, size = -kn * gap, math.sqrt(pull[0] ** 2 + pull[1] ** 2 + pull[2] ** 2)
+    slides = kt * size > mu * normal
+    force = mu * normal if slides else kt * size
+    slope, secant = (0.0, force / size) if slides else (kt, kt)
+    grows = mu if slides else 0.0
+    for i in range(3):
+        e_i = pull[i] / size if size > 0.0 else 0.0
+        push[i] = normal * n[i] - force * e_i
+        for j in range(3):
+            e_j = pull[j] / size if size > 0.0 else 0.0
+            across = (1.0 if i == j else 0.0) - n[i] * n[j] - e_i * e_j
+            stiff[i, j] = kn * n[i] * n[j] + secant * across + slope * e_i * e_j
+            # normal = -kn gap falls as the point rises, and friction with it
+            stiff[i, j] -= kn * grows * e_i * n[j]
+    return normal, force, size - force / kt if slides else 0.0
+
+
+@njit
+def remember(
+    kn: float,
+    kt: float,
+    gap: float,
+    normal: float,
+    force: float,
+    gives: float,
+    pull: Array,
+    step: float,
+    before: Touch,
+    now: Touch,
+    node: int,
+    k: int,
+) -> tuple[float, float]:
+    """Write what a point remembers at the end of the step, see `point_force`.
+
+    Returns how much friction dissipated over the step and what contact holds at its end, in J.
+    """
+    size = math.sqrt(pull[0] ** 2 + pull[1] ** 2 + pull[2] ** 2)
+    kept = force / (kt * size) if gives > 0.0 else 1.0
+    now.normal[node, k], now.friction[node, k] = normal, force
+    now.state[node, k], now.speed[node, k] = STICKS, 0.0
+    if gives > 0.0:
+        now.state[node, k] = SLIDES
+        now.speed[node, k] = gives / step if step > 0.0 else SLOW_M_S
+    held = 0.5 * kn * gap * gap
+    for c in range(3):
+        now.elongation[node, k, c] = kept * pull[c]
+        held += 0.5 * kt * (kept * pull[c]) ** 2
+    return 0.5 * (force + before.friction[node, k]) * gives, held
+
+
+@njit
+def lose_hold(before: Touch, now: Touch, node: int, k: int) -> float:
+    """Make a point free at the end of the step; what its tangential spring held, in J, which it
+    loses to friction."""
+    square = 0.0
+    for c in range(3):
+        square += before.elongation[node, k, c] ** 2
+        now.elongation[node, k, c] = 0.0
+    now.state[node, k] = FREE
+    now.speed[node, k] = now.normal[node, k] = now.friction[node, k] = 0.0
+    return 0.5 * before.friction[node, k] * math.sqrt(square)
 
 
 @njit
@@ -169,44 +242,18 @@ def touch_section(
             slip[c] -= normal_slip * n[c]
             along += slip[c] * slip[c]
         if gap >= 0.0:
-            now.state[node, k], now.normal[node, k], now.friction[node, k] = FREE, 0.0, 0.0
+            lost += lose_hold(before, now, node, k)
             now.speed[node, k] = math.sqrt(along) / step if step > 0.0 else 0.0
-            # a spring that loses its hold gives its energy to friction
-            for c in range(3):
-                now.elongation[node, k, c] = 0.0
-                lost += 0.5 * surface.kt * before.elongation[node, k, c] ** 2
             continue
-        normal = -surface.kn * gap
-        size = 0.0
         for c in range(3):
             slip[c] += before.elongation[node, k, c]
-            size += slip[c] * slip[c]
-        size = math.sqrt(size)
-        mu = coefficient(surface, before.speed[node, k])
-        slides = surface.kt * size > mu * normal
-        force = mu * normal if slides else surface.kt * size
-        gives = size - force / surface.kt if slides else 0.0
-        slope, secant = (0.0, force / size) if slides else (surface.kt, surface.kt)
-        grows = mu if slides else 0.0
-        now.normal[node, k], now.friction[node, k] = normal, force
-        now.state[node, k] = SLIDES if slides else STICKS
-        now.speed[node, k] = 0.0
-        if slides:
-            now.speed[node, k] = gives / step if step > 0.0 else SLOW_M_S
-        kept = force / (surface.kt * size) if slides else 1.0
-        lost += 0.5 * (force + before.friction[node, k]) * gives
-        held += 0.5 * surface.kn * gap * gap
-        for i in range(3):
-            now.elongation[node, k, i] = kept * slip[i]
-            held += 0.5 * surface.kt * (kept * slip[i]) ** 2
-            e_i = slip[i] / size if size > 0.0 else 0.0
-            push[i] = normal * n[i] - force * e_i
-            for j in range(3):
-                e_j = slip[j] / size if size > 0.0 else 0.0
-                across = (1.0 if i == j else 0.0) - n[i] * n[j] - e_i * e_j
-                stiff[i, j] = surface.kn * n[i] * n[j] + secant * across + slope * e_i * e_j
-                # normal = -kn gap falls as the point rises, and friction with it
-                stiff[i, j] -= surface.kn * grows * e_i * n[j]
+        mu = coefficient(surface.static, surface.kinetic, surface.speed, before.speed[node, k])
+        normal, force, gives = point_force(surface.kn, surface.kt, mu, gap, n, slip, push, stiff)
+        took, holds = remember(
+            surface.kn, surface.kt, gap, normal, force, gives, slip, step, before, now, node, k
+        )
+        lost += took
+        held += holds
         _add_point(arm, push, stiff, lever, turned, block, system.residual[node])
     return lost, held
 

@@ -52,7 +52,7 @@ class RodEnergy:
 
 @dataclass(frozen=True)
 class Frame:
-    """All bristles at one instant, in world axes; on several ranks it is whole on the first.
+    """All bristles at one instant, in world axes; the same on every rank.
 
     Parameters
     ----------
@@ -60,6 +60,7 @@ class Frame:
     force_N, torque_Nm : (3,), what the bristles do to the hub, the torque about the hub's origin
     tip_m : (n, 3), the middle of each end section
     tip_normal_N, tip_friction_N : (n,), what the surface does to each bristle, over its length
+    between_N : (n,), sum of the normal forces of other bristles on each
     state : (n,) int8, see `TipState`
     centre_m : (n, nodes, 3), the rods' centre lines, from the clamp to the tip
     rotation : (n, nodes, 4), unit quaternions of the sections' axes
@@ -75,6 +76,7 @@ class Frame:
     tip_m: Array
     tip_normal_N: Array
     tip_friction_N: Array
+    between_N: Array
     state: Array
     centre_m: Array
     rotation: Array

@@ -1,4 +1,4 @@
-"""The surface that rods meet: a plane, how stiff it is, and its friction."""
+"""What rods meet, each other or a plane: how stiff the contact is, and its friction."""
 
 from __future__ import annotations
 
@@ -15,15 +15,17 @@ from ..errors import InputError
 
 
 @dataclass(frozen=True)
-class Ground:
-    """A plane through ``point_m`` (3,) with an outward ``normal`` (3,), and its contact.
+class Contact:
+    """The law of a contact.
 
-    ``kn_N_m`` is the normal stiffness of an end section that lies flat, shared among its points.
-    Every other section that touches has the same. The coefficient of friction falls from the static
-    one to the kinetic one over the sliding speed: μ(v) = μk + (μs - μk) exp(-(v/vs)²) (Stribeck's
-    transition; Olsson et al., Eur. J. Control 4 (1998) 176). With ``stribeck_speed_m_s`` zero
-    it falls at once: a point that slides has the kinetic coefficient until it sticks again.
-    ``kt_over_kn`` is the stiffness of the tangential spring that a point sticks by.
+    ``kn_N_m`` is its normal stiffness: on a plane that of an end section that lies flat, shared
+    among its points, and every other section that touches has the same; between two rods that of
+    two which cross at right angles with their wide sides on each other. The coefficient of friction
+    falls from the static one to the kinetic one over the sliding speed: μ(v) = μk + (μs - μk)
+    exp(-(v/vs)²) (Stribeck's transition; Olsson et al., Eur. J. Control 4 (1998) 176). With
+    ``stribeck_speed_m_s`` zero it falls at once: a point that slides has the kinetic coefficient
+    until it sticks again. ``kt_over_kn`` is the stiffness of the tangential spring that a point
+    sticks by.
 
     Raises InputError where a number is out of its range.
     """
@@ -33,8 +35,6 @@ class Ground:
     friction_static: float = paper.FRICTION
     stribeck_speed_m_s: float = 0.0
     kt_over_kn: float = mindlin_ratio(paper.POISSON)
-    point_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    normal: tuple[float, float, float] = (0.0, 0.0, 1.0)
 
     def __post_init__(self) -> None:
         positive("Kn", self.kn_N_m)
@@ -48,6 +48,17 @@ class Ground:
                 f"the static coefficient of friction, {self.friction_static}, must not be below "
                 f"the kinetic one, {self.friction_kinetic}"
             )
+
+
+@dataclass(frozen=True)
+class Ground(Contact):
+    """A plane through ``point_m`` (3,) with an outward ``normal`` (3,), and its contact."""
+
+    point_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    normal: tuple[float, float, float] = (0.0, 0.0, 1.0)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
         if not (np.all(np.isfinite(self.point_m)) and np.linalg.norm(self.normal) > 0.0):
             raise InputError("the plane needs a finite point and a normal that is not zero")
 

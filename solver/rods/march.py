@@ -1,14 +1,16 @@
-"""March of rods with steps that adapt to their error and to contact, compiled."""
+"""March of rods with steps that adapt to their error and to contact."""
 
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
-from ..arrays import Array
+from ..arrays import Array, Integers
 from ..compiled import njit
 from .chain import Chain, chain_of, new_system
-from .contact import Surface
+from .contact import Touch, no_touch
 from .crossing import allowed_J, first_crossing
+from .joint import Law, joint_step, room_for
 from .motion import STEP, TIME, Hub, Motion, Scheme, copy, fit_to_step, rod
 from .step import new_scratch, step
 from .tally import add_step
@@ -24,7 +26,7 @@ MANY = 8
 
 
 @njit
-def _error(scheme: Scheme, old: Motion, new: Motion, h: float) -> float:
+def error_of(scheme: Scheme, old: Motion, new: Motion, h: float) -> float:
     """The greatest local error in m of a node's place: (β - 1/6) h³ times the acceleration's
     rate (Zienkiewicz and Xie, Earthquake Engng Struct. Dyn. 20 (1991) 871)."""
     most = 0.0
@@ -37,7 +39,7 @@ def _error(scheme: Scheme, old: Motion, new: Motion, h: float) -> float:
 
 
 @njit
-def _next_end(hub: Hub, t_s: float, end_s: float) -> float:
+def next_end(hub: Hub, t_s: float, end_s: float) -> float:
     """The hub's next break, or the end where that comes first or all but at once."""
     for at in hub.breaks:
         if t_s + SHORTEST_S < at < end_s - SHORTEST_S:
@@ -46,60 +48,166 @@ def _next_end(hub: Hub, t_s: float, end_s: float) -> float:
 
 
 @njit
-def march_all(
+def judge(scheme: Scheme, error: float, iterations: int, h: float, wanted: float) -> float:
+    """The next step after one of ``h`` seconds with such an error; negative where this one is to be
+    taken again, with as many seconds."""
+    change = MOST_CHANGE
+    if error > 0.0:
+        change = AIM * (scheme.error_m / error) ** (1.0 / 3.0)
+        change = min(max(change, LEAST_CHANGE), MOST_CHANGE)
+    if error > TOO_MUCH * scheme.error_m and h > SHORTEST_S:
+        return -h * min(change, 0.5)
+    if iterations > MANY:
+        change = min(change, 1.0)
+    # a step that was shortened to end in time tells less of the next one's length
+    return h * change if change < 1.0 else max(wanted, h * change)
+
+
+class Windows(NamedTuple):
+    """Where the means of `tally.add_step` go: the first window's begin, their width in s, and sums
+    (w, `tally.COLUMNS`)."""
+
+    begin_s: float
+    width_s: float
+    sums: Array
+
+
+@njit
+def march_apart(
+    law: Law,
     chains: Chain,
-    scheme: Scheme,
-    surface: Surface,
     loads: Array,
     hubs: Hub,
+    members: Integers,
     stack: Motion,
     other: Motion,
     end_s: float,
-    sums: Array,
+    windows: Windows,
 ) -> int:
-    """March every stacked rod to ``end_s``; -1, or the first rod whose step fails however short.
+    """March the rods ``members`` of the stack to ``end_s``, each by itself; -1, or the first one
+    whose step fails however short.
 
     The ``loads`` (rods, n, 6) and the ``place`` and ``attitude`` of ``hubs`` are stacked too;
-    ``other`` is room for one rod. Steps end at the hub's breaks. ``sums`` are those of
-    `tally.add_step`, of windows of equal width from now on to the end.
+    ``other`` is room for one rod. Steps end at the hub's breaks.
     """
     system, scratch = new_system(stack.x.shape[1]), new_scratch(stack.x.shape[1])
-    begin_s = stack.totals[0, TIME]
-    width_s = (end_s - begin_s) / len(sums)
-    for i in range(len(stack.x)):
+    for i in members:
         chain, now = chain_of(chains, i), rod(stack, i)
         hub = Hub(hubs.breaks, hubs.coefficients, hubs.place[i], hubs.attitude[i])
-        allowed, lands = allowed_J(chain, scheme), False
+        allowed, lands = allowed_J(chain, law.scheme), False
         while now.totals[TIME] < end_s:
-            until = _next_end(hub, now.totals[TIME], end_s)
+            until = next_end(hub, now.totals[TIME], end_s)
             left, wanted = until - now.totals[TIME], now.totals[STEP]
             h = left / math.ceil(left / wanted * (1.0 - 1e-9))
             fit_to_step(now, h)
-            count = step(chain, scheme, surface, loads[i], hub, now, other, h, system, scratch)
+            count = step(
+                chain, law.scheme, law.surface, loads[i], hub, now, other, h, system, scratch
+            )
             if count < 0:
                 now.totals[STEP] = 0.5 * h
                 if now.totals[STEP] < SHORTEST_S:
                     return i
                 continue
-            error = _error(scheme, now, other, h)
-            change = MOST_CHANGE
-            if error > 0.0:
-                change = AIM * (scheme.error_m / error) ** (1.0 / 3.0)
-                change = min(max(change, LEAST_CHANGE), MOST_CHANGE)
-            if error > TOO_MUCH * scheme.error_m and h > SHORTEST_S:
-                now.totals[STEP] = h * min(change, 0.5)
+            following = judge(law.scheme, error_of(law.scheme, now, other, h), count, h, wanted)
+            if following < 0.0:
+                now.totals[STEP] = -following
                 continue
-            share = 1.0 if lands else first_crossing(surface, now, other, allowed)
+            share = 1.0 if lands else first_crossing(law.surface, now, other, allowed)
             if share < NEARLY:
                 now.totals[STEP], lands = h * share, True
                 continue
             lands = False
-            if count > MANY:
-                change = min(change, 1.0)
-            add_step(surface, hub, now, other, begin_s, width_s, sums)
+            add_step(law.surface, hub, now, other, windows.begin_s, windows.width_s, windows.sums)
             copy(other, now)
-            # a step that was shortened to end in time tells less of the next one's length
-            now.totals[STEP] = h * change if change < 1.0 else max(wanted, h * change)
+            now.totals[STEP] = following
             if h > 0.9999 * left:
                 now.totals[TIME] = until
+    return -1
+
+
+@njit
+def _fit_all(members: Integers, stack: Motion, h: float) -> None:
+    for i in members:
+        fit_to_step(rod(stack, i), h)
+
+
+@njit
+def _look_at_all(
+    law: Law, chains: Chain, members: Integers, stack: Motion, new: Motion, h: float
+) -> tuple[float, float]:
+    """The greatest error, and at which share of the step the first point crosses the surface."""
+    most, share = 0.0, 1.0
+    for k in range(len(members)):
+        chain, old, now = chain_of(chains, members[k]), rod(stack, members[k]), rod(new, k)
+        most = max(most, error_of(law.scheme, old, now, h))
+        share = min(share, first_crossing(law.surface, old, now, allowed_J(chain, law.scheme)))
+    return most, share
+
+
+@njit
+def _accept_all(
+    law: Law,
+    hubs: Hub,
+    members: Integers,
+    stack: Motion,
+    new: Motion,
+    time_s: float,
+    step_s: float,
+    windows: Windows,
+) -> None:
+    for k in range(len(members)):
+        i = members[k]
+        hub = Hub(hubs.breaks, hubs.coefficients, hubs.place[i], hubs.attitude[i])
+        now, following = rod(stack, i), rod(new, k)
+        add_step(law.surface, hub, now, following, windows.begin_s, windows.width_s, windows.sums)
+        copy(following, now)
+        now.totals[TIME], now.totals[STEP] = time_s, step_s
+
+
+def march_together(
+    law: Law,
+    chains: Chain,
+    loads: Array,
+    hubs: Hub,
+    members: Integers,
+    pairs: Integers,
+    stack: Motion,
+    touch: Touch,
+    end_s: float,
+    windows: Windows,
+) -> int:
+    """March rods that may touch each other to ``end_s`` with steps in common, see `march_apart`.
+
+    ``pairs`` (p, 4) are the elements that may touch, rods counted among the members, and ``touch``
+    is what their points remember.
+    """
+    room = room_for(len(members), stack.x.shape[1], stack.touch.state.shape[2], len(pairs))
+    now, t = no_touch(len(pairs), 2), float(stack.totals[members[0], TIME])
+    wanted = float(stack.totals[members, STEP].min())
+    hub = Hub(hubs.breaks, hubs.coefficients, hubs.place[0], hubs.attitude[0])
+    lands = False
+    while t < end_s:
+        until = next_end(hub, t, end_s)
+        left = until - t
+        h = left / math.ceil(left / wanted * (1.0 - 1e-9))
+        _fit_all(members, stack, h)
+        count = joint_step(law, chains, loads, hubs, members, pairs, stack, touch, now, h, room)
+        if count < 0:
+            wanted = 0.5 * h
+            if wanted < SHORTEST_S:
+                return int(members[0])
+            continue
+        error, share = _look_at_all(law, chains, members, stack, room.new, h)
+        following = judge(law.scheme, error, count, h, wanted)
+        if following < 0.0:
+            wanted = -following
+            continue
+        if share < NEARLY and not lands:
+            wanted, lands = h * share, True
+            continue
+        lands = False
+        wanted, t = following, until if h > 0.9999 * left else t + h
+        _accept_all(law, hubs, members, stack, room.new, t, wanted, windows)
+        for kept, new in zip(touch, now, strict=True):
+            kept[:] = new
     return -1

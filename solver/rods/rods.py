@@ -1,4 +1,4 @@
-"""Bristles clamped in a moving hub over a plane, dealt out over ranks."""
+"""Bristles clamped in a moving hub over a plane, which may touch each other, on many ranks."""
 
 from __future__ import annotations
 
@@ -10,19 +10,22 @@ import numpy as np
 from mpi4py import MPI
 
 from .. import paper
-from ..arrays import Array
+from ..arrays import Array, Integers
 from ..bristle import positive
 from ..errors import BristleError, ComputationError, InputError, require
 from ..time.scheme import TimeScheme
 from . import motion as rows
 from .chain import at_rest, chain_of, stacked, uniform_chain
-from .contact import surface_of
+from .contact import Touch, surface_of
 from .frame import Frame, RodEnergy
-from .ground import Ground
+from .ground import Contact, Ground
 from .hub import Clamps, HubMotion
-from .march import march_all
-from .motion import Hub, motion_of, rod, scheme_of, set_strains
-from .observe import clearance, observe
+from .joint import Law
+from .march import Windows, march_apart, march_together
+from .motion import Hub, Motion, motion_of, rod, scheme_of, set_strains
+from .neighbours import Group, Neighbours, shared_out
+from .observe import Seen, clearance, observe
+from .pairs import between_of
 from .rotation import world_to_body
 from .section import RodSection
 from .settle import settle
@@ -46,25 +49,28 @@ TOUCHING = 1e-6
 class Rods:
     """Bristles of one section, clamped in a hub that moves, over a plane.
 
-    Every bristle is a rod by itself: it marches from frame to frame with steps of its own, so what
-    it does depends on no other bristle and on no number of ranks.
+    A bristle that meets no other marches with steps of its own. Those that may touch each other
+    share their steps. Every rank knows all bristles and marches some of them, so the result
+    depends on no number of ranks.
 
     Parameters
     ----------
     section, clamps : what the bristles are, and where they are clamped
     motion : the hub's; at its begin the bristles move with it, hanging in equilibrium
     ground : the plane, or None
+    between : the contact of bristles with each other, or None where they pass through each other
     elements : of each bristle
     bow_rad : how far the tip of an unloaded bristle points off its axis, toward its thin side; one
         that is pressed upright buckles by it
     gravity_m_s2 : downward
     tolerance : the greatest error of a time step over a bristle's length
     rho_infinity : the share of a wave that a step far too long for it leaves, 0 to 1
-    comm : ranks, each of which has a block of the bristles
+    comm : ranks that share out the bristles
 
     Raises
     ------
-    InputError : a number is out of its range, or a bristle begins below the surface
+    InputError : a number is out of its range, a bristle begins below the surface, or two in each
+        other
     ComputationError : a bristle finds no equilibrium under its own weight
     """
 
@@ -76,6 +82,7 @@ class Rods:
         ground: Ground | None,
         elements: int = 20,
         *,
+        between: Contact | None = None,
         gravity_m_s2: float = paper.GRAVITY_M_S2,
         bow_rad: float = BOW_RAD,
         tolerance: float = TOLERANCE,
@@ -94,25 +101,27 @@ class Rods:
         self.mine = np.array_split(np.arange(len(clamps)), comm.size)[comm.rank]
         self._gravity = np.array([0.0, 0.0, -gravity_m_s2])
         self._surface = surface_of(ground, section)
-        chains = [
-            uniform_chain(_bowed(section, bow_rad / length), length, elements)
-            for length in clamps.length_m
-        ]
-        # a rank without bristles keeps one that it does not march, for its arrays' types
-        kept = self.mine if len(self.mine) else np.array([0])
-        self._chains = stacked([chains[i] for i in kept])
+        self._chains = stacked(
+            [
+                uniform_chain(_bowed(section, bow_rad / length), length, elements)
+                for length in clamps.length_m
+            ]
+        )
         scale_m = float(clamps.length_m.min())
-        self._scheme = scheme_of(TimeScheme.generalised(rho_infinity), tolerance * scale_m)
-        self._hub = self._hub_of(kept)
-        self._loads = np.zeros((len(kept), elements + 1, 6))
+        scheme = scheme_of(TimeScheme.generalised(rho_infinity), tolerance * scale_m)
+        self._law = Law(scheme, self._surface, between_of(between or Contact(), section))
+        self._neighbours = Neighbours(self._law.between) if between is not None else None
+        self._hub = self._hub_of()
+        self._loads = np.zeros((len(clamps), elements + 1, 6))
         self._loads[..., :3] = self._chains.mass[..., None] * self._gravity
-        self._now = motion_of(len(kept), elements + 1, len(self._surface.rim))
+        self._now = motion_of(len(clamps), elements + 1, len(self._surface.rim))
         self._other = rod(motion_of(1, elements + 1, len(self._surface.rim)), 0)
+        self._t_s = 0.0
         self._refuse_below(np.zeros(1))
         wrong: BristleError | None = None
-        for at, i in enumerate(self.mine):
+        for i in self.mine:
             try:
-                self._begin(at, int(i))
+                self._begin(int(i))
             except BristleError as error:
                 wrong = error
                 break
@@ -120,20 +129,26 @@ class Rods:
         for found in comm.allgather(wrong):
             if found is not None:
                 raise found
+        self._exchange(self.mine, np.zeros(0, dtype=np.int64))
+        if self._neighbours is not None:
+            self._neighbours.search(self._now.x, self.motion.pose(0.0))
+            both = self._neighbours.met(self._now)
+            if both is not None:
+                raise InputError(
+                    f"bristles {both[0]} and {both[1]} begin in each other; space them"
+                )
         self._means = Means.none()
         first = self._observed()
-        self._initial_J = float(first["energy"][:, :2].sum() + first["energy"][:, 5].sum())
-        self._datum_J = float(first["energy"][:, 2].sum())
+        self._initial_J = float(first.energy[:, :2].sum() + first.energy[:, 5].sum())
+        self._datum_J = float(first.energy[:, 2].sum())
 
     @property
     def t_s(self) -> float:
         """The time of the latest frame."""
-        return float(self._now.totals[0, rows.TIME])
+        return self._t_s
 
     def march(self, until_s: float, every_s: float) -> Iterator[Frame]:
         """Frames at multiples of ``every_s`` up to ``until_s``, after the present one; collective.
-
-        On other ranks than the first a frame has that rank's bristles only.
 
         Raises
         ------
@@ -153,53 +168,133 @@ class Rods:
     def advance(self, end_s: float, windows: int = 1) -> None:
         """March every bristle to ``end_s``, and take means over so many ``windows`` until there;
         collective. Raises ComputationError as `march`."""
-        failed, begin_s, sums = -1, self.t_s, np.zeros((windows, COLUMNS))
-        if len(self.mine):
-            failed = march_all(
-                self._chains,
-                self._scheme,
-                self._surface,
-                self._loads,
-                self._hub,
-                self._now,
-                self._other,
-                end_s,
-                sums,
-            )
-        else:
-            self._now.totals[0, rows.TIME] = end_s
+        begin_s, sums = self.t_s, np.zeros((windows, COLUMNS))
+        width_s = (end_s - begin_s) / windows
+        while self.t_s < end_s:
+            self._advance(end_s, Windows(begin_s, width_s, sums))
+        whole = np.sum(self.comm.allgather(sums), axis=0)
+        self._means = Means.of(begin_s, end_s, whole, len(self.clamps))
+
+    def _advance(self, end_s: float, windows: Windows) -> None:
+        """March every bristle to ``end_s``, or as far as lists of neighbours hold."""
+        near, nothing = self._neighbours, np.zeros(0, dtype=np.int64)
+        if near is None:
+            failed = self._march_apart(self.mine, end_s, windows)
+            self._exchange(self.mine, nothing)
+            self._refuse_failure(failed)
+            self._t_s = end_s
+            return
+        pose = self.motion.pose(self.t_s)
+        near.search(self._now.x, pose)
+        span = near.span_s(self._now, pose)
+        until = end_s if self.t_s + 1.01 * span > end_s else self.t_s + span
+        kept, touch = _copied(self._now), near.touch
+        wider = 1.0
+        while True:
+            groups, of = near.groups(self._now, until - self.t_s, wider)
+            mine, lone = shared_out(groups, of, self.comm.size)
+            own = windows._replace(sums=np.zeros_like(windows.sums))
+            failed = self._march_apart(lone[self.comm.rank], until, own)
+            near.touch = Touch(*(each.copy() for each in touch))
+            marched: list[Integers] = [lone[self.comm.rank]]
+            touched: list[Integers] = [nothing]
+            for g in mine[self.comm.rank]:
+                if failed < 0:
+                    failed = self._march_group(groups[g], until, own)
+                marched.append(groups[g].members)
+                touched.append(groups[g].rows)
+            self._exchange(np.concatenate(marched), np.concatenate(touched))
+            self._refuse_failure(failed)
+            if near.met(self._now, of) is None:
+                break
+            # some met that were not near: once more, with more of them
+            wider *= 2.0
+            _write(kept, self._now)
+        windows.sums[:] += own.sums
+        self._t_s = until
+
+    def _march_apart(self, members: Integers, end_s: float, windows: Windows) -> int:
+        return march_apart(
+            self._law,
+            self._chains,
+            self._loads,
+            self._hub,
+            members,
+            self._now,
+            self._other,
+            end_s,
+            windows,
+        )
+
+    def _march_group(self, group: Group, end_s: float, windows: Windows) -> int:
+        assert self._neighbours is not None
+        near, place = self._neighbours, np.zeros(len(self.clamps), dtype=np.int64)
+        place[group.members] = np.arange(len(group.members))
+        pairs = near.pairs[group.rows].copy()
+        pairs[:, 0], pairs[:, 2] = place[pairs[:, 0]], place[pairs[:, 2]]
+        touch = Touch(*(each[group.rows] for each in near.touch))
+        failed = march_together(
+            self._law,
+            self._chains,
+            self._loads,
+            self._hub,
+            group.members,
+            pairs,
+            self._now,
+            touch,
+            end_s,
+            windows,
+        )
+        for whole, part in zip(near.touch, touch, strict=True):
+            whole[group.rows] = part
+        return failed
+
+    def _refuse_failure(self, failed: int) -> None:
+        """ComputationError, on every rank, where a bristle of one failed."""
         message = ""
         if failed >= 0:
             at, step = self._now.totals[failed, [rows.TIME, rows.STEP]]
             message = (
-                f"bristle {self.mine[failed]} does not converge at {at:.6g} s with a step of "
+                f"bristle {failed} does not converge at {at:.6g} s with a step of "
                 f"{step:.3g} s; try a lower Kn, more elements, or a slower motion"
             )
         require(self.comm, failed < 0, message)
-        parts = self.comm.gather(sums)
-        whole = sums if parts is None else np.sum(parts, axis=0)
-        rods = len(self.mine if parts is None else self.clamps)
-        self._means = Means.of(begin_s, end_s, whole, max(rods, 1))
+
+    def _exchange(self, marched: Integers, touched: Integers) -> None:
+        """Give other ranks the rods and the pairs that this one marched; collective."""
+        if self.comm.size == 1:
+            return
+        arrays, pairs = _arrays(self._now), list[Array]()
+        if self._neighbours is not None:
+            pairs = list(self._neighbours.touch)
+        mine = [each[marched] for each in arrays], [each[touched] for each in pairs]
+        for others, rows_of, (rods, points) in self.comm.allgather((marched, touched, mine)):
+            for whole, part in zip(arrays, rods, strict=True):
+                whole[others] = part
+            for whole, part in zip(pairs, points, strict=True):
+                whole[rows_of] = part
 
     def frame(self) -> Frame:
         """All bristles as they are now; collective."""
         seen = self._observed()
+        near = self._neighbours
         pose = self.motion.pose(self.t_s)
-        force = -seen["reaction"][:, :3]
-        arms = seen["x"][:, 0] - pose.position_m
-        torque = -seen["reaction"][:, 3:] + np.cross(arms, force)
-        energy = seen["energy"].sum(axis=0)
+        force = -seen.reaction[:, :3]
+        arms = seen.x[:, 0] - pose.position_m
+        torque = -seen.reaction[:, 3:] + np.cross(arms, force)
+        energy = seen.energy.sum(axis=0)
         return Frame(
             t_s=self.t_s,
             force_N=force.sum(axis=0),
             torque_Nm=torque.sum(axis=0),
-            tip_m=seen["x"][:, -1],
-            tip_normal_N=seen["surface"][:, 0],
-            tip_friction_N=seen["surface"][:, 1],
-            state=seen["surface"][:, 2].astype(np.int8),
-            centre_m=seen["x"],
-            rotation=seen["q"],
-            bending_stress_Pa=self.section.bending_stress_Pa(seen["moment"]),
+            tip_m=seen.x[:, -1],
+            tip_normal_N=seen.surface[:, 0],
+            tip_friction_N=seen.surface[:, 1],
+            between_N=np.zeros(len(arms)) if near is None else near.normal_N(len(arms)),
+            state=seen.surface[:, 2].astype(np.int8),
+            centre_m=seen.x,
+            rotation=seen.q,
+            bending_stress_Pa=self.section.bending_stress_Pa(seen.moment),
             energy=RodEnergy(
                 initial_J=self._initial_J,
                 hub_work_J=float(energy[3]),
@@ -215,56 +310,52 @@ class Rods:
         )
 
     def checkpoint(self) -> dict[str, Array]:
-        """Everything that the next step needs, of all bristles, on every rank; collective."""
-        kept = {**self._now._asdict(), **self._now.touch._asdict()}
-        kept.pop("touch")
-        whole = {}
-        for name, mine in kept.items():
-            parts = self.comm.allgather(mine[: len(self.mine)])
-            whole[name] = np.concatenate(parts)
-        whole["energy_at_start_J"] = np.array([self._initial_J, self._datum_J])
-        return whole
+        """Everything that the next step needs, of all bristles, on every rank."""
+        kept = dict(zip(NAMES, _arrays(self._now), strict=True))
+        kept["energy_at_start_J"] = np.array([self._initial_J, self._datum_J])
+        kept["time_s"] = np.array(self.t_s)
+        return kept | (self._neighbours.checkpoint() if self._neighbours is not None else {})
 
     def restore(self, kept: Mapping[str, Array]) -> None:
         """Go back to a `checkpoint`, to the bit, on any number of ranks.
 
         Raises InputError where it is not one of as many bristles and elements.
         """
-        present = {**self._now._asdict(), **self._now.touch._asdict()}
-        present.pop("touch")
-        for name, mine in present.items():
-            shape = (len(self.clamps), *mine.shape[1:])
-            if name not in kept or kept[name].shape != shape:
+        for name, mine in zip(NAMES, _arrays(self._now), strict=True):
+            if name not in kept or kept[name].shape != mine.shape:
                 raise InputError(f"the checkpoint is not one of {len(self.clamps)} such bristles")
-            mine[: len(self.mine)] = kept[name][self.mine]
-        if not len(self.mine):
-            self._now.totals[:] = kept["totals"][:1]
+            mine[:] = kept[name]
+        if self._neighbours is not None:
+            if "pairs" not in kept:
+                raise InputError("the checkpoint is of bristles that do not touch each other")
+            self._neighbours.restore(kept)
+        self._t_s = float(kept["time_s"])
         self._initial_J, self._datum_J = map(float, kept["energy_at_start_J"])
         self._means = Means.none()
 
     # --- start ------------------------------------------------------------------------------------
 
-    def _hub_of(self, kept: Array) -> Hub:
+    def _hub_of(self) -> Hub:
         from scipy.spatial.transform import Rotation
 
-        turned = Rotation.from_matrix(self.clamps.rotation[kept]).as_quat()
+        turned = Rotation.from_matrix(self.clamps.rotation).as_quat()
         return Hub(
             np.ascontiguousarray(self.motion.breaks, dtype=float),
             np.ascontiguousarray(self.motion.coefficients, dtype=float),
-            self.clamps.position_m[kept],
+            self.clamps.position_m,
             np.ascontiguousarray(turned[:, [3, 0, 1, 2]]),
         )
 
-    def _begin(self, at: int, i: int) -> None:
+    def _begin(self, i: int) -> None:
         """The bristle ``i`` in equilibrium under its weight, moving with the hub."""
-        chain, now, pose = chain_of(self._chains, at), rod(self._now, at), self.motion.pose(0.0)
+        chain, now, pose = chain_of(self._chains, i), rod(self._now, i), self.motion.pose(0.0)
         place = pose.position_m + pose.rotation @ self.clamps.position_m[i]
         now.x[:], now.q[:] = at_rest(chain, place, pose.rotation @ self.clamps.rotation[i])
         set_strains(chain, now)
-        self._refuse_tips_below(at, i)
-        hub = self._hub._replace(place=self._hub.place[at], attitude=self._hub.attitude[at])
-        loads = self._loads[at]
-        if not settle(chain, self._scheme, self._surface, loads, hub, now, self._other):
+        self._refuse_tips_below(i)
+        hub = self._hub._replace(place=self._hub.place[i], attitude=self._hub.attitude[i])
+        loads = self._loads[i]
+        if not settle(chain, self._law.scheme, self._surface, loads, hub, now, self._other):
             raise ComputationError(
                 f"bristle {i} finds no equilibrium under its weight; try more elements"
             )
@@ -286,24 +377,35 @@ class Rods:
                     f"surface at {t:.4g} s; the hub is pressed too far down, or begins too low"
                 )
 
-    def _refuse_tips_below(self, at: int, i: int) -> None:
+    def _refuse_tips_below(self, i: int) -> None:
         """InputError where a bristle as it is without strain begins in the surface."""
-        gap = float(clearance(self._surface, rod(self._now, at)))
+        gap = float(clearance(self._surface, rod(self._now, i)))
         if gap < -TOUCHING * self.clamps.length_m[i]:
             raise InputError(
                 f"bristle {i} begins {-gap:.3g} m below the surface; raise the hub, or press it "
                 "down from first touch"
             )
 
-    def _observed(self) -> dict[str, Array]:
-        """What `observe` finds: of all bristles on the first rank, of its own on another."""
-        mine = observe(self._chains, self._surface, self._gravity, self._now)
-        found = {}
-        for name, array in mine._asdict().items():
-            own = array[: len(self.mine)]
-            parts = self.comm.gather(own)
-            found[name] = own if parts is None else np.concatenate(parts)
-        return found
+    def _observed(self) -> Seen:
+        return observe(self._chains, self._surface, self._gravity, self._now)
+
+
+# The names of the arrays of a state, those of its points last.
+NAMES = (*Motion._fields[:-1], *Touch._fields)
+
+
+def _arrays(state: Motion) -> list[Array]:
+    """The arrays of a state by `NAMES`."""
+    return [*state[:-1], *state.touch]
+
+
+def _copied(state: Motion) -> list[Array]:
+    return [each.copy() for each in _arrays(state)]
+
+
+def _write(arrays: list[Array], state: Motion) -> None:
+    for kept, now in zip(arrays, _arrays(state), strict=True):
+        now[:] = kept
 
 
 def _bowed(section: RodSection, curvature_1_m: float) -> RodSection:

@@ -165,14 +165,12 @@ def _height(surface: Surface, x: Array) -> float:
 
 class Scratch(NamedTuple):
     """Room for a step of one rod: of elements and of (e, 3) numbers, of Newton's step as it was
-    and of a part of it (n, 3), (n, 4), (n, 6), of two rotations, and of the gaps (n,) in m."""
+    (n, 3), (n, 4), (n, 6), of two rotations, and of the gaps (n,) in m."""
 
     elements: Elements
     target: Array
     x: Array
     q: Array
-    x_part: Array
-    q_part: Array
     solution: Array
     matrix: Array
     matrix_before: Array
@@ -187,8 +185,6 @@ def new_scratch(n: int) -> Scratch:
         np.zeros((n - 1, 3)),
         np.zeros((n, 3)),
         np.zeros((n, 4)),
-        np.zeros((n, 3)),
-        np.zeros((n, 4)),
         np.zeros((n, 6)),
         np.zeros((3, 3)),
         np.zeros((3, 3)),
@@ -196,36 +192,30 @@ def new_scratch(n: int) -> Scratch:
     )
 
 
-@njit
-def _move_to_touch(chain: Chain, surface: Surface, new: Motion, scratch: Scratch) -> None:
-    """Move by Newton's step, or by so much of it that sections over the surface just touch it.
-
-    Without this a rod that bends far would fall deep into a stiff surface, which throws it out
-    again, for ever.
-    """
-    bending = min(chain.stiffness[0, 3], chain.stiffness[0, 4]) / total_length(chain) ** 2
-    allowed = DEEPEST * bending / surface.kn
-    gaps, matrix, part = scratch.gaps, scratch.matrix, 1.0
-    write(new.x, scratch.x_part)
-    write(new.q, scratch.q_part)
-    for trial in range(SHORTER + 1):
-        move(chain, new.x, new.q, scratch.solution, part, scratch.target)
-        least = 1.0
-        for i in range(1, len(gaps)):
-            if gaps[i] > 0.0 and _height(surface, new.x[i]) <= surface.reach:
-                write_matrix(new.q[i], matrix)
-                gap = lowest(surface, new.x[i], matrix)
-                if gap < -allowed:
-                    least = min(least, (gaps[i] + 0.5 * allowed) / (gaps[i] - gap))
-        if least == 1.0 or trial == SHORTER:
-            return
-        part *= max(least, 0.1)
-        write(scratch.x_part, new.x)
-        write(scratch.q_part, new.q)
+@inlined
+def deepest(chain: Chain, stiffness: float) -> float:
+    """How deep in m what comes down in one of Newton's steps may go, by ``stiffness`` in N/m."""
+    bending = min(chain.stiffness[0, 3], chain.stiffness[0, 4])
+    return DEEPEST * bending / total_length(chain) ** 2 / stiffness
 
 
 @njit
-def _finish(
+def shortfall(chain: Chain, surface: Surface, new: Motion, scratch: Scratch) -> float:
+    """The part of the last step after which sections that it takes into the surface just touch it;
+    one where none goes deeper than it may."""
+    allowed, least = deepest(chain, surface.kn), 1.0
+    gaps, matrix = scratch.gaps, scratch.matrix
+    for i in range(1, len(gaps)):
+        if gaps[i] > 0.0 and _height(surface, new.x[i]) <= surface.reach:
+            write_matrix(new.q[i], matrix)
+            gap = lowest(surface, new.x[i], matrix)
+            if gap < -allowed:
+                least = min(least, (gaps[i] + 0.5 * allowed) / (gaps[i] - gap))
+    return least
+
+
+@njit
+def finish(
     chain: Chain,
     scheme: Scheme,
     loads: Array,
@@ -294,6 +284,127 @@ def _damped(chain: Chain, old: Motion, new: Motion, h: float) -> float:
 
 
 @njit
+def begin(
+    chain: Chain,
+    scheme: Scheme,
+    surface: Surface,
+    hub: Hub,
+    old: Motion,
+    new: Motion,
+    h: float,
+    scratch: Scratch,
+) -> float:
+    """Write a first guess of the rod after a step of ``h`` seconds into ``new``; returns the
+    residual in N that counts as none."""
+    rate = chain.beta / h if scheme.inertia else 0.0
+    write(old.x, new.x)
+    write(old.q, new.q)
+    clamp(hub, old.totals[TIME] + h, new.x[0], new.q[0], new.velocity[0])
+    _predict(chain, old, new, h if scheme.inertia else 0.0, scratch.elements.room)
+    tolerance = force_tolerance(chain, new.x, NEAR, rate)
+    heaviest = farthest = 0.0
+    for i in range(len(new.x)):
+        heaviest, scratch.gaps[i] = max(heaviest, chain.mass[i]), 1.0
+        for c in range(3):
+            farthest = max(farthest, abs(new.x[i, c]))
+    if scheme.inertia:
+        tolerance += ROUNDING * heaviest / (scheme.beta * h * h) * farthest
+    if surface.there:
+        tolerance += ROUNDING * surface.kn * farthest
+    return tolerance
+
+
+@njit
+def assemble(
+    chain: Chain,
+    scheme: Scheme,
+    surface: Surface,
+    loads: Array,
+    old: Motion,
+    new: Motion,
+    h: float,
+    system: System,
+    scratch: Scratch,
+) -> tuple[float, float]:
+    """Write the residual, and into the diagonal blocks what inertia and the surface add to them.
+
+    Returns as `contact.touch_section` what friction took and contact holds.
+    """
+    rate = chain.beta / h if scheme.inertia else 0.0
+    gaps, matrix, matrix_before = scratch.gaps, scratch.matrix, scratch.matrix_before
+    assemble_forces(chain, new.x, new.q, old.strain, rate, system, scratch.elements)
+    lost = held = 0.0
+    for i in range(1, len(new.x)):
+        write_matrix(new.q[i], matrix)
+        for c in range(3):
+            system.residual[i, c] -= loads[i, c]
+            system.residual[i, 3 + c] -= loads[i, 3 + c]
+        if scheme.inertia:
+            _inertia(chain, scheme, i, old, new, h, system, matrix)
+        if surface.there:
+            height = _height(surface, new.x[i])
+            gaps[i] = height
+            touched = False
+            for k in range(len(surface.rim)):
+                touched = touched or old.touch.state[i, k] != FREE
+            if height > surface.reach and not touched:
+                release(new.touch, i)
+                continue
+            gaps[i] = lowest(surface, new.x[i], matrix)
+            write_matrix(old.q[i], matrix_before)
+            took, holds = touch_section(
+                surface,
+                i,
+                new.x[i],
+                matrix,
+                old.x[i],
+                matrix_before,
+                old.touch,
+                new.touch,
+                h if scheme.inertia else 0.0,
+                system,
+            )
+            lost += took
+            held += holds
+    return lost, held
+
+
+@njit
+def keep(new: Motion, solution: Array, scratch: Scratch) -> None:
+    """Keep where the rod is, and Newton's step from there."""
+    write(new.x, scratch.x)
+    write(new.q, scratch.q)
+    write(solution, scratch.solution)
+
+
+@njit
+def go(chain: Chain, new: Motion, part: float, scratch: Scratch) -> None:
+    """Move the rod by a ``part`` of Newton's step from where it was kept."""
+    write(scratch.x, new.x)
+    write(scratch.q, new.q)
+    move(chain, new.x, new.q, scratch.solution, part, scratch.target)
+
+
+@njit
+def _advance(
+    chain: Chain, surface: Surface, new: Motion, solution: Array, scratch: Scratch
+) -> None:
+    """Move by Newton's step, or by so much of it that sections over the surface just touch it.
+
+    Without this a rod that bends far would fall deep into a stiff surface, which throws it out
+    again, for ever.
+    """
+    keep(new, solution, scratch)
+    part = 1.0
+    for trial in range(SHORTER + 1):
+        go(chain, new, part, scratch)
+        least = shortfall(chain, surface, new, scratch) if surface.there else 1.0
+        if least == 1.0 or trial == SHORTER:
+            return
+        part *= max(least, 0.1)
+
+
+@njit
 def step(
     chain: Chain,
     scheme: Scheme,
@@ -310,83 +421,26 @@ def step(
 
     ``loads`` (n, 6) are dead forces and moments at the nodes in world axes.
     """
-    n, t, total = len(old.x), old.totals[TIME] + h, total_length(chain)
     rate = chain.beta / h if scheme.inertia else 0.0
-    x, q, solution, gaps = scratch.x, scratch.q, scratch.solution, scratch.gaps
-    matrix, matrix_before = scratch.matrix, scratch.matrix_before
-    least, part = math.inf, 1.0
-    write(old.x, new.x)
-    write(old.q, new.q)
-    clamp(hub, t, new.x[0], new.q[0], new.velocity[0])
-    _predict(chain, old, new, h if scheme.inertia else 0.0, scratch.elements.room)
-    tolerance = force_tolerance(chain, new.x, NEAR, rate)
-    heaviest = farthest = 0.0
-    for i in range(n):
-        heaviest, gaps[i] = max(heaviest, chain.mass[i]), 1.0
-        for c in range(3):
-            farthest = max(farthest, abs(new.x[i, c]))
-    if scheme.inertia:
-        tolerance += ROUNDING * heaviest / (scheme.beta * h * h) * farthest
-    if surface.there:
-        tolerance += ROUNDING * surface.kn * farthest
+    total, least, part = total_length(chain), math.inf, 1.0
+    tolerance = begin(chain, scheme, surface, hub, old, new, h, scratch)
     for iteration in range(ITERATION_LIMIT):
-        assemble_forces(chain, new.x, new.q, old.strain, rate, system, scratch.elements)
-        lost = held = 0.0
-        for i in range(1, n):
-            write_matrix(new.q[i], matrix)
-            for c in range(3):
-                system.residual[i, c] -= loads[i, c]
-                system.residual[i, 3 + c] -= loads[i, 3 + c]
-            if scheme.inertia:
-                _inertia(chain, scheme, i, old, new, h, system, matrix)
-            if surface.there:
-                height = _height(surface, new.x[i])
-                gaps[i] = height
-                touched = False
-                for k in range(len(surface.rim)):
-                    touched = touched or old.touch.state[i, k] != FREE
-                if height > surface.reach and not touched:
-                    release(new.touch, i)
-                    continue
-                gaps[i] = lowest(surface, new.x[i], matrix)
-                write_matrix(old.q[i], matrix_before)
-                took, holds = touch_section(
-                    surface,
-                    i,
-                    new.x[i],
-                    matrix,
-                    old.x[i],
-                    matrix_before,
-                    old.touch,
-                    new.touch,
-                    h if scheme.inertia else 0.0,
-                    system,
-                )
-                lost += took
-                held += holds
+        lost, held = assemble(chain, scheme, surface, loads, old, new, h, system, scratch)
         norm = residual_norm(system.residual, total)
         if norm <= tolerance:
-            _finish(chain, scheme, loads, old, new, h, system, lost, held)
+            finish(chain, scheme, loads, old, new, h, system, lost, held)
             new.totals[ITERATIONS] += iteration
             return iteration
         if iteration > PATIENT and norm >= least and part > SHORTEST_PART:
             # a kink: go back along the last step
             part *= 0.5
-            write(x, new.x)
-            write(q, new.q)
-            move(chain, new.x, new.q, solution, part, scratch.target)
+            go(chain, new, part, scratch)
             continue
         if not math.isfinite(norm):
             return -1
         assemble_tangent(chain, rate, system, scratch.elements)
         if not solve(system):
             return -1
-        write(new.x, x)
-        write(new.q, q)
-        write(system.solution, solution)
         least, part = norm, 1.0
-        if surface.there:
-            _move_to_touch(chain, surface, new, scratch)
-        else:
-            move(chain, new.x, new.q, solution, 1.0, scratch.target)
+        _advance(chain, surface, new, system.solution, scratch)
     return -1

@@ -52,6 +52,7 @@ class BrushInputs(MaterialFields, BodyFields, BrushFields):
         poisson = data.get("poisson", paper.POISSON)
         if isinstance(poisson, float) and -1.0 < poisson < 0.5:
             data.setdefault("kt_ratio", mindlin_ratio(poisson))
+        data.setdefault("friction_between", data.get("friction", paper.FRICTION))
         data.setdefault("friction_static", data.get("friction", paper.FRICTION))
         data.setdefault("motion", cls.model_fields["motion"].default)
         data["motion"] = moved = _motion(data["motion"])
@@ -105,6 +106,11 @@ class BrushInputs(MaterialFields, BodyFields, BrushFields):
             ("radius_m", rings, "is for a ring or a cup; other layouts have no radius"),
             ("tufts", (Layout.CUP,), "is for a cup; other layouts have no tufts"),
             ("rows", several, "is for more than one bristle; give --layout row, ring or cup"),
+            (
+                "touch_each_other",
+                several,
+                "is for more than one bristle; a single one has no other",
+            ),
             ("spacing_m", several, "is for more than one bristle; give --layout row, ring or cup"),
         ):
             if self.layout not in layouts and getattr(self, name) != _default(name):

@@ -21,7 +21,7 @@ LOAD_COLUMNS = ("fx_N", "fy_N", "fz_N", "mx_Nm", "my_Nm", "mz_Nm")
 HUB_COLUMNS = ("t_s", *LOAD_COLUMNS)
 SHARE_COLUMNS = ("in_contact", "sticking", "slipping")
 MEAN_COLUMNS = ("from_s", "to_s", *LOAD_COLUMNS, *SHARE_COLUMNS)
-TIP_COLUMNS = ("x_m", "y_m", "z_m", "normal_N", "friction_N")
+TIP_COLUMNS = ("x_m", "y_m", "z_m", "normal_N", "friction_N", "between_N")
 STATES = {TipState.FREE: "free", TipState.STICK: "stick", TipState.SLIP: "slip"}
 # Bristles whose shape is kept for pictures.
 DRAWN = 100
@@ -72,7 +72,7 @@ class Record:
         mean = frame.means
         ends = [mean.begin_s, mean.end_s]
         self.means.append(np.column_stack([*ends, mean.force_N, mean.torque_Nm, mean.share]))
-        contact = np.column_stack([frame.tip_normal_N, frame.tip_friction_N])
+        contact = np.column_stack([frame.tip_normal_N, frame.tip_friction_N, frame.between_N])
         self.tips.append(np.column_stack([frame.tip_m, contact]))
         self.states.append(np.array(frame.state, dtype=np.int64))
         self.stress_Pa.append(frame.bending_stress_Pa.max(axis=1))
@@ -82,7 +82,7 @@ class Record:
         self.energies.append(frame.energy)
         self.steps = frame.steps
         if self.folder is not None:
-            each = {"normal_N": contact[:, 0], "friction_N": contact[:, 1]}
+            each = dict(zip(TIP_COLUMNS[3:], contact.T, strict=True))
             each["state"] = self.states[-1]
             write_lines(self.folder, number, frame.centre_m, frame.bending_stress_Pa, each)
 
@@ -123,7 +123,10 @@ class Record:
         table = pd.DataFrame({"t_s": np.repeat(self.times_s, n)})
         table["bristle"] = np.tile(np.arange(n), len(self.times_s))
         table[list(TIP_COLUMNS)] = np.concatenate(self.tips)
+        # after the columns that every version has
+        between = table.pop("between_N")
         table["state"] = np.vectorize(STATES.get)(np.concatenate(self.states))
+        table["between_N"] = between
         return table
 
     def over_time(self) -> pd.DataFrame:

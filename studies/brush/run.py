@@ -17,7 +17,7 @@ import numpy as np
 
 from ...meshes.collective import run_on_one_rank, with_mpi
 from ...solver.rods.frame import Frame
-from ...solver.rods.ground import Ground
+from ...solver.rods.ground import Contact, Ground
 from ...solver.rods.rods import BOW_RAD, Rods
 from ...solver.rods.section import RodSection
 from ..inputs.choices import Motion
@@ -118,12 +118,19 @@ def ground_of(inputs: BrushInputs) -> Ground:
 
 def make_rods(inputs: BrushInputs, comm: MPI.Intracomm) -> Rods:
     """The solver's rods at the start; collective."""
+    assert inputs.friction_between is not None
+    assert inputs.kt_ratio is not None
+    between = None
+    if inputs.touch_each_other and inputs.count > 1:
+        mu = inputs.friction_between
+        between = Contact(inputs.kn_N_m, mu, mu, kt_over_kn=inputs.kt_ratio)
     return Rods(
         RodSection.of(inputs.bristle()),
         inputs.clamps,
         inputs.hub_motion,
         ground_of(inputs),
         inputs.elements,
+        between=between,
         gravity_m_s2=inputs.gravity_m_s2,
         bow_rad=-BOW_RAD if inputs.upright else 0.0,
         tolerance=inputs.tolerance,

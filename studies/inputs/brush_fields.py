@@ -130,6 +130,14 @@ class SurfaceFields(Fields, group=CONTACT):
         "RATIO",
         f"{KT_RATIO:.4g} for steel, Mindlin's 2(1-nu)/(2-nu)",
     )
+    touch_each_other: Truth = option(
+        True,
+        "Contact of bristles with each other, which is computed unless --no-bristle-contact.",
+        name="bristle-contact",
+    )
+    friction_between: Annotated[float, between(0.0, 100.0)] | None = option(
+        None, "Coulomb's coefficient of one bristle on another.", "MU", "that of --friction"
+    )
     yield_strength_Pa: Annotated[float, between(1e3, 1e12)] | None = option(
         None,
         "Yield strength, beyond which a warning says that bristles stay bent.",

@@ -51,7 +51,7 @@ RESOLVED = {
     "material": (
         *("youngs_Pa", "poisson", "density_kg_m3", "beta_s", "kt_ratio", "yield_strength_Pa"),
     ),
-    "friction": ("friction_static",),
+    "friction": ("friction_static", "friction_between"),
     "motion": ("penetration_m", "until_s", "every_s"),
     "until_s": ("every_s",),
 }

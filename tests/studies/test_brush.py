@@ -30,7 +30,7 @@ from bristle.studies.view.brush_pictures import BrushSeries
 
 pytestmark = pytest.mark.serial
 HUB = ["t_s", "fx_N", "fy_N", "fz_N", "mx_Nm", "my_Nm", "mz_Nm"]
-TIPS = ["t_s", "bristle", "x_m", "y_m", "z_m", "normal_N", "friction_N", "state"]
+TIPS = ["t_s", "bristle", "x_m", "y_m", "z_m", "normal_N", "friction_N", "state", "between_N"]
 ENERGY = {
     *("hub_work_J", "kinetic_J", "strain_J", "contact_J", "material_loss_J", "friction_loss_J"),
     *("numerical_J", "closure_relative"),
@@ -279,10 +279,11 @@ def test_bristles_that_bend_too_far_are_told(tmp_path):
 
 
 def test_four_bristles_about_the_hubs_axis_carry_four_times_as_much():
-    """They do not touch each other. Their levers cancel, so that the torque is four times too."""
+    """They pass through each other. Their levers cancel, so that the torque is four times too."""
     inputs = {**SHORT, "start_s": 0.05, "until_s": 0.05, "every_s": 0.01}
     one = bristle.brush(**inputs, comm=ALONE)
-    four = bristle.brush(**inputs, layout="row", count=4, rows=2, comm=ALONE)
+    apart = {"layout": "row", "count": 4, "rows": 2, "touch_each_other": False}
+    four = bristle.brush(**inputs, **apart, comm=ALONE)
     for name in HUB[1:]:
         expected, scale = 4.0 * one.hub[name], 4.0 * one.hub.fz_N.abs().max()
         np.testing.assert_allclose(four.hub[name], expected, rtol=1e-6, atol=1e-6 * scale)

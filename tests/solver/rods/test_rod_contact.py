@@ -145,12 +145,11 @@ def test_friction_falls_with_the_speed_of_sliding():
     """Stribeck's curve: static at rest, kinetic at speed, exp(-1) of the way at its own speed."""
     from bristle.solver.rods.contact import coefficient
 
-    surface = surface_of(Ground(1e5, 0.3, 0.5, 0.1), SLENDER)
-    assert coefficient(surface, 0.0) == 0.5
-    assert coefficient(surface, 0.1) == pytest.approx(0.3 + 0.2 / math.e)
-    assert coefficient(surface, 10.0) == pytest.approx(0.3)
-    at_once = surface_of(Ground(1e5, 0.3, 0.5, 0.0), SLENDER)
-    assert coefficient(at_once, 1e-12) == 0.3
+    law = 0.5, 0.3, 0.1
+    assert coefficient(*law, 0.0) == 0.5
+    assert coefficient(*law, 0.1) == pytest.approx(0.3 + 0.2 / math.e)
+    assert coefficient(*law, 10.0) == pytest.approx(0.3)
+    assert coefficient(0.5, 0.3, 0.0, 1e-12) == 0.3
 
 
 def test_stick_and_slip_of_a_mass_on_a_belt():

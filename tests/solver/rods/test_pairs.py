@@ -1,0 +1,352 @@
+"""Bristle against bristle: the gap of two elements, its forces, and rods that bend each other."""
+
+import math
+
+import numpy as np
+import pytest
+from elastica import cantilever
+from mpi4py import MPI
+from rod_helpers import along, leaning
+from scipy.optimize import brentq
+from scipy.spatial.transform import Rotation
+
+from bristle.solver.bristle import Bristle
+from bristle.solver.errors import InputError
+from bristle.solver.rods.chain import at_rest, chain_of, stacked, uniform_chain
+from bristle.solver.rods.contact import no_touch, surface_of
+from bristle.solver.rods.ground import Contact, Ground
+from bristle.solver.rods.hub import Clamps, HubPath
+from bristle.solver.rods.joint import Law, joint_step, room_for
+from bristle.solver.rods.motion import Hub, copy, motion_of, rod, scheme_of, set_strains
+from bristle.solver.rods.neighbours import Group, shared_out
+from bristle.solver.rods.pairs import (
+    CORNER,
+    ROUGH_M,
+    between_of,
+    candidates,
+    meet,
+    meet_pair,
+    new_meeting,
+    room_for_points,
+)
+from bristle.solver.rods.rods import Rods
+from bristle.solver.rods.section import RodSection
+from bristle.solver.time.scheme import TimeScheme
+
+SECTION = RodSection.of(Bristle())
+THIN, WIDE, LENGTH = 2.0 * SECTION.half_thin_m, 2.0 * SECTION.half_wide_m, 0.3365
+KN = 2e6
+LAW = between_of(Contact(KN, 0.0, 0.0), SECTION)
+# thin side along x, wide side along y, downward
+DOWN = along([0.0, 0.0, -1.0])
+
+
+def quaternion(rotation):
+    return Rotation.from_matrix(rotation).as_quat()[[3, 0, 1, 2]]
+
+
+def straight(place, rotation, nodes=2, length=0.02):
+    """Nodes and quaternions of a straight rod."""
+    s = np.linspace(0.0, length, nodes)
+    return np.array(place) + s[:, None] * rotation[:, 2], np.tile(quaternion(rotation), (nodes, 1))
+
+
+def crossing(angle_deg, apart, at_a=0.01, at_b=0.01, nodes=2, length=0.02):
+    """Two straight rods whose axes cross at an angle, their thin sides facing each other."""
+    turned = Rotation.from_rotvec([math.radians(angle_deg), 0.0, 0.0]).as_matrix() @ DOWN
+    a = straight([apart, 0.0, at_a], DOWN, nodes, length)
+    b = straight(-at_b * turned[:, 2], turned, nodes, length)
+    return a, b
+
+
+@pytest.mark.parametrize("angle_deg", [90, 60, 20])
+@pytest.mark.parametrize("nodes", [2, 3, 4, 12])
+@pytest.mark.parametrize("at", [0.01, 0.0093])
+def test_rods_that_cross_meet_over_the_same_length_wherever_nodes_are(angle_deg, nodes, at):
+    """It is where their projections overlap; elements share it out."""
+    apart = THIN - 1e-6
+    (xa, qa), (xb, qb) = crossing(angle_deg, apart, at, 0.0108, nodes)
+    room, total = new_meeting(), 0.0
+    for e in range(nodes - 1):
+        for f in range(nodes - 1):
+            length = meet(LAW, xa, qa, e, xb, qb, f, room)
+            if length > 0.0:
+                total += 0.5 * length
+                assert room.gap[0] == pytest.approx(apart - THIN, rel=1e-6)
+                assert room.gap[1] == math.inf
+                assert room.normal == pytest.approx([1.0, 0.0, 0.0], abs=1e-9)
+                # at the crossing, whichever the elements
+                assert room.first[0] == pytest.approx([apart, 0.0, 0.0], abs=1e-9)
+                assert room.second[0] == pytest.approx([0.0, 0.0, 0.0], abs=1e-9)
+    angle = math.radians(angle_deg)
+    assert total == pytest.approx(
+        (WIDE + WIDE * abs(math.cos(angle))) / math.sin(angle), rel=CORNER**2
+    )
+
+
+@pytest.mark.parametrize(
+    ("offset", "gap", "normal"),
+    [
+        ([THIN - 1e-6, 0.3e-3, 0.0], -1e-6, [1.0, 0.0, 0.0]),
+        ([-THIN + 1e-6, 0.3e-3, 0.0], -1e-6, [-1.0, 0.0, 0.0]),
+        ([0.2e-3, WIDE - 2e-6, 0.0], -2e-6, [0.0, 1.0, 0.0]),
+    ],
+)
+def test_parallel_rods_meet_with_their_faces(offset, gap, normal):
+    """Side by side over all of their length, by the thin or by the wide side."""
+    (xa, qa), (xb, qb) = straight(offset, DOWN), straight([0.0, 0.0, 0.0], DOWN)
+    room = new_meeting()
+    assert meet(LAW, xa, qa, 0, xb, qb, 0, room) == pytest.approx(0.02)
+    assert room.gap == pytest.approx([gap, gap], abs=1e-12)
+    assert room.normal == pytest.approx(normal, abs=1e-12)
+
+
+def test_rods_that_are_nowhere_beside_each_other_do_not_meet():
+    room = new_meeting()
+    for place in ([0.0, 1.01 * WIDE, 0.0], [0.0, 0.0, -0.021], [0.1, 0.0, 0.0]):
+        (xa, qa), (xb, qb) = straight(place, DOWN), straight([0.0, 0.0, 0.0], DOWN)
+        length = meet(LAW, xa, qa, 0, xb, qb, 0, room)
+        assert length == 0.0 or room.gap.min() > 0.0
+
+
+def test_a_tip_that_runs_into_a_side_meets_it_with_its_end():
+    flat = along([0.0, 1.0, 0.0], wide=(0.0, 0.0, 1.0))  # thin side toward the tip's axis
+    turned = flat @ Rotation.from_rotvec([0.0, 0.0, 0.5 * math.pi]).as_matrix()
+    apart = 0.5 * min(abs(turned[2] @ np.diag([THIN, WIDE, 0.0])).max(), WIDE)
+    xa, qa = straight([0.0, 0.0, 0.02 + apart - 1e-6], DOWN)
+    xb, qb = straight([0.0, -0.01, 0.0], turned)
+    room = new_meeting()
+    assert meet(LAW, xa, qa, 0, xb, qb, 0, room) > 0.0
+    assert room.normal == pytest.approx([0.0, 0.0, 1.0], abs=1e-9)
+    assert room.gap.min() == pytest.approx(-1e-6, rel=1e-6)
+
+
+def held_and_forces(a, b):
+    """What a pair holds in J, and its forces and moments (2, 2, 6) on the nodes."""
+    states = [rod(motion_of(1, 2, 1), 0) for _ in range(2)]
+    for state, (x, q) in zip(states, (a, b), strict=True):
+        state.x[:], state.q[:] = x, q
+    points, room = room_for_points(1), new_meeting()
+    touch = no_touch(1, 2), no_touch(1, 2)
+    whole, gaps = np.array([0, 0, 1, 0]), np.zeros(2)
+    count, lost, held = meet_pair(
+        LAW,
+        0,
+        whole,
+        states[0],
+        states[0],
+        states[1],
+        states[1],
+        *touch,
+        0.0,
+        room,
+        gaps,
+        points,
+        0,
+    )
+    assert lost == 0.0
+    forces = np.zeros((2, 2, 6))
+    for p in range(count):
+        for side, sign in enumerate((1.0, -1.0)):
+            for node, share in enumerate((1.0 - points.share[p, side], points.share[p, side])):
+                push = sign * share * points.push[p]
+                forces[side, node, :3] += push
+                turning = 0.5 * sign * points.push[p]
+                forces[side, node, 3:] += np.cross(points.arm[p, side], turning)
+    return held, forces
+
+
+@pytest.mark.parametrize("angle_deg", [90, 35, 0])
+@pytest.mark.parametrize("depth", [0.4e-6, 3e-6])
+def test_forces_are_the_slope_of_the_energy(angle_deg, depth):
+    """Of every displacement and rotation of a node. The stretch's length is taken as fixed, which
+    is off by the depth over that length."""
+    a, b = crossing(angle_deg, THIN - depth, at_a=0.008, at_b=0.0113)
+    if angle_deg == 0:
+        # side by side, not flush and a little twisted, with edges that are round over CORNER
+        twist, s = Rotation.from_rotvec([0.0, 0.0, 0.015]).as_matrix(), math.sin(0.015)
+        edge = 0.5 * WIDE * s * s / math.hypot(s, CORNER)
+        a = straight([THIN + edge - depth, -0.2e-3, 0.008], twist @ DOWN)
+    held, forces = held_and_forces(a, b)
+    assert held > 0.0
+    assert forces[0].sum(axis=0)[:3] == pytest.approx(-forces[1].sum(axis=0)[:3])
+    scale = np.abs(forces[..., :3]).max()
+    for side in range(2):
+        for node in range(2):
+            for c in range(6):
+                ends = []
+                step = 1e-9 if c < 3 else 1e-7
+                for sign in (-1.0, 1.0):
+                    x, q = ((each.copy() for each in a), (each.copy() for each in b))[side]
+                    if c < 3:
+                        x[node, c] += sign * step
+                    else:
+                        turn = Rotation.from_rotvec(sign * step * np.eye(3)[c - 3])
+                        own = Rotation.from_quat(q[node, [1, 2, 3, 0]])
+                        q[node] = (turn * own).as_quat()[[3, 0, 1, 2]]
+                    ends.append(held_and_forces(*((x, q), b) if side == 0 else (a, (x, q)))[0])
+                slope = -(ends[1] - ends[0]) / (2.0 * step)
+                lever = 1.0 if c < 3 else WIDE
+                assert forces[side, node, c] == pytest.approx(slope, abs=5e-3 * scale * lever)
+
+
+def cross_bent(elements, overlap, angle_deg=90.0, steps=80):
+    """The force between two clamped bristles that cross, bent by an overlap of their straight
+    selves, and the distance of the crossing from each clamp."""
+    at_a, at_b = 0.15, 0.4 * LENGTH
+    chains = stacked([uniform_chain(SECTION, LENGTH, elements)] * 2)
+    surface = surface_of(None, SECTION)
+    scheme = scheme_of(TimeScheme.generalised(0.6), 1.0, inertia=False)
+    law = Law(scheme, surface, LAW)
+    turned = Rotation.from_rotvec([math.radians(angle_deg), 0.0, 0.0]).as_matrix() @ DOWN
+    clamps = [np.array([0.0, 0.0, at_a]), np.array([-THIN, 0.0, 0.0]) - at_b * turned[:, 2]]
+    path, attitudes = HubPath.still(), np.stack([quaternion(DOWN), quaternion(turned)])
+    hubs = Hub(path.breaks, path.coefficients, np.stack(clamps), attitudes)
+    stack = motion_of(2, elements + 1, len(surface.rim))
+    for i, turn in enumerate((DOWN, turned)):
+        now = rod(stack, i)
+        now.x[:], now.q[:] = at_rest(chain_of(chains, i), clamps[i], turn)
+        set_strains(chain_of(chains, i), now)
+    near = np.arange(elements)
+    pairs = np.array([(0, e, 1, f) for e in near for f in near])
+    room, loads = (
+        room_for(2, elements + 1, len(surface.rim), len(pairs)),
+        np.zeros((2, elements + 1, 6)),
+    )
+    touch = [no_touch(len(pairs), 2) for _ in range(2)]
+    done, part = 0.0, 1.0 / steps
+    while done < 1.0:
+        part = min(part, 1.0 - done)
+        hubs.place[1, 0] = -THIN + overlap * (done + part)
+        found = joint_step(law, chains, loads, hubs, np.arange(2), pairs, stack, *touch, 0.0, room)
+        if found < 0:
+            part *= 0.5
+            assert part > 1e-5
+            continue
+        done, part = done + part, min(1.5 * part, 1.0 / steps)
+        for i in range(2):
+            copy(rod(room.new, i), rod(stack, i))
+        touch.reverse()
+    return touch[0].normal.sum(), at_a, at_b
+
+
+@pytest.mark.serial
+@pytest.mark.parametrize("elements", [20, 21])
+def test_two_bristles_that_cross_bear_the_force_of_two_elasticas(elements):
+    """Each is bent by the same force; their deflections are the overlap. Even and odd numbers of
+    elements alike: crossings lie within elements, and near nodes."""
+    overlap = 0.02
+    force, at_a, at_b = cross_bent(elements, overlap)
+
+    def deflections(force):
+        bent = [a * cantilever(force * a**2 / SECTION.EI2_Nm2)[0] for a in (at_a, at_b)]
+        return sum(bent) - overlap
+
+    linear = 3.0 * SECTION.EI2_Nm2 * overlap / (at_a**3 + at_b**3)
+    expected = brentq(deflections, 0.8 * linear, 1.3 * linear, rtol=1e-6)
+    assert force == pytest.approx(expected, rel=1e-2)
+
+
+def test_candidates_are_all_pairs_whose_boxes_are_near():
+    rng = np.random.default_rng(3)
+    x = np.cumsum(rng.normal(scale=4e-3, size=(6, 5, 3)), axis=1) + rng.normal(
+        scale=8e-3, size=(6, 1, 3)
+    )
+    apart = 1e-3
+    room = np.zeros((600, 4), dtype=np.int64)
+    count = candidates(LAW, x, apart, room)
+    found = {frozenset([(a, e), (b, f)]) for a, e, b, f in room[:count].tolist()}
+    assert len(found) == count
+    reach = math.hypot(SECTION.half_thin_m, SECTION.half_wide_m) + 0.5 * apart
+    low = np.minimum(x[:, :-1], x[:, 1:]) - reach
+    high = np.maximum(x[:, :-1], x[:, 1:]) + reach
+    expected = set()
+    for a in range(6):
+        for b in range(a):
+            for e in range(4):
+                for f in range(4):
+                    if np.all(low[a, e] <= high[b, f]) and np.all(low[b, f] <= high[a, e]):
+                        expected.add(frozenset([(a, e), (b, f)]))
+    assert found == expected
+    # a tip is met by its own rod's side
+    assert all(f != 3 or e == 3 for _, e, _, f in room[:count].tolist())
+
+
+@pytest.mark.parametrize("ranks", [1, 2, 5])
+def test_every_rod_has_one_rank(ranks):
+    of = np.array([0, 0, 1, 2, 2, 2, 3])
+    groups = [Group(np.flatnonzero(of == g), np.zeros(0, int)) for g in (0, 2)]
+    mine, lone = shared_out(groups, of, ranks)
+    assert sorted(g for each in mine for g in each) == [0, 1]
+    assert sorted(np.concatenate(lone).tolist()) == [2, 6]
+
+
+def row(count=4, spacing=1.5e-3, comm=MPI.COMM_WORLD, elements=8, **how):
+    """Bristles one behind the other, which touch once they are pressed down and dragged."""
+    lean = math.radians(20)
+    leans = lean + 0.0015 * np.cos(2.0 * np.arange(count))
+    places = np.zeros((count, 3))
+    places[:, 0] = spacing * np.arange(count)
+    places[:, 2] = LENGTH * math.cos(lean) + 3e-3
+    clamps = Clamps(places, np.stack([leaning(each) for each in leans]), np.full(count, LENGTH))
+    path, ground = HubPath.slide(0.02, 0.5, 0.01, 0.01), Ground(KN, 0.3, 0.3)
+    between = Contact(KN, 0.2, 0.25, 0.1)
+    return Rods(SECTION, clamps, path, ground, elements, between=between, comm=comm, **how)
+
+
+def test_a_row_that_touches_is_the_same_on_any_number_of_ranks_and_closes_its_energy():
+    """Hub's work is stored, kinetic and lost energy to 1e-3; bristles do not pass through each
+    other."""
+    one = list(row(comm=MPI.COMM_SELF).march(0.03, 0.001))
+    every = list(row().march(0.03, 0.001))
+    assert max(frame.between_N.max() for frame in one) > 0.0
+    for a, b in zip(one, every, strict=True):
+        assert np.array_equal(a.centre_m, b.centre_m)
+        assert np.array_equal(a.between_N, b.between_N)
+        assert a.energy == b.energy
+        assert np.abs(a.means.force_N - b.means.force_N).max() < 1e-9
+    assert one[-1].energy.closure_relative < 1e-3
+    # in the order that they stand in, wherever they are as high as each other
+    for frame in one:
+        for front, behind in zip(frame.centre_m[1:], frame.centre_m[:-1], strict=True):
+            height = np.linspace(max(front[-1, 2], behind[-1, 2]), front[0, 2], 50)
+            gap = np.interp(height, front[::-1, 2], front[::-1, 0])
+            gap -= np.interp(height, behind[::-1, 2], behind[::-1, 0])
+            assert gap.min() > 0.8 * THIN
+
+
+def test_a_row_that_touches_goes_on_from_a_checkpoint_to_the_bit():
+    through, first, second = row(), row(), row()
+    expected = list(through.march(0.02, 0.01))[-1]
+    list(first.march(0.01, 0.01))
+    second.restore({name: np.array(each) for name, each in first.checkpoint().items()})
+    (found,) = second.march(0.02, 0.01)
+    assert np.array_equal(found.centre_m, expected.centre_m)
+    assert np.array_equal(found.between_N, expected.between_N)
+    assert found.energy == expected.energy
+
+
+def test_bristles_that_begin_in_each_other_are_refused():
+    with pytest.raises(InputError, match="begin in each other"):
+        row(spacing=0.5 * THIN)
+
+
+@pytest.mark.campaign
+@pytest.mark.serial
+@pytest.mark.parametrize("count", [60, 200, 1000])
+def test_long_rows_converge(count):
+    """Bristles that touch all along the row, over the time of pressing and of setting off."""
+    rods = row(count, comm=MPI.COMM_SELF, elements=20)
+    frames = list(rods.march(0.1 if count == 60 else 0.02, 0.01))
+    assert frames[-1].energy.closure_relative < 1e-2
+    assert (frames[-1].between_N > 0.0).any() or (frames[-2].between_N > 0.0).any()
+
+
+def test_rough_faces_grow_as_stiff_as_they_are():
+    """Force and slope are continuous where the quadratic law passes into the linear one."""
+    forces = []
+    for depth in (0.999 * ROUGH_M, 1.001 * ROUGH_M):
+        a, b = crossing(90, THIN - depth)
+        forces.append(held_and_forces(a, b)[1][0, :, 0].sum())
+    assert forces[1] - forces[0] == pytest.approx(KN * 0.002 * ROUGH_M, rel=1e-3)
+    assert forces[0] == pytest.approx(0.5 * KN * ROUGH_M, rel=3e-3)
