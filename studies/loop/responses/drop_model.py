@@ -503,7 +503,7 @@ class DropModel(BounceModel):
         if mesh is not None:
             measured = mesh.spread(measured)
             slopes = None if slopes is None else mesh.spread(slopes)
-        if slopes is None:
+        if errors.values is None or slopes is None:
             return errors.rows(measured)
         factors = errors.factors(slopes)
         left = errors.rows(errors.values - measured, factors)
