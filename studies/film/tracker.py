@@ -137,7 +137,7 @@ def tracked(
             return result
         doubt = (
             f"a {body} is in view in {len(result.t_s)} of {len(seen.t_s)} frames, but it never "
-            "falls freely for four frames or more"
+            "falls freely for long enough; three frames with a known scale are the least"
         )
     looked = {
         Body.BRISTLE: "a thin straight strip, nearly upright, whose lower end moves",

@@ -46,7 +46,7 @@ HEADS: dict[str, Head] = {
 
 
 def pressed_dragged_let_go() -> BrushInputs:
-    """The mission's bristle leans by 30°, is pressed by a fifth of its length, and dragged at 1 m/s
+    """The paper's bristle leans by 30°, is pressed by a fifth of its length, and dragged at 1 m/s
     with some damping, without weight."""
     return checked(
         BrushInputs,
