@@ -29,6 +29,8 @@ MARGIN, MOVED = 1.0, 0.125
 # What counts as near where nothing moves, over the thin side.
 NEAR = 0.01
 LONGEST_S, SHORTEST_S = 1e-3, 1e-5
+# Faces that are no deeper in each other just touch.
+TOUCHING_M = 1e-9
 
 
 @dataclass(frozen=True)
@@ -107,7 +109,7 @@ class Neighbours:
     def met(self, stack: Motion, of: Integers | None = None) -> tuple[int, int] | None:
         """Two rods of different groups that are in each other, or None."""
         close = np.zeros(len(self.pairs), dtype=np.bool_)
-        near(self.law, self.pairs, stack, 0.0, 0.0, close)
+        near(self.law, self.pairs, stack, -2.0 * TOUCHING_M, 0.0, close)
         if of is not None:
             close &= of[self.pairs[:, 0]] != of[self.pairs[:, 2]]
         found = np.flatnonzero(close)

@@ -3,7 +3,8 @@
 An element is a straight prism of the rod's section. Two meet over the stretch of the first that
 lies beside the second: short where they cross, as long as both where they are parallel. Where they
 cross, the gap is along the normal that both axes have in common. It is the same all over the
-stretch and is met where the axes are closest, be it a little beyond an element's end. Where they
+stretch and is met where the axes are closest, be it a little beyond an element's end, though never
+beyond a tip. Round wires are met so at any angle, at the closest place of the stretch. Where they
 are nearly parallel that normal means little. The gap is then along the one of the faces' normals by
 which the prisms are farthest apart, or least deep in each other (separating axes: Gottschalk, Lin
 and Manocha, OBBTree, SIGGRAPH 1996), and is met at both ends of the stretch. Contact at closest
@@ -35,6 +36,8 @@ from .section import RodSection
 
 # Directions whose square is below this are no axis.
 NO_AXIS = 1e-16
+# Below this angle in rad two axes have no closest points.
+NO_ANGLE = 1e-4
 # Elements cross where the sine of the angle between them is more; below, they lie side by side.
 CROSSING = 0.25
 # Edges are round over an angle of so many rad, or flush faces would turn each other to and fro.
@@ -242,9 +245,19 @@ def meet(
     _middle(qb, f, out.axes_b)
     n, m, best, length = np.empty(3), np.empty(3), -math.inf, 0.0
     tip, cosine = e == len(xa) - 2, _dot(ta, tb)
-    crosses, chosen = 1.0 - cosine * cosine > CROSSING * CROSSING, -1
-    for kind in range(6):
-        if crosses != (kind >= 4) or (kind == 5 and not tip):
+    square, along = 1.0 - cosine * cosine, _dot(apart, tb)
+    crosses, chosen = square > CROSSING * CROSSING, -1
+    # where the axes are closest, along the first
+    nearest = 0.5 * (low + high)
+    if square > NO_ANGLE * NO_ANGLE:
+        nearest = (cosine * along - _dot(apart, ta)) / square
+    if law.round:
+        # within the stretch the gap is stationary there, or at its end
+        nearest = min(max(nearest, low), high)
+    for kind in range(7):
+        if law.round != (kind == 6) or (kind == 5 and not tip):
+            continue
+        if not law.round and crosses != (kind >= 4):
             continue
         if kind == 4:
             for c in range(3):
@@ -253,17 +266,13 @@ def meet(
         elif kind == 5:
             for c in range(3):
                 n[c] = ta[c]
+        elif kind == 6:
+            for c in range(3):
+                n[c] = apart[c] + nearest * ta[c]
         else:
             axes = out.axes_b if kind < 2 else out.axes_a
             for c in range(3):
                 n[c] = axes[c, kind % 2]
-        if law.round and kind < 4:
-            # a disc has one normal, along the shortest way between the axes
-            if kind > 0:
-                continue
-            middle = 0.5 * (low + high)
-            for c in range(3):
-                n[c] = apart[c] + middle * ta[c]
         slant = _dot(n, tb)
         size = 0.0
         for c in range(3):
@@ -287,6 +296,8 @@ def meet(
         sign = 1.0 if at + 0.5 * rate * (begin + end) >= 0.0 else -1.0
         reaches = _reach(law, out.axes_a, n) + _reach(law, out.axes_b, n)
         least = min(sign * (at + rate * begin), sign * (at + rate * end)) - reaches
+        if kind == 6:
+            least = sign * (at + rate * nearest) - reaches
         if least > best:
             best, length, chosen = least, end - begin, kind
             for c in range(3):
@@ -296,17 +307,22 @@ def meet(
             out.gap[1] = sign * (at + rate * end) - reaches
     if length == 0.0:
         return 0.0
-    along = _dot(apart, tb)
-    if chosen == 4:
-        # where the axes are closest: there alone the gap is stationary as the normal turns
-        out.share_a[0] = (cosine * along - _dot(apart, ta)) / (1.0 - cosine * cosine) / la
-        out.gap[1] = math.inf
+    common = chosen == 4 or chosen == 6
+    if common:
+        # there alone the gap is stationary as the normal turns; a tip has nothing beyond its end
+        out.share_a[0] = min(nearest, la) / la if tip else nearest / la
+        out.gap[0], out.gap[1] = best, math.inf
         length *= 2.0
+    elif chosen == 5:
+        # an end meets with its section, however long its element
+        length = min(length, 2.0 * law.half[1])
     for k in range(2):
         s = out.share_a[k] * la
         z = along + s * cosine
-        if chosen != 4:
-            z = min(max(z, 0.0), lb)
+        if not common:
+            z = max(z, 0.0)
+        if not common or f == len(xb) - 2:
+            z = min(z, lb)
         out.share_b[k] = z / lb
         for c in range(3):
             out.first[k, c] = xa[e, c] + s * ta[c]
@@ -318,7 +334,7 @@ def meet(
         for c in range(3):
             if chosen < 2:
                 out.arm_b[k, c] = out.first[k, c] + out.arm_a[k, c] - out.second[k, c]
-            elif chosen != 4:
+            elif not common:
                 out.arm_a[k, c] = out.second[k, c] + out.arm_b[k, c] - out.first[k, c]
     return length
 
@@ -383,6 +399,8 @@ def meet_pair(
     moved_a, moved_b = np.empty(3), np.empty(3)
     pull, matrix, n = np.empty(3), np.empty((3, 3)), room.normal
     kn = 0.5 * length * law.stiffness
+    if e == len(now_a.x) - 2 and f == len(now_b.x) - 2:
+        kn *= 0.5  # two tips are met from both sides
     kt = law.ratio * kn
     for k in range(2):
         gap = gaps[k] = room.gap[k]
@@ -509,4 +527,9 @@ def candidates(law: Between, x: Array, apart: float, out: Integers) -> int:
                 out[count, 0], out[count, 1] = a // elements, a % elements
                 out[count, 2], out[count, 3] = b // elements, b % elements
             count += 1
+            if j % elements == elements - 1 and i % elements == elements - 1:
+                # two tips are met from both sides: either may run into the other end-on
+                if count < len(out):
+                    out[count] = out[count - 1][np.array([2, 3, 0, 1])]
+                count += 1
     return count

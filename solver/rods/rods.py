@@ -42,6 +42,8 @@ BOW_RAD = 1e-4
 LOOKS = 500
 # Forces are averaged over windows of time no longer than this.
 WINDOW_S = 1e-3
+# A span is marched again with pairs that are so many times farther apart at most.
+WIDEST = 1000.0
 # A tip may lie this share of its length below the surface at the start: it hangs by its weight.
 TOUCHING = 1e-6
 
@@ -205,8 +207,14 @@ class Rods:
                 touched.append(groups[g].rows)
             self._exchange(np.concatenate(marched), np.concatenate(touched))
             self._refuse_failure(failed)
-            if near.met(self._now, of) is None:
+            both = near.met(self._now, of)
+            if both is None:
                 break
+            if wider > WIDEST:
+                raise ComputationError(
+                    f"bristles {both[0]} and {both[1]} have passed into each other at "
+                    f"{until:.6g} s; take a higher Kn, or a lower tolerance"
+                )
             # some met that were not near: once more, with more of them
             wider *= 2.0
             _write(kept, self._now)

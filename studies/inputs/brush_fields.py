@@ -113,7 +113,8 @@ class SurfaceFields(Fields, group=CONTACT):
     """What bristles meet, and where they yield."""
 
     kn_N_m: Annotated[float, between(1e-3, 1e12)] = option(
-        paper.KN_CHOSEN_N_M, "Normal contact stiffness of an end section."
+        paper.KN_CHOSEN_N_M,
+        "Normal contact stiffness of an end section, and of two bristles that cross.",
     )
     friction: Annotated[float, between(0.0, 100.0)] = option(
         paper.FRICTION, "Coulomb's coefficient of a tip that slides.", "MU"
@@ -136,7 +137,10 @@ class SurfaceFields(Fields, group=CONTACT):
         name="bristle-contact",
     )
     friction_between: Annotated[float, between(0.0, 100.0)] | None = option(
-        None, "Coulomb's coefficient of one bristle on another.", "MU", "that of --friction"
+        None,
+        "Coulomb's coefficient of one bristle on another, at any speed.",
+        "MU",
+        "that of --friction",
     )
     yield_strength_Pa: Annotated[float, between(1e3, 1e12)] | None = option(
         None,
