@@ -133,7 +133,7 @@ class SurfaceFields(Fields, group=CONTACT):
     )
     touch_each_other: Truth = option(
         True,
-        "Contact of bristles with each other, which is computed unless --no-bristle-contact.",
+        "Contact of bristles with each other. Without it they pass through each other.",
         name="bristle-contact",
     )
     friction_between: Annotated[float, between(0.0, 100.0)] | None = option(
