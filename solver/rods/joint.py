@@ -23,12 +23,13 @@ from ..compiled import inlined, njit
 from .chain import Chain, System, chain_of, new_system, solve_columns, total_length
 from .contact import Surface, Touch
 from .element import Elements, assemble_tangent
-from .motion import ITERATIONS, Hub, Motion, Scheme, motion_of, rod
+from .motion import ITERATIONS, Hub, Motion, Scheme, hub_of, motion_of, rod
 from .pairs import (
     ROD_A,
     ROD_B,
     Between,
     Points,
+    crossing_kn,
     meet_pair,
     new_meeting,
     room_for_points,
@@ -128,12 +129,11 @@ def _begin_all(
 ) -> None:
     for k in range(len(members)):
         i = members[k]
-        hub = Hub(hubs.breaks, hubs.coefficients, hubs.place[i], hubs.attitude[i])
         tolerance = begin(
             chain_of(chains, i),
             law.scheme,
             law.surface,
-            hub,
+            hub_of(hubs, i),
             rod(stack, i),
             rod(room.new, k),
             h,
@@ -142,8 +142,7 @@ def _begin_all(
         farthest = 0.0
         for place in room.new.x[k].ravel():
             farthest = max(farthest, abs(place))
-        stiffness = 2.0 * law.between.half[1] * law.between.stiffness
-        room.tolerance[k] = tolerance + ROUNDING * stiffness * farthest
+        room.tolerance[k] = tolerance + ROUNDING * crossing_kn(law.between) * farthest
 
 
 @njit
@@ -377,8 +376,7 @@ def _go_all(chains: Chain, members: Integers, room: Room, part: float) -> None:
 @njit
 def _advance_all(law: Law, chains: Chain, members: Integers, pairs: Integers, room: Room) -> None:
     """Move all by Newton's step, or by so much of it that what comes together just touches."""
-    stiffness = 2.0 * law.between.half[1] * law.between.stiffness
-    meeting, part = new_meeting(), 1.0
+    stiffness, meeting, part = crossing_kn(law.between), new_meeting(), 1.0
     for trial in range(SHORTER + 1):
         _go_all(chains, members, room, part)
         least = 1.0

@@ -11,7 +11,7 @@ from .chain import Chain, chain_of, new_system
 from .contact import Touch, no_touch
 from .crossing import allowed_J, first_crossing
 from .joint import Law, joint_step, room_for
-from .motion import STEP, TIME, Hub, Motion, Scheme, copy, fit_to_step, rod
+from .motion import STEP, TIME, Hub, Motion, Scheme, copy, fit_to_step, hub_of, rod
 from .step import new_scratch, step
 from .tally import add_step
 
@@ -45,6 +45,12 @@ def next_end(hub: Hub, t_s: float, end_s: float) -> float:
         if t_s + SHORTEST_S < at < end_s - SHORTEST_S:
             return at
     return end_s
+
+
+@njit
+def equal_part(left_s: float, wanted_s: float) -> float:
+    """The longest step in s, up to the wanted one, of which a whole number fill what is left."""
+    return left_s / math.ceil(left_s / wanted_s * (1.0 - 1e-9))
 
 
 @njit
@@ -93,12 +99,12 @@ def march_apart(
     system, scratch = new_system(stack.x.shape[1]), new_scratch(stack.x.shape[1])
     for i in members:
         chain, now = chain_of(chains, i), rod(stack, i)
-        hub = Hub(hubs.breaks, hubs.coefficients, hubs.place[i], hubs.attitude[i])
+        hub = hub_of(hubs, i)
         allowed, lands = allowed_J(chain, law.scheme), False
         while now.totals[TIME] < end_s:
             until = next_end(hub, now.totals[TIME], end_s)
             left, wanted = until - now.totals[TIME], now.totals[STEP]
-            h = left / math.ceil(left / wanted * (1.0 - 1e-9))
+            h = equal_part(left, wanted)
             fit_to_step(now, h)
             count = step(
                 chain, law.scheme, law.surface, loads[i], hub, now, other, h, system, scratch
@@ -157,7 +163,7 @@ def _accept_all(
 ) -> None:
     for k in range(len(members)):
         i = members[k]
-        hub = Hub(hubs.breaks, hubs.coefficients, hubs.place[i], hubs.attitude[i])
+        hub = hub_of(hubs, i)
         now, following = rod(stack, i), rod(new, k)
         add_step(law.surface, hub, now, following, windows.begin_s, windows.width_s, windows.sums)
         copy(following, now)
@@ -184,12 +190,12 @@ def march_together(
     room = room_for(len(members), stack.x.shape[1], stack.touch.state.shape[2], len(pairs))
     now, t = no_touch(len(pairs), 2), float(stack.totals[members[0], TIME])
     wanted = float(stack.totals[members, STEP].min())
-    hub = Hub(hubs.breaks, hubs.coefficients, hubs.place[0], hubs.attitude[0])
+    hub = hub_of(hubs, 0)
     lands = False
     while t < end_s:
         until = next_end(hub, t, end_s)
         left = until - t
-        h = left / math.ceil(left / wanted * (1.0 - 1e-9))
+        h = equal_part(left, wanted)
         _fit_all(members, stack, h)
         count = joint_step(law, chains, loads, hubs, members, pairs, stack, touch, now, h, room)
         if count < 0:

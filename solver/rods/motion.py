@@ -43,6 +43,12 @@ class Hub(NamedTuple):
     attitude: Array
 
 
+@njit
+def hub_of(hubs: Hub, i: int) -> Hub:
+    """One of the stacked clamps."""
+    return Hub(hubs.breaks, hubs.coefficients, hubs.place[i], hubs.attitude[i])
+
+
 # Rows of `Motion.totals`.
 TIME, STEP, HUB_WORK, MATERIAL, FRICTION, CONTACT, STEPS, ITERATIONS, LAST = range(9)
 TOTALS = 9

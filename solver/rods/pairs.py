@@ -45,6 +45,10 @@ CORNER = 0.02
 WHOLE = math.sqrt(1.0 + CORNER * CORNER)
 # The approach in m over which contact becomes as stiff as it is.
 ROUGH_M = 1e-6
+# Where the normal of a contact comes from: 0 and 1 are the second element's faces, `OWN` and the
+# one after it the first's. Then come the normal common to both axes, the first's end, and the
+# shortest way.
+OWN, COMMON, END, SHORTEST = 2, 4, 5, 6
 # Columns of `Points.whole`: the rods and their elements.
 ROD_A, ELEMENT_A, ROD_B, ELEMENT_B = range(4)
 
@@ -74,6 +78,12 @@ def between_of(contact: Contact, section: RodSection) -> Between:
         contact.friction_kinetic,
         contact.stribeck_speed_m_s,
     )
+
+
+@inlined
+def crossing_kn(law: Between) -> float:
+    """The stiffness in N/m of two that cross at right angles, wide side on wide side."""
+    return 2.0 * law.half[1] * law.stiffness
 
 
 class Points(NamedTuple):
@@ -217,17 +227,17 @@ def meet(
     ``x`` (n, 3) and ``q`` (n, 4) are the rods' nodes. The normal points from the second to the
     first.
     """
-    ta, tb, apart, near = np.empty(3), np.empty(3), np.empty(3), 0.0
-    la = lb = 0.0
+    ta, tb, apart = np.empty(3), np.empty(3), np.empty(3)
+    la = lb = square = 0.0
     for c in range(3):
         ta[c], tb[c] = xa[e + 1, c] - xa[e, c], xb[f + 1, c] - xb[f, c]
         apart[c] = xa[e, c] - xb[f, c]
         la += ta[c] * ta[c]
         lb += tb[c] * tb[c]
-        near += (apart[c] + 0.5 * (ta[c] - tb[c])) ** 2
+        square += (apart[c] + 0.5 * (ta[c] - tb[c])) ** 2
     la, lb = math.sqrt(la), math.sqrt(lb)
     reach = 0.5 * (la + lb) + 2.0 * math.sqrt(law.half[0] ** 2 + law.half[1] ** 2)
-    if near > reach * reach:
+    if square > reach * reach:
         return 0.0
     for c in range(3):
         ta[c] /= la
@@ -245,32 +255,34 @@ def meet(
     _middle(qb, f, out.axes_b)
     n, m, best, length = np.empty(3), np.empty(3), -math.inf, 0.0
     tip, cosine = e == len(xa) - 2, _dot(ta, tb)
-    square, along = 1.0 - cosine * cosine, _dot(apart, tb)
-    crosses, chosen = square > CROSSING * CROSSING, -1
+    sine_2, along = 1.0 - cosine * cosine, _dot(apart, tb)
+    crosses, chosen = sine_2 > CROSSING * CROSSING, -1
     # where the axes are closest, along the first
     nearest = 0.5 * (low + high)
-    if square > NO_ANGLE * NO_ANGLE:
-        nearest = (cosine * along - _dot(apart, ta)) / square
+    if sine_2 > NO_ANGLE * NO_ANGLE:
+        nearest = (cosine * along - _dot(apart, ta)) / sine_2
     if law.round:
         # within the stretch the gap is stationary there, or at its end
         nearest = min(max(nearest, low), high)
-    for kind in range(7):
-        if law.round != (kind == 6) or (kind == 5 and not tip):
-            continue
-        if not law.round and crosses != (kind >= 4):
-            continue
-        if kind == 4:
+    if law.round:
+        first, last = SHORTEST, SHORTEST
+    elif crosses:
+        first, last = COMMON, END if tip else COMMON
+    else:
+        first, last = 0, COMMON - 1
+    for kind in range(first, last + 1):
+        if kind == COMMON:
             for c in range(3):
                 i, j = (c + 1) % 3, (c + 2) % 3
                 n[c] = tb[i] * ta[j] - tb[j] * ta[i]
-        elif kind == 5:
+        elif kind == END:
             for c in range(3):
                 n[c] = ta[c]
-        elif kind == 6:
+        elif kind == SHORTEST:
             for c in range(3):
                 n[c] = apart[c] + nearest * ta[c]
         else:
-            axes = out.axes_b if kind < 2 else out.axes_a
+            axes = out.axes_b if kind < OWN else out.axes_a
             for c in range(3):
                 n[c] = axes[c, kind % 2]
         slant = _dot(n, tb)
@@ -296,7 +308,7 @@ def meet(
         sign = 1.0 if at + 0.5 * rate * (begin + end) >= 0.0 else -1.0
         reaches = _reach(law, out.axes_a, n) + _reach(law, out.axes_b, n)
         least = min(sign * (at + rate * begin), sign * (at + rate * end)) - reaches
-        if kind == 6:
+        if kind == SHORTEST:
             least = sign * (at + rate * nearest) - reaches
         if least > best:
             best, length, chosen = least, end - begin, kind
@@ -307,21 +319,21 @@ def meet(
             out.gap[1] = sign * (at + rate * end) - reaches
     if length == 0.0:
         return 0.0
-    common = chosen == 4 or chosen == 6
-    if common:
+    at_nearest = chosen in (COMMON, SHORTEST)
+    if at_nearest:
         # there alone the gap is stationary as the normal turns; a tip has nothing beyond its end
         out.share_a[0] = min(nearest, la) / la if tip else nearest / la
         out.gap[0], out.gap[1] = best, math.inf
         length *= 2.0
-    elif chosen == 5:
+    elif chosen == END:
         # an end meets with its section, however long its element
         length = min(length, 2.0 * law.half[1])
     for k in range(2):
         s = out.share_a[k] * la
         z = along + s * cosine
-        if not common:
+        if not at_nearest:
             z = max(z, 0.0)
-        if not common or f == len(xb) - 2:
+        if not at_nearest or f == len(xb) - 2:
             z = min(z, lb)
         out.share_b[k] = z / lb
         for c in range(3):
@@ -332,9 +344,9 @@ def meet(
         _farthest(law, out.axes_a, out.normal, -1.0, out.arm_a[k])
         _farthest(law, out.axes_b, out.normal, 1.0, out.arm_b[k])
         for c in range(3):
-            if chosen < 2:
+            if chosen < OWN:
                 out.arm_b[k, c] = out.first[k, c] + out.arm_a[k, c] - out.second[k, c]
-            elif not common:
+            elif not at_nearest:
                 out.arm_a[k, c] = out.second[k, c] + out.arm_b[k, c] - out.first[k, c]
     return length
 
