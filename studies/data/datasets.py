@@ -26,7 +26,7 @@ from ..inputs.config import Inputs
 from ..inputs.kinds import KINDS, load_installed
 from ..inputs.sources import checked
 from ..inputs.texts import finite, line_of, parse_toml, printable, quoted
-from .tables import Rows, check_order, column, inside, optional_column, read_table, read_text
+from .tables import Rows, column, in_order, inside, optional_column, read_table, read_text
 from .units import check_contact_times, check_heights, check_peaks, doubtful_body
 
 PARTS = ("dataset", "body", "contact", "measurement")
@@ -242,8 +242,7 @@ def read_drops(folder: Path) -> Drops:
             f"{path}: too few drops, {len(rows)}: an interval needs three, the loop four"
         )
     rows, twice = _once(rows)
-    drop = column(path, rows, "drop", whole=True)
-    check_order(path, rows, "drop", drop)
+    rows, drop = in_order(path, rows, "drop")
     sigma, sigma_0 = (manifest.measurement.get(f"sigma_{y}_mm") for y in ("y", "y0"))
     y0 = column(path, rows, "y0_mm", above=0.0, empty=True)
     y1 = column(path, rows, "y1_mm", least=-BELOW * (sigma or SIGMA_MM), empty=True)

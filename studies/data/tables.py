@@ -147,6 +147,23 @@ def check_order(
         raise InputError(f"{path}:{line}: {name} must count upwards in the order they were made")
 
 
+def in_order(path: Path, rows: Rows, name: str) -> tuple[Rows, Array]:
+    """The rows by the whole numbers in column ``name``, and these (rows,), whatever order they
+    stand in. InputError where two have the same number."""
+    numbers = column(path, rows, name, whole=True)
+    order = np.argsort(numbers, kind="stable")
+    rows = [rows[i] for i in order]
+    again = np.flatnonzero(np.diff(numbers[order]) == 0.0)
+    if len(again):
+        (first, _), (second, _) = rows[again[0]], rows[again[0] + 1]
+        number = f"{numbers[order][again[0]]:g}"
+        raise InputError(
+            f"{path}:{second}: {name} {number} stands in line {first} as well; number each in the "
+            "order they were made"
+        )
+    return rows, numbers[order]
+
+
 class InPieces:
     """Rows in pieces, one after the other: ``begins`` (pieces + 1,) says where each begins."""
 

@@ -243,7 +243,7 @@ def test_command_writes_json_and_page_of_a_dataset(folder, tmp_path):
         ("1,10,5\n2,-2,1\n3,3,1\n", "", r"drops.csv:3: y0_mm must be more than 0"),
         ("1,10,5\n2,nan,1\n3,3,1\n", "", r"drops.csv:3: y0_mm must be a finite number"),
         ("1,10,5\n2,2\n3,3,1\n", "", r"drops.csv:3: 2 values under 3 columns"),
-        ("1,10,5\n1,2,1\n3,3,1\n", "", r"drops.csv:3: drop must count upwards"),
+        ("1,10,5\n1,2,1\n3,3,1\n", "", r"drops.csv:3: drop 1 stands in line 2 as well"),
         ("1,10,5\n", "", "too few drops, 1"),
         (GOOD, "[body]\nlenght_m = 0.3\n", r"dataset.toml:5: lenght_m .* did you mean length_m"),
         (GOOD, "[body]\nlength_m = -1\n", r"dataset.toml:5: length_m: must be greater"),

@@ -53,9 +53,10 @@ RATIO_DEGREE = 3
 DILUTED = 0.1
 # Standard errors of a variance within which heights are one height.
 ONE_HEIGHT = 3.0
-# Numbers missing, over the usual step between them, after which another session began; and how many
-# drops a session has, to be told from slips.
-MISSING, FEWEST_IN_SESSION = 10.0, 4
+# Numbers missing, over the usual step between them, after which another session began.
+MISSING = 10.0
+# How many drops a session has, to be told from slips: one that the table tells, and others.
+FEWEST_TOLD, FEWEST_IN_SESSION = 2, 4
 # Nats by which another beginning of the second session is hardly less likely.
 NEARLY = 2.0
 # Standard deviations by which a fitted height may differ from the one that was read.
@@ -356,7 +357,8 @@ def sessions(data: datasets.Drops, left: Array) -> tuple[Array, int, tuple[int, 
         alone = (each[1:-1] for each in (drops, sizes, sums))
         parts = [np.concatenate(each) for each in zip(parts, alone, strict=True)]
     second, size, load = parts
-    possible = np.flatnonzero(np.minimum(second, n - second) >= FEWEST_IN_SESSION)
+    fewest = FEWEST_TOLD if told else FEWEST_IN_SESSION
+    possible = np.flatnonzero(np.minimum(second, n - second) >= fewest)
     if not possible.size:
         return np.zeros(n), 0, (0, 0)
     gains = load**2 / np.maximum(size, 1)

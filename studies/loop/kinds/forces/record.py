@@ -14,8 +14,8 @@ from ....data.datasets import Manifest, read_manifest
 from ....data.tables import (
     InPieces,
     Series,
-    check_order,
     column,
+    in_order,
     inside,
     optional_column,
     read_series,
@@ -110,9 +110,7 @@ def _heights(
 ) -> tuple[Array, Array | None]:
     """Heights before and after, of the drops that have a record."""
     path = inside(manifest.folder, HEIGHTS)
-    rows_read = read_table(path, required=("drop", "y0_mm"))
-    drop = column(path, rows_read, "drop", whole=True).astype(np.int64)
-    check_order(path, rows_read, "drop", drop)
+    rows_read, drop = in_order(path, read_table(path, required=("drop", "y0_mm")), "drop")
     y0 = 1e-3 * column(path, rows_read, "y0_mm", above=0.0)
     y1 = optional_column(path, rows_read, "y1_mm", 1e-3)
     check_heights(path, [line for line, _ in rows_read], y0, y1)
