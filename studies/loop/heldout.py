@@ -18,6 +18,7 @@ import numpy as np
 from scipy.special import logsumexp, ndtri
 
 from ...solver.arrays import Array
+from .fit import likely_noise
 from .noise import Ints, log_density_at
 from .posterior import Posterior, refitted
 from .problem import Problem
@@ -33,6 +34,8 @@ FOLDS = 3
 IN_BLOCK = 4
 # A model is fitted anew to so many groups or more.
 LEAST_FITTED = 2
+# Noises of a smaller probability are left out.
+LEAST_SHARE = 1e-6
 TRIMMED = 1 / 8
 # Of `HeldOut`, by their own names in verdict.json.
 KEYS = (
@@ -140,8 +143,9 @@ class Judge:
     def predict(self, final: Posterior) -> Predicted:
         """The predictive distribution of one model."""
         rng = np.random.default_rng([self.seed, 3])
-        predicted, noise = _mixture(self.held, final, rng)
-        draws = _draws(self.held, final, predicted, noise, rng)
+        predicted = _drawn(self.held, final, rng)
+        shares = _shares(self.data, final, self.held)
+        draws = _draws(self.held, final, predicted, shares, rng)
         return Predicted(_mean(self.held, final), draws)
 
     def gain(self, final: Posterior, before: Posterior | None = None) -> Gain:
@@ -266,12 +270,21 @@ def _mean(held: Sample, final: Posterior) -> Array:
     return np.asarray(np.asarray(model.weights) @ held.predict(model, final.fitted.theta))
 
 
-def _mixture(held: Sample, final: Posterior, rng: np.random.Generator) -> tuple[Array, int]:
-    """Predictions (points, nodes, rows) at draws of the parameters, and the noise among those of
-    the held-out rows that is most like the fitted one."""
+def _drawn(held: Sample, final: Posterior, rng: np.random.Generator) -> Array:
+    """Predictions (points, nodes, rows) at draws of the parameters."""
     pick = rng.choice(final.weights.size, size=POINTS, p=final.weights)
-    predicted = held.predict(final.fitted.model, final.theta[pick])
-    return predicted, final.noises.alike(final.fitted.noise, held.noises)
+    return held.predict(final.fitted.model, final.theta[pick])
+
+
+def _shares(fitted: Sample, final: Posterior, held: Sample) -> dict[int, float]:
+    """How probable each noise of the held-out rows is, by its number: as probable as the fitted one
+    that it is alike. Who has fitted no outlier does not know that there is none."""
+    shares = likely_noise(fitted, final.fitted)[2]
+    out: dict[int, float] = {}
+    for which in np.flatnonzero(shares > LEAST_SHARE):
+        alike = final.noises.alike(int(which), held.noises)
+        out[alike] = out.get(alike, 0.0) + float(shares[which])
+    return out
 
 
 def _scored(
@@ -280,27 +293,38 @@ def _scored(
     """Log scores (groups,) of ``scored`` rows by a model fitted to ``fitted`` rows, and the sum of
     its squared errors."""
     again = refitted(fitted, model, rng)
-    predicted, noise = _mixture(scored, again, rng)
+    predicted = _drawn(scored, again, rng)
     error = scored.values - _mean(scored, again)
-    return _group_scores(scored, again, predicted, noise), float(error @ error)
+    shares = _shares(fitted, again, scored)
+    return _group_scores(scored, again, predicted, shares), float(error @ error)
 
 
-def _group_scores(held: Sample, final: Posterior, predicted: Array, noise: int) -> Array:
-    """Log predictive densities (groups,) of the values, parameters averaged."""
-    weights = np.asarray(final.fitted.model.weights)
-    scale, shape = held.noises.scale[noise], int(held.noises.shape[noise])
-    density = log_density_at((held.values - predicted) / scale, shape) - np.log(scale)
-    by_group = np.add.reduceat(density, held.starts[:-1], axis=-1)
-    by_point = logsumexp(by_group + np.log(weights)[:, None], axis=1)
-    return np.asarray(logsumexp(by_point, axis=0) - np.log(predicted.shape[0]))
+def _group_scores(
+    held: Sample, final: Posterior, predicted: Array, shares: dict[int, float]
+) -> Array:
+    """Log predictive densities (groups,) of the values, averaged over parameters and noises."""
+    weights = np.log(np.asarray(final.fitted.model.weights))[:, None]
+    logs = []
+    for noise, share in shares.items():
+        scale, shape = held.noises.scale[noise], int(held.noises.shape[noise])
+        density = log_density_at((held.values - predicted) / scale, shape) - np.log(scale)
+        by_group = np.add.reduceat(density, held.starts[:-1], axis=-1)
+        logs.append(logsumexp(by_group + weights, axis=(0, 1)) + np.log(share))
+    return np.asarray(logsumexp(logs, axis=0) - np.log(predicted.shape[0]))
 
 
 def _draws(
-    held: Sample, final: Posterior, predicted: Array, noise: int, rng: np.random.Generator
+    held: Sample,
+    final: Posterior,
+    predicted: Array,
+    shares: dict[int, float],
+    rng: np.random.Generator,
 ) -> Array:
     """Predictive draws (draws, rows): parameters, each group's chance, and noise."""
     weights = np.asarray(final.fitted.model.weights)
     point = rng.integers(predicted.shape[0], size=DRAWS)
     node = rng.choice(weights.size, size=(DRAWS, held.starts.size - 1), p=weights / weights.sum())
     mean = predicted[point[:, None], node[:, held.group], np.arange(held.values.size)[None]]
-    return np.asarray(mean + held.noises.draw(np.full(DRAWS, noise), rng))
+    likely = np.array(list(shares.values()))
+    noise = rng.choice(np.array(list(shares)), size=DRAWS, p=likely / likely.sum())
+    return np.asarray(mean + held.noises.draw(noise, rng))

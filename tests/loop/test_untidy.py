@@ -18,7 +18,12 @@ from bristle.studies.close_loop.opening import opening
 from bristle.studies.data.datasets import read_drops
 from bristle.studies.loop.kinds.drops import problem as drops_module
 from bristle.studies.loop.kinds.drops.bookkeeping import Table, meant, misread
-from bristle.studies.loop.kinds.drops.problem import drops_problem, order_of, read_problem
+from bristle.studies.loop.kinds.drops.problem import (
+    drops_problem,
+    order_of,
+    read_problem,
+    sessions,
+)
 from bristle.studies.loop.responses.drop_model import Errors
 from bristle.studies.loop.run import find
 from bristle.studies.loop.scatter import Scatter
@@ -261,6 +266,17 @@ def test_a_reading_may_lie_some_sigma_below_zero(tmp_path):
         read_drops(tmp_path)
 
 
+def test_rows_may_stand_in_any_order(tmp_path):
+    """Their numbers say in which they were made."""
+    write_drops(tmp_path, forces=True)
+    whole = drops_problem(read_drops(tmp_path))
+    shuffled = drops_problem(
+        read_drops(edited(tmp_path, lambda rows: rows.sort(key=lambda r: r[1])))
+    )
+    assert np.array_equal(shuffled.values, whole.values)
+    assert np.array_equal(shuffled.group, whole.group)
+
+
 # --- sessions and error bars --------------------------------------------------------------------
 
 
@@ -304,6 +320,14 @@ def test_a_difference_between_sessions_is_named_as_such(told, few, tmp_path):
     where = {"column": "of b", "gap": "from drop 1001 on", "nowhere": "from drop"}[told]
     assert f"a difference between sessions {where}" in opening(found)[0]
     assert found.parameters["decades"].low < 0.12 < found.parameters["decades"].high
+
+
+def test_a_session_that_the_table_tells_may_have_two_drops(tmp_path):
+    data = read_drops(write_drops(tmp_path))
+    left = np.repeat([[0.0], [3.0]], [2, len(data.drop) - 2], axis=0)
+    told = replace(data, session=("a",) * 2 + ("b",) * (len(data.drop) - 2))
+    assert list(np.flatnonzero(sessions(told, left)[0] == 0.0)) == [0, 1]
+    assert np.sum(sessions(data, left)[0] == 0.0) == 4
 
 
 def test_a_row_that_stands_twice_is_told_and_counted_once(few, tmp_path):
