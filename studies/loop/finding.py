@@ -88,7 +88,8 @@ class Finding:
     ``rows`` numbers the problem's rows that were fitted; ``residual_before``, ``residual_after``
     are their quantile residuals, ``covariates`` what they are drawn against. ``theta`` are the
     likeliest parameters of the reported ``model``, ``parameters`` posterior medians with intervals.
-    ``lead`` is a doubt that comes before the verdict.
+    ``lead`` is a doubt that comes before the verdict. ``unlike`` is a record that nothing known
+    explains with the others, where that may be what is wrong.
     ``unlisted`` is the log evidence of the best shape that no effect has, ``shape``, on the scale
     of ``evidences``. ``detectable`` and ``needed_d``: magnitude and size at which an effect is
     noticed nine times in ten.
@@ -129,6 +130,7 @@ class Finding:
     warnings: tuple[str, ...]
     left_aside: tuple[str, ...]
     bookkeeping: tuple[Entry, ...]
+    unlike: Entry | None
     lead: str
     remarks: Mapping[str, str]
     seed: int

@@ -27,14 +27,16 @@ from .explain import (
     shares_of,
 )
 from .finding import Evidence, Finding, Interval, Near, Verdict
+from .fit import settle
 from .heldout import HeldOut, Judge, rms, split
 from .noise import Ints
 from .posterior import Posterior, posterior
-from .problem import Problem
+from .problem import Entry, Problem
 from .profile import Profile, classes, directions, profile
 from .sample import Sample, estimated_units, sample
 from .scatter import FAR_SMALLER, Scatter
 from .search import Tried, fit_baseline, fit_candidate, fit_simulated, near_likeliest
+from .slips import FEWEST, are_too_many, could_be_anything
 
 ALARM = 0.01
 CREDIBLE = 0.97
@@ -74,6 +76,8 @@ def find(
     data's own are taken if wider noise is what explains them best, and nothing is missing then.
     """
     problem = problem.once()
+    if problem.records:
+        return _of_records(problem, seed, alarm, advance)
     told = Scatter.of(problem)
     if told is None or problem.with_sigma is None:
         return _find(problem, seed, alarm, advance)
@@ -87,6 +91,45 @@ def find(
     if other.verdict is not Verdict.ADEQUATE:
         return found
     return replace(other, warnings=(told.words(), *other.warnings))
+
+
+def _of_records(problem: Problem, seed: int, alarm: float, advance: Callable[..., None]) -> Finding:
+    """`find` of records in time: where nothing explains all of them, without those that are unlike
+    the others, if that is how the others are explained."""
+    found = first = _find(problem, seed, alarm, advance)
+    count = problem.groups.size
+    if count < FEWEST:
+        return first
+    unlike: list[Entry] = []
+    while found.verdict is Verdict.UNKNOWN and found.unlike is not None:
+        unlike.append(found.unlike)
+        if are_too_many(len(unlike), count):
+            return first
+        aside = (*problem.aside, *(drop for each in unlike for drop in each.drops))
+        found = _find(replace(problem, aside=aside), seed, alarm)
+    if found.verdict is Verdict.UNKNOWN:
+        return first
+    return replace(found, bookkeeping=(*found.bookkeeping, *unlike))
+
+
+def _unlike(state: State, singles: Sequence[Tried]) -> Entry | None:
+    """The record that is farthest off the likeliest single effect, if it has to be called written
+    wrongly. What differs by chance from record to record could be anything, and does not count."""
+    known = [each for each in singles if np.asarray(each.fitted.model.weights).size == 1]
+    if not known:
+        return None
+    data, near = state.every, max(known, key=lambda each: each.log_evidence).fitted
+    z = data.values - settle(data, near.model, near.u[None]).mean
+    size = np.sqrt(np.add.reduceat(z**2, data.starts[:-1]) / np.diff(data.starts))
+    worst = int(np.argmax(size))
+    first, last = data.starts[[worst, worst + 1]]
+    if not could_be_anything(z[first:last], data.values):
+        return None
+    why = (
+        f"this record is unlike the others: it lies {size[worst]:.2g} standard deviations off what "
+        f"explains them, and of the others none more than {np.delete(size, worst).max():.2g}"
+    )
+    return Entry("slip", (int(state.problem.group[data.rows[first]]),), why)
 
 
 def _wider_is_best(found: Finding) -> bool:
@@ -217,6 +260,7 @@ def _find(
         warnings=(*filter(None, (problem.lead,)), *problem.warnings, *filter(None, doubts)),
         left_aside=problem.left_aside,
         bookkeeping=problem.bookkeeping,
+        unlike=_unlike(state, singles) if problem.records and missing and best is None else None,
         lead=problem.lead,
         remarks=problem.remarks,
         seed=seed,

@@ -182,6 +182,24 @@ def test_what_is_missing_is_named(tmp_path):
     assert str(find(still, 0).verdict) == "adequate"
 
 
+@pytest.mark.parametrize(("fall", "factor"), [(6, 1.0 / GRAVITY), (12, 1.0 / GRAVITY), (9, 2.0)])
+def test_a_fall_in_another_unit_is_set_aside_and_the_drag_is_found(fall, factor, tmp_path):
+    """Wherever it is, among those held out or those fitted."""
+    rows = made_rows(np.random.default_rng(11), k=0.12)
+    rows = [(n, t, a * (factor if n == fall else 1.0)) for n, t, a in rows]
+    found = find(fall_problem(read_falls(write(tmp_path / "one", rows))), 0)
+    assert found.effects == ("air_drag",)
+    assert [(each.kind, each.drops) for each in found.bookkeeping] == [("slip", (fall,))]
+    assert found.parameters["k_1_m"].low < 0.12 < found.parameters["k_1_m"].high
+
+
+def test_falls_that_all_differ_are_no_slips(tmp_path):
+    rows = made_rows(np.random.default_rng(11), k=0.12, spread=0.3)
+    found = find(fall_problem(read_falls(write(tmp_path, rows))), 0)
+    assert "drag_scatter" in found.effects
+    assert not found.bookkeeping
+
+
 def test_the_course_of_a_drag_linear_in_speed_is_its_own(tmp_path):
     """That of k v² leaves more than the noise of it, that of c v the noise: √(2 / 100) = 0.14."""
     rng = np.random.default_rng(12)

@@ -2,9 +2,7 @@
 
 A reading is compared with what the other drops make of its height, by the baseline's prediction
 times a smooth function that is fitted robustly to all drops, so no effect need be known. A row is a
-slip where that is likelier than noise by Bayes' rule, outliers among the noise. People who copy
-numbers err in about one of a hundred (K. A. Barchard and L. A. Pace, Comput. Human Behav. 27 (2011)
-1834); one in ten of these errors is taken to have no pattern.
+slip where that is likelier than noise by Bayes' rule, outliers among the noise.
 """
 
 from __future__ import annotations
@@ -19,20 +17,17 @@ import numpy as np
 from numpy.polynomial.legendre import legvander
 from numpy.typing import NDArray
 from scipy.special import log_softmax, logsumexp
-from scipy.stats import poisson
 
 from .....solver.arrays import Array
 from ...noise import DECLARED, SHAPES, log_density_at
 from ...problem import Entry
+from ...slips import ANYTHING, FEWEST, REACH, SLIP, SURE, are_too_many
 
-SLIP, ANYTHING = 0.01, 0.001
-# Of a row: above it is set aside.
-SURE = 0.95
-# More slips than this chance allows are none, and side by side they are a shape.
-TOO_MANY, SIDE_BY_SIDE = 1e-3, 0.01
+# Slips side by side of a smaller chance are a shape.
+SIDE_BY_SIDE = 0.01
 # Coincidences that are expected: below it a row that comes twice was written twice.
 COINCIDENT = 0.01
-FEWEST, DEGREE, DECIMALS = 8, 3, 6
+DEGREE, DECIMALS = 3, 6
 # The core scale at which each noise that `noise` declares is looked at. What is no other is normal.
 CORES = {"gaussian": 1.0, "t5": 0.78, "t3": 0.65, "outliers": 1.0}
 OTHERS = {name: DECLARED[name][0] for name in CORES if name != "gaussian"}
@@ -82,8 +77,8 @@ def misread(table: Table) -> list[Entry]:
     alone = [row for row in suspects if row not in itertools.chain(*pairs)]
     slips = {row: why for row in alone if (why := _slip(smooth, z, noise, row))}
     rows = [*itertools.chain(*pairs), *slips]
-    expected = (SLIP + ANYTHING) * np.isfinite(table.values).sum()
-    if poisson.sf(len(rows) - 1, expected) < TOO_MANY or _side_by_side(table, rows):
+    read = int(np.isfinite(table.values).sum())
+    if are_too_many(len(rows), read) or _side_by_side(table, rows):
         return found
     number = [int(each) for each in table.number]
     found += [
@@ -181,7 +176,7 @@ class Smooth:
     @property
     def anywhere(self) -> Array:
         """Log density (drops, q) of what could be anything, over a standard deviation."""
-        reach = 1.2 * np.nanmax(np.abs(self.table.values), axis=0)
+        reach = REACH * np.nanmax(np.abs(self.table.values), axis=0)
         return np.asarray(np.log(self.width * self.table.sigma / reach))
 
 
