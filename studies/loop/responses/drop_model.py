@@ -499,12 +499,12 @@ class DropModel(BounceModel):
         errors, mesh = self.errors, self._mesh if self._smooth else None
         few = self if mesh is None else self._few
         measured = few.measured(theta)
-        slopes = None if errors.values is None else few.slopes(theta, measured)
-        if mesh is not None:
-            measured = mesh.spread(measured)
-            slopes = None if slopes is None else mesh.spread(slopes)
-        if errors.values is None or slopes is None:
-            return errors.rows(measured)
+        if errors.values is None:
+            return errors.rows(measured if mesh is None else mesh.spread(measured))
+        if mesh is None:
+            slopes = self.slopes(theta, measured)
+        else:
+            slopes, measured = mesh.spread(mesh.slopes(measured)), mesh.spread(measured)
         factors = errors.factors(slopes)
         left = errors.rows(errors.values - measured, factors)
         return np.asarray(errors.rows(errors.values) - left)

@@ -10,14 +10,16 @@ import itertools
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.interpolate import CubicSpline
 from scipy.sparse import csr_array
 
 from ....solver.arrays import Array
 from ..noise import Ints
 
-# Cubic interpolation between so many heights is off by 1e-7 of a height: tables are smooth, and
-# themselves cubic. Half as many would still do; twice as many cost twice the time.
-HEIGHTS = 96
+# Cubic interpolation between so many heights is off by 1e-6 of a height: tables are smooth, and
+# themselves cubic. Half as many would be off by a hundred-thousandth; twice as many cost twice the
+# time.
+HEIGHTS = 48
 # Of what wears only corrections are taken from so many heights and places in the order: they are
 # hundredths of an effect, and so may be off by a tenth.
 WORN = (32, 8)
@@ -28,18 +30,26 @@ SMALLER = 6
 @dataclass(frozen=True)
 class Mesh:
     """Where drops are predicted, ``y0_m``, ``order`` and ``session`` (points,), and the shares
-    (drops, points) of these in each drop."""
+    (drops, points) of these in each drop; ``over_y0_1_m`` (heights, heights) takes values at the
+    heights, the first axis of the mesh, to their slopes."""
 
     y0_m: Array
     order: Array
     session: Array
     shares: csr_array
+    over_y0_1_m: Array
 
     def spread(self, found: Array) -> Array:
         """Of values (..., points, q) at the mesh those at the drops (..., drops, q)."""
         last = np.moveaxis(found, -2, 0)
         every = self.shares @ last.reshape(len(last), -1)
         return np.moveaxis(every.reshape(-1, *last.shape[1:]), 0, -2)
+
+    def slopes(self, found: Array) -> Array:
+        """Of values (..., points, q) at the mesh their slopes over the height there."""
+        heights = len(self.over_y0_1_m)
+        split = found.reshape(*found.shape[:-2], heights, -1)
+        return np.asarray((self.over_y0_1_m @ split).reshape(found.shape))
 
 
 def mesh_of(y0_m: Array, order: Array | None, session: Array | None) -> Mesh | None:
@@ -69,6 +79,7 @@ def mesh_of(y0_m: Array, order: Array | None, session: Array | None) -> Mesh | N
         order=next(named) if order is not None else np.zeros(len(points)),
         session=next(named) if session is not None else np.zeros(len(points)),
         shares=shares,
+        over_y0_1_m=CubicSpline(nodes, np.eye(len(nodes)))(nodes, 1) / (2.0 * nodes[:, None]),
     )
 
 
