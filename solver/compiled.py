@@ -134,6 +134,33 @@ class _Index(caching.IndexDataCacheFile):
             super().save(key, data)
 
 
+class _InThePackage(caching._CacheLocator):
+    """A function's place in the cache by its place in this package, wherever the package lies.
+
+    Numba goes by the folder and the date of a file. So a clone or an installation of the same
+    sources would compile everything again.
+    """
+
+    def __init__(self, function: Callable[..., Any], path: Path) -> None:
+        self._line, self._path = function.__code__.co_firstlineno, path
+
+    @classmethod
+    def from_function(cls, function: Callable[..., Any], file: str) -> _InThePackage | None:
+        path, sources = Path(file), Path(__file__).parent
+        if not path.is_relative_to(sources) or path.relative_to(sources).parts[0] in APART:
+            return None
+        return cls(function, path.relative_to(sources))
+
+    def get_cache_path(self) -> str:
+        return str(cache_folder() / self._path.parent)
+
+    def get_source_stamp(self) -> str:
+        return ""  # the cache's folder says which sources these are
+
+    def get_disambiguator(self) -> str:
+        return str(self._line)
+
+
 def _load_overload(kept: Any, signature: Signature, target: Any) -> Any:
     """Machine code from the cache, for which Numba need not load all that it can compile.
 
@@ -144,6 +171,7 @@ def _load_overload(kept: Any, signature: Signature, target: Any) -> Any:
 
 
 numba.config.CACHE_DIR = str(cache_folder())
+caching.CacheImpl._locator_classes.insert(0, _InThePackage)
 caching.IndexDataCacheFile = _Index
 caching.Cache.load_overload = _load_overload
 

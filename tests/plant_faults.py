@@ -34,7 +34,6 @@ from itertools import chain, islice, repeat
 from pathlib import Path
 
 from mutants import Mutant, draw, mutants_of
-from numba.core.caching import _CacheLocator
 from reach import ROOT, SOURCES, Clean, files, importers, in_order
 
 from bristle.solver.compiled import version_of
@@ -269,7 +268,7 @@ def workplace(scratch: Path, out: Path, fault: Mutant | None = None) -> Iterator
     """A folder with a copy of the repository, an own cache and own temporary files."""
     with tempfile.TemporaryDirectory(dir=scratch, ignore_cleanup_errors=True) as folder:
         place = Path(folder)
-        # with the times of the files, by which Numba and Python know what they have compiled
+        # with the times of the files, by which Python knows what it has compiled
         shutil.copytree(ROOT, place / "copy", symlinks=True, ignore=not_copied)
         if fault:
             fault.plant(place / "copy")
@@ -284,15 +283,6 @@ def not_copied(folder: str, names: list[str]) -> set[str]:
     return NOT_COPIED & set(names) if Path(folder) == ROOT else {"__pycache__"} & set(names)
 
 
-def folders(place: Path) -> dict[str, str]:
-    """Folders of the program, by the name under which Numba keeps what is in them in a copy."""
-    live = place / "copy" / "docker" / "live" / "bristle"
-    inside = {path.parent.relative_to(ROOT).as_posix() for path in files(*SOURCES)}
-    # the name is made the same way on every machine, but has no public function
-    name_of = _CacheLocator.get_suitable_cache_subpath
-    return {name_of(str(live / each / "any.py")): each for each in inside}
-
-
 def compiled_folder(place: Path) -> Path:
     """Where a copy has what Numba compiles of it."""
     version = version_of(place / "copy" / "solver")
@@ -304,9 +294,8 @@ def keep_compiled(place: Path, out: Path) -> None:
 
     Forms are named after what they hold, so every fault may begin with them.
     """
-    for name, folder in folders(place).items():
-        if (kept := compiled_folder(place) / name).exists():
-            shutil.copytree(kept, out / "compiled" / folder, dirs_exist_ok=True)
+    if compiled_folder(place).exists():
+        shutil.copytree(compiled_folder(place), out / "compiled", dirs_exist_ok=True)
     for kept in (place / "cache").rglob("forms-*"):
         shutil.copytree(kept, out / "forms" / kept.name, dirs_exist_ok=True)
 
@@ -318,14 +307,15 @@ def take_compiled(place: Path, out: Path, fault: Mutant | None) -> None:
     of the functions that it calls: files that import the mutated one are compiled anew, too.
     """
     stale = importers(ROOT / fault.path) if fault else set()
-    for name, folder in folders(place).items():
-        begins = tuple(f"{path.stem}." for path in stale if path.parent == ROOT / folder)
-        if (kept := out / "compiled" / folder).exists():
-            shutil.copytree(
-                kept,
-                compiled_folder(place) / name,
-                ignore=lambda _, names, begins=begins: [n for n in names if n.startswith(begins)],
-            )
+    kept = out / "compiled"
+
+    def of_stale_files(folder: str, names: list[str]) -> set[str]:
+        source = ROOT / "solver" / Path(folder).relative_to(kept)
+        begins = tuple(f"{path.stem}." for path in stale if path.parent == source)
+        return {name for name in names if name.startswith(begins)}
+
+    if kept.exists():
+        shutil.copytree(kept, compiled_folder(place), ignore=of_stale_files)
     if (out / "forms").exists():
         shutil.copytree(out / "forms", place / "cache" / "bristle", dirs_exist_ok=True)
 

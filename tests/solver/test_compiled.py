@@ -13,6 +13,7 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
+import readme
 from commands import environment, mpirun, python
 from mpi4py import MPI
 
@@ -34,6 +35,13 @@ volume = fem.assemble_scalar(form(fem.Constant(block, 1.0) * ufl.dx(block)))
 total = comm.allreduce(volume)
 if comm.rank == 0:
     print(round(total, 9))
+"""
+# a function of the package, and whether its machine code was read from the cache
+ROTATION = """
+import numpy as np
+from bristle.solver.rigid import matrix_of
+assert (matrix_of(np.array([1.0, 0.0, 0.0, 0.0])) == np.eye(3)).all()
+print(sum(matrix_of.stats.cache_hits.values()), matrix_of.stats.cache_path)
 """
 # many further types of one function, as numba keeps them
 INDEX = """
@@ -120,6 +128,21 @@ def test_what_was_compiled_is_not_compiled_again(cache):
     before = library.stat().st_mtime_ns
     at_once(lambda: python("-c", FORM))
     assert library.stat().st_mtime_ns == before
+
+
+def test_a_copy_of_the_package_compiles_nothing_again(cache, tmp_path):
+    """An installation, a clone: other folders and other dates of the same sources."""
+    first, folder = at_once(lambda: python("-c", ROTATION))[0].split()
+    copy = tmp_path / "copy" / "bristle"
+    shutil.copytree(readme.REPOSITORY / "solver", copy / "solver")
+    for path in (copy / "__init__.py", *copy.rglob("*.py")):
+        path.touch()
+    read = f"import sys; sys.path.insert(0, {str(copy.parent)!r})"
+    assert (first, at_once(lambda: python("-c", read + ROTATION))) == ("0", [f"1 {folder}"])
+    changed = copy / "solver" / "materials.py"
+    changed.write_text(changed.read_text() + "# changed\n")
+    hits, other = at_once(lambda: python("-c", read + ROTATION))[0].split()
+    assert (hits, other == folder) == ("0", False)
 
 
 def test_a_killed_compile_is_made_anew(cache):
