@@ -13,6 +13,7 @@ SEED = 20240
 CAMPAIGN, LEVEL = 30, 0.998
 
 
+@pytest.mark.campaign
 @pytest.mark.timeout(1800)  # where no table is there yet, and others work beside it
 def test_what_is_grossly_wrong_is_not_adequate_and_data_with_nothing_in_them_are(tmp_path):
     """At 16 sigma and more neither is chance; a p-value of data that lack nothing may be small

@@ -14,6 +14,8 @@ from bristle.studies.loop.adequacy import STATE_SHARES, STATE_SHIFTS, STATE_SPRE
 from bristle.studies.loop.kinds.drops.problem import drops_problem, sessions
 from bristle.studies.loop.sample import ENOUGH, sample
 
+pytestmark = pytest.mark.serial
+
 # These need no table but the plain one.
 COMPUTED = ("height_offset", "release_velocity", "session", "surface_phases")
 MANY = 2000

@@ -491,6 +491,7 @@ def test_a_ball_bounces_more_than_once_and_a_dashpot_explains_it(tmp_path):
     assert best["c_N_s_m"] > 0.0
 
 
+@pytest.mark.campaign
 def test_the_rebound_and_the_drag_of_a_table_tennis_ball_are_told_apart(tmp_path):
     """Each alone leaves so much that what it leaves points to neither."""
     drag = 0.5 * 1.204 * 0.45 * math.pi * 0.02**2 / 2.7e-3

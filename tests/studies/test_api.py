@@ -195,7 +195,7 @@ def test_a_type_checker_sees_the_inputs(monkeypatch, tmp_path):
     path = tmp_path / "use.py"
     head = "import numpy as np\nfrom bristle.solver.effects.contact import ContactDamping\n"
     path.write_text("\n".join([f"import bristle\n{head}", *lines]))
-    done = python("-m", "mypy", "--cache-dir", tmp_path, path, timeout_s=300.0)
+    done = python("-m", "mypy", path, timeout_s=300.0)
     found = dict.fromkeys(range(5, 5 + len(lines)), "")
     for line, code in re.findall(rf"^{path}:(\d+): error: .*\[([a-z-]+)\]$", done.stdout, re.M):
         found[int(line)] = code

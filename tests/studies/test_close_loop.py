@@ -221,7 +221,10 @@ def test_the_error_of_the_height_before_is_carried_by_the_slope_that_the_data_ha
     "truth",
     [
         {"material_damping": ("beta_s", 2e-6), "stiffening_contact": ("exponent", 2.0)},
-        {"material_damping": ("beta_s", 3e-5), "plastic_contact": ("yield_N", 20.0)},
+        pytest.param(
+            {"material_damping": ("beta_s", 3e-5), "plastic_contact": ("yield_N", 20.0)},
+            marks=pytest.mark.campaign,
+        ),
     ],
     ids=" and ".join,
 )
@@ -240,6 +243,7 @@ def test_two_strong_effects_are_both_named(truth, tmp_path, monkeypatch):
         assert abs(told["estimate"] - value) < told["high"] - told["low"]
 
 
+@pytest.mark.campaign
 def test_a_contact_that_yields_by_another_law_is_found_and_confirmed(tmp_path, monkeypatch):
     """By other physics, and a law that hardens and unloads three times as stiffly."""
     names = [*QUICK, "plastic_contact"]

@@ -33,6 +33,8 @@ from bristle.studies.running.files import to_json
 from bristle.studies.running.results import plain_inputs
 from bristle.studies.running.study import StudyInputs
 
+pytestmark = pytest.mark.serial
+
 NUMBERS = {flag.field: flag for flag in DROP_FLAGS if flag.kind in (float, int)}
 CONTRACT_FLAGS = (
     "model contact kn height its length width thickness diameter youngs poisson density beta alpha "

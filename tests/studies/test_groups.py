@@ -100,8 +100,8 @@ def computed(tmp_path, ranks: int, per_case: int | None) -> list[list]:
 @pytest.mark.slow
 def test_results_are_the_same_whatever_the_groups(tmp_path):
     alone = computed(tmp_path, 3, 3)
-    # three ranks as groups of 2 and 1 of three cases: uneven both ways
-    for per_case in (1, 2, None):
+    # three ranks as groups of 2 and 1 of three cases: uneven both ways; and as it sees fit
+    for per_case in (2, None):
         grouped = computed(tmp_path, 3, per_case)
         assert [row[0] for row in grouped] == [row[0] for row in alone]
         modal = [row[0] != "solid" for row in alone]

@@ -295,7 +295,7 @@ def test_a_drop_that_fails_is_left_out_and_told(tmp_path, monkeypatch):
         run_scatter(scatter(drops=130), tmp_path, MPI.COMM_SELF)
 
 
-@pytest.mark.parametrize("model", ["beam", "reduced"])
+@pytest.mark.parametrize("model", [pytest.param("beam", marks=pytest.mark.campaign), "reduced"])
 def test_ranks_change_nothing(tmp_path, model):
     options = f"--model {model} --elements 4 --cells 1 1 20 --contact-points 3 --drops 110".split()
     run = mpirun(
