@@ -1,26 +1,16 @@
-# Makes the Debian 13 tree of the package list, once. Sourced by docker/run, so that a signal to
+# Makes the Debian 13 tree of lists of packages, once. Sourced by docker/run, so that a signal to
 # the one is a signal to the other. `docker` is the folder of this file.
 #
 # A tree is named after what it is made from and comes into place by a rename: one that is there is
 # whole. A lock lets one call make it while others wait.
 
-# Sets `tree` to the path of the tree under the folder $1.
+# Sets `tree` to the path, under the folder $1, of a tree with the packages of the lists $2…
+# Whoever has the tree for tests runs the program in it, too.
 prepare_tree() {
-    local cache=$1 packages= recipe name log line word
-    while read -r line; do
-        for word in ${line%%#*}; do
-            packages+=${packages:+,}$word
-        done
-    done <"$docker/packages"
-    recipe=(--variant=minbase --components=main --include="$packages"
-        --dpkgopt='path-exclude=/usr/share/doc/*'
-        --dpkgopt='path-include=/usr/share/doc/*/copyright'
-        --dpkgopt='path-exclude=/usr/share/locale/*'
-        --dpkgopt='path-exclude=/usr/share/man/*')
-    name=$(sha256sum <<<"${recipe[*]}")
-    name=tree-${name:0:12}
-    tree=$cache/$name
-    log=$cache/$name.log
+    local cache=$1 recipe name log all=(packages packages-develop)
+    shift
+    name_tree "${all[@]}"
+    [[ -d $tree ]] || name_tree "$@"
     [[ ! -d $tree ]] || return 0
 
     mkdir -p -m 755 "$cache" 2>/dev/null || true # code is read from it, by nobody else written
@@ -42,6 +32,27 @@ prepare_tree() {
     exec {lock}>&-
 }
 
+# Sets `recipe`, `name`, `tree` and `log` for the tree with the packages of the lists $@.
+name_tree() {
+    local packages= line word list
+    for list; do
+        while read -r line; do
+            for word in ${line%%#*}; do
+                packages+=${packages:+,}$word
+            done
+        done <"$docker/$list"
+    done
+    recipe=(--variant=minbase --components=main --include="$packages"
+        --dpkgopt='path-exclude=/usr/share/doc/*'
+        --dpkgopt='path-include=/usr/share/doc/*/copyright'
+        --dpkgopt='path-exclude=/usr/share/locale/*'
+        --dpkgopt='path-exclude=/usr/share/man/*')
+    name=$(sha256sum <<<"${recipe[*]}")
+    name=tree-${name:0:12}
+    tree=$cache/$name
+    log=$cache/$name.log
+}
+
 make_tree() {
     local making=$cache/making-$$ scratch seconds=$SECONDS worker old
     # With the lock held, whatever is half-made was left by a call that was killed.
@@ -55,7 +66,7 @@ make_tree() {
     trap 'give_up 143' TERM
     trap 'give_up 129' HUP
 
-    say "preparing the environment (about 3 minutes, 4 GB) …"
+    say "preparing the environment (about 1 GB to download, 3 minutes, 4 GB of disk) …"
     # A process group of its own can be ended as a whole.
     set -m
     { bootstrap 2>&1 | tee "$log" |

@@ -1,5 +1,6 @@
-"""The environment is what docker/packages says, and docker/run passes everything on."""
+"""The environment is what the lists of packages say, and docker/run passes everything on."""
 
+import ast
 import os
 import re
 import shutil
@@ -20,13 +21,16 @@ ON_DEBIAN = shutil.which("dpkg-query") is not None and Path("/etc/bristle-enviro
 pytestmark = pytest.mark.serial
 
 
-def package_list() -> list[str]:
-    lines = (DOCKER / "packages").read_text().splitlines()
-    return [name for line in lines if (name := line.partition("#")[0].strip())]
+LISTS = ("packages", "packages-develop")
+
+
+def package_list(name: str) -> list[str]:
+    lines = (DOCKER / name).read_text().splitlines()
+    return [package for line in lines if (package := line.partition("#")[0].strip())]
 
 
 def dockerfile_variables() -> dict[str, str]:
-    lines = (DOCKER / "Dockerfile").read_text().splitlines()
+    lines = (DOCKER / "Dockerfile").read_text().partition("FROM environment")[0].splitlines()
     return dict(
         line.removeprefix("ENV ").split("=", 1) for line in lines if line.startswith("ENV ")
     )
@@ -47,7 +51,6 @@ def run(*command: str, **options) -> subprocess.CompletedProcess[str]:
     [
         ("fenics-dolfinx", (0, 9)),
         ("petsc4py", (3, 22)),
-        ("slepc4py", (3, 22)),
         ("mpi4py", (4, 0)),
         ("meshio", (5, 3)),
         ("pyvista", (0, 44)),
@@ -75,7 +78,7 @@ def test_blas_is_openblas() -> None:
 
 @pytest.mark.skipif(not ON_DEBIAN, reason="asks dpkg what the image or the tree holds")
 def test_every_listed_package_is_installed() -> None:
-    listed = package_list()
+    listed = [package for name in LISTS for package in package_list(name)]
     query = subprocess.run(
         ["dpkg-query", "--show", "--showformat=${Package} ${db:Status-Status}\n", *listed],
         capture_output=True,
@@ -88,16 +91,82 @@ def test_every_listed_package_is_installed() -> None:
     assert not set(listed) - installed, query.stderr
 
 
-def test_image_and_tree_are_made_from_the_one_list() -> None:
-    assert len(package_list()) == len(set(package_list())) > 20
+def test_image_and_tree_are_made_from_the_lists() -> None:
     dockerfile = (DOCKER / "Dockerfile").read_text()
-    recipe = (DOCKER / "prepare-tree.sh").read_text()
-    assert "COPY docker/packages" in dockerfile
-    assert '"$docker/packages"' in recipe
-    for name in package_list():
-        own_name = rf"(?<![\w/-]){re.escape(name)}(?![\w-])"
+    first, further = (set(package_list(name)) for name in LISTS)
+    assert not first & further
+    assert len(first) > 20
+    assert len(further) > 5
+    for name in LISTS:
+        assert f"COPY docker/{name} /tmp/packages\n" in dockerfile
+    for package in first | further:
+        own_name = rf"(?<![\w/-]){re.escape(package)}(?![\w-])"
         lists = [line for line in dockerfile.splitlines() if "apt-get install" in line]
-        assert not re.search(own_name, "\n".join(lists).replace("xargs", "")), name
+        assert not re.search(own_name, "\n".join(lists).replace("xargs", "")), package
+
+
+# What Debian calls the package of a module, where that is not python3- and the module.
+PACKAGES = {"PIL": "python3-pil", "gmsh": "python3-gmsh", "pydantic_core": "python3-pydantic-core"}
+
+
+def test_the_first_list_has_what_the_product_imports_and_no_other_module() -> None:
+    imported = set()
+    for room in ("meshes", "solver", "studies"):
+        for path in (ROOT / room).rglob("*.py"):
+            for node in ast.walk(ast.parse(path.read_text())):
+                if isinstance(node, ast.Import):
+                    imported |= {alias.name.split(".")[0] for alias in node.names}
+                elif isinstance(node, ast.ImportFrom) and not node.level and node.module:
+                    imported.add(node.module.split(".")[0])
+    # the script that a result brings for ParaView is run by ParaView
+    imported -= sys.stdlib_module_names | {"paraview", "bristle", "vtkmodules"}
+    needed = {PACKAGES.get(name, f"python3-{name}") for name in imported}
+    listed = {name for name in package_list("packages") if name.startswith("python3-")}
+    # compilers of forms need the headers and setuptools, pyvista a VTK, the image is made by pip
+    others = ("dev", "paraview", "pip", "setuptools")
+    assert listed - needed == {f"python3-{name}" for name in others}
+    assert needed <= listed
+
+
+def test_packages_for_tests_come_when_a_command_asks_for_them(tmp_path: Path) -> None:
+    """docker/run with a tree that says which lists it was asked for."""
+    folder = shutil.copytree(DOCKER, tmp_path / "docker", symlinks=True)
+    (folder / "prepare-tree.sh").write_text('prepare_tree() { echo "${*:2}"; exit; }\n')
+    environment = {**os.environ, "BRISTLE_ENVIRONMENT": "tree"}
+    for command, lists in (
+        (["bristle", "drop", "--out", "results/tests"], LISTS[:1]),
+        (["python3", "-c", "import bristle"], LISTS[:1]),
+        (["pytest", "-n", "0"], LISTS),
+        (["mpirun", "-n", "2", "python3", "-m", "pytest"], LISTS),
+        (["python3", "tests/derived.py"], LISTS),
+        (["sh", "-c", "cd docs\nsphinx-build . out"], LISTS),
+        (["/usr/bin/mypy"], LISTS),
+    ):
+        done = subprocess.run(
+            [folder / "run", *command],
+            env=environment,
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+        assert done.stdout.split() == list(lists), (command, done.stderr)
+
+
+def test_the_tree_for_tests_serves_the_program_too(tmp_path: Path) -> None:
+    script = """
+    source "$docker/common.sh"; source "$docker/prepare-tree.sh"
+    name_tree packages; program=$tree
+    name_tree packages packages-develop; both=$tree
+    mkdir "$program"; prepare_tree "$cache" packages; echo "$tree"
+    mkdir "$both"; prepare_tree "$cache" packages; echo "$tree"
+    rmdir "$program"; prepare_tree "$cache" packages packages-develop; echo "$tree"
+    echo "$program" "$both"
+    """
+    named = {**os.environ, "docker": str(DOCKER), "cache": str(tmp_path)}
+    done = subprocess.run(["bash", "-c", script], env=named, capture_output=True, text=True)
+    *found, program, both = done.stdout.split()
+    assert found == [program, both, both], done.stderr
+    assert program != both
 
 
 def test_variables_of_the_image_are_set_unless_the_caller_did() -> None:
