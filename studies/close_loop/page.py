@@ -11,7 +11,7 @@ from ..report.figures import picture_files
 from ..report.page import FIGURES, Report, percent, write_report
 from ..running.files import remove
 from .closed import Closed
-from .opening import few_data, opening, would_have_shown
+from .opening import DROPS, GROUPS, few_data, opening, would_have_shown
 from .rows import Rows
 from .sections import SECTIONS, prose
 
@@ -52,7 +52,9 @@ def write_page(closed: Closed, out: Path, version: str) -> Path:
 def headline(closed: Closed) -> list[str]:
     """The verdict and what it is worth, in a few sentences."""
     found = closed.finding
-    few = few_data(found, closed.problem, closed.manifest.kind)
+    kind = closed.manifest.kind
+    few = few_data(found, closed.problem, kind)
     shown = would_have_shown(found, closed.problem) if few is None else []
-    told = {"opening": opening(found), "shown": shown, "few": few}
+    names = GROUPS.get(kind, DROPS)
+    told = {"opening": opening(found), "shown": shown, "few": few, "names": names}
     return prose.text("headline", finding=found, solid=closed.confirmation.solid, **told)

@@ -123,10 +123,10 @@ class Entry:
     drops: tuple[int, ...]
     why: str
 
-    def words(self) -> str:
-        """A sentence."""
-        drops = ", ".join(map(str, self.drops))
-        return f"drop{'s' if len(self.drops) > 1 else ''} {drops}: {self.why}"
+    def words(self, one: str = "drop", several: str = "drops") -> str:
+        """A sentence, in the words for what is numbered."""
+        numbers = ", ".join(map(str, self.drops))
+        return f"{several if len(self.drops) > 1 else one} {numbers}: {self.why}"
 
 
 @dataclass(frozen=True)

@@ -16,6 +16,7 @@ from bristle.solver.effects.library import EFFECTS
 from bristle.solver.errors import InputError
 from bristle.studies.close_loop.opening import opening
 from bristle.studies.data.datasets import read_drops
+from bristle.studies.loop.heldout import split
 from bristle.studies.loop.kinds.drops import problem as drops_module
 from bristle.studies.loop.kinds.drops.bookkeeping import Table, meant, misread
 from bristle.studies.loop.kinds.drops.problem import (
@@ -381,6 +382,23 @@ def test_error_bars_that_are_too_small_are_said_to_be_and_are_no_effect(few, tmp
     found = find(drops_problem(read_drops(tmp_path)))
     assert found.verdict == "adequate"
     assert "times too small" in found.warnings[0]
+
+
+def test_an_outlier_that_is_held_out_refuses_no_effect(few, tmp_path, monkeypatch):
+    """A fit that saw none does not know that there is none. Were it sure of it, this one would cost
+    more than wear gains on all others, since the wider noise of a fit without wear allows it."""
+    monkeypatch.setattr(drops_module, "misread", lambda table: [])  # as if noise made them
+    write_drops(tmp_path, [EFFECTS["wear"](1.5)])
+    held = split(drops_problem(read_drops(tmp_path)), 0)[1][5]
+
+    def raised(rows):
+        row = rows[held - 1]
+        row[2] = f"{float(row[2]) + 20.0 * SIGMA_MM:.4f}"
+
+    found = find(drops_problem(read_drops(edited(tmp_path, raised))))
+    assert found.effects == ("wear",)
+    assert found.held_out.greatest > 10.0
+    assert found.held_out.log_score_gain_low > 0.0
 
 
 def test_a_slip_is_set_aside_and_the_effect_is_found(few, tmp_path):
