@@ -232,7 +232,9 @@ def _settle(
         for turn in range(3):
             if not drops:
                 break
-            speed, bend, free = _motion(t, height, drops)
+            # until an exposure is known, it may be as long as from a frame to the next
+            longest = camera.exposure_s if turn or given.exposure_known else frame_s
+            speed, bend, free = _motion(t, height, drops, longest)
             if turn < 2:
                 camera = camera_of(ends, -speed, -bend, free, frame_s, given)
             fitted = edges(ends, -speed, -bend, camera)
@@ -294,9 +296,10 @@ def _again(
 
 
 def _motion(
-    t: Array, height: Array, drops: Sequence[Drop]
+    t: Array, height: Array, drops: Sequence[Drop], exposure_s: float
 ) -> tuple[Array, Array, NDArray[np.bool_]]:
-    """Upward speeds and accelerations (frames,) in px and s, and which frames fly freely."""
+    """Upward speeds and accelerations (frames,) in px and s, and which frames fly freely all
+    through an exposure."""
     speed, bend = np.gradient(height, t), np.zeros(len(t))
     free: NDArray[np.bool_] = np.zeros(len(t), dtype=bool)
     for drop in drops:
@@ -304,7 +307,10 @@ def _motion(
         phase = drop.phase(t[own])
         speed[own] = drop.speed(t[own])
         bend[own] = np.where(phase >= 0, -drop.gravity, 0.0)
-        free[own] = phase >= 0
+        clear = clear_of(drop, t[own], exposure_s)
+        if drop.release_s is not None:
+            clear &= t[own] > drop.release_s + 0.5 * exposure_s
+        free[own] = clear & (phase >= 0)
     return speed, bend, free
 
 
@@ -352,7 +358,7 @@ def _lengths(
 ) -> Array:
     """Lengths (frames,) of the strip in px where both ends are in view and it flies freely, so that
     no hand hides the upper one."""
-    speed, bend, free = _motion(t, height, drops)
+    speed, bend, free = _motion(t, height, drops, camera.exposure_s)
     length = np.full(len(t), np.nan)
     both = np.flatnonzero(free & np.array([each.top is not None for each in sights]))
     if not len(both):
@@ -369,7 +375,7 @@ def _exposure_of(raw: _Seen, drops: Sequence[Drop], given: Camera, frame_s: floa
     """The exposure in s by which a ball is drawn long, unless it is given."""
     if given.exposure_known or raw.blur is None:
         return given.exposure_s
-    speed, _, free = _motion(raw.t_s, -raw.row, drops)
+    speed, _, free = _motion(raw.t_s, -raw.row, drops, frame_s)
     if free.sum() < 3:
         return 0.0
     speed = np.abs(speed[free])
