@@ -32,7 +32,7 @@ from . import __version__
 from .command.script import as_script
 from .inputs.choices import Noise, Strange
 from .inputs.study_fields import Recipe
-from .loop.responses.table_drops import drops_of, its_s, read_off
+from .loop.responses.table_drops import its_s, outcomes_of, quantities, read_off
 from .running.files import (
     cannot_write,
     folder_in_place,
@@ -48,9 +48,12 @@ from .running.progress import progress
 if TYPE_CHECKING:
     from mpi4py import MPI
 
+    from .film.render import Flown
+
 COLUMNS = ("drop", "y0_mm", "y1_mm", "contact_time_ms", "peak_force_N")
 # Releases by hand: the height is known as measured, not as meant.
 RELEASE_STD_M = 5e-4
+TURNING_RAD_S = 0.02
 # Of the unlisted ripple; no multiple of the heights' spacing, which would hide it.
 RIPPLE_M = 0.032
 TABLE_FILE, MANIFEST_FILE, TRUTH = "drops.csv", "dataset.toml", "bristle-truth-1"
@@ -73,11 +76,13 @@ def reduced_body(comm: MPI.Intracomm) -> ModalBody:
 class Made:
     """A dataset and its truth: ``measured`` and ``true`` (drops, 4) are y0, y1, contact time and
     peak force as read, and as an instrument without noise would read them; ``scenes`` (drops,) are
-    what the drops of a body of mass ``mass_kg`` are made of."""
+    what the drops of a body of mass ``mass_kg`` are made of, and ``spin_rad_s`` (drops,) how fast it
+    turns after the impact."""
 
     recipe: Recipe
     measured: Array
     true: Array
+    spin_rad_s: Array
     scenes: Sequence[Scene]
     mass_kg: float
 
@@ -103,18 +108,19 @@ def make(recipe: Recipe, body: ModalBody) -> Made:
         )
         for i, height in enumerate(heights)
     ]
-    true = _seen(scenes, recipe, body)
+    true, spin_rad_s = _seen(scenes, recipe, body)
     if recipe.unlisted is not None:
         strange, strength = recipe.unlisted
         true[:, 1] *= 1.0 + strength * pattern(strange, heights)
     sigma = np.array([recipe.sigma_y_m, recipe.sigma_y_m, recipe.sigma_t_s, recipe.sigma_force_N])
     measured = true + sigma * _errors(recipe.noise, (len(true), 4), errors)
     measured[:, :2] = np.maximum(measured[:, :2], [1e-4, 0.0])
-    return Made(recipe, measured, true, scenes, body.mass_kg)
+    return Made(recipe, measured, true, spin_rad_s, scenes, body.mass_kg)
 
 
-def _seen(scenes: Sequence[Scene], recipe: Recipe, body: ModalBody) -> Array:
-    """What a perfect reading of the instruments gives of these drops (drops, 4)."""
+def _seen(scenes: Sequence[Scene], recipe: Recipe, body: ModalBody) -> tuple[Array, Array]:
+    """What a perfect reading of the instruments gives of these drops (drops, 4), and how fast the
+    bristle turns after the impact (drops,)."""
     g, bristle = paper.GRAVITY_M_S2, Bristle(material=Material(beta_s=body.beta_s))
     columns = [(s.height_m, s.release_speed_m_s, s.drag_kg_m / body.mass_kg) for s in scenes]
     heights, speeds, drag = np.array(columns).T
@@ -123,12 +129,13 @@ def _seen(scenes: Sequence[Scene], recipe: Recipe, body: ModalBody) -> Array:
         for scene, height in zip(scenes, fallen(heights, g, speeds, drag), strict=True)
     ]
     steps = np.array([FINER * its_s(bristle, scene.law.kn_N_m) for scene in falls])
-    found = np.empty((len(scenes), 3))
+    found, spin = np.empty((len(scenes), 3)), np.empty(len(scenes))
     for step in np.unique(steps):
         mine = np.flatnonzero(steps == step)
-        found[mine] = drops_of(body, [falls[i] for i in mine], g, float(step), recipe.friction)
+        out = outcomes_of(body, [falls[i] for i in mine], g, float(step), recipe.friction)
+        found[mine], spin[mine] = quantities(out), np.hypot(out.spin_x_rad_s, out.spin_y_rad_s)
     before = [scene.y_scale * (scene.height_m + scene.y_offset_m) for scene in scenes]
-    return np.column_stack([before, read_off(found, scenes, body.mass_kg)])
+    return np.column_stack([before, read_off(found, scenes, body.mass_kg)]), spin
 
 
 def pattern(strange: Strange, heights_m: Array) -> Array:
@@ -257,32 +264,43 @@ def write_dataset(made: Made, folder: Path, truth: Path) -> dict[str, Any]:
     return content
 
 
+def flown(made: Made, k: int) -> Flown:
+    """How the lower end of drop ``k`` moves, for a film of it. A bristle that turns with ω carries
+    its end along, which so falls by L/2 ω² more slowly."""
+    from .film.render import Flown, bouncing
+
+    scene, spin = made.scenes[k], float(made.spin_rad_s[k])
+    _, y1_m, contact_s, _ = made.true[k].tolist()
+    height, until = bouncing(
+        scene.height_m,
+        y1_m / scene.y_scale - scene.y_offset_m,
+        contact_s / scene.t_scale,
+        paper.GRAVITY_M_S2,
+        release_m_s=scene.release_speed_m_s,
+        drag_1_m=scene.drag_kg_m / made.mass_kg,
+        # one that turns lands on an edge next, and is not followed
+        bounces=1 if spin > TURNING_RAD_S else 3,
+        slower_m_s2=0.5 * paper.LENGTH_M * spin**2,
+    )
+    return Flown(height, until, scene.tilt_deg, math.degrees(spin))
+
+
 def write_films(made: Made, folder: Path, truth: Path) -> dict[str, Any]:
     """Write a film of each drop into the folder `FILMS` in ``folder``, as a camera of 240 frames a
     second sees it, and the truth to the file ``truth`` outside it, which is returned.
 
-    The lower end follows the drop; the bristle keeps its lean. Raises InputError as
+    The bristle leans as it does in the drop, and goes on turning. Raises InputError as
     `prepare_dataset` does, ComputationError where a film cannot be written.
     """
-    from .film.render import Flown, Look, bouncing, write_film
+    from .film.render import Look, write_film
 
     prepare_dataset(folder, truth, f"{FILMS}/")
     content = _sealed(truth_of(made))
     with together(folder), folder_in_place(folder / FILMS) as films:
         with progress("films", len(made.scenes)) as advance:
-            for k, scene in enumerate(made.scenes):
-                _, y1_m, contact_s, _ = made.true[k].tolist()
-                height, until = bouncing(
-                    scene.height_m,
-                    y1_m / scene.y_scale - scene.y_offset_m,
-                    contact_s / scene.t_scale,
-                    paper.GRAVITY_M_S2,
-                    release_m_s=scene.release_speed_m_s,
-                    drag_1_m=scene.drag_kg_m / made.mass_kg,
-                )
-                flown = Flown(height, until, scene.tilt_deg)
+            for k in range(len(made.scenes)):
                 rng = np.random.default_rng([made.recipe.seed, 3, k])
-                write_film(films / f"drop-{k + 1:03d}.mp4", flown, Look(), rng)
+                write_film(films / f"drop-{k + 1:03d}.mp4", flown(made, k), Look(), rng)
                 advance()
         try:
             write_whole(truth, to_json(content) + "\n")

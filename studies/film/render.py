@@ -47,11 +47,19 @@ class Look:
 @dataclass(frozen=True)
 class Flown:
     """What is drawn: heights of the lower end over the surface (m) at times in s, up to
-    ``until_s``, and the lean in degrees, the upper end to the right."""
+    ``until_s``, and the lean in degrees, the upper end to the right, which grows by ``spin_deg_s``
+    from the first impact on."""
 
     height_m: Callable[[Array], Array]
     until_s: float
     lean_deg: float = 0.0
+    spin_deg_s: float = 0.0
+
+    @property
+    def landed_s(self) -> float:
+        """When it first touches the surface, to a few hundredths of a millisecond."""
+        every = np.linspace(0.0, self.until_s, 20_000)
+        return float(every[int(np.argmax(self.height_m(every) <= 0.0))])
 
 
 def bouncing(
@@ -64,9 +72,11 @@ def bouncing(
     drag_1_m: float = 0.0,
     held_s: float = 0.12,
     bounces: int = 3,
+    slower_m_s2: float = 0.0,
 ) -> tuple[Callable[[Array], Array], float]:
     """Heights of a body that is held, falls under quadratic drag and bounces, and when it lands
-    last. The first bounce leads to ``y1_m``, the others keep the same share of the speed.
+    last. The first bounce leads to ``y1_m``, the others keep the same share of the speed. From it on
+    gravity is smaller by ``slower_m_s2``.
 
     Fall and rise in closed form (Lamb, Dynamics, 1923, section 94).
     """
@@ -74,7 +84,8 @@ def bouncing(
     c, limit = np.sqrt(g * k), np.sqrt(g / k)
     early = np.arctanh(release_m_s / limit) / c
     fall_s = np.arccosh(np.cosh(c * early) * np.exp(k * y0_m)) / c - early
-    down = limit * np.tanh(c * (fall_s + early))
+    down, fall_c = limit * np.tanh(c * (fall_s + early)), c
+    c, limit = np.sqrt((g - slower_m_s2) * k), np.sqrt((g - slower_m_s2) / k)
     up = limit * np.sqrt(np.expm1(2.0 * k * max(y1_m, 0.0)))
     share = up / down
     starts, ups, t = [], [], held_s + fall_s
@@ -88,7 +99,8 @@ def bouncing(
     def height(t_s: Array) -> Array:
         t_s = np.asarray(t_s, dtype=float)
         since = np.maximum(t_s - held_s, 0.0)
-        fallen = (np.log(np.cosh(c * (since + early))) - np.log(np.cosh(c * early))) / k
+        below = np.log(np.cosh(fall_c * (since + early))) - np.log(np.cosh(fall_c * early))
+        fallen = below / k
         y = np.maximum(y0_m - fallen, 0.0)
         for start, speed in zip(starts, ups, strict=True):
             top_s, high = np.arctan(speed / limit) / c, np.log1p((speed / limit) ** 2) / (2.0 * k)
@@ -111,7 +123,11 @@ def write_film(
     """
     high_mm = 1e3 * float(np.max(flown.height_m(np.linspace(0.0, flown.until_s, 2000))))
     rows = int((look.length_mm + high_mm + look.above_mm + look.below_mm) / look.mm_per_px)
-    rows, columns = rows // 2 * 2, look.columns // 2 * 2
+    landed = flown.landed_s
+    most = flown.lean_deg + flown.spin_deg_s * max(flown.until_s - landed, 0.0)
+    # a bristle that leans needs a wider picture
+    wide = look.columns + look.length_mm / look.mm_per_px * np.tan(np.radians(most))
+    rows, columns = rows // 2 * 2, int(wide) // 2 * 2
     floor_row = rows - look.below_mm / look.mm_per_px
     wall = _light(_wall(rows, columns, floor_row, look, rng), look.gamma)
     times = np.arange(0.0, flown.until_s, 1.0 / look.fps)
@@ -119,7 +135,11 @@ def write_film(
     with film_writer(path, round(look.fps), rows, columns, look.crf) as add:
         for t in times:
             tips = floor_row - 1e3 * flown.height_m(t + parts) / look.mm_per_px
-            shares = [_share(rows, columns, float(tip), flown.lean_deg, look) for tip in tips]
+            leans = flown.lean_deg + flown.spin_deg_s * np.maximum(t + parts - landed, 0.0)
+            shares = [
+                _share(rows, columns, float(tip), float(lean), look)
+                for tip, lean in zip(tips, leans, strict=True)
+            ]
             light = wall + np.mean(shares, axis=0) * (_light(look.bristle, look.gamma) - wall)
             grey = 255.0 * light ** (1.0 / look.gamma) + look.noise * rng.normal(size=light.shape)
             picture = np.clip(np.round(grey), 0, 255).astype(np.uint8)
@@ -145,7 +165,7 @@ def _share(rows: int, columns: int, tip_row: float, lean_deg: float, look: Look)
     """The share of each pixel (rows, columns) that the bristle covers, its end at ``tip_row``."""
     lean = np.radians(lean_deg)
     half, length = 0.5 * look.width_mm / look.mm_per_px, look.length_mm / look.mm_per_px
-    axis = 0.45 * columns
+    axis = 0.45 * look.columns
     ends = axis, axis + length * np.sin(lean)
     left, right = max(int(min(ends) - half - 3.0), 0), int(max(ends) + half + 4.0)
     row, column = np.mgrid[:rows, left : min(right, columns)].astype(float)

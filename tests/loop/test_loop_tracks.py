@@ -333,14 +333,36 @@ def test_every_row_may_have_an_uncertainty_of_its_own(tmp_path):
 
 def test_a_scale_is_fitted_within_its_declared_error(tmp_path):
     made(tmp_path, {}, keys="sigma_y_mm = 0.25\nsigma_scale = 0.01\n", **{**HIGH, "seconds": 0.6})
-    data = _with_column(tmp_path / "films", "lean_deg", 2.0, lambda t: 0.012 * t.y_mm)
+    data = _with_column(tmp_path / "films", "lean_deg", np.nan, lambda t: 0.012 * t.y_mm)
     problem = tracks_problem(data)
     best, apart, left = fitted(problem, ())
     is_noise(left, problem, 2)
     # lengths are read 1.2 % too long
     assert abs(1.0 / best["scale"] - 1.012) < 4.0 * apart["scale"]
     assert apart["scale"] < 0.003
-    assert any("lean by 2.0 degrees" in each for each in problem.warnings)
+
+
+@pytest.mark.parametrize("lean_deg", [-2.0, 0.05])
+def test_a_lean_that_films_show_is_the_lean_of_the_model(lean_deg, tmp_path):
+    """Bristles that lean to the left, and upright ones; each film's own lean is a little off."""
+    made(tmp_path, {"bristle_tilt": 2.0} if lean_deg < 0.0 else {}, seed=3, drops=8)
+    rng = np.random.default_rng(5)
+    off = dict(enumerate(0.02 * rng.standard_normal(9)))
+    data = _with_column(tmp_path / "films", "lean_deg", lambda t: lean_deg + t["drop"].map(off))
+    problem = tracks_problem(data)
+    rows = problem.quantity == NAMES["l"]
+    assert list(problem.group[rows]) == list(range(1, 9))
+    upright = problem.values[rows] ** 2  # the baseline predicts none
+    theta, spread, _ = fitted(problem, ("bristle_tilt",))
+    if lean_deg < 0.0:
+        assert upright.sum() > 100.0
+        assert abs(theta["tilt_deg"] - 2.0) < 3.0 * spread["tilt_deg"]
+        assert spread["tilt_deg"] < 0.15
+        assert any("lean by 2.0 degrees" in each for each in problem.warnings)
+    else:
+        assert upright.sum() < 1.0
+        assert theta["tilt_deg"] < 0.3
+        assert any("a lean towards the camera would not show" in e for e in problem.warnings)
 
 
 def test_what_is_not_used_is_told(tmp_path):

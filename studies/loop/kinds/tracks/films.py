@@ -13,6 +13,7 @@ from .....solver.bristle import RigidMass
 from .....solver.errors import InputError
 from .common import together
 from .flight import heights, rises_of
+from .lean import doubts_of_lean, with_lean
 from .phases import phases
 from .record import LEAST_FILMS, Tracks
 from .rows import Film, Track, reduced
@@ -24,8 +25,6 @@ MOST_OFF_M = 5e-3
 """How far the surface may be from a declared zero of the heights: what an eye would not see."""
 BEYOND_CHANCE = 4.0
 """Standard errors beyond which the scatter of frames is another than declared."""
-LEAST_LEAN_DEG = 0.3
-"""Half a degree takes 2 % off the rebound of a bristle with little damping."""
 MOST_BOUNCES = 8
 MOST_MEMORY = 0.95
 MANY = 200
@@ -37,7 +36,8 @@ STRAYING = 4.0
 @dataclass(frozen=True)
 class Filmed:
     """The films that can be used, their tracks and numbers; what a pixel is in m, for films in
-    pixels, and what the user is to know of the rest."""
+    pixels; by how much each bristle leans, with its standard error (2, films), and what the user is
+    to know of the rest."""
 
     films: Sequence[Film]
     tracks: Sequence[Track]
@@ -48,6 +48,7 @@ class Filmed:
     sigma_known: bool
     warnings: tuple[str, ...]
     left_aside: tuple[str, ...]
+    lean_deg: Array
 
     @property
     def faster_fps(self) -> float:
@@ -79,9 +80,11 @@ def filmed(data: Tracks) -> Filmed:
     good = [i for i, each in enumerate(found) if each is not None]
     films = [films[i] for i in good]
     tracks = together(films, [each for each in found if each is not None])
+    lean_deg = data.lean_before_deg[:, good]
     return Filmed(
         films=films,
-        tracks=[_widened(each, wider) for each in tracks],
+        tracks=with_lean([_widened(each, wider) for each in tracks], *lean_deg),
+        lean_deg=lean_deg,
         number=data.drop[data.begins[:-1]][good],
         pixel_m=pixel,
         floor_known=films[0].floor_known,
@@ -89,7 +92,7 @@ def filmed(data: Tracks) -> Filmed:
         sigma_known=declared or count > MANY,
         warnings=(
             *warnings,
-            *_of_lean(data.lean_before_deg),
+            *doubts_of_lean(data.lean_before_deg[0]),
             *_of_noise(declared, scatter, count, memory, (sigma, pixel)),
         ),
         left_aside=_left_aside(data, found, bounces, len(straying)),
@@ -116,19 +119,6 @@ def _over_a_surface(
                 ],
             )
     return films, found, []
-
-
-def _of_lean(lean_deg: Array) -> list[str]:
-    """What films say of a lean before the impact, which a model that stands upright lacks."""
-    if len(lean_deg) < LEAST_FILMS:
-        return []
-    middle = float(np.median(np.abs(lean_deg)))
-    if middle < LEAST_LEAN_DEG:
-        return []
-    return [
-        f"the films show bristles that lean by {middle:.1f} degrees before the impact (median of "
-        f"{len(lean_deg)}, in the plane of the picture): a model that stands upright lacks that"
-    ]
 
 
 def _is_off(scatter: float, count: int) -> bool:

@@ -36,6 +36,7 @@ from ...responses.rigid import RigidEmulator, rigid_emulator
 from ..drops.problem import carried, damping, heights_about, simulated_bristle, stiffness
 from .films import Filmed, faster, filmed
 from .flight import released
+from .lean import with_lean
 from .record import KIND, Tracks, read_tracks
 from .rows import FEATURES, Track
 
@@ -47,6 +48,7 @@ NAMES = {
     "r": "y1 (mm)",
     "a": "gravity of the rise (%)",
     "d": "contact time (ms)",
+    "l": "lean (°)",
 }
 MOST_CHANGE = 0.1
 """By how much, as a share, a film's speed of impact changes with what features are supposed."""
@@ -161,10 +163,16 @@ class TrackModel(BounceModel):
             "r": 2.0 * slowed * rise / speed**2,
             "a": np.log(length * slowed / (g * b.clock**2)),
             "d": b.clock * touching,
+            "l": self._lean_deg(theta),
         }
         full = (*np.shape(theta)[:-1], len(self.weights), len(self.speed_m_s))
         every = np.stack([np.broadcast_to(found[name], full) for name in FEATURES], axis=-1)
         return every.reshape(*full[:-1], -1)
+
+    def _lean_deg(self, theta: Array) -> Array:
+        """By how much the bristle leans before it lands (..., 1, 1)."""
+        told = self.given(theta).get("bristle_tilt")
+        return np.zeros((1, 1)) if told is None else np.asarray(told[0])[..., None, None]
 
 
 def read_problem(folder: Path) -> Problem:
@@ -187,14 +195,14 @@ def tracks_problem(data: Tracks) -> Problem:
     def filmed_faster(effects: tuple[str, ...]) -> TrackModel:
         fps = films.faster_fps
         others = [faster(film, each, fps) for film, each in zip(films.films, tracks, strict=True)]
-        weights_of, of = _rows(others)
+        weights_of, of = _rows(with_lean(others, *films.lean_deg))
         return replace(combine(effects), weights_of=weights_of, of=of)
 
     leading = np.concatenate([each.leading for each in tracks])
     known = np.concatenate([each.known for each in tracks])
     film = np.repeat(np.arange(len(tracks)), [len(each.values) for each in tracks])
     drop = (np.cumsum(drops_of) - drops_of)[film] + np.concatenate([t.drop for t in tracks])
-    unit = {name: 1e3 if name in "zd" else 100.0 for name in FEATURES}
+    unit = {name: 1e3 if name in "zd" else 100.0 for name in FEATURES} | {"l": 1.0}
     units = np.array([unit[name] for name in FEATURES])[leading]
     of_height = np.isin(leading, [FEATURES.index("r"), FEATURES.index("h")])
     return Problem(

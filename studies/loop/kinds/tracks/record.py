@@ -30,7 +30,7 @@ class Tracks(InPieces):
     ``sigma_t_s`` that of a time. ``relative`` (frames,) is how uncertain each frame is over that:
     one, unless the table has a column of its own for it. ``sigma_surface`` is how uncertain the
     zero of the heights is, in m or in pixels. ``lean_deg`` (frames,) is by how much the bristle
-    leans in the picture, or None.
+    leans in the picture, and ``sigma_lean_deg`` its standard error, or None.
     """
 
     manifest: Manifest
@@ -46,14 +46,26 @@ class Tracks(InPieces):
     relative: Array
     sigma_surface: float = 0.0
     lean_deg: Array | None = None
+    sigma_lean_deg: Array | None = None
 
     @property
     def lean_before_deg(self) -> Array:
-        """The median lean (films,) in degrees in the first quarter of each film's frames."""
-        if self.lean_deg is None:
-            return np.zeros(0)
-        parts = [self.lean_deg[p.start : (3 * p.start + p.stop) // 4 + 1] for p in self.pieces]
-        return np.array([np.nanmedian(part) for part in parts if np.isfinite(part).any()])
+        """The median lean in the first quarter of each film's frames, and its standard error, in
+        degrees (2, films); not a number where it is not seen."""
+        return np.array([self._lean_of(piece) for piece in self.pieces]).T
+
+    def _lean_of(self, film: slice) -> tuple[float, float]:
+        part = slice(film.start, (3 * film.start + film.stop) // 4 + 1)
+        seen = np.zeros(0) if self.lean_deg is None else self.lean_deg[part]
+        seen = seen[np.isfinite(seen)]
+        if not len(seen):
+            return np.nan, np.nan
+        middle = float(np.median(seen))
+        # frames may err alike, so that many are no surer than one
+        told = np.full(1, np.nan) if self.sigma_lean_deg is None else self.sigma_lean_deg[part]
+        told = told[np.isfinite(told)]
+        scatter = 1.4826 * float(np.median(np.abs(seen - middle)))
+        return middle, float(np.median(told)) if len(told) else scatter
 
 
 def read_tracks(folder: Path) -> Tracks:
@@ -110,6 +122,7 @@ def read_tracks(folder: Path) -> Tracks:
         sigma_surface=(1.0 if in_pixels else 1e-3)
         * float(manifest.measurement.get(f"sigma_surface_{unit}", 0.0)),
         lean_deg=column(path, read.rows, "lean_deg", empty=True) if "lean_deg" in columns else None,
+        sigma_lean_deg=optional_column(path, read.rows, "sigma_lean_deg", 1.0),
     )
 
 

@@ -26,8 +26,9 @@ from numpy.typing import NDArray
 from .....solver.arrays import Array
 from .flight import BOUNCE, HEAD, UNUSED, Phases, derivatives, heights, rises_of, steps_of
 
-FEATURES = ("z", "h", "b", "u", "r", "a", "d")
-"""Of one bounce; those of the fall (the first four) belong to the first."""
+FEATURES = ("z", "h", "b", "u", "r", "a", "d", "l")
+"""Of one bounce; those of the fall (the first four) belong to the first. The last is the lean in
+degrees, which heights do not tell: `with_lean` adds its row."""
 LOOSE = {"z": 3e-3, "h": 0.1, "b": 0.1, "u": 0.05, "r": 0.2, "a": 0.1, "d": 1e-3}
 """How far from none the best track is looked for, as a standard deviation; a row is kept where the
 frames know its feature better than that."""
@@ -62,8 +63,8 @@ class Track:
 
     ``p`` are the numbers of `track_flight`, ``phase`` (frames,) what each frame shows, ``held``
     whether some show the body held. ``speed_m_s`` (drops,) are the speeds of its impacts at ``p``,
-    ``impact_m_s`` + ``impact_weights`` (7 × drops,) @ features is that of the first given features.
-    ``values`` (rows,) = ``weights`` (rows, 7 × drops) @ features
+    ``impact_m_s`` + ``impact_weights`` (features × drops,) @ features is that of the first given features.
+    ``values`` (rows,) = ``weights`` (rows, features × drops) @ features
     + unit noise, where a drop is a bounce, or the fall where none is filmed. ``leading`` (rows,)
     numbers the feature that a row is about, ``drop`` (rows,) its bounce, ``known`` (rows,) how well
     it tells it. ``misfit`` is the sum of squares that the ``freedom`` other combinations of frames
@@ -176,10 +177,11 @@ def reduced(film: Film, p: Array, phase: Phases, held: bool) -> Track:
 
 
 def _by_drop(weights: Array) -> Array:
-    """Weights (rows, 7 × drops) of `FEATURES`, from those (rows, numbers) of a track's numbers."""
+    """Weights (rows, features × drops) of `FEATURES`, from those (rows, numbers) of a track's numbers."""
     n = (weights.shape[1] - len(HEAD)) // len(BOUNCE)
     out = np.zeros((len(weights), max(n, 1), len(FEATURES)))
-    out[:, 0, :4] = weights[:, 2:6]
+    fall = len(HEAD) - 2
+    out[:, 0, :fall] = weights[:, 2 : len(HEAD)]
     if n:
-        out[:, :, 4:] = weights[:, 6:].reshape(len(weights), n, len(BOUNCE))
+        out[:, :, fall : fall + len(BOUNCE)] = weights[:, len(HEAD) :].reshape(len(weights), n, len(BOUNCE))
     return out.reshape(len(weights), max(n, 1) * len(FEATURES))
