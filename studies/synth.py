@@ -76,7 +76,7 @@ def reduced_body(comm: MPI.Intracomm) -> ModalBody:
 class Made:
     """A dataset and its truth: ``measured`` and ``true`` (drops, 4) are y0, y1, contact time and
     peak force as read, and as an instrument without noise would read them; ``scenes`` (drops,) are
-    what the drops of a body of mass ``mass_kg`` are made of, and ``spin_rad_s`` (drops,) how fast it
+    what the drops of a body of mass ``mass_kg`` are made of, ``spin_rad_s`` (drops,) how fast it
     turns after the impact."""
 
     recipe: Recipe

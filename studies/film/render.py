@@ -75,8 +75,8 @@ def bouncing(
     slower_m_s2: float = 0.0,
 ) -> tuple[Callable[[Array], Array], float]:
     """Heights of a body that is held, falls under quadratic drag and bounces, and when it lands
-    last. The first bounce leads to ``y1_m``, the others keep the same share of the speed. From it on
-    gravity is smaller by ``slower_m_s2``.
+    last. The first bounce leads to ``y1_m``, the others keep the same share of the speed. From it
+    on gravity is smaller by ``slower_m_s2``.
 
     Fall and rise in closed form (Lamb, Dynamics, 1923, section 94).
     """

@@ -45,8 +45,8 @@ def together(films: Sequence[Film], tracks: Sequence[Track]) -> list[Track]:
 
 
 def _common_features(tracks: Sequence[Track], per_drag_m: Array) -> tuple[Array, float]:
-    """Features (drops, features) by least squares over all rows, ``per_drag_m`` (drops,) being u over drag
-    over mass; and by how much, over its noise, the rows leave them."""
+    """Features (drops, features) by least squares over all rows, ``per_drag_m`` (drops,) being u
+    over drag over mass; and by how much, over its noise, the rows leave them."""
     drops, n = len(per_drag_m), 7
     slow = per_drag_m.min() / per_drag_m
     loose = [LOOSE[name] for name in "zhbad"] + [LOOSE["u"] / per_drag_m.max(), LOOSE["h"]]

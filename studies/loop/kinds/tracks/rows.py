@@ -63,7 +63,8 @@ class Track:
 
     ``p`` are the numbers of `track_flight`, ``phase`` (frames,) what each frame shows, ``held``
     whether some show the body held. ``speed_m_s`` (drops,) are the speeds of its impacts at ``p``,
-    ``impact_m_s`` + ``impact_weights`` (features × drops,) @ features is that of the first given features.
+    ``impact_m_s`` + ``impact_weights`` (features × drops,) @ features is that of the first given
+    features.
     ``values`` (rows,) = ``weights`` (rows, features × drops) @ features
     + unit noise, where a drop is a bounce, or the fall where none is filmed. ``leading`` (rows,)
     numbers the feature that a row is about, ``drop`` (rows,) its bounce, ``known`` (rows,) how well
@@ -177,11 +178,13 @@ def reduced(film: Film, p: Array, phase: Phases, held: bool) -> Track:
 
 
 def _by_drop(weights: Array) -> Array:
-    """Weights (rows, features × drops) of `FEATURES`, from those (rows, numbers) of a track's numbers."""
+    """Weights (rows, features × drops) of `FEATURES`, from those of a track's numbers (rows,
+    numbers)."""
     n = (weights.shape[1] - len(HEAD)) // len(BOUNCE)
     out = np.zeros((len(weights), max(n, 1), len(FEATURES)))
     fall = len(HEAD) - 2
     out[:, 0, :fall] = weights[:, 2 : len(HEAD)]
     if n:
-        out[:, :, fall : fall + len(BOUNCE)] = weights[:, len(HEAD) :].reshape(len(weights), n, len(BOUNCE))
+        rises = weights[:, len(HEAD) :].reshape(len(weights), n, len(BOUNCE))
+        out[:, :, fall : fall + len(BOUNCE)] = rises
     return out.reshape(len(weights), max(n, 1) * len(FEATURES))
