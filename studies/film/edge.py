@@ -21,8 +21,9 @@ from scipy.special import ndtr
 from ...solver.arrays import Array
 from .follow import End
 
-INSTANTS = 16
-"""Of an exposure: with more, a blur of forty pixels changes by less than a hundredth of one."""
+MOST_INSTANTS, INSTANT_PX = 24, 1.0
+"""Of an exposure: at most so many, and as near to each other as the lens blurs. With twice as many
+an end that moves ten pixels changes by less than a hundredth of one."""
 TURNS = 12
 INSIDE_PX, BEYOND_PX = 20.0, 14.0
 """How far from what the end passes levels are compared."""
@@ -98,7 +99,9 @@ class Edges:
 def edges(ends: Ends, speed: Array, bend: Array, camera: Camera) -> Edges:
     """Fit the ends of frames; ``speed`` and ``bend`` (frames,) are in px/s and px/s², outward."""
     n = len(ends.guess)
-    instants = (np.arange(INSTANTS) + 0.5) / INSTANTS - 0.5
+    longest = camera.exposure_s * float(np.abs(speed).max(initial=0.0))
+    count = int(np.clip(np.ceil(longest / INSTANT_PX), 2, MOST_INSTANTS))
+    instants = (np.arange(count) + 0.5) / count - 0.5
     u = camera.exposure_s * instants
     moved = speed[:, None] * u + 0.5 * bend[:, None] * u**2  # (frames, instants)
     ahead, back = moved.max(axis=1), moved.min(axis=1)

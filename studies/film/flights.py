@@ -629,14 +629,20 @@ def _held_and_let_go(
         return None
     t, y, s = t_s[held - 1 : last + 1], height[held - 1 : last + 1], sigma[held - 1 : last + 1]
 
+    weight = s**-2.0
+
     def let_go(release: float) -> tuple[float, Array]:
         """The mean square that is left, and the level and the acceleration."""
         fallen = -0.5 * np.maximum(t - release, 0.0) ** 2
-        design = np.stack([np.ones_like(t), fallen], axis=1) / s[:, None]
-        design = np.vstack([design, [0.0, 1.0 / (SHARED * gravity)]])
-        right = np.append(y / s, 1.0 / SHARED)
-        solution = np.linalg.lstsq(design, right, rcond=None)[0]
-        return float(np.sum((right - design @ solution) ** 2)) / max(len(t) - 2, 1), solution
+        middle = float(weight @ fallen) / weight.sum()
+        # the acceleration about the gravity that is shared, the level freed of it
+        tight = (SHARED * gravity) ** -2.0
+        slopes = weight * (fallen - middle)
+        bend = (slopes @ y + tight * gravity) / (slopes @ fallen + tight)
+        level = float(weight @ y) / weight.sum() - bend * middle
+        left = y - level - bend * fallen
+        square = float(weight @ left**2) + tight * (bend - gravity) ** 2
+        return square / max(len(t) - 2, 1), np.array([level, bend])
 
     tried = np.linspace(t_s[held - 1], t_s[held + 1], 21)
     k = int(np.argmin([let_go(each)[0] for each in tried]))

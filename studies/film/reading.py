@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from pathlib import Path
 
 import av
@@ -38,25 +38,24 @@ class Film:
 
     ``roi`` is x, y, width and height of the part that is used, in pixels of the picture as a player
     shows it. ``down`` is the way things fall there; frames are turned so that they fall down the
-    rows. ``fps`` overrides the time stamps, and is needed for a folder. ``damage`` says, once it is
-    read, where a film ends before its end.
+    rows. ``fps`` overrides the time stamps, and is needed for a folder.
     """
 
     path: Path
     fps: float | None = None
     roi: tuple[int, int, int, int] | None = None
     down: Down = Down.DOWN
-    damage: set[str] = field(default_factory=set, compare=False, repr=False)
 
-    def frames(self) -> Iterator[Frame]:
+    def frames(self, damaged: Callable[[str], None] | None = None) -> Iterator[Frame]:
         """The pictures one after the other; time counts from the first.
 
-        Pictures end where the file does, also where it is cut off. Raises InputError where nothing
+        Pictures end where the file does. Where it is damaged before its end, ``damaged`` is told so
+        in a sentence. Raises InputError where nothing
         can be read, where time does not grow, and where ``roi`` lies outside.
         """
         if not self.path.exists():
             raise InputError(f"{self.path}: no such film")
-        read = self._pictures() if self.path.is_dir() else self._decoded()
+        read = self._pictures() if self.path.is_dir() else self._decoded(damaged)
         first = last = shape = None
         for number, (stamp, grey) in enumerate(read):
             first = stamp if first is None else first
@@ -125,7 +124,7 @@ class Film:
                 raise InputError(f"{path}: cannot be read as a picture: {error}") from error
             yield 0.0, grey
 
-    def _decoded(self) -> Iterator[tuple[float, Picture]]:
+    def _decoded(self, damaged: Callable[[str], None] | None) -> Iterator[tuple[float, Picture]]:
         """The pictures of a film, turned as its container says, and their time stamps."""
         count = 0
         try:
@@ -146,7 +145,8 @@ class Film:
             if not count:  # a film that is cut off ends where it does
                 reason = getattr(error, "strerror", None) or error
                 raise InputError(f"{self.path}: cannot be read as a film: {reason}") from error
-            self.damage.add(f"{self.path.name}: is damaged after frame {count - 1}, where it ends")
+            if damaged is not None:
+                damaged(f"{self.path.name}: is damaged after frame {count - 1}, where it ends")
         if not count:
             raise InputError(f"{self.path}: there is no picture in this film")
 

@@ -30,12 +30,14 @@ class Scan:
 
     ``t_s`` (frames,); ``samples`` (samples, rows, columns) and ``number`` (samples,) are frames
     chosen evenly over what moves; ``noise`` is a pixel's standard deviation in grey levels.
+    ``damage`` are sentences that say where the film ends before its end.
     """
 
     t_s: Array
     number: Array
     samples: Picture
     noise: float
+    damage: tuple[str, ...] = ()
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -45,7 +47,8 @@ class Scan:
 
 def scan(film: Film) -> Scan:
     """Read a film once. Raises InputError where it has too few frames."""
-    frames = film.frames()
+    damage: list[str] = []
+    frames = film.frames(damage.append)
     first = next(frames)
     rows, columns = first.grey.shape
     most = int(np.clip(SAMPLE_BYTES // (rows * columns), LEAST_SAMPLES, SAMPLES))
@@ -65,7 +68,7 @@ def scan(film: Film) -> Scan:
     # a difference has twice the variance of a frame
     noise = float(np.sqrt(np.median(spread) / 0.48 / 2.0))
     number, samples = kept.evenly()
-    return Scan(np.array(times), number, samples, max(noise, LEAST_NOISE))
+    return Scan(np.array(times), number, samples, max(noise, LEAST_NOISE), tuple(damage))
 
 
 class _Kept:

@@ -180,11 +180,14 @@ def _greatest_sums(
     best = np.zeros((len(slopes), columns))
     first = np.zeros((len(slopes), columns), dtype=np.int64)
     last = np.zeros((len(slopes), columns), dtype=np.int64)
+    aside = np.zeros(rows, dtype=np.int64)
     for k in range(len(slopes)):
+        for row in range(rows):
+            aside[row] = round(slopes[k] * (row - middle))
         for j in range(columns):
             total, begin = 0.0, 0
             for row in range(rows):
-                at = j + round(slopes[k] * (row - middle))
+                at = j + aside[row]
                 if total <= 0.0:
                     total, begin = 0.0, row
                 total += gain[row, at] if 0 <= at < columns else -1.5

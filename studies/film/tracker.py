@@ -51,7 +51,8 @@ class Tracked:
     ``turn`` is by how much a bristle leans from the vertical, its upper end to the right, in
     radians, and ``sigma_turn`` its standard error. ``length`` is that of the body in px where it is
     seen whole, ``width`` about that of a bristle. ``vertical`` is the vertical's slope in columns a
-    row, with its standard error.
+    row, with its standard error. ``damage`` are sentences that say where the film ends before its
+    end.
     """
 
     film: Film
@@ -72,6 +73,7 @@ class Tracked:
     width: float
     vertical: tuple[float, float]
     drops: Sequence[Drop]
+    damage: tuple[str, ...]
 
     def used(self, drop: Drop) -> NDArray[np.int64]:
         """The frames of a drop that can be relied on: no impact blurs them, none is mistaken."""
@@ -281,6 +283,7 @@ def _settle(
         width=raw.width,
         vertical=vertical,
         drops=drops,
+        damage=seen.damage,
     )
     # one whose every frame an impact blurs tells nothing
     return replace(found, drops=[drop for drop in drops if len(found.used(drop))])

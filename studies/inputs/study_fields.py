@@ -131,7 +131,8 @@ class TrackInputs(Fields, group=FILM):
     )
     length_mm: Annotated[float, between(1.0, 1e4)] | None = option(
         None,
-        "Length of the bristle. It gives the scale where the whole length is in view.",
+        "Length of the bristle that falls. It gives the scale where both ends are in view. A ruler "
+        "in view is not measured: measure its pixels and give the length of one.",
         "MM",
         "336.5, the paper's",
         name="length-mm",

@@ -125,7 +125,7 @@ def _doubts(track: Tracked, scale: Scale | None, inputs: TrackInputs) -> list[st
     """What of a film deserves doubt, in sentences."""
     name = track.film.path.name
     doubts = doubts_of(track, scale, inputs.gravity_m_s2)
-    doubts += sorted(track.film.damage)
+    doubts += track.damage
     for drop in track.drops:
         if drop.release_s is None and drop.first > LATE_FRAMES:
             doubts.append(

@@ -272,7 +272,7 @@ def test_falls_without_a_bounce_serve_the_fall_alone(tmp_path):
     kinds = {**HIGH, "drops": 12, "heights_m": (0.4,), "seconds": 0.17, "begins": "fall"}
     keys = "sigma_y_mm = 0.25\n"
     problem = tracks_problem(made(tmp_path, {"scale_error": 0.05}, keys=keys, **kinds))
-    assert problem.left_aside == ("12 of 12 films show no bounce, and serve the fall alone",)
+    assert problem.left_aside == ("12 of 12 drops show no bounce, and serve the fall alone",)
     theta, spread, left = fitted(problem, ("scale_error",))
     assert abs(theta["relative"] - 0.05) < 3 * spread["relative"]
     is_noise(left, problem, 1)
@@ -342,6 +342,25 @@ def test_a_scale_is_fitted_within_its_declared_error(tmp_path):
     assert apart["scale"] < 0.003
 
 
+def test_the_zero_of_one_film_is_one_for_all_its_drops(tmp_path):
+    """A zero that is 0.6 mm too high, with a declared error of 0.5 mm, in drops of one film and in
+    drops of a film each: what says that the zero is off must not grow with the drops of one."""
+    pulls = []
+    for k, film in enumerate((1, lambda t: t["drop"])):
+        made(tmp_path / f"{k}", {}, keys="sigma_y_mm = 0.25\nsigma_surface_mm = 0.5\n", **HIGH)
+        data = _with_column(tmp_path / f"{k}" / "films", "film", film, lambda t: 0.6)
+        tracks = filmed(data).tracks
+        rows = [t.leading == FEATURES.index("z") for t in tracks]
+        told = [(t.values[r], t.known[r]) for t, r in zip(tracks, rows, strict=True)]
+        value, known = (np.concatenate(each) for each in zip(*told, strict=True))
+        # the mean of what each says of the zero over the standard error of the mean
+        pulls.append(float(value @ known / np.sqrt(known @ known)))
+        assert value @ known / (known @ known) == pytest.approx(6e-4, rel=0.2)
+    one, each = pulls
+    assert 0.8 < one < 1.6
+    assert each > 3.0
+
+
 @pytest.mark.parametrize("lean_deg", [-2.0, 0.05])
 def test_a_lean_that_films_show_is_the_lean_of_the_model(lean_deg, tmp_path):
     """Bristles that lean to the left, and upright ones; each film's own lean is a little off."""
@@ -372,8 +391,8 @@ def test_what_is_not_used_is_told(tmp_path):
     data.y[still] = 0.05
     problem = tracks_problem(data)
     assert problem.left_aside == (
-        "1 of 8 films do not show a fall unmistakably, and are not used",
-        "7 of 8 films go on after the second impact, which is not used: a bristle that has bounced "
+        "1 of 8 drops do not show a fall unmistakably, and are not used",
+        "7 of 8 drops go on after the second impact, which is not used: a bristle that has bounced "
         "rings and may lean",
     )
     assert 3 not in problem.group

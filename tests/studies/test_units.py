@@ -74,7 +74,7 @@ def test_so_are_the_heights_beside_forces(tmp_path, name, factor):
     ("name", "factor", "says"),
     [
         ("y_mm", 1e3, "tracks.csv:2: y_mm of 42000 is beyond 10000; is it in mm?"),
-        ("y_mm", 1e-3, "tracks.csv:2: 0 of 8 films show a fall unmistakably"),
+        ("y_mm", 1e-3, "tracks.csv:2: 0 of 8 drops show a fall unmistakably"),
         ("t_s", 1e-3, "Is t_s in s, and y_mm in mm?"),
     ],
 )

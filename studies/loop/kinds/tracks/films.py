@@ -189,9 +189,10 @@ def _in_metres(data: Tracks) -> tuple[float | None, list[Film]]:
             data.sigma_t_s,
             gravity,
             relative=data.relative[piece],
-            sigma_floor_m=data.sigma_surface,
+            # an error that several drops share does not become smaller in their mean
+            sigma_floor_m=data.sigma_surface * float(np.sqrt(sharing)),
         )
-        for piece in pieces
+        for piece, sharing in zip(pieces, data.sharing, strict=True)
     ]
     if not data.in_pixels:
         return None, films
@@ -288,7 +289,7 @@ def _refusal(data: Tracks, films: Sequence[Film], found: Sequence[Track | None])
             )
     unit = "y_px" if data.in_pixels else "y_mm"
     return InputError(
-        f"{data.manifest.table()}:{data.line[first]}: {_usable(found)} of {len(found)} films show "
+        f"{data.manifest.table()}:{data.line[first]}: {_usable(found)} of {len(found)} drops show "
         f"a fall unmistakably, that of drop {data.drop[data.begins[first]]} does not; the loop "
         f"needs {LEAST_FILMS} or more. Is t_s in s, and {unit} in {unit[2:]}?"
     )
@@ -306,16 +307,16 @@ def _left_aside(
     unseen = n - len(tracks) - straying
     if straying:
         reasons.append(
-            f"{straying} of {n} films lie {STRAYING:.0f} times farther from any parabolas than "
+            f"{straying} of {n} drops lie {STRAYING:.0f} times farther from any parabolas than "
             "others do, and are not used"
         )
     if unseen:
-        reasons.append(f"{unseen} of {n} films do not show a fall unmistakably, and are not used")
+        reasons.append(f"{unseen} of {n} drops do not show a fall unmistakably, and are not used")
     if falls:
-        reasons.append(f"{falls} of {n} films show no bounce, and serve the fall alone")
+        reasons.append(f"{falls} of {n} drops show no bounce, and serve the fall alone")
     if further:
         reasons.append(
-            f"{further} of {n} films go on after the second impact, which is not used: a bristle "
+            f"{further} of {n} drops go on after the second impact, which is not used: a bristle "
             "that has bounced rings and may lean"
         )
     if mistaken:

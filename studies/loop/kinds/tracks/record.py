@@ -29,7 +29,8 @@ class Tracks(InPieces):
     ``sigma_y_m`` and ``sigma_y_px`` are the declared uncertainty of a height, or None,
     ``sigma_t_s`` that of a time. ``relative`` (frames,) is how uncertain each frame is over that:
     one, unless the table has a column of its own for it. ``sigma_surface`` is how uncertain the
-    zero of the heights is, in m or in pixels. ``lean_deg`` (frames,) is by how much the bristle
+    zero of the heights is, in m or in pixels; drops of one ``film`` (frames,) share that error,
+    where films are numbered. ``lean_deg`` (frames,) is by how much the bristle
     leans in the picture, and ``sigma_lean_deg`` its standard error, or None.
     """
 
@@ -45,8 +46,17 @@ class Tracks(InPieces):
     sigma_t_s: float
     relative: Array
     sigma_surface: float = 0.0
+    film: Array | None = None
     lean_deg: Array | None = None
     sigma_lean_deg: Array | None = None
+
+    @property
+    def sharing(self) -> NDArray[np.int64]:
+        """How many drops (films,) are of the same film as each."""
+        if self.film is None:
+            return np.ones(len(self.pieces), dtype=np.int64)
+        number = self.film[self.begins[:-1]]
+        return np.asarray(np.maximum((number[:, None] == number).sum(axis=1), 1))
 
     @property
     def lean_before_deg(self) -> Array:
@@ -121,6 +131,7 @@ def read_tracks(folder: Path) -> Tracks:
         relative=relative,
         sigma_surface=(1.0 if in_pixels else 1e-3)
         * float(manifest.measurement.get(f"sigma_surface_{unit}", 0.0)),
+        film=optional_column(path, read.rows, "film", 1.0),
         lean_deg=column(path, read.rows, "lean_deg", empty=True) if "lean_deg" in columns else None,
         sigma_lean_deg=optional_column(path, read.rows, "sigma_lean_deg", 1.0),
     )
