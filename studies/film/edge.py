@@ -98,12 +98,21 @@ class Edges:
 
 def edges(ends: Ends, speed: Array, bend: Array, camera: Camera) -> Edges:
     """Fit the ends of frames; ``speed`` and ``bend`` (frames,) are in px/s and px/s², outward."""
-    n = len(ends.guess)
     longest = camera.exposure_s * float(np.abs(speed).max(initial=0.0))
-    count = int(np.clip(np.ceil(longest / INSTANT_PX), 2, MOST_INSTANTS))
-    instants = (np.arange(count) + 0.5) / count - 0.5
-    u = camera.exposure_s * instants
-    moved = speed[:, None] * u + 0.5 * bend[:, None] * u**2  # (frames, instants)
+    u = instants(camera.exposure_s, int(np.ceil(longest / INSTANT_PX)))
+    return edges_of(ends, speed[:, None] * u + 0.5 * bend[:, None] * u**2, camera)
+
+
+def instants(exposure_s: float, count: int = MOST_INSTANTS) -> Array:
+    """Instants (n,) of an exposure from its middle, ``count`` of them or as many as are enough."""
+    count = int(np.clip(count, 2, MOST_INSTANTS))
+    return np.asarray(exposure_s * ((np.arange(count) + 0.5) / count - 0.5))
+
+
+def edges_of(ends: Ends, moved: Array, camera: Camera) -> Edges:
+    """Fit the ends of frames; ``moved`` (frames, instants) says how far they are, outward, from
+    where they are in the middle of the exposure."""
+    n = len(ends.guess)
     ahead, back = moved.max(axis=1), moved.min(axis=1)
     at = ends.guess.copy()
     inside = ends.used & (ends.along < (at + back)[:, None] - 3.0)
@@ -192,7 +201,8 @@ def camera_of(
 
     def misfit(which: NDArray[np.int64], tried: Camera) -> float:
         found = edges(ends.of_frames(which), speed[which], bend[which], tried)
-        return float(np.sum(np.log(found.square + 0.05)))
+        # of one noise in all frames, so that those that are drawn longest tell most
+        return len(which) * float(np.log(np.mean(found.square) + 0.05))
 
     def least(
         which: NDArray[np.int64], camera_with: Callable[[float], Camera], low: float, high: float

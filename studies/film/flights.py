@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares, minimize_scalar
 
 from ...solver.arrays import Array
+from .edge import instants
 
 STRETCH_S = 0.05
 LEAST_FRAMES, MOST_FRAMES = 4, 40
@@ -167,14 +168,17 @@ def settled(
     *,
     known: Known | None = None,
     turnings: Sequence[Turning] | None = None,
+    through: NDArray[np.bool_] | None = None,
 ) -> list[Drop]:
     """The drops once more, each by all its frames that no impact blurs, at once: flights begin and
     end at one surface, and their accelerations are that of the fall to within a share ``turned``,
     by which a bristle's turning changes it.
 
     ``known`` is what is known besides, and ``turnings`` how each drop's body turns, where that is
-    seen.
+    seen. In the frames ``through`` (frames,) an impact lies in the exposure, and the height is the
+    mean over it.
     """
+    through = np.zeros(len(t_s), dtype=bool) if through is None else through
     found, told = [], known or Known()
     for k, drop in enumerate(drops):
         n = len(drop.impact_s)
@@ -189,7 +193,14 @@ def settled(
         # at its end a hand may already hold what flies: frames go that the rest contradicts
         tried = [
             _Joint(
-                replace(drop, last=drop.last - cut), t_s, height, sigma, exposure_s, turning, told
+                replace(drop, last=drop.last - cut),
+                t_s,
+                height,
+                sigma,
+                exposure_s,
+                through,
+                turning,
+                told,
             )
             for cut in range(MOST_CUT + 1 if known else 1)
         ]
@@ -240,6 +251,7 @@ class _Joint:
         height: Array,
         sigma: Array,
         exposure_s: float,
+        through: NDArray[np.bool_],
         turning: Turning,
         known: Known,
     ) -> None:
@@ -249,9 +261,11 @@ class _Joint:
         landing = _landing(last, floor)
         own = np.zeros(len(t_s), dtype=bool)
         own[drop.first : drop.last + 1] = True
-        own &= clear_of(drop, t_s, exposure_s) & (t_s < landing - 0.5 * exposure_s - TOUCHING_S)
+        own &= through | clear_of(drop, t_s, exposure_s)
+        own &= t_s < landing - 0.5 * exposure_s - TOUCHING_S
         self.frames = np.flatnonzero(own)
         self.t, self.y, self.sigma = t_s[own], height[own], sigma[own].copy()
+        self.through, self.u = through[own], instants(exposure_s)
         if drop.release_s is not None:
             # a body that is held lies on the same pixels in all frames, and they all err alike
             held = self.t < drop.release_s
@@ -295,6 +309,8 @@ class _Joint:
         phase = self.phase(p, flights)
         value = np.choose(np.maximum(phase, 0), [each.at(self.t) for each in flights])
         value = np.where(phase < 0, p[2], value)
+        if self.through.any():
+            value[self.through] = self._mean_of(flights, p)
         told = zip(p[:2], (self.known.gravity, self.known.floor), strict=True)
         return np.concatenate(
             [
@@ -303,6 +319,12 @@ class _Joint:
                 [(number - each[0]) / each[1] for number, each in told if each is not None],
             ]
         )
+
+    def _mean_of(self, flights: Sequence[Flight], p: Array) -> Array:
+        """Mean heights over the exposures (frames through an impact,)."""
+        t = self.t[self.through, None] + self.u
+        phase = np.searchsorted(p[3 : 3 + self.n], t)
+        return np.asarray(np.choose(phase, [each.at(t) for each in flights]).mean(axis=1))
 
     def solved(self) -> Drop:
         """The drop of least squares; as it was where there is none."""

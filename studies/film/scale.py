@@ -119,6 +119,7 @@ def weighed(
             turned,
             known=Known(gravity, floor),
             turnings=turnings,
+            through=track.through,
         )
         if len(drops) < 2:
             break

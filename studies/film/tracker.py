@@ -16,7 +16,7 @@ from ...solver.arrays import Array
 from ...solver.errors import InputError
 from ..inputs.choices import Body, Down
 from .disc import discs, find_ball
-from .edge import Camera, Ends, camera_of, edges
+from .edge import Camera, Ends, camera_of, edges, edges_of, instants
 from .flights import TURNED, Drop, clear_of, drops_of, settled
 from .follow import Follower, Sight, tips
 from .reading import TURNS, Film
@@ -37,6 +37,9 @@ MISTAKEN = 5.0
 PHONE_GAMMA = 2.2
 LEVEL = float(np.radians(0.5))
 """How level a camera is that somebody set up by eye."""
+LEAST_STREAK_PX, MOST_OFF_PX, STREAK_SIGMA_PX = 6.0, 3.0, 0.15
+"""An end drawn longer than that by an impact is compared with its path; one farther from it than
+that is not it; and by how much the shape of a path is unsure."""
 GAMMA_FELT_PX = 3.0
 """An end that moves more in an exposure lies elsewhere for another gamma."""
 
@@ -52,7 +55,7 @@ class Tracked:
     radians, and ``sigma_turn`` its standard error. ``length`` is that of the body in px where it is
     seen whole, ``width`` about that of a bristle. ``vertical`` is the vertical's slope in columns a
     row, with its standard error. ``damage`` are sentences that say where the film ends before its
-    end.
+    end. In the frames ``through`` (frames,) an impact lies in the exposure, and ``down`` is a mean.
     """
 
     film: Film
@@ -74,6 +77,7 @@ class Tracked:
     vertical: tuple[float, float]
     drops: Sequence[Drop]
     damage: tuple[str, ...]
+    through: NDArray[np.bool_]
 
     def used(self, drop: Drop) -> NDArray[np.int64]:
         """The frames of a drop that can be relied on: no impact blurs them, none is mistaken."""
@@ -229,6 +233,7 @@ def _settle(
     gravity = expected.gravity_px(raw.about_px)
     drops = drops_of(t, height, sigma, gravity)
     camera, length = given, raw.length
+    through: NDArray[np.bool_] = np.zeros(len(t), dtype=bool)
     if raw.sights:
         ends = Ends.of([each.tip for each in raw.sights], 1)
         for turn in range(3):
@@ -245,6 +250,11 @@ def _settle(
             drops = _again(t, height, sigma, camera, gravity)
             sigma = _scattered(t, height, sigma, drops, camera)
         if drops:
+            height, sigma, through = _through_impacts(ends, t, height, sigma, drops, camera)
+            drops = settled(
+                drops, t, height, np.hypot(sigma, CHAIN_PX), camera.exposure_s, through=through
+            )
+            height, sigma, through = _through_impacts(ends, t, height, sigma, drops, camera)
             length = _lengths(raw.sights, t, height, drops, camera)
     elif drops:
         camera = replace(given, exposure_s=_exposure_of(raw, drops, given, frame_s))
@@ -263,7 +273,11 @@ def _settle(
     t = t + 0.5 * camera.exposure_s + rolling_s * film.shown(column, row, seen.shape)[1]
     turned = TURNED if raw.sights else BALL_TURNED
     loose = np.hypot(sigma, CHAIN_PX)
-    drops = settled(drops_of(t, -down, loose, gravity), t, -down, sigma, camera.exposure_s, turned)
+    # where an impact lies in the exposure, the height is a mean, which is of no flight
+    seen_once = np.flatnonzero(~through)
+    drops = drops_of(t[seen_once], -down[seen_once], loose[seen_once], gravity)
+    drops = [_renumbered(drop, seen_once) for drop in drops]
+    drops = settled(drops, t, -down, sigma, camera.exposure_s, turned, through=through)
     found = Tracked(
         film=film,
         body=body,
@@ -284,9 +298,47 @@ def _settle(
         vertical=vertical,
         drops=drops,
         damage=seen.damage,
+        through=through,
     )
     # one whose every frame an impact blurs tells nothing
     return replace(found, drops=[drop for drop in drops if len(found.used(drop))])
+
+
+def _through_impacts(
+    ends: Ends, t: Array, height: Array, sigma: Array, drops: Sequence[Drop], camera: Camera
+) -> tuple[Array, Array, NDArray[np.bool_]]:
+    """Heights and standard errors (frames,) in which those of frames whose exposure has an impact
+    in it, whose numbers come last, are means over the exposure: the end comes down to the surface
+    and goes up again, and is drawn so."""
+    height, sigma = height.copy(), sigma.copy()
+    through = np.zeros(len(t), dtype=bool)
+    u = instants(camera.exposure_s)
+    for drop in drops:
+        own = np.arange(drop.first, drop.last + 1)
+        own = own[np.abs(t[own, None] - drop.impact_s).min(axis=1, initial=np.inf) < u[-1]]
+        speed = np.abs(drop.speed(t[own] + u[-1]))
+        own = own[speed * camera.exposure_s > LEAST_STREAK_PX]
+        if not len(own):
+            continue
+        path = -drop.height((t[own, None] + u).ravel()).reshape(len(own), -1)
+        moved = path - path.mean(axis=1, keepdims=True)
+        part = replace(ends.of_frames(own), guess=path.mean(axis=1))
+        found = edges_of(part, moved, camera)
+        off = np.abs(found.at - path.mean(axis=1))
+        good = off < MOST_OFF_PX
+        height[own[good]] = -found.at[good]
+        sigma[own[good]] = np.hypot(found.sigma[good], STREAK_SIGMA_PX)
+        through[own[good]] = True
+    return height, sigma, through
+
+
+def _renumbered(drop: Drop, number: NDArray[np.int64]) -> Drop:
+    """A drop found among some frames, with the numbers that they have among all."""
+    flights = [
+        replace(f, first=int(number[f.first]), last=int(number[f.last])) for f in drop.flights
+    ]
+    first, last = int(number[drop.first]), int(number[drop.last])
+    return replace(drop, first=first, last=last, flights=tuple(flights))
 
 
 def _again(
