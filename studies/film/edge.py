@@ -201,8 +201,7 @@ def camera_of(
 
     def misfit(which: NDArray[np.int64], tried: Camera) -> float:
         found = edges(ends.of_frames(which), speed[which], bend[which], tried)
-        # of one noise in all frames, so that those that are drawn longest tell most
-        return len(which) * float(np.log(np.mean(found.square) + 0.05))
+        return float(np.sum(np.log(found.square + 0.05)))
 
     def least(
         which: NDArray[np.int64], camera_with: Callable[[float], Camera], low: float, high: float

@@ -32,6 +32,8 @@ SURFACE_PX = 0.04
 frames of a film."""
 GIVEN = 0.001
 """Share by which a given scale, which holds in the middle of a picture, is off elsewhere."""
+TOUCH_S = 1.5e-4
+"""By how much it is unsure how long a body touches, which a film does not show."""
 DIFFERENT = 0.03
 """Share by which two scales differ visibly, whatever their errors."""
 ROUND_RATES = (
@@ -250,6 +252,14 @@ def doubts_of(track: Tracked, scale: Scale | None, gravity_m_s2: float) -> list[
 def heights(track: Tracked, drop: Drop, floor: float) -> Array:
     """Heights (frames,) over the surface in px, of the frames of a drop that are used."""
     return np.asarray(-track.down[track.used(drop)] - floor)
+
+
+def touching_px(drops: Sequence[Drop]) -> float:
+    """By how much, in px, the height at which flights meet is unsure for how long a body touches:
+    parabolas of which one begins later by τ meet lower by τ v v'/(v + v')."""
+    bounced = [drop for drop in drops if len(drop.impact_s) and len(drop.flights) > 1]
+    speeds = [[abs(float(f.speed_at(d.impact_s[0]))) for f in d.flights[:2]] for d in bounced]
+    return max((TOUCH_S * a * b / (a + b) for a, b in speeds if a + b > 0.0), default=0.0)
 
 
 def floor_of(drops: Sequence[Drop]) -> tuple[float, float] | None:

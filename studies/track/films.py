@@ -23,6 +23,7 @@ from ..film.scale import (
     heights,
     of_centre,
     scale_of,
+    touching_px,
     weighed,
 )
 from ..film.tracker import Expected, Tracked, tracked
@@ -286,10 +287,14 @@ def manifest(found: TrackedFilms) -> str:
         ]
     lines += ["[measurement]", f'file = "{TABLE}"', f"gravity_m_s2 = {inputs.gravity_m_s2:g}"]
     surface = max(
-        error * (1.0 if scale is None else scale.mm_per_px)
-        for (_, error), scale in zip(found.floors, found.scales, strict=True)
+        float(np.hypot(error, touching_px(track.drops)))
+        * (1.0 if scale is None else scale.mm_per_px)
+        for (_, error), track, scale in zip(found.floors, found.tracks, found.scales, strict=True)
     )
-    lines += ["# standard error of the zero, which is common to all frames of a film"]
+    lines += [
+        "# standard error of the zero, which is common to all frames of a film; it allows for some",
+        "# tenths of a millisecond in which the body touches, which sigma_mm takes for none",
+    ]
     lines += [f"sigma_surface_{found.unit} = {surface:.4g}"] if surface > 0.0 else []
     scales = [scale for scale in found.scales if scale is not None]
     if scales:
