@@ -314,7 +314,7 @@ def _through_impacts(
     through = np.zeros(len(t), dtype=bool)
     u = instants(camera.exposure_s)
     for drop in drops:
-        own = np.arange(drop.first, drop.last + 1)
+        own: NDArray[np.int64] = np.arange(drop.first, drop.last + 1)
         own = own[np.abs(t[own, None] - drop.impact_s).min(axis=1, initial=np.inf) < u[-1]]
         speed = np.abs(drop.speed(t[own] + u[-1]))
         own = own[speed * camera.exposure_s > LEAST_STREAK_PX]

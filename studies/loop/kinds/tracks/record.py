@@ -66,13 +66,13 @@ class Tracks(InPieces):
 
     def _lean_of(self, film: slice) -> tuple[float, float]:
         part = slice(film.start, (3 * film.start + film.stop) // 4 + 1)
-        seen = np.zeros(0) if self.lean_deg is None else self.lean_deg[part]
+        seen: Array = np.zeros(0) if self.lean_deg is None else self.lean_deg[part]
         seen = seen[np.isfinite(seen)]
         if not len(seen):
             return np.nan, np.nan
         middle = float(np.median(seen))
         # frames may err alike, so that many are no surer than one
-        told = np.full(1, np.nan) if self.sigma_lean_deg is None else self.sigma_lean_deg[part]
+        told: Array = np.full(1, np.nan) if self.sigma_lean_deg is None else self.sigma_lean_deg[part]
         told = told[np.isfinite(told)]
         scatter = 1.4826 * float(np.median(np.abs(seen - middle)))
         return middle, float(np.median(told)) if len(told) else scatter
