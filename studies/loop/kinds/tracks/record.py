@@ -72,7 +72,8 @@ class Tracks(InPieces):
             return np.nan, np.nan
         middle = float(np.median(seen))
         # frames may err alike, so that many are no surer than one
-        told: Array = np.full(1, np.nan) if self.sigma_lean_deg is None else self.sigma_lean_deg[part]
+        own = self.sigma_lean_deg
+        told: Array = np.zeros(0) if own is None else own[part]
         told = told[np.isfinite(told)]
         scatter = 1.4826 * float(np.median(np.abs(seen - middle)))
         return middle, float(np.median(told)) if len(told) else scatter
