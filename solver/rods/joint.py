@@ -4,14 +4,18 @@ Newton's matrix has a block-tridiagonal block for each rod and, for each point b
 three more rows: with A the rods by themselves, B the displacements of one side of the points over
 the other and K what their forces lose by them, (A + Bᵀ K B) u = -r. The rods are solved one by one,
 for -r and for unit forces at their points, which gives the compliance C = B A⁻¹ Bᵀ of the points.
-What is left is sparse and of the points alone, (1 + K C) z = -K B A⁻¹ r, and
-u = -A⁻¹ (r + Bᵀ z). This is exact, so it converges as Newton's method does for one rod, but for
-the turning of normals and arms, which the tangent leaves out.
+What is left is of the points alone, (1 + K C) z = -K B A⁻¹ r, and u = -A⁻¹ (r + Bᵀ z). This is
+exact, so it converges as Newton's method does for one rod, but for the turning of normals and
+arms, which the tangent leaves out.
+
+Rods that touch each other now, directly or through others, are a cluster. Each cluster iterates by
+itself: it rests where its residual counts as none, and goes on if another runs into it.
 """
 
 from __future__ import annotations
 
 import math
+from functools import lru_cache
 from typing import Any, NamedTuple, cast
 
 import numpy as np
@@ -23,11 +27,12 @@ from ..compiled import inlined, njit
 from .chain import Chain, System, chain_of, new_system, solve_columns, total_length
 from .contact import Surface, Touch
 from .element import Elements, assemble_tangent
-from .motion import ITERATIONS, Hub, Motion, Scheme, hub_of, motion_of, rod
+from .motion import ITERATIONS, Hub, Motion, Scheme, hub_of, motion_of, rod, write
 from .pairs import (
     ROD_A,
     ROD_B,
     Between,
+    Meeting,
     Points,
     crossing_kn,
     meet_pair,
@@ -35,7 +40,7 @@ from .pairs import (
     room_for_points,
 )
 from .pairs import shortfall as pair_shortfall
-from .statics import ROUNDING, residual_norm
+from .statics import ROUNDING, excess
 from .step import (
     ITERATION_LIMIT,
     PATIENT,
@@ -52,18 +57,41 @@ from .step import (
     shortfall,
 )
 
+# What a rod does next: nothing, as its cluster is in equilibrium, a step of Newton's, or back by a
+# half of its last one.
+RESTS, GOES, RETURNS = range(3)
+# A cluster whose residual is not yet none after so many iterations rests where it is no more than
+# so many times that: where a contact passes from one face to another its force has a jump.
+FEW, FAIR = 3, 10.0
+# So many unknowns of points are solved as a full matrix, more as a sparse one.
+FULL = 240
+# Iterations that failed, and those that wait for a sparse solution.
+FAILED, WAITS = -1, -2
+
 
 class Room(NamedTuple):
-    """Room for a step of several rods, stacked: their next state, systems and scratch, their
-    residual's tolerances, what friction took and contact holds of each (rods, 2), the gaps of the
-    pairs (pairs, 2), the points, and their begin in each rod's list (rods + 1,) of points and sides
-    (2 m, 2)."""
+    """Room for a step of several rods, stacked: their next state, systems and scratch, the
+    force and the moment (rods, 2) that count as none of each, what friction took and contact holds
+    of each (rods, 2) by itself and with the others, its residual by itself (rods, n, 6) and with
+    the others over what counts as none, its cluster, its cluster's greatest residual, what it does
+    next, the last such residual from which it took a step, how much of that step it took, and how
+    much it ought to. Then the gaps of the pairs (pairs, 2), the points, and their begin in each
+    rod's list (rods + 1,) of points and sides (2 m, 2)."""
 
     new: Motion
     systems: System
     scratches: Scratch
-    tolerance: Array
+    none: Array
+    own_works: Array
     works: Array
+    own: Array
+    excess: Array
+    cluster: Integers
+    worst: Array
+    doing: Integers
+    last: Array
+    part: Array
+    short: Array
     gaps: Array
     points: Points
     begins: Integers
@@ -77,15 +105,25 @@ def _stacked(one: Any, count: int) -> Any:
     return np.zeros((count, *one.shape), dtype=one.dtype)
 
 
+@lru_cache(maxsize=16)
 def room_for(rods: int, nodes: int, rim: int, pairs: int) -> Room:
-    """Room for so many rods of so many nodes, with so many pairs of elements."""
+    """Room for so many rods of so many nodes, with so many pairs of elements at most."""
     points = room_for_points(pairs)
     return Room(
         motion_of(rods, nodes, rim),
         cast(System, _stacked(new_system(nodes), rods)),
         cast(Scratch, _stacked(new_scratch(nodes), rods)),
-        np.zeros(rods),
         np.zeros((rods, 2)),
+        np.zeros((rods, 2)),
+        np.zeros((rods, 2)),
+        np.zeros((rods, nodes, 6)),
+        np.zeros(rods),
+        np.zeros(rods, dtype=np.int64),
+        np.zeros(rods),
+        np.zeros(rods, dtype=np.int64),
+        np.zeros(rods),
+        np.zeros(rods),
+        np.zeros(rods),
         np.zeros((pairs, 2)),
         points,
         np.zeros(rods + 1, dtype=np.int64),
@@ -129,7 +167,7 @@ def _begin_all(
 ) -> None:
     for k in range(len(members)):
         i = members[k]
-        tolerance = begin(
+        force, moment = begin(
             chain_of(chains, i),
             law.scheme,
             law.surface,
@@ -142,7 +180,10 @@ def _begin_all(
         farthest = 0.0
         for place in room.new.x[k].ravel():
             farthest = max(farthest, abs(place))
-        room.tolerance[k] = tolerance + ROUNDING * crossing_kn(law.between) * farthest
+        rounding = ROUNDING * crossing_kn(law.between) * farthest
+        room.none[k, 0] = force + rounding
+        room.none[k, 1] = moment + rounding * total_length(chain_of(chains, i))
+        room.doing[k], room.last[k] = GOES, math.inf
 
 
 @njit
@@ -157,24 +198,29 @@ def _assemble_all(
     now: Touch,
     h: float,
     room: Room,
-) -> tuple[int, float]:
-    """Write residuals and points; how many points touch, and the greatest residual over what counts
-    as none."""
+) -> int:
+    """Write residuals, of rods by themselves only where they moved, and points; how many points
+    touch."""
     step = h if law.scheme.inertia else 0.0
     for k in range(len(members)):
         i = members[k]
-        lost, held = assemble(
-            chain_of(chains, i),
-            law.scheme,
-            law.surface,
-            loads[i],
-            rod(stack, i),
-            rod(room.new, k),
-            h,
-            _system_of(room.systems, k),
-            _scratch_of(room.scratches, k),
-        )
-        room.works[k, 0], room.works[k, 1] = lost, held
+        if room.doing[k] != RESTS:
+            lost, held = assemble(
+                chain_of(chains, i),
+                law.scheme,
+                law.surface,
+                loads[i],
+                rod(stack, i),
+                rod(room.new, k),
+                h,
+                _system_of(room.systems, k),
+                _scratch_of(room.scratches, k),
+            )
+            room.own_works[k, 0], room.own_works[k, 1] = lost, held
+            write(room.systems.residual[k], room.own[k])
+        else:
+            write(room.own[k], room.systems.residual[k])
+        room.works[k, 0], room.works[k, 1] = room.own_works[k, 0], room.own_works[k, 1]
     meeting, count = new_meeting(), 0
     for p in range(len(pairs)):
         a, b = pairs[p, ROD_A], pairs[p, ROD_B]
@@ -201,14 +247,78 @@ def _assemble_all(
     for p in range(count):
         for side in range(2):
             _push(room.points, p, side, room.systems.residual)
-    worst = 0.0
     for k in range(len(members)):
-        total = total_length(chain_of(chains, members[k]))
-        norm = residual_norm(room.systems.residual[k], total)
-        if not math.isfinite(norm):
-            return count, math.inf
-        worst = max(worst, norm / room.tolerance[k])
-    return count, worst
+        over = excess(room.systems.residual[k], room.none[k, 0], room.none[k, 1])
+        room.excess[k] = over if math.isfinite(over) else math.inf
+    return count
+
+
+@njit
+def _first_of(cluster: Integers, k: int) -> int:
+    """The rod that stands for a cluster, from any of its rods."""
+    while cluster[k] != k:
+        k = cluster[k]
+    return k
+
+
+@njit
+def _gather(room: Room, count: int) -> None:
+    """Find the clusters that the points make, and the greatest residual of each."""
+    cluster, worst, last, part = room.cluster, room.worst, room.last, room.part
+    for k in range(len(cluster)):
+        cluster[k] = k
+    for p in range(count):
+        a = _first_of(cluster, room.points.whole[p, ROD_A])
+        b = _first_of(cluster, room.points.whole[p, ROD_B])
+        cluster[max(a, b)] = min(a, b)
+    for k in range(len(cluster)):
+        # the first of a cluster has the lowest number, so that it comes first
+        c = cluster[k] = cluster[cluster[k]]
+        if c == k:
+            worst[k] = room.excess[k]
+        else:
+            worst[c], last[c] = max(worst[c], room.excess[k]), max(last[c], last[k])
+            part[c] = min(part[c], part[k])
+    for k in range(len(cluster)):
+        c = cluster[k]
+        last[k], part[k], worst[k] = last[c], part[c], worst[c]
+
+
+@njit
+def _decide(room: Room, count: int, iteration: int, fair: float) -> tuple[bool, int]:
+    """Decide what every rod does next, with ``fair`` as `FAIR`; whether any moves, and how many
+    points are of rods that take a step, which come to stand first, or `FAILED` where a step cannot
+    mend it."""
+    moves = False
+    for k in range(len(room.doing)):
+        moved = room.doing[k] != RESTS
+        if room.worst[k] <= (fair if iteration > FEW else 1.0):
+            room.doing[k], room.last[k], room.part[k] = RESTS, math.inf, 1.0
+            continue
+        moves, stalls = True, iteration > PATIENT and room.worst[k] >= room.last[k]
+        if stalls and room.part[k] > SHORTEST_PART:
+            room.part[k] *= 0.5
+            # one that rested has no step to take back, but its cluster does
+            room.doing[k] = RETURNS if moved else RESTS
+        elif not math.isfinite(room.worst[k]):
+            return True, FAILED
+        else:
+            room.doing[k] = GOES
+    points, kept = room.points, 0
+    for p in range(count):
+        if room.doing[points.whole[p, ROD_A]] == GOES:
+            for c in range(4):
+                points.whole[kept, c] = points.whole[p, c]
+            for side in range(2):
+                points.share[kept, side] = points.share[p, side]
+                for c in range(3):
+                    points.arm[kept, side, c] = points.arm[p, side, c]
+            for c in range(3):
+                points.push[kept, c] = points.push[p, c]
+                for d in range(3):
+                    points.stiff[kept, c, d] = points.stiff[p, c, d]
+            kept += 1
+    return moves, kept
 
 
 @inlined
@@ -267,15 +377,26 @@ def _list_sides(points: Points, count: int, begins: Integers, sides: Integers) -
             filled[r] += 1
 
 
+class Waiting(NamedTuple):
+    """An iteration that waits for its points' forces: its number, the rods' displacements by unit
+    forces, and of 1 + K C the values, rows, columns, and the right-hand side, see `_linearise`."""
+
+    iteration: int
+    kept: Array
+    values: Array
+    rows: Integers
+    columns: Integers
+    right: Array
+
+
 @njit
 def _linearise(
-    law: Law, chains: Chain, members: Integers, h: float, room: Room, count: int
-) -> tuple[bool, Array, Array, Integers, Integers, Array]:
-    """Solve every rod for its residual, into its system's solution, and for unit forces at its
-    points.
+    law: Law, chains: Chain, members: Integers, h: float, room: Room, count: int, iteration: int
+) -> tuple[bool, Waiting]:
+    """Solve every rod that takes a step for its residual, into its system's solution, and for unit
+    forces at its points.
 
-    Returns whether none is singular, these columns one rod after another, and of 1 + K C the
-    values, rows and columns, and the right-hand side.
+    Returns whether none is singular, and the rest of the ``iteration``.
     """
     points, begins, sides = room.points, room.begins, room.sides
     nodes = room.new.x.shape[1]
@@ -295,6 +416,8 @@ def _linearise(
         values[at], rows[at], columns[at] = 1.0, d, d
         at += 1
     for k in range(len(members)):
+        if room.doing[k] != GOES:
+            continue
         chain, system = chain_of(chains, members[k]), _system_of(room.systems, k)
         rate = chain.beta / h if law.scheme.inertia else 0.0
         assemble_tangent(chain, rate, system, _scratch_of(room.scratches, k).elements)
@@ -320,7 +443,7 @@ def _linearise(
                     loads[e + node, 3 + a, j] += 0.5 * sign * arm[b]
                     loads[e + node, 3 + b, j] -= 0.5 * sign * arm[a]
         if not solve_columns(system, loads):
-            return False, kept, values, rows, columns, right
+            return False, Waiting(iteration, kept, values, rows, columns, right)
         for i in range(nodes):
             for r in range(6):
                 system.solution[i, r] = loads[i, r, 0]
@@ -347,7 +470,7 @@ def _linearise(
         for c in range(3):
             for d in range(3):
                 right[3 * p + c] += points.stiff[p, c, d] * apart[p, d]
-    return True, kept[:used], values, rows, columns, right
+    return True, Waiting(iteration, kept, values, rows, columns, right)
 
 
 @njit
@@ -355,6 +478,8 @@ def _add_forces(room: Room, kept: Array, forces: Array) -> None:
     """Add what the points' forces move every rod by to its solution, and keep where it is."""
     used, nodes = 0, room.new.x.shape[1]
     for k in range(len(room.new.x)):
+        if room.doing[k] != GOES:
+            continue
         solution, first = room.systems.solution[k], room.begins[k]
         many = 3 * (room.begins[k + 1] - first)
         for i in range(nodes):
@@ -367,34 +492,67 @@ def _add_forces(room: Room, kept: Array, forces: Array) -> None:
 
 
 @njit
-def _go_all(chains: Chain, members: Integers, room: Room, part: float) -> None:
+def _advance_all(law: Law, chains: Chain, members: Integers, pairs: Integers, room: Room) -> None:
+    """Move rods by Newton's step, or by so much of it that what comes together just touches; those
+    that return, back by a half."""
+    stiffness, meeting, short = crossing_kn(law.between), new_meeting(), room.short
     for k in range(len(members)):
-        scratch = _scratch_of(room.scratches, k)
-        go(chain_of(chains, members[k]), rod(room.new, k), part, scratch)
+        short[k] = 0.0
+        if room.doing[k] == GOES:
+            room.part[k], room.last[k] = 1.0, room.worst[k]
+        elif room.doing[k] == RESTS:
+            short[k] = 1.0
+    for trial in range(SHORTER + 1):
+        for k in range(len(members)):
+            if short[k] < 1.0:
+                chain, scratch = chain_of(chains, members[k]), _scratch_of(room.scratches, k)
+                go(chain, rod(room.new, k), room.part[k], scratch)
+        if trial == SHORTER:
+            return
+        _look(law, stiffness, chains, members, pairs, room, meeting)
+        shorter = False
+        for k in range(len(members)):
+            short[k] = short[room.cluster[k]]
+            if short[k] < 1.0:
+                room.part[k] *= max(short[k], 0.1)
+                shorter = True
+        if not shorter:
+            return
 
 
 @njit
-def _advance_all(law: Law, chains: Chain, members: Integers, pairs: Integers, room: Room) -> None:
-    """Move all by Newton's step, or by so much of it that what comes together just touches."""
-    stiffness, meeting, part = crossing_kn(law.between), new_meeting(), 1.0
-    for trial in range(SHORTER + 1):
-        _go_all(chains, members, room, part)
-        least = 1.0
-        if law.surface.there:
-            for k in range(len(members)):
-                chain, scratch = chain_of(chains, members[k]), _scratch_of(room.scratches, k)
-                least = min(least, shortfall(chain, law.surface, rod(room.new, k), scratch))
-        for p in range(len(pairs)):
-            a, b = pairs[p, ROD_A], pairs[p, ROD_B]
-            allowed = deepest(chain_of(chains, members[a]), stiffness)
-            both = rod(room.new, a), rod(room.new, b)
-            short = pair_shortfall(
-                law.between, pairs[p], both[0], both[1], room.gaps[p], allowed, meeting
-            )
-            least = min(least, short)
-        if least == 1.0 or trial == SHORTER:
-            return
-        part *= max(least, 0.1)
+def _look(
+    law: Law,
+    stiffness: float,
+    chains: Chain,
+    members: Integers,
+    pairs: Integers,
+    room: Room,
+    meeting: Meeting,
+) -> None:
+    """Write of every cluster, where its first rod stands, how much of its step it ought to take if
+    it has just moved and takes a step; one for others."""
+    moved, short = room.short < 1.0, room.short
+    for k in range(len(members)):
+        moved[k] = moved[k] and room.doing[k] == GOES
+        short[k] = 1.0
+    for k in range(len(members)):
+        if moved[k] and law.surface.there:
+            chain, scratch = chain_of(chains, members[k]), _scratch_of(room.scratches, k)
+            part = shortfall(chain, law.surface, rod(room.new, k), scratch)
+            short[room.cluster[k]] = min(short[room.cluster[k]], part)
+    for p in range(len(pairs)):
+        a, b = pairs[p, ROD_A], pairs[p, ROD_B]
+        if not (moved[a] or moved[b]):
+            continue
+        allowed = deepest(chain_of(chains, members[a]), stiffness)
+        both = rod(room.new, a), rod(room.new, b)
+        part = pair_shortfall(
+            law.between, pairs[p], both[0], both[1], room.gaps[p], allowed, meeting
+        )
+        for k in (a, b):
+            if moved[k]:
+                short[room.cluster[k]] = min(short[room.cluster[k]], part)
 
 
 @njit
@@ -425,6 +583,37 @@ def _finish_all(
         new.totals[ITERATIONS] += iterations
 
 
+@njit
+def nothing_waits() -> Waiting:
+    """Before the first iteration."""
+    none, index = np.empty(0), np.empty(0, np.int32)
+    return Waiting(0, none, none, index, index, none)
+
+
+def sparse_solution(waiting: Waiting) -> Array:
+    """The forces that an iteration waits for; no numbers where they have no solution."""
+    count = len(waiting.right)
+    matrix = csc_array((waiting.values, (waiting.rows, waiting.columns)), shape=(count, count))
+    try:
+        return np.asarray(splu(matrix).solve(waiting.right))
+    except RuntimeError:  # singular
+        return np.full(count, np.nan)
+
+
+@njit
+def _full_solution(waiting: Waiting) -> Array:
+    """As `sparse_solution`, by a full matrix."""
+    count = len(waiting.right)
+    matrix = np.zeros((count, count))
+    for entry in range(len(waiting.values)):
+        matrix[waiting.rows[entry], waiting.columns[entry]] += waiting.values[entry]
+    try:
+        return np.linalg.solve(matrix, waiting.right)
+    except Exception:  # singular, which compiled code tells by no class of its own
+        return np.full(count, np.nan)
+
+
+@njit
 def joint_step(
     law: Law,
     chains: Chain,
@@ -437,39 +626,36 @@ def joint_step(
     now: Touch,
     h: float,
     room: Room,
-) -> int:
+    waiting: Waiting,
+    forces: Array,
+) -> tuple[int, Waiting]:
     """Write the rods ``members`` of the ``stack`` after a step of ``h`` seconds into the room.
 
     ``pairs`` (p, 4) are the elements that may touch, see `pairs.Points`, their rods counted among
     the members; ``before`` and ``now`` are what their points remember. Returns Newton's iterations,
-    or -1 where it does not converge.
+    or `FAILED` where it does not converge, or `WAITS` where it is to be called again with what
+    waits then and its ``forces``, see `sparse_solution`.
     """
-    _begin_all(law, chains, hubs, members, stack, h, room)
-    least, part = math.inf, 1.0
-    for iteration in range(ITERATION_LIMIT):
-        count, worst = _assemble_all(
-            law, chains, loads, members, pairs, stack, before, now, h, room
-        )
-        if worst <= 1.0:
+    iteration = waiting.iteration
+    while True:
+        if iteration == 0:
+            _begin_all(law, chains, hubs, members, stack, h, room)
+        else:
+            _add_forces(room, waiting.kept, forces)
+            _advance_all(law, chains, members, pairs, room)
+        count = _assemble_all(law, chains, loads, members, pairs, stack, before, now, h, room)
+        _gather(room, count)
+        fair = FAIR if law.scheme.inertia else 1.0
+        moves, count = _decide(room, count, iteration, fair)
+        if not moves:
             _finish_all(law, chains, loads, members, stack, h, room, iteration)
-            return iteration
-        if iteration > PATIENT and worst >= least and part > SHORTEST_PART:
-            part *= 0.5
-            _go_all(chains, members, room, part)
-            continue
-        if not math.isfinite(worst):
-            return -1
-        fine, kept, values, rows, columns, right = _linearise(law, chains, members, h, room, count)
+            return iteration, nothing_waits()
+        iteration += 1
+        if count == FAILED or iteration == ITERATION_LIMIT:
+            return FAILED, nothing_waits()
+        fine, waiting = _linearise(law, chains, members, h, room, count, iteration)
         if not fine:
-            return -1
-        forces = np.zeros(0)
-        if count:
-            matrix = csc_array((values, (rows, columns)), shape=(3 * count, 3 * count))
-            try:
-                forces = splu(matrix).solve(right)
-            except RuntimeError:  # singular
-                return -1
-        least, part = worst, 1.0
-        _add_forces(room, kept, forces)
-        _advance_all(law, chains, members, pairs, room)
-    return -1
+            return FAILED, nothing_waits()
+        if 3 * count > FULL:
+            return WAITS, waiting
+        forces = _full_solution(waiting) if count else waiting.right

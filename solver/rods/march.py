@@ -5,13 +5,15 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
+import numpy as np
+
 from ..arrays import Array, Integers
 from ..compiled import njit
 from .chain import Chain, chain_of, new_system
 from .contact import Touch, no_touch
 from .crossing import allowed_J, first_crossing
-from .joint import Law, joint_step, room_for
-from .motion import STEP, TIME, Hub, Motion, Scheme, copy, fit_to_step, hub_of, rod
+from .joint import WAITS, Law, Room, Waiting, joint_step, nothing_waits, room_for, sparse_solution
+from .motion import STEP, TIME, Hub, Motion, Scheme, copy, fit_to_step, hub_of, rod, write
 from .step import new_scratch, step
 from .tally import add_step
 
@@ -71,7 +73,7 @@ def judge(scheme: Scheme, error: float, iterations: int, h: float, wanted: float
 
 class Windows(NamedTuple):
     """Where the means of `tally.add_step` go: the first window's begin, their width in s, and sums
-    (w, `tally.COLUMNS`)."""
+    (rods, w, `tally.COLUMNS`)."""
 
     begin_s: float
     width_s: float
@@ -123,18 +125,14 @@ def march_apart(
                 now.totals[STEP], lands = h * share, True
                 continue
             lands = False
-            add_step(law.surface, hub, now, other, windows.begin_s, windows.width_s, windows.sums)
+            add_step(
+                law.surface, hub, now, other, windows.begin_s, windows.width_s, windows.sums[i]
+            )
             copy(other, now)
             now.totals[STEP] = following
             if h > 0.9999 * left:
                 now.totals[TIME] = until
     return -1
-
-
-@njit
-def _fit_all(members: Integers, stack: Motion, h: float) -> None:
-    for i in members:
-        fit_to_step(rod(stack, i), h)
 
 
 @njit
@@ -165,9 +163,75 @@ def _accept_all(
         i = members[k]
         hub = hub_of(hubs, i)
         now, following = rod(stack, i), rod(new, k)
-        add_step(law.surface, hub, now, following, windows.begin_s, windows.width_s, windows.sums)
+        add_step(
+            law.surface, hub, now, following, windows.begin_s, windows.width_s, windows.sums[i]
+        )
         copy(following, now)
         now.totals[TIME], now.totals[STEP] = time_s, step_s
+
+
+# What `_march_joint` goes on from: the time, the step wanted next, the step under way, and whether
+# that ends where contact begins or ends.
+AT, WANTED, UNDER_WAY, LANDS = range(4)
+
+
+@njit
+def _march_joint(
+    law: Law,
+    chains: Chain,
+    loads: Array,
+    hubs: Hub,
+    members: Integers,
+    pairs: Integers,
+    stack: Motion,
+    touch: Touch,
+    now: Touch,
+    end_s: float,
+    windows: Windows,
+    room: Room,
+    progress: Array,
+    waiting: Waiting,
+    forces: Array,
+) -> tuple[int, Waiting]:
+    """March on from ``progress`` as `march_together`, or until an iteration waits for its
+    ``forces``: the first is `WAITS` then."""
+    hub = hub_of(hubs, 0)
+    while progress[AT] < end_s:
+        t = progress[AT]
+        until = next_end(hub, t, end_s)
+        left = until - t
+        if waiting.iteration == 0:
+            progress[UNDER_WAY] = equal_part(left, progress[WANTED])
+            for i in members:
+                fit_to_step(rod(stack, i), progress[UNDER_WAY])
+        h = progress[UNDER_WAY]
+        count, waiting = joint_step(
+            law, chains, loads, hubs, members, pairs, stack, touch, now, h, room, waiting, forces
+        )
+        if count == WAITS:
+            return WAITS, waiting
+        if count < 0:
+            progress[WANTED] = 0.5 * h
+            if progress[WANTED] < SHORTEST_S:
+                return members[0], waiting
+            continue
+        error, share = _look_at_all(law, chains, members, stack, room.new, h)
+        following = judge(law.scheme, error, count, h, progress[WANTED])
+        if following < 0.0:
+            progress[WANTED] = -following
+            continue
+        if share < NEARLY and progress[LANDS] == 0.0:
+            progress[WANTED], progress[LANDS] = h * share, 1.0
+            continue
+        progress[LANDS], progress[WANTED] = 0.0, following
+        progress[AT] = until if h > 0.9999 * left else t + h
+        _accept_all(law, hubs, members, stack, room.new, progress[AT], following, windows)
+        write(now.elongation, touch.elongation)
+        write(now.state, touch.state)
+        write(now.speed, touch.speed)
+        write(now.normal, touch.normal)
+        write(now.friction, touch.friction)
+    return -1, waiting
 
 
 def march_together(
@@ -187,33 +251,30 @@ def march_together(
     ``pairs`` (p, 4) are the elements that may touch, rods counted among the members, and ``touch``
     is what their points remember.
     """
-    room = room_for(len(members), stack.x.shape[1], stack.touch.state.shape[2], len(pairs))
-    now, t = no_touch(len(pairs), 2), float(stack.totals[members[0], TIME])
-    wanted = float(stack.totals[members, STEP].min())
-    hub = hub_of(hubs, 0)
-    lands = False
-    while t < end_s:
-        until = next_end(hub, t, end_s)
-        left = until - t
-        h = equal_part(left, wanted)
-        _fit_all(members, stack, h)
-        count = joint_step(law, chains, loads, hubs, members, pairs, stack, touch, now, h, room)
-        if count < 0:
-            wanted = 0.5 * h
-            if wanted < SHORTEST_S:
-                return int(members[0])
-            continue
-        error, share = _look_at_all(law, chains, members, stack, room.new, h)
-        following = judge(law.scheme, error, count, h, wanted)
-        if following < 0.0:
-            wanted = -following
-            continue
-        if share < NEARLY and not lands:
-            wanted, lands = h * share, True
-            continue
-        lands = False
-        wanted, t = following, until if h > 0.9999 * left else t + h
-        _accept_all(law, hubs, members, stack, room.new, t, wanted, windows)
-        for kept, new in zip(touch, now, strict=True):
-            kept[:] = new
-    return -1
+    most = 1 << (len(pairs) - 1).bit_length()
+    room = room_for(len(members), stack.x.shape[1], stack.touch.state.shape[2], most)
+    totals = stack.totals[members]
+    progress = np.array([totals[0, TIME], totals[:, STEP].min(), 0.0, 0.0])
+    now, waiting = no_touch(len(pairs), 2), nothing_waits()
+    forces: Array = np.empty(0)
+    while True:
+        failed, waiting = _march_joint(
+            law,
+            chains,
+            loads,
+            hubs,
+            members,
+            pairs,
+            stack,
+            touch,
+            now,
+            end_s,
+            windows,
+            room,
+            progress,
+            waiting,
+            forces,
+        )
+        if failed != WAITS:
+            return failed
+        forces = sparse_solution(waiting)

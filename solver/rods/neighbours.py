@@ -1,10 +1,9 @@
 """Which bristles may touch each other: pairs of elements, and groups that share their time steps.
 
-A list of pairs holds until rods have moved by a part of the margin it was made with, in the hub's
-axes. Over a short span of time only those pairs count that come near each other if twice their
-speed of approach is not exceeded. Rods that these pairs connect are a group, and march together.
-All others march by themselves. If any of them turn out to have met, the span is marched again with
-more pairs.
+Over a short span of time only those pairs count that touch, or would touch at their present speed
+of approach. Rods that these pairs connect are a group, and march together. All others march by
+themselves. Then the gaps and their speeds at both ends of the span tell which others may have met
+meanwhile. They count too, and the rods concerned march the span once more.
 """
 
 from __future__ import annotations
@@ -18,19 +17,22 @@ import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from ..arrays import Array, Integers
+from ..arrays import Array, Flags, Integers
 from .contact import FREE, Touch, no_touch
 from .hub import HubPose
 from .motion import Motion
-from .pairs import Between, candidates, near
+from .pairs import Between, approach, candidates
 
-# The margin of a list of pairs, and how far rods move in a span, over the wide side.
-MARGIN, MOVED = 1.0, 0.125
-# What counts as near where nothing moves, over the thin side.
-NEAR = 0.01
-LONGEST_S, SHORTEST_S = 1e-3, 1e-5
+# How far rods move in a span at most, over the wide side.
+MOVED = 0.125
+# By how many times its speed a node may move in a span, and one at rest by how much of the above.
+FASTER, KICKED = 2.0, 0.5
+# What counts as near, over the thin side.
+NEAR = 0.001
 # Faces that are no deeper in each other just touch.
 TOUCHING_M = 1e-9
+# Instants of a span at which gaps are looked at.
+LOOKS = 9
 
 
 @dataclass(frozen=True)
@@ -53,24 +55,98 @@ class Neighbours:
         self.law = law
         self.pairs: Integers = np.zeros((0, 4), dtype=np.int64)
         self.touch = no_touch(0, 2)
-        self._placed: Array | None = None
+        self.span_s = 0.0
+        self._apart = NEAR * 2.0 * float(law.half[0])
+        # of the span that has begun
+        self._possible = self.pairs
+        self._gaps: Array = np.zeros(0)
+        self._closing: Array = np.zeros(0)
+        self._placed: Array = np.zeros(0)
+        self._reach: Array = np.zeros(0)
 
-    def search(self, x: Array, pose: HubPose) -> None:
-        """Renew the list of pairs where rods (n, nodes, 3) moved too far in the hub's axes."""
-        placed = (x - pose.position_m) @ pose.rotation
-        margin = MARGIN * 2.0 * self.law.half[1]
-        if self._placed is not None:
-            moved = float(np.linalg.norm(placed - self._placed, axis=-1).max())
-            # two that near each other both move
-            if moved < 0.5 * margin * (1.0 - 2.0 * MOVED):
-                return
-        self._placed = placed
-        room = np.zeros((len(self.pairs) + 1, 4), dtype=np.int64)
-        count = candidates(self.law, placed, margin, room)
+    def search(self, stack: Motion, pose: HubPose, longest_s: float) -> None:
+        """Make the list of pairs that count over the next span of time, and say how long that is,
+        up to ``longest_s``."""
+        self._placed, speeds = self._in_hub(stack, pose)
+        most = MOVED * 2.0 * float(self.law.half[1])
+        self.span_s = min(most / max(float(speeds.max()), 1e-12), longest_s)
+        self._reach = self._apart + np.maximum(FASTER * speeds * self.span_s, KICKED * most)
+        self._possible = self._candidates(stack, self._reach)
+        self._gaps, self._closing = self._approach(stack)
+        soon = self._gaps - self._closing * self.span_s < self._apart
+        held = self.pairs[(self.touch.state != FREE).any(axis=1)]
+        self._take(_joined(self._possible[soon], held), self.touch, self.pairs)
+
+    def begun_in_each_other(self) -> Integers:
+        """The pairs (p, 4) that are deeper in each other than rounding as the span begins."""
+        return self._possible[self._gaps < -TOUCHING_M]
+
+    def outran(self, stack: Motion, pose: HubPose) -> bool:
+        """Whether a rod has moved farther in the span than `search` thought."""
+        placed, _ = self._in_hub(stack, pose)
+        return bool((np.linalg.norm(placed - self._placed, axis=-1) > self._reach).any())
+
+    def missed(self, stack: Motion, span_s: float) -> Integers:
+        """The pairs (p, 4) beyond the list that may have met in the span of time which ends now.
+
+        Gaps over time are cubic, by their values and speeds at both ends. Where elements are beside
+        each other at one end only they are linear.
+        """
+        gaps, closing = self._approach(stack)
+        was, closed = self._gaps.copy(), self._closing.copy()
+        new, gone = np.isinf(was) & np.isfinite(gaps), np.isfinite(was) & np.isinf(gaps)
+        was[new], closed[new] = gaps[new] + closing[new] * span_s, closing[new]
+        gaps[gone], closing[gone] = was[gone] - closed[gone] * span_s, closed[gone]
+        s = np.linspace(0.0, 1.0, LOOKS)[:, None]
+        known = np.flatnonzero(np.isfinite(was))
+        one, two = was[known], gaps[known]
+        course = one + s**2 * (3.0 - 2.0 * s) * (two - one)
+        course -= s * (1.0 - s) ** 2 * span_s * closed[known]
+        course += s**2 * (1.0 - s) * span_s * closing[known]
+        met = self._possible[known[course.min(axis=0) < self._apart]]
+        return met[_places(self.pairs, met) < 0]
+
+    def add(self, pairs: Integers, before: Mapping[str, Any], rods: int) -> Flags:
+        """Put more pairs on the list; which rods (rods,) march the span once more for them.
+
+        Their points remember again what they did at the `checkpoint` ``before``.
+        """
+        marched, touch = self.pairs, self.touch
+        self.restore(before)
+        self._take(_joined(marched, pairs), self.touch, self.pairs)
+        _, of = self.groups(rods)
+        again = np.isin(of, of[pairs[:, 0]])
+        stay = ~again[marched[:, 0]]
+        at = _places(self.pairs, marched[stay])
+        for new, old in zip(self.touch, touch, strict=True):
+            new[at] = old[stay]
+        return np.asarray(again)
+
+    def _candidates(self, stack: Motion, reach: Array) -> Integers:
+        """The pairs, in order, that may meet, see `candidates`; boxes are slim along the axes of
+        the elements' directions."""
+        sides = (stack.x[:, 1:] - stack.x[:, :-1]).reshape(-1, 3)
+        axes = np.linalg.eigh(sides.T @ sides)[1]
+        room = np.zeros((len(self._possible) + 1000, 4), dtype=np.int64)
+        count = candidates(self.law, stack.x, stack.q, axes, reach, room)
         if count > len(room):
             room = np.zeros((count, 4), dtype=np.int64)
-            candidates(self.law, placed, margin, room)
-        self._take(_sorted(room[:count]), self.touch, self.pairs)
+            candidates(self.law, stack.x, stack.q, axes, reach, room)
+        return _sorted(room[:count])
+
+    def _approach(self, stack: Motion) -> tuple[Array, Array]:
+        """Gaps and closing speeds of all pairs that may meet."""
+        gaps, closing = np.empty(len(self._possible)), np.empty(len(self._possible))
+        approach(self.law, self._possible, stack, self._reach, gaps, closing)
+        return gaps, closing
+
+    def _in_hub(self, stack: Motion, pose: HubPose) -> tuple[Array, Array]:
+        """Where nodes (rods, n, 3) are in the hub's axes, and how fast (rods, n) they move in
+        them."""
+        arms = stack.x - pose.position_m
+        carried = pose.velocity_m_s + np.cross(pose.angular_velocity_rad_s, arms)
+        speeds = np.linalg.norm(stack.velocity[..., :3] - carried, axis=-1)
+        return np.asarray(arms @ pose.rotation), np.asarray(speeds)
 
     def _take(self, pairs: Integers, touch: Touch, before: Integers) -> None:
         """Another list of pairs; what points of ``before`` remember goes along."""
@@ -80,40 +156,18 @@ class Neighbours:
         for new, old in zip(self.touch, touch, strict=True):
             new[at[at >= 0]] = old[held[at >= 0]]
 
-    def span_s(self, stack: Motion, pose: HubPose) -> float:
-        """For how long to march on before looking again, in s."""
-        arms = stack.x - pose.position_m
-        carried = pose.velocity_m_s + np.cross(pose.angular_velocity_rad_s, arms)
-        fastest = float(np.linalg.norm(stack.velocity[..., :3] - carried, axis=-1).max())
-        moved = MOVED * 2.0 * float(self.law.half[1])
-        return float(np.clip(moved / max(fastest, 1e-12), SHORTEST_S, LONGEST_S))
-
-    def groups(self, stack: Motion, span_s: float, wider: float) -> tuple[list[Group], Integers]:
-        """The groups over a span of time, and each rod's group (n,) by its number, or by one of its
-        own; ``wider`` multiplies how near is near."""
-        rods = len(stack.x)
-        close = np.zeros(len(self.pairs), dtype=np.bool_)
-        apart = wider * NEAR * 2.0 * float(self.law.half[0])
-        near(self.law, self.pairs, stack, apart, wider * span_s, close)
-        ends = self.pairs[close][:, [0, 2]]
+    def groups(self, rods: int) -> tuple[list[Group], Integers]:
+        """The groups that the list of pairs makes, and each rod's group (n,) by its number, or by
+        one of its own."""
+        ends = self.pairs[:, [0, 2]]
         graph = coo_array((np.ones(len(ends)), (ends[:, 0], ends[:, 1])), shape=(rods, rods))
         _, of = connected_components(graph, directed=False)
-        counts = np.bincount(of, minlength=rods)
-        rows = np.flatnonzero(of[self.pairs[:, 0]] == of[self.pairs[:, 2]])
-        owner = of[self.pairs[rows, 0]]
+        counts, owner = np.bincount(of, minlength=rods), of[self.pairs[:, 0]]
         found = [
-            Group(np.flatnonzero(of == g), rows[owner == g]) for g in np.flatnonzero(counts > 1)
+            Group(np.flatnonzero(of == g), np.flatnonzero(owner == g))
+            for g in np.flatnonzero(counts > 1)
         ]
         return found, of
-
-    def met(self, stack: Motion, of: Integers | None = None) -> tuple[int, int] | None:
-        """Two rods of different groups that are in each other, or None."""
-        close = np.zeros(len(self.pairs), dtype=np.bool_)
-        near(self.law, self.pairs, stack, -2.0 * TOUCHING_M, 0.0, close)
-        if of is not None:
-            close &= of[self.pairs[:, 0]] != of[self.pairs[:, 2]]
-        found = np.flatnonzero(close)
-        return (int(self.pairs[found[0], 0]), int(self.pairs[found[0], 2])) if len(found) else None
 
     def normal_N(self, rods: int) -> Array:
         """The sum of the normal forces of other rods on each (rods,)."""
@@ -124,18 +178,20 @@ class Neighbours:
         return np.asarray(total)
 
     def checkpoint(self) -> dict[str, Any]:
-        """What the next search needs of the past: points that touch, and where rods were."""
+        """What the next search needs of the past: the points that touch."""
         held = (self.touch.state != FREE).any(axis=1)
         kept = {f"pair_{name}": each[held] for name, each in self.touch._asdict().items()}
-        placed = np.zeros((0, 0, 3)) if self._placed is None else self._placed
-        return kept | {"pairs": self.pairs, "pairs_held": self.pairs[held], "pairs_placed": placed}
+        return kept | {"pairs": self.pairs[held]}
 
     def restore(self, kept: Mapping[str, Any]) -> None:
         """Go back to a `checkpoint`."""
-        placed = kept["pairs_placed"]
-        self._placed = placed if placed.size else None
-        touch = Touch(*(kept[f"pair_{name}"] for name in Touch._fields))
-        self._take(kept["pairs"], touch, kept["pairs_held"])
+        self.pairs = kept["pairs"]
+        self.touch = Touch(*(kept[f"pair_{name}"] for name in Touch._fields))
+
+
+def _joined(pairs: Integers, more: Integers) -> Integers:
+    """Both lists, in order, each pair once."""
+    return np.unique(np.concatenate([pairs, more]), axis=0)
 
 
 def _sorted(pairs: Integers) -> Integers:

@@ -26,12 +26,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..arrays import Array, Flags, Integers
+from ..arrays import Array, Integers
 from ..compiled import inlined, njit
 from .contact import Touch, coefficient, lose_hold, point_force, remember
 from .ground import Contact
 from .motion import Motion
-from .rotation import normalise, write_matrix
+from .rotation import write_matrix_of
 from .section import RodSection
 
 # Directions whose square is below this are no axis.
@@ -114,8 +114,8 @@ def room_for_points(pairs: int) -> Points:
 class Meeting(NamedTuple):
     """Room for the stretch of one element along another: the first's centre line at its ends, and
     the second's beside it (2, 3), their shares (2,) of the elements' lengths, gaps (2,), normal
-    (3,), the axes of both elements (3, 3), and from either centre line the arms (2, 3) of the
-    points that meet."""
+    (3,), the axes of both elements (3, 3), from either centre line the arms (2, 3) of the points
+    that meet, and vectors (9, 3) in between."""
 
     first: Array
     second: Array
@@ -127,6 +127,7 @@ class Meeting(NamedTuple):
     axes_b: Array
     arm_a: Array
     arm_b: Array
+    room: Array
 
 
 @njit
@@ -143,6 +144,7 @@ def new_meeting() -> Meeting:
         np.zeros((3, 3)),
         np.zeros((2, 3)),
         np.zeros((2, 3)),
+        np.zeros((9, 3)),
     )
 
 
@@ -154,14 +156,20 @@ def _dot(a: Array, b: Array) -> float:
 @njit
 def _middle(q: Array, e: int, out: Array) -> None:
     """Write the axes (3, 3) of an element's middle."""
-    mean = np.empty(4)
-    same = 0.0
+    same = square = 0.0
     for c in range(4):
         same += q[e, c] * q[e + 1, c]
+    sign = 1.0 if same >= 0.0 else -1.0
     for c in range(4):
-        mean[c] = q[e, c] + (q[e + 1, c] if same >= 0.0 else -q[e + 1, c])
-    normalise(mean)
-    write_matrix(mean, out)
+        square += (q[e, c] + sign * q[e + 1, c]) ** 2
+    size = math.sqrt(square)
+    write_matrix_of(
+        (q[e, 0] + sign * q[e + 1, 0]) / size,
+        (q[e, 1] + sign * q[e + 1, 1]) / size,
+        (q[e, 2] + sign * q[e + 1, 2]) / size,
+        (q[e, 3] + sign * q[e + 1, 3]) / size,
+        out,
+    )
 
 
 @inlined
@@ -227,7 +235,14 @@ def meet(
     ``x`` (n, 3) and ``q`` (n, 4) are the rods' nodes. The normal points from the second to the
     first.
     """
-    ta, tb, apart = np.empty(3), np.empty(3), np.empty(3)
+    ta, tb, apart, plane, n, m = (
+        out.room[0],
+        out.room[1],
+        out.room[2],
+        out.room[3],
+        out.room[4],
+        out.room[5],
+    )
     la = lb = square = 0.0
     for c in range(3):
         ta[c], tb[c] = xa[e + 1, c] - xa[e, c], xb[f + 1, c] - xb[f, c]
@@ -243,7 +258,7 @@ def meet(
         ta[c] /= la
         tb[c] /= lb
     # the stretch between the planes through the second's nodes
-    plane, low, high = np.empty(3), 0.0, la
+    low, high = 0.0, la
     _across(qb, f, plane)
     low, high = _clip(low, high, _dot(apart, plane), _dot(ta, plane))
     _across(qb, f + 1, plane)
@@ -253,7 +268,7 @@ def meet(
         return 0.0
     _middle(qa, e, out.axes_a)
     _middle(qb, f, out.axes_b)
-    n, m, best, length = np.empty(3), np.empty(3), -math.inf, 0.0
+    best, length = -math.inf, 0.0
     tip, cosine = e == len(xa) - 2, _dot(ta, tb)
     sine_2, along = 1.0 - cosine * cosine, _dot(apart, tb)
     crosses, chosen = sine_2 > CROSSING * CROSSING, -1
@@ -408,12 +423,11 @@ def meet_pair(
             gaps[k] = math.inf
             lost += lose_hold(before, now, pair, k)
         return count, lost, held
-    moved_a, moved_b = np.empty(3), np.empty(3)
-    pull, matrix, n = np.empty(3), np.empty((3, 3)), room.normal
+    moved_a, moved_b, pull, n = room.room[6], room.room[7], room.room[8], room.normal
     kn = 0.5 * length * law.stiffness
     if e == len(now_a.x) - 2 and f == len(now_b.x) - 2:
         kn *= 0.5  # two tips are met from both sides
-    kt = law.ratio * kn
+    kt, matrix = law.ratio * kn, np.empty((3, 3))
     for k in range(2):
         gap = gaps[k] = room.gap[k]
         if gap >= 0.0:
@@ -478,57 +492,119 @@ def shortfall(
 
 
 @njit
-def near(
-    law: Between, pairs: Integers, stack: Motion, apart: float, span_s: float, out: Flags
+def approach(
+    law: Between, pairs: Integers, stack: Motion, reach: Array, gaps: Array, closing: Array
 ) -> None:
-    """Write of every pair (p, 4) whether its elements come within ``apart`` metres of each other in
-    a time, if twice their present speed of approach is not exceeded."""
+    """Write the least gap in m of every pair (p, 4) and the speed in m/s at which it closes.
+
+    Nodes may move by ``reach`` (rods, n) before elements count as beside each other; others have an
+    infinite gap.
+    """
     room, wider = new_meeting(), law.half.copy()
     for p in range(len(pairs)):
         a, e, b, f = pairs[p, 0], pairs[p, 1], pairs[p, 2], pairs[p, 3]
-        fastest = 0.0
-        for i in range(2):
-            for j in range(2):
-                square = 0.0
-                for c in range(3):
-                    square += (stack.velocity[a, e + i, c] - stack.velocity[b, f + j, c]) ** 2
-                fastest = max(fastest, square)
-        reach = 0.5 * apart + span_s * math.sqrt(fastest)
-        wider[0], wider[1] = law.half[0] + reach, law.half[1] + reach
+        more = max(reach[a, e], reach[a, e + 1], reach[b, f], reach[b, f + 1])
+        wider[0], wider[1] = law.half[0] + more, law.half[1] + more
         inflated = Between(
             wider, law.round, law.stiffness, law.ratio, law.static, law.kinetic, law.speed
         )
-        length = meet(inflated, stack.x[a], stack.q[a], e, stack.x[b], stack.q[b], f, room)
-        out[p] = length > 0.0 and min(room.gap[0], room.gap[1]) < 0.0
+        gaps[p], closing[p] = math.inf, 0.0
+        if meet(inflated, stack.x[a], stack.q[a], e, stack.x[b], stack.q[b], f, room) == 0.0:
+            continue
+        gaps[p], closing[p] = min(room.gap[0], room.gap[1]) + 2.0 * more, -math.inf
+        for i in range(2):
+            for j in range(2):
+                speed = 0.0
+                for c in range(3):
+                    over = stack.velocity[b, f + j, c] - stack.velocity[a, e + i, c]
+                    speed += over * room.normal[c]
+                closing[p] = max(closing[p], speed)
 
 
 @njit
-def candidates(law: Between, x: Array, apart: float, out: Integers) -> int:
-    """Write the pairs of elements (p, 4) of rods with nodes ``x`` (rods, n, 3) whose boxes along
-    the world's axes come within ``apart`` of each other; how many there are, written or not.
+def _write_box(
+    law: Between, x: Array, q: Array, e: int, reach: float, axes: Array, box: Array
+) -> None:
+    """Write the middle (3,) and the half sides (3,) of a box along an element's ``axes`` (3, 3)
+    that holds its prism and ``reach`` metres around it."""
+    _middle(q, e, axes)
+    for c in range(3):
+        box[0, c] = 0.5 * (x[e, c] + x[e + 1, c])
+    for k in range(3):
+        along = 0.0
+        for c in range(3):
+            along += axes[c, k] * (x[e + 1, c] - x[e, c])
+        section = law.half[k] if k < 2 else 0.0
+        box[1, k] = 0.5 * abs(along) + section + reach
 
-    Boxes are sorted along the first axis, and swept (Cohen et al., I-COLLIDE, SIGGRAPH 1995).
+
+@njit
+def _boxes_apart(axes_a: Array, box_a: Array, axes_b: Array, box_b: Array) -> bool:
+    """Whether a face of one of two boxes has the other beyond it."""
+    for other in range(2):
+        axes, box = (axes_a, box_a) if other == 0 else (axes_b, box_b)
+        beside, sides = (axes_b, box_b) if other == 0 else (axes_a, box_a)
+        for k in range(3):
+            apart, reach = 0.0, box[1, k]
+            for c in range(3):
+                apart += axes[c, k] * (box_a[0, c] - box_b[0, c])
+            for j in range(3):
+                turned = 0.0
+                for c in range(3):
+                    turned += axes[c, k] * beside[c, j]
+                reach += abs(turned) * sides[1, j]
+            if abs(apart) > reach:
+                return True
+    return False
+
+
+@njit
+def candidates(law: Between, x: Array, q: Array, turned: Array, reach: Array, out: Integers) -> int:
+    """Write the pairs of elements (p, 4) of rods with nodes ``x`` (rods, n, 3) and ``q`` that come
+    so near that boxes around them meet: around the prisms, and ``reach`` (rods, n) beyond; how many
+    there are, written or not.
+
+    Boxes along the axes ``turned`` (3, 3) are sorted along the one on which rods are spread most,
+    and swept (Cohen et al., I-COLLIDE, SIGGRAPH 1995), and where they meet those along the
+    elements' own axes are compared (Gottschalk et al.).
     """
     rods, elements = x.shape[0], x.shape[1] - 1
-    reach = math.sqrt(law.half[0] ** 2 + law.half[1] ** 2) + 0.5 * apart
     low, high = np.empty((rods * elements, 3)), np.empty((rods * elements, 3))
+    axes, boxes = np.empty((rods * elements, 3, 3)), np.empty((rods * elements, 2, 3))
     for r in range(rods):
         for e in range(elements):
+            i = r * elements + e
+            beyond = max(reach[r, e], reach[r, e + 1])
+            _write_box(law, x[r], q[r], e, beyond, axes[i], boxes[i])
             for c in range(3):
-                low[r * elements + e, c] = min(x[r, e, c], x[r, e + 1, c]) - reach
-                high[r * elements + e, c] = max(x[r, e, c], x[r, e + 1, c]) + reach
-    order, count = np.argsort(low[:, 0]), 0
+                middle = half = 0.0
+                for k in range(3):
+                    middle += turned[k, c] * boxes[i, 0, k]
+                    cosine = 0.0
+                    for d in range(3):
+                        cosine += turned[d, c] * axes[i, d, k]
+                    half += abs(cosine) * boxes[i, 1, k]
+                low[i, c], high[i, c] = middle - half, middle + half
+    one, most = 0, 0.0
+    for c in range(3):
+        spread = low[:, c].max() - low[:, c].min()
+        if spread > most:
+            one, most = c, spread
+    two, three = (one + 1) % 3, (one + 2) % 3
+    order, count = np.argsort(low[:, one]), 0
     for first in range(len(order)):
         i = order[first]
         for second in range(first + 1, len(order)):
             j = order[second]
-            if low[j, 0] > high[i, 0]:
+            if low[j, one] > high[i, one]:
                 break
             if i // elements == j // elements:
                 continue
-            if low[i, 1] > high[j, 1] or low[j, 1] > high[i, 1]:
+            if low[i, two] > high[j, two] or low[j, two] > high[i, two]:
                 continue
-            if low[i, 2] > high[j, 2] or low[j, 2] > high[i, 2]:
+            if low[i, three] > high[j, three] or low[j, three] > high[i, three]:
+                continue
+            if _boxes_apart(axes[i], boxes[i], axes[j], boxes[j]):
                 continue
             if count < len(out):
                 a, b = i, j

@@ -10,7 +10,7 @@ import numpy as np
 from mpi4py import MPI
 
 from .. import paper
-from ..arrays import Array, Integers
+from ..arrays import Array, Flags, Integers
 from ..bristle import positive
 from ..errors import BristleError, ComputationError, InputError, require
 from ..time.scheme import TimeScheme
@@ -42,8 +42,8 @@ BOW_RAD = 1e-4
 LOOKS = 500
 # Forces are averaged over windows of time no longer than this.
 WINDOW_S = 1e-3
-# A span is marched again with pairs that are so many times farther apart at most.
-WIDEST = 1000.0
+# For how long rods march at most before pairs are looked for again, and at least.
+LONGEST_S, SHORTEST_S = 1e-3, 1e-7
 # A tip may lie this share of its length below the surface at the start: it hangs by its weight.
 TOUCHING = 1e-6
 
@@ -133,12 +133,9 @@ class Rods:
                 raise found
         self._exchange(self.mine, np.zeros(0, dtype=np.int64))
         if self._neighbours is not None:
-            self._neighbours.search(self._now.x, self.motion.pose(0.0))
-            both = self._neighbours.met(self._now)
-            if both is not None:
-                raise InputError(
-                    f"bristles {both[0]} and {both[1]} begin in each other; space them"
-                )
+            self._neighbours.search(self._now, self.motion.pose(0.0), LONGEST_S)
+            for a, _, b, _ in self._neighbours.begun_in_each_other():
+                raise InputError(f"bristles {a} and {b} begin in each other; space them")
         self._means = Means.none()
         first = self._observed()
         self._initial_J = float(first.energy[:, :2].sum() + first.energy[:, 5].sum())
@@ -170,11 +167,11 @@ class Rods:
     def advance(self, end_s: float, windows: int = 1) -> None:
         """March every bristle to ``end_s``, and take means over so many ``windows`` until there;
         collective. Raises ComputationError as `march`."""
-        begin_s, sums = self.t_s, np.zeros((windows, COLUMNS))
+        begin_s, sums = self.t_s, np.zeros((len(self.clamps), windows, COLUMNS))
         width_s = (end_s - begin_s) / windows
         while self.t_s < end_s:
             self._advance(end_s, Windows(begin_s, width_s, sums))
-        whole = np.sum(self.comm.allgather(sums), axis=0)
+        whole = np.sum(self.comm.allgather(sums.sum(axis=0)), axis=0)
         self._means = Means.of(begin_s, end_s, whole, len(self.clamps))
 
     def _advance(self, end_s: float, windows: Windows) -> None:
@@ -186,40 +183,49 @@ class Rods:
             self._refuse_failure(failed)
             self._t_s = end_s
             return
-        pose = self.motion.pose(self.t_s)
-        near.search(self._now.x, pose)
-        span = near.span_s(self._now, pose)
-        until = end_s if self.t_s + 1.01 * span > end_s else self.t_s + span
-        kept, touch = _copied(self._now), near.touch
-        wider = 1.0
+        pose, before, longest = self.motion.pose(self.t_s), near.checkpoint(), LONGEST_S
+        kept = [(each, each.copy()) for each in (*_arrays(self._now), windows.sums)]
+        everyone: Flags = np.ones(len(self.clamps), dtype=np.bool_)
+        again = everyone
+        near.search(self._now, pose, longest)
         while True:
-            groups, of = near.groups(self._now, until - self.t_s, wider)
-            mine, lone = shared_out(groups, of, self.comm.size)
-            own = windows._replace(sums=np.zeros_like(windows.sums))
-            failed = self._march_apart(lone[self.comm.rank], until, own)
-            near.touch = Touch(*(each.copy() for each in touch))
-            marched: list[Integers] = [lone[self.comm.rank]]
-            touched: list[Integers] = [nothing]
-            for g in mine[self.comm.rank]:
-                if failed < 0:
-                    failed = self._march_group(groups[g], until, own)
-                marched.append(groups[g].members)
-                touched.append(groups[g].rows)
-            self._exchange(np.concatenate(marched), np.concatenate(touched))
-            self._refuse_failure(failed)
-            both = near.met(self._now, of)
-            if both is None:
+            until = end_s if self.t_s + 1.01 * near.span_s > end_s else self.t_s + near.span_s
+            self._march_span(until, windows, again)
+            if near.outran(self._now, self.motion.pose(until)):
+                longest, again = 0.5 * (until - self.t_s), everyone
+                if longest < SHORTEST_S:
+                    raise ComputationError(
+                        f"bristles are thrown too far at {until:.6g} s; take a lower tolerance"
+                    )
+                _go_back(kept, again)
+                near.restore(before)
+                near.search(self._now, pose, longest)
+                continue
+            missed = near.missed(self._now, until - self.t_s)
+            if not len(missed):
                 break
-            if wider > WIDEST:
-                raise ComputationError(
-                    f"bristles {both[0]} and {both[1]} have passed into each other at "
-                    f"{until:.6g} s; take a higher Kn, or a lower tolerance"
-                )
-            # some met that were not near: once more, with more of them
-            wider *= 2.0
-            _write(kept, self._now)
-        windows.sums[:] += own.sums
+            again = near.add(missed, before, len(self.clamps))
+            _go_back(kept, again)
         self._t_s = until
+
+    def _march_span(self, until: float, windows: Windows, those: Flags) -> None:
+        """March ``those`` rods (rods,) to the end of a span, and groups of which they are whole."""
+        assert self._neighbours is not None
+        groups, of = self._neighbours.groups(len(self.clamps))
+        groups = [group for group in groups if those[group.members[0]]]
+        mine, lone = shared_out(groups, of, self.comm.size)
+        own = lone[self.comm.rank]
+        own = own[those[own]]
+        failed = self._march_apart(own, until, windows)
+        marched: list[Integers] = [own]
+        touched: list[Integers] = [np.zeros(0, dtype=np.int64)]
+        for g in mine[self.comm.rank]:
+            if failed < 0:
+                failed = self._march_group(groups[g], until, windows)
+            marched.append(groups[g].members)
+            touched.append(groups[g].rows)
+        self._exchange(np.concatenate(marched), np.concatenate(touched))
+        self._refuse_failure(failed)
 
     def _march_apart(self, members: Integers, end_s: float, windows: Windows) -> int:
         return march_apart(
@@ -407,13 +413,10 @@ def _arrays(state: Motion) -> list[Array]:
     return [*state[:-1], *state.touch]
 
 
-def _copied(state: Motion) -> list[Array]:
-    return [each.copy() for each in _arrays(state)]
-
-
-def _write(arrays: list[Array], state: Motion) -> None:
-    for kept, now in zip(arrays, _arrays(state), strict=True):
-        now[:] = kept
+def _go_back(kept: list[tuple[Array, Array]], those: Flags) -> None:
+    """Make the first of each two arrays the second again, for ``those`` rods (rods,)."""
+    for now, was in kept:
+        now[those] = was[those]
 
 
 def _bowed(section: RodSection, curvature_1_m: float) -> RodSection:

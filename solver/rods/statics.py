@@ -36,13 +36,18 @@ def force_tolerance(chain: Chain, x: Array, near: float, rate: float) -> float:
 
 
 @njit
-def residual_norm(residual: Array, total: float) -> float:
-    """The greatest force in N, or moment over the rod's length, on nodes that are free."""
-    most = 0.0
+def excess(residual: Array, force: float, moment: float) -> float:
+    """The greatest force or moment on nodes that are free, over those in N and in N m that count as
+    none."""
+    most_force = most_moment = 0.0
     for i in range(1, len(residual)):
         for c in range(3):
-            most = max(most, abs(residual[i, c]), abs(residual[i, 3 + c]) / total)
-    return most
+            # one that is no number is not lost in a maximum
+            if not abs(residual[i, c]) <= most_force:
+                most_force = abs(residual[i, c])
+            if not abs(residual[i, 3 + c]) <= most_moment:
+                most_moment = abs(residual[i, 3 + c])
+    return max(most_force / force, most_moment / moment)
 
 
 @njit
@@ -88,10 +93,10 @@ def _newton(
         for i in range(1, len(x)):
             for c in range(6):
                 system.residual[i, c] -= loads[i, c]
-        norm = residual_norm(system.residual, total)
-        if norm <= tolerance:
+        over = excess(system.residual, tolerance, tolerance * total)
+        if over <= 1.0:
             return iteration
-        if not np.isfinite(norm):
+        if not np.isfinite(over):
             return -1
         assemble_tangent(chain, 0.0, system, elements)
         if not solve(system):

@@ -42,7 +42,7 @@ class Means:
 
     @classmethod
     def of(cls, begin_s: float, end_s: float, sums: Array, rods: int) -> Means:
-        """Of the ``sums`` (w, `COLUMNS`) that `add_step` gathered over so many rods."""
+        """Of the ``sums`` (w, `COLUMNS`) that `add_step` gathered, over so many rods."""
         ends = np.linspace(begin_s, end_s, len(sums) + 1)
         mean = sums / np.diff(ends)[:, None]
         return cls(ends[:-1], ends[1:], mean[:, :3], mean[:, 3:STATE], mean[:, STATE:] / rods)

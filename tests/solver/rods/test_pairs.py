@@ -1,5 +1,6 @@
 """Bristle against bristle: the gap of two elements, its forces, and rods that bend each other."""
 
+import itertools
 import math
 
 import numpy as np
@@ -7,7 +8,7 @@ import pytest
 from elastica import cantilever
 from mpi4py import MPI
 from rod_helpers import along, leaning
-from scipy.optimize import brentq
+from scipy.optimize import brentq, lsq_linear
 from scipy.spatial.transform import Rotation
 
 from bristle.meshes.section import Circle
@@ -17,9 +18,9 @@ from bristle.solver.rods.chain import at_rest, chain_of, stacked, uniform_chain
 from bristle.solver.rods.contact import no_touch, surface_of
 from bristle.solver.rods.ground import Contact, Ground
 from bristle.solver.rods.hub import Clamps, HubPath
-from bristle.solver.rods.joint import Law, joint_step, room_for
+from bristle.solver.rods.joint import Law, joint_step, nothing_waits, room_for
 from bristle.solver.rods.motion import Hub, copy, motion_of, rod, scheme_of, set_strains
-from bristle.solver.rods.neighbours import Group, shared_out
+from bristle.solver.rods.neighbours import Group, Neighbours, shared_out
 from bristle.solver.rods.pairs import (
     CORNER,
     ROUGH_M,
@@ -233,7 +234,20 @@ def cross_bent(elements, overlap, angle_deg=90.0, steps=80):
     while done < 1.0:
         part = min(part, 1.0 - done)
         hubs.place[1, 0] = -THIN + overlap * (done + part)
-        found = joint_step(law, chains, loads, hubs, np.arange(2), pairs, stack, *touch, 0.0, room)
+        found, _ = joint_step(
+            law,
+            chains,
+            loads,
+            hubs,
+            np.arange(2),
+            pairs,
+            stack,
+            *touch,
+            0.0,
+            room,
+            nothing_waits(),
+            np.empty(0),
+        )
         if found < 0:
             part *= 0.5
             assert part > 1e-5
@@ -262,30 +276,61 @@ def test_two_bristles_that_cross_bear_the_force_of_two_elasticas(elements):
     assert force == pytest.approx(expected, rel=1e-2)
 
 
-def test_candidates_are_all_pairs_whose_boxes_are_near():
-    rng = np.random.default_rng(3)
-    x = np.cumsum(rng.normal(scale=4e-3, size=(6, 5, 3)), axis=1) + rng.normal(
-        scale=8e-3, size=(6, 1, 3)
-    )
-    apart = 1e-3
-    room = np.zeros((600, 4), dtype=np.int64)
-    count = candidates(LAW, x, apart, room)
+def test_candidates_are_all_pairs_whose_boxes_meet():
+    """All that do meet, by the distance of two boxes as a least-squares problem, and none of which
+    a face has the other beyond it, by the boxes' corners."""
+    rng, more = np.random.default_rng(3), 1e-3
+    attitudes = Rotation.random(8, rng)
+    places = rng.normal(scale=2e-3, size=(8, 1, 3))
+    x = places + np.linspace(0.0, 0.02, 5)[:, None] * attitudes.as_matrix()[:, None, :, 2]
+    q = np.repeat(attitudes.as_quat()[:, None, [3, 0, 1, 2]], 5, axis=1)
+    room = np.zeros((2000, 4), dtype=np.int64)
+    turned = Rotation.random(rng=rng).as_matrix()
+    count = candidates(LAW, x, q, turned, np.full((8, 5), more), room)
     found = {frozenset([(a, e), (b, f)]) for a, e, b, f in room[:count].tolist()}
     # two tips are met from both sides
     assert len(found) == count - sum(e == f == 3 for _, e, _, f in room[:count].tolist()) // 2
-    reach = math.hypot(SECTION.half_thin_m, SECTION.half_wide_m) + 0.5 * apart
-    low = np.minimum(x[:, :-1], x[:, 1:]) - reach
-    high = np.maximum(x[:, :-1], x[:, 1:]) + reach
-    expected = set()
-    for a in range(6):
-        for b in range(a):
-            for e in range(4):
-                for f in range(4):
-                    if np.all(low[a, e] <= high[b, f]) and np.all(low[b, f] <= high[a, e]):
-                        expected.add(frozenset([(a, e), (b, f)]))
-    assert found == expected
     # a tip is met by its own rod's side
     assert all(f != 3 or e == 3 for _, e, _, f in room[:count].tolist())
+    half = np.array([SECTION.half_thin_m, SECTION.half_wide_m, 0.0025]) + more
+    middles, axes = 0.5 * (x[:, 1:] + x[:, :-1]), attitudes.as_matrix()
+    meets, none_beyond = set(), set()
+    for a, b, e, f in itertools.product(range(8), range(8), range(4), range(4)):
+        if a <= b:
+            continue
+        pair, apart = frozenset([(a, e), (b, f)]), middles[b, f] - middles[a, e]
+        both = np.concatenate([axes[a], -axes[b]], axis=1)
+        sides = np.concatenate([half, half])
+        if lsq_linear(both, apart, (-sides, sides), tol=1e-14).cost < 1e-20:
+            meets.add(pair)
+        normals = np.concatenate([axes[a], axes[b]], axis=1)
+        reach = np.abs(normals.T @ both) @ sides
+        if (np.abs(normals.T @ apart) <= reach).all():
+            none_beyond.add(pair)
+    assert len(meets) > 20
+    assert meets <= found <= none_beyond
+
+
+@pytest.mark.parametrize(("gap_m", "closes_m_s", "met"), [(6e-5, 1.0, False), (1e-5, -15.0, True)])
+def test_pairs_that_meet_and_part_within_a_span_are_found(gap_m, closes_m_s, met):
+    """Two that close at 1 m/s from 0.1 mm are apart after 0.04 ms. Where they part at 15 m/s then,
+    the cubic through gaps and speeds is below zero meanwhile: by 0.025 mm in the middle."""
+    near, still, span_s = Neighbours(LAW), HubPath.still().pose(0.0), 4e-5
+    stack = motion_of(2, 3, 4)
+    for i in range(2):
+        stack.x[i], stack.q[i] = straight([-i * (THIN + 1e-4), 0.0, 0.1], DOWN, 3)
+    stack.velocity[0, :, 0] = -1.0
+    near.search(stack, still, span_s)
+    before = near.checkpoint()
+    assert near.span_s == span_s
+    assert len(near.pairs) == 0
+    stack.x[0, :, 0] = gap_m - 1e-4
+    stack.velocity[0, :, 0] = -closes_m_s
+    assert not near.outran(stack, still)
+    missed = near.missed(stack, span_s)
+    assert (len(missed) > 0) == met
+    assert near.add(missed, before, 2).all() == met
+    assert len(near.pairs) == len(missed)
 
 
 @pytest.mark.parametrize("ranks", [1, 2, 5])
