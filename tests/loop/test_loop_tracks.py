@@ -346,7 +346,7 @@ def test_the_zero_of_one_film_is_one_for_all_its_drops(tmp_path):
     """A zero that is 0.6 mm too high, with a declared error of 0.5 mm, in drops of one film and in
     drops of a film each: what says that the zero is off must not grow with the drops of one."""
     pulls = []
-    for k, film in enumerate((1, lambda t: t["drop"])):
+    for k, film in enumerate(("one.mp4", lambda t: t["drop"])):
         made(tmp_path / f"{k}", {}, keys="sigma_y_mm = 0.25\nsigma_surface_mm = 0.5\n", **HIGH)
         data = _with_column(tmp_path / f"{k}" / "films", "film", film, lambda t: 0.6)
         tracks = filmed(data).tracks

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from .....solver.arrays import Array
 from .....solver.errors import InputError
 from ....data.datasets import Manifest, read_manifest
-from ....data.tables import InPieces, column, optional_column, read_series, read_table
+from ....data.tables import InPieces, Rows, column, optional_column, read_series, read_table
 from ....data.units import check_marks
 
 KIND = "tracks"
@@ -132,10 +132,16 @@ def read_tracks(folder: Path) -> Tracks:
         relative=relative,
         sigma_surface=(1.0 if in_pixels else 1e-3)
         * float(manifest.measurement.get(f"sigma_surface_{unit}", 0.0)),
-        film=optional_column(path, read.rows, "film", 1.0),
+        film=_films(read.rows) if "film" in columns else None,
         lean_deg=column(path, read.rows, "lean_deg", empty=True) if "lean_deg" in columns else None,
         sigma_lean_deg=optional_column(path, read.rows, "sigma_lean_deg", 1.0),
     )
+
+
+def _films(rows: Rows) -> Array:
+    """A number for the film of each row (frames,), whatever the films are called."""
+    names = [cells["film"].strip() for _, cells in rows]
+    return np.asarray(np.unique(names, return_inverse=True)[1], dtype=float)
 
 
 def _of_rows(
