@@ -15,7 +15,6 @@ itself: it rests where its residual counts as none, and goes on if another runs 
 from __future__ import annotations
 
 import math
-from functools import lru_cache
 from typing import Any, NamedTuple, cast
 
 import numpy as np
@@ -105,7 +104,6 @@ def _stacked(one: Any, count: int) -> Any:
     return np.zeros((count, *one.shape), dtype=one.dtype)
 
 
-@lru_cache(maxsize=16)
 def room_for(rods: int, nodes: int, rim: int, pairs: int) -> Room:
     """Room for so many rods of so many nodes, with so many pairs of elements at most."""
     points = room_for_points(pairs)

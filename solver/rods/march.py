@@ -12,7 +12,7 @@ from ..compiled import njit
 from .chain import Chain, chain_of, new_system
 from .contact import Touch, no_touch
 from .crossing import allowed_J, first_crossing
-from .joint import WAITS, Law, Room, Waiting, joint_step, nothing_waits, room_for, sparse_solution
+from .joint import WAITS, Law, Room, Waiting, joint_step, nothing_waits, sparse_solution
 from .motion import STEP, TIME, Hub, Motion, Scheme, copy, fit_to_step, hub_of, rod, write
 from .step import new_scratch, step
 from .tally import add_step
@@ -245,14 +245,13 @@ def march_together(
     touch: Touch,
     end_s: float,
     windows: Windows,
+    room: Room,
 ) -> int:
     """March rods that may touch each other to ``end_s`` with steps in common, see `march_apart`.
 
     ``pairs`` (p, 4) are the elements that may touch, rods counted among the members, and ``touch``
-    is what their points remember.
+    is what their points remember; ``room`` is for as many rods, and as many pairs or more.
     """
-    most = 1 << (len(pairs) - 1).bit_length()
-    room = room_for(len(members), stack.x.shape[1], stack.touch.state.shape[2], most)
     totals = stack.totals[members]
     progress = np.array([totals[0, TIME], totals[:, STEP].min(), 0.0, 0.0])
     now, waiting = no_touch(len(pairs), 2), nothing_waits()
@@ -276,5 +275,7 @@ def march_together(
             forces,
         )
         if failed != WAITS:
+            if failed >= 0:
+                stack.totals[failed, STEP] = progress[WANTED]
             return failed
         forces = sparse_solution(waiting)

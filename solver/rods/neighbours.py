@@ -72,7 +72,7 @@ class Neighbours:
         self.span_s = min(most / max(float(speeds.max()), 1e-12), longest_s)
         self._reach = self._apart + np.maximum(FASTER * speeds * self.span_s, KICKED * most)
         self._possible = self._candidates(stack, self._reach)
-        self._gaps, self._closing = self._approach(stack)
+        self._gaps, (_, self._closing) = self._approach(stack)
         soon = self._gaps - self._closing * self.span_s < self._apart
         held = self.pairs[(self.touch.state != FREE).any(axis=1)]
         self._take(_joined(self._possible[soon], held), self.touch, self.pairs)
@@ -90,9 +90,10 @@ class Neighbours:
         """The pairs (p, 4) beyond the list that may have met in the span of time which ends now.
 
         Gaps over time are cubic, by their values and speeds at both ends. Where elements are beside
-        each other at one end only they are linear.
+        each other at one end only they are linear. Of the speeds of an element's nodes the one
+        counts that makes the gap less: the greatest at the begin, the least at the end.
         """
-        gaps, closing = self._approach(stack)
+        gaps, (closing, _) = self._approach(stack)
         was, closed = self._gaps.copy(), self._closing.copy()
         new, gone = np.isinf(was) & np.isfinite(gaps), np.isfinite(was) & np.isinf(gaps)
         was[new], closed[new] = gaps[new] + closing[new] * span_s, closing[new]
@@ -135,10 +136,11 @@ class Neighbours:
         return _sorted(room[:count])
 
     def _approach(self, stack: Motion) -> tuple[Array, Array]:
-        """Gaps and closing speeds of all pairs that may meet."""
-        gaps, closing = np.empty(len(self._possible)), np.empty(len(self._possible))
+        """Gaps (p,) of all pairs that may meet, and their least and greatest closing speeds
+        (2, p)."""
+        gaps, closing = np.empty(len(self._possible)), np.empty((len(self._possible), 2))
         approach(self.law, self._possible, stack, self._reach, gaps, closing)
-        return gaps, closing
+        return gaps, closing.T
 
     def _in_hub(self, stack: Motion, pose: HubPose) -> tuple[Array, Array]:
         """Where nodes (rods, n, 3) are in the hub's axes, and how fast (rods, n) they move in

@@ -495,7 +495,8 @@ def shortfall(
 def approach(
     law: Between, pairs: Integers, stack: Motion, reach: Array, gaps: Array, closing: Array
 ) -> None:
-    """Write the least gap in m of every pair (p, 4) and the speed in m/s at which it closes.
+    """Write the least gap in m of every pair (p, 4), and the least and the greatest speed (p, 2) in
+    m/s at which two of its nodes close it.
 
     Nodes may move by ``reach`` (rods, n) before elements count as beside each other; others have an
     infinite gap.
@@ -508,17 +509,18 @@ def approach(
         inflated = Between(
             wider, law.round, law.stiffness, law.ratio, law.static, law.kinetic, law.speed
         )
-        gaps[p], closing[p] = math.inf, 0.0
+        gaps[p], closing[p, 0], closing[p, 1] = math.inf, 0.0, 0.0
         if meet(inflated, stack.x[a], stack.q[a], e, stack.x[b], stack.q[b], f, room) == 0.0:
             continue
-        gaps[p], closing[p] = min(room.gap[0], room.gap[1]) + 2.0 * more, -math.inf
+        gaps[p] = min(room.gap[0], room.gap[1]) + 2.0 * more
+        closing[p, 0], closing[p, 1] = math.inf, -math.inf
         for i in range(2):
             for j in range(2):
                 speed = 0.0
                 for c in range(3):
                     over = stack.velocity[b, f + j, c] - stack.velocity[a, e + i, c]
                     speed += over * room.normal[c]
-                closing[p] = max(closing[p], speed)
+                closing[p, 0], closing[p, 1] = min(closing[p, 0], speed), max(closing[p, 1], speed)
 
 
 @njit

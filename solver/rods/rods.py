@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
+from functools import lru_cache
 
 import numpy as np
 from mpi4py import MPI
@@ -20,7 +21,7 @@ from .contact import Touch, surface_of
 from .frame import Frame, RodEnergy
 from .ground import Contact, Ground
 from .hub import Clamps, HubMotion
-from .joint import Law
+from .joint import Law, room_for
 from .march import Windows, march_apart, march_together
 from .motion import Hub, Motion, motion_of, rod, scheme_of, set_strains
 from .neighbours import Group, Neighbours, shared_out
@@ -113,6 +114,8 @@ class Rods:
         scheme = scheme_of(TimeScheme.generalised(rho_infinity), tolerance * scale_m)
         self._law = Law(scheme, self._surface, between_of(between or Contact(), section))
         self._neighbours = Neighbours(self._law.between) if between is not None else None
+        # groups of as many rods come back every few spans
+        self._room_for = lru_cache(maxsize=16)(room_for)
         self._hub = self._hub_of()
         self._loads = np.zeros((len(clamps), elements + 1, 6))
         self._loads[..., :3] = self._chains.mass[..., None] * self._gravity
@@ -247,6 +250,9 @@ class Rods:
         pairs = near.pairs[group.rows].copy()
         pairs[:, 0], pairs[:, 2] = place[pairs[:, 0]], place[pairs[:, 2]]
         touch = Touch(*(each[group.rows] for each in near.touch))
+        # a power of two, so that few rooms do for all
+        most = 1 << (len(pairs) - 1).bit_length()
+        rods, nodes, rim = len(group.members), self.elements + 1, len(self._surface.rim)
         failed = march_together(
             self._law,
             self._chains,
@@ -258,6 +264,7 @@ class Rods:
             touch,
             end_s,
             windows,
+            self._room_for(rods, nodes, rim, most),
         )
         for whole, part in zip(near.touch, touch, strict=True):
             whole[group.rows] = part
