@@ -9,9 +9,7 @@
 prepare_tree() {
     local cache=$1 recipe name log all=(packages packages-develop)
     shift
-    name_tree "${all[@]}"
-    [[ -d $tree ]] || name_tree "$@"
-    [[ ! -d $tree ]] || return 0
+    ! find_tree "$@" || return 0
 
     mkdir -p -m 755 "$cache" 2>/dev/null || true # code is read from it, by nobody else written
     [[ -w $cache ]] ||
@@ -22,7 +20,8 @@ prepare_tree() {
         say "another call is preparing the environment; waiting for it …"
         flock "$lock"
     fi
-    if [[ ! -d $tree ]]; then
+    # another call may have made either of them meanwhile
+    if ! find_tree "$@"; then
         local tools=(mmdebstrap)
         # an ordinary user's tree is made under a range of further user numbers
         (( EUID == 0 )) || tools+=(uidmap:newuidmap)
@@ -30,6 +29,14 @@ prepare_tree() {
         make_tree
     fi
     exec {lock}>&-
+}
+
+# Whether there is a tree with all packages or one with those of the lists $@; names it, or the one
+# to be made.
+find_tree() {
+    name_tree "${all[@]}"
+    [[ -d $tree ]] || name_tree "$@"
+    [[ -d $tree ]]
 }
 
 # Sets `recipe`, `name`, `tree` and `log` for the tree with the packages of the lists $@.
