@@ -36,9 +36,13 @@ RAREST = 1e9
 # Fewer drops than this show so little that it has to be said; and fewer records in time, of which
 # none can be held out.
 ENOUGH_GROUPS, ENOUGH_RECORDS = 12, 4
-# What a group is, one and several, by the kind of data.
-DROPS = ("drop", "drops")
+# What a group is, one and several, by the kind of data; others have drops.
 GROUPS = {"falls": ("fall", "falls"), "waves": ("pass", "passes")}
+
+
+def names_of_groups(kind: str) -> tuple[str, str]:
+    """What a group of a ``kind`` of data is called, one and several."""
+    return GROUPS.get(kind, ("drop", "drops"))
 
 
 def opening(finding: Finding) -> list[str]:
@@ -153,7 +157,7 @@ def few_data(finding: Finding, problem: Problem, kind: str) -> dict[str, Any] | 
         return None
     hidden = [name for name, least in finding.detectable.items() if least is None]
     return {
-        "groups": f"{groups.size} {GROUPS.get(kind, DROPS)[1]}",
+        "groups": f"{groups.size} {names_of_groups(kind)[1]}",
         "can_show": would_have_shown(finding, problem),
         "cannot_show": [title_of(name) for name in hidden],
     }

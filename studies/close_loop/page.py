@@ -11,7 +11,7 @@ from ..report.figures import picture_files
 from ..report.page import FIGURES, Report, percent, write_report
 from ..running.files import remove
 from .closed import Closed
-from .opening import DROPS, GROUPS, few_data, opening, would_have_shown
+from .opening import few_data, names_of_groups, opening, would_have_shown
 from .rows import Rows
 from .sections import SECTIONS, prose
 
@@ -55,6 +55,5 @@ def headline(closed: Closed) -> list[str]:
     kind = closed.manifest.kind
     few = few_data(found, closed.problem, kind)
     shown = would_have_shown(found, closed.problem) if few is None else []
-    names = GROUPS.get(kind, DROPS)
-    told = {"opening": opening(found), "shown": shown, "few": few, "names": names}
+    told = {"opening": opening(found), "shown": shown, "few": few, "names": names_of_groups(kind)}
     return prose.text("headline", finding=found, solid=closed.confirmation.solid, **told)

@@ -35,7 +35,7 @@ from ..running.parallel import share_out, start_petsc
 from ..running.progress import progress, working
 from .closed import Closed
 from .confirm import LEFT_OUT, Confirmation, confirm
-from .opening import DROPS, GROUPS, few_data, on_few, opening, times, would_have_shown
+from .opening import few_data, names_of_groups, on_few, opening, times, would_have_shown
 
 SCHEMA = "bristle-close-loop-1"
 VERDICT_FILE = "verdict.json"
@@ -268,7 +268,7 @@ def summary(content: dict[str, Any]) -> list[tuple[str, str]]:
         rows.append(("measure next", content["next_experiment"]["change"]))
     rows += [("doubt", each) for each in content["warnings"]]
     rows += [("left aside", each) for each in content["left_aside"]]
-    one, several = GROUPS.get(content["kind"], DROPS)
+    one, several = names_of_groups(content["kind"])
     wrong = [Entry(**each).words(one, several) for each in content["bookkeeping"]]
     rows += [("written wrongly?", each) for each in wrong]
     return rows
