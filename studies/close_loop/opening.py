@@ -55,10 +55,11 @@ def opening(finding: Finding) -> list[str]:
         before, after, noise = (
             f"{each:.2g}" for each in (held.rms_before, held.rms_after, held.sigma)
         )
+        falls = held.rms_after < held.rms_before
         told.append(
-            f"On data that took no part in the fit, the error falls from {before} to {after} "
-            f"{held.unit}; noise alone makes {noise} {held.unit}."
-            if held.rms_after < held.rms_before
+            f"On data that took no part in the fit, the error {'falls' if falls else 'rises'} from "
+            f"{before} to {after} {held.unit}; noise alone makes {noise} {held.unit}."
+            if falls or np.asarray(finding.model.weights).size == 1
             else f"The size of the error on data that took no part in the fit stays {after} "
             f"{held.unit}: what differs by chance cannot be foretold, but how much it differs can."
         )

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.special import softmax
@@ -17,7 +17,7 @@ from scipy.stats import norm
 from ...solver.arrays import Array
 from .adequacy import OCCAM, Adequacy, Direction, assess, outliers_together
 from .fit import Fitted
-from .heldout import HeldOut, Judge, trimmed_rms
+from .heldout import LEAST_SCORED, HeldOut, Judge, trimmed_rms
 from .posterior import Posterior, posterior, refitted
 from .problem import Problem
 from .profile import Profile
@@ -25,6 +25,7 @@ from .sample import Sample
 from .search import Tried, fit_pairs, fit_refined
 
 LEFT_ALARM = 0.01
+CREDIBLE = 0.97
 LOOKED_AT, MOST_LOOKED_AT = 0.999, 8
 # An effect is refined that explains this share of what the likeliest does.
 REFINED = 0.2
@@ -45,7 +46,8 @@ GROSS = 30.0
 class Explanation:
     """A model with effects, what it leaves, and what it gains on held-out data (None: none).
 
-    It ``holds`` where what it leaves is noise and it pays as well.
+    It ``holds`` where what it leaves is noise and it pays as well. It is ``spared`` where only the
+    scores of too few held-out groups speak against it.
     """
 
     posterior: Posterior
@@ -53,6 +55,7 @@ class Explanation:
     held: HeldOut | None
     holds: bool
     why_not: str
+    spared: bool
 
 
 @dataclass(frozen=True)
@@ -100,7 +103,31 @@ def explain(state: State, singles: list[Tried]) -> tuple[list[Explanation], list
     least = max(each.log_evidence for each in refined) + state.cost
     pairs = fit_pairs(state.problem, state.data, state.base, singles, state.profiles, plain, least)
     better = [each for each in pairs if each.log_evidence > least]
-    return [*looked, *_looked_at(state, better, refined)], refined
+    return _with_spared(state, [*looked, *_looked_at(state, better, refined)]), refined
+
+
+def _with_spared(state: State, explained: list[Explanation]) -> list[Explanation]:
+    """The same: if one holds, what was spared holds beside it, unless it is far from the likeliest
+    of all these."""
+    if not any(each.holds for each in explained):
+        return explained
+    running = [each.posterior for each in explained if each.holds or each.spared]
+    least = max(map(state.credence, running)) - UNLISTED_MARGIN
+    return [
+        replace(each, holds=True, why_not="")
+        if each.spared and state.credence(each.posterior) > least
+        else each
+        for each in explained
+    ]
+
+
+def named(state: State, explained: Sequence[Explanation]) -> list[Explanation]:
+    """The credible set of what holds for itself, and all that holds beside it; likeliest first."""
+    alone = [each for each in explained if each.holds and not each.spared]
+    shares = shares_of([state.credence(each.posterior) for each in alone])
+    beside = [each for each in explained if each.holds and each.spared]
+    out = [*(alone[i] for i in credible(shares, CREDIBLE)), *beside]
+    return sorted(out, key=lambda each: -state.credence(each.posterior))
 
 
 def _looked_at(
@@ -118,8 +145,13 @@ def _looked_at(
         own = [each for each in parts if each.effects[0] in found.effects]
         part = max(own, key=lambda each: each.log_evidence, default=None)
         over = _sampled(state, part) if part else None
-        why = _unfit(state, found, assessed) or _refused(state, found, held, over)
-        out.append(Explanation(found, assessed, held, not why, why))
+        why, spared = _unfit(state, found, assessed), False
+        if held is not None and not why:
+            worse = _worse(state, found, held, over)
+            few = len(held.groups) < LEAST_SCORED
+            off = _off(state, found, held) if few or not worse else ""
+            why, spared = off or worse, bool(worse) and few and not off
+        out.append(Explanation(found, assessed, held, not why, why, spared))
     return out
 
 
@@ -133,26 +165,26 @@ def _unfit(state: State, found: Posterior, left: Adequacy) -> str:
         return f"what it leaves is not noise ({left.statistic}, p = {left.p_value:.2g})"
     if _large(state.data, left.residual):
         return "what it leaves is larger than the declared noise"
+    more = state.cost * (len(found.effects) - 1) - (0.0 if _scatters(found) else UNLISTED_MARGIN)
+    if state.first.unlisted > found.log_evidence - more:
+        return f"a shape that no effect has explains more ({state.first.shape})"
     return ""
 
 
-def _refused(state: State, found: Posterior, held: HeldOut | None, over: Posterior | None) -> str:
-    """Why a model that leaves noise does not explain the data, in words; empty where it does."""
-    scatters = np.asarray(found.fitted.model.weights).size > 1
-    more = state.cost * (len(found.effects) - 1)
-    if state.first.unlisted > found.log_evidence - more + (0.0 if scatters else UNLISTED_MARGIN):
-        return f"a shape that no effect has explains more ({state.first.shape})"
-    if held is None:
-        return ""
+def _worse(state: State, found: Posterior, held: HeldOut, over: Posterior | None) -> str:
+    """Why a model does not pay on held-out data, in words; empty where it does."""
     if held.log_score_gain_low <= 0.0:
         return "the log score of held-out data does not rise"
     if over is not None and state.judge.gain(found, over).total <= 0.0:
         return "held-out data are predicted no better than with one effect alone"
-    if not scatters and not held.nearer:
+    if not _scatters(found) and not held.nearer:
         return "the error on held-out data does not fall"
-    if _surprising(held):
-        return "held-out data lie farther off than their noise allows"
-    return _with_held_out(state, found)
+    return ""
+
+
+def _scatters(found: Posterior) -> bool:
+    """Whether a model differs by chance from group to group."""
+    return np.asarray(found.fitted.model.weights).size > 1
 
 
 def missing_otherwise(state: State, plain: HeldOut | None) -> str:
@@ -160,27 +192,20 @@ def missing_otherwise(state: State, plain: HeldOut | None) -> str:
     where by nothing."""
     if _large(state.data, state.first.residual):
         return "residuals are larger than the declared noise"
-    if plain is None:
-        return ""
-    if _surprising(plain):
+    return "" if plain is None else _off(state, state.baseline, plain)
+
+
+def _off(state: State, found: Posterior, held: HeldOut) -> str:
+    """What held-out data are of a model that noise is not, in words; empty where nothing: also when
+    it is fitted to them as well, since three outliers of which two are held out may be a band."""
+    if held.surprise < SURPRISE or held.greatest > GROSS:
         return "held-out data lie farther off than their noise allows"
-    return _with_held_out(state, state.baseline)
-
-
-def _with_held_out(state: State, found: Posterior) -> str:
-    """What a model leaves clearly of all data when it is fitted to the held-out ones as well, in
-    words; empty where that is noise: three outliers of which two are held out may be a band."""
     left = assess(state.every, refitted(state.every, found, state.rng).fitted, [], state.rng)
     if left.p_value < SURPRISE:
         return f"with the held-out data, what is left is not noise ({left.statistic})"
     if outliers_together(state.every, left.residual, state.rng) < LEFT_ALARM:
         return "outliers lie side by side, and so are not noise"
     return ""
-
-
-def _surprising(held: HeldOut) -> bool:
-    """Whether held-out errors are more than their noise allows."""
-    return held.surprise < SURPRISE or held.greatest > GROSS
 
 
 def _large(data: Sample, residual: Array) -> bool:

@@ -20,9 +20,9 @@ from .explain import (
     UNLISTED_MARGIN,
     Explanation,
     State,
-    credible,
     explain,
     missing_otherwise,
+    named,
     probabilities,
     shares_of,
 )
@@ -39,7 +39,6 @@ from .search import Tried, fit_baseline, fit_candidate, fit_simulated, near_like
 from .slips import FEWEST, are_too_many, could_be_anything
 
 ALARM = 0.01
-CREDIBLE = 0.97
 # Nats that scatter must gain over all else to be missing where no test finds it.
 SCATTER_GAIN = 8.0
 # The chance of an effect's own test from which on it may gain these: they are one of 6e-5.
@@ -202,9 +201,7 @@ def _find(
     else:
         explained = []
         advance(len(profiles) - len(singles))
-    holding = [each for each in explained if each.holds]
-    shares = shares_of([state.credence(each.posterior) for each in holding])
-    reported = [holding[i] for i in credible(shares, CREDIBLE)]
+    reported = named(state, explained)
     best = reported[0] if reported else None
     # what is reported: the likeliest explanation that holds, else the baseline as it is
     final, kept = (best.posterior, best.left) if best else (baseline, first)
@@ -220,7 +217,7 @@ def _find(
     bare = data.values.size <= base.u.size
     alone = _far_off(problem, data, kept.residual, best.held if best else plain)
     likelier = _likelier(state, best, explained) if best else ""
-    doubts = (alone, likelier, ROUGH if final.few else "", BARE if bare else "")
+    doubts = (alone, likelier, _spared(reported), ROUGH if final.few else "", BARE if bare else "")
     advance()
     return Finding(
         verdict=verdict,
@@ -291,6 +288,19 @@ def _likelier(state: State, best: Explanation, explained: Sequence[Explanation])
         f"{each.why_not}"
         for each, nats in zip(explained, by, strict=True)
         if not each.holds and nats > LIKELIER
+    )
+
+
+def _spared(reported: Sequence[Explanation]) -> str:
+    """Which named effects held-out data would have refused, had there been more, in words."""
+    spared = [each for each in reported if each.spared]
+    if not spared:
+        return ""
+    names = ", ".join(" with ".join(each.posterior.effects) for each in spared)
+    held = ", ".join(map(str, spared[0].held.groups)) if spared[0].held else ""
+    return (
+        f"the held-out data (no. {held} alone) speak against {names}, but they are too few to "
+        "refuse an effect: measure more"
     )
 
 

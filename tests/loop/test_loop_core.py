@@ -352,7 +352,8 @@ def test_what_is_likelier_and_was_refused_is_told(monkeypatch):
         return "it is not noise" if found.effects == plain.effects else ""
 
     monkeypatch.setattr(explain, "_unfit", refuse)
-    monkeypatch.setattr(explain, "_refused", lambda *_: "")
+    monkeypatch.setattr(explain, "_worse", lambda *_: "")
+    monkeypatch.setattr(explain, "_off", lambda *_: "")
     found = find(problem, seed=5)
     assert found.effects
     (told,) = [each for each in found.all_warnings() if "was refused" in each]
@@ -375,6 +376,17 @@ def test_effects_alike_are_ambiguous_and_an_experiment_is_named():
     assert sum(found.weights.values()) == pytest.approx(1.0)
     assert found.next_experiment is not None
     assert found.next_experiment.expected_gain > 0
+
+
+@pytest.mark.parametrize(("drops", "seed", "few"), [(4, 2, True), (8, 5, True), (12, 5, False)])
+def test_too_few_held_out_drops_refuse_no_effect_that_is_about_as_likely(drops, seed, few):
+    """One, two and three are held out: how two are predicted has no interval."""
+    found = find(toys.problem(seed, {"stiffening": 6.0}, drops=drops)[0], seed)
+    likeliest = max(e.log_evidence for e in found.evidences if e.effects in found.reported)
+    near = [e for e in found.evidences if e.log_evidence > likeliest - 3.0]
+    assert found.verdict is Verdict.AMBIGUOUS
+    assert any("held-out" in each.why_not for each in near) != few
+    assert any("too few to refuse" in each for each in found.warnings) == few
 
 
 def test_an_effect_that_nobody_listed_is_unknown():
