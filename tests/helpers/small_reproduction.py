@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from loop_toys import problem
+from once import once
 
 from bristle.studies.data.datasets import Drops
 from bristle.studies.inputs.config import DropInputs
@@ -19,6 +20,7 @@ from bristle.studies.reproduce.impact import Figure9, PeakTime
 from bristle.studies.reproduce.leaning import Bars, Leaning, Sticking
 from bristle.studies.reproduce.loop_section import LoopOnMeasured, LoopOnPaper
 from bristle.studies.reproduce.rebound import Figure13, Figures10To12, KnStudy
+from bristle.studies.reproduce.run import run_reproduce
 
 GRID = (1e3, 1e4, 1e5, 3e5, 1e6, 2e6, 4e6, 1e7, 1e8, 1e9, 1e10)
 
@@ -50,3 +52,8 @@ def small() -> tuple[Setup, list]:
         LoopOnPaper(1, toy),
         LoopOnMeasured(),
     ]
+
+
+def reproduced(factory):
+    """The folder of the small reproduction, made once for all tests, and what it found."""
+    return once(factory, "reproduce", lambda folder: run_reproduce(folder, *small()))

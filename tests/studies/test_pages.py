@@ -19,13 +19,11 @@ from made_outcomes import (
     shared_out,
     steps,
 )
-from mpi4py import MPI
-from small_reproduction import small
+from small_reproduction import reproduced
 
 from bristle.solver.effects.library import EFFECTS
 from bristle.studies.cli import main
 from bristle.studies.loop.kinds.drops import problem as drops_module
-from bristle.studies.reproduce.run import run_reproduce
 
 pytestmark = [pytest.mark.serial, needs_chromium]
 
@@ -83,7 +81,7 @@ WIDE = """
 def pages(tmp_path_factory) -> Path:
     """A folder with a result of every kind that has a page."""
     folder = tmp_path_factory.mktemp("pages")
-    run_reproduce(folder / "reproduce", *small(), comm=MPI.COMM_SELF)
+    (folder / "reproduce").symlink_to(reproduced(tmp_path_factory)[0])
     drops = write_drops(folder / "drops", [EFFECTS["wear"](decades=2.0)], TITLE)
     few = ["--drops", "60", "--model", "beam", "--elements", "4"]
     with pytest.MonkeyPatch.context() as patch:

@@ -8,7 +8,7 @@ import re
 import numpy as np
 import pytest
 from mpi4py import MPI
-from small_reproduction import small
+from small_reproduction import reproduced, small
 
 from bristle.solver import paper
 from bristle.studies.inputs.config import DropInputs
@@ -17,15 +17,13 @@ from bristle.studies.reproduce.campaign import Setup, compute
 from bristle.studies.reproduce.discretisation import fewest
 from bristle.studies.reproduce.impact import departs_at, window
 from bristle.studies.reproduce.rebound import track
-from bristle.studies.reproduce.run import paper_studies, run_reproduce
+from bristle.studies.reproduce.run import paper_studies
 from bristle.studies.running.cases import CaseSession
 
 
 @pytest.fixture(scope="module")
 def done(tmp_path_factory):
-    out = MPI.COMM_WORLD.bcast(str(tmp_path_factory.mktemp("reproduce")))
-    setup, studies = small()
-    return run_reproduce(out, setup, studies)
+    return reproduced(tmp_path_factory)[1]
 
 
 @pytest.fixture(scope="module")
