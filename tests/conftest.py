@@ -7,6 +7,7 @@ import signal
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 from mpi4py import MPI
 
 from bristle.meshes.section import Rectangle
@@ -59,6 +60,18 @@ def make_solid():
     yield build
     for solid in made.values():
         solid.close()
+
+
+@pytest.fixture(scope="module")
+def no_pictures():
+    """Pictures that nobody looks at are empty; to draw them takes longer than what they show."""
+
+    def empty(figure, file, *, format, **how):
+        file.write("<svg></svg>" if format == "svg" else b"")
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Figure, "savefig", empty)
+        yield
 
 
 @pytest.fixture

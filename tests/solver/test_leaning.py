@@ -25,9 +25,16 @@ def along(result, names=("velocity_after_m_s", "spin_after_rad_s")):
 # --- against the modal series -------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("beta", [1e-8, 1.07e-5])
-@pytest.mark.parametrize("kn", [1e5, 2e6, 1e8])
-@pytest.mark.parametrize("face", [False, True], ids=["point", "face"])
+@pytest.mark.parametrize(
+    ("kn", "beta", "face"),
+    [
+        (1e5, 1.07e-5, True),
+        (2e6, 1e-8, False),
+        (2e6, 1.07e-5, True),
+        (1e8, 1e-8, True),
+        (1e8, 1.07e-5, False),
+    ],
+)
 def test_frictionless_lean_keeps_the_speed_of_the_modal_series(kn, beta, face):
     """Within 1 % of the speed of fall; the two share neither modes nor march.
 
@@ -36,7 +43,7 @@ def test_frictionless_lean_keeps_the_speed_of_the_modal_series(kn, beta, face):
     there elements bound the agreement.
     """
     frame = beam(beta, 64 if kn > 1e7 else 32, face=face)
-    for lean in (0, 1, 2, 5):
+    for lean in (0, 2, 5):
         ours = drop(frame, kn, tilt_deg=lean)
         other = series(lean, kn, beta, ours, face=face)
         steep = kn > 1e7 and beta < 1e-6
@@ -368,8 +375,7 @@ def test_the_compiled_march_is_the_general_one(enforcement, seed):
     )
 
 
-@pytest.mark.parametrize("mu", [0.0, 0.05, 0.3])
-@pytest.mark.parametrize("kn", [2e5, 2e6])
+@pytest.mark.parametrize(("kn", "mu"), [(2e5, 0.05), (2e6, 0.0), (2e6, 0.3)])
 def test_nitsche_agrees_with_penalty_at_the_same_stiffness(kn, mu):
     """Within 2e-3 of the speed of fall; what is left for θ = ±1 falls with 1/γ₀, as it must: they
     take the tip's own stress for the contact pressure, with weight τ ~ 1/γ₀."""
@@ -402,7 +408,7 @@ def test_second_order_in_the_time_step(lean, face, enforcement):
         return drop(frame, 2e6, its, tilt_deg=lean[0], tilt_wide_deg=lean[1],
                     method={"enforcement": enforcement})  # fmt: skip
 
-    fine = results(1e-8)
+    fine = results(4e-8)  # whose own error is a hundredth of the smallest
     coarse = [results(its) for its in steps]
     for name in ("impulse_N_s", "max_penetration_m"):
         errors = [abs(getattr(result, name) - getattr(fine, name)) for result in coarse]
@@ -414,7 +420,7 @@ def test_with_friction_steps_still_converge():
     frame = beam(1.07e-5, 8, face=False)
     steps = [8e-7, 4e-7, 2e-7, 1e-7]
     for mu in (0.1, 0.5):
-        fine = drop(frame, its=1e-8, mu=mu, tilt_deg=3, tilt_wide_deg=2)
+        fine = drop(frame, its=2e-8, mu=mu, tilt_deg=3, tilt_wide_deg=2)
         errors = [
             abs(drop(frame, its=h, mu=mu, tilt_deg=3, tilt_wide_deg=2).impulse_N_s
                 - fine.impulse_N_s)
@@ -424,19 +430,17 @@ def test_with_friction_steps_still_converge():
         assert errors[0] < 1e-4 * fine.impulse_N_s
 
 
-@pytest.mark.parametrize("mu", [0.0, 0.3])
-def test_events_agree_with_plain_marching(mu):
+def test_events_agree_with_plain_marching():
     """Marched at a constant ITS from release on; it meets the plane somewhere within a step."""
     frame = beam(1e-8, 8, points=5)
-    the_plan = plan(2e5, 5e-6, height=0.01, mu=mu, tilt_deg=3.0, impact_only=False)
+    the_plan = plan(2e5, 5e-6, height=2e-3, mu=0.3, tilt_deg=3.0, impact_only=False)
     events = simulate(frame, the_plan)
-    plain = march_plainly(frame, the_plan, 0.06)
+    plain = march_plainly(frame, the_plan, 0.03)
     speed = events.impact_speed_m_s
     assert plain.impulse_N_s == pytest.approx(events.impulse_N_s, rel=5e-3)
     assert plain.peak_force_N == pytest.approx(events.peak_force_N, rel=5e-3)
     assert plain.n_contacts == events.n_contacts
     assert plain.velocity_after_m_s == pytest.approx(events.velocity_after_m_s, abs=5e-3 * speed)
     assert plain.energy.closure_relative < 1e-9
-    if mu:
-        loss, other = events.friction_impulse_N_s, plain.friction_impulse_N_s
-        assert other == pytest.approx(loss, abs=5e-3 * events.impulse_N_s)
+    loss, other = events.friction_impulse_N_s, plain.friction_impulse_N_s
+    assert other == pytest.approx(loss, abs=5e-3 * events.impulse_N_s)

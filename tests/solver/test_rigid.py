@@ -147,8 +147,7 @@ def test_local_frames_are_right_handed_and_gaps_are_distances(rng):
 # --- free rotation ------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("spin", SPINS)
-@pytest.mark.parametrize("alpha", [0.0, 0.8])
+@pytest.mark.parametrize(("spin", "alpha"), zip(SPINS, (0.0, 0.8, 0.8, 0.0), strict=True))
 def test_free_rotation_solves_eulers_equations(spin, alpha, rng):
     """An asymmetric top over 50 rad; errors of the steps grow with the motion's own divergence."""
     attitude, spin = unit(rng), np.array(spin)
@@ -306,7 +305,7 @@ def test_points_fly_where_modes_and_euler_put_them(body, seed):
     assert traced[:, 2] == pytest.approx(clearance(direct.places, ground).min(axis=1), abs=1e-10)
 
 
-@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize("seed", range(4))
 def test_next_touch_is_the_first_that_dense_sampling_sees(body, seed):
     """Over inclined planes: nothing dips below before it by more than the 1e-8 m of the search."""
     rng = np.random.default_rng(100 + seed)
@@ -393,8 +392,7 @@ def test_a_point_below_the_plane_on_its_way_out_does_not_touch_until_it_turns():
     assert 1e-3 / G <= touched(1e-3, 4e-4) < 2e-3 / G
 
 
-@pytest.mark.parametrize("loud", [2e-5, 2e-6])
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize(("seed", "loud"), [(0, 2e-5), (1, 2e-6), (2, 2e-5)])
 def test_apex_is_the_highest_that_dense_sampling_sees(body, seed, loud):
     """To 2e-7 m, of a rebound of centimetres."""
     pose, u, v = launched(body, 50 + seed, loud=loud)
@@ -409,7 +407,7 @@ def test_apex_is_the_highest_that_dense_sampling_sees(body, seed, loud):
         assert at == pytest.approx(height, abs=2e-7)
 
 
-@pytest.mark.parametrize("seed", range(10))
+@pytest.mark.parametrize("seed", range(4))
 def test_turning_stays_within_its_bounds(seed):
     """Of bodies of any principal moments, for as long as they tumble."""
     rng = np.random.default_rng(seed)
@@ -438,7 +436,7 @@ def test_turning_stays_within_its_bounds(seed):
     assert np.linalg.norm(axis, axis=1).max() <= swinging * close
 
 
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", range(3))
 def test_a_clearance_stays_above_what_a_look_promised(body, seed):
     """For as long as the look was to hold, whatever ringing it left out."""
     rng = np.random.default_rng(200 + seed)

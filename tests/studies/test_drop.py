@@ -138,16 +138,15 @@ def test_momentum_balance_of_the_first_impact(beam):
     assert gained == pytest.approx(result.impulse_N_s - mass * G * result.contact_time_s, rel=1e-10)
 
 
-@pytest.mark.parametrize(("kn", "beta"), [(2e6, paper.BETA_S), (2e5, 1e-8)])
-def test_events_agree_with_plain_marching(kn, beta):
-    """0.2 s marched at a constant ITS from release on, against flight and impact windows.
+def test_events_agree_with_plain_marching():
+    """60 ms marched at a constant ITS from release on, against flight and impact windows.
 
     The march meets the plane somewhere within a step: first order in the ITS is what it can give.
     """
-    frame = ModalFrame(beam_body(Bristle(material=Material(beta_s=beta)), 8))
-    plan = DropPlan(0.01, ContactMethod(Linear(kn)), 5e-6, G)
+    frame = ModalFrame(beam_body(Bristle(), 8))
+    plan = DropPlan(2e-3, ContactMethod(Linear(2e6)), 5e-6, G)
     events = simulate(frame, plan)
-    plain = march_plainly(frame, plan, 0.13)
+    plain = march_plainly(frame, plan, 0.06)
     assert plain.impact_speed_m_s == pytest.approx(events.impact_speed_m_s, abs=2.0 * G * 5e-6)
     assert plain.cm_velocity_after_m_s == pytest.approx(events.cm_velocity_after_m_s, rel=5e-3)
     assert plain.max_penetration_m == pytest.approx(events.max_penetration_m, rel=5e-3)

@@ -25,7 +25,7 @@ from bristle.studies.reproduce import run as reproduce_study
 from bristle.studies.running import files
 from bristle.studies.running.mark import MARK, Mark
 
-pytestmark = pytest.mark.serial
+pytestmark = [pytest.mark.serial, pytest.mark.usefixtures("no_pictures")]
 
 CELLS = ("--cells", "1", "1", "8")
 SOLID = ("drop", "--model", "solid", *CELLS, "--order", "1", "--its", "2e-5")

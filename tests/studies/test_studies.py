@@ -122,26 +122,24 @@ def test_a_basis_that_would_fill_too_much_memory_is_not_doubled(monkeypatch):
 def test_the_plain_march_agrees_with_events_as_the_step_shrinks():
     gaps = []
     for its_s in (1e-5, 2e-6):
-        events, _ = run_case(drop(its_s=its_s, height_m=1e-3, elements=4))
-        plain = march_case(drop(its_s=its_s, height_m=1e-3, elements=4))
-        gaps.append(abs(events.rebound_ratio - plain.rebound_ratio))
-    assert gaps[0] < 5e-3
+        inputs = drop(its_s=its_s, height_m=1e-3, elements=4, until="impact")
+        events, _ = run_case(inputs)
+        plain = march_case(inputs)
+        gaps.append(abs(events.cm_velocity_after_m_s - plain.cm_velocity_after_m_s))
+        assert plain.rebound_ratio is None
+    assert gaps[0] < 5e-3 * events.impact_speed_m_s
     assert gaps[1] < 0.3 * gaps[0]
-    impact = march_case(drop(until="impact", its_s=1e-5, height_m=1e-3, elements=4))
-    assert impact.rebound_ratio is None
-    assert impact.n_steps < plain.n_steps
 
 
 @serial
-@pytest.mark.parametrize("how", ["events", "marched", "analytic"])
-def test_what_a_drop_ends_before_is_not_reported(how):
+@pytest.mark.parametrize("model", ["beam", "analytic"])
+def test_what_a_drop_ends_before_is_not_reported(model):
     """In contact, on the way up, and past the top, before the second impact."""
 
     def run(inputs):
-        return march_case(inputs) if how == "marched" else run_case(inputs)[0]
+        return run_case(inputs)[0]
 
-    values = {"height_m": 1e-3, "elements": 4}
-    values |= {"model": "analytic"} if how == "analytic" else {}
+    values = {"height_m": 1e-3, "elements": 4, "model": model}
     whole = run(drop(**values))
     fall_s = math.sqrt(2.0 * 1e-3 / 9.8)
     release_s = fall_s + whole.contact_time_s
@@ -327,16 +325,6 @@ def test_every_enforcement_leans(contact):
     penalty, _ = run_case(drop(tilt_deg=3.0, its_s=2e-6))
     other, _ = run_case(drop(tilt_deg=3.0, its_s=2e-6, contact=contact))
     assert other.cm_velocity_after_m_s == pytest.approx(penalty.cm_velocity_after_m_s, rel=0.01)
-
-
-@serial
-def test_the_plain_march_leans_too():
-    values = {"tilt_deg": 2.0, "height_m": 1e-3, "elements": 4, "its_s": 2e-6, "until": "impact"}
-    events, _ = run_case(drop(**values))
-    plain = march_case(drop(**values))
-    assert plain.cm_velocity_after_m_s == pytest.approx(events.cm_velocity_after_m_s, rel=0.01)
-    assert plain.friction_impulse_N_s == pytest.approx(events.friction_impulse_N_s, rel=0.03)
-    assert (plain.rebound_ratio, plain.cm_rebound_height_m) == (None, None)
 
 
 @serial
