@@ -71,6 +71,7 @@ def no_pictures():
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(Figure, "savefig", empty)
+        patch.setattr(Figure, "draw_without_rendering", lambda figure: None)
         yield
 
 

@@ -9,7 +9,6 @@ import pickle
 import re
 import warnings
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import derived
 import matplotlib.pyplot as plt
@@ -30,9 +29,8 @@ from bristle.studies.cli import main
 from bristle.studies.loop.kinds.drops import problem as drops_module
 from bristle.studies.running.mark import MARK
 
-pytestmark = pytest.mark.serial
+pytestmark = [pytest.mark.serial, pytest.mark.usefixtures("no_pictures")]
 
-ROOT = Path(__file__).parents[2]
 LEANING = {"model": "solid", "tilt_deg": 2, "friction": 0, "cells": (1, 2, 24), "length_m": 0.05}
 # What differs from run to run, and what a folder alone has.
 OWN = {"wall_s", "peak_rss_MB", "mark"}
@@ -179,29 +177,6 @@ def test_what_is_derived_from_the_declared_inputs_is_up_to_date():
     assert derived.with_tables(page) == page
 
 
-def test_a_type_checker_sees_the_inputs(monkeypatch, tmp_path):
-    monkeypatch.chdir(ROOT)
-    lines = {
-        "bristle.drop(model='beam', kn_N_m=1e6).energy.kinetic_J + 1.0": "",
-        "bristle.sweep(models=['beam'], kn_N_m=np.array([1e6]), height_m=0.05).iloc[0]": "",
-        "bristle.drop(effects=[ContactDamping(c_N_s_m=5.0), 'wear:decades=1'])": "",
-        "bristle.Session().drop(model='beam').plot().set_title('one')": "",
-        "bristle.drop(model='solid').fields.stress[0]": "union-attr",
-        "bristle.drop(kn=1e6)": "call-arg",
-        "bristle.drop(model='bar')": "arg-type",
-        "bristle.close_loop()": "call-arg",
-        "bristle.Session().drop(height_m='0.05')": "arg-type",
-    }
-    path = tmp_path / "use.py"
-    head = "import numpy as np\nfrom bristle.solver.effects.contact import ContactDamping\n"
-    path.write_text("\n".join([f"import bristle\n{head}", *lines]))
-    done = python("-m", "mypy", path, timeout_s=300.0)
-    found = dict.fromkeys(range(5, 5 + len(lines)), "")
-    for line, code in re.findall(rf"^{path}:(\d+): error: .*\[([a-z-]+)\]$", done.stdout, re.M):
-        found[int(line)] = code
-    assert list(found.values()) == list(lines.values()), done.stdout
-
-
 def test_infinity_and_the_history_are_what_they_are():
     found = bristle.drop(model="beam", kn_N_m=math.inf, contact="augmented", until="impact")
     assert found.inputs.kn_N_m == math.inf
@@ -302,37 +277,31 @@ def test_to_import_it_loads_nothing_that_computes():
     assert done.stdout.strip() == "set()"
 
 
-def test_every_rank_has_the_answer():
-    code = (
-        "import bristle; from mpi4py import MPI;"
-        "t = bristle.sweep(models=['beam', 'solid'], kn_N_m=[1e5, 2e6], height_m=0.05,"
-        "  cells=(1, 1, 12), length_m=0.05);"
-        "r = bristle.drop(model='solid', cells=(1, 1, 12), length_m=0.05);"
-        "w = MPI.COMM_WORLD; all = w.gather((w.rank, [*t['rebound_ratio'], r.rebound_ratio]));"
-        "w.rank == 0 and print(json.dumps(all))"
-    )
-    done = mpirun(2, "-c", f"import json; {code}", timeout_s=300.0)
-    said = json.loads(done.stdout)
-    assert [rank for rank, _ in said] == [0, 1]
-    assert said[0][1] == said[1][1]
+RANKS = """
+import bristle, json
+from mpi4py import MPI
+
+world, small = MPI.COMM_WORLD, dict(cells=(1, 1, 12), length_m=0.05)
+table = bristle.sweep(models=["beam", "solid"], kn_N_m=[1e5, 2e6], height_m=0.05, **small)
+steps = bristle.its(models="beam", kn_N_m=1e6, its_s=[1e-5, 3e-6])
+said = (
+    *table["rebound_ratio"],
+    bristle.drop(model="solid", **small).rebound_ratio,
+    *map(float, steps.needs.its_needed_s),
+    bristle.synth(drops=6).table.sum().tolist(),
+    bristle.calibrate("paper").kn_N_m.estimate,
+    bristle.scatter(model="beam", drops=20, elements=8).n_drops,
+    bristle.mesh(cells=(1, 1, 10)).grid.n_cells,
+)
+kn = 1e6 * (1 + world.rank)
+own = bristle.drop(model="solid", **small, kn_N_m=kn, until="impact", comm=MPI.COMM_SELF)
+every = world.gather((said, own.ranks, own.peak_force_N))
+world.rank == 0 and print(json.dumps(every))
+"""
 
 
-def test_each_rank_may_work_alone_or_all_on_a_study():
-    code = (
-        "import bristle; from mpi4py import MPI; w = MPI.COMM_WORLD;"
-        "own = bristle.drop(model='solid', cells=(1, 1, 12), length_m=0.05,"
-        "  kn_N_m=1e6 * (1 + w.rank), until='impact', comm=MPI.COMM_SELF);"
-        "steps = bristle.its(models='beam', kn_N_m=1e6, its_s=[1e-5, 3e-6]);"
-        "made = bristle.synth(drops=6);"
-        "kn = bristle.calibrate('paper').kn_N_m.estimate;"
-        "n = bristle.scatter(model='beam', drops=20, elements=8).n_drops;"
-        "cells = bristle.mesh(cells=(1, 1, 10)).grid.n_cells;"
-        "said = (own.ranks, own.peak_force_N, [float(x) for x in steps.needs.its_needed_s],"
-        "  made.table.sum().tolist(), kn, n, cells);"
-        "all = w.gather(said); w.rank == 0 and print(json.dumps(all))"
-    )
-    done = mpirun(2, "-c", f"import json; {code}", timeout_s=300.0)
-    one, other = json.loads(done.stdout)
-    assert one[0] == other[0] == 1
-    assert one[1] < other[1]
-    assert one[2:] == other[2:]
+def test_every_rank_has_the_answer_of_all_and_may_work_alone():
+    (said, *own), (other, *others) = json.loads(mpirun(2, "-c", RANKS, timeout_s=300.0).stdout)
+    assert said == other
+    assert own[0] == others[0] == 1
+    assert own[1] < others[1]

@@ -34,7 +34,7 @@ from bristle.studies.inputs.study_fields import CalibrateInputs
 from bristle.studies.loop.kinds.drops.problem import emulator_for
 from bristle.studies.running.mark import MARK
 
-pytestmark = pytest.mark.serial
+pytestmark = [pytest.mark.serial, pytest.mark.usefixtures("no_pictures")]
 
 GRID = np.concatenate([[1e3, 1e4], np.geomspace(1e5, 1e8, 19), [1e9, 1e10]])
 KN = 3.1e6

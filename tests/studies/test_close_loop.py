@@ -31,7 +31,7 @@ from bristle.studies.loop.run import find
 from bristle.studies.running.files import write_atomically
 from bristle.studies.running.mark import MARK
 
-pytestmark = pytest.mark.serial
+pytestmark = [pytest.mark.serial, pytest.mark.usefixtures("no_pictures")]
 
 DATA = Path(__file__).resolve().parents[3] / "shared" / "data"
 MEASURED = Path(__file__).resolve().parents[2] / "studies" / "measured"

@@ -20,7 +20,7 @@ from bristle.studies.running.cases import run_case
 from bristle.studies.running.progress import duration, logged_to_terminal, progress
 from bristle.studies.running.steps import Watched, steps_of_contact
 
-pytestmark = pytest.mark.serial
+pytestmark = [pytest.mark.serial, pytest.mark.usefixtures("no_pictures")]
 
 LONG_WORK = """
 import time

@@ -57,6 +57,7 @@ TABLE_KEYS = (
     "energy_closure wall_s"
 )
 serial = pytest.mark.serial
+pytestmark = pytest.mark.usefixtures("no_pictures")
 
 
 def drop(**values):

@@ -15,7 +15,7 @@ from bristle.studies.inputs.sources import checked
 from bristle.studies.running.cases import CaseSession
 from bristle.studies.sweep import SweepInputs
 
-pytestmark = pytest.mark.serial
+pytestmark = [pytest.mark.serial, pytest.mark.usefixtures("no_pictures")]
 
 OPTIONS = ["--models", "beam", "--kn", "2e6", "--heights", "0.05"]
 

@@ -5,7 +5,7 @@ from hostile import TABLES, drops_table, kept_promise, manifest, run, write_data
 
 from bristle.studies.close_loop import run as loop_study
 
-pytestmark = pytest.mark.serial
+pytestmark = [pytest.mark.serial, pytest.mark.usefixtures("no_pictures")]
 
 
 @pytest.fixture(autouse=True)
