@@ -180,19 +180,18 @@ def solve_columns(system: System, columns: Array) -> bool:
         width = 12 + many if i < n - 1 else 6 + many
         for r in range(6):
             for c in range(6):
-                value = diagonal[i, r, c]
-                if i > 1:
-                    for k in range(6):
-                        value -= below[i, r, k] * above[i - 1, k, c]
-                room[r, c] = value
+                room[r, c] = diagonal[i, r, c]
                 if i < n - 1:
                     room[r, 6 + many + c] = above[i, r, c]
             for j in range(many):
-                load = columns[i, r, j]
-                if i > 1:
-                    for k in range(6):
-                        load -= below[i, r, k] * columns[i - 1, k, j]
-                room[r, 6 + j] = load
+                room[r, 6 + j] = columns[i, r, j]
+            if i > 1:
+                for k in range(6):
+                    factor = below[i, r, k]
+                    for c in range(6):
+                        room[r, c] -= factor * above[i - 1, k, c]
+                    for j in range(many):
+                        room[r, 6 + j] -= factor * columns[i - 1, k, j]
         if not _eliminate(room, width):
             return False
         for r in range(6):

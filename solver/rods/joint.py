@@ -26,7 +26,7 @@ from ..compiled import inlined, njit
 from .chain import Chain, System, chain_of, new_system, solve_columns, total_length
 from .contact import Surface, Touch
 from .element import Elements, assemble_tangent
-from .motion import ITERATIONS, Hub, Motion, Scheme, hub_of, motion_of, rod, write
+from .motion import ITERATIONS, Hub, Motion, Scheme, hub_of, motion_of, pose_of, rod, write
 from .pairs import (
     ROD_A,
     ROD_B,
@@ -51,6 +51,7 @@ from .step import (
     deepest,
     finish,
     go,
+    inert,
     keep,
     new_scratch,
     shortfall,
@@ -62,7 +63,7 @@ RESTS, GOES, RETURNS = range(3)
 # A cluster whose residual is not yet none after so many iterations rests where it is no more than
 # so many times that: where a contact passes from one face to another its force has a jump.
 FEW, FAIR = 3, 10.0
-# So many unknowns of points are solved as a full matrix, more as a sparse one.
+# So many unknowns of a cluster's points are solved as a full matrix, more as a sparse one.
 FULL = 240
 # Iterations that failed, and those that wait for a sparse solution.
 FAILED, WAITS = -1, -2
@@ -226,10 +227,10 @@ def _assemble_all(
             law.between,
             p,
             pairs[p],
-            rod(room.new, a),
-            rod(stack, members[a]),
-            rod(room.new, b),
-            rod(stack, members[b]),
+            pose_of(room.new, a),
+            pose_of(stack, members[a]),
+            pose_of(room.new, b),
+            pose_of(stack, members[b]),
             before,
             now,
             step,
@@ -376,15 +377,35 @@ def _list_sides(points: Points, count: int, begins: Integers, sides: Integers) -
 
 
 class Waiting(NamedTuple):
-    """An iteration that waits for its points' forces: its number, the rods' displacements by unit
-    forces, and of 1 + K C the values, rows, columns, and the right-hand side, see `_linearise`."""
+    """An iteration that waits for its points' forces: its number, each point's ``place`` among the
+    unknowns, where the points of each cluster begin there, the rods' displacements by unit forces,
+    and of 1 + K C the values, rows, columns, and the right-hand side, see `_linearise`."""
 
     iteration: int
+    place: Integers
+    begins: Integers
     kept: Array
     values: Array
     rows: Integers
     columns: Integers
     right: Array
+
+
+@njit
+def _in_clusters(room: Room, count: int) -> tuple[Integers, Integers]:
+    """Each point's place (points,) if those of a cluster come one after another, and where each
+    cluster's points begin (rods + 1,)."""
+    begins, place = np.zeros(len(room.cluster) + 1, np.int64), np.empty(count, np.int64)
+    for p in range(count):
+        begins[room.cluster[room.points.whole[p, ROD_A]] + 1] += 1
+    for c in range(1, len(begins)):
+        begins[c] += begins[c - 1]
+    filled = begins.copy()
+    for p in range(count):
+        c = room.cluster[room.points.whole[p, ROD_A]]
+        place[p] = filled[c]
+        filled[c] += 1
+    return place, begins
 
 
 @njit
@@ -399,6 +420,7 @@ def _linearise(
     points, begins, sides = room.points, room.begins, room.sides
     nodes = room.new.x.shape[1]
     _list_sides(points, count, begins, sides)
+    place, blocks = _in_clusters(room, count)
     entries = 3 * count
     for k in range(len(members)):
         entries += (3 * (begins[k + 1] - begins[k])) ** 2
@@ -441,7 +463,7 @@ def _linearise(
                     loads[e + node, 3 + a, j] += 0.5 * sign * arm[b]
                     loads[e + node, 3 + b, j] -= 0.5 * sign * arm[a]
         if not solve_columns(system, loads):
-            return False, Waiting(iteration, kept, values, rows, columns, right)
+            return False, nothing_waits()
         for i in range(nodes):
             for r in range(6):
                 system.solution[i, r] = loads[i, r, 0]
@@ -457,40 +479,44 @@ def _linearise(
                     for c in range(3):
                         apart[p, c] += sign * out[c]
                     continue
-                other = 3 * sides[begins[k] + (j - 1) // 3, 0] + (j - 1) % 3
+                other = 3 * place[sides[begins[k] + (j - 1) // 3, 0]] + (j - 1) % 3
                 for c in range(3):
                     value = 0.0
                     for d in range(3):
                         value += stiff[c, d] * sign * out[d]
-                    values[at], rows[at], columns[at] = value, 3 * p + c, other
+                    values[at], rows[at], columns[at] = value, 3 * place[p] + c, other
                     at += 1
     for p in range(count):
         for c in range(3):
             for d in range(3):
-                right[3 * p + c] += points.stiff[p, c, d] * apart[p, d]
-    return True, Waiting(iteration, kept, values, rows, columns, right)
+                right[3 * place[p] + c] += points.stiff[p, c, d] * apart[p, d]
+    return True, Waiting(iteration, place, blocks, kept, values, rows, columns, right)
 
 
 @njit
-def _add_forces(room: Room, kept: Array, forces: Array) -> None:
+def _add_forces(room: Room, waiting: Waiting, forces: Array) -> None:
     """Add what the points' forces move every rod by to its solution, and keep where it is."""
-    used, nodes = 0, room.new.x.shape[1]
+    used, nodes, kept = 0, room.new.x.shape[1], waiting.kept
     for k in range(len(room.new.x)):
         if room.doing[k] != GOES:
             continue
         solution, first = room.systems.solution[k], room.begins[k]
         many = 3 * (room.begins[k + 1] - first)
+        own = np.empty(many)
+        for j in range(many):
+            own[j] = forces[3 * waiting.place[room.sides[first + j // 3, 0]] + j % 3]
         for i in range(nodes):
             for r in range(6):
                 for j in range(many):
-                    force = forces[3 * room.sides[first + j // 3, 0] + j % 3]
-                    solution[i, r] -= kept[used + (i * 6 + r) * many + j] * force
+                    solution[i, r] -= kept[used + (i * 6 + r) * many + j] * own[j]
         used += nodes * 6 * many
         keep(rod(room.new, k), solution, _scratch_of(room.scratches, k))
 
 
 @njit
-def _advance_all(law: Law, chains: Chain, members: Integers, pairs: Integers, room: Room) -> None:
+def _advance_all(
+    law: Law, chains: Chain, members: Integers, pairs: Integers, h: float, room: Room
+) -> None:
     """Move rods by Newton's step, or by so much of it that what comes together just touches; those
     that return, back by a half."""
     stiffness, meeting, short = crossing_kn(law.between), new_meeting(), room.short
@@ -500,12 +526,18 @@ def _advance_all(law: Law, chains: Chain, members: Integers, pairs: Integers, ro
             room.part[k], room.last[k] = 1.0, room.worst[k]
         elif room.doing[k] == RESTS:
             short[k] = 1.0
-    for trial in range(SHORTER + 1):
+    chain = chain_of(chains, members[0])
+    # of a point at the end of a whole element, or of one where two cross
+    stiffest = max(stiffness, 0.5 * law.between.stiffness * chain.length.max())
+    if law.surface.there:
+        stiffest = max(stiffest, law.surface.kn)
+    trials = 0 if inert(chain, law.scheme, stiffest, h) else SHORTER
+    for trial in range(trials + 1):
         for k in range(len(members)):
             if short[k] < 1.0:
                 chain, scratch = chain_of(chains, members[k]), _scratch_of(room.scratches, k)
                 go(chain, rod(room.new, k), room.part[k], scratch)
-        if trial == SHORTER:
+        if trial == trials:
             return
         _look(law, stiffness, chains, members, pairs, room, meeting)
         shorter = False
@@ -544,7 +576,7 @@ def _look(
         if not (moved[a] or moved[b]):
             continue
         allowed = deepest(chain_of(chains, members[a]), stiffness)
-        both = rod(room.new, a), rod(room.new, b)
+        both = pose_of(room.new, a), pose_of(room.new, b)
         part = pair_shortfall(
             law.between, pairs[p], both[0], both[1], room.gaps[p], allowed, meeting
         )
@@ -585,7 +617,8 @@ def _finish_all(
 def nothing_waits() -> Waiting:
     """Before the first iteration."""
     none, index = np.empty(0), np.empty(0, np.int32)
-    return Waiting(0, none, none, index, index, none)
+    places = np.empty(0, np.int64)
+    return Waiting(0, places, places, none, none, index, index, none)
 
 
 def sparse_solution(waiting: Waiting) -> Array:
@@ -600,15 +633,31 @@ def sparse_solution(waiting: Waiting) -> Array:
 
 @njit
 def _full_solution(waiting: Waiting) -> Array:
-    """As `sparse_solution`, by a full matrix."""
-    count = len(waiting.right)
-    matrix = np.zeros((count, count))
+    """As `sparse_solution`, by a full matrix of each cluster."""
+    forces, begins = waiting.right.copy(), 3 * waiting.begins
+    first, size, starts = np.zeros((3, len(forces)), np.int64)
+    total = 0
+    for c in range(len(begins) - 1):
+        width = begins[c + 1] - begins[c]
+        for d in range(begins[c], begins[c + 1]):
+            first[d], size[d], starts[d] = begins[c], width, total
+        total += width * width
+    matrices = np.zeros(total)
     for entry in range(len(waiting.values)):
-        matrix[waiting.rows[entry], waiting.columns[entry]] += waiting.values[entry]
-    try:
-        return np.linalg.solve(matrix, waiting.right)
-    except Exception:  # singular, which compiled code tells by no class of its own
-        return np.full(count, np.nan)
+        d = waiting.rows[entry]
+        at = starts[d] + (d - first[d]) * size[d] + waiting.columns[entry] - first[d]
+        matrices[at] += waiting.values[entry]
+    for c in range(len(begins) - 1):
+        low, high = begins[c], begins[c + 1]
+        if low == high:
+            continue
+        width = high - low
+        matrix = matrices[starts[low] : starts[low] + width * width].reshape(width, width)
+        try:
+            forces[low:high] = np.linalg.solve(matrix, waiting.right[low:high])
+        except Exception:  # singular, which compiled code tells by no class of its own
+            forces[low:high] = np.nan
+    return forces
 
 
 @njit
@@ -639,8 +688,8 @@ def joint_step(
         if iteration == 0:
             _begin_all(law, chains, hubs, members, stack, h, room)
         else:
-            _add_forces(room, waiting.kept, forces)
-            _advance_all(law, chains, members, pairs, room)
+            _add_forces(room, waiting, forces)
+            _advance_all(law, chains, members, pairs, h, room)
         count = _assemble_all(law, chains, loads, members, pairs, stack, before, now, h, room)
         _gather(room, count)
         fair = FAIR if law.scheme.inertia else 1.0
@@ -654,6 +703,6 @@ def joint_step(
         fine, waiting = _linearise(law, chains, members, h, room, count, iteration)
         if not fine:
             return FAILED, nothing_waits()
-        if 3 * count > FULL:
+        if 3 * np.diff(waiting.begins).max() > FULL:
             return WAITS, waiting
         forces = _full_solution(waiting) if count else waiting.right

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..arrays import Array
-from ..compiled import njit
+from ..compiled import inlined, njit
 from ..time.scheme import TimeScheme
 from .chain import Chain
 from .contact import Touch, no_touch
@@ -117,6 +117,22 @@ def rod(stack: Motion, i: int) -> Motion:
             touch.friction[i],
         ),
     )
+
+
+class Pose(NamedTuple):
+    """Where the nodes of one rod are: their places ``x`` (n, 3) and axes ``q`` (n, 4).
+
+    Compiled code passes it faster than the whole of a `Motion`.
+    """
+
+    x: Array
+    q: Array
+
+
+@inlined
+def pose_of(stack: Motion, i: int) -> Pose:
+    """A view of one of the stacked rods' nodes."""
+    return Pose(stack.x[i], stack.q[i])
 
 
 @njit

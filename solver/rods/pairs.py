@@ -5,13 +5,16 @@ lies beside the second: short where they cross, as long as both where they are p
 cross, the gap is along the normal that both axes have in common. It is the same all over the
 stretch and is met where the axes are closest, be it a little beyond an element's end, though never
 beyond a tip. Round wires are met so at any angle, at the closest place of the stretch. Where they
-are nearly parallel that normal means little. The gap is then along the one of the faces' normals by
-which the prisms are farthest apart, or least deep in each other (separating axes: Gottschalk, Lin
-and Manocha, OBBTree, SIGGRAPH 1996), and is met at both ends of the stretch. Contact at closest
-points alone fails at small angles (Meier, Popp and Wall, Comput. Methods Appl. Mech. Engng 308
-(2016) 377). Contact at fixed points of an element misses prisms that cross between them. Planes
-through nodes, across both neighbours alike, bound the stretches, so each place of a bent rod
-belongs to one element.
+are nearly parallel that normal means little, and where bristles bend side by side in one plane it
+points along their wide sides, deep into either. The gap is then along the one of the faces' normals
+by which contact holds the least energy, or the prisms are farthest apart (separating axes:
+Gottschalk, Lin and Manocha, OBBTree, SIGGRAPH 1996), and is met at both ends of the stretch. So the
+energy has no jump where one face takes over from another.
+
+Contact at closest points alone fails at small angles (Meier, Popp and Wall, Comput. Methods Appl.
+Mech. Engng 308 (2016) 377). Contact at fixed points of an element misses prisms that cross between
+them. Planes through nodes, across both neighbours alike, bound the stretches, so each place of a
+bent rod belongs to one element.
 
 The normal force grows with the square of the approach at first, as that of rough faces does, and in
 proportion to it beyond (Meier, Popp and Wall, Sec. 4). Without that, the corners of the polygons
@@ -30,7 +33,7 @@ from ..arrays import Array, Integers
 from ..compiled import inlined, njit
 from .contact import Touch, coefficient, lose_hold, point_force, remember
 from .ground import Contact
-from .motion import Motion
+from .motion import Motion, Pose
 from .rotation import write_matrix_of
 from .section import RodSection
 
@@ -45,10 +48,12 @@ CORNER = 0.02
 WHOLE = math.sqrt(1.0 + CORNER * CORNER)
 # The approach in m over which contact becomes as stiff as it is.
 ROUGH_M = 1e-6
-# Where the normal of a contact comes from: 0 and 1 are the second element's faces, `OWN` and the
-# one after it the first's. Then come the normal common to both axes, the first's end, and the
-# shortest way.
-OWN, COMMON, END, SHORTEST = 2, 4, 5, 6
+# Where the normal of a contact comes from: both axes have it in common, it is of the first
+# element's end, of the second's faces, of the first's, or it is the shortest way.
+COMMON, END, OTHER, OWN, SHORTEST = 0, 1, 2, 4, 6
+# A face is taken over one before it where its contact holds less energy by this share. Faces that
+# are flush hold nearly the same, and Newton's method would go to and fro between them.
+LESS = 1e-3
 # Columns of `Points.whole`: the rods and their elements.
 ROD_A, ELEMENT_A, ROD_B, ELEMENT_B = range(4)
 
@@ -128,6 +133,7 @@ class Meeting(NamedTuple):
     arm_a: Array
     arm_b: Array
     room: Array
+    was: Array
 
 
 @njit
@@ -145,6 +151,7 @@ def new_meeting() -> Meeting:
         np.zeros((2, 3)),
         np.zeros((2, 3)),
         np.zeros((9, 3)),
+        np.zeros((3, 3)),
     )
 
 
@@ -204,6 +211,19 @@ def _farthest(law: Between, axes: Array, n: Array, sign: float, out: Array) -> N
         slope = WHOLE * s * (square + CORNER * CORNER) / (square * math.sqrt(square))
         for c in range(3):
             out[c] += sign * law.half[k] * slope * axes[c, k]
+
+
+@inlined
+def _rough(kn: float, approach: float) -> tuple[float, float, float]:
+    """Slope in N/m, force in N, and energy in J of a contact that came so near."""
+    if approach <= 0.0:
+        return 0.0, 0.0, 0.0
+    if approach < ROUGH_M:
+        slope = kn * approach / ROUGH_M
+        return slope, 0.5 * slope * approach, slope * approach * approach / 6.0
+    more = approach - ROUGH_M
+    force = kn * (0.5 * ROUGH_M + more)
+    return kn, force, kn * (ROUGH_M**2 / 6.0 + 0.5 * more * (ROUGH_M + more))
 
 
 @inlined
@@ -268,7 +288,7 @@ def meet(
         return 0.0
     _middle(qa, e, out.axes_a)
     _middle(qb, f, out.axes_b)
-    best, length = -math.inf, 0.0
+    best, least_held, length = -math.inf, math.inf, 0.0
     tip, cosine = e == len(xa) - 2, _dot(ta, tb)
     sine_2, along = 1.0 - cosine * cosine, _dot(apart, tb)
     crosses, chosen = sine_2 > CROSSING * CROSSING, -1
@@ -281,11 +301,13 @@ def meet(
         nearest = min(max(nearest, low), high)
     if law.round:
         first, last = SHORTEST, SHORTEST
-    elif crosses:
-        first, last = COMMON, END if tip else COMMON
     else:
-        first, last = 0, COMMON - 1
+        first, last = (COMMON if crosses else OTHER), SHORTEST - 1
     for kind in range(first, last + 1):
+        if kind == OTHER and best > -law.half[0]:
+            break
+        if kind == END and not tip:
+            continue
         if kind == COMMON:
             for c in range(3):
                 i, j = (c + 1) % 3, (c + 2) % 3
@@ -299,7 +321,7 @@ def meet(
         else:
             axes = out.axes_b if kind < OWN else out.axes_a
             for c in range(3):
-                n[c] = axes[c, kind % 2]
+                n[c] = axes[c, (kind - OTHER) % 2]
         slant = _dot(n, tb)
         size = 0.0
         for c in range(3):
@@ -322,16 +344,22 @@ def meet(
         at, rate = _dot(apart, n), _dot(ta, n)
         sign = 1.0 if at + 0.5 * rate * (begin + end) >= 0.0 else -1.0
         reaches = _reach(law, out.axes_a, n) + _reach(law, out.axes_b, n)
-        least = min(sign * (at + rate * begin), sign * (at + rate * end)) - reaches
-        if kind == SHORTEST:
-            least = sign * (at + rate * nearest) - reaches
-        if least > best:
-            best, length, chosen = least, end - begin, kind
+        at_begin, at_end = sign * (at + rate * begin), sign * (at + rate * end)
+        if kind in (COMMON, SHORTEST):
+            at_begin = at_end = sign * (at + rate * nearest)
+        at_begin -= reaches
+        at_end -= reaches
+        least, met = min(at_begin, at_end), end - begin
+        if kind == END:
+            # an end meets with its section, however long its element
+            met = min(met, 2.0 * law.half[1])
+        held = met * (_rough(1.0, -at_begin)[2] + _rough(1.0, -at_end)[2])
+        if held < (1.0 - LESS) * least_held or (held == 0.0 and least > best):
+            best, least_held, length, chosen = least, held, met, kind
             for c in range(3):
                 out.normal[c] = sign * n[c]
             out.share_a[0], out.share_a[1] = begin / la, end / la
-            out.gap[0] = sign * (at + rate * begin) - reaches
-            out.gap[1] = sign * (at + rate * end) - reaches
+            out.gap[0], out.gap[1] = at_begin, at_end
     if length == 0.0:
         return 0.0
     at_nearest = chosen in (COMMON, SHORTEST)
@@ -340,9 +368,6 @@ def meet(
         out.share_a[0] = min(nearest, la) / la if tip else nearest / la
         out.gap[0], out.gap[1] = best, math.inf
         length *= 2.0
-    elif chosen == END:
-        # an end meets with its section, however long its element
-        length = min(length, 2.0 * law.half[1])
     for k in range(2):
         s = out.share_a[k] * la
         z = along + s * cosine
@@ -354,32 +379,21 @@ def meet(
         for c in range(3):
             out.first[k, c] = xa[e, c] + s * ta[c]
             out.second[k, c] = xb[f, c] + z * tb[c]
-        # a face's normal turns with its own rod, so it is met by the other's edge; where rods cross
-        # either has its own edge
+        # a face's normal turns with its own rod, so it is met by the other's edge; with the normal
+        # in common either has its own edge
         _farthest(law, out.axes_a, out.normal, -1.0, out.arm_a[k])
         _farthest(law, out.axes_b, out.normal, 1.0, out.arm_b[k])
         for c in range(3):
-            if chosen < OWN:
+            if OTHER <= chosen < OWN:
                 out.arm_b[k, c] = out.first[k, c] + out.arm_a[k, c] - out.second[k, c]
             elif not at_nearest:
                 out.arm_a[k, c] = out.second[k, c] + out.arm_b[k, c] - out.first[k, c]
     return length
 
 
-@inlined
-def _rough(kn: float, approach: float) -> tuple[float, float, float]:
-    """Slope in N/m, force in N, and energy in J of a contact that came so near."""
-    if approach < ROUGH_M:
-        slope = kn * approach / ROUGH_M
-        return slope, 0.5 * slope * approach, slope * approach * approach / 6.0
-    more = approach - ROUGH_M
-    force = kn * (0.5 * ROUGH_M + more)
-    return kn, force, kn * (ROUGH_M**2 / 6.0 + 0.5 * more * (ROUGH_M + more))
-
-
 @njit
 def _moved(
-    now: Motion, old: Motion, e: int, share: float, arm: Array, axes: Array, was: Array, out: Array
+    now: Pose, old: Pose, e: int, share: float, arm: Array, axes: Array, was: Array, out: Array
 ) -> None:
     """Write how far a point of an element has moved in the step, given its ``arm`` now; ``was``
     (3, 3) is room."""
@@ -398,10 +412,10 @@ def meet_pair(
     law: Between,
     pair: int,
     whole: Integers,
-    now_a: Motion,
-    old_a: Motion,
-    now_b: Motion,
-    old_b: Motion,
+    now_a: Pose,
+    old_a: Pose,
+    now_b: Pose,
+    old_b: Pose,
     before: Touch,
     now: Touch,
     step: float,
@@ -427,7 +441,7 @@ def meet_pair(
     kn = 0.5 * length * law.stiffness
     if e == len(now_a.x) - 2 and f == len(now_b.x) - 2:
         kn *= 0.5  # two tips are met from both sides
-    kt, matrix = law.ratio * kn, np.empty((3, 3))
+    kt, matrix = law.ratio * kn, room.was
     for k in range(2):
         gap = gaps[k] = room.gap[k]
         if gap >= 0.0:
@@ -469,7 +483,7 @@ def meet_pair(
 
 @njit
 def shortfall(
-    law: Between, whole: Integers, a: Motion, b: Motion, gaps: Array, allowed: float, room: Meeting
+    law: Between, whole: Integers, a: Pose, b: Pose, gaps: Array, allowed: float, room: Meeting
 ) -> float:
     """The part of a step after which a pair that it closes is about half of ``allowed`` deep.
 

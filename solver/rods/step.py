@@ -54,6 +54,8 @@ NEAR, NEWTON = 1e-8, 0.01
 # A section that comes down in one of Newton's steps goes in by a force of so many EI/L² at most,
 # found in so many trials.
 DEEPEST, SHORTER = 10.0, 12
+# By how many times more than its middle the corner of a free prism's section yields.
+CORNER_YIELDS = 7.0
 # After so many iterations a step that does not lessen the residual is halved, down to this part.
 PATIENT, SHORTEST_PART = 6, 0.1
 
@@ -199,6 +201,16 @@ def deepest(chain: Chain, stiffness: float) -> float:
     """How deep in m what comes down in one of Newton's steps may go, by ``stiffness`` in N/m."""
     bending = min(chain.stiffness[0, 3], chain.stiffness[0, 4])
     return DEEPEST * bending / total_length(chain) ** 2 / stiffness
+
+
+@inlined
+def inert(chain: Chain, scheme: Scheme, stiffness: float, h: float) -> bool:
+    """Whether a step of ``h`` seconds is so short that a contact of such a ``stiffness`` in N/m
+    throws a section back by no more than it went in, since it is so heavy.
+
+    Its corner yields by β h² (1/m + Σ a²/J), with J = m a²/3 about each axis of a prism.
+    """
+    return scheme.inertia and stiffness * CORNER_YIELDS * scheme.beta * h * h < chain.mass[-1]
 
 
 @njit
@@ -410,7 +422,13 @@ def go(chain: Chain, new: Motion, part: float, scratch: Scratch) -> None:
 
 @njit
 def _advance(
-    chain: Chain, surface: Surface, new: Motion, solution: Array, scratch: Scratch
+    chain: Chain,
+    scheme: Scheme,
+    surface: Surface,
+    new: Motion,
+    h: float,
+    solution: Array,
+    scratch: Scratch,
 ) -> None:
     """Move by Newton's step, or by so much of it that sections over the surface just touch it.
 
@@ -418,10 +436,10 @@ def _advance(
     again, for ever.
     """
     keep(new, solution, scratch)
-    part = 1.0
+    part, looks = 1.0, surface.there and not inert(chain, scheme, surface.kn, h)
     for trial in range(SHORTER + 1):
         go(chain, new, part, scratch)
-        least = shortfall(chain, surface, new, scratch) if surface.there else 1.0
+        least = shortfall(chain, surface, new, scratch) if looks else 1.0
         if least == 1.0 or trial == SHORTER:
             return
         part *= max(least, 0.1)
@@ -465,5 +483,5 @@ def step(
         if not solve(system):
             return -1
         least, part = over, 1.0
-        _advance(chain, surface, new, system.solution, scratch)
+        _advance(chain, scheme, surface, new, h, system.solution, scratch)
     return -1

@@ -290,6 +290,17 @@ def test_four_bristles_about_the_hubs_axis_carry_four_times_as_much():
     assert one.hub.fz_N.max() > WEIGHT_N
 
 
+def test_flat_bristles_that_buckle_side_by_side_gain_no_energy():
+    """They turn by more than 14.5 degrees between two nodes, so elements of two of them cross in
+    the plane in which they bend."""
+    stands = {"layout": "row", "count": 3, "rows": 3, "spacing_m": 6e-4, "mount_angle_deg": 0.0}
+    pressed = {"penetration_m": 0.01, "start_s": 0.004, "until_s": 0.0023, "every_s": 1e-4}
+    with pytest.warns(bristle.BristleWarning, match="would stay bent"):
+        found = bristle.brush(**stands, **pressed, write_fields=False, comm=ALONE)
+    assert found.tips.between_N.max() > 0.0
+    assert found.energy.closure_relative < 5e-3
+
+
 def test_ranks_change_nothing(tmp_path):
     arguments = ["-m", "bristle.studies.brush", "--layout", "ring", "--count", "5", *FLAGS]
     for ranks in (1, 2):

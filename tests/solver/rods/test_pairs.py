@@ -117,6 +117,22 @@ def test_round_wires_are_as_far_apart_as_their_axes_are(angle_deg, gap):
     assert room.normal == pytest.approx([1.0, 0.0, 0.0], abs=1e-6)
 
 
+@pytest.mark.parametrize("angle_deg", [10, 16, 40])
+def test_rods_that_cross_in_the_plane_in_which_they_bend_meet_with_their_faces(angle_deg):
+    """The normal that their axes have in common points along their wide sides, by which they are
+    deep in each other. The upper end of the one that leans away is as deep in the other's face as
+    it is put."""
+    angle, depth = math.radians(angle_deg), 2e-6
+    leans = Rotation.from_rotvec([0.0, -angle, 0.0]).as_matrix() @ DOWN
+    place = [0.5 * THIN * (1.0 + math.cos(angle)) - depth, 0.0, 0.0]
+    xa, qa = straight(place, leans, nodes=3)
+    xb, qb = straight([0.0, 0.0, 0.01], DOWN)
+    room = new_meeting()
+    assert meet(LAW, xa, qa, 0, xb, qb, 0, room) > 0.0
+    assert room.normal == pytest.approx([1.0, 0.0, 0.0], abs=1e-9)
+    assert room.gap.min() == pytest.approx(-depth, abs=0.5 * THIN * CORNER)
+
+
 def test_rods_that_are_nowhere_beside_each_other_do_not_meet():
     room = new_meeting()
     for place in ([0.0, 1.01 * WIDE, 0.0], [0.0, 0.0, -0.021], [0.1, 0.0, 0.0]):
