@@ -3,12 +3,17 @@
 from __future__ import annotations
 
 import locale
+import os
 import signal
 
 import numpy as np
 import pytest
-from matplotlib.figure import Figure
+from drawing import draw_nothing
 from mpi4py import MPI
+from turns import take_turns
+
+if "PYTEST_XDIST_WORKER" in os.environ:
+    take_turns()
 
 from bristle.meshes.section import Rectangle
 from bristle.solver.bristle import Bristle, Material
@@ -64,14 +69,8 @@ def make_solid():
 
 @pytest.fixture(scope="module")
 def no_pictures():
-    """Pictures that nobody looks at are empty; to draw them takes longer than what they show."""
-
-    def empty(figure, file, *, format, **how):
-        file.write("<svg></svg>" if format == "svg" else b"")
-
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(Figure, "savefig", empty)
-        patch.setattr(Figure, "draw_without_rendering", lambda figure: None)
+        draw_nothing(patch)
         yield
 
 
