@@ -113,10 +113,9 @@ def test_effects_are_recovered(name, tmp_path):
             assert fitted(problem, (other,))[2] > left + 20
 
 
-@pytest.mark.parametrize("step_s", [5e-6, 2e-5])
-def test_coarse_samples_serve(step_s, tmp_path):
-    """Up to 20 µs, seven samples of the impact: a stiffness to some per cent."""
-    problem, _ = made(tmp_path, {}, step_s=step_s)
+def test_coarse_samples_serve(tmp_path):
+    """20 µs apart, seven samples of the impact: a stiffness to some per cent."""
+    problem, _ = made(tmp_path, {}, step_s=2e-5)
     theta, spread, _ = fitted(problem, ())
     assert abs(theta[0] - np.log(KN)) < max(3 * spread[0], 0.02)
 

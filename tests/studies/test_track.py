@@ -67,7 +67,7 @@ def test_the_page_and_the_overlay_show_every_drop(four):
 @pytest.fixture(scope="module")
 def one(tmp_path_factory):
     """A short film of one drop, 120 frames a second, made by our renderer."""
-    height, until = bouncing(0.03, 0.03 * 0.75**2, 3e-4, 9.8, held_s=0.1, bounces=2)
+    height, until = bouncing(0.03, 0.03 * 0.75**2, 3e-4, 9.8, held_s=0.1, bounces=1)
     path = tmp_path_factory.mktemp("track") / "one.mp4"
     look = Look(fps=120.0, mm_per_px=1.09, columns=96)
     write_film(path, Flown(height, until), look, np.random.default_rng(1))
