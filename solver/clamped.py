@@ -36,7 +36,7 @@ from .errors import ComputationError, InputError
 from .form_cache import form
 from .forms import Elasticity, cells_of, own_values
 from .rods.chain import System, new_system
-from .rods.contact import SLIDES, Surface, Touch, no_touch, surface_of, touch_section
+from .rods.contact import SLIDES, Touch, no_touch, surface_of, touch_section
 from .rods.ground import Ground
 from .rods.hub import Clamps, HubMotion
 from .rods.section import RodSection
@@ -384,13 +384,8 @@ class ClampedSolid:
         at = np.round(parts * (0.5 + 0.5 * y[self._rim] / section.half_wide_m)).astype(int)
         shares = 0.5 * _shares(parts)[at] * len(whole.rim)
         self._surfaces = [
-            Surface(
-                *whole[:3],
-                np.zeros((1, 2)),
-                0.0,
-                share * whole.kn,
-                share * whole.kt,
-                *whole[7:],
+            whole._replace(
+                rim=np.zeros((1, 2)), reach=0.0, kn=share * whole.kn, kt=share * whole.kt
             )
             for share in shares
         ]

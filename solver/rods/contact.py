@@ -21,6 +21,7 @@ from ..arrays import Array
 from ..compiled import inlined, njit
 from .chain import System
 from .ground import Ground
+from .relief import Relief, highest_m, look, no_relief
 from .section import RodSection
 
 FREE, STICKS, SLIDES = 0, 1, 2
@@ -30,8 +31,8 @@ SLOW_M_S = 1e-300
 
 class Surface(NamedTuple):
     """The plane and its law, for compiled code: ``kn`` and ``kt`` in N/m of one point of the rim,
-    ``rim`` (k, 2) in m and how far it reaches from the axis, and whether there is a surface at
-    all."""
+    ``rim`` (k, 2) in m and at which height of the axis over the plane it may touch, whether there
+    is a surface at all, and its relief."""
 
     there: bool
     point: Array
@@ -43,6 +44,7 @@ class Surface(NamedTuple):
     static: float
     kinetic: float
     speed: float
+    relief: Relief
 
 
 def surface_of(ground: Ground | None, section: RodSection) -> Surface:
@@ -51,17 +53,19 @@ def surface_of(ground: Ground | None, section: RodSection) -> Surface:
     ground = ground or Ground()
     rim = np.ascontiguousarray(section.rim_m)
     kn = ground.kn_N_m / len(rim)
+    relief = ground.rough.compiled() if ground.rough is not None else no_relief()
     return Surface(
         there,
         np.array(ground.point_m, dtype=float),
         ground.unit_normal,
         rim,
-        float(np.linalg.norm(rim, axis=1).max()),
+        float(np.linalg.norm(rim, axis=1).max()) + highest_m(relief),
         kn,
         ground.kt_over_kn * kn,
         ground.friction_static,
         ground.friction_kinetic,
         ground.stribeck_speed_m_s,
+        relief,
     )
 
 
@@ -113,19 +117,41 @@ def coefficient(static: float, kinetic: float, stribeck: float, speed: float) ->
     return kinetic + (static - kinetic) * math.exp(-ratio * ratio)
 
 
-@inlined
-def point_gap(surface: Surface, k: int, x: Array, matrix: Array) -> float:
-    """The gap in m of one of a section's points over the plane."""
+@njit
+def place_gap(surface: Surface, place: Array, normal: Array, grows: Array) -> tuple[float, float]:
+    """Write the surface's ``normal`` (3,) under a place (3,), and how the factor of the contact
+    stiffness ``grows`` (3,) per m; the gap in m along the normal, and that factor.
+
+    Over a relief the gap is that to the plane that touches it below the place.
+    """
+    if surface.relief.there:
+        height, factor = look(surface.relief, place[0], place[1], normal, grows)
+        return (place[2] - height) * normal[2], factor
     gap = 0.0
     for c in range(3):
-        place = x[c] + matrix[c, 0] * surface.rim[k, 0] + matrix[c, 1] * surface.rim[k, 1]
-        gap += surface.normal[c] * (place - surface.point[c])
+        normal[c], grows[c] = surface.normal[c], 0.0
+        gap += surface.normal[c] * (place[c] - surface.point[c])
+    return gap, 1.0
+
+
+@njit
+def point_gap(surface: Surface, k: int, x: Array, matrix: Array) -> float:
+    """The gap in m of one of a section's points over the surface, as `place_gap`."""
+    r0, r1, gap = surface.rim[k, 0], surface.rim[k, 1], 0.0
+    if surface.relief.there:
+        place, normal, grows = np.empty(3), np.empty(3), np.empty(3)
+        for c in range(3):
+            place[c] = x[c] + matrix[c, 0] * r0 + matrix[c, 1] * r1
+        return place_gap(surface, place, normal, grows)[0]
+    for c in range(3):
+        place_c = x[c] + matrix[c, 0] * r0 + matrix[c, 1] * r1
+        gap += surface.normal[c] * (place_c - surface.point[c])
     return gap
 
 
 @njit
 def lowest(surface: Surface, x: Array, matrix: Array) -> float:
-    """The least gap in m of a section's points over the plane."""
+    """The least gap in m of a section's points over the surface."""
     least = math.inf
     for k in range(len(surface.rim)):
         least = min(least, point_gap(surface, k, x, matrix))
@@ -223,21 +249,22 @@ def touch_section(
 
     Returns how much friction dissipated over the step and what contact holds at its end, in J.
     """
-    n, block = surface.normal, system.diagonal[node]
+    n, grows, block = np.empty(3), np.empty(3), system.diagonal[node]
     arm, place, slip, push = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
     stiff, lever, turned = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))
     lost = held = 0.0
     for k in range(len(surface.rim)):
         r0, r1 = surface.rim[k, 0], surface.rim[k, 1]
-        gap = normal_slip = 0.0
         for c in range(3):
             arm[c] = matrix[c, 0] * r0 + matrix[c, 1] * r1
             place[c] = x[c] + arm[c]
             was = x_before[c] + matrix_before[c, 0] * r0 + matrix_before[c, 1] * r1
             slip[c] = place[c] - was
-            gap += n[c] * (place[c] - surface.point[c])
+        gap, factor = place_gap(surface, place, n, grows)
+        kn, kt = factor * surface.kn, factor * surface.kt
+        normal_slip = along = 0.0
+        for c in range(3):
             normal_slip += n[c] * slip[c]
-        along = 0.0
         for c in range(3):
             slip[c] -= normal_slip * n[c]
             along += slip[c] * slip[c]
@@ -245,15 +272,19 @@ def touch_section(
             lost += lose_hold(before, now, node, k)
             now.speed[node, k] = math.sqrt(along) / step if step > 0.0 else 0.0
             continue
+        tilted = 0.0
         for c in range(3):
-            slip[c] += before.elongation[node, k, c]
+            tilted += n[c] * before.elongation[node, k, c]
+        for c in range(3):
+            slip[c] += before.elongation[node, k, c] - tilted * n[c]
         mu = coefficient(surface.static, surface.kinetic, surface.speed, before.speed[node, k])
-        normal, force, gives = point_force(surface.kn, surface.kt, mu, gap, n, slip, push, stiff)
-        took, holds = remember(
-            surface.kn, surface.kt, gap, normal, force, gives, slip, step, before, now, node, k
-        )
+        normal, force, gives = point_force(kn, kt, mu, gap, n, slip, push, stiff)
+        took, holds = remember(kn, kt, gap, normal, force, gives, slip, step, before, now, node, k)
         lost += took
         held += holds
+        for c in range(3):
+            # the contact holds kn gap² / 2, and is pushed to where it is softer
+            push[c] -= 0.5 * surface.kn * grows[c] * gap * gap
         _add_point(arm, push, stiff, lever, turned, block, system.residual[node])
     return lost, held
 

@@ -12,6 +12,7 @@ from ..arrays import Array
 from ..bristle import positive
 from ..contact.laws import mindlin_ratio
 from ..errors import InputError
+from .relief import RoughPlane
 
 
 @dataclass(frozen=True)
@@ -52,15 +53,22 @@ class Contact:
 
 @dataclass(frozen=True)
 class Ground(Contact):
-    """A plane through ``point_m`` (3,) with an outward ``normal`` (3,), and its contact."""
+    """A plane through ``point_m`` (3,) with an outward ``normal`` (3,), and its contact.
+
+    With ``rough`` it has heights, and Kn is the mean over it. It is z = 0 then.
+    """
 
     point_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
     normal: tuple[float, float, float] = (0.0, 0.0, 1.0)
+    rough: RoughPlane | None = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
         if not (np.all(np.isfinite(self.point_m)) and np.linalg.norm(self.normal) > 0.0):
             raise InputError("the plane needs a finite point and a normal that is not zero")
+        level = self.point_m == (0.0, 0.0, 0.0) and self.normal == (0.0, 0.0, 1.0)
+        if self.rough is not None and not level:
+            raise InputError("a rough plane is z = 0, with the normal along z")
 
     @property
     def unit_normal(self) -> Array:

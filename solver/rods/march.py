@@ -125,9 +125,7 @@ def march_apart(
                 now.totals[STEP], lands = h * share, True
                 continue
             lands = False
-            add_step(
-                law.surface, hub, now, other, windows.begin_s, windows.width_s, windows.sums[i]
-            )
+            add_step(hub, now, other, windows.begin_s, windows.width_s, windows.sums[i])
             copy(other, now)
             now.totals[STEP] = following
             if h > 0.9999 * left:
@@ -150,7 +148,6 @@ def _look_at_all(
 
 @njit
 def _accept_all(
-    law: Law,
     hubs: Hub,
     members: Integers,
     stack: Motion,
@@ -163,9 +160,7 @@ def _accept_all(
         i = members[k]
         hub = hub_of(hubs, i)
         now, following = rod(stack, i), rod(new, k)
-        add_step(
-            law.surface, hub, now, following, windows.begin_s, windows.width_s, windows.sums[i]
-        )
+        add_step(hub, now, following, windows.begin_s, windows.width_s, windows.sums[i])
         copy(following, now)
         now.totals[TIME], now.totals[STEP] = time_s, step_s
 
@@ -225,7 +220,7 @@ def _march_joint(
             continue
         progress[LANDS], progress[WANTED] = 0.0, following
         progress[AT] = until if h > 0.9999 * left else t + h
-        _accept_all(law, hubs, members, stack, room.new, progress[AT], following, windows)
+        _accept_all(hubs, members, stack, room.new, progress[AT], following, windows)
         write(now.elongation, touch.elongation)
         write(now.state, touch.state)
         write(now.speed, touch.speed)

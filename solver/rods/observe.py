@@ -57,7 +57,7 @@ def observe(chains: Chain, surface: Surface, gravity: Array, stack: Motion) -> S
             for c in range(3):
                 for d in range(3):
                     moment[i, k, c] += matrix[d, c] * load[3 + d]
-        meet(surface, now, met[i])
+        meet(now, met[i])
         energy[i, 0], energy[i, 1], energy[i, 2] = energies(chain, now, gravity)
         energy[i, 3], energy[i, 4] = now.totals[HUB_WORK], now.totals[MATERIAL]
         energy[i, 5], energy[i, 6] = now.totals[CONTACT], now.totals[FRICTION]
@@ -66,7 +66,7 @@ def observe(chains: Chain, surface: Surface, gravity: Array, stack: Motion) -> S
 
 
 @njit
-def meet(surface: Surface, now: Motion, out: Array) -> None:
+def meet(now: Motion, out: Array) -> None:
     """Write the normal force, the size of the friction, and whether the rod is free, sticks, or
     slides."""
     push, sliding = np.zeros(3), 0.0
@@ -75,8 +75,12 @@ def meet(surface: Surface, now: Motion, out: Array) -> None:
         for p in range(touch.normal.shape[1]):
             out[0] += touch.normal[k, p]
             sliding += touch.normal[k, p] if touch.state[k, p] == SLIDES else 0.0
+            square = 0.0
             for c in range(3):
-                push[c] += surface.kt * touch.elongation[k, p, c]
+                square += touch.elongation[k, p, c] ** 2
+            if square > 0.0:
+                for c in range(3):
+                    push[c] += touch.friction[k, p] * touch.elongation[k, p, c] / np.sqrt(square)
     out[1] = np.sqrt(push[0] ** 2 + push[1] ** 2 + push[2] ** 2)
     if out[0] > 0.0:
         out[2] = 2.0 if sliding > 0.5 * out[0] else 1.0

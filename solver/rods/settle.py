@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 
+import numpy as np
+
 from ..arrays import Array
 from .chain import Chain, new_system, total_length
 from .contact import FREE, STICKS, Surface, release
@@ -60,12 +62,16 @@ def settle(
 
 
 def _loading(chain: Chain, surface: Surface, parts: int) -> Iterator[tuple[float, Surface]]:
-    """Shares of the load, each with the surface as it is then."""
+    """Shares of the load, each with the surface as it is then: of one stiffness all over, until
+    it is stiff and the differences move the rod no longer."""
     bending = float(chain.stiffness[0, 3:5].min())
     soft = min(surface.kn, SOFT * bending / float(total_length(chain)) ** 3)
-    smooth = surface._replace(static=0.0, kinetic=0.0, kn=soft)
+    even = surface.relief._replace(factor=np.ones_like(surface.relief.factor))
+    smooth = surface._replace(static=0.0, kinetic=0.0, kn=soft, relief=even)
     for k in range(1, parts + 1):
         yield k / parts, smooth
     steps = math.ceil(math.log(surface.kn / soft) / math.log(STIFFER))
     for k in range(1, steps + 1):
         yield 1.0, smooth._replace(kn=soft * (surface.kn / soft) ** (k / steps))
+    if surface.relief.there:
+        yield 1.0, surface._replace(static=0.0, kinetic=0.0)

@@ -14,7 +14,6 @@ import numpy as np
 
 from ..arrays import Array
 from ..compiled import njit
-from .contact import Surface
 from .hub import hub_coordinates
 from .motion import TIME, Hub, Motion
 from .observe import meet
@@ -54,7 +53,7 @@ class Means:
 
 
 @njit
-def _write_row(surface: Surface, hub: Hub, now: Motion, row: Array) -> None:
+def _write_row(hub: Hub, now: Motion, row: Array) -> None:
     """Write what a rod gives to the columns of a tally at one instant."""
     pose, met = np.empty((2, 6)), np.zeros(3)
     hub_coordinates(hub.breaks, hub.coefficients, now.totals[TIME], pose)
@@ -64,7 +63,7 @@ def _write_row(surface: Surface, hub: Hub, now: Motion, row: Array) -> None:
     row[3] += a1 * row[2] - a2 * row[1]
     row[4] += a2 * row[0] - a0 * row[2]
     row[5] += a0 * row[1] - a1 * row[0]
-    meet(surface, now, met)
+    meet(now, met)
     row[STATE] = 1.0 if met[2] > 0.0 else 0.0
     row[STATE + 1] = 1.0 if met[2] == 1.0 else 0.0
     row[STATE + 2] = 1.0 if met[2] == 2.0 else 0.0
@@ -72,7 +71,6 @@ def _write_row(surface: Surface, hub: Hub, now: Motion, row: Array) -> None:
 
 @njit
 def add_step(
-    surface: Surface,
     hub: Hub,
     old: Motion,
     new: Motion,
@@ -83,8 +81,8 @@ def add_step(
     """Add a rod's step from ``old`` to ``new`` to the ``sums`` (w, `COLUMNS`) of windows from
     ``begin_s`` on: integrals over time by the trapezoidal rule."""
     first, last = np.empty(COLUMNS), np.empty(COLUMNS)
-    _write_row(surface, hub, old, first)
-    _write_row(surface, hub, new, last)
+    _write_row(hub, old, first)
+    _write_row(hub, new, last)
     start, h = old.totals[TIME], new.totals[TIME] - old.totals[TIME]
     done = 0.0
     while done < 1.0:

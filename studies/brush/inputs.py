@@ -15,13 +15,17 @@ from ...solver.arrays import Array
 from ...solver.bristle import Bristle, Material
 from ...solver.contact.laws import mindlin_ratio
 from ...solver.materials import MATERIALS, MaterialName
-from ...solver.rods.hub import FASTEST_M_S, Clamps, HubPath
+from ...solver.rods.ground import Ground
+from ...solver.rods.hub import FASTEST_M_S, Clamps, HubPath, HubPose
+from ...solver.rods.relief import RoughPlane
+from ...solver.rods.section import RodSection
 from ..inputs.brush_fields import ROWS_OVER_TIME, BrushFields
 from ..inputs.choices import Layout, Motion
 from ..inputs.config import resolve_material, resolve_measures
 from ..inputs.fields import BodyFields, MaterialFields
 from ..inputs.flags import refuse
 from ..inputs.named import MotionInput, read_motion
+from ..surface.ground import surface_of
 from .layout import directions, lowest_m, overlapping, stand
 from .motion import read_path, stroke
 
@@ -73,6 +77,7 @@ class BrushInputs(MaterialFields, BodyFields, BrushFields):
         if self.friction_static is not None and self.friction_static < self.friction:
             refuse("friction_static", f"is less than the {self.friction:g} of --friction")
         self._check_unused()
+        self._check_surface()
         if self.duration_s > MOST_ROWS * self.interval_s:
             refuse("every_s", f"makes more than {MOST_ROWS:,} rows")
         if 3.0 * self.length_std_m > self.bristle().length_m:
@@ -118,11 +123,24 @@ class BrushInputs(MaterialFields, BodyFields, BrushFields):
         if self.motion.file is not None and self.start_s != _default("start_s"):
             refuse("start_s", "is in the times of --motion file:…; leave it out")
 
+    def _check_surface(self) -> None:
+        """Refuse what says two things of a surface, or something of one that is not rough."""
+        if self.surface is not None and self.rms_height_m is not None:
+            refuse("rms_height_m", "has no meaning with a measured surface")
+        drawn, rough = (
+            self.rms_height_m is not None,
+            self.surface is not None or self.rms_height_m is not None,
+        )
+        if self.correlation_length_m is not None and not drawn:
+            refuse("correlation_length_m", "is of a surface that is drawn; give --rms-height")
+        if self.surface_seed != _default("surface_seed") and not rough:
+            refuse("surface_seed", "is of a rough surface; give --rms-height or --surface")
+
     def _check_path(self) -> None:
         """Refuse a hub that takes a clamp below the surface, or starts with a bristle in it."""
         path, clamps = self.hub_motion, self.clamps
         first = path.pose(0.0)
-        height = float(first.position_m[2] + self._lowest_m(first.rotation))
+        height = float(first.position_m[2] + self._lowest_m(first))
         if self.motion.file is None:
             depth, reach = self.penetration_m or 0.0, float(clamps.length_m.max())
             if depth >= reach:
@@ -227,14 +245,32 @@ class BrushInputs(MaterialFields, BodyFields, BrushFields):
     @property
     def first_touch_m(self) -> float:
         """Height of the hub, with its axes along the world's, where the first bristle touches."""
-        return -self._lowest_m(np.eye(3))
+        return -self._lowest_m(HubPath.still().pose(0.0))
 
-    def _lowest_m(self, attitude: Array) -> float:
-        """Height of the lowest point of all straight bristles above the hub, which is turned to
-        ``attitude`` (3, 3)."""
+    def _lowest_m(self, pose: HubPose) -> float:
+        """How far below the hub in m the straight bristle ends that comes lowest over the surface,
+        as a negative height."""
         clamps = self.clamps
-        roots, rotation = clamps.position_m @ attitude.T, attitude @ clamps.rotation
-        return float(lowest_m(self.section, roots, rotation, clamps.length_m).min())
+        roots, rotation = clamps.position_m @ pose.rotation.T, pose.rotation @ clamps.rotation
+        if (surface := surface_of(self)) is None:
+            return float(lowest_m(self.section, roots, rotation, clamps.length_m).min())
+        rim = RodSection.of(self.bristle()).rim_m
+        ends = roots + clamps.length_m[:, None] * rotation[:, :, 2]
+        points = ends[:, None] + np.einsum("nxk,rk->nrx", rotation[:, :, :2], rim)
+        x, y = (points[..., :2] + pose.position_m[:2]).reshape(-1, 2).T
+        return float((points[..., 2].ravel() - surface.patch(x, y).heights_m).min())
+
+    @property
+    def ground(self) -> Ground:
+        """The surface, and how bristles meet it."""
+        assert self.friction_static is not None
+        assert self.kt_ratio is not None
+        law = self.kn_N_m, self.friction, self.friction_static, self.stribeck_speed_m_s
+        rough = None
+        if (surface := surface_of(self)) is not None:
+            factors = surface.stiffness_factors(self.youngs_Pa, self.poisson)
+            rough = RoughPlane(surface.heights_m, surface.spacing_m, factors[surface.phase])
+        return Ground(*law, self.kt_ratio, rough=rough)
 
     @property
     def steady_from_s(self) -> float:

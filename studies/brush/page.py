@@ -18,6 +18,7 @@ from ..inputs.sources import checked, command_line
 from ..report.figures import BLACK, BLUE, GREEN, VERMILION, drawing, panels, styled
 from ..report.page import Head, Report, Section, write_report
 from ..report.prose import Prose
+from ..surface.ground import surface_rows
 from .inputs import BrushInputs
 from .record import DRAWN, LOAD_COLUMNS, SHARE_COLUMNS, Record
 from .shape import Sides
@@ -57,6 +58,11 @@ def write_page(inputs: BrushInputs, record: Record, document: Mapping[str, Any],
         _stress_section(record.over_time(), document, inputs.yield_strength_Pa),
         _energy_section(inputs, document),
     ]
+    if document["surface"] is not None:
+        draft = prose("surface")
+        rows = surface_rows(document["surface"])
+        draft.table("surface", {"quantity": rows, "value": rows.values()})
+        sections.append(draft.section())
     if document["warnings"]:
         sections.append(Section("warnings", "What deserves doubt", document["warnings"]))
     page = Report(

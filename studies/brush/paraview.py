@@ -1,4 +1,4 @@
-"""A brush for ParaView: a line for each bristle, frame by frame, and the surface as a square.
+"""A brush for ParaView: a line for each bristle, frame by frame, and the surface as squares.
 
 The series is PVD over VTU, which ParaView 5.13 opens. It is written here and not by meshio, which
 knows no cell of many points in a row.
@@ -7,6 +7,7 @@ knows no cell of many points in a row.
 from __future__ import annotations
 
 import base64
+import math
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -15,10 +16,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...solver.arrays import Array
+from ..surface.rough import Surface
 
 Values = NDArray[Any]
 SERIES, GROUND = "brush.pvd", "ground.vtu"
 LINE, SQUARE = 4, 9
+# Squares along each side of a rough surface, at most.
+FINEST = 400
 TYPES = {"f": ("Float64", "<f8"), "i": ("Int64", "<i8"), "u": ("UInt8", "u1")}
 
 
@@ -40,18 +44,33 @@ def write_lines(
     (folder / frame_file(number)).write_text(text)
 
 
-def write_series(folder: Path, times_s: list[float], low_m: Array, high_m: Array) -> None:
-    """Write the list of frames, and the surface z = 0 between two corners (2,); OSError."""
-    corners = [(low_m[0], low_m[1]), (high_m[0], low_m[1]), (high_m[0], high_m[1])]
-    corners.append((low_m[0], high_m[1]))
-    points = np.column_stack([np.array(corners), np.zeros(4)])
-    (folder / GROUND).write_text(_vtu(points, np.arange(4)[None], SQUARE, {}, {}))
+def write_series(
+    folder: Path, times_s: list[float], low_m: Array, high_m: Array, surface: Surface | None
+) -> None:
+    """Write the list of frames, and the surface between two corners (2,); OSError."""
+    x, y = (_steps(float(low_m[c]), float(high_m[c]), surface) for c in range(2))
+    points = np.zeros((len(x) * len(y), 3))
+    points[:, 0], points[:, 1] = np.tile(x, len(y)), np.repeat(y, len(x))
+    if surface is not None:
+        points[:, 2] = surface.patch(points[:, 0], points[:, 1]).heights_m
+    numbers = np.arange(len(points)).reshape(len(y), len(x))
+    corners = numbers[:-1, :-1], numbers[:-1, 1:], numbers[1:, 1:], numbers[1:, :-1]
+    cells = np.stack([each.ravel() for each in corners], axis=-1)
+    (folder / GROUND).write_text(_vtu(points, cells, SQUARE, {}, {}))
     entries = [
         f'<DataSet timestep="{t!r}" part="{part}" file="{name}"/>'
         for number, t in enumerate(times_s)
         for part, name in enumerate((frame_file(number), GROUND))
     ]
     (folder / SERIES).write_text(_file("Collection", "".join(entries)))
+
+
+def _steps(low_m: float, high_m: float, surface: Surface | None) -> Array:
+    """Where the lines of the grid lie along one side."""
+    if surface is None:
+        return np.array([low_m, high_m])
+    wanted = math.ceil((high_m - low_m) / surface.spacing_m)
+    return np.linspace(low_m, high_m, min(wanted, FINEST) + 1)
 
 
 def _vtu(

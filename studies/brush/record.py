@@ -15,6 +15,7 @@ from ...solver.arrays import Array
 from ...solver.checkpoint import prefixed, under
 from ...solver.rods.frame import Frame, RodEnergy, TipState
 from ...solver.rods.tally import Means
+from ..surface.rough import Surface
 from .paraview import write_lines, write_series
 
 LOAD_COLUMNS = ("fx_N", "fy_N", "fz_N", "mx_Nm", "my_Nm", "mz_Nm")
@@ -92,12 +93,12 @@ class Record:
         n = len(self.states[0])
         return np.unique(np.linspace(0, n - 1, min(n, DRAWN)).astype(np.int64))
 
-    def finish(self, reach_m: float) -> None:
+    def finish(self, reach_m: float, surface: Surface | None) -> None:
         """Write the list of files, and the surface as far as ``reach_m`` beyond all tips."""
         if self.folder is not None:
             places = np.concatenate(self.tips)[:, :2]
             low, high = places.min(axis=0) - reach_m, places.max(axis=0) + reach_m
-            write_series(self.folder, self.times_s, low, high)
+            write_series(self.folder, self.times_s, low, high, surface)
 
     def hub_table(self) -> pd.DataFrame:
         """A row for each instant: hub.csv."""

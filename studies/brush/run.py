@@ -17,7 +17,7 @@ import numpy as np
 
 from ...meshes.collective import run_on_one_rank, with_mpi
 from ...solver.rods.frame import Frame
-from ...solver.rods.ground import Contact, Ground
+from ...solver.rods.ground import Contact
 from ...solver.rods.rods import BOW_RAD, Rods
 from ...solver.rods.section import RodSection
 from ..inputs.choices import Motion
@@ -27,6 +27,7 @@ from ..running import results
 from ..running.files import folder_in_place, remove, together, write_atomically, write_json
 from ..running.parallel import all_ranks, by_rank_0
 from ..running.progress import compilation_noted, progress, say, warn
+from ..surface.ground import surface_facts, surface_of
 from .inputs import BrushInputs
 from .page import write_page
 from .record import Record, from_arrays, to_arrays
@@ -87,7 +88,7 @@ def run_brush(
         facts = {"peak_rss_MB": results.peak_rss_MB(comm), "ranks": comm.size}
 
         def write() -> dict[str, Any]:
-            record.finish(REACH * inputs.bristle().length_m)
+            record.finish(REACH * inputs.bristle().length_m, surface_of(inputs))
             document = _document(inputs, record, warnings)
             if not inputs.write_fields:
                 remove(out / FIELDS)
@@ -103,19 +104,6 @@ def run_brush(
     return written
 
 
-def ground_of(inputs: BrushInputs) -> Ground:
-    """The surface."""
-    assert inputs.friction_static is not None
-    assert inputs.kt_ratio is not None
-    return Ground(
-        inputs.kn_N_m,
-        inputs.friction,
-        inputs.friction_static,
-        inputs.stribeck_speed_m_s,
-        inputs.kt_ratio,
-    )
-
-
 def make_rods(inputs: BrushInputs, comm: MPI.Intracomm) -> Rods:
     """The solver's rods at the start; collective."""
     assert inputs.friction_between is not None
@@ -128,7 +116,7 @@ def make_rods(inputs: BrushInputs, comm: MPI.Intracomm) -> Rods:
         RodSection.of(inputs.bristle()),
         inputs.clamps,
         inputs.hub_motion,
-        ground_of(inputs),
+        inputs.ground,
         inputs.elements,
         between=between,
         gravity_m_s2=inputs.gravity_m_s2,
@@ -175,7 +163,7 @@ def _march(
 
 def _document(inputs: BrushInputs, record: Record, warnings: list[str]) -> dict[str, Any]:
     """What result.json holds but for what the run took."""
-    found = record.summary(inputs.steady_from_s)
+    found, surface = record.summary(inputs.steady_from_s), surface_of(inputs)
     more = [
         *_stress_warnings(inputs, found),
         *_mean_warnings(inputs, found),
@@ -187,6 +175,7 @@ def _document(inputs: BrushInputs, record: Record, warnings: list[str]) -> dict[
         **results.head(inputs),
         "n_bristles": inputs.count,
         "hub_at_first_touch_m": inputs.first_touch_m,
+        "surface": None if surface is None else surface_facts(surface),
         **found,
         "warnings": [*warnings, *more],
     }

@@ -25,7 +25,7 @@ from .fields import (
 )
 from .flags import Fields, flags_of, option
 from .named import MotionInput, read_motion
-from .study_fields import SEEDS
+from .study_fields import SEEDS, SURFACE, ReliefFields
 
 BRUSH, HUB = "Brush", "Hub"
 MOST_BRISTLES = 20_000
@@ -109,9 +109,16 @@ class HubFields(Fields, group=HUB):
     gravity_m_s2: Annotated[float, between(0.0, 1e4)] = option(paper.GRAVITY_M_S2, "Gravity.")
 
 
-class SurfaceFields(Fields, group=CONTACT):
+class SurfaceFields(ReliefFields, group=CONTACT):
     """What bristles meet, and where they yield."""
 
+    rms_height_m: Annotated[float, between(0.0, 0.1)] | None = option(
+        None,
+        "Root mean square height of a rough surface, whose aggregates differ in stiffness. Kn is "
+        "its mean.",
+        shown="a level plane of one material",
+        group=SURFACE,
+    )
     kn_N_m: Annotated[float, between(1e-3, 1e12)] = option(
         paper.KN_CHOSEN_N_M,
         "Normal contact stiffness of an end section, and of two bristles that cross.",
@@ -170,5 +177,5 @@ class BrushFields(SurfaceFields, HubFields, LayoutFields):
     )
 
 
-BRUSH_OWN_FLAGS = flags_of(LayoutFields, HubFields, SurfaceFields, BrushFields)
+BRUSH_OWN_FLAGS = flags_of(LayoutFields, HubFields, ReliefFields, SurfaceFields, BrushFields)
 BRUSH_FLAGS = (*BRUSH_OWN_FLAGS, *flags_of(BodyFields, MaterialFields))

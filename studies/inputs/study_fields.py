@@ -49,7 +49,32 @@ RMS_HEIGHT_M = 50e-6
 CORRELATION_LENGTH_M = 5e-3
 
 
-class ScatterFields(Fields, group=SURFACE):
+class ReliefFields(Fields, group=SURFACE):
+    """A rough, composite surface, drawn at random or measured."""
+
+    rms_height_m: Annotated[float, between(0.0, 0.1)] | None = option(
+        None,
+        "Root mean square height of the surface. An assumption: four of it make 0.2 mm, the "
+        "least height of macrotexture (PIARC), as of a trowelled slab.",
+        shown=f"{RMS_HEIGHT_M:g}",
+    )
+    correlation_length_m: Annotated[float, between(1e-6, 1.0)] | None = option(
+        None,
+        "Where the heights' correlation has fallen to 1/e. An assumption: the geometric mean "
+        "of macrotexture's wavelengths, 0.5 to 50 mm (PIARC).",
+        shown=f"{CORRELATION_LENGTH_M:g}",
+    )
+    surface: Annotated[str, Field(min_length=1)] | None = option(
+        None,
+        "A measured surface instead, in m: .npz, .csv or .txt, see bristle.studies.surface.files.",
+        "FILE",
+    )
+    surface_seed: Annotated[int, whole(0, SEEDS)] = option(
+        0, "Seed of the surface's heights and phases.", "N"
+    )
+
+
+class ScatterFields(ReliefFields, group=SURFACE):
     """How drops are released, over which surface, and what of a drop's inputs is narrower here."""
 
     model: Model = option(
@@ -71,26 +96,6 @@ class ScatterFields(Fields, group=SURFACE):
         "wide side, about --tilt and --tilt-wide. An assumption: 1 degree puts the upper end "
         "6 mm beside the lower one, about what an eye sees.",
         group=RANDOM,
-    )
-    rms_height_m: Annotated[float, between(0.0, 0.1)] | None = option(
-        None,
-        "Root mean square height of the surface. An assumption: four of it make 0.2 mm, the "
-        "least height of macrotexture (PIARC), as of a trowelled slab.",
-        shown=f"{RMS_HEIGHT_M:g}",
-    )
-    correlation_length_m: Annotated[float, between(1e-6, 1.0)] | None = option(
-        None,
-        "Where the heights' correlation has fallen to 1/e. An assumption: the geometric mean "
-        "of macrotexture's wavelengths, 0.5 to 50 mm (PIARC).",
-        shown=f"{CORRELATION_LENGTH_M:g}",
-    )
-    surface: Annotated[str, Field(min_length=1)] | None = option(
-        None,
-        "A measured surface instead, in m: .npz, .csv or .txt, see bristle.studies.surface.files.",
-        "FILE",
-    )
-    surface_seed: Annotated[int, whole(0, SEEDS)] = option(
-        0, "Seed of the surface's heights and phases.", "N"
     )
     flat: Truth = option(False, "A level plane of one material instead.")
 

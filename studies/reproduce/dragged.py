@@ -15,7 +15,6 @@ from ...solver.rods.hub import ORDER, HubPath
 from ...solver.rods.rods import Rods
 from ...solver.rods.section import RodSection
 from ..brush.inputs import BrushInputs
-from ..brush.run import ground_of
 from ..inputs.sources import checked
 from ..report.figures import BLACK, SERIES, drawing
 from ..report.page import Head, Section
@@ -158,7 +157,7 @@ def compare(
     equilibrium with its inertia.
     """
     inputs = inputs or pressed_dragged_let_go()
-    path, ground, bristle = window_path(inputs), ground_of(inputs), inputs.bristle()
+    path, ground, bristle = window_path(inputs), inputs.ground, inputs.bristle()
     rods = Rods(
         RodSection.of(bristle),
         inputs.clamps,

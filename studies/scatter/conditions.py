@@ -6,64 +6,25 @@ number of drops nor who computes it changes what is drawn.
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 import pandas as pd
 
 from ...solver.arrays import Array
 from ...solver.bodies.base import ContactPoints
-from ...solver.errors import InputError
 from ...solver.ground import Ground
 from ...solver.rigid import leaning, matrix_of
-from ..surface.files import read_surface
-from ..surface.heights import Roughness
-from ..surface.phases import CELLS_PER_GRAIN, PERIOD_IN_GRAINS, Composite
-from ..surface.rough import Surface, make_surface
+from ..surface.rough import Surface
 from .inputs import ScatterInputs
 
 # What a random stream is for: the first number of its key.
 RELEASES, CHECKS, RESAMPLES, SAMPLES = range(4)
-# Nodes per correlation length: the spline's slopes are then those of the surface.
-NODES_PER_LENGTH = 10
 
 
 def generator(seed: int, *key: int) -> np.random.Generator:
     """The stream of ``seed`` that is named by ``key``."""
     return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=key))
-
-
-def ground_surface(inputs: ScatterInputs) -> Surface | None:
-    """The surface that the drops land on, or None for a level plane of one material.
-
-    Raises InputError where it cannot be read or made.
-    """
-    if inputs.flat:
-        return None
-    try:
-        if inputs.surface is not None:
-            return read_surface(Path(inputs.surface), inputs.surface_seed)
-        assert inputs.rms_height_m is not None
-        assert inputs.correlation_length_m is not None
-        roughness = Roughness(inputs.rms_height_m, inputs.correlation_length_m)
-        composite = Composite()
-        size, spacing = tile_m(roughness, composite)
-        return make_surface(roughness, composite, size, spacing, inputs.surface_seed)
-    except OSError as error:
-        raise InputError(f"--surface {inputs.surface}: {error.strerror}") from error
-    except ValueError as error:
-        option = "--surface" if inputs.surface is not None else "--correlation-length"
-        raise InputError(f"{option}: {error}") from error
-
-
-def tile_m(roughness: Roughness, composite: Composite) -> tuple[float, float]:
-    """Period and grid spacing that the roughness and the grains need, in m."""
-    grains = [grain for _, grain, _ in composite.aggregates]
-    size = max(PERIOD_IN_GRAINS * grains[0], roughness.shortest_period_m)
-    spacing = min(grains[-1] / CELLS_PER_GRAIN, roughness.correlation_length_m / NODES_PER_LENGTH)
-    return math.ceil(size / spacing * (1.0 - 1e-9)) * spacing, spacing
 
 
 def draw(inputs: ScatterInputs, size_m: tuple[float, float], first: int, last: int) -> pd.DataFrame:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -22,6 +21,7 @@ from ..report.figures import BLACK, BLUE, GREY, SKY, drawing
 from ..report.page import Head, Report, Section, show, write_report
 from ..report.paper_figures import cloud_figure
 from ..report.prose import Prose
+from ..surface.ground import surface_facts, surface_rows
 from ..surface.rough import Surface
 from .conditions import RESAMPLES, SAMPLES, generator
 from .inputs import ScatterInputs
@@ -87,7 +87,7 @@ def write_scatter(
     factors = drops.rename(columns={"y0_m": "height_m"})[list(FACTORS)]
     parts = shares(ratio, {name: each.to_numpy() for name, each in factors.items()}, random)
     samples = sampled(y0, ratio * y0, generator(inputs.seed, SAMPLES))
-    facts = None if surface is None else _surface_facts(surface)
+    facts = None if surface is None else surface_facts(surface)
     sections = [
         _spread_section(statistics, ratio),
         _measured_section(samples, y0, ratio * y0, generator(inputs.seed, RESAMPLES, 1)),
@@ -232,26 +232,6 @@ def _conditions_section(
 ) -> Section:
     draft = prose("conditions", inputs=inputs, check=check)
     if surface is not None:
-        length = surface["correlation_length_m"]
-        rows = {
-            "rms height (µm)": 1e6 * surface["rms_height_m"],
-            "correlation length (mm)": None if length is None else 1e3 * length,
-            "rms slope along x (degrees)": surface["rms_slope_x_deg"],
-            "rms slope along y (degrees)": surface["rms_slope_y_deg"],
-            **{f"share of {name}": part for name, part in surface["fractions"].items()},
-        }
+        rows = surface_rows(surface)
         draft.table("surface", {"quantity": rows, "value": rows.values()})
     return draft.section()
-
-
-def _surface_facts(surface: Surface) -> dict[str, Any]:
-    measured = surface.statistics()
-    return {
-        "size_m": surface.size_m,
-        "spacing_m": surface.spacing_m,
-        "rms_height_m": measured.rms_height_m,
-        "correlation_length_m": measured.correlation_length_m,
-        "rms_slope_x_deg": math.degrees(math.atan(measured.rms_slope_x)),
-        "rms_slope_y_deg": math.degrees(math.atan(measured.rms_slope_y)),
-        "fractions": measured.fractions,
-    }

@@ -20,7 +20,8 @@ from ...solver.time.march import Marcher
 from ..inputs.config import DropInputs
 from ..running.cases import CaseSession, Timings
 from ..running.parallel import start_petsc
-from .conditions import Under, draw, ground_of, ground_surface, ground_under, local_ground
+from ..surface.ground import surface_of
+from .conditions import Under, draw, ground_of, ground_under, local_ground
 from .inputs import ScatterInputs
 
 CHUNK = 50
@@ -38,7 +39,7 @@ class Scene:
 
     def __init__(self, inputs: ScatterInputs, comm: MPI.Intracomm) -> None:
         self.inputs, self.drop = inputs, inputs.drop()
-        self.surface = run_on_one_rank(comm, lambda: ground_surface(inputs))
+        self.surface = run_on_one_rank(comm, lambda: surface_of(inputs))
         if self.drop.model.meshed:
             start_petsc(comm)
         arrays, self.spent_s = run_on_one_rank(comm, lambda: _body(self.drop))

@@ -26,6 +26,7 @@ from bristle.studies.cli import main
 from bristle.studies.inputs.brush_fields import BRUSH_FLAGS
 from bristle.studies.inputs.sources import checked, inputs_of
 from bristle.studies.running.mark import MARK
+from bristle.studies.surface.ground import surface_of
 from bristle.studies.view.brush_pictures import BrushSeries
 
 pytestmark = pytest.mark.serial
@@ -110,7 +111,7 @@ def test_the_page_shows_forces_tips_shape_and_stress(done):
         drawn = (done / "figures" / f"{name}.svg").read_text()
         assert len(drawn) > 1000
         assert "data:image" not in drawn
-    for words in ("yield strength", "Bristles do not touch each other", "bristle brush --layout"):
+    for words in ("yield strength", "The surface is a plane", "bristle brush --layout"):
         assert words in page
     shape = pd.read_csv(done / "tables" / "shape.csv")
     tips = pd.read_csv(done / "tips.csv")
@@ -299,6 +300,48 @@ def test_flat_bristles_that_buckle_side_by_side_gain_no_energy():
         found = bristle.brush(**stands, **pressed, write_fields=False, comm=ALONE)
     assert found.tips.between_N.max() > 0.0
     assert found.energy.closure_relative < 5e-3
+
+
+def test_a_rough_surface_is_touched_where_it_is_highest_and_told(tmp_path):
+    """Two bristles start at first touch, the hub higher than over the plane by what lies under
+    them; the surface is in result.json, on the page and in ParaView's series."""
+    stands = {
+        "layout": "row",
+        "count": 2,
+        "spacing_m": 0.05,
+        "rms_height_m": 1e-3,
+        "surface_seed": 4,
+    }
+    short = {"start_s": 0.002, "until_s": 0.002, "penetration_m": 1e-4}
+    with pytest.warns(bristle.BristleWarning, match="the run ends before"):
+        found = bristle.brush(**stands, **short, out=tmp_path, comm=ALONE)
+    told = json.loads((tmp_path / "result.json").read_text())
+    plane = brush(layout="row", count=2, spacing_m=0.05)
+    inputs = brush(**stands)
+    raised = told["hub_at_first_touch_m"] - plane.first_touch_m
+    patch = surface_of(inputs).patch(found.tips.x_m[:2].to_numpy(), found.tips.y_m[:2].to_numpy())
+    assert abs(patch.heights_m).max() > 1e-4
+    # within what the surface rises over half a wide side
+    assert raised == pytest.approx(patch.heights_m.max(), abs=0.5 * paper.WIDTH_M)
+    assert found.tips.normal_N.max() > 0.0
+    assert told["surface"]["rms_height_m"] == pytest.approx(1e-3, rel=0.2)
+    assert "fine aggregate" in (tmp_path / "report.html").read_text()
+    heights = pyvista.read(tmp_path / "fields" / "ground.vtu").points[:, 2]
+    assert 3e-4 < heights.std() < 3e-3
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        ({"correlation_length_m": 1e-3}, "give --rms-height"),
+        ({"surface_seed": 2}, "is of a rough surface"),
+        ({"surface": "wall.npz", "rms_height_m": 1e-4}, "no meaning with a measured surface"),
+        ({"surface": "wall.npz"}, "wall.npz"),
+    ],
+)
+def test_what_says_nothing_of_a_surface_is_refused(given, said):
+    with pytest.raises(bristle.InputError, match=said):
+        bristle.brush(**given, comm=ALONE)
 
 
 def test_ranks_change_nothing(tmp_path):

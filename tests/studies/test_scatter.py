@@ -28,9 +28,10 @@ from bristle.studies.inputs.study_fields import SCATTER_FLAGS
 from bristle.studies.running.cases import run_case
 from bristle.studies.running.mark import claim
 from bristle.studies.scatter import scene as scatter_scene
-from bristle.studies.scatter.conditions import draw, ground_of, ground_surface, ground_under
+from bristle.studies.scatter.conditions import draw, ground_of, ground_under
 from bristle.studies.scatter.inputs import ScatterInputs
 from bristle.studies.scatter.run import run_scatter
+from bristle.studies.surface.ground import surface_of
 from bristle.studies.surface.phases import Composite, Phase
 from bristle.studies.surface.rough import Surface
 
@@ -143,7 +144,7 @@ def test_the_ground_is_the_surface_turned_into_the_bristles_axes(marcher):
 
 def test_many_drops_on_a_rough_surface_are_single_drops(marcher):
     inputs = scatter(tilt_std_deg=0.0, tilt_deg=TILT, tilt_wide_deg=TILT_WIDE)
-    surface = ground_surface(inputs)
+    surface = surface_of(inputs)
     released = draw(inputs, surface.size_m, 0, 2)
     under = ground_under(surface, marcher.body.contact, released, STEEL)
     drops = one(
@@ -158,14 +159,14 @@ def test_many_drops_on_a_rough_surface_are_single_drops(marcher):
 
 
 def test_the_default_surface_is_as_rough_as_asked_for():
-    surface = ground_surface(scatter())
+    surface = surface_of(scatter())
     said = surface.statistics()
     assert min(surface.size_m) >= 0.038 * (1.0 - 1e-9)
     assert said.rms_height_m == pytest.approx(50e-6, rel=0.2)
     assert said.correlation_length_m == pytest.approx(5e-3, rel=0.2)
     # of a Gaussian correlation, √2 rms / l
     assert said.rms_slope_x == pytest.approx(math.sqrt(2.0) * 0.01, rel=0.2)
-    assert ground_surface(scatter(flat=True)) is None
+    assert surface_of(scatter(flat=True)) is None
 
 
 # what is drawn
