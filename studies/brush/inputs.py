@@ -120,6 +120,9 @@ class BrushInputs(MaterialFields, BodyFields, BrushFields):
         ):
             if self.layout not in layouts and getattr(self, name) != _default(name):
                 refuse(name, why)
+        alone = self.layout is Layout.SINGLE or not self.touch_each_other
+        if alone and self.friction_between != self.friction:
+            refuse("friction_between", "is of bristles that touch each other; none does here")
         if self.motion.file is not None and self.start_s != _default("start_s"):
             refuse("start_s", "is in the times of --motion file:…; leave it out")
 

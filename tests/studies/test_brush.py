@@ -337,9 +337,10 @@ def test_a_rough_surface_is_touched_where_it_is_highest_and_told(tmp_path):
         ({"surface_seed": 2}, "is of a rough surface"),
         ({"surface": "wall.npz", "rms_height_m": 1e-4}, "no meaning with a measured surface"),
         ({"surface": "wall.npz"}, "wall.npz"),
+        ({"friction_between": 0.1}, "none does here"),
     ],
 )
-def test_what_says_nothing_of_a_surface_is_refused(given, said):
+def test_what_changes_nothing_is_refused(given, said):
     with pytest.raises(bristle.InputError, match=said):
         bristle.brush(**given, comm=ALONE)
 
