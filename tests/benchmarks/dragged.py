@@ -348,12 +348,12 @@ def main(arguments: Sequence[str] | None = None) -> None:
     if "rod" in given.only:
         runs += [
             (f"rod, {n} elements, tolerance {e:g}", partial(rod, n, e))
-            for n, e in ((20, 1e-6), (20, 1e-7), (40, 1e-7))
+            for n, e in ((20, 1e-6), (20, 1e-7), (20, 1e-8))
         ]
     if "beam" in given.only:
         runs += [
             (f"dolfinx, {n} elements, {1e6 * h:g} us", partial(beam, n, h))
-            for n, h in ((10, 2e-4), (10, 1e-4))
+            for n, h in ((10, 1e-3), (10, 5e-4), (10, 2e-4))
         ]
     if "elastica" in given.only:
         if importlib.util.find_spec("elastica") is None:
