@@ -162,9 +162,7 @@ def test_residuals_of_a_drop_are_whitened_for_any_slope():
     assert np.cov(rows.T) == pytest.approx(np.eye(3), abs=0.02)
 
 
-@pytest.mark.parametrize(
-    "true_spread_m", [pytest.param(0.0, marks=pytest.mark.campaign), 2e-4, 5e-4]
-)
+@pytest.mark.parametrize("true_spread_m", [0.0, 2e-4, 5e-4])
 def test_the_slope_of_heights_that_hardly_differ_is_not_taken_for_an_effect(
     true_spread_m, tmp_path, monkeypatch
 ):
