@@ -18,7 +18,7 @@ from blind.films import (
     flight,
     rise_time,
 )
-from blind.make import ROWS, beside, make
+from blind.make import ROWS, _turn, beside, make
 from blind.noise import ROUNDED, UNKNOWN
 from blind.read import Plan
 from blind.shapes import FAMILIES, Drops, impossible, unlisted
@@ -122,6 +122,14 @@ def test_what_is_read_misses_an_upright_bristle_by_its_noise_and_by_d(row):
         # the error of a height before is carried by slopes, which a misfit has steeper or flatter
         error = 5.0 * math.sqrt(2.0 * n + 4.0 * d2) + 0.05 * d2
         assert size(gauge, seen) ** 2 == pytest.approx(n + d2, abs=error)
+
+
+def test_the_seed_draws_in_which_order_effects_have_their_turn():
+    """A run that stops early would otherwise know the first ones alone."""
+    names = tuple(LISTED)
+    one, other = ([_turn(names, seed, n) for n in range(len(names))] for seed in (1, 2))
+    assert sorted(one) == sorted(other) == sorted(names)
+    assert one != other
 
 
 @pytest.mark.parametrize("row", ["listed16", "unlisted16", "unlisted8"])

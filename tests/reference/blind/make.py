@@ -77,9 +77,7 @@ def make(seed: int, row: str, number: int) -> Made:
     """
     rng, asked = stream(seed, row, number), replace(ROWS[row], others=_others(seed))
     names = FILMED if asked.films else tuple(LISTED)
-    # every effect and family in its turn
-    name = names[number % len(names)]
-    family = list(FAMILIES)[number % len(FAMILIES)]
+    name, family = _turn(names, seed, number), _turn(tuple(FAMILIES), seed, number)
     for _ in range(TRIES):
         if asked.holds == "nothing":
             plan = _plan(rng, asked)
@@ -93,10 +91,18 @@ def make(seed: int, row: str, number: int) -> Made:
         elif asked.holds == "unlisted":
             found = _unlisted(rng, asked, family, target)
         else:
-            found = _gross(rng, asked, number, target)
+            found = _gross(rng, asked, seed, number, target)
         if found is not None:
             return measured(rng, asked, number, *found)
     raise NoDesign(f"{row} {number}: no design has the size asked for, of {name} or {family}")
+
+
+def _turn(names: tuple[str, ...], seed: int, number: int) -> str:
+    """The ``number``-th of the names, each in its turn, in an order that the seed draws: the first
+    datasets of a row are a fair sample of all."""
+    key = (len(ROWS), len(names))
+    rng = np.random.default_rng(np.random.SeedSequence([TAG, seed], spawn_key=key))
+    return names[rng.permutation(len(names))[number % len(names)]]
 
 
 def _plan(rng: np.random.Generator, row: Row, *names: str) -> Plan:
@@ -292,13 +298,12 @@ def _unlisted(
 
 
 def _gross(
-    rng: np.random.Generator, row: Row, number: int, target: float
+    rng: np.random.Generator, row: Row, seed: int, number: int, target: float
 ) -> tuple[Plan, Found] | None:
     """A misfit of level, of scale or of shape."""
     which = ("impossible", "level", "body", "shape")[number % 4]
     if which == "shape":
-        family = list(FAMILIES)[number // 4 % len(FAMILIES)]
-        return _unlisted(rng, row, family, target)
+        return _unlisted(rng, row, _turn(tuple(FAMILIES), seed, number // 4), target)
     plan = _plan(rng, row, "")
     if which == "impossible":
         truth, gauge = replace(plan.truth, body=Body()), replace(plan.gauge, body=Body())
