@@ -19,7 +19,7 @@ def environment() -> dict[str, str]:
     return {**kept, "PYTHONPATH": os.pathsep.join(filter(None, path)), "OMP_NUM_THREADS": "1"}
 
 
-def python(*arguments: object, timeout_s: float = 120.0) -> subprocess.CompletedProcess[str]:
+def python(*arguments: object, timeout_s: float = 600.0) -> subprocess.CompletedProcess[str]:
     """Run the interpreter with these arguments."""
     return _run([sys.executable, *map(str, arguments)], timeout_s)
 
@@ -30,7 +30,7 @@ def bristle(*arguments: object) -> subprocess.CompletedProcess[str]:
 
 
 def mpirun(
-    ranks: int, *arguments: object, timeout_s: float = 120.0
+    ranks: int, *arguments: object, timeout_s: float = 600.0
 ) -> subprocess.CompletedProcess[str]:
     """Run the interpreter with these arguments on so many ranks."""
     launch = ["mpirun", "-n", str(ranks), "--oversubscribe", sys.executable]
