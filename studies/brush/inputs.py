@@ -128,15 +128,12 @@ class BrushInputs(MaterialFields, BodyFields, BrushFields):
 
     def _check_surface(self) -> None:
         """Refuse what says two things of a surface, or something of one that is not rough."""
-        if self.surface is not None and self.rms_height_m is not None:
+        drawn, measured = self.rms_height_m is not None, self.surface is not None
+        if measured and drawn:
             refuse("rms_height_m", "has no meaning with a measured surface")
-        drawn, rough = (
-            self.rms_height_m is not None,
-            self.surface is not None or self.rms_height_m is not None,
-        )
         if self.correlation_length_m is not None and not drawn:
             refuse("correlation_length_m", "is of a surface that is drawn; give --rms-height")
-        if self.surface_seed != _default("surface_seed") and not rough:
+        if self.surface_seed != _default("surface_seed") and not (drawn or measured):
             refuse("surface_seed", "is of a rough surface; give --rms-height or --surface")
 
     def _check_path(self) -> None:
@@ -251,8 +248,8 @@ class BrushInputs(MaterialFields, BodyFields, BrushFields):
         return -self._lowest_m(HubPath.still().pose(0.0))
 
     def _lowest_m(self, pose: HubPose) -> float:
-        """How far below the hub in m the straight bristle ends that comes lowest over the surface,
-        as a negative height."""
+        """Height over the surface of the lowest end of all straight bristles, in m, if the hub were
+        at z = 0 of ``pose``."""
         clamps = self.clamps
         roots, rotation = clamps.position_m @ pose.rotation.T, pose.rotation @ clamps.rotation
         if (surface := surface_of(self)) is None:

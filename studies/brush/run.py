@@ -28,6 +28,7 @@ from ..running.files import folder_in_place, remove, together, write_atomically,
 from ..running.parallel import all_ranks, by_rank_0
 from ..running.progress import compilation_noted, progress, say, warn
 from ..surface.ground import surface_facts, surface_of
+from ..surface.rough import Surface
 from .inputs import BrushInputs
 from .page import write_page
 from .record import Record, from_arrays, to_arrays
@@ -48,8 +49,8 @@ KEEP_S = 60.0
 UNSURE = 0.2
 # Share of all energy beyond which what the time steps lose deserves a warning.
 CLOSURE = 0.05
-# The surface for ParaView reaches so many lengths beyond the tips.
-REACH = 0.25
+# The surface for ParaView reaches so many lengths beyond the tips, or so far where it is rough.
+REACH, ROUGH_REACH_M = 0.25, 5e-3
 
 
 def run_brush(
@@ -81,6 +82,8 @@ def run_brush(
         folder = None
         if inputs.write_fields:
             folder = stack.enter_context(by_rank_0(folder_in_place(out / FIELDS), comm))
+        # a file of heights may be gone when the march ends
+        surface, first_touch_m = surface_of(inputs), inputs.first_touch_m
         with compilation_noted():
             rods = make_rods(inputs, comm)
             record = _march(inputs, rods, Record(folder), out, comm, resume, keep_s)
@@ -88,8 +91,9 @@ def run_brush(
         facts = {"peak_rss_MB": results.peak_rss_MB(comm), "ranks": comm.size}
 
         def write() -> dict[str, Any]:
-            record.finish(REACH * inputs.bristle().length_m, surface_of(inputs))
-            document = _document(inputs, record, warnings)
+            reach_m = ROUGH_REACH_M if surface else REACH * inputs.bristle().length_m
+            record.finish(reach_m, surface)
+            document = _document(inputs, record, surface, first_touch_m, warnings)
             if not inputs.write_fields:
                 remove(out / FIELDS)
             write_atomically(out / HUB_FILE, record.hub_table().to_csv(index=False))
@@ -161,9 +165,15 @@ def _march(
     return record
 
 
-def _document(inputs: BrushInputs, record: Record, warnings: list[str]) -> dict[str, Any]:
+def _document(
+    inputs: BrushInputs,
+    record: Record,
+    surface: Surface | None,
+    first_touch_m: float,
+    warnings: list[str],
+) -> dict[str, Any]:
     """What result.json holds but for what the run took."""
-    found, surface = record.summary(inputs.steady_from_s), surface_of(inputs)
+    found = record.summary(inputs.steady_from_s)
     more = [
         *_stress_warnings(inputs, found),
         *_mean_warnings(inputs, found),
@@ -174,7 +184,7 @@ def _document(inputs: BrushInputs, record: Record, warnings: list[str]) -> dict[
     return {
         **results.head(inputs),
         "n_bristles": inputs.count,
-        "hub_at_first_touch_m": inputs.first_touch_m,
+        "hub_at_first_touch_m": first_touch_m,
         "surface": None if surface is None else surface_facts(surface),
         **found,
         "warnings": [*warnings, *more],

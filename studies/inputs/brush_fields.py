@@ -177,5 +177,5 @@ class BrushFields(SurfaceFields, HubFields, LayoutFields):
     )
 
 
-BRUSH_OWN_FLAGS = flags_of(LayoutFields, HubFields, ReliefFields, SurfaceFields, BrushFields)
+BRUSH_OWN_FLAGS = flags_of(LayoutFields, HubFields, SurfaceFields, BrushFields)
 BRUSH_FLAGS = (*BRUSH_OWN_FLAGS, *flags_of(BodyFields, MaterialFields))

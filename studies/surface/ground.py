@@ -69,6 +69,7 @@ def surface_rows(facts: dict[str, Any]) -> dict[str, Any]:
     """The same for a table of a page, by the quantity's name with its unit."""
     length = facts["correlation_length_m"]
     return {
+        "period along x and y (mm)": " and ".join(f"{1e3 * side:.4g}" for side in facts["size_m"]),
         "rms height (µm)": 1e6 * facts["rms_height_m"],
         "correlation length (mm)": None if length is None else 1e3 * length,
         "rms slope along x (degrees)": facts["rms_slope_x_deg"],
