@@ -1,6 +1,6 @@
 """One bristle dragged at 1 m/s by programs that share no code: error in the hub's force, CPU time.
 
-    OMP_NUM_THREADS=1 docker/run python3 tests/benchmarks/dragged.py
+    docker/run python3 tests/benchmarks/dragged.py --elastica FOLDER
 
 The bristle leans by 30°, comes down by a fifth of its length and reaches 1 m/s within 0.2 s. It is
 computed by the rods of `bristle brush`; by a plane Reissner beam in dolfinx, as a user would write
@@ -18,11 +18,14 @@ from __future__ import annotations
 import argparse
 import importlib.util
 import math
+import os
 import sys
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
+
+os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import numpy as np
 from mpi4py import MPI

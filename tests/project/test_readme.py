@@ -40,6 +40,7 @@ OF_OTHERS = {
     "--script",
     "--datasets",
     "--rows",
+    "--elastica",
 }  # click's own, paraview's, a script's of tests
 QUICK = (
     ("drop", "--model", "reduced", "--kn"),
