@@ -76,8 +76,8 @@ for name, size in ruler.detectable.items():
 # With contact times and forces
 # -----------------------------
 #
-# Now use all columns. The first run of such data simulates every effect, which takes a minute or
-# two. Later runs take seconds.
+# Now use all columns. The first such dataset of a bristle simulates every effect, which takes a
+# minute or two. Later ones find these tables.
 
 full = bristle.close_loop(data, no_3d=True)
 print(full)

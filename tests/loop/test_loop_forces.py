@@ -122,7 +122,7 @@ def test_coarse_samples_serve(tmp_path):
 
 def test_what_refines_an_effect_is_not_in_tables_of_histories(monkeypatch):
     """They would take a quarter of an hour; errors stated are those of the yield force alone."""
-    few = {"KN_NODES": 4, "HELD_NODES": 4, "HEIGHT_NODES": 4, "ITS_S": 4e-6, "CHECKS": 1}
+    few = {"KN_NODES": 4, "HELD_NODES": 4, "ITS_S": 4e-6, "CHECKS": 1}
     for name, value in few.items():
         monkeypatch.setattr(force_curves, name, value)
     monkeypatch.delattr(Emulator, "refined")

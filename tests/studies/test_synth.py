@@ -1,6 +1,7 @@
 """Made datasets hold what they say, hide it, and come out the same again."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -167,6 +168,35 @@ def test_a_table_is_the_simulation_between_its_nodes(name):
         )
         assert told[0] == pytest.approx(direct[0], rel=1e-3)
         assert told[2] == pytest.approx(direct[2], rel=2e-3)
+
+
+def test_other_heights_and_another_friction_find_the_drops_that_are_there(monkeypatch):
+    """Of a bristle that nobody else has; what leans is another's where friction is another's."""
+    simulated = []
+
+    def observed(_, scenes, its, friction):
+        simulated.extend(scene.height_m for scene in scenes)
+        return np.ones((len(scenes), 3))
+
+    monkeypatch.setattr(Emulator, "observed", observed)
+    own = Bristle(
+        material=replace(Bristle().material, beta_s=float(np.random.default_rng().random()))
+    )
+    first = Emulator(own, 9.8, 0.009, 0.05, friction=0.3)
+    for emulator, heights in (
+        (first, [8, 16, 32, 64]),
+        (replace(first, lowest_m=0.02, highest_m=0.1, friction=0.2), [128]),
+        (replace(first, lowest_m=0.02, highest_m=0.03), [4]),  # a cubic needs four
+        (replace(first, gravity_m_s2=9.81), [8, 16, 32, 64]),
+    ):
+        simulated.clear()
+        table = emulator.plain
+        assert sorted({round(1e3 * height, 9) for height in simulated}) == heights
+        assert table.axes[0].low <= emulator.lowest_m < emulator.highest_m <= table.axes[0].high
+    for friction, there in ((0.3, False), (0.2, False), (0.3, True)):
+        simulated.clear()
+        replace(first, friction=friction).of("bristle_tilt")
+        assert (not simulated) == there
 
 
 def test_a_refined_table_is_near_the_simulation_and_the_plain_one_where_nothing_yields(

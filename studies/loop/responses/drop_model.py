@@ -340,7 +340,9 @@ class Errors:
         """Whitened rows (..., rows) of quantities (..., drops, q), of those that were read."""
         factors = self.whiten if whiten is None else whiten
         known = np.where(self.present, measured, 0.0)
-        return np.asarray(np.einsum("...dqr,...dr->...dq", factors, known)[..., self.present])
+        # over so few columns a loop is several times faster than einsum
+        out = sum(factors[..., r] * known[..., r, None] for r in range(len(self.sigma)))
+        return np.asarray(out)[..., self.present]
 
 
 @dataclass(frozen=True)

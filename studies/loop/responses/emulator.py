@@ -12,7 +12,7 @@ import hashlib
 import inspect
 import itertools
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from pathlib import Path
@@ -23,7 +23,7 @@ import numpy as np
 from ....solver import paper
 from ....solver.arrays import Array
 from ....solver.bristle import Bristle, RigidMass
-from ....solver.cache import cached, sources
+from ....solver.cache import load, sources, store
 from ....solver.contact.laws import Adhesive, ContactLaw, Damped, Linear, Plastic
 from ....solver.effects import library
 from ....solver.effects.base import TOUCHING, Effect, Parameter, Scene
@@ -38,8 +38,8 @@ KN_RANGE_N_M = (1e4, 1e8)
 KN_NODES = 97
 EFFECT_KN_NODES = 29
 LEAN_KN_NODES = 11
-HEIGHT_NODES = 5
-LEAN_HEIGHT_NODES = 4
+# Heights of tables are powers of two in mm: no fewer than a cubic needs.
+FEWEST_HEIGHTS = 4
 EFFECT_NODES = 13
 DECADES_NODES = 27
 LEAN_NODES = 8
@@ -150,9 +150,19 @@ class Emulator:
         return FRICTIONS if self.friction is None else (self.friction,)
 
     def key(self, name: str, axes: Sequence[Axis]) -> str:
-        """What a table is kept under from run to run."""
+        """What part of a table is kept under from run to run: it hangs on no range of heights, and
+        on friction only where ``name`` says so."""
         own = {Path(inspect.getfile(kind)) for kind in type(self).__mro__[:-1]}
-        return f"{name} {axes} {self} {sources(*MADE_BY, *sorted(own))}"
+        anywhere = replace(self, lowest_m=0.0, highest_m=0.0, friction=None)
+        return f"{name} {axes} {anywhere} {sources(*MADE_BY, *sorted(own))}"
+
+    def heights(self) -> Axis:
+        """Of tables: powers of two in mm that hold all heights, so that other drops of the body
+        share them."""
+        first = math.floor(math.log2(1e3 * self.lowest_m) + 1e-9)
+        last = max(math.ceil(math.log2(1e3 * self.highest_m) - 1e-9), first + 1)
+        first = min(first, last + 1 - FEWEST_HEIGHTS)
+        return Axis(1e-3 * 2.0**first, 1e-3 * 2.0**last, last - first + 1, "log")
 
     def table(
         self,
@@ -164,43 +174,54 @@ class Emulator:
     ) -> Table:
         """Drops over height, stiffness and ``sides``; ``change`` puts a point of these in.
 
-        ``friction`` is None where nothing leans. ``name`` tells tables on the same sides apart:
-        they are kept from run to run. Raises ComputationError where drops fail at all time steps.
+        ``friction`` is None where nothing leans. ``name`` tells tables on the same sides apart.
+        Raises ComputationError where drops fail at all time steps.
         """
-        n = HEIGHT_NODES if friction is None else LEAN_HEIGHT_NODES
-        heights = Axis(self.lowest_m, self.highest_m, n, "root")
-        axes = (heights, Axis(*self.kn_range_N_m, kn_nodes, "log"), *sides)
-        key = self.key(f"{name} {friction}", axes)
-        made = cached(key, lambda: {"coefficients": self._filled(axes, change, friction)})
-        return Table(axes, made["coefficients"])
+        axes = (self.heights(), Axis(*self.kn_range_N_m, kn_nodes, "log"), *sides)
+        return Table(axes, coefficients(self.tabulated(name, axes, change, friction), len(axes)))
 
-    def _filled(self, axes: tuple[Axis, ...], change: Change, friction: float | None) -> Array:
-        """Spline coefficients (..., quantities) of a table.
+    def tabulated(
+        self, name: str, axes: tuple[Axis, ...], change: Change, friction: float | None
+    ) -> Array:
+        """What is tabulated at the nodes (..., quantities); of each height, it is kept from run to
+        run."""
+        keys = [self.key(f"{name} {friction} {height:.6g}", axes[1:]) for height in axes[0].nodes()]
+        found = [load(key) for key in keys]
+        missing = [i for i, each in enumerate(found) if each is None]
+        if missing:
+            made = self.filled([axes[0].nodes()[missing], *_nodes(axes[1:])], change, friction)
+            for i, values in zip(missing, made, strict=True):
+                found[i] = kept = {"values": np.asarray(values)}
+                store(keys[i], kept)
+        return mended(np.stack([each["values"] for each in found if each is not None]))
+
+    def filled(self, values: Sequence[Array], change: Change, friction: float | None) -> Array:
+        """What is tabulated at these ``values`` along the axes (..., quantities), NaN where a drop
+        failed.
 
         Drops that share step, damping and loss are simulated in one batch.
         """
-        longer = LEAN_STEP if friction is not None else 1.0 if axes[2:] else PLAIN_STEP
-        steps = [longer * self.step_s(float(kn)) for kn in axes[1].nodes()]
+        longer = LEAN_STEP if friction is not None else 1.0 if values[2:] else PLAIN_STEP
+        steps = [longer * self.step_s(float(kn)) for kn in values[1]]
         batches: dict[tuple[float, float, float], list[tuple[tuple[int, ...], Scene]]] = {}
-        for index, scene in self.nodes(axes, change):
+        for index, scene in self.scenes(values, change):
             key = (steps[index[1]], scene.beta_s, scene.loss_factor)
             batches.setdefault(key, []).append((index, scene))
-        out = np.empty((*(axis.n for axis in axes), len(QUANTITIES)))
+        out = np.empty((*map(len, values), len(QUANTITIES)))
         for (its, *_), batch in batches.items():
             rows = self.observed([scene for _, scene in batch], its, friction or 0.0)
             for (index, _), row in zip(batch, rows, strict=True):
                 out[index] = row
-        rigid = self.reference(*np.meshgrid(*(axis.nodes() for axis in axes[:2]), indexing="ij"))
-        rigid = rigid.reshape(*rigid.shape, *(1,) * len(axes[2:]))
+        rigid = self.reference(*np.meshgrid(*values[:2], indexing="ij"))
+        rigid = rigid.reshape(*rigid.shape, *(1,) * len(values[2:]))
         out[~(out > 0.0)] = np.nan  # a tip that does not come up again
-        return coefficients(mended(np.log(out / np.moveaxis(rigid, 0, -1))), len(axes))
+        return np.asarray(np.log(out / np.moveaxis(rigid, 0, -1)))
 
-    def nodes(
-        self, axes: tuple[Axis, ...], change: Change
+    def scenes(
+        self, values: Sequence[Array], change: Change
     ) -> Iterator[tuple[tuple[int, ...], Scene]]:
-        """Every node of a table: its place, and the drop there."""
-        values = [axis.nodes() for axis in axes]
-        for index in itertools.product(*(range(axis.n) for axis in axes)):
+        """Every node of a table over these values: its place, and the drop there."""
+        for index in itertools.product(*(range(len(each)) for each in values)):
             height, kn, *point = (float(each[i]) for each, i in zip(values, index, strict=True))
             plain = replace(self.scene(), height_m=height, law=Linear(kn))
             yield index, change(plain, tuple(point))
@@ -331,6 +352,10 @@ class Emulator:
         if len(tables) == 1 or friction is None:
             return tables[0].at(*now) - tables[0].at(*without)
         return np.asarray(_between(tables, np.asarray(friction), now) - tables[0].at(*without))
+
+
+def _nodes(axes: Iterable[Axis]) -> list[Array]:
+    return [axis.nodes() for axis in axes]
 
 
 def _axis(parameter: Parameter, leans: bool) -> Axis:

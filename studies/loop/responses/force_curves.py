@@ -23,7 +23,6 @@ from ....solver.arrays import Array
 from ....solver.batch import as_column
 from ....solver.bodies.modal import ModalBody
 from ....solver.bristle import Bristle
-from ....solver.cache import cached
 from ....solver.contact.enforcement import ContactMethod
 from ....solver.contact.laws import Coulomb, Linear, mindlin_ratio
 from ....solver.drop import DropPlan, ModalFrame, simulate
@@ -34,11 +33,10 @@ from ....solver.ground import Ground
 from ....solver.rigid import slope_normal
 from ...running.steps import with_shorter_its
 from .emulator import Change, Emulator, effect_at
-from .table import Axis, Table, coefficients, mended
+from .table import Axis, Table, coefficients
 from .table_drops import beam_of
 
 CELLS = 640
-HEIGHT_NODES = 4
 KN_NODES = 31
 LEAN_KN_NODES = 11
 SIDE_NODES = 9
@@ -174,16 +172,16 @@ class ForceEmulator(Emulator):
         fewer = [
             replace(a, n=HELD_NODES if name in self.scaled else min(a.n, SIDE_NODES)) for a in sides
         ]
-        axes = (Axis(self.lowest_m, self.highest_m, HEIGHT_NODES, "root"), kn, *fewer)
+        axes = (self.heights(), kn, *fewer)
+        return self._in_shapes(axes, self.tabulated(f"curves {name}", axes, change, friction))
 
-        def filled() -> Array:
-            out = np.empty((*(axis.n for axis in axes), CELLS))
-            for index, scene in self.nodes(axes, change):
-                out[index] = self.curve(scene)
-            return mended(out)
-
-        found = cached(self.key(f"curves {name}", axes), lambda: {"values": filled()})
-        return self._in_shapes(axes, found["values"])
+    def filled(self, values: Sequence[Array], change: Change, friction: float | None) -> Array:
+        """Histories (..., cells)."""
+        out = np.empty((*map(len, values), CELLS))
+        own = replace(self, friction=friction)
+        for index, scene in self.scenes(values, change):
+            out[index] = own.curve(scene)
+        return out
 
     def _in_shapes(self, axes: tuple[Axis, ...], values: Array) -> Table:
         """The table of histories ``values`` (..., cells)."""

@@ -201,7 +201,7 @@ def _records(data: Forces) -> tuple[list[Record], float]:
 
 
 def _emulator(data: Forces, kn_range_N_m: tuple[float, float]) -> ForceEmulator:
-    """Heights rounded outward, and a time in which the softest contact ends."""
+    """Over a time in which the softest contact ends."""
     step, manifest = 0.005, data.manifest
     lowest = max(step * math.floor(0.6 * float(data.y0_m.min()) / step), 0.002)
     highest = step * math.ceil(1.25 * float(data.y0_m.max()) / step)
