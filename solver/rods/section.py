@@ -15,6 +15,8 @@ from ..errors import InputError
 
 # Points on the rim of a round section.
 RIM_POINTS = 8
+# A contact that stands for a rigid one is so many times as stiff as an element along the axis.
+RIGID = 10.0
 
 
 @dataclass(frozen=True)
@@ -119,6 +121,14 @@ class RodSection:
             return self.half_thin_m * np.stack([np.cos(angle), np.sin(angle)], -1)
         signs = np.array([[-1.0, -1.0], [-1.0, 1.0], [1.0, -1.0], [1.0, 1.0]])
         return signs * (self.half_thin_m, self.half_wide_m)
+
+    def rigid_N_m(self, element_m: float) -> float:
+        """The stiffness of a contact that stands for a rigid one, where elements are so long.
+
+        A rod gives way least along its axis. A contact that is `RIGID` times as stiff as an element
+        there changes nothing that elements resolve, and a stiffer one asks for shorter steps.
+        """
+        return RIGID * self.EA_N / element_m
 
     def bending_stress_Pa(self, moment_Nm: Array) -> Array:
         """The greatest bending stress (…,) over the section under moments (…, 3) about its axes."""

@@ -24,6 +24,7 @@ from ..inputs.choices import Layout, Motion
 from ..inputs.config import resolve_material, resolve_measures
 from ..inputs.fields import BodyFields, MaterialFields
 from ..inputs.flags import refuse
+from ..inputs.limits import KN_N_M
 from ..inputs.named import MotionInput, read_motion
 from ..surface.ground import surface_of
 from .layout import directions, lowest_m, overlapping, stand
@@ -76,6 +77,8 @@ class BrushInputs(MaterialFields, BodyFields, BrushFields):
             refuse("diameter_m", "a round wire has neither --width nor --thickness")
         if self.friction_static is not None and self.friction_static < self.friction:
             refuse("friction_static", f"is less than the {self.friction:g} of --friction")
+        if KN_N_M < self.kn_N_m < math.inf:
+            refuse("kn_N_m", f"must be {KN_N_M:g} N/m or less, or inf")
         self._check_unused()
         self._check_surface()
         if self.duration_s > MOST_ROWS * self.interval_s:
@@ -261,11 +264,19 @@ class BrushInputs(MaterialFields, BodyFields, BrushFields):
         return float((points[..., 2].ravel() - surface.patch(x, y).heights_m).min())
 
     @property
+    def stiffness_N_m(self) -> float:
+        """Kn of the solver's contact: where it is infinite, one so stiff that it might as well."""
+        if math.isfinite(self.kn_N_m):
+            return self.kn_N_m
+        bristle = self.bristle()
+        return RodSection.of(bristle).rigid_N_m(bristle.length_m / self.elements)
+
+    @property
     def ground(self) -> Ground:
         """The surface, and how bristles meet it."""
         assert self.friction_static is not None
         assert self.kt_ratio is not None
-        law = self.kn_N_m, self.friction, self.friction_static, self.stribeck_speed_m_s
+        law = self.stiffness_N_m, self.friction, self.friction_static, self.stribeck_speed_m_s
         rough = None
         if (surface := surface_of(self)) is not None:
             factors = surface.stiffness_factors(self.youngs_Pa, self.poisson)

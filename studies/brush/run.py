@@ -115,7 +115,7 @@ def make_rods(inputs: BrushInputs, comm: MPI.Intracomm) -> Rods:
     between = None
     if inputs.touch_each_other and inputs.count > 1:
         mu = inputs.friction_between
-        between = Contact(inputs.kn_N_m, mu, mu, kt_over_kn=inputs.kt_ratio)
+        between = Contact(inputs.stiffness_N_m, mu, mu, kt_over_kn=inputs.kt_ratio)
     return Rods(
         RodSection.of(inputs.bristle()),
         inputs.clamps,

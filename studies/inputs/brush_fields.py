@@ -16,6 +16,7 @@ from .fields import (
     OUTPUT,
     TIME,
     BodyFields,
+    Kn,
     MaterialFields,
     Ratio,
     Truth,
@@ -119,9 +120,10 @@ class SurfaceFields(ReliefFields, group=CONTACT):
         shown="a level plane of one material",
         group=SURFACE,
     )
-    kn_N_m: Annotated[float, between(1e-3, 1e12)] = option(
+    kn_N_m: Kn = option(
         paper.KN_CHOSEN_N_M,
-        "Normal contact stiffness of an end section, and of two bristles that cross.",
+        "Normal contact stiffness of an end section, and of two bristles that cross; 'inf' for "
+        "one that gives no way.",
     )
     friction: Annotated[float, between(0.0, 100.0)] = option(
         paper.FRICTION, "Coulomb's coefficient of a tip that slides.", "MU"

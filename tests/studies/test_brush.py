@@ -347,6 +347,15 @@ def test_what_changes_nothing_is_refused(given, said):
         bristle.brush(**given, comm=ALONE)
 
 
+def test_a_rigid_surface_is_ten_times_as_stiff_as_an_element(tmp_path):
+    found = bristle.brush(**SHORT, kn_N_m=math.inf, out=tmp_path, comm=ALONE)
+    assert found.inputs.kn_N_m == math.inf
+    stiff = 10.0 * paper.YOUNGS_PA * paper.WIDTH_M * paper.THICKNESS_M / (paper.LENGTH_M / 6)
+    resolved = brush(kn_N_m=math.inf)
+    assert resolved.ground.kn_N_m == pytest.approx(stiff)
+    assert json.loads((tmp_path / "result.json").read_text())["inputs"]["kn_N_m"] == "inf"
+
+
 def test_ranks_change_nothing(tmp_path):
     arguments = ["-m", "bristle.studies.brush", "--layout", "ring", "--count", "5", *FLAGS]
     for ranks in (1, 2):
@@ -461,7 +470,7 @@ def test_without_fields_an_earlier_series_goes(tmp_path):
         (["--length-std", "0.1", "--length", "0.2"], "--length-std: is more than a third"),
         (["--diameter", "1e-3", "--width", "1e-3"], "--diameter: a round wire"),
         (["--elements", "1"], "--elements: must be greater"),
-        (["--kn", "inf"], "--kn: must be a finite number"),
+        (["--kn", "1e13"], "--kn: must be 1e+12 N/m or less, or inf"),
     ],
     ids=str,
 )

@@ -18,6 +18,7 @@ from bristle.solver.rods.crossing import first_crossing
 from bristle.solver.rods.frame import TipState
 from bristle.solver.rods.ground import Ground
 from bristle.solver.rods.hub import HubPath
+from bristle.solver.rods.relief import RoughPlane
 from bristle.solver.rods.rods import Rods
 from bristle.solver.rods.section import RodSection
 
@@ -197,6 +198,46 @@ def test_stick_and_slip_of_a_mass_on_a_belt():
         assert (s - e) * h == pytest.approx(loose / speed, rel=0.01)
 
 
+@pytest.mark.parametrize("mu", [0.2, 0.5])
+@pytest.mark.parametrize("pulls", [1.0, -1.0])
+def test_a_thin_wire_over_a_drum_is_a_capstan(mu, pulls):
+    """Pulled over the drum against a force at its other end, or let go by it: between both ends the
+    force grows by exp(μ φ), φ the angle of wrap (Euler). The wire is as curved as the drum."""
+    radius, half, spacing = 0.02, math.radians(40.0), 1e-4
+    stiff, soft = 1e4, 1e-6
+    section = replace(
+        SLENDER,
+        **dict.fromkeys(("EA_N", "GA1_N", "GA2_N"), stiff),
+        **dict.fromkeys(("EI1_Nm2", "EI2_Nm2", "GJ_Nm2"), soft),
+        half_thin_m=1e-6,
+        half_wide_m=1e-6,
+        curvature_1_m=(0.0, 1.0 / radius, 0.0),
+    )
+    x = spacing * np.array([*range(200), *range(-200, 0)])
+    heights = np.sqrt(np.maximum(radius**2 - x**2, (0.5 * radius) ** 2))
+    drum = RoughPlane(np.tile(heights, (4, 1)), spacing, np.ones((4, len(x))))
+    path = np.zeros((6, 2, 6))
+    path[-2, 1, 4] = -0.01 * pulls  # about the drum's axis, so that the clamp stays on it
+    sine, cosine = math.sin(half), math.cos(half)
+    wire = OneRod(
+        uniform_chain(section, 2.0 * half * radius, 40),
+        [-radius * sine, 0.0, radius * cosine],
+        along([cosine, 0.0, sine]),
+        path=HubPath(np.array([0.0, 1.0, 2.0]), path),
+        section=section,
+        ground=Ground(2e6, mu, mu, rough=drum),
+    )
+    wire.loads[-1, :3] = cosine, 0.0, -sine
+    wire.slowly(1.0, 0.25, friction=False)
+    assert np.linalg.norm(wire.now.holding[:3]) == pytest.approx(1.0, rel=0.005)
+    wire.slowly(1.1, 0.01)
+    touch = wire.now.touch
+    assert np.all(touch.state[touch.normal > 0.0] == SLIDES)
+    force = np.linalg.norm(wire.now.holding[:3])
+    # the force changes from node to node: an element's angle may be in or out
+    assert force == pytest.approx(math.exp(pulls * mu * 2.0 * half), rel=mu * 2.0 * half / 40)
+
+
 def test_a_step_that_crosses_the_surface_is_cut_where_it_does():
     """The tip goes from 3 mm above to 1 mm below, or back: at 3/4 of the step, or at 1/4."""
     rod = OneRod(
@@ -268,6 +309,28 @@ def test_a_stiffer_surface_only_lessens_the_penetration(kn_N_m):
     normal = rod.now.touch.normal.sum()
     force, _ = filament(lean, 0.0, depth - normal / kn_N_m)
     assert normal == pytest.approx(force, rel=2e-3)
+
+
+def test_a_rigid_surface_is_the_limit_of_stiff_ones_and_does_not_chatter(bristle):
+    """Ten times as stiff, it presses as much: what it gives way by, N/Kn, is a 1e-7 of the depth.
+    The tip sticks while the hub comes down, and slides from then on. Steps are hardly shorter than
+    on the paper's surface."""
+    section, lean, length = RodSection.of(bristle), math.radians(20.0), 0.3365
+    height = length * math.cos(lean) + section.half_thin_m * math.sin(lean)
+    clamp = one_clamp([0.0, 0.0, height], leaning(lean), length)
+    pressing, changes, steps = [], [], []
+    rigid = section.rigid_N_m(length / 20)
+    for kn in (2e6, rigid, 10.0 * rigid):
+        path = HubPath.press(0.1 * length, 0.3)
+        rods = Rods(section, clamp, path, Ground(kn, 0.3, 0.3), 20, comm=MPI.COMM_SELF)
+        frames = list(rods.march(0.3, 2e-3))
+        pressing.append(np.mean([frame.force_N[2] for frame in frames[50:]]))
+        states = np.array([frame.state[0] for frame in frames])
+        changes.append(np.count_nonzero(np.diff(states)))
+        steps.append(frames[-1].steps)
+    assert pressing[1] == pytest.approx(pressing[2], rel=1e-6)
+    assert changes[1] <= 2
+    assert steps[1] < 1.5 * steps[0]
 
 
 def test_a_rod_pulled_along_a_floor_accelerates_by_what_friction_leaves(bristle):
