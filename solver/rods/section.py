@@ -15,8 +15,8 @@ from ..errors import InputError
 
 # Points on the rim of a round section.
 RIM_POINTS = 8
-# A contact that stands for a rigid one is so many times as stiff as an element along the axis.
-RIGID = 10.0
+# Stiffness of each point of the rim, over that of an element along the axis, of a rigid contact.
+RIGID = 2.5
 
 
 @dataclass(frozen=True)
@@ -123,12 +123,12 @@ class RodSection:
         return signs * (self.half_thin_m, self.half_wide_m)
 
     def rigid_N_m(self, element_m: float) -> float:
-        """The stiffness of a contact that stands for a rigid one, where elements are so long.
+        """Kn of a contact that stands for a rigid one, for elements of this length.
 
-        A rod gives way least along its axis. A contact that is `RIGID` times as stiff as an element
-        there changes nothing that elements resolve, and a stiffer one asks for shorter steps.
+        Each point that touches is then `RIGID` times as stiff as an element along the axis, where a
+        rod gives way least. More would ask for shorter steps, and hardly change a force.
         """
-        return RIGID * self.EA_N / element_m
+        return RIGID * len(self.rim_m) * self.EA_N / element_m
 
     def bending_stress_Pa(self, moment_Nm: Array) -> Array:
         """The greatest bending stress (…,) over the section under moments (…, 3) about its axes."""

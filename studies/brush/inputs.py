@@ -265,11 +265,11 @@ class BrushInputs(MaterialFields, BodyFields, BrushFields):
 
     @property
     def stiffness_N_m(self) -> float:
-        """Kn of the solver's contact: where it is infinite, one so stiff that it might as well."""
+        """Kn for the solver: of an infinite one, `RodSection.rigid_N_m` of the shortest bristle."""
         if math.isfinite(self.kn_N_m):
             return self.kn_N_m
-        bristle = self.bristle()
-        return RodSection.of(bristle).rigid_N_m(bristle.length_m / self.elements)
+        shortest_m = float(self._lengths_m.min())
+        return RodSection.of(self.bristle()).rigid_N_m(shortest_m / self.elements)
 
     @property
     def ground(self) -> Ground:
@@ -280,7 +280,10 @@ class BrushInputs(MaterialFields, BodyFields, BrushFields):
         rough = None
         if (surface := surface_of(self)) is not None:
             factors = surface.stiffness_factors(self.youngs_Pa, self.poisson)
-            rough = RoughPlane(surface.heights_m, surface.spacing_m, factors[surface.phase])
+            over_kn = factors[surface.phase]
+            if math.isinf(self.kn_N_m):
+                over_kn = np.ones_like(over_kn)
+            rough = RoughPlane(surface.heights_m, surface.spacing_m, over_kn)
         return Ground(*law, self.kt_ratio, rough=rough)
 
     @property

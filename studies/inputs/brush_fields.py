@@ -122,8 +122,8 @@ class SurfaceFields(ReliefFields, group=CONTACT):
     )
     kn_N_m: Kn = option(
         paper.KN_CHOSEN_N_M,
-        "Normal contact stiffness of an end section, and of two bristles that cross; 'inf' for "
-        "one that gives no way.",
+        "Normal contact stiffness of an end section, and of two bristles that cross; 'inf' for a "
+        "rigid contact.",
     )
     friction: Annotated[float, between(0.0, 100.0)] = option(
         paper.FRICTION, "Coulomb's coefficient of a tip that slides.", "MU"

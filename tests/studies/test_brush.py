@@ -347,12 +347,14 @@ def test_what_changes_nothing_is_refused(given, said):
         bristle.brush(**given, comm=ALONE)
 
 
-def test_a_rigid_surface_is_ten_times_as_stiff_as_an_element(tmp_path):
+def test_each_corner_on_a_rigid_surface_is_stiffer_than_an_element(tmp_path):
     found = bristle.brush(**SHORT, kn_N_m=math.inf, out=tmp_path, comm=ALONE)
     assert found.inputs.kn_N_m == math.inf
-    stiff = 10.0 * paper.YOUNGS_PA * paper.WIDTH_M * paper.THICKNESS_M / (paper.LENGTH_M / 6)
-    resolved = brush(kn_N_m=math.inf)
-    assert resolved.ground.kn_N_m == pytest.approx(stiff)
+    stiff = 2.5 * paper.YOUNGS_PA * paper.WIDTH_M * paper.THICKNESS_M / (paper.LENGTH_M / 6)
+    assert brush(kn_N_m=math.inf).ground.kn_N_m == pytest.approx(4 * stiff)
+    rough = brush(kn_N_m=math.inf, rms_height_m=1e-4).ground.rough
+    assert np.all(rough.factor == 1.0)
+    assert np.ptp(brush(rms_height_m=1e-4).ground.rough.factor) > 0.1
     assert json.loads((tmp_path / "result.json").read_text())["inputs"]["kn_N_m"] == "inf"
 
 

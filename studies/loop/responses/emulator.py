@@ -12,9 +12,9 @@ import hashlib
 import inspect
 import itertools
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import ClassVar
 
@@ -23,7 +23,7 @@ import numpy as np
 from ....solver import paper
 from ....solver.arrays import Array
 from ....solver.bristle import Bristle, RigidMass
-from ....solver.cache import load, sources, store
+from ....solver.cache import cached, sources
 from ....solver.contact.laws import Adhesive, ContactLaw, Damped, Linear, Plastic
 from ....solver.effects import library
 from ....solver.effects.base import TOUCHING, Effect, Parameter, Scene
@@ -38,7 +38,7 @@ KN_RANGE_N_M = (1e4, 1e8)
 KN_NODES = 97
 EFFECT_KN_NODES = 29
 LEAN_KN_NODES = 11
-# Heights of tables are powers of two in mm: no fewer than a cubic needs.
+# Nodes over the height are powers of two in mm. A cubic needs at least four.
 FEWEST_HEIGHTS = 4
 EFFECT_NODES = 13
 DECADES_NODES = 27
@@ -150,15 +150,15 @@ class Emulator:
         return FRICTIONS if self.friction is None else (self.friction,)
 
     def key(self, name: str, axes: Sequence[Axis]) -> str:
-        """What part of a table is kept under from run to run: it hangs on no range of heights, and
-        on friction only where ``name`` says so."""
+        """Key of a part of a table that is kept from run to run. It holds no range of heights;
+        friction is in it only where ``name`` has it."""
         own = {Path(inspect.getfile(kind)) for kind in type(self).__mro__[:-1]}
         anywhere = replace(self, lowest_m=0.0, highest_m=0.0, friction=None)
         return f"{name} {axes} {anywhere} {sources(*MADE_BY, *sorted(own))}"
 
     def heights(self) -> Axis:
-        """Of tables: powers of two in mm that hold all heights, so that other drops of the body
-        share them."""
+        """Of tables: powers of two in mm, from below the lowest to above the highest. Drops of the
+        body from other heights use those again that they have in common."""
         first = math.floor(math.log2(1e3 * self.lowest_m) + 1e-9)
         last = max(math.ceil(math.log2(1e3 * self.highest_m) - 1e-9), first + 1)
         first = min(first, last + 1 - FEWEST_HEIGHTS)
@@ -183,46 +183,45 @@ class Emulator:
     def tabulated(
         self, name: str, axes: tuple[Axis, ...], change: Change, friction: float | None
     ) -> Array:
-        """What is tabulated at the nodes (..., quantities); of each height, it is kept from run to
-        run."""
-        keys = [self.key(f"{name} {friction} {height:.6g}", axes[1:]) for height in axes[0].nodes()]
-        found = [load(key) for key in keys]
-        missing = [i for i, each in enumerate(found) if each is None]
-        if missing:
-            made = self.filled([axes[0].nodes()[missing], *_nodes(axes[1:])], change, friction)
-            for i, values in zip(missing, made, strict=True):
-                found[i] = kept = {"values": np.asarray(values)}
-                store(keys[i], kept)
-        return mended(np.stack([each["values"] for each in found if each is not None]))
+        """Values at the nodes (..., quantities). Each height is kept in a file of its own."""
+        others = [axis.nodes() for axis in axes[1:]]
 
-    def filled(self, values: Sequence[Array], change: Change, friction: float | None) -> Array:
-        """What is tabulated at these ``values`` along the axes (..., quantities), NaN where a drop
-        failed.
+        def at(height_m: float) -> Array:
+            make = partial(self.filled, [np.array([height_m]), *others], change, friction)
+            key = self.key(f"{name} {friction} {height_m}", axes[1:])
+            return cached(key, lambda: {"values": make()[0]})["values"]
+
+        octaves = np.round(np.log2(1e3 * axes[0].nodes()))  # to the bit, whatever the range
+        return mended(np.stack([at(1e-3 * 2.0 ** float(octave)) for octave in octaves]))
+
+    def filled(self, nodes: Sequence[Array], change: Change, friction: float | None) -> Array:
+        """What is tabulated at these ``nodes`` along the axes, of heights and stiffnesses first,
+        (..., quantities); NaN where a drop failed.
 
         Drops that share step, damping and loss are simulated in one batch.
         """
-        longer = LEAN_STEP if friction is not None else 1.0 if values[2:] else PLAIN_STEP
-        steps = [longer * self.step_s(float(kn)) for kn in values[1]]
+        longer = LEAN_STEP if friction is not None else 1.0 if nodes[2:] else PLAIN_STEP
+        steps = [longer * self.step_s(float(kn)) for kn in nodes[1]]
         batches: dict[tuple[float, float, float], list[tuple[tuple[int, ...], Scene]]] = {}
-        for index, scene in self.scenes(values, change):
+        for index, scene in self.scenes(nodes, change):
             key = (steps[index[1]], scene.beta_s, scene.loss_factor)
             batches.setdefault(key, []).append((index, scene))
-        out = np.empty((*map(len, values), len(QUANTITIES)))
+        out = np.empty((*map(len, nodes), len(QUANTITIES)))
         for (its, *_), batch in batches.items():
             rows = self.observed([scene for _, scene in batch], its, friction or 0.0)
             for (index, _), row in zip(batch, rows, strict=True):
                 out[index] = row
-        rigid = self.reference(*np.meshgrid(*values[:2], indexing="ij"))
-        rigid = rigid.reshape(*rigid.shape, *(1,) * len(values[2:]))
+        rigid = self.reference(*np.meshgrid(*nodes[:2], indexing="ij"))
+        rigid = rigid.reshape(*rigid.shape, *(1,) * len(nodes[2:]))
         out[~(out > 0.0)] = np.nan  # a tip that does not come up again
         return np.asarray(np.log(out / np.moveaxis(rigid, 0, -1)))
 
     def scenes(
-        self, values: Sequence[Array], change: Change
+        self, nodes: Sequence[Array], change: Change
     ) -> Iterator[tuple[tuple[int, ...], Scene]]:
-        """Every node of a table over these values: its place, and the drop there."""
-        for index in itertools.product(*(range(len(each)) for each in values)):
-            height, kn, *point = (float(each[i]) for each, i in zip(values, index, strict=True))
+        """Every node of a table: its place, and the drop there."""
+        for index in itertools.product(*(range(len(each)) for each in nodes)):
+            height, kn, *point = (float(each[i]) for each, i in zip(nodes, index, strict=True))
             plain = replace(self.scene(), height_m=height, law=Linear(kn))
             yield index, change(plain, tuple(point))
 
@@ -352,10 +351,6 @@ class Emulator:
         if len(tables) == 1 or friction is None:
             return tables[0].at(*now) - tables[0].at(*without)
         return np.asarray(_between(tables, np.asarray(friction), now) - tables[0].at(*without))
-
-
-def _nodes(axes: Iterable[Axis]) -> list[Array]:
-    return [axis.nodes() for axis in axes]
 
 
 def _axis(parameter: Parameter, leans: bool) -> Axis:

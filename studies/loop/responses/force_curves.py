@@ -175,11 +175,11 @@ class ForceEmulator(Emulator):
         axes = (self.heights(), kn, *fewer)
         return self._in_shapes(axes, self.tabulated(f"curves {name}", axes, change, friction))
 
-    def filled(self, values: Sequence[Array], change: Change, friction: float | None) -> Array:
+    def filled(self, nodes: Sequence[Array], change: Change, friction: float | None) -> Array:
         """Histories (..., cells)."""
-        out = np.empty((*map(len, values), CELLS))
-        own = replace(self, friction=friction)
-        for index, scene in self.scenes(values, change):
+        out = np.empty((*map(len, nodes), CELLS))
+        own = replace(self, friction=friction)  # as the table's key has it
+        for index, scene in self.scenes(nodes, change):
             out[index] = own.curve(scene)
         return out
 

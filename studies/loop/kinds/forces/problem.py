@@ -201,10 +201,9 @@ def _records(data: Forces) -> tuple[list[Record], float]:
 
 
 def _emulator(data: Forces, kn_range_N_m: tuple[float, float]) -> ForceEmulator:
-    """Over a time in which the softest contact ends."""
-    step, manifest = 0.005, data.manifest
-    lowest = max(step * math.floor(0.6 * float(data.y0_m.min()) / step), 0.002)
-    highest = step * math.ceil(1.25 * float(data.y0_m.max()) / step)
+    """Over heights with some room, and a time in which the softest contact ends."""
+    manifest = data.manifest
+    lowest, highest = 0.6 * float(data.y0_m.min()), 1.25 * float(data.y0_m.max())
     softest = math.pi * math.sqrt(manifest.bristle.mass_kg / kn_range_N_m[0])
     material = manifest.bristle.material
     passes = manifest.bristle.length_m / math.sqrt(material.youngs_Pa / material.density_kg_m3)
