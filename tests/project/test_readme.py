@@ -39,6 +39,7 @@ OF_OTHERS = {
     "--help",
     "--script",
     "--datasets",
+    "--jobs",
     "--rows",
     "--elastica",
 }  # click's own, paraview's, a script's of tests
