@@ -77,7 +77,7 @@ for name, size in ruler.detectable.items():
 # -----------------------------
 #
 # Now use all columns. The first such dataset of a bristle simulates every effect, which takes a
-# minute or two. Later ones from like heights use the same tables.
+# few minutes. Later ones from like heights use the same tables.
 
 full = bristle.close_loop(data, no_3d=True)
 print(full)
