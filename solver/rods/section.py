@@ -15,7 +15,7 @@ from ..errors import InputError
 
 # Points on the rim of a round section.
 RIM_POINTS = 8
-# Stiffness of each point of the rim, over that of an element along the axis, of a rigid contact.
+# Of a rigid contact: the stiffness of one point of the rim over that of an element along the axis.
 RIGID = 2.5
 
 

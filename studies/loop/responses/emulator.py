@@ -14,7 +14,7 @@ import itertools
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
-from functools import cached_property, partial
+from functools import cached_property
 from pathlib import Path
 from typing import ClassVar
 
@@ -187,9 +187,10 @@ class Emulator:
         others = [axis.nodes() for axis in axes[1:]]
 
         def at(height_m: float) -> Array:
-            make = partial(self.filled, [np.array([height_m]), *others], change, friction)
+            nodes = [np.array([height_m]), *others]
             key = self.key(f"{name} {friction} {height_m}", axes[1:])
-            return cached(key, lambda: {"values": make()[0]})["values"]
+            made = cached(key, lambda: {"values": self.filled(nodes, change, friction)})
+            return made["values"][0]
 
         octaves = np.round(np.log2(1e3 * axes[0].nodes()))  # to the bit, whatever the range
         return mended(np.stack([at(1e-3 * 2.0 ** float(octave)) for octave in octaves]))

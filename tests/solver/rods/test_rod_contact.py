@@ -313,8 +313,8 @@ def test_a_stiffer_surface_only_lessens_the_penetration(kn_N_m):
 
 def test_a_rigid_surface_is_the_limit_of_stiff_ones_and_does_not_chatter(bristle):
     """Ten times as stiff, it presses as hard: what it gives way by, N/Kn, is 1e-8 of the depth. The
-    tip sticks first and then slides. It takes few steps more than on the paper's surface, and a
-    stiffer one many more."""
+    tip sticks first and then slides. It takes a few more steps than on the paper's surface, and
+    many more on a stiffer one."""
     section, lean, length = RodSection.of(bristle), math.radians(20.0), 0.3365
     height = length * math.cos(lean) + section.half_thin_m * math.sin(lean)
     clamp = one_clamp([0.0, 0.0, height], leaning(lean), length)
