@@ -484,9 +484,13 @@ def _grown(
                 if abs(t_s[at] - t_s[at - step]) > 6.0 * frame:
                     break
                 unsure = np.hypot(sigma[at], SPEED_PX * abs(flight.speed_at(t_s[at])) * frame)
-                if abs(height[at] - flight.at(t_s[at])) < OFF * unsure:
-                    first, last, misses = min(first, at), max(last, at), 0
-                    flight = _fitted(t_s, height, sigma, first, last, gravity)
+                near = abs(height[at] - flight.at(t_s[at])) < OFF * unsure
+                wider = min(first, at), max(last, at)
+                grown = _fitted(t_s, height, sigma, *wider, gravity) if near else flight
+                # the body held before the fall would flatten the parabola, frame by frame
+                least = min(flight.gravity, (1.0 - TURNING) * gravity)
+                if near and (step > 0 or grown.gravity >= least):
+                    (first, last), flight, misses = wider, grown, 0
                 else:
                     misses += 1
                 at += step
@@ -545,12 +549,14 @@ def _drop(chain: list[Flight], t_s: Array, height: Array, sigma: Array) -> Drop 
     gravity = float(
         np.average([f.gravity for f in chain], weights=[f.last - f.first for f in chain])
     )
-    fall = chain[0]
-    if _rises(fall, t_s):
-        # thrown up in view, or the fall before it has too few frames for a flight of its own
-        before = _fall_before(fall, gravity, t_s, height, sigma)
-        chain = chain if before is None else [before[0], *chain]
     let_go = _let_go(chain[0], gravity, t_s, height, sigma)
+    held_first = let_go is not None and let_go[1] <= chain[0].first
+    if _rises(chain[0], t_s) and not held_first:
+        # thrown up in view, or the fall before it has too few frames for a flight of its own
+        before = _fall_before(chain[0], gravity, t_s, height, sigma)
+        if before is not None:
+            chain = [before[0], *chain]
+            let_go = _let_go(chain[0], gravity, t_s, height, sigma)
     release, held, begin = None, None, chain[0].first
     if let_go is not None:
         fall, begin = let_go
@@ -575,10 +581,24 @@ def _drop(chain: list[Flight], t_s: Array, height: Array, sigma: Array) -> Drop 
         lasted = float(t_s[fall.last] - t_s[fall.first])
         bent = 0.5 * fall.gravity * lasted**2
         far = fallen > max(FAR_PX, FAR_SIGMAS * error) and bent > 0.25 * fallen
-        if fall.last - fall.first < LEAST_FRAMES or not (sudden or far):
+        own = slice(fall.first, fall.last + 1)
+        parabola = _is_parabola(t_s[own], height[own], sigma[own])
+        if fall.last - fall.first < LEAST_FRAMES or not parabola or not (sudden or far):
             return None
     both = np.array(impacts, dtype=float).reshape(-1, 2)
     return Drop(begin, chain[-1].last, release, held, tuple(chain), both[:, 0], both[:, 1])
+
+
+def _is_parabola(t_s: Array, height: Array, sigma: Array) -> bool:
+    """Whether heights gain nothing from a third and a fourth power, as the arc of a hand does."""
+    since = (t_s - t_s.mean()) / np.ptp(t_s)
+    squares = []
+    for powers in (3, 5):
+        design = np.vander(since, powers, increasing=True) / sigma[:, None]
+        left = height / sigma - design @ np.linalg.lstsq(design, height / sigma, rcond=None)[0]
+        squares.append(float(left @ left))
+    usual = max(squares[1] / max(len(t_s) - 5, 1), 1.0)
+    return squares[0] - squares[1] < OFF**2 * usual
 
 
 def _rises(flight: Flight, t_s: Array) -> bool:

@@ -62,6 +62,18 @@ def test_flights_of_three_frames_are_enough_where_gravity_is_about_known():
     assert drop.restitution[0] == pytest.approx(np.sqrt(0.028 / 0.05), abs=0.03)
 
 
+@pytest.mark.parametrize("y0_px", [8.0, 10.37, 14.0, 25.0])
+@pytest.mark.parametrize("kept", [0.3, 0.6, 0.9])
+def test_a_body_that_falls_few_whole_pixels_is_seen_to_be_let_go(y0_px, kept):
+    for off in np.linspace(0.0, 0.9, 10):
+        height, until = bouncing(y0_px * 1e-3, kept * y0_px * 1e-3, 0.0, G)
+        t = np.arange(0.0, until, 1.0 / 240.0)
+        y = np.round(height(t) / 1e-3 + off)
+        (drop,) = drops_of(t, y, np.full(len(t), 0.3), G / 1e-3)
+        # rows of whole pixels hide the first half pixel of the fall, which lasts 0.01 s
+        assert drop.release_s == pytest.approx(0.12, abs=0.01)
+
+
 def test_the_centre_of_a_bristle_that_turns_keeps_another_share_than_its_end():
     # a rod of 500 px that falls at 3 degrees, and turns with 0.6 rad/s after the impact
     lean, spin, down, up, length = np.radians(3.0), 0.6, 1500.0, 1100.0, 500.0
