@@ -35,7 +35,8 @@ from .time.motion import Flyer, Stance, centre, flyer, landing, turned
 TOO_MANY, FALLEN, GAINED, OFF_BUDGET = 5, 6, 7, 8
 # Contact in an impact that lasts longer, in seconds and in radians of the mass on its spring, is
 # taken not to end. A bristle that leans by more than 6 degrees slides on, for up to a period of its
-# slowest bending.
+# slowest bending. One that is upright on level ground and pulled on is held for good if it is for as
+# many radians of the slowest wave along its axis, with its tip held.
 LONGEST_S, LONGEST_RAD = 0.004, 20.0
 FAILURES = {
     modal_march.NOT_CONVERGED: "the contact forces did not converge; shorten the ITS",
@@ -63,8 +64,8 @@ class Drops:
     tip: each passes through the place over or under its point of the end section where the ground
     is ``rises_m`` above its mean (so for a slope these are the slope's own heights); the ground as
     a whole is moved until the first point touches. ``scale`` (drops, points) is the stiffness there
-    over ``kn_N_m``. ``laws`` (drops, parameters), where it is given, has the other numbers of the
-    contact law too, in the order of `Law.parameters`.
+    over ``kn_N_m``. ``laws`` (drops, parameters) and ``damping`` (drops,), where they are given,
+    have the other numbers of the contact law too, in the order of `ContactLaw.parameters`.
     """
 
     height_m: Array
@@ -76,6 +77,7 @@ class Drops:
     rises_m: Array
     scale: Array
     laws: Array | None = None
+    damping: Array | None = None
 
     def __len__(self) -> int:
         return len(self.height_m)
@@ -99,6 +101,7 @@ class Drops:
             self.rises_m[which, first],
             self.scale[which, first],
             None if self.laws is None else self.laws[which],
+            None if self.damping is None else self.damping[which],
         )
 
     def upright(self) -> NDArray[np.bool_]:
@@ -155,20 +158,21 @@ class Outcome(NamedTuple):
 
 
 class Common(NamedTuple):
-    """What all drops share; ``slides`` is for how long a body is followed as it slides."""
+    """What all drops share; ``longest`` is for how long any contact is followed."""
 
     modes: Modes
     flyer: Flyer
     sky: Sky
     points: Points
     kt_over_kn: float
-    slides: float
+    longest: float
 
 
 class Columns(NamedTuple):
     """What differs, a row a drop: see `Drops`."""
 
     laws: Array
+    damping: Array
     mu: Array
     tilt: Array
     tilt_wide: Array
@@ -197,7 +201,7 @@ def one_drop(common: Common, points: Points, columns: Columns, which: int, out: 
     u: Array = np.zeros(len(modes.omega2))
     v: Array = flyer.translation @ (-math.sqrt(2.0 * gravity * height) * rotation[2])
     initial = modes.mass * gravity * height
-    longest = max(LONGEST_S, LONGEST_RAD * math.sqrt(modes.mass / points.law[0]), common.slides)
+    longest = max(common.longest, LONGEST_RAD * math.sqrt(modes.mass / points.law[0]))
     limit = STEP_LIMIT // STAYING if points.kind.remembers else STEP_LIMIT
     limit = min(limit, int(longest / modes.its) + 1)
     lost, impulse, peak, first, last = np.zeros(3), 0.0, 0.0, -1.0, 0.0
@@ -253,18 +257,18 @@ def many_drops(common: Common, columns: Columns, out: Array, status: NDArray[np.
     """`one_drop` for every row, ``out`` (drops, …) and ``status`` (drops,) written."""
     points = common.points
     for i in range(len(columns.height)):
-        law = columns.laws[i]
+        law, dashpot = columns.laws[i], columns.damping[i] / common.modes.its
         kt, mu, scale = common.kt_over_kn * law[0], columns.mu[i], columns.scale[i]
-        own = changed(points, law, kt, mu, scale, points.proximal)
+        own = changed(points, law, kt, mu, scale, points.proximal, dashpot)
         status[i] = one_drop(common, own, columns, i, out[i])
 
 
 def drop_many(marcher: Marcher, drops: Drops) -> Outcome:
     """Every drop, of ``marcher``'s body at its ITS; arrays (drops,) in `Outcome`.
 
-    The marcher's law gives all but Kn (and its damping, even where ``drops`` has laws of its kind
-    of its own), its friction all but μ. Raises ComputationError where the marcher's method is not
-    one for compiled code, or a drop fails, which it names.
+    The marcher's law gives all that ``drops`` does not, its friction all but μ. Raises
+    ComputationError where the marcher's method is not one for compiled code, or a drop fails, which
+    it names.
     """
     out, status = _dropped(marcher, drops)
     failed = np.flatnonzero(status != modal_march.RELEASED)
@@ -329,19 +333,26 @@ def _drop(
     if drops.laws is None:
         laws = np.tile(touching.points.law, (len(drops), 1))
     laws[:, 0] = drops.kn_N_m
+    damping = drops.damping
+    if damping is None:
+        damping = np.full(len(drops), marcher.method.law.damping)
     rows = np.zeros((len(drops), len(Outcome._fields)))
     codes = np.zeros(len(drops), dtype=np.int64)
-    slowest = slowest_period_s(method.body)
+    slowest, longest = slowest_period_s(method.body), LONGEST_S
+    if marcher is not method and touching.points.kind.pulls:
+        # with its tip held, its slowest wave takes twice as long as if free
+        longest = min(longest, LONGEST_RAD * slowest_period_s(marcher.body) / math.pi)
     common = Common(
         modes=modes,
         flyer=flyer(marcher.body),
         sky=Sky(marcher.gravity_m_s2, 0.0, slowest, WAIT_STEPS * marcher.its_s),
         points=touching.points._replace(proximal=constants.proximal),
         kt_over_kn=marcher.method.friction.kt_over_kn,
-        slides=slowest if slides else 0.0,
+        longest=max(longest, slowest if slides else 0.0),
     )
     columns = Columns(
         laws=laws,
+        damping=np.ascontiguousarray(damping, dtype=float),
         mu=np.ascontiguousarray(drops.mu),
         tilt=np.ascontiguousarray(drops.tilt_deg, dtype=float),
         tilt_wide=np.ascontiguousarray(drops.tilt_wide_deg, dtype=float),

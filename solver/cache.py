@@ -12,7 +12,7 @@ import os
 import tempfile
 import threading
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, cast
@@ -35,11 +35,20 @@ def cached(key: str, make: Callable[[], Mapping[str, Array]]) -> dict[str, Array
 
     ``key`` says everything, beside the solver's sources, that they depend on.
     """
-    found = load(key)
-    if found is None:
-        found = {name: np.asarray(value) for name, value in make().items()}
-        store(key, found)
-    return found
+    return cached_each([key], lambda _: [make()])[0]
+
+
+def cached_each(
+    keys: Sequence[str], make: Callable[[list[int]], Iterable[Mapping[str, Array]]]
+) -> list[dict[str, Array]]:
+    """As `cached` of several keys; ``make`` is given the places of all that are missing."""
+    found = [load(key) for key in keys]
+    missing = [i for i, each in enumerate(found) if each is None]
+    for i, made in zip(missing, make(missing) if missing else (), strict=True):
+        arrays = {name: np.asarray(value) for name, value in made.items()}
+        store(keys[i], arrays)
+        found[i] = arrays
+    return [each for each in found if each is not None]
 
 
 def load(key: str) -> dict[str, Array] | None:

@@ -98,7 +98,13 @@ class Points(NamedTuple):
 
 @njit
 def changed(
-    points: Points, law: Array, kt: float, mu: float, scale: Array, proximal: float
+    points: Points,
+    law: Array,
+    kt: float,
+    mu: float,
+    scale: Array,
+    proximal: float,
+    dashpot: float,
 ) -> Points:
     """The points under other numbers of their law and friction, or another proximal compliance."""
     return Points(
@@ -111,7 +117,7 @@ def changed(
         weights=points.weights,
         end_weight=points.end_weight,
         proximal=proximal,
-        dashpot=points.dashpot,
+        dashpot=dashpot,
     )
 
 

@@ -31,7 +31,9 @@ def _solve_by_stiffening(points: Points, section: Section, trial: Trial) -> int:
     total = 0
     for stage in range(STIFFENING_STAGES, -1, -1):
         kt = points.kt * STIFFENING**-stage
-        eased = changed(points, points.law, kt, points.mu, points.scale, points.proximal)
+        eased = changed(
+            points, points.law, kt, points.mu, points.scale, points.proximal, points.dashpot
+        )
         section.predictor[1, :] = 0.0
         done = solve_section(eased, section, trial)
         if done < 0:
@@ -90,7 +92,9 @@ def solve_step(points: Points, section: Section, trial: Trial) -> int:
     force, multiplier = trial.force, trial.multiplier
     proximal, least, before = points.proximal, SMALLEST * points.proximal, math.inf
     for _ in range(AUGMENTATION_LIMIT):
-        at = changed(points, points.law, points.kt, points.mu, points.scale, proximal)
+        at = changed(
+            points, points.law, points.kt, points.mu, points.scale, proximal, points.dashpot
+        )
         done = solve_section(at, section, trial)
         if done < 0 and points.mu > 0.0 and not math.isinf(points.kt):
             done = _solve_by_stiffening(at, section, trial)

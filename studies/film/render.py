@@ -43,12 +43,16 @@ class Look:
     below_mm: float = 12.0
     columns: int = 128
 
+    def corner_mm(self, lean_deg: float) -> float:
+        """By how much the lower corner of the end of a bristle that leans is below its middle."""
+        return 0.5 * self.width_mm * abs(float(np.sin(np.radians(lean_deg))))
+
 
 @dataclass(frozen=True)
 class Flown:
-    """What is drawn: heights of the lower end over the surface (m) at times in s, up to
-    ``until_s``, and the lean in degrees, the upper end to the right, which grows by ``spin_deg_s``
-    from the first impact on."""
+    """What is drawn: heights (m) of the middle of the lower end over where it is as a corner of it
+    touches, at times in s up to ``until_s``, and the lean in degrees, the upper end to the right,
+    which grows by ``spin_deg_s`` from the first impact on."""
 
     height_m: Callable[[Array], Array]
     until_s: float
@@ -134,7 +138,8 @@ def write_film(
     parts = look.exposure_s * ((np.arange(INSTANTS) + 0.5) / INSTANTS)
     with film_writer(path, round(look.fps), rows, columns, look.crf) as add:
         for t in times:
-            tips = floor_row - 1e3 * flown.height_m(t + parts) / look.mm_per_px
+            heights_mm = 1e3 * flown.height_m(t + parts) + look.corner_mm(flown.lean_deg)
+            tips = floor_row - heights_mm / look.mm_per_px
             leans = flown.lean_deg + flown.spin_deg_s * np.maximum(t + parts - landed, 0.0)
             shares = [
                 _share(rows, columns, float(tip), float(lean), look)

@@ -6,11 +6,11 @@ processes would otherwise spend their first minutes on the same march.
 
 from __future__ import annotations
 
+import contextlib
 import fcntl
 import hashlib
 import threading
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 from numba.core.dispatcher import Dispatcher
@@ -23,7 +23,7 @@ _HELD = threading.local()
 _COMPILING = threading.RLock()
 
 
-@contextmanager
+@contextlib.contextmanager
 def turn(name: str) -> Iterator[None]:
     """Nobody else is inside for this ``name``; whoever is may enter again."""
     held = _HELD.__dict__.setdefault("names", set())
@@ -41,16 +41,18 @@ def turn(name: str) -> Iterator[None]:
 
 
 def take_turns() -> None:
-    """From now on in this process; modules that import `cache.cached` have to come later."""
-    compile_, cached = Dispatcher.compile, cache.cached
+    """From now on in this process; modules that import `cache.cached_each` have to come later."""
+    compile_, cached_each = Dispatcher.compile, cache.cached_each
 
     def compile_in_turn(self: Any, signature: Any) -> Any:
         with _COMPILING, turn(f"{self.py_func.__module__}.{self.py_func.__qualname__}"):
             return compile_(self, signature)
 
-    def cached_in_turn(key: str, make: Callable[[], Any]) -> Any:
-        with turn(key):
-            return cached(key, make)
+    def cached_in_turn(keys: Sequence[str], make: Callable[[list[int]], Any]) -> Any:
+        with contextlib.ExitStack() as turns:
+            for key in sorted(keys):  # all in one order, so that nobody waits in a circle
+                turns.enter_context(turn(key))
+            return cached_each(keys, make)
 
     Dispatcher.compile = compile_in_turn
-    cache.cached = cached_in_turn
+    cache.cached_each = cached_in_turn

@@ -16,18 +16,20 @@ from bristle.studies.inputs.study_fields import Recipe
 from bristle.studies.synth import flown, make, reduced_body
 
 pytestmark = [pytest.mark.serial, pytest.mark.campaign, pytest.mark.timeout(20_000)]
-# Each large against films' errors; an offset is of who reads heights, not of what is filmed.
+# Each large against the films' errors of about 0.1 mm: beside the likeliest Kn alone, these rebounds
+# are off by 14 standard errors or more. No film shows a dashpot or the air so well: a dashpot takes
+# the same share of every rebound, as Kn does, and the air 0.2 % of it at most.
 CASES = {
-    "dashpot": ("contact_damping:c_N_s_m=4", 0.0),
     "lean": ("bristle_tilt:tilt_deg=2", 0.0),
-    "offset": (None, 1.5),
-    "drag": ("air_drag:cd=60", 0.0),
-    "stronger dashpot": ("contact_damping:c_N_s_m=8", 0.0),
     "more lean": ("bristle_tilt:tilt_deg=3", 0.0),
-    "other offset": (None, -2.0),
-    "more drag": ("air_drag:cd=90", 0.0),
-    "strongest dashpot": ("contact_damping:c_N_s_m=12", 0.0),
     "most lean": ("bristle_tilt:tilt_deg=4", 0.0),
+    "offset": (None, 1.5),
+    "other offset": (None, -2.0),
+    "loss that grows": ("hunt_crossley:damping_s_m=1.5", 0.0),
+    "more of it": ("hunt_crossley:damping_s_m=2", 0.0),
+    "stiffening": ("stiffening_contact:exponent=2.2", 0.0),
+    "yield": ("plastic_contact:yield_N=38", 0.0),
+    "thrown": ("release_velocity:speed_m_s=0.2", 0.0),
 }
 LOOK = Look(mm_per_px=1.0, columns=72)
 DROPS, NEEDED = 10, 9
@@ -50,7 +52,8 @@ def verdicts(folder, effect, offset_mm, seed):
         drop = flown(made, number - 1)
         t = rows.t_s.to_numpy()
         noise = rows.sigma_frame_mm * np.random.default_rng([seed, number]).normal(size=len(t))
-        true.loc[rows.index, "y_mm"] = 1e3 * drop.height_m(t) + noise
+        corner_mm = LOOK.corner_mm(drop.lean_deg)
+        true.loc[rows.index, "y_mm"] = 1e3 * drop.height_m(t) + corner_mm + noise
         turned = drop.spin_deg_s * np.maximum(t - drop.landed_s, 0.0)
         true.loc[rows.index, "lean_deg"] = drop.lean_deg + turned
     shutil.copytree(seen, folder / "true")

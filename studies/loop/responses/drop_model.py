@@ -202,7 +202,7 @@ class BounceModel:
         height = np.maximum(drops.y0_m / scene.y_scale - scene.y_offset_m, 1e-5)
         drag_1_m = np.asarray(scene.drag_kg_m / emulator.body.mass_kg)
         same = fallen(height, emulator.gravity_m_s2, scene.release_speed_m_s, drag_1_m)
-        same, kn = np.broadcast_arrays(same, scene.law.kn_N_m)
+        same, kn = np.atleast_2d(same), np.atleast_2d(np.asarray(scene.law.kn_N_m))
         logs = emulator.plain.at(same, kn)
         if self.beta is not None:
             beta = theta[..., 1][..., None, None]
@@ -412,7 +412,8 @@ class DropModel(BounceModel):
             return self._simulated_on(self._mesh, theta)
         landing, logs = self.answer(theta)
         tabulated = logs - emulator.plain.at(landing.same_m, landing.kn_N_m)
-        falls = zip(landing.same_m[0], landing.kn_N_m[0], strict=True)
+        same, kn = np.broadcast_arrays(landing.same_m, landing.kn_N_m)
+        falls = zip(same[0], kn[0], strict=True)
         plain = [
             replace(emulator.scene(), height_m=float(h), law=Linear(float(kn))) for h, kn in falls
         ]

@@ -23,7 +23,7 @@ import numpy as np
 from ....solver import paper
 from ....solver.arrays import Array
 from ....solver.bristle import Bristle, RigidMass
-from ....solver.cache import cached, sources
+from ....solver.cache import cached_each, sources
 from ....solver.contact.laws import Adhesive, ContactLaw, Damped, Linear, Plastic
 from ....solver.effects import library
 from ....solver.effects.base import TOUCHING, Effect, Parameter, Scene
@@ -183,17 +183,17 @@ class Emulator:
     def tabulated(
         self, name: str, axes: tuple[Axis, ...], change: Change, friction: float | None
     ) -> Array:
-        """Values at the nodes (..., quantities). Each height is kept in a file of its own."""
-        others = [axis.nodes() for axis in axes[1:]]
-
-        def at(height_m: float) -> Array:
-            nodes = [np.array([height_m]), *others]
-            key = self.key(f"{name} {friction} {height_m}", axes[1:])
-            made = cached(key, lambda: {"values": self.filled(nodes, change, friction)})
-            return made["values"][0]
-
+        """Values at the nodes (..., quantities). Each height is kept in a file of its own; those
+        that are missing are simulated together."""
         octaves = np.round(np.log2(1e3 * axes[0].nodes()))  # to the bit, whatever the range
-        return mended(np.stack([at(1e-3 * 2.0 ** float(octave)) for octave in octaves]))
+        heights = 1e-3 * 2.0**octaves
+        keys = [self.key(f"{name} {friction} {height}", axes[1:]) for height in heights]
+
+        def make(missing: list[int]) -> list[dict[str, Array]]:
+            nodes = [heights[missing], *(axis.nodes() for axis in axes[1:])]
+            return [{"values": each} for each in self.filled(nodes, change, friction)]
+
+        return mended(np.stack([each["values"] for each in cached_each(keys, make)]))
 
     def filled(self, nodes: Sequence[Array], change: Change, friction: float | None) -> Array:
         """What is tabulated at these ``nodes`` along the axes, of heights and stiffnesses first,

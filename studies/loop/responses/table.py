@@ -10,11 +10,14 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
 
 from ....solver.arrays import Array
 from ....solver.compiled import njit
 from ....solver.errors import ComputationError
+
+Ints = NDArray[np.int64]
 
 # What a table holds of a drop, and what is measured of it.
 QUANTITIES = ("y1_m", "contact_time_s", "peak_force_N")
@@ -64,45 +67,24 @@ class Table:
     def at(self, *places: Array) -> Array:
         """What is tabulated (quantities, ...) at places along the axes, arrays that broadcast."""
         where = [axis.where(x) for axis, x in zip(self.axes, places, strict=True)]
-        if _apart(where):
-            return self._apart(where)
-        spots = np.broadcast_arrays(*where)
-        flat = np.stack([np.ravel(spot) for spot in spots], axis=1)
+        shape = np.broadcast_shapes(*(each.shape for each in where))
+        where = [np.atleast_2d(each) for each in where]
+        if any(each.shape[-1] != 1 for each in where[1:]):
+            where = [each[..., None] for each in where]
+        *lead, row = np.broadcast_shapes(*(each.shape for each in where))
+        others = [np.broadcast_to(each[..., 0], lead).ravel() for each in where[1:]]
+        first = where[0]
+        # what does not hang on the last axis of `lead` stands once for all along it
+        along = 1 if first.shape[-2] == 1 else lead[-1]
+        first = np.broadcast_to(first, (*lead[:-1], along, row)).reshape(-1, row)
         *sizes, count = self.coefficients.shape
-        out = np.empty((count // AT_ONCE, len(flat), AT_ONCE))
+        points = np.stack(others, axis=1) if others else np.zeros((math.prod(lead), 0))
+        out = np.empty((count // AT_ONCE, len(points), row, AT_ONCE))
         rows = self.coefficients.reshape(-1, count)
         for i, part in enumerate(out):
             some = np.ascontiguousarray(rows[:, AT_ONCE * i : AT_ONCE * (i + 1)])
-            evaluate(some, np.array(sizes), flat, part)
-        return np.asarray(out.swapaxes(1, 2).reshape(count, *spots[0].shape))
-
-    def _apart(self, where: list[Array]) -> Array:
-        """`at` where the first two axes hang on the drop alone, the others on chance's node alone:
-        a table over the latter is made for each drop, and read for all nodes."""
-        lead = np.broadcast_shapes(*(each.shape[:-2] for each in map(np.atleast_2d, where)))
-        drops = max(each.shape[-1] for each in map(np.atleast_2d, where[:2]))
-        nodes = max(each.shape[-2] for each in map(np.atleast_2d, where[2:]))
-        shapes = 2 * [(*lead, 1, drops)] + 2 * [(*lead, nodes, 1)]
-        counts = self.coefficients.shape
-        one, two, three, four = (
-            basis(np.broadcast_to(place, shape).reshape(-1), count)
-            for place, shape, count in zip(where, shapes, counts[:-1], strict=True)
-        )
-        by_drop = np.einsum("pi,pj->pij", one, two).reshape(len(one), -1)
-        by_node = np.einsum("pk,pl->pkl", three, four).reshape(-1, nodes, counts[2] * counts[3])
-        own = by_drop @ self.coefficients.reshape(by_drop.shape[1], -1)
-        own = own.reshape(-1, drops, counts[2] * counts[3], counts[-1]).swapaxes(1, 2)
-        found = by_node @ own.reshape(*own.shape[:2], -1)
-        return np.moveaxis(found.reshape(*lead, nodes, drops, counts[-1]), -1, 0)
-
-
-def _apart(where: list[Array]) -> bool:
-    """Whether these are four arrays (..., nodes, drops), where no place along the first two axes
-    differs between nodes, and none along the others between drops."""
-    if len(where) != 4:
-        return False
-    deep = [np.atleast_2d(each).shape for each in where]
-    return all(s[-2] == 1 for s in deep[:2]) and all(s[-1] == 1 for s in deep[2:])
+            evaluate(some, np.array(sizes), first, points, part)
+        return np.asarray(np.moveaxis(out, -1, 1).reshape(count, *shape))
 
 
 def mended(logs: Array) -> Array:
@@ -157,52 +139,70 @@ def _cubic(place: float, count: int, out: Array) -> int:
 
 
 @njit
-def basis(places: Array, count: int) -> Array:
-    """Weights (points, count) of the coefficients along one axis at ``places`` (points,)."""
-    out = np.zeros((len(places), count))
-    weight = np.zeros(4)
-    for p in range(len(places)):
-        first = _cubic(places[p], count, weight)
-        out[p, first : first + 4] = weight
-    return out
+def evaluate(flat: Array, sizes: Array, first: Array, others: Array, out: Array) -> None:
+    """Write the splines' values at places in units of the spacing to ``out`` (points, row, 3).
+
+    ``flat`` (coefficients, 3) are `coefficients` of three quantities, their axes run together,
+    ``sizes`` (axes,) how many there are along each. ``others`` (points, axes - 1) are places along
+    all axes but the first. Along that, ``first`` (rows, row) has a row of places for a point, or
+    for several points one after the other, as many for each: the other axes are gone through once
+    for a row.
+    """
+    # axes that are not there come between, with one coefficient each
+    count, row = len(others), first.shape[1]
+    beside = AXES - 1
+    absent = AXES - len(sizes)
+    weight = np.ones((beside, 4))
+    begin = np.zeros(beside, dtype=np.int64)
+    size = np.ones(beside, dtype=np.int64)
+    size[absent:] = sizes[1:]
+    line = np.empty((sizes[0], 3))
+    cell = np.empty(row, dtype=np.int64)
+    share = np.empty((row, 4))
+    low = high = 0
+    for p in range(count):
+        if p % (count // len(first)) == 0:
+            for r in range(row):
+                cell[r] = _cubic(first[p * len(first) // count, r], sizes[0], share[r])
+            low, high = cell.min(), cell.max() + 4
+        for a in range(absent, beside):
+            begin[a] = _cubic(others[p, a - absent], size[a], weight[a])
+        for i in range(low, high):
+            if len(sizes) == 1:
+                line[i] = flat[i]
+            else:
+                line[i, 0], line[i, 1], line[i, 2] = _summed(flat, i, size, begin, weight)
+        for r in range(row):
+            for q in range(3):
+                total = 0.0
+                for i in range(4):
+                    total += share[r, i] * line[cell[r] + i, q]
+                out[p, r, q] = total
 
 
 @njit
-def evaluate(flat: Array, sizes: Array, places: Array, out: Array) -> None:
-    """Write the splines' values at ``places`` (points, axes), in units of the spacing, to ``out``.
-
-    ``flat`` (coefficients, 3) are `coefficients` of three quantities, their axes run together,
-    ``sizes`` (axes,) how many there are along each, ``out`` is (points, 3).
-    """
-    # axes that are not there come first, with one coefficient each
-    absent = AXES - len(sizes)
-    weight = np.ones((AXES, 4))
-    first = np.zeros(AXES, dtype=np.int64)
-    size = np.ones(AXES, dtype=np.int64)
-    size[absent:] = sizes
-    n0, n1, n2, n3, _ = np.minimum(size, 4)
-    for p in range(len(places)):
-        for a in range(absent, AXES):
-            first[a] = _cubic(places[p, a - absent], size[a], weight[a])
-        w0, w1, w2, w3 = weight[AXES - 1]
-        sum0 = sum1 = sum2 = 0.0
-        for i in range(n0):
-            at_i = first[0] + i
-            for j in range(n1):
-                at_j, share_j = at_i * size[1] + first[1] + j, weight[0, i] * weight[1, j]
-                for k in range(n2):
-                    at_k, share_k = at_j * size[2] + first[2] + k, share_j * weight[2, k]
-                    for m in range(n3):
-                        share = share_k * weight[3, m]
-                        at = (at_k * size[3] + first[3] + m) * size[4] + first[4]
-                        near = flat[at : at + 4]
-                        sum0 += share * (
-                            w0 * near[0, 0] + w1 * near[1, 0] + w2 * near[2, 0] + w3 * near[3, 0]
-                        )
-                        sum1 += share * (
-                            w0 * near[0, 1] + w1 * near[1, 1] + w2 * near[2, 1] + w3 * near[3, 1]
-                        )
-                        sum2 += share * (
-                            w0 * near[0, 2] + w1 * near[1, 2] + w2 * near[2, 2] + w3 * near[3, 2]
-                        )
-        out[p, 0], out[p, 1], out[p, 2] = sum0, sum1, sum2
+def _summed(
+    flat: Array, row: int, size: Ints, first: Ints, weight: Array
+) -> tuple[float, float, float]:
+    """Of coefficients at a ``row`` of the first axis, their sums over the others, weighed."""
+    n0, n1, n2, _ = np.minimum(size, 4)
+    w0, w1, w2, w3 = weight[AXES - 2]
+    sum0 = sum1 = sum2 = 0.0
+    for i in range(n0):
+        at_i, share_i = row * size[0] + first[0] + i, weight[0, i]
+        for j in range(n1):
+            at_j, share_j = at_i * size[1] + first[1] + j, share_i * weight[1, j]
+            for k in range(n2):
+                share = share_j * weight[2, k]
+                at = (at_j * size[2] + first[2] + k) * size[3] + first[3]
+                near = flat[at : at + 4]
+                sum0 += share * (
+                    w0 * near[0, 0] + w1 * near[1, 0] + w2 * near[2, 0] + w3 * near[3, 0]
+                )
+                sum1 += share * (
+                    w0 * near[0, 1] + w1 * near[1, 1] + w2 * near[2, 1] + w3 * near[3, 1]
+                )
+                sum2 += share * (
+                    w0 * near[0, 2] + w1 * near[1, 2] + w2 * near[2, 2] + w3 * near[3, 2]
+                )
+    return sum0, sum1, sum2

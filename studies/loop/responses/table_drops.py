@@ -80,14 +80,14 @@ def outcomes_of(
     *,
     lenient: bool = False,
 ) -> Outcome:
-    """What drops of these scenes give, arrays (scenes,); all share damping and losses.
+    """What drops of these scenes give, arrays (scenes,); all share the material's damping and loss.
 
     Heights are those of a fall from rest in a vacuum. ComputationError where a drop fails or,
     ``lenient``, what `drop_each` makes of it.
     """
-    alike: dict[tuple[type, float], list[int]] = {}
+    alike: dict[type, list[int]] = {}
     for i, scene in enumerate(scenes):
-        alike.setdefault((type(scene.law), scene.law.damping), []).append(i)
+        alike.setdefault(type(scene.law), []).append(i)
     out = np.empty((len(Outcome._fields), len(scenes)))
     for members in alike.values():
         part = [scenes[i] for i in members]
@@ -103,7 +103,7 @@ def _under_one_law(
     friction: float,
     lenient: bool,
 ) -> Outcome:
-    """`outcomes_of` scenes whose laws are of one kind and damping."""
+    """`outcomes_of` scenes whose laws are of one kind."""
     first = scenes[0]
     body = replace(body, beta_s=first.beta_s, loss_factor=first.loss_factor)
     # a drop that lands upright on a level surface does not slide
@@ -135,5 +135,6 @@ def _under_one_law(
         normals=np.repeat(normals[:, None, :], n, axis=1),
         rises_m=rises,
         laws=np.array([s.law.parameters for s in scenes]),
+        damping=np.array([s.law.damping for s in scenes]),
     )
     return drop_each(marcher_at, drops, its) if lenient else drop_many(marcher_at(its), drops)

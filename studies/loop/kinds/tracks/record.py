@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -64,6 +64,15 @@ class Tracks(InPieces):
         degrees (2, films); not a number where it is not seen."""
         return np.array([self._lean_of(piece) for piece in self.pieces]).T
 
+    def over_touch(self, width: float) -> Tracks:
+        """Heights over where the middle of the lower end is as the bristle touches: one that leans
+        touches with a corner, half the ``width`` that the film shows beside the middle."""
+        y = self.y.copy()
+        for film, lean_deg in zip(self.pieces, self.lean_before_deg[0], strict=True):
+            if np.isfinite(lean_deg):
+                y[film] -= 0.5 * width * abs(float(np.sin(np.radians(lean_deg))))
+        return replace(self, y=y)
+
     def _lean_of(self, film: slice) -> tuple[float, float]:
         part = slice(film.start, (3 * film.start + film.stop) // 4 + 1)
         seen: Array = np.zeros(0) if self.lean_deg is None else self.lean_deg[part]
@@ -118,7 +127,7 @@ def read_tracks(folder: Path) -> Tracks:
     if own is not None:
         sigmas[unit], relative = _of_rows(path, read.lines, own, sigmas[unit])
     sigma_mm, sigma_px = sigmas["mm"], sigmas["px"]
-    return Tracks(
+    found = Tracks(
         manifest=manifest,
         drop=read.number,
         t_s=read.t_s,
@@ -136,6 +145,8 @@ def read_tracks(folder: Path) -> Tracks:
         lean_deg=column(path, read.rows, "lean_deg", empty=True) if "lean_deg" in columns else None,
         sigma_lean_deg=optional_column(path, read.rows, "sigma_lean_deg", 1.0),
     )
+    width = float(manifest.measurement.get(f"seen_width_{unit}", 0.0))
+    return found.over_touch(width if in_pixels else 1e-3 * width)
 
 
 def _films(rows: Rows) -> Array:
