@@ -35,8 +35,8 @@ from .time.motion import Flyer, Stance, centre, flyer, landing, turned
 TOO_MANY, FALLEN, GAINED, OFF_BUDGET = 5, 6, 7, 8
 # Contact in an impact that lasts longer, in seconds and in radians of the mass on its spring, is
 # taken not to end. A bristle that leans by more than 6 degrees slides on, for up to a period of its
-# slowest bending. One that is upright on level ground and pulled on is held for good if it is for as
-# many radians of the slowest wave along its axis, with its tip held.
+# slowest bending. One that is upright on level ground and pulled on is held for good if it is for
+# as many radians of the slowest wave along its axis, with its tip held.
 LONGEST_S, LONGEST_RAD = 0.004, 20.0
 FAILURES = {
     modal_march.NOT_CONVERGED: "the contact forces did not converge; shorten the ITS",

@@ -362,7 +362,7 @@ def test_the_zero_of_one_film_is_one_for_all_its_drops(tmp_path):
 
 
 def test_heights_count_from_where_a_corner_of_the_end_touches(tmp_path):
-    """A bristle that leans by 3 degrees and is 2.08 mm wide in the picture; one of unknown width."""
+    """Bristles that lean by 3 degrees: of unknown width, and 2.08 mm wide in the picture."""
     heights = []
     for keys in ("sigma_y_mm = 0.25\n", "sigma_y_mm = 0.25\nseen_width_mm = 2.08\n"):
         made(tmp_path / keys[-3], {}, keys=keys, **HIGH)

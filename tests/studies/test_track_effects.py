@@ -16,9 +16,9 @@ from bristle.studies.inputs.study_fields import Recipe
 from bristle.studies.synth import flown, make, reduced_body
 
 pytestmark = [pytest.mark.serial, pytest.mark.campaign, pytest.mark.timeout(20_000)]
-# Each large against the films' errors of about 0.1 mm: beside the likeliest Kn alone, these rebounds
-# are off by 14 standard errors or more. No film shows a dashpot or the air so well: a dashpot takes
-# the same share of every rebound, as Kn does, and the air 0.2 % of it at most.
+# Each large against the films' errors of about 0.1 mm: beside the likeliest Kn alone, rebounds are
+# off by 14 standard errors or more. No film shows a dashpot or the air so well: a dashpot takes the
+# same share of every rebound, as Kn does, and the air 0.2 % of it at most.
 CASES = {
     "lean": ("bristle_tilt:tilt_deg=2", 0.0),
     "more lean": ("bristle_tilt:tilt_deg=3", 0.0),
