@@ -7,9 +7,7 @@ what it found with the 3-D model, and writes verdict.json and one page. Also a s
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import nullcontext
 from dataclasses import replace
 from importlib.metadata import EntryPoint
@@ -20,7 +18,6 @@ import numpy as np
 from mpi4py import MPI
 
 from ...meshes.collective import run_on_one_rank
-from ...solver.compiled import in_turn
 from ...solver.errors import InputError
 from .. import __version__
 from ..data.datasets import Manifest, read_manifest
@@ -33,6 +30,7 @@ from ..running.files import new_folders, prepare_folder, together, write_json
 from ..running.mark import refuse_foreign
 from ..running.parallel import share_out, start_petsc
 from ..running.progress import progress, working
+from ..running.threads import in_threads
 from .closed import Closed
 from .confirm import LEFT_OUT, Confirmation, confirm
 from .opening import few_data, names_of_groups, on_few, opening, times, would_have_shown
@@ -124,29 +122,19 @@ def _simulate(
 ) -> None:
     """Have every candidate predict once, dealt out over the ranks or, of one, over its threads.
 
-    Some of them first simulate thousands of drops, in compiled code that lets other threads run,
-    which are then kept on the disk for all ranks and for the next run. Collective; raises
-    ComputationError where they fail.
+    Some of them first simulate thousands of drops, which are then kept on the disk for all ranks
+    and for the next run. Collective; raises ComputationError where they fail.
     """
     candidates = problem.candidates[::-1]  # what takes longest to simulate stands last
 
     def predict(i: int) -> None:
-        typical = [each.typical for each in candidates[i].parameters]
-        with in_turn():
-            candidates[i].predict(np.array(typical))
+        candidates[i].predict(np.array([each.typical for each in candidates[i].parameters]))
 
     if comm.size > 1:
         share_out(comm, len(candidates), predict, lambda i, nothing: advance())
         return
-    threads = ThreadPoolExecutor(os.process_cpu_count())
-    try:
-        for _ in threads.map(predict, range(len(candidates))):
-            advance()
-    except BaseException as error:
-        # who is interrupted does not wait for what threads compute
-        threads.shutdown(not isinstance(error, KeyboardInterrupt), cancel_futures=True)
-        raise
-    threads.shutdown()
+    for _ in in_threads(predict, range(len(candidates))):
+        advance()
 
 
 def _run(

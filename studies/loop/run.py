@@ -14,6 +14,7 @@ from dataclasses import replace
 import numpy as np
 
 from ...solver.arrays import Array
+from ..running.threads import in_threads
 from .adequacy import WIDER_NOISE, Adequacy, assess
 from .experiment import next_experiment
 from .explain import (
@@ -193,10 +194,12 @@ def _find(
             look_at([each for each, chance in zip(profiles, scatters, strict=True) if not chance])
     if missing:
         least = near_likeliest(singles, baseline.log_evidence)
-        singles = [
-            fit_simulated(data, base, each, least) if each.log_evidence >= least else each
-            for each in singles
-        ]
+
+        def corrected(each: Tried) -> Tried:
+            near = each.log_evidence >= least
+            return fit_simulated(data, base, each, least) if near else each
+
+        singles = list(in_threads(corrected, singles))
         explained, singles = explain(state, singles)
     else:
         explained = []

@@ -16,6 +16,7 @@ from scipy.stats import qmc
 
 from ...solver.arrays import Array
 from ...solver.errors import ComputationError
+from ..running.threads import in_threads
 from .fit import Fitted, fit, likely_noise, settle, to_box, to_theta
 from .posterior import evidence
 from .problem import Emulated, Model, Problem, Refinable, Scattering
@@ -255,11 +256,8 @@ def fit_pairs(
         found.append(Tried(fitted, evidence(data, fitted, base.u.size)))
     hoped = [each.log_evidence + _correctable(alone, each.effects, share) for each in found]
     near = max((each.log_evidence for each in found), default=least) - FIRST_NATS
-    return [
-        fit_simulated(data, base, each, least)
-        for each, most in zip(found, hoped, strict=True)
-        if most >= min(near, max(hoped))
-    ]
+    likely = [e for e, most in zip(found, hoped, strict=True) if most >= min(near, max(hoped))]
+    return list(in_threads(lambda each: fit_simulated(data, base, each, least), likely))
 
 
 def _correctable(alone: Mapping[str, Tried], effects: Sequence[str], share: float) -> float:

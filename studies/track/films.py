@@ -302,8 +302,8 @@ def manifest(found: TrackedFilms) -> str:
             for track, scale in zip(found.tracks, found.scales, strict=True)
         ]
         lines += [
-            "# width of the bristle in the picture: one that leans touches with a corner of its end,",
-            "# and the middle of the end, whose heights these are, is above the surface then",
+            "# width of the bristle in the picture: one that leans touches with a corner of its",
+            "# end, and the middle of the end, whose heights these are, is above the surface then",
             f"seen_width_{found.unit} = {np.median(widths):.4g}",
         ]
     scales = [scale for scale in found.scales if scale is not None]
