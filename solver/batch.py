@@ -35,8 +35,8 @@ from .time.motion import Flyer, Stance, centre, flyer, landing, turned
 TOO_MANY, FALLEN, GAINED, OFF_BUDGET = 5, 6, 7, 8
 # Contact in an impact that lasts longer, in seconds and in radians of the mass on its spring, is
 # taken not to end. A bristle that leans by more than 6 degrees slides on, for up to a period of its
-# slowest bending. One that is upright on level ground and pulled on is held for good if it is for
-# as many radians of the slowest wave along its axis, with its tip held.
+# slowest bending. An upright one that is pulled on is taken to be held for good after the radians
+# of its spring or of its slowest axial wave with the tip held, whichever is later.
 LONGEST_S, LONGEST_RAD = 0.004, 20.0
 FAILURES = {
     modal_march.NOT_CONVERGED: "the contact forces did not converge; shorten the ITS",
@@ -64,8 +64,9 @@ class Drops:
     tip: each passes through the place over or under its point of the end section where the ground
     is ``rises_m`` above its mean (so for a slope these are the slope's own heights); the ground as
     a whole is moved until the first point touches. ``scale`` (drops, points) is the stiffness there
-    over ``kn_N_m``. ``laws`` (drops, parameters) and ``damping`` (drops,), where they are given,
-    have the other numbers of the contact law too, in the order of `ContactLaw.parameters`.
+    over ``kn_N_m``. ``laws`` (drops, parameters), where they are given, have the other numbers of
+    the contact law too, in the order of `ContactLaw.parameters`, and ``damping`` (drops,) has its
+    `ContactLaw.damping`.
     """
 
     height_m: Array
@@ -158,14 +159,14 @@ class Outcome(NamedTuple):
 
 
 class Common(NamedTuple):
-    """What all drops share; ``longest`` is for how long any contact is followed."""
+    """What all drops share; any contact is followed for ``followed_s`` or longer."""
 
     modes: Modes
     flyer: Flyer
     sky: Sky
     points: Points
     kt_over_kn: float
-    longest: float
+    followed_s: float
 
 
 class Columns(NamedTuple):
@@ -201,7 +202,7 @@ def one_drop(common: Common, points: Points, columns: Columns, which: int, out: 
     u: Array = np.zeros(len(modes.omega2))
     v: Array = flyer.translation @ (-math.sqrt(2.0 * gravity * height) * rotation[2])
     initial = modes.mass * gravity * height
-    longest = max(common.longest, LONGEST_RAD * math.sqrt(modes.mass / points.law[0]))
+    longest = max(common.followed_s, LONGEST_RAD * math.sqrt(modes.mass / points.law[0]))
     limit = STEP_LIMIT // STAYING if points.kind.remembers else STEP_LIMIT
     limit = min(limit, int(longest / modes.its) + 1)
     lost, impulse, peak, first, last = np.zeros(3), 0.0, 0.0, -1.0, 0.0
@@ -348,7 +349,7 @@ def _drop(
         sky=Sky(marcher.gravity_m_s2, 0.0, slowest, WAIT_STEPS * marcher.its_s),
         points=touching.points._replace(proximal=constants.proximal),
         kt_over_kn=marcher.method.friction.kt_over_kn,
-        longest=max(longest, slowest if slides else 0.0),
+        followed_s=max(longest, slowest if slides else 0.0),
     )
     columns = Columns(
         laws=laws,

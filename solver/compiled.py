@@ -224,9 +224,14 @@ def in_turn() -> Iterator[None]:
             _THREAD.has_turn = False
 
 
+def has_turn() -> bool:
+    """Whether this thread has its turn."""
+    return bool(getattr(_THREAD, "has_turn", False))
+
+
 def meanwhile(function: Callable[..., Any], *arguments: Any) -> Any:
     """What the compiled ``function`` gives, others having their turn while it computes."""
-    if not getattr(_THREAD, "has_turn", False):
+    if not has_turn():
         return function(*arguments)
     # found here, so that nothing is left to be looked up outside of the turn
     types = tuple(typeof(each, Purpose.argument) for each in arguments)

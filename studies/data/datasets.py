@@ -55,7 +55,6 @@ NUMBER_KEYS = {
     "sigma_surface_mm": (1e-6, 1e3),
     "sigma_surface_px": (1e-6, 1e3),
     "seen_width_mm": (1e-3, 1e3),
-    "seen_width_px": (1e-3, 1e4),
     "sigma_force_N": (1e-9, 1e9),
     "fps": (1e-3, 1e9),
     "gravity_m_s2": (1e-2, 300.0),

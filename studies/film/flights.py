@@ -47,6 +47,9 @@ HELD_TELLS = 2.0
 """How many independent frames all those tell in which the body is held."""
 TOUCHING_S = 1e-3
 """About how long a body touches: a frame so near to an impact may show it."""
+BENT = 6e-4
+"""About what a lens that is off by 0.2 %, or the air about a light ball, bends a fall from a
+parabola by, as a share of the fall."""
 FAR_PX, FAR_SIGMAS = 30.0, 300.0
 """How far a body flies that neither is let go in view nor bounces."""
 SPEED_PX = 0.02
@@ -487,7 +490,7 @@ def _grown(
                 near = abs(height[at] - flight.at(t_s[at])) < OFF * unsure
                 wider = min(first, at), max(last, at)
                 grown = _fitted(t_s, height, sigma, *wider, gravity) if near else flight
-                # the body held before the fall would flatten the parabola, frame by frame
+                # a body that is held before a flight would flatten the parabola, frame by frame
                 least = min(flight.gravity, (1.0 - TURNING) * gravity)
                 if near and (step > 0 or grown.gravity >= least):
                     (first, last), flight, misses = wider, grown, 0
@@ -581,17 +584,20 @@ def _drop(chain: list[Flight], t_s: Array, height: Array, sigma: Array) -> Drop 
         lasted = float(t_s[fall.last] - t_s[fall.first])
         bent = 0.5 * fall.gravity * lasted**2
         far = fallen > max(FAR_PX, FAR_SIGMAS * error) and bent > 0.25 * fallen
+        if fall.last - fall.first < LEAST_FRAMES or not (sudden or far):
+            return None
         own = slice(fall.first, fall.last + 1)
-        parabola = _is_parabola(t_s[own], height[own], sigma[own])
-        if fall.last - fall.first < LEAST_FRAMES or not parabola or not (sudden or far):
+        if not sudden and not _is_parabola(t_s[own], height[own], sigma[own]):
             return None
     both = np.array(impacts, dtype=float).reshape(-1, 2)
     return Drop(begin, chain[-1].last, release, held, tuple(chain), both[:, 0], both[:, 1])
 
 
 def _is_parabola(t_s: Array, height: Array, sigma: Array) -> bool:
-    """Whether heights gain nothing from a third and a fourth power, as the arc of a hand does."""
+    """Whether a third and a fourth power make heights no better than lens and air bend a fall; the
+    arc of a hand gains more."""
     since = (t_s - t_s.mean()) / np.ptp(t_s)
+    sigma = np.hypot(sigma, BENT * np.ptp(height))
     squares = []
     for powers in (3, 5):
         design = np.vander(since, powers, increasing=True) / sigma[:, None]

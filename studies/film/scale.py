@@ -102,10 +102,9 @@ def weighed(
     scale = replace(scale, gravity=(shown, shown * float(np.hypot(seen[1], scale.error))))
     by_fall, error = 1e3 * gravity_m_s2 / seen[0], float(np.hypot(seen[1], CLOCK))
     apart = np.log(by_fall / scale.mm_per_px)
-    if abs(apart) > AGREEING * np.hypot(error, scale.error):
-        return track, scale
-    g_px = 1e3 * gravity_m_s2 / scale.mm_per_px
-    gravity = g_px, g_px * float(np.hypot(scale.error, CLOCK))
+    agree = abs(apart) <= AGREEING * np.hypot(error, scale.error)
+    g_px = 1e3 * gravity_m_s2 / scale.mm_per_px if agree else seen[0]
+    gravity = (g_px, g_px * float(np.hypot(scale.error, CLOCK))) if agree else None
     turnings = None
     if track.turn is not None and length_mm is not None:
         half_px = 0.5 * length_mm / scale.mm_per_px
@@ -128,7 +127,7 @@ def weighed(
         floor = floor_of(drops)
     track = replace(track, drops=drops)
     track = replace(track, sigma=track.sigma * _scatter(track))
-    if scale.source == "--mm-per-px":
+    if scale.source == "--mm-per-px" or not agree:
         return track, scale
     share = scale.error**2 / (scale.error**2 + error**2)
     better = scale.mm_per_px * float(np.exp(share * apart))

@@ -6,7 +6,7 @@ import os
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 
-from ...solver.compiled import in_turn
+from ...solver.compiled import has_turn, in_turn
 
 
 def in_threads[Item, Found](
@@ -14,8 +14,12 @@ def in_threads[Item, Found](
 ) -> Iterator[Found]:
     """What ``function`` makes of each item, in their order, by as many threads as there are cores.
 
-    One computes at a time, but for what compiled code does in `compiled.meanwhile`.
+    One computes at a time, but for what compiled code does in `compiled.meanwhile`. Within such a
+    thread all is done by itself.
     """
+    if has_turn():
+        yield from map(function, items)
+        return
 
     def in_its_turn(item: Item) -> Found:
         with in_turn():

@@ -296,17 +296,16 @@ def manifest(found: TrackedFilms) -> str:
         "# tenths of a millisecond in which the body touches, which sigma_mm takes for none",
     ]
     lines += [f"sigma_surface_{found.unit} = {surface:.4g}"] if surface > 0.0 else []
-    if inputs.body is Body.BRISTLE:
+    scales = [scale for scale in found.scales if scale is not None]
+    if scales and inputs.body is Body.BRISTLE:
         widths = [
-            track.width * (1.0 if scale is None else scale.mm_per_px)
-            for track, scale in zip(found.tracks, found.scales, strict=True)
+            track.width * scale.mm_per_px for track, scale in zip(found.tracks, scales, strict=True)
         ]
         lines += [
             "# width of the bristle in the picture: one that leans touches with a corner of its",
             "# end, and the middle of the end, whose heights these are, is above the surface then",
-            f"seen_width_{found.unit} = {np.median(widths):.4g}",
+            f"seen_width_mm = {np.median(widths):.4g}",
         ]
-    scales = [scale for scale in found.scales if scale is not None]
     if scales:
         lines += [
             "# by which all heights are to be multiplied were gravity not used for the scale, and",

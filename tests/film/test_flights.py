@@ -45,10 +45,26 @@ def test_a_release_before_the_film_is_not_invented():
     assert len(drop.impact_s) >= 2
 
 
-def test_what_is_carried_is_no_drop():
+@pytest.mark.parametrize(("size_px", "rate_Hz"), [(60.0, 0.7), (60.0, 0.4), (20.0, 1.0)])
+def test_what_is_carried_is_no_drop(size_px, rate_Hz):
     t = np.arange(0.0, 2.0, 1.0 / 240.0)
-    y = 60.0 * np.sin(2.0 * np.pi * 0.7 * t) + 0.1 * np.random.default_rng(1).normal(size=len(t))
+    arc = size_px * np.sin(2.0 * np.pi * rate_Hz * t)
+    y = arc + 0.1 * np.random.default_rng(1).normal(size=len(t))
     assert drops_of(t, y, np.full(len(t), 0.1)) == []
+
+
+@pytest.mark.parametrize("bent", ["air", "lens"])
+@pytest.mark.parametrize("seed", range(5))
+def test_a_fall_out_of_view_is_one_though_air_and_lens_bend_it(bent, seed):
+    drag_1_m = 0.1 if bent == "air" else 0.0
+    t, y, sigma = track(y0=0.3, y1=0.1, seed=seed, drag_1_m=drag_1_m)
+    if bent == "lens":
+        y = y * (1.0 + 0.002 * (y / y.max()) ** 2)
+    seen = y > 0.1 * y.max()
+    seen[np.argmin(seen) :] = False
+    (drop,) = drops_of(t[seen], y[seen], sigma[seen])
+    assert drop.release_s == pytest.approx(0.12, abs=0.003)
+    assert not len(drop.impact_s)
 
 
 def test_flights_of_three_frames_are_enough_where_gravity_is_about_known():

@@ -4,9 +4,11 @@ from pathlib import Path
 
 import av
 import numpy as np
+import pandas as pd
 import pytest
 from PIL import Image
 
+import bristle
 from bristle.solver.errors import InputError
 from bristle.studies.film.edge import Camera
 from bristle.studies.film.reading import Film
@@ -14,6 +16,7 @@ from bristle.studies.film.render import Flown, Look, bouncing, write_film
 from bristle.studies.film.scale import floor_of, gravity_px, scale_of, weighed
 from bristle.studies.film.tracker import tracked
 from bristle.studies.inputs.choices import Body, Down
+from bristle.studies.loop.kinds.tracks.record import read_tracks
 
 pytestmark = pytest.mark.serial
 ROOT = Path(__file__).parents[2]
@@ -115,20 +118,19 @@ def test_lean_is_seen_to_a_tenth_of_a_degree(tmp_path, lean):
     assert np.abs(seen - lean).max() < 0.1
 
 
-def test_a_corner_of_a_bristle_that_leans_touches_before_the_middle_of_its_end(tmp_path):
-    """The middle is half the width times the lean's sine above the surface as the corner touches,
-    here 0.12 px, and falls as far as the corner."""
-    off = []
-    for seed in range(4):
-        path, *_ = filmed(tmp_path, lean=4.0, seed=seed)
-        track = tracked(Film(path), Body.BRISTLE)
-        track, scale = weighed(track, scale_of(track, 336.5, None), G, 336.5)
-        floor, _ = floor_of(track.drops)
-        off.append(scale.mm_per_px * (track.drops[0].held - floor) - 30.0)
-    # the flights before and after cross where the bristle would be, did the touch take no time
+def test_heights_count_from_where_a_corner_of_the_end_touches(tmp_path):
+    """From film to dataset to loop: the middle of the end is above the surface then."""
+    films = [filmed(tmp_path, lean=5.0, seed=seed)[0] for seed in range(4)]
+    bristle.track(films, out=tmp_path / "seen")
+    table = pd.read_csv(tmp_path / "seen" / "tracks.csv")
+    data = read_tracks(tmp_path / "seen")
+    held = np.array([1e3 * data.y[each.start] for each in data.pieces])
+    # flights before and after cross where the bristle would be, did the touch take no time
     before, after = np.sqrt(2e3 * G * np.array([30.0, 18.0]))
     crossing = CONTACT_S * before * after / (before + after)
-    assert np.mean(off) == pytest.approx(Look().corner_mm(4.0) + crossing, abs=0.04)
+    error = float(data.manifest.measurement["sigma_surface_mm"]) / np.sqrt(len(held))
+    assert np.mean(held) == pytest.approx(30.0 + crossing, abs=2.6 * error)
+    assert table.y_mm - 1e3 * data.y == pytest.approx(Look().corner_mm(5.0), rel=0.1)
 
 
 @pytest.fixture(scope="module")

@@ -18,26 +18,26 @@ from numba.core.dispatcher import Dispatcher
 from bristle.solver import cache
 from bristle.solver.compiled import cache_folder
 
-_HELD = threading.local()
+# By any thread of this process: one that waited for another would keep it from its turn.
+_HELD: set[str] = set()
 # Taken before a turn by the threads of this process, of which Numba lets one compile at a time.
 _COMPILING = threading.RLock()
 
 
 @contextlib.contextmanager
 def turn(name: str) -> Iterator[None]:
-    """Nobody else is inside for this ``name``; whoever is may enter again."""
-    held = _HELD.__dict__.setdefault("names", set())
-    if name in held:
+    """No other process is inside for this ``name``; whichever is may enter again."""
+    if name in _HELD:
         yield
         return
     path = cache_folder() / f"turn-{hashlib.sha256(name.encode()).hexdigest()[:16]}"
     with path.open("w") as file:
         fcntl.flock(file, fcntl.LOCK_EX)
-        held.add(name)
+        _HELD.add(name)
         try:
             yield
         finally:
-            held.remove(name)
+            _HELD.discard(name)
 
 
 def take_turns() -> None:
@@ -51,7 +51,8 @@ def take_turns() -> None:
     def cached_in_turn(keys: Sequence[str], make: Callable[[list[int]], Any]) -> Any:
         with contextlib.ExitStack() as turns:
             for key in sorted(keys):  # all in one order, so that nobody waits in a circle
-                turns.enter_context(turn(key))
+                if cache.load(key) is None:
+                    turns.enter_context(turn(key))
             return cached_each(keys, make)
 
     Dispatcher.compile = compile_in_turn

@@ -361,17 +361,6 @@ def test_the_zero_of_one_film_is_one_for_all_its_drops(tmp_path):
     assert each == pytest.approx(4.0 * one, rel=0.15)
 
 
-def test_heights_count_from_where_a_corner_of_the_end_touches(tmp_path):
-    """Bristles that lean by 3 degrees: of unknown width, and 2.08 mm wide in the picture."""
-    heights = []
-    for keys in ("sigma_y_mm = 0.25\n", "sigma_y_mm = 0.25\nseen_width_mm = 2.08\n"):
-        made(tmp_path / keys[-3], {}, keys=keys, **HIGH)
-        data = _with_column(tmp_path / keys[-3] / "films", "lean_deg", -3.0)
-        heights.append(data.y)
-    corner_m = 1.04e-3 * np.sin(np.radians(3.0))
-    assert heights[0] - heights[1] == pytest.approx(corner_m, abs=1e-12)
-
-
 @pytest.mark.parametrize("lean_deg", [-2.0, 0.05])
 def test_a_lean_that_films_show_is_the_lean_of_the_model(lean_deg, tmp_path):
     """Bristles that lean to the left, and upright ones; each film's own lean is a little off."""

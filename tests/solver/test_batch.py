@@ -11,7 +11,14 @@ from bristle.solver.bodies.beam import beam_body
 from bristle.solver.bodies.reduced import reduce_solid
 from bristle.solver.bristle import Bristle, Material, Rectangle
 from bristle.solver.contact.enforcement import ContactMethod, Enforcement
-from bristle.solver.contact.laws import Adhesive, Coulomb, HuntCrossley, Linear, Plastic
+from bristle.solver.contact.laws import (
+    Adhesive,
+    Coulomb,
+    Damped,
+    HuntCrossley,
+    Linear,
+    Plastic,
+)
 from bristle.solver.drop import DropPlan, ModalFrame, simulate
 from bristle.solver.errors import ComputationError
 from bristle.solver.ground import Ground
@@ -93,6 +100,32 @@ def test_leaning_beams_of_second_order(rng):
     leans = {"tilt_deg": np.linspace(1.0, 8.0, 8), "tilt_wide_deg": 0.0, "mu": 0.0}
     drops = leaning_drops(body, rng, 8, height_m=0.05, kn_N_m=2e6, **leans)
     assert_the_same(body, drops, drop_many(marcher_of(body), drops), rel=1e-6, closure=np.inf)
+
+
+@pytest.mark.parametrize(
+    "laws",
+    [
+        [Damped(1e6, 0.0), Damped(2e6, 3.0), Damped(2e6, 20.0)],
+        [HuntCrossley(1e6, 0.1), HuntCrossley(3e6, 0.1), HuntCrossley(2e6, 1.0)],
+    ],
+    ids=["dashpot", "hunt_crossley"],
+)
+def test_drops_of_one_batch_have_their_own_damping(laws, rng):
+    body = beam_body(Bristle(), 8)
+    n = len(laws)
+    plane = {"height_m": rng.uniform(0.01, 0.05, n), "kn_N_m": [law.kn_N_m for law in laws]}
+    drops = Drops.on_plane(len(body.contact.weights), **plane)
+    numbers = {"laws": np.array([law.parameters for law in laws])}
+    numbers["damping"] = np.array([law.damping for law in laws])
+
+    def marcher(law):
+        return Marcher(body, ContactMethod(law), TimeScheme.average(), ITS, G)
+
+    together = np.array(drop_many(marcher(laws[0]), replace(drops, **numbers)))
+    for i, law in enumerate(laws):
+        (one,) = np.array(drop_many(marcher(law), drops.part(i, i + 1))).T
+        assert together[:, i] == pytest.approx(one, rel=1e-9, abs=1e-12)
+    assert np.ptp(together[0] / drops.height_m) > 0.02
 
 
 def test_drops_that_touch_several_times(rng):

@@ -34,6 +34,7 @@ from bristle.studies.inputs.config import DropInputs
 from bristle.studies.running import files, lock
 from bristle.studies.running.journal import JOURNAL, Journal
 from bristle.studies.running.mark import MARK
+from bristle.studies.running.threads import in_threads
 
 pytestmark = pytest.mark.serial
 
@@ -205,6 +206,30 @@ def test_a_cache_that_cannot_be_written_keeps_nothing(tmp_path, monkeypatch):
     (tmp_path / "file").write_text("mine")
     monkeypatch.setattr(cache, "_path", lambda key: tmp_path / "file" / "kept.npz")
     assert cache.cached("key", lambda: {"x": np.ones(2)})["x"].sum() == 2.0
+
+
+def test_of_several_arrays_those_that_are_missing_are_made_together(tmp_path, monkeypatch):
+    monkeypatch.setattr(cache, "_path", lambda key: tmp_path / f"{key}.npz")
+    cache.store("b", {"x": np.array([2.0])})
+    asked = []
+
+    def make(missing):
+        asked.append(missing)
+        return [{"x": np.array([10.0 * i])} for i in missing]
+
+    for _ in range(2):
+        found = cache.cached_each(["a", "b", "c"], make)
+        assert [float(each["x"][0]) for each in found] == [0.0, 2.0, 20.0]
+    assert asked == [[0, 2]]
+
+
+def test_threads_take_turns_and_give_what_one_would():
+    """In order; also from within one of them, which would else wait for itself for ever."""
+    assert list(in_threads(lambda i: i**2, range(20))) == [i**2 for i in range(20)]
+    assert list(in_threads(lambda i: list(in_threads(str, range(i))), [3])) == [["0", "1", "2"]]
+    with pytest.raises(ZeroDivisionError):
+        list(in_threads(lambda i: 1 // i, [1, 0, 2]))
+    assert list(in_threads(int, [1.5])) == [1]
 
 
 def test_nothing_that_is_read_can_hold_code():

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.interpolate import NdBSpline, make_interp_spline
 
 from bristle.solver import paper
 from bristle.solver.bodies.beam import beam_body
@@ -132,15 +133,35 @@ def test_splines_reproduce_cubics_and_their_nodes(seed, axes):
     assert found[:, 0] == pytest.approx(values(points), rel=1e-8, abs=1e-8 * np.abs(table).max())
 
 
-def test_a_table_read_for_many_heights_at_once_says_what_it_says_for_each(rng):
+SHAPES = {
+    "drops": [(2, 1, 7), (2, 1, 1), (2, 1, 1), (1,)],
+    "drops and nodes": [(2, 1, 7), (2, 1, 1), (2, 3, 1), (3, 1)],
+    "heights by node": [(2, 3, 7), (2, 3, 1), (2, 3, 1), (3, 1)],
+    "each its own": [(7,), (2, 1, 7), (2, 3, 1), ()],
+    "numbers": [(), (), (), ()],
+}
+
+
+@pytest.mark.parametrize("shapes", SHAPES.values(), ids=SHAPES)
+@pytest.mark.parametrize("count", [3, 6])
+def test_a_table_read_at_once_is_a_spline_at_each_place(shapes, count, rng):
+    """Against SciPy's."""
     axes = (Axis(0.01, 0.06, 4, "root"), Axis(1e4, 1e8, 5, "log"), Axis(0, 8, 6), Axis(0, 90, 4))
-    table = Table(axes, coefficients(rng.normal(size=(4, 5, 6, 4, 3)), 4))
-    height, kn = rng.uniform(0.01, 0.06, (2, 1, 7)), 10 ** rng.uniform(4, 8, (2, 1, 1))
-    size, side = rng.uniform(0, 9, (2, 3, 1)), rng.uniform(0, 90, (3, 1))
-    places = np.broadcast_arrays(height, kn, size, side)
-    each = [table.at(*(place[i] for place in places)) for i in np.ndindex(places[0].shape)]
-    together = table.at(height, kn, size, side).reshape(3, -1).T
-    assert together == pytest.approx(np.array(each), abs=1e-12)
+    values = rng.normal(size=(4, 5, 6, 4, count))
+    nodes = [np.arange(each.n, dtype=float) for each in axes]
+    spline = values
+    knots = []
+    for axis, each in enumerate(nodes):
+        one = make_interp_spline(each, spline, axis=axis)
+        knots.append(one.t)
+        spline = np.moveaxis(one.c, 0, axis) if axis else one.c
+    exact = NdBSpline(tuple(knots), spline, 3)
+    places = [rng.uniform(a.low, a.high, shape) for a, shape in zip(axes, shapes, strict=True)]
+    where = np.broadcast_arrays(*(a.where(x) for a, x in zip(axes, places, strict=True)))
+    expected = np.moveaxis(exact(np.stack(where, axis=-1)), -1, 0)
+    found = Table(axes, coefficients(values, 4)).at(*places)
+    assert found.shape == expected.shape
+    assert found == pytest.approx(expected, abs=1e-10)
 
 
 @pytest.mark.parametrize("how", ["even", "log", "root"])

@@ -17,9 +17,8 @@ from bristle.studies.synth import flown, make, reduced_body
 
 pytestmark = [pytest.mark.serial, pytest.mark.campaign, pytest.mark.timeout(20_000)]
 # Each large against the films' errors of about 0.1 mm: beside the likeliest Kn alone, rebounds are
-# off by 14 standard errors or more. No film shows a dashpot or the air so well: a dashpot takes the
-# same share of every rebound, as Kn does, and the air 0.2 % of it at most.
-CASES = {
+# off by 14 standard errors or more.
+LARGE = {
     "lean": ("bristle_tilt:tilt_deg=2", 0.0),
     "more lean": ("bristle_tilt:tilt_deg=3", 0.0),
     "most lean": ("bristle_tilt:tilt_deg=4", 0.0),
@@ -31,8 +30,15 @@ CASES = {
     "yield": ("plastic_contact:yield_N=38", 0.0),
     "thrown": ("release_velocity:speed_m_s=0.2", 0.0),
 }
+# No film shows these: a dashpot takes the same share of every rebound, as Kn does, and air takes
+# 0.2 % of it. Nothing wrong must be named.
+UNSEEN = {
+    "dashpot": ("contact_damping:c_N_s_m=8", 0.0),
+    "drag": ("air_drag:cd=90", 0.0),
+}
+CASES = LARGE | UNSEEN
 LOOK = Look(mm_per_px=1.0, columns=72)
-DROPS, NEEDED = 10, 9
+DROPS, NEEDED = 10, 0.9
 
 
 def verdicts(folder, effect, offset_mm, seed):
@@ -67,7 +73,7 @@ def test_effects_in_films_are_named_as_from_true_tracks(tmp_path):
     """Each case alone is known from BRISTLE_CASES; results are told as they come."""
     chosen = os.environ.get("BRISTLE_CASES", ",".join(CASES)).split(",")
     told = Path(os.environ.get("BRISTLE_CASES_OUT", tmp_path / "cases.jsonl"))
-    right = 0
+    right = wrong = 0
     for seed, (name, (effect, offset)) in enumerate(CASES.items(), start=1):
         if name not in chosen:
             continue
@@ -76,11 +82,15 @@ def test_effects_in_films_are_named_as_from_true_tracks(tmp_path):
         seen, true = verdicts(folder, effect, offset, seed)
         hidden = "height_offset" if effect is None else effect.split(":")[0]
         same = (seen.verdict, set(seen.effects)) == (true.verdict, set(true.effects))
-        good = same or seen.effects == [hidden]
-        right += good
+        good = hidden in seen.effects and (same or seen.effects == [hidden])
+        if name in UNSEEN:
+            good = set(seen.effects) <= {hidden}
+        right += good and name in LARGE
+        wrong += not good and name in UNSEEN
         row = {"case": name, "hidden": hidden, "same": same, "good": good}
         for key, each in (("seen", seen), ("true", true)):
             row[key] = [each.verdict, dict(each.weights), each.detection.statistic]
         with told.open("a") as file:
             file.write(json.dumps(row, default=str) + "\n")
-    assert right >= NEEDED * len(chosen) / 10
+    assert right >= NEEDED * len(LARGE.keys() & set(chosen))
+    assert not wrong

@@ -184,9 +184,9 @@ class Emulator:
         self, name: str, axes: tuple[Axis, ...], change: Change, friction: float | None
     ) -> Array:
         """Values at the nodes (..., quantities). Each height is kept in a file of its own; those
-        that are missing are simulated together."""
+        that are missing are simulated together, and lost if that is interrupted."""
         octaves = np.round(np.log2(1e3 * axes[0].nodes()))  # to the bit, whatever the range
-        heights = 1e-3 * 2.0**octaves
+        heights = np.ldexp(1e-3, octaves.astype(int))
         keys = [self.key(f"{name} {friction} {height}", axes[1:]) for height in heights]
 
         def make(missing: list[int]) -> list[dict[str, Array]]:
@@ -294,7 +294,7 @@ class Emulator:
         if name == "contact_damping":
             return np.asarray(2.0 * np.sqrt(kn_N_m * self.body.mass_kg))
         upright = self._upright
-        logs = upright.plain.at(*np.broadcast_arrays(height_m, kn_N_m))
+        logs = upright.plain.at(height_m, kn_N_m)
         return np.asarray(upright.reference(height_m, kn_N_m)[2] * np.exp(logs[2]))
 
     @cached_property

@@ -76,7 +76,7 @@ class Table:
         first = where[0]
         # what does not hang on the last axis of `lead` stands once for all along it
         along = 1 if first.shape[-2] == 1 else lead[-1]
-        first = np.broadcast_to(first, (*lead[:-1], along, row)).reshape(-1, row)
+        first = np.array(np.broadcast_to(first, (*lead[:-1], along, row))).reshape(-1, row)
         *sizes, count = self.coefficients.shape
         points = np.stack(others, axis=1) if others else np.zeros((math.prod(lead), 0))
         out = np.empty((count // AT_ONCE, len(points), row, AT_ONCE))
@@ -144,11 +144,10 @@ def evaluate(flat: Array, sizes: Array, first: Array, others: Array, out: Array)
 
     ``flat`` (coefficients, 3) are `coefficients` of three quantities, their axes run together,
     ``sizes`` (axes,) how many there are along each. ``others`` (points, axes - 1) are places along
-    all axes but the first. Along that, ``first`` (rows, row) has a row of places for a point, or
-    for several points one after the other, as many for each: the other axes are gone through once
-    for a row.
+    all axes but the first. ``first`` (rows, row) are places along that: point p has those of row
+    p // (points / rows), and goes through the other axes once for all of them.
     """
-    # axes that are not there come between, with one coefficient each
+    # axes that a table lacks stand behind the first, with one coefficient each
     count, row = len(others), first.shape[1]
     beside = AXES - 1
     absent = AXES - len(sizes)

@@ -64,9 +64,9 @@ class Tracks(InPieces):
         degrees (2, films); not a number where it is not seen."""
         return np.array([self._lean_of(piece) for piece in self.pieces]).T
 
-    def over_touch(self, width: float) -> Tracks:
-        """Heights over where the middle of the lower end is as the bristle touches: one that leans
-        touches with a corner, half the ``width`` that the film shows beside the middle."""
+    def without_corner(self, width: float) -> Tracks:
+        """Heights less half the ``width`` that films show times sin(lean): so high is the middle of
+        the end of a bristle that leans as a corner of it touches."""
         y = self.y.copy()
         for film, lean_deg in zip(self.pieces, self.lean_before_deg[0], strict=True):
             if np.isfinite(lean_deg):
@@ -145,8 +145,9 @@ def read_tracks(folder: Path) -> Tracks:
         lean_deg=column(path, read.rows, "lean_deg", empty=True) if "lean_deg" in columns else None,
         sigma_lean_deg=optional_column(path, read.rows, "sigma_lean_deg", 1.0),
     )
-    width = float(manifest.measurement.get(f"seen_width_{unit}", 0.0))
-    return found.over_touch(width if in_pixels else 1e-3 * width)
+    # a scale in pixels leaves the surface free
+    width_mm = 0.0 if in_pixels else float(manifest.measurement.get("seen_width_mm", 0.0))
+    return found.without_corner(1e-3 * width_mm)
 
 
 def _films(rows: Rows) -> Array:
