@@ -14,8 +14,8 @@ def in_threads[Item, Found](
 ) -> Iterator[Found]:
     """What ``function`` makes of each item, in their order, by as many threads as there are cores.
 
-    One computes at a time, but for what compiled code does in `compiled.meanwhile`. Within such a
-    thread all is done by itself.
+    One computes at a time, but for what compiled code does in `compiled.meanwhile`. Called in a
+    thread that has its turn already, it does all there.
     """
     if has_turn():
         yield from map(function, items)

@@ -26,7 +26,7 @@ _COMPILING = threading.RLock()
 
 @contextlib.contextmanager
 def turn(name: str) -> Iterator[None]:
-    """No other process is inside for this ``name``; whichever is may enter again."""
+    """No other process is inside for this ``name``; the one that is may enter again."""
     if name in _HELD:
         yield
         return

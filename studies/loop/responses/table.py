@@ -1,7 +1,8 @@
 """A table of simulated drops over its axes, with cubic splines between its nodes.
 
 The splines are evaluated by compiled code of this file's own: SciPy's `NdBSpline` gives the same
-numbers to rounding and takes 6 to 10 times as long.
+numbers to rounding. It takes twice as long where every drop has its own stiffness, 6 times as long
+where drops share it, and 30 to 80 times as long where many nodes of chance are read.
 """
 
 from __future__ import annotations
@@ -10,14 +11,12 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
 
 from ....solver.arrays import Array
 from ....solver.compiled import njit
 from ....solver.errors import ComputationError
-
-Ints = NDArray[np.int64]
+from ..noise import Ints
 
 # What a table holds of a drop, and what is measured of it.
 QUANTITIES = ("y1_m", "contact_time_s", "peak_force_N")
