@@ -137,18 +137,35 @@ def strain_energy(chain: Chain, strain: Array) -> float:
     return energy
 
 
-@njit
-def _skew(v: Array, out: Array) -> None:
-    out[0, 0] = out[1, 1] = out[2, 2] = 0.0
-    out[0, 1], out[0, 2], out[1, 2] = -v[2], v[1], -v[0]
-    out[1, 0], out[2, 0], out[2, 1] = v[2], -v[1], v[0]
+@inlined
+def _cross(
+    a: tuple[float, float, float], b: tuple[float, float, float]
+) -> tuple[float, float, float]:
+    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
 
 
-@njit
-def _times(a: Array, b: Array, out: Array) -> None:
-    for i in range(3):
-        for j in range(3):
-            out[i, j] = a[i, 0] * b[0, j] + a[i, 1] * b[1, j] + a[i, 2] * b[2, j]
+@inlined
+def _dot(a: tuple[float, float, float], b: tuple[float, float, float]) -> float:
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+@inlined
+def _row(a: Array, i: int) -> tuple[float, float, float]:
+    return a[i, 0], a[i, 1], a[i, 2]
+
+
+@inlined
+def _skew(v: tuple[float, float, float], i: int, j: int) -> float:
+    """An entry of the matrix of v ×."""
+    if i == j:
+        return 0.0
+    other = v[3 - i - j]
+    return other if (j - i) % 3 == 2 else -other
+
+
+@inlined
+def _turned(matrix: Array, v: tuple[float, float, float]) -> tuple[float, float, float]:
+    return _dot(_row(matrix, 0), v), _dot(_row(matrix, 1), v), _dot(_row(matrix, 2), v)
 
 
 @njit
@@ -162,23 +179,23 @@ def _forces(chain: Chain, e: int, strain: Array, before: Array, rate: float, out
         out[c] = chain.stiffness[e, c] * change
 
 
-@njit
+@inlined
 def _moments(
-    length: float, strain: Array, load: Array
+    d: tuple[float, float, float],
+    f: tuple[float, float, float],
+    force: tuple[float, float, float],
+    moment: tuple[float, float, float],
 ) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
-    """c = N × d and S M - c × g, in the middle's axes."""
-    d0, d1, d2 = length * strain[0], length * strain[1], length * strain[2]
-    c0 = load[1] * d2 - load[2] * d1
-    c1 = load[2] * d0 - load[0] * d2
-    c2 = load[0] * d1 - load[1] * d0
-    f0, f1, f2 = length * strain[3], length * strain[4], length * strain[5]
-    s, sigma, tau, _, _, _ = coefficients(f0 * f0 + f1 * f1 + f2 * f2)
-    along = sigma * (f0 * load[3] + f1 * load[4] + f2 * load[5])
-    g0, g1, g2 = tau * f0, tau * f1, tau * f2
-    t0 = s * load[3] + along * f0 - (c1 * g2 - c2 * g1)
-    t1 = s * load[4] + along * f1 - (c2 * g0 - c0 * g2)
-    t2 = s * load[5] + along * f2 - (c0 * g1 - c1 * g0)
-    return (c0, c1, c2), (t0, t1, t2)
+    """c = N × d and S M - c × g, of d = x₂ - x₁ and φ, all in the same axes."""
+    s, sigma, tau, _, _, _ = coefficients(_dot(f, f))
+    c, along = _cross(force, d), sigma * _dot(f, moment)
+    g = tau * f[0], tau * f[1], tau * f[2]
+    t = _cross(c, g)
+    return c, (
+        s * moment[0] + along * f[0] - t[0],
+        s * moment[1] + along * f[1] - t[1],
+        s * moment[2] + along * f[2] - t[2],
+    )
 
 
 @njit
@@ -186,7 +203,10 @@ def _end_loads(
     length: float, middle: Array, strain: Array, load: Array, one: Array, two: Array
 ) -> None:
     """Write an element's force and moment (6,) at its first and at its second node."""
-    c, twist = _moments(length, strain, load)
+    d = length * strain[0], length * strain[1], length * strain[2]
+    f = length * strain[3], length * strain[4], length * strain[5]
+    own, couple = (load[0], load[1], load[2]), (load[3], load[4], load[5])
+    c, twist = _moments(d, f, own, couple)
     for i in range(3):
         force, mean, apart = 0.0, 0.0, 0.0
         for k in range(3):
@@ -212,7 +232,7 @@ def end_loads(chain: Chain, x: Array, q: Array, before: Array, rate: float, out:
 
 class Elements(NamedTuple):
     """The elements of one rod as last assembled: ``middle`` (e, 3, 3), ``strain`` and ``load``
-    (e, 6) in the middle's axes, and room for two ends' loads (2, 6) and for blocks (24, 3, 3)."""
+    (e, 6) in the middle's axes, and room for two ends' loads (2, 6) and for matrices (6, 3, 3)."""
 
     middle: Array
     strain: Array
@@ -229,7 +249,7 @@ def new_elements(n: int) -> Elements:
         np.zeros((n, 6)),
         np.zeros((n, 6)),
         np.zeros((2, 6)),
-        np.zeros((24, 3, 3)),
+        np.zeros((6, 3, 3)),
     )
 
 
@@ -263,146 +283,137 @@ def assemble_forces(
             system.residual[e + 1, r] += two[r]
 
 
+@inlined
+def _in_world(matrix: Array, own: Array, factor: float, begin: int, out: Array) -> None:
+    """Write in world axes (3, 3) a matrix whose diagonal is three entries of ``own``."""
+    for i in range(3):
+        for j in range(i + 1):
+            value = 0.0
+            for k in range(3):
+                value += matrix[i, k] * own[begin + k] * matrix[j, k]
+            out[i, j] = out[j, i] = factor * value
+
+
 @njit
 def _tangent(
-    chain: Chain,
-    e: int,
+    middle: Array,
+    length: float,
+    stiffness: Array,
     strain: Array,
     load: Array,
-    c: tuple[float, float, float],
-    twist: tuple[float, float, float],
     rate: float,
+    one: Array,
+    up: Array,
+    down: Array,
+    two: Array,
     room: Array,
-    vector: Array,
 ) -> None:
-    """Write into ``room[1:10]`` how the force and the two moments (rows) change with x₂ - x₁ and
-    with the spins a and b (columns), all in the middle's axes."""
-    length = chain.length[e]
-    stretch, force_x, couple_x = room[1], room[10], room[11]
-    arm, force_arm, g_cross, bend = room[12], room[13], room[14], room[15]
-    half_a, half_b, tmp, spin, c_cross = room[16], room[17], room[18], room[19], room[20]
-    # dN = stretch d(d); dc = couple_x (dx + d × spin)
-    for i in range(3):
-        vector[i] = length * strain[i]
-    _skew(vector, arm)
-    _skew(load[:3], force_arm)
-    for i in range(3):
-        for j in range(3):
-            stiff = chain.stiffness[e, j] * (1.0 + rate) / length
-            stretch[i, j] = stiff if i == j else 0.0
-            couple_x[i, j] = force_arm[i, j] - arm[i, j] * stiff
-    for i in range(3):
-        for j in range(3):
-            force_x[i, j] = couple_x[j, i]  # of the spin
-    f = (length * strain[3], length * strain[4], length * strain[5])
-    s, sigma, tau, s_rate, sigma_rate, tau_rate = coefficients(
-        f[0] * f[0] + f[1] * f[1] + f[2] * f[2]
+    """Add an element's tangent to the diagonal blocks of its nodes, ``one`` and ``two``, and write
+    those between them.
+
+    Everything is in world axes. With d = x₂ - x₁, the force N on the second node, the stiffness C_N
+    of stretch and shear, and V = [N]× - [d]× C_N,
+
+        dN = C_N dd + Vᵀ w,    d(N × d) = V (dd + d × w),    w = (½ + [g]×) a + (½ - [g]×) b,
+
+    and a moment's block by d is the transpose of the force's by its node's spin.
+    """
+    stretch, couple, turns, bend, moved, spins = (
+        room[0],
+        room[1],
+        room[2],
+        room[3],
+        room[4],
+        room[5],
     )
+    d = _turned(middle, (length * strain[0], length * strain[1], length * strain[2]))
+    f = _turned(middle, (length * strain[3], length * strain[4], length * strain[5]))
+    force = _turned(middle, (load[0], load[1], load[2]))
+    m = _turned(middle, (load[3], load[4], load[5]))
+    c, twist = _moments(d, f, force, m)
+    s, sigma, tau, s_rate, sigma_rate, tau_rate = coefficients(_dot(f, f))
+    g = tau * f[0], tau * f[1], tau * f[2]
+    stiff = (1.0 + rate) / length
+    _in_world(middle, stiffness, stiff, 0, stretch)
+    _in_world(middle, stiffness, stiff, 3, bend)
+    # how S M - c × g at fixed c changes with φ, then through dφ = S (b - a)
+    dot, bent = _dot(f, m), _turned(bend, f)
+    across = _cross(c, f)
     for i in range(3):
-        vector[i] = tau * f[i]
-    _skew(vector, g_cross)
+        along = s_rate * m[i] + sigma_rate * dot * f[i] - tau_rate * across[i]
+        for j in range(3):
+            value = s * bend[i, j] + sigma * f[i] * (bent[j] + m[j]) + along * f[j]
+            turns[i, j] = value - tau * _skew(c, i, j)
+        turns[i, i] += sigma * dot
+    for i in range(3):
+        along = sigma * _dot(_row(turns, i), f)
+        for j in range(3):
+            bend[i, j] = s * turns[i, j] + along * f[j]
+    for i in range(3):
+        crossed = _cross(d, _row(stretch, i))  # of [d]× C_N a column, as C_N is symmetric
+        for j in range(3):
+            couple[j, i] = _skew(force, j, i) - crossed[j]
+    # V [d]×, and Vᵀ [g]× beside Vᵀ / 2: how the force changes with the two spins
+    for i in range(3):
+        crossed = _cross(_row(couple, i), d)
+        for j in range(3):
+            turns[i, j] = crossed[j]
+        crossed = _cross((couple[0, i], couple[1, i], couple[2, i]), g)
+        for j in range(3):
+            moved[i, j] = crossed[j]
     for i in range(3):
         for j in range(3):
-            half = 0.5 if i == j else 0.0
-            half_a[i, j], half_b[i, j] = half + g_cross[i, j], half - g_cross[i, j]
-    # d(S M - c × g) at fixed c by b - a, through dφ = S (b - a)
-    dot = f[0] * load[3] + f[1] * load[4] + f[2] * load[5]
-    for i in range(3):
-        vector[i] = c[i]
-    _skew(vector, c_cross)
-    for i in range(3):
-        for j in range(3):
-            one = 1.0 if i == j else 0.0
-            m_i, m_j = load[3 + i], load[3 + j]
-            stiff = chain.stiffness[e, 3 + j] * (1.0 + rate) / length
-            value = (s * one + sigma * f[i] * f[j]) * stiff
-            value += (s_rate * m_i + sigma_rate * dot * f[i]) * f[j]
-            value += sigma * (one * dot + f[i] * m_j)
-            for k in range(3):
-                gradient = (tau if k == j else 0.0) + tau_rate * f[k] * f[j]
-                value -= c_cross[i, k] * gradient
-            tmp[i, j] = value
-            spin[i, j] = s * one + sigma * f[i] * f[j]
-    _times(tmp, spin, bend)
-    _times(force_x, half_a, room[2])
-    _times(force_x, half_b, room[3])
-    _times(couple_x, arm, spin)  # dc by the spin of the middle
+            one[i, j] += stretch[i, j]
+            two[i, j] += stretch[i, j]
+            up[i, j] = down[i, j] = -stretch[i, j]
+            by_a = 0.5 * couple[j, i] + moved[i, j]
+            by_b = 0.5 * couple[j, i] - moved[i, j]
+            one[i, 3 + j] -= by_a
+            down[i, 3 + j] = by_a
+            up[i, 3 + j] = -by_b
+            two[i, 3 + j] += by_b
+            one[3 + j, i] -= by_a
+            up[3 + j, i] = by_a
+            down[3 + j, i] = -by_b
+            two[3 + j, i] += by_b
     for node in range(2):
         sign = 2.0 * node - 1.0
-        lever = half_b if node == 0 else half_a
-        row = 4 + 3 * node
-        _times(lever, couple_x, room[row])
-        _times(lever, spin, tmp)
-        for i in range(3):
-            vector[i] = 0.5 * c[i] + sign * twist[i]
-        _skew(vector, c_cross)
-        for i in range(3):
-            for j in range(3):
-                tmp[i, j] -= c_cross[i, j]
-        _times(tmp, half_a, room[row + 1])
-        _times(tmp, half_b, room[row + 2])
-        for i in range(3):
-            for j in range(3):
-                room[row + 1, i, j] -= sign * bend[i, j]
-                room[row + 2, i, j] += sign * bend[i, j]
-
-
-@njit
-def _give(turned: Array, column: int, row: int, sign: float, first: Array, second: Array) -> None:
-    """Add a block to rows of the blocks of the first and the second node's columns."""
-    for i in range(3):
+        load_0 = 0.5 * c[0] + sign * twist[0]
+        load_1 = 0.5 * c[1] + sign * twist[1]
+        load_2 = 0.5 * c[2] + sign * twist[2]
         for j in range(3):
-            value = sign * turned[i, j]
-            if column == 0:
-                first[row + i, j] -= value
-                second[row + i, j] += value
-            elif column == 1:
-                first[row + i, 3 + j] += value
-            else:
-                second[row + i, 3 + j] += value
-
-
-@njit
-def _scatter(e: int, middle: Array, room: Array, system: System) -> None:
-    """Turn the nine blocks of an element into world axes, and give them to the nodes' blocks."""
-    turned, tmp = room[22], room[21]
-    one, two = system.diagonal[e], system.diagonal[e + 1]
-    up, down = system.above[e], system.below[e + 1]
-    for block in range(9):
-        own = room[1 + block]
+            crossed = _cross(g, (turns[0, j], turns[1, j], turns[2, j]))
+            for i in range(3):
+                spins[i, j] = 0.5 * turns[i, j] + sign * crossed[i]
+                spins[i, j] -= _skew((load_0, load_1, load_2), i, j)
         for i in range(3):
+            crossed = _cross(_row(spins, i), g)
             for j in range(3):
-                tmp[i, j] = (
-                    middle[i, 0] * own[0, j] + middle[i, 1] * own[1, j] + middle[i, 2] * own[2, j]
-                )
-        row, column = block // 3, block % 3
-        for i in range(3):
-            for j in range(3):
-                turned[i, j] = (
-                    tmp[i, 0] * middle[j, 0] + tmp[i, 1] * middle[j, 1] + tmp[i, 2] * middle[j, 2]
-                )
-        # rows: force on the second node, moment on the first, moment on the second; columns: the
-        # second node's displacement over the first's, then the spins of the two
-        if row == 0:
-            _give(turned, column, 0, -1.0, one, up)
-            _give(turned, column, 0, 1.0, down, two)
-        elif row == 1:
-            _give(turned, column, 3, 1.0, one, up)
-        else:
-            _give(turned, column, 3, 1.0, down, two)
+                by_a = 0.5 * spins[i, j] + crossed[j] - sign * bend[i, j]
+                by_b = 0.5 * spins[i, j] - crossed[j] + sign * bend[i, j]
+                if node == 0:
+                    one[3 + i, 3 + j] += by_a
+                    up[3 + i, 3 + j] = by_b
+                else:
+                    down[3 + i, 3 + j] = by_a
+                    two[3 + i, 3 + j] += by_b
 
 
 @njit
 def assemble_tangent(chain: Chain, rate: float, system: System, elements: Elements) -> None:
     """Add the exact tangent of the forces that `assemble_forces` has just written to the diagonal
     blocks, and write the others."""
-    room, vector = elements.room, elements.ends[0]
-    for i in range(len(system.residual)):
-        for row in range(6):
-            for column in range(6):
-                system.above[i, row, column] = system.below[i, row, column] = 0.0
     for e in range(len(chain.length)):
-        strain, load = elements.strain[e], elements.load[e]
-        c, twist = _moments(chain.length[e], strain, load)
-        _tangent(chain, e, strain, load, c, twist, rate, room, vector)
-        _scatter(e, elements.middle[e], room, system)
+        _tangent(
+            elements.middle[e],
+            chain.length[e],
+            chain.stiffness[e],
+            elements.strain[e],
+            elements.load[e],
+            rate,
+            system.diagonal[e],
+            system.above[e],
+            system.below[e + 1],
+            system.diagonal[e + 1],
+            elements.room,
+        )

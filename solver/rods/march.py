@@ -8,13 +8,13 @@ from typing import NamedTuple
 import numpy as np
 
 from ..arrays import Array, Integers
-from ..compiled import njit
-from .chain import Chain, chain_of, new_system
+from ..compiled import njit, unowned
+from .chain import Chain, System, chain_of
 from .contact import Touch, no_touch
 from .crossing import allowed_J, first_crossing
 from .joint import WAITS, Law, Room, Waiting, joint_step, nothing_waits, sparse_solution
 from .motion import STEP, TIME, Hub, Motion, Scheme, copy, fit_to_step, hub_of, rod, write
-from .step import new_scratch, step
+from .step import Scratch, step
 from .tally import add_step
 
 # A step changes by these factors at most, aims at this share of the error it may have, and is
@@ -89,6 +89,8 @@ def march_apart(
     members: Integers,
     stack: Motion,
     other: Motion,
+    system: System,
+    scratch: Scratch,
     end_s: float,
     windows: Windows,
 ) -> int:
@@ -96,9 +98,10 @@ def march_apart(
     whose step fails however short.
 
     The ``loads`` (rods, n, 6) and the ``place`` and ``attitude`` of ``hubs`` are stacked too;
-    ``other`` is room for one rod. Steps end at the hub's breaks.
+    ``other``, ``system`` and ``scratch`` are room for one rod. Steps end at the hub's breaks.
     """
-    system, scratch = new_system(stack.x.shape[1]), new_scratch(stack.x.shape[1])
+    law, chains, loads, hubs, stack = unowned((law, chains, loads, hubs, stack))
+    other, system, scratch = unowned((other, system, scratch))
     for i in members:
         chain, now = chain_of(chains, i), rod(stack, i)
         hub = hub_of(hubs, i)
@@ -190,6 +193,8 @@ def _march_joint(
 ) -> tuple[int, Waiting]:
     """March on from ``progress`` as `march_together`, or until an iteration waits for its
     ``forces``: the first is `WAITS` then."""
+    law, chains, loads, hubs, stack = unowned((law, chains, loads, hubs, stack))
+    pairs, touch, now, room = unowned((pairs, touch, now, room))
     hub = hub_of(hubs, 0)
     while progress[AT] < end_s:
         t = progress[AT]

@@ -30,7 +30,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..arrays import Array, Integers
-from ..compiled import inlined, njit
+from ..compiled import inlined, njit, unowned
 from .contact import Touch, coefficient, lose_hold, point_force, remember
 from .ground import Contact
 from .motion import Motion, Pose
@@ -515,6 +515,7 @@ def approach(
     Nodes may move by ``reach`` (rods, n) before elements count as beside each other; others have an
     infinite gap.
     """
+    pairs, stack, reach, gaps, closing = unowned((pairs, stack, reach, gaps, closing))
     room, wider = new_meeting(), law.half.copy()
     for p in range(len(pairs)):
         a, e, b, f = pairs[p, 0], pairs[p, 1], pairs[p, 2], pairs[p, 3]
@@ -584,6 +585,7 @@ def candidates(law: Between, x: Array, q: Array, turned: Array, reach: Array, ou
     and swept (Cohen et al., I-COLLIDE, SIGGRAPH 1995), and where they meet those along the
     elements' own axes are compared (Gottschalk et al.).
     """
+    x, q, reach = unowned((x, q, reach))
     rods, elements = x.shape[0], x.shape[1] - 1
     low, high = np.empty((rods * elements, 3)), np.empty((rods * elements, 3))
     axes, boxes = np.empty((rods * elements, 3, 3)), np.empty((rods * elements, 2, 3))

@@ -16,7 +16,7 @@ from ..bristle import positive
 from ..errors import BristleError, ComputationError, InputError, require
 from ..time.scheme import TimeScheme
 from . import motion as rows
-from .chain import at_rest, chain_of, stacked, uniform_chain
+from .chain import at_rest, chain_of, new_system, stacked, uniform_chain
 from .contact import Touch, surface_of
 from .frame import Frame, RodEnergy
 from .ground import Contact, Ground
@@ -30,6 +30,7 @@ from .pairs import between_of
 from .rotation import world_to_body
 from .section import RodSection
 from .settle import settle
+from .step import new_scratch
 from .tally import COLUMNS, Means
 
 # The spectral radius of generalised-alpha at infinite frequency.
@@ -121,6 +122,7 @@ class Rods:
         self._loads[..., :3] = self._chains.mass[..., None] * self._gravity
         self._now = motion_of(len(clamps), elements + 1, len(self._surface.rim))
         self._other = rod(motion_of(1, elements + 1, len(self._surface.rim)), 0)
+        self._system, self._scratch = new_system(elements + 1), new_scratch(elements + 1)
         self._t_s = 0.0
         self._refuse_below(np.zeros(1))
         wrong: BristleError | None = None
@@ -239,6 +241,8 @@ class Rods:
             members,
             self._now,
             self._other,
+            self._system,
+            self._scratch,
             end_s,
             windows,
         )

@@ -94,7 +94,7 @@ def _rates(
     return speed, (mean - scheme.alpha_f * acceleration) / (1.0 - scheme.alpha_f), new
 
 
-@njit
+@inlined
 def _inertia(
     chain: Chain,
     scheme: Scheme,
