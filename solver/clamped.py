@@ -315,6 +315,7 @@ class ClampedSolid:
                 self._touch,
                 self._after,
                 self._h,
+                False,
                 system,
             )
 

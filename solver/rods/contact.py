@@ -160,19 +160,28 @@ def lowest(surface: Surface, x: Array, matrix: Array) -> float:
 
 @njit
 def point_force(
-    kn: float, kt: float, mu: float, gap: float, n: Array, pull: Array, push: Array, stiff: Array
+    kn: float,
+    kt: float,
+    mu: float,
+    gap: float,
+    n: Array,
+    pull: Array,
+    push: Array,
+    stiff: Array,
+    holds: bool,
 ) -> tuple[float, float, float]:
     """Write the force ``push`` (3,) on a point that is ``gap`` below a plane of normal ``n``, and
     its loss ``stiff`` (3, 3) by the point's displacement.
 
-    ``pull`` (3,) is the elongation of its tangential spring if it stuck. Returns the normal force,
+    ``pull`` (3,) is the elongation of its tangential spring if it stuck. Where the point ``holds``,
+    the loss is that of one that sticks, whether this one does or not. Returns the normal force,
     the size of the friction, both in N, and how far the point slides, in m.
     """
     normal, size = -kn * gap, math.sqrt(pull[0] ** 2 + pull[1] ** 2 + pull[2] ** 2)
     slides = kt * size > mu * normal
     force = mu * normal if slides else kt * size
-    slope, secant = (0.0, force / size) if slides else (kt, kt)
-    grows = mu if slides else 0.0
+    slope, secant = (0.0, force / size) if slides and not holds else (kt, kt)
+    grows = mu if slides and not holds else 0.0
     for i in range(3):
         e_i = pull[i] / size if size > 0.0 else 0.0
         push[i] = normal * n[i] - force * e_i
@@ -242,12 +251,14 @@ def touch_section(
     before: Touch,
     now: Touch,
     step: float,
+    early: bool,
     system: System,
 ) -> tuple[float, float]:
     """Take the forces of a section's points off the residual, add their tangent to the diagonal
     block, and write what the points remember at the end of the step.
 
-    Returns how much friction dissipated over the step and what contact holds at its end, in J.
+    In an ``early`` iteration points that stuck before have the tangent of sticking. Returns how
+    much friction dissipated over the step and what contact holds at its end, in J.
     """
     n, grows, block = np.empty(3), np.empty(3), system.diagonal[node]
     arm, place, slip, push = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
@@ -278,10 +289,11 @@ def touch_section(
         for c in range(3):
             slip[c] += before.elongation[node, k, c] - tilted * n[c]
         mu = coefficient(surface.static, surface.kinetic, surface.speed, before.speed[node, k])
-        normal, force, gives = point_force(kn, kt, mu, gap, n, slip, push, stiff)
-        took, holds = remember(kn, kt, gap, normal, force, gives, slip, step, before, now, node, k)
+        holds = early and before.state[node, k] == STICKS
+        normal, force, gives = point_force(kn, kt, mu, gap, n, slip, push, stiff, holds)
+        took, has = remember(kn, kt, gap, normal, force, gives, slip, step, before, now, node, k)
         lost += took
-        held += holds
+        held += has
         for c in range(3):
             # the contact holds kn gap² / 2, and is pushed to where it is softer
             push[c] -= 0.5 * surface.kn * grows[c] * gap * gap

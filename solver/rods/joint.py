@@ -41,6 +41,7 @@ from .pairs import (
 from .pairs import shortfall as pair_shortfall
 from .statics import ROUNDING, excess
 from .step import (
+    EARLY,
     ITERATION_LIMIT,
     PATIENT,
     SHORTER,
@@ -196,6 +197,7 @@ def _assemble_all(
     before: Touch,
     now: Touch,
     h: float,
+    early: bool,
     room: Room,
 ) -> int:
     """Write residuals, of rods by themselves only where they moved, and points; how many points
@@ -212,6 +214,7 @@ def _assemble_all(
                 rod(stack, i),
                 rod(room.new, k),
                 h,
+                early,
                 _system_of(room.systems, k),
                 _scratch_of(room.scratches, k),
             )
@@ -234,6 +237,7 @@ def _assemble_all(
             before,
             now,
             step,
+            early,
             meeting,
             room.gaps[p],
             room.points,
@@ -690,7 +694,9 @@ def joint_step(
         else:
             _add_forces(room, waiting, forces)
             _advance_all(law, chains, members, pairs, h, room)
-        count = _assemble_all(law, chains, loads, members, pairs, stack, before, now, h, room)
+        count = _assemble_all(
+            law, chains, loads, members, pairs, stack, before, now, h, iteration < EARLY, room
+        )
         _gather(room, count)
         fair = FAIR if law.scheme.inertia else 1.0
         moves, count = _decide(room, count, iteration, fair)

@@ -31,7 +31,7 @@ import numpy as np
 
 from ..arrays import Array, Integers
 from ..compiled import inlined, njit, unowned
-from .contact import Touch, coefficient, lose_hold, point_force, remember
+from .contact import STICKS, Touch, coefficient, lose_hold, point_force, remember
 from .ground import Contact
 from .motion import Motion, Pose
 from .rotation import write_matrix_of
@@ -419,6 +419,7 @@ def meet_pair(
     before: Touch,
     now: Touch,
     step: float,
+    early: bool,
     room: Meeting,
     gaps: Array,
     points: Points,
@@ -464,7 +465,15 @@ def meet_pair(
         slope, normal, holds = _rough(kn, -gap)
         gap = -normal / slope  # of a linear law of the same force and slope
         normal, force, gives = point_force(
-            slope, kt, mu, gap, n, pull, points.push[count], points.stiff[count]
+            slope,
+            kt,
+            mu,
+            gap,
+            n,
+            pull,
+            points.push[count],
+            points.stiff[count],
+            early and before.state[pair, k] == STICKS,
         )
         took, spring = remember(
             slope, kt, gap, normal, force, gives, pull, step, before, now, pair, k
@@ -581,9 +590,8 @@ def candidates(law: Between, x: Array, q: Array, turned: Array, reach: Array, ou
     so near that boxes around them meet: around the prisms, and ``reach`` (rods, n) beyond; how many
     there are, written or not.
 
-    Boxes along the axes ``turned`` (3, 3) are sorted along the one on which rods are spread most,
-    and swept (Cohen et al., I-COLLIDE, SIGGRAPH 1995), and where they meet those along the
-    elements' own axes are compared (Gottschalk et al.).
+    Boxes along the axes ``turned`` (3, 3) are sorted into cells as large as the largest of them.
+    Where two meet, those along the elements' own axes are compared (Gottschalk et al.).
     """
     x, q, reach = unowned((x, q, reach))
     rods, elements = x.shape[0], x.shape[1] - 1
@@ -603,39 +611,51 @@ def candidates(law: Between, x: Array, q: Array, turned: Array, reach: Array, ou
                         cosine += turned[d, c] * axes[i, d, k]
                     half += abs(cosine) * boxes[i, 1, k]
                 low[i, c], high[i, c] = middle - half, middle + half
-    one, most = 0, 0.0
+    # boxes that meet have their middles in one cell, or in two beside each other
+    cell, cells = np.empty((rods * elements, 3), np.int64), np.empty(3, np.int64)
     for c in range(3):
-        spread = low[:, c].max() - low[:, c].min()
-        if spread > most:
-            one, most = c, spread
-    two, three = (one + 1) % 3, (one + 2) % 3
-    order, count = np.argsort(low[:, one]), 0
+        least, side = low[:, c].min(), (high[:, c] - low[:, c]).max()
+        for i in range(rods * elements):
+            cell[i, c] = int((0.5 * (low[i, c] + high[i, c]) - least) / side)
+        cells[c] = cell[:, c].max() + 1
+    keys = (cell[:, 0] * cells[1] + cell[:, 1]) * cells[2] + cell[:, 2]
+    order, count = np.argsort(keys), 0
+    keys = keys[order]
+    begins, ends = np.zeros(9, np.int64), np.zeros(9, np.int64)
     for first in range(len(order)):
         i = order[first]
-        for second in range(first + 1, len(order)):
-            j = order[second]
-            if low[j, one] > high[i, one]:
-                break
-            if i // elements == j // elements:
-                continue
-            if low[i, two] > high[j, two] or low[j, two] > high[i, two]:
-                continue
-            if low[i, three] > high[j, three] or low[j, three] > high[i, three]:
-                continue
-            if _boxes_apart(axes[i], boxes[i], axes[j], boxes[j]):
-                continue
-            if count < len(out):
-                a, b = i, j
-                # the element with a tip is the first, else the rod of the lower number
-                tip_a, tip_b = a % elements == elements - 1, b % elements == elements - 1
-                if (tip_b and not tip_a) or (tip_a == tip_b and b < a):
-                    a, b = b, a
-                out[count, 0], out[count, 1] = a // elements, a % elements
-                out[count, 2], out[count, 3] = b // elements, b % elements
-            count += 1
-            if j % elements == elements - 1 and i % elements == elements - 1:
-                # two tips are met from both sides: either may run into the other end-on
+        if first == 0 or keys[first] != keys[first - 1]:
+            for k in range(9):
+                x, y, z = cell[i, 0] + k // 3 - 1, cell[i, 1] + k % 3 - 1, cell[i, 2]
+                begins[k] = ends[k] = 0
+                if 0 <= x < cells[0] and 0 <= y < cells[1]:
+                    z_0 = (x * cells[1] + y) * cells[2]
+                    begins[k] = np.searchsorted(keys, z_0 + max(z - 1, 0))
+                    ends[k] = np.searchsorted(keys, z_0 + min(z + 1, cells[2] - 1), side="right")
+        for k in range(9):
+            for second in range(max(begins[k], first + 1), ends[k]):
+                j = order[second]
+                if i // elements == j // elements:
+                    continue
+                apart = False
+                for c in range(3):
+                    apart = apart or low[i, c] > high[j, c] or low[j, c] > high[i, c]
+                if apart:
+                    continue
+                if _boxes_apart(axes[i], boxes[i], axes[j], boxes[j]):
+                    continue
                 if count < len(out):
-                    out[count] = out[count - 1][np.array([2, 3, 0, 1])]
+                    a, b = i, j
+                    # the element with a tip is the first, else the rod of the lower number
+                    tip_a, tip_b = a % elements == elements - 1, b % elements == elements - 1
+                    if (tip_b and not tip_a) or (tip_a == tip_b and b < a):
+                        a, b = b, a
+                    out[count, 0], out[count, 1] = a // elements, a % elements
+                    out[count, 2], out[count, 3] = b // elements, b % elements
                 count += 1
+                if j % elements == elements - 1 and i % elements == elements - 1:
+                    # two tips are met from both sides: either may run into the other end-on
+                    if count < len(out):
+                        out[count] = out[count - 1][np.array([2, 3, 0, 1])]
+                    count += 1
     return count

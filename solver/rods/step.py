@@ -56,6 +56,10 @@ NEAR, NEWTON = 1e-8, 0.01
 DEEPEST, SHORTER = 10.0, 12
 # By how many times more than its middle the corner of a free prism's section yields.
 CORNER_YIELDS = 7.0
+# In so many first iterations a point that stuck before the step has the tangent of one that sticks.
+# A first guess that slides may still come to stick. With the tangent of sliding, which holds
+# nothing, Newton's method would throw the section off the surface.
+EARLY = 3
 # After so many iterations a step that does not lessen the residual is halved, down to this part.
 PATIENT, SHORTEST_PART = 6, 0.1
 
@@ -358,12 +362,14 @@ def assemble(
     old: Motion,
     new: Motion,
     h: float,
+    early: bool,
     system: System,
     scratch: Scratch,
 ) -> tuple[float, float]:
     """Write the residual, and into the diagonal blocks what inertia and the surface add to them.
 
-    Returns as `contact.touch_section` what friction took and contact holds.
+    ``early`` is whether this is one of the first iterations, see `EARLY`. Returns as
+    `contact.touch_section` what friction took and contact holds.
     """
     rate = chain.beta / h if scheme.inertia else 0.0
     gaps, matrix, matrix_before = scratch.gaps, scratch.matrix, scratch.matrix_before
@@ -397,6 +403,7 @@ def assemble(
                 old.touch,
                 new.touch,
                 h if scheme.inertia else 0.0,
+                early,
                 system,
             )
             lost += took
@@ -466,7 +473,8 @@ def step(
     least, part = math.inf, 1.0
     force, moment = begin(chain, scheme, surface, hub, old, new, h, scratch)
     for iteration in range(ITERATION_LIMIT):
-        lost, held = assemble(chain, scheme, surface, loads, old, new, h, system, scratch)
+        early = iteration < EARLY
+        lost, held = assemble(chain, scheme, surface, loads, old, new, h, early, system, scratch)
         over = excess(system.residual, force, moment)
         if over <= 1.0:
             finish(chain, scheme, loads, old, new, h, system, lost, held)

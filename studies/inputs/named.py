@@ -178,10 +178,21 @@ def _speed(name: str, text: str) -> float:
 
 def _sha256(path: str) -> str:
     """Of what is in a file; ValueError where it cannot be read."""
-    found = digest_of(Path(path))
-    if found is None:
-        raise ValueError(f"{path}: cannot be read")
-    return found
+    try:
+        return hashlib.sha256(Path(path).read_bytes()).hexdigest()
+    except OSError as error:
+        raise ValueError(f"{path}: {error.strerror}") from None
+
+
+def read_surface_file(value: Any) -> Any:
+    """A `GivenFile` of a path, or of an earlier run's path and digest, checked against the file.
+
+    Raises ValueError where it cannot be read, or has changed since.
+    """
+    value = _by_path(value)
+    if not _has_path(value):
+        return value
+    return GivenFile(**_unchanged(value, _sha256(value["path"]), "--surface"))
 
 
 class MeshFile(GivenFile):
@@ -248,8 +259,8 @@ def _read_plugin(value: Any) -> Any:
 def digest_of(path: Path) -> str | None:
     """SHA-256 of what is in a file, None where it cannot be read."""
     try:
-        return hashlib.sha256(path.read_bytes()).hexdigest()
-    except OSError:
+        return _sha256(str(path))
+    except ValueError:
         return None
 
 

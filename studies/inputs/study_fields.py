@@ -26,7 +26,7 @@ from .fields import (
     whole,
 )
 from .flags import Fields, flags_of, option, refuse
-from .named import EffectInput, read_effects
+from .named import EffectInput, GivenFile, read_effects, read_surface_file
 
 RANDOM, SURFACE, LOOP = "Random drops", "Surface", "Loop"
 CALIBRATION, DATASET = "Calibration", "Dataset"
@@ -64,10 +64,11 @@ class ReliefFields(Fields, group=SURFACE):
         "of macrotexture's wavelengths, 0.5 to 50 mm (PIARC).",
         shown=f"{CORRELATION_LENGTH_M:g}",
     )
-    surface: Annotated[str, Field(min_length=1)] | None = option(
+    surface: Annotated[GivenFile | None, BeforeValidator(read_surface_file)] = option(
         None,
         "A measured surface instead, in m: .npz, .csv or .txt, see bristle.studies.surface.files.",
         "FILE",
+        kind=str,
     )
     surface_seed: Annotated[int, whole(0, SEEDS)] = option(
         0, "Seed of the surface's heights and phases.", "N"

@@ -28,10 +28,10 @@ def surface_of(inputs: ReliefFields) -> Surface | None:
     length = inputs.correlation_length_m or CORRELATION_LENGTH_M
     try:
         if inputs.surface is not None:
-            return read_surface(Path(inputs.surface), inputs.surface_seed)
+            return read_surface(Path(inputs.surface.path), inputs.surface_seed)
         return _drawn(inputs.rms_height_m or 0.0, length, inputs.surface_seed)
     except OSError as error:
-        raise InputError(f"--surface {inputs.surface}: {error.strerror}") from error
+        raise InputError(f"--surface: {inputs.surface}: {error.strerror}") from error
     except ValueError as error:
         option = "--surface" if inputs.surface is not None else "--correlation-length"
         raise InputError(f"{option}: {error}") from error

@@ -339,10 +339,13 @@ def test_a_rough_surface_is_touched_where_it_is_highest_and_told(tmp_path):
         ({"surface_seed": 2}, "is of a rough surface"),
         ({"surface": "wall.npz", "rms_height_m": 1e-4}, "no meaning with a measured surface"),
         ({"surface": "wall.npz"}, "wall.npz"),
+        ({"surface": "nowhere.npz"}, "nowhere.npz: No such file"),
         ({"friction_between": 0.1}, "none does here"),
     ],
 )
-def test_what_changes_nothing_is_refused(given, said):
+def test_what_changes_nothing_is_refused(given, said, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "wall.npz").touch()
     with pytest.raises(bristle.InputError, match=said):
         bristle.brush(**given, comm=ALONE)
 
@@ -501,6 +504,20 @@ def test_a_path_that_cannot_be_ends_with_2(rows, more, says, tmp_path):
     out = tmp_path / "out"
     assert says in refused("brush", "--motion", f"file:{path}", *more, "--out", out)
     assert not out.exists()
+
+
+def test_a_measured_surface_that_has_changed_since_is_not_gone_on_with(tmp_path):
+    """A result holds the digest of what it was computed on."""
+    path, out = tmp_path / "wall.txt", tmp_path / "out"
+    heights = 1e-4 * np.random.default_rng(1).standard_normal((20, 20))
+    np.savetxt(path, heights, header="spacing_m = 1e-4")
+    arguments = ("brush", "--surface", path, "--until", "0.001", "--out", out)
+    assert run(*arguments)[0] == 0
+    kept = json.loads((out / "result.json").read_text())["inputs"]["surface"]
+    assert kept["path"] == str(path)
+    np.savetxt(path, 2.0 * heights, header="spacing_m = 1e-4")
+    assert "--surface is" in refused(*arguments, "--resume")
+    assert "has changed since" in refused("brush", "--config", out / "result.json")
 
 
 def test_a_path_counts_from_the_folder_of_its_configuration(tmp_path, monkeypatch):

@@ -31,7 +31,7 @@ def drawn():
 def held_and_force(surface, place, turned):
     """What a section holds in J that lies at a place, without friction, and its force (3,)."""
     touch, system = [no_touch(1, len(surface.rim)) for _ in range(2)], new_system(1)
-    lost, held = touch_section(surface, 0, place, turned, place, turned, *touch, 0.0, system)
+    lost, held = touch_section(surface, 0, place, turned, place, turned, *touch, 0.0, False, system)
     assert lost == 0.0
     return held, -system.residual[0, :3]
 

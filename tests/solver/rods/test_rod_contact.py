@@ -124,7 +124,17 @@ def test_tangent_of_contact(rng, case):
         system.diagonal[:] = system.residual[:] = 0.0
         turned = (Rotation.from_rotvec(spin) * turn).as_matrix()
         touch_section(
-            surface, 0, place + shift, turned, was, turn.as_matrix(), before, now, 0.1, system
+            surface,
+            0,
+            place + shift,
+            turned,
+            was,
+            turn.as_matrix(),
+            before,
+            now,
+            0.1,
+            False,
+            system,
         )
         return system.residual[0].copy(), system.diagonal[0].copy()
 
