@@ -8,7 +8,6 @@ meanwhile. They count too, and the rods concerned march the span once more.
 
 from __future__ import annotations
 
-import heapq
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -215,21 +214,28 @@ def _places(pairs: Integers, wanted: Integers) -> Integers:
 
 
 def shared_out(
-    groups: list[Group], of: Integers, ranks: int
-) -> tuple[list[list[int]], list[Integers]]:
-    """Which groups, by their place in the list, and which lone rods each rank marches.
+    groups: list[Group], of: Integers, holder: Integers, cost: Array, ranks: int
+) -> Integers:
+    """The rank (n,) that marches each rod, with the members of a group all by one.
 
-    The largest group goes first, to the rank with the least to do.
+    The costliest group goes first, to the rank with the least to do. Lone rods stay with their
+    ``holder`` (n,) until it has its share of the whole ``cost`` (n,).
     """
-    todo = [(0, rank) for rank in range(ranks)]
-    mine: list[list[int]] = [[] for _ in range(ranks)]
-    lone: list[list[int]] = [[] for _ in range(ranks)]
-    for g in sorted(range(len(groups)), key=lambda g: (-len(groups[g].members), g)):
-        load, rank = heapq.heappop(todo)
-        mine[rank].append(g)
-        heapq.heappush(todo, (load + len(groups[g].members), rank))
-    for i in np.flatnonzero(np.bincount(of)[of] == 1):
-        load, rank = heapq.heappop(todo)
-        lone[rank].append(int(i))
-        heapq.heappush(todo, (load + 1, rank))
-    return mine, [np.array(each, dtype=np.int64) for each in lone]
+    load, who = [0.0] * ranks, holder.copy()
+    weights = [float(cost[group.members].sum()) for group in groups]
+    for g in sorted(range(len(groups)), key=lambda g: (-weights[g], g)):
+        rank = load.index(min(load))
+        who[groups[g].members] = rank
+        load[rank] += weights[g]
+    share, left = float(cost.sum()) / ranks, list[int]()
+    lone = np.flatnonzero(np.bincount(of)[of] == 1)
+    for i, rank, each in zip(lone, holder[lone].tolist(), cost[lone].tolist(), strict=True):
+        if load[rank] < share:
+            load[rank] += each
+        else:
+            left.append(int(i))
+    for i in left:
+        rank = load.index(min(load))
+        who[i] = rank
+        load[rank] += float(cost[i])
+    return who

@@ -616,31 +616,31 @@ def candidates(law: Between, x: Array, q: Array, turned: Array, reach: Array, ou
     for c in range(3):
         least, side = low[:, c].min(), (high[:, c] - low[:, c]).max()
         for i in range(rods * elements):
-            cell[i, c] = int((0.5 * (low[i, c] + high[i, c]) - least) / side)
-        cells[c] = cell[:, c].max() + 1
+            cell[i, c] = 1 + int((0.5 * (low[i, c] + high[i, c]) - least) / side)
+        cells[c] = cell[:, c].max() + 2
     keys = (cell[:, 0] * cells[1] + cell[:, 1]) * cells[2] + cell[:, 2]
     order, count = np.argsort(keys), 0
-    keys = keys[order]
-    begins, ends = np.zeros(9, np.int64), np.zeros(9, np.int64)
+    keys, low, high = keys[order], low[order], high[order]
+    # columns of cells that come after a cell's own, and which boxes are in three cells of each
+    columns = np.array([0, 1, cells[1] - 1, cells[1], cells[1] + 1]) * cells[2]
+    begins, ends = np.zeros(5, np.int64), np.zeros(5, np.int64)
     for first in range(len(order)):
         i = order[first]
-        if first == 0 or keys[first] != keys[first - 1]:
-            for k in range(9):
-                x, y, z = cell[i, 0] + k // 3 - 1, cell[i, 1] + k % 3 - 1, cell[i, 2]
-                begins[k] = ends[k] = 0
-                if 0 <= x < cells[0] and 0 <= y < cells[1]:
-                    z_0 = (x * cells[1] + y) * cells[2]
-                    begins[k] = np.searchsorted(keys, z_0 + max(z - 1, 0))
-                    ends[k] = np.searchsorted(keys, z_0 + min(z + 1, cells[2] - 1), side="right")
-        for k in range(9):
+        for k in range(5):
+            middle_key = keys[first] + columns[k]
+            while begins[k] < len(keys) and keys[begins[k]] < middle_key - 1:
+                begins[k] += 1
+            while ends[k] < len(keys) and keys[ends[k]] <= middle_key + 1:
+                ends[k] += 1
             for second in range(max(begins[k], first + 1), ends[k]):
+                if low[first, 0] > high[second, 0] or low[second, 0] > high[first, 0]:
+                    continue
+                if low[first, 1] > high[second, 1] or low[second, 1] > high[first, 1]:
+                    continue
+                if low[first, 2] > high[second, 2] or low[second, 2] > high[first, 2]:
+                    continue
                 j = order[second]
                 if i // elements == j // elements:
-                    continue
-                apart = False
-                for c in range(3):
-                    apart = apart or low[i, c] > high[j, c] or low[j, c] > high[i, c]
-                if apart:
                     continue
                 if _boxes_apart(axes[i], boxes[i], axes[j], boxes[j]):
                     continue

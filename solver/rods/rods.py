@@ -6,6 +6,7 @@ import math
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 from mpi4py import MPI
@@ -54,8 +55,8 @@ class Rods:
     """Bristles of one section, clamped in a hub that moves, over a plane.
 
     A bristle that meets no other marches with steps of its own. Those that may touch each other
-    share their steps. Every rank knows all bristles and marches some of them, so the result
-    depends on no number of ranks.
+    share their steps. Every rank knows where all bristles are and marches some of them, so the
+    result depends on no number of ranks.
 
     Parameters
     ----------
@@ -102,7 +103,10 @@ class Rods:
         positive("the tolerance of a step", tolerance)
         self.section, self.clamps, self.motion, self.ground = section, clamps, motion, ground
         self.comm, self.elements = comm, elements
-        self.mine = np.array_split(np.arange(len(clamps)), comm.size)[comm.rank]
+        # which rank marched each rod last, and whether all ranks know its whole state
+        self._holder = np.arange(len(clamps)) * comm.size // len(clamps)
+        self._known = np.zeros(len(clamps), dtype=np.bool_)
+        self._cost: Array = np.ones(len(clamps))
         self._gravity = np.array([0.0, 0.0, -gravity_m_s2])
         self._surface = surface_of(ground, section)
         self._chains = stacked(
@@ -126,7 +130,7 @@ class Rods:
         self._t_s = 0.0
         self._refuse_below(np.zeros(1))
         wrong: BristleError | None = None
-        for i in self.mine:
+        for i in np.flatnonzero(self._holder == comm.rank):
             try:
                 self._begin(int(i))
             except BristleError as error:
@@ -136,7 +140,7 @@ class Rods:
         for found in comm.allgather(wrong):
             if found is not None:
                 raise found
-        self._exchange(self.mine, np.zeros(0, dtype=np.int64))
+        self._tell_all()
         if self._neighbours is not None:
             self._neighbours.search(self._now, self.motion.pose(0.0), LONGEST_S)
             for a, _, b, _ in self._neighbours.begun_in_each_other():
@@ -181,15 +185,18 @@ class Rods:
 
     def _advance(self, end_s: float, windows: Windows) -> None:
         """March every bristle to ``end_s``, or as far as lists of neighbours hold."""
-        near, nothing = self._neighbours, np.zeros(0, dtype=np.int64)
+        near = self._neighbours
         if near is None:
-            failed = self._march_apart(self.mine, end_s, windows)
-            self._exchange(self.mine, nothing)
+            mine = np.flatnonzero(self._holder == self.comm.rank)
+            failed = self._march_apart(mine, end_s, windows)
+            self._known[:] = self.comm.size == 1
             self._refuse_failure(failed)
             self._t_s = end_s
             return
         pose, before, longest = self.motion.pose(self.t_s), near.checkpoint(), LONGEST_S
-        kept = [(each, each.copy()) for each in (*_arrays(self._now), windows.sums)]
+        own = *_arrays(self._now), windows.sums, self._holder, self._known
+        kept: list[tuple[Any, Any]] = [(each, each.copy()) for each in own]
+        done = self._now.totals[:, [rows.STEPS, rows.ITERATIONS]].sum(axis=1)
         everyone: Flags = np.ones(len(self.clamps), dtype=np.bool_)
         again = everyone
         near.search(self._now, pose, longest)
@@ -211,25 +218,29 @@ class Rods:
                 break
             again = near.add(missed, before, len(self.clamps))
             _go_back(kept, again)
+        self._cost = 1.0 + self._now.totals[:, [rows.STEPS, rows.ITERATIONS]].sum(axis=1) - done
         self._t_s = until
 
     def _march_span(self, until: float, windows: Windows, those: Flags) -> None:
         """March ``those`` rods (rods,) to the end of a span, and groups of which they are whole."""
         assert self._neighbours is not None
         groups, of = self._neighbours.groups(len(self.clamps))
+        who, rank = shared_out(groups, of, self._holder, self._cost, self.comm.size), self.comm.rank
         groups = [group for group in groups if those[group.members[0]]]
-        mine, lone = shared_out(groups, of, self.comm.size)
-        own = lone[self.comm.rank]
-        own = own[those[own]]
-        failed = self._march_apart(own, until, windows)
-        marched: list[Integers] = [own]
+        self._bring(np.where(those, who, -1))
+        mine = those & (who == rank)
+        failed = self._march_apart(
+            np.flatnonzero(mine & (np.bincount(of)[of] == 1)), until, windows
+        )
         touched: list[Integers] = [np.zeros(0, dtype=np.int64)]
-        for g in mine[self.comm.rank]:
-            if failed < 0:
-                failed = self._march_group(groups[g], until, windows)
-            marched.append(groups[g].members)
-            touched.append(groups[g].rows)
-        self._exchange(np.concatenate(marched), np.concatenate(touched))
+        for group in groups:
+            if mine[group.members[0]]:
+                if failed < 0:
+                    failed = self._march_group(group, until, windows)
+                touched.append(group.rows)
+        self._exchange(np.flatnonzero(mine), np.concatenate(touched))
+        self._holder[those] = who[those]
+        self._known[those] = self.comm.size == 1
         self._refuse_failure(failed)
 
     def _march_apart(self, members: Integers, end_s: float, windows: Windows) -> int:
@@ -286,23 +297,45 @@ class Rods:
         require(self.comm, failed < 0, message)
 
     def _exchange(self, marched: Integers, touched: Integers) -> None:
-        """Give other ranks the rods and the pairs that this one marched; collective."""
+        """Tell other ranks where the rods are that this one marched, and of the pairs; collective.
+
+        That is what the search for pairs asks for. The rest goes to who asks, see `_bring`.
+        """
         if self.comm.size == 1:
             return
-        arrays, pairs = _arrays(self._now), list[Array]()
+        now = self._now
+        arrays, pairs = [now.x, now.q, now.velocity, now.totals], list[Array]()
         if self._neighbours is not None:
             pairs = list(self._neighbours.touch)
         mine = [each[marched] for each in arrays], [each[touched] for each in pairs]
         for others, rows_of, (rods, points) in self.comm.allgather((marched, touched, mine)):
-            for whole, part in zip(arrays, rods, strict=True):
-                whole[others] = part
-            for whole, part in zip(pairs, points, strict=True):
-                whole[rows_of] = part
+            _put(arrays, others, rods)
+            _put(pairs, rows_of, points)
+
+    def _bring(self, who: Integers) -> None:
+        """Give the rank ``who`` (rods,) is about to march a rod its whole state; collective."""
+        moves = ~self._known & (who >= 0) & (who != self._holder)
+        if not moves.any():
+            return
+        arrays, mine = _arrays(self._now), moves & (self._holder == self.comm.rank)
+        each = [np.flatnonzero(mine & (who == rank)) for rank in range(self.comm.size)]
+        sent = [(those, [array[those] for array in arrays]) for those in each]
+        for those, values in self.comm.alltoall(sent):
+            _put(arrays, those, values)
+
+    def _tell_all(self) -> None:
+        """Let every rank know the whole state of all rods; collective."""
+        if not self._known.all():
+            arrays = _arrays(self._now)
+            mine = np.flatnonzero(~self._known & (self._holder == self.comm.rank))
+            for those, values in self.comm.allgather((mine, [array[mine] for array in arrays])):
+                _put(arrays, those, values)
+            self._known[:] = True
 
     def frame(self) -> Frame:
         """All bristles as they are now; collective."""
-        seen = self._observed()
-        near = self._neighbours
+        self._tell_all()
+        seen, near = self._observed(), self._neighbours
         pose = self.motion.pose(self.t_s)
         force = -seen.reaction[:, :3]
         arms = seen.x[:, 0] - pose.position_m
@@ -335,7 +368,8 @@ class Rods:
         )
 
     def checkpoint(self) -> dict[str, Array]:
-        """Everything that the next step needs, of all bristles, on every rank."""
+        """Everything that the next step needs, of all bristles, on every rank; collective."""
+        self._tell_all()
         kept = dict(zip(NAMES, _arrays(self._now), strict=True))
         kept["energy_at_start_J"] = np.array([self._initial_J, self._datum_J])
         kept["time_s"] = np.array(self.t_s)
@@ -350,6 +384,7 @@ class Rods:
             if name not in kept or kept[name].shape != mine.shape:
                 raise InputError(f"the checkpoint is not one of {len(self.clamps)} such bristles")
             mine[:] = kept[name]
+        self._known[:] = True
         if self._neighbours is not None:
             if "pairs" not in kept:
                 raise InputError("the checkpoint is of bristles that do not touch each other")
@@ -424,7 +459,13 @@ def _arrays(state: Motion) -> list[Array]:
     return [*state[:-1], *state.touch]
 
 
-def _go_back(kept: list[tuple[Array, Array]], those: Flags) -> None:
+def _put(arrays: list[Array], those: Integers, values: list[Array]) -> None:
+    """Write the values of ``those`` rows into each of the arrays."""
+    for array, value in zip(arrays, values, strict=True):
+        array[those] = value
+
+
+def _go_back(kept: list[tuple[Any, Any]], those: Flags) -> None:
     """Make the first of each two arrays the second again, for ``those`` rods (rods,)."""
     for now, was in kept:
         now[those] = was[those]

@@ -354,9 +354,13 @@ def test_pairs_that_meet_and_part_within_a_span_are_found(gap_m, closes_m_s, met
 def test_every_rod_has_one_rank(ranks):
     of = np.array([0, 0, 1, 2, 2, 2, 3])
     groups = [Group(np.flatnonzero(of == g), np.zeros(0, int)) for g in (0, 2)]
-    mine, lone = shared_out(groups, of, ranks)
-    assert sorted(g for each in mine for g in each) == [0, 1]
-    assert sorted(np.concatenate(lone).tolist()) == [2, 6]
+    holder, cost = np.arange(7) * ranks // 7, np.array([1.0, 1.0, 3.0, 1.0, 1.0, 1.0, 2.0])
+    who = shared_out(groups, of, holder, cost, ranks)
+    assert 0 <= who.min() <= who.max() < ranks
+    assert all(len(set(who[group.members])) == 1 for group in groups)
+    # nobody has more than a share and what comes on top of it
+    assert np.bincount(who, cost).max() <= cost.sum() / ranks + 3.0
+    assert np.array_equal(shared_out([], np.arange(7), holder, np.full(7, 1e-3), ranks), holder)
 
 
 def row(count=4, spacing=0.8e-3, comm=MPI.COMM_WORLD, elements=8, **how):
