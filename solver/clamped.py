@@ -36,7 +36,7 @@ from .errors import ComputationError, InputError
 from .form_cache import form
 from .forms import Elasticity, cells_of, own_values
 from .rods.chain import System, new_system
-from .rods.contact import SLIDES, Touch, no_touch, surface_of, touch_section
+from .rods.contact import SLIDES, Touch, no_touch, obstacle_of, touch_section
 from .rods.ground import Ground
 from .rods.hub import Clamps, HubMotion
 from .rods.section import RodSection
@@ -381,7 +381,7 @@ class ClampedSolid:
         corner = edge & (np.abs(np.abs(y) - section.half_wide_m) < near)
         self._at_corners = np.flatnonzero(corner)
         self._rim = np.flatnonzero(edge) if ground is not None else np.array([], dtype=int)
-        whole = surface_of(ground, section)
+        whole = obstacle_of(ground, section)
         at = np.round(parts * (0.5 + 0.5 * y[self._rim] / section.half_wide_m)).astype(int)
         shares = 0.5 * _shares(parts)[at] * len(whole.rim)
         self._surfaces = [

@@ -188,7 +188,8 @@ def unowned(_context: Any, record: Any) -> Any:
     """Arrays, or records of them, whose views nobody counts.
 
     Numba counts the views of an array by atomic operations, which in loops over small views cost a
-    quarter of the time. Whoever called from Python owns the arrays for as long as the call lasts.
+    quarter of the time. This is for arrays that come from Python, which owns them for as long as
+    the call lasts. One that compiled code makes would be freed while its views are in use.
     """
 
     def without(context: Any, builder: Any, of: Any, value: Any) -> Any:

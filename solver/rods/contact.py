@@ -29,8 +29,8 @@ FREE, STICKS, SLIDES = 0, 1, 2
 SLOW_M_S = 1e-300
 
 
-class Surface(NamedTuple):
-    """The plane and its law, for compiled code: ``kn`` and ``kt`` in N/m of one point of the rim,
+class Obstacle(NamedTuple):
+    """The surface and its law, for compiled code: ``kn`` and ``kt`` in N/m of one point of the rim,
     ``rim`` (k, 2) in m and at which height of the axis over the plane it may touch, whether there
     is a surface at all, and its relief."""
 
@@ -47,14 +47,14 @@ class Surface(NamedTuple):
     relief: Relief
 
 
-def surface_of(ground: Ground | None, section: RodSection) -> Surface:
+def obstacle_of(ground: Ground | None, section: RodSection) -> Obstacle:
     """The surface as a section meets it: Kn shared equally among the points of its rim."""
     there = ground is not None
     ground = ground or Ground()
     rim = np.ascontiguousarray(section.rim_m)
     kn = ground.kn_N_m / len(rim)
     relief = ground.rough.compiled() if ground.rough is not None else no_relief()
-    return Surface(
+    return Obstacle(
         there,
         np.array(ground.point_m, dtype=float),
         ground.unit_normal,
@@ -118,7 +118,7 @@ def coefficient(static: float, kinetic: float, stribeck: float, speed: float) ->
 
 
 @njit
-def place_gap(surface: Surface, place: Array, normal: Array, grows: Array) -> tuple[float, float]:
+def place_gap(surface: Obstacle, place: Array, normal: Array, grows: Array) -> tuple[float, float]:
     """Write the surface's ``normal`` (3,) under a place (3,), and how the factor of the contact
     stiffness ``grows`` (3,) per m; the gap in m along the normal, and that factor.
 
@@ -135,7 +135,7 @@ def place_gap(surface: Surface, place: Array, normal: Array, grows: Array) -> tu
 
 
 @njit
-def point_gap(surface: Surface, k: int, x: Array, matrix: Array) -> float:
+def point_gap(surface: Obstacle, k: int, x: Array, matrix: Array) -> float:
     """The gap in m of one of a section's points over the surface, as `place_gap`."""
     r0, r1, gap = surface.rim[k, 0], surface.rim[k, 1], 0.0
     if surface.relief.there:
@@ -150,7 +150,7 @@ def point_gap(surface: Surface, k: int, x: Array, matrix: Array) -> float:
 
 
 @njit
-def lowest(surface: Surface, x: Array, matrix: Array) -> float:
+def lowest(surface: Obstacle, x: Array, matrix: Array) -> float:
     """The least gap in m of a section's points over the surface."""
     least = math.inf
     for k in range(len(surface.rim)):
@@ -242,7 +242,7 @@ def lose_hold(before: Touch, now: Touch, node: int, k: int) -> float:
 
 @njit
 def touch_section(
-    surface: Surface,
+    surface: Obstacle,
     node: int,
     x: Array,
     matrix: Array,

@@ -12,7 +12,7 @@ import numpy as np
 
 from ..compiled import njit
 from .chain import Chain, total_length
-from .contact import FREE, Surface, point_gap
+from .contact import FREE, Obstacle, point_gap
 from .motion import Motion, Scheme
 from .rotation import write_matrix
 
@@ -29,7 +29,7 @@ def allowed_J(chain: Chain, scheme: Scheme) -> float:
 
 
 @njit
-def first_crossing(surface: Surface, old: Motion, new: Motion, allowed: float) -> float:
+def first_crossing(surface: Obstacle, old: Motion, new: Motion, allowed: float) -> float:
     """The share of a step, at most 1, after which a point has just crossed the surface: the
     first one whose spring holds more than is ``allowed``, in J, at the end that touches."""
     least = 1.0

@@ -311,12 +311,14 @@ def _tangent(
     """Add an element's tangent to the diagonal blocks of its nodes, ``one`` and ``two``, and write
     those between them.
 
-    Everything is in world axes. With d = x₂ - x₁, the force N on the second node, the stiffness C_N
-    of stretch and shear, and V = [N]× - [d]× C_N,
+    Everything is in world axes, changes as seen from the middle, which turns by w. With
+    d = x₂ - x₁, the force N on the second node, the stiffness C_N of stretch and shear, and
+    V = [N]× - [d]× C_N,
 
         dN = C_N dd + Vᵀ w,    d(N × d) = V (dd + d × w),    w = (½ + [g]×) a + (½ - [g]×) b,
 
-    and a moment's block by d is the transpose of the force's by its node's spin.
+    and a moment's block by d is the transpose of the force's by its node's spin. The nodes' moments
+    turn with the middle.
     """
     stretch, couple, turns, bend, moved, spins = (
         room[0],

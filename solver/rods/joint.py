@@ -6,7 +6,7 @@ the other and K what their forces lose by them, (A + Bᵀ K B) u = -r. The rods 
 for -r and for unit forces at their points, which gives the compliance C = B A⁻¹ Bᵀ of the points.
 What is left is of the points alone, (1 + K C) z = -K B A⁻¹ r, and u = -A⁻¹ (r + Bᵀ z). This is
 exact, so it converges as Newton's method does for one rod, but for the turning of normals and
-arms, which the tangent leaves out.
+arms, which the tangent leaves out, and for the first iterations, see `step.EARLY`.
 
 Rods that touch each other now, directly or through others, are a cluster. Each cluster iterates by
 itself: it rests where its residual counts as none, and goes on if another runs into it.
@@ -24,7 +24,7 @@ from scipy.sparse.linalg import splu
 from ..arrays import Array, Integers
 from ..compiled import inlined, njit
 from .chain import Chain, System, chain_of, new_system, solve_columns, total_length
-from .contact import Surface, Touch
+from .contact import Obstacle, Touch
 from .element import Elements, assemble_tangent
 from .motion import ITERATIONS, Hub, Motion, Scheme, hub_of, motion_of, pose_of, rod, write
 from .pairs import (
@@ -61,8 +61,9 @@ from .step import (
 # What a rod does next: nothing, as its cluster is in equilibrium, a step of Newton's, or back by a
 # half of its last one.
 RESTS, GOES, RETURNS = range(3)
-# A cluster whose residual is not yet none after so many iterations rests where it is no more than
-# so many times that: where a contact passes from one face to another its force has a jump.
+# A cluster whose residual is not yet none after so many iterations beyond the `EARLY` rests where
+# it is no more than so many times that: where a contact passes from one face to another its force
+# has a jump.
 FEW, FAIR = 3, 10.0
 # So many unknowns of a cluster's points are solved as a full matrix, more as a sparse one.
 FULL = 240
@@ -157,7 +158,7 @@ class Law(NamedTuple):
     """What acts on rods: the scheme, the surface and the law between bristles."""
 
     scheme: Scheme
-    surface: Surface
+    surface: Obstacle
     between: Between
 
 
@@ -295,7 +296,7 @@ def _decide(room: Room, count: int, iteration: int, fair: float) -> tuple[bool, 
     moves = False
     for k in range(len(room.doing)):
         moved = room.doing[k] != RESTS
-        if room.worst[k] <= (fair if iteration > FEW else 1.0):
+        if room.worst[k] <= (fair if iteration > EARLY + FEW else 1.0):
             room.doing[k], room.last[k], room.part[k] = RESTS, math.inf, 1.0
             continue
         moves, stalls = True, iteration > PATIENT and room.worst[k] >= room.last[k]

@@ -218,16 +218,19 @@ def shared_out(
 ) -> Integers:
     """The rank (n,) that marches each rod, with the members of a group all by one.
 
-    The costliest group goes first, to the rank with the least to do. Lone rods stay with their
-    ``holder`` (n,) until it has its share of the whole ``cost`` (n,).
+    The costliest group goes first. It, and after all groups each lone rod, goes to the ``holder``
+    (n,) of the most of its ``cost`` (n,), unless that has its share of the whole already; then to
+    the rank with the least to do.
     """
     load, who = [0.0] * ranks, holder.copy()
-    weights = [float(cost[group.members].sum()) for group in groups]
-    for g in sorted(range(len(groups)), key=lambda g: (-weights[g], g)):
-        rank = load.index(min(load))
-        who[groups[g].members] = rank
-        load[rank] += weights[g]
     share, left = float(cost.sum()) / ranks, list[int]()
+    weights = [np.bincount(holder[g.members], cost[g.members], ranks) for g in groups]
+    for g in sorted(range(len(groups)), key=lambda g: (-weights[g].sum(), g)):
+        rank = int(weights[g].argmax())
+        if load[rank] >= share:
+            rank = load.index(min(load))
+        who[groups[g].members] = rank
+        load[rank] += float(weights[g].sum())
     lone = np.flatnonzero(np.bincount(of)[of] == 1)
     for i, rank, each in zip(lone, holder[lone].tolist(), cost[lone].tolist(), strict=True):
         if load[rank] < share:

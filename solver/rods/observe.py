@@ -9,14 +9,14 @@ import numpy as np
 from ..arrays import Array
 from ..compiled import njit
 from .chain import Chain, chain_of
-from .contact import SLIDES, Surface, lowest
+from .contact import SLIDES, Obstacle, lowest
 from .element import end_loads
 from .motion import CONTACT, FRICTION, HUB_WORK, MATERIAL, STEPS, Motion, energies, rod
 from .rotation import write_matrix
 
 
 @njit
-def clearance(surface: Surface, now: Motion) -> float:
+def clearance(surface: Obstacle, now: Motion) -> float:
     """The gap in m of a rod's lowest section but the clamped one; infinite without a surface."""
     least, matrix = np.inf, np.empty((3, 3))
     for k in range(1, len(now.x)):
@@ -41,7 +41,7 @@ class Seen(NamedTuple):
 
 
 @njit
-def observe(chains: Chain, surface: Surface, gravity: Array, stack: Motion) -> Seen:
+def observe(chains: Chain, surface: Obstacle, gravity: Array, stack: Motion) -> Seen:
     """What is to be seen of the stacked rods."""
     rods, nodes = stack.x.shape[0], stack.x.shape[1]
     moment, met = np.zeros((rods, nodes, 3)), np.zeros((rods, 3))

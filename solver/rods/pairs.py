@@ -615,6 +615,7 @@ def candidates(law: Between, x: Array, q: Array, turned: Array, reach: Array, ou
     cell, cells = np.empty((rods * elements, 3), np.int64), np.empty(3, np.int64)
     for c in range(3):
         least, side = low[:, c].min(), (high[:, c] - low[:, c]).max()
+        side *= 1.0 + 1e-9  # rounding
         for i in range(rods * elements):
             cell[i, c] = 1 + int((0.5 * (low[i, c] + high[i, c]) - least) / side)
         cells[c] = cell[:, c].max() + 2

@@ -18,7 +18,7 @@ from ..errors import BristleError, ComputationError, InputError, require
 from ..time.scheme import TimeScheme
 from . import motion as rows
 from .chain import at_rest, chain_of, new_system, stacked, uniform_chain
-from .contact import Touch, surface_of
+from .contact import Touch, obstacle_of
 from .frame import Frame, RodEnergy
 from .ground import Contact, Ground
 from .hub import Clamps, HubMotion
@@ -103,12 +103,13 @@ class Rods:
         positive("the tolerance of a step", tolerance)
         self.section, self.clamps, self.motion, self.ground = section, clamps, motion, ground
         self.comm, self.elements = comm, elements
-        # which rank marched each rod last, and whether all ranks know its whole state
+        # which rank marched each rod last, whether all ranks know its whole state, and how many
+        # steps and iterations its last span took
         self._holder = np.arange(len(clamps)) * comm.size // len(clamps)
         self._known = np.zeros(len(clamps), dtype=np.bool_)
         self._cost: Array = np.ones(len(clamps))
         self._gravity = np.array([0.0, 0.0, -gravity_m_s2])
-        self._surface = surface_of(ground, section)
+        self._surface = obstacle_of(ground, section)
         self._chains = stacked(
             [
                 uniform_chain(_bowed(section, bow_rad / length), length, elements)
@@ -225,7 +226,8 @@ class Rods:
         """March ``those`` rods (rods,) to the end of a span, and groups of which they are whole."""
         assert self._neighbours is not None
         groups, of = self._neighbours.groups(len(self.clamps))
-        who, rank = shared_out(groups, of, self._holder, self._cost, self.comm.size), self.comm.rank
+        rank, cost = self.comm.rank, np.where(those, self._cost, 0.0)
+        who = shared_out(groups, of, self._holder, cost, self.comm.size)
         groups = [group for group in groups if those[group.members[0]]]
         self._bring(np.where(those, who, -1))
         mine = those & (who == rank)
@@ -292,14 +294,14 @@ class Rods:
             at, step = self._now.totals[failed, [rows.TIME, rows.STEP]]
             message = (
                 f"bristle {failed} does not converge at {at:.6g} s with a step of "
-                f"{step:.3g} s; try a lower Kn, more elements, or a slower motion"
+                f"{step:.3g} s; try a lower Kn, a finite one if it is infinite, or a slower motion"
             )
         require(self.comm, failed < 0, message)
 
     def _exchange(self, marched: Integers, touched: Integers) -> None:
         """Tell other ranks where the rods are that this one marched, and of the pairs; collective.
 
-        That is what the search for pairs asks for. The rest goes to who asks, see `_bring`.
+        That is what the search for pairs needs. The rest is sent by `_bring` and `_tell_all`.
         """
         if self.comm.size == 1:
             return
@@ -313,7 +315,8 @@ class Rods:
             _put(pairs, rows_of, points)
 
     def _bring(self, who: Integers) -> None:
-        """Give the rank ``who`` (rods,) is about to march a rod its whole state; collective."""
+        """Send each rod's whole state to the rank ``who`` (rods,) that is about to march it, -1
+        where none is; collective."""
         moves = ~self._known & (who >= 0) & (who != self._holder)
         if not moves.any():
             return

@@ -9,7 +9,7 @@ import numpy as np
 
 from ..arrays import Array
 from .chain import Chain, new_system, total_length
-from .contact import FREE, STICKS, Surface, release
+from .contact import FREE, STICKS, Obstacle, release
 from .motion import CONTACT, Hub, Motion, Scheme, copy, set_strains
 from .step import new_scratch, step
 
@@ -22,7 +22,7 @@ SOFT, STIFFER = 1e3, 10.0
 def settle(
     chain: Chain,
     scheme: Scheme,
-    surface: Surface,
+    surface: Obstacle,
     loads: Array,
     hub: Hub,
     now: Motion,
@@ -61,7 +61,7 @@ def settle(
     return False
 
 
-def _loading(chain: Chain, surface: Surface, parts: int) -> Iterator[tuple[float, Surface]]:
+def _loading(chain: Chain, surface: Obstacle, parts: int) -> Iterator[tuple[float, Obstacle]]:
     """Shares of the load, each with the surface as it is then: of one stiffness all over, until
     it is stiff and the differences move the rod no longer."""
     bending = float(chain.stiffness[0, 3:5].min())

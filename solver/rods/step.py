@@ -19,7 +19,7 @@ import numpy as np
 from ..arrays import Array
 from ..compiled import inlined, njit
 from .chain import Chain, System, solve, total_length
-from .contact import FREE, Surface, lowest, release, touch_section
+from .contact import FREE, Obstacle, lowest, release, touch_section
 from .element import (
     Elements,
     assemble_forces,
@@ -164,7 +164,7 @@ def _inertial_moment(chain: Chain, i: int, now: Motion) -> tuple[float, float, f
 
 
 @inlined
-def _height(surface: Surface, x: Array) -> float:
+def _height(surface: Obstacle, x: Array) -> float:
     height = 0.0
     for c in range(3):
         height += surface.normal[c] * (x[c] - surface.point[c])
@@ -218,7 +218,7 @@ def inert(chain: Chain, scheme: Scheme, stiffness: float, h: float) -> bool:
 
 
 @njit
-def shortfall(chain: Chain, surface: Surface, new: Motion, scratch: Scratch) -> float:
+def shortfall(chain: Chain, surface: Obstacle, new: Motion, scratch: Scratch) -> float:
     """The part of the last step after which sections that it takes into the surface just touch it;
     one where none goes deeper than it may."""
     allowed, least = deepest(chain, surface.kn), 1.0
@@ -305,7 +305,7 @@ def _damped(chain: Chain, old: Motion, new: Motion, h: float) -> float:
 def begin(
     chain: Chain,
     scheme: Scheme,
-    surface: Surface,
+    surface: Obstacle,
     hub: Hub,
     old: Motion,
     new: Motion,
@@ -357,7 +357,7 @@ def _stiffness(chain: Chain, square: float) -> tuple[float, float]:
 def assemble(
     chain: Chain,
     scheme: Scheme,
-    surface: Surface,
+    surface: Obstacle,
     loads: Array,
     old: Motion,
     new: Motion,
@@ -431,7 +431,7 @@ def go(chain: Chain, new: Motion, part: float, scratch: Scratch) -> None:
 def _advance(
     chain: Chain,
     scheme: Scheme,
-    surface: Surface,
+    surface: Obstacle,
     new: Motion,
     h: float,
     solution: Array,
@@ -456,7 +456,7 @@ def _advance(
 def step(
     chain: Chain,
     scheme: Scheme,
-    surface: Surface,
+    surface: Obstacle,
     loads: Array,
     hub: Hub,
     old: Motion,

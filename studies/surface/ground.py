@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from ...solver.errors import InputError
+from ..inputs.named import digest_of
 from ..inputs.study_fields import CORRELATION_LENGTH_M, ReliefFields
 from .files import read_surface
 from .heights import Roughness
@@ -28,13 +29,20 @@ def surface_of(inputs: ReliefFields) -> Surface | None:
     length = inputs.correlation_length_m or CORRELATION_LENGTH_M
     try:
         if inputs.surface is not None:
-            return read_surface(Path(inputs.surface.path), inputs.surface_seed)
+            return _measured(inputs.surface.path, inputs.surface.sha256, inputs.surface_seed)
         return _drawn(inputs.rms_height_m or 0.0, length, inputs.surface_seed)
     except OSError as error:
-        raise InputError(f"--surface: {inputs.surface}: {error.strerror}") from error
+        raise InputError(f"--surface: {error.filename}: {error.strerror}") from error
     except ValueError as error:
         option = "--surface" if inputs.surface is not None else "--correlation-length"
         raise InputError(f"{option}: {error}") from error
+
+
+@lru_cache(maxsize=4)
+def _measured(path: str, sha256: str, seed: int) -> Surface:
+    if digest_of(Path(path)) != sha256:
+        raise ValueError(f"{path} has changed since the run began")
+    return read_surface(Path(path), seed)
 
 
 @lru_cache(maxsize=4)

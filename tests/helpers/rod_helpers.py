@@ -4,7 +4,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from bristle.solver.rods.chain import at_rest, new_system
-from bristle.solver.rods.contact import surface_of
+from bristle.solver.rods.contact import obstacle_of
 from bristle.solver.rods.hub import Clamps, HubPath
 from bristle.solver.rods.motion import (
     Hub,
@@ -55,7 +55,7 @@ class OneRod:
 
     def __init__(self, chain, place, rotation, *, path=None, section=SLENDER, ground=None, rho=0.6):
         nodes = len(chain.mass)
-        self.chain, self.surface = chain, surface_of(ground, section)
+        self.chain, self.surface = chain, obstacle_of(ground, section)
         path = path or HubPath.still()
         turned = Rotation.from_matrix(rotation).as_quat()[[3, 0, 1, 2]]
         place = np.array(place, dtype=float)

@@ -12,12 +12,15 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
+import numba
+import numpy as np
 import pytest
 import readme
 from commands import environment, mpirun, python
 from mpi4py import MPI
 
 from bristle.solver.bristle import Material
+from bristle.solver.compiled import unowned
 
 pytestmark = pytest.mark.serial
 
@@ -277,6 +280,18 @@ print(sum(index.load(key) == list(key) for key in keys))
 
 def test_threads_may_meet_a_type_for_the_first_time_at_once(cache):
     assert at_once(lambda: python("-c", TYPES)) == ["True"]
+
+
+def test_unowned_arrays_are_the_same_memory():
+    @numba.njit
+    def doubled(record):
+        arrays, factor = unowned(record)
+        arrays[0][1] *= factor
+        return arrays[0][1] + arrays[1].sum()
+
+    one, two = np.array([1.0, 2.0]), np.ones((2, 3))
+    assert doubled(((one, two), 2.0)) == 10.0
+    assert one[1] == 4.0
 
 
 def test_one_compiled_form_serves_all_materials(make_solid, tmp_path, monkeypatch):

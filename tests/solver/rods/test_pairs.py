@@ -15,7 +15,7 @@ from bristle.meshes.section import Circle
 from bristle.solver.bristle import Bristle
 from bristle.solver.errors import InputError
 from bristle.solver.rods.chain import at_rest, chain_of, stacked, uniform_chain
-from bristle.solver.rods.contact import no_touch, surface_of
+from bristle.solver.rods.contact import no_touch, obstacle_of
 from bristle.solver.rods.ground import Contact, Ground
 from bristle.solver.rods.hub import Clamps, HubPath
 from bristle.solver.rods.joint import Law, joint_step, nothing_waits, room_for
@@ -228,7 +228,7 @@ def cross_bent(elements, overlap, angle_deg=90.0, steps=80):
     selves, and the distance of the crossing from each clamp."""
     at_a, at_b = 0.15, 0.4 * LENGTH
     chains = stacked([uniform_chain(SECTION, LENGTH, elements)] * 2)
-    surface = surface_of(None, SECTION)
+    surface = obstacle_of(None, SECTION)
     scheme = scheme_of(TimeScheme.generalised(0.6), 1.0, inertia=False)
     law = Law(scheme, surface, LAW)
     turned = Rotation.from_rotvec([math.radians(angle_deg), 0.0, 0.0]).as_matrix() @ DOWN
@@ -363,7 +363,7 @@ def test_every_rod_has_one_rank(ranks):
     assert np.array_equal(shared_out([], np.arange(7), holder, np.full(7, 1e-3), ranks), holder)
 
 
-def row(count=4, spacing=0.8e-3, comm=MPI.COMM_WORLD, elements=8, **how):
+def row(count=4, spacing=0.8e-3, comm=MPI.COMM_WORLD, elements=8, kn=KN, **how):
     """Bristles one behind the other, which touch once they are pressed down and dragged."""
     lean = math.radians(20)
     leans = lean + 5e-4 * np.cos(2.0 * np.arange(count))
@@ -371,14 +371,15 @@ def row(count=4, spacing=0.8e-3, comm=MPI.COMM_WORLD, elements=8, **how):
     places[:, 0] = spacing * np.arange(count)
     places[:, 2] = LENGTH * math.cos(lean) + 3e-3
     clamps = Clamps(places, np.stack([leaning(each) for each in leans]), np.full(count, LENGTH))
-    path, ground = HubPath.slide(0.02, 0.5, 0.01, 0.01), Ground(KN, 0.3, 0.3)
-    between = Contact(KN, 0.2, 0.25, 0.1)
+    path, ground = HubPath.slide(0.02, 0.5, 0.01, 0.01), Ground(kn, 0.3, 0.3)
+    between = Contact(kn, 0.2, 0.25, 0.1)
     return Rods(SECTION, clamps, path, ground, elements, between=between, comm=comm, **how)
 
 
 def test_a_row_that_touches_is_the_same_on_any_number_of_ranks_and_closes_its_energy():
     """Hub's work is stored, kinetic and lost energy to 1e-3; bristles do not pass through each
     other."""
+    # so near that frames, which are instants, show them touch
     one = list(row(spacing=0.7e-3, comm=MPI.COMM_SELF).march(0.015, 2e-4))
     every = list(row(spacing=0.7e-3).march(0.015, 2e-4))
     assert max(frame.between_N.max() for frame in one) > 0.0
@@ -388,13 +389,40 @@ def test_a_row_that_touches_is_the_same_on_any_number_of_ranks_and_closes_its_en
         assert a.energy == b.energy
         assert np.abs(a.means.force_N - b.means.force_N).max() < 1e-9
     assert one[-1].energy.closure_relative < 1e-3
-    # in the order that they stand in, wherever they are as high as each other
-    for frame in one:
+    none_went_through(one)
+
+
+def test_bristles_that_change_their_rank_are_the_same(monkeypatch):
+    brought, kept = [], Rods._bring
+
+    def bring(self, who):
+        brought.append(np.count_nonzero(~self._known & (who >= 0) & (who != self._holder)))
+        return kept(self, who)
+
+    monkeypatch.setattr(Rods, "_bring", bring)
+    (one,) = row(9, 0.7e-3, MPI.COMM_SELF).march(0.01, 0.01)
+    assert sum(brought) == 0
+    (every,) = row(9, 0.7e-3).march(0.01, 0.01)
+    assert (sum(brought) > 0) == (MPI.COMM_WORLD.size > 1)
+    assert np.array_equal(one.centre_m, every.centre_m)
+    assert one.energy == every.energy
+
+
+def none_went_through(frames):
+    """Bristles of a row stand in their order, wherever they are as high as each other."""
+    for frame in frames:
         for front, behind in zip(frame.centre_m[1:], frame.centre_m[:-1], strict=True):
             height = np.linspace(max(front[-1, 2], behind[-1, 2]), front[0, 2], 50)
             gap = np.interp(height, front[::-1, 2], front[::-1, 0])
             gap -= np.interp(height, behind[::-1, 2], behind[::-1, 0])
             assert gap.min() > 0.8 * THIN
+
+
+def test_a_row_of_rigid_contacts_closes_its_energy():
+    frames = list(row(3, 0.6e-3, MPI.COMM_SELF, kn=SECTION.rigid_N_m(LENGTH / 8)).march(0.01, 2e-4))
+    assert max(frame.between_N.max() for frame in frames) > 0.0
+    assert frames[-1].energy.closure_relative < 1e-2
+    none_went_through(frames)
 
 
 def test_a_row_that_touches_goes_on_from_a_checkpoint_to_the_bit():

@@ -8,7 +8,7 @@ from rod_helpers import SLENDER, along
 
 from bristle.solver.errors import InputError
 from bristle.solver.rods.chain import new_system
-from bristle.solver.rods.contact import no_touch, place_gap, surface_of, touch_section
+from bristle.solver.rods.contact import no_touch, obstacle_of, place_gap, touch_section
 from bristle.solver.rods.ground import Ground
 from bristle.solver.rods.relief import RoughPlane, highest_m, look
 from bristle.studies.surface.ground import tile_m
@@ -63,7 +63,7 @@ def test_forces_are_the_slope_of_the_energy(drawn):
     """By the heights' slope, and by the slope of the stiffness where stone borders on cement. What
     is left out is the depth over the radius of the relief's curvature."""
     _, rough = drawn
-    surface = surface_of(Ground(KN, 0.0, 0.0, rough=rough), SLENDER)
+    surface = obstacle_of(Ground(KN, 0.0, 0.0, rough=rough), SLENDER)
     turned, rng, normal, grows = (
         along([0.0, 0.0, -1.0]),
         np.random.default_rng(5),
@@ -87,7 +87,7 @@ def test_a_rough_plane_without_heights_is_the_plane():
     even = RoughPlane(np.zeros((5, 6)), 1e-3, np.ones((5, 6)))
     place, turned = np.array([0.1, 0.2, -1e-6]), along([0.0, 0.3, -1.0])
     found = [
-        held_and_force(surface_of(Ground(KN, 0.0, 0.0, rough=rough), SLENDER), place, turned)
+        held_and_force(obstacle_of(Ground(KN, 0.0, 0.0, rough=rough), SLENDER), place, turned)
         for rough in (even, None)
     ]
     assert found[0][0] == pytest.approx(found[1][0], rel=1e-12)
@@ -97,7 +97,7 @@ def test_a_rough_plane_without_heights_is_the_plane():
     slope = RoughPlane(
         np.add.outer(np.zeros(64), np.r_[0:33, 31:0:-1] * 1e-3), 1e-3, np.ones((64, 64))
     )
-    surface = surface_of(Ground(KN, rough=slope), SLENDER)
+    surface = obstacle_of(Ground(KN, rough=slope), SLENDER)
     gap, _ = place_gap(surface, np.array([16e-3, 0.0, 14e-3]), np.empty(3), np.empty(3))
     assert gap == pytest.approx(-math.sqrt(2.0) * 1e-3, rel=1e-6)
 

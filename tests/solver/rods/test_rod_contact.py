@@ -11,9 +11,10 @@ from mpi4py import MPI
 from rod_helpers import HALF, SLENDER, OneRod, along, leaning, one_clamp
 from scipy.spatial.transform import Rotation
 
+from bristle.meshes.section import Circle
 from bristle.solver.bristle import Bristle
 from bristle.solver.rods.chain import at_rest, new_system, uniform_chain
-from bristle.solver.rods.contact import SLIDES, STICKS, no_touch, surface_of, touch_section
+from bristle.solver.rods.contact import SLIDES, STICKS, no_touch, obstacle_of, touch_section
 from bristle.solver.rods.crossing import first_crossing
 from bristle.solver.rods.frame import TipState
 from bristle.solver.rods.ground import Ground
@@ -107,7 +108,7 @@ def test_tangent_of_contact(rng, case):
     depth, along_m, speed = CASES[case]
     section = replace(SLENDER, half_thin_m=0.02, half_wide_m=0.05)
     ground = Ground(4e5, 0.3, 0.5, 0.05, point_m=(0.0, 0.0, 0.1), normal=(0.1, -0.2, 1.0))
-    surface = surface_of(ground, section)
+    surface = obstacle_of(ground, section)
     turn = (
         Rotation.from_rotvec([0.01, -0.02, 0.7])
         * Rotation.align_vectors([surface.normal], [[0.0, 0.0, 1.0]])[0]
@@ -150,6 +151,24 @@ def test_tangent_of_contact(rng, case):
         nudge = h * np.eye(6)[k]
         up, down = residual(nudge[:3], nudge[3:])[0], residual(-nudge[:3], -nudge[3:])[0]
         assert tangent[:, k] == pytest.approx((up - down) / (2 * h), abs=1e-6 * 4e5)
+
+
+def test_a_point_that_stuck_holds_at_first():
+    """Its force is that of one that slides, its tangent that of one that sticks."""
+    surface = obstacle_of(Ground(4e5, 0.3, 0.3), SLENDER)
+    place, tangents, pushes = np.array([0.0, 0.0, -1e-3]), [], []
+    for mu, early in ((0.3, False), (0.3, True), (1e9, False)):
+        law = surface._replace(static=mu, kinetic=mu)
+        before, now, system = no_touch(1, 4), no_touch(1, 4), new_system(1)
+        before.state[:] = STICKS
+        was = place - np.array([5e-3, 0.0, 0.0])
+        args = place, np.eye(3), was, np.eye(3), before, now, 0.1, early, system
+        touch_section(law, 0, *args)
+        tangents.append(system.diagonal[0, :3, :3].copy())
+        pushes.append(system.residual[0, :3].copy())
+    assert np.array_equal(pushes[1], pushes[0])
+    assert np.array_equal(tangents[1], tangents[2])
+    assert abs(tangents[0][0, 0]) < 1e-6 * tangents[1][0, 0]
 
 
 def test_friction_falls_with_the_speed_of_sliding():
@@ -321,10 +340,18 @@ def test_a_stiffer_surface_only_lessens_the_penetration(kn_N_m):
     assert normal == pytest.approx(force, rel=2e-3)
 
 
-def test_a_rigid_surface_is_the_limit_of_stiff_ones_and_does_not_chatter(bristle):
+@pytest.mark.parametrize(
+    ("wire", "near", "most"),
+    [(None, 1e-6, 2), (Circle(8e-4), 1e-3, 20)],
+    ids=["rectangle", "round"],
+)
+def test_a_rigid_surface_is_the_limit_of_stiff_ones_and_does_not_chatter(bristle, wire, near, most):
     """Ten times as stiff, it presses as hard: what it gives way by, N/Kn, is 1e-8 of the depth. The
     tip sticks first and then slides. It takes a few more steps than on the paper's surface, and
-    many more on a stiffer one."""
+    many more on a stiffer one. A thick round wire shakes on while it is pressed, sticks and slips
+    20 times on the stiffer surface, and a tenth of the steps' tolerance changes its mean force by
+    1e-4."""
+    bristle = replace(bristle, section=wire or bristle.section)
     section, lean, length = RodSection.of(bristle), math.radians(20.0), 0.3365
     height = length * math.cos(lean) + section.half_thin_m * math.sin(lean)
     clamp = one_clamp([0.0, 0.0, height], leaning(lean), length)
@@ -338,8 +365,8 @@ def test_a_rigid_surface_is_the_limit_of_stiff_ones_and_does_not_chatter(bristle
         states = np.array([frame.state[0] for frame in frames])
         changes.append(np.count_nonzero(np.diff(states)))
         steps.append(frames[-1].steps)
-    assert pressing[1] == pytest.approx(pressing[2], rel=1e-6)
-    assert changes[1] <= 2
+    assert pressing[1] == pytest.approx(pressing[2], rel=near)
+    assert changes[1] <= most
     assert steps[1] < 2 * steps[0]
     assert steps[2] > 3 * steps[1]
 
