@@ -222,23 +222,21 @@ def shared_out(
     (n,) of the most of its ``cost`` (n,), unless that has its share of the whole already; then to
     the rank with the least to do.
     """
-    load, who = [0.0] * ranks, holder.copy()
-    share, left = float(cost.sum()) / ranks, list[int]()
+    load, who, left = np.zeros(ranks), holder.copy(), list[int]()
+    share = cost.sum() / ranks
     weights = [np.bincount(holder[g.members], cost[g.members], ranks) for g in groups]
     for g in sorted(range(len(groups)), key=lambda g: (-weights[g].sum(), g)):
-        rank = int(weights[g].argmax())
+        rank = weights[g].argmax()
         if load[rank] >= share:
-            rank = load.index(min(load))
+            rank = load.argmin()
         who[groups[g].members] = rank
-        load[rank] += float(weights[g].sum())
-    lone = np.flatnonzero(np.bincount(of)[of] == 1)
-    for i, rank, each in zip(lone, holder[lone].tolist(), cost[lone].tolist(), strict=True):
-        if load[rank] < share:
-            load[rank] += each
+        load[rank] += weights[g].sum()
+    for i in np.flatnonzero(np.bincount(of)[of] == 1):
+        if load[holder[i]] < share:
+            load[holder[i]] += cost[i]
         else:
-            left.append(int(i))
+            left.append(i)
     for i in left:
-        rank = load.index(min(load))
-        who[i] = rank
-        load[rank] += float(cost[i])
+        who[i] = load.argmin()
+        load[who[i]] += cost[i]
     return who

@@ -595,7 +595,8 @@ def candidates(law: Between, x: Array, q: Array, turned: Array, reach: Array, ou
     """
     x, q, reach = unowned((x, q, reach))
     rods, elements = x.shape[0], x.shape[1] - 1
-    low, high = np.empty((rods * elements, 3)), np.empty((rods * elements, 3))
+    low: Array = np.empty((rods * elements, 3))
+    high: Array = np.empty((rods * elements, 3))
     axes, boxes = np.empty((rods * elements, 3, 3)), np.empty((rods * elements, 2, 3))
     for r in range(rods):
         for e in range(elements):
