@@ -61,9 +61,9 @@ from .step import (
 # What a rod does next: nothing, as its cluster is in equilibrium, a step of Newton's, or back by a
 # half of its last one.
 RESTS, GOES, RETURNS = range(3)
-# A cluster whose residual is not yet none after so many iterations beyond the `EARLY` rests where
-# it is no more than so many times that: where a contact passes from one face to another its force
-# has a jump.
+# A cluster whose residual is not yet none after so many iterations rests where it is no more than
+# so many times that, a tenth of the error that the step may have: where a contact passes from one
+# face to another its force has a jump.
 FEW, FAIR = 3, 10.0
 # So many unknowns of a cluster's points are solved as a full matrix, more as a sparse one.
 FULL = 240
@@ -296,7 +296,7 @@ def _decide(room: Room, count: int, iteration: int, fair: float) -> tuple[bool, 
     moves = False
     for k in range(len(room.doing)):
         moved = room.doing[k] != RESTS
-        if room.worst[k] <= (fair if iteration > EARLY + FEW else 1.0):
+        if room.worst[k] <= (fair if iteration > FEW else 1.0):
             room.doing[k], room.last[k], room.part[k] = RESTS, math.inf, 1.0
             continue
         moves, stalls = True, iteration > PATIENT and room.worst[k] >= room.last[k]
