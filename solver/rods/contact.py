@@ -168,20 +168,20 @@ def point_force(
     pull: Array,
     push: Array,
     stiff: Array,
-    holds: bool,
+    stuck: bool,
 ) -> tuple[float, float, float]:
     """Write the force ``push`` (3,) on a point that is ``gap`` below a plane of normal ``n``, and
     its loss ``stiff`` (3, 3) by the point's displacement.
 
-    ``pull`` (3,) is the elongation of its tangential spring if it stuck. Where the point ``holds``,
-    the loss is that of one that sticks, whether this one does or not. Returns the normal force,
+    ``pull`` (3,) is the elongation of its tangential spring if it stuck. Where the point
+    ``stuck``, the loss is that of one that sticks on, even if it slides. Returns the normal force,
     the size of the friction, both in N, and how far the point slides, in m.
     """
     normal, size = -kn * gap, math.sqrt(pull[0] ** 2 + pull[1] ** 2 + pull[2] ** 2)
     slides = kt * size > mu * normal
     force = mu * normal if slides else kt * size
-    slope, secant = (0.0, force / size) if slides and not holds else (kt, kt)
-    grows = mu if slides and not holds else 0.0
+    slope, secant = (0.0, force / size) if slides and not stuck else (kt, kt)
+    grows = mu if slides and not stuck else 0.0
     for i in range(3):
         e_i = pull[i] / size if size > 0.0 else 0.0
         push[i] = normal * n[i] - force * e_i
@@ -289,11 +289,11 @@ def touch_section(
         for c in range(3):
             slip[c] += before.elongation[node, k, c] - tilted * n[c]
         mu = coefficient(surface.static, surface.kinetic, surface.speed, before.speed[node, k])
-        holds = early and before.state[node, k] == STICKS
-        normal, force, gives = point_force(kn, kt, mu, gap, n, slip, push, stiff, holds)
-        took, has = remember(kn, kt, gap, normal, force, gives, slip, step, before, now, node, k)
+        stuck = early and before.state[node, k] == STICKS
+        normal, force, gives = point_force(kn, kt, mu, gap, n, slip, push, stiff, stuck)
+        took, holds = remember(kn, kt, gap, normal, force, gives, slip, step, before, now, node, k)
         lost += took
-        held += has
+        held += holds
         for c in range(3):
             # the contact holds kn gap² / 2, and is pushed to where it is softer
             push[c] -= 0.5 * surface.kn * grows[c] * gap * gap

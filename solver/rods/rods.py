@@ -197,7 +197,7 @@ class Rods:
         pose, before, longest = self.motion.pose(self.t_s), near.checkpoint(), LONGEST_S
         own = *_arrays(self._now), windows.sums, self._holder, self._known
         kept: list[tuple[Any, Any]] = [(each, each.copy()) for each in own]
-        done = self._now.totals[:, [rows.STEPS, rows.ITERATIONS]].sum(axis=1)
+        done = self._done()
         everyone: Flags = np.ones(len(self.clamps), dtype=np.bool_)
         again = everyone
         near.search(self._now, pose, longest)
@@ -219,8 +219,12 @@ class Rods:
                 break
             again = near.add(missed, before, len(self.clamps))
             _go_back(kept, again)
-        self._cost = 1.0 + self._now.totals[:, [rows.STEPS, rows.ITERATIONS]].sum(axis=1) - done
+        self._cost = 1.0 + self._done() - done
         self._t_s = until
+
+    def _done(self) -> Array:
+        """Steps and iterations of each rod (rods,) so far."""
+        return np.asarray(self._now.totals[:, [rows.STEPS, rows.ITERATIONS]].sum(axis=1))
 
     def _march_span(self, until: float, windows: Windows, those: Flags) -> None:
         """March ``those`` rods (rods,) to the end of a span, and groups of which they are whole."""
@@ -305,10 +309,9 @@ class Rods:
         """
         if self.comm.size == 1:
             return
-        now = self._now
-        arrays, pairs = [now.x, now.q, now.velocity, now.totals], list[Array]()
-        if self._neighbours is not None:
-            pairs = list(self._neighbours.touch)
+        assert self._neighbours is not None
+        now, pairs = self._now, list(self._neighbours.touch)
+        arrays = [now.x, now.q, now.velocity, now.totals]
         mine = [each[marched] for each in arrays], [each[touched] for each in pairs]
         for others, rows_of, (rods, points) in self.comm.allgather((marched, touched, mine)):
             _put(arrays, others, rods)

@@ -176,7 +176,7 @@ def _speed(name: str, text: str) -> float:
     return speed
 
 
-def _sha256(path: str) -> str:
+def _sha256(path: str | Path) -> str:
     """Of what is in a file; ValueError where it cannot be read."""
     try:
         return hashlib.sha256(Path(path).read_bytes()).hexdigest()
@@ -259,7 +259,7 @@ def _read_plugin(value: Any) -> Any:
 def digest_of(path: Path) -> str | None:
     """SHA-256 of what is in a file, None where it cannot be read."""
     try:
-        return _sha256(str(path))
+        return _sha256(path)
     except ValueError:
         return None
 
