@@ -17,7 +17,7 @@ from scipy.stats import norm
 from ...solver.arrays import Array
 from .adequacy import OCCAM, Adequacy, Direction, assess, outliers_together
 from .fit import Fitted
-from .heldout import LEAST_SCORED, HeldOut, Judge, trimmed_rms
+from .heldout import LEAST_SCORED, HeldOut, Judge, Scores, trimmed_rms
 from .posterior import Posterior, posterior, refitted
 from .problem import Problem
 from .profile import Profile
@@ -44,7 +44,8 @@ GROSS = 30.0
 
 @dataclass(frozen=True)
 class Explanation:
-    """A model with effects, what it leaves, and what it gains on held-out data (None: none).
+    """A model with effects, what it leaves, and what it gains on held-out data (None: there are
+    none, or it is refused for what it leaves).
 
     It ``holds`` where what it leaves is noise and it pays as well. It is ``spared`` where only the
     scores of too few held-out groups speak against it.
@@ -136,18 +137,22 @@ def _looked_at(
     """Tests and held-out scores of the likeliest models, over the baseline and, of pairs, over the
     likelier of their ``parts``."""
     shares = shares_of([each.log_evidence for each in tried])
+    scored: dict[tuple[str, ...], Scores] = {}
     out = []
     for i in credible(shares, LOOKED_AT)[:MOST_LOOKED_AT] if tried else ():
         found = _sampled(state, tried[i])
         others = [way for way in state.ways if way.name not in found.effects]
         assessed = assess(state.data, found.fitted, others, state.rng)
-        held = state.judge.judge(found) if state.judge.held.values.size else None
-        own = [each for each in parts if each.effects[0] in found.effects]
-        part = max(own, key=lambda each: each.log_evidence, default=None)
-        over = _sampled(state, part) if part else None
-        why, spared = _unfit(state, found, assessed), False
-        if held is not None and not why:
-            worse = _worse(state, found, held, over)
+        why, held, spared = _unfit(state, found, assessed), None, False
+        if state.judge.held.values.size and not why:
+            scores = state.judge.scores(found)
+            held = state.judge.judge(found, state.judge.gain(scores, state.judge.plain))
+            own = [each for each in parts if each.effects[0] in found.effects]
+            part = max(own, key=lambda each: each.log_evidence, default=None)
+            if part is not None and part.effects not in scored:
+                scored[part.effects] = state.judge.scores(_sampled(state, part))
+            over = scored[part.effects] if part else state.judge.plain
+            worse = _worse(found, held, state.judge.gain(scores, over).total)
             few = len(held.groups) < LEAST_SCORED
             off = _off(state, found, held) if few or not worse else ""
             why, spared = off or worse, bool(worse) and few and not off
@@ -171,13 +176,14 @@ def _unfit(state: State, found: Posterior, left: Adequacy) -> str:
     return ""
 
 
-def _worse(state: State, found: Posterior, held: HeldOut, over: Posterior | None) -> str:
-    """Why a model does not pay on held-out data, in words; empty where it does."""
-    if held.log_score_gain_low <= 0.0:
+def _worse(found: Posterior, held: HeldOut, over: float) -> str:
+    """Why a model does not pay on held-out data, in words; empty where it does. ``over`` is what
+    its log score gains over that of the likelier of its parts."""
+    if not held.gain.pays:
         return "the log score of held-out data does not rise"
-    if over is not None and state.judge.gain(found, over).total <= 0.0:
+    if over <= 0.0:
         return "held-out data are predicted no better than with one effect alone"
-    if not _scatters(found) and not held.nearer:
+    if not _scatters(found) and not held.gain.nearer:
         return "the error on held-out data does not fall"
     return ""
 

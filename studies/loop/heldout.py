@@ -29,6 +29,8 @@ LEAST_GROUPS = 4
 # are the worse one twice in a quarter of all draws, and so tell no end of a 90 % interval.
 LEAST_SCORED = 3
 RESAMPLED = 999
+# Nats that chance gives once in twenty at most.
+FEW_TELL = 3.0
 DRAWS = 999
 POINTS = 60
 FOLDS = 3
@@ -43,7 +45,7 @@ TRIMMED = 1 / 8
 # Of `HeldOut`, by their own names in verdict.json.
 KEYS = (
     *("unit", "rms_before", "rms_after", "rms_sigma", "reduction_low", "reduction_high"),
-    *("coverage_90", "log_score_gain", "log_score_gain_low", "log_score_gain_high"),
+    "coverage_90",
 )
 
 
@@ -57,8 +59,7 @@ class HeldOut:
     ``greatest`` the largest of them over that noise or, if it is more, over what the model's 90 %
     interval allows, zero where no noise is declared, and ``farthest`` its group.
     ``values``, ``before``, ``after``, ``low``, ``high`` (rows,) in ``unit`` by held-out row of the
-    main quantity. ``log_score_gain`` in nats, cross-validated over all groups, with its 90 %
-    interval; ``nearer``: squared errors of the same fall."""
+    main quantity. ``gain`` is cross-validated over all groups."""
 
     groups: tuple[int, ...]
     unit: str
@@ -72,10 +73,7 @@ class HeldOut:
     reduction_low: float
     reduction_high: float
     coverage_90: float
-    log_score_gain: float
-    log_score_gain_low: float
-    log_score_gain_high: float
-    nearer: bool
+    gain: Gain
     rows: Ints
     values: Array
     before: Array
@@ -86,7 +84,12 @@ class HeldOut:
     def keys(self) -> dict[str, Any]:
         """The ``held_out`` of verdict.json."""
         own = {name: getattr(self, name) for name in KEYS}
-        return {"groups": list(self.groups), "noise": self.sigma, **own}
+        gain = {
+            "log_score_gain": self.gain.total,
+            "log_score_gain_low": self.gain.low,
+            "log_score_gain_high": self.gain.high,
+        }
+        return {"groups": list(self.groups), "noise": self.sigma, **own, **gain}
 
 
 def split(problem: Problem, seed: int) -> tuple[Ints, Ints]:
@@ -112,13 +115,30 @@ def split(problem: Problem, seed: int) -> tuple[Ints, Ints]:
 
 @dataclass(frozen=True)
 class Gain:
-    """Log score gained, in nats, with its 90 % interval over groups, and whether squared errors
-    fall."""
+    """Log score gained, in nats, with its 90 % interval over groups; what the ``others`` gain
+    without the group that gains most; and whether squared errors fall."""
 
-    total: float
-    low: float
-    high: float
-    nearer: bool
+    total: float = 0.0
+    low: float = 0.0
+    high: float = 0.0
+    others: float = 0.0
+    nearer: bool = False
+
+    @property
+    def pays(self) -> bool:
+        """Whether it is more than chance: the interval lies above zero, or, where few groups tell
+        of an effect, the others gain `FEW_TELL` as well. Were the other model right, the ratio of
+        the likelihoods had a mean of one, and so e³ once in twenty at most (Markov's inequality).
+        """
+        return self.low > 0.0 or self.others >= FEW_TELL
+
+
+class Scores(NamedTuple):
+    """Log scores (groups,) of data that a model was not fitted to, and the sum of the squared
+    errors."""
+
+    logs: Array
+    squares: float
 
 
 class Predicted(NamedTuple):
@@ -130,7 +150,7 @@ class Predicted(NamedTuple):
 
 @dataclass(frozen=True)
 class Judge:
-    """Scores models on the rows that are ``held``, the baseline once."""
+    """Scores models on rows that they are not fitted to, the baseline once."""
 
     problem: Problem
     data: Sample
@@ -151,15 +171,34 @@ class Judge:
         draws = _draws(self.held, final, predicted, shares, rng)
         return Predicted(_mean(self.held, final), draws)
 
-    def gain(self, final: Posterior, before: Posterior | None = None) -> Gain:
-        """What a model gains over another (the baseline) on data that it was not fitted to.
+    @cached_property
+    def plain(self) -> Scores:
+        """The baseline's scores."""
+        return self.scores(self.base)
 
-        Cross-validated: the held-out groups are scored by the models as they are fitted, and
-        each third of the others, in blocks, by models fitted anew without it; where there are few,
-        each by itself.
-        """
+    def scores(self, final: Posterior) -> Scores:
+        """A model's scores, cross-validated: the held-out groups are scored by the model as it is
+        fitted, and each third of the others, in blocks, by the model fitted anew without it; where
+        there are few, each by itself."""
         rng = np.random.default_rng([self.seed, 4])
-        two = self.base if before is None else before
+        found = [_scored(fitted, scored, final, rng) for fitted, scored in self._parts]
+        logs = [each.logs for each in found]
+        return Scores(np.concatenate([np.zeros(0), *logs]), sum(each.squares for each in found))
+
+    def gain(self, one: Scores, other: Scores) -> Gain:
+        """What a model with the scores ``one`` gains over another."""
+        gains = one.logs - other.logs
+        if not gains.size:
+            return Gain()
+        rng = np.random.default_rng([self.seed, 7])
+        totals = gains[rng.integers(gains.size, size=(RESAMPLED, gains.size))].sum(axis=1)
+        low, high = np.quantile(totals, [0.05, 0.95])
+        total, nearer = float(gains.sum()), one.squares < other.squares
+        return Gain(total, float(low), float(high), total - float(gains.max()), nearer)
+
+    @cached_property
+    def _parts(self) -> list[tuple[Sample, Sample]]:
+        """Rows to fit a model to, and others to score it on."""
         folds = [(self.data, self.held)] if self.held.values.size else []
         labels = np.unique(self.problem.group[self.data.rows])
         if labels.size >= LEAST_FITTED + 1:
@@ -168,18 +207,7 @@ class Judge:
             for part in self._folds(labels):
                 rest = np.setdiff1d(labels, part)
                 folds.append((sample(self.problem, rest, unit), sample(self.problem, part, unit)))
-        each: list[Array] = [np.zeros(0)]
-        squares = np.zeros(2)
-        for fitted, scored in folds:
-            one, other = (_scored(fitted, scored, model, rng) for model in (final, two))
-            each.append(one[0] - other[0])
-            squares += [one[1], other[1]]
-        gains = np.concatenate(each)
-        if not gains.size:
-            return Gain(0.0, 0.0, 0.0, False)
-        totals = gains[rng.integers(gains.size, size=(RESAMPLED, gains.size))].sum(axis=1)
-        low, high = np.quantile(totals, [0.05, 0.95])
-        return Gain(float(gains.sum()), float(low), float(high), bool(squares[0] < squares[1]))
+        return folds
 
     def _folds(self, labels: Ints) -> list[Ints]:
         """Groups ``labels`` in `FOLDS` parts of blocks: neighbours in order stay together, since
@@ -191,8 +219,9 @@ class Judge:
         block = np.arange(labels.size) * count // labels.size
         return [labels[np.isin(block, order[k::FOLDS])] for k in range(FOLDS)]
 
-    def judge(self, final: Posterior) -> HeldOut:
-        """Errors of baseline and final model on the held-out rows of the main quantity."""
+    def judge(self, final: Posterior, gain: Gain = Gain()) -> HeldOut:
+        """Errors of baseline and final model on the held-out rows of the main quantity; ``gain`` is
+        the final model's over the baseline."""
         problem, held = self.problem, self.held
         rng = np.random.default_rng([self.seed, 5])
         mine = np.flatnonzero(problem.is_main[held.rows])
@@ -214,7 +243,6 @@ class Judge:
         as_odd = [trimmed_rms(chance) >= trimmed_rms(error), within <= np.mean(inside)]
         if TRIMMED * mine.size >= 1.0:
             as_odd.append(trimmed_rms(chance[:, mine]) >= trimmed_rms(error[mine]))
-        gain = Gain(0.0, 0.0, 0.0, False) if plain else self.gain(final)
         ends = _reduction(held.group[mine], values - before, values - after, rng)
         return HeldOut(
             groups=tuple(int(g) for g in np.unique(problem.group[held.rows])),
@@ -229,10 +257,7 @@ class Judge:
             reduction_low=ends[0],
             reduction_high=ends[1],
             coverage_90=float(np.mean(inside)),
-            log_score_gain=gain.total,
-            log_score_gain_low=gain.low,
-            log_score_gain_high=gain.high,
-            nearer=gain.nearer,
+            gain=gain,
             rows=rows,
             values=values,
             before=before,
@@ -290,16 +315,13 @@ def _shares(fitted: Sample, final: Posterior, held: Sample) -> dict[int, float]:
     return out
 
 
-def _scored(
-    fitted: Sample, scored: Sample, model: Posterior, rng: np.random.Generator
-) -> tuple[Array, float]:
-    """Log scores (groups,) of ``scored`` rows by a model fitted to ``fitted`` rows, and the sum of
-    its squared errors."""
+def _scored(fitted: Sample, scored: Sample, model: Posterior, rng: np.random.Generator) -> Scores:
+    """Scores of ``scored`` rows by a model fitted to ``fitted`` rows."""
     again = refitted(fitted, model, rng)
     predicted = _drawn(scored, again, rng)
     error = scored.values - _mean(scored, again)
     shares = _shares(fitted, again, scored)
-    return _group_scores(scored, again, predicted, shares), float(error @ error)
+    return Scores(_group_scores(scored, again, predicted, shares), float(error @ error))
 
 
 def _group_scores(

@@ -28,6 +28,9 @@ SPREAD = 8
 # times as many are followed.
 CLOSER, MORE = 4, 5
 LEVELS = (0.03, 0.12, 0.35, 0.8)
+# Beside the baseline's fit an effect is tried at so many amounts: one that acts from a threshold on
+# alone changes nothing over most of its range.
+AMOUNTS = tuple(share / 50 for share in range(1, 51))
 # Where an effect's other parameters begin, beside their typical values; and those that refine it.
 OTHERS, REFINING = (0.1, 0.9), (0.1, 0.4, 0.7)
 FOLLOWED = 8
@@ -89,11 +92,13 @@ def fit_baseline(data: Sample, model: Model) -> Fitted:
 
 
 def fit_candidate(data: Sample, base: Fitted, profile: Profile) -> Tried:
-    """One effect's fit, from its profile above the baseline and from elsewhere."""
+    """One effect's fit, from its profile above the baseline, from any amount and from elsewhere."""
     own = base.u.size
     model = resolved(data, base, profile.model)
-    starts = np.concatenate([profile.u, _everywhere(spread(own), _levels(model, own, OTHERS))])
-    fitted = _followed(data, model, starts)
+    starts = [profile.u, _everywhere(spread(own), _levels(model, own, OTHERS))]
+    if np.asarray(model.weights).size == 1:
+        starts.append(_everywhere(base.u[None], _levels(model, own, OTHERS, AMOUNTS)))
+    fitted = _followed(data, model, np.concatenate(starts))
     return Tried(fitted, evidence(data, fitted, own))
 
 
@@ -104,9 +109,11 @@ def fit_refined(data: Sample, base: Fitted, tried: Tried) -> Tried:
     if not isinstance(model, Refinable) or (refined := model.refinement) is None:
         return tried
     own = base.u.size
-    starts = _everywhere(spread(own, CLOSER * SPREAD), _levels(refined, own, REFINING))
+    spread_out = _everywhere(spread(own, CLOSER * SPREAD), _levels(refined, own, REFINING))
+    own_u = np.array([base.u, tried.fitted.u[:own]])
+    beside = _everywhere(own_u, _levels(refined, own, REFINING, AMOUNTS))
     try:
-        fitted = _followed(data, refined, starts, MORE * FOLLOWED)
+        fitted = _followed(data, refined, np.concatenate([spread_out, beside]), MORE * FOLLOWED)
     except ComputationError:
         return tried
     found = fit_simulated(data, base, Tried(fitted, evidence(data, fitted, own)))
@@ -129,16 +136,18 @@ def resolved(data: Sample, base: Fitted, model: Model) -> Model:
     return model.finer(min(closer, MOST_CLOSER)) if closer > 1 else model
 
 
-def _levels(model: Model, own: int, others: Sequence[float]) -> Array:
-    """Points (n, q) of an effect's parameters, from its absence to both bounds of the first, the
-    others typical or each at one of ``others``."""
+def _levels(
+    model: Model, own: int, others: Sequence[float], shares: Sequence[float] = LEVELS
+) -> Array:
+    """Points (n, q) of an effect's parameters, at ``shares`` of the way from its absence to both
+    bounds of the first, the others typical or each at one of ``others``."""
     several = model.parameters[own:]
     typical = np.array([to_box(each, each.typical) for each in several])
     null = to_box(several[0], several[0].null)
     out = []
     for end in (0.0, 1.0):
         if abs(end - null) > 1e-9:
-            for share in LEVELS:
+            for share in shares:
                 first = null + share * (end - null)
                 rest = [tuple(typical[1:])]
                 if len(several) > 1:

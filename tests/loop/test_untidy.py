@@ -398,7 +398,7 @@ def test_an_outlier_that_is_held_out_refuses_no_effect(few, tmp_path, monkeypatc
     found = find(drops_problem(read_drops(edited(tmp_path, raised))))
     assert found.effects == ("wear",)
     assert found.held_out.greatest > 10.0
-    assert found.held_out.log_score_gain_low > 0.0
+    assert found.held_out.gain.low > 0.0
 
 
 def test_a_slip_is_set_aside_and_the_effect_is_found(few, tmp_path):
