@@ -44,8 +44,9 @@ GROSS = 30.0
 
 @dataclass(frozen=True)
 class Explanation:
-    """A model with effects, what it leaves, and what it gains on held-out data (None: there are
-    none, or it is refused for what it leaves).
+    """A model with effects, what it leaves, and what it gains on held-out data, with its
+    ``scores``. Both are None where there are no such data, or the model is refused for what it
+    leaves.
 
     It ``holds`` where what it leaves is noise and it pays as well. It is ``spared`` where only the
     scores of too few held-out groups speak against it.
@@ -54,6 +55,7 @@ class Explanation:
     posterior: Posterior
     left: Adequacy
     held: HeldOut | None
+    scores: Scores | None
     holds: bool
     why_not: str
     spared: bool
@@ -104,7 +106,7 @@ def explain(state: State, singles: list[Tried]) -> tuple[list[Explanation], list
     least = max(each.log_evidence for each in refined) + state.cost
     pairs = fit_pairs(state.problem, state.data, state.base, singles, state.profiles, plain, least)
     better = [each for each in pairs if each.log_evidence > least]
-    return _with_spared(state, [*looked, *_looked_at(state, better, refined)]), refined
+    return _with_spared(state, [*looked, *_looked_at(state, better, refined, looked)]), refined
 
 
 def _with_spared(state: State, explained: list[Explanation]) -> list[Explanation]:
@@ -132,18 +134,21 @@ def named(state: State, explained: Sequence[Explanation]) -> list[Explanation]:
 
 
 def _looked_at(
-    state: State, tried: Sequence[Tried], parts: Sequence[Tried] = ()
+    state: State,
+    tried: Sequence[Tried],
+    parts: Sequence[Tried] = (),
+    known: Sequence[Explanation] = (),
 ) -> list[Explanation]:
     """Tests and held-out scores of the likeliest models, over the baseline and, of pairs, over the
-    likelier of their ``parts``."""
+    likelier of their ``parts``, some of which are ``known``."""
     shares = shares_of([each.log_evidence for each in tried])
-    scored: dict[tuple[str, ...], Scores] = {}
+    scored = {each.posterior.effects: each.scores for each in known if each.scores is not None}
     out = []
     for i in credible(shares, LOOKED_AT)[:MOST_LOOKED_AT] if tried else ():
         found = _sampled(state, tried[i])
         others = [way for way in state.ways if way.name not in found.effects]
         assessed = assess(state.data, found.fitted, others, state.rng)
-        why, held, spared = _unfit(state, found, assessed), None, False
+        why, held, scores, spared = _unfit(state, found, assessed), None, None, False
         if state.judge.held.values.size and not why:
             scores = state.judge.scores(found)
             held = state.judge.judge(found, state.judge.gain(scores, state.judge.plain))
@@ -151,12 +156,12 @@ def _looked_at(
             part = max(own, key=lambda each: each.log_evidence, default=None)
             if part is not None and part.effects not in scored:
                 scored[part.effects] = state.judge.scores(_sampled(state, part))
-            over = scored[part.effects] if part else state.judge.plain
-            worse = _worse(found, held, state.judge.gain(scores, over).total)
+            over = scored[part.effects].logs.sum() if part else -np.inf
+            worse = _worse(found, held, scores.logs.sum() - over)
             few = len(held.groups) < LEAST_SCORED
             off = _off(state, found, held) if few or not worse else ""
             why, spared = off or worse, bool(worse) and few and not off
-        out.append(Explanation(found, assessed, held, not why, why, spared))
+        out.append(Explanation(found, assessed, held, scores, not why, why, spared))
     return out
 
 
@@ -177,9 +182,9 @@ def _unfit(state: State, found: Posterior, left: Adequacy) -> str:
 
 
 def _worse(found: Posterior, held: HeldOut, over: float) -> str:
-    """Why a model does not pay on held-out data, in words; empty where it does. ``over`` is what
-    its log score gains over that of the likelier of its parts."""
-    if not held.gain.pays:
+    """Why a model does not pay on held-out data, in words; empty where it does. ``over`` is what a
+    pair's log score gains over that of the likelier of its parts."""
+    if held.gain.low <= 0.0:
         return "the log score of held-out data does not rise"
     if over <= 0.0:
         return "held-out data are predicted no better than with one effect alone"

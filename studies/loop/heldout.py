@@ -29,8 +29,6 @@ LEAST_GROUPS = 4
 # are the worse one twice in a quarter of all draws, and so tell no end of a 90 % interval.
 LEAST_SCORED = 3
 RESAMPLED = 999
-# Nats that chance gives once in twenty at most.
-FEW_TELL = 3.0
 DRAWS = 999
 POINTS = 60
 FOLDS = 3
@@ -44,8 +42,8 @@ LEAST_SHARE = 1e-6
 TRIMMED = 1 / 8
 # Of `HeldOut`, by their own names in verdict.json.
 KEYS = (
-    *("unit", "rms_before", "rms_after", "rms_sigma", "reduction_low", "reduction_high"),
-    "coverage_90",
+    *("unit", "rms_before", "rms_after", "rms_sigma"),
+    *("reduction_low", "reduction_high", "coverage_90"),
 )
 
 
@@ -115,22 +113,13 @@ def split(problem: Problem, seed: int) -> tuple[Ints, Ints]:
 
 @dataclass(frozen=True)
 class Gain:
-    """Log score gained, in nats, with its 90 % interval over groups; what the ``others`` gain
-    without the group that gains most; and whether squared errors fall."""
+    """Log score gained, in nats, with its 90 % interval over groups, and whether squared errors
+    fall."""
 
     total: float = 0.0
     low: float = 0.0
     high: float = 0.0
-    others: float = 0.0
     nearer: bool = False
-
-    @property
-    def pays(self) -> bool:
-        """Whether it is more than chance: the interval lies above zero, or, where few groups tell
-        of an effect, the others gain `FEW_TELL` as well. Were the other model right, the ratio of
-        the likelihoods had a mean of one, and so e³ once in twenty at most (Markov's inequality).
-        """
-        return self.low > 0.0 or self.others >= FEW_TELL
 
 
 class Scores(NamedTuple):
@@ -182,19 +171,17 @@ class Judge:
         there are few, each by itself."""
         rng = np.random.default_rng([self.seed, 4])
         found = [_scored(fitted, scored, final, rng) for fitted, scored in self._parts]
-        logs = [each.logs for each in found]
-        return Scores(np.concatenate([np.zeros(0), *logs]), sum(each.squares for each in found))
+        logs = np.concatenate([each.logs for each in found])
+        return Scores(logs, sum(each.squares for each in found))
 
     def gain(self, one: Scores, other: Scores) -> Gain:
         """What a model with the scores ``one`` gains over another."""
         gains = one.logs - other.logs
-        if not gains.size:
-            return Gain()
         rng = np.random.default_rng([self.seed, 7])
         totals = gains[rng.integers(gains.size, size=(RESAMPLED, gains.size))].sum(axis=1)
         low, high = np.quantile(totals, [0.05, 0.95])
-        total, nearer = float(gains.sum()), one.squares < other.squares
-        return Gain(total, float(low), float(high), total - float(gains.max()), nearer)
+        nearer = one.squares < other.squares
+        return Gain(float(gains.sum()), float(low), float(high), nearer)
 
     @cached_property
     def _parts(self) -> list[tuple[Sample, Sample]]:
@@ -219,7 +206,7 @@ class Judge:
         block = np.arange(labels.size) * count // labels.size
         return [labels[np.isin(block, order[k::FOLDS])] for k in range(FOLDS)]
 
-    def judge(self, final: Posterior, gain: Gain = Gain()) -> HeldOut:
+    def judge(self, final: Posterior, gain: Gain) -> HeldOut:
         """Errors of baseline and final model on the held-out rows of the main quantity; ``gain`` is
         the final model's over the baseline."""
         problem, held = self.problem, self.held

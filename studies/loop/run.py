@@ -29,7 +29,7 @@ from .explain import (
 )
 from .finding import Evidence, Finding, Interval, Near, Verdict
 from .fit import settle
-from .heldout import HeldOut, Judge, rms, split
+from .heldout import Gain, HeldOut, Judge, rms, split
 from .noise import Ints
 from .posterior import Posterior, posterior
 from .problem import Entry, Problem
@@ -167,7 +167,7 @@ def _find(
     held = sample(problem, apart, unit)
     every = sample(problem, np.concatenate([groups, apart]), unit)
     judge = Judge(problem, data, held, baseline, seed)
-    plain = judge.judge(baseline) if apart.size else None
+    plain = judge.judge(baseline, Gain()) if apart.size else None
     advance()
     state = State(problem, data, every, base, baseline, profiles, ways, judge, first, rng)
     singles: list[Tried] = []

@@ -170,13 +170,13 @@ def sample(
 
 
 def _some(problem: Problem, groups: Ints) -> Ints:
-    """`ENOUGH` of ``groups``, evenly over the height."""
+    """`ENOUGH` of ``groups``, evenly over the height, the lowest and the highest among them."""
     numbers, first = np.unique(problem.group, return_index=True)
     row = first[np.isin(numbers, groups)]
     height = first_of(problem.covariates, HEIGHT, np.zeros(problem.group.size))
     order = np.random.default_rng(0).permutation(row.size)  # of equal heights, none in turn
     order = order[np.argsort(np.asarray(height)[row][order], kind="stable")]
-    chosen = order[((np.arange(ENOUGH) + 0.5) * (row.size / ENOUGH)).astype(np.int64)]
+    chosen = order[np.linspace(0, row.size - 1, ENOUGH).astype(np.int64)]
     return np.sort(numbers[np.isin(numbers, groups)][chosen])
 
 

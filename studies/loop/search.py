@@ -28,8 +28,8 @@ SPREAD = 8
 # times as many are followed.
 CLOSER, MORE = 4, 5
 LEVELS = (0.03, 0.12, 0.35, 0.8)
-# Beside the baseline's fit an effect is tried at so many amounts: one that acts from a threshold on
-# alone changes nothing over most of its range.
+# Beside the baseline's fit an effect is tried at so many amounts. An effect that acts only beyond a
+# threshold changes nothing over most of its range.
 AMOUNTS = tuple(share / 50 for share in range(1, 51))
 # Where an effect's other parameters begin, beside their typical values; and those that refine it.
 OTHERS, REFINING = (0.1, 0.9), (0.1, 0.4, 0.7)
@@ -110,8 +110,7 @@ def fit_refined(data: Sample, base: Fitted, tried: Tried) -> Tried:
         return tried
     own = base.u.size
     spread_out = _everywhere(spread(own, CLOSER * SPREAD), _levels(refined, own, REFINING))
-    own_u = np.array([base.u, tried.fitted.u[:own]])
-    beside = _everywhere(own_u, _levels(refined, own, REFINING, AMOUNTS))
+    beside = _everywhere(base.u[None], _levels(refined, own, REFINING, AMOUNTS))
     try:
         fitted = _followed(data, refined, np.concatenate([spread_out, beside]), MORE * FOLLOWED)
     except ComputationError:

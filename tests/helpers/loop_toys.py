@@ -187,7 +187,7 @@ class Scatter:
 
 @dataclass(frozen=True)
 class Threshold:
-    """Rebounds in proportion to the ``height`` (rows,); those above a threshold lose a quarter."""
+    """Rebounds in proportion to the ``height`` (rows,); those above a threshold lose 15 %."""
 
     height: np.ndarray
     effects: tuple[str, ...] = ()
@@ -196,14 +196,16 @@ class Threshold:
     @property
     def parameters(self) -> tuple[Parameter, ...]:
         share = Parameter("share", "1", 0.1, 1.0, 0.5)
-        several = (share, Parameter("threshold", "mm", 5.0, 200.0, 20.0, null=200.0))
+        several = (share, Parameter("threshold", "mm", 5.0, 300.0, 20.0, null=300.0))
         return several[: 1 + len(self.effects)]
 
     def predict(self, theta: np.ndarray) -> np.ndarray:
         theta = np.asarray(theta, dtype=float)
         mean = 4.0 * theta[..., 0:1] * self.height
         if self.effects:
-            mean = mean * (1.0 - 0.25 / (1.0 + np.exp((theta[..., 1:2] - self.height) / 0.3)))
+            mean = mean * (
+                1.0 - 0.15 / (1.0 + np.exp(np.minimum((theta[..., 1:2] - self.height) / 0.3, 50.0)))
+            )
         return mean[..., None, :]
 
 
