@@ -1,4 +1,4 @@
-"""What is to be seen of a rank's rods: forces, moments, energy."""
+"""What is to be seen of rods: forces, moments, energy."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..arrays import Array
+from ..arrays import Array, Integers
 from ..compiled import njit
 from .chain import Chain, chain_of
 from .contact import SLIDES, Obstacle, lowest
@@ -27,7 +27,7 @@ def clearance(surface: Obstacle, now: Motion) -> float:
 
 
 class Seen(NamedTuple):
-    """Of every rod: nodes ``x`` (n, nodes, 3) and ``q`` (n, nodes, 4), bending ``moment`` at them
+    """Of n rods: nodes ``x`` (n, nodes, 3) and ``q`` (n, nodes, 4), bending ``moment`` at them
     about the section's axes (n, nodes, 3), the clamp's ``reaction`` (n, 6) on the rod, ``surface``
     (n, 3): normal force, friction, state; and ``energy`` (n, 8):
     kinetic, strain, potential, hub's work, material loss, contact, friction loss, and steps."""
@@ -41,14 +41,14 @@ class Seen(NamedTuple):
 
 
 @njit
-def observe(chains: Chain, surface: Obstacle, gravity: Array, stack: Motion) -> Seen:
-    """What is to be seen of the stacked rods."""
-    rods, nodes = stack.x.shape[0], stack.x.shape[1]
+def observe(chains: Chain, gravity: Array, stack: Motion, members: Integers) -> Seen:
+    """What is to be seen of some of the stacked rods, by their numbers ``members`` (n,)."""
+    rods, nodes = len(members), stack.x.shape[1]
     moment, met = np.zeros((rods, nodes, 3)), np.zeros((rods, 3))
     energy = np.zeros((rods, 8))
     ends, matrix = np.empty((nodes - 1, 2, 6)), np.empty((3, 3))
     for i in range(rods):
-        chain, now = chain_of(chains, i), rod(stack, i)
+        chain, now = chain_of(chains, members[i]), rod(stack, members[i])
         end_loads(chain, now.x, now.q, now.strain, 0.0, ends)
         for k in range(nodes):
             write_matrix(now.q[k], matrix)
@@ -62,7 +62,8 @@ def observe(chains: Chain, surface: Obstacle, gravity: Array, stack: Motion) -> 
         energy[i, 3], energy[i, 4] = now.totals[HUB_WORK], now.totals[MATERIAL]
         energy[i, 5], energy[i, 6] = now.totals[CONTACT], now.totals[FRICTION]
         energy[i, 7] = now.totals[STEPS]
-    return Seen(stack.x.copy(), stack.q.copy(), moment, stack.reaction.copy(), met, energy)
+    x, q, reaction = stack.x[members], stack.q[members], stack.reaction[members]
+    return Seen(x, q, moment, reaction, met, energy)
 
 
 @njit

@@ -305,7 +305,8 @@ class Rods:
     def _exchange(self, marched: Integers, touched: Integers) -> None:
         """Tell other ranks where the rods are that this one marched, and of the pairs; collective.
 
-        That is what the search for pairs needs. The rest is sent by `_bring` and `_tell_all`.
+        That is what the search for pairs needs. The rest is sent by `_bring` and `_tell_all`, and
+        what a frame shows by `_observed`.
         """
         if self.comm.size == 1:
             return
@@ -340,7 +341,6 @@ class Rods:
 
     def frame(self) -> Frame:
         """All bristles as they are now; collective."""
-        self._tell_all()
         seen, near = self._observed(), self._neighbours
         pose = self.motion.pose(self.t_s)
         force = -seen.reaction[:, :3]
@@ -453,7 +453,16 @@ class Rods:
             )
 
     def _observed(self) -> Seen:
-        return observe(self._chains, self._surface, self._gravity, self._now)
+        """What is to be seen of all rods; each rank looks at those that it holds; collective."""
+        mine = np.flatnonzero(self._holder == self.comm.rank)
+        seen = observe(self._chains, self._gravity, self._now, mine)
+        if self.comm.size == 1:
+            return seen
+        count = len(self.clamps)
+        whole: list[Array] = [np.empty((count, *each.shape[1:])) for each in seen]
+        for those, values in self.comm.allgather((mine, list(seen))):
+            _put(whole, those, values)
+        return Seen(*whole)
 
 
 # The names of the arrays of a state, those of its points last.
