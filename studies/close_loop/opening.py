@@ -27,7 +27,7 @@ SEEN = {
     "scatter of one in several": "one in several of the data scatters more",
     "one in several of the order": "one in several of the data is off",
     "settling in the order": "the first of the data are off, and the later ones less and less",
-    "runs": "neighbours in order are off to the same side",
+    "runs": "values measured one after another lie on the same side of the model",
     "two states": "some of the data are off by one amount, and the others are not",
     "shared within a group": "what was read of one drop is off together",
 }
@@ -118,8 +118,6 @@ def _with_sizes(finding: Finding, names: Sequence[str]) -> str:
 def _chance(finding: Finding) -> str:
     """What the p-value of the first tests means."""
     p = f"(p = {finding.p_value:.2g})"
-    if finding.verdict is Verdict.ADEQUATE:
-        return f"Data that lack nothing look as odd as these or odder {times(finding.p_value)} {p}."
     if finding.noticed:
         return f"The tests of the fitted data alone do not show it {p}."
     return f"If nothing were missing, data as odd as these would come {times(finding.p_value)} {p}."

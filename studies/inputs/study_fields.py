@@ -110,7 +110,7 @@ class LoopInputs(Fields, group=LOOP):
     )
     alarm: Annotated[float, between(1e-3, 0.3)] = option(
         ALARM,
-        "How often data that lack nothing may be said to lack something, over all tests together.",
+        "How often the loop may report a missing effect although none is missing, over all tests.",
         "RATE",
     )
     no_3d: Truth = option(False, "Leave out the confirmation by the 3-D model.")

@@ -90,8 +90,8 @@ class Scatter:
         own = self.ratio * self.declared
         return (
             f"your error bars are {times:.2g} times too {size} ({low:.2g} to {high:.2g}): "
-            f"{self.quantity} scatters by {own:.2g} about what is smooth in height and order, but "
-            f"the declared errors make {self.declared:.2g}; what the data say is used"
+            f"{self.quantity} scatters by {own:.2g} about a smooth curve over height and order, "
+            f"but the declared errors are {self.declared:.2g}; {own:.2g} is used"
         )
 
 
