@@ -185,30 +185,6 @@ class Scatter:
         return amount * self.nodes[:, None] * np.ones(self.rows)
 
 
-@dataclass(frozen=True)
-class Threshold:
-    """Rebounds in proportion to the ``height`` (rows,); those above a threshold lose 15 %."""
-
-    height: np.ndarray
-    effects: tuple[str, ...] = ()
-    weights: np.ndarray = dc_field(default_factory=lambda: np.ones(1))
-
-    @property
-    def parameters(self) -> tuple[Parameter, ...]:
-        share = Parameter("share", "1", 0.1, 1.0, 0.5)
-        several = (share, Parameter("threshold", "mm", 5.0, 300.0, 20.0, null=300.0))
-        return several[: 1 + len(self.effects)]
-
-    def predict(self, theta: np.ndarray) -> np.ndarray:
-        theta = np.asarray(theta, dtype=float)
-        mean = 4.0 * theta[..., 0:1] * self.height
-        if self.effects:
-            mean = mean * (
-                1.0 - 0.15 / (1.0 + np.exp(np.minimum((theta[..., 1:2] - self.height) / 0.3, 50.0)))
-            )
-        return mean[..., None, :]
-
-
 NAMES = (*fields(design(np.random.default_rng(0))), *SCALED)
 UNLISTED: dict[str, Field] = {
     "bump": lambda d: _by(d.quantity, np.cos(2.5 * d.x), -np.cos(2.5 * d.x), 0 * d.x),

@@ -4,8 +4,14 @@ import json
 
 import blind_loop
 import pytest
-from blind.make import ROWS
+from blind.make import ROWS, make
 from blind.table import exact, explained, table
+
+from bristle.studies.loop.heldout import split
+from bristle.studies.loop.kinds.drops.problem import read_problem
+from bristle.studies.loop.profile import profile
+from bristle.studies.loop.sample import sample
+from bristle.studies.loop.search import fit_baseline, fit_candidate
 
 pytestmark = pytest.mark.serial
 SEED = 20240
@@ -24,6 +30,18 @@ def test_what_is_grossly_wrong_is_not_adequate_and_data_with_nothing_in_them_are
     clean = blind_loop.run_case((SEED, "clean", 0), tmp_path / "clean")
     assert clean["verdict"] != "refused", clean["error"]
     assert clean["detection"]["p_value"] > 1e-6
+
+
+def test_a_contact_that_yields_in_few_drops_is_fitted_where_it_begins_to(tmp_path):
+    """A fifth of the drops yield. From starts at few amounts the fit went to no effect, 179 N."""
+    make(83776214, "listed16", 24).write(tmp_path)
+    problem = read_problem(tmp_path)
+    (yields,) = (each for each in problem.candidates if each.effects == ("plastic_contact",))
+    for seed in range(3):
+        data = sample(problem, split(problem, seed)[0])
+        base = fit_baseline(data, problem.baseline)
+        _, yield_N = fit_candidate(data, base, profile(data, base, yields)).fitted.theta
+        assert 36.0 < yield_N < 40.0
 
 
 def test_a_journal_is_taken_up_where_it_was_cut(tmp_path, monkeypatch):

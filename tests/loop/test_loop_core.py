@@ -396,26 +396,6 @@ def test_too_few_held_out_drops_refuse_no_effect_that_is_about_as_likely(drops, 
     assert any("too few to refuse" in each for each in found.warnings) == few
 
 
-@pytest.mark.parametrize("seed", [1, 2, 3])
-def test_an_effect_that_acts_only_beyond_a_threshold_is_found(seed):
-    """Its fit begins near the threshold; five drops of thirty lie beyond, 18 sigma off."""
-    rng = np.random.default_rng(seed)
-    height = rng.permutation(np.append(rng.uniform(10.0, 44.0, 25), rng.uniform(48.0, 50.0, 5)))
-    changed = toys.Threshold(height, ("threshold",))
-    values = changed.predict(np.array([0.6, 46.0]))[0] + rng.normal(size=30)
-    like, _ = toys.problem(0, drops=30, quantities=1)
-    problem = replace(
-        like,
-        values=values,
-        covariates={"height": height, "order": np.arange(30.0)},
-        baseline=toys.Threshold(height),
-        candidates=[changed],
-    )
-    found = find(problem, seed)
-    assert found.verdict is Verdict.EFFECT
-    assert 44.0 < found.parameters["threshold"].estimate < 48.0
-
-
 def test_an_effect_that_nobody_listed_is_unknown():
     found = seen(3, ("bump", 16.0))
     assert found.verdict is Verdict.UNKNOWN
