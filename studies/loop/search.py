@@ -28,8 +28,8 @@ SPREAD = 8
 # times as many are followed.
 CLOSER, MORE = 4, 5
 LEVELS = (0.03, 0.12, 0.35, 0.8)
-# Beside the baseline's fit an effect is tried at these shares of its range. One that acts only beyond
-# a threshold changes nothing over most of it. One that differs by chance has no threshold.
+# Beside the baseline's fit an effect is tried at these shares of its range. One that acts beyond a
+# threshold alone changes nothing over most of it. One that differs by chance has no threshold.
 AMOUNTS = tuple(share / 50 for share in range(1, 51))
 # Where an effect's other parameters begin, beside their typical values; and those that refine it.
 OTHERS, REFINING = (0.1, 0.9), (0.1, 0.4, 0.7)
