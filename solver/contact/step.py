@@ -163,7 +163,8 @@ def settle(points: Points, trial: Trial) -> float:
 def _share_in_contact(points: Points, trial: Trial) -> float:
     """The share of a step after which its forces have ended: one, or less where contact ends in it.
 
-    To be asked before `settle`.
+    A dashpot that pulls as hard as the spring pushes ends them before the gap opens. To be asked
+    before `settle`.
     """
     first = last = -math.inf
     remembers = points.kind.remembers
@@ -176,7 +177,17 @@ def _share_in_contact(points: Points, trial: Trial) -> float:
         first, last = max(first, trial.start[i, 0] - clear), max(last, trial.end[i, 0] - clear)
     if last >= 0.0 or first <= last:
         return 1.0
-    return max(first, 0.0) / (first - last)
+    share = max(first, 0.0) / (first - last)
+    if points.dashpot == 0.0 or points.kind.damps_spring:
+        return share
+    pushed = pulled = 0.0
+    for i in range(len(points.weights)):
+        start, scale, weight = trial.start[i, 0], points.scale[i], points.weights[i]
+        if start > 0.0:
+            memory, compliance = trial.memory[i, 2], points.compliance
+            pushed += weight * points.kind.elastic(points.law, scale, start, compliance, memory)[0]
+            pulled += weight * points.dashpot * scale * (start - trial.end[i, 0])
+    return share * max(1.0 - pulled / pushed, 0.0) if pushed > 0.0 else share
 
 
 @njit
