@@ -16,9 +16,9 @@ from scipy.stats import norm
 
 from ...solver.arrays import Array
 from .adequacy import OCCAM, Adequacy, Direction, assess, outliers_together
-from .fit import Fitted
+from .fit import Fitted, settle
 from .heldout import LEAST_SCORED, HeldOut, Judge, Scores, trimmed_rms
-from .posterior import Posterior, posterior, refitted
+from .posterior import Posterior, posterior
 from .problem import Problem
 from .profile import Profile
 from .sample import Sample
@@ -211,7 +211,8 @@ def _off(state: State, found: Posterior, held: HeldOut) -> str:
     it is fitted to them as well, since three outliers of which two are held out may be a band."""
     if held.surprise < SURPRISE or held.greatest > GROSS:
         return "held-out data lie farther off than their noise allows"
-    left = assess(state.every, refitted(state.every, found, state.rng).fitted, [], state.rng)
+    fitted = settle(state.every, found.fitted.model, found.fitted.u[None])
+    left = assess(state.every, fitted, [], state.rng)
     if left.p_value < SURPRISE:
         return f"with the held-out data, what is left is not noise ({left.statistic})"
     if outliers_together(state.every, left.residual, state.rng) < LEFT_ALARM:

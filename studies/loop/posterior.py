@@ -29,7 +29,6 @@ DEGREES = 5.0
 MOST_NOISES = 16
 # The first proposal's covariance over that of the fit, whose curvature a kink may make too large.
 WIDER = 2.5
-FEW_DRAWN = 64
 # Turns of adaptation, until so many points count; and how many a parameter a covariance needs.
 TURNS, ENOUGH, FEW = 7, 100.0, 6.0
 # With fewer an end of a 90 % interval is a matter of chance.
@@ -97,22 +96,6 @@ def posterior(data: Sample, fitted: Fitted, own: int, rng: np.random.Generator) 
         log_evidence=evidence(data, fitted, own),
         noises=data.noises,
     )
-
-
-def refitted(data: Sample, found: Posterior, rng: np.random.Generator) -> Posterior:
-    """The same model fitted to other rows, its parameters normal about the fit and in the box; as
-    it is where these are the rows that it was fitted to."""
-    before = found.fitted
-    if before.predicted.shape[1] == data.values.size and found.noises is data.noises:
-        return found
-    noise = found.noises.alike(before.noise, data.noises)
-    fitted = fit(data, before.model, before.u, noise)
-    centre, cov = _about(fitted)
-    normal = rng.standard_normal((FEW_DRAWN, centre.size))
-    drawn = centre + normal @ np.linalg.cholesky(cov / WIDER).T
-    theta = to_theta(before.model.parameters, np.clip(drawn, 0.0, 1.0))
-    even = np.full(FEW_DRAWN, 1.0 / FEW_DRAWN)
-    return Posterior(fitted, theta, even, -np.inf, data.noises)
 
 
 def _sampled(

@@ -35,6 +35,8 @@ AMOUNTS = tuple(share / 50 for share in range(1, 51))
 OTHERS, REFINING = (0.1, 0.9), (0.1, 0.4, 0.7)
 FOLLOWED = 8
 DIFFERENT = 0.08
+# Of a fit that begins anywhere, for each of its two halves.
+ANEW = 128
 # Predictions of neighbouring nodes may lie so many standard deviations of the noise apart (a sum
 # over them is then within 3e-4 of a normal likelihood's integral), and nodes are this share of the
 # deviation by chance apart.
@@ -117,6 +119,12 @@ def fit_refined(data: Sample, base: Fitted, tried: Tried) -> Tried:
         return tried
     found = fit_simulated(data, base, Tried(fitted, evidence(data, fitted, own)))
     return found if found.log_evidence > tried.log_evidence else tried
+
+
+def fit_anew(data: Sample, model: Model, last: Array) -> Fitted:
+    """A model's fit from all over its box, and from where another sample's fit was ``last`` (p,):
+    of maxima that are equally likely, that comes last."""
+    return _followed(data, model, np.concatenate([spread(last.size, ANEW), last[None]]))
 
 
 def _everywhere(points: Array, levels: Array) -> Array:

@@ -160,6 +160,25 @@ class Curve:
 
 
 @dataclass(frozen=True)
+class Signed:
+    """A level, and an amount whose sign the last four of the rows alone tell."""
+
+    rows: int
+    effects: tuple[str, ...] = ("signed",)
+    parameters: tuple[Parameter, ...] = (
+        Parameter("level", "1", -50.0, 50.0, 1.0),
+        Parameter("amount", "1", -5.0, 5.0, 1.0),
+    )
+    weights: np.ndarray = dc_field(default_factory=lambda: np.ones(1))
+
+    def predict(self, theta: np.ndarray) -> np.ndarray:
+        level, amount = np.moveaxis(np.asarray(theta, dtype=float)[..., None], -2, 0)
+        row = np.arange(self.rows)
+        by_row = np.where(row < self.rows - 4, amount**2 * (-1.0) ** row, 2.0 * amount)
+        return (level + by_row)[..., None, :]
+
+
+@dataclass(frozen=True)
 class Scatter:
     """Groups that differ by chance alone, over an even grid of so many nodes a deviation."""
 
