@@ -32,6 +32,9 @@ REFINED = 0.2
 # Nats by which something unlisted must be likelier than an effect to refuse it. What scatters has
 # to be as likely, since wider noise is always near.
 UNLISTED_MARGIN = 3.0
+# By which share a right effect may still be off: by its law, by tables, by a beam for a solid. What
+# is off by a share of d takes the square of that share from the d²/2 nats that it gains.
+LAW_OFF = 0.1
 # Residuals of so many rows that are beyond this over the declared noise are none.
 MOST_RATIO, LEAST_ROWS = 1.5, 8
 # Held-out errors of a smaller chance are no noise.
@@ -175,8 +178,10 @@ def _unfit(state: State, found: Posterior, left: Adequacy) -> str:
         return f"what it leaves is not noise ({left.statistic}, p = {left.p_value:.2g})"
     if _large(state.data, left.residual):
         return "what it leaves is larger than the declared noise"
-    more = state.cost * (len(found.effects) - 1) - (0.0 if _scatters(found) else UNLISTED_MARGIN)
-    if state.first.unlisted > found.log_evidence - more:
+    gained = found.log_evidence - state.baseline.log_evidence
+    margin = 0.0 if _scatters(found) else max(UNLISTED_MARGIN, LAW_OFF**2 * gained)
+    cost = state.cost * (len(found.effects) - 1)
+    if state.first.unlisted > found.log_evidence - cost + margin:
         return f"a shape that no effect has explains more ({state.first.shape})"
     return ""
 
