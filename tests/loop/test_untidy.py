@@ -157,9 +157,11 @@ def test_residuals_of_a_drop_are_whitened_for_any_slope():
     heights = sigma_0 * rng.normal(size=(200_000, 2, 1))
     left = sigma * rng.normal(size=(200_000, 2, 2)) - slopes * heights
     left[:, 1, 1] = np.nan
-    rows = errors.rows(left, errors.factors(slopes))
+    rows = errors.whitened(left, slopes)[:, errors.present]
     assert rows.shape == (200_000, 3)
     assert np.cov(rows.T) == pytest.approx(np.eye(3), abs=0.02)
+    as_matrix = replace(errors, whiten=errors.factors(slopes)).rows(left)
+    np.testing.assert_allclose(as_matrix, rows, atol=1e-12)
 
 
 @pytest.mark.parametrize("true_spread_m", [0.0, 2e-4, 5e-4])

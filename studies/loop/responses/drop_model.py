@@ -320,28 +320,31 @@ class Errors:
         present, whiten = self.present[which], self.whiten[which]
         return replace(self, present=present, whiten=whiten, values=values)
 
+    def whitened(self, left: Array, slopes: Array) -> Array:
+        """Residuals (..., drops, q) for slopes (..., drops, q) over the height: each quantity in
+        turn is freed of what those before it say of the height's error."""
+        shape = np.broadcast_shapes(left.shape, slopes.shape)
+        out = np.empty(shape)
+        known, told = np.ones(shape[:-1]), np.zeros(shape[:-1])
+        for q, sigma in enumerate(self.sigma):
+            present = self.present[:, q]
+            moved = np.where(present, self.sigma_y0_m * slopes[..., q], 0.0)
+            own = np.where(present, sigma**2, 1.0)
+            out[..., q] = (left[..., q] - moved * told / known) / np.sqrt(own + moved**2 / known)
+            told += np.where(present, moved * left[..., q] / own, 0.0)
+            known += moved**2 / own
+        return out
+
     def factors(self, slopes: Array) -> Array:
-        """Inverse Cholesky factors (..., drops, q, q) for slopes (..., drops, q) over the height.
+        """The matrices (..., drops, q, q) that take residuals to `whitened` ones."""
+        units = np.eye(len(self.sigma))
+        return np.stack([self.whitened(each, slopes) for each in units], axis=-1)
 
-        Each quantity in turn is freed of what those before it say of the height's error.
-        """
-        moved = np.where(self.present, self.sigma_y0_m * slopes, 0.0)
-        own = np.where(self.present, self.sigma**2, 1.0)
-        told = moved**2 / own
-        known = 1.0 + np.cumsum(told, axis=-1) - told
-        deviation = np.sqrt(own + moved**2 / known)
-        out = -(moved / (known * deviation))[..., :, None] * (moved / own)[..., None, :]
-        out *= np.tri(len(self.sigma), k=-1)
-        diagonal = np.arange(len(self.sigma))
-        out[..., diagonal, diagonal] = 1.0 / deviation
-        return np.asarray(out)
-
-    def rows(self, measured: Array, whiten: Array | None = None) -> Array:
+    def rows(self, measured: Array) -> Array:
         """Whitened rows (..., rows) of quantities (..., drops, q), of those that were read."""
-        factors = self.whiten if whiten is None else whiten
         known = np.where(self.present, measured, 0.0)
         # over so few columns a loop is several times faster than einsum
-        out = sum(factors[..., r] * known[..., r, None] for r in range(len(self.sigma)))
+        out = sum(self.whiten[..., r] * known[..., r, None] for r in range(len(self.sigma)))
         return np.asarray(out)[..., self.present]
 
 
@@ -508,8 +511,7 @@ class DropModel(BounceModel):
             slopes = self.slopes(theta, measured)
         else:
             slopes, measured = mesh.spread(mesh.slopes(measured)), mesh.spread(measured)
-        factors = errors.factors(slopes)
-        left = errors.rows(errors.values - measured, factors)
+        left = errors.whitened(errors.values - measured, slopes)[..., errors.present]
         return np.asarray(errors.rows(errors.values) - left)
 
     def slopes(self, theta: Array, measured: Array) -> Array:
