@@ -1,16 +1,15 @@
 """How a leaning bar bounces, and how a block sticks and slips, by methods not used in the program.
 
-Four independent yardsticks. `leaning_series`: the elastic impact of a leaning bar from exact axial
+Independent yardsticks. `leaning_series`: the elastic impact of a leaning bar from exact axial
 and Timoshenko modes. `rigid_bar`: its rigid limit in closed form, with Coulomb friction.
-`sliding_stop`, `incline_acceleration`, `oscillator_peaks`, `stick_slip_block`: friction in closed
-form. Nothing is imported from the program.
+`oscillator_peaks`, `stick_slip_block`: friction in closed form. Nothing is imported from the
+program.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from enum import StrEnum
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -292,7 +291,6 @@ class LeaningImpact:
     """
 
     kept: float
-    kept_at_first_release: float
     restitution: float
     spin_rad_s: float
     impulse_N_s: float
@@ -307,17 +305,6 @@ class LeaningImpact:
     @property
     def last_release_s(self) -> float:
         return float(self.touches[-1, 1])
-
-    def kept_until(self, time_s: float) -> float:
-        """``kept`` had one looked at that time (exact to a step)."""
-        return float(self._kept_history[np.searchsorted(self.time_s, time_s)])
-
-    @property
-    def _kept_history(self) -> np.ndarray:
-        """Grows from −1 to ``kept``."""
-        f = self.force_N
-        sums = np.concatenate([[0.0], np.cumsum(f[1:] + f[:-1])])
-        return -1.0 + (1.0 + self.kept) * sums / sums[-1]
 
 
 def leaning_series(
@@ -406,7 +393,6 @@ def leaning_series(
     touches, impulse = _touches(time, total, bar.mass_kg * speed)
     return LeaningImpact(
         kept=impulse / (bar.mass_kg * speed) - 1.0,
-        kept_at_first_release=float(touches[0, 2]),
         restitution=float(arm @ tip[rigid].T @ velocity[rigid]) / speed,
         spin_rad_s=float(velocity[rigid[2]] * tip[rigid[2], 2]),
         impulse_N_s=impulse,
@@ -541,146 +527,52 @@ def _touches(time, force, momentum) -> tuple[np.ndarray, float]:
 # --- the rigid limit ----------------------------------------------------------------------------
 
 
-class Restitution(StrEnum):
-    """What e relates: normal velocities (Newton), impulses (Poisson) or energies (Stronge)."""
-
-    NEWTON = "newton"
-    POISSON = "poisson"
-    STRONGE = "stronge"
-
-
 @dataclass(frozen=True)
 class RigidImpact:
-    """After the impact of `rigid_bar`; velocities upwards, toward the lean, and spin with it.
-
-    ``modes`` lists what the tip did in turn: "slip", "stick", "reverse" (slip after
-    a stop, with the direction B_tn gives). ``energy_kept`` is the
-    kinetic energy after over before: above one where Newton's law breaks down.
-    """
+    """After the impact of `rigid_bar`; velocities upwards, toward the lean, and spin with it."""
 
     centre_normal_m_s: float
     centre_tangential_m_s: float
     spin_rad_s: float
     tip_normal_m_s: float
-    tip_tangential_m_s: float
-    normal_impulse_N_s: float
-    tangential_impulse_N_s: float
-    energy_kept: float
-    modes: tuple[str, ...]
+    sticks: bool
 
 
 def rigid_bar(
-    lean_deg: float,
-    length_m: float,
-    *,
-    mass_kg: float = 1.0,
-    inertia_kg_m2: float | None = None,
-    offset_m: float = 0.0,
-    fall_m_s: float = 1.0,
-    slide_m_s: float = 0.0,
-    mu: float = 0.0,
-    restitution: float = 1.0,
-    law: Restitution = Restitution.STRONGE,
+    lean_deg: float, length_m: float, *, mass_kg: float, inertia_kg_m2: float, mu: float
 ) -> RigidImpact:
-    """A rigid bar strikes a plane with one point of its end, without spin before.
+    """A rigid bar falls with 1 m/s and strikes a plane with the middle of its end, elastically.
 
-    From the centre to the struck point r = (−L/2 sin t + x cos t, −L/2 cos t − x sin t), with x the
-    point's ``offset_m`` across the end, toward the lean. Impulses T, N there change its velocity by
+    From the centre to the struck point r = (−L/2 sin t, −L/2 cos t). Impulses T, N there change its
+    velocity by
 
         Δv_t = B_tt T + B_tn N,  Δv_n = B_tn T + B_nn N,
         B_nn = 1/m + r_t²/I,  B_tt = 1/m + r_n²/I,  B_tn = −r_t r_n/I.
 
-    Without friction 1/m_eff = B_nn and N = (1 + e) m_eff v. With Coulomb friction (Routh, Dynamics
-    of a System of Rigid Bodies, 1905; Kane and Levinson, Dynamics, 1985; Stronge, Impact Mechanics,
-    2000, Ch. 3 and 8) dT = ∓μ dN while slipping; when the slip stops the point sticks if
-    |B_tn| ≤ μ B_tt and otherwise slips on, in the direction to which B_tn drives it. Velocities are
-    thus piecewise linear in N, and work is piecewise quadratic. Restitution is Newton's (v_n after
-    = −e v_n before), Poisson's (N = (1 + e) N_c with N_c where v_n = 0) or Stronge's (work done on
-    the bar in restitution = e² that taken in compression).
+    The point begins without tangential velocity, so that it sticks all the time, T = −B_tn/B_tt N,
+    if |B_tn| ≤ μ B_tt, and otherwise slips in the direction to which B_tn drives it, T = ∓μ N
+    (Routh, Dynamics of a System of Rigid Bodies, 1905; Stronge, Impact Mechanics, 2000, Ch. 3).
+    Either way v_n is linear in N: it comes back as fast as it came, whether restitution is
+    Newton's, Poisson's or Stronge's.
     """
-    if not fall_m_s > 0.0:
-        raise ValueError("the bar has to fall")
-    if not 0.0 <= restitution <= 1.0:
-        raise ValueError("restitution is between 0 and 1")
     lean, half = math.radians(lean_deg), length_m / 2.0
-    inertia = mass_kg * length_m**2 / 12.0 if inertia_kg_m2 is None else inertia_kg_m2
-    r_t = -half * math.sin(lean) + offset_m * math.cos(lean)
-    r_n = -half * math.cos(lean) - offset_m * math.sin(lean)
-    B_nn, B_tt = 1.0 / mass_kg + r_t**2 / inertia, 1.0 / mass_kg + r_n**2 / inertia
-    B_tn = -r_t * r_n / inertia
-
-    law = Restitution(law)
-    N = T = work = 0.0
-    v_t, v_n = slide_m_s, -fall_m_s
-    wanted = {Restitution.NEWTON: restitution * fall_m_s}.get(law)  # v_n, N or work at the end
-    mode, friction = _from_slip(v_t, mu) if v_t else _from_rest("slip", B_tt, B_tn, mu)
-    modes = [mode]
-    while True:
-        slope_n, slope_t = B_nn + B_tn * friction, B_tn + B_tt * friction
-        to_stop = -v_t / slope_t if v_t * slope_t < 0.0 else math.inf
-        to_turn = -v_n / slope_n if v_n < 0.0 < slope_n else math.inf
-        if law is Restitution.NEWTON:
-            to_end = (wanted - v_n) / slope_n if slope_n > 0.0 else math.inf
-        elif wanted is None:
-            to_end = math.inf
-        elif law is Restitution.POISSON:
-            to_end = wanted - N
-        else:
-            to_end = (math.sqrt(v_n**2 + 2.0 * slope_n * (wanted - work)) - v_n) / slope_n
-        step = min(to_stop, to_turn, to_end)
-        if math.isinf(step):
-            raise RuntimeError("the impact does not end: the tip jams")
-        work += (v_n + slope_n * step / 2.0) * step
-        N, T = N + step, T + friction * step
-        v_t = 0.0 if step == to_stop or mode == "stick" else v_t + slope_t * step
-        v_n = 0.0 if step == to_turn else v_n + slope_n * step
-        if step == to_end:
-            break
-        if step == to_turn and wanted is None:
-            poisson = law is Restitution.POISSON
-            wanted = (1.0 + restitution) * N if poisson else (1.0 - restitution**2) * work
-        if step == to_stop:
-            mode, friction = _from_rest("reverse", B_tt, B_tn, mu)
-            modes.append(mode)
-    centre_n, centre_t = -fall_m_s + N / mass_kg, slide_m_s + T / mass_kg
-    spin = (r_t * N - r_n * T) / inertia
-    after = mass_kg * (centre_n**2 + centre_t**2) + inertia * spin**2
+    r_t, r_n = -half * math.sin(lean), -half * math.cos(lean)
+    B_nn, B_tt = 1.0 / mass_kg + r_t**2 / inertia_kg_m2, 1.0 / mass_kg + r_n**2 / inertia_kg_m2
+    B_tn = -r_t * r_n / inertia_kg_m2
+    sticks = abs(B_tn) <= mu * B_tt
+    friction = -B_tn / B_tt if sticks else -math.copysign(mu, B_tn)
+    N = 2.0 / (B_nn + B_tn * friction)
+    T = friction * N
     return RigidImpact(
-        centre_normal_m_s=centre_n,
-        centre_tangential_m_s=centre_t,
-        spin_rad_s=-spin,
-        tip_normal_m_s=v_n,
-        tip_tangential_m_s=v_t,
-        normal_impulse_N_s=N,
-        tangential_impulse_N_s=T,
-        energy_kept=after / (mass_kg * (fall_m_s**2 + slide_m_s**2)),
-        modes=tuple(modes),
+        centre_normal_m_s=N / mass_kg - 1.0,
+        centre_tangential_m_s=T / mass_kg,
+        spin_rad_s=-(r_t * N - r_n * T) / inertia_kg_m2,
+        tip_normal_m_s=1.0,
+        sticks=bool(sticks),
     )
 
 
-def _from_slip(v_t, mu) -> tuple[str, float]:
-    return "slip", -math.copysign(mu, v_t)
-
-
-def _from_rest(driven: str, B_tt, B_tn, mu) -> tuple[str, float]:
-    """What a tip without tangential velocity does, and dT/dN."""
-    if abs(B_tn) <= mu * B_tt:
-        return "stick", -B_tn / B_tt
-    return driven, -math.copysign(mu, B_tn)
-
-
 # --- stick and slip -----------------------------------------------------------------------------
-
-
-def sliding_stop(speed_m_s: float, mu: float, g: float = 9.8) -> tuple[float, float]:
-    """Distance v²/(2μg) and time v/(μg) in which a block on a level Coulomb plane stops."""
-    return speed_m_s**2 / (2.0 * mu * g), speed_m_s / (mu * g)
-
-
-def incline_acceleration(angle_rad: float, mu: float, g: float = 9.8) -> float:
-    """Down the slope, from rest: 0 up to atan μ, beyond it g (sin − μ cos)."""
-    pull = math.sin(angle_rad) - mu * math.cos(angle_rad)
-    return g * pull if angle_rad > math.atan(mu) else 0.0
 
 
 def oscillator_peaks(amplitude_m: float, stiffness: float, mu: float, normal_N: float) -> list:
@@ -704,8 +596,7 @@ def stick_slip_block(
     What a penalty for sticking makes of a sliding block, exactly, with ω² = kt/m and d = μN/kt:
     stick, x = (v/ω) sin ωt, until x = d (if v > ωd, otherwise for ever); slip with v_s = √(v² −
     ω²d²) and deceleration μN/m over v_s² m/(2μN); then it swings back about d short of where it
-    stopped, x = x_stop − d (1 − cos ωt), for ever, there being no other damping. As kt → ∞ it is
-    `sliding_stop`.
+    stopped, x = x_stop − d (1 − cos ωt), for ever, there being no other damping.
     """
     t = np.asarray(time_s, dtype=float)
     omega, hold = math.sqrt(kt / mass_kg), mu * normal_N / kt
