@@ -1,21 +1,15 @@
 """The drop marched at constant ITS from release on: what `drop.simulate` is checked against.
 
-    docker/run python3 tests/reference/plain_march.py --height 1e-3 --its 1e-5 5e-6 2e-6
-
 It meets the surface somewhere within a step, so the two agree as the ITS shrinks. Rotation is
 linearised about the release: a leaning bristle is right only while it has turned little.
 """
 
 from __future__ import annotations
 
-import argparse
 import itertools
 import math
-from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
-from mpi4py import MPI
 from numpy.typing import NDArray
 
 from bristle.solver.arrays import Array
@@ -23,14 +17,9 @@ from bristle.solver.contact_phase import History, observe
 from bristle.solver.drop import DropPlan, DropResult, FlightFrame, Stage
 from bristle.solver.energy import Budget, marching_energy
 from bristle.solver.errors import ComputationError
-from bristle.solver.fall import free_fall
 from bristle.solver.ground import place
 from bristle.solver.time.march import Marcher
 from bristle.solver.time.motion import flyer, rigid_part
-from bristle.studies.inputs.choices import Deflection, Until
-from bristle.studies.inputs.config import DropInputs
-from bristle.studies.inputs.sources import checked
-from bristle.studies.running.cases import NO_REBOUND, CaseSession, run_case
 
 
 def _first_impact(active: NDArray[np.intp], velocity: Array) -> tuple[int, int]:
@@ -112,48 +101,3 @@ def march_plainly(frame: FlightFrame, plan: DropPlan, until_s: float) -> DropRes
         spin_after_rad_s=tuple(map(float, spin)),
         friction_impulse_N_s=math.sqrt(max(float(push @ push) - impulse**2, 0.0)),
     )
-
-
-def marching_time_s(inputs: DropInputs) -> float:
-    """How long a plain march takes until it has surely seen what is asked for."""
-    if not isinstance(inputs.until, Until):
-        return inputs.until
-    fall_s, _ = free_fall(inputs.height_m, inputs.gravity_m_s2, inputs.alpha_1_s)
-    settled_s = fall_s + 4.0 * inputs.contact_s() + 12.0 * inputs.bristle().axial_period_s
-    return settled_s if inputs.until is Until.IMPACT else settled_s + 2.0 * fall_s
-
-
-def march_case(inputs: DropInputs, comm: MPI.Intracomm = MPI.COMM_SELF) -> DropResult:
-    """The drop of ``inputs`` without effects, strain and rotation small, marched plainly."""
-    small = inputs.changed(deflection=Deflection.SMALL)
-    with CaseSession(comm) as session:
-        prepared = session.prepare(small)
-        assert prepared is not None
-        plan = small.drop_plan(len(prepared.frame.body.contact.weights))
-        result = march_plainly(prepared.frame, plan, marching_time_s(small))
-    return replace(result, **NO_REBOUND) if small.until is Until.IMPACT else result
-
-
-def main(arguments: Sequence[str] | None = None) -> None:
-    """Print both for each ITS."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--model", default="beam", choices=["beam", "reduced"])
-    parser.add_argument("--kn", type=float, default=2e6)
-    parser.add_argument("--height", type=float, default=1e-3)
-    parser.add_argument("--tilt", type=float, default=0.0)
-    parser.add_argument("--its", type=float, nargs="+", default=[1e-5, 5e-6, 2e-6])
-    given = parser.parse_args(arguments)
-    fixed = {"model": given.model, "kn_N_m": given.kn, "height_m": given.height}
-    print("ITS (s)    by events: speed after, peak force, impulse    marched")
-    for its_s in given.its:
-        inputs = checked(DropInputs, {**fixed, "tilt_deg": given.tilt, "its_s": its_s})
-        print(f"{its_s:<9g}", *map(_shown, (run_case(inputs)[0], march_case(inputs))), sep="  ")
-
-
-def _shown(result: DropResult) -> str:
-    numbers = (result.cm_velocity_after_m_s, result.peak_force_N, result.impulse_N_s)
-    return "  ".join(f"{number:.6g}" for number in numbers)
-
-
-if __name__ == "__main__":
-    main()

@@ -288,10 +288,9 @@ def test_what_is_no_plain_file_is_not_waited_for(tmp_path, what, kind):
         ("drops", "drop,y0_mm,y1_mm\n1,٣,5\n2,10,5\n3,10,5\n", ":2: y0_mm is no number"),
         ("drops", "drop,y0_mm,y1_mm\n1,1e308,5\n2,10,5\n3,10,5\n", "at most 1e.12 in size"),
         ("drops", f'drop,y0_mm,y1_mm\n1,"{"9" * 200_000}",5\n', ":2: no row of a CSV table"),
-        ("drops", "drop;y0_mm;y1_mm\n1;10;5\n", ":1: no column drop"),
         ("falls", "fall,t_s,a_m_s2\n" + SPARSE, ":2: fall 1 has 30 samples in 8700 s; 40 a second"),
     ],
-    ids=["empty", "notation", "digits", "huge", "field", "separator", "sparse"],
+    ids=["empty", "notation", "digits", "huge", "field", "sparse"],
 )
 def test_a_table_is_refused_by_its_line(tmp_path, kind, table, says):
     folder = write_dataset(tmp_path / "data", kind, table=table)

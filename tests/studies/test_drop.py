@@ -159,6 +159,16 @@ def test_events_agree_with_plain_marching():
     assert plain.energy.closure_relative < 1e-9
 
 
+def test_the_plain_march_agrees_with_events_as_the_step_shrinks():
+    frame, gaps = ModalFrame(beam_body(Bristle(), 4)), []
+    for its in (1e-5, 2e-6):
+        plan = DropPlan(1e-3, ContactMethod(Linear(2e6)), its, G, impact_only=True)
+        events, plain = simulate(frame, plan), march_plainly(frame, plan, 0.0148)
+        gaps.append(abs(events.cm_velocity_after_m_s - plain.cm_velocity_after_m_s))
+    assert gaps[0] < 5e-3 * events.impact_speed_m_s
+    assert gaps[1] < 0.3 * gaps[0]
+
+
 def test_the_analytic_history_falls_by_gravity_and_rises_as_high():
     rows = analytic_drop(paper.MASS_KG, 2e6, 0.05, G).history.array()
     t, tip, depth = rows[:, 0], rows[:, 1], rows[:, 4]
@@ -209,19 +219,23 @@ def test_mass_proportional_damping_slows_the_fall():
     assert free_fall(0.05, G, 1e4)[0] == pytest.approx(0.05 * 1e4 / G + 1e-4, rel=1e-10)
 
 
-@pytest.mark.parametrize(("kt_ratio", "mu", "lean"), [(1e4, 0.5, 3.0), (1e5, 3.0, 5.0)])
-def test_holds_so_stiff_that_newton_jumps_across_them_are_found(kt_ratio, mu, lean):
-    """Seen to fail in 14 and 59 of some 70 steps unless the hold is stiffened in stages."""
-    found = drop_of(
-        model="beam",
-        height_m=0.01,
-        tilt_deg=1.0,
-        tilt_wide_deg=lean,
-        friction=mu,
-        kt_ratio=kt_ratio,
-        its_s=5e-6,
-        until="impact",
-    )
+TWO_WAYS = {"height_m": 0.01, "tilt_deg": 1.0, "its_s": 5e-6}
+FINE = {"deflection": "small", "beta_s": 1e-8, "its_s": 2e-6, "elements": 32}
+
+
+@pytest.mark.parametrize(
+    "how",
+    [
+        {**TWO_WAYS, "kt_ratio": 1e4, "friction": 0.5, "tilt_wide_deg": 3.0},
+        {**TWO_WAYS, "kt_ratio": 1e5, "friction": 3.0, "tilt_wide_deg": 5.0},
+        {**FINE, "kt_ratio": 1e3, "tilt_deg": 5.0},
+    ],
+)
+def test_holds_so_stiff_that_newton_jumps_across_them_are_found(how):
+    """The first two were seen to fail in 14 and 59 of some 70 steps unless the hold is stiffened in
+    stages; a hold a thousand times stiffer than contact, too."""
+    found = drop_of(model="beam", until="impact", **how)
+    assert found.energy.friction_loss_J > 0.0
     assert found.energy.closure_relative < 1e-6
 
 

@@ -19,7 +19,6 @@ from bristle.meshes.collective import run_on_one_rank
 from bristle.meshes.geometry import MeshSpec
 from bristle.meshes.hexahedra import build_model, gmsh_model
 from bristle.meshes.section import Circle, Rectangle
-from bristle.solver.errors import InputError
 from bristle.studies.mesh import display
 from bristle.studies.mesh import run as mesh_study
 from bristle.studies.mesh.convert import write_vtu
@@ -151,14 +150,6 @@ def test_older_files_are_replaced_and_strangers_kept(out):
     run_mesh(SPEC, out)
     assert listing(out) == sorted([*FILES, "notes.txt"])
     assert written_quality(out)["n_cells"] == SPEC.n_cells
-
-
-def test_a_file_in_the_place_of_the_folder_is_an_error(out):
-    run_on_one_rank(COMM, lambda: out.parent.mkdir())
-    run_on_one_rank(COMM, lambda: out.write_text("a file"))
-    with pytest.raises(InputError, match="there is a file of that name"):
-        run_mesh(SPEC, out)
-    assert out.read_text() == "a file"
 
 
 SAY_DISPLAY = ["sh", "-c", 'echo "$DISPLAY" > "$0"; sleep "$1"']
