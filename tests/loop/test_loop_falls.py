@@ -12,8 +12,6 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import least_squares
 
 from bristle.solver.errors import InputError
-from bristle.studies.close_loop.run import problem_of
-from bristle.studies.data.datasets import read_manifest
 from bristle.studies.loop.kinds.falls.motion import (
     EARLIEST_S,
     LATEST_S,
@@ -381,15 +379,6 @@ def test_measured_falls_lack_drag(measured):
     before = np.sqrt(np.mean((problem.values * problem.scale)[~seen] ** 2))
     assert rms["air_drag"] < 0.1 * before
     assert rms["linear_drag"] > 1.7 * rms["air_drag"]
-
-
-def test_the_loop_names_the_drag_of_the_measured_falls(measured):
-    assert problem_of(read_manifest(MEASURED)).unit == "m/s²"
-    found = find(fall_problem(measured), 0)
-    assert str(found.verdict) == "effect"
-    assert set(found.effects) <= {"air_drag", "drag_scatter"}
-    assert "air_drag" in found.effects
-    assert found.held_out.rms_after < 0.17 * found.held_out.rms_before
 
 
 def test_of_the_measured_falls_nothing_but_their_first_part_is_left_aside(measured):

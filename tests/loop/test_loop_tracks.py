@@ -14,7 +14,7 @@ import film_data
 import numpy as np
 import pandas as pd
 import pytest
-from scipy.optimize import least_squares
+from model_fit import fit
 from scipy.special import logsumexp
 from scipy.stats import chi2
 
@@ -181,30 +181,11 @@ def made(folder, effects, seed=5, drops=40, keys=KEYS, px_per_m=None, off_m=0.0,
 
 
 def fitted(problem, names):
-    """Least-squares estimates and standard deviations by name, and what is left, of a model without
-    chance."""
+    """Estimates and standard deviations by name, and what is left, of a model without chance."""
     model = problem.combine(names)
-    several = model.parameters
-    start = np.array([p.typical for p in several])
-    low, high = np.array([p.low for p in several]), np.array([p.high for p in several])
-    logs = np.array([p.logarithmic for p in several])
-
-    def out(u):
-        return np.where(logs, np.exp(u), u)
-
-    def into(x):
-        return np.where(logs, np.log(np.maximum(x, 1e-300)), x)
-
-    found = least_squares(
-        lambda u: problem.values - model.predict(out(u))[0],
-        into(start),
-        bounds=(into(low), into(high)),
-        x_scale=np.where(logs, 0.3, 0.1 * (high - low)),
-    )
-    spread = np.sqrt(np.diag(np.linalg.pinv(found.jac.T @ found.jac)))
-    said = [p.name for p in several]
-    best, apart = dict(zip(said, out(found.x), strict=True)), dict(zip(said, spread, strict=True))
-    return best, apart, 2 * found.cost
+    theta, spread, left = fit(model, problem.values)
+    said = [p.name for p in model.parameters]
+    return dict(zip(said, theta, strict=True)), dict(zip(said, spread, strict=True)), left
 
 
 def is_noise(left, problem, parameters):

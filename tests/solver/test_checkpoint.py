@@ -1,17 +1,9 @@
 """A march interrupted anywhere goes on to the bit; foreign marks are refused."""
 
-import json
-import os
-import signal
-import subprocess
-import sys
-import time
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
-from commands import environment
 from mpi4py import MPI
 
 from bristle.solver.bodies.beam import beam_body
@@ -23,7 +15,6 @@ from bristle.solver.drop import DropPlan, ModalFrame, simulate
 from bristle.solver.errors import ComputationError, InputError
 from bristle.solver.time.march import Marcher
 from bristle.solver.time.scheme import TimeScheme
-from bristle.studies.cli import main
 
 G, KN, ITS = 9.8, 2e6, 1e-5
 MADE_FOR = {"--kn": "2000000.0", "mesh": "one"}
@@ -256,43 +247,3 @@ def test_a_disk_that_is_full_ends_the_run_with_a_word(folder, monkeypatch):
     with pytest.raises(ComputationError, match="kept in .*checkpoint: No space left on device"):
         kept.save(1, {"x": np.zeros(3)})
     assert not list(folder.iterdir())
-
-
-# --- whole runs -----------------------------------------------------------------------------------
-
-SOLID = ["drop", "--model", "solid", "--cells", "1", "1", "40", "--its", "1e-6", "--keep", "0"]
-
-
-def told(out):
-    """Everything that a drop's folder holds, but times and memory."""
-    document = json.loads((out / "result.json").read_text())
-    for name in ("wall_s", "peak_rss_MB"):
-        del document[name]
-    return document, (out / "history.csv").read_text(), (out / "fields/frames.csv").read_text()
-
-
-@pytest.mark.serial
-@pytest.mark.slow
-@pytest.mark.parametrize("after_marks", [1, 4])
-def test_a_killed_solid_resumes_to_the_bit(tmp_path, after_marks):
-    whole, out = tmp_path / "whole", tmp_path / "killed"
-    assert main([*SOLID, "--out", str(whole)]) == 0
-    process = subprocess.Popen(
-        [sys.executable, "-m", "bristle.studies.cli", *SOLID, "--out", str(out)],
-        stderr=subprocess.DEVNULL,
-        stdout=subprocess.DEVNULL,
-        env=environment(),
-    )
-    marks, patience = set(), time.monotonic() + 120.0
-    while len(marks) < after_marks and process.poll() is None and time.monotonic() < patience:
-        marks |= {path.name for path in Path(out).glob("checkpoint/march-*.npz")}
-        time.sleep(0.002)
-    os.kill(process.pid, signal.SIGKILL)
-    process.wait()
-    assert not (out / "result.json").exists()
-    assert marks
-    assert main([*SOLID, "--out", str(out), "--resume"]) == 0
-    assert told(out) == told(whole)
-    assert sorted(path.name for path in out.iterdir()) == sorted(
-        path.name for path in whole.iterdir()
-    )

@@ -145,7 +145,7 @@ def test_force_over_a_step_is_the_mean_along_the_way(regime):
     assert memory == pytest.approx(fine, abs=1e-12)
 
 
-@pytest.mark.parametrize("law", LAWS, ids=str)
+@pytest.mark.parametrize("law", [Linear(KN), *LAWS], ids=str)
 @pytest.mark.parametrize("mu", [0.0, 0.4])
 @given(seed=st.integers(0, 100_000), stride=st.floats(0.01, 1.0))
 @settings(max_examples=20, deadline=None)
@@ -182,7 +182,7 @@ def test_a_random_walk_loses_never_less_than_nothing_and_closes(law, mu, seed, s
         if isinstance(law, Adhesive):
             gone = 0.5 * law.pull_off_N**2 / KN if held > memory[0, 2] else 0.0
             assert took == pytest.approx(gone, abs=1e-13 * size)
-        if isinstance(law, Stiffening | Tabulated):
+        if isinstance(law, Linear | Stiffening | Tabulated):
             assert took == 0.0
         work += float(force @ (end - start))
         lost += rubbed + took

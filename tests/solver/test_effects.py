@@ -12,7 +12,6 @@ from bristle.solver import paper
 from bristle.solver.bodies.beam import beam_body
 from bristle.solver.bodies.modal import from_arrays, to_arrays
 from bristle.solver.bristle import Bristle
-from bristle.solver.cache import cached, load, store
 from bristle.solver.contact.laws import Linear
 from bristle.solver.effects.base import Place, Scene
 from bristle.solver.effects.library import EFFECTS, enter_all
@@ -316,27 +315,6 @@ def test_a_modal_body_comes_back_from_its_arrays_to_the_bit():
     for name, value in to_arrays([body]).items():
         assert np.array_equal(to_arrays([again])[name], value)
     assert again.axis is not None
-
-
-def test_what_is_kept_is_made_once_and_made_again_when_it_is_spoilt(monkeypatch, tmp_path):
-    monkeypatch.setattr("bristle.solver.cache.cache_folder", lambda: tmp_path)
-    made = []
-
-    def make():
-        made.append(1)
-        return {"x": np.arange(3.0)}
-
-    for _ in range(2):
-        assert np.array_equal(cached("a key", make)["x"], np.arange(3.0))
-    assert len(made) == 1
-    (path,) = (tmp_path / "arrays").glob("*.npz")
-    path.write_bytes(path.read_bytes()[:40])
-    assert load("a key") is None
-    cached("a key", make)
-    assert len(made) == 2
-    assert load("another key") is None
-    store("another key", {"y": np.ones(1)})
-    assert load("another key") is not None
 
 
 @pytest.mark.parametrize("kind", EFFECTS.values(), ids=EFFECTS)

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from leaning_helpers import next_touch_of
 from reference import rate, rod
 from scipy.linalg import expm
 
@@ -16,7 +15,7 @@ from bristle.solver.bodies.modal import ModalBody
 from bristle.solver.bristle import Bristle, Material
 from bristle.solver.contact.enforcement import ContactMethod, Enforcement
 from bristle.solver.contact.laws import Linear
-from bristle.solver.ground import Ground, just_touched, place
+from bristle.solver.ground import Ground, place
 from bristle.solver.rigid import Pose, leaning, slope_normal
 from bristle.solver.time.flight import Flight
 from bristle.solver.time.march import Marcher
@@ -219,27 +218,6 @@ def test_rates_of_a_flight_are_the_slopes_of_what_it_moves(beta):
     assert now[:, 1] == pytest.approx(slopes, rel=1e-6)
 
 
-def test_next_touch_is_found_where_a_dense_sampling_finds_it():
-    body = rod(8, degree=2)
-    ground = just_touched(Ground.plane(1), Pose.upright(), body.contact)
-    for seed in range(10):
-        rng = np.random.default_rng(seed)
-        u = 0.01 * body.translation[:, 2] + 2e-3 * rng.normal(size=len(body.translation[:, 2])) / (
-            1.0 + body.omega2
-        )
-        v = rng.uniform(0.0, 0.02) * body.translation[:, 2]
-        flight = Flight(body, Pose.upright(), 0.0, u, v, 0.05)
-        t = np.linspace(0.0, 3.0, 60_001)
-        low = flight.trace(ground, t)[:, 2]
-        down = np.flatnonzero((low[:-1] > 0.0) & (low[1:] <= 0.0))
-        found = next_touch_of(flight, ground, 3.0)
-        if not len(down):
-            assert found is None
-            continue
-        assert found == pytest.approx(t[down[0]], abs=2.0 * t[1])
-        assert flight.trace(ground, np.array([found]))[0, 2] == pytest.approx(0.0, abs=1e-12)
-
-
 def test_with_nitsche_a_flight_is_clear_by_minus_the_approach(rng):
     """The traction at the tip, which its points count with, is the march's."""
     body = rod(6, degree=2, beta=0.01)
@@ -253,17 +231,6 @@ def test_with_nitsche_a_flight_is_clear_by_minus_the_approach(rng):
     flight = Flight(body, pose, 0.0, u, v, 0.0, flyer(body, marcher.tau))
     assert marcher.tau > 0.0
     assert flight.trace(ground, np.zeros(1))[0, 2] == pytest.approx(-approach, rel=1e-9)
-
-
-def test_apex_is_the_highest_point_of_a_dense_sampling():
-    body = rod(8, degree=2, beta=1e-3)
-    for seed in range(6):
-        rng = np.random.default_rng(seed)
-        u = 1e-3 * rng.normal(size=len(body.translation[:, 2])) / (1.0 + body.omega2)
-        flight = Flight(body, Pose.upright(), 0.0, u, 0.1 * body.translation[:, 2], 0.05)
-        t = np.linspace(0.0, 4.0, 80_001)
-        highest = flight.trace(Ground.plane(1), t)[:, 0].max() + 0.5
-        assert flight.apex(4.0)[1] + 0.5 == pytest.approx(highest, rel=3e-6)
 
 
 @pytest.mark.parametrize("bad", [-0.1, 1.1, float("nan")])

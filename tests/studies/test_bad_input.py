@@ -490,19 +490,6 @@ def test_a_title_is_text_and_nothing_else(tmp_path):
     }
 
 
-@pytest.mark.campaign
-def test_a_title_is_text_on_the_page_of_the_loop(tmp_path):
-    made = {}
-    for name, title in (("plain", "Falls"), ("nasty", TITLE)):
-        about = {"kind": "falls", "title": title, "source": title, "licence": title}
-        data = write_dataset(tmp_path / name, "falls", manifest("falls", dataset=about))
-        out = tmp_path / f"{name}-out"
-        assert run("close-loop", data, "--no-3d", "--out", out)[0] == 0
-        made[name] = elements(out / "report.html")
-    assert made["nasty"].found == made["plain"].found
-    assert any(TITLE in text for text in made["nasty"].text)
-
-
 def test_a_spreadsheet_computes_nothing_of_a_table():
     from bristle.studies.report.page import Column, Table
 

@@ -22,7 +22,7 @@ from bristle.studies.running.mark import MARK
 
 pytestmark = pytest.mark.serial
 
-COMMANDS = ("reproduce", "drop", "sweep", "its", "mesh", "brush", "calibrate", "view")
+COMMANDS = ("reproduce", "drop", "sweep", "its", "mesh", "brush", "calibrate", "close-loop", "view")
 # the number of steps and elements decides how long a run takes, so it stays out of the lottery
 NUMERIC = [
     flag
