@@ -3,12 +3,12 @@
     docker/run python3 tests/plant_faults.py --faults 20 --seed 1 --out results/faults
 
 Each fault is planted in a copy of the repository, and the tests that everyone runs go through it up
-to the first failure: of the test files that can reach the fault (`reach`) the nearest first, and of
-each the tests that execute it. A first clean run, a process for each test file, finds what each of
-its tests executes, how long it takes, and which fail anyway and are left out; it is repeated for
-files that are new or changed, and for all where the sources have. What it compiles is taken over,
-but for files that import the mutated one. Records are kept as they come: called again, the script
-goes on, and tries survivors once more where the tests have changed since.
+to the first failure: the test files from which imports lead to the fault (`reach`), the nearest
+first. A first clean run, a process for each test file, finds how long it takes and which of its
+tests fail anyway and are left out; it is repeated for files that are new or changed, and for all
+where the sources have. What it compiles is taken over, but for files that import the mutated one.
+Records are kept as they come: called again, the script goes on, and tries survivors once more where
+the tests have changed since.
 """
 
 from __future__ import annotations
@@ -29,19 +29,19 @@ import threading
 import time
 from collections.abc import Iterator
 from concurrent.futures import CancelledError, ThreadPoolExecutor
-from dataclasses import asdict
-from itertools import chain, islice, repeat
+from dataclasses import asdict, dataclass
+from itertools import chain, islice
 from pathlib import Path
 
 from mutants import Mutant, draw, mutants_of
-from reach import ROOT, SOURCES, Clean, files, importers, in_order
+from reach import ROOT, SOURCES, files, importers, in_order
 
 from bristle.solver.compiled import version_of
 
 MUTATED = ("meshes", "solver")
 NOT_COPIED = {".git", ".hypothesis", ".mypy_cache", ".ruff_cache", "build", "dist", "results"}
-# For a test, beside what it takes without a fault: it may compile, at times on a busy machine.
-TEST_LIMIT_S = 300
+# For a test. It may compile, at times on a busy machine.
+TEST_LIMIT_S = 600
 # Times what the clean run took, a run on a busier machine may take.
 PATIENCE = 4.0
 # Set where the script is interrupted: runs in threads end, and leave no record.
@@ -49,20 +49,20 @@ STOP = threading.Event()
 SURVIVED = "SURVIVED"
 FAILED = r"^(?:FAILED|ERROR) (\S+)"
 PYTEST = (
-    *(
-        "-m",
-        "pytest",
-        "-n",
-        "0",
-        "-v",
-        "-rfE",
-        "--color=no",
-        "--tb=short",
-        "-p",
-        "no:cacheprovider",
-    ),
-    *("--hypothesis-seed=0", "-p", "fault_order"),
+    *("-m", "pytest", "-n", "0", "-v", "-rfE", "--color=no", "--tb=short"),
+    *("-p", "no:cacheprovider", "--hypothesis-seed=0"),
 )
+
+
+@dataclass(frozen=True)
+class Clean:
+    """How a test file runs without a fault: ``sources`` and ``digest`` name the program and the
+    file that ran, ``failed`` are the tests that fail anyway."""
+
+    sources: str
+    digest: str
+    seconds: float
+    failed: list[str]
 
 
 def main() -> None:
@@ -205,31 +205,13 @@ def clean_run(out: Path, scratch: Path, part: str) -> dict[str, Clean]:
 
 
 def clean_file(name: str, sources: str, text: str, place: Path, out: Path) -> Clean:
-    """Run a test file, and find what each of its tests executes."""
-    lines, reports = place / "lines", place / "reports"
-    for path in (lines, reports):
-        path.write_text("")
-    environment = {
-        "PYTHONPATH": str(place / "copy" / "tests" / "helpers" / "watch"),
-        "BRISTLE_LINES": str(lines),
-        "BRISTLE_REPORTS": str(reports),
-    }
-    status, output, _ = pytest(place, [name], math.inf, "--timeout=1800", **environment)
+    """Run a test file."""
+    status, output, seconds = pytest(place, [name], math.inf, "--timeout=1800")
     if status not in (0, 1, 5):
         log = out / "logs" / "clean.txt"
         log.write_text(output)
         sys.exit(f"pytest ended with {status}, see {log}")
-    seconds: dict[str, float] = {}
-    failed = set()
-    for test, duration, outcome in map(str.split, reports.read_text().splitlines(), repeat("\t")):
-        seconds[test] = seconds.get(test, 0.0) + float(duration)
-        failed |= {test} if outcome == "failed" else set()
-    places = {test: place for place, test in enumerate(seconds)}
-    executed: dict[str, dict[str, set[int]]] = {}
-    for test, path, line in map(str.split, lines.read_text().splitlines(), repeat("\t")):
-        executed.setdefault(path, {}).setdefault(line, set()).add(places.get(test, -1))
-    found = {path: {n: sorted(tests) for n, tests in by.items()} for path, by in executed.items()}
-    return Clean(sources, text, seconds, sorted(failed), found)
+    return Clean(sources, text, seconds, re.findall(FAILED, output, re.M))
 
 
 def tried(
@@ -237,21 +219,15 @@ def tried(
 ) -> dict:
     """The record of a fault, also added to those in ``out``."""
     say(f"{fault.path}:{fault.line}: {fault.after}")
-    names, first = in_order(fault, clean)
-    seconds = {test: time for name in names for test, time in clean[name].seconds.items()}
-    patience_s = PATIENCE * sum(seconds.values()) + TEST_LIMIT_S
-    limits = {test: PATIENCE * time + TEST_LIMIT_S for test, time in seconds.items()}
+    names = in_order(fault.path, clean)
+    patience_s = PATIENCE * sum(clean[name].seconds for name in names) + TEST_LIMIT_S
     left_out = [f"--deselect={test}" for name in names for test in clean[name].failed]
     record = {"key": key(fault), "tests": tests_of(clean), **asdict(fault)}
     status, output, spent_s = 0, "no test reaches it", 0.0
     if names:
         with workplace(scratch, out, fault) as place:
-            order = place / "order.json"
-            order.write_text(json.dumps({"first": sorted(first), "limit_s": limits}))
-            more = "-x", "--timeout-method=thread", *left_out
-            status, output, spent_s = pytest(
-                place, names, min(patience_s, budget_s), *more, BRISTLE_ORDER=str(order)
-            )
+            more = "-x", f"--timeout={TEST_LIMIT_S}", "--timeout-method=thread", *left_out
+            status, output, spent_s = pytest(place, names, min(patience_s, budget_s), *more)
     found = caught_by(status, output)
     if status is None and budget_s < patience_s and found.startswith("timeout"):
         found = SURVIVED
@@ -321,22 +297,20 @@ def take_compiled(place: Path, out: Path, fault: Mutant | None) -> None:
 
 
 def pytest(
-    place: Path, names: list[str], limit_s: float, *more: str, **variables: str
+    place: Path, names: list[str], limit_s: float, *more: str
 ) -> tuple[int | None, str, float]:
     """Status, output and seconds of the test files ``names``, run in this order in a copy.
 
     The status is None where they take longer than ``limit_s``.
     """
-    live, tests = place / "copy" / "docker" / "live", place / "copy" / "tests"
-    paths = [variables.pop("PYTHONPATH", ""), str(live), str(tests / "helpers")]
+    live = place / "copy" / "docker" / "live"
     environment = {
         **os.environ,
         "PATH": f"{live / 'bin'}:{os.environ['PATH']}",
-        "PYTHONPATH": ":".join(filter(None, paths)),
+        "PYTHONPATH": str(live),
         "PYTHONPYCACHEPREFIX": str(place.parent / "pycache"),
         "XDG_CACHE_HOME": str(place / "cache"),
         "TMPDIR": str(place / "tmp"),
-        **variables,
     }
     environment.pop("NUMBA_CACHE_DIR", None)
     started = time.monotonic()
