@@ -354,7 +354,10 @@ import sys, time
 import click
 from bristle.solver.errors import ComputationError
 from bristle.studies.command.ending import run
+from bristle.studies.running import parallel
 from mpi4py import MPI
+
+parallel.GRACE_S = 0.5  # nobody else comes
 
 @click.command()
 def lone():
