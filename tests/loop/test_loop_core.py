@@ -429,12 +429,6 @@ def test_too_few_held_out_drops_refuse_no_effect_that_is_about_as_likely(drops, 
     assert any("too few to refuse" in each for each in found.warnings) == few
 
 
-def test_an_effect_that_nobody_listed_is_unknown():
-    found = seen(3, ("bump", 16.0))
-    assert found.verdict is Verdict.UNKNOWN
-    assert found.effects == ()
-
-
 def test_two_effects_are_found_together():
     found = find(toys.problem(0, {"offset": 14.0, "wear": 14.0})[0], seed=0)
     assert set(found.effects) >= {"offset", "wear"}
@@ -456,7 +450,9 @@ def test_effects_are_improbable_where_nothing_is_missing_and_untold_where_all_is
     assert adequate.verdict is Verdict.ADEQUATE
     assert set(adequate.probabilities) == {e.effects[0] for e in toys.problem(2)[0].candidates}
     assert max(adequate.probabilities.values()) < 0.2
-    unknown = seen(3, ("bump", 16.0))
+    unknown = find(toys.problem(3, unlisted=("bump", 16.0))[0], 3)
+    assert unknown.verdict is Verdict.UNKNOWN
+    assert unknown.effects == ()
     assert unknown.probabilities == {}
 
 

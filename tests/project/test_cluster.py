@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 import shlex
-import subprocess
 from pathlib import Path
 
 import pytest
@@ -52,11 +51,6 @@ def dockerfile(instruction: str) -> list[str]:
         for line in joined(text)
         if line.startswith(f"{instruction} ")
     ]
-
-
-def test_the_script_parses():
-    done = subprocess.run(["bash", "-n", SCRIPT], capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
 
 
 def test_slurm_reads_every_option():
