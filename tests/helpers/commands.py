@@ -13,10 +13,18 @@ LIVE = Path(__file__).parents[2] / "docker" / "live"
 
 
 def environment() -> dict[str, str]:
-    """The environment of a command that nobody launched as a rank, this repository importable."""
+    """The environment of a command that nobody launched as a rank, this repository importable.
+
+    Of ranks that share cores with other tests, one that waits lets the others run.
+    """
     kept = unlaunched()
     path = [str(LIVE), kept.get("PYTHONPATH", "")]
-    return {**kept, "PYTHONPATH": os.pathsep.join(filter(None, path)), "OMP_NUM_THREADS": "1"}
+    return {
+        **kept,
+        "PYTHONPATH": os.pathsep.join(filter(None, path)),
+        "OMP_NUM_THREADS": "1",
+        "OMPI_MCA_mpi_yield_when_idle": "1",
+    }
 
 
 def python(*arguments: object, timeout_s: float = 600.0) -> subprocess.CompletedProcess[str]:
