@@ -8,10 +8,12 @@ that carries a body may do so for a moment; it does not for long.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 from scipy.optimize import least_squares, minimize_scalar
 
@@ -58,11 +60,9 @@ SPEED_PX = 0.02
 
 @dataclass(frozen=True)
 class Flight:
-    """A parabola: frames ``first`` to ``last``, and height, speed and downward acceleration at the
-    time ``t_s``, upward, in px and s."""
+    """A parabola: height, speed and downward acceleration at the time ``t_s``, upward, in px and
+    s."""
 
-    first: int
-    last: int
     t_s: float
     height: float
     speed: float
@@ -77,40 +77,67 @@ class Flight:
         """Upward speeds in px/s."""
         return np.asarray(self.speed - self.gravity * (np.asarray(t_s, dtype=float) - self.t_s))
 
+    @property
+    def top_s(self) -> float:
+        """When it is highest."""
+        return self.t_s + self.speed / self.gravity
+
+
+@dataclass(frozen=True)
+class Stretch(Flight):
+    """A flight as it is found in a track: in the frames ``first`` to ``last``."""
+
+    first: int
+    last: int
+
 
 @dataclass(frozen=True)
 class Drop:
     """A drop: its flights one after the other, the impacts between and after them.
 
     ``first`` and ``last`` are the frames that belong to it, those before the release in which the
-    body is held still included; ``release_s`` and the height ``held`` before it are None where they
-    are not filmed. ``impact_s`` and ``floor`` (impacts,) are instants and heights in px. The first
-    flight is the fall. ``restitution_error`` (impacts,), ``gravity_error`` in px/s² and
-    ``floor_error`` in px are standard errors, once `settled` knows them.
+    body is held still included. The first flight is the fall; where it is ``let_go`` in view, it
+    begins with the release. ``impact_s`` (impacts,) are instants, ``floor`` is the surface's height
+    in px. ``restitution_error`` (impacts,), ``gravity_error`` in px/s² and ``floor_error`` in px
+    are standard errors, once `settled` knows them.
     """
 
     first: int
     last: int
-    release_s: float | None
-    held: float | None
+    let_go: bool
     flights: tuple[Flight, ...]
     impact_s: Array
-    floor: Array
+    floor: float
     restitution_error: Array | None = None
     gravity_error: float | None = None
     floor_error: float = 0.0
 
+    @property
+    def frames(self) -> NDArray[np.int64]:
+        """Numbers of its frames."""
+        return np.arange(self.first, self.last + 1)
+
+    @property
+    def release_s(self) -> float | None:
+        """When the body is let go; None where that is not filmed."""
+        return self.flights[0].t_s if self.let_go else None
+
+    @property
+    def held(self) -> float | None:
+        """The height in px at which it is held before; None where that is not filmed."""
+        return self.flights[0].height if self.let_go else None
+
     def phase(self, t_s: Array) -> NDArray[np.int64]:
-        """Of which flight instants (n,) are: 0 the fall, 1 the first after an impact; -1 held."""
+        """Of which flight instants are: 0 the fall, 1 the first after an impact; -1 held."""
         phase = np.searchsorted(self.impact_s, t_s)
-        return phase if self.release_s is None else np.where(t_s < self.release_s, -1, phase)
+        return np.where(t_s < self.flights[0].t_s, -1, phase) if self.let_go else phase
 
     def speed(self, t_s: Array) -> Array:
-        """Upward speeds (n,) in px/s."""
+        """Upward speeds in px/s."""
         return self._of_flights(t_s, [each.speed_at(t_s) for each in self.flights], 0.0)
 
     def height(self, t_s: Array) -> Array:
-        """Heights (n,) in px of hold and parabolas."""
+        """Heights in px of hold and parabolas."""
         return self._of_flights(t_s, [each.at(t_s) for each in self.flights], self.held or 0.0)
 
     def _of_flights(self, t_s: Array, values: Sequence[Array], held: float) -> Array:
@@ -124,98 +151,73 @@ class Drop:
     @property
     def restitution(self) -> Array:
         """Speed after each impact over that before it (impacts,)."""
-        return _ratios(self.flights, self.impact_s)
+        impacts = zip(map(float, self.impact_s), pairwise(self.flights), strict=False)
+        return np.array([-after.speed_at(t) / before.speed_at(t) for t, (before, after) in impacts])
+
+    def is_clear(self, t_s: Array, exposure_s: float) -> NDArray[np.bool_]:
+        """Whether no impact blurs frames at times (frames,)."""
+        near = 0.5 * exposure_s + TOUCHING_S
+        return np.all(np.abs(t_s[:, None] - self.impact_s) > near, axis=1)
 
 
-def drops_of(t_s: Array, height: Array, sigma: Array, gravity: float | None = None) -> list[Drop]:
-    """The drops in a track: ``height`` (frames,) upward and ``sigma`` in px at times in s.
+@dataclass(frozen=True)
+class Track:
+    """Heights (frames,) upward and their standard errors in px, at times in s.
+
+    A frame's exposure lasts ``exposure_s``, and its time is the middle of that. In the frames whose
+    numbers are in ``through`` an impact lies in the exposure, and the height is the mean over it.
+    """
+
+    t_s: Array
+    height: Array
+    sigma: Array
+    exposure_s: float = 0.0
+    through: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, dtype=int))
+
+    @cached_property
+    def frame_s(self) -> float:
+        """From a frame to the next."""
+        return float(np.median(np.diff(self.t_s)))
+
+    @property
+    def stretch(self) -> int:
+        """How many frames a stretch has in a film that plays as fast as it was taken."""
+        return int(np.clip(round(STRETCH_S / self.frame_s), LEAST_FRAMES, MOST_FRAMES))
+
+    def clear(self, drop: Drop) -> NDArray[np.int64]:
+        """Numbers of a drop's frames that no impact blurs."""
+        own = drop.frames
+        return own[drop.is_clear(self.t_s[own], self.exposure_s)]
+
+
+def drops_of(track: Track, gravity: float | None = None) -> list[Drop]:
+    """The drops in a track.
 
     Where none is seen, longer stretches are looked at: a film may be played slower than it was
     taken. Last, where ``gravity`` is about known in px/s², flights of three frames are enough.
     """
-    size = _frames_of(t_s)
-    while True:
-        found = _drops_of(t_s, height, sigma, size)
-        if found or 2 * size > min(MOST_FRAMES, len(t_s)):
-            break
+    size = track.stretch
+    found = _drops_of(track, size)
+    while not found and 2 * size <= min(MOST_FRAMES, len(track.t_s)):
         size *= 2
+        found = _drops_of(track, size)
     if not found and gravity is not None:
-        found = _drops_of(t_s, height, sigma, LEAST_FRAMES - 1, gravity)
+        found = _drops_of(track, LEAST_FRAMES - 1, gravity)
     return found
 
 
-def _drops_of(
-    t_s: Array, height: Array, sigma: Array, size: int, known: float | None = None
-) -> list[Drop]:
-    gravity = known or gravity_of(t_s, height, sigma, size)
+def _drops_of(track: Track, size: int, known: float | None = None) -> list[Drop]:
+    gravity = known or gravity_of(track, size)
     if gravity is None:
         return []
-    flights = _flights(t_s, height, sigma, gravity, size)
-    chains: list[list[Flight]] = []
-    for flight in flights:
-        if chains and _impact(chains[-1][-1], flight, t_s) is not None:
+    chains: list[list[Stretch]] = []
+    for flight in _flights(track, gravity, size):
+        if chains and _impact(chains[-1][-1], flight, track) is not None:
             chains[-1].append(flight)
         else:
             chains.append([flight])
-    drops = [_drop(chain, t_s, height, sigma) for chain in chains]
+    drops = [_drop(chain, track) for chain in chains]
     return [drop for drop in drops if drop is not None]
-
-
-def settled(
-    drops: Sequence[Drop],
-    t_s: Array,
-    height: Array,
-    sigma: Array,
-    exposure_s: float,
-    turned: float = TURNED,
-    *,
-    known: Known | None = None,
-    turnings: Sequence[Turning] | None = None,
-    through: NDArray[np.bool_] | None = None,
-) -> list[Drop]:
-    """The drops once more, each by all its frames that no impact blurs, at once: flights begin and
-    end at one surface, and their accelerations are that of the fall to within a share ``turned``,
-    by which a bristle's turning changes it.
-
-    ``known`` is what is known besides, and ``turnings`` how each drop's body turns, where that is
-    seen. In the frames ``through`` (frames,) an impact lies in the exposure, and the height is the
-    mean over it.
-    """
-    through = np.zeros(len(t_s), dtype=bool) if through is None else through
-    found, told = [], known or Known()
-    for k, drop in enumerate(drops):
-        n = len(drop.impact_s)
-        turning = (
-            Turning(np.zeros(n), np.full(n, turned), np.zeros(n))
-            if turnings is None
-            else turnings[k]
-        )
-        if not n:
-            found.append(drop)
-            continue
-        # at its end a hand may already hold what flies: frames go that the rest contradicts
-        tried = [
-            _Joint(
-                replace(drop, last=drop.last - cut),
-                t_s,
-                height,
-                sigma,
-                exposure_s,
-                through,
-                turning,
-                told,
-            )
-            for cut in range(MOST_CUT + 1 if known else 1)
-        ]
-        best = tried[0].solved(), tried[0].square + 0.0
-        for cut, joint in enumerate(tried[1:], start=1):
-            if best[1] < 1.3 * len(tried[0].t):
-                break
-            solved = joint.solved()
-            if joint.square + CUT_COSTS * cut < best[1]:
-                best = solved, joint.square + CUT_COSTS * cut
-        found.append(best[0])
-    return found
 
 
 @dataclass(frozen=True)
@@ -238,6 +240,45 @@ class Turning:
     corner: Array
 
 
+def settled(
+    drops: Sequence[Drop],
+    track: Track,
+    turned: float = TURNED,
+    *,
+    known: Known | None = None,
+    turnings: Sequence[Turning] | None = None,
+) -> list[Drop]:
+    """The drops once more, each by all its frames that no impact blurs, at once: flights begin and
+    end at one surface, and their accelerations are that of the fall to within a share ``turned``,
+    by which a bristle's turning changes it.
+
+    ``known`` is what is known besides, and ``turnings`` how each drop's body turns, where that is
+    seen.
+    """
+    if turnings is None:
+        turnings = [
+            Turning(np.zeros(n), np.full(n, turned), np.zeros(n))
+            for n in (len(drop.impact_s) for drop in drops)
+        ]
+    return [_settled(*each, track, known) for each in zip(drops, turnings, strict=True)]
+
+
+def _settled(drop: Drop, turning: Turning, track: Track, known: Known | None) -> Drop:
+    if not len(drop.impact_s):
+        return drop
+    best, least, enough = drop, np.inf, 0.0
+    # at its end a hand may already hold what flies: frames go that the rest contradicts
+    for cut in range(MOST_CUT + 1 if known else 1):
+        if cut and least < enough:
+            break
+        joint = _Joint(replace(drop, last=drop.last - cut), track, turning, known or Known())
+        solved, square = joint.solved()
+        enough = enough or 1.3 * len(joint.own)
+        if not cut or square + CUT_COSTS * cut < least:
+            best, least = solved, square + CUT_COSTS * cut
+    return best
+
+
 class _Joint:
     """Least squares of a whole drop.
 
@@ -247,73 +288,51 @@ class _Joint:
     two instants the height over the surface is g/2 (t - t1) (t2 - t).
     """
 
-    def __init__(
-        self,
-        drop: Drop,
-        t_s: Array,
-        height: Array,
-        sigma: Array,
-        exposure_s: float,
-        through: NDArray[np.bool_],
-        turning: Turning,
-        known: Known,
-    ) -> None:
+    def __init__(self, drop: Drop, track: Track, turning: Turning, known: Known) -> None:
         self.drop, self.turning, self.known, self.n = drop, turning, known, len(drop.impact_s)
-        self.square = np.inf
-        last, floor = drop.flights[-1], float(np.median(drop.floor))
-        landing = _landing(last, floor)
-        own = np.zeros(len(t_s), dtype=bool)
-        own[drop.first : drop.last + 1] = True
-        own &= through | clear_of(drop, t_s, exposure_s)
-        own &= t_s < landing - 0.5 * exposure_s - TOUCHING_S
-        self.frames = np.flatnonzero(own)
-        self.t, self.y, self.sigma = t_s[own], height[own], sigma[own].copy()
-        self.through, self.u = through[own], instants(exposure_s)
-        if drop.release_s is not None:
-            # a body that is held lies on the same pixels in all frames, and they all err alike
-            held = self.t < drop.release_s
-            self.sigma[held] *= np.sqrt(max(held.sum() / HELD_TELLS, 1.0))
-        fall = drop.flights[0]
-        start = drop.held if drop.held is not None else -float(fall.speed_at(drop.impact_s[0]))
-        self.p = np.concatenate(
-            [[fall.gravity, floor, start], [*drop.impact_s, landing], np.zeros(self.n)]
+        fall, last = drop.flights[0], drop.flights[-1]
+        # where it never was above the surface, its top
+        above = float(last.at(last.top_s)) - drop.floor
+        landing = last.top_s + float(np.sqrt(max(2.0 * above / last.gravity, 0.0)))
+        own, exposure_s = drop.frames, track.exposure_s
+        own = own[np.isin(own, track.through) | drop.is_clear(track.t_s[own], exposure_s)]
+        own = own[track.t_s[own] < landing - 0.5 * exposure_s - TOUCHING_S]
+        self.own, self.through = own, np.isin(own, track.through)
+        self.t, self.y, self.sigma = track.t_s[own], track.height[own], track.sigma[own]
+        self.exposed = self.t[self.through, None] + instants(exposure_s)
+        # a body that is held lies on the same pixels in all frames, and they all err alike
+        held = drop.phase(self.t) < 0
+        self.sigma[held] *= np.sqrt(max(held.sum() / HELD_TELLS, 1.0))
+        start = fall.height if drop.let_go else -float(fall.speed_at(drop.impact_s[0]))
+        self.p = np.array(
+            [fall.gravity, drop.floor, start, *drop.impact_s, landing, *np.zeros(self.n)]
         )
-        self.scale = np.concatenate(
-            [[0.01 * fall.gravity, 0.1, 0.1], np.full(self.n + 1, 1e-3), np.full(self.n, 0.01)]
+        self.scale = np.array(
+            [0.01 * fall.gravity, 0.1, 0.1, *np.full(self.n + 1, 1e-3), *np.full(self.n, 0.01)]
         )
 
-    def flights(self, p: Array) -> list[Flight]:
-        """The parabolas of the numbers ``p``."""
+    def drop_of(self, p: Array) -> Drop:
+        """The drop of the numbers ``p``."""
         g, start = p[0], p[2]
         at, shares = p[3 : 4 + self.n], p[4 + self.n :]
         floor = p[1] + self.turning.corner[[*range(self.n), -1]]
-        if self.drop.held is not None:
+        if self.drop.let_go:
             release = at[0] - np.sqrt(2.0 * max(start - floor[0], 1e-9) / max(g, 1e-9))
-            found = [Flight(0, 0, float(release), float(start), 0.0, float(g))]
+            flights = [Flight(float(release), float(start), 0.0, float(g))]
         else:
-            found = [Flight(0, 0, float(at[0]), float(floor[0]), float(-start), float(g))]
+            flights = [Flight(float(at[0]), float(floor[0]), float(-start), float(g))]
         for k in range(self.n):
             bend, lasts = float(g * (1.0 + shares[k])), float(at[k + 1] - at[k])
             up = 0.5 * bend * lasts + float(floor[k + 1] - floor[k]) / max(lasts, 1e-9)
-            found.append(Flight(0, 0, float(at[k]), float(floor[k]), up, bend))
-        return found
-
-    def phase(self, p: Array, flights: Sequence[Flight]) -> NDArray[np.int64]:
-        """Of which flight each frame is; -1 where the body is held."""
-        phase = np.searchsorted(p[3 : 3 + self.n], self.t)
-        if self.drop.held is not None:
-            phase = np.where(self.t < flights[0].t_s, -1, phase)
-        return phase
+            flights.append(Flight(float(at[k]), float(floor[k]), up, bend))
+        return replace(self.drop, flights=tuple(flights), impact_s=at[: self.n], floor=float(p[1]))
 
     def left(self, scaled: Array) -> Array:
         """What frames and the shared gravity leave, over their errors."""
         p = self.p + scaled * self.scale
-        flights = self.flights(p)
-        phase = self.phase(p, flights)
-        value = np.choose(np.maximum(phase, 0), [each.at(self.t) for each in flights])
-        value = np.where(phase < 0, p[2], value)
-        if self.through.any():
-            value[self.through] = self._mean_of(flights, p)
+        drop = self.drop_of(p)
+        value = drop.height(self.t)
+        value[self.through] = drop.height(self.exposed).mean(axis=1)
         told = zip(p[:2], (self.known.gravity, self.known.floor), strict=True)
         return np.concatenate(
             [
@@ -323,62 +342,35 @@ class _Joint:
             ]
         )
 
-    def _mean_of(self, flights: Sequence[Flight], p: Array) -> Array:
-        """Mean heights over the exposures (frames through an impact,)."""
-        t = self.t[self.through, None] + self.u
-        phase = np.searchsorted(p[3 : 3 + self.n], t)
-        return np.asarray(np.choose(phase, [each.at(t) for each in flights]).mean(axis=1))
-
-    def solved(self) -> Drop:
-        """The drop of least squares; as it was where there is none."""
+    def solved(self) -> tuple[Drop, float]:
+        """The drop of least squares, and their sum; as it was where there is none."""
         if len(self.t) < self.n + 3:
-            return self.drop
+            return self.drop, np.inf
         found = least_squares(self.left, np.zeros(len(self.p)), loss="soft_l1", f_scale=3.0)
         p = self.p + found.x * self.scale
-        at = p[3 : 4 + self.n]
-        if not np.isfinite(p).all() or p[0] <= 0.0 or (np.diff(at) <= 0.0).any():
-            return self.drop
-        flights = self.flights(p)
-        phase = self.phase(p, flights)
+        if not np.isfinite(p).all() or p[0] <= 0.0 or (np.diff(p[3 : 4 + self.n]) <= 0.0).any():
+            return self.drop, np.inf
+        drop = self.drop_of(p)
+        phase = drop.phase(self.t)
         if phase.max() < self.n:  # no frame shows the last flight
-            return self.drop
-        placed = []
-        for k, each in enumerate(flights):
-            own, old = self.frames[phase == k], self.drop.flights[k]
-            first, last = (int(own[0]), int(own[-1])) if len(own) else (old.first, old.last)
-            placed.append(replace(each, first=first, last=last))
+            return self.drop, np.inf
         covariance = np.linalg.pinv(found.jac.T @ found.jac) * np.outer(self.scale, self.scale)
-        left = self.left(found.x)
-        self.square = float(left @ left)
-        covariance *= _alike(left[: len(self.t)], phase)
+        covariance *= _alike(found.fun[: len(self.t)], phase)
         slopes = np.stack(
             [
-                (_ratios(self.flights(p + step), (p + step)[3:]) - _ratios(flights, p[3:]))
-                / step.max()
+                (self.drop_of(p + step).restitution - drop.restitution) / step.max()
                 for step in np.diag(1e-4 * self.scale)
             ],
             axis=1,
         )
-        errors = np.sqrt(np.einsum("ri,ij,rj->r", slopes, covariance, slopes))
-        held = self.drop.held is not None
-        return replace(
-            self.drop,
-            last=int(self.frames[-1]),
-            release_s=flights[0].t_s if held else None,
-            held=float(p[2]) if held else None,
-            flights=tuple(placed),
-            impact_s=at[: self.n],
-            floor=np.full(self.n, p[1]),
-            restitution_error=errors,
+        drop = replace(
+            drop,
+            last=int(self.own[-1]),
+            restitution_error=np.sqrt(np.einsum("ri,ij,rj->r", slopes, covariance, slopes)),
             gravity_error=float(np.sqrt(covariance[0, 0])),
             floor_error=float(np.sqrt(covariance[1, 1])),
         )
-
-
-def _ratios(flights: Sequence[Flight], impact_s: Array) -> Array:
-    """Speed after each impact over that before it (impacts,)."""
-    pairs = zip(impact_s, flights[:-1], flights[1:], strict=False)
-    return np.array([-b.speed_at(float(t)) / a.speed_at(float(t)) for t, a, b in pairs])
+        return drop, float(found.fun @ found.fun)
 
 
 def _alike(left: Array, phase: NDArray[np.int64]) -> float:
@@ -390,29 +382,10 @@ def _alike(left: Array, phase: NDArray[np.int64]) -> float:
     return max(square, 1.0) * (1.0 + rho) / (1.0 - rho)
 
 
-def _landing(flight: Flight, floor: float) -> float:
-    """When a flight comes down to the height ``floor``; where it never was above it, its top."""
-    top_s = flight.t_s + flight.speed / flight.gravity
-    above = float(flight.at(top_s)) - floor
-    return top_s + float(np.sqrt(max(2.0 * above / flight.gravity, 0.0)))
-
-
-def clear_of(drop: Drop, t_s: Array, exposure_s: float) -> NDArray[np.bool_]:
-    """Which frames (frames,) no impact of the drop blurs."""
-    near = 0.5 * exposure_s + TOUCHING_S
-    return np.all(np.abs(t_s[:, None] - drop.impact_s) > near, axis=1)
-
-
-def _frames_of(t_s: Array) -> int:
-    """How many frames a stretch has in a film that plays as fast as it was taken."""
-    frame = float(np.median(np.diff(t_s)))
-    return int(np.clip(round(STRETCH_S / frame), LEAST_FRAMES, MOST_FRAMES))
-
-
-def gravity_of(t_s: Array, height: Array, sigma: Array, size: int | None = None) -> float | None:
+def gravity_of(track: Track, size: int | None = None) -> float | None:
     """The downward acceleration in px/s² that most stretches of ``size`` frames share; None where
     none is sure."""
-    bends, errors = _stretches(t_s, height, sigma, size or _frames_of(t_s))
+    bends, errors = _stretches(track, size or track.stretch)
     sure = (bends > SURE * errors) & np.isfinite(bends)
     if not sure.any():
         return None
@@ -424,96 +397,82 @@ def gravity_of(t_s: Array, height: Array, sigma: Array, size: int | None = None)
     return float(np.average(some[best], weights=error[best] ** -2.0))
 
 
-def _stretches(t_s: Array, height: Array, sigma: Array, size: int) -> tuple[Array, Array]:
+def _stretches(track: Track, size: int) -> tuple[Array, Array]:
     """Downward accelerations of stretches of ``size`` frames, and their standard errors; not a
     number where no parabola passes."""
-    frame = float(np.median(np.diff(t_s)))
-    n = len(t_s) - size + 1
-    if n < 1:
+    if len(track.t_s) < size:
         return np.zeros(0), np.zeros(0)
-    at = np.arange(n)[:, None] + np.arange(size)
-    t, y, s = t_s[at], height[at], sigma[at]
-    since = t - t.mean(axis=1, keepdims=True)
+    t, y, s = (sliding_window_view(each, size) for each in (track.t_s, track.height, track.sigma))
+    # counted in frames, lest the powers differ by much
+    since = (t - t.mean(axis=1, keepdims=True)) / track.frame_s
     design = np.stack([np.ones_like(since), since, -0.5 * since**2], axis=2) / s[:, :, None]
-    normal = np.einsum("nki,nkj->nij", design, design)
-    scale = np.sqrt(np.einsum("nii->ni", normal))
-    inverse = np.linalg.inv(normal / scale[:, :, None] / scale[:, None, :])
-    inverse = inverse / scale[:, :, None] / scale[:, None, :]
+    inverse = np.linalg.inv(np.einsum("nki,nkj->nij", design, design))
     found = np.einsum("nij,nkj,nk->ni", inverse, design, y / s)
     left = y / s - np.einsum("nki,ni->nk", design, found)
     square = (left**2).sum(axis=1) / max(size - 3, 1)
-    gap = np.diff(t, axis=1).max(axis=1) > 4.0 * frame
-    bad = (square > 16.0) | gap
+    bad = (square > 16.0) | (np.diff(since, axis=1).max(axis=1) > 4.0)
     errors = np.sqrt(inverse[:, 2, 2] * np.maximum(square, 1.0))
-    return np.where(bad, np.nan, found[:, 2]), errors
+    return np.where(bad, np.nan, found[:, 2]) / track.frame_s**2, errors / track.frame_s**2
 
 
-def _flights(t_s: Array, height: Array, sigma: Array, gravity: float, size: int) -> list[Flight]:
+def _flights(track: Track, gravity: float, size: int) -> list[Stretch]:
     """Stretches of that acceleration, each as long as its parabola goes on."""
-    bends, errors = _stretches(t_s, height, sigma, size)
+    bends, errors = _stretches(track, size)
     near = np.abs(bends - gravity) < NEAR * errors + TURNING * gravity
     seeds = np.flatnonzero(near & np.isfinite(bends))
     seeds = seeds[np.argsort(errors[seeds] + np.abs(bends[seeds] - gravity), kind="stable")]
-    taken: NDArray[np.bool_] = np.zeros(len(t_s), dtype=bool)
+    taken: NDArray[np.bool_] = np.zeros(len(track.t_s), dtype=bool)
     flights = []
     for seed in seeds:
         if taken[seed : seed + size].any():
             continue
-        flight = _grown(t_s, height, sigma, seed, seed + size - 1, gravity, taken)
-        if flight is None:
-            continue
-        taken[flight.first : flight.last + 1] = True
-        flights.append(flight)
+        flight = _grown(
+            _fitted(track, int(seed), int(seed) + size - 1, gravity), track, gravity, taken
+        )
+        if flight is not None:
+            taken[flight.first : flight.last + 1] = True
+            flights.append(flight)
     return sorted(flights, key=lambda each: each.first)
 
 
 def _grown(
-    t_s: Array,
-    height: Array,
-    sigma: Array,
-    first: int,
-    last: int,
-    gravity: float,
-    taken: NDArray[np.bool_],
-) -> Flight | None:
-    """The flight of these frames and of those beside them that lie on its parabola."""
-    flight = _fitted(t_s, height, sigma, first, last, gravity)
-    frame = float(np.median(np.diff(t_s)))
+    flight: Stretch, track: Track, gravity: float, taken: NDArray[np.bool_]
+) -> Stretch | None:
+    """A flight with the frames beside it that lie on its parabola; None where few do."""
+    t_s, height, sigma, frame = track.t_s, track.height, track.sigma, track.frame_s
     for _ in range(3):
-        before = (first, last)
-        for step, end in ((-1, first), (1, last)):
-            misses, at = 0, end + step
+        before = flight
+        for step, at in ((-1, flight.first - 1), (1, flight.last + 1)):
+            misses = 0
             while 0 <= at < len(t_s) and not taken[at] and misses < 2:
                 if abs(t_s[at] - t_s[at - step]) > 6.0 * frame:
                     break
                 unsure = np.hypot(sigma[at], SPEED_PX * abs(flight.speed_at(t_s[at])) * frame)
                 near = abs(height[at] - flight.at(t_s[at])) < OFF * unsure
-                wider = min(first, at), max(last, at)
-                grown = _fitted(t_s, height, sigma, *wider, gravity) if near else flight
+                first, last = min(flight.first, at), max(flight.last, at)
+                grown = _fitted(track, first, last, gravity) if near else flight
                 # a body that is held before a flight would flatten the parabola, frame by frame
                 least = min(flight.gravity, (1.0 - TURNING) * gravity)
                 if near and (step > 0 or grown.gravity >= least):
-                    (first, last), flight, misses = wider, grown, 0
+                    flight, misses = grown, 0
                 else:
                     misses += 1
                 at += step
-        if before == (first, last):
+        if before is flight:
             break
-    far = np.abs(height[first : last + 1] - flight.at(t_s[first : last + 1]))
-    return flight if np.median(far / sigma[first : last + 1]) < OFF else None
+    own = slice(flight.first, flight.last + 1)
+    far = np.abs(height[own] - flight.at(t_s[own]))
+    return flight if np.median(far / sigma[own]) < OFF else None
 
 
-def _fitted(
-    t_s: Array, height: Array, sigma: Array, first: int, last: int, gravity: float
-) -> Flight:
+def _fitted(track: Track, first: int, last: int, gravity: float) -> Stretch:
     """The parabola of frames ``first`` to ``last``, its acceleration about ``gravity``."""
-    t, y, s = (each[first : last + 1] for each in (t_s, height, sigma))
+    t, y, s = (each[first : last + 1] for each in (track.t_s, track.height, track.sigma))
     middle = float(t.mean())
-    since = t - middle
+    design = np.vander(t - middle, 3, increasing=True) * [1.0, 1.0, -0.5]
     weight: Array = np.ones(len(t))
     solution: Array = np.zeros(3)
     for _ in range(3):
-        design = np.stack([np.ones_like(since), since, -0.5 * since**2], axis=1)
         weighted = np.vstack(
             [design * (weight / s)[:, None], [0.0, 0.0, 1.0 / (TURNING * gravity)]]
         )
@@ -523,160 +482,130 @@ def _fitted(
         usual = max(1.4826 * float(np.median(left)), 1.0)
         weight = np.sqrt(np.minimum(1.0, 3.0 * usual / np.maximum(left, 1e-9)))
     level, speed, bend = (float(each) for each in solution)
-    return Flight(first, last, middle, level, speed, bend)
+    return Stretch(middle, level, speed, bend, first, last)
 
 
-def _impact(before: Flight, after: Flight, t_s: Array) -> tuple[float, float] | None:
-    """Instant and height of the impact between two flights; None where there is none.
+def _impact(before: Stretch, after: Stretch, track: Track) -> float | None:
+    """Instant of the impact between two flights; None where there is none.
 
     Frames that the impact blurs are of neither. The body must come down and go up.
     """
-    frame = float(np.median(np.diff(t_s)))
-    low, high = t_s[before.last] - 1.5 * frame, t_s[after.first] + 1.5 * frame
-    if high - low > 7.0 * frame:
+    reach = 1.5 * track.frame_s
+    low, high = track.t_s[before.last] - reach, track.t_s[after.first] + reach
+    if high - low > 7.0 * track.frame_s:
         return None
-    tried = np.linspace(low, high, 400)
-    gap = before.at(tried) - after.at(tried)
-    crossing = np.flatnonzero((gap[:-1] > 0.0) & (gap[1:] <= 0.0))
-    if not len(crossing):
-        return None
-    k = int(crossing[0])
-    t = float(tried[k] + (tried[k + 1] - tried[k]) * gap[k] / (gap[k] - gap[k + 1]))
-    if before.speed_at(t) >= 0.0 or after.speed_at(t) <= 0.0:
-        return None
-    return t, float(before.at(t))
+    apart = before.height - float(after.at(before.t_s))
+    faster = before.speed - float(after.speed_at(before.t_s))
+    roots = np.roots([0.5 * (after.gravity - before.gravity), faster, apart])
+    for t in before.t_s + roots[np.isreal(roots)].real:
+        if low <= t <= high and before.speed_at(t) < 0.0 < after.speed_at(t):
+            return float(t)
+    return None
 
 
-def _drop(chain: list[Flight], t_s: Array, height: Array, sigma: Array) -> Drop | None:
+def _drop(chain: list[Stretch], track: Track) -> Drop | None:
     """The drop of flights with impacts between them; None where nothing falls."""
     gravity = float(
         np.average([f.gravity for f in chain], weights=[f.last - f.first for f in chain])
     )
-    let_go = _let_go(chain[0], gravity, t_s, height, sigma)
+    let_go = _let_go(chain[0], gravity, track)
     held_first = let_go is not None and let_go[1] <= chain[0].first
-    if _rises(chain[0], t_s) and not held_first:
+    if _rises(chain[0], track) and not held_first:
         # thrown up in view, or the fall before it has too few frames for a flight of its own
-        before = _fall_before(chain[0], gravity, t_s, height, sigma)
+        before = _fall_before(chain[0], gravity, track)
         if before is not None:
-            chain = [before[0], *chain]
-            let_go = _let_go(chain[0], gravity, t_s, height, sigma)
-    release, held, begin = None, None, chain[0].first
+            chain = [before, *chain]
+            let_go = _let_go(before, gravity, track)
+    first = chain[0].first
     if let_go is not None:
-        fall, begin = let_go
-        release, held = fall.t_s, fall.height
+        fall, first = let_go
         chain = [fall, *chain[1:]]
-    found = [_impact(before, after, t_s) for before, after in pairwise(chain)]
-    impacts = [each for each in found if each is not None]
-    if len(impacts) < len(found):
+    found = [_impact(before, after, track) for before, after in pairwise(chain)]
+    impact_s = np.array([each for each in found if each is not None])
+    if len(impact_s) < len(found):
         return None
-    fall = chain[0]
-    top_s = fall.t_s + fall.speed / fall.gravity
-    top_s = min(max(top_s, float(t_s[fall.first])), float(t_s[fall.last]))
-    fallen = float(fall.at(top_s) - fall.at(impacts[0][0] if impacts else t_s[fall.last]))
-    if fallen < max(LEAST_FALL_PX, 3.0 * SURE * float(np.median(sigma))):
+    fall, error = chain[0], float(np.median(track.sigma))
+    begin_s, end_s = float(track.t_s[fall.first]), float(track.t_s[fall.last])
+    top = fall.at(float(np.clip(fall.top_s, begin_s, end_s)))
+    fallen = float(top - fall.at(impact_s[0] if len(impact_s) else end_s))
+    if fallen < max(LEAST_FALL_PX, 3.0 * SURE * error):
         return None
-    if not impacts:
+    if not len(impact_s):
         # without an impact it may be a hand that lowers the body: it has to be let go suddenly, or
         # to follow its parabola so far that no hand does
-        still = 0.0 if release is None else 0.5 * fall.gravity * (release - t_s[begin]) ** 2
-        error = float(np.median(sigma))
-        sudden = still > max(1.0, 6.0 * error)
-        lasted = float(t_s[fall.last] - t_s[fall.first])
-        bent = 0.5 * fall.gravity * lasted**2
+        still_s = fall.t_s - track.t_s[first] if let_go is not None else 0.0
+        sudden = 0.5 * fall.gravity * still_s**2 > max(1.0, 6.0 * error)
+        bent = 0.5 * fall.gravity * (end_s - begin_s) ** 2
         far = fallen > max(FAR_PX, FAR_SIGMAS * error) and bent > 0.25 * fallen
-        if fall.last - fall.first < LEAST_FRAMES or not (sudden or far):
+        if fall.last - fall.first < LEAST_FRAMES or not (
+            sudden or (far and _is_parabola(fall, track))
+        ):
             return None
-        own = slice(fall.first, fall.last + 1)
-        if not sudden and not _is_parabola(t_s[own], height[own], sigma[own]):
-            return None
-    both = np.array(impacts, dtype=float).reshape(-1, 2)
-    return Drop(begin, chain[-1].last, release, held, tuple(chain), both[:, 0], both[:, 1])
+    bottoms = [float(f.at(float(t))) for f, t in zip(chain, impact_s, strict=False)]
+    floor = float(np.median(bottoms or [0.0]))
+    return Drop(first, chain[-1].last, let_go is not None, tuple(chain), impact_s, floor)
 
 
-def _is_parabola(t_s: Array, height: Array, sigma: Array) -> bool:
+def _is_parabola(fall: Stretch, track: Track) -> bool:
     """Whether a third and a fourth power make heights no better than lens and air bend a fall; the
     arc of a hand gains more."""
-    since = (t_s - t_s.mean()) / np.ptp(t_s)
-    sigma = np.hypot(sigma, BENT * np.ptp(height))
-    squares = []
-    for powers in (3, 5):
-        design = np.vander(since, powers, increasing=True) / sigma[:, None]
-        left = height / sigma - design @ np.linalg.lstsq(design, height / sigma, rcond=None)[0]
-        squares.append(float(left @ left))
-    usual = max(squares[1] / max(len(t_s) - 5, 1), 1.0)
-    return squares[0] - squares[1] < OFF**2 * usual
+    own = slice(fall.first, fall.last + 1)
+    t, y = track.t_s[own] - fall.t_s, track.height[own]
+    weight = 1.0 / np.hypot(track.sigma[own], BENT * np.ptp(y))
+    squares = [np.polyfit(t, y, power, w=weight, full=True)[1].sum() for power in (2, 4)]
+    usual = max(squares[1] / max(len(t) - 5, 1), 1.0)
+    return bool(squares[0] - squares[1] < OFF**2 * usual)
 
 
-def _rises(flight: Flight, t_s: Array) -> bool:
+def _rises(flight: Stretch, track: Track) -> bool:
     """Whether a flight goes up for a good part of the time that it is seen."""
-    top_s = flight.t_s + flight.speed / flight.gravity
-    return bool(top_s - t_s[flight.first] > 0.25 * (t_s[flight.last] - t_s[flight.first]))
+    first, last = track.t_s[flight.first], track.t_s[flight.last]
+    return bool(flight.top_s - first > 0.25 * (last - first))
 
 
-def _fall_before(
-    rise: Flight, gravity: float, t_s: Array, height: Array, sigma: Array
-) -> tuple[Flight, float] | None:
-    """The fall from a hand that holds still to a rise, through few frames or none; and how well it
-    fits. None where the frames before the rise are not so."""
-    frame = float(np.median(np.diff(t_s)))
-    best = None
-    for last in range(max(rise.first - FEW, 1), rise.first):
-        found = _held_and_let_go(last, rise.first - 1, gravity, t_s, height, sigma)
-        if found is None or found[1] > OFF**2:
-            continue
-        fall = found[0]
-        impact = _impact(fall, rise, t_s)
-        if impact is None or impact[0] - fall.t_s < 0.5 * frame:
-            continue
-        if best is None or found[1] < best[1]:
-            best = found
-    return best
+def _fall_before(rise: Stretch, gravity: float, track: Track) -> Stretch | None:
+    """The fall from a hand that holds still to a rise, through few frames or none; None where the
+    frames before the rise are not so."""
+    for fall in _falls(range(rise.first - FEW, rise.first), rise.first - 1, gravity, track):
+        impact_s = _impact(fall, rise, track)
+        if impact_s is not None and impact_s - fall.t_s >= 0.5 * track.frame_s:
+            return fall
+    return None
 
 
-def _let_go(
-    fall: Flight, gravity: float, t_s: Array, height: Array, sigma: Array
-) -> tuple[Flight, int] | None:
+def _let_go(fall: Stretch, gravity: float, track: Track) -> tuple[Stretch, int] | None:
     """The fall as one from a hand that holds still, and the first frame in which it does; None
     where the film does not show that."""
-    top_s = fall.t_s + fall.speed / fall.gravity
-    start = int(np.searchsorted(t_s, top_s))
-    tried = range(max(fall.first - 1, start - FEW, 1), min(fall.last, start + FEW) + 1)
-    found = [_held_and_let_go(last, fall.last, gravity, t_s, height, sigma) for last in tried]
-    good = [each for each in found if each is not None]
-    if not good:
+    start = int(np.searchsorted(track.t_s, fall.top_s))
+    tried = range(max(fall.first - 1, start - FEW), min(fall.last, start + FEW) + 1)
+    falls = _falls(tried, fall.last, gravity, track)
+    if not falls:
         return None
-    best, square = min(good, key=lambda each: each[1])
-    if square > OFF**2:
-        return None
-    begin = int(np.searchsorted(t_s, best.t_s)) - 1
-    while (
-        begin > 0
-        and abs(height[begin - 1] - best.height) < max(OFF * sigma[begin - 1], LEVEL_PX)
-        and best.t_s - t_s[begin - 1] < HELD_S
-    ):
-        begin -= 1
-    return best, max(begin, 0)
+    best = falls[0]
+    begin = max(int(np.searchsorted(track.t_s, best.t_s)) - 1, 0)
+    off = np.abs(track.height[:begin] - best.height)
+    moved = off >= np.maximum(OFF * track.sigma[:begin], LEVEL_PX)
+    away = np.flatnonzero(moved | (best.t_s - track.t_s[:begin] >= HELD_S))
+    return best, int(away[-1]) + 1 if len(away) else 0
+
+
+def _falls(held: range, last: int, gravity: float, track: Track) -> list[Stretch]:
+    """Falls from rest after one of the frames ``held``, through the frames up to ``last``, the one
+    that fits best first; those that do not fit are left out."""
+    found = [_held_and_let_go(each, last, gravity, track) for each in held if 1 <= each < last]
+    good = [each for each in found if each is not None and each[1] <= OFF**2]
+    return [fall for fall, _ in sorted(good, key=lambda each: each[1])]
 
 
 def _held_and_let_go(
-    held: int,
-    last: int,
-    gravity: float,
-    t_s: Array,
-    height: Array,
-    sigma: Array,
-) -> tuple[Flight, float] | None:
+    held: int, last: int, gravity: float, track: Track
+) -> tuple[Stretch, float] | None:
     """A fall from rest after the frame ``held``, through the frames up to ``last``; and the mean
     square of what it leaves. None where that frame is not held still, or it does not fall so."""
-    if last <= held or held < 1:
+    own = slice(held - 1, last + 1)
+    t, y, s = track.t_s[own], track.height[own], track.sigma[own]
+    if abs(y[0] - y[1]) >= max(OFF * s[0], LEVEL_PX):
         return None
-    some = slice(max(0, held - 4), held + 1)
-    about = height[held]
-    still = np.abs(height[some] - about) < np.maximum(OFF * sigma[some], LEVEL_PX)
-    if not still[-2:].all():
-        return None
-    t, y, s = t_s[held - 1 : last + 1], height[held - 1 : last + 1], sigma[held - 1 : last + 1]
-
     weight = s**-2.0
 
     def let_go(release: float) -> tuple[float, Array]:
@@ -692,7 +621,7 @@ def _held_and_let_go(
         square = float(weight @ left**2) + tight * (bend - gravity) ** 2
         return square / max(len(t) - 2, 1), np.array([level, bend])
 
-    tried = np.linspace(t_s[held - 1], t_s[held + 1], 21)
+    tried = np.linspace(t[0], t[2], 21)
     k = int(np.argmin([let_go(each)[0] for each in tried]))
     found = minimize_scalar(
         lambda release: let_go(release)[0],
@@ -701,4 +630,4 @@ def _held_and_let_go(
         options={"xatol": 1e-5 * float(tried[-1] - tried[0])},
     )
     square, (level, bend) = let_go(float(found.x))
-    return Flight(held + 1, last, float(found.x), float(level), 0.0, float(bend)), square
+    return Stretch(float(found.x), float(level), 0.0, float(bend), held + 1, last), square

@@ -36,21 +36,7 @@ TOUCH_S = 1.5e-4
 """By how much it is unsure how long a body touches, which a film does not show."""
 DIFFERENT = 0.03
 """Share by which two scales differ visibly, whatever their errors."""
-ROUND_RATES = (
-    24.0,
-    25.0,
-    30.0,
-    50.0,
-    60.0,
-    100.0,
-    120.0,
-    200.0,
-    240.0,
-    480.0,
-    500.0,
-    960.0,
-    1000.0,
-)
+ROUND_RATES = (24, 25, 30, 50, 60, 100, 120, 200, 240, 480, 500, 960, 1000)
 
 
 @dataclass(frozen=True)
@@ -111,17 +97,8 @@ def weighed(
         turnings = [_turning(track, drop, half_px / g_px) for drop in track.drops]
     turned, floor = TURNED if track.turn is not None else BALL_TURNED, None
     for _ in range(2):  # then once more with the surface that all drops have in common
-        drops = settled(
-            track.drops,
-            track.t_s,
-            -track.down,
-            track.sigma,
-            track.camera.exposure_s,
-            turned,
-            known=Known(gravity, floor),
-            turnings=turnings,
-            through=track.through,
-        )
+        known = Known(gravity, floor)
+        drops = settled(track.drops, track.track, turned, known=known, turnings=turnings)
         if len(drops) < 2:
             break
         floor = floor_of(drops)
@@ -214,17 +191,8 @@ def spin_of(track: Tracked, own: NDArray[np.int64]) -> tuple[float, float] | Non
 def gravity_px(track: Tracked) -> tuple[float, float] | None:
     """Gravity in px/s², and the share by which it may be off (a standard error), from all drops;
     None where none tells it."""
-    found = [
-        (drop.gravity, drop.gravity_error) for drop in track.drops if drop.gravity_error is not None
-    ]
-    if not found:
-        return None
-    values, errors = np.array(found).T
-    weights = errors**-2.0
-    mean = float(np.average(values, weights=weights))
-    # more scatter than their errors say has a reason that is not known
-    square = float(np.sum(weights * (values - mean) ** 2)) / max(len(values) - 1, 1)
-    return mean, float(np.sqrt(max(square, 1.0) / weights.sum())) / mean
+    found = _mean_of([(d.gravity, d.gravity_error) for d in track.drops if d.gravity_error])
+    return None if found is None else (found[0], found[1] / found[0])
 
 
 def doubts_of(track: Tracked, scale: Scale | None, gravity_m_s2: float) -> list[str]:
@@ -264,11 +232,17 @@ def touching_px(drops: Sequence[Drop]) -> float:
 def floor_of(drops: Sequence[Drop]) -> tuple[float, float] | None:
     """The height in px at which bodies bounce, of all drops of a film, and its standard error; None
     where none bounces."""
-    found = [(float(d.floor[0]), d.floor_error or 1.0) for d in drops if len(d.floor)]
-    if not found:
+    found = _mean_of([(d.floor, d.floor_error or 1.0) for d in drops if len(d.impact_s)])
+    return None if found is None else (found[0], float(np.hypot(found[1], SURFACE_PX)))
+
+
+def _mean_of(values: Sequence[tuple[float, float]]) -> tuple[float, float] | None:
+    """The mean of values with standard errors, and its own; None where there is none."""
+    if not values:
         return None
-    floors, errors = np.array(found).T
+    each, errors = np.array(values).T
     weights = errors**-2.0
-    mean = float(np.average(floors, weights=weights))
-    square = float(np.sum(weights * (floors - mean) ** 2)) / max(len(floors) - 1, 1)
-    return mean, float(np.hypot(np.sqrt(max(square, 1.0) / weights.sum()), SURFACE_PX))
+    mean = float(np.average(each, weights=weights))
+    # more scatter than their errors say has a reason that is not known
+    square = float(weights @ (each - mean) ** 2) / max(len(each) - 1, 1)
+    return mean, float(np.sqrt(max(square, 1.0) / weights.sum()))

@@ -17,7 +17,7 @@ from ...solver.errors import InputError
 from ..inputs.choices import Body, Down
 from .disc import discs, find_ball
 from .edge import Camera, Ends, camera_of, edges, edges_of, instants
-from .flights import TURNED, Drop, clear_of, drops_of, settled
+from .flights import TURNED, Drop, Track, drops_of, settled
 from .follow import Follower, Sight, tips
 from .reading import TURNS, Film
 from .scan import Scan, scan
@@ -55,7 +55,8 @@ class Tracked:
     radians, and ``sigma_turn`` its standard error. ``length`` is that of the body in px where it is
     seen whole, ``width`` about that of a bristle. ``vertical`` is the vertical's slope in columns a
     row, with its standard error. ``damage`` are sentences that say where the film ends before its
-    end. In the frames ``through`` (frames,) an impact lies in the exposure, and ``down`` is a mean.
+    end. In the frames whose numbers are in ``through`` an impact lies in the exposure, and ``down``
+    is a mean.
     """
 
     film: Film
@@ -77,18 +78,21 @@ class Tracked:
     vertical: tuple[float, float]
     drops: Sequence[Drop]
     damage: tuple[str, ...]
-    through: NDArray[np.bool_]
+    through: NDArray[np.int64]
+
+    @property
+    def track(self) -> Track:
+        """Heights along the vertical over time."""
+        return Track(self.t_s, -self.down, self.sigma, self.camera.exposure_s, self.through)
 
     def used(self, drop: Drop) -> NDArray[np.int64]:
         """The frames of a drop that can be relied on: no impact blurs them, none is mistaken."""
-        own = np.zeros(len(self.t_s), dtype=bool)
-        own[drop.first : drop.last + 1] = True
-        own &= clear_of(drop, self.t_s, self.camera.exposure_s)
-        off = np.abs(-self.down - drop.height(self.t_s))
-        near_release = (
-            drop.release_s is not None and np.abs(self.t_s - drop.release_s) < self.frame_s
-        )
-        return np.flatnonzero(own & ((off < MISTAKEN * self.sigma + 0.3) | near_release))
+        own = self.track.clear(drop)
+        off = np.abs(-self.down[own] - drop.height(self.t_s[own]))
+        good = off < MISTAKEN * self.sigma[own] + 0.3
+        if drop.release_s is not None:
+            good |= np.abs(self.t_s[own] - drop.release_s) < self.frame_s
+        return own[good]
 
     def residual(self, drop: Drop) -> Array:
         """Heights less those of the drop's parabolas in px, in the frames (frames,) used."""
@@ -228,12 +232,11 @@ def _settle(
     expected: Expected,
 ) -> Tracked:
     """Drops, camera and ends in turn: each makes the others surer."""
-    t, height, sigma = raw.t_s, -raw.row, raw.sigma
+    track = Track(raw.t_s, -raw.row, raw.sigma)
     frame_s = float(np.median(np.diff(seen.t_s)))
     gravity = expected.gravity_px(raw.about_px)
-    drops = drops_of(t, height, sigma, gravity)
+    drops = drops_of(track, gravity)
     camera, length = given, raw.length
-    through: NDArray[np.bool_] = np.zeros(len(t), dtype=bool)
     if raw.sights:
         ends = Ends.of([each.tip for each in raw.sights], 1)
         for turn in range(3):
@@ -241,43 +244,44 @@ def _settle(
                 break
             # until an exposure is known, it may be as long as from a frame to the next
             longest = camera.exposure_s if turn or given.exposure_known else frame_s
-            speed, bend, free = _motion(t, height, drops, longest)
+            speed, bend, free = _motion(replace(track, exposure_s=longest), drops)
             if turn < 2:
                 camera = camera_of(ends, -speed, -bend, free, frame_s, given)
             fitted = edges(ends, -speed, -bend, camera)
-            height, sigma = -fitted.at, np.maximum(fitted.sigma, LEAST_SIGMA_PX)
+            sigma = np.maximum(fitted.sigma, LEAST_SIGMA_PX)
             sigma = np.hypot(sigma, _by_gamma(ends, speed, bend, camera, fitted.at))
-            drops = _again(t, height, sigma, camera, gravity)
-            sigma = _scattered(t, height, sigma, drops, camera)
+            track = Track(track.t_s, -fitted.at, sigma, camera.exposure_s)
+            drops = _again(track, gravity)
+            track = _scattered(track, drops)
         if drops:
-            height, sigma, through = _through_impacts(ends, t, height, sigma, drops, camera)
-            drops = settled(
-                drops, t, height, np.hypot(sigma, CHAIN_PX), camera.exposure_s, through=through
-            )
-            height, sigma, through = _through_impacts(ends, t, height, sigma, drops, camera)
-            length = _lengths(raw.sights, t, height, drops, camera)
+            track = _through_impacts(ends, track, drops, camera)
+            drops = settled(drops, _loosely(track))
+            track = _through_impacts(ends, track, drops, camera)
+            length = _lengths(raw.sights, track, drops, camera)
     elif drops:
-        camera = replace(given, exposure_s=_exposure_of(raw, drops, given, frame_s))
-        drops = _again(t, height, sigma, camera, gravity)
-        sigma = _scattered(t, height, sigma, drops, camera)
-    row = -height
+        camera = replace(given, exposure_s=_exposure_of(raw, track, drops, given, frame_s))
+        track = replace(track, exposure_s=camera.exposure_s)
+        drops = _again(track, gravity)
+        track = _scattered(track, drops)
+    row = -track.height
     column, turn_rad, sigma_turn = raw.column, None, None
     if raw.sights:
         column = np.array([s.column + s.slope * r for s, r in zip(raw.sights, row, strict=True)])
-    vertical = _vertical(t, column, row, drops)
+    vertical = _vertical(track, column, drops)
     if raw.sights:
         slope = np.array([each.slope for each in raw.sights])
         turn_rad = -(np.arctan(slope) - np.arctan(vertical[0]))
         sigma_turn = np.array([each.sigma_slope for each in raw.sights])
     down = (row + vertical[0] * column) / np.hypot(1.0, vertical[0])
-    t = t + 0.5 * camera.exposure_s + rolling_s * film.shown(column, row, seen.shape)[1]
-    turned = TURNED if raw.sights else BALL_TURNED
-    loose = np.hypot(sigma, CHAIN_PX)
+    t = track.t_s + 0.5 * camera.exposure_s + rolling_s * film.shown(column, row, seen.shape)[1]
+    track = replace(track, t_s=t, height=-down)
     # where an impact lies in the exposure, the height is a mean, which is of no flight
-    seen_once = np.flatnonzero(~through)
-    drops = drops_of(t[seen_once], -down[seen_once], loose[seen_once], gravity)
-    drops = [_renumbered(drop, seen_once) for drop in drops]
-    drops = settled(drops, t, -down, sigma, camera.exposure_s, turned, through=through)
+    once = np.setdiff1d(np.arange(len(t)), track.through)
+    loose = _loosely(track)
+    drops = [
+        replace(drop, first=int(once[drop.first]), last=int(once[drop.last]))
+        for drop in drops_of(Track(t[once], -down[once], loose.sigma[once]), gravity)
+    ]
     found = Tracked(
         film=film,
         body=body,
@@ -290,82 +294,67 @@ def _settle(
         column=column,
         row=row,
         down=down,
-        sigma=sigma,
+        sigma=track.sigma,
         turn=turn_rad,
         sigma_turn=sigma_turn,
         length=np.full(len(t), np.nan) if length is None else length,
         width=raw.width,
         vertical=vertical,
-        drops=drops,
+        drops=settled(drops, track, TURNED if raw.sights else BALL_TURNED),
         damage=seen.damage,
-        through=through,
+        through=track.through,
     )
     # one whose every frame an impact blurs tells nothing
-    return replace(found, drops=[drop for drop in drops if len(found.used(drop))])
+    return replace(found, drops=[drop for drop in found.drops if len(found.used(drop))])
 
 
-def _through_impacts(
-    ends: Ends, t: Array, height: Array, sigma: Array, drops: Sequence[Drop], camera: Camera
-) -> tuple[Array, Array, NDArray[np.bool_]]:
-    """Heights and standard errors (frames,) in which those of frames whose exposure has an impact
-    in it, whose numbers come last, are means over the exposure: the end comes down to the surface
-    and goes up again, and is drawn so."""
-    height, sigma = height.copy(), sigma.copy()
-    through = np.zeros(len(t), dtype=bool)
+def _through_impacts(ends: Ends, track: Track, drops: Sequence[Drop], camera: Camera) -> Track:
+    """The track in which heights of frames whose exposure has an impact in it are means over the
+    exposure: the end comes down to the surface and goes up again, and is drawn so."""
+    height, sigma = track.height.copy(), track.sigma.copy()
+    through = [np.zeros(0, dtype=int)]
     u = instants(camera.exposure_s)
     for drop in drops:
-        own: NDArray[np.int64] = np.arange(drop.first, drop.last + 1)
-        own = own[np.abs(t[own, None] - drop.impact_s).min(axis=1, initial=np.inf) < u[-1]]
-        speed = np.abs(drop.speed(t[own] + u[-1]))
+        own = drop.frames
+        t = track.t_s[own]
+        own = own[np.abs(t[:, None] - drop.impact_s).min(axis=1, initial=np.inf) < u[-1]]
+        speed = np.abs(drop.speed(track.t_s[own] + u[-1]))
         own = own[speed * camera.exposure_s > LEAST_STREAK_PX]
         if not len(own):
             continue
-        path = -drop.height((t[own, None] + u).ravel()).reshape(len(own), -1)
-        moved = path - path.mean(axis=1, keepdims=True)
-        part = replace(ends.of_frames(own), guess=path.mean(axis=1))
-        found = edges_of(part, moved, camera)
-        off = np.abs(found.at - path.mean(axis=1))
-        good = off < MOST_OFF_PX
-        height[own[good]] = -found.at[good]
-        sigma[own[good]] = np.hypot(found.sigma[good], STREAK_SIGMA_PX)
-        through[own[good]] = True
-    return height, sigma, through
+        path = -drop.height(track.t_s[own, None] + u)
+        middle = path.mean(axis=1)
+        part = replace(ends.of_frames(own), guess=middle)
+        found = edges_of(part, path - middle[:, None], camera)
+        good = np.abs(found.at - middle) < MOST_OFF_PX
+        through.append(own[good])
+        height[through[-1]] = -found.at[good]
+        sigma[through[-1]] = np.hypot(found.sigma[good], STREAK_SIGMA_PX)
+    return replace(track, height=height, sigma=sigma, through=np.concatenate(through))
 
 
-def _renumbered(drop: Drop, number: NDArray[np.int64]) -> Drop:
-    """A drop found among some frames, with the numbers that they have among all."""
-    flights = [
-        replace(f, first=int(number[f.first]), last=int(number[f.last])) for f in drop.flights
-    ]
-    first, last = int(number[drop.first]), int(number[drop.last])
-    return replace(drop, first=first, last=last, flights=tuple(flights))
+def _loosely(track: Track) -> Track:
+    """The track with errors that allow for what the ends' own leave out."""
+    return replace(track, sigma=np.hypot(track.sigma, CHAIN_PX))
 
 
-def _again(
-    t: Array, height: Array, sigma: Array, camera: Camera, gravity: float | None
-) -> list[Drop]:
-    """Drops with an uncertainty that allows for what the ends' own leaves out."""
-    loose = np.hypot(sigma, CHAIN_PX)
-    found = drops_of(t, height, loose, gravity)
-    return settled(found, t, height, loose, camera.exposure_s)
+def _again(track: Track, gravity: float | None) -> list[Drop]:
+    loose = _loosely(track)
+    return settled(drops_of(loose, gravity), loose)
 
 
-def _motion(
-    t: Array, height: Array, drops: Sequence[Drop], exposure_s: float
-) -> tuple[Array, Array, NDArray[np.bool_]]:
+def _motion(track: Track, drops: Sequence[Drop]) -> tuple[Array, Array, NDArray[np.bool_]]:
     """Upward speeds and accelerations (frames,) in px and s, and which frames fly freely all
     through an exposure."""
-    speed, bend = np.gradient(height, t), np.zeros(len(t))
+    t = track.t_s
+    speed, bend = np.gradient(track.height, t), np.zeros(len(t))
     free: NDArray[np.bool_] = np.zeros(len(t), dtype=bool)
     for drop in drops:
-        own = np.arange(drop.first, drop.last + 1)
-        phase = drop.phase(t[own])
+        own = drop.frames
         speed[own] = drop.speed(t[own])
-        bend[own] = np.where(phase >= 0, -drop.gravity, 0.0)
-        clear = clear_of(drop, t[own], exposure_s)
-        if drop.release_s is not None:
-            clear &= t[own] > drop.release_s + 0.5 * exposure_s
-        free[own] = clear & (phase >= 0)
+        bend[own] = np.where(drop.phase(t[own]) >= 0, -drop.gravity, 0.0)
+        clear = track.clear(drop)
+        free[clear] = drop.phase(t[clear] - 0.5 * track.exposure_s) >= 0
     return speed, bend, free
 
 
@@ -383,83 +372,76 @@ def _by_gamma(ends: Ends, speed: Array, bend: Array, camera: Camera, at: Array) 
     return unsure
 
 
-def _scattered(
-    t: Array, height: Array, sigma: Array, drops: Sequence[Drop], camera: Camera
-) -> Array:
-    """Standard errors with what frames scatter about their parabolas beyond them: compression and
-    textures move ends by more than noise does."""
+def _scattered(track: Track, drops: Sequence[Drop]) -> Track:
+    """The track with what frames scatter about their parabolas beyond their standard errors:
+    compression and textures move ends by more than noise does."""
     squares, own = [], []
     for drop in drops:
-        frames: NDArray[np.int64] = np.arange(drop.first, drop.last + 1)
-        frames = frames[clear_of(drop, t[frames], camera.exposure_s)]
-        phase = drop.phase(t[frames])
+        frames = track.clear(drop)
+        phase = drop.phase(track.t_s[frames])
         for k in range(len(drop.flights)):
             part = frames[phase == k]
             if len(part) < 4:
                 continue
-            left = height[part] - drop.height(t[part])
+            left = track.height[part] - drop.height(track.t_s[part])
             # a parabola takes up two or three numbers of a flight's frames
             squares.append(left**2 * len(part) / (len(part) - 2.5))
-            own.append(sigma[part] ** 2)
+            own.append(track.sigma[part] ** 2)
     if not squares:
-        return np.hypot(sigma, FIRST_SIGMA_PX / 2.0)
+        return replace(track, sigma=np.hypot(track.sigma, FIRST_SIGMA_PX / 2.0))
     # the median of a chi square of one degree is 0.455
     extra = float(np.median(np.concatenate(squares)) / 0.455 - np.median(np.concatenate(own)))
-    return np.sqrt(sigma**2 + max(extra, 0.0))
+    return replace(track, sigma=np.sqrt(track.sigma**2 + max(extra, 0.0)))
 
 
-def _lengths(
-    sights: Sequence[Sight], t: Array, height: Array, drops: Sequence[Drop], camera: Camera
-) -> Array:
+def _lengths(sights: Sequence[Sight], track: Track, drops: Sequence[Drop], camera: Camera) -> Array:
     """Lengths (frames,) of the strip in px where both ends are in view and it flies freely, so that
     no hand hides the upper one."""
-    speed, bend, free = _motion(t, height, drops, camera.exposure_s)
-    length = np.full(len(t), np.nan)
+    speed, bend, free = _motion(track, drops)
+    length = np.full(len(sights), np.nan)
     both = np.flatnonzero(free & np.array([each.top is not None for each in sights]))
     if not len(both):
         return length
     tops = Ends.of([end for i in both if (end := sights[i].top) is not None], -1)
     found = edges(tops, speed[both], bend[both], camera)
-    upper = -found.at
     slope = np.array([sights[i].slope for i in both])
-    length[both] = (-height[both] - upper) * np.hypot(1.0, slope)
+    length[both] = (found.at - track.height[both]) * np.hypot(1.0, slope)
     return length
 
 
-def _exposure_of(raw: _Seen, drops: Sequence[Drop], given: Camera, frame_s: float) -> float:
+def _exposure_of(
+    raw: _Seen, track: Track, drops: Sequence[Drop], given: Camera, frame_s: float
+) -> float:
     """The exposure in s by which a ball is drawn long, unless it is given."""
     if given.exposure_known or raw.blur is None:
         return given.exposure_s
-    speed, _, free = _motion(raw.t_s, -raw.row, drops, frame_s)
+    speed, _, free = _motion(replace(track, exposure_s=frame_s), drops)
     if free.sum() < 3:
         return 0.0
-    speed = np.abs(speed[free])
+    speed, blur = np.abs(speed[free]), raw.blur[free]
     slow, fast = speed < np.percentile(speed, 30), speed > np.percentile(speed, 70)
-    blur = raw.blur[free]
-    drawn = (np.median(blur[fast]) - np.median(blur[slow])) / max(
-        float(np.median(speed[fast]) - np.median(speed[slow])), 1e-9
-    )
+    faster = float(np.median(speed[fast]) - np.median(speed[slow]))
+    drawn = (np.median(blur[fast]) - np.median(blur[slow])) / max(faster, 1e-9)
     return float(np.clip(drawn, 0.0, frame_s))
 
 
-def _vertical(t: Array, column: Array, row: Array, drops: Sequence[Drop]) -> tuple[float, float]:
+def _vertical(track: Track, column: Array, drops: Sequence[Drop]) -> tuple[float, float]:
     """The vertical's slope in columns a row, and its standard error: the way down of what falls.
 
     Zero where falls do not show it better than a level camera would.
     """
-    moves, square, weight = 0.0, 0.0, 0.0
+    slopes, weights = [0.0], [0.0]
     for drop in drops:
-        own: NDArray[np.int64] = np.arange(drop.first, drop.last + 1)
-        fall = own[(drop.phase(t[own]) == 0) & clear_of(drop, t[own], 0.0)]
+        clear = replace(track, exposure_s=0.0).clear(drop)
+        fall = clear[drop.phase(track.t_s[clear]) == 0]
         if len(fall) < 4:
             continue
-        x, y = column[fall] - column[fall].mean(), row[fall] - row[fall].mean()
+        x, y = column[fall] - column[fall].mean(), track.height[fall].mean() - track.height[fall]
         slope = float(x @ y) / float(y @ y)
         left = x - slope * y
-        error = max(float(left @ left) / (len(fall) - 2), LEAST_SIGMA_PX**2) / float(y @ y)
-        moves, weight = moves + slope / error, weight + 1.0 / error
-        square += slope**2 / error
-    if not weight:
+        square = max(float(left @ left) / (len(fall) - 2), LEAST_SIGMA_PX**2)
+        slopes.append(slope)
+        weights.append(float(y @ y) / square)
+    if sum(weights) < LEVEL**-2.0:
         return 0.0, LEVEL
-    slope, error = moves / weight, weight**-0.5
-    return (slope, error) if error < LEVEL else (0.0, LEVEL)
+    return float(np.average(slopes, weights=weights)), sum(weights) ** -0.5

@@ -232,9 +232,7 @@ def _drop(each: FilmedDrop, found: TrackedFilms) -> dict[str, Any]:
     errors = np.zeros_like(ratios) if drop.restitution_error is None else drop.restitution_error
     used = track.used(drop)
     fall = drop.flights[0]
-    top = (
-        drop.held if drop.held is not None else float(fall.at(fall.t_s + fall.speed / fall.gravity))
-    )
+    top = float(fall.at(fall.top_s))
     lean = None
     if track.turn is not None:
         own = used[drop.phase(track.t_s[used]) <= 0]

@@ -68,8 +68,7 @@ def _moments(track: Tracked, drop: Drop) -> dict[str, int]:
             found["down"] = int(before[-1])
         if k == 0 and len(after):
             found["up"] = int(after[0])
-        flight = drop.flights[k + 1]
-        found[f"top {k + 1}"] = nearest(flight.t_s + flight.speed / flight.gravity)
+        found[f"top {k + 1}"] = nearest(drop.flights[k + 1].top_s)
     found["last"] = int(used[-1])
     return found
 

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from bristle.studies.film.flights import Drop, Flight, drops_of, gravity_of, settled
+from bristle.studies.film.flights import Drop, Flight, Track, drops_of, gravity_of, settled
 from bristle.studies.film.render import bouncing
 from bristle.studies.film.scale import of_centre
 
@@ -17,20 +17,19 @@ def track(fps=240.0, noise=0.1, y0=0.04, y1=0.025, seed=0, **motion):
     height, until = bouncing(y0, y1, 0.0, G, **motion)
     t = np.arange(0.0, until, 1.0 / fps)
     y = height(t) / PX + noise * np.random.default_rng(seed).normal(size=len(t))
-    return t, y, np.full(len(t), noise)
+    return Track(t, y, np.full(len(t), noise))
 
 
 def test_gravity_is_what_stretches_share():
-    t, y, sigma = track()
-    assert gravity_of(t, y, sigma) == pytest.approx(G / PX, rel=0.03)
+    assert gravity_of(track()) == pytest.approx(G / PX, rel=0.03)
 
 
 def test_impacts_and_what_they_keep_are_within_their_errors():
     pulls = []
     for seed in range(30):
-        t, y, sigma = track(seed=seed)
+        seen = track(seed=seed)
         # nothing turns here, so all flights have the same gravity
-        (drop,) = settled(drops_of(t, y, sigma), t, y, sigma, 0.0, turned=1e-4)
+        (drop,) = settled(drops_of(seen), seen, turned=1e-4)
         assert drop.release_s == pytest.approx(0.12, abs=0.003)
         pulls.append((drop.restitution[0] - np.sqrt(0.025 / 0.04)) / drop.restitution_error[0])
     # a chi square of thirty pulls lies between these in all but one of a thousand sets
@@ -38,9 +37,9 @@ def test_impacts_and_what_they_keep_are_within_their_errors():
 
 
 def test_a_release_before_the_film_is_not_invented():
-    t, y, sigma = track(held_s=0.0)
-    late = t > 0.03
-    (drop,) = drops_of(t[late], y[late], sigma[late])
+    whole = track(held_s=0.0)
+    late = whole.t_s > 0.03
+    (drop,) = drops_of(Track(whole.t_s[late], whole.height[late], whole.sigma[late]))
     assert drop.release_s is None
     assert len(drop.impact_s) >= 2
 
@@ -50,19 +49,20 @@ def test_what_is_carried_is_no_drop(size_px, rate_Hz):
     t = np.arange(0.0, 2.0, 1.0 / 240.0)
     arc = size_px * np.sin(2.0 * np.pi * rate_Hz * t)
     y = arc + 0.1 * np.random.default_rng(1).normal(size=len(t))
-    assert drops_of(t, y, np.full(len(t), 0.1)) == []
+    assert drops_of(Track(t, y, np.full(len(t), 0.1))) == []
 
 
 @pytest.mark.parametrize("bent", ["air", "lens"])
 @pytest.mark.parametrize("seed", range(5))
 def test_a_fall_out_of_view_is_one_though_air_and_lens_bend_it(bent, seed):
     drag_1_m = 0.1 if bent == "air" else 0.0
-    t, y, sigma = track(y0=0.3, y1=0.1, seed=seed, drag_1_m=drag_1_m)
+    whole = track(y0=0.3, y1=0.1, seed=seed, drag_1_m=drag_1_m)
+    y = whole.height
     if bent == "lens":
         y = y * (1.0 + 0.002 * (y / y.max()) ** 2)
     seen = y > 0.1 * y.max()
     seen[np.argmin(seen) :] = False
-    (drop,) = drops_of(t[seen], y[seen], sigma[seen])
+    (drop,) = drops_of(Track(whole.t_s[seen], y[seen], whole.sigma[seen]))
     assert drop.release_s == pytest.approx(0.12, abs=0.003)
     assert not len(drop.impact_s)
 
@@ -72,9 +72,9 @@ def test_flights_of_three_frames_are_enough_where_gravity_is_about_known():
     height, _ = bouncing(0.05, 0.028, 0.0, G, held_s=0.2)
     t = np.arange(0.02, 0.47, 0.04)
     y = np.round(height(t) / 1e-3)
-    sigma = np.full(len(t), 0.4)
-    assert drops_of(t, y, sigma) == []
-    (drop,) = drops_of(t, y, sigma, 1.03 * G / 1e-3)
+    seen = Track(t, y, np.full(len(t), 0.4))
+    assert drops_of(seen) == []
+    (drop,) = drops_of(seen, 1.03 * G / 1e-3)
     assert drop.restitution[0] == pytest.approx(np.sqrt(0.028 / 0.05), abs=0.03)
 
 
@@ -85,7 +85,7 @@ def test_a_body_that_falls_few_whole_pixels_is_seen_to_be_let_go(y0_px, kept):
         height, until = bouncing(y0_px * 1e-3, kept * y0_px * 1e-3, 0.0, G)
         t = np.arange(0.0, until, 1.0 / 240.0)
         y = np.round(height(t) / 1e-3 + off)
-        (drop,) = drops_of(t, y, np.full(len(t), 0.3), G / 1e-3)
+        (drop,) = drops_of(Track(t, y, np.full(len(t), 0.3)), G / 1e-3)
         # rows of whole pixels hide the first half pixel of the fall, which lasts 0.01 s
         assert drop.release_s == pytest.approx(0.12, abs=0.01)
 
@@ -96,15 +96,15 @@ def test_the_centre_of_a_bristle_that_turns_keeps_another_share_than_its_end():
     t = np.linspace(-0.08, 0.1, 60)
     turn = lean + spin * np.maximum(t, 0.0)
     faster = 0.5 * length * spin * np.sin(lean)
-    flights = (Flight(0, 0, 0.0, 0.0, -down, G / PX), Flight(0, 0, 0.0, 0.0, up + faster, G / PX))
-    drop = Drop(0, 59, None, None, flights, np.zeros(1), np.zeros(1))
+    flights = (Flight(0.0, 0.0, -down, G / PX), Flight(0.0, 0.0, up + faster, G / PX))
+    drop = Drop(0, 59, False, flights, np.zeros(1), 0.0)
     track = SimpleNamespace(t_s=t, turn=turn, sigma_turn=None, used=lambda _: np.arange(60))
     assert drop.restitution[0] == pytest.approx((up + faster) / down)
     assert of_centre(track, drop, length)[0] == pytest.approx(up / down, rel=1e-4)
 
 
 def test_at_few_frames_a_second_the_fall_is_found_before_the_rise():
-    t, y, sigma = track(fps=25.0, noise=0.05, y0=0.05, y1=0.04, held_s=0.503)
-    (drop,) = settled(drops_of(t, y, sigma), t, y, sigma, 0.0)
+    seen = track(fps=25.0, noise=0.05, y0=0.05, y1=0.04, held_s=0.503)
+    (drop,) = settled(drops_of(seen), seen)
     assert drop.release_s == pytest.approx(0.503, abs=0.004)
     assert drop.restitution[0] == pytest.approx(np.sqrt(0.8), abs=0.02)
