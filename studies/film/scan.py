@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ...solver.arrays import Array
 from ...solver.errors import InputError
@@ -96,25 +97,30 @@ class _Kept:
         return np.array([number for number, _ in chosen]), np.stack([grey for _, grey in chosen])
 
 
-def clear_background(samples: Picture, covered: Array) -> Array:
+def clear_background(samples: Picture, covered: NDArray[np.bool_]) -> Array:
     """The picture (rows, columns) without the body: the median of what is not ``covered``.
 
     ``covered`` (samples, rows, columns) is boolean. A pixel that fewer than `LEAST_CLEAR` samples
     show is made of the nearest ones beside it.
     """
     still = np.empty(samples.shape[1:], dtype=np.float32)
-    for row in range(len(still)):
-        hidden = covered[:, row]
-        values = np.where(hidden, np.nan, samples[:, row].astype(np.float32))
-        values.sort(axis=0)  # what is hidden comes last
-        seen = len(values) - hidden.sum(axis=0)
-        middle = np.stack([np.maximum(seen - 1, 0) // 2, np.maximum(seen, 1) // 2])
-        still[row] = np.take_along_axis(values, middle, axis=0).mean(axis=0)
-        never = seen < LEAST_CLEAR
-        if never.any() and not never.all():
-            there = np.flatnonzero(~never)
-            still[row, never] = np.interp(np.flatnonzero(never), there, still[row, there])
-    return np.nan_to_num(still)
+    for row in range(len(still)):  # all at once would take much memory
+        clear = ~covered[:, row]
+        still[row] = median_of(samples[:, row].astype(np.float32), clear, axis=0)
+        there = clear.sum(axis=0) >= LEAST_CLEAR
+        if there.any():
+            column = np.arange(len(there))
+            still[row] = np.interp(column, column[there], still[row, there])
+    return still
+
+
+def median_of(values: Array, used: NDArray[np.bool_], axis: int) -> Array:
+    """Medians along an axis of what is ``used``; of all where nothing is."""
+    used = used | ~used.any(axis=axis, keepdims=True)
+    ordered = np.sort(np.where(used, values, np.inf), axis=axis)  # what is not used comes last
+    count = used.sum(axis=axis, keepdims=True)
+    middle = np.concatenate([(count - 1) // 2, count // 2], axis=axis)
+    return np.asarray(np.take_along_axis(ordered, middle, axis=axis).mean(axis=axis))
 
 
 def coarser(pictures: Array | Picture, factor: int) -> Array:

@@ -245,11 +245,12 @@ def _settle(
             # until an exposure is known, it may be as long as from a frame to the next
             longest = camera.exposure_s if turn or given.exposure_known else frame_s
             speed, bend, free = _motion(replace(track, exposure_s=longest), drops)
+            ends = replace(ends, speed=-speed, bend=-bend)
             if turn < 2:
-                camera = camera_of(ends, -speed, -bend, free, frame_s, given)
-            fitted = edges(ends, -speed, -bend, camera)
+                camera = camera_of(ends, free, frame_s, given)
+            fitted = edges(ends, camera)
             sigma = np.maximum(fitted.sigma, LEAST_SIGMA_PX)
-            sigma = np.hypot(sigma, _by_gamma(ends, speed, bend, camera, fitted.at))
+            sigma = np.hypot(sigma, _by_gamma(ends, camera, fitted.at))
             track = Track(track.t_s, -fitted.at, sigma, camera.exposure_s)
             drops = _again(track, gravity)
             track = _scattered(track, drops)
@@ -358,16 +359,14 @@ def _motion(track: Track, drops: Sequence[Drop]) -> tuple[Array, Array, NDArray[
     return speed, bend, free
 
 
-def _by_gamma(ends: Ends, speed: Array, bend: Array, camera: Camera, at: Array) -> Array:
+def _by_gamma(ends: Ends, camera: Camera, at: Array) -> Array:
     """By how much fast ends would lie elsewhere if the camera's gamma, which the film does not
     show, were a phone's: a standard error (frames,) in px."""
     unsure: Array = np.zeros(len(at))
-    felt = np.abs(speed) * camera.exposure_s > GAMMA_FELT_PX
+    felt = np.abs(ends.speed) * camera.exposure_s > GAMMA_FELT_PX
     if camera.gamma_known or not felt.any():
         return unsure
-    other = edges(
-        ends.of_frames(felt), -speed[felt], -bend[felt], replace(camera, gamma=PHONE_GAMMA)
-    )
+    other = edges(ends.of_frames(felt), replace(camera, gamma=PHONE_GAMMA))
     unsure[felt] = 0.5 * np.abs(other.at - at[felt])
     return unsure
 
@@ -403,7 +402,7 @@ def _lengths(sights: Sequence[Sight], track: Track, drops: Sequence[Drop], camer
     if not len(both):
         return length
     tops = Ends.of([end for i in both if (end := sights[i].top) is not None], -1)
-    found = edges(tops, speed[both], bend[both], camera)
+    found = edges(replace(tops, speed=speed[both], bend=bend[both]), camera)
     slope = np.array([sights[i].slope for i in both])
     length[both] = (found.at - track.height[both]) * np.hypot(1.0, slope)
     return length
