@@ -14,9 +14,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
+from scipy.optimize import least_squares
 from scipy.special import ndtr
 
 from ...solver.arrays import Array
+from .edge import instants
 from .reading import Frame, Picture
 from .scan import Scan, coarser
 
@@ -24,8 +26,6 @@ COARSE_ROWS = 240
 LEAST_RADIUS_PX = 3.0
 LIKE = 0.2
 """By what share a blob's width may differ from the ball's."""
-INSTANTS = 8
-TURNS = 15
 PSF_PX = 0.7
 FAR = 4.0
 RIM_PX = 5.0
@@ -150,68 +150,46 @@ def _start(grey: Picture, ball: Ball, last: Disc | None) -> tuple[float, float, 
 def _fitted(
     frame: Frame, ball: Ball, start: tuple[float, float, float], free_radius: bool = False
 ) -> Disc | None:
-    """The disc near ``start``, by damped least squares; None where it is not in the picture."""
-    grey = frame.grey
+    """The disc near ``start``, by least squares; None where it is not in the picture."""
     reach_x = int(ball.radius + 6.0)
     reach_y = int(ball.radius + 0.7 * start[2] + 6.0)
     left, top = round(start[0]) - reach_x, round(start[1]) - reach_y
     part = np.s_[max(top, 0) : top + 2 * reach_y + 1, max(left, 0) : left + 2 * reach_x + 1]
-    level = grey[part].astype(float)
-    behind = ball.still[part].astype(float)
+    level = frame.grey[part].astype(float)
     if level.size < 9:
         return None
+    behind = ball.still[part].astype(float)
     row, column = np.mgrid[part]
-    p = np.array([start[0], start[1], max(start[2], 0.5), ball.radius])
-    free = 4 if free_radius else 3
-    step_of = np.array([0.05, 0.05, 0.1, 0.05])
+    parts = instants(1.0, int(np.ceil(start[2])))
+    first = np.array([*start[:2], max(start[2], 0.5), ball.radius])
 
-    def residual(p: Array) -> tuple[Array, Array]:
-        """Levels that are left, and the disc's share of each pixel."""
-        instants = p[2] * ((np.arange(INSTANTS) + 0.5) / INSTANTS - 0.5)
-        away = np.hypot(column[..., None] - p[0], row[..., None] - p[1] - instants)
+    def share_of(p: Array) -> tuple[Array, NDArray[np.bool_]]:
+        """The disc's share of each pixel, and which lie near its edge."""
+        away = np.hypot(column[..., None] - p[0], row[..., None] - p[1] - p[2] * parts)
         share = ndtr((p[3] - away) / PSF_PX).mean(axis=-1)
-        rim = (away > p[3] - RIM_PX).any(axis=-1).ravel()
-        flat = share.ravel() * rim
-        design = np.stack(
-            [flat, flat * (column - p[0]).ravel(), flat * (row - p[1]).ravel()], axis=1
-        )
-        want = (level - behind * (1.0 - share)).ravel() * rim
-        shading = np.linalg.lstsq(design, want, rcond=None)[0]
-        return want - design @ shading, share
+        return share, (away > p[3] - RIM_PX).any(axis=-1)
 
-    now, share = residual(p)
-    damping, normal = 1e-3, np.eye(free)
-    for _ in range(TURNS):
-        slopes = np.stack(
-            [
-                (residual(p + step_of * (k == np.arange(4)))[0] - now) / step_of[k]
-                for k in range(free)
-            ],
-            axis=1,
-        )
-        usual = max(1.4826 * float(np.median(np.abs(now))), 0.5)
-        weight = np.minimum(1.0, FAR * usual / np.maximum(np.abs(now), 1e-9))
-        normal = (slopes * weight[:, None]).T @ slopes + 1e-9 * np.eye(free)
-        step = np.linalg.solve(
-            normal + damping * np.diag(np.diag(normal)), slopes.T @ (weight * now)
-        )
-        new = p.copy()
-        new[:free] -= np.clip(step, -3.0, 3.0)
-        new[2] = abs(new[2])
-        after, share_new = residual(new)
-        if np.sum(weight * after**2) < np.sum(weight * now**2):
-            p, now, share, damping = new, after, share_new, 0.3 * damping
-            if np.abs(step[:2]).max() < 2e-3:
-                break
-        else:
-            damping *= 10.0
-            if damping > 1e4:
-                break
-    inside: NDArray[np.bool_] = share > 0.5
-    if inside.sum() < 0.5 * np.pi * p[3] ** 2:
+    def residual(moved: Array) -> Array:
+        """Levels that are left where the disc's brightness is linear across."""
+        p = first + np.pad(moved, (0, 4 - len(moved)))
+        share, rim = share_of(p)
+        linear = np.stack([share, share * (column - p[0]), share * (row - p[1])])
+        design = (linear * rim).reshape(3, -1)
+        want = ((level - behind * (1.0 - share)) * rim).ravel()
+        shading = np.linalg.solve(design @ design.T + 1e-9 * np.eye(3), design @ want)
+        return want - shading @ design
+
+    free = np.zeros(4 if free_radius else 3)
+    # once to know what is usually left, which a shine or a shadow exceeds
+    found = least_squares(residual, free, xtol=1e-2)
+    usual = max(1.4826 * float(np.median(np.abs(found.fun))), 0.5)
+    found = least_squares(residual, found.x, loss="huber", f_scale=FAR * usual, xtol=1e-4)
+    p = first + np.pad(found.x, (0, 4 - len(found.x)))
+    square = float(np.mean(found.fun**2))
+    seen = float((share_of(p)[0] > 0.5).sum())
+    if seen < 0.5 * np.pi * p[3] ** 2 or square > (0.35 * ball.contrast) ** 2:
         return None
-    square = float(np.mean(now**2))
-    if square > (0.35 * ball.contrast) ** 2:
-        return None
-    sigma = float(np.sqrt(square * np.linalg.inv(normal)[1, 1]))
-    return Disc(frame.number, frame.t_s, float(p[0]), float(p[1]), float(p[2]), float(p[3]), sigma)
+    sigma = float(np.sqrt(square * np.linalg.pinv(found.jac.T @ found.jac)[1, 1]))
+    return Disc(
+        frame.number, frame.t_s, float(p[0]), float(p[1]), abs(float(p[2])), float(p[3]), sigma
+    )
