@@ -173,26 +173,32 @@ def _longest(
 @njit
 def _greatest_sums(
     gain: Array, slopes: Array, middle: int
-) -> tuple[Array, NDArray[np.int64], NDArray[np.int64]]:
+) -> tuple[Array, NDArray[np.int32], NDArray[np.int32]]:
     """The greatest sum of a run down each line, and its first and last row (slopes, columns); a
     line is numbered by its column in the row ``middle``."""
     rows, columns = gain.shape
-    best = np.zeros((len(slopes), columns))
-    first = np.zeros((len(slopes), columns), dtype=np.int64)
-    last = np.zeros((len(slopes), columns), dtype=np.int64)
-    aside = np.zeros(rows, dtype=np.int64)
+    beyond = int(np.ceil(np.abs(slopes).max() * rows))
+    padded = np.full((rows, columns + 2 * beyond), np.float32(-1.5))
+    padded[:, beyond : beyond + columns] = gain
+    best = np.zeros((len(slopes), columns), dtype=np.float32)
+    first = np.zeros((len(slopes), columns), dtype=np.int32)
+    last = np.zeros((len(slopes), columns), dtype=np.int32)
+    total = np.empty(columns, dtype=np.float32)
+    begin = np.empty(columns, dtype=np.int32)
     for k in range(len(slopes)):
+        total[:] = 0.0
         for row in range(rows):
-            aside[row] = round(slopes[k] * (row - middle))
-        for j in range(columns):
-            total, begin = 0.0, 0
-            for row in range(rows):
-                at = j + aside[row]
-                if total <= 0.0:
-                    total, begin = 0.0, row
-                total += gain[row, at] if 0 <= at < columns else -1.5
-                if total > best[k, j]:
-                    best[k, j], first[k, j], last[k, j] = total, begin, row
+            # columns innermost and without branches, so that several are done at once
+            at = beyond + round(slopes[k] * (row - middle))
+            along = padded[row, at : at + columns]
+            for j in range(columns):
+                fresh = total[j] <= 0.0
+                begin[j] = row if fresh else begin[j]
+                total[j] = along[j] + (np.float32(0.0) if fresh else total[j])
+                better = total[j] > best[k, j]
+                best[k, j] = total[j] if better else best[k, j]
+                first[k, j] = begin[j] if better else first[k, j]
+                last[k, j] = row if better else last[k, j]
     return best, first, last
 
 
