@@ -43,14 +43,16 @@ MOST_FRAMES = 24
 
 @dataclass(frozen=True)
 class Camera:
-    """How a film's camera sees: the lens' blur (a standard deviation in px), its exposure in s, and
-    the exponent ``gamma`` with which light grows with levels."""
+    """How a film's camera sees: the lens' blur (a standard deviation in px), its exposure in s, the
+    exponent ``gamma`` with which light grows with levels, and by how much a row of the picture is
+    later than the one above."""
 
     psf_px: float = PSF_PX
     exposure_s: float = 0.0
     gamma: float = 1.0
     exposure_known: bool = False
     gamma_known: bool = False
+    rolling_s: float = 0.0
 
 
 @dataclass(frozen=True)

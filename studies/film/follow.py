@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -236,11 +236,3 @@ class Follower:
             self.along(grey, strip, rows),
             self.along(self.looks.still, strip, rows),
         )
-
-
-def tips(sights: Sequence[Sight]) -> tuple[Array, Array, Array]:
-    """Times (frames,) in s, columns and rows (frames,) of the first guesses of the lower end."""
-    t = np.array([each.t_s for each in sights])
-    row = np.array([each.tip.row for each in sights])
-    column = np.array([each.column + each.slope * each.tip.row for each in sights])
-    return t, column, row

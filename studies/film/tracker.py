@@ -18,7 +18,7 @@ from ..inputs.choices import Body, Down
 from .disc import discs, find_ball
 from .edge import Camera, Ends, camera_of, edges, edges_of, instants
 from .flights import TURNED, Drop, Track, drops_of, settled
-from .follow import Follower, Sight, tips
+from .follow import Follower, Sight
 from .reading import TURNS, Film
 from .scan import Scan, scan
 from .strip import find_strip
@@ -108,21 +108,24 @@ class Expected:
     length_mm: float | None = None
     mm_per_px: float | None = None
 
-    def gravity_px(self, length_px: float) -> float | None:
-        """About gravity in px/s², where the body seems to be so long."""
-        if self.mm_per_px is None and (self.length_mm is None or not length_px > 0.0):
+    def gravity_px(self, length: Array) -> float | None:
+        """About gravity in px/s², where the body seems to be so long in frames (frames,)."""
+        px = length[np.isfinite(length)]
+        if self.mm_per_px is not None:
+            return self.gravity_mm_s2 / self.mm_per_px
+        if self.length_mm is None or not len(px):
             return None
-        return self.gravity_mm_s2 / (self.mm_per_px or (self.length_mm or 0.0) / length_px)
+        # a hand hides a part in many frames
+        return self.gravity_mm_s2 * float(np.percentile(px, 80)) / self.length_mm
 
 
 def tracked(
     film: Film,
     body: Body,
     given: Camera | None = None,
-    rolling_s: float = 0.0,
     expected: Expected | None = None,
 ) -> Tracked:
-    """Track a film. ``rolling_s`` is by how much a row of the picture is later than the one above.
+    """Track a film. ``given`` is what is known of its camera.
 
     Raises InputError where no body is seen to fall, in a way that says what was looked for.
     """
@@ -142,7 +145,7 @@ def tracked(
         if isinstance(found, str):
             doubt = doubt or found
             continue
-        result = _settle(turned, body, seen, found, given, rolling_s, expected or Expected())
+        result = _settle(turned, body, seen, found, given, expected or Expected())
         if result.drops:
             return result
         doubt = (
@@ -161,45 +164,41 @@ def tracked(
 
 @dataclass(frozen=True)
 class _Seen:
-    """The raw sights of a film: what `_settle` makes a track of."""
+    """The raw sights of a film, what `_settle` makes a track of: of each frame where the lower end
+    is, its standard error, the slope of the axis, and the body's length, in px, which is not a
+    number where an end is hidden. ``sights`` are those of a bristle, ``blur`` (frames,) by how much
+    a ball is drawn long."""
 
     number: NDArray[np.int64]
     t_s: Array
     row: Array
     column: Array
     sigma: Array
+    slope: Array
+    length: Array
     sights: Sequence[Sight] = ()
-    length: Array | None = None
     blur: Array | None = None
-    width: float = 0.0
-
-    @property
-    def about_px(self) -> float:
-        """About how long the body is, in px; zero where that is not seen."""
-        ends = [each.tip.row - each.top.row for each in self.sights if each.top is not None]
-        if self.length is not None:
-            ends = list(self.length)
-        # a hand hides a part in many frames
-        return float(np.percentile(ends, 80)) if ends else 0.0
 
 
 def _bristle(film: Film, seen: Scan) -> _Seen | str:
     found = find_strip(seen)
     if found is None:
         return "nothing of that shape moves"
-    looks, strips = found
-    sights = Follower(looks, strips).sights(film.frames())
+    sights = Follower(*found).sights(film.frames())
     if len(sights) < 6:
         return f"it is in view in {len(sights)} frames"
-    t_s, column, row = tips(sights)
+    row = np.array([each.tip.row for each in sights])
+    slope = np.array([each.slope for each in sights])
+    tops = np.array([np.nan if each.top is None else each.top.row for each in sights])
     return _Seen(
         number=np.array([each.number for each in sights]),
-        t_s=t_s,
+        t_s=np.array([each.t_s for each in sights]),
         row=row,
-        column=column,
+        column=np.array([each.column for each in sights]) + slope * row,
         sigma=np.full(len(row), FIRST_SIGMA_PX),
+        slope=slope,
+        length=row - tops,
         sights=sights,
-        width=float(np.median([each.width for each in sights])),
     )
 
 
@@ -210,33 +209,27 @@ def _ball(film: Film, seen: Scan) -> _Seen | str:
     found = discs(film.frames(), ball)
     if len(found) < 6:
         return f"it is in view in {len(found)} frames"
-    row = np.array([each.row + each.radius for each in found])
     return _Seen(
         number=np.array([each.number for each in found]),
         t_s=np.array([each.t_s for each in found]),
-        row=row,
+        row=np.array([each.row + each.radius for each in found]),
         column=np.array([each.column for each in found]),
         sigma=np.array([np.hypot(each.sigma, DISC_SIGMA_PX) for each in found]),
+        slope=np.zeros(len(found)),
         length=np.array([2.0 * each.radius for each in found]),
         blur=np.array([each.length for each in found]),
     )
 
 
 def _settle(
-    film: Film,
-    body: Body,
-    seen: Scan,
-    raw: _Seen,
-    given: Camera,
-    rolling_s: float,
-    expected: Expected,
+    film: Film, body: Body, seen: Scan, raw: _Seen, given: Camera, expected: Expected
 ) -> Tracked:
     """Drops, camera and ends in turn: each makes the others surer."""
-    track = Track(raw.t_s, -raw.row, raw.sigma)
     frame_s = float(np.median(np.diff(seen.t_s)))
-    gravity = expected.gravity_px(raw.about_px)
-    drops = drops_of(track, gravity)
+    gravity = expected.gravity_px(raw.length)
     camera, length = given, raw.length
+    track = Track(raw.t_s, -raw.row, raw.sigma)
+    drops = drops_of(track, gravity)
     if raw.sights:
         ends = Ends.of([each.tip for each in raw.sights], 1)
         for turn in range(3):
@@ -251,7 +244,7 @@ def _settle(
             fitted = edges(ends, camera)
             sigma = np.maximum(fitted.sigma, LEAST_SIGMA_PX)
             sigma = np.hypot(sigma, _by_gamma(ends, camera, fitted.at))
-            track = Track(track.t_s, -fitted.at, sigma, camera.exposure_s)
+            track = Track(raw.t_s, -fitted.at, sigma, camera.exposure_s)
             drops = _again(track, gravity)
             track = _scattered(track, drops)
         if drops:
@@ -265,23 +258,18 @@ def _settle(
         drops = _again(track, gravity)
         track = _scattered(track, drops)
     row = -track.height
-    column, turn_rad, sigma_turn = raw.column, None, None
-    if raw.sights:
-        column = np.array([s.column + s.slope * r for s, r in zip(raw.sights, row, strict=True)])
+    column = raw.column + raw.slope * (row - raw.row)
     vertical = _vertical(track, column, drops)
-    if raw.sights:
-        slope = np.array([each.slope for each in raw.sights])
-        turn_rad = -(np.arctan(slope) - np.arctan(vertical[0]))
-        sigma_turn = np.array([each.sigma_slope for each in raw.sights])
     down = (row + vertical[0] * column) / np.hypot(1.0, vertical[0])
-    t = track.t_s + 0.5 * camera.exposure_s + rolling_s * film.shown(column, row, seen.shape)[1]
-    track = replace(track, t_s=t, height=-down)
+    # an exposure begins later in each row of the picture
+    later = given.rolling_s * film.shown(column, row, seen.shape)[1]
+    track = replace(track, t_s=raw.t_s + 0.5 * camera.exposure_s + later, height=-down)
     # where an impact lies in the exposure, the height is a mean, which is of no flight
-    once = np.setdiff1d(np.arange(len(t)), track.through)
-    loose = _loosely(track)
+    once = np.setdiff1d(np.arange(len(down)), track.through)
+    loose = Track(track.t_s[once], -down[once], _loosely(track).sigma[once])
     drops = [
         replace(drop, first=int(once[drop.first]), last=int(once[drop.last]))
-        for drop in drops_of(Track(t[once], -down[once], loose.sigma[once]), gravity)
+        for drop in drops_of(loose, gravity)
     ]
     found = Tracked(
         film=film,
@@ -291,15 +279,15 @@ def _settle(
         frames=len(seen.t_s),
         camera=camera,
         number=raw.number,
-        t_s=t,
+        t_s=track.t_s,
         column=column,
         row=row,
         down=down,
         sigma=track.sigma,
-        turn=turn_rad,
-        sigma_turn=sigma_turn,
-        length=np.full(len(t), np.nan) if length is None else length,
-        width=raw.width,
+        turn=np.arctan(vertical[0]) - np.arctan(raw.slope) if raw.sights else None,
+        sigma_turn=np.array([each.sigma_slope for each in raw.sights]) if raw.sights else None,
+        length=length,
+        width=float(np.median([each.width for each in raw.sights])) if raw.sights else 0.0,
         vertical=vertical,
         drops=settled(drops, track, TURNED if raw.sights else BALL_TURNED),
         damage=seen.damage,

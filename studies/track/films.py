@@ -72,7 +72,9 @@ class TrackedFilms:
 def track_films(films: Sequence[Path], inputs: TrackInputs) -> TrackedFilms:
     """Track films one after the other. Raises InputError."""
     given = Camera(
-        exposure_s=inputs.exposure_s or 0.0, exposure_known=inputs.exposure_s is not None
+        exposure_s=inputs.exposure_s or 0.0,
+        exposure_known=inputs.exposure_s is not None,
+        rolling_s=inputs.rolling_shutter_s_per_row,
     )
     length = _length_mm(inputs)
     expected = Expected(1e3 * inputs.gravity_m_s2, length, inputs.mm_per_px)
@@ -80,9 +82,7 @@ def track_films(films: Sequence[Path], inputs: TrackInputs) -> TrackedFilms:
     with progress("films", len(films)) as advance:
         for path in films:
             film = Film(path, inputs.fps, inputs.roi, inputs.down)
-            tracks.append(
-                tracked(film, inputs.body, given, inputs.rolling_shutter_s_per_row, expected)
-            )
+            tracks.append(tracked(film, inputs.body, given, expected))
             advance()
     found = [
         weighed(track, scale_of(track, length, inputs.mm_per_px), inputs.gravity_m_s2, length)
