@@ -266,17 +266,13 @@ def settled(
 def _settled(drop: Drop, turning: Turning, track: Track, known: Known | None) -> Drop:
     if not len(drop.impact_s):
         return drop
-    best, least, enough = drop, np.inf, 0.0
     # at its end a hand may already hold what flies: frames go that the rest contradicts
-    for cut in range(MOST_CUT + 1 if known else 1):
-        if cut and least < enough:
-            break
-        joint = _Joint(replace(drop, last=drop.last - cut), track, turning, known or Known())
-        solved, square = joint.solved()
-        enough = enough or 1.3 * len(joint.own)
-        if not cut or square + CUT_COSTS * cut < least:
-            best, least = solved, square + CUT_COSTS * cut
-    return best
+    tried = [
+        _Joint(replace(drop, last=drop.last - cut), track, turning, known or Known()).solved()
+        for cut in range(MOST_CUT + 1 if known else 1)
+    ]
+    costs = [square + CUT_COSTS * cut for cut, (_, square) in enumerate(tried)]
+    return tried[int(np.argmin(costs))][0]
 
 
 class _Joint:
