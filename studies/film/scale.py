@@ -216,11 +216,6 @@ def doubts_of(track: Tracked, scale: Scale | None, gravity_m_s2: float) -> list[
     ]
 
 
-def heights(track: Tracked, drop: Drop, floor: float) -> Array:
-    """Heights (frames,) over the surface in px, of the frames of a drop that are used."""
-    return np.asarray(-track.down[track.used(drop)] - floor)
-
-
 def touching_px(drops: Sequence[Drop]) -> float:
     """By how much, in px, the height at which flights meet is unsure for how long a body touches:
     parabolas of which one begins later by τ meet lower by τ v v'/(v + v')."""

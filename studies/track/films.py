@@ -20,7 +20,6 @@ from ..film.scale import (
     Scale,
     doubts_of,
     floor_of,
-    heights,
     of_centre,
     scale_of,
     touching_px,
@@ -42,31 +41,50 @@ NORMAL_90 = 1.645
 
 
 @dataclass(frozen=True)
-class FilmedDrop:
-    """A drop of a film: its number in the dataset, and where it is."""
+class ScaledFilm:
+    """A film: its number in the dataset, its track, its scale, which all films have or none, and
+    the height of the surface and its standard error in px."""
 
     number: int
-    film: int
+    track: Tracked
+    scale: Scale | None
+    floor: tuple[float, float]
+
+    @property
+    def unit(self) -> str:
+        """Of heights: mm, or px where there is no scale."""
+        return "px" if self.scale is None else "mm"
+
+    @property
+    def by(self) -> float:
+        """How many units a pixel is."""
+        return 1.0 if self.scale is None else self.scale.mm_per_px
+
+
+@dataclass(frozen=True)
+class FilmedDrop:
+    """A drop of a film, and its number in the dataset."""
+
+    number: int
+    film: ScaledFilm
     drop: Drop
 
 
 @dataclass(frozen=True)
 class TrackedFilms:
-    """All films: their tracks, scales, surfaces (height and its standard error, px) and drops, a
-    row of ``table`` for each frame that is used, and what deserves doubt."""
+    """All films and their drops, a row of ``table`` for each frame that is used, and what deserves
+    doubt."""
 
     inputs: TrackInputs
-    tracks: Sequence[Tracked]
-    scales: Sequence[Scale | None]
-    floors: Sequence[tuple[float, float]]
+    films: Sequence[ScaledFilm]
     drops: Sequence[FilmedDrop]
     table: pd.DataFrame
     warnings: Sequence[str]
 
     @property
     def unit(self) -> str:
-        """mm, or px where a film has no scale."""
-        return "px" if None in self.scales else "mm"
+        """Of heights."""
+        return self.films[0].unit
 
 
 def track_films(films: Sequence[Path], inputs: TrackInputs) -> TrackedFilms:
@@ -88,31 +106,22 @@ def track_films(films: Sequence[Path], inputs: TrackInputs) -> TrackedFilms:
         weighed(track, scale_of(track, length, inputs.mm_per_px), inputs.gravity_m_s2, length)
         for track in tracks
     ]
-    tracks, scales = [track for track, _ in found], [scale for _, scale in found]
-    warnings = [
-        doubt
-        for track, scale in zip(tracks, scales, strict=True)
-        for doubt in _doubts(track, scale, inputs)
-    ]
+    warnings = [doubt for each in found for doubt in _doubts(*each, inputs)]
+    scales = [scale for _, scale in found]
     if None in scales and any(scales):
         warnings.append(
             "some films have no scale, so all heights are in pixels: give --mm-per-px, or show the "
             "whole body"
         )
         scales = [None] * len(scales)
-    floors: list[tuple[float, float]] = []
-    drops: list[FilmedDrop] = []
-    for k, track in enumerate(tracks):
-        floor = floor_of(track.drops)
-        floors.append((float(-track.down.max()), 0.0) if floor is None else floor)
-        for drop in track.drops:
-            drops.append(FilmedDrop(len(drops) + 1, k, drop))
-    frames = [
-        _rows(each, tracks[each.film], scales[each.film], floors[each.film]) for each in drops
+    scaled = [
+        ScaledFilm(number, track, scale, floor_of(track.drops) or (float(-track.down.max()), 0.0))
+        for number, ((track, _), scale) in enumerate(zip(found, scales, strict=True), start=1)
     ]
-    return TrackedFilms(
-        inputs, tracks, scales, floors, drops, pd.concat(frames, ignore_index=True), warnings
-    )
+    pairs = [(film, drop) for film in scaled for drop in film.track.drops]
+    drops = [FilmedDrop(number, *each) for number, each in enumerate(pairs, start=1)]
+    table = pd.concat([_rows(each) for each in drops], ignore_index=True)
+    return TrackedFilms(inputs, scaled, drops, table, warnings)
 
 
 def _length_mm(inputs: TrackInputs) -> float | None:
@@ -150,16 +159,14 @@ def _doubts(track: Tracked, scale: Scale | None, inputs: TrackInputs) -> list[st
     return doubts
 
 
-def _rows(
-    each: FilmedDrop, track: Tracked, scale: Scale | None, floor: tuple[float, float]
-) -> pd.DataFrame:
+def _rows(each: FilmedDrop) -> pd.DataFrame:
     """A row for each frame of a drop that is used; standard errors include the surface's."""
-    used = track.used(each.drop)
-    unit, by = ("px", 1.0) if scale is None else ("mm", scale.mm_per_px)
+    film, track = each.film, each.film.track
+    used, unit, by = track.used(each.drop), film.unit, film.by
     x, y = track.film.shown(track.column, track.row, track.shape)
-    up = by * heights(track, each.drop, floor[0])
-    share = 0.0 if scale is None else scale.error
-    total = np.sqrt((by * track.sigma[used]) ** 2 + (by * floor[1]) ** 2 + (share * up) ** 2)
+    up = by * (-track.down[used] - film.floor[0])
+    share = 0.0 if film.scale is None else film.scale.error
+    total = np.sqrt((by * track.sigma[used]) ** 2 + (by * film.floor[1]) ** 2 + (share * up) ** 2)
     # frames of a body that is held err alike, since it lies on the same pixels in all of them
     held = each.drop.phase(track.t_s[used]) < 0
     own = by * track.sigma[used] * np.where(held, np.sqrt(max(held.sum() / HELD_TELLS, 1.0)), 1.0)
@@ -175,7 +182,7 @@ def _rows(
         sigma = np.hypot(track.sigma_turn[used], track.vertical[1])
         rows["sigma_lean_deg"] = np.round(np.degrees(sigma), 4)
     rows |= {
-        "film": each.film + 1,
+        "film": film.number,
         "frame": track.number[used],
         "tip_x_px": np.round(x[used], 3),
         "tip_y_px": np.round(y[used], 3),
@@ -186,23 +193,27 @@ def _rows(
 
 def summary(found: TrackedFilms) -> dict[str, Any]:
     """``track.json``: what each film and each drop shows."""
-    films = [_film(*each) for each in zip(found.tracks, found.scales, strict=True)]
     return {
         "schema": SCHEMA,
         "version": __version__,
         "inputs": results.plain_inputs(found.inputs),
         "unit": found.unit,
-        "films": films,
-        "drops": [_drop(each, found) for each in found.drops],
+        "films": [_film(each) for each in found.films],
+        "drops": [_drop(each, _length_mm(found.inputs)) for each in found.drops],
         "warnings": list(found.warnings),
     }
 
 
-def _film(track: Tracked, scale: Scale | None) -> dict[str, Any]:
-    gravity = None
+def _interval(estimate: float, error: float) -> dict[str, float]:
+    """An estimate with its 90 % interval."""
+    half = NORMAL_90 * error
+    return {"estimate": estimate, "low": estimate - half, "high": estimate + half}
+
+
+def _film(film: ScaledFilm) -> dict[str, Any]:
+    track, scale, gravity = film.track, film.scale, None
     if scale is not None and scale.gravity is not None:
-        value, error = scale.gravity[0], NORMAL_90 * scale.gravity[1]
-        gravity = {"estimate": value, "low": value - error, "high": value + error}
+        gravity = _interval(*scale.gravity)
     return {
         "film": str(track.film.path),
         "frames": track.frames,
@@ -222,13 +233,11 @@ def _film(track: Tracked, scale: Scale | None) -> dict[str, Any]:
     }
 
 
-def _drop(each: FilmedDrop, found: TrackedFilms) -> dict[str, Any]:
-    track, scale = found.tracks[each.film], found.scales[each.film]
-    drop, by = each.drop, 1.0 if scale is None else scale.mm_per_px
-    unit = found.unit
-    ratios = drop.restitution
-    if scale is not None and (length := _length_mm(found.inputs)) is not None:
-        ratios = of_centre(track, drop, length / scale.mm_per_px)
+def _drop(each: FilmedDrop, length_mm: float | None) -> dict[str, Any]:
+    film, track, drop = each.film, each.film.track, each.drop
+    unit, by, ratios = film.unit, film.by, drop.restitution
+    if film.scale is not None and length_mm is not None:
+        ratios = of_centre(track, drop, length_mm / by)
     errors = np.zeros_like(ratios) if drop.restitution_error is None else drop.restitution_error
     used = track.used(drop)
     fall = drop.flights[0]
@@ -239,14 +248,11 @@ def _drop(each: FilmedDrop, found: TrackedFilms) -> dict[str, Any]:
         lean = float(np.degrees(np.median(track.turn[own]))) if len(own) else None
     return {
         "drop": each.number,
-        "film": each.film + 1,
+        "film": film.number,
         "release_s": drop.release_s,
-        f"y0_{unit}": by * (top - found.floors[each.film][0]),
+        f"y0_{unit}": by * (top - film.floor[0]),
         "impact_s": drop.impact_s.tolist(),
-        "restitution": [
-            {"estimate": float(e), "low": float(e - s), "high": float(e + s)}
-            for e, s in zip(ratios, NORMAL_90 * errors, strict=True)
-        ],
+        "restitution": [_interval(float(e), float(s)) for e, s in zip(ratios, errors, strict=True)],
         "lean_before_deg": lean,
         "frames": int(drop.last - drop.first + 1),
         "frames_used": len(used),
@@ -258,10 +264,10 @@ def _drop(each: FilmedDrop, found: TrackedFilms) -> dict[str, Any]:
 def manifest(found: TrackedFilms) -> str:
     """``dataset.toml`` of the tracks."""
     inputs = found.inputs
-    names = ", ".join(track.film.path.name for track in found.tracks)
+    names = ", ".join(each.track.film.path.name for each in found.films)
     lines = [
         "[dataset]",
-        f'title = "tracks of {len(found.drops)} drops in {len(found.tracks)} films"',
+        f'title = "tracks of {len(found.drops)} drops in {len(found.films)} films"',
         'kind = "tracks"',
         f'source = "bristle track: {_quoted(names[:700])}"',
         'licence = ""',
@@ -285,20 +291,17 @@ def manifest(found: TrackedFilms) -> str:
         ]
     lines += ["[measurement]", f'file = "{TABLE}"', f"gravity_m_s2 = {inputs.gravity_m_s2:g}"]
     surface = max(
-        float(np.hypot(error, touching_px(track.drops)))
-        * (1.0 if scale is None else scale.mm_per_px)
-        for (_, error), track, scale in zip(found.floors, found.tracks, found.scales, strict=True)
+        each.by * float(np.hypot(each.floor[1], touching_px(each.track.drops)))
+        for each in found.films
     )
     lines += [
         "# standard error of the zero, which is common to all frames of a film; it allows for some",
         "# tenths of a millisecond in which the body touches, which sigma_mm takes for none",
     ]
     lines += [f"sigma_surface_{found.unit} = {surface:.4g}"] if surface > 0.0 else []
-    scales = [scale for scale in found.scales if scale is not None]
+    scales = [each.scale for each in found.films if each.scale is not None]
     if scales and inputs.body is Body.BRISTLE:
-        widths = [
-            track.width * scale.mm_per_px for track, scale in zip(found.tracks, scales, strict=True)
-        ]
+        widths = [each.by * each.track.width for each in found.films]
         lines += [
             "# width of the bristle in the picture: one that leans touches with a corner of its",
             "# end, and the middle of the end, whose heights these are, is above the surface then",
@@ -318,9 +321,9 @@ def _ball_mm(found: TrackedFilms) -> float:
     """The ball's diameter, as given or as the films show it."""
     if found.inputs.diameter_mm:
         return found.inputs.diameter_mm
-    pairs = zip(found.tracks, found.scales, strict=True)
-    seen = [float(np.nanmedian(track.length)) * scale.mm_per_px for track, scale in pairs if scale]
-    return float(np.median(seen)) if seen else UNKNOWN_BALL_MM
+    if found.unit == "px":
+        return UNKNOWN_BALL_MM
+    return float(np.median([each.by * np.nanmedian(each.track.length) for each in found.films]))
 
 
 def _steel_kg(diameter_mm: float) -> float:

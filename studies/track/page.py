@@ -44,7 +44,7 @@ def write_tracks(
     """Write ``report.html``, figures and tables into ``out``; ``document`` is what track.json
     holds, ``pictures`` are those of each drop of each film. Returns the page's path."""
     shown = list(zip(found.drops, (each for film in pictures for each in film), strict=True))
-    names = [str(track.film.path) for track in found.tracks]
+    names = [str(each.track.film.path) for each in found.films]
     sections = [_overview(found, document)]
     sections += [_drop_section(found, *each) for each in shown[:MOST_DROPS]]
     if found.warnings:
@@ -57,7 +57,7 @@ def write_tracks(
         command=into(out, "track", *names),
         headline=prose.text("headline", found=found, document=document),
         facts=[
-            ("Films", str(len(found.tracks))),
+            ("Films", str(len(found.films))),
             ("Drops", str(len(found.drops))),
             ("Frames used", str(len(found.table))),
         ],
@@ -68,70 +68,57 @@ def write_tracks(
 
 def _overview(found: TrackedFilms, document: dict[str, Any]) -> Section:
     draft = prose("overview", found=found, shown=min(len(found.drops), MOST_DROPS))
-    films = [
-        {
-            "film": Path(film["film"]).name,
-            "frames_per_s": film["frames_per_s"],
-            "mm_per_px": film["mm_per_px"],
-            "exposure_ms": 1e3 * film["exposure_s"],
-            "roll_deg": film["roll_deg"],
-            "gravity_m_s2": film["gravity_m_s2"] and film["gravity_m_s2"]["estimate"],
-        }
-        for film in document["films"]
-    ]
-    unit = found.unit
-    drops = [
-        {
-            "drop": drop["drop"],
-            "film": drop["film"],
-            f"y0_{unit}": drop[f"y0_{unit}"],
-            "kept": drop["restitution"][0]["estimate"] if drop["restitution"] else None,
-            "low": drop["restitution"][0]["low"] if drop["restitution"] else None,
-            "high": drop["restitution"][0]["high"] if drop["restitution"] else None,
-            "lean_deg": drop["lean_before_deg"],
-            f"sigma_{unit}": drop[f"sigma_{unit}"],
-            "frames": drop["frames_used"],
-        }
-        for drop in document["drops"]
-    ]
-    for name, rows in (("films", films), ("drops", drops)):
-        columns = {key: [row[key] for row in rows] for key in rows[0]}
-        heads: dict[str, Head] = {
-            f"y0_{unit}": ("from", unit, 4),
-            f"sigma_{unit}": ("a frame ±", unit, 2),
-        }
-        draft.table(name, columns, heads)
+    films, drops, unit = document["films"], document["drops"], found.unit
+    columns: dict[str, list[Any]] = {
+        "film": [Path(each["film"]).name for each in films],
+        "frames_per_s": [each["frames_per_s"] for each in films],
+        "mm_per_px": [each["mm_per_px"] for each in films],
+        "exposure_ms": [1e3 * each["exposure_s"] for each in films],
+        "roll_deg": [each["roll_deg"] for each in films],
+        "gravity_m_s2": [(each["gravity_m_s2"] or {}).get("estimate") for each in films],
+    }
+    draft.table("films", columns)
+    kept = [(each["restitution"] or [{}])[0] for each in drops]
+    columns = {
+        "drop": [each["drop"] for each in drops],
+        "film": [each["film"] for each in drops],
+        f"y0_{unit}": [each[f"y0_{unit}"] for each in drops],
+        "kept": [each.get("estimate") for each in kept],
+        "low": [each.get("low") for each in kept],
+        "high": [each.get("high") for each in kept],
+        "lean_deg": [each["lean_before_deg"] for each in drops],
+        f"sigma_{unit}": [each[f"sigma_{unit}"] for each in drops],
+        "frames": [each["frames_used"] for each in drops],
+    }
+    heads: dict[str, Head] = {
+        f"y0_{unit}": ("from", unit, 4),
+        f"sigma_{unit}": ("a frame ±", unit, 2),
+    }
+    draft.table("drops", columns, heads)
     return draft.section()
 
 
 def _drop_section(found: TrackedFilms, each: FilmedDrop, pictures: Sequence[Marked]) -> Section:
-    track, scale = found.tracks[each.film], found.scales[each.film]
-    drop, by = each.drop, 1.0 if scale is None else scale.mm_per_px
+    track, drop, by, floor = each.film.track, each.drop, each.film.by, each.film.floor[0]
     used = track.used(drop)
-    left_out = int(drop.last - drop.first + 1 - len(used))
     draft = prose(
         "drop",
         f"drop-{each.number}",
         number=each.number,
         drop=drop,
-        left_out=left_out,
+        left_out=len(drop.frames) - len(used),
         name=track.film.path.name,
     )
-    floor = found.floors[each.film][0]
     rows = {
         "t_s": track.t_s[used],
         "y": by * (-track.down[used] - floor),
         "sigma": by * track.sigma[used],
         "left": by * track.residual(drop),
     }
-    data = draft.data(
-        "track", rows, {name: (HEADS[name][0], found.unit, 4) for name in ("y", "sigma", "left")}
-    )
-    data = type(data)(f"track-{each.number}", data.caption, data.columns, data.rows, data.note)
-    draft.marked[f"figure frames-{each.number}"] = draft.marked["figure frames"]
-    draft.marked[f"alt frames-{each.number}"] = draft.marked["alt frames"]
-    draft.marked[f"figure track-{each.number}"] = draft.marked["figure track"]
-    draft.marked[f"alt track-{each.number}"] = draft.marked["alt track"]
+    heads: dict[str, Head] = {
+        name: (HEADS[name][0], found.unit, 4) for name in ("y", "sigma", "left")
+    }
+    data = draft.data(f"track-{each.number}", rows, heads)
     draft.figure(f"frames-{each.number}", _strip(pictures), data)
     t = np.linspace(track.t_s[used[0]], track.t_s[used[-1]], 400)
     curve = by * (drop.height(t) - floor)

@@ -60,8 +60,10 @@ def _run(
         with together(out, DOCUMENT):
             with folder_in_place(out / OVERLAYS) as made:
                 pictures = [
-                    write_overlay(track, made / f"{k + 1}-{track.film.path.stem}.mp4")
-                    for k, track in enumerate(found.tracks)
+                    write_overlay(
+                        each.track, made / f"{each.number}-{each.track.film.path.stem}.mp4"
+                    )
+                    for each in found.films
                 ]
             write_tracks(found, document, pictures, out)
             columns = list(found.table.columns)
