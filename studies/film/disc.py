@@ -62,14 +62,10 @@ def find_ball(film: Scan) -> Ball | None:
     """The ball that moves in a film; None where there is none."""
     still = np.median(film.samples, axis=0).astype(np.float32)
     factor = max(1, round(film.shape[0] / COARSE_ROWS))
-    found = []
-    for sample in film.samples:
-        seen = blobs(sample, still, factor, film.noise)
-        found += [(each[2], each[4], each[0], each[1]) for each in seen]
+    found = [each for s in film.samples for each in blobs(s, still, factor, film.noise)]
     if not found:
         return None
-    every: Array = np.array(found)
-    width, contrast, column, row = (every[:, k] for k in range(4))
+    column, row, width, _, contrast = np.array(found).T
     near = np.abs(width[:, None] - width) < LIKE * width
     same = near & (np.sign(contrast)[:, None] == np.sign(contrast))
     most = same[int(np.argmax(same.sum(axis=1)))]
@@ -78,24 +74,17 @@ def find_ball(film: Scan) -> Ball | None:
         return None
     radius = float(np.median(width[most])) / 2.0
     ball = Ball(still, radius, float(np.median(contrast[most])), factor, film.noise)
-    fitted = []
-    for sample in film.samples:
-        start = _start(sample, ball, None)
-        if start is not None:
-            disc = _fitted(Frame(0, 0.0, sample), ball, start, free_radius=True)
-            if disc is not None:
-                fitted.append(disc.radius)
-    if len(fitted) < 3:
-        return None
-    return replace(ball, radius=float(np.median(fitted)))
+    frames = [Frame(0, 0.0, sample) for sample in film.samples]
+    fitted = [_seen(frame, ball, None, free_radius=True) for frame in frames]
+    radii = [disc.radius for disc in fitted if disc is not None]
+    return replace(ball, radius=float(np.median(radii))) if len(radii) >= 3 else None
 
 
 def discs(frames: Iterable[Frame], ball: Ball) -> list[Disc]:
     """The ball in each frame in which it is seen whole."""
     found: list[Disc] = []
     for frame in frames:
-        start = _start(frame.grey, ball, found[-1] if found else None)
-        seen = None if start is None else _fitted(frame, ball, start)
+        seen = _seen(frame, ball, found[-1] if found else None)
         if seen is not None:
             found.append(seen)
     return found
@@ -132,25 +121,30 @@ def blobs(
     return found
 
 
-def _start(grey: Picture, ball: Ball, last: Disc | None) -> tuple[float, float, float] | None:
-    """Column, row and length of the blob that is most like the ball, or nearest to the last."""
-    good = [
-        (column, row, max(height - width, 0.0), abs(width / ball.radius / 2.0 - 1.0))
-        for column, row, width, height, contrast in blobs(grey, ball.still, ball.factor, ball.noise)
-        if abs(width / ball.radius / 2.0 - 1.0) < 1.5 * LIKE
-        and np.sign(contrast) == np.sign(ball.contrast)
-    ]
-    if not good:
-        return None
-    if last is None:
-        return min(good, key=lambda each: each[3])[:3]
-    return min(good, key=lambda each: np.hypot(each[0] - last.column, each[1] - last.row))[:3]
+def _seen(frame: Frame, ball: Ball, last: Disc | None, free_radius: bool = False) -> Disc | None:
+    """The ball in a frame; None where it is not seen. Of blobs that are like it, the one nearest to
+    the ``last`` disc is it, or else the one most like it."""
+
+    def unlike(width: float) -> float:
+        return abs(width / ball.radius / 2.0 - 1.0)
+
+    found = []
+    for column, row, width, height, contrast in blobs(
+        frame.grey, ball.still, ball.factor, ball.noise
+    ):
+        if unlike(width) < 1.5 * LIKE and contrast * ball.contrast > 0.0:
+            far = np.hypot(column - last.column, row - last.row) if last else unlike(width)
+            found.append((float(far), (column, row, max(height - width, 0.0))))
+    return _fitted(frame, ball, min(found)[1], free_radius) if found else None
 
 
 def _fitted(
-    frame: Frame, ball: Ball, start: tuple[float, float, float], free_radius: bool = False
+    frame: Frame, ball: Ball, start: tuple[float, float, float], free_radius: bool
 ) -> Disc | None:
-    """The disc near ``start``, by least squares; None where it is not in the picture."""
+    """The disc near ``start``, by least squares; None where it is not in the picture.
+
+    ``start`` has its column and row, and the length that it moves.
+    """
     reach_x = int(ball.radius + 6.0)
     reach_y = int(ball.radius + 0.7 * start[2] + 6.0)
     left, top = round(start[0]) - reach_x, round(start[1]) - reach_y

@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import ndimage
 
 from ...solver.arrays import Array
 from ...solver.compiled import njit
@@ -80,24 +81,17 @@ def find_strip(film: Scan) -> tuple[Looks, dict[int, Strip]] | None:
     fine = {sample: _finer(strip, factor) for sample, strip in best.items()}
     contrast = float(np.median([strip.contrast for strip in fine.values()]))
     width = float(np.median([strip.width for strip in fine.values()]))
-    numbers = film.number[sorted(fine)]
-    tips = np.array([fine[sample].tip for sample in sorted(fine)])
+    seen = {int(film.number[sample]): fine[sample] for sample in sorted(fine)}
+    speeds = np.diff([strip.tip for strip in seen.values()]) / np.diff(list(seen))
     # an exposure is at most as long as from one frame to the next
-    below = BELOW_PX + float(np.max(np.abs(np.diff(tips)) / np.diff(numbers)))
-    covered = np.zeros(film.samples.shape, dtype=bool)
-    rows, columns = film.shape
-    row = np.arange(rows)[:, None]
-    for sample in range(len(coarse)):
-        # where the strip was not found in a sample, nothing is known to be clear
-        covered[sample] = sample not in fine
-        if sample in fine:
-            strip = fine[sample]
-            aside = np.abs(np.arange(columns) - strip.at(row))
-            end = strip.tip + below
-            covered[sample] = (aside < 0.8 * width + 4.0) & (row < end)
-    still = clear_background(film.samples, covered)
-    looks = Looks(still, width, contrast)
-    return looks, {int(film.number[sample]): strip for sample, strip in fine.items()}
+    below = BELOW_PX + float(np.abs(speeds).max())
+    # where the strip was not found in a sample, nothing is known to be clear
+    covered = np.ones(film.samples.shape, dtype=bool)
+    row, column = np.ogrid[: film.shape[0], : film.shape[1]]
+    for sample, strip in fine.items():
+        beside = np.abs(column - strip.at(row)) < 0.8 * width + 4.0
+        covered[sample] = beside & (row < strip.tip + below)
+    return Looks(clear_background(film.samples, covered), width, contrast), seen
 
 
 def _alike(
@@ -206,15 +200,13 @@ def _ridge(picture: Array, width: int) -> Array:
     """By how much a band of ``width`` about each pixel exceeds the nearer of what is beside it."""
     columns = picture.shape[1]
     side = max(2, width // 2)
-    edge = width // 2 + 1 + side
-    padded = np.pad(picture, ((0, 0), (edge + 1, edge + 1)), mode="edge")
-    sums = np.pad(np.cumsum(padded, axis=1), ((0, 0), (1, 0)))
+    edge = width + side
+    padded = np.pad(picture, ((0, 0), (edge, edge)), mode="edge")
 
     def mean(begin: int, length: int) -> Array:
         """Means over ``length`` columns that begin so far right of each pixel."""
-        a = edge + 1 + begin
-        part = sums[:, a + length : a + length + columns] - sums[:, a : a + columns]
-        return np.asarray(part / length)
+        first = edge + begin + length // 2
+        return ndimage.uniform_filter1d(padded, length)[:, first : first + columns]
 
     half = (width - 1) // 2
     inner = mean(-half, width)
