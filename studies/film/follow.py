@@ -14,8 +14,8 @@ from .strip import LEAST_RUN, MOST_SLOPE, Looks, Strip
 
 ASIDE_PX, TURN = 14, 0.05
 """How far the axis may be from where the frame before had it: px at the end, and its slope."""
-LEAST_LIKE = 0.15
-"""Share of the contrast below which a pixel is not of the strip."""
+LEAST_LIKE, MOST_LIKE = 0.15, 1.3
+"""Share of the contrast below which a pixel is not of the strip, and which counts at most."""
 AXIS_SIGMA_PX = 0.02
 """By how much the sides of a strip are unsure together: compression and what is behind it."""
 AXIS_PX = 400
@@ -77,20 +77,12 @@ class Follower:
 
     def sight(self, frame: Frame) -> Sight | None:
         """The strip in a frame; None where it is not seen, or its lower end is not."""
-        starts = [self.last, self._sample(frame.number)]
-        for start in starts:
-            if start is not None:
-                seen = self._near(frame, start)
-                if seen is not None:
-                    return seen
+        sample = min(self.found, key=lambda number: abs(number - frame.number))
+        for start in (self.last, self.found[sample]):
+            if start is not None and (seen := self._near(frame, start)) is not None:
+                return seen
         self.last = None
         return None
-
-    def _sample(self, number: int) -> Strip | None:
-        """The strip of the sample nearest in time."""
-        if not self.found:
-            return None
-        return self.found[min(self.found, key=lambda each: abs(each - number))]
 
     def _near(self, frame: Frame, start: Strip) -> Sight | None:
         grey = frame.grey
@@ -98,9 +90,9 @@ class Follower:
         rows = np.arange(max(0, int(strip.tip) - AXIS_PX), int(strip.tip) + 1)
         sigma_slope = width = 0.0
         # a few rows first, then all
-        for half, every in ((self.looks.width / 2.0 + 5.0, 4), (self.looks.width / 2.0 + 2.5, 1)):
+        for beside, every in ((5.0, 4), (2.5, 1)):
             some = rows[-1 :: -min(every, len(rows) // (2 * LEAST_RUN) or 1)]
-            fitted = self._axis(grey, strip, some, half)
+            fitted = self._axis(grey, strip, some, self.looks.width / 2.0 + beside)
             if fitted is None:
                 return None
             strip, sigma_slope, width = fitted
@@ -134,29 +126,36 @@ class Follower:
         at = start.at(rows)[None, None, :] + aside[:, None, None]
         at = at + turns[None, :, None] * (rows - start.tip)
         column = np.clip(np.round(at).astype(int), 0, grey.shape[1] - 1)
-        share = self._share(grey, rows, column)
+        share = self._share(grey[rows, column], self.looks.still[rows, column])
         i, k = np.unravel_index(np.argmax(share.mean(axis=-1)), share.shape[:2])
         slope = float(np.clip(start.slope + turns[k], -MOST_SLOPE, MOST_SLOPE))
         return replace(
             start, column=float(start.at(start.tip)) + aside[i] - slope * start.tip, slope=slope
         )
 
-    def _share(self, grey: Picture, rows: NDArray[np.int64], columns: NDArray[np.int64]) -> Array:
-        """Contrast at pixels over the usual one, within bounds."""
-        excess = grey[rows, columns].astype(np.float32) - self.looks.still[rows, columns]
-        return np.asarray(np.clip(self.sign * excess / self.contrast, -0.5, 1.3))
+    def _share(self, level: Array | Picture, behind: Array) -> Array:
+        """Contrast over the usual one, within bounds."""
+        return np.asarray(np.clip((level - behind) * (self.sign / self.contrast), -0.5, MOST_LIKE))
+
+    def _columns(
+        self, strip: Strip, rows: NDArray[np.int64], half: float
+    ) -> tuple[NDArray[np.int64], NDArray[np.int64], Array]:
+        """Rows (rows, 1), the columns about the axis (rows, columns), and which share of each lies
+        within ``half`` px of it."""
+        wide = int(np.ceil(half)) + 1
+        about = strip.at(rows)[:, None]
+        column = np.round(about).astype(int) + np.arange(-wide, wide + 1)
+        seen = np.clip(column, 0, self.looks.still.shape[1] - 1)
+        part = np.clip(half + 0.5 - np.abs(column - about), 0.0, 1.0) * (column == seen)
+        return rows[:, None], seen, part
 
     def _axis(
         self, grey: Picture, strip: Strip, rows: NDArray[np.int64], half: float
     ) -> tuple[Strip, float, float] | None:
         """The axis by the rows' centroids within ``half`` px of ``strip``'s, the standard error of
         its slope, and its width in px."""
-        wide = int(np.ceil(half))
-        about = strip.at(rows)
-        column = np.round(about).astype(int)[:, None] + np.arange(-wide, wide + 1)
-        inside = (column >= 0) & (column < grey.shape[1])
-        share = self._share(grey, rows[:, None], np.clip(column, 0, grey.shape[1] - 1))
-        near = np.clip(half + 0.5 - np.abs(column - about[:, None]), 0.0, 1.0) * inside
+        at, column, near = self._columns(strip, rows, half)
+        share = self._share(grey[at, column], self.looks.still[at, column])
         weight = np.maximum(share - LEAST_LIKE, 0.0) * near
         mass = weight.sum(axis=1)
         usual = np.median(mass[mass > 0.2]) if (mass > 0.2).any() else 0.0
@@ -175,40 +174,35 @@ class Follower:
             use = np.abs(left) < 3.0 * spread
         left = left[use]
         # neighbouring rows err alike, by compression above all
-        memory = (
-            float(np.clip(np.corrcoef(left[1:], left[:-1])[0, 1], 0.0, 0.95))
-            if len(left) > 9
-            else 0.5
-        )
+        memory = np.corrcoef(left[1:], left[:-1])[0, 1] if len(left) > 9 else 0.5
+        memory = np.clip(memory, 0.0, 0.95)
         count = max(len(left) * (1.0 - memory) / (1.0 + memory), 3.0)
-        deviation = max(float(left.std()), 0.02)
-        length = max(float(row[use].std()), 1.0)
         if abs(slope) > 1.2 * MOST_SLOPE:
             return None
         fitted = replace(strip, column=float(column_0), slope=float(slope))
-        sigma_slope = np.hypot(deviation / np.sqrt(count), AXIS_SIGMA_PX) / length
-        return fitted, float(sigma_slope), float(usual / np.median(weight.max(axis=1)[good]))
+        error = np.hypot(max(left.std(), 0.02) / np.sqrt(count), AXIS_SIGMA_PX)
+        sigma_slope = float(error / max(row[use].std(), 1.0))
+        return fitted, sigma_slope, float(usual / np.median(weight.max(axis=1)[good]))
 
     def along(self, picture: Array | Picture, strip: Strip, rows: NDArray[np.int64]) -> Array:
         """Means over the inner width of the strip, row by row, of a picture."""
-        wide = int(np.ceil(self.inner / 2.0)) + 1
-        about = strip.at(rows)
-        column = np.round(about).astype(int)[:, None] + np.arange(-wide, wide + 1)
-        part = np.clip(self.inner / 2.0 + 0.5 - np.abs(column - about[:, None]), 0.0, 1.0)
-        values = picture[rows[:, None], np.clip(column, 0, picture.shape[1] - 1)]
-        return np.asarray((values * part).sum(axis=1) / part.sum(axis=1))
+        at, column, part = self._columns(strip, rows, self.inner / 2.0)
+        whole = np.maximum(part.sum(axis=1), 1e-9)
+        return np.asarray((picture[at, column] * part).sum(axis=1) / whole)
 
-    def _shares_along(self, grey: Picture, strip: Strip, rows: NDArray[np.int64]) -> Array:
-        excess = self.along(grey, strip, rows) - self.along(self.looks.still, strip, rows)
-        return np.asarray(np.clip(self.sign * excess / self.contrast, -0.5, 1.5))
+    def _end_of(self, grey: Picture, strip: Strip, rows: NDArray[np.int64]) -> tuple[int, Array]:
+        """Which of the rows is the strip's last, and its share (rows,) of the contrast: there the
+        sum of what exceeds a half is greatest."""
+        behind = self.along(self.looks.still, strip, rows)
+        share = self._share(self.along(grey, strip, rows), behind)
+        return int(np.argmax(np.cumsum(share - 0.5))), share
 
     def _lower_end(self, grey: Picture, strip: Strip) -> float | None:
-        """The row at which the strip ends: where the sum of its share over a half is greatest."""
-        begin = int(max(0.0, strip.top, strip.tip - 160.0 - 2.0 * self.speed_px))
-        begin = min(begin, int(max(0.0, strip.tip - 60.0 - 2.0 * self.speed_px)))
+        """The row at which the strip ends; None where it has too little contrast above."""
+        sure = strip.tip - 2.0 * self.speed_px
+        begin = int(max(0.0, np.clip(strip.top, sure - 160.0, sure - 60.0)))
         rows = np.arange(begin, grey.shape[0])
-        share = self._shares_along(grey, strip, rows)
-        end = int(np.argmax(np.cumsum(share - 0.5)))
+        end, share = self._end_of(grey, strip, rows)
         above = share[max(0, end - 40) : max(end - 3, 1)]
         if end < LEAST_RUN or above.mean() < LEAST_SHARE:
             return None
@@ -219,9 +213,7 @@ class Follower:
     def _upper_end(self, grey: Picture, strip: Strip) -> float | None:
         """The row above which the strip is no more; None where that is not in the picture."""
         rows = np.arange(int(strip.tip) - 10, -1, -1)
-        share = self._shares_along(grey, strip, rows)
-        end = int(np.argmax(np.cumsum(share - 0.5)))
-        row = float(rows[end]) - 0.5
+        row = float(rows[self._end_of(grey, strip, rows)[0]]) - 0.5
         return None if row < 4.0 else row
 
     def _end(self, grey: Picture, strip: Strip, row: float, down: int) -> End:
