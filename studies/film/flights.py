@@ -386,9 +386,9 @@ def gravity_of(track: Track, size: int | None = None) -> float | None:
     if not sure.any():
         return None
     some, error = bends[sure], errors[sure]
-    near = np.abs(some[:, None] - some[None, :]) < NEAR * error[None, :] + LIKE * some[:, None]
+    near = np.abs(some[:, None] - some) < NEAR * error + LIKE * some[:, None]
     # what is surer counts more: a sharp value that many share is no chance
-    count = (near * np.minimum(some / error, 50.0)[None, :]).sum(axis=1)
+    count = near @ np.minimum(some / error, 50.0)
     best = near[np.argmax(count)]
     return float(np.average(some[best], weights=error[best] ** -2.0))
 
@@ -505,8 +505,7 @@ def _drop(chain: list[Stretch], track: Track) -> Drop | None:
         np.average([f.gravity for f in chain], weights=[f.last - f.first for f in chain])
     )
     let_go = _let_go(chain[0], gravity, track)
-    held_first = let_go is not None and let_go[1] <= chain[0].first
-    if _rises(chain[0], track) and not held_first:
+    if let_go is None or let_go[1] > chain[0].first:
         # thrown up in view, or the fall before it has too few frames for a flight of its own
         before = _fall_before(chain[0], gravity, track)
         if before is not None:
@@ -551,12 +550,6 @@ def _is_parabola(fall: Stretch, track: Track) -> bool:
     squares = [np.polyfit(t, y, power, w=weight, full=True)[1].sum() for power in (2, 4)]
     usual = max(squares[1] / max(len(t) - 5, 1), 1.0)
     return bool(squares[0] - squares[1] < OFF**2 * usual)
-
-
-def _rises(flight: Stretch, track: Track) -> bool:
-    """Whether a flight goes up for a good part of the time that it is seen."""
-    first, last = track.t_s[flight.first], track.t_s[flight.last]
-    return bool(flight.top_s - first > 0.25 * (last - first))
 
 
 def _fall_before(rise: Stretch, gravity: float, track: Track) -> Stretch | None:
@@ -617,13 +610,11 @@ def _held_and_let_go(
         square = float(weight @ left**2) + tight * (bend - gravity) ** 2
         return square / max(len(t) - 2, 1), np.array([level, bend])
 
-    tried = np.linspace(t[0], t[2], 21)
-    k = int(np.argmin([let_go(each)[0] for each in tried]))
     found = minimize_scalar(
         lambda release: let_go(release)[0],
-        bounds=(tried[max(k - 1, 0)], tried[min(k + 1, 20)]),
+        bounds=(t[0], t[2]),
         method="bounded",
-        options={"xatol": 1e-5 * float(tried[-1] - tried[0])},
+        options={"xatol": 1e-5 * float(t[2] - t[0])},
     )
     square, (level, bend) = let_go(float(found.x))
     return Stretch(float(found.x), float(level), 0.0, float(bend), held + 1, last), square
