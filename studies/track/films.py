@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,7 +21,6 @@ from ..film.scale import (
     floor_of,
     of_centre,
     scale_of,
-    touching_px,
     weighed,
 )
 from ..film.tracker import Expected, Tracked, tracked
@@ -33,8 +31,6 @@ from ..running.progress import progress
 
 SCHEMA = "bristle-track-1"
 TABLE = "tracks.csv"
-STEEL_KG_M3 = 7800.0
-UNKNOWN_BALL_MM = 10.0
 # A drop in mid-flight so many frames after the body is first seen has lost what was before.
 LATE_FRAMES = 5
 NORMAL_90 = 1.645
@@ -259,78 +255,3 @@ def _drop(each: FilmedDrop, length_mm: float | None) -> dict[str, Any]:
         f"rms_residual_{unit}": by * float(np.sqrt(np.mean(track.residual(drop) ** 2))),
         f"sigma_{unit}": by * float(np.median(track.sigma[used])),
     }
-
-
-def manifest(found: TrackedFilms) -> str:
-    """``dataset.toml`` of the tracks."""
-    inputs = found.inputs
-    names = ", ".join(each.track.film.path.name for each in found.films)
-    lines = [
-        "[dataset]",
-        f'title = "tracks of {len(found.drops)} drops in {len(found.films)} films"',
-        'kind = "tracks"',
-        f'source = "bristle track: {_quoted(names[:700])}"',
-        'licence = ""',
-        "",
-    ]
-    if inputs.body is Body.BALL:
-        diameter = _ball_mm(found)
-        mass = 1e-3 * inputs.mass_g if inputs.mass_g else _steel_kg(diameter)
-        lines += ["[body]", 'shape = "rigid"']
-        if not inputs.mass_g:
-            lines.append(f"# no --mass-g was given: that of a steel ball of {diameter:.3g} mm")
-        lines += [f"mass_kg = {mass:.6g}", f"diameter_m = {1e-3 * diameter:.6g}", ""]
-    elif inputs.length_mm and abs(inputs.length_mm - 1e3 * paper.LENGTH_M) > 1e-6:
-        # of another section: edit these
-        lines += [
-            "[body]",
-            f"length_m = {1e-3 * inputs.length_mm:.6g}",
-            f"width_m = {paper.WIDTH_M:g}",
-            f"thickness_m = {paper.THICKNESS_M:g}",
-            "",
-        ]
-    lines += ["[measurement]", f'file = "{TABLE}"', f"gravity_m_s2 = {inputs.gravity_m_s2:g}"]
-    surface = max(
-        each.by * float(np.hypot(each.floor[1], touching_px(each.track.drops)))
-        for each in found.films
-    )
-    lines += [
-        "# standard error of the zero, which is common to all frames of a film; it allows for some",
-        "# tenths of a millisecond in which the body touches, which sigma_mm takes for none",
-    ]
-    lines += [f"sigma_surface_{found.unit} = {surface:.4g}"] if surface > 0.0 else []
-    scales = [each.scale for each in found.films if each.scale is not None]
-    if scales and inputs.body is Body.BRISTLE:
-        widths = [each.by * each.track.width for each in found.films]
-        lines += [
-            "# width of the bristle in the picture: one that leans touches with a corner of its",
-            "# end, and the middle of the end, whose heights these are, is above the surface then",
-            f"seen_width_mm = {np.median(widths):.4g}",
-        ]
-    if scales:
-        lines += [
-            "# by which all heights are to be multiplied were gravity not used for the scale, and",
-            "# the standard error of that, as a share: the loop fits the scale within it",
-            f"scale = {np.mean([scale.by_length for scale in scales]):.5g}",
-            f"sigma_scale = {max(scale.length_error for scale in scales):.4g}",
-        ]
-    return "\n".join(lines) + "\n"
-
-
-def _ball_mm(found: TrackedFilms) -> float:
-    """The ball's diameter, as given or as the films show it."""
-    if found.inputs.diameter_mm:
-        return found.inputs.diameter_mm
-    if found.unit == "px":
-        return UNKNOWN_BALL_MM
-    return float(np.median([each.by * np.nanmedian(each.track.length) for each in found.films]))
-
-
-def _steel_kg(diameter_mm: float) -> float:
-    return STEEL_KG_M3 * math.pi / 6.0 * (1e-3 * diameter_mm) ** 3
-
-
-def _quoted(text: str) -> str:
-    """A text as it may stand in a string of TOML."""
-    safe = "".join(each if each.isprintable() else "?" for each in text)
-    return safe.replace("\\", "\\\\").replace('"', '\\"')

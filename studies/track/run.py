@@ -24,7 +24,7 @@ from ..running.files import (
     write_atomically,
     write_json,
 )
-from .films import TABLE, manifest, summary, track_films
+from .films import TABLE, summary, track_films
 
 DOCUMENT, MANIFEST, OVERLAYS = "track.json", "dataset.toml", "overlays"
 # All that lies in the dataset's folder.
@@ -54,6 +54,7 @@ def _run(
     found = track_films(films, inputs)
     document = summary(found)
     if out is not None:
+        from .manifest import manifest
         from .overlay import write_overlay
         from .page import write_tracks
 
