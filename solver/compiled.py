@@ -11,6 +11,7 @@ import contextlib
 import fcntl
 import hashlib
 import logging
+import operator
 import os
 import shutil
 import stat
@@ -177,8 +178,18 @@ caching.IndexDataCacheFile = _Index
 caching.Cache.load_overload = _load_overload
 
 njit = cast(Decorator, numba.njit(cache=True, nogil=True))
+# For functions that call Python, which they wait for.
+with_python = cast(Decorator, numba.njit(cache=True))
 # For small functions of many arrays, which are costly to hand over.
 inlined = cast(Decorator, numba.njit(cache=True, nogil=True, forceinline=True))
+# For large functions that compiled code alone calls, in one place: they are part of it, and are not
+# compiled once more for Python.
+within = cast(
+    Decorator,
+    numba.njit(
+        cache=True, nogil=True, forceinline=True, no_cpython_wrapper=True, no_cfunc_wrapper=True
+    ),
+)
 # Sums may be taken in any order: for long runs, which vector units then add up side by side.
 fast = cast(Decorator, numba.njit(cache=True, nogil=True, fastmath=True))
 
@@ -193,22 +204,54 @@ def unowned(_context: Any, record: Any) -> Any:
     """
 
     def without(context: Any, builder: Any, of: Any, value: Any) -> Any:
-        if isinstance(of, types.BaseTuple):
-            each = [
-                without(context, builder, one, builder.extract_value(value, i))
-                for i, one in enumerate(of)
-            ]
-            return context.make_tuple(builder, of, each)
-        if isinstance(of, types.Array):
-            array = context.make_array(of)(context, builder, value)
-            array.meminfo = cgutils.get_null_value(array.meminfo.type)
-            return array._getvalue()
-        return value
+        array = context.make_array(of)(context, builder, value)
+        array.meminfo = cgutils.get_null_value(array.meminfo.type)
+        return array._getvalue()
 
     def write(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        return without(context, builder, signature.args[0], arguments[0])
+        return _of_arrays(context, builder, record, record, arguments[0], without)
 
     return record(record), write
+
+
+def _of_arrays(
+    context: Any, builder: Any, made: Any, of: Any, value: Any, act: Callable[..., Any]
+) -> Any:
+    """What a record becomes, of the type ``made``, where ``act`` is done to each of its arrays."""
+    if isinstance(of, types.BaseTuple):
+        each = [
+            _of_arrays(context, builder, to, one, builder.extract_value(value, k), act)
+            for k, (to, one) in enumerate(zip(made, of, strict=True))
+        ]
+        return context.make_tuple(builder, made, each)
+    return act(context, builder, of, value) if isinstance(of, types.Array) else value
+
+
+@intrinsic
+def _nth(_context: Any, record: Any, i: Any) -> Any:
+    """See `nth`."""
+
+    def row(of: Any) -> Any:
+        if isinstance(of, types.BaseTuple):
+            return types.BaseTuple.from_types([row(each) for each in of], of.instance_class)
+        if isinstance(of, types.Array):
+            return of.copy(ndim=of.ndim - 1) if of.ndim > 1 else of.dtype
+        return of
+
+    def write(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        def at(context: Any, builder: Any, of: Any, value: Any) -> Any:
+            take = context.get_function(operator.getitem, row(of)(of, signature.args[1]))
+            return take(builder, (value, arguments[1]))
+
+        return _of_arrays(context, builder, row(record), record, arguments[0], at)
+
+    return row(record)(record, i), write
+
+
+@njit
+def nth[Record](stack: Record, i: int) -> Record:
+    """One of a stack: the record of views of row ``i`` of each array in a record of arrays."""
+    return _nth(stack, i)
 
 
 class Pointer(WrapperAddressProtocol):

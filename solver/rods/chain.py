@@ -75,30 +75,8 @@ def at_rest(chain: Chain, position_m: Array, rotation: Array) -> tuple[Array, Ar
 
 
 def stacked(chains: Sequence[Chain]) -> Chain:
-    """Chains of as many elements each, their arrays stacked along a first axis."""
-    return Chain(
-        np.stack([each.length for each in chains]),
-        np.stack([each.stiffness for each in chains]),
-        np.stack([each.rest for each in chains]),
-        np.stack([each.mass for each in chains]),
-        np.stack([each.inertia for each in chains]),
-        chains[0].beta,
-        chains[0].alpha,
-    )
-
-
-@njit
-def chain_of(stack: Chain, i: int) -> Chain:
-    """A view of one of the stacked chains."""
-    return Chain(
-        stack.length[i],
-        stack.stiffness[i],
-        stack.rest[i],
-        stack.mass[i],
-        stack.inertia[i],
-        stack.beta,
-        stack.alpha,
-    )
+    """Chains of as many elements each, stacked along a first axis; see `compiled.nth`."""
+    return Chain._make(np.array(each) for each in zip(*chains, strict=True))
 
 
 @njit

@@ -1,4 +1,4 @@
-"""One time step of several rods that touch each other, which share it.
+"""One time step of one rod, or of several that touch each other and share it.
 
 Newton's matrix has a block-tridiagonal block for each rod and, for each point between two rods,
 three more rows: with A the rods by themselves, B the displacements of one side of the points over
@@ -6,7 +6,7 @@ the other and K what their forces lose by them, (A + Bᵀ K B) u = -r. The rods 
 for -r and for unit forces at their points, which gives the compliance C = B A⁻¹ Bᵀ of the points.
 What is left is of the points alone, (1 + K C) z = -K B A⁻¹ r, and u = -A⁻¹ (r + Bᵀ z). This is
 exact, so it converges as Newton's method does for one rod, but for the turning of normals and
-arms, which the tangent leaves out, and for the first iterations, see `step.EARLY`.
+arms, which the tangent leaves out, and for the first iterations, see `EARLY`.
 
 Rods that touch each other now, directly or through others, are a cluster. Each cluster iterates by
 itself: it rests where its residual counts as none, and goes on if another runs into it.
@@ -17,20 +17,20 @@ from __future__ import annotations
 import math
 from typing import Any, NamedTuple, cast
 
+import numba
 import numpy as np
 from scipy.sparse import csc_array
 from scipy.sparse.linalg import splu
 
 from ..arrays import Array, Integers
-from ..compiled import inlined, njit
-from .chain import Chain, System, chain_of, new_system, solve_columns, total_length
-from .contact import Obstacle, Touch
-from .element import Elements, assemble_tangent
-from .motion import ITERATIONS, Hub, Motion, Scheme, hub_of, motion_of, pose_of, rod, write
+from ..compiled import njit, nth, with_python, within
+from .chain import solve_columns, total_length
+from .contact import Touch, no_touch
+from .element import assemble_tangent
+from .motion import ClampedRod, Motion, motion_of, pose_of, write
 from .pairs import (
     ROD_A,
     ROD_B,
-    Between,
     Meeting,
     Points,
     crossing_kn,
@@ -41,14 +41,11 @@ from .pairs import (
 from .pairs import shortfall as pair_shortfall
 from .statics import ROUNDING, excess
 from .step import (
-    EARLY,
-    ITERATION_LIMIT,
-    PATIENT,
-    SHORTER,
-    SHORTEST_PART,
+    Law,
     Scratch,
     assemble,
     begin,
+    damping_rate,
     deepest,
     finish,
     go,
@@ -58,6 +55,16 @@ from .step import (
     shortfall,
 )
 
+# Newton's iterations of one step; one that needs more is halved instead.
+ITERATION_LIMIT = 40
+# In so many first iterations a point that stuck before the step has the tangent of one that sticks.
+# A first guess that slides may still come to stick. With the tangent of sliding, which holds
+# nothing, Newton's method would throw the section off the surface.
+EARLY = 3
+# After so many iterations a step that does not lessen the residual is halved, down to this part.
+PATIENT, SHORTEST_PART = 6, 0.1
+# The part of a step that just closes a contact is found in so many trials.
+SHORTER = 12
 # What a rod does next: nothing, as its cluster is in equilibrium, a step of Newton's, or back by a
 # half of its last one.
 RESTS, GOES, RETURNS = range(3)
@@ -67,22 +74,22 @@ RESTS, GOES, RETURNS = range(3)
 FEW, FAIR = 3, 10.0
 # So many unknowns of a cluster's points are solved as a full matrix, more as a sparse one.
 FULL = 240
-# Iterations that failed, and those that wait for a sparse solution.
-FAILED, WAITS = -1, -2
+# Instead of the number of iterations, where they do not converge.
+FAILED = -1
 
 
 class Room(NamedTuple):
-    """Room for a step of several rods, stacked: their next state, systems and scratch, the
-    force and the moment (rods, 2) that count as none of each, what friction took and contact holds
-    of each (rods, 2) by itself and with the others, its residual by itself (rods, n, 6) and with
-    the others over what counts as none, its cluster, its cluster's greatest residual, what it does
-    next, the last such residual from which it took a step, how much of that step it took, and how
-    much it ought to. Then the gaps of the pairs (pairs, 2), the points, and their begin in each
-    rod's list (rods + 1,) of points and sides (2 m, 2)."""
+    """Room for a step of several rods, stacked: their next state and scratch, what the points of
+    pairs remember then, the force and the moment (rods, 2) that count as none of each, what
+    friction took and contact holds of each (rods, 2) by itself and with the others, its residual by
+    itself (rods, n, 6) and with the others over what counts as none, its cluster, its cluster's
+    greatest residual, what it does next, the last such residual from which it took a step, how much
+    of that step it took, and how much it ought to. Then the gaps of the pairs (pairs, 2), the
+    points, and room for one pair."""
 
     new: Motion
-    systems: System
     scratches: Scratch
+    touch: Touch
     none: Array
     own_works: Array
     works: Array
@@ -96,8 +103,7 @@ class Room(NamedTuple):
     short: Array
     gaps: Array
     points: Points
-    begins: Integers
-    sides: Integers
+    meeting: Meeting
 
 
 def _stacked(one: Any, count: int) -> Any:
@@ -109,11 +115,10 @@ def _stacked(one: Any, count: int) -> Any:
 
 def room_for(rods: int, nodes: int, rim: int, pairs: int) -> Room:
     """Room for so many rods of so many nodes, with so many pairs of elements at most."""
-    points = room_for_points(pairs)
     return Room(
         motion_of(rods, nodes, rim),
-        cast(System, _stacked(new_system(nodes), rods)),
         cast(Scratch, _stacked(new_scratch(nodes), rods)),
+        no_touch(pairs, 2),
         np.zeros((rods, 2)),
         np.zeros((rods, 2)),
         np.zeros((rods, 2)),
@@ -126,105 +131,59 @@ def room_for(rods: int, nodes: int, rim: int, pairs: int) -> Room:
         np.zeros(rods),
         np.zeros(rods),
         np.zeros((pairs, 2)),
-        points,
-        np.zeros(rods + 1, dtype=np.int64),
-        np.zeros((2 * len(points.push), 2), dtype=np.int64),
+        room_for_points(pairs),
+        new_meeting(),
     )
 
 
-@inlined
-def _system_of(stack: System, i: int) -> System:
-    return System(
-        stack.diagonal[i], stack.above[i], stack.below[i], stack.residual[i], stack.solution[i]
-    )
-
-
-@inlined
-def _scratch_of(stack: Scratch, i: int) -> Scratch:
-    e = stack.elements
-    return Scratch(
-        Elements(e.middle[i], e.strain[i], e.load[i], e.ends[i], e.room[i]),
-        stack.target[i],
-        stack.x[i],
-        stack.q[i],
-        stack.solution[i],
-        stack.matrix[i],
-        stack.matrix_before[i],
-        stack.gaps[i],
-    )
-
-
-class Law(NamedTuple):
-    """What acts on rods: the scheme, the surface and the law between bristles."""
-
-    scheme: Scheme
-    surface: Obstacle
-    between: Between
-
-
-@njit
+@within
 def _begin_all(
-    law: Law, chains: Chain, hubs: Hub, members: Integers, stack: Motion, h: float, room: Room
+    law: Law,
+    rods: ClampedRod,
+    members: Integers,
+    pairs: Integers,
+    stack: Motion,
+    h: float,
+    room: Room,
 ) -> None:
     for k in range(len(members)):
-        i = members[k]
-        force, moment = begin(
-            chain_of(chains, i),
-            law.scheme,
-            law.surface,
-            hub_of(hubs, i),
-            rod(stack, i),
-            rod(room.new, k),
-            h,
-            _scratch_of(room.scratches, k),
-        )
-        farthest = 0.0
-        for place in room.new.x[k].ravel():
-            farthest = max(farthest, abs(place))
-        rounding = ROUNDING * crossing_kn(law.between) * farthest
+        rod, new = nth(rods, members[k]), nth(room.new, k)
+        force, moment = begin(law, rod, nth(stack, members[k]), new, h, nth(room.scratches, k))
+        rounding = 0.0
+        if len(pairs):
+            rounding = ROUNDING * crossing_kn(law.between) * np.abs(new.x).max()
         room.none[k, 0] = force + rounding
-        room.none[k, 1] = moment + rounding * total_length(chain_of(chains, i))
+        room.none[k, 1] = moment + rounding * total_length(rod.chain)
         room.doing[k], room.last[k] = GOES, math.inf
 
 
-@njit
+@within
 def _assemble_all(
     law: Law,
-    chains: Chain,
-    loads: Array,
+    rods: ClampedRod,
     members: Integers,
     pairs: Integers,
     stack: Motion,
     before: Touch,
-    now: Touch,
     h: float,
     early: bool,
     room: Room,
 ) -> int:
     """Write residuals, of rods by themselves only where they moved, and points; how many points
     touch."""
-    step = h if law.scheme.inertia else 0.0
+    residual, works = room.scratches.system.residual, room.works
     for k in range(len(members)):
-        i = members[k]
         if room.doing[k] != RESTS:
+            old, new = nth(stack, members[k]), nth(room.new, k)
             lost, held = assemble(
-                chain_of(chains, i),
-                law.scheme,
-                law.surface,
-                loads[i],
-                rod(stack, i),
-                rod(room.new, k),
-                h,
-                early,
-                _system_of(room.systems, k),
-                _scratch_of(room.scratches, k),
+                law, nth(rods, members[k]), old, new, h, early, nth(room.scratches, k)
             )
             room.own_works[k, 0], room.own_works[k, 1] = lost, held
-            write(room.systems.residual[k], room.own[k])
+            write(residual[k], room.own[k])
         else:
-            write(room.own[k], room.systems.residual[k])
-        room.works[k, 0], room.works[k, 1] = room.own_works[k, 0], room.own_works[k, 1]
-    meeting, count = new_meeting(), 0
+            write(room.own[k], residual[k])
+        works[k, 0], works[k, 1] = room.own_works[k, 0], room.own_works[k, 1]
+    count, step = 0, h if law.scheme.inertia else 0.0
     for p in range(len(pairs)):
         a, b = pairs[p, ROD_A], pairs[p, ROD_B]
         count, lost, held = meet_pair(
@@ -236,23 +195,22 @@ def _assemble_all(
             pose_of(room.new, b),
             pose_of(stack, members[b]),
             before,
-            now,
+            room.touch,
             step,
             early,
-            meeting,
+            room.meeting,
             room.gaps[p],
             room.points,
             count,
         )
-        room.works[a, 0] += 0.5 * lost
-        room.works[b, 0] += 0.5 * lost
-        room.works[a, 1] += 0.5 * held
-        room.works[b, 1] += 0.5 * held
+        for k in (a, b):
+            works[k, 0] += 0.5 * lost
+            works[k, 1] += 0.5 * held
     for p in range(count):
         for side in range(2):
-            _push(room.points, p, side, room.systems.residual)
+            _push(room.points, p, side, residual)
     for k in range(len(members)):
-        over = excess(room.systems.residual[k], room.none[k, 0], room.none[k, 1])
+        over = excess(residual[k], room.none[k, 0], room.none[k, 1])
         room.excess[k] = over if math.isfinite(over) else math.inf
     return count
 
@@ -265,7 +223,7 @@ def _first_of(cluster: Integers, k: int) -> int:
     return k
 
 
-@njit
+@within
 def _gather(room: Room, count: int) -> None:
     """Find the clusters that the points make, and the greatest residual of each."""
     cluster, worst, last, part = room.cluster, room.worst, room.last, room.part
@@ -288,11 +246,10 @@ def _gather(room: Room, count: int) -> None:
         last[k], part[k], worst[k] = last[c], part[c], worst[c]
 
 
-@njit
-def _decide(room: Room, count: int, iteration: int, fair: float) -> tuple[bool, int]:
-    """Decide what every rod does next, with ``fair`` as `FAIR`; whether any moves, and how many
-    points are of rods that take a step, which come to stand first, or `FAILED` where a step cannot
-    mend it."""
+@within
+def _decide(room: Room, iteration: int, fair: float) -> tuple[bool, bool]:
+    """Decide what every rod does next, with ``fair`` as `FAIR`; whether any moves, and whether
+    steps can mend it."""
     moves = False
     for k in range(len(room.doing)):
         moved = room.doing[k] != RESTS
@@ -305,27 +262,13 @@ def _decide(room: Room, count: int, iteration: int, fair: float) -> tuple[bool, 
             # one that rested has no step to take back, but its cluster does
             room.doing[k] = RETURNS if moved else RESTS
         elif not math.isfinite(room.worst[k]):
-            return True, FAILED
+            return True, False
         else:
             room.doing[k] = GOES
-    points, kept = room.points, 0
-    for p in range(count):
-        if room.doing[points.whole[p, ROD_A]] == GOES:
-            for c in range(4):
-                points.whole[kept, c] = points.whole[p, c]
-            for side in range(2):
-                points.share[kept, side] = points.share[p, side]
-                for c in range(3):
-                    points.arm[kept, side, c] = points.arm[p, side, c]
-            for c in range(3):
-                points.push[kept, c] = points.push[p, c]
-                for d in range(3):
-                    points.stiff[kept, c, d] = points.stiff[p, c, d]
-            kept += 1
-    return moves, kept
+    return moves, True
 
 
-@inlined
+@njit
 def _share(points: Points, p: int, side: int, node: int) -> float:
     """The part of a side's displacement that is of its element's first or second node.
 
@@ -351,9 +294,25 @@ def _push(points: Points, p: int, side: int, residual: Array) -> None:
 
 
 @njit
+def _load(points: Points, p: int, side: int, loads: Array, j: int) -> None:
+    """Add a unit force along each axis, at one side of a point, to three columns from ``j`` on of
+    its rod's loads (n, 6, m)."""
+    sign, e, arm = 1.0 if side == 0 else -1.0, points.whole[p, 2 * side + 1], points.arm[p, side]
+    for node in range(2):
+        part = sign * _share(points, p, side, node)
+        for c in range(3):
+            a, b = (c + 1) % 3, (c + 2) % 3
+            # arm × e_c
+            loads[e + node, c, j + c] += part
+            loads[e + node, 3 + a, j + c] += 0.5 * sign * arm[b]
+            loads[e + node, 3 + b, j + c] -= 0.5 * sign * arm[a]
+
+
+@njit
 def _displacement(points: Points, p: int, side: int, moved: Array, j: int, out: Array) -> None:
-    """Write the displacement (3,) of one side of a point by column ``j`` of its rod's (n, 6, m)."""
-    e, arm = points.whole[p, 2 * side + 1], points.arm[p, side]
+    """Write the displacement (3,) of one side of a point, over the other's, by column ``j`` of its
+    rod's (n, 6, m)."""
+    sign, e, arm = 1.0 if side == 0 else -1.0, points.whole[p, 2 * side + 1], points.arm[p, side]
     for c in range(3):
         a, b = (c + 1) % 3, (c + 2) % 3
         out[c] = 0.0
@@ -361,190 +320,183 @@ def _displacement(points: Points, p: int, side: int, moved: Array, j: int, out: 
             u = moved[e + node]
             out[c] += _share(points, p, side, node) * u[c, j]
             out[c] += 0.5 * (u[3 + a, j] * arm[b] - u[3 + b, j] * arm[a])
+        out[c] *= sign
 
 
 @njit
-def _list_sides(points: Points, count: int, begins: Integers, sides: Integers) -> None:
-    """Write each rod's list of points and which side of them it is."""
-    begins[:] = 0
-    for p in range(count):
-        begins[points.whole[p, ROD_A] + 1] += 1
-        begins[points.whole[p, ROD_B] + 1] += 1
-    for k in range(1, len(begins)):
-        begins[k] += begins[k - 1]
-    filled = np.zeros(len(begins), dtype=np.int64)
-    for p in range(count):
-        for side in range(2):
-            r = points.whole[p, 2 * side]
-            at = begins[r] + filled[r]
-            sides[at, 0], sides[at, 1] = p, side
-            filled[r] += 1
+def _grouped(owner: Integers, many: int) -> tuple[Integers, Integers]:
+    """The order that puts what has one of so ``many`` owners together, otherwise as it is, and
+    where that of each begins (many + 1,)."""
+    begins, order = np.zeros(many + 1, np.int64), np.empty(len(owner), np.int64)
+    for each in owner:
+        begins[each] += 1
+    for k in range(many):
+        begins[k + 1] += begins[k]
+    for k in range(len(owner) - 1, -1, -1):
+        begins[owner[k]] -= 1
+        order[begins[owner[k]]] = k
+    return order, begins
 
 
-class Waiting(NamedTuple):
-    """An iteration that waits for its points' forces: its number, each point's ``place`` among the
-    unknowns, where the points of each cluster begin there, the rods' displacements by unit forces,
-    and of 1 + K C the values, rows, columns, and the right-hand side, see `_linearise`."""
-
-    iteration: int
-    place: Integers
-    begins: Integers
-    kept: Array
-    values: Array
-    rows: Integers
-    columns: Integers
-    right: Array
-
-
-@njit
+@within
 def _in_clusters(room: Room, count: int) -> tuple[Integers, Integers]:
-    """Each point's place (points,) if those of a cluster come one after another, and where each
-    cluster's points begin (rods + 1,)."""
-    begins, place = np.zeros(len(room.cluster) + 1, np.int64), np.empty(count, np.int64)
+    """The points of rods that take a step, those of a cluster one after another, and where each
+    cluster's begin (rods + 1,)."""
+    first, rods = room.points.whole[:count, ROD_A], len(room.cluster)
+    owner = np.empty(count, np.int64)
     for p in range(count):
-        begins[room.cluster[room.points.whole[p, ROD_A]] + 1] += 1
-    for c in range(1, len(begins)):
-        begins[c] += begins[c - 1]
-    filled = begins.copy()
-    for p in range(count):
-        c = room.cluster[room.points.whole[p, ROD_A]]
-        place[p] = filled[c]
-        filled[c] += 1
-    return place, begins
+        owner[p] = room.cluster[first[p]] if room.doing[first[p]] == GOES else rods
+    order, begins = _grouped(owner, rods + 1)
+    return order[: begins[rods]], begins[: rods + 1]
 
 
-@njit
-def _linearise(
-    law: Law, chains: Chain, members: Integers, h: float, room: Room, count: int, iteration: int
-) -> tuple[bool, Waiting]:
-    """Solve every rod that takes a step for its residual, into its system's solution, and for unit
-    forces at its points.
+@within
+def _newton_steps(
+    law: Law, rods: ClampedRod, members: Integers, h: float, room: Room, count: int
+) -> bool:
+    """Write Newton's step of every rod that takes one to its system's solution, and keep where it
+    is; False where a matrix is singular.
 
-    Returns whether none is singular, and the rest of the ``iteration``.
+    Unknowns are the forces at points, three each, those of a cluster one after another.
     """
-    points, begins, sides = room.points, room.begins, room.sides
-    nodes = room.new.x.shape[1]
-    _list_sides(points, count, begins, sides)
-    place, blocks = _in_clusters(room, count)
+    points, nodes = room.points, room.new.x.shape[1]
+    chosen, clusters = _in_clusters(room, count)
+    count = len(chosen)
+    # sides of points, of which each is 2 k or 2 k + 1 for the k-th point, rod by rod
+    owner = np.empty(2 * count, np.int64)
+    for k in range(count):
+        owner[2 * k], owner[2 * k + 1] = (
+            points.whole[chosen[k], ROD_A],
+            points.whole[chosen[k], ROD_B],
+        )
+    sides, begins = _grouped(owner, len(members))
     entries = 3 * count
     for k in range(len(members)):
         entries += (3 * (begins[k + 1] - begins[k])) ** 2
-    values, rows, columns = (
-        np.empty(entries),
-        np.empty(entries, np.int32),
-        np.empty(entries, np.int32),
-    )
-    apart, right = np.zeros((count, 3)), np.zeros(3 * count)
-    kept = np.empty(nodes * 6 * 6 * count)
-    at, used, out = 0, 0, np.empty(3)
+    # of 1 + K C, and the right-hand side
+    values, places, at = np.ones(entries), np.empty((2, entries), np.int32), 3 * count
     for d in range(3 * count):
-        values[at], rows[at], columns[at] = 1.0, d, d
-        at += 1
+        places[0, d] = places[1, d] = d
+    apart, right, out = np.zeros((count, 3)), np.zeros(3 * count), np.empty(3)
+    # each rod's residual and unit forces at its points, then what it moves by them
+    columns = np.zeros(6 * nodes * (len(members) + 6 * count))
+    ends = 6 * nodes * (np.arange(len(members) + 1) + 3 * begins)
     for k in range(len(members)):
         if room.doing[k] != GOES:
             continue
-        chain, system = chain_of(chains, members[k]), _system_of(room.systems, k)
-        rate = chain.beta / h if law.scheme.inertia else 0.0
-        assemble_tangent(chain, rate, system, _scratch_of(room.scratches, k).elements)
-        many = 3 * (begins[k + 1] - begins[k])
-        loads = np.zeros((nodes, 6, 1 + many))
+        own, scratch = sides[begins[k] : begins[k + 1]], nth(room.scratches, k)
+        chain = nth(rods.chain, members[k])
+        assemble_tangent(chain, damping_rate(law, chain, h), scratch.system, scratch.elements)
+        moved = columns[ends[k] : ends[k + 1]].reshape(nodes, 6, -1)
         for i in range(nodes):
             for r in range(6):
-                loads[i, r, 0] = -system.residual[i, r]
-        for s in range(begins[k], begins[k + 1]):
-            p, side = sides[s, 0], sides[s, 1]
-            sign, e, arm = (
-                1.0 if side == 0 else -1.0,
-                points.whole[p, 2 * side + 1],
-                points.arm[p, side],
-            )
-            for node in range(2):
-                part = sign * _share(points, p, side, node)
-                for c in range(3):
-                    a, b = (c + 1) % 3, (c + 2) % 3
-                    j = 1 + 3 * (s - begins[k]) + c
-                    # arm × e_c
-                    loads[e + node, c, j] += part
-                    loads[e + node, 3 + a, j] += 0.5 * sign * arm[b]
-                    loads[e + node, 3 + b, j] -= 0.5 * sign * arm[a]
-        if not solve_columns(system, loads):
-            return False, nothing_waits()
-        for i in range(nodes):
-            for r in range(6):
-                system.solution[i, r] = loads[i, r, 0]
-                for j in range(many):
-                    kept[used + (i * 6 + r) * many + j] = loads[i, r, 1 + j]
-        used += nodes * 6 * many
-        for s in range(begins[k], begins[k + 1]):
-            p, side = sides[s, 0], sides[s, 1]
-            sign, stiff = 1.0 if side == 0 else -1.0, points.stiff[p]
-            for j in range(1 + many):
-                _displacement(points, p, side, loads, j, out)
-                if j == 0:
-                    for c in range(3):
-                        apart[p, c] += sign * out[c]
-                    continue
-                other = 3 * place[sides[begins[k] + (j - 1) // 3, 0]] + (j - 1) % 3
+                moved[i, r, 0] = -scratch.system.residual[i, r]
+        for s in range(len(own)):
+            _load(points, chosen[own[s] // 2], own[s] % 2, moved, 1 + 3 * s)
+        if not solve_columns(scratch.system, moved):
+            return False
+        for side in own:
+            k_th, p = side // 2, chosen[side // 2]
+            _displacement(points, p, side % 2, moved, 0, out)
+            for c in range(3):
+                apart[k_th, c] += out[c]
+            for j in range(3 * len(own)):
+                _displacement(points, p, side % 2, moved, 1 + j, out)
                 for c in range(3):
                     value = 0.0
                     for d in range(3):
-                        value += stiff[c, d] * sign * out[d]
-                    values[at], rows[at], columns[at] = value, 3 * place[p] + c, other
+                        value += points.stiff[p, c, d] * out[d]
+                    values[at], places[0, at] = value, 3 * k_th + c
+                    places[1, at] = 3 * (own[j // 3] // 2) + j % 3
                     at += 1
-    for p in range(count):
+    for k in range(count):
         for c in range(3):
             for d in range(3):
-                right[3 * place[p] + c] += points.stiff[p, c, d] * apart[p, d]
-    return True, Waiting(iteration, place, blocks, kept, values, rows, columns, right)
-
-
-@njit
-def _add_forces(room: Room, waiting: Waiting, forces: Array) -> None:
-    """Add what the points' forces move every rod by to its solution, and keep where it is."""
-    used, nodes, kept = 0, room.new.x.shape[1], waiting.kept
-    for k in range(len(room.new.x)):
+                right[3 * k + c] += points.stiff[chosen[k], c, d] * apart[k, d]
+    forces = _point_forces(values, places, right, 3 * clusters) if count else right
+    for k in range(len(members)):
         if room.doing[k] != GOES:
             continue
-        solution, first = room.systems.solution[k], room.begins[k]
-        many = 3 * (room.begins[k + 1] - first)
-        own = np.empty(many)
-        for j in range(many):
-            own[j] = forces[3 * waiting.place[room.sides[first + j // 3, 0]] + j % 3]
+        moved = columns[ends[k] : ends[k + 1]].reshape(nodes, 6, -1)
+        solution = room.scratches.system.solution[k]
         for i in range(nodes):
             for r in range(6):
-                for j in range(many):
-                    solution[i, r] -= kept[used + (i * 6 + r) * many + j] * own[j]
-        used += nodes * 6 * many
-        keep(rod(room.new, k), solution, _scratch_of(room.scratches, k))
+                solution[i, r] = moved[i, r, 0]
+                for j in range(moved.shape[2] - 1):
+                    force = forces[3 * (sides[begins[k] + j // 3] // 2) + j % 3]
+                    solution[i, r] -= moved[i, r, 1 + j] * force
+        keep(nth(room.new, k), nth(room.scratches, k))
+    return True
+
+
+def _sparse_solution(values: Array, places: Integers, right: Array) -> Array:
+    """Of a sparse matrix by its entries; no numbers where it is singular."""
+    try:
+        return np.asarray(splu(csc_array((values, tuple(places)))).solve(right))
+    except RuntimeError:  # singular
+        return np.full(len(right), np.nan)
+
+
+@with_python
+def _by_scipy(values: Array, places: Integers, right: Array) -> Array:
+    with numba.objmode(forces="float64[::1]"):
+        forces = _sparse_solution(values, places, right)
+    return forces
 
 
 @njit
+def _point_forces(values: Array, places: Integers, right: Array, begins: Integers) -> Array:
+    """The forces at points, by the entries (m,) of a matrix and their rows and columns (2, m);
+    those of a cluster begin at ``begins`` (clusters + 1,), and are no numbers if it is singular."""
+    forces, sizes = right.copy(), np.diff(begins)
+    if sizes.max() > FULL:
+        return _by_scipy(values, places, right)
+    first, matrices = np.repeat(begins[:-1], sizes), np.zeros((len(right), sizes.max()))
+    for k in range(len(values)):
+        row = places[0, k]
+        matrices[row, places[1, k] - first[row]] += values[k]
+    for c in range(len(sizes)):
+        if sizes[c]:
+            low, high = begins[c], begins[c + 1]
+            try:
+                forces[low:high] = np.linalg.solve(matrices[low:high, : sizes[c]], right[low:high])
+            except Exception:  # singular, which compiled code tells by no class of its own
+                forces[low:high] = np.nan
+    return forces
+
+
+@within
 def _advance_all(
-    law: Law, chains: Chain, members: Integers, pairs: Integers, h: float, room: Room
+    law: Law, rods: ClampedRod, members: Integers, pairs: Integers, h: float, room: Room
 ) -> None:
     """Move rods by Newton's step, or by so much of it that what comes together just touches; those
-    that return, back by a half."""
-    stiffness, meeting, short = crossing_kn(law.between), new_meeting(), room.short
+    that return, back by a half.
+
+    Without this a rod that bends far would fall deep into a stiff surface, which throws it out
+    again, for ever.
+    """
+    short = room.short
     for k in range(len(members)):
         short[k] = 0.0
         if room.doing[k] == GOES:
             room.part[k], room.last[k] = 1.0, room.worst[k]
         elif room.doing[k] == RESTS:
             short[k] = 1.0
-    chain = chain_of(chains, members[0])
-    # of a point at the end of a whole element, or of one where two cross
-    stiffest = max(stiffness, 0.5 * law.between.stiffness * chain.length.max())
-    if law.surface.there:
-        stiffest = max(stiffest, law.surface.kn)
+    chain = nth(rods.chain, members[0])
+    stiffest = law.surface.kn if law.surface.there else 0.0
+    if len(pairs):
+        # of a point at the end of a whole element, or of one where two cross
+        along = 0.5 * law.between.stiffness * chain.length.max()
+        stiffest = max(stiffest, crossing_kn(law.between), along)
     trials = 0 if inert(chain, law.scheme, stiffest, h) else SHORTER
     for trial in range(trials + 1):
         for k in range(len(members)):
             if short[k] < 1.0:
-                chain, scratch = chain_of(chains, members[k]), _scratch_of(room.scratches, k)
-                go(chain, rod(room.new, k), room.part[k], scratch)
+                chain = nth(rods.chain, members[k])
+                go(chain, nth(room.new, k), room.part[k], nth(room.scratches, k))
         if trial == trials:
             return
-        _look(law, stiffness, chains, members, pairs, room, meeting)
+        _look(law, rods, members, pairs, room)
         shorter = False
         for k in range(len(members)):
             short[k] = short[room.cluster[k]]
@@ -555,16 +507,8 @@ def _advance_all(
             return
 
 
-@njit
-def _look(
-    law: Law,
-    stiffness: float,
-    chains: Chain,
-    members: Integers,
-    pairs: Integers,
-    room: Room,
-    meeting: Meeting,
-) -> None:
+@within
+def _look(law: Law, rods: ClampedRod, members: Integers, pairs: Integers, room: Room) -> None:
     """Write of every cluster, where its first rod stands, how much of its step it ought to take if
     it has just moved and takes a step; one for others."""
     moved, short = room.short < 1.0, room.short
@@ -573,17 +517,17 @@ def _look(
         short[k] = 1.0
     for k in range(len(members)):
         if moved[k] and law.surface.there:
-            chain, scratch = chain_of(chains, members[k]), _scratch_of(room.scratches, k)
-            part = shortfall(chain, law.surface, rod(room.new, k), scratch)
+            chain, scratch = nth(rods.chain, members[k]), nth(room.scratches, k)
+            part = shortfall(chain, law.surface, nth(room.new, k), scratch)
             short[room.cluster[k]] = min(short[room.cluster[k]], part)
     for p in range(len(pairs)):
         a, b = pairs[p, ROD_A], pairs[p, ROD_B]
         if not (moved[a] or moved[b]):
             continue
-        allowed = deepest(chain_of(chains, members[a]), stiffness)
+        allowed = deepest(nth(rods.chain, members[a]), crossing_kn(law.between))
         both = pose_of(room.new, a), pose_of(room.new, b)
         part = pair_shortfall(
-            law.between, pairs[p], both[0], both[1], room.gaps[p], allowed, meeting
+            law.between, pairs[p], both[0], both[1], room.gaps[p], allowed, room.meeting
         )
         for k in (a, b):
             if moved[k]:
@@ -591,125 +535,36 @@ def _look(
 
 
 @njit
-def _finish_all(
-    law: Law,
-    chains: Chain,
-    loads: Array,
-    members: Integers,
-    stack: Motion,
-    h: float,
-    room: Room,
-    iterations: int,
-) -> None:
-    for k in range(len(members)):
-        i = members[k]
-        new = rod(room.new, k)
-        finish(
-            chain_of(chains, i),
-            law.scheme,
-            loads[i],
-            rod(stack, i),
-            new,
-            h,
-            _system_of(room.systems, k),
-            room.works[k, 0],
-            room.works[k, 1],
-        )
-        new.totals[ITERATIONS] += iterations
-
-
-@njit
-def nothing_waits() -> Waiting:
-    """Before the first iteration."""
-    none, index = np.empty(0), np.empty(0, np.int32)
-    places = np.empty(0, np.int64)
-    return Waiting(0, places, places, none, none, index, index, none)
-
-
-def sparse_solution(waiting: Waiting) -> Array:
-    """The forces that an iteration waits for; no numbers where they have no solution."""
-    count = len(waiting.right)
-    matrix = csc_array((waiting.values, (waiting.rows, waiting.columns)), shape=(count, count))
-    try:
-        return np.asarray(splu(matrix).solve(waiting.right))
-    except RuntimeError:  # singular
-        return np.full(count, np.nan)
-
-
-@njit
-def _full_solution(waiting: Waiting) -> Array:
-    """As `sparse_solution`, by a full matrix of each cluster."""
-    forces, begins = waiting.right.copy(), 3 * waiting.begins
-    first, size, starts = np.zeros((3, len(forces)), np.int64)
-    total = 0
-    for c in range(len(begins) - 1):
-        width = begins[c + 1] - begins[c]
-        for d in range(begins[c], begins[c + 1]):
-            first[d], size[d], starts[d] = begins[c], width, total
-        total += width * width
-    matrices = np.zeros(total)
-    for entry in range(len(waiting.values)):
-        d = waiting.rows[entry]
-        at = starts[d] + (d - first[d]) * size[d] + waiting.columns[entry] - first[d]
-        matrices[at] += waiting.values[entry]
-    for c in range(len(begins) - 1):
-        low, high = begins[c], begins[c + 1]
-        if low == high:
-            continue
-        width = high - low
-        matrix = matrices[starts[low] : starts[low] + width * width].reshape(width, width)
-        try:
-            forces[low:high] = np.linalg.solve(matrix, waiting.right[low:high])
-        except Exception:  # singular, which compiled code tells by no class of its own
-            forces[low:high] = np.nan
-    return forces
-
-
-@njit
 def joint_step(
     law: Law,
-    chains: Chain,
-    loads: Array,
-    hubs: Hub,
+    rods: ClampedRod,
     members: Integers,
     pairs: Integers,
     stack: Motion,
     before: Touch,
-    now: Touch,
     h: float,
     room: Room,
-    waiting: Waiting,
-    forces: Array,
-) -> tuple[int, Waiting]:
+) -> int:
     """Write the rods ``members`` of the ``stack`` after a step of ``h`` seconds into the room.
 
-    ``pairs`` (p, 4) are the elements that may touch, see `pairs.Points`, their rods counted among
-    the members; ``before`` and ``now`` are what their points remember. Returns Newton's iterations,
-    or `FAILED` where it does not converge, or `WAITS` where it is to be called again with what
-    waits then and its ``forces``, see `sparse_solution`.
+    ``rods`` are stacked too. ``pairs`` (p, 4) are the elements that may touch, see `pairs.Points`,
+    their rods counted among the members, and ``before`` is what their points remember. Returns
+    Newton's iterations, or `FAILED`.
     """
-    iteration = waiting.iteration
-    while True:
-        if iteration == 0:
-            _begin_all(law, chains, hubs, members, stack, h, room)
-        else:
-            _add_forces(room, waiting, forces)
-            _advance_all(law, chains, members, pairs, h, room)
-        count = _assemble_all(
-            law, chains, loads, members, pairs, stack, before, now, h, iteration < EARLY, room
-        )
+    _begin_all(law, rods, members, pairs, stack, h, room)
+    fair = FAIR if law.scheme.inertia and len(pairs) else 1.0
+    for iteration in range(ITERATION_LIMIT):
+        early = iteration < EARLY
+        count = _assemble_all(law, rods, members, pairs, stack, before, h, early, room)
         _gather(room, count)
-        fair = FAIR if law.scheme.inertia else 1.0
-        moves, count = _decide(room, count, iteration, fair)
+        moves, fine = _decide(room, iteration, fair)
         if not moves:
-            _finish_all(law, chains, loads, members, stack, h, room, iteration)
-            return iteration, nothing_waits()
-        iteration += 1
-        if count == FAILED or iteration == ITERATION_LIMIT:
-            return FAILED, nothing_waits()
-        fine, waiting = _linearise(law, chains, members, h, room, count, iteration)
-        if not fine:
-            return FAILED, nothing_waits()
-        if 3 * np.diff(waiting.begins).max() > FULL:
-            return WAITS, waiting
-        forces = _full_solution(waiting) if count else waiting.right
+            for k in range(len(members)):
+                old, new, works = nth(stack, members[k]), nth(room.new, k), room.works[k]
+                scratch = nth(room.scratches, k)
+                finish(law, nth(rods, members[k]), old, new, h, works, iteration, scratch)
+            return iteration
+        if not (fine and _newton_steps(law, rods, members, h, room, count)):
+            return FAILED
+        _advance_all(law, rods, members, pairs, h, room)
+    return FAILED

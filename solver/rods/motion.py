@@ -34,19 +34,20 @@ def scheme_of(time: TimeScheme, error_m: float, *, inertia: bool = True) -> Sche
 
 
 class Hub(NamedTuple):
-    """One clamp and the hub's path: ``place`` (3,) and ``attitude`` (4,) of the clamp in the hub's
-    axes, see `hub.HubPath` for the others."""
+    """The hub's path, see `hub.HubMotion`."""
 
     breaks: Array
     coefficients: Array
+
+
+class ClampedRod(NamedTuple):
+    """A rod in the hub, and what acts on it alone: dead ``loads`` (n, 6), forces and moments at the
+    nodes in world axes, and the clamp's ``place`` (3,) and ``attitude`` (4,) in the hub's axes."""
+
+    chain: Chain
+    loads: Array
     place: Array
     attitude: Array
-
-
-@njit
-def hub_of(hubs: Hub, i: int) -> Hub:
-    """One of the stacked clamps."""
-    return Hub(hubs.breaks, hubs.coefficients, hubs.place[i], hubs.attitude[i])
 
 
 # Rows of `Motion.totals`.
@@ -95,30 +96,6 @@ def motion_of(rods: int, nodes: int, points: int) -> Motion:
     )
 
 
-@njit
-def rod(stack: Motion, i: int) -> Motion:
-    """A view of one of the stacked rods."""
-    touch = stack.touch
-    return Motion(
-        stack.x[i],
-        stack.q[i],
-        stack.velocity[i],
-        stack.acceleration[i],
-        stack.auxiliary[i],
-        stack.strain[i],
-        stack.holding[i],
-        stack.reaction[i],
-        stack.totals[i],
-        Touch(
-            touch.elongation[i],
-            touch.state[i],
-            touch.speed[i],
-            touch.normal[i],
-            touch.friction[i],
-        ),
-    )
-
-
 class Pose(NamedTuple):
     """Where the nodes of one rod are: their places ``x`` (n, 3) and axes ``q`` (n, 4).
 
@@ -137,10 +114,21 @@ def pose_of(stack: Motion, i: int) -> Pose:
 
 @njit
 def write(source: Array, into: Array) -> None:
-    """One contiguous array over another; Numba takes ten times as long to compile a slice."""
+    """As many entries of one contiguous array over all of another; Numba takes ten times as long to
+    compile a slice."""
     entries, places = source.ravel(), into.ravel()
-    for k in range(len(entries)):
+    for k in range(len(places)):
         places[k] = entries[k]
+
+
+@njit
+def copy_touch(source: Touch, into: Touch) -> None:
+    """Write what points remember over what as many others do."""
+    write(source.elongation, into.elongation)
+    write(source.state, into.state)
+    write(source.speed, into.speed)
+    write(source.normal, into.normal)
+    write(source.friction, into.friction)
 
 
 @njit
@@ -155,11 +143,7 @@ def copy(source: Motion, into: Motion) -> None:
     write(source.holding, into.holding)
     write(source.reaction, into.reaction)
     write(source.totals, into.totals)
-    write(source.touch.elongation, into.touch.elongation)
-    write(source.touch.state, into.touch.state)
-    write(source.touch.speed, into.touch.speed)
-    write(source.touch.normal, into.touch.normal)
-    write(source.touch.friction, into.touch.friction)
+    copy_touch(source.touch, into.touch)
 
 
 # Times that a step's accelerations are stretched by at most.
@@ -187,7 +171,7 @@ def fit_to_step(now: Motion, h: float) -> None:
 
 
 @njit
-def clamp(hub: Hub, t_s: float, x: Array, q: Array, velocity: Array) -> None:
+def clamp(hub: Hub, rod: ClampedRod, t_s: float, x: Array, q: Array, velocity: Array) -> None:
     """Write the place (3,), attitude (4,) and velocity (6,) of the clamped node at a time."""
     pose, turned, matrix = np.empty((2, 6)), np.empty(4), np.empty((3, 3))
     hub_coordinates(hub.breaks, hub.coefficients, t_s, pose)
@@ -197,13 +181,13 @@ def clamp(hub: Hub, t_s: float, x: Array, q: Array, velocity: Array) -> None:
     spin = spin_of(r, rate)
     arm = np.empty(3)
     for c in range(3):
-        arm[c] = matrix[c, 0] * hub.place[0] + matrix[c, 1] * hub.place[1]
-        arm[c] += matrix[c, 2] * hub.place[2]
+        arm[c] = matrix[c, 0] * rod.place[0] + matrix[c, 1] * rod.place[1]
+        arm[c] += matrix[c, 2] * rod.place[2]
         x[c] = pose[0, c] + arm[c]
     velocity[0] = pose[1, 0] + spin[1] * arm[2] - spin[2] * arm[1]
     velocity[1] = pose[1, 1] + spin[2] * arm[0] - spin[0] * arm[2]
     velocity[2] = pose[1, 2] + spin[0] * arm[1] - spin[1] * arm[0]
-    multiply(turned, hub.attitude, q)
+    multiply(turned, rod.attitude, q)
     write_matrix(q, matrix)
     for c in range(3):
         velocity[3 + c] = matrix[0, c] * spin[0] + matrix[1, c] * spin[1] + matrix[2, c] * spin[2]

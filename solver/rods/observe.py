@@ -7,11 +7,11 @@ from typing import NamedTuple
 import numpy as np
 
 from ..arrays import Array, Integers
-from ..compiled import njit
-from .chain import Chain, chain_of
+from ..compiled import njit, nth
+from .chain import Chain
 from .contact import SLIDES, Obstacle, lowest
 from .element import end_loads
-from .motion import CONTACT, FRICTION, HUB_WORK, MATERIAL, STEPS, Motion, energies, rod
+from .motion import CONTACT, FRICTION, HUB_WORK, MATERIAL, STEPS, Motion, energies
 from .rotation import write_matrix
 
 
@@ -48,7 +48,7 @@ def observe(chains: Chain, gravity: Array, stack: Motion, members: Integers) -> 
     energy = np.zeros((rods, 8))
     ends, matrix = np.empty((nodes - 1, 2, 6)), np.empty((3, 3))
     for i in range(rods):
-        chain, now = chain_of(chains, members[i]), rod(stack, members[i])
+        chain, now = nth(chains, members[i]), nth(stack, members[i])
         end_loads(chain, now.x, now.q, now.strain, 0.0, ends)
         for k in range(nodes):
             write_matrix(now.q[k], matrix)

@@ -14,25 +14,26 @@ from mpi4py import MPI
 from .. import paper
 from ..arrays import Array, Flags, Integers
 from ..bristle import positive
+from ..compiled import nth
 from ..errors import BristleError, ComputationError, InputError, require
 from ..time.scheme import TimeScheme
 from . import motion as rows
-from .chain import at_rest, chain_of, new_system, stacked, uniform_chain
-from .contact import Touch, obstacle_of
+from .chain import at_rest, stacked, uniform_chain
+from .contact import Touch, no_touch, obstacle_of
 from .frame import Frame, RodEnergy
 from .ground import Contact, Ground
 from .hub import Clamps, HubMotion
-from .joint import Law, room_for
-from .march import Windows, march_apart, march_together
-from .motion import Hub, Motion, motion_of, rod, scheme_of, set_strains
+from .joint import Room, room_for
+from .march import march
+from .motion import ClampedRod, Hub, Motion, motion_of, scheme_of, set_strains
 from .neighbours import Group, Neighbours, shared_out
 from .observe import Seen, clearance, observe
 from .pairs import between_of
 from .rotation import world_to_body
 from .section import RodSection
 from .settle import settle
-from .step import new_scratch
-from .tally import COLUMNS, Means
+from .step import Law
+from .tally import COLUMNS, Means, Windows
 
 # The spectral radius of generalised-alpha at infinite frequency.
 RHO_INFINITY = 0.6
@@ -109,25 +110,18 @@ class Rods:
         self._known = np.zeros(len(clamps), dtype=np.bool_)
         self._cost: Array = np.ones(len(clamps))
         self._gravity = np.array([0.0, 0.0, -gravity_m_s2])
-        self._surface = obstacle_of(ground, section)
-        self._chains = stacked(
-            [
-                uniform_chain(_bowed(section, bow_rad / length), length, elements)
-                for length in clamps.length_m
-            ]
+        self._rods = self._clamped(bow_rad)
+        scale_m, path = float(clamps.length_m.min()), (motion.breaks, motion.coefficients)
+        self._law = Law(
+            scheme_of(TimeScheme.generalised(rho_infinity), tolerance * scale_m),
+            Hub(*(np.ascontiguousarray(each, dtype=float) for each in path)),
+            obstacle_of(ground, section),
+            between_of(between or Contact(), section),
         )
-        scale_m = float(clamps.length_m.min())
-        scheme = scheme_of(TimeScheme.generalised(rho_infinity), tolerance * scale_m)
-        self._law = Law(scheme, self._surface, between_of(between or Contact(), section))
         self._neighbours = Neighbours(self._law.between) if between is not None else None
         # groups of as many rods come back every few spans
-        self._room_for = lru_cache(maxsize=16)(room_for)
-        self._hub = self._hub_of()
-        self._loads = np.zeros((len(clamps), elements + 1, 6))
-        self._loads[..., :3] = self._chains.mass[..., None] * self._gravity
-        self._now = motion_of(len(clamps), elements + 1, len(self._surface.rim))
-        self._other = rod(motion_of(1, elements + 1, len(self._surface.rim)), 0)
-        self._system, self._scratch = new_system(elements + 1), new_scratch(elements + 1)
+        self._room_for = lru_cache(maxsize=16)(self._make_room)
+        self._now = motion_of(len(clamps), elements + 1, len(section.rim_m))
         self._t_s = 0.0
         self._refuse_below(np.zeros(1))
         wrong: BristleError | None = None
@@ -250,19 +244,9 @@ class Rods:
         self._refuse_failure(failed)
 
     def _march_apart(self, members: Integers, end_s: float, windows: Windows) -> int:
-        return march_apart(
-            self._law,
-            self._chains,
-            self._loads,
-            self._hub,
-            members,
-            self._now,
-            self._other,
-            self._system,
-            self._scratch,
-            end_s,
-            windows,
-        )
+        here = np.zeros((0, 4), dtype=np.int64), self._now, no_touch(0, 2)
+        room = self._room_for(1, 0)
+        return march(self._law, self._rods, members, 1, *here, end_s, windows, room)
 
     def _march_group(self, group: Group, end_s: float, windows: Windows) -> int:
         assert self._neighbours is not None
@@ -272,24 +256,15 @@ class Rods:
         pairs[:, 0], pairs[:, 2] = place[pairs[:, 0]], place[pairs[:, 2]]
         touch = Touch(*(each[group.rows] for each in near.touch))
         # a power of two, so that few rooms do for all
-        most = 1 << (len(pairs) - 1).bit_length()
-        rods, nodes, rim = len(group.members), self.elements + 1, len(self._surface.rim)
-        failed = march_together(
-            self._law,
-            self._chains,
-            self._loads,
-            self._hub,
-            group.members,
-            pairs,
-            self._now,
-            touch,
-            end_s,
-            windows,
-            self._room_for(rods, nodes, rim, most),
-        )
+        room = self._room_for(len(group.members), 1 << (len(pairs) - 1).bit_length())
+        here, count = (pairs, self._now, touch), len(group.members)
+        failed = march(self._law, self._rods, group.members, count, *here, end_s, windows, room)
         for whole, part in zip(near.touch, touch, strict=True):
             whole[group.rows] = part
         return failed
+
+    def _make_room(self, rods: int, pairs: int) -> Room:
+        return room_for(rods, self.elements + 1, len(self.section.rim_m), pairs)
 
     def _refuse_failure(self, failed: int) -> None:
         """ComputationError, on every rank, where a bristle of one failed."""
@@ -401,27 +376,31 @@ class Rods:
 
     # --- start ------------------------------------------------------------------------------------
 
-    def _hub_of(self) -> Hub:
+    def _clamped(self, bow_rad: float) -> ClampedRod:
+        """All bristles, stacked, with their weight."""
         from scipy.spatial.transform import Rotation
 
-        turned = Rotation.from_matrix(self.clamps.rotation).as_quat()
-        return Hub(
-            np.ascontiguousarray(self.motion.breaks, dtype=float),
-            np.ascontiguousarray(self.motion.coefficients, dtype=float),
-            self.clamps.position_m,
-            np.ascontiguousarray(turned[:, [3, 0, 1, 2]]),
+        chains = stacked(
+            [
+                uniform_chain(_bowed(self.section, bow_rad / length), length, self.elements)
+                for length in self.clamps.length_m
+            ]
         )
+        loads = np.zeros((*chains.mass.shape, 6))
+        loads[..., :3] = chains.mass[..., None] * self._gravity
+        turned = Rotation.from_matrix(self.clamps.rotation).as_quat()
+        attitude = np.ascontiguousarray(turned[:, [3, 0, 1, 2]])
+        return ClampedRod(chains, loads, self.clamps.position_m, attitude)
 
     def _begin(self, i: int) -> None:
         """The bristle ``i`` in equilibrium under its weight, moving with the hub."""
-        chain, now, pose = chain_of(self._chains, i), rod(self._now, i), self.motion.pose(0.0)
+        chain, now = nth(self._rods.chain, i), nth(self._now, i)
+        pose = self.motion.pose(0.0)
         place = pose.position_m + pose.rotation @ self.clamps.position_m[i]
         now.x[:], now.q[:] = at_rest(chain, place, pose.rotation @ self.clamps.rotation[i])
         set_strains(chain, now)
         self._refuse_tips_below(i)
-        hub = self._hub._replace(place=self._hub.place[i], attitude=self._hub.attitude[i])
-        loads = self._loads[i]
-        if not settle(chain, self._law.scheme, self._surface, loads, hub, now, self._other):
+        if not settle(self._law, self._rods, i, self._now, self._room_for(1, 0)):
             raise ComputationError(
                 f"bristle {i} finds no equilibrium under its weight; try more elements"
             )
@@ -445,7 +424,7 @@ class Rods:
 
     def _refuse_tips_below(self, i: int) -> None:
         """InputError where a bristle as it is without strain begins in the surface."""
-        gap = float(clearance(self._surface, rod(self._now, i)))
+        gap = float(clearance(self._law.surface, nth(self._now, i)))
         if gap < -TOUCHING * self.clamps.length_m[i]:
             raise InputError(
                 f"bristle {i} begins {-gap:.3g} m below the surface; raise the hub, or press it "
@@ -455,7 +434,7 @@ class Rods:
     def _observed(self) -> Seen:
         """What is to be seen of all rods; each rank looks at those that it holds; collective."""
         mine = np.flatnonzero(self._holder == self.comm.rank)
-        seen = observe(self._chains, self._gravity, self._now, mine)
+        seen = observe(self._rods.chain, self._gravity, self._now, mine)
         if self.comm.size == 1:
             return seen
         count = len(self.clamps)

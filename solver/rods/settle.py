@@ -7,11 +7,12 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from ..arrays import Array
-from .chain import Chain, new_system, total_length
-from .contact import FREE, STICKS, Obstacle, release
-from .motion import CONTACT, Hub, Motion, Scheme, copy, set_strains
-from .step import new_scratch, step
+from ..compiled import nth
+from .chain import Chain, total_length
+from .contact import FREE, STICKS, Obstacle, no_touch, release
+from .joint import Room, joint_step
+from .motion import CONTACT, ClampedRod, Motion, copy, set_strains
+from .step import Law
 
 # The most steps that a rod's weight comes on in.
 MOST_PARTS = 256
@@ -19,32 +20,26 @@ MOST_PARTS = 256
 SOFT, STIFFER = 1e3, 10.0
 
 
-def settle(
-    chain: Chain,
-    scheme: Scheme,
-    surface: Obstacle,
-    loads: Array,
-    hub: Hub,
-    now: Motion,
-    other: Motion,
-) -> bool:
-    """Bring a rod into equilibrium with dead loads (n, 6) and the surface without friction.
+def settle(law: Law, rods: ClampedRod, i: int, stack: Motion, room: Room) -> bool:
+    """Bring rod ``i`` of a stack into equilibrium with its loads and the surface without friction.
 
     The loads come on in equal steps over a soft surface, as few as will do, which is then made as
     stiff as it is. False where even many steps do not do. Friction at rest can be anything below
-    its limit, so a rod begins with none, and what touches sticks. ``other`` is room.
+    its limit, so a rod begins with none, and what touches sticks. ``room`` is for one rod.
     """
-    still = scheme._replace(inertia=False)
-    system, scratch = new_system(len(now.x)), new_scratch(len(now.x))
+    still = law._replace(scheme=law.scheme._replace(inertia=False))
+    chain, loads, now = nth(rods.chain, i), rods.loads[i].copy(), nth(stack, i)
     start, parts = (now.x.copy(), now.q.copy()), 1
+    alone, pairs, touch = np.array([i]), np.zeros((0, 4), dtype=np.int64), no_touch(0, 2)
     while parts <= MOST_PARTS:
         done = 0
-        stages = [*_loading(chain, surface, parts)]
+        stages = [*_loading(chain, law.surface, parts)]
         for share, plane in stages:
-            load = loads * share
-            if step(chain, still, plane, load, hub, now, other, 0.0, system, scratch) < 0:
+            rods.loads[i] = share * loads
+            smooth = still._replace(surface=plane)
+            if joint_step(smooth, rods, alone, pairs, stack, touch, 0.0, room) < 0:
                 break
-            copy(other, now)
+            copy(nth(room.new, 0), now)
             done += 1
         if done == len(stages):
             held = now.totals[CONTACT]

@@ -1,4 +1,4 @@
-"""One time step of one rod, compiled.
+"""What one rod adds to a time step, compiled: its first guess, its residual, its sums at the end.
 
 Generalised-alpha on the rotation group (Arnold and Brüls, Multibody Syst. Dyn. 18 (2007) 185;
 Brüls, Cardona and Arnold, Mech. Mach. Theory 48 (2012) 121). It asks for equilibrium at
@@ -17,16 +17,10 @@ from typing import NamedTuple
 import numpy as np
 
 from ..arrays import Array
-from ..compiled import inlined, njit
-from .chain import Chain, System, solve, total_length
+from ..compiled import inlined, njit, within
+from .chain import Chain, System, new_system, total_length
 from .contact import FREE, Obstacle, lowest, release, touch_section
-from .element import (
-    Elements,
-    assemble_forces,
-    assemble_tangent,
-    measure,
-    new_elements,
-)
+from .element import Elements, assemble_forces, measure, new_elements
 from .motion import (
     CONTACT,
     FRICTION,
@@ -35,6 +29,7 @@ from .motion import (
     MATERIAL,
     STEPS,
     TIME,
+    ClampedRod,
     Hub,
     Motion,
     Scheme,
@@ -42,26 +37,28 @@ from .motion import (
     set_strains,
     write,
 )
+from .pairs import Between
 from .rotation import between, exponential, multiply, normalise, vector_factor, write_matrix
-from .statics import ROUNDING, excess, force_tolerance, move
+from .statics import ROUNDING, force_tolerance, move
 
-# Newton's iterations of one step; one that needs more is halved instead.
-ITERATION_LIMIT = 40
 # A residual against EI/L² that counts as none, see `statics.force_tolerance`, and where there is
 # inertia the displacement that it would make in the step, over the error that the step may have
 # (0.01 to 0.1 in Hairer and Wanner, Solving Ordinary Differential Equations II, 1996, Sec. IV.8).
 NEAR, NEWTON = 1e-8, 0.01
-# A section that comes down in one of Newton's steps goes in by a force of so many EI/L² at most,
-# found in so many trials.
-DEEPEST, SHORTER = 10.0, 12
+# A section that comes down in one of Newton's steps goes in by a force of so many EI/L² at most.
+DEEPEST = 10.0
 # By how many times more than its middle the corner of a free prism's section yields.
 CORNER_YIELDS = 7.0
-# In so many first iterations a point that stuck before the step has the tangent of one that sticks.
-# A first guess that slides may still come to stick. With the tangent of sliding, which holds
-# nothing, Newton's method would throw the section off the surface.
-EARLY = 3
-# After so many iterations a step that does not lessen the residual is halved, down to this part.
-PATIENT, SHORTEST_PART = 6, 0.1
+
+
+class Law(NamedTuple):
+    """What all rods have in common: the time scheme, the hub, the surface, and the law between two
+    rods."""
+
+    scheme: Scheme
+    hub: Hub
+    surface: Obstacle
+    between: Between
 
 
 @njit
@@ -172,32 +169,37 @@ def _height(surface: Obstacle, x: Array) -> float:
 
 
 class Scratch(NamedTuple):
-    """Room for a step of one rod: of elements and of (e, 3) numbers, of Newton's step as it was
-    (n, 3), (n, 4), (n, 6), of two rotations, and of the gaps (n,) in m."""
+    """Room for a step of one rod: its system, its elements and (e, 3) numbers, where it was before
+    Newton's step, (n, 3) and (n, 4), two rotations, and the gaps (n,) in m."""
 
+    system: System
     elements: Elements
     target: Array
     x: Array
     q: Array
-    solution: Array
     matrix: Array
     matrix_before: Array
     gaps: Array
 
 
-@njit
 def new_scratch(n: int) -> Scratch:
     """Room for a rod of ``n`` nodes."""
     return Scratch(
+        new_system(n),
         new_elements(n - 1),
         np.zeros((n - 1, 3)),
         np.zeros((n, 3)),
         np.zeros((n, 4)),
-        np.zeros((n, 6)),
         np.zeros((3, 3)),
         np.zeros((3, 3)),
         np.zeros(n),
     )
+
+
+@inlined
+def damping_rate(law: Law, chain: Chain, h: float) -> float:
+    """β over the step of ``h`` seconds, by which damping stiffens a rod."""
+    return chain.beta / h if law.scheme.inertia else 0.0
 
 
 @inlined
@@ -232,23 +234,25 @@ def shortfall(chain: Chain, surface: Obstacle, new: Motion, scratch: Scratch) ->
     return least
 
 
-@njit
+@within
 def finish(
-    chain: Chain,
-    scheme: Scheme,
-    loads: Array,
+    law: Law,
+    rod: ClampedRod,
     old: Motion,
     new: Motion,
     h: float,
-    system: System,
-    lost: float,
-    held: float,
+    works: Array,
+    iterations: int,
+    scratch: Scratch,
 ) -> None:
-    """Write strains, reactions and sums of energy at the end of a step."""
+    """Write strains, reactions and sums at the end of a step that took so many ``iterations``;
+    ``works`` (2,) are what friction took and contact holds."""
+    chain, scheme, loads, system = rod.chain, law.scheme, rod.loads, scratch.system
     set_strains(chain, new)
     write(old.totals, new.totals)
     new.totals[TIME] = old.totals[TIME] + h
     new.totals[STEPS] += 1.0
+    new.totals[ITERATIONS] += iterations
     w, v0, v1, v2 = between(old.q[0], new.q[0])
     factor = vector_factor(w, v0, v1, v2)
     matrix, turned, spin = np.empty((3, 3)), np.empty(3), (factor * v0, factor * v1, factor * v2)
@@ -277,8 +281,8 @@ def finish(
         work += 0.5 * (old.holding[c] + new.holding[c]) * (new.x[0, c] - old.x[0, c])
         work += 0.5 * (old.holding[3 + c] + new.holding[3 + c]) * turned[c]
     new.totals[HUB_WORK] += work
-    new.totals[FRICTION] += lost
-    new.totals[CONTACT] = held
+    new.totals[FRICTION] += works[0]
+    new.totals[CONTACT] = works[1]
     if scheme.inertia:
         new.totals[MATERIAL] += _damped(chain, old, new, h)
 
@@ -301,25 +305,18 @@ def _damped(chain: Chain, old: Motion, new: Motion, h: float) -> float:
     return taken
 
 
-@njit
+@within
 def begin(
-    chain: Chain,
-    scheme: Scheme,
-    surface: Obstacle,
-    hub: Hub,
-    old: Motion,
-    new: Motion,
-    h: float,
-    scratch: Scratch,
+    law: Law, rod: ClampedRod, old: Motion, new: Motion, h: float, scratch: Scratch
 ) -> tuple[float, float]:
     """Write a first guess of the rod after a step of ``h`` seconds into ``new``; returns the
     residuals in N and in N m that count as none."""
-    rate = chain.beta / h if scheme.inertia else 0.0
+    chain, scheme, surface = rod.chain, law.scheme, law.surface
     write(old.x, new.x)
     write(old.q, new.q)
-    clamp(hub, old.totals[TIME] + h, new.x[0], new.q[0], new.velocity[0])
+    clamp(law.hub, rod, old.totals[TIME] + h, new.x[0], new.q[0], new.velocity[0])
     _predict(chain, old, new, h if scheme.inertia else 0.0, scratch.elements.room)
-    force = force_tolerance(chain, new.x, NEAR, rate)
+    force = force_tolerance(chain, new.x, NEAR, damping_rate(law, chain, h))
     heaviest = farthest = 0.0
     for i in range(len(new.x)):
         heaviest, scratch.gaps[i] = max(heaviest, chain.mass[i]), 1.0
@@ -353,33 +350,31 @@ def _stiffness(chain: Chain, square: float) -> tuple[float, float]:
     return force, moment
 
 
-@njit
+@within
 def assemble(
-    chain: Chain,
-    scheme: Scheme,
-    surface: Obstacle,
-    loads: Array,
+    law: Law,
+    rod: ClampedRod,
     old: Motion,
     new: Motion,
     h: float,
     early: bool,
-    system: System,
     scratch: Scratch,
 ) -> tuple[float, float]:
     """Write the residual, and into the diagonal blocks what inertia and the surface add to them.
 
-    ``early`` is whether this is one of the first iterations, see `EARLY`. Returns as
+    ``early`` is whether this is one of the first iterations, see `joint.EARLY`. Returns as
     `contact.touch_section` what friction took and contact holds.
     """
-    rate = chain.beta / h if scheme.inertia else 0.0
+    chain, scheme, surface, system = rod.chain, law.scheme, law.surface, scratch.system
+    rate = damping_rate(law, chain, h)
     gaps, matrix, matrix_before = scratch.gaps, scratch.matrix, scratch.matrix_before
     assemble_forces(chain, new.x, new.q, old.strain, rate, system, scratch.elements)
     lost = held = 0.0
     for i in range(1, len(new.x)):
         write_matrix(new.q[i], matrix)
         for c in range(3):
-            system.residual[i, c] -= loads[i, c]
-            system.residual[i, 3 + c] -= loads[i, 3 + c]
+            system.residual[i, c] -= rod.loads[i, c]
+            system.residual[i, 3 + c] -= rod.loads[i, 3 + c]
         if scheme.inertia:
             _inertia(chain, scheme, i, old, new, h, system, matrix)
         if surface.there:
@@ -412,11 +407,10 @@ def assemble(
 
 
 @njit
-def keep(new: Motion, solution: Array, scratch: Scratch) -> None:
-    """Keep where the rod is, and Newton's step from there."""
+def keep(new: Motion, scratch: Scratch) -> None:
+    """Keep where the rod is."""
     write(new.x, scratch.x)
     write(new.q, scratch.q)
-    write(solution, scratch.solution)
 
 
 @njit
@@ -424,72 +418,4 @@ def go(chain: Chain, new: Motion, part: float, scratch: Scratch) -> None:
     """Move the rod by a ``part`` of Newton's step from where it was kept."""
     write(scratch.x, new.x)
     write(scratch.q, new.q)
-    move(chain, new.x, new.q, scratch.solution, part, scratch.target)
-
-
-@njit
-def _advance(
-    chain: Chain,
-    scheme: Scheme,
-    surface: Obstacle,
-    new: Motion,
-    h: float,
-    solution: Array,
-    scratch: Scratch,
-) -> None:
-    """Move by Newton's step, or by so much of it that sections over the surface just touch it.
-
-    Without this a rod that bends far would fall deep into a stiff surface, which throws it out
-    again, for ever.
-    """
-    keep(new, solution, scratch)
-    part, looks = 1.0, surface.there and not inert(chain, scheme, surface.kn, h)
-    for trial in range(SHORTER + 1):
-        go(chain, new, part, scratch)
-        least = shortfall(chain, surface, new, scratch) if looks else 1.0
-        if least == 1.0 or trial == SHORTER:
-            return
-        part *= max(least, 0.1)
-
-
-@njit
-def step(
-    chain: Chain,
-    scheme: Scheme,
-    surface: Obstacle,
-    loads: Array,
-    hub: Hub,
-    old: Motion,
-    new: Motion,
-    h: float,
-    system: System,
-    scratch: Scratch,
-) -> int:
-    """Write the rod after a step of ``h`` seconds into ``new``; Newton's iterations, or -1.
-
-    ``loads`` (n, 6) are dead forces and moments at the nodes in world axes.
-    """
-    rate = chain.beta / h if scheme.inertia else 0.0
-    least, part = math.inf, 1.0
-    force, moment = begin(chain, scheme, surface, hub, old, new, h, scratch)
-    for iteration in range(ITERATION_LIMIT):
-        early = iteration < EARLY
-        lost, held = assemble(chain, scheme, surface, loads, old, new, h, early, system, scratch)
-        over = excess(system.residual, force, moment)
-        if over <= 1.0:
-            finish(chain, scheme, loads, old, new, h, system, lost, held)
-            new.totals[ITERATIONS] += iteration
-            return iteration
-        if iteration > PATIENT and over >= least and part > SHORTEST_PART:
-            # a kink: go back along the last step
-            part *= 0.5
-            go(chain, new, part, scratch)
-            continue
-        if not math.isfinite(over):
-            return -1
-        assemble_tangent(chain, rate, system, scratch.elements)
-        if not solve(system):
-            return -1
-        least, part = over, 1.0
-        _advance(chain, scheme, surface, new, h, system.solution, scratch)
-    return -1
+    move(chain, new.x, new.q, scratch.system.solution, part, scratch.target)

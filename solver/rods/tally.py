@@ -9,6 +9,7 @@ instant's force is not: between two instants a tip may bounce.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -69,17 +70,19 @@ def _write_row(hub: Hub, now: Motion, row: Array) -> None:
     row[STATE + 2] = 1.0 if met[2] == 2.0 else 0.0
 
 
+class Windows(NamedTuple):
+    """Where means go: the first window's begin, their width in s, and sums (rods, w, `COLUMNS`)."""
+
+    begin_s: float
+    width_s: float
+    sums: Array
+
+
 @njit
-def add_step(
-    hub: Hub,
-    old: Motion,
-    new: Motion,
-    begin_s: float,
-    width_s: float,
-    sums: Array,
-) -> None:
-    """Add a rod's step from ``old`` to ``new`` to the ``sums`` (w, `COLUMNS`) of windows from
-    ``begin_s`` on: integrals over time by the trapezoidal rule."""
+def add_step(hub: Hub, old: Motion, new: Motion, windows: Windows, i: int) -> None:
+    """Add the step of rod ``i`` from ``old`` to ``new`` to its sums: integrals over time by the
+    trapezoidal rule."""
+    begin_s, width_s, sums = windows.begin_s, windows.width_s, windows.sums[i]
     first, last = np.empty(COLUMNS), np.empty(COLUMNS)
     _write_row(hub, old, first)
     _write_row(hub, new, last)

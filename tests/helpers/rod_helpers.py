@@ -3,20 +3,24 @@
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from bristle.solver.rods.chain import at_rest, new_system
-from bristle.solver.rods.contact import obstacle_of
+from bristle.solver.compiled import nth
+from bristle.solver.rods.chain import at_rest, stacked
+from bristle.solver.rods.contact import no_touch, obstacle_of
+from bristle.solver.rods.ground import Contact
 from bristle.solver.rods.hub import Clamps, HubPath
+from bristle.solver.rods.joint import joint_step, room_for
 from bristle.solver.rods.motion import (
+    ClampedRod,
     Hub,
     copy,
     fit_to_step,
     motion_of,
-    rod,
     scheme_of,
     set_strains,
 )
+from bristle.solver.rods.pairs import between_of
 from bristle.solver.rods.section import RodSection
-from bristle.solver.rods.step import new_scratch, step
+from bristle.solver.rods.step import Law
 from bristle.solver.time.scheme import TimeScheme
 
 THIN, HALF = 1e-4, 1e-8
@@ -59,15 +63,17 @@ class OneRod:
         path = path or HubPath.still()
         turned = Rotation.from_matrix(rotation).as_quat()[[3, 0, 1, 2]]
         place = np.array(place, dtype=float)
-        self.hub = Hub(path.breaks, path.coefficients, place, turned)
+        loads = np.zeros((1, nodes, 6))
+        self.rods = ClampedRod(stacked([chain]), loads, place[None], turned[None])
+        self.hub, self.between = Hub(path.breaks, path.coefficients), between_of(Contact(), section)
         points = len(self.surface.rim)
-        self.now, self.next = (rod(motion_of(1, nodes, points), 0) for _ in range(2))
+        self.stack, self.room = motion_of(1, nodes, points), room_for(1, nodes, points, 0)
+        self.loads = loads[0]
+        self.now, self.next = nth(self.stack, 0), nth(self.room.new, 0)
         self.now.x[:], self.now.q[:] = at_rest(chain, place, rotation)
         set_strains(chain, self.now)
-        self.loads = np.zeros((nodes, 6))
         # steps are the test's, and each is solved to far less than it errs
         self.scheme = scheme_of(TimeScheme.generalised(rho), 1e-9)
-        self.room = new_system(nodes), new_scratch(nodes)
 
     def step(self, h, *, friction=True):
         """One step of ``h`` seconds, or False where Newton's method does not converge."""
@@ -75,8 +81,9 @@ class OneRod:
         if not friction:
             surface = surface._replace(static=0.0, kinetic=0.0)
         fit_to_step(self.now, h)
-        arguments = self.chain, self.scheme, surface, self.loads, self.hub, self.now, self.next
-        if step(*arguments, h, *self.room) < 0:
+        law = Law(self.scheme, self.hub, surface, self.between)
+        alone, pairs = np.array([0]), np.zeros((0, 4), dtype=np.int64)
+        if joint_step(law, self.rods, alone, pairs, self.stack, no_touch(0, 2), h, self.room) < 0:
             return False
         copy(self.next, self.now)
         return True

@@ -20,7 +20,9 @@ from commands import environment, mpirun, python
 from mpi4py import MPI
 
 from bristle.solver.bristle import Material
-from bristle.solver.compiled import unowned
+from bristle.solver.compiled import nth, unowned
+from bristle.solver.rods.chain import Chain
+from bristle.solver.rods.motion import ClampedRod
 
 pytestmark = pytest.mark.serial
 
@@ -289,6 +291,19 @@ def test_unowned_arrays_are_the_same_memory():
     one, two = np.array([1.0, 2.0]), np.ones((2, 3))
     assert doubled(((one, two), 2.0)) == 10.0
     assert one[1] == 4.0
+
+
+def test_the_nth_of_a_stack_is_a_record_of_views():
+    """The records are the solver's: what is compiled for other classes stays in the cache."""
+    lengths, nodes = np.ones((3, 2)), np.ones((3, 3))
+    chain = Chain(lengths, lengths, lengths, nodes, nodes, np.arange(3.0), 0.5)
+    stack = ClampedRod(chain, np.zeros((3, 3, 6)), np.zeros((3, 3)), np.zeros((3, 4)))
+    one = nth(stack, 1)
+    assert isinstance(one, ClampedRod)
+    assert isinstance(one.chain, Chain)
+    assert (one.chain.beta, one.chain.alpha) == (1.0, 0.5)
+    one.place[:] = 5.0
+    assert stack.place.tolist() == [[0.0] * 3, [5.0] * 3, [0.0] * 3]
 
 
 def test_one_compiled_form_serves_all_materials(make_solid, tmp_path, monkeypatch):

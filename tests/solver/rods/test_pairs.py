@@ -13,13 +13,22 @@ from scipy.spatial.transform import Rotation
 
 from bristle.meshes.section import Circle
 from bristle.solver.bristle import Bristle
+from bristle.solver.compiled import nth
 from bristle.solver.errors import InputError
-from bristle.solver.rods.chain import at_rest, chain_of, stacked, uniform_chain
+from bristle.solver.rods.chain import at_rest, stacked, uniform_chain
 from bristle.solver.rods.contact import no_touch, obstacle_of
 from bristle.solver.rods.ground import Contact, Ground
 from bristle.solver.rods.hub import Clamps, HubPath
-from bristle.solver.rods.joint import Law, joint_step, nothing_waits, room_for
-from bristle.solver.rods.motion import Hub, copy, motion_of, rod, scheme_of, set_strains
+from bristle.solver.rods.joint import joint_step, room_for
+from bristle.solver.rods.motion import (
+    ClampedRod,
+    Hub,
+    copy,
+    copy_touch,
+    motion_of,
+    scheme_of,
+    set_strains,
+)
 from bristle.solver.rods.neighbours import Group, Neighbours, shared_out
 from bristle.solver.rods.pairs import (
     CORNER,
@@ -33,6 +42,7 @@ from bristle.solver.rods.pairs import (
 )
 from bristle.solver.rods.rods import Rods
 from bristle.solver.rods.section import RodSection
+from bristle.solver.rods.step import Law
 from bristle.solver.time.scheme import TimeScheme
 
 SECTION = RodSection.of(Bristle())
@@ -155,7 +165,7 @@ def test_a_tip_that_runs_into_a_side_meets_it_with_its_end():
 
 def held_and_forces(a, b):
     """What a pair holds in J, and its forces and moments (2, 2, 6) on the nodes."""
-    states = [rod(motion_of(1, 2, 1), 0) for _ in range(2)]
+    states = [nth(motion_of(1, 2, 1), 0) for _ in range(2)]
     for state, (x, q) in zip(states, (a, b), strict=True):
         state.x[:], state.q[:] = x, q
     points, room = room_for_points(1), new_meeting()
@@ -230,50 +240,33 @@ def cross_bent(elements, overlap, angle_deg=90.0, steps=80):
     chains = stacked([uniform_chain(SECTION, LENGTH, elements)] * 2)
     surface = obstacle_of(None, SECTION)
     scheme = scheme_of(TimeScheme.generalised(0.6), 1.0, inertia=False)
-    law = Law(scheme, surface, LAW)
     turned = Rotation.from_rotvec([math.radians(angle_deg), 0.0, 0.0]).as_matrix() @ DOWN
     clamps = [np.array([0.0, 0.0, at_a]), np.array([-THIN, 0.0, 0.0]) - at_b * turned[:, 2]]
     path, attitudes = HubPath.still(), np.stack([quaternion(DOWN), quaternion(turned)])
-    hubs = Hub(path.breaks, path.coefficients, np.stack(clamps), attitudes)
+    law = Law(scheme, Hub(path.breaks, path.coefficients), surface, LAW)
+    rods = ClampedRod(chains, np.zeros((2, elements + 1, 6)), np.stack(clamps), attitudes)
     stack = motion_of(2, elements + 1, len(surface.rim))
     for i, turn in enumerate((DOWN, turned)):
-        now = rod(stack, i)
-        now.x[:], now.q[:] = at_rest(chain_of(chains, i), clamps[i], turn)
-        set_strains(chain_of(chains, i), now)
+        now = nth(stack, i)
+        now.x[:], now.q[:] = at_rest(nth(chains, i), clamps[i], turn)
+        set_strains(nth(chains, i), now)
     near = np.arange(elements)
     pairs = np.array([(0, e, 1, f) for e in near for f in near])
-    room, loads = (
-        room_for(2, elements + 1, len(surface.rim), len(pairs)),
-        np.zeros((2, elements + 1, 6)),
-    )
-    touch = [no_touch(len(pairs), 2) for _ in range(2)]
+    room = room_for(2, elements + 1, len(surface.rim), len(pairs))
+    touch = no_touch(len(pairs), 2)
     done, part = 0.0, 1.0 / steps
     while done < 1.0:
         part = min(part, 1.0 - done)
-        hubs.place[1, 0] = -THIN + overlap * (done + part)
-        found, _ = joint_step(
-            law,
-            chains,
-            loads,
-            hubs,
-            np.arange(2),
-            pairs,
-            stack,
-            *touch,
-            0.0,
-            room,
-            nothing_waits(),
-            np.empty(0),
-        )
-        if found < 0:
+        rods.place[1, 0] = -THIN + overlap * (done + part)
+        if joint_step(law, rods, np.arange(2), pairs, stack, touch, 0.0, room) < 0:
             part *= 0.5
             assert part > 1e-5
             continue
         done, part = done + part, min(1.5 * part, 1.0 / steps)
         for i in range(2):
-            copy(rod(room.new, i), rod(stack, i))
-        touch.reverse()
-    return touch[0].normal.sum(), at_a, at_b
+            copy(nth(room.new, i), nth(stack, i))
+        copy_touch(room.touch, touch)
+    return touch.normal.sum(), at_a, at_b
 
 
 @pytest.mark.serial
