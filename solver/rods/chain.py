@@ -184,13 +184,3 @@ def solve_columns(system: System, columns: Array) -> bool:
                 for j in range(many):
                     columns[i, r, j] -= above[i, r, c] * columns[i + 1, c, j]
     return True
-
-
-@njit
-def solve(system: System) -> bool:
-    """Write the ``solution`` that takes the residual away, to first order; see `solve_columns`."""
-    n = len(system.residual)
-    for i in range(n):
-        for r in range(6):
-            system.solution[i, r] = -system.residual[i, r]
-    return solve_columns(system, system.solution.reshape((n, 6, 1)))

@@ -20,13 +20,26 @@ import numpy as np
 from ..arrays import Array
 from ..compiled import inlined, njit
 from .chain import System
-from .ground import Ground
+from .ground import Contact, Ground
 from .relief import Relief, highest_m, look, no_relief
 from .section import RodSection
 
 FREE, STICKS, SLIDES = 0, 1, 2
 # The speed in m/s of a point that slides where there is no time, as in statics.
 SLOW_M_S = 1e-300
+
+
+class Friction(NamedTuple):
+    """The coefficients of friction and Stribeck's speed in m/s, for compiled code."""
+
+    static: float
+    kinetic: float
+    speed: float
+
+
+def friction_of(contact: Contact) -> Friction:
+    """That of a ``contact``."""
+    return Friction(contact.friction_static, contact.friction_kinetic, contact.stribeck_speed_m_s)
 
 
 class Obstacle(NamedTuple):
@@ -41,9 +54,7 @@ class Obstacle(NamedTuple):
     reach: float
     kn: float
     kt: float
-    static: float
-    kinetic: float
-    speed: float
+    friction: Friction
     relief: Relief
 
 
@@ -62,9 +73,7 @@ def obstacle_of(ground: Ground | None, section: RodSection) -> Obstacle:
         float(np.linalg.norm(rim, axis=1).max()) + highest_m(relief),
         kn,
         ground.kt_over_kn * kn,
-        ground.friction_static,
-        ground.friction_kinetic,
-        ground.stribeck_speed_m_s,
+        friction_of(ground),
         relief,
     )
 
@@ -104,7 +113,7 @@ def release(touch: Touch, node: int) -> None:
 
 
 @inlined
-def coefficient(static: float, kinetic: float, stribeck: float, speed: float) -> float:
+def coefficient(law: Friction, speed: float) -> float:
     """The coefficient of friction at a sliding speed in m/s, which is zero at a point that sticks.
 
     A step takes the speed of sliding at the end of the step before. With its own speed the law
@@ -112,9 +121,18 @@ def coefficient(static: float, kinetic: float, stribeck: float, speed: float) ->
     several solutions or none.
     """
     if speed == 0.0:
-        return static
-    ratio = speed / stribeck if stribeck > 0.0 else math.inf
-    return kinetic + (static - kinetic) * math.exp(-ratio * ratio)
+        return law.static
+    ratio = speed / law.speed if law.speed > 0.0 else math.inf
+    return law.kinetic + (law.static - law.kinetic) * math.exp(-ratio * ratio)
+
+
+@inlined
+def height(surface: Obstacle, place: Array) -> float:
+    """How far in m a place is above the plane."""
+    above = 0.0
+    for c in range(3):
+        above += surface.normal[c] * (place[c] - surface.point[c])
+    return above
 
 
 @njit
@@ -125,28 +143,22 @@ def place_gap(surface: Obstacle, place: Array, normal: Array, grows: Array) -> t
     Over a relief the gap is that to the plane that touches it below the place.
     """
     if surface.relief.there:
-        height, factor = look(surface.relief, place[0], place[1], normal, grows)
-        return (place[2] - height) * normal[2], factor
-    gap = 0.0
+        above, factor = look(surface.relief, place[0], place[1], normal, grows)
+        return (place[2] - above) * normal[2], factor
     for c in range(3):
         normal[c], grows[c] = surface.normal[c], 0.0
-        gap += surface.normal[c] * (place[c] - surface.point[c])
-    return gap, 1.0
+    return height(surface, place), 1.0
 
 
 @njit
 def point_gap(surface: Obstacle, k: int, x: Array, matrix: Array) -> float:
     """The gap in m of one of a section's points over the surface, as `place_gap`."""
-    r0, r1, gap = surface.rim[k, 0], surface.rim[k, 1], 0.0
-    if surface.relief.there:
-        place, normal, grows = np.empty(3), np.empty(3), np.empty(3)
-        for c in range(3):
-            place[c] = x[c] + matrix[c, 0] * r0 + matrix[c, 1] * r1
-        return place_gap(surface, place, normal, grows)[0]
+    place = np.empty(3)
     for c in range(3):
-        place_c = x[c] + matrix[c, 0] * r0 + matrix[c, 1] * r1
-        gap += surface.normal[c] * (place_c - surface.point[c])
-    return gap
+        place[c] = x[c] + matrix[c, 0] * surface.rim[k, 0] + matrix[c, 1] * surface.rim[k, 1]
+    if surface.relief.there:
+        return place_gap(surface, place, np.empty(3), np.empty(3))[0]
+    return height(surface, place)
 
 
 @njit
@@ -159,29 +171,36 @@ def lowest(surface: Obstacle, x: Array, matrix: Array) -> float:
 
 
 @njit
-def point_force(
+def touch_point(
+    law: Friction,
     kn: float,
     kt: float,
-    mu: float,
     gap: float,
     n: Array,
     pull: Array,
+    step: float,
+    early: bool,
+    before: Touch,
+    now: Touch,
+    node: int,
+    k: int,
     push: Array,
     stiff: Array,
-    stuck: bool,
-) -> tuple[float, float, float]:
-    """Write the force ``push`` (3,) on a point that is ``gap`` below a plane of normal ``n``, and
-    its loss ``stiff`` (3, 3) by the point's displacement.
+) -> tuple[float, float]:
+    """Write the force ``push`` (3,) on a point that is ``gap`` below a plane of normal ``n``, its
+    loss ``stiff`` (3, 3) by the point's displacement, and what the point remembers at the end of
+    the step.
 
-    ``pull`` (3,) is the elongation of its tangential spring if it stuck. Where the point
-    ``stuck``, the loss is that of one that sticks on, even if it slides. Returns the normal force,
-    the size of the friction, both in N, and how far the point slides, in m.
+    ``pull`` (3,) is the elongation of its tangential spring if it stuck. In an ``early`` iteration
+    the loss at a point that stuck before is that of one that sticks on, even if it slides. Returns
+    how much friction dissipated over the step and what contact holds at its end, in J.
     """
+    mu = coefficient(law, before.speed[node, k])
     normal, size = -kn * gap, math.sqrt(pull[0] ** 2 + pull[1] ** 2 + pull[2] ** 2)
     slides = kt * size > mu * normal
     force = mu * normal if slides else kt * size
-    slope, secant = (0.0, force / size) if slides and not stuck else (kt, kt)
-    grows = mu if slides and not stuck else 0.0
+    gives = slides and not (early and before.state[node, k] == STICKS)
+    slope, secant, grows = (0.0, force / size, mu) if gives else (kt, kt, 0.0)
     for i in range(3):
         e_i = pull[i] / size if size > 0.0 else 0.0
         push[i] = normal * n[i] - force * e_i
@@ -191,40 +210,17 @@ def point_force(
             stiff[i, j] = kn * n[i] * n[j] + secant * across + slope * e_i * e_j
             # normal = -kn gap falls as the point rises, and friction with it
             stiff[i, j] -= kn * grows * e_i * n[j]
-    return normal, force, size - force / kt if slides else 0.0
-
-
-@njit
-def remember(
-    kn: float,
-    kt: float,
-    gap: float,
-    normal: float,
-    force: float,
-    gives: float,
-    pull: Array,
-    step: float,
-    before: Touch,
-    now: Touch,
-    node: int,
-    k: int,
-) -> tuple[float, float]:
-    """Write what a point remembers at the end of the step, see `point_force`.
-
-    Returns how much friction dissipated over the step and what contact holds at its end, in J.
-    """
-    size = math.sqrt(pull[0] ** 2 + pull[1] ** 2 + pull[2] ** 2)
-    kept = force / (kt * size) if gives > 0.0 else 1.0
     now.normal[node, k], now.friction[node, k] = normal, force
     now.state[node, k], now.speed[node, k] = STICKS, 0.0
-    if gives > 0.0:
-        now.state[node, k] = SLIDES
-        now.speed[node, k] = gives / step if step > 0.0 else SLOW_M_S
+    slid, kept = size - force / kt if slides else 0.0, 1.0
+    if slid > 0.0:
+        now.state[node, k], kept = SLIDES, force / (kt * size)
+        now.speed[node, k] = slid / step if step > 0.0 else SLOW_M_S
     held = 0.5 * kn * gap * gap
     for c in range(3):
         now.elongation[node, k, c] = kept * pull[c]
         held += 0.5 * kt * (kept * pull[c]) ** 2
-    return 0.5 * (force + before.friction[node, k]) * gives, held
+    return 0.5 * (force + before.friction[node, k]) * slid, held
 
 
 @njit
@@ -288,10 +284,10 @@ def touch_section(
             tilted += n[c] * before.elongation[node, k, c]
         for c in range(3):
             slip[c] += before.elongation[node, k, c] - tilted * n[c]
-        mu = coefficient(surface.static, surface.kinetic, surface.speed, before.speed[node, k])
-        stuck = early and before.state[node, k] == STICKS
-        normal, force, gives = point_force(kn, kt, mu, gap, n, slip, push, stiff, stuck)
-        took, holds = remember(kn, kt, gap, normal, force, gives, slip, step, before, now, node, k)
+        law = surface.friction
+        took, holds = touch_point(
+            law, kn, kt, gap, n, slip, step, early, before, now, node, k, push, stiff
+        )
         lost += took
         held += holds
         for c in range(3):

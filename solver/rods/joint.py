@@ -28,6 +28,7 @@ from .chain import solve_columns, total_length
 from .contact import Touch, no_touch
 from .element import assemble_tangent
 from .motion import ClampedRod, Motion, motion_of, pose_of, write
+from .newton import ROUNDING, excess
 from .pairs import (
     ROD_A,
     ROD_B,
@@ -39,7 +40,6 @@ from .pairs import (
     room_for_points,
 )
 from .pairs import shortfall as pair_shortfall
-from .statics import ROUNDING, excess
 from .step import (
     Law,
     Scratch,

@@ -11,7 +11,7 @@ from ..compiled import inlined, njit
 from ..time.scheme import TimeScheme
 from .chain import Chain
 from .contact import Touch, no_touch
-from .element import strain_energy, strains
+from .element import strain_energy
 from .hub import hub_coordinates
 from .rotation import exponential, multiply, spin_of, write_matrix
 
@@ -203,9 +203,3 @@ def energies(chain: Chain, now: Motion, gravity: Array) -> tuple[float, float, f
             kinetic += 0.5 * chain.inertia[i, c] * now.velocity[i, 3 + c] ** 2
             potential -= chain.mass[i] * gravity[c] * now.x[i, c]
     return kinetic, strain_energy(chain, now.strain), potential
-
-
-@njit
-def set_strains(chain: Chain, now: Motion) -> None:
-    """Renew the strains from the nodes."""
-    strains(chain, now.x, now.q, now.strain)

@@ -213,9 +213,13 @@ def _places(pairs: Integers, wanted: Integers) -> Integers:
     return np.where(codes[at] == sought, at, -1)
 
 
-def shared_out(
-    groups: list[Group], of: Integers, holder: Integers, cost: Array, ranks: int
-) -> Integers:
+def alone(groups: list[Group], rods: int) -> Flags:
+    """Which rods (rods,) are in no group."""
+    grouped = [group.members for group in groups]
+    return ~np.isin(np.arange(rods), np.concatenate([np.zeros(0, dtype=np.int64), *grouped]))
+
+
+def shared_out(groups: list[Group], holder: Integers, cost: Array, ranks: int) -> Integers:
     """The rank (n,) that marches each rod, with the members of a group all by one.
 
     The costliest group goes first. It, and after all groups each lone rod, goes to the ``holder``
@@ -231,7 +235,7 @@ def shared_out(
             rank = load.argmin()
         who[groups[g].members] = rank
         load[rank] += weights[g].sum()
-    for i in np.flatnonzero(np.bincount(of)[of] == 1):
+    for i in np.flatnonzero(alone(groups, len(holder))):
         if load[holder[i]] < share:
             load[holder[i]] += cost[i]
         else:

@@ -29,8 +29,8 @@ def clearance(surface: Obstacle, now: Motion) -> float:
 class Seen(NamedTuple):
     """Of n rods: nodes ``x`` (n, nodes, 3) and ``q`` (n, nodes, 4), bending ``moment`` at them
     about the section's axes (n, nodes, 3), the clamp's ``reaction`` (n, 6) on the rod, ``surface``
-    (n, 3): normal force, friction, state; and ``energy`` (n, 8):
-    kinetic, strain, potential, hub's work, material loss, contact, friction loss, and steps."""
+    (n, 3): normal force, friction, state; and ``energy`` (n, 8): that of `frame.RodEnergy` but for
+    the first, and steps."""
 
     x: Array
     q: Array
@@ -58,9 +58,9 @@ def observe(chains: Chain, gravity: Array, stack: Motion, members: Integers) -> 
                 for d in range(3):
                     moment[i, k, c] += matrix[d, c] * load[3 + d]
         meet(now, met[i])
-        energy[i, 0], energy[i, 1], energy[i, 2] = energies(chain, now, gravity)
-        energy[i, 3], energy[i, 4] = now.totals[HUB_WORK], now.totals[MATERIAL]
-        energy[i, 5], energy[i, 6] = now.totals[CONTACT], now.totals[FRICTION]
+        energy[i, 0], energy[i, 4] = now.totals[HUB_WORK], now.totals[CONTACT]
+        energy[i, 1], energy[i, 2], energy[i, 3] = energies(chain, now, gravity)
+        energy[i, 5], energy[i, 6] = now.totals[MATERIAL], now.totals[FRICTION]
         energy[i, 7] = now.totals[STEPS]
     x, q, reaction = stack.x[members], stack.q[members], stack.reaction[members]
     return Seen(x, q, moment, reaction, met, energy)

@@ -19,7 +19,7 @@ bent rod belongs to one element.
 The normal force grows with the square of the approach at first, as that of rough faces does, and in
 proportion to it beyond (Meier, Popp and Wall, Sec. 4). Without that, the corners of the polygons
 that stand for bent rods would decide which of several elements touches. Friction is that of a
-point on a plane, `contact.point_force`.
+point on a plane, `contact.touch_point`.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ import numpy as np
 
 from ..arrays import Array, Integers
 from ..compiled import inlined, njit, unowned
-from .contact import STICKS, Touch, coefficient, lose_hold, point_force, remember
+from .contact import Friction, Touch, friction_of, lose_hold, touch_point
 from .ground import Contact
 from .motion import Motion, Pose
 from .rotation import write_matrix_of
@@ -61,15 +61,13 @@ ROD_A, ELEMENT_A, ROD_B, ELEMENT_B = range(4)
 class Between(NamedTuple):
     """The law between two bristles, for compiled code: the sides' halves (2,) in m, whether the
     section is round, ``stiffness`` in N/m per m of the stretch, that of the tangential spring
-    over it, and the coefficients of friction with Stribeck's speed."""
+    over it, and the friction."""
 
     half: Array
     round: bool
     stiffness: float
     ratio: float
-    static: float
-    kinetic: float
-    speed: float
+    friction: Friction
 
 
 def between_of(contact: Contact, section: RodSection) -> Between:
@@ -79,9 +77,7 @@ def between_of(contact: Contact, section: RodSection) -> Between:
         section.is_round,
         contact.kn_N_m / (2.0 * section.half_wide_m),
         contact.kt_over_kn,
-        contact.friction_static,
-        contact.friction_kinetic,
-        contact.stribeck_speed_m_s,
+        friction_of(contact),
     )
 
 
@@ -428,7 +424,8 @@ def meet_pair(
     """Add the points in contact of one pair of elements, ``whole`` (4,), to ``points``, which holds
     ``count``, and write what they remember and their ``gaps`` (2,).
 
-    Returns how many points there are then, and as `remember` what friction took and contact holds.
+    Returns how many points there are then, and as `touch_point` what friction took and contact
+    holds.
     """
     e, f = whole[ELEMENT_A], whole[ELEMENT_B]
     length = meet(law, now_a.x, now_a.q, e, now_b.x, now_b.q, f, room)
@@ -461,22 +458,11 @@ def meet_pair(
             turned += before.elongation[pair, k, c] * n[c]
         for c in range(3):
             pull[c] -= turned * n[c]
-        mu = coefficient(law.static, law.kinetic, law.speed, before.speed[pair, k])
         slope, normal, holds = _rough(kn, -gap)
         gap = -normal / slope  # of a linear law of the same force and slope
-        normal, force, gives = point_force(
-            slope,
-            kt,
-            mu,
-            gap,
-            n,
-            pull,
-            points.push[count],
-            points.stiff[count],
-            early and before.state[pair, k] == STICKS,
-        )
-        took, spring = remember(
-            slope, kt, gap, normal, force, gives, pull, step, before, now, pair, k
+        push, stiff = points.push[count], points.stiff[count]
+        took, spring = touch_point(
+            law.friction, slope, kt, gap, n, pull, step, early, before, now, pair, k, push, stiff
         )
         holds += spring - 0.5 * slope * gap * gap
         lost += took
@@ -530,9 +516,7 @@ def approach(
         a, e, b, f = pairs[p, 0], pairs[p, 1], pairs[p, 2], pairs[p, 3]
         more = max(reach[a, e], reach[a, e + 1], reach[b, f], reach[b, f + 1])
         wider[0], wider[1] = law.half[0] + more, law.half[1] + more
-        inflated = Between(
-            wider, law.round, law.stiffness, law.ratio, law.static, law.kinetic, law.speed
-        )
+        inflated = Between(wider, law.round, law.stiffness, law.ratio, law.friction)
         gaps[p], closing[p, 0], closing[p, 1] = math.inf, 0.0, 0.0
         if meet(inflated, stack.x[a], stack.q[a], e, stack.x[b], stack.q[b], f, room) == 0.0:
             continue

@@ -20,13 +20,14 @@ from ..time.scheme import TimeScheme
 from . import motion as rows
 from .chain import at_rest, stacked, uniform_chain
 from .contact import Touch, no_touch, obstacle_of
+from .element import strains
 from .frame import Frame, RodEnergy
 from .ground import Contact, Ground
 from .hub import Clamps, HubMotion
 from .joint import Room, room_for
 from .march import march
-from .motion import ClampedRod, Hub, Motion, motion_of, scheme_of, set_strains
-from .neighbours import Group, Neighbours, shared_out
+from .motion import ClampedRod, Hub, Motion, motion_of, scheme_of
+from .neighbours import Group, Neighbours, alone, shared_out
 from .observe import Seen, clearance, observe
 from .pairs import between_of
 from .rotation import world_to_body
@@ -142,8 +143,8 @@ class Rods:
                 raise InputError(f"bristles {a} and {b} begin in each other; space them")
         self._means = Means.none()
         first = self._observed()
-        self._initial_J = float(first.energy[:, :2].sum() + first.energy[:, 5].sum())
-        self._datum_J = float(first.energy[:, 2].sum())
+        self._initial_J = float(first.energy[:, 1:3].sum() + first.energy[:, 4].sum())
+        self._datum_J = float(first.energy[:, 3].sum())
 
     @property
     def t_s(self) -> float:
@@ -223,15 +224,14 @@ class Rods:
     def _march_span(self, until: float, windows: Windows, those: Flags) -> None:
         """March ``those`` rods (rods,) to the end of a span, and groups of which they are whole."""
         assert self._neighbours is not None
-        groups, of = self._neighbours.groups(len(self.clamps))
+        groups, _ = self._neighbours.groups(len(self.clamps))
+        lone = alone(groups, len(self.clamps))
         rank, cost = self.comm.rank, np.where(those, self._cost, 0.0)
-        who = shared_out(groups, of, self._holder, cost, self.comm.size)
+        who = shared_out(groups, self._holder, cost, self.comm.size)
         groups = [group for group in groups if those[group.members[0]]]
         self._bring(np.where(those, who, -1))
         mine = those & (who == rank)
-        failed = self._march_apart(
-            np.flatnonzero(mine & (np.bincount(of)[of] == 1)), until, windows
-        )
+        failed = self._march_apart(np.flatnonzero(mine & lone), until, windows)
         touched: list[Integers] = [np.zeros(0, dtype=np.int64)]
         for group in groups:
             if mine[group.members[0]]:
@@ -321,7 +321,8 @@ class Rods:
         force = -seen.reaction[:, :3]
         arms = seen.x[:, 0] - pose.position_m
         torque = -seen.reaction[:, 3:] + np.cross(arms, force)
-        energy = seen.energy.sum(axis=0)
+        work, kinetic, strain, potential, *others, steps = seen.energy.sum(axis=0).tolist()
+        potential -= self._datum_J
         return Frame(
             t_s=self.t_s,
             force_N=force.sum(axis=0),
@@ -334,17 +335,8 @@ class Rods:
             centre_m=seen.x,
             rotation=seen.q,
             bending_stress_Pa=self.section.bending_stress_Pa(seen.moment),
-            energy=RodEnergy(
-                initial_J=self._initial_J,
-                hub_work_J=float(energy[3]),
-                kinetic_J=float(energy[0]),
-                strain_J=float(energy[1]),
-                potential_J=float(energy[2]) - self._datum_J,
-                contact_J=float(energy[5]),
-                material_loss_J=float(energy[4]),
-                friction_loss_J=float(energy[6]),
-            ),
-            steps=int(energy[7]),
+            energy=RodEnergy(self._initial_J, work, kinetic, strain, potential, *others),
+            steps=int(steps),
             means=self._means,
         )
 
@@ -398,7 +390,7 @@ class Rods:
         pose = self.motion.pose(0.0)
         place = pose.position_m + pose.rotation @ self.clamps.position_m[i]
         now.x[:], now.q[:] = at_rest(chain, place, pose.rotation @ self.clamps.rotation[i])
-        set_strains(chain, now)
+        strains(chain, now.x, now.q, now.strain)
         self._refuse_tips_below(i)
         if not settle(self._law, self._rods, i, self._now, self._room_for(1, 0)):
             raise ComputationError(

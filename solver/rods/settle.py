@@ -9,9 +9,10 @@ import numpy as np
 
 from ..compiled import nth
 from .chain import Chain, total_length
-from .contact import FREE, STICKS, Obstacle, no_touch, release
+from .contact import FREE, STICKS, Friction, Obstacle, no_touch, release
+from .element import strains
 from .joint import Room, joint_step
-from .motion import CONTACT, ClampedRod, Motion, copy, set_strains
+from .motion import CONTACT, ClampedRod, Motion, copy
 from .step import Law
 
 # The most steps that a rod's weight comes on in.
@@ -51,7 +52,7 @@ def settle(law: Law, rods: ClampedRod, i: int, stack: Motion, room: Room) -> boo
         now.x[:], now.q[:] = start
         for node in range(len(now.x)):
             release(now.touch, node)
-        set_strains(chain, now)
+        strains(chain, now.x, now.q, now.strain)
         parts *= 2
     return False
 
@@ -62,11 +63,12 @@ def _loading(chain: Chain, surface: Obstacle, parts: int) -> Iterator[tuple[floa
     bending = float(chain.stiffness[0, 3:5].min())
     soft = min(surface.kn, SOFT * bending / float(total_length(chain)) ** 3)
     even = surface.relief._replace(factor=np.ones_like(surface.relief.factor))
-    smooth = surface._replace(static=0.0, kinetic=0.0, kn=soft, relief=even)
+    none = Friction(0.0, 0.0, 0.0)
+    smooth = surface._replace(friction=none, kn=soft, relief=even)
     for k in range(1, parts + 1):
         yield k / parts, smooth
     steps = math.ceil(math.log(surface.kn / soft) / math.log(STIFFER))
     for k in range(1, steps + 1):
         yield 1.0, smooth._replace(kn=soft * (surface.kn / soft) ** (k / steps))
     if surface.relief.there:
-        yield 1.0, surface._replace(static=0.0, kinetic=0.0)
+        yield 1.0, surface._replace(friction=none)

@@ -19,8 +19,8 @@ import numpy as np
 from ..arrays import Array
 from ..compiled import inlined, njit, within
 from .chain import Chain, System, new_system, total_length
-from .contact import FREE, Obstacle, lowest, release, touch_section
-from .element import Elements, assemble_forces, measure, new_elements
+from .contact import FREE, Obstacle, height, lowest, release, touch_section
+from .element import Elements, assemble_forces, measure, new_elements, strains
 from .motion import (
     CONTACT,
     FRICTION,
@@ -34,17 +34,16 @@ from .motion import (
     Motion,
     Scheme,
     clamp,
-    set_strains,
     write,
 )
+from .newton import ROUNDING, force_tolerance, move
 from .pairs import Between
 from .rotation import between, exponential, multiply, normalise, vector_factor, write_matrix
-from .statics import ROUNDING, force_tolerance, move
 
-# A residual against EI/L² that counts as none, see `statics.force_tolerance`, and where there is
-# inertia the displacement that it would make in the step, over the error that the step may have
-# (0.01 to 0.1 in Hairer and Wanner, Solving Ordinary Differential Equations II, 1996, Sec. IV.8).
-NEAR, NEWTON = 1e-8, 0.01
+# Where there is inertia, a residual counts as none if the displacement that it would make in the
+# step is below this share of the error that the step may have (0.01 to 0.1 in Hairer and Wanner,
+# Solving Ordinary Differential Equations II, 1996, Sec. IV.8).
+NEWTON = 0.01
 # A section that comes down in one of Newton's steps goes in by a force of so many EI/L² at most.
 DEEPEST = 10.0
 # By how many times more than its middle the corner of a free prism's section yields.
@@ -160,14 +159,6 @@ def _inertial_moment(chain: Chain, i: int, now: Motion) -> tuple[float, float, f
     )
 
 
-@inlined
-def _height(surface: Obstacle, x: Array) -> float:
-    height = 0.0
-    for c in range(3):
-        height += surface.normal[c] * (x[c] - surface.point[c])
-    return height
-
-
 class Scratch(NamedTuple):
     """Room for a step of one rod: its system, its elements and (e, 3) numbers, where it was before
     Newton's step, (n, 3) and (n, 4), two rotations, and the gaps (n,) in m."""
@@ -226,7 +217,7 @@ def shortfall(chain: Chain, surface: Obstacle, new: Motion, scratch: Scratch) ->
     allowed, least = deepest(chain, surface.kn), 1.0
     gaps, matrix = scratch.gaps, scratch.matrix
     for i in range(1, len(gaps)):
-        if gaps[i] > 0.0 and _height(surface, new.x[i]) <= surface.reach:
+        if gaps[i] > 0.0 and height(surface, new.x[i]) <= surface.reach:
             write_matrix(new.q[i], matrix)
             gap = lowest(surface, new.x[i], matrix)
             if gap < -allowed:
@@ -248,7 +239,7 @@ def finish(
     """Write strains, reactions and sums at the end of a step that took so many ``iterations``;
     ``works`` (2,) are what friction took and contact holds."""
     chain, scheme, loads, system = rod.chain, law.scheme, rod.loads, scratch.system
-    set_strains(chain, new)
+    strains(chain, new.x, new.q, new.strain)
     write(old.totals, new.totals)
     new.totals[TIME] = old.totals[TIME] + h
     new.totals[STEPS] += 1.0
@@ -316,7 +307,7 @@ def begin(
     write(old.q, new.q)
     clamp(law.hub, rod, old.totals[TIME] + h, new.x[0], new.q[0], new.velocity[0])
     _predict(chain, old, new, h if scheme.inertia else 0.0, scratch.elements.room)
-    force = force_tolerance(chain, new.x, NEAR, damping_rate(law, chain, h))
+    force = force_tolerance(chain, new.x, damping_rate(law, chain, h))
     heaviest = farthest = 0.0
     for i in range(len(new.x)):
         heaviest, scratch.gaps[i] = max(heaviest, chain.mass[i]), 1.0
@@ -378,12 +369,11 @@ def assemble(
         if scheme.inertia:
             _inertia(chain, scheme, i, old, new, h, system, matrix)
         if surface.there:
-            height = _height(surface, new.x[i])
-            gaps[i] = height
+            gaps[i] = height(surface, new.x[i])
             touched = False
             for k in range(len(surface.rim)):
                 touched = touched or old.touch.state[i, k] != FREE
-            if height > surface.reach and not touched:
+            if gaps[i] > surface.reach and not touched:
                 release(new.touch, i)
                 continue
             gaps[i] = lowest(surface, new.x[i], matrix)

@@ -5,9 +5,10 @@ from scipy.spatial.transform import Rotation
 
 from bristle.solver.compiled import nth
 from bristle.solver.rods.chain import at_rest, stacked
-from bristle.solver.rods.contact import no_touch, obstacle_of
+from bristle.solver.rods.contact import Friction, no_touch, obstacle_of
+from bristle.solver.rods.element import strains
 from bristle.solver.rods.ground import Contact
-from bristle.solver.rods.hub import Clamps, HubPath
+from bristle.solver.rods.hub import ORDER, Clamps, HubPath
 from bristle.solver.rods.joint import joint_step, room_for
 from bristle.solver.rods.motion import (
     ClampedRod,
@@ -16,12 +17,12 @@ from bristle.solver.rods.motion import (
     fit_to_step,
     motion_of,
     scheme_of,
-    set_strains,
 )
 from bristle.solver.rods.pairs import between_of
 from bristle.solver.rods.section import RodSection
 from bristle.solver.rods.step import Law
 from bristle.solver.time.scheme import TimeScheme
+from bristle.studies.brush.motion import stroke
 
 THIN, HALF = 1e-4, 1e-8
 SLENDER = RodSection(
@@ -54,6 +55,36 @@ def one_clamp(place, rotation, length_m):
     return Clamps(np.array([place], dtype=float), rotation[None], np.array([length_m]))
 
 
+def press(depth_m, over_s):
+    """A hub that comes down from the origin, at rest before and after; quintic in time."""
+    return stroke(0.0, depth_m, over_s, 0.0, 0.0)
+
+
+def slide(depth_m, speed_m_s, over_s, ramp_s, direction=(1.0, 0.0)):
+    """Pressed down over ``over_s``, then along a horizontal ``direction`` at a constant speed,
+    which it reaches in ``ramp_s``."""
+    x, y = np.array(direction) / np.linalg.norm(direction)
+    return _set_off(
+        press(depth_m, over_s), np.array([speed_m_s * x, speed_m_s * y, 0, 0, 0, 0]), ramp_s
+    )
+
+
+def rotate(depth_m, rpm, over_s, ramp_s):
+    """As `slide`, but turned about the vertical through the hub's origin."""
+    rates = np.array([0, 0, 0, 0, 0, 2.0 * np.pi * rpm / 60.0])
+    return _set_off(press(depth_m, over_s), rates, ramp_s)
+
+
+def _set_off(path, rates, ramp_s):
+    """Uniform motion from the last break but one on, its rates smoothly from zero."""
+    start, here = path.breaks[-2], path.coefficients[-1, -1]
+    ramp, steady = np.zeros((2, ORDER, 6))
+    ramp[-5], ramp[-4], ramp[-1] = -0.5 * rates / ramp_s**3, rates / ramp_s**2, here
+    steady[-2], steady[-1] = rates, here + 0.5 * rates * ramp_s
+    coefficients = np.stack([path.coefficients[:, 0], ramp, steady], axis=1)
+    return HubPath(np.array([0.0, start, start + ramp_s, start + ramp_s + 1.0]), coefficients)
+
+
 class OneRod:
     """One rod, stepped by hand: ``now`` is its state, ``loads`` (n, 6) act on its nodes."""
 
@@ -71,7 +102,7 @@ class OneRod:
         self.loads = loads[0]
         self.now, self.next = nth(self.stack, 0), nth(self.room.new, 0)
         self.now.x[:], self.now.q[:] = at_rest(chain, place, rotation)
-        set_strains(chain, self.now)
+        strains(chain, self.now.x, self.now.q, self.now.strain)
         # steps are the test's, and each is solved to far less than it errs
         self.scheme = scheme_of(TimeScheme.generalised(rho), 1e-9)
 
@@ -79,7 +110,7 @@ class OneRod:
         """One step of ``h`` seconds, or False where Newton's method does not converge."""
         surface = self.surface
         if not friction:
-            surface = surface._replace(static=0.0, kinetic=0.0)
+            surface = surface._replace(friction=Friction(0.0, 0.0, 0.0))
         fit_to_step(self.now, h)
         law = Law(self.scheme, self.hub, surface, self.between)
         alone, pairs = np.array([0]), np.zeros((0, 4), dtype=np.int64)
@@ -97,3 +128,15 @@ class OneRod:
             while not self.step(h, **how):
                 h *= 0.5
                 assert h > 1e-6 * h_s
+
+
+def equilibrium(chain, x, q, loads, *, steps=1):
+    """Nodes (n, 3) and quaternions (n, 4) of a rod in equilibrium with dead loads (n, 6), which
+    come on in so many equal steps, from a first shape on."""
+    rod = OneRod(chain, x[0], Rotation.from_quat(q[0, [1, 2, 3, 0]]).as_matrix())
+    rod.scheme = rod.scheme._replace(inertia=False)
+    rod.now.x[:], rod.now.q[:] = x, q
+    for step in range(1, steps + 1):
+        rod.loads[:] = loads * (step / steps)
+        assert rod.step(0.0)
+    return rod.now.x, rod.now.q

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from mpi4py import MPI
 from petsc4py import PETSc
-from rod_helpers import leaning, one_clamp
+from rod_helpers import equilibrium, leaning, one_clamp, slide
 from slepc4py import SLEPc
 
 from bristle.meshes.section import Circle
@@ -19,7 +19,6 @@ from bristle.solver.rods.chain import at_rest, uniform_chain
 from bristle.solver.rods.ground import Ground
 from bristle.solver.rods.hub import Clamps, HubPath
 from bristle.solver.rods.section import RodSection
-from bristle.solver.rods.statics import equilibrium
 from bristle.studies.reproduce.dragged import compare, pressed_dragged_let_go
 
 LEAN = leaning(0.3)
@@ -88,7 +87,7 @@ def test_an_end_load_bends_it_as_the_rod(bristle, cantilever):
 
 def test_ranks_share_one_solid_in_contact(bristle):
     """Pressed down while it slides: as many ranks as there are do what one does."""
-    path, height = HubPath.slide(1e-4, 1.0, 1e-3, 1e-3), bristle.length_m * math.cos(0.3)
+    path, height = slide(1e-4, 1.0, 1e-3, 1e-3), bristle.length_m * math.cos(0.3)
     clamp = one_clamp([0.0, 0.0, height + 5e-6], LEAN, bristle.length_m)
     found = []
     for comm in (MPI.COMM_WORLD, MPI.COMM_SELF):

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from rod_helpers import press, rotate, slide
 from scipy.spatial.transform import Rotation
 
 from bristle.solver.errors import InputError
@@ -10,7 +11,7 @@ from bristle.solver.rods.hub import Clamps, HubPath
 # one rod, which no rank shares
 pytestmark = pytest.mark.serial
 
-TURNED = HubPath.rotate(0.01, 100.0, 0.1, 0.05)
+TURNED = rotate(0.01, 100.0, 0.1, 0.05)
 TABLE = HubPath.table(
     np.array([0.0, 0.1, 0.3, 0.4, 0.6]),
     np.array(
@@ -25,7 +26,7 @@ TABLE = HubPath.table(
 )
 
 
-@pytest.mark.parametrize("path", [HubPath.slide(0.01, 0.7, 0.1, 0.05, (3.0, 4.0)), TURNED, TABLE])
+@pytest.mark.parametrize("path", [slide(0.01, 0.7, 0.1, 0.05, (3.0, 4.0)), TURNED, TABLE])
 def test_velocities_are_the_rates_of_the_pose(path):
     """Central differences, whose error is of second order in the step."""
     for t in (0.02, 0.07, 0.12, 0.14, 0.25, 0.35, 0.9):
@@ -43,8 +44,8 @@ def test_velocities_are_the_rates_of_the_pose(path):
 
 
 def test_a_hub_is_pressed_down_and_then_slides_or_turns_at_its_rate():
-    assert HubPath.press(0.01, 0.1).pose(0.05).position_m == pytest.approx([0.0, 0.0, -0.005])
-    late = HubPath.slide(0.01, 0.5, 0.1, 0.04, (3.0, 4.0)).pose(1.14)
+    assert press(0.01, 0.1).pose(0.05).position_m == pytest.approx([0.0, 0.0, -0.005])
+    late = slide(0.01, 0.5, 0.1, 0.04, (3.0, 4.0)).pose(1.14)
     assert late.velocity_m_s == pytest.approx([0.3, 0.4, 0.0])
     # the ramp covers half of what the full speed would
     assert late.position_m == pytest.approx([0.3 * 1.02, 0.4 * 1.02, -0.01])

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from elastica import cantilever
 from mpi4py import MPI
-from rod_helpers import along, leaning
+from rod_helpers import along, leaning, slide
 from scipy.optimize import brentq, lsq_linear
 from scipy.spatial.transform import Rotation
 
@@ -17,6 +17,7 @@ from bristle.solver.compiled import nth
 from bristle.solver.errors import InputError
 from bristle.solver.rods.chain import at_rest, stacked, uniform_chain
 from bristle.solver.rods.contact import no_touch, obstacle_of
+from bristle.solver.rods.element import strains
 from bristle.solver.rods.ground import Contact, Ground
 from bristle.solver.rods.hub import Clamps, HubPath
 from bristle.solver.rods.joint import joint_step, room_for
@@ -27,7 +28,6 @@ from bristle.solver.rods.motion import (
     copy_touch,
     motion_of,
     scheme_of,
-    set_strains,
 )
 from bristle.solver.rods.neighbours import Group, Neighbours, shared_out
 from bristle.solver.rods.pairs import (
@@ -249,7 +249,7 @@ def cross_bent(elements, overlap, angle_deg=90.0, steps=80):
     for i, turn in enumerate((DOWN, turned)):
         now = nth(stack, i)
         now.x[:], now.q[:] = at_rest(nth(chains, i), clamps[i], turn)
-        set_strains(nth(chains, i), now)
+        strains(nth(chains, i), now.x, now.q, now.strain)
     near = np.arange(elements)
     pairs = np.array([(0, e, 1, f) for e in near for f in near])
     room = room_for(2, elements + 1, len(surface.rim), len(pairs))
@@ -348,12 +348,12 @@ def test_every_rod_has_one_rank(ranks):
     of = np.array([0, 0, 1, 2, 2, 2, 3])
     groups = [Group(np.flatnonzero(of == g), np.zeros(0, int)) for g in (0, 2)]
     holder, cost = np.arange(7) * ranks // 7, np.array([1.0, 1.0, 3.0, 1.0, 1.0, 1.0, 2.0])
-    who = shared_out(groups, of, holder, cost, ranks)
+    who = shared_out(groups, holder, cost, ranks)
     assert 0 <= who.min() <= who.max() < ranks
     assert all(len(set(who[group.members])) == 1 for group in groups)
     # nobody has more than a share and what comes on top of it
     assert np.bincount(who, cost).max() <= cost.sum() / ranks + 3.0
-    assert np.array_equal(shared_out([], np.arange(7), holder, np.full(7, 1e-3), ranks), holder)
+    assert np.array_equal(shared_out([], holder, np.full(7, 1e-3), ranks), holder)
 
 
 def row(count=4, spacing=0.8e-3, comm=MPI.COMM_WORLD, elements=8, kn=KN, **how):
@@ -364,7 +364,7 @@ def row(count=4, spacing=0.8e-3, comm=MPI.COMM_WORLD, elements=8, kn=KN, **how):
     places[:, 0] = spacing * np.arange(count)
     places[:, 2] = LENGTH * math.cos(lean) + 3e-3
     clamps = Clamps(places, np.stack([leaning(each) for each in leans]), np.full(count, LENGTH))
-    path, ground = HubPath.slide(0.02, 0.5, 0.01, 0.01), Ground(kn, 0.3, 0.3)
+    path, ground = slide(0.02, 0.5, 0.01, 0.01), Ground(kn, 0.3, 0.3)
     between = Contact(kn, 0.2, 0.25, 0.1)
     return Rods(SECTION, clamps, path, ground, elements, between=between, comm=comm, **how)
 

@@ -8,13 +8,21 @@ import numpy as np
 import pytest
 from elastica import filament
 from mpi4py import MPI
-from rod_helpers import HALF, SLENDER, OneRod, along, leaning, one_clamp
+from rod_helpers import HALF, SLENDER, OneRod, along, leaning, one_clamp, press, slide
 from scipy.spatial.transform import Rotation
 
 from bristle.meshes.section import Circle
 from bristle.solver.bristle import Bristle
 from bristle.solver.rods.chain import at_rest, new_system, uniform_chain
-from bristle.solver.rods.contact import SLIDES, STICKS, no_touch, obstacle_of, touch_section
+from bristle.solver.rods.contact import (
+    SLIDES,
+    STICKS,
+    Friction,
+    coefficient,
+    no_touch,
+    obstacle_of,
+    touch_section,
+)
 from bristle.solver.rods.crossing import first_crossing
 from bristle.solver.rods.frame import TipState
 from bristle.solver.rods.ground import Ground
@@ -158,7 +166,7 @@ def test_a_point_that_stuck_holds_at_first():
     surface = obstacle_of(Ground(4e5, 0.3, 0.3), SLENDER)
     place, tangents, pushes = np.array([0.0, 0.0, -1e-3]), [], []
     for mu, early in ((0.3, False), (0.3, True), (1e9, False)):
-        law = surface._replace(static=mu, kinetic=mu)
+        law = surface._replace(friction=Friction(mu, mu, 0.0))
         before, now, system = no_touch(1, 4), no_touch(1, 4), new_system(1)
         before.state[:] = STICKS
         was = place - np.array([5e-3, 0.0, 0.0])
@@ -173,13 +181,11 @@ def test_a_point_that_stuck_holds_at_first():
 
 def test_friction_falls_with_the_speed_of_sliding():
     """Stribeck's curve: static at rest, kinetic at speed, exp(-1) of the way at its own speed."""
-    from bristle.solver.rods.contact import coefficient
-
-    law = 0.5, 0.3, 0.1
-    assert coefficient(*law, 0.0) == 0.5
-    assert coefficient(*law, 0.1) == pytest.approx(0.3 + 0.2 / math.e)
-    assert coefficient(*law, 10.0) == pytest.approx(0.3)
-    assert coefficient(0.5, 0.3, 0.0, 1e-12) == 0.3
+    law = Friction(0.5, 0.3, 0.1)
+    assert coefficient(law, 0.0) == 0.5
+    assert coefficient(law, 0.1) == pytest.approx(0.3 + 0.2 / math.e)
+    assert coefficient(law, 10.0) == pytest.approx(0.3)
+    assert coefficient(Friction(0.5, 0.3, 0.0), 1e-12) == 0.3
 
 
 def test_stick_and_slip_of_a_mass_on_a_belt():
@@ -292,7 +298,7 @@ def dragged(tolerance, **numbers):
     return Rods(
         section,
         one_clamp([0.0, 0.0, height], leaning(lean), length),
-        HubPath.slide(0.1 * length, 1.0, 0.05, 0.05),
+        slide(0.1 * length, 1.0, 0.05, 0.05),
         Ground(2e6, 0.4, 0.6, 0.05),
         10,
         tolerance=tolerance,
@@ -331,7 +337,7 @@ def test_a_stiffer_surface_only_lessens_the_penetration(kn_N_m):
         uniform_chain(SLENDER, 1.0, 20),
         [0.0, 0.0, math.cos(lean) + HALF * math.sin(lean)],
         leaning(lean),
-        path=HubPath.press(depth, 1.0),
+        path=press(depth, 1.0),
         ground=Ground(kn_N_m, 0.0, 0.0),
     )
     rod.slowly(1.0, 0.05)
@@ -358,7 +364,7 @@ def test_a_rigid_surface_is_the_limit_of_stiff_ones_and_does_not_chatter(bristle
     pressing, changes, steps = [], [], []
     rigid = section.rigid_N_m(length / 20)
     for kn in (2e6, rigid, 10.0 * rigid):
-        path = HubPath.press(0.1 * length, 0.3)
+        path = press(0.1 * length, 0.3)
         rods = Rods(section, clamp, path, Ground(kn, 0.3, 0.3), 20, comm=MPI.COMM_SELF)
         frames = list(rods.march(0.6, 2e-3))
         pressing.append(np.mean([frame.force_N[2] for frame in frames[50:150]]))

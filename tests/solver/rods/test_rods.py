@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from mpi4py import MPI
-from rod_helpers import along, leaning, one_clamp
+from rod_helpers import along, leaning, one_clamp, press, slide
 from scipy.spatial.transform import Rotation
 
 from bristle.solver.bristle import Bristle
@@ -20,7 +20,7 @@ from bristle.solver.rods.section import RodSection
 
 LENGTH, LEAN = 0.3365, math.radians(20)
 HEIGHT = LENGTH * math.cos(LEAN)
-PATH = HubPath.slide(0.02, 0.5, 0.02, 0.02)
+PATH = slide(0.02, 0.5, 0.02, 0.02)
 
 
 def rows(count=5, comm=MPI.COMM_WORLD, path=PATH, **how):
@@ -55,7 +55,7 @@ def test_mean_forces_are_impulses_even_of_tips_that_bounce():
     """
     section = RodSection.of(Bristle())
     clamp = one_clamp([0.0, 0.0, HEIGHT + section.half_thin_m], leaning(LEAN), LENGTH)
-    path = HubPath.slide(0.02, 1.0, 0.05, 0.05)
+    path = slide(0.02, 1.0, 0.05, 0.05)
     rods = Rods(section, clamp, path, Ground(2e6, 0.0, 0.0), comm=MPI.COMM_SELF)
     mass, momentum, impulse, instants = uniform_chain(section, LENGTH, 20).mass, [], [], []
     for frame in rods.march(0.2, 0.01):
@@ -112,7 +112,7 @@ def test_what_the_bristles_do_to_the_hub_is_what_the_ground_does_to_them():
     clamp = one_clamp([0.05, 0.02, HEIGHT + section.half_thin_m], leaning(LEAN), LENGTH)
     # strong damping by mass brings it to rest
     calm = replace(section, alpha_1_s=60.0)
-    rods = Rods(calm, clamp, HubPath.press(0.02, 0.05), Ground(2e6, 0.3, 0.5), 20)
+    rods = Rods(calm, clamp, press(0.02, 0.05), Ground(2e6, 0.3, 0.5), 20)
     frame = list(rods.march(0.6, 0.6))[-1]
     if MPI.COMM_WORLD.rank > 0:
         return
@@ -160,7 +160,7 @@ def test_an_upright_bristle_buckles():
     tip sticks; compressed without buckling it would bear EA δ/L, 5 000 times as much."""
     section = RodSection.of(Bristle())
     clamp = one_clamp([0.0, 0.0, LENGTH], leaning(0.0), LENGTH)
-    rods = Rods(section, clamp, HubPath.press(0.01, 0.1), Ground(2e6, 5.0, 5.0), 20)
+    rods = Rods(section, clamp, press(0.01, 0.1), Ground(2e6, 5.0, 5.0), 20)
     frame = list(rods.march(0.2, 0.2))[-1]
     if MPI.COMM_WORLD.rank == 0:
         euler = 20.19 * section.EI2_Nm2 / LENGTH**2
@@ -195,7 +195,7 @@ def test_a_frame_may_fall_on_a_break_of_the_path_but_for_rounding():
 
 
 def test_a_hub_that_goes_below_the_surface_is_refused_before_the_march():
-    deep = HubPath.press(1.01 * HEIGHT, 0.1)
+    deep = press(1.01 * HEIGHT, 0.1)
     with pytest.raises(InputError, match="below the surface at 0.0"):
         next(rows(path=deep).march(0.2, 0.01))
 
@@ -212,7 +212,7 @@ def one_second_dragged():
     """The paper's bristle, leaning by 30 degrees, after a second of being pressed and set off."""
     section, lean = RodSection.of(Bristle()), math.radians(30)
     height = LENGTH * math.cos(lean) + section.half_thin_m * math.sin(lean)
-    path = HubPath.slide(0.1 * LENGTH, 1.0, 0.2, 0.2)
+    path = slide(0.1 * LENGTH, 1.0, 0.2, 0.2)
     clamp = one_clamp([0.0, 0.0, height], leaning(lean), LENGTH)
     rods = Rods(section, clamp, path, Ground(), 20, comm=MPI.COMM_SELF)
     (before,) = rods.march(1.0, 1.0)

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from elastica import cantilever
-from rod_helpers import SLENDER, THIN
+from rod_helpers import SLENDER, THIN, equilibrium
 from scipy.spatial.transform import Rotation
 
 from bristle.meshes.section import Rectangle
@@ -21,7 +21,6 @@ from bristle.solver.rods.element import (
     strains,
 )
 from bristle.solver.rods.section import RodSection
-from bristle.solver.rods.statics import equilibrium
 
 # one rod, which no rank shares
 pytestmark = pytest.mark.serial

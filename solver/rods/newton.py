@@ -1,4 +1,4 @@
-"""Equilibrium of one rod under dead loads at its nodes: Newton's method with load steps."""
+"""Newton's method on one rod: what counts as no residual, and how nodes move by a step."""
 
 from __future__ import annotations
 
@@ -6,21 +6,19 @@ import numpy as np
 
 from ..arrays import Array
 from ..compiled import njit
-from ..errors import ComputationError
-from .chain import Chain, System, new_system, solve, total_length
-from .element import assemble_forces, assemble_tangent, foresee, measure, new_elements
+from .chain import Chain
+from .element import foresee, measure
 from .rotation import exponential, multiply, normalise
 
-ITERATIONS = 200
 # Newton's step turns no node by more, in rad.
 FURTHEST_RAD = 0.5
-# A residual counts as none below this share of EI / L², or where it is the rounding of coordinates
+# A residual counts as none below this share of EI/L², or where it is the rounding of coordinates
 # that the stiffest springs of an element feel.
-NEAR, ROUNDING = 1e-9, 2e-15
+NEAR, ROUNDING = 1e-8, 2e-15
 
 
 @njit
-def force_tolerance(chain: Chain, x: Array, near: float, rate: float) -> float:
+def force_tolerance(chain: Chain, x: Array, rate: float) -> float:
     """A force in N that is nothing to this rod: moments are compared with it times the length.
 
     ``rate``, β over the time step, stiffens it against rounding too.
@@ -32,7 +30,7 @@ def force_tolerance(chain: Chain, x: Array, near: float, rate: float) -> float:
             farthest = max(farthest, abs(x[e, c]), abs(x[e + 1, c]))
             stiffest = max(stiffest, chain.stiffness[e, c] / chain.length[e])
     bending = min(chain.stiffness[0, 3], chain.stiffness[0, 4]) / (total * total)
-    return near * bending + ROUNDING * (1.0 + rate) * stiffest * (farthest + total)
+    return NEAR * bending + ROUNDING * (1.0 + rate) * stiffest * (farthest + total)
 
 
 @njit
@@ -79,54 +77,3 @@ def move(chain: Chain, x: Array, q: Array, solution: Array, part: float, target:
             for k in range(3):
                 along += middle[i, k] * target[e, k]
             x[e + 1, i] = x[e, i] + chain.length[e] * along
-
-
-@njit
-def _newton(
-    chain: Chain, x: Array, q: Array, loads: Array, system: System, tolerance: float
-) -> int:
-    """Iterations until the residual is below the tolerance, -1 where it does not get there."""
-    before, elements, total = chain.rest, new_elements(len(chain.length)), total_length(chain)
-    target = np.empty((len(chain.length), 3))
-    for iteration in range(ITERATIONS):
-        assemble_forces(chain, x, q, before, 0.0, system, elements)
-        for i in range(1, len(x)):
-            for c in range(6):
-                system.residual[i, c] -= loads[i, c]
-        over = excess(system.residual, tolerance, tolerance * total)
-        if over <= 1.0:
-            return iteration
-        if not np.isfinite(over):
-            return -1
-        assemble_tangent(chain, 0.0, system, elements)
-        if not solve(system):
-            return -1
-        move(chain, x, q, system.solution, 1.0, target)
-    return -1
-
-
-def equilibrium(
-    chain: Chain, x: Array, q: Array, loads: Array, *, steps: int = 1
-) -> tuple[Array, Array]:
-    """Centre line (n, 3) and quaternions (n, 4) in equilibrium, the first node held.
-
-    Parameters
-    ----------
-    x, q : the shape to begin with
-    loads : (n, 6), dead forces in N and moments in N m about world axes, at every node
-    steps : equal steps that the loads are brought on in
-
-    Raises
-    ------
-    ComputationError : Newton's method does not converge
-    """
-    x, q = np.array(x, dtype=float), np.array(q, dtype=float)
-    system = new_system(len(x))
-    tolerance = max(float(force_tolerance(chain, x, NEAR, 0.0)), 1e-12 * float(np.abs(loads).max()))
-    for step in range(1, steps + 1):
-        if _newton(chain, x, q, loads * (step / steps), system, tolerance) < 0:
-            raise ComputationError(
-                f"the rod finds no equilibrium at {step / steps:.3g} of its loads; try more steps "
-                f"than {steps}"
-            )
-    return x, q
