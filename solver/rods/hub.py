@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Protocol, Self
 
@@ -147,36 +145,6 @@ class HubPath:
         return cls(np.array([0.0, 1.0]), np.zeros((ORDER, 1, 6)))
 
     @classmethod
-    def press(cls, depth_m: float, over_s: float) -> Self:
-        """Down by ``depth_m``, at rest before and after; the path is quintic in time.
-
-        Raises InputError unless the depth is zero or more and the time positive.
-        """
-        return cls.still()._pressed(depth_m, over_s)
-
-    @classmethod
-    def slide(
-        cls,
-        depth_m: float,
-        speed_m_s: float,
-        over_s: float,
-        ramp_s: float,
-        direction: Sequence[float] = (1.0, 0.0),
-    ) -> Self:
-        """Pressed down over ``over_s``, then along a horizontal ``direction`` at a constant speed,
-        which it reaches in ``ramp_s``."""
-        x, y = np.array(direction, dtype=float) / np.linalg.norm(direction)
-        rates = np.array([speed_m_s * x, speed_m_s * y, 0.0, 0.0, 0.0, 0.0])
-        return cls.press(depth_m, over_s)._set_off(rates, ramp_s)
-
-    @classmethod
-    def rotate(cls, depth_m: float, rpm: float, over_s: float, ramp_s: float) -> Self:
-        """Pressed down over ``over_s``, then turned about the vertical through the hub's origin at
-        a constant rate, which it reaches in ``ramp_s``."""
-        rates = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 2.0 * math.pi * rpm / 60.0])
-        return cls.press(depth_m, over_s)._set_off(rates, ramp_s)
-
-    @classmethod
     def table(cls, t_s: Array, pose: Array) -> Self:
         """Through rows of a table: ``t_s`` (m,), position in m and rotation vector in rad (m, 6).
 
@@ -212,27 +180,3 @@ class HubPath:
         every = np.concatenate([held[0], cubic, held[1]], axis=1)
         orders = np.concatenate([np.zeros((ORDER - 4, *every.shape[1:])), every])
         return cls(np.array([t[0] - 1.0, *t, t[-1] + 1.0]), orders)
-
-    def _pressed(self, depth_m: float, over_s: float) -> Self:
-        if not (math.isfinite(depth_m) and depth_m >= 0.0):
-            raise InputError(f"the hub's penetration must be zero or more, not {depth_m}")
-        if not (math.isfinite(over_s) and over_s > 0.0):
-            raise InputError(f"the time of pressing must be positive, not {over_s}")
-        down = np.zeros((ORDER, 2, 6))
-        for power, factor in ((5, -6.0), (4, 15.0), (3, -10.0)):
-            down[ORDER - 1 - power, 0, 2] = factor * depth_m / over_s**power
-        down[-1, 1, 2] = -depth_m
-        return type(self)(np.array([0.0, over_s, over_s + 1.0]), down)
-
-    def _set_off(self, rates: Array, ramp_s: float) -> Self:
-        """Uniform motion from the last break but one on, its rates smoothly from zero."""
-        if not (np.all(np.isfinite(rates)) and math.isfinite(ramp_s) and ramp_s > 0.0):
-            raise InputError(f"speeds must be finite and the ramp {ramp_s} s long positive")
-        start, here = self.breaks[-2], self.coefficients[-1, -1]
-        ramp, steady = np.zeros((ORDER, 6)), np.zeros((ORDER, 6))
-        ramp[ORDER - 1 - 4], ramp[ORDER - 1 - 3] = -0.5 * rates / ramp_s**3, rates / ramp_s**2
-        ramp[-1] = here
-        steady[-2], steady[-1] = rates, here + 0.5 * rates * ramp_s
-        coefficients = np.stack([*self.coefficients.swapaxes(0, 1)[:-1], ramp, steady], axis=1)
-        breaks = np.array([*self.breaks[:-1], start + ramp_s, start + ramp_s + 1.0])
-        return type(self)(breaks, coefficients)
