@@ -38,7 +38,7 @@ from .forms import Elasticity, cells_of, own_values
 from .rods.chain import System, new_system
 from .rods.contact import SLIDES, Touch, no_touch, obstacle_of, touch_section
 from .rods.ground import Ground
-from .rods.hub import Clamps, HubMotion
+from .rods.hub import Clamps, HubPath
 from .rods.section import RodSection
 from .time.finite import assemble
 from .time.scheme import TimeScheme
@@ -115,7 +115,7 @@ class ClampedSolid:
         self,
         bristle: Bristle,
         clamps: Clamps,
-        motion: HubMotion,
+        motion: HubPath,
         ground: Ground | None,
         cells: tuple[int, int, int] = CELLS,
         *,

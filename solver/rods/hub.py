@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol, Self
+from typing import Self
 
 import numpy as np
 from scipy.interpolate import Akima1DInterpolator
@@ -70,25 +70,6 @@ class HubPose:
     angular_velocity_rad_s: Array
 
 
-class HubMotion(Protocol):
-    """A prescribed motion: a polynomial in each of six coordinates over each of some segments.
-
-    The coordinates are the hub's position and its rotation vector. ``breaks`` (m + 1,) in s
-    separate segments; ``coefficients`` (6, m, 6) are of falling powers of the time since a
-    segment's begin, as those of scipy's PPoly. Compiled code evaluates them.
-    """
-
-    @property
-    def breaks(self) -> Array: ...
-
-    @property
-    def coefficients(self) -> Array: ...
-
-    def pose(self, t_s: float) -> HubPose:
-        """The pose at a time."""
-        ...
-
-
 @njit
 def hub_coordinates(breaks: Array, coefficients: Array, t_s: float, out: Array) -> None:
     """Write the hub's six coordinates and their rates (2, 6) at a time into ``out``.
@@ -109,8 +90,13 @@ def hub_coordinates(breaks: Array, coefficients: Array, t_s: float, out: Array) 
 
 @dataclass(frozen=True)
 class HubPath:
-    """A `HubMotion` by its polynomials; InputError where the motion jumps from one segment to the
-    next."""
+    """A prescribed motion: a polynomial in each of six coordinates over each of some segments.
+
+    The coordinates are the hub's position and its rotation vector. ``breaks`` (m + 1,) in s
+    separate segments; ``coefficients`` (`ORDER`, m, 6) are of falling powers of the time since a
+    segment's begin, as those of scipy's PPoly. Compiled code evaluates them. InputError where the
+    motion jumps from one segment to the next.
+    """
 
     breaks: Array
     coefficients: Array

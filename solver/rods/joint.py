@@ -82,8 +82,8 @@ class Room(NamedTuple):
     """Room for a step of several rods, stacked: their next state and scratch, what the points of
     pairs remember then, the force and the moment (rods, 2) that count as none of each, what
     friction took and contact holds of each (rods, 2) by itself and with the others, its residual by
-    itself (rods, n, 6) and with the others over what counts as none, its cluster, its cluster's
-    greatest residual, what it does next, the last such residual from which it took a step, how much
+    itself (rods, n, 6), its cluster, its cluster's greatest residual with the others over what
+    counts as none, what it does next, the last such residual from which it took a step, how much
     of that step it took, and how much it ought to. Then the gaps of the pairs (pairs, 2), the
     points, and room for one pair."""
 
@@ -94,7 +94,6 @@ class Room(NamedTuple):
     own_works: Array
     works: Array
     own: Array
-    excess: Array
     cluster: Integers
     worst: Array
     doing: Integers
@@ -123,7 +122,6 @@ def room_for(rods: int, nodes: int, rim: int, pairs: int) -> Room:
         np.zeros((rods, 2)),
         np.zeros((rods, 2)),
         np.zeros((rods, nodes, 6)),
-        np.zeros(rods),
         np.zeros(rods, dtype=np.int64),
         np.zeros(rods),
         np.zeros(rods, dtype=np.int64),
@@ -211,7 +209,7 @@ def _assemble_all(
             _push(room.points, p, side, residual)
     for k in range(len(members)):
         over = excess(residual[k], room.none[k, 0], room.none[k, 1])
-        room.excess[k] = over if math.isfinite(over) else math.inf
+        room.worst[k] = over if math.isfinite(over) else math.inf
     return count
 
 
@@ -236,11 +234,8 @@ def _gather(room: Room, count: int) -> None:
     for k in range(len(cluster)):
         # the first of a cluster has the lowest number, so that it comes first
         c = cluster[k] = cluster[cluster[k]]
-        if c == k:
-            worst[k] = room.excess[k]
-        else:
-            worst[c], last[c] = max(worst[c], room.excess[k]), max(last[c], last[k])
-            part[c] = min(part[c], part[k])
+        worst[c], last[c] = max(worst[c], worst[k]), max(last[c], last[k])
+        part[c] = min(part[c], part[k])
     for k in range(len(cluster)):
         c = cluster[k]
         last[k], part[k], worst[k] = last[c], part[c], worst[c]
@@ -269,23 +264,13 @@ def _decide(room: Room, iteration: int, fair: float) -> tuple[bool, bool]:
 
 
 @njit
-def _share(points: Points, p: int, side: int, node: int) -> float:
-    """The part of a side's displacement that is of its element's first or second node.
-
-    The arm turns with the element's middle.
-    """
-    second = points.share[p, side]
-    return second if node == 1 else 1.0 - second
-
-
-@njit
 def _push(points: Points, p: int, side: int, residual: Array) -> None:
     """Take a point's force on one side off the residual (rods, n, 6)."""
     sign = 1.0 if side == 0 else -1.0
     r, e = points.whole[p, 2 * side], points.whole[p, 2 * side + 1]
     arm, push = points.arm[p, side], points.push[p]
     for node in range(2):
-        part = sign * _share(points, p, side, node)
+        part = sign * points.share[p, side, node]
         for c in range(3):
             i, j = (c + 1) % 3, (c + 2) % 3
             residual[r, e + node, c] -= part * push[c]
@@ -299,7 +284,7 @@ def _load(points: Points, p: int, side: int, loads: Array, j: int) -> None:
     its rod's loads (n, 6, m)."""
     sign, e, arm = 1.0 if side == 0 else -1.0, points.whole[p, 2 * side + 1], points.arm[p, side]
     for node in range(2):
-        part = sign * _share(points, p, side, node)
+        part = sign * points.share[p, side, node]
         for c in range(3):
             a, b = (c + 1) % 3, (c + 2) % 3
             # arm × e_c
@@ -318,7 +303,7 @@ def _displacement(points: Points, p: int, side: int, moved: Array, j: int, out: 
         out[c] = 0.0
         for node in range(2):
             u = moved[e + node]
-            out[c] += _share(points, p, side, node) * u[c, j]
+            out[c] += points.share[p, side, node] * u[c, j]
             out[c] += 0.5 * (u[3 + a, j] * arm[b] - u[3 + b, j] * arm[a])
         out[c] *= sign
 

@@ -34,7 +34,7 @@ def scheme_of(time: TimeScheme, error_m: float, *, inertia: bool = True) -> Sche
 
 
 class Hub(NamedTuple):
-    """The hub's path, see `hub.HubMotion`."""
+    """The hub's path, see `hub.HubPath`."""
 
     breaks: Array
     coefficients: Array

@@ -206,8 +206,7 @@ def _places(pairs: Integers, wanted: Integers) -> Integers:
         return np.full(len(wanted), -1)
     top = 1 + max(int(pairs.max()), int(wanted.max(initial=0)))
     codes, sought = (
-        ((each[:, 0] * top + each[:, 1]) * top + each[:, 2]) * top + each[:, 3]
-        for each in (pairs, wanted)
+        np.asarray(np.ravel_multi_index(tuple(each.T), (top,) * 4)) for each in (pairs, wanted)
     )
     at = np.minimum(np.searchsorted(codes, sought), len(codes) - 1)
     return np.where(codes[at] == sought, at, -1)

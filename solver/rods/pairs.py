@@ -89,9 +89,9 @@ def crossing_kn(law: Between) -> float:
 
 class Points(NamedTuple):
     """The points in contact, as last found: ``whole`` (m, 4) rod and element of either side,
-    ``share`` (m, 2) of the second node in each, ``arm`` (m, 2, 3) from each centre line,
-    ``push`` (m, 3) on the first side, and its loss ``stiff`` (m, 3, 3) by its displacement over the
-    second's."""
+    ``share`` (m, 2, 2) of the first and the second node in each, ``arm`` (m, 2, 3) from each centre
+    line, ``push`` (m, 3) on the first side, and its loss ``stiff`` (m, 3, 3) by its displacement
+    over the second's. The arms turn with the elements' middles."""
 
     whole: Integers
     share: Array
@@ -105,7 +105,7 @@ def room_for_points(pairs: int) -> Points:
     m = 2 * pairs
     return Points(
         np.zeros((m, 4), dtype=np.int64),
-        np.zeros((m, 2)),
+        np.zeros((m, 2, 2)),
         np.zeros((m, 2, 3)),
         np.zeros((m, 3)),
         np.zeros((m, 3, 3)),
@@ -469,7 +469,9 @@ def meet_pair(
         held += holds
         for c in range(4):
             points.whole[count, c] = whole[c]
-        points.share[count, 0], points.share[count, 1] = room.share_a[k], room.share_b[k]
+        for side in range(2):
+            second = room.share_a[k] if side == 0 else room.share_b[k]
+            points.share[count, side, 0], points.share[count, side, 1] = 1.0 - second, second
         for c in range(3):
             points.arm[count, 0, c], points.arm[count, 1, c] = arm_a[c], arm_b[c]
         count += 1

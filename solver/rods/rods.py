@@ -23,7 +23,7 @@ from .contact import Touch, no_touch, obstacle_of
 from .element import strains
 from .frame import Frame, RodEnergy
 from .ground import Contact, Ground
-from .hub import Clamps, HubMotion
+from .hub import Clamps, HubPath
 from .joint import Room, room_for
 from .march import march
 from .motion import ClampedRod, Hub, Motion, motion_of, scheme_of
@@ -85,7 +85,7 @@ class Rods:
         self,
         section: RodSection,
         clamps: Clamps,
-        motion: HubMotion,
+        motion: HubPath,
         ground: Ground | None,
         elements: int = 20,
         *,
@@ -105,10 +105,8 @@ class Rods:
         positive("the tolerance of a step", tolerance)
         self.section, self.clamps, self.motion, self.ground = section, clamps, motion, ground
         self.comm, self.elements = comm, elements
-        # which rank marched each rod last, whether all ranks know its whole state, and how many
-        # steps and iterations its last span took
+        # which rank marched each rod last, and how many steps and iterations its last span took
         self._holder = np.arange(len(clamps)) * comm.size // len(clamps)
-        self._known = np.zeros(len(clamps), dtype=np.bool_)
         self._cost: Array = np.ones(len(clamps))
         self._gravity = np.array([0.0, 0.0, -gravity_m_s2])
         self._rods = self._clamped(bow_rad)
@@ -185,12 +183,11 @@ class Rods:
         if near is None:
             mine = np.flatnonzero(self._holder == self.comm.rank)
             failed = self._march_apart(mine, end_s, windows)
-            self._known[:] = self.comm.size == 1
             self._refuse_failure(failed)
             self._t_s = end_s
             return
         pose, before, longest = self.motion.pose(self.t_s), near.checkpoint(), LONGEST_S
-        own = *_arrays(self._now), windows.sums, self._holder, self._known
+        own = *_arrays(self._now), windows.sums, self._holder
         kept: list[tuple[Any, Any]] = [(each, each.copy()) for each in own]
         done = self._done()
         everyone: Flags = np.ones(len(self.clamps), dtype=np.bool_)
@@ -240,7 +237,6 @@ class Rods:
                 touched.append(group.rows)
         self._exchange(np.flatnonzero(mine), np.concatenate(touched))
         self._holder[those] = who[those]
-        self._known[those] = self.comm.size == 1
         self._refuse_failure(failed)
 
     def _march_apart(self, members: Integers, end_s: float, windows: Windows) -> int:
@@ -296,7 +292,7 @@ class Rods:
     def _bring(self, who: Integers) -> None:
         """Send each rod's whole state to the rank ``who`` (rods,) that is about to march it, -1
         where none is; collective."""
-        moves = ~self._known & (who >= 0) & (who != self._holder)
+        moves = (who >= 0) & (who != self._holder)
         if not moves.any():
             return
         arrays, mine = _arrays(self._now), moves & (self._holder == self.comm.rank)
@@ -307,12 +303,10 @@ class Rods:
 
     def _tell_all(self) -> None:
         """Let every rank know the whole state of all rods; collective."""
-        if not self._known.all():
-            arrays = _arrays(self._now)
-            mine = np.flatnonzero(~self._known & (self._holder == self.comm.rank))
+        if self.comm.size > 1:
+            arrays, mine = _arrays(self._now), np.flatnonzero(self._holder == self.comm.rank)
             for those, values in self.comm.allgather((mine, [array[mine] for array in arrays])):
                 _put(arrays, those, values)
-            self._known[:] = True
 
     def frame(self) -> Frame:
         """All bristles as they are now; collective."""
@@ -357,7 +351,6 @@ class Rods:
             if name not in kept or kept[name].shape != mine.shape:
                 raise InputError(f"the checkpoint is not one of {len(self.clamps)} such bristles")
             mine[:] = kept[name]
-        self._known[:] = True
         if self._neighbours is not None:
             if "pairs" not in kept:
                 raise InputError("the checkpoint is of bristles that do not touch each other")

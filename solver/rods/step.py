@@ -114,25 +114,14 @@ def _inertia(
     weight += chain.alpha * scheme.gamma / (scheme.beta * h)
     w, v0, v1, v2 = between(old.q[i], new.q[i])
     factor = vector_factor(w, v0, v1, v2)
-    turned = (factor * v0, factor * v1, factor * v2)
-    for c in range(3):
+    x, was = new.x[i], old.x[i]
+    shift = x[0] - was[0], x[1] - was[1], x[2] - was[2]
+    moved = (*shift, factor * v0, factor * v1, factor * v2)
+    for c in range(6):
         new.velocity[i, c], new.acceleration[i, c], new.auxiliary[i, c] = _rates(
-            scheme,
-            h,
-            new.x[i, c] - old.x[i, c],
-            old.velocity[i, c],
-            old.auxiliary[i, c],
-            old.acceleration[i, c],
+            scheme, h, moved[c], old.velocity[i, c], old.auxiliary[i, c], old.acceleration[i, c]
         )
-        k = 3 + c
-        new.velocity[i, k], new.acceleration[i, k], new.auxiliary[i, k] = _rates(
-            scheme,
-            h,
-            turned[c],
-            old.velocity[i, k],
-            old.auxiliary[i, k],
-            old.acceleration[i, k],
-        )
+    for c in range(3):
         force = new.acceleration[i, c] + chain.alpha * new.velocity[i, c]
         system.residual[i, c] += chain.mass[i] * force
         system.diagonal[i, c, c] += chain.mass[i] * weight
