@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..arrays import Array
+from ..arrays import Array, zeros
 from ..compiled import njit
 from .section import RodSection
 
@@ -103,16 +103,9 @@ class System(NamedTuple):
     solution: Array
 
 
-@njit
 def new_system(n: int) -> System:
     """Room for a rod of ``n`` nodes."""
-    return System(
-        np.zeros((n, 6, 6)),
-        np.zeros((n, 6, 6)),
-        np.zeros((n, 6, 6)),
-        np.zeros((n, 6)),
-        np.zeros((n, 6)),
-    )
+    return zeros(System, (n, 6, 6), (n, 6, 6), (n, 6, 6), (n, 6), (n, 6))
 
 
 @njit

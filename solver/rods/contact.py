@@ -22,6 +22,7 @@ from ..compiled import inlined, njit
 from .chain import System
 from .ground import Contact, Ground
 from .relief import Relief, highest_m, look, no_relief
+from .rotation import cross, dot
 from .section import RodSection
 
 FREE, STICKS, SLIDES = 0, 1, 2
@@ -196,7 +197,7 @@ def touch_point(
     how much friction dissipated over the step and what contact holds at its end, in J.
     """
     mu = coefficient(law, before.speed[node, k])
-    normal, size = -kn * gap, math.sqrt(pull[0] ** 2 + pull[1] ** 2 + pull[2] ** 2)
+    normal, size = -kn * gap, math.sqrt(dot(pull, pull))
     slides = kt * size > mu * normal
     force = mu * normal if slides else kt * size
     gives = slides and not (early and before.state[node, k] == STICKS)
@@ -269,21 +270,17 @@ def touch_section(
             slip[c] = place[c] - was
         gap, factor = place_gap(surface, place, n, grows)
         kn, kt = factor * surface.kn, factor * surface.kt
-        normal_slip = along = 0.0
-        for c in range(3):
-            normal_slip += n[c] * slip[c]
+        normal_slip = dot(n, slip)
         for c in range(3):
             slip[c] -= normal_slip * n[c]
-            along += slip[c] * slip[c]
         if gap >= 0.0:
             lost += lose_hold(before, now, node, k)
-            now.speed[node, k] = math.sqrt(along) / step if step > 0.0 else 0.0
+            now.speed[node, k] = math.sqrt(dot(slip, slip)) / step if step > 0.0 else 0.0
             continue
-        tilted = 0.0
+        spring = before.elongation[node, k]
+        tilted = dot(n, spring)
         for c in range(3):
-            tilted += n[c] * before.elongation[node, k, c]
-        for c in range(3):
-            slip[c] += before.elongation[node, k, c] - tilted * n[c]
+            slip[c] += spring[c] - tilted * n[c]
         law = surface.friction
         took, holds = touch_point(
             law, kn, kt, gap, n, slip, step, early, before, now, node, k, push, stiff
@@ -311,12 +308,7 @@ def _add_point(
     lever[0, 0] = lever[1, 1] = lever[2, 2] = 0.0
     lever[0, 1], lever[0, 2], lever[1, 2] = -arm[2], arm[1], -arm[0]
     lever[1, 0], lever[2, 0], lever[2, 1] = arm[2], -arm[1], arm[0]
-    along = arm[0] * push[0] + arm[1] * push[1] + arm[2] * push[2]
-    moment = (
-        arm[1] * push[2] - arm[2] * push[1],
-        arm[2] * push[0] - arm[0] * push[2],
-        arm[0] * push[1] - arm[1] * push[0],
-    )
+    along, moment = dot(arm, push), cross(arm, push)
     for i in range(3):
         residual[i] -= push[i]
         residual[3 + i] -= moment[i]

@@ -22,10 +22,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..arrays import Array
+from ..arrays import Array, zeros
 from ..compiled import inlined, njit
 from .chain import Chain, System
-from .rotation import between, vector_factor, write_matrix_of
+from .rotation import Vector, between, cross, dot, vector_factor, write_matrix_of
 
 # Below this angle between nodes, in rad, coefficients are their series.
 SMALL_RAD = 0.05
@@ -84,7 +84,7 @@ def strains(chain: Chain, x: Array, q: Array, out: Array) -> None:
 
 
 @njit
-def _turned_back(middle: Array, solution: Array, e: int, c: int) -> tuple[float, float, float]:
+def _turned_back(middle: Array, solution: Array, e: int, c: int) -> Vector:
     """A component, in the middle's axes, of the displacement of an element's second node over its
     first's, of their mean spin, and of the spin of the second over the first's."""
     moved = mean = apart = 0.0
@@ -113,14 +113,12 @@ def foresee(
     measure(x, q, e, length, middle, strain)
     f0, f1, f2 = length * strain[3], length * strain[4], length * strain[5]
     _, _, tau, _, _, _ = coefficients(f0 * f0 + f1 * f1 + f2 * f2)
-    g0, g1, g2 = tau * f0, tau * f1, tau * f2
     m0, a0, b0 = _turned_back(middle, solution, e, 0)
     m1, a1, b1 = _turned_back(middle, solution, e, 1)
     m2, a2, b2 = _turned_back(middle, solution, e, 2)
     # the spin of the middle, of which a half is from either node
-    w0 = a0 - (g1 * b2 - g2 * b1)
-    w1 = a1 - (g2 * b0 - g0 * b2)
-    w2 = a2 - (g0 * b1 - g1 * b0)
+    t0, t1, t2 = cross((tau * f0, tau * f1, tau * f2), (b0, b1, b2))
+    w0, w1, w2 = a0 - t0, a1 - t1, a2 - t2
     out[0] = strain[0] + share * (m0 / length + strain[1] * w2 - strain[2] * w1)
     out[1] = strain[1] + share * (m1 / length + strain[2] * w0 - strain[0] * w2)
     out[2] = strain[2] + share * (m2 / length + strain[0] * w1 - strain[1] * w0)
@@ -138,24 +136,12 @@ def strain_energy(chain: Chain, strain: Array) -> float:
 
 
 @inlined
-def _cross(
-    a: tuple[float, float, float], b: tuple[float, float, float]
-) -> tuple[float, float, float]:
-    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
-
-
-@inlined
-def _dot(a: tuple[float, float, float], b: tuple[float, float, float]) -> float:
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
-
-
-@inlined
-def _row(a: Array, i: int) -> tuple[float, float, float]:
+def _row(a: Array, i: int) -> Vector:
     return a[i, 0], a[i, 1], a[i, 2]
 
 
 @inlined
-def _skew(v: tuple[float, float, float], i: int, j: int) -> float:
+def _skew(v: Vector, i: int, j: int) -> float:
     """An entry of the matrix of v ×."""
     if i == j:
         return 0.0
@@ -164,8 +150,8 @@ def _skew(v: tuple[float, float, float], i: int, j: int) -> float:
 
 
 @inlined
-def _turned(matrix: Array, v: tuple[float, float, float]) -> tuple[float, float, float]:
-    return _dot(_row(matrix, 0), v), _dot(_row(matrix, 1), v), _dot(_row(matrix, 2), v)
+def _turned(matrix: Array, v: Vector) -> Vector:
+    return dot(_row(matrix, 0), v), dot(_row(matrix, 1), v), dot(_row(matrix, 2), v)
 
 
 @njit
@@ -181,16 +167,16 @@ def _forces(chain: Chain, e: int, strain: Array, before: Array, rate: float, out
 
 @inlined
 def _moments(
-    d: tuple[float, float, float],
-    f: tuple[float, float, float],
-    force: tuple[float, float, float],
-    moment: tuple[float, float, float],
-) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
+    d: Vector,
+    f: Vector,
+    force: Vector,
+    moment: Vector,
+) -> tuple[Vector, Vector]:
     """c = N × d and S M - c × g, of d = x₂ - x₁ and φ, all in the same axes."""
-    s, sigma, tau, _, _, _ = coefficients(_dot(f, f))
-    c, along = _cross(force, d), sigma * _dot(f, moment)
+    s, sigma, tau, _, _, _ = coefficients(dot(f, f))
+    c, along = cross(force, d), sigma * dot(f, moment)
     g = tau * f[0], tau * f[1], tau * f[2]
-    t = _cross(c, g)
+    t = cross(c, g)
     return c, (
         s * moment[0] + along * f[0] - t[0],
         s * moment[1] + along * f[1] - t[1],
@@ -241,16 +227,9 @@ class Elements(NamedTuple):
     room: Array
 
 
-@njit
 def new_elements(n: int) -> Elements:
     """Room for so many."""
-    return Elements(
-        np.zeros((n, 3, 3)),
-        np.zeros((n, 6)),
-        np.zeros((n, 6)),
-        np.zeros((2, 6)),
-        np.zeros((6, 3, 3)),
-    )
+    return zeros(Elements, (n, 3, 3), (n, 6), (n, 6), (2, 6), (6, 3, 3))
 
 
 @njit
@@ -333,34 +312,34 @@ def _tangent(
     force = _turned(middle, (load[0], load[1], load[2]))
     m = _turned(middle, (load[3], load[4], load[5]))
     c, twist = _moments(d, f, force, m)
-    s, sigma, tau, s_rate, sigma_rate, tau_rate = coefficients(_dot(f, f))
+    s, sigma, tau, s_rate, sigma_rate, tau_rate = coefficients(dot(f, f))
     g = tau * f[0], tau * f[1], tau * f[2]
     stiff = (1.0 + rate) / length
     _in_world(middle, stiffness, stiff, 0, stretch)
     _in_world(middle, stiffness, stiff, 3, bend)
     # how S M - c × g at fixed c changes with φ, then through dφ = S (b - a)
-    dot, bent = _dot(f, m), _turned(bend, f)
-    across = _cross(c, f)
+    product, bent = dot(f, m), _turned(bend, f)
+    across = cross(c, f)
     for i in range(3):
-        along = s_rate * m[i] + sigma_rate * dot * f[i] - tau_rate * across[i]
+        along = s_rate * m[i] + sigma_rate * product * f[i] - tau_rate * across[i]
         for j in range(3):
             value = s * bend[i, j] + sigma * f[i] * (bent[j] + m[j]) + along * f[j]
             turns[i, j] = value - tau * _skew(c, i, j)
-        turns[i, i] += sigma * dot
+        turns[i, i] += sigma * product
     for i in range(3):
-        along = sigma * _dot(_row(turns, i), f)
+        along = sigma * dot(_row(turns, i), f)
         for j in range(3):
             bend[i, j] = s * turns[i, j] + along * f[j]
     for i in range(3):
-        crossed = _cross(d, _row(stretch, i))  # of [d]× C_N a column, as C_N is symmetric
+        crossed = cross(d, _row(stretch, i))  # of [d]× C_N a column, as C_N is symmetric
         for j in range(3):
             couple[j, i] = _skew(force, j, i) - crossed[j]
     # V [d]×, and Vᵀ [g]× beside Vᵀ / 2: how the force changes with the two spins
     for i in range(3):
-        crossed = _cross(_row(couple, i), d)
+        crossed = cross(_row(couple, i), d)
         for j in range(3):
             turns[i, j] = crossed[j]
-        crossed = _cross((couple[0, i], couple[1, i], couple[2, i]), g)
+        crossed = cross((couple[0, i], couple[1, i], couple[2, i]), g)
         for j in range(3):
             moved[i, j] = crossed[j]
     for i in range(3):
@@ -384,12 +363,12 @@ def _tangent(
         load_1 = 0.5 * c[1] + sign * twist[1]
         load_2 = 0.5 * c[2] + sign * twist[2]
         for j in range(3):
-            crossed = _cross(g, (turns[0, j], turns[1, j], turns[2, j]))
+            crossed = cross(g, (turns[0, j], turns[1, j], turns[2, j]))
             for i in range(3):
                 spins[i, j] = 0.5 * turns[i, j] + sign * crossed[i]
                 spins[i, j] -= _skew((load_0, load_1, load_2), i, j)
         for i in range(3):
-            crossed = _cross(_row(spins, i), g)
+            crossed = cross(_row(spins, i), g)
             for j in range(3):
                 by_a = 0.5 * spins[i, j] + crossed[j] - sign * bend[i, j]
                 by_b = 0.5 * spins[i, j] - crossed[j] + sign * bend[i, j]

@@ -40,6 +40,7 @@ from .pairs import (
     room_for_points,
 )
 from .pairs import shortfall as pair_shortfall
+from .rotation import cross
 from .step import (
     Law,
     Scratch,
@@ -268,14 +269,13 @@ def _push(points: Points, p: int, side: int, residual: Array) -> None:
     """Take a point's force on one side off the residual (rods, n, 6)."""
     sign = 1.0 if side == 0 else -1.0
     r, e = points.whole[p, 2 * side], points.whole[p, 2 * side + 1]
-    arm, push = points.arm[p, side], points.push[p]
+    push = points.push[p]
+    moment = cross(points.arm[p, side], push)
     for node in range(2):
         part = sign * points.share[p, side, node]
         for c in range(3):
-            i, j = (c + 1) % 3, (c + 2) % 3
             residual[r, e + node, c] -= part * push[c]
-            moment = arm[i] * push[j] - arm[j] * push[i]
-            residual[r, e + node, 3 + c] -= 0.5 * sign * moment
+            residual[r, e + node, 3 + c] -= 0.5 * sign * moment[c]
 
 
 @njit

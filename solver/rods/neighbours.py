@@ -20,7 +20,7 @@ from ..arrays import Array, Flags, Integers
 from .contact import FREE, Touch, no_touch
 from .hub import HubPose
 from .motion import Motion
-from .pairs import Between, approach, candidates
+from .pairs import Between, approach, candidates, new_meeting
 
 # How far rods move in a span at most, over the wide side.
 MOVED = 0.125
@@ -56,6 +56,7 @@ class Neighbours:
         self.touch = no_touch(0, 2)
         self.span_s = 0.0
         self._apart = NEAR * 2.0 * float(law.half[0])
+        self._room = new_meeting()
         # of the span that has begun
         self._possible = self.pairs
         self._gaps: Array = np.zeros(0)
@@ -138,7 +139,7 @@ class Neighbours:
         """Gaps (p,) of all pairs that may meet, and their least and greatest closing speeds
         (2, p)."""
         gaps, closing = np.empty(len(self._possible)), np.empty((len(self._possible), 2))
-        approach(self.law, self._possible, stack, self._reach, gaps, closing)
+        approach(self.law, self._possible, stack, self._reach, self._room, gaps, closing)
         return gaps, closing.T
 
     def _in_hub(self, stack: Motion, pose: HubPose) -> tuple[Array, Array]:

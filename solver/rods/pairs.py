@@ -29,12 +29,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..arrays import Array, Integers
+from ..arrays import Array, Integers, zeros
 from ..compiled import inlined, njit, unowned
 from .contact import Friction, Touch, friction_of, lose_hold, touch_point
 from .ground import Contact
 from .motion import Motion, Pose
-from .rotation import write_matrix_of
+from .rotation import cross, dot, write_matrix_of
 from .section import RodSection
 
 # Directions whose square is below this are no axis.
@@ -132,28 +132,10 @@ class Meeting(NamedTuple):
     was: Array
 
 
-@njit
 def new_meeting() -> Meeting:
     """Room."""
-    return Meeting(
-        np.zeros((2, 3)),
-        np.zeros((2, 3)),
-        np.zeros(2),
-        np.zeros(2),
-        np.zeros(2),
-        np.zeros(3),
-        np.zeros((3, 3)),
-        np.zeros((3, 3)),
-        np.zeros((2, 3)),
-        np.zeros((2, 3)),
-        np.zeros((9, 3)),
-        np.zeros((3, 3)),
-    )
-
-
-@inlined
-def _dot(a: Array, b: Array) -> float:
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+    ends, pair, axes = (2, 3), 2, (3, 3)
+    return zeros(Meeting, ends, ends, pair, pair, pair, 3, axes, axes, ends, ends, (9, 3), axes)
 
 
 @njit
@@ -276,22 +258,22 @@ def meet(
     # the stretch between the planes through the second's nodes
     low, high = 0.0, la
     _across(qb, f, plane)
-    low, high = _clip(low, high, _dot(apart, plane), _dot(ta, plane))
+    low, high = _clip(low, high, dot(apart, plane), dot(ta, plane))
     _across(qb, f + 1, plane)
-    beyond = lb * _dot(tb, plane) - _dot(apart, plane)
-    low, high = _clip(low, high, beyond, -_dot(ta, plane))
+    beyond = lb * dot(tb, plane) - dot(apart, plane)
+    low, high = _clip(low, high, beyond, -dot(ta, plane))
     if high <= low:
         return 0.0
     _middle(qa, e, out.axes_a)
     _middle(qb, f, out.axes_b)
     best, least_held, length = -math.inf, math.inf, 0.0
-    tip, cosine = e == len(xa) - 2, _dot(ta, tb)
-    sine_2, along = 1.0 - cosine * cosine, _dot(apart, tb)
+    tip, cosine = e == len(xa) - 2, dot(ta, tb)
+    sine_2, along = 1.0 - cosine * cosine, dot(apart, tb)
     crosses, chosen = sine_2 > CROSSING * CROSSING, -1
     # where the axes are closest, along the first
     nearest = 0.5 * (low + high)
     if sine_2 > NO_ANGLE * NO_ANGLE:
-        nearest = (cosine * along - _dot(apart, ta)) / sine_2
+        nearest = (cosine * along - dot(apart, ta)) / sine_2
     if law.round:
         # within the stretch the gap is stationary there, or at its end
         nearest = min(max(nearest, low), high)
@@ -305,9 +287,7 @@ def meet(
         if kind == END and not tip:
             continue
         if kind == COMMON:
-            for c in range(3):
-                i, j = (c + 1) % 3, (c + 2) % 3
-                n[c] = tb[i] * ta[j] - tb[j] * ta[i]
+            n[0], n[1], n[2] = cross(tb, ta)
         elif kind == END:
             for c in range(3):
                 n[c] = ta[c]
@@ -318,7 +298,7 @@ def meet(
             axes = out.axes_b if kind < OWN else out.axes_a
             for c in range(3):
                 n[c] = axes[c, (kind - OTHER) % 2]
-        slant = _dot(n, tb)
+        slant = dot(n, tb)
         size = 0.0
         for c in range(3):
             n[c] -= slant * tb[c]
@@ -328,16 +308,14 @@ def meet(
         size = math.sqrt(size)
         for c in range(3):
             n[c] /= size
-        for c in range(3):
-            i, j = (c + 1) % 3, (c + 2) % 3
-            m[c] = tb[i] * n[j] - tb[j] * n[i]
+        m[0], m[1], m[2] = cross(tb, n)
         wide = _reach(law, out.axes_a, m) + _reach(law, out.axes_b, m)
-        offset, slope = _dot(apart, m), _dot(ta, m)
+        offset, slope = dot(apart, m), dot(ta, m)
         begin, end = _clip(low, high, wide - offset, -slope)
         begin, end = _clip(begin, end, wide + offset, slope)
         if end <= begin:
             return 0.0
-        at, rate = _dot(apart, n), _dot(ta, n)
+        at, rate = dot(apart, n), dot(ta, n)
         sign = 1.0 if at + 0.5 * rate * (begin + end) >= 0.0 else -1.0
         reaches = _reach(law, out.axes_a, n) + _reach(law, out.axes_b, n)
         at_begin, at_end = sign * (at + rate * begin), sign * (at + rate * end)
@@ -448,23 +426,19 @@ def meet_pair(
         arm_a, arm_b = room.arm_a[k], room.arm_b[k]
         _moved(now_a, old_a, e, room.share_a[k], arm_a, room.axes_a, matrix, moved_a)
         _moved(now_b, old_b, f, room.share_b[k], arm_b, room.axes_b, matrix, moved_b)
-        along = 0.0
         for c in range(3):
             pull[c] = moved_a[c] - moved_b[c]
-            along += pull[c] * n[c]
-        turned = 0.0
+        along, spring = dot(pull, n), before.elongation[pair, k]
+        turned = dot(spring, n)
         for c in range(3):
-            pull[c] += before.elongation[pair, k, c] - along * n[c]
-            turned += before.elongation[pair, k, c] * n[c]
-        for c in range(3):
-            pull[c] -= turned * n[c]
+            pull[c] = pull[c] + (spring[c] - along * n[c]) - turned * n[c]
         slope, normal, holds = _rough(kn, -gap)
         gap = -normal / slope  # of a linear law of the same force and slope
         push, stiff = points.push[count], points.stiff[count]
-        took, spring = touch_point(
+        took, stored = touch_point(
             law.friction, slope, kt, gap, n, pull, step, early, before, now, pair, k, push, stiff
         )
-        holds += spring - 0.5 * slope * gap * gap
+        holds += stored - 0.5 * slope * gap * gap
         lost += took
         held += holds
         for c in range(4):
@@ -504,7 +478,13 @@ def shortfall(
 
 @njit
 def approach(
-    law: Between, pairs: Integers, stack: Motion, reach: Array, gaps: Array, closing: Array
+    law: Between,
+    pairs: Integers,
+    stack: Motion,
+    reach: Array,
+    room: Meeting,
+    gaps: Array,
+    closing: Array,
 ) -> None:
     """Write the least gap in m of every pair (p, 4), and the least and the greatest speed (p, 2) in
     m/s at which two of its nodes close it.
@@ -513,7 +493,8 @@ def approach(
     infinite gap.
     """
     pairs, stack, reach, gaps, closing = unowned((pairs, stack, reach, gaps, closing))
-    room, wider = new_meeting(), law.half.copy()
+    room = unowned(room)
+    wider = law.half.copy()
     for p in range(len(pairs)):
         a, e, b, f = pairs[p, 0], pairs[p, 1], pairs[p, 2], pairs[p, 3]
         more = max(reach[a, e], reach[a, e + 1], reach[b, f], reach[b, f + 1])

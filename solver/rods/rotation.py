@@ -14,6 +14,20 @@ from ..arrays import Array
 from ..compiled import inlined, njit
 from ..rigid import matrix_of, turn
 
+type Vector = Array | tuple[float, float, float]
+
+
+@inlined
+def dot(a: Vector, b: Vector) -> float:
+    """Of two vectors (3,)."""
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+@inlined
+def cross(a: Vector, b: Vector) -> tuple[float, float, float]:
+    """Of two vectors (3,)."""
+    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
+
 
 @inlined
 def multiply(p: Array, q: Array, out: Array) -> None:
@@ -91,16 +105,10 @@ def spin_of(vector: Array, rate: Array) -> Array:
     else:
         first = (1.0 - math.cos(angle)) / angle**2
         second = (angle - math.sin(angle)) / angle**3
-    v0, v1, v2 = vector[0], vector[1], vector[2]
-    a0, a1, a2 = (
-        v1 * rate[2] - v2 * rate[1],
-        v2 * rate[0] - v0 * rate[2],
-        v0 * rate[1] - v1 * rate[0],
-    )
-    out = np.empty(3)
-    out[0] = rate[0] + first * a0 + second * (v1 * a2 - v2 * a1)
-    out[1] = rate[1] + first * a1 + second * (v2 * a0 - v0 * a2)
-    out[2] = rate[2] + first * a2 + second * (v0 * a1 - v1 * a0)
+    once = cross(vector, rate)
+    twice, out = cross(vector, once), np.empty(3)
+    for c in range(3):
+        out[c] = rate[c] + first * once[c] + second * twice[c]
     return out
 
 

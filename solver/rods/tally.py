@@ -18,6 +18,7 @@ from ..compiled import njit
 from .hub import hub_coordinates
 from .motion import TIME, Hub, Motion
 from .observe import meet
+from .rotation import cross
 
 # Columns of a tally: force, torque, then one each for rods that touch, stick, slip.
 COLUMNS, STATE = 9, 6
@@ -58,12 +59,12 @@ def _write_row(hub: Hub, now: Motion, row: Array) -> None:
     """Write what a rod gives to the columns of a tally at one instant."""
     pose, met = np.empty((2, 6)), np.zeros(3)
     hub_coordinates(hub.breaks, hub.coefficients, now.totals[TIME], pose)
-    a0, a1, a2 = now.x[0, 0] - pose[0, 0], now.x[0, 1] - pose[0, 1], now.x[0, 2] - pose[0, 2]
     for c in range(6):
         row[c] = -now.reaction[c]
-    row[3] += a1 * row[2] - a2 * row[1]
-    row[4] += a2 * row[0] - a0 * row[2]
-    row[5] += a0 * row[1] - a1 * row[0]
+    arm = now.x[0, 0] - pose[0, 0], now.x[0, 1] - pose[0, 1], now.x[0, 2] - pose[0, 2]
+    turn = cross(arm, row)
+    for c in range(3):
+        row[3 + c] += turn[c]
     meet(now, met)
     row[STATE] = 1.0 if met[2] > 0.0 else 0.0
     row[STATE + 1] = 1.0 if met[2] == 1.0 else 0.0
