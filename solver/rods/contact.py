@@ -91,9 +91,8 @@ class Touch(NamedTuple):
     friction: Array
 
 
-def no_touch(nodes: int, points: int) -> Touch:
-    """Points that are free."""
-    shape = nodes, points
+def no_touch(*shape: int) -> Touch:
+    """Points (…, nodes, k) that are free."""
     return Touch(
         np.zeros((*shape, 3)),
         np.zeros(shape, dtype=np.int8),

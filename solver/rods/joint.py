@@ -335,6 +335,13 @@ def _in_clusters(room: Room, count: int) -> tuple[Integers, Integers]:
     return order[: begins[rods]], begins[: rods + 1]
 
 
+@njit
+def _of_rod(columns: Array, nodes: int, begins: Integers, k: int) -> Array:
+    """A rod's part (nodes, 6, m) of all columns: one, and three for each of its points' sides."""
+    first, last = k + 3 * begins[k], k + 1 + 3 * begins[k + 1]
+    return columns[6 * nodes * first : 6 * nodes * last].reshape(nodes, 6, -1)
+
+
 @within
 def _newton_steps(
     law: Law, rods: ClampedRod, members: Integers, h: float, room: Room, count: int
@@ -365,14 +372,13 @@ def _newton_steps(
     apart, right, out = np.zeros((count, 3)), np.zeros(3 * count), np.empty(3)
     # each rod's residual and unit forces at its points, then what it moves by them
     columns = np.zeros(6 * nodes * (len(members) + 6 * count))
-    ends = 6 * nodes * (np.arange(len(members) + 1) + 3 * begins)
     for k in range(len(members)):
         if room.doing[k] != GOES:
             continue
         own, scratch = sides[begins[k] : begins[k + 1]], nth(room.scratches, k)
         chain = nth(rods.chain, members[k])
         assemble_tangent(chain, damping_rate(law, chain, h), scratch.system, scratch.elements)
-        moved = columns[ends[k] : ends[k + 1]].reshape(nodes, 6, -1)
+        moved = _of_rod(columns, nodes, begins, k)
         for i in range(nodes):
             for r in range(6):
                 moved[i, r, 0] = -scratch.system.residual[i, r]
@@ -402,7 +408,7 @@ def _newton_steps(
     for k in range(len(members)):
         if room.doing[k] != GOES:
             continue
-        moved = columns[ends[k] : ends[k + 1]].reshape(nodes, 6, -1)
+        moved = _of_rod(columns, nodes, begins, k)
         solution = room.scratches.system.solution[k]
         for i in range(nodes):
             for r in range(6):

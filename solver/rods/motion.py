@@ -81,7 +81,6 @@ class Motion(NamedTuple):
 def motion_of(rods: int, nodes: int, points: int) -> Motion:
     """Room for so many rods, stacked along a first axis."""
     rows = nodes, 6
-    touch = no_touch(rods * nodes, points)
     return Motion(
         np.zeros((rods, nodes, 3)),
         np.zeros((rods, nodes, 4)),
@@ -92,7 +91,7 @@ def motion_of(rods: int, nodes: int, points: int) -> Motion:
         np.zeros((rods, 6)),
         np.zeros((rods, 6)),
         np.zeros((rods, TOTALS)),
-        Touch(*(each.reshape(rods, nodes, *each.shape[1:]) for each in touch)),
+        no_touch(rods, nodes, points),
     )
 
 

@@ -12,11 +12,12 @@ second order an error of first order in β times the step, βhω²/2 of the elas
 from __future__ import annotations
 
 import math
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
 
-from ..arrays import Array
+from ..arrays import Array, zeros
 from ..compiled import inlined, njit, within
 from .chain import Chain, System, new_system, total_length
 from .contact import FREE, Obstacle, height, lowest, release, touch_section
@@ -164,16 +165,8 @@ class Scratch(NamedTuple):
 
 def new_scratch(n: int) -> Scratch:
     """Room for a rod of ``n`` nodes."""
-    return Scratch(
-        new_system(n),
-        new_elements(n - 1),
-        np.zeros((n - 1, 3)),
-        np.zeros((n, 3)),
-        np.zeros((n, 4)),
-        np.zeros((3, 3)),
-        np.zeros((3, 3)),
-        np.zeros(n),
-    )
+    record = partial(Scratch, new_system(n), new_elements(n - 1))
+    return zeros(record, (n - 1, 3), (n, 3), (n, 4), (3, 3), (3, 3), n)
 
 
 @inlined
