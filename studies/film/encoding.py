@@ -26,7 +26,8 @@ def film_writer(
     """
     try:
         with av.open(str(path), "w") as container:
-            options = {"crf": str(quality), "preset": "medium"}
+            # without the tree of macroblocks, which differs from run to run, a film is the same again
+            options = {"crf": str(quality), "preset": "medium", "x264-params": "no-mbtree=1"}
             stream = cast(VideoStream, container.add_stream("libx264", rate, options))
             stream.width, stream.height, stream.pix_fmt = columns, rows, "yuv420p"
 
