@@ -26,7 +26,7 @@ def film_writer(
     """
     try:
         with av.open(str(path), "w") as container:
-            # without the tree of macroblocks, which differs from run to run, a film is the same again
+            # the tree of macroblocks differs from run to run: without it a film is the same again
             options = {"crf": str(quality), "preset": "medium", "x264-params": "no-mbtree=1"}
             stream = cast(VideoStream, container.add_stream("libx264", rate, options))
             stream.width, stream.height, stream.pix_fmt = columns, rows, "yuv420p"
