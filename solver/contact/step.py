@@ -163,31 +163,29 @@ def settle(points: Points, trial: Trial) -> float:
 def _share_in_contact(points: Points, trial: Trial) -> float:
     """The share of a step after which its forces have ended: one, or less where contact ends in it.
 
-    A dashpot that pulls as hard as the spring pushes ends them before the gap opens. To be asked
-    before `settle`.
+    A point's force ends where it is clear, or before that, where a dashpot pulls as hard as the
+    spring pushes. To be asked before `settle`.
     """
-    first = last = -math.inf
-    remembers = points.kind.remembers
+    share, remembers = 0.0, points.kind.remembers
+    pulls = points.dashpot != 0.0 and not points.kind.damps_spring
     for i in range(len(points.weights)):
+        start, end, scale = trial.start[i, 0], trial.end[i, 0], points.scale[i]
         clear = 0.0
         if remembers:
             if trial.force[i, 0] == 0.0:
                 continue
-            clear = points.kind.clear_at(points.law, points.scale[i], trial.memory[i, 2])
-        first, last = max(first, trial.start[i, 0] - clear), max(last, trial.end[i, 0] - clear)
-    if last >= 0.0 or first <= last:
-        return 1.0
-    share = max(first, 0.0) / (first - last)
-    if points.dashpot == 0.0 or points.kind.damps_spring:
-        return share
-    pushed = pulled = 0.0
-    for i in range(len(points.weights)):
-        start, scale, weight = trial.start[i, 0], points.scale[i], points.weights[i]
-        if start > 0.0:
+            clear = points.kind.clear_at(points.law, scale, trial.memory[i, 2])
+        if end >= clear:
+            return 1.0
+        if start <= clear:
+            continue
+        mine = (start - clear) / (start - end)
+        if pulls:
             memory, compliance = trial.memory[i, 2], points.compliance
-            pushed += weight * points.kind.elastic(points.law, scale, start, compliance, memory)[0]
-            pulled += weight * points.dashpot * scale * (start - trial.end[i, 0])
-    return share * max(1.0 - pulled / pushed, 0.0) if pushed > 0.0 else share
+            pushed = points.kind.elastic(points.law, scale, start, compliance, memory)[0]
+            mine *= max(1.0 - points.dashpot * scale * (start - end) / pushed, 0.0)
+        share = max(share, mine)
+    return share
 
 
 @njit

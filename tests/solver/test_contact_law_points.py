@@ -32,6 +32,7 @@ from bristle.solver.contact.enforcement import ContactMethod, Enforcement, StepC
 from bristle.solver.contact.laws import (
     Adhesive,
     Coulomb,
+    Damped,
     HuntCrossley,
     Linear,
     Plastic,
@@ -41,7 +42,7 @@ from bristle.solver.contact.laws import (
 )
 from bristle.solver.contact.points import CONSERVING, Points, Trial
 from bristle.solver.contact.section import new_section
-from bristle.solver.contact.step import commit, settle, spring_energy
+from bristle.solver.contact.step import commit, settle, spring_energy, take
 from bristle.solver.contact_phase import History
 from bristle.solver.drop import DropPlan, ModalFrame, simulate
 from bristle.solver.impact import march_contact
@@ -103,6 +104,20 @@ def points_of(law, mu=0.5, soft=0.0, n=1, its=ITS):
 
 def step_of(start, end, force, memory):
     return Trial(start[None], end[None], end[None], force[None], memory, np.zeros((1, 3)))
+
+
+def test_contact_ends_where_its_last_point_lets_go():
+    """Both points rise by 1.2 um, from 1 and 0.1 um deep, beside dashpots of c/Kn = 0.1 steps: the
+    spring of the deep one pushes as hard as its dashpot pulls at a depth of 0.12 um."""
+    points = points_of(Damped(KN, 0.1 * ITS * KN), its=ITS)
+    points = points._replace(scale=np.ones(2), weights=np.array([0.1, 0.9]))
+    start, none = np.zeros((2, 3)), np.zeros((2, 3))
+    start[:, 0] = [1e-6, 1e-7]
+    end = start - [1.2e-6, 0.0, 0.0]
+    force = none.copy()
+    force[0, 0] = 1.0
+    trial = Trial(start, end, end, force, none.copy(), none)
+    assert take(points, trial, 1.0).share == pytest.approx((1.0 - 0.12) / 1.2, rel=1e-12)
 
 
 @pytest.mark.parametrize(
