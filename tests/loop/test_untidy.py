@@ -122,11 +122,15 @@ def test_noise_is_seldom_taken_for_a_slip(noise):
 
 
 def test_many_rows_that_are_off_are_no_slips():
-    """They are a shape: a band of heights, or drops side by side."""
+    """They are a shape: a band of heights, every ninth drop, or drops side by side."""
     made = toy(np.random.default_rng(8))
-    values = made.values.copy()
-    values[made.y0_m > 0.045] *= 1.6
-    assert not misread(replace(made, values=values))
+    for off in (made.y0_m > 0.045, np.isin(made.number, (9, 18, 27, 36))):
+        values = made.values.copy()
+        values[off] *= 3.0
+        assert not misread(replace(made, values=values))
+    values[made.number == 27] /= 3.0
+    found = misread(replace(made, values=values))
+    assert [each.drops for each in found] == [(9,), (18,), (36,)]
     rng = np.random.default_rng(9)
     heights = 0.05 + 2.5e-4 * rng.normal(size=48)
     level = table(heights, 0.03 + 2.5e-4 * rng.normal(size=(48, 1)))

@@ -23,8 +23,8 @@ from ...noise import DECLARED, SHAPES, log_density_at
 from ...problem import Entry
 from ...slips import ANYTHING, FEWEST, REACH, SLIP, SURE, are_too_many
 
-# Slips side by side of a smaller chance are a shape.
-SIDE_BY_SIDE = 0.01
+# Slips in a pattern of a smaller chance are a shape.
+PATTERN = 0.01
 # Coincidences that are expected: below it a row that comes twice was written twice.
 COINCIDENT = 0.01
 DEGREE, DECIMALS = 3, 6
@@ -78,7 +78,7 @@ def misread(table: Table) -> list[Entry]:
     slips = {row: why for row in alone if (why := _slip(smooth, z, noise, row))}
     rows = [*itertools.chain(*pairs), *slips]
     read = int(np.isfinite(table.values).sum())
-    if are_too_many(len(rows), read) or _side_by_side(table, rows):
+    if are_too_many(len(rows), read) or _in_a_pattern(table, rows):
         return found
     number = [int(each) for each in table.number]
     found += [
@@ -88,13 +88,20 @@ def misread(table: Table) -> list[Entry]:
     return found + [Entry("slip", (number[row],), why) for row, why in slips.items()]
 
 
-def _side_by_side(table: Table, rows: list[int]) -> bool:
-    """Whether rows follow each other in the order or in the heights, as few would by chance."""
+def _in_a_pattern(table: Table, rows: list[int]) -> bool:
+    """Whether rows follow each other in the order or in the heights, or come at even distances in
+    the order, as few would by chance."""
     n, count = len(table.y0_m), len(rows)
-    if count < 2 or n / math.comb(n, count) > SIDE_BY_SIDE:
+    if count < 2:
         return False
     ranks = (np.arange(n), np.argsort(np.argsort(table.y0_m, kind="stable")))
-    return any(np.ptp(rank[rows]) == count - 1 for rank in ranks)
+    if any(np.ptp(rank[rows]) == count - 1 for rank in ranks):
+        ways = n
+    elif np.ptp(np.diff(np.sort(rows))) == 0:
+        ways = n * n // (2 * (count - 1))  # a first row, and a distance that the last one allows
+    else:
+        return False
+    return ways / math.comb(n, count) < PATTERN
 
 
 def _repeated(table: Table) -> list[Entry]:
