@@ -33,7 +33,8 @@ REFINED = 0.2
 # to be as likely, since wider noise is always near.
 UNLISTED_MARGIN = 3.0
 # By which share a right effect may still be off: by its law, by tables, by a beam for a solid. What
-# is off by a share of d takes the square of that share from the d²/2 nats that it gains.
+# is off by a share of d takes the square of that share from the d²/2 nats that it gains. Of a pair
+# the second effect would live on what the first is off by, so a pair is given none of that.
 LAW_OFF = 0.1
 # Residuals of so many rows that are beyond this over the declared noise are none.
 MOST_RATIO, LEAST_ROWS = 1.5, 8
@@ -84,6 +85,14 @@ class State:
         """What every effect costs in nats. Beforehand, one of those that such data can carry is
         expected to be there; all are equally likely, and independent of each other."""
         return math.log(max(len(self.profiles) - 1, 1))
+
+    def margin(self, found: Posterior) -> float:
+        """Nats by which something unlisted must be likelier than a model to refuse it."""
+        if _scatters(found):
+            return 0.0
+        gained = found.log_evidence - self.baseline.log_evidence
+        alone = len(found.effects) == 1
+        return max(UNLISTED_MARGIN, LAW_OFF**2 * gained) if alone else UNLISTED_MARGIN
 
     def credence(self, found: Posterior) -> float:
         """Log evidence with the prior on the number of effects, over no effect's."""
@@ -178,10 +187,8 @@ def _unfit(state: State, found: Posterior, left: Adequacy) -> str:
         return f"what it leaves is not noise ({left.statistic}, p = {left.p_value:.2g})"
     if _large(state.data, left.residual):
         return "what it leaves is larger than the declared noise"
-    gained = found.log_evidence - state.baseline.log_evidence
-    margin = 0.0 if _scatters(found) else max(UNLISTED_MARGIN, LAW_OFF**2 * gained)
     cost = state.cost * (len(found.effects) - 1)
-    if state.first.unlisted > found.log_evidence - cost + margin:
+    if state.first.unlisted > found.log_evidence - cost + state.margin(found):
         return f"a shape that no effect has explains more ({state.first.shape})"
     return ""
 
@@ -246,9 +253,10 @@ def probabilities(
     as it has to be to refuse an effect. What was refused is out. Empty where nothing is left.
     """
     plain = state.baseline.log_evidence
-    logs = {(): 0.0, ("?",): state.first.unlisted - plain - state.cost - UNLISTED_MARGIN}
+    holding = [each.posterior for each in explained if each.holds]
+    margin = max(UNLISTED_MARGIN, *map(state.margin, holding), 0.0)
+    logs = {(): 0.0, ("?",): state.first.unlisted - plain - state.cost - margin}
     if explained:
-        holding = [each.posterior for each in explained if each.holds]
         if not holding:
             return {}
         logs |= {each.effects: state.credence(each) for each in holding}
