@@ -178,7 +178,8 @@ caching.IndexDataCacheFile = _Index
 caching.Cache.load_overload = _load_overload
 
 njit = cast(Decorator, numba.njit(cache=True, nogil=True))
-# For functions that call Python, which they wait for.
+# For functions that call Python. They take its lock by themselves, so they are not declared to do
+# without it.
 with_python = cast(Decorator, numba.njit(cache=True))
 # For small functions of many arrays, which are costly to hand over.
 inlined = cast(Decorator, numba.njit(cache=True, nogil=True, forceinline=True))
@@ -235,7 +236,9 @@ def _nth(_context: Any, record: Any, i: Any) -> Any:
         if isinstance(of, types.BaseTuple):
             return types.BaseTuple.from_types([row(each) for each in of], of.instance_class)
         if isinstance(of, types.Array):
-            return of.copy(ndim=of.ndim - 1) if of.ndim > 1 else of.dtype
+            # a row of an array in Fortran's order is not contiguous
+            layout = "C" if of.layout == "C" else "A"
+            return of.copy(ndim=of.ndim - 1, layout=layout) if of.ndim > 1 else of.dtype
         return of
 
     def write(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:

@@ -1,1 +1,1 @@
-"""Geometrically exact rods clamped in a moving hub: statics, dynamics, contact with a plane."""
+"""Geometrically exact rods clamped in a moving hub, which touch a surface and each other."""

@@ -75,7 +75,8 @@ def at_rest(chain: Chain, position_m: Array, rotation: Array) -> tuple[Array, Ar
 
 
 def stacked(chains: Sequence[Chain]) -> Chain:
-    """Chains of as many elements each, stacked along a first axis; see `compiled.nth`."""
+    """Chains of as many elements each, stacked along a first axis, numbers too; see
+    `compiled.nth`."""
     return Chain._make(np.array(each) for each in zip(*chains, strict=True))
 
 

@@ -191,7 +191,8 @@ def touch_point(
     loss ``stiff`` (3, 3) by the point's displacement, and what the point remembers at the end of
     the step.
 
-    ``pull`` (3,) is the elongation of its tangential spring if it stuck. In an ``early`` iteration
+    ``pull`` (3,) is the elongation of its tangential spring if it stuck. ``kn`` and ``kt`` are in
+    N/m, lengths in m, forces in N, and ``step`` is in s, zero in statics. In an ``early`` iteration
     the loss at a point that stuck before is that of one that sticks on, even if it slides. Returns
     how much friction dissipated over the step and what contact holds at its end, in J.
     """

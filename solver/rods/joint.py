@@ -113,8 +113,9 @@ def _stacked(one: Any, count: int) -> Any:
     return np.zeros((count, *one.shape), dtype=one.dtype)
 
 
-def room_for(rods: int, nodes: int, rim: int, pairs: int) -> Room:
-    """Room for so many rods of so many nodes, with so many pairs of elements at most."""
+def room_for(nodes: int, rim: int, rods: int, pairs: int) -> Room:
+    """Room for so many rods of so many ``nodes`` with ``rim`` points to a section, and for so many
+    pairs of elements at most."""
     return Room(
         motion_of(rods, nodes, rim),
         cast(Scratch, _stacked(new_scratch(nodes), rods)),
@@ -329,6 +330,7 @@ def _in_clusters(room: Room, count: int) -> tuple[Integers, Integers]:
     cluster's begin (rods + 1,)."""
     first, rods = room.points.whole[:count, ROD_A], len(room.cluster)
     owner = np.empty(count, np.int64)
+    # points of rods that take none have an owner of their own, which comes last
     for p in range(count):
         owner[p] = room.cluster[first[p]] if room.doing[first[p]] == GOES else rods
     order, begins = _grouped(owner, rods + 1)
@@ -354,13 +356,11 @@ def _newton_steps(
     points, nodes = room.points, room.new.x.shape[1]
     chosen, clusters = _in_clusters(room, count)
     count = len(chosen)
-    # sides of points, of which each is 2 k or 2 k + 1 for the k-th point, rod by rod
+    # side 2 k is the first of the k-th chosen point, 2 k + 1 its second; those of a rod in a row
     owner = np.empty(2 * count, np.int64)
     for k in range(count):
-        owner[2 * k], owner[2 * k + 1] = (
-            points.whole[chosen[k], ROD_A],
-            points.whole[chosen[k], ROD_B],
-        )
+        first, second = points.whole[chosen[k], ROD_A], points.whole[chosen[k], ROD_B]
+        owner[2 * k], owner[2 * k + 1] = first, second
     sides, begins = _grouped(owner, len(members))
     entries = 3 * count
     for k in range(len(members)):

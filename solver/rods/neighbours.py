@@ -215,8 +215,10 @@ def _places(pairs: Integers, wanted: Integers) -> Integers:
 
 def alone(groups: list[Group], rods: int) -> Flags:
     """Which rods (rods,) are in no group."""
-    grouped = [group.members for group in groups]
-    return ~np.isin(np.arange(rods), np.concatenate([np.zeros(0, dtype=np.int64), *grouped]))
+    lone = np.ones(rods, dtype=np.bool_)
+    for group in groups:
+        lone[group.members] = False
+    return lone
 
 
 def shared_out(groups: list[Group], holder: Integers, cost: Array, ranks: int) -> Integers:

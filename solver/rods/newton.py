@@ -1,4 +1,7 @@
-"""Newton's method on one rod: what counts as no residual, and how nodes move by a step."""
+"""A rod in Newton's method: what counts as no residual, and how nodes move by a step.
+
+The iteration is `joint.joint_step`.
+"""
 
 from __future__ import annotations
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import Any
 
 import numpy as np
@@ -24,7 +24,7 @@ from .element import strains
 from .frame import Frame, RodEnergy
 from .ground import Contact, Ground
 from .hub import Clamps, HubPath
-from .joint import Room, room_for
+from .joint import room_for
 from .march import march
 from .motion import ClampedRod, Hub, Motion, motion_of, scheme_of
 from .neighbours import Group, Neighbours, alone, shared_out
@@ -119,7 +119,7 @@ class Rods:
         )
         self._neighbours = Neighbours(self._law.between) if between is not None else None
         # groups of as many rods come back every few spans
-        self._room_for = lru_cache(maxsize=16)(self._make_room)
+        self._room_for = lru_cache(maxsize=16)(partial(room_for, elements + 1, len(section.rim_m)))
         self._now = motion_of(len(clamps), elements + 1, len(section.rim_m))
         self._t_s = 0.0
         self._refuse_below(np.zeros(1))
@@ -259,9 +259,6 @@ class Rods:
             whole[group.rows] = part
         return failed
 
-    def _make_room(self, rods: int, pairs: int) -> Room:
-        return room_for(rods, self.elements + 1, len(self.section.rim_m), pairs)
-
     def _refuse_failure(self, failed: int) -> None:
         """ComputationError, on every rank, where a bristle of one failed."""
         message = ""
@@ -315,8 +312,8 @@ class Rods:
         force = -seen.reaction[:, :3]
         arms = seen.x[:, 0] - pose.position_m
         torque = -seen.reaction[:, 3:] + np.cross(arms, force)
-        work, kinetic, strain, potential, *others, steps = seen.energy.sum(axis=0).tolist()
-        potential -= self._datum_J
+        total = seen.energy.sum(axis=0).tolist()
+        work, kinetic, strain, potential, contact, material, friction, steps = total
         return Frame(
             t_s=self.t_s,
             force_N=force.sum(axis=0),
@@ -329,7 +326,16 @@ class Rods:
             centre_m=seen.x,
             rotation=seen.q,
             bending_stress_Pa=self.section.bending_stress_Pa(seen.moment),
-            energy=RodEnergy(self._initial_J, work, kinetic, strain, potential, *others),
+            energy=RodEnergy(
+                initial_J=self._initial_J,
+                hub_work_J=work,
+                kinetic_J=kinetic,
+                strain_J=strain,
+                potential_J=potential - self._datum_J,
+                contact_J=contact,
+                material_loss_J=material,
+                friction_loss_J=friction,
+            ),
             steps=int(steps),
             means=self._means,
         )

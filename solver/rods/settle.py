@@ -50,6 +50,7 @@ def settle(law: Law, rods: ClampedRod, i: int, stack: Motion, room: Room) -> boo
             now.touch.speed[:] = 0.0
             return True
         now.x[:], now.q[:] = start
+        rods.loads[i] = loads
         for node in range(len(now.x)):
             release(now.touch, node)
         strains(chain, now.x, now.q, now.strain)

@@ -148,7 +148,11 @@ def _fitted(
     reach_x = int(ball.radius + 6.0)
     reach_y = int(ball.radius + 0.7 * start[2] + 6.0)
     left, top = round(start[0]) - reach_x, round(start[1]) - reach_y
-    part = np.s_[max(top, 0) : top + 2 * reach_y + 1, max(left, 0) : left + 2 * reach_x + 1]
+    rows, columns = frame.grey.shape
+    part = np.s_[
+        max(top, 0) : min(top + 2 * reach_y + 1, rows),
+        max(left, 0) : min(left + 2 * reach_x + 1, columns),
+    ]
     level = frame.grey[part].astype(float)
     if level.size < 9:
         return None

@@ -44,7 +44,7 @@ MOST_FRAMES = 24
 @dataclass(frozen=True)
 class Camera:
     """How a film's camera sees: the lens' blur (a standard deviation in px), its exposure in s, the
-    exponent ``gamma`` with which light grows with levels, and by how much a row of the picture is
+    exponent ``gamma`` with which light grows with levels, and by how many s a row of the picture is
     later than the one above."""
 
     psf_px: float = PSF_PX

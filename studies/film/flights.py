@@ -7,6 +7,7 @@ that carries a body may do so for a moment; it does not for long.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -98,8 +99,8 @@ class Drop:
     ``first`` and ``last`` are the frames that belong to it, those before the release in which the
     body is held still included. The first flight is the fall; where it is ``let_go`` in view, it
     begins with the release. ``impact_s`` (impacts,) are instants, ``floor`` is the surface's height
-    in px. ``restitution_error`` (impacts,), ``gravity_error`` in px/s² and ``floor_error`` in px
-    are standard errors, once `settled` knows them.
+    in px, zero where nothing bounces. ``restitution_error`` (impacts,), ``gravity_error`` in px/s²
+    and ``floor_error`` in px are standard errors, once `settled` knows them.
     """
 
     first: int
@@ -492,11 +493,13 @@ def _impact(before: Stretch, after: Stretch, track: Track) -> float | None:
         return None
     apart = before.height - float(after.at(before.t_s))
     faster = before.speed - float(after.speed_at(before.t_s))
-    roots = np.roots([0.5 * (after.gravity - before.gravity), faster, apart])
-    for t in before.t_s + roots[np.isreal(roots)].real:
-        if low <= t <= high and before.speed_at(t) < 0.0 < after.speed_at(t):
-            return float(t)
-    return None
+    root = faster**2 - 2.0 * (after.gravity - before.gravity) * apart
+    closing = math.sqrt(max(root, 0.0)) - faster
+    if root < 0.0 or closing == 0.0:
+        return None
+    # the gap closes at this one of both roots, where `before` comes down and `after` goes up
+    t = before.t_s + 2.0 * apart / closing
+    return t if low <= t <= high and before.speed_at(t) < 0.0 < after.speed_at(t) else None
 
 
 def _drop(chain: list[Stretch], track: Track) -> Drop | None:

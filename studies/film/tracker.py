@@ -227,8 +227,10 @@ def _settle(
     """Drops, camera and ends in turn: each makes the others surer."""
     frame_s = float(np.median(np.diff(seen.t_s)))
     gravity = expected.gravity_px(raw.length)
-    camera, length = given, raw.length
-    track = Track(raw.t_s, -raw.row, raw.sigma)
+    camera = given
+    # of a bristle `_lengths` alone leaves out frames in which a hand hides an end
+    length = np.full(len(raw.t_s), np.nan) if raw.sights else raw.length
+    track = Track(raw.t_s, -raw.row, raw.sigma, given.exposure_s)
     drops = drops_of(track, gravity)
     if raw.sights:
         ends = Ends.of([each.tip for each in raw.sights], 1)

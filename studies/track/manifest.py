@@ -9,6 +9,7 @@ import numpy as np
 
 from ...solver import paper
 from ..film.scale import touching_px
+from ..inputs.choices import Body
 from ..report.page import environment
 from .films import TABLE, TrackedFilms
 
@@ -20,7 +21,7 @@ def manifest(found: TrackedFilms) -> str:
     """``dataset.toml`` of the tracks."""
     inputs, films = found.inputs, found.films
     names = ", ".join(each.track.film.path.name for each in films)
-    ball_mm = _ball_mm(found)
+    ball_mm = _ball_mm(found) if inputs.body is Body.BALL else 0.0
     steel_kg = STEEL_KG_M3 * math.pi / 6.0 * (1e-3 * ball_mm) ** 3
     surfaces = [each.by * np.hypot(each.floor[1], touching_px(each.track.drops)) for each in films]
     templates = environment(Path(__file__).parent, {})

@@ -98,7 +98,7 @@ class OneRod:
         self.rods = ClampedRod(stacked([chain]), loads, place[None], turned[None])
         self.hub, self.between = Hub(path.breaks, path.coefficients), between_of(Contact(), section)
         points = len(self.surface.rim)
-        self.stack, self.room = motion_of(1, nodes, points), room_for(1, nodes, points, 0)
+        self.stack, self.room = motion_of(1, nodes, points), room_for(nodes, points, 1, 0)
         self.loads = loads[0]
         self.now, self.next = nth(self.stack, 0), nth(self.room.new, 0)
         self.now.x[:], self.now.q[:] = at_rest(chain, place, rotation)

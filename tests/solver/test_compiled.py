@@ -297,7 +297,7 @@ def test_the_nth_of_a_stack_is_a_record_of_views():
     """The records are the solver's: what is compiled for other classes stays in the cache."""
     lengths, nodes = np.ones((3, 2)), np.ones((3, 3))
     chain = Chain(lengths, lengths, lengths, nodes, nodes, np.arange(3.0), 0.5)
-    stack = ClampedRod(chain, np.zeros((3, 3, 6)), np.zeros((3, 3)), np.zeros((3, 4)))
+    stack = ClampedRod(chain, np.zeros((3, 3, 6)), np.zeros((3, 3), order="F"), np.zeros((3, 4)))
     one = nth(stack, 1)
     assert isinstance(one, ClampedRod)
     assert isinstance(one.chain, Chain)

@@ -8,6 +8,7 @@ import pytest
 from elastica import cantilever
 from mpi4py import MPI
 from rod_helpers import along, leaning, slide
+from scipy.linalg import block_diag
 from scipy.optimize import brentq, lsq_linear
 from scipy.spatial.transform import Rotation
 
@@ -20,7 +21,7 @@ from bristle.solver.rods.contact import no_touch, obstacle_of
 from bristle.solver.rods.element import strains
 from bristle.solver.rods.ground import Contact, Ground
 from bristle.solver.rods.hub import Clamps, HubPath
-from bristle.solver.rods.joint import joint_step, room_for
+from bristle.solver.rods.joint import _by_scipy, _point_forces, joint_step, room_for
 from bristle.solver.rods.motion import (
     ClampedRod,
     Hub,
@@ -252,7 +253,7 @@ def cross_bent(elements, overlap, angle_deg=90.0, steps=80):
         strains(nth(chains, i), now.x, now.q, now.strain)
     near = np.arange(elements)
     pairs = np.array([(0, e, 1, f) for e in near for f in near])
-    room = room_for(2, elements + 1, len(surface.rim), len(pairs))
+    room = room_for(elements + 1, len(surface.rim), 2, len(pairs))
     touch = no_touch(len(pairs), 2)
     done, part = 0.0, 1.0 / steps
     while done < 1.0:
@@ -284,6 +285,23 @@ def test_two_bristles_that_cross_bear_the_force_of_two_elasticas(elements):
     linear = 3.0 * SECTION.EI2_Nm2 * overlap / (at_a**3 + at_b**3)
     expected = brentq(deflections, 0.8 * linear, 1.3 * linear, rtol=1e-6)
     assert force == pytest.approx(expected, rel=1e-2)
+
+
+def test_forces_at_points_are_those_of_each_cluster_and_of_all_as_a_sparse_matrix():
+    """Three clusters, of two unknowns, of none, and of three; entries of a place are added up."""
+    rng = np.random.default_rng(1)
+    blocks = [np.eye(n) + 0.3 * rng.random((n, n)) for n in (2, 3)]
+    whole, begins, right = block_diag(*blocks), np.array([0, 2, 2, 5]), rng.random(5)
+    places = np.array(np.nonzero(whole), dtype=np.int32)
+    values = whole[tuple(places)]
+    twice = np.concatenate([0.4 * values, 0.6 * values]), np.tile(places, 2)
+    exact = np.linalg.solve(whole, right)
+    for solved in (_point_forces(*twice, right, begins), _by_scipy(*twice, right)):
+        assert solved == pytest.approx(exact, rel=1e-12)
+    singular = np.where((places >= 2).all(axis=0), 0.0, values)
+    assert np.isnan(_by_scipy(singular, places, right)).all()
+    alone = _point_forces(singular, places, right, begins)
+    assert np.isfinite(alone).tolist() == [True, True, False, False, False]
 
 
 def test_candidates_are_all_pairs_whose_boxes_meet():
