@@ -138,9 +138,12 @@ def last_digit(shown: str) -> float:
 
 def compare(session: Session, output: str) -> list[str]:
     """How the output of a session's command differs from what is shown of it."""
-    printed = {line[:24].strip(): line for line in output.splitlines()}
+    printed: dict[str, list[str]] = {}
+    for line in output.splitlines():
+        printed.setdefault(line[:24].strip(), []).append(line)
     found = []
     for line in session.lines:
         name = line[:24].strip()
-        found += differences(line, printed[name]) if name in printed else [f"{name}: not printed"]
+        lines = printed.get(name)  # of one name there may be several, such as doubts
+        found += differences(line, lines.pop(0)) if lines else [f"{name}: not printed"]
     return found
