@@ -183,7 +183,8 @@ def _share_in_contact(points: Points, trial: Trial) -> float:
         if pulls:
             memory, compliance = trial.memory[i, 2], points.compliance
             pushed = points.kind.elastic(points.law, scale, start, compliance, memory)[0]
-            mine *= max(1.0 - points.dashpot * scale * (start - end) / pushed, 0.0)
+            pulled = points.dashpot * scale * (start - end)
+            mine = mine * (1.0 - pulled / pushed) if pushed > pulled else 0.0
         share = max(share, mine)
     return share
 

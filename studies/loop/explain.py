@@ -254,7 +254,7 @@ def probabilities(
     """
     plain = state.baseline.log_evidence
     holding = [each.posterior for each in explained if each.holds]
-    margin = max(UNLISTED_MARGIN, *map(state.margin, holding), 0.0)
+    margin = max([UNLISTED_MARGIN, *map(state.margin, holding)])
     logs = {(): 0.0, ("?",): state.first.unlisted - plain - state.cost - margin}
     if explained:
         if not holding:

@@ -118,6 +118,9 @@ def test_contact_ends_where_its_last_point_lets_go():
     force[0, 0] = 1.0
     trial = Trial(start, end, end, force, none.copy(), none)
     assert take(points, trial, 1.0).share == pytest.approx((1.0 - 0.12) / 1.2, rel=1e-12)
+    loose = points_of(Tabulated(KN, (0.0, 1e-5, 2e-5), (0.0, 1e-9, 1e-5)), n=2)
+    # a spring that hardly pushes yet is no match for its dashpot
+    assert take(loose._replace(dashpot=0.1 * KN), trial, 1.0).share == 0.0
 
 
 @pytest.mark.parametrize(
