@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from mpi4py import MPI
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
@@ -48,10 +49,11 @@ class Neighbours:
     Parameters
     ----------
     law : between two bristles
+    comm : ranks that share out the search; each of them knows where all bristles are
     """
 
-    def __init__(self, law: Between) -> None:
-        self.law = law
+    def __init__(self, law: Between, comm: MPI.Intracomm = MPI.COMM_SELF) -> None:
+        self.law, self._comm = law, comm
         self.pairs: Integers = np.zeros((0, 4), dtype=np.int64)
         self.touch = no_touch(0, 2)
         self.span_s = 0.0
@@ -66,7 +68,7 @@ class Neighbours:
 
     def search(self, stack: Motion, pose: HubPose, longest_s: float) -> None:
         """Make the list of pairs that count over the next span of time, and say how long that is,
-        up to ``longest_s``."""
+        up to ``longest_s``; collective."""
         self._placed, speeds = self._in_hub(stack, pose)
         most = MOVED * 2.0 * float(self.law.half[1])
         self.span_s = min(most / max(float(speeds.max()), 1e-12), longest_s)
@@ -128,12 +130,13 @@ class Neighbours:
         the elements' directions."""
         sides = (stack.x[:, 1:] - stack.x[:, :-1]).reshape(-1, 3)
         axes = np.linalg.eigh(sides.T @ sides)[1]
-        room = np.zeros((len(self._possible) + 1000, 4), dtype=np.int64)
-        count = candidates(self.law, stack.x, stack.q, axes, reach, room)
+        rank, ranks = self._comm.rank, self._comm.size
+        room = np.zeros((len(self._possible) // ranks + 1000, 4), dtype=np.int64)
+        count = candidates(self.law, stack.x, stack.q, axes, reach, rank, ranks, room)
         if count > len(room):
             room = np.zeros((count, 4), dtype=np.int64)
-            candidates(self.law, stack.x, stack.q, axes, reach, room)
-        return _sorted(room[:count])
+            candidates(self.law, stack.x, stack.q, axes, reach, rank, ranks, room)
+        return _sorted(np.concatenate(self._comm.allgather(room[:count])))
 
     def _approach(self, stack: Motion) -> tuple[Array, Array]:
         """Gaps (p,) of all pairs that may meet, and their least and greatest closing speeds

@@ -552,10 +552,19 @@ def _boxes_apart(axes_a: Array, box_a: Array, axes_b: Array, box_b: Array) -> bo
 
 
 @njit
-def candidates(law: Between, x: Array, q: Array, turned: Array, reach: Array, out: Integers) -> int:
+def candidates(
+    law: Between,
+    x: Array,
+    q: Array,
+    turned: Array,
+    reach: Array,
+    rank: int,
+    ranks: int,
+    out: Integers,
+) -> int:
     """Write the pairs of elements (p, 4) of rods with nodes ``x`` (rods, n, 3) and ``q`` that come
     so near that boxes around them meet: around the prisms, and ``reach`` (rods, n) beyond; how many
-    there are, written or not.
+    there are, written or not. Each of so many ``ranks`` finds a part of them.
 
     Boxes along the axes ``turned`` (3, 3) are sorted into cells as large as the largest of them.
     Where two meet, those along the elements' own axes are compared (Gottschalk et al.).
@@ -593,7 +602,7 @@ def candidates(law: Between, x: Array, q: Array, turned: Array, reach: Array, ou
     # columns of cells that come after a cell's own, and which boxes are in three cells of each
     columns = np.array([0, 1, cells[1] - 1, cells[1], cells[1] + 1]) * cells[2]
     begins, ends = np.zeros(5, np.int64), np.zeros(5, np.int64)
-    for first in range(len(order)):
+    for first in range(len(order) * rank // ranks, len(order) * (rank + 1) // ranks):
         i = order[first]
         for k in range(5):
             middle_key = keys[first] + columns[k]

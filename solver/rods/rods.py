@@ -117,7 +117,7 @@ class Rods:
             obstacle_of(ground, section),
             between_of(between or Contact(), section),
         )
-        self._neighbours = Neighbours(self._law.between) if between is not None else None
+        self._neighbours = Neighbours(self._law.between, comm) if between is not None else None
         # groups of as many rods come back every few spans
         self._room_for = lru_cache(maxsize=16)(partial(room_for, elements + 1, len(section.rim_m)))
         self._now = motion_of(len(clamps), elements + 1, len(section.rim_m))

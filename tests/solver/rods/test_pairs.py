@@ -314,12 +314,19 @@ def test_candidates_are_all_pairs_whose_boxes_meet():
     q = np.repeat(attitudes.as_quat()[:, None, [3, 0, 1, 2]], 5, axis=1)
     room = np.zeros((2000, 4), dtype=np.int64)
     turned = Rotation.random(rng=rng).as_matrix()
-    count = candidates(LAW, x, q, turned, np.full((8, 5), more), room)
-    found = {frozenset([(a, e), (b, f)]) for a, e, b, f in room[:count].tolist()}
+    count = candidates(LAW, x, q, turned, np.full((8, 5), more), 0, 1, room)
+    each = room[:count].tolist()
+    found = {frozenset([(a, e), (b, f)]) for a, e, b, f in each}
+    parts = []
+    for rank in range(3):
+        count_of_part = candidates(LAW, x, q, turned, np.full((8, 5), more), rank, 3, room)
+        assert count_of_part > 0
+        parts += room[:count_of_part].tolist()
+    assert parts == each
     # two tips are met from both sides
-    assert len(found) == count - sum(e == f == 3 for _, e, _, f in room[:count].tolist()) // 2
+    assert len(found) == count - sum(e == f == 3 for _, e, _, f in each) // 2
     # a tip is met by its own rod's side
-    assert all(f != 3 or e == 3 for _, e, _, f in room[:count].tolist())
+    assert all(f != 3 or e == 3 for _, e, _, f in each)
     half = np.array([SECTION.half_thin_m, SECTION.half_wide_m, 0.0025]) + more
     middles, axes = 0.5 * (x[:, 1:] + x[:, :-1]), attitudes.as_matrix()
     meets, none_beyond = set(), set()
