@@ -244,13 +244,17 @@ def test_bodies_that_steps_are_measured_on_have_the_unknowns_told():
 
 
 def test_datasets_are_declared_as_they_are_read(tmp_path):
-    film, bar = (tomllib.loads(block) for block in readme.blocks("toml"))
-    folder = tmp_path / "film"
-    folder.mkdir()
-    (folder / "dataset.toml").write_text(readme.blocks("toml")[0])
-    manifest = read_manifest(folder)
-    assert manifest.kind == film["dataset"]["kind"]
-    assert readme.blocks("csv")[0].startswith("drop,t_s,y_mm\n")
+    film, heights, declared_bar = readme.blocks("toml")
+    for kind, declared in (("tracks", film), ("drops", heights)):
+        folder = tmp_path / kind
+        folder.mkdir()
+        (folder / "dataset.toml").write_text(declared)
+        assert read_manifest(folder).kind == kind
+    bar = tomllib.loads(declared_bar)
+    assert [table.splitlines()[0] for table in readme.blocks("csv")] == [
+        "drop,t_s,y_mm",
+        "drop,y0_mm,y1_mm",
+    ]
     path = readme.REPOSITORY / SQUARE_BAR / "dataset.toml"
     for part, keys in tomllib.loads(path.read_text()).items():
         if part in ("body", "measurement"):
