@@ -56,7 +56,7 @@ Keep = Annotated[
         "--keep",
         metavar="SECONDS",
         min=0.0,
-        help="How often a march in steps is kept, for --resume to go on from.",
+        help="Seconds from one checkpoint to the next. --resume goes on from the last one.",
         show_default=True,
     ),
 ]
@@ -69,10 +69,11 @@ FIRST_STEPS = "\n\n".join(
     (
         "Each command ends with the file to look at, has `--help` with an example, and writes "
         "into results/ where you are, or into `--out`. **Start with:**",
-        "1. `bristle drop`: one drop, in seconds; the result goes into results/drop",
+        "1. `bristle drop`: one drop, in seconds (minutes the first time, for compiling); the "
+        "result goes into results/drop",
         "1. `bristle view results/drop`: its pictures; after `bristle drop --model solid` "
         "also the wave, as a film and in ParaView",
-        "1. `bristle reproduce`: the paper's figures beside ours, about seven minutes; open "
+        "1. `bristle reproduce`: the paper's figures beside ours, in 7 to 20 minutes; open "
         "results/reproduce/report.html in any browser",
         "1. `bristle close-loop FOLDER`: what the model lacks to explain your own measurements; "
         "docs/measurements.md says how to write them down",
@@ -93,7 +94,8 @@ def root(
     version: Annotated[bool, typer.Option("--version", help="Print the version.")] = False,
     debug: Debug = False,
 ) -> None:
-    """Impact of a steel bristle on a rigid plane: a 3-D solid, its reduced model, and a beam."""
+    """Impact of bristles on a hard surface: one that falls, or a brush, and what measurements show
+    that the model lacks."""
     if version:
         print(f"bristle {__version__}")
         raise typer.Exit
@@ -135,8 +137,8 @@ def drop(
 ) -> None:
     """One drop. All values are in SI units, angles in degrees.
 
-    A leaning bristle slides, bends and turns: --tilt, --slope and --friction say how. One of any
-    shape comes as a mesh: --mesh notched.msh
+    A bristle that leans slides, bends and turns: see --tilt, --slope and --friction. A bristle of
+    any shape comes as a mesh: --mesh notched.msh
 
     Example: bristle drop --model solid --kn 2e6 --height 0.05 --tilt 2 --out results/leaning
     """
@@ -152,10 +154,11 @@ def drop(
 def sweep(
     given: Given, out: Path, resume: Resume = False, ranks_per_case: RanksPerCase = None
 ) -> None:
-    """Normal contact stiffness times height (Fig. 13): a table, and the tip's height over time.
+    """Drops for each normal contact stiffness and each height (Fig. 13 of the paper): a table, and
+    the tip's height over time.
 
     Without lists: the paper's eleven Kn and five heights, with the beam and the reduced solid, at
-    an ITS of 0.01 ms. Any other number or choice may be several too: --tilt 0,2,5
+    an ITS of 0.01 ms. Other numbers and choices take lists too: --tilt 0,2,5
 
     Example: mpirun -n 2 bristle sweep --models beam,reduced --kn 1e5,2e6,1e8 --heights 0.01,0.05
     """
@@ -169,10 +172,10 @@ def sweep(
 def its(
     given: Given, out: Path, resume: Resume = False, ranks_per_case: RanksPerCase = None
 ) -> None:
-    """The integration time step: what each quantity needs, against stiffness.
+    """The longest integration time step that each quantity allows, for each stiffness.
 
     Without lists: seven steps from 1e-7 to 1e-4 s, the paper's eleven Kn, 50 mm, with the beam and
-    the reduced solid. A step that fails is a row without values.
+    the reduced solid. If a drop fails, its row has no values.
 
     Example: bristle its --models beam --kn 1e5,2e6,1e8 --its 1e-4,1e-5,1e-6,1e-7
     """
@@ -184,7 +187,7 @@ def its(
 
 @command(SCATTER_FLAGS, ANY_FLAGS)
 def scatter(given: Given, out: Path, resume: Resume = False) -> None:
-    """Thousands of drops that lean by chance onto a rough, composite surface: how y1/y0 scatters.
+    """Thousands of drops that lean by chance onto rough concrete: how y1/y0 scatters.
 
     Without options: the reduced solid, 2000 drops from the paper's five heights.
 
@@ -262,10 +265,10 @@ def synth(
     out: Path,
     truth: Annotated[
         Path | None,
-        of_files(metavar="FILE", help="Where the truth goes. [default: beside the dataset]"),
+        of_files(metavar="FILE", help="File for the truth. [default: OUT-truth.json]"),
     ] = None,
 ) -> None:
-    """A dataset of drops with an effect in it that it does not declare, by the reduced solid.
+    """A made dataset of drops with an effect that it does not declare, by the reduced solid.
 
     Example: bristle synth --effect contact_damping:c_N_s_m=5 --out results/mystery
     """
@@ -312,8 +315,8 @@ def track(
     ],
     out: Path,
 ) -> None:
-    """Films of drops into a dataset of tracks: where the lower end is in each frame, how sure that
-    is, and how the bristle leans.
+    """Turns films of drops into a dataset: the height of the lower end in each frame, its
+    uncertainty, and how the bristle leans.
 
     A film needs a still camera and a body that falls freely in view. Several drops in one film are
     told apart. Open report.html to see whether the marks lie on the body.
@@ -359,7 +362,7 @@ def bench(
         a_folder(help="Folder for the result. [default: results/bench-WHAT]"),
     ] = None,
 ) -> None:
-    """How fast is it, and how near? A table, and a page with the figures behind it.
+    """Time, memory and error of this program beside others: a table, and a page with figures.
 
     Without a name: this program beside a naive dolfinx loop, plain scipy, and CalculiX where it is
     installed, at equal error; six minutes, on a machine that should do nothing else.
@@ -385,8 +388,8 @@ def view(
         a_folder(help="Folder for the pictures. [default: RESULT/view]"),
     ] = None,
 ) -> None:
-    """Pictures of the result of a drop or a brush; of a brush also a film, of a solid's drop the
-    wave as a film and a script for ParaView.
+    """Pictures of the result of a drop or a brush. A brush also gives a film. A drop of the solid
+    gives a film of the wave and a script for ParaView.
 
     Example: bristle view results/drop
     """

@@ -48,7 +48,7 @@ RanksPerCase = Annotated[
         min=1,
         metavar="N",
         help="MPI ranks that share one solid, while the others have other cases. "
-        "[default: what should end first]",
+        "[default: the fastest, as estimated]",
     ),
 ]
 Debug = Annotated[bool, of_files("--debug", help="Show the traceback of an error.")]

@@ -99,7 +99,7 @@ class HubFields(Fields, group=HUB):
         "Time in which the hub comes down and reaches its speed, from rest. Means begin after it.",
     )
     until_s: Annotated[float, between(1e-6, LONGEST_S)] | None = option(
-        None, "Where to stop.", shown="1; a file's end", group=TIME
+        None, "Time at which to stop.", shown="1; a file's end", group=TIME
     )
     every_s: Annotated[float, between(1e-7, LONGEST_S)] | None = option(
         None,
@@ -115,15 +115,15 @@ class SurfaceFields(ReliefFields, group=CONTACT):
 
     rms_height_m: Annotated[float, between(0.0, 0.1)] | None = option(
         None,
-        "Root mean square height of a rough surface, whose aggregates differ in stiffness. Kn is "
-        "its mean.",
+        "Root mean square height of a rough surface. Its aggregates differ in stiffness, and "
+        "--kn is their mean.",
         shown="a level plane of one material",
         group=SURFACE,
     )
     kn_N_m: Kn = option(
         paper.KN_CHOSEN_N_M,
-        "Normal contact stiffness of an end section, and of two bristles that cross; 'inf' for a "
-        "rigid contact.",
+        "Normal contact stiffness of an end section, and of two bristles that cross. 'inf' is a "
+        "nearly rigid contact.",
     )
     friction: Annotated[float, between(0.0, 100.0)] = option(
         paper.FRICTION, "Coulomb's coefficient of a tip that slides.", "MU"
@@ -166,14 +166,14 @@ class BrushFields(SurfaceFields, HubFields, LayoutFields):
     )
     tolerance: Annotated[float, between(1e-9, 1e-2)] = option(
         1e-6,
-        "Greatest error of a time step, over the shortest bristle's length. Steps are as long as "
-        "it allows.",
+        "Greatest error of a time step, divided by the length of the shortest bristle. Steps are "
+        "as long as it allows.",
         "RATIO",
         group=TIME,
     )
     write_fields: Truth = option(
         True,
-        "ParaView's series of the bristles, which is written unless --no-fields.",
+        "Series of the bristles for ParaView. It is written unless --no-fields.",
         name="fields",
         group=OUTPUT,
     )

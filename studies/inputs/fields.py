@@ -178,9 +178,9 @@ class MaterialFields(Fields, group=BODY):
 
     material: MaterialName | None = option(
         None,
-        "Typical --youngs, --poisson, --density and --beta of a material, each unless it is "
-        "given: steel is the paper's; the others have their loss factor in the first axial "
-        "mode.",
+        "Sets --youngs, --poisson, --density and --beta to typical values of a material. A value "
+        "that you give wins. Steel is the paper's. The --beta of the others gives the first "
+        "axial mode the loss factor of the material.",
         "|".join(MaterialName),
         "the paper's steel",
     )
@@ -222,18 +222,19 @@ class DiscretisationFields(MeshFields, group=MESH):
     order: Degree = option(2, "Polynomial degree of the solid.", "1|2")
     solver: Solver = option(
         Solver.AUTO,
-        "How the solid's equations are solved: auto is direct as long as factors take less "
-        "than 8 GB.",
+        "How the solid's equations are solved: auto is direct if the factors take less than "
+        "8 GB, else iterative.",
     )
     modes: Annotated[int, whole(1, 1000)] = option(
         MODES,
-        "Krylov vectors of the reduced solid to begin with; it takes up to eight times as many "
-        "where its error asks, as long as they fill less than 1 GB.",
+        "Krylov vectors of the reduced solid to begin with. If the estimated error is too large, "
+        "their number is doubled, up to eight times the first number or 1 GB.",
         "N",
     )
     reduction_tolerance: Annotated[float, above_zero(1.0)] = option(
         REDUCTION_TOLERANCE,
-        "Largest error of the reduced solid against the full order, in units of the impact speed.",
+        "Greatest estimated error of the reduced solid against the full order, in units of the "
+        "impact speed.",
     )
 
 
@@ -243,17 +244,17 @@ class ContactFields(Fields, group=CONTACT):
     contact: Contact = option(Contact.PENALTY, "How contact is enforced.")
     deflection: Deflection | None = option(
         None,
-        "small: linear bodies. second-order: the axial force acts on the slope, as in a "
-        "column, for beam and reduced under the average acceleration. finite: strain and "
-        "rotation of any size, for the solid.",
+        "small: the body is linear. second-order, for beam and reduced with --scheme average: "
+        "the axial force also acts on the slope, as in a column that buckles. finite, for the "
+        "solid: strain and rotation of any size.",
         shown="where it leans: finite for the solid, else second-order up to 10 degrees",
         group=MODEL,
     )
     friction: Annotated[float, between(0.0, 100.0)] = option(
         paper.FRICTION,
-        "Coulomb's coefficient. It acts where bristle or surface leans or the tip is not flat; "
-        "a flat tip that lands upright on a level surface does not slide, and friction is left "
-        "out there.",
+        "Coulomb's coefficient. It acts if the bristle or the surface leans, or if the tip is "
+        "not flat. A flat tip that lands upright on a level surface does not slide, so friction "
+        "is left out there.",
         "MU",
     )
     kt_ratio: Ratio | None = option(
@@ -264,21 +265,21 @@ class ContactFields(Fields, group=CONTACT):
     )
     tip: Tip = option(
         Tip.FACE,
-        "The end section meets the surface point by point, or, as in the paper, with one node "
-        "on the axis (beam only; right for upright drops alone).",
+        "face: the end section touches the surface point by point. point: one node on the axis "
+        "touches it, as in the paper (beam only; right for upright drops alone).",
     )
     tip_shape: Annotated[str, BeforeValidator(read_tip_shape)] = option(
         FLAT,
         "The end face: flat, chamfer:width=M,angle=DEG, rounded:radius=M, or "
-        "worn:angle=DEG,direction=DEG, standing back most toward that direction from the thin "
-        "side. It shifts where contact points stand, for the gap alone: the body keeps its "
-        "mass and stiffness, and the solid its flat mesh.",
+        "worn:angle=DEG,direction=DEG. A worn face stands back most in its direction, an angle "
+        "from the thin side. The shape moves the contact points only: mass, stiffness and mesh "
+        "are those of a flat end.",
         "SHAPE",
     )
     contact_points: Annotated[int, whole(3, MOST_CONTACT_POINTS)] = option(
         CONTACT_POINTS,
-        "Points across each side of the end section that can touch, its edges among them; the "
-        "solid has at least as many.",
+        "Points across each side of the end section that can touch, edges included. The solid "
+        "has at least as many.",
         "N",
     )
     theta: Annotated[int, whole(-1, 1)] | None = option(
@@ -310,8 +311,9 @@ class PlaceFields(Fields, group=DROP):
     plugins: Plugins = plugin_option()  # before the effects that may come from them
     effects: Annotated[tuple[EffectInput, ...], BeforeValidator(read_effects)] = option(
         (),
-        "A further piece of physics, repeatable, e.g. contact_damping:c_N_s_m=5; what differs "
-        "from drop to drop stands one standard deviation out.",
+        "A further piece of physics, repeatable, e.g. contact_damping:c_N_s_m=5. "
+        "docs/effects.md lists them. An effect that differs from drop to drop is taken at plus "
+        "one standard deviation.",
         "NAME:PARAM=VALUE,…",
         kind=list,
         name="effect",
@@ -354,13 +356,13 @@ class DropFields(Fields):
 
     model: Model = option(
         Model.REDUCED,
-        "reduced: the 3-D solid in few unknowns; solid: at full order; beam; analytic: a mass "
-        "on a spring.",
+        "reduced: the 3-D solid in few unknowns; solid: the same at full order; beam; analytic: "
+        "a mass on a spring.",
         group=MODEL,
     )
     kn_N_m: Kn = option(
         paper.KN_CHOSEN_N_M,
-        "Normal contact stiffness; 'inf' with nitsche and augmented.",
+        "Normal contact stiffness. 'inf' is a rigid plane, for --contact nitsche and augmented.",
         group=CONTACT,
     )
     height_m: Height = option(
@@ -368,13 +370,13 @@ class DropFields(Fields):
     )
     write_fields: Truth = option(
         True,
-        "ParaView output of the solid, which it has unless --no-fields.",
+        "Fields of the solid for ParaView. They are written unless --no-fields.",
         name="fields",
         group=OUTPUT,
     )
     write_every: Annotated[int, whole(1, 1_000_000)] | None = option(
         None,
-        "Steps from one instant of the ParaView output to the next.",
+        "Time steps from one instant of the ParaView output to the next.",
         "N",
         "40 instants in 2L/c",
         group=OUTPUT,

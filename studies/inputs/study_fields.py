@@ -54,19 +54,19 @@ class ReliefFields(Fields, group=SURFACE):
 
     rms_height_m: Annotated[float, between(0.0, 0.1)] | None = option(
         None,
-        "Root mean square height of the surface. An assumption: four of it make 0.2 mm, the "
-        "least height of macrotexture (PIARC), as of a trowelled slab.",
+        "Root mean square height of the surface. The default is an assumption: four times it is "
+        "0.2 mm, the least height of macrotexture (PIARC), as of a trowelled slab.",
         shown=f"{RMS_HEIGHT_M:g}",
     )
     correlation_length_m: Annotated[float, between(1e-6, 1.0)] | None = option(
         None,
-        "Where the heights' correlation has fallen to 1/e. An assumption: the geometric mean "
-        "of macrotexture's wavelengths, 0.5 to 50 mm (PIARC).",
+        "Distance over which the correlation of the heights falls to 1/e. The default is an "
+        "assumption: the geometric mean of macrotexture's wavelengths, 0.5 to 50 mm (PIARC).",
         shown=f"{CORRELATION_LENGTH_M:g}",
     )
     surface: Annotated[GivenFile | None, BeforeValidator(read_surface_file)] = option(
         None,
-        "A measured surface instead, in m: .npz, .csv or .txt, see bristle.studies.surface.files.",
+        "A measured surface instead, .npz, .csv or .txt, in m. docs/drops.md shows the format.",
         "FILE",
         kind=str,
     )
@@ -79,7 +79,10 @@ class ScatterFields(ReliefFields, group=SURFACE):
     """How drops are released, over which surface, and what of a drop's inputs is narrower here."""
 
     model: Model = option(
-        Model.REDUCED, "reduced: the solid in a few modes; beam.", "[beam|reduced]", group=MODEL
+        Model.REDUCED,
+        "reduced: the 3-D solid in few unknowns; beam.",
+        "[beam|reduced]",
+        group=MODEL,
     )
     kn_N_m: Kn = option(paper.KN_CHOSEN_N_M, "Normal contact stiffness.", group=CONTACT)
     contact: Contact = option(
@@ -93,9 +96,9 @@ class ScatterFields(ReliefFields, group=SURFACE):
     )
     tilt_std_deg: Annotated[float, between(0.0, MOST_TILT_STD_DEG)] = option(
         TILT_STD_DEG,
-        "Standard deviation of the lean at release toward the thin and, independently, the "
-        "wide side, about --tilt and --tilt-wide. An assumption: 1 degree puts the upper end "
-        "6 mm beside the lower one, about what an eye sees.",
+        "Standard deviation of the lean at release about --tilt and --tilt-wide, for the thin "
+        "and the wide side independently. The default is an assumption: 1 degree puts the upper "
+        "end 6 mm beside the lower one, about what an eye sees.",
         group=RANDOM,
     )
     flat: Truth = option(False, "A level plane of one material instead.")
@@ -106,7 +109,7 @@ class LoopInputs(Fields, group=LOOP):
 
     plugins: Plugins = plugin_option()
     seed: Annotated[int, whole(0, SEEDS)] = option(
-        0, "Seed of what is held out and of all that is drawn.", "N"
+        0, "Seed of the choice of held-out data, and of everything else that is drawn.", "N"
     )
     alarm: Annotated[float, between(1e-3, 0.3)] = option(
         ALARM,
@@ -138,7 +141,7 @@ class TrackInputs(Fields, group=FILM):
     length_mm: Annotated[float, between(1.0, 1e4)] | None = option(
         None,
         "Length of the bristle that falls. It gives the scale where both ends are in view. A ruler "
-        "in view is not measured: measure its pixels and give the length of one.",
+        "in view is not read: count the pixels along it and give the length of one.",
         "MM",
         "336.5, the paper's",
         name="length-mm",
@@ -221,8 +224,8 @@ class Recipe(Fields, group=DATASET):
     )
     unlisted: Annotated[tuple[Strange, float] | None, BeforeValidator(read_unlisted)] = option(
         None,
-        f"An effect that no list has: {', '.join(Strange)}. STRENGTH is its share of the height "
-        "after the impact.",
+        f"A misfit that no effect explains: {', '.join(Strange)}. STRENGTH is its share of the "
+        "height after the impact.",
         "NAME=STRENGTH",
         kind=str,
     )
@@ -255,7 +258,7 @@ class Recipe(Fields, group=DATASET):
     )
     heights_only: Truth = option(False, "Leave out contact times and forces.")
     film: Truth = option(
-        False, "Films of the drops instead of a table, for `bristle track`: one for each drop."
+        False, "Films of the drops instead of a table, one for each drop, for `bristle track`."
     )
     seed: Annotated[int, whole(0, SEEDS)] = option(
         0, "Seed of releases, random effects and errors.", "N"
