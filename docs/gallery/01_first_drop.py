@@ -19,8 +19,9 @@ drop = bristle.drop()
 print(drop)
 
 # %%
-# The rebound ratio y1/y0 is the height after the impact over the height before it. The result has
-# every number by name, in SI units. ``inputs`` holds all inputs, also those that you did not give.
+# The rebound ratio y1/y0 is the height after the impact divided by the height before it. The result
+# has every number by name, in SI units. ``inputs`` holds all inputs, also those that you did not
+# give.
 
 print(f"y1/y0            {drop.rebound_ratio:.4f}")
 print(f"contact time     {1e3 * drop.contact_time_s:.3f} ms")
@@ -45,10 +46,11 @@ plt.show()
 # The impact
 # ----------
 #
-# The impact is a thousand times shorter than the flight. The force rises, and then it flattens: a
-# wave of compression runs up the bristle, and the tip knows nothing of the upper end until the wave
-# is back. This takes 2L/c: twice the length over the speed of sound in steel. A little later the
-# impact ends. The delay comes from the ground, which gives way before it pushes back.
+# The impact is a thousand times shorter than the flight. The force rises, and then it flattens. A
+# wave of compression runs up the bristle and comes back from its upper end. Until it is back, the
+# upper end does not affect the force at the tip. This takes 2L/c: twice the length L over the speed
+# of sound c in steel. A little later the impact ends. The delay comes from the ground, which gives
+# way before it pushes back.
 
 first_s = history.t_s[history.penetration_m > 0.0].iloc[0]
 during = history[(history.t_s - first_s).between(-2e-5, 1.2 * drop.contact_time_s)]
@@ -65,9 +67,9 @@ plt.show()
 # The energy
 # ----------
 #
-# The drop ends when the bristle comes down again. Its kinetic energy is then the share y1/y0 of the
-# energy that it had at the start. The damping of the material took the rest. ``numerical_J`` is
-# what the time stepper adds or removes. It should be nothing but rounding.
+# The drop ends when the bristle comes down again. Its kinetic energy is then y1/y0 times the energy
+# that it had at the start. The damping of the material took the rest. ``numerical_J`` is the energy
+# that the time stepper adds or removes. It should be nothing but rounding.
 
 energy = drop.energy
 for name in ("initial_J", "kinetic_J", "strain_J", "potential_J", "material_loss_J", "numerical_J"):
@@ -85,8 +87,8 @@ table = bristle.sweep(models=["beam", "reduced"], kn_N_m=[2e6], height_m=[0.01, 
 print(table[["model", "y0_m", "rebound_ratio", "peak_force_N"]])
 
 # %%
-# The beam and the reduced solid agree. ``reduced`` is the default: it is the 3-D solid, computed
-# with a few of its motions. Use ``model="solid"`` for stress in the bristle.
+# The beam and the reduced solid agree. ``reduced`` is the default: it is the 3-D solid, described
+# by a few patterns of motion. Use ``model="solid"`` for stress in the bristle.
 #
 # What to try next:
 #

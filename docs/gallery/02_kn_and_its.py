@@ -2,16 +2,16 @@
 Kn and ITS for your own program
 ===============================
 
-You have a model of a bristle in Abaqus, Ansys, CalculiX or LS-DYNA. Which contact stiffness Kn and
-which integration time step ITS do you set there?
+You have a model of a bristle in Abaqus, Ansys, CalculiX or LS-DYNA. Two settings are up to you: the
+normal contact stiffness Kn and the integration time step ITS. Which values do you take?
 """
 
 # %%
 # Kn from the rebound
 # -------------------
 #
-# The harder the contact, the less the bristle bounces. This is because a hard contact makes a sharp
-# wave, and the damping of the material takes more of a sharp wave. First compute the curve:
+# The harder the contact, the less the bristle bounces. A hard contact makes a sharp wave, and the
+# damping of the material takes more of a sharp wave. First compute the curve:
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -74,8 +74,8 @@ for _, row in found.programs.iterrows():
 # - **No damping in the contact.** The Kn found above belongs to a contact that loses nothing.
 #   Rayleigh damping by β must act on the bristle alone. CalculiX damps the contact springs together
 #   with the material; compare it with β = 0 first.
-# - **No numerical damping.** Most programs have some by default. The table below says how to set it
-#   off.
+# - **No numerical damping.** Most programs have some by default. The table below says how to switch
+#   it off.
 # - **The β of your material.** The default here, 1.07e-5 s, was found on steel bristles.
 #
 # ================== =====================================================================
@@ -124,8 +124,8 @@ for stiffness, rows in steps.groupby("kn_N_m"):
         print(f"Kn {stiffness:.0e} N/m, {title:<14} ITS up to {longest_ms:.1e} ms")
 
 # %%
-# The rebound is patient: 0.01 ms is short enough for it. Forces need shorter steps, the more so the
-# harder the contact. ``bristle its`` makes this study for all the paper's stiffnesses.
+# For the rebound, 0.01 ms is short enough. Forces need shorter steps. The harder the contact, the
+# shorter the step must be. ``bristle its`` makes this study for all the paper's stiffnesses.
 #
 # These steps are for implicit programs. Explicit ones have a shorter limit of their own: the time
 # of a wave through the smallest element.
@@ -134,8 +134,8 @@ for stiffness, rows in steps.groupby("kn_N_m"):
 # Where to enter ITS
 # ------------------
 #
-# The step must be fixed. A program that may choose it takes long steps in flight, and can step over
-# the impact.
+# The step must be fixed. A program that chooses its step takes long steps in flight, and can step
+# over the impact.
 #
 # ================== =====================================================================
 # program            fixed step

@@ -48,20 +48,21 @@ plt.show()
 
 # %%
 # With friction the tip sticks, and the lean changes little. A little friction is enough for a small
-# lean: at 0.05 the tip sticks up to 3°. Without friction the tip slides away: the bristle bends and
-# turns, and much of the energy is not available for height any more. A few degrees then take most
-# of the rebound.
+# lean: at 0.05 the tip sticks up to 3°. Without friction the tip slides away. The bristle then
+# bends and turns, and this energy is missing from the height. A few degrees take most of the
+# rebound.
 #
-# Steel on concrete has friction. If your drops scatter much more than their heights can be read,
-# look for water, oil or dust on the surface before you blame the lean.
+# Steel on concrete has friction. If your drops scatter much more than your readings of their
+# heights, look for water, oil or dust on the surface before you blame the lean.
 
 # %%
 # Do not use linear theory here
 # -----------------------------
 #
 # The force of the impact is a hundred times the load that would buckle the bristle slowly. It acts
-# on an axis that is bent already, and bends it further. Linear theory leaves this out. The default
-# for a leaning beam or reduced solid is ``deflection="second-order"``, which does not:
+# on an axis that is bent already, and bends it further. Linear theory (``deflection="small"``)
+# leaves this out. The default for a leaning beam or reduced solid, ``deflection="second-order"``,
+# includes it:
 
 table = bristle.sweep(
     models=["beam"],
@@ -79,8 +80,8 @@ axes.legend(title="deflection")
 plt.show()
 
 # %%
-# A result says what deserves doubt. Ask for linear theory at 2°, and there is a warning with its
-# reason and its remedy:
+# A result says what deserves doubt. If you ask for linear theory at 2°, it has a warning with the
+# reason and the remedy:
 
 for warning in bristle.drop(tilt_deg=2.0, friction=0.0, deflection="small").warnings:
     print(warning)

@@ -76,7 +76,7 @@ axes.set(xlabel="z (mm)", ylabel="y (mm)", xlim=(0, 40), aspect="equal")
 plt.show()
 
 # %%
-# Drop it, with a short time step, since the impact of a short bristle is short. ``reduced`` is the
+# Drop it. The impact of a short bristle is short, so take a short time step. ``reduced`` is the
 # default for a mesh of your own too. Mass, centre and inertia come from the cells, so there is no
 # ``length_m`` or ``width_m`` to give.
 
@@ -93,8 +93,8 @@ for depth_mm, drop in drops.items():
 # speed of impact. It is small here.
 #
 # The force shows the notches. Where the section narrows, a part of the wave turns round. It is back
-# at the tip after 8 µs, which is 2 × 20 mm over the speed of sound, and lowers the force from then
-# on:
+# at the tip after 8 µs, which is 2 × 20 mm over the speed of sound. From then on it lowers the
+# force:
 
 figure, axes = plt.subplots(figsize=(6, 3.5), layout="constrained")
 for depth_mm, drop in drops.items():

@@ -23,9 +23,9 @@ drops = pd.read_csv(data / "drops.csv")
 print(drops.head())
 
 # %%
-# ``dataset.toml`` says what was measured, and how well. The ``sigma`` values are the uncertainties.
-# Find yours by measuring one drop ten times. Without a table ``[body]``, the bristle is the
-# paper's.
+# ``dataset.toml`` says what was measured, and how well. The ``sigma`` values are the uncertainties:
+# standard deviations of the errors. Find yours by measuring one drop ten times. Without a table
+# ``[body]``, the bristle is the paper's.
 
 print((data / "dataset.toml").read_text())
 
@@ -76,8 +76,8 @@ for name, size in ruler.detectable.items():
 # With contact times and forces
 # -----------------------------
 #
-# Now use all columns. The first such dataset of a bristle simulates every effect, which takes a
-# few minutes. Later ones from like heights use the same tables.
+# Now use all columns. For the first such dataset of a bristle, the loop simulates every effect,
+# which takes a few minutes. Later datasets with similar heights use the same tables.
 
 full = bristle.close_loop(data, no_3d=True)
 print(full)
@@ -86,10 +86,10 @@ print(full)
 # The verdict is *effect*, and the effect is damping in the contact. Read the lines like this:
 #
 # - *in words*: what shows that something is missing, and what explains it.
-# - *something is missing*: how often chance alone makes data as odd as these. It is very seldom, so
-#   the model lacks something.
-# - *something is left*: the same after the effect is added. It is not seldom, so what is left is
-#   noise.
+# - *something is missing*: how often chance alone makes data as odd as these. This is very seldom,
+#   so the model lacks something.
+# - *something is left*: the same after the effect is added. This happens often by chance, so what
+#   is left is noise.
 # - ``kn_N_m`` and ``c_N_s_m``: stiffness and damping with their 90 % intervals.
 # - *held-out error*: some drops took no part in the fit. The model with the effect predicts them
 #   much better than the model without.
@@ -114,5 +114,5 @@ plt.show()
 #   enough.
 # - Drop from several heights, in a random order, and number the drops in the order in which you
 #   made them. Wear shows in nothing else.
-# - Use ``bristle close-loop FOLDER`` for the page with all figures, and without ``--no-3d`` to have
-#   the 3-D model confirm the result.
+# - Use ``docker/run bristle close-loop FOLDER``. It writes the page with all figures, and the 3-D
+#   model confirms the result.

@@ -27,8 +27,8 @@ print(found)
 # %%
 # The loop does not name an effect just because it fits better than nothing. The last line says
 # which effect came nearest, how much of the misfit it explains, and why it was refused. The words
-# in brackets name the test that the rest failed. Take them as a hint where to look. Here it is the
-# order of the drops: something differs in one of several drops.
+# in brackets name the test that the rest failed. Take them as a hint where to look. Here they point
+# to the order of the drops: one in several drops differs.
 
 # %%
 # Step 1: look at the residuals
@@ -88,9 +88,9 @@ chance = stats.permutation_test(groups, apart, n_resamples=9999, rng=np.random.d
 print(f"difference {chance.statistic:.2f} sigma, by chance in {chance.pvalue:.2g} of all deals")
 
 # %%
-# The number is small, and the pattern was named by the loop's own test, which counts all its
-# attempts. To have the loop look exactly there, add a column ``session`` with *odd* and *even* to
-# ``drops.csv`` and run it again.
+# The number is small. Besides, the loop's own test named this pattern, and that test allows for all
+# its attempts. If you want the loop to look exactly there, add a column ``session`` with *odd* and
+# *even* to ``drops.csv`` and run it again.
 
 # %%
 # Step 4: decide
@@ -98,10 +98,10 @@ print(f"difference {chance.statistic:.2f} sigma, by chance in {chance.pvalue:.2g
 #
 # You now know where and what: every second rebound is read some per cent higher. Go to the
 # laboratory with this. Did two people read the ruler in turn? Was the bristle turned round after
-# every drop? Then
+# every drop? Then do one of three things:
 #
-# - mend the cause and measure again; or
-# - keep only the drops that you trust, and say so; or
+# - mend the cause and measure again;
+# - keep only the drops that you trust, and say so;
 # - if it is physics, write it as an effect of your own, and the loop will test it: the next lesson.
 #
 # What you should not do is to take the nearest effect. The loop refused it for a reason, and a

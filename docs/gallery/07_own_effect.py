@@ -17,8 +17,8 @@ every model can compute with it, and the loop looks for it in your data.
 # ---------
 #
 # ``docs/examples/my_effect.py`` says just that. An effect has a name, a place where it enters, the
-# kinds of data that can show it, and parameters with bounds. ``enter`` gets the drop as a ``Scene``
-# and returns it changed.
+# kinds of data that can show it, and parameters with bounds. The method ``enter`` gets the drop as
+# a ``Scene`` and returns a changed copy.
 
 import subprocess
 import tempfile
@@ -74,7 +74,7 @@ command = [
 subprocess.run(command, check=True, capture_output=True)
 
 # %%
-# Ask the loop, with the plugin. It simulates your effect once and keeps the table.
+# Ask the loop, and give it the plugin. It simulates your effect once and keeps the table.
 
 found = bristle.close_loop(made, no_3d=True, plugins=[plugin])
 print(found)
@@ -88,15 +88,15 @@ for each in ranked[:5]:
     print(f"{each['log_evidence']:8.1f}  {', '.join(each['effects']) or 'nothing added'}")
 
 # %%
-# Without the plugin the loop can only choose among the effects that it knows, or say *unknown*.
-# Whatever it says then is not the truth: a name is as good as the list that it was chosen from.
+# Without the plugin the loop can only choose among the effects that it knows, or say *unknown*. It
+# cannot name the truth then: a name is as good as the list that it was chosen from.
 
 # %%
 # Rules for a good effect
 # -----------------------
 #
 # - The neutral value of a parameter (here 0) must give the drop without the effect.
-# - Bounds say what is physically possible. The loop searches all of it.
+# - Bounds say what is physically possible. The loop searches everything between them.
 # - Declare a source. Whoever reads the page should be able to check it.
 # - An effect that needs no simulation can say ``computed = True``, and is then a hundred times
 #   faster (see the page on effects).

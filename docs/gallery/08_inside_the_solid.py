@@ -48,8 +48,8 @@ for tensor in fields.stress:
     stress_Pa.append(np.bincount(level, axial_Pa) / np.bincount(level))
 
 # %%
-# The wave in one picture: time to the right, height upward, blue is compression. It runs up with
-# the speed of sound √(E/ρ). The free end turns it into a wave of tension, which cancels the
+# The picture shows the wave: time to the right, height upward, compression in blue. The wave runs
+# up with the speed of sound √(E/ρ). The free end turns it into a wave of tension, which cancels the
 # compression on its way down. The dashed line is a path with the speed of sound.
 
 time_us = 1e6 * (fields.times_s - fields.times_s[0])
@@ -74,8 +74,8 @@ plt.show()
 # Your own forms
 # --------------
 #
-# Forms take these functions as they are. As an example, compute the kinetic energy at each instant,
-# and the energy that the strain of the bristle holds:
+# UFL forms take these functions as they are. As an example, compute the kinetic energy at each
+# instant, and the elastic energy:
 
 density, nu = paper.DENSITY_KG_M3, paper.POISSON
 lame = paper.YOUNGS_PA * nu / ((1 + nu) * (1 - 2 * nu))

@@ -2,7 +2,8 @@
 A cluster run
 =============
 
-One drop takes a second. A study takes thousands of them, and solids take longer. Use more ranks.
+One drop takes a second. A study may take thousands of drops, and solids take longer. Use more
+processes, which are called ranks.
 """
 
 # %%
@@ -95,8 +96,8 @@ print(len(table), "drops in the table")
 #
 #     apptainer build bristle.sif docker/bristle.def
 #
-# Then hand in a job. ``docker/cluster.sbatch`` is one for Slurm: two nodes with 16 ranks each. What
-# stands behind it goes to ``bristle sweep``::
+# Then hand in a job. ``docker/cluster.sbatch`` is one for Slurm: two nodes with 16 ranks each. The
+# options behind it go to ``bristle sweep``::
 #
 #     sbatch docker/cluster.sbatch --kn 1e5,2e6,1e8
 #
@@ -104,7 +105,7 @@ print(len(table), "drops in the table")
 #
 # - Beams and reduced solids: one drop per rank at a time. Memory is no concern.
 # - Solids at full order: several ranks may share one solid. ``--ranks-per-case N`` says how many.
-#   Without it, the program estimates what ends first.
+#   Without it, the program takes the number that it estimates to be the fastest.
 # - If a job ran out of time, hand it in again with ``--resume`` and with the same ``--out``.
 #
 # The same in Python
