@@ -190,8 +190,8 @@ def _damping_warnings(inputs: DropValues) -> list[str]:
         return []
     return [
         f"--youngs or --density is not the steel's, while --beta {inputs.beta_s:g} s is what the "
-        "paper found on steel bristles; the rebound hangs on it: give --material or --beta of "
-        "this material, or see with --beta 0 how much it matters"
+        "paper found on steel bristles; the rebound depends on it: give --material or --beta of "
+        "this material, or run with --beta 0 to see how much it matters"
     ]
 
 
@@ -217,21 +217,22 @@ def _lean_warnings(inputs: DropValues) -> list[str]:
         pass
     elif lean > LINEAR_LEAN_DEG * (1.0 + 1e-9):
         found.append(
-            f"the bristle leans by {lean:.3g} degrees against the surface's normal; contact takes "
-            f"strain and rotation as small, which is not known to be enough above "
+            f"the bristle leans by {lean:.3g} degrees against the surface's normal; strain and "
+            f"rotation are taken as small during contact, which is not checked above "
             f"{LINEAR_LEAN_DEG:g}: lean it less, or take the result as an estimate"
         )
     elif lean > SMALL_LEAN_DEG and bent is Deflection.SMALL:
         found.append(
-            f"the bristle leans by {lean:.3g} degrees and is linear here, which leaves out the "
-            f"axial force on its slope: above {SMALL_LEAN_DEG:g} a tip that slides keeps too much "
-            "speed, by a tenth of it at 2 degrees; take --deflection second-order, or finite for "
-            "the solid"
+            f"the bristle leans by {lean:.3g} degrees and is linear here, which leaves out how the "
+            f"axial force bends it: above {SMALL_LEAN_DEG:g} degrees a tip that slides keeps too "
+            "much speed, a tenth too much at 2 degrees; take --deflection second-order, or finite "
+            "for the solid"
         )
     if inputs.tip is Tip.POINT and inputs.leaning and inputs.friction:
         found.append(
-            f"--tip point with --friction {inputs.friction:g} and a lean: the answer of a single "
-            "point that sticks has no limit as --elements and --its are refined; take --tip face"
+            f"--tip point with --friction {inputs.friction:g} and a lean: with a single point that "
+            "sticks, the result does not converge as --elements and --its are refined; take --tip "
+            "face"
         )
     return found
 
@@ -360,8 +361,8 @@ def _patch_warnings(inputs: DropValues, result: DropResult) -> list[str]:
             cells[axis] = math.ceil(side / width)
             found.append(
                 f"toward the {toward} side the surface is touched over about {1e6 * width:.3g} µm, "
-                f"less than the {1e6 * cell:.3g} µm of one cell: stress about the contact is not "
-                f"resolved, though Kn rules its force; for stress take --cells "
+                f"less than the {1e6 * cell:.3g} µm of one cell: the force is right, since Kn sets "
+                f"it, but stress near the contact is not resolved; for stress take --cells "
                 f"{' '.join(map(str, cells))} or more"
             )
     return found
@@ -375,9 +376,9 @@ def _turning_warnings(inputs: DropValues, result: DropResult) -> list[str]:
     if spin > SPIN * slowest:
         found.append(
             f"after the impact the bristle turns at {spin:.3g} rad/s, above {SPIN * slowest:.3g}, "
-            f"{SPIN:g} of its slowest bending's {slowest:.3g} rad/s: what turning does to its "
-            "ringing is left out of the flight, so later touches and the tip's height are rough; "
-            "trust the centre of mass, or lower --height"
+            f"{SPIN:g} of its slowest bending's {slowest:.3g} rad/s: the flight leaves out how "
+            "turning changes the ringing, so later touches and the tip's height are rough; use "
+            "the numbers of the centre of mass, or lower --height"
         )
     airborne_s = 2.0 * result.cm_velocity_after_m_s / inputs.gravity_m_s2
     tumbled = math.degrees(math.hypot(*result.spin_after_rad_s[:2]) * airborne_s)
@@ -385,8 +386,8 @@ def _turning_warnings(inputs: DropValues, result: DropResult) -> list[str]:
     if result.rebound_ratio is not None and lean + tumbled > FALLEN_DEG:
         found.append(
             f"after the impact the bristle turns by about {tumbled:.3g} degrees before it comes "
-            f"down; with its lean of {lean:.3g} that may exceed {FALLEN_DEG:g}, and its side or "
-            "upper end, which cannot touch here, would come first: take the velocities after the "
+            f"down; with its lean of {lean:.3g} that may exceed {FALLEN_DEG:g}: its side or upper "
+            "end, which cannot touch here, would then land first; use the velocities after the "
             "impact, or lower --height"
         )
     return found
