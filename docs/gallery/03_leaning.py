@@ -62,7 +62,7 @@ plt.show()
 # The force of the impact is a hundred times the load that would buckle the bristle slowly. It acts
 # on an axis that is bent already, and bends it further. Linear theory (``deflection="small"``)
 # leaves this out. The default for a leaning beam or reduced solid, ``deflection="second-order"``,
-# includes it:
+# includes it. Here are both. Python warns of each linear drop that leans:
 
 table = bristle.sweep(
     models=["beam"],
