@@ -179,8 +179,8 @@ def problem_of(manifest: Manifest) -> Problem:
         raise manifest.wrong("kind", f"is {manifest.kind}, whose function returns no Problem")
     doubts = []
     if manifest.lengths_left_out:
-        left_out = ", ".join(manifest.lengths_left_out)
-        doubts.append(f"[body] declares no {left_out}: the paper's bristle's is taken")
+        left_out = " and ".join(manifest.lengths_left_out)
+        doubts.append(f"[body] does not give {left_out}; taken from the paper's bristle")
     if isinstance(KINDS[manifest.kind], EntryPoint) and manifest.unread:
         doubts.append(f"nothing reads these of [measurement]: {', '.join(manifest.unread)}")
     return replace(found, warnings=(*found.warnings, *doubts))
