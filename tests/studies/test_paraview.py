@@ -55,6 +55,13 @@ def shared_path(tmp_path):
         shutil.rmtree(path, ignore_errors=True)
 
 
+@pytest.fixture
+def solid():
+    made = solid_of()
+    yield made
+    made.close()
+
+
 def evaluate(function, points):
     """The function at points (n, 3) by dolfinx, the same on every rank."""
     domain = function.function_space.mesh
@@ -115,8 +122,7 @@ def test_order_nodes_and_values_are_kept(shared_path, order, section):
     solid.close()
 
 
-def test_a_rigid_height_is_in_the_displacement_and_no_stress(shared_path):
-    solid = solid_of()
+def test_a_rigid_height_is_in_the_displacement_and_no_stress(solid, shared_path):
     with FieldWriter(solid, shared_path) as writer:
         writer.write(0.0, 0.01 * solid.translation[:, 2], solid.translation[:, 2])
     COMM.barrier()
@@ -124,7 +130,6 @@ def test_a_rigid_height_is_in_the_displacement_and_no_stress(shared_path):
     assert found == pytest.approx(np.tile([0.0, 0.0, 0.01], (len(found), 1)), abs=1e-15)
     assert written(shared_path / "tip.bp", "gap_m", 0)["values"] == pytest.approx(0.01)
     assert np.abs(written(shared_path / "solid.bp", "von_mises_Pa", 0)["values"]).max() < 1.0
-    solid.close()
 
 
 class Impact:
@@ -159,6 +164,7 @@ class Impact:
             self.result = simulate(self.frame, plan, marcher, look)
             self.writer.write_flight(n_frames=5)
         comm.barrier()
+        self.solid.close()
 
 
 def test_frames_of_an_impact(shared_path):
@@ -174,7 +180,6 @@ def test_frames_of_an_impact(shared_path):
     assert [phase for _, phase in rows[-5:]] == [Phase.FLIGHT] * 5
     contact = [t for t, phase in rows if phase == Phase.CONTACT]
     assert np.diff(contact) == pytest.approx(3 * ITS_S)
-    impact.solid.close()
 
 
 # lean of the bristle and the surface's in degrees, friction, and which bristle
@@ -217,7 +222,6 @@ def test_pressure_integrates_to_the_force_and_gap_is_the_height(shared_path, sta
             # there are contact points between the nodes, and one of them may be deeper
             assert max(-lowest, 0.0) == pytest.approx(by_time[t][4], rel=1e-3, abs=POINT_M)
     assert pressed > 20
-    impact.solid.close()
 
 
 def integral(nodes, cells, values):
@@ -258,11 +262,9 @@ def test_the_tip_first_touches_at_the_origin_of_the_ground(shared_path, stand, s
     leaning = np.degrees(np.arctan(axis[:2] / axis[2]))
     assert leaning == pytest.approx([stand[0], 0.5 * stand[0]], abs=1e-9)
     assert np.linalg.norm(axis) == pytest.approx(LENGTH_M)
-    impact.solid.close()
 
 
-def test_the_tip_in_its_own_file_moves_as_the_solid(shared_path):
-    solid = solid_of()
+def test_the_tip_in_its_own_file_moves_as_the_solid(solid, shared_path):
     u = set_state(solid, wavy)
     with FieldWriter(solid, shared_path) as writer:
         writer.write(0.0, u, u)
@@ -272,7 +274,6 @@ def test_the_tip_in_its_own_file_moves_as_the_solid(shared_path):
     assert tip["nodes_per_cell"] == {9}
     _, index = cKDTree(body["nodes"]).query(tip["nodes"])
     assert tip["values"] == pytest.approx(body["values"][index], abs=1e-18)
-    solid.close()
 
 
 def test_flights_from_touch_to_touch_are_shown(shared_path):
@@ -297,7 +298,6 @@ def test_flights_from_touch_to_touch_are_shown(shared_path):
     # within what the short bristle rings and has sunk in by the release
     assert heights == pytest.approx(since * (speed - 0.5 * GRAVITY_M_S2 * since), abs=1e-4)
     assert max(heights) > 0.01
-    impact.solid.close()
 
 
 def test_a_long_contact_stays_within_the_limit_and_is_covered_to_its_end(shared_path):
@@ -309,11 +309,9 @@ def test_a_long_contact_stays_within_the_limit_and_is_covered_to_its_end(shared_
     gaps = np.diff([t for t, _ in rows]) / ITS_S
     assert gaps[:15] == pytest.approx(1.0)
     assert gaps.max() < 0.4 * len(impact.states)
-    impact.solid.close()
 
 
-def test_no_form_is_compiled_while_frames_are_written(shared_path, monkeypatch):
-    solid = solid_of()
+def test_no_form_is_compiled_while_frames_are_written(solid, shared_path, monkeypatch):
     writer = FieldWriter(solid, shared_path)
 
     def refuse(*_, **__):
@@ -325,11 +323,9 @@ def test_no_form_is_compiled_while_frames_are_written(shared_path, monkeypatch):
     with writer:
         for k in range(3):
             writer.write(k, solid.translation[:, 2], solid.translation[:, 2])
-    solid.close()
 
 
-def test_the_writer_refuses_nonsense(shared_path):
-    solid = solid_of()
+def test_the_writer_refuses_nonsense(solid, shared_path):
     with pytest.raises(ValueError, match="every"):
         FieldWriter(solid, shared_path, every=0)
     with pytest.raises(ValueError, match="max_frames"):
@@ -343,11 +339,9 @@ def test_the_writer_refuses_nonsense(shared_path):
     writer.close()
     with pytest.raises(ValueError, match="closed"):
         writer.write(2.0, solid.translation[:, 2], solid.translation[:, 2])
-    solid.close()
 
 
-def test_a_failing_run_closes_its_files(shared_path):
-    solid = solid_of()
+def test_a_failing_run_closes_its_files(solid, shared_path):
     with pytest.raises(RuntimeError, match="of all ranks"):  # noqa: PT012, SIM117
         with FieldWriter(solid, shared_path) as writer:
             writer.write(1.0, solid.translation[:, 2], solid.translation[:, 2])
@@ -356,16 +350,16 @@ def test_a_failing_run_closes_its_files(shared_path):
         writer.write(2.0, solid.translation[:, 2], solid.translation[:, 2])
     COMM.barrier()
     assert times_of(shared_path / "solid.bp") == [1.0]
-    solid.close()
 
 
 @pytest.mark.skipif(COMM.size == 1, reason="needs a rank that does not fail")
 @pytest.mark.parametrize("others_fail", [False, True])
-def test_a_rank_that_fails_alone_leaves_nobody_waiting(shared_path, monkeypatch, others_fail):
+def test_a_rank_that_fails_alone_leaves_nobody_waiting(
+    solid, shared_path, monkeypatch, others_fail
+):
     """Those that come after it has left, by an error of theirs or at the end, do not wait to close
     together."""
     monkeypatch.setattr(collective, "GRACE_S", 0.2)
-    solid = solid_of()
     writer = FieldWriter(solid, shared_path)
     if COMM.rank == 0 or others_fail:
         time.sleep(COMM.rank)  # until the one before has left
@@ -378,13 +372,11 @@ def test_a_rank_that_fails_alone_leaves_nobody_waiting(shared_path, monkeypatch,
     assert writer._writers
     COMM.barrier()
     writer.close()
-    solid.close()
 
 
 @pytest.mark.skipif(COMM.size == 1, reason="needs a rank that finds nothing wrong")
-def test_what_one_rank_finds_all_raise(monkeypatch):
+def test_what_one_rank_finds_all_raise(solid, monkeypatch):
     """Places that one rank does not find, and numbers that it alone finds wrong."""
-    solid = solid_of()
     if COMM.rank == 1:
         monkeypatch.setattr("bristle.solver.tip_face.SAME_POINT_M", -1.0)
     with pytest.raises(ComputationError, match="of the tip"):
@@ -393,16 +385,14 @@ def test_what_one_rank_finds_all_raise(monkeypatch):
         monkeypatch.setattr(np, "array_equal", lambda *_: False)
     with pytest.raises(ComputationError, match="apart"):
         NodeMass(solid.space, 7800.0)
-    solid.close()
 
 
-def test_frames_of_a_flight_are_those_of_the_body_itself(shared_path):
+def test_frames_of_a_flight_are_those_of_the_body_itself(solid):
     """Displacement, velocity and stress, but for the square of the slope that the modes leave out.
 
     The body itself is what would touch in their place: the motion at finite strain that has the
     stress of the modes.
     """
-    solid = solid_of()
     model = FloatingModel(**vars(reduce_solid(solid, 1e12, 12, leaning=True, flying=True)))
     bent = np.argsort(model.modal.omega2)[6:9]
     stresses = [NodalStress(fem.Function(solid.space), MATERIAL, finite=f) for f in (False, True)]
@@ -426,45 +416,37 @@ def test_frames_of_a_flight_are_those_of_the_body_itself(shared_path):
     # the displacement lacks ½ θ², its own size being θ, and the velocity θ dθ/dt
     assert off[0].max() < 2.0 * 2e-2
     assert off[0] / off[1] == pytest.approx(2.0, rel=0.2)
-    solid.close()
 
 
-def test_a_folder_that_cannot_be_written_is_said_on_every_rank(shared_path):
-    solid = solid_of()
+def test_a_folder_that_cannot_be_written_is_said_on_every_rank(solid, shared_path):
     if COMM.rank == 0:
         (shared_path / "file").write_text("")
     with pytest.raises(ComputationError, match="cannot be written"):
         FieldWriter(solid, shared_path / "file")
-    solid.close()
 
 
 @pytest.mark.serial
-def test_an_earlier_run_is_replaced(tmp_path):
-    solid = solid_of(comm=MPI.COMM_SELF)
+def test_an_earlier_run_is_replaced(solid, tmp_path):
     for times in ((0.0, 1.0, 2.0), (5.0,)):
         with FieldWriter(solid, tmp_path) as writer:
             for t in times:
                 writer.write(t, solid.translation[:, 2], solid.translation[:, 2])
     assert times_of(tmp_path / "solid.bp") == [5.0]
     assert len(phases(tmp_path)) == 1
-    solid.close()
 
 
 @pytest.mark.serial
-def test_the_mesh_goes_with_every_frame(tmp_path):
-    solid = solid_of(comm=MPI.COMM_SELF)
+def test_the_mesh_goes_with_every_frame(solid, tmp_path):
     with FieldWriter(solid, tmp_path) as writer:
         for k in range(3):
             writer.write(k, solid.translation[:, 2], solid.translation[:, 2])
     with adios2.FileReader(str(tmp_path / "solid.bp")) as file:
         found = [len(file.engine.blocks_info("connectivity", k)) for k in range(3)]
     assert found == [1, 1, 1]
-    solid.close()
 
 
 @pytest.mark.serial
-def test_many_writers_leave_no_open_files(tmp_path):
-    solid = solid_of(comm=MPI.COMM_SELF)
+def test_many_writers_leave_no_open_files(solid, tmp_path):
 
     def one():
         with FieldWriter(solid, tmp_path) as writer:
@@ -475,7 +457,6 @@ def test_many_writers_leave_no_open_files(tmp_path):
     for _ in range(5):
         one()
     assert len(list(Path("/proc/self/fd").iterdir())) == before
-    solid.close()
 
 
 KILLED = """
@@ -536,4 +517,3 @@ def test_paraview_reads_and_draws_it(tmp_path):
     picture = imread(png)[..., :3]
     assert picture.std() > 0.05
     assert len(np.unique((picture * 255).astype(np.uint8).reshape(-1, 3), axis=0)) > 30
-    impact.solid.close()

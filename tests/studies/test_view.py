@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import json
 import math
 import shutil
@@ -12,6 +11,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 import pyvista
+from field_files import LENGTH_M as SHORT_M
+from field_files import solid_of
 from matplotlib import colormaps
 from matplotlib.image import imread
 from mpi4py import MPI
@@ -19,20 +20,11 @@ from PIL import Image, ImageSequence
 from pvbatch import needs_pvbatch, run_pvbatch
 from scipy.spatial import cKDTree
 
-from bristle.meshes.distribute import to_dolfinx
-from bristle.meshes.geometry import MeshSpec, Tag
-from bristle.solver.bodies.reduced import reduce_solid
-from bristle.solver.bodies.solid import SolidBody
+import bristle
 from bristle.solver.bristle import Material
-from bristle.solver.contact.enforcement import ContactMethod
-from bristle.solver.contact.laws import Linear
-from bristle.solver.contact_phase import HISTORY_COLUMNS
-from bristle.solver.drop import DropPlan, simulate
 from bristle.solver.errors import InputError
-from bristle.solver.ground import Ground
 from bristle.solver.paraview import FieldWriter, Phase
 from bristle.solver.rigid import leaning, matrix_of, slope_normal
-from bristle.solver.time.march import Marcher
 from bristle.studies.running.mark import MARK
 from bristle.studies.running.progress import logged_to_terminal
 from bristle.studies.view.field_series import FieldSeries
@@ -57,59 +49,18 @@ LEAN_DEG, SLOPE_DEG = 8.0, -4.0
 PERIOD_S = 2.0 * LENGTH_M / MATERIAL.bar_speed_m_s
 
 
-def solid_of(comm):
-    mesh, _, facets = to_dolfinx(MeshSpec(LENGTH_M, cells=(1, 2, 24)), comm)
-    return SolidBody(mesh, facets, int(Tag.TIP), MATERIAL, 2)
-
-
-def write_result(folder, history, model="solid"):
-    document = {
-        "schema": 1,
-        "model": model,
-        "contact": "penalty",
-        "contact_time_s": history.contact_time_s,
-        "inputs": {
-            "kn_N_m": 2e6,
-            "height_m": HEIGHT_M,
-            "youngs_Pa": MATERIAL.youngs_Pa,
-            "density_kg_m3": MATERIAL.density_kg_m3,
-        },
-    }
-    (folder / "result.json").write_text(json.dumps(document))
-    with (folder / "history.csv").open("w", newline="") as table:
-        rows = csv.writer(table)
-        rows.writerow(HISTORY_COLUMNS)
-        rows.writerows(history.history.array().tolist())
-
-
-def drop_solid(folder, comm, tilt=0.0, slope=0.0):
-    """A short bristle's impact in ``folder``, as `bristle drop --model solid` leaves it."""
-    solid = solid_of(comm)
-    shift = (2.0 / ITS_S) / (ITS_S / 2.0 + MATERIAL.beta_s)
-    frame = reduce_solid(solid, shift, 20, leaning=tilt != 0.0)
-    plan = DropPlan(
-        HEIGHT_M,
-        ContactMethod(Linear(2e7)),
-        ITS_S,
-        GRAVITY_M_S2,
-        impact_only=True,
-        tilt_deg=tilt,
-        ground=Ground.plane(len(solid.contact.weights), slope_normal(slope)),
-    )
-    marcher = Marcher(solid, plan.method, plan.scheme, ITS_S, GRAVITY_M_S2)
-    with FieldWriter(solid, folder / "fields", marcher, frame) as writer:
-        result = simulate(frame, plan, marcher, writer)
-        writer.write_flight(n_frames=20)
-    solid.close()
-    if comm.rank == 0:
-        write_result(folder, result)
-    comm.barrier()
+def drop_solid(folder, **stand):
+    """A short bristle's impact in ``folder``."""
+    body = {"model": "solid", "length_m": LENGTH_M, "cells": (1, 2, 24), "beta_s": MATERIAL.beta_s}
+    fall = {"height_m": HEIGHT_M, "kn_N_m": 2e7, "its_s": ITS_S, "until": "impact"}
+    how = {"deflection": "small", "friction": 0.0, "comm": MPI.COMM_SELF}
+    bristle.drop(**body, **fall, **how, **stand, out=folder)
 
 
 @pytest.fixture(scope="module")
 def dropped(tmp_path_factory):
     folder = tmp_path_factory.mktemp("dropped")
-    drop_solid(folder, MPI.COMM_SELF)
+    drop_solid(folder)
     return folder
 
 
@@ -117,7 +68,8 @@ def dropped(tmp_path_factory):
 def leaning_drop(tmp_path_factory):
     """The tip slides down a slope, its edge first."""
     folder = tmp_path_factory.mktemp("leaning")
-    drop_solid(folder, MPI.COMM_SELF, LEAN_DEG, SLOPE_DEG)
+    with pytest.warns(bristle.BristleWarning, match="leans by 12 degrees|over about 50.7 µm"):
+        drop_solid(folder, tilt_deg=LEAN_DEG, slope_deg=SLOPE_DEG)
     return folder
 
 
@@ -361,7 +313,7 @@ def test_levels_are_told_apart_and_bounded():
 def test_a_series_of_several_ranks_is_read_in_one_piece(tmp_path):
     """Every rank reads what all wrote: each node once, values and cells those of its place."""
     folder = COMM.bcast(tmp_path)
-    solid = solid_of(COMM)
+    solid = solid_of()
     z = solid.space.tabulate_dof_coordinates()[: solid.n_local // 3, 2]
     u = np.zeros((solid.n_local // 3, 3))
     u[:, 2] = 1e-3 * z**2
@@ -374,7 +326,7 @@ def test_a_series_of_several_ranks_is_read_in_one_piece(tmp_path):
         assert len(np.unique(np.round(series.nodes_m, 9), axis=0)) == solid.n_dofs // 3
         assert np.array_equal(np.unique(series.cells), np.arange(len(series.nodes_m)))
         heights = np.ptp(series.nodes_m[series.cells, 2], axis=1)
-        assert heights == pytest.approx(LENGTH_M / 24)
+        assert heights == pytest.approx(SHORT_M / 12)
         moved = series.read("displacement_m", 0)
         assert moved[:, 2] == pytest.approx(1e-3 * series.nodes_m[:, 2] ** 2, abs=1e-16)
         with pytest.raises(InputError, match="no field temperature"):
