@@ -16,7 +16,7 @@ if "PYTEST_XDIST_WORKER" in os.environ:
     take_turns()
 
 from bristle.meshes.section import Rectangle
-from bristle.solver.bristle import Bristle, Material
+from bristle.solver.bristle import CONTACT_POINTS, Bristle, Material
 
 # A script's job in the background has Ctrl-C ignored, and what tests start would inherit that.
 signal.signal(signal.SIGINT, signal.default_int_handler)
@@ -52,14 +52,15 @@ def make_solid():
         section=None,
         comm=MPI.COMM_WORLD,
         geometry_order=1,
+        points=CONTACT_POINTS,
     ) -> SolidBody:
         material = material or Material()
         section = section or Rectangle()
-        key = (cells, length_m, order, material, section, comm.size, geometry_order)
+        key = (cells, length_m, order, material, section, comm.size, geometry_order, points)
         if key not in made:
             spec = geometry.MeshSpec(length_m, section, cells, geometry_order)
             domain, _, facets = to_dolfinx(spec, comm)
-            made[key] = SolidBody(domain, facets, int(geometry.Tag.TIP), material, order)
+            made[key] = SolidBody(domain, facets, int(geometry.Tag.TIP), material, order, points)
         return made[key]
 
     yield build

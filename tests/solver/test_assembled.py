@@ -3,11 +3,7 @@
 import numpy as np
 import pytest
 from assembled import AssembledMarcher, drop_assembled, drop_condensed
-from mpi4py import MPI
 
-from bristle.meshes import geometry
-from bristle.meshes.distribute import to_dolfinx
-from bristle.solver.bodies.solid import SolidBody
 from bristle.solver.bristle import Material
 from bristle.solver.contact.enforcement import ContactMethod, Enforcement
 from bristle.solver.contact.laws import Coulomb, Damped, Linear
@@ -24,21 +20,9 @@ G, ITS, STEPS, SPEED = 9.8, 1e-6, 14, 1.0
 MATERIAL = Material(alpha_1_s=30.0, beta_s=2e-7)
 
 
-@pytest.fixture(scope="module")
-def solids():
-    made = {}
-
-    def build(cells, points):
-        if (cells, points) not in made:
-            domain, _, facets = to_dolfinx(geometry.MeshSpec(0.02, cells=cells), MPI.COMM_WORLD)
-            made[cells, points] = SolidBody(
-                domain, facets, int(geometry.Tag.TIP), MATERIAL, 2, points
-            )
-        return made[cells, points]
-
-    yield build
-    for solid in made.values():
-        solid.close()
+@pytest.fixture
+def solids(make_solid):
+    return lambda cells, points: make_solid(cells, material=MATERIAL, points=points)
 
 
 def march(marcher, tilt_deg, slope_deg=0.0):

@@ -8,10 +8,7 @@ from dolfinx.fem import petsc as fem_petsc
 from mpi4py import MPI
 from petsc4py import PETSc
 
-from bristle.meshes import geometry
-from bristle.meshes.distribute import to_dolfinx
 from bristle.meshes.section import Circle
-from bristle.solver.bodies.solid import SolidBody
 from bristle.solver.bristle import Material
 from bristle.solver.contact.enforcement import ContactMethod, Enforcement, StepContact
 from bristle.solver.contact.laws import Coulomb, Linear
@@ -33,31 +30,33 @@ LENGTH_M = 0.02
 
 
 @pytest.fixture(scope="module")
-def make_finite():
-    made, marchers = {}, []
+def make_finite(make_solid):
+    marchers = []
 
-    def build(
-        cells=(1, 1, 8),
-        material=UNDAMPED,
-        its=1e-6,
-        method=None,
-        gravity=0.0,
-        comm=MPI.COMM_WORLD,
-        length_m=LENGTH_M,
-    ):
-        key = (cells, material, comm.size, length_m)
-        if key not in made:
-            domain, _, facets = to_dolfinx(geometry.MeshSpec(length_m, cells=cells), comm)
-            made[key] = SolidBody(domain, facets, int(geometry.Tag.TIP), material, 2)
-        how = (method or ContactMethod(Linear(2e6)), TimeScheme.average(), its, gravity)
-        marchers.append(FiniteMarcher(made[key], *how))
+    def build(cells=(1, 1, 8), material=UNDAMPED, its=1e-6, method=None, **body):
+        solid = make_solid(cells, material=material, **{"length_m": LENGTH_M, **body})
+        how = (method or ContactMethod(Linear(2e6)), TimeScheme.average(), its, 0.0)
+        marchers.append(FiniteMarcher(solid, *how))
         return marchers[-1]
 
     yield build
     for marcher in marchers:
         marcher.close()
-    for solid in made.values():
-        solid.close()
+
+
+def marched(marcher, v, steps):
+    """So many steps of a body that begins unstrained with the velocity ``v``."""
+    state, found = marcher.start(0.0, np.zeros_like(v), v), []
+    for _ in range(steps):
+        found.append(marcher.step(state))
+        state = found[-1].state
+    return found
+
+
+def forces_of(marcher, steps):
+    """Normal force on the tip after each."""
+    weights = marcher.body.contact.weights
+    return np.array([float(weights @ step.force[:, 0]) for step in steps])
 
 
 def over_ground(marcher, tilt_deg=0.0, clear_m=0.0, speed_m_s=1.0):
@@ -166,10 +165,7 @@ def test_slow_impacts_are_the_linear_solids(make_finite):
                 how = (marcher.method, marcher.scheme, marcher.its_s, marcher.gravity_m_s2)
                 marcher = Marcher(marcher.solid, *how)
             v = over_ground(marcher, speed_m_s=speed)
-            state = marcher.start(0.0, np.zeros_like(v), v)
-            for _ in range(30):
-                state = marcher.step(state).state
-            velocities.append(state.v / speed)
+            velocities.append(marched(marcher, v, 30)[-1].state.v / speed)
         apart.append(np.abs(velocities[0] - velocities[1]).max())
     assert apart[1] < 1e-4
     assert apart[0] / apart[1] == pytest.approx(10.0, rel=0.2)
@@ -212,10 +208,8 @@ def test_leaning_and_speed_make_the_impact_nonlinear(make_finite):
         placed.gaps_m[:] *= scale
         marcher.place(placed)
         v = marcher.body.translation @ (-scale * pose.rotation[2])
-        state = marcher.start(0.0, np.zeros_like(v), v)
-        for _ in range(60):
-            state = marcher.step(state).state
-        return marcher.solid.dot(marcher._lift, state.mv) / marcher.solid.mass_kg / scale
+        momentum = marched(marcher, v, 60)[-1].state.mv
+        return marcher.solid.dot(marcher._lift, momentum) / marcher.solid.mass_kg / scale
 
     slow, slower, fast = kept(2e-3), kept(1e-3), kept(1.0)
     assert slow == pytest.approx(slower, abs=1e-3)
@@ -236,16 +230,14 @@ def test_signorinis_limit_of_an_upright_bar(make_finite):
     for n in (20, 40):
         marcher = make_finite((1, 1, n), material, 8e-6 / n, method)
         v = over_ground(marcher, speed_m_s=speed)
-        state, forces = marcher.start(0.0, np.zeros_like(v), v), []
-        while state.t_s < 1.3 * period:
-            state, force, *_ = marcher.step(state)
-            forces.append(float(marcher.solid.contact.weights @ force[:, 0]))
+        steps = marched(marcher, v, math.ceil(1.3 * period / marcher.its_s))
+        forces = forces_of(marcher, steps)
         middle = forces[len(forces) // 5 : len(forces) // 2]
         assert np.mean(middle) == pytest.approx(held, rel=0.01)
         lasted = marcher.its_s * np.flatnonzero(forces)[-1]
         assert lasted == pytest.approx(period, rel=0.6 * n ** (-2 / 3))
         solid = marcher.solid
-        rebound = solid.dot(marcher._lift, state.mv) / solid.mass_kg / speed
+        rebound = solid.dot(marcher._lift, steps[-1].state.mv) / solid.mass_kg / speed
         missing.append(1.0 - rebound)
     assert 0.0 < missing[1] < 0.06
     assert missing[0] / missing[1] == pytest.approx(2.0 ** (2 / 3), rel=0.25)
@@ -257,13 +249,9 @@ def test_ranks_do_not_matter(make_finite):
     for comm in (MPI.COMM_WORLD, MPI.COMM_SELF):
         method = ContactMethod(Linear(2e6), friction=Coulomb(0.3))
         marcher = make_finite((1, 1, 12), DAMPED, method=method, comm=comm)
-        v = over_ground(marcher, 4.0)
-        state = marcher.start(0.0, np.zeros_like(v), v)
-        forces = []
-        for _ in range(20):
-            state, force, *_ = marcher.step(state)
-            forces.append(marcher.body.contact.weights @ force)
-        found.append((np.array(forces), momenta(marcher.solid, state)))
+        steps = marched(marcher, over_ground(marcher, 4.0), 20)
+        forces = np.array([marcher.body.contact.weights @ step.force for step in steps])
+        found.append((forces, momenta(marcher.solid, steps[-1].state)))
     (forces, momentum), (alone, expected) = found
     assert np.abs(forces - alone).max() < 1e-8 * np.abs(alone).max()
     assert np.abs(momentum[:3] - expected[:3]).max() < 1e-8 * np.abs(expected[:3]).max()
@@ -274,9 +262,7 @@ def test_a_march_goes_on_to_the_bit(make_finite, rng):
     method = ContactMethod(Linear(2e6), friction=Coulomb(0.3))
     marcher = make_finite((1, 1, 12), DAMPED, method=method)
     v = over_ground(marcher, 4.0)
-    state = marcher.start(0.0, np.zeros_like(v), v)
-    for _ in range(8):
-        state = marcher.step(state).state
+    state = marched(marcher, v, 8)[-1].state
     marcher._linearise(state.u, marcher.its_s * state.v)  # as a step does that is hard to solve
     kept, memory = marcher.contact.kept(), marcher.memory()
     kept = {name: np.array(value) for name, value in kept.items()}
@@ -305,12 +291,8 @@ def test_contact_forces_converge_where_the_increment_does_not_tell_of_them(
     for precision in (finite.PRECISION, 1e-2):
         monkeypatch.setattr(finite, "PRECISION", precision)
         marcher = make_finite(method=ContactMethod(Linear(1e8)))
-        v = over_ground(marcher, 4.0)
-        state, forces = marcher.start(0.0, np.zeros_like(v), v), []
-        for _ in range(25):
-            state, force, *_ = marcher.step(state)
-            forces.append(float(marcher.body.contact.weights @ force[:, 0]))
-        histories.append(np.array(forces))
+        steps = marched(marcher, over_ground(marcher, 4.0), 25)
+        histories.append(forces_of(marcher, steps))
     exact, found = histories
     assert np.abs(found - exact).max() < finite.FORCE_PRECISION * exact.max()
 
@@ -353,11 +335,8 @@ def test_ranks_that_round_otherwise_march_as_rank_0(make_finite, monkeypatch, ki
     solve = StepContact.solve
     if MPI.COMM_WORLD.rank == 1:
         monkeypatch.setattr(StepContact, "solve", lambda *given: solve(*given) + 1e-13)
-    state, forces = marcher.start(0.0, np.zeros_like(v), v), []
-    for _ in range(8):
-        state, force, *_ = marcher.step(state)
-        forces.append(force)
-    every = MPI.COMM_WORLD.allgather(np.array(forces))
+    forces = np.array([step.force for step in marched(marcher, v, 8)])
+    every = MPI.COMM_WORLD.allgather(forces)
     assert all(np.array_equal(each, every[0]) for each in every)
     assert np.any(every[0])
 

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from leaning_helpers import G, beam, plan
 from mpi4py import MPI
+from solids import reduced_for
 
 from bristle.solver.bodies.floating import SETTLED, FloatingModel
 from bristle.solver.bodies.reduced import flying_solid, reduce_solid
@@ -23,16 +24,12 @@ LENGTH, CELLS, ITS = 0.05, (1, 2, 24), 1e-6
 MATERIAL = Material(beta_s=1e-8)
 
 
-def reduced_solid(solid, its=ITS, n_krylov=24, **options):
-    c_mass, c_stiffness = TimeScheme.average().effective(its, solid.alpha_1_s, solid.beta_s)
-    return reduce_solid(solid, c_mass / c_stiffness, n_krylov, leaning=True, **options)
-
-
 @pytest.fixture(scope="module")
 def models(make_solid):
     """By stiffness-proportional damping: steel's own, and the paper's."""
     materials = (MATERIAL, Material())
-    return {m.beta_s: reduced_solid(make_solid(CELLS, LENGTH, material=m)) for m in materials}
+    solids = (make_solid(CELLS, LENGTH, material=each) for each in materials)
+    return {solid.beta_s: reduced_for(solid, ITS, leaning=True) for solid in solids}
 
 
 def differences(one, other):
@@ -88,7 +85,7 @@ def test_ranks_do_not_matter_to_a_leaning_solid(make_solid, mu):
     results = []
     for comm in (MPI.COMM_WORLD, MPI.COMM_SELF):
         solid = make_solid(CELLS, LENGTH, material=MATERIAL, comm=comm)
-        results.append(simulate(reduced_solid(solid, n_krylov=8), the_plan))
+        results.append(simulate(reduced_for(solid, ITS, 8, leaning=True), the_plan))
     shared, alone = results
     assert shared.n_dofs == alone.n_dofs
     assert shared.n_steps == alone.n_steps
@@ -105,7 +102,7 @@ def test_a_rigid_plane_with_friction_obeys_signorini_and_coulomb(make_solid, lea
     solid = make_solid((1, 2, 12), 0.02, material=MATERIAL)
     the_plan = plan(math.inf, 5e-7, mu=mu, tilt_deg=lean,
                     method={"enforcement": Enforcement.AUGMENTED})  # fmt: skip
-    model = reduced_solid(solid, its=the_plan.its_s)
+    model = reduced_for(solid, the_plan.its_s, leaning=True)
     seen = []
     result = simulate(model, the_plan, observer=lambda state, force: seen.append((state, force)))
     forces = np.array([force for _, force in seen])

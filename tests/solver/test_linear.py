@@ -5,17 +5,11 @@ import math
 import numpy as np
 import pytest
 from mpi4py import MPI
+from solids import reduced_for
 
 from bristle.meshes.section import Circle
 from bristle.solver.bodies import linear
-from bristle.solver.bodies.linear import (
-    TOLERANCE,
-    Cholesky,
-    Solver,
-    choose,
-    make_solver,
-)
-from bristle.solver.bodies.reduced import reduce_solid
+from bristle.solver.bodies.linear import TOLERANCE, Cholesky, Solver, choose, make_solver
 from bristle.solver.contact.enforcement import ContactMethod
 from bristle.solver.contact.laws import Linear
 from bristle.solver.drop import DropPlan, simulate
@@ -75,13 +69,12 @@ def test_multigrid_is_for_long_steps(make_solid, its, kind):
 def test_methods_bounce_alike_and_close_the_budget(make_solid, monkeypatch):
     solid = make_solid((1, 2, 4), 0.004, order=1)
     its = 1e-6
-    c_mass, c_stiffness = TimeScheme.average().effective(its, solid.alpha_1_s, solid.beta_s)
     plan = DropPlan(0.05, ContactMethod(Linear(2e6)), its, 9.8)
     results = {}
     for method in (Solver.DIRECT, Solver.ITERATIVE):
         monkeypatch.setitem(solid.__dict__, "method", method)
         solid.release_factors()
-        results[method] = simulate(reduce_solid(solid, c_mass / c_stiffness, 8), plan)
+        results[method] = simulate(reduced_for(solid, its, 8), plan)
     solid.release_factors()
     direct = results.pop(Solver.DIRECT)
     for result in results.values():

@@ -8,10 +8,10 @@ import pytest
 from mpi4py import MPI
 from reference import free_free_timoshenko_hz, pochhammer_chree_hz, rate
 from scipy.optimize import brentq
+from solids import frequencies_hz, reduced_for
 
 from bristle.meshes.section import Circle, Rectangle
 from bristle.solver.bodies.beam import beam_body
-from bristle.solver.bodies.reduced import reduce_solid
 from bristle.solver.bristle import Bristle, Material
 from bristle.solver.contact.enforcement import ContactMethod, Enforcement
 from bristle.solver.contact.laws import Coulomb, Linear
@@ -23,36 +23,14 @@ from bristle.solver.time.scheme import TimeScheme
 WIRE = Circle(2e-3)
 
 
-def shift(solid, its):
-    c_mass, c_stiffness = TimeScheme.average().effective(its, solid.alpha_1_s, solid.beta_s)
-    return c_mass / c_stiffness
-
-
-def frequencies_hz(solid, wanted_hz, count=14):
-    """Natural frequencies near ``wanted_hz`` by SLEPc's shift-and-invert."""
-    from petsc4py import PETSc
-    from slepc4py import SLEPc
-
-    solver = SLEPc.EPS().create(solid.comm)
-    solver.setOperators(solid.stiffness_matrix, solid.mass_matrix)
-    solver.setProblemType(SLEPc.EPS.ProblemType.GHEP)
-    solver.setDimensions(count)
-    solver.setTarget((2 * math.pi * wanted_hz) ** 2 * 1.003)
-    solver.setWhichEigenpairs(SLEPc.EPS.Which.TARGET_MAGNITUDE)
-    transform = solver.getST()
-    transform.setType(SLEPc.ST.Type.SINVERT)
-    ksp = transform.getKSP()
-    ksp.setType(PETSc.KSP.Type.PREONLY)
-    ksp.getPC().setType(PETSc.PC.Type.LU)
-    ksp.getPC().setFactorSolverType("mumps")
-    solver.solve()
-    found = [solver.getEigenvalue(i).real for i in range(solver.getConverged())]
-    solver.destroy()
-    return np.sqrt(np.abs(found)) / (2 * math.pi)
-
-
 def nearest(found, wanted):
     return found[np.argmin(np.abs(found - wanted))]
+
+
+def nearest_of(solid, wanted_hz):
+    """The solid's natural frequency nearest to ``wanted_hz``."""
+    found = frequencies_hz(solid.stiffness_matrix, solid.mass_matrix, wanted_hz)
+    return nearest(found, wanted_hz)
 
 
 @pytest.mark.parametrize("order", [1, 2])
@@ -113,7 +91,7 @@ def test_axial_frequencies_of_a_round_bar_are_pochhammer_and_chrees(make_solid):
         bar = n * material.bar_speed_m_s / (2 * length)
         lateral = 1.0 - exact / bar
         assert lateral == pytest.approx(0.25 * (0.28 * k * 1e-3) ** 2, rel=0.05)
-        found = nearest(frequencies_hz(solid, exact), exact)
+        found = nearest_of(solid, exact)
         assert found == pytest.approx(exact, rel=max(0.1 * lateral, 2e-5))
 
 
@@ -135,7 +113,7 @@ def test_frequencies_agree_with_the_beam(make_solid, family):
         "torsion": speed / (2 * length),
     }[family]
     beam_hz = nearest(np.sqrt(beam.omega2) / (2 * math.pi), near)
-    found = nearest(frequencies_hz(solid, beam_hz), beam_hz)
+    found = nearest_of(solid, beam_hz)
     # St. Venant's torsion leaves out warping held back by inertia: of the order of the section
     # over the length, a few per cent here
     assert found == pytest.approx(beam_hz, rel=3e-2 if family == "torsion" else 2e-3)
@@ -181,7 +159,7 @@ def test_shear_of_a_stout_bar_is_cowpers_in_the_beam_and_hutchinsons_in_the_soli
     assert read_from(found) == pytest.approx(cowper, rel=3e-4)
     order = 2 if shape == "circle" else 1
     solid = make_solid(cells, length, material=material, section=section, geometry_order=order)
-    found = nearest(frequencies_hz(solid, wanted), wanted)
+    found = nearest_of(solid, wanted)
     assert read_from(found) == pytest.approx(hutchinson, rel=0.01)
 
 
@@ -194,7 +172,7 @@ def test_axial_frequency_converges_at_the_rate_of_the_elements(make_solid, order
     errors = []
     for n in cells:
         solid = make_solid((1, 1, n), 0.02, order, material)
-        errors.append(abs(nearest(frequencies_hz(solid, exact), exact) / exact - 1.0))
+        errors.append(abs(nearest_of(solid, exact) / exact - 1.0))
     assert rate([1 / n for n in cells], errors) == pytest.approx(expected, abs=0.2)
 
 
@@ -202,7 +180,7 @@ def test_axial_frequency_converges_at_the_rate_of_the_elements(make_solid, order
 def test_full_order_and_reduced_bounce_alike(make_solid, method):
     solid = make_solid((1, 2, 24), 0.05)
     its = 1e-6
-    reduced = reduce_solid(solid, shift(solid, its), 24)
+    reduced = reduced_for(solid, its, 24)
     plan = DropPlan(0.05, ContactMethod(Linear(2e6), method), its, 9.8)
     full = simulate(reduced, plan)
     small = simulate(ModalFrame(reduced.modal, reduced.coarser), plan)
@@ -223,10 +201,10 @@ def test_error_that_is_stated_is_of_the_true_ones_size(make_solid):
     solid = make_solid((1, 2, 24), 0.05)
     its = 1e-6
     plan = DropPlan(0.05, ContactMethod(Linear(2e7)), its, 9.8, impact_only=True)
-    full = simulate(reduce_solid(solid, shift(solid, its), 40), plan)
+    full = simulate(reduced_for(solid, its, 40), plan)
     stated = []
     for n in (2, 10, 20, 40):
-        reduced = reduce_solid(solid, shift(solid, its), n)
+        reduced = reduced_for(solid, its, n)
         found = simulate(ModalFrame(reduced.modal, reduced.coarser), plan)
         off = abs(found.cm_velocity_after_m_s - full.cm_velocity_after_m_s)
         off = max(off / full.impact_speed_m_s, RESOLVED)
@@ -244,22 +222,15 @@ def test_solid_on_a_rigid_plane(make_solid):
     solid = make_solid((1, 2, cells), length, material=material)
     period = 2 * length / material.bar_speed_m_s
     its = period / cells / 6
-    reduced = reduce_solid(solid, shift(solid, its), 60)
-    plan = DropPlan(
-        2.0,
-        ContactMethod(Linear(math.inf), Enforcement.NITSCHE),
-        its,
-        9.8,
-        impact_only=True,
-    )
+    reduced = reduced_for(solid, its, 60)
+    nitsche = ContactMethod(Linear(math.inf), Enforcement.NITSCHE)
+    plan = DropPlan(2.0, nitsche, its, 9.8, impact_only=True)
     forces = []
-    result = simulate(
-        reduced,
-        plan,
-        observer=lambda state, force: forces.append(
-            (state.t_s, solid.contact.weights @ force[:, 0])
-        ),
-    )
+
+    def look(state, force):
+        forces.append((state.t_s, solid.contact.weights @ force[:, 0]))
+
+    result = simulate(reduced, plan, observer=look)
     front = cells ** (-2 / 3)
     speed = result.impact_speed_m_s
     assert result.impulse_N_s == pytest.approx(2 * solid.mass_kg * speed, rel=front)
@@ -276,7 +247,7 @@ def test_ranks_do_not_matter(make_solid):
     results = []
     for comm in (MPI.COMM_WORLD, MPI.COMM_SELF):
         solid = make_solid((1, 2, 24), 0.05, comm=comm)
-        reduced = reduce_solid(solid, shift(solid, its), 24)
+        reduced = reduced_for(solid, its, 24)
         plan = DropPlan(0.05, ContactMethod(Linear(2e6)), its, 9.8)
         results.append(simulate(reduced, plan))
     shared, alone = results
@@ -290,7 +261,7 @@ def test_responses_to_contact_are_kept_or_solved_for_alike(make_solid, monkeypat
     """An edge first, with friction: every point is pushed every way."""
     its = 1e-6
     solid = make_solid((1, 2, 24), 0.05)
-    reduced = reduce_solid(solid, shift(solid, its), 24, leaning=True)
+    reduced = reduced_for(solid, its, 24, leaning=True)
     method = ContactMethod(Linear(2e6), friction=Coulomb(0.5))
     plan = DropPlan(0.05, method, its, 9.8, impact_only=True, tilt_deg=1.0)
     results = []
@@ -308,15 +279,12 @@ def test_one_factor_serves_every_stiffness_and_law(make_solid):
     solid = make_solid((1, 2, 24), 0.05)
     solid.release_factors()
     plan = DropPlan(0.05, ContactMethod(Linear(2e6)), 1e-6, 9.8)
-    reduced = reduce_solid(solid, shift(solid, 1e-6), 16)
+    reduced = reduced_for(solid, 1e-6, 16)
     marcher = Marcher(solid, plan.method, plan.scheme, plan.its_s, 9.8)
     assert len(solid._solvers) == 1
     one = simulate(reduced, plan, marcher)
-    other = simulate(
-        reduced,
-        DropPlan(0.05, ContactMethod(Linear(1e5)), 1e-6, 9.8),
-        marcher.with_law(Linear(1e5)),
-    )
+    softer = replace(plan, method=ContactMethod(Linear(1e5)))
+    other = simulate(reduced, softer, marcher.with_law(Linear(1e5)))
     assert len(solid._solvers) == 1
     assert other.contact_time_s > one.contact_time_s
 
