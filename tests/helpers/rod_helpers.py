@@ -51,6 +51,28 @@ def leaning(lean_rad):
     return along([-np.sin(lean_rad), 0.0, -np.cos(lean_rad)])
 
 
+def quaternion(rotation):
+    """Of a rotation of SciPy's, or of many, as the rods have it."""
+    return np.ascontiguousarray(rotation.as_quat()[..., [3, 0, 1, 2]])
+
+
+def whole_matrix(system):
+    """A chain's block-tridiagonal matrix (n, 6, n, 6)."""
+    n = len(system.diagonal)
+    matrix = np.zeros((n, 6, n, 6))
+    for i in range(n):
+        matrix[i, :, i] = system.diagonal[i]
+        if i > 0:
+            matrix[i, :, i - 1], matrix[i - 1, :, i] = system.below[i], system.above[i - 1]
+    return matrix
+
+
+def above_ground(section, lean_rad, length_m, above_m=0.0):
+    """A clamp from which a straight bristle that leans just touches the plane z = 0."""
+    height = length_m * np.cos(lean_rad) + section.half_thin_m * np.sin(lean_rad) + above_m
+    return one_clamp([0.0, 0.0, height], leaning(lean_rad), length_m)
+
+
 def one_clamp(place, rotation, length_m):
     return Clamps(np.array([place], dtype=float), rotation[None], np.array([length_m]))
 
@@ -92,7 +114,7 @@ class OneRod:
         nodes = len(chain.mass)
         self.chain, self.surface = chain, obstacle_of(ground, section)
         path = path or HubPath.still()
-        turned = Rotation.from_matrix(rotation).as_quat()[[3, 0, 1, 2]]
+        turned = quaternion(Rotation.from_matrix(rotation))
         place = np.array(place, dtype=float)
         loads = np.zeros((1, nodes, 6))
         self.rods = ClampedRod(stacked([chain]), loads, place[None], turned[None])
@@ -118,6 +140,13 @@ class OneRod:
             return False
         copy(self.next, self.now)
         return True
+
+    def let_go(self, force_N):
+        """Bent by a force on the tip along x, and free of it from now on."""
+        self.loads[-1, 0] = force_N
+        self.slowly(1.0, 1.0)
+        self.loads[:] = 0.0
+        self.scheme = self.scheme._replace(inertia=True)
 
     def slowly(self, until_s, h_s, **how):
         """Equilibria up to a time, with steps that are halved where they fail."""

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from mpi4py import MPI
-from rod_helpers import SLENDER, OneRod, along, one_clamp
+from rod_helpers import SLENDER, OneRod, along, one_clamp, whole_matrix
 from scipy.interpolate import BPoly, PPoly
 from scipy.linalg import eigh
 from scipy.optimize import brentq
@@ -29,13 +29,7 @@ def frequencies_Hz(chain):
     elements = new_elements(n - 1)
     assemble_forces(chain, x, q, chain.rest, 0.0, system, elements)
     assemble_tangent(chain, 0.0, system, elements)
-    stiffness = np.zeros((n, 6, n, 6))
-    for i in range(n):
-        stiffness[i, :, i] = system.diagonal[i]
-        if i > 0:
-            stiffness[i, :, i - 1] = system.below[i]
-            stiffness[i - 1, :, i] = system.above[i - 1]
-    free = stiffness[1:, :, 1:].reshape(6 * (n - 1), -1)
+    free = whole_matrix(system)[1:, :, 1:].reshape(6 * (n - 1), -1)
     mass = np.concatenate([np.tile(chain.mass[1:, None], 3), chain.inertia[1:]], axis=1).ravel()
     return np.sqrt(eigh(free, np.diag(mass), eigvals_only=True)) / (2.0 * math.pi)
 
@@ -139,10 +133,7 @@ def swung(elements=8, rho=0.6):
     """A bent rod let go, far beyond small deflections; its first period is about 1.8."""
     chain = uniform_chain(replace(SLENDER, EA_N=1e4, GA1_N=1e4, GA2_N=1e4), 1.0, elements)
     arm = OneRod(chain, np.zeros(3), np.eye(3), rho=rho)
-    arm.loads[-1, 0] = 3.0
-    arm.slowly(1.0, 1.0)
-    arm.loads[:] = 0.0
-    arm.scheme = arm.scheme._replace(inertia=True)
+    arm.let_go(3.0)
     return arm
 
 
@@ -184,10 +175,7 @@ def test_damping_is_rayleighs(damping):
     numbers = {"beta_s": 2.0 * rate / omega**2} if damping == "beta" else {"alpha_1_s": 2.0 * rate}
     section = replace(SLENDER, EA_N=1e4, GA1_N=1e4, GA2_N=1e4, **numbers)
     arm = OneRod(uniform_chain(section, 1.0, 20), np.zeros(3), np.eye(3), rho=0.9)
-    arm.loads[-1, 0] = 1e-3
-    arm.slowly(1.0, 1.0)
-    arm.loads[:] = 0.0
-    arm.scheme = arm.scheme._replace(inertia=True)
+    arm.let_go(1e-3)
     period = 2.0 * math.pi / omega
     held, h = [], period / 200
     for k in range(1200):

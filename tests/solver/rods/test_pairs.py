@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from elastica import cantilever
 from mpi4py import MPI
-from rod_helpers import along, leaning, slide
+from rod_helpers import along, leaning, quaternion, slide
 from scipy.linalg import block_diag
 from scipy.optimize import brentq, lsq_linear
 from scipy.spatial.transform import Rotation
@@ -54,14 +54,10 @@ LAW = between_of(Contact(KN, 0.0, 0.0), SECTION)
 DOWN = along([0.0, 0.0, -1.0])
 
 
-def quaternion(rotation):
-    return Rotation.from_matrix(rotation).as_quat()[[3, 0, 1, 2]]
-
-
 def straight(place, rotation, nodes=2, length=0.02):
     """Nodes and quaternions of a straight rod."""
-    s = np.linspace(0.0, length, nodes)
-    return np.array(place) + s[:, None] * rotation[:, 2], np.tile(quaternion(rotation), (nodes, 1))
+    s, turned = np.linspace(0.0, length, nodes), quaternion(Rotation.from_matrix(rotation))
+    return np.array(place) + s[:, None] * rotation[:, 2], np.tile(turned, (nodes, 1))
 
 
 def crossing(angle_deg, apart, at_a=0.01, at_b=0.01, nodes=2, length=0.02):
@@ -172,22 +168,9 @@ def held_and_forces(a, b):
     points, room = room_for_points(1), new_meeting()
     touch = no_touch(1, 2), no_touch(1, 2)
     whole, gaps = np.array([0, 0, 1, 0]), np.zeros(2)
-    count, lost, held = meet_pair(
-        LAW,
-        0,
-        whole,
-        states[0],
-        states[0],
-        states[1],
-        states[1],
-        *touch,
-        0.0,
-        False,
-        room,
-        gaps,
-        points,
-        0,
-    )
+    twice = (states[0], states[0], states[1], states[1])
+    how = (0.0, False, room, gaps, points, 0)
+    count, lost, held = meet_pair(LAW, 0, whole, *twice, *touch, *how)
     assert lost == 0.0
     forces = np.zeros((2, 2, 6))
     for p in range(count):
@@ -227,7 +210,7 @@ def test_forces_are_the_slope_of_the_energy(angle_deg, depth):
                     else:
                         turn = Rotation.from_rotvec(sign * step * np.eye(3)[c - 3])
                         own = Rotation.from_quat(q[node, [1, 2, 3, 0]])
-                        q[node] = (turn * own).as_quat()[[3, 0, 1, 2]]
+                        q[node] = quaternion(turn * own)
                     ends.append(held_and_forces(*((x, q), b) if side == 0 else (a, (x, q)))[0])
                 slope = -(ends[1] - ends[0]) / (2.0 * step)
                 lever = 1.0 if c < 3 else WIDE
@@ -243,7 +226,7 @@ def cross_bent(elements, overlap, angle_deg=90.0, steps=80):
     scheme = scheme_of(TimeScheme.generalised(0.6), 1.0, inertia=False)
     turned = Rotation.from_rotvec([math.radians(angle_deg), 0.0, 0.0]).as_matrix() @ DOWN
     clamps = [np.array([0.0, 0.0, at_a]), np.array([-THIN, 0.0, 0.0]) - at_b * turned[:, 2]]
-    path, attitudes = HubPath.still(), np.stack([quaternion(DOWN), quaternion(turned)])
+    path, attitudes = HubPath.still(), quaternion(Rotation.from_matrix([DOWN, turned]))
     law = Law(scheme, Hub(path.breaks, path.coefficients), surface, LAW)
     rods = ClampedRod(chains, np.zeros((2, elements + 1, 6)), np.stack(clamps), attitudes)
     stack = motion_of(2, elements + 1, len(surface.rim))

@@ -8,7 +8,17 @@ import numpy as np
 import pytest
 from elastica import filament
 from mpi4py import MPI
-from rod_helpers import HALF, SLENDER, OneRod, along, leaning, one_clamp, press, slide
+from rod_helpers import (
+    HALF,
+    SLENDER,
+    OneRod,
+    above_ground,
+    along,
+    leaning,
+    one_clamp,
+    press,
+    slide,
+)
 from scipy.spatial.transform import Rotation
 
 from bristle.meshes.section import Circle
@@ -132,19 +142,8 @@ def test_tangent_of_contact(rng, case):
         system = new_system(1)
         system.diagonal[:] = system.residual[:] = 0.0
         turned = (Rotation.from_rotvec(spin) * turn).as_matrix()
-        touch_section(
-            surface,
-            0,
-            place + shift,
-            turned,
-            was,
-            turn.as_matrix(),
-            before,
-            now,
-            0.1,
-            False,
-            system,
-        )
+        moved = (place + shift, turned, was, turn.as_matrix())
+        touch_section(surface, 0, *moved, before, now, 0.1, False, system)
         return system.residual[0].copy(), system.diagonal[0].copy()
 
     force, tangent = residual(np.zeros(3), np.zeros(3))
@@ -293,17 +292,9 @@ def test_a_step_that_crosses_the_surface_is_cut_where_it_does():
 def dragged(tolerance, **numbers):
     """The paper's bristle pressed down by a tenth of its length, then dragged at 1 m/s."""
     section = replace(RodSection.of(Bristle()), **numbers)
-    lean, length = math.radians(20.0), 0.3365
-    height = length * math.cos(lean) + section.half_thin_m * math.sin(lean)
-    return Rods(
-        section,
-        one_clamp([0.0, 0.0, height], leaning(lean), length),
-        slide(0.1 * length, 1.0, 0.05, 0.05),
-        Ground(2e6, 0.4, 0.6, 0.05),
-        10,
-        tolerance=tolerance,
-        comm=MPI.COMM_SELF,
-    )
+    clamp = above_ground(section, math.radians(20.0), 0.3365)
+    path, ground = slide(0.03365, 1.0, 0.05, 0.05), Ground(2e6, 0.4, 0.6, 0.05)
+    return Rods(section, clamp, path, ground, 10, tolerance=tolerance, comm=MPI.COMM_SELF)
 
 
 @pytest.mark.parametrize("beta_s", [1e-3, 1.0])
@@ -358,9 +349,8 @@ def test_a_rigid_surface_is_the_limit_of_stiff_ones_and_does_not_chatter(bristle
     20 times on the stiffer surface, and a tenth of the steps' tolerance changes its mean force by
     1e-4."""
     bristle = replace(bristle, section=wire or bristle.section)
-    section, lean, length = RodSection.of(bristle), math.radians(20.0), 0.3365
-    height = length * math.cos(lean) + section.half_thin_m * math.sin(lean)
-    clamp = one_clamp([0.0, 0.0, height], leaning(lean), length)
+    section, length = RodSection.of(bristle), 0.3365
+    clamp = above_ground(section, math.radians(20.0), length)
     pressing, changes, steps = [], [], []
     rigid = section.rigid_N_m(length / 20)
     for kn in (2e6, rigid, 10.0 * rigid):

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from mpi4py import MPI
-from rod_helpers import along, leaning, one_clamp, press, slide
+from rod_helpers import above_ground, along, leaning, one_clamp, press, slide
 from scipy.spatial.transform import Rotation
 
 from bristle.solver.bristle import Bristle
@@ -143,8 +143,7 @@ def test_a_bristle_begins_at_rest_on_any_surface(kn_N_m):
     to the rounding of coordinates times Kn.
     """
     section = RodSection.of(Bristle())
-    place = [0.0, 0.0, HEIGHT + section.half_thin_m * math.sin(LEAN) + 1e-4]
-    clamp = one_clamp(place, leaning(LEAN), LENGTH)
+    clamp = above_ground(section, LEAN, LENGTH, 1e-4)
     rods = Rods(section, clamp, HubPath.still(), Ground(kn_N_m, 0.0, 0.0), 20)
     before = rods.frame()
     (after,) = rods.march(0.02, 0.02)
@@ -210,10 +209,9 @@ def test_a_clamp_below_a_tilted_plane_is_refused():
 
 def one_second_dragged():
     """The paper's bristle, leaning by 30 degrees, after a second of being pressed and set off."""
-    section, lean = RodSection.of(Bristle()), math.radians(30)
-    height = LENGTH * math.cos(lean) + section.half_thin_m * math.sin(lean)
+    section = RodSection.of(Bristle())
     path = slide(0.1 * LENGTH, 1.0, 0.2, 0.2)
-    clamp = one_clamp([0.0, 0.0, height], leaning(lean), LENGTH)
+    clamp = above_ground(section, math.radians(30), LENGTH)
     rods = Rods(section, clamp, path, Ground(), 20, comm=MPI.COMM_SELF)
     (before,) = rods.march(1.0, 1.0)
     return rods, before

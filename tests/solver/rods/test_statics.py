@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from elastica import cantilever
-from rod_helpers import SLENDER, THIN, equilibrium
+from rod_helpers import SLENDER, THIN, equilibrium, quaternion, whole_matrix
 from scipy.spatial.transform import Rotation
 
 from bristle.meshes.section import Rectangle
@@ -92,16 +92,11 @@ def test_a_bend_of_45_degrees_out_of_its_plane(load):
     e, radius = 1e7, 100.0
     section = RodSection(
         EA_N=e,
-        GA1_N=0.5 * e,
-        GA2_N=0.5 * e,
-        EI1_Nm2=e / 12.0,
-        EI2_Nm2=e / 12.0,
-        GJ_Nm2=e / 12.0,  # the benchmark's polar moment, 1/6
-        rhoA_kg_m=1.0,
-        rhoI1_kg_m=1.0,
-        rhoI2_kg_m=1.0,
-        half_thin_m=0.5,
-        half_wide_m=0.5,
+        **dict.fromkeys(("GA1_N", "GA2_N"), 0.5 * e),
+        # the benchmark's polar moment, 1/6
+        **dict.fromkeys(("EI1_Nm2", "EI2_Nm2", "GJ_Nm2"), e / 12.0),
+        **dict.fromkeys(("rhoA_kg_m", "rhoI1_kg_m", "rhoI2_kg_m"), 1.0),
+        **dict.fromkeys(("half_thin_m", "half_wide_m"), 0.5),
         curvature_1_m=(0.0, -1.0 / radius, 0.0),
     )
     x, _ = loaded(section, 0.25 * math.pi * radius, 16, force=(0, load, 0))
@@ -141,11 +136,7 @@ def bent(rng, elements=5, angle=0.5):
     turns = [Rotation.from_rotvec(rng.normal(size=3))]
     for _ in range(elements):
         turns.append(turns[-1] * Rotation.from_rotvec(angle * rng.normal(size=3)))
-    return chain, x, quaternions(Rotation.concatenate(turns)), chain.rest + 0.1
-
-
-def quaternions(rotations):
-    return np.ascontiguousarray(rotations.as_quat()[..., [3, 0, 1, 2]])
+    return chain, x, quaternion(Rotation.concatenate(turns)), chain.rest + 0.1
 
 
 def rotations(q):
@@ -159,7 +150,7 @@ def nudged(x, q, unknown, by):
     if which < 3:
         x[node, which] += by
     else:
-        q[node] = quaternions(Rotation.from_rotvec(by * np.eye(3)[which - 3]) * rotations(q[node]))
+        q[node] = quaternion(Rotation.from_rotvec(by * np.eye(3)[which - 3]) * rotations(q[node]))
     return x, q
 
 
@@ -181,12 +172,7 @@ def test_tangent_and_forces_are_derivatives(rng, angle):
 
     residual(x, q)
     assemble_tangent(chain, 0.3, system, elements)
-    tangent = np.zeros((n, 6, n, 6))
-    for i in range(n):
-        tangent[i, :, i] = system.diagonal[i]
-        if i > 0:
-            tangent[i, :, i - 1], tangent[i - 1, :, i] = system.below[i], system.above[i - 1]
-    tangent = tangent.reshape(6 * n, 6 * n)
+    tangent = whole_matrix(system).reshape(6 * n, 6 * n)
     loads, ends = np.zeros((n, 6)), np.empty((n - 1, 2, 6))
     end_loads(chain, x, q, before, 0.0, ends)
     loads[:-1] += ends[:, 0]
@@ -207,6 +193,6 @@ def test_a_rigid_motion_changes_no_force(rng):
     for _ in range(5):
         turn = Rotation.from_rotvec(3.0 * rng.normal(size=3))
         moved = turn.apply(x) + 10.0 * rng.normal(size=3)
-        end_loads(chain, moved, quaternions(turn * rotations(q)), before, 0.3, two)
+        end_loads(chain, moved, quaternion(turn * rotations(q)), before, 0.3, two)
         back = turn.inv().apply(two.reshape(-1, 3)).reshape(one.shape)
         assert back == pytest.approx(one, abs=1e-10)
