@@ -10,15 +10,18 @@ from scipy.integrate import solve_ivp
 
 from bristle.solver.bodies.base import ContactPoints
 from bristle.solver.bodies.modal import ModalBody
-from bristle.solver.contact.enforcement import ContactMethod, Enforcement
+from bristle.solver.contact.enforcement import ContactMethod, Enforcement, StepContact
 from bristle.solver.contact.laws import (
     Adhesive,
+    Coulomb,
+    Damped,
     HuntCrossley,
     Plastic,
     Stiffening,
     Tabulated,
 )
 from bristle.solver.contact.points import Trial
+from bristle.solver.contact.section import new_section
 from bristle.solver.contact.step import point_force
 from bristle.solver.contact_phase import History
 from bristle.solver.ground import Ground, place
@@ -36,6 +39,7 @@ LAWS = [
     Stiffening(KN, 2.7, 1e-5),
     # soft, stiff, soft again, and straight on beyond its end
     Tabulated(KN, (0.0, 5e-6, 1.2e-5, 2e-5), (0.0, 1e-6, 1.5e-5, 1.7e-5)),
+    Damped(KN, 0.2 * math.sqrt(KN * MASS)),
     HuntCrossley(KN, 0.4 / SPEED),
     Plastic(KN, 0.45 * MOST),
     Plastic(KN, 0.45 * MOST, 0.1, 3.0),
@@ -56,6 +60,33 @@ def pushed(points, start, end, memory, multiplier):
     n, t0, t1, n_s, t0_0, t1_1, t0_1, t0_s, t1_s = point_force(points, trial, 0)
     tangent = np.array([[n_s, 0.0, 0.0], [t0_s, t0_0, t0_1], [t1_s, t0_1, t1_1]])
     return np.array([n, t0, t1]), tangent
+
+
+def a_step(enforcement, law, response, end_weight=None, mu=0.0, whole=False, **more) -> StepContact:
+    """A step of points whose approaches answer by ``response`` (3 n, 3 n), by way of a section.
+
+    Every point of a ``whole`` section moves with all of its coordinates.
+    """
+    n = len(response) // 3
+    support, values = np.arange(3 * n).reshape(n, 3), np.tile(np.eye(3), (n, 1, 1))
+    if whole:
+        support = np.tile(np.arange(3 * n), (n, 1))
+        values = np.eye(3 * n).reshape(n, 3, 3 * n)
+    return StepContact(
+        method=ContactMethod(law, enforcement, friction=Coulomb(mu)),
+        compliance_m_N=0.0,
+        section=new_section(support, values, -response * n),
+        weights=np.full(n, 1.0 / n),
+        scale=np.ones(n),
+        end_weight=end_weight,
+        **more,
+    )
+
+
+def some_response(n, size, rng):
+    """A body's answer to forces (3 n, 3 n): negative definite, as every body's is."""
+    root = rng.normal(size=(3 * n, 3 * n))
+    return -size * (root @ root.T / 3.0 + 0.1 * np.eye(3 * n))
 
 
 def mass_on_a_foot(points=1) -> ModalBody:

@@ -64,6 +64,20 @@ def modal_series_rebound(kn, height, *, mass, length, speed, beta, gravity, n_mo
     }
 
 
+def papers_rebound(kn: float, height: float, beta: float, n_modes: int = 80) -> dict:
+    """That of the paper's bristle."""
+    return modal_series_rebound(
+        kn,
+        height,
+        mass=paper.DENSITY_KG_M3 * paper.THICKNESS_M * paper.WIDTH_M * paper.LENGTH_M,
+        length=paper.LENGTH_M,
+        speed=math.sqrt(paper.YOUNGS_PA / paper.DENSITY_KG_M3),
+        beta=beta,
+        gravity=paper.GRAVITY_M_S2,
+        n_modes=n_modes,
+    )
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
     """Print y1/y0, contact time and peak force of one impact as a line of JSON."""
     parser = argparse.ArgumentParser(description=__doc__)
@@ -72,18 +86,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--beta", type=float, default=paper.BETA_S)
     parser.add_argument("--modes", type=int, default=160)
     given = parser.parse_args(arguments)
-    area = paper.THICKNESS_M * paper.WIDTH_M
-    found = modal_series_rebound(
-        given.kn,
-        given.height,
-        mass=paper.DENSITY_KG_M3 * area * paper.LENGTH_M,
-        length=paper.LENGTH_M,
-        speed=math.sqrt(paper.YOUNGS_PA / paper.DENSITY_KG_M3),
-        beta=given.beta,
-        gravity=paper.GRAVITY_M_S2,
-        n_modes=given.modes,
-    )
-    print(json.dumps(found))
+    print(json.dumps(papers_rebound(given.kn, given.height, given.beta, given.modes)))
     return 0
 
 

@@ -4,20 +4,14 @@ import math
 
 import numpy as np
 import pytest
-from contact_law_helpers import pushed
+from contact_law_helpers import a_step, pushed, some_response
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from reference import rod
 
-from bristle.solver.contact.enforcement import (
-    ContactMethod,
-    Enforcement,
-    StepContact,
-    inverse_constant_N_m,
-)
+from bristle.solver.contact.enforcement import ContactMethod, Enforcement, inverse_constant_N_m
 from bristle.solver.contact.laws import (
     Adhesive,
-    Coulomb,
     Damped,
     Linear,
     Plastic,
@@ -26,7 +20,7 @@ from bristle.solver.contact.laws import (
 )
 from bristle.solver.contact.normal import HELD
 from bristle.solver.contact.points import Points, Trial
-from bristle.solver.contact.section import new_section, solve_section
+from bristle.solver.contact.section import solve_section
 from bristle.solver.errors import ComputationError
 
 pytestmark = pytest.mark.serial
@@ -56,35 +50,6 @@ def test_compliance_in_series_is_taken_off_the_penetration(law):
     drive, series = np.array([2e-5]), 3e-7
     force = law.force(drive, series)
     assert law.force(drive - series * force, 0.0) == pytest.approx(force, rel=1e-12)
-
-
-def a_step(enforcement, law, response, end_weight=None, mu=0.0, whole=False, **kwargs):
-    """A step of points whose approaches answer by ``response`` (3 n, 3 n), by way of a section.
-
-    Every point of a ``whole`` section moves with all of its coordinates.
-    """
-    n = len(response) // 3
-    weights = np.full(n, 1.0 / n)
-    support = np.arange(3 * n).reshape(n, 3)
-    values = np.tile(np.eye(3), (n, 1, 1))
-    if whole:
-        support = np.tile(np.arange(3 * n), (n, 1))
-        values = np.eye(3 * n).reshape(n, 3, 3 * n)
-    section = new_section(support, values, -response * n)
-    return StepContact(
-        method=ContactMethod(law, enforcement, friction=Coulomb(mu), **kwargs),
-        compliance_m_N=0.0,
-        section=section,
-        weights=weights,
-        scale=np.ones(n),
-        end_weight=end_weight,
-    )
-
-
-def some_response(n, size, rng):
-    """A body's answer to forces: negative definite, as every body's is."""
-    root = rng.normal(size=(3 * n, 3 * n))
-    return -size * (root @ root.T / 3.0 + 0.1 * np.eye(3 * n))
 
 
 def some_drives(n, start, free, rng):

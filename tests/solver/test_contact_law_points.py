@@ -18,9 +18,11 @@ from contact_law_helpers import (
     MOST,
     OMEGA,
     SPEED,
+    a_step,
     marcher_of,
     mass_on_a_foot,
     pushed,
+    some_response,
 )
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
@@ -28,7 +30,7 @@ from hypothesis import strategies as st
 from bristle.solver.batch import Drops, drop_many
 from bristle.solver.bodies.beam import beam_body
 from bristle.solver.bristle import Bristle, Material
-from bristle.solver.contact.enforcement import ContactMethod, Enforcement, StepContact
+from bristle.solver.contact.enforcement import ContactMethod, Enforcement
 from bristle.solver.contact.laws import (
     Adhesive,
     Coulomb,
@@ -41,7 +43,6 @@ from bristle.solver.contact.laws import (
     mindlin_ratio,
 )
 from bristle.solver.contact.points import CONSERVING, Points, Trial
-from bristle.solver.contact.section import new_section
 from bristle.solver.contact.step import commit, settle, spring_energy, take
 from bristle.solver.contact_phase import History
 from bristle.solver.drop import DropPlan, ModalFrame, simulate
@@ -52,7 +53,6 @@ from bristle.solver.time.scheme import TimeScheme
 pytestmark = pytest.mark.serial
 G, ITS = 9.8, 1e-6
 DEEP = SPEED / OMEGA
-PULL = 0.6 * MOST / KN
 TABLE = Tabulated(KN, (0.0, 0.2 * DEEP, 0.8 * DEEP), (0.0, 0.1 * DEEP, 0.9 * DEEP))
 # law, memory, drives at the start and the end of a step; lengths in units of DEEP
 REGIMES = {
@@ -132,7 +132,7 @@ def test_tangent_of_a_point_against_finite_differences(regime, soft, slip):
     law, kept, s0, s1 = REGIMES[regime]
     points = points_of(law, soft=soft, its=DEEP / SPEED / 10.0)
     start, step = np.array([s0 * DEEP, 0.0, 0.0]), 1e-7 * DEEP
-    end = np.array([s1, 0.8 * slip, -0.6 * slip]) * np.array([DEEP, DEEP, DEEP])
+    end = DEEP * np.array([s1, 0.8 * slip, -0.6 * slip])
     memory, multiplier = np.array([[2e-8, -1e-8, kept]]), np.array([[0.3, 0.05, -0.02]])
     slope = pushed(points, start, end, memory, multiplier)[1]
     for k in range(3):
@@ -200,7 +200,7 @@ def test_a_random_walk_loses_never_less_than_nothing_and_closes(law, mu, seed, s
         if isinstance(law, Adhesive):
             gone = 0.5 * law.pull_off_N**2 / KN if held > memory[0, 2] else 0.0
             assert took == pytest.approx(gone, abs=1e-13 * size)
-        if isinstance(law, Linear | Stiffening | Tabulated):
+        if type(law) in (Linear, Stiffening, Tabulated):
             assert took == 0.0
         work += float(force @ (end - start))
         lost += rubbed + took
@@ -219,24 +219,11 @@ def test_steps_of_several_points_find_their_forces_and_lose_no_less_than_nothing
 ):
     """A row of steps of four coupled points, by each of the solvers on a section."""
     rng, n = np.random.default_rng(seed), 4
-    root = rng.normal(size=(3 * n, 3 * n))
-    response = -2e-8 * (root @ root.T / 3.0 + 0.1 * np.eye(3 * n))
+    response = some_response(n, 2e-8, rng)
     frees = DEEP * rng.normal(size=(6, n, 3))
     forces = []
-    for kind in ("few", "whole"):
-        support, values = np.arange(3 * n).reshape(n, 3), np.tile(np.eye(3), (n, 1, 1))
-        if kind == "whole":
-            support = np.tile(np.arange(3 * n), (n, 1))
-            values = np.eye(3 * n).reshape(n, 3, 3 * n)
-        contact = StepContact(
-            method=ContactMethod(law, enforcement, friction=Coulomb(mu)),
-            compliance_m_N=0.0,
-            section=new_section(support, values, -response * n),
-            weights=np.full(n, 1.0 / n),
-            scale=np.ones(n),
-            end_weight=None,
-            its_s=DEEP / SPEED,
-        )
+    for whole in (False, True):
+        contact = a_step(enforcement, law, response, mu=mu, whole=whole, its_s=DEEP / SPEED)
         start, seen = np.zeros((n, 3)), []
         for free in frees:
             force = contact.solve(start, free)
