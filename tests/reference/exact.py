@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from plain_scipy import line
 from scipy.linalg import expm
 from scipy.optimize import brentq
 from scipy.special import jv
@@ -77,23 +78,11 @@ def rod(
     clamped_top=False,
 ) -> ModalBody:
     """An axial rod of linear or quadratic elements, its tip at the bottom free to touch."""
-    h = length / n_elements
     nodes = degree * n_elements + 1
-    points = np.linspace(-1.0, 1.0, degree + 1)
-    vandermonde = np.linalg.inv(np.vander(points, increasing=True))
-    x, w = np.polynomial.legendre.leggauss(degree + 1)
-    powers = np.arange(degree + 1)
-    value = (x[:, None] ** powers) @ vandermonde
-    slope = (
-        powers * np.where(powers > 0, x[:, None] ** np.maximum(powers - 1, 0), 0.0)
-    ) @ vandermonde
-    slope = slope * 2.0 / h
-    mass, stiffness = np.zeros((nodes, nodes)), np.zeros((nodes, nodes))
-    for e in range(n_elements):
-        span = slice(degree * e, degree * e + degree + 1)
-        mass[span, span] += density * area * h / 2.0 * value.T @ (w[:, None] * value)
-        stiffness[span, span] += youngs * area * h / 2.0 * slope.T @ (w[:, None] * slope)
-    end = (powers * (-1.0) ** np.maximum(powers - 1, 0)) @ vandermonde * 2.0 / h
+    both, *_, slopes = line(length, n_elements, degree)
+    mass, stiffness = density * area * both, youngs * area * slopes
+    # the slopes of the first element's functions at its lower end
+    end = np.array({1: [-1.0, 1.0], 2: [-3.0, 4.0, -1.0]}[degree]) * n_elements / length
     tip, traction = np.zeros((1, nodes)), np.zeros((3, nodes))
     tip[0, 0] = 1.0
     traction[2, : degree + 1] = -youngs * area * end

@@ -63,21 +63,11 @@ def asked(description: str, arguments: Sequence[str] | None) -> Impact:
     parser = argparse.ArgumentParser(description=description)
     parser.add_argument("--cells", type=int, nargs=3, default=usual.cells)
     parser.add_argument("--order", type=int, choices=(1, 2), default=usual.order)
-    parser.add_argument("--its", type=float, default=usual.its_s)
-    parser.add_argument("--kn", type=float, default=usual.kn_N_m)
-    parser.add_argument("--height", type=float, default=usual.height_m)
-    parser.add_argument("--beta", type=float, default=usual.beta_s)
-    parser.add_argument("--until", type=float, default=usual.until_s)
-    given = parser.parse_args(arguments)
-    return Impact(
-        tuple(given.cells),
-        given.order,
-        given.its,
-        given.kn,
-        given.height,
-        given.beta,
-        given.until,
-    )
+    for name in ("its_s", "kn_N_m", "height_m", "beta_s", "until_s"):
+        option = f"--{name.partition('_')[0]}"
+        parser.add_argument(option, dest=name, type=float, default=getattr(usual, name))
+    given = vars(parser.parse_args(arguments))
+    return Impact(**{**given, "cells": tuple(given["cells"])})
 
 
 def answer(impact: Impact, march: March) -> dict[str, float | int]:

@@ -67,22 +67,22 @@ class Good(Effect):
         return replace(scene, law=law, beta_s=scene.beta_s + self.more_s)
 
 
-@pytest.mark.parametrize(
-    ("model", "more"),
-    [
-        ("beam", {}),
-        ("reduced", {"cells": (1, 2, 12)}),
-        ("solid", {"cells": (1, 2, 12)}),
-        ("analytic", {"height_m": 0.05}),
-    ],
-)
-def test_every_model_takes_it(model, more):
+MODELS = {"beam": {}, "reduced": {"cells": (1, 2, 12)}, "solid": {"cells": (1, 2, 12)}}
+
+
+def drops_of_all_models(**asked):
+    return [bristle.drop(model=model, **asked, **more) for model, more in MODELS.items()]
+
+
+def test_the_analytic_model_takes_none():
+    with pytest.raises(InputError, match="my_effect is not for the analytic model"):
+        bristle.drop(model="analytic", plugins=[EXAMPLE], effects=[SPEC])
+
+
+@pytest.mark.parametrize("model", MODELS)
+def test_every_model_takes_it(model):
     """From 10 mm the example is a contact of 2 MN/m × 5^(1/4), and nothing else."""
-    asked = {"model": model, "length_m": 0.1, "height_m": 0.01, **more}
-    if model == "analytic":
-        with pytest.raises(InputError, match="my_effect is not for the analytic model"):
-            bristle.drop(**asked, plugins=[EXAMPLE], effects=[SPEC])
-        return
+    asked = {"model": model, "length_m": 0.1, "height_m": 0.01, **MODELS[model]}
     found = bristle.drop(**asked, plugins=[EXAMPLE], effects=[SPEC])
     same = bristle.drop(**asked, kn_N_m=2e6 * 5.0**0.25)
     assert found.peak_force_N == pytest.approx(same.peak_force_N, rel=1e-12)
@@ -94,14 +94,7 @@ def test_every_model_takes_a_law_of_ones_own():
     """A film of 5 µm makes contact longer and softer, in 3-D as in 1-D, and takes no energy."""
     short = {"length_m": 0.1, "tip": "face", "beta_s": 0.0}
     plugin = {"plugins": [LAW], "effects": ["my_law:film_m=5e-6"]}
-    found = [
-        bristle.drop(model=model, **short, **plugin, **more)
-        for model, more in (
-            ("beam", {}),
-            ("reduced", {"cells": (1, 2, 12)}),
-            ("solid", {"cells": (1, 2, 12)}),
-        )
-    ]
+    found = drops_of_all_models(**short, **plugin)
     plain = bristle.drop(model="beam", **short)
     for each in found:
         assert each.contact_time_s > 1.1 * plain.contact_time_s
@@ -116,11 +109,7 @@ def test_every_model_takes_a_law_with_a_memory():
     """Yielding takes energy, which the budgets of all three have, and the rest comes back."""
     asked = {"length_m": 0.1, "tip": "face", "beta_s": 0.0, "its_s": 1e-6}
     asked |= {"plugins": [PLASTIC], "effects": ["my_plastic_law:yield_N=20"]}
-    found = [
-        bristle.drop(model="beam", **asked),
-        bristle.drop(model="reduced", cells=(1, 2, 12), **asked),
-        bristle.drop(model="solid", cells=(1, 2, 12), **asked),
-    ]
+    found = drops_of_all_models(**asked)
     for each in found:
         lost = each.energy["contact_loss_J"] / each.energy["initial_J"]
         assert 0.02 < lost < 1.0 - each.cm_velocity_after_m_s**2 / each.impact_speed_m_s**2 + 1e-3
@@ -246,6 +235,12 @@ class Wetting(Effect):
         return replace(scene, law=law, t_scale=scene.t_scale * (1.0 + self.slow))
 
 
+def damped(effect, scene):
+    """What a computed effect may not do: another contact law."""
+    present = effect.decades * effect.slow
+    return replace(scene, law=Damped(scene.law.kn_N_m, effect.slow)) if present else scene
+
+
 def test_a_computed_effect_is_known_for_every_drop_and_chance():
     """As models predict it for all drops at once, against drops simulated one by one."""
     outside.register(Wetting, "a test")
@@ -298,14 +293,7 @@ def test_a_computed_effect_is_known_for_every_drop_and_chance():
             {"enter": lambda self, s: replace(s, tilt_deg=self.slow * self.decades)},
             "changes tilt_deg: the loop takes these from its own effects alone",
         ),
-        (
-            {
-                "enter": lambda self, s: replace(
-                    s, law=Damped(s.law.kn_N_m, self.slow) if self.decades * self.slow else s.law
-                )
-            },
-            "no more of the contact law than its stiffness",
-        ),
+        ({"enter": damped}, "no more of the contact law than its stiffness"),
     ],
     ids=lambda value: "-".join(value) if isinstance(value, dict) else "",
 )  # fmt: skip
@@ -405,45 +393,34 @@ def test_an_installed_package_brings_its_own(monkeypatch, caplog):
 
 def test_a_parameter_is_what_its_effect_says_whatever_its_name():
     """`beta_s` of an effect from outside adds to the material's, and is not it."""
-    own = (Good.parameters[0], Parameter("beta_s", "s", 0.0, 1e-5, 5e-6))
-    words = {"name": "more_beta", "parameters": own, "__annotations__": {}}
 
-    def enter(self, scene):
-        return replace(scene, beta_s=scene.beta_s + self.beta_s * self.share)
+    @dataclass(frozen=True)
+    class MoreBeta(Effect):
+        share: float = 1.0
+        beta_s: float = 0.0
 
-    kind = dataclass(frozen=True)(
-        type(
-            "MoreBeta",
-            (Effect,),
-            {
-                **{name: getattr(Good, name) for name in ("title", "place", "kinds", "source")},
-                **words,
-                "__annotations__": {"share": "float", "beta_s": "float"},
-                "share": 1.0,
-                "beta_s": 0.0,
-                "enter": enter,
-            },
-        )
-    )
-    outside.register(kind, "a test")
-    assert Emulator(Bristle(), 9.8, 0.02, 0.05).parameters("more_beta") == own
+        name, title, source = "more_beta", "more damping", "a test"
+        place, kinds = Good.place, Good.kinds
+        parameters = (Good.parameters[0], Parameter("beta_s", "s", 0.0, 1e-5, 5e-6))
+
+        def enter(self, scene):
+            return replace(scene, beta_s=scene.beta_s + self.beta_s * self.share)
+
+    outside.register(MoreBeta, "a test")
+    emulator = Emulator(Bristle(), 9.8, 0.02, 0.05)
+    assert emulator.parameters("more_beta") == MoreBeta.parameters
 
 
 def test_an_effect_may_scale_the_damping_with_height():
-    kind = dataclass(frozen=True)(
-        type(
-            "Scaled",
-            (Good,),
-            {
-                "name": "scaled",
-                "enter": lambda self, scene: replace(
-                    scene,
-                    beta_s=scene.beta_s * self.share * (1.0 + self.more_s * scene.height_m),
-                ),
-            },
-        )
-    )
-    outside.register(kind, "a test")
+    @dataclass(frozen=True)
+    class Scaled(Good):
+        name = "scaled"
+
+        def enter(self, scene):
+            more = self.share * (1.0 + self.more_s * scene.height_m)
+            return replace(scene, beta_s=scene.beta_s * more)
+
+    outside.register(Scaled, "a test")
     assert "scaled" in EFFECTS
 
 
