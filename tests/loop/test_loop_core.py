@@ -23,7 +23,7 @@ from bristle.studies.loop.adequacy import (
     p_values,
 )
 from bristle.studies.loop.finding import Finding, Verdict
-from bristle.studies.loop.fit import fit, settle, to_box, to_theta
+from bristle.studies.loop.fit import Fitted, fit, settle, to_box, to_theta
 from bristle.studies.loop.heldout import Judge, split
 from bristle.studies.loop.noise import MOST_SCALE, log_density
 from bristle.studies.loop.posterior import evidence, posterior
@@ -39,6 +39,12 @@ pytestmark = pytest.mark.serial
 
 def whole(problem: Problem) -> Sample:
     return sample(problem, np.unique(problem.group))
+
+
+def with_baseline(problem: Problem) -> tuple[Sample, Fitted]:
+    """All of a problem's data, and the baseline that is fitted to it."""
+    data = whole(problem)
+    return data, fit_baseline(data, problem.baseline)
 
 
 @cache
@@ -69,7 +75,7 @@ def test_likelihood_of_plain_noise_is_the_normal_density():
 def test_likelihood_of_scatter_is_the_joint_normal_density():
     problem, amounts = toys.problem(1, {"slope": 6.0})
     data = whole(problem)
-    model = next(m for m in problem.candidates if m.effects == ("slope",))
+    model = problem.combine(("slope",))
     theta = np.array([amounts["kn"], 0.6])
     predicted = data.predict(model, theta)
     weights = np.asarray(model.weights)
@@ -98,14 +104,13 @@ def test_fit_agrees_with_scipy():
 
     problem, _ = toys.problem(3, {"plastic": 9.0})
     data = whole(problem)
-    model = next(m for m in problem.candidates if m.effects == ("plastic",))
+    model = problem.combine(("plastic",))
     found = fit(data, model, np.array([[0.5, 0.01], [0.4, 0.1]]), noise=0)
-    exact = least_squares(
-        lambda t: data.predict(model, t)[0] - data.values,
-        [1.0, 1.0],
-        x_scale=[0.01, 1.0],
-        xtol=1e-14,
-    )
+
+    def left(theta):
+        return data.predict(model, theta)[0] - data.values
+
+    exact = least_squares(left, [1.0, 1.0], x_scale=[0.01, 1.0], xtol=1e-14)
     np.testing.assert_allclose(found.theta, exact.x, rtol=2e-3)
     # Fisher information against the Jacobian of the independent solver.
     jacobian = exact.jac * np.array([exact.x[0] * np.log(400), 200.0])
@@ -122,9 +127,8 @@ def test_directions_that_data_do_not_see_are_named():
 
 def test_size_of_a_profile_is_the_projected_norm():
     problem, amounts = toys.problem(5, {"adhesion": 8.0})
-    data = whole(problem)
-    base = fit_baseline(data, problem.baseline)
-    model = next(m for m in problem.candidates if m.effects == ("adhesion",))
+    data, base = with_baseline(problem)
+    model = problem.combine(("adhesion",))
     found = profile(data, base, model)
     d = np.exp(np.interp(np.log(amounts["adhesion"]), np.log(found.size), np.log(found.d)))
     assert d == pytest.approx(8.0, rel=0.05)
@@ -135,7 +139,7 @@ def test_quantile_residuals_of_chance_are_normal():
     """Rows of a group share its chance: each, given those before it, is a normal deviate."""
     problem, amounts = toys.problem(1, {"slope": 6.0}, drops=480, quantities=3)
     data = whole(problem)
-    model = next(m for m in problem.candidates if m.effects == ("slope",))
+    model = problem.combine(("slope",))
     theta = np.array([amounts["kn"], amounts["slope"]])
     z = quantile_residuals(data.values, data.predict(model, theta), model.weights, data.starts)
     assert stats.kstest(z, "norm").pvalue > 0.01
@@ -214,8 +218,7 @@ def test_smallest_p_value_is_corrected_for_all_tests():
 def test_goodness_of_fit_is_uniform_where_nothing_is_missing():
     """Values drawn from the baseline, fitted anew: every p-value from 0 to 1 is as likely."""
     problem, _ = toys.problem(2, drops=24)
-    data = whole(problem)
-    base = fit_baseline(data, problem.baseline)
+    data, base = with_baseline(problem)
     few = [m for m in problem.candidates if m.effects[0] in ("drag", "wear", "plastic", "slope")]
     ways = directions(data, base, [profile(data, base, m) for m in few])
     rng = np.random.default_rng(1)
@@ -229,8 +232,7 @@ def test_goodness_of_fit_is_uniform_where_nothing_is_missing():
 
 
 def _p_of(problem: Problem) -> float:
-    data = whole(problem)
-    base = fit_baseline(data, problem.baseline)
+    data, base = with_baseline(problem)
     return assess(data, base, [], np.random.default_rng(0)).p_value
 
 
@@ -270,8 +272,7 @@ def test_noise_that_is_odd_may_not_be_large():
 
 def test_effects_that_look_alike_are_one_class():
     problem, _ = toys.problem(0)
-    data = whole(problem)
-    base = fit_baseline(data, problem.baseline)
+    data, base = with_baseline(problem)
     found = classes([profile(data, base, m) for m in problem.candidates])
     assert any({"dashpot", "rayleigh"} <= set(c) for c in found)
     # Of opposite sense, or another way with height: not alike.
@@ -289,15 +290,10 @@ def test_heavy_tails_and_correlation_are_findings_about_the_noise():
 def test_posterior_intervals_match_the_linear_theory():
     problem, _ = toys.problem(6, {"wear": 10.0})
     data = whole(problem)
-    plain = replace(
-        data.noises,
-        **{
-            name: getattr(data.noises, name)[:1]
-            for name in ("shape", "scale", "correlation", "prior", "before", "stretch", "constant")
-        },
-    )
-    data = replace(data, noises=plain)
-    model = next(m for m in problem.candidates if m.effects == ("wear",))
+    names = ("shape", "scale", "correlation", "prior", "before", "stretch", "constant")
+    plain = {name: getattr(data.noises, name)[:1] for name in names}
+    data = replace(data, noises=replace(data.noises, **plain))
+    model = problem.combine(("wear",))
     fitted = fit(data, model, np.array([[0.5, 0.5]]), 0)
     found = posterior(data, fitted, 1, np.random.default_rng(0))
     low, high = found.interval(1)

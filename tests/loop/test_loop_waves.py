@@ -91,22 +91,10 @@ def write(folder, t, columns, declared="", body="", **keys):
         f"length_m = {LENGTH_M}\nwidth_m = 2e-3\nthickness_m = 2e-3\n"
         f"youngs_modulus_Pa = {MODULUS_PA}\ndensity_kg_m3 = {DENSITY}\npoisson_ratio = 0.33\n"
     )
-    (folder / "dataset.toml").write_text(
-        '[dataset]\ntitle = "made"\nkind = "waves"\n[body]\n'
-        + body
-        + declared
-        + "\n[measurement]\n"
-        + "\n".join(lines)
-        + "\n"
-    )
-    np.savetxt(
-        folder / "record.csv",
-        np.array([t, *columns]).T,
-        "%.9g",
-        ",",
-        header=",".join(["t_s", *names]),
-        comments="",
-    )
+    head = f'[dataset]\ntitle = "made"\nkind = "waves"\n[body]\n{body}{declared}\n[measurement]'
+    (folder / "dataset.toml").write_text("\n".join([head, *lines, ""]))
+    table, names = np.column_stack([t, *columns]), ",".join(["t_s", *names])
+    np.savetxt(folder / "record.csv", table, "%.9g", ",", header=names, comments="")
     return folder
 
 
@@ -197,11 +185,7 @@ def test_passes_are_damped_as_by_a_modal_series(tmp_path, case):
 
 def test_lateral_inertia_disperses_as_a_modal_series_of_loves_rod(tmp_path):
     case, gyration = CASES["near the far end, the first pass overlaps"], 7.26e-8
-    data = case.record(
-        tmp_path, lambda t, p: modal(t, p, 30e-6, BETA_S, gyration), sigma=1e-6, first_pass_s=[
-            each * PASS_S for each in (0.7, 1.6)
-        ]
-    )  # fmt: skip
+    data = case.record(tmp_path, lambda t, p: modal(t, p, 30e-6, BETA_S, gyration), sigma=1e-6)
     problem = wave_problem(data)
     assert problem.baseline.propagation.rod.gyration_m2 == pytest.approx(gyration, rel=1e-2)
     exact = truth(problem.baseline, BETA_S)
