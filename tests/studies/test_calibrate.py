@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from hostile import drops_table, write_dataset
 from scipy import stats
+from solids import reduced_for
 
 from bristle.solver import paper
-from bristle.solver.bodies.reduced import reduce_solid
 from bristle.solver.bristle import Bristle, Material
 from bristle.solver.contact.enforcement import ContactMethod
 from bristle.solver.contact.laws import Linear
@@ -106,9 +106,7 @@ def test_kn_is_recovered_from_drops_of_the_solid(make_solid, model, folder, rng)
     bristle = Bristle()
     solid = make_solid(cells=(1, 1, 40), length_m=bristle.length_m)
     its = 1e-6
-    plan = DropPlan(0.03, ContactMethod(Linear(KN)), its, paper.GRAVITY_M_S2)
-    c_mass, c_stiffness = plan.scheme.effective(its, solid.alpha_1_s, solid.beta_s)
-    frame = ModalFrame(reduce_solid(solid, c_mass / c_stiffness, 60).modal)
+    frame = ModalFrame(reduced_for(solid, its, 60).modal)
     y0 = rng.uniform(0.01, 0.05, 12)
     rows = ""
     for i, height in enumerate(y0):
@@ -203,10 +201,7 @@ def test_the_stiffness_is_told_in_other_programs_terms(model):
     found = calibrate(None, model, grid_N_m=GRID)
     kn, depth_m = found.kn.estimate, 1e-6
     options = programs(kn, found.bristle.section.area_m2)
-    force_N = {
-        AREA: paper.WIDTH_M * paper.THICKNESS_M * depth_m,
-        NODE: depth_m,
-    }
+    force_N = {AREA: paper.WIDTH_M * paper.THICKNESS_M * depth_m, NODE: depth_m}
     for program, _, what, si, mm in options.itertuples(index=False):
         assert si * force_N[what] == pytest.approx(kn * depth_m), program
         in_mm = {AREA: 1e6 * 1e3, NODE: 1e3}[what]  # areas, depths

@@ -2,6 +2,7 @@
 
 import json
 import math
+from dataclasses import replace
 
 import numpy as np
 import pandas as pd
@@ -38,6 +39,7 @@ from bristle.studies.surface.rough import Surface
 pytestmark = pytest.mark.serial
 STEEL = paper.YOUNGS_PA, paper.POISSON
 TILT, TILT_WIDE, HEIGHT_M, MU = 1.5, -0.7, 0.03, 0.4
+LEAN = {"tilt_deg": TILT, "tilt_wide_deg": TILT_WIDE}
 
 
 def scatter(**values):
@@ -63,27 +65,14 @@ def places_over_ground(body, tilt, tilt_wide):
 
 
 def one(body, **changes):
-    drops = Drops.on_plane(
-        len(body.contact.weights),
-        height_m=HEIGHT_M,
-        kn_N_m=paper.KN_CHOSEN_N_M,
-        tilt_deg=TILT,
-        tilt_wide_deg=TILT_WIDE,
-        mu=MU,
-    )
-    return Drops(**{**vars(drops), **changes})
+    spring = {"kn_N_m": paper.KN_CHOSEN_N_M, "mu": MU}
+    drops = Drops.on_plane(len(body.contact.weights), height_m=HEIGHT_M, **spring, **LEAN)
+    return replace(drops, **changes)
 
 
 def alone(marcher, ground):
-    plan = DropPlan(
-        HEIGHT_M,
-        marcher.method,
-        marcher.its_s,
-        marcher.gravity_m_s2,
-        tilt_deg=TILT,
-        tilt_wide_deg=TILT_WIDE,
-        ground=ground,
-    )
+    how = (marcher.method, marcher.its_s, marcher.gravity_m_s2)
+    plan = DropPlan(HEIGHT_M, *how, **LEAN, ground=ground)
     return simulate(ModalFrame(marcher.body), plan, marcher)
 
 
@@ -143,16 +132,12 @@ def test_the_ground_is_the_surface_turned_into_the_bristles_axes(marcher):
 
 
 def test_many_drops_on_a_rough_surface_are_single_drops(marcher):
-    inputs = scatter(tilt_std_deg=0.0, tilt_deg=TILT, tilt_wide_deg=TILT_WIDE)
+    inputs = scatter(tilt_std_deg=0.0, **LEAN)
     surface = surface_of(inputs)
     released = draw(inputs, surface.size_m, 0, 2)
     under = ground_under(surface, marcher.body.contact, released, STEEL)
-    drops = one(
-        marcher.body,
-        normals=under.normals[1:],
-        rises_m=under.rises_m[1:],
-        scale=under.scale[1:],
-    )
+    second = {name: getattr(under, name)[1:] for name in ("normals", "rises_m", "scale")}
+    drops = one(marcher.body, **second)
     found, expected = drop_many(marcher, drops), alone(marcher, ground_of(under, 1))
     assert found.rebound_height_m[0] == pytest.approx(expected.rebound_height_m, rel=1e-9)
     assert found.friction_loss_J[0] == pytest.approx(expected.energy.friction_loss_J, rel=1e-7)

@@ -20,8 +20,8 @@ pytestmark = [pytest.mark.serial, pytest.mark.usefixtures("no_pictures")]
 OPTIONS = ["--models", "beam", "--kn", "2e6", "--heights", "0.05"]
 
 
-def sweep(*options, out):
-    assert main(["sweep", *OPTIONS, *options, "--out", str(out)]) == 0
+def sweep(*options, out, fixed=OPTIONS):
+    assert main(["sweep", *fixed, *options, "--out", str(out)]) == 0
     with (out / "table.csv").open(newline="") as file:
         return list(csv.DictReader(file))
 
@@ -57,26 +57,22 @@ def test_what_follows_from_a_value_follows_it_in_every_case(tmp_path):
     assert one.model_dump()["beta_s"] is None
     assert len({case.beta_s for case in one.cases()}) == 2
     config = str(tmp_path / "first" / "sweep.json")
-    assert main(["sweep", "--config", config, "--out", str(tmp_path / "again")]) == 0
-    with (tmp_path / "again" / "table.csv").open(newline="") as file:
-        again = list(csv.DictReader(file))
+    again = sweep("--config", config, out=tmp_path / "again", fixed=())
     for row in (*rows, *again):
         del row["wall_s"]
     assert again == rows
 
 
 def test_choices_too_and_from_python(tmp_path):
-    table = bristle.sweep(models="beam", kn_N_m=2e6, height_m=0.05, contact=["penalty", "nitsche"])
+    beam = {"models": "beam", "kn_N_m": 2e6, "height_m": 0.05}
+    table = bristle.sweep(**beam, contact=["penalty", "nitsche"])
     assert list(table["contact"]) == ["penalty", "nitsche"]
     assert table["rebound_ratio"][0] == pytest.approx(table["rebound_ratio"][1], rel=1e-3)
-    table = bristle.sweep(
-        models=["beam"], kn_N_m=2e6, height_m=0.05, elements=np.array([4, 8, 4]), tilt_deg=0
-    )
+    beam["models"] = ["beam"]
+    table = bristle.sweep(**beam, elements=np.array([4, 8, 4]), tilt_deg=0)
     assert list(table["elements"]) == [4, 8]
     assert "tilt_deg" not in table
-    table = bristle.sweep(
-        models="beam", kn_N_m=2e6, height_m=0.05, elements=range(4, 6), friction=[0.5, 0.0, 0]
-    )
+    table = bristle.sweep(**beam, elements=range(4, 6), friction=[0.5, 0.0, 0])
     assert list(table["elements"]) == [4, 5, 4, 5]
     assert list(table["friction"]) == [0.0, 0.0, 0.5, 0.5]
 
