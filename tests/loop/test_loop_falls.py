@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from model_fit import fit
 from scipy.integrate import solve_ivp
-from scipy.optimize import least_squares
 
 from bristle.solver.errors import InputError
 from bristle.studies.loop.kinds.falls.motion import (
@@ -75,10 +75,6 @@ def made(tmp_path_factory):
     return read_falls(write(tmp_path_factory.mktemp("made"), made_rows(np.random.default_rng(5))))
 
 
-def fit(model, values, start):
-    return least_squares(lambda x: model.predict(x)[0] - values, start, x_scale=np.abs(start))
-
-
 @pytest.mark.parametrize(("k", "c"), [(1e-3, 0.0), (0.05, 0.0), (5.0, 0.0), (0.0, 0.3), (0.2, 1.0)])
 def test_readings_solve_the_equation_of_a_fall_with_drag(k, c):
     """The mean over 2h differs from the middle's value by a'' h² / 6, here less than 1e-4 g."""
@@ -100,12 +96,8 @@ def test_a_mean_reading_tells_the_release(k):
     edges = np.linspace(0.0, 0.5, 11)
     begin, end = edges[:-1], edges[1:]
     for lead in (0.0, 0.03, 0.4):
-        level = np.mean(
-            [
-                mean_reading(lead + a, lead + b, k, 0.0, GRAVITY)
-                for a, b in zip(begin, end, strict=True)
-            ]
-        )
+        pairs = zip(lead + begin, lead + end, strict=True)
+        level = np.mean([mean_reading(*pair, k, 0.0, GRAVITY) for pair in pairs])
         assert lead_s(level, begin, end, k, 0.0, GRAVITY) == pytest.approx(lead, abs=1e-7)
     assert lead_s(-1.0, begin, end, k, 0.0, GRAVITY) == EARLIEST_S
     assert lead_s(GRAVITY, begin, end, k, 0.0, GRAVITY) == LATEST_S
@@ -162,10 +154,9 @@ def test_drag_that_was_put_in_comes_back_within_its_error_whatever_the_height(tm
     misses, left = [], []
     for i in range(24):
         problem = fall_problem(read_falls(write(tmp_path / str(i), made_rows(rng))))
-        done = fit(problem.combine(("air_drag",)), problem.values, np.array([BIAS, DRAG]))
-        error = np.sqrt(np.diag(np.linalg.inv(done.jac.T @ done.jac)))
-        misses.append((done.x - [BIAS, DRAG]) / error)
-        left.append(2.0 * done.cost / (len(problem.values) - 2))
+        found, error, squares = fit(problem.combine(("air_drag",)), problem.values)
+        misses.append((found - [BIAS, DRAG]) / error)
+        left.append(squares / (len(problem.values) - 2))
         assert error[1] < 0.05 * DRAG
     assert np.mean(np.square(misses)) == pytest.approx(1.0, abs=3 * 0.29 / np.sqrt(2))
     assert np.mean(left) == pytest.approx(1.0, abs=0.15)
@@ -205,12 +196,8 @@ def test_the_course_of_a_drag_linear_in_speed_is_its_own(tmp_path):
     problem = fall_problem(read_falls(write(tmp_path, rows)))
     left = {}
     for name in ("air_drag", "linear_drag"):
-        model = problem.combine((name,))
-        bounds = np.transpose([(p.low, p.high) for p in model.parameters])
-        done = least_squares(
-            lambda x, model=model: model.predict(x)[0] - problem.values, [0.0, 0.3], bounds=bounds
-        )
-        left[name] = 2.0 * done.cost / (len(problem.values) - 2)
+        *_, squares = fit(problem.combine((name,)), problem.values)
+        left[name] = squares / (len(problem.values) - 2)
     assert left["linear_drag"] < 1.0 + 3 * 0.14
     assert left["air_drag"] > 2.0
 
@@ -367,15 +354,11 @@ def test_measured_falls_lack_drag(measured):
     rms = {}
     for name in ("air_drag", "linear_drag"):
         model = problem.combine((name,))
-        done = least_squares(
-            lambda x, model=model: (model.predict(x)[0] - problem.values)[seen],
-            [0.0, 0.1],
-            bounds=np.transpose([(p.low, p.high) for p in model.parameters]),
-        )
-        residual = ((model.predict(done.x)[0] - problem.values) * problem.scale)[~seen]
+        found, *_ = fit(model, problem.values, seen)
+        residual = ((model.predict(found)[0] - problem.values) * problem.scale)[~seen]
         rms[name] = np.sqrt(np.mean(residual**2))
         if name == "air_drag":
-            assert 0.03 < done.x[1] < 0.06
+            assert 0.03 < found[1] < 0.06
     before = np.sqrt(np.mean((problem.values * problem.scale)[~seen] ** 2))
     assert rms["air_drag"] < 0.1 * before
     assert rms["linear_drag"] > 1.7 * rms["air_drag"]

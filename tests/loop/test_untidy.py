@@ -279,9 +279,8 @@ def test_rows_may_stand_in_any_order(tmp_path):
     """Their numbers say in which they were made."""
     write_drops(tmp_path, forces=True)
     whole = drops_problem(read_drops(tmp_path))
-    shuffled = drops_problem(
-        read_drops(edited(tmp_path, lambda rows: rows.sort(key=lambda r: r[1])))
-    )
+    edited(tmp_path, lambda rows: rows.sort(key=lambda row: row[1]))
+    shuffled = drops_problem(read_drops(tmp_path))
     assert np.array_equal(shuffled.values, whole.values)
     assert np.array_equal(shuffled.group, whole.group)
 
@@ -307,14 +306,10 @@ def two_days(tmp_path, **how):
     one, other = tmp_path / "one", tmp_path / "other"
     write_drops(one)
     write_drops(other, [EFFECTS["session"](0.12)])
-    parts = [read_drops(each) for each in (one, other)]
-    seen = np.concatenate(
-        [
-            np.column_stack([each.y0_m, each.y1_m])[20 * i : 20 * (i + 1)]
-            for i, each in enumerate(parts)
-        ]
+    first, second = (
+        np.column_stack([each.y0_m, each.y1_m]) for each in map(read_drops, (one, other))
     )
-    return write_table(tmp_path, seen, **how)
+    return write_table(tmp_path, np.concatenate([first[:20], second[20:]]), **how)
 
 
 @pytest.mark.parametrize("told", ["column", "gap", "nowhere"])
@@ -342,9 +337,7 @@ def test_a_session_that_the_table_tells_may_have_two_drops(tmp_path):
 def test_a_row_that_stands_twice_is_told_and_counted_once(few, tmp_path):
     write_drops(tmp_path)
     whole = drops_problem(read_drops(tmp_path))
-    lines = (tmp_path / "drops.csv").read_text().splitlines()
-    (tmp_path / "drops.csv").write_text("\n".join([*lines, lines[7], ""]))
-    problem = read_problem(tmp_path)
+    problem = read_problem(edited(tmp_path, lambda rows: rows.append(rows[6])))
     assert np.array_equal(problem.values, whole.values)
     (entry,) = problem.bookkeeping
     assert (entry.kind, entry.drops) == ("repeated", (7,))
@@ -353,10 +346,7 @@ def test_a_row_that_stands_twice_is_told_and_counted_once(few, tmp_path):
 def test_a_slip_is_sought_where_it_makes_a_height_like_the_others(few, tmp_path):
     """A tenth of a rebound and ten times a height leave the same ratio."""
     write_drops(tmp_path)
-    lines = (tmp_path / "drops.csv").read_text().splitlines()
-    drop, y0, y1 = lines[9].split(",")
-    lines[9] = f"{drop},{y0},{float(y1) / 10.0:.4f}"
-    (tmp_path / "drops.csv").write_text("\n".join([*lines, ""]))
+    edited(tmp_path, lambda rows: rows[8].__setitem__(2, f"{float(rows[8][2]) / 10.0:.4f}"))
     (entry,) = read_problem(tmp_path).bookkeeping
     assert (entry.kind, entry.drops) == ("slip", (9,))
     assert entry.why.startswith("y1_mm")

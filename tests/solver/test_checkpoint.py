@@ -7,12 +7,15 @@ import pytest
 from mpi4py import MPI
 
 from bristle.solver.bodies.beam import beam_body
+from bristle.solver.bodies.floating import FloatingModel
+from bristle.solver.bodies.reduced import reduce_solid
 from bristle.solver.bristle import Bristle, Material
 from bristle.solver.checkpoint import Checkpoint
 from bristle.solver.contact.enforcement import ContactMethod, Enforcement
 from bristle.solver.contact.laws import Adhesive, Coulomb, Damped, Linear, Plastic
 from bristle.solver.drop import DropPlan, ModalFrame, simulate
 from bristle.solver.errors import ComputationError, InputError
+from bristle.solver.time.finite import FiniteMarcher
 from bristle.solver.time.march import Marcher
 from bristle.solver.time.scheme import TimeScheme
 
@@ -79,17 +82,21 @@ def the_same(one, two):
             assert value == other, name
 
 
+def assert_it_goes_on_to_the_bit(body, plan, share, folder, marcher=lambda: None):
+    """Where a drop is interrupted after so large a ``share`` of what is seen of it."""
+    whole, again = Seer(), Seer()
+    uninterrupted = simulate(body, plan, marcher(), whole)
+    stop = int(share * len(whole.seen))
+    with pytest.raises(Interrupted):
+        simulate(body, plan, marcher(), Seer(stop), eager(folder))
+    the_same(simulate(body, plan, marcher(), again, eager(folder, resume=True)), uninterrupted)
+    assert again.seen == whole.seen
+
+
 @pytest.mark.parametrize("method", METHODS, ids=str)
 @pytest.mark.parametrize("share", [0.02, 0.4, 0.97])
 def test_a_drop_goes_on_to_the_bit(method, share, folder):
-    body, plan, whole = frame(), plan_of(method), Seer()
-    uninterrupted = simulate(body, plan, observer=whole)
-    stop = int(share * len(whole.seen))
-    with pytest.raises(Interrupted):
-        simulate(body, plan, observer=Seer(stop), checkpoint=eager(folder))
-    again = Seer()
-    the_same(simulate(body, plan, None, again, eager(folder, resume=True)), uninterrupted)
-    assert again.seen == whole.seen
+    assert_it_goes_on_to_the_bit(frame(), plan_of(method), share, folder)
 
 
 def test_a_march_that_begins_elsewhere_is_refused(folder):
@@ -127,10 +134,6 @@ def test_every_touch_of_a_drop_goes_on(folder):
 @pytest.mark.parametrize("strain", ["small", "finite"])
 def test_the_solid_at_full_order_goes_on_to_the_bit(make_solid, folder, strain):
     """On as many ranks as there are."""
-    from bristle.solver.bodies.floating import FloatingModel
-    from bristle.solver.bodies.reduced import reduce_solid
-    from bristle.solver.time.finite import FiniteMarcher
-
     solid = make_solid(cells=(1, 1, 12), order=1)
     body = reduce_solid(solid, 4.0 / ITS**2, 12, leaning=True)
     plan = DropPlan(0.01, ContactMethod(Linear(KN), friction=Coulomb(0.3)), 1e-6, G, tilt_deg=1.0)
@@ -141,14 +144,7 @@ def test_the_solid_at_full_order_goes_on_to_the_bit(make_solid, folder, strain):
     def marcher():
         return kind(solid, plan.method, TimeScheme.average(), plan.its_s, G)
 
-    whole = Seer()
-    uninterrupted = simulate(body, plan, marcher(), whole)
-    half = Seer(len(whole.seen) // 2)
-    with pytest.raises(Interrupted):
-        simulate(body, plan, marcher(), half, eager(folder))
-    again = Seer()
-    the_same(simulate(body, plan, marcher(), again, eager(folder, resume=True)), uninterrupted)
-    assert again.seen == whole.seen
+    assert_it_goes_on_to_the_bit(body, plan, 0.5, folder, marcher)
 
 
 # --- files ----------------------------------------------------------------------------------------

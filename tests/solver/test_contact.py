@@ -240,18 +240,3 @@ def test_a_law_with_a_force_in_python_is_refused_by_name():
         ContactMethod(Halved(2e6))
     for law in (Linear(1e6), Damped(1e6, 1.0), Stiffening(1e6), Plastic(1e6, 1.0)):
         assert ContactMethod(law).law is law
-
-
-@pytest.mark.parametrize(
-    ("build", "word"),
-    [
-        (lambda: Linear(0.0), "Kn"),
-        (lambda: Linear(float("nan")), "Kn"),
-        (lambda: ContactMethod(Linear(math.inf)), "nitsche or augmented"),
-        (lambda: ContactMethod(Linear(1.0), Enforcement.NITSCHE, theta=2), "theta"),
-        (lambda: ContactMethod(Linear(1.0), Enforcement.NITSCHE, gamma0=0.5), "gamma0"),
-    ],
-)
-def test_impossible_contact_is_refused(build, word):
-    with pytest.raises(ValueError, match=word):
-        build()

@@ -409,6 +409,11 @@ def test_a_face_of_points_is_one_point_where_all_are_alike():
 @pytest.mark.parametrize(
     ("build", "word"),
     [
+        (lambda: Linear(0.0), "Kn"),
+        (lambda: Linear(math.nan), "Kn"),
+        (lambda: ContactMethod(Linear(math.inf)), "nitsche or augmented"),
+        (lambda: ContactMethod(Linear(1.0), Enforcement.NITSCHE, theta=2), "theta"),
+        (lambda: ContactMethod(Linear(1.0), Enforcement.NITSCHE, gamma0=0.5), "gamma0"),
         (lambda: Stiffening(math.inf, 1.5), "Kn"),
         (lambda: Stiffening(1e6, 0.9), "exponent"),
         (lambda: Stiffening(1e6, 3.1), "exponent"),
