@@ -106,13 +106,7 @@ def beam(elements: int, step_s: float) -> Run:
     rho = 0.6
     am, af = (2.0 * rho - 1.0) / (rho + 1.0), rho / (rho + 1.0)
     beta, gamma = 0.25 * (1.0 - am + af) ** 2, 0.5 - am + af
-    h = step_s
-
-    def rates(new: object) -> tuple:
-        b = ((new - u0) / h**2 - v0 / h - (0.5 - beta) * b0) / beta
-        v = v0 + h * ((1.0 - gamma) * b0 + gamma * b)
-        return v, ((1.0 - am) * b + am * b0 - af * a0) / (1.0 - af), b
-
+    h, constants = step_s, (am, af, beta, gamma)
     axis, side = (-ufl.sin(u[2]), -ufl.cos(u[2])), (ufl.cos(u[2]), -ufl.sin(u[2]))
     slope = (u[0].dx(0), u[1].dx(0))
     stretch = slope[0] * axis[0] + slope[1] * axis[1] - 1.0
@@ -120,7 +114,7 @@ def beam(elements: int, step_s: float) -> Run:
     energy = section.EA_N * stretch**2 + section.GA1_N * shear**2
     energy += section.EI2_Nm2 * u[2].dx(0) ** 2
     reduced = ufl.dx(metadata={"quadrature_degree": 2})
-    velocity, acceleration, _ = rates(u)
+    velocity, acceleration, _ = _rates((u, u0, v0, a0, b0), h, constants)
     inertia = ufl.as_vector(
         [
             weight * (acceleration[i] + inputs.alpha_1_s * velocity[i])
@@ -178,8 +172,9 @@ def beam(elements: int, step_s: float) -> Run:
             held.x.array.reshape(-1, 3)[:] = place[0], place[2], LEAN
             u.x.array[:] = u0.x.array + h * v0.x.array + 0.5 * h * h * b0.x.array
             newton.solve(u)
-            v, a, b = _rates(u, u0, v0, a0, b0, h, (am, af, beta, gamma))
-            for function, values in ((v0, v), (a0, a), (b0, b)):
+            seen = tuple(each.x.array for each in (u, u0, v0, a0, b0))
+            rates = _rates(seen, h, constants)
+            for function, values in zip((v0, a0, b0), rates, strict=True):
                 function.x.array[:] = values
             mean -= fem.assemble_vector(reaction).array.reshape(-1, 3)[first, :2] / per
             u0.x.array[:] = u.x.array
@@ -190,9 +185,10 @@ def beam(elements: int, step_s: float) -> Run:
     return Run(np.array(found), time.process_time() - started)
 
 
-def _rates(u, u0, v0, a0, b0, h: float, constants: tuple) -> tuple:
+def _rates(seen: tuple, h: float, constants: tuple) -> tuple:
+    """Velocity, acceleration and its average at the end of a step, of fields or of numbers."""
+    new, old, v, a, b = seen
     am, af, beta, gamma = constants
-    new, old, v, a, b = (each.x.array for each in (u, u0, v0, a0, b0))
     later = ((new - old) / h**2 - v / h - (0.5 - beta) * b) / beta
     speed = v + h * ((1.0 - gamma) * b + gamma * later)
     return speed, ((1.0 - am) * later + am * b - af * a) / (1.0 - af), later

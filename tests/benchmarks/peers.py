@@ -19,7 +19,6 @@ from bristle.studies.inputs.fields import MODES
 from bristle.studies.running.progress import progress
 
 from .column import column
-from .machine import facts, load
 from .peers_points import (
     LEVELS,
     Converged,
@@ -169,8 +168,7 @@ def run_peers(out: Path, repeats: int = REPEATS, blocks: tuple[Block, ...] = BLO
     """
     if MPI.COMM_WORLD.size > 1:
         raise InputError("bench peers measures one process at a time: run it without mpirun")
-    prepare("peers", out)
-    about = [load(), *facts()]
+    about = prepare("peers", out)
     plan = [
         (program, Setting(block.physics, block.cells, its, block.modes))
         for block in blocks

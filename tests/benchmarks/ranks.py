@@ -23,7 +23,7 @@ from bristle.studies.running.progress import progress
 from .column import column
 from .communication import Machine, prediction
 from .environment import unlaunched
-from .machine import facts, load, with_benchmarks
+from .machine import with_benchmarks
 from .records import Part, curves_figure, prepare, publish
 
 # Cells of the one large solid (172 000 unknowns), and of the many.
@@ -155,8 +155,7 @@ def run_ranks(
     """
     if launched_ranks() > 1:
         raise InputError("bench ranks: starts mpirun itself, and is not to be run under mpirun")
-    prepare("ranks", out)
-    about = [load(), *facts()]
+    about = prepare("ranks", out)
     cores = len(os.sched_getaffinity(0))
     ranks = most or max(cores, 2)
     todo = jobs(ranks, large, small)

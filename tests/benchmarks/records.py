@@ -38,6 +38,8 @@ from bristle.studies.running.files import (
     write_json,
 )
 
+from .machine import facts, load
+
 # Values along x and y by the name of a curve.
 Curves = Mapping[str, tuple[Sequence[float], Sequence[float]]]
 
@@ -92,9 +94,11 @@ class Part:
         return [self.title, *(f"  {line}" for line in (*rows, *self.text)), ""]
 
 
-def prepare(name: str, out: Path) -> None:
-    """Make ``out`` ready for what `publish` writes; InputError where it cannot be."""
+def prepare(name: str, out: Path) -> list[tuple[str, str]]:
+    """Make ``out`` ready for what `publish` writes, and ask what the machine is; InputError where
+    ``out`` cannot be used."""
     prepare_folder(out, f"{name}.csv", f"{name}.json", *REPORT_FILES)
+    return [load(), *facts()]
 
 
 def publish(

@@ -26,7 +26,7 @@ from bristle.solver.time.scheme import TimeScheme
 from bristle.studies.running.progress import progress
 
 from .column import column
-from .machine import facts, load, with_benchmarks
+from .machine import with_benchmarks
 
 if TYPE_CHECKING:
     from bristle.solver.bodies.solid import SolidBody
@@ -179,8 +179,7 @@ def run_sizes(out: Path, largest: int = 3_000_000) -> str:
         raise InputError(f"--largest: the smallest size has more unknowns than {largest}")
     from .records import prepare
 
-    prepare("sizes", out)
-    about = [load(), *facts()]
+    about = prepare("sizes", out)
     lines, failed = [], []
     # a size takes about as long as it has unknowns
     total = sum(unknowns(cells) for _, cells, _ in cases)

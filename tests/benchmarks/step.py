@@ -27,7 +27,6 @@ from bristle.solver.time.scheme import TimeScheme
 from bristle.studies.running.progress import progress
 
 from .column import column
-from .machine import facts, load
 from .records import Part, curves_figure, prepare, publish
 
 BODIES = (((1, 4, 337), 2), ((2, 8, 337), 2), ((1, 4, 337), 1))
@@ -190,8 +189,7 @@ def run_step(
 
     Everything runs on one rank and one thread.
     """
-    prepare("step", out)
-    about = [load(), *facts()]
+    about = prepare("step", out)
     lines = []
     with progress("Bodies", len(bodies)) as advance:
         for cells, order in bodies:

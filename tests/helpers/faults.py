@@ -17,6 +17,8 @@ from bristle.studies.running.mark import MARK, UNFINISHED
 
 # What differs from run to run: times, memory, and how many cases were left to do.
 TIMES = ("wall_s", "peak_rss_MB", "drops_per_second", "ranks")
+# A drop that is marched step by step, with a mark at each look at the clock.
+FULL_SOLID = ("drop", "--model", "solid", "--cells", "1", "1", "40", "--keep", "0")
 SAID = re.compile(r"<dt>Wall time</dt>\s*<dd>.*?</dd>", re.S)
 
 
@@ -25,17 +27,9 @@ def started(arguments, ranks=1, **more):
     command = [sys.executable, "-m", "bristle.studies.cli", *map(str, arguments)]
     if ranks > 1:
         command = ["mpirun", "-n", str(ranks), "--oversubscribe", *command]
-    return subprocess.Popen(
-        command,
-        text=True,
-        env=environment(),
-        **{
-            "stdin": subprocess.DEVNULL,
-            "stdout": subprocess.PIPE,
-            "stderr": subprocess.PIPE,
-            **more,
-        },
-    )
+    more = {"stdout": subprocess.PIPE, **more}
+    ends = {"stdin": subprocess.DEVNULL, "stderr": subprocess.PIPE, **more}
+    return subprocess.Popen(command, text=True, env=environment(), **ends)
 
 
 def ended(process, timeout_s=120.0):

@@ -43,6 +43,13 @@ def kept_promise(status, lines):
     return lines[-1].removeprefix("bristle: error: ")
 
 
+def refused(*arguments):
+    """The message of a command that must end with status 2, without the prefix."""
+    status, _, lines = run(*arguments)
+    assert status == 2, lines
+    return kept_promise(status, lines)
+
+
 # --- values and files -----------------------------------------------------------------------------
 
 NASTY_TEXT = st.one_of(

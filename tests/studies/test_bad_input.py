@@ -23,6 +23,7 @@ from hostile import (
     hostile_datasets,
     kept_promise,
     manifest,
+    refused,
     run,
     write_dataset,
     write_files,
@@ -189,9 +190,8 @@ def test_what_is_no_file_is_no_configuration(tmp_path, kind):
         path = Path("/dev/zero")
     elif kind == "binary":
         path.write_bytes(bytes(range(256)))
-    status, _, lines = run("drop", "--config", path, "--out", tmp_path / "out")
-    assert status == 2
-    assert kept_promise(status, lines).startswith(f"--config {path}: cannot be read")
+    said = refused("drop", "--config", path, "--out", tmp_path / "out")
+    assert said.startswith(f"--config {path}: cannot be read")
     assert not (tmp_path / "out").exists()
 
 
@@ -329,9 +329,8 @@ def test_a_unit_is_one_that_labels_can_show(tmp_path, unit):
 def test_a_bar_too_short_for_its_record_is_named(tmp_path):
     tree = manifest("waves", body={"length_m": 0.002, "width_m": 0.5e-3})
     folder = write_dataset(tmp_path / "data", "waves", tree)
-    status, _, lines = run("close-loop", folder, "--out", tmp_path / "out")
-    assert status == 2
-    assert "predict_s has 0 samples a pass of the declared bar" in kept_promise(status, lines)
+    said = refused("close-loop", folder, "--out", tmp_path / "out")
+    assert "predict_s has 0 samples a pass of the declared bar" in said
 
 
 # --- command lines --------------------------------------------------------------------------------

@@ -11,7 +11,7 @@ import time
 
 import pytest
 from commands import bristle, environment, mpirun, python
-from hostile import ERROR, kept_promise, run
+from hostile import ERROR, refused, run
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
@@ -29,13 +29,6 @@ NUMERIC = [
     for flag in DROP_FLAGS
     if flag.kind in (float, int) and flag.name not in ("its", "elements")
 ]
-
-
-def refused(*arguments):
-    """The message of a command that must end with status 2, without the prefix."""
-    status, _, lines = run(*arguments)
-    assert status == 2
-    return kept_promise(status, lines)
 
 
 def test_without_arguments_it_says_what_to_do_next():

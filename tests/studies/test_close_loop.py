@@ -15,7 +15,7 @@ import commands
 import numpy as np
 import pytest
 from blind.drops import PLASTIC, Truth, seen
-from hostile import kept_promise, run
+from hostile import refused
 from made_drops import COUNT, QUICK, SIGMA_MM, SIGMA_N, SIGMA_S, write_drops
 
 from bristle.solver.effects.library import EFFECTS
@@ -57,6 +57,12 @@ def read_strictly(path: Path) -> dict:
     return json.loads(path.read_text(), parse_constant=refuse)
 
 
+def closed(dataset, out, *options) -> dict:
+    """The verdict on a dataset whose loop is closed into a folder."""
+    assert main(["close-loop", str(dataset), "--out", str(out), *options]) == 0
+    return read_strictly(out / "verdict.json")
+
+
 @pytest.fixture(scope="module")
 def quick():
     """The library without effects that have to be simulated first."""
@@ -71,7 +77,7 @@ def worn(tmp_path_factory, quick) -> tuple[Path, Path]:
     folder = tmp_path_factory.mktemp("worn")
     dataset = write_drops(folder / "data", [EFFECTS["wear"](decades=2.0)], NASTY)
     out = folder / "deep" / "out"
-    assert main(["close-loop", str(dataset), "--out", str(out), "--seed", "3", "--no-3d"]) == 0
+    closed(dataset, out, "--seed", "3", "--no-3d")
     return dataset, out
 
 
@@ -105,9 +111,7 @@ def test_a_difference_between_sessions_is_seen_and_no_effect_is_named_for_it(tmp
         lower = 5.0 * SIGMA_MM if second[i] else 0.0
         rows[i] = f"{drop},{y0},{float(y1) - lower:.4f},{'b' if second[i] else 'a'}"
     (folder / "drops.csv").write_text("\n".join([f"{head},session", *rows, ""]))
-    out = tmp_path / "out"
-    assert main(["close-loop", str(folder), "--out", str(out), "--no-3d"]) == 0
-    content = read_strictly(out / "verdict.json")
+    content = closed(folder, tmp_path / "out", "--no-3d")
     assert content["verdict"] == "unknown"
     assert "session" in content["detection"]["statistic"]
 
@@ -131,16 +135,14 @@ def test_the_page_has_every_step_with_its_table_and_escapes_the_title(worn):
 def test_the_same_seed_gives_the_same_bytes_also_from_its_own_output(worn, tmp_path):
     dataset, out = worn
     first = (out / "verdict.json").read_bytes()
-    again = ["close-loop", str(dataset), "--config", str(out / "verdict.json")]
-    assert main([*again, "--out", str(tmp_path / "again")]) == 0
+    closed(dataset, tmp_path / "again", "--config", str(out / "verdict.json"))
     assert (tmp_path / "again" / "verdict.json").read_bytes() == first
     assert str(dataset).encode() not in first
 
 
 def test_data_that_lack_nothing_are_adequate_and_confirmed_by_the_solid(quick, tmp_path, capsys):
     dataset = write_drops(tmp_path / "data")
-    assert main(["close-loop", str(dataset), "--out", str(tmp_path / "out")]) == 0
-    content = read_strictly(tmp_path / "out" / "verdict.json")
+    content = closed(dataset, tmp_path / "out")
     assert content["verdict"] == "adequate"
     assert content["effects"] == []
     kn = content["parameters"]["kn_N_m"]
@@ -234,9 +236,8 @@ def test_two_strong_effects_are_both_named(truth, tmp_path, monkeypatch):
     names = [*QUICK, *truth, "contact_damping"]
     monkeypatch.setattr(drops_module, "carried", lambda kind, quantities: names)
     strong = [EFFECTS[name](**{own: value}) for name, (own, value) in truth.items()]
-    dataset, out = write_drops(tmp_path / "data", strong, forces=True), tmp_path / "out"
-    assert main(["close-loop", str(dataset), "--out", str(out), "--no-3d"]) == 0
-    content = read_strictly(out / "verdict.json")
+    dataset = write_drops(tmp_path / "data", strong, forces=True)
+    content = closed(dataset, tmp_path / "out", "--no-3d")
     assert content["verdict"] == "effect"
     assert sorted(content["effects"]) == sorted(truth)
     for own, value in truth.values():
@@ -256,8 +257,7 @@ def test_a_contact_that_yields_by_another_law_is_found_and_confirmed(tmp_path, m
     read += SIGMA_MM * rng.standard_normal(read.shape)
     rows = [f"{i + 1},{y0:.4f},{y1:.4f}\n" for i, (y0, y1) in enumerate(read)]
     (folder / "drops.csv").write_text("".join(["drop,y0_mm,y1_mm\n", *rows]))
-    assert main(["close-loop", str(folder), "--out", str(tmp_path / "out")]) == 0
-    content = read_strictly(tmp_path / "out" / "verdict.json")
+    content = closed(folder, tmp_path / "out")
     assert content["verdict"] == "effect"
     assert content["effects"] == ["plastic_contact"]
     for name, true in {"yield_N": 25.0, "hardening": 0.1, "unloading": 3.0}.items():
@@ -346,9 +346,7 @@ def test_a_wrong_dataset_ends_with_2_and_leaves_nothing_behind(tmp_path, table, 
     if table is not None:
         (tmp_path / "drops.csv").write_text(table)
     before = sorted(tmp_path.iterdir())
-    status, _, lines = run("close-loop", tmp_path, "--out", tmp_path / "new" / "out")
-    assert status == 2
-    assert words in kept_promise(status, lines)
+    assert words in refused("close-loop", tmp_path, "--out", tmp_path / "new" / "out")
     assert sorted(tmp_path.iterdir()) == before
 
 

@@ -82,6 +82,7 @@ def test_defaults_are_the_papers():
     assert StudyInputs().heights_m == paper.HEIGHTS_M
     assert len(StudyInputs().cases()) == 2 * len(paper.KN_N_M) * len(paper.HEIGHTS_M)
     assert ItsInputs().heights_m == (0.05,)
+    assert inputs.contact_points == CONTACT_POINTS
 
 
 def test_choices_are_the_solvers():
@@ -257,10 +258,6 @@ def test_lean_counts_from_the_surfaces_normal(values, lean):
     assert lean_deg(drop(**values)) == pytest.approx(lean, abs=1e-9)
 
 
-def test_contact_points_are_the_solvers_unless_asked_for():
-    assert DropInputs().contact_points == CONTACT_POINTS
-
-
 def test_a_worn_face_stands_back_toward_its_direction_only():
     points, _ = Circle(1e-3).contact_points(9)
     shape = drop(tip_shape="worn:angle=5,direction=180").face()
@@ -280,25 +277,26 @@ def test_plans_follow_until():
     assert drop(until=Until.IMPACT).until is Until.IMPACT
 
 
-@pytest.mark.parametrize("scheme", ["average", "newmark", "generalised"])
-def test_schemes_reach_the_solver(scheme):
-    rho = {"rho_inf": 0.3} if scheme == "generalised" else {}
-    expected = {
-        "average": TimeScheme.average(),
-        "newmark": TimeScheme.newmark(),
-        "generalised": TimeScheme.generalised(0.3),
-    }
-    assert drop(scheme=scheme, **rho).drop_plan(1).scheme == expected[scheme]
+@pytest.mark.parametrize(
+    ("values", "expected"),
+    [
+        ({"scheme": "average"}, TimeScheme.average()),
+        ({"scheme": "newmark"}, TimeScheme.newmark()),
+        ({"scheme": "generalised", "rho_inf": 0.3}, TimeScheme.generalised(0.3)),
+    ],
+    ids=str,
+)
+def test_schemes_reach_the_solver(values, expected):
+    assert drop(**values).drop_plan(1).scheme == expected
 
 
 def test_the_effective_matrix_of_newmarks_average_acceleration():
     # a = 4/h² Δu and v = 2/h Δu at the end of the step: 4/h² M + 2/h C + K, up to a factor
     h, alpha, beta = 1e-5, 3.0, 2e-6
-    c_mass, c_stiffness = TimeScheme.newmark().effective(h, alpha, beta)
     shift = (4.0 / h**2 + 2.0 * alpha / h) / (1.0 + 2.0 * beta / h)
-    assert c_mass / c_stiffness == pytest.approx(shift, rel=1e-13)
-    c_mass, c_stiffness = TimeScheme.average().effective(h, alpha, beta)
-    assert c_mass / c_stiffness == pytest.approx(shift, rel=1e-13)
+    for scheme in (TimeScheme.newmark(), TimeScheme.average()):
+        c_mass, c_stiffness = scheme.effective(h, alpha, beta)
+        assert c_mass / c_stiffness == pytest.approx(shift, rel=1e-13)
 
 
 def test_flags_win_over_the_file_and_the_file_over_defaults(tmp_path):
@@ -309,10 +307,9 @@ def test_flags_win_over_the_file_and_the_file_over_defaults(tmp_path):
 
 
 def test_keys_may_have_dashes_underscores_or_units(tmp_path):
-    path = config(tmp_path, 'scheme = "generalised"\nrho_inf = 0.5\nkn_N_m = 1e6\n')
-    assert from_file(path).rho_inf == 0.5
-    path = config(tmp_path, 'scheme = "generalised"\nrho-inf = 0.5\n')
-    assert from_file(path).rho_inf == 0.5
+    for key in ("rho_inf", "rho-inf"):
+        path = config(tmp_path, f'scheme = "generalised"\n{key} = 0.5\nkn_N_m = 1e6\n')
+        assert from_file(path).rho_inf == 0.5
 
 
 def test_a_flag_takes_what_hangs_on_it_out_of_the_file(tmp_path):
@@ -383,13 +380,8 @@ def test_a_json_that_is_no_result_is_refused(tmp_path, text, says):
 def test_lists_come_as_text_list_or_alone(tmp_path):
     given = {"models": "beam, analytic", "kn": "1e5,2e6,1e5", "heights": "0.01"}
     inputs = checked(StudyInputs, flag_source(given, STUDY_FLAGS).values)
-    cases = inputs.cases()
-    assert [(c.model, c.kn_N_m) for c in cases] == [
-        ("analytic", 1e5),
-        ("analytic", 2e6),
-        ("beam", 1e5),
-        ("beam", 2e6),
-    ]
+    cases = [(case.model, case.kn_N_m) for case in inputs.cases()]
+    assert cases == [(model, kn) for model in ("analytic", "beam") for kn in (1e5, 2e6)]
     path = config(tmp_path, 'kn = [1e5, 2e6]\nmodel = "beam"\nheight = 0.02\nits = 1e-6\n')
     inputs = inputs_of(StudyInputs, {}, STUDY_FLAGS, path)
     assert (inputs.models, inputs.heights_m, inputs.its_s) == (("beam",), (0.02,), (1e-6,))
@@ -480,7 +472,7 @@ def test_the_slowest_bending_is_the_beams():
 def test_files_are_looked_for_beside_a_toml_file(tmp_path):
     (tmp_path / "own.py").write_text("x = 1\n")
     path = config(tmp_path, 'plugins = ["own.py", "/there.py"]\nmesh = "own.msh"\n')
-    source = read_config(Path(path), DROP_FLAGS)
+    source = read_config(path, DROP_FLAGS)
     assert source.values["plugins"] == [str(tmp_path / "own.py"), "/there.py"]
     assert source.values["mesh"] == str(tmp_path / "own.msh")
 

@@ -14,6 +14,7 @@ import pytest
 from commands import LIVE, environment
 from drawing import draw_nothing
 from faults import (
+    FULL_SOLID,
     ended,
     hidden,
     journal_lines,
@@ -24,7 +25,7 @@ from faults import (
     told,
     wait_for,
 )
-from hostile import drops_table, kept_promise, run, write_dataset
+from hostile import drops_table, kept_promise, refused, run, write_dataset
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
@@ -328,25 +329,20 @@ def test_a_full_disk_is_named(tmp_path, name):
 def test_a_folder_that_cannot_be_written_is_refused_at_once(tmp_path, name):
     (tmp_path / "file").write_text("mine")
     for out in (tmp_path / "file", tmp_path / "file" / "out"):
-        status, _, lines = run(*ALL[name], "--out", out)
-        assert status == 2
-        assert kept_promise(status, lines).startswith(f"--out {out}: ")
+        assert refused(*ALL[name], "--out", out).startswith(f"--out {out}: ")
     assert (tmp_path / "file").read_text() == "mine"
 
 
 @pytest.mark.parametrize("name", ALL)
 def test_a_disk_that_is_read_only_is_refused_at_once(tmp_path, name):
     with mounted(tmp_path / "disk", "size=16k,ro") as disk:
-        status, _, lines = run(*ALL[name], "--out", disk)
-        assert status == 2
-        assert kept_promise(status, lines).startswith(f"--out {disk}: cannot be written")
+        assert refused(*ALL[name], "--out", disk).startswith(f"--out {disk}: cannot be written")
 
 
 def test_a_dataset_measured_is_not_overwritten_by_a_made_one(tmp_path):
     write_dataset(tmp_path, "drops")
-    status, _, lines = run("synth", "--out", tmp_path, "--truth", tmp_path.parent / "t.json")
-    assert status == 2
-    assert "drops.csv: was not written by this program" in kept_promise(status, lines)
+    said = refused("synth", "--out", tmp_path, "--truth", tmp_path.parent / "t.json")
+    assert "drops.csv: was not written by this program" in said
     assert (tmp_path / "drops.csv").read_text() == drops_table()
 
 
@@ -462,9 +458,7 @@ def test_but_not_for_ever(tmp_path, monkeypatch):
     fcntl.flock(other, fcntl.LOCK_EX)
     drop = ["drop", "--model", "analytic", "--out", tmp_path]
     try:
-        status, _, lines = run(*drop)
-        assert status == 2
-        said = kept_promise(status, lines)
+        said = refused(*drop)
         assert said == f"--out {tmp_path}: another run is writing there"
         assert list(tmp_path.iterdir()) == []
     finally:
@@ -488,8 +482,7 @@ def test_a_rank_that_dies_ends_the_job(tmp_path, number):
 @pytest.mark.slow
 def test_ranks_end_with_their_mpirun(tmp_path):
     """Whoever kills it leaves ranks that talk to each other and, at their end, to nobody."""
-    solid = ["drop", "--model", "solid", "--cells", "1", "1", "40", "--its", "1e-7", "--keep", "0"]
-    process = started([*solid, "--out", tmp_path], ranks=2)
+    process = started([*FULL_SOLID, "--its", "1e-7", "--out", tmp_path], ranks=2)
     wait_for(lambda: any(tmp_path.rglob("*.npz")), process)
     ranks = ranks_of(process)
     assert len(ranks) == 2
@@ -504,19 +497,7 @@ def test_ranks_end_with_their_mpirun(tmp_path):
 # --- campaign -------------------------------------------------------------------------------------
 
 LONG = {
-    "solid": [
-        "drop",
-        "--model",
-        "solid",
-        "--cells",
-        "1",
-        "1",
-        "40",
-        "--its",
-        "1e-6",
-        "--keep",
-        "0",
-    ],
+    "solid": [*FULL_SOLID, "--its", "1e-6"],
     "sweep": ["sweep", *SMALL, "--models", "beam,reduced,solid", "--kn", "1e5,2e6,1e8"],
     "its": ["its", *SMALL, "--models", "beam,reduced", "--kn", "1e5,2e6"],
     "scatter": ["scatter", *SMALL, "--drops", "1500"],

@@ -1,7 +1,8 @@
 """A dataset in other units than it says is refused by file and line, before it computes."""
 
+import hostile
 import pytest
-from hostile import TABLES, drops_table, kept_promise, manifest, run, write_dataset
+from hostile import TABLES, drops_table, manifest, write_dataset
 
 from bristle.studies.close_loop import run as loop_study
 
@@ -30,10 +31,9 @@ def scaled(text, name, factor, only=None):
 
 def refused(folder, out):
     """The message of a dataset that is refused, of which no result is left."""
-    status, _, lines = run("close-loop", folder, "--out", out)
-    assert status == 2
+    said = hostile.refused("close-loop", folder, "--out", out)
     assert not out.exists()
-    return kept_promise(status, lines)
+    return said
 
 
 @pytest.mark.parametrize("factor", [1e-3, 1e3])

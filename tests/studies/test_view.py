@@ -202,6 +202,7 @@ def test_a_leaning_bristle_stands_on_its_ground(leaning_drop):
     """In the world, and in the picture of the first touch, drawn with displacements enlarged."""
     wave = wave_of(leaning_drop)
     assert wave.side == 0
+    assert matrix_of(leaning(LEAN_DEG)) == pytest.approx(wave.stand.turn, abs=1e-9)
     slope = math.tan(math.radians(SLOPE_DEG))
     assert wave.ground_m(np.array([1.0])) == pytest.approx(-slope)
     with FieldSeries(leaning_drop / "fields" / "solid.bp") as series:
