@@ -23,7 +23,6 @@ from .machine import with_benchmarks
 REFERENCES = Path(__file__).resolve().parents[1] / "reference"
 QUANTITIES = ("rebound_ratio", "contact_time_s", "peak_force_N")
 HEIGHT_M = 0.05
-ABSENT_STATUS = 3
 
 
 @dataclass(frozen=True)

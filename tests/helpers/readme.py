@@ -6,16 +6,19 @@ one in the line before, ``<!-- table: leaning -->``. Sentences around them are f
 
 from __future__ import annotations
 
+import contextlib
+import io
 import re
 import shlex
 import textwrap
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import click
 import typer
 
-from bristle.studies.cli import app
+from bristle.studies.cli import app, main
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 PAGES = [
@@ -134,6 +137,15 @@ def last_digit(shown: str) -> float:
     """What one in the last digit of a number is worth."""
     mantissa, _, exponent = shown.partition("e")
     return 10.0 ** (int(exponent or 0) - len(mantissa.partition(".")[2]))
+
+
+def run(session: Session, folder: Path, words: Sequence[str] = ()) -> list[str]:
+    """How what a session's command prints in a folder, or the command of other ``words``, differs
+    from what is shown of it."""
+    said = io.StringIO()
+    with contextlib.chdir(folder), contextlib.redirect_stdout(said):
+        assert main(list(words or session.words[1:])) == 0
+    return compare(session, said.getvalue())
 
 
 def compare(session: Session, output: str) -> list[str]:

@@ -10,7 +10,6 @@ import math
 import pydoc
 import re
 import tomllib
-from pathlib import Path
 
 import click
 import pytest
@@ -121,12 +120,10 @@ def test_every_module_and_file_that_is_named_is_there():
 
 
 @pytest.mark.parametrize("session", DROPS, ids=lambda session: " ".join(session.words))
-def test_drops_give_the_numbers_that_are_shown(session, tmp_path, monkeypatch, capsys):
+def test_drops_give_the_numbers_that_are_shown(session, tmp_path):
     # the reduced solid stands for the solid, from which it differs by less than is shown
     words = ["reduced" if word == "solid" else word for word in session.words[1:]]
-    monkeypatch.chdir(tmp_path)
-    assert main(words) == 0
-    assert readme.compare(session, capsys.readouterr().out) == []
+    assert readme.run(session, tmp_path, words) == []
 
 
 def test_a_number_that_is_not_true_is_found_so():
@@ -262,10 +259,8 @@ def test_datasets_are_declared_as_they_are_read(tmp_path):
     assert math.isclose(bar["body"]["length_m"], 2 * bar["measurement"]["gauge_x_m"])
 
 
-def test_the_measured_bar_gives_what_is_shown(tmp_path, monkeypatch, capsys):
+def test_the_measured_bar_gives_what_is_shown(tmp_path):
     (session,) = [each for each in readme.sessions() if SQUARE_BAR in each.words]
     (tmp_path / "studies").symlink_to(readme.REPOSITORY / "studies")
-    monkeypatch.chdir(tmp_path)
-    assert main(list(session.words[1:])) == 0
-    assert readme.compare(session, capsys.readouterr().out) == []
-    assert Path("results/close-loop/report.html").is_file()
+    assert readme.run(session, tmp_path) == []
+    assert (tmp_path / "results" / "close-loop" / "report.html").is_file()

@@ -60,22 +60,17 @@ def film(name: str, folder: Path) -> None:
 
 
 @pytest.mark.parametrize("name", FILMS)
-def test_the_walk_from_a_film_ends_with_the_verdict_that_is_shown(
-    name, tmp_path, monkeypatch, capsys
-):
+def test_the_walk_from_a_film_ends_with_the_verdict_that_is_shown(name, tmp_path):
     (session,) = [each for each in readme.sessions() if name in each.words]
     film(name, tmp_path)
-    monkeypatch.chdir(tmp_path)
-    assert main(list(session.words[1:])) == 0
-    assert readme.compare(session, capsys.readouterr().out) == []
+    assert readme.run(session, tmp_path) == []
 
 
-def test_the_first_result_and_the_picture_on_top(tmp_path, monkeypatch, capsys):
+def test_the_first_result_and_the_picture_on_top(tmp_path, monkeypatch):
     session = readme.sessions()[0]
     assert "solid" in session.words
+    assert readme.run(session, tmp_path) == []
     monkeypatch.chdir(tmp_path)
-    assert main(list(session.words[1:])) == 0
-    assert readme.compare(session, capsys.readouterr().out) == []
     assert main(["view", "results/drop"]) == 0
     (name,) = re.findall(r"!\[[^]]+\]\(([^)]+)\)", readme.TEXT)
     shown = imread(readme.REPOSITORY / name)[..., :3]

@@ -30,10 +30,6 @@ def total(form) -> float:
     return COMM.allreduce(fem.assemble_scalar(fem.form(form)))
 
 
-def on_all(value: float) -> float:
-    return COMM.allreduce(value, MPI.MAX)
-
-
 @pytest.fixture(scope="module")
 def upright():
     return bristle.drop(**SOLID)

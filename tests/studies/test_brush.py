@@ -22,7 +22,6 @@ from bristle.solver.rods.rods import Rods
 from bristle.studies.brush import run as study
 from bristle.studies.brush.inputs import BrushInputs
 from bristle.studies.brush.record import STATES
-from bristle.studies.cli import main
 from bristle.studies.inputs.brush_fields import BRUSH_FLAGS
 from bristle.studies.inputs.sources import checked, inputs_of
 from bristle.studies.running.mark import MARK
@@ -253,11 +252,9 @@ def test_a_bristle_that_trails_is_the_elastica():
     assert stress < found.bending_stress.greatest_Pa < 1.2 * stress
 
 
-def test_the_tutorial_prints_what_it_shows(tmp_path, monkeypatch, capsys):
+def test_the_tutorial_prints_what_it_shows(tmp_path):
     (session,) = [each for each in readme.sessions() if each.words[1] == "brush"]
-    monkeypatch.chdir(tmp_path)
-    assert main(list(session.words[1:])) == 0
-    assert readme.compare(session, capsys.readouterr().out) == []
+    assert readme.run(session, tmp_path) == []
     assert (tmp_path / "results" / "brush" / "report.html").is_file()
 
 
