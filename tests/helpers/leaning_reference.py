@@ -259,7 +259,6 @@ def _tip_of(bar: Bar, omega: np.ndarray, even: bool) -> np.ndarray:
     x, weight = np.polynomial.legendre.leggauss(8)
     xi = ((np.arange(panels)[:, None] + (x + 1.0) / 2.0) * h / panels).ravel()[None, :]
     weights = np.tile(weight, panels) * h / panels  # doubled: the other half is alike
-    mass = np.empty(len(omega))
     tip = np.zeros((len(omega), 3))
     (w1, p1), (w2, p2) = waves(xi)
     w, phi = one * w1 + two * w2, one * p1 + two * p2

@@ -12,6 +12,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import stats
+from scipy.optimize import least_squares
 
 from bristle.studies.loop import explain
 from bristle.studies.loop import run as loop_run
@@ -100,8 +101,6 @@ def test_parameters_survive_the_unit_box():
 
 
 def test_fit_agrees_with_scipy():
-    from scipy.optimize import least_squares
-
     problem, _ = toys.problem(3, {"plastic": 9.0})
     data = whole(problem)
     model = problem.combine(("plastic",))

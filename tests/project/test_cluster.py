@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+from bristle.studies.inputs.fields import LIST_FLAGS
 from bristle.studies.running.parallel import launched_ranks, speaks
 
 DOCKER = Path(__file__).resolve().parents[2] / "docker"
@@ -72,8 +73,6 @@ def test_slurm_runs_a_command_that_there_is():
     (launch,) = [line for line in joined(SCRIPT.read_text()) if line.startswith("srun")]
     words = shlex.split(launch)
     assert words[:4] == ["srun", "--mpi=pmix", "apptainer", "run"]
-    from bristle.studies.inputs.fields import LIST_FLAGS
-
     arguments = words[words.index("$image") + 1 :]
     assert arguments[0] == "sweep"
     options = {flag.option for flag in LIST_FLAGS} | {"--out"}

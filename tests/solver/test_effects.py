@@ -1,7 +1,7 @@
 """Each effect enters one place of a drop, the same in beam and solid, and as theory says."""
 
 import math
-from dataclasses import fields
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
@@ -111,7 +111,7 @@ def test_no_slope_is_steeper_than_any_and_none_gather_there(std_deg):
     assert scene.slope_wide_deg == pytest.approx(-4.0 / 3.0 * scene.slope_deg)
 
 
-@pytest.mark.parametrize("name", [n for n in NAMES if n not in ("lateral_inertia",)])
+@pytest.mark.parametrize("name", [n for n in NAMES if n != "lateral_inertia"])
 def test_beam_and_reduced_solid_have_the_same_effect(name, session):
     """Where the tip slides or leans, within what the two differ by without it."""
     close = 2e-3 if name not in ("bristle_tilt", "surface_slope") else 1e-2
@@ -253,8 +253,6 @@ def test_release_speed_counts_as_height(session):
 
 def test_a_loss_factor_is_the_decay_of_every_mode():
     """Free ringing loses 2 π η of its energy a cycle to first order, whatever the frequency."""
-    from dataclasses import replace
-
     eta = 1e-3
     body = replace(beam_body(Bristle(), 8), beta_s=0.0, loss_factor=eta)
     elastic = body.omega2[body.omega2 > 0.0]

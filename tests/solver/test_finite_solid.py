@@ -12,6 +12,7 @@ from bristle.meshes.section import Circle
 from bristle.solver.bristle import Material
 from bristle.solver.contact.enforcement import ContactMethod, Enforcement, StepContact
 from bristle.solver.contact.laws import Coulomb, Linear
+from bristle.solver.energy import marching_energy
 from bristle.solver.errors import ComputationError
 from bristle.solver.form_cache import form
 from bristle.solver.forms import StepForms, own_values
@@ -135,8 +136,6 @@ def test_an_impact_without_loss_keeps_energy_and_momenta(make_finite, tilt_deg):
 @pytest.mark.parametrize("mu", [0.0, 0.05, 0.5])
 @pytest.mark.parametrize("enforcement", [Enforcement.PENALTY, Enforcement.NITSCHE])
 def test_energy_closes_over_a_damped_leaning_impact(make_finite, mu, enforcement):
-    from bristle.solver.energy import marching_energy
-
     method = ContactMethod(Linear(2e6), enforcement, friction=Coulomb(mu))
     marcher = make_finite((1, 1, 12), DAMPED, method=method)
     v = over_ground(marcher, 4.0)

@@ -328,8 +328,8 @@ def test_tip_and_centre_rise_over_where_they_were_at_first_touch(mu):
         assert top == pytest.approx(seen, abs=2e-3 * HEIGHT if column == 1 else 2e-5 * HEIGHT)
 
 
-def test_without_contact_with_the_plane_a_lean_changes_nothing():
-    """Upright in the limit: the results are continuous in the lean."""
+def test_results_are_continuous_in_the_lean():
+    """Upright in the limit."""
     frame = beam(1e-8, 8)
     upright, hardly = drop(frame), drop(frame, tilt_deg=1e-4)
     assert along(hardly) == pytest.approx(along(upright), abs=1e-3)
@@ -399,9 +399,9 @@ def test_nitsche_agrees_with_penalty_at_the_same_stiffness(kn, mu):
 
 
 @pytest.mark.parametrize("enforcement", [Enforcement.PENALTY, Enforcement.AUGMENTED])
-@pytest.mark.parametrize(("lean", "face"), [((5.0, 0.0), True), ((3.0, 2.0), True)])
-def test_second_order_in_the_time_step(lean, face, enforcement):
-    frame = beam(1.07e-5, 8, face=face, points=5)
+@pytest.mark.parametrize("lean", [(5.0, 0.0), (3.0, 2.0)])
+def test_second_order_in_the_time_step(lean, enforcement):
+    frame = beam(1.07e-5, 8, points=5)
     steps = [1.6e-6, 8e-7, 4e-7]
 
     def results(its):

@@ -7,6 +7,7 @@ import json
 import os
 import sys
 import tempfile
+import tomllib
 from html.parser import HTMLParser
 from pathlib import Path
 
@@ -47,6 +48,7 @@ from bristle.studies.loop.kinds.forces.record import read_forces
 from bristle.studies.loop.kinds.tracks.record import read_tracks
 from bristle.studies.loop.kinds.waves.record import read_waves
 from bristle.studies.mesh import run as mesh_study
+from bristle.studies.report.page import Column, Table
 from bristle.studies.reproduce import run as reproduce_study
 from bristle.studies.scatter import run as scatter_study
 
@@ -490,8 +492,6 @@ def test_a_title_is_text_and_nothing_else(tmp_path):
 
 
 def test_a_spreadsheet_computes_nothing_of_a_table():
-    from bristle.studies.report.page import Column, Table
-
     cells = ["=1+1", "+1", "-1", "@x", "plain"]
     table = Table("t", "T", (Column("a", "A"), Column("b", "B")), [(cell, -1.0) for cell in cells])
     rows = table.csv_text().splitlines()[1:]
@@ -499,7 +499,5 @@ def test_a_spreadsheet_computes_nothing_of_a_table():
 
 
 def test_the_toml_that_these_tests_write_is_toml(tmp_path):
-    import tomllib
-
     tree = {"a": {"b\n": [1, {"c": "\x7f"}]}, "d": True, "e": 10**400}
     assert tomllib.loads(document(tree)) == tree

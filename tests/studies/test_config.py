@@ -8,9 +8,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from dolfinx import fem
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from mpi4py import MPI
 
+from bristle.meshes.distribute import to_dolfinx
 from bristle.meshes.geometry import MeshSpec
 from bristle.meshes.section import Circle
 from bristle.solver import paper
@@ -416,11 +419,6 @@ def test_a_mesh_passes_over_what_does_not_concern_it(tmp_path):
 @pytest.mark.parametrize("order", [1, 2])
 @pytest.mark.parametrize("section", [{}, {"diameter_m": 1e-3}], ids=str)
 def test_unknowns_are_counted_before_they_are_made(order, section):
-    from dolfinx import fem
-    from mpi4py import MPI
-
-    from bristle.meshes.distribute import to_dolfinx
-
     inputs = drop(cells=(2, 3, 4), order=order, **section)
     domain, _, _ = to_dolfinx(inputs.mesh_spec(), MPI.COMM_SELF)
     space = fem.functionspace(domain, ("Lagrange", order, (3,)))

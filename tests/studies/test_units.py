@@ -5,6 +5,8 @@ import pytest
 from hostile import TABLES, drops_table, manifest, write_dataset
 
 from bristle.studies.close_loop import run as loop_study
+from bristle.studies.data.datasets import read_drops
+from bristle.studies.loop.kinds.forces.record import read_forces
 
 pytestmark = [pytest.mark.serial, pytest.mark.usefixtures("no_pictures")]
 
@@ -135,9 +137,6 @@ def test_so_is_an_uncertainty_of_drops(tmp_path, key):
 @pytest.mark.parametrize("kind", ["drops", "forces"])
 def test_what_was_not_measured_is_in_no_unit(tmp_path, kind):
     """Empty cells, and a contact of 3 ms as a soft brush has, are taken."""
-    from bristle.studies.data.datasets import read_drops
-    from bristle.studies.loop.kinds.forces.record import read_forces
-
     folder = write_dataset(tmp_path / "data", kind)
     table = drops_table().replace(",0.16,40\n", ",,\n", 3).replace(",0.16,", ",3,")
     (folder / "drops.csv").write_text(table)
