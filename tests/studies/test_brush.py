@@ -435,7 +435,10 @@ def test_without_fields_an_earlier_series_goes(tmp_path):
         (["--penetration", "0.34"], "--penetration: goes beyond the bristles' length of 0.3365 m"),
         (["--penetration", "0.33"], "--penetration: takes the clamps below the surface"),
         (["--count", "2"], "--count: a single bristle is 1"),
-        (["--layout", "row", "--count", "2", "--spacing", "2e-3"], "--spacing: bristles 0 and 1"),
+        (
+            ["--layout", "row", "--count", "2", "--spacing", "2e-3"],
+            "--spacing: bristles 0 and 1 ov",
+        ),
         (["--layout", "ring", "--count", "40", "--flare", "-60"], "--spacing: bristles 0 and"),
         (["--layout", "row", "--flare", "5"], "--flare: is for a ring or a cup"),
         (["--layout", "ring", "--count", "12", "--tufts", "3"], "--tufts: is for a cup"),
