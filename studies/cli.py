@@ -10,22 +10,25 @@ import sys
 from collections.abc import Iterable, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Annotated
 
-import typer
+import click
+from typer.core import TyperGroup
 
 from ..solver.errors import ComputationError
 from . import __version__
 from .command.ending import run
 from .command.options import (
-    Debug,
+    A_PATH,
+    DEBUG,
+    KEEP,
+    RANKS_PER_CASE,
+    RESUME,
     Given,
-    RanksPerCase,
-    Resume,
     a_folder,
     add_command,
+    argument,
     of_files,
-    optional,
+    option,
 )
 from .inputs.brush_fields import BRUSH_FLAGS
 from .inputs.fields import (
@@ -50,16 +53,6 @@ from .inputs.study_fields import (
     TrackInputs,
 )
 
-Keep = Annotated[
-    float,
-    of_files(
-        "--keep",
-        metavar="SECONDS",
-        min=0.0,
-        help="Seconds from one checkpoint to the next. --resume goes on from the last one.",
-        show_default=True,
-    ),
-]
 REPRODUCE_FLAGS = flags_of(StepField, DiscretisationFields)
 # Keys of a configuration file that a command with other flags passes over.
 ANY_FLAGS = (*DROP_FLAGS, *LIST_FLAGS)
@@ -79,31 +72,31 @@ FIRST_STEPS = "\n\n".join(
         "docs/measurements.md says how to write them down",
     )
 )
-app = typer.Typer(
-    add_completion=False,
-    pretty_exceptions_enable=False,
-    rich_markup_mode="markdown",
-    context_settings={"help_option_names": ["-h", "--help"]},
-    epilog=FIRST_STEPS,
-)
 
 
-@app.callback(invoke_without_command=True)
-def root(
-    context: typer.Context,
-    version: Annotated[bool, typer.Option("--version", help="Print the version.")] = False,
-    debug: Debug = False,
-) -> None:
+@click.pass_context
+def root(context: click.Context, version: bool, debug: bool) -> None:
     """Impact of bristles on a hard surface: one that falls, or a brush, and what measurements show
     that the model lacks."""
     if version:
         print(f"bristle {__version__}")
-        raise typer.Exit
-    if context.invoked_subcommand is None:
+    elif context.invoked_subcommand is None:
         print(context.get_help())
-        raise typer.Exit
+    else:
+        return
+    context.exit()
 
 
+VERSION = option("--version", is_flag=True, default=False, help="Print the version.")
+app = TyperGroup(
+    callback=root,
+    invoke_without_command=True,
+    params=[VERSION, DEBUG],
+    help=root.__doc__,
+    rich_markup_mode="markdown",
+    context_settings={"help_option_names": ["-h", "--help"]},
+    epilog=FIRST_STEPS,
+)
 command = partial(add_command, app)
 
 
@@ -113,8 +106,8 @@ def show(rows: Iterable[tuple[str, object]]) -> None:
         print(f"{name:<24}{value}")
 
 
-@command(REPRODUCE_FLAGS, ANY_FLAGS)
-def reproduce(given: Given, out: Path, ranks_per_case: RanksPerCase = None) -> None:
+@command(RANKS_PER_CASE, flags=REPRODUCE_FLAGS, ignored=ANY_FLAGS)
+def reproduce(given: Given, out: Path, ranks_per_case: int | None) -> None:
     """Every figure and table of the paper, 1-D and 3-D side by side, on one page: report.html.
 
     Example: mpirun -n 2 bristle reproduce --out results/reproduce
@@ -128,13 +121,8 @@ def reproduce(given: Given, out: Path, ranks_per_case: RanksPerCase = None) -> N
     print(f"{done.n_cases} drops in {done.wall_s:.0f} s: {done.report}")
 
 
-@command(DROP_FLAGS)
-def drop(
-    given: Given,
-    out: Path,
-    resume: Resume = False,
-    keep: Keep = 60.0,
-) -> None:
+@command(RESUME, KEEP, flags=DROP_FLAGS)
+def drop(given: Given, out: Path, resume: bool, keep: float) -> None:
     """One drop. All values are in SI units, angles in degrees.
 
     A bristle that leans slides, bends and turns: see --tilt, --slope and --friction. A bristle of
@@ -150,10 +138,8 @@ def drop(
     show([("result", out / "result.json"), ("pictures of it", _next("view", out))])
 
 
-@command(SWEEP_FLAGS)
-def sweep(
-    given: Given, out: Path, resume: Resume = False, ranks_per_case: RanksPerCase = None
-) -> None:
+@command(RESUME, RANKS_PER_CASE, flags=SWEEP_FLAGS)
+def sweep(given: Given, out: Path, resume: bool, ranks_per_case: int | None) -> None:
     """Drops for each normal contact stiffness and each height (Fig. 13 of the paper): a table, and
     the tip's height over time.
 
@@ -168,10 +154,8 @@ def sweep(
     print(*answer(out), sep="\n")
 
 
-@command(STUDY_FLAGS)
-def its(
-    given: Given, out: Path, resume: Resume = False, ranks_per_case: RanksPerCase = None
-) -> None:
+@command(RESUME, RANKS_PER_CASE, flags=STUDY_FLAGS)
+def its(given: Given, out: Path, resume: bool, ranks_per_case: int | None) -> None:
     """The longest integration time step that each quantity allows, for each stiffness.
 
     Without lists: seven steps from 1e-7 to 1e-4 s, the paper's eleven Kn, 50 mm, with the beam and
@@ -185,8 +169,8 @@ def its(
     print(*answer(out), sep="\n")
 
 
-@command(SCATTER_FLAGS, ANY_FLAGS)
-def scatter(given: Given, out: Path, resume: Resume = False) -> None:
+@command(RESUME, flags=SCATTER_FLAGS, ignored=ANY_FLAGS)
+def scatter(given: Given, out: Path, resume: bool) -> None:
     """Thousands of drops that lean by chance onto rough concrete: how y1/y0 scatters.
 
     Without options: the reduced solid, 2000 drops from the paper's five heights.
@@ -199,8 +183,8 @@ def scatter(given: Given, out: Path, resume: Resume = False) -> None:
     run_scatter(given.inputs(ScatterInputs), out, resume=resume)
 
 
-@command(BRUSH_FLAGS, ANY_FLAGS)
-def brush(given: Given, out: Path, resume: Resume = False, keep: Keep = 60.0) -> None:
+@command(RESUME, KEEP, flags=BRUSH_FLAGS, ignored=ANY_FLAGS)
+def brush(given: Given, out: Path, resume: bool, keep: float) -> None:
     """Bristles clamped in a hub that is pressed on a surface and moved: force and torque on it.
 
     Without options: one bristle, dragged for a second at 1 m/s.
@@ -215,7 +199,7 @@ def brush(given: Given, out: Path, resume: Resume = False, keep: Keep = 60.0) ->
     show([("page", out / "report.html")])
 
 
-@command(MESH_FLAGS, ANY_FLAGS)
+@command(flags=MESH_FLAGS, ignored=ANY_FLAGS)
 def mesh(given: Given, out: Path) -> None:
     """The hexahedral bristle: .msh, a copy that ParaView opens, a quality table, a picture.
 
@@ -238,17 +222,11 @@ def mesh(given: Given, out: Path) -> None:
         print(path)
 
 
-@command(CALIBRATE_FLAGS)
-def calibrate(
-    given: Given,
-    dataset: Annotated[
-        str,
-        typer.Argument(
-            metavar="DATASET", help="Folder of a dataset, or 'paper'.", show_default=False
-        ),
-    ],
-    out: Path,
-) -> None:
+@command(
+    argument("dataset", "DATASET", "Folder of a dataset, or 'paper'.", type=str),
+    flags=CALIBRATE_FLAGS,
+)
+def calibrate(given: Given, dataset: str, out: Path) -> None:
     """Normal contact stiffness, with its interval, from measured drops.
 
     Example: bristle calibrate paper --out results/calibrate
@@ -259,15 +237,17 @@ def calibrate(
     show([("page", out / "report.html")])
 
 
-@command(SYNTH_FLAGS, ANY_FLAGS)
-def synth(
-    given: Given,
-    out: Path,
-    truth: Annotated[
-        Path | None,
-        of_files(metavar="FILE", help="File for the truth. [default: OUT-truth.json]"),
-    ] = None,
-) -> None:
+@command(
+    of_files(
+        "--truth",
+        type=A_PATH,
+        metavar="FILE",
+        help="File for the truth. [default: OUT-truth.json]",
+    ),
+    flags=SYNTH_FLAGS,
+    ignored=ANY_FLAGS,
+)
+def synth(given: Given, out: Path, truth: Path | None) -> None:
     """A made dataset of drops with an effect that it does not declare, by the reduced solid.
 
     Example: bristle synth --effect contact_damping:c_N_s_m=5 --out results/mystery
@@ -285,14 +265,10 @@ def synth(
     show([("to look for it", _next("close-loop", out))])
 
 
-@command(LOOP_FLAGS, ANY_FLAGS)
-def close_loop(
-    given: Given,
-    dataset: Annotated[
-        Path, typer.Argument(metavar="DATASET", help="Folder of a dataset.", show_default=False)
-    ],
-    out: Path,
-) -> None:
+@command(
+    argument("dataset", "DATASET", "Folder of a dataset."), flags=LOOP_FLAGS, ignored=ANY_FLAGS
+)
+def close_loop(given: Given, dataset: Path, out: Path) -> None:
     """What the model lacks to explain measured data, and the error before and after it is added.
 
     Fits the model to the dataset (kinds: drops, tracks, forces, waves, falls), tests what is left,
@@ -306,15 +282,8 @@ def close_loop(
     show([("page", out / "report.html")])
 
 
-@command(TRACK_FLAGS)
-def track(
-    given: Given,
-    films: Annotated[
-        list[Path],
-        typer.Argument(metavar="FILM…", help="Films, or folders of pictures.", show_default=False),
-    ],
-    out: Path,
-) -> None:
+@command(argument("films", "FILM…", "Films, or folders of pictures.", nargs=-1), flags=TRACK_FLAGS)
+def track(given: Given, films: Sequence[Path], out: Path) -> None:
     """Turns films of drops into a dataset: the height of the lower end in each frame, its
     uncertainty, and how the bristle leans.
 
@@ -330,38 +299,30 @@ def track(
     show([("dataset", out / "dataset.toml"), ("page", out / "report.html")])
 
 
-@command()
-def bench(
-    what: Annotated[
-        str,
-        typer.Argument(
-            metavar="[peers|step|sizes|ranks]",
-            help="peers: time, memory and error beside other programs of the same impact. "
-            "step: what a step of the solid costs. sizes: time and memory against unknowns. "
-            "ranks: what more ranks gain.",
-        ),
-    ] = "peers",
-    repeats: Annotated[
-        int | None,
-        optional(
-            min=1,
-            max=100,
-            help="peers, step, ranks: how often each is timed. [default: 3; step: 15]",
-        ),
-    ] = None,
-    largest: Annotated[
-        int | None,
-        optional(min=1, help="sizes: the most unknowns. [default: 3000000]"),
-    ] = None,
-    most: Annotated[
-        int | None,
-        optional(min=1, help="ranks: the most ranks. [default: the cores]"),
-    ] = None,
-    out: Annotated[
-        Path | None,
-        a_folder(help="Folder for the result. [default: results/bench-WHAT]"),
-    ] = None,
-) -> None:
+@command(
+    argument(
+        "what",
+        "[peers|step|sizes|ranks]",
+        "peers: time, memory and error beside other programs of the same impact. "
+        "step: what a step of the solid costs. sizes: time and memory against unknowns. "
+        "ranks: what more ranks gain.",
+        type=str,
+        default="peers",
+    ),
+    option(
+        "--repeats",
+        type=click.IntRange(1, 100),
+        help="peers, step, ranks: how often each is timed. [default: 3; step: 15]",
+    ),
+    option(
+        "--largest",
+        type=click.IntRange(1),
+        help="sizes: the most unknowns. [default: 3000000]",
+    ),
+    option("--most", type=click.IntRange(1), help="ranks: the most ranks. [default: the cores]"),
+    a_folder(help="Folder for the result. [default: results/bench-WHAT]"),
+)
+def bench(what: str, out: Path | None, **given: int | None) -> None:
     """Time, memory and error of this program beside others: a table, and a page with figures.
 
     Without a name: this program beside a naive dolfinx loop, plain scipy, and CalculiX where it is
@@ -371,23 +332,14 @@ def bench(
     """
     from .bench import run_bench
 
-    given = {"repeats": repeats, "largest": largest, "most": most}
     print(run_bench(what, out, given))
 
 
-@command()
-def view(
-    result: Annotated[
-        Path,
-        typer.Argument(
-            metavar="RESULT", help="Folder of a drop's or a brush's result.", show_default=False
-        ),
-    ],
-    out: Annotated[
-        Path | None,
-        a_folder(help="Folder for the pictures. [default: RESULT/view]"),
-    ] = None,
-) -> None:
+@command(
+    argument("result", "RESULT", "Folder of a drop's or a brush's result."),
+    a_folder(help="Folder for the pictures. [default: RESULT/view]"),
+)
+def view(result: Path, out: Path | None) -> None:
     """Pictures of the result of a drop or a brush. A brush also gives a film. A drop of the solid
     gives a film of the wave and a script for ParaView.
 
@@ -406,7 +358,7 @@ def _next(name: str, folder: Path) -> str:
 
 def main(args: Sequence[str] | None = None) -> int:
     """Run the command line; returns the exit status, see `ending.run`."""
-    return run(typer.main.get_command(app), list(sys.argv[1:] if args is None else args))
+    return run(app, list(sys.argv[1:] if args is None else args))
 
 
 if __name__ == "__main__":

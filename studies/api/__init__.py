@@ -121,6 +121,15 @@ def _call() -> Iterator[None]:
         LOG.removeHandler(handler)
 
 
+def _study[R](**words: str) -> Callable[[Callable[..., R]], Callable[..., R]]:
+    """A method of `Session`, with the inputs that are declared, and the ``words`` of `signed`."""
+
+    def of(method: Callable[..., R]) -> Callable[..., R]:
+        return _call()(signed(SIGNATURES[method.__name__], **words)(method))
+
+    return of
+
+
 class Session(CaseSession):
     """Studies that share what is costly to build.
 
@@ -146,29 +155,15 @@ class Session(CaseSession):
             raise InputError(f"comm: must be a communicator of mpi4py, not {comm!r}")
         super().__init__(comm)
 
-    @_call()
-    @signed(SIGNATURES["drop"], returns=Drop)
+    @_study(
+        returns="What result.json holds, the history and the fields.",
+        fails="The impact could not be computed.",
+        out="A folder for the command's files, fields for ParaView among them.",
+    )
     def drop(self, *, out: Folder | None = None, **inputs: Any) -> Drop:
         """One drop, as `bristle drop`: ``bristle.drop(model="solid", tilt_deg=2, friction=0)``.
 
         The full-order solid keeps its fields at the marched instants; ``write_every`` thins them.
-
-        Parameters
-        ----------
-        out : str | Path | None
-            A folder for the command's files, fields for ParaView among them. Default: none.
-
-        Returns
-        -------
-        Drop
-            What result.json holds, the history and the fields.
-
-        Raises
-        ------
-        InputError
-            An input is wrong.
-        ComputationError
-            The impact could not be computed.
         """
         asked = self._checked("drop", inputs)
         recorders: list[FieldRecorder] = []
@@ -188,30 +183,14 @@ class Session(CaseSession):
             history = pd.DataFrame(result.history.array(), columns=list(HISTORY_COLUMNS))
         return Drop(document, history, recorders[0].fields() if recorders else None)
 
-    @_call()
-    @signed(SIGNATURES["sweep"], returns=pd.DataFrame)
+    @_study(
+        returns="A row for each case, with table.csv's columns and one for each further input that "
+        'has several values. Its ``attrs["warnings"]`` counts the cases of each warning.',
+        fails="A case could not be computed.",
+    )
     def sweep(self, *, out: Folder | None = None, **inputs: Any) -> pd.DataFrame:
         """Every combination of several stiffnesses, heights, models and any other numbers or
-        choices, as `bristle sweep`: ``bristle.sweep(kn_N_m=[1e5, 2e6], tilt_deg=[0, 2])``.
-
-        Parameters
-        ----------
-        out : str | Path | None
-            A folder for the command's files. Default: none.
-
-        Returns
-        -------
-        DataFrame
-            A row for each case, with table.csv's columns and one for each further input that has
-            several values. Its ``attrs["warnings"]`` counts the cases of each warning.
-
-        Raises
-        ------
-        InputError
-            An input is wrong.
-        ComputationError
-            A case could not be computed.
-        """
+        choices, as `bristle sweep`: ``bristle.sweep(kn_N_m=[1e5, 2e6], tilt_deg=[0, 2])``."""
         asked = self._checked("sweep", inputs)
         folder = _folder(out)
         if folder is not None:
@@ -229,56 +208,24 @@ class Session(CaseSession):
             LOG.warning("%s (%d of %d cases)", message, count, len(rows))
         return table
 
-    @_call()
-    @signed(SIGNATURES["its"], returns=TimeSteps)
+    @_study(
+        returns="What its.json holds, and the tables of needs, errors and cases.",
+        fails="No case could be computed.",
+    )
     def its(self, *, out: Folder | None = None, **inputs: Any) -> TimeSteps:
-        """The longest integration time step that each quantity allows, as `bristle its`.
-
-        Parameters
-        ----------
-        out : str | Path | None
-            A folder for the command's files. Default: none.
-
-        Returns
-        -------
-        TimeSteps
-            What its.json holds, and the tables of needs, errors and cases.
-
-        Raises
-        ------
-        InputError
-            An input is wrong.
-        ComputationError
-            No case could be computed.
-        """
+        """The longest integration time step that each quantity allows, as `bristle its`."""
         asked = self._checked("its", inputs)
         with self._into(out) as folder:
             run_its(asked, folder, session=self)
             names = NEEDS_FILE, ERRORS_FILE, TABLE_FILE
             return TimeSteps(self._document(folder / "its.json"), *self._tables(folder, *names))
 
-    @_call()
-    @signed(SIGNATURES["scatter"], returns=Scatter)
+    @_study(
+        returns="What scatter.json holds, and a table with a row for each drop.",
+        fails="Too many drops failed.",
+    )
     def scatter(self, *, out: Folder | None = None, **inputs: Any) -> Scatter:
-        """Many drops that lean by chance onto a rough, composite surface, as `bristle scatter`.
-
-        Parameters
-        ----------
-        out : str | Path | None
-            A folder for the command's files. Default: none.
-
-        Returns
-        -------
-        Scatter
-            What scatter.json holds, and a table with a row for each drop.
-
-        Raises
-        ------
-        InputError
-            An input is wrong.
-        ComputationError
-            Too many drops failed.
-        """
+        """Many drops that lean by chance onto a rough, composite surface, as `bristle scatter`."""
         from ..scatter.run import DOCUMENT, TABLE, run_scatter
 
         asked = self._checked("scatter", inputs)
@@ -286,29 +233,13 @@ class Session(CaseSession):
             run_scatter(asked, folder, with_mpi(self.comm))
             return Scatter(self._document(folder / DOCUMENT), *self._tables(folder, TABLE))
 
-    @_call()
-    @signed(SIGNATURES["brush"], returns=Brush)
+    @_study(
+        returns="What result.json holds, and the tables of the hub, of means, and of the tips.",
+        fails="The bristles' motion could not be computed.",
+    )
     def brush(self, *, out: Folder | None = None, **inputs: Any) -> Brush:
         """Bristles clamped in a hub that is pressed on a surface and moved, as `bristle brush`:
-        ``bristle.brush(motion="slide:speed=0.5", mount_angle_deg=30)``.
-
-        Parameters
-        ----------
-        out : str | Path | None
-            A folder for the command's files. Default: none.
-
-        Returns
-        -------
-        Brush
-            What result.json holds, and the tables of the hub, of means, and of the tips.
-
-        Raises
-        ------
-        InputError
-            An input is wrong.
-        ComputationError
-            The bristles' motion could not be computed.
-        """
+        ``bristle.brush(motion="slide:speed=0.5", mount_angle_deg=30)``."""
         from ..brush.run import HUB_FILE, MEANS_FILE, TIPS_FILE, run_brush
 
         asked = self._checked("brush", inputs)
@@ -316,94 +247,47 @@ class Session(CaseSession):
             found = run_brush(asked, folder, self.comm)
             return Brush(found, *self._tables(folder, HUB_FILE, MEANS_FILE, TIPS_FILE))
 
-    @_call()
-    @signed(SIGNATURES["calibrate"], returns=Calibration)
+    @_study(
+        returns="What calibrate.json holds.",
+        fails="The model's y1/y0 does not fall with Kn.",
+        wrong="The dataset or an input is wrong.",
+        dataset='Folder of a dataset, or "paper" for what the paper published.',
+    )
     def calibrate(
         self, dataset: Folder, *, out: Folder | None = None, **inputs: Any
     ) -> Calibration:
-        """Normal contact stiffness with its interval from measured drops, as `bristle calibrate`.
-
-        Parameters
-        ----------
-        dataset : str | Path
-            Folder of a dataset, or "paper" for what the paper published.
-        out : str | Path | None
-            A folder for the command's files. Default: none.
-
-        Returns
-        -------
-        Calibration
-            What calibrate.json holds.
-
-        Raises
-        ------
-        InputError
-            The dataset or an input is wrong.
-        ComputationError
-            The model's y1/y0 does not fall with Kn.
-        """
+        """Normal contact stiffness with its interval from measured drops, as `bristle calibrate`."""
         from ..calibrate.run import run_calibrate
 
         asked = self._checked("calibrate", inputs)
         where = _dataset(dataset)
         return Calibration(run_calibrate(where, _folder(out), asked, comm=with_mpi(self.comm)))
 
-    @_call()
-    @signed(SIGNATURES["close_loop"], returns=Verdict)
+    @_study(
+        returns="What verdict.json holds.",
+        fails="A simulation failed.",
+        wrong="The dataset or an input is wrong.",
+        out="A folder for verdict.json and the page with its figures.",
+        dataset="Folder of a dataset.",
+    )
     def close_loop(self, dataset: Folder, *, out: Folder | None = None, **inputs: Any) -> Verdict:
-        """What the model lacks to explain the measurements in a folder, as `bristle close-loop`.
-
-        Parameters
-        ----------
-        dataset : str | Path
-            Folder of a dataset.
-        out : str | Path | None
-            A folder for verdict.json and the page with its figures. Default: none.
-
-        Returns
-        -------
-        Verdict
-            What verdict.json holds.
-
-        Raises
-        ------
-        InputError
-            The dataset or an input is wrong.
-        ComputationError
-            A simulation failed.
-        """
+        """What the model lacks to explain the measurements in a folder, as `bristle close-loop`."""
         from ..close_loop.run import run_close_loop
 
         asked = self._checked("close_loop", inputs)
         where = Path(_dataset(dataset))
         return Verdict(run_close_loop(where, _folder(out), asked, comm=with_mpi(self.comm)))
 
-    @_call()
-    @signed(SIGNATURES["synth"], returns=Dataset)
+    @_study(
+        returns="The truth, and the table of what was measured; of films, of what is in them.",
+        fails="A drop could not be computed.",
+        out="A folder for the dataset.",
+        truth="A file for the truth, outside that folder. Default: beside it.",
+    )
     def synth(
         self, *, out: Folder | None = None, truth: Folder | None = None, **inputs: Any
     ) -> Dataset:
-        """Measurements with an effect that their dataset does not declare, as `bristle synth`.
-
-        Parameters
-        ----------
-        out : str | Path | None
-            A folder for the dataset. Default: none.
-        truth : str | Path | None
-            A file for the truth, outside that folder. Default: beside it.
-
-        Returns
-        -------
-        Dataset
-            The truth, and the table of what was measured; of films, of what is in them.
-
-        Raises
-        ------
-        InputError
-            An input is wrong.
-        ComputationError
-            A drop could not be computed.
-        """
+        """Measurements with an effect that their dataset does not declare, as `bristle synth`."""
         from ..synth import TABLE_FILE as MEASURED
         from ..synth import frame_of, run_synth
 
@@ -417,32 +301,17 @@ class Session(CaseSession):
                 (table,) = self._tables(folder, MEASURED)
             return Dataset(found, table, None if out is None else folder)
 
-    @_call()
-    @signed(SIGNATURES["track"], returns=Tracks)
+    @_study(
+        returns="What track.json holds, and the table of the tracks.",
+        fails="An overlay film cannot be written.",
+        wrong="A film cannot be read or shows no body that falls, or an input is wrong.",
+        out="A folder for the dataset, its page and the overlay films.",
+        films="Films, or folders of pictures.",
+    )
     def track(
         self, films: Folder | Iterable[Folder], *, out: Folder | None = None, **inputs: Any
     ) -> Tracks:
-        """Films of drops as tracks of the lower end, as `bristle track`.
-
-        Parameters
-        ----------
-        films : str | Path | Iterable[str | Path]
-            Films, or folders of pictures.
-        out : str | Path | None
-            A folder for the dataset, its page and the overlay films. Default: none.
-
-        Returns
-        -------
-        Tracks
-            What track.json holds, and the table of the tracks.
-
-        Raises
-        ------
-        InputError
-            A film cannot be read or shows no body that falls, or an input is wrong.
-        ComputationError
-            An overlay film cannot be written.
-        """
+        """Films of drops as tracks of the lower end, as `bristle track`."""
         from ..track.run import run_track
 
         asked = self._checked("track", inputs)
@@ -451,28 +320,12 @@ class Session(CaseSession):
         found, table = run_track(paths, _folder(out), asked, with_mpi(self.comm))
         return Tracks(found, table, None if out is None else Path(out))
 
-    @_call()
-    @signed(SIGNATURES["mesh"], returns=Mesh)
+    @_study(
+        returns="Measures, quality, and the cells as a grid of PyVista.",
+        fails="The mesh could not be made.",
+    )
     def mesh(self, *, out: Folder | None = None, **inputs: Any) -> Mesh:
-        """The hexahedral bristle, as `bristle mesh`.
-
-        Parameters
-        ----------
-        out : str | Path | None
-            A folder for the command's files. Default: none.
-
-        Returns
-        -------
-        Mesh
-            Measures, quality, and the cells as a grid of PyVista.
-
-        Raises
-        ------
-        InputError
-            An input is wrong.
-        ComputationError
-            The mesh could not be made.
-        """
+        """The hexahedral bristle, as `bristle mesh`."""
         import pyvista
 
         from ...meshes.check import MeshError

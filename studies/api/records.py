@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping
 from html import escape
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 import pandas as pd
@@ -28,8 +28,15 @@ class Record(dict[str, Any]):
     """What stands in a JSON file of this program: ``r["energy"]["kinetic_J"]`` or, the same,
     ``r.energy.kinetic_J``."""
 
-    def __init__(self, values: Mapping[str, Any]) -> None:
+    # What stands beside the JSON: attributes, given behind the values in this order.
+    _beside: ClassVar[tuple[str, ...]] = ()
+
+    def __init__(self, values: Mapping[str, Any], *beside: Any) -> None:
         super().__init__((name, _value(value)) for name, value in values.items())
+        vars(self).update(zip(self._beside, beside, strict=True))
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return type(self), (dict(self), *(vars(self)[name] for name in self._beside))
 
     def __getattr__(self, name: str) -> Any:
         if not name.startswith("_") and name in self:
@@ -126,12 +133,12 @@ class Drop(Record):
     ranks: int
     history: pd.DataFrame
     fields: SolidFields | None
+    _beside = ("history", "fields")
 
     def __init__(
         self, values: Mapping[str, Any], history: pd.DataFrame, fields: SolidFields | None = None
     ) -> None:
-        super().__init__({**values, "energy": Energy(values["energy"])})
-        self.history, self.fields = history, fields
+        super().__init__({**values, "energy": Energy(values["energy"])}, history, fields)
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Without the fields, which belong to a communicator."""
@@ -222,19 +229,7 @@ class TimeSteps(Record):
     needs: pd.DataFrame
     errors: pd.DataFrame
     table: pd.DataFrame
-
-    def __init__(
-        self,
-        values: Mapping[str, Any],
-        needs: pd.DataFrame,
-        errors: pd.DataFrame,
-        table: pd.DataFrame,
-    ) -> None:
-        super().__init__(values)
-        self.needs, self.errors, self.table = needs, errors, table
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return type(self), (dict(self), self.needs, self.errors, self.table)
+    _beside = ("needs", "errors", "table")
 
     def rows(self) -> list[tuple[str, str]]:
         return [
@@ -268,13 +263,7 @@ class Scatter(Record):
     factors: Record
     warnings: list[str]
     table: pd.DataFrame
-
-    def __init__(self, values: Mapping[str, Any], table: pd.DataFrame) -> None:
-        super().__init__(values)
-        self.table = table
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return type(self), (dict(self), self.table)
+    _beside = ("table",)
 
     def rows(self) -> list[tuple[str, str]]:
         names = {"mean of y1/y0": "mean", "standard deviation": "std"}
@@ -324,15 +313,7 @@ class Brush(Record):
     hub: pd.DataFrame
     means: pd.DataFrame
     tips: pd.DataFrame
-
-    def __init__(
-        self, values: Mapping[str, Any], hub: pd.DataFrame, means: pd.DataFrame, tips: pd.DataFrame
-    ) -> None:
-        super().__init__(values)
-        self.hub, self.means, self.tips = hub, means, tips
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return type(self), (dict(self), self.hub, self.means, self.tips)
+    _beside = ("hub", "means", "tips")
 
     def rows(self) -> list[tuple[str, str]]:
         from ..brush.run import summary
@@ -400,15 +381,7 @@ class InFolder(Record):
 
     table: pd.DataFrame
     folder: Path | None
-
-    def __init__(
-        self, values: Mapping[str, Any], table: pd.DataFrame, folder: Path | None = None
-    ) -> None:
-        super().__init__(values)
-        self.table, self.folder = table, folder
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return type(self), (dict(self), self.table, self.folder)
+    _beside = ("table", "folder")
 
 
 class Tracks(InFolder):
@@ -472,13 +445,7 @@ class Mesh(Record):
     spec: Record
     quality: Record
     grid: UnstructuredGrid
-
-    def __init__(self, values: Mapping[str, Any], grid: UnstructuredGrid) -> None:
-        super().__init__(values)
-        self.grid = grid
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return type(self), (dict(self), self.grid)
+    _beside = ("grid",)
 
     def rows(self) -> list[tuple[str, str]]:
         return [(name, _short(value)) for name, value in self.quality.items()]

@@ -62,7 +62,7 @@ class Signature:
             words = in_python(flag.help)
             if default := in_python(_default_text(flag, parameter.default)):
                 words += f" Default: {default}."
-            lines.append(fill(words, 92, initial_indent="    ", subsequent_indent="    "))
+            lines.append(_indented(words))
         for one, many in self.aliases().items():
             lines += [one, f"    The same as {many}."]
         return "\n".join(lines)
@@ -78,22 +78,46 @@ class Signature:
 
 
 def signed[**P, R](
-    signature: Signature, *, returns: Any
+    signature: Signature,
+    *,
+    returns: str,
+    fails: str,
+    wrong: str = "An input is wrong.",
+    out: str = "A folder for the command's files.",
+    **parameters: str,
 ) -> Callable[[Callable[..., R]], Callable[..., R]]:
-    """Give a function that ends with ``**inputs`` its real signature, and its inputs a place in its
-    docstring before what that says of ``Returns`` and ``Raises``."""
+    """Give a method that ends with ``**inputs`` its real signature, and its docstring, which says
+    what it does, the sections on the rest.
+
+    ``returns`` says what it returns, ``fails`` and ``wrong`` when it raises ComputationError and
+    InputError, ``out`` and ``parameters`` what its own parameters are.
+    """
+    own = {"out": f"{out} Default: none.", **parameters}
 
     def sign(function: Callable[..., R]) -> Callable[..., R]:
-        own = list(inspect.signature(function, eval_str=True).parameters.values())[:-1]
-        every = [*own, *signature.parameters()]
+        there = inspect.signature(function, eval_str=True)
+        before = list(there.parameters.values())[:-1]
         # keywords without a default cannot be among these
-        function.__signature__ = inspect.Signature(every, return_annotation=returns)  # type: ignore[attr-defined]
-        head, rule, tail = (inspect.getdoc(function) or "").partition("\nReturns\n")
-        inputs = f"\nOther Parameters\n----------------\n{signature.described()}\n"
-        function.__doc__ = f"{head}{inputs}{rule}{tail}"
+        function.__signature__ = there.replace(parameters=[*before, *signature.parameters()])  # type: ignore[attr-defined]
+        taken = (each for each in before if each.name in own)
+        sections = {
+            "Parameters": "\n".join(
+                f"{each.name} : {type_text(each.annotation)}\n{_indented(own[each.name])}"
+                for each in taken
+            ),
+            "Other Parameters": signature.described(),
+            "Returns": f"{type_text(there.return_annotation)}\n{_indented(returns)}",
+            "Raises": f"InputError\n{_indented(wrong)}\nComputationError\n{_indented(fails)}",
+        }
+        parts = (f"{name}\n{'-' * len(name)}\n{text}" for name, text in sections.items())
+        function.__doc__ = "\n\n".join([inspect.getdoc(function) or "", *parts])
         return function
 
     return sign
+
+
+def _indented(text: str) -> str:
+    return fill(text, 92, initial_indent="    ", subsequent_indent="    ")
 
 
 def type_text(kind: Any) -> str:

@@ -1,4 +1,4 @@
-"""Commands of typer whose options come from tables of flags."""
+"""Commands as click's objects, with typer's help: their options come from tables of flags."""
 
 from __future__ import annotations
 
@@ -6,52 +6,86 @@ import inspect
 import math
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from functools import partial, wraps
+from functools import partial
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import click
-import typer
 from pydantic import BaseModel
+from typer.core import TyperArgument, TyperCommand, TyperGroup, TyperOption
 
 from ..inputs.fields import OUTPUT
 from ..inputs.flags import Flag
 from ..inputs.sources import inputs_of
 
-optional = partial(typer.Option, show_default=False)
-of_files = partial(optional, rich_help_panel=OUTPUT)
+A_PATH = click.Path(path_type=Path)
 
 
 def _folder(name: str) -> Path:
     if not name:
-        raise typer.BadParameter("is empty; a dot is the current folder")
+        raise click.BadParameter("is empty; a dot is the current folder")
     return Path(name)
 
 
-a_folder = partial(optional, metavar="DIR", parser=_folder)
-Config = Annotated[
-    Path | None,
-    of_files(
-        "--config",
-        metavar="FILE",
-        help="TOML file with these options as keys, or the JSON of a result, to repeat it. "
-        "Flags win over it.",
-    ),
-]
-Resume = Annotated[
-    bool, of_files("--resume", help="Keep what is finished in --out, and do only what is missing.")
-]
-RanksPerCase = Annotated[
-    int | None,
-    of_files(
-        "--ranks-per-case",
-        min=1,
-        metavar="N",
-        help="MPI ranks that share one solid, while the others have other cases. "
-        "[default: the fastest, as estimated]",
-    ),
-]
-Debug = Annotated[bool, of_files("--debug", help="Show the traceback of an error.")]
+def _number(context: click.Context, option: click.Parameter, value: float) -> float:
+    if math.isnan(value):  # inside any range for click
+        raise click.BadParameter("nan is no number", param_hint=option.opts[0])
+    return value
+
+
+def option(*names: str, panel: str | None = None, **how: Any) -> TyperOption:
+    """An option under ``panel`` of the help; ``how`` is that of click's."""
+    return TyperOption(param_decls=list(names), rich_help_panel=panel, **how)
+
+
+def argument(
+    name: str, metavar: str, help: str, type: Any = A_PATH, default: Any = None, nargs: int = 1
+) -> TyperArgument:
+    """An argument, which must be there where it has no ``default``."""
+    return TyperArgument(
+        param_decls=[name],
+        metavar=metavar,
+        help=help,
+        type=type,
+        default=default,
+        required=default is None,
+        show_default=default is not None,
+        nargs=nargs,
+    )
+
+
+of_files = partial(option, panel=OUTPUT)
+a_folder = partial(option, "--out", metavar="DIR", type=_folder)
+CONFIG = of_files(
+    "--config",
+    type=A_PATH,
+    metavar="FILE",
+    help="TOML file with these options as keys, or the JSON of a result, to repeat it. "
+    "Flags win over it.",
+)
+RESUME = of_files(
+    "--resume",
+    is_flag=True,
+    default=False,
+    help="Keep what is finished in --out, and do only what is missing.",
+)
+KEEP = of_files(
+    "--keep",
+    type=click.FloatRange(min=0.0),
+    default=60.0,
+    callback=_number,
+    metavar="SECONDS",
+    help="Seconds from one checkpoint to the next. --resume goes on from the last one.",
+    show_default=True,
+)
+RANKS_PER_CASE = of_files(
+    "--ranks-per-case",
+    type=click.IntRange(min=1),
+    metavar="N",
+    help="MPI ranks that share one solid, while the others have other cases. "
+    "[default: the fastest, as estimated]",
+)
+DEBUG = of_files("--debug", is_flag=True, default=False, help="Show the traceback of an error.")
 
 
 @dataclass(frozen=True)
@@ -70,81 +104,55 @@ class Given:
 
 
 def add_command(
-    app: typer.Typer, flags: Iterable[Flag] = (), ignored: Iterable[Flag] = ()
+    app: TyperGroup,
+    *parameters: click.Parameter,
+    flags: Iterable[Flag] = (),
+    ignored: Iterable[Flag] = (),
 ) -> Callable[[Callable[..., None]], Callable[..., None]]:
-    """Have ``app`` run a function as the command of its name.
+    """Have ``app`` run a function as the command of its name, with its ``parameters`` by keyword.
 
     Its docstring is the help. Where there are flags it gets them, and ``--config``, as its first
-    argument, a `Given`; its other parameters follow. One called ``out`` without a default gets the
-    option ``--out``, with a folder in results/. Each has ``--debug``, which `ending` reads.
+    argument, a `Given`. Unless one of the parameters is ``out``, it gets the option ``--out``, with
+    a folder in results/. Each has ``--debug``, which `ending` reads.
     """
     flags, ignored = tuple(flags), tuple(ignored)
 
     def add(command: Callable[..., None]) -> Callable[..., None]:
         name = command.__name__.replace("_", "-")
-        own = list(inspect.signature(command, eval_str=True).parameters.values())
-        if flags:
-            own[0] = _keyword("config", Config, None)
-        missing = ("out", inspect.Parameter.empty)
-        own = [
-            _out(f"results/{name}") if (each.name, each.default) == missing else each
-            for each in own
-        ]
 
-        @wraps(command)
         def run(debug: bool, **values: Any) -> None:
+            if not flags:
+                return command(**values)
             by_flag = {flag.parameter: values.pop(flag.parameter) for flag in flags}
-            for name, value in values.items():
-                if isinstance(value, float) and math.isnan(value):  # inside any range for click
-                    option = f"--{name.replace('_', '-')}"
-                    raise typer.BadParameter("nan is no number", param_hint=option)
-            if flags:
-                command(Given(by_flag, flags, values.pop("config"), ignored), **values)
-            else:
-                command(**values)
+            return command(Given(by_flag, flags, values.pop("config"), ignored), **values)
 
-        parameters = [*map(_parameter, flags), *own, _keyword("debug", Debug, False)]
-        named = [each.replace(kind=inspect.Parameter.KEYWORD_ONLY) for each in parameters]
-        run.__signature__ = inspect.Signature(named)  # type: ignore[attr-defined]
-        run.__annotations__ = {each.name: each.annotation for each in named}
-        del run.__wrapped__
+        every: list[click.Parameter] = [*map(_of_flag, flags), CONFIG] if flags else []
+        if all(each.name != "out" for each in parameters):
+            words = f"Folder for the result. [default: results/{name}]"
+            every.append(a_folder(panel=OUTPUT, help=words, default=Path(f"results/{name}")))
         # paragraphs stay apart only behind a \b: typer joins the others
         text = (inspect.getdoc(command) or "").replace("\n\n", "\n\n\b\n")
-        app.command(name, help=text)(run)
+        params = [*every, *parameters, DEBUG]
+        app.add_command(
+            TyperCommand(name, callback=run, params=params, help=text, rich_markup_mode="markdown")
+        )
         return command
 
     return add
 
 
-def _out(default: str) -> inspect.Parameter:
-    words = f"Folder for the result. [default: {default}]"
-    option = a_folder("--out", help=words, rich_help_panel=OUTPUT)
-    return _keyword("out", Annotated[Path, option], Path(default))
-
-
-def _keyword(name: str, annotation: Any, default: Any) -> inspect.Parameter:
-    kind = inspect.Parameter.KEYWORD_ONLY
-    return inspect.Parameter(name, kind, default=default, annotation=annotation)
-
-
-def _parameter(flag: Flag) -> inspect.Parameter:
-    names = flag.spellings
-    if flag.kind is bool and flag.default:
-        names = (f"{flag.option}/--no-{flag.name}",)
+def _of_flag(flag: Flag) -> TyperOption:
+    negative = flag.kind is bool and flag.default
+    names = (f"{flag.option}/--no-{flag.name}",) if negative else flag.spellings
     default = flag.default_text()
-    option = optional(
+    kind = {bool: None, list: str}.get(flag.kind, flag.kind)
+    return option(
+        flag.parameter,
         *names,
         help=flag.help + (f" [default: {default}]" if default else ""),
+        type=click.Choice(list(map(str, kind))) if flag.is_choice else kind,
+        is_flag=flag.kind is bool or None,
+        multiple=flag.kind is list,
         metavar=flag.metavar,
-        rich_help_panel=flag.group,
-        click_type=click.Choice(list(map(str, flag.kind))) if flag.is_choice else None,
+        panel=flag.group,
     )
-    return _keyword(flag.parameter, Annotated[_annotation(flag), option], None)
-
-
-def _annotation(flag: Flag) -> Any:
-    if flag.kind is list:
-        return list[str] | None
-    if isinstance(flag.kind, tuple):
-        return tuple.__class_getitem__(flag.kind) | None
-    return str | None if flag.is_choice else flag.kind | None

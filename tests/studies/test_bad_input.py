@@ -13,7 +13,6 @@ from pathlib import Path
 
 import click
 import pytest
-import typer
 from hostile import (
     NASTY_NUMBERS,
     NASTY_TEXT,
@@ -337,7 +336,7 @@ def test_a_bar_too_short_for_its_record_is_named(tmp_path):
 
 # --- command lines --------------------------------------------------------------------------------
 
-COMMANDS = typer.main.get_command(app).commands
+COMMANDS = app.commands
 VALUES = st.one_of(
     NASTY_NUMBERS.map(str),
     NASTY_TEXT.filter(lambda text: "\0" not in text),

@@ -15,7 +15,7 @@ MESHED = {"dolfinx", "ufl", "basix", "ffcx", "petsc4py", "gmsh", "meshio", "adio
 PAGES = {"matplotlib", "pyvista", "vtkmodules", "jinja2", "PIL", "imageio"}
 STATISTICS = {"pandas", "statsmodels"}
 NUMERICS = {"numpy", "scipy", "numba", "mpi4py"}
-COMMANDS = [info.name or info.callback.__name__ for info in app.registered_commands]
+COMMANDS = list(app.commands)
 
 CODE = """
 import json, sys
