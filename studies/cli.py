@@ -14,7 +14,6 @@ from pathlib import Path
 import click
 from typer.core import TyperGroup
 
-from ..solver.errors import ComputationError
 from . import __version__
 from .command.ending import run
 from .command.options import (
@@ -205,16 +204,10 @@ def mesh(given: Given, out: Path) -> None:
 
     Example: bristle mesh --diameter 1e-3 --cells 2 1 200 --grading 4
     """
-    from ..meshes.check import MeshError
     from .inputs.config import MeshInputs
-    from .mesh.display import DrawingError
     from .mesh.run import run_mesh
 
-    spec = given.inputs(MeshInputs).mesh_spec()
-    try:
-        summary = run_mesh(spec, out)
-    except (MeshError, DrawingError) as error:
-        raise ComputationError(str(error)) from error
+    summary = run_mesh(given.inputs(MeshInputs).mesh_spec(), out)
     print(f"{summary['quality']['n_cells']} cells, {summary['quality']['n_nodes']} nodes")
     for path in sorted(
         map(Path, summary["files"].values()), key=lambda path: path.suffix == ".png"

@@ -31,7 +31,7 @@ from pydantic import BaseModel
 from ...meshes.collective import run_on_one_rank, with_mpi
 from ...solver.contact_phase import HISTORY_COLUMNS
 from ...solver.effects.base import Effect as Effect
-from ...solver.errors import ComputationError, InputError
+from ...solver.errors import InputError
 from ..brush.inputs import BrushInputs
 from ..drop import run_drop, simulate_drop
 from ..inputs.brush_fields import BRUSH_FLAGS
@@ -256,7 +256,8 @@ class Session(CaseSession):
     def calibrate(
         self, dataset: Folder, *, out: Folder | None = None, **inputs: Any
     ) -> Calibration:
-        """Normal contact stiffness with its interval from measured drops, as `bristle calibrate`."""
+        """Normal contact stiffness with its interval from measured drops, as
+        `bristle calibrate`."""
         from ..calibrate.run import run_calibrate
 
         asked = self._checked("calibrate", inputs)
@@ -328,16 +329,11 @@ class Session(CaseSession):
         """The hexahedral bristle, as `bristle mesh`."""
         import pyvista
 
-        from ...meshes.check import MeshError
-        from ..mesh.display import DrawingError
         from ..mesh.run import run_mesh
 
         spec = self._checked("mesh", inputs).mesh_spec()
         with self._into(out) as folder:
-            try:
-                found = run_mesh(spec, folder, with_mpi(self.comm))
-            except (MeshError, DrawingError) as error:
-                raise ComputationError(str(error)) from error
+            found = run_mesh(spec, folder, with_mpi(self.comm))
             grid = run_on_one_rank(self.comm, lambda: pyvista.read(folder / "bristle.vtu"))
             return Mesh(found, grid.extract_cells(np.isin(grid.celltypes, HEXAHEDRA)))
 

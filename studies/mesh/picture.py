@@ -1,22 +1,39 @@
-"""Pictures of a mesh.
+"""A mesh for ParaView, and its picture.
+
+meshio carries gmsh's `.msh` file over to `.vtu`, which ParaView opens with second-order cells kept
+(27-node hexahedra and 9-node quadrilaterals, VTK's tri- and biquadratic cells).  There is no XDMF:
+ParaView's readers crash on it or show nothing where the cells are of second order.
 
 A bristle is hundreds of times longer than it is wide, so the picture has two panels: the tip in
-true proportions, and the whole with its axis compressed.  `write_picture` is what to call; the
-drawing itself is this module run as a program, see `display`.
+true proportions, and the whole with its axis compressed.  Debian's VTK draws through X11 alone and
+takes the whole process down where it finds no X server.  So `write_picture` has it drawn by this
+module run as a program, on a display that xvfb-run provides for as long as the drawing lasts.
 """
 
 from __future__ import annotations
 
+import os
+import shutil
+import signal
+import subprocess
 import sys
+import tempfile
+from collections.abc import Sequence
 from pathlib import Path
 
+import meshio
 import numpy as np
 import pyvista
 
 from ...meshes.geometry import Tag
-from .convert import TAG_DATA
-from .display import run_drawing
+from ...solver.errors import ComputationError
 
+TAG_DATA = "tag"
+"""Name of the cell data that hold the values of `Tag`."""
+ON_XVFB = ["xvfb-run", "-a", "-e", "/dev/stderr", "-s", "-screen 0 640x480x24"]
+# With its caller, or when its time is over, the drawing ends, and its display with it.
+BOUNDED = ["setpriv", "--pdeathsig", "TERM", "timeout", "--kill-after=5"]
+TIMED_OUT = 124  # what timeout exits with
 PANEL_PIXELS = (800, 900)
 CLOSE_UP_WIDTHS = 2.5
 """Length of bristle in the close-up, in widths of the section."""
@@ -29,16 +46,68 @@ VIEW_FROM = np.array([1.0, -0.9, -0.75])
 """Toward the camera: the tip is seen from below."""
 
 
+def write_vtu(msh: Path, vtu: Path) -> None:
+    """Write gmsh's file `msh` for ParaView: points in m, cells in VTK's node order.
+
+    Beside `TAG_DATA` each physical group becomes cell data of its name, 1 inside and 0 outside,
+    because VTK has no cell sets.
+    """
+    mesh = meshio.gmsh.read(msh)  # meshio.read prints, and exits the process, where it fails
+    tags = [own.astype(np.int32) for own in mesh.cell_data["gmsh:physical"]]
+    data = {tag.name.lower(): [(own == tag).astype(np.int32) for own in tags] for tag in Tag}
+    whole = meshio.Mesh(mesh.points, mesh.cells, cell_data={TAG_DATA: tags, **data})
+    meshio.write(vtu, whole, file_format="vtu")
+
+
 def write_picture(vtu: Path, png: Path) -> None:
-    """Draw the mesh in `vtu` (from `convert.write_vtu`) into `png`, screen or none.
+    """Draw the mesh in `vtu` (from `write_vtu`) into `png`, screen or none.
 
     Raises DrawingError where there is nothing to draw on, or drawing failed.
     """
     run_drawing([sys.executable, "-m", __name__, str(vtu), str(png)])
 
 
+class DrawingError(ComputationError):
+    """A picture could not be drawn."""
+
+
+def run_drawing(command: Sequence[str], timeout_s: float = 300.0) -> None:
+    """Run a command that draws, on a display of its own or, without xvfb-run, on the caller's.
+
+    Raises DrawingError, with the last that was written to standard error, where there is no
+    display, or the command fails, dies or takes more than `timeout_s`.
+    """
+    on_display = ON_XVFB if shutil.which("xvfb-run") else []
+    if not on_display and not os.environ.get("DISPLAY"):
+        raise DrawingError("There is no display to draw on: install Xvfb or set DISPLAY.")
+    with (
+        tempfile.TemporaryFile("w+", errors="replace") as log,
+        subprocess.Popen(
+            [*BOUNDED, str(timeout_s), *on_display, *command],
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.DEVNULL,
+            stderr=log,
+            text=True,
+            errors="replace",
+        ) as process,
+    ):
+        try:
+            status = process.wait()
+        finally:
+            process.terminate()
+        log.seek(0)
+        output = log.read().strip().splitlines() or [f"exit status {status}"]
+    if status == TIMED_OUT:
+        raise DrawingError(f"Drawing took more than {timeout_s:g} s.")
+    if status > 128 or status < 0:  # of a shell, or of the command itself
+        name = signal.Signals(abs(status) % 128).name
+        raise DrawingError(f"Drawing failed: {name}, {'; '.join(output[-2:])}")
+    if status:
+        raise DrawingError(f"Drawing failed: {output[-1]}")
+
+
 def read_facets(vtu: Path) -> pyvista.UnstructuredGrid:
-    """The facets of a mesh from `convert.write_vtu`, with their tags; in mm."""
+    """The facets of a mesh from `write_vtu`, with their tags; in mm."""
     grid = pyvista.read(vtu)
     facets = grid.extract_cells(np.flatnonzero(grid.cell_data[TAG_DATA] != Tag.BODY))
     facets.points *= 1e3

@@ -14,16 +14,23 @@ import pytest
 import pyvista
 from mpi4py import MPI
 
-from bristle.meshes.check import MeshError
 from bristle.meshes.collective import run_on_one_rank
 from bristle.meshes.geometry import MeshSpec
 from bristle.meshes.hexahedra import build_model, gmsh_model
 from bristle.meshes.section import Circle, Rectangle
-from bristle.studies.mesh import display
+from bristle.solver.errors import ComputationError
+from bristle.studies.mesh import picture
 from bristle.studies.mesh import run as mesh_study
-from bristle.studies.mesh.convert import write_vtu
-from bristle.studies.mesh.display import DrawingError, run_drawing
-from bristle.studies.mesh.picture import below, read_facets, round_length_mm, thinned, write_picture
+from bristle.studies.mesh.picture import (
+    DrawingError,
+    below,
+    read_facets,
+    round_length_mm,
+    run_drawing,
+    thinned,
+    write_picture,
+    write_vtu,
+)
 from bristle.studies.mesh.run import run_mesh
 from bristle.studies.running.files import write_atomically
 from bristle.studies.running.interrupts import interruptible
@@ -139,7 +146,7 @@ def test_unsound_mesh_writes_nothing(out, monkeypatch):
     build = mesh_study.build_model
     other = MeshSpec(0.02, Rectangle(), (1, 1, 1))
     monkeypatch.setattr(mesh_study, "build_model", lambda _: build(other))
-    with pytest.raises(MeshError, match="hexahedra"):
+    with pytest.raises(ComputationError, match="hexahedra"):
         run_mesh(SPEC, out)
     assert listing(out.parent.parent) == []
 
@@ -186,7 +193,7 @@ def test_display_ends_with_its_drawing(tmp_path):
 def test_display_ends_when_its_caller_is_killed(tmp_path):
     # No MPI in there: under mpirun it would pass for one of the ranks.
     program = (
-        "import sys; from bristle.studies.mesh.display import run_drawing as run; run(sys.argv[1:])"
+        "import sys; from bristle.studies.mesh.picture import run_drawing as run; run(sys.argv[1:])"
     )
     drawing = [*SAY_SERVER, str(tmp_path / "pid"), "60"]
     caller = subprocess.Popen([sys.executable, "-c", program, *drawing])
@@ -206,7 +213,7 @@ def test_drawing_that_cannot_be_says_why(tmp_path, monkeypatch):
         run_drawing([*SAY_SERVER, str(tmp_path / "pid"), "60"], timeout_s=2)
     assert ends((tmp_path / "pid").read_text().strip())
 
-    monkeypatch.setattr(display.shutil, "which", lambda name: None)
+    monkeypatch.setattr(picture.shutil, "which", lambda name: None)
     monkeypatch.delenv("DISPLAY", raising=False)
     with pytest.raises(DrawingError, match="install Xvfb or set DISPLAY"):
         run_drawing(["true"])

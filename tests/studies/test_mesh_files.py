@@ -13,8 +13,8 @@ from bristle.meshes.check import meshed_volume_m3, read_cells, volume_m3
 from bristle.meshes.geometry import MeshSpec, Tag
 from bristle.meshes.hexahedra import build_model, gmsh_model
 from bristle.meshes.section import Circle, Rectangle
-from bristle.studies.mesh.convert import TAG_DATA, write_vtu
-from bristle.studies.mesh.quality import measure_quality, write_csv
+from bristle.studies.mesh.picture import TAG_DATA, write_vtu
+from bristle.studies.mesh.run import measure_quality, write_csv
 
 SPECS = [
     MeshSpec(0.02, section, (2, 3, 4), order, 3.0)
