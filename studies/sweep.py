@@ -14,7 +14,6 @@ from pathlib import Path
 from typing import Any, Self
 
 import numpy as np
-from mpi4py import MPI
 from pydantic import (
     ModelWrapValidatorHandler,
     PrivateAttr,
@@ -31,7 +30,6 @@ from .inputs.flags import refuse
 from .inputs.sources import EXCLUDED, resolved_from
 from .report.figures import picture, picture_files, write_picture
 from .report.paper_figures import height_figure
-from .running.cases import CaseSession
 from .running.files import read_csv, remove
 from .running.mark import Mark
 from .running.progress import say
@@ -104,23 +102,15 @@ def _items(name: str, value: Any) -> tuple[Any, ...]:
     return items
 
 
-def run_sweep(
-    inputs: SweepInputs,
-    out: Path,
-    comm: MPI.Intracomm = MPI.COMM_WORLD,
-    *,
-    session: CaseSession | None = None,
-    resume: bool = False,
-    ranks_per_case: int | None = None,
-) -> None:
-    """Compute the sweep into the folder ``out``; see `study.run_study`."""
-    comm = comm if session is None else session.comm
+def study_of(inputs: SweepInputs) -> Study:
+    """The sweep as a study."""
     finish = partial(_finish, inputs.varied)
     files = tuple(name for stem in _pictures(inputs) for name in picture_files(stem))
-    study = Study("sweep", finish, curves=True, varied=inputs.varied, files=files)
-    run_study(
-        study, inputs, out, comm, session=session, resume=resume, ranks_per_case=ranks_per_case
-    )
+    return Study("sweep", finish, curves=True, varied=inputs.varied, files=files)
+
+
+# Computes a sweep into a folder.
+run_sweep = partial(run_study, study_of)
 
 
 def _finish(varied: Sequence[str], rows: Sequence[Row], out: Path) -> dict[str, Any]:

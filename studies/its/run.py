@@ -12,14 +12,12 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import pandas as pd
-from mpi4py import MPI
 from pydantic import Field
 
 from ...solver import paper
 from ...solver.errors import ComputationError
 from ..inputs.fields import Height, Its, Numbers
 from ..report.figures import picture, picture_files, write_picture
-from ..running.cases import CaseSession
 from ..running.files import to_csv, write_atomically
 from ..running.study import TABLE_FILE, Row, Study, StudyInputs, run_study
 from .convergence import compare
@@ -46,16 +44,8 @@ class ItsInputs(StudyInputs):
     its_s: Annotated[tuple[Its, ...], Numbers, Field(min_length=1)] = ITS_S
 
 
-def run_its(
-    inputs: ItsInputs,
-    out: Path,
-    comm: MPI.Intracomm = MPI.COMM_WORLD,
-    *,
-    session: CaseSession | None = None,
-    resume: bool = False,
-    ranks_per_case: int | None = None,
-) -> None:
-    """Compute the study into the folder ``out``; see `study.run_study`.
+def study_of(inputs: ItsInputs) -> Study:
+    """The study of time steps.
 
     Errors are against Richardson's limit of the three shortest steps where their order is clean,
     else against the shortest. A reduced model keeps the basis made for the paper's ITS: it is
@@ -63,10 +53,11 @@ def run_its(
     is a row without values; ComputationError where all do.
     """
     finish = partial(_finish, inputs.bristle().mass_kg)
-    study = Study("its", finish, basis_its_s=paper.ITS_S, files=FILES, failures=True)
-    run_study(
-        study, inputs, out, comm, session=session, resume=resume, ranks_per_case=ranks_per_case
-    )
+    return Study("its", finish, basis_its_s=paper.ITS_S, files=FILES, failures=True)
+
+
+# Computes the study into a folder.
+run_its = partial(run_study, study_of)
 
 
 def _finish(mass_kg: float, rows: Sequence[Row], out: Path) -> dict[str, Any]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -20,8 +20,7 @@ from ..report.figures import LOOKS
 from ..report.page import Section
 from ..report.prose import Prose
 from ..running.cases import CaseSession
-from ..running.groups import run_solids
-from ..running.parallel import share_out
+from ..running.groups import build_reduced, run_cases
 
 Results = Mapping[DropInputs, DropResult]
 Tick = Callable[[], None]
@@ -175,24 +174,16 @@ def compute(
 ) -> dict[DropInputs, DropResult]:
     """Every different case once; all results on rank 0, which calls ``tick`` after each.
 
-    Bodies in modes run on one rank each, the full-order solid on groups of ranks
-    (`groups.run_solids`). Collective; a ComputationError is raised on every rank.
+    See `groups.run_cases`. Collective; a ComputationError is raised on every rank.
     """
+    # the full-order solid's first, as the page has their warnings
+    distinct = sorted(dict.fromkeys(cases), key=lambda case: case.model is not Model.SOLID)
     results: dict[DropInputs, DropResult] = {}
-    distinct = dict.fromkeys(cases)
-    solid = [case for case in distinct if case.model is Model.SOLID]
-    modal = [case for case in distinct if case.model is not Model.SOLID]
 
-    def taking(those: Sequence[DropInputs]) -> Callable[[int, DropResult], None]:
-        def take(i: int, result: DropResult) -> None:
-            results[those[i]] = result
-            tick()
+    def take(i: int, result: DropResult) -> None:
+        results[distinct[i]] = result
+        tick()
 
-        return take
-
-    run_solids(session, solid, lambda own, case: own.run(case)[0], taking(solid), ranks_per_case)
-    reduced = (case for case in modal if case.model is Model.REDUCED)
-    for first in {session.body_key(case): case for case in reduced}.values():
-        session.prepare(first)  # by all ranks, so that its cases need no communication later
-    share_out(session.comm, len(modal), lambda i: session.run(modal[i])[0], taking(modal))
-    return results
+    build_reduced(session, distinct)
+    run_cases(session, distinct, lambda own, case: own.run(case)[0], take, ranks_per_case)
+    return {case: results[case] for case in distinct if case in results}

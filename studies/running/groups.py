@@ -1,4 +1,4 @@
-"""Groups of ranks for full-order solids, and the cases of each group.
+"""Many cases over the ranks of a session: those of modal bodies, and groups of ranks for solids.
 
 One solid on all ranks waits for messages in every step; a solid for each group of ranks, or for
 each rank alone, does not, but every group builds its own mesh, factor and basis. The number of
@@ -16,6 +16,7 @@ from mpi4py import MPI
 
 from ...meshes.collective import GRACE_S, done_within
 from ...solver.errors import BristleError, InputError
+from ..inputs.choices import Model
 from ..inputs.config import DropInputs
 from ..inputs.limits import count_unknowns
 from .cases import CaseSession
@@ -89,6 +90,43 @@ def best_sizes(loads: Sequence[Load], ranks: int) -> list[int]:
     least = min(max(-(-largest // UNKNOWNS_PER_RANK), 1), ranks)
     choices = [group_sizes(ranks, n) for n in range(ranks, least - 1, -1)]
     return min(choices, key=lambda sizes: deal(loads, sizes)[1])
+
+
+def build_reduced(session: CaseSession, cases: Sequence[DropInputs]) -> None:
+    """Build what the reduced ones of the ``cases`` need of all ranks, so that they need no
+    communication later. Collective."""
+    reduced = (case for case in cases if case.model is Model.REDUCED)
+    for first in {session.body_key(case): case for case in reduced}.values():
+        session.prepare(first)
+
+
+def run_cases(
+    session: CaseSession,
+    cases: Sequence[DropInputs],
+    work: Callable[[CaseSession, DropInputs], Any],
+    take: Callable[[int, Any], None],
+    ranks_per_case: int | None = None,
+) -> None:
+    """``work`` for every case: bodies in modes, once `build_reduced` is done with them, on a rank
+    each, then the solid at full order on groups of ranks (`run_solids`).
+
+    Rank 0 takes results as `parallel.share_out` says. Collective; raises as `run_solids` does.
+    """
+    modal = [i for i, case in enumerate(cases) if case.model is not Model.SOLID]
+    solid = [i for i, case in enumerate(cases) if case.model is Model.SOLID]
+    share_out(
+        session.comm,
+        len(modal),
+        lambda k: work(session, cases[modal[k]]),
+        lambda k, result: take(modal[k], result),
+    )
+    run_solids(
+        session,
+        [cases[i] for i in solid],
+        work,
+        lambda k, result: take(solid[k], result),
+        ranks_per_case,
+    )
 
 
 def run_solids(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Iterable, Mapping, Sequence, Sized
+from collections.abc import Callable, Mapping, Sequence, Sized
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from enum import StrEnum
@@ -26,11 +26,10 @@ from ..inputs.fields import DiscretisationFields, HeightsField, ListFields
 from ..inputs.limits import input_warnings, result_warnings
 from ..inputs.sources import checked
 from . import results
-from .cases import CaseSession, Timings, session_on
+from .cases import CaseSession, session_on
 from .files import to_csv, together, write_atomically, write_json
-from .groups import run_solids
+from .groups import build_reduced, run_cases
 from .journal import Journal
-from .parallel import share_out
 from .progress import progress, say, warn, working
 
 CASES = 100_000
@@ -146,9 +145,9 @@ class Study:
         return f"{self.name}.json"
 
 
-def run_study(
-    study: Study,
-    inputs: StudyInputs,
+def run_study[Asked: StudyInputs](
+    study_of: Callable[[Asked], Study],
+    inputs: Asked,
     out: Path,
     comm: MPI.Intracomm = MPI.COMM_WORLD,
     *,
@@ -158,15 +157,15 @@ def run_study(
 ) -> None:
     """Compute every case and write table.csv, the study's own files, and last its JSON.
 
-    Cases of modal bodies are dealt out over the ranks, those of the solid over groups of ranks
-    (`groups.run_solids`). With a ``session`` its ranks compute them, and what it keeps serves.
+    ``study_of`` makes the study of its inputs. Cases are spread over the ranks
+    (`groups.run_cases`). With a ``session`` its ranks compute them, and what it keeps serves.
     With ``resume`` finished cases in ``out`` are kept, those of shorter lists too. Collective.
     Raises InputError where ``out`` cannot be used or has no case of this study, and
     ComputationError.
     """
     comm = comm if session is None else session.comm
     out, started = Path(out), time.perf_counter()
-    cases = inputs.cases()
+    study, cases = study_of(inputs), inputs.cases()
     names = _names(study, cases)
     journal = Journal(out, inputs, names)
     files = (study.document, TABLE_FILE, *study.files)
@@ -178,8 +177,7 @@ def run_study(
         say(f"{len(done)} of {len(cases)} cases are there already")
     done = {i: {**row, **_varied(study, cases[i])} for i, row in done.items()}
     sessions = partial(session_on, comm, session, study.basis_its_s)
-    shared = _compute(study, cases, names, sessions, done, journal.add, ranks_per_case)
-    spent = {"shared": shared["total"]}
+    spent = {"shared": _compute(study, cases, names, sessions, done, journal.add, ranks_per_case)}
     facts = {"wall_s": spent, "peak_rss_MB": results.peak_rss_MB(comm), "ranks": comm.size}
 
     @together(out, study.document)
@@ -223,7 +221,7 @@ def _compute(
     done: dict[int, Row],
     keep: Callable[[int, Row], Row],
     ranks_per_case: int | None = None,
-) -> Timings:
+) -> float:
     """Fill ``done`` on rank 0 with what is missing and ``keep`` has kept; the seconds of what the
     cases shared.
 
@@ -237,58 +235,24 @@ def _compute(
     parts: dict[tuple[Any, ...], list[int]] = {}
     for i in same:
         parts.setdefault(tuple(getattr(cases[i], name) for name in study.varied), []).append(i)
-    shared: Timings = {}
+    shared_s = 0.0
     with progress(study.name, len(cases), done=len(done)) as advance:
 
-        def take(i: int, row: Row) -> None:
-            kept = keep(i, row)
-            for k in same[i]:
-                done[k] = {**kept, **_varied(study, cases[k])}
+        def take(part: Sequence[int], k: int, row: Row) -> None:
+            kept = keep(part[k], row)
+            for i in same[part[k]]:
+                done[i] = {**kept, **_varied(study, cases[i])}
                 advance()
 
         for part in parts.values():  # in turn, since each has bodies of its own
-            spent = _compute_part(study, cases, part, sessions, take, ranks_per_case)
-            shared = {name: shared.get(name, 0.0) + spent[name] for name in spent}
-    return shared or {"total": 0.0}
-
-
-def _compute_part(
-    study: Study,
-    cases: Sequence[DropInputs],
-    part: Sequence[int],
-    sessions: Sessions,
-    take: Callable[[int, Row], None],
-    ranks_per_case: int | None,
-) -> Timings:
-    """Have rank 0 ``take`` the row of each case of ``part``; the seconds of what they shared."""
-    modal = [i for i in part if cases[i].model is not Model.SOLID]
-    solid = [i for i in part if cases[i].model is Model.SOLID]
-    with sessions() as session:
-        _build_together(session, [cases[i] for i in modal])
-        shared = session.take_timings()
-        share_out(
-            session.comm,
-            len(modal),
-            lambda k: _row(study, session, cases[modal[k]]),
-            lambda k, row: take(modal[k], row),
-        )
-        run_solids(
-            session,
-            [cases[i] for i in solid],
-            lambda own, case: _row(study, own, case),
-            lambda k, row: take(solid[k], row),
-            ranks_per_case,
-        )
-    return shared
-
-
-def _build_together(session: CaseSession, cases: Iterable[DropInputs]) -> None:
-    """Build what takes all ranks, so that cases of modal bodies need no communication later."""
-    reduced = [case for case in cases if case.model is Model.REDUCED]
-    if reduced:
-        with working("building the reduced model"):
-            for case in {case.its_s: case for case in reduced}.values():
-                session.prepare(case)
+            own = [cases[i] for i in part]
+            with sessions() as session:
+                if any(case.model is Model.REDUCED for case in own):
+                    with working("building the reduced model"):
+                        build_reduced(session, own)
+                shared_s += session.take_timings()["total"]
+                run_cases(session, own, partial(_row, study), partial(take, part), ranks_per_case)
+    return shared_s
 
 
 def _row(study: Study, session: CaseSession, inputs: DropInputs) -> Row:

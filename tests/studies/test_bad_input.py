@@ -93,8 +93,8 @@ def marked(monkeypatch):
 
     stands_for(drop_study, "_compute")
     for module, name in [
-        (sweep_study, "run_study"),
-        (its_study, "run_study"),
+        (sweep_study, "run_sweep"),
+        (its_study, "run_its"),
         (mesh_study, "run_mesh"),
         (reproduce_study, "run_reproduce"),
         (scatter_study, "Scene"),
