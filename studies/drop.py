@@ -18,7 +18,7 @@ from .inputs.choices import Model
 from .inputs.config import DropInputs
 from .inputs.fields import FLAT
 from .inputs.limits import input_warnings, result_warnings
-from .inputs.stance import ANGLES
+from .inputs.values import ANGLES
 from .running import results
 from .running.cases import CaseSession, Prepared, Timings, session_on
 from .running.files import folder_in_place, remove, together

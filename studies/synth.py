@@ -253,14 +253,18 @@ def write_dataset(made: Made, folder: Path, truth: Path) -> dict[str, Any]:
     Raises InputError as `prepare_dataset` does.
     """
     prepare_dataset(folder, truth)
-    content = _sealed(truth_of(made))
     with together(folder, MANIFEST_FILE):
         write_atomically(folder / TABLE_FILE, table_of(made))
         write_atomically(folder / MANIFEST_FILE, manifest_of(made.recipe))
-        try:
-            write_whole(truth, to_json(content) + "\n")
-        except OSError as error:
-            raise cannot_write(truth, error) from error
+        return _write_truth(made, truth)
+
+
+def _write_truth(made: Made, path: Path) -> dict[str, Any]:
+    content = _sealed(truth_of(made))
+    try:
+        write_whole(path, to_json(content) + "\n")
+    except OSError as error:
+        raise cannot_write(path, error) from error
     return content
 
 
@@ -295,18 +299,13 @@ def write_films(made: Made, folder: Path, truth: Path) -> dict[str, Any]:
     from .film.render import Look, write_film
 
     prepare_dataset(folder, truth, f"{FILMS}/")
-    content = _sealed(truth_of(made))
     with together(folder), folder_in_place(folder / FILMS) as films:
         with progress("films", len(made.scenes)) as advance:
             for k in range(len(made.scenes)):
                 rng = np.random.default_rng([made.recipe.seed, 3, k])
                 write_film(films / f"drop-{k + 1:03d}.mp4", flown(made, k), Look(), rng)
                 advance()
-        try:
-            write_whole(truth, to_json(content) + "\n")
-        except OSError as error:
-            raise cannot_write(truth, error) from error
-    return content
+        return _write_truth(made, truth)
 
 
 def run_synth(

@@ -15,14 +15,14 @@ from ...solver import paper
 from ...solver.contact.enforcement import GAMMA0, GAMMA0_RIGID
 from ...solver.contact.laws import mindlin_ratio
 from ...solver.materials import MATERIALS, MaterialName
-from . import fields, limits, stance
+from . import fields, limits
 from .choices import Contact, Deflection, Model, Scheme, Tip
 from .effects import check_effects
 from .fields import read_kn
 from .flags import refuse
 from .named import REPLACED, MeshFile, read_mesh_file
 from .sources import material_damping_s
-from .values import DropValues, Values
+from .values import ANGLES, DropValues, Values
 
 
 class Inputs(Values):
@@ -43,11 +43,11 @@ class Inputs(Values):
         resolve_material(data)
         poisson = data.get("poisson", paper.POISSON)
         if isinstance(poisson, float) and -1.0 < poisson < 0.5:
-            _default(data, "kt_ratio", mindlin_ratio(poisson))
+            fill_in(data, kt_ratio=mindlin_ratio(poisson))
         if data.get("contact") == Contact.NITSCHE:
-            _default(data, "theta", 1)
+            fill_in(data, theta=1)
         if data.get("scheme") == Scheme.GENERALISED:
-            _default(data, "rho_inf", fields.RHO_INF)
+            fill_in(data, rho_inf=fields.RHO_INF)
         return data
 
     @model_validator(mode="after")
@@ -65,7 +65,7 @@ class Inputs(Values):
         if self.rho_inf is not None and self.scheme is not Scheme.GENERALISED:
             refuse("rho_inf", "belongs to --scheme generalised")
         self._check_tip()
-        stance.check_lean(self)
+        limits.check_lean(self)
         return self
 
     def _check_tip(self) -> None:
@@ -112,10 +112,10 @@ class DropInputs(Inputs, DropValues):
             return data
         data = dict(data)
         if data.get("mesh") is not None:
-            _default(data, "model", Model.REDUCED)
+            fill_in(data, model=Model.REDUCED)
         if data.get("contact") == Contact.NITSCHE:
             rigid = read_kn(data.get("kn_N_m")) == math.inf
-            _default(data, "gamma0", GAMMA0_RIGID if rigid else GAMMA0)
+            fill_in(data, gamma0=GAMMA0_RIGID if rigid else GAMMA0)
         return data
 
     @model_validator(mode="after")
@@ -154,7 +154,7 @@ class DropInputs(Inputs, DropValues):
             "contact": (Contact.PENALTY, "it has penalty contact only"),
             "scheme": (Scheme.AVERAGE, "it has no time scheme"),
             "alpha_1_s": (0.0, "it has no damping"),
-            **dict.fromkeys(stance.ANGLES, (0.0, "it falls upright on a level surface")),
+            **dict.fromkeys(ANGLES, (0.0, "it falls upright on a level surface")),
             "tip_shape": (fields.FLAT, "it has no end face"),
         }
         for field, (value, why) in plain.items():
@@ -170,17 +170,15 @@ def _resolve_shape(data: dict[str, Any]) -> None:
                 refuse(field, "excluded by --mesh, which says it itself")
         return
     resolve_measures(data)
-    _default(data, "cells", fields.CELLS)
-    _default(data, "grading", 1.0)
-    _default(data, "geometry_order", 1 if data.get("diameter_m") is None else 2)
+    flat = data.get("diameter_m") is None
+    fill_in(data, cells=fields.CELLS, grading=1.0, geometry_order=1 if flat else 2)
 
 
 def resolve_measures(data: dict[str, Any]) -> None:
     """Fill in the paper's bristle where measures are missing."""
-    _default(data, "length_m", paper.LENGTH_M)
+    fill_in(data, length_m=paper.LENGTH_M)
     if data.get("diameter_m") is None:
-        _default(data, "width_m", paper.WIDTH_M)
-        _default(data, "thickness_m", paper.THICKNESS_M)
+        fill_in(data, width_m=paper.WIDTH_M, thickness_m=paper.THICKNESS_M)
 
 
 def resolve_material(data: dict[str, Any]) -> None:
@@ -188,8 +186,8 @@ def resolve_material(data: dict[str, Any]) -> None:
     if data.get("material") not in tuple(MaterialName):
         return
     material = MATERIALS[MaterialName(data["material"])]
-    for field in ("youngs_Pa", "poisson", "density_kg_m3"):
-        _default(data, field, getattr(material, field))
+    names = ("youngs_Pa", "poisson", "density_kg_m3")
+    fill_in(data, **{name: getattr(material, name) for name in names})
     length_m = data.get("length_m")
     try:
         if isinstance(file := read_mesh_file(data.get("mesh")), MeshFile):
@@ -198,9 +196,9 @@ def resolve_material(data: dict[str, Any]) -> None:
         refuse("mesh", str(error))
     beta_s = material_damping_s(data, length_m)
     if beta_s is not None:
-        _default(data, "beta_s", beta_s)
+        fill_in(data, beta_s=beta_s)
 
 
-def _default(data: dict[str, Any], key: str, value: Any) -> None:
-    if data.get(key) is None:
-        data[key] = value
+def fill_in(data: dict[str, Any], **values: Any) -> None:
+    """Set those of the ``values`` that ``data`` does not have."""
+    data |= {key: value for key, value in values.items() if data.get(key) is None}

@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, replace
 
 from ...solver.drop import DropResult
 from ...solver.effects.base import Place, Scene
 from ...solver.effects.library import enter_all
 from ...solver.errors import InputError
-from .choices import Contact, Model, Scheme
+from .choices import Model
 from .flags import refuse
-from .stance import ANGLES
-from .values import DropValues
+from .values import ANGLES, DropValues
 
 
 @dataclass(frozen=True)
@@ -71,8 +69,6 @@ def check_effects(inputs: DropValues) -> None:
         refuse("effects", str(error))
         return
     places = {effect.place for effect in effects}
-    plain = inputs.scheme is Scheme.AVERAGE and inputs.contact is not Contact.NITSCHE
-    compiled = plain and math.isfinite(inputs.kn_N_m)
     if inputs.model is Model.ANALYTIC:
         for effect in effects:
             leans = any(getattr(after, name) for name in ANGLES)
@@ -80,13 +76,13 @@ def check_effects(inputs: DropValues) -> None:
                 refuse(
                     "effects", f"{effect.name} is not for the analytic model, a mass on a spring"
                 )
-    if Place.CONTACT in places and not (plain and math.isfinite(inputs.kn_N_m)):
+    if Place.CONTACT in places and not inputs.may_differ:
         refuse(
             "effects",
             "a contact law of its own needs --scheme average, a finite --kn, and penalty or "
             "augmented",
         )
-    if after.loss_factor and not (compiled and inputs.model in (Model.BEAM, Model.REDUCED)):
+    if after.loss_factor and not inputs.may_bend:
         refuse(
             "effects",
             "hysteretic_damping belongs to modes: take the beam, or the solid reduced to its modes "

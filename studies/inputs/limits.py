@@ -12,6 +12,7 @@ from ...meshes.section import Rectangle
 from ...solver import paper
 from ...solver.analytic import quarter_period_s
 from ...solver.arrays import Array
+from ...solver.bristle import Bristle
 from ...solver.drop import DropResult
 from ...solver.energy import ASTRAY
 from ...solver.errors import ComputationError
@@ -20,14 +21,7 @@ from .choices import Contact, Deflection, Model, Scheme, Tip, Until
 from .fields import FLAT, MOST_CONTACT_POINTS
 from .flags import refuse
 from .sources import OPTIONS
-from .stance import (
-    LINEAR_LEAN_DEG,
-    face_offsets_m,
-    lean_deg,
-    slowest_bending_1_s,
-    surface_normal,
-)
-from .values import DropValues, Values
+from .values import ANGLES, LINEAR_LEAN_DEG, DropValues, Values
 
 UNKNOWNS = 10_000_000
 STEPS = 2_000_000
@@ -66,6 +60,10 @@ MOST_DAMPED = 30.0
 ALIKE = 0.1
 # Lean at which the side or the upper end reaches the surface.
 FALLEN_DEG = 90.0
+# Bristle against the surface's normal; beyond it the side touches before the end face.
+LEAN_DEG = 80.0
+# First root of cos x cosh x = 1: the slowest bending of a free bar.
+FREE_BENDING = 4.730040744862704
 
 
 def count_unknowns(inputs: Values) -> int:
@@ -90,6 +88,18 @@ def check_unknowns(inputs: Values) -> None:
         if inputs.mesh is not None:
             field, cells = "mesh", f"the cells of {inputs.mesh.path}"
         refuse(field, f"{cells} make {n:,} unknowns; at most {UNKNOWNS:,} can be factored here")
+
+
+def check_lean(inputs: Values) -> None:
+    """Refuse a bristle that would land on its side."""
+    lean = inputs.lean_deg
+    if lean > LEAN_DEG * (1.0 + 1e-9):
+        blame = next(name for name in ANGLES if getattr(inputs, name))
+        refuse(
+            blame,
+            f"tilt and slope together lean the bristle by {lean:.3g} degrees against the surface's "
+            f"normal; from {LEAN_DEG:g} on it lands on its side, which cannot touch here",
+        )
 
 
 def check_drop(inputs: DropValues) -> None:
@@ -211,7 +221,7 @@ def _step_warnings(inputs: DropValues) -> list[str]:
 
 def _lean_warnings(inputs: DropValues) -> list[str]:
     found = []
-    lean = lean_deg(inputs)
+    lean = inputs.lean_deg
     bent = inputs.resolved_deflection
     if bent is Deflection.FINITE:
         pass
@@ -307,7 +317,7 @@ def narrow_zone(
     """
     section = inputs.end_section()
     xy, _ = section.contact_points(n_points or inputs.contact_points)
-    normal, back = surface_normal(inputs), face_offsets_m(inputs.face(), section, xy)
+    normal, back = inputs.surface_normal, inputs.face_offsets_m(xy)
     gaps = xy @ normal[:2] + back * normal[2]
     gaps -= gaps.min()
     zone = gaps <= depth_m
@@ -349,7 +359,7 @@ def _patch_warnings(inputs: DropValues, result: DropResult) -> list[str]:
     if not inputs.model.meshed or inputs.cells is None or math.isinf(inputs.kn_N_m):
         return []
     found = []
-    normal = surface_normal(inputs)
+    normal = inputs.surface_normal
     sides = (section.thickness_m, section.width_m)
     for axis, (side, toward) in enumerate(zip(sides, ("thin", "wide"), strict=True)):
         cell = side / inputs.cells[axis]
@@ -382,7 +392,7 @@ def _turning_warnings(inputs: DropValues, result: DropResult) -> list[str]:
         )
     airborne_s = 2.0 * result.cm_velocity_after_m_s / inputs.gravity_m_s2
     tumbled = math.degrees(math.hypot(*result.spin_after_rad_s[:2]) * airborne_s)
-    lean = lean_deg(inputs)
+    lean = inputs.lean_deg
     if result.rebound_ratio is not None and lean + tumbled > FALLEN_DEG:
         found.append(
             f"after the impact the bristle turns by about {tumbled:.3g} degrees before it comes "
@@ -391,6 +401,14 @@ def _turning_warnings(inputs: DropValues, result: DropResult) -> list[str]:
             "impact, or lower --height"
         )
     return found
+
+
+def slowest_bending_1_s(bristle: Bristle) -> float:
+    """Lowest elastic angular frequency of a thin free bar (Euler and Bernoulli)."""
+    section, material = bristle.section, bristle.material
+    second_moment = min(section.second_moment_x_m4, section.second_moment_y_m4)
+    gyration = math.sqrt(second_moment / section.area_m2)
+    return (FREE_BENDING / bristle.length_m) ** 2 * material.bar_speed_m_s * gyration
 
 
 def _round_down(value: float) -> float:

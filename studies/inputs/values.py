@@ -8,27 +8,47 @@ from __future__ import annotations
 import math
 from typing import Any, Self
 
+import numpy as np
+
 from ...meshes import geometry
 from ...meshes.section import Circle, Rectangle, Section
 from ...meshes.tip_shape import TipShape, parse_tip_shape
 from ...solver import paper
 from ...solver.analytic import quarter_period_s
+from ...solver.arrays import Array
 from ...solver.bristle import Bristle, Material
 from ...solver.contact.enforcement import ContactMethod, Enforcement
 from ...solver.contact.laws import ContactLaw, Coulomb, Linear, mindlin_ratio
 from ...solver.drop import DropPlan
 from ...solver.effects.base import Scene
 from ...solver.ground import Ground
-from ...solver.rigid import slope_normal
+from ...solver.rigid import leaning, matrix_of, slope_normal
 from ...solver.time.scheme import TimeScheme
-from . import fields, stance
+from . import fields
 from .choices import Contact, Deflection, Model, Scheme, Solver, Until
 from .fields import DropFields, SharedFields, StepField
 from .sources import checked
 
+# How bristle and surface lean, each in degrees.
+ANGLES = ("tilt_deg", "tilt_wide_deg", "slope_deg", "slope_wide_deg")
+# Lean in degrees up to which small strain and rotation in contact are taken to be enough.
+LINEAR_LEAN_DEG = 10.0
+
 
 class Values(SharedFields):
     """What a drop and a sweep share, as objects."""
+
+    @property
+    def surface_normal(self) -> Array:
+        """The surface's normal (3,) along the bristle's own axes."""
+        attitude = matrix_of(leaning(self.tilt_deg, self.tilt_wide_deg))
+        return np.asarray(attitude.T @ slope_normal(self.slope_deg, self.slope_wide_deg))
+
+    @property
+    def lean_deg(self) -> float:
+        """Angle between the bristle and the surface's normal."""
+        normal = self.surface_normal
+        return math.degrees(math.atan2(math.hypot(normal[0], normal[1]), normal[2]))
 
     @property
     def leaning(self) -> bool:
@@ -39,11 +59,26 @@ class Values(SharedFields):
         """
         if self.mesh is not None and not self.mesh.read().straight:
             return True
-        return any(getattr(self, name) for name in stance.ANGLES) or self.tip_shape != fields.FLAT
+        return any(getattr(self, name) for name in ANGLES) or self.tip_shape != fields.FLAT
 
     def face(self) -> TipShape:
         """The shape of the end face."""
         return parse_tip_shape(self.tip_shape)
+
+    def face_offsets_m(self, xy_m: Array) -> Array:
+        """How far the end face stands back at places (n, 2) of the section.
+
+        Places that rounding, or a mesh with cells not quite round, puts outside are taken to the
+        edge.
+        """
+        section = self.end_section()
+        if isinstance(section, Rectangle):
+            half = 0.5 * np.array([section.thickness_m, section.width_m])
+            inside = np.clip(xy_m, -half, half)
+        else:
+            radius = 0.5 * section.diameter_m
+            inside = xy_m / np.maximum(np.hypot(*xy_m.T) / radius, 1.0)[:, None]
+        return np.asarray(self.face().offset_m(inside[:, 0], inside[:, 1], section))
 
     def bristle(self) -> Bristle:
         """The body that falls; of a mesh, a flat wire of the same length and mass."""
@@ -88,14 +123,15 @@ class DropValues(Values, DropFields, StepField):
     """One drop, as objects."""
 
     @property
+    def may_differ(self) -> bool:
+        """Whether a contact law of its own is possible in this run."""
+        plain = self.scheme is Scheme.AVERAGE and self.contact is not Contact.NITSCHE
+        return plain and math.isfinite(self.kn_N_m)
+
+    @property
     def may_bend(self) -> bool:
         """Whether the axial force can act on the slope in this run."""
-        return (
-            self.model in (Model.BEAM, Model.REDUCED)
-            and self.scheme is Scheme.AVERAGE
-            and self.contact is not Contact.NITSCHE
-            and math.isfinite(self.kn_N_m)
-        )
+        return self.model in (Model.BEAM, Model.REDUCED) and self.may_differ
 
     @property
     def may_turn(self) -> bool:
@@ -113,7 +149,7 @@ class DropValues(Values, DropFields, StepField):
             return self.deflection
         if self.leaning and self.may_turn:
             return Deflection.FINITE
-        gentle = stance.lean_deg(self) <= stance.LINEAR_LEAN_DEG
+        gentle = self.lean_deg <= LINEAR_LEAN_DEG
         bends = self.leaning and gentle and self.may_bend
         return Deflection.SECOND_ORDER if bends else Deflection.SMALL
 
@@ -134,7 +170,7 @@ class DropValues(Values, DropFields, StepField):
             front_m2=self.bristle().section.area_m2,
             beta_s=self.beta_s,
             law=Linear(self.kn_N_m),
-            **{name: getattr(self, name) for name in stance.ANGLES},
+            **{name: getattr(self, name) for name in ANGLES},
         )
 
     def friction_law(self) -> Coulomb:

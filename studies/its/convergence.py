@@ -9,12 +9,10 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 from scipy.optimize import brentq
 
 from ...solver.analytic import quarter_period_s
-
-Array = NDArray[np.floating]
+from ...solver.arrays import Array
 
 CASE = ["model", "kn_N_m", "y0_m", "quantity"]
 ERRORS = [*CASE, "its_s", "value", "converged", "order", "error_relative"]

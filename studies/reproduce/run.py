@@ -19,7 +19,6 @@ from .. import __version__
 from ..inputs.config import DropInputs
 from ..inputs.limits import input_warnings, result_warnings
 from ..inputs.sources import command_line
-from ..inputs.stance import lean_deg
 from ..report.page import REPORT_FILES, Report, Section, Verdict, write_report
 from ..running.cases import CaseSession
 from ..running.files import prepare_folder
@@ -96,9 +95,16 @@ def run_reproduce(
 def doubts(results: Results) -> Section:
     """The warnings of all drops, each with its value, limit and remedy."""
     rows = [
-        (str(case.model), str(case.contact), case.kn_N_m, case.height_m, case.its_s, lean, message)
+        (
+            str(case.model),
+            str(case.contact),
+            case.kn_N_m,
+            case.height_m,
+            case.its_s,
+            case.lean_deg,
+            message,
+        )
         for case, result in results.items()
-        for lean in [lean_deg(case)]
         for message in (*input_warnings(case), *result_warnings(case, result))
     ]
     many = len({row[:-1] for row in rows})

@@ -39,7 +39,6 @@ from ..inputs.config import DropInputs
 from ..inputs.effects import Entered, entered, observed
 from ..inputs.fields import FLAT
 from ..inputs.limits import check_result, count_unknowns
-from ..inputs.stance import face_offsets_m
 from .parallel import all_ranks
 
 if TYPE_CHECKING:  # MPI, dolfinx and gmsh, which a beam does without
@@ -418,10 +417,9 @@ def _with_face(frame: ModalFrame | ReducedModel, inputs: DropInputs) -> ModalFra
 
     A solid's mesh stays flat, and shares what PETSc holds with the body that it is a copy of.
     """
-    shape, section = inputs.face(), inputs.end_section()
 
     def shaped(contact: ContactPoints) -> ContactPoints:
-        return with_offsets(contact, face_offsets_m(shape, section, contact.xy_m))
+        return with_offsets(contact, inputs.face_offsets_m(contact.xy_m))
 
     if isinstance(frame, ModalFrame):
         return _each(frame, lambda body: replace(body, contact=shaped(body.contact)))

@@ -37,30 +37,18 @@ def progress(
 
 @contextmanager
 def _bar(title: str, total: int, done: int, alike: bool) -> Iterator[Callable[..., None]]:
+    from rich import progress as rich
     from rich.console import Console
-    from rich.progress import (
-        BarColumn,
-        MofNCompleteColumn,
-        Progress,
-        Task,
-        TimeElapsedColumn,
-        TimeRemainingColumn,
-    )
     from rich.text import Text
 
-    class Remaining(TimeRemainingColumn):
-        def render(self, task: Task) -> Text:
+    class Remaining(rich.TimeRemainingColumn):
+        def render(self, task: rich.Task) -> Text:
             return super().render(task) if task.percentage >= 100.0 * EARLY else Text("-:--:--")
 
     left = ("left", Remaining()) if alike else ()
-    columns = (
-        "{task.description}",
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeElapsedColumn(),
-        *left,
-    )
-    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+    counted = (rich.BarColumn(), rich.MofNCompleteColumn(), rich.TimeElapsedColumn(), *left)
+    columns = ("{task.description}", *counted)
+    with rich.Progress(*columns, console=Console(stderr=True), transient=True) as bar:
         task = bar.add_task(title, total=total, completed=done)
 
         def advance(count: int = 1, words: str = "") -> None:

@@ -8,7 +8,7 @@ from pydantic import model_validator
 
 from ..inputs import study_fields as fields
 from ..inputs.choices import Contact, Model, Scheme, Until
-from ..inputs.config import DropInputs, Inputs
+from ..inputs.config import DropInputs, Inputs, fill_in
 from ..inputs.fields import HeightsField, StepField
 from ..inputs.flags import refuse
 from ..inputs.sources import checked
@@ -36,11 +36,9 @@ class ScatterInputs(Inputs, ScatterFields, HeightsField, StepField):
     def _surface(cls, data: Any) -> Any:
         """Fill in the roughness of a surface that is made."""
         if isinstance(data, dict) and not data.get("flat") and data.get("surface") is None:
-            made = {
-                "rms_height_m": fields.RMS_HEIGHT_M,
-                "correlation_length_m": fields.CORRELATION_LENGTH_M,
-            }
-            data = {**data, **{key: value for key, value in made.items() if data.get(key) is None}}
+            data = dict(data)
+            length_m = fields.CORRELATION_LENGTH_M
+            fill_in(data, rms_height_m=fields.RMS_HEIGHT_M, correlation_length_m=length_m)
         return data
 
     @model_validator(mode="after")

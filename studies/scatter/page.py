@@ -23,7 +23,7 @@ from ..report.paper_figures import cloud_figure
 from ..report.prose import Prose
 from ..surface.ground import surface_facts, surface_rows
 from ..surface.rough import Surface
-from .conditions import RESAMPLES, SAMPLES, generator
+from .drops import RESAMPLES, SAMPLES, generator
 from .inputs import ScatterInputs
 from .statistics import Spread, sampled, shares, spread
 

@@ -18,7 +18,6 @@ from mpi4py import MPI
 from ...meshes.collective import run_on_one_rank
 from ...solver.batch import Outcome
 from ...solver.errors import ComputationError
-from .. import __version__
 from ..inputs.limits import closure_warnings, input_warnings
 from ..report.page import REPORT_FILES
 from ..running import results
@@ -26,10 +25,9 @@ from ..running.files import together, write_atomically, write_json
 from ..running.journal import Journal
 from ..running.parallel import share_out
 from ..running.progress import progress, say, working
-from .conditions import CHECKS, generator
+from .drops import CHECKS, CHUNK, Chunk, Scene, generator
 from .inputs import ScatterInputs
 from .page import Check, write_scatter
-from .scene import CHUNK, Chunk, Scene
 
 DOCUMENT, TABLE = "scatter.json", "drops.csv"
 # Drops that are also computed by themselves, with the reduced body's error estimate.
@@ -76,9 +74,7 @@ def run_scatter(
         spent["write"] = time.perf_counter() - writing
         spent["total"] = time.perf_counter() - started
         document = {
-            "schema": results.SCHEMA,
-            "version": __version__,
-            "inputs": results.plain_inputs(inputs),
+            **results.head(inputs),
             "n_drops": inputs.drops,
             "n_failed": len(failed),
             "failed": failed,

@@ -19,11 +19,10 @@ import numpy as np
 import numpy.typing as npt
 
 from ...meshes.section import require_positive
+from ...solver.arrays import Array
 from .heights import MAX_NODES
 from .phases import Composite, random_phases
 from .rough import FEWEST_NODES, Surface
-
-Array = npt.NDArray[np.float64]
 
 OFF_GRID = 0.05
 """Part of the spacing by which a listed point may miss its place on the grid."""

@@ -17,7 +17,8 @@ from pydantic import Field
 from pydantic.dataclasses import dataclass
 from scipy.spatial import cKDTree
 
-Array = npt.NDArray[np.float64]
+from ...solver.arrays import Array
+
 Positive = Annotated[float, Field(strict=True, gt=0.0, allow_inf_nan=False)]
 
 CELLS_PER_GRAIN = 3

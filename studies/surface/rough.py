@@ -16,10 +16,9 @@ import numpy.typing as npt
 from scipy import fft, ndimage
 from scipy.interpolate import NdBSpline
 
+from ...solver.arrays import Array
 from .heights import Roughness, random_heights
 from .phases import Composite, random_phases
-
-Array = npt.NDArray[np.float64]
 
 FEWEST_NODES = 4
 """Along each side: a cubic spline spans four."""

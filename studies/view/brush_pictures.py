@@ -15,6 +15,7 @@ import pyvista
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
+from ...solver.arrays import Array
 from ...solver.errors import InputError
 from ..brush.page import over_time
 from ..brush.paraview import LINE, SERIES
@@ -23,7 +24,6 @@ from ..brush.shape import TIPS, Sides
 from ..data.tables import column, read_table
 from ..film.encoding import film_writer
 from ..report.figures import BLACK, STYLE, panels, styled
-from .field_series import Array
 
 N_FILM, RATE, DPI = 250, 25, 160
 # Bristles that are drawn at most, spread over all.

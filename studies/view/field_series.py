@@ -14,11 +14,10 @@ import adios2
 import numpy as np
 from numpy.typing import NDArray
 
+from ...solver.arrays import Array
 from ...solver.errors import InputError
 from ...solver.paraview import FRAMES_FILE, GROUND_FILE, Phase
 from ..running.files import read_csv
-
-Array = NDArray[np.float64]
 
 
 class FieldSeries(AbstractContextManager):

@@ -7,31 +7,29 @@ from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
+from ...solver.arrays import Array
 from ...solver.contact_phase import HISTORY_COLUMNS
 from ..data.tables import column, read_table
 from ..report.figures import BLACK, BLUE, GREY, ORANGE, SMALLEST, VERMILION, beside, panels, styled
 
-Series = NDArray[np.floating]
-
 MARGIN = 0.1
 
 
-def read_history(path: Path) -> dict[str, Series]:
+def read_history(path: Path) -> dict[str, Array]:
     """The columns of a history.csv. Raises InputError that names the file and the line."""
     rows = read_table(path, HISTORY_COLUMNS)
     return {name: column(path, rows, name) for name in HISTORY_COLUMNS}
 
 
-def touch_time_s(history: dict[str, Series]) -> float:
+def touch_time_s(history: dict[str, Array]) -> float:
     """When the tip came to the plane: the time of the last row before there was a force."""
     pressed = np.flatnonzero(history["force_N"] > 0.0)
     return float(history["t_s"][max(pressed[0] - 1, 0)] if len(pressed) else history["t_s"][0])
 
 
 @styled
-def history_figure(history: dict[str, Series], document: dict[str, Any]) -> Figure:
+def history_figure(history: dict[str, Array], document: dict[str, Any]) -> Figure:
     """Heights over the whole drop; force and penetration over the first impact."""
     figure, axes = panels(3, 1, height_in=6.0)
     height, force, depth = axes[:, 0]

@@ -13,9 +13,9 @@ from typing import Any
 
 import numpy as np
 
+from ...solver.arrays import Array
 from ...solver.paraview import SOLID_FILE, TIP_FILE
 from ..running.files import write_atomically
-from .field_series import Array
 from .wave import Wave
 
 SCRIPT_FILE = "open_in_paraview.py"

@@ -21,8 +21,9 @@ from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 from PIL import Image
 
+from ...solver.arrays import Array
 from ..report.figures import BLACK, BLUE, GREY, panels, styled
-from .field_series import Array, FieldSeries
+from .field_series import FieldSeries
 from .wave import Wave
 
 N_STILLS = 6

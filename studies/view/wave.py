@@ -10,8 +10,9 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from ...solver.arrays import Array
 from ...solver.paraview import Phase
-from .field_series import Array, FieldSeries
+from .field_series import FieldSeries
 
 SHOWN_MOTION = 0.05
 """Greatest displacement during contact in a picture, over the bristle's length."""

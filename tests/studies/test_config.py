@@ -28,9 +28,13 @@ from bristle.studies.inputs.choices import Contact, Model, Solver, Until
 from bristle.studies.inputs.config import DropInputs, MeshInputs
 from bristle.studies.inputs.fields import DROP_FLAGS, LIST_FLAGS, STUDY_FLAGS
 from bristle.studies.inputs.kinds import forgotten_afterwards
-from bristle.studies.inputs.limits import count_unknowns, input_warnings, narrow_zone
+from bristle.studies.inputs.limits import (
+    count_unknowns,
+    input_warnings,
+    narrow_zone,
+    slowest_bending_1_s,
+)
 from bristle.studies.inputs.sources import checked, flag_source, inputs_of, read_config
-from bristle.studies.inputs.stance import face_offsets_m, lean_deg, slowest_bending_1_s
 from bristle.studies.its.run import ItsInputs
 from bristle.studies.running.files import to_json
 from bristle.studies.running.results import plain_inputs
@@ -258,15 +262,15 @@ def test_lean_and_slope_reach_the_solver():
     ids=str,
 )
 def test_lean_counts_from_the_surfaces_normal(values, lean):
-    assert lean_deg(drop(**values)) == pytest.approx(lean, abs=1e-9)
+    assert drop(**values).lean_deg == pytest.approx(lean, abs=1e-9)
 
 
 def test_a_worn_face_stands_back_toward_its_direction_only():
     points, _ = Circle(1e-3).contact_points(9)
-    shape = drop(tip_shape="worn:angle=5,direction=180").face()
+    worn = drop(diameter_m=1e-3, tip_shape="worn:angle=5,direction=180")
     # a mesh of a wire, and rounding, put points a little outside
     for places in (points, points * (1.0 + 1e-4)):
-        back = face_offsets_m(shape, Circle(1e-3), places)
+        back = worn.face_offsets_m(places)
         assert back.min() == pytest.approx(0.0, abs=1e-15)
         assert back.max() == pytest.approx(1e-3 * math.tan(math.radians(5.0)))
         assert back[np.argmin(places[:, 0])] == back.max()

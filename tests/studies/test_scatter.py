@@ -28,8 +28,8 @@ from bristle.studies.inputs.sources import checked, inputs_of
 from bristle.studies.inputs.study_fields import SCATTER_FLAGS
 from bristle.studies.running.cases import run_case
 from bristle.studies.running.mark import claim
-from bristle.studies.scatter import scene as scatter_scene
-from bristle.studies.scatter.conditions import draw, ground_of, ground_under
+from bristle.studies.scatter import drops as scatter_drops
+from bristle.studies.scatter.drops import draw, ground_of, ground_under
 from bristle.studies.scatter.inputs import ScatterInputs
 from bristle.studies.scatter.run import run_scatter
 from bristle.studies.surface.ground import surface_of
@@ -241,13 +241,13 @@ def test_resume_does_what_is_missing_and_no_more(done, tmp_path, monkeypatch):
     (tmp_path / "cases.jsonl").write_text("".join(lines[:3]) + lines[3][:50])
     claim(tmp_path, "cases.jsonl")
     computed = []
-    drop_many = scatter_scene.drop_many
+    drop_many = scatter_drops.drop_many
 
     def counted(marcher, drops):
         computed.append(len(drops))
         return drop_many(marcher, drops)
 
-    monkeypatch.setattr(scatter_scene, "drop_many", counted)
+    monkeypatch.setattr(scatter_drops, "drop_many", counted)
     inputs = scatter(drops=120, seed=11)
     run_scatter(inputs, tmp_path, MPI.COMM_SELF, resume=True)
     assert sorted(computed) == [1] * 8 + [20]  # those that are checked, and the last chunk
@@ -260,7 +260,7 @@ def test_resume_does_what_is_missing_and_no_more(done, tmp_path, monkeypatch):
 
 
 def test_a_drop_that_fails_is_left_out_and_told(tmp_path, monkeypatch):
-    drop_many = scatter_scene.drop_many
+    drop_many = scatter_drops.drop_many
     bad = draw(scatter(), (0.038, 0.038), 0, 130).tilt_deg[7]
 
     def fails(marcher, drops):
@@ -268,7 +268,7 @@ def test_a_drop_that_fails_is_left_out_and_told(tmp_path, monkeypatch):
             raise ComputationError("drop 0: it fell over")
         return drop_many(marcher, drops)
 
-    monkeypatch.setattr(scatter_scene, "drop_many", fails)
+    monkeypatch.setattr(scatter_drops, "drop_many", fails)
     run_scatter(scatter(drops=130), tmp_path, MPI.COMM_SELF)
     document, rows = read(tmp_path)
     assert document["failed"] == {"7": "it fell over"}
