@@ -7,11 +7,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack, nullcontext
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
 from ..meshes.collective import run_on_one_rank
 from ..solver.checkpoint import Checkpoint
+from ..solver.contact_phase import HISTORY_COLUMNS
 from ..solver.drop import DropResult
 from .command.script import as_script
 from .inputs.choices import Model
@@ -21,7 +23,14 @@ from .inputs.limits import input_warnings, result_warnings
 from .inputs.values import ANGLES
 from .running import results
 from .running.cases import CaseSession, Prepared, Timings, session_on
-from .running.files import folder_in_place, remove, together
+from .running.files import (
+    folder_in_place,
+    remove,
+    to_csv,
+    together,
+    write_atomically,
+    write_json,
+)
 from .running.parallel import all_ranks, by_rank_0
 from .running.progress import compilation_noted, progress, say, warn, working
 from .running.steps import Watched, steps_of_contact
@@ -77,7 +86,13 @@ def run_drop(
             how = {"every_s": keep_s, "resume": resume}
             result, timings = _compute(inputs, out, own, observe, **how)
         document = _document(inputs, result, timings, warnings, comm)
-        written = run_on_one_rank(comm, lambda: results.write_drop(out, document, result))
+
+        def write() -> dict[str, Any]:
+            history = to_csv(HISTORY_COLUMNS, list(result.history.array()))
+            write_atomically(out / results.HISTORY_FILE, history)
+            return write_json(out / results.RESULT_FILE, document)
+
+        written = run_on_one_rank(comm, write)
     run_on_one_rank(comm, lambda: results.forget_checkpoint(out))
     return written
 
@@ -115,10 +130,19 @@ def _document(
     warnings: list[str],
     comm: MPI.Intracomm,
 ) -> dict[str, Any]:
-    """What result.json holds, beside earlier ``warnings`` those of the result; collective."""
-    every = [*warnings, *_warned(result_warnings(inputs, result))]
-    memory = results.peak_rss_MB(comm)
-    return results.drop_document(inputs, result, timings, every, memory, comm.size)
+    """All of result.json, beside earlier ``warnings`` those of the result; collective."""
+    return {
+        **results.head(inputs),
+        "model": inputs.model.value,
+        "contact": inputs.contact.value,
+        "deflection": inputs.resolved_deflection.value,
+        **{name: results.number(name, inputs, result) for name in results.NUMBERS},
+        "energy": asdict(result.energy),
+        "reduction_error": result.reduction_error,
+        "warnings": [*warnings, *_warned(result_warnings(inputs, result))],
+        "wall_s": timings,
+        **results.resources(comm),
+    }
 
 
 def _observer(observe: Observe, prepared: Prepared) -> Observer:

@@ -10,7 +10,6 @@ from ...solver import paper
 from .choices import Layout
 from .fields import (
     CONTACT,
-    KT_RATIO,
     LONGEST_S,
     MESH,
     OUTPUT,
@@ -22,6 +21,7 @@ from .fields import (
     Truth,
     above_zero,
     between,
+    kt_ratio_option,
     whole,
 )
 from .flags import Fields, flags_of, option
@@ -134,12 +134,7 @@ class SurfaceFields(ReliefFields, group=CONTACT):
     stribeck_speed_m_s: Annotated[float, above_zero(100.0)] = option(
         0.01, "Speed over which friction falls from the static to the sliding coefficient."
     )
-    kt_ratio: Ratio | None = option(
-        None,
-        "Tangential over normal contact stiffness.",
-        "RATIO",
-        f"{KT_RATIO:.4g} for steel, Mindlin's 2(1-nu)/(2-nu)",
-    )
+    kt_ratio: Ratio | None = kt_ratio_option("")
     touch_each_other: Truth = option(
         True,
         "Contact of bristles with each other. Without it they pass through each other.",

@@ -131,6 +131,11 @@ Its = Annotated[float, between(1e-12, 1.0)]
 Ratio = Annotated[float, between(1e-6, 1e6)]
 Truth = Annotated[bool, Field(strict=True)]
 Numbers = BeforeValidator(read_numbers)
+Heights = Annotated[tuple[Height, ...], Numbers, Field(min_length=1)]
+Kns = Annotated[tuple[Kn, ...], Numbers, Field(min_length=1)]
+Steps = Annotated[tuple[Its, ...], Numbers, Field(min_length=1)]
+Models = Annotated[tuple[Model, ...], BeforeValidator(read_list), Field(min_length=1)]
+Effects = Annotated[tuple[EffectInput, ...], BeforeValidator(read_effects)]
 Plugins = Annotated[tuple[PluginFile, ...], BeforeValidator(read_plugins)]
 PLUGIN = {
     "help": "A Python file with effects or kinds of data of your own, repeatable; "
@@ -142,6 +147,22 @@ PLUGIN = {
 def plugin_option() -> Any:
     """The option `--plugin`."""
     return option((), **PLUGIN, kind=list, name="plugin", group=OUTPUT)
+
+
+def effect_option(help: str) -> Any:
+    """The option `--effect`."""
+    return option((), help, "NAME:PARAM=VALUE,…", kind=list, name="effect")
+
+
+def listed(default: tuple[Any, ...], help: str, metavar: str, **where: Any) -> Any:
+    """An option of several values in one text; ``where`` is its group and a further spelling."""
+    return option(default, f"{help}, separated by commas.", metavar, "", str, **where)
+
+
+def kt_ratio_option(help: str) -> Any:
+    """The option `--kt-ratio`."""
+    shown = f"{KT_RATIO:.4g} for steel, Mindlin's 2(1-nu)/(2-nu)"
+    return option(None, f"Tangential over normal contact stiffness{help}.", "RATIO", shown)
 
 
 class BodyFields(Fields, group=BODY):
@@ -257,12 +278,7 @@ class ContactFields(Fields, group=CONTACT):
         "is left out there.",
         "MU",
     )
-    kt_ratio: Ratio | None = option(
-        None,
-        "Tangential over normal contact stiffness, where there is friction.",
-        "RATIO",
-        f"{KT_RATIO:.4g} for steel, Mindlin's 2(1-nu)/(2-nu)",
-    )
+    kt_ratio: Ratio | None = kt_ratio_option(", where there is friction")
     tip: Tip = option(
         Tip.FACE,
         "face: the end section touches the surface point by point. point: one node on the axis "
@@ -309,14 +325,10 @@ class PlaceFields(Fields, group=DROP):
         kind=str,
     )
     plugins: Plugins = plugin_option()  # before the effects that may come from them
-    effects: Annotated[tuple[EffectInput, ...], BeforeValidator(read_effects)] = option(
-        (),
+    effects: Effects = effect_option(
         "A further piece of physics, repeatable, e.g. contact_damping:c_N_s_m=5. "
         "docs/effects.md lists them. An effect that differs from drop to drop is taken at plus "
-        "one standard deviation.",
-        "NAME:PARAM=VALUE,…",
-        kind=list,
-        name="effect",
+        "one standard deviation."
     )
 
 
@@ -386,34 +398,17 @@ class DropFields(Fields):
 class HeightsField(Fields, group=DROP):
     """Several heights."""
 
-    heights_m: Annotated[tuple[Height, ...], Numbers, Field(min_length=1)] = option(
-        paper.HEIGHTS_M, "Heights, separated by commas.", "M,…", "", str, alias="--height"
-    )
+    heights_m: Heights = listed(paper.HEIGHTS_M, "Heights", "M,…", alias="--height")
 
 
 class ListFields(Fields):
     """Several models, stiffnesses and time steps."""
 
-    models: Annotated[tuple[Model, ...], BeforeValidator(read_list), Field(min_length=1)] = option(
-        (Model.BEAM, Model.REDUCED),
-        "Models, separated by commas.",
-        "MODEL,…",
-        "",
-        str,
-        group=MODEL,
-        alias="--model",
+    models: Models = listed(
+        (Model.BEAM, Model.REDUCED), "Models", "MODEL,…", group=MODEL, alias="--model"
     )
-    kn_N_m: Annotated[tuple[Kn, ...], Numbers, Field(min_length=1)] = option(
-        paper.KN_N_M,
-        "Normal contact stiffnesses, separated by commas.",
-        "N/M,…",
-        "",
-        str,
-        group=CONTACT,
-    )
-    its_s: Annotated[tuple[Its, ...], Numbers, Field(min_length=1)] = option(
-        (paper.ITS_S,), "Integration time steps, separated by commas.", "S,…", "", str, group=TIME
-    )
+    kn_N_m: Kns = listed(paper.KN_N_M, "Normal contact stiffnesses", "N/M,…", group=CONTACT)
+    its_s: Steps = listed((paper.ITS_S,), "Integration time steps", "S,…", group=TIME)
 
 
 DROP_FLAGS = flags_of(DropFields, StepField, SharedFields)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Self
 
-from pydantic import BeforeValidator, Field, model_validator
+from pydantic import BeforeValidator, model_validator
 
 from ...solver import paper
 from .choices import Body, Contact, Down, Model, Noise, Strange
@@ -13,20 +13,22 @@ from .fields import (
     DROP,
     MODEL,
     BodyFields,
-    Height,
+    Effects,
+    Heights,
     HeightsField,
     Kn,
-    Numbers,
     Plugins,
     SharedFields,
     StepField,
     Truth,
     between,
+    effect_option,
+    listed,
     plugin_option,
     whole,
 )
 from .flags import Fields, flags_of, option, refuse
-from .named import EffectInput, GivenFile, read_effects, read_surface_file
+from .named import GivenFile, read_surface_file
 
 RANDOM, SURFACE, LOOP = "Random drops", "Surface", "Loop"
 CALIBRATION, DATASET = "Calibration", "Dataset"
@@ -215,12 +217,8 @@ class Recipe(Fields, group=DATASET):
     """Every option of `bristle synth`, checked: what a made dataset holds."""
 
     plugins: Plugins = plugin_option()  # before the effects that may come from them
-    effects: Annotated[tuple[EffectInput, ...], BeforeValidator(read_effects)] = option(
-        (),
-        "An effect that the dataset hides, repeatable, e.g. contact_damping:c_N_s_m=5.",
-        "NAME:PARAM=VALUE,…",
-        kind=list,
-        name="effect",
+    effects: Effects = effect_option(
+        "An effect that the dataset hides, repeatable, e.g. contact_damping:c_N_s_m=5."
     )
     unlisted: Annotated[tuple[Strange, float] | None, BeforeValidator(read_unlisted)] = option(
         None,
@@ -230,14 +228,8 @@ class Recipe(Fields, group=DATASET):
         kind=str,
     )
     drops: Annotated[int, whole(6, 10_000)] = option(48, "How many drops.", "N")
-    heights_m: Annotated[tuple[Height, ...], Numbers, Field(min_length=1)] = option(
-        paper.HEIGHTS_M,
-        "Heights of release, separated by commas.",
-        "M,…",
-        "",
-        str,
-        group=DROP,
-        alias="--height",
+    heights_m: Heights = listed(
+        paper.HEIGHTS_M, "Heights of release", "M,…", group=DROP, alias="--height"
     )
     kn_N_m: Annotated[float, between(2e5, 5e7)] = option(
         paper.KN_CHOSEN_N_M, "Normal contact stiffness.", group=CONTACT

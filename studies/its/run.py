@@ -9,14 +9,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import pandas as pd
-from pydantic import Field
 
 from ...solver import paper
 from ...solver.errors import ComputationError
-from ..inputs.fields import Height, Its, Numbers
+from ..inputs.fields import Heights, Steps
 from ..report.figures import picture, picture_files, write_picture
 from ..running.files import to_csv, write_atomically
 from ..running.study import TABLE_FILE, Row, Study, StudyInputs, run_study
@@ -40,8 +39,8 @@ QUANTITIES = {
 class ItsInputs(StudyInputs):
     """As a sweep's, with a list of time steps and one height."""
 
-    heights_m: Annotated[tuple[Height, ...], Numbers, Field(min_length=1)] = paper.HEIGHTS_M[-1:]
-    its_s: Annotated[tuple[Its, ...], Numbers, Field(min_length=1)] = ITS_S
+    heights_m: Heights = paper.HEIGHTS_M[-1:]
+    its_s: Steps = ITS_S
 
 
 def study_of(inputs: ItsInputs) -> Study:

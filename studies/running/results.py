@@ -1,11 +1,11 @@
-"""Files of a drop: `result.json` and `history.csv`, whole or not at all."""
+"""Results as JSON: how they begin, what they hold of a drop, whether they are the same run's."""
 
 from __future__ import annotations
 
 import json
 import resource
 from collections.abc import Mapping
-from dataclasses import asdict, fields
+from dataclasses import fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,15 +14,13 @@ from pydantic import BaseModel
 
 from ...meshes.collective import run_on_one_rank
 from ...solver.checkpoint import Checkpoint, clear
-from ...solver.contact_phase import HISTORY_COLUMNS
 from ...solver.drop import DropResult
 from ...solver.errors import InputError
 from .. import __version__
 from ..inputs.config import DropInputs
 from ..inputs.sources import OPTIONS
 from ..inputs.texts import exists, parse_json, quoted, read_text
-from .cases import Timings
-from .files import prepare_folder, to_csv, to_json, write_atomically, write_json
+from .files import prepare_folder, to_json
 from .mark import claim, refuse_foreign
 
 if TYPE_CHECKING:
@@ -81,30 +79,6 @@ def forget_checkpoint(out: Path) -> None:
         claim(out)
 
 
-def drop_document(
-    inputs: DropInputs,
-    result: DropResult,
-    wall_s: Timings,
-    warnings: list[str],
-    peak_rss_MB: float,
-    ranks: int,
-) -> dict[str, Any]:
-    """All of result.json."""
-    return {
-        **head(inputs),
-        "model": inputs.model.value,
-        "contact": inputs.contact.value,
-        "deflection": inputs.resolved_deflection.value,
-        **{name: number(name, inputs, result) for name in NUMBERS},
-        "energy": asdict(result.energy),
-        "reduction_error": result.reduction_error,
-        "warnings": warnings,
-        "wall_s": dict(wall_s),
-        "peak_rss_MB": peak_rss_MB,
-        "ranks": ranks,
-    }
-
-
 def number(name: str, inputs: DropInputs, result: DropResult) -> Any:
     """What a result.json or a table holds under ``name`` of a drop."""
     if name == "cm_rebound_ratio":
@@ -116,13 +90,6 @@ def number(name: str, inputs: DropInputs, result: DropResult) -> Any:
     if value is None or np.isnan(value).any():
         return None  # the drop ended before it could be seen
     return list(value) if isinstance(value, tuple) else value
-
-
-def write_drop(out: Path, document: dict[str, Any], result: DropResult) -> dict[str, Any]:
-    """Write history.csv, then result.json, into ``out``; for one rank. Returns the latter."""
-    history = to_csv(HISTORY_COLUMNS, list(result.history.array()))
-    write_atomically(out / HISTORY_FILE, history)
-    return write_json(out / RESULT_FILE, document)
 
 
 def read_document(path: Path) -> dict[str, Any] | None:
@@ -163,6 +130,11 @@ def check_version(path: Path, there: Mapping[str, Any]) -> None:
 
 def _shown(value: Any) -> str:
     return value if isinstance(value, str) else quoted(value)
+
+
+def resources(comm: MPI.Intracomm) -> dict[str, Any]:
+    """How many ranks computed and, in MB, their `peak_rss_MB`; collective."""
+    return {"peak_rss_MB": peak_rss_MB(comm), "ranks": comm.size}
 
 
 def peak_rss_MB(comm: MPI.Intracomm) -> float:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Mapping, Sequence, Sized
+from collections.abc import Callable, Sequence, Sized
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from enum import StrEnum
@@ -178,15 +178,22 @@ def run_study[Asked: StudyInputs](
     done = {i: {**row, **_varied(study, cases[i])} for i, row in done.items()}
     sessions = partial(session_on, comm, session, study.basis_its_s)
     spent = {"shared": _compute(study, cases, names, sessions, done, journal.add, ranks_per_case)}
-    facts = {"wall_s": spent, "peak_rss_MB": results.peak_rss_MB(comm), "ranks": comm.size}
+    facts = {"wall_s": spent, **results.resources(comm)}
 
     @together(out, study.document)
     def write() -> None:
         rows = [done[i] for i in range(len(cases))]
         spent["cases"] = sum(row["wall_s"] for row in rows)
         extra = study.finish(rows, out)
+        table = to_csv(study.columns, [[row[name] for name in study.columns] for row in rows])
+        write_atomically(out / TABLE_FILE, table)
+        which = ("model", "kn_N_m", "y0_m", "its_s", *study.varied, "warnings")
+        warnings = [{name: row[name] for name in which} for row in rows if row["warnings"]]
+        if warnings:
+            warn(f"{len(warnings)} of {len(rows)} cases have warnings, see {out / study.document}")
         spent["total"] = time.perf_counter() - started
-        _write(study, inputs, rows, {**extra, **facts}, out)
+        head = {**results.head(inputs), "n_cases": len(rows), **extra, **facts}
+        write_json(out / study.document, {**head, "warnings": warnings})
 
     run_on_one_rank(comm, write)
     if comm.rank == 0:
@@ -298,22 +305,3 @@ def _curve(result: DropResult) -> dict[str, list[float]]:
         keep = np.unique(np.concatenate([keep[: touching[0]], inside, keep[touching[-1] :]]))
     t, y = ([float(f"{x:.8g}") for x in rows[keep, i]] for i in (0, 1))
     return {"t_s": t, "tip_y_m": y}
-
-
-def _write(
-    study: Study, inputs: StudyInputs, rows: Sequence[Row], facts: Mapping[str, Any], out: Path
-) -> None:
-    """Write the table, then the study's JSON, which says that all is there."""
-    table = to_csv(study.columns, [[row[name] for name in study.columns] for row in rows])
-    write_atomically(out / TABLE_FILE, table)
-    which = ("model", "kn_N_m", "y0_m", "its_s", *study.varied, "warnings")
-    warnings = [{name: row[name] for name in which} for row in rows if row["warnings"]]
-    if warnings:
-        warn(f"{len(warnings)} of {len(rows)} cases have warnings, see {out / study.document}")
-    document = {
-        **results.head(inputs),
-        "n_cases": len(rows),
-        **facts,
-        "warnings": warnings,
-    }
-    write_json(out / study.document, document)

@@ -63,7 +63,7 @@ def run_scatter(
     spent["check"] = time.perf_counter() - checking
     fresh, spent["drops"] = _compute(scene, comm, journal, done)
     drops, failed = run_on_one_rank(comm, lambda: _gather(scene, done))
-    ranks, peak = comm.size, results.peak_rss_MB(comm)
+    resources = results.resources(comm)
 
     @together(out, DOCUMENT)
     def write() -> None:
@@ -83,8 +83,7 @@ def run_scatter(
             "warnings": warnings,
             "drops_per_second": fresh / spent["drops"] if fresh else None,
             "wall_s": spent,
-            "peak_rss_MB": peak,
-            "ranks": ranks,
+            **resources,
         }
         write_json(out / DOCUMENT, document)
 
