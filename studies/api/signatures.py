@@ -77,7 +77,7 @@ class Signature:
         return _plain(self.model.model_fields[flag.field].default)
 
 
-def signed[**P, R](
+def signed[R](
     signature: Signature,
     *,
     returns: str,
@@ -96,14 +96,14 @@ def signed[**P, R](
 
     def sign(function: Callable[..., R]) -> Callable[..., R]:
         there = inspect.signature(function, eval_str=True)
-        before = list(there.parameters.values())[:-1]
+        *before, _ = there.parameters.values()
         # keywords without a default cannot be among these
         function.__signature__ = there.replace(parameters=[*before, *signature.parameters()])  # type: ignore[attr-defined]
-        taken = (each for each in before if each.name in own)
+        taken = sorted(own, key=list(there.parameters).index)
         sections = {
             "Parameters": "\n".join(
-                f"{each.name} : {type_text(each.annotation)}\n{_indented(own[each.name])}"
-                for each in taken
+                f"{name} : {type_text(there.parameters[name].annotation)}\n{_indented(own[name])}"
+                for name in taken
             ),
             "Other Parameters": signature.described(),
             "Returns": f"{type_text(there.return_annotation)}\n{_indented(returns)}",

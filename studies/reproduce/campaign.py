@@ -105,17 +105,13 @@ class Study(ABC):
         """Every drop that ``section`` will look up; none, unless a section says otherwise."""
         return []
 
+    def prepare(self, comm: MPI.Intracomm) -> None:
+        """Compute before ``section`` what it needs beside drops, if anything; collective."""
+        return
+
     @abstractmethod
     def section(self, results: Results) -> Section:
         """The section with its figures and tables."""
-
-
-class PreparedStudy(Study):
-    """A section that needs more than drops."""
-
-    @abstractmethod
-    def prepare(self, comm: MPI.Intracomm) -> None:
-        """Compute it before ``section``; collective."""
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,7 @@ from ..brush.inputs import BrushInputs
 from ..inputs.sources import checked
 from ..report.figures import BLACK, SERIES, drawing
 from ..report.page import Head, Section
-from .campaign import Labels, PreparedStudy, Results, prose
+from .campaign import Labels, Results, Study, prose
 
 # The window: pressed further by so much within so long, then raised at this speed, which the hub
 # reaches within so long.
@@ -204,7 +204,7 @@ def _both(pairs: list[tuple[Array, Array]] | list[tuple[float, float]]) -> tuple
 
 
 @dataclass
-class Dragged(PreparedStudy):
+class Dragged(Study):
     """The section of `bristle reproduce`: the rod of a brush beside the clamped solid."""
 
     cells: tuple[int, int, int] = (1, 1, 120)

@@ -34,7 +34,7 @@ from ..loop.problem import Problem
 from ..report.page import Figure, Head, Section
 from ..report.paper_figures import cloud_figure
 from ..report.prose import Draft
-from .campaign import PreparedStudy, Results, prose
+from .campaign import Results, Study, prose
 from .published_drops import Film, dataset, draw, planned_heights_m
 
 SETS, SEED = 5, 26
@@ -57,7 +57,7 @@ HEADS: dict[str, Head] = {
 }
 
 
-class LoopStudy(PreparedStudy):
+class LoopStudy(Study):
     """A section of `bristle reproduce` on what the loop finds: made after `prepare`."""
 
     closed: Sequence[Closed] = ()

@@ -23,7 +23,7 @@ from ..report.page import REPORT_FILES, Report, Section, Verdict, write_report
 from ..running.cases import CaseSession
 from ..running.files import prepare_folder
 from ..running.progress import progress, working
-from .campaign import PreparedStudy, Results, Setup, Study, compute, prose
+from .campaign import Results, Setup, Study, compute, prose
 from .discretisation import CrossCheck, ElementStudy, Enforcements, StepStudy
 from .dragged import Dragged
 from .impact import Figure9, PeakTime
@@ -76,8 +76,7 @@ def run_reproduce(
     ):
         results = compute(cases, session, advance, ranks_per_case)
     for study in studies:
-        if isinstance(study, PreparedStudy):
-            study.prepare(comm)
+        study.prepare(comm)
 
     def write() -> Reproduction:
         with working("writing the page"):

@@ -60,16 +60,17 @@ def tile_m(roughness: Roughness, composite: Composite) -> tuple[float, float]:
 
 
 def surface_facts(surface: Surface) -> dict[str, Any]:
-    """What result.json has of a surface."""
-    measured = surface.statistics()
+    """What result.json has of a surface; its rms height is about the tile's own mean."""
+    x, y = (math.degrees(math.atan(surface.rms_slope(axis))) for axis in (1, 0))
+    names = [phase.name for phase in surface.composite.phases]
     return {
         "size_m": surface.size_m,
         "spacing_m": surface.spacing_m,
-        "rms_height_m": measured.rms_height_m,
-        "correlation_length_m": measured.correlation_length_m,
-        "rms_slope_x_deg": math.degrees(math.atan(measured.rms_slope_x)),
-        "rms_slope_y_deg": math.degrees(math.atan(measured.rms_slope_y)),
-        "fractions": measured.fractions,
+        "rms_height_m": float(surface.heights_m.std()),
+        "correlation_length_m": surface.correlation_length_m(),
+        "rms_slope_x_deg": x,
+        "rms_slope_y_deg": y,
+        "fractions": dict(zip(names, map(float, surface.fractions), strict=True)),
     }
 
 

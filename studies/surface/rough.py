@@ -36,23 +36,6 @@ class Patch:
     phase: npt.NDArray[np.uint8]
 
 
-@dataclass(frozen=True)
-class SurfaceStatistics:
-    """What a report says of a surface.
-
-    rms_height_m is about the tile's own mean; correlation_length_m is where the autocorrelation,
-    averaged over directions, first falls to 1/e (None: a plane, or it never does within half the
-    tile); rms_slope_x and rms_slope_y are of the surface that `Surface.patch` sees; fractions maps
-    each phase's name to its part of the area.
-    """
-
-    rms_height_m: float
-    correlation_length_m: float | None
-    rms_slope_x: float
-    rms_slope_y: float
-    fractions: dict[str, float]
-
-
 @dataclass(frozen=True, eq=False)
 class Surface:
     """A periodic height field and the phases on it.
@@ -126,25 +109,17 @@ class Surface:
         moduli = self.composite.contact_moduli_Pa(bristle_youngs_Pa, bristle_poisson)
         return moduli / (self.fractions @ moduli)
 
-    def statistics(self) -> SurfaceStatistics:
-        """Measure the tile."""
-        slopes = [self._rms_slope(axis) for axis in (1, 0)]
-        names = [phase.name for phase in self.composite.phases]
-        return SurfaceStatistics(
-            rms_height_m=float(self.heights_m.std()),
-            correlation_length_m=self._correlation_length_m(),
-            rms_slope_x=slopes[0],
-            rms_slope_y=slopes[1],
-            fractions=dict(zip(names, map(float, self.fractions), strict=True)),
-        )
-
-    def _rms_slope(self, axis: int) -> float:
-        """Root mean square over the nodes of the spline's slope along an axis."""
+    def rms_slope(self, axis: int) -> float:
+        """Root mean square over the nodes of the spline's slope along an axis: 0 is y, 1 is x."""
         slope = ndimage.correlate1d(self._coefficients, [-0.5, 0, 0.5], axis, mode="wrap")
         slope = ndimage.correlate1d(slope, [1 / 6, 4 / 6, 1 / 6], 1 - axis, mode="wrap")
         return math.sqrt(np.mean(np.square(slope))) / self.spacing_m
 
-    def _correlation_length_m(self) -> float | None:
+    def correlation_length_m(self) -> float | None:
+        """Where the autocorrelation, averaged over directions, first falls to 1/e.
+
+        None for a plane, or where it never does within half the tile.
+        """
         ny, nx = self.heights_m.shape
         deviation = self.heights_m - self.heights_m.mean()
         variance = np.mean(deviation**2)

@@ -8,6 +8,7 @@ import pytest
 from scipy import ndimage, sparse
 
 from bristle.studies.surface import phases as surface_phases
+from bristle.studies.surface.ground import surface_facts
 from bristle.studies.surface.heights import Roughness, random_heights
 from bristle.studies.surface.phases import CONCRETE, Composite, Phase, random_phases
 from bristle.studies.surface.rough import Surface, make_surface
@@ -51,16 +52,17 @@ def test_covariance_over_many_draws_is_the_one_asked_for(rng):
 def test_statistics_over_seeds_are_those_of_the_gaussian_autocorrelation():
     size = 20 * LENGTH_M
     tiles = [
-        make_surface(Roughness(RMS_M, LENGTH_M), STONE, size, LENGTH_M / 5, seed).statistics()
+        make_surface(Roughness(RMS_M, LENGTH_M), STONE, size, LENGTH_M / 5, seed)
         for seed in range(40)
     ]
-    mean_square = np.mean([tile.rms_height_m**2 for tile in tiles])
+    mean_square = np.mean([surface_facts(tile)["rms_height_m"] ** 2 for tile in tiles])
     # About its own mean a tile lacks the variance of that mean, π l² / L².  Standard error of the
     # mean square: √(π) l / L / √40 = 0.014.
     assert mean_square / RMS_M**2 == pytest.approx(1 - math.pi / 20**2, abs=4 * 0.014)
-    lengths = [tile.correlation_length_m for tile in tiles]
+    lengths = [tile.correlation_length_m() for tile in tiles]
     assert np.mean(lengths) == pytest.approx(LENGTH_M, rel=0.02)
-    for slopes in ([t.rms_slope_x for t in tiles], [t.rms_slope_y for t in tiles]):
+    for axis in (0, 1):
+        slopes = [tile.rms_slope(axis) for tile in tiles]
         assert np.sqrt(np.mean(np.square(slopes))) == pytest.approx(
             math.sqrt(2) * RMS_M / LENGTH_M, rel=0.03
         )
@@ -70,15 +72,17 @@ def test_statistics_of_a_cosine_are_its_closed_form():
     n, amplitude, waves = 96, 3e-6, 2
     x = np.arange(n) / n
     heights = 7.0 + amplitude * np.cos(2 * np.pi * waves * x) * np.ones((n, 1))
-    measured = Surface(heights, 1 / n, np.zeros((n, n), int), STONE).statistics()
-    assert measured.rms_height_m == pytest.approx(amplitude / math.sqrt(2), rel=1e-9)
-    assert measured.rms_slope_x == pytest.approx(
-        amplitude * 2 * np.pi * waves / math.sqrt(2), rel=1e-4
-    )
-    assert measured.rms_slope_y == pytest.approx(0.0, abs=1e-12)
+    surface = Surface(heights, 1 / n, np.zeros((n, n), int), STONE)
+    measured = surface_facts(surface)
+    assert measured["rms_height_m"] == pytest.approx(amplitude / math.sqrt(2), rel=1e-9)
+    slope = amplitude * 2 * np.pi * waves / math.sqrt(2)
+    assert surface.rms_slope(1) == pytest.approx(slope, rel=1e-4)
+    assert measured["rms_slope_x_deg"] == pytest.approx(math.degrees(math.atan(slope)), rel=1e-4)
+    assert surface.rms_slope(0) == pytest.approx(0.0, abs=1e-12)
     # Averaged over directions the autocorrelation is J0(2π waves r), 1/e at argument 1.7460.
-    assert measured.correlation_length_m == pytest.approx(1.7460 / (2 * np.pi * waves), rel=0.01)
-    assert measured.fractions == {"stone": 1.0}
+    length = 1.7460 / (2 * np.pi * waves)
+    assert measured["correlation_length_m"] == pytest.approx(length, rel=0.01)
+    assert measured["fractions"] == {"stone": 1.0}
 
 
 def test_same_seed_same_surface_and_heights_do_not_depend_on_phases():
@@ -97,7 +101,7 @@ def test_no_roughness_is_the_plane(places):
     seen = plane.patch(*places)
     assert not seen.heights_m.any()
     assert np.array_equal(seen.normals, np.tile([0.0, 0.0, 1.0], (400, 1)))
-    assert plane.statistics().correlation_length_m is None
+    assert plane.correlation_length_m() is None
 
 
 # --- what the tip sees ------------------------------------------------------------------------
