@@ -162,7 +162,7 @@ def its(given: Given, out: Path, resume: bool, ranks_per_case: int | None) -> No
 
     Example: bristle its --models beam --kn 1e5,2e6,1e8 --its 1e-4,1e-5,1e-6,1e-7
     """
-    from .its.run import ItsInputs, answer, run_its
+    from .its import ItsInputs, answer, run_its
 
     run_its(given.inputs(ItsInputs), out, resume=resume, ranks_per_case=ranks_per_case)
     print(*answer(out), sep="\n")

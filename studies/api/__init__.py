@@ -50,7 +50,7 @@ from ..inputs.study_fields import (
     Recipe,
     TrackInputs,
 )
-from ..its.run import ERRORS_FILE, NEEDS_FILE, ItsInputs, run_its
+from ..its import ERRORS_FILE, NEEDS_FILE, ItsInputs, run_its
 from ..running.cases import CaseSession
 from ..running.results import HISTORY_FILE
 from ..running.study import TABLE_FILE, Study, rows_of

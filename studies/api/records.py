@@ -13,7 +13,7 @@ import pandas as pd
 
 from ...solver import paper
 from ..drop import summary as drop_summary
-from ..its.run import GOAL, QUANTITIES
+from ..its import GOAL, QUANTITIES
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

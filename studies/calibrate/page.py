@@ -15,8 +15,7 @@ from ..report.figures import BLACK, BLUE, DARK, GREY, SKY, VERMILION, beside, dr
 from ..report.page import Head, Report, Section, write_report
 from ..report.paper_figures import HEIGHTS
 from ..report.prose import Prose
-from .calibration import PAPER, Calibration
-from .curve import RatioCurve
+from .calibration import PAPER, Calibration, RatioCurve
 from .estimate import LEVEL, RatioEstimate
 
 HEADS: dict[str, Head] = {

@@ -19,8 +19,7 @@ from ..inputs.study_fields import CalibrateInputs
 from ..report.page import REPORT_FILES
 from ..running.files import prepare_folder, together, write_json
 from ..running.mark import refuse_foreign
-from .calibration import PAPER, Calibration, Stiffness, calibrate
-from .curve import RatioModel
+from .calibration import PAPER, Calibration, RatioModel, Stiffness, calibrate
 
 SCHEMA = "bristle-calibrate-1"
 RESULT_FILE = "calibrate.json"

@@ -13,11 +13,10 @@ import pandas as pd
 
 from ...solver.arrays import Array
 from ...solver.paper import ELEMENTS
-from ..calibrate.curve import short_its_s
+from ..calibrate.calibration import short_its_s
 from ..inputs.choices import Contact, Model
 from ..inputs.config import DropInputs
-from ..its.convergence import compare, shortest
-from ..its.figures import error_figure, need_figure
+from ..its import compare, error_figure, need_figure, shortest
 from ..report.page import Head, Section
 from .campaign import (
     BODIES,

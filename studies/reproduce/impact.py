@@ -14,7 +14,7 @@ from ...solver import paper
 from ...solver.analytic import penetration_m, quarter_period_s
 from ...solver.arrays import Array
 from ...solver.drop import DropResult
-from ..calibrate.curve import short_its_s
+from ..calibrate.calibration import short_its_s
 from ..inputs.config import DropInputs
 from ..report.figures import (
     BLACK,

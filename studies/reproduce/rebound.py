@@ -12,8 +12,14 @@ import pandas as pd
 from ...solver import paper
 from ...solver.arrays import Array
 from ...solver.drop import DropResult
-from ..calibrate.calibration import Calibration, calibrate, stiffness_interval
-from ..calibrate.curve import GRID_N_M, RatioCurve, short_its_s
+from ..calibrate.calibration import (
+    GRID_N_M,
+    Calibration,
+    RatioCurve,
+    calibrate,
+    short_its_s,
+    stiffness_interval,
+)
 from ..calibrate.page import headline, kn_section
 from ..inputs.config import DropInputs
 from ..report.page import Head, Section

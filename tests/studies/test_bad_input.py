@@ -34,6 +34,7 @@ from hypothesis import strategies as st
 from bristle.solver.errors import InputError
 from bristle.studies import bench as bench_study
 from bristle.studies import drop as drop_study
+from bristle.studies import its as its_study
 from bristle.studies import sweep as sweep_study
 from bristle.studies import synth as synth_study
 from bristle.studies.brush import run as brush_study
@@ -41,7 +42,6 @@ from bristle.studies.calibrate import run as calibrate_study
 from bristle.studies.cli import app
 from bristle.studies.close_loop import run as loop_study
 from bristle.studies.data.datasets import read_drops, read_manifest
-from bristle.studies.its import run as its_study
 from bristle.studies.loop.kinds.falls.record import read_falls
 from bristle.studies.loop.kinds.forces.record import read_forces
 from bristle.studies.loop.kinds.tracks.record import read_tracks

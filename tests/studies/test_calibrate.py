@@ -17,8 +17,14 @@ from bristle.solver.contact.enforcement import ContactMethod
 from bristle.solver.contact.laws import Linear
 from bristle.solver.drop import DropPlan, ModalFrame, simulate
 from bristle.solver.errors import ComputationError, InputError
-from bristle.studies.calibrate.calibration import calibrate, stiffness_interval
-from bristle.studies.calibrate.curve import RatioCurve, beam_model, mean_curve, ratio_curve
+from bristle.studies.calibrate.calibration import (
+    RatioCurve,
+    beam_model,
+    calibrate,
+    mean_curve,
+    ratio_curve,
+    stiffness_interval,
+)
 from bristle.studies.calibrate.estimate import (
     Interval,
     estimate_ratio,

@@ -35,7 +35,7 @@ from bristle.studies.inputs.limits import (
     slowest_bending_1_s,
 )
 from bristle.studies.inputs.sources import checked, flag_source, inputs_of, read_config
-from bristle.studies.its.run import ItsInputs
+from bristle.studies.its import ItsInputs
 from bristle.studies.running.files import to_json
 from bristle.studies.running.results import plain_inputs
 from bristle.studies.running.study import StudyInputs

@@ -26,9 +26,8 @@ from bristle.studies.drop import run_drop
 from bristle.studies.inputs.config import DropInputs
 from bristle.studies.inputs.limits import closure_warnings, count_unknowns, result_warnings
 from bristle.studies.inputs.sources import checked
+from bristle.studies.its import ItsInputs, Need, limit, need, run_its
 from bristle.studies.its import run as its
-from bristle.studies.its.convergence import Need, limit, need
-from bristle.studies.its.run import ItsInputs, run_its
 from bristle.studies.running import cases, results
 from bristle.studies.running.cases import CaseSession, run_case
 from bristle.studies.running.files import folder_in_place, to_csv, to_json, write_atomically

@@ -1,1 +1,0 @@
-"""The integration time step that each quantity needs."""

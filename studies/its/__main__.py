@@ -1,5 +1,0 @@
-"""The folder as a script: ``python3 -m bristle.studies.its``."""
-
-from ..command.script import as_script
-
-as_script("its")
