@@ -18,7 +18,7 @@ from mpi4py import MPI
 from bristle.solver.analytic import quarter_period_s
 from bristle.solver.bodies.reduced import krylov_vectors
 from bristle.solver.errors import ComputationError, InputError
-from bristle.studies import __version__
+from bristle.studies import __version__, its
 from bristle.studies import drop as drop_study
 from bristle.studies import sweep as sweep_study
 from bristle.studies.cli import main
@@ -27,7 +27,6 @@ from bristle.studies.inputs.config import DropInputs
 from bristle.studies.inputs.limits import closure_warnings, count_unknowns, result_warnings
 from bristle.studies.inputs.sources import checked
 from bristle.studies.its import ItsInputs, Need, limit, need, run_its
-from bristle.studies.its import run as its
 from bristle.studies.running import cases, results
 from bristle.studies.running.cases import CaseSession, run_case
 from bristle.studies.running.files import folder_in_place, to_csv, to_json, write_atomically
