@@ -107,58 +107,38 @@ def run_cases(
     take: Callable[[int, Any], None],
     ranks_per_case: int | None = None,
 ) -> None:
-    """``work`` for every case: bodies in modes, once `build_reduced` is done with them, on a rank
-    each, then the solid at full order on groups of ranks (`run_solids`).
+    """``work`` for every case over the session's ranks: bodies in modes, once `build_reduced` is
+    done with them, on a rank each, then the solid at full order on groups of ranks.
 
-    Rank 0 takes results as `parallel.share_out` says. Collective; raises as `run_solids` does.
+    Rank 0 takes results as `parallel.share_out` says. Without ``ranks_per_case`` the groups are
+    those of `best_sizes`. ``session`` itself serves where all ranks are one group. Collective;
+    raises InputError where there are fewer ranks than a solid is to have, and ComputationError.
     """
+    world = session.comm
     modal = [i for i, case in enumerate(cases) if case.model is not Model.SOLID]
     solid = [i for i, case in enumerate(cases) if case.model is Model.SOLID]
+    loads = [load_of(cases[i], session) for i in solid]
+    if ranks_per_case is None:
+        sizes = best_sizes(loads, world.size)
+    elif ranks_per_case <= world.size or not solid:
+        sizes = group_sizes(world.size, ranks_per_case)
+    else:
+        raise InputError(f"--ranks-per-case: there are {world.size} ranks, not {ranks_per_case}")
     share_out(
-        session.comm,
+        world,
         len(modal),
         lambda k: work(session, cases[modal[k]]),
         lambda k, result: take(modal[k], result),
     )
-    run_solids(
-        session,
-        [cases[i] for i in solid],
-        work,
-        lambda k, result: take(solid[k], result),
-        ranks_per_case,
-    )
-
-
-def run_solids(
-    session: CaseSession,
-    cases: Sequence[DropInputs],
-    work: Callable[[CaseSession, DropInputs], Any],
-    take: Callable[[int, Any], None],
-    ranks_per_case: int | None = None,
-) -> None:
-    """``work`` for every case of the solid at full order, over groups of the session's ranks.
-
-    Rank 0 takes results as `parallel.share_out` says. Without ``ranks_per_case`` the groups are
-    those of `best_sizes`. ``session`` itself serves where all ranks are one group. Collective;
-    raises InputError where there are fewer ranks than a case is to have, and ComputationError.
-    """
-    if not cases:
+    if not solid:
         return
-    world = session.comm
-    loads = [load_of(case, session) for case in cases]
-    if ranks_per_case is None:
-        sizes = best_sizes(loads, world.size)
-    elif ranks_per_case <= world.size:
-        sizes = group_sizes(world.size, ranks_per_case)
-    else:
-        raise InputError(f"--ranks-per-case: there are {world.size} ranks, not {ranks_per_case}")
     hands, _ = deal(loads, sizes)
     with _grouped(session, sizes) as (group, own), _together(own.comm) as together:
         share_out(
             world,
-            len(cases),
-            lambda i: together(lambda: work(own, cases[i])),
-            take,
+            len(solid),
+            lambda k: together(lambda: work(own, cases[solid[k]])),
+            lambda k, result: take(solid[k], result),
             hands[group],
             leads=own.comm.rank == 0,
         )

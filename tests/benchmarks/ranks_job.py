@@ -21,7 +21,7 @@ from bristle.solver.bristle import Material
 from bristle.studies.inputs.choices import Model
 from bristle.studies.inputs.config import DropInputs
 from bristle.studies.running.cases import CaseSession, Timings
-from bristle.studies.running.groups import run_solids
+from bristle.studies.running.groups import run_cases
 
 from .communication import Bar, solve_B
 
@@ -65,7 +65,7 @@ def solids(
     with CaseSession(comm) as session:
         comm.Barrier()
         started = time.perf_counter()
-        run_solids(session, inputs, work, take, per_case)
+        run_cases(session, inputs, work, take, per_case)
         comm.Barrier()
         total = time.perf_counter() - started
     by_group = [sum(spent[i] for i in spent if place[i] == rank) for rank in set(place.values())]

@@ -118,7 +118,7 @@ from bristle.studies.inputs.config import DropInputs
 from bristle.studies.command.ending import run
 from bristle.studies.running import groups, parallel
 from bristle.studies.running.cases import CaseSession
-from bristle.studies.running.groups import run_solids
+from bristle.studies.running.groups import run_cases
 
 if sys.argv[1] == "one":  # nobody else comes
     groups.GRACE_S = parallel.GRACE_S = 0.5
@@ -132,7 +132,7 @@ def lone():
 
     cases = [DropInputs(model="solid", cells=(1, 2, 12), kn_N_m=kn) for kn in (1e6, 2e6, 3e6, 4e6)]
     with CaseSession(MPI.COMM_WORLD) as session:
-        run_solids(session, cases, work, lambda i, found: None, 2)
+        run_cases(session, cases, work, lambda i, found: None, 2)
 
 sys.exit(run(lone, []))
 """
