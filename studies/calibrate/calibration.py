@@ -110,9 +110,9 @@ def mean_curve(model: RatioModel, y0_m: Array, grid_N_m: Array = GRID_N_M) -> Ra
     return RatioCurve(first.kn_N_m, (1.0 - share) * first.ratio + share * last.ratio)
 
 
-def beam_model(bristle: Bristle, gravity_m_s2: float, elements: int = paper.ELEMENTS) -> RatioModel:
+def beam_model(bristle: Bristle, gravity_m_s2: float) -> RatioModel:
     """y1/y0 of an upright beam in linear contact, in time steps short enough not to matter."""
-    frame = ModalFrame(beam_body(bristle, elements, face=False))
+    frame = ModalFrame(beam_body(bristle, paper.ELEMENTS, face=False))
 
     def ratio(kn_N_m: float, height_m: float) -> float:
         method = ContactMethod(Linear(kn_N_m))

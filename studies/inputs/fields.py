@@ -137,16 +137,15 @@ Steps = Annotated[tuple[Its, ...], Numbers, Field(min_length=1)]
 Models = Annotated[tuple[Model, ...], BeforeValidator(read_list), Field(min_length=1)]
 Effects = Annotated[tuple[EffectInput, ...], BeforeValidator(read_effects)]
 Plugins = Annotated[tuple[PluginFile, ...], BeforeValidator(read_plugins)]
-PLUGIN = {
-    "help": "A Python file with effects or kinds of data of your own, repeatable; "
-    "docs/examples/my_effect.py is one.",
-    "metavar": "FILE.py",
-}
 
 
 def plugin_option() -> Any:
     """The option `--plugin`."""
-    return option((), **PLUGIN, kind=list, name="plugin", group=OUTPUT)
+    help = (
+        "A Python file with effects or kinds of data of your own, repeatable; "
+        "docs/examples/my_effect.py is one."
+    )
+    return option((), help, "FILE.py", kind=list, name="plugin", group=OUTPUT)
 
 
 def effect_option(help: str) -> Any:

@@ -135,10 +135,10 @@ class TrackInputs(Fields, group=FILM):
 
     body: Body = option(Body.BRISTLE, "What falls: a bristle, or a ball.")
     diameter_mm: Annotated[float, between(0.1, 1e4)] | None = option(
-        None, "Diameter of the ball. It gives the scale.", "MM", name="diameter-mm"
+        None, "Diameter of the ball. It gives the scale.", "MM"
     )
     mass_g: Annotated[float, between(1e-6, 1e9)] | None = option(
-        None, "Mass of the ball.", "G", "that of steel", name="mass-g"
+        None, "Mass of the ball.", "G", "that of steel"
     )
     length_mm: Annotated[float, between(1.0, 1e4)] | None = option(
         None,
@@ -146,13 +146,11 @@ class TrackInputs(Fields, group=FILM):
         "in view is not read: count the pixels along it and give the length of one.",
         "MM",
         "336.5, the paper's",
-        name="length-mm",
     )
     mm_per_px: Annotated[float, between(1e-4, 1e3)] | None = option(
         None,
         "Length of a pixel where the body falls. It wins over a length in view.",
         "MM",
-        name="mm-per-px",
     )
     fps: Annotated[float, between(0.1, 1e6)] | None = option(
         None,
@@ -180,7 +178,6 @@ class TrackInputs(Fields, group=FILM):
         0.0,
         "By how much later a row of the picture is taken than the row above it, in s.",
         "S",
-        name="rolling-shutter-s-per-row",
     )
     gravity_m_s2: Annotated[float, between(0.01, 300.0)] = option(paper.GRAVITY_M_S2, "Gravity.")
 

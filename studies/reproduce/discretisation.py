@@ -128,9 +128,9 @@ class Enforcements(DropStudy):
         return draft.section()
 
 
-def fewest(counts: tuple[int, ...], errors: Array, goal: float = GOAL) -> int | None:
-    """The least count from which on every error is within ``goal``; None where there is none."""
-    bad = np.flatnonzero(~(np.abs(errors) <= goal))
+def fewest(counts: tuple[int, ...], errors: Array) -> int | None:
+    """The least count from which on every error is within `GOAL`; None where there is none."""
+    bad = np.flatnonzero(~(np.abs(errors) <= GOAL))
     if not len(bad):
         return counts[0]
     return counts[bad[-1] + 1] if bad[-1] + 1 < len(counts) else None

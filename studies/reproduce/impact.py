@@ -98,14 +98,14 @@ def penetration_figure(ax: Axes, data: pd.DataFrame) -> None:
     ax.set_ylim(0, 1.08 * ax.get_ylim()[1])
 
 
-def departs_at(kn_N_m: Array, ratio: Array, off: float = OFF) -> float | None:
-    """Kn at which ``ratio`` (1 where Eq. 8 holds) first leaves 1 by ``off``; None if never."""
+def departs_at(kn_N_m: Array, ratio: Array) -> float | None:
+    """Kn at which ``ratio`` (1 where Eq. 8 holds) first leaves 1 by `OFF`; None if never."""
     apart = np.abs(np.asarray(ratio) - 1.0)
-    gone = np.flatnonzero(apart > off)
+    gone = np.flatnonzero(apart > OFF)
     if not len(gone):
         return None
     between = slice(max(gone[0] - 1, 0), gone[0] + 1)
-    return float(np.exp(np.interp(off, apart[between], np.log(kn_N_m[between]))))
+    return float(np.exp(np.interp(OFF, apart[between], np.log(kn_N_m[between]))))
 
 
 @dataclass(frozen=True)

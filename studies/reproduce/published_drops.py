@@ -62,12 +62,12 @@ class Film:
         return math.hypot(self.reading_m, self.spread_low_m)
 
 
-def planned_heights_m(n: int = paper.N_DROPS) -> Array:
-    """Heights (n,) as evenly over the paper's five as ``n`` allows: how many drops were made from
-    which is not published. What is left over is taken from the middle height outward."""
+def planned_heights_m() -> Array:
+    """Heights of the paper's 26 drops, as evenly over its five as that allows: how many drops were
+    made from which is not published. What is left over is taken from the middle height outward."""
     heights = np.array(paper.HEIGHTS_M)
     outward = np.argsort(np.abs(np.arange(len(heights)) - len(heights) // 2), kind="stable")
-    return np.sort(heights[np.resize(outward, n)])
+    return np.sort(heights[np.resize(outward, paper.N_DROPS)])
 
 
 def summaries(y0_m: Array, y1_m: Array) -> Array:

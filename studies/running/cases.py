@@ -478,13 +478,11 @@ def _launched(inputs: DropInputs, speed_m_s: float, drag_1_m: float) -> DropResu
     )
 
 
-def run_case(
-    inputs: DropInputs, comm: MPI.Intracomm | None = None, observer: Observer | None = None
-) -> tuple[DropResult, Timings]:
+def run_case(inputs: DropInputs, comm: MPI.Intracomm | None = None) -> tuple[DropResult, Timings]:
     """One case by itself: its result, and the seconds of mesh, assemble, factor, march, total.
 
     Collective over ``comm``, all ranks of the job unless it is given, for the reduced and the full
     solid. Raises ComputationError.
     """
     with CaseSession(comm) as session:
-        return session.run(inputs, observer)
+        return session.run(inputs)

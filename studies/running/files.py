@@ -193,9 +193,9 @@ def write_json(path: Path, document: Mapping[str, Any]) -> dict[str, Any]:
     return named
 
 
-def to_json(document: Any, indent: int | None = 2) -> str:
+def to_json(document: Any) -> str:
     """JSON without NaN or Infinity: null stands for what is no number, "inf" for infinity."""
-    return json.dumps(_plain(document), indent=indent, allow_nan=False, ensure_ascii=False)
+    return json.dumps(_plain(document), indent=2, allow_nan=False, ensure_ascii=False)
 
 
 def _plain(value: Any) -> Any:

@@ -92,7 +92,7 @@ def share_interval(count: int, n: int, level: float = LEVEL) -> Interval:
 
 
 def shares(
-    ratio: Array, factors: Mapping[str, Array], random: np.random.Generator, level: float = LEVEL
+    ratio: Array, factors: Mapping[str, Array], random: np.random.Generator
 ) -> dict[str, dict[str, Any]]:
     """What each factor (n,) has to do with ``ratio`` (n,), as it stands in the JSON.
 
@@ -103,7 +103,7 @@ def shares(
     """
     found = {}
     for name, factor in factors.items():
-        part = first_order(ratio, factor, random, level)
+        part = first_order(ratio, factor, random)
         found[name] = {
             "name": name,
             "first_order": part and asdict(part),
@@ -159,9 +159,7 @@ def r_squared(y0_m: Array, y1_m: Array) -> Array:
     return np.asarray(1.0 - residual / about)
 
 
-def sampled(
-    y0_m: Array, y1_m: Array, random: np.random.Generator, level: float = LEVEL
-) -> pd.DataFrame:
+def sampled(y0_m: Array, y1_m: Array, random: np.random.Generator) -> pd.DataFrame:
     """Mean, spread, slope and R² of samples of the paper's size, drawn from the drops (n,).
 
     With replacement: the drops stand for all that could be. A row a statistic: how it is
@@ -172,7 +170,7 @@ def sampled(
     before, after = y0_m[pick], y1_m[pick]
     ratio = after / before
     return pd.DataFrame(
-        _beside(name, measured, values[np.isfinite(values)], level)
+        _beside(name, measured, values[np.isfinite(values)])
         for name, measured, values in (
             ("mean", paper.RATIO_MEAN, ratio.mean(axis=1)),
             ("std", paper.RATIO_STD, ratio.std(axis=1, ddof=1)),
@@ -182,12 +180,12 @@ def sampled(
     )
 
 
-def _beside(name: str, measured: float, values: Array, level: float) -> dict[str, Any]:
+def _beside(name: str, measured: float, values: Array) -> dict[str, Any]:
     """The row of `sampled` for the ``values`` of one statistic; NaN where there are none."""
     mean = std = low = high = below = p_value = math.nan
     if len(values):
         mean, std = float(values.mean()), float(values.std())
-        low, high = tails(values, level)
+        low, high = tails(values, LEVEL)
         # the measured value is one more of its kind; half of what ties counts to either side
         less = np.sum(values < measured) + 0.5 * np.sum(values == measured)
         below = float(less + 0.5) / (len(values) + 1)
