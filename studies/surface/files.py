@@ -20,9 +20,8 @@ import numpy.typing as npt
 
 from ...meshes.section import require_positive
 from ...solver.arrays import Array
-from .heights import MAX_NODES
 from .phases import Composite, random_phases
-from .rough import FEWEST_NODES, Surface
+from .rough import FEWEST_NODES, MAX_NODES, Surface
 
 OFF_GRID = 0.05
 """Part of the spacing by which a listed point may miss its place on the grid."""

@@ -11,9 +11,8 @@ from ...solver.errors import InputError
 from ..inputs.named import digest_of
 from ..inputs.study_fields import CORRELATION_LENGTH_M, ReliefFields
 from .files import read_surface
-from .heights import Roughness
 from .phases import CELLS_PER_GRAIN, PERIOD_IN_GRAINS, Composite
-from .rough import Surface, make_surface
+from .rough import Roughness, Surface, make_surface
 
 # Nodes per correlation length: the spline's slopes are then those of the surface.
 NODES_PER_LENGTH = 10

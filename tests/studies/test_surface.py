@@ -9,9 +9,8 @@ from scipy import ndimage, sparse
 
 from bristle.studies.surface import phases as surface_phases
 from bristle.studies.surface.ground import surface_facts
-from bristle.studies.surface.heights import Roughness, random_heights
 from bristle.studies.surface.phases import CONCRETE, Composite, Phase, random_phases
-from bristle.studies.surface.rough import Surface, make_surface
+from bristle.studies.surface.rough import Roughness, Surface, make_surface, random_heights
 
 pytestmark = pytest.mark.serial
 

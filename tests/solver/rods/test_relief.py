@@ -12,9 +12,8 @@ from bristle.solver.rods.contact import no_touch, obstacle_of, place_gap, touch_
 from bristle.solver.rods.ground import Ground
 from bristle.solver.rods.relief import RoughPlane, highest_m, look
 from bristle.studies.surface.ground import tile_m
-from bristle.studies.surface.heights import Roughness
 from bristle.studies.surface.phases import Composite
-from bristle.studies.surface.rough import make_surface
+from bristle.studies.surface.rough import Roughness, make_surface
 
 KN = 2e6
 
