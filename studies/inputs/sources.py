@@ -21,13 +21,13 @@ from .choices import Motion
 from .fields import DROP_FLAGS, LIST_FLAGS
 from .flags import Flag
 from .named import REPLACED, digest_of
-from .study_fields import CALIBRATE_FLAGS, LOOP_FLAGS, OWN_FLAGS, SYNTH_FLAGS
+from .study_fields import CALIBRATE_FLAGS, LOOP_FLAGS, OWN_FLAGS, SYNTH_FLAGS, TRACK_FLAGS
 from .texts import hints, line_of, parse_json, parse_toml, quoted, read_text
 
 LOG = logging.getLogger("bristle")
 EVERY_FLAG = (
     *BRUSH_FLAGS,
-    *(*SYNTH_FLAGS, *CALIBRATE_FLAGS, *LOOP_FLAGS),
+    *(*SYNTH_FLAGS, *CALIBRATE_FLAGS, *LOOP_FLAGS, *TRACK_FLAGS),
     *(*OWN_FLAGS, *DROP_FLAGS, *LIST_FLAGS),
 )
 OPTIONS = {flag.field: flag.option for flag in EVERY_FLAG}

@@ -180,6 +180,6 @@ def compute(
         results[distinct[i]] = result
         tick()
 
-    build_reduced(session, distinct)
+    build_reduced(session, distinct, ranks_per_case)
     run_cases(session, distinct, lambda own, case: own.run(case)[0], take, ranks_per_case)
     return {case: results[case] for case in distinct if case in results}

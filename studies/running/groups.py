@@ -92,9 +92,16 @@ def best_sizes(loads: Sequence[Load], ranks: int) -> list[int]:
     return min(choices, key=lambda sizes: deal(loads, sizes)[1])
 
 
-def build_reduced(session: CaseSession, cases: Sequence[DropInputs]) -> None:
+def build_reduced(
+    session: CaseSession, cases: Sequence[DropInputs], ranks_per_case: int | None = None
+) -> None:
     """Build what the reduced ones of the ``cases`` need of all ranks, so that they need no
-    communication later. Collective."""
+    communication later. Collective; raises InputError, before it builds, where there are fewer
+    ranks than a solid is to have."""
+    ranks = session.comm.size
+    solid = any(case.model is Model.SOLID for case in cases)
+    if ranks_per_case is not None and ranks_per_case > ranks and solid:
+        raise InputError(f"--ranks-per-case: there are {ranks} ranks, not {ranks_per_case}")
     reduced = (case for case in cases if case.model is Model.REDUCED)
     for first in {session.body_key(case): case for case in reduced}.values():
         session.prepare(first)
@@ -112,18 +119,15 @@ def run_cases(
 
     Rank 0 takes results as `parallel.share_out` says. Without ``ranks_per_case`` the groups are
     those of `best_sizes`. ``session`` itself serves where all ranks are one group. Collective;
-    raises InputError where there are fewer ranks than a solid is to have, and ComputationError.
+    raises ComputationError.
     """
     world = session.comm
     modal = [i for i, case in enumerate(cases) if case.model is not Model.SOLID]
     solid = [i for i, case in enumerate(cases) if case.model is Model.SOLID]
     loads = [load_of(cases[i], session) for i in solid]
-    if ranks_per_case is None:
-        sizes = best_sizes(loads, world.size)
-    elif ranks_per_case <= world.size or not solid:
+    sizes = best_sizes(loads, world.size)
+    if ranks_per_case is not None:
         sizes = group_sizes(world.size, ranks_per_case)
-    else:
-        raise InputError(f"--ranks-per-case: there are {world.size} ranks, not {ranks_per_case}")
     share_out(
         world,
         len(modal),

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Sequence, Sized
-from contextlib import AbstractContextManager
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from enum import StrEnum
 from functools import partial
@@ -254,9 +254,9 @@ def _compute(
         for part in parts.values():  # in turn, since each has bodies of its own
             own = [cases[i] for i in part]
             with sessions() as session:
-                if any(case.model is Model.REDUCED for case in own):
-                    with working("building the reduced model"):
-                        build_reduced(session, own)
+                reduced = any(case.model is Model.REDUCED for case in own)
+                with working("building the reduced model") if reduced else nullcontext():
+                    build_reduced(session, own, ranks_per_case)
                 shared_s += session.take_timings()["total"]
                 run_cases(session, own, partial(_row, study), partial(take, part), ranks_per_case)
     return shared_s

@@ -48,6 +48,8 @@ def run_track(
 def _run(
     films: Sequence[Path], out: Path | None, inputs: TrackInputs
 ) -> tuple[dict[str, Any], pd.DataFrame]:
+    if not films:
+        raise InputError("no film is given")
     if out is not None:
         _refuse_films_in(out, films)
         prepare_folder(out, *FILES)
@@ -76,8 +78,6 @@ def _run(
 
 
 def _refuse_films_in(out: Path, films: Sequence[Path]) -> None:
-    if not films:
-        raise InputError("no film is given")
     for film in films:
         if out.resolve() == film.resolve():
             raise InputError(f"--out {out}: is the folder of pictures that is read")

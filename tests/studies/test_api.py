@@ -245,6 +245,11 @@ def test_a_made_dataset_and_a_mesh(tmp_path):
         bristle.mesh(friction=0.1)
 
 
+def test_no_films_to_track_are_refused():
+    with pytest.raises(bristle.InputError, match="^no film is given$"):
+        bristle.track([])
+
+
 def test_a_plot_shows_what_the_history_holds():
     found = bristle.drop(model="beam")
     figure, ax = plt.subplots()
