@@ -68,7 +68,7 @@ def fit_figure(ax: Axes, rows: Rows, quantity: str) -> None:
     covariate, x = next(each for each in rows.covariates if each[0].name not in COUNTING)
     mine = rows.main
     measured, fitted = (
-        rows.measured(each)[mine] for each in (rows.closed.problem.values, rows.before)
+        rows.measured(each)[mine] for each in (rows.closed.problem.values, rows.means[0])
     )
     ax.plot(x[mine], measured, "o", color=BLACK, fillstyle="none", label="measured")
     ax.plot(x[mine], fitted, "+", color=BEFORE, ms=5, label="baseline, fitted")
@@ -82,9 +82,9 @@ def residual_figure(rows: Rows) -> Figure:
     quantity = rows.closed.problem.quantity
     names = list(dict.fromkeys(quantity.tolist()))
     figure, axes = panels(len(covariates), 2, height_in=0.4 + 1.9 * len(covariates))
-    sides = ((rows.left_before, "before", BEFORE), (rows.left_after, "after", AFTER))
+    sides = zip(axes.T, rows.left, ("before", "after"), (BEFORE, AFTER), strict=True)
     markers = dict(zip(names, itertools.cycle(MARKERS), strict=False))
-    for column, (residual, words, colour) in zip(axes.T, sides, strict=True):
+    for column, residual, words, colour in sides:
         column[0].set_title(words)
         for ax, (covariate, x) in zip(column, covariates, strict=True):
             ax.axhspan(-2, 2, color=SKY, alpha=0.2, lw=0)

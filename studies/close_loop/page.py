@@ -10,9 +10,8 @@ from ..inputs.sources import into
 from ..report.figures import picture_files
 from ..report.page import FIGURES, Report, percent, write_report
 from ..running.files import remove
-from .closed import Closed
 from .opening import few_data, names_of_groups, opening, would_have_shown
-from .rows import Rows
+from .rows import Closed, Rows
 from .sections import SECTIONS, prose
 
 SOMETIMES = ("weights", "held-out", "solid")

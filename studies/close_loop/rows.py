@@ -1,4 +1,4 @@
-"""Rows of a closed loop: measured, predicted before and after, held out or not."""
+"""A closed loop and its rows: measured, predicted before and after, held out or not."""
 
 from __future__ import annotations
 
@@ -7,11 +7,26 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import log_ndtr, logsumexp, ndtri_exp
 
 from ...solver.arrays import Array
 from ...solver.effects.library import EFFECTS
-from .closed import Closed
+from ..data.datasets import Manifest
+from ..inputs.study_fields import LoopInputs
+from ..loop.finding import Finding
+from ..loop.problem import Problem
+from ..loop.residuals import quantile_residuals
+from .confirm import Confirmation
+
+
+@dataclass(frozen=True)
+class Closed:
+    """A loop that ran: what was asked, the data as a problem, what was found, and in 3-D."""
+
+    manifest: Manifest
+    inputs: LoopInputs
+    problem: Problem
+    finding: Finding
+    confirmation: Confirmation
 
 
 @dataclass(frozen=True)
@@ -72,19 +87,11 @@ class Rows:
         return [(np.asarray(model.weights), model.predict(theta)) for model, theta in fitted]
 
     @cached_property
-    def before(self) -> Array:
-        """Mean predictions (rows,) of the fitted baseline, whitened."""
-        return self._mean(0)
-
-    @cached_property
-    def after(self) -> Array:
-        """Mean predictions (rows,) of the reported model, whitened."""
-        return self._mean(-1)
-
-    def _mean(self, which: int) -> Array:
-        """Over chance."""
-        weights, predicted = self._predicted[which]
-        return np.asarray(weights @ predicted)
+    def means(self) -> tuple[Array, Array]:
+        """Predictions (rows,) of the fitted baseline and of the reported model, whitened, their
+        means over chance."""
+        several = [np.asarray(weights @ predicted) for weights, predicted in self._predicted]
+        return several[0], several[-1]
 
     @cached_property
     def unit(self) -> Array:
@@ -93,7 +100,7 @@ class Rows:
         unit = np.ones(len(problem.values))
         if problem.sigma_declared:
             return unit
-        own = (problem.values - self.before)[finding.rows]
+        own = (problem.values - self.means[0])[finding.rows]
         for name in np.unique(problem.quantity):
             mine = (problem.quantity[finding.rows] == name) & (np.abs(own) > 1e-9)
             if mine.any():
@@ -102,26 +109,15 @@ class Rows:
         return unit
 
     @cached_property
-    def left_before(self) -> Array:
-        """What the baseline leaves of each value (rows,), in standard deviations."""
-        return self._left(0)
-
-    @cached_property
-    def left_after(self) -> Array:
-        """What the reported model leaves of each value (rows,), in standard deviations."""
-        return self._left(-1)
-
-    def _left(self, which: int) -> Array:
-        """Residuals (rows,) in standard deviations; where a model has chance in it, the normal
-        quantile of the value among all that it predicts with that chance and noise."""
-        weights, predicted = self._predicted[which]
-        residual = (self.closed.problem.values - predicted) * self.unit
-        if len(residual) == 1:
-            return np.asarray(residual[0])
-        below, above = (
-            logsumexp(log_ndtr(side), b=weights[:, None], axis=0) for side in (residual, -residual)
-        )
-        return np.where(below < above, ndtri_exp(below), -ndtri_exp(above))
+    def left(self) -> tuple[Array, Array]:
+        """What the baseline and the reported model leave of each value (rows,), in standard
+        deviations: `quantile_residuals` of each row by itself."""
+        values, alone = self.closed.problem.values * self.unit, np.arange(len(self.unit) + 1)
+        several = [
+            quantile_residuals(values, predicted * self.unit, weights, alone)
+            for weights, predicted in self._predicted
+        ]
+        return several[0], several[-1]
 
     def measured(self, whitened: Array) -> Array:
         """Values (rows,) in the problem's unit; of the main quantity only."""

@@ -31,9 +31,9 @@ from ..running.mark import refuse_foreign
 from ..running.parallel import share_out, start_petsc
 from ..running.progress import progress, working
 from ..running.threads import in_threads
-from .closed import Closed
 from .confirm import LEFT_OUT, Confirmation, confirm
 from .opening import few_data, names_of_groups, on_few, opening, times, would_have_shown
+from .rows import Closed
 
 SCHEMA = "bristle-close-loop-1"
 VERDICT_FILE = "verdict.json"

@@ -77,12 +77,9 @@ def _attributes(items: Sequence[Any], *names: str) -> dict[str, list[Any]]:
 def _noise(rows: Rows) -> Section:
     problem, noise = rows.closed.problem, rows.closed.finding.noise
     draft = prose("noise", declared=problem.sigma_declared, noise=noise, notes=problem.notes)
-    before, after = (
-        np.histogram(np.clip(x, BINS[0], BINS[-1]), BINS)[0]
-        for x in (rows.left_before, rows.left_after)
-    )
+    before, after = (np.histogram(np.clip(x, BINS[0], BINS[-1]), BINS)[0] for x in rows.left)
     counts = {"from_sigma": BINS[:-1], "to_sigma": BINS[1:], "before": before, "after": after}
-    drawn = figures.noise_figure(rows.left_before, rows.left_after, BINS)
+    drawn = figures.noise_figure(*rows.left, BINS)
     draft.figure("noise", drawn, draft.data("residual_histogram", counts))
     values = pd.DataFrame({"quantity": problem.quantity, "sigma": problem.scale / rows.unit})
     by_quantity = values.groupby("quantity", sort=False).sigma
@@ -104,8 +101,8 @@ def _baseline(rows: Rows) -> Section:
         "group": problem.group[mine],
         **{covariate.name: x[mine] for covariate, x in rows.covariates},
         "measured": rows.measured(problem.values)[mine],
-        "before": rows.measured(rows.before)[mine],
-        "after": rows.measured(rows.after)[mine],
+        "before": rows.measured(rows.means[0])[mine],
+        "after": rows.measured(rows.means[1])[mine],
         "held_out": rows.held[mine],
     }
     heads = _covariates(rows) | _in_unit(
@@ -142,8 +139,7 @@ def _residuals(rows: Rows) -> Section:
         "group": problem.group,
         "quantity": problem.quantity,
         **{covariate.name: x for covariate, x in rows.covariates},
-        "before": rows.left_before,
-        "after": rows.left_after,
+        **dict(zip(("before", "after"), rows.left, strict=True)),
         "held_out": rows.held,
     }
     data = draft.data("residuals", left, _covariates(rows) | SIGMA)
@@ -240,7 +236,7 @@ def _attribution(rows: Rows) -> Section:
 def _left(rows: Rows) -> Section:
     finding = rows.closed.finding
     draft = prose("left", p_value=finding.open_set_p_value)
-    before, after = (np.sort(x[finding.rows]) for x in (rows.left_before, rows.left_after))
+    before, after = (np.sort(x[finding.rows]) for x in rows.left)
     expected = ndtri((np.arange(len(before)) + 0.5) / len(before))
     sorted_left = {"normal": expected, "before": before, "after": after}
     drawn = figures.left_figure(expected, before, after)

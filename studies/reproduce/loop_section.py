@@ -22,9 +22,8 @@ from scipy.stats import chi2
 
 from ...solver import paper
 from ...solver.arrays import Array
-from ..close_loop.closed import Closed
 from ..close_loop.page import headline
-from ..close_loop.rows import Rows, title_of
+from ..close_loop.rows import Closed, Rows, title_of
 from ..close_loop.run import close_several, problem_of
 from ..close_loop.sections import held_out_section
 from ..data.datasets import Drops, Manifest, read_manifest
