@@ -96,7 +96,7 @@ class FallModel:
             bins.begin_s,
             bins.end_s,
             bins.level_m_s2,
-            bins.starts,
+            bins.begins,
             out,
         )
         return out.reshape(*shape, -1)
@@ -123,7 +123,7 @@ def fall_problem(data: Falls, library: Sequence[str] = LIBRARY) -> Problem:
         return FallModel(bins, carried("falls", effects, EFFECT_PARAMETERS))
 
     falls, place = len(data.numbers), bins.bin_of_row
-    index = np.searchsorted(bins.starts, place, side="right") - 1
+    index = np.searchsorted(bins.begins, place, side="right") - 1
     covariates = {"time": bins.middle_s[place], "order": data.numbers[index].astype(float)}
     if data.height_m is not None:
         covariates["height"] = data.height_m[index]

@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .....solver.arrays import Array
+from ....data.tables import InPieces
 from .noise import Noise, noise_of
 from .record import BIN_S, LEAST_BINS, Falls
 
@@ -28,20 +29,15 @@ ROUNDED_TOGETHER = 10.0
 
 
 @dataclass(frozen=True)
-class Bins:
+class Bins(InPieces):
     """Means of neighbouring readings: ``begin_s``, ``end_s``, ``mean_m_s2`` (bins,), times from the
-    record's first sample; ``starts`` (falls + 1,) says where each fall's begin."""
+    record's first sample; ``begins`` (falls + 1,) says where each fall's begin."""
 
     data: Falls
     begin_s: Array
     end_s: Array
     mean_m_s2: Array
-    starts: NDArray[np.int64]
-
-    @property
-    def pieces(self) -> list[slice]:
-        """The bins of each fall."""
-        return [slice(int(a), int(b)) for a, b in pairwise(self.starts)]
+    begins: NDArray[np.int64]
 
     @cached_property
     def middle_s(self) -> Array:
