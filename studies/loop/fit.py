@@ -71,6 +71,7 @@ class Fitted:
     ``u``, ``theta`` (p,); ``information`` (p, p) by unit-box coordinates; ``predicted`` (nodes,
     rows of the sample), ``slopes`` (nodes, rows, p); ``unseen`` names the parameters in directions
     that the data do not see; ``modes`` (n, p), in the unit box, are other maxima, nearly as likely.
+    ``logs`` (noises,) are the log likelihoods of these predictions with prior, under every noise.
     """
 
     model: Model
@@ -82,7 +83,23 @@ class Fitted:
     predicted: Array
     slopes: Array
     unseen: tuple[str, ...]
+    logs: Array
     modes: tuple[Array, ...] = ()
+
+    @property
+    def likeliest(self) -> int:
+        """The likeliest noise at these predictions."""
+        return int(np.argmax(self.logs))
+
+    @property
+    def height(self) -> float:
+        """Its log likelihood with prior."""
+        return float(self.logs.max())
+
+    @property
+    def shares(self) -> Array:
+        """How probable each noise is (noises,)."""
+        return np.asarray(softmax(self.logs))
 
     @property
     def effects(self) -> tuple[str, ...]:
@@ -152,12 +169,9 @@ def _newton(
     residual = values - base
     centre = np.einsum("j,sjr->sr", weights, residual)
     e = grid.filtered(residual, centre[:, None, :], noise)
-    mean_slope = np.einsum("j,sjrp->srp", weights, slopes)
-    before, stretch = grid.before[noise], grid.stretch[noise]
-    kept = np.where(
-        (grid.previous >= 0)[:, None], mean_slope[:, grid.previous] * before[:, None], 0.0
-    )
-    tangent = (slopes - kept[:, None]) * stretch[:, None]
+    each = np.moveaxis(slopes, -1, 0)
+    mean = np.einsum("j,psjr->psr", weights, each)[:, :, None]
+    tangent = np.moveaxis(grid.filtered(each, mean, noise), 0, -1)
     shape = int(grid.shape[noise])
     psi = influence(e, shape)
     curve = np.where(np.abs(e) > 1e-6, psi / np.where(e == 0, 1.0, e), 1.0)
@@ -283,6 +297,7 @@ def _finish(
         predicted=base,
         slopes=slopes,
         unseen=tuple(name for name in names if name in unseen),
+        logs=data.heights(data.values[None], base[None], np.asarray(model.weights))[0],
     )
 
 
@@ -291,14 +306,6 @@ def expected_information(data: Sample, slopes: Array, noise: int) -> Array:
     previous row, in core scales."""
     tangent = data.noises.filtered(slopes.T, slopes.T, noise).T
     return score_table()[1][data.noises.shape[noise]] * tangent.T @ tangent
-
-
-def likely_noise(data: Sample, fitted: Fitted) -> tuple[int, float, Array]:
-    """The likeliest noise at these predictions, its log likelihood with prior, and the posterior
-    weights of all (noises,)."""
-    weights = np.asarray(fitted.model.weights)
-    logs = data.heights(data.values[None], fitted.predicted[None], weights)[0]
-    return int(np.argmax(logs)), float(logs.max()), softmax(logs)
 
 
 def settle(data: Sample, model: Model, starts: Array) -> Fitted:
@@ -310,11 +317,10 @@ def settle(data: Sample, model: Model, starts: Array) -> Fitted:
     fitted = fit(data, model, starts, 0)
     modes = fitted.modes
     robust = fit(data, model, fitted.u, data.noises.robust())
-    if likely_noise(data, robust)[1] > likely_noise(data, fitted)[1]:
+    if robust.height > fitted.height:
         fitted = robust
     for _ in range(2):
-        best = likely_noise(data, fitted)[0]
-        if best == fitted.noise:
+        if fitted.likeliest == fitted.noise:
             break
-        fitted = fit(data, model, fitted.u, best, iterations=8)
+        fitted = fit(data, model, fitted.u, fitted.likeliest, iterations=8)
     return replace(fitted, modes=modes)

@@ -19,7 +19,6 @@ import numpy as np
 from scipy.special import logsumexp, ndtri
 
 from ...solver.arrays import Array
-from .fit import likely_noise
 from .noise import Ints, log_density_at
 from .posterior import Posterior, posterior
 from .problem import Problem
@@ -160,9 +159,11 @@ class Judge:
         """The predictive distribution of one model."""
         rng = np.random.default_rng([self.seed, 3])
         predicted = _drawn(self.held, final, rng)
-        shares = _shares(self.data, final, self.held)
+        shares = _shares(final, self.held)
         draws = _draws(self.held, final, predicted, shares, rng)
-        return Predicted(_mean(self.held, final), draws)
+        model = final.fitted.model
+        mean = np.asarray(model.weights) @ self.held.predict(model, final.fitted.theta)
+        return Predicted(np.asarray(mean), draws)
 
     @cached_property
     def plain(self) -> Scores:
@@ -178,7 +179,7 @@ class Judge:
         for fitted, scored in self._parts:
             model = final if fitted is self.data else self._anew(fitted, final, rng)
             drawn, weights = _drawn(scored, model, rng), np.asarray(final.fitted.model.weights)
-            logs.append(_group_scores(scored, model, drawn, _shares(fitted, model, scored)))
+            logs.append(_group_scores(scored, model, drawn, _shares(model, scored)))
             squares += float(np.sum((scored.values - (weights @ drawn).mean(axis=0)) ** 2))
         return Scores(np.concatenate(logs), squares)
 
@@ -292,21 +293,16 @@ def _reduction(
     return float(low), float(high)
 
 
-def _mean(held: Sample, final: Posterior) -> Array:
-    model = final.fitted.model
-    return np.asarray(np.asarray(model.weights) @ held.predict(model, final.fitted.theta))
-
-
 def _drawn(held: Sample, final: Posterior, rng: np.random.Generator) -> Array:
     """Predictions (points, nodes, rows) at draws of the parameters."""
     pick = rng.choice(final.weights.size, size=POINTS, p=final.weights)
     return held.predict(final.fitted.model, final.theta[pick])
 
 
-def _shares(fitted: Sample, final: Posterior, held: Sample) -> dict[int, float]:
+def _shares(final: Posterior, held: Sample) -> dict[int, float]:
     """How probable each noise of the held-out rows is, by its number: as probable as the fitted one
     that it is alike. Who has fitted no outlier does not know that there is none."""
-    shares = likely_noise(fitted, final.fitted)[2]
+    shares = final.fitted.shares
     out: dict[int, float] = {}
     for which in np.flatnonzero(shares > LEAST_SHARE):
         alike = final.noises.alike(int(which), held.noises)

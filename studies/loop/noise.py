@@ -13,8 +13,8 @@ Lange, Little and Taylor, J. Am. Stat. Assoc. 84 (1989) 881.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import cache
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -82,16 +82,14 @@ def log_density_at(x: Array, shape: int) -> Array:
     return np.asarray(table[low] + (at - low) * (table[low + 1] - table[low]))
 
 
-@dataclass(frozen=True)
-class Chain:
+class Chain(NamedTuple):
     """Which row came before (rows,), -1 where none, and how many steps ago."""
 
     previous: Ints
     gap: Array
 
 
-@dataclass(frozen=True)
-class Noises:
+class Noises(NamedTuple):
     """The noises considered (noises,): shape's number, core scale, correlation, log prior.
 
     ``before`` (noises, rows) is the share of the previous row's residual that is expected again,
@@ -139,6 +137,8 @@ class Noises:
 
         ``centre`` broadcasts against them: residuals of the mean over nodes.
         """
+        if self.correlation[which] == 0.0:
+            return np.asarray(residual * self.stretch[which])
         carried = np.where(self.previous >= 0, centre[..., self.previous], 0.0)
         return (residual - self.before[which] * carried) * self.stretch[which]
 
@@ -149,8 +149,10 @@ class Noises:
         chi5 = rng.chisquare(5, normal.shape) / 5
         chi3 = rng.chisquare(3, normal.shape) / 3
         wide = np.where(rng.random(normal.shape) < OUTLIER_SHARE, OUTLIER_WIDTH, 1.0)
-        stretch = np.stack([np.ones_like(wide), chi5**-0.5, chi3**-0.5, wide])
-        fresh = normal * stretch[self.shape[which], np.arange(which.size)]
+        fresh = normal
+        for shape, widths in enumerate((chi5, chi3, wide), start=1):
+            mine = self.shape[which] == shape
+            fresh[mine] *= widths[mine] if shape == 3 else widths[mine] ** -0.5
         fresh /= self.stretch[which]
         if not self.correlation[which].any():
             return fresh
@@ -218,11 +220,7 @@ def log_likelihoods(
     predicted: Array,
     weights: Array,
     starts: Ints,
-    previous: Ints,
-    before: Array,
-    stretch: Array,
-    constant: Array,
-    shape: Ints,
+    grid: Noises,
     table: Array,
     at_value: Ints,
     at_prediction: Ints,
@@ -230,6 +228,7 @@ def log_likelihoods(
 ) -> Array:
     """See `sample.Sample.log_likelihood`; ``table`` is `log_density`, all else one by one."""
     nodes, rows = predicted.shape[1], predicted.shape[2]
+    previous, before, stretch = grid.previous, grid.before, grid.stretch
     last = table.shape[1] - 2
     out = np.empty(at_value.size)
     centre = np.zeros(rows)
@@ -239,20 +238,21 @@ def log_likelihoods(
         y = values[at_value[case]]
         m = predicted[at_prediction[case]]
         n = at_noise[case]
-        density = table[shape[n]]
-        for row in range(rows):
+        density = table[grid.shape[n]]
+        linked = grid.correlation[n] != 0.0
+        for row in range(rows if linked else 0):
             mean = 0.0
             for node in range(nodes):
                 mean += weights[node] * m[node, row]
             centre[row] = y[row] - mean
-        total = constant[n]
+        total = grid.constant[n]
         for group in range(starts.size - 1):
             best = -1e300
             for node in range(nodes):
                 summed = logs[node] if nodes > 1 else 0.0
                 for row in range(starts[group], starts[group + 1]):
                     e = y[row] - m[node, row]
-                    if previous[row] >= 0:
+                    if linked and previous[row] >= 0:
                         e -= before[n, row] * centre[previous[row]]
                     x = abs(e * stretch[n, row]) / 0.01
                     low = min(int(min(x, 1e9)), last)

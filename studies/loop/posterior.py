@@ -20,7 +20,7 @@ from scipy.special import gammaln, logsumexp, softmax
 
 from ...solver.arrays import Array
 from .adequacy import OCCAM
-from .fit import BOX_PRECISION, Fitted, fit, likely_noise, others, to_theta
+from .fit import BOX_PRECISION, Fitted, fit, others, to_theta
 from .noise import Ints, Noises
 from .problem import Chosen
 from .sample import Sample
@@ -69,7 +69,7 @@ class Posterior:
         return self.interval(index, 0.0)[0]
 
 
-def evidence(data: Sample, fitted: Fitted, own: int) -> float:
+def evidence(fitted: Fitted, own: int) -> float:
     """Log evidence of a fit whose first ``own`` parameters are the baseline's."""
     count, model = 0, fitted.model
     if fitted.u.size > own:
@@ -79,12 +79,12 @@ def evidence(data: Sample, fitted: Fitted, own: int) -> float:
         profiled = h[own:, own:] - cross.T @ np.linalg.solve(inner, cross)
         count = max(int(np.sum(np.linalg.eigvalsh(profiled) > BOX_PRECISION)), 1)
     chosen = math.log(model.choices) if isinstance(model, Chosen) else 0.0
-    return likely_noise(data, fitted)[1] - OCCAM * count - chosen
+    return fitted.height - OCCAM * count - chosen
 
 
 def posterior(data: Sample, fitted: Fitted, own: int, rng: np.random.Generator) -> Posterior:
     """Sample a fitted model's parameters; the first ``own`` are the baseline's."""
-    shares = likely_noise(data, fitted)[2]
+    shares = fitted.shares
     counts = (128, 384) if np.asarray(fitted.model.weights).size == 1 else (96, 192)
     order = np.argsort(-shares, kind="stable")[:MOST_NOISES]
     noise = np.sort(order[shares[order] > 2e-3])
@@ -93,7 +93,7 @@ def posterior(data: Sample, fitted: Fitted, own: int, rng: np.random.Generator) 
         fitted=fitted,
         theta=to_theta(fitted.model.parameters, u),
         weights=np.asarray(softmax(ratio)),
-        log_evidence=evidence(data, fitted, own),
+        log_evidence=evidence(fitted, own),
         noises=data.noises,
     )
 

@@ -94,17 +94,13 @@ class Sample:
         are independent given the drop before; what that drop's own chance was is taken at its mean,
         which is exact without correlation.
         """
-        (first, second, third), grid = np.broadcast_arrays(*at), self.noises
+        first, second, third = np.broadcast_arrays(*at)
         found = log_likelihoods(
             np.ascontiguousarray(values, dtype=float),
             np.ascontiguousarray(predicted, dtype=float),
             np.ascontiguousarray(weights, dtype=float),
             self.starts,
-            grid.previous,
-            grid.before,
-            grid.stretch,
-            grid.constant,
-            grid.shape,
+            self.noises,
             log_density(),
             np.ascontiguousarray(first.ravel(), dtype=np.int64),
             np.ascontiguousarray(second.ravel(), dtype=np.int64),

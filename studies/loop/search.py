@@ -17,7 +17,7 @@ from scipy.stats import qmc
 from ...solver.arrays import Array
 from ...solver.errors import ComputationError
 from ..running.threads import in_threads
-from .fit import Fitted, fit, likely_noise, settle, to_box, to_theta
+from .fit import Fitted, fit, settle, to_box, to_theta
 from .posterior import evidence
 from .problem import Emulated, Model, Problem, Refinable, Scattering
 from .profile import Profile
@@ -101,7 +101,7 @@ def fit_candidate(data: Sample, base: Fitted, profile: Profile) -> Tried:
     if np.asarray(model.weights).size == 1:
         starts.append(_everywhere(base.u[None], _levels(model, own, OTHERS, AMOUNTS)))
     fitted = _followed(data, model, np.concatenate(starts))
-    return Tried(fitted, evidence(data, fitted, own))
+    return Tried(fitted, evidence(fitted, own))
 
 
 def fit_refined(data: Sample, base: Fitted, tried: Tried) -> Tried:
@@ -117,7 +117,7 @@ def fit_refined(data: Sample, base: Fitted, tried: Tried) -> Tried:
         fitted = _followed(data, refined, np.concatenate([spread_out, beside]), MORE * FOLLOWED)
     except ComputationError:
         return tried
-    found = fit_simulated(data, base, Tried(fitted, evidence(data, fitted, own)))
+    found = fit_simulated(data, base, Tried(fitted, evidence(fitted, own)))
     return found if found.log_evidence > tried.log_evidence else tried
 
 
@@ -206,8 +206,8 @@ def fit_simulated(data: Sample, base: Fitted, tried: Tried, least: float = -np.i
         if model is fitted.model:
             return tried
         here = fit(data, model, fitted.u, fitted.noise, iterations=0)
-        if (found := likely_noise(data, here)[1]) > most:
-            best, most = here, found
+        if here.height > most:
+            best, most = here, here.height
         if turn + 1 >= SOON and most < least:
             break
         fitted = settle(data, model, np.array([here.u, *fitted.modes]))
@@ -215,7 +215,7 @@ def fit_simulated(data: Sample, base: Fitted, tried: Tried, least: float = -np.i
         if moved @ fitted.information @ moved < SETTLED**2:
             best = fitted
             break
-    return Tried(best, evidence(data, best, base.u.size), tried.fitted)
+    return Tried(best, evidence(best, base.u.size), tried.fitted)
 
 
 def fit_pairs(
@@ -237,7 +237,7 @@ def fit_pairs(
     reached = best.log_evidence
     if few is not data:
         again = fit(few, best.fitted.model, best.fitted.u, noise, iterations=0)
-        reached = evidence(few, again, base.u.size)
+        reached = evidence(again, base.u.size)
 
     def of_all(height: float) -> float:
         """Log evidence that all rows may give where those that fits begin on give ``height``: as
@@ -256,7 +256,7 @@ def fit_pairs(
         starts = starts[_likeliest(few, model, starts, FEW_FOLLOWED)]
         steps = FIRST_STEPS if np.asarray(model.weights).size == 1 else 0
         first = fit(few, model, starts, noise, steps)
-        height = of_all(evidence(few, first, base.u.size))
+        height = of_all(evidence(first, base.u.size))
         if height + _correctable(alone, names, share) >= least - FIRST_NATS:
             begun.append((height, model, np.concatenate([first.u[None], starts])))
     begun.sort(key=lambda each: -each[0])
@@ -265,11 +265,11 @@ def fit_pairs(
         model = resolved(data, base, model)
         fitted = settle(few, model, starts)
         if few is not data:
-            most = of_all(evidence(few, fitted, base.u.size))
+            most = of_all(evidence(fitted, base.u.size))
             if most + _correctable(alone, model.effects, share) < least - FIRST_NATS:
                 continue
             fitted = settle(data, model, np.array([fitted.u, *fitted.modes]))
-        found.append(Tried(fitted, evidence(data, fitted, base.u.size)))
+        found.append(Tried(fitted, evidence(fitted, base.u.size)))
     hoped = [each.log_evidence + _correctable(alone, each.effects, share) for each in found]
     near = max((each.log_evidence for each in found), default=least) - FIRST_NATS
     likely = [e for e, most in zip(found, hoped, strict=True) if most >= min(near, max(hoped))]

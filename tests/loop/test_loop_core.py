@@ -291,7 +291,7 @@ def test_posterior_intervals_match_the_linear_theory():
     data = whole(problem)
     names = ("shape", "scale", "correlation", "prior", "before", "stretch", "constant")
     plain = {name: getattr(data.noises, name)[:1] for name in names}
-    data = replace(data, noises=replace(data.noises, **plain))
+    data = replace(data, noises=data.noises._replace(**plain))
     model = problem.combine(("wear",))
     fitted = fit(data, model, np.array([[0.5, 0.5]]), 0)
     found = posterior(data, fitted, 1, np.random.default_rng(0))
@@ -528,7 +528,7 @@ def test_an_effect_is_refined_where_that_is_likelier_and_can_be_computed():
         data = whole(replace(problem, values=values))
         base = fit_baseline(data, toys.Curve(rows, 1))
         fitted = settle(data, toys.Curve(rows, 2, fails), np.full((1, 2), 0.5))
-        tried = Tried(fitted, evidence(data, fitted, 1))
+        tried = Tried(fitted, evidence(fitted, 1))
         found = fit_refined(data, base, tried)
         assert found.fitted.theta.size == amounts
         assert (found is tried) == (amounts == 2)
