@@ -19,22 +19,25 @@ scans: Walther and Perry, J. R. Stat. Soc. B 84 (2022) 1608.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, partial
 
 import numpy as np
 from scipy.sparse import csr_array
 
 from ...solver.arrays import Array
 from ...solver.compiled import njit
-from .fit import BOX_PRECISION, Fitted
+from .fit import Fitted
+from .noise import Ints
 from .residuals import quantile_residuals
 from .sample import BETWEEN, HEIGHT, WITHIN, Sample, first_of
 from .shapes import (
     LEAST_BAND,
+    Refit,
+    Shapes,
+    UnitShapes,
     bands_of,
-    centred_shapes,
     distinct,
     levels,
     patterns_of,
@@ -42,7 +45,6 @@ from .shapes import (
     residue_classes,
     settlings_of,
     shared_pairs,
-    unit_shapes,
     waves_of,
 )
 
@@ -81,7 +83,7 @@ class Adequacy:
     quantile residuals, ``noise`` the likeliest noise of them. ``needed`` by known effect: the size
     d that would be noticed nine times in ten. ``unlisted`` is the log evidence of the best of the
     family's own shapes, ``shape`` its name: an effect that explains less than a band or a step
-    would is not the explanation.
+    would is not the explanation. Where that was not asked, it is minus infinity.
     """
 
     p_value: float
@@ -110,12 +112,8 @@ Statistic = Callable[[Array], Array]
 OCCAM = 2.5
 
 
-@dataclass(frozen=True)
-class Shapes:
-    """Unit shapes (k, rows) of which one, or all ``together``, may be what is missing."""
-
-    unit: Array
-    together: bool
+# Shapes of which one may be what is missing or, where numbers of some are given, these together.
+Listed = tuple[UnitShapes, Ints | None]
 
 
 def assess(
@@ -124,14 +122,17 @@ def assess(
     directions: list[Direction],
     rng: np.random.Generator,
     sets: int = SETS,
+    *,
+    unlisted: bool = True,
 ) -> Adequacy:
-    """Test what a fitted model leaves of the rows that it was fitted to."""
+    """Test what a fitted model leaves of the rows that it was fitted to; where ``unlisted``, also
+    which shape that no effect has explains it best."""
     weights = np.asarray(fitted.model.weights)
     z = quantile_residuals(data.values, fitted.predicted, weights, data.starts)
     tangent = fitted.mean_slopes[:, fitted.loose] / np.sqrt(1 + fitted.spread**2)[:, None]
     noise = likeliest_noise(data, z, correlated=weights.size == 1)
     drawn = data.noises.draw(np.full(sets, noise), rng)
-    free = left_by_refit(tangent)
+    free = Refit(tangent)
     drawn = free(drawn)
     both = _soft(np.concatenate([z[None], drawn]))
     patterns = patterns_of(data, fitted)
@@ -141,11 +142,13 @@ def assess(
     single, simulated = p_values(values[0], values[1:])
     p_value, least = corrected(single, simulated)
     threshold = float(np.quantile(least, 0.02))
-    unlisted, shape = max(
-        _best_shape(data, z, free(z), shapes),
-        (_log_two_states(data, z, patterns), "two states"),
-        _wider(data, z),
-    )
+    best = (-np.inf, "")
+    if unlisted:
+        best = max(
+            _best_shape(data, z, free(z), shapes),
+            (_log_two_states(data, z, patterns), "two states"),
+            _wider(data, z),
+        )
     return Adequacy(
         p_value=p_value,
         statistic=names[int(np.argmin(single))],
@@ -160,8 +163,8 @@ def assess(
             for each in directions
             if each.name in names
         },
-        unlisted=unlisted,
-        shape=shape,
+        unlisted=best[0],
+        shape=best[1],
     )
 
 
@@ -200,14 +203,6 @@ def outliers_together(data: Sample, z: Array, rng: np.random.Generator) -> float
     return float(np.mean(least <= least[0]))
 
 
-def left_by_refit(tangent: Array) -> Callable[[Array], Array]:
-    """What a refit along tangents (rows, p) leaves of residuals (..., rows). The width of the unit
-    box is its prior: a direction that the data do not see absorbs nothing."""
-    normal = tangent.T @ tangent + BOX_PRECISION * np.eye(tangent.shape[1])
-    follow = np.linalg.solve(normal, tangent.T)
-    return lambda residual: residual - (residual @ tangent) @ follow
-
-
 def likeliest_noise(data: Sample, z: Array, correlated: bool) -> int:
     """The likeliest noise, of bounded size, of residuals (rows,).
 
@@ -227,66 +222,75 @@ def _soft(z: Array) -> Array:
 
 
 def _family(
-    data: Sample, patterns: list[Array], free: Statistic, directions: list[Direction]
-) -> tuple[dict[str, Statistic], dict[str, Shapes]]:
+    data: Sample, patterns: list[Array], free: Refit, directions: list[Direction]
+) -> tuple[dict[str, Statistic], dict[str, Listed]]:
     """All statistics by name, each takes residuals (sets, rows) to numbers (sets,); and the shapes
-    of those that look for a shift. ``free`` is what `left_by_refit` gives."""
+    of those that look for a shift."""
     out: dict[str, Statistic] = {"size": lambda z: np.sum(z**2, axis=1)}
-    listed: dict[str, Shapes] = {}
-    kinds = np.unique(data.kind)
+    listed: dict[str, Listed] = {}
+    level = np.stack([(data.kind == k).astype(float) for k in np.unique(data.kind)])
+    even = np.ones((1, data.kind.size))
+    every = np.concatenate([pattern * level for pattern in patterns])
 
-    def linear(name: str, shapes: Array, degree: Array | None = None) -> None:
-        unit, independent = unit_shapes(shapes, free)
-        if not independent.any():
-            return
-        listed[name] = Shapes(unit, degree is not None)
-        if degree is None:
-            out[name] = lambda z: np.max((z @ unit.T) ** 2, axis=1)
-        else:
-            share = 1.0 / degree[independent] ** 2
-            out[name] = lambda z: ((z @ unit.T) ** 2) @ share
+    def one(name: str, parts: Array, mix: Array | None = None) -> None:
+        units = UnitShapes.of(Shapes(parts, every, mix), free)
+        if len(units):
+            listed[name] = units, None
+            out[name] = lambda z: np.max(units.loads(z) ** 2, axis=1)
+
+    def together(name: str, parts: Array, degree: Array) -> None:
+        units = UnitShapes.of(Shapes(parts, even), free)
+        if len(units):
+            listed[name] = units, np.arange(len(units))
+            share = 1.0 / degree[units.which] ** 2
+            out[name] = lambda z: units.loads(z) ** 2 @ share
 
     def wavy(name: str, x: Array) -> None:
-        pairs = [unit_shapes(np.concatenate([w * e for e in every]), free) for w in waves_of(x)]
-        units = [unit for unit, independent in pairs if independent.any()]
-        if not units:
+        waves = waves_of(x)
+        units = UnitShapes.of(Shapes(waves, every), free)
+        if not len(units):
             return
-        listed.update((f"wave {i} in {name}", Shapes(unit, True)) for i, unit in enumerate(units))
-        out[f"wave in {name}"] = lambda z: np.max(
-            np.stack([np.sum((z @ unit.T) ** 2, axis=1) / len(unit) for unit in units]), axis=0
-        )
+        wave = units.which % len(waves) // 2
+        several = [np.flatnonzero(wave == each) for each in np.unique(wave)]
+        listed.update((f"wave {i} in {name}", (units, each)) for i, each in enumerate(several))
+        mean = np.stack([(wave == wave[each[0]]) / each.size for each in several], axis=1)
+        out[f"wave in {name}"] = lambda z: np.max(units.loads(z) ** 2 @ mean, axis=1)
 
-    def scattered(name: str, shapes: Array) -> None:
-        centred = centred_shapes(shapes)
-        if len(centred):
-            out[name] = lambda z: np.max(np.abs(np.abs(z) @ centred.T), axis=1)
+    def scattered(name: str, parts: Array, mix: Array | None = None) -> None:
+        shapes = Shapes(parts, even, mix)
+        rows = shapes.loads(even)[0]
+        share = rows / even.size
+        if rows.size:
+            out[name] = lambda z: np.max(
+                np.abs(shapes.loads(np.abs(z)) - np.abs(z).sum(axis=1, keepdims=True) * share)
+                / np.sqrt(rows * (1.0 - share)),
+                axis=1,
+            )
 
     def spreading(name: str, trend: Array) -> None:
         out[f"scatter with {name}"] = lambda z: np.abs((np.abs(z) - 0.8) @ trend)
 
-    level = np.stack([(data.kind == k).astype(float) for k in kinds])
-    linear("level", level, np.ones(len(kinds)))
-    every = [pattern * mask for pattern in patterns for mask in level]
+    together("level", level, np.ones(len(level)))
     for name, x in distinct(data.covariates).items():
         shapes, degree = polynomials(x, data.kind)
         if not degree.size:
             continue
-        linear(f"trend with {name}", shapes[degree == 1], np.ones(int(np.sum(degree == 1))))
+        together(f"trend with {name}", shapes[degree == 1], degree[degree == 1])
         if degree.max() > 1:
-            linear(f"smooth in {name}", shapes[degree > 1], degree[degree > 1].astype(float))
-            listed[f"any function of {name}"] = Shapes(unit_shapes(shapes, free)[0], True)
+            together(f"smooth in {name}", shapes[degree > 1], degree[degree > 1])
+            units = UnitShapes.of(Shapes(shapes, even), free)
+            listed[f"any function of {name}"] = units, np.arange(len(units))
         bands = bands_of(x)
-        linear(f"band of {name}", np.concatenate([bands * each for each in every]))
+        one(f"band of {name}", *bands)
         spreading(name, shapes[degree == 1].sum(axis=0))
-        scattered(f"scatter in a band of {name}", bands)
+        scattered(f"scatter in a band of {name}", *bands)
         if name in HEIGHT:
             wavy(name, x)
     order = first_of(data.covariates, BETWEEN)
     if order is not None and np.unique(order).size >= LEAST_ORDERED:
         classes = residue_classes(order)
-        linear("one in several of the order", np.concatenate([classes * e for e in every]))
-        settlings = settlings_of(order)
-        linear("settling in the order", np.concatenate([settlings * e for e in every]))
+        one("one in several of the order", classes)
+        one("settling in the order", settlings_of(order))
         wavy("the order", order)
         scattered("scatter of one in several", classes)
     linked = np.flatnonzero(data.noises.previous >= 0)
@@ -301,16 +305,18 @@ def _family(
             np.sum(z[:, shared[0]] * z[:, shared[1]], axis=1)
         )
 
-    def greatest(name: str, several: list[Statistic]) -> None:
-        out[name] = lambda z: np.max([each(z) for each in several], axis=0)
-
-    for name, several in _by_name(directions, free).items():
-        greatest(name, several)
+    senses: dict[str, list[Statistic]] = {}
+    for direction in directions:
+        one_sided = _one_sided(direction, free)
+        if one_sided is not None:
+            senses.setdefault(direction.name, []).append(one_sided)
+    for name, several in senses.items():
+        out[name] = partial(_greatest, several)
     return out, listed
 
 
 def _best_shape(
-    data: Sample, z: Array, free: Array, listed: Mapping[str, Shapes]
+    data: Sample, z: Array, free: Array, listed: Mapping[str, Listed]
 ) -> tuple[float, str]:
     """Log evidence and name of the shape that explains residuals best by itself, with the noise
     that suits what it leaves.
@@ -320,15 +326,15 @@ def _best_shape(
     """
     residuals, costs = [z], [0.0]
     waves = sum(name.startswith("wave ") for name in listed)
-    for name, shapes in listed.items():
-        if shapes.together:
-            basis, _ = np.linalg.qr(shapes.unit.T)
+    for name, (units, together) in listed.items():
+        if together is not None:
+            basis, _ = np.linalg.qr(units[together].T)
             residuals.append(free - basis @ (basis.T @ free))
-            costs.append(OCCAM * len(shapes.unit))
+            costs.append(OCCAM * together.size)
         else:
-            loads = shapes.unit @ free
-            best = int(np.argmax(np.abs(loads)))
-            residuals.append(free - loads[best] * shapes.unit[best])
+            loads = units.loads(free[None])[0]
+            best = np.argmax(np.abs(loads), keepdims=True)
+            residuals.append(free - loads[best] @ units[best])
             costs.append(OCCAM + float(np.log(len(loads))))
         if name.startswith("wave "):
             costs[-1] += float(np.log(waves))
@@ -337,17 +343,12 @@ def _best_shape(
     return float(logs[best]), ["nothing", *listed][best]
 
 
-def _by_name(directions: list[Direction], free: Statistic) -> dict[str, list[Statistic]]:
-    """The statistics of each effect's senses, of those that a refit does not absorb."""
-    found: dict[str, list[Statistic]] = {}
-    for each in directions:
-        one_sided = _one_sided(each, free)
-        if one_sided is not None:
-            found.setdefault(each.name, []).append(one_sided)
-    return found
+def _greatest(several: Sequence[Statistic], z: Array) -> Array:
+    return np.asarray(np.max([each(z) for each in several], axis=0))
 
 
-def _one_sided(direction: Direction, free: Statistic) -> Statistic | None:
+def _one_sided(direction: Direction, free: Refit) -> Statistic | None:
+    """The statistic of an effect in one sense; None where a refit absorbs it."""
     shift = free(direction.shift)
     size, wide = float(np.linalg.norm(shift)), float(np.linalg.norm(direction.scatter))
     if wide > size:

@@ -159,7 +159,7 @@ def _looked_at(
     for i in credible(shares, LOOKED_AT)[:MOST_LOOKED_AT] if tried else ():
         found = _sampled(state, tried[i])
         others = [way for way in state.ways if way.name not in found.effects]
-        assessed = assess(state.data, found.fitted, others, state.rng)
+        assessed = assess(state.data, found.fitted, others, state.rng, unlisted=False)
         why, held, scores, spared = _unfit(state, found, assessed), None, None, False
         if state.judge.held.values.size and not why:
             scores = state.judge.scores(found)
@@ -224,7 +224,7 @@ def _off(state: State, found: Posterior, held: HeldOut) -> str:
     if held.surprise < SURPRISE or held.greatest > GROSS:
         return "held-out data lie farther off than their noise allows"
     fitted = settle(state.every, found.fitted.model, found.fitted.u[None])
-    left = assess(state.every, fitted, [], state.rng)
+    left = assess(state.every, fitted, [], state.rng, unlisted=False)
     if left.p_value < SURPRISE:
         return f"with the held-out data, what is left is not noise ({left.statistic})"
     if outliers_together(state.every, left.residual, state.rng) < LEFT_ALARM:

@@ -5,13 +5,15 @@ Each is an array over the rows, for shifts of the residuals or for their scatter
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
 from itertools import combinations, pairwise
 
 import numpy as np
 
 from ...solver.arrays import Array
-from .fit import Fitted
+from .fit import BOX_PRECISION, Fitted
 from .noise import Ints
 from .sample import Sample, counted
 
@@ -57,20 +59,88 @@ def patterns_of(data: Sample, fitted: Fitted) -> list[Array]:
     return [alike] if np.ptp(proportional) < 0.2 else [alike, proportional]
 
 
-def unit_shapes(shapes: Array, free_of_refit: Callable[[Array], Array]) -> tuple[Array, Array]:
-    """Unit shapes (k, rows) freed of what a refit absorbs, and which of them are kept."""
-    before = np.linalg.norm(shapes, axis=1)
-    free = free_of_refit(shapes)
-    size = np.linalg.norm(free, axis=1)
-    independent = (size > np.sqrt(1 - ABSORBED**2) * before) & (before > 0)
-    return free[independent] / size[independent, None], independent
+@dataclass(frozen=True)
+class Refit:
+    """What a refit along ``tangent`` (rows, p) leaves of residuals. The width of the unit box is
+    its prior: a direction that the data do not see absorbs nothing."""
+
+    tangent: Array
+
+    @cached_property
+    def follow(self) -> Array:
+        """What residuals make of each parameter (p, rows)."""
+        tangent = self.tangent
+        normal = tangent.T @ tangent + BOX_PRECISION * np.eye(tangent.shape[1])
+        return np.linalg.solve(normal, tangent.T)
+
+    def __call__(self, residual: Array) -> Array:
+        """Of residuals (..., rows)."""
+        return np.asarray(residual - (residual @ self.tangent) @ self.follow)
 
 
-def centred_shapes(shapes: Array) -> Array:
-    """Unit shapes (k, rows) of mean zero, of those that are not constant."""
-    centred = shapes - shapes.mean(axis=1, keepdims=True)
-    size = np.linalg.norm(centred, axis=1, keepdims=True)
-    return np.asarray(centred[size[:, 0] > 0] / size[size[:, 0] > 0])
+@dataclass(frozen=True)
+class Shapes:
+    """Shapes (k, rows): each sum of ``parts`` (c, rows) that ``mix`` (b, c) names, or each part,
+    times each of the ``sizes`` (e, rows) that it may have, which are zero at most rows.
+
+    What is summed over the rows is summed once for all shapes that share it: intervals of a
+    covariate are many, and their parts few.
+    """
+
+    parts: Array
+    sizes: Array
+    mix: Array | None = None
+
+    def loads(self, z: Array, power: int = 1) -> Array:
+        """Sums over the rows (n, k) of ``z`` (n, rows) times each shape to that power, 1 or 2: of
+        what is mixed, parts are zero or one, and of a shape no two overlap."""
+        found = []
+        for size in self.sizes:
+            there = slice(None) if size.all() else np.flatnonzero(size)
+            own = z[:, there] @ ((self.parts[:, there] * size[there]) ** power).T
+            found.append(own if self.mix is None else own @ self.mix.T)
+        return np.concatenate(found, axis=1)
+
+    def __getitem__(self, which: Ints) -> Array:
+        """The shapes (n, rows) of these numbers."""
+        size, shape = np.divmod(which, len(self.parts if self.mix is None else self.mix))
+        own = self.parts[shape] if self.mix is None else self.mix[shape] @ self.parts
+        return np.asarray(own * self.sizes[size])
+
+
+@dataclass(frozen=True)
+class UnitShapes:
+    """Unit shapes (k, rows) freed of what a refit absorbs, of those of ``shapes`` that it leaves:
+    ``which`` (k,) numbers them, ``norm`` (k,) is what is left of each."""
+
+    shapes: Shapes
+    refit: Refit
+    absorbed: Array
+    which: Ints
+    norm: Array
+
+    @classmethod
+    def of(cls, shapes: Shapes, refit: Refit) -> UnitShapes:
+        """Those that ``refit`` leaves."""
+        moved = shapes.loads(refit.tangent.T).T
+        whole = shapes.loads(np.ones((1, shapes.sizes.shape[1])), power=2)[0]
+        follow = refit.follow
+        lost = np.sum(moved * (2.0 * shapes.loads(follow).T - moved @ (follow @ follow.T)), axis=1)
+        which = np.flatnonzero((whole - lost > (1 - ABSORBED**2) * whole) & (whole > 0.0))
+        return cls(shapes, refit, moved[which], which, np.sqrt((whole - lost)[which]))
+
+    def __len__(self) -> int:
+        return len(self.which)
+
+    def loads(self, z: Array) -> Array:
+        """Products (n, k) of ``z`` (n, rows) with the unit shapes."""
+        found = self.shapes.loads(z)[:, self.which] - (z @ self.refit.follow.T) @ self.absorbed.T
+        return np.asarray(found / self.norm)
+
+    def __getitem__(self, which: Ints) -> Array:
+        """The unit shapes (n, rows) of these numbers among the k."""
+        left = self.refit(self.shapes[self.which[which]])
+        return np.asarray(left / self.norm[which, None])
 
 
 def polynomials(x: Array, kind: Ints) -> tuple[Array, Array]:
@@ -106,19 +176,19 @@ def levels(x: Array) -> Ints:
     return np.asarray(level[rank] if repeated else rank)
 
 
-def bands_of(x: Array) -> Array:
-    """Indicators (bands, rows) of all intervals of a covariate, thresholds among them."""
+def bands_of(x: Array) -> tuple[Array, Array]:
+    """Indicators (cells, rows) of neighbouring intervals of a covariate, and which of them make up
+    each (bands, cells) of all intervals, thresholds among them."""
     rank = levels(x)
     count = int(rank.max()) + 1
     edges = np.unique(np.linspace(0, count, min(count, MOST_EDGES) + 1).astype(int))
-    out = [
-        ((rank >= low) & (rank < high)).astype(float)
-        for i, low in enumerate(edges[:-1])
-        for high in edges[i + 1 :]
-        if high - low < count
-    ]
-    large = [band for band in out if LEAST_BAND <= band.sum() <= x.size - 1]
-    return np.array(large).reshape(-1, x.size)
+    cell = np.searchsorted(edges, rank, side="right") - 1
+    number = np.arange(edges.size - 1)
+    low, high = np.triu_indices(number.size)
+    bands = ((number >= low[:, None]) & (number <= high[:, None])).astype(float)
+    rows = bands @ np.bincount(cell, minlength=number.size)
+    large = (rows >= LEAST_BAND) & (rows <= x.size - 1)
+    return (cell == number[:, None]).astype(float), bands[large]
 
 
 def residue_classes(order: Array) -> Array:
@@ -138,17 +208,15 @@ def settlings_of(order: Array) -> Array:
     return np.exp(-place / np.unique(scales)[:, None])
 
 
-def waves_of(x: Array) -> list[Array]:
-    """Cosine and sine (2, rows) of each frequency, from half a wave in all to half a wave each, or
-    to `MOST_WAVES` in all."""
+def waves_of(x: Array) -> Array:
+    """Cosine and sine (2 waves, rows) of each frequency in turn, from half a wave in all to half a
+    wave each, or to `MOST_WAVES` in all."""
     if np.ptp(x) <= 0.0:
-        return []
+        return np.zeros((0, x.size))
     t = (x - x.min()) / np.ptp(x)
     most = min((int(levels(x).max()) + 1) // 2, MOST_WAVES)
-    return [
-        np.stack([np.cos(2 * np.pi * f * t), np.sin(2 * np.pi * f * t)])
-        for f in np.arange(0.5, most + 0.25, 0.5)
-    ]
+    turns = 2 * np.pi * np.arange(0.5, most + 0.25, 0.5)[:, None] * t
+    return np.stack([np.cos(turns), np.sin(turns)], axis=1).reshape(-1, x.size)
 
 
 def shared_pairs(data: Sample) -> tuple[Ints, Ints]:

@@ -19,7 +19,6 @@ from bristle.studies.loop import run as loop_run
 from bristle.studies.loop.adequacy import (
     assess,
     corrected,
-    left_by_refit,
     outliers_together,
     p_values,
 )
@@ -34,6 +33,7 @@ from bristle.studies.loop.residuals import quantile_residuals
 from bristle.studies.loop.run import find, pieces
 from bristle.studies.loop.sample import Sample, sample
 from bristle.studies.loop.search import Tried, fit_baseline, fit_refined, resolved
+from bristle.studies.loop.shapes import Refit
 
 pytestmark = pytest.mark.serial
 
@@ -335,7 +335,7 @@ def test_a_refit_absorbs_no_more_than_bounds_allow():
     noise over its whole range, and takes up no trend; the common part is taken up whole."""
     even, trend = np.ones(40), np.linspace(-1.0, 1.0, 40)
     tangent = np.stack([100.0 * even, 100.0 * even + 0.03 * trend], axis=1)
-    left = left_by_refit(tangent)
+    left = Refit(tangent)
     assert np.linalg.norm(left(trend)) > 0.99 * np.linalg.norm(trend)
     assert np.linalg.norm(left(even)) < 0.01 * np.linalg.norm(even)
 
