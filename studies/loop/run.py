@@ -325,10 +325,10 @@ def _sample(problem: Problem, groups: Ints) -> Sample:
 
 def _units(problem: Problem, data: Sample) -> Array:
     """The unit of each of the problem's rows, by its quantity."""
-    unit = np.ones(problem.values.size)
-    for row, value in zip(data.rows, data.unit, strict=True):
-        unit[problem.quantity == problem.quantity[row]] = value
-    return unit
+    number = np.unique(problem.quantity, return_inverse=True)[1]
+    unit = np.ones(number.max() + 1)
+    unit[number[data.rows]] = data.unit
+    return unit[number]
 
 
 def _by_effect(state: State, tied: Sequence[Posterior]) -> dict[str, float]:

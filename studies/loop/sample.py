@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -36,7 +37,8 @@ class Sample:
 
     ``unit`` (rows,) multiplies whitened values where sigma is estimated. ``starts`` (groups + 1,).
     ``kind`` numbers the quantity of each row. ``share`` is a sample of some of these groups, from
-    all heights, where there are many of them and models are `Divisible`.
+    all heights, where there are many of them and models are `Divisible`: these predict the rows of
+    a sample and no others.
     """
 
     rows: Ints
@@ -48,7 +50,6 @@ class Sample:
     covariates: dict[str, Array]
     noises: Noises
     share: Sample | None = None
-    alone: bool = False
 
     @property
     def first(self) -> Sample:
@@ -60,29 +61,33 @@ class Sample:
         """How many times as many rows this has as `first`."""
         return self.values.size / self.first.values.size
 
-    def pick(self, predicted: Array) -> Array:
-        """Predictions (..., rows) of these rows from those of all the problem's rows."""
-        return predicted[..., self.rows] * self.unit
-
     def predict(self, model: Model, theta: Array) -> Array:
         """Predictions (..., nodes, rows) at parameters (..., p)."""
         theta = np.asarray(theta, dtype=float)
         points = theta.reshape(-1, theta.shape[-1])
-        if self.alone and isinstance(model, Divisible):
-            model, pick = model.only(self.rows), self._scaled
-        else:
-            pick = self.pick
+        place: Ints | None = self.rows
+        if isinstance(model, Divisible):
+            model, place = model.only(self.rows), self._place
         at_once = max(MOST_AT_ONCE // (np.asarray(model.weights).size * self.rows.size), 1)
-        found = [
-            pick(np.asarray(model.predict(points[i : i + at_once]), dtype=float))
-            for i in range(0, len(points), at_once)
-        ]
+        found = []
+        for i in range(0, len(points), at_once):
+            own = np.asarray(model.predict(points[i : i + at_once]), dtype=float)
+            own = own if place is None else np.take(own, place, axis=-1)
+            found.append(own if self._plain else own * self.unit)
         every = found[0] if len(found) == 1 else np.concatenate(found)
         return every.reshape(*theta.shape[:-1], *every.shape[1:])
 
-    def _scaled(self, predicted: Array) -> Array:
-        place = np.argsort(np.argsort(self.rows))  # groups may stand in any order
-        return predicted[..., place] * self.unit
+    @cached_property
+    def _place(self) -> Ints | None:
+        """Of each row among these in the problem's order; None where they are in it: groups may
+        stand in any order."""
+        place = np.argsort(np.argsort(self.rows))
+        return None if np.all(np.diff(place) == 1) else place
+
+    @cached_property
+    def _plain(self) -> bool:
+        """Whether whitened values are as the problem has them."""
+        return bool(np.all(self.unit == 1.0))
 
     def log_likelihood(
         self, values: Array, predicted: Array, weights: Array, at: tuple[Ints, Ints, Ints]
@@ -134,11 +139,8 @@ class Sample:
         return self.heights(residuals, np.zeros((1, 1, residuals.shape[1])), np.ones(1), among)
 
 
-def sample(
-    problem: Problem, groups: Ints, unit: Array | None = None, alone: bool = False
-) -> Sample:
-    """The rows of these groups. ``unit`` (rows of the problem,) overrides what is estimated. Models
-    predict them ``alone`` where they are few of many."""
+def sample(problem: Problem, groups: Ints, unit: Array | None = None) -> Sample:
+    """The rows of these groups. ``unit`` (rows of the problem,) overrides what is estimated."""
     rows = np.flatnonzero(np.isin(problem.group, groups))
     rows = rows[np.argsort(problem.group[rows], kind="stable")]
     kinds = np.unique(problem.quantity, return_inverse=True)[1]
@@ -150,7 +152,7 @@ def sample(
     scaling = np.ones(rows.size) if unit is None else unit[rows]
     share = None
     if len(groups) > MANY and isinstance(problem.baseline, Divisible):
-        share = sample(problem, _some(problem, groups), unit, alone=True)
+        share = sample(problem, _some(problem, groups), unit)
     return Sample(
         rows=rows,
         values=problem.values[rows] * scaling,
@@ -161,7 +163,6 @@ def sample(
         covariates=covariates,
         noises=noises(chain, problem.sigma_declared),
         share=share,
-        alone=alone,
     )
 
 

@@ -13,6 +13,7 @@ from bristle.studies.data.datasets import read_drops
 from bristle.studies.loop.adequacy import STATE_SHARES, STATE_SHIFTS, STATE_SPREADS, _two_states
 from bristle.studies.loop.kinds.drops.problem import drops_problem, sessions
 from bristle.studies.loop.sample import ENOUGH, sample
+from bristle.studies.loop.shapes import Refit, Shapes, UnitShapes, bands_of
 
 pytestmark = pytest.mark.serial
 
@@ -53,8 +54,23 @@ def test_a_share_of_the_drops_is_from_all_heights_and_predicted_alone(many):
     assert np.ptp(shares) <= 2
     model = many.combine(("session",))
     theta = np.array([each.typical for each in model.parameters])
-    alone, with_all = few.predict(model, theta), few.pick(model.predict(theta))
-    assert np.abs(alone - with_all).max() < 1e-4
+    alone, with_all = few.predict(model, theta), model.predict(theta)[..., few.rows]
+    np.testing.assert_allclose(alone, with_all, atol=1e-9)
+
+
+def test_shapes_are_summed_by_their_parts_as_one_by_one():
+    """Bands of a covariate, at either of two quantities, in proportion to a size or not."""
+    rng = np.random.default_rng(3)
+    cells, bands = bands_of(rng.uniform(size=200))
+    kind, size = rng.integers(2, size=200), rng.uniform(0.5, 1.5, size=200)
+    every = np.stack([how * (kind == k) for how in (np.ones(200), size) for k in (0, 1)])
+    refit, z = Refit(rng.standard_normal((200, 3))), rng.standard_normal((5, 200))
+    found = UnitShapes.of(Shapes(cells, every, bands), refit)
+    left = refit(np.concatenate([bands @ cells * each for each in every]))
+    units = left / np.linalg.norm(left, axis=1, keepdims=True)
+    assert len(found) == len(units) > 1000
+    np.testing.assert_allclose(found[np.arange(len(found))], units, atol=1e-12)
+    np.testing.assert_allclose(found.loads(z), z @ units.T, atol=1e-12)
 
 
 @pytest.mark.parametrize("told", ["by a column", "by nothing"])

@@ -25,7 +25,7 @@ from bristle.studies.loop.kinds.drops.problem import (
     read_problem,
     sessions,
 )
-from bristle.studies.loop.responses.drop_model import Errors
+from bristle.studies.loop.responses.errors import Errors
 from bristle.studies.loop.run import find
 from bristle.studies.loop.scatter import Scatter
 

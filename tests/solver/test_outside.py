@@ -24,8 +24,9 @@ from bristle.solver.errors import InputError
 from bristle.studies.cli import main
 from bristle.studies.loop.kinds.drops import problem as drops_module
 from bristle.studies.loop.responses import emulator as emulator_module
-from bristle.studies.loop.responses.drop_model import DropModel, Drops, Errors
+from bristle.studies.loop.responses.drop_model import DropModel, Drops
 from bristle.studies.loop.responses.emulator import PLAIN_STEP, Emulator, effect_at
+from bristle.studies.loop.responses.errors import Errors
 
 pytestmark = pytest.mark.serial
 

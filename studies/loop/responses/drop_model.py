@@ -8,7 +8,6 @@ from functools import cached_property
 from typing import Any, NamedTuple, Self
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ....solver import paper
 from ....solver.arrays import Array
@@ -22,6 +21,7 @@ from ....solver.fall import fallen, risen
 from ..fit import to_unit
 from ..noise import Ints
 from .emulator import Emulator, effect_at
+from .errors import Errors
 from .mesh import Mesh, mesh_of
 
 # Nodes of chance, ends and how many: stiffness by its normal deviate, slope by its size; and the
@@ -39,7 +39,8 @@ DIRECTIONS_DEG = (9.0, 27.0, 45.0, 63.0, 81.0)
 class Drops:
     """Drops as they were measured: ``y0_m``, ``order`` (drops,), and which quantities (of
     `table.QUANTITIES`) were. ``session`` (drops,) is one in the second of two sessions, which were
-    told apart among so many ``partings``."""
+    told apart among so many ``partings``. They may be a part, by numbers, of a ``whole``, whose
+    mesh is theirs too."""
 
     emulator: Emulator
     y0_m: Array
@@ -47,9 +48,16 @@ class Drops:
     quantities: tuple[int, ...]
     session: Array | float = 0.0
     partings: int = 1
+    whole: tuple[Drops, Ints] | None = None
 
     def __len__(self) -> int:
         return len(self.y0_m)
+
+    def of(self, which: Ints) -> Drops:
+        """The drops numbered ``which``."""
+        session = np.broadcast_to(self.session, len(self))[which]
+        part = replace(self, y0_m=self.y0_m[which], order=self.order[which], session=session)
+        return replace(part, whole=(self, which))
 
     @cached_property
     def _meshes(self) -> dict[tuple[bool, bool], Mesh | None]:
@@ -57,13 +65,17 @@ class Drops:
 
     def mesh(self, order: bool, session: bool) -> Mesh | None:
         """Few drops that tell what these do, if that hangs on the height and on their ``order`` or
-        ``session``; None where these are few themselves."""
+        ``session``; None where these, or those that they are a part of, are few themselves."""
         if (order, session) not in self._meshes:
-            apart = np.broadcast_to(self.session, len(self))
-            self._meshes[order, session] = mesh_of(
-                self.y0_m, self.order if order else None, apart if session else None
-            )
+            self._meshes[order, session] = self._mesh(order, session)
         return self._meshes[order, session]
+
+    def _mesh(self, order: bool, session: bool) -> Mesh | None:
+        if self.whole is not None:
+            mesh = self.whole[0].mesh(order, session)
+            return mesh and mesh.of(self.whole[1])
+        apart = np.broadcast_to(self.session, len(self))
+        return mesh_of(self.y0_m, self.order if order else None, apart if session else None)
 
 
 class Landing(NamedTuple):
@@ -285,70 +297,6 @@ class Correction:
 
 
 @dataclass(frozen=True)
-class Errors:
-    """How readings of drops err: ``sigma`` (q,) of each quantity, ``sigma_y0_m`` of the height
-    before, which all quantities of a drop share; ``present`` (drops, q) tells what was read.
-
-    ``whiten`` (drops, q, q) takes residuals of a drop to independent ones of unit variance, for the
-    slopes over the height that the data show; what was not read stays apart. Where ``values``
-    (drops, q) are given, residuals are whitened by the slopes of the model itself: each height is
-    then as the drop's readings together would have it, not as one of them has it (errors in
-    variables: W. A. Fuller, Measurement Error Models (1987), §1.3). Where heights differ by little
-    more than they err, a model would else gain from a slope that is too small.
-    """
-
-    sigma: Array
-    sigma_y0_m: float
-    present: NDArray[np.bool_]
-    whiten: Array
-    values: Array | None = None
-
-    @classmethod
-    def independent(
-        cls, sigma: Array, present: NDArray[np.bool_], sigma_y0_m: float = 0.0
-    ) -> Errors:
-        """Of quantities (q,) whose errors have nothing in common yet."""
-        return cls(sigma, sigma_y0_m, present, np.diag(1.0 / sigma)[None].repeat(len(present), 0))
-
-    def of(self, which: Sequence[int]) -> Errors:
-        """Those of the drops numbered ``which``, whitened by the data's slopes."""
-        return replace(self.only(np.array(which, dtype=np.int64)), values=None)
-
-    def only(self, which: Ints) -> Errors:
-        """Those of the drops numbered ``which``."""
-        values = None if self.values is None else self.values[which]
-        present, whiten = self.present[which], self.whiten[which]
-        return replace(self, present=present, whiten=whiten, values=values)
-
-    def whitened(self, left: Array, slopes: Array) -> Array:
-        """Residuals (..., drops, q) for slopes (..., drops, q) over the height: each quantity in
-        turn is freed of what those before it say of the height's error."""
-        shape = np.broadcast_shapes(left.shape, slopes.shape)
-        out = np.empty(shape)
-        known, told = np.ones(shape[:-1]), np.zeros(shape[:-1])
-        for q, sigma in enumerate(self.sigma):
-            present = self.present[:, q]
-            moved = np.where(present, self.sigma_y0_m * slopes[..., q], 0.0)
-            own = np.where(present, sigma**2, 1.0)
-            out[..., q] = (left[..., q] - moved * told / known) / np.sqrt(own + moved**2 / known)
-            told += np.where(present, moved * left[..., q] / own, 0.0)
-            known += moved**2 / own
-        return out
-
-    def factors(self, slopes: Array) -> Array:
-        """The matrices (..., drops, q, q) that take residuals to `whitened` ones."""
-        units = np.eye(len(self.sigma))
-        return np.stack([self.whitened(each, slopes) for each in units], axis=-1)
-
-    def rows(self, measured: Array) -> Array:
-        """Whitened rows (..., rows) of quantities (..., drops, q), of those that were read."""
-        known = np.where(self.present, measured, 0.0)
-        # over so few columns a loop is several times faster than einsum
-        out = sum(self.whiten[..., r] * known[..., r, None] for r in range(len(self.sigma)))
-        return np.asarray(out)[..., self.present]
-
-
-@dataclass(frozen=True)
 class DropModel(BounceModel):
     """A `Model` of whitened quantities, drop after drop, those that were read."""
 
@@ -360,20 +308,24 @@ class DropModel(BounceModel):
         found = super().refinement
         return found and replace(found, correction=None)
 
+    @cached_property
+    def _parts(self) -> dict[bytes, Self]:
+        return {}
+
     def only(self, rows: Ints) -> Self:
-        """The same of these rows alone, all of their drops."""
+        """The same of these rows alone, all of their drops; the same object each time."""
+        key = rows.tobytes()
+        if key not in self._parts:
+            self._parts[key] = self._only(rows)
+        return self._parts[key]
+
+    def _only(self, rows: Ints) -> Self:
         which = np.unique(np.nonzero(self.errors.present)[0][rows])
-        apart = np.broadcast_to(self.drops.session, len(self.drops))[which]
-        y0_m, order = self.drops.y0_m[which], self.drops.order[which]
         correction = self.correction
-        if correction is not None:
-            correction = correction.spread(self._mesh if self._smooth else None).of(which)
-        return replace(
-            self,
-            drops=replace(self.drops, y0_m=y0_m, order=order, session=apart),
-            errors=self.errors.only(which),
-            correction=correction,
-        )
+        if correction is not None and not (self._smooth and self._mesh is not None):
+            correction = correction.of(which)
+        drops, errors = self.drops.of(which), self.errors.only(which)
+        return replace(self, drops=drops, errors=errors, correction=correction)
 
     @property
     def _smooth(self) -> bool:
@@ -503,22 +455,29 @@ class DropModel(BounceModel):
     def predict(self, theta: Array) -> Array:
         """Whitened predictions (..., nodes, rows) for parameters (..., p)."""
         errors, mesh = self.errors, self._mesh if self._smooth else None
-        few = self if mesh is None else self._few
-        measured = few.measured(theta)
         if errors.values is None:
-            return errors.rows(measured if mesh is None else mesh.spread(measured))
+            return errors.rows(self.everywhere(theta))
         if mesh is None:
-            slopes = self.slopes(theta, measured)
+            measured, higher = np.split(self._beside.measured(theta), 2, axis=-2)
+            slopes = (higher - measured) / (STEP * self.drops.y0_m)[:, None]
         else:
-            slopes, measured = mesh.spread(mesh.slopes(measured)), mesh.spread(measured)
-        left = errors.whitened(errors.values - measured, slopes)[..., errors.present]
-        return np.asarray(errors.rows(errors.values) - left)
+            measured = self._few.measured(theta)
+            return errors.told - errors.read(errors.whitened_on(mesh, measured))
+        return errors.told - errors.read(errors.whitened(errors.values - measured, slopes))
 
-    def slopes(self, theta: Array, measured: Array) -> Array:
-        """The change of what is ``measured`` over the height, in SI of both."""
-        step = STEP * self.drops.y0_m
-        higher = replace(self, drops=replace(self.drops, y0_m=self.drops.y0_m + step))
-        return np.asarray((higher.measured(theta) - measured) / step[:, None])
+    @cached_property
+    def _beside(self) -> Self:
+        """The model at every drop, and then at a height `STEP` of its own above it."""
+        y0_m, twice = self.drops.y0_m, np.tile(np.arange(len(self.drops)), 2)
+        heights = np.concatenate([y0_m, y0_m + STEP * y0_m])
+        drops = replace(self.drops.of(twice), y0_m=heights, whole=None)
+        return replace(self, drops=drops, correction=self.correction and self.correction.of(twice))
+
+    def everywhere(self, theta: Array) -> Array:
+        """`measured`, by few drops where these tell of all."""
+        if self._mesh is None or not self._smooth:
+            return self.measured(theta)
+        return self._mesh.spread(self._few.measured(theta))
 
     def measured(self, theta: Array) -> Array:
         """What instruments show, in SI (..., nodes, drops, quantities)."""

@@ -7,7 +7,8 @@ need no more of a table, or of a simulation, than a mesh of both.
 from __future__ import annotations
 
 import itertools
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from scipy.interpolate import CubicSpline
@@ -38,6 +39,17 @@ class Mesh:
     session: Array
     shares: csr_array
     over_y0_1_m: Array
+
+    @cached_property
+    def about(self) -> tuple[Ints, Array]:
+        """Numbers (drops, k) of the points that share in each drop, and their shares."""
+        drops = self.shares.shape[0]
+        place = self.shares.indices.astype(np.int64)
+        return place.reshape(drops, -1), self.shares.data.reshape(drops, -1)
+
+    def of(self, which: Ints) -> Mesh:
+        """The same for the drops numbered ``which``."""
+        return replace(self, shares=self.shares[which])
 
     def spread(self, found: Array) -> Array:
         """Of values (..., points, q) at the mesh those at the drops (..., drops, q)."""

@@ -30,8 +30,9 @@ from ....data.datasets import Manifest
 from ....data.tables import LEAST_DROPS
 from ...noise import Ints
 from ...problem import Entry, Experiment, Model, Problem, refined_as
-from ...responses.drop_model import STEP, DropModel, Drops, Errors
+from ...responses.drop_model import STEP, DropModel, Drops
 from ...responses.emulator import KN_RANGE_N_M, Emulator
+from ...responses.errors import Errors
 from ...responses.rigid import RigidEmulator, rigid_emulator
 from .bookkeeping import Table, misread
 
@@ -461,7 +462,7 @@ def _start(plain: DropModel, values: Array, sigmas: Array) -> Array:
         for i, each in enumerate(plain.parameters)
     ]
     grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, len(axes))
-    miss = np.nansum(((plain.measured(grid)[:, 0] - values) / sigmas) ** 2, axis=2)
+    miss = np.nansum(((plain.everywhere(grid)[:, 0] - values) / sigmas) ** 2, axis=2)
     return np.asarray(grid[int(np.argmin(np.median(miss, axis=1)))])
 
 
