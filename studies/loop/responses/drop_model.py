@@ -460,10 +460,10 @@ class DropModel(BounceModel):
         if mesh is None:
             measured, higher = np.split(self._beside.measured(theta), 2, axis=-2)
             slopes = (higher - measured) / (STEP * self.drops.y0_m)[:, None]
+            left = errors.whitened(errors.values - measured, slopes)
         else:
-            measured = self._few.measured(theta)
-            return errors.told - errors.read(errors.whitened_on(mesh, measured))
-        return errors.told - errors.read(errors.whitened(errors.values - measured, slopes))
+            left = errors.whitened_on(mesh, self._few.measured(theta))
+        return errors.told - errors.read(left)
 
     @cached_property
     def _beside(self) -> Self:
