@@ -17,6 +17,11 @@ from ...solver.arrays import Array
 from ...solver.effects.base import Parameter
 from ...solver.errors import InputError
 
+UNDECLARED = (
+    "no uncertainty of the values is declared: it is taken from how far drops from one height "
+    "differ, or drops that are neighbours in height; declare it to test the size of what is left"
+)
+
 
 class Model(Protocol):
     """The baseline, or the baseline with one or several effects in it.

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from .....solver.arrays import Array
 from .....solver.fall import risen
 from ....data.datasets import Manifest
-from ...problem import Problem
+from ...problem import UNDECLARED, Problem
 from ...responses.drop_model import BounceModel, Drops
 from ...responses.emulator import KN_RANGE_N_M
 from ...responses.force_curves import CELLS, SHAPES, ForceEmulator, table_errors, with_shapes
@@ -138,7 +138,10 @@ def forces_problem(data: Forces, library: Sequence[str] | None = None) -> Proble
         combine=lambda effects: plain.having(tuple(effects)),
         confirm_why="records are compared with the beam's tables; the solid follows its drops",
         sigma_declared=data.sigma_N is not None,
-        warnings=_taken_as_known(data.manifest),
+        warnings=(
+            *_taken_as_known(data.manifest),
+            *(() if data.sigma_N is not None else (UNDECLARED,)),
+        ),
         notes={
             "sigma_force_N": sigma,
             "shapes": int(trusted.sum()),
