@@ -29,7 +29,7 @@ FINE_ROWS = 320
 LEAST_RUN = 12
 """In rows: a strip that shows less has no direction."""
 NEARBY = 3
-BELOW_PX = 14.0
+BELOW_PX = 6.0
 """How far below its first guess a strip may end, drawn out by the lens."""
 
 
@@ -82,15 +82,17 @@ def find_strip(film: Scan) -> tuple[Looks, dict[int, Strip]] | None:
     contrast = float(np.median([strip.contrast for strip in fine.values()]))
     width = float(np.median([strip.width for strip in fine.values()]))
     seen = {int(film.number[sample]): fine[sample] for sample in sorted(fine)}
-    speeds = np.diff([strip.tip for strip in seen.values()]) / np.diff(list(seen))
-    # an exposure is at most as long as from one frame to the next
-    below = BELOW_PX + float(np.abs(speeds).max())
+    speeds = np.abs(np.diff([strip.tip for strip in seen.values()]) / np.diff(list(seen)))
+    # an exposure is at most as long as from one frame to the next; what is held still is not drawn
+    # out, and shows what is behind its end as nothing else does
+    below = BELOW_PX + np.maximum(np.append(speeds, 0.0), np.append(0.0, speeds))
     # where the strip was not found in a sample, nothing is known to be clear
     covered = np.ones(film.samples.shape, dtype=bool)
     row, column = np.ogrid[: film.shape[0], : film.shape[1]]
-    for sample, strip in fine.items():
+    for sample, out in zip(sorted(fine), below, strict=True):
+        strip = fine[sample]
         beside = np.abs(column - strip.at(row)) < 0.8 * width + 4.0
-        covered[sample] = beside & (row < strip.tip + below)
+        covered[sample] = beside & (row < strip.tip + out)
     return Looks(clear_background(film.samples, covered), width, contrast), seen
 
 
