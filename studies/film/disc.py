@@ -168,13 +168,14 @@ def _fitted(
         return share, (away > p[3] - RIM_PX).any(axis=-1)
 
     def residual(moved: Array) -> Array:
-        """Levels that are left where the disc's brightness is linear across."""
+        """Levels that are left where the disc's brightness is linear across, and so is the shadow
+        that it throws on what is behind it."""
         p = first + np.pad(moved, (0, 4 - len(moved)))
         share, rim = share_of(p)
-        linear = np.stack([share, share * (column - p[0]), share * (row - p[1])])
-        design = (linear * rim).reshape(3, -1)
+        plane = np.stack([np.ones_like(share), column - p[0], row - p[1]])
+        design = (np.concatenate([share * plane, (1.0 - share) * plane]) * rim).reshape(6, -1)
         want = ((level - behind * (1.0 - share)) * rim).ravel()
-        shading = np.linalg.solve(design @ design.T + 1e-9 * np.eye(3), design @ want)
+        shading = np.linalg.solve(design @ design.T + 1e-9 * np.eye(6), design @ want)
         return want - shading @ design
 
     free = np.zeros(4 if free_radius else 3)
