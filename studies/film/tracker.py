@@ -228,6 +228,9 @@ def _settle(
     frame_s = float(np.median(np.diff(seen.t_s)))
     gravity = expected.gravity_px(raw.length)
     camera = given
+    # an exposure begins later in each row of the picture
+    later = given.rolling_s * film.shown(raw.column, raw.row, seen.shape)[1]
+    raw = replace(raw, t_s=raw.t_s + later)
     # of a bristle `_lengths` alone leaves out frames in which a hand hides an end
     length = np.full(len(raw.t_s), np.nan) if raw.sights else raw.length
     track = Track(raw.t_s, -raw.row, raw.sigma, given.exposure_s)
@@ -253,7 +256,8 @@ def _settle(
             track = _through_impacts(ends, track, drops, camera)
             drops = settled(drops, _loosely(track))
             track = _through_impacts(ends, track, drops, camera)
-            length = _lengths(raw.sights, track, drops, camera)
+            rows = film.shown(np.zeros(2), np.arange(2.0), seen.shape)[1]
+            length = _lengths(raw.sights, track, drops, camera, given.rolling_s * np.diff(rows)[0])
     elif drops:
         camera = replace(given, exposure_s=_exposure_of(raw, track, drops, given, frame_s))
         track = replace(track, exposure_s=camera.exposure_s)
@@ -263,9 +267,7 @@ def _settle(
     column = raw.column + raw.slope * (row - raw.row)
     vertical = _vertical(track, column, drops)
     down = (row + vertical[0] * column) / np.hypot(1.0, vertical[0])
-    # an exposure begins later in each row of the picture
-    later = given.rolling_s * film.shown(column, row, seen.shape)[1]
-    track = replace(track, t_s=raw.t_s + 0.5 * camera.exposure_s + later, height=-down)
+    track = replace(track, t_s=raw.t_s + 0.5 * camera.exposure_s, height=-down)
     # where an impact lies in the exposure, the height is a mean, which is of no flight
     once = np.setdiff1d(np.arange(len(down)), track.through)
     loose = Track(track.t_s[once], -down[once], _loosely(track).sigma[once])
@@ -383,9 +385,15 @@ def _scattered(track: Track, drops: Sequence[Drop]) -> Track:
     return replace(track, sigma=np.sqrt(track.sigma**2 + max(extra, 0.0)))
 
 
-def _lengths(sights: Sequence[Sight], track: Track, drops: Sequence[Drop], camera: Camera) -> Array:
+def _lengths(
+    sights: Sequence[Sight],
+    track: Track,
+    drops: Sequence[Drop],
+    camera: Camera,
+    rolling_s: float,
+) -> Array:
     """Lengths (frames,) of the strip in px where both ends are in view and it flies freely, so that
-    no hand hides the upper one."""
+    no hand hides the upper one. A row is exposed ``rolling_s`` later than the one above."""
     speed, bend, free = _motion(track, drops)
     length = np.full(len(sights), np.nan)
     both = np.flatnonzero(free & np.array([each.top is not None for each in sights]))
@@ -395,7 +403,8 @@ def _lengths(sights: Sequence[Sight], track: Track, drops: Sequence[Drop], camer
     found = edges(replace(tops, speed=speed[both], bend=bend[both]), camera)
     slope = np.array([sights[i].slope for i in both])
     length[both] = (found.at - track.height[both]) * np.hypot(1.0, slope)
-    return length
+    # the lower end is seen later by ``rolling_s`` a row, and has gone on
+    return length * (1.0 + speed * rolling_s)
 
 
 def _exposure_of(
