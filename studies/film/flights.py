@@ -46,8 +46,6 @@ TURNED = 0.01
 MOST_CUT, CUT_COSTS = 6, 6.0
 """How many frames at a drop's end may be left out, and by how much each has to lower the sum of
 squares."""
-HELD_TELLS = 2.0
-"""How many independent frames all those tell in which the body is held."""
 TOUCHING_S = 1e-3
 """About how long a body touches: a frame so near to an impact may show it."""
 BENT = 6e-4
@@ -100,7 +98,8 @@ class Drop:
     body is held still included. The first flight is the fall; where it is ``let_go`` in view, it
     begins with the release. ``impact_s`` (impacts,) are instants, ``floor`` is the surface's height
     in px, zero where nothing bounces. ``restitution_error`` (impacts,), ``gravity_error`` in px/s²
-    and ``floor_error`` in px are standard errors, once `settled` knows them.
+    and ``floor_error`` in px are standard errors, and ``floor_with_gravity`` is their correlation,
+    once `settled` knows them.
     """
 
     first: int
@@ -112,6 +111,7 @@ class Drop:
     restitution_error: Array | None = None
     gravity_error: float | None = None
     floor_error: float = 0.0
+    floor_with_gravity: float = 0.0
 
     @property
     def frames(self) -> NDArray[np.int64]:
@@ -297,9 +297,9 @@ class _Joint:
         self.own, self.through = own, np.isin(own, track.through)
         self.t, self.y, self.sigma = track.t_s[own], track.height[own], track.sigma[own]
         self.exposed = self.t[self.through, None] + instants(exposure_s)
-        # a body that is held lies on the same pixels in all frames, and they all err alike
+        # a body that is held lies on the same pixels in all frames, which so tell as much as one
         held = drop.phase(self.t) < 0
-        self.sigma[held] *= np.sqrt(max(held.sum() / HELD_TELLS, 1.0))
+        self.sigma[held] *= np.sqrt(max(held.sum(), 1.0))
         start = fall.height if drop.let_go else -float(fall.speed_at(drop.impact_s[0]))
         self.p = np.array(
             [fall.gravity, drop.floor, start, *drop.impact_s, landing, *np.zeros(self.n)]
@@ -351,8 +351,9 @@ class _Joint:
         phase = drop.phase(self.t)
         if phase.max() < self.n:  # no frame shows the last flight
             return self.drop, np.inf
+        square, alike = spread_of(found.fun[: len(self.t)], phase, 4 + self.n)
+        found.jac[: len(self.t)] /= np.sqrt(max(square, 1.0) * alike)
         covariance = np.linalg.pinv(found.jac.T @ found.jac) * np.outer(self.scale, self.scale)
-        covariance *= _alike(found.fun[: len(self.t)], phase)
         slopes = np.stack(
             [
                 (self.drop_of(p + step).restitution - drop.restitution) / step.max()
@@ -366,17 +367,31 @@ class _Joint:
             restitution_error=np.sqrt(np.einsum("ri,ij,rj->r", slopes, covariance, slopes)),
             gravity_error=float(np.sqrt(covariance[0, 0])),
             floor_error=float(np.sqrt(covariance[1, 1])),
+            floor_with_gravity=float(
+                covariance[0, 1] / np.sqrt(covariance[0, 0] * covariance[1, 1])
+            ),
         )
         return drop, float(found.fun @ found.fun)
 
 
-def _alike(left: Array, phase: NDArray[np.int64]) -> float:
-    """By how much the variance of what frames tell together is larger than were they independent
-    and as sure as they say; ``left`` is what they leave, over their errors."""
+def spread_of(left: Array, phase: NDArray[np.int64], numbers: int) -> tuple[float, float]:
+    """The mean square of the errors of frames in flight, and by how much larger the variance of
+    what frames tell together is than were they independent. ``left`` (frames,) is what a fit of so
+    many ``numbers`` leaves, over their standard errors.
+
+    Neighbours err alike, by the background and by compression. What is smooth of that the fit takes
+    for its own: of each number as much as so many independent frames have, and as much of what
+    neighbours share.
+    """
     together = (phase[1:] == phase[:-1]) & (phase[1:] >= 0)
     pairs, square = left[1:][together] * left[:-1][together], float(np.mean(left**2))
-    rho = float(np.clip(np.mean(pairs) / square, 0.0, 0.9)) if len(pairs) > 9 else 0.3
-    return max(square, 1.0) * (1.0 + rho) / (1.0 - rho)
+    taken, alike = 0.0, 1.0
+    for _ in range(4):
+        shared = (np.mean(pairs) + taken) / (square + taken) if len(pairs) > 9 else 0.3
+        rho = float(np.clip(shared, 0.0, 0.9))
+        alike = (1.0 + rho) / (1.0 - rho)
+        taken = min(numbers * alike / len(left) * (square + taken), square)
+    return square + taken, alike
 
 
 def gravity_of(track: Track, size: int | None = None) -> float | None:

@@ -9,21 +9,24 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...solver.arrays import Array
-from .flights import TURNED, Drop, Known, Turning, settled
+from .flights import TURNED, Drop, Known, Turning, settled, spread_of
 from .tracker import BALL_TURNED, Tracked
 
 LENS = 0.002
 """Share by which a lens' distortion and a body beside the plane of its fall change a scale."""
 EDGES_PX = 0.15
 """By how much both edges of a body may seem farther apart than they are: light spreads."""
-CLOCK = 0.0015
-"""Share by which drag and a clock may change what falls show of gravity."""
+CLOCK = 5e-4
+"""Share by which a clock and the air change what falls show of gravity: a ball of steel that falls
+300 mm lands with 1.3e-3 less energy, and its parabolas show a quarter of that."""
 AGREEING = 2.6
 """Standard errors within which gravity and a length in view agree on the scale."""
 LEAST_SHARE, MOST_SHARE = 1e-3, 0.05
 """How sure it may be by which share a bristle that turns falls more slowly."""
-FEW, SCATTERS = 8, (0.5, 2.0)
-"""Fewer frames than that say nothing of their errors, and none says more than this."""
+FRAMES_WORTH = 8
+"""How many frames' scatter about a parabola tells as much of errors as is known before."""
+MOST_FLIGHTS = 1000
+"""Of a drop: they are numbered apart from those of the next."""
 SURELY = 2.6
 LEAN_FRAMES = 6
 """About an impact, whose median lean says which corner of the end touches."""
@@ -46,7 +49,9 @@ class Scale:
     ``by_length`` is the scale of the length in view over this one, and ``length_error`` its own
     standard error as a share: where gravity was used as well, they are what does not rest on it.
     ``gravity`` is with which acceleration things fall by that length alone, in m/s², and its
-    standard error.
+    standard error. ``with_zero`` is the correlation of the scale's error with that of the zero of
+    heights: if gravity seems greater in a film, the surface is taken for lower and a pixel for
+    shorter, and both together move a height less than they would each for itself.
     """
 
     mm_per_px: float
@@ -55,6 +60,7 @@ class Scale:
     by_length: float = 1.0
     length_error: float = 0.0
     gravity: tuple[float, float] | None = None
+    with_zero: float = 0.0
 
 
 def scale_of(track: Tracked, length_mm: float | None, mm_per_px: float | None) -> Scale | None:
@@ -81,30 +87,34 @@ def weighed(
 ) -> tuple[Tracked, Scale | None]:
     """The track and its scale once more, with what gravity says of a pixel where that agrees: a
     fall that is known better has its impacts, and so the surface, in surer places."""
-    seen = gravity_px(track)
-    if scale is None or seen is None:
+    about = gravity_px(track)
+    if scale is None or about is None:
         return track, scale
+    turned, turnings = TURNED if track.turn is not None else BALL_TURNED, None
+    if track.turn is not None and length_mm is not None:
+        # a flight of which it is seen how it turns tells gravity as well as the fall does
+        half_s2 = 0.5 * length_mm / scale.mm_per_px / about[0]
+        turnings = [_turning(track, drop, half_s2) for drop in track.drops]
+
+    def once_more(known: Known) -> list[Drop]:
+        return settled(track.drops, track.track, turned, known=known, turnings=turnings)
+
+    track = replace(track, drops=once_more(Known()))
+    track = replace(track, sigma=track.sigma * _scatter(track))
+    seen = gravity_px(track) or about
     shown = 1e-3 * scale.mm_per_px * seen[0]
     scale = replace(scale, gravity=(shown, shown * float(np.hypot(seen[1], scale.error))))
-    by_fall, error = 1e3 * gravity_m_s2 / seen[0], float(np.hypot(seen[1], CLOCK))
+    by_fall = 1e3 * gravity_m_s2 / seen[0]
+    error = float(np.hypot(seen[1], CLOCK))
     apart = np.log(by_fall / scale.mm_per_px)
     agree = abs(apart) <= AGREEING * np.hypot(error, scale.error)
-    g_px = 1e3 * gravity_m_s2 / scale.mm_per_px if agree else seen[0]
-    gravity = (g_px, g_px * float(np.hypot(scale.error, CLOCK))) if agree else None
-    turnings = None
-    if track.turn is not None and length_mm is not None:
-        half_px = 0.5 * length_mm / scale.mm_per_px
-        turnings = [_turning(track, drop, half_px / g_px) for drop in track.drops]
-    turned, floor = TURNED if track.turn is not None else BALL_TURNED, None
-    for _ in range(2):  # then once more with the surface that all drops have in common
-        known = Known(gravity, floor)
-        drops = settled(track.drops, track.track, turned, known=known, turnings=turnings)
-        if len(drops) < 2:
-            break
-        floor = floor_of(drops)
-    track = replace(track, drops=drops)
-    track = replace(track, sigma=track.sigma * _scatter(track))
-    if scale.source == "--mm-per-px" or not agree:
+    g_px = 1e3 * gravity_m_s2 / scale.mm_per_px
+    known = Known((g_px, g_px * float(np.hypot(scale.error, CLOCK)))) if agree else Known()
+    drops = once_more(known)
+    if len(drops) > 1:  # then with the surface that all drops have in common
+        drops = once_more(replace(known, floor=floor_of(drops)))
+    track = replace(track, drops=drops, sigma=_sigma_held(track, drops))
+    if not agree:
         return track, scale
     share = scale.error**2 / (scale.error**2 + error**2)
     better = scale.mm_per_px * float(np.exp(share * apart))
@@ -113,26 +123,44 @@ def weighed(
         mm_per_px=better,
         error=scale.error * error / float(np.hypot(scale.error, error)),
         by_length=scale.mm_per_px / better,
+        with_zero=float(np.mean([drop.floor_with_gravity for drop in drops])),
     )
 
 
-def _scatter(track: Tracked) -> float:
-    """By how much frames in flight scatter about their parabolas, over their standard errors."""
-    parts: list[Array] = [np.zeros(0)]
-    freedom = 0
-    for drop in track.drops:
+def _sigma_held(track: Tracked, drops: Sequence[Drop]) -> Array:
+    """Standard errors of frames in px (frames,), those of a body that is held not less than how far
+    it is from where its fall begins: it lies on the same pixels, so all frames are off alike."""
+    sigma = track.sigma.copy()
+    for drop in drops:
         used = track.used(drop)
-        flying = drop.phase(track.t_s[used]) >= 0
+        held = used[drop.phase(track.t_s[used]) < 0]
+        if drop.held is not None and len(held):
+            off = abs(float(np.mean(track.down[held])) + drop.held)
+            sigma[held] = np.maximum(sigma[held], off)
+    return sigma
+
+
+def _scatter(track: Tracked) -> float:
+    """By how much standard errors are to be larger, as frames in flight scatter about their
+    parabolas."""
+    parts: list[Array] = [np.zeros(0)]
+    phases: list[NDArray[np.int64]] = [np.zeros(0, dtype=int)]
+    for number, drop in enumerate(track.drops):
+        used = track.used(drop)
+        phase = drop.phase(track.t_s[used])
+        flying = phase >= 0
         parts.append((track.residual(drop) / track.sigma[used])[flying])
-        freedom += len(parts[-1]) - 2 * len(drop.flights)
-    left = np.concatenate(parts)
-    if freedom < FEW:
-        return 1.0
+        phases.append(phase[flying] + MOST_FLIGHTS * number)
+    left, phase = np.concatenate(parts), np.concatenate(phases)
+    numbers = sum(2 * len(drop.flights) for drop in track.drops)
     # not so far off as to be mistaken, of which the rest has its usual share
-    robust = 1.4826 * float(np.median(np.abs(left)))
-    near = left[np.abs(left) < 3.0 * max(robust, 0.2)]
-    spread = float(np.sqrt(near @ near / freedom)) if len(near) else 1.0
-    return float(np.clip(spread, *SCATTERS))
+    robust = 1.4826 * float(np.median(np.abs(left))) if len(left) else 1.0
+    near = np.abs(left) < 3.0 * max(robust, 0.2)
+    freedom = near.sum() - numbers
+    if freedom < 1:
+        return 1.0
+    square, _ = spread_of(left[near], phase[near], numbers)
+    return float(np.sqrt((freedom * square + FRAMES_WORTH) / (freedom + FRAMES_WORTH)))
 
 
 def _turning(track: Tracked, drop: Drop, half_s2: float) -> Turning:

@@ -13,9 +13,10 @@ import pandas as pd
 from ...solver import paper
 from .. import __version__
 from ..film.edge import Camera
-from ..film.flights import HELD_TELLS, Drop
+from ..film.flights import Drop
 from ..film.reading import Film
 from ..film.scale import (
+    CLOCK,
     Scale,
     doubts_of,
     floor_of,
@@ -161,11 +162,12 @@ def _rows(each: FilmedDrop) -> pd.DataFrame:
     used, unit, by = track.used(each.drop), film.unit, film.by
     x, y = track.film.shown(track.column, track.row, track.shape)
     up = by * (-track.down[used] - film.floor[0])
-    share = 0.0 if film.scale is None else film.scale.error
-    total = np.sqrt((by * track.sigma[used]) ** 2 + (by * film.floor[1]) ** 2 + (share * up) ** 2)
+    share, both = (0.0, 0.0) if film.scale is None else (film.scale.error, film.scale.with_zero)
+    zero, scale = by * film.floor[1], share * up
+    total = np.sqrt((by * track.sigma[used]) ** 2 + zero**2 + scale**2 + 2.0 * both * zero * scale)
     # frames of a body that is held err alike, since it lies on the same pixels in all of them
     held = each.drop.phase(track.t_s[used]) < 0
-    own = by * track.sigma[used] * np.where(held, np.sqrt(max(held.sum() / HELD_TELLS, 1.0)), 1.0)
+    own = by * track.sigma[used] * np.where(held, np.sqrt(max(held.sum(), 1.0)), 1.0)
     rows: dict[str, Any] = {
         "drop": each.number,
         "t_s": np.round(track.t_s[used], 7),
@@ -235,6 +237,8 @@ def _drop(each: FilmedDrop, length_mm: float | None) -> dict[str, Any]:
     if film.scale is not None and length_mm is not None:
         ratios = of_centre(track, drop, length_mm / by)
     errors = np.zeros_like(ratios) if drop.restitution_error is None else drop.restitution_error
+    if film.track.turn is None:  # the air takes about as large a share of a ball's speeds
+        errors = np.hypot(errors, CLOCK * ratios)
     used = track.used(drop)
     fall = drop.flights[0]
     top = float(fall.at(fall.top_s))

@@ -5,7 +5,15 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from bristle.studies.film.flights import Drop, Flight, Track, drops_of, gravity_of, settled
+from bristle.studies.film.flights import (
+    Drop,
+    Flight,
+    Track,
+    drops_of,
+    gravity_of,
+    settled,
+    spread_of,
+)
 from bristle.studies.film.render import bouncing
 from bristle.studies.film.scale import of_centre
 
@@ -108,3 +116,22 @@ def test_at_few_frames_a_second_the_fall_is_found_before_the_rise():
     (drop,) = settled(drops_of(seen), seen)
     assert drop.release_s == pytest.approx(0.503, abs=0.004)
     assert drop.restitution[0] == pytest.approx(np.sqrt(0.8), abs=0.02)
+
+
+@pytest.mark.parametrize("memory", [0.0, 0.6])
+def test_errors_that_neighbours_share_are_not_taken_for_smaller_ones(memory):
+    """A fit takes up more of them than of independent ones."""
+    rng, count, numbers = np.random.default_rng(3), 120, 6
+    powers = np.linalg.qr(np.vander(np.linspace(-1.0, 1.0, count), numbers))[0]
+    squares, alike = [], []
+    for _ in range(300):
+        error = np.empty(count)
+        error[0] = rng.normal()
+        for k in range(1, count):
+            error[k] = memory * error[k - 1] + np.sqrt(1.0 - memory**2) * rng.normal()
+        left = error - powers @ (powers.T @ error)
+        found = spread_of(left, np.zeros(count, dtype=int), numbers)
+        squares.append(found[0])
+        alike.append(found[1])
+    assert np.mean(squares) == pytest.approx(1.0, abs=0.07)
+    assert np.median(alike) == pytest.approx((1.0 + memory) / (1.0 - memory), rel=0.15)

@@ -1,12 +1,15 @@
 """Films into tracks: films drawn by a program of its own, and one that another program drew."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import av
 import numpy as np
 import pandas as pd
 import pytest
+from film_scenes import LENGTH_MM, drawn_scene, write_scene
 from PIL import Image
+from scipy import ndimage
 
 import bristle
 from bristle.solver.errors import InputError
@@ -161,6 +164,28 @@ def test_a_ball_in_a_folder_of_pictures(whole):
     assert drop.restitution[0] == pytest.approx(np.sqrt(0.1 / 0.15), abs=0.005)
     assert scale_of(whole, 18.6, None).mm_per_px == pytest.approx(1.0, rel=0.02)
     assert gravity_px(whole)[0] == pytest.approx(1e3 * G, rel=0.005)
+
+
+def test_a_shadow_beside_a_ball_does_not_make_it_larger(tmp_path, ball, whole):
+    folder, fps = ball
+    for path in sorted(folder.iterdir()):
+        with Image.open(path) as picture:
+            grey = np.asarray(picture).astype(float)
+        light = ndimage.gaussian_filter(np.clip((grey - 60.0) / 130.0, 0.0, 1.0), 2.0)
+        shade = np.roll(light, 9, axis=1) * (grey < 100.0)
+        Image.fromarray((grey - 20.0 * shade).astype(np.uint8)).save(tmp_path / path.name)
+    shaded = tracked(Film(tmp_path, fps=fps), Body.BALL)
+    assert np.median(shaded.length) == pytest.approx(np.median(whole.length), rel=0.005)
+
+
+def test_a_rolling_shutter_does_not_make_a_bristle_longer(tmp_path):
+    scene = replace(drawn_scene(5), rolling_s=2e-5, encoding="png", fps=120.0, exposure_s=1e-3)
+    file, _ = write_scene(tmp_path, scene)
+    camera = Camera(rolling_s=scene.rolling_s)
+    found = tracked(Film(file, fps=scene.fps, down=Down.DOWN), Body.BRISTLE, camera)
+    off = found.length[np.isfinite(found.length)] - LENGTH_MM / scene.mm_per_px
+    # beside an impact one end is seen before it and the other after
+    assert np.percentile(np.abs(off), 75) < 0.7
 
 
 def test_a_film_turned_on_its_side_is_read_all_the_same(tmp_path, ball):

@@ -102,8 +102,11 @@ def test_without_a_scale_heights_are_in_pixels(one, tmp_path):
     scaled = bristle.track(one, roi=part, mm_per_px=1.09)
     both = found.table.merge(scaled.table, on=["drop", "frame"])
     assert len(both) > 0.9 * len(found.table)
+    # a given scale and what falls show of it agree, and their mean is used
+    used = scaled.films[0].mm_per_px
+    assert used == pytest.approx(1.09, rel=2e-3)
     # a scale says where gravity puts the surface, so the zero may be another, but is one for all
-    apart = 1.09 * both.y_px - both.y_mm
+    apart = used * both.y_px - both.y_mm
     assert np.ptp(apart) < 1e-3
     assert abs(apart.mean()) < 1.645 * 1.09 * both.sigma_px.mean()
 
