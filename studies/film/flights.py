@@ -20,6 +20,7 @@ from scipy.optimize import least_squares, minimize_scalar
 
 from ...solver.arrays import Array
 from .edge import instants
+from .strip import LEVEL_PX
 
 STRETCH_S = 0.05
 LEAST_FRAMES, MOST_FRAMES = 4, 40
@@ -35,8 +36,6 @@ TURNING = 0.1
 LEAST_FALL_PX = 4.0
 HELD_S = 0.25
 """How long before a release frames of the body held are kept."""
-LEVEL_PX = 0.6
-"""A hand that holds still moves less than that from one frame to another."""
 FEW = 8
 """Frames about a release that may be the last in which the body is held."""
 SHARED = 0.03

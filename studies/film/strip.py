@@ -29,8 +29,10 @@ FINE_ROWS = 320
 LEAST_RUN = 12
 """In rows: a strip that shows less has no direction."""
 NEARBY = 3
-BELOW_PX = 6.0
-"""How far below its first guess a strip may end, drawn out by the lens."""
+LEVEL_PX = 0.6
+"""What is held still moves less than that from one frame to another."""
+BELOW_PX, BELOW_HELD_PX = 14.0, 6.0
+"""How far below its first guess a strip may end, drawn out by the lens; and one that is held."""
 
 
 @dataclass(frozen=True)
@@ -85,7 +87,8 @@ def find_strip(film: Scan) -> tuple[Looks, dict[int, Strip]] | None:
     speeds = np.abs(np.diff([strip.tip for strip in seen.values()]) / np.diff(list(seen)))
     # an exposure is at most as long as from one frame to the next; what is held still is not drawn
     # out, and shows what is behind its end as nothing else does
-    below = BELOW_PX + np.maximum(np.append(speeds, 0.0), np.append(0.0, speeds))
+    own = np.maximum(np.append(speeds, 0.0), np.append(0.0, speeds))
+    below = np.where(own < LEVEL_PX, BELOW_HELD_PX + own, BELOW_PX + speeds.max())
     # where the strip was not found in a sample, nothing is known to be clear
     covered = np.ones(film.samples.shape, dtype=bool)
     row, column = np.ogrid[: film.shape[0], : film.shape[1]]
