@@ -36,7 +36,15 @@ from .errors import ComputationError, InputError
 from .form_cache import form
 from .forms import Elasticity, cells_of, own_values
 from .rods.chain import System, new_system
-from .rods.contact import SLIDES, Touch, no_touch, obstacle_of, touch_section
+from .rods.contact import (
+    SLIDES,
+    Section,
+    Touch,
+    TouchStep,
+    no_touch,
+    obstacle_of,
+    touch_section,
+)
 from .rods.ground import Ground
 from .rods.hub import Clamps, HubPath
 from .rods.section import RodSection
@@ -304,20 +312,11 @@ class ClampedSolid:
         """What the plane does to the nodes that can touch, with its tangent."""
         system, axes = self._system, np.eye(3)
         system.residual[:], system.diagonal[:] = 0.0, 0.0
+        step = TouchStep(self._touch, self._after, self._h, False)
         for k, node in enumerate(self._rim):
-            touch_section(
-                self._surfaces[k],
-                k,
-                self._places[node] + self._u[node] + d[node],
-                axes,
-                self._before_m[k],
-                axes,
-                self._touch,
-                self._after,
-                self._h,
-                False,
-                system,
-            )
+            now = Section(self._places[node] + self._u[node] + d[node], axes)
+            was = Section(self._before_m[k], axes)
+            touch_section(self._surfaces[k], k, now, was, step, system)
 
     def _now(self) -> Array:
         """Where the nodes are (n, 3)."""

@@ -257,6 +257,38 @@ def nth[Record](stack: Record, i: int) -> Record:
     return _nth(stack, i)
 
 
+@intrinsic
+def _write(_context: Any, source: Any, into: Any) -> Any:
+    """See `write`."""
+
+    def code(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        def each(one: Any, other: Any, value: Any, place: Any) -> None:
+            if isinstance(one, types.BaseTuple):
+                for k, (a, b) in enumerate(zip(one, other, strict=True)):
+                    each(a, b, builder.extract_value(value, k), builder.extract_value(place, k))
+            else:
+                context.compile_internal(builder, _entries, types.none(one, other), (value, place))
+
+        each(source, into, *arguments)
+        return context.get_dummy_value()
+
+    return types.none(source, into), code
+
+
+def _entries(source: Any, into: Any) -> None:
+    # Numba takes ten times as long to compile a slice
+    entries, places = source.ravel(), into.ravel()
+    for k in range(len(places)):
+        places[k] = entries[k]
+
+
+@njit
+def write[Record](source: Record, into: Record) -> None:
+    """As many entries of one contiguous array over all of another, or of each in a record of
+    arrays over all of that in another."""
+    _write(source, into)
+
+
 class Pointer(WrapperAddressProtocol):
     """A function that compiled code calls by its address.
 

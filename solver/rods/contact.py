@@ -93,23 +93,40 @@ class Touch(NamedTuple):
 
 def no_touch(*shape: int) -> Touch:
     """Points (…, nodes, k) that are free."""
-    return Touch(
-        np.zeros((*shape, 3)),
-        np.zeros(shape, dtype=np.int8),
-        np.zeros(shape),
-        np.zeros(shape),
-        np.zeros(shape),
-    )
+    return Touch(np.zeros((*shape, 3)), np.zeros(shape, np.int8), *np.zeros((3, *shape)))
+
+
+class TouchStep(NamedTuple):
+    """A step as points see it: what they remember ``before`` and ``now``, at its end, its length
+    ``h`` in s, zero in statics, and whether this is an ``early`` one of Newton's iterations, in
+    which points that stuck before have the tangent of sticking even if they slide."""
+
+    before: Touch
+    now: Touch
+    h: float
+    early: bool
+
+
+class Section(NamedTuple):
+    """Where a section is: its middle ``x`` (3,) and its axes ``matrix`` (3, 3)."""
+
+    x: Array
+    matrix: Array
+
+
+@inlined
+def _make_free(touch: Touch, node: int, k: int) -> None:
+    touch.state[node, k] = FREE
+    touch.speed[node, k] = touch.normal[node, k] = touch.friction[node, k] = 0.0
+    for c in range(3):
+        touch.elongation[node, k, c] = 0.0
 
 
 @njit
 def release(touch: Touch, node: int) -> None:
     """Make the points of a section free."""
     for k in range(touch.normal.shape[1]):
-        touch.state[node, k] = FREE
-        touch.speed[node, k] = touch.normal[node, k] = touch.friction[node, k] = 0.0
-        for c in range(3):
-            touch.elongation[node, k, c] = 0.0
+        _make_free(touch, node, k)
 
 
 @inlined
@@ -151,9 +168,9 @@ def place_gap(surface: Obstacle, place: Array, normal: Array, grows: Array) -> t
 
 
 @njit
-def point_gap(surface: Obstacle, k: int, x: Array, matrix: Array) -> float:
+def point_gap(surface: Obstacle, k: int, section: Section) -> float:
     """The gap in m of one of a section's points over the surface, as `place_gap`."""
-    place = np.empty(3)
+    place, (x, matrix) = np.empty(3), section
     for c in range(3):
         place[c] = x[c] + matrix[c, 0] * surface.rim[k, 0] + matrix[c, 1] * surface.rim[k, 1]
     if surface.relief.there:
@@ -162,45 +179,41 @@ def point_gap(surface: Obstacle, k: int, x: Array, matrix: Array) -> float:
 
 
 @njit
-def lowest(surface: Obstacle, x: Array, matrix: Array) -> float:
+def lowest(surface: Obstacle, section: Section) -> float:
     """The least gap in m of a section's points over the surface."""
     least = math.inf
     for k in range(len(surface.rim)):
-        least = min(least, point_gap(surface, k, x, matrix))
+        least = min(least, point_gap(surface, k, section))
     return least
+
+
+class Springs(NamedTuple):
+    """The springs of a point: their stiffness ``kn`` and ``kt`` in N/m, the ``gap`` in m over a
+    plane of ``normal`` (3,), and ``pull`` (3,) in m, the elongation of the tangential one if the
+    point stuck."""
+
+    kn: float
+    kt: float
+    gap: float
+    normal: Array
+    pull: Array
 
 
 @njit
 def touch_point(
-    law: Friction,
-    kn: float,
-    kt: float,
-    gap: float,
-    n: Array,
-    pull: Array,
-    step: float,
-    early: bool,
-    before: Touch,
-    now: Touch,
-    node: int,
-    k: int,
-    push: Array,
-    stiff: Array,
+    law: Friction, springs: Springs, step: TouchStep, node: int, k: int, push: Array, stiff: Array
 ) -> tuple[float, float]:
-    """Write the force ``push`` (3,) on a point that is ``gap`` below a plane of normal ``n``, its
-    loss ``stiff`` (3, 3) by the point's displacement, and what the point remembers at the end of
-    the step.
+    """Write the force ``push`` (3,) in N on a point that is below a plane, its loss ``stiff``
+    (3, 3) by the point's displacement, and what the point remembers at the end of the step.
 
-    ``pull`` (3,) is the elongation of its tangential spring if it stuck. ``kn`` and ``kt`` are in
-    N/m, lengths in m, forces in N, and ``step`` is in s, zero in statics. In an ``early`` iteration
-    the loss at a point that stuck before is that of one that sticks on, even if it slides. Returns
-    how much friction dissipated over the step and what contact holds at its end, in J.
+    Returns how much friction dissipated over the step and what contact holds at its end, in J.
     """
+    (kn, kt, gap, n, pull), before, now = springs, step.before, step.now
     mu = coefficient(law, before.speed[node, k])
     normal, size = -kn * gap, math.sqrt(dot(pull, pull))
     slides = kt * size > mu * normal
     force = mu * normal if slides else kt * size
-    gives = slides and not (early and before.state[node, k] == STICKS)
+    gives = slides and not (step.early and before.state[node, k] == STICKS)
     slope, secant, grows = (0.0, force / size, mu) if gives else (kt, kt, 0.0)
     for i in range(3):
         e_i = pull[i] / size if size > 0.0 else 0.0
@@ -216,7 +229,7 @@ def touch_point(
     slid, kept = size - force / kt if slides else 0.0, 1.0
     if slid > 0.0:
         now.state[node, k], kept = SLIDES, force / (kt * size)
-        now.speed[node, k] = slid / step if step > 0.0 else SLOW_M_S
+        now.speed[node, k] = slid / step.h if step.h > 0.0 else SLOW_M_S
     held = 0.5 * kn * gap * gap
     for c in range(3):
         now.elongation[node, k, c] = kept * pull[c]
@@ -225,86 +238,67 @@ def touch_point(
 
 
 @njit
-def lose_hold(before: Touch, now: Touch, node: int, k: int) -> float:
+def lose_hold(step: TouchStep, node: int, k: int) -> float:
     """Make a point free at the end of the step; what its tangential spring held, in J, which it
     loses to friction."""
     square = 0.0
     for c in range(3):
-        square += before.elongation[node, k, c] ** 2
-        now.elongation[node, k, c] = 0.0
-    now.state[node, k] = FREE
-    now.speed[node, k] = now.normal[node, k] = now.friction[node, k] = 0.0
-    return 0.5 * before.friction[node, k] * math.sqrt(square)
+        square += step.before.elongation[node, k, c] ** 2
+    _make_free(step.now, node, k)
+    return 0.5 * step.before.friction[node, k] * math.sqrt(square)
 
 
 @njit
 def touch_section(
-    surface: Obstacle,
-    node: int,
-    x: Array,
-    matrix: Array,
-    x_before: Array,
-    matrix_before: Array,
-    before: Touch,
-    now: Touch,
-    step: float,
-    early: bool,
-    system: System,
+    surface: Obstacle, node: int, now: Section, was: Section, step: TouchStep, system: System
 ) -> tuple[float, float]:
     """Take the forces of a section's points off the residual, add their tangent to the diagonal
     block, and write what the points remember at the end of the step.
 
-    In an ``early`` iteration points that stuck before have the tangent of sticking. Returns how
-    much friction dissipated over the step and what contact holds at its end, in J.
+    The section is where it is ``now``, at the end of the step, and ``was`` before. Returns as
+    `touch_point`.
     """
-    n, grows, block = np.empty(3), np.empty(3), system.diagonal[node]
+    n, grows = np.empty(3), np.empty(3)
     arm, place, slip, push = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
     stiff, lever, turned = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))
     lost = held = 0.0
     for k in range(len(surface.rim)):
         r0, r1 = surface.rim[k, 0], surface.rim[k, 1]
         for c in range(3):
-            arm[c] = matrix[c, 0] * r0 + matrix[c, 1] * r1
-            place[c] = x[c] + arm[c]
-            was = x_before[c] + matrix_before[c, 0] * r0 + matrix_before[c, 1] * r1
-            slip[c] = place[c] - was
+            arm[c] = now.matrix[c, 0] * r0 + now.matrix[c, 1] * r1
+            place[c] = now.x[c] + arm[c]
+            slip[c] = place[c] - (was.x[c] + was.matrix[c, 0] * r0 + was.matrix[c, 1] * r1)
         gap, factor = place_gap(surface, place, n, grows)
         kn, kt = factor * surface.kn, factor * surface.kt
         normal_slip = dot(n, slip)
         for c in range(3):
             slip[c] -= normal_slip * n[c]
         if gap >= 0.0:
-            lost += lose_hold(before, now, node, k)
-            now.speed[node, k] = math.sqrt(dot(slip, slip)) / step if step > 0.0 else 0.0
+            lost += lose_hold(step, node, k)
+            if step.h > 0.0:
+                step.now.speed[node, k] = math.sqrt(dot(slip, slip)) / step.h
             continue
-        spring = before.elongation[node, k]
+        spring = step.before.elongation[node, k]
         tilted = dot(n, spring)
         for c in range(3):
             slip[c] += spring[c] - tilted * n[c]
-        law = surface.friction
-        took, holds = touch_point(
-            law, kn, kt, gap, n, slip, step, early, before, now, node, k, push, stiff
-        )
+        springs = Springs(kn, kt, gap, n, slip)
+        took, holds = touch_point(surface.friction, springs, step, node, k, push, stiff)
         lost += took
         held += holds
         for c in range(3):
             # the contact holds kn gap² / 2, and is pushed to where it is softer
             push[c] -= 0.5 * surface.kn * grows[c] * gap * gap
-        _add_point(arm, push, stiff, lever, turned, block, system.residual[node])
+        _add_point(arm, push, stiff, lever, turned, system, node)
     return lost, held
 
 
 @njit
 def _add_point(
-    arm: Array,
-    push: Array,
-    stiff: Array,
-    lever: Array,
-    turned: Array,
-    block: Array,
-    residual: Array,
+    arm: Array, push: Array, stiff: Array, lever: Array, turned: Array, system: System, node: int
 ) -> None:
     """A force ``push`` on a point at ``arm``, whose loss by its displacement is ``stiff``."""
+    block, residual = system.diagonal[node], system.residual[node]
     lever[0, 0] = lever[1, 1] = lever[2, 2] = 0.0
     lever[0, 1], lever[0, 2], lever[1, 2] = -arm[2], arm[1], -arm[0]
     lever[1, 0], lever[2, 0], lever[2, 1] = arm[2], -arm[1], arm[0]

@@ -15,7 +15,7 @@ itself: it rests where its residual counts as none, and goes on if another runs 
 from __future__ import annotations
 
 import math
-from typing import Any, NamedTuple, cast
+from typing import Any, NamedTuple, Self, cast
 
 import numba
 import numpy as np
@@ -23,27 +23,19 @@ from scipy.sparse import csc_array
 from scipy.sparse.linalg import splu
 
 from ..arrays import Array, Integers
-from ..compiled import njit, nth, with_python, within
-from .chain import solve_columns, total_length
-from .contact import Touch, no_touch
+from ..compiled import inlined, njit, nth, with_python, within, write
+from .chain import solve_columns
+from .contact import Touch, TouchStep, no_touch
 from .element import assemble_tangent
-from .motion import ClampedRod, Motion, motion_of, pose_of, write
-from .newton import ROUNDING, excess
-from .pairs import (
-    ROD_A,
-    ROD_B,
-    Meeting,
-    Points,
-    crossing_kn,
-    meet_pair,
-    new_meeting,
-    room_for_points,
-)
+from .motion import ClampedRod, Motion, motion_of, pose_of
+from .newton import excess
+from .pairs import ROD_A, ROD_B, Points, Side, crossing_kn, meet_pair, room_for_points
 from .pairs import shortfall as pair_shortfall
 from .rotation import cross
 from .step import (
     Law,
     Scratch,
+    Step,
     assemble,
     begin,
     damping_rate,
@@ -79,31 +71,51 @@ FULL = 240
 FAILED = -1
 
 
-class Room(NamedTuple):
-    """Room for a step of several rods, stacked: their next state and scratch, what the points of
-    pairs remember then, the force and the moment (rods, 2) that count as none of each, what
-    friction took and contact holds of each (rods, 2) by itself and with the others, its residual by
-    itself (rods, n, 6), its cluster, its cluster's greatest residual with the others over what
-    counts as none, what it does next, the last such residual from which it took a step, how much
-    of that step it took, and how much it ought to. Then the gaps of the pairs (pairs, 2), the
-    points, and room for one pair."""
+class Brush(NamedTuple):
+    """All rods: the law that they have in common, what each is, and its state, both stacked."""
 
-    new: Motion
-    scratches: Scratch
+    law: Law
+    rods: ClampedRod
+    stack: Motion
+
+
+class Group(NamedTuple):
+    """Rods that take their steps together: their numbers ``members`` in the brush, the ``pairs``
+    (p, 4) of elements that may touch, see `pairs.Points`, their rods counted among the members, and
+    what the points of pairs remember."""
+
+    members: Integers
+    pairs: Integers
     touch: Touch
-    none: Array
-    own_works: Array
-    works: Array
-    own: Array
+
+    @classmethod
+    def apart(cls, members: Integers) -> Self:
+        """Of rods that touch no other."""
+        return cls(members, np.zeros((0, 4), np.int64), no_touch(0, 2))
+
+
+class Progress(NamedTuple):
+    """How far Newton's method is with each rod: its cluster, what it does next, its cluster's
+    greatest residual with the others over what counts as none, the last such residual from which it
+    took a step, how much of that step it took, and how much it ought to."""
+
     cluster: Integers
-    worst: Array
     doing: Integers
+    worst: Array
     last: Array
     part: Array
     short: Array
-    gaps: Array
+
+
+class Room(NamedTuple):
+    """Room for a step of several rods: their next state and their scratch, stacked, how far they
+    are, what the points of pairs remember at the end, and the points."""
+
+    new: Motion
+    scratches: Scratch
+    progress: Progress
+    touch: Touch
     points: Points
-    meeting: Meeting
 
 
 def _stacked(one: Any, count: int) -> Any:
@@ -119,99 +131,63 @@ def room_for(nodes: int, rim: int, rods: int, pairs: int) -> Room:
     return Room(
         motion_of(rods, nodes, rim),
         cast(Scratch, _stacked(new_scratch(nodes), rods)),
+        Progress(*np.zeros((2, rods), np.int64), *np.zeros((4, rods))),
         no_touch(pairs, 2),
-        np.zeros((rods, 2)),
-        np.zeros((rods, 2)),
-        np.zeros((rods, 2)),
-        np.zeros((rods, nodes, 6)),
-        np.zeros(rods, dtype=np.int64),
-        np.zeros(rods),
-        np.zeros(rods, dtype=np.int64),
-        np.zeros(rods),
-        np.zeros(rods),
-        np.zeros(rods),
-        np.zeros((pairs, 2)),
         room_for_points(pairs),
-        new_meeting(),
     )
 
 
-@within
-def _begin_all(
-    law: Law,
-    rods: ClampedRod,
-    members: Integers,
-    pairs: Integers,
-    stack: Motion,
-    h: float,
-    room: Room,
-) -> None:
-    for k in range(len(members)):
-        rod, new = nth(rods, members[k]), nth(room.new, k)
-        force, moment = begin(law, rod, nth(stack, members[k]), new, h, nth(room.scratches, k))
-        rounding = 0.0
-        if len(pairs):
-            rounding = ROUNDING * crossing_kn(law.between) * np.abs(new.x).max()
-        room.none[k, 0] = force + rounding
-        room.none[k, 1] = moment + rounding * total_length(rod.chain)
-        room.doing[k], room.last[k] = GOES, math.inf
+@inlined
+def _step(brush: Brush, group: Group, h: float, room: Room, k: int) -> Step:
+    """That of the group's k-th rod."""
+    rod, old = nth(brush.rods, group.members[k]), nth(brush.stack, group.members[k])
+    return Step(rod, old, nth(room.new, k), h, nth(room.scratches, k))
+
+
+@inlined
+def _sides(brush: Brush, group: Group, room: Room, p: int) -> tuple[Side, Side]:
+    """Those of the group's p-th pair."""
+    a, e, b, f = group.pairs[p, 0], group.pairs[p, 1], group.pairs[p, 2], group.pairs[p, 3]
+    old_a, old_b = pose_of(brush.stack, group.members[a]), pose_of(brush.stack, group.members[b])
+    return Side(a, e, pose_of(room.new, a), old_a), Side(b, f, pose_of(room.new, b), old_b)
 
 
 @within
-def _assemble_all(
-    law: Law,
-    rods: ClampedRod,
-    members: Integers,
-    pairs: Integers,
-    stack: Motion,
-    before: Touch,
-    h: float,
-    early: bool,
-    room: Room,
-) -> int:
+def _begin_all(brush: Brush, group: Group, h: float, room: Room) -> None:
+    for k in range(len(group.members)):
+        begin(brush.law, _step(brush, group, h, room, k), len(group.pairs) > 0)
+        room.progress.doing[k], room.progress.last[k] = GOES, math.inf
+
+
+@within
+def _assemble_all(brush: Brush, group: Group, h: float, early: bool, room: Room) -> int:
     """Write residuals, of rods by themselves only where they moved, and points; how many points
     touch."""
-    residual, works = room.scratches.system.residual, room.works
-    for k in range(len(members)):
-        if room.doing[k] != RESTS:
-            old, new = nth(stack, members[k]), nth(room.new, k)
-            lost, held = assemble(
-                law, nth(rods, members[k]), old, new, h, early, nth(room.scratches, k)
-            )
-            room.own_works[k, 0], room.own_works[k, 1] = lost, held
-            write(residual[k], room.own[k])
+    law, residual, works = brush.law, room.scratches.system.residual, room.scratches.works
+    for k in range(len(group.members)):
+        step = _step(brush, group, h, room, k)
+        scratch = step.scratch
+        if room.progress.doing[k] != RESTS:
+            scratch.own_works[0], scratch.own_works[1] = assemble(law, step, early)
+            write(scratch.system.residual, scratch.own)
         else:
-            write(room.own[k], residual[k])
-        works[k, 0], works[k, 1] = room.own_works[k, 0], room.own_works[k, 1]
-    count, step = 0, h if law.scheme.inertia else 0.0
-    for p in range(len(pairs)):
-        a, b = pairs[p, ROD_A], pairs[p, ROD_B]
-        count, lost, held = meet_pair(
-            law.between,
-            p,
-            pairs[p],
-            pose_of(room.new, a),
-            pose_of(stack, members[a]),
-            pose_of(room.new, b),
-            pose_of(stack, members[b]),
-            before,
-            room.touch,
-            step,
-            early,
-            room.meeting,
-            room.gaps[p],
-            room.points,
-            count,
-        )
-        for k in (a, b):
+            write(scratch.own, scratch.system.residual)
+        write(scratch.own_works, scratch.works)
+    count = 0
+    between = TouchStep(group.touch, room.touch, h if law.scheme.inertia else 0.0, early)
+    for p in range(len(group.pairs)):
+        a, b = _sides(brush, group, room, p)
+        count, lost, held = meet_pair(law.between, p, a, b, between, room.points, count)
+        for k in (a.rod, b.rod):
             works[k, 0] += 0.5 * lost
             works[k, 1] += 0.5 * held
     for p in range(count):
         for side in range(2):
             _push(room.points, p, side, residual)
-    for k in range(len(members)):
-        over = excess(residual[k], room.none[k, 0], room.none[k, 1])
-        room.worst[k] = over if math.isfinite(over) else math.inf
+    for k in range(len(group.members)):
+        none = room.scratches.none[k]
+        over = excess(residual[k], none[0], none[1])
+        room.progress.worst[k] = over if math.isfinite(over) else math.inf
     return count
 
 
@@ -226,7 +202,7 @@ def _first_of(cluster: Integers, k: int) -> int:
 @within
 def _gather(room: Room, count: int) -> None:
     """Find the clusters that the points make, and the greatest residual of each."""
-    cluster, worst, last, part = room.cluster, room.worst, room.last, room.part
+    cluster, _, worst, last, part, _ = room.progress
     for k in range(len(cluster)):
         cluster[k] = k
     for p in range(count):
@@ -244,24 +220,25 @@ def _gather(room: Room, count: int) -> None:
 
 
 @within
-def _decide(room: Room, iteration: int, fair: float) -> tuple[bool, bool]:
+def _decide(progress: Progress, iteration: int, fair: float) -> tuple[bool, bool]:
     """Decide what every rod does next, with ``fair`` as `FAIR`; whether any moves, and whether
     steps can mend it."""
+    _, doing, worst, last, part, _ = progress
     moves = False
-    for k in range(len(room.doing)):
-        moved = room.doing[k] != RESTS
-        if room.worst[k] <= (fair if iteration > FEW else 1.0):
-            room.doing[k], room.last[k], room.part[k] = RESTS, math.inf, 1.0
+    for k in range(len(doing)):
+        moved = doing[k] != RESTS
+        if worst[k] <= (fair if iteration > FEW else 1.0):
+            doing[k], last[k], part[k] = RESTS, math.inf, 1.0
             continue
-        moves, stalls = True, iteration > PATIENT and room.worst[k] >= room.last[k]
-        if stalls and room.part[k] > SHORTEST_PART:
-            room.part[k] *= 0.5
+        moves, stalls = True, iteration > PATIENT and worst[k] >= last[k]
+        if stalls and part[k] > SHORTEST_PART:
+            part[k] *= 0.5
             # one that rested has no step to take back, but its cluster does
-            room.doing[k] = RETURNS if moved else RESTS
-        elif not math.isfinite(room.worst[k]):
+            doing[k] = RETURNS if moved else RESTS
+        elif not math.isfinite(worst[k]):
             return True, False
         else:
-            room.doing[k] = GOES
+            doing[k] = GOES
     return moves, True
 
 
@@ -324,17 +301,33 @@ def _grouped(owner: Integers, many: int) -> tuple[Integers, Integers]:
     return order, begins
 
 
+class Links(NamedTuple):
+    """The points of rods that take a step: which those are, those of a cluster one after another,
+    and where each cluster's begin. Then their sides, those of a rod one after another, where 2 k is
+    the first side of the k-th of these points and 2 k + 1 its second, and where each rod's begin
+    (rods + 1,)."""
+
+    chosen: Integers
+    clusters: Integers
+    sides: Integers
+    begins: Integers
+
+
 @within
-def _in_clusters(room: Room, count: int) -> tuple[Integers, Integers]:
-    """The points of rods that take a step, those of a cluster one after another, and where each
-    cluster's begin (rods + 1,)."""
-    first, rods = room.points.whole[:count, ROD_A], len(room.cluster)
-    owner = np.empty(count, np.int64)
-    # points of rods that take none have an owner of their own, which comes last
+def _links(room: Room, count: int) -> Links:
+    whole, progress, rods = room.points.whole, room.progress, len(room.progress.cluster)
+    cluster = np.empty(count, np.int64)
+    # points of rods that take none have a cluster of their own, which comes last
     for p in range(count):
-        owner[p] = room.cluster[first[p]] if room.doing[first[p]] == GOES else rods
-    order, begins = _grouped(owner, rods + 1)
-    return order[: begins[rods]], begins[: rods + 1]
+        first = whole[p, ROD_A]
+        cluster[p] = progress.cluster[first] if progress.doing[first] == GOES else rods
+    order, clusters = _grouped(cluster, rods + 1)
+    chosen = order[: clusters[rods]]
+    rod = np.empty(2 * len(chosen), np.int64)
+    for k in range(len(chosen)):
+        rod[2 * k], rod[2 * k + 1] = whole[chosen[k], ROD_A], whole[chosen[k], ROD_B]
+    sides, begins = _grouped(rod, rods)
+    return Links(chosen, clusters[: rods + 1], sides, begins)
 
 
 @njit
@@ -345,47 +338,46 @@ def _of_rod(columns: Array, nodes: int, begins: Integers, k: int) -> Array:
 
 
 @within
-def _newton_steps(
-    law: Law, rods: ClampedRod, members: Integers, h: float, room: Room, count: int
-) -> bool:
+def _respond(law: Law, step: Step, points: Points, links: Links, k: int, moved: Array) -> bool:
+    """Write how the k-th rod moves (n, 6, m) by its residual, then by unit forces at its points;
+    False where its matrix is singular."""
+    chain, system, first = step.rod.chain, step.scratch.system, links.begins[k]
+    assemble_tangent(chain, damping_rate(law, chain, step.h), system, step.scratch.elements)
+    for i in range(len(moved)):
+        for r in range(6):
+            moved[i, r, 0] = -system.residual[i, r]
+    for s in range(first, links.begins[k + 1]):
+        side = links.sides[s]
+        _load(points, links.chosen[side // 2], side % 2, moved, 1 + 3 * (s - first))
+    return solve_columns(system, moved)
+
+
+@within
+def _newton_steps(brush: Brush, group: Group, h: float, room: Room, count: int) -> bool:
     """Write Newton's step of every rod that takes one to its system's solution, and keep where it
     is; False where a matrix is singular.
 
     Unknowns are the forces at points, three each, those of a cluster one after another.
     """
-    points, nodes = room.points, room.new.x.shape[1]
-    chosen, clusters = _in_clusters(room, count)
-    count = len(chosen)
-    # side 2 k is the first of the k-th chosen point, 2 k + 1 its second; those of a rod in a row
-    owner = np.empty(2 * count, np.int64)
-    for k in range(count):
-        first, second = points.whole[chosen[k], ROD_A], points.whole[chosen[k], ROD_B]
-        owner[2 * k], owner[2 * k + 1] = first, second
-    sides, begins = _grouped(owner, len(members))
+    points, doing, links = room.points, room.progress.doing, _links(room, count)
+    chosen, _, sides, begins = links
+    rods, nodes, count = len(doing), room.new.x.shape[1], len(chosen)
     entries = 3 * count
-    for k in range(len(members)):
+    for k in range(rods):
         entries += (3 * (begins[k + 1] - begins[k])) ** 2
     # of 1 + K C, and the right-hand side
     values, places, at = np.ones(entries), np.empty((2, entries), np.int32), 3 * count
     for d in range(3 * count):
         places[0, d] = places[1, d] = d
     apart, right, out = np.zeros((count, 3)), np.zeros(3 * count), np.empty(3)
-    # each rod's residual and unit forces at its points, then what it moves by them
-    columns = np.zeros(6 * nodes * (len(members) + 6 * count))
-    for k in range(len(members)):
-        if room.doing[k] != GOES:
+    columns = np.zeros(6 * nodes * (rods + 6 * count))
+    for k in range(rods):
+        if doing[k] != GOES:
             continue
-        own, scratch = sides[begins[k] : begins[k + 1]], nth(room.scratches, k)
-        chain = nth(rods.chain, members[k])
-        assemble_tangent(chain, damping_rate(law, chain, h), scratch.system, scratch.elements)
-        moved = _of_rod(columns, nodes, begins, k)
-        for i in range(nodes):
-            for r in range(6):
-                moved[i, r, 0] = -scratch.system.residual[i, r]
-        for s in range(len(own)):
-            _load(points, chosen[own[s] // 2], own[s] % 2, moved, 1 + 3 * s)
-        if not solve_columns(scratch.system, moved):
+        step, moved = _step(brush, group, h, room, k), _of_rod(columns, nodes, begins, k)
+        if not _respond(brush.law, step, points, links, k, moved):
             return False
+        own = sides[begins[k] : begins[k + 1]]
         for side in own:
             k_th, p = side // 2, chosen[side // 2]
             _displacement(points, p, side % 2, moved, 0, out)
@@ -404,20 +396,25 @@ def _newton_steps(
         for c in range(3):
             for d in range(3):
                 right[3 * k + c] += points.stiff[chosen[k], c, d] * apart[k, d]
-    forces = _point_forces(values, places, right, 3 * clusters) if count else right
-    for k in range(len(members)):
-        if room.doing[k] != GOES:
-            continue
-        moved = _of_rod(columns, nodes, begins, k)
-        solution = room.scratches.system.solution[k]
-        for i in range(nodes):
-            for r in range(6):
-                solution[i, r] = moved[i, r, 0]
-                for j in range(moved.shape[2] - 1):
-                    force = forces[3 * (sides[begins[k] + j // 3] // 2) + j % 3]
-                    solution[i, r] -= moved[i, r, 1 + j] * force
-        keep(nth(room.new, k), nth(room.scratches, k))
+    forces = _point_forces(values, places, right, 3 * links.clusters) if count else right
+    for k in range(rods):
+        if doing[k] == GOES:
+            moved = _of_rod(columns, nodes, begins, k)
+            own = sides[begins[k] : begins[k + 1]]
+            _superpose(moved, own, forces, room.scratches.system.solution[k])
+            keep(_step(brush, group, h, room, k))
     return True
+
+
+@within
+def _superpose(moved: Array, sides: Integers, forces: Array, solution: Array) -> None:
+    """Write how a rod moves (n, 6) by its residual and by the forces at its points' sides."""
+    for i in range(len(moved)):
+        for r in range(6):
+            solution[i, r] = moved[i, r, 0]
+            for j in range(3 * len(sides)):
+                force = forces[3 * (sides[j // 3] // 2) + j % 3]
+                solution[i, r] -= moved[i, r, 1 + j] * force
 
 
 def _sparse_solution(values: Array, places: Integers, right: Array) -> Array:
@@ -457,105 +454,86 @@ def _point_forces(values: Array, places: Integers, right: Array, begins: Integer
 
 
 @within
-def _advance_all(
-    law: Law, rods: ClampedRod, members: Integers, pairs: Integers, h: float, room: Room
-) -> None:
+def _advance_all(brush: Brush, group: Group, h: float, room: Room) -> None:
     """Move rods by Newton's step, or by so much of it that what comes together just touches; those
     that return, back by a half.
 
     Without this a rod that bends far would fall deep into a stiff surface, which throws it out
     again, for ever.
     """
-    short = room.short
-    for k in range(len(members)):
+    law, rods = brush.law, len(group.members)
+    cluster, doing, worst, last, part, short = room.progress
+    for k in range(rods):
         short[k] = 0.0
-        if room.doing[k] == GOES:
-            room.part[k], room.last[k] = 1.0, room.worst[k]
-        elif room.doing[k] == RESTS:
+        if doing[k] == GOES:
+            part[k], last[k] = 1.0, worst[k]
+        elif doing[k] == RESTS:
             short[k] = 1.0
-    chain = nth(rods.chain, members[0])
+    chain = nth(brush.rods.chain, group.members[0])
     stiffest = law.surface.kn if law.surface.there else 0.0
-    if len(pairs):
+    if len(group.pairs):
         # of a point at the end of a whole element, or of one where two cross
         along = 0.5 * law.between.stiffness * chain.length.max()
         stiffest = max(stiffest, crossing_kn(law.between), along)
     trials = 0 if inert(chain, law.scheme, stiffest, h) else SHORTER
     for trial in range(trials + 1):
-        for k in range(len(members)):
+        for k in range(rods):
             if short[k] < 1.0:
-                chain = nth(rods.chain, members[k])
-                go(chain, nth(room.new, k), room.part[k], nth(room.scratches, k))
+                go(_step(brush, group, h, room, k), part[k])
         if trial == trials:
             return
-        _look(law, rods, members, pairs, room)
+        _look(brush, group, h, room)
         shorter = False
-        for k in range(len(members)):
-            short[k] = short[room.cluster[k]]
+        for k in range(rods):
+            short[k] = short[cluster[k]]
             if short[k] < 1.0:
-                room.part[k] *= max(short[k], 0.1)
+                part[k] *= max(short[k], 0.1)
                 shorter = True
         if not shorter:
             return
 
 
 @within
-def _look(law: Law, rods: ClampedRod, members: Integers, pairs: Integers, room: Room) -> None:
+def _look(brush: Brush, group: Group, h: float, room: Room) -> None:
     """Write of every cluster, where its first rod stands, how much of its step it ought to take if
     it has just moved and takes a step; one for others."""
-    moved, short = room.short < 1.0, room.short
-    for k in range(len(members)):
-        moved[k] = moved[k] and room.doing[k] == GOES
+    law, cluster, short = brush.law, room.progress.cluster, room.progress.short
+    moved = short < 1.0
+    for k in range(len(moved)):
+        moved[k] = moved[k] and room.progress.doing[k] == GOES
         short[k] = 1.0
-    for k in range(len(members)):
+    for k in range(len(moved)):
         if moved[k] and law.surface.there:
-            chain, scratch = nth(rods.chain, members[k]), nth(room.scratches, k)
-            part = shortfall(chain, law.surface, nth(room.new, k), scratch)
-            short[room.cluster[k]] = min(short[room.cluster[k]], part)
-    for p in range(len(pairs)):
-        a, b = pairs[p, ROD_A], pairs[p, ROD_B]
-        if not (moved[a] or moved[b]):
+            part = shortfall(law.surface, _step(brush, group, h, room, k))
+            short[cluster[k]] = min(short[cluster[k]], part)
+    for p in range(len(group.pairs)):
+        a, b = _sides(brush, group, room, p)
+        if not (moved[a.rod] or moved[b.rod]):
             continue
-        allowed = deepest(nth(rods.chain, members[a]), crossing_kn(law.between))
-        both = pose_of(room.new, a), pose_of(room.new, b)
-        part = pair_shortfall(
-            law.between, pairs[p], both[0], both[1], room.gaps[p], allowed, room.meeting
-        )
-        for k in (a, b):
+        chain = nth(brush.rods.chain, group.members[a.rod])
+        allowed = deepest(chain, crossing_kn(law.between))
+        part = pair_shortfall(law.between, p, a, b, allowed, room.points)
+        for k in (a.rod, b.rod):
             if moved[k]:
-                short[room.cluster[k]] = min(short[room.cluster[k]], part)
+                short[cluster[k]] = min(short[cluster[k]], part)
 
 
 @njit
-def joint_step(
-    law: Law,
-    rods: ClampedRod,
-    members: Integers,
-    pairs: Integers,
-    stack: Motion,
-    before: Touch,
-    h: float,
-    room: Room,
-) -> int:
-    """Write the rods ``members`` of the ``stack`` after a step of ``h`` seconds into the room.
-
-    ``rods`` are stacked too. ``pairs`` (p, 4) are the elements that may touch, see `pairs.Points`,
-    their rods counted among the members, and ``before`` is what their points remember. Returns
-    Newton's iterations, or `FAILED`.
-    """
-    _begin_all(law, rods, members, pairs, stack, h, room)
-    fair = FAIR if law.scheme.inertia and len(pairs) else 1.0
+def joint_step(brush: Brush, group: Group, h: float, room: Room) -> int:
+    """Write the group's rods after a step of ``h`` seconds into the room; Newton's iterations, or
+    `FAILED`."""
+    scheme = brush.law.scheme
+    _begin_all(brush, group, h, room)
+    fair = FAIR if scheme.inertia and len(group.pairs) else 1.0
     for iteration in range(ITERATION_LIMIT):
-        early = iteration < EARLY
-        count = _assemble_all(law, rods, members, pairs, stack, before, h, early, room)
+        count = _assemble_all(brush, group, h, iteration < EARLY, room)
         _gather(room, count)
-        moves, fine = _decide(room, iteration, fair)
+        moves, fine = _decide(room.progress, iteration, fair)
         if not moves:
-            for k in range(len(members)):
-                old, new, works = nth(stack, members[k]), nth(room.new, k), room.works[k]
-                scratch = nth(room.scratches, k)
-                finish(law, nth(rods, members[k]), old, new, h, works, iteration, scratch)
+            for k in range(len(group.members)):
+                finish(scheme, _step(brush, group, h, room, k), iteration)
             return iteration
-        if not (fine and _newton_steps(law, rods, members, h, room, count)):
+        if not (fine and _newton_steps(brush, group, h, room, count)):
             return FAILED
-        _advance_all(law, rods, members, pairs, h, room)
+        _advance_all(brush, group, h, room)
     return FAILED

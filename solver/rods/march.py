@@ -1,16 +1,23 @@
-"""March of rods with steps that adapt to their error and to contact."""
+"""March of rods with steps that adapt to their error and to contact.
+
+A step that ends deep in the surface takes the force at its end for its whole length, and one that
+starts there and ends far above loses what the springs held. Either changes the energy, by about
+what the point's spring holds at the end that touches. A step that ends where the point crosses the
+surface does not.
+"""
 
 from __future__ import annotations
 
 import math
 
-from ..arrays import Integers
-from ..compiled import njit, nth, unowned, within
-from .contact import Touch
-from .crossing import allowed_J, first_crossing
-from .joint import Room, joint_step
-from .motion import STEP, TIME, ClampedRod, Hub, Motion, Scheme, copy, copy_touch, fit_to_step
-from .step import Law
+import numpy as np
+
+from ..compiled import njit, nth, unowned, within, write
+from .chain import Chain, total_length
+from .contact import FREE, Obstacle, Section, point_gap
+from .joint import Brush, Group, Room, joint_step
+from .motion import STEP, TIME, Hub, Motion, Scheme, fit_to_step
+from .rotation import write_matrix
 from .tally import Windows, add_step
 
 # A step changes by these factors at most, aims at this share of the error it may have, and is
@@ -19,6 +26,8 @@ LEAST_CHANGE, MOST_CHANGE, AIM, TOO_MUCH = 0.2, 1.6, 0.8, 2.0
 SHORTEST_S = 1e-9
 # A step is taken again up to where contact begins or ends if that is before this share of it.
 NEARLY = 0.9
+# It goes so much beyond the crossing, and is never shorter than this share of itself.
+BEYOND, LEAST_SHARE = 1.02, 0.02
 # An iteration count from which on steps do not grow.
 MANY = 8
 
@@ -67,59 +76,80 @@ def judge(scheme: Scheme, error: float, iterations: int, h: float, wanted: float
     return h * change if change < 1.0 else max(wanted, h * change)
 
 
+@njit
+def allowed_J(chain: Chain, scheme: Scheme) -> float:
+    """The energy that contact may hold at the end of a step in which it begins, or at the begin of
+    one in which it ends: the work of a force EI/L² over the error that a step may have."""
+    bending = min(chain.stiffness[0, 3], chain.stiffness[0, 4])
+    return scheme.error_m * bending / total_length(chain) ** 2
+
+
+@njit
+def first_crossing(surface: Obstacle, old: Motion, new: Motion, allowed: float) -> float:
+    """The share of a step, at most 1, after which a point has just crossed the surface: the
+    first one whose spring holds more than is ``allowed``, in J, at the end that touches."""
+    least = 1.0
+    if not surface.there:
+        return least
+    matrix, touch, was = np.empty((3, 3)), new.touch, old.touch
+    for i in range(1, len(new.x)):
+        for k in range(len(surface.rim)):
+            begins = was.state[i, k] == FREE and touch.state[i, k] != FREE
+            ends = was.state[i, k] != FREE and touch.state[i, k] == FREE
+            normal = touch.normal[i, k] + was.normal[i, k]
+            if not (begins or ends) or 0.5 * normal * normal <= allowed * surface.kn:
+                continue
+            free, depth = (old if begins else new), normal / surface.kn
+            write_matrix(free.q[i], matrix)
+            gap = max(point_gap(surface, k, Section(free.x[i], matrix)), 0.0)
+            share = (gap if begins else depth) / (gap + depth)
+            least = min(least, max(BEYOND * share, LEAST_SHARE))
+    return least
+
+
 @within
-def _look_at_all(
-    law: Law, rods: ClampedRod, members: Integers, stack: Motion, new: Motion, h: float
-) -> tuple[float, float]:
+def _look_at_all(brush: Brush, group: Group, new: Motion, h: float) -> tuple[float, float]:
     """The greatest error, and at which share of the step the first point crosses the surface."""
-    most, share = 0.0, 1.0
-    for k in range(len(members)):
-        old, now = nth(stack, members[k]), nth(new, k)
-        most = max(most, error_of(law.scheme, old, now, h))
-        allowed = allowed_J(nth(rods.chain, members[k]), law.scheme)
-        share = min(share, first_crossing(law.surface, old, now, allowed))
+    scheme, most, share = brush.law.scheme, 0.0, 1.0
+    for k in range(len(group.members)):
+        old, now = nth(brush.stack, group.members[k]), nth(new, k)
+        most = max(most, error_of(scheme, old, now, h))
+        allowed = allowed_J(nth(brush.rods.chain, group.members[k]), scheme)
+        share = min(share, first_crossing(brush.law.surface, old, now, allowed))
     return most, share
 
 
 @njit
 def march(
-    law: Law,
-    rods: ClampedRod,
-    members: Integers,
-    together: int,
-    pairs: Integers,
-    stack: Motion,
-    touch: Touch,
-    end_s: float,
-    windows: Windows,
-    room: Room,
+    brush: Brush, rods: Group, together: int, end_s: float, windows: Windows, room: Room
 ) -> int:
-    """March the rods ``members`` of the stack to ``end_s``, so many ``together`` with steps in
-    common; -1, or one of those where a step fails however short.
+    """March ``rods`` to ``end_s``, so many ``together`` with steps in common; -1, or one of those
+    where a step fails however short.
 
-    ``rods`` are stacked too. ``pairs`` (p, 4) are the elements that may touch, rods counted among
-    those that march together, and ``touch`` is what their points remember; ``room`` is for as many
+    Pairs are between rods that march together, by their numbers there. The room is for as many
     rods, and as many pairs or more. Steps end at the hub's breaks.
     """
-    law, rods, stack, pairs, touch, room = unowned((law, rods, stack, pairs, touch, room))
-    for first in range(0, len(members), together):
-        group = members[first : first + together]
-        t, wanted, lands = stack.totals[group[0], TIME], math.inf, False
-        for i in group:
+    brush, rods, room = unowned((brush, rods, room))
+    law, stack = brush.law, brush.stack
+    for first in range(0, len(rods.members), together):
+        members = rods.members[first : first + together]
+        group = Group(members, rods.pairs, rods.touch)
+        t, wanted, lands = stack.totals[members[0], TIME], math.inf, False
+        for i in members:
             wanted = min(wanted, stack.totals[i, STEP])
         while t < end_s:
             until = next_end(law.hub, t, end_s)
             h = equal_part(until - t, wanted)
-            for i in group:
+            for i in members:
                 fit_to_step(nth(stack, i), h)
-            count = joint_step(law, rods, group, pairs, stack, touch, h, room)
+            count = joint_step(brush, group, h, room)
             if count < 0:
                 wanted = 0.5 * h
                 if wanted < SHORTEST_S:
-                    stack.totals[group[0], STEP] = wanted
-                    return group[0]
+                    stack.totals[members[0], STEP] = wanted
+                    return members[0]
                 continue
-            error, share = _look_at_all(law, rods, group, stack, room.new, h)
+            error, share = _look_at_all(brush, group, room.new, h)
             following = judge(law.scheme, error, count, h, wanted)
             if following < 0.0:
                 wanted = -following
@@ -130,10 +160,10 @@ def march(
                 continue
             lands, wanted = False, following
             t = until if h > 0.9999 * (until - t) else t + h
-            for k in range(len(group)):
-                now, new = nth(stack, group[k]), nth(room.new, k)
-                add_step(law.hub, now, new, windows, group[k])
-                copy(new, now)
+            for k in range(len(members)):
+                now, new = nth(stack, members[k]), nth(room.new, k)
+                add_step(law.hub, now, new, windows, members[k])
+                write(new, now)
                 now.totals[TIME], now.totals[STEP] = t, wanted
-            copy_touch(room.touch, touch)
+            write(room.touch, group.touch)
     return -1

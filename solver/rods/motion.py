@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
 
-from ..arrays import Array
+from ..arrays import Array, zeros
 from ..compiled import inlined, njit
 from ..time.scheme import TimeScheme
 from .chain import Chain
@@ -80,19 +81,10 @@ class Motion(NamedTuple):
 
 def motion_of(rods: int, nodes: int, points: int) -> Motion:
     """Room for so many rods, stacked along a first axis."""
-    rows = nodes, 6
-    return Motion(
-        np.zeros((rods, nodes, 3)),
-        np.zeros((rods, nodes, 4)),
-        np.zeros((rods, *rows)),
-        np.zeros((rods, *rows)),
-        np.zeros((rods, *rows)),
-        np.zeros((rods, nodes - 1, 6)),
-        np.zeros((rods, 6)),
-        np.zeros((rods, 6)),
-        np.zeros((rods, TOTALS)),
-        no_touch(rods, nodes, points),
-    )
+    record = partial(Motion, touch=no_touch(rods, nodes, points))
+    places, axes, strain = (rods, nodes, 3), (rods, nodes, 4), (rods, nodes - 1, 6)
+    rows, ends, totals = (rods, nodes, 6), (rods, 6), (rods, TOTALS)
+    return zeros(record, places, axes, rows, rows, rows, strain, ends, ends, totals)
 
 
 class Pose(NamedTuple):
@@ -109,40 +101,6 @@ class Pose(NamedTuple):
 def pose_of(stack: Motion, i: int) -> Pose:
     """A view of one of the stacked rods' nodes."""
     return Pose(stack.x[i], stack.q[i])
-
-
-@njit
-def write(source: Array, into: Array) -> None:
-    """As many entries of one contiguous array over all of another; Numba takes ten times as long to
-    compile a slice."""
-    entries, places = source.ravel(), into.ravel()
-    for k in range(len(places)):
-        places[k] = entries[k]
-
-
-@njit
-def copy_touch(source: Touch, into: Touch) -> None:
-    """Write what points remember over what as many others do."""
-    write(source.elongation, into.elongation)
-    write(source.state, into.state)
-    write(source.speed, into.speed)
-    write(source.normal, into.normal)
-    write(source.friction, into.friction)
-
-
-@njit
-def copy(source: Motion, into: Motion) -> None:
-    """Write all of one rod's state over another's."""
-    write(source.x, into.x)
-    write(source.q, into.q)
-    write(source.velocity, into.velocity)
-    write(source.acceleration, into.acceleration)
-    write(source.auxiliary, into.auxiliary)
-    write(source.strain, into.strain)
-    write(source.holding, into.holding)
-    write(source.reaction, into.reaction)
-    write(source.totals, into.totals)
-    copy_touch(source.touch, into.touch)
 
 
 # Times that a step's accelerations are stretched by at most.

@@ -8,9 +8,8 @@ meanwhile. They count too, and the rods concerned march the span once more.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Any
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 from mpi4py import MPI
@@ -20,8 +19,9 @@ from scipy.sparse.csgraph import connected_components
 from ..arrays import Array, Flags, Integers
 from .contact import FREE, Touch, no_touch
 from .hub import HubPose
+from .joint import Group
 from .motion import Motion
-from .pairs import Between, approach, candidates, new_meeting
+from .pairs import ROD_A, ROD_B, Between, approach, candidates, new_meeting
 
 # How far rods move in a span at most, over the wide side.
 MOVED = 0.125
@@ -35,8 +35,7 @@ TOUCHING_M = 1e-9
 LOOKS = 9
 
 
-@dataclass(frozen=True)
-class Group:
+class Linked(NamedTuple):
     """Rods that march together, and the rows of the list of pairs that are between two of them."""
 
     members: Integers
@@ -121,8 +120,7 @@ class Neighbours:
         again = np.isin(of, of[pairs[:, 0]])
         stay = ~again[marched[:, 0]]
         at = _places(self.pairs, marched[stay])
-        for new, old in zip(self.touch, touch, strict=True):
-            new[at] = old[stay]
+        put(self.touch, at, [each[stay] for each in touch])
         return np.asarray(again)
 
     def _candidates(self, stack: Motion, reach: Array) -> Integers:
@@ -158,10 +156,17 @@ class Neighbours:
         self.pairs, self.touch = pairs, no_touch(len(pairs), 2)
         held = np.flatnonzero((touch.state != FREE).any(axis=1))
         at = _places(pairs, before[held])
-        for new, old in zip(self.touch, touch, strict=True):
-            new[at[at >= 0]] = old[held[at >= 0]]
+        put(self.touch, at[at >= 0], [each[held[at >= 0]] for each in touch])
 
-    def groups(self, rods: int) -> tuple[list[Group], Integers]:
+    def group(self, linked: Linked) -> Group:
+        """Rods that march together, and what the points between them remember, for compiled
+        code."""
+        pairs = self.pairs[linked.rows]
+        for column in (ROD_A, ROD_B):
+            pairs[:, column] = np.searchsorted(linked.members, pairs[:, column])
+        return Group(linked.members, pairs, Touch(*(each[linked.rows] for each in self.touch)))
+
+    def groups(self, rods: int) -> tuple[list[Linked], Integers]:
         """The groups that the list of pairs makes, and each rod's group (n,) by its number, or by
         one of its own."""
         ends = self.pairs[:, [0, 2]]
@@ -169,7 +174,7 @@ class Neighbours:
         _, of = connected_components(graph, directed=False)
         counts, owner = np.bincount(of, minlength=rods), of[self.pairs[:, 0]]
         found = [
-            Group(np.flatnonzero(of == g), np.flatnonzero(owner == g))
+            Linked(np.flatnonzero(of == g), np.flatnonzero(owner == g))
             for g in np.flatnonzero(counts > 1)
         ]
         return found, of
@@ -216,7 +221,13 @@ def _places(pairs: Integers, wanted: Integers) -> Integers:
     return np.where(codes[at] == sought, at, -1)
 
 
-def alone(groups: list[Group], rods: int) -> Flags:
+def put(arrays: Sequence[Any], those: Integers | Flags, values: Sequence[Any]) -> None:
+    """Write the values of ``those`` rows into each of the arrays."""
+    for array, value in zip(arrays, values, strict=True):
+        array[those] = value
+
+
+def alone(groups: list[Linked], rods: int) -> Flags:
     """Which rods (rods,) are in no group."""
     lone = np.ones(rods, dtype=np.bool_)
     for group in groups:
@@ -224,7 +235,7 @@ def alone(groups: list[Group], rods: int) -> Flags:
     return lone
 
 
-def shared_out(groups: list[Group], holder: Integers, cost: Array, ranks: int) -> Integers:
+def shared_out(groups: list[Linked], holder: Integers, cost: Array, ranks: int) -> Integers:
     """The rank (n,) that marches each rod, with the members of a group all by one.
 
     The costliest group goes first. It, and after all groups each lone rod, goes to the ``holder``

@@ -1,4 +1,4 @@
-"""A rod in Newton's method: what counts as no residual, and how nodes move by a step.
+"""A rod in Newton's method: how much its residual is, and how nodes move by a step.
 
 The iteration is `joint.joint_step`.
 """
@@ -15,25 +15,6 @@ from .rotation import exponential, multiply, normalise
 
 # Newton's step turns no node by more, in rad.
 FURTHEST_RAD = 0.5
-# A residual counts as none below this share of EI/L², or where it is the rounding of coordinates
-# that the stiffest springs of an element feel.
-NEAR, ROUNDING = 1e-8, 2e-15
-
-
-@njit
-def force_tolerance(chain: Chain, x: Array, rate: float) -> float:
-    """A force in N that is nothing to this rod: moments are compared with it times the length.
-
-    ``rate``, β over the time step, stiffens it against rounding too.
-    """
-    total = stiffest = farthest = 0.0
-    for e in range(len(chain.length)):
-        total += chain.length[e]
-        for c in range(3):
-            farthest = max(farthest, abs(x[e, c]), abs(x[e + 1, c]))
-            stiffest = max(stiffest, chain.stiffness[e, c] / chain.length[e])
-    bending = min(chain.stiffness[0, 3], chain.stiffness[0, 4]) / (total * total)
-    return NEAR * bending + ROUNDING * (1.0 + rate) * stiffest * (farthest + total)
 
 
 @njit
@@ -49,6 +30,20 @@ def excess(residual: Array, force: float, moment: float) -> float:
             if not abs(residual[i, 3 + c]) <= most_moment:
                 most_moment = abs(residual[i, 3 + c])
     return max(most_force / force, most_moment / moment)
+
+
+@njit
+def place_nodes(chain: Chain, x: Array, q: Array, stretch: Array) -> None:
+    """Write the places ``x`` (n, 3) of free nodes by which elements have ``stretch`` (e, 3 or more)
+    along the rod and in shear, Γ of `element.measure`, from the clamp on."""
+    middle, strain = np.empty((3, 3)), np.empty(6)
+    for e in range(len(chain.length)):
+        measure(x, q, e, chain.length[e], middle, strain)
+        for i in range(3):
+            along = 0.0
+            for k in range(3):
+                along += middle[i, k] * stretch[e, k]
+            x[e + 1, i] = x[e, i] + chain.length[e] * along
 
 
 @njit
@@ -73,10 +68,4 @@ def move(chain: Chain, x: Array, q: Array, solution: Array, part: float, target:
         exponential(share * w[3], share * w[4], share * w[5], step)
         multiply(step, q[i], q[i])
         normalise(q[i])
-    for e in range(len(chain.length)):
-        measure(x, q, e, chain.length[e], middle, strain)
-        for i in range(3):
-            along = 0.0
-            for k in range(3):
-                along += middle[i, k] * target[e, k]
-            x[e + 1, i] = x[e, i] + chain.length[e] * along
+    place_nodes(chain, x, q, target)

@@ -25,15 +25,16 @@ point on a plane, `contact.touch_point`.
 from __future__ import annotations
 
 import math
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
 
 from ..arrays import Array, Integers, zeros
 from ..compiled import inlined, njit, unowned
-from .contact import Friction, Touch, friction_of, lose_hold, touch_point
+from .contact import Friction, Springs, TouchStep, friction_of, lose_hold, touch_point
 from .ground import Contact
-from .motion import Motion, Pose
+from .motion import Motion, Pose, pose_of
 from .rotation import cross, dot, write_matrix_of
 from .section import RodSection
 
@@ -87,31 +88,6 @@ def crossing_kn(law: Between) -> float:
     return 2.0 * law.half[1] * law.stiffness
 
 
-class Points(NamedTuple):
-    """The points in contact, as last found: ``whole`` (m, 4) rod and element of either side,
-    ``share`` (m, 2, 2) of the first and the second node in each, ``arm`` (m, 2, 3) from each centre
-    line, ``push`` (m, 3) on the first side, and its loss ``stiff`` (m, 3, 3) by its displacement
-    over the second's. The arms turn with the elements' middles."""
-
-    whole: Integers
-    share: Array
-    arm: Array
-    push: Array
-    stiff: Array
-
-
-def room_for_points(pairs: int) -> Points:
-    """Room for all points of so many pairs of elements."""
-    m = 2 * pairs
-    return Points(
-        np.zeros((m, 4), dtype=np.int64),
-        np.zeros((m, 2, 2)),
-        np.zeros((m, 2, 3)),
-        np.zeros((m, 3)),
-        np.zeros((m, 3, 3)),
-    )
-
-
 class Meeting(NamedTuple):
     """Room for the stretch of one element along another: the first's centre line at its ends, and
     the second's beside it (2, 3), their shares (2,) of the elements' lengths, gaps (2,), normal
@@ -136,6 +112,39 @@ def new_meeting() -> Meeting:
     """Room."""
     ends, pair, axes = (2, 3), 2, (3, 3)
     return zeros(Meeting, ends, ends, pair, pair, pair, 3, axes, axes, ends, ends, (9, 3), axes)
+
+
+class Points(NamedTuple):
+    """The points in contact, as last found: ``whole`` (m, 4) rod and element of either side,
+    ``share`` (m, 2, 2) of the first and the second node in each, ``arm`` (m, 2, 3) from each centre
+    line, ``push`` (m, 3) on the first side, and its loss ``stiff`` (m, 3, 3) by its displacement
+    over the second's. The arms turn with the elements' middles. Then the ``gaps`` (p, 2) of all
+    pairs of elements, and room for one pair."""
+
+    whole: Integers
+    share: Array
+    arm: Array
+    push: Array
+    stiff: Array
+    gaps: Array
+    meeting: Meeting
+
+
+def room_for_points(pairs: int) -> Points:
+    """Room for all points of so many pairs of elements."""
+    m = 2 * pairs
+    record = partial(Points, np.zeros((m, 4), np.int64), meeting=new_meeting())
+    return zeros(record, (m, 2, 2), (m, 2, 3), (m, 3), (m, 3, 3), (pairs, 2))
+
+
+class Side(NamedTuple):
+    """One side of a pair: the rod, by its number in a group, the element, and where the rod's nodes
+    are ``now``, at the end of a step, and ``old``, before it."""
+
+    rod: int
+    element: int
+    now: Pose
+    old: Pose
 
 
 @njit
@@ -224,23 +233,15 @@ def _across(q: Array, node: int, out: Array) -> None:
 
 
 @njit
-def meet(
-    law: Between, xa: Array, qa: Array, e: int, xb: Array, qb: Array, f: int, out: Meeting
-) -> float:
+def meet(law: Between, a: Pose, e: int, b: Pose, f: int, out: Meeting) -> float:
     """Write how element ``e`` of one rod meets element ``f`` of another; the length in m whose half
     either point has, zero where they are nowhere beside each other.
 
-    ``x`` (n, 3) and ``q`` (n, 4) are the rods' nodes. The normal points from the second to the
-    first.
+    The normal points from the second to the first.
     """
-    ta, tb, apart, plane, n, m = (
-        out.room[0],
-        out.room[1],
-        out.room[2],
-        out.room[3],
-        out.room[4],
-        out.room[5],
-    )
+    (xa, qa), (xb, qb) = a, b
+    ta, tb, apart = out.room[0], out.room[1], out.room[2]
+    plane, n, m = out.room[3], out.room[4], out.room[5]
     la = lb = square = 0.0
     for c in range(3):
         ta[c], tb[c] = xa[e + 1, c] - xa[e, c], xb[f + 1, c] - xb[f, c]
@@ -274,13 +275,10 @@ def meet(
     nearest = 0.5 * (low + high)
     if sine_2 > NO_ANGLE * NO_ANGLE:
         nearest = (cosine * along - dot(apart, ta)) / sine_2
+    first, last = (COMMON if crosses else OTHER), SHORTEST - 1
     if law.round:
         # within the stretch the gap is stationary there, or at its end
-        nearest = min(max(nearest, low), high)
-    if law.round:
-        first, last = SHORTEST, SHORTEST
-    else:
-        first, last = (COMMON if crosses else OTHER), SHORTEST - 1
+        nearest, first, last = min(max(nearest, low), high), SHORTEST, SHORTEST
     for kind in range(first, last + 1):
         if kind == OTHER and best > -law.half[0]:
             break
@@ -366,11 +364,10 @@ def meet(
 
 
 @njit
-def _moved(
-    now: Pose, old: Pose, e: int, share: float, arm: Array, axes: Array, was: Array, out: Array
-) -> None:
+def _moved(side: Side, share: float, arm: Array, axes: Array, was: Array, out: Array) -> None:
     """Write how far a point of an element has moved in the step, given its ``arm`` now; ``was``
     (3, 3) is room."""
+    e, now, old = side.element, side.now, side.old
     _middle(old.q, e, was)
     for i in range(3):
         own = axes[0, i] * arm[0] + axes[1, i] * arm[1] + axes[2, i] * arm[2]
@@ -383,95 +380,75 @@ def _moved(
 
 @njit
 def meet_pair(
-    law: Between,
-    pair: int,
-    whole: Integers,
-    now_a: Pose,
-    old_a: Pose,
-    now_b: Pose,
-    old_b: Pose,
-    before: Touch,
-    now: Touch,
-    step: float,
-    early: bool,
-    room: Meeting,
-    gaps: Array,
-    points: Points,
-    count: int,
+    law: Between, pair: int, a: Side, b: Side, step: TouchStep, points: Points, count: int
 ) -> tuple[int, float, float]:
-    """Add the points in contact of one pair of elements, ``whole`` (4,), to ``points``, which holds
-    ``count``, and write what they remember and their ``gaps`` (2,).
+    """Add the points in contact of one pair of elements to ``points``, which hold ``count``, and
+    write what they remember and the pair's gaps.
 
     Returns how many points there are then, and as `touch_point` what friction took and contact
     holds.
     """
-    e, f = whole[ELEMENT_A], whole[ELEMENT_B]
-    length = meet(law, now_a.x, now_a.q, e, now_b.x, now_b.q, f, room)
-    lost = held = 0.0
+    room, gaps = points.meeting, points.gaps[pair]
+    length = meet(law, a.now, a.element, b.now, b.element, room)
     if length == 0.0:
-        for k in range(2):
-            gaps[k] = math.inf
-            lost += lose_hold(before, now, pair, k)
-        return count, lost, held
+        room.gap[0] = room.gap[1] = math.inf
     moved_a, moved_b, pull, n = room.room[6], room.room[7], room.room[8], room.normal
-    kn = 0.5 * length * law.stiffness
-    if e == len(now_a.x) - 2 and f == len(now_b.x) - 2:
+    kn, tip = 0.5 * length * law.stiffness, len(a.now.x) - 2
+    if a.element == tip and b.element == tip:
         kn *= 0.5  # two tips are met from both sides
     kt, matrix = law.ratio * kn, room.was
+    lost = held = 0.0
     for k in range(2):
         gap = gaps[k] = room.gap[k]
         if gap >= 0.0:
-            lost += lose_hold(before, now, pair, k)
+            lost += lose_hold(step, pair, k)
             continue
         arm_a, arm_b = room.arm_a[k], room.arm_b[k]
-        _moved(now_a, old_a, e, room.share_a[k], arm_a, room.axes_a, matrix, moved_a)
-        _moved(now_b, old_b, f, room.share_b[k], arm_b, room.axes_b, matrix, moved_b)
+        _moved(a, room.share_a[k], arm_a, room.axes_a, matrix, moved_a)
+        _moved(b, room.share_b[k], arm_b, room.axes_b, matrix, moved_b)
         for c in range(3):
             pull[c] = moved_a[c] - moved_b[c]
-        along, spring = dot(pull, n), before.elongation[pair, k]
+        along, spring = dot(pull, n), step.before.elongation[pair, k]
         turned = dot(spring, n)
         for c in range(3):
             pull[c] = pull[c] + (spring[c] - along * n[c]) - turned * n[c]
         slope, normal, holds = _rough(kn, -gap)
         gap = -normal / slope  # of a linear law of the same force and slope
-        push, stiff = points.push[count], points.stiff[count]
-        took, stored = touch_point(
-            law.friction, slope, kt, gap, n, pull, step, early, before, now, pair, k, push, stiff
-        )
+        springs, push, stiff = Springs(slope, kt, gap, n, pull), points.push[count], points.stiff
+        took, stored = touch_point(law.friction, springs, step, pair, k, push, stiff[count])
         holds += stored - 0.5 * slope * gap * gap
         lost += took
         held += holds
-        for c in range(4):
-            points.whole[count, c] = whole[c]
-        for side in range(2):
-            second = room.share_a[k] if side == 0 else room.share_b[k]
-            points.share[count, side, 0], points.share[count, side, 1] = 1.0 - second, second
+        whole, share, arm = points.whole[count], points.share[count], points.arm[count]
+        whole[ROD_A], whole[ELEMENT_A] = a.rod, a.element
+        whole[ROD_B], whole[ELEMENT_B] = b.rod, b.element
+        share[0, 0], share[0, 1] = 1.0 - room.share_a[k], room.share_a[k]
+        share[1, 0], share[1, 1] = 1.0 - room.share_b[k], room.share_b[k]
         for c in range(3):
-            points.arm[count, 0, c], points.arm[count, 1, c] = arm_a[c], arm_b[c]
+            arm[0, c], arm[1, c] = arm_a[c], arm_b[c]
         count += 1
     return count, lost, held
 
 
 @njit
-def shortfall(
-    law: Between, whole: Integers, a: Pose, b: Pose, gaps: Array, allowed: float, room: Meeting
-) -> float:
+def shortfall(law: Between, pair: int, a: Side, b: Side, allowed: float, points: Points) -> float:
     """The part of a step after which a pair that it closes is about half of ``allowed`` deep.
 
-    ``gaps`` (2,) are those before the step. One where the pair is no deeper than ``allowed``, or
-    was closed before.
+    Its gaps in ``points`` are those before the step. One where the pair is no deeper than
+    ``allowed``, or was closed before.
     """
+    room, gaps = points.meeting, points.gaps[pair]
     if gaps[0] < 0.0 or gaps[1] < 0.0:
         return 1.0
-    if meet(law, a.x, a.q, whole[ELEMENT_A], b.x, b.q, whole[ELEMENT_B], room) == 0.0:
+    if meet(law, a.now, a.element, b.now, b.element, room) == 0.0:
         return 1.0
     least = 1.0
     for k in range(2):
         if room.gap[k] < -allowed:
             # how far apart they were is not known of elements that were not beside each other
-            part = (
-                0.5 if gaps[k] == math.inf else (gaps[k] + 0.5 * allowed) / (gaps[k] - room.gap[k])
-            )
+            part = 0.5
+            if gaps[k] < math.inf:
+                part = (gaps[k] + 0.5 * allowed) / (gaps[k] - room.gap[k])
             least = min(least, part)
     return least
 
@@ -501,7 +478,7 @@ def approach(
         wider[0], wider[1] = law.half[0] + more, law.half[1] + more
         inflated = Between(wider, law.round, law.stiffness, law.ratio, law.friction)
         gaps[p], closing[p, 0], closing[p, 1] = math.inf, 0.0, 0.0
-        if meet(inflated, stack.x[a], stack.q[a], e, stack.x[b], stack.q[b], f, room) == 0.0:
+        if meet(inflated, pose_of(stack, a), e, pose_of(stack, b), f, room) == 0.0:
             continue
         gaps[p] = min(room.gap[0], room.gap[1]) + 2.0 * more
         closing[p, 0], closing[p, 1] = math.inf, -math.inf

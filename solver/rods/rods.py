@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import lru_cache, partial
-from typing import Any
 
 import numpy as np
 from mpi4py import MPI
@@ -19,15 +18,15 @@ from ..errors import BristleError, ComputationError, InputError, require
 from ..time.scheme import TimeScheme
 from . import motion as rows
 from .chain import at_rest, stacked, uniform_chain
-from .contact import Touch, no_touch, obstacle_of
+from .contact import Touch, obstacle_of
 from .element import strains
 from .frame import Frame, RodEnergy
 from .ground import Contact, Ground
 from .hub import Clamps, HubPath
-from .joint import room_for
+from .joint import Brush, Group, room_for
 from .march import march
 from .motion import ClampedRod, Hub, Motion, motion_of, scheme_of
-from .neighbours import Group, Neighbours, alone, shared_out
+from .neighbours import Linked, Neighbours, alone, put, shared_out
 from .observe import Seen, clearance, observe
 from .pairs import between_of
 from .rotation import world_to_body
@@ -109,19 +108,18 @@ class Rods:
         self._holder = np.arange(len(clamps)) * comm.size // len(clamps)
         self._cost: Array = np.ones(len(clamps))
         self._gravity = np.array([0.0, 0.0, -gravity_m_s2])
-        self._rods = self._clamped(bow_rad)
         scale_m, path = float(clamps.length_m.min()), (motion.breaks, motion.coefficients)
-        self._law = Law(
+        law = Law(
             scheme_of(TimeScheme.generalised(rho_infinity), tolerance * scale_m),
             Hub(*(np.ascontiguousarray(each, dtype=float) for each in path)),
             obstacle_of(ground, section),
             between_of(between or Contact(), section),
         )
-        self._neighbours = Neighbours(self._law.between, comm) if between is not None else None
+        self._neighbours = Neighbours(law.between, comm) if between is not None else None
         # groups of as many rods come back every few spans
         self._room_for = lru_cache(maxsize=16)(partial(room_for, elements + 1, len(section.rim_m)))
         self._now = motion_of(len(clamps), elements + 1, len(section.rim_m))
-        self._t_s = 0.0
+        self._brush, self._t_s = Brush(law, self._clamped(bow_rad), self._now), 0.0
         self._refuse_below(np.zeros(1))
         wrong: BristleError | None = None
         for i in np.flatnonzero(self._holder == comm.rank):
@@ -187,9 +185,8 @@ class Rods:
             self._t_s = end_s
             return
         pose, before, longest = self.motion.pose(self.t_s), near.checkpoint(), LONGEST_S
-        own = *_arrays(self._now), windows.sums, self._holder
-        kept: list[tuple[Any, Any]] = [(each, each.copy()) for each in own]
-        done = self._done()
+        own = [*_arrays(self._now), windows.sums, self._holder]
+        kept, done = [each.copy() for each in own], self._done()
         everyone: Flags = np.ones(len(self.clamps), dtype=np.bool_)
         again = everyone
         near.search(self._now, pose, longest)
@@ -202,7 +199,7 @@ class Rods:
                     raise ComputationError(
                         f"bristles are thrown too far at {until:.6g} s; take a lower tolerance"
                     )
-                _go_back(kept, again)
+                put(own, again, [each[again] for each in kept])
                 near.restore(before)
                 near.search(self._now, pose, longest)
                 continue
@@ -210,7 +207,7 @@ class Rods:
             if not len(missed):
                 break
             again = near.add(missed, before, len(self.clamps))
-            _go_back(kept, again)
+            put(own, again, [each[again] for each in kept])
         self._cost = 1.0 + self._done() - done
         self._t_s = until
 
@@ -240,23 +237,16 @@ class Rods:
         self._refuse_failure(failed)
 
     def _march_apart(self, members: Integers, end_s: float, windows: Windows) -> int:
-        here = np.zeros((0, 4), dtype=np.int64), self._now, no_touch(0, 2)
         room = self._room_for(1, 0)
-        return march(self._law, self._rods, members, 1, *here, end_s, windows, room)
+        return march(self._brush, Group.apart(members), 1, end_s, windows, room)
 
-    def _march_group(self, group: Group, end_s: float, windows: Windows) -> int:
+    def _march_group(self, linked: Linked, end_s: float, windows: Windows) -> int:
         assert self._neighbours is not None
-        near, place = self._neighbours, np.zeros(len(self.clamps), dtype=np.int64)
-        place[group.members] = np.arange(len(group.members))
-        pairs = near.pairs[group.rows].copy()
-        pairs[:, 0], pairs[:, 2] = place[pairs[:, 0]], place[pairs[:, 2]]
-        touch = Touch(*(each[group.rows] for each in near.touch))
+        group, count = self._neighbours.group(linked), len(linked.members)
         # a power of two, so that few rooms do for all
-        room = self._room_for(len(group.members), 1 << (len(pairs) - 1).bit_length())
-        here, count = (pairs, self._now, touch), len(group.members)
-        failed = march(self._law, self._rods, group.members, count, *here, end_s, windows, room)
-        for whole, part in zip(near.touch, touch, strict=True):
-            whole[group.rows] = part
+        room = self._room_for(count, 1 << (len(group.pairs) - 1).bit_length())
+        failed = march(self._brush, group, count, end_s, windows, room)
+        put(self._neighbours.touch, linked.rows, group.touch)
         return failed
 
     def _refuse_failure(self, failed: int) -> None:
@@ -276,15 +266,10 @@ class Rods:
         That is what the search for pairs needs. The rest is sent by `_bring` and `_tell_all`, and
         what a frame shows by `_observed`.
         """
-        if self.comm.size == 1:
-            return
-        assert self._neighbours is not None
-        now, pairs = self._now, list(self._neighbours.touch)
-        arrays = [now.x, now.q, now.velocity, now.totals]
-        mine = [each[marched] for each in arrays], [each[touched] for each in pairs]
-        for others, rows_of, (rods, points) in self.comm.allgather((marched, touched, mine)):
-            _put(arrays, others, rods)
-            _put(pairs, rows_of, points)
+        now, near = self._now, self._neighbours
+        assert near is not None
+        moved = now.x, now.q, now.velocity, now.totals
+        self._tell((moved, marched), (near.touch, touched))
 
     def _bring(self, who: Integers) -> None:
         """Send each rod's whole state to the rank ``who`` (rods,) that is about to march it, -1
@@ -296,14 +281,19 @@ class Rods:
         each = [np.flatnonzero(mine & (who == rank)) for rank in range(self.comm.size)]
         sent = [(those, [array[those] for array in arrays]) for those in each]
         for those, values in self.comm.alltoall(sent):
-            _put(arrays, those, values)
+            put(arrays, those, values)
 
     def _tell_all(self) -> None:
         """Let every rank know the whole state of all rods; collective."""
+        self._tell((_arrays(self._now), np.flatnonzero(self._holder == self.comm.rank)))
+
+    def _tell(self, *parts: tuple[Sequence[Array], Integers]) -> None:
+        """Let every rank know the rows of arrays that this one has, of several; collective."""
         if self.comm.size > 1:
-            arrays, mine = _arrays(self._now), np.flatnonzero(self._holder == self.comm.rank)
-            for those, values in self.comm.allgather((mine, [array[mine] for array in arrays])):
-                _put(arrays, those, values)
+            mine = [(those, [array[those] for array in arrays]) for arrays, those in parts]
+            for theirs in self.comm.allgather(mine):
+                for (arrays, _), (those, values) in zip(parts, theirs, strict=True):
+                    put(arrays, those, values)
 
     def frame(self) -> Frame:
         """All bristles as they are now; collective."""
@@ -385,13 +375,13 @@ class Rods:
 
     def _begin(self, i: int) -> None:
         """The bristle ``i`` in equilibrium under its weight, moving with the hub."""
-        chain, now = nth(self._rods.chain, i), nth(self._now, i)
+        chain, now = nth(self._brush.rods.chain, i), nth(self._now, i)
         pose = self.motion.pose(0.0)
         place = pose.position_m + pose.rotation @ self.clamps.position_m[i]
         now.x[:], now.q[:] = at_rest(chain, place, pose.rotation @ self.clamps.rotation[i])
         strains(chain, now.x, now.q, now.strain)
         self._refuse_tips_below(i)
-        if not settle(self._law, self._rods, i, self._now, self._room_for(1, 0)):
+        if not settle(self._brush, i, self._room_for(1, 0)):
             raise ComputationError(
                 f"bristle {i} finds no equilibrium under its weight; try more elements"
             )
@@ -415,7 +405,7 @@ class Rods:
 
     def _refuse_tips_below(self, i: int) -> None:
         """InputError where a bristle as it is without strain begins in the surface."""
-        gap = float(clearance(self._law.surface, nth(self._now, i)))
+        gap = float(clearance(self._brush.law.surface, nth(self._now, i)))
         if gap < -TOUCHING * self.clamps.length_m[i]:
             raise InputError(
                 f"bristle {i} begins {-gap:.3g} m below the surface; raise the hub, or press it "
@@ -425,14 +415,13 @@ class Rods:
     def _observed(self) -> Seen:
         """What is to be seen of all rods; each rank looks at those that it holds; collective."""
         mine = np.flatnonzero(self._holder == self.comm.rank)
-        seen = observe(self._rods.chain, self._gravity, self._now, mine)
+        seen = observe(self._brush.rods.chain, self._gravity, self._now, mine)
         if self.comm.size == 1:
             return seen
-        count = len(self.clamps)
-        whole: list[Array] = [np.empty((count, *each.shape[1:])) for each in seen]
-        for those, values in self.comm.allgather((mine, list(seen))):
-            _put(whole, those, values)
-        return Seen(*whole)
+        whole = Seen(*(np.empty((len(self.clamps), *each.shape[1:])) for each in seen))
+        for those, values in self.comm.allgather((mine, seen)):
+            put(whole, those, values)
+        return whole
 
 
 # The names of the arrays of a state, those of its points last.
@@ -442,18 +431,6 @@ NAMES = (*Motion._fields[:-1], *Touch._fields)
 def _arrays(state: Motion) -> list[Array]:
     """The arrays of a state by `NAMES`."""
     return [*state[:-1], *state.touch]
-
-
-def _put(arrays: list[Array], those: Integers, values: list[Array]) -> None:
-    """Write the values of ``those`` rows into each of the arrays."""
-    for array, value in zip(arrays, values, strict=True):
-        array[those] = value
-
-
-def _go_back(kept: list[tuple[Any, Any]], those: Flags) -> None:
-    """Make the first of each two arrays the second again, for ``those`` rods (rods,)."""
-    for now, was in kept:
-        now[those] = was[those]
 
 
 def _bowed(section: RodSection, curvature_1_m: float) -> RodSection:

@@ -7,13 +7,12 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from ..compiled import nth
+from ..compiled import nth, write
 from .chain import Chain, total_length
-from .contact import FREE, STICKS, Friction, Obstacle, no_touch, release
+from .contact import FREE, STICKS, Friction, Obstacle, release
 from .element import strains
-from .joint import Room, joint_step
-from .motion import CONTACT, ClampedRod, Motion, copy
-from .step import Law
+from .joint import Brush, Group, Room, joint_step
+from .motion import CONTACT
 
 # The most steps that a rod's weight comes on in.
 MOST_PARTS = 256
@@ -21,26 +20,26 @@ MOST_PARTS = 256
 SOFT, STIFFER = 1e3, 10.0
 
 
-def settle(law: Law, rods: ClampedRod, i: int, stack: Motion, room: Room) -> bool:
-    """Bring rod ``i`` of a stack into equilibrium with its loads and the surface without friction.
+def settle(brush: Brush, i: int, room: Room) -> bool:
+    """Bring rod ``i`` of a brush into equilibrium with its loads and the surface without friction.
 
     The loads come on in equal steps over a soft surface, as few as will do, which is then made as
     stiff as it is. False where even many steps do not do. Friction at rest can be anything below
     its limit, so a rod begins with none, and what touches sticks. ``room`` is for one rod.
     """
+    (law, rods, stack), parts = brush, 1
     still = law._replace(scheme=law.scheme._replace(inertia=False))
     chain, loads, now = nth(rods.chain, i), rods.loads[i].copy(), nth(stack, i)
-    start, parts = (now.x.copy(), now.q.copy()), 1
-    alone, pairs, touch = np.array([i]), np.zeros((0, 4), dtype=np.int64), no_touch(0, 2)
+    start, alone = (now.x.copy(), now.q.copy()), Group.apart(np.array([i]))
     while parts <= MOST_PARTS:
         done = 0
         stages = [*_loading(chain, law.surface, parts)]
         for share, plane in stages:
             rods.loads[i] = share * loads
-            smooth = still._replace(surface=plane)
-            if joint_step(smooth, rods, alone, pairs, stack, touch, 0.0, room) < 0:
+            smooth = brush._replace(law=still._replace(surface=plane))
+            if joint_step(smooth, alone, 0.0, room) < 0:
                 break
-            copy(nth(room.new, 0), now)
+            write(nth(room.new, 0), now)
             done += 1
         if done == len(stages):
             held = now.totals[CONTACT]

@@ -18,10 +18,19 @@ from typing import NamedTuple
 import numpy as np
 
 from ..arrays import Array, zeros
-from ..compiled import inlined, njit, within
+from ..compiled import inlined, njit, within, write
 from .chain import Chain, System, new_system, total_length
-from .contact import FREE, Obstacle, height, lowest, release, touch_section
-from .element import Elements, assemble_forces, measure, new_elements, strains
+from .contact import (
+    FREE,
+    Obstacle,
+    Section,
+    TouchStep,
+    height,
+    lowest,
+    release,
+    touch_section,
+)
+from .element import Elements, assemble_forces, new_elements, strains
 from .motion import (
     CONTACT,
     FRICTION,
@@ -35,12 +44,14 @@ from .motion import (
     Motion,
     Scheme,
     clamp,
-    write,
 )
-from .newton import ROUNDING, force_tolerance, move
-from .pairs import Between
+from .newton import move, place_nodes
+from .pairs import Between, crossing_kn
 from .rotation import between, exponential, multiply, normalise, vector_factor, write_matrix
 
+# A residual counts as none below this share of EI/L², or where it is the rounding of coordinates
+# that the stiffest springs of an element feel.
+NEAR, ROUNDING = 1e-8, 2e-15
 # Where there is inertia, a residual counts as none if the displacement that it would make in the
 # step is below this share of the error that the step may have (0.01 to 0.1 in Hairer and Wanner,
 # Solving Ordinary Differential Equations II, 1996, Sec. IV.8).
@@ -61,10 +72,49 @@ class Law(NamedTuple):
     between: Between
 
 
-@njit
-def _predict(chain: Chain, old: Motion, new: Motion, h: float, room: Array) -> None:
-    """Where free nodes would be: they turn on, and elements keep their stretch and shear."""
-    turn, strain, middle = np.empty(4), np.empty(6), room[0]
+class Scratch(NamedTuple):
+    """Room for a step of one rod, and what Newton's method knows of it: its system, its elements
+    and (e, 3) numbers; where it was before Newton's step, (n, 3) and (n, 4); axes (3, 3) of two
+    sections; the gaps (n,) in m; the force and the moment (2,) that count as none; what friction
+    took and contact holds (2,), by itself and with the others; and its residual (n, 6) by
+    itself."""
+
+    system: System
+    elements: Elements
+    target: Array
+    x: Array
+    q: Array
+    matrix: Array
+    matrix_before: Array
+    gaps: Array
+    none: Array
+    own_works: Array
+    works: Array
+    own: Array
+
+
+def new_scratch(n: int) -> Scratch:
+    """Room for a rod of ``n`` nodes."""
+    record = partial(Scratch, new_system(n), new_elements(n - 1))
+    axes = 3, 3
+    return zeros(record, (n - 1, 3), (n, 3), (n, 4), axes, axes, n, 2, 2, 2, (n, 6))
+
+
+class Step(NamedTuple):
+    """A step of ``h`` seconds of one rod: the rod, its state before and after, and room."""
+
+    rod: ClampedRod
+    old: Motion
+    new: Motion
+    h: float
+    scratch: Scratch
+
+
+@within
+def _predict(step: Step, h: float) -> None:
+    """Where free nodes would be after ``h`` seconds: they turn on, and elements keep their stretch
+    and shear."""
+    old, new, turn = step.old, step.new, np.empty(4)
     for i in range(1, len(new.x)):
         w, a = old.velocity[i], old.auxiliary[i]
         exponential(
@@ -75,13 +125,7 @@ def _predict(chain: Chain, old: Motion, new: Motion, h: float, room: Array) -> N
         )
         multiply(old.q[i], turn, new.q[i])
         normalise(new.q[i])
-    for e in range(len(chain.length)):
-        measure(new.x, new.q, e, chain.length[e], middle, strain)
-        for i in range(3):
-            along = 0.0
-            for k in range(3):
-                along += middle[i, k] * old.strain[e, k]
-            new.x[e + 1, i] = new.x[e, i] + chain.length[e] * along
+    place_nodes(step.rod.chain, new.x, new.q, old.strain)
 
 
 @inlined
@@ -96,21 +140,14 @@ def _rates(
 
 
 @inlined
-def _inertia(
-    chain: Chain,
-    scheme: Scheme,
-    i: int,
-    old: Motion,
-    new: Motion,
-    h: float,
-    system: System,
-    matrix: Array,
-) -> None:
+def _inertia(scheme: Scheme, step: Step, i: int) -> None:
     """Add a free node's inertia and α-damping to the residual and the diagonal block.
 
     The tangent leaves out how a step's rotation vector differs from the spin, and gyroscopic
     moments: both are of the order of the angle of a step.
     """
+    chain, old, new, h = step.rod.chain, step.old, step.new, step.h
+    system, matrix = step.scratch.system, step.scratch.matrix
     weight = (1.0 - scheme.alpha_m) / ((1.0 - scheme.alpha_f) * scheme.beta * h * h)
     weight += chain.alpha * scheme.gamma / (scheme.beta * h)
     w, v0, v1, v2 = between(old.q[i], new.q[i])
@@ -149,26 +186,6 @@ def _inertial_moment(chain: Chain, i: int, now: Motion) -> tuple[float, float, f
     )
 
 
-class Scratch(NamedTuple):
-    """Room for a step of one rod: its system, its elements and (e, 3) numbers, where it was before
-    Newton's step, (n, 3) and (n, 4), two rotations, and the gaps (n,) in m."""
-
-    system: System
-    elements: Elements
-    target: Array
-    x: Array
-    q: Array
-    matrix: Array
-    matrix_before: Array
-    gaps: Array
-
-
-def new_scratch(n: int) -> Scratch:
-    """Room for a rod of ``n`` nodes."""
-    record = partial(Scratch, new_system(n), new_elements(n - 1))
-    return zeros(record, (n - 1, 3), (n, 3), (n, 4), (3, 3), (3, 3), n)
-
-
 @inlined
 def damping_rate(law: Law, chain: Chain, h: float) -> float:
     """β over the step of ``h`` seconds, by which damping stiffens a rod."""
@@ -192,35 +209,26 @@ def inert(chain: Chain, scheme: Scheme, stiffness: float, h: float) -> bool:
     return scheme.inertia and stiffness * CORNER_YIELDS * scheme.beta * h * h < chain.mass[-1]
 
 
-@njit
-def shortfall(chain: Chain, surface: Obstacle, new: Motion, scratch: Scratch) -> float:
+@within
+def shortfall(surface: Obstacle, step: Step) -> float:
     """The part of the last step after which sections that it takes into the surface just touch it;
     one where none goes deeper than it may."""
-    allowed, least = deepest(chain, surface.kn), 1.0
-    gaps, matrix = scratch.gaps, scratch.matrix
+    allowed, least = deepest(step.rod.chain, surface.kn), 1.0
+    new, gaps, matrix = step.new, step.scratch.gaps, step.scratch.matrix
     for i in range(1, len(gaps)):
         if gaps[i] > 0.0 and height(surface, new.x[i]) <= surface.reach:
             write_matrix(new.q[i], matrix)
-            gap = lowest(surface, new.x[i], matrix)
+            gap = lowest(surface, Section(new.x[i], matrix))
             if gap < -allowed:
                 least = min(least, (gaps[i] + 0.5 * allowed) / (gaps[i] - gap))
     return least
 
 
 @within
-def finish(
-    law: Law,
-    rod: ClampedRod,
-    old: Motion,
-    new: Motion,
-    h: float,
-    works: Array,
-    iterations: int,
-    scratch: Scratch,
-) -> None:
-    """Write strains, reactions and sums at the end of a step that took so many ``iterations``;
-    ``works`` (2,) are what friction took and contact holds."""
-    chain, scheme, loads, system = rod.chain, law.scheme, rod.loads, scratch.system
+def finish(scheme: Scheme, step: Step, iterations: int) -> None:
+    """Write strains, reactions and sums at the end of a step that took so many ``iterations``."""
+    chain, loads, system = step.rod.chain, step.rod.loads, step.scratch.system
+    old, new, h = step.old, step.new, step.h
     strains(chain, new.x, new.q, new.strain)
     write(old.totals, new.totals)
     new.totals[TIME] = old.totals[TIME] + h
@@ -254,15 +262,16 @@ def finish(
         work += 0.5 * (old.holding[c] + new.holding[c]) * (new.x[0, c] - old.x[0, c])
         work += 0.5 * (old.holding[3 + c] + new.holding[3 + c]) * turned[c]
     new.totals[HUB_WORK] += work
-    new.totals[FRICTION] += works[0]
-    new.totals[CONTACT] = works[1]
+    new.totals[FRICTION] += step.scratch.works[0]
+    new.totals[CONTACT] = step.scratch.works[1]
     if scheme.inertia:
-        new.totals[MATERIAL] += _damped(chain, old, new, h)
+        new.totals[MATERIAL] += _damped(step)
 
 
-@njit
-def _damped(chain: Chain, old: Motion, new: Motion, h: float) -> float:
+@within
+def _damped(step: Step) -> float:
     """What material damping took over a step, in J."""
+    chain, old, new, h = step.rod.chain, step.old, step.new, step.h
     taken = 0.0
     for e in range(len(chain.length)):
         for c in range(6):
@@ -279,32 +288,46 @@ def _damped(chain: Chain, old: Motion, new: Motion, h: float) -> float:
 
 
 @within
-def begin(
-    law: Law, rod: ClampedRod, old: Motion, new: Motion, h: float, scratch: Scratch
-) -> tuple[float, float]:
-    """Write a first guess of the rod after a step of ``h`` seconds into ``new``; returns the
-    residuals in N and in N m that count as none."""
-    chain, scheme, surface = rod.chain, law.scheme, law.surface
+def begin(law: Law, step: Step, linked: bool) -> None:
+    """Write a first guess of the rod at the end of the step, and the residuals that count as none;
+    ``linked`` is whether it may touch others."""
+    rod, old, new, gaps = step.rod, step.old, step.new, step.scratch.gaps
     write(old.x, new.x)
     write(old.q, new.q)
-    clamp(law.hub, rod, old.totals[TIME] + h, new.x[0], new.q[0], new.velocity[0])
-    _predict(chain, old, new, h if scheme.inertia else 0.0, scratch.elements.room)
-    force = force_tolerance(chain, new.x, damping_rate(law, chain, h))
-    heaviest = farthest = 0.0
-    for i in range(len(new.x)):
-        heaviest, scratch.gaps[i] = max(heaviest, chain.mass[i]), 1.0
+    clamp(law.hub, rod, old.totals[TIME] + step.h, new.x[0], new.q[0], new.velocity[0])
+    _predict(step, step.h if law.scheme.inertia else 0.0)
+    for i in range(len(gaps)):
+        gaps[i] = 1.0
+    _write_none(law, step, linked)
+
+
+@within
+def _write_none(law: Law, step: Step, linked: bool) -> None:
+    """Write the force in N and the moment in N m that are nothing to a rod in this step."""
+    chain, x, scheme, none = step.rod.chain, step.new.x, law.scheme, step.scratch.none
+    square, total = scheme.beta * step.h * step.h, total_length(chain)
+    stiffest = heaviest = farthest = 0.0
+    for e in range(len(chain.length)):
         for c in range(3):
-            farthest = max(farthest, abs(new.x[i, c]))
+            stiffest = max(stiffest, chain.stiffness[e, c] / chain.length[e])
+    for i in range(len(x)):
+        heaviest = max(heaviest, chain.mass[i])
+        for c in range(3):
+            farthest = max(farthest, abs(x[i, c]))
+    bending = min(chain.stiffness[0, 3], chain.stiffness[0, 4]) / (total * total)
+    stiffer = 1.0 + damping_rate(law, chain, step.h)
+    force = NEAR * bending + ROUNDING * stiffer * stiffest * (farthest + total)
     if scheme.inertia:
-        force += ROUNDING * heaviest / (scheme.beta * h * h) * farthest
-    if surface.there:
-        force += ROUNDING * surface.kn * farthest
-    moment = force * total_length(chain)
+        force += ROUNDING * heaviest / square * farthest
+    if law.surface.there:
+        force += ROUNDING * law.surface.kn * farthest
+    moment = force * total
     if scheme.inertia:
-        least_force, least_moment = _stiffness(chain, scheme.beta * h * h)
+        least_force, least_moment = _stiffness(chain, square)
         force = max(force, NEWTON * scheme.error_m * least_force)
         moment = max(moment, NEWTON * scheme.error_m * least_moment)
-    return force, moment
+    rounding = ROUNDING * crossing_kn(law.between) * farthest if linked else 0.0
+    none[0], none[1] = force + rounding, moment + rounding * total
 
 
 @njit
@@ -324,32 +347,24 @@ def _stiffness(chain: Chain, square: float) -> tuple[float, float]:
 
 
 @within
-def assemble(
-    law: Law,
-    rod: ClampedRod,
-    old: Motion,
-    new: Motion,
-    h: float,
-    early: bool,
-    scratch: Scratch,
-) -> tuple[float, float]:
+def assemble(law: Law, step: Step, early: bool) -> tuple[float, float]:
     """Write the residual, and into the diagonal blocks what inertia and the surface add to them.
 
     ``early`` is whether this is one of the first iterations, see `joint.EARLY`. Returns as
     `contact.touch_section` what friction took and contact holds.
     """
-    chain, scheme, surface, system = rod.chain, law.scheme, law.surface, scratch.system
-    rate = damping_rate(law, chain, h)
-    gaps, matrix, matrix_before = scratch.gaps, scratch.matrix, scratch.matrix_before
-    assemble_forces(chain, new.x, new.q, old.strain, rate, system, scratch.elements)
+    surface, old, new, scratch = law.surface, step.old, step.new, step.scratch
+    gaps, system = scratch.gaps, scratch.system
+    rate = damping_rate(law, step.rod.chain, step.h)
+    assemble_forces(step.rod.chain, new.x, new.q, old.strain, rate, system, scratch.elements)
+    points = TouchStep(old.touch, new.touch, step.h if law.scheme.inertia else 0.0, early)
     lost = held = 0.0
     for i in range(1, len(new.x)):
-        write_matrix(new.q[i], matrix)
-        for c in range(3):
-            system.residual[i, c] -= rod.loads[i, c]
-            system.residual[i, 3 + c] -= rod.loads[i, 3 + c]
-        if scheme.inertia:
-            _inertia(chain, scheme, i, old, new, h, system, matrix)
+        write_matrix(new.q[i], scratch.matrix)
+        for c in range(6):
+            system.residual[i, c] -= step.rod.loads[i, c]
+        if law.scheme.inertia:
+            _inertia(law.scheme, step, i)
         if surface.there:
             gaps[i] = height(surface, new.x[i])
             touched = False
@@ -358,36 +373,27 @@ def assemble(
             if gaps[i] > surface.reach and not touched:
                 release(new.touch, i)
                 continue
-            gaps[i] = lowest(surface, new.x[i], matrix)
-            write_matrix(old.q[i], matrix_before)
-            took, holds = touch_section(
-                surface,
-                i,
-                new.x[i],
-                matrix,
-                old.x[i],
-                matrix_before,
-                old.touch,
-                new.touch,
-                h if scheme.inertia else 0.0,
-                early,
-                system,
-            )
+            section = Section(new.x[i], scratch.matrix)
+            gaps[i] = lowest(surface, section)
+            write_matrix(old.q[i], scratch.matrix_before)
+            was = Section(old.x[i], scratch.matrix_before)
+            took, holds = touch_section(surface, i, section, was, points, system)
             lost += took
             held += holds
     return lost, held
 
 
-@njit
-def keep(new: Motion, scratch: Scratch) -> None:
+@within
+def keep(step: Step) -> None:
     """Keep where the rod is."""
-    write(new.x, scratch.x)
-    write(new.q, scratch.q)
+    write(step.new.x, step.scratch.x)
+    write(step.new.q, step.scratch.q)
 
 
-@njit
-def go(chain: Chain, new: Motion, part: float, scratch: Scratch) -> None:
+@within
+def go(step: Step, part: float) -> None:
     """Move the rod by a ``part`` of Newton's step from where it was kept."""
+    new, scratch = step.new, step.scratch
     write(scratch.x, new.x)
     write(scratch.q, new.q)
-    move(chain, new.x, new.q, scratch.system.solution, part, scratch.target)
+    move(step.rod.chain, new.x, new.q, scratch.system.solution, part, scratch.target)

@@ -3,21 +3,14 @@
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from bristle.solver.compiled import nth
+from bristle.solver.compiled import nth, write
 from bristle.solver.rods.chain import at_rest, stacked
-from bristle.solver.rods.contact import Friction, no_touch, obstacle_of
+from bristle.solver.rods.contact import Friction, obstacle_of
 from bristle.solver.rods.element import strains
 from bristle.solver.rods.ground import Contact
 from bristle.solver.rods.hub import ORDER, Clamps, HubPath
-from bristle.solver.rods.joint import joint_step, room_for
-from bristle.solver.rods.motion import (
-    ClampedRod,
-    Hub,
-    copy,
-    fit_to_step,
-    motion_of,
-    scheme_of,
-)
+from bristle.solver.rods.joint import Brush, Group, joint_step, room_for
+from bristle.solver.rods.motion import ClampedRod, Hub, fit_to_step, motion_of, scheme_of
 from bristle.solver.rods.pairs import between_of
 from bristle.solver.rods.section import RodSection
 from bristle.solver.rods.step import Law
@@ -134,11 +127,10 @@ class OneRod:
         if not friction:
             surface = surface._replace(friction=Friction(0.0, 0.0, 0.0))
         fit_to_step(self.now, h)
-        law = Law(self.scheme, self.hub, surface, self.between)
-        alone, pairs = np.array([0]), np.zeros((0, 4), dtype=np.int64)
-        if joint_step(law, self.rods, alone, pairs, self.stack, no_touch(0, 2), h, self.room) < 0:
+        brush = Brush(Law(self.scheme, self.hub, surface, self.between), self.rods, self.stack)
+        if joint_step(brush, Group.apart(np.array([0])), h, self.room) < 0:
             return False
-        copy(self.next, self.now)
+        write(self.next, self.now)
         return True
 
     def let_go(self, force_N):

@@ -20,9 +20,9 @@ from commands import environment, mpirun, python
 from mpi4py import MPI
 
 from bristle.solver.bristle import Material
-from bristle.solver.compiled import nth, unowned
+from bristle.solver.compiled import nth, unowned, write
 from bristle.solver.rods.chain import Chain
-from bristle.solver.rods.motion import ClampedRod
+from bristle.solver.rods.motion import ClampedRod, motion_of
 
 pytestmark = pytest.mark.serial
 
@@ -304,6 +304,19 @@ def test_the_nth_of_a_stack_is_a_record_of_views():
     assert (one.chain.beta, one.chain.alpha) == (1.0, 0.5)
     one.place[:] = 5.0
     assert stack.place.tolist() == [[0.0] * 3, [5.0] * 3, [0.0] * 3]
+
+
+def test_a_record_is_written_over_another_array_by_array():
+    """And as much of a longer one as there is room for."""
+    from_there, into = (motion_of(rods, 3, 2) for rods in (3, 2))
+    for k, each in enumerate([*from_there[:-1], *from_there.touch]):
+        each.ravel()[:] = np.arange(each.size) + k
+    write(from_there, into)
+    for source, found in zip(
+        [*from_there[:-1], *from_there.touch], [*into[:-1], *into.touch], strict=True
+    ):
+        assert np.array_equal(found, source[:2])
+        assert found.any()
 
 
 def test_one_compiled_form_serves_all_materials(make_solid, tmp_path, monkeypatch):

@@ -14,26 +14,27 @@ from scipy.spatial.transform import Rotation
 
 from bristle.meshes.section import Circle
 from bristle.solver.bristle import Bristle
-from bristle.solver.compiled import nth
+from bristle.solver.compiled import nth, write
 from bristle.solver.errors import InputError
 from bristle.solver.rods.chain import at_rest, stacked, uniform_chain
-from bristle.solver.rods.contact import no_touch, obstacle_of
+from bristle.solver.rods.contact import TouchStep, no_touch, obstacle_of
 from bristle.solver.rods.element import strains
 from bristle.solver.rods.ground import Contact, Ground
 from bristle.solver.rods.hub import Clamps, HubPath
-from bristle.solver.rods.joint import _by_scipy, _point_forces, joint_step, room_for
-from bristle.solver.rods.motion import (
-    ClampedRod,
-    Hub,
-    copy,
-    copy_touch,
-    motion_of,
-    scheme_of,
+from bristle.solver.rods.joint import (
+    Brush,
+    Group,
+    _by_scipy,
+    _point_forces,
+    joint_step,
+    room_for,
 )
-from bristle.solver.rods.neighbours import Group, Neighbours, shared_out
+from bristle.solver.rods.motion import ClampedRod, Hub, Pose, motion_of, scheme_of
+from bristle.solver.rods.neighbours import Linked, Neighbours, shared_out
 from bristle.solver.rods.pairs import (
     CORNER,
     ROUGH_M,
+    Side,
     between_of,
     candidates,
     meet,
@@ -55,9 +56,10 @@ DOWN = along([0.0, 0.0, -1.0])
 
 
 def straight(place, rotation, nodes=2, length=0.02):
-    """Nodes and quaternions of a straight rod."""
-    s, turned = np.linspace(0.0, length, nodes), quaternion(Rotation.from_matrix(rotation))
-    return np.array(place) + s[:, None] * rotation[:, 2], np.tile(turned, (nodes, 1))
+    """The pose of a straight rod."""
+    s = np.linspace(0.0, length, nodes)
+    x = np.array(place) + s[:, None] * rotation[:, 2]
+    return Pose(x, np.tile(quaternion(Rotation.from_matrix(rotation)), (nodes, 1)))
 
 
 def crossing(angle_deg, apart, at_a=0.01, at_b=0.01, nodes=2, length=0.02):
@@ -74,11 +76,11 @@ def crossing(angle_deg, apart, at_a=0.01, at_b=0.01, nodes=2, length=0.02):
 def test_rods_that_cross_meet_over_the_same_length_wherever_nodes_are(angle_deg, nodes, at):
     """It is where their projections overlap; elements share it out."""
     apart = THIN - 1e-6
-    (xa, qa), (xb, qb) = crossing(angle_deg, apart, at, 0.0108, nodes)
+    a, b = crossing(angle_deg, apart, at, 0.0108, nodes)
     room, total = new_meeting(), 0.0
     for e in range(nodes - 1):
         for f in range(nodes - 1):
-            length = meet(LAW, xa, qa, e, xb, qb, f, room)
+            length = meet(LAW, a, e, b, f, room)
             if length > 0.0:
                 total += 0.5 * length
                 assert room.gap[0] == pytest.approx(apart - THIN, rel=1e-6)
@@ -103,9 +105,9 @@ def test_rods_that_cross_meet_over_the_same_length_wherever_nodes_are(angle_deg,
 )
 def test_parallel_rods_meet_with_their_faces(offset, gap, normal):
     """Side by side over all of their length, by the thin or by the wide side."""
-    (xa, qa), (xb, qb) = straight(offset, DOWN), straight([0.0, 0.0, 0.0], DOWN)
+    a, b = straight(offset, DOWN), straight([0.0, 0.0, 0.0], DOWN)
     room = new_meeting()
-    assert meet(LAW, xa, qa, 0, xb, qb, 0, room) == pytest.approx(0.02)
+    assert meet(LAW, a, 0, b, 0, room) == pytest.approx(0.02)
     assert room.gap == pytest.approx([gap, gap], abs=1e-12)
     assert room.normal == pytest.approx(normal, abs=1e-12)
 
@@ -117,9 +119,9 @@ def test_round_wires_are_as_far_apart_as_their_axes_are(angle_deg, gap):
     diameter = 0.5e-3
     bristle = Bristle(section=Circle(diameter))
     law = between_of(Contact(KN, 0.0, 0.0), RodSection.of(bristle))
-    (xa, qa), (xb, qb) = crossing(angle_deg, diameter + gap, at_a=0.006, at_b=0.01)
+    a, b = crossing(angle_deg, diameter + gap, at_a=0.006, at_b=0.01)
     room = new_meeting()
-    assert meet(law, xa, qa, 0, xb, qb, 0, room) > 0.0
+    assert meet(law, a, 0, b, 0, room) > 0.0
     assert room.gap.min() == pytest.approx(gap, abs=1e-9)
     assert room.normal == pytest.approx([1.0, 0.0, 0.0], abs=1e-6)
 
@@ -132,10 +134,10 @@ def test_rods_that_cross_in_the_plane_in_which_they_bend_meet_with_their_faces(a
     angle, depth = math.radians(angle_deg), 2e-6
     leans = Rotation.from_rotvec([0.0, -angle, 0.0]).as_matrix() @ DOWN
     place = [0.5 * THIN * (1.0 + math.cos(angle)) - depth, 0.0, 0.0]
-    xa, qa = straight(place, leans, nodes=3)
-    xb, qb = straight([0.0, 0.0, 0.01], DOWN)
+    a = straight(place, leans, nodes=3)
+    b = straight([0.0, 0.0, 0.01], DOWN)
     room = new_meeting()
-    assert meet(LAW, xa, qa, 0, xb, qb, 0, room) > 0.0
+    assert meet(LAW, a, 0, b, 0, room) > 0.0
     assert room.normal == pytest.approx([1.0, 0.0, 0.0], abs=1e-9)
     assert room.gap.min() == pytest.approx(-depth, abs=0.5 * THIN * CORNER)
 
@@ -143,8 +145,8 @@ def test_rods_that_cross_in_the_plane_in_which_they_bend_meet_with_their_faces(a
 def test_rods_that_are_nowhere_beside_each_other_do_not_meet():
     room = new_meeting()
     for place in ([0.0, 1.01 * WIDE, 0.0], [0.0, 0.0, -0.021], [0.1, 0.0, 0.0]):
-        (xa, qa), (xb, qb) = straight(place, DOWN), straight([0.0, 0.0, 0.0], DOWN)
-        length = meet(LAW, xa, qa, 0, xb, qb, 0, room)
+        a, b = straight(place, DOWN), straight([0.0, 0.0, 0.0], DOWN)
+        length = meet(LAW, a, 0, b, 0, room)
         assert length == 0.0 or room.gap.min() > 0.0
 
 
@@ -152,25 +154,19 @@ def test_a_tip_that_runs_into_a_side_meets_it_with_its_end():
     flat = along([0.0, 1.0, 0.0], wide=(0.0, 0.0, 1.0))  # thin side toward the tip's axis
     turned = flat @ Rotation.from_rotvec([0.0, 0.0, 0.5 * math.pi]).as_matrix()
     apart = 0.5 * min(abs(turned[2] @ np.diag([THIN, WIDE, 0.0])).max(), WIDE)
-    xa, qa = straight([0.0, 0.0, 0.02 + apart - 1e-6], DOWN)
-    xb, qb = straight([0.0, -0.01, 0.0], turned)
+    a = straight([0.0, 0.0, 0.02 + apart - 1e-6], DOWN)
+    b = straight([0.0, -0.01, 0.0], turned)
     room = new_meeting()
-    assert meet(LAW, xa, qa, 0, xb, qb, 0, room) > 0.0
+    assert meet(LAW, a, 0, b, 0, room) > 0.0
     assert room.normal == pytest.approx([0.0, 0.0, 1.0], abs=1e-9)
     assert room.gap.min() == pytest.approx(-1e-6, rel=1e-6)
 
 
 def held_and_forces(a, b):
     """What a pair holds in J, and its forces and moments (2, 2, 6) on the nodes."""
-    states = [nth(motion_of(1, 2, 1), 0) for _ in range(2)]
-    for state, (x, q) in zip(states, (a, b), strict=True):
-        state.x[:], state.q[:] = x, q
-    points, room = room_for_points(1), new_meeting()
-    touch = no_touch(1, 2), no_touch(1, 2)
-    whole, gaps = np.array([0, 0, 1, 0]), np.zeros(2)
-    twice = (states[0], states[0], states[1], states[1])
-    how = (0.0, False, room, gaps, points, 0)
-    count, lost, held = meet_pair(LAW, 0, whole, *twice, *touch, *how)
+    sides = [Side(rod, 0, pose, pose) for rod, pose in enumerate((a, b))]
+    points, step = room_for_points(1), TouchStep(no_touch(1, 2), no_touch(1, 2), 0.0, False)
+    count, lost, held = meet_pair(LAW, 0, *sides, step, points, 0)
     assert lost == 0.0
     forces = np.zeros((2, 2, 6))
     for p in range(count):
@@ -204,14 +200,15 @@ def test_forces_are_the_slope_of_the_energy(angle_deg, depth):
                 ends = []
                 step = 1e-9 if c < 3 else 1e-7
                 for sign in (-1.0, 1.0):
-                    x, q = ((each.copy() for each in a), (each.copy() for each in b))[side]
+                    x, q = (each.copy() for each in (a, b)[side])
                     if c < 3:
                         x[node, c] += sign * step
                     else:
                         turn = Rotation.from_rotvec(sign * step * np.eye(3)[c - 3])
                         own = Rotation.from_quat(q[node, [1, 2, 3, 0]])
                         q[node] = quaternion(turn * own)
-                    ends.append(held_and_forces(*((x, q), b) if side == 0 else (a, (x, q)))[0])
+                    moved = Pose(x, q)
+                    ends.append(held_and_forces(*(moved, b) if side == 0 else (a, moved))[0])
                 slope = -(ends[1] - ends[0]) / (2.0 * step)
                 lever = 1.0 if c < 3 else WIDE
                 assert forces[side, node, c] == pytest.approx(slope, abs=5e-3 * scale * lever)
@@ -237,20 +234,20 @@ def cross_bent(elements, overlap, angle_deg=90.0, steps=80):
     near = np.arange(elements)
     pairs = np.array([(0, e, 1, f) for e in near for f in near])
     room = room_for(elements + 1, len(surface.rim), 2, len(pairs))
-    touch = no_touch(len(pairs), 2)
+    brush = Brush(law, rods, stack)
+    group = Group(np.arange(2), pairs, no_touch(len(pairs), 2))
     done, part = 0.0, 1.0 / steps
     while done < 1.0:
         part = min(part, 1.0 - done)
         rods.place[1, 0] = -THIN + overlap * (done + part)
-        if joint_step(law, rods, np.arange(2), pairs, stack, touch, 0.0, room) < 0:
+        if joint_step(brush, group, 0.0, room) < 0:
             part *= 0.5
             assert part > 1e-5
             continue
         done, part = done + part, min(1.5 * part, 1.0 / steps)
-        for i in range(2):
-            copy(nth(room.new, i), nth(stack, i))
-        copy_touch(room.touch, touch)
-    return touch.normal.sum(), at_a, at_b
+        write(room.new, stack)
+        write(room.touch, group.touch)
+    return group.touch.normal.sum(), at_a, at_b
 
 
 @pytest.mark.serial
@@ -354,7 +351,7 @@ def test_pairs_that_meet_and_part_within_a_span_are_found(gap_m, closes_m_s, met
 @pytest.mark.parametrize("ranks", [1, 2, 5])
 def test_every_rod_has_one_rank(ranks):
     of = np.array([0, 0, 1, 2, 2, 2, 3])
-    groups = [Group(np.flatnonzero(of == g), np.zeros(0, int)) for g in (0, 2)]
+    groups = [Linked(np.flatnonzero(of == g), np.zeros(0, int)) for g in (0, 2)]
     holder, cost = np.arange(7) * ranks // 7, np.array([1.0, 1.0, 3.0, 1.0, 1.0, 1.0, 2.0])
     who = shared_out(groups, holder, cost, ranks)
     assert 0 <= who.min() <= who.max() < ranks

@@ -8,7 +8,14 @@ from rod_helpers import SLENDER, along
 
 from bristle.solver.errors import InputError
 from bristle.solver.rods.chain import new_system
-from bristle.solver.rods.contact import no_touch, obstacle_of, place_gap, touch_section
+from bristle.solver.rods.contact import (
+    Section,
+    TouchStep,
+    no_touch,
+    obstacle_of,
+    place_gap,
+    touch_section,
+)
 from bristle.solver.rods.ground import Ground
 from bristle.solver.rods.relief import RoughPlane, highest_m, look
 from bristle.studies.surface.ground import tile_m
@@ -30,7 +37,8 @@ def drawn():
 def held_and_force(surface, place, turned):
     """What a section holds in J that lies at a place, without friction, and its force (3,)."""
     touch, system = [no_touch(1, len(surface.rim)) for _ in range(2)], new_system(1)
-    lost, held = touch_section(surface, 0, place, turned, place, turned, *touch, 0.0, False, system)
+    section, step = Section(place, turned), TouchStep(*touch, 0.0, False)
+    lost, held = touch_section(surface, 0, section, section, step, system)
     assert lost == 0.0
     return held, -system.residual[0, :3]
 

@@ -28,15 +28,17 @@ from bristle.solver.rods.contact import (
     SLIDES,
     STICKS,
     Friction,
+    Section,
+    TouchStep,
     coefficient,
     no_touch,
     obstacle_of,
     touch_section,
 )
-from bristle.solver.rods.crossing import first_crossing
 from bristle.solver.rods.frame import TipState
 from bristle.solver.rods.ground import Ground
 from bristle.solver.rods.hub import HubPath
+from bristle.solver.rods.march import first_crossing
 from bristle.solver.rods.relief import RoughPlane
 from bristle.solver.rods.rods import Rods
 from bristle.solver.rods.section import RodSection
@@ -142,8 +144,8 @@ def test_tangent_of_contact(rng, case):
         system = new_system(1)
         system.diagonal[:] = system.residual[:] = 0.0
         turned = (Rotation.from_rotvec(spin) * turn).as_matrix()
-        moved = (place + shift, turned, was, turn.as_matrix())
-        touch_section(surface, 0, *moved, before, now, 0.1, False, system)
+        moved, started = Section(place + shift, turned), Section(was, turn.as_matrix())
+        touch_section(surface, 0, moved, started, TouchStep(before, now, 0.1, False), system)
         return system.residual[0].copy(), system.diagonal[0].copy()
 
     force, tangent = residual(np.zeros(3), np.zeros(3))
@@ -169,8 +171,8 @@ def test_a_point_that_stuck_holds_at_first():
         before, now, system = no_touch(1, 4), no_touch(1, 4), new_system(1)
         before.state[:] = STICKS
         was = place - np.array([5e-3, 0.0, 0.0])
-        args = place, np.eye(3), was, np.eye(3), before, now, 0.1, early, system
-        touch_section(law, 0, *args)
+        sections = Section(place, np.eye(3)), Section(was, np.eye(3))
+        touch_section(law, 0, *sections, TouchStep(before, now, 0.1, early), system)
         tangents.append(system.diagonal[0, :3, :3].copy())
         pushes.append(system.residual[0, :3].copy())
     assert np.array_equal(pushes[1], pushes[0])
