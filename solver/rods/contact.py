@@ -260,7 +260,7 @@ def touch_section(
     """
     n, grows = np.empty(3), np.empty(3)
     arm, place, slip, push = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
-    stiff, lever, turned = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))
+    stiff, turned = np.empty((3, 3)), np.empty((3, 3))
     lost = held = 0.0
     for k in range(len(surface.rim)):
         r0, r1 = surface.rim[k, 0], surface.rim[k, 1]
@@ -289,36 +289,30 @@ def touch_section(
         for c in range(3):
             # the contact holds kn gap² / 2, and is pushed to where it is softer
             push[c] -= 0.5 * surface.kn * grows[c] * gap * gap
-        _add_point(arm, push, stiff, lever, turned, system, node)
+        _add_point(arm, push, stiff, turned, system, node)
     return lost, held
 
 
 @njit
 def _add_point(
-    arm: Array, push: Array, stiff: Array, lever: Array, turned: Array, system: System, node: int
+    arm: Array, push: Array, stiff: Array, turned: Array, system: System, node: int
 ) -> None:
     """A force ``push`` on a point at ``arm``, whose loss by its displacement is ``stiff``."""
     block, residual = system.diagonal[node], system.residual[node]
-    lever[0, 0] = lever[1, 1] = lever[2, 2] = 0.0
-    lever[0, 1], lever[0, 2], lever[1, 2] = -arm[2], arm[1], -arm[0]
-    lever[1, 0], lever[2, 0], lever[2, 1] = arm[2], -arm[1], arm[0]
     along, moment = dot(arm, push), cross(arm, push)
     for i in range(3):
         residual[i] -= push[i]
         residual[3 + i] -= moment[i]
+        by_spin = cross(arm, (stiff[i, 0], stiff[i, 1], stiff[i, 2]))
         for j in range(3):
-            turned[i, j] = 0.0
-            for m in range(3):
-                turned[i, j] -= stiff[i, m] * lever[m, j]
-    for i in range(3):
-        for j in range(3):
+            turned[i, j] = by_spin[j]
             block[i, j] += stiff[i, j]
-            block[i, 3 + j] += turned[i, j]
-            rows = columns = 0.0
-            for m in range(3):
-                rows += lever[i, m] * stiff[m, j]
-                columns += lever[i, m] * turned[m, j]
-            block[3 + i, j] += rows
+            block[i, 3 + j] += by_spin[j]
+    for j in range(3):
+        by_place = cross(arm, (stiff[0, j], stiff[1, j], stiff[2, j]))
+        by_spin = cross(arm, (turned[0, j], turned[1, j], turned[2, j]))
+        for i in range(3):
+            block[3 + i, j] += by_place[i]
             # the arm turns too: δ(arm × push) = (spin × arm) × push
             turning = arm[i] * push[j] - (along if i == j else 0.0)
-            block[3 + i, 3 + j] += columns - turning
+            block[3 + i, 3 + j] += by_spin[i] - turning

@@ -111,13 +111,13 @@ def foresee(
     first order."""
     length = chain.length[e]
     measure(x, q, e, length, middle, strain)
-    f0, f1, f2 = length * strain[3], length * strain[4], length * strain[5]
-    _, _, tau, _, _, _ = coefficients(f0 * f0 + f1 * f1 + f2 * f2)
+    f = _three(strain, 3, length)
+    _, _, tau, _, _, _ = coefficients(dot(f, f))
     m0, a0, b0 = _turned_back(middle, solution, e, 0)
     m1, a1, b1 = _turned_back(middle, solution, e, 1)
     m2, a2, b2 = _turned_back(middle, solution, e, 2)
     # the spin of the middle, of which a half is from either node
-    t0, t1, t2 = cross((tau * f0, tau * f1, tau * f2), (b0, b1, b2))
+    t0, t1, t2 = cross(_three(f, 0, tau), (b0, b1, b2))
     w0, w1, w2 = a0 - t0, a1 - t1, a2 - t2
     out[0] = strain[0] + share * (m0 / length + strain[1] * w2 - strain[2] * w1)
     out[1] = strain[1] + share * (m1 / length + strain[2] * w0 - strain[0] * w2)
@@ -133,6 +133,12 @@ def strain_energy(chain: Chain, strain: Array) -> float:
             change = strain[e, c] - chain.rest[e, c]
             energy += 0.5 * chain.length[e] * chain.stiffness[e, c] * change * change
     return energy
+
+
+@inlined
+def _three(a: Vector, begin: int, factor: float) -> Vector:
+    """So many times three entries of an array from ``begin`` on."""
+    return factor * a[begin], factor * a[begin + 1], factor * a[begin + 2]
 
 
 @inlined
@@ -166,17 +172,11 @@ def _forces(chain: Chain, e: int, strain: Array, before: Array, rate: float, out
 
 
 @inlined
-def _moments(
-    d: Vector,
-    f: Vector,
-    force: Vector,
-    moment: Vector,
-) -> tuple[Vector, Vector]:
+def _moments(d: Vector, f: Vector, force: Vector, moment: Vector) -> tuple[Vector, Vector]:
     """c = N × d and S M - c × g, of d = x₂ - x₁ and φ, all in the same axes."""
     s, sigma, tau, _, _, _ = coefficients(dot(f, f))
     c, along = cross(force, d), sigma * dot(f, moment)
-    g = tau * f[0], tau * f[1], tau * f[2]
-    t = cross(c, g)
+    t = cross(c, _three(f, 0, tau))
     return c, (
         s * moment[0] + along * f[0] - t[0],
         s * moment[1] + along * f[1] - t[1],
@@ -184,41 +184,10 @@ def _moments(
     )
 
 
-@njit
-def _end_loads(
-    length: float, middle: Array, strain: Array, load: Array, one: Array, two: Array
-) -> None:
-    """Write an element's force and moment (6,) at its first and at its second node."""
-    d = length * strain[0], length * strain[1], length * strain[2]
-    f = length * strain[3], length * strain[4], length * strain[5]
-    own, couple = (load[0], load[1], load[2]), (load[3], load[4], load[5])
-    c, twist = _moments(d, f, own, couple)
-    for i in range(3):
-        force, mean, apart = 0.0, 0.0, 0.0
-        for k in range(3):
-            force += middle[i, k] * load[k]
-            mean += 0.5 * middle[i, k] * c[k]
-            apart += middle[i, k] * twist[k]
-        one[i], two[i] = -force, force
-        one[3 + i], two[3 + i] = mean - apart, mean + apart
-
-
-@njit
-def end_loads(chain: Chain, x: Array, q: Array, before: Array, rate: float, out: Array) -> None:
-    """Write the forces and moments (e, 2, 6) in world axes that make every element's strains.
-
-    The first of an element's two is at its first node. See `_forces` for ``before`` and ``rate``.
-    """
-    middle, strain, load = np.empty((3, 3)), np.empty(6), np.empty(6)
-    for e in range(len(chain.length)):
-        measure(x, q, e, chain.length[e], middle, strain)
-        _forces(chain, e, strain, before[e], rate, load)
-        _end_loads(chain.length[e], middle, strain, load, out[e, 0], out[e, 1])
-
-
 class Elements(NamedTuple):
     """The elements of one rod as last assembled: ``middle`` (e, 3, 3), ``strain`` and ``load``
-    (e, 6) in the middle's axes, and room for two ends' loads (2, 6) and for matrices (6, 3, 3)."""
+    (e, 6) in the middle's axes, forces and moments ``ends`` (e, 2, 6) in world axes, the first of
+    an element's two at its first node, and room for matrices (6, 3, 3)."""
 
     middle: Array
     strain: Array
@@ -229,7 +198,32 @@ class Elements(NamedTuple):
 
 def new_elements(n: int) -> Elements:
     """Room for so many."""
-    return zeros(Elements, (n, 3, 3), (n, 6), (n, 6), (2, 6), (6, 3, 3))
+    return zeros(Elements, (n, 3, 3), (n, 6), (n, 6), (n, 2, 6), (6, 3, 3))
+
+
+@njit
+def load_elements(
+    chain: Chain, x: Array, q: Array, before: Array, rate: float, elements: Elements
+) -> None:
+    """Write the strains of elements, and the loads that make them.
+
+    See `_forces` for ``before`` and ``rate``.
+    """
+    for e in range(len(chain.length)):
+        length, middle, strain = chain.length[e], elements.middle[e], elements.strain[e]
+        load, ends = elements.load[e], elements.ends[e]
+        measure(x, q, e, length, middle, strain)
+        _forces(chain, e, strain, before[e], rate, load)
+        d, f = _three(strain, 0, length), _three(strain, 3, length)
+        c, twist = _moments(d, f, _three(load, 0, 1.0), _three(load, 3, 1.0))
+        for i in range(3):
+            force, mean, apart = 0.0, 0.0, 0.0
+            for k in range(3):
+                force += middle[i, k] * load[k]
+                mean += 0.5 * middle[i, k] * c[k]
+                apart += middle[i, k] * twist[k]
+            ends[0, i], ends[1, i] = -force, force
+            ends[0, 3 + i], ends[1, 3 + i] = mean - apart, mean + apart
 
 
 @njit
@@ -246,20 +240,16 @@ def assemble_forces(
 
     See `_forces` for ``before`` and ``rate``.
     """
-    one, two = elements.ends[0], elements.ends[1]
+    load_elements(chain, x, q, before, rate, elements)
     for i in range(len(x)):
         for r in range(6):
             system.residual[i, r] = 0.0
             for c in range(6):
                 system.diagonal[i, r, c] = 0.0
     for e in range(len(chain.length)):
-        middle, strain, load = elements.middle[e], elements.strain[e], elements.load[e]
-        measure(x, q, e, chain.length[e], middle, strain)
-        _forces(chain, e, strain, before[e], rate, load)
-        _end_loads(chain.length[e], middle, strain, load, one, two)
         for r in range(6):
-            system.residual[e, r] += one[r]
-            system.residual[e + 1, r] += two[r]
+            system.residual[e, r] += elements.ends[e, 0, r]
+            system.residual[e + 1, r] += elements.ends[e, 1, r]
 
 
 @inlined
@@ -274,21 +264,8 @@ def _in_world(matrix: Array, own: Array, factor: float, begin: int, out: Array) 
 
 
 @njit
-def _tangent(
-    middle: Array,
-    length: float,
-    stiffness: Array,
-    strain: Array,
-    load: Array,
-    rate: float,
-    one: Array,
-    up: Array,
-    down: Array,
-    two: Array,
-    room: Array,
-) -> None:
-    """Add an element's tangent to the diagonal blocks of its nodes, ``one`` and ``two``, and write
-    those between them.
+def _tangent(chain: Chain, e: int, rate: float, system: System, elements: Elements) -> None:
+    """Add an element's tangent to the diagonal blocks of its nodes, and write those between them.
 
     Everything is in world axes, changes as seen from the middle, which turns by w. With
     d = x₂ - x₁, the force N on the second node, the stiffness C_N of stretch and shear, and
@@ -299,21 +276,18 @@ def _tangent(
     and a moment's block by d is the transpose of the force's by its node's spin. The nodes' moments
     turn with the middle.
     """
-    stretch, couple, turns, bend, moved, spins = (
-        room[0],
-        room[1],
-        room[2],
-        room[3],
-        room[4],
-        room[5],
-    )
-    d = _turned(middle, (length * strain[0], length * strain[1], length * strain[2]))
-    f = _turned(middle, (length * strain[3], length * strain[4], length * strain[5]))
-    force = _turned(middle, (load[0], load[1], load[2]))
-    m = _turned(middle, (load[3], load[4], load[5]))
+    one, up = system.diagonal[e], system.above[e]
+    down, two = system.below[e + 1], system.diagonal[e + 1]
+    length, middle, room = chain.length[e], elements.middle[e], elements.room
+    strain, load, stiffness = elements.strain[e], elements.load[e], chain.stiffness[e]
+    stretch, couple, turns = room[0], room[1], room[2]
+    bend, moved, spins = room[3], room[4], room[5]
+    d = _turned(middle, _three(strain, 0, length))
+    f = _turned(middle, _three(strain, 3, length))
+    force, m = _turned(middle, _three(load, 0, 1.0)), _turned(middle, _three(load, 3, 1.0))
     c, twist = _moments(d, f, force, m)
     s, sigma, tau, s_rate, sigma_rate, tau_rate = coefficients(dot(f, f))
-    g = tau * f[0], tau * f[1], tau * f[2]
+    g = _three(f, 0, tau)
     stiff = (1.0 + rate) / length
     _in_world(middle, stiffness, stiff, 0, stretch)
     _in_world(middle, stiffness, stiff, 3, bend)
@@ -385,16 +359,4 @@ def assemble_tangent(chain: Chain, rate: float, system: System, elements: Elemen
     """Add the exact tangent of the forces that `assemble_forces` has just written to the diagonal
     blocks, and write the others."""
     for e in range(len(chain.length)):
-        _tangent(
-            elements.middle[e],
-            chain.length[e],
-            chain.stiffness[e],
-            elements.strain[e],
-            elements.load[e],
-            rate,
-            system.diagonal[e],
-            system.above[e],
-            system.below[e + 1],
-            system.diagonal[e + 1],
-            elements.room,
-        )
+        _tangent(chain, e, rate, system, elements)

@@ -11,7 +11,8 @@ from scipy.interpolate import Akima1DInterpolator
 from ..arrays import Array
 from ..compiled import njit
 from ..errors import InputError
-from .rotation import rotation_vector_matrix, spin_of
+from ..rigid import matrix_of, turn
+from .rotation import spin_of
 
 # Rows of a table that ask for a faster hub than this do not describe a motion but a jump.
 FASTEST_M_S, FASTEST_RAD_S = 100.0, 1e4
@@ -120,7 +121,7 @@ class HubPath:
         turned = out[0, 3:]
         return HubPose(
             out[0, :3].copy(),
-            rotation_vector_matrix(turned),
+            np.asarray(matrix_of(turn(turned))),
             out[1, :3].copy(),
             spin_of(turned, out[1, 3:]),
         )

@@ -153,13 +153,6 @@ def _sides(brush: Brush, group: Group, room: Room, p: int) -> tuple[Side, Side]:
 
 
 @within
-def _begin_all(brush: Brush, group: Group, h: float, room: Room) -> None:
-    for k in range(len(group.members)):
-        begin(brush.law, _step(brush, group, h, room, k), len(group.pairs) > 0)
-        room.progress.doing[k], room.progress.last[k] = GOES, math.inf
-
-
-@within
 def _assemble_all(brush: Brush, group: Group, h: float, early: bool, room: Room) -> int:
     """Write residuals, of rods by themselves only where they moved, and points; how many points
     touch."""
@@ -522,9 +515,11 @@ def _look(brush: Brush, group: Group, h: float, room: Room) -> None:
 def joint_step(brush: Brush, group: Group, h: float, room: Room) -> int:
     """Write the group's rods after a step of ``h`` seconds into the room; Newton's iterations, or
     `FAILED`."""
-    scheme = brush.law.scheme
-    _begin_all(brush, group, h, room)
-    fair = FAIR if scheme.inertia and len(group.pairs) else 1.0
+    scheme, linked = brush.law.scheme, len(group.pairs) > 0
+    for k in range(len(group.members)):
+        begin(brush.law, _step(brush, group, h, room, k), linked)
+        room.progress.doing[k], room.progress.last[k] = GOES, math.inf
+    fair = FAIR if scheme.inertia and linked else 1.0
     for iteration in range(ITERATION_LIMIT):
         count = _assemble_all(brush, group, h, iteration < EARLY, room)
         _gather(room, count)

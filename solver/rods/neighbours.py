@@ -76,7 +76,7 @@ class Neighbours:
         self._gaps, (_, self._closing) = self._approach(stack)
         soon = self._gaps - self._closing * self.span_s < self._apart
         held = self.pairs[(self.touch.state != FREE).any(axis=1)]
-        self._take(_joined(self._possible[soon], held), self.touch, self.pairs)
+        self._take(_joined(self._possible[soon], held))
 
     def begun_in_each_other(self) -> Integers:
         """The pairs (p, 4) that are deeper in each other than rounding as the span begins."""
@@ -115,7 +115,7 @@ class Neighbours:
         """
         marched, touch = self.pairs, self.touch
         self.restore(before)
-        self._take(_joined(marched, pairs), self.touch, self.pairs)
+        self._take(_joined(marched, pairs))
         _, of = self.groups(rods)
         again = np.isin(of, of[pairs[:, 0]])
         stay = ~again[marched[:, 0]]
@@ -151,8 +151,9 @@ class Neighbours:
         speeds = np.linalg.norm(stack.velocity[..., :3] - carried, axis=-1)
         return np.asarray(arms @ pose.rotation), np.asarray(speeds)
 
-    def _take(self, pairs: Integers, touch: Touch, before: Integers) -> None:
-        """Another list of pairs; what points of ``before`` remember goes along."""
+    def _take(self, pairs: Integers) -> None:
+        """Another list of pairs; what points remember goes along."""
+        before, touch = self.pairs, self.touch
         self.pairs, self.touch = pairs, no_touch(len(pairs), 2)
         held = np.flatnonzero((touch.state != FREE).any(axis=1))
         at = _places(pairs, before[held])
@@ -182,10 +183,9 @@ class Neighbours:
     def normal_N(self, rods: int) -> Array:
         """The sum of the normal forces of other rods on each (rods,)."""
         each = self.touch.normal.sum(axis=1)
-        total = np.bincount(self.pairs[:, 0], each, rods) + np.bincount(
-            self.pairs[:, 2], each, rods
-        )
-        return np.asarray(total)
+        sides = (np.bincount(self.pairs[:, side], each, rods) for side in (ROD_A, ROD_B))
+        # of no pairs numpy counts in integers
+        return np.sum([*sides], axis=0, dtype=float)
 
     def checkpoint(self) -> dict[str, Any]:
         """What the next search needs of the past: the points that touch."""

@@ -10,7 +10,7 @@ from ..arrays import Array, Integers
 from ..compiled import njit, nth
 from .chain import Chain
 from .contact import SLIDES, Obstacle, Section, lowest
-from .element import end_loads
+from .element import Elements, load_elements
 from .motion import CONTACT, FRICTION, HUB_WORK, MATERIAL, STEPS, Motion, energies
 from .rotation import write_matrix
 
@@ -24,6 +24,10 @@ def clearance(surface: Obstacle, now: Motion) -> float:
             write_matrix(now.q[k], matrix)
             least = min(least, lowest(surface, Section(now.x[k], matrix)))
     return least
+
+
+# The column of `Seen.energy` that has no zero of its own.
+POTENTIAL = 3
 
 
 class Seen(NamedTuple):
@@ -45,11 +49,12 @@ def observe(chains: Chain, gravity: Array, stack: Motion, members: Integers) -> 
     """What is to be seen of some of the stacked rods, by their numbers ``members`` (n,)."""
     rods, nodes = len(members), stack.x.shape[1]
     moment, met = np.zeros((rods, nodes, 3)), np.zeros((rods, 3))
-    energy = np.zeros((rods, 8))
-    ends, matrix = np.empty((nodes - 1, 2, 6)), np.empty((3, 3))
+    energy, matrix, e = np.zeros((rods, 8)), np.empty((3, 3)), nodes - 1
+    middle, ends, rows = np.empty((e, 3, 3)), np.empty((e, 2, 6)), np.empty((2, e, 6))
+    elements = Elements(middle, rows[0], rows[1], ends, middle)
     for i in range(rods):
         chain, now = nth(chains, members[i]), nth(stack, members[i])
-        end_loads(chain, now.x, now.q, now.strain, 0.0, ends)
+        load_elements(chain, now.x, now.q, now.strain, 0.0, elements)
         for k in range(nodes):
             write_matrix(now.q[k], matrix)
             # what the element after the clamp, and before every other node, bears there

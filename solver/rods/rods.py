@@ -15,6 +15,7 @@ from ..arrays import Array, Flags, Integers
 from ..bristle import positive
 from ..compiled import nth
 from ..errors import BristleError, ComputationError, InputError, require
+from ..rigid import matrix_of
 from ..time.scheme import TimeScheme
 from . import motion as rows
 from .chain import at_rest, stacked, uniform_chain
@@ -27,9 +28,8 @@ from .joint import Brush, Group, room_for
 from .march import march
 from .motion import ClampedRod, Hub, Motion, motion_of, scheme_of
 from .neighbours import Linked, Neighbours, alone, put, shared_out
-from .observe import Seen, clearance, observe
+from .observe import POTENTIAL, Seen, clearance, observe
 from .pairs import between_of
-from .rotation import world_to_body
 from .section import RodSection
 from .settle import settle
 from .step import Law
@@ -97,10 +97,9 @@ class Rods:
     ) -> None:
         if elements < 1:
             raise InputError(f"a rod needs at least one element, not {elements}")
-        if not math.isfinite(gravity_m_s2):
-            raise InputError(f"gravity must be finite, not {gravity_m_s2}")
-        if not math.isfinite(bow_rad):
-            raise InputError(f"the bow must be finite, not {bow_rad}")
+        for name, value in (("gravity", gravity_m_s2), ("the bow", bow_rad)):
+            if not math.isfinite(value):
+                raise InputError(f"{name} must be finite, not {value}")
         positive("the tolerance of a step", tolerance)
         self.section, self.clamps, self.motion, self.ground = section, clamps, motion, ground
         self.comm, self.elements = comm, elements
@@ -122,7 +121,7 @@ class Rods:
         self._brush, self._t_s = Brush(law, self._clamped(bow_rad), self._now), 0.0
         self._refuse_below(np.zeros(1))
         wrong: BristleError | None = None
-        for i in np.flatnonzero(self._holder == comm.rank):
+        for i in self._held():
             try:
                 self._begin(int(i))
             except BristleError as error:
@@ -138,9 +137,9 @@ class Rods:
             for a, _, b, _ in self._neighbours.begun_in_each_other():
                 raise InputError(f"bristles {a} and {b} begin in each other; space them")
         self._means = Means.none()
-        first = self._observed()
-        self._initial_J = float(first.energy[:, 1:3].sum() + first.energy[:, 4].sum())
-        self._datum_J = float(first.energy[:, 3].sum())
+        first = self._observed().energy
+        self._initial_J = float(first[:, 1:3].sum() + first[:, 4].sum())
+        self._datum_J = float(first[:, POTENTIAL].sum())
 
     @property
     def t_s(self) -> float:
@@ -179,9 +178,7 @@ class Rods:
         """March every bristle to ``end_s``, or as far as lists of neighbours hold."""
         near = self._neighbours
         if near is None:
-            mine = np.flatnonzero(self._holder == self.comm.rank)
-            failed = self._march_apart(mine, end_s, windows)
-            self._refuse_failure(failed)
+            self._refuse_failure(self._march_apart(self._held(), end_s, windows))
             self._t_s = end_s
             return
         pose, before, longest = self.motion.pose(self.t_s), near.checkpoint(), LONGEST_S
@@ -285,7 +282,11 @@ class Rods:
 
     def _tell_all(self) -> None:
         """Let every rank know the whole state of all rods; collective."""
-        self._tell((_arrays(self._now), np.flatnonzero(self._holder == self.comm.rank)))
+        self._tell((_arrays(self._now), self._held()))
+
+    def _held(self) -> Integers:
+        """The rods that this rank marched last."""
+        return np.flatnonzero(self._holder == self.comm.rank)
 
     def _tell(self, *parts: tuple[Sequence[Array], Integers]) -> None:
         """Let every rank know the rows of arrays that this one has, of several; collective."""
@@ -302,8 +303,8 @@ class Rods:
         force = -seen.reaction[:, :3]
         arms = seen.x[:, 0] - pose.position_m
         torque = -seen.reaction[:, 3:] + np.cross(arms, force)
-        total = seen.energy.sum(axis=0).tolist()
-        work, kinetic, strain, potential, contact, material, friction, steps = total
+        total = seen.energy.sum(axis=0)
+        total[POTENTIAL] -= self._datum_J
         return Frame(
             t_s=self.t_s,
             force_N=force.sum(axis=0),
@@ -316,17 +317,8 @@ class Rods:
             centre_m=seen.x,
             rotation=seen.q,
             bending_stress_Pa=self.section.bending_stress_Pa(seen.moment),
-            energy=RodEnergy(
-                initial_J=self._initial_J,
-                hub_work_J=work,
-                kinetic_J=kinetic,
-                strain_J=strain,
-                potential_J=potential - self._datum_J,
-                contact_J=contact,
-                material_loss_J=material,
-                friction_loss_J=friction,
-            ),
-            steps=int(steps),
+            energy=RodEnergy(self._initial_J, *total[:-1].tolist()),
+            steps=int(total[-1]),
             means=self._means,
         )
 
@@ -374,13 +366,19 @@ class Rods:
         return ClampedRod(chains, loads, self.clamps.position_m, attitude)
 
     def _begin(self, i: int) -> None:
-        """The bristle ``i`` in equilibrium under its weight, moving with the hub."""
+        """The bristle ``i`` in equilibrium under its weight, moving with the hub; InputError where
+        it begins in the surface as it is without strain."""
         chain, now = nth(self._brush.rods.chain, i), nth(self._now, i)
         pose = self.motion.pose(0.0)
         place = pose.position_m + pose.rotation @ self.clamps.position_m[i]
         now.x[:], now.q[:] = at_rest(chain, place, pose.rotation @ self.clamps.rotation[i])
         strains(chain, now.x, now.q, now.strain)
-        self._refuse_tips_below(i)
+        gap = float(clearance(self._brush.law.surface, now))
+        if gap < -TOUCHING * self.clamps.length_m[i]:
+            raise InputError(
+                f"bristle {i} begins {-gap:.3g} m below the surface; raise the hub, or press it "
+                "down from first touch"
+            )
         if not settle(self._brush, i, self._room_for(1, 0)):
             raise ComputationError(
                 f"bristle {i} finds no equilibrium under its weight; try more elements"
@@ -388,7 +386,7 @@ class Rods:
         spin = pose.angular_velocity_rad_s
         now.velocity[:, :3] = pose.velocity_m_s + np.cross(spin, now.x - pose.position_m)
         now.totals[rows.STEP] = FIRST_STEP_S
-        now.velocity[:, 3:] = world_to_body(now.q, spin)
+        now.velocity[:, 3:] = [matrix_of(each).T @ spin for each in now.q]
 
     def _refuse_below(self, times_s: Array) -> None:
         if self.ground is None:
@@ -403,18 +401,9 @@ class Rods:
                     f"surface at {t:.4g} s; the hub is pressed too far down, or begins too low"
                 )
 
-    def _refuse_tips_below(self, i: int) -> None:
-        """InputError where a bristle as it is without strain begins in the surface."""
-        gap = float(clearance(self._brush.law.surface, nth(self._now, i)))
-        if gap < -TOUCHING * self.clamps.length_m[i]:
-            raise InputError(
-                f"bristle {i} begins {-gap:.3g} m below the surface; raise the hub, or press it "
-                "down from first touch"
-            )
-
     def _observed(self) -> Seen:
         """What is to be seen of all rods; each rank looks at those that it holds; collective."""
-        mine = np.flatnonzero(self._holder == self.comm.rank)
+        mine = self._held()
         seen = observe(self._brush.rods.chain, self._gravity, self._now, mine)
         if self.comm.size == 1:
             return seen

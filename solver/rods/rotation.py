@@ -12,7 +12,6 @@ import numpy as np
 
 from ..arrays import Array
 from ..compiled import inlined, njit
-from ..rigid import matrix_of, turn
 
 type Vector = Array | tuple[float, float, float]
 
@@ -88,11 +87,6 @@ def normalise(q: Array) -> None:
         q[k] /= size
 
 
-def rotation_vector_matrix(vector: Array) -> Array:
-    """Rotation matrix (3, 3) of a rotation vector (3,) of any length."""
-    return np.asarray(matrix_of(turn(np.asarray(vector, dtype=float))))
-
-
 @njit
 def spin_of(vector: Array, rate: Array) -> Array:
     """Angular velocity (3,) in fixed axes of a body whose rotation vector changes at a rate (3,).
@@ -110,8 +104,3 @@ def spin_of(vector: Array, rate: Array) -> Array:
     for c in range(3):
         out[c] = rate[c] + first * once[c] + second * twice[c]
     return out
-
-
-def world_to_body(q: Array, vector: Array) -> Array:
-    """A world vector (3,) in the axes of each of the quaternions (n, 4)."""
-    return np.stack([np.asarray(matrix_of(each)).T @ vector for each in q])

@@ -30,7 +30,7 @@ from .contact import (
     release,
     touch_section,
 )
-from .element import Elements, assemble_forces, new_elements, strains
+from .element import Elements, assemble_forces, new_elements
 from .motion import (
     CONTACT,
     FRICTION,
@@ -229,7 +229,7 @@ def finish(scheme: Scheme, step: Step, iterations: int) -> None:
     """Write strains, reactions and sums at the end of a step that took so many ``iterations``."""
     chain, loads, system = step.rod.chain, step.rod.loads, step.scratch.system
     old, new, h = step.old, step.new, step.h
-    strains(chain, new.x, new.q, new.strain)
+    write(step.scratch.elements.strain, new.strain)
     write(old.totals, new.totals)
     new.totals[TIME] = old.totals[TIME] + h
     new.totals[STEPS] += 1.0

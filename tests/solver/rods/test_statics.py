@@ -15,7 +15,7 @@ from bristle.solver.rods.chain import Chain, at_rest, new_system, uniform_chain
 from bristle.solver.rods.element import (
     assemble_forces,
     assemble_tangent,
-    end_loads,
+    load_elements,
     new_elements,
     strain_energy,
     strains,
@@ -173,10 +173,10 @@ def test_tangent_and_forces_are_derivatives(rng, angle):
     residual(x, q)
     assemble_tangent(chain, 0.3, system, elements)
     tangent = whole_matrix(system).reshape(6 * n, 6 * n)
-    loads, ends = np.zeros((n, 6)), np.empty((n - 1, 2, 6))
-    end_loads(chain, x, q, before, 0.0, ends)
-    loads[:-1] += ends[:, 0]
-    loads[1:] += ends[:, 1]
+    loads = np.zeros((n, 6))
+    load_elements(chain, x, q, before, 0.0, elements)
+    loads[:-1] += elements.ends[:, 0]
+    loads[1:] += elements.ends[:, 1]
     for unknown in range(6 * n):
         up, down = nudged(x, q, unknown, h), nudged(x, q, unknown, -h)
         slope = (residual(*up) - residual(*down)) / (2 * h)
@@ -188,11 +188,11 @@ def test_tangent_and_forces_are_derivatives(rng, angle):
 def test_a_rigid_motion_changes_no_force(rng):
     """Forces turn with the rod to 1e-10, whatever the angle."""
     chain, x, q, before = bent(rng)
-    one, two = np.empty((len(x) - 1, 2, 6)), np.empty((len(x) - 1, 2, 6))
-    end_loads(chain, x, q, before, 0.3, one)
+    one, two = new_elements(len(x) - 1), new_elements(len(x) - 1)
+    load_elements(chain, x, q, before, 0.3, one)
     for _ in range(5):
         turn = Rotation.from_rotvec(3.0 * rng.normal(size=3))
         moved = turn.apply(x) + 10.0 * rng.normal(size=3)
-        end_loads(chain, moved, quaternion(turn * rotations(q)), before, 0.3, two)
-        back = turn.inv().apply(two.reshape(-1, 3)).reshape(one.shape)
-        assert back == pytest.approx(one, abs=1e-10)
+        load_elements(chain, moved, quaternion(turn * rotations(q)), before, 0.3, two)
+        back = turn.inv().apply(two.ends.reshape(-1, 3)).reshape(one.ends.shape)
+        assert back == pytest.approx(one.ends, abs=1e-10)
