@@ -21,16 +21,14 @@ from ..report.prose import Prose
 from ..surface.ground import surface_rows
 from .inputs import BrushInputs
 from .record import DRAWN, LOAD_COLUMNS, SHARE_COLUMNS, Record
-from .shape import Sides
+from .shape import TIPS, Sides, spread
 
 # Instants of which the shape is drawn: of one bristle several, of many the last.
 INSTANTS = 7
 HEADS: dict[str, Head] = {
     "from_s": ("from", "s", 4),
     "to_s": ("to", "s", 4),
-    "in_contact": ("in contact", "share of tips", 3),
-    "sticking": ("sticking", "share of tips", 3),
-    "slipping": ("slipping", "share of tips", 3),
+    **{name: (name.replace("_", " "), "share of tips", 3) for name in SHARE_COLUMNS},
     "stress_MPa": ("bending stress", "MPa", 4),
     **{f"f{axis}_N": (f"force along {axis}", "N", 4) for axis in "xyz"},
     **{f"m{axis}_Nm": (f"torque about {axis}", "N m", 4) for axis in "xyz"},
@@ -51,9 +49,10 @@ prose = Prose(Path(__file__).with_name("words.j2"), HEADS)
 
 def write_page(inputs: BrushInputs, record: Record, document: Mapping[str, Any], out: Path) -> None:
     """Write ``report.html``, ``figures/`` and ``tables/`` of what a brush did."""
+    over = record.interval_table()
     sections = [
-        _force_section(record.interval_table(), document),
-        _tips_section(record.interval_table(), document),
+        _force_section(over, document),
+        _tips_section(over, document),
         _shape_section(inputs, record),
         _stress_section(record.over_time(), document, inputs.yield_strength_Pa),
         _energy_section(inputs, document),
@@ -71,7 +70,7 @@ def write_page(inputs: BrushInputs, record: Record, document: Mapping[str, Any],
         version=__version__,
         command=command_line("brush", inputs, checked(BrushInputs, {}), out),
         headline=prose.text("headline", said=document, inputs=inputs),
-        facts=[("bristles", str(inputs.count)), ("time steps", str(record.steps))],
+        facts=[("bristles", str(inputs.count)), ("time steps", str(record.frames[-1].steps))],
         sections=sections,
     )
     write_report(page, out)
@@ -80,8 +79,12 @@ def write_page(inputs: BrushInputs, record: Record, document: Mapping[str, Any],
 def _force_section(over: pd.DataFrame, document: Mapping[str, Any]) -> Section:
     draft = prose("force", said=document)
     data = draft.data("intervals", over[["from_s", "to_s", *LOAD_COLUMNS]])
-    draft.figure("force", force_figure(over), data)
-    draft.figure("torque", torque_figure(over), data)
+    for name, unit, names in (
+        ("force", "N", LOAD_COLUMNS[:3]),
+        ("torque", "N m", LOAD_COLUMNS[3:]),
+    ):
+        draw = drawing("time (s)", f"{name} on the hub ({unit})")(over_time)
+        draft.figure(name, draw(over, names), data)
     return draft.section()
 
 
@@ -96,18 +99,6 @@ def edges(table: pd.DataFrame) -> Array:
     return np.array([*table.from_s, table.to_s.iloc[-1]])
 
 
-@drawing("time (s)", "force on the hub (N)")
-def force_figure(ax: Axes, over: pd.DataFrame) -> None:
-    """The three components of the mean force over each interval."""
-    over_time(ax, over, LOAD_COLUMNS[:3])
-
-
-@drawing("time (s)", "torque on the hub (N m)")
-def torque_figure(ax: Axes, over: pd.DataFrame) -> None:
-    """The three components of the mean torque over each interval."""
-    over_time(ax, over, LOAD_COLUMNS[3:])
-
-
 def _tips_section(over: pd.DataFrame, document: Mapping[str, Any]) -> Section:
     draft = prose("tips", said=document)
     data = draft.data("shares", over[["from_s", "to_s", *SHARE_COLUMNS]])
@@ -118,31 +109,30 @@ def _tips_section(over: pd.DataFrame, document: Mapping[str, Any]) -> Section:
 @drawing("time (s)", "share of tips", ylim=(-0.03, 1.03))
 def shares_figure(ax: Axes, over: pd.DataFrame) -> None:
     """Shares of tips that stick and that slip over time."""
-    ax.stackplot(
-        np.repeat(edges(over), 2)[1:-1],
-        np.repeat(over.sticking, 2),
-        np.repeat(over.slipping, 2),
-        labels=["stick", "slip"],
-        colors=[BLUE, VERMILION],
-        alpha=0.55,
-        lw=0,
-    )
+    draw_shares(ax, over, ["stick", "slip"])
+
+
+def draw_shares(ax: Axes, table: pd.DataFrame, labels: Sequence[str]) -> None:
+    """Draw shares of tips that stick and that slip over the intervals of a table."""
+    shares = [np.repeat(table[name], 2) for name in SHARE_COLUMNS[1:]]
+    colours = [colour for _, colour in TIPS.values()]
+    ends = np.repeat(edges(table), 2)[1:-1]
+    ax.stackplot(ends, *shares, labels=labels, colors=colours, alpha=0.55, lw=0)
 
 
 def _shape_section(inputs: BrushInputs, record: Record) -> Section:
-    several = inputs.layout is Layout.SINGLE
-    number = len(record.times_s)
-    chosen = np.unique(np.linspace(0, number - 1, INSTANTS).astype(int)) if several else [-1]
+    several, count = inputs.layout is Layout.SINGLE, len(record.frames)
     shapes, rows, path = [], [], inputs.hub_motion
-    for i in chosen:
-        origin = path.pose(record.times_s[i]).position_m
-        lines = record.shapes[i] - [origin[0], origin[1], 0.0, 0.0]
+    for i in spread(count, INSTANTS) if several else [count - 1]:
+        frame = record.frames[i]
+        lines = np.concatenate([frame.centre_m, frame.bending_stress_Pa[..., None]], axis=-1)
+        lines -= [*path.pose(frame.t_s).position_m[:2], 0.0, 0.0]
         shapes.extend(lines)
-        for bristle, line in zip(record.drawn, lines, strict=True):
+        for bristle, line in zip(spread(inputs.count, DRAWN), lines, strict=True):
             points = pd.DataFrame(1e3 * line[:, :3], columns=["x_mm", "y_mm", "z_mm"])
             points["stress_MPa"] = 1e-6 * line[:, 3]
             points.insert(0, "bristle", bristle)
-            points.insert(0, "t_s", record.times_s[i])
+            points.insert(0, "t_s", frame.t_s)
             rows.append(points)
     draft = prose("shape", several=several, drawn=min(inputs.count, DRAWN), count=inputs.count)
     data = draft.data("shape", pd.concat(rows))

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
 from ...solver.arrays import Array
 from ...solver.checkpoint import prefixed, under
@@ -17,12 +16,13 @@ from ...solver.rods.frame import Frame, RodEnergy, TipState
 from ...solver.rods.tally import Means
 from ..surface.rough import Surface
 from .paraview import write_lines, write_series
+from .shape import spread
 
 LOAD_COLUMNS = ("fx_N", "fy_N", "fz_N", "mx_Nm", "my_Nm", "mz_Nm")
-HUB_COLUMNS = ("t_s", *LOAD_COLUMNS)
 SHARE_COLUMNS = ("in_contact", "sticking", "slipping")
 MEAN_COLUMNS = ("from_s", "to_s", *LOAD_COLUMNS, *SHARE_COLUMNS)
-TIP_COLUMNS = ("x_m", "y_m", "z_m", "normal_N", "friction_N", "between_N")
+# Columns of tips.csv, and arrays for ParaView, by what a frame calls them.
+AT_TIPS = {"normal_N": "tip_normal_N", "friction_N": "tip_friction_N", "between_N": "between_N"}
 STATES = {TipState.FREE: "free", TipState.STICK: "stick", TipState.SLIP: "slip"}
 # Bristles whose shape is kept for pictures.
 DRAWN = 100
@@ -55,85 +55,74 @@ class Record:
     """The frames so far, on one rank, and their files in ``folder`` unless that is None."""
 
     folder: Path | None
-    times_s: list[float] = field(default_factory=list)
-    hub: list[Array] = field(default_factory=list)
-    means: list[Array] = field(default_factory=list)
-    tips: list[Array] = field(default_factory=list)
-    states: list[Array] = field(default_factory=list)
+    # with the centre lines, axes and stress of drawn bristles alone
+    frames: list[Frame] = field(default_factory=list)
+    # the greatest in each bristle
     stress_Pa: list[Array] = field(default_factory=list)
-    shapes: list[Array] = field(default_factory=list)
-    energies: list[RodEnergy] = field(default_factory=list)
-    steps: int = 0
 
     def take(self, frame: Frame) -> None:
         """Note a frame; OSError where its file cannot be written."""
-        number = len(self.times_s)
-        self.times_s.append(frame.t_s)
-        self.hub.append(np.concatenate([frame.force_N, frame.torque_Nm]))
-        mean = frame.means
-        ends = [mean.begin_s, mean.end_s]
-        self.means.append(np.column_stack([*ends, mean.force_N, mean.torque_Nm, mean.share]))
-        contact = np.column_stack([frame.tip_normal_N, frame.tip_friction_N, frame.between_N])
-        self.tips.append(np.column_stack([frame.tip_m, contact]))
-        self.states.append(np.array(frame.state, dtype=np.int64))
-        self.stress_Pa.append(frame.bending_stress_Pa.max(axis=1))
-        chosen = self.drawn
-        shape = [frame.centre_m[chosen], frame.bending_stress_Pa[chosen, :, None]]
-        self.shapes.append(np.concatenate(shape, axis=-1))
-        self.energies.append(frame.energy)
-        self.steps = frame.steps
         if self.folder is not None:
-            each = dict(zip(TIP_COLUMNS[3:], contact.T, strict=True))
-            each["state"] = self.states[-1]
-            write_lines(self.folder, number, frame.centre_m, frame.bending_stress_Pa, each)
+            number, stress = len(self.frames), frame.bending_stress_Pa
+            each = {name: getattr(frame, of) for name, of in AT_TIPS.items()}
+            each["state"] = frame.state.astype(np.int64)
+            write_lines(self.folder, number, frame.centre_m, stress, each)
+        self.stress_Pa.append(frame.bending_stress_Pa.max(axis=1))
+        drawn = spread(len(frame.state), DRAWN)
+        names = "centre_m", "rotation", "bending_stress_Pa"
+        kept = {name: getattr(frame, name)[drawn] for name in names}
+        # a view of all lines would hold them
+        self.frames.append(replace(frame, tip_m=frame.tip_m.copy(), **kept))
 
-    @property
-    def drawn(self) -> NDArray[np.int64]:
-        """Numbers of the bristles whose shape is kept, spread over all of them."""
-        n = len(self.states[0])
-        return np.unique(np.linspace(0, n - 1, min(n, DRAWN)).astype(np.int64))
+    def _each(self, name: str) -> Array:
+        """What all frames have by this name, one after another."""
+        return np.array([getattr(frame, name) for frame in self.frames])
 
     def finish(self, reach_m: float, surface: Surface | None) -> None:
         """Write the list of files, and the surface as far as ``reach_m`` beyond all tips."""
         if self.folder is not None:
-            places = np.concatenate(self.tips)[:, :2]
+            places = self._each("tip_m").reshape(-1, 3)[:, :2]
             low, high = places.min(axis=0) - reach_m, places.max(axis=0) + reach_m
-            write_series(self.folder, self.times_s, low, high, surface)
+            times_s = [frame.t_s for frame in self.frames]
+            write_series(self.folder, times_s, low, high, surface)
 
     def hub_table(self) -> pd.DataFrame:
         """A row for each instant: hub.csv."""
-        rows = np.column_stack([self.times_s, np.array(self.hub)])
-        return pd.DataFrame(rows, columns=list(HUB_COLUMNS))
+        rows = np.column_stack([self._each(name) for name in ("t_s", "force_N", "torque_Nm")])
+        return pd.DataFrame(rows, columns=["t_s", *LOAD_COLUMNS])
 
     def mean_table(self) -> pd.DataFrame:
         """A row for each window of time, of means over it: means.csv."""
-        return pd.DataFrame(np.concatenate(self.means), columns=list(MEAN_COLUMNS))
+        rows = [_windows(frame.means) for frame in self.frames]
+        return pd.DataFrame(np.concatenate(rows), columns=list(MEAN_COLUMNS))
 
     def interval_table(self) -> pd.DataFrame:
         """As `mean_table`, of the longer intervals between frames."""
-        rows = [
-            np.average(each, axis=0, weights=each[:, 1] - each[:, 0]) for each in self.means[1:]
-        ]
+        windows = [_windows(frame.means) for frame in self.frames[1:]]
+        rows = [np.average(each, axis=0, weights=each[:, 1] - each[:, 0]) for each in windows]
         table = pd.DataFrame(rows, columns=list(MEAN_COLUMNS))
-        table["from_s"], table["to_s"] = self.times_s[:-1], self.times_s[1:]
+        times_s = self._each("t_s")
+        table["from_s"], table["to_s"] = times_s[:-1], times_s[1:]
         return table
 
     def tip_table(self) -> pd.DataFrame:
         """A row for each instant and bristle: tips.csv."""
-        n = len(self.states[0])
-        table = pd.DataFrame({"t_s": np.repeat(self.times_s, n)})
-        table["bristle"] = np.tile(np.arange(n), len(self.times_s))
-        table[list(TIP_COLUMNS)] = np.concatenate(self.tips)
-        # after the columns that every version has
-        between = table.pop("between_N")
-        table["state"] = np.vectorize(STATES.get)(np.concatenate(self.states))
-        table["between_N"] = between
+        tips = self._each("tip_m")
+        count, n = tips.shape[:2]
+        table = pd.DataFrame(tips.reshape(-1, 3), columns=["x_m", "y_m", "z_m"])
+        table.insert(0, "t_s", np.repeat(self._each("t_s"), n))
+        table.insert(1, "bristle", np.tile(np.arange(n), count))
+        for name, of in AT_TIPS.items():
+            table[name] = self._each(of).ravel()
+        states = np.vectorize(STATES.get)(self._each("state").ravel())
+        # before the column that not every version has
+        table.insert(table.columns.get_loc("between_N"), "state", states)
         return table
 
     def over_time(self) -> pd.DataFrame:
         """A row for each instant: the greatest bending stress of all bristles."""
         stress = np.max(self.stress_Pa, axis=1)
-        return pd.DataFrame({"t_s": self.times_s, "bending_stress_Pa": stress})
+        return pd.DataFrame({"t_s": self._each("t_s"), "bending_stress_Pa": stress})
 
     def summary(self, from_s: float) -> dict[str, Any]:
         """What result.json has of the time from ``from_s`` on, energies and stress of all of it.
@@ -145,7 +134,7 @@ class Record:
         later = means[means.from_s >= from_s - SAME_S]
         later = later if len(later) else means[-1:]
         width = (later.to_s - later.from_s).to_numpy()
-        last = self.energies[-1]
+        last = self.frames[-1].energy
         worst = int(over.bending_stress_Pa.argmax())
         return {
             "steady_from_s": from_s,
@@ -157,7 +146,7 @@ class Record:
             },
             "bending_stress": {
                 "greatest_Pa": float(over.bending_stress_Pa[worst]),
-                "t_s": self.times_s[worst],
+                "t_s": self.frames[worst].t_s,
                 "bristle": int(self.stress_Pa[worst].argmax()),
             },
             "energy": {
@@ -165,8 +154,14 @@ class Record:
                 "numerical_J": last.numerical_J,
                 "closure_relative": last.closure_relative,
             },
-            "n_steps": self.steps,
+            "n_steps": self.frames[-1].steps,
         }
+
+
+def _windows(means: Means) -> Array:
+    """A row of `MEAN_COLUMNS` for each window."""
+    ends = means.begin_s, means.end_s
+    return np.column_stack([*ends, means.force_N, means.torque_Nm, means.share])
 
 
 def _statistics(windows: pd.DataFrame, names: Sequence[str], width: Array) -> dict[str, Any]:

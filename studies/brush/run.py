@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -96,9 +96,9 @@ def run_brush(
             document = _document(inputs, record, surface, first_touch_m, warnings)
             if not inputs.write_fields:
                 remove(out / FIELDS)
-            write_atomically(out / HUB_FILE, record.hub_table().to_csv(index=False))
-            write_atomically(out / MEANS_FILE, record.mean_table().to_csv(index=False))
-            write_atomically(out / TIPS_FILE, record.tip_table().to_csv(index=False))
+            tables = record.hub_table(), record.mean_table(), record.tip_table()
+            for name, table in zip((HUB_FILE, MEANS_FILE, TIPS_FILE), tables, strict=True):
+                write_atomically(out / name, table.to_csv(index=False))
             write_page(inputs, record, document, out)
             wall_s["total"] = time.perf_counter() - started
             return write_json(out / results.RESULT_FILE, document | {"wall_s": wall_s} | facts)
@@ -174,11 +174,7 @@ def _document(
 ) -> dict[str, Any]:
     """What result.json holds but for what the run took."""
     found = record.summary(inputs.steady_from_s)
-    more = [
-        *_stress_warnings(inputs, found),
-        *_mean_warnings(inputs, found),
-        *_result_warnings(record, found),
-    ]
+    more = [*_result_warnings(inputs, record, found)]
     for message in more:
         warn(message)
     return {
@@ -200,47 +196,41 @@ def _buckling_warnings(inputs: BrushInputs) -> list[str]:
     ]
 
 
-def _stress_warnings(inputs: BrushInputs, found: Mapping[str, Any]) -> list[str]:
+def _result_warnings(
+    inputs: BrushInputs, record: Record, found: Mapping[str, Any]
+) -> Iterator[str]:
+    """What of a result deserves doubt: bristles that yield, means that are not those of a steady
+    state, or not sure, a surface that is not touched, and lost energy."""
     stress, limit = found["bending_stress"], inputs.yield_strength_Pa
-    if limit is None or stress["greatest_Pa"] <= limit:
-        return []
-    return [
-        f"bristle {stress['bristle']} bends to {1e-6 * stress['greatest_Pa']:.4g} MPa at "
-        f"{stress['t_s']:.4g} s, and yields at {1e-6 * limit:.4g} MPa: it would stay bent, which "
-        "is not computed; take less --penetration, or give the wire's own --yield-strength"
-    ]
-
-
-def _mean_warnings(inputs: BrushInputs, found: Mapping[str, Any]) -> list[str]:
-    """Whether the means of result.json are those of a steady state, and sure."""
+    if limit is not None and stress["greatest_Pa"] > limit:
+        yield (
+            f"bristle {stress['bristle']} bends to {1e-6 * stress['greatest_Pa']:.4g} MPa at "
+            f"{stress['t_s']:.4g} s, and yields at {1e-6 * limit:.4g} MPa: it would stay bent, "
+            "which is not computed; take less --penetration, or give the wire's own "
+            "--yield-strength"
+        )
+    mean, error = found["force_N"]["mean"], found["force_N"]["mean_error"]
     if inputs.duration_s <= inputs.steady_from_s:
-        return [
+        yield (
             "the run ends before the hub has come down and reached its speed: what is called a "
             "mean is that of the last window alone; give --until more than --start"
-        ]
-    mean, error = found["force_N"]["mean"], found["force_N"]["mean_error"]
-    if error is None or np.linalg.norm(error) <= UNSURE * np.linalg.norm(mean):
-        return []
-    return [
-        f"the mean force is known to ±{np.linalg.norm(error):.2g} N only, because it varies while "
-        "tips bounce; give a longer --until"
-    ]
-
-
-def _result_warnings(record: Record, found: Mapping[str, Any]) -> list[str]:
-    said = []
-    if not any(states.any() for states in record.states):
-        said.append(
+        )
+    elif error is not None and np.linalg.norm(error) > UNSURE * np.linalg.norm(mean):
+        yield (
+            f"the mean force is known to ±{np.linalg.norm(error):.2g} N only, because it varies "
+            "while tips bounce; give a longer --until"
+        )
+    if not any(frame.state.any() for frame in record.frames):
+        yield (
             "no bristle touches the surface, so that the hub carries weight and inertia alone; "
             "raise --penetration"
         )
     closure = found["energy"]["closure_relative"]
     if closure > CLOSURE:
-        said.append(
+        yield (
             f"the time steps take or give {closure:.2g} of the energy that goes through the brush: "
             "forces may be off by as much; take a smaller --tolerance"
         )
-    return said
 
 
 def summary(document: Mapping[str, Any]) -> list[tuple[str, str]]:

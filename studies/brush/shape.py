@@ -18,6 +18,11 @@ TONES = "viridis"
 TIPS = {TipState.STICK: ("sticks", BLUE), TipState.SLIP: ("slips", VERMILION)}
 
 
+def spread(count: int, most: int) -> list[int]:
+    """Numbers of as many as ``most`` of so many things, spread over all of them."""
+    return np.unique(np.linspace(0, count - 1, min(count, most)).astype(int)).tolist()
+
+
 class Sides:
     """Two axes beside each other that show bristles along y and along x, in mm.
 

@@ -17,10 +17,10 @@ from matplotlib.figure import Figure
 
 from ...solver.arrays import Array
 from ...solver.errors import InputError
-from ..brush.page import over_time
+from ..brush.page import draw_shares, over_time
 from ..brush.paraview import LINE, SERIES
-from ..brush.record import LOAD_COLUMNS, SHARE_COLUMNS
-from ..brush.shape import TIPS, Sides
+from ..brush.record import LOAD_COLUMNS, MEAN_COLUMNS
+from ..brush.shape import TIPS, Sides, spread
 from ..data.tables import column, read_table
 from ..film.encoding import film_writer
 from ..report.figures import BLACK, STYLE, panels, styled
@@ -66,15 +66,14 @@ class BrushSeries:
         stress = 1e-6 * np.asarray(grid.point_data["bending_stress_Pa"]).reshape(n, -1)
         # the clamps' middle follows the hub
         points[:, :, :2] -= points[:, 0, :2].mean(axis=0)
-        chosen = np.unique(np.linspace(0, n - 1, min(n, DRAWN)).astype(np.int64))
+        chosen = spread(n, DRAWN)
         return points[chosen], stress[chosen], np.asarray(grid.cell_data["state"])[chosen]
 
 
 def read_means(path: Path) -> pd.DataFrame:
     """Force, torque and shares over windows of time. Raises InputError where it is none."""
-    names = ("from_s", "to_s", *LOAD_COLUMNS, *SHARE_COLUMNS)
-    rows = read_table(path, names)
-    return pd.DataFrame({name: column(path, rows, name) for name in names})
+    rows = read_table(path, MEAN_COLUMNS)
+    return pd.DataFrame({name: column(path, rows, name) for name in MEAN_COLUMNS})
 
 
 @styled
@@ -83,10 +82,7 @@ def load_figure(means: pd.DataFrame) -> Figure:
     figure, axes = panels(rows=3, height_in=5.6, sharex=True)
     over_time(axes[0, 0], means, LOAD_COLUMNS[:3])
     over_time(axes[1, 0], means, LOAD_COLUMNS[3:])
-    edges = np.repeat([*means.from_s, means.to_s.iloc[-1]], 2)[1:-1]
-    shares = [np.repeat(means[name], 2) for name in SHARE_COLUMNS[1:]]
-    labels, colours = zip(*TIPS.values(), strict=True)
-    axes[2, 0].stackplot(edges, *shares, labels=labels, colors=colours, alpha=0.55, lw=0)
+    draw_shares(axes[2, 0], means, [label for label, _ in TIPS.values()])
     for ax, name in zip(axes[:, 0], ("force (N)", "torque (N m)", "share of tips"), strict=True):
         ax.set(ylabel=name)
         ax.legend(loc="upper left", ncols=3)
@@ -96,7 +92,7 @@ def load_figure(means: pd.DataFrame) -> Figure:
 
 def filmed(count: int) -> list[int]:
     """Which of ``count`` frames the film shows."""
-    return np.unique(np.linspace(0, count - 1, min(count, N_FILM)).astype(int)).tolist()
+    return spread(count, N_FILM)
 
 
 def write_film(
