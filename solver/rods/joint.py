@@ -331,17 +331,20 @@ def _of_rod(columns: Array, nodes: int, begins: Integers, k: int) -> Array:
 
 
 @within
-def _respond(law: Law, step: Step, points: Points, links: Links, k: int, moved: Array) -> bool:
+def _respond(
+    brush: Brush, group: Group, h: float, room: Room, links: Links, k: int, moved: Array
+) -> bool:
     """Write how the k-th rod moves (n, 6, m) by its residual, then by unit forces at its points;
     False where its matrix is singular."""
-    chain, system, first = step.rod.chain, step.scratch.system, links.begins[k]
-    assemble_tangent(chain, damping_rate(law, chain, step.h), system, step.scratch.elements)
+    chain, scratch = nth(brush.rods.chain, group.members[k]), nth(room.scratches, k)
+    system, first = scratch.system, links.begins[k]
+    assemble_tangent(chain, damping_rate(brush.law, chain, h), system, scratch.elements)
     for i in range(len(moved)):
         for r in range(6):
             moved[i, r, 0] = -system.residual[i, r]
     for s in range(first, links.begins[k + 1]):
         side = links.sides[s]
-        _load(points, links.chosen[side // 2], side % 2, moved, 1 + 3 * (s - first))
+        _load(room.points, links.chosen[side // 2], side % 2, moved, 1 + 3 * (s - first))
     return solve_columns(system, moved)
 
 
@@ -367,8 +370,8 @@ def _newton_steps(brush: Brush, group: Group, h: float, room: Room, count: int) 
     for k in range(rods):
         if doing[k] != GOES:
             continue
-        step, moved = _step(brush, group, h, room, k), _of_rod(columns, nodes, begins, k)
-        if not _respond(brush.law, step, points, links, k, moved):
+        moved = _of_rod(columns, nodes, begins, k)
+        if not _respond(brush, group, h, room, links, k, moved):
             return False
         own = sides[begins[k] : begins[k + 1]]
         for side in own:
@@ -395,7 +398,7 @@ def _newton_steps(brush: Brush, group: Group, h: float, room: Room, count: int) 
             moved = _of_rod(columns, nodes, begins, k)
             own = sides[begins[k] : begins[k + 1]]
             _superpose(moved, own, forces, room.scratches.system.solution[k])
-            keep(_step(brush, group, h, room, k))
+            keep(nth(room.new, k), nth(room.scratches, k))
     return True
 
 
@@ -472,10 +475,11 @@ def _advance_all(brush: Brush, group: Group, h: float, room: Room) -> None:
     for trial in range(trials + 1):
         for k in range(rods):
             if short[k] < 1.0:
-                go(_step(brush, group, h, room, k), part[k])
+                chain, scratch = nth(brush.rods.chain, group.members[k]), nth(room.scratches, k)
+                go(chain, nth(room.new, k), part[k], scratch)
         if trial == trials:
             return
-        _look(brush, group, h, room)
+        _look(brush, group, room)
         shorter = False
         for k in range(rods):
             short[k] = short[cluster[k]]
@@ -487,7 +491,7 @@ def _advance_all(brush: Brush, group: Group, h: float, room: Room) -> None:
 
 
 @within
-def _look(brush: Brush, group: Group, h: float, room: Room) -> None:
+def _look(brush: Brush, group: Group, room: Room) -> None:
     """Write of every cluster, where its first rod stands, how much of its step it ought to take if
     it has just moved and takes a step; one for others."""
     law, cluster, short = brush.law, room.progress.cluster, room.progress.short
@@ -497,7 +501,8 @@ def _look(brush: Brush, group: Group, h: float, room: Room) -> None:
         short[k] = 1.0
     for k in range(len(moved)):
         if moved[k] and law.surface.there:
-            part = shortfall(law.surface, _step(brush, group, h, room, k))
+            chain, scratch = nth(brush.rods.chain, group.members[k]), nth(room.scratches, k)
+            part = shortfall(chain, law.surface, nth(room.new, k), scratch)
             short[cluster[k]] = min(short[cluster[k]], part)
     for p in range(len(group.pairs)):
         a, b = _sides(brush, group, room, p)

@@ -210,11 +210,11 @@ def inert(chain: Chain, scheme: Scheme, stiffness: float, h: float) -> bool:
 
 
 @within
-def shortfall(surface: Obstacle, step: Step) -> float:
+def shortfall(chain: Chain, surface: Obstacle, new: Motion, scratch: Scratch) -> float:
     """The part of the last step after which sections that it takes into the surface just touch it;
     one where none goes deeper than it may."""
-    allowed, least = deepest(step.rod.chain, surface.kn), 1.0
-    new, gaps, matrix = step.new, step.scratch.gaps, step.scratch.matrix
+    allowed, least = deepest(chain, surface.kn), 1.0
+    gaps, matrix = scratch.gaps, scratch.matrix
     for i in range(1, len(gaps)):
         if gaps[i] > 0.0 and height(surface, new.x[i]) <= surface.reach:
             write_matrix(new.q[i], matrix)
@@ -384,16 +384,15 @@ def assemble(law: Law, step: Step, early: bool) -> tuple[float, float]:
 
 
 @within
-def keep(step: Step) -> None:
+def keep(new: Motion, scratch: Scratch) -> None:
     """Keep where the rod is."""
-    write(step.new.x, step.scratch.x)
-    write(step.new.q, step.scratch.q)
+    write(new.x, scratch.x)
+    write(new.q, scratch.q)
 
 
 @within
-def go(step: Step, part: float) -> None:
+def go(chain: Chain, new: Motion, part: float, scratch: Scratch) -> None:
     """Move the rod by a ``part`` of Newton's step from where it was kept."""
-    new, scratch = step.new, step.scratch
     write(scratch.x, new.x)
     write(scratch.q, new.q)
-    move(step.rod.chain, new.x, new.q, scratch.system.solution, part, scratch.target)
+    move(chain, new.x, new.q, scratch.system.solution, part, scratch.target)
