@@ -8,7 +8,7 @@ from typing import Self
 
 import numpy as np
 
-from ...meshes.section import Circle, Rectangle
+from ...meshes.section import Circle, Rectangle, Section
 from ..arrays import Array
 from ..bristle import Bristle, positive
 from ..errors import InputError
@@ -17,6 +17,13 @@ from ..errors import InputError
 RIM_POINTS = 8
 # Of a rigid contact: the stiffness of one point of the rim over that of an element along the axis.
 RIGID = 2.5
+
+
+def half_sides_m(section: Section) -> tuple[float, float]:
+    """Half of the thin and of the wide side, or the radius twice."""
+    if isinstance(section, Rectangle):
+        return 0.5 * section.thickness_m, 0.5 * section.width_m
+    return 0.5 * section.diameter_m, 0.5 * section.diameter_m
 
 
 @dataclass(frozen=True)
@@ -82,11 +89,7 @@ class RodSection:
         shear = section.shear_coefficient(material.poisson) * g * section.area_m2
         # turning about axis 1 moves points by their coordinate along axis 2
         about_1, about_2 = section.second_moment_y_m4, section.second_moment_x_m4
-        match section:
-            case Rectangle():
-                half_sides = 0.5 * section.thickness_m, 0.5 * section.width_m
-            case Circle():
-                half_sides = 0.5 * section.diameter_m, 0.5 * section.diameter_m
+        half_thin_m, half_wide_m = half_sides_m(section)
         return cls(
             EA_N=e * section.area_m2,
             GA1_N=shear,
@@ -97,8 +100,8 @@ class RodSection:
             rhoA_kg_m=rho * section.area_m2,
             rhoI1_kg_m=rho * about_1,
             rhoI2_kg_m=rho * about_2,
-            half_thin_m=half_sides[0],
-            half_wide_m=half_sides[1],
+            half_thin_m=half_thin_m,
+            half_wide_m=half_wide_m,
             beta_s=material.beta_s,
             alpha_1_s=material.alpha_1_s,
             curvature_1_m=curvature_1_m,

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from ...meshes.section import Rectangle, Section
 from ...solver.arrays import Array
+from ...solver.rods.section import half_sides_m
 from ..inputs.choices import Layout
 
 # Far below what a section measures.
@@ -112,13 +113,6 @@ def lowest_m(section: Section, roots_m: Array, rotation: Array, length_m: Array)
     if isinstance(section, Rectangle):
         return np.asarray(ends - np.abs(rotation[:, 2, :2]) @ half)
     return np.asarray(ends - half[0] * np.hypot(rotation[:, 2, 0], rotation[:, 2, 1]))
-
-
-def half_sides_m(section: Section) -> Array:
-    """Half of the thin and of the wide side, or the radius twice."""
-    if isinstance(section, Rectangle):
-        return 0.5 * np.array([section.thickness_m, section.width_m])
-    return np.full(2, 0.5 * section.diameter_m)
 
 
 def overlapping(

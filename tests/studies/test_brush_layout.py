@@ -10,7 +10,8 @@ from scipy.optimize import linprog
 from scipy.spatial.transform import Rotation
 
 from bristle.meshes.section import Circle, Rectangle
-from bristle.studies.brush.layout import directions, half_sides_m, lowest_m, overlapping, stand
+from bristle.solver.rods.section import half_sides_m
+from bristle.studies.brush.layout import directions, lowest_m, overlapping, stand
 from bristle.studies.inputs.choices import Layout
 
 pytestmark = pytest.mark.serial
@@ -109,7 +110,7 @@ def meet(section, roots, rotation, length):
     """Whether two boxes have a point in common, by linear programming."""
     rows, bounds = [], []
     for i in range(2):
-        low = np.append(-half_sides_m(section), 0.0)
+        low = np.append(np.negative(half_sides_m(section)), 0.0)
         high = np.append(half_sides_m(section), length[i])
         rows += [rotation[i].T, -rotation[i].T]
         bounds += [high + rotation[i].T @ roots[i], -(low + rotation[i].T @ roots[i])]
