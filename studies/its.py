@@ -268,8 +268,9 @@ def study_of(inputs: ItsInputs) -> Study:
     return Study("its", finish, basis_its_s=paper.ITS_S, files=FILES, failures=True)
 
 
-# Computes the study into a folder.
-run_its = partial(run_study, study_of)
+def run_its(inputs: ItsInputs, out: Path, **how: Any) -> None:
+    """Compute the study into the folder ``out``, as `study.run_study`."""
+    run_study(study_of, inputs, out, **how)
 
 
 def _finish(mass_kg: float, rows: Sequence[Row], out: Path) -> dict[str, Any]:

@@ -109,8 +109,9 @@ def study_of(inputs: SweepInputs) -> Study:
     return Study("sweep", finish, curves=True, varied=inputs.varied, files=files)
 
 
-# Computes a sweep into a folder.
-run_sweep = partial(run_study, study_of)
+def run_sweep(inputs: SweepInputs, out: Path, **how: Any) -> None:
+    """Compute a sweep into the folder ``out``, as `study.run_study`."""
+    run_study(study_of, inputs, out, **how)
 
 
 def _finish(varied: Sequence[str], rows: Sequence[Row], out: Path) -> dict[str, Any]:

@@ -127,7 +127,8 @@ class Neighbours:
         """The pairs, in order, that may meet, see `candidates`; boxes are slim along the axes of
         the elements' directions."""
         sides = (stack.x[:, 1:] - stack.x[:, :-1]).reshape(-1, 3)
-        axes = np.linalg.eigh(sides.T @ sides)[1]
+        # ranks of different machines may find axes of other signs, and so another order of boxes
+        axes = self._comm.bcast(np.linalg.eigh(sides.T @ sides)[1])
         rank, ranks = self._comm.rank, self._comm.size
         room = np.zeros((len(self._possible) // ranks + 1000, 4), dtype=np.int64)
         count = candidates(self.law, stack.x, stack.q, axes, reach, rank, ranks, room)

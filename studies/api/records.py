@@ -32,11 +32,15 @@ class Record(dict[str, Any]):
     _beside: ClassVar[tuple[str, ...]] = ()
 
     def __init__(self, values: Mapping[str, Any], *beside: Any) -> None:
+        if len(beside) != len(self._beside):
+            wanted = ", ".join(("values", *self._beside))
+            raise TypeError(f"{type(self).__name__} is made of {wanted}")
         super().__init__((name, _value(value)) for name, value in values.items())
         vars(self).update(zip(self._beside, beside, strict=True))
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return type(self), (dict(self), *(vars(self)[name] for name in self._beside))
+        beside = (vars(self)[name] for name in self._beside)
+        return type(self), (dict(self), *beside), vars(self)
 
     def __getattr__(self, name: str) -> Any:
         if not name.startswith("_") and name in self:

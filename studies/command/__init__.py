@@ -1,1 +1,1 @@
-"""The command line: options of typer, how a command ends, a study as a script."""
+"""The command line: its options, how a command ends, a study as a script."""

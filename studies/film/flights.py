@@ -52,6 +52,7 @@ BENT = 6e-4
 parabola by, as a share of the fall."""
 FAR_PX, FAR_SIGMAS = 30.0, 300.0
 """How far a body flies that neither is let go in view nor bounces."""
+TINY = 1e-300
 SPEED_PX = 0.02
 """Of what a body moves from frame to frame, that its place in a frame is unsure by."""
 
@@ -367,7 +368,7 @@ class _Joint:
             gravity_error=float(np.sqrt(covariance[0, 0])),
             floor_error=float(np.sqrt(covariance[1, 1])),
             floor_with_gravity=float(
-                covariance[0, 1] / np.sqrt(covariance[0, 0] * covariance[1, 1])
+                covariance[0, 1] / max(np.sqrt(covariance[0, 0] * covariance[1, 1]), TINY)
             ),
         )
         return drop, float(found.fun @ found.fun)

@@ -17,10 +17,15 @@ from ...solver.arrays import Array
 from ...solver.effects.base import Parameter
 from ...solver.errors import InputError
 
-UNDECLARED = (
-    "no uncertainty of the values is declared: it is taken from how far drops from one height "
-    "differ, or drops that are neighbours in height; declare it to test the size of what is left"
-)
+
+def undeclared(key: str, sigma: float | None) -> tuple[str, ...]:
+    """A doubt where the uncertainty ``sigma`` under ``key`` of [measurement] is not declared."""
+    if sigma is not None:
+        return ()
+    return (
+        f"{key} is not declared: the errors are taken from how far the values of drops from one "
+        "height, or of neighbours, differ; declare it, so that the size of what is left is tested",
+    )
 
 
 class Model(Protocol):

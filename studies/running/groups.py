@@ -92,16 +92,16 @@ def best_sizes(loads: Sequence[Load], ranks: int) -> list[int]:
     return min(choices, key=lambda sizes: deal(loads, sizes)[1])
 
 
-def build_reduced(
-    session: CaseSession, cases: Sequence[DropInputs], ranks_per_case: int | None = None
-) -> None:
-    """Build what the reduced ones of the ``cases`` need of all ranks, so that they need no
-    communication later. Collective; raises InputError, before it builds, where there are fewer
-    ranks than a solid is to have."""
-    ranks = session.comm.size
+def refuse_more_ranks(cases: Sequence[DropInputs], ranks: int, ranks_per_case: int | None) -> None:
+    """InputError where there are fewer ``ranks`` than a full-order solid is to have."""
     solid = any(case.model is Model.SOLID for case in cases)
     if ranks_per_case is not None and ranks_per_case > ranks and solid:
         raise InputError(f"--ranks-per-case: there are {ranks} ranks, not {ranks_per_case}")
+
+
+def build_reduced(session: CaseSession, cases: Sequence[DropInputs]) -> None:
+    """Build what the reduced ones of the ``cases`` need of all ranks, so that they need no
+    communication later. Collective."""
     reduced = (case for case in cases if case.model is Model.REDUCED)
     for first in {session.body_key(case): case for case in reduced}.values():
         session.prepare(first)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Sequence, Sized
-from contextlib import AbstractContextManager, nullcontext
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from enum import StrEnum
 from functools import partial
@@ -28,7 +28,7 @@ from ..inputs.sources import checked
 from . import results
 from .cases import CaseSession, session_on
 from .files import to_csv, together, write_atomically, write_json
-from .groups import build_reduced, run_cases
+from .groups import build_reduced, refuse_more_ranks, run_cases
 from .journal import Journal
 from .progress import progress, say, warn, working
 
@@ -254,9 +254,10 @@ def _compute(
         for part in parts.values():  # in turn, since each has bodies of its own
             own = [cases[i] for i in part]
             with sessions() as session:
-                reduced = any(case.model is Model.REDUCED for case in own)
-                with working("building the reduced model") if reduced else nullcontext():
-                    build_reduced(session, own, ranks_per_case)
+                refuse_more_ranks(own, session.comm.size, ranks_per_case)
+                if any(case.model is Model.REDUCED for case in own):
+                    with working("building the reduced model"):
+                        build_reduced(session, own)
                 shared_s += session.take_timings()["total"]
                 run_cases(session, own, partial(_row, study), partial(take, part), ranks_per_case)
     return shared_s

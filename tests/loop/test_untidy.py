@@ -270,7 +270,7 @@ def test_errors_that_nobody_declares_are_said_to_be_taken_from_the_data(tmp_path
     (tmp_path / "dataset.toml").write_text(HEAD.replace("sigma_y_mm", "file = 'drops.csv' #"))
     (tmp_path / "drops.csv").write_text("drop,y0_mm,y1_mm\n1,10,6.4\n2,20,13\n3,30,19\n4,40,26\n")
     (said,) = read_problem(tmp_path).warnings
-    assert said.startswith("no uncertainty of the values is declared")
+    assert said.startswith("sigma_y_mm is not declared")
 
 
 def test_a_reading_may_lie_some_sigma_below_zero(tmp_path):

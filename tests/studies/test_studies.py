@@ -458,7 +458,7 @@ def test_json_and_csv_hold_no_nan():
 
 
 def test_a_sweep_is_the_same_as_its_drops(out):
-    run_sweep(sweep(models="analytic,beam,reduced,solid"), out, COMM)
+    run_sweep(sweep(models="analytic,beam,reduced,solid"), out, comm=COMM)
     COMM.Barrier()
     rows = read_table(out / "table.csv")
     assert list(rows[0]) == list(COLUMNS)
@@ -584,7 +584,7 @@ def test_a_failing_sweep_leaves_the_old_one(out, monkeypatch):
 def test_the_study_of_the_step_compares_with_the_converged_value(out):
     steps = "3e-5,1e-5,3e-6,1e-6,3e-7"
     inputs = checked(ItsInputs, {**SMALL, "models": "beam", "kn_N_m": "2e6,1e7", "its_s": steps})
-    run_its(inputs, out, COMM)
+    run_its(inputs, out, comm=COMM)
     COMM.Barrier()
     errors = [row for row in read_table(out / "errors.csv") if row["quantity"] == "peak_force_N"]
     needs = read_table(out / "needs.csv")

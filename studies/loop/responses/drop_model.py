@@ -347,6 +347,7 @@ class DropModel(BounceModel):
         assert self._mesh is not None
         mesh, each = self._mesh, self.errors
         few = replace(self.drops, y0_m=mesh.y0_m, order=mesh.order, session=mesh.session)
+        few = replace(few, whole=None)
         plain = replace(each, present=np.ones((len(few), len(self.drops.quantities)), bool))
         return replace(self, drops=few, errors=plain)
 

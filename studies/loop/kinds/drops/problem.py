@@ -29,7 +29,7 @@ from ....data import datasets
 from ....data.datasets import Manifest
 from ....data.tables import LEAST_DROPS
 from ...noise import Ints
-from ...problem import UNDECLARED, Entry, Experiment, Model, Problem, refined_as
+from ...problem import Entry, Experiment, Model, Problem, refined_as, undeclared
 from ...responses.drop_model import STEP, DropModel, Drops
 from ...responses.emulator import KN_RANGE_N_M, Emulator
 from ...responses.errors import Errors
@@ -133,7 +133,7 @@ def drops_problem(data: datasets.Drops, wrong: tuple[Entry, ...] = ()) -> Proble
         confirm=None if emulator.no_solid else confirm,
         confirm_why=emulator.no_solid,
         sigma_declared=data.sigma_y_m is not None,
-        warnings=() if data.sigma_y_m is not None else (UNDECLARED,),
+        warnings=undeclared("sigma_y_mm", data.sigma_y_m),
         notes=notes,
         lead=data.doubt,
         left_aside=(f"drops without y0_mm: {listed}",) if listed else (),

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from .....solver.arrays import Array
 from .....solver.fall import risen
 from ....data.datasets import Manifest
-from ...problem import UNDECLARED, Problem
+from ...problem import Problem, undeclared
 from ...responses.drop_model import BounceModel, Drops
 from ...responses.emulator import KN_RANGE_N_M
 from ...responses.force_curves import CELLS, SHAPES, ForceEmulator, table_errors, with_shapes
@@ -140,7 +140,7 @@ def forces_problem(data: Forces, library: Sequence[str] | None = None) -> Proble
         sigma_declared=data.sigma_N is not None,
         warnings=(
             *_taken_as_known(data.manifest),
-            *(() if data.sigma_N is not None else (UNDECLARED,)),
+            *undeclared("sigma_force_N", data.sigma_N),
         ),
         notes={
             "sigma_force_N": sigma,
