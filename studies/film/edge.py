@@ -164,13 +164,17 @@ def _model(ends: Ends, p: Array, moved: Array, camera: Camera) -> tuple[Array, A
     strip = np.clip(level + tilt * inward, 1.0, 400.0)
     back = np.clip(ends.behind + offset, 1.0, 400.0)
     g = camera.gamma
-    light = share * strip**g + (1.0 - share) * back**g
-    value = light ** (1.0 / g)
-    by_light = value / light / g
-    of_strip = share * g * strip ** (g - 1.0) * by_light
-    of_back = (1.0 - share) * g * back ** (g - 1.0) * by_light
-    of_at = slope * (strip**g - back**g) * by_light
+    value, of_strip, of_back = mixed(share, strip, back, g)
+    of_at = slope * (strip**g - back**g) * value ** (1.0 - g) / g
     return value, np.stack([of_at, of_strip, of_strip * inward, of_back])
+
+
+def mixed(share: Array, front: Array, back: Array, gamma: float) -> tuple[Array, Array, Array]:
+    """The level of light of which a ``share`` comes from the front and the rest from the back, and
+    its derivatives in the levels of both."""
+    light = share * front**gamma + (1.0 - share) * back**gamma
+    level, bent = light ** (1.0 / gamma), gamma - 1.0
+    return level, share * (front / level) ** bent, (1.0 - share) * (back / level) ** bent
 
 
 def camera_of(ends: Ends, free: NDArray[np.bool_], frame_s: float, given: Camera) -> Camera:

@@ -76,7 +76,7 @@ def scale_of(track: Tracked, length_mm: float | None, mm_per_px: float | None) -
     # a hand that still hides an end makes it shorter in a few frames
     length = float(np.median(seen))
     spread = 1.4826 * float(np.median(np.abs(seen - length))) / np.sqrt(len(seen))
-    edges = EDGES_PX / length
+    edges = float(np.hypot(EDGES_PX, track.length_error)) / length
     error = float(np.sqrt((spread / length) ** 2 + edges**2 + LENS**2))
     source = f"the {track.body} in view, {length_mm:g} mm long and {length:.1f} px"
     return Scale(length_mm / length, error, source, 1.0, error)

@@ -53,10 +53,10 @@ class Tracked:
     turned picture, ``down`` how far along the vertical, in px, and ``sigma`` its standard error.
     ``turn`` is by how much a bristle leans from the vertical, its upper end to the right, in
     radians, and ``sigma_turn`` its standard error. ``length`` is that of the body in px where it is
-    seen whole, ``width`` about that of a bristle. ``vertical`` is the vertical's slope in columns a
-    row, with its standard error. ``damage`` are sentences that say where the film ends before its
-    end. In the frames whose numbers are in ``through`` an impact lies in the exposure, and ``down``
-    is a mean.
+    seen whole, ``length_error`` what it may err by in all frames alike, and ``width`` about that of
+    a bristle. ``vertical`` is the vertical's slope in columns a row, with its standard error.
+    ``damage`` are sentences that say where the film ends before its end. In the frames whose
+    numbers are in ``through`` an impact lies in the exposure, and ``down`` is a mean.
     """
 
     film: Film
@@ -79,6 +79,7 @@ class Tracked:
     drops: Sequence[Drop]
     damage: tuple[str, ...]
     through: NDArray[np.int64]
+    length_error: float = 0.0
 
     @property
     def track(self) -> Track:
@@ -167,7 +168,7 @@ class _Seen:
     """The raw sights of a film, what `_settle` makes a track of: of each frame where the lower end
     is, its standard error, the slope of the axis, and the body's length, in px, which is not a
     number where an end is hidden. ``sights`` are those of a bristle, ``blur`` (frames,) by how much
-    a ball is drawn long."""
+    a ball is drawn long, ``length_error`` what lengths may err by alike, in px."""
 
     number: NDArray[np.int64]
     t_s: Array
@@ -178,6 +179,7 @@ class _Seen:
     length: Array
     sights: Sequence[Sight] = ()
     blur: Array | None = None
+    length_error: float = 0.0
 
 
 def _bristle(film: Film, seen: Scan) -> _Seen | str:
@@ -218,6 +220,7 @@ def _ball(film: Film, seen: Scan) -> _Seen | str:
         slope=np.zeros(len(found)),
         length=np.array([2.0 * each.radius for each in found]),
         blur=np.array([each.length for each in found]),
+        length_error=2.0 * ball.radius_error,
     )
 
 
@@ -291,6 +294,7 @@ def _settle(
         turn=np.arctan(vertical[0]) - np.arctan(raw.slope) if raw.sights else None,
         sigma_turn=np.array([each.sigma_slope for each in raw.sights]) if raw.sights else None,
         length=length,
+        length_error=raw.length_error,
         width=float(np.median([each.width for each in raw.sights])) if raw.sights else 0.0,
         vertical=vertical,
         drops=settled(drops, track, TURNED if raw.sights else BALL_TURNED),

@@ -178,6 +178,16 @@ def test_a_shadow_beside_a_ball_does_not_make_it_larger(tmp_path, ball, whole):
     assert np.median(shaded.length) == pytest.approx(np.median(whole.length), rel=0.005)
 
 
+def test_a_gamma_does_not_make_a_soft_ball_larger(tmp_path):
+    scene = drawn_scene(5010)
+    assert scene.gamma > 2.0
+    assert scene.psf_px > 1.0
+    file, _ = write_scene(tmp_path, scene)
+    scale = scale_of(tracked(Film(file), Body.BALL), scene.diameter_mm, None)
+    assert scale.error < 0.015
+    assert scale.mm_per_px == pytest.approx(scene.mm_per_px, rel=2.0 * scale.error)
+
+
 def test_a_rolling_shutter_does_not_make_a_bristle_longer(tmp_path):
     scene = replace(drawn_scene(5), rolling_s=2e-5, encoding="png", fps=120.0, exposure_s=1e-3)
     file, _ = write_scene(tmp_path, scene)
