@@ -38,7 +38,7 @@ from .forms import Elasticity, cells_of, own_values
 from .rods.chain import System, new_system
 from .rods.contact import (
     SLIDES,
-    Section,
+    SectionPose,
     Touch,
     TouchStep,
     no_touch,
@@ -314,8 +314,8 @@ class ClampedSolid:
         system.residual[:], system.diagonal[:] = 0.0, 0.0
         step = TouchStep(self._touch, self._after, self._h, False)
         for k, node in enumerate(self._rim):
-            now = Section(self._places[node] + self._u[node] + d[node], axes)
-            was = Section(self._before_m[k], axes)
+            now = SectionPose(self._places[node] + self._u[node] + d[node], axes)
+            was = SectionPose(self._before_m[k], axes)
             touch_section(self._surfaces[k], k, now, was, step, system)
 
     def _now(self) -> Array:

@@ -107,7 +107,7 @@ class TouchStep(NamedTuple):
     early: bool
 
 
-class Section(NamedTuple):
+class SectionPose(NamedTuple):
     """Where a section is: its middle ``x`` (3,) and its axes ``matrix`` (3, 3)."""
 
     x: Array
@@ -168,7 +168,7 @@ def place_gap(surface: Obstacle, place: Array, normal: Array, grows: Array) -> t
 
 
 @njit
-def point_gap(surface: Obstacle, k: int, section: Section) -> float:
+def point_gap(surface: Obstacle, k: int, section: SectionPose) -> float:
     """The gap in m of one of a section's points over the surface, as `place_gap`."""
     place, (x, matrix) = np.empty(3), section
     for c in range(3):
@@ -179,7 +179,7 @@ def point_gap(surface: Obstacle, k: int, section: Section) -> float:
 
 
 @njit
-def lowest(surface: Obstacle, section: Section) -> float:
+def lowest(surface: Obstacle, section: SectionPose) -> float:
     """The least gap in m of a section's points over the surface."""
     least = math.inf
     for k in range(len(surface.rim)):
@@ -250,7 +250,12 @@ def lose_hold(step: TouchStep, node: int, k: int) -> float:
 
 @njit
 def touch_section(
-    surface: Obstacle, node: int, now: Section, was: Section, step: TouchStep, system: System
+    surface: Obstacle,
+    node: int,
+    now: SectionPose,
+    was: SectionPose,
+    step: TouchStep,
+    system: System,
 ) -> tuple[float, float]:
     """Take the forces of a section's points off the residual, add their tangent to the diagonal
     block, and write what the points remember at the end of the step.

@@ -14,7 +14,7 @@ import numpy as np
 
 from ..compiled import njit, nth, unowned, within, write
 from .chain import Chain, total_length
-from .contact import FREE, Obstacle, Section, point_gap
+from .contact import FREE, Obstacle, SectionPose, point_gap
 from .joint import Brush, Group, Room, joint_step
 from .motion import STEP, TIME, Hub, Motion, Scheme, fit_to_step
 from .rotation import write_matrix
@@ -101,7 +101,7 @@ def first_crossing(surface: Obstacle, old: Motion, new: Motion, allowed: float) 
                 continue
             free, depth = (old if begins else new), normal / surface.kn
             write_matrix(free.q[i], matrix)
-            gap = max(point_gap(surface, k, Section(free.x[i], matrix)), 0.0)
+            gap = max(point_gap(surface, k, SectionPose(free.x[i], matrix)), 0.0)
             share = (gap if begins else depth) / (gap + depth)
             least = min(least, max(BEYOND * share, LEAST_SHARE))
     return least

@@ -9,7 +9,7 @@ import numpy as np
 from ..arrays import Array, Integers
 from ..compiled import njit, nth
 from .chain import Chain
-from .contact import SLIDES, Obstacle, Section, lowest
+from .contact import SLIDES, Obstacle, SectionPose, lowest
 from .element import Elements, load_elements
 from .motion import CONTACT, FRICTION, HUB_WORK, MATERIAL, STEPS, Motion, energies
 from .rotation import write_matrix
@@ -22,7 +22,7 @@ def clearance(surface: Obstacle, now: Motion) -> float:
     for k in range(1, len(now.x)):
         if surface.there:
             write_matrix(now.q[k], matrix)
-            least = min(least, lowest(surface, Section(now.x[k], matrix)))
+            least = min(least, lowest(surface, SectionPose(now.x[k], matrix)))
     return least
 
 

@@ -23,7 +23,7 @@ from .chain import Chain, System, new_system, total_length
 from .contact import (
     FREE,
     Obstacle,
-    Section,
+    SectionPose,
     TouchStep,
     height,
     lowest,
@@ -218,7 +218,7 @@ def shortfall(chain: Chain, surface: Obstacle, new: Motion, scratch: Scratch) ->
     for i in range(1, len(gaps)):
         if gaps[i] > 0.0 and height(surface, new.x[i]) <= surface.reach:
             write_matrix(new.q[i], matrix)
-            gap = lowest(surface, Section(new.x[i], matrix))
+            gap = lowest(surface, SectionPose(new.x[i], matrix))
             if gap < -allowed:
                 least = min(least, (gaps[i] + 0.5 * allowed) / (gaps[i] - gap))
     return least
@@ -373,10 +373,10 @@ def assemble(law: Law, step: Step, early: bool) -> tuple[float, float]:
             if gaps[i] > surface.reach and not touched:
                 release(new.touch, i)
                 continue
-            section = Section(new.x[i], scratch.matrix)
+            section = SectionPose(new.x[i], scratch.matrix)
             gaps[i] = lowest(surface, section)
             write_matrix(old.q[i], scratch.matrix_before)
-            was = Section(old.x[i], scratch.matrix_before)
+            was = SectionPose(old.x[i], scratch.matrix_before)
             took, holds = touch_section(surface, i, section, was, points, system)
             lost += took
             held += holds

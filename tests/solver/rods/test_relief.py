@@ -9,7 +9,7 @@ from rod_helpers import SLENDER, along
 from bristle.solver.errors import InputError
 from bristle.solver.rods.chain import new_system
 from bristle.solver.rods.contact import (
-    Section,
+    SectionPose,
     TouchStep,
     no_touch,
     obstacle_of,
@@ -37,7 +37,7 @@ def drawn():
 def held_and_force(surface, place, turned):
     """What a section holds in J that lies at a place, without friction, and its force (3,)."""
     touch, system = [no_touch(1, len(surface.rim)) for _ in range(2)], new_system(1)
-    section, step = Section(place, turned), TouchStep(*touch, 0.0, False)
+    section, step = SectionPose(place, turned), TouchStep(*touch, 0.0, False)
     lost, held = touch_section(surface, 0, section, section, step, system)
     assert lost == 0.0
     return held, -system.residual[0, :3]

@@ -28,7 +28,7 @@ from bristle.solver.rods.contact import (
     SLIDES,
     STICKS,
     Friction,
-    Section,
+    SectionPose,
     TouchStep,
     coefficient,
     no_touch,
@@ -144,7 +144,7 @@ def test_tangent_of_contact(rng, case):
         system = new_system(1)
         system.diagonal[:] = system.residual[:] = 0.0
         turned = (Rotation.from_rotvec(spin) * turn).as_matrix()
-        moved, started = Section(place + shift, turned), Section(was, turn.as_matrix())
+        moved, started = SectionPose(place + shift, turned), SectionPose(was, turn.as_matrix())
         touch_section(surface, 0, moved, started, TouchStep(before, now, 0.1, False), system)
         return system.residual[0].copy(), system.diagonal[0].copy()
 
@@ -171,7 +171,7 @@ def test_a_point_that_stuck_holds_at_first():
         before, now, system = no_touch(1, 4), no_touch(1, 4), new_system(1)
         before.state[:] = STICKS
         was = place - np.array([5e-3, 0.0, 0.0])
-        sections = Section(place, np.eye(3)), Section(was, np.eye(3))
+        sections = SectionPose(place, np.eye(3)), SectionPose(was, np.eye(3))
         touch_section(law, 0, *sections, TouchStep(before, now, 0.1, early), system)
         tangents.append(system.diagonal[0, :3, :3].copy())
         pushes.append(system.residual[0, :3].copy())
