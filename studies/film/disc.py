@@ -31,7 +31,8 @@ PSF_PX, PIXEL_PX = 0.65, 12.0**-0.5
 """Of a lens, and of a pixel, over which it is averaged: standard deviations."""
 GAMMAS = np.array([1.0, 1.4, 1.8, 2.2])
 LIKELY = np.array([3.0, 1.0, 1.0, 1.0])
-"""How likely a film has them before it is looked at: many cameras are linear."""
+"""How likely a film has them before it is looked at: linear, as cameras of laboratories often write
+them, or any gamma up to that of a telephone."""
 MOST_CLEAR = 12
 """How many samples tell blur, gamma and radius."""
 ALIKE = 200.0

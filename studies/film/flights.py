@@ -53,6 +53,7 @@ parabola by, as a share of the fall."""
 FAR_PX, FAR_SIGMAS = 30.0, 300.0
 """How far a body flies that neither is let go in view nor bounces."""
 TINY = 1e-300
+"""Instead of zero, where something is divided by it."""
 SPEED_PX = 0.02
 """Of what a body moves from frame to frame, that its place in a frame is unsure by."""
 
