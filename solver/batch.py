@@ -8,16 +8,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from .arrays import Array
-from .bodies.base import axial_point
+from .bodies.base import ContactPoints
 from .bodies.modal import ModalBody
-from .compiled import meanwhile, njit
+from .compiled import meanwhile, njit, unowned
 from .contact.points import Points, changed
 from .contact_phase import STAYING, STEP_LIMIT
 from .drop import TOUCH_LIMIT, WAIT_STEPS, slowest_period_s
@@ -35,8 +35,9 @@ from .time.motion import Flyer, Stance, centre, flyer, landing, turned
 TOO_MANY, FALLEN, GAINED, OFF_BUDGET = 5, 6, 7, 8
 # Contact in an impact that lasts longer, in seconds and in radians of the mass on its spring, is
 # taken not to end. A bristle that leans by more than 6 degrees slides on, for up to a period of its
-# slowest bending. An upright one that is pulled on is taken to be held for good after the radians
-# of its spring or of its slowest axial wave with the tip held, whichever is later.
+# slowest bending. Contact by a linear spring, and by one that pulls, is taken to go on for good
+# after the radians of the spring or of the slowest axial wave with the tip held, whichever is
+# later. Bristles that let go, leaning by up to 8 degrees, do so within two thirds of that.
 LONGEST_S, LONGEST_RAD = 0.004, 20.0
 FAILURES = {
     modal_march.NOT_CONVERGED: "the contact forces did not converge; shorten the ITS",
@@ -54,6 +55,10 @@ FAILURES = {
 SHORTER = (0.5, 0.2)
 # Motion below this share of the largest is rounding.
 ROUNDING = 1e-12
+# Axes along which the ground can push all points of an end section alike: along the bristle where
+# it is upright on a level surface, and in one of its planes of symmetry where it leans, or the
+# surface slopes, in that plane.
+COLUMN, PLANES = (2,), ((0, 2), (1, 2))
 
 
 @dataclass(frozen=True)
@@ -89,28 +94,33 @@ class Drops:
         which[first:last] = True
         return self.chosen(which)
 
-    def chosen(self, which: NDArray[np.bool_], n_points: int | None = None) -> Drops:
-        """The drops ``which`` (drops,) says, with their first ``n_points`` points alone."""
-        first = slice(n_points)
+    def chosen(self, which: NDArray[np.bool_], points: NDArray[np.int64] | None = None) -> Drops:
+        """The drops ``which`` (drops,) says, with all their points or those of these numbers."""
+        some = np.arange(self.scale.shape[1]) if points is None else points
         return Drops(
             self.height_m[which],
             self.tilt_deg[which],
             self.tilt_wide_deg[which],
             self.kn_N_m[which],
             self.mu[which],
-            self.normals[which, first],
-            self.rises_m[which, first],
-            self.scale[which, first],
+            self.normals[which][:, some],
+            self.rises_m[which][:, some],
+            self.scale[which][:, some],
             None if self.laws is None else self.laws[which],
             None if self.damping is None else self.damping[which],
         )
 
-    def upright(self) -> NDArray[np.bool_]:
-        """Which drops (drops,) meet a flat horizontal ground upright, equally stiff all over."""
-        still = (self.tilt_deg == 0.0) & (self.tilt_wide_deg == 0.0)
-        level = (self.normals == [0.0, 0.0, 1.0]).all(axis=(1, 2))
-        flat = (self.rises_m == self.rises_m[:, :1]).all(axis=1)
-        return still & level & flat & (self.scale == self.scale[:, :1]).all(axis=1)
+    def push_along(self, seen: Seen) -> NDArray[np.bool_]:
+        """Which drops (drops,) push a section along the axes of ``seen`` alone, and alike wherever
+        it has one point for several."""
+        across = [axis for axis in (0, 1) if axis not in seen.axes]
+        tilts = np.stack([self.tilt_deg, self.tilt_wide_deg], axis=1)
+        still = (tilts[:, across] == 0.0).all(axis=1)
+        level = (np.abs(self.normals[:, :, across]) <= ROUNDING).all(axis=(1, 2))
+        first = seen.points[seen.group]
+        uneven = np.abs(self.rises_m - self.rises_m[:, first]).max(axis=1)
+        alike = (self.scale == self.scale[:, first]).all(axis=1)
+        return still & level & alike & (uneven <= ROUNDING * seen.size_m)
 
     @classmethod
     def on_plane(
@@ -256,6 +266,7 @@ def one_drop(common: Common, points: Points, columns: Columns, which: int, out: 
 @njit
 def many_drops(common: Common, columns: Columns, out: Array, status: NDArray[np.int64]) -> None:
     """`one_drop` for every row, ``out`` (drops, …) and ``status`` (drops,) written."""
+    common, columns = unowned(common), unowned(columns)
     points = common.points
     for i in range(len(columns.height)):
         law, dashpot = columns.laws[i], columns.damping[i] / common.modes.its
@@ -310,17 +321,34 @@ def _dropped(
     out = np.zeros((len(drops), len(Outcome._fields)))
     status = np.zeros(len(drops), dtype=np.int64)
     rest: NDArray[np.bool_] = np.ones(len(drops), dtype=bool)
-    column = as_column(marcher.body)
-    if column is not None:
-        rest = ~drops.upright()
-        own = Marcher(column, marcher.method, marcher.scheme, marcher.its_s, marcher.gravity_m_s2)
-        out[~rest], status[~rest] = _drop(own, drops.chosen(~rest, 1), marcher, slides=slides)
-    out[rest], status[rest] = _drop(marcher, drops.chosen(rest), marcher, slides=slides)
+    followed = _followed_s(marcher, slides)
+    for axes in (COLUMN, *PLANES):
+        seen = seen_along(marcher.body, axes)
+        if seen is not None and (own := rest & drops.push_along(seen)).any():
+            part = Marcher(
+                seen.body, marcher.method, marcher.scheme, marcher.its_s, marcher.gravity_m_s2
+            )
+            some = drops.chosen(own, seen.points)
+            out[own], status[own] = _drop(part, some, marcher, followed)
+            rest &= ~own
+    out[rest], status[rest] = _drop(marcher, drops.chosen(rest), marcher, followed)
     return out, status
 
 
+def _followed_s(marcher: Marcher, slides: bool) -> float:
+    """How long contact is followed at least, in s; where the bristle ``slides`` on, that is to its
+    end."""
+    assert isinstance(marcher.body, ModalBody)
+    points, column = marcher.tables()[1].points, seen_along(marcher.body, COLUMN)
+    longest = LONGEST_S
+    if column is not None and (points.kind.pulls or len(points.law) == 1):
+        # with its tip held, its slowest wave takes twice as long as if free
+        longest = LONGEST_RAD * slowest_period_s(column.body) / math.pi
+    return max(longest, slowest_period_s(marcher.body)) if slides else longest
+
+
 def _drop(
-    marcher: Marcher, drops: Drops, method: Marcher, *, slides: bool
+    marcher: Marcher, drops: Drops, method: Marcher, followed_s: float
 ) -> tuple[Array, NDArray[np.int64]]:
     """As `_dropped`, of ``drops`` that share their contact points.
 
@@ -339,17 +367,15 @@ def _drop(
         damping = np.full(len(drops), marcher.method.law.damping)
     rows = np.zeros((len(drops), len(Outcome._fields)))
     codes = np.zeros(len(drops), dtype=np.int64)
-    slowest, longest = slowest_period_s(method.body), LONGEST_S
-    if marcher is not method and touching.points.kind.pulls:
-        # with its tip held, its slowest wave takes twice as long as if free
-        longest = min(longest, LONGEST_RAD * slowest_period_s(marcher.body) / math.pi)
     common = Common(
         modes=modes,
         flyer=flyer(marcher.body),
-        sky=Sky(marcher.gravity_m_s2, 0.0, slowest, WAIT_STEPS * marcher.its_s),
+        sky=Sky(
+            marcher.gravity_m_s2, 0.0, slowest_period_s(method.body), WAIT_STEPS * marcher.its_s
+        ),
         points=touching.points._replace(proximal=constants.proximal),
         kt_over_kn=marcher.method.friction.kt_over_kn,
-        followed_s=max(longest, slowest if slides else 0.0),
+        followed_s=followed_s,
     )
     columns = Columns(
         laws=laws,
@@ -372,33 +398,68 @@ def _drop(
     return rows, codes
 
 
-def as_column(body: ModalBody) -> ModalBody | None:
-    """The body as upright drops on a flat ground see it, or None where they see more.
+@dataclass(frozen=True)
+class Seen:
+    """A ``body`` as drops see it that push its end section along ``axes`` alone.
 
-    A section that such a ground pushes along the axis alone, every point alike, is one point, and
-    only the modes that move it so are loaded.
+    ``points`` (k,) are those that stand for all of the section's, and ``group`` (n,) says which of
+    them for which; ``size_m`` is the section's greatest extent.
     """
-    points = body.contact
-    n = len(points.weights)
-    moved = (points.rows @ points.coordinates).reshape(n, 3, -1)
-    pushed = points.weights @ moved[:, 2]
-    own = np.abs(pushed) > ROUNDING * np.abs(pushed).max()
-    relative = moved[:, :, own]
-    relative[:, 2] -= pushed[own]
-    flat = np.ptp(points.places_m[:, 2]) == 0.0
-    if not flat or np.abs(relative).max() > ROUNDING * np.abs(pushed).max():
+
+    axes: tuple[int, ...]
+    body: ModalBody
+    points: NDArray[np.int64]
+    group: NDArray[np.int64]
+    size_m: float
+
+
+def seen_along(body: ModalBody, axes: tuple[int, ...]) -> Seen | None:
+    """The body as such drops see it, or None where they see more of it.
+
+    A ground that pushes along ``axes`` alone moves points alike that lie at the same place along
+    them: they are one point. Only the modes that it loads move.
+    """
+    every = body.contact
+    n, along = len(every.weights), list(axes)
+    moved = (every.rows @ every.coordinates).reshape(n, 3, -1)
+    lines = every.places_m[:, :2] * [axis in axes for axis in (0, 1)] + 0.0
+    _, points, group = np.unique(lines, axis=0, return_index=True, return_inverse=True)
+    group = group.reshape(n)
+    share = (group == np.arange(len(points))[:, None]) * every.weights
+    weights = share.sum(axis=1)
+    share /= weights[:, None]
+    together = np.einsum("gn,nxm->gxm", share, moved)
+    least = ROUNDING * np.abs(together[:, along]).max()
+    own = (np.abs(together[:, along]) > least).any(axis=(0, 1))
+    apart = moved[:, :, own]
+    apart[:, along] -= together[group][:, along][:, :, own]
+    even = all(np.ptp(every.places_m[group == i, 2]) == 0.0 for i in range(len(points)))
+    if not even or np.abs(apart).max() > least or body.translation[~own][:, along].any():
         return None
-    if np.abs(body.translation[~own, 2]).max(initial=0.0) > 0.0:
-        return None
-    translation = np.zeros_like(body.translation[own])
-    translation[:, 2] = body.translation[own, 2]
-    return ModalBody(
-        name=body.name,
+    translation, rotation = np.zeros((2, int(own.sum()), 3))
+    translation[:, along] = body.translation[own][:, along]
+    if len(along) == 2:
+        across = 1 - along[0]
+        rotation[:, across] = body.rotation[own, across]
+    sizes = np.abs(every.coordinates)
+    used = sizes[:, own].max(axis=1) > ROUNDING * sizes.max(axis=1)
+    shapes = every.rows.reshape(n, 3, -1)[points][:, :, used]
+    tractions = every.traction.reshape(n, 3, -1)[points][:, :, own]
+    contact = ContactPoints(
+        coordinates=np.ascontiguousarray(every.coordinates[np.ix_(used, own)]),
+        support=np.tile(np.arange(shapes.shape[2]), (len(points), 1)),
+        shapes=shapes,
+        traction=tractions.reshape(3 * len(points), -1),
+        weights=weights,
+        places_m=share @ every.places_m,
+    )
+    bends = body.axis if len(along) == 2 else None
+    part = replace(
+        body,
         omega2=body.omega2[own],
         translation=translation,
-        rotation=np.zeros_like(body.rotation[own]),
-        contact=axial_point(pushed[own], points.weights @ points.places_m),
-        alpha_1_s=body.alpha_1_s,
-        beta_s=body.beta_s,
-        loss_factor=body.loss_factor,
+        rotation=rotation,
+        contact=contact,
+        axis=bends and bends.in_modes(np.eye(len(own))[:, own]),
     )
+    return Seen(axes, part, points, group, float(np.ptp(every.places_m, axis=0).max()))

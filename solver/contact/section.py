@@ -33,6 +33,21 @@ NEARLY, BISECTIONS = 0.1, 40
 SLOW, FEW = 0.2, 8
 
 
+class Room(NamedTuple):
+    """Where a solution is worked out, so that no step makes arrays: coordinates, their last values,
+    a step of Newton's method, the residual and gathered forces (r,), the points' slopes (n, 6), the
+    contact's stiffness and Newton's matrix (r, r)."""
+
+    z: Array
+    old: Array
+    step: Array
+    residual: Array
+    gathered: Array
+    slopes: Array
+    stiff: Array
+    jacobian: Array
+
+
 class Section(NamedTuple):
     """How contact points move with the coordinates z (r,) of the section, and these with force.
 
@@ -51,19 +66,30 @@ class Section(NamedTuple):
     factored: NDArray[np.bool_]
     reach: Array
     predictor: Array
+    room: Room
 
 
 @njit
 def new_section(support: NDArray[np.int64], values: Array, compliance: Array) -> Section:
     """A section before its first step."""
-    r = len(compliance)
+    n, r = len(support), len(compliance)
     reach = np.zeros(r)
-    for i in range(len(support)):
+    for i in range(n):
         for a in range(support.shape[1]):
             for c in range(3):
                 reach[support[i, a]] = max(reach[support[i, a]], abs(values[i, c, a]))
     factored, predictor = np.zeros(1, dtype=np.bool_), np.zeros((2, r))
-    return Section(support, values, compliance, np.zeros((r, r)), factored, reach, predictor)
+    room = Room(
+        z=np.zeros(r),
+        old=np.zeros(r),
+        step=np.zeros(r),
+        residual=np.zeros(r),
+        gathered=np.zeros(r),
+        slopes=np.zeros((n, 6)),
+        stiff=np.zeros((r, r)),
+        jacobian=np.zeros((r, r) if r <= FEW else (0, 0)),
+    )
+    return Section(support, values, compliance, np.zeros((r, r)), factored, reach, predictor, room)
 
 
 @inlined
@@ -262,13 +288,12 @@ def solve_section(points: Points, section: Section, trial: Trial) -> int:
     Minus one where they do not converge.
     """
     n, r = len(points.weights), len(section.compliance)
-    start, free = trial.start, trial.free
+    start, free, predictor = trial.start, trial.free, section.predictor
     axes = 3 if points.mu > 0.0 else 1
-    old = section.predictor[0].copy()
-    z = old + section.predictor[1]
-    step, residual = np.zeros(r), np.empty(r)
-    gathered, slopes, stiff = np.empty(r), np.empty((n, 6)), np.empty((r, r))
-    jacobian = np.empty((r, r)) if r <= FEW else stiff
+    z, old, step, residual, gathered, slopes, stiff, jacobian = section.room
+    for a in range(r):
+        old[a], step[a] = predictor[0, a], 0.0
+        z[a] = old[a] + predictor[1, a]
     far = 0.0
     for i in range(n):
         far = max(far, abs(free[i, 0]))
@@ -280,7 +305,8 @@ def solve_section(points: Points, section: Section, trial: Trial) -> int:
         gather(section, points.weights, trial.force, gathered)
         change = _residual(section, z, gathered, residual)
         if change <= TOLERANCE * far:
-            section.predictor[0], section.predictor[1] = z, z - old
+            for a in range(r):
+                predictor[0, a], predictor[1, a] = z[a], z[a] - old[a]
             for i in range(n):
                 for c in range(3):
                     trial.end[i, c] = moved_approach(section, z, i, c, free[i, c])

@@ -20,7 +20,7 @@ from ..bodies.axis import (
     second_order_tangent,
     shortened,
 )
-from ..compiled import njit
+from ..compiled import njit, unowned
 from ..contact.normal import holds
 from ..contact.points import Points, Trial
 from ..contact.section import (
@@ -113,10 +113,11 @@ class Marched(NamedTuple):
 
 class Work(NamedTuple):
     """Arrays (modes,) of one step: the state (u, v) before it, the displacement ``later``, the mean
-    acceleration ``a`` with contact and ``free`` without, gravity's ``pull``; of a body of second
-    order its force ``bend``, what its axis sees ``before`` and ``after``, ``secants``, the ``best``
-    force so far, and the inverse of Newton's matrix (modes, modes) as a ``preconditioner``,
-    if one has been ``made`` (1,)."""
+    acceleration ``a`` with contact and ``free`` without, gravity's ``pull``; the ``loads`` of
+    contact on the section (r,) and, ``pushed``, on modes; of a body of second order its force
+    ``bend``, what its axis sees ``before`` and ``after``, ``secants``, the ``best`` force so far,
+    and the inverse of Newton's matrix (modes, modes) as a ``preconditioner``, if one has been
+    ``made`` (1,)."""
 
     u: Array
     v: Array
@@ -124,6 +125,8 @@ class Work(NamedTuple):
     a: Array
     free: Array
     pull: Array
+    loads: Array
+    pushed: Array
     bend: Array
     before: Array
     after: Array
@@ -141,7 +144,8 @@ def approaches(
 
     Returns the greatest along the normal.
     """
-    z, most = along @ u, -math.inf
+    z, most = section.room.z, -math.inf
+    np.dot(along, u, z)
     for i in range(len(gaps)):
         for c in range(axes):
             approach[i, c] = moved_approach(section, z, i, c, -gaps[i] if c == 0 else 0.0)
@@ -166,6 +170,8 @@ def _new_work(modes: Modes, touching: Touching, u: Array, v: Array) -> Work:
         a=np.empty(m),
         free=np.empty(m),
         pull=pull,
+        loads=np.empty(len(modes.along)),
+        pushed=np.empty(m),
         bend=np.zeros(m),
         before=at_axis,
         after=at_axis.copy(),
@@ -193,7 +199,7 @@ def _solve(
         work.free[j] = admittance[j] * (work.pull[j] - elastic_pull - damped)
     # without friction nobody asks for tangential approaches
     axes = 3 if points.mu > 0.0 else 1
-    loads, touches, before, move = np.empty(len(modes.along)), False, bend, bend
+    loads, pushed, touches, before, move = work.loads, work.pushed, False, bend, bend
     least, restarted = math.inf, False
     for turn in range(COUPLING_LIMIT):
         for j in range(m):
@@ -207,7 +213,7 @@ def _solve(
             if solve_step(points, section, trial) < 0:
                 return False, touches
             gather(section, modes.weights, trial.force, loads)
-            pushed = loads @ modes.along
+            np.dot(loads, modes.along, pushed)
             for j in range(m):
                 change = admittance[j] * pushed[j]
                 a[j] += change
@@ -217,7 +223,7 @@ def _solve(
             trial.end[:, :] = trial.free
         if not len(modes.axis.weights):
             return True, touches
-        work.after[:] = modes.axis.rows @ later
+        np.dot(modes.axis.rows, later, work.after)
         residual = second_order_force(modes.axis, work.before, work.after, h) - bend
         size = max(np.abs(residual + bend).max(), np.abs(work.pull).max())
         left = np.abs(residual).max()
@@ -262,7 +268,9 @@ def _newton_matrix(
 @njit
 def _damp(modes: Modes, work: Work, fast: Array) -> float:
     """Write the velocity ``fast`` at the end of a step; returns what damping took in it."""
-    loss = second_order_loss(modes.axis, work.before, work.after, modes.its)
+    loss = 0.0
+    if len(modes.axis.weights):
+        loss = second_order_loss(modes.axis, work.before, work.after, modes.its)
     for j in range(len(fast)):
         fast[j] = work.v[j] + modes.its * work.a[j]
         middle = 0.5 * (work.v[j] + fast[j])
@@ -284,6 +292,7 @@ def march(
 
     Times count from the start.
     """
+    modes, touching = unowned(modes), unowned(touching)
     h, weights, points, frames = modes.its, modes.weights, touching.points, touching.frames
     n, m = len(weights), len(u)
     values = np.empty(modes.shapes.shape)
@@ -294,6 +303,8 @@ def march(
     none = np.zeros((n, 3))
     trial = Trial(none.copy(), none.copy(), none.copy(), none.copy(), none.copy(), none.copy())
     trial.memory[:, 2] = memory
+    owned = (section, trial, work)  # until the end, whoever looks at them
+    section, trial, work = unowned(section), unowned(trial), unowned(work)
     axes = 3 if points.mu > 0.0 else 1
     deepest = approaches(modes.along, section, touching.gaps, work.u, axes, trial.start)
     lift = (modes.translation @ touching.up) / modes.mass
@@ -342,6 +353,7 @@ def march(
         if count * h >= limits.until:
             status = UNTIL
             break
+    section, trial, work = owned
     u, v = work.u, work.v
     if len(modes.axis.weights):
         du, dv = shortened(modes.axis, u, v)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from bristle.solver import batch
-from bristle.solver.batch import LONGEST_S, Drops, as_column, drop_each, drop_many
+from bristle.solver.batch import COLUMN, LONGEST_S, PLANES, Drops, drop_each, drop_many, seen_along
 from bristle.solver.bodies.beam import beam_body
 from bristle.solver.bodies.reduced import reduce_solid
 from bristle.solver.bristle import Bristle, Material, Rectangle
@@ -22,7 +22,7 @@ from bristle.solver.contact.laws import (
 from bristle.solver.drop import DropPlan, ModalFrame, simulate
 from bristle.solver.errors import ComputationError
 from bristle.solver.ground import Ground
-from bristle.solver.rigid import slope_normal
+from bristle.solver.rigid import leaning, matrix_of, slope_normal
 from bristle.solver.time import modal_march
 from bristle.solver.time.march import Marcher
 from bristle.solver.time.scheme import TimeScheme
@@ -53,8 +53,11 @@ def leaning_drops(body, rng, count, spread_deg=5.0, **fixed):
 def alone(body, drops, i, enforcement=Enforcement.PENALTY):
     method = method_of(drops.kn_N_m[i], drops.mu[i], enforcement)
     plan = DropPlan(drops.height_m[i], method, ITS, G)
-    ground = Ground(drops.normals[i], drops.rises_m[i], drops.scale[i])
     tilts = {"tilt_deg": drops.tilt_deg[i], "tilt_wide_deg": drops.tilt_wide_deg[i]}
+    on_planes = body.contact.places_m @ matrix_of(leaning(*tilts.values())).T
+    on_planes[:, 2] = drops.rises_m[i]
+    offsets = (drops.normals[i] * on_planes).sum(axis=1)
+    ground = Ground(drops.normals[i], offsets, drops.scale[i])
     plan = replace(plan, ground=ground, **tilts)
     return simulate(ModalFrame(body), plan)
 
@@ -157,7 +160,7 @@ def test_a_reduced_solid(make_solid, rng):
 def test_upright_drops_are_those_of_a_column(enforcement, rng):
     """All points alike are one point; leaning drops among them change nothing."""
     body = beam_body(Bristle(material=Material(beta_s=1e-8)), 8)
-    assert as_column(body) is not None
+    assert seen_along(body, COLUMN) is not None
     tilt = np.where(np.arange(8) % 2, rng.uniform(1.0, 3.0, 8), 0.0)
     drops = leaning_drops(body, rng, 8, tilt_deg=tilt, tilt_wide_deg=0.0, kn_N_m=2e6)
     outcome = drop_many(marcher_of(body, enforcement), drops)
@@ -166,8 +169,31 @@ def test_upright_drops_are_those_of_a_column(enforcement, rng):
     assert_the_same(body, drops, outcome, enforcement, rel, tip_m=1e-8)
 
 
-def test_a_solid_is_no_column(make_solid):
-    assert as_column(reduce_solid(make_solid(), 4.0 / ITS**2, 12, leaning=True).modal) is None
+@pytest.mark.parametrize("plane", [0, 1], ids=["thin", "wide"])
+@pytest.mark.parametrize("second_order", [False, True])
+def test_drops_in_a_plane_of_symmetry_need_its_modes_alone(plane, second_order, rng):
+    """Whether the bristle leans in it or the surface slopes in it; others among them do as ever."""
+    body = beam_body(Bristle(), 8, second_order=second_order)
+    seen = seen_along(body, PLANES[plane])
+    assert len(seen.body.omega2) <= len(body.omega2) / 2
+    assert len(seen.points) ** 2 == len(body.contact.weights)
+    tilts = {"tilt_deg": np.zeros(6), "tilt_wide_deg": np.zeros(6)}
+    tilts[list(tilts)[plane]][:4] = rng.uniform(-3.0, 3.0, 4)
+    drops = leaning_drops(body, rng, 6, kn_N_m=2e6, **tilts)
+    slopes = [0.0, 0.0]
+    slopes[plane] = 2.0
+    drops.normals[4] = slope_normal(*slopes)
+    place = body.contact.places_m[:, plane]
+    drops.rises_m[4] = -drops.normals[4, :, plane] / drops.normals[4, :, 2] * place
+    drops.tilt_wide_deg[5] = drops.tilt_deg[5] = 1.0
+    assert drops.push_along(seen).tolist() == [True] * 5 + [False]
+    rel = 1e-6 if second_order else 1e-9
+    assert_the_same(body, drops, drop_many(marcher_of(body), drops), rel=rel, closure=np.inf)
+
+
+def test_a_solid_has_neither_column_nor_plane(make_solid):
+    body = reduce_solid(make_solid(), 4.0 / ITS**2, 12, leaning=True).modal
+    assert [seen_along(body, axes) for axes in (COLUMN, *PLANES)] == [None] * 3
 
 
 def test_outcomes_do_not_depend_on_what_else_is_dropped(rng):

@@ -20,7 +20,7 @@ import numpy as np
 
 from ....solver import paper
 from ....solver.arrays import Array
-from ....solver.batch import as_column
+from ....solver.batch import COLUMN, seen_along
 from ....solver.bodies.modal import ModalBody
 from ....solver.bristle import Bristle
 from ....solver.contact.enforcement import ContactMethod
@@ -60,7 +60,8 @@ def leans(scene: Scene) -> bool:
 @lru_cache(maxsize=64)
 def _body(bristle: Bristle, beta_s: float, loss_factor: float, upright: bool) -> ModalBody:
     body = replace(beam_of(bristle), beta_s=beta_s, loss_factor=loss_factor)
-    return (as_column(body) or body) if upright else body
+    seen = seen_along(body, COLUMN) if upright else None
+    return seen.body if seen is not None else body
 
 
 def force_history(
