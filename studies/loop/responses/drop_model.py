@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, NamedTuple, Self
@@ -476,9 +476,14 @@ class DropModel(BounceModel):
 
     def everywhere(self, theta: Array) -> Array:
         """`measured`, by few drops where these tell of all."""
+        return self.by_few(lambda few: few.measured(theta))
+
+    def by_few(self, of: Callable[[DropModel], Array]) -> Array:
+        """What a function gives for the model's drops (..., drops, q), which is asked for few of
+        them where these tell of all."""
         if self._mesh is None or not self._smooth:
-            return self.measured(theta)
-        return self._mesh.spread(self._few.measured(theta))
+            return of(self)
+        return self._mesh.spread(of(self._few))
 
     def measured(self, theta: Array) -> Array:
         """What instruments show, in SI (..., nodes, drops, quantities)."""

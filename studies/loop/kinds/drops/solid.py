@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
@@ -140,6 +141,9 @@ def whitened_solid(
 ) -> Array:
     """Whitened predictions by the solid for the rows of ``groups``; ``group`` (drops,) numbers
     the model's drops."""
-    which = [int(i) for i in np.flatnonzero(np.isin(group, groups))]
-    measured = solid_drops(model, np.asarray(theta, dtype=float), which)
-    return model.errors.of(which).rows(measured)
+    which = np.flatnonzero(np.isin(group, groups)).astype(np.int64)
+    part = replace(
+        model, drops=model.drops.of(which), errors=model.errors.of(which.tolist()), correction=None
+    )
+    at = np.asarray(theta, dtype=float)
+    return part.errors.rows(part.by_few(lambda few: solid_drops(few, at, range(len(few.drops)))))
