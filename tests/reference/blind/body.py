@@ -74,16 +74,17 @@ class Body:
 
 @lru_cache(maxsize=64)
 def axial_steps(body: Body, dt_s: float, n: int = AXIAL) -> Array:
+    """`forced_steps` of the axial modes under a force at the tip."""
+    omega, shape = body.axial_omega(n), body.axial_tip(n)
+    return forced_steps(omega, body.damping(omega), shape, dt_s)
+
+
+def forced_steps(omega: Array, damping: Array, shape: Array, dt_s: float) -> Array:
     """Exact step of each mode under a force that varies linearly over it, (n, 2, 4).
 
     Rows are displacement and velocity after the step; columns what multiplies displacement,
     velocity, the force at its beginning and at its end.
     """
-    omega, shape = body.axial_omega(n), body.axial_tip(n)
-    return _steps(omega, body.damping(omega), shape, dt_s)
-
-
-def _steps(omega: Array, damping: Array, shape: Array, dt_s: float) -> Array:
     system = np.zeros((len(omega), 4, 4))
     system[:, 0, 1] = 1.0
     system[:, 1, 0], system[:, 1, 1], system[:, 1, 2] = -(omega**2), -damping, shape
@@ -100,18 +101,23 @@ def _steps(omega: Array, damping: Array, shape: Array, dt_s: float) -> Array:
 
 def free_steps(omega: Array, damping: Array, dt_s: float) -> Array:
     """Exact step of modes that no force acts on, (n, 2, 2)."""
-    return np.ascontiguousarray(_steps(omega, damping, np.zeros_like(omega), dt_s)[:, :, :2])
+    free = forced_steps(omega, damping, np.zeros_like(omega), dt_s)
+    return np.ascontiguousarray(free[:, :, :2])
 
 
 def left_over_step(body: Body, dt_s: float, n: int = AXIAL) -> Array:
-    """Step (3,) of the displacement that the modes left out make, which follows with delay β:
+    """`delayed_step` (3,) of the displacement that the modes left out make, for forces."""
+    return delayed_step(body.beta_s / dt_s) * [1.0, *2 * [body.left_out_m_N(n)]]
+
+
+def delayed_step(delay: float) -> Array:
+    """Step (3,) of what follows a force with a ``delay`` in steps, the force linear over the step:
     what multiplies itself, the force at the step's beginning, and at its end."""
-    compliance, delay = body.left_out_m_N(n), body.beta_s / dt_s
     if delay < 1e-3:
-        return np.array([0.0, 0.0, compliance])
+        return np.array([0.0, 0.0, 1.0])
     stays = math.exp(-1.0 / delay)
-    end = compliance * (1.0 - delay + stays * delay)
-    return np.array([stays, compliance * (1.0 - stays) - end, end])
+    end = 1.0 - delay + stays * delay
+    return np.array([stays, 1.0 - stays - end, end])
 
 
 @dataclass(frozen=True, eq=False)
