@@ -4,7 +4,6 @@ import math
 
 import numpy as np
 import pytest
-from plain_march import march_plainly
 from reference import papers_rebound, rate
 
 from bristle import drop as drop_of
@@ -128,37 +127,6 @@ def test_momentum_balance_of_the_first_impact(beam):
     mass = beam.modal.mass_kg
     gained = mass * (result.cm_velocity_after_m_s + result.impact_speed_m_s)
     assert gained == pytest.approx(result.impulse_N_s - mass * G * result.contact_time_s, rel=1e-10)
-
-
-def test_events_agree_with_plain_marching():
-    """60 ms marched at a constant ITS from release on, against flight and impact windows.
-
-    The march meets the plane somewhere within a step: first order in the ITS is what it can give.
-    """
-    frame = ModalFrame(beam_body(Bristle(), 8))
-    plan = DropPlan(2e-3, ContactMethod(Linear(2e6)), 5e-6, G)
-    events = simulate(frame, plan)
-    plain = march_plainly(frame, plan, 0.06)
-    assert plain.impact_speed_m_s == pytest.approx(events.impact_speed_m_s, abs=2.0 * G * 5e-6)
-    assert plain.cm_velocity_after_m_s == pytest.approx(events.cm_velocity_after_m_s, rel=5e-3)
-    assert plain.max_penetration_m == pytest.approx(events.max_penetration_m, rel=5e-3)
-    assert plain.rebound_ratio == pytest.approx(events.rebound_ratio, rel=5e-3)
-    assert plain.rebound_height_m == pytest.approx(plain.rebound_ratio * plan.height_m, rel=1e-12)
-    assert plain.peak_force_N == pytest.approx(events.peak_force_N, rel=5e-3)
-    assert plain.impulse_N_s == pytest.approx(events.impulse_N_s, rel=2e-3)
-    assert plain.contact_time_s == pytest.approx(events.contact_time_s, abs=2 * 5e-6)
-    assert plain.n_contacts == events.n_contacts
-    assert plain.energy.closure_relative < 1e-9
-
-
-def test_the_plain_march_agrees_with_events_as_the_step_shrinks():
-    frame, gaps = ModalFrame(beam_body(Bristle(), 4)), []
-    for its in (1e-5, 2e-6):
-        plan = DropPlan(1e-3, ContactMethod(Linear(2e6)), its, G, impact_only=True)
-        events, plain = simulate(frame, plan), march_plainly(frame, plan, 0.0148)
-        gaps.append(abs(events.cm_velocity_after_m_s - plain.cm_velocity_after_m_s))
-    assert gaps[0] < 5e-3 * events.impact_speed_m_s
-    assert gaps[1] < 0.3 * gaps[0]
 
 
 def test_the_analytic_history_falls_by_gravity_and_rises_as_high():
