@@ -1,12 +1,13 @@
-"""What the tests of contact laws share: a mass on a plane, the laws tried, and Hunt and Crossley's
-equation integrated."""
+"""What tests of contact laws share: a mass on a plane, the laws tried, and their closed forms."""
 
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from scipy.integrate import solve_ivp
+from scipy.special import beta
 
 from bristle.solver.bodies.base import ContactPoints
 from bristle.solver.bodies.modal import ModalBody
@@ -16,6 +17,7 @@ from bristle.solver.contact.laws import (
     Coulomb,
     Damped,
     HuntCrossley,
+    Linear,
     Plastic,
     Stiffening,
     Tabulated,
@@ -129,34 +131,71 @@ def bounce(law, its, *, until_s=math.inf, observer=None, **options):
     return touch, history
 
 
-def spring_time(share: float) -> float:
-    """When a mass on a spring of both signs pulls with ``share`` of the most that it presses."""
-    return (math.pi + math.asin(share)) / OMEGA
+class Closed(NamedTuple):
+    """What is known of a bounce without gravity: share of the speed kept, time in contact, greatest
+    force and depth, and the depth at which it lets go; not a number where it is not known."""
+
+    kept: float
+    time_s: float
+    peak_N: float
+    depth_m: float
+    left_m: float = 0.0
 
 
-def kept_by_hunt_crossley(damping_s_m: float) -> tuple[float, float, float]:
-    """Share of the speed kept, time in contact and greatest force, by integration."""
+def closed_form(law, mass_kg=MASS, speed_m_s=SPEED) -> Closed:
+    """The bounce of a mass on a law, of those here or `Hardening` of docs/examples."""
+    m, v, kn = mass_kg, speed_m_s, law.kn_N_m
+    omega, most = math.sqrt(kn / m), v * math.sqrt(kn * m)
+    if isinstance(law, Damped):
+        # T. Schwager and T. Pöschel, Granular Matter 9 (2007) 465: the force ends at T while it is
+        # still pressed, and the restitution is exp(-ζ ω T)
+        zeta = law.damping / (2.0 * math.sqrt(kn * m))
+        root = math.sqrt(1.0 - zeta**2)
+        time = (math.pi - math.atan2(2.0 * zeta * root, 1.0 - 2.0 * zeta**2)) / (omega * root)
+        kept = math.exp(-zeta * omega * time)
+        return Closed(kept, time, math.nan, math.nan, law.damping * kept * v / kn)
+    if isinstance(law, Linear | Stiffening):
+        # δ = ((p+1) m v² / 2c)^(1/(p+1)), T = 2 δ/v B(1/(p+1), ½)/(p+1)
+        exponent = getattr(law, "exponent", 1.0)
+        c = kn * getattr(law, "reference_m", 1.0) ** (1.0 - exponent)
+        depth = (0.5 * (exponent + 1.0) * m * v**2 / c) ** (1.0 / (exponent + 1.0))
+        time = 2.0 * depth / v * float(beta(1.0 / (exponent + 1.0), 0.5)) / (exponent + 1.0)
+        return Closed(1.0, time, c * depth**exponent, depth)
+    if isinstance(law, HuntCrossley):
+        return _of_hunt_crossley(kn, law.damping_s_m, m, v)
+    if isinstance(law, Adhesive):
+        # the spring is gone that lets go, after ½ + asin(F/F₀)/π half waves
+        share = law.pull_off_N / most
+        time = (math.pi + math.asin(share)) / omega
+        return Closed(math.sqrt(1.0 - share**2), time, most, v / omega, -law.pull_off_N / kn)
+    # ½ m v² goes into ½ Y²/Kn, and beyond into Y x + ½ h Kn x²; ½ F²/(u Kn) comes back. A quarter
+    # wave on Kn to yield, part of one on h Kn, and a quarter wave on u Kn
+    force, soft, unloading = law.yield_N, law.hardening * kn, getattr(law, "unloading", 1.0)
+    beyond = 0.5 * m * v**2 - 0.5 * force**2 / kn
+    peak = math.sqrt(force**2 + 2.0 * soft * beyond)
+    over, slow = 2.0 * beyond / (force + peak), math.sqrt(soft / m)
+    flows = m * math.sqrt(2.0 * beyond / m) / force
+    time = (math.asin(force / most) + 0.5 * math.pi / math.sqrt(unloading)) / omega
+    time += math.atan(slow * flows) / slow if slow else flows
+    depth, back = force / kn + over, peak / (unloading * kn)
+    return Closed(peak / (most * math.sqrt(unloading)), time, peak, depth, depth - back)
+
+
+def _of_hunt_crossley(kn: float, damping_s_m: float, m: float, v: float) -> Closed:
+    """By integration: contact ends where its depth does, or before, where it would pull."""
 
     def force(y):
-        return KN * y[0] * (1.0 + damping_s_m * y[1])
+        return kn * y[0] * (1.0 + damping_s_m * y[1])
 
     def motion(_t, y):
-        return [y[1], -max(force(y), 0.0) / MASS]
+        return [y[1], -max(force(y), 0.0) / m]
 
     def released(t, y):
         return 1.0 if t == 0.0 else y[0]
 
     released.terminal, released.direction = True, -1.0
-    # contact ends where its depth does, or before, where it would pull
-    run = solve_ivp(
-        motion,
-        (0.0, 50.0 / OMEGA),
-        [0.0, SPEED],
-        "LSODA",
-        events=released,
-        rtol=1e-11,
-        atol=1e-16,
-        dense_output=True,
-    )
-    forces = [max(force(y), 0.0) for y in run.sol(np.linspace(0.0, run.t[-1], 20001)).T]
-    return -float(run.y[1, -1]) / SPEED, float(run.t[-1]), max(forces)
+    close, until = {"rtol": 1e-11, "atol": 1e-16}, 50.0 * math.sqrt(m / kn)
+    run = solve_ivp(motion, (0.0, until), [0.0, v], "LSODA", None, True, released, **close)
+    seen = run.sol(np.linspace(0.0, run.t[-1], 20001))
+    peak, depth = max(max(force(y), 0.0) for y in seen.T), float(seen[0].max())
+    return Closed(-float(run.y[1, -1]) / v, float(run.t[-1]), peak, depth)

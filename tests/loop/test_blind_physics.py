@@ -4,7 +4,7 @@ program that it is to test."""
 import math
 import subprocess
 import sys
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
@@ -12,17 +12,20 @@ from blind.body import Body, bending
 from blind.drops import Truth, bounce, seen, speed_down, with_effect
 from blind.leaning import Lean, land
 from blind.upright import (
+    ADHESIVE,
     DASHPOT,
+    HUNT_CROSSLEY,
     LINEAR,
     PLASTIC,
     POWER,
     Law,
     impact,
 )
+from contact_law_helpers import closed_form
 
 from bristle.solver.bodies.beam import beam_body
 from bristle.solver.bristle import Bristle
-from bristle.solver.contact.laws import Linear
+from bristle.solver.contact import laws
 from bristle.solver.effects.base import Scene
 from bristle.solver.effects.library import EFFECTS
 from bristle.solver.fall import fallen, risen
@@ -103,15 +106,27 @@ def rigid(law, speed=SPEED):
     return impact(Body(beta_s=0.0, youngs_Pa=2e15), law, speed, 0.0, dt_s=2e-7, modes=8)
 
 
-def test_a_contact_that_hardens_gives_back_what_a_stiffer_spring_holds():
-    """½ m v² to yield and beyond is ½ Y²/Kn + Y x + ½ h Kn x²; what comes back is ½ F²/(u Kn)."""
-    limit, hardens, unloads = 2.0, 0.1, 3.0
-    done = rigid(Law(PLASTIC, SOFT, limit, hardens, unloads))
-    energy, slope = 0.5 * Body().mass_kg * SPEED**2 - 0.5 * limit**2 / SOFT, hardens * SOFT
-    most = math.sqrt(limit**2 + 2.0 * slope * energy)
-    assert done.peak_force_N == pytest.approx(most, rel=2e-3)
-    left = most / math.sqrt(unloads * SOFT * Body().mass_kg)
-    assert done.speed_m_s == pytest.approx(left, rel=5e-3)
+@pytest.mark.parametrize(
+    ("kind", "law"),
+    [
+        (LINEAR, laws.Linear(SOFT)),
+        (DASHPOT, laws.Damped(SOFT, 2.0)),
+        (HUNT_CROSSLEY, laws.HuntCrossley(SOFT, 0.4)),
+        (POWER, laws.Stiffening(SOFT, 1.7)),
+        (PLASTIC, laws.Plastic(SOFT, 2.0)),
+        (PLASTIC, laws.Plastic(SOFT, 2.0, 0.1, 3.0)),
+        (ADHESIVE, laws.Adhesive(SOFT, 1.5)),
+    ],
+    ids=str,
+)
+def test_a_rigid_bar_bounces_as_closed_forms_say(kind, law):
+    exact = closed_form(law, Body().mass_kg, SPEED)
+    kn, *numbers = (getattr(law, each.name) for each in fields(law))
+    done = rigid(Law(kind, kn, *(numbers[:1] if kind == POWER else numbers)))
+    assert done.speed_m_s == pytest.approx(exact.kept * SPEED, rel=5e-3)
+    assert done.contact_time_s == pytest.approx(exact.time_s, rel=5e-3)
+    if kind != DASHPOT:
+        assert done.peak_force_N == pytest.approx(exact.peak_N, rel=2e-3)
 
 
 def test_bending_modes_of_a_free_bar():
@@ -204,7 +219,7 @@ def test_a_name_means_the_same_physics_as_in_the_program(beam, name):
         mine[1:] = bounce(truth, speed_down(truth, height, 0.0), order, luck)
     if name == "session":  # whose drop is of the second one
         mine = seen(truth, np.full(2, height), np.array([luck, luck]))[1]
-    scene = Scene(height, order, luck, beta_s=Body().beta_s, law=Linear(kn))
+    scene = Scene(height, order, luck, beta_s=Body().beta_s, law=laws.Linear(kn))
     scene = EFFECTS[name](value).enter(scene)
     drag, start = scene.drag_kg_m / Body().mass_kg, scene.release_speed_m_s
     same = fallen(np.array([height]), G, np.array([start]), np.array([drag]))
