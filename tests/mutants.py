@@ -8,18 +8,19 @@ import random
 import re
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
-from itertools import accumulate, pairwise
+from itertools import accumulate
 from pathlib import Path
 
 FACTORS = (2.0, 0.5, 1.2, 0.8)
 # A power of ten as small as this guards a division or ends an iteration; twice it does the same.
 GUARD = 1e-8
-SIGNS = {ast.Add: ("+", "-"), ast.Sub: ("-", "+")}
-COMPARISONS = {
-    ast.Lt: ("<", "<=", ">"),
-    ast.LtE: ("<=", "<", ">="),
-    ast.Gt: (">", ">=", "<"),
-    ast.GtE: (">=", ">", "<="),
+SIGNS: dict[type, ast.operator] = {ast.Add: ast.Sub(), ast.Sub: ast.Add()}
+# The same with the boundary on the other side, and turned round.
+COMPARISONS: dict[type, tuple[ast.cmpop, ast.cmpop]] = {
+    ast.Lt: (ast.LtE(), ast.Gt()),
+    ast.LtE: (ast.Lt(), ast.GtE()),
+    ast.Gt: (ast.GtE(), ast.Lt()),
+    ast.GtE: (ast.Gt(), ast.LtE()),
 }
 # Calls whose first two arguments may be exchanged, or in which an exchange is a slip of types.
 SYMMETRIC = {
@@ -31,7 +32,8 @@ SYMMETRIC = {
 
 @dataclass(frozen=True)
 class Mutant:
-    """The source at ``path`` with the bytes from ``start`` to ``end`` replaced by ``new``."""
+    """The source at ``path`` with the bytes from ``start`` to ``end`` replaced by ``new``; its line
+    ``before`` and ``after``."""
 
     path: str
     line: int
@@ -76,45 +78,23 @@ class _Finder(ast.NodeVisitor):
         self.path, self.source = path, source
         self.tree = ast.parse(source)
         self.found: list[Mutant] = []
-        lines = source.splitlines(keepends=True)
-        self._starts = list(accumulate(map(len, lines), initial=0))
+        self._lines = source.splitlines(keepends=True)
+        self._starts = list(accumulate(map(len, self._lines), initial=0))
 
-    def _span(self, node: ast.expr) -> tuple[int, int]:
+    def _replace(self, kind: str, node: ast.expr | ast.stmt, new: str) -> None:
+        """Note the mutant with other code in the place of a node."""
         assert node.end_lineno is not None
         assert node.end_col_offset is not None
         start = self._starts[node.lineno - 1] + node.col_offset
-        return start, self._starts[node.end_lineno - 1] + node.end_col_offset
-
-    def _text(self, node: ast.expr) -> str:
-        start, end = self._span(node)
-        return self.source[start:end].decode()
-
-    def _add(self, kind: str, span: tuple[int, int], new: str) -> None:
-        start, end = span
+        end = self._starts[node.end_lineno - 1] + node.end_col_offset
         old = self.source[start:end].decode()
-        if new == old:
-            return
-        mutated = self.source[:start] + new.encode() + self.source[end:]
-        line = self.source.count(b"\n", 0, start)
-        number = old.count("\n") + 1
-        last = self._starts[line + number] + len(mutated) - len(self.source)
-        before = self.source[self._starts[line] : self._starts[line + number]]
-        after = mutated[self._starts[line] : last]
-        shown = (" ".join(each.decode().split()) for each in (before, after))
-        self.found.append(Mutant(self.path, line + 1, kind, old, new, start, end, *shown))
-
-    def _replace(self, kind: str, node: ast.expr, new: str) -> None:
-        self._add(kind, self._span(node), new)
-
-    def _replace_operator(
-        self, kind: str, left: ast.expr, right: ast.expr, old: str, new: str
-    ) -> None:
-        """Exchange an operator between two operands that no comment parts."""
-        start, end = self._span(left)[1], self._span(right)[0]
-        gap = self.source[start:end].decode()
-        if gap.count(old) == 1 and "#" not in gap:
-            at = start + gap.index(old)
-            self._add(kind, (at, at + len(old)), new)
+        head = self._lines[node.lineno - 1][: node.col_offset].decode()
+        tail = self._lines[node.end_lineno - 1][node.end_col_offset :].decode()
+        before, after = (" ".join(f"{head}{code}{tail}".split()) for code in (old, new))
+        if new != old:
+            self.found.append(
+                Mutant(self.path, node.lineno, kind, old, new, start, end, before, after)
+            )
 
     # --- what is left alone ---
 
@@ -161,24 +141,22 @@ class _Finder(ast.NodeVisitor):
 
     def visit_UnaryOp(self, node: ast.UnaryOp) -> None:
         if isinstance(node.op, ast.USub):
-            self._replace("sign", node, self._text(node.operand))
+            self._replace("sign", node, ast.unparse(node.operand))
         self.generic_visit(node)
 
     def visit_AugAssign(self, node: ast.AugAssign) -> None:
         if type(node.op) in SIGNS and not _is_text(node.value):
-            old, new = SIGNS[type(node.op)]
-            self._replace_operator("sign", node.target, node.value, old, new)
+            self._replace("sign", node, _changed(node, op=SIGNS[type(node.op)]))
         self.generic_visit(node)
 
     def visit_BinOp(self, node: ast.BinOp, *, inside_product: bool = False) -> None:
         text = _is_text(node.left) or _is_text(node.right)
         product = isinstance(node.op, (ast.Mult, ast.Div, ast.MatMult))
         if type(node.op) in SIGNS and not text:
-            old, new = SIGNS[type(node.op)]
-            self._replace_operator("sign", node.left, node.right, old, new)
+            self._replace("sign", node, _changed(node, op=SIGNS[type(node.op)]))
         elif product and not text and not inside_product:
             for factor in (2,) if _is_whole(node) else FACTORS:
-                self._replace("factor", node, f"({factor} * ({self._text(node)}))")
+                self._replace("factor", node, f"({factor} * ({ast.unparse(node)}))")
         for each in (node.left, node.right):
             if isinstance(node.op, ast.Pow) and each is node.right and _is_number(each):
                 self._visit_exponent(each)
@@ -213,27 +191,33 @@ class _Finder(ast.NodeVisitor):
             self.visit(node)
 
     def visit_Call(self, node: ast.Call) -> None:
-        if _name(node.func) not in SYMMETRIC and not _only_tells(node):
-            for one, two in pairwise(node.args):
-                if not (_is_text(one) or _is_text(two) or ast.Starred in (type(one), type(two))):
-                    start, end = self._span(one)[0], self._span(two)[1]
-                    between = self.source[self._span(one)[1] : self._span(two)[0]].decode()
-                    swapped = self._text(two) + between + self._text(one)
-                    if "#" not in between:
-                        self._add("arguments", (start, end), swapped)
-        if not _only_tells(node):
-            self.generic_visit(node)
+        if _only_tells(node):
+            return
+        for i in range(len(node.args) - 1) if _name(node.func) not in SYMMETRIC else ():
+            head, (one, two), tail = node.args[:i], node.args[i : i + 2], node.args[i + 2 :]
+            known = ast.Starred not in (type(one), type(two)) and ast.dump(one) != ast.dump(two)
+            if known and not (_is_text(one) or _is_text(two)):
+                self._replace("arguments", node, _changed(node, args=[*head, two, one, *tail]))
+        self.generic_visit(node)
 
     def visit_Compare(self, node: ast.Compare) -> None:
         operands = [node.left, *node.comparators]
-        for operator, (left, right) in zip(node.ops, pairwise(operands), strict=True):
+        for i, operator in enumerate(node.ops):
             if type(operator) in COMPARISONS:
-                old, boundary, turned = COMPARISONS[type(operator)]
-                self._replace_operator("comparison", left, right, old, turned)
+                boundary, turned = (
+                    _changed(node, ops=[*node.ops[:i], other, *node.ops[i + 1 :]])
+                    for other in COMPARISONS[type(operator)]
+                )
+                self._replace("comparison", node, turned)
                 # a real number that is computed does not meet a decimal fraction
-                if not (_is_fraction(left) or _is_fraction(right)):
-                    self._replace_operator("comparison", left, right, old, boundary)
+                if not any(map(_is_fraction, operands[i : i + 2])):
+                    self._replace("comparison", node, boundary)
         self.generic_visit(node)
+
+
+def _changed(node: ast.AST, **fields: object) -> str:
+    """The code of a node with other fields."""
+    return ast.unparse(type(node)(**{**dict(ast.iter_fields(node)), **fields}))
 
 
 def _name(node: ast.expr) -> str:
