@@ -17,7 +17,12 @@ from hypothesis import strategies as st
 
 from bristle.studies.cli import main
 from bristle.studies.data import datasets
+from bristle.studies.data.datasets import read_drops
 from bristle.studies.inputs.fields import DROP_FLAGS, LIST_FLAGS
+from bristle.studies.loop.kinds.falls.record import read_falls
+from bristle.studies.loop.kinds.forces.record import read_forces
+from bristle.studies.loop.kinds.tracks.record import read_tracks
+from bristle.studies.loop.kinds.waves.record import read_waves
 
 ERROR = re.compile(r"^bristle: error: \S.*$")
 CONTROL = re.compile(r"[\x00-\x1f\x7f-\x9f]")
@@ -227,6 +232,13 @@ TABLES = {
     "forces": ("forces.csv", forces_table()),
     "waves": ("waves.csv", waves_table()),
     "falls": ("falls.csv", falls_table()),
+}
+READERS = {
+    "drops": read_drops,
+    "tracks": read_tracks,
+    "forces": read_forces,
+    "waves": read_waves,
+    "falls": read_falls,
 }
 WAVE_KEYS = {
     "signal": "gauge",

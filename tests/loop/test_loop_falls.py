@@ -296,44 +296,9 @@ def test_heights_are_read_where_the_table_has_them(tmp_path):
         read_falls(write(tmp_path / "bad", rows, more=",y0_mm"))
 
 
-@pytest.mark.parametrize(
-    ("change", "words"),
-    [
-        (lambda rows: rows[:100], "at least three are needed"),
-        (lambda rows: [*rows, (1, 9.0, 0.0)], r"falls.csv:\d+: fall must count upwards"),
-        (lambda rows: [rows[1], rows[0], *rows[2:]], r"falls.csv:3: t_s must grow"),
-        (lambda rows: [*rows, (99, 0.0, 0.0)], r"falls.csv:\d+: fall 99 has 1 samples"),
-        (lambda rows: [*rows[:7], (1, float("nan"), 0.0), *rows[8:]], r"falls.csv:9: t_s must be"),
-        (
-            lambda rows: [(n, t, 9.8 - a) for n, t, a in rows],
-            r"falls.csv:2: fall 1 reads 9.\d+ m/s² as it begins; .* gravity must not be in a_m_s2",
-        ),
-    ],
-)
-def test_what_cannot_be_used_is_named(tmp_path, change, words):
-    rows = made_rows(np.random.default_rng(7), per_height=1)
-    write(tmp_path, change(rows))
-    with pytest.raises(InputError, match=words):
-        read_falls(tmp_path)
-
-
-def test_a_fall_that_is_no_whole_number_is_named(tmp_path):
-    write(tmp_path, made_rows(np.random.default_rng(7), per_height=1))
-    table = (tmp_path / "falls.csv").read_text().splitlines()
-    table[1] = table[1].replace("1,", "1.5,", 1)
-    (tmp_path / "falls.csv").write_text("\n".join(table))
-    with pytest.raises(InputError, match=r"falls.csv:2: fall must be a whole number"):
-        read_falls(tmp_path)
-
-
-def test_other_kinds_and_missing_tables_are_named(tmp_path):
-    rows = made_rows(np.random.default_rng(8), per_height=1)
-    with pytest.raises(InputError, match=r"dataset.toml:3: kind is drops, not falls"):
-        read_falls(write(tmp_path / "drops", rows, kind="drops"))
-    with pytest.raises(InputError, match="file must name the table"):
-        read_falls(write(tmp_path / "none", rows, keys=""))
+def test_effects_that_a_fall_cannot_carry_are_refused(made):
     with pytest.raises(InputError, match="cannot carry hunt_crossley"):
-        fall_problem(read_falls(write(tmp_path / "made", rows))).combine(("hunt_crossley",))
+        fall_problem(made).combine(("hunt_crossley",))
 
 
 @pytest.fixture(scope="module")

@@ -14,7 +14,6 @@ from scipy.stats import chi2
 
 from bristle.solver.bristle import Bristle
 from bristle.solver.effects.library import EFFECTS
-from bristle.solver.errors import InputError
 from bristle.studies.loop.kinds.forces.problem import forces_problem
 from bristle.studies.loop.kinds.forces.record import read_forces
 from bristle.studies.loop.responses import force_curves
@@ -149,27 +148,3 @@ def test_clean_records_are_adequate(tmp_path):
 def test_contact_laws_are_told_apart(name, size, tmp_path):
     found = find(made(tmp_path, {name: size}, library=None)[0])
     assert found.effects[:1] == (name,)
-
-
-@pytest.mark.parametrize(
-    ("table", "change", "message"),
-    [
-        ("forces.csv", lambda text: text.replace("force_N", "F", 1), r"forces\.csv:1: no column"),
-        ("forces.csv", lambda text: text + "3,1,1\n", r"forces\.csv:\d+: drop must count upwards"),
-        ("forces.csv", lambda text: text + "9,1,1\n", r"drop 9 has 1 samples"),
-        ("drops.csv", lambda text: text.replace("\n2,", "\n1,"), r"drops\.csv:3: drop 1 stands"),
-        (
-            "drops.csv",
-            lambda text: "\n".join(text.splitlines()[:-1]),
-            r"forces\.csv:\d+: drop 7 has no height",
-        ),
-        ("drops.csv", lambda text: text.replace("\n2,", "\n2,-"), r"drops\.csv:3: y0_mm must be"),
-        ("dataset.toml", lambda text: text.replace("forces.csv", "drops.csv"), r"toml:5: file"),
-    ],
-)
-def test_reading_is_strict(table, change, message, tmp_path):
-    folder, _ = written(tmp_path, {}, drops=7, step_s=2e-5)
-    path = folder / table
-    path.write_text(change(path.read_text()))
-    with pytest.raises(InputError, match=message):
-        read_forces(folder)

@@ -437,59 +437,6 @@ def test_models_are_vectorised_nested_and_finite_over_all_bounds(made):
         np.testing.assert_allclose(many[1, 3], model.predict(corners[35]), rtol=1e-9, atol=1e-9)
 
 
-@pytest.mark.parametrize(
-    ("keys", "words"),
-    [
-        ({"first_pass_s": "[2e-5, 1e-5]"}, r"dataset.toml:\d+: first_pass_s must end after"),
-        ({"first_pass_s": "3"}, r"dataset.toml:\d+: first_pass_s must be \[begin, end\]"),
-        ({"first_pass_s": ""}, r"first_pass_s is missing: .*of the first pass alone"),
-        ({"predict_s": ""}, r"predict_s is missing: .*one later pass or more"),
-        ({"predict_s": "[5e-5, 1.0]"}, r"dataset.toml:\d+: predict_s must lie within"),
-        ({"predict_s": "[2e-5, 9e-5]"}, r"dataset.toml:\d+: predict_s must begin after"),
-        ({"predict_s": "[5e-5, 5.1e-5]"}, r"dataset.toml:\d+: predict_s holds fewer than 8"),
-        ({"baseline_until_s": "-39e-6"}, r"dataset.toml:\d+: baseline_until_s must leave 12"),
-        ({"baseline_until_s": '"early"'}, r"dataset.toml:\d+: baseline_until_s must be a finite"),
-        ({"signal": '["a_V", "a_V"]'}, r"dataset.toml:\d+: signal"),
-        ({"signal": '["a_V", "c_V"]'}, r"record.csv:1: no column c_V"),
-        ({"signal": "", "singal": '["a_V"]'}, r"singal is not known; did you mean signal"),
-        ({"file": '"../record.csv"'}, "lies outside"),
-        ({"gauge_x_m": "0.25"}, r"dataset.toml:\d+: gauge_x_m must lie between the ends"),
-        ({"gauge_x_m": "true"}, r"dataset.toml:\d+: gauge_x_m must be a finite number"),
-        ({"signal_2": '"b_V"'}, r"dataset.toml:\d+: signal_2 names a column of signal"),
-        ({"signal": '"a_V"', "signal_2": '"b_V"'}, r"gauge_x_m is missing: with two gauges"),
-        (
-            {"signal": '"a_V"', "signal_2": '"b_V"', "gauge_x_m": 0.1, "gauge_2_x_m": 0.05},
-            r"dataset.toml:\d+: gauge_2_x_m must be farther",
-        ),
-        ({"gauge_2_x_m": 0.15}, r"dataset.toml:\d+: gauge_2_x_m needs signal_2"),
-        ({"sigma": -1.0}, r"dataset.toml:\d+: sigma must be positive"),
-    ],
-)
-def test_what_cannot_be_used_is_named(tmp_path, keys, words):
-    t = np.arange(-40e-6, 7.6 * PASS_S, 0.5e-6)
-    write(tmp_path, t, [np.sin(1e6 * t), np.cos(1e6 * t)], **keys)
-    with pytest.raises(InputError, match=words):
-        read_waves(tmp_path)
-
-
-def test_uneven_times_and_bad_numbers_are_named(tmp_path):
-    t = np.arange(-40e-6, 7.6 * PASS_S, 0.5e-6)
-    uneven = t.copy()
-    uneven[100] += 0.2e-6
-    write(tmp_path, uneven, [t, 2 * t])
-    with pytest.raises(InputError, match=r"record.csv:102: t_s must grow in equal steps"):
-        read_waves(tmp_path)
-    write(tmp_path, np.delete(t, 100), [np.delete(t, 100)] * 2)
-    with pytest.raises(InputError, match=r"record.csv:102: .* no sample may be missing"):
-        read_waves(tmp_path)
-    write(tmp_path, t, [t, 2 * t])
-    table = (tmp_path / "record.csv").read_text().splitlines()
-    table[9] = table[9].split(",")[0] + ",nan,0"
-    (tmp_path / "record.csv").write_text("\n".join(table))
-    with pytest.raises(InputError, match=r"record.csv:10: a_V must be a finite number"):
-        read_waves(tmp_path)
-
-
 def test_a_record_that_shows_too_little_is_refused(tmp_path):
     case = CASES["mid-length"]
     folders = [tmp_path / name for name in "abc"]

@@ -16,7 +16,7 @@ from bristle.solver.bristle import Bristle, Material
 from bristle.solver.contact.enforcement import ContactMethod
 from bristle.solver.contact.laws import Linear
 from bristle.solver.drop import DropPlan, ModalFrame, simulate
-from bristle.solver.errors import ComputationError, InputError
+from bristle.solver.errors import ComputationError
 from bristle.studies.calibrate.calibration import (
     RatioCurve,
     beam_model,
@@ -232,46 +232,6 @@ def test_command_writes_json_and_page_of_a_dataset(folder, tmp_path):
     }  # fmt: skip
     doubts = [text for name, text in told(content) if name == "doubt"]
     assert doubts == content["warnings"] != []
-
-
-@pytest.mark.parametrize(
-    ("rows", "toml", "words"),
-    [
-        ("1,10,x\n2,2,1\n3,3,1\n", "", r"drops.csv:2: y1_mm is no number: 'x'"),
-        ("1,10,5\n2,-2,1\n3,3,1\n", "", r"drops.csv:3: y0_mm must be more than 0"),
-        ("1,10,5\n2,nan,1\n3,3,1\n", "", r"drops.csv:3: y0_mm must be a finite number"),
-        ("1,10,5\n2,2\n3,3,1\n", "", r"drops.csv:3: 2 values under 3 columns"),
-        ("1,10,5\n1,2,1\n3,3,1\n", "", r"drops.csv:3: drop 1 stands in line 2 as well"),
-        ("1,10,5\n", "", "too few drops, 1"),
-        (GOOD, "[body]\nlenght_m = 0.3\n", r"dataset.toml:5: lenght_m .* did you mean length_m"),
-        (GOOD, "[body]\nlength_m = -1\n", r"dataset.toml:5: length_m: must be greater"),
-        (GOOD, '[body]\nlength_m = "long"\n', r"dataset.toml:5: length_m must be a finite number"),
-        (GOOD, "[body]\nroughness = 1\n", "roughness is not known"),
-        (GOOD, '[measurement]\nfile = "none.csv"\n', "none.csv: no such file"),
-        (GOOD, "[measurement]\nsigma_y = 3\n", "did you mean sigma_y_mm"),
-        (GOOD, '[dataset]\nkind = "dorps"\n', r"dataset.toml:2: kind must be one of"),
-        (GOOD, '[dataset]\nkind = "waves"\n', "kind is waves, not drops"),
-        (GOOD, "[dataset\n", "not valid TOML"),
-        (GOOD, "[body]\ndiameter_m = 1e-3\nwidth_m = 1e-3\n", "excludes width_m"),
-        (GOOD, "[body]\npoisson_ratio = 0.7\n", "dataset.toml:5: poisson_ratio: must be less"),
-    ],
-)
-def test_a_wrong_dataset_is_refused_by_file_and_line(folder, rows, toml, words):
-    with pytest.raises(InputError, match=words):
-        read_drops(folder(rows, toml))
-
-
-def test_a_missing_column_is_named(folder):
-    with pytest.raises(InputError, match=r"drops.csv:1: no column y1_mm"):
-        read_drops(folder("1,2\n", head="drop,y0_mm"))
-
-
-def test_columns_that_no_comma_parts_are_told_how(folder):
-    where = folder(GOOD)
-    path = where / "drops.csv"
-    path.write_text(path.read_text().replace(",", ";"))
-    with pytest.raises(InputError, match="csv:1: no column drop; .* comma stands between columns"):
-        read_drops(where)
 
 
 def test_what_a_dataset_leaves_out_is_the_paper_s(folder):
