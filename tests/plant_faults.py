@@ -24,11 +24,8 @@ import shutil
 import signal
 import subprocess
 import sys
-import tempfile
-import threading
 import time
 from collections.abc import Iterator
-from concurrent.futures import CancelledError, ThreadPoolExecutor
 from dataclasses import asdict, dataclass
 from itertools import chain, islice
 from pathlib import Path
@@ -44,8 +41,6 @@ NOT_COPIED = {".git", ".hypothesis", ".mypy_cache", ".ruff_cache", "build", "dis
 TEST_LIMIT_S = 600
 # Times what the clean run took, a run on a busier machine may take.
 PATIENCE = 4.0
-# Set where the script is interrupted: runs in threads end, and leave no record.
-STOP = threading.Event()
 SURVIVED = "SURVIVED"
 FAILED = r"^(?:FAILED|ERROR) (\S+)"
 PYTEST = (
@@ -76,23 +71,12 @@ def main() -> None:
     if arguments.list:
         print(*(described(asdict(each)) for each in faults), sep="\n")
         return
-    out: Path = arguments.out
-    (out / "logs").mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryDirectory(prefix="faults-") as folder:
-        scratch = Path(folder)
-        clean = clean_run(out, scratch, arguments.tests)
-        records = read_records(out, clean)
-        missing = [each for each in faults if key(each) not in records]
-        with ThreadPoolExecutor(arguments.jobs) as pool:
-            try:
-                for record in pool.map(
-                    lambda each: tried(each, clean, out, scratch, arguments.budget), missing
-                ):
-                    records[record["key"]] = record
-            except BaseException:
-                STOP.set()
-                pool.shutdown(cancel_futures=True)
-                raise
+    place = Place(arguments.out.absolute())
+    clean = place.clean_run(arguments.tests)
+    records = read_records(arguments.out, clean)
+    for fault in faults:
+        if key(fault) not in records:
+            records[key(fault)] = place.tried(fault, clean, arguments.budget)
     print(table([records[key(each)] for each in faults]))
     for test in chain.from_iterable(each.failed for each in clean.values()):
         print(f"left out, since it fails without a fault: {test}")
@@ -105,7 +89,6 @@ def parsed() -> argparse.Namespace:
     )
     parser.add_argument("--faults", type=int, default=20, metavar="N", help="how many (20)")
     parser.add_argument("--seed", type=int, default=0, metavar="S", help="which (0)")
-    parser.add_argument("--jobs", type=int, default=1, metavar="J", help="how many at once (1)")
     parser.add_argument("--only", metavar="FILE", help="in this file alone, as solver/fall.py")
     parser.add_argument("--tests", metavar="PART", default="", help="alone, as solver/test_fall")
     parser.add_argument(
@@ -174,165 +157,131 @@ def table(records: list[dict]) -> str:
 # --- runs -------------------------------------------------------------------------------------
 
 
-def clean_run(out: Path, scratch: Path, part: str) -> dict[str, Clean]:
-    """How each test file that begins with ``part`` runs in the sources as they are.
+class Place:
+    """A copy of the repository in the folder ``out``, with a cache and temporary files of its own,
+    in which faults are planted."""
 
-    What it compiles is left in ``out``.
-    """
-    sources, found = digest(*files(*SOURCES)), {}
-    missing = {}
-    for path in sorted((ROOT / "tests").rglob("test_*.py")):
-        name = path.relative_to(ROOT / "tests").as_posix()
-        if not name.startswith(part):
-            continue
-        kept = out / "clean" / f"{name}.json"
-        known = Clean(**json.loads(kept.read_text())) if kept.exists() else None
-        if known and (known.sources, known.digest) == (sources, digest(path)):
-            found[name] = known
-        else:
-            missing[name] = kept, digest(path)
-    if missing:
-        with workplace(scratch, out) as place:
-            try:
-                for name, (kept, text) in missing.items():
-                    say(f"clean run of {name} …")
-                    found[name] = clean_file(name, sources, text, place, out)
-                    kept.parent.mkdir(parents=True, exist_ok=True)
-                    kept.write_text(json.dumps(asdict(found[name])))
-            finally:
-                keep_compiled(place, out)
-    return found
-
-
-def clean_file(name: str, sources: str, text: str, place: Path, out: Path) -> Clean:
-    """Run a test file."""
-    status, output, seconds = pytest(place, [name], math.inf, "--timeout=1800")
-    if status not in (0, 1, 5):
-        log = out / "logs" / "clean.txt"
-        log.write_text(output)
-        sys.exit(f"pytest ended with {status}, see {log}")
-    return Clean(sources, text, seconds, re.findall(FAILED, output, re.M))
-
-
-def tried(
-    fault: Mutant, clean: dict[str, Clean], out: Path, scratch: Path, budget_s: float
-) -> dict:
-    """The record of a fault, also added to those in ``out``."""
-    say(f"{fault.path}:{fault.line}: {fault.after}")
-    names = in_order(fault.path, clean)
-    patience_s = PATIENCE * sum(clean[name].seconds for name in names) + TEST_LIMIT_S
-    left_out = [f"--deselect={test}" for name in names for test in clean[name].failed]
-    record = {"key": key(fault), "tests": tests_of(clean), **asdict(fault)}
-    status, output, spent_s = 0, "no test reaches it", 0.0
-    if names:
-        with workplace(scratch, out, fault) as place:
-            more = "-x", f"--timeout={TEST_LIMIT_S}", "--timeout-method=thread", *left_out
-            status, output, spent_s = pytest(place, names, min(patience_s, budget_s), *more)
-    found = caught_by(status, output)
-    if status is None and budget_s < patience_s and found.startswith("timeout"):
-        found = SURVIVED
-    record |= {"caught_by": found, "seconds": spent_s, "test_files": len(names)}
-    (out / "logs" / f"{record['key']}.txt").write_text(output)
-    with (out / "records.jsonl").open("a") as file:
-        file.write(json.dumps(record) + "\n")
-    say(f"{record['caught_by']}, {spent_s:.0f} s")
-    return record
-
-
-@contextlib.contextmanager
-def workplace(scratch: Path, out: Path, fault: Mutant | None = None) -> Iterator[Path]:
-    """A folder with a copy of the repository, an own cache and own temporary files."""
-    with tempfile.TemporaryDirectory(dir=scratch, ignore_cleanup_errors=True) as folder:
-        place = Path(folder)
+    def __init__(self, out: Path) -> None:
+        self.out, self.copy, self.cache = out, out / "copy", out / "cache" / "bristle"
+        for made in (out / "logs", out / "tmp", self.cache):
+            made.mkdir(parents=True, exist_ok=True)
+        shutil.rmtree(self.copy, ignore_errors=True)
         # with the times of the files, by which Python knows what it has compiled
-        shutil.copytree(ROOT, place / "copy", symlinks=True, ignore=not_copied)
-        if fault:
-            fault.plant(place / "copy")
-        for name in ("cache/bristle", "tmp"):
-            (place / name).mkdir(parents=True)
-        take_compiled(place, out, fault)
-        yield place
+        shutil.copytree(ROOT, self.copy, symlinks=True, ignore=self.not_copied)
 
+    def not_copied(self, folder: str, names: list[str]) -> set[str]:
+        """What running leaves in the repository, and its history."""
+        left_out = NOT_COPIED if Path(folder) == ROOT else {"__pycache__"}
+        return {name for name in names if name in left_out or Path(folder, name) == self.out}
 
-def not_copied(folder: str, names: list[str]) -> set[str]:
-    """What running leaves in the repository, and its history."""
-    return NOT_COPIED & set(names) if Path(folder) == ROOT else {"__pycache__"} & set(names)
+    def clean_run(self, part: str) -> dict[str, Clean]:
+        """How each test file that begins with ``part`` runs in the sources as they are."""
+        sources, found = digest(*files(*SOURCES)), {}
+        for path in sorted((ROOT / "tests").rglob("test_*.py")):
+            name = path.relative_to(ROOT / "tests").as_posix()
+            kept = self.out / "clean" / f"{name}.json"
+            if not name.startswith(part):
+                continue
+            known = Clean(**json.loads(kept.read_text())) if kept.exists() else None
+            if known is None or (known.sources, known.digest) != (sources, digest(path)):
+                say(f"clean run of {name} …")
+                status, output, seconds = self.pytest([name], math.inf, "--timeout=1800")
+                if status not in (0, 1, 5):
+                    (self.out / "logs" / "clean.txt").write_text(output)
+                    sys.exit(f"pytest ended with {status}, see {self.out / 'logs' / 'clean.txt'}")
+                known = Clean(sources, digest(path), seconds, re.findall(FAILED, output, re.M))
+                kept.parent.mkdir(parents=True, exist_ok=True)
+                kept.write_text(json.dumps(asdict(known)))
+            found[name] = known
+        return found
 
+    def tried(self, fault: Mutant, clean: dict[str, Clean], budget_s: float) -> dict:
+        """The record of a fault, also added to those in ``out``."""
+        say(f"{fault.path}:{fault.line}: {fault.after}")
+        names = in_order(fault.path, clean)
+        patience_s = PATIENCE * sum(clean[name].seconds for name in names) + TEST_LIMIT_S
+        left_out = [f"--deselect={test}" for name in names for test in clean[name].failed]
+        record = {"key": key(fault), "tests": tests_of(clean), **asdict(fault)}
+        more = "-x", f"--timeout={TEST_LIMIT_S}", "--timeout-method=thread", *left_out
+        status, output, spent_s = 0, "no test reaches it", 0.0
+        if names:
+            with self.planted(fault):
+                status, output, spent_s = self.pytest(names, min(patience_s, budget_s), *more)
+        found = caught_by(status, output)
+        if status is None and budget_s < patience_s and found.startswith("timeout"):
+            found = SURVIVED
+        record |= {"caught_by": found, "seconds": spent_s, "test_files": len(names)}
+        (self.out / "logs" / f"{record['key']}.txt").write_text(output)
+        with (self.out / "records.jsonl").open("a") as file:
+            file.write(json.dumps(record) + "\n")
+        say(f"{record['caught_by']}, {spent_s:.0f} s")
+        return record
 
-def compiled_folder(place: Path) -> Path:
-    """Where a copy has what Numba compiles of it."""
-    version = version_of(place / "copy" / "solver")
-    return place / "cache" / "bristle" / f"compiled-{os.getuid()}" / version
+    @contextlib.contextmanager
+    def planted(self, fault: Mutant) -> Iterator[None]:
+        """The fault is in the copy; what is compiled from the mutated file is not known.
 
+        Numba looks at a function's own file alone to see whether it is stale, and its code holds
+        that of the functions that it calls: files that import the mutated one are compiled anew,
+        too. Forms are named after what they hold, so every fault may begin with them.
+        """
+        stale, kept = importers(ROOT / fault.path), self.compiled()
 
-def keep_compiled(place: Path, out: Path) -> None:
-    """Leave in ``out`` what was compiled in a copy without a fault.
+        def of_stale_files(folder: str, names: list[str]) -> set[str]:
+            source = ROOT / "solver" / Path(folder).relative_to(kept)
+            begins = tuple(f"{path.stem}." for path in stale if path.parent == source)
+            return {name for name in names if name.startswith(begins)}
 
-    Forms are named after what they hold, so every fault may begin with them.
-    """
-    if compiled_folder(place).exists():
-        shutil.copytree(compiled_folder(place), out / "compiled", dirs_exist_ok=True)
-    for kept in (place / "cache").rglob("forms-*"):
-        shutil.copytree(kept, out / "forms" / kept.name, dirs_exist_ok=True)
-
-
-def take_compiled(place: Path, out: Path, fault: Mutant | None) -> None:
-    """Give a copy what was kept, but for what is compiled from the mutated file.
-
-    Numba looks at a function's own file alone to see whether it is stale, and its code holds that
-    of the functions that it calls: files that import the mutated one are compiled anew, too.
-    """
-    stale = importers(ROOT / fault.path) if fault else set()
-    kept = out / "compiled"
-
-    def of_stale_files(folder: str, names: list[str]) -> set[str]:
-        source = ROOT / "solver" / Path(folder).relative_to(kept)
-        begins = tuple(f"{path.stem}." for path in stale if path.parent == source)
-        return {name for name in names if name.startswith(begins)}
-
-    if kept.exists():
-        shutil.copytree(kept, compiled_folder(place), ignore=of_stale_files)
-    if (out / "forms").exists():
-        shutil.copytree(out / "forms", place / "cache" / "bristle", dirs_exist_ok=True)
-
-
-def pytest(
-    place: Path, names: list[str], limit_s: float, *more: str
-) -> tuple[int | None, str, float]:
-    """Status, output and seconds of the test files ``names``, run in this order in a copy.
-
-    The status is None where they take longer than ``limit_s``.
-    """
-    live = place / "copy" / "docker" / "live"
-    environment = {
-        **os.environ,
-        "PATH": f"{live / 'bin'}:{os.environ['PATH']}",
-        "PYTHONPATH": str(live),
-        "PYTHONPYCACHEPREFIX": str(place.parent / "pycache"),
-        "XDG_CACHE_HOME": str(place / "cache"),
-        "TMPDIR": str(place / "tmp"),
-    }
-    environment.pop("NUMBA_CACHE_DIR", None)
-    started = time.monotonic()
-    with (place / "output").open("w+") as output:
-        process = subprocess.Popen(
-            [sys.executable, *PYTEST, *more, *(f"tests/{name}" for name in names)],
-            cwd=place / "copy",
-            env=environment,
-            stdin=subprocess.DEVNULL,
-            stdout=output,
-            stderr=subprocess.STDOUT,
-            start_new_session=True,
-        )
+        fault.plant(self.copy)
+        own = self.compiled()
+        if own != kept and kept.exists():
+            shutil.copytree(kept, own, ignore=of_stale_files, dirs_exist_ok=True)
         try:
-            while (status := process.poll()) is None and time.monotonic() - started < limit_s:
-                if STOP.wait(0.2):
-                    raise CancelledError
+            yield
         finally:
-            end_session(process.pid)
-            process.wait()
-        output.seek(0)
-        return status, output.read(), time.monotonic() - started
+            shutil.copy2(ROOT / fault.path, self.copy / fault.path)
+            if own != kept:
+                shutil.rmtree(own, ignore_errors=True)
+
+    def compiled(self) -> Path:
+        """Where the copy as it is has what Numba compiles of it."""
+        return self.cache / f"compiled-{os.getuid()}" / version_of(self.copy / "solver")
+
+    def pytest(self, names: list[str], limit_s: float, *more: str) -> tuple[int | None, str, float]:
+        """Status, output and seconds of the test files ``names``, run in this order in the copy.
+
+        The status is None where they take longer than ``limit_s``.
+        """
+        live = self.copy / "docker" / "live"
+        environment = {
+            **os.environ,
+            "PATH": f"{live / 'bin'}:{os.environ['PATH']}",
+            "PYTHONPATH": str(live),
+            "PYTHONPYCACHEPREFIX": str(self.out / "pycache"),
+            "XDG_CACHE_HOME": str(self.cache.parent),
+            "TMPDIR": str(self.out / "tmp"),
+        }
+        environment.pop("NUMBA_CACHE_DIR", None)
+        started = time.monotonic()
+        with (self.out / "output").open("w+") as output:
+            process = subprocess.Popen(
+                [sys.executable, *PYTEST, *more, *(f"tests/{name}" for name in names)],
+                cwd=self.copy,
+                env=environment,
+                stdin=subprocess.DEVNULL,
+                stdout=output,
+                stderr=subprocess.STDOUT,
+                start_new_session=True,
+            )
+            try:
+                status = process.wait(None if math.isinf(limit_s) else limit_s)
+            except subprocess.TimeoutExpired:
+                status = None
+            finally:
+                end_session(process.pid)
+                process.wait()
+            output.seek(0)
+            return status, output.read(), time.monotonic() - started
 
 
 def end_session(leader: int) -> None:
