@@ -129,14 +129,25 @@ def test_a_law_is_the_same_in_the_solid(session):
         assert full.rebound_ratio == pytest.approx(reduced.rebound_ratio, rel=1e-5)
 
 
+def dragged(k, start, until_s=1.0, *, g=paper.GRAVITY_M_S2, ends=None, **how):
+    """Path and speed downward by m v' = m g - k m v |v|, to where ``ends`` of both crosses zero."""
+
+    def motion(_, y):
+        return [y[1], g - k * y[1] * abs(y[1])]
+
+    def event(_, y):
+        return ends(*y)
+
+    event.terminal = True
+    events = None if ends is None else event
+    return solve_ivp(motion, (0.0, until_s), start, events=events, rtol=1e-12, atol=1e-14, **how)
+
+
 @pytest.mark.parametrize("start", [-0.3, 0.0, 0.4])
 @pytest.mark.parametrize("drag", [0.5, 1e-5])
 def test_a_fall_with_drag_is_the_differential_equations(start, drag):
-    def motion(_, y):
-        return [y[1], paper.GRAVITY_M_S2 - drag * y[1] * abs(y[1])]
-
     time, speed = dragged_fall(0.05, paper.GRAVITY_M_S2, start, drag)
-    done = solve_ivp(motion, (0.0, time), [0.0, start], rtol=1e-10, atol=1e-13, dense_output=True)
+    done = dragged(drag, [0.0, start], time, dense_output=True)
     assert done.y[0, -1] == pytest.approx(0.05, abs=1e-9)
     assert done.y[1, -1] == pytest.approx(speed, abs=1e-9)
     for t in np.linspace(0.1, 0.9, 5) * time:
@@ -147,16 +158,8 @@ def test_a_fall_with_drag_is_the_differential_equations(start, drag):
 
 def test_a_rise_with_drag_ends_where_energy_says():
     k, g, speed = 0.7, paper.GRAVITY_M_S2, 1.2
-
-    def motion(_, y):
-        return [y[1], -g - k * y[1] ** 2]
-
-    def top(_, y):
-        return y[1]
-
-    top.terminal = True
-    done = solve_ivp(motion, (0.0, 1.0), [0.0, speed], events=top, rtol=1e-10, atol=1e-13)
-    assert done.y[0, -1] == pytest.approx(risen(speed**2 / (2.0 * g), k), abs=1e-9)
+    done = dragged(k, [0.0, -speed], ends=lambda _, v: v)
+    assert -done.y[0, -1] == pytest.approx(risen(speed**2 / (2.0 * g), k), abs=1e-9)
 
 
 FLAT = ({"width_m": 2.08e-3, "thickness_m": 0.5e-3}, 2.08e-3 * 0.5e-3)
@@ -177,22 +180,14 @@ def test_air_drag_is_half_density_coefficient_end_section_and_speed_squared(
     inputs = drop("air_drag:cd=40", model=model, length_m=0.2, density_kg_m3=2700.0, **sizes)
     k, g = 0.5 * 1.204 * 40.0 * area / (2700.0 * area * 0.2), inputs.gravity_m_s2
 
-    def motion(_, y):
-        return [y[1], g - k * y[1] * abs(y[1])]
+    def end(start, ends):
+        return dragged(k, start, g=g, ends=ends).y[:, -1]
 
-    def landed(_, y):
-        return y[0] - inputs.height_m
-
-    def turned(_, y):
-        return y[1]
-
-    def end(start, event):
-        event.terminal = True
-        done = solve_ivp(motion, (0.0, 1.0), start, events=event, rtol=1e-12, atol=1e-14)
-        return done.y[:, -1]
+    def turned(_, v):
+        return v
 
     result, _ = session.run(inputs)
-    speed = end([0.0, 0.0], landed)[1]
+    speed = end([0.0, 0.0], lambda y, _: y - inputs.height_m)[1]
     assert speed < (1.0 - 5e-4) * math.sqrt(2.0 * g * inputs.height_m)
     assert result.impact_speed_m_s == pytest.approx(speed, rel=1e-9)
     # what rises is released a penetration away from where it touched
@@ -201,7 +196,7 @@ def test_air_drag_is_half_density_coefficient_end_section_and_speed_squared(
     vacuum, _ = session.run(inputs.model_copy(update={"effects": ()}))
     if model != "analytic":
         mass, fallen = 2700.0 * area * 0.2, g * inputs.height_m - 0.5 * speed**2
-        back = end([-1e-9, -after], lambda _, y: y[0])[1]
+        back = end([-1e-9, -after], lambda y, _: y)[1]
         flown = 0.5 * (after**2 - back**2)
         assert result.energy.drag_loss_J == pytest.approx(mass * (fallen + flown), rel=1e-3)
         assert vacuum.energy.drag_loss_J == 0.0
@@ -228,17 +223,10 @@ def test_drag_acts_in_every_flight(session):
         x, s = height[rows], t[rows] - t[rows[0]]
         # its starting speed from its own first rows, which a cubic fits
         speed = np.polynomial.Polynomial.fit(s[:9], x[:9], 4).deriv()(0.0)
-        run = solve_ivp(
-            lambda _, y: [y[1], -g - k * y[1] * abs(y[1])],
-            (0.0, s[-1]),
-            [x[0], speed],
-            t_eval=s,
-            rtol=1e-11,
-            atol=1e-13,
-        )
-        assert x == pytest.approx(run.y[0], abs=1e-7)
+        run = dragged(k, [-x[0], -speed], s[-1], g=g, t_eval=s)
+        assert x == pytest.approx(-run.y[0], abs=1e-7)
         in_vacuum = x[0] + speed * s - 0.5 * g * s * s
-        assert np.abs(in_vacuum - run.y[0]).max() > 1e-6
+        assert np.abs(in_vacuum + run.y[0]).max() > 1e-6
     assert result.energy.closure_relative < 1e-6
 
 

@@ -3,6 +3,7 @@
 Thousands of each in the campaign, some of each always.
 """
 
+import contextlib
 import json
 import os
 import sys
@@ -16,6 +17,7 @@ import pytest
 from hostile import (
     NASTY_NUMBERS,
     NASTY_TEXT,
+    READERS,
     TABLES,
     configurations,
     document,
@@ -42,10 +44,6 @@ from bristle.studies.calibrate import run as calibrate_study
 from bristle.studies.cli import app
 from bristle.studies.close_loop import run as loop_study
 from bristle.studies.data.datasets import read_drops, read_manifest
-from bristle.studies.loop.kinds.falls.record import read_falls
-from bristle.studies.loop.kinds.forces.record import read_forces
-from bristle.studies.loop.kinds.tracks.record import read_tracks
-from bristle.studies.loop.kinds.waves.record import read_waves
 from bristle.studies.mesh import run as mesh_study
 from bristle.studies.report.page import Column, Table
 from bristle.studies.reproduce import run as reproduce_study
@@ -53,30 +51,22 @@ from bristle.studies.scatter import run as scatter_study
 
 pytestmark = pytest.mark.serial
 
-READERS = {
-    "drops": read_drops,
-    "tracks": read_tracks,
-    "forces": read_forces,
-    "waves": read_waves,
-    "falls": read_falls,
-}
-# Four falls, a sample every five minutes.
-SPARSE = "".join(f"{fall},{300 * k},0\n" for fall in range(1, 5) for k in range(30))
 TITLE = "<script>alert(1)</script>&\"'<img src=x onerror=alert(2)>"
 
 
-def tried(count):
-    """So many cases, shrunk and remembered nowhere."""
-    return settings(
-        max_examples=count,
-        deadline=None,
-        database=None,
-        suppress_health_check=list(HealthCheck),
-    )
+# Some always, thousands in the campaign.
+SOME_OR_MANY = pytest.mark.parametrize(
+    "count", [150, pytest.param(5000, marks=pytest.mark.campaign)], ids=["some", "thousands"]
+)
 
 
-class Reached(Exception):
-    """The computing would begin here."""
+def tried(count, promises, *examples, **strategies):
+    """Try so many cases beside the examples, shrunk and remembered nowhere."""
+    test = given(**strategies)(promises)
+    for each in examples:
+        test = example(*each)(test)
+    how = {"deadline": None, "database": None, "suppress_health_check": list(HealthCheck)}
+    settings(max_examples=count, **how)(test)()
 
 
 @pytest.fixture
@@ -135,40 +125,36 @@ class _Watch:
 STUDIES = ("drop", "sweep", "its", "mesh", "reproduce", "scatter", "brush")
 
 
-def promises_of_a_configuration(content, command, seen):
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "config.toml"
-        path.write_bytes(content)
-        status, _, lines = run(command, "--config", path, "--out", Path(folder) / "out")
-        message = kept_promise(status, lines)
-        assert status == 2
-        if seen:
-            assert message == "reached"
-            seen.clear()
-        else:
-            assert str(path) in message or message.startswith("--")
-            assert not (Path(folder) / "out").exists()
-        assert {each.name for each in Path(folder).iterdir()} <= {"config.toml", "out"}
+@SOME_OR_MANY
+def test_any_configuration_is_refused_or_sound(marked, count):
+    def promises(content, command):
+        with tempfile.TemporaryDirectory() as folder:
+            path = Path(folder) / "config.toml"
+            path.write_bytes(content)
+            status, _, lines = run(command, "--config", path, "--out", Path(folder) / "out")
+            message = kept_promise(status, lines)
+            assert status == 2
+            if marked:
+                assert message == "reached"
+                marked.clear()
+            else:
+                assert str(path) in message or message.startswith("--")
+                assert not (Path(folder) / "out").exists()
+            assert {each.name for each in Path(folder).iterdir()} <= {"config.toml", "out"}
 
-
-@given(content=configurations(), command=st.sampled_from(STUDIES))
-@tried(150)
-@example(b"a = " + b"[" * 100_000, "drop")
-@example(b"kn = 0x1" + b"0" * 5000, "drop")
-@example(b"kn = 1" + b"0" * 5000, "drop")
-@example(b"kn = -1e400", "sweep")
-@example(b"\xff\xfe", "drop")
-@example(b"effect = [{}]", "drop")
-@example(b'"\\u001b[2J" = 1', "drop")
-def test_any_configuration_is_refused_or_sound(marked, content, command):
-    promises_of_a_configuration(content, command, marked)
-
-
-@pytest.mark.campaign
-@given(content=configurations(), command=st.sampled_from(STUDIES))
-@tried(5000)
-def test_thousands_of_configurations(marked, content, command):
-    promises_of_a_configuration(content, command, marked)
+    tried(
+        count,
+        promises,
+        (b"a = " + b"[" * 100_000, "drop"),
+        (b"kn = 0x1" + b"0" * 5000, "drop"),
+        (b"kn = 1" + b"0" * 5000, "drop"),
+        (b"kn = -1e400", "sweep"),
+        (b"\xff\xfe", "drop"),
+        (b"effect = [{}]", "drop"),
+        (b'"\\u001b[2J" = 1', "drop"),
+        content=configurations(),
+        command=st.sampled_from(STUDIES),
+    )
 
 
 @pytest.mark.parametrize("start", [b"", b"\xef\xbb\xbf"])
@@ -199,29 +185,20 @@ def test_what_is_no_file_is_no_configuration(tmp_path, kind):
 # --- datasets -------------------------------------------------------------------------------------
 
 
-def promises_of_a_dataset(kind, files):
-    with tempfile.TemporaryDirectory() as name:
-        folder = write_files(Path(name) / "data", files)
-        read, told = None, ""
-        try:
-            read = READERS[kind](folder)
-        except InputError as error:
-            told = str(error)
-        assert str(folder) in told or read.manifest.kind == kind
-
-
-@given(data=st.data(), kind=st.sampled_from(list(TABLES)))
-@tried(150)
-def test_any_dataset_is_refused_or_sound(data, kind):
-    promises_of_a_dataset(kind, data.draw(hostile_datasets(kind)))
-
-
-@pytest.mark.campaign
+@SOME_OR_MANY
 @pytest.mark.parametrize("kind", list(TABLES))
-@given(data=st.data())
-@tried(2000)
-def test_thousands_of_datasets(kind, data):
-    promises_of_a_dataset(kind, data.draw(hostile_datasets(kind)))
+def test_any_dataset_is_refused_or_sound(kind, count):
+    def promises(files):
+        with tempfile.TemporaryDirectory() as name:
+            folder = write_files(Path(name) / "data", files)
+            read, told = None, ""
+            try:
+                read = READERS[kind](folder)
+            except InputError as error:
+                told = str(error)
+            assert str(folder) in told or read.manifest.kind == kind
+
+    tried(count // 3, promises, files=hostile_datasets(kind))
 
 
 @pytest.mark.parametrize("kind", list(TABLES))
@@ -281,52 +258,6 @@ def test_what_is_no_plain_file_is_not_waited_for(tmp_path, what, kind):
         read_drops(folder)
 
 
-@pytest.mark.parametrize(
-    ("kind", "table", "says"),
-    [
-        ("drops", "drop,y0_mm,y1_mm\n", "no rows under the columns"),
-        ("drops", "drop,y0_mm,y1_mm\n1,1_0,5\n2,10,5\n3,10,5\n", ":2: y0_mm is no number: '1_0'"),
-        ("drops", "drop,y0_mm,y1_mm\n1,٣,5\n2,10,5\n3,10,5\n", ":2: y0_mm is no number"),
-        ("drops", "drop,y0_mm,y1_mm\n1,1e308,5\n2,10,5\n3,10,5\n", "at most 1e.12 in size"),
-        ("drops", f'drop,y0_mm,y1_mm\n1,"{"9" * 200_000}",5\n', ":2: no row of a CSV table"),
-        ("falls", "fall,t_s,a_m_s2\n" + SPARSE, ":2: fall 1 has 30 samples in 8700 s; 40 a second"),
-    ],
-    ids=["empty", "notation", "digits", "huge", "field", "sparse"],
-)
-def test_a_table_is_refused_by_its_line(tmp_path, kind, table, says):
-    folder = write_dataset(tmp_path / "data", kind, table=table)
-    with pytest.raises(InputError, match=says):
-        READERS[kind](folder)
-
-
-@pytest.mark.parametrize(
-    ("part", "values", "says"),
-    [
-        ("contact", {"kn_N_m": 16**5000}, "kn_N_m must be a finite number, not a value too long"),
-        ("contact", {"kn_N_m": 1e300}, "kn_N_m must lie between"),
-        ("body", {"length_m": 5e-324}, "length_m: must be greater"),
-        ("body", {"poisson_ratio": -2.0}, "poisson_ratio: must be greater"),
-        ("measurement", {"file": "drops.csv", "sigma_y_mm": 0.0}, "sigma_y_mm must be positive"),
-        ("measurement", {"file": "drops.csv", "sigma_y_mm": 1e-300}, "sigma_y_mm must lie between"),
-        ("dataset", {"kind": "drops", "title": 5}, "title must be a text"),
-        ("dataset", {"kind": "drops", "title": "x" * 5000}, "title must be a text"),
-    ],
-    ids=lambda value: str(value)[:20] if isinstance(value, str) else "",
-)
-def test_a_declaration_is_refused_by_its_line(tmp_path, part, values, says):
-    folder = write_dataset(tmp_path / "data", "drops", manifest("drops", **{part: values}))
-    with pytest.raises(InputError, match=rf"dataset.toml:\d+: {says}"):
-        read_manifest(folder)
-
-
-@pytest.mark.parametrize("unit", ["$\\frac{$", "<b>V</b>", 5, "V" * 50, ""])
-def test_a_unit_is_one_that_labels_can_show(tmp_path, unit):
-    measurement = {**manifest("waves")["measurement"], "unit": unit}
-    folder = write_dataset(tmp_path / "data", "waves", manifest("waves", measurement=measurement))
-    with pytest.raises(InputError, match="unit must be a unit such as"):
-        read_waves(folder)
-
-
 def test_a_bar_too_short_for_its_record_is_named(tmp_path):
     tree = manifest("waves", body={"length_m": 0.002, "width_m": 0.5e-3})
     folder = write_dataset(tmp_path / "data", "waves", tree)
@@ -363,52 +294,30 @@ def command_lines(draw):
     return words
 
 
-def promises_of_a_command_line(words, seen):
-    with tempfile.TemporaryDirectory() as name:
-        folder, before = Path(name), Path.cwd()
-        os.chdir(folder)
-        try:
+@SOME_OR_MANY
+def test_any_command_line_is_refused_or_sound(marked, count):
+    def promises(words):
+        with tempfile.TemporaryDirectory() as name, contextlib.chdir(name):
             status, _, lines = run(*words)
-        finally:
-            os.chdir(before)
-        message = kept_promise(status, lines)
-        if seen:
-            seen.clear()
-        else:
-            assert status == 2, (words, lines[-1:])
-            assert message
-        made = {str(path.relative_to(folder)) for path in folder.rglob("*")}
-        assert all(path.split("/")[0] == "results" for path in made), made
+            message = kept_promise(status, lines)
+            if marked:
+                marked.clear()
+            else:
+                assert status == 2, (words, lines[-1:])
+                assert message
+            made = {str(path) for path in Path().rglob("*")}
+            assert all(path.split("/")[0] == "results" for path in made), made
 
-
-@given(words=command_lines())
-@tried(150)
-@example(["drop", "--kn", "1" + "0" * 400])
-@example(["drop", "--surface", "\ud800"])
-@example(["view", "\udcff"])
-@example(["close-loop", "x" * 5000])
-@example(["scatter", "--surface", "."])
-def test_any_command_line_is_refused_or_sound(marked, words):
-    promises_of_a_command_line(words, marked)
-
-
-@pytest.mark.campaign
-@given(words=command_lines())
-@tried(5000)
-def test_thousands_of_command_lines(marked, words):
-    promises_of_a_command_line(words, marked)
-
-
-@given(numbers=st.dictionaries(st.sampled_from(["--kn", "--height", "--gravity"]), NASTY_NUMBERS))
-@tried(40)
-def test_what_is_computed_of_any_numbers_is_sound(numbers):
-    with tempfile.TemporaryDirectory() as folder:
-        options = [f"{name}={value}" for name, value in numbers.items()]
-        status, _, lines = run("drop", "--model", "analytic", *options, "--out", folder)
-        kept_promise(status, lines)
-        if status == 0:
-            document = json.loads((Path(folder) / "result.json").read_text())
-            assert document["peak_force_N"] > 0.0
+    tried(
+        count,
+        promises,
+        (["drop", "--kn", "1" + "0" * 400],),
+        (["drop", "--surface", "\ud800"],),
+        (["view", "\udcff"],),
+        (["close-loop", "x" * 5000],),
+        (["scatter", "--surface", "."],),
+        words=command_lines(),
+    )
 
 
 # --- results that are read again ------------------------------------------------------------------
@@ -429,25 +338,31 @@ RESULTS = st.one_of(
 )
 
 
-@given(content=RESULTS, how=st.sampled_from(["view", "config", "resume"]))
-@tried(150)
-@example(b"[" * 100_000, "view")
-@example(b"[" * 100_000, "resume")
-@example(b'{"inputs": {"kn_N_m": 1' + b"0" * 5000 + b"}}", "config")
-def test_any_result_is_refused_or_read(marked, content, how):
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "result.json"
-        path.write_bytes(content)
-        arguments = {
-            "view": ["view", folder],
-            "config": ["drop", "--config", path, "--out", Path(folder) / "out"],
-            "resume": ["drop", "--resume", "--out", folder],
-        }[how]
-        status, _, lines = run(*arguments)
-        kept_promise(status, lines)
-        marked.clear()
-        assert status == 2
-        assert path.read_bytes() == content
+def test_any_result_is_refused_or_read(marked):
+    def promises(content, how):
+        with tempfile.TemporaryDirectory() as folder:
+            path = Path(folder) / "result.json"
+            path.write_bytes(content)
+            arguments = {
+                "view": ["view", folder],
+                "config": ["drop", "--config", path, "--out", Path(folder) / "out"],
+                "resume": ["drop", "--resume", "--out", folder],
+            }[how]
+            status, _, lines = run(*arguments)
+            kept_promise(status, lines)
+            marked.clear()
+            assert status == 2
+            assert path.read_bytes() == content
+
+    tried(
+        150,
+        promises,
+        (b"[" * 100_000, "view"),
+        (b"[" * 100_000, "resume"),
+        (b'{"inputs": {"kn_N_m": 1' + b"0" * 5000 + b"}}", "config"),
+        content=RESULTS,
+        how=st.sampled_from(["view", "config", "resume"]),
+    )
 
 
 # --- pages ----------------------------------------------------------------------------------------

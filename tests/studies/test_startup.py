@@ -25,14 +25,6 @@ print(json.dumps([status, sorted({name.partition('.')[0] for name in sys.modules
 """
 
 
-def loaded(*arguments: object) -> tuple[int, set[str]]:
-    """Exit status of a command, and the packages that its process has loaded at the end."""
-    # cold, compiled code takes its time
-    result = python("-c", CODE, *arguments, timeout_s=500.0)
-    status, names = json.loads(result.stdout.splitlines()[-1])
-    return status, set(names)
-
-
 def test_the_names_are_those_of_packages() -> None:
     # a name that nothing has could not be found loaded
     from importlib.util import find_spec
@@ -51,25 +43,27 @@ def test_help_loads_no_numerics() -> None:
     assert not set(names) & (MESHED | PAGES | STATISTICS | NUMERICS)
 
 
-@pytest.mark.parametrize("arguments", [("drop", "--hight", "1"), ("swep",), ("calibrate",)])
-def test_a_wrong_command_line_loads_no_numerics(arguments: tuple[str, ...]) -> None:
-    status, names = loaded(*arguments)
-    assert status == 2
-    assert not names & (MESHED | PAGES | STATISTICS | NUMERICS)
-
-
-def test_a_wrong_value_loads_nothing_that_computes_a_solid() -> None:
-    status, names = loaded("drop", "--model", "solid", "--kn", -1)
-    assert status == 2
-    assert not names & (MESHED | PAGES | STATISTICS)
-
-
-@pytest.mark.parametrize("model", ["analytic", "beam"])
-def test_a_drop_without_a_mesh_loads_no_finite_elements(model: str, tmp_path) -> None:
-    status, names = loaded("drop", "--model", model, "--out", tmp_path / "drop")
-    assert status == 0
-    assert "numba" in names
-    assert not names & (MESHED | PAGES | STATISTICS | {"mpi4py"})
+@pytest.mark.parametrize(
+    ("words", "status", "unused"),
+    [
+        *((each, 2, MESHED | PAGES | STATISTICS | NUMERICS)
+          for each in ("drop --hight 1", "swep", "calibrate")),
+        ("drop --model solid --kn -1", 2, MESHED | PAGES | STATISTICS),
+        *((f"drop --model {model} --out OUT", 0, MESHED | PAGES | STATISTICS | {"mpi4py"})
+          for model in ("analytic", "beam")),
+        ("sweep --models beam --kn 2e6 --heights 0.05 --out OUT", 0, MESHED | STATISTICS),
+        ("close-loop OUT", 2, MESHED | PAGES | STATISTICS),
+    ],
+)  # fmt: skip
+def test_a_command_loads_what_it_needs_alone(words, status, unused, tmp_path) -> None:
+    """Nothing where the words are wrong, no finite elements where no solid is computed."""
+    arguments = words.replace("OUT", str(tmp_path / "nowhere")).split()
+    # cold, compiled code takes its time
+    result = python("-c", CODE, *arguments, timeout_s=500.0)
+    ended, names = json.loads(result.stdout.splitlines()[-1])
+    assert ended == status
+    assert not set(names) & unused
+    assert ("numba" in names) or status
 
 
 def test_compiled_code_is_read_without_what_compiles(tmp_path) -> None:
@@ -82,16 +76,3 @@ def test_compiled_code_is_read_without_what_compiles(tmp_path) -> None:
     assert status == 0
     assert "numba.core.dispatcher" in names
     assert not {"numba.typed.typedlist", "numba.np.random.generator_methods"} & set(names)
-
-
-def test_a_sweep_of_beams_loads_no_finite_elements(tmp_path) -> None:
-    arguments = ("--models", "beam", "--kn", "2e6", "--heights", "0.05", "--out", tmp_path / "s")
-    status, names = loaded("sweep", *arguments)
-    assert status == 0
-    assert not names & (MESHED | STATISTICS)
-
-
-def test_a_loop_that_needs_no_solid_loads_none(tmp_path) -> None:
-    status, names = loaded("close-loop", tmp_path / "nowhere")
-    assert status == 2
-    assert not names & (MESHED | PAGES | STATISTICS)
