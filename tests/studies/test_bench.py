@@ -12,7 +12,6 @@ from benchmarks.peers_points import Point, converged, reached
 from benchmarks.programs import DAMPED, QUANTITIES, Setting
 from benchmarks.records import Part
 from commands import mpirun, python
-from hostile import refused
 from made_outcomes import growing, shared_out, steps
 
 from bristle.solver.errors import InputError
@@ -117,12 +116,7 @@ def test_peers_on_a_tiny_mesh(monkeypatch, tmp_path):
     assert len(json.loads((tmp_path / "peers.json").read_text())["runs"]) == 12
 
 
-def test_names_and_options_that_do_not_belong_are_refused(tmp_path):
-    for words, says in (
-        (("speed",), "speed: there is peers, "),
-        (("--largest", 3), "--largest: belongs to bench sizes, not to bench peers"),
-    ):
-        assert refused("bench", *words, "--out", tmp_path).startswith(says)
+def test_peers_are_refused_under_mpirun(tmp_path):
     done = mpirun(2, "-m", "bristle.studies.cli", "bench", "--out", tmp_path)
     assert done.returncode == 2
     assert "without mpirun" in done.stderr

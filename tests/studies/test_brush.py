@@ -411,13 +411,6 @@ def test_another_brush_is_not_resumed(done):
     assert "--mount-angle is 20.0 there, 25.0 is asked for" in says
 
 
-def test_what_was_there_stays_where_it_is_not_the_programs(tmp_path):
-    (tmp_path / "hub.csv").write_text("mine\n")
-    assert "was not written by this program" in refused("brush", *FLAGS, "--out", tmp_path)
-    assert (tmp_path / "hub.csv").read_text() == "mine\n"
-    assert {path.name for path in tmp_path.iterdir()} - {MARK} == {"hub.csv"}
-
-
 def test_without_fields_an_earlier_series_goes(tmp_path):
     inputs = brush(elements=2, until_s=0.004)
     study.run_brush(inputs, tmp_path, ALONE)
@@ -427,39 +420,6 @@ def test_without_fields_an_earlier_series_goes(tmp_path):
 
 
 # --- wrong input ----------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    ("arguments", "says"),
-    [
-        (["--penetration", "0.34"], "--penetration: goes beyond the bristles' length of 0.3365 m"),
-        (["--penetration", "0.33"], "--penetration: takes the clamps below the surface"),
-        (["--count", "2"], "--count: a single bristle is 1"),
-        (
-            ["--layout", "row", "--count", "2", "--spacing", "2e-3"],
-            "--spacing: bristles 0 and 1 ov",
-        ),
-        (["--layout", "ring", "--count", "40", "--flare", "-60"], "--spacing: bristles 0 and"),
-        (["--layout", "row", "--flare", "5"], "--flare: is for a ring or a cup"),
-        (["--layout", "ring", "--count", "12", "--tufts", "3"], "--tufts: is for a cup"),
-        (["--radius", "0.2"], "--radius: is for a ring or a cup"),
-        (["--rows", "2"], "--rows: is for more than one bristle"),
-        (["--motion", "slide"], "--motion: must be press, slide:speed=M/S"),
-        (["--motion", "slide:speed=fast"], "--motion: must give 'speed' a finite number"),
-        (["--motion", "rotate:rpm=nan"], "--motion: must give 'rpm' a finite number"),
-        (["--motion", "file:nowhere.csv"], "--motion: "),
-        (["--friction-static", "0.1"], "--friction-static: is less than the 0.5 of --friction"),
-        (["--every", "1e-7", "--until", "10"], "--every: makes more than 100,000 rows"),
-        (["--length-std", "0.1", "--length", "0.2"], "--length-std: is more than a third"),
-        (["--diameter", "1e-3", "--width", "1e-3"], "--diameter: a round wire"),
-        (["--elements", "1"], "--elements: must be greater"),
-        (["--kn", "1e13"], "--kn: must be 1e+12 N/m or less, or inf"),
-    ],
-    ids=str,
-)
-def test_wrong_input_ends_with_2_and_the_option(arguments, says, tmp_path):
-    assert refused("brush", *arguments, "--out", tmp_path / "out").startswith(says)
-    assert not (tmp_path / "out").exists()
 
 
 HIGH = 0.32

@@ -25,7 +25,7 @@ from faults import (
     told,
     wait_for,
 )
-from hostile import drops_table, kept_promise, refused, run, write_dataset
+from hostile import kept_promise, refused, run, write_dataset
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
@@ -337,13 +337,6 @@ def test_a_folder_that_cannot_be_written_is_refused_at_once(tmp_path, name):
 def test_a_disk_that_is_read_only_is_refused_at_once(tmp_path, name):
     with mounted(tmp_path / "disk", "size=16k,ro") as disk:
         assert refused(*ALL[name], "--out", disk).startswith(f"--out {disk}: cannot be written")
-
-
-def test_a_dataset_measured_is_not_overwritten_by_a_made_one(tmp_path):
-    write_dataset(tmp_path, "drops")
-    said = refused("synth", "--out", tmp_path, "--truth", tmp_path.parent / "t.json")
-    assert "drops.csv: was not written by this program" in said
-    assert (tmp_path / "drops.csv").read_text() == drops_table()
 
 
 # --- readers that go away -------------------------------------------------------------------------

@@ -12,6 +12,7 @@ import meshio
 import numpy as np
 import pytest
 import pyvista
+from faults import left_running
 from mpi4py import MPI
 
 from bristle.meshes.collective import run_on_one_rank
@@ -57,14 +58,6 @@ def written_quality(folder):
     """Return the measures in a folder's quality.csv."""
     lines = (folder / "quality.csv").read_text().splitlines()
     return {row["measure"]: float(row["value"]) for row in csv.DictReader(lines)}
-
-
-def is_running(pid):
-    """Return whether a process exists and is no zombie."""
-    try:
-        return Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()[0] != "Z"
-    except FileNotFoundError:
-        return False
 
 
 @pytest.mark.parametrize(
@@ -164,29 +157,21 @@ SAY_DISPLAY = ["sh", "-c", 'echo "$DISPLAY" > "$0"; sleep "$1"']
 SAY_SERVER = ["sh", "-c", 'cat "/tmp/.X${DISPLAY#:}-lock" > "$0"; sleep "$1"']
 
 
-def ends(pid):
-    """Whether a process ends within seconds."""
-    deadline = time.monotonic() + 10
-    while is_running(pid) and time.monotonic() < deadline:
-        time.sleep(0.05)
-    return not is_running(pid)
-
-
 def started(server_file):
     """The server of a drawing that has begun."""
     deadline = time.monotonic() + 30
     while not (server_file.exists() and server_file.read_text().endswith("\n")):
         assert time.monotonic() < deadline
         time.sleep(0.05)
-    server = server_file.read_text().strip()
-    assert is_running(server)
+    server = int(server_file.read_text())
+    assert left_running([server], 0.0) == [server]
     return server
 
 
 @pytest.mark.serial
 def test_display_ends_with_its_drawing(tmp_path):
     run_drawing([*SAY_SERVER, str(tmp_path / "pid"), "0"])
-    assert ends((tmp_path / "pid").read_text().strip())
+    assert left_running([int((tmp_path / "pid").read_text())], 10.0) == []
 
 
 @pytest.mark.serial
@@ -200,7 +185,7 @@ def test_display_ends_when_its_caller_is_killed(tmp_path):
     server = started(tmp_path / "pid")
     caller.kill()
     caller.wait()
-    assert ends(server)
+    assert left_running([server], 10.0) == []
 
 
 @pytest.mark.serial
@@ -211,7 +196,7 @@ def test_drawing_that_cannot_be_says_why(tmp_path, monkeypatch):
         run_drawing([sys.executable, "-c", "import os; os.abort()"])
     with pytest.raises(DrawingError, match="more than 2 s"):
         run_drawing([*SAY_SERVER, str(tmp_path / "pid"), "60"], timeout_s=2)
-    assert ends((tmp_path / "pid").read_text().strip())
+    assert left_running([int((tmp_path / "pid").read_text())], 10.0) == []
 
     monkeypatch.setattr(picture.shutil, "which", lambda name: None)
     monkeypatch.delenv("DISPLAY", raising=False)

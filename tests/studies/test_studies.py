@@ -83,16 +83,6 @@ def out(tmp_path):
 # cases
 
 
-@pytest.mark.parametrize("model", ["beam", "reduced"])
-def test_on_a_soft_spring_the_bristle_is_a_mass(model):
-    inputs = drop(model=model, kn_N_m=1e4, its_s=2e-6)
-    result, _ = run_case(inputs, COMM)
-    mass, g, y0 = inputs.bristle().mass_kg, inputs.gravity_m_s2, inputs.height_m
-    assert result.rebound_ratio == pytest.approx(1.0, abs=1e-3)
-    assert result.contact_time_s == pytest.approx(2.0 * quarter_period_s(mass, 1e4), rel=0.02)
-    assert result.max_penetration_m == pytest.approx(math.sqrt(2 * mass * g * y0 / 1e4), rel=0.02)
-
-
 def test_reduced_and_solid_agree_and_the_wire_too():
     for section in ({}, {"diameter_m": 1e-3}):
         reduced, _ = run_case(drop(model="reduced", **section), COMM)
@@ -180,12 +170,9 @@ def test_reduced_and_solid_agree_where_they_lean_and_the_beam_nearly():
 
 @serial
 @pytest.mark.parametrize("side", ["", "_wide"])
-@pytest.mark.parametrize("model", ["beam", "reduced"])
-def test_a_lean_to_the_other_side_is_the_mirror_image(model, side):
+def test_a_lean_to_the_other_side_is_the_mirror_image(side):
     axis = 1 if side else 0
-    there, back = (
-        run_case(drop(model=model, **{f"tilt{side}_deg": tilt}))[0] for tilt in (3.0, -3.0)
-    )
+    there, back = (run_case(drop(**{f"tilt{side}_deg": tilt}))[0] for tilt in (3.0, -3.0))
     assert back.n_contacts == there.n_contacts
     assert back.cm_rebound_height_m == pytest.approx(there.cm_rebound_height_m, rel=1e-7)
     assert back.friction_impulse_N_s == pytest.approx(there.friction_impulse_N_s, rel=1e-6)
@@ -259,14 +246,6 @@ def test_a_session_tells_bodies_leans_frictions_and_faces_apart():
             seen.append(shared.velocity_after_m_s)
     assert len(set(seen)) == len(changes) - 1
     assert again["mesh"] == again["assemble"] == 0.0
-
-
-@serial
-@pytest.mark.parametrize("contact", ["augmented", "nitsche"])
-def test_every_enforcement_leans(contact):
-    penalty, _ = run_case(drop(tilt_deg=3.0, its_s=2e-6))
-    other, _ = run_case(drop(tilt_deg=3.0, its_s=2e-6, contact=contact))
-    assert other.cm_velocity_after_m_s == pytest.approx(penalty.cm_velocity_after_m_s, rel=0.01)
 
 
 @serial

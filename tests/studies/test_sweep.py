@@ -109,26 +109,6 @@ def test_pictures_are_those_of_the_last_sweep_and_few(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("option", "value", "says"),
-    [
-        ("--tilt", "0,x", "must be numbers separated by commas; 'x' is none"),
-        ("--tilt", "0,", "must be numbers separated by commas; '' is none"),
-        ("--tilt", "0,85", "must be less than or equal to 80"),
-        ("--elements", "4,2.5", "must be a whole number, not 2.5"),
-        ("--elements", "inf,4", "must be"),
-        ("--elements", "nan", "must be"),
-        ("--contact", "penalty,glue", "must be 'penalty', 'augmented' or 'nitsche', not 'glue'"),
-    ],
-)
-def test_wrong_lists_are_refused_by_their_option(option, value, says, tmp_path, capsys):
-    assert main(["sweep", *OPTIONS, option, value, "--out", str(tmp_path / "out")]) == 2
-    last = capsys.readouterr().err.splitlines()[-1]
-    assert says in last
-    assert last.startswith(f"bristle: error: {option}: ")
-    assert not (tmp_path / "out").exists()
-
-
-@pytest.mark.parametrize(
     ("text", "line"),
     [("tilt = 0\nits = [1e-5, 1e-2]", 2), ("\n\ntilt = [0, 2, 85]", 3), ("kn = [1e5, 1e13]", 1)],
 )
