@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from contact_law_helpers import a_step, pushed, some_response
+from contact_law_helpers import a_step, some_response
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from reference import rod
@@ -16,10 +16,9 @@ from bristle.solver.contact.laws import (
     Linear,
     Plastic,
     Stiffening,
-    mindlin_ratio,
 )
 from bristle.solver.contact.normal import HELD
-from bristle.solver.contact.points import Points, Trial
+from bristle.solver.contact.points import Trial
 from bristle.solver.contact.section import solve_section
 from bristle.solver.errors import ComputationError
 
@@ -159,42 +158,6 @@ def test_augmented_lagrangian_converges_to_penalty_at_the_same_stiffness(end_wei
         for enforcement in (Enforcement.PENALTY, Enforcement.AUGMENTED)
     ]
     assert forces[1] == pytest.approx(forces[0], rel=1e-7, abs=1e-6)
-
-
-POINTS = {
-    "open": (-2e-5, -1e-5, 0.0),
-    "closing": (-1e-5, 2e-5, 1e-6),
-    "opening": (2e-5, -1e-5, 1e-6),
-    "sticking": (1e-5, 2e-5, 1e-6),
-    "sliding": (1e-5, 2e-5, 4e-5),
-    "just before it slides": (1e-5, 1e-5, 0.999 * 2e-5 * 0.5 / mindlin_ratio(0.28)),
-    "just after it slides": (1e-5, 1e-5, 1.001 * 2e-5 * 0.5 / mindlin_ratio(0.28)),
-}
-
-
-@pytest.mark.parametrize("state", POINTS)
-@pytest.mark.parametrize("end_weight", [0.0, 1.0, 0.6])
-@pytest.mark.parametrize("soft", [0.0, 1e-7])
-def test_tangent_of_a_point_against_finite_differences(state, end_weight, soft):
-    """Open, closing, sticking, sliding, and on either side of the switch; penalty and augmented."""
-    s0, s1, slip = POINTS[state]
-    kn, mu, step = 2e6, 0.5, 1e-11
-    kt = mindlin_ratio(0.28) * kn
-    law = Linear(kn)
-    start = np.array([[s0, 0.0, 0.0]])
-    elongation, multiplier = np.array([[2e-7, -1e-7, 0.0]]), np.array([[3.0, 0.5, -0.2]])
-
-    points = Points(law.kind, law.parameters, kt, mu, np.ones(1), 0.0, np.ones(1), end_weight, soft)
-
-    def force(end):
-        return pushed(points, start[0], end, elongation, multiplier)
-
-    end = np.array([s1, 0.8 * slip, -0.6 * slip])
-    slope = force(end)[1]
-    for k in range(3):
-        shift = step * np.eye(3)[k]
-        wanted = (force(end + shift)[0] - force(end - shift)[0]) / (2.0 * step)
-        assert slope[:, k] == pytest.approx(wanted, rel=1e-4, abs=1e-4 * kn)
 
 
 def test_nothing_touches_nothing_pushes():

@@ -56,6 +56,11 @@ DEEP = SPEED / OMEGA
 TABLE = Tabulated(KN, (0.0, 0.2 * DEEP, 0.8 * DEEP), (0.0, 0.1 * DEEP, 0.9 * DEEP))
 # law, memory, drives at the start and the end of a step; lengths in units of DEEP
 REGIMES = {
+    "linear, open": (Linear(KN), 0.0, -0.8, -0.4),
+    "linear, closing": (Linear(KN), 0.0, -0.4, 0.8),
+    "linear, closed": (Linear(KN), 0.0, 0.4, 0.8),
+    "linear, still": (Linear(KN), 0.0, 0.4, 0.4),
+    "linear, opening": (Linear(KN), 0.0, 0.8, -0.4),
     "open": (Stiffening(KN, 1.5), 0.0, -0.2, -0.1),
     "stiffening, closing": (Stiffening(KN, 2.5), 0.0, -0.1, 0.4),
     "stiffening, closed": (Stiffening(KN, 1.5), 0.0, 0.3, 0.4),
@@ -90,10 +95,6 @@ REGIMES = {
 }
 
 
-def pulls(regime):
-    return REGIMES[regime][0].pulls
-
-
 def points_of(law, mu=0.5, soft=0.0, n=1, its=ITS):
     kt = mindlin_ratio(0.28) * KN
     weights = np.full(n, 1.0 / n)
@@ -123,14 +124,25 @@ def test_contact_ends_where_its_last_point_lets_go():
     assert take(loose._replace(dashpot=0.1 * KN), trial, 1.0).share == 0.0
 
 
+# Of a spring that is pressed by 0.4 and was not stretched before, where it begins to slide.
+SLIDES = 0.4 / mindlin_ratio(0.28)
+
+
 @pytest.mark.parametrize(
-    ("regime", "soft"), [(r, s) for r in REGIMES for s in (0.0, 1e-7) if not (s and pulls(r))]
+    ("regime", "soft", "end_weight"),
+    [
+        (regime, soft, weight)
+        for regime, (law, *_) in REGIMES.items()
+        for soft in ((0.0,) if law.pulls else (0.0, 1e-7))
+        for weight in (CONSERVING, *((1.0, 0.6) if type(law) is Linear else ()))
+    ],
 )
-@pytest.mark.parametrize("slip", [0.0, 1e-3, 3.0])
-def test_tangent_of_a_point_against_finite_differences(regime, soft, slip):
-    """Open, closed, yielding, unloading, held and at the switches; sticking and sliding."""
+@pytest.mark.parametrize("slip", [0.0, 1e-3, 0.999 * SLIDES, 1.001 * SLIDES, 3.0])
+def test_tangent_of_a_point_against_finite_differences(regime, soft, end_weight, slip):
+    """Open, closed, yielding, unloading, held and at the switches; sticking, sliding, and on either
+    side of that."""
     law, kept, s0, s1 = REGIMES[regime]
-    points = points_of(law, soft=soft, its=DEEP / SPEED / 10.0)
+    points = points_of(law, soft=soft, its=DEEP / SPEED / 10.0)._replace(end_weight=end_weight)
     start, step = np.array([s0 * DEEP, 0.0, 0.0]), 1e-7 * DEEP
     end = DEEP * np.array([s1, 0.8 * slip, -0.6 * slip])
     memory, multiplier = np.array([[2e-8, -1e-8, kept]]), np.array([[0.3, 0.05, -0.02]])
