@@ -42,6 +42,7 @@ from .programs import (
     Program,
     Setting,
     bench_folder,
+    options,
 )
 from .records import Part, curves_figure, prepare, publish
 
@@ -309,10 +310,7 @@ def _converged(place: Bench, block: Block) -> Converged:
     rod: dict[str, float] = {}
     script = REFERENCES / "modal_series.py"
     if script.exists():
-        options = ["--kn", "--height", "--beta"]
-        values = (physics.kn_N_m, physics.height_m, physics.beta_s)
-        pairs = [text for pair in zip(options, map(repr, values), strict=True) for text in pair]
-        done, answer = place.run([str(script), *pairs])
+        done, answer = place.run([str(script), *options(physics.numbers())])
         if not answer.why_not:
             rod = json.loads(done.stdout.splitlines()[-1])
     coarse, fine = found

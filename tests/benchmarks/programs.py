@@ -8,7 +8,8 @@ import shutil
 import subprocess
 import sys
 import tempfile
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +18,7 @@ from bristle.solver import paper
 from bristle.solver.compiled import cache_folder
 from bristle.studies.inputs.fields import MODES
 
+from .apart import call
 from .environment import unlaunched
 from .machine import with_benchmarks
 
@@ -34,10 +36,14 @@ class Physics:
     kn_N_m: float = paper.KN_CHOSEN_N_M
     height_m: float = HEIGHT_M
 
-    def options(self, its_s: float) -> list[str]:
-        """As all programs take them."""
-        own = {"its": its_s, "kn": self.kn_N_m, "height": self.height_m, "beta": self.beta_s}
-        return [text for name, value in own.items() for text in (f"--{name}", repr(value))]
+    def numbers(self) -> dict[str, float]:
+        """By the names under which all programs take them."""
+        return {"kn": self.kn_N_m, "height": self.height_m, "beta": self.beta_s}
+
+
+def options(numbers: Mapping[str, object]) -> list[str]:
+    """As all programs take them."""
+    return [text for name, value in numbers.items() for text in (f"--{name}", repr(value))]
 
 
 DAMPED = Physics("damped", paper.BETA_S)
@@ -93,14 +99,21 @@ class Program:
     def answer(self, setting: Setting, place: Bench, further: bool = False) -> Answer:
         """Run it once, as a process of its own; with ``further`` one of this program's is
         followed by a second process that makes one drop after another."""
-        options = setting.physics.options(setting.its_s)
-        options += ["--cells", *map(str, setting.cells)]
+        numbers: dict[str, Any] = {"its": setting.its_s, **setting.physics.numbers()}
+        mesh = ["--cells", *map(str, setting.cells)]
         if self.script:
-            return _reference(place, [str(REFERENCES / self.script), *options])
+            return _reference(place, [str(REFERENCES / self.script), *options(numbers), *mesh])
         if self.fresh:
             place.forget()
-        options += ["--model", self.model, "--modes", str(setting.modes)]
-        return _own(place, options, further and self.fresh)
+        numbers |= {"modes": setting.modes}
+        found = _own(place, [*options(numbers), *mesh, "--model", self.model])
+        if found.why_not or not (further and self.fresh):
+            return found
+        again = call("jobs.further", model=self.model, cells=setting.cells, **numbers)
+        done, cost = place.run(again)
+        if cost.why_not:
+            return cost
+        return replace(found, further_s=json.loads(done.stdout.splitlines()[-1]))
 
 
 PROGRAMS = (
@@ -178,27 +191,21 @@ def _reference(place: Bench, arguments: list[str]) -> Answer:
         return cost
     try:
         said = json.loads(done.stdout.splitlines()[-1])
-        return Answer(_picked(said), cost.wall_s, said["wall_s"], cost.peak_rss_MB)
+        return replace(cost, found=_picked(said), further_s=said["wall_s"])
     except (IndexError, KeyError, ValueError):
         return Answer({}, why_not="failed: its last line is no result")
 
 
-def _own(place: Bench, options: list[str], further: bool) -> Answer:
+def _own(place: Bench, words: list[str]) -> Answer:
     """`bristle drop` as a user has it."""
     out = place.folder / "drop"
-    drop = ["-m", "bristle.studies.cli", "drop", "--no-fields", *options]
+    drop = ["-m", "bristle.studies.cli", "drop", "--no-fields", *words]
     _, cost = place.run([*drop, "--out", str(out)])
     if cost.why_not:
         return cost
     result = json.loads((out / "result.json").read_text(encoding="utf-8"))
     result["rebound_ratio"] = result["cm_rebound_ratio"]
-    further_s = None
-    if further:
-        done, again = place.run(["-m", "benchmarks.further", *options])
-        if again.why_not:
-            return again
-        further_s = json.loads(done.stdout.splitlines()[-1])["further_s"]
-    return Answer(_picked(result), cost.wall_s, further_s, cost.peak_rss_MB)
+    return replace(cost, found=_picked(result))
 
 
 def _picked(said: dict[str, Any]) -> dict[str, float]:

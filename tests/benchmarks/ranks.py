@@ -6,24 +6,20 @@ of `communication` says of larger machines.
 
 from __future__ import annotations
 
-import json
 import os
 import statistics
-import subprocess
-import sys
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from bristle.solver.errors import ComputationError, InputError
+from bristle.solver.errors import InputError
 from bristle.studies.running.parallel import launched_ranks
 from bristle.studies.running.progress import progress
 
+from .apart import apart, call
 from .column import column
 from .communication import Machine, prediction
-from .environment import unlaunched
-from .machine import with_benchmarks
 from .records import Part, curves_figure, prepare, publish
 
 # Cells of the one large solid (172 000 unknowns), and of the many.
@@ -32,7 +28,6 @@ CASES_PER_GROUP = 3
 # Soft contact: many steps, so that building does not hide them.
 KN_N_M = 2e5
 GOALS = {"one": 0.85, "many": 0.95, "mixed": 0.95}
-TIMEOUT_S = 3600.0
 KINDS = {"one": "one large solid", "many": "many, a rank each", "mixed": "groups of two ranks"}
 HOW = (
     "One large solid over ranks, many of them dealt out, and groups of ranks.",
@@ -65,6 +60,12 @@ class Job:
         groups = self.ranks // self.ranks_per_case
         share = self.cases // groups
         return Job(self.kind, self.ranks_per_case, self.ranks_per_case, share, self.cells)
+
+    @property
+    def call(self) -> list[str]:
+        """What asks for its times."""
+        numbers = {"cases": self.cases, "per_case": self.ranks_per_case, "kn_N_m": KN_N_M}
+        return call("jobs.solids", cells=self.cells, **numbers)
 
     @property
     def ideal(self) -> float:
@@ -161,14 +162,14 @@ def run_ranks(
     todo = jobs(ranks, large, small)
     times: dict[Job, list[dict[str, Any]]] = {job: [] for job in todo}
     with progress("Jobs", repeats * len(todo) + 2) as advance:
-        sent = launch(2, {"kind": "ping"})
+        sent = apart(call("jobs.ping"), 2)
         advance()
-        memory = Memory(**launch(min(ranks, cores), {"kind": "memory"}))
+        memory = Memory(**apart(call("jobs.memory"), min(ranks, cores)))
         advance()
         machine = Machine(**sent, memory_B_s=memory.memory_B_s, solve_B_s=memory.solve_B_s)
         for _ in range(repeats):
             for job in todo:
-                times[job].append(launch(job.ranks, _arguments(job)))
+                times[job].append(apart(job.call, job.ranks))
                 advance()
     further = {
         "cores": cores,
@@ -235,41 +236,6 @@ def page(
 
 def _rates(alone: float, together: float) -> str:
     return f"{alone / 1e9:.3g} GB/s alone, {together / 1e9:.3g} a rank together"
-
-
-def _arguments(job: Job) -> dict[str, Any]:
-    return {
-        "kind": "solids",
-        "cells": job.cells,
-        "cases": job.cases,
-        "per_case": job.ranks_per_case,
-        "kn_N_m": KN_N_M,
-    }
-
-
-def launch(ranks: int, arguments: dict[str, Any]) -> dict[str, Any]:
-    """What a job of `ranks_job` finds; ComputationError where it fails."""
-    command = ["mpirun", "-n", str(ranks), "--oversubscribe", sys.executable, "-m"]
-    command += ["benchmarks.ranks_job", json.dumps(arguments)]
-    try:
-        done = subprocess.run(
-            command,
-            capture_output=True,
-            text=True,
-            env=with_benchmarks(unlaunched()),
-            stdin=subprocess.DEVNULL,
-            timeout=TIMEOUT_S,
-            check=True,
-        )
-        return dict(json.loads(done.stdout.splitlines()[-1]))
-    except FileNotFoundError as error:
-        raise ComputationError("there is no mpirun here") from error
-    except subprocess.TimeoutExpired as error:
-        raise ComputationError(f"a job on {ranks} ranks took over {TIMEOUT_S:g} s") from error
-    except (subprocess.CalledProcessError, IndexError, ValueError) as error:
-        told = getattr(error, "stderr", None) or str(error)
-        last = [line for line in told.splitlines() if line.strip()][-1:]
-        raise ComputationError(f"a job on {ranks} ranks failed: {' '.join(last)}") from error
 
 
 def _lines(times: Mapping[Job, list[dict[str, Any]]], cores: int, memory: Memory) -> Iterator[Line]:

@@ -1,20 +1,15 @@
 """`bristle bench sizes`: time and memory of the full-order solid against its size.
 
-Each size runs in a process of its own, so that its greatest memory is its own: this file as a
-script.
+Each size runs in a process of its own, so that its greatest memory is its own.
 """
 
 from __future__ import annotations
 
-import json
 import math
-import os
 import resource
-import subprocess
-import sys
 import time
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -25,8 +20,8 @@ from bristle.solver.errors import ComputationError, InputError
 from bristle.solver.time.scheme import TimeScheme
 from bristle.studies.running.progress import progress
 
+from .apart import apart, call
 from .column import column
-from .machine import with_benchmarks
 
 if TYPE_CHECKING:
     from bristle.solver.bodies.solid import SolidBody
@@ -186,7 +181,8 @@ def run_sizes(out: Path, largest: int = 3_000_000) -> str:
     with progress("Unknowns of all sizes", total) as advance:
         for series, cells, solver in cases:
             try:
-                lines.append(_apart(series, cells, solver))
+                case = call("sizes.size_line", series=series, cells=cells, solver=solver)
+                lines.append(Line(**apart(case, OMP_NUM_THREADS="1")))
             except ComputationError as error:
                 failed.append(f"{series} {cells} {solver}: {error}")
             advance(unknowns(cells))
@@ -264,17 +260,6 @@ def _cases(largest: int) -> Iterable[tuple[str, tuple[int, int, int], str]]:
                     yield series, cells, solver
 
 
-def _apart(series: str, cells: tuple[int, int, int], solver: str) -> Line:
-    """`size_line` in a process of its own; ComputationError where that does not end well."""
-    command = [sys.executable, "-m", "benchmarks.sizes", series, solver, *map(str, cells)]
-    one_thread = {"OMP_NUM_THREADS": "1", **with_benchmarks(os.environ)}
-    done = subprocess.run(command, capture_output=True, text=True, check=False, env=one_thread)
-    if done.returncode:
-        last = (done.stderr.strip().splitlines() or ["nothing said"])[-1]
-        raise ComputationError(f"ended with status {done.returncode}: {last}")
-    return Line(**json.loads(done.stdout.splitlines()[-1]))
-
-
 def groups(lines: Sequence[Line]) -> dict[str, list[Line]]:
     """Lines by series and method."""
     found: dict[str, list[Line]] = {}
@@ -303,14 +288,3 @@ def _slope(lines: list[Line], part: str) -> float:
     else:
         y = np.log([getattr(line, part) for line in lines])
     return float(np.polyfit(x, y, 1)[0])
-
-
-def main(arguments: list[str]) -> None:
-    """Print the line of one size, as `_apart` asks for it."""
-    series, solver, *cells = arguments
-    x, y, z = map(int, cells)
-    print(json.dumps(asdict(size_line(series, (x, y, z), solver))))
-
-
-if __name__ == "__main__":
-    main(sys.argv[1:])

@@ -7,7 +7,8 @@ import json
 
 import pytest
 from benchmarks import ranks
-from benchmarks.ranks import Job, Memory, jobs, launch, run_ranks
+from benchmarks.apart import apart
+from benchmarks.ranks import Job, Memory, jobs, run_ranks
 
 from bristle.solver.errors import ComputationError, InputError
 
@@ -48,7 +49,7 @@ def test_under_mpirun_it_is_refused(tmp_path, monkeypatch):
 @pytest.mark.serial
 def test_a_job_that_fails_says_why():
     with pytest.raises(ComputationError, match="a job on 1 ranks failed"):
-        launch(1, {"kind": "solids", "cells": [0, 1, 1]})
+        apart(Job("one", 1, 1, 1, (0, 1, 1)).call, 1)
 
 
 @pytest.mark.serial

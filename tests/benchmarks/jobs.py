@@ -1,13 +1,7 @@
-"""One job of `ranks`, on the ranks that mpirun gave it.
-
-``mpirun -n 2 python3 -m benchmarks.ranks_job '{"kind": "solids", …}'`` prints one line
-of JSON.
-"""
+"""What is measured in processes that `apart` starts, on the ranks that mpirun gave them."""
 
 from __future__ import annotations
 
-import json
-import sys
 import time
 from collections.abc import Callable
 from typing import Any
@@ -32,15 +26,39 @@ TRIAD = 1 << 23
 # A solid whose factor no cache holds, and the shift of a step of 0.01 ms.
 SOLVED = (1, 4, 337)
 SHIFT_1_S2 = 4e10
+FURTHER = 3
+
+comm = MPI.COMM_WORLD
 
 
-def solids(
-    comm: MPI.Intracomm,
+def further(
+    model: str,
     cells: tuple[int, int, int],
-    cases: int,
-    per_case: int,
-    kn_N_m: float,
-) -> dict[str, Any]:
+    modes: int,
+    its: float,
+    kn: float,
+    height: float,
+    beta: float,
+) -> float:
+    """What a further drop costs in a process that has made one already: the median of some, in s.
+
+    Mesh, matrices, factor, basis and compiled code are there; march and flight are what is left.
+    """
+    inputs = DropInputs(
+        model=Model(model),
+        cells=cells,
+        modes=modes,
+        its_s=its,
+        kn_N_m=kn,
+        height_m=height,
+        beta_s=beta,
+    )
+    with CaseSession(comm) as session:
+        session.run(inputs)
+        return _median_s(lambda: session.run(inputs), FURTHER)
+
+
+def solids(cells: tuple[int, int, int], cases: int, per_case: int, kn_N_m: float) -> dict[str, Any]:
     """Seconds from before the first mesh to the last result, and of the slowest group's marches.
 
     All cases take the same steps: heights alone differ.
@@ -73,15 +91,14 @@ def solids(
     return {"total_s": total, "march_s": marched, "steps": sum(steps.values())}
 
 
-def ping(comm: MPI.Intracomm) -> dict[str, Any]:
+def ping() -> dict[str, Any]:
     """A message's latency and bandwidth between the first two ranks: half of a round trip's
     median."""
-    found = {"latency_s": _one_way_s(comm, 8, MESSAGES)}
-    found["bandwidth_B_s"] = LARGE_B / _one_way_s(comm, LARGE_B, MESSAGES // 50)
-    return found
+    large_s = _one_way_s(LARGE_B, MESSAGES // 50)
+    return {"latency_s": _one_way_s(8, MESSAGES), "bandwidth_B_s": LARGE_B / large_s}
 
 
-def memory(comm: MPI.Intracomm) -> dict[str, Any]:
+def memory() -> dict[str, Any]:
     """How fast ranks read memory and a factor: the first while the others wait, and all at once.
 
     The medians of a triad and of a solve; of all at once the slowest rank's.
@@ -110,7 +127,7 @@ def memory(comm: MPI.Intracomm) -> dict[str, Any]:
     return found
 
 
-def _one_way_s(comm: MPI.Intracomm, size_B: int, times: int) -> float:
+def _one_way_s(size_B: int, times: int) -> float:
     """Half of the median round trip of a message between ranks 0 and 1."""
     buffer = np.zeros(size_B, np.uint8)
 
@@ -132,18 +149,3 @@ def _median_s(action: Callable[[], object], times: int) -> float:
         action()
         spent.append(time.perf_counter() - started)
     return float(np.median(spent))
-
-
-def main(arguments: dict[str, Any]) -> None:
-    """Run the job and print what it found, from rank 0."""
-    comm = MPI.COMM_WORLD
-    kind = arguments.pop("kind")
-    jobs: dict[str, Callable[..., dict[str, Any]]]
-    jobs = {"ping": ping, "memory": memory, "solids": solids}
-    found = jobs[kind](comm, **arguments)
-    if comm.rank == 0:
-        print(json.dumps(found), flush=True)
-
-
-if __name__ == "__main__":
-    main(json.loads(sys.argv[1]))
