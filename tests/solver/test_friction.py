@@ -164,12 +164,10 @@ def test_below_the_angle_of_friction_it_stays(slope):
     up = marcher.ground.up
     hang = -WEIGHT * up[:2] / KN
     assert 0.9 * MU < np.hypot(*up[:2]) / up[2] < MU  # close to slipping, but not there
-    middle = march_contact(marcher, 0.0, u, np.zeros(6), History(), until_s=5e4 * its)
     after = march_contact(marcher, 0.0, u, np.zeros(6), History(), until_s=1e5 * its)
     assert after.n_steps == 100_000
-    for touch in (middle, after):
-        rest = marcher.body.translation.T @ touch.u / MASS
-        assert rest[:2] == pytest.approx(hang, abs=1e-9 * np.abs(hang).max())
+    rest = marcher.body.translation.T @ after.u / MASS
+    assert rest[:2] == pytest.approx(hang, abs=1e-9 * np.abs(hang).max())
     # 1e5 steps of rounding
     assert after.friction_loss_J < 1e-10 * WEIGHT * np.abs(hang).max()
 

@@ -45,14 +45,18 @@ POINT_M = 1e-9  # to which the places of contact points are known
 LAGRANGE_HEXAHEDRON, LAGRANGE_QUADRILATERAL = 72, 70
 
 
-@pytest.fixture
-def shared_path(tmp_path):
+def shared_by_ranks(path):
     """One folder for all ranks, gone afterwards."""
-    path = Path(COMM.bcast(str(tmp_path)))
+    path = Path(COMM.bcast(str(path)))
     yield path
     COMM.barrier()
     if COMM.rank == 0:
         shutil.rmtree(path, ignore_errors=True)
+
+
+@pytest.fixture
+def shared_path(tmp_path):
+    yield from shared_by_ranks(tmp_path)
 
 
 @pytest.fixture
@@ -191,23 +195,29 @@ STANDS = {
     "wire": (LEANING, {"section": Circle(1e-3), "cells": (1, 1, 12)}),
     "round": (LEANING, {"section": Circle(1e-3), "cells": (2, 2, 6), "geometry_order": 2}),
 }
-on_every_stand = pytest.mark.parametrize(("stand", "spec"), STANDS.values(), ids=STANDS)
 
 
-@on_every_stand
-def test_pressure_integrates_to_the_force_and_gap_is_the_height(shared_path, stand, spec):
+@pytest.fixture(scope="module", params=STANDS.values(), ids=STANDS)
+def landed(request, tmp_path_factory):
+    """An impact on each stand, the folder with a frame of every step, and the bristle's lean."""
+    stand, spec = request.param
+    for folder in shared_by_ranks(tmp_path_factory.mktemp("landed")):
+        yield Impact(folder, every=1, stand=stand, spec=spec), folder, stand[0]
+
+
+def test_pressure_integrates_to_the_force_and_gap_is_the_height(landed):
     """Whatever touches: the whole face, its edge over one cell, or a part of a round one.
 
     There are more points than nodes, but for the round one, whose curved cells they do not
     integrate over exactly.
     """
-    impact = Impact(shared_path, every=1, stand=stand, spec=spec)
+    impact, folder, _ = landed
     by_time = {row[0]: row for row in impact.result.history.rows}
     pressed = 0
-    with adios2.FileReader(str(shared_path / "tip.bp")) as file:
+    with adios2.FileReader(str(folder / "tip.bp")) as file:
         assert file.read("types").item() == LAGRANGE_QUADRILATERAL
         cells, nodes = blocks_of(file, "connectivity", 0), blocks_of(file, "geometry", 0)
-        for step, (t, phase) in enumerate(phases(shared_path)):
+        for step, (t, phase) in enumerate(phases(folder)):
             if phase == Phase.FLIGHT:
                 continue
             pressure, gap = blocks_of(file, "pressure_Pa", step), blocks_of(file, "gap_m", step)
@@ -241,13 +251,12 @@ def integral(nodes, cells, values):
     return total
 
 
-@on_every_stand
-def test_the_tip_first_touches_at_the_origin_of_the_ground(shared_path, stand, spec):
-    impact = Impact(shared_path, every=1, stand=stand, spec=spec)
-    corners = np.asarray(pyvista.read(shared_path / "ground.vtk").points)
+def test_the_tip_first_touches_at_the_origin_of_the_ground(landed):
+    impact, folder, lean_deg = landed
+    corners = np.asarray(pyvista.read(folder / "ground.vtk").points)
     assert corners @ impact.normal == pytest.approx(0.0, abs=1e-9)
     assert corners.mean(axis=0) == pytest.approx(0.0, abs=1e-9)
-    tip = written(shared_path / "tip.bp", "displacement_m", 0)
+    tip = written(folder / "tip.bp", "displacement_m", 0)
     placed = tip["nodes"] + tip["values"]
     assert (placed @ impact.normal).min() == pytest.approx(0.0, abs=POINT_M)
     touching = placed[placed @ impact.normal < POINT_M]
@@ -255,12 +264,12 @@ def test_the_tip_first_touches_at_the_origin_of_the_ground(shared_path, stand, s
         0.0, abs=2.0 * POINT_M
     )
     # rigid and turned as it was released, its upper end toward the thin and half as far the wide
-    body = written(shared_path / "solid.bp", "displacement_m", 0)
+    body = written(folder / "solid.bp", "displacement_m", 0)
     placed = body["nodes"] + body["values"]
     on_axis = [np.argmin(np.linalg.norm(body["nodes"] - [0, 0, z], axis=1)) for z in (0, LENGTH_M)]
     axis = placed[on_axis[1]] - placed[on_axis[0]]
     leaning = np.degrees(np.arctan(axis[:2] / axis[2]))
-    assert leaning == pytest.approx([stand[0], 0.5 * stand[0]], abs=1e-9)
+    assert leaning == pytest.approx([lean_deg, 0.5 * lean_deg], abs=1e-9)
     assert np.linalg.norm(axis) == pytest.approx(LENGTH_M)
 
 

@@ -5,12 +5,12 @@ from __future__ import annotations
 import base64
 import csv
 import io
-from html.parser import HTMLParser
 
 import numpy as np
 import pandas as pd
 import pytest
 from jinja2 import UndefinedError
+from web_page import Page
 
 from bristle.studies.report.figures import Picture, panels, picture, spread, styled
 from bristle.studies.report.page import (
@@ -31,35 +31,7 @@ from bristle.studies.report.prose import Prose
 
 pytestmark = pytest.mark.serial
 
-VOID = {"meta", "link", "br", "img", "hr", "input", "path", "use"}
 NASTY = '<script>alert("1")</script> & Co'
-
-
-class Page(HTMLParser):
-    """Elements, attributes, text, and whether every element is closed in its place."""
-
-    def __init__(self, text: str) -> None:
-        super().__init__()
-        self.open: list[str] = []
-        self.tags: list[tuple[str, dict[str, str | None]]] = []
-        self.text: list[str] = []
-        self.feed(text)
-        self.close()
-
-    def handle_starttag(self, tag, attrs):
-        self.tags.append((tag, dict(attrs)))
-        if tag not in VOID - {"path", "use"}:
-            self.open.append(tag)
-
-    def handle_startendtag(self, tag, attrs):
-        self.tags.append((tag, dict(attrs)))
-
-    def handle_endtag(self, tag):
-        assert self.open, f"</{tag}> closes nothing"
-        assert self.open.pop() == tag
-
-    def handle_data(self, data):
-        self.text.append(data)
 
 
 @styled
