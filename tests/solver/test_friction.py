@@ -226,13 +226,14 @@ def dragged_along(path, presses):
     memory, none = np.zeros((1, 3)), np.zeros((1, 3))
     approach = np.column_stack([presses / KN, path])
     stretched, pulls, losses = [memory[0, :2].copy()], [], []
+    energy = spring_energy(points, memory)
     for start, end in itertools.pairwise(approach):
-        before = spring_energy(points, memory)
         force, _ = pushed(points, start, end, memory, none)
         trial = Trial(start[None], end[None], end[None], force[None], memory, none)
         losses.append(commit(points, trial))
         work = force[1:] @ (end - start)[1:]
-        gained = spring_energy(points, memory) - before
+        before, energy = energy, spring_energy(points, memory)
+        gained = energy - before
         assert work == pytest.approx(gained + losses[-1], abs=1e-12 * MU * WEIGHT * STRETCH)
         stretched.append(memory[0, :2].copy())
         pulls.append(force[1:])
