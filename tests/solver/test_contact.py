@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+from contact_law_helpers import LAWS as EVERY_LAW
 from contact_law_helpers import a_step, some_response
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -24,6 +25,7 @@ from bristle.solver.errors import ComputationError
 
 pytestmark = pytest.mark.serial
 LAWS = [Linear(2e6), Linear(1e4), Linear(1e8)]
+WITH_COMPLIANCE = [law for law in EVERY_LAW if not law.conserving_only]
 reals = st.floats(-1e-4, 1e-4)
 
 
@@ -44,7 +46,7 @@ def test_force_is_the_slope_of_the_potential_and_tangent_that_of_the_force(law, 
     assert law.potential(zero, series) == 0.0
 
 
-@pytest.mark.parametrize("law", LAWS, ids=str)
+@pytest.mark.parametrize("law", [*LAWS, *WITH_COMPLIANCE], ids=str)
 def test_compliance_in_series_is_taken_off_the_penetration(law):
     drive, series = np.array([2e-5]), 3e-7
     force = law.force(drive, series)
