@@ -143,6 +143,7 @@ BAD = {
         ),
         ({"measurement": {"first_pass_s": [2e-5, 1e-5]}}, ": first_pass_s must end after"),
         ({"measurement": {"first_pass_s": 3}}, r": first_pass_s must be \[begin, end\]"),
+        ({"measurement": {"first_pass_s": ["0", 1e-5]}}, ": first_pass_s must be a finite number"),
         ({"measurement": {"first_pass_s": None}}, "first_pass_s is missing: .*first pass alone"),
         ({"measurement": {"predict_s": None}}, "predict_s is missing: .*one later pass or more"),
         ({"measurement": {"predict_s": [1.6e-4, 1.0]}}, ": predict_s must lie within"),
@@ -171,8 +172,20 @@ BAD = {
             },
             ": gauge_2_x_m must be farther",
         ),
+        (
+            {
+                "measurement": {
+                    "signal_2": "b_V",
+                    "gauge_x_m": 0.05,
+                    "gauge_2_x_m": 0.1,
+                    "predict_s": [1e-5, 5e-4],
+                },
+                "waves.csv": TWO_GAUGES,
+            },
+            ": predict_s must not begin before the first pass does",
+        ),
         ({"measurement": {"gauge_2_x_m": 0.15}}, ": gauge_2_x_m needs signal_2"),
-        ({"measurement": {"sigma": -1.0}}, ": sigma must be positive"),
+        *(({"measurement": {"sigma": x}}, ": sigma must be positive") for x in (0.0, -1.0)),
         ({"waves.csv": cell(102, 0, "1.004e-4")}, "waves.csv:102: t_s must grow in equal steps"),
         (
             {"waves.csv": lambda text: text.replace(text.splitlines()[101] + "\n", "")},
