@@ -14,10 +14,12 @@ from pydantic import model_validator
 from ...solver import paper
 from ...solver.contact.enforcement import GAMMA0, GAMMA0_RIGID
 from ...solver.contact.laws import mindlin_ratio
+from ...solver.effects.base import Place
+from ...solver.effects.library import enter_all
+from ...solver.errors import InputError
 from ...solver.materials import MATERIALS, MaterialName
 from . import fields, limits
 from .choices import Contact, Deflection, Model, Scheme, Tip
-from .effects import check_effects
 from .fields import read_kn
 from .flags import refuse
 from .named import REPLACED, MeshFile, read_mesh_file
@@ -202,3 +204,36 @@ def resolve_material(data: dict[str, Any]) -> None:
 def fill_in(data: dict[str, Any], **values: Any) -> None:
     """Set those of the ``values`` that ``data`` does not have."""
     data |= {key: value for key, value in values.items() if data.get(key) is None}
+
+
+def check_effects(inputs: DropValues) -> None:
+    """Refuse effects that the model, the enforcement or the scheme cannot have."""
+    scene = inputs.scene()
+    try:
+        effects = [each.effect() for each in inputs.effects]
+        after = enter_all(scene, effects)
+    except InputError as error:
+        refuse("effects", str(error))
+        return
+    places = {effect.place for effect in effects}
+    if inputs.model is Model.ANALYTIC:
+        for effect in effects:
+            leans = any(getattr(after, name) for name in ANGLES)
+            if effect.place in (Place.BODY, Place.CONTACT) or leans:
+                refuse(
+                    "effects", f"{effect.name} is not for the analytic model, a mass on a spring"
+                )
+    if Place.CONTACT in places and not inputs.may_differ:
+        refuse(
+            "effects",
+            "a contact law of its own needs --scheme average, a finite --kn, and penalty or "
+            "augmented",
+        )
+    if after.loss_factor and not inputs.may_bend:
+        refuse(
+            "effects",
+            "hysteretic_damping belongs to modes: take the beam, or the solid reduced to its modes "
+            "(--model reduced), with --scheme average, a finite --kn, and penalty or augmented",
+        )
+    if (after.release_speed_m_s or after.drag_kg_m) and inputs.alpha_1_s:
+        refuse("effects", "air_drag and release_velocity exclude --alpha, which is drag itself")

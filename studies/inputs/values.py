@@ -1,4 +1,5 @@
-"""The solver's objects that the inputs of a run become: body, mesh, contact, plan of a drop.
+"""The solver's objects that the inputs of a run become: body, mesh, contact, plan of a drop,
+and the effects in it.
 
 The fields have their values here already, resolved and checked by `config`.
 """
@@ -6,6 +7,7 @@ The fields have their values here already, resolved and checked by `config`.
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass, replace
 from typing import Any, Self
 
 import numpy as np
@@ -19,8 +21,10 @@ from ...solver.arrays import Array
 from ...solver.bristle import Bristle, Material
 from ...solver.contact.enforcement import ContactMethod, Enforcement
 from ...solver.contact.laws import ContactLaw, Coulomb, Linear, mindlin_ratio
-from ...solver.drop import DropPlan
+from ...solver.drop import DropPlan, DropResult
 from ...solver.effects.base import Scene
+from ...solver.effects.library import enter_all
+from ...solver.errors import InputError
 from ...solver.ground import Ground
 from ...solver.rigid import leaning, matrix_of, slope_normal
 from ...solver.time.scheme import TimeScheme
@@ -217,3 +221,49 @@ class DropValues(Values, DropFields, StepField):
     def changed(self, **values: Any) -> Self:
         """The same drop with other ``values``, checked again; InputError as in `sources`."""
         return checked(type(self), {**self.model_dump(), **values})
+
+
+@dataclass(frozen=True)
+class Entered[Drop: DropValues]:
+    """A drop with its effects in: ``inputs`` names none any more, ``scene`` holds what no option
+    says."""
+
+    inputs: Drop
+    scene: Scene
+
+
+def entered[Drop: DropValues](inputs: Drop) -> Entered[Drop]:
+    """The drop with all its effects in. Raises InputError where they make it impossible."""
+    if not inputs.effects:
+        return Entered(inputs, inputs.scene())
+    scene = enter_all(inputs.scene(), [each.effect() for each in inputs.effects])
+    plain = inputs.changed(
+        effects=(),
+        kn_N_m=scene.law.kn_N_m,
+        beta_s=scene.beta_s,
+        **{name: getattr(scene, name) for name in ANGLES},
+    )
+    return Entered(plain, scene)
+
+
+def observed(result: DropResult, scene: Scene) -> DropResult:
+    """The result as instruments see it, heights and times off by what the scene says."""
+    if (scene.y_offset_m, scene.y_scale, scene.t_scale) == (0.0, 1.0, 1.0):
+        return result
+
+    def height(true_m: float | None) -> float | None:
+        return None if true_m is None else scene.y_scale * (true_m + scene.y_offset_m)
+
+    start = height(scene.height_m)
+    assert start is not None
+    if start <= 0.0:
+        raise InputError("--effect: with this zero the bristle is released at or below the surface")
+    tip = height(result.rebound_height_m)
+    return replace(
+        result,
+        rebound_height_m=tip,
+        rebound_ratio=None if tip is None else tip / start,
+        cm_rebound_height_m=height(result.cm_rebound_height_m),
+        contact_time_s=scene.t_scale * result.contact_time_s,
+        time_to_max_penetration_s=scene.t_scale * result.time_to_max_penetration_s,
+    )

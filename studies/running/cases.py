@@ -36,9 +36,9 @@ from ...solver.fall import dragged_fall, risen
 from ...solver.time.march import ContactMarch, Marcher
 from ..inputs.choices import Contact, Model, Tip, Until
 from ..inputs.config import DropInputs
-from ..inputs.effects import Entered, entered, observed
 from ..inputs.fields import FLAT
 from ..inputs.limits import check_result, count_unknowns
+from ..inputs.values import Entered, entered, observed
 from .parallel import all_ranks
 
 if TYPE_CHECKING:  # MPI, dolfinx and gmsh, which a beam does without

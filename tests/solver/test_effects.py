@@ -19,8 +19,8 @@ from bristle.solver.effects.surface import MOST_SLOPE_DEG, steepness_deg
 from bristle.solver.errors import InputError
 from bristle.solver.fall import dragged_fall, falling, risen
 from bristle.studies.inputs.config import DropInputs
-from bristle.studies.inputs.effects import entered
 from bristle.studies.inputs.named import EffectInput
+from bristle.studies.inputs.values import entered
 from bristle.studies.running.cases import CaseSession
 
 pytestmark = pytest.mark.serial
