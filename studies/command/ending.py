@@ -17,7 +17,7 @@ import click
 from ...solver.errors import BristleError
 from ..inputs.texts import printable
 from ..running.interrupts import INTERRUPTED, SIGNALS, heard, interruptible, leave
-from ..running.lock import locks
+from ..running.mark import locks
 from ..running.parallel import Ending, Ranks, rank_0_speaks
 from ..running.progress import logged_to_terminal
 

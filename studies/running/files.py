@@ -16,8 +16,7 @@ from typing import Any
 
 from ...solver.errors import ComputationError, InputError
 from .interrupts import uninterrupted
-from .lock import lock_folder
-from .mark import MARK, UNFINISHED, Mark, digest, refuse_foreign, write_out
+from .mark import MARK, UNFINISHED, Mark, digest, lock_folder, refuse_foreign, write_out
 
 
 def prepare_folder(out: Path, *names: str) -> None:

@@ -1,4 +1,6 @@
-"""Mark of what the program wrote into a folder; it replaces and removes nothing else there.
+"""A folder of results: a mark of what the program wrote there, and a lock while a run writes.
+
+It replaces and removes nothing else there.
 
 The file `MARK` in a folder of results names each file that the program wrote into it, with a
 digest. A file is the program's own while it is as it was written: one that the user edited, or put
@@ -6,20 +8,30 @@ in its place, is the user's. What grows while a run goes on is named without a d
 
 A file is named before it takes its place, so that a run killed in between leaves nothing that the
 next one takes for the user's.
+
+The ranks of an mpirun that was killed compute on until they next talk to each other, and would put
+what they find among what their successor does. A lock on the folder, which the system gives up with
+the process that holds it, keeps one behind the other. Libraries of locks lock a file of their own,
+which would have to lie among the results, or elsewhere for all machines that see the folder.
 """
 
 from __future__ import annotations
 
+import errno
+import fcntl
 import hashlib
 import json
 import os
 import tempfile
-from collections.abc import Container, Iterable
+import time
+from collections.abc import Container, Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath
 from typing import Self
 
 from ...solver.errors import InputError
+from .progress import note
 
 MARK, SCHEMA = "written-by-bristle.json", "bristle-written-1"
 ABOUT = "bristle wrote these files. It replaces them, and no others, when it writes here again."
@@ -29,6 +41,9 @@ CHANGED = "has changed since this program wrote it"
 UNFINISHED = ".bristle-unfinished-"
 # Of a file, for its digest: long series of fields take no time then.
 DIGESTED = 1 << 26
+PATIENCE_S, AGAIN_S = 120.0, 0.1
+# What file systems say that know no locks.
+UNKNOWN = (errno.ENOLCK, errno.ENOTSUP, errno.EBADF, errno.EINVAL, errno.ENOSYS)
 
 
 def refuse_foreign(folder: Path, *names: str) -> None:
@@ -170,3 +185,56 @@ def write_out(path: Path, content: str | bytes) -> None:
         file.write(content.encode() if isinstance(content, str) else content)
         file.flush()
         os.fsync(file.fileno())
+
+
+# Folders that a command holds, and their descriptors; None outside of commands.
+_held: dict[Path, int] | None = None
+
+
+@contextmanager
+def locks() -> Iterator[None]:
+    """A command: the folders that it locked are free again at its end."""
+    global _held
+    outer, _held = _held, {}
+    try:
+        yield
+    finally:
+        for descriptor in _held.values():
+            os.close(descriptor)
+        _held = outer
+
+
+def lock_folder(folder: Path) -> None:
+    """Wait until no other run writes into ``folder``, and keep others out until the command ends.
+
+    Raises InputError where another goes on for ``PATIENCE_S``, OSError where it cannot be opened.
+    """
+    place = folder.resolve()
+    if _held is None or place in _held:
+        return
+    descriptor = os.open(place, os.O_RDONLY | os.O_DIRECTORY)
+    try:
+        _wait(descriptor, folder)
+    except BaseException:
+        os.close(descriptor)
+        raise
+    _held[place] = descriptor
+
+
+def _wait(descriptor: int, folder: Path) -> None:
+    until, announced = time.monotonic() + PATIENCE_S, False
+    while True:
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            return
+        except BlockingIOError:
+            if time.monotonic() > until:
+                raise InputError(f"--out {folder}: another run is writing there") from None
+        except OSError as error:
+            if error.errno in UNKNOWN:
+                return
+            raise
+        if not announced:
+            note(f"waiting for another run that writes into {folder} …")
+            announced = True
+        time.sleep(AGAIN_S)

@@ -32,7 +32,7 @@ from hypothesis import strategies as st
 from bristle.solver import cache
 from bristle.solver.errors import ComputationError, InputError
 from bristle.studies.inputs.config import DropInputs
-from bristle.studies.running import files, lock
+from bristle.studies.running import files, mark
 from bristle.studies.running.journal import JOURNAL, Journal
 from bristle.studies.running.mark import MARK
 from bristle.studies.running.threads import in_threads
@@ -446,7 +446,7 @@ def test_a_run_that_is_taken_up_waits_for_the_end_of_the_first(tmp_path, whole_s
 
 
 def test_but_not_for_ever(tmp_path, monkeypatch):
-    monkeypatch.setattr(lock, "PATIENCE_S", 0.3)
+    monkeypatch.setattr(mark, "PATIENCE_S", 0.3)
     other = os.open(tmp_path, os.O_RDONLY)
     fcntl.flock(other, fcntl.LOCK_EX)
     drop = ["drop", "--model", "analytic", "--out", tmp_path]
