@@ -20,6 +20,7 @@ from typing import Any, Protocol, Self
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
 
+from .. import __version__
 from ..running.files import to_csv, together, write_atomically
 from .figures import Picture, inline_svg, write_picture
 
@@ -187,7 +188,7 @@ class Comparison:
     remark: str = ""
 
 
-@dataclass(frozen=True)
+@dataclass
 class Section:
     """A heading with text, comparisons, figures and tables, and the command that makes them.
 
@@ -197,9 +198,9 @@ class Section:
     ident: str
     title: str
     text: Sequence[str] = ()
-    comparisons: Sequence[Comparison] = ()
-    figures: Sequence[Figure] = ()
-    tables: Sequence[Table] = ()
+    comparisons: list[Comparison] = field(default_factory=list)
+    figures: list[Figure] = field(default_factory=list)
+    tables: list[Table] = field(default_factory=list)
     command: str = ""
     headline: str = ""
 
@@ -214,8 +215,8 @@ class Report:
 
     title: str
     lead: str
-    version: str
-    command: str
+    version: str = __version__
+    command: str = ""
     headline: Sequence[str] = ()
     facts: Sequence[tuple[str, str]] = ()
     sections: Sequence[Section] = ()

@@ -39,16 +39,15 @@ from .page import (
 
 
 @dataclass
-class Draft:
-    """A section with its words, to which figures and tables come."""
+class Draft(Section):
+    """A section with its words, to which figures and tables come.
 
-    ident: str
-    heads: Mapping[str, Head] = field(default_factory=dict)
+    ``marked`` are the words that stand elsewhere than in the text, by their marks.
+    """
+
     text: list[str] = field(default_factory=list)
+    heads: Mapping[str, Head] = field(default_factory=dict)
     marked: dict[str, str] = field(default_factory=dict)
-    comparisons: list[Comparison] = field(default_factory=list)
-    figures: list[Figure] = field(default_factory=list)
-    tables: list[Table] = field(default_factory=list)
 
     def data(self, name: str, frame: Frame, heads: Mapping[str, Head] | None = None) -> Table:
         """The table of ``frame`` (`page.Table.of`) with its caption, for behind a figure.
@@ -71,17 +70,10 @@ class Draft:
         self.figures.append(Figure(name, caption, picture(drawn), alt, data))
 
     def section(self, command: str = "") -> Section:
-        """All of it."""
-        return Section(
-            self.ident,
-            self.marked["#"],
-            self.text,
-            self.comparisons,
-            self.figures,
-            self.tables,
-            command,
-            self.marked.get(">", ""),
-        )
+        """All of it, and the ``command`` that makes it."""
+        self.title, self.command = self.marked["#"], command
+        self.headline = self.marked.get(">", "")
+        return self
 
 
 class Prose:
@@ -104,7 +96,7 @@ class Prose:
         Raises TypeError where the macro does not take one of the ``values``, jinja2's
         UndefinedError where it wants another.
         """
-        draft = Draft(ident or macro, self.heads)
+        draft = Draft(ident or macro, "", heads=self.heads)
         for lines in re.split(r"\n\s*\n|\n(?=\[)", str(getattr(self._module, macro)(**values))):
             paragraph = re.sub(r"[ \n]+", " ", lines).strip()
             if found := re.fullmatch(r"([#>|]|\[\w+ [\w-]+\]) (.+)", paragraph):

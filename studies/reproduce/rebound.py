@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
@@ -86,9 +86,9 @@ class KnStudy(DropStudy):
             alone=found.curve.stiffness(published),
         )
         base = kn_section(found)
-        text = [*base.text, *headline(found), *found.warnings[-2:], *draft.text]
-        own = replace(draft, text=text, figures=list(base.figures), tables=list(base.tables))
-        return own.section("bristle calibrate paper")
+        draft.text = [*base.text, *headline(found), *found.warnings[-2:], *draft.text]
+        draft.figures, draft.tables = base.figures, base.tables
+        return draft.section("bristle calibrate paper")
 
 
 class Figures10To12(KnStudy):
