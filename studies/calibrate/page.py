@@ -47,7 +47,7 @@ OPTIONS = (
 prose = Prose(Path(__file__).with_name("words.j2"), HEADS)
 
 
-def write_calibration(found: Calibration, out: Path, version: str) -> Path:
+def write_calibration(found: Calibration, out: Path) -> Path:
     """Write ``report.html``, ``figures/`` and ``tables/`` into ``out``; returns the page's path."""
     whence = "the paper's figures" if found.drops is None else found.drops.manifest.title
     facts = [("Source", found.source), ("Drops", str(found.ratio.n)), ("Seed", str(found.seed))]
@@ -57,7 +57,6 @@ def write_calibration(found: Calibration, out: Path, version: str) -> Path:
     page = Report(
         title=f"Kn from {whence}",
         lead="The normal contact stiffness at which a beam model rebounds as the drops did.",
-        version=version,
         command=into(out, "calibrate", found.source, "--seed", found.seed, *level),
         headline=headline(found),
         facts=facts,

@@ -93,7 +93,7 @@ def _run(
 
     prepare_folder(out, *FILES)
     with together(out, RESULT_FILE):
-        write_calibration(found, out, __version__)
+        write_calibration(found, out)
         return write_json(out / RESULT_FILE, content)
 
 

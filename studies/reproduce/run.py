@@ -15,7 +15,6 @@ from mpi4py import MPI
 
 from ...meshes.collective import run_on_one_rank
 from ...solver import paper
-from .. import __version__
 from ..inputs.config import DropInputs
 from ..inputs.limits import input_warnings, result_warnings
 from ..inputs.sources import command_line
@@ -133,7 +132,6 @@ def page_of(
         title="A steel bristle's impact on a rigid plane: the paper beside us",
         lead=f"{paper.CITATION}, in one dimension (a beam of {base.elements} three-node elements, "
         f"as the paper's) and in three (a solid of {cells} hexahedra of degree {base.order}).",
-        version=__version__,
         command=command,
         headline=[
             f"Of {len(compared)} quantities of the paper, {counts[Verdict.AGREES]} agree, "

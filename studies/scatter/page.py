@@ -14,7 +14,6 @@ from scipy import stats
 
 from ...solver import paper
 from ...solver.arrays import Array
-from .. import __version__
 from ..calibrate.estimate import through_origin
 from ..inputs.sources import checked, command_line
 from ..report.figures import BLACK, BLUE, GREY, SKY, drawing
@@ -101,7 +100,6 @@ def write_scatter(
         title="Scatter of the rebound",
         lead=f"{statistics.n} drops of bristles that lean by chance onto "
         f"{'a level plane' if inputs.flat else ground}.",
-        version=__version__,
         command=command_line("scatter", inputs, checked(ScatterInputs, {}), out),
         headline=prose.text("headline", said=statistics, unusual=unusual),
         facts=[

@@ -1,7 +1,9 @@
-"""Page of tracked films: for each drop its marked frames, its track, and what it leaves."""
+"""Page of tracked films: for each drop its marked frames, its track, and what it leaves; and their
+``dataset.toml``."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -9,16 +11,19 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from .. import __version__
+from ...solver import paper
+from ..film.scale import touching_px
+from ..inputs.choices import Body
 from ..inputs.sources import into
 from ..report.figures import BLACK, BLUE, GREY, VERMILION, WIDTH_IN, panels, styled
-from ..report.page import Head, Report, Section, write_report
+from ..report.page import Head, Report, Section, environment, write_report
 from ..report.prose import Prose
-from .films import FilmedDrop, TrackedFilms
+from .films import TABLE, FilmedDrop, TrackedFilms
 from .overlay import Marked
 
 MOST_DROPS = 24
 """Drops that have a section of their own: a page of more is not read."""
+STEEL_KG_M3, UNKNOWN_BALL_MM = 7800.0, 10.0
 HEADS: dict[str, Head] = {
     "t_s": ("time", "s", 6),
     "y": ("height", "", 5),
@@ -53,7 +58,6 @@ def write_tracks(
         title=f"Tracks of {len(found.drops)} drops",
         lead="Where the lower end of the body is in each frame, how sure that is, and pictures to "
         "judge it by.",
-        version=__version__,
         command=into(out, "track", *names),
         headline=prose.text("headline", found=found, document=document),
         facts=[
@@ -154,3 +158,42 @@ def _track_figure(rows: dict[str, Any], t: np.ndarray, curve: np.ndarray, unit: 
     )
     lower.set(xlabel="time (s)", ylabel=f"left ({unit})")
     return figure
+
+
+def manifest(found: TrackedFilms) -> str:
+    """``dataset.toml`` of the tracks."""
+    inputs, films = found.inputs, found.films
+    names = ", ".join(each.track.film.path.name for each in films)
+    ball_mm = _ball_mm(found) if inputs.body is Body.BALL else 0.0
+    steel_kg = STEEL_KG_M3 * math.pi / 6.0 * (1e-3 * ball_mm) ** 3
+    surfaces = [each.by * np.hypot(each.floor[1], touching_px(each.track.drops)) for each in films]
+    templates = environment(Path(__file__).parent, {})
+    text: str = templates.get_template("dataset.toml.j2").render(
+        found=found,
+        inputs=inputs,
+        paper=paper,
+        table=TABLE,
+        names=_quoted(names[:700]),
+        ball_mm=ball_mm,
+        ball_kg=1e-3 * inputs.mass_g if inputs.mass_g else steel_kg,
+        other_length=inputs.length_mm and abs(inputs.length_mm - 1e3 * paper.LENGTH_M) > 1e-6,
+        surface=max(surfaces),
+        scales=[each.scale for each in films if each.scale is not None],
+        width_mm=np.median([each.by * each.track.width for each in films]),
+    )
+    return text
+
+
+def _ball_mm(found: TrackedFilms) -> float:
+    """The ball's diameter, as given or as the films show it."""
+    if found.inputs.diameter_mm:
+        return found.inputs.diameter_mm
+    if found.unit == "px":
+        return UNKNOWN_BALL_MM
+    return float(np.median([each.by * np.nanmedian(each.track.length) for each in found.films]))
+
+
+def _quoted(text: str) -> str:
+    """A text as it may stand in a string of TOML."""
+    safe = "".join(each if each.isprintable() else "?" for each in text)
+    return safe.replace("\\", "\\\\").replace('"', '\\"')

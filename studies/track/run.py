@@ -56,9 +56,8 @@ def _run(
     found = track_films(films, inputs)
     document = summary(found)
     if out is not None:
-        from .manifest import manifest
         from .overlay import write_overlay
-        from .page import write_tracks
+        from .page import manifest, write_tracks
 
         with together(out, DOCUMENT):
             with folder_in_place(out / OVERLAYS) as made:
