@@ -11,10 +11,11 @@ from mpi4py import MPI
 
 from ...solver.arrays import Array
 from ...solver.clamped import ClampedSolid, RodState
-from ...solver.rods.hub import ORDER, HubPath
+from ...solver.rods.hub import HubPath
 from ...solver.rods.rods import Rods
 from ...solver.rods.section import RodSection
 from ..brush.inputs import BrushInputs
+from ..brush.motion import X, Z, stroke
 from ..inputs.sources import checked
 from ..report.figures import BLACK, SERIES, drawing
 from ..report.page import Head, Section
@@ -28,7 +29,6 @@ UNTIL_S, STEP_S = 5e-3, 2e-5
 # The drag before it, at whose end the bristle has come to rest relative to the hub but for a slow
 # oscillation.
 START_S, DRAG_S = 0.2, 0.3
-Z = 2
 HEADS: dict[str, Head] = {
     "t_ms": ("time", "ms", 2),
     "rod_x_mm": ("tip x, rod", "mm", 4),
@@ -66,23 +66,16 @@ def pressed_dragged_let_go() -> BrushInputs:
 def window_path(inputs: BrushInputs) -> HubPath:
     """The hub's path: the drag of ``inputs`` up to the window, and the window."""
     drag = inputs.hub_motion
-    here = drag.pose(DRAG_S)
-    press, ramp, up = (np.zeros((ORDER, 6)) for _ in range(3))
-    place, speed = here.position_m, here.velocity_m_s
-    for power, factor in ((5, -6.0), (4, 15.0), (3, -10.0)):
-        press[ORDER - 1 - power, Z] = factor * PRESS_M / PRESS_S**power
-    for rows, t in ((press, 0.0), (ramp, PRESS_S), (up, PRESS_S + RAMP_S)):
-        rows[-1, :3], rows[-2, :3] = place + t * speed, speed
-    ramp[ORDER - 5, Z] = -0.5 * RAISE_M_S / RAMP_S**3
-    ramp[ORDER - 4, Z] = RAISE_M_S / RAMP_S**2
-    ramp[-1, Z] -= PRESS_M
-    up[-1, Z] += 0.5 * RAISE_M_S * RAMP_S - PRESS_M
-    up[-2, Z] = RAISE_M_S
-    ends = DRAG_S + np.array([0.0, PRESS_S, PRESS_S + RAMP_S, PRESS_S + RAMP_S + 1.0])
-    before = drag.coefficients.swapaxes(0, 1)
+    here, starts = drag.pose(DRAG_S), np.array([0.0, PRESS_S, PRESS_S + RAMP_S])
+    press = stroke(0.0, PRESS_M, PRESS_S, 0.0, 0.0).coefficients[:, :1]
+    lift = stroke(0.0, 0.0, RAMP_S, RAISE_M_S, 0.0).coefficients[..., [Z, 1, X, 3, 4, 5]]
+    lift[-1, :, Z] -= PRESS_M
+    window = np.concatenate([press, lift], axis=1)
+    window[-1, :, :3] += here.position_m + starts[:, None] * here.velocity_m_s
+    window[-2, :, :3] += here.velocity_m_s
     return HubPath(
-        np.concatenate([drag.breaks[:-1], ends]),
-        np.stack([*before, press, ramp, up], axis=1),
+        np.concatenate([drag.breaks[:-1], DRAG_S + np.append(starts, starts[-1] + 1.0)]),
+        np.concatenate([drag.coefficients, window], axis=1),
     )
 
 
