@@ -5,27 +5,44 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+from matplotlib.figure import Figure
 from mpi4py import MPI
 
 from ...meshes.collective import run_on_one_rank
+from ...solver.arrays import Array
+from ...solver.contact_phase import HISTORY_COLUMNS
 from ...solver.errors import InputError
 from ...solver.paraview import SOLID_FILE
+from ..data.tables import column, read_table
 from ..inputs.texts import exists, parse_json, read_text
-from ..report.figures import picture, picture_files, write_picture
+from ..report.figures import (
+    BLACK,
+    BLUE,
+    GREY,
+    ORANGE,
+    SMALLEST,
+    VERMILION,
+    beside,
+    panels,
+    picture,
+    picture_files,
+    styled,
+    write_picture,
+)
 from ..running.files import filled, prepare_folder
 from ..running.progress import note, progress
 from ..running.results import HISTORY_FILE, RESULT_FILE
 
-MEANS_FILE = "means.csv"
-
 if TYPE_CHECKING:
     from .wave import Wave
 
-FIELDS_FOLDER = "fields"
-VIEW_FOLDER = "view"
+FIELDS_FOLDER, VIEW_FOLDER, MEANS_FILE = "fields", "view", "means.csv"
 HISTORY, WAVE, TIP_STRESS, SPACE_TIME = "history", "wave", "tip-stress", "space-time"
 LOADS, SHAPE = "loads", "shape"
 ANIMATION, BRUSH_FILM = "wave.gif", "brush.mp4"
+# Beside the first impact in a picture of its history, as a share of it.
+MARGIN = 0.1
 # All that is drawn.
 FILES = (
     *(name for stem in (HISTORY, WAVE, TIP_STRESS, SPACE_TIME) for name in picture_files(stem)),
@@ -58,9 +75,6 @@ def _view(result: Path, out: Path | None) -> list[Path]:
     document = read_result(result)
     if "n_bristles" in document:
         return _view_brush(result, Path(out) if out is not None else result / VIEW_FOLDER)
-    # matplotlib and VTK take a second to import, which other commands need not wait for
-    from .history_picture import history_figure, read_history, touch_time_s
-
     history = read_history(result / HISTORY_FILE)
     target = Path(out) if out is not None else result / VIEW_FOLDER
     solid = (result / FIELDS_FOLDER).is_dir()
@@ -93,6 +107,61 @@ def read_result(result: Path) -> dict[str, Any]:
     if not isinstance(document, dict) or not {"model", "n_bristles"} & document.keys():
         raise InputError(f"{path}: not a result of a drop or a brush: it names no model")
     return document
+
+
+def read_history(path: Path) -> dict[str, Array]:
+    """The columns of a history.csv. Raises InputError that names the file and the line."""
+    rows = read_table(path, HISTORY_COLUMNS)
+    return {name: column(path, rows, name) for name in HISTORY_COLUMNS}
+
+
+def touch_time_s(history: dict[str, Array]) -> float:
+    """When the tip came to the plane: the time of the last row before there was a force."""
+    pressed = np.flatnonzero(history["force_N"] > 0.0)
+    return float(history["t_s"][max(pressed[0] - 1, 0)] if len(pressed) else history["t_s"][0])
+
+
+@styled
+def history_figure(history: dict[str, Array], document: dict[str, Any]) -> Figure:
+    """Heights over the whole drop; force and penetration over the first impact."""
+    figure, axes = panels(3, 1, height_in=6.0)
+    height, force, depth = axes[:, 0]
+    t = history["t_s"] * 1e3
+    height.plot(t, history["tip_y_m"] * 1e3, color=BLUE, label="lower tip")
+    height.plot(
+        t, history["cm_y_m"] * 1e3, color=ORANGE, linestyle="--", label="centre of mass, as it fell"
+    )
+    height.axhline(0.0, color=BLACK, linewidth=0.7)
+    height.set(xlabel="time since release (ms)", ylabel="height (mm)", title=_title(document))
+    height.set_ylim(top=1.3 * height.get_ylim()[1])
+    height.legend(loc="upper right", ncols=2)
+    start = touch_time_s(history)
+    lasted = float(document.get("contact_time_s") or 0.0)
+    end = start + lasted if lasted > 0.0 else float(history["t_s"][-1])
+    room = MARGIN * (end - start)
+    inside = (history["t_s"] >= start - room) & (history["t_s"] <= end + room)
+    since = (history["t_s"][inside] - start) * 1e6
+    marker = {"marker": "o", "markersize": 2.5}
+    force.plot(since, history["force_N"][inside], color=VERMILION, **marker)
+    depth.plot(since, history["penetration_m"][inside] * 1e6, color=BLUE, **marker)
+    for plot, label in ((force, "contact force (N)"), (depth, "penetration (µm)")):
+        plot.set(xlim=(-1e6 * room, 1e6 * (end - start + room)), ylim=(0.0, None))
+        plot.set(xlabel="time since touch (µs)", ylabel=label)
+        plot.axvline(1e6 * (end - start), color=GREY, linewidth=0.8, linestyle=":")
+    at = 1e6 * (end - start), 1.0
+    where: dict[str, Any] = {"xycoords": ("data", "axes fraction"), "fontsize": SMALLEST}
+    beside(force, "last release", at, "right", above=False, color=GREY, **where)
+    return figure
+
+
+def _title(document: dict[str, Any]) -> str:
+    inputs = document.get("inputs") or {}
+    parts = [f"{document.get('model', '')} model, {document.get('contact', '')} contact"]
+    if isinstance(inputs.get("kn_N_m"), int | float):
+        parts.append(f"Kn {inputs['kn_N_m'] / 1e6:g} MN/m")
+    if isinstance(inputs.get("height_m"), int | float):
+        parts.append(f"from {inputs['height_m'] * 1e3:g} mm")
+    return ", ".join(parts)
 
 
 def _view_brush(result: Path, target: Path) -> list[Path]:

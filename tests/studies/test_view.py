@@ -28,7 +28,6 @@ from bristle.solver.rigid import leaning, matrix_of, slope_normal
 from bristle.studies.running.mark import MARK
 from bristle.studies.running.progress import logged_to_terminal
 from bristle.studies.view.field_series import FieldSeries
-from bristle.studies.view.history_picture import read_history, touch_time_s
 from bristle.studies.view.paraview_state import SCRIPT_FILE, write_state_script
 from bristle.studies.view.pictures import (
     OUTLINE,
@@ -39,7 +38,7 @@ from bristle.studies.view.pictures import (
     space_time_figure,
     stills,
 )
-from bristle.studies.view.run import run_view
+from bristle.studies.view.run import read_history, run_view, touch_time_s
 from bristle.studies.view.wave import Levels, Stand, read_wave, round_factor
 
 COMM = MPI.COMM_WORLD
