@@ -83,15 +83,8 @@ LOOKS: dict[str, Look] = {
 }
 
 
-def styled[**P](draw: Callable[P, Figure]) -> Callable[P, Figure]:
-    """A drawing function that runs under the project's style."""
-
-    @wraps(draw)
-    def drawn(*args: P.args, **kwargs: P.kwargs) -> Figure:
-        with matplotlib.rc_context(STYLE):
-            return draw(*args, **kwargs)
-
-    return drawn
+# For a drawing function, which runs under the project's style then.
+styled = matplotlib.rc_context(STYLE)
 
 
 def panels(

@@ -179,10 +179,8 @@ def space_time_figure(wave: Wave, bar_speed_m_s: float | None) -> Figure:
     for number, t in enumerate(released):
         label = "release" if number == 0 else None
         plot.axhline(t, color=GREY, linewidth=0.8, linestyle=":", label=label)
-    plot.set_xlim(z[0], z[-1])
-    plot.set_ylim(min(time[0], 0.0), time[-1])
-    plot.set_xlabel("height above the tip (mm)")
-    plot.set_ylabel("time since touch (µs)")
+    plot.set(xlim=(z[0], z[-1]), ylim=(min(time[0], 0.0), time[-1]))
+    plot.set(xlabel="height above the tip (mm)", ylabel="time since touch (µs)")
     if plot.get_legend_handles_labels()[0]:
         figure.legend(loc="outside upper left", ncols=2)
     figure.colorbar(mesh, ax=plot, label=STRESS)
@@ -260,9 +258,7 @@ def _show_bristle(plot: Axes, wave: Wave, bristle: Seen) -> list[Artist]:
     ground = 1e3 * wave.ground_m(1e-3 * ends)
     plot.fill_between(ends, ground, bottom, color="#dddddd", zorder=0.5, linewidth=0)
     plot.plot(ends, ground, color=BLACK, linewidth=1.0)
-    plot.set_ylim(bottom, top)
-    plot.set_xlim(left, right)
-    plot.set_xlabel("xy"[wave.side] + " (mm)")
+    plot.set(xlim=(left, right), ylim=(bottom, top), xlabel="xy"[wave.side] + " (mm)")
     plot.xaxis.set_major_locator(MaxNLocator(nbins=2, prune="both", steps=[1, 2, 5, 10]))
     return drawn
 
@@ -292,10 +288,8 @@ def _animation_figure(wave: Wave) -> Figure:
     profile.plot(np.zeros_like(wave.z_m), wave.z_m * 1e3, color=BLUE)
     profile.axvline(0.0, color=GREY, linewidth=0.7)
     colours = _colours(wave)
-    profile.set_xlim(1.05 * np.array(colours.get_clim()))
-    profile.set_ylim(0.0, wave.z_m[-1] * 1e3)
-    profile.set_xlabel("axial stress on the axis (MPa)")
-    profile.set_ylabel("height above the tip (mm)")
+    profile.set(xlim=1.05 * np.array(colours.get_clim()), ylim=(0.0, wave.z_m[-1] * 1e3))
+    profile.set(xlabel="axial stress on the axis (MPa)", ylabel="height above the tip (mm)")
     figure.colorbar(colours, ax=bristle, label=STRESS)
     figure.suptitle(" ", fontsize=9.0)
     return figure
