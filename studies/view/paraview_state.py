@@ -15,6 +15,7 @@ import numpy as np
 
 from ...solver.arrays import Array
 from ...solver.paraview import SOLID_FILE, TIP_FILE
+from ..report.page import environment
 from ..running.files import write_atomically
 from .wave import Wave
 
@@ -31,172 +32,6 @@ ROOM = 1.2
 """How much higher the view is than what it shows."""
 TIP_ROOM = 2.2
 """The same of the tip's face, which stands below the middle."""
-
-SCRIPT = '''\
-"""The bristle's impact in ParaView: the whole with its axis compressed, and the tip beside it.
-
-    paraview --script=open_in_paraview.py
-    xvfb-run -a pvbatch open_in_paraview.py [PICTURE.png]
-"""
-
-import os
-import sys
-
-import paraview
-from paraview.simple import *
-
-SETTINGS = @settings@
-
-try:
-    FOLDER = os.path.dirname(os.path.abspath(__file__))
-except NameError:  # ParaView does not always say which script it runs
-    FOLDER = SETTINGS["folder"]
-
-
-def read(name):
-    path = os.path.join(FOLDER, SETTINGS["fields"], name)
-    return ADIOS2VTXReader(registrationName=name, FileName=path)
-
-
-def warped(source, vectors, name):
-    warp = WarpByVector(registrationName=name, Input=source)
-    warp.Vectors = ["POINTS", vectors]
-    return warp
-
-
-def exaggerated(solid):
-    """The solid, displacements from where it first touches times a factor, its axis compressed."""
-    shown = Calculator(registrationName="exaggerated", Input=solid)
-    shown.ResultArrayName, shown.Function = "shown_m", SETTINGS["shown_m"]
-    return compressed(warped(shown, "shown_m", "whole, warped"), "whole")
-
-
-def compressed(source, name):
-    squeezed = Transform(registrationName=name, Input=source)
-    squeezed.Transform.Scale = [1.0, 1.0, 1.0 / SETTINGS["compression"]]
-    return squeezed
-
-
-def ground(view):
-    plane = Plane(registrationName="plane")
-    plane.Origin, plane.Point1, plane.Point2 = SETTINGS["ground_m"]
-    shown = Show(compressed(plane, "ground"), view)
-    shown.AmbientColor = shown.DiffuseColor = [0.8, 0.8, 0.8]
-    shown.DisableLighting = 1
-
-
-def coloured(source, view, array, low, high, preset, title):
-    shown = Show(source, view)
-    ColorBy(shown, ("POINTS", array))
-    colours = GetColorTransferFunction(array)
-    colours.ApplyPreset(preset, True)
-    colours.RescaleTransferFunction(low, high)
-    shown.DisableLighting = 1
-    label(shown, view, colours, title, "Lower Right Corner")
-
-
-def label(shown, view, colours, title, corner):
-    bar = GetScalarBar(colours, view)
-    bar.Title, bar.ComponentTitle = title, ""
-    bar.TitleColor = bar.LabelColor = [0.0, 0.0, 0.0]
-    bar.TitleFontSize = bar.LabelFontSize = 14
-    bar.WindowLocation = corner
-    shown.SetScalarBarVisibility(view, True)
-
-
-def pressed(source, view):
-    shown = Show(source, view)
-    ColorBy(shown, ("POINTS", "pressure_Pa"))
-    shown.DisableLighting = 1
-    shown.RescaleTransferFunctionToDataRangeOverTime()
-    colours = GetColorTransferFunction("pressure_Pa")
-    colours.ApplyPreset("Inferno (matplotlib)", True)
-    # beside the edge of contact it dips below zero
-    colours.RescaleTransferFunction(0.0, max(colours.RGBPoints[-4], 1.0))
-    label(shown, view, colours, "contact pressure (Pa)", "Lower Left Corner")
-
-
-def caption(view, text):
-    shown = Show(Text(registrationName=text, Text=text), view)
-    shown.Color, shown.FontSize = [0.0, 0.0, 0.0], 14
-    shown.WindowLocation = "Lower Center"
-
-
-def camera(view, towards, up, middle, scale):
-    view.CameraParallelProjection = 1
-    view.CameraFocalPoint = middle
-    view.CameraPosition = [m + 10.0 * scale * d for m, d in zip(middle, towards)]
-    view.CameraViewUp = up
-    view.CameraParallelScale = scale
-
-
-def follow(view, tip, scene):
-    """Keep the camera on the tip, whose face fills a part of the view, wherever it goes."""
-    around = Transform(registrationName="around the tip", Input=tip, TransformAllInputVectors=0)
-    around.Transform.Scale = [SETTINGS["room"]] * 3
-    around.Transform.Translate = [0.0, 0.0, 0.5 * SETTINGS["width_m"]]
-    cue = CameraAnimationCue(AnimatedProxy=view, Mode="Follow-data")
-    cue.DataSource = warped(around, "displacement_m", "around the tip, warped")
-    cue.KeyFrames = [CameraKeyFrame(KeyTime=0.0), CameraKeyFrame(KeyTime=1.0)]
-    scene.Cues.append(cue)
-
-
-def new_view(layout, hint):
-    view = CreateView("RenderView")
-    view.UseColorPaletteForBackground = 0
-    view.Background = [1.0, 1.0, 1.0]
-    view.OrientationAxesLabelColor = [0.0, 0.0, 0.0]
-    AssignViewToLayout(view=view, layout=layout, hint=hint)
-    return view
-
-
-def build():
-    solid, tip = read(SETTINGS["solid"]), read(SETTINGS["tip"])
-    limit, factor = SETTINGS["axial_limit_Pa"], SETTINGS["exaggeration"]
-    layout = CreateLayout("bristle")
-    layout.SetSize(1400, 900)
-
-    whole = new_view(layout, 0)
-    layout.SplitHorizontal(0, 0.5)
-    shown = exaggerated(solid)
-    coloured(shown, whole, "axial_stress_Pa", -limit, limit, "Cool to Warm", "axial stress (Pa)")
-    ground(whole)
-    compression = SETTINGS["compression"]
-    caption(whole, f"axis compressed {compression:.3g} times, displacement x {factor:g}")
-    camera(whole, *SETTINGS["camera"])
-
-    close = new_view(layout, 2)
-    shown = warped(solid, "displacement_m", "tip in true proportions")
-    high = SETTINGS["von_mises_limit_Pa"]
-    coloured(shown, close, "von_mises_Pa", 0.0, high, "Viridis (matplotlib)", "von Mises (Pa)")
-    nearer = Transform(
-        registrationName="pressure on the tip", Input=warped(tip, "displacement_m", "tip, warped")
-    )
-    nearer.Transform.Translate = SETTINGS["nearer_m"]  # not to fight with the solid's face
-    pressed(nearer, close)
-    close.OrientationAxesVisibility = 0
-    caption(close, "the tip in true proportions, from below")
-    camera(close, *SETTINGS["tip_camera"])
-
-    scene = GetAnimationScene()
-    scene.UpdateAnimationUsingDataTimeSteps()
-    follow(close, tip, scene)
-    scene.AnimationTime = SETTINGS["time_s"]
-    for view in (whole, close):
-        clock = Show(AnnotateTimeFilter(Input=solid, Format="{time:.6f} s after release"), view)
-        clock.Color, clock.FontSize = [0.0, 0.0, 0.0], 14
-        clock.WindowLocation = "Upper Left Corner"
-        Render(view)
-    return layout
-
-
-made = build()
-if not paraview.fromGUI:
-    picture = sys.argv[1] if len(sys.argv) > 1 else os.path.join(FOLDER, "open_in_paraview.png")
-    SaveScreenshot(
-        picture, made, ImageResolution=[1400, 900], FontScaling="Do not scale fonts"
-    )
-'''
 
 
 def write_state_script(result: Path, fields: str, wave: Wave, touch_s: float) -> Path:
@@ -221,9 +56,10 @@ def write_state_script(result: Path, fields: str, wave: Wave, touch_s: float) ->
         "von_mises_limit_Pa": float(wave.tip_von_mises_Pa[frame]) or 1.0,
         "time_s": float(wave.times_s[frame] + touch_s),
     }
+    template = environment(Path(__file__).parent, {}).get_template(f"{SCRIPT_FILE}.j2")
+    script = template.render(settings=pprint.pformat(settings, sort_dicts=False, width=96))
     path = result / SCRIPT_FILE
-    text = pprint.pformat(settings, sort_dicts=False, width=96)
-    write_atomically(path, SCRIPT.replace("@settings@", text))
+    write_atomically(path, f"{script}\n")
     return path
 
 
