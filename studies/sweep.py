@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any, Self
 
 import numpy as np
+from matplotlib.figure import Figure
 from pydantic import (
     ModelWrapValidatorHandler,
     PrivateAttr,
@@ -23,13 +24,25 @@ from pydantic import (
 )
 
 from ..solver import paper
+from ..solver.arrays import Array
 from .command.script import as_script
 from .inputs.choices import Model
 from .inputs.fields import SHARED_FLAGS, read_items
 from .inputs.flags import refuse
 from .inputs.sources import EXCLUDED, resolved_from
-from .report.figures import picture, picture_files, write_picture
-from .report.paper_figures import height_figure
+from .report.figures import (
+    BLACK,
+    LOOKS,
+    end_labels,
+    model_legend,
+    panels,
+    picture,
+    picture_files,
+    sequence,
+    stiffness_label,
+    styled,
+    write_picture,
+)
 from .running.files import read_csv, remove
 from .running.mark import Mark
 from .running.progress import say
@@ -47,6 +60,7 @@ from .running.study import (
 FIGURE = "heights"
 MARKERS = 60
 MOST_PICTURES = 24
+Curve = tuple[Array, Array]
 LISTED = {flag.field: flag.kind for flag in SHARED_FLAGS if flag.may_be_several}
 
 
@@ -148,6 +162,34 @@ def _stem(row: Mapping[str, Any], steps: Collection[float], varied: Sequence[str
     return "-".join([FIGURE, *words])
 
 
+@styled
+def height_figure(histories: Mapping[tuple[str, float, float], Curve]) -> Figure:
+    """Fig. 13: tip height (mm) against time (ms), a panel per height; keys (model, height, Kn)."""
+    heights = sorted({height for _, height, _ in histories})
+    stiffnesses = sorted({kn for _, _, kn in histories})
+    models = [model for model in LOOKS if any(m == model for m, _, _ in histories)]
+    colours = sequence(len(stiffnesses))
+    figure, axes = panels(len(heights), 1, height_in=0.5 + 2.3 * len(heights), sharex=True)
+    for ax, height in zip(axes[:, 0], heights, strict=True):
+        last = []
+        for kn, colour in zip(stiffnesses, colours, strict=True):
+            for model in models:
+                t, y = histories[model, height, kn]
+                look = {"color": colour, **LOOKS[model].line}
+                if model != models[0]:  # it lies on the first one's line: black and thin shows both
+                    look |= {"color": BLACK, "linewidth": 0.7, "markersize": 2.5}
+                ax.plot(1e3 * t, 1e3 * y, **look)
+            after = histories[models[0], height, kn]
+            last.append(1e3 * float(after[1][len(after[1]) // 2 :].max()))
+        ax.set(ylabel="tip height (mm)", ylim=(-0.02e3 * height, 1.05e3 * height))
+        ax.set_title(f"y0 = {1e3 * height:g} mm")
+        figure.draw_without_rendering()
+        end_labels(ax, last, [stiffness_label(kn) for kn in stiffnesses], colours)
+    axes[-1, 0].set(xlabel="time after release (ms)", xlim=(0, None))
+    model_legend(axes[-1, 0], models, loc="lower left")
+    return figure
+
+
 def answer(out: Path) -> list[str]:
     """What a finished sweep in ``out`` says, as lines: y1/y0 over stiffness and height for each
     model and each combination of further lists, and at which Kn it is the paper's."""
@@ -193,7 +235,7 @@ def _kn_of(ratio: float, kns: Sequence[float], ratios: Sequence[float]) -> float
     return float(kns[i] * (kns[i + 1] / kns[i]) ** share)
 
 
-def _path(row: Row) -> tuple[np.ndarray, np.ndarray]:
+def _path(row: Row) -> Curve:
     """Times and heights; few where the model is drawn by markers."""
     t, y = (np.array(row["curve"][name]) for name in ("t_s", "tip_y_m"))
     if row["model"] == Model.SOLID:

@@ -13,7 +13,6 @@ from ...solver.arrays import Array
 from ..inputs.sources import into
 from ..report.figures import BLACK, BLUE, DARK, GREY, SKY, VERMILION, beside, drawing
 from ..report.page import Head, Report, Section, write_report
-from ..report.paper_figures import HEIGHTS
 from ..report.prose import Prose
 from .calibration import PAPER, Calibration, RatioCurve
 from .estimate import LEVEL, RatioEstimate
@@ -29,6 +28,7 @@ HEADS: dict[str, Head] = {
     "value_si": ("in m and N", "N/m, N/m³", 3),
     "value_mm": ("in mm and N", "N/mm, N/mm³", 3),
 }
+HEIGHTS = {"xlabel": "height before impact y0 (mm)", "ylabel": "height after impact y1 (mm)"}
 MN = 1e6
 # Kn is a force over a penetration of the whole end face. Programs that take a pressure over a
 # penetration want it over the face's area; programs that have springs at nodes want it divided

@@ -31,8 +31,8 @@ from ..loop.finding import Finding
 from ..loop.kinds.drops.problem import drops_problem
 from ..loop.problem import Problem
 from ..report.page import Figure, Head, Section
-from ..report.paper_figures import cloud_figure
 from ..report.prose import Draft
+from ..scatter.page import cloud_figure
 from .campaign import Results, Study, prose
 from .published_drops import Film, dataset, draw, planned_heights_m
 

@@ -23,8 +23,9 @@ from ..calibrate.calibration import (
 from ..calibrate.page import headline, kn_section
 from ..inputs.config import DropInputs
 from ..report.page import Head, Section
-from ..report.paper_figures import cloud_figure, height_figure
+from ..scatter.page import cloud_figure
 from ..scatter.statistics import r_squared
+from ..sweep import height_figure
 from .campaign import DropStudy, Labels, Results, prose
 
 SEED = 2018

@@ -15,10 +15,10 @@ from scipy import stats
 from ...solver import paper
 from ...solver.arrays import Array
 from ..calibrate.estimate import through_origin
+from ..calibrate.page import HEIGHTS
 from ..inputs.sources import checked, command_line
-from ..report.figures import BLACK, BLUE, GREY, SKY, drawing
+from ..report.figures import BLACK, BLUE, GREY, SKY, VERMILION, drawing
 from ..report.page import Head, Report, Section, show, write_report
-from ..report.paper_figures import cloud_figure
 from ..report.prose import Prose
 from ..surface.ground import surface_facts, surface_rows
 from ..surface.rough import Surface
@@ -188,6 +188,33 @@ def _measured_section(
     columns = ["statistic", "mean", "low", "high", "measured", "below", "p_value"]
     draft.table("samples", rows[columns], {"low": "5 %", "high": "95 %"})
     return draft.section()
+
+
+@drawing(**HEIGHTS, height_in=3.6, legend="upper left")
+def cloud_figure(
+    ax: Axes,
+    y0_m: Array,
+    y1_m: Array,
+    label: str = "predicted here, not measured",
+    top_mm: float = 55.0,
+    slope: float | None = None,
+) -> None:
+    """Figs. 10 to 12: the published line, band and one drop, and a cloud named ``label``.
+
+    ``slope`` is that of a line that was fitted to the cloud.
+    """
+    x = np.array([0.0, top_mm])
+    low, high = paper.RATIO_BAND_90
+    ax.plot(1e3 * y0_m, 1e3 * y1_m, ".", color=SKY, ms=2.5, zorder=1, label=label)
+    ax.plot(x, paper.RATIO_MEAN * x, color=BLACK, label="published fit y1 = 0.65 y0")
+    ax.plot(x, high * x, color=BLACK, lw=0.8, ls="--", label="30 % and 100 % lines")
+    ax.plot(x, low * x, color=BLACK, lw=0.8, ls="--")
+    drop = 1e3 * paper.KNOWN_DROP_M[0], 1e3 * paper.KNOWN_DROP_M[1]
+    ax.plot(*drop, "D", color=VERMILION, label="the one drop with published numbers")
+    if slope is not None:
+        words = f"fit of the predicted drops, y1 = {slope:.3f} y0"
+        ax.plot(x, slope * x, color=BLUE, label=words)
+    ax.set(xlim=(0, top_mm), ylim=(min(0.0, 1e3 * float(y1_m.min())), top_mm))
 
 
 def _causes_section(parts: dict[str, Any], drops: pd.DataFrame) -> Section:
