@@ -214,7 +214,6 @@ def check_effects(inputs: DropValues) -> None:
         after = enter_all(scene, effects)
     except InputError as error:
         refuse("effects", str(error))
-        return
     places = {effect.place for effect in effects}
     if inputs.model is Model.ANALYTIC:
         for effect in effects:

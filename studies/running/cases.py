@@ -30,7 +30,6 @@ from ...solver.checkpoint import Checkpoint
 from ...solver.contact.enforcement import ContactMethod
 from ...solver.contact_phase import History, Observer
 from ...solver.drop import DropPlan, DropResult, FlightFrame, ModalFrame, simulate
-from ...solver.effects.base import Scene
 from ...solver.errors import ComputationError
 from ...solver.fall import dragged_fall, risen
 from ...solver.time.march import ContactMarch, Marcher
@@ -73,11 +72,9 @@ NOT_RELEASED: dict[str, Any] = {
 
 
 @dataclass(frozen=True)
-class Prepared:
+class Prepared(Entered[DropInputs]):
     """All that a case needs before its first step."""
 
-    inputs: DropInputs
-    scene: Scene
     frame: FlightFrame
     marcher: ContactMarch
 
@@ -357,9 +354,8 @@ class CaseSession:
                 break
             if self._alone is None:
                 self._alone = CaseSession(ALONE, self.basis_its_s)
-            now = Entered(inputs, prepared.scene)
-            frame = self._alone._frame(now, modes)
-            result = simulate(frame, plan, self._alone._marcher(now, frame))
+            frame = self._alone._frame(prepared, modes)
+            result = simulate(frame, plan, self._alone._marcher(prepared, frame))
         return result
 
     def _marcher(self, now: Entered[DropInputs], frame: FlightFrame) -> ContactMarch:
