@@ -80,11 +80,6 @@ def summaries(y0_m: Array, y1_m: Array) -> Array:
     return np.array((ratio.mean(), ratio.std(ddof=1), fits[0][0][0] / y0_m.max(), *r2))
 
 
-def has_printed(y0_m: Array, y1_m: Array) -> bool:
-    """Whether drops (n,) have all summaries to the digits that are printed."""
-    return bool((np.abs(summaries(y0_m, y1_m) - PRINTED) <= 0.5 * 10.0**-DECIMALS).all())
-
-
 def draw(random: np.random.Generator) -> tuple[Array, Array]:
     """Heights before and after in m (n,), as read, in the order made: random, but with the
     published summaries and the published drop.
@@ -113,7 +108,7 @@ def draw(random: np.random.Generator) -> tuple[Array, Array]:
         options={"maxiter": 500},
     )
     y1 = heights(moved.x)
-    if not has_printed(y0, y1):
+    if not (np.abs(summaries(y0, y1) - PRINTED) <= 0.5 * 10.0**-DECIMALS).all():
         raise ComputationError(f"no drops with the published summaries: {moved.message}")
     order = random.permutation(len(y0))
     return y0[order], y1[order]

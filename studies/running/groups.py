@@ -32,7 +32,8 @@ UNKNOWNS_PER_RANK = 500_000
 
 @dataclass(frozen=True)
 class Load:
-    """What a case costs in steps, how many unknowns it has, and the body that it is built on."""
+    """What a case of the solid at full order is expected to cost in steps, how many unknowns it
+    has, and the body that it is built on."""
 
     steps: float
     unknowns: int
@@ -124,7 +125,10 @@ def run_cases(
     world = session.comm
     modal = [i for i, case in enumerate(cases) if case.model is not Model.SOLID]
     solid = [i for i, case in enumerate(cases) if case.model is Model.SOLID]
-    loads = [load_of(cases[i], session) for i in solid]
+    loads = [
+        Load(case.contact_s() / case.its_s, count_unknowns(case), session.body_key(case))
+        for case in (cases[i] for i in solid)
+    ]
     sizes = best_sizes(loads, world.size)
     if ranks_per_case is not None:
         sizes = group_sizes(world.size, ranks_per_case)
@@ -180,8 +184,3 @@ def _together(comm: MPI.Intracomm) -> Iterator[Callable[[Callable[[], Any]], Any
 
     yield together
     after.Free()
-
-
-def load_of(case: DropInputs, session: CaseSession) -> Load:
-    """What a case of the solid at full order is expected to cost."""
-    return Load(case.contact_s() / case.its_s, count_unknowns(case), session.body_key(case))

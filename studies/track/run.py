@@ -51,7 +51,8 @@ def _run(
     if not films:
         raise InputError("no film is given")
     if out is not None:
-        _refuse_films_in(out, films)
+        if out.resolve() in [film.resolve() for film in films]:
+            raise InputError(f"--out {out}: is the folder of pictures that is read")
         prepare_folder(out, *FILES)
     found = track_films(films, inputs)
     document = summary(found)
@@ -74,12 +75,6 @@ def _run(
             write_atomically(out / MANIFEST, manifest(found))
             write_json(out / DOCUMENT, document)
     return document, found.table
-
-
-def _refuse_films_in(out: Path, films: Sequence[Path]) -> None:
-    for film in films:
-        if out.resolve() == film.resolve():
-            raise InputError(f"--out {out}: is the folder of pictures that is read")
 
 
 def told(document: dict[str, Any]) -> list[tuple[str, str]]:

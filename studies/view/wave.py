@@ -199,7 +199,7 @@ def read_wave(
     """
     nodes, normal = series.nodes_m, series.ground_normal()
     levels = Levels.of(nodes)
-    near = near_tip(nodes)
+    near = nodes[:, 2] <= TIP_WIDTHS * np.ptp(nodes[:, :2], axis=0).max()
     stand = Stand.of(nodes, series.read("displacement_m", 0))
     axial, tip, bounds, greatest = [], [], [], 0.0
     for frame in range(len(series.times_s)):
@@ -238,11 +238,6 @@ def tip_frame(phases: list[Phase], tip_von_mises_Pa: Array) -> int:
     """The frame of contact with the greatest stress near the tip."""
     contact = contact_frames(phases, len(tip_von_mises_Pa))
     return contact[int(np.argmax(tip_von_mises_Pa[contact]))]
-
-
-def near_tip(nodes_m: Array) -> NDArray[np.bool_]:
-    """Which nodes (n, 3) are near the tip."""
-    return nodes_m[:, 2] <= TIP_WIDTHS * np.ptp(nodes_m[:, :2], axis=0).max()
 
 
 def round_factor(wanted: float, there: float) -> float:
