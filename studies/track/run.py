@@ -69,9 +69,8 @@ def _run(
                     for each in found.films
                 ]
             write_tracks(found, document, pictures, out)
-            columns = list(found.table.columns)
-            rows = found.table.astype(object).where(found.table.notna(), None)
-            write_atomically(out / TABLE, to_csv(columns, rows.to_numpy().tolist()))
+            rows = found.table.itertuples(index=False)
+            write_atomically(out / TABLE, to_csv(list(found.table), rows))
             write_atomically(out / MANIFEST, manifest(found))
             write_json(out / DOCUMENT, document)
     return document, found.table

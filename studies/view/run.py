@@ -73,10 +73,10 @@ def run_view(
 
 def _view(result: Path, out: Path | None) -> list[Path]:
     document = read_result(result)
-    if "n_bristles" in document:
-        return _view_brush(result, Path(out) if out is not None else result / VIEW_FOLDER)
-    history = read_history(result / HISTORY_FILE)
     target = Path(out) if out is not None else result / VIEW_FOLDER
+    if "n_bristles" in document:
+        return _view_brush(result, target)
+    history = read_history(result / HISTORY_FILE)
     solid = (result / FIELDS_FOLDER).is_dir()
     if solid:
         from .paraview_state import SCRIPT_FILE, write_state_script
