@@ -143,7 +143,10 @@ def whitened_solid(
     the model's drops."""
     which = np.flatnonzero(np.isin(group, groups)).astype(np.int64)
     part = replace(
-        model, drops=model.drops.of(which), errors=model.errors.of(which.tolist()), correction=None
+        model,
+        drops=model.drops.of(which),
+        errors=model.errors.of([int(i) for i in which]),
+        correction=None,
     )
     at = np.asarray(theta, dtype=float)
     return part.errors.rows(part.by_few(lambda few: solid_drops(few, at, range(len(few.drops)))))
