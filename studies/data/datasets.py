@@ -167,11 +167,16 @@ class Drops:
             chosen["session"] = tuple(itertools.compress(self.session, which))
         return replace(self, **chosen)
 
-    def with_sigma(self, times: float) -> Drops:
-        """The same with uncertainties of the heights that are so many times as large."""
+    def with_sigma(self, heights: float, times: float, forces: float) -> Drops:
+        """The same with uncertainties that are so many times as large."""
         both = (self.sigma_y_m, self.sigma_y0_m)
-        one, other = (None if each is None else times * each for each in both)
-        return replace(self, sigma_y_m=one, sigma_y0_m=other)
+        one, other = (None if each is None else heights * each for each in both)
+        measurement = dict(self.manifest.measurement)
+        for key, ratio in (("sigma_t_s", times), ("sigma_force_N", forces)):
+            if key in measurement:
+                measurement[key] = ratio * float(measurement[key])
+        manifest = replace(self.manifest, measurement=measurement)
+        return replace(self, manifest=manifest, sigma_y_m=one, sigma_y0_m=other)
 
     @property
     def complete(self) -> Drops:

@@ -82,9 +82,8 @@ class State:
 
     @property
     def cost(self) -> float:
-        """What every effect costs in nats. Beforehand, one of those that such data can carry is
-        expected to be there; all are equally likely, and independent of each other."""
-        return math.log(max(len(self.profiles) - 1, 1))
+        """What every effect costs in nats."""
+        return effect_cost(len(self.profiles))
 
     def margin(self, found: Posterior) -> float:
         """Nats by which something unlisted must be likelier than a model to refuse it."""
@@ -98,6 +97,12 @@ class State:
         """Log evidence with the prior on the number of effects, over no effect's."""
         gained = found.log_evidence - self.baseline.log_evidence
         return gained - self.cost * len(found.effects)
+
+
+def effect_cost(candidates: int) -> float:
+    """What every effect costs in nats. Beforehand, one of the ``candidates`` is expected to be
+    there; all are equally likely, and independent of each other."""
+    return math.log(max(candidates - 1, 1))
 
 
 def explain(state: State, singles: list[Tried]) -> tuple[list[Explanation], list[Tried]]:

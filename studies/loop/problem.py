@@ -158,7 +158,7 @@ class Problem:
     ``bookkeeping`` is what the table has wrong, whose rows are left aside: those of the groups
     ``aside`` are still among these. Where groups are ``records``, two that hold the same numbers
     are one. ``lead`` is a doubt that comes before all that is found. ``with_sigma``, where it
-    is not None, gives the same with errors of the main quantity that are so many times as large.
+    is not None, gives the same with errors of quantities that are so many times as large.
     """
 
     values: Array
@@ -181,7 +181,7 @@ class Problem:
     left_aside: tuple[str, ...] = ()
     remarks: Mapping[str, str] = field(default_factory=dict)
     bookkeeping: tuple[Entry, ...] = ()
-    with_sigma: Callable[[float], Problem] | None = None
+    with_sigma: Callable[[Mapping[str, float]], Problem] | None = None
     records: bool = False
     aside: tuple[int, ...] = ()
     lead: str = ""

@@ -21,6 +21,7 @@ from .explain import (
     UNLISTED_MARGIN,
     Explanation,
     State,
+    effect_cost,
     explain,
     missing_otherwise,
     named,
@@ -48,6 +49,8 @@ SCATTER_ODD = 0.01
 LIKELIER = 1.0
 # Beyond so many nats nobody wants to know how many times.
 MANY = math.log(1e3)
+# Nats by which of two explanations one is hardly likelier.
+CLOSE = 3.0
 # Declared standard deviations by which a few values are worth a second look.
 FAR_OFF, FEW = 6.0, 2
 ROUGH = "these data leave the parameters so loose that the ends of their intervals are rough"
@@ -73,24 +76,69 @@ def find(
 
     Where values scatter about a smooth course by far less than was declared, the declared errors
     are wrong, and the data's own are taken. Where they scatter by more, that may be physics: the
-    data's own are taken if wider noise is what explains them best, and nothing is missing then.
+    data's own are taken if what they lead to is likelier than all else, the cost of errors of any
+    size included. Drops that differ by chance look much like that, and have to be likelier by
+    `UNLISTED_MARGIN`. What is left has to be independent: noise may be odd, or larger than was
+    declared, but not both.
     """
     problem = problem.once()
     if problem.records:
         return _of_records(problem, seed, alarm, advance)
-    told = Scatter.of(problem)
-    if told is None or problem.with_sigma is None:
-        return _find(problem, seed, alarm, advance)
-    if told.far_smaller:
-        found = _find(problem.with_sigma(told.ratio), seed, alarm, advance)
-        return replace(found, warnings=(told.words(), *found.warnings))
-    found = _find(problem, seed, alarm, advance)
-    if not told.larger or not _wider_is_best(found):
-        return found
-    other = _find(problem.with_sigma(told.ratio), seed, alarm)
-    if other.verdict is not Verdict.ADEQUATE:
-        return found
-    return replace(other, warnings=(told.words(), *other.warnings))
+    told = Scatter.each(problem)
+    smaller, larger = (
+        [each for each in told if getattr(each, way)] for way in ("far_smaller", "larger")
+    )
+    known = _with(problem, smaller)
+    found, wrong, doubt = _find(known, seed, alarm, advance), smaller, ""
+    if larger:
+        wider = _with(problem, [*smaller, *larger])
+        if np.array_equal(wider.groups, known.groups):
+            wider = replace(wider, held=tuple(map(int, split(known, seed)[1])))
+        other = _find(wider, seed, alarm)
+        gain = _gain(other, wider, found, known) - sum(each.cost for each in larger)
+        by_chance = np.asarray(found.model.weights).size > 1
+        if gain > (-UNLISTED_MARGIN if by_chance else 0.0):
+            if gain < CLOSE and found.reported:
+                names = " or ".join(" with ".join(each) for each in found.reported)
+                doubt = f"with the errors as declared, {names} explains these data nearly as well"
+            found, wrong = other, [*smaller, *larger]
+        elif gain > -CLOSE:
+            doubt = f"{larger[0].would_be()} would explain these data nearly as well"
+    words = [*(each.words() for each in wrong), *filter(None, [doubt])]
+    return replace(found, warnings=(*words, *found.warnings))
+
+
+def _with(problem: Problem, told: Sequence[Scatter]) -> Problem:
+    """The problem with errors as large as values scatter, of the quantities that are told."""
+    if not told or problem.with_sigma is None:
+        return problem
+    return problem.with_sigma({each.quantity: each.ratio for each in told})
+
+
+def _gain(other: Finding, wider: Problem, found: Finding, known: Problem) -> float:
+    """By how many nats a finding from ``wider`` errors is likelier than the one from those that are
+    ``known``; minus infinity where it is none."""
+    if other.verdict is Verdict.UNKNOWN or other.noise["correlation"]:
+        return -np.inf
+    if not np.array_equal(wider.groups, known.groups):
+        # by errors that are too small, what was set aside may be no slip
+        return np.inf if found.verdict is Verdict.UNKNOWN else -np.inf
+    density = float(np.log(wider.scale[other.rows] / known.scale[found.rows]).sum())
+    return _support(other, wider) - density - _support(found, known)
+
+
+def _support(found: Finding, problem: Problem) -> float:
+    """Log evidence of what a finding stands on, with the prior on the number of effects: of what it
+    reports, of the baseline where nothing is missing, else of all that was tried, shapes that no
+    effect has among it."""
+    cost = effect_cost(len(problem.candidates))
+    credence = {
+        each.effects: each.log_evidence - cost * len(each.effects) for each in found.evidences
+    }
+    if found.verdict is Verdict.UNKNOWN:
+        shape = -np.inf if found.shape.startswith(WIDER_NOISE) else found.unlisted
+        return max(shape, *credence.values())
+    return max(credence[each] for each in found.reported or ((),))
 
 
 def _of_records(problem: Problem, seed: int, alarm: float, advance: Callable[..., None]) -> Finding:
@@ -130,18 +178,6 @@ def _unlike(state: State, singles: Sequence[Tried]) -> Entry | None:
         f"explains them, and of the others none more than {np.delete(size, worst).max():.2g}"
     )
     return Entry("slip", (int(state.problem.group[data.rows[first]]),), why)
-
-
-def _wider_is_best(found: Finding) -> bool:
-    """Whether noise that is wider than declared explains data best: as well as what is reported,
-    and better than any other shape that no effect has."""
-    if not found.shape.startswith(WIDER_NOISE):
-        return False
-    if found.verdict in (Verdict.ADEQUATE, Verdict.UNKNOWN):
-        return True
-    reported = [each for each in found.evidences if set(each.effects) & set(found.effects)]
-    by_chance = np.asarray(found.model.weights).size > 1
-    return by_chance and found.unlisted > max(e.log_evidence for e in reported) - UNLISTED_MARGIN
 
 
 def _find(

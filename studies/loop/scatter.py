@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
+from scipy.stats import rankdata
 
 from ...solver.arrays import Array
-from .noise import MOST_SCALE
+from .noise import MOST_SCALE, Ints
 from .problem import Problem
 from .sample import BETWEEN, HEIGHT, WITHIN, first_of, sample
 from .search import fit_baseline
@@ -20,6 +22,12 @@ SCALE_ERROR = 0.78
 # Standard errors by which a scale is off that is said to be wrong (one time in a thousand by
 # chance), and those of a 90 % interval.
 SURE, LEVEL = 3.3, 1.645
+# Over that of values, the relative error of a scale that the differences of neighbours tell (J. von
+# Neumann, Ann. Math. Stat. 12 (1941) 367, whose ratio of ranks tells whether neighbours are alike:
+# R. Bartels, J. Am. Stat. Assoc. 77 (1982) 40).
+BY_NEIGHBOURS = math.sqrt(1.5)
+# Decades up and down within which errors may be declared wrongly, all factors being as likely.
+WRONG_DECADES = 1.0
 # Values for each term of the smooth course.
 ENOUGH = 3
 # Powers of height and order: what wears changes in proportion to the height.
@@ -30,9 +38,9 @@ FAR_SMALLER = 0.5
 
 @dataclass(frozen=True)
 class Scatter:
-    """How far values of the main quantity scatter about what is smooth in height and order.
+    """How far values of a quantity scatter about what is smooth in height and order.
 
-    ``ratio`` is that over what their declared errors make, which is ``declared`` in the problem's
+    ``ratio`` is that over what their declared errors make, which is ``declared`` in the quantity's
     unit, ``error`` the relative standard error of either.
     """
 
@@ -42,35 +50,62 @@ class Scatter:
     declared: float
 
     @classmethod
-    def of(cls, problem: Problem) -> Self | None:
-        """That of a problem; None where nothing is declared, or values are too few."""
-        mine = np.flatnonzero(problem.is_main)
+    def each(cls, problem: Problem) -> list[Self]:
+        """Those of a problem's quantities; none where nothing is declared, or values are too few.
+
+        A drift, or a wave, is no scatter. So where values differ from their neighbours in the order
+        or over the height by less than they scatter, beyond doubt, those differences count.
+        """
         records = first_of(problem.covariates, WITHIN) is not None
         if not problem.sigma_declared or problem.with_sigma is None or records:
-            return None
+            return []
+        fitted = fit_baseline(sample(problem, np.unique(problem.group)), problem.baseline)
         model = problem.baseline
-        fitted = fit_baseline(sample(problem, np.unique(problem.group)), model)
         mean = np.asarray(model.weights) @ np.asarray(model.predict(fitted.theta))
-        x = [
-            _unit(np.asarray(each)[mine]) if each is not None else np.zeros(mine.size)
-            for each in (first_of(problem.covariates, names) for names in (HEIGHT, BETWEEN))
-        ]
+        along = [first_of(problem.covariates, names) for names in (HEIGHT, BETWEEN)]
+        found = []
+        for name in dict.fromkeys(problem.quantity):
+            mine = np.flatnonzero(problem.quantity == name)
+            x = [None if each is None else np.asarray(each)[mine] for each in along]
+            one = cls._of(str(name), problem, mine, (problem.values - mean)[mine], x)
+            found += [one] if one is not None else []
+        return found
+
+    @classmethod
+    def _of(
+        cls, name: str, problem: Problem, mine: Ints, left: Array, along: Sequence[Array | None]
+    ) -> Self | None:
+        """That of the quantity in the rows ``mine``, of which ``left`` is left; over height and
+        order ``along``."""
+        x = [np.zeros(mine.size) if each is None else _unit(each) for each in along]
         course = np.stack([x[0] ** i * x[1] ** j for i, j in TERMS], axis=1)
         rank = int(np.linalg.matrix_rank(course))
         if mine.size < ENOUGH * rank:
             return None
-        left = (problem.values - mean)[mine]
         left = left - course @ np.linalg.lstsq(course, left)[0]
         from statsmodels.robust.scale import qn_scale  # slow to import
 
         ratio = float(qn_scale(left)) * math.sqrt(mine.size / (mine.size - rank))
+        error = SCALE_ERROR / math.sqrt(mine.size - rank)
+        for each in x:
+            near = left[np.argsort(each, kind="stable")]
+            if np.ptp(each) and _alike(near):
+                own = float(qn_scale(np.diff(near))) / math.sqrt(2.0)
+                ratio, error = min((ratio, error), (own, BY_NEIGHBOURS * error))
         declared = float(np.median(problem.scale[mine]))
         # what is read to the same mark scatters by no less than rounding does
         steps = np.diff(np.unique(np.round(problem.values[mine] * problem.scale[mine], 9)))
         if not steps.size:
             return None
         ratio = max(ratio, float(steps.min()) / math.sqrt(12.0) / declared)
-        return cls(problem.main, ratio, SCALE_ERROR / math.sqrt(mine.size - rank), declared)
+        return cls(name, ratio, error, declared)
+
+    @property
+    def cost(self) -> float:
+        """Nats that it costs to have the errors' size told by the data: the logarithm of the range
+        of what they might be over what the data leave of it."""
+        wide = 2.0 * WRONG_DECADES * math.log(10.0)
+        return max(math.log(wide / (math.sqrt(2.0 * math.pi) * self.error)), 0.0)
 
     @property
     def far_smaller(self) -> bool:
@@ -81,6 +116,12 @@ class Scatter:
     def larger(self) -> bool:
         """Whether it is more than noise of the declared size may have, beyond doubt."""
         return self.ratio / (1.0 + SURE * self.error) > MOST_SCALE
+
+    def would_be(self) -> str:
+        """The error bars' being wrong, as the subject of a sentence."""
+        times = max(self.ratio, 1.0 / self.ratio)
+        size = "small" if self.ratio > 1.0 else "large"
+        return f"error bars of {self.quantity} that are {times:.2g} times too {size}"
 
     def words(self) -> str:
         """A sentence."""
@@ -93,6 +134,15 @@ class Scatter:
             f"{self.quantity} scatters by {own:.2g} about a smooth curve over height and order, "
             f"but the declared errors are {self.declared:.2g}; {own:.2g} is used"
         )
+
+
+def _alike(left: Array) -> bool:
+    """Whether neighbours among values (n,) are alike, beyond doubt."""
+    if np.ptp(left) == 0.0:
+        return False
+    ranks = rankdata(left)
+    ratio = float(np.sum(np.diff(ranks) ** 2) / np.sum((ranks - ranks.mean()) ** 2))
+    return (2.0 - ratio) * math.sqrt(left.size) > 2.0 * SURE
 
 
 def _unit(x: Array) -> Array:

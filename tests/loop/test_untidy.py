@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from made_drops import QUICK, SIGMA_MM, write_drops
+from made_drops import QUICK, SIGMA_MM, SIGMA_N, SIGMA_S, write_drops
 from scipy.stats import binom
 
 from bristle.solver.effects.library import EFFECTS
@@ -183,17 +183,14 @@ def test_the_slope_of_heights_that_hardly_differ_is_not_taken_for_an_effect(
     seen = np.column_stack([height, 0.6575 * height]) + 4e-4 * rng.normal(size=(60, 2))
     write_table(tmp_path, seen, sigma_mm=0.4)
     problem = drops_problem(read_drops(tmp_path))
-    assert problem.baseline.errors.values is not None
     left = problem.values - problem.baseline.predict(np.array([2e6]))[0]
     fitted = problem.covariates["height"]
     error = 1.0 / math.sqrt(58)
-    # by theory the correlation with what was read is -0.55 where heights are all the same
-    as_read = np.corrcoef(left, seen[:, 0])[0, 1]
-    if true_spread_m == 0.0:
-        assert as_read == pytest.approx(-0.6575 / math.hypot(1.0, 0.6575), abs=3.0 * error)
     assert (np.ptp(fitted) > 0.0) == (true_spread_m > 4e-4)
-    if np.ptp(fitted) > 0.0:
-        assert np.corrcoef(left, fitted)[0, 1] == pytest.approx(0.0, abs=3.0 * error)
+    assert (problem.baseline.errors.values is not None) == (np.ptp(fitted) > 0.0)
+    # by theory the correlation with a height as read would be -0.55 where all are the same
+    which = fitted if np.ptp(fitted) > 0.0 else seen[:, 0]
+    assert np.corrcoef(left, which)[0, 1] == pytest.approx(0.0, abs=3.0 * error)
     assert find(problem).verdict == "adequate"
 
 
@@ -369,7 +366,7 @@ def test_error_bars_that_are_too_large_are_said_to_be_and_hide_nothing(few, tmp_
     text = (tmp_path / "dataset.toml").read_text()
     (tmp_path / "dataset.toml").write_text(text.replace(f"= {SIGMA_MM}", f"= {5 * SIGMA_MM}"))
     problem = drops_problem(read_drops(tmp_path))
-    told = Scatter.of(problem)
+    (told,) = Scatter.each(problem)
     assert 5.0 / (1.0 + 3.0 * told.error) < 1.0 / told.ratio < 5.0 * (1.0 + 3.0 * told.error)
     found = find(problem)
     assert found.effects == ("wear",)
@@ -385,6 +382,62 @@ def test_error_bars_that_are_too_small_are_said_to_be_and_are_no_effect(few, tmp
     found = find(drops_problem(read_drops(tmp_path)))
     assert found.verdict == "adequate"
     assert "times too small" in found.warnings[0]
+
+
+def declared(folder: Path, **times: float) -> Path:
+    """The dataset with errors that are declared so many times as large."""
+    path = folder / "dataset.toml"
+    for key, size in (("sigma_y_mm", SIGMA_MM), ("sigma_t_s", SIGMA_S), ("sigma_force_N", SIGMA_N)):
+        text = path.read_text()
+        path.write_text(text.replace(f"{key} = {size}", f"{key} = {times.get(key, 1.0) * size}"))
+    return folder
+
+
+def test_error_bars_that_are_too_small_hide_no_effect(few, tmp_path):
+    """Nor do drops that differ by chance come in their place."""
+    write_drops(tmp_path, [EFFECTS["wear"](1.0)])
+    found = find(drops_problem(read_drops(declared(tmp_path, sigma_y_mm=1.0 / 3.0))))
+    assert found.effects == ("wear",)
+    assert "times too small" in found.warnings[0]
+
+
+@pytest.mark.parametrize("off", [1.0 / 3.0, 5.0])
+def test_error_bars_of_each_quantity_are_held_against_its_scatter(off, few, tmp_path):
+    write_drops(tmp_path, forces=True)
+    problem = drops_problem(read_drops(declared(tmp_path, sigma_t_s=off, sigma_force_N=off)))
+    found = find(problem)
+    assert found.verdict == "adequate"
+    said = [each for each in found.warnings if "error bars" in each]
+    assert ["contact time" in said[0], "peak force" in said[1]] == [True, True]
+    for told in Scatter.each(problem)[1:]:
+        assert told.ratio * off == pytest.approx(1.0, abs=3.0 * told.error)
+
+
+def test_a_drift_is_no_noise(few, tmp_path):
+    """A slow wave in the order, four sigma high: neighbours are alike, and noise's are not."""
+    rng = np.random.default_rng(1)
+    height = rng.uniform(0.01, 0.05, 48)
+    wave = 4e-3 * SIGMA_MM * np.sin(2.0 * np.pi * np.arange(48) / 11.0)
+    seen = np.column_stack([height, 0.6575 * height]) + 1e-3 * SIGMA_MM * rng.normal(size=(48, 2))
+    problem = drops_problem(read_drops(write_table(tmp_path, seen + [0.0, 1.0] * wave[:, None])))
+    (told,) = Scatter.each(problem)
+    assert not told.larger
+    found = find(problem)
+    assert found.verdict == "unknown"
+    assert not any("error bars" in each for each in found.warnings)
+
+
+@pytest.mark.parametrize(
+    ("true_mm", "mark_mm", "are_read"),
+    [((10.0, 20.0, 30.0), 1e-3, False), ((30.0, 31.0), 0.1, True), ((30.0, 30.5), 1e-3, True)],
+)
+def test_a_ruler_does_not_make_heights_that_were_set(true_mm, mark_mm, are_read):
+    """Readings of a height that was set are alike to the last digit; those by a ruler lie on its
+    marks, and still err."""
+    rng = np.random.default_rng(2)
+    height = np.resize(true_mm, 200) + (0.25 * rng.normal(size=200) if are_read else 0.0)
+    read = 1e-3 * mark_mm * np.round(height / mark_mm)
+    assert drops_module._close_together(read, 2.5e-4) == are_read
 
 
 def test_an_outlier_that_is_held_out_refuses_no_effect(few, tmp_path, monkeypatch):
