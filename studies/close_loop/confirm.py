@@ -12,7 +12,6 @@ from ...solver.errors import BristleError
 from ..loop.finding import Finding
 from ..loop.heldout import rms
 from ..loop.noise import Ints
-from ..loop.problem import Problem
 
 LEFT_OUT = "left out on request (--no-3d)"
 NOTHING_HELD = "too few groups to hold any out"
@@ -56,12 +55,13 @@ class Confirmation:
         }
 
 
-def confirm(problem: Problem, finding: Finding) -> Confirmation:
+def confirm(finding: Finding) -> Confirmation:
     """Baseline and reported model by `Problem.confirm` on the held-out groups.
 
     A 3-D model that cannot be made or that fails is an answer with its reason, not an error: the
     verdict stands without it.
     """
+    problem = finding.problem
     if problem.confirm is None:
         return Confirmation(None, problem.confirm_why or "there is no 3-D model of such data")
     if finding.held_out is None:

@@ -20,13 +20,17 @@ from .confirm import Confirmation
 
 @dataclass(frozen=True)
 class Closed:
-    """A loop that ran: what was asked, the data as a problem, what was found, and in 3-D."""
+    """A loop that ran: what was asked, what was found in the data, and in 3-D."""
 
     manifest: Manifest
     inputs: LoopInputs
-    problem: Problem
     finding: Finding
     confirmation: Confirmation
+
+    @property
+    def problem(self) -> Problem:
+        """The data as they were fitted: their errors need not be those that were declared."""
+        return self.finding.problem
 
 
 @dataclass(frozen=True)

@@ -24,7 +24,7 @@ from ..data.datasets import Manifest, read_manifest
 from ..inputs.kinds import KINDS
 from ..inputs.study_fields import LoopInputs
 from ..loop.finding import Finding, plain
-from ..loop.problem import Entry, Problem
+from ..loop.problem import Entry, Model, Problem
 from ..loop.run import find, pieces
 from ..running.files import new_folders, prepare_folder, together, write_json
 from ..running.mark import refuse_foreign
@@ -86,9 +86,23 @@ def close_several(
             found[i] = finding
             advance()
 
-        share_out(comm, len(problems), lambda i: find(problems[i], asked.seed, asked.alarm), take)
+        def search(i: int) -> Finding:
+            finding = find(problems[i], asked.seed, asked.alarm)
+            return finding if comm.rank == 0 else sendable(finding)
+
+        share_out(comm, len(problems), search, take)
     left_out = Confirmation(None, LEFT_OUT)
-    return [Closed(datasets[i][0], asked, problems[i], found[i], left_out) for i in sorted(found)]
+    return [Closed(datasets[i][0], asked, found[i], left_out) for i in sorted(found)]
+
+
+def sendable(finding: Finding) -> Finding:
+    """The finding as another rank can have it: its problem makes no other models there."""
+    own = replace(finding.problem, experiments=(), confirm=None, with_sigma=None)
+    return replace(finding, problem=replace(own, combine=_combined))
+
+
+def _combined(effects: tuple[str, ...]) -> Model:
+    raise NotImplementedError(f"{effects}: models are made on the rank that ran the loop")
 
 
 def _made(make: Callable[[], Problem], comm: MPI.Intracomm) -> Problem:
@@ -162,8 +176,8 @@ def close(manifest: Manifest, problem: Problem, inputs: LoopInputs) -> Closed:
     else:
         solid = problem.confirm is not None
         with working("confirming in three dimensions") if solid else nullcontext():
-            confirmation = confirm(problem, finding)
-    return Closed(manifest, inputs, problem, finding, confirmation)
+            confirmation = confirm(finding)
+    return Closed(manifest, inputs, finding, confirmation)
 
 
 def problem_of(manifest: Manifest) -> Problem:

@@ -11,7 +11,7 @@ from ...solver.arrays import Array
 from .adequacy import Test
 from .heldout import HeldOut
 from .noise import Ints
-from .problem import Entry, Model
+from .problem import Entry, Model, Problem
 
 # An effect that is named alone and is less probable has a doubt beside it.
 SURE = 0.9
@@ -81,6 +81,7 @@ class Proposal:
 class Finding:
     """All that verdict.json and the report's figures need.
 
+    ``problem`` is the data with the errors that they were fitted with, declared or replaced.
     ``reported`` are the effects of each model that explains the data, the likeliest first,
     ``weights`` the shares of these effects in them, ``probabilities`` those that effects are in the
     data, whatever is reported; ``noticed`` says by what else than the tests something is seen to be
@@ -95,6 +96,7 @@ class Finding:
     noticed nine times in ten.
     """
 
+    problem: Problem
     verdict: Verdict
     weights: Mapping[str, float]
     probabilities: Mapping[str, float]

@@ -259,6 +259,7 @@ def _find(
     doubts = (alone, likelier, _spared(reported), ROUGH if final.few else "", BARE if bare else "")
     advance()
     return Finding(
+        problem=problem,
         verdict=verdict,
         weights=_by_effect(state, tied),
         probabilities=probabilities(state, singles, explained),

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import math
+import pickle
 from dataclasses import replace
 from pathlib import Path
 
@@ -130,6 +131,31 @@ def test_the_page_has_every_step_with_its_table_and_escapes_the_title(worn):
     assert {path.name for path in worn[1].iterdir()} == {
         "verdict.json", "report.html", "tables", "figures", MARK,
     }  # fmt: skip
+
+
+def test_the_page_has_the_errors_that_the_data_were_fitted_with(tmp_path, quick):
+    """Five times as large are declared: values are as measured, and residuals are of unit size."""
+    folder = write_drops(tmp_path / "data", [EFFECTS["wear"](decades=1.0)])
+    manifest = folder / "dataset.toml"
+    manifest.write_text(manifest.read_text().replace(f"= {SIGMA_MM}", f"= {5 * SIGMA_MM}"))
+    content = closed(folder, tmp_path / "out", "--no-3d")
+    assert content["effects"] == ["wear"]
+    assert "times too large" in content["warnings"][0]
+    fit, left = (
+        np.genfromtxt(tmp_path / "out" / "tables" / f"{name}.csv", delimiter=",", names=True)
+        for name in ("fit", "residuals")
+    )
+    drops = np.genfromtxt(folder / "drops.csv", delimiter=",", names=True)
+    assert fit["measured"] == pytest.approx(drops["y1_mm"], abs=1e-3)
+    assert np.sqrt(np.mean((fit["measured"] - fit["after"]) ** 2)) < 2.0 * SIGMA_MM
+    assert np.sqrt(np.mean(left["after"] ** 2)) == pytest.approx(1.0, abs=0.4)
+
+
+def test_a_finding_can_be_sent_to_another_rank_with_its_problem(tmp_path, quick):
+    found = find(drops_problem(datasets.read_drops(write_drops(tmp_path / "data"))))
+    again = pickle.loads(pickle.dumps(close_loop_study.sendable(found)))
+    assert json.dumps(again.verdict_json()) == json.dumps(found.verdict_json())
+    assert np.array_equal(again.problem.values, found.problem.values)
 
 
 def test_the_same_seed_gives_the_same_bytes_also_from_its_own_output(worn, tmp_path):
