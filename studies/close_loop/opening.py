@@ -8,9 +8,11 @@ from typing import Any
 
 import numpy as np
 
+from ...solver.effects.base import Parameter
 from ...solver.effects.library import EFFECTS
 from ..loop.finding import Finding, Verdict
 from ..loop.problem import Problem
+from ..loop.profile import Limit
 from ..loop.shapes import MOST_SHARED
 from .rows import COVARIATES, title_of
 
@@ -140,12 +142,27 @@ def would_have_shown(finding: Finding, problem: Problem) -> list[str]:
     told, base = [], len(problem.baseline.parameters)
     for each in problem.candidates:
         (name,), first = each.effects, each.parameters[base]
-        least = finding.detectable.get(name)
-        if least is not None:
-            away = f"{first.null:g} ± " if first.null and math.isfinite(first.null) else ""
-            size = quantity(first.name, f"{away}{least:.2g}", first.unit)
-            told.append(f"{title_of(name)} from {size} on")
+        limits = finding.limits.get(name, ())
+        if limits:
+            told.append(f"{title_of(name)} from {_limits(first, limits)}")
     return told
+
+
+def _limits(first: Parameter, limits: Sequence[Limit]) -> str:
+    """From where on an effect shows by its ``first`` parameter: in each direction by itself, if
+    that is not from zero on in all directions that there are."""
+    one_way = not first.low < first.null < first.high
+    if (not first.null or math.isinf(first.null)) and (one_way or len(limits) > 1):
+        widest = max(limits, key=lambda each: each.size)
+        size = quantity(first.name, f"{widest.size:.2g}", first.unit)
+        return f"{'less than ' * widest.least}{size} on"
+    told: list[str] = []
+    for each in limits:
+        digits = 1 - math.floor(math.log10(min(each.size, abs(each.value)) or 1.0))
+        value = quantity("" if told else first.name, f"{round(each.value, digits):g}", first.unit)
+        nearer = f" or nearer to {first.null:g}" * each.least
+        told.append(f"{value}{nearer} {'up' if each.upward else 'down'}")
+    return " or ".join(told)
 
 
 def few_data(finding: Finding, problem: Problem, kind: str) -> dict[str, Any] | None:
@@ -176,4 +193,4 @@ def on_few(few: dict[str, Any]) -> list[str]:
 
 def quantity(name: str, value: str, unit: str) -> str:
     """A parameter with its value and unit; a unit that says what it is stands alone."""
-    return f"{value} {unit}" if unit.startswith(name) else f"{name} {value} {unit}".rstrip()
+    return (f"{value} {unit}" if unit.startswith(name) else f"{name} {value} {unit}").rstrip()

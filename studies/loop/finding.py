@@ -12,6 +12,7 @@ from .adequacy import Test
 from .heldout import HeldOut
 from .noise import Ints
 from .problem import Entry, Model, Problem
+from .profile import Limit
 
 # An effect that is named alone and is less probable has a doubt beside it.
 SURE = 0.9
@@ -92,8 +93,8 @@ class Finding:
     ``lead`` is a doubt that comes before the verdict. ``unlike`` is a record that nothing known
     explains with the others, where that may be what is wrong.
     ``unlisted`` is the log evidence of the best shape that no effect has, ``shape``, on the scale
-    of ``evidences``. ``detectable`` and ``needed_d``: magnitude and size at which an effect is
-    noticed nine times in ten.
+    of ``evidences``. ``limits`` and ``needed_d``: in which directions, and at which size, an effect
+    is noticed nine times in ten.
     """
 
     problem: Problem
@@ -110,7 +111,7 @@ class Finding:
     unidentified: tuple[str, ...]
     at_bounds: tuple[str, ...]
     classes: tuple[tuple[str, ...], ...]
-    detectable: Mapping[str, float | None]
+    limits: Mapping[str, tuple[Limit, ...]]
     needed_d: Mapping[str, float]
     evidences: tuple[Evidence, ...]
     unlisted: float
@@ -153,6 +154,14 @@ class Finding:
         """The reported effects, the likeliest first."""
         return tuple(sorted(self.weights, key=lambda name: -self.weights[name]))
 
+    @property
+    def detectable(self) -> dict[str, float | None]:
+        """The size at which each effect is noticed, in whichever direction it can be."""
+        return {
+            name: max((each.size for each in limits), default=None)
+            for name, limits in self.limits.items()
+        }
+
     def all_warnings(self) -> list[str]:
         """Sentences on what deserves doubt."""
         out = [each for each in (self.noticed and SEEN_BY + self.noticed, *self.warnings) if each]
@@ -185,7 +194,7 @@ class Finding:
             "parameters": plain(self.parameters),
             "unidentified": list(self.unidentified),
             "classes": plain(self.classes),
-            "detectable": dict(self.detectable),
+            "detectable": self.detectable,
             "fit": {
                 "rms_sigma_before": self.rms_before,
                 "rms_sigma": self.rms_after,

@@ -28,15 +28,31 @@ REFITS = 4
 # Two effects of size REFERENCE_D that differ by less than APART, refits included, differ by less
 # than two nats.
 REFERENCE_D, APART, DIRECTION_D = 8.0, 2.0, 6.0
+# An effect of less cannot be seen. Where the next point of a ray has more than `JUMP`, the way
+# between them is halved so many times: a contact yields in no drop, and then in several.
+HIDDEN, JUMP, HALVINGS = 0.5, 12.0, 6
+
+
+@dataclass(frozen=True)
+class Limit:
+    """Where an effect begins to show in one direction: the ``value`` of its first parameter, and
+    the ``size`` that is its distance from absence; ``least`` where no smaller one was tried, which
+    may show as well."""
+
+    value: float
+    size: float
+    upward: bool
+    least: bool
 
 
 @dataclass(frozen=True)
 class Profile:
     """Points of an effect along rays from its absence to the bounds of its first parameter.
 
-    ``u`` (points, p) in the unit box, ``ray`` (points,), ``d`` (points,), ``features`` (points,
-    2 rows of the data's `first`): mean and log variance over √2, as far apart as those of all rows;
-    ``size`` (points,): distance of the first parameter from its absence, in its unit.
+    ``u`` (points, p) in the unit box, ``ray`` (points,): zero downward, one upward, ``d``
+    (points,), ``features`` (points, 2 rows of the data's `first`): mean and log variance over √2,
+    as far apart as those of all rows; ``size`` (points,): distance of the first parameter from its
+    absence ``absent``, in its unit.
     """
 
     model: Model
@@ -45,31 +61,35 @@ class Profile:
     d: Array
     features: Array
     size: Array
+    absent: float
 
     @property
     def name(self) -> str:
         return self.model.effects[0]
 
-    def nearest(self, d: float) -> list[int]:
-        """The point of each ray whose size is nearest to ``d``."""
+    def nearest(self, d: float, least: float) -> list[int]:
+        """The point of each ray whose size is nearest to ``d``, of those of ``least`` or more."""
         out = []
         for ray in np.unique(self.ray):
-            mine = np.flatnonzero(self.ray == ray)
-            out.append(int(mine[np.argmin(np.abs(self.d[mine] - d))]))
+            mine = np.flatnonzero((self.ray == ray) & (self.d >= least))
+            if mine.size:
+                out.append(int(mine[np.argmin(np.abs(self.d[mine] - d))]))
         return out
 
-    def magnitude(self, d: float) -> float | None:
-        """Distance from absence at which the effect has size ``d``; None where bounds forbid it."""
-        best: float | None = None
+    def limits(self, d: float) -> tuple[Limit, ...]:
+        """Where the effect has size ``d``, in each direction whose bounds allow it."""
+        out = []
         for ray in np.unique(self.ray):
             mine = np.flatnonzero(self.ray == ray)
             way = np.maximum.accumulate(self.d[mine])
             visible = way > 1e-9
             if not visible.any() or way[-1] < d:
                 continue
-            size = np.interp(np.log(d), np.log(way[visible]), np.log(self.size[mine][visible]))
-            best = float(np.exp(size)) if best is None else min(best, float(np.exp(size)))
-        return best
+            sizes = np.log(self.size[mine][visible])
+            size = float(np.exp(np.interp(np.log(d), np.log(way[visible]), sizes)))
+            value = self.absent + size if ray else self.absent - size
+            out.append(Limit(value, size, bool(ray), bool(way[0] > d)))
+        return tuple(out)
 
 
 def features(predicted: Array, weights: Array) -> Array:
@@ -85,30 +105,43 @@ def profile(data: Sample, base: Fitted, model: Model) -> Profile:
     several = model.parameters[own:]
     null = np.array([to_box(each, each.null) for each in several])
     typical = np.array([to_box(each, each.typical) for each in several])
-    points, rays = [], []
-    for ray, end in enumerate((0.0, 1.0)):
-        if abs(end - null[0]) < 1e-9:
-            continue
-        effect = np.repeat(typical[None], SHARES.size, axis=0)
-        effect[:, 0] = null[0] + SHARES * (end - null[0])
-        points.append(effect)
-        rays += [ray] * SHARES.size
-    effect = np.concatenate(points)
-    u = np.concatenate([np.repeat(base.u[None], len(effect), axis=0), effect], axis=1)
     few, times = data.first, math.sqrt(data.times)
     mean = base.mean if few is data else few.predict(base.model, base.theta)[0]
     target = features(mean[None], np.ones(1))
-    u, found = _refitted(few, model, u, own, target)
+
+    def look(ray: Array, share: Array) -> tuple[Array, Array]:
+        effect = np.repeat(typical[None], share.size, axis=0)
+        effect[:, 0] = null[0] + share * (ray - null[0])
+        u = np.concatenate([np.repeat(base.u[None], share.size, axis=0), effect], axis=1)
+        return _refitted(few, model, u, own, target)
+
+    def sizes(found: Array) -> Array:
+        return np.asarray(times * np.linalg.norm(found - target, axis=1))
+
+    ends = [end for end in (0.0, 1.0) if abs(end - null[0]) >= 1e-9]
+    ray, share = np.repeat(ends, SHARES.size), np.tile(SHARES, len(ends))
+    u, found = look(ray, share)
+    for _ in range(HALVINGS):
+        d = sizes(found)
+        jump = np.flatnonzero((ray[1:] == ray[:-1]) & (d[:-1] < HIDDEN) & (d[1:] > JUMP))
+        if not jump.size:
+            break
+        ways, middle = ray[jump], (share[jump] + share[jump + 1]) / 2.0
+        points, seen = look(ways, middle)
+        ray, share = np.insert(ray, jump + 1, ways), np.insert(share, jump + 1, middle)
+        u = np.insert(u, jump + 1, points, axis=0)
+        found = np.insert(found, jump + 1, seen, axis=0)
     first = several[0]
     absent = 0.0 if np.isinf(first.null) else first.null
     value = to_theta(several, u[:, own:])[:, 0]
     return Profile(
         model=model,
         u=u,
-        ray=np.array(rays),
-        d=times * np.linalg.norm(found - target, axis=1),
+        ray=ray,
+        d=sizes(found),
         features=times * found,
         size=np.maximum(np.abs(value - absent), 1e-300),
+        absent=absent,
     )
 
 
@@ -153,9 +186,7 @@ def directions(data: Sample, base: Fitted, profiles: Sequence[Profile]) -> list[
     for each in profiles:
         if isinstance(each.model, Chosen) and each.model.choices > 1:
             continue
-        for point in each.nearest(DIRECTION_D):
-            if each.d[point] < 0.5:
-                continue
+        for point in each.nearest(DIRECTION_D, HIDDEN):
             found = each.features[point]
             if data.first is not data:
                 theta = to_theta(each.model.parameters, each.u[point])
@@ -188,9 +219,7 @@ def _imitated(one: Profile, two: Profile) -> float:
     """The largest distance, over rays of the first effect at the reference size, at which the
     second stays from it at best; points between those of a profile are on its chords."""
     worst = 0.0
-    for point in one.nearest(REFERENCE_D):
-        if one.d[point] < APART:
-            continue
+    for point in one.nearest(REFERENCE_D, APART):
         target, nearest = one.features[point], np.inf
         for ray in np.unique(two.ray):
             path = two.features[two.ray == ray]

@@ -273,9 +273,7 @@ def _find(
         unidentified=final.fitted.unseen,
         at_bounds=final.fitted.at_bounds,
         classes=tuple(classes(profiles)),
-        detectable={
-            each.name: each.magnitude(first.needed.get(each.name, np.inf)) for each in profiles
-        },
+        limits={each.name: each.limits(first.needed.get(each.name, np.inf)) for each in profiles},
         needed_d=first.needed,
         evidences=_evidences(baseline, singles, explained),
         unlisted=first.unlisted,

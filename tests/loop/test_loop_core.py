@@ -3,7 +3,7 @@
 import itertools
 import json
 import math
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import cache
 
 import loop_toys as toys
@@ -131,7 +131,33 @@ def test_size_of_a_profile_is_the_projected_norm():
     found = profile(data, base, model)
     d = np.exp(np.interp(np.log(amounts["adhesion"]), np.log(found.size), np.log(found.d)))
     assert d == pytest.approx(8.0, rel=0.05)
-    assert found.magnitude(d) == pytest.approx(amounts["adhesion"], rel=1e-6)
+    (limit,) = found.limits(d)
+    assert limit.size == pytest.approx(amounts["adhesion"], rel=1e-6)
+    assert not limit.least
+    (limit,) = found.limits(0.9 * found.d[0])
+    assert limit.least
+    assert limit.size == pytest.approx(found.size[0])
+
+
+@dataclass(frozen=True)
+class Late(toys.Derived):
+    """A toy whose effect begins at an amount of 60, and is large at once."""
+
+    def predict(self, theta):
+        late = np.array(theta, dtype=float)
+        late[..., 1] = 50.0 * np.maximum(late[..., 1] - 60.0, 0.0)
+        return self.toy.predict(late)
+
+
+def test_an_effect_that_begins_late_has_a_direction_and_a_limit():
+    """Between 36, where it is absent, and 63, the points of a profile have sizes of 0 and 400."""
+    problem, _ = toys.problem(5)
+    data, base = with_baseline(problem)
+    found = profile(data, base, Late(problem.combine(("adhesion",))))
+    (way,) = directions(data, base, [found])
+    (limit,) = found.limits(5.0)
+    assert way.name == "adhesion"
+    assert limit.value == pytest.approx(60.0, abs=1.0)
 
 
 def test_quantile_residuals_of_chance_are_normal():

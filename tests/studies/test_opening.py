@@ -6,6 +6,8 @@ import loop_toys as toys
 import numpy as np
 import pytest
 
+from bristle.solver.effects.base import Parameter
+from bristle.solver.effects.library import EFFECTS
 from bristle.studies.close_loop.opening import (
     SEEN,
     few_data,
@@ -15,6 +17,7 @@ from bristle.studies.close_loop.opening import (
     would_have_shown,
 )
 from bristle.studies.loop.finding import Finding, Interval, Verdict
+from bristle.studies.loop.profile import Limit
 from bristle.studies.loop.run import find
 
 
@@ -58,6 +61,51 @@ def test_nothing_missing_is_told_with_what_would_have_shown(clean):
     assert len(told) == 2
     shown = {name for name, least in clean.detectable.items() if least is not None}
     assert len(would_have_shown(clean, toys.problem(2)[0])) == len(shown)
+
+
+BETA = Parameter("beta_s", "s", 0.0, 1e-4, 2e-5, null=1.07e-5)
+DOWN, UP = Limit(6.13e-6, 4.57e-6, False, False), Limit(2.3e-5, 1.23e-5, True, False)
+
+
+@pytest.mark.parametrize(
+    ("name", "first", "limits", "words"),
+    [
+        ("material_damping", BETA, (DOWN,), "from beta_s 6.1e-06 s down"),
+        ("material_damping", BETA, (DOWN, UP), "from beta_s 6.1e-06 s down or 2.3e-05 s up"),
+        (
+            "stiffening_contact",
+            Parameter("exponent", "", 1.0, 3.0, 1.5, null=1.0),
+            (Limit(1.0082, 0.0082, True, False),),
+            "from exponent 1.0082 up",
+        ),
+        (
+            "scale_error",
+            Parameter("relative", "", -0.2, 0.2, 0.01),
+            (Limit(-0.03, 0.03, False, False), Limit(0.05, 0.05, True, False)),
+            "from relative 0.05 on",
+        ),
+        (
+            "scale_error",
+            Parameter("relative", "", -0.2, 0.2, 0.01),
+            (Limit(-0.03, 0.03, False, False),),
+            "from relative -0.03 down",
+        ),
+        (
+            "surface_slope",
+            Parameter("std_deg", "°", 0.0, 8.0, 1.0),
+            (Limit(0.008, 0.008, True, True),),
+            "from less than std_deg 0.008 ° on",
+        ),
+    ],
+)
+def test_each_direction_is_told_from_where_on_it_shows(clean, name, first, limits, words):
+    made = toys.problem(2)[0]
+    model = made.candidates[0]
+    model = replace(model, effects=(name,), parameters=(*made.baseline.parameters, first))
+    found = replace(clean, limits={name: limits})
+    (told,) = would_have_shown(found, replace(made, candidates=[model]))
+    assert told == f"{EFFECTS[name].title} {words}"
+    assert found.detectable == {name: max(each.size for each in limits)}
 
 
 def test_effects_that_are_tied_are_all_told_and_so_is_which_go_together(worn):
