@@ -37,6 +37,8 @@ from .rows import Closed
 
 SCHEMA = "bristle-close-loop-1"
 VERDICT_FILE = "verdict.json"
+# How the note begins on a column that is not used.
+UNDECLARED = "left aside: the dataset declares no "
 
 
 def run_close_loop(
@@ -197,7 +199,23 @@ def problem_of(manifest: Manifest) -> Problem:
         doubts.append(f"[body] does not give {left_out}; taken from the paper's bristle")
     if isinstance(KINDS[manifest.kind], EntryPoint) and manifest.unread:
         doubts.append(f"nothing reads these of [measurement]: {', '.join(manifest.unread)}")
-    return replace(found, warnings=(*found.warnings, *doubts))
+    return _doubted(found, doubts)
+
+
+def _doubted(problem: Problem, doubts: Sequence[str]) -> Problem:
+    """The problem with these doubts, and one for each column whose errors nobody declared; also
+    with other errors."""
+    unused = [
+        f"{name} is {words}; declare it, and this column is used too"
+        for name, words in problem.notes.items()
+        if str(words).startswith(UNDECLARED)
+    ]
+    again = problem.with_sigma
+    return replace(
+        problem,
+        warnings=(*problem.warnings, *doubts, *unused),
+        with_sigma=None if again is None else lambda times: _doubted(again(times), doubts),
+    )
 
 
 def verdict(closed: Closed) -> dict[str, Any]:

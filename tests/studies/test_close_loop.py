@@ -151,6 +151,19 @@ def test_the_page_has_the_errors_that_the_data_were_fitted_with(tmp_path, quick)
     assert np.sqrt(np.mean(left["after"] ** 2)) == pytest.approx(1.0, abs=0.4)
 
 
+def test_a_column_whose_errors_nobody_declares_is_doubted_whichever_errors_are_used(tmp_path):
+    folder = write_drops(tmp_path / "data", forces=True)
+    manifest = folder / "dataset.toml"
+    manifest.write_text(manifest.read_text().replace("sigma_t_s", "# sigma_t_s"))
+    problem = close_loop_study.problem_of(datasets.read_manifest(folder))
+    for each in (problem, problem.with_sigma(2.0)):
+        (doubt,) = each.warnings
+        assert doubt.startswith(
+            "contact time (µs) is left aside: the dataset declares no sigma_t_s"
+        )
+        assert "declare it" in doubt
+
+
 def test_a_finding_can_be_sent_to_another_rank_with_its_problem(tmp_path, quick):
     found = find(drops_problem(datasets.read_drops(write_drops(tmp_path / "data"))))
     again = pickle.loads(pickle.dumps(close_loop_study.sendable(found)))
