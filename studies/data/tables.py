@@ -39,9 +39,14 @@ def inside(folder: Path, name: str) -> Path:
 
 
 def read_table(path: Path, required: tuple[str, ...]) -> Rows:
-    """Rows of a CSV with their line numbers; lines that are empty or start with # are skipped."""
+    """Rows of a CSV with their line numbers. Lines that start with # are skipped, and so are empty
+    ones, which spreadsheets write as commas alone below a table."""
     lines = list(enumerate(_lines(read_text(path)), start=1))
-    lines = [(n, line) for n, line in lines if line.strip() and not line.lstrip().startswith("#")]
+    lines = [
+        (n, line)
+        for n, line in lines
+        if line.replace(",", " ").strip() and not line.lstrip().startswith("#")
+    ]
     if not lines:
         raise InputError(f"{path}: no table in it")
     if len(lines) > MOST_ROWS:

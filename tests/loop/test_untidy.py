@@ -256,6 +256,16 @@ def test_an_empty_cell_costs_itself(tmp_path):
     assert problem.values[first] == pytest.approx(whole.values[same], rel=2e-3)
 
 
+def test_commas_alone_are_an_empty_line(tmp_path):
+    """As spreadsheets leave them below a table, where cells were once filled."""
+    write_drops(tmp_path)
+    whole = read_drops(tmp_path)
+    again = read_drops(edited(tmp_path, lambda rows: rows.extend(2 * [["", "", ""]])))
+    assert np.array_equal(again.y1_m, whole.y1_m)
+    with pytest.raises(InputError, match=r"drops.csv:44: drop is no number"):
+        read_drops(edited(tmp_path, lambda rows: rows.append(["", "20", ""])))
+
+
 def test_a_column_without_a_value_is_as_none(tmp_path):
     write_drops(tmp_path, forces=True)
     found = read_drops(edited(tmp_path, lambda rows: [row.__setitem__(3, "") for row in rows]))
