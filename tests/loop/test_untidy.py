@@ -4,6 +4,7 @@ hardly differ. Found as they are, and taken for no effect."""
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -381,6 +382,12 @@ def test_error_bars_that_are_too_large_are_said_to_be_and_hide_nothing(few, tmp_
     found = find(problem)
     assert found.effects == ("wear",)
     assert found.warnings[0].startswith("your error bars are")
+    # y1 rises by 0.65 of y0, whose error is the same
+    made = math.hypot(1.0, 0.65) * 5 * SIGMA_MM
+    (declared,) = re.findall(
+        r"that of the height before among them, make (\S+);", found.warnings[0]
+    )
+    assert float(declared) == pytest.approx(made, rel=0.1)
     assert "times too large" in found.warnings[0]
 
 
