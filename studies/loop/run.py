@@ -47,6 +47,8 @@ SCATTER_GAIN = 8.0
 SCATTER_ODD = 0.01
 # Nats by which an explanation that was refused is worth a second look.
 LIKELIER = 1.0
+# Nats by which noise must be likelier than that of a normal distribution to be said to be another.
+CLEARLY = 3.0
 # Beyond so many nats nobody wants to know how many times.
 MANY = math.log(1e3)
 # Nats by which of two explanations one is hardly likelier.
@@ -414,20 +416,35 @@ def _near(first: Adequacy, best: Explanation) -> Near:
 
 
 def _noise(data: Sample, left: Adequacy, moot: bool) -> dict[str, float | str]:
-    """What the data say of the noise; ``finding`` where that is not what was expected, declared or
-    measured beforehand, and is not ``moot``: no misfit that nothing explains, nor values that are
-    as few as parameters."""
-    out = data.noises.describe(left.noise)
+    """What the data say of the noise; ``finding`` where that is clearly not what was expected,
+    declared or measured beforehand, and is not ``moot``: no misfit that nothing explains, nor
+    values that are as few as parameters."""
+    grid = data.noises
+    out = grid.describe(left.noise)
     if moot:
         return {**out, "finding": ""}
+    normal = grid.shape == 0
+    plain = np.flatnonzero(normal & (grid.correlation == 0.0))
+    this, *others = data.heights_of_noise(left.residual[None], np.array([left.noise, *plain]))[0]
+    odd = this > max(others) + CLEARLY
     sentences = []
     size = rms(left.residual)
-    if data.noises.declared and size < FAR_SMALLER:
+    if grid.declared and size < FAR_SMALLER:
         sentences.append(f"it is {size:.1g} times what was expected")
     elif out["shape"] != "gaussian":
-        sentences.append("its tails are heavier than a normal distribution's")
-    elif data.noises.declared and not 0.8 < float(out["scale"]) < 1.15:
+        # errors of two sizes, one a quantity, are no tails
+        even = left.residual / np.sqrt(np.maximum(_by_kind(data, left.residual**2), 1e-300))
+        logs = data.heights_of_noise(even[None])[0]
+        if odd and logs[~normal].max() > logs[normal].max() + CLEARLY:
+            sentences.append("its tails are heavier than a normal distribution's")
+    elif grid.declared and not 0.8 < float(out["scale"]) < 1.15 and this > others[0] + CLEARLY:
         sentences.append(f"it is {float(out['scale']):.2g} times what was expected")
-    if out["correlation"]:
+    if out["correlation"] and odd:
         sentences.append("neighbours in order are correlated")
     return {**out, "finding": "; ".join(sentences)}
+
+
+def _by_kind(data: Sample, values: Array) -> Array:
+    """The mean of values (rows,) of each row's quantity."""
+    mean = np.bincount(data.kind, values) / np.maximum(np.bincount(data.kind), 1)
+    return np.asarray(mean[data.kind])

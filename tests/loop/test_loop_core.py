@@ -312,6 +312,29 @@ def test_heavy_tails_and_correlation_are_findings_about_the_noise():
     assert "tails" in found[1]["finding"]
 
 
+def told_of_noise(problem: Problem) -> tuple[dict, str]:
+    """The likeliest noise of what the baseline leaves, and what is said of it."""
+    data, base = with_baseline(problem)
+    left = assess(data, base, [], np.random.default_rng(3), sets=19, unlisted=False)
+    return data.noises.describe(left.noise), loop_run._noise(data, left, False)["finding"]
+
+
+@pytest.mark.parametrize("seed", [78, 168, 221])
+def test_noise_that_is_hardly_likelier_than_a_normal_one_is_not_told_of(seed):
+    likeliest, told = told_of_noise(toys.problem(seed, drops=32)[0])
+    assert likeliest["correlation"] != 0.0
+    assert told == ""
+
+
+def test_errors_of_two_sizes_are_no_heavy_tails():
+    """Contact times whose sigma is declared three times too large, beside heights."""
+    problem, _ = toys.problem(4, drops=48)
+    mean, size = problem.notes["mean"], np.where(problem.quantity == "time", 0.3, 1.0)
+    likeliest, told = told_of_noise(replace(problem, values=mean + size * (problem.values - mean)))
+    assert likeliest["shape"] != "gaussian"
+    assert "tails" not in told
+
+
 def test_posterior_intervals_match_the_linear_theory():
     problem, _ = toys.problem(6, {"wear": 10.0})
     data = whole(problem)
