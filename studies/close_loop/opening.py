@@ -11,6 +11,7 @@ import numpy as np
 from ...solver.effects.base import Parameter
 from ...solver.effects.library import EFFECTS
 from ..loop.finding import Finding, Verdict
+from ..loop.heldout import HeldOut
 from ..loop.problem import Problem
 from ..loop.profile import Limit
 from ..loop.shapes import MOST_SHARED
@@ -35,6 +36,8 @@ SEEN = {
 }
 # Once in more than this is told no closer.
 RAREST = 1e9
+# An error that stays above this share of itself is one that the effect hardly changes.
+HARDLY = 0.8
 # Fewer drops than this show so little that it has to be said; and fewer records in time, of which
 # none can be held out.
 ENOUGH_GROUPS, ENOUGH_RECORDS = 12, 4
@@ -52,20 +55,36 @@ def opening(finding: Finding) -> list[str]:
     told = [_verdict(finding), _chance(finding)]
     if finding.lead:
         told.insert(0, f"Before all: {finding.lead}" + "." * (finding.lead[-1] not in ".?"))
-    held = finding.held_out
-    if held is not None and finding.model_effects:
-        before, after, noise = (
-            f"{each:.2g}" for each in (held.rms_before, held.rms_after, held.sigma)
-        )
-        falls = held.rms_after < held.rms_before
-        told.append(
-            f"On data that took no part in the fit, the error {'falls' if falls else 'rises'} from "
-            f"{before} to {after} {held.unit}; noise alone makes {noise} {held.unit}."
-            if falls or np.asarray(finding.model.weights).size == 1
-            else f"The size of the error on data that took no part in the fit stays {after} "
+    if finding.held_out is not None and finding.model_effects:
+        told.append(_held(finding, finding.held_out))
+    return told
+
+
+def _held(finding: Finding, held: HeldOut) -> str:
+    """What becomes of the error on held-out data: of the main quantity or, where that hardly
+    changes, of the one that the effect changes most."""
+    before, after, noise = (f"{each:.2g}" for each in (held.rms_before, held.rms_after, held.sigma))
+    where = "On data that took no part in the fit, the error"
+    falls = held.rms_after < held.rms_before
+    if np.asarray(finding.model.weights).size > 1 and not falls:
+        return (
+            f"The size of the error on data that took no part in the fit stays {after} "
             f"{held.unit}: what differs by chance cannot be foretold, but how much it differs can."
         )
-    return told
+    gains = {name: one**2 - other**2 for name, (one, other) in held.by_quantity.items()}
+    changed = max(gains, key=lambda name: gains[name])
+    main = finding.problem.main_quantity
+    if held.rms_after > HARDLY * held.rms_before and changed != main:
+        one, other = (f"{each:.2g}" for each in held.by_quantity[changed])
+        return (
+            f"{where} of {changed} falls from {one} to {other} standard deviations. That of "
+            f"{main.removesuffix(f' ({held.unit})')} is {after} {held.unit}; noise alone makes "
+            f"{noise} {held.unit}."
+        )
+    return (
+        f"{where} {'falls' if falls else 'rises'} from {before} to {after} {held.unit}; noise "
+        f"alone makes {noise} {held.unit}."
+    )
 
 
 def _verdict(finding: Finding) -> str:

@@ -60,7 +60,7 @@ prose = Prose(path, HEADS, title_of=title_of, names_of=names_of)
 def quantity_of(rows: Rows) -> str:
     """The main quantity with its unit."""
     problem = rows.closed.problem
-    name = str(problem.quantity[problem.is_main][0])
+    name = problem.main_quantity
     return name if "(" in name else f"{name} ({problem.unit})"
 
 

@@ -11,6 +11,7 @@ The log score is the logarithm of the predictive density (I. J. Good, J. R. Stat
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -58,7 +59,8 @@ class HeldOut:
     such in the main one if it has eight, both without the largest eighth, and of as few rows within
     their 90 % intervals. ``rms_sigma`` is the error of all quantities over the declared noise;
     ``greatest`` the largest of them over that noise or, if it is more, over what the model's 90 %
-    interval allows, zero where no noise is declared, and ``farthest`` its group.
+    interval allows, zero where no noise is declared, and ``farthest`` its group. ``by_quantity``
+    are the errors of each over its noise, before and after.
     ``values``, ``before``, ``after``, ``low``, ``high`` (rows,) in ``unit`` by held-out row of the
     main quantity. ``gain`` is cross-validated over all groups."""
 
@@ -71,6 +73,7 @@ class HeldOut:
     surprise: float
     greatest: float
     farthest: int
+    by_quantity: Mapping[str, tuple[float, float]]
     reduction_low: float
     reduction_high: float
     coverage_90: float
@@ -237,6 +240,7 @@ class Judge:
         inside = (held.values >= low) & (held.values <= high)
         spread = found.draws - found.draws.mean(axis=0)
         error, chance = held.values - found.mean, found.draws - found.mean
+        unaided, names = held.values - self.before.mean, problem.quantity[held.rows]
         allowed = np.maximum((high - low) / (2.0 * ndtri(0.95)), 1.0)
         off = np.abs(error) / allowed if problem.sigma_declared else np.zeros(0)
         within = np.mean((found.draws >= low) & (found.draws <= high), axis=1)
@@ -254,6 +258,10 @@ class Judge:
             surprise=min((float(np.sum(each)) + 1.0) / (len(each) + 1.0) for each in as_odd),
             greatest=float(off.max(initial=0.0)),
             farthest=int(problem.group[held.rows[np.argmax(off)]]) if off.size else -1,
+            by_quantity={
+                str(name): (rms(unaided[names == name]), rms(error[names == name]))
+                for name in np.unique(names)
+            },
             reduction_low=ends[0],
             reduction_high=ends[1],
             coverage_90=float(np.mean(inside)),

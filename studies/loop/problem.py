@@ -207,7 +207,12 @@ class Problem:
     @property
     def is_main(self) -> NDArray[np.bool_]:
         """Rows (rows,) of the main quantity."""
-        return np.asarray(self.quantity == (self.main or self.quantity[0]))
+        return np.asarray(self.quantity == self.main_quantity)
+
+    @property
+    def main_quantity(self) -> str:
+        """The name of the quantity that errors are told of."""
+        return self.main or str(self.quantity[0])
 
 
 def carried(kind: str, effects: Sequence[str], possible: Iterable[str]) -> tuple[str, ...]:

@@ -55,6 +55,18 @@ def test_an_effect_is_told_with_its_size_and_what_it_does_for_held_out_data(worn
     assert f"from {worn.held_out.rms_before:.2g} to {worn.held_out.rms_after:.2g} " in held
 
 
+def test_the_error_is_told_of_the_quantity_that_the_effect_changes(worn):
+    """A clock changes times alone: how well heights are predicted stays a matter of chance."""
+    late = find(toys.problem(3, {"clock": 20.0}, candidates=("clock", "wear"))[0], seed=3)
+    assert late.effects == ("clock",)
+    held = opening(late)[-1]
+    before, after = late.held_out.by_quantity["time"]
+    assert after < 0.7 * before
+    assert f"the error of time falls from {before:.2g} to {after:.2g} standard deviations" in held
+    assert f"That of y1 is {late.held_out.rms_after:.2g} mm" in held
+    assert "of time" not in opening(worn)[-1]
+
+
 def test_nothing_missing_is_told_with_what_would_have_shown(clean):
     told = opening(clean)
     assert told[0].startswith("Nothing is missing that these data could show")
