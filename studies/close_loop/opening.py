@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Sequence
 from typing import Any
 
@@ -10,6 +11,7 @@ import numpy as np
 
 from ...solver.effects.base import Parameter
 from ...solver.effects.library import EFFECTS
+from ..loop.adequacy import WIDER_NOISE
 from ..loop.finding import Finding, Verdict
 from ..loop.heldout import HeldOut
 from ..loop.problem import Problem
@@ -17,7 +19,7 @@ from ..loop.profile import Limit
 from ..loop.shapes import MOST_SHARED
 from .rows import COVARIATES, title_of
 
-# What a test sees, by how its name begins; the rest of the name is a covariate's.
+# What a test or a shape shows, by how its name begins; the rest of the name is a covariate's.
 SEEN = {
     "size": "the data lie farther from the model than their errors allow",
     "level": "the data lie off the model to the same side everywhere",
@@ -33,9 +35,13 @@ SEEN = {
     "runs": "values measured one after another lie on the same side of the model",
     "two states": "some of the data are off by one amount, and the others are not",
     "shared within a group": "what was read of one drop is off together",
+    "any function of ": "what the model leaves changes with {}",
+    WIDER_NOISE: "the data scatter more than their errors allow",
 }
 # Once in more than this is told no closer.
 RAREST = 1e9
+# Nats by which a shape must be likelier than the baseline alone to be told.
+CLEARLY = 3.0
 # An error that stays above this share of itself is one that the effect hardly changes.
 HARDLY = 0.8
 # Fewer drops than this show so little that it has to be said; and fewer records in time, of which
@@ -93,7 +99,7 @@ def _verdict(finding: Finding) -> str:
     seen = _seen(finding)
     if finding.verdict is Verdict.UNKNOWN:
         best = max(each.log_evidence for each in finding.evidences)
-        shape = f" A shape explains more than any of them: {finding.shape}."
+        shape = f" A shape explains more than any of them does: {finding.shape}."
         return (
             f"{seen}, and no effect that is known here explains it."
             f"{shape if finding.unlisted > best else ''}"
@@ -109,11 +115,15 @@ def _seen(finding: Finding) -> str:
     """What shows that something is missing; the beginning of a sentence."""
     if finding.noticed:
         return finding.noticed[:1].upper() + finding.noticed[1:]
-    name = finding.statistic
     if np.asarray(finding.model.weights).size > 1:
         return "What was measured varies more than its errors allow"
+    name = finding.statistic
+    wide = finding.shape.startswith(WIDER_NOISE) and name.startswith("scatter")
+    if finding.unlisted > finding.evidences[0].log_evidence + CLEARLY and not wide:
+        name = finding.shape  # the likeliest, while the least p-value may be of any that is alike
     if name in finding.needed_d:  # an effect's own test: which effect it is comes after
         return "Something is missing from the model"
+    name = re.sub(r"^wave \d+ in", "wave in", name)
     start = max((each for each in SEEN if name.startswith(each)), key=len, default="size")
     covariate = name.removeprefix(start).removeprefix("the ")
     label = COVARIATES[covariate].label if covariate in COVARIATES else covariate

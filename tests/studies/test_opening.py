@@ -134,6 +134,32 @@ def test_what_no_test_shows_is_told_by_what_does(worn):
     assert told[1].startswith("The tests of the fitted data alone do not show it")
 
 
+@pytest.mark.parametrize(
+    ("shape", "nats", "words"),
+    [
+        ("settling in the order", 30.0, "The first of the data are off"),
+        ("wave 3 in the order", 30.0, "What the model leaves rises and falls with the order"),
+        ("any function of height", 30.0, "What the model leaves changes with the height"),
+        ("noise some 2.2 times as wide as is declared", 30.0, "The data scatter more than"),
+        ("settling in the order", 1.0, "The data are off in one range of the height"),
+    ],
+)
+def test_what_is_seen_is_the_likeliest_shape(worn, shape, nats, words):
+    """The least p-value may be that of any shape which looks a little like it."""
+    plain = replace(worn.evidences[0], log_evidence=-100.0)
+    found = replace(
+        worn,
+        verdict=Verdict.UNKNOWN,
+        statistic="band of height",
+        evidences=(plain,),
+        shape=shape,
+        unlisted=nats - 100.0,
+    )
+    assert opening(found)[0].startswith(words)
+    scattered = replace(found, statistic="scatter with height")
+    assert ("scatter more and more" in opening(scattered)[0]) == ("wide" in shape or nats < 3.0)
+
+
 def test_every_test_of_the_family_has_its_words(worn, clean):
     for found in (worn, clean):
         for each in found.tests:
