@@ -16,6 +16,10 @@ from .profile import Limit
 
 # An effect that is named alone and is less probable has a doubt beside it.
 SURE = 0.9
+# A parameter whose bounds are nearer to each other than this share of it is known well enough: that
+# data tell no more of it is no doubt. Only where something is missing does it matter whether they
+# press against its bounds.
+KNOWN = 0.05
 SEEN_BY = "what is missing is seen by this: "
 
 
@@ -171,10 +175,25 @@ class Finding:
                 f"{name} is in these data with a probability of {self.probabilities[name]:.2g} only"
                 for name in unsure
             ]
-        if self.at_bounds:
-            out.append(f"on a bound of what is searched: {', '.join(self.at_bounds)}")
-        if self.unidentified:
-            out.append(f"these data do not tell: {', '.join(self.unidentified)}")
+        known = {
+            each.name: each
+            for each in self.model.parameters
+            if each.high - each.low < KNOWN * abs(each.null)
+        }
+        pressed = set(self.at_bounds) - set(self.unidentified)
+        if self.verdict is not Verdict.ADEQUATE:
+            out += [
+                f"{name} is fitted as far off as it may be, {each.low:.4g} to {each.high:.4g} "
+                f"({each.why}): check whether it may be farther off, which could be what is missing"
+                for name, each in known.items()
+                if name in pressed
+            ]
+        on_bound = [each for each in self.at_bounds if each not in known]
+        if on_bound:
+            out.append(f"on a bound of what is searched: {', '.join(on_bound)}")
+        untold = [each for each in self.unidentified if each not in known]
+        if untold:
+            out.append(f"these data do not tell: {', '.join(untold)}")
         if self.noise["finding"]:
             out.append(f"the noise: {self.noise['finding']}")
         if self.nearest is not None and self.verdict is Verdict.UNKNOWN:

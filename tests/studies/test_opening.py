@@ -192,6 +192,20 @@ def test_a_record_that_is_there_twice_counts_once():
     assert replace(twice, records=False).once().bookkeeping == ()
 
 
+def test_what_is_known_beforehand_is_doubted_only_where_the_data_press_against_it(clean):
+    """A force sensor is good to half a per cent, and most data tell no more of it."""
+    gain = Parameter("gain", "", 0.995, 1.005, 1.0, null=1.0, why="class 0.5")
+    stiff = Parameter("kn", "N/m", 1.0, 100.0, 10.0, null=10.0)
+    of = replace(clean, model=replace(clean.model, parameters=(stiff, gain)))
+    both = ("kn", "gain")
+    loose = replace(of, at_bounds=both, unidentified=both).all_warnings()
+    assert loose == ["on a bound of what is searched: kn", "these data do not tell: kn"]
+    pressing = replace(of, at_bounds=("gain",), unidentified=())
+    assert pressing.all_warnings() == []
+    (pressed,) = replace(pressing, verdict=Verdict.UNKNOWN).all_warnings()
+    assert pressed.startswith("gain is fitted as far off as it may be, 0.995 to 1.005 (class 0.5)")
+
+
 def test_what_cannot_be_leads(worn):
     doubt = "y1_mm exceeds y0_mm in 48 of 48 drops"
     assert opening(replace(worn, lead=doubt))[0] == f"Before all: {doubt}."
