@@ -295,4 +295,7 @@ def summary(content: dict[str, Any]) -> list[tuple[str, str]]:
 
 
 def _change(errors: dict[str, Any], unit: str) -> str:
+    """Errors before and after, once where nothing was added in between."""
+    if errors["rms_before"] == errors["rms_after"]:
+        return f"{errors['rms_after']:.3g} {unit}"
     return f"{errors['rms_before']:.3g} to {errors['rms_after']:.3g} {unit}"

@@ -192,6 +192,9 @@ def test_data_that_lack_nothing_are_adequate_and_confirmed_by_the_solid(quick, t
     assert solid["rms_after"] < 2.0 * SIGMA_MM
     said = capsys.readouterr()
     assert "adequate" in said.out
+    noise = content["held_out"]["noise"]
+    (error,) = [line for line in said.out.splitlines() if line.startswith("held-out error")]
+    assert error.split(maxsplit=2)[2] == f"{held['rms_after']:.3g} mm; noise {noise:.3g}"
     assert "report.html" in said.out
 
 

@@ -125,6 +125,8 @@ def test_effects_that_are_tied_are_all_told_and_so_is_which_go_together(worn):
     told = opening(tied)[0]
     assert "drift with the order of drops; adhesion with drift with the order of drops." in told
     assert "do not tell which" in told
+    begun = replace(tied, reported=(("wear",), ("session",)), remarks={"session": "from drop 9 on"})
+    assert opening(begun)[0].endswith("drops; a difference between sessions from drop 9 on.")
 
 
 def test_what_no_test_shows_is_told_by_what_does(worn):
