@@ -97,7 +97,8 @@ def refuse_more_ranks(cases: Sequence[DropInputs], ranks: int, ranks_per_case: i
     """InputError where there are fewer ``ranks`` than a full-order solid is to have."""
     solid = any(case.model is Model.SOLID for case in cases)
     if ranks_per_case is not None and ranks_per_case > ranks and solid:
-        raise InputError(f"--ranks-per-case: there are {ranks} ranks, not {ranks_per_case}")
+        there = "there is 1 rank" if ranks == 1 else f"there are {ranks} ranks"
+        raise InputError(f"--ranks-per-case: {there}, not {ranks_per_case}")
 
 
 def build_reduced(session: CaseSession, cases: Sequence[DropInputs]) -> None:

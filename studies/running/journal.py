@@ -60,9 +60,9 @@ class Journal:
         return {}
 
     def begin(self) -> None:
-        """Start anew; the journal that was there is kept until `finish`."""
+        """Start anew; the last journal with a finished case is kept until `finish`."""
         claim(self.path.parent, JOURNAL, PREVIOUS)
-        if self.path.exists():
+        if self.path.exists() and len(_whole_lines(self.path)) > 1:
             self.path.replace(self.previous)
         self._write([])
 

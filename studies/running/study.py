@@ -166,6 +166,7 @@ def run_study[Asked: StudyInputs](
     comm = comm if session is None else session.comm
     out, started = Path(out), time.perf_counter()
     study, cases = study_of(inputs), inputs.cases()
+    refuse_more_ranks(cases, comm.size, ranks_per_case)
     names = _names(study, cases)
     journal = Journal(out, inputs, names)
     files = (study.document, TABLE_FILE, *study.files)
@@ -254,7 +255,6 @@ def _compute(
         for part in parts.values():  # in turn, since each has bodies of its own
             own = [cases[i] for i in part]
             with sessions() as session:
-                refuse_more_ranks(own, session.comm.size, ranks_per_case)
                 if any(case.model is Model.REDUCED for case in own):
                     with working("building the reduced model"):
                         build_reduced(session, own)

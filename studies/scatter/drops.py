@@ -27,7 +27,6 @@ from ...solver.time.march import Marcher
 from ..inputs.config import DropInputs
 from ..running.cases import CaseSession, Timings
 from ..running.parallel import start_petsc
-from ..surface.ground import surface_of
 from ..surface.rough import Surface
 from .inputs import ScatterInputs
 
@@ -155,15 +154,14 @@ def local_ground(released: pd.DataFrame, under: Under, weights: Array) -> pd.Dat
 
 
 class Scene:
-    """The body over the surface, the same to the last bit on every rank; made by all together.
+    """The body over the ``surface``, the same to the last bit on every rank; made by all together.
 
     One rank alone makes the body, since what comes of a factorisation depends in its last bits on
-    how many share it. Raises InputError and ComputationError, on all ranks.
+    how many share it. Raises ComputationError, on all ranks.
     """
 
-    def __init__(self, inputs: ScatterInputs, comm: MPI.Intracomm) -> None:
-        self.inputs, self.drop = inputs, inputs.drop()
-        self.surface = run_on_one_rank(comm, lambda: surface_of(inputs))
+    def __init__(self, inputs: ScatterInputs, surface: Surface | None, comm: MPI.Intracomm) -> None:
+        self.inputs, self.surface, self.drop = inputs, surface, inputs.drop()
         if self.drop.model.meshed:
             start_petsc(comm)
         arrays, self.spent_s = run_on_one_rank(comm, lambda: _body(self.drop))

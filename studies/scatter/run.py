@@ -25,6 +25,7 @@ from ..running.files import together, write_atomically, write_json
 from ..running.journal import Journal
 from ..running.parallel import share_out
 from ..running.progress import progress, say, working
+from ..surface.ground import surface_of
 from .drops import CHECKS, CHUNK, Chunk, Scene, generator
 from .inputs import ScatterInputs
 from .page import Check, write_scatter
@@ -47,15 +48,17 @@ def run_scatter(
     cannot be used or holds another scatter, and ComputationError.
     """
     out, started = Path(out), time.perf_counter()
-    inputs.drop()  # refused before anything is written
+    inputs.drop()  # refused before anything is written, as is a surface
+    with working("building the surface"):
+        surface = run_on_one_rank(comm, lambda: surface_of(inputs))
     journal = Journal(out, inputs)
     files = (DOCUMENT, TABLE, *REPORT_FILES)
     done = run_on_one_rank(comm, lambda: journal.prepare(*files, resume=resume))
     if done is None:
         say(f"{out / DOCUMENT} is finished already, nothing to do")
         return
-    with working("building the body and the surface"):
-        scene = Scene(inputs, comm)
+    with working("building the body"):
+        scene = Scene(inputs, surface, comm)
     spent = scene.spent_s
     spent["setup"] = time.perf_counter() - started
     checking = time.perf_counter()

@@ -259,6 +259,18 @@ def test_resume_does_what_is_missing_and_no_more(done, tmp_path, monkeypatch):
         run_scatter(scatter(drops=120, seed=11, tilt_std_deg=2.0), tmp_path, resume=True)
 
 
+def test_a_scatter_that_is_refused_leaves_what_can_be_resumed(done, tmp_path):
+    journal = tmp_path / "cases.jsonl"
+    journal.write_text("".join((done / "cases.jsonl").read_text().splitlines(keepends=True)[:3]))
+    claim(tmp_path, journal.name)
+    before = journal.read_bytes()
+    (tmp_path / "bad.csv").write_text("# spacing_m = 1e-5\n1,2,x\n")
+    with pytest.raises(InputError, match=r"--surface: .*bad.csv:2: 'x' is not a number"):
+        run_scatter(scatter(drops=120, surface=str(tmp_path / "bad.csv")), tmp_path, MPI.COMM_SELF)
+    assert journal.read_bytes() == before
+    assert not (tmp_path / "cases.previous.jsonl").exists()
+
+
 def test_a_drop_that_fails_is_left_out_and_told(tmp_path, monkeypatch):
     drop_many = scatter_drops.drop_many
     bad = draw(scatter(), (0.038, 0.038), 0, 130).tilt_deg[7]

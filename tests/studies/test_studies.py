@@ -560,6 +560,25 @@ def test_a_failing_sweep_leaves_the_old_one(out, monkeypatch):
     assert before.items() <= after.items()
 
 
+@serial
+def test_what_is_refused_or_fails_early_leaves_what_can_be_resumed(out, monkeypatch):
+    run_sweep(sweep(models="beam"), out)
+    before = contents(out)
+    with pytest.raises(InputError, match="--ranks-per-case: there is 1 rank, not 2"):
+        run_sweep(sweep(models="solid"), out, comm=MPI.COMM_SELF, ranks_per_case=2)
+    assert contents(out) == before
+
+    def fail(self, case, *args, **kwargs):
+        raise ComputationError("no")
+
+    # a start without a finished case does not take the place of one that has some
+    monkeypatch.setattr(CaseSession, "run", fail)
+    for _ in range(2):
+        with pytest.raises(ComputationError, match="no"):
+            run_sweep(sweep(models="beam"), out)
+    assert contents(out)["cases.previous.jsonl"] == before["cases.jsonl"]
+
+
 def test_the_study_of_the_step_compares_with_the_converged_value(out):
     steps = "3e-5,1e-5,3e-6,1e-6,3e-7"
     inputs = checked(ItsInputs, {**SMALL, "models": "beam", "kn_N_m": "2e6,1e7", "its_s": steps})
