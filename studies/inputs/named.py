@@ -121,6 +121,10 @@ class GivenFile(Fields):
     path: str
     sha256: str
 
+    def __str__(self) -> str:
+        """As the option has it."""
+        return self.path
+
 
 class MotionInput(Fields):
     """How a hub moves: ``speed_m_s`` of one that slides, ``rpm`` of one that rotates, or its path

@@ -4,6 +4,7 @@ import hashlib
 import json
 import math
 import re
+import shlex
 from pathlib import Path
 
 import numpy as np
@@ -23,7 +24,9 @@ from bristle.solver.bristle import CONTACT_POINTS, Bristle
 from bristle.solver.contact.enforcement import Enforcement
 from bristle.solver.errors import InputError
 from bristle.solver.time.scheme import TimeScheme
-from bristle.studies.cli import MESH_FLAGS
+from bristle.studies.brush.inputs import BrushInputs
+from bristle.studies.cli import MESH_FLAGS, app
+from bristle.studies.inputs.brush_fields import BRUSH_FLAGS
 from bristle.studies.inputs.choices import Contact, Model, Solver, Until
 from bristle.studies.inputs.config import DropInputs, MeshInputs
 from bristle.studies.inputs.fields import DROP_FLAGS, LIST_FLAGS, STUDY_FLAGS
@@ -34,11 +37,19 @@ from bristle.studies.inputs.limits import (
     narrow_zone,
     slowest_bending_1_s,
 )
-from bristle.studies.inputs.sources import checked, flag_source, inputs_of, read_config
+from bristle.studies.inputs.sources import (
+    checked,
+    command_line,
+    flag_source,
+    inputs_of,
+    read_config,
+)
+from bristle.studies.inputs.study_fields import SCATTER_FLAGS
 from bristle.studies.its import ItsInputs
 from bristle.studies.running.files import to_json
 from bristle.studies.running.results import plain_inputs
 from bristle.studies.running.study import StudyInputs
+from bristle.studies.scatter.inputs import ScatterInputs
 
 pytestmark = pytest.mark.serial
 
@@ -491,6 +502,22 @@ def ran(path):
 @forgotten_afterwards()
 def named_by(config, *plugins):
     return inputs_of(DropInputs, {"plugin": list(map(str, plugins))}, DROP_FLAGS, Path(config))
+
+
+PAGES = {"scatter": (ScatterInputs, SCATTER_FLAGS), "brush": (BrushInputs, BRUSH_FLAGS)}
+
+
+@pytest.mark.parametrize("name", PAGES)
+def test_the_command_of_a_page_can_be_pasted(tmp_path, name):
+    kind, flags = PAGES[name]
+    surface = tmp_path / "a map's heights.csv"
+    surface.write_text("# spacing_m = 1e-5\n" + "0,1,2,3\n" * 4)
+    inputs = checked(kind, {"surface": str(surface), "kn_N_m": 1e5, "friction": 0.1})
+    command = command_line(name, inputs, checked(kind, {}), tmp_path)
+    _, _, *words = shlex.split(command)
+    given = app.commands[name].make_context(name, words).params
+    by_flag = {each.parameter: given[each.parameter] for each in flags}
+    assert inputs_of(kind, by_flag, flags, None) == inputs
 
 
 def test_a_plugin_that_a_file_names_runs_only_if_the_command_line_names_it(tmp_path, caplog):
