@@ -248,19 +248,24 @@ def _check_plugins(file: Source, named: Iterable[str]) -> None:
             )
 
 
-def command_line(name: str, inputs: BaseModel, usual: BaseModel, out: Path) -> str:
-    """``bristle NAME`` with what differs from the ``usual`` inputs, and its folder."""
-    words = [name]
-    for key, option in OPTIONS.items():
-        value = getattr(inputs, key, None)
+def command_line(
+    name: str, inputs: BaseModel, usual: BaseModel, out: Path, *arguments: object
+) -> str:
+    """``bristle NAME`` with its arguments, what differs from the ``usual`` inputs, and its
+    folder."""
+    words: list[object] = [name, *arguments]
+    for key, flag in {flag.field: flag for flag in EVERY_FLAG}.items():
+        value: Any = getattr(inputs, key, None)
         if key not in type(inputs).model_fields or value in (None, getattr(usual, key)):
             continue
         if isinstance(value, bool):
-            words.append(option if value else option.replace("--", "--no-", 1))
-        elif isinstance(value, tuple) and key != "cells":
-            words += [option, ",".join(map(str, value))]
+            words.append(flag.option if value else flag.option.replace("--", "--no-", 1))
+        elif flag.kind is list:
+            words += [word for each in value for word in (flag.option, each)]
+        elif isinstance(value, tuple) and not isinstance(flag.kind, tuple):
+            words += [flag.option, ",".join(map(str, value))]
         else:
-            words += [option, *map(str, value if isinstance(value, tuple) else (value,))]
+            words += [flag.option, *(value if isinstance(value, tuple) else (value,))]
     return into(out, *words)
 
 

@@ -14,7 +14,8 @@ from matplotlib.figure import Figure
 from ...solver import paper
 from ..film.scale import touching_px
 from ..inputs.choices import Body
-from ..inputs.sources import into
+from ..inputs.sources import command_line
+from ..inputs.study_fields import TrackInputs
 from ..report.figures import BLACK, BLUE, GREY, VERMILION, WIDTH_IN, panels, styled
 from ..report.page import Head, Report, Section, environment, write_report
 from ..report.prose import Prose
@@ -58,7 +59,7 @@ def write_tracks(
         title=f"Tracks of {len(found.drops)} drops",
         lead="Where the lower end of the body is in each frame, how sure that is, and pictures to "
         "judge it by.",
-        command=into(out, "track", *names),
+        command=command_line("track", found.inputs, TrackInputs(), out, *names),
         headline=prose.text("headline", found=found, document=document),
         facts=[
             ("Films", str(len(found.films))),

@@ -44,7 +44,7 @@ from bristle.studies.inputs.sources import (
     inputs_of,
     read_config,
 )
-from bristle.studies.inputs.study_fields import SCATTER_FLAGS
+from bristle.studies.inputs.study_fields import SCATTER_FLAGS, TRACK_FLAGS, TrackInputs
 from bristle.studies.its import ItsInputs
 from bristle.studies.running.files import to_json
 from bristle.studies.running.results import plain_inputs
@@ -518,6 +518,16 @@ def test_the_command_of_a_page_can_be_pasted(tmp_path, name):
     given = app.commands[name].make_context(name, words).params
     by_flag = {each.parameter: given[each.parameter] for each in flags}
     assert inputs_of(kind, by_flag, flags, None) == inputs
+
+
+def test_the_command_of_a_page_of_films_names_what_was_given(tmp_path):
+    ball = {"body": "ball", "diameter_mm": 40, "fps": 120, "roi": (0, 1, 20, 30), "down": "left"}
+    inputs = checked(TrackInputs, ball)
+    _, *words = shlex.split(command_line("track", inputs, TrackInputs(), tmp_path, "a b.mp4"))
+    assert words[:2] == ["track", "a b.mp4"]
+    given = app.commands["track"].make_context("track", words[1:]).params
+    by_flag = {each.parameter: given[each.parameter] for each in TRACK_FLAGS}
+    assert inputs_of(TrackInputs, by_flag, TRACK_FLAGS, None) == inputs
 
 
 def test_a_plugin_that_a_file_names_runs_only_if_the_command_line_names_it(tmp_path, caplog):

@@ -98,6 +98,8 @@ def test_without_a_scale_heights_are_in_pixels(one, tmp_path):
     found = bristle.track(one, roi=part, out=tmp_path / "px")
     assert found.unit == "px"
     assert "--mm-per-px" in found.warnings[0]
+    command = f"bristle track {one} --roi {' '.join(map(str, part))} --out {tmp_path / 'px'}"
+    assert command in (tmp_path / "px" / "report.html").read_text()
     assert {"y_px", "sigma_px"} <= set(pd.read_csv(tmp_path / "px" / "tracks.csv"))
     scaled = bristle.track(one, roi=part, mm_per_px=1.09)
     both = found.table.merge(scaled.table, on=["drop", "frame"])
