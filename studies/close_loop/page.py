@@ -6,7 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
-from ..inputs.sources import into
+from ..inputs.sources import command_line
+from ..inputs.study_fields import LoopInputs
 from ..report.figures import picture_files
 from ..report.page import FIGURES, Report, percent, write_report
 from ..running.files import remove
@@ -20,14 +21,12 @@ SOMETIMES = ("weights", "held-out", "solid")
 def write_page(closed: Closed, out: Path, version: str) -> Path:
     """Write ``report.html``, ``tables/`` and ``figures/`` into ``out``; returns the page's path."""
     rows, manifest, asked = Rows(closed), closed.manifest, closed.inputs
-    options = ["--seed", asked.seed, "--alarm", f"{asked.alarm:g}"]
-    options += ["--no-3d"] if asked.no_3d else []
     page = Report(
         title=f"What the model lacks: {manifest.title}",
         lead="From measured data the model is fitted, what it leaves is traced to an effect that "
         "it lacks, and the error is told before and after on data that took no part.",
         version=version,
-        command=into(out, "close-loop", manifest.folder, *options),
+        command=command_line("close-loop", asked, LoopInputs(), out, manifest.folder),
         headline=headline(closed),
         facts=[
             ("Dataset", manifest.title),

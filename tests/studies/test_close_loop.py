@@ -100,6 +100,8 @@ def test_the_verdict_has_the_keys_of_the_contract_and_names_what_is_missing(worn
     assert set(held["groups"]) <= set(range(1, COUNT + 1))
     assert content["confirmed_in_3d"] is None
     assert "--no-3d" in content["confirmed_in_3d_why"]
+    command = f"bristle close-loop {worn[0]} --seed 3 --no-3d --out {worn[1]}"
+    assert command in (worn[1] / "report.html").read_text()
 
 
 def test_a_difference_between_sessions_is_seen_and_no_effect_is_named_for_it(tmp_path, quick):

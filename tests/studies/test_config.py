@@ -37,6 +37,7 @@ from bristle.studies.inputs.limits import (
     narrow_zone,
     slowest_bending_1_s,
 )
+from bristle.studies.inputs.named import PluginFile
 from bristle.studies.inputs.sources import (
     checked,
     command_line,
@@ -44,7 +45,7 @@ from bristle.studies.inputs.sources import (
     inputs_of,
     read_config,
 )
-from bristle.studies.inputs.study_fields import SCATTER_FLAGS, TRACK_FLAGS, TrackInputs
+from bristle.studies.inputs.study_fields import SCATTER_FLAGS, TRACK_FLAGS, LoopInputs, TrackInputs
 from bristle.studies.its import ItsInputs
 from bristle.studies.running.files import to_json
 from bristle.studies.running.results import plain_inputs
@@ -518,6 +519,15 @@ def test_the_command_of_a_page_can_be_pasted(tmp_path, name):
     given = app.commands[name].make_context(name, words).params
     by_flag = {each.parameter: given[each.parameter] for each in flags}
     assert inputs_of(kind, by_flag, flags, None) == inputs
+
+
+def test_the_command_of_a_page_of_the_loop_names_its_plugins(tmp_path):
+    files = [tmp_path / name for name in ("one.py", "a second.py")]
+    plugins = tuple(PluginFile(path=str(file), sha256="") for file in files)
+    inputs = LoopInputs.model_construct(plugins=plugins)
+    words = shlex.split(command_line("close-loop", inputs, LoopInputs(), tmp_path, "data"))
+    named = [word for file in files for word in ("--plugin", str(file))]
+    assert words == ["bristle", "close-loop", "data", *named, "--out", str(tmp_path)]
 
 
 def test_the_command_of_a_page_of_films_names_what_was_given(tmp_path):
