@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import time
 from collections.abc import Mapping
 from dataclasses import asdict
@@ -18,7 +17,7 @@ from ...meshes.collective import run_on_one_rank
 from ...meshes.geometry import MeshSpec
 from ...meshes.hexahedra import build_model, gmsh_model
 from ...solver.errors import ComputationError
-from ..running.files import filled, new_folders, prepare_folder
+from ..running.files import filled, new_folders, prepare_folder, to_csv
 from .picture import write_picture, write_vtu
 
 # All that it writes.
@@ -119,8 +118,6 @@ def measure_quality(spec: MeshSpec) -> dict[str, float]:
 
 def write_csv(quality: Mapping[str, float], path: Path) -> None:
     """Write the table as ``measure,value,unit``, the unit "1" where there is none."""
-    with path.open("w", newline="") as file:
-        writer = csv.writer(file)
-        writer.writerow(("measure", "value", "unit"))
-        for name, value in quality.items():
-            writer.writerow((name, value, UNITS.get(name.rsplit("_", 1)[-1], "1")))
+    units = (UNITS.get(name.rsplit("_", 1)[-1], "1") for name in quality)
+    rows = zip(quality, quality.values(), units, strict=True)
+    path.write_text(to_csv(("measure", "value", "unit"), rows), newline="")

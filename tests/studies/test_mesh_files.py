@@ -193,6 +193,7 @@ def test_quality_table_reads_back(tmp_path):
     quality = measured(MeshSpec(0.01, Circle(1e-3), (2, 1, 3), geometry_order=2))
     path = tmp_path / "quality.csv"
     write_csv(quality, path)
+    assert b"\r" not in path.read_bytes()  # lines end as those of other tables do
     lines = path.read_text().splitlines()
     assert {row["measure"]: float(row["value"]) for row in csv.DictReader(lines)} == quality
     assert lines[0] == "measure,value,unit"
