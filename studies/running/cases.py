@@ -30,6 +30,7 @@ from ...solver.checkpoint import Checkpoint
 from ...solver.contact.enforcement import ContactMethod
 from ...solver.contact_phase import History, Observer
 from ...solver.drop import DropPlan, DropResult, FlightFrame, ModalFrame, simulate
+from ...solver.energy import Budget, Energy
 from ...solver.errors import ComputationError
 from ...solver.fall import dragged_fall, risen
 from ...solver.time.march import ContactMarch, Marcher
@@ -451,9 +452,30 @@ def _analytic(now: Entered[DropInputs]) -> DropResult:
     rows = [row for row in result.history.rows if row[0] <= end_s * (1.0 + 1e-12)]
     result = replace(result, history=History(rows))
     if end_s < release_s:
-        result = replace(result, **NOT_RELEASED)
+        result = replace(_pressed(result, inputs.kn_N_m, end_s - fall_s, end_s), **NOT_RELEASED)
     top_s = release_s + result.impact_speed_m_s / g
     return replace(result, **NO_REBOUND) if end_s < top_s else result
+
+
+def _pressed(whole: DropResult, kn_N_m: float, since_touch_s: float, now_s: float) -> DropResult:
+    """A ``whole`` analytic drop up to an instant of its impact (Eq. 7)."""
+    phase = 0.5 * math.pi * since_touch_s / whole.time_to_max_penetration_s
+    depth_m = whole.max_penetration_m * math.sin(phase)
+    deepest_m = whole.max_penetration_m * math.sin(min(phase, 0.5 * math.pi))
+    initial_J = whole.energy.initial_J
+    held_J = initial_J * math.sin(phase) ** 2
+    now = Energy(initial_J - held_J, 0.0, 0.0, held_J)
+    before = [row for row in whole.history.rows if row[0] < now_s]
+    last = (now_s, -depth_m, -depth_m, kn_N_m * depth_m, depth_m)
+    return replace(
+        whole,
+        peak_force_N=kn_N_m * deepest_m,
+        max_penetration_m=deepest_m,
+        time_to_max_penetration_s=min(since_touch_s, whole.time_to_max_penetration_s),
+        impulse_N_s=0.5 * whole.impulse_N_s * (1.0 - math.cos(phase)),
+        energy=Budget.close(initial_J, now, 0.0),
+        history=History([*before, last]),
+    )
 
 
 def _launched(inputs: DropInputs, speed_m_s: float, drag_1_m: float) -> DropResult:

@@ -147,6 +147,33 @@ def test_the_analytic_model_can_stop_after_the_impact():
     assert (result.rebound_ratio, result.rebound_height_m) == (None, None)
 
 
+@serial
+@pytest.mark.parametrize("effects", [[], ["air_drag:cd=2"]])
+@pytest.mark.parametrize("part", [0.3, 1.4])
+def test_the_analytic_model_can_stop_in_the_impact(part, effects):
+    """In quarters of a period: before the greatest penetration, and after it."""
+    whole, _ = run_case(drop(model="analytic", effects=effects))
+    rows = whole.history.array()
+    quarter_s = whole.time_to_max_penetration_s
+    touch_s = rows[np.flatnonzero(rows[:, 3] > 0.0)[0] - 1, 0]
+    end_s = float(touch_s + part * quarter_s)
+    result, _ = run_case(drop(model="analytic", effects=effects, until=end_s))
+    rows = result.history.array()
+    assert rows[-1, 0] == end_s
+    assert (np.diff(rows[:, 0]) > 0.0).all()
+    # what the history adds up to: a sample is 1/400 of the impact, or pi/400 of the angle
+    assert result.peak_force_N == pytest.approx(rows[:, 3].max(), rel=1e-4)
+    assert result.max_penetration_m == pytest.approx(rows[:, 4].max(), rel=1e-4)
+    assert result.impulse_N_s == pytest.approx(np.trapezoid(rows[:, 3], rows[:, 0]), rel=1e-4)
+    assert result.time_to_max_penetration_s == pytest.approx(min(part, 1.0) * quarter_s, rel=1e-9)
+    assert math.isnan(result.contact_time_s)
+    # the momentum that is left is that of the kinetic energy
+    mass, speed = drop().bristle().mass_kg, whole.impact_speed_m_s
+    left = mass * speed - result.impulse_N_s
+    assert result.energy.kinetic_J == pytest.approx(0.5 * left**2 / mass, rel=1e-9)
+    assert result.energy.contact_J == pytest.approx(0.5 * 2e6 * rows[-1, 4] ** 2, rel=1e-9)
+
+
 # leaning
 
 
