@@ -36,6 +36,7 @@ from .loop.responses.table_drops import its_s, outcomes_of, quantities, read_off
 from .running.files import (
     cannot_write,
     folder_in_place,
+    new_folders,
     prepare_folder,
     to_json,
     together,
@@ -319,10 +320,11 @@ def run_synth(
     """
     comm = with_mpi(comm or all_ranks())
     files = (f"{FILMS}/",) if recipe.film else FILES
-    run_on_one_rank(comm, lambda: prepare_dataset(out, truth, *files))
-    body = reduced_body(comm)
-    write = write_films if recipe.film else write_dataset
-    return run_on_one_rank(comm, lambda: write(make(recipe, body), out, truth))
+    with new_folders(out):
+        run_on_one_rank(comm, lambda: prepare_dataset(out, truth, *files))
+        body = reduced_body(comm)
+        write = write_films if recipe.film else write_dataset
+        return run_on_one_rank(comm, lambda: write(make(recipe, body), out, truth))
 
 
 if __name__ == "__main__":

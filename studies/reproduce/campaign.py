@@ -20,7 +20,7 @@ from ..report.figures import LOOKS
 from ..report.page import Section
 from ..report.prose import Prose
 from ..running.cases import CaseSession
-from ..running.groups import build_reduced, refuse_more_ranks, run_cases
+from ..running.groups import build_reduced, run_cases
 
 Results = Mapping[DropInputs, DropResult]
 Tick = Callable[[], None]
@@ -180,7 +180,6 @@ def compute(
         results[distinct[i]] = result
         tick()
 
-    refuse_more_ranks(distinct, session.comm.size, ranks_per_case)
     build_reduced(session, distinct)
     run_cases(session, distinct, lambda own, case: own.run(case)[0], take, ranks_per_case)
     return {case: results[case] for case in distinct if case in results}

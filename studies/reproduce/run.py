@@ -21,6 +21,7 @@ from ..inputs.sources import command_line
 from ..report.page import REPORT_FILES, Report, Section, Verdict, write_report
 from ..running.cases import CaseSession
 from ..running.files import prepare_folder
+from ..running.groups import refuse_more_ranks
 from ..running.progress import progress, working
 from .campaign import Results, Setup, Study, compute, prose
 from .discretisation import CrossCheck, ElementStudy, Enforcements, StepStudy
@@ -65,10 +66,11 @@ def run_reproduce(
     """
     started = time.perf_counter()
     out = Path(out)
-    run_on_one_rank(comm, lambda: prepare_folder(out, *REPORT_FILES))
     setup = setup or Setup(DropInputs())
     studies = paper_studies(setup) if studies is None else list(studies)
     cases = list(dict.fromkeys(case for study in studies for case in study.cases()))
+    refuse_more_ranks(cases, comm.size, ranks_per_case)
+    run_on_one_rank(comm, lambda: prepare_folder(out, *REPORT_FILES))
     with (
         CaseSession(comm, basis_its_s=setup.its_s) as session,
         progress("Drops", len(cases)) as advance,

@@ -18,13 +18,14 @@ from ..inputs.study_fields import TrackInputs
 from ..report.page import REPORT_FILES
 from ..running.files import (
     folder_in_place,
+    new_folders,
     prepare_folder,
     to_csv,
     together,
     write_atomically,
     write_json,
 )
-from .films import TABLE, summary, track_films
+from .films import TABLE, TrackedFilms, summary, track_films
 
 DOCUMENT, MANIFEST, OVERLAYS = "track.json", "dataset.toml", "overlays"
 # All that lies in the dataset's folder.
@@ -50,30 +51,35 @@ def _run(
 ) -> tuple[dict[str, Any], pd.DataFrame]:
     if not films:
         raise InputError("no film is given")
-    if out is not None:
-        if out.resolve() in [film.resolve() for film in films]:
-            raise InputError(f"--out {out}: is the folder of pictures that is read")
+    if out is None:
+        found = track_films(films, inputs)
+        return summary(found), found.table
+    if out.resolve() in [film.resolve() for film in films]:
+        raise InputError(f"--out {out}: is the folder of pictures that is read")
+    with new_folders(out):
         prepare_folder(out, *FILES)
-    found = track_films(films, inputs)
-    document = summary(found)
-    if out is not None:
-        from .overlay import write_overlay
-        from .page import manifest, write_tracks
+        found = track_films(films, inputs)
+        return _written(found, out), found.table
 
-        with together(out, DOCUMENT):
-            with folder_in_place(out / OVERLAYS) as made:
-                pictures = [
-                    write_overlay(
-                        each.track, made / f"{each.number}-{each.track.film.path.stem}.mp4"
-                    )
-                    for each in found.films
-                ]
-            write_tracks(found, document, pictures, out)
-            rows = found.table.itertuples(index=False)
-            write_atomically(out / TABLE, to_csv(list(found.table), rows))
-            write_atomically(out / MANIFEST, manifest(found))
-            write_json(out / DOCUMENT, document)
-    return document, found.table
+
+def _written(found: TrackedFilms, out: Path) -> dict[str, Any]:
+    """Write the dataset; what track.json holds."""
+    from .overlay import write_overlay
+    from .page import manifest, write_tracks
+
+    document = summary(found)
+    with together(out, DOCUMENT):
+        with folder_in_place(out / OVERLAYS) as made:
+            pictures = [
+                write_overlay(each.track, made / f"{each.number}-{each.track.film.path.stem}.mp4")
+                for each in found.films
+            ]
+        write_tracks(found, document, pictures, out)
+        rows = found.table.itertuples(index=False)
+        write_atomically(out / TABLE, to_csv(list(found.table), rows))
+        write_atomically(out / MANIFEST, manifest(found))
+        write_json(out / DOCUMENT, document)
+    return document
 
 
 def told(document: dict[str, Any]) -> list[tuple[str, str]]:

@@ -30,7 +30,7 @@ from ..report.figures import (
     styled,
     write_picture,
 )
-from ..running.files import filled, prepare_folder
+from ..running.files import filled, new_folders, prepare_folder
 from ..running.progress import note, progress
 from ..running.results import HISTORY_FILE, RESULT_FILE
 
@@ -68,14 +68,21 @@ def run_view(
     InputError : there is no result, a file of it is not what this program writes, or one that would
         be replaced is not the program's
     """
-    return run_on_one_rank(comm, lambda: _view(Path(result_dir), out))
-
-
-def _view(result: Path, out: Path | None) -> list[Path]:
-    document = read_result(result)
+    result = Path(result_dir)
     target = Path(out) if out is not None else result / VIEW_FOLDER
-    if "n_bristles" in document:
-        return _view_brush(result, target)
+    return run_on_one_rank(comm, lambda: _view(result, target))
+
+
+def _view(result: Path, target: Path) -> list[Path]:
+    document = read_result(result)
+    with new_folders(target):
+        if "n_bristles" in document:
+            return _view_brush(result, target)
+        return _view_drop(result, target, document)
+
+
+def _view_drop(result: Path, target: Path, document: dict[str, Any]) -> list[Path]:
+    """Draw a drop into the folder ``target``; returns the files."""
     history = read_history(result / HISTORY_FILE)
     solid = (result / FIELDS_FOLDER).is_dir()
     if solid:

@@ -7,6 +7,7 @@ import json
 import numpy as np
 import pytest
 from commands import mpirun
+from hostile import refused
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -145,6 +146,13 @@ def test_a_case_that_fails_ends_the_job(who):
     assert done.returncode == 1
     assert done.stderr.count("bristle: error: ") == 1
     assert "no solution" in done.stderr
+
+
+@pytest.mark.serial
+def test_the_paper_is_not_begun_with_more_ranks_per_case_than_there_are(tmp_path):
+    said = refused("reproduce", "--ranks-per-case", "2", "--out", tmp_path / "out")
+    assert "--ranks-per-case: there is 1 rank, not 2" in said
+    assert not (tmp_path / "out").exists()
 
 
 @pytest.mark.serial

@@ -180,6 +180,7 @@ def test_a_truth_that_is_none_stays(tmp_path):
         out, truth = tmp_path / "out", tmp_path / "truth.json"
         said = refused("synth", "--drops", "6", "--out", out, "--truth", truth)
         assert f"--truth {truth}: was not written by this" in said
+        assert not out.exists()
         assert truth.read_text() == content
 
 

@@ -121,7 +121,7 @@ def test_a_film_in_which_nothing_falls_ends_with_status_2(tmp_path):
     assert done.returncode == 2
     last = done.stderr.strip().splitlines()[-1]
     assert last.startswith(f"bristle: error: {path}: no bristle that falls")
-    assert not (tmp_path / "out" / "dataset.toml").exists()
+    assert not (tmp_path / "out").exists()
 
 
 @pytest.mark.parametrize(
