@@ -12,7 +12,7 @@ from ..inputs.named import digest_of
 from ..inputs.study_fields import CORRELATION_LENGTH_M, ReliefFields
 from .files import read_surface
 from .phases import CELLS_PER_GRAIN, PERIOD_IN_GRAINS, Composite
-from .rough import Roughness, Surface, make_surface
+from .rough import MAX_NODES, Roughness, Surface, make_surface
 
 # Nodes per correlation length: the spline's slopes are then those of the surface.
 NODES_PER_LENGTH = 10
@@ -47,7 +47,15 @@ def _measured(path: str, sha256: str, seed: int) -> Surface:
 @lru_cache(maxsize=4)
 def _drawn(rms_height_m: float, length_m: float, seed: int) -> Surface:
     roughness, composite = Roughness(rms_height_m, length_m), Composite()
-    return make_surface(roughness, composite, *tile_m(roughness, composite), seed)
+    size_m, spacing_m = tile_m(roughness, composite)
+    side = round(size_m / spacing_m)
+    if side**2 > MAX_NODES:
+        other = "longer" if length_m < CORRELATION_LENGTH_M else "shorter"
+        raise ValueError(
+            f"with {length_m:g} m the surface needs a grid of {side} × {side} nodes, and "
+            f"{math.isqrt(MAX_NODES)} × {math.isqrt(MAX_NODES)} are the most; take a {other} one"
+        )
+    return make_surface(roughness, composite, size_m, spacing_m, seed)
 
 
 def tile_m(roughness: Roughness, composite: Composite) -> tuple[float, float]:

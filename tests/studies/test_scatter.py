@@ -334,7 +334,12 @@ def test_bad_input_is_refused_in_plain_words(values, words):
     [
         ({"surface": "nowhere.npz"}, "--surface: .*nowhere.npz: No such file"),
         ({"surface": "table.xlsx"}, "--surface: .*table.xlsx: a surface is read from"),
-        ({"correlation_length_m": 1e-5}, "--correlation-length: .* nodes"),
+        (
+            {"correlation_length_m": 1e-5},
+            "--correlation-length: with 1e-05 m the surface needs a grid of 38000 × 38000 nodes, "
+            "and 4096 × 4096 are the most; take a longer one",
+        ),
+        ({"correlation_length_m": 1.0}, "--correlation-length: with 1 m .*; take a shorter one"),
     ],
 )
 def test_a_surface_that_cannot_be_had_is_told(tmp_path, monkeypatch, values, words):
