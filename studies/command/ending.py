@@ -15,7 +15,7 @@ from io import TextIOWrapper
 import click
 
 from ...solver.errors import BristleError
-from ..inputs.texts import printable
+from ..inputs.texts import hints, printable
 from ..running.interrupts import INTERRUPTED, SIGNALS, heard, interruptible, leave
 from ..running.mark import locks
 from ..running.parallel import Ending, Ranks, rank_0_speaks
@@ -115,11 +115,22 @@ def _with_options(error: BristleError) -> str:
     return f"{error} ({named})" if named else str(error)
 
 
+def _remedy(error: click.NoSuchOption) -> str:
+    """What an unknown option may have meant, or the commands that have it."""
+    name = error.option_name
+    for each in error.possibilities or ():
+        if hints(name.lstrip("-"), [each.lstrip("-")]):  # click finds dashes alike too
+            return f"; did you mean {each}?"
+    every = error.ctx.find_root().command if error.ctx else None
+    commands = every.commands.values() if isinstance(every, click.Group) else ()
+    others = [str(each.name) for each in commands if any(name in one.opts for one in each.params)]
+    return f" here, only in {', '.join(others)}" if others else ""
+
+
 def _usage(error: click.ClickException) -> str:
     """Click's complaint as ``--option: what is wrong``."""
     if isinstance(error, click.NoSuchOption):
-        near = f"; did you mean {error.possibilities[0]}?" if error.possibilities else ""
-        return f"{error.option_name}: there is no such option{near}"
+        return f"{error.option_name}: there is no such option{_remedy(error)}"
     message = error.format_message().rstrip(".")
     message = re.sub(r"^Invalid value for '([^']+)': ", r"\1: ", message)
     message = re.sub(r"^Missing argument '([^']+)'$", r"\1: is missing", message)

@@ -129,10 +129,14 @@ WRONG = {
             "--contact: must be 'penalty', 'augmented' or 'nitsche', not 'glue'",
         ),
     ],
+    "scatter": [
+        ("--material steel", "--material: there is no such option here, only in drop, "),
+        ("--drop 3", "--drop: there is no such option; did you mean --drops?"),
+    ],
     "its": [("--its 1e-5,-1", "--its: must be greater")],
     "mesh": [
         ("--cells 0 1 1", "--cells: must be greater"),
-        ("--kn 1", "--kn: there is no such option"),
+        ("--kn 1", "--kn: there is no such option here, only in drop, "),
     ],
     "calibrate": [("", "DATASET: is missing")],
     "view": [
