@@ -25,7 +25,7 @@ from ..inputs import limits
 from ..inputs.config import Inputs
 from ..inputs.kinds import KINDS, load_installed
 from ..inputs.sources import checked
-from ..inputs.texts import finite, line_of, parse_toml, printable, quoted
+from ..inputs.texts import exists, finite, line_of, parse_toml, printable, quoted
 from .tables import Rows, column, in_order, inside, optional_column, read_table, read_text
 from .units import check_contact_times, check_heights, check_peaks, doubtful_body
 
@@ -300,6 +300,13 @@ def _unless_empty(values: Array | None) -> Array | None:
 
 def _read(folder: Path) -> _Declarations:
     path = inside(folder, "dataset.toml")
+    if not exists(folder):
+        raise InputError(f"{folder}: there is no such folder")
+    if not exists(path):
+        raise InputError(
+            f"{path}: is missing, without which nothing says what was measured; "
+            "docs/measurements.md shows how to write it, and `bristle track` makes it from films"
+        )
     return _Declarations(path, read_text(path))
 
 

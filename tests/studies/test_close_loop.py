@@ -373,6 +373,17 @@ def test_a_direction_that_data_cannot_see_is_named(quick, tmp_path):
     assert found[0].deviation == pytest.approx(1.0 / math.sqrt(12.0))
 
 
+def test_a_folder_without_declarations_is_told_what_to_do(tmp_path):
+    (tmp_path / "drops.csv").write_text("drop,y0_mm,y1_mm\n1,10,6\n")
+    said = refused("close-loop", tmp_path, "--out", tmp_path / "out")
+    assert said.startswith(f"{tmp_path / 'dataset.toml'}: is missing")
+    assert "docs/measurements.md" in said
+    nowhere = tmp_path / "nowhere"
+    said = refused("close-loop", nowhere, "--out", tmp_path / "out")
+    assert said == f"{nowhere}: there is no such folder"
+    assert not (tmp_path / "out").exists()
+
+
 @pytest.mark.parametrize(
     ("table", "words"),
     [
