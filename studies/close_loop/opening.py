@@ -12,7 +12,7 @@ import numpy as np
 from ...solver.effects.base import Parameter
 from ...solver.effects.library import EFFECTS
 from ..loop.adequacy import WIDER_NOISE
-from ..loop.finding import Finding, Verdict
+from ..loop.finding import Finding, Verdict, p_text
 from ..loop.heldout import HeldOut
 from ..loop.problem import Problem
 from ..loop.profile import Limit
@@ -155,7 +155,7 @@ def _titled(finding: Finding, name: str) -> str:
 
 def _chance(finding: Finding) -> str:
     """What the p-value of the first tests means."""
-    p = f"(p = {finding.p_value:.2g})"
+    p = f"({p_text(finding.p_value)})"
     if finding.noticed:
         return f"The tests of the fitted data alone do not show it {p}."
     return f"If nothing were missing, data as odd as these would come {times(finding.p_value)} {p}."

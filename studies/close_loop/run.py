@@ -23,7 +23,7 @@ from .. import __version__
 from ..data.datasets import Manifest, read_manifest
 from ..inputs.kinds import KINDS
 from ..inputs.study_fields import LoopInputs
-from ..loop.finding import Finding, plain
+from ..loop.finding import Finding, p_text, plain
 from ..loop.problem import Entry, Model, Problem
 from ..loop.run import find, pieces
 from ..running.files import new_folders, prepare_folder, together, write_json
@@ -267,11 +267,11 @@ def summary(content: dict[str, Any]) -> list[tuple[str, str]]:
         labels = ["would have shown", *[""] * len(content["would_have_shown"])]
         rows += zip(labels, content["would_have_shown"], strict=False)
     first, last = content["detection"]["p_value"], content["open_set"]["p_value"]
-    chance = f"p = {first:.2g}: chance makes data as odd as these {times(first)}"
+    chance = f"{p_text(first)}: chance makes data as odd as these {times(first)}"
     if content["verdict"] != "adequate" and first > content["alarm"]:
-        chance = f"p = {first:.2g} by the tests of these data alone; the doubts say what shows it"
+        chance = f"{p_text(first)} by the tests of these data alone; the doubts say what shows it"
     rows.append(("something is missing", chance))
-    rows.append(("something is left", f"p = {last:.2g}: chance leaves as much {times(last)}"))
+    rows.append(("something is left", f"{p_text(last)}: chance leaves as much {times(last)}"))
     for name, each in content["parameters"].items():
         value = f"{each['estimate']:.4g} ({each['low']:.4g} to {each['high']:.4g}) {each['unit']}"
         rows.append((name, value.rstrip()))

@@ -6,6 +6,7 @@ Every run writes the same tables, so that none of an earlier run stays beside a 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -14,9 +15,10 @@ import pandas as pd
 from scipy.special import ndtri
 
 from ...solver.effects.base import Parameter
+from ..loop.finding import p_text
 from ..loop.heldout import HeldOut
 from ..loop.problem import Model
-from ..report.page import Head, Section
+from ..report.page import Head, Section, show
 from ..report.prose import Draft, Prose
 from . import figures
 from .confirm import Solid
@@ -54,7 +56,8 @@ HEADS: dict[str, Head] = {
 }
 SIGMA: dict[str, Head] = {"before": ("before", "σ"), "after": ("after", "σ")}
 path = Path(__file__).with_name("words.j2")
-prose = Prose(path, HEADS, title_of=title_of, names_of=names_of)
+words_of_p = partial(p_text, shown=partial(show, digits=2))
+prose = Prose(path, HEADS, title_of=title_of, names_of=names_of, p_text=words_of_p)
 
 
 def quantity_of(rows: Rows) -> str:

@@ -16,6 +16,7 @@ from scipy.stats import norm
 
 from ...solver.arrays import Array
 from .adequacy import OCCAM, Adequacy, Direction, assess, outliers_together
+from .finding import p_text
 from .fit import Fitted, settle
 from .heldout import LEAST_SCORED, HeldOut, Judge, Scores, trimmed_rms
 from .posterior import Posterior, posterior
@@ -189,7 +190,7 @@ def _sampled(state: State, tried: Tried) -> Posterior:
 def _unfit(state: State, found: Posterior, left: Adequacy) -> str:
     """Why what a model leaves is not noise, in words; empty where it is."""
     if left.p_value <= LEFT_ALARM:
-        return f"what it leaves is not noise ({left.statistic}, p = {left.p_value:.2g})"
+        return f"what it leaves is not noise ({left.statistic}, {p_text(left.p_value)})"
     if _large(state.data, left.residual):
         return "what it leaves is larger than the declared noise"
     cost = state.cost * (len(found.effects) - 1)

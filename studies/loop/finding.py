@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields, is_dataclass
 from enum import StrEnum
 from typing import Any
@@ -21,6 +21,14 @@ SURE = 0.9
 # press against its bounds.
 KNOWN = 0.05
 SEEN_BY = "what is missing is seen by this: "
+# Below it the tails of distributions are rounding.
+LEAST_P = 1e-300
+
+
+def p_text(p_value: float, shown: Callable[[float], str] = "{:.2g}".format) -> str:
+    """A p-value as a sentence has it: what it is, or below what it is where it hardly is a
+    number."""
+    return f"p < {LEAST_P:g}" if p_value < LEAST_P else f"p = {shown(p_value)}"
 
 
 class Verdict(StrEnum):

@@ -104,6 +104,15 @@ def test_the_verdict_has_the_keys_of_the_contract_and_names_what_is_missing(worn
     assert command in (worn[1] / "report.html").read_text()
 
 
+def test_a_p_value_that_is_hardly_a_number_is_told_as_less_than_one(worn):
+    content = read_strictly(worn[1] / "verdict.json")
+    for p_value in (3e-310, 0.0):
+        told = dict(close_loop_study.summary(content | {"detection": {"p_value": p_value}}))
+        assert told["something is missing"] == (
+            "p < 1e-300: chance makes data as odd as these less than once in a billion times"
+        )
+
+
 def test_a_difference_between_sessions_is_seen_and_no_effect_is_named_for_it(tmp_path, quick):
     """Of two that alternate at random, the second reads lower by some errors of measurement."""
     folder = write_drops(tmp_path / "data")
