@@ -31,7 +31,7 @@ from pydantic import BaseModel
 from ...meshes.collective import run_on_one_rank, with_mpi
 from ...solver.contact_phase import HISTORY_COLUMNS
 from ...solver.effects.base import Effect as Effect
-from ...solver.errors import InputError
+from ...solver.errors import BristleError, InputError
 from ..brush.inputs import BrushInputs
 from ..drop import run_drop, simulate_drop
 from ..inputs.brush_fields import BRUSH_FLAGS
@@ -111,12 +111,17 @@ def _passed_through() -> tuple[str, ...]:
 
 @contextmanager
 def _call() -> Iterator[None]:
-    """One call: it raises warnings, and forgets the effects and kinds of its plugins."""
+    """One call: it raises warnings, and forgets the effects and kinds of its plugins. What it warns
+    of, and its errors, have the names of inputs in place of those of options."""
     handler = _AsWarnings()
     LOG.addHandler(handler)
     try:
         with forgotten_afterwards():
             yield
+    except BristleError as error:
+        about = f" ({', '.join(error.inputs)})" if error.inputs else ""
+        error.args = (f"{in_python(str(error))}{about}",)
+        raise
     finally:
         LOG.removeHandler(handler)
 

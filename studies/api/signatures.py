@@ -27,7 +27,11 @@ from ..inputs.sources import OPTIONS
 
 # Further names of inputs that take several, as they are called where there is one.
 ALIASES = {"model": "models", "height_m": "heights_m"}
-FIELDS = {option: name for name, option in OPTIONS.items()} | {"--no-fields": "write_fields=False"}
+FIELDS = {option: name for name, option in OPTIONS.items()} | {
+    "--no-fields": "write_fields=False",
+    "--out": "out",
+    "--truth": "truth",
+}
 
 
 @dataclass(frozen=True)

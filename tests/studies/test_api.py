@@ -24,10 +24,12 @@ import bristle
 from bristle.solver import paper
 from bristle.solver.effects.base import Effect, Parameter, Place
 from bristle.solver.effects.library import EFFECTS
+from bristle.solver.errors import ComputationError
 from bristle.studies.api import SIGNATURES
 from bristle.studies.api.signatures import in_python
 from bristle.studies.cli import main
 from bristle.studies.loop.kinds.drops import problem as drops_module
+from bristle.studies.running.cases import CaseSession
 from bristle.studies.running.mark import MARK
 
 pytestmark = [pytest.mark.serial, pytest.mark.usefixtures("no_pictures")]
@@ -91,11 +93,23 @@ def test_a_name_that_is_none_is_refused():
         (lambda: bristle.drop(comm=3), "comm: must be a communicator"),
         (lambda: bristle.synth(truth=3), "truth: must be a file"),
         (lambda: EFFECTS["wear"]("a"), "wear: decades must be a number"),
+        (lambda: bristle.track("x.mp4", diameter_mm=3.0), "diameter_mm: is for body ball"),
+        (lambda: bristle.drop(out="/proc/none"), "out /proc/none: cannot be written"),
     ],
 )
 def test_wrong_inputs_are_named_as_they_were_given(call, words):
     with pytest.raises(bristle.InputError, match=f"^{words}"):
         call()
+
+
+def test_errors_of_computing_name_inputs_as_well(monkeypatch):
+    def fail(self, inputs, *others):
+        raise ComputationError("it is too stiff; lower --kn or --its", inputs=("until",))
+
+    monkeypatch.setattr(CaseSession, "run", fail)
+    with pytest.raises(bristle.ComputationError) as raised:
+        bristle.drop(model="analytic")
+    assert str(raised.value) == "it is too stiff; lower kn_N_m or its_s (until)"
 
 
 def test_a_sweep_is_a_table(tmp_path):

@@ -127,8 +127,8 @@ def test_a_film_in_which_nothing_falls_ends_with_status_2(tmp_path):
 @pytest.mark.parametrize(
     ("inputs", "says"),
     [
-        ({"diameter_mm": 20.0}, "is for --body ball"),
-        ({"body": "ball", "length_mm": 300.0}, "is for --body bristle"),
+        ({"diameter_mm": 20.0}, "is for body ball"),
+        ({"body": "ball", "length_mm": 300.0}, "is for body bristle"),
         ({"roi": (0, 0, 5000, 10)}, "lies outside the picture"),
     ],
 )
