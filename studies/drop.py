@@ -82,6 +82,8 @@ def run_drop(
         return there
     warnings = _warned(input_warnings(inputs))
     with by_rank_0(together(out, results.RESULT_FILE), comm):
+        earlier = out / FIELDS, out / results.SCRIPT_FILE
+        run_on_one_rank(comm, lambda: remove(*earlier))
         with compilation_noted(), session_on(comm, session) as own:
             how = {"every_s": keep_s, "resume": resume}
             result, timings = _compute(inputs, out, own, observe, **how)
@@ -160,14 +162,10 @@ def _compute(
         mesh = {"mesh": cast("SolidBody", prepared.frame.body).digest()}
         checkpoint = results.checkpoint(inputs, out, session.comm, mesh, **how)
         further = [] if observe is None else [_observer(observe, prepared)]
-        done = _marched_solid(session, inputs, prepared, checkpoint, out / FIELDS, further)
-        if inputs.write_fields:
-            return done
-    else:  # compiled code is done with soon
-        with working(f"dropping the {inputs.model} model from {inputs.height_m:g} m"):
-            done = session.run(inputs, prepared=prepared)
-    run_on_one_rank(session.comm, lambda: remove(out / FIELDS))
-    return done
+        return _marched_solid(session, inputs, prepared, checkpoint, out / FIELDS, further)
+    # compiled code is done with soon
+    with working(f"dropping the {inputs.model} model from {inputs.height_m:g} m"):
+        return session.run(inputs, prepared=prepared)
 
 
 def _marched_solid(

@@ -141,9 +141,8 @@ def _finish(varied: Sequence[str], rows: Sequence[Row], out: Path) -> dict[str, 
     for name, members in pictures.items():
         curves = {(row["model"], row["y0_m"], row["kn_N_m"]): _path(row) for row in members}
         names += write_picture(out / name, picture(height_figure(curves)))
-    for name in Mark.read(out).files:  # of an earlier sweep
-        if name not in names and re.fullmatch(rf"{FIGURE}[-.\w+]*\.(svg|png)", name):
-            remove(out / name)
+    ours = re.compile(rf"{FIGURE}[-.\w+]*\.(svg|png)")
+    remove(*(out / name for name in Mark.read(out).files if ours.fullmatch(name)))
     return {"files": names}
 
 

@@ -38,6 +38,7 @@ from .running.files import (
     folder_in_place,
     new_folders,
     prepare_folder,
+    remove,
     to_json,
     together,
     write_atomically,
@@ -255,6 +256,7 @@ def write_dataset(made: Made, folder: Path, truth: Path) -> dict[str, Any]:
     """
     prepare_dataset(folder, truth)
     with together(folder, MANIFEST_FILE):
+        remove(folder / FILMS)
         write_atomically(folder / TABLE_FILE, table_of(made))
         write_atomically(folder / MANIFEST_FILE, manifest_of(made.recipe))
         return _write_truth(made, truth)
@@ -301,6 +303,7 @@ def write_films(made: Made, folder: Path, truth: Path) -> dict[str, Any]:
 
     prepare_dataset(folder, truth, f"{FILMS}/")
     with together(folder), folder_in_place(folder / FILMS) as films:
+        remove(*(folder / name for name in FILES))
         with progress("films", len(made.scenes)) as advance:
             for k in range(len(made.scenes)):
                 rng = np.random.default_rng([made.recipe.seed, 3, k])

@@ -8,14 +8,10 @@ import numpy as np
 
 from ..inputs.sources import command_line
 from ..inputs.study_fields import LoopInputs
-from ..report.figures import picture_files
-from ..report.page import FIGURES, Report, percent, write_report
-from ..running.files import remove
+from ..report.page import Report, percent, write_report
 from .opening import few_data, names_of_groups, opening, would_have_shown
 from .rows import Closed, Rows
 from .sections import SECTIONS, prose
-
-SOMETIMES = ("weights", "held-out", "solid")
 
 
 def write_page(closed: Closed, out: Path, version: str) -> Path:
@@ -39,12 +35,7 @@ def write_page(closed: Closed, out: Path, version: str) -> Path:
         ],
         sections=[section(rows) for section in SECTIONS],
     )
-    path = write_report(page, out)
-    drawn = {figure.name for section in page.sections for figure in section.figures}
-    for name in set(SOMETIMES) - drawn:  # of an earlier run
-        for file in picture_files(name):
-            remove(out / FIGURES / file)
-    return path
+    return write_report(page, out)
 
 
 def headline(closed: Closed) -> list[str]:

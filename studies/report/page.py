@@ -21,7 +21,7 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
 
 from .. import __version__
-from ..running.files import to_csv, together, write_atomically
+from ..running.files import remove, to_csv, together, write_atomically
 from .figures import Picture, inline_svg, write_picture
 
 # All that `write_report` writes.
@@ -310,10 +310,11 @@ def render_report(report: Report) -> str:
 def write_report(report: Report, folder: Path) -> Path:
     """Write ``report.html``, its tables as ``tables/*.csv``, its figures as ``figures/*.svg|png``.
 
-    All replace older ones together, the page last.
+    All replace those of an older page together, the page last.
     """
     page, path = render_report(report), folder / PAGE_FILE
     with together(folder, path.name):
+        remove(folder / TABLES, folder / FIGURES)
         for table in report.tables():
             write_atomically(folder / TABLES / f"{table.name}.csv", table.csv_text())
         for figure in (figure for section in report.sections for figure in section.figures):

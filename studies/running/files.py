@@ -86,11 +86,12 @@ def folder_in_place(folder: Path) -> Iterator[Path]:
         remove(folder)
 
 
-def remove(path: Path) -> None:
-    """Remove what the program wrote of an earlier result, a file or the files of a folder, at the
-    end of the block of `together`."""
-    with together(path.parent):
-        _waiting_for(path).gone.append(path)
+def remove(*paths: Path) -> None:
+    """Remove what the program wrote of an earlier result, files or the files of folders, at the end
+    of the block of `together`: those that are not written anew in it."""
+    for path in paths:
+        with together(path.parent):
+            _waiting_for(path).gone.append(path)
 
 
 @dataclass
@@ -111,7 +112,7 @@ class _Waiting:
         for name in names:
             mark.check(name)
             (self.out / name).parent.mkdir(parents=True, exist_ok=True)
-        gone = mark.below(self.gone)
+        gone = [name for name in mark.below(self.gone) if not (self.made / name).exists()]
         mark.add({name: digest(self.made / name) for name in names})
         names.sort(key=lambda name: name in self.last)
         self.aside.mkdir()

@@ -28,6 +28,8 @@ if TYPE_CHECKING:
 
 SCHEMA = 1
 RESULT_FILE, HISTORY_FILE, CHECKPOINT = "result.json", "history.csv", "checkpoint"
+# What `view` writes beside the fields of a solid.
+SCRIPT_FILE = "open_in_paraview.py"
 OTHERS = ("energy", "history", "reduction_error")
 NUMBERS = (
     *(each.name for each in fields(DropResult) if each.name not in OTHERS),

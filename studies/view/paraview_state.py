@@ -17,9 +17,9 @@ from ...solver.arrays import Array
 from ...solver.paraview import SOLID_FILE, TIP_FILE
 from ..report.page import environment
 from ..running.files import write_atomically
+from ..running.results import SCRIPT_FILE
 from .wave import Wave
 
-SCRIPT_FILE = "open_in_paraview.py"
 WHOLE_WIDTHS = 6.0
 """Height to which the whole is compressed, in widths of the section."""
 WHOLE_SPREADS = 1.5

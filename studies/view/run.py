@@ -30,9 +30,9 @@ from ..report.figures import (
     styled,
     write_picture,
 )
-from ..running.files import filled, new_folders, prepare_folder
+from ..running.files import filled, new_folders, prepare_folder, remove
 from ..running.progress import note, progress
-from ..running.results import HISTORY_FILE, RESULT_FILE
+from ..running.results import HISTORY_FILE, RESULT_FILE, SCRIPT_FILE
 
 if TYPE_CHECKING:
     from .wave import Wave
@@ -86,12 +86,13 @@ def _view_drop(result: Path, target: Path, document: dict[str, Any]) -> list[Pat
     history = read_history(result / HISTORY_FILE)
     solid = (result / FIELDS_FOLDER).is_dir()
     if solid:
-        from .paraview_state import SCRIPT_FILE, write_state_script
+        from .paraview_state import write_state_script
 
         prepare_folder(result, SCRIPT_FILE)
     prepare_folder(target, *FILES)
     touch_s, wave = touch_time_s(history), None
     with filled(target) as folder:
+        remove(*(target / name for name in FILES))
         write_picture(folder / HISTORY, picture(history_figure(history, document)))
         if solid:
             wave = _view_fields(result, document, touch_s, folder)
@@ -179,6 +180,7 @@ def _view_brush(result: Path, target: Path) -> list[Path]:
     series = BrushSeries.of(fields) if fields.is_dir() else None
     prepare_folder(target, *FILES)
     with filled(target) as folder:
+        remove(*(target / name for name in FILES))
         write_picture(folder / LOADS, picture(load_figure(means)))
         if series is None:
             note(f"{result} has no fields: for a film, compute the brush without --no-fields")

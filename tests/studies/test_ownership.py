@@ -266,6 +266,19 @@ def test_pictures_of_an_earlier_sweep_go_unless_the_user_edited_them(tmp_path):
     assert left == {edited.name, "heights.png", "heights.svg"}
 
 
+def test_pictures_of_a_solid_go_when_another_drop_takes_its_place(tmp_path):
+    out, view = tmp_path / "out", tmp_path / "out" / "view"
+    assert run(*SOLID, "--out", out)[0] == 0
+    assert run("view", out)[0] == 0
+    assert (view / "wave.gif").exists()
+    (view / "mine.png").write_text("the user's")
+    assert run(*DROP, "--out", out)[0] == 0
+    assert not (out / "open_in_paraview.py").exists()
+    assert run("view", out)[0] == 0
+    left = {path.name for path in view.iterdir()}
+    assert left == {"history.svg", "history.png", "mine.png", MARK}
+
+
 def test_what_the_user_adds_to_fields_stays_and_theirs_goes(tmp_path):
     assert run(*SOLID, "--out", tmp_path)[0] == 0
     (tmp_path / "fields" / "mine.pvsm").write_text("the user's")

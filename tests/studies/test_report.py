@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import csv
 import io
+from dataclasses import replace
 
 import numpy as np
 import pandas as pd
@@ -103,6 +104,20 @@ def test_tables_in_the_page_the_link_and_the_file_hold_the_same_numbers(report, 
     for row in rows:
         assert row["kn_MN_m"] in cells
     assert not list(tmp_path.rglob(".*"))
+
+
+def test_tables_and_figures_of_an_earlier_page_go_and_what_is_the_users_stays(report, tmp_path):
+    (section,) = report.sections
+    write_report(report, tmp_path)
+    (tmp_path / "tables" / "mine.csv").write_text("the user's")
+    (tmp_path / "figures" / "b.svg").write_text("edited by the user")
+    shorter = replace(section, figures=section.figures[:1], tables=[])
+    write_report(replace(report, sections=[shorter]), tmp_path)
+    left = {path.name for folder in ("tables", "figures") for path in (tmp_path / folder).iterdir()}
+    assert left == {"one.csv", "mine.csv", "a.svg", "a.png", "b.svg"}
+    write_report(replace(report, sections=[]), tmp_path)
+    assert [path.name for path in (tmp_path / "tables").iterdir()] == ["mine.csv"]
+    assert not (tmp_path / "figures" / "a.svg").exists()
 
 
 def test_two_tables_of_one_name_are_refused(report):

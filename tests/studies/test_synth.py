@@ -25,7 +25,8 @@ from bristle.studies.loop.responses import emulator as emulator_module
 from bristle.studies.loop.responses.emulator import PLAIN_STEP, Emulator
 from bristle.studies.loop.responses.table import Axis, Table, coefficients, evaluate
 from bristle.studies.loop.responses.table_drops import drops_of
-from bristle.studies.synth import make, table_of, truth_of, write_dataset
+from bristle.studies.running.mark import MARK
+from bristle.studies.synth import make, table_of, truth_of, write_dataset, write_films
 
 pytestmark = pytest.mark.serial
 
@@ -55,6 +56,18 @@ def test_a_written_dataset_reads_as_made_and_keeps_its_secret(body, tmp_path):
     truth = json.loads((tmp_path / "truth.json").read_text())
     assert truth["effects"] == [{"name": "contact_damping", "parameters": {"c_N_s_m": 7.0}}]
     assert np.array(truth["without_noise"]) == pytest.approx(made.true)
+
+
+def test_films_and_a_table_of_drops_do_not_lie_beside_another_truth(body, tmp_path):
+    made, folder, truth = make(Recipe(drops=6), body), tmp_path / "data", tmp_path / "truth.json"
+    one = replace(made, scenes=made.scenes[:1])
+    write_dataset(made, folder, truth)
+    (folder / "notes.txt").write_text("the user's")
+    write_films(one, folder, truth)
+    kept = {"notes.txt", MARK}
+    assert {path.name for path in folder.iterdir()} == {"films", *kept}
+    write_dataset(made, folder, truth)
+    assert {path.name for path in folder.iterdir()} == {"drops.csv", "dataset.toml", *kept}
 
 
 def test_the_truth_may_not_lie_in_the_dataset(body, tmp_path):
