@@ -120,7 +120,7 @@ def _with(problem: Problem, told: Sequence[Scatter]) -> Problem:
 def _gain(other: Finding, wider: Problem, found: Finding, known: Problem) -> float:
     """By how many nats a finding from ``wider`` errors is likelier than the one from those that are
     ``known``; minus infinity where it is none."""
-    if other.verdict is Verdict.UNKNOWN or other.noise["correlation"]:
+    if other.verdict is Verdict.UNKNOWN or float(other.noise["correlation"]) > 0.0:
         return -np.inf
     if not np.array_equal(wider.groups, known.groups):
         # by errors that are too small, what was set aside may be no slip
