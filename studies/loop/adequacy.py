@@ -99,11 +99,13 @@ class Adequacy:
 @dataclass(frozen=True)
 class Direction:
     """What a known effect does to residuals: it moves them by ``shift`` (rows,) in its one sense,
-    or widens them by ``scatter`` (rows,), a variance."""
+    or widens them by ``scatter`` (rows,), a variance. One that was ``chosen`` by the data among
+    several has no test: what it would be held against is not chosen."""
 
     name: str
     shift: Array
     scatter: Array
+    chosen: bool = False
 
 
 Statistic = Callable[[Array], Array]
@@ -142,6 +144,12 @@ def assess(
     single, simulated = p_values(values[0], values[1:])
     p_value, least = corrected(single, simulated)
     threshold = float(np.quantile(least, 0.02))
+    needed = {name: _needed(values[1:, i], threshold) for i, name in enumerate(names)}
+    by_shapes = {
+        each.name: _needed_by_shapes(free(each.shift), shapes, needed)
+        for each in directions
+        if each.chosen
+    }
     best = (-np.inf, "")
     if unlisted:
         best = max(
@@ -158,11 +166,8 @@ def assess(
         ),
         residual=z,
         noise=noise,
-        needed={
-            each.name: _needed(values[1:, names.index(each.name)], threshold)
-            for each in directions
-            if each.name in names
-        },
+        needed={each.name: needed[each.name] for each in directions if each.name in names}
+        | by_shapes,
         unlisted=best[0],
         shape=best[1],
     )
@@ -306,7 +311,7 @@ def _family(
         )
 
     senses: dict[str, list[Statistic]] = {}
-    for direction in directions:
+    for direction in (each for each in directions if not each.chosen):
         one_sided = _one_sided(direction, free)
         if one_sided is not None:
             senses.setdefault(direction.name, []).append(one_sided)
@@ -471,3 +476,19 @@ def _needed(simulated: Array, threshold: float) -> float:
     beyond = simulated[simulated > edge] - edge
     load = edge + (beyond.mean() if beyond.size else 1.0) * np.log(max(0.1 / threshold, 1.0))
     return float(np.sqrt(max(load, 0.0)) + 1.2815515655446004)
+
+
+def _needed_by_shapes(
+    shift: Array, listed: Mapping[str, Listed], needed: Mapping[str, float]
+) -> float:
+    """The d of a ``shift`` (rows,) that the tests of single shapes show, ``needed`` by their names:
+    each sees the part of it that lies along one of its shapes."""
+    unit = shift / max(float(np.linalg.norm(shift)), 1e-300)
+    return min(
+        (
+            needed[name] / max(float(np.abs(units.loads(unit[None])).max()), 1e-300)
+            for name, (units, together) in listed.items()
+            if together is None
+        ),
+        default=np.inf,
+    )

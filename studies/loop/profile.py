@@ -178,14 +178,10 @@ def _refitted(data: Sample, model: Model, u: Array, own: int, target: Array) -> 
 
 
 def directions(data: Sample, base: Fitted, profiles: Sequence[Profile]) -> list[Direction]:
-    """What each candidate does to the baseline's residuals at a moderate size, by ray.
-
-    One that the data chose among several has none: what they would be held against is not chosen.
-    """
+    """What each candidate does to the baseline's residuals at a moderate size, by ray."""
     out = []
     for each in profiles:
-        if isinstance(each.model, Chosen) and each.model.choices > 1:
-            continue
+        chosen = isinstance(each.model, Chosen) and each.model.choices > 1
         for point in each.nearest(DIRECTION_D, HIDDEN):
             found = each.features[point]
             if data.first is not data:
@@ -193,7 +189,7 @@ def directions(data: Sample, base: Fitted, profiles: Sequence[Profile]) -> list[
                 found = features(data.predict(each.model, theta), np.asarray(each.model.weights))
             mean, variance = np.split(found, 2)
             shift, scatter = mean - base.mean, np.expm1(np.sqrt(2) * variance)
-            out.append(Direction(each.name, shift, scatter))
+            out.append(Direction(each.name, shift, scatter, chosen))
     return out
 
 

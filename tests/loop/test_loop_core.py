@@ -149,6 +149,40 @@ class Late(toys.Derived):
         return self.toy.predict(late)
 
 
+@dataclass(frozen=True)
+class Parted(toys.Derived):
+    """A toy whose field the data chose among seven."""
+
+    choices: int = 7
+
+    def predict(self, theta):
+        return self.toy.predict(theta)
+
+
+def test_what_the_data_chose_shows_by_the_tests_of_shapes():
+    """Nine times in ten, at the size that is said; of 24 within three standard deviations."""
+    problem, _ = toys.problem(7, quantities=1)
+    step = (problem.covariates["order"] >= 30.0).astype(float)
+    model = problem.combine(("wear",))
+    data, base = with_baseline(problem)
+    ways = directions(
+        data, base, [profile(data, base, Parted(replace(model, parts=((step, False),))))]
+    )
+    rng = np.random.default_rng(3)
+    left = assess(data, base, ways, rng)
+    assert "wear" not in {each.name for each in left.table}
+    d = left.needed["wear"]
+    assert 3.0 < d < 8.0
+    free = Refit(base.mean_slopes)(step)
+    seen = []
+    for _ in range(24):
+        noise = rng.standard_normal(data.values.size)
+        moved = replace(data, values=base.mean + noise + d * step / np.linalg.norm(free))
+        again = settle(moved, problem.baseline, base.u[None])
+        seen.append(assess(moved, again, ways, rng, sets=299, unlisted=False).p_value <= 0.02)
+    assert stats.binom.ppf(0.001, 24, 0.9) <= np.sum(seen)
+
+
 def test_an_effect_that_begins_late_has_a_direction_and_a_limit():
     """Between 36, where it is absent, and 63, the points of a profile have sizes of 0 and 400."""
     problem, _ = toys.problem(5)
