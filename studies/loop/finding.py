@@ -168,9 +168,9 @@ class Finding:
 
     @property
     def detectable(self) -> dict[str, float | None]:
-        """The size at which each effect is noticed, in whichever direction it can be."""
+        """The least size at which each effect is noticed, in the direction that shows it best."""
         return {
-            name: max((each.size for each in limits), default=None)
+            name: min((each.size for each in limits), default=None)
             for name, limits in self.limits.items()
         }
 
