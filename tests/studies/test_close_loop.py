@@ -167,7 +167,7 @@ def test_a_column_whose_errors_nobody_declares_is_doubted_whichever_errors_are_u
     manifest = folder / "dataset.toml"
     manifest.write_text(manifest.read_text().replace("sigma_t_s", "# sigma_t_s"))
     problem = close_loop_study.problem_of(datasets.read_manifest(folder))
-    for each in (problem, problem.with_sigma(2.0)):
+    for each in (problem, problem.with_sigma({"y1 (mm)": 2.0})):
         (doubt,) = each.warnings
         assert doubt.startswith(
             "contact time (µs) is left aside: the dataset declares no sigma_t_s"
