@@ -258,7 +258,8 @@ def _find(
     bare = data.values.size <= base.u.size
     alone = _far_off(problem, data, kept.residual, best.held if best else plain)
     likelier = _likelier(state, best, explained) if best else ""
-    doubts = (alone, likelier, _spared(reported), ROUGH if final.few else "", BARE if bare else "")
+    rough, like = ROUGH if final.few else "", _like_noise(problem, tied)
+    doubts = (alone, likelier, _spared(reported), like, rough, BARE if bare else "")
     advance()
     return Finding(
         problem=problem,
@@ -328,6 +329,22 @@ def _likelier(state: State, best: Explanation, explained: Sequence[Explanation])
         f"{each.why_not}"
         for each, nats in zip(explained, by, strict=True)
         if not each.holds and nats > LIKELIER
+    )
+
+
+def _like_noise(problem: Problem, tied: Sequence[Posterior]) -> str:
+    """Whether what is named differs by chance from one value to the next, in words."""
+    names = [
+        " with ".join(each.effects)
+        for each in tied
+        if np.asarray(each.fitted.model.weights).size > 1
+    ]
+    if not names or problem.values.size > np.unique(problem.group).size:
+        return ""
+    return (
+        f"in {problem.main_quantity} alone, errors of measurement that grow with the height look "
+        f"exactly like {', '.join(names)}: measure another quantity of each drop as well, which "
+        "does not share them"
     )
 
 

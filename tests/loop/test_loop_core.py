@@ -564,9 +564,13 @@ def test_two_effects_are_found_where_sampling_finds_each_less_likely(monkeypatch
     assert set(found.effects) >= {"offset", "wear"}
 
 
-def test_scatter_is_told_from_noise():
-    found = find(toys.problem(2, {"slope": 20.0})[0], seed=2)
-    assert found.effects[:1] == ("slope",)
+@pytest.mark.parametrize("quantities", [1, 2])
+def test_scatter_is_told_from_noise(quantities):
+    """One value a drop cannot tell it from noise that grows with the height, which is said."""
+    found = find(toys.problem(2, {"slope": 20.0}, quantities=quantities)[0], seed=2)
+    assert "slope" in found.effects
+    doubted = any("errors of measurement that grow" in each for each in found.all_warnings())
+    assert doubted == (quantities == 1)
 
 
 @pytest.mark.parametrize("name", ["session", "alternation"])
