@@ -36,7 +36,7 @@ SEEN = {
     "two states": "some of the data are off by one amount, and the others are not",
     "shared within a group": "what was read of one drop is off together",
     "any function of ": "what the model leaves changes with {}",
-    WIDER_NOISE: "the data scatter more than their errors allow",
+    WIDER_NOISE: "the data lie farther from the model than their errors allow",
 }
 # Once in more than this is told no closer.
 RAREST = 1e9
@@ -120,7 +120,8 @@ def _seen(finding: Finding) -> str:
     if np.asarray(finding.model.weights).size > 1:
         return "What was measured varies more than its errors allow"
     name = finding.statistic
-    wide = finding.shape.startswith(WIDER_NOISE) and name.startswith("scatter")
+    # which has no form: any test that has one says more
+    wide = finding.shape.startswith(WIDER_NOISE) and name not in finding.needed_d
     if finding.unlisted > finding.evidences[0].log_evidence + CLEARLY and not wide:
         name = finding.shape  # the likeliest, while the least p-value may be of any that is alike
     if name in finding.needed_d:  # an effect's own test: which effect it is comes after
