@@ -92,11 +92,16 @@ class BristleWarning(UserWarning):
 
 
 class _AsWarnings(logging.Handler):
-    """Makes Python warnings of what is logged as warnings, at the caller's line."""
+    """Makes Python warnings of what is logged as warnings, at the caller's line; ``names`` are
+    those of `in_python`."""
+
+    def __init__(self, names: Mapping[str, str]) -> None:
+        super().__init__()
+        self._names = names
 
     def emit(self, record: logging.LogRecord) -> None:
         if record.levelno >= logging.WARNING:
-            message = in_python(record.getMessage())
+            message = in_python(record.getMessage(), self._names)
             warnings.warn(message, BristleWarning, skip_file_prefixes=_passed_through())
 
 
@@ -110,17 +115,17 @@ def _passed_through() -> tuple[str, ...]:
 
 
 @contextmanager
-def _call() -> Iterator[None]:
+def _call(names: Mapping[str, str] = {}) -> Iterator[None]:
     """One call: it raises warnings, and forgets the effects and kinds of its plugins. What it warns
     of, and its errors, have the names of inputs in place of those of options."""
-    handler = _AsWarnings()
+    handler = _AsWarnings(names)
     LOG.addHandler(handler)
     try:
         with forgotten_afterwards():
             yield
     except BristleError as error:
         about = f" ({', '.join(error.inputs)})" if error.inputs else ""
-        error.args = (f"{in_python(str(error))}{about}",)
+        error.args = (f"{in_python(str(error), names)}{about}",)
         raise
     finally:
         LOG.removeHandler(handler)
@@ -130,7 +135,8 @@ def _study[R](**words: str) -> Callable[[Callable[..., R]], Callable[..., R]]:
     """A method of `Session`, with the inputs that are declared, and the ``words`` of `signed`."""
 
     def of(method: Callable[..., R]) -> Callable[..., R]:
-        return _call()(signed(SIGNATURES[method.__name__], **words)(method))
+        signature = SIGNATURES[method.__name__]
+        return _call(signature.names())(signed(signature, **words)(method))
 
     return of
 

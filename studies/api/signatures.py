@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import inspect
 import re
-from collections.abc import Callable, Collection, Iterable
+from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass
 from enum import StrEnum
 from functools import reduce
@@ -47,6 +47,10 @@ class Signature:
         there = {flag.field for flag in self.flags}
         return {one: many for one, many in ALIASES.items() if many in there and one not in there}
 
+    def names(self) -> dict[str, str]:
+        """Its inputs by the options of the command."""
+        return {flag.option: flag.field for flag in self.flags}
+
     def parameters(self) -> list[inspect.Parameter]:
         """Each input as a keyword, as it is declared."""
         found = [_keyword(flag.field, self._kind(flag), self._default(flag)) for flag in self.flags]
@@ -59,12 +63,13 @@ class Signature:
     def described(self) -> str:
         """The inputs as numpydoc has them: type, unit, meaning, default."""
         lines: list[str] = []
+        names = self.names()
         for flag, parameter in zip(self.flags, self.parameters(), strict=False):
             unit = UNITS.get(unit_of(flag.field))
             kind = type_text(parameter.annotation)
             lines.append(f"{flag.field} : {kind}{f', in {unit}' if unit else ''}")
-            words = in_python(flag.help)
-            if default := in_python(_default_text(flag, parameter.default)):
+            words = in_python(flag.help, names)
+            if default := in_python(_default_text(flag, parameter.default), names):
                 words += f" Default: {default}."
             lines.append(_indented(words))
         for one, many in self.aliases().items():
@@ -140,9 +145,11 @@ def type_text(kind: Any) -> str:
     return str(kind.__name__)
 
 
-def in_python(text: str) -> str:
-    """A help text with the names of inputs in place of those of options."""
-    return re.sub(r"--[a-z][a-z0-9-]*", lambda found: FIELDS.get(found[0], found[0]), text)
+def in_python(text: str, own: Mapping[str, str] = {}) -> str:
+    """A help text with the names of inputs in place of those of options, first those that a
+    function has of its ``own``."""
+    names = {**FIELDS, **own}
+    return re.sub(r"--[a-z][a-z0-9-]*", lambda found: names.get(found[0], found[0]), text)
 
 
 def _python_type(kind: Any) -> Any:
