@@ -29,6 +29,8 @@ PAGE_FILE, TABLES, FIGURES = "report.html", "tables", "figures"
 REPORT_FILES = (PAGE_FILE, f"{TABLES}/", f"{FIGURES}/")
 TEMPLATES = Path(__file__).parent / "templates"
 ROWS_SHOWN = 120
+# Below it a number, such as the p-value of a far tail, is rounding.
+LEAST = 1e-300
 # How a text begins that a spreadsheet would compute.
 FORMULA = ("=", "+", "-", "@", "\t", "\r")
 
@@ -251,6 +253,8 @@ def show(value: Value, digits: int = 4) -> str:
         return "–"
     if math.isinf(value):
         return "∞" if value > 0 else "−∞"
+    if 0.0 < value < LEAST:
+        return "< 10^−300"
     if digits == 0:
         return f"{value:g}".replace("-", "−")
     if value != 0.0 and not 1e-3 <= abs(value) < 10 ** max(digits, 5):

@@ -218,6 +218,7 @@ def test_words_without_their_values_and_values_without_words_are_refused(prose):
         (0.65755, 4, "0.6575"),
         (1651.07, 4, "1651"),
         (0.0, 4, "0.000"),
+        (3e-310, 2, "< 10^−300"),
         (-2.71e-5, 2, "−2.7·10^−5"),
         (None, 4, "–"),
         (float("inf"), 4, "∞"),
