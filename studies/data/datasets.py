@@ -302,7 +302,7 @@ def _read(folder: Path) -> _Declarations:
     path = inside(folder, "dataset.toml")
     if not exists(folder):
         raise InputError(f"{folder}: there is no such folder")
-    if not exists(path):
+    if not exists(path) and not path.is_symlink():
         raise InputError(
             f"{path}: is missing, without which nothing says what was measured; "
             "docs/measurements.md shows how to write it, and `bristle track` makes it from films"
