@@ -35,9 +35,9 @@ from .time.motion import Flyer, Stance, centre, flyer, landing, turned
 TOO_MANY, FALLEN, GAINED, OFF_BUDGET = 5, 6, 7, 8
 # Contact in an impact that lasts longer, in seconds and in radians of the mass on its spring, is
 # taken not to end. A bristle that leans by more than 6 degrees slides on, for up to a period of its
-# slowest bending. Contact by a linear spring, and by one that pulls, is taken to go on for good
-# after the radians of the spring or of the slowest axial wave with the tip held, whichever is
-# later. Bristles that let go, leaning by up to 8 degrees, do so within two thirds of that.
+# slowest bending. Contact by one that pulls, and by a linear spring with friction, is taken to go
+# on for good after the radians of the spring or of the slowest axial wave with the tip held,
+# whichever is later.
 LONGEST_S, LONGEST_RAD = 0.004, 20.0
 FAILURES = {
     modal_march.NOT_CONVERGED: "the contact forces did not converge; shorten the ITS",
@@ -321,7 +321,7 @@ def _dropped(
     out = np.zeros((len(drops), len(Outcome._fields)))
     status = np.zeros(len(drops), dtype=np.int64)
     rest: NDArray[np.bool_] = np.ones(len(drops), dtype=bool)
-    followed = _followed_s(marcher, slides)
+    followed = _followed_s(marcher, bool((drops.mu > 0.0).all()), slides)
     for axes in (COLUMN, *PLANES):
         seen = seen_along(marcher.body, axes)
         if seen is not None and (own := rest & drops.push_along(seen)).any():
@@ -335,13 +335,13 @@ def _dropped(
     return out, status
 
 
-def _followed_s(marcher: Marcher, slides: bool) -> float:
-    """How long contact is followed at least, in s; where the bristle ``slides`` on, that is to its
-    end."""
+def _followed_s(marcher: Marcher, rubs: bool, slides: bool) -> float:
+    """How long contact, which ``rubs`` where there is friction, is followed at least, in s; where
+    the bristle ``slides`` on, that is to its end."""
     assert isinstance(marcher.body, ModalBody)
     points, column = marcher.tables()[1].points, seen_along(marcher.body, COLUMN)
     longest = LONGEST_S
-    if column is not None and (points.kind.pulls or len(points.law) == 1):
+    if column is not None and (points.kind.pulls or (rubs and len(points.law) == 1)):
         # with its tip held, its slowest wave takes twice as long as if free
         longest = LONGEST_RAD * slowest_period_s(column.body) / math.pi
     return max(longest, slowest_period_s(marcher.body)) if slides else longest

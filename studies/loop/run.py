@@ -51,6 +51,8 @@ LIKELIER = 1.0
 CLEARLY = 3.0
 # Beyond so many nats nobody wants to know how many times.
 MANY = math.log(1e3)
+# How often errors are held against the scatter again until they match it.
+MATCHED = 3
 # Nats by which of two explanations one is hardly likelier.
 CLOSE = 3.0
 # Declared standard deviations by which a few values are worth a second look.
@@ -111,10 +113,17 @@ def find(
 
 
 def _with(problem: Problem, told: Sequence[Scatter]) -> Problem:
-    """The problem with errors as large as values scatter, of the quantities that are told."""
+    """The problem with errors as large as values scatter, of the quantities that are told.
+
+    The error of the height before has a share in what they scatter by, which is not theirs.
+    """
     if not told or problem.with_sigma is None:
         return problem
-    return problem.with_sigma({each.quantity: each.ratio for each in told})
+    times = {each.quantity: each.ratio for each in told}
+    for _ in range(MATCHED):
+        again = {each.quantity: each.ratio for each in Scatter.each(problem.with_sigma(times))}
+        times = {name: size * again.get(name, 1.0) for name, size in times.items()}
+    return problem.with_sigma(times)
 
 
 def _gain(other: Finding, wider: Problem, found: Finding, known: Problem) -> float:

@@ -41,21 +41,19 @@ class Scatter:
     """How far values of a quantity scatter about what is smooth in height and order.
 
     ``ratio`` is that over what their declared errors make, which is ``declared`` in the quantity's
-    unit, ``error`` the relative standard error of either.
+    unit, ``error`` the relative standard error of either; ``near`` is the ratio by which values
+    scatter at least, whatever drifts there are.
     """
 
     quantity: str
     ratio: float
     error: float
     declared: float
+    near: float
 
     @classmethod
     def each(cls, problem: Problem) -> list[Self]:
-        """Those of a problem's quantities; none where nothing is declared, or values are too few.
-
-        A drift, or a wave, is no scatter. So where values differ from their neighbours in the order
-        or over the height by less than they scatter, beyond doubt, those differences count.
-        """
+        """Those of a problem's quantities with values enough; none where nothing is declared."""
         records = first_of(problem.covariates, WITHIN) is not None
         if not problem.sigma_declared or problem.with_sigma is None or records:
             return []
@@ -87,18 +85,19 @@ class Scatter:
 
         ratio = float(qn_scale(left)) * math.sqrt(mine.size / (mine.size - rank))
         error = SCALE_ERROR / math.sqrt(mine.size - rank)
+        near = ratio / (1.0 + SURE * error)
         for each in x:
-            near = left[np.argsort(each, kind="stable")]
-            if np.ptp(each) and _alike(near):
-                own = float(qn_scale(np.diff(near))) / math.sqrt(2.0)
-                ratio, error = min((ratio, error), (own, BY_NEIGHBOURS * error))
+            row = left[np.argsort(each, kind="stable")]
+            if np.ptp(each) and _alike(row):
+                apart = float(qn_scale(np.diff(row))) / math.sqrt(2.0)
+                near = min(near, apart / (1.0 + SURE * BY_NEIGHBOURS * error))
         declared = float(np.median(problem.scale[mine]))
         # what is read to the same mark scatters by no less than rounding does
         steps = np.diff(np.unique(np.round(problem.values[mine] * problem.scale[mine], 9)))
         if not steps.size:
             return None
         ratio = max(ratio, float(steps.min()) / math.sqrt(12.0) / declared)
-        return cls(name, ratio, error, declared)
+        return cls(name, ratio, error, declared, near)
 
     @property
     def cost(self) -> float:
@@ -114,8 +113,9 @@ class Scatter:
 
     @property
     def larger(self) -> bool:
-        """Whether it is more than noise of the declared size may have, beyond doubt."""
-        return self.ratio / (1.0 + SURE * self.error) > MOST_SCALE
+        """Whether it is more than noise of the declared size may have, beyond doubt. A drift, or a
+        wave, is no scatter: where neighbours are alike, their differences have to be as well."""
+        return self.near > MOST_SCALE
 
     def would_be(self) -> str:
         """The error bars' being wrong, as the subject of a sentence."""

@@ -117,7 +117,7 @@ def test_each_direction_is_told_from_where_on_it_shows(clean, name, first, limit
     found = replace(clean, limits={name: limits})
     (told,) = would_have_shown(found, replace(made, candidates=[model]))
     assert told == f"{EFFECTS[name].title} {words}"
-    assert found.detectable == {name: max(each.size for each in limits)}
+    assert found.detectable == {name: min(each.size for each in limits)}
 
 
 def test_effects_that_are_tied_are_all_told_and_so_is_which_go_together(worn):

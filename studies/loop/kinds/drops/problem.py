@@ -97,11 +97,6 @@ def drops_problem(data: datasets.Drops, wrong: tuple[Entry, ...] = ()) -> Proble
     if entries:
         aside = [n for each in entries for n in each.drops[each.kind == "repeated" :]]
         return drops_problem(every.of(~np.isin(every.drop, aside)), (*wrong, *entries))
-    sigma_0 = bare.errors.sigma_y0_m
-    if _one_height(data.y0_m, sigma_0):
-        mean, error = float(np.mean(data.y0_m)), sigma_0 / math.sqrt(len(data.y0_m))
-        data = replace(data, y0_m=np.full(len(data.y0_m), mean), sigma_y0_m=error)
-        bare, values, notes = _bare(data)
     seen = _seen(bare, start, values)
     session, partings, near = sessions(data, seen.left)
     bare = replace(bare, drops=replace(bare.drops, session=session, partings=partings))
@@ -137,7 +132,7 @@ def drops_problem(data: datasets.Drops, wrong: tuple[Entry, ...] = ()) -> Proble
             and (partings or name != "session")
         ],
         combine=model,
-        experiments=experiments(drops, sigmas, _proposed(bare, start, seen.ratios, sigma_0)),
+        experiments=experiments(drops, sigmas, _proposed(bare, start, seen.ratios)),
         confirm=None if emulator.no_solid else confirm,
         confirm_why=emulator.no_solid,
         sigma_declared=data.sigma_y_m is not None,
@@ -193,7 +188,9 @@ def _seen(bare: DropModel, start: Array, values: Array) -> _Seen:
     errors = replace(plain, whiten=plain.factors(slopes), values=values if close else None)
     expected = predicted * np.stack([each(drops.y0_m) for each in fits], axis=1)
     height_m = drops.y0_m
-    if close:
+    if _one_height(drops.y0_m, plain.sigma_y0_m):
+        height_m = np.full(len(drops), float(np.mean(drops.y0_m)))
+    elif close:
         height_m = _fitted_heights(height_m, errors, slopes, values - expected)
     left = (values - expected) / np.hypot(plain.sigma, plain.sigma_y0_m * slopes)
     return _Seen(errors, height_m, left, ratios)
@@ -214,12 +211,9 @@ def _second(data: datasets.Drops, session: Array, near: tuple[int, int]) -> str:
     )
 
 
-def _proposed(
-    bare: DropModel, start: Array, ratios: Mapping[int, Legendre], sigma_0: float
-) -> Build:
-    """What builds models of other drops, with the errors that these have shown; ``sigma_0`` is that
-    of a height before."""
-    sigma_y = float(bare.errors.sigma[0])
+def _proposed(bare: DropModel, start: Array, ratios: Mapping[int, Legendre]) -> Build:
+    """What builds models of other drops, with the errors that these have shown."""
+    sigma_0, sigma_y = bare.errors.sigma_y0_m, float(bare.errors.sigma[0])
 
     def build(other: Drops, known: Mapping[int, float], effects: tuple[str, ...]) -> DropModel:
         each = np.array([known[q] for q in other.quantities])
@@ -295,9 +289,8 @@ def _close_together(y0_m: Array, sigma_y0_m: float) -> bool:
 
 
 def _one_height(y0_m: Array, sigma_y0_m: float) -> bool:
-    """Whether heights differ by no more than they err. Then nothing can hang on them, and all are
-    taken to be their mean: a height as read, or as fitted to the readings after the impact, errs
-    together with what these leave."""
+    """Whether heights differ by no more than they err: then nothing can hang on them, and heights
+    that are fitted to what scatters for another reason would follow it."""
     n = len(y0_m)
     most = sigma_y0_m**2 * (1.0 + ONE_HEIGHT * math.sqrt(2.0 / (n - 1)))
     return bool(np.var(y0_m, ddof=1) < most)
