@@ -200,8 +200,9 @@ def unowned(_context: Any, record: Any) -> Any:
     """Arrays, or records of them, whose views nobody counts.
 
     Numba counts the views of an array by atomic operations, which in loops over small views cost a
-    quarter of the time. This is for arrays that come from Python, which owns them for as long as
-    the call lasts. One that compiled code makes would be freed while its views are in use.
+    quarter of the time, and more. This is for arrays that come from Python, which owns them for as
+    long as the call lasts, and for those that compiled code makes and holds in another record until
+    their views are no longer used. Else they would be freed while these are.
     """
 
     def without(context: Any, builder: Any, of: Any, value: Any) -> Any:

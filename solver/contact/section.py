@@ -36,7 +36,7 @@ SLOW, FEW = 0.2, 8
 class Room(NamedTuple):
     """Where a solution is worked out, so that no step makes arrays: coordinates, their last values,
     a step of Newton's method, the residual and gathered forces (r,), the points' slopes (n, 6), the
-    contact's stiffness and Newton's matrix (r, r)."""
+    contact's stiffness and Newton's matrix (r, r), which is empty beyond `FEW` coordinates."""
 
     z: Array
     old: Array

@@ -149,7 +149,9 @@ def in_python(text: str, own: Mapping[str, str] = {}) -> str:
     """A help text with the names of inputs in place of those of options, first those that a
     function has of its ``own``."""
     names = {**FIELDS, **own}
-    return re.sub(r"--[a-z][a-z0-9-]*", lambda found: names.get(found[0], found[0]), text)
+    return re.sub(
+        r"(?<![\w/.-])--[a-z][a-z0-9-]*", lambda found: names.get(found[0], found[0]), text
+    )
 
 
 def _python_type(kind: Any) -> Any:

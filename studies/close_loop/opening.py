@@ -80,7 +80,8 @@ def _held(finding: Finding, held: HeldOut) -> str:
     gains = {name: one**2 - other**2 for name, (one, other) in held.by_quantity.items()}
     changed = max(gains, key=lambda name: gains[name])
     main = finding.problem.main_quantity
-    if held.rms_after > HARDLY * held.rms_before and changed != main:
+    elsewhere = changed != main and gains[changed] > 0.0
+    if elsewhere and held.rms_after > HARDLY * held.rms_before:
         one, other = (f"{each:.2g}" for each in held.by_quantity[changed])
         return (
             f"{where} of {changed} falls from {one} to {other} standard deviations. That of "

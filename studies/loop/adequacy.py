@@ -145,11 +145,10 @@ def assess(
     p_value, least = corrected(single, simulated)
     threshold = float(np.quantile(least, 0.02))
     needed = {name: _needed(values[1:, i], threshold) for i, name in enumerate(names)}
-    by_shapes = {
-        each.name: _needed_by_shapes(free(each.shift), shapes, needed)
-        for each in directions
-        if each.chosen
-    }
+    by_shapes: dict[str, float] = {}
+    for each in (each for each in directions if each.chosen):
+        there = _needed_by_shapes(free(each.shift), shapes, needed)
+        by_shapes[each.name] = max(there, by_shapes.get(each.name, 0.0))
     best = (-np.inf, "")
     if unlisted:
         best = max(

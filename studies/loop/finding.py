@@ -28,7 +28,7 @@ LEAST_P = 1e-300
 def p_text(p_value: float, shown: Callable[[float], str] = "{:.2g}".format) -> str:
     """A p-value as a sentence has it: what it is, or below what it is where it hardly is a
     number."""
-    return f"p < {LEAST_P:g}" if p_value < LEAST_P else f"p = {shown(p_value)}"
+    return f"p < {LEAST_P:g}" if p_value <= LEAST_P else f"p = {shown(p_value)}"
 
 
 class Verdict(StrEnum):
@@ -191,8 +191,9 @@ class Finding:
         pressed = set(self.at_bounds) - set(self.unidentified)
         if self.verdict is not Verdict.ADEQUATE:
             out += [
-                f"{name} is fitted as far off as it may be, {each.low:.4g} to {each.high:.4g} "
-                f"({each.why}): check whether it may be farther off, which could be what is missing"
+                f"{name} lies on a bound, and may be {each.low:.4g} to {each.high:.4g} only"
+                f"{f' ({each.why})' * bool(each.why)}: if it may be more or less in your data, "
+                "that could be what is missing"
                 for name, each in known.items()
                 if name in pressed
             ]

@@ -89,9 +89,8 @@ def find(
     if problem.records:
         return _of_records(problem, seed, alarm, advance)
     told = Scatter.each(problem)
-    smaller, larger = (
-        [each for each in told if getattr(each, way)] for way in ("far_smaller", "larger")
-    )
+    smaller = [each for each in told if each.far_smaller]
+    larger = [each for each in told if each.larger]
     known = _with(problem, smaller)
     found, wrong, doubt = _find(known, seed, alarm, advance), smaller, ""
     if larger:
@@ -107,7 +106,8 @@ def find(
                 doubt = f"with the errors as declared, {names} explains these data nearly as well"
             found, wrong = other, [*smaller, *larger]
         elif gain > -CLOSE:
-            doubt = f"{larger[0].would_be()} would explain these data nearly as well"
+            bars = " and ".join(each.would_be() for each in larger)
+            doubt = f"{bars} would explain these data nearly as well"
     words = [*(each.words() for each in wrong), *filter(None, [doubt])]
     return replace(found, warnings=(*words, *found.warnings))
 

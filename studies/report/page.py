@@ -253,7 +253,7 @@ def show(value: Value, digits: int = 4) -> str:
         return "–"
     if math.isinf(value):
         return "∞" if value > 0 else "−∞"
-    if 0.0 < value < LEAST:
+    if 0.0 < value <= LEAST:
         return "< 10^−300"
     if digits == 0:
         return f"{value:g}".replace("-", "−")

@@ -208,7 +208,9 @@ def test_what_is_known_beforehand_is_doubted_only_where_the_data_press_against_i
     pressing = replace(of, at_bounds=("gain",), unidentified=())
     assert pressing.all_warnings() == []
     (pressed,) = replace(pressing, verdict=Verdict.UNKNOWN).all_warnings()
-    assert pressed.startswith("gain is fitted as far off as it may be, 0.995 to 1.005 (class 0.5)")
+    assert pressed.startswith(
+        "gain lies on a bound, and may be 0.995 to 1.005 only (class 0.5): if"
+    )
 
 
 def test_what_cannot_be_leads(worn):
