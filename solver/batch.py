@@ -110,17 +110,17 @@ class Drops:
             None if self.damping is None else self.damping[which],
         )
 
-    def push_along(self, seen: Seen) -> NDArray[np.bool_]:
-        """Which drops (drops,) push a section along the axes of ``seen`` alone, and alike wherever
+    def confined_to(self, part: SymmetricPart) -> NDArray[np.bool_]:
+        """Which drops (drops,) push a section along the axes of a ``part`` alone, and alike where
         it has one point for several."""
-        across = [axis for axis in (0, 1) if axis not in seen.axes]
+        across = [axis for axis in (0, 1) if axis not in part.axes]
         tilts = np.stack([self.tilt_deg, self.tilt_wide_deg], axis=1)
         still = (tilts[:, across] == 0.0).all(axis=1)
         level = (np.abs(self.normals[:, :, across]) <= ROUNDING).all(axis=(1, 2))
-        first = seen.points[seen.group]
+        first = part.points[part.group]
         uneven = np.abs(self.rises_m - self.rises_m[:, first]).max(axis=1)
         alike = (self.scale == self.scale[:, first]).all(axis=1)
-        return still & level & alike & (uneven <= ROUNDING * seen.size_m)
+        return still & level & alike & (uneven <= ROUNDING * part.size_m)
 
     @classmethod
     def on_plane(
@@ -321,26 +321,25 @@ def _dropped(
     out = np.zeros((len(drops), len(Outcome._fields)))
     status = np.zeros(len(drops), dtype=np.int64)
     rest: NDArray[np.bool_] = np.ones(len(drops), dtype=bool)
-    followed = _followed_s(marcher, bool((drops.mu > 0.0).all()), slides)
-    for axes in (COLUMN, *PLANES):
-        seen = seen_along(marcher.body, axes)
-        if seen is not None and (own := rest & drops.push_along(seen)).any():
-            part = Marcher(
-                seen.body, marcher.method, marcher.scheme, marcher.its_s, marcher.gravity_m_s2
+    parts = [symmetric_part(marcher.body, axes) for axes in (COLUMN, *PLANES)]
+    followed = _followed_s(marcher, parts[0], bool((drops.mu > 0.0).all()), slides)
+    for part in parts:
+        if part is not None and (own := rest & drops.confined_to(part)).any():
+            reduced = Marcher(
+                part.body, marcher.method, marcher.scheme, marcher.its_s, marcher.gravity_m_s2
             )
-            some = drops.chosen(own, seen.points)
-            out[own], status[own] = _drop(part, some, marcher, followed)
+            some = drops.chosen(own, part.points)
+            out[own], status[own] = _drop(reduced, some, marcher, followed)
             rest &= ~own
     out[rest], status[rest] = _drop(marcher, drops.chosen(rest), marcher, followed)
     return out, status
 
 
-def _followed_s(marcher: Marcher, rubs: bool, slides: bool) -> float:
+def _followed_s(marcher: Marcher, column: SymmetricPart | None, rubs: bool, slides: bool) -> float:
     """How long contact, which ``rubs`` where there is friction, is followed at least, in s; where
-    the bristle ``slides`` on, that is to its end."""
+    the bristle ``slides`` on, that is to its end. Upright drops see its ``column``."""
     assert isinstance(marcher.body, ModalBody)
-    points, column = marcher.tables()[1].points, seen_along(marcher.body, COLUMN)
-    longest = LONGEST_S
+    points, longest = marcher.tables()[1].points, LONGEST_S
     if column is not None and (points.kind.pulls or (rubs and len(points.law) == 1)):
         # with its tip held, its slowest wave takes twice as long as if free
         longest = LONGEST_RAD * slowest_period_s(column.body) / math.pi
@@ -399,8 +398,8 @@ def _drop(
 
 
 @dataclass(frozen=True)
-class Seen:
-    """A ``body`` as drops see it that push its end section along ``axes`` alone.
+class SymmetricPart:
+    """What moves of a ``body`` whose end section is pushed along ``axes`` alone.
 
     ``points`` (k,) are those that stand for all of the section's, and ``group`` (n,) says which of
     them for which; ``size_m`` is the section's greatest extent.
@@ -413,11 +412,11 @@ class Seen:
     size_m: float
 
 
-def seen_along(body: ModalBody, axes: tuple[int, ...]) -> Seen | None:
-    """The body as such drops see it, or None where they see more of it.
+def symmetric_part(body: ModalBody, axes: tuple[int, ...]) -> SymmetricPart | None:
+    """What moves of a body whose end section is pushed along ``axes`` alone; None where points that
+    lie at the same place along these do not move alike.
 
-    A ground that pushes along ``axes`` alone moves points alike that lie at the same place along
-    them: they are one point. Only the modes that it loads move.
+    Such points are one, and only the modes that they load move.
     """
     every = body.contact
     n, along = len(every.weights), list(axes)
@@ -454,7 +453,7 @@ def seen_along(body: ModalBody, axes: tuple[int, ...]) -> Seen | None:
         places_m=share @ every.places_m,
     )
     bends = body.axis if len(along) == 2 else None
-    part = replace(
+    moving = replace(
         body,
         omega2=body.omega2[own],
         translation=translation,
@@ -462,4 +461,4 @@ def seen_along(body: ModalBody, axes: tuple[int, ...]) -> Seen | None:
         contact=contact,
         axis=bends and bends.in_modes(np.eye(len(own))[:, own]),
     )
-    return Seen(axes, part, points, group, float(np.ptp(every.places_m, axis=0).max()))
+    return SymmetricPart(axes, moving, points, group, float(np.ptp(every.places_m, axis=0).max()))

@@ -14,14 +14,13 @@ from .rows import Closed, Rows
 from .sections import SECTIONS, prose
 
 
-def write_page(closed: Closed, out: Path, version: str) -> Path:
+def write_page(closed: Closed, out: Path) -> Path:
     """Write ``report.html``, ``tables/`` and ``figures/`` into ``out``; returns the page's path."""
     rows, manifest, asked = Rows(closed), closed.manifest, closed.inputs
     page = Report(
         title=f"What the model lacks: {manifest.title}",
         lead="From measured data the model is fitted, what it leaves is traced to an effect that "
         "it lacks, and the error is told before and after on data that took no part.",
-        version=version,
         command=command_line("close-loop", asked, LoopInputs(), out, manifest.folder),
         headline=headline(closed),
         facts=[

@@ -165,7 +165,7 @@ def _run(
         closed = close(manifest, problem, inputs)
         content = verdict(closed)
         with together(out, VERDICT_FILE):
-            write_page(closed, out, __version__)
+            write_page(closed, out)
             return write_json(out / VERDICT_FILE, content)
 
 

@@ -6,7 +6,15 @@ import numpy as np
 import pytest
 
 from bristle.solver import batch
-from bristle.solver.batch import COLUMN, LONGEST_S, PLANES, Drops, drop_each, drop_many, seen_along
+from bristle.solver.batch import (
+    COLUMN,
+    LONGEST_S,
+    PLANES,
+    Drops,
+    drop_each,
+    drop_many,
+    symmetric_part,
+)
 from bristle.solver.bodies.beam import beam_body
 from bristle.solver.bodies.reduced import reduce_solid
 from bristle.solver.bristle import Bristle, Material, Rectangle
@@ -160,7 +168,7 @@ def test_a_reduced_solid(make_solid, rng):
 def test_upright_drops_are_those_of_a_column(enforcement, rng):
     """All points alike are one point; leaning drops among them change nothing."""
     body = beam_body(Bristle(material=Material(beta_s=1e-8)), 8)
-    assert seen_along(body, COLUMN) is not None
+    assert symmetric_part(body, COLUMN) is not None
     tilt = np.where(np.arange(8) % 2, rng.uniform(1.0, 3.0, 8), 0.0)
     drops = leaning_drops(body, rng, 8, tilt_deg=tilt, tilt_wide_deg=0.0, kn_N_m=2e6)
     outcome = drop_many(marcher_of(body, enforcement), drops)
@@ -174,9 +182,9 @@ def test_upright_drops_are_those_of_a_column(enforcement, rng):
 def test_drops_in_a_plane_of_symmetry_need_its_modes_alone(plane, second_order, rng):
     """Whether the bristle leans in it or the surface slopes in it; others among them do as ever."""
     body = beam_body(Bristle(), 8, second_order=second_order)
-    seen = seen_along(body, PLANES[plane])
-    assert len(seen.body.omega2) <= len(body.omega2) / 2
-    assert len(seen.points) ** 2 == len(body.contact.weights)
+    part = symmetric_part(body, PLANES[plane])
+    assert len(part.body.omega2) <= len(body.omega2) / 2
+    assert len(part.points) ** 2 == len(body.contact.weights)
     tilts = {"tilt_deg": np.zeros(6), "tilt_wide_deg": np.zeros(6)}
     tilts[list(tilts)[plane]][:4] = rng.uniform(-3.0, 3.0, 4)
     drops = leaning_drops(body, rng, 6, kn_N_m=2e6, **tilts)
@@ -186,14 +194,14 @@ def test_drops_in_a_plane_of_symmetry_need_its_modes_alone(plane, second_order, 
     place = body.contact.places_m[:, plane]
     drops.rises_m[4] = -drops.normals[4, :, plane] / drops.normals[4, :, 2] * place
     drops.tilt_wide_deg[5] = drops.tilt_deg[5] = 1.0
-    assert drops.push_along(seen).tolist() == [True] * 5 + [False]
+    assert drops.confined_to(part).tolist() == [True] * 5 + [False]
     rel = 1e-6 if second_order else 1e-9
     assert_the_same(body, drops, drop_many(marcher_of(body), drops), rel=rel, closure=np.inf)
 
 
 def test_a_solid_has_neither_column_nor_plane(make_solid):
     body = reduce_solid(make_solid(), 4.0 / ITS**2, 12, leaning=True).modal
-    assert [seen_along(body, axes) for axes in (COLUMN, *PLANES)] == [None] * 3
+    assert [symmetric_part(body, axes) for axes in (COLUMN, *PLANES)] == [None] * 3
 
 
 def test_outcomes_do_not_depend_on_what_else_is_dropped(rng):

@@ -43,8 +43,8 @@ FEWEST_HEIGHTS = 4
 EFFECT_NODES = 13
 DECADES_NODES = 27
 LEAN_NODES = 8
-# With two thirds of them tables would be off by a third of a per cent below half a degree, where a
-# slope is less than a tip's width by the penetration; by a thirtieth of one with so many.
+# Below half a degree, where a slope lifts a side of the tip by less than the contact gives way, the
+# median error of a rebound is 0.03 % with so many, and would be 0.3 % with two thirds of them.
 SLOPE_NODES = 9
 SIDE_NODES = 4
 # Of a table with parameters that refine: stiffnesses, shares of a scale, values of each, and the

@@ -20,7 +20,7 @@ import numpy as np
 
 from ....solver import paper
 from ....solver.arrays import Array
-from ....solver.batch import COLUMN, seen_along
+from ....solver.batch import COLUMN, symmetric_part
 from ....solver.bodies.modal import ModalBody
 from ....solver.bristle import Bristle
 from ....solver.contact.enforcement import ContactMethod
@@ -60,8 +60,8 @@ def leans(scene: Scene) -> bool:
 @lru_cache(maxsize=64)
 def _body(bristle: Bristle, beta_s: float, loss_factor: float, upright: bool) -> ModalBody:
     body = replace(beam_of(bristle), beta_s=beta_s, loss_factor=loss_factor)
-    seen = seen_along(body, COLUMN) if upright else None
-    return seen.body if seen is not None else body
+    column = symmetric_part(body, COLUMN) if upright else None
+    return body if column is None else column.body
 
 
 def force_history(
