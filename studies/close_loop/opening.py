@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Sequence
 from typing import Any
 
@@ -27,6 +26,7 @@ SEEN = {
     "smooth in ": "what the model leaves bends with {}",
     "band of ": "the data are off in one range of {}",
     "wave in ": "what the model leaves rises and falls with {}",
+    "waves in ": "what the model leaves rises and falls with {}",
     "scatter with ": "the data scatter more and more with {}",
     "scatter in a band of ": "the data scatter more in one range of {}",
     "scatter of one in several": "one in several of the data scatters more",
@@ -127,7 +127,6 @@ def _seen(finding: Finding) -> str:
         name = finding.shape  # the likeliest, while the least p-value may be of any that is alike
     if name in finding.needed_d:  # an effect's own test: which effect it is comes after
         return "Something is missing from the model"
-    name = re.sub(r"^wave \d+ in", "wave in", name)
     start = max((each for each in SEEN if name.startswith(each)), key=len, default="size")
     covariate = name.removeprefix(start).removeprefix("the ")
     label = COVARIATES[covariate].label if covariate in COVARIATES else covariate

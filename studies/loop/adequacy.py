@@ -61,6 +61,8 @@ STATE_SHIFTS = np.array([2.0, 3.0, 4.0, 6.0, 9.0, 14.0])
 STATES_TRIED = 24
 # Between its nodes log(1 + e^x) is off by 3e-6, and beyond its ends by 1e-13.
 ODDS, ODDS_STEP = 30.0, 0.01
+# Of what is neither one wave nor a polynomial: so many waves together.
+SEVERAL_WAVES = (4, 8, 16)
 WIDER = np.geomspace(1.3, 40.0, 14)
 WIDER_NOISE = "noise some"
 STATE_SPREADS = np.array([0.7, 0.85, 1.0, 1.2, 1.45, 1.75, 2.2, 3.0, 4.5])
@@ -115,7 +117,7 @@ OCCAM = 2.5
 
 
 # Shapes of which one may be what is missing or, where numbers of some are given, these together.
-Listed = tuple[UnitShapes, Ints | None]
+Listed = tuple[str, UnitShapes, Ints | None]
 
 
 def assess(
@@ -138,7 +140,9 @@ def assess(
     drawn = free(drawn)
     both = _soft(np.concatenate([z[None], drawn]))
     patterns = patterns_of(data, fitted)
-    statistics, shapes = _family(data, patterns, free, directions)
+    # each quantity's own, since what moves one may leave the others
+    own = [pattern * (data.kind == k) for pattern in patterns for k in np.unique(data.kind)]
+    statistics, shapes = _family(data, own, free, directions)
     names = list(statistics)
     values = np.stack([statistics[name](both) for name in names], axis=1)
     single, simulated = p_values(values[0], values[1:])
@@ -153,7 +157,7 @@ def assess(
     if unlisted:
         best = max(
             _best_shape(data, z, free(z), shapes),
-            (_log_two_states(data, z, patterns), "two states"),
+            (_log_two_states(data, z, own), "two states"),
             _wider(data, z),
         )
     return Adequacy(
@@ -227,25 +231,25 @@ def _soft(z: Array) -> Array:
 
 def _family(
     data: Sample, patterns: list[Array], free: Refit, directions: list[Direction]
-) -> tuple[dict[str, Statistic], dict[str, Listed]]:
+) -> tuple[dict[str, Statistic], list[Listed]]:
     """All statistics by name, each takes residuals (sets, rows) to numbers (sets,); and the shapes
     of those that look for a shift."""
     out: dict[str, Statistic] = {"size": lambda z: np.sum(z**2, axis=1)}
-    listed: dict[str, Listed] = {}
+    listed: list[Listed] = []
     level = np.stack([(data.kind == k).astype(float) for k in np.unique(data.kind)])
     even = np.ones((1, data.kind.size))
-    every = np.concatenate([pattern * level for pattern in patterns])
+    every = np.array(patterns)
 
     def one(name: str, parts: Array, mix: Array | None = None) -> None:
         units = UnitShapes.of(Shapes(parts, every, mix), free)
         if len(units):
-            listed[name] = units, None
+            listed.append((name, units, None))
             out[name] = lambda z: np.max(units.loads(z) ** 2, axis=1)
 
     def together(name: str, parts: Array, degree: Array) -> None:
         units = UnitShapes.of(Shapes(parts, even), free)
         if len(units):
-            listed[name] = units, np.arange(len(units))
+            listed.append((name, units, np.arange(len(units))))
             share = 1.0 / degree[units.which] ** 2
             out[name] = lambda z: units.loads(z) ** 2 @ share
 
@@ -254,9 +258,15 @@ def _family(
         units = UnitShapes.of(Shapes(waves, every), free)
         if not len(units):
             return
-        wave = units.which % len(waves) // 2
+        # a cosine and a sine each, of one size
+        wave = units.which // 2
         several = [np.flatnonzero(wave == each) for each in np.unique(wave)]
-        listed.update((f"wave {i} in {name}", (units, each)) for i, each in enumerate(several))
+        listed.extend((f"wave in {name}", units, each) for each in several)
+        size, turns = np.divmod(wave, len(waves) // 2)
+        for own, most in itertools.product(np.unique(size), SEVERAL_WAVES):
+            if most <= len(waves) // 2:
+                slow = np.flatnonzero((size == own) & (turns < most))
+                listed.append((f"waves in {name}", units, slow))
         mean = np.stack([(wave == wave[each[0]]) / each.size for each in several], axis=1)
         out[f"wave in {name}"] = lambda z: np.max(units.loads(z) ** 2 @ mean, axis=1)
 
@@ -283,7 +293,11 @@ def _family(
         if degree.max() > 1:
             together(f"smooth in {name}", shapes[degree > 1], degree[degree > 1])
             units = UnitShapes.of(Shapes(shapes, even), free)
-            listed[f"any function of {name}"] = units, np.arange(len(units))
+            whose = data.kind[np.argmax(np.abs(shapes[units.which]), axis=1)]
+            for own in np.unique(whose):
+                listed.append((f"any function of {name}", units, np.flatnonzero(whose == own)))
+            if np.unique(whose).size > 1:
+                listed.append((f"any function of {name}", units, np.arange(len(units))))
         bands = bands_of(x)
         one(f"band of {name}", *bands)
         spreading(name, shapes[degree == 1].sum(axis=0))
@@ -319,9 +333,7 @@ def _family(
     return out, listed
 
 
-def _best_shape(
-    data: Sample, z: Array, free: Array, listed: Mapping[str, Listed]
-) -> tuple[float, str]:
+def _best_shape(data: Sample, z: Array, free: Array, listed: Sequence[Listed]) -> tuple[float, str]:
     """Log evidence and name of the shape that explains residuals best by itself, with the noise
     that suits what it leaves.
 
@@ -329,8 +341,8 @@ def _best_shape(
     what a shape is fitted beside: a robust fit follows most of the rows and leaves the others.
     """
     residuals, costs = [z], [0.0]
-    waves = sum(name.startswith("wave ") for name in listed)
-    for name, (units, together) in listed.items():
+    waves = sum(name.startswith("wave ") for name, *_ in listed)
+    for name, units, together in listed:
         if together is not None:
             basis, _ = np.linalg.qr(units[together].T)
             residuals.append(free - basis @ (basis.T @ free))
@@ -344,7 +356,7 @@ def _best_shape(
             costs[-1] += float(np.log(waves))
     logs = data.heights_of_noise(np.array(residuals)).max(axis=1) - np.array(costs)
     best = int(np.argmax(logs))
-    return float(logs[best]), ["nothing", *listed][best]
+    return float(logs[best]), ["nothing", *(name for name, *_ in listed)][best]
 
 
 def _greatest(several: Sequence[Statistic], z: Array) -> Array:
@@ -366,26 +378,26 @@ def _one_sided(direction: Direction, free: Refit) -> Statistic | None:
 
 def _two_states(z: Array, patterns: list[Array]) -> Array:
     """Log likelihood (sets,) that a mixture of two states, each with the declared noise, gains
-    over one normal distribution of any width."""
-    rows = z.shape[1]
-    square = np.sum(z**2, axis=1)
-    single = np.max(
-        -0.5 * square[:, None] / STATE_SPREADS**2 - rows * np.log(STATE_SPREADS), axis=1
-    )
+    over one normal distribution of any width, in the rows that a pattern moves."""
     best = np.full(z.shape[0], -np.inf)
-    z = np.ascontiguousarray(z)
-    for pattern in patterns:
-        load, size = z @ pattern, float(pattern @ pattern)
+    for whole in patterns:
+        there = np.flatnonzero(whole)
+        own, pattern, rows = np.ascontiguousarray(z[:, there]), whole[there], there.size
+        square = np.sum(own**2, axis=1)
+        single = np.max(
+            -0.5 * square[:, None] / STATE_SPREADS**2 - rows * np.log(STATE_SPREADS), axis=1
+        )
+        load, size = own @ pattern, float(pattern @ pattern)
         for shift, share in itertools.product(STATE_SHIFTS, STATE_SHARES):
             # log(1 + e^x) of the odds x of the other state, beside a square that needs no look
             middle = share * shift
             odds = (
                 np.log(share / (1.0 - share)) - 0.5 * (1.0 - 2.0 * share) * (shift * pattern) ** 2
             )
-            plain = rows * np.log1p(-share)
+            plain = rows * np.log1p(-share) - single
             plain = plain - 0.5 * (square + 2.0 * middle * load + middle**2 * size)
-            best = np.maximum(best, plain + _softplus(z, shift * pattern, odds, softplus_table()))
-    return best - single
+            best = np.maximum(best, plain + _softplus(own, shift * pattern, odds, softplus_table()))
+    return best
 
 
 @cache
@@ -413,18 +425,36 @@ def _softplus(z: Array, slope: Array, level: Array, table: Array) -> Array:
 
 
 def _log_two_states(data: Sample, z: Array, patterns: list[Array]) -> float:
-    """Log evidence that some groups' rows are all off by one amount, the others not at all."""
+    """Log evidence that some groups' rows are all off by one amount, and the others not at all or,
+    where a fit lies between the two, by another."""
     grid = data.noises
     among = np.flatnonzero(grid.correlation == 0)
     best = -np.inf
     for pattern in patterns:
-        shifts = np.quantile(z / pattern, np.linspace(0.0, 1.0, STATES_TRIED))
-        predicted = np.stack([np.zeros((STATES_TRIED, z.size)), np.outer(shifts, pattern)], axis=1)
-        values = np.repeat(z[None], STATES_TRIED, axis=0)
+        there = pattern != 0.0
+        off = np.sort(z[there] / pattern[there])
+        one = np.quantile(off, np.linspace(0.0, 1.0, STATES_TRIED))
+        states = np.stack([np.zeros(STATES_TRIED), one], axis=1)
+        cost: Array = np.full(STATES_TRIED, 2.0 * OCCAM)
+        if off.size > 1:
+            low, high = _halves(off)
+            states, cost = np.vstack([states, [low, high]]), np.append(cost, 3.0 * OCCAM)
+        predicted = states[:, :, None] * pattern
+        values = np.repeat(z[None], len(states), axis=0)
         for share in STATE_SHARES:
             weights = np.array([1.0 - share, share])
-            best = max(best, float(data.heights(values, predicted, weights, among).max()))
-    return best - 2.0 * OCCAM - float(np.log(len(patterns)))
+            logs = data.heights(values, predicted, weights, among).max(axis=1)
+            best = max(best, float(np.max(logs - cost)))
+    return best - float(np.log(len(patterns)))
+
+
+def _halves(x: Array) -> tuple[float, float]:
+    """The means of two groups of sorted values (n,), parted where they are nearest to them."""
+    count = np.arange(1, x.size)
+    total = np.cumsum(x)
+    low, high = total[:-1] / count, (total[-1] - total[:-1]) / (x.size - count)
+    best = int(np.argmax(count * (x.size - count) * (high - low) ** 2))
+    return float(low[best]), float(high[best])
 
 
 def _wider(data: Sample, z: Array) -> tuple[float, str]:
@@ -477,16 +507,14 @@ def _needed(simulated: Array, threshold: float) -> float:
     return float(np.sqrt(max(load, 0.0)) + 1.2815515655446004)
 
 
-def _needed_by_shapes(
-    shift: Array, listed: Mapping[str, Listed], needed: Mapping[str, float]
-) -> float:
+def _needed_by_shapes(shift: Array, listed: Sequence[Listed], needed: Mapping[str, float]) -> float:
     """The d of a ``shift`` (rows,) that the tests of single shapes show, ``needed`` by their names:
     each sees the part of it that lies along one of its shapes."""
     unit = shift / max(float(np.linalg.norm(shift)), 1e-300)
     return min(
         (
             needed[name] / max(float(np.abs(units.loads(unit[None])).max()), 1e-300)
-            for name, (units, together) in listed.items()
+            for name, units, together in listed
             if together is None
         ),
         default=np.inf,

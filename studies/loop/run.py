@@ -95,10 +95,15 @@ def find(
     found, wrong, doubt = _find(known, seed, alarm, advance), smaller, ""
     if larger:
         wider = _with(problem, [*smaller, *larger])
-        if np.array_equal(wider.groups, known.groups):
-            wider = replace(wider, held=tuple(map(int, split(known, seed)[1])))
-        other = _find(wider, seed, alarm)
-        gain = _gain(other, wider, found, known) - sum(each.cost for each in larger)
+        # errors that are too small make slips of what is none: compared are those in both
+        both = np.intersect1d(known.groups, wider.groups)
+        narrow = _of(known, both)
+        before = found if both.size == known.groups.size else _find(narrow, seed, alarm)
+        wide = replace(_of(wider, both), held=tuple(map(int, split(narrow, seed)[1])))
+        other = _find(wide, seed, alarm)
+        gain = _gain(other, wide, before, narrow) - sum(each.cost for each in larger)
+        if both.size < wider.groups.size:
+            other = _find(wider, seed, alarm)
         by_chance = np.asarray(found.model.weights).size > 1
         if gain > (-UNLISTED_MARGIN if by_chance else 0.0):
             if gain < CLOSE and found.reported:
@@ -126,14 +131,17 @@ def _with(problem: Problem, told: Sequence[Scatter]) -> Problem:
     return problem.with_sigma(times)
 
 
+def _of(problem: Problem, groups: Ints) -> Problem:
+    """The problem without its other groups."""
+    others = np.setdiff1d(problem.groups, groups)
+    return replace(problem, aside=(*problem.aside, *map(int, others)))
+
+
 def _gain(other: Finding, wider: Problem, found: Finding, known: Problem) -> float:
     """By how many nats a finding from ``wider`` errors is likelier than the one from those that are
     ``known``; minus infinity where it is none."""
     if other.verdict is Verdict.UNKNOWN or float(other.noise["correlation"]) > 0.0:
         return -np.inf
-    if not np.array_equal(wider.groups, known.groups):
-        # by errors that are too small, what was set aside may be no slip
-        return np.inf if found.verdict is Verdict.UNKNOWN else -np.inf
     density = float(np.log(wider.scale[other.rows] / known.scale[found.rows]).sum())
     return _support(other, wider) - density - _support(found, known)
 

@@ -140,7 +140,7 @@ def test_what_no_test_shows_is_told_by_what_does(worn):
     ("shape", "nats", "words"),
     [
         ("settling in the order", 30.0, "The first of the data are off"),
-        ("wave 3 in the order", 30.0, "What the model leaves rises and falls with the order"),
+        ("waves in the order", 30.0, "What the model leaves rises and falls with the order"),
         ("any function of height", 30.0, "What the model leaves changes with the height"),
         ("noise some 2.2 times as wide as is declared", 30.0, "The data are off in one range"),
         ("settling in the order", 1.0, "The data are off in one range of the height"),
