@@ -6,10 +6,13 @@ cross, the gap is along the normal that both axes have in common. It is the same
 stretch and is met where the axes are closest, be it a little beyond an element's end, though never
 beyond a tip. Round wires are met so at any angle, at the closest place of the stretch. Where they
 are nearly parallel that normal means little, and where bristles bend side by side in one plane it
-points along their wide sides, deep into either. The gap is then along the one of the faces' normals
-by which contact holds the least energy, or the prisms are farthest apart (separating axes:
-Gottschalk, Lin and Manocha, OBBTree, SIGGRAPH 1996), and is met at both ends of the stretch. So the
-energy has no jump where one face takes over from another.
+points along their wide sides, deep into either. A tip may end before it is where the axes are
+closest, or may run into the other with its end. There the gap is along the one of several normals
+by which contact holds the least energy, or the prisms are farthest apart, and is met at both ends
+of the stretch. Such normals are those of the second's faces, and those that its axis has in common
+with the first's edges: of a prism that ends, beside one that goes on, these and the common normal
+of the axes are all separating axes (Gottschalk, Lin and Manocha, OBBTree, SIGGRAPH 1996). So one of
+them shows no depth where the two begin to touch, and the energy has no jump.
 
 Contact at closest points alone fails at small angles (Meier, Popp and Wall, Comput. Methods Appl.
 Mech. Engng 308 (2016) 377). Contact at fixed points of an element misses prisms that cross between
@@ -31,7 +34,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..arrays import Array, Integers, zeros
-from ..compiled import inlined, njit, unowned
+from ..compiled import inlined, njit, unowned, write
 from .contact import Friction, Springs, TouchStep, friction_of, lose_hold, touch_point
 from .ground import Contact
 from .motion import Motion, Pose, pose_of
@@ -49,9 +52,10 @@ CORNER = 0.02
 WHOLE = math.sqrt(1.0 + CORNER * CORNER)
 # The approach in m over which contact becomes as stiff as it is.
 ROUGH_M = 1e-6
-# Where the normal of a contact comes from: both axes have it in common, it is of the first
-# element's end, of the second's faces, of the first's, or it is the shortest way.
-COMMON, END, OTHER, OWN, SHORTEST = 0, 1, 2, 4, 6
+# Where the normal of a contact comes from: both axes have it in common, it is of one of the second
+# element's faces, that one's axis has it in common with an edge of the first's, or it is the
+# shortest way.
+COMMON, OTHER, OWN, SHORTEST = 0, 1, 3, 5
 # A face is taken over one before it where its contact holds less energy by this share. Faces that
 # are flush hold nearly the same, and Newton's method would go to and fro between them.
 LESS = 1e-3
@@ -270,7 +274,7 @@ def meet(law: Between, a: Pose, e: int, b: Pose, f: int, out: Meeting) -> float:
     best, least_held, length = -math.inf, math.inf, 0.0
     tip, cosine = e == len(xa) - 2, dot(ta, tb)
     sine_2, along = 1.0 - cosine * cosine, dot(apart, tb)
-    crosses, chosen = sine_2 > CROSSING * CROSSING, -1
+    crosses, chosen, ends, longest = sine_2 > CROSSING * CROSSING, -1, False, math.inf
     # where the axes are closest, along the first
     nearest = 0.5 * (low + high)
     if sine_2 > NO_ANGLE * NO_ANGLE:
@@ -280,22 +284,18 @@ def meet(law: Between, a: Pose, e: int, b: Pose, f: int, out: Meeting) -> float:
         # within the stretch the gap is stationary there, or at its end
         nearest, first, last = min(max(nearest, low), high), SHORTEST, SHORTEST
     for kind in range(first, last + 1):
-        if kind == OTHER and best > -law.half[0]:
+        if kind == OTHER and best > -law.half[0] and not ends:
             break
-        if kind == END and not tip:
-            continue
         if kind == COMMON:
             n[0], n[1], n[2] = cross(tb, ta)
-        elif kind == END:
-            for c in range(3):
-                n[c] = ta[c]
         elif kind == SHORTEST:
             for c in range(3):
                 n[c] = apart[c] + nearest * ta[c]
+        elif kind >= OWN:
+            n[0], n[1], n[2] = cross(tb, out.axes_a[:, kind - OWN])
         else:
-            axes = out.axes_b if kind < OWN else out.axes_a
             for c in range(3):
-                n[c] = axes[c, (kind - OTHER) % 2]
+                n[c] = out.axes_b[c, kind - OTHER]
         slant = dot(n, tb)
         size = 0.0
         for c in range(3):
@@ -322,9 +322,13 @@ def meet(law: Between, a: Pose, e: int, b: Pose, f: int, out: Meeting) -> float:
         at_begin -= reaches
         at_end -= reaches
         least, met = min(at_begin, at_end), end - begin
-        if kind == END:
+        if kind == COMMON:
+            # only there does it matter that a prism ends
+            ends = tip and abs(offset + slope * la) <= wide
+            longest = max(met, 2.0 * law.half[1])
+        elif crosses:
             # an end meets with its section, however long its element
-            met = min(met, 2.0 * law.half[1])
+            met = min(met, longest)
         held = met * (_rough(1.0, -at_begin)[2] + _rough(1.0, -at_end)[2])
         if held < (1.0 - LESS) * least_held or (held == 0.0 and least > best):
             best, least_held, length, chosen = least, held, met, kind
@@ -467,11 +471,13 @@ def approach(
     m/s at which two of its nodes close it.
 
     Nodes may move by ``reach`` (rods, n) before elements count as beside each other; others have an
-    infinite gap.
+    infinite gap. Of sections that are so much wider, the gap is that of the sections as they are,
+    along the normal by which the wider ones meet: they cannot be nearer than that. Where they meet
+    as they are, it is theirs.
     """
     pairs, stack, reach, gaps, closing = unowned((pairs, stack, reach, gaps, closing))
     room = unowned(room)
-    wider = law.half.copy()
+    wider, n = law.half.copy(), room.room[8]
     for p in range(len(pairs)):
         a, e, b, f = pairs[p, 0], pairs[p, 1], pairs[p, 2], pairs[p, 3]
         more = max(reach[a, e], reach[a, e + 1], reach[b, f], reach[b, f + 1])
@@ -480,14 +486,22 @@ def approach(
         gaps[p], closing[p, 0], closing[p, 1] = math.inf, 0.0, 0.0
         if meet(inflated, pose_of(stack, a), e, pose_of(stack, b), f, room) == 0.0:
             continue
-        gaps[p] = min(room.gap[0], room.gap[1]) + 2.0 * more
+        write(room.normal, n)
+        gaps[p] = min(room.gap[0], room.gap[1])
+        for axes in (room.axes_a, room.axes_b):
+            gaps[p] += _reach(inflated, axes, n) - _reach(law, axes, n)
+        if meet(law, pose_of(stack, a), e, pose_of(stack, b), f, room) > 0.0:
+            gap = min(room.gap[0], room.gap[1])
+            if gap < gaps[p]:
+                gaps[p] = gap
+                write(room.normal, n)
         closing[p, 0], closing[p, 1] = math.inf, -math.inf
         for i in range(2):
             for j in range(2):
                 speed = 0.0
                 for c in range(3):
                     over = stack.velocity[b, f + j, c] - stack.velocity[a, e + i, c]
-                    speed += over * room.normal[c]
+                    speed += over * n[c]
                 closing[p, 0], closing[p, 1] = min(closing[p, 0], speed), max(closing[p, 1], speed)
 
 

@@ -35,6 +35,7 @@ from bristle.solver.rods.pairs import (
     CORNER,
     ROUGH_M,
     Side,
+    approach,
     between_of,
     candidates,
     meet,
@@ -162,9 +163,11 @@ def test_a_tip_that_runs_into_a_side_meets_it_with_its_end():
     assert room.gap.min() == pytest.approx(-1e-6, rel=1e-6)
 
 
-def held_and_forces(a, b):
+def held_and_forces(a, b, elements=(0, 0)):
     """What a pair holds in J, and its forces and moments (2, 2, 6) on the nodes."""
-    sides = [Side(rod, 0, pose, pose) for rod, pose in enumerate((a, b))]
+    sides = [
+        Side(i, e, pose, pose) for i, (e, pose) in enumerate(zip(elements, (a, b), strict=True))
+    ]
     points, step = room_for_points(1), TouchStep(no_touch(1, 2), no_touch(1, 2), 0.0, False)
     count, lost, held = meet_pair(LAW, 0, *sides, step, points, 0)
     assert lost == 0.0
@@ -177,6 +180,59 @@ def held_and_forces(a, b):
                 turning = 0.5 * sign * points.push[p]
                 forces[side, node, 3:] += np.cross(points.arm[p, side], turning)
     return held, forces
+
+
+def tip_beside(rng):
+    """A rod whose tip comes by the middle of another at random, and which way it moves."""
+    turned = Rotation.from_rotvec(0.3 * rng.normal(size=3))
+    axis = rng.normal(size=3) * [1.0, 1.0, 0.1]
+    lean = Rotation.from_rotvec(rng.uniform(0.02, 1.5) * axis / np.linalg.norm(axis))
+    spins = [Rotation.from_rotvec([0.0, 0.0, angle]) for angle in rng.uniform(0.0, 6.28, 2)]
+    lean = (turned * spins[0] * lean * spins[1]).as_matrix()
+    middle = turned.apply([0.0, 0.0, rng.uniform(0.02, 0.04)])
+    place = middle + 6e-4 * rng.normal(size=3) - 0.08 * lean[:, 2]
+    way = rng.normal(size=3)
+    tip, other = (
+        straight(*each, 5, 0.08) for each in ((place, lean), (0.0 * place, turned.as_matrix()))
+    )
+    return tip, other, way / np.linalg.norm(way)
+
+
+def test_contact_of_a_tip_begins_from_nothing():
+    """Wherever it comes from: what contact holds is less than its force makes of the way. Were the
+    normal that both axes have in common the only one, a fifth of these would begin 0.2 mm deep."""
+    rng, step, touched = np.random.default_rng(7), 2e-5, 0
+    for _ in range(20):
+        tip, other, way = tip_beside(rng)
+        last, push = 0.0, 0.0
+        for s in np.arange(-3e-3, 3e-3, step):
+            moved = Pose(tip.x + s * way, tip.q)
+            each = [held_and_forces(moved, other, (e, f)) for e in range(4) for f in range(3)]
+            held = sum(one for one, _ in each)
+            force = sum(np.linalg.norm(two[0, :, :3].sum(axis=0)) for _, two in each)
+            if s > -3e-3 and min(held, last) < 1e-5:
+                assert abs(held - last) < 2.0 * max(force, push, 1.0) * step
+            touched += last == 0.0 < held
+            last, push = held, force
+    assert touched > 10
+
+
+def test_no_pair_is_nearer_than_its_list_says():
+    """Whatever it is that separates them: the list of pairs is made by sections that are wider."""
+    rng, room = np.random.default_rng(3), new_meeting()
+    pairs, met = np.array([(0, 3, 1, f) for f in range(4)]), 0
+    for _ in range(300):
+        tip, other, _ = tip_beside(rng)
+        stack = motion_of(2, 5, 4)
+        for i, pose in enumerate((tip, other)):
+            stack.x[i], stack.q[i] = pose
+        gaps, closing = np.empty(4), np.empty((4, 2))
+        approach(LAW, pairs, stack, np.full((2, 5), 1e-3), room, gaps, closing)
+        for f, gap in enumerate(gaps):
+            if meet(LAW, tip, 3, other, f, room) > 0.0:
+                met += 1
+                assert gap <= room.gap.min() + 1e-12
+    assert met > 50
 
 
 @pytest.mark.parametrize("angle_deg", [90, 35, 0])
