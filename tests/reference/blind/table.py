@@ -203,6 +203,12 @@ def _pairs(row: str, own: Sequence[Outcome]) -> list[Line]:
     lines += _share(row, "a wrong name in the set", third)
     rich = [wrong and hit for wrong, hit in zip(third, both, strict=True)]
     lines += _share(row, "a wrong third", rich, most=0.05)
+    likely = [_likely(each) - _there(each) for each in own]
+    lines += _share(
+        row,
+        "a wrong third, likely",
+        [hit and bool(wrong) for hit, wrong in zip(both, likely, strict=True)],
+    )
     bold = [each["verdict"] == "effect" and not set(each["effects"]) & _there(each) for each in own]
     lines += _share(row, "wrong names alone", bold, most=0.03)
     for verdict in ("adequate", "unknown"):
@@ -225,6 +231,12 @@ def _calibrated(done: Sequence[Outcome]) -> list[Line]:
         words = f"effects given {low:g} to {min(high, 1.0):g} that are there"
         lines += _share("all", words, hits, *bounds)
     return lines
+
+
+def _likely(outcome: Outcome) -> set[str]:
+    """The effects that the answer calls more probable than not."""
+    stated = outcome.get("probabilities") or {}
+    return {name for name, value in stated.items() if value > 0.5}
 
 
 def _there(outcome: Outcome) -> set[str]:
