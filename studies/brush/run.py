@@ -48,7 +48,7 @@ KEEP_S = 60.0
 # Share of the mean force beyond which its standard error deserves a warning.
 UNSURE = 0.2
 # Share of all energy beyond which what the time steps lose deserves a warning.
-CLOSURE = 0.05
+CLOSURE = 0.01
 # The surface for ParaView reaches so many lengths beyond the tips, or so far where it is rough.
 REACH, ROUGH_REACH_M = 0.25, 5e-3
 

@@ -42,7 +42,8 @@ class Scatter:
 
     ``ratio`` is that over what their declared errors make, which is ``declared`` in the quantity's
     unit, ``error`` the relative standard error of either; ``near`` is the ratio by which values
-    scatter at least, whatever drifts there are.
+    scatter at least, whatever drifts there are, ``whole`` that of their standard deviation, tails
+    included.
     """
 
     quantity: str
@@ -50,6 +51,7 @@ class Scatter:
     error: float
     declared: float
     near: float
+    whole: float
 
     @classmethod
     def each(cls, problem: Problem) -> list[Self]:
@@ -97,7 +99,8 @@ class Scatter:
         if not steps.size:
             return None
         ratio = max(ratio, float(steps.min()) / math.sqrt(12.0) / declared)
-        return cls(name, ratio, error, declared, near)
+        whole = float(np.sqrt(np.sum(left**2) / (mine.size - rank)))
+        return cls(name, ratio, error, declared, near, whole)
 
     @property
     def cost(self) -> float:
@@ -108,8 +111,10 @@ class Scatter:
 
     @property
     def far_smaller(self) -> bool:
-        """Whether it is less than half of what was declared, beyond doubt."""
-        return self.ratio < FAR_SMALLER and self.ratio * (1.0 + SURE * self.error) < 1.0
+        """Whether it is less than half of what was declared, beyond doubt. Tails are part of that:
+        most of what has them scatters by less."""
+        small = max(self.ratio, self.whole) < FAR_SMALLER
+        return small and self.ratio * (1.0 + SURE * self.error) < 1.0
 
     @property
     def larger(self) -> bool:

@@ -395,6 +395,20 @@ def test_error_bars_that_are_too_large_are_said_to_be_and_hide_nothing(few, tmp_
     assert "times too large" in found.warnings[0]
 
 
+def test_tails_are_part_of_an_error_bar(few, tmp_path):
+    """One reading in twenty errs fifteen times as much as the others: those scatter by a third of the
+    standard deviation, which is what was declared."""
+    rng = np.random.default_rng(3)
+    height = rng.uniform(0.01, 0.05, 120)
+    errors = 1e-4 * rng.normal(size=120) * np.where(np.arange(120) % 20 == 4, 15.0, 1.0)
+    seen = np.column_stack([height, 0.6575 * height + errors])
+    sigma_mm = 1e3 * float(np.std(errors)) / math.hypot(1.0, 0.6575)  # that of y0 has a share
+    write_table(tmp_path, seen, sigma_mm=sigma_mm)
+    (told,) = Scatter.each(drops_problem(read_drops(tmp_path)))
+    assert told.ratio < 0.5 < told.whole
+    assert not told.far_smaller
+
+
 def test_error_bars_that_are_too_small_are_said_to_be_and_are_no_effect(few, tmp_path):
     rng = np.random.default_rng(9)
     height = rng.uniform(0.045, 0.05, 48)
