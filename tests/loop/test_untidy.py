@@ -396,8 +396,8 @@ def test_error_bars_that_are_too_large_are_said_to_be_and_hide_nothing(few, tmp_
 
 
 def test_tails_are_part_of_an_error_bar(few, tmp_path):
-    """One reading in twenty errs fifteen times as much as the others: those scatter by a third of the
-    standard deviation, which is what was declared."""
+    """One reading in twenty errs fifteen times as much as the others. Those scatter by a third of
+    the standard deviation, which is what was declared."""
     rng = np.random.default_rng(3)
     height = rng.uniform(0.01, 0.05, 120)
     errors = 1e-4 * rng.normal(size=120) * np.where(np.arange(120) % 20 == 4, 15.0, 1.0)
