@@ -21,12 +21,14 @@ from .contact import FREE, Touch, no_touch
 from .hub import HubPose
 from .joint import Group
 from .motion import Motion
-from .pairs import ROD_A, ROD_B, Between, approach, candidates, new_meeting
+from .pairs import ROD_A, ROD_B, Between, approach, candidates, near, new_meeting
 
 # How far rods move in a span at most, over the wide side.
 MOVED = 0.125
 # By how many times its speed a node may move in a span, and one at rest by how much of the above.
 FASTER, KICKED = 2.0, 0.5
+# A list of pairs is made for nodes that move so many times as far as in the span to come.
+LASTS = 4.0
 # What counts as near, over the thin side.
 NEAR = 0.001
 # Faces that are no deeper in each other just touch.
@@ -49,6 +51,10 @@ class Neighbours:
     ----------
     law : between two bristles
     comm : ranks that share out the search; each of them knows where all bristles are
+
+    Each rank has a list of pairs which may meet soon, and looks at those alone (Verlet, Phys. Rev.
+    159 (1967) 98). New ones are made when a node has moved farther than they were made for. What is
+    found does not depend on when that was.
     """
 
     def __init__(self, law: Between, comm: MPI.Intracomm = MPI.COMM_SELF) -> None:
@@ -58,6 +64,9 @@ class Neighbours:
         self.span_s = 0.0
         self._apart = NEAR * 2.0 * float(law.half[0])
         self._room = new_meeting()
+        self._listed = self.pairs
+        self._listed_within: Array = np.zeros(0)
+        self._listed_at: Array = np.zeros(0)
         # of the span that has begun
         self._possible = self.pairs
         self._gaps: Array = np.zeros(0)
@@ -72,23 +81,26 @@ class Neighbours:
         most = MOVED * 2.0 * float(self.law.half[1])
         self.span_s = min(most / max(float(speeds.max()), 1e-12), longest_s)
         self._reach = self._apart + np.maximum(FASTER * speeds * self.span_s, KICKED * most)
-        self._possible = self._candidates(stack, self._reach)
+        self._list(stack)
+        self._possible = near(self.law, self._listed, stack.x, self._reach)
         self._gaps, (_, self._closing) = self._approach(stack)
         soon = self._gaps - self._closing * self.span_s < self._apart
         held = self.pairs[(self.touch.state != FREE).any(axis=1)]
-        self._take(_joined(self._possible[soon], held))
+        self._take(_joined(held, *self._comm.allgather(self._possible[soon])))
 
     def begun_in_each_other(self) -> Integers:
-        """The pairs (p, 4) that are deeper in each other than rounding as the span begins."""
-        return self._possible[self._gaps < -TOUCHING_M]
+        """The pairs (p, 4) that are deeper in each other than rounding as the span begins;
+        collective."""
+        return _joined(*self._comm.allgather(self._possible[self._gaps < -TOUCHING_M]))
 
     def outran(self, stack: Motion, pose: HubPose) -> bool:
         """Whether a rod has moved farther in the span than `search` thought."""
         placed, _ = self._in_hub(stack, pose)
-        return bool((np.linalg.norm(placed - self._placed, axis=-1) > self._reach).any())
+        return _moved_beyond(self._placed, placed, self._reach)
 
     def missed(self, stack: Motion, span_s: float) -> Integers:
-        """The pairs (p, 4) beyond the list that may have met in the span of time which ends now.
+        """The pairs (p, 4) beyond the list that may have met in the span of time which ends now;
+        collective.
 
         Gaps over time are cubic, by their values and speeds at both ends. Where elements are beside
         each other at one end only they are linear. Of the speeds of an element's nodes the one
@@ -106,7 +118,7 @@ class Neighbours:
         course -= s * (1.0 - s) ** 2 * span_s * closed[known]
         course += s**2 * (1.0 - s) * span_s * closing[known]
         met = self._possible[known[course.min(axis=0) < self._apart]]
-        return met[_places(self.pairs, met) < 0]
+        return _joined(*self._comm.allgather(met[_places(self.pairs, met) < 0]))
 
     def add(self, pairs: Integers, before: Mapping[str, Any], rods: int) -> Flags:
         """Put more pairs on the list; which rods (rods,) march the span once more for them.
@@ -123,19 +135,25 @@ class Neighbours:
         put(self.touch, at, [each[stay] for each in touch])
         return np.asarray(again)
 
-    def _candidates(self, stack: Motion, reach: Array) -> Integers:
-        """The pairs, in order, that may meet, see `candidates`; boxes are slim along the axes of
-        the elements' directions."""
-        sides = (stack.x[:, 1:] - stack.x[:, :-1]).reshape(-1, 3)
-        # ranks of different machines may find axes of other signs, and so another order of boxes
-        axes = self._comm.bcast(np.linalg.eigh(sides.T @ sides)[1])
-        rank, ranks = self._comm.rank, self._comm.size
-        room = np.zeros((len(self._possible) // ranks + 1000, 4), dtype=np.int64)
-        count = candidates(self.law, stack.x, stack.q, axes, reach, rank, ranks, room)
-        if count > len(room):
-            room = np.zeros((count, 4), dtype=np.int64)
-            candidates(self.law, stack.x, stack.q, axes, reach, rank, ranks, room)
-        return _sorted(np.concatenate(self._comm.allgather(room[:count])))
+    def _list(self, stack: Motion) -> None:
+        """Make this rank's list of pairs anew if it no longer has all that may meet in the span;
+        boxes are slim along the axes of the elements' directions."""
+        axes, (rank, ranks) = None, (self._comm.rank, self._comm.size)
+        left = self._listed_within - self._reach if len(self._listed_at) else None
+        if left is None or _moved_beyond(self._listed_at, self._placed, left):
+            sides = (stack.x[:, 1:] - stack.x[:, :-1]).reshape(-1, 3)
+            axes = np.linalg.eigh(sides.T @ sides)[1]
+        # ranks of different machines may round otherwise, and find axes of other signs
+        axes = self._comm.bcast(axes)
+        if axes is None:
+            return
+        self._listed_at, self._listed_within = self._placed, LASTS * self._reach
+        room, count = self._listed, len(self._listed) + 1
+        while count > len(room):
+            room = np.zeros((count + 1000, 4), dtype=np.int64)
+            within = self._listed_within
+            count = candidates(self.law, stack.x, axes, within, rank, ranks, room)
+        self._listed = room[:count]
 
     def _approach(self, stack: Motion) -> tuple[Array, Array]:
         """Gaps (p,) of all pairs that may meet, and their least and greatest closing speeds
@@ -200,14 +218,14 @@ class Neighbours:
         self.touch = Touch(*(kept[f"pair_{name}"] for name in Touch._fields))
 
 
-def _joined(pairs: Integers, more: Integers) -> Integers:
-    """Both lists, in order, each pair once."""
-    return np.unique(np.concatenate([pairs, more]), axis=0)
+def _joined(*pairs: Integers) -> Integers:
+    """All lists, in order, each pair once."""
+    return np.unique(np.concatenate(pairs), axis=0)
 
 
-def _sorted(pairs: Integers) -> Integers:
-    """In the order of their numbers, whatever the order they were found in."""
-    return pairs[np.lexsort(pairs.T[::-1])]
+def _moved_beyond(before: Array, now: Array, reach: Array) -> bool:
+    """Whether a node (rods, n) has moved farther than its reach."""
+    return bool((np.linalg.norm(now - before, axis=-1) > reach).any())
 
 
 def _places(pairs: Integers, wanted: Integers) -> Integers:

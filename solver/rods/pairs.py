@@ -457,6 +457,12 @@ def shortfall(law: Between, pair: int, a: Side, b: Side, allowed: float, points:
     return least
 
 
+@inlined
+def _farther(reach: Array, i: int, e: int) -> float:
+    """What an element's nodes reach, by the one that reaches farther."""
+    return max(reach[i, e], reach[i, e + 1])
+
+
 @njit
 def approach(
     law: Between,
@@ -480,7 +486,7 @@ def approach(
     wider, n = law.half.copy(), room.room[8]
     for p in range(len(pairs)):
         a, e, b, f = pairs[p, 0], pairs[p, 1], pairs[p, 2], pairs[p, 3]
-        more = max(reach[a, e], reach[a, e + 1], reach[b, f], reach[b, f + 1])
+        more = max(_farther(reach, a, e), _farther(reach, b, f))
         wider[0], wider[1] = law.half[0] + more, law.half[1] + more
         inflated = Between(wider, law.round, law.stiffness, law.ratio, law.friction)
         gaps[p], closing[p, 0], closing[p, 1] = math.inf, 0.0, 0.0
@@ -506,79 +512,68 @@ def approach(
 
 
 @njit
-def _write_box(
-    law: Between, x: Array, q: Array, e: int, reach: float, axes: Array, box: Array
-) -> None:
-    """Write the middle (3,) and the half sides (3,) of a box along an element's ``axes`` (3, 3)
-    that holds its prism and ``reach`` metres around it."""
-    _middle(q, e, axes)
-    for c in range(3):
-        box[0, c] = 0.5 * (x[e, c] + x[e + 1, c])
+def axes_apart(x_a: Array, e: int, x_b: Array, f: int) -> float:
+    """The distance in m of the axes of two elements (Ericson, Real-Time Collision Detection, 2005,
+    Sec. 5.1.9)."""
+    aa = ab = bb = ac = bc = 0.0
     for k in range(3):
-        along = 0.0
-        for c in range(3):
-            along += axes[c, k] * (x[e + 1, c] - x[e, c])
-        section = law.half[k] if k < 2 else 0.0
-        box[1, k] = 0.5 * abs(along) + section + reach
+        a, b = x_a[e + 1, k] - x_a[e, k], x_b[f + 1, k] - x_b[f, k]
+        c = x_a[e, k] - x_b[f, k]
+        aa, ab, bb, ac, bc = aa + a * a, ab + a * b, bb + b * b, ac + a * c, bc + b * c
+    square, s = aa * bb - ab * ab, 0.0
+    if square > 0.0:
+        s = min(max((ab * bc - ac * bb) / square, 0.0), 1.0)
+    t = (ab * s + bc) / bb
+    if not 0.0 <= t <= 1.0:
+        t = 0.0 if t < 0.0 else 1.0
+        s = min(max((t * ab - ac) / aa, 0.0), 1.0)
+    square = 0.0
+    for k in range(3):
+        a, b = x_a[e + 1, k] - x_a[e, k], x_b[f + 1, k] - x_b[f, k]
+        square += (x_a[e, k] - x_b[f, k] + s * a - t * b) ** 2
+    return math.sqrt(square)
 
 
 @njit
-def _boxes_apart(axes_a: Array, box_a: Array, axes_b: Array, box_b: Array) -> bool:
-    """Whether a face of one of two boxes has the other beyond it."""
-    for other in range(2):
-        axes, box = (axes_a, box_a) if other == 0 else (axes_b, box_b)
-        beside, sides = (axes_b, box_b) if other == 0 else (axes_a, box_a)
-        for k in range(3):
-            apart, reach = 0.0, box[1, k]
-            for c in range(3):
-                apart += axes[c, k] * (box_a[0, c] - box_b[0, c])
-            for j in range(3):
-                turned = 0.0
-                for c in range(3):
-                    turned += axes[c, k] * beside[c, j]
-                reach += abs(turned) * sides[1, j]
-            if abs(apart) > reach:
-                return True
-    return False
+def near(law: Between, pairs: Integers, x: Array, reach: Array) -> Integers:
+    """Those of the pairs (p, 4) that may meet while nodes ``x`` (rods, n, 3) move by ``reach``
+    (rods, n): whose axes are no farther apart than that and their sections."""
+    x, reach = unowned((x, reach))
+    sections, count = 2.0 * math.hypot(law.half[0], law.half[1]), 0
+    found = np.empty(pairs.shape, np.int64)
+    for p in range(len(pairs)):
+        a, e, b, f = pairs[p, 0], pairs[p, 1], pairs[p, 2], pairs[p, 3]
+        within = sections + _farther(reach, a, e) + _farther(reach, b, f)
+        if axes_apart(x[a], e, x[b], f) <= within:
+            found[count] = pairs[p]
+            count += 1
+    return found[:count]
 
 
 @njit
 def candidates(
-    law: Between,
-    x: Array,
-    q: Array,
-    turned: Array,
-    reach: Array,
-    rank: int,
-    ranks: int,
-    out: Integers,
+    law: Between, x: Array, turned: Array, reach: Array, rank: int, ranks: int, out: Integers
 ) -> int:
-    """Write the pairs of elements (p, 4) of rods with nodes ``x`` (rods, n, 3) and ``q`` that come
-    so near that boxes around them meet: around the prisms, and ``reach`` (rods, n) beyond; how many
-    there are, written or not. Each of so many ``ranks`` finds a part of them.
+    """Write the pairs of elements (p, 4) of rods with nodes ``x`` (rods, n, 3) that are `near`
+    within ``reach`` (rods, n); how many there are, written or not. Each of so many ``ranks`` finds
+    a part of them.
 
     Boxes along the axes ``turned`` (3, 3) are sorted into cells as large as the largest of them.
-    Where two meet, those along the elements' own axes are compared (Gottschalk et al.).
     """
-    x, q, reach = unowned((x, q, reach))
+    x, reach = unowned((x, reach))
     rods, elements = x.shape[0], x.shape[1] - 1
     low: Array = np.empty((rods * elements, 3))
     high: Array = np.empty((rods * elements, 3))
-    axes, boxes = np.empty((rods * elements, 3, 3)), np.empty((rods * elements, 2, 3))
-    for r in range(rods):
-        for e in range(elements):
-            i = r * elements + e
-            beyond = max(reach[r, e], reach[r, e + 1])
-            _write_box(law, x[r], q[r], e, beyond, axes[i], boxes[i])
-            for c in range(3):
-                middle = half = 0.0
-                for k in range(3):
-                    middle += turned[k, c] * boxes[i, 0, k]
-                    cosine = 0.0
-                    for d in range(3):
-                        cosine += turned[d, c] * axes[i, d, k]
-                    half += abs(cosine) * boxes[i, 1, k]
-                low[i, c], high[i, c] = middle - half, middle + half
+    section = math.hypot(law.half[0], law.half[1])
+    for i in range(rods * elements):
+        r, e = i // elements, i % elements
+        beyond = section + _farther(reach, r, e)
+        for c in range(3):
+            begin = end = 0.0
+            for k in range(3):
+                begin += turned[k, c] * x[r, e, k]
+                end += turned[k, c] * x[r, e + 1, k]
+            low[i, c], high[i, c] = min(begin, end) - beyond, max(begin, end) + beyond
     # boxes that meet have their middles in one cell, or in two beside each other
     cell, cells = np.empty((rods * elements, 3), np.int64), np.empty(3, np.int64)
     for c in range(3):
@@ -609,22 +604,21 @@ def candidates(
                 if low[first, 2] > high[second, 2] or low[second, 2] > high[first, 2]:
                     continue
                 j = order[second]
-                if i // elements == j // elements:
+                a, e, b, f = i // elements, i % elements, j // elements, j % elements
+                if a == b:
                     continue
-                if _boxes_apart(axes[i], boxes[i], axes[j], boxes[j]):
+                within = 2.0 * section + _farther(reach, a, e) + _farther(reach, b, f)
+                if axes_apart(x[a], e, x[b], f) > within:
                     continue
-                if count < len(out):
-                    a, b = i, j
-                    # the element with a tip is the first, else the rod of the lower number
-                    tip_a, tip_b = a % elements == elements - 1, b % elements == elements - 1
-                    if (tip_b and not tip_a) or (tip_a == tip_b and b < a):
-                        a, b = b, a
-                    out[count, 0], out[count, 1] = a // elements, a % elements
-                    out[count, 2], out[count, 3] = b // elements, b % elements
-                count += 1
-                if j % elements == elements - 1 and i % elements == elements - 1:
-                    # two tips are met from both sides: either may run into the other end-on
+                # the element with a tip is the first, else the rod of the lower number
+                tip_a, tip_b = e == elements - 1, f == elements - 1
+                if (tip_b and not tip_a) or (tip_a == tip_b and b < a):
+                    a, e, b, f = b, f, a, e
+                # two tips are met from both sides: either may run into the other end-on
+                for side in range(2 if tip_a and tip_b else 1):
                     if count < len(out):
-                        out[count] = out[count - 1][np.array([2, 3, 0, 1])]
+                        pair = out[count]
+                        pair[2 * side], pair[2 * side + 1] = a, e
+                        pair[2 - 2 * side], pair[3 - 2 * side] = b, f
                     count += 1
     return count

@@ -36,10 +36,12 @@ from bristle.solver.rods.pairs import (
     ROUGH_M,
     Side,
     approach,
+    axes_apart,
     between_of,
     candidates,
     meet,
     meet_pair,
+    near,
     new_meeting,
     room_for_points,
 )
@@ -340,46 +342,38 @@ def test_forces_at_points_are_those_of_each_cluster_and_of_all_as_a_sparse_matri
     assert np.isfinite(alone).tolist() == [True, True, False, False, False]
 
 
-def test_candidates_are_all_pairs_whose_boxes_meet():
-    """All that do meet, by the distance of two boxes as a least-squares problem, and none of which
-    a face has the other beyond it, by the boxes' corners."""
+def test_candidates_are_all_pairs_that_are_near():
+    """By the distance of two axes as a least-squares problem; and so are those of them that are
+    near within less."""
     rng, more = np.random.default_rng(3), 1e-3
-    attitudes = Rotation.random(8, rng)
-    places = rng.normal(scale=2e-3, size=(8, 1, 3))
-    x = places + np.linspace(0.0, 0.02, 5)[:, None] * attitudes.as_matrix()[:, None, :, 2]
-    q = np.repeat(attitudes.as_quat()[:, None, [3, 0, 1, 2]], 5, axis=1)
-    room = np.zeros((2000, 4), dtype=np.int64)
-    turned = Rotation.random(rng=rng).as_matrix()
-    count = candidates(LAW, x, q, turned, np.full((8, 5), more), 0, 1, room)
+    attitudes = Rotation.random(8, rng).as_matrix()
+    places = rng.normal(scale=4e-3, size=(8, 1, 3))
+    x = places + np.linspace(0.0, 0.02, 5)[:, None] * attitudes[:, None, :, 2]
+    room, turned = np.zeros((2000, 4), dtype=np.int64), Rotation.random(rng=rng).as_matrix()
+    count = candidates(LAW, x, turned, np.full((8, 5), more), 0, 1, room)
     each = room[:count].tolist()
-    found = {frozenset([(a, e), (b, f)]) for a, e, b, f in each}
     parts = []
     for rank in range(3):
-        count_of_part = candidates(LAW, x, q, turned, np.full((8, 5), more), rank, 3, room)
-        assert count_of_part > 0
-        parts += room[:count_of_part].tolist()
+        part = candidates(LAW, x, turned, np.full((8, 5), more), rank, 3, room)
+        assert part < count
+        parts += room[:part].tolist()
     assert parts == each
-    # two tips are met from both sides
-    assert len(found) == count - sum(e == f == 3 for _, e, _, f in each) // 2
-    # a tip is met by its own rod's side
-    assert all(f != 3 or e == 3 for _, e, _, f in each)
-    half = np.array([SECTION.half_thin_m, SECTION.half_wide_m, 0.0025]) + more
-    middles, axes = 0.5 * (x[:, 1:] + x[:, :-1]), attitudes.as_matrix()
-    meets, none_beyond = set(), set()
+    apart = {}
     for a, b, e, f in itertools.product(range(8), range(8), range(4), range(4)):
-        if a <= b:
-            continue
-        pair, apart = frozenset([(a, e), (b, f)]), middles[b, f] - middles[a, e]
-        both = np.concatenate([axes[a], -axes[b]], axis=1)
-        sides = np.concatenate([half, half])
-        if lsq_linear(both, apart, (-sides, sides), tol=1e-14).cost < 1e-20:
-            meets.add(pair)
-        normals = np.concatenate([axes[a], axes[b]], axis=1)
-        reach = np.abs(normals.T @ both) @ sides
-        if (np.abs(normals.T @ apart) <= reach).all():
-            none_beyond.add(pair)
-    assert len(meets) > 20
-    assert meets <= found <= none_beyond
+        if a < b:
+            sides = np.stack([x[a, e + 1] - x[a, e], x[b, f] - x[b, f + 1]], axis=1)
+            found = lsq_linear(sides, x[b, f] - x[a, e], (0.0, 1.0), method="bvls", tol=1e-14)
+            apart[frozenset([(a, e), (b, f)])] = math.sqrt(2.0 * found.cost)
+            assert axes_apart(x[a], e, x[b], f) == pytest.approx(math.sqrt(2.0 * found.cost))
+    for pairs, reach in ((each, more), (near(LAW, np.array(each), x, np.zeros((8, 5))), 0.0)):
+        within = math.hypot(THIN, WIDE) + 2.0 * reach
+        meet = {pair for pair, distance in apart.items() if distance <= within}
+        found = [frozenset([(a, e), (b, f)]) for a, e, b, f in pairs]
+        assert set(found) == meet
+        assert 3 < len(meet) < len(apart) / 2
+        # two tips are met from both sides, and one by its own rod's side
+        assert len(found) == len(meet) + sum(all(e == 3 for _, e in pair) for pair in meet)
+        assert all(f != 3 or e == 3 for _, e, _, f in pairs)
 
 
 @pytest.mark.parametrize(("gap_m", "closes_m_s", "met"), [(6e-5, 1.0, False), (1e-5, -15.0, True)])
