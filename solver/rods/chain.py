@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..arrays import Array, zeros
-from ..compiled import njit
+from ..compiled import inlined, njit
 from .section import RodSection
 
 
@@ -110,71 +110,75 @@ def new_system(n: int) -> System:
 
 
 @njit
-def _eliminate(room: Array, width: int) -> bool:
-    """Gauss and Jordan with pivots on 6 rows of ``width`` columns; False where it is singular."""
-    for k in range(6):
-        p = k
-        for i in range(k + 1, 6):
-            if abs(room[i, k]) > abs(room[p, k]):
-                p = i
-        pivot = room[p, k]
-        if not abs(pivot) > 0.0:
-            return False
-        if p != k:
-            for j in range(k, width):
-                room[k, j], room[p, j] = room[p, j], room[k, j]
-        pivot = 1.0 / pivot
-        for j in range(k + 1, width):
-            room[k, j] *= pivot
-        for i in range(6):
-            factor = room[i, k]
-            if i != k and factor != 0.0:
-                for j in range(k + 1, width):
-                    room[i, j] -= factor * room[k, j]
-    return True
-
-
-@njit
 def solve_columns(system: System, columns: Array) -> bool:
-    """Solve for ``columns`` (n, 6, m) of loads in place: block Gauss elimination.
+    """Solve for ``columns`` (n, 6, m) of loads in place: block Gauss and Jordan, with pivots.
 
     The clamped node does not move. Blocks of six are eliminated by hand: LAPACK's overhead on them
     is several times the arithmetic. The blocks ``above`` are used up. Returns False where the
     matrix is singular.
     """
     diagonal, above, below = system.diagonal, system.above, system.below
-    n, many = columns.shape[0], columns.shape[2]
-    room = np.empty((6, 12 + many))
-    for r in range(6):
-        for j in range(many):
-            columns[0, r, j] = 0.0
+    n, many, room = columns.shape[0], columns.shape[2], np.empty((6, 12))
+    columns[0] = 0.0
     for i in range(1, n):
-        width = 12 + many if i < n - 1 else 6 + many
+        loads = columns[i]
         for r in range(6):
             for c in range(6):
-                room[r, c] = diagonal[i, r, c]
-                if i < n - 1:
-                    room[r, 6 + many + c] = above[i, r, c]
-            for j in range(many):
-                room[r, 6 + j] = columns[i, r, j]
+                room[r, c], room[r, 6 + c] = diagonal[i, r, c], above[i, r, c]
             if i > 1:
-                for k in range(6):
-                    factor = below[i, r, k]
-                    for c in range(6):
-                        room[r, c] -= factor * above[i - 1, k, c]
-                    for j in range(many):
-                        room[r, 6 + j] -= factor * columns[i - 1, k, j]
-        if not _eliminate(room, width):
-            return False
-        for r in range(6):
-            for j in range(many):
-                columns[i, r, j] = room[r, 6 + j]
-            if i < n - 1:
+                # a tuple has no other name, so that loops over it run on vector units
+                row = _six(below[i, r], 0)
                 for c in range(6):
-                    above[i, r, c] = room[r, 6 + many + c]
+                    value = room[r, c]
+                    for k in range(6):
+                        value -= row[k] * above[i - 1, k, c]
+                    room[r, c] = value
+                for j in range(many):
+                    value = loads[r, j]
+                    for k in range(6):
+                        value -= row[k] * columns[i - 1, k, j]
+                    loads[r, j] = value
+        for k in range(6):
+            p = k
+            for r in range(k + 1, 6):
+                if abs(room[r, k]) > abs(room[p, k]):
+                    p = r
+            pivot = room[p, k]
+            if not abs(pivot) > 0.0:
+                return False
+            if p != k:
+                for j in range(12):
+                    room[k, j], room[p, j] = room[p, j], room[k, j]
+                for j in range(many):
+                    loads[k, j], loads[p, j] = loads[p, j], loads[k, j]
+            pivot = 1.0 / pivot
+            for j in range(12):
+                room[k, j] *= pivot
+            for j in range(many):
+                loads[k, j] *= pivot
+            row_k = (*_six(room[k], 0), *_six(room[k], 6))
+            for r in range(6):
+                factor = room[r, k]
+                if r != k:
+                    for j in range(12):
+                        room[r, j] -= factor * row_k[j]
+                    for j in range(many):
+                        loads[r, j] -= factor * loads[k, j]
+        for r in range(6):
+            for c in range(6):
+                above[i, r, c] = room[r, 6 + c]
     for i in range(n - 2, 0, -1):
         for r in range(6):
-            for c in range(6):
-                for j in range(many):
-                    columns[i, r, j] -= above[i, r, c] * columns[i + 1, c, j]
+            row = _six(above[i, r], 0)
+            for j in range(many):
+                value = columns[i, r, j]
+                for c in range(6):
+                    value -= row[c] * columns[i + 1, c, j]
+                columns[i, r, j] = value
     return True
+
+
+@inlined
+def _six(a: Array, i: int) -> tuple[float, float, float, float, float, float]:
+    """Entries of a row from ``i`` on."""
+    return a[i], a[i + 1], a[i + 2], a[i + 3], a[i + 4], a[i + 5]
