@@ -25,7 +25,7 @@ import numpy as np
 from ..arrays import Array, zeros
 from ..compiled import inlined, njit
 from .chain import Chain, System
-from .rotation import Vector, between, cross, dot, vector_factor, write_matrix_of
+from .rotation import Vector, between, cross, dot, vector_factor, write_middle
 
 # Below this angle between nodes, in rad, coefficients are their series.
 SMALL_RAD = 0.05
@@ -59,17 +59,7 @@ def measure(x: Array, q: Array, e: int, length: float, middle: Array, strain: Ar
     w, v0, v1, v2 = between(q[e], q[e + 1])
     factor = vector_factor(w, v0, v1, v2) / length
     strain[3], strain[4], strain[5] = factor * v0, factor * v1, factor * v2
-    # the first node's rotation, then half of that between
-    h = math.sqrt(0.5 * (1.0 + w))
-    h0, h1, h2 = 0.5 * v0 / h, 0.5 * v1 / h, 0.5 * v2 / h
-    p, p0, p1, p2 = q[e, 0], q[e, 1], q[e, 2], q[e, 3]
-    write_matrix_of(
-        p * h - p0 * h0 - p1 * h1 - p2 * h2,
-        p * h0 + p0 * h + p1 * h2 - p2 * h1,
-        p * h1 - p0 * h2 + p1 * h + p2 * h0,
-        p * h2 + p0 * h1 - p1 * h0 + p2 * h,
-        middle,
-    )
+    write_middle(q, e, middle)
     d0, d1, d2 = x[e + 1, 0] - x[e, 0], x[e + 1, 1] - x[e, 1], x[e + 1, 2] - x[e, 2]
     for c in range(3):
         strain[c] = (middle[0, c] * d0 + middle[1, c] * d1 + middle[2, c] * d2) / length
@@ -93,35 +83,6 @@ def _turned_back(middle: Array, solution: Array, e: int, c: int) -> Vector:
         mean += 0.5 * middle[k, c] * (solution[e + 1, 3 + k] + solution[e, 3 + k])
         apart += middle[k, c] * (solution[e + 1, 3 + k] - solution[e, 3 + k])
     return moved, mean, apart
-
-
-@njit
-def foresee(
-    chain: Chain,
-    x: Array,
-    q: Array,
-    e: int,
-    solution: Array,
-    share: float,
-    middle: Array,
-    strain: Array,
-    out: Array,
-) -> None:
-    """Write Γ (3,) of an element after a ``share`` of the nodes' displacements and spins (n, 6), to
-    first order."""
-    length = chain.length[e]
-    measure(x, q, e, length, middle, strain)
-    f = _three(strain, 3, length)
-    _, _, tau, _, _, _ = coefficients(dot(f, f))
-    m0, a0, b0 = _turned_back(middle, solution, e, 0)
-    m1, a1, b1 = _turned_back(middle, solution, e, 1)
-    m2, a2, b2 = _turned_back(middle, solution, e, 2)
-    # the spin of the middle, of which a half is from either node
-    t0, t1, t2 = cross(_three(f, 0, tau), (b0, b1, b2))
-    w0, w1, w2 = a0 - t0, a1 - t1, a2 - t2
-    out[0] = strain[0] + share * (m0 / length + strain[1] * w2 - strain[2] * w1)
-    out[1] = strain[1] + share * (m1 / length + strain[2] * w0 - strain[0] * w2)
-    out[2] = strain[2] + share * (m2 / length + strain[0] * w1 - strain[1] * w0)
 
 
 @njit
@@ -250,6 +211,24 @@ def assemble_forces(
         for r in range(6):
             system.residual[e, r] += elements.ends[e, 0, r]
             system.residual[e + 1, r] += elements.ends[e, 1, r]
+
+
+@njit
+def foresee(chain: Chain, elements: Elements, solution: Array, out: Array) -> None:
+    """Write Γ of the elements (e, 3) into the first of two arrays, and into the second what nodes'
+    displacements and spins (n, 6) add to it, to first order."""
+    for e in range(len(chain.length)):
+        length, middle, strain = chain.length[e], elements.middle[e], elements.strain[e]
+        f = _three(strain, 3, length)
+        _, _, tau, _, _, _ = coefficients(dot(f, f))
+        m0, a0, b0 = _turned_back(middle, solution, e, 0)
+        m1, a1, b1 = _turned_back(middle, solution, e, 1)
+        m2, a2, b2 = _turned_back(middle, solution, e, 2)
+        # the spin of the middle, of which a half is from either node
+        t0, t1, t2 = cross(_three(f, 0, tau), (b0, b1, b2))
+        turned = cross(_three(strain, 0, 1.0), (a0 - t0, a1 - t1, a2 - t2))
+        for c, moved in enumerate((m0, m1, m2)):
+            out[0, e, c], out[1, e, c] = strain[c], moved / length + turned[c]
 
 
 @inlined

@@ -398,7 +398,8 @@ def _newton_steps(brush: Brush, group: Group, h: float, room: Room, count: int) 
             moved = _of_rod(columns, nodes, begins, k)
             own = sides[begins[k] : begins[k + 1]]
             _superpose(moved, own, forces, room.scratches.system.solution[k])
-            keep(nth(room.new, k), nth(room.scratches, k))
+            chain = nth(brush.rods.chain, group.members[k])
+            keep(chain, nth(room.new, k), nth(room.scratches, k))
     return True
 
 

@@ -10,8 +10,7 @@ import numpy as np
 from ..arrays import Array
 from ..compiled import njit
 from .chain import Chain
-from .element import foresee, measure
-from .rotation import exponential, multiply, normalise
+from .rotation import exponential, multiply, normalise, write_middle
 
 # Newton's step turns no node by more, in rad.
 FURTHEST_RAD = 0.5
@@ -33,39 +32,39 @@ def excess(residual: Array, force: float, moment: float) -> float:
 
 
 @njit
-def place_nodes(chain: Chain, x: Array, q: Array, stretch: Array) -> None:
+def place_nodes(
+    chain: Chain, x: Array, q: Array, stretch: Array, change: Array, part: float
+) -> None:
     """Write the places ``x`` (n, 3) of free nodes by which elements have ``stretch`` (e, 3 or more)
-    along the rod and in shear, Γ of `element.measure`, from the clamp on."""
-    middle, strain = np.empty((3, 3)), np.empty(6)
+    along the rod and in shear, Γ of `element.measure`, and ``part`` of its ``change``, from the
+    clamp on."""
+    middle = np.empty((3, 3))
     for e in range(len(chain.length)):
-        measure(x, q, e, chain.length[e], middle, strain)
+        write_middle(q, e, middle)
         for i in range(3):
             along = 0.0
             for k in range(3):
-                along += middle[i, k] * stretch[e, k]
+                along += middle[i, k] * (stretch[e, k] + part * change[e, k])
             x[e + 1, i] = x[e, i] + chain.length[e] * along
 
 
 @njit
-def move(chain: Chain, x: Array, q: Array, solution: Array, part: float, target: Array) -> None:
+def move(chain: Chain, x: Array, q: Array, solution: Array, part: float, foreseen: Array) -> None:
     """Move free nodes by ``part`` of Newton's step, or less: none turns by more than 0.5 rad.
 
     Rotations take the step as it is. Positions are then those that give every element the stretch
-    and the shear which the step foresees, from the clamp on: straight displacements would stretch
-    an element that turns, by the square of its angle, and set off its stiffest springs. Both agree
-    to first order. ``target`` (e, 3) is room.
+    and the shear ``foreseen`` (2, e, 3), see `element.foresee`: straight displacements would
+    stretch an element that turns, by the square of its angle, and set off its stiffest springs.
+    Both agree to first order.
     """
     most = 0.0
     for i in range(1, len(x)):
         for c in range(3):
             most = max(most, abs(solution[i, 3 + c]))
-    share = min(part, FURTHEST_RAD / most) if most > 0.0 else part
-    middle, strain, step = np.empty((3, 3)), np.empty(6), np.empty(4)
-    for e in range(len(chain.length)):
-        foresee(chain, x, q, e, solution, share, middle, strain, target[e])
+    share, step = min(part, FURTHEST_RAD / most) if most > 0.0 else part, np.empty(4)
     for i in range(1, len(x)):
         w = solution[i]
         exponential(share * w[3], share * w[4], share * w[5], step)
         multiply(step, q[i], q[i])
         normalise(q[i])
-    place_nodes(chain, x, q, target)
+    place_nodes(chain, x, q, foreseen[0], foreseen[1], share)

@@ -38,7 +38,7 @@ from ..compiled import inlined, njit, unowned, write
 from .contact import Friction, Springs, TouchStep, friction_of, lose_hold, touch_point
 from .ground import Contact
 from .motion import Motion, Pose, pose_of
-from .rotation import cross, dot, write_matrix_of
+from .rotation import cross, dot, write_middle
 from .section import RodSection
 
 # Directions whose square is below this are no axis.
@@ -151,25 +151,6 @@ class Side(NamedTuple):
     old: Pose
 
 
-@njit
-def _middle(q: Array, e: int, out: Array) -> None:
-    """Write the axes (3, 3) of an element's middle."""
-    same = square = 0.0
-    for c in range(4):
-        same += q[e, c] * q[e + 1, c]
-    sign = 1.0 if same >= 0.0 else -1.0
-    for c in range(4):
-        square += (q[e, c] + sign * q[e + 1, c]) ** 2
-    size = math.sqrt(square)
-    write_matrix_of(
-        (q[e, 0] + sign * q[e + 1, 0]) / size,
-        (q[e, 1] + sign * q[e + 1, 1]) / size,
-        (q[e, 2] + sign * q[e + 1, 2]) / size,
-        (q[e, 3] + sign * q[e + 1, 3]) / size,
-        out,
-    )
-
-
 @inlined
 def _size(s: float) -> float:
     """|s| with a round corner at zero, exact at zero and one."""
@@ -269,8 +250,8 @@ def meet(law: Between, a: Pose, e: int, b: Pose, f: int, out: Meeting) -> float:
     low, high = _clip(low, high, beyond, -dot(ta, plane))
     if high <= low:
         return 0.0
-    _middle(qa, e, out.axes_a)
-    _middle(qb, f, out.axes_b)
+    write_middle(qa, e, out.axes_a)
+    write_middle(qb, f, out.axes_b)
     best, least_held, length = -math.inf, math.inf, 0.0
     tip, cosine = e == len(xa) - 2, dot(ta, tb)
     sine_2, along = 1.0 - cosine * cosine, dot(apart, tb)
@@ -372,7 +353,7 @@ def _moved(side: Side, share: float, arm: Array, axes: Array, was: Array, out: A
     """Write how far a point of an element has moved in the step, given its ``arm`` now; ``was``
     (3, 3) is room."""
     e, now, old = side.element, side.now, side.old
-    _middle(old.q, e, was)
+    write_middle(old.q, e, was)
     for i in range(3):
         own = axes[0, i] * arm[0] + axes[1, i] * arm[1] + axes[2, i] * arm[2]
         for c in range(3):

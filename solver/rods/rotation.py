@@ -79,6 +79,25 @@ def write_matrix(q: Array, out: Array) -> None:
     write_matrix_of(q[0], q[1], q[2], q[3], out)
 
 
+@njit
+def write_middle(q: Array, e: int, out: Array) -> None:
+    """Write the axes (3, 3) halfway between those of node ``e`` (n, 4) and of the next."""
+    same = square = 0.0
+    for c in range(4):
+        same += q[e, c] * q[e + 1, c]
+    sign = 1.0 if same >= 0.0 else -1.0
+    for c in range(4):
+        square += (q[e, c] + sign * q[e + 1, c]) ** 2
+    size = math.sqrt(square)
+    write_matrix_of(
+        (q[e, 0] + sign * q[e + 1, 0]) / size,
+        (q[e, 1] + sign * q[e + 1, 1]) / size,
+        (q[e, 2] + sign * q[e + 1, 2]) / size,
+        (q[e, 3] + sign * q[e + 1, 3]) / size,
+        out,
+    )
+
+
 @inlined
 def normalise(q: Array) -> None:
     """Take the rounding off a unit quaternion."""

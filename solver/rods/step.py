@@ -30,7 +30,7 @@ from .contact import (
     release,
     touch_section,
 )
-from .element import Elements, assemble_forces, new_elements
+from .element import Elements, assemble_forces, foresee, new_elements
 from .motion import (
     CONTACT,
     FRICTION,
@@ -73,15 +73,15 @@ class Law(NamedTuple):
 
 
 class Scratch(NamedTuple):
-    """Room for a step of one rod, and what Newton's method knows of it: its system, its elements
-    and (e, 3) numbers; where it was before Newton's step, (n, 3) and (n, 4); axes (3, 3) of two
-    sections; the gaps (n,) in m; the force and the moment (2,) that count as none; what friction
-    took and contact holds (2,), by itself and with the others; and its residual (n, 6) by
-    itself."""
+    """Room for a step of one rod, and what Newton's method knows of it: its system, its elements,
+    and what Newton's step makes of them (2, e, 3), see `element.foresee`; where it was before that
+    step, (n, 3) and (n, 4); axes (3, 3) of two sections; the gaps (n,) in m; the force and the
+    moment (2,) that count as none; what friction took and contact holds (2,), by itself and with
+    the others; and its residual (n, 6) by itself."""
 
     system: System
     elements: Elements
-    target: Array
+    foreseen: Array
     x: Array
     q: Array
     matrix: Array
@@ -97,7 +97,7 @@ def new_scratch(n: int) -> Scratch:
     """Room for a rod of ``n`` nodes."""
     record = partial(Scratch, new_system(n), new_elements(n - 1))
     axes = 3, 3
-    return zeros(record, (n - 1, 3), (n, 3), (n, 4), axes, axes, n, 2, 2, 2, (n, 6))
+    return zeros(record, (2, n - 1, 3), (n, 3), (n, 4), axes, axes, n, 2, 2, 2, (n, 6))
 
 
 class Step(NamedTuple):
@@ -125,7 +125,7 @@ def _predict(step: Step, h: float) -> None:
         )
         multiply(old.q[i], turn, new.q[i])
         normalise(new.q[i])
-    place_nodes(step.rod.chain, new.x, new.q, old.strain)
+    place_nodes(step.rod.chain, new.x, new.q, old.strain, old.strain, 0.0)
 
 
 @inlined
@@ -384,10 +384,11 @@ def assemble(law: Law, step: Step, early: bool) -> tuple[float, float]:
 
 
 @within
-def keep(new: Motion, scratch: Scratch) -> None:
-    """Keep where the rod is."""
+def keep(chain: Chain, new: Motion, scratch: Scratch) -> None:
+    """Keep where the rod is, and what Newton's step makes of its elements."""
     write(new.x, scratch.x)
     write(new.q, scratch.q)
+    foresee(chain, scratch.elements, scratch.system.solution, scratch.foreseen)
 
 
 @within
@@ -395,4 +396,4 @@ def go(chain: Chain, new: Motion, part: float, scratch: Scratch) -> None:
     """Move the rod by a ``part`` of Newton's step from where it was kept."""
     write(scratch.x, new.x)
     write(scratch.q, new.q)
-    move(chain, new.x, new.q, scratch.system.solution, part, scratch.target)
+    move(chain, new.x, new.q, scratch.system.solution, part, scratch.foreseen)
