@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Self
+from typing import NamedTuple, Self
 
 import numpy as np
 from scipy.interpolate import Akima1DInterpolator
@@ -60,8 +60,7 @@ class Clamps:
         return len(self.length_m)
 
 
-@dataclass(frozen=True)
-class HubPose:
+class HubPose(NamedTuple):
     """Where the hub is at one instant: its origin (3,), its axes in the world's (3, 3), and their
     velocity and angular velocity (3,), all in world axes."""
 

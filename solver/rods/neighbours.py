@@ -8,6 +8,7 @@ meanwhile. They count too, and the rods concerned march the span once more.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
@@ -17,11 +18,13 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from ..arrays import Array, Flags, Integers
+from ..compiled import njit, unowned
 from .contact import FREE, Touch, no_touch
 from .hub import HubPose
 from .joint import Group
 from .motion import Motion
 from .pairs import ROD_A, ROD_B, Between, approach, candidates, near, new_meeting
+from .rotation import cross
 
 # How far rods move in a span at most, over the wide side.
 MOVED = 0.125
@@ -77,7 +80,7 @@ class Neighbours:
     def search(self, stack: Motion, pose: HubPose, longest_s: float) -> None:
         """Make the list of pairs that count over the next span of time, and say how long that is,
         up to ``longest_s``; collective."""
-        self._placed, speeds = self._in_hub(stack, pose)
+        self._placed, speeds = _in_hub(stack, pose)
         most = MOVED * 2.0 * float(self.law.half[1])
         self.span_s = min(most / max(float(speeds.max()), 1e-12), longest_s)
         self._reach = self._apart + np.maximum(FASTER * speeds * self.span_s, KICKED * most)
@@ -95,7 +98,7 @@ class Neighbours:
 
     def outran(self, stack: Motion, pose: HubPose) -> bool:
         """Whether a rod has moved farther in the span than `search` thought."""
-        placed, _ = self._in_hub(stack, pose)
+        placed, _ = _in_hub(stack, pose)
         return _moved_beyond(self._placed, placed, self._reach)
 
     def missed(self, stack: Motion, span_s: float) -> Integers:
@@ -162,14 +165,6 @@ class Neighbours:
         approach(self.law, self._possible, stack, self._reach, self._room, gaps, closing)
         return gaps, closing.T
 
-    def _in_hub(self, stack: Motion, pose: HubPose) -> tuple[Array, Array]:
-        """Where nodes (rods, n, 3) are in the hub's axes, and how fast (rods, n) they move in
-        them."""
-        arms = stack.x - pose.position_m
-        carried = pose.velocity_m_s + np.cross(pose.angular_velocity_rad_s, arms)
-        speeds = np.linalg.norm(stack.velocity[..., :3] - carried, axis=-1)
-        return np.asarray(arms @ pose.rotation), np.asarray(speeds)
-
     def _take(self, pairs: Integers) -> None:
         """Another list of pairs; what points remember goes along."""
         before, touch = self.pairs, self.touch
@@ -192,10 +187,12 @@ class Neighbours:
         ends = self.pairs[:, [0, 2]]
         graph = coo_array((np.ones(len(ends)), (ends[:, 0], ends[:, 1])), shape=(rods, rods))
         _, of = connected_components(graph, directed=False)
-        counts, owner = np.bincount(of, minlength=rods), of[self.pairs[:, 0]]
+        owner, numbers = of[self.pairs[:, 0]], np.arange(rods + 1)
+        members, rows = np.argsort(of, kind="stable"), np.argsort(owner, kind="stable")
+        begins, first = np.searchsorted(of[members], numbers), np.searchsorted(owner[rows], numbers)
         found = [
-            Linked(np.flatnonzero(of == g), np.flatnonzero(owner == g))
-            for g in np.flatnonzero(counts > 1)
+            Linked(members[begins[g] : begins[g + 1]], rows[first[g] : first[g + 1]])
+            for g in np.flatnonzero(np.diff(begins) > 1)
         ]
         return found, of
 
@@ -223,9 +220,39 @@ def _joined(*pairs: Integers) -> Integers:
     return np.unique(np.concatenate(pairs), axis=0)
 
 
+@njit
+def _in_hub(stack: Motion, pose: HubPose) -> tuple[Array, Array]:
+    """Where nodes (rods, n, 3) are in the hub's axes, and how fast (rods, n) they move in them."""
+    stack = unowned(stack)
+    rods, nodes, _ = stack.x.shape
+    placed, speeds, arm = np.empty((rods, nodes, 3)), np.empty((rods, nodes)), np.empty(3)
+    for i in range(rods):
+        for k in range(nodes):
+            for c in range(3):
+                arm[c] = stack.x[i, k, c] - pose.position_m[c]
+            carried, square = cross(pose.angular_velocity_rad_s, arm), 0.0
+            for c in range(3):
+                own = stack.velocity[i, k, c] - pose.velocity_m_s[c] - carried[c]
+                square += own * own
+                placed[i, k, c] = 0.0
+                for d in range(3):
+                    placed[i, k, c] += pose.rotation[d, c] * arm[d]
+            speeds[i, k] = math.sqrt(square)
+    return placed, speeds
+
+
+@njit
 def _moved_beyond(before: Array, now: Array, reach: Array) -> bool:
     """Whether a node (rods, n) has moved farther than its reach."""
-    return bool((np.linalg.norm(now - before, axis=-1) > reach).any())
+    for i in range(reach.shape[0]):
+        for k in range(reach.shape[1]):
+            square = 0.0
+            for c in range(3):
+                square += (now[i, k, c] - before[i, k, c]) ** 2
+            # a negative reach has been left already
+            if not math.sqrt(square) <= reach[i, k]:
+                return True
+    return False
 
 
 def _places(pairs: Integers, wanted: Integers) -> Integers:
