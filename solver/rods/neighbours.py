@@ -36,6 +36,8 @@ LASTS = 4.0
 NEAR = 0.001
 # Faces that are no deeper in each other just touch.
 TOUCHING_M = 1e-9
+# A rod in a group costs so many times what one does on average.
+GROUPED = 5.0
 # Instants of a span at which gaps are looked at.
 LOOKS = 9
 
@@ -284,24 +286,29 @@ def alone(groups: list[Linked], rods: int) -> Flags:
 def shared_out(groups: list[Linked], holder: Integers, cost: Array, ranks: int) -> Integers:
     """The rank (n,) that marches each rod, with the members of a group all by one.
 
-    The costliest group goes first. It, and after all groups each lone rod, goes to the ``holder``
-    (n,) of the most of its ``cost`` (n,), unless that has its share of the whole already; then to
-    the rank with the least to do.
+    The largest group goes first. Each goes to the ``holder`` (n,) of the most of its members,
+    unless that has its share of all groups already; then to the rank with the least to do. So does
+    each lone rod after them, by its ``cost`` (n,), zero if it does not march, and its share of the
+    whole. What a group did cost tells little of what it will: steps that do not converge take the
+    longest. So groups count by their members.
     """
     load, who, left = np.zeros(ranks), holder.copy(), list[int]()
-    share = cost.sum() / ranks
+    lone, marches = alone(groups, len(holder)), cost > 0.0
+    mean = cost.sum() / max(np.count_nonzero(marches), 1)
+    cost = np.where(marches & ~lone, GROUPED * mean, cost)
     weights = [np.bincount(holder[g.members], cost[g.members], ranks) for g in groups]
+    share, share_of_groups = cost.sum() / ranks, cost[~lone].sum() / ranks
     for g in sorted(range(len(groups)), key=lambda g: (-weights[g].sum(), g)):
         rank = weights[g].argmax()
-        if load[rank] >= share:
+        if load[rank] >= share_of_groups:
             rank = load.argmin()
         who[groups[g].members] = rank
         load[rank] += weights[g].sum()
-    for i in np.flatnonzero(alone(groups, len(holder))):
-        if load[holder[i]] < share:
-            load[holder[i]] += cost[i]
-        else:
-            left.append(i)
+    for each in range(ranks):
+        own = np.flatnonzero(lone & (holder == each))
+        stays = np.count_nonzero(load[each] + np.cumsum(cost[own]) - cost[own] < share)
+        load[each] += cost[own[:stays]].sum()
+        left.extend(own[stays:])
     for i in left:
         who[i] = load.argmin()
         load[who[i]] += cost[i]

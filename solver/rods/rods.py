@@ -103,8 +103,9 @@ class Rods:
         positive("the tolerance of a step", tolerance)
         self.section, self.clamps, self.motion, self.ground = section, clamps, motion, ground
         self.comm, self.elements = comm, elements
-        # which rank marched each rod last, and how many steps and iterations its last span took
-        self._holder = np.arange(len(clamps)) * comm.size // len(clamps)
+        # Which rank marched each rod last, and how many steps and iterations its last span took.
+        # Neighbours, which touch down together, begin on different ranks.
+        self._holder = np.arange(len(clamps)) % comm.size
         self._cost: Array = np.ones(len(clamps))
         self._gravity = np.array([0.0, 0.0, -gravity_m_s2])
         scale_m, path = float(clamps.length_m.min()), (motion.breaks, motion.coefficients)
@@ -171,8 +172,8 @@ class Rods:
         width_s = (end_s - begin_s) / windows
         while self.t_s < end_s:
             self._advance(end_s, Windows(begin_s, width_s, sums))
-        whole = np.sum(self.comm.allgather(sums.sum(axis=0)), axis=0)
-        self._means = Means.of(begin_s, end_s, whole, len(self.clamps))
+        self._tell(([sums], self._held()))
+        self._means = Means.of(begin_s, end_s, sums.sum(axis=0), len(self.clamps))
 
     def _advance(self, end_s: float, windows: Windows) -> None:
         """March every bristle to ``end_s``, or as far as lists of neighbours hold."""
@@ -220,7 +221,7 @@ class Rods:
         rank, cost = self.comm.rank, np.where(those, self._cost, 0.0)
         who = shared_out(groups, self._holder, cost, self.comm.size)
         groups = [group for group in groups if those[group.members[0]]]
-        self._bring(np.where(those, who, -1))
+        self._bring(np.where(those, who, -1), windows.sums)
         mine = those & (who == rank)
         failed = self._march_apart(np.flatnonzero(mine & lone), until, windows)
         touched: list[Integers] = [np.zeros(0, dtype=np.int64)]
@@ -268,13 +269,13 @@ class Rods:
         moved = now.x, now.q, now.velocity, now.totals
         self._tell((moved, marched), (near.touch, touched))
 
-    def _bring(self, who: Integers) -> None:
-        """Send each rod's whole state to the rank ``who`` (rods,) that is about to march it, -1
-        where none is; collective."""
+    def _bring(self, who: Integers, sums: Array) -> None:
+        """Send each rod's whole state and ``sums`` to the rank ``who`` (rods,) that is about to
+        march it, -1 where none is; collective."""
         moves = (who >= 0) & (who != self._holder)
         if not moves.any():
             return
-        arrays, mine = _arrays(self._now), moves & (self._holder == self.comm.rank)
+        arrays, mine = [*_arrays(self._now), sums], moves & (self._holder == self.comm.rank)
         each = [np.flatnonzero(mine & (who == rank)) for rank in range(self.comm.size)]
         sent = [(those, [array[those] for array in arrays]) for those in each]
         for those, values in self.comm.alltoall(sent):
