@@ -215,8 +215,9 @@ class Rods:
 
     def _march_span(self, until: float, windows: Windows, those: Flags) -> None:
         """March ``those`` rods (rods,) to the end of a span, and groups of which they are whole."""
-        assert self._neighbours is not None
-        groups, _ = self._neighbours.groups(len(self.clamps))
+        now, near = self._now, self._neighbours
+        assert near is not None
+        groups, _ = near.groups(len(self.clamps))
         lone = alone(groups, len(self.clamps))
         rank, cost = self.comm.rank, np.where(those, self._cost, 0.0)
         who = shared_out(groups, self._holder, cost, self.comm.size)
@@ -230,7 +231,9 @@ class Rods:
                 if failed < 0:
                     failed = self._march_group(group, until, windows)
                 touched.append(group.rows)
-        self._exchange(np.flatnonzero(mine), np.concatenate(touched))
+        # What the next search needs. The rest is sent by `_bring`, `_tell_all` and `_observed`.
+        moved = now.x, now.q, now.velocity, now.totals
+        self._tell((moved, np.flatnonzero(mine)), (near.touch, np.concatenate(touched)))
         self._holder[those] = who[those]
         self._refuse_failure(failed)
 
@@ -257,17 +260,6 @@ class Rods:
                 f"{step:.3g} s; try a lower Kn, a finite one if it is infinite, or a slower motion"
             )
         require(self.comm, failed < 0, message)
-
-    def _exchange(self, marched: Integers, touched: Integers) -> None:
-        """Tell other ranks where the rods are that this one marched, and of the pairs; collective.
-
-        That is what the search for pairs needs. The rest is sent by `_bring` and `_tell_all`, and
-        what a frame shows by `_observed`.
-        """
-        now, near = self._now, self._neighbours
-        assert near is not None
-        moved = now.x, now.q, now.velocity, now.totals
-        self._tell((moved, marched), (near.touch, touched))
 
     def _bring(self, who: Integers, sums: Array) -> None:
         """Send each rod's whole state and ``sums`` to the rank ``who`` (rods,) that is about to
@@ -406,11 +398,9 @@ class Rods:
         """What is to be seen of all rods; each rank looks at those that it holds; collective."""
         mine = self._held()
         seen = observe(self._brush.rods.chain, self._gravity, self._now, mine)
-        if self.comm.size == 1:
-            return seen
         whole = Seen(*(np.empty((len(self.clamps), *each.shape[1:])) for each in seen))
-        for those, values in self.comm.allgather((mine, seen)):
-            put(whole, those, values)
+        put(whole, mine, seen)
+        self._tell((whole, mine))
         return whole
 
 
