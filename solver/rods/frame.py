@@ -65,6 +65,8 @@ class Frame:
     centre_m : (n, nodes, 3), the rods' centre lines, from the clamp to the tip
     rotation : (n, nodes, 4), unit quaternions of the sections' axes
     bending_stress_Pa : (n, nodes), the greatest over each section
+    greatest_stress_Pa : (n,), the greatest bending stress in each bristle, over all time steps
+        since the frame before
     energy : the sum over all bristles
     steps : time steps of all bristles so far
     means : over the time since the frame before
@@ -81,6 +83,7 @@ class Frame:
     centre_m: Array
     rotation: Array
     bending_stress_Pa: Array
+    greatest_stress_Pa: Array
     energy: RodEnergy
     steps: int
     means: Means

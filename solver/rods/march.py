@@ -16,7 +16,8 @@ from ..compiled import njit, nth, unowned, within, write
 from .chain import Chain, total_length
 from .contact import FREE, Obstacle, SectionPose, point_gap
 from .joint import Brush, Group, Room, joint_step
-from .motion import STEP, TIME, Hub, Motion, Scheme, fit_to_step
+from .motion import STEP, STRESS, TIME, Hub, Motion, Scheme, fit_to_step
+from .observe import greatest_stress
 from .rotation import write_matrix
 from .tally import Windows, add_step
 
@@ -165,5 +166,9 @@ def march(
                 add_step(law.hub, now, new, windows, members[k])
                 write(new, now)
                 now.totals[TIME], now.totals[STEP] = t, wanted
+                chain, scratch = nth(brush.rods.chain, members[k]), nth(room.scratches, k)
+                # where the rod was in Newton's method is of no more use
+                stress = greatest_stress(law.between, chain, now, scratch.elements, scratch.x)
+                now.totals[STRESS] = max(now.totals[STRESS], stress)
             write(room.touch, group.touch)
     return -1

@@ -52,8 +52,8 @@ class ClampedRod(NamedTuple):
 
 
 # Rows of `Motion.totals`.
-TIME, STEP, HUB_WORK, MATERIAL, FRICTION, CONTACT, STEPS, ITERATIONS, LAST = range(9)
-TOTALS = 9
+TIME, STEP, HUB_WORK, MATERIAL, FRICTION, CONTACT, STEPS, ITERATIONS, LAST, STRESS = range(10)
+TOTALS = 10
 
 
 class Motion(NamedTuple):
@@ -63,8 +63,9 @@ class Motion(NamedTuple):
     world axes, then angular about the section's own, and so are ``acceleration`` and the scheme's
     ``auxiliary``. ``strain`` (e, 6) see `element.measure`. ``holding`` and ``reaction`` (6,) are
     what the clamp does to the rod, without and with its own half element's inertia. ``totals``
-    (`TOTALS`,) are the time, the next step, sums over time, counts, and the step that
-    ``auxiliary`` belongs to, see `fit_to_step`.
+    (`TOTALS`,) are the time, the next step, sums over time, counts, the step that ``auxiliary``
+    belongs to, see `fit_to_step`, and the greatest bending stress at the end of any step since the
+    last frame.
     """
 
     x: Array

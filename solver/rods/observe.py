@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -11,7 +12,8 @@ from ..compiled import njit, nth
 from .chain import Chain
 from .contact import SLIDES, Obstacle, SectionPose, lowest
 from .element import Elements, load_elements
-from .motion import CONTACT, FRICTION, HUB_WORK, MATERIAL, STEPS, Motion, energies
+from .motion import CONTACT, FRICTION, HUB_WORK, MATERIAL, STEPS, STRESS, Motion, energies
+from .pairs import Between
 from .rotation import write_matrix
 
 
@@ -33,8 +35,8 @@ POTENTIAL = 3
 class Seen(NamedTuple):
     """Of n rods: nodes ``x`` (n, nodes, 3) and ``q`` (n, nodes, 4), bending ``moment`` at them
     about the section's axes (n, nodes, 3), the clamp's ``reaction`` (n, 6) on the rod, ``surface``
-    (n, 3): normal force, friction, state; and ``energy`` (n, 8): that of `frame.RodEnergy` but for
-    the first, and steps."""
+    (n, 3): normal force, friction, state; ``energy`` (n, 8): that of `frame.RodEnergy` but for
+    the first, and steps; and ``stress`` (n,), the greatest bending stress since the last frame."""
 
     x: Array
     q: Array
@@ -42,6 +44,42 @@ class Seen(NamedTuple):
     reaction: Array
     surface: Array
     energy: Array
+    stress: Array
+
+
+@njit
+def write_moments(chain: Chain, now: Motion, elements: Elements, moment: Array) -> None:
+    """Write the bending moments (n, 3) at a rod's nodes about the section's axes; ``elements`` is
+    room."""
+    load_elements(chain, now.x, now.q, now.strain, 0.0, elements)
+    matrix = np.empty((3, 3))
+    for k in range(len(now.x)):
+        write_matrix(now.q[k], matrix)
+        for c in range(3):
+            moment[k, c] = 0.0
+            for d in range(3):
+                # what the element after the clamp, and before every other node, bears there
+                load = -elements.ends[0, 0, 3 + d] if k == 0 else elements.ends[k - 1, 1, 3 + d]
+                moment[k, c] += matrix[d, c] * load
+
+
+@njit
+def greatest_stress(
+    law: Between, chain: Chain, now: Motion, elements: Elements, moment: Array
+) -> float:
+    """The greatest bending stress in Pa of a rod, as `section.RodSection.bending_stress_Pa`; room
+    is as for `write_moments`."""
+    write_moments(chain, now, elements, moment)
+    thin, wide = law.half
+    most = 0.0
+    for k in range(len(moment)):
+        about_1, about_2 = abs(moment[k, 0]), abs(moment[k, 1])
+        if law.round:
+            stress = 4.0 * math.hypot(about_1, about_2) / (math.pi * thin**3)
+        else:
+            stress = 0.75 * (about_1 / wide + about_2 / thin) / (thin * wide)
+        most = max(most, stress)
+    return most
 
 
 @njit
@@ -49,26 +87,19 @@ def observe(chains: Chain, gravity: Array, stack: Motion, members: Integers) -> 
     """What is to be seen of some of the stacked rods, by their numbers ``members`` (n,)."""
     rods, nodes = len(members), stack.x.shape[1]
     moment, met = np.zeros((rods, nodes, 3)), np.zeros((rods, 3))
-    energy, matrix, e = np.zeros((rods, 8)), np.empty((3, 3)), nodes - 1
+    energy, e = np.zeros((rods, 8)), nodes - 1
     middle, ends, rows = np.empty((e, 3, 3)), np.empty((e, 2, 6)), np.empty((2, e, 6))
     elements = Elements(middle, rows[0], rows[1], ends, middle)
     for i in range(rods):
         chain, now = nth(chains, members[i]), nth(stack, members[i])
-        load_elements(chain, now.x, now.q, now.strain, 0.0, elements)
-        for k in range(nodes):
-            write_matrix(now.q[k], matrix)
-            # what the element after the clamp, and before every other node, bears there
-            load = -ends[0, 0] if k == 0 else ends[k - 1, 1]
-            for c in range(3):
-                for d in range(3):
-                    moment[i, k, c] += matrix[d, c] * load[3 + d]
+        write_moments(chain, now, elements, moment[i])
         meet(now, met[i])
         energy[i, 0], energy[i, 4] = now.totals[HUB_WORK], now.totals[CONTACT]
         energy[i, 1], energy[i, 2], energy[i, 3] = energies(chain, now, gravity)
         energy[i, 5], energy[i, 6] = now.totals[MATERIAL], now.totals[FRICTION]
         energy[i, 7] = now.totals[STEPS]
     x, q, reaction = stack.x[members], stack.q[members], stack.reaction[members]
-    return Seen(x, q, moment, reaction, met, energy)
+    return Seen(x, q, moment, reaction, met, energy, stack.totals[members, STRESS])
 
 
 @njit

@@ -169,6 +169,7 @@ class Rods:
         """March every bristle to ``end_s``, and take means over so many ``windows`` until there;
         collective. Raises ComputationError as `march`."""
         begin_s, sums = self.t_s, np.zeros((len(self.clamps), windows, COLUMNS))
+        self._now.totals[:, rows.STRESS] = 0.0
         width_s = (end_s - begin_s) / windows
         while self.t_s < end_s:
             self._advance(end_s, Windows(begin_s, width_s, sums))
@@ -298,6 +299,7 @@ class Rods:
         torque = -seen.reaction[:, 3:] + np.cross(arms, force)
         total = seen.energy.sum(axis=0)
         total[POTENTIAL] -= self._datum_J
+        stress = self.section.bending_stress_Pa(seen.moment)
         return Frame(
             t_s=self.t_s,
             force_N=force.sum(axis=0),
@@ -309,7 +311,8 @@ class Rods:
             state=seen.surface[:, 2].astype(np.int8),
             centre_m=seen.x,
             rotation=seen.q,
-            bending_stress_Pa=self.section.bending_stress_Pa(seen.moment),
+            bending_stress_Pa=stress,
+            greatest_stress_Pa=np.maximum(stress.max(axis=1), seen.stress),
             energy=RodEnergy(self._initial_J, *total[:-1].tolist()),
             steps=int(total[-1]),
             means=self._means,

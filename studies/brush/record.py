@@ -67,7 +67,7 @@ class Record:
             each = {name: getattr(frame, of) for name, of in AT_TIPS.items()}
             each["state"] = frame.state.astype(np.int64)
             write_lines(self.folder, number, frame.centre_m, stress, each)
-        self.stress_Pa.append(frame.bending_stress_Pa.max(axis=1))
+        self.stress_Pa.append(frame.greatest_stress_Pa)
         drawn = spread(len(frame.state), DRAWN)
         names = "centre_m", "rotation", "bending_stress_Pa"
         kept = {name: getattr(frame, name)[drawn] for name in names}
@@ -120,7 +120,7 @@ class Record:
         return table
 
     def over_time(self) -> pd.DataFrame:
-        """A row for each instant: the greatest bending stress of all bristles."""
+        """A row for each instant: the greatest bending stress in any bristle since the last."""
         stress = np.max(self.stress_Pa, axis=1)
         return pd.DataFrame({"t_s": self._each("t_s"), "bending_stress_Pa": stress})
 

@@ -9,6 +9,7 @@ from mpi4py import MPI
 from rod_helpers import above_ground, along, leaning, one_clamp, press, slide
 from scipy.spatial.transform import Rotation
 
+from bristle.meshes.section import Circle
 from bristle.solver.bristle import Bristle
 from bristle.solver.errors import InputError
 from bristle.solver.rods.chain import uniform_chain
@@ -134,6 +135,24 @@ def test_what_the_bristles_do_to_the_hub_is_what_the_ground_does_to_them():
     root = frame.torque_Nm[1] - above * frame.force_N[0] + 0.05 * frame.force_N[2]
     modulus = 2.08e-3 * 0.5e-3**2 / 6.0
     assert frame.bending_stress_Pa[0, 0] == pytest.approx(abs(root) / modulus, rel=1e-3)
+
+
+@pytest.mark.parametrize(
+    "bristle", [Bristle(), Bristle(section=Circle(1e-3))], ids=["flat", "round"]
+)
+def test_the_greatest_stress_is_that_of_all_steps(bristle):
+    """One frame of a tip that bounces, beside frames so close that they miss nothing."""
+    section, path = RodSection.of(bristle), slide(0.005, 0.5, 0.02, 0.02)
+    clamp = above_ground(section, LEAN, LENGTH)
+
+    def marched(every_s):
+        rods = Rods(section, clamp, path, Ground(2e6, 0.3, 0.3), 6, comm=MPI.COMM_SELF)
+        return list(rods.march(0.03, every_s))
+
+    fine = max(frame.bending_stress_Pa.max() for frame in marched(1e-5))
+    (whole,) = marched(0.03)
+    assert whole.bending_stress_Pa.max() < 0.95 * fine
+    assert whole.greatest_stress_Pa[0] == pytest.approx(fine, rel=0.02)
 
 
 @pytest.mark.parametrize("kn_N_m", [1e2, 2e6, 1e10])
