@@ -51,7 +51,9 @@ def stand(
         raise ValueError(f"{count} bristles cannot be shared out evenly over {groups} {what}")
     if layout is Layout.ROW:
         grid = spacing_m * _grid(rows, each)
-        return Stand(grid, np.tile([1.0, 0.0], (count, 1)))
+        away = np.linalg.norm(grid, axis=1, keepdims=True)
+        outward = np.where(away > SAME_M, grid / np.maximum(away, SAME_M), [1.0, 0.0])
+        return Stand(grid, outward)
     tuft, depth, around = _grid(1, 1), 1, each
     if layout is Layout.CUP:
         wide = math.ceil(math.sqrt(each))

@@ -11,8 +11,10 @@ from scipy.spatial.transform import Rotation
 
 from bristle.meshes.section import Circle, Rectangle
 from bristle.solver.rods.section import half_sides_m
+from bristle.studies.brush.inputs import BrushInputs
 from bristle.studies.brush.layout import directions, lowest_m, overlapping, stand
 from bristle.studies.inputs.choices import Layout
+from bristle.studies.inputs.sources import checked
 
 pytestmark = pytest.mark.serial
 WIRE = Rectangle()
@@ -27,6 +29,18 @@ def test_rows_lie_across_the_motion_one_behind_the_other():
     np.testing.assert_allclose(np.diff(places[:, :, 1], axis=1), 4e-3)
     np.testing.assert_allclose(np.diff(places[:, :, 0], axis=0), 4e-3)
     np.testing.assert_allclose(places.mean(axis=(0, 1)), 0.0, atol=1e-15)
+
+
+def test_a_row_that_turns_leans_along_the_circle_of_each_bristle():
+    """Either side of the axis moves to the other, and what stands on it as a single one does."""
+    stands = {"count": 3, "spacing_m": 0.02, "motion": "rotate:rpm=-10", "mount_angle_deg": 30.0}
+    clamps = checked(BrushInputs, {"layout": "row", **stands}).clamps
+    moves = np.cross([0.0, 0.0, -1.0], clamps.position_m / 0.02)
+    np.testing.assert_allclose(moves, [[-1, 0, 0], [0, 0, 0], [1, 0, 0]], atol=1e-12)
+    tips = clamps.rotation[:, :2, 2]
+    np.testing.assert_allclose(tips, [[0.5, 0.0], [0.0, 0.5], [-0.5, 0.0]], atol=1e-12)
+    slid = checked(BrushInputs, {"layout": "row", **stands, "motion": "slide:speed=1"}).clamps
+    np.testing.assert_allclose(slid.rotation[:, :2, 2], [[-0.5, 0.0]] * 3, atol=1e-12)
 
 
 def test_rings_lie_inside_the_outermost_at_equal_angles():
