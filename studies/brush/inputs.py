@@ -16,7 +16,7 @@ from ...solver.bristle import Bristle, Material
 from ...solver.contact.laws import mindlin_ratio
 from ...solver.materials import MATERIALS, MaterialName
 from ...solver.rods.ground import Ground
-from ...solver.rods.hub import FASTEST_M_S, Clamps, HubPath, HubPose
+from ...solver.rods.hub import FASTEST_M_S, FASTEST_RAD_S, Clamps, HubPath, HubPose
 from ...solver.rods.relief import RoughPlane
 from ...solver.rods.section import RodSection
 from ..inputs.brush_fields import ROWS_OVER_TIME, BrushFields
@@ -85,10 +85,6 @@ class BrushInputs(MaterialFields, BodyFields, BrushFields):
             refuse("every_s", f"makes more than {MOST_ROWS:,} rows")
         if 3.0 * self.length_std_m > self.bristle().length_m:
             refuse("length_std_m", "is more than a third of the length")
-        fastest = abs(self.motion.speed_m_s or 0.0)
-        fastest = max(fastest, 2.0 * math.pi * abs(self.motion.rpm or 0.0) / 60.0 * self.radius_m)
-        if fastest > FASTEST_M_S:
-            refuse("motion", f"moves at {fastest:.3g} m/s; {FASTEST_M_S:g} is the most")
         if (steepest := float(np.abs(self._lean_deg).max())) > STEEPEST_DEG:
             refuse(
                 "angle_std_deg",
@@ -100,11 +96,22 @@ class BrushInputs(MaterialFields, BodyFields, BrushFields):
             clamps = self.clamps
         except ValueError as error:
             refuse("count", str(error))
+        self._check_speed(clamps)
         pair = overlapping(self.section, clamps.position_m, clamps.rotation, clamps.length_m)
         if pair is not None:
             refuse("spacing_m", f"bristles {pair[0]} and {pair[1]} overlap at the start")
         self._check_path()
         return self
+
+    def _check_speed(self, clamps: Clamps) -> None:
+        """Refuse a hub that is faster than a path from a file may be."""
+        spin = 2.0 * math.pi * abs(self.motion.rpm or 0.0) / 60.0
+        if spin > FASTEST_RAD_S:
+            refuse("motion", f"turns at {spin:.3g} rad/s; {FASTEST_RAD_S:g} is the most")
+        around = spin * float(np.linalg.norm(clamps.position_m, axis=1).max())
+        fastest = max(abs(self.motion.speed_m_s or 0.0), around)
+        if fastest > FASTEST_M_S:
+            refuse("motion", f"moves a clamp at {fastest:.3g} m/s; {FASTEST_M_S:g} is the most")
 
     def _check_unused(self) -> None:
         """Refuse an option that this layout or this motion would not look at."""

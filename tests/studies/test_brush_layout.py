@@ -10,6 +10,7 @@ from scipy.optimize import linprog
 from scipy.spatial.transform import Rotation
 
 from bristle.meshes.section import Circle, Rectangle
+from bristle.solver.errors import InputError
 from bristle.solver.rods.section import half_sides_m
 from bristle.studies.brush.inputs import BrushInputs
 from bristle.studies.brush.layout import directions, lowest_m, overlapping, stand
@@ -149,3 +150,22 @@ def test_parallel_bristles_overlap_from_their_width_on():
     for apart, expected in ((2.07e-3, (0, 1)), (2.09e-3, None)):
         roots = np.array([[0.0, 0.0, 0.0], [0.0, apart, 0.0], [0.0, 2.0 * apart, 0.0]])
         assert overlapping(WIRE, roots, axes, length) == expected
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        ({"motion": "rotate:rpm=1e5"}, r"turns at 1\.05e\+04 rad/s; 10000 is the most"),
+        ({"motion": "slide:speed=-101"}, "moves a clamp at 101 m/s; 100 is the most"),
+        ({"motion": "rotate:rpm=1e4", "layout": "ring", "count": 3}, "moves a clamp at 105 m/s"),
+    ],
+)
+def test_a_hub_that_moves_too_fast_is_refused(given, said):
+    with pytest.raises(InputError, match=said):
+        checked(BrushInputs, given)
+
+
+def test_a_bristle_on_the_axis_may_turn_as_fast_as_none_on_a_ring():
+    assert checked(BrushInputs, {"motion": "rotate:rpm=1e4"}).motion.rpm == 1e4
+    near = {"layout": "row", "count": 2, "spacing_m": 4e-3}
+    assert checked(BrushInputs, {**near, "motion": "rotate:rpm=-2e4"}).count == 2
