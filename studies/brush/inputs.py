@@ -97,9 +97,8 @@ class BrushInputs(MaterialFields, BodyFields, BrushFields):
         except ValueError as error:
             refuse("count", str(error))
         self._check_speed(clamps)
-        pair = overlapping(self.section, clamps.position_m, clamps.rotation, clamps.length_m)
-        if pair is not None:
-            refuse("spacing_m", f"bristles {pair[0]} and {pair[1]} overlap at the start")
+        if self.touch_each_other:
+            self._check_apart(clamps)
         self._check_path()
         return self
 
@@ -112,6 +111,12 @@ class BrushInputs(MaterialFields, BodyFields, BrushFields):
         fastest = max(abs(self.motion.speed_m_s or 0.0), around)
         if fastest > FASTEST_M_S:
             refuse("motion", f"moves a clamp at {fastest:.3g} m/s; {FASTEST_M_S:g} is the most")
+
+    def _check_apart(self, clamps: Clamps) -> None:
+        """Refuse bristles that overlap at the start."""
+        pair = overlapping(self.section, clamps.position_m, clamps.rotation, clamps.length_m)
+        if pair is not None:
+            refuse("spacing_m", f"bristles {pair[0]} and {pair[1]} overlap at the start")
 
     def _check_unused(self) -> None:
         """Refuse an option that this layout or this motion would not look at."""

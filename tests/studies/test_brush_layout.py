@@ -169,3 +169,11 @@ def test_a_bristle_on_the_axis_may_turn_as_fast_as_none_on_a_ring():
     assert checked(BrushInputs, {"motion": "rotate:rpm=1e4"}).motion.rpm == 1e4
     near = {"layout": "row", "count": 2, "spacing_m": 4e-3}
     assert checked(BrushInputs, {**near, "motion": "rotate:rpm=-2e4"}).count == 2
+
+
+def test_only_bristles_that_touch_may_not_overlap_at_the_start():
+    """Leans of some degrees cross two neighbours of this length."""
+    crossed = {"layout": "row", "count": 40, "angle_std_deg": 5.0}
+    with pytest.raises(InputError, match="overlap at the start"):
+        checked(BrushInputs, crossed)
+    assert checked(BrushInputs, {**crossed, "touch_each_other": False}).count == 40
