@@ -458,6 +458,8 @@ def test_bristles_that_change_their_rank_are_the_same(monkeypatch):
     assert (sum(brought) > 0) == (MPI.COMM_WORLD.size > 1)
     assert np.array_equal(one.centre_m, every.centre_m)
     assert one.energy == every.energy
+    assert np.array_equal(one.means.force_N, every.means.force_N)
+    assert np.array_equal(one.greatest_stress_Pa, every.greatest_stress_Pa)
 
 
 def none_went_through(frames):
