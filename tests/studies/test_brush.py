@@ -14,6 +14,7 @@ from commands import mpirun
 from elastica import filament
 from hostile import refused, run
 from pvbatch import needs_pvbatch, run_pvbatch
+from web_page import Page
 
 import bristle
 from bristle.meshes.collective import ALONE
@@ -112,6 +113,13 @@ def test_the_page_shows_forces_tips_shape_and_stress(done):
         assert "data:image" not in drawn
     for words in ("yield strength", "The surface is a plane", "bristle brush --layout"):
         assert words in page
+    # the mean of the vector, which does not grow with shorter windows as its mean size does
+    force = json.loads((done / "result.json").read_text())["force_N"]
+    assert force["mean_size"] > 1.5 * np.linalg.norm(force["mean"])
+    headline = "".join(Page(page).text).partition("on the hub is (")[2]
+    numbers = headline.partition(")")[0].replace("−", "-").replace("·10", "e").split(",")
+    said = [float(each) for each in numbers]
+    assert said == pytest.approx(force["mean"], rel=5e-3)
     shape = pd.read_csv(done / "tables" / "shape.csv")
     tips = pd.read_csv(done / "tips.csv")
     last = tips[tips.t_s == tips.t_s.max()]
