@@ -12,6 +12,7 @@ import math
 
 import numpy as np
 
+from ..arrays import Array
 from ..compiled import njit, nth, unowned, within, write
 from .chain import Chain, total_length
 from .contact import FREE, Obstacle, SectionPose, point_gap
@@ -34,12 +35,13 @@ MANY = 8
 
 
 @njit
-def error_of(scheme: Scheme, old: Motion, new: Motion, h: float) -> float:
-    """The greatest local error in m of a node's place: (β - 1/6) h³ times the acceleration's
-    rate (Zienkiewicz and Xie, Earthquake Engng Struct. Dyn. 20 (1991) 871)."""
+def error_of(scheme: Scheme, half: Array, old: Motion, new: Motion, h: float) -> float:
+    """The greatest local error in m of a node's place, and of what twist moves the rim of its
+    section of half sides ``half`` (2,) by: (β - 1/6) h³ times the acceleration's rate (Zienkiewicz
+    and Xie, Earthquake Engng Struct. Dyn. 20 (1991) 871)."""
     most = 0.0
     for i in range(1, len(new.x)):
-        square = 0.0
+        square = (half[1] * (new.auxiliary[i, 5] - old.auxiliary[i, 5])) ** 2
         for c in range(3):
             square += (new.auxiliary[i, c] - old.auxiliary[i, c]) ** 2
         most = max(most, square)
@@ -114,7 +116,7 @@ def _look_at_all(brush: Brush, group: Group, new: Motion, h: float) -> tuple[flo
     scheme, most, share = brush.law.scheme, 0.0, 1.0
     for k in range(len(group.members)):
         old, now = nth(brush.stack, group.members[k]), nth(new, k)
-        most = max(most, error_of(scheme, old, now, h))
+        most = max(most, error_of(scheme, brush.law.between.half, old, now, h))
         allowed = allowed_J(nth(brush.rods.chain, group.members[k]), scheme)
         share = min(share, first_crossing(brush.law.surface, old, now, allowed))
     return most, share

@@ -6,7 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from mpi4py import MPI
-from rod_helpers import SLENDER, OneRod, along, one_clamp, whole_matrix
+from rod_helpers import SLENDER, OneRod, along, leaning, one_clamp, rotate, whole_matrix
+from scipy.integrate import solve_ivp
 from scipy.interpolate import BPoly, PPoly
 from scipy.linalg import eigh
 from scipy.optimize import brentq
@@ -198,3 +199,28 @@ def test_gravity_and_reaction_at_rest(bristle):
     assert frame.force_N == pytest.approx([0.0, 0.0, -weights.sum()], abs=1e-8)
     moment = weights @ frame.centre_m[0, :, 0]
     assert frame.torque_Nm == pytest.approx([0.0, moment, 0.0], rel=1e-6, abs=1e-9)
+
+
+def test_steps_are_short_enough_for_a_rod_that_only_twists(bristle):
+    """Its clamp is set off about its axis in 0.1 ms: the torque, beside that of discs on shafts."""
+    section, ends = replace(RodSection.of(bristle), beta_s=0.0), 3e-4 + 5e-4 * np.arange(5)
+    path = rotate(0.0, 3000.0, 1e-4, 1e-4)
+    clamp = one_clamp(np.zeros(3), leaning(0.0), bristle.length_m)
+    calm = {"bow_rad": 0.0, "gravity_m_s2": 0.0, "tolerance": 1e-8, "comm": MPI.COMM_SELF}
+    rods = Rods(section, clamp, path, None, **calm)
+    inertia, shaft = uniform_chain(section, bristle.length_m, 20).inertia[1:, 2], 20
+    shaft *= section.GJ_Nm2 / bristle.length_m
+
+    def rates(t, state):
+        turned = path.pose(t).rotation[:2, 0]
+        angles = np.append(math.atan2(turned[1], turned[0]), state[:20])
+        torques = shaft * np.diff(angles)
+        return [*state[20:40], *((np.append(torques[1:], 0.0) - torques) / inertia), torques[0]]
+
+    told = {"t_eval": ends, "rtol": 1e-9, "atol": 1e-12, "max_step": 1e-5}
+    expected = np.diff(solve_ivp(rates, (0.0, ends[-1]), np.zeros(41), **told).y[-1]) / 5e-4
+    rods.advance(ends[0])
+    for end_s, torque_Nm in zip(ends[1:], expected, strict=True):
+        rods.advance(end_s)
+        found = rods.frame().means.torque_Nm[0, 2]
+        assert found == pytest.approx(torque_Nm, abs=0.02 * np.abs(expected).max())
