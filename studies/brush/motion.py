@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from ...solver.errors import InputError
-from ...solver.rods.hub import FASTEST_M_S, ORDER, HubPath
+from ...solver.rods.hub import FASTEST_M_S, FASTEST_RAD_S, ORDER, HubPath
 from ..data.tables import check_order, column, read_table
 
 COLUMNS = ("t_s", "x_m", "y_m", "z_m", "rx_rad", "ry_rad", "rz_rad")
@@ -53,12 +53,17 @@ def read_path(path: Path) -> HubPath:
     moved = np.diff(table, axis=0)
     speed = np.linalg.norm(moved[:, :3], axis=1) / np.diff(t)
     turned = np.linalg.norm(moved[:, 3:], axis=1)
-    for i in np.flatnonzero((speed > FASTEST_M_S) | (turned > WIDEST_RAD)):
+    rate = turned / np.diff(t)
+    for i in np.flatnonzero((speed > FASTEST_M_S) | (turned > WIDEST_RAD) | (rate > FASTEST_RAD_S)):
         where = f"{path}:{rows[i + 1][0]}: the hub jumps"
-        if speed[i] > FASTEST_M_S:
-            raise InputError(
-                f"{where}: {speed[i]:.3g} m/s from the row before; {FASTEST_M_S:g} is the most"
-            )
+        for value, most, unit in (
+            (speed[i], FASTEST_M_S, "m/s"),
+            (rate[i], FASTEST_RAD_S, "rad/s"),
+        ):
+            if value > most:
+                raise InputError(
+                    f"{where}: {value:.3g} {unit} from the row before; {most:g} is the most"
+                )
         raise InputError(
             f"{where}: it turns by {turned[i]:.3g} rad from the row before; half a turn is the "
             "most, and a rotation vector may grow beyond 2 pi"

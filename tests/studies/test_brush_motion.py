@@ -72,6 +72,7 @@ def test_a_file_is_followed_row_by_row_and_its_spin_is_that_of_the_turn(tmp_path
     [
         ([(0, 0, 0, 0.3, 0, 0, 0), (0.001, 0.2, 0, 0.3, 0, 0, 0)], r":3: the hub jumps: 200 m/s"),
         ([(0, 0, 0, 0.3, 0, 0, 3.1), (1, 0, 0, 0.3, 0, 0, -3.1)], r":3: the hub jumps: it turns"),
+        ([(0, 0, 0, 0.3, 0, 0, 0), (1e-4, 0, 0, 0.3, 0, 0, 3)], r":3: the hub jumps: 3e\+04 rad/s"),
         ([(0, 0, 0, 0.3, 0, 0, 0), (0, 0, 0, 0.2, 0, 0, 0)], r":3: t_s must count upwards"),
         ([(0, 0, 0, 0.3, 0, 0, 0)], "needs two rows"),
         ([(0.1, 0, 0, 0.3, 0, 0, 0), (1, 0, 0, 0.3, 0, 0, 0)], "the first at t_s = 0"),
