@@ -258,7 +258,8 @@ class Rods:
             at, step = self._now.totals[failed, [rows.TIME, rows.STEP]]
             message = (
                 f"bristle {failed} does not converge at {at:.6g} s with a step of "
-                f"{step:.3g} s; try a lower Kn, a finite one if it is infinite, or a slower motion"
+                f"{step:.3g} s; try more elements, a slower motion, or a lower Kn, a finite one if "
+                "it is infinite"
             )
         require(self.comm, failed < 0, message)
 

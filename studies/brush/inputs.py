@@ -19,7 +19,7 @@ from ...solver.rods.ground import Ground
 from ...solver.rods.hub import FASTEST_M_S, FASTEST_RAD_S, Clamps, HubPath, HubPose
 from ...solver.rods.relief import RoughPlane
 from ...solver.rods.section import RodSection
-from ..inputs.brush_fields import ROWS_OVER_TIME, BrushFields
+from ..inputs.brush_fields import ROWS_OVER_TIME, SHORTEST_EVERY_S, BrushFields
 from ..inputs.choices import Layout, Motion
 from ..inputs.config import resolve_material, resolve_measures
 from ..inputs.fields import BodyFields, MaterialFields
@@ -67,7 +67,7 @@ class BrushInputs(MaterialFields, BodyFields, BrushFields):
             data.setdefault("penetration_m", PENETRATION_M)
         data.setdefault("until_s", UNTIL_S)
         if isinstance(data["until_s"], float | int):
-            data.setdefault("every_s", data["until_s"] / ROWS_OVER_TIME)
+            data.setdefault("every_s", max(data["until_s"] / ROWS_OVER_TIME, SHORTEST_EVERY_S))
         return data
 
     @model_validator(mode="after")

@@ -47,7 +47,7 @@ def stand(
     groups = rows * tufts if layout is Layout.CUP else rows
     each, left = divmod(count, groups)
     if left or not each:
-        what = "rows of tufts" if layout is Layout.CUP else "rows"
+        what = {Layout.CUP: "tufts", Layout.RING: "rings"}.get(layout, "rows")
         raise ValueError(f"{count} bristles cannot be shared out evenly over {groups} {what}")
     if layout is Layout.ROW:
         grid = spacing_m * _grid(rows, each)
@@ -63,7 +63,7 @@ def stand(
     radii = radius_m - pitch * np.arange(rows)
     if radii[-1] - 0.5 * depth * spacing_m <= 0.0:
         raise ValueError(
-            f"{rows} rings {1e3 * pitch:.3g} mm apart do not fit into "
+            f"rings {1e3 * pitch:.3g} mm apart, {rows} of them, do not fit into "
             f"a radius of {1e3 * radius_m:.3g} mm"
         )
     angle = np.arange(around) * (2.0 * math.pi / around)

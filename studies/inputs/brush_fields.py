@@ -32,6 +32,7 @@ BRUSH, HUB = "Brush", "Hub"
 MOST_BRISTLES = 20_000
 # Rows of a table over time where nothing else is asked for.
 ROWS_OVER_TIME = 200
+SHORTEST_EVERY_S = 1e-7
 
 
 class LayoutFields(Fields, group=BRUSH):
@@ -101,7 +102,7 @@ class HubFields(Fields, group=HUB):
     until_s: Annotated[float, between(1e-6, LONGEST_S)] | None = option(
         None, "Time at which to stop.", shown="1; a file's end", group=TIME
     )
-    every_s: Annotated[float, between(1e-7, LONGEST_S)] | None = option(
+    every_s: Annotated[float, between(SHORTEST_EVERY_S, LONGEST_S)] | None = option(
         None,
         "Time between rows of hub.csv and tips.csv, and between frames for ParaView.",
         shown="a 200th of the whole",

@@ -379,6 +379,11 @@ def test_it_repeats_from_its_own_result(done, tmp_path):
         assert (tmp_path / name).read_bytes() == (done / name).read_bytes()
 
 
+def test_the_shortest_run_has_the_shortest_time_between_rows():
+    assert checked(BrushInputs, {"until_s": 1e-6}).every_s == 1e-7
+    assert checked(BrushInputs, {"until_s": 1.0}).every_s == 1.0 / 200
+
+
 class Stopped(Exception):
     pass
 
@@ -488,6 +493,15 @@ def test_a_path_counts_from_the_folder_of_its_configuration(tmp_path, monkeypatc
     anew = {"motion": "slide:speed=1"}
     slid = inputs_of(BrushInputs, anew, BRUSH_FLAGS, tmp_path / "result.json")
     assert (slid.penetration_m, slid.until_s) == (0.02, 1.0)
+
+
+def test_elements_that_turn_too_far_are_told_to_be_too_few(tmp_path):
+    """Pressed at 7 m/s, neighbouring nodes of four elements turn by half a turn."""
+    few = ["--elements", "4", "--start", "0.005", "--until", "0.01", "--no-fields"]
+    status, _, lines = run("brush", *few, "--out", tmp_path)
+    assert status == 1
+    assert "bristle 0 does not converge" in lines[-1]
+    assert "try more elements" in lines[-1]
 
 
 def test_upright_bristles_that_are_pressed_alone_are_warned_of():

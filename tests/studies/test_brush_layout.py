@@ -72,8 +72,9 @@ def test_a_cup_has_tufts_alike_that_do_not_meet():
     [
         (Layout.SINGLE, {"count": 2}, "a single bristle is 1"),
         (Layout.ROW, {"count": 10, "rows": 3}, "shared out evenly over 3 rows"),
-        (Layout.CUP, {"count": 10, "rows": 3, "tufts": 7}, "shared out evenly over 21 rows of"),
-        (Layout.RING, {"count": 30, "rows": 30}, "do not fit into a radius of 100 mm"),
+        (Layout.CUP, {"count": 10, "rows": 3, "tufts": 7}, "shared out evenly over 21 tufts"),
+        (Layout.RING, {"count": 30, "rows": 30}, "30 of them, do not fit into a radius of 100 mm"),
+        (Layout.RING, {"count": 10, "rows": 3}, "shared out evenly over 3 rings"),
     ],
 )
 def test_what_cannot_stand_is_refused(layout, values, says):
