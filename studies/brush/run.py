@@ -217,8 +217,8 @@ def _result_warnings(
         )
     elif error is not None and np.linalg.norm(error) > UNSURE * np.linalg.norm(mean):
         yield (
-            f"the mean force is known to ±{np.linalg.norm(error):.2g} N only, because it varies "
-            "while tips bounce; give a longer --until"
+            f"the mean force is known to ±{np.linalg.norm(error):.2g} N only, because it varies; "
+            "give a longer --until"
         )
     if not any(frame.state.any() for frame in record.frames):
         yield (

@@ -191,14 +191,17 @@ def test_view_tells_what_of_a_brush_is_missing(done, tmp_path):
 
 IN_PARAVIEW = """
 import json, sys
-from paraview.simple import OpenDataFile
+from paraview.simple import ExtractSurface, OpenDataFile, Tube
 series = OpenDataFile(sys.argv[1])
 series.UpdatePipeline(series.TimestepValues[-1])
 information = series.GetDataInformation()
 names = [series.PointData.GetArray(i).Name for i in range(series.PointData.GetNumberOfArrays())]
 cells = [series.CellData.GetArray(i).Name for i in range(series.CellData.GetNumberOfArrays())]
 counts = information.GetNumberOfPoints(), information.GetNumberOfCells()
-print(json.dumps([list(series.TimestepValues), *counts, names, cells]))
+tube = Tube(Input=ExtractSurface(Input=series))
+tube.UpdatePipeline(series.TimestepValues[-1])
+thick = tube.GetDataInformation().GetNumberOfPoints()
+print(json.dumps([list(series.TimestepValues), *counts, names, cells, thick]))
 """
 
 
@@ -207,9 +210,10 @@ def test_paraview_itself_opens_it(done, tmp_path):
     program = tmp_path / "opens.py"
     program.write_text(IN_PARAVIEW)
     said = run_pvbatch(program, done / "fields" / "brush.pvd").splitlines()[-1]
-    times, points, cells, names, of_cells = json.loads(said)
+    times, points, cells, names, of_cells, thick = json.loads(said)
     np.testing.assert_allclose(times, np.linspace(0.0, 0.02, 11), atol=1e-12)
     assert (points, cells) == (3 * 7 + 4, 3 + 1)
+    assert thick > 3 * 3 * 7
     assert "bending_stress_Pa" in names
     assert {"bristle", "normal_N", "friction_N", "state"} <= set(of_cells)
 
@@ -227,6 +231,18 @@ def test_a_hub_at_rest_in_the_air_carries_the_weight(tmp_path):
     np.testing.assert_allclose(found.hub[["fx_N", "fy_N"]], 0.0, atol=1e-6 * WEIGHT_N)
     assert set(found.tips.state) == {"free"}
     assert "no bristle touches" in found.warnings[-1]
+
+
+def test_a_hub_that_turns_in_the_air_has_no_tips_that_bounce(tmp_path):
+    """Once about x in 0.2 s: the force points everywhere, and its mean is not known."""
+    rows = "".join(f"{0.01 * k},0,0,1,{0.1 * math.pi * k},0,0\n" for k in range(21))
+    path = tmp_path / "path.csv"
+    path.write_text("t_s,x_m,y_m,z_m,rx_rad,ry_rad,rz_rad\n" + rows)
+    with pytest.warns(bristle.BristleWarning) as said:
+        found = bristle.brush(motion=f"file:{path}", mount_angle_deg=0, elements=6, comm=ALONE)
+    assert len(said) == len(found.warnings) == 2
+    assert "because it varies; give" in found.warnings[0]
+    assert "no bristle touches" in found.warnings[1]
 
 
 def test_a_bristle_that_trails_is_the_elastica():
