@@ -473,7 +473,9 @@ def none_went_through(frames):
 
 
 def test_a_row_of_rigid_contacts_closes_its_energy():
-    frames = list(row(3, 0.6e-3, MPI.COMM_SELF, kn=SECTION.rigid_N_m(LENGTH / 8)).march(0.01, 2e-4))
+    kn = SECTION.rigid_N_m(LENGTH / 8)
+    # they touch so shortly that frames, which are instants, seldom show it
+    frames = list(row(3, 0.6e-3, MPI.COMM_SELF, kn=kn).march(0.01, 5e-5))
     assert max(frame.between_N.max() for frame in frames) > 0.0
     assert frames[-1].energy.closure_relative < 1e-2
     none_went_through(frames)
