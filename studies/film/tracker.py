@@ -17,7 +17,7 @@ from ...solver.errors import InputError
 from ..inputs.choices import Body, Down
 from .disc import discs, find_ball
 from .edge import Camera, Ends, camera_of, edges, edges_of, instants
-from .flights import TURNED, Drop, Track, drops_of, settled
+from .flights import TURNED, Drop, Track, drops_of, mean_of, settled
 from .follow import Follower, Sight
 from .reading import TURNS, Film
 from .scan import Scan, scan
@@ -428,22 +428,25 @@ def _exposure_of(
 
 
 def _vertical(track: Track, column: Array, drops: Sequence[Drop]) -> tuple[float, float]:
-    """The vertical's slope in columns a row, and its standard error: the way down of what falls.
+    """The vertical's slope in columns a row, and its standard error: the way that gravity pulls.
 
-    Zero where falls do not show it better than a level camera would.
+    What flies may go to the side evenly as well, which tells nothing of the vertical. Zero where
+    flights do not show it better than a level camera would.
     """
-    slopes, weights = [0.0], [0.0]
+    slopes = []
     for drop in drops:
         clear = replace(track, exposure_s=0.0).clear(drop)
-        fall = clear[drop.phase(track.t_s[clear]) == 0]
-        if len(fall) < 4:
-            continue
-        x, y = column[fall] - column[fall].mean(), track.height[fall].mean() - track.height[fall]
-        slope = float(x @ y) / float(y @ y)
-        left = x - slope * y
-        square = max(float(left @ left) / (len(fall) - 2), LEAST_SIGMA_PX**2)
-        slopes.append(slope)
-        weights.append(float(y @ y) / square)
-    if sum(weights) < LEVEL**-2.0:
-        return 0.0, LEVEL
-    return float(np.average(slopes, weights=weights)), sum(weights) ** -0.5
+        phase = drop.phase(track.t_s[clear])
+        for k in range(len(drop.flights)):
+            own = clear[phase == k]
+            if len(own) < 5:
+                continue
+            t = track.t_s[own] - track.t_s[own].mean()
+            even = np.linalg.qr(np.stack([np.ones_like(t), t], axis=1))[0]
+            x, y = (z - even @ (even.T @ z) for z in (column[own], -track.height[own]))
+            size = max(float(np.linalg.norm(y)), LEAST_SIGMA_PX)
+            slope = float(x @ y) / size**2
+            left = float(np.linalg.norm(x - slope * y)) / np.sqrt(len(own) - 3)
+            slopes.append((slope, max(left, LEAST_SIGMA_PX) / size))
+    found = mean_of(slopes)
+    return (0.0, LEVEL) if found is None or found[1] > LEVEL else found

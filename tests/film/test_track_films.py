@@ -138,19 +138,23 @@ def test_heights_count_from_where_a_corner_of_the_end_touches(tmp_path):
     assert table.y_mm.to_numpy() - 1e3 * data.y == pytest.approx(Look().corner_mm(5.0), rel=0.1)
 
 
-@pytest.fixture(scope="module")
-def ball(tmp_path_factory):
-    """Pictures of a ball that falls 150 mm and bounces, drawn here."""
-    folder, fps, radius, scale = tmp_path_factory.mktemp("ball"), 120.0, 9.3, 1.0
+def drawn_ball(folder, fps=120.0, aside_px_s=0.0):
+    """Pictures of a ball that falls 150 mm and bounces, drawn here; it may go to the side."""
+    radius, scale = 9.3, 1.0
     height, until = bouncing(0.15, 0.1, 1e-3, G, held_s=0.1, bounces=1)
     rng = np.random.default_rng(4)
     row, column = np.mgrid[:260, :90].astype(float)
     for k, t in enumerate(np.arange(0.0, until, 1.0 / fps)):
         y = 230.0 - 1e3 * float(height(t)) / scale - radius
-        away = np.hypot(column - 41.4, row - y)
+        away = np.hypot(column - 41.4 - aside_px_s * max(t - 0.1, 0.0), row - y)
         picture = 60.0 + 130.0 * np.clip(radius - away + 0.5, 0.0, 1.0) + rng.normal(size=row.shape)
         Image.fromarray(np.clip(picture, 0, 255).astype(np.uint8)).save(folder / f"{k:04d}.png")
     return folder, fps
+
+
+@pytest.fixture(scope="module")
+def ball(tmp_path_factory):
+    return drawn_ball(tmp_path_factory.mktemp("ball"))
 
 
 @pytest.fixture(scope="module")
@@ -164,6 +168,14 @@ def test_a_ball_in_a_folder_of_pictures(whole):
     assert drop.restitution[0] == pytest.approx(np.sqrt(0.1 / 0.15), abs=0.005)
     assert scale_of(whole, 18.6, None).mm_per_px == pytest.approx(1.0, rel=0.02)
     assert gravity_px(whole)[0] == pytest.approx(1e3 * G, rel=0.005)
+
+
+def test_what_goes_to_the_side_does_not_turn_the_vertical(tmp_path, whole):
+    folder, fps = drawn_ball(tmp_path, aside_px_s=60.0)
+    found = tracked(Film(folder, fps=fps), Body.BALL)
+    assert abs(found.vertical[0]) < 2.6 * found.vertical[1] < np.radians(0.5)
+    tops = [track.drops[0].held - track.drops[0].floor for track in (found, whole)]
+    assert tops[0] == pytest.approx(tops[1], abs=SHARP_PX)
 
 
 def test_a_shadow_beside_a_ball_does_not_make_it_larger(tmp_path, ball, whole):
