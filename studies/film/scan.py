@@ -21,6 +21,8 @@ LEAST_NOISE = 0.6
 """In grey levels: rounding to whole levels alone has 0.3, in either of two frames compared."""
 CHANGED = 12
 """Grey levels by which a pixel changes where something moves; noise and flicker change less."""
+STILL = 0.25
+"""How much a frame in which nothing moves counts where samples are chosen."""
 MOST_PIXELS = 15_000
 """On how many pixels a change is looked for."""
 
@@ -61,7 +63,7 @@ def scan(film: Film) -> Scan:
         change = np.abs(coarse - last)
         last = coarse
         spread.append(float(np.mean(change[change <= np.percentile(change, 90)] ** 2)))
-        kept.add(frame, float((change > CHANGED).sum()))
+        kept.add(frame, bool((change > CHANGED).any()))
         times.append(frame.t_s)
     if len(times) < LEAST_FRAMES:
         raise InputError(f"{film.path}: {len(times)} frames; {LEAST_FRAMES} or more are needed")
@@ -73,28 +75,38 @@ def scan(film: Film) -> Scan:
 
 
 class _Kept:
-    """Frames chosen so that as much changes from one to the next, without knowing how many come."""
+    """Frames chosen so that as many in which something moves lie between one and the next, without
+    knowing how many come."""
 
     def __init__(self, first: Picture, most: int) -> None:
-        self.most, self.every, self.change = most, 0.0, 0.0
-        self.frames: list[tuple[int, Picture]] = [(0, first)]
+        self.most, self.every, self.count = most, 0.0, 0.0
+        # each with how many came before it
+        self.frames: list[tuple[float, int, Picture]] = [(0.0, 0, first)]
 
-    def add(self, frame: Frame, change: float) -> None:
-        # a frame in which nothing moves still counts a little, or a still film had one sample
-        self.change += change + 1.0
-        if self.change < self.every:
+    def add(self, frame: Frame, moves: bool) -> None:
+        # what is held still shows the background below it, of which a few samples are enough
+        self.count += 1.0 if moves else STILL
+        if self.count - self.frames[-1][0] < self.every:
             return
-        self.change = 0.0
-        self.frames.append((frame.number, frame.grey))
+        self.frames.append((self.count, frame.number, frame.grey))
         if len(self.frames) >= 2 * self.most:
-            self.frames = self.frames[::2]
-            self.every = 2.0 * self.every or 2.0
+            self.every = self.count / self.most
+            self.frames = self.apart()
+
+    def apart(self) -> list[tuple[float, int, Picture]]:
+        """Frames that are ``every`` or more from the one before."""
+        kept = self.frames[:1]
+        for each in self.frames[1:]:
+            if each[0] - kept[-1][0] >= self.every:
+                kept.append(each)
+        return kept
 
     def evenly(self) -> tuple[Array, Picture]:
         """Numbers and pictures of the samples."""
-        step = -(-len(self.frames) // self.most)
-        chosen = self.frames[::step]
-        return np.array([number for number, _ in chosen]), np.stack([grey for _, grey in chosen])
+        if len(self.frames) > self.most:
+            self.every = max(self.every, self.count / self.most)
+        chosen = self.apart()
+        return np.array([number for _, number, _ in chosen]), np.stack([g for *_, g in chosen])
 
 
 def clear_background(samples: Picture, covered: NDArray[np.bool_]) -> Array:

@@ -17,6 +17,7 @@ from bristle.studies.film.edge import Camera
 from bristle.studies.film.reading import Film
 from bristle.studies.film.render import Flown, Look, bouncing, write_film
 from bristle.studies.film.scale import floor_of, gravity_px, scale_of, touching_px, weighed
+from bristle.studies.film.scan import scan
 from bristle.studies.film.tracker import tracked
 from bristle.studies.inputs.choices import Body, Down
 from bristle.studies.loop.kinds.tracks.record import read_tracks
@@ -176,6 +177,14 @@ def test_what_goes_to_the_side_does_not_turn_the_vertical(tmp_path, whole):
     assert abs(found.vertical[0]) < 2.6 * found.vertical[1] < np.radians(0.5)
     tops = [track.drops[0].held - track.drops[0].floor for track in (found, whole)]
     assert tops[0] == pytest.approx(tops[1], abs=SHARP_PX)
+
+
+def test_samples_of_a_film_lie_evenly_over_what_moves(tmp_path):
+    folder, fps = drawn_ball(tmp_path, fps=480.0)
+    number = scan(Film(folder, fps=fps)).number
+    assert len(number) > 16
+    moving = np.diff(number[number > 0.1 * fps])
+    assert moving.max() < 2.0 * moving.min()
 
 
 def test_a_shadow_beside_a_ball_does_not_make_it_larger(tmp_path, ball, whole):
