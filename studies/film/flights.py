@@ -52,6 +52,11 @@ BENT = 6e-4
 parabola by, as a share of the fall."""
 FAR_PX, FAR_SIGMAS = 30.0, 300.0
 """How far a body flies that neither is let go in view nor bounces."""
+HAND = 1.3
+"""By what factor an acceleration without an impact may differ from gravity, where that is about
+known: a hand may hide a part of the length that tells it."""
+MOST_KEPT = 1.5
+"""What share of its speed a body seems to keep at most: whole pixels hide a part of a fall."""
 TINY = 1e-300
 """Instead of zero, where something is divided by it."""
 SPEED_PX = 0.02
@@ -196,20 +201,21 @@ def drops_of(track: Track, gravity: float | None = None) -> list[Drop]:
     """The drops in a track.
 
     Where none is seen, longer stretches are looked at: a film may be played slower than it was
-    taken. Last, where ``gravity`` is about known in px/s², flights of three frames are enough.
+    taken. Last, where ``gravity`` is about known in px/s², shorter ones, down to three frames.
     """
     size = track.stretch
-    found = _drops_of(track, size)
+    found = _drops_of(track, size, gravity_of(track, size), gravity)
     while not found and 2 * size <= min(MOST_FRAMES, len(track.t_s)):
         size *= 2
-        found = _drops_of(track, size)
-    if not found and gravity is not None:
-        found = _drops_of(track, LEAST_FRAMES - 1, gravity)
+        found = _drops_of(track, size, gravity_of(track, size), gravity)
+    size = track.stretch
+    while not found and gravity is not None and size >= LEAST_FRAMES:
+        size = max(3 * size // 4, LEAST_FRAMES - 1)
+        found = _drops_of(track, size, gravity, gravity)
     return found
 
 
-def _drops_of(track: Track, size: int, known: float | None = None) -> list[Drop]:
-    gravity = known or gravity_of(track, size)
+def _drops_of(track: Track, size: int, gravity: float | None, known: float | None) -> list[Drop]:
     if gravity is None:
         return []
     chains: list[list[Stretch]] = []
@@ -218,7 +224,7 @@ def _drops_of(track: Track, size: int, known: float | None = None) -> list[Drop]
             chains[-1].append(flight)
         else:
             chains.append([flight])
-    drops = [_drop(chain, track) for chain in chains]
+    drops = [_drop(chain, track, known) for chain in chains]
     return [drop for drop in drops if drop is not None]
 
 
@@ -350,7 +356,8 @@ class _Joint:
             return self.drop, np.inf
         drop = self.drop_of(p)
         phase = drop.phase(self.t)
-        if phase.max() < self.n:  # no frame shows the last flight
+        # where no frame shows the last flight, or frames do not hold the rest
+        if phase.max() < self.n or not is_about(drop.gravity, self.drop.gravity):
             return self.drop, np.inf
         square, alike = spread_of(found.fun[: len(self.t)], phase, 4 + self.n)
         found.jac[: len(self.t)] /= np.sqrt(max(square, 1.0) * alike)
@@ -444,7 +451,8 @@ def _flights(track: Track, gravity: float, size: int) -> list[Stretch]:
     """Stretches of that acceleration, each as long as its parabola goes on."""
     bends, errors = _stretches(track, size)
     near = np.abs(bends - gravity) < NEAR * errors + TURNING * gravity
-    seeds = np.flatnonzero(near & np.isfinite(bends))
+    # a stretch too short to tell that gravity from none is like a flight whatever it does
+    seeds = np.flatnonzero(near & np.isfinite(bends) & (OFF * errors < gravity))
     seeds = seeds[np.argsort(errors[seeds] + np.abs(bends[seeds] - gravity), kind="stable")]
     taken: NDArray[np.bool_] = np.zeros(len(track.t_s), dtype=bool)
     flights = []
@@ -527,11 +535,13 @@ def _impact(before: Stretch, after: Stretch, track: Track) -> float | None:
         return None
     # the gap closes at this one of both roots, where `before` comes down and `after` goes up
     t = before.t_s + 2.0 * apart / closing
-    return t if low <= t <= high and before.speed_at(t) < 0.0 < after.speed_at(t) else None
+    down, up = float(before.speed_at(t)), float(after.speed_at(t))
+    return t if low <= t <= high and 0.0 < up < -MOST_KEPT * down else None
 
 
-def _drop(chain: list[Stretch], track: Track) -> Drop | None:
-    """The drop of flights with impacts between them; None where nothing falls."""
+def _drop(chain: list[Stretch], track: Track, known: float | None) -> Drop | None:
+    """The drop of flights with impacts between them; None where nothing falls. Gravity is about
+    ``known`` in px/s² where it is."""
     gravity = float(
         np.average([f.gravity for f in chain], weights=[f.last - f.first for f in chain])
     )
@@ -557,19 +567,24 @@ def _drop(chain: list[Stretch], track: Track) -> Drop | None:
     if fallen < max(LEAST_FALL_PX, 3.0 * SURE * error):
         return None
     if not len(impact_s):
-        # without an impact it may be a hand that lowers the body: it has to be let go suddenly, or
+        # without an impact it may be a hand that moves the body: it has to be let go suddenly, or
         # to follow its parabola so far that no hand does
-        still_s = fall.t_s - track.t_s[first] if let_go is not None else 0.0
-        sudden = 0.5 * fall.gravity * still_s**2 > max(1.0, 6.0 * error)
         bent = 0.5 * fall.gravity * (end_s - begin_s) ** 2
         far = fallen > max(FAR_PX, FAR_SIGMAS * error) and bent > 0.25 * fallen
         if fall.last - fall.first < LEAST_FRAMES or not (
-            sudden or (far and _is_parabola(fall, track))
+            let_go is not None or (far and _is_parabola(fall, track))
         ):
+            return None
+        if known is not None and not is_about(fall.gravity, known):
             return None
     bottoms = [float(f.at(float(t))) for f, t in zip(chain, impact_s, strict=False)]
     floor = float(np.median(bottoms or [0.0]))
     return Drop(first, chain[-1].last, let_go is not None, tuple(chain), impact_s, floor)
+
+
+def is_about(acceleration: float, gravity: float) -> bool:
+    """Whether an acceleration may be gravity, which is about known."""
+    return gravity / HAND < acceleration < HAND * gravity
 
 
 def _is_parabola(fall: Stretch, track: Track) -> bool:
@@ -606,7 +621,10 @@ def _let_go(fall: Stretch, gravity: float, track: Track) -> tuple[Stretch, int] 
     off = np.abs(track.height[:begin] - best.height)
     moved = off >= np.maximum(OFF * track.sigma[:begin], LEVEL_PX)
     away = np.flatnonzero(moved | (best.t_s - track.t_s[:begin] >= HELD_S))
-    return best, int(away[-1]) + 1 if len(away) else 0
+    first = int(away[-1]) + 1 if len(away) else 0
+    # what flies over its top is nearly still for a moment, too
+    risen = 0.5 * best.gravity * (best.t_s - float(track.t_s[first])) ** 2
+    return (best, first) if risen > max(1.0, 6.0 * float(np.median(track.sigma))) else None
 
 
 def _falls(held: range, last: int, gravity: float, track: Track) -> list[Stretch]:

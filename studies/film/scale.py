@@ -229,7 +229,7 @@ def doubts_of(track: Tracked, scale: Scale | None, gravity_m_s2: float) -> list[
         return []
     shown, error = scale.gravity
     ratio = shown / gravity_m_s2
-    if abs(ratio - 1.0) < max(3.0 * error / shown, DIFFERENT):
+    if abs(ratio - 1.0) < max(3.0 * error / gravity_m_s2, DIFFERENT):
         return []
     rate = 1.0 / track.frame_s
     fitting = rate / np.sqrt(ratio)

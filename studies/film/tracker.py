@@ -17,7 +17,7 @@ from ...solver.errors import InputError
 from ..inputs.choices import Body, Down
 from .disc import discs, find_ball
 from .edge import Camera, Ends, camera_of, edges, edges_of, instants
-from .flights import TURNED, Drop, Track, drops_of, mean_of, settled
+from .flights import TURNED, Drop, Track, drops_of, is_about, mean_of, settled
 from .follow import Follower, Sight
 from .reading import TURNS, Film
 from .scan import Scan, scan
@@ -86,6 +86,12 @@ class Tracked:
         """Heights along the vertical over time."""
         return Track(self.t_s, -self.down, self.sigma, self.camera.exposure_s, self.through)
 
+    @property
+    def fallen(self) -> int:
+        """In how many frames it flies freely."""
+        flying = [drop.phase(self.t_s[self.used(drop)]) >= 0 for drop in self.drops]
+        return int(sum(each.sum() for each in flying))
+
     def used(self, drop: Drop) -> NDArray[np.int64]:
         """The frames of a drop that can be relied on: no impact blurs them, none is mistaken."""
         own = self.track.clear(drop)
@@ -130,9 +136,9 @@ def tracked(
 
     Raises InputError where no body is seen to fall, in a way that says what was looked for.
     """
-    given = given or Camera()
+    given, expected = given or Camera(), expected or Expected()
     ways = list(TURNS) if film.down is Down.AUTO else [film.down]
-    doubt = ""
+    doubt, results = "", []
     for down in ways:
         turned = replace(film, down=down)
         seen = scan(turned)
@@ -146,12 +152,22 @@ def tracked(
         if isinstance(found, str):
             doubt = doubt or found
             continue
-        result = _settle(turned, body, seen, found, given, expected or Expected())
-        if result.drops:
+        result = _settle(turned, body, seen, found, given, expected)
+        gravity = expected.gravity_px(result.length)
+        bounced = [drop.gravity for drop in result.drops if len(drop.impact_s)]
+        known = gravity is not None and any(is_about(each, gravity) for each in bounced)
+        if known or result.fallen > 0.5 * result.frames:
             return result
+        results.append(result)
+    # what else moves, or a hand that moves the body, is rarely like a fall for as long
+    best = max(results, key=lambda each: each.fallen, default=None)
+    if best is not None and best.fallen:
+        return best
+    if results:
+        most = max(len(each.t_s) for each in results)
         doubt = (
-            f"a {body} is in view in {len(result.t_s)} of {len(seen.t_s)} frames, but it never "
-            "falls freely for long enough; three frames with a known scale are the least"
+            f"a {body} is in view in {most} of {results[0].frames} frames, but it never falls "
+            "freely for long enough; three frames with a known scale are the least"
         )
     looked = {
         Body.BRISTLE: "a thin straight strip, nearly upright, whose lower end moves",

@@ -1,5 +1,6 @@
 """Flights in tracks: parabolas, impacts and gravity of what is known exactly."""
 
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -15,7 +16,7 @@ from bristle.studies.film.flights import (
     spread_of,
 )
 from bristle.studies.film.render import bouncing
-from bristle.studies.film.scale import of_centre
+from bristle.studies.film.scale import Scale, doubts_of, of_centre
 
 pytestmark = pytest.mark.serial
 G, PX = 9.8, 0.5e-3
@@ -58,6 +59,57 @@ def test_what_is_carried_is_no_drop(size_px, rate_Hz):
     arc = size_px * np.sin(2.0 * np.pi * rate_Hz * t)
     y = arc + 0.1 * np.random.default_rng(1).normal(size=len(t))
     assert drops_of(Track(t, y, np.full(len(t), 0.1))) == []
+
+
+def lowered(t, lasts_s):
+    """Smoothly, from rest to rest (least jerk), by 60 px."""
+    w = np.clip((t - 0.1) / lasts_s, 0.0, 1.0)
+    return 60.0 * (1.0 - w**3 * (10.0 - 15.0 * w + 6.0 * w**2))
+
+
+@pytest.mark.parametrize(
+    "moved",
+    [
+        lambda t: lowered(t, 0.2),
+        lambda t: lowered(t, 0.5),
+        lambda t: -lowered(t, 0.25),
+        lambda t: 23.0 * np.sin(2.0 * np.pi * 2.5 * t),
+        lambda t: 20.0 * np.cos(2.0 * np.pi * 3.0 * t),
+        lambda t: 150.0 * t,
+    ],
+)
+@pytest.mark.parametrize("seed", range(3))
+def test_what_a_hand_moves_is_no_drop_where_gravity_is_about_known(moved, seed):
+    t = np.arange(0.0, 1.0, 1.0 / 240.0)
+    y = moved(t) + 0.1 * np.random.default_rng(seed).normal(size=len(t))
+    for sigma in (0.1, 0.27):
+        assert drops_of(Track(t, y, np.full(len(t), sigma)), G / 0.65e-3) == []
+
+
+def thrown(up_m_s=0.0, until_s=0.7):
+    """Of a body that is thrown up at 0.1 s, bounces once and keeps 0.7 of its speed."""
+    t, high = np.arange(0.0, until_s, 1.0 / 240.0), 0.1
+    lands = (up_m_s + np.sqrt(up_m_s**2 + 2.0 * G * high)) / G
+    since, again = t - 0.1, t - 0.1 - lands
+    y = np.where(since < 0.0, high, high + up_m_s * since - 0.5 * G * since**2)
+    rise = 0.7 * (G * lands - up_m_s) * again - 0.5 * G * again**2
+    y = np.where(again > 0.0, rise, y) / PX
+    y += 0.1 * np.random.default_rng(2).normal(size=len(t))
+    return Track(t, y, np.full(len(t), 0.1))
+
+
+def test_a_body_that_is_thrown_up_bounces_where_it_lands():
+    (drop,) = drops_of(thrown(0.6, until_s=0.5), G / PX)
+    assert len(drop.impact_s) == 1
+    assert drop.restitution[0] == pytest.approx(0.7, abs=0.01)
+
+
+@pytest.mark.parametrize("begin_s", [0.26, 0.28, 0.3, 0.32])
+def test_the_top_of_a_flight_is_no_release(begin_s):
+    whole = track()  # it lands at 0.21 s, and again at 0.35 s
+    late = whole.t_s > begin_s
+    (drop,) = drops_of(Track(whole.t_s[late], whole.height[late], whole.sigma[late]), G / PX)
+    assert drop.release_s is None
 
 
 @pytest.mark.parametrize("bent", ["air", "lens"])
@@ -109,6 +161,15 @@ def test_the_centre_of_a_bristle_that_turns_keeps_another_share_than_its_end():
     track = SimpleNamespace(t_s=t, turn=turn, sigma_turn=None, used=lambda _: np.arange(60))
     assert drop.restitution[0] == pytest.approx((up + faster) / down)
     assert of_centre(track, drop, length)[0] == pytest.approx(up / down, rel=1e-4)
+
+
+@pytest.mark.parametrize(("shown", "doubted"), [(1.1, True), (9.0, False), (14.0, True)])
+def test_what_falls_with_another_acceleration_is_doubted(shown, doubted):
+    """Its standard error is 0.8 m/s², against which it is as far from gravity either way."""
+    film = SimpleNamespace(path=Path("film.mp4"))
+    track = SimpleNamespace(frame_s=1.0 / 240.0, film=film)
+    scale = Scale(0.65, 0.01, "the bristle in view", gravity=(shown, 0.8))
+    assert bool(doubts_of(track, scale, G)) == doubted
 
 
 def test_at_few_frames_a_second_the_fall_is_found_before_the_rise():
