@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import cast
 
 import av
 import numpy as np
+from av.video.stream import VideoStream
 from numpy.typing import NDArray
 from PIL import Image
 
@@ -18,6 +20,10 @@ from ..inputs.choices import Down
 
 PICTURES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".pgm", ".webp")
 LEAST_SIDE = 16
+INTERLACED = (
+    "is interlaced: each picture shows two instants, row by row, so what moves is off by more than "
+    "its standard error; make a film of its fields first"
+)
 Picture = NDArray[np.uint8]
 # Quarter turns, counterclockwise as numpy.rot90 has them, after which things fall down the rows.
 TURNS = {Down.DOWN: 0, Down.LEFT: 1, Down.UP: 2, Down.RIGHT: 3}
@@ -49,17 +55,17 @@ class Film:
     def frames(self, damaged: Callable[[str], None] | None = None) -> Iterator[Frame]:
         """The pictures one after the other; time counts from the first.
 
-        Pictures end where the file does. Where it is damaged before its end, ``damaged`` is told so
-        in a sentence. Raises InputError where nothing
-        can be read, where time does not grow, and where ``roi`` lies outside.
+        Pictures end where the file does. Where it is damaged before its end, or interlaced,
+        ``damaged`` is told so in a sentence. Raises InputError where nothing can be read, where
+        time does not grow, and where ``roi`` lies outside.
         """
         if not self.path.exists():
             raise InputError(f"{self.path}: no such film")
         read = self._pictures() if self.path.is_dir() else self._decoded(damaged)
         first = last = shape = None
-        for number, (stamp, grey) in enumerate(read):
+        for number, stamp, grey in read:
             first = stamp if first is None else first
-            t_s = number / self.fps if self.fps else stamp - first
+            t_s = stamp - first
             if last is not None and t_s <= last:
                 raise InputError(
                     f"{self.path}: the time of frame {number} does not follow that of the frame "
@@ -102,53 +108,105 @@ class Film:
             )
         return np.rot90(grey, TURNS[self.down])
 
-    def _pictures(self) -> Iterator[tuple[float, Picture]]:
-        """The pictures of a folder, in the order of the numbers in their names."""
-        paths = [path for path in self.path.iterdir() if path.suffix.lower() in PICTURES]
+    def _pictures(self) -> Iterator[tuple[int, float, Picture]]:
+        """Numbers, instants and grey levels of a folder's pictures, as numbers in names order
+        them."""
+        paths = [path for path in self.path.glob("[!.]*") if path.suffix.lower() in PICTURES]
         if not paths:
             raise InputError(f"{self.path}: no pictures in this folder ({', '.join(PICTURES)})")
         if not self.fps:
             raise InputError(f"{self.path}: a folder of pictures needs --fps, the frames a second")
-        full: float | None = None
-        for path in sorted(paths, key=_by_number):
-            try:
-                with Image.open(path) as picture:
-                    if picture.mode[0] in "IF":  # of more than eight bits
-                        deep = np.asarray(picture, dtype=float)
-                        # twelve bits are often written as sixteen
-                        full = full or 2.0 ** np.ceil(np.log2(max(float(deep.max()), 255.0))) - 1.0
-                        grey = np.clip(255.0 / full * deep, 0.0, 255.0).astype(np.uint8)
-                    else:
-                        grey = np.asarray(picture.convert("L"))
-            except (OSError, ValueError, Image.DecompressionBombError) as error:
-                raise InputError(f"{path}: cannot be read as a picture: {error}") from error
-            yield 0.0, grey
+        paths.sort(key=_by_number)
+        white = 255.0
+        if _levels(paths[0]).dtype != np.uint8:
+            # twelve bits are often written as sixteen, and a bright body may come later
+            most = max(float(_levels(path).max()) for path in paths)
+            white = 2.0 ** np.ceil(np.log2(max(most, 255.0))) - 1.0
+        for place, path in zip(_places(paths), paths, strict=True):
+            levels = _levels(path)
+            if levels.dtype != np.uint8:
+                levels = np.clip(255.0 / white * levels.astype(float), 0.0, 255.0)
+            yield place, place / self.fps, levels.astype(np.uint8)
 
-    def _decoded(self, damaged: Callable[[str], None] | None) -> Iterator[tuple[float, Picture]]:
-        """The pictures of a film, turned as its container says, and their time stamps."""
-        count = 0
+    def _decoded(
+        self, damaged: Callable[[str], None] | None
+    ) -> Iterator[tuple[int, float, Picture]]:
+        """Numbers, time stamps and grey levels of the pictures of a film."""
+        tell = damaged or (lambda sentence: None)
+        count, sound, reason = 0, True, ""
+        lost: list[int] = []
         try:
             with av.open(str(self.path.absolute())) as container:
                 if not container.streams.video:
                     raise InputError(f"{self.path}: there is no film in this file")
                 stream = container.streams.video[0]
                 stream.thread_type = "AUTO"
-                rate = float(stream.average_rate or stream.base_rate or 0.0)
-                for frame in container.decode(stream):
-                    if frame.time is None and not rate and not self.fps:
-                        raise InputError(f"{self.path}: has no time stamps; give --fps")
-                    stamp = frame.time if frame.time is not None else count / (rate or 1.0)
-                    grey = frame.to_ndarray(format="gray")
-                    yield float(stamp), np.rot90(grey, frame.rotation // 90 % 4)
-                    count += 1
+                for packet in container.demux(stream):
+                    try:
+                        frames = cast(list[av.VideoFrame], packet.decode())
+                    except av.error.FFmpegError as error:
+                        frames, sound, reason = [], False, str(error.strerror)
+                        lost.append(count)
+                        count += 1
+                    for frame in frames:
+                        # what follows a damaged picture is made from it, until one stands alone
+                        sound = not frame.is_corrupt and (sound or frame.key_frame)
+                        if sound:
+                            if not count and frame.interlaced_frame:
+                                tell(f"{self.path.name}: {INTERLACED}")
+                            yield count, self._stamp(frame, stream, count), _grey(frame, stream)
+                        else:
+                            lost.append(count)
+                        count += 1
         except (av.error.FFmpegError, OSError, ValueError) as error:
-            if not count:  # a film that is cut off ends where it does
-                reason = getattr(error, "strerror", None) or error
-                raise InputError(f"{self.path}: cannot be read as a film: {reason}") from error
-            if damaged is not None:
-                damaged(f"{self.path.name}: is damaged after frame {count - 1}, where it ends")
-        if not count:
-            raise InputError(f"{self.path}: there is no picture in this film")
+            reason = getattr(error, "strerror", None) or str(error)
+            if count > len(lost):  # a film that is cut off ends where it does
+                tell(f"{self.path.name}: is damaged after frame {count - 1}, where it ends")
+        if count == len(lost):
+            reason = reason or ("every picture is damaged" if lost else "it has no picture")
+            raise InputError(f"{self.path}: cannot be read as a film: {reason}")
+        if lost:
+            tell(f"{self.path.name}: is damaged at frame {lost[0]}; {len(lost)} are left out")
+
+    def _stamp(self, frame: av.VideoFrame, stream: VideoStream, count: int) -> float:
+        """The instant of a picture, before which ``count`` come in the film."""
+        rate = float(stream.guessed_rate or stream.average_rate or 0.0)
+        if self.fps or frame.time is None:
+            if not (self.fps or rate):
+                raise InputError(f"{self.path}: has no time stamps; give --fps")
+            return count / (self.fps or rate)
+        # containers round: what may be an even rate by their ticks is one
+        even = round(frame.time * rate) / rate if rate else np.inf
+        return even if abs(even - frame.time) <= float(stream.time_base or 0.0) else frame.time
+
+
+def _grey(frame: av.VideoFrame, stream: VideoStream) -> Picture:
+    """Grey levels of a picture as a player shows it: turned, and of square pixels."""
+    wide = round(frame.width * float(stream.sample_aspect_ratio or 1.0))
+    grey = frame.reformat(width=wide, format="gray").to_ndarray()
+    return np.rot90(grey, frame.rotation // 90 % 4)
+
+
+def _levels(path: Path) -> Array | Picture:
+    """A picture of a folder: grey levels of eight bits, or deeper ones as they are written."""
+    try:
+        with Image.open(path) as picture:
+            return np.asarray(picture if picture.mode[0] in "IF" else picture.convert("L"))
+    except (OSError, ValueError, Image.DecompressionBombError) as error:
+        raise InputError(f"{path}: cannot be read as a picture: {error}") from error
+
+
+def _places(paths: Sequence[Path]) -> list[int]:
+    """Which picture of an even row each one is: numbers in their names show which are missing."""
+    numbers = [[int(part) for part in re.findall(r"\d+", path.stem)] for path in paths]
+    if len(set(map(len, numbers))) == 1:
+        counts = [column for column in np.array(numbers).T if np.ptp(column)]
+        if len(counts) == 1:
+            steps = np.diff(counts[0])
+            step = int(np.median(steps))
+            if steps.min() == step and not np.any(steps % step):
+                return [int(each) // step for each in counts[0] - counts[0][0]]
+    return list(range(len(paths)))
 
 
 def _by_number(path: Path) -> list[tuple[int, str]]:

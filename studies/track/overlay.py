@@ -102,7 +102,7 @@ def marked(track: Tracked, i: int | None, grey: Picture) -> Picture:
 
 def _overlaid(track: Tracked, path: Path) -> Iterator[Frame]:
     """The film's frames; those of drops are written to the overlay film on the way."""
-    shown = np.zeros(track.frames, dtype=bool)
+    shown = np.zeros(int(track.number[-1]) + MARGIN_FRAMES + 2, dtype=bool)
     for drop in track.drops:
         first, last = int(track.number[drop.first]), int(track.number[drop.last])
         shown[max(first - MARGIN_FRAMES, 0) : last + MARGIN_FRAMES + 1] = True

@@ -1,6 +1,7 @@
 """Films into tracks: films drawn by a program of its own, and one that another program drew."""
 
 from dataclasses import replace
+from fractions import Fraction
 from pathlib import Path
 
 import av
@@ -18,7 +19,7 @@ from bristle.studies.film.reading import Film
 from bristle.studies.film.render import Flown, Look, bouncing, write_film
 from bristle.studies.film.scale import floor_of, gravity_px, scale_of, touching_px, weighed
 from bristle.studies.film.scan import scan
-from bristle.studies.film.tracker import tracked
+from bristle.studies.film.tracker import Expected, tracked
 from bristle.studies.inputs.choices import Body, Down
 from bristle.studies.loop.kinds.tracks.record import read_tracks
 
@@ -53,6 +54,11 @@ def test_four_drops_of_one_film_are_told_apart(four):
     assert [d.release_s for d in four.drops] == pytest.approx(RELEASES, abs=0.004)
     for drop, kept in zip(four.drops, KEPT, strict=True):
         assert abs(drop.restitution[0] - kept) < max(0.005, 2.6 * drop.restitution_error[0])
+
+
+def test_a_hand_that_lifts_a_bristle_is_no_fall_upward():
+    with pytest.raises(InputError, match="no bristle that falls"):
+        tracked(Film(FOUR, down=Down.UP), Body.BRISTLE, expected=Expected(length_mm=336.5))
 
 
 def test_the_body_s_length_gives_the_scale_and_gravity_agrees(four):
@@ -318,15 +324,82 @@ def test_a_film_that_is_cut_off_ends_where_it_does(tmp_path):
     assert 10 < sum(1 for _ in film.frames()) < whole
 
 
-def test_a_damaged_film_says_where_it_ends(tmp_path):
-    content = bytearray(FOUR.read_bytes())
-    content[9000:9400] = bytes(400)
+def test_what_is_damaged_of_a_film_is_left_out(tmp_path):
+    """Up to the next picture that stands alone; the rest keeps its numbers and its times."""
+    short = tmp_path / "short.mp4"
+    with av.open(str(short), "w") as target:
+        stream = target.add_stream("libx264", 120, {"g": "20", "crf": "18"})
+        stream.width, stream.height, stream.pix_fmt = 64, 128, "yuv420p"
+        for k in range(100):
+            grey = np.full((128, 64, 3), 60, np.uint8)
+            grey[: 20 + k, 30:34] = 180
+            target.mux(stream.encode(av.VideoFrame.from_ndarray(grey, "rgb24")))
+        target.mux(stream.encode())
+    whole = list(Film(short).frames())
+    content = bytearray(short.read_bytes())
+    begin = content.index(b"mdat") + 4
+    middle = begin + (content.index(b"moov", begin) - begin) // 2
+    content[middle : middle + 8] = bytes(8)
     path = tmp_path / "hurt.mp4"
     path.write_bytes(content)
     told = []
-    count = sum(1 for _ in Film(path).frames(told.append))
-    assert count < 470
-    assert told == [f"hurt.mp4: is damaged after frame {count - 1}, where it ends"]
+    left = list(Film(path).frames(told.append))
+    missing = sorted({each.number for each in whole} - {each.number for each in left})
+    assert 0 < len(missing) < 21
+    assert told == [f"hurt.mp4: is damaged at frame {missing[0]}; {len(missing)} are left out"]
+    for each in left:
+        assert each.t_s == whole[each.number].t_s
+        assert np.array_equal(each.grey, whole[each.number].grey)
+
+
+def _made(path, options, square="1:1", rate=25):
+    """A film of six pictures, 64 by 48."""
+    with av.open(str(path), "w") as target:
+        stream = target.add_stream("libx264", rate, options)
+        stream.width, stream.height, stream.pix_fmt = 64, 48, "yuv420p"
+        stream.codec_context.sample_aspect_ratio = Fraction(square.replace(":", "/"))
+        for _ in range(6):
+            grey = np.full((48, 64, 3), 90, np.uint8)
+            target.mux(stream.encode(av.VideoFrame.from_ndarray(grey, "rgb24")))
+        target.mux(stream.encode())
+    return Film(path)
+
+
+def test_an_even_rate_that_a_container_rounds_is_even(tmp_path):
+    # to milliseconds
+    steps = np.diff([each.t_s for each in _made(tmp_path / "short.mkv", {}, rate=240).frames()])
+    assert steps == pytest.approx(1.0 / 240.0, rel=1e-6)
+
+
+def test_pixels_that_are_not_square_are_made_so(tmp_path):
+    first = next(_made(tmp_path / "wide.mp4", {}, square="4:3").frames())
+    assert first.grey.shape == (48, 85)
+
+
+def test_an_interlaced_film_says_so(tmp_path):
+    told = []
+    list(_made(tmp_path / "old.mp4", {"x264-params": "tff=1"}).frames(told.append))
+    list(_made(tmp_path / "new.mp4", {}).frames(told.append))
+    assert len(told) == 1
+    assert told[0].startswith("old.mp4: is interlaced")
+
+
+def test_a_picture_that_is_missing_leaves_its_time_free(tmp_path):
+    for number in (10, 11, 12, 14, 15, 18):
+        Image.fromarray(np.zeros((40, 40), np.uint8)).save(tmp_path / f"shot2-{number}.png")
+    (tmp_path / "._shot2-10.png").write_bytes(b"what a Mac leaves on other disks")
+    times = [frame.t_s for frame in Film(tmp_path, fps=10.0).frames()]
+    assert times == pytest.approx([0.0, 0.1, 0.2, 0.4, 0.5, 0.8])
+
+
+def test_a_deep_picture_may_be_brighter_than_the_first(tmp_path):
+    for number, bright in enumerate((900, 40_000)):
+        deep = np.full((40, 40), 800, np.uint16)
+        deep[10:20] = bright
+        Image.fromarray(deep).save(tmp_path / f"{number}.png")
+    dark, late = [frame.grey for frame in Film(tmp_path, fps=10.0).frames()]
+    assert int(late.max()) == pytest.approx(255 * 40_000 / 65_535, abs=1)
+    assert dark[0, 0] == late[0, 0]
 
 
 def test_pictures_of_twelve_bits(tmp_path, ball):
