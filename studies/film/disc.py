@@ -3,8 +3,9 @@
 It is found as what differs from the background, has the same width in most samples, and touches no
 border of the picture, as a hand does. Its centre is found by least squares of grey levels: a disc
 that moves down by a length within the exposure, blurred by the lens. Near its edge its brightness
-is linear across. What is averaged is light; a camera may write its 1/gamma-th power, and half of a
-soft edge's light is not half of its levels. So blur and gamma are found before the radius.
+is linear in the direction that its surface faces (Lambert's law). What is averaged is light; a
+camera may write its 1/gamma-th power, and half of a soft edge's light is not half of its levels.
+So blur and gamma are found before the radius.
 """
 
 from __future__ import annotations
@@ -202,28 +203,33 @@ def _fitted(
     parts = instants(1.0, int(np.ceil(start[2])))
     first = np.array([*start[:2], max(start[2], 0.5), ball.radius, ball.psf_px])
 
-    def share_of(p: Array) -> tuple[Array, NDArray[np.bool_]]:
-        """The disc's share of each pixel's light, and which lie near its edge."""
+    def share_of(p: Array) -> tuple[Array, Array, NDArray[np.bool_]]:
+        """The disc's share of each pixel's light, by how much its surface faces us there (a
+        cosine), and which pixels lie near its edge."""
         away = np.hypot(column[..., None] - p[0], row[..., None] - p[1] - p[2] * parts)
-        share = ndtr((p[3] - away) / np.hypot(p[4], PIXEL_PX)).mean(axis=-1)
-        return share, (away > p[3] - RIM_PX).any(axis=-1)
+        shares = ndtr((p[3] - away) / np.hypot(p[4], PIXEL_PX))
+        faces = np.sqrt(np.maximum(1.0 - (away / p[3]) ** 2, 0.0))
+        share = shares.mean(axis=-1)
+        facing = (shares * faces).mean(axis=-1) / np.maximum(share, 1e-9)
+        return share, facing, (away > p[3] - RIM_PX).any(axis=-1)
 
     def residual(moved: Array) -> Array:
-        """Levels that are left where the disc's brightness is linear across, and so is the shadow
-        that it throws on what is behind it."""
+        """Levels that are left where the disc's brightness is linear in the direction that it
+        faces, and the shadow that it throws on what is behind it is linear across."""
         p = first + np.pad(moved, (0, 5 - len(moved)))
-        share, rim = share_of(p)
+        share, facing, rim = share_of(p)
         plane = np.stack([np.ones_like(share), column - p[0], row - p[1]])
+        lit = np.concatenate([plane, facing[None]])
         front, back = behind + ball.contrast, behind
         for _ in range(2 if ball.gamma > 1.0 else 1):  # once is exact in a linear film
             front, back = np.clip(front, 1.0, 400.0), np.clip(back, 1.0, 400.0)
             # a mixture is the sum of both levels, each times its derivative (Euler)
             _, of_front, of_back = mixed(share, front, back, ball.gamma)
-            design = (np.concatenate([of_front * plane, of_back * plane]) * rim).reshape(6, -1)
+            design = (np.concatenate([of_front * lit, of_back * plane]) * rim).reshape(7, -1)
             want = ((level - behind * of_back) * rim).ravel()
-            shading = np.linalg.solve(design @ design.T + 1e-9 * np.eye(6), design @ want)
-            front = np.tensordot(shading[:3], plane, 1)
-            back = behind + np.tensordot(shading[3:], plane, 1)
+            shading = np.linalg.solve(design @ design.T + 1e-9 * np.eye(7), design @ want)
+            front = np.tensordot(shading[:4], lit, 1)
+            back = behind + np.tensordot(shading[4:], plane, 1)
         return want - shading @ design
 
     free = np.zeros(5 if free_radius else 3)

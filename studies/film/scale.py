@@ -234,7 +234,7 @@ def doubts_of(track: Tracked, scale: Scale | None, gravity_m_s2: float) -> list[
     rate = 1.0 / track.frame_s
     fitting = rate / np.sqrt(ratio)
     near = min(ROUND_RATES, key=lambda each: abs(np.log(each / fitting)))
-    if abs(np.log(near / fitting)) < DIFFERENT:
+    if abs(np.log(near / fitting)) < DIFFERENT < abs(np.log(near / rate)):
         fitting = near
     return [
         f"{track.film.path.name}: things fall here with {shown:.3g} m/s2 instead of "

@@ -172,6 +172,12 @@ def test_what_falls_with_another_acceleration_is_doubted(shown, doubted):
     assert bool(doubts_of(track, scale, G)) == doubted
 
 
+def test_the_rate_that_would_fit_is_not_the_one_that_there_is():
+    track = SimpleNamespace(frame_s=1.0 / 240.0, film=SimpleNamespace(path=Path("film.mp4")))
+    (doubt,) = doubts_of(track, Scale(1.0, 0.01, "the ball in view", gravity=(10.35, 0.05)), G)
+    assert "has 233.5 frames a second, not 240 " in doubt
+
+
 def test_at_few_frames_a_second_the_fall_is_found_before_the_rise():
     seen = track(fps=25.0, noise=0.05, y0=0.05, y1=0.04, held_s=0.503)
     (drop,) = settled(drops_of(seen), seen)

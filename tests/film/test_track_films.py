@@ -145,16 +145,22 @@ def test_heights_count_from_where_a_corner_of_the_end_touches(tmp_path):
     assert table.y_mm.to_numpy() - 1e3 * data.y == pytest.approx(Look().corner_mm(5.0), rel=0.1)
 
 
-def drawn_ball(folder, fps=120.0, aside_px_s=0.0):
-    """Pictures of a ball that falls 150 mm and bounces, drawn here; it may go to the side."""
+def drawn_ball(folder, fps=120.0, aside_px_s=0.0, shade=0.0):
+    """Pictures of a ball that falls 150 mm and bounces, drawn here; it may go to the side. A share
+    ``shade`` of its light comes from above on the left, and is scattered evenly (Lambert)."""
     radius, scale = 9.3, 1.0
     height, until = bouncing(0.15, 0.1, 1e-3, G, held_s=0.1, bounces=1)
     rng = np.random.default_rng(4)
     row, column = np.mgrid[:260, :90].astype(float)
     for k, t in enumerate(np.arange(0.0, until, 1.0 / fps)):
         y = 230.0 - 1e3 * float(height(t)) / scale - radius
-        away = np.hypot(column - 41.4 - aside_px_s * max(t - 0.1, 0.0), row - y)
-        picture = 60.0 + 130.0 * np.clip(radius - away + 0.5, 0.0, 1.0) + rng.normal(size=row.shape)
+        right, down = column - 41.4 - aside_px_s * max(t - 0.1, 0.0), row - y
+        away = np.hypot(right, down)
+        faces = np.sqrt(np.maximum(1.0 - (away / radius) ** 2, 0.0))
+        lit = np.maximum(0.7 * faces - (0.4 * right + 0.6 * down) / radius, 0.0) / 0.7
+        light = 190.0 * (1.0 - shade + shade * lit) - 60.0
+        picture = 60.0 + light * np.clip(radius - away + 0.5, 0.0, 1.0)
+        picture += rng.normal(size=row.shape)
         Image.fromarray(np.clip(picture, 0, 255).astype(np.uint8)).save(folder / f"{k:04d}.png")
     return folder, fps
 
@@ -175,6 +181,12 @@ def test_a_ball_in_a_folder_of_pictures(whole):
     assert drop.restitution[0] == pytest.approx(np.sqrt(0.1 / 0.15), abs=0.005)
     assert scale_of(whole, 18.6, None).mm_per_px == pytest.approx(1.0, rel=0.02)
     assert gravity_px(whole)[0] == pytest.approx(1e3 * G, rel=0.005)
+
+
+def test_a_ball_lit_from_one_side_is_as_large(tmp_path, whole):
+    folder, fps = drawn_ball(tmp_path, shade=0.4)
+    lit = tracked(Film(folder, fps=fps), Body.BALL)
+    assert np.median(lit.length) == pytest.approx(np.median(whole.length), rel=0.01)
 
 
 def test_what_goes_to_the_side_does_not_turn_the_vertical(tmp_path, whole):
