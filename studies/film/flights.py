@@ -402,18 +402,6 @@ def spread_of(left: Array, phase: NDArray[np.int64], numbers: int) -> tuple[floa
     return square + taken, alike
 
 
-def mean_of(values: Sequence[tuple[float, float]]) -> tuple[float, float] | None:
-    """The mean of values with standard errors, and its own; None where there is none."""
-    if not values:
-        return None
-    each, errors = np.array(values).T
-    weights = errors**-2.0
-    mean = float(np.average(each, weights=weights))
-    # more scatter than their errors say has a reason that is not known
-    square = float(weights @ (each - mean) ** 2) / max(len(each) - 1, 1)
-    return mean, float(np.sqrt(max(square, 1.0) / weights.sum()))
-
-
 def gravity_of(track: Track, size: int | None = None) -> float | None:
     """The downward acceleration in px/s² that most stretches of ``size`` frames share; None where
     none is sure."""

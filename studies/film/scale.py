@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...solver.arrays import Array
-from .flights import TURNED, Drop, Known, Turning, mean_of, settled, spread_of
+from .flights import TURNED, Drop, Known, Turning, settled, spread_of
 from .tracker import BALL_TURNED, Tracked
 
 LENS = 0.002
@@ -219,7 +219,7 @@ def spin_of(track: Tracked, own: NDArray[np.int64]) -> tuple[float, float] | Non
 def gravity_px(track: Tracked) -> tuple[float, float] | None:
     """Gravity in px/s², and the share by which it may be off (a standard error), from all drops;
     None where none tells it."""
-    found = mean_of([(d.gravity, d.gravity_error) for d in track.drops if d.gravity_error])
+    found = _mean_of([(d.gravity, d.gravity_error) for d in track.drops if d.gravity_error])
     return None if found is None else (found[0], found[1] / found[0])
 
 
@@ -255,5 +255,17 @@ def touching_px(drops: Sequence[Drop]) -> float:
 def floor_of(drops: Sequence[Drop]) -> tuple[float, float] | None:
     """The height in px at which bodies bounce, of all drops of a film, and its standard error; None
     where none bounces."""
-    found = mean_of([(d.floor, d.floor_error or 1.0) for d in drops if len(d.impact_s)])
+    found = _mean_of([(d.floor, d.floor_error or 1.0) for d in drops if len(d.impact_s)])
     return None if found is None else (found[0], float(np.hypot(found[1], SURFACE_PX)))
+
+
+def _mean_of(values: Sequence[tuple[float, float]]) -> tuple[float, float] | None:
+    """The mean of values with standard errors, and its own; None where there is none."""
+    if not values:
+        return None
+    each, errors = np.array(values).T
+    weights = errors**-2.0
+    mean = float(np.average(each, weights=weights))
+    # more scatter than their errors say has a reason that is not known
+    square = float(weights @ (each - mean) ** 2) / max(len(each) - 1, 1)
+    return mean, float(np.sqrt(max(square, 1.0) / weights.sum()))

@@ -17,7 +17,7 @@ from ...solver.errors import InputError
 from ..inputs.choices import Body, Down
 from .disc import discs, find_ball
 from .edge import Camera, Ends, camera_of, edges, edges_of, instants
-from .flights import TURNED, Drop, Track, drops_of, is_about, mean_of, settled
+from .flights import TURNED, Drop, Track, drops_of, is_about, settled
 from .follow import Follower, Sight
 from .reading import TURNS, Film
 from .scan import Scan, scan
@@ -37,6 +37,8 @@ MISTAKEN = 5.0
 PHONE_GAMMA = 2.2
 LEVEL = float(np.radians(0.5))
 """How level a camera is that somebody set up by eye."""
+LEAST_FREEDOM = 3
+"""How many more frames than numbers are needed to know how far columns scatter."""
 LEAST_STREAK_PX, MOST_OFF_PX, STREAK_SIGMA_PX = 6.0, 3.0, 0.15
 """An end drawn longer than that by an impact is compared with its path; one farther from it than
 that is not it; and by how much the shape of a path is unsure."""
@@ -449,20 +451,24 @@ def _vertical(track: Track, column: Array, drops: Sequence[Drop]) -> tuple[float
     What flies may go to the side evenly as well, which tells nothing of the vertical. Zero where
     flights do not show it better than a level camera would.
     """
-    slopes = []
+    across: list[Array] = []
+    along: list[Array] = []
+    freedom = -1
     for drop in drops:
         clear = replace(track, exposure_s=0.0).clear(drop)
         phase = drop.phase(track.t_s[clear])
         for k in range(len(drop.flights)):
             own = clear[phase == k]
-            if len(own) < 5:
+            if len(own) < 3:
                 continue
             t = track.t_s[own] - track.t_s[own].mean()
             even = np.linalg.qr(np.stack([np.ones_like(t), t], axis=1))[0]
             x, y = (z - even @ (even.T @ z) for z in (column[own], -track.height[own]))
-            size = max(float(np.linalg.norm(y)), LEAST_SIGMA_PX)
-            slope = float(x @ y) / size**2
-            left = float(np.linalg.norm(x - slope * y)) / np.sqrt(len(own) - 3)
-            slopes.append((slope, max(left, LEAST_SIGMA_PX) / size))
-    found = mean_of(slopes)
-    return (0.0, LEVEL) if found is None or found[1] > LEVEL else found
+            across, along, freedom = [*across, x], [*along, y], freedom + len(own) - 2
+    if freedom < LEAST_FREEDOM:
+        return 0.0, LEVEL
+    x, y = np.concatenate(across), np.concatenate(along)
+    slope = float(x @ y) / float(y @ y)
+    left = x - slope * y
+    error = float(np.sqrt(max(float(left @ left) / freedom, LEAST_SIGMA_PX**2) / float(y @ y)))
+    return (slope, error) if error < LEVEL else (0.0, LEVEL)
