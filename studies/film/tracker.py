@@ -17,7 +17,7 @@ from ...solver.errors import InputError
 from ..inputs.choices import Body, Down
 from .disc import discs, find_ball
 from .edge import Camera, Ends, camera_of, edges, edges_of, instants
-from .flights import TURNED, Drop, Track, drops_of, is_about, settled
+from .flights import TURNED, Drop, Track, drops_of, is_about, settled, spread_of
 from .follow import Follower, Sight
 from .reading import TURNS, Film
 from .scan import Scan, scan
@@ -453,7 +453,6 @@ def _vertical(track: Track, column: Array, drops: Sequence[Drop]) -> tuple[float
     """
     across: list[Array] = []
     along: list[Array] = []
-    freedom = -1
     for drop in drops:
         clear = replace(track, exposure_s=0.0).clear(drop)
         phase = drop.phase(track.t_s[clear])
@@ -464,11 +463,15 @@ def _vertical(track: Track, column: Array, drops: Sequence[Drop]) -> tuple[float
             t = track.t_s[own] - track.t_s[own].mean()
             even = np.linalg.qr(np.stack([np.ones_like(t), t], axis=1))[0]
             x, y = (z - even @ (even.T @ z) for z in (column[own], -track.height[own]))
-            across, along, freedom = [*across, x], [*along, y], freedom + len(own) - 2
-    if freedom < LEAST_FREEDOM:
+            across, along = [*across, x], [*along, y]
+    numbers = 2 * len(across) + 1
+    if sum(map(len, across)) < numbers + LEAST_FREEDOM:
         return 0.0, LEVEL
     x, y = np.concatenate(across), np.concatenate(along)
     slope = float(x @ y) / float(y @ y)
     left = x - slope * y
-    error = float(np.sqrt(max(float(left @ left) / freedom, LEAST_SIGMA_PX**2) / float(y @ y)))
+    # a camera that shakes moves neighbours alike
+    flight = np.repeat(np.arange(len(across)), [len(each) for each in across])
+    square, alike = spread_of(left, flight, numbers)
+    error = float(np.sqrt(max(square, LEAST_SIGMA_PX**2) * alike / (y @ y)))
     return (slope, error) if error < LEVEL else (0.0, LEVEL)
