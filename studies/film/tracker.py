@@ -255,7 +255,8 @@ def _settle(
     # of a bristle `_lengths` alone leaves out frames in which a hand hides an end
     length = np.full(len(raw.t_s), np.nan) if raw.sights else raw.length
     track = Track(raw.t_s, -raw.row, raw.sigma, given.exposure_s)
-    drops = drops_of(track, gravity)
+    # first sights stray by more than their errors where a film is much compressed
+    drops = drops_of(track, gravity) or drops_of(_loosely(track), gravity)
     if raw.sights:
         ends = Ends.of([each.tip for each in raw.sights], 1)
         for turn in range(3):
