@@ -265,8 +265,9 @@ def read_drops(folder: Path) -> Drops:
         check_contact_times(path, lines, "contact_time_ms", times, manifest.body)
         manifest.check_sigma("sigma_t_s", 1.0, times)
     if peaks is not None:
-        gravity = manifest.gravity_m_s2
-        check_peaks(path, lines, "peak_force_N", peaks, 1e-3 * y0, manifest.body, gravity)
+        off = BELOW * manifest.measurement.get("sigma_force_N", 0.0)
+        whose = manifest.body, manifest.gravity_m_s2
+        check_peaks(path, lines, "peak_force_N", peaks, 1e-3 * y0, *whose, off)
         manifest.check_sigma("sigma_force_N", 1.0, peaks)
     return Drops(
         manifest=manifest,

@@ -294,6 +294,18 @@ def test_a_reading_may_lie_some_sigma_below_zero(tmp_path):
         read_drops(tmp_path)
 
 
+def test_a_small_peak_may_be_read_some_sigma_too_small(tmp_path):
+    """A hundredth of a newton is no peak of this bristle, but may be what a coarse gauge says."""
+    write_drops(tmp_path, forces=True)
+
+    def small(rows):
+        rows[0][4] = "0.01"
+
+    assert read_drops(edited(tmp_path, small)).peak_force_N[0] == pytest.approx(0.01)
+    with pytest.raises(InputError, match=r"a peak of 0\.01 N is not one of this body"):
+        read_drops(declared(tmp_path, sigma_force_N=1e-3))
+
+
 def test_rows_may_stand_in_any_order(tmp_path):
     """Their numbers say in which they were made."""
     write_drops(tmp_path, forces=True)
