@@ -460,7 +460,7 @@ def approach(
     Nodes may move by ``reach`` (rods, n) before elements count as beside each other; others have an
     infinite gap. Of sections that are so much wider, the gap is that of the sections as they are,
     along the normal by which the wider ones meet: they cannot be nearer than that. Where they meet
-    as they are, it is theirs.
+    as they are, it is the smaller of both.
     """
     pairs, stack, reach, gaps, closing = unowned((pairs, stack, reach, gaps, closing))
     room = unowned(room)

@@ -256,7 +256,8 @@ def read_drops(folder: Path) -> Drops:
     if both < 3:
         raise InputError(f"{path}: both heights were read in {both} drops; three are needed")
     times = optional_column(path, rows, "contact_time_ms", 1e-3)
-    peaks = optional_column(path, rows, "peak_force_N", 1.0)
+    off_N = BELOW * manifest.measurement.get("sigma_force_N", 0.0)
+    peaks = optional_column(path, rows, "peak_force_N", 1.0, least=-off_N)
     lines = [line for line, _ in rows]
     check_heights(path, lines, 1e-3 * y0, 1e-3 * y1)
     manifest.check_sigma("sigma_y_mm", 1e-3, 1e-3 * y0)
@@ -265,9 +266,8 @@ def read_drops(folder: Path) -> Drops:
         check_contact_times(path, lines, "contact_time_ms", times, manifest.body)
         manifest.check_sigma("sigma_t_s", 1.0, times)
     if peaks is not None:
-        off = BELOW * manifest.measurement.get("sigma_force_N", 0.0)
         whose = manifest.body, manifest.gravity_m_s2
-        check_peaks(path, lines, "peak_force_N", peaks, 1e-3 * y0, *whose, off)
+        check_peaks(path, lines, "peak_force_N", peaks, 1e-3 * y0, *whose, off_N)
         manifest.check_sigma("sigma_force_N", 1.0, peaks)
     return Drops(
         manifest=manifest,

@@ -229,8 +229,11 @@ def read_series(path: Path, piece: str, value: str) -> Series:
     return Series(path, rows, number, times, values, begins)
 
 
-def optional_column(path: Path, rows: Rows, name: str, unit: float) -> Array | None:
-    """The column in ``unit``, NaN where a row has no value; None where the table has it not."""
+def optional_column(
+    path: Path, rows: Rows, name: str, unit: float, least: float = 0.0
+) -> Array | None:
+    """The column in ``unit``, NaN where a row has no value; None where the table has it not.
+    InputError at the first value below ``least``."""
     if name not in rows[0][1]:
         return None
-    return unit * column(path, rows, name, least=0.0, empty=True)
+    return unit * column(path, rows, name, least=least, empty=True)

@@ -117,8 +117,8 @@ class Film:
         if not self.fps:
             raise InputError(f"{self.path}: a folder of pictures needs --fps, the frames a second")
         paths.sort(key=_by_number)
-        white = 255.0
-        if _levels(paths[0]).dtype != np.uint8:
+        white, deep = 255.0, [_levels(paths[i]).dtype != np.uint8 for i in (0, -1)]
+        if any(deep):
             # twelve bits are often written as sixteen, and a bright body may come later
             most = max(float(_levels(path).max()) for path in paths)
             white = 2.0 ** np.ceil(np.log2(max(most, 255.0))) - 1.0
@@ -152,7 +152,7 @@ class Film:
                         # what follows a damaged picture is made from it, until one stands alone
                         sound = not frame.is_corrupt and (sound or frame.key_frame)
                         if sound:
-                            if not count and frame.interlaced_frame:
+                            if count == len(lost) and frame.interlaced_frame:
                                 tell(f"{self.path.name}: {INTERLACED}")
                             yield count, self._stamp(frame, stream, count), _grey(frame, stream)
                         else:
@@ -166,7 +166,9 @@ class Film:
             reason = reason or ("every picture is damaged" if lost else "it has no picture")
             raise InputError(f"{self.path}: cannot be read as a film: {reason}")
         if lost:
-            tell(f"{self.path.name}: is damaged at frame {lost[0]}; {len(lost)} are left out")
+            several = "s are" if len(lost) > 1 else " is"
+            left = f"{len(lost)} picture{several} left out"
+            tell(f"{self.path.name}: is damaged, first at frame {lost[0]}; {left}")
 
     def _stamp(self, frame: av.VideoFrame, stream: VideoStream, count: int) -> float:
         """The instant of a picture, before which ``count`` come in the film."""
@@ -177,7 +179,8 @@ class Film:
             return count / (self.fps or rate)
         # containers round: what may be an even rate by their ticks is one
         even = round(frame.time * rate) / rate if rate else np.inf
-        return even if abs(even - frame.time) <= float(stream.time_base or 0.0) else frame.time
+        half = 0.5 * float(stream.time_base or 0.0) + 1e-9
+        return even if abs(even - frame.time) <= half else frame.time
 
 
 def _grey(frame: av.VideoFrame, stream: VideoStream) -> Picture:
@@ -200,11 +203,14 @@ def _places(paths: Sequence[Path]) -> list[int]:
     """Which picture of an even row each one is: numbers in their names show which are missing."""
     numbers = [[int(part) for part in re.findall(r"\d+", path.stem)] for path in paths]
     if len(set(map(len, numbers))) == 1:
-        counts = [column for column in np.array(numbers).T if np.ptp(column)]
+        # such as dates, numbers may be longer than those of the machine
+        first = numbers[0]
+        apart = [[one - other for one, other in zip(row, first, strict=True)] for row in numbers]
+        counts = [column for column in np.array(apart, dtype=float).T if np.ptp(column)]
         if len(counts) == 1:
             steps = np.diff(counts[0])
             step = int(np.median(steps))
-            if steps.min() == step and not np.any(steps % step):
+            if step and steps.min() == step and not np.any(steps % step):
                 return [int(each) // step for each in counts[0] - counts[0][0]]
     return list(range(len(paths)))
 

@@ -15,7 +15,7 @@ from scipy import ndimage
 import bristle
 from bristle.solver.errors import InputError
 from bristle.studies.film.edge import Camera
-from bristle.studies.film.reading import Film
+from bristle.studies.film.reading import Film, _places
 from bristle.studies.film.render import Flown, Look, bouncing, write_film
 from bristle.studies.film.scale import floor_of, gravity_px, scale_of, touching_px, weighed
 from bristle.studies.film.scan import scan
@@ -346,6 +346,20 @@ def test_a_film_that_is_cut_off_ends_where_it_does(tmp_path):
     assert 10 < sum(1 for _ in film.frames()) < whole
 
 
+@pytest.mark.parametrize(
+    ("names", "places"),
+    [
+        (["f8", "f9", "f11"], [0, 1, 3]),
+        (["20261129164732123450", "20261129164732123451"], [0, 1]),
+        (["f0", "f0", "f1", "f1"], [0, 1, 2, 3]),
+        (["a1b1", "a2b7"], [0, 1]),
+    ],
+)
+def test_numbers_in_names_tell_which_pictures_are_missing(names, places):
+    """Of any length; not where they come twice, or where it is not one number that counts."""
+    assert _places([Path(f"{name}.png") for name in names]) == places
+
+
 def test_what_is_damaged_of_a_film_is_left_out(tmp_path):
     """Up to the next picture that stands alone; the rest keeps its numbers and its times."""
     short = tmp_path / "short.mp4"
@@ -368,7 +382,8 @@ def test_what_is_damaged_of_a_film_is_left_out(tmp_path):
     left = list(Film(path).frames(told.append))
     missing = sorted({each.number for each in whole} - {each.number for each in left})
     assert 0 < len(missing) < 21
-    assert told == [f"hurt.mp4: is damaged at frame {missing[0]}; {len(missing)} are left out"]
+    words = f"{len(missing)} picture{'s are' if len(missing) > 1 else ' is'} left out"
+    assert told == [f"hurt.mp4: is damaged, first at frame {missing[0]}; {words}"]
     for each in left:
         assert each.t_s == whole[each.number].t_s
         assert np.array_equal(each.grey, whole[each.number].grey)

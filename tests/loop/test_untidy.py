@@ -301,8 +301,12 @@ def test_a_small_peak_may_be_read_some_sigma_too_small(tmp_path):
     def small(rows):
         rows[0][4] = "0.01"
 
+    def below(rows):
+        rows[1][4] = "-0.2"
+
     assert read_drops(edited(tmp_path, small)).peak_force_N[0] == pytest.approx(0.01)
-    with pytest.raises(InputError, match=r"a peak of 0\.01 N is not one of this body"):
+    assert read_drops(edited(tmp_path, below)).peak_force_N[1] == pytest.approx(-0.2)
+    with pytest.raises(InputError, match=r"peak_force_N must be|a peak of 0\.01 N is not one"):
         read_drops(declared(tmp_path, sigma_force_N=1e-3))
 
 
