@@ -52,14 +52,14 @@ class Linked(NamedTuple):
 class Neighbours:
     """The pairs of elements that may touch, and what their points remember.
 
+    Each rank has a list of pairs that may meet soon, and looks at those alone (Verlet, Phys. Rev.
+    159 (1967) 98). It makes the list anew when a node has moved farther than the list was made for.
+    What is found does not depend on when that was.
+
     Parameters
     ----------
     law : between two bristles
     comm : ranks that share out the search; each of them knows where all bristles are
-
-    Each rank has a list of pairs which may meet soon, and looks at those alone (Verlet, Phys. Rev.
-    159 (1967) 98). New ones are made when a node has moved farther than they were made for. What is
-    found does not depend on when that was.
     """
 
     def __init__(self, law: Between, comm: MPI.Intracomm = MPI.COMM_SELF) -> None:

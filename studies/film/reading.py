@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import cast
@@ -117,11 +118,9 @@ class Film:
         if not self.fps:
             raise InputError(f"{self.path}: a folder of pictures needs --fps, the frames a second")
         paths.sort(key=_by_number)
-        white, deep = 255.0, [_levels(paths[i]).dtype != np.uint8 for i in (0, -1)]
-        if any(deep):
-            # twelve bits are often written as sixteen, and a bright body may come later
-            most = max(float(_levels(path).max()) for path in paths)
-            white = 2.0 ** np.ceil(np.log2(max(most, 255.0))) - 1.0
+        # twelve bits are often written as sixteen, and a bright body may come later
+        deep = [float(_levels(path).max()) for path in paths if _is_deep(path)]
+        white = 2.0 ** np.ceil(np.log2(max([*deep, 255.0]))) - 1.0
         for place, path in zip(_places(paths), paths, strict=True):
             levels = _levels(path)
             if levels.dtype != np.uint8:
@@ -133,7 +132,7 @@ class Film:
     ) -> Iterator[tuple[int, float, Picture]]:
         """Numbers, time stamps and grey levels of the pictures of a film."""
         tell = damaged or (lambda sentence: None)
-        count, sound, reason = 0, True, ""
+        count, sound, cut, reason = 0, True, False, ""
         lost: list[int] = []
         try:
             with av.open(str(self.path.absolute())) as container:
@@ -159,13 +158,16 @@ class Film:
                             lost.append(count)
                         count += 1
         except (av.error.FFmpegError, OSError, ValueError) as error:
-            reason = getattr(error, "strerror", None) or str(error)
-            if count > len(lost):  # a film that is cut off ends where it does
-                tell(f"{self.path.name}: is damaged after frame {count - 1}, where it ends")
+            reason, cut = getattr(error, "strerror", None) or str(error), True
         if count == len(lost):
             reason = reason or ("every picture is damaged" if lost else "it has no picture")
             raise InputError(f"{self.path}: cannot be read as a film: {reason}")
-        if lost:
+        # a film that is cut off ends where it does
+        ends = bool(lost) and lost[0] == count - len(lost)
+        if cut or ends:
+            last = (lost[0] if ends else count) - 1
+            tell(f"{self.path.name}: is damaged after frame {last}, where it ends")
+        if lost and not ends:
             several = "s are" if len(lost) > 1 else " is"
             left = f"{len(lost)} picture{several} left out"
             tell(f"{self.path.name}: is damaged, first at frame {lost[0]}; {left}")
@@ -190,13 +192,27 @@ def _grey(frame: av.VideoFrame, stream: VideoStream) -> Picture:
     return np.rot90(grey, frame.rotation // 90 % 4)
 
 
-def _levels(path: Path) -> Array | Picture:
-    """A picture of a folder: grey levels of eight bits, or deeper ones as they are written."""
+@contextmanager
+def _opened(path: Path) -> Iterator[Image.Image]:
+    """A picture of a folder, of which nothing but the head is read yet; InputError where it is
+    none."""
     try:
         with Image.open(path) as picture:
-            return np.asarray(picture if picture.mode[0] in "IF" else picture.convert("L"))
+            yield picture
     except (OSError, ValueError, Image.DecompressionBombError) as error:
         raise InputError(f"{path}: cannot be read as a picture: {error}") from error
+
+
+def _is_deep(path: Path) -> bool:
+    """Whether a picture has more than eight bits."""
+    with _opened(path) as picture:
+        return picture.mode[0] in "IF"
+
+
+def _levels(path: Path) -> Array | Picture:
+    """Grey levels of a picture, of eight bits or deeper ones as they are written."""
+    with _opened(path) as picture:
+        return np.asarray(picture if picture.mode[0] in "IF" else picture.convert("L"))
 
 
 def _places(paths: Sequence[Path]) -> list[int]:

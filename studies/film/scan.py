@@ -33,7 +33,7 @@ class Scan:
 
     ``t_s`` (frames,); ``samples`` (samples, rows, columns) and ``number`` (samples,) are frames
     chosen evenly over what moves; ``noise`` is a pixel's standard deviation in grey levels.
-    ``damage`` are sentences that say where the film ends before its end.
+    ``damage`` are sentences that say what is wrong with the film, such as pictures left out.
     """
 
     t_s: Array

@@ -57,8 +57,8 @@ class Tracked:
     radians, and ``sigma_turn`` its standard error. ``length`` is that of the body in px where it is
     seen whole, ``length_error`` what it may err by in all frames alike, and ``width`` about that of
     a bristle. ``vertical`` is the vertical's slope in columns a row, with its standard error.
-    ``damage`` are sentences that say where the film ends before its end. In the frames whose
-    numbers are in ``through`` an impact lies in the exposure, and ``down`` is a mean.
+    ``damage`` are those of `scan.Scan`. In the frames whose numbers are in ``through`` an impact
+    lies in the exposure, and ``down`` is a mean.
     """
 
     film: Film

@@ -97,15 +97,17 @@ def find(
         wider = _with(problem, [*smaller, *larger])
         # errors that are too small make slips of what is none: compared are those in both
         both = np.intersect1d(known.groups, wider.groups)
-        narrow = _of(known, both)
+        narrow = _limited_to(known, both)
         before = found if both.size == known.groups.size else _find(narrow, seed, alarm)
-        wide = replace(_of(wider, both), held=tuple(map(int, split(narrow, seed)[1])))
+        wide = replace(_limited_to(wider, both), held=tuple(map(int, split(narrow, seed)[1])))
         other = _find(wide, seed, alarm)
         gain = _gain(other, wide, before, narrow) - sum(each.cost for each in larger)
-        if both.size < wider.groups.size:
-            other = _find(wider, seed, alarm)
         by_chance = np.asarray(found.model.weights).size > 1
-        if gain > (-UNLISTED_MARGIN if by_chance else 0.0):
+        enough = -UNLISTED_MARGIN if by_chance else 0.0
+        if gain > enough and both.size < wider.groups.size:
+            other = _find(wider, seed, alarm)
+            gain = gain if _explains(other) else -np.inf
+        if gain > enough:
             if gain < CLOSE and found.reported:
                 names = " or ".join(" with ".join(each) for each in found.reported)
                 doubt = f"with the errors as declared, {names} explains these data nearly as well"
@@ -131,16 +133,21 @@ def _with(problem: Problem, told: Sequence[Scatter]) -> Problem:
     return problem.with_sigma(times)
 
 
-def _of(problem: Problem, groups: Ints) -> Problem:
+def _limited_to(problem: Problem, groups: Ints) -> Problem:
     """The problem without its other groups."""
     others = np.setdiff1d(problem.groups, groups)
     return replace(problem, aside=(*problem.aside, *map(int, others)))
 
 
+def _explains(found: Finding) -> bool:
+    """Whether a finding leaves noise that is independent from one drop to the next."""
+    return found.verdict is not Verdict.UNKNOWN and float(found.noise["correlation"]) <= 0.0
+
+
 def _gain(other: Finding, wider: Problem, found: Finding, known: Problem) -> float:
     """By how many nats a finding from ``wider`` errors is likelier than the one from those that are
     ``known``; minus infinity where it is none."""
-    if other.verdict is Verdict.UNKNOWN or float(other.noise["correlation"]) > 0.0:
+    if not _explains(other):
         return -np.inf
     density = float(np.log(wider.scale[other.rows] / known.scale[found.rows]).sum())
     return _support(other, wider) - density - _support(found, known)

@@ -346,6 +346,25 @@ def test_a_film_that_is_cut_off_ends_where_it_does(tmp_path):
     assert 10 < sum(1 for _ in film.frames()) < whole
 
 
+@pytest.mark.parametrize("share", [0.3, 0.9])
+def test_a_film_that_is_cut_off_says_where_it_ends(share, tmp_path):
+    content, path, told = FOUR.read_bytes(), tmp_path / "cut.mp4", []
+    path.write_bytes(content[: int(share * len(content))])
+    count = sum(1 for _ in Film(path).frames(told.append))
+    assert 10 < count < 470
+    assert told == [f"cut.mp4: is damaged after frame {count - 1}, where it ends"]
+
+
+def test_a_folder_may_hold_pictures_of_both_depths(tmp_path):
+    """White is that of the deep ones, wherever they come."""
+    for number in range(4):
+        deep = np.full((40, 40), 20_000 + 15_000 * number, np.uint16)
+        bright = deep if number in (1, 2) else np.full((40, 40), 7, np.uint8)
+        Image.fromarray(bright).save(tmp_path / f"{number}.png")
+    greys = [int(frame.grey[0, 0]) for frame in Film(tmp_path, fps=10.0).frames()]
+    assert greys == pytest.approx([7, 255 * 35_000 / 65_535, 255 * 50_000 / 65_535, 7], abs=1)
+
+
 @pytest.mark.parametrize(
     ("names", "places"),
     [

@@ -5,6 +5,7 @@ import json
 import math
 from dataclasses import dataclass, replace
 from functools import cache
+from types import SimpleNamespace
 
 import loop_toys as toys
 import numpy as np
@@ -646,6 +647,28 @@ def test_names_and_order_of_rows_change_nothing(named):
     )
     assert (again.verdict, again.effects) == (named.verdict, named.effects)
     assert again.p_value == pytest.approx(named.p_value, rel=0.5, abs=0.01)
+
+
+@pytest.mark.parametrize("explains", [True, False])
+def test_what_wider_errors_lead_to_is_judged_on_all_that_they_keep(explains, monkeypatch):
+    """Errors as declared set two drops aside, wider ones none. These win on the drops that both
+    keep; what they say of all drops counts only if it explains them."""
+    problem, _ = toys.problem(3)
+    one = loop_run._find(problem, 3, 0.01)
+    bars = SimpleNamespace(far_smaller=False, larger=True, cost=1.0, words=lambda: "too small")
+    monkeypatch.setattr(loop_run.Scatter, "each", lambda problem: [bars])
+    few = replace(problem, aside=tuple(map(int, problem.groups[:2])))
+    monkeypatch.setattr(loop_run, "_with", lambda problem, told: problem if told else few)
+    monkeypatch.setattr(loop_run, "_gain", lambda *findings: 10.0)
+    whole = replace(one, verdict=Verdict.ADEQUATE if explains else Verdict.UNKNOWN, seed=7)
+
+    def answer(each, *_):
+        return whole if each.groups.size == problem.groups.size else one
+
+    monkeypatch.setattr(loop_run, "_find", answer)
+    found = find(problem, 3)
+    assert (found.seed == 7) == explains
+    assert ("too small" in found.warnings) == explains
 
 
 @pytest.mark.parametrize("step", [5, 60])

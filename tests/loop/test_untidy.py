@@ -302,12 +302,16 @@ def test_a_small_peak_may_be_read_some_sigma_too_small(tmp_path):
         rows[0][4] = "0.01"
 
     def below(rows):
-        rows[1][4] = "-0.2"
+        rows[0][4] = "-0.2"
 
     assert read_drops(edited(tmp_path, small)).peak_force_N[0] == pytest.approx(0.01)
-    assert read_drops(edited(tmp_path, below)).peak_force_N[1] == pytest.approx(-0.2)
-    with pytest.raises(InputError, match=r"peak_force_N must be|a peak of 0\.01 N is not one"):
-        read_drops(declared(tmp_path, sigma_force_N=1e-3))
+    fine = declared(tmp_path, sigma_force_N=1e-3)
+    with pytest.raises(InputError, match=r"a peak of 0\.01 N is not one of this body"):
+        read_drops(fine)
+    with pytest.raises(InputError, match="peak_force_N must be"):
+        read_drops(edited(fine, below))
+    write_drops(tmp_path, forces=True)
+    assert read_drops(edited(tmp_path, below)).peak_force_N[0] == pytest.approx(-0.2)
 
 
 def test_rows_may_stand_in_any_order(tmp_path):
