@@ -19,12 +19,14 @@ scans: Walther and Perry, J. R. Stat. Soc. B 84 (2022) 1608.
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache, partial
 
 import numpy as np
 from scipy.sparse import csr_array
+from scipy.stats import norm
 
 from ...solver.arrays import Array
 from ...solver.compiled import njit
@@ -264,7 +266,8 @@ def _family(
         listed.extend((f"wave in {name}", units, each) for each in several)
         size, turns = np.divmod(wave, len(waves) // 2)
         for own, most in itertools.product(np.unique(size), SEVERAL_WAVES):
-            if most <= len(waves) // 2:
+            # a cosine and a sine of each, and as many frequencies as levels: half of them at most
+            if 4 * most <= len(waves) // 2:
                 slow = np.flatnonzero((size == own) & (turns < most))
                 listed.append((f"waves in {name}", units, slow))
         mean = np.stack([(wave == wave[each[0]]) / each.size for each in several], axis=1)
@@ -340,23 +343,39 @@ def _best_shape(data: Sample, z: Array, free: Array, listed: Sequence[Listed]) -
     ``z`` (rows,) are the residuals, ``free`` (rows,) those after a refit by least squares, which is
     what a shape is fitted beside: a robust fit follows most of the rows and leaves the others.
     """
-    residuals, costs = [z], [0.0]
+    residuals, costs, taken = [z], [0.0], [0]
     waves = sum(name.startswith("wave ") for name, *_ in listed)
     for name, units, together in listed:
         if together is not None:
             basis, _ = np.linalg.qr(units[together].T)
-            residuals.append(free - basis @ (basis.T @ free))
-            costs.append(OCCAM * together.size)
+            amounts = basis.T @ free
+            residuals.append(free - basis @ amounts)
+            costs.append(_cost_of(amounts))
+            taken.append(amounts.size)
         else:
             loads = units.loads(free[None])[0]
             best = np.argmax(np.abs(loads), keepdims=True)
             residuals.append(free - loads[best] @ units[best])
             costs.append(OCCAM + float(np.log(len(loads))))
+            taken.append(1)
         if name.startswith("wave "):
             costs[-1] += float(np.log(waves))
-    logs = data.heights_of_noise(np.array(residuals)).max(axis=1) - np.array(costs)
+    heights = data.heights_of_noise(np.array(residuals))
+    # what is taken out is no residual of zero that small noise would be likely for
+    heights -= np.array(taken)[:, None] * (data.noises.peak() - norm.logpdf(0.0))
+    logs = heights.max(axis=1) - np.array(costs)
     best = int(np.argmax(logs))
     return float(logs[best]), ["nothing", *(name for name, *_ in listed)][best]
+
+
+def _cost_of(amounts: Array) -> float:
+    """What amounts (k,), in standard deviations, cost in nats that are fitted together.
+
+    `OCCAM` each, or more where they are large: what normal amounts of one size have less than the
+    likelihood of no residual. As many as there are rows then explain no more than wider noise.
+    """
+    square = max(float(np.mean(amounts**2)), 1.0)
+    return amounts.size * max(OCCAM, 0.5 * (1.0 + math.log(square)))
 
 
 def _greatest(several: Sequence[Statistic], z: Array) -> Array:

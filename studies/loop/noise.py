@@ -115,6 +115,10 @@ class Noises(NamedTuple):
             "correlation": float(self.correlation[which]),
         }
 
+    def peak(self) -> Array:
+        """Log density (noises,) of no residual, in declared standard deviations."""
+        return np.asarray(log_density()[self.shape, 0] - np.log(self.scale))
+
     def robust(self) -> int:
         """The noise that first fits are made under: Student's t, uncorrelated, of middling size."""
         suits = np.flatnonzero((self.shape == 1) & (self.correlation == 0))

@@ -354,6 +354,20 @@ def told_of_noise(problem: Problem) -> tuple[dict, str]:
     return data.noises.describe(left.noise), loop_run._noise(data, left, False)["finding"]
 
 
+@pytest.mark.parametrize("quantities", [1, 3])
+@pytest.mark.parametrize("times", [3.0, 12.0, 35.0])
+def test_many_waves_do_not_explain_white_noise_that_is_wider_than_declared(times, quantities):
+    """Nearly as many as there are rows would fit any values."""
+    problem, _ = toys.problem(11, quantities=quantities, drops=30)
+    data, base = with_baseline(problem)
+    rng = np.random.default_rng(12)
+    for _ in range(6):
+        noise = times * rng.standard_normal(data.values.size)
+        drawn = replace(data, values=base.mean + noise)
+        again = settle(drawn, problem.baseline, base.u[None])
+        assert "waves" not in assess(drawn, again, [], rng, sets=19).shape
+
+
 @pytest.mark.parametrize("seed", [78, 168, 221])
 def test_noise_that_is_hardly_likelier_than_a_normal_one_is_not_told_of(seed):
     likeliest, told = told_of_noise(toys.problem(seed, drops=32)[0])
