@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -44,6 +45,8 @@ KINDS: dict[str, dict[str, Any]] = {
 }
 LINE_IN, EDGES_IN = 0.2, 0.9
 FARTHEST = 1e3
+# Of so many numbers an axis has room.
+MOST_LABELS = 30
 
 
 @drawing(
@@ -173,6 +176,7 @@ def held_figure(ax: Axes, held: HeldOut, quantity: str, labels: Sequence[int]) -
     ax.plot(x, held.after - held.values, **LOOK_AFTER)
     ax.axhline(0.0, color=BLACK, lw=0.8, label="measured")
     starts = [i for i in range(len(labels)) if i == 0 or labels[i] != labels[i - 1]]
+    starts = starts[:: math.ceil(len(starts) / MOST_LABELS)]
     ax.set_xticks(starts, [str(labels[i]) for i in starts])
     ax.set_ylabel(f"predicted less measured: {quantity}")
     ax.legend(loc="upper left", bbox_to_anchor=(0.0, 1.16), ncols=4, fontsize=SMALLEST)

@@ -17,13 +17,18 @@ from typing import Any, Concatenate, Protocol
 
 import matplotlib
 import numpy as np
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
+from matplotlib.collections import Collection
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 
 from ..running.files import write_atomically
 
 WIDTH_IN = 5.2
 PNG_DPI = 200
+# A part of a figure that has more is an image in the SVG too, which would be megabytes else.
+MOST_MARKS = 1000
 
 STYLE: dict[str, Any] = {
     "svg.fonttype": "none",
@@ -238,9 +243,23 @@ def picture(figure: Figure) -> Picture:
     svg, png = io.StringIO(), io.BytesIO()
     with matplotlib.rc_context(STYLE):
         figure.savefig(png, format="png", dpi=PNG_DPI, metadata={"Software": None})
-        figure.savefig(svg, format="svg", metadata={"Date": None, "Creator": None})
+        for axes in figure.axes:
+            for each in axes.get_children():
+                if _marks(each) > MOST_MARKS:
+                    each.set_rasterized(True)
+        figure.savefig(svg, format="svg", dpi=PNG_DPI, metadata={"Date": None, "Creator": None})
     lines = "".join(f"{line.rstrip()}\n" for line in svg.getvalue().splitlines())
     return Picture(lines, png.getvalue())
+
+
+def _marks(drawn: Artist) -> int:
+    """How many marks or strokes of its own a part of a figure has."""
+    if isinstance(drawn, Line2D):
+        bare = drawn.get_marker() in (None, "None", "", " ")
+        return 0 if bare else np.size(drawn.get_xdata())
+    if isinstance(drawn, Collection):
+        return max(len(drawn.get_paths()), np.size(drawn.get_offsets()) // 2)
+    return 0
 
 
 def picture_files(stem: str) -> tuple[str, str]:

@@ -6,6 +6,7 @@ import base64
 import csv
 import io
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
@@ -13,6 +14,7 @@ import pytest
 from jinja2 import UndefinedError
 from web_page import Page
 
+from bristle.studies.close_loop.figures import held_figure
 from bristle.studies.report.figures import Picture, panels, picture, spread, styled
 from bristle.studies.report.page import (
     Column,
@@ -242,6 +244,24 @@ def test_the_same_figure_gives_the_same_bytes():
     assert isinstance(first, Picture)
     assert first == second
     assert first.png.startswith(b"\x89PNG")
+
+
+@pytest.mark.parametrize(("count", "is_image"), [(1000, False), (20_000, True)])
+def test_many_marks_are_an_image(count, is_image):
+    figure, axes = panels()
+    axes[0, 0].plot(np.linspace(0.0, 1.0, count), np.random.default_rng(1).random(count), "o")
+    svg = picture(figure).svg
+    assert ("data:image/png" in svg) == is_image
+    assert len(svg) < 500_000
+
+
+def test_of_many_held_out_drops_some_are_numbered():
+    row = np.zeros(5000)
+    held = SimpleNamespace(values=row, before=row, after=row, low=row, high=row)
+    figure = held_figure(held, "y1 (mm)", range(1, 5001))
+    ticks = [int(label.get_text()) for label in figure.axes[0].get_xticklabels()]
+    assert 20 <= len(ticks) <= 30
+    assert ticks[0] == 1
 
 
 def test_labels_are_moved_apart_and_keep_their_order():
