@@ -11,7 +11,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from itertools import pairwise
+from itertools import pairwise, takewhile
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
@@ -57,6 +57,8 @@ HAND = 1.3
 known: a hand may hide a part of the length that tells it."""
 MOST_KEPT = 1.5
 """What share of its speed a body seems to keep at most: whole pixels hide a part of a fall."""
+LEAST_PAIRS, UNSEEN = 10, 0.3
+"""Of frames that tell how alike neighbours err, and how alike they are taken for else."""
 TINY = 1e-300
 """Instead of zero, where something is divided by it."""
 SPEED_PX = 0.02
@@ -387,17 +389,25 @@ def spread_of(left: Array, phase: NDArray[np.int64], numbers: int) -> tuple[floa
     what frames tell together is than were they independent. ``left`` (frames,) is what a fit of so
     many ``numbers`` leaves, over their standard errors.
 
-    Neighbours err alike, by the background and by compression. What is smooth of that the fit takes
-    for its own: of each number as much as so many independent frames have, and as much of what
-    neighbours share.
+    Neighbours err alike, by the background and by compression, some for many frames. So
+    correlations are summed up to the lag where two in a row are no longer beyond their standard
+    error (after the initial positive sequence of Geyer, Statist. Sci. 7 (1992) 473), as far as the
+    fit leaves them. What is smooth the fit takes for its own: of each number as much as so many
+    independent frames have, and as much of what neighbours share.
     """
-    together = (phase[1:] == phase[:-1]) & (phase[1:] >= 0)
-    pairs, square = left[1:][together] * left[:-1][together], float(np.mean(left**2))
+    square, shared = float(np.mean(left**2)), []
+    for lag in range(1, max(len(left) // (2 * numbers), 1) + 1):
+        together = (phase[lag:] == phase[:-lag]) & (phase[lag:] >= 0)
+        if together.sum() < LEAST_PAIRS:
+            break
+        shared.append(float(np.mean(left[lag:][together] * left[:-lag][together])))
     taken, alike = 0.0, 1.0
     for _ in range(4):
-        shared = (np.mean(pairs) + taken) / (square + taken) if len(pairs) > 9 else 0.3
-        rho = float(np.clip(shared, 0.0, 0.9))
-        alike = (1.0 + rho) / (1.0 - rho)
+        rho = [(each + taken) / (square + taken) for each in shared] or [UNSEEN]
+        first = float(np.clip(rho[0], 0.0, 0.9))
+        two = [a + b for a, b in zip(rho[1::2], rho[2::2], strict=False)]
+        several = sum(takewhile(lambda each: each > math.sqrt(2.0 / len(left)), two))
+        alike = max((1.0 + first) / (1.0 - first), 1.0 + 2.0 * (first + several))
         taken = min(numbers * alike / len(left) * (square + taken), square)
     return square + taken, alike
 
