@@ -74,8 +74,8 @@ def _held(finding: Finding, held: HeldOut) -> str:
     falls = held.rms_after < held.rms_before
     if np.asarray(finding.model.weights).size > 1 and not falls:
         return (
-            f"The size of the error on data that took no part in the fit stays {after} "
-            f"{held.unit}: what differs by chance cannot be foretold, but how much it differs can."
+            f"On data that took no part in the fit, the size of the error stays {after} "
+            f"{held.unit}. What differs by chance cannot be predicted, but its spread can."
         )
     gains = {name: one**2 - other**2 for name, (one, other) in held.by_quantity.items()}
     changed = max(gains, key=lambda name: gains[name])
@@ -225,7 +225,7 @@ def on_few(few: dict[str, Any]) -> list[str]:
         told = [f"{these}. Nine times in ten they would show:", *few["can_show"]]
         if few["cannot_show"]:
             told.append(f"They cannot show, at any size: {', '.join(few['cannot_show'])}.")
-    return [*told, "What is smaller may be there all the same; more of them would tell."]
+    return [*told, "Smaller effects may be there all the same. More data would show them."]
 
 
 def quantity(name: str, value: str, unit: str) -> str:

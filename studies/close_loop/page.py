@@ -19,8 +19,8 @@ def write_page(closed: Closed, out: Path) -> Path:
     rows, manifest, asked = Rows(closed), closed.manifest, closed.inputs
     page = Report(
         title=f"What the model lacks: {manifest.title}",
-        lead="From measured data the model is fitted, what it leaves is traced to an effect that "
-        "it lacks, and the error is told before and after on data that took no part.",
+        lead="The model is fitted to measured data. What it does not explain is tested and traced "
+        "to an effect that the model lacks. The result is judged by data that took no part.",
         command=command_line("close-loop", asked, LoopInputs(), out, manifest.folder),
         headline=headline(closed),
         facts=[
