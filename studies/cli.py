@@ -241,7 +241,9 @@ def calibrate(given: Given, dataset: str, out: Path) -> None:
     ignored=ANY_FLAGS,
 )
 def synth(given: Given, out: Path, truth: Path | None) -> None:
-    """A made dataset of drops with an effect that it does not declare, by the reduced solid.
+    """Makes a dataset of drops with an effect that the dataset does not declare.
+
+    The reduced solid computes the drops.
 
     Example: bristle synth --effect contact_damping:c_N_s_m=5 --out results/mystery
     """
@@ -264,8 +266,9 @@ def synth(given: Given, out: Path, truth: Path | None) -> None:
 def close_loop(given: Given, dataset: Path, out: Path) -> None:
     """What the model lacks to explain measured data, and the error before and after it is added.
 
-    Fits the model to the dataset (kinds: drops, tracks, forces, waves, falls), tests what is left,
-    traces it to an effect or says that no known one explains it, and judges on held-out data.
+    Fits the model to a dataset of drops, tracks, forces, waves or falls, and tests whether it
+    explains the data. If not, looks for the effect that the model lacks. Held-out data, which take
+    no part in the fit, judge the result.
 
     Example: bristle close-loop my-drops --seed 1 --out results/my-drops
     """
@@ -280,8 +283,8 @@ def track(given: Given, films: Sequence[Path], out: Path) -> None:
     """Turns films of drops into a dataset: the height of the lower end in each frame, its
     uncertainty, and how the bristle leans.
 
-    A film needs a still camera and a body that falls freely in view. Several drops in one film are
-    told apart. Open report.html to see whether the marks lie on the body.
+    A film needs a still camera and a body that falls freely in view. One film may show several
+    drops. Open report.html to see whether the marks lie on the body.
 
     Example: bristle track drop1.mp4 drop2.mp4 --out results/my-films
     """
@@ -319,7 +322,7 @@ def bench(what: str, out: Path | None, **given: int | None) -> None:
     """Time, memory and error of this program beside others: a table, and a page with figures.
 
     Without a name: this program beside a naive dolfinx loop, plain scipy, and CalculiX where it is
-    installed, at equal error; six minutes, on a machine that should do nothing else.
+    installed, at equal error. This takes six minutes. The machine should do nothing else.
 
     Example: bristle bench --repeats 5
     """

@@ -148,17 +148,16 @@ class Session(CaseSession):
             for kn in (1e5, 1e6, 1e7):
                 s.drop(model="solid", kn_N_m=kn)
 
-    Meshes, matrices, factors, reduced bases and steppers are kept from one call to the next, so
-    that a drop with another stiffness, height, friction or lean costs its impact alone. They are
-    those of the last three or four solids: the body that was used longest ago is forgotten with
-    all that was made from it. Solids that a sweep computes on groups of ranks are forgotten at its
-    end.
+    Meshes, matrices, factors, reduced bases and steppers are kept from one call to the next. A drop
+    with another stiffness, height, friction or lean then costs its impact alone. The last three or
+    four solids are kept; the one that was used longest ago is dropped first. Solids that a sweep
+    computes on groups of ranks are dropped when it ends.
 
-    ``comm`` is the communicator whose ranks compute; all of them make the same calls. `close`, or
+    ``comm`` is the communicator whose ranks compute. All of them make the same calls. `close`, or
     the end of the block, frees everything, after an error too.
 
-    Each method is the function of the same name, which has a session of its own. Raises InputError
-    where ``comm`` is no communicator.
+    Each method is also a function of the package, with a session of its own. Raises InputError if
+    ``comm`` is no communicator.
     """
 
     def __init__(self, comm: MPI.Intracomm | None = None) -> None:
@@ -174,7 +173,8 @@ class Session(CaseSession):
     def drop(self, *, out: Folder | None = None, **inputs: Any) -> Drop:
         """One drop, as `bristle drop`: ``bristle.drop(model="solid", tilt_deg=2, friction=0)``.
 
-        The full-order solid keeps its fields at the marched instants; ``write_every`` thins them.
+        The full-order solid keeps its fields at the time steps of the contact. With
+        ``write_every=10`` it keeps every tenth.
         """
         asked = self._checked("drop", inputs)
         recorders: list[FieldRecorder] = []
