@@ -199,10 +199,10 @@ class Finding:
             ]
         on_bound = [each for each in self.at_bounds if each not in known]
         if on_bound:
-            out.append(f"on a bound of what is searched: {', '.join(on_bound)}")
+            out.append(f"at an end of the range that was searched: {', '.join(on_bound)}")
         untold = [each for each in self.unidentified if each not in known]
         if untold:
-            out.append(f"these data do not tell: {', '.join(untold)}")
+            out.append(f"these data do not determine: {', '.join(untold)}")
         if self.noise["finding"]:
             out.append(f"the noise: {self.noise['finding']}")
         if self.nearest is not None and self.verdict is Verdict.UNKNOWN:

@@ -137,8 +137,8 @@ class Scatter:
         return (
             f"your error bars are {times:.2g} times too {size} ({low:.2g} to {high:.2g}): "
             f"{self.quantity} scatters by {own:.2g} about a smooth curve over height and order, "
-            "but the declared errors, that of the height before among them, make "
-            f"{self.declared:.2g}; {own:.2g} is used"
+            "but the declared errors, with that of the height before, would make "
+            f"{self.declared:.2g}. The loop uses {own:.2g}"
         )
 
 

@@ -409,7 +409,7 @@ def test_error_bars_that_are_too_large_are_said_to_be_and_hide_nothing(few, tmp_
     # y1 rises by 0.65 of y0, whose error is the same
     made = math.hypot(1.0, 0.65) * 5 * SIGMA_MM
     (declared,) = re.findall(
-        r"that of the height before among them, make (\S+);", found.warnings[0]
+        r"with that of the height before, would make (\S+)\. ", found.warnings[0]
     )
     assert float(declared) == pytest.approx(made, rel=0.1)
     assert "times too large" in found.warnings[0]

@@ -204,7 +204,10 @@ def test_what_is_known_beforehand_is_doubted_only_where_the_data_press_against_i
     of = replace(clean, model=replace(clean.model, parameters=(stiff, gain)))
     both = ("kn", "gain")
     loose = replace(of, at_bounds=both, unidentified=both).all_warnings()
-    assert loose == ["on a bound of what is searched: kn", "these data do not tell: kn"]
+    assert loose == [
+        "at an end of the range that was searched: kn",
+        "these data do not determine: kn",
+    ]
     pressing = replace(of, at_bounds=("gain",), unidentified=())
     assert pressing.all_warnings() == []
     (pressed,) = replace(pressing, verdict=Verdict.UNKNOWN).all_warnings()

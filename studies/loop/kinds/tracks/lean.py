@@ -63,7 +63,7 @@ def doubts_of_lean(lean_deg: Array) -> list[str]:
     if middle < LEAST_LEAN_DEG:
         return [
             f"the films show upright bristles (they lean by {middle:.2f} degrees, the median of "
-            f"{len(seen)}); a lean towards the camera would not show and is taken to be none"
+            f"{len(seen)}); a lean towards the camera would not show, and is taken to be zero"
         ]
     return [
         f"the films show bristles that lean by {middle:.1f} degrees before the impact (median of "
