@@ -149,8 +149,8 @@ class TrackInputs(Fields, group=FILM):
     )
     mm_per_px: Annotated[float, between(1e-4, 1e3)] | None = option(
         None,
-        "Length of a pixel where the body falls. It wins over a length in view. Both are weighed "
-        "with gravity.",
+        "Length of a pixel where the body falls, in place of a length in view. Gravity gives the "
+        "scale too, and the mean of both is used.",
         "MM",
     )
     fps: Annotated[float, between(0.1, 1e6)] | None = option(
