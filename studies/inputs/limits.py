@@ -215,7 +215,7 @@ def _step_warnings(inputs: DropValues) -> list[str]:
         f"--its {inputs.its_s:g} s is longer than the time to greatest penetration, "
         f"{quarter_s:.3g} s by Eq. 8: peak force and penetration are not resolved, and the "
         "rebound may be off; "
-        f"take --its {_round_down(0.1 * quarter_s):g} or less"
+        f"take --its {round_down(0.1 * quarter_s):g} or less"
     ]
 
 
@@ -411,7 +411,7 @@ def slowest_bending_1_s(bristle: Bristle) -> float:
     return (FREE_BENDING / bristle.length_m) ** 2 * material.bar_speed_m_s * gyration
 
 
-def _round_down(value: float) -> float:
+def round_down(value: float) -> float:
     """The largest of 1, 2, 5 times a power of ten that is not above ``value``."""
     decade = 10.0 ** math.floor(math.log10(value))
     return max(step * decade for step in (1.0, 2.0, 5.0) if step * decade <= value * (1 + 1e-9))

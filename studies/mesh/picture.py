@@ -5,36 +5,32 @@ meshio carries gmsh's `.msh` file over to `.vtu`, which ParaView opens with seco
 ParaView's readers crash on it or show nothing where the cells are of second order.
 
 A bristle is hundreds of times longer than it is wide, so the picture has two panels: the tip in
-true proportions, and the whole with its axis compressed.  Debian's VTK draws through X11 alone and
-takes the whole process down where it finds no X server.  So `write_picture` has it drawn by this
-module run as a program, on a display that xvfb-run provides for as long as the drawing lasts.
+true proportions, and the whole with its axis compressed.  It is convex: the facets that face the
+camera are all that is seen of it, and none hides another.
 """
 
 from __future__ import annotations
 
-import os
-import shutil
-import signal
-import subprocess
-import sys
-import tempfile
-from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import meshio
 import numpy as np
-import pyvista
+from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection, PolyCollection
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
 
 from ...meshes.geometry import Tag
-from ...solver.errors import ComputationError
+from ...solver.arrays import Array
+from ..inputs.limits import round_down
+from ..report.figures import BLACK, styled
 
 TAG_DATA = "tag"
 """Name of the cell data that hold the values of `Tag`."""
-ON_XVFB = ["xvfb-run", "-a", "-e", "/dev/stderr", "-s", "-screen 0 640x480x24"]
-# With its caller, or when its time is over, the drawing ends, and its display with it.
-BOUNDED = ["setpriv", "--pdeathsig", "TERM", "timeout", "--kill-after=5"]
-TIMED_OUT = 124  # what timeout exits with
-PANEL_PIXELS = (800, 900)
+OUTLINES = {"quad": (0, 1, 2, 3), "quad9": (0, 4, 1, 5, 2, 6, 3, 7)}
+"""Nodes around a facet, by the name that meshio has for its kind."""
+SIZE_IN, DPI = (16.0, 9.0), 100
 CLOSE_UP_WIDTHS = 2.5
 """Length of bristle in the close-up, in widths of the section."""
 WHOLE_WIDTHS = 6.0
@@ -59,141 +55,98 @@ def write_vtu(msh: Path, vtu: Path) -> None:
     meshio.write(vtu, whole, file_format="vtu")
 
 
-def write_picture(vtu: Path, png: Path) -> None:
-    """Draw the mesh in `vtu` (from `write_vtu`) into `png`, screen or none.
+@dataclass(frozen=True)
+class Facets:
+    """Facets of a mesh: the nodes around each, ``outline`` (facets, nodes, 3) in mm, and its
+    ``tag`` (facets,)."""
 
-    Raises DrawingError where there is nothing to draw on, or drawing failed.
-    """
-    run_drawing([sys.executable, "-m", __name__, str(vtu), str(png)])
+    outline: Array
+    tag: NDArray[np.int32]
 
+    def of(self, which: NDArray[np.bool_]) -> Facets:
+        """Those that ``which`` (facets,) tells."""
+        return Facets(self.outline[which], self.tag[which])
 
-class DrawingError(ComputationError):
-    """A picture could not be drawn."""
+    def below(self, z_mm: float) -> Facets:
+        """Those up to the first layer boundary at or above a height."""
+        tops = self.outline[..., 2].max(axis=1)
+        slack = 1e-9 * np.ptp(tops)
+        cut = tops[tops >= z_mm - slack].min(initial=tops.max()) + slack
+        return self.of(tops <= cut)
 
+    def squeezed(self, factor: float) -> Facets:
+        """The same with the axis compressed."""
+        return Facets(self.outline * np.array([1.0, 1.0, 1.0 / factor]), self.tag)
 
-def run_drawing(command: Sequence[str], timeout_s: float = 300.0) -> None:
-    """Run a command that draws, on a display of its own or, without xvfb-run, on the caller's.
+    def facing(self) -> Facets:
+        """Those of a convex body that the camera sees."""
+        one, other = (self.outline[:, k] - self.outline[:, 0] for k in (1, -1))
+        normal, middle = np.cross(one, other), self.outline.mean(axis=1)
+        outward = np.einsum("fx,fx->f", normal, middle - 0.5 * (middle.min(0) + middle.max(0)))
+        return self.of(np.sign(outward) * (normal @ VIEW_FROM) > 0.0)
 
-    Raises DrawingError, with the last that was written to standard error, where there is no
-    display, or the command fails, dies or takes more than `timeout_s`.
-    """
-    on_display = ON_XVFB if shutil.which("xvfb-run") else []
-    if not on_display and not os.environ.get("DISPLAY"):
-        raise DrawingError("There is no display to draw on: install Xvfb or set DISPLAY.")
-    with (
-        tempfile.TemporaryFile("w+", errors="replace") as log,
-        subprocess.Popen(
-            [*BOUNDED, str(timeout_s), *on_display, *command],
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.DEVNULL,
-            stderr=log,
-            text=True,
-            errors="replace",
-        ) as process,
-    ):
-        try:
-            status = process.wait()
-        finally:
-            process.terminate()
-        log.seek(0)
-        output = log.read().strip().splitlines() or [f"exit status {status}"]
-    if status == TIMED_OUT:
-        raise DrawingError(f"Drawing took more than {timeout_s:g} s.")
-    if status > 128 or status < 0:  # of a shell, or of the command itself
-        name = signal.Signals(abs(status) % 128).name
-        raise DrawingError(f"Drawing failed: {name}, {'; '.join(output[-2:])}")
-    if status:
-        raise DrawingError(f"Drawing failed: {output[-1]}")
+    def edges(self) -> Array:
+        """Straight pieces (edges, 2, 3) of their outlines."""
+        return np.stack([self.outline, np.roll(self.outline, -1, axis=1)], axis=2).reshape(-1, 2, 3)
 
 
-def read_facets(vtu: Path) -> pyvista.UnstructuredGrid:
-    """The facets of a mesh from `write_vtu`, with their tags; in mm."""
-    grid = pyvista.read(vtu)
-    facets = grid.extract_cells(np.flatnonzero(grid.cell_data[TAG_DATA] != Tag.BODY))
-    facets.points *= 1e3
-    return facets
+def read_facets(vtu: Path) -> Facets:
+    """The facets of a mesh from `write_vtu`."""
+    mesh = meshio.vtu.read(vtu)
+    blocks = zip(mesh.cells, mesh.cell_data[TAG_DATA], strict=True)
+    found = [
+        (1e3 * mesh.points[block.data[:, OUTLINES[block.type]]], tag)
+        for block, tag in blocks
+        if block.type in OUTLINES
+    ]
+    outline, tag = (np.concatenate(each) for each in zip(*found, strict=True))
+    return Facets(outline, tag)
 
 
-def below(facets: pyvista.UnstructuredGrid, z_mm: float) -> pyvista.UnstructuredGrid:
-    """The facets up to the first layer boundary at or above a height."""
-    tops = np.array([cell.bounds[5] for cell in facets.cell])
-    slack = 1e-9 * np.ptp(facets.points[:, 2])
-    cut = tops[tops >= z_mm - slack].min(initial=tops.max()) + slack
-    return facets.extract_cells(np.flatnonzero(tops <= cut))
-
-
-def thinned(edges: pyvista.PolyData, n_rings: int) -> pyvista.PolyData:
-    """The edges without those across the axis, but for about `n_rings` layers."""
-    z = edges.points[edges.lines.reshape(-1, 3)[:, 1:], 2] / np.ptp(edges.points[:, 2])
+def thinned(edges: Array, n_rings: int) -> Array:
+    """The edges (n, 2, 3) without those across the axis, but for about `n_rings` layers."""
+    z = edges[..., 2] / np.ptp(edges[..., 2])
     across = np.ptp(z, axis=1) < 1e-9
     levels, level = np.unique(np.round(z[across, 0], 9), return_inverse=True)
     stride = max(1, round(len(levels) / n_rings))
     drawn = ~across
     drawn[across] = (level % stride == 0) | (level == len(levels) - 1)
-    return pyvista.PolyData(edges.points, lines=edges.lines.reshape(-1, 3)[drawn].ravel())
+    return edges[drawn]
 
 
-def round_length_mm(limit_mm: float) -> float:
-    """Return the largest of 1, 2, 5 times a power of ten that is not above the limit."""
-    decade = 10.0 ** np.floor(np.log10(limit_mm) + 1e-9)
-    return float(max(step * decade for step in (1, 2, 5) if step * decade <= limit_mm * (1 + 1e-9)))
-
-
-def draw(facets: pyvista.UnstructuredGrid, png: Path) -> None:
-    """Draw both panels; needs a display, and takes the process down where there is none."""
-    extents = np.ptp(facets.points, axis=0)
+@styled
+def write_picture(vtu: Path, png: Path) -> None:
+    """Draw the mesh in `vtu` (from `write_vtu`) into `png`."""
+    facets = read_facets(vtu)
+    extents = np.ptp(facets.outline.reshape(-1, 3), axis=0)
     width, length = float(extents[:2].max()), float(extents[2])
     factor = max(1.0, length / (WHOLE_WIDTHS * width))
-    plotter = pyvista.Plotter(
-        off_screen=True, shape=(1, 2), window_size=(2 * PANEL_PIXELS[0], PANEL_PIXELS[1])
-    )
-    plotter.background_color = "white"
-    plotter.subplot(0, 0)
-    close_up = below(facets, CLOSE_UP_WIDTHS * width)
-    _panel(plotter, close_up, round_length_mm(min(width, length)), "The tip, true proportions")
-    plotter.subplot(0, 1)
+    figure = Figure(figsize=SIZE_IN, layout="constrained")
+    tip, whole = figure.subplots(1, 2)
+    close_up = facets.below(CLOSE_UP_WIDTHS * width)
+    _panel(tip, close_up, round_down(min(width, length)), "The tip, true proportions")
     title = f"The whole, {length:g} mm" + f", axis compressed {factor:.3g} times" * (factor > 1)
-    _panel(plotter, facets, round_length_mm(length / 2), title, factor)
-    plotter.screenshot(str(png))
-    plotter.close()
+    _panel(whole, facets, round_down(length / 2), title, factor)
+    figure.savefig(png, format="png", dpi=DPI, metadata={"Software": None})
 
 
-def _panel(
-    plotter: pyvista.Plotter,
-    facets: pyvista.UnstructuredGrid,
-    bar_mm: float,
-    title: str,
-    compression: float = 1.0,
-) -> None:
+def _panel(ax: Axes, facets: Facets, bar_mm: float, title: str, compression: float = 1.0) -> None:
     """Draw facets with a title and, beside them, a bar along the axis that is `bar_mm` long."""
-    squeezed = facets.scale([1.0, 1.0, 1.0 / compression])
-    width = float(np.ptp(facets.points[:, :2], axis=0).max())
-    for tag, colour in COLOURS.items():
-        own = squeezed.extract_cells(np.flatnonzero(squeezed.cell_data[TAG_DATA] == tag))
-        if own.n_cells:
-            plotter.add_mesh(
-                own.extract_surface(nonlinear_subdivision=1), color=colour, lighting=False
-            )
-    # A little toward the camera, so that faces do not hide half of each line.
-    edges = thinned(squeezed.extract_all_edges(), MAX_RINGS).translate(0.005 * width * VIEW_FROM)
-    plotter.add_mesh(edges, color="black", line_width=1.5, lighting=False)
-    x, y, _ = squeezed.points.max(axis=0) + 0.3 * width
-    bar = pyvista.Line([x, y, 0.0], [x, y, bar_mm / compression])
-    plotter.add_mesh(bar, color="black", line_width=6, lighting=False)
-    plotter.add_point_labels(
-        [bar.center],
-        [f"  {bar_mm:g} mm"],
-        font_size=22,
-        shape=None,
-        show_points=False,
-        always_visible=True,
-        text_color="black",
-    )
-    plotter.add_text(title, position=(20, PANEL_PIXELS[1] - 45), font_size=14, color="black")
-    plotter.enable_parallel_projection()  # type: ignore[call-arg]
-    plotter.view_vector(VIEW_FROM, viewup=(0.0, 0.0, 1.0))  # type: ignore[arg-type]
-    plotter.reset_camera(bounds=squeezed.merge(bar).bounds)  # type: ignore[call-arg]
-
-
-if __name__ == "__main__":
-    draw(read_facets(Path(sys.argv[1])), Path(sys.argv[2]))
+    right = np.cross([0.0, 0.0, 1.0], VIEW_FROM)
+    axes = np.array([right, np.cross(VIEW_FROM, right)])
+    axes /= np.linalg.norm(axes, axis=1, keepdims=True)
+    squeezed = facets.squeezed(compression)
+    seen = squeezed.facing()
+    colours = [COLOURS[Tag(int(tag))] for tag in seen.tag]
+    ax.add_collection(PolyCollection(list(seen.outline @ axes.T), facecolors=colours))
+    lines = thinned(seen.edges(), MAX_RINGS)
+    ax.add_collection(LineCollection(list(lines @ axes.T), colors=BLACK, linewidths=1.1))
+    points = squeezed.outline.reshape(-1, 3)
+    x, y, _ = points.max(axis=0) + 0.3 * np.ptp(points[:, :2], axis=0).max()
+    bar = np.array([[x, y, 0.0], [x, y, bar_mm / compression]]) @ axes.T
+    ax.plot(*bar.T, color=BLACK, lw=4.0)
+    ax.annotate(f"  {bar_mm:g} mm", bar.mean(axis=0), va="center", fontsize=16)
+    ax.set_title(title, fontsize=14)
+    ax.set_aspect("equal")
+    ax.set_axis_off()
+    ax.margins(0.1)

@@ -41,8 +41,7 @@ def run_mesh(spec: MeshSpec, out: Path, comm: MPI.Intracomm = MPI.COMM_WORLD) ->
 
     Raises
     ------
-    ComputationError : gmsh failed, the mesh is not what was asked for, or the picture could not be
-        drawn
+    ComputationError : gmsh failed, or the mesh is not what was asked for
     InputError : `out` cannot be written, or has files of these names that are not the program's
     """
     return run_on_one_rank(comm, lambda: _write_all(spec, Path(out)))

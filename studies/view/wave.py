@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
@@ -12,6 +11,7 @@ from numpy.typing import NDArray
 
 from ...solver.arrays import Array
 from ...solver.paraview import Phase
+from ..inputs.limits import round_down
 from .field_series import FieldSeries
 
 SHOWN_MOTION = 0.05
@@ -242,8 +242,4 @@ def tip_frame(phases: list[Phase], tip_von_mises_Pa: Array) -> int:
 
 def round_factor(wanted: float, there: float) -> float:
     """1, 2 or 5 times a power of ten, 1 at least, that brings what is there near what is wanted."""
-    ratio = wanted / there if there > 0.0 else 1.0
-    if ratio < 1.0:
-        return 1.0
-    decade = 10.0 ** math.floor(math.log10(ratio))
-    return max(step * decade for step in (1.0, 2.0, 5.0) if step * decade <= ratio)
+    return round_down(max(wanted / there, 1.0)) if there > 0.0 else 1.0

@@ -2,9 +2,6 @@
 
 import csv
 import signal
-import subprocess
-import sys
-import time
 from pathlib import Path
 
 import gmsh
@@ -12,26 +9,16 @@ import meshio
 import numpy as np
 import pytest
 import pyvista
-from faults import left_running
 from mpi4py import MPI
 
 from bristle.meshes.collective import run_on_one_rank
-from bristle.meshes.geometry import MeshSpec
+from bristle.meshes.geometry import MeshSpec, Tag
 from bristle.meshes.hexahedra import build_model, gmsh_model
 from bristle.meshes.section import Circle, Rectangle
 from bristle.solver.errors import ComputationError
-from bristle.studies.mesh import picture
+from bristle.studies.inputs.limits import round_down
 from bristle.studies.mesh import run as mesh_study
-from bristle.studies.mesh.picture import (
-    DrawingError,
-    below,
-    read_facets,
-    round_length_mm,
-    run_drawing,
-    thinned,
-    write_picture,
-    write_vtu,
-)
+from bristle.studies.mesh.picture import VIEW_FROM, read_facets, thinned, write_vtu
 from bristle.studies.mesh.run import run_mesh
 from bristle.studies.running.files import write_atomically
 from bristle.studies.running.interrupts import interruptible
@@ -94,7 +81,7 @@ def test_same_spec_gives_the_same_files(out):
     contents = []
     for _ in range(2):
         run_mesh(SPEC, out)
-        contents.append({name: (out / name).read_bytes() for name in FILES if name != "mesh.png"})
+        contents.append({name: (out / name).read_bytes() for name in FILES})
         COMM.barrier()
     assert contents[0] == contents[1]
 
@@ -152,67 +139,12 @@ def test_older_files_are_replaced_and_strangers_kept(out):
     assert written_quality(out)["n_cells"] == SPEC.n_cells
 
 
-SAY_DISPLAY = ["sh", "-c", 'echo "$DISPLAY" > "$0"; sleep "$1"']
-# The process that serves a display, from the X server's lock.
-SAY_SERVER = ["sh", "-c", 'cat "/tmp/.X${DISPLAY#:}-lock" > "$0"; sleep "$1"']
-
-
-def started(server_file):
-    """The server of a drawing that has begun."""
-    deadline = time.monotonic() + 30
-    while not (server_file.exists() and server_file.read_text().endswith("\n")):
-        assert time.monotonic() < deadline
-        time.sleep(0.05)
-    server = int(server_file.read_text())
-    assert left_running([server], 0.0) == [server]
-    return server
-
-
-@pytest.mark.serial
-def test_display_ends_with_its_drawing(tmp_path):
-    run_drawing([*SAY_SERVER, str(tmp_path / "pid"), "0"])
-    assert left_running([int((tmp_path / "pid").read_text())], 10.0) == []
-
-
-@pytest.mark.serial
-def test_display_ends_when_its_caller_is_killed(tmp_path):
-    # No MPI in there: under mpirun it would pass for one of the ranks.
-    program = (
-        "import sys; from bristle.studies.mesh.picture import run_drawing as run; run(sys.argv[1:])"
-    )
-    drawing = [*SAY_SERVER, str(tmp_path / "pid"), "60"]
-    caller = subprocess.Popen([sys.executable, "-c", program, *drawing])
-    server = started(tmp_path / "pid")
-    caller.kill()
-    caller.wait()
-    assert left_running([server], 10.0) == []
-
-
-@pytest.mark.serial
-def test_drawing_that_cannot_be_says_why(tmp_path, monkeypatch):
-    with pytest.raises(DrawingError, match=r"Drawing failed: .*missing\.vtu"):
-        write_picture(tmp_path / "missing.vtu", tmp_path / "a.png")
-    with pytest.raises(DrawingError, match="Drawing failed: SIGABRT"):
-        run_drawing([sys.executable, "-c", "import os; os.abort()"])
-    with pytest.raises(DrawingError, match="more than 2 s"):
-        run_drawing([*SAY_SERVER, str(tmp_path / "pid"), "60"], timeout_s=2)
-    assert left_running([int((tmp_path / "pid").read_text())], 10.0) == []
-
-    monkeypatch.setattr(picture.shutil, "which", lambda name: None)
-    monkeypatch.delenv("DISPLAY", raising=False)
-    with pytest.raises(DrawingError, match="install Xvfb or set DISPLAY"):
-        run_drawing(["true"])
-    monkeypatch.setenv("DISPLAY", ":77")
-    run_drawing([*SAY_DISPLAY, str(tmp_path / "own"), "0"])
-    assert (tmp_path / "own").read_text() == ":77\n"
-
-
 @pytest.mark.parametrize(
     ("limit", "length"),
     [(2.08, 2), (1.0, 1), (0.999, 0.5), (168.25, 100), (49.9, 20), (0.02, 0.02)],
 )
 def test_scale_bars_are_round(limit, length):
-    assert round_length_mm(limit) == pytest.approx(length)
+    assert round_down(limit) == pytest.approx(length)
 
 
 def facets_of(spec, folder):
@@ -230,16 +162,30 @@ def test_close_up_ends_with_a_whole_cell(tmp_path, order):
     facets = facets_of(spec, tmp_path)
     # Layers end at 0, 2, 4 … 20 mm.
     for height, end in ((3.0, 4.0), (4.0, 4.0), (25.0, 20.0)):
-        assert below(facets, height).points[:, 2].max() == pytest.approx(end)
+        assert facets.below(height).outline[..., 2].max() == pytest.approx(end)
+
+
+@pytest.mark.parametrize("order", [1, 2])
+def test_what_faces_the_camera_is_the_tip_and_the_near_sides(tmp_path, order):
+    """It stands toward +x, -y and below; half of a wire's side is on the near side of its axis."""
+    flat = facets_of(MeshSpec(0.02, Rectangle(), (3, 2, 5), order), tmp_path).facing()
+    assert np.array_equal(np.unique(flat.tag), sorted([Tag.SIDE, Tag.TIP]))
+    x, y, z = np.moveaxis(flat.outline, -1, 0)
+    near = [np.isclose(x, x.max()), np.isclose(y, y.min()), np.isclose(z, 0.0)]
+    assert [each.all(axis=1).sum() for each in near] == [2 * 5, 3 * 5, 3 * 2]
+    assert len(flat.tag) == 2 * 5 + 3 * 5 + 3 * 2
+    wire = facets_of(MeshSpec(0.02, Circle(1e-3), (4, 1, 3), order), tmp_path)
+    middle = wire.facing().outline[wire.facing().tag == Tag.SIDE].mean(axis=1)
+    assert (middle[:, :2] @ VIEW_FROM[:2] > 0.0).all()
+    assert len(middle) == (wire.tag == Tag.SIDE).sum() / 2
 
 
 def test_thinning_keeps_both_ends_and_the_lines_along(tmp_path):
-    edges = facets_of(MeshSpec(0.02, Rectangle(), (1, 1, 100)), tmp_path).extract_all_edges()
+    edges = facets_of(MeshSpec(0.02, Rectangle(), (1, 1, 100)), tmp_path).edges()
 
-    def rings_and_lengths(thing):
-        z = thing.points[thing.lines.reshape(-1, 3)[:, 1:], 2]
-        flat = np.ptp(z, axis=1) < 1e-9
-        return np.unique(np.round(z[flat, 0], 6)), np.count_nonzero(~flat)
+    def rings_and_lengths(edges):
+        flat = np.ptp(edges[..., 2], axis=1) < 1e-9
+        return np.unique(np.round(edges[flat, 0, 2], 6)), np.count_nonzero(~flat)
 
     rings, lengths = rings_and_lengths(thinned(edges, 10))
     assert (rings[0], rings[-1]) == (0, 20)
