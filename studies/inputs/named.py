@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import hashlib
 import math
+from collections.abc import Callable
 from dataclasses import fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 from pydantic import Field
 
@@ -120,10 +121,38 @@ class GivenFile(Fields):
 
     path: str
     sha256: str
+    option: ClassVar[str] = "--surface"
 
     def __str__(self) -> str:
         """As the option has it."""
         return self.path
+
+    @classmethod
+    def of(cls, value: Any, digest: Callable[[Path], str] | None = None) -> Any:
+        """That of a path, or of an earlier run's path and digest, checked against the file; what
+        is neither stays as it is.
+
+        Raises ValueError where the file cannot be read, or has changed since.
+        """
+        if isinstance(value, str | Path):
+            value = {"path": str(Path(value).resolve())}
+        if not isinstance(value, dict) or not isinstance(value.get("path"), str):
+            return value
+        now = (digest or _sha256)(Path(value["path"]))
+        before = value.get("sha256", now)
+        if before != now:
+            raise ValueError(
+                f"{value['path']} has changed since that run: its SHA-256 was "
+                f"{str(before)[:12]}…, and is {now[:12]}…; name it with {cls.option} to take it as "
+                "it is"
+            )
+        return cls(**{**value, "sha256": now})
+
+
+class MotionFile(GivenFile):
+    """The path of a hub."""
+
+    option: ClassVar[str] = "--motion"
 
 
 class MotionInput(Fields):
@@ -133,7 +162,7 @@ class MotionInput(Fields):
     kind: Motion
     speed_m_s: float | None = None
     rpm: float | None = None
-    file: GivenFile | None = None
+    file: MotionFile | None = None
 
     def __str__(self) -> str:
         """As the option has it."""
@@ -147,18 +176,16 @@ class MotionInput(Fields):
 def read_motion(value: Any) -> Any:
     """A `MotionInput` of ``press``, ``slide:speed=…``, ``rotate:rpm=…`` or ``file:FILE.csv``, or of
     what a result holds; ValueError where it is malformed, or the file has changed since."""
-    if isinstance(value, dict) and _has_path(value.get("file")):
-        kept = value["file"]
-        value = {**value, "file": _unchanged(kept, _sha256(kept["path"]), "--motion")}
     if isinstance(value, dict):
-        return MotionInput.model_validate(value)
+        file = value.get("file")
+        kept = {"file": MotionFile.of(file)} if isinstance(file, dict) else {}
+        return MotionInput.model_validate({**value, **kept})
     if not isinstance(value, str):
         return value
     name, _, rest = value.strip().partition(":")
     key, _, text = (part.strip() for part in rest.partition("="))
     if name == Motion.FILE and rest:
-        path = str(Path(rest).resolve())
-        return MotionInput(kind=Motion.FILE, file=GivenFile(path=path, sha256=_sha256(path)))
+        return MotionInput(kind=Motion.FILE, file=MotionFile.of(rest))
     if name == Motion.PRESS and not rest:
         return MotionInput(kind=Motion.PRESS)
     keys = {Motion.SLIDE: ("speed", "speed_m_s"), Motion.ROTATE: ("rpm", "rpm")}
@@ -188,19 +215,10 @@ def _sha256(path: str | Path) -> str:
         raise ValueError(f"{path}: {error.strerror}") from None
 
 
-def read_surface_file(value: Any) -> Any:
-    """A `GivenFile` of a path, or of an earlier run's path and digest, checked against the file.
-
-    Raises ValueError where it cannot be read, or has changed since.
-    """
-    value = _by_path(value)
-    if not _has_path(value):
-        return value
-    return GivenFile(**_unchanged(value, _sha256(value["path"]), "--surface"))
-
-
 class MeshFile(GivenFile):
     """A bristle's mesh."""
+
+    option: ClassVar[str] = "--mesh"
 
     def read(self) -> OwnMesh:
         """What is in it; MeshError where that is no bristle."""
@@ -212,31 +230,26 @@ class MeshFile(GivenFile):
 class PluginFile(GivenFile):
     """Python with effects or kinds of data of the user's own."""
 
+    option: ClassVar[str] = "--plugin"
+
 
 def read_mesh_file(value: Any) -> Any:
-    """A `MeshFile` of a path, or of an earlier run's path and digest, checked against the file.
-
-    Raises ValueError where the file is no mesh of a bristle, or has changed since.
-    """
-    value = _by_path(value)
-    if not _has_path(value):
-        return value
+    """A `MeshFile` (`GivenFile.of`); ValueError also where the file is no mesh of a bristle."""
     from ...meshes.check import MeshError
     from ...meshes.own import digest
 
     try:
-        file = MeshFile(**_unchanged(value, digest(Path(value["path"])), "--mesh"))
-        file.read()
+        file = MeshFile.of(value, digest)
+        if file is not value:
+            file.read()
     except MeshError as error:
         raise ValueError(str(error)) from error
     return file
 
 
 def read_plugins(value: Any) -> Any:
-    """`PluginFile`s of paths, or of an earlier run's paths and digests; their effects are taken in.
-
-    Raises ValueError where a file is no Python, an effect is refused, or the file has changed.
-    """
+    """`PluginFile`s (`GivenFile.of`), whose effects are taken in; ValueError also where one is no
+    Python, or an effect is refused."""
     if isinstance(value, str):
         value = [value]
     if not isinstance(value, list | tuple):
@@ -245,18 +258,11 @@ def read_plugins(value: Any) -> Any:
 
 
 def _read_plugin(value: Any) -> Any:
-    value = _by_path(value)
-    if not _has_path(value):
-        return value
-    from .kinds import load
+    file = PluginFile.of(value)
+    if file is not value:
+        from .kinds import load
 
-    path = Path(value["path"])
-    try:
-        source = path.read_bytes()
-    except OSError as error:
-        raise ValueError(f"{path}: {error.strerror}") from None
-    file = PluginFile(**_unchanged(value, hashlib.sha256(source).hexdigest(), "--plugin"))
-    load(path, source)
+        load(Path(file.path), Path(file.path).read_bytes())
     return file
 
 
@@ -266,22 +272,3 @@ def digest_of(path: Path) -> str | None:
         return _sha256(path)
     except ValueError:
         return None
-
-
-def _by_path(value: Any) -> Any:
-    return {"path": str(Path(value).resolve())} if isinstance(value, str | Path) else value
-
-
-def _has_path(value: Any) -> bool:
-    return isinstance(value, dict) and isinstance(value.get("path"), str)
-
-
-def _unchanged(value: dict[str, Any], now: str, option: str) -> dict[str, Any]:
-    """``value`` with its file's digest, which is ``now``; ValueError where it was another."""
-    before = value.get("sha256", now)
-    if before != now:
-        raise ValueError(
-            f"{value['path']} has changed since that run: its SHA-256 was {str(before)[:12]}…, and "
-            f"is {now[:12]}…; name it with {option} to take it as it is"
-        )
-    return {**value, "sha256": now}

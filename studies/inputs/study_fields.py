@@ -28,7 +28,7 @@ from .fields import (
     whole,
 )
 from .flags import Fields, flags_of, option, refuse
-from .named import GivenFile, read_surface_file
+from .named import GivenFile
 
 RANDOM, SURFACE, LOOP = "Random drops", "Surface", "Loop"
 CALIBRATION, DATASET = "Calibration", "Dataset"
@@ -66,7 +66,7 @@ class ReliefFields(Fields, group=SURFACE):
         "assumption: the geometric mean of macrotexture's wavelengths, 0.5 to 50 mm (PIARC).",
         shown=f"{CORRELATION_LENGTH_M:g}",
     )
-    surface: Annotated[GivenFile | None, BeforeValidator(read_surface_file)] = option(
+    surface: Annotated[GivenFile | None, BeforeValidator(GivenFile.of)] = option(
         None,
         "A measured surface instead, .npz, .csv or .txt, in m. docs/drops.md shows the format.",
         "FILE",
