@@ -107,8 +107,11 @@ class Manifest:
     def gravity_m_s2(self) -> float:
         return float(self.measurement.get("gravity_m_s2", paper.GRAVITY_M_S2))
 
-    def table(self) -> Path:
-        """The measurement's table, which must lie in the folder."""
+    def table(self, of: str = "") -> Path:
+        """The measurement's table, which must lie in the folder; InputError where one ``of``
+        something else than drops is not named."""
+        if of and "file" not in self.measurement:
+            raise self.wrong("file", f"must name the table of the {of}")
         return inside(self.folder, self.measurement.get("file", "drops.csv"))
 
     @property
@@ -127,6 +130,10 @@ class Manifest:
     def wrong(self, key: str, message: str) -> InputError:
         """An error that names the line of ``dataset.toml`` where ``key`` stands."""
         return _read(self.folder).wrong(key, message)
+
+    def finite(self, key: str, value: object) -> float:
+        """The ``value``, which stands under ``key``, as a number; InputError where it is none."""
+        return _read(self.folder).finite(key, value)
 
     def check_sigma(self, key: str, unit: float, values: Array) -> None:
         """InputError where the uncertainty ``key`` exceeds all ``values``, in ``unit`` of it."""
@@ -352,10 +359,10 @@ class _Declarations:
             raise self.wrong(key, f"must be a text of at most {MOST_LETTERS} letters")
         return printable(words)
 
-    def finite(self, part: Mapping[str, Any], key: str) -> float:
-        number = finite(part[key])
+    def finite(self, key: str, value: object) -> float:
+        number = finite(value)
         if number is None:
-            raise self.wrong(key, f"must be a finite number, not {quoted(part[key])}")
+            raise self.wrong(key, f"must be a finite number, not {quoted(value)}")
         return number
 
     def number(
@@ -364,7 +371,7 @@ class _Declarations:
         """The number, None where it is not declared."""
         if key not in part:
             return None
-        number, (low, high) = self.finite(part, key), between
+        number, (low, high) = self.finite(key, part[key]), between
         if number <= 0.0 < low:
             raise self.wrong(key, f"must be positive, not {number:g}")
         if not low <= number <= high:
@@ -394,7 +401,7 @@ class _Declarations:
             raise self.wrong("mass_kg", 'is for shape = "rigid" alone')
         if "diameter_m" in part and {"width_m", "thickness_m"} & set(part):
             raise self.wrong("diameter_m", "excludes width_m and thickness_m")
-        values = {BODY_KEYS[key]: self.finite(part, key) for key in part}
+        values = {BODY_KEYS[key]: self.finite(key, value) for key, value in part.items()}
         origins = {BODY_KEYS[key]: self.place(key) for key in part}
         bristle = checked(Inputs, values, origins).bristle()
         doubt = doubtful_body(bristle, part)

@@ -12,7 +12,7 @@ from bristle.solver.bristle import Bristle
 from bristle.solver.contact.laws import Linear
 from bristle.solver.effects.library import enter_all
 from bristle.studies.loop.responses.emulator import Emulator
-from bristle.studies.loop.responses.table_drops import beam_of, drops_of
+from bristle.studies.loop.responses.table_drops import beam_of, outcomes_of, quantities
 
 # Effects that need no tables but the plain one, so that the test is quick on a new machine.
 QUICK = ("height_offset", "release_velocity", "scale_error", "surface_phases", "wear")
@@ -35,7 +35,8 @@ def write_drops(folder: Path, effects=(), title: str = "Made", *, forces: bool =
         for i, h in enumerate(heights)
     ]
     its = 1e-6 if forces else 5e-6
-    found = drops_of(beam_of(emulator.bristle), scenes, emulator.gravity_m_s2, its, 0.5)
+    beam = beam_of(emulator.bristle)
+    found = quantities(outcomes_of(beam, scenes, emulator.gravity_m_s2, its, 0.5))
     top, times, peaks = found.T
     noise = SIGMA_MM * rng.standard_normal((COUNT, 2))
     rows = [

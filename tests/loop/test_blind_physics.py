@@ -29,7 +29,7 @@ from bristle.solver.contact import laws
 from bristle.solver.effects.base import Scene
 from bristle.solver.effects.library import EFFECTS
 from bristle.solver.fall import fallen, risen
-from bristle.studies.loop.responses.table_drops import drops_of
+from bristle.studies.loop.responses.table_drops import outcomes_of, quantities
 
 pytestmark = pytest.mark.serial
 G = 9.8
@@ -224,7 +224,7 @@ def test_a_name_means_the_same_physics_as_in_the_program(beam, name):
     drag, start = scene.drag_kg_m / Body().mass_kg, scene.release_speed_m_s
     same = fallen(np.array([height]), G, np.array([start]), np.array([drag]))
     fall = replace(scene, height_m=float(same[0]))
-    top, time, force = drops_of(beam, [fall], G, 2.5e-7, friction)[0]
+    top, time, force = quantities(outcomes_of(beam, [fall], G, 2.5e-7, friction))[0]
     read = scene.y_scale * (np.array([height, float(risen(top, drag))]) + scene.y_offset_m)
     assert mine[:2] == pytest.approx(read, rel=3e-3 if leans else 5e-4)
     assert mine[2] == pytest.approx(scene.t_scale * time, rel=1e-2 if leans else 5e-4)

@@ -21,7 +21,7 @@ from bristle.solver.bristle import Bristle, Material
 from bristle.solver.errors import InputError
 from bristle.studies.data.datasets import read_manifest
 from bristle.studies.loop.kinds.waves.noise import quiet_power, whitening
-from bristle.studies.loop.kinds.waves.problem import read_waves, relative_residual, wave_problem
+from bristle.studies.loop.kinds.waves.problem import read_waves, wave_problem
 from bristle.studies.loop.kinds.waves.rod import SHORTEST_WAVE, Rod, attached_mass
 from bristle.studies.loop.kinds.waves.solid import solid_wave_numbers
 from bristle.studies.loop.run import find
@@ -146,6 +146,29 @@ def made(tmp_path_factory):
     strain /= np.abs(strain).max()
     noisy = [strain + 2e-3 * rng.standard_normal(len(strain)) + 0.3 for _ in range(2)]
     return read_waves(write(tmp_path_factory.mktemp("made"), case.t, noisy))
+
+
+def relative_residual(model, theta, passes=None):
+    """Residual over signal, both rms over all samples that are predicted.
+
+    ``theta`` (p,). ``passes``, counted from 2, are lengths of the bar of equal time in what is
+    predicted. All frequencies that the record holds count, electrical noise among them.
+    """
+    whole = model.propagation
+    data = whole.data
+    begin, end = (data.index(each) for each in data.predict_s)
+    chosen = np.zeros(len(data.times_s), dtype=bool)
+    if passes is None:
+        chosen[begin:end] = True
+    else:
+        span = (data.predict_s[1] - data.predict_s[0]) * model.baseline[0].typical
+        count = round(span / whole.rod.length_m)
+        for each in passes:
+            first, last = (begin + (end - begin) * k // count for k in (each - 2, each - 1))
+            chosen[first:last] = True
+    signal = data.predicted.signal[chosen]
+    predicted = whole.in_time(model.spectra(theta))[chosen]
+    return float(np.linalg.norm(signal - predicted) / np.linalg.norm(signal))
 
 
 def fitted_rows(problem):

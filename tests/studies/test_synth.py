@@ -24,7 +24,7 @@ from bristle.studies.inputs.study_fields import Recipe
 from bristle.studies.loop.responses import emulator as emulator_module
 from bristle.studies.loop.responses.emulator import PLAIN_STEP, Emulator
 from bristle.studies.loop.responses.table import Axis, Table, coefficients, evaluate
-from bristle.studies.loop.responses.table_drops import drops_of
+from bristle.studies.loop.responses.table_drops import outcomes_of, quantities
 from bristle.studies.running.mark import MARK
 from bristle.studies.synth import make, table_of, truth_of, write_dataset, write_films
 
@@ -270,7 +270,7 @@ def test_a_slope_is_a_slope_of_the_ground_not_of_each_point(body):
     its, g = 5e-6, paper.GRAVITY_M_S2
     sloping = Scene(height_m=1e-3, beta_s=paper.BETA_S, law=Linear(2e6), slope_deg=1.0)
     leaning = Scene(height_m=1e-3, beta_s=paper.BETA_S, law=Linear(2e6), tilt_deg=-1.0)
-    found = drops_of(body, [sloping, leaning], g, its, 0.0)
+    found = quantities(outcomes_of(body, [sloping, leaning], g, its, 0.0))
     # the slope turns the impact's force by 1°, and gravity's share across it: cos 1° and some
     assert found[0, 2] == pytest.approx(found[1, 2], rel=5e-3)
     assert found[0, 1] == pytest.approx(found[1, 1], rel=5e-3)

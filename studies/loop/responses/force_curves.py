@@ -34,7 +34,7 @@ from ....solver.rigid import slope_normal
 from ...running.steps import with_shorter_its
 from .emulator import Change, Emulator, effect_at
 from .table import Axis, Table, coefficients
-from .table_drops import beam_of
+from .table_drops import beam_of, leans
 
 CELLS = 640
 KN_NODES = 31
@@ -50,11 +50,6 @@ ITS_S, LEAN_ITS_S = 5e-7, 2e-6
 SHAPES = 24
 CLOCK = "clock_error"
 CHECKS = 4
-
-
-def leans(scene: Scene) -> bool:
-    """Whether a bristle meets the surface otherwise than upright."""
-    return any((scene.tilt_deg, scene.tilt_wide_deg, scene.slope_deg, scene.slope_wide_deg))
 
 
 @lru_cache(maxsize=64)

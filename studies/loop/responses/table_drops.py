@@ -46,15 +46,9 @@ def its_s(bristle: Bristle, kn_N_m: float) -> float:
     return float(f"{max(stiff, SOFT_SHARE * quarter):.0e}")
 
 
-def drops_of(
-    body: ModalBody,
-    scenes: Sequence[Scene],
-    gravity_m_s2: float,
-    its: float,
-    friction: float,
-) -> Array:
-    """What is measured of `outcomes_of` these scenes, (scenes, quantities)."""
-    return quantities(outcomes_of(body, scenes, gravity_m_s2, its, friction))
+def leans(scene: Scene) -> bool:
+    """Whether a bristle meets the surface otherwise than upright."""
+    return any((scene.tilt_deg, scene.tilt_wide_deg, scene.slope_deg, scene.slope_wide_deg))
 
 
 def quantities(found: Outcome) -> Array:
@@ -107,12 +101,8 @@ def _under_one_law(
     first = scenes[0]
     body = replace(body, beta_s=first.beta_s, loss_factor=first.loss_factor)
     # a drop that lands upright on a level surface does not slide
-    leans = any(
-        (s.tilt_deg, s.tilt_wide_deg, s.slope_deg, s.slope_wide_deg) != (0.0,) * 4 for s in scenes
-    )
-    mu = friction if leans else 0.0
-    ratio = mindlin_ratio(paper.POISSON)
-    method = ContactMethod(first.law, friction=Coulomb(mu, ratio))
+    mu = friction if any(map(leans, scenes)) else 0.0
+    method = ContactMethod(first.law, friction=Coulomb(mu, mindlin_ratio(paper.POISSON)))
 
     def marcher_at(its_s: float) -> Marcher:
         return Marcher(body, method, TimeScheme.average(), its_s, gravity_m_s2)

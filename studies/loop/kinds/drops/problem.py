@@ -29,7 +29,7 @@ from ....data import datasets
 from ....data.datasets import Manifest
 from ....data.tables import LEAST_DROPS
 from ...noise import Ints
-from ...problem import Entry, Experiment, Model, Problem, refined_as, undeclared
+from ...problem import Entry, Experiment, Problem, refined_as, undeclared
 from ...responses.drop_model import STEP, DropModel, Drops
 from ...responses.emulator import KN_RANGE_N_M, Emulator
 from ...responses.errors import Errors
@@ -107,7 +107,11 @@ def drops_problem(data: datasets.Drops, wrong: tuple[Entry, ...] = ()) -> Proble
         return replace(bare, effects=tuple(effects), errors=errors)
 
     def confirm(effects: tuple[str, ...], theta: Array, groups: Ints) -> Array:
-        return _solid(refined_as(model(effects), theta.size), theta, groups, number[:, 0])
+        from .solid import whitened_solid
+
+        found = refined_as(model(effects), theta.size)
+        assert isinstance(found, DropModel)
+        return whitened_solid(found, theta, groups, number[:, 0])
 
     # the last row of a Cholesky factor's inverse has its own scale on the diagonal
     whiten = np.einsum("dqq->dq", errors.whiten)
@@ -246,14 +250,6 @@ def _misread(data: datasets.Drops, bare: DropModel, start: Array, values: Array)
         predict=predict,
     )
     return misread(table)
-
-
-def _solid(model: Model, theta: Array, groups: Ints, number: Ints) -> Array:
-    """Whitened predictions by the 3-D model for the rows of drops numbered ``groups``."""
-    from .solid import whitened_solid
-
-    assert isinstance(model, DropModel)
-    return whitened_solid(model, theta, groups, number)
 
 
 def _covariates(

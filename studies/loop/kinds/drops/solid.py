@@ -29,7 +29,7 @@ from ....running.steps import with_shorter_its
 from ...responses.drop_model import DropModel
 from ...responses.emulator import PLAIN_STEP
 from ...responses.table import QUANTITIES
-from ...responses.table_drops import ITS_S, drops_of, read_off
+from ...responses.table_drops import ITS_S, outcomes_of, quantities, read_off
 
 # Deviates of chance, with weights that sum to one: five of a normal number (Gauss and Hermite;
 # exact to the ninth moment), and for a slope three sizes (of its square, Gauss and Laguerre) in
@@ -126,7 +126,7 @@ def solid_drops(model: DropModel, theta: Array, which: Sequence[int]) -> Array:
     body = solid_of(emulator.bristle, emulator.gravity_m_s2, leaning)
     # as the table of plain drops is made (`Emulator`), or with shorter steps
     found = with_shorter_its(
-        lambda its: drops_of(body, scenes, emulator.gravity_m_s2, its, friction),
+        lambda its: quantities(outcomes_of(body, scenes, emulator.gravity_m_s2, its, friction)),
         PLAIN_STEP * emulator.step_s(max(scene.law.kn_N_m for scene in scenes)),
     )
     found = read_off(found, scenes, emulator.bristle.mass_kg)

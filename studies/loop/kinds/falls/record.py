@@ -64,9 +64,7 @@ def read_falls(folder: Path) -> Falls:
     Raises InputError naming file and line of the first value that cannot be used.
     """
     manifest = read_manifest(folder, "falls")
-    if not isinstance(manifest.measurement.get("file"), str):
-        raise manifest.wrong("file", "must name the table of the falls")
-    read = read_series(manifest.table(), "fall", "a_m_s2")
+    read = read_series(manifest.table("falls"), "fall", "a_m_s2")
     if len(read.pieces) < LEAST_FALLS:
         raise InputError(f"{read.path}: {len(read.pieces)} falls; at least three are needed")
     gravity = manifest.gravity_m_s2

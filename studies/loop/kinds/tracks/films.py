@@ -11,11 +11,12 @@ from numpy.typing import NDArray
 from .....solver.arrays import Array
 from .....solver.bristle import RigidMass
 from .....solver.errors import InputError
+from ....data.tables import LEAST_DROPS
 from .common import together
 from .flight import heights, rises_of
 from .lean import doubts_of_lean, with_lean
 from .phases import phases
-from .record import LEAST_FILMS, Tracks
+from .record import Tracks
 from .rows import Film, Track, reduced
 from .scale import pixel_m, turned
 from .search import track
@@ -70,7 +71,7 @@ def filmed(data: Tracks) -> Filmed:
         by = np.sqrt(_scatter(found)[0])
         films = [replace(film, sigma_y_m=film.sigma_y_m * by) for film in films]
         found = [None if i in straying else track(film, bounces) for i, film in enumerate(films)]
-    if _usable(found) < LEAST_FILMS:
+    if _usable(found) < LEAST_DROPS:
         raise _refusal(data, films, found)
     scatter, count, memory = _scatter(found)
     sigma = films[0].sigma_y_m
@@ -109,7 +110,7 @@ def _over_a_surface(
         loose = [turned(film, 1) for film in films]
         again = [track(film, bounces) for film in loose]
         levels = [each.p[2] for each in again if each is not None and each.bounces]
-        if levels and _usable(again) >= max(LEAST_FILMS, _usable(found)):
+        if levels and _usable(again) >= max(LEAST_DROPS, _usable(found)):
             return (
                 loose,
                 again,
@@ -282,7 +283,7 @@ def _refusal(data: Tracks, films: Sequence[Film], found: Sequence[Track | None])
     first = next(i for i, each in enumerate(found) if each is None)
     if not data.in_pixels:
         over = [track(turned(film, -1), 1) for film in films]
-        if _usable(over) >= LEAST_FILMS > _usable(found):
+        if _usable(over) >= LEAST_DROPS > _usable(found):
             return InputError(
                 f"{data.manifest.table()}:{data.line[first]}: y_mm falls as the body rises; "
                 "heights must count upward from the surface"
@@ -291,7 +292,7 @@ def _refusal(data: Tracks, films: Sequence[Film], found: Sequence[Track | None])
     return InputError(
         f"{data.manifest.table()}:{data.line[first]}: {_usable(found)} of {len(found)} drops show "
         f"a fall unmistakably, that of drop {data.drop[data.begins[first]]} does not; the loop "
-        f"needs {LEAST_FILMS} or more. Is t_s in s, and {unit} in {unit[2:]}?"
+        f"needs {LEAST_DROPS} or more. Is t_s in s, and {unit} in {unit[2:]}?"
     )
 
 

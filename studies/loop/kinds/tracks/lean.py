@@ -11,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 
 from .....solver.arrays import Array
-from .record import LEAST_FILMS
+from ....data.tables import LEAST_DROPS
 from .rows import FEATURES, Track
 
 COMMON_DEG = 0.1
@@ -57,7 +57,7 @@ def _and_row(track: Track, value: float, weight: float) -> Track:
 def doubts_of_lean(lean_deg: Array) -> list[str]:
     """What films say of a lean before the impact, and what they cannot say."""
     seen = lean_deg[np.isfinite(lean_deg)]
-    if len(seen) < LEAST_FILMS:
+    if len(seen) < LEAST_DROPS:
         return []
     middle = float(np.median(np.abs(seen)))
     if middle < LEAST_LEAN_DEG:

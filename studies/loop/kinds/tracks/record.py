@@ -17,7 +17,6 @@ from ....data.units import check_marks
 
 KIND = "tracks"
 LEAST_FRAMES = 6
-LEAST_FILMS = 4
 
 
 @dataclass(frozen=True)
@@ -94,22 +93,13 @@ def read_tracks(folder: Path) -> Tracks:
     Raises InputError naming file and line of the first value that cannot be used.
     """
     manifest = read_manifest(folder, KIND)
-    if not isinstance(manifest.measurement.get("file"), str):
-        raise InputError(f"{folder / 'dataset.toml'}: file must name the table of the tracks")
-    path = manifest.table()
+    path = manifest.table("tracks")
     columns = read_table(path, required=("drop", "t_s"))[0][1]
     if {"y_mm", "y_px"} <= set(columns):
         raise InputError(f"{path}: y_mm and y_px are both there; only one can be the height")
     in_pixels = "y_px" in columns
     read = read_series(path, "drop", "y_px" if in_pixels else "y_mm")
-    for i, size in enumerate(np.diff(read.begins)):
-        if size < LEAST_FRAMES:
-            raise InputError(
-                f"{read.at(i)}: drop {read.number[read.begins[i]]} has {size} frames; "
-                f"{LEAST_FRAMES} or more are needed"
-            )
-    if len(read.pieces) < LEAST_FILMS:
-        raise InputError(f"{path}: {len(read.pieces)} films; the loop needs four or more")
+    read.check_drops(LEAST_FRAMES, "frames", "films")
     _frame_rate(manifest, path, read.rows[1][0], read.t_s[read.pieces[0]])
     y = read.value
     if in_pixels:

@@ -31,8 +31,6 @@ from .record import Waves, read_waves
 from .rod import Rod
 from .start import Start, find_start
 
-__all__ = ["LIBRARY", "WaveModel", "Waves", "read_waves", "relative_residual", "wave_problem"]
-
 LIBRARY = ("material_damping", "hysteretic_damping", "lateral_inertia")
 LEAST_WINDOW = 16
 ALLOYS_VARY = 0.03
@@ -182,26 +180,3 @@ def _left_aside(data: Waves, layout: Layout, limit: bool) -> tuple[str, ...]:
     if data.second is not None:
         reasons.append("later passes at the first gauge: the second gauge alone is predicted")
     return tuple(reasons)
-
-
-def relative_residual(model: WaveModel, theta: Array, passes: Sequence[int] | None = None) -> float:
-    """Residual over signal, both rms over all samples that are predicted.
-
-    ``theta`` (p,). ``passes``, counted from 2, are lengths of the bar of equal time in what is
-    predicted. All frequencies that the record holds count, electrical noise among them.
-    """
-    whole = model.propagation
-    data = whole.data
-    begin, end = (data.index(each) for each in data.predict_s)
-    chosen = np.zeros(len(data.times_s), dtype=bool)
-    if passes is None:
-        chosen[begin:end] = True
-    else:
-        span = (data.predict_s[1] - data.predict_s[0]) * model.baseline[0].typical
-        count = round(span / whole.rod.length_m)
-        for each in passes:
-            first, last = (begin + (end - begin) * k // count for k in (each - 2, each - 1))
-            chosen[first:last] = True
-    signal = data.predicted.signal[chosen]
-    predicted = whole.in_time(model.spectra(theta))[chosen]
-    return float(np.linalg.norm(signal - predicted) / np.linalg.norm(signal))

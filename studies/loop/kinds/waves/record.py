@@ -21,7 +21,7 @@ from .....solver.arrays import Array
 from .....solver.errors import InputError
 from ....data.datasets import Manifest, read_manifest
 from ....data.tables import Rows, column, read_table
-from ....inputs.texts import finite, quoted
+from ....inputs.texts import quoted
 
 Flags = NDArray[np.bool_]
 UNIT = re.compile(r"[\w%°/·*^.() -]{1,20}")
@@ -96,7 +96,7 @@ def read_waves(folder: Path) -> Waves:
     first, predict = _window(manifest, "first_pass_s"), _window(manifest, "predict_s")
     until = first[0]
     if "baseline_until_s" in measurement:
-        until = _number(manifest, "baseline_until_s", measurement["baseline_until_s"])
+        until = manifest.finite("baseline_until_s", measurement["baseline_until_s"])
     places = _places(manifest, bool(others))
     path = manifest.table()
     rows = read_table(path, required=("t_s", *names, *others))
@@ -176,7 +176,7 @@ def _places(manifest: Manifest, second: bool) -> tuple[tuple[float, bool], ...]:
                 key, "is missing: with two gauges the place of each must be known, from the end "
                 "that the pulse comes from"
             )  # fmt: skip
-        place = _number(manifest, key, measurement.get(key, 0.5 * length))
+        place = manifest.finite(key, measurement.get(key, 0.5 * length))
         if not 0.0 < place < length:
             raise manifest.wrong(
                 key,
@@ -204,7 +204,7 @@ def _unit(manifest: Manifest) -> str:
 def _sigma(manifest: Manifest) -> float | None:
     if "sigma" not in manifest.measurement:
         return None
-    sigma = _number(manifest, "sigma", manifest.measurement["sigma"])
+    sigma = manifest.finite("sigma", manifest.measurement["sigma"])
     if not sigma > 0.0:
         raise manifest.wrong("sigma", f"must be positive, not {sigma:g}")
     return sigma
@@ -221,13 +221,6 @@ def _signal(manifest: Manifest, key: str) -> tuple[str, ...]:
     return tuple(names)
 
 
-def _number(manifest: Manifest, key: str, value: object) -> float:
-    number = finite(value)
-    if number is None:
-        raise manifest.wrong(key, f"must be a finite number, not {quoted(value)}")
-    return number
-
-
 def _window(manifest: Manifest, key: str) -> tuple[float, float]:
     value = manifest.measurement.get(key)
     if value is None:
@@ -239,7 +232,7 @@ def _window(manifest: Manifest, key: str) -> tuple[float, float]:
         )
     if not (isinstance(value, list) and len(value) == 2):
         raise manifest.wrong(key, "must be [begin, end]")
-    begin, end = (_number(manifest, key, each) for each in value)
+    begin, end = (manifest.finite(key, each) for each in value)
     if not begin < end:
         raise manifest.wrong(key, "must end after it begins")
     return begin, end
