@@ -214,7 +214,7 @@ def truth_of(made: Made) -> dict[str, Any]:
 
 
 def prepare_dataset(folder: Path, truth: Path, *files: str) -> None:
-    """Make ``folder``, and see that a dataset and its truth can be written.
+    """Make ``folder``, and see that ``files`` and the truth can be written.
 
     Raises InputError where the truth would lie in the dataset's folder, or something that is not
     the program's would be replaced.
@@ -223,7 +223,7 @@ def prepare_dataset(folder: Path, truth: Path, *files: str) -> None:
         raise InputError(
             f"--truth {truth}: lies in the dataset's own folder, where it would be seen"
         )
-    prepare_folder(folder, *(files or FILES))
+    prepare_folder(folder, *files)
     if (
         truth.is_dir()
         or not next(each for each in truth.absolute().parents if each.exists()).is_dir()
@@ -249,28 +249,6 @@ def _sealed(content: dict[str, Any]) -> dict[str, Any]:
     return {**content, "sha256": hashlib.sha256(to_json(content).encode()).hexdigest()}
 
 
-def write_dataset(made: Made, folder: Path, truth: Path) -> dict[str, Any]:
-    """Write the dataset into ``folder``, its truth to the file ``truth`` outside it, and return it.
-
-    Raises InputError as `prepare_dataset` does.
-    """
-    prepare_dataset(folder, truth)
-    with together(folder, MANIFEST_FILE):
-        remove(folder / FILMS)
-        write_atomically(folder / TABLE_FILE, table_of(made))
-        write_atomically(folder / MANIFEST_FILE, manifest_of(made.recipe))
-        return _write_truth(made, truth)
-
-
-def _write_truth(made: Made, path: Path) -> dict[str, Any]:
-    content = _sealed(truth_of(made))
-    try:
-        write_whole(path, to_json(content) + "\n")
-    except OSError as error:
-        raise cannot_write(path, error) from error
-    return content
-
-
 def flown(made: Made, k: int) -> Flown:
     """How the lower end of drop ``k`` moves, for a film of it. A bristle that turns with ω carries
     its end along, which so falls by L/2 ω² more slowly."""
@@ -292,24 +270,39 @@ def flown(made: Made, k: int) -> Flown:
     return Flown(height, until, scene.tilt_deg, math.degrees(spin))
 
 
-def write_films(made: Made, folder: Path, truth: Path) -> dict[str, Any]:
+def _write_films(made: Made, folder: Path) -> None:
     """Write a film of each drop into the folder `FILMS` in ``folder``, as a camera of 240 frames a
-    second sees it, and the truth to the file ``truth`` outside it, which is returned.
+    second sees it. The bristle leans as it does in the drop, and goes on turning.
 
-    The bristle leans as it does in the drop, and goes on turning. Raises InputError as
-    `prepare_dataset` does, ComputationError where a film cannot be written.
+    Raises ComputationError where a film cannot be written.
     """
     from .film.render import Look, write_film
 
-    prepare_dataset(folder, truth, f"{FILMS}/")
-    with together(folder), folder_in_place(folder / FILMS) as films:
-        remove(*(folder / name for name in FILES))
-        with progress("films", len(made.scenes)) as advance:
-            for k in range(len(made.scenes)):
-                rng = np.random.default_rng([made.recipe.seed, 3, k])
-                write_film(films / f"drop-{k + 1:03d}.mp4", flown(made, k), Look(), rng)
-                advance()
-        return _write_truth(made, truth)
+    count = len(made.scenes)
+    with folder_in_place(folder / FILMS) as films, progress("films", count) as advance:
+        for k in range(count):
+            rng = np.random.default_rng([made.recipe.seed, 3, k])
+            write_film(films / f"drop-{k + 1:03d}.mp4", flown(made, k), Look(), rng)
+            advance()
+
+
+def write_made(made: Made, folder: Path, truth: Path) -> dict[str, Any]:
+    """Write the dataset, or its films, into ``folder``, the truth to the file ``truth`` outside it,
+    and return that."""
+    with together(folder, MANIFEST_FILE):
+        if made.recipe.film:
+            remove(*(folder / name for name in FILES))
+            _write_films(made, folder)
+        else:
+            remove(folder / FILMS)
+            write_atomically(folder / TABLE_FILE, table_of(made))
+            write_atomically(folder / MANIFEST_FILE, manifest_of(made.recipe))
+        content = _sealed(truth_of(made))
+        try:
+            write_whole(truth, to_json(content) + "\n")
+        except OSError as error:
+            raise cannot_write(truth, error) from error
+        return content
 
 
 def run_synth(
@@ -326,8 +319,7 @@ def run_synth(
     with new_folders(out):
         run_on_one_rank(comm, lambda: prepare_dataset(out, truth, *files))
         body = reduced_body(comm)
-        write = write_films if recipe.film else write_dataset
-        return run_on_one_rank(comm, lambda: write(make(recipe, body), out, truth))
+        return run_on_one_rank(comm, lambda: write_made(make(recipe, body), out, truth))
 
 
 if __name__ == "__main__":

@@ -26,7 +26,7 @@ from bristle.studies.loop.responses.emulator import PLAIN_STEP, Emulator
 from bristle.studies.loop.responses.table import Axis, Table, coefficients, evaluate
 from bristle.studies.loop.responses.table_drops import outcomes_of, quantities
 from bristle.studies.running.mark import MARK
-from bristle.studies.synth import make, table_of, truth_of, write_dataset, write_films
+from bristle.studies.synth import FILES, make, prepare_dataset, table_of, truth_of, write_made
 
 pytestmark = pytest.mark.serial
 
@@ -45,7 +45,7 @@ def test_the_same_recipe_gives_the_same_table_another_seed_another(body):
 def test_a_written_dataset_reads_as_made_and_keeps_its_secret(body, tmp_path):
     recipe = Recipe(effects=["contact_damping:c_N_s_m=7"], drops=12)
     made = make(recipe, body)
-    write_dataset(made, tmp_path / "data", tmp_path / "truth.json")
+    write_made(made, tmp_path / "data", tmp_path / "truth.json")
     found = read_drops(tmp_path / "data")
     columns = ("y0_m", "y1_m", "contact_time_s", "peak_force_N")
     for name, values in zip(columns, made.measured.T, strict=True):
@@ -60,20 +60,20 @@ def test_a_written_dataset_reads_as_made_and_keeps_its_secret(body, tmp_path):
 
 def test_films_and_a_table_of_drops_do_not_lie_beside_another_truth(body, tmp_path):
     made, folder, truth = make(Recipe(drops=6), body), tmp_path / "data", tmp_path / "truth.json"
-    one = replace(made, scenes=made.scenes[:1])
-    write_dataset(made, folder, truth)
+    films = made.recipe.model_copy(update={"film": True})
+    one = replace(made, recipe=films, scenes=made.scenes[:1])
+    write_made(made, folder, truth)
     (folder / "notes.txt").write_text("the user's")
-    write_films(one, folder, truth)
+    write_made(one, folder, truth)
     kept = {"notes.txt", MARK}
     assert {path.name for path in folder.iterdir()} == {"films", *kept}
-    write_dataset(made, folder, truth)
+    write_made(made, folder, truth)
     assert {path.name for path in folder.iterdir()} == {"drops.csv", "dataset.toml", *kept}
 
 
-def test_the_truth_may_not_lie_in_the_dataset(body, tmp_path):
-    made = make(Recipe(drops=6), body)
+def test_the_truth_may_not_lie_in_the_dataset(tmp_path):
     with pytest.raises(InputError, match="--truth"):
-        write_dataset(made, tmp_path / "data", tmp_path / "data" / "deep" / "truth.json")
+        prepare_dataset(tmp_path / "data", tmp_path / "data" / "deep" / "truth.json", *FILES)
     assert not (tmp_path / "data").exists()
 
 
@@ -302,9 +302,9 @@ def test_drops_that_fall_in_different_ways_do_not_mix(height, speed, drag):
 
 def test_a_truth_that_was_edited_is_not_replaced(body, tmp_path):
     made, folder, truth = make(Recipe(drops=6), body), tmp_path / "data", tmp_path / "truth.json"
-    write_dataset(made, folder, truth)
-    write_dataset(made, folder, truth)
+    write_made(made, folder, truth)
+    prepare_dataset(folder, truth, *FILES)
     truth.write_text(truth.read_text().replace("{", '{"my_notes": 1,', 1))
     with pytest.raises(InputError, match="--truth"):
-        write_dataset(made, folder, truth)
+        prepare_dataset(folder, truth, *FILES)
     assert "my_notes" in truth.read_text()
