@@ -40,7 +40,7 @@ from .report.figures import (
     styled,
     write_picture,
 )
-from .running.files import to_csv, write_atomically
+from .running.files import write_atomically
 from .running.study import TABLE_FILE, Row, Study, StudyInputs, run_study
 
 ITS_S = (1e-4, 3e-5, 1e-5, 3e-6, 1e-6, 3e-7, 1e-7)
@@ -280,7 +280,7 @@ def _finish(mass_kg: float, rows: Sequence[Row], out: Path) -> dict[str, Any]:
     needs["paper_its_s"] = paper.ITS_S
     needs["its_over_rule"] = needs.its_needed_s / needs.rule_s.where(needs.rule_s > 0.0)
     for name, frame in ((ERRORS_FILE, errors), (NEEDS_FILE, needs)):
-        write_atomically(out / name, to_csv(list(frame), frame.itertuples(index=False)))
+        write_atomically(out / name, frame.to_csv(index=False))
     names = [ERRORS_FILE, NEEDS_FILE]
     if len(errors):
         names += write_picture(out / ERRORS, picture(error_figure(errors, QUANTITIES, GOAL)))

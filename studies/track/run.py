@@ -20,7 +20,6 @@ from ..running.files import (
     folder_in_place,
     new_folders,
     prepare_folder,
-    to_csv,
     together,
     write_atomically,
     write_json,
@@ -75,8 +74,7 @@ def _written(found: TrackedFilms, out: Path) -> dict[str, Any]:
                 for each in found.films
             ]
         write_tracks(found, document, pictures, out)
-        rows = found.table.itertuples(index=False)
-        write_atomically(out / TABLE, to_csv(list(found.table), rows))
+        write_atomically(out / TABLE, found.table.to_csv(index=False))
         write_atomically(out / MANIFEST, manifest(found))
         write_json(out / DOCUMENT, document)
     return document
