@@ -14,6 +14,7 @@ import pandas as pd
 from ...solver import paper
 from ..drop import summary as drop_summary
 from ..its import GOAL, QUANTITIES
+from ..running.files import to_plain
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -58,7 +59,7 @@ class Record(dict[str, Any]):
 
     def to_dict(self) -> dict[str, Any]:
         """Plain dictionaries, as they stand in the JSON."""
-        return {name: _as_json(value) for name, value in self.items()}
+        return to_plain(self)
 
     def rows(self) -> list[tuple[str, str]]:
         """Names and values of what is looked at first."""
@@ -488,16 +489,6 @@ def _value(value: Any) -> Any:
     if isinstance(value, list | tuple):
         return [_value(each) for each in value]
     return INFINITIES.get(value, value) if isinstance(value, str) else value
-
-
-def _as_json(value: Any) -> Any:
-    if isinstance(value, Record):
-        return value.to_dict()
-    if isinstance(value, list):
-        return [_as_json(each) for each in value]
-    if isinstance(value, float) and math.isinf(value):
-        return "inf" if value > 0.0 else "-inf"
-    return value
 
 
 def _short(value: Any) -> str:

@@ -195,18 +195,19 @@ def write_json(path: Path, document: Mapping[str, Any]) -> dict[str, Any]:
 
 def to_json(document: Any) -> str:
     """JSON without NaN or Infinity: null stands for what is no number, "inf" for infinity."""
-    return json.dumps(_plain(document), indent=2, allow_nan=False, ensure_ascii=False)
+    return json.dumps(to_plain(document), indent=2, allow_nan=False, ensure_ascii=False)
 
 
-def _plain(value: Any) -> Any:
+def to_plain(value: Any) -> Any:
+    """A value as `to_json` writes it."""
     if isinstance(value, dict):
-        return {str(key): _plain(item) for key, item in value.items()}
+        return {str(key): to_plain(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
-        return [_plain(item) for item in value]
+        return [to_plain(item) for item in value]
     if isinstance(value, float) and not math.isfinite(value):
         return None if math.isnan(value) else "inf" if value > 0 else "-inf"
     if hasattr(value, "item"):
-        return _plain(value.item())
+        return to_plain(value.item())
     return value
 
 
