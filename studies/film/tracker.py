@@ -6,7 +6,7 @@ the few grey levels about its ends: drops, the camera's exposure, and the ends o
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -386,21 +386,27 @@ def _by_gamma(ends: Ends, camera: Camera, at: Array) -> Array:
     return unsure
 
 
+def _flights(
+    track: Track, drops: Sequence[Drop], fewest: int
+) -> Iterator[tuple[Drop, NDArray[np.int64]]]:
+    """Of each flight of so many frames or more its drop, and the frames that no impact blurs."""
+    for drop in drops:
+        clear = track.clear(drop)
+        phase = drop.phase(track.t_s[clear])
+        for own in (clear[phase == k] for k in range(len(drop.flights))):
+            if len(own) >= fewest:
+                yield drop, own
+
+
 def _scattered(track: Track, drops: Sequence[Drop]) -> Track:
     """The track with what frames scatter about their parabolas beyond their standard errors:
     compression and textures move ends by more than noise does."""
     squares, own = [], []
-    for drop in drops:
-        frames = track.clear(drop)
-        phase = drop.phase(track.t_s[frames])
-        for k in range(len(drop.flights)):
-            part = frames[phase == k]
-            if len(part) < 4:
-                continue
-            left = track.height[part] - drop.height(track.t_s[part])
-            # a parabola takes up two or three numbers of a flight's frames
-            squares.append(left**2 * len(part) / (len(part) - 2.5))
-            own.append(track.sigma[part] ** 2)
+    for drop, part in _flights(track, drops, 4):
+        left = track.height[part] - drop.height(track.t_s[part])
+        # a parabola takes up two or three numbers of a flight's frames
+        squares.append(left**2 * len(part) / (len(part) - 2.5))
+        own.append(track.sigma[part] ** 2)
     if not squares:
         return replace(track, sigma=np.hypot(track.sigma, FIRST_SIGMA_PX / 2.0))
     # the median of a chi square of one degree is 0.455
@@ -454,17 +460,11 @@ def _vertical(track: Track, column: Array, drops: Sequence[Drop]) -> tuple[float
     """
     across: list[Array] = []
     along: list[Array] = []
-    for drop in drops:
-        clear = replace(track, exposure_s=0.0).clear(drop)
-        phase = drop.phase(track.t_s[clear])
-        for k in range(len(drop.flights)):
-            own = clear[phase == k]
-            if len(own) < 3:
-                continue
-            t = track.t_s[own] - track.t_s[own].mean()
-            even = np.linalg.qr(np.stack([np.ones_like(t), t], axis=1))[0]
-            x, y = (z - even @ (even.T @ z) for z in (column[own], -track.height[own]))
-            across, along = [*across, x], [*along, y]
+    for _, own in _flights(replace(track, exposure_s=0.0), drops, 3):
+        t = track.t_s[own] - track.t_s[own].mean()
+        even = np.linalg.qr(np.stack([np.ones_like(t), t], axis=1))[0]
+        x, y = (z - even @ (even.T @ z) for z in (column[own], -track.height[own]))
+        across, along = [*across, x], [*along, y]
     numbers = 2 * len(across) + 1
     if sum(map(len, across)) < numbers + LEAST_FREEDOM:
         return 0.0, LEVEL
