@@ -15,6 +15,7 @@ from ...solver.arrays import Array
 from ..loop.adequacy import Test
 from ..loop.finding import Evidence, Finding
 from ..loop.heldout import HeldOut
+from ..loop.noise import Ints
 from ..report.figures import (
     BLACK,
     BLUE,
@@ -167,7 +168,7 @@ def left_figure(ax: Axes, expected: Array, before: Array, after: Array) -> None:
 
 
 @drawing("held-out drop, fall or pass (its number)", height_in=3.4, legend=None)
-def held_figure(ax: Axes, held: HeldOut, quantity: str, labels: Sequence[int]) -> None:
+def held_figure(ax: Axes, held: HeldOut, quantity: str, labels: Ints) -> None:
     """What was predicted of held-out values before and after, with 90 % intervals, less them."""
     x = np.arange(len(held.values))
     low, high = held.low - held.values, held.high - held.values

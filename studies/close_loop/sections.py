@@ -226,11 +226,8 @@ def _attribution(rows: Rows) -> Section:
         "weight": [float(finding.weights[each]) for each in finding.effects],
         "probability": [finding.probabilities.get(each) for each in finding.effects],
     }
-    if finding.effects:
-        drawn = figures.weights_figure(finding)
-        draft.figure("weights", drawn, draft.data("weights", weights))
-    else:
-        draft.table("weights", weights)
+    drawn = figures.weights_figure(finding) if finding.effects else None
+    draft.figure("weights", drawn, draft.data("weights", weights))
     seen = _directions(rows, finding.model, tuple(finding.theta))
     draft.table("refit_directions", seen)
     return draft.section()
@@ -256,12 +253,8 @@ def held_out_section(rows: Rows) -> Section:
     values = _values(rows, held, "before", "after", "low", "high")
     words = {"measured": "measured", "before": "before", "after": "after"}
     heads = _in_unit(rows, **words, low="90 % from", high="to")
-    if held is None:
-        draft.table("held_out", values, heads)
-    else:
-        labels = values["group"].astype(int).tolist()
-        drawn = figures.held_figure(held, quantity_of(rows), labels)
-        draft.figure("held-out", drawn, draft.data("held_out", values, heads))
+    drawn = figures.held_figure(held, quantity_of(rows), values["group"]) if held else None
+    draft.figure("held-out", drawn, draft.data("held_out", values, heads))
     return draft.section()
 
 
@@ -292,11 +285,8 @@ def _solid(rows: Rows) -> Section:
     draft = prose("solid", solid=solid, why=confirmation.why)
     values = _values(rows, solid, "before", "after")
     heads = _in_unit(rows, measured="measured", before="3-D before", after="3-D after")
-    if solid is None:
-        draft.table("solid", values, heads)
-    else:
-        drawn = figures.solid_figure(solid, quantity_of(rows))
-        draft.figure("solid", drawn, draft.data("solid", values, heads))
+    drawn = figures.solid_figure(solid, quantity_of(rows)) if solid else None
+    draft.figure("solid", drawn, draft.data("solid", values, heads))
     return draft.section()
 
 

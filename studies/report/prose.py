@@ -64,8 +64,12 @@ class Draft(Section):
         self.tables.append(self.data(name, frame, heads))
         return self.tables[-1]
 
-    def figure(self, name: str, drawn: Drawing, data: Table) -> None:
-        """A figure of the section, with the numbers that it shows."""
+    def figure(self, name: str, drawn: Drawing | None, data: Table) -> None:
+        """A figure of the section, with the numbers that it shows; where there is nothing to draw,
+        these alone as a table."""
+        if drawn is None:
+            self.tables.append(data)
+            return
         caption, alt = (self.marked[f"{what} {name}"] for what in ("figure", "alt"))
         self.figures.append(Figure(name, caption, picture(drawn), alt, data))
 
