@@ -112,9 +112,7 @@ def shares(
     return found
 
 
-def first_order(
-    ratio: Array, factor: Array, random: np.random.Generator, level: float = LEVEL
-) -> Interval | None:
+def first_order(ratio: Array, factor: Array, random: np.random.Generator) -> Interval | None:
     """Part of the variance that the means within bins of equal count explain, None without bins.
 
     Of the variance within bins and in all, each by its degrees of freedom (Kelley's ε², Proc. Natl.
@@ -132,8 +130,8 @@ def first_order(
     estimate, n = _explained(ratio, bins), len(ratio)
     picks = (random.integers(0, n, n) for _ in range(RESAMPLED_SHARES))
     error = np.std([_explained(ratio[pick], bins[pick]) for pick in picks])
-    half = float(stats.norm.ppf(0.5 + 0.5 * level) * error)
-    return Interval(estimate, estimate - half, estimate + half, level)
+    half = float(stats.norm.ppf(0.5 + 0.5 * LEVEL) * error)
+    return Interval(estimate, estimate - half, estimate + half, LEVEL)
 
 
 def _explained(ratio: Array, bins: NDArray[np.intp]) -> float:

@@ -111,8 +111,8 @@ def read_problem(folder: Path) -> Problem:
     return fall_problem(read_falls(folder))
 
 
-def fall_problem(data: Falls, library: Sequence[str] = LIBRARY) -> Problem:
-    """The falls as a `Problem`; ``library`` names the candidates.
+def fall_problem(data: Falls) -> Problem:
+    """The falls as a `Problem`, with the candidates of `LIBRARY`.
 
     ``drag_scatter``, a drag that differs from fall to fall, shows with another drag only. The
     baseline's bias shows with a drag only.
@@ -136,7 +136,7 @@ def fall_problem(data: Falls, library: Sequence[str] = LIBRARY) -> Problem:
         group=data.numbers[index],
         covariates=covariates,
         baseline=combine(()),
-        candidates=[combine((name,)) for name in library],
+        candidates=[combine((name,)) for name in LIBRARY],
         combine=combine,
         confirm_why="nothing of a bristle is in these data: a body falls and does not touch",
         notes={

@@ -42,13 +42,13 @@ def read_problem(folder: Path) -> Problem:
     return wave_problem(read_waves(folder))
 
 
-def wave_problem(data: Waves, library: Sequence[str] = LIBRARY) -> Problem:
-    """What comes after the first pass as a `Problem`; ``library`` names the candidates.
+def wave_problem(data: Waves) -> Problem:
+    """What comes after the first pass as a `Problem`, with the candidates of `LIBRARY`.
 
     ``combine`` also takes ``attached_mass``, a mass on a lossy spring at each end, which is no
-    candidate unless named: it was thought of after looking at all passes of the bundled record, so
-    that on that record it is a hypothesis and not a finding. Raises InputError where the first
-    pass does not stand out of the noise, or is overlapped by too many reflections.
+    candidate: it was thought of after looking at all passes of the bundled record, so that on that
+    record it is a hypothesis and not a finding. Raises InputError where the first pass does not
+    stand out of the noise, or is overlapped by too many reflections.
     """
     rod = Rod.of(data.manifest.bristle)
     band, limit = used_band(data, rod)
@@ -86,7 +86,7 @@ def wave_problem(data: Waves, library: Sequence[str] = LIBRARY) -> Problem:
             "frequency": layout.frequency_Hz,
         },
         baseline=combine(()),
-        candidates=[combine((name,)) for name in library if name in possible],
+        candidates=[combine((name,)) for name in LIBRARY if name in possible],
         combine=combine,
         held=layout.held or None,
         confirm=confirm,

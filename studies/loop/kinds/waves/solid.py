@@ -77,8 +77,8 @@ def solid_wave_numbers(bar: Bristle, band_Hz: float) -> Callable[[Complex], Comp
 
 
 @lru_cache(maxsize=4)
-def solid_phases(bar: Bristle, modes: int = MODES) -> SolidPhases:
-    """From the first axial ``modes`` of a solid of the bar's section, length and material.
+def solid_phases(bar: Bristle) -> SolidPhases:
+    """From the first `MODES` axial modes of a solid of the bar's section, length and material.
 
     Raises ComputationError where fewer are found in the reduced solid.
     """
@@ -93,7 +93,7 @@ def solid_phases(bar: Bristle, modes: int = MODES) -> SolidPhases:
         axial = np.abs(tip) * np.sqrt(solid.mass_kg / 2.0) > 0.7
     finally:
         solid.close()
-    found = np.sort(ratio[axial & (ratio > 0.5)])[:modes]
-    if len(found) < modes or np.any(np.abs(found / np.arange(1, modes + 1) - 1.0) > 0.05):
-        raise ComputationError(f"the solid bar shows no {modes} axial modes in order: {found}")
+    found = np.sort(ratio[axial & (ratio > 0.5)])[:MODES]
+    if len(found) < MODES or np.any(np.abs(found / np.arange(1, MODES + 1) - 1.0) > 0.05):
+        raise ComputationError(f"the solid bar shows no {MODES} axial modes in order: {found}")
     return SolidPhases(found)
