@@ -29,7 +29,7 @@ from ....running.steps import with_shorter_its
 from ...responses.drop_model import DropModel
 from ...responses.emulator import PLAIN_STEP
 from ...responses.table import QUANTITIES
-from ...responses.table_drops import ITS_S, outcomes_of, quantities, read_off
+from ...responses.table_drops import ITS_S, leans, outcomes_of, quantities, read_off
 
 # Deviates of chance, with weights that sum to one: five of a normal number (Gauss and Hermite;
 # exact to the ninth moment), and for a slope three sizes (of its square, Gauss and Laguerre) in
@@ -122,8 +122,7 @@ def solid_drops(model: DropModel, theta: Array, which: Sequence[int]) -> Array:
     emulator, friction = model.emulator, model.friction(theta)
     nodes, weights = chances(model.entered(theta))
     scenes = [scene for node in nodes for scene in model.scenes(theta, which, node)]
-    leaning = any(s.tilt_deg or s.slope_deg or s.slope_wide_deg for s in scenes)
-    body = solid_of(emulator.bristle, emulator.gravity_m_s2, leaning)
+    body = solid_of(emulator.bristle, emulator.gravity_m_s2, any(map(leans, scenes)))
     # as the table of plain drops is made (`Emulator`), or with shorter steps
     found = with_shorter_its(
         lambda its: quantities(outcomes_of(body, scenes, emulator.gravity_m_s2, its, friction)),
