@@ -21,6 +21,8 @@ from ..compiled import inlined
 from .normal import normal_at_end
 from .points import Points, Trial
 
+TINY = 1e-300
+
 
 @inlined
 def tangential_stiffness(points: Points, i: int) -> float:
@@ -72,7 +74,8 @@ def elongated(points: Points, trial: Trial, i: int) -> tuple[float, float]:
         return share * new0, share * new1
     squared = e0 * e0 + e1 * e1 + 2.0 * (t0 * slip0 + t1 * slip1) / stiffness
     most = min(most, math.sqrt(max(squared, 0.0)))
-    further = 1.0 + 0.5 * max(e0 * slip0 + e1 * slip1, 0.0) / (limit * limit)
+    # the square of a limit of next to no friction is too small for a number
+    further = 1.0 + 0.5 * max(e0 * slip0 + e1 * slip1, 0.0) / max(limit * limit, TINY)
     new0, new1 = e0 + further * slip0, e1 + further * slip1
     size = math.hypot(new0, new1)
     share = most / size if size > 0.0 else 0.0

@@ -13,7 +13,7 @@ import time
 import pytest
 from commands import bristle, environment, mpirun, python
 from hostile import ERROR, NASTY_NUMBERS, refused, run
-from hypothesis import HealthCheck, given, settings
+from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
 from bristle.solver.errors import ComputationError
@@ -170,6 +170,7 @@ def test_the_same_in_a_process_of_its_own(tmp_path):
     assert ERROR.match(done.stderr.splitlines()[-1])
 
 
+FLAGS = {flag.option: flag for flag in NUMERIC}
 VALUES = st.one_of(
     NASTY_NUMBERS.map(str),
     st.floats().map(repr),
@@ -179,6 +180,7 @@ VALUES = st.one_of(
 )
 
 
+@example([(FLAGS["--friction"], "5e-324"), (FLAGS["--tilt"], "1")])
 @given(st.lists(st.tuples(st.sampled_from(NUMERIC), VALUES), min_size=1, max_size=3))
 @settings(
     max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
