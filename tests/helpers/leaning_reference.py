@@ -35,12 +35,6 @@ class Bar(Body):
         return self.diameter_m or self.thickness_m
 
     @property
-    def rotary_inertia_kg_m2(self) -> float:
-        """About the centre: ρA L³/12 + ρI L, as a Timoshenko beam has it."""
-        rho, length = self.density_kg_m3, self.length_m
-        return rho * self.area_m2 * length**3 / 12.0 + rho * self.second_moment_m4 * length
-
-    @property
     def second_moment_m4(self) -> float:
         return self.area_m2 * self.depth_m**2 / (16.0 if self.diameter_m else 12.0)
 
@@ -145,8 +139,6 @@ class LeaningImpact:
     touches: np.ndarray
     energy_error: float
     friction_loss: float
-    time_s: np.ndarray
-    force_N: np.ndarray
 
     @property
     def last_release_s(self) -> float:
@@ -248,8 +240,6 @@ def leaning_series(
         touches=touches,
         energy_error=float(energy + stored + slid - fall) / fall,
         friction_loss=slid / fall,
-        time_s=time,
-        force_N=total,
     )
 
 

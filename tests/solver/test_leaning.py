@@ -17,8 +17,8 @@ from bristle.solver.rigid import leaning, matrix_of, slope_normal
 pytestmark = pytest.mark.serial
 
 
-def along(result, names=("velocity_after_m_s", "spin_after_rad_s")):
-    return np.concatenate([getattr(result, name) for name in names])
+def along(result):
+    return np.concatenate([result.velocity_after_m_s, result.spin_after_rad_s])
 
 
 # --- against the modal series -------------------------------------------------------------------
