@@ -291,23 +291,10 @@ def test_a_law_that_makes_energy_is_an_error(monkeypatch, observer):
         bounce(law, 10.0 * ITS, observer=observer)
 
 
-def test_a_touch_meets_a_fresh_place():
-    """Twice the same march: nothing is remembered from the first to the second."""
-    marcher = marcher_of(Plastic(KN, 0.3 * SPEED * math.sqrt(KN * MASS)), ITS)
-    for seen in (None, lambda *_: None):
-        touches = [
-            march_contact(
-                marcher, 0.0, np.zeros(1), np.full(1, -math.sqrt(MASS) * SPEED), History(), seen
-            )
-            for _ in range(2)
-        ]
-        assert touches[0].v == touches[1].v
-        assert touches[0].contact_loss_J == touches[1].contact_loss_J > 0.0
-
-
 @pytest.mark.parametrize("seen", [None, lambda *_: None], ids=["compiled", "stepwise"])
 def test_a_later_touch_of_the_impact_comes_down_into_its_indentation(seen):
-    """A slow mass is turned by the spring at the depth that the first touch left."""
+    """A slow mass is turned by the spring at the depth that the first touch left; elsewhere nothing
+    is remembered of it."""
     marcher = marcher_of(Plastic(KN, 0.3 * MOST), ITS)
 
     def touch(speed, memory):

@@ -436,8 +436,8 @@ def test_a_row_that_touches_is_the_same_on_any_number_of_ranks_and_closes_its_en
     every = list(row(spacing=0.7e-3).march(0.015, 2e-4))
     assert max(frame.between_N.max() for frame in one) > 0.0
     for a, b in zip(one, every, strict=True):
-        assert np.array_equal(a.centre_m, b.centre_m)
-        assert np.array_equal(a.between_N, b.between_N)
+        for name in ("force_N", "centre_m", "state", "between_N"):
+            assert np.array_equal(getattr(a, name), getattr(b, name)), name
         assert a.energy == b.energy
         assert np.array_equal(a.means.force_N, b.means.force_N)
     assert one[-1].energy.closure_relative < 1e-3
@@ -485,11 +485,17 @@ def test_a_row_that_touches_goes_on_from_a_checkpoint_to_the_bit():
     through, first, second = row(), row(), row()
     expected = list(through.march(0.02, 0.01))[-1]
     list(first.march(0.01, 0.01))
-    second.restore({name: np.array(each) for name, each in first.checkpoint().items()})
+    kept = {name: np.array(each) for name, each in first.checkpoint().items()}
+    second.restore(kept)
+    assert second.t_s == first.t_s
     (found,) = second.march(0.02, 0.01)
-    assert np.array_equal(found.centre_m, expected.centre_m)
-    assert np.array_equal(found.between_N, expected.between_N)
+    assert found.t_s == expected.t_s
+    names = ("force_N", "torque_Nm", "centre_m", "rotation", "tip_normal_N", "state", "between_N")
+    for name in names:
+        assert np.array_equal(getattr(found, name), getattr(expected, name)), name
     assert found.energy == expected.energy
+    with pytest.raises(InputError, match="checkpoint"):
+        row(3).restore(kept)
 
 
 def test_bristles_that_begin_in_each_other_are_refused():

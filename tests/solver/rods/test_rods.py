@@ -36,19 +36,6 @@ def rows(count=5, comm=MPI.COMM_WORLD, path=PATH, **how):
     return Rods(section, clamps, path, ground, 6, comm=comm, tolerance=1e-5, **how)
 
 
-def test_the_result_is_the_same_on_any_number_of_ranks():
-    """Each rank has a block of the bristles; sums are taken in one order on the first rank."""
-    one = list(rows(comm=MPI.COMM_SELF).march(0.05, 0.01))
-    every = list(rows().march(0.05, 0.01))
-    assert len(one) == len(every) == 5
-    if MPI.COMM_WORLD.rank == 0:
-        for a, b in zip(one, every, strict=True):
-            assert np.array_equal(a.force_N, b.force_N)
-            assert np.array_equal(a.centre_m, b.centre_m)
-            assert np.array_equal(a.state, b.state)
-            assert a.energy == b.energy
-
-
 def test_mean_forces_are_impulses_even_of_tips_that_bounce():
     """Without friction the hub alone pushes along x: what it gives is what the bristle gains.
 
@@ -87,23 +74,6 @@ def test_a_step_gives_to_every_window_what_falls_into_it():
     for name in ("force_N", "torque_Nm", "share"):
         seven, one = (getattr(each.frame().means, name) for each in (cut, whole))
         np.testing.assert_allclose(seven.mean(axis=0), one[0], rtol=1e-9, atol=1e-12)
-
-
-def test_a_run_goes_on_from_a_checkpoint_to_the_bit():
-    through, first, second = rows(), rows(), rows()
-    expected = list(through.march(0.06, 0.01))[-1]
-    list(first.march(0.03, 0.01))
-    kept = {name: array.copy() for name, array in first.checkpoint().items()}
-    second.restore(kept)
-    assert second.t_s == first.t_s
-    found = list(second.march(0.06, 0.01))
-    assert len(found) == 3
-    assert found[-1].t_s == expected.t_s
-    for name in ("force_N", "torque_Nm", "centre_m", "rotation", "tip_normal_N", "state"):
-        assert np.array_equal(getattr(found[-1], name), getattr(expected, name))
-    assert found[-1].energy == expected.energy
-    with pytest.raises(InputError, match="checkpoint"):
-        rows(4).restore(kept)
 
 
 def test_what_the_bristles_do_to_the_hub_is_what_the_ground_does_to_them():
