@@ -272,32 +272,33 @@ def test_a_computed_effect_is_known_for_every_drop_and_chance():
             assert predicted[node, i] == pytest.approx(alone, rel=2e-3)
 
 
+def sets(**rules):
+    """An effect that sets numbers of a scene by rules of itself and the scene."""
+    return {"enter": lambda self, s: replace(s, **{n: of(self, s) for n, of in rules.items()})}
+
+
 @pytest.mark.parametrize(
     ("change", "words"),
     [
         (
-            {"enter": lambda self, s: replace(s, drag_kg_m=math.sqrt(self.decades + self.slow))},
+            sets(drag_kg_m=lambda e, _: math.sqrt(e.decades + e.slow)),
             "fails for many drops at once: TypeError",
         ),
         (
-            {"enter": lambda self, s: replace(s, t_scale=1.0 + self.slow * np.size(s.order)
-                                              * self.decades)},
+            sets(t_scale=lambda e, s: 1.0 + e.slow * np.size(s.order) * e.decades),
             "its t_scale for many drops is another",
         ),
         ({"random": False}, "by chance from drop to drop: say so"),
         ({"computed": False}, "changes t_scale: computed = True is for these"),
         (
-            {"enter": lambda self, s: replace(s, beta_s=s.beta_s + self.slow * self.decades)},
-            "changes beta_s: computed = False is for these",
+            sets(beta_s=lambda e, s: s.beta_s + e.slow * e.decades),
+            "beta_s: computed = False is for",
         ),
-        (
-            {"enter": lambda self, s: replace(s, tilt_deg=self.slow * self.decades)},
-            "changes tilt_deg: the loop takes these from its own effects alone",
-        ),
+        (sets(tilt_deg=lambda e, _: e.slow * e.decades), "tilt_deg: the loop takes these from its"),
         ({"enter": damped}, "no more of the contact law than its stiffness"),
     ],
     ids=lambda value: "-".join(value) if isinstance(value, dict) else "",
-)  # fmt: skip
+)
 def test_a_computed_effect_that_is_none_is_refused(change, words):
     kind = dataclass(frozen=True)(type("Bad", (Wetting,), dict(change)))
     with pytest.raises(InputError, match=words):
@@ -319,25 +320,15 @@ def test_a_computed_effect_that_is_none_is_refused(change, words):
             "no parameter may have refines",
         ),
         ({"enter": lambda self, scene: scene}, "changes nothing"),
-        (
-            {"enter": lambda self, s: replace(s, drag_kg_m=self.more_s * self.share)},
-            "drag_kg_m",
-        ),
-        (
-            {"enter": lambda self, scene: replace(scene, beta_s=self.share * self.more_s + 1e-9)},
-            "absence",
-        ),
-        ({"enter": lambda self, scene: replace(scene, height_m=self.share)}, "height_m"),
-        ({"enter": lambda self, scene: replace(scene, beta_s=1e-6 * self.more_s)}, "share changes"),
+        (sets(drag_kg_m=lambda e, _: e.more_s * e.share), "drag_kg_m"),
+        (sets(beta_s=lambda e, _: e.share * e.more_s + 1e-9), "absence"),
+        (sets(height_m=lambda e, _: e.share), "height_m"),
+        (sets(beta_s=lambda e, _: 1e-6 * e.more_s), "share changes"),
         ({"enter": lambda self, scene: None}, "must return a Scene"),
         ({"enter": lambda self, scene: 1.0 / 0.0}, "ZeroDivisionError"),
-        ({"enter": lambda self, s: replace(s, law=Linear(self.more_s - 0.5))}, "Kn must be"),
+        (sets(law=lambda e, _: Linear(e.more_s - 0.5)), "Kn must be"),
         (
-            {
-                "enter": lambda self, s: replace(
-                    s, beta_s=s.beta_s + self.more_s * self.share * s.chance[0]
-                )
-            },
+            sets(beta_s=lambda e, s: s.beta_s + e.more_s * e.share * s.chance[0]),
             "differs from drop to drop",
         ),
     ],
