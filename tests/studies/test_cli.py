@@ -276,8 +276,6 @@ def test_resume_on_the_command_line(tmp_path):
     assert "nothing to do" in out
     message = refused("drop", "--out", tmp_path / "a", "--resume", "--height", "0.02")
     assert "--height is 0.05 there, 0.02 is asked for" in message
-    message = refused("drop", "--out", tmp_path / "a", "--resume", "--tilt", "2")
-    assert "--tilt is 0.0 there, 2.0 is asked for" in message
 
 
 def test_the_default_folder_is_results(tmp_path, monkeypatch):

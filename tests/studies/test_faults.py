@@ -65,8 +65,10 @@ def write_all(out):
 
 def earlier(out):
     with files.together(out):
-        for name in ("result.json", "tables/a.csv", "fields/c", "older.svg"):
+        for name in ("result.json", "tables/a.csv", "older.svg"):
             files.write_atomically(out / name, "old")
+    with files.folder_in_place(out / "fields") as made:  # a folder by itself
+        (made / "c").write_text("old")
     for name in ("notes.txt", "fields/notes.txt"):
         (out / name).write_text("the user's")
     return contents(out)

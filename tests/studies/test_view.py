@@ -407,26 +407,6 @@ def test_paraview_opens_the_result_in_one_step_wherever_it_is(result, tmp_path):
     assert blue[rows[0] : rows[-1], columns[0] : columns[-1]].mean() > 0.5
 
 
-@pytest.mark.serial
-def test_pyvista_finds_the_tip_as_deep_in_the_ground_as_the_history_says(leaning_drop):
-    history = read_history(leaning_drop / "history.csv")
-    depth_m = dict(zip(history["t_s"], history["penetration_m"], strict=True))
-    ground = pyvista.read(leaning_drop / "fields" / "ground.vtk")
-    shown = []
-    with FieldSeries(leaning_drop / "fields" / "solid.bp") as series:
-        cells = np.insert(series.cells, 0, series.cells.shape[1], axis=1).ravel()
-        kinds = np.full(len(series.cells), series.cell_type, np.uint8)
-        for i in range(0, series.phases.index(Phase.RELEASE), 10):
-            placed = series.nodes_m + series.read("displacement_m", i)
-            grid = pyvista.UnstructuredGrid(cells, kinds, placed)
-            distance = grid.compute_implicit_distance(ground)["implicit_distance"]
-            shown.append((-distance.min(), depth_m[series.times_s[i]]))
-    found, expected = np.array(shown).T
-    assert expected[0] == pytest.approx(0.0, abs=1e-15)
-    assert expected.max() > 1e-6
-    assert found == pytest.approx(expected, abs=1e-9)
-
-
 def contact_frames(folder, count=4):
     """Some frames of contact from the touch on: their times, least gaps, greatest pressures."""
     with FieldSeries(folder / "fields" / "tip.bp") as series:
