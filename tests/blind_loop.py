@@ -70,8 +70,8 @@ def _verdict(folder: Path, case: Case) -> Outcome:
     return kept | {
         "probabilities": said.get("probabilities"),
         "open_set": said["open_set"],
-        "rms_sigma": _after(said.get("fit")),
-        "warnings": said.get("warnings", (said.get("fit") or {}).get("warnings", [])),
+        "rms_sigma": said["fit"]["rms_sigma"],
+        "warnings": said["warnings"],
         "wall_s": time.perf_counter() - began,
         "error": "",
     }
@@ -79,16 +79,6 @@ def _verdict(folder: Path, case: Case) -> Outcome:
 
 def _lost(verdict: str, error: str) -> Outcome:
     return {"verdict": verdict, "error": error, "effects": [], "parameters": {}}
-
-
-def _after(fit: Any) -> float | None:
-    """Residuals over the declared noise after the refit, where the verdict tells them."""
-    found = (fit or {}).get("rms_sigma")
-    if isinstance(found, dict):
-        found = found.get("after")
-    elif isinstance(found, list):
-        found = found[-1]
-    return None if found is None else float(found)
 
 
 def outcomes(cases: Sequence[Case], jobs: int) -> Iterator[Outcome]:

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from dataclasses import field as dc_field
 
 import numpy as np
+from scipy.optimize import brentq
 
 from bristle.solver.effects.base import Parameter
 from bristle.solver.errors import ComputationError
@@ -347,10 +348,7 @@ def _perp(field: np.ndarray, span: list[np.ndarray]) -> float:
 
 def _scatter_amount(d: Design, field: np.ndarray, size: float) -> float:
     """The amount at which twice the divergence from no scatter is size²."""
-    low, high = 0.0, 100.0
     power = np.bincount(d.group, field**2)
-    for _ in range(60):
-        a = (low + high) / 2
-        c = a**2 * power
-        low, high = (a, high) if np.sum(c - np.log1p(c)) < size**2 else (low, a)
-    return a
+    return brentq(
+        lambda a: np.sum(a**2 * power - np.log1p(a**2 * power)) - size**2, 0.0, 100.0, xtol=1e-14
+    )

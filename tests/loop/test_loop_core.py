@@ -1,7 +1,6 @@
 """The loop's statistical core is calibrated, and finds what is in a toy problem."""
 
 import itertools
-import json
 import math
 from dataclasses import dataclass, replace
 from functools import cache
@@ -458,11 +457,6 @@ def test_all_of_the_work_is_told_of_as_it_gets_done(truth):
     assert len(told) > len(problem.candidates) + 2
 
 
-def test_the_same_seed_gives_the_same_finding(named):
-    again = find(toys.problem(1, {"plastic": 12.0})[0], seed=1)
-    assert json.dumps(again.verdict_json()) == json.dumps(named.verdict_json())
-
-
 def test_held_out_values_take_no_part(named):
     """Whatever the held-out drops measured, what is fitted stays to the bit."""
     problem, _ = toys.problem(1, {"plastic": 12.0})
@@ -522,18 +516,13 @@ def test_too_few_held_out_drops_refuse_no_effect_that_is_about_as_likely(drops, 
     assert any("too few to refuse" in each for each in found.warnings) == few
 
 
-def test_two_effects_are_found_together():
-    found = find(toys.problem(0, {"offset": 14.0, "wear": 14.0})[0], seed=0)
-    assert set(found.effects) >= {"offset", "wear"}
-    assert ("offset", "wear") in found.together or ("wear", "offset") in found.together
-
-
 @pytest.mark.parametrize("seed", range(2))
 def test_a_second_effect_is_looked_for_though_the_first_explains_much(seed):
     """Of seven sigma: its log evidence is 24.5 nats by its size, less 5 for being one of many."""
     found = find(toys.problem(seed, {"offset": 14.0, "wear": 7.0})[0], seed=seed)
     assert found.verdict is Verdict.EFFECT
     assert found.reported in ((("offset", "wear"),), (("wear", "offset"),))
+    assert ("offset", "wear") in found.together or ("wear", "offset") in found.together
     assert min(found.probabilities[name] for name in ("offset", "wear")) > 0.95
 
 

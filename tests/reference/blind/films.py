@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from scipy.optimize import brentq
 
 from .body import Array
 from .drops import Truth, bounce, drag_1_m, rise, speed_down
@@ -92,17 +93,12 @@ def fallen(truth: Truth, t_s: float, release_m_s: float) -> float:
 
 
 def fall_time(truth: Truth, height_m: float, release_m_s: float) -> float:
-    """When the way down is ``height_m``: from the closed form, by bisection."""
-    low, high = 0.0, 1.0
-    while fallen(truth, high, release_m_s) < height_m:
-        high *= 2.0
-    for _ in range(60):
-        middle = 0.5 * (low + high)
-        if fallen(truth, middle, release_m_s) < height_m:
-            low = middle
-        else:
-            high = middle
-    return high
+    """When the way down is ``height_m``, from the closed form."""
+    longest = 1.0
+    while fallen(truth, longest, release_m_s) < height_m:
+        longest *= 2.0
+    found = brentq(lambda t: fallen(truth, t, release_m_s) - height_m, 0.0, longest, xtol=1e-15)
+    return float(found)
 
 
 def flight(truth: Truth, t_s: float, speed_m_s: float, top_m: float) -> float:
