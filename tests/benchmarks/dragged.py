@@ -29,7 +29,9 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import numpy as np
 from mpi4py import MPI
+from numba import njit
 
+from bristle.solver.rods.hub import hub_coordinates
 from bristle.solver.rods.rods import Rods
 from bristle.solver.rods.section import RodSection
 from bristle.studies.brush.inputs import BrushInputs
@@ -291,45 +293,35 @@ def elastica(elements: int, *, inertia: float = 1.0) -> Run:
 
 
 def _hub(breaks: np.ndarray, coefficients: np.ndarray, t: float) -> tuple:
-    from bristle.solver.rods.hub import hub_coordinates
-
     out = np.empty((2, 6))
     hub_coordinates(breaks, coefficients, t, out)
     return out[0, :3], out[1, :3]
 
 
-def _touch_of() -> Callable:
-    from numba import njit
-
-    @njit
-    def touch(position, director, force, torque, anchors, numbers) -> None:
-        half, kn, kt, mu = numbers
-        n = position.shape[1] - 1
-        side = director[0, :, n - 1]
-        total = np.zeros(3)
-        moment = np.zeros(3)
-        for k in range(2):
-            sign = 2.0 * k - 1.0
-            arm = sign * half * side
-            x, z = position[0, n] + arm[0], position[2, n] + arm[2]
-            if z >= 0.0:
-                anchors[k, 0] = np.nan
-                continue
-            normal = -kn * z
-            if np.isnan(anchors[k, 0]):
-                anchors[k, 0] = x
-            reach = mu * normal / kt
-            anchors[k, 0] = x - min(max(x - anchors[k, 0], -reach), reach)
-            push = np.array([-kt * (x - anchors[k, 0]), 0.0, normal])
-            total += push
-            moment += np.cross(arm, push)
-        force[:, n] += total
-        torque[:, n - 1] += director[:, :, n - 1] @ moment
-
-    return touch
-
-
-_touch = _touch_of()
+@njit
+def _touch(position, director, force, torque, anchors, numbers) -> None:
+    half, kn, kt, mu = numbers
+    n = position.shape[1] - 1
+    side = director[0, :, n - 1]
+    total = np.zeros(3)
+    moment = np.zeros(3)
+    for k in range(2):
+        sign = 2.0 * k - 1.0
+        arm = sign * half * side
+        x, z = position[0, n] + arm[0], position[2, n] + arm[2]
+        if z >= 0.0:
+            anchors[k, 0] = np.nan
+            continue
+        normal = -kn * z
+        if np.isnan(anchors[k, 0]):
+            anchors[k, 0] = x
+        reach = mu * normal / kt
+        anchors[k, 0] = x - min(max(x - anchors[k, 0], -reach), reach)
+        push = np.array([-kt * (x - anchors[k, 0]), 0.0, normal])
+        total += push
+        moment += np.cross(arm, push)
+    force[:, n] += total
+    torque[:, n - 1] += director[:, :, n - 1] @ moment
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

@@ -103,11 +103,6 @@ class Browser:
         asked = [e for e in self.events if e.get("method") == "Network.requestWillBeSent"]
         return [event["params"]["request"]["url"] for event in asked]
 
-    def picture(self) -> bytes:
-        """The whole page as PNG."""
-        shot = self.ask("Page.captureScreenshot", captureBeyondViewport=True)
-        return base64.b64decode(shot["data"])
-
     def print(self) -> bytes:
         """The page on A4, as PDF."""
         sheet = {"paperWidth": 8.27, "paperHeight": 11.69, "preferCSSPageSize": True}
