@@ -34,8 +34,8 @@ from bristle.studies.loop.responses.table_drops import outcomes_of, quantities
 pytestmark = pytest.mark.serial
 G = 9.8
 SPEED = math.sqrt(2.0 * G * 0.05)
-# So soft that a bristle is a rigid mass to some parts in a thousand, or a few in ten thousand.
-SOFT, SOFTER = 1e4, 1e3
+# So soft that a bristle is a rigid mass to some parts in a thousand.
+SOFT = 1e4
 
 
 def ratio(body, law, height=0.05, **options):
@@ -62,43 +62,6 @@ def test_nothing_of_the_program_is_imported():
 @pytest.mark.parametrize("height", [0.01, 0.05])
 def test_rebound_of_the_papers_bristle(kn, expected, height):
     assert ratio(Body(), Law(LINEAR, kn), height) == pytest.approx(expected, abs=5e-4)
-
-
-def test_without_damping_a_rigid_plane_is_left_as_fast_as_met_after_a_wave_there_and_back():
-    body = Body(beta_s=0.0)
-    done = impact(body, Law(LINEAR, 1e13), 1.0, 0.0, dt_s=4e-8, modes=200)
-    assert done.speed_m_s == pytest.approx(1.0, abs=2e-3)
-    there_and_back = 2.0 * body.length_m / body.wave_speed_m_s
-    assert done.contact_time_s == pytest.approx(there_and_back, rel=2e-3)
-
-
-def test_a_soft_spring_under_a_rigid_mass():
-    """Half a swing about the position of rest, and Eq. 8's greatest force."""
-    body = Body(beta_s=0.0)
-    done = impact(body, Law(LINEAR, SOFTER), SPEED)
-    omega = math.sqrt(SOFTER / body.mass_kg)
-    half = 2.0 * (math.pi - math.atan(SPEED * omega / G)) / omega
-    assert done.contact_time_s == pytest.approx(half, rel=1e-3)
-    weight = body.mass_kg * G
-    peak = weight + math.hypot(weight, SPEED * math.sqrt(SOFTER * body.mass_kg))
-    assert done.peak_force_N == pytest.approx(peak, rel=2e-3)
-
-
-@pytest.mark.parametrize("law", [Law(LINEAR, 2e6), Law(DASHPOT, 2e6, 8.0), Law(POWER, 2e6, 1.7)])
-def test_impulse_is_what_the_centre_of_mass_gained(law):
-    done = impact(Body(), law, SPEED)
-    gained = Body().mass_kg * (SPEED + done.speed_m_s + G * done.contact_time_s)
-    assert done.impulse_N_s == pytest.approx(gained, rel=1e-6)
-
-
-def test_fewer_steps_and_modes_change_little():
-    for body in (Body(), Body(beta_s=1e-8)):
-        for kn in (2e5, 2e6, 2e7):
-            coarse = impact(body, Law(LINEAR, kn), SPEED)
-            fine = impact(body, Law(LINEAR, kn), SPEED, dt_s=2e-8, modes=160)
-            assert coarse.speed_m_s == pytest.approx(fine.speed_m_s, rel=5e-4)
-            assert coarse.contact_time_s == pytest.approx(fine.contact_time_s, rel=5e-4)
-            assert coarse.peak_force_N == pytest.approx(fine.peak_force_N, rel=5e-3)
 
 
 def rigid(law, speed=SPEED):
@@ -155,28 +118,10 @@ def test_upright_both_marches_agree():
         assert two.peak_force_N == pytest.approx(one.peak_force_N, rel=1e-3)
 
 
-@pytest.mark.parametrize(("tilt", "kept"), [(2.0, 0.805), (5.0, 0.252)])
-def test_what_a_lean_takes_agrees_with_finite_strain(tilt, kept):
-    """Second order and finite strain differ by a few parts in a thousand, more at 5°."""
-    done = land(Body(beta_s=1e-8), 2e6, Lean(tilt), SPEED)
-    assert done.speed_m_s / SPEED == pytest.approx(kept, abs=0.012)
-
-
-def test_a_tip_that_sticks_keeps_its_speed():
-    done = land(Body(beta_s=1e-8), 2e6, Lean(5.0, friction=0.5), SPEED)
-    assert done.speed_m_s / SPEED > 0.94
-
-
 def test_without_damping_and_friction_a_lean_keeps_its_energy():
     """Of all that bends and turns in it."""
     done = land(Body(beta_s=0.0), 2e6, Lean(3.0), SPEED, dt_s=1e-7)
     assert done.energy_J == pytest.approx(0.5 * Body().mass_kg * SPEED**2, rel=1e-6)
-
-
-def test_a_slope_towards_either_side_is_the_same_but_for_the_sign():
-    one, two = (land(Body(), 2e6, Lean(0.0, a, b, 0.5), SPEED) for a, b in ((2, 3), (-2, -3)))
-    assert one.speed_m_s == pytest.approx(two.speed_m_s, rel=1e-9)
-    assert one.top_m == pytest.approx(two.top_m, rel=1e-6)
 
 
 SAME = {

@@ -39,14 +39,12 @@ class Law:
 @dataclass(frozen=True)
 class Rebound:
     """What an impact gave: the speed of the centre of mass and its height against that of first
-    touch at the last release, the time since first touch, the greatest force, the impulse."""
+    touch at the last release, the time since first touch, the greatest force."""
 
     speed_m_s: float
     lift_m: float
     contact_time_s: float
     peak_force_N: float
-    impulse_N_s: float
-    touches: int
 
 
 def step_s(body: Body, law: Law) -> float:
@@ -70,19 +68,20 @@ def impact(
     tip = body.axial_tip(modes)
     rows = np.array([law.kind, law.kn_N_m, law.number, law.hardens, law.unloads])
     delayed = body.beta_s if body.beta_s > 1e-3 * dt else 0.0
-    found = _march(
-        steps,
-        over,
-        body.axial_omega(modes),
-        tip,
-        rows,
-        speed_m_s,
-        gravity_m_s2,
-        dt,
-        delayed,
-        body.left_out_m_N(modes),
+    return Rebound(
+        *_march(
+            steps,
+            over,
+            body.axial_omega(modes),
+            tip,
+            rows,
+            speed_m_s,
+            gravity_m_s2,
+            dt,
+            delayed,
+            body.left_out_m_N(modes),
+        )
     )
-    return Rebound(*found[:5], int(found[5]))
 
 
 @njit(cache=True)
@@ -163,8 +162,8 @@ def _march(steps, over, omega, tip, law, speed, gravity, dt, delay, compliance):
         soft_rate += tip[i] * steps[i, 1, 3]
     if delay > 0.0:
         soft_rate += (compliance - over[2]) / delay
-    force, before, left, peak, impulse = 0.0, 0.0, 0.0, 0.0, 0.0
-    last, touches = 0.0, 0
+    force, before, left, peak = 0.0, 0.0, 0.0, 0.0
+    last, touched = 0.0, False
     limit = int(0.02 / dt)
     for step in range(limit):
         free, rate = 0.0, 0.0
@@ -187,16 +186,14 @@ def _march(steps, over, omega, tip, law, speed, gravity, dt, delay, compliance):
             q[i] += steps[i, 0, 3] * new
             v[i] += steps[i, 1, 3] * new
         left += over[2] * new
-        if new != 0.0 and force == 0.0:
-            touches += 1
+        touched = touched or new != 0.0
         if new == 0.0 and force != 0.0:
             # where the force, continued as it fell, is zero
             share = force / (before - force) if 0.0 < force < before else 0.5
             last = (step + min(share, 1.0)) * dt
-        impulse += 0.5 * (force + new) * dt
         peak = max(peak, new)
         before, force = force, new
-        if force == 0.0 and touches > 0:
+        if force == 0.0 and touched:
             ringing = abs(left)
             for i in range(1, n):
                 ringing += tip[i] * (abs(q[i]) + abs(v[i]) / omega[i])
@@ -207,4 +204,4 @@ def _march(steps, over, omega, tip, law, speed, gravity, dt, delay, compliance):
     passed = (step + 1) * dt - last
     speed_out = v[0] * tip[0] + gravity * passed
     lift = q[0] * tip[0] - passed * (speed_out - 0.5 * gravity * passed)
-    return speed_out, lift, last, peak, impulse, touches
+    return speed_out, lift, last, peak
