@@ -5,7 +5,6 @@ them, and the three marches against one another.
 """
 
 import itertools
-import math
 from dataclasses import replace
 
 import numpy as np
@@ -14,13 +13,10 @@ from contact_law_helpers import (
     ENFORCED,
     KN,
     LAWS,
-    MASS,
     MOST,
     OMEGA,
     SPEED,
     a_step,
-    marcher_of,
-    mass_on_a_foot,
     pushed,
     some_response,
 )
@@ -378,18 +374,3 @@ def test_softer_places_yield_at_the_same_traction():
     settle(points, step_of(start, end, force, memory))
     assert law.force(end[:1], 0.0, 0.5, memory[:, 2])[0] == pytest.approx(law.yield_N, rel=1e-12)
     assert memory[0, 2] == pytest.approx(2.0 * DEEP - 0.8 * DEEP, rel=1e-12)
-
-
-def test_the_mass_march_agrees_with_its_own_python_march():
-    """History rows included, on seven unequal points."""
-    for law in LAWS:
-        rows = []
-        for seen in (None, lambda *_: None):
-            marcher = marcher_of(law, math.pi / OMEGA / 60, body=mass_on_a_foot(7))
-            history = History()
-            v = np.full(1, -math.sqrt(MASS) * SPEED)
-            march_contact(marcher, 0.0, np.zeros(1), v, history, seen)
-            rows.append(history.array())
-        assert rows[0].shape == rows[1].shape
-        size = np.abs(rows[1]).max(axis=0)
-        assert (np.abs(rows[0] - rows[1]) <= 1e-9 * size).all()

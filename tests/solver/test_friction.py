@@ -123,20 +123,6 @@ def test_a_block_sent_over_a_plane_moves_as_one_held_by_the_spring_does(angle, s
     assert x[:, 2] == pytest.approx(-WEIGHT / KN, rel=1e-9)
 
 
-def test_a_stiff_hold_brakes_it_over_coulombs_distance():
-    """To the elongation of the spring, μ N / Kt, and all the energy that is lost is friction's."""
-    speed = 1.0
-    distance, duration = speed**2 / (2.0 * MU * G), speed / (MU * G)
-    its = 1e-4
-    marcher, u = marching(block(), its, kt_over_kn=10.0)
-    x, v, lost = run(
-        marcher, u, marcher.body.translation @ [speed, 0.0, 0.0], round(1.2 * duration / its)
-    )
-    assert x[-1, 0] == pytest.approx(distance, abs=2.0 * MU * WEIGHT / (10.0 * KN) + speed * its)
-    assert abs(v[-1, 0]) < 2.0 * MU * WEIGHT / math.sqrt(10.0 * KN * MASS)
-    assert lost == pytest.approx(0.5 * MASS * speed**2, rel=1e-4)
-
-
 def test_energy_closes_while_it_slides_and_sticks():
     marcher, u = marching(block(), 1e-4)
     body = marcher.body
@@ -308,21 +294,6 @@ def test_on_any_path_the_spring_ends_within_the_yield_surface_and_no_step_gains(
     rounding = 8.0 * np.finfo(float).eps / SHORT
     assert (np.hypot(*pulls[inside].T) <= MU * mean[inside] * (1.0 + rounding)).all()
     assert losses.min() >= -1e-13 * MU * WEIGHT * STRETCH * max(stride, 1.0)
-
-
-def test_stick_and_slip_of_a_block_are_of_second_order():
-    """The closed form of a block on a spring that gives way, over two of its periods."""
-    speed, kt = 0.4, 1e-2 * KN
-    period = 2.0 * math.pi * math.sqrt(MASS / kt)
-    steps, errors = np.array([30, 60, 120, 240, 480]), []
-    for n in steps:
-        marcher, u = marching(block(), period / n, kt_over_kn=1e-2)
-        x, _, _ = run(marcher, u, marcher.body.translation @ [speed, 0.0, 0.0], 2 * n)
-        wanted, _ = lr.stick_slip_block(
-            period / n * np.arange(2 * n + 1), speed, MASS, WEIGHT, MU, kt
-        )
-        errors.append(np.abs(x[:, 0] - wanted).max())
-    assert rate(1.0 / steps, errors) == pytest.approx(2.0, abs=0.25)
 
 
 # --- a pressed face -----------------------------------------------------------------------------
