@@ -30,9 +30,11 @@ from .estimate import LEVEL, Interval, RatioEstimate, estimate_ratio, paper_rati
 PAPER = "paper"
 CONFOUNDED = (
     "y1/y0 of a bristle is one number. Contact stiffness, damping in the contact, damping in the "
-    "material, lean and friction all change it, and it cannot tell them apart.",
-    "The Kn given here is the one that the model needs if the declared material damping is right "
-    "and the contact itself loses nothing. Measure contact time or force as well to separate them.",
+    "material, lean and friction all change it, and it cannot tell them apart."
+)
+NEEDED = (
+    "The Kn given here is the one that the model needs if the material damping is right and the "
+    "contact itself loses nothing."
 )
 GRID_N_M = np.concatenate([[1e3, 3e3], np.geomspace(1e4, 1e8, 33), [3e8, 1e9, 1e10]])
 # Wobble of the computed ratio that is the time step's and not the bristle's.
@@ -252,4 +254,26 @@ def _warnings(source: Drops | None, ratio: RatioEstimate, curve: RatioCurve) -> 
         doubts.append(
             f"The dataset declares Kn = {source.manifest.kn_N_m / 1e6:.4g} MN/m; it was not used."
         )
-    return [*doubts, *CONFOUNDED]
+    return [*doubts, *_left_out(source), CONFOUNDED, f"{NEEDED} {_to_separate(source)}"]
+
+
+def _left_out(source: Drops | None) -> list[str]:
+    """What of the body is the paper's because the dataset does not declare it."""
+    if source is None:
+        return []
+    manifest = source.manifest
+    doubts = [manifest.lengths_doubt] if manifest.lengths_doubt else []
+    if not manifest.damping_declared:
+        doubts.append(
+            f"[body] does not give damping_beta_s; the {manifest.bristle.material.beta_s:.3g} s of "
+            "the paper's steel bristle is used, and Kn may be many times too small or too large if "
+            "this damping is wrong. Declare the damping, or let `bristle close-loop` fit it."
+        )
+    return doubts
+
+
+def _to_separate(source: Drops | None) -> str:
+    """How to tell apart what changes y1/y0."""
+    if source is None or (source.contact_time_s is None and source.peak_force_N is None):
+        return "Measure contact time or force as well to separate them."
+    return "`bristle close-loop` also uses the contact times and forces, which separate them."

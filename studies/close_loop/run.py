@@ -193,10 +193,7 @@ def problem_of(manifest: Manifest) -> Problem:
     found = read(manifest.folder)
     if not isinstance(found, Problem):
         raise manifest.wrong("kind", f"is {manifest.kind}, whose function returns no Problem")
-    doubts = []
-    if manifest.lengths_left_out:
-        left_out = " and ".join(manifest.lengths_left_out)
-        doubts.append(f"[body] does not give {left_out}; taken from the paper's bristle")
+    doubts = [manifest.lengths_doubt] if manifest.lengths_doubt else []
     if isinstance(KINDS[manifest.kind], EntryPoint) and manifest.unread:
         doubts.append(f"nothing reads these of [measurement]: {', '.join(manifest.unread)}")
     return _doubted(found, doubts)

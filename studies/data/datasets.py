@@ -123,6 +123,14 @@ class Manifest:
         return [key for key in ("length_m", *section) if key not in self.declared]
 
     @property
+    def lengths_doubt(self) -> str:
+        """That lengths are the paper's for want of others; empty where they are declared."""
+        left_out = " and ".join(self.lengths_left_out)
+        return (
+            f"[body] does not give {left_out}; taken from the paper's bristle" if left_out else ""
+        )
+
+    @property
     def unread(self) -> list[str]:
         """Keys of ``[measurement]`` that no kind of the program's own reads."""
         return [key for key in self.measurement if key not in MEASUREMENT_KEYS]

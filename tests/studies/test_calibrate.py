@@ -72,6 +72,11 @@ def folder(tmp_path):
 GOOD = "1,10,6.5\n2,20,13.1\n3,30,19.2\n4,40,26.3\n"
 
 
+def falling_ratio(kn: float, height: float) -> float:
+    """About the ratio of a beam."""
+    return 0.31 + 0.69 / (1.0 + kn / 2e6)
+
+
 def test_ratio_falls_with_stiffness_from_one_to_the_rigid_limit(curve):
     assert np.all(np.diff(curve.ratio) < 2e-4)
     low, high = curve.reachable
@@ -219,12 +224,8 @@ def test_the_stiffness_is_told_in_other_programs_terms(model):
 
 def test_command_writes_json_and_page_of_a_dataset(folder, tmp_path):
     where = folder(GOOD)
-
-    def model(kn: float, height: float) -> float:
-        return 0.31 + 0.69 / (1.0 + kn / 2e6)
-
     out = tmp_path / "out"
-    content = run_calibrate(where, out, CalibrateInputs(seed=3), model=model)
+    content = run_calibrate(where, out, CalibrateInputs(seed=3), model=falling_ratio)
     assert json.loads((out / "calibrate.json").read_text()) == content
     assert content["kn_N_m"]["low"] < content["kn_N_m"]["estimate"] < content["kn_N_m"]["high"]
     assert {path.name for path in out.iterdir()} == {
@@ -268,6 +269,37 @@ def test_optional_columns_and_units(folder):
     assert math.isnan(drops.contact_time_s[1])
     assert math.isnan(drops.peak_force_N[0])
     assert drops.session is None
+
+
+def test_a_damping_that_nobody_declared_is_doubted(folder):
+    """Kn of one ratio is another with another damping, so a guessed one must not pass for known."""
+    grid = np.array([1e4, 1e6, 1e8])
+
+    def doubts(toml: str) -> list[str]:
+        found = calibrate(read_drops(folder(GOOD, toml)), falling_ratio, grid_N_m=grid)
+        return [each for each in found.warnings if each.startswith("[body] does not give")]
+
+    lengths = f"[body]\nlength_m = {paper.LENGTH_M}\ndiameter_m = 1e-3\n"
+    (doubt,) = doubts(lengths)
+    assert f"damping_beta_s; the {paper.BETA_S:.3g} s of the paper's" in doubt
+    assert doubts(f"{lengths}damping_beta_s = 1e-6\n") == []
+    assert doubts("") == []
+    of_lengths, of_damping = doubts("[body]\nlength_m = 0.2\n")
+    assert of_lengths.startswith("[body] does not give width_m and thickness_m")
+    assert of_damping == doubt
+
+
+def test_a_table_with_contact_times_is_not_asked_for_them(folder):
+    grid = np.array([1e4, 1e6, 1e8])
+
+    def last(rows: str, head: str) -> str:
+        found = calibrate(read_drops(folder(rows, head=head)), falling_ratio, grid_N_m=grid)
+        return found.warnings[-1]
+
+    assert "Measure contact time or force" in last(GOOD, "drop,y0_mm,y1_mm")
+    timed = GOOD.replace("\n", ",0.16\n")
+    assert "Measure" not in last(timed, "drop,y0_mm,y1_mm,contact_time_ms")
+    assert "close-loop" in last(timed, "drop,y0_mm,y1_mm,contact_time_ms")
 
 
 def test_drops_that_bounce_to_their_own_height_say_so(model, folder):
