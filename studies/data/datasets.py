@@ -62,7 +62,7 @@ NUMBER_KEYS = {
 # A height may be read below zero by so many standard deviations, those of `SIGMA_MM` where none is
 # declared.
 BELOW, SIGMA_MM = 5.0, 1.0
-KN_N_M, FRICTION = (1.0, limits.KN_N_M), (0.0, 100.0)
+KN_N_M, FRICTION = limits.USUAL["kn_N_m"][:2], (0.0, 100.0)
 MOST_LETTERS = 1000
 WAVE_KEYS = (
     *("signal", "gauge_x_m", "signal_2", "gauge_2_x_m", "unit", "sigma"),
@@ -223,6 +223,8 @@ def read_manifest(folder: Path, only: str | None = None) -> Manifest:
     about, body, contact, measurement = (read.part(tree, name) for name in PARTS)
     kind = about.get("kind")
     load_installed()
+    if kind is None:
+        raise InputError(f"{read.path}: [dataset] needs kind, one of {', '.join(KINDS)}")
     if not isinstance(kind, str) or kind not in KINDS:
         raise read.wrong("kind", f"must be one of {', '.join(KINDS)}, not {quoted(kind)}")
     if only not in (None, kind):

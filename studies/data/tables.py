@@ -58,8 +58,9 @@ def read_table(path: Path, required: tuple[str, ...]) -> Rows:
         there = quoted(", ".join(head))
         commas = "" if len(head) > 1 else "; a comma stands between columns, a point in numbers"
         raise InputError(f"{where}: no column {missing[0]}; there are {there}{commas}")
-    if len(set(head)) != len(head):
-        raise InputError(f"{where}: a column appears twice")
+    twice = next((name for i, name in enumerate(head) if name in head[:i]), None)
+    if twice is not None:
+        raise InputError(f"{where}: column {quoted(twice)} appears twice")
     rows = []
     for number, line in lines[1:]:
         cells = [cell.strip() for cell in _cells(f"{path}:{number}", line)]
@@ -117,6 +118,7 @@ def column(
     if whole:
         checks.append((lambda x: x == int(x), "a whole number"))
     values = np.empty(len(rows))
+    hint = "; leave the cell empty where nothing was read" if empty else ""
     for i, (line, row) in enumerate(rows):
         if empty and not row[name]:
             values[i] = np.nan
@@ -124,7 +126,10 @@ def column(
         try:
             values[i] = _number(row[name])
         except ValueError as error:
-            raise InputError(f"{path}:{line}: {name} is no number: {quoted(row[name])}") from error
+            wrong = f"{path}:{line}: {name} is no number: {quoted(row[name])}{hint}"
+            raise InputError(wrong) from error
+        if empty and math.isnan(values[i]):
+            raise InputError(f"{path}:{line}: {name} is {row[name]}{hint}")
         for good, words in checks:
             if not good(values[i]):
                 raise InputError(f"{path}:{line}: {name} must be {words}, not {row[name][:80]}")
