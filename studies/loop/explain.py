@@ -190,7 +190,8 @@ def _sampled(state: State, tried: Tried) -> Posterior:
 def _unfit(state: State, found: Posterior, left: Adequacy) -> str:
     """Why what a model leaves is not noise, in words; empty where it is."""
     if left.p_value <= LEFT_ALARM:
-        return f"what it leaves is not noise ({left.statistic}, {p_text(left.p_value)})"
+        told = f"test for {left.statistic}: {p_text(left.p_value)}"
+        return f"what it leaves is not noise ({told})"
     if _large(state.data, left.residual):
         return "what it leaves is larger than the declared noise"
     cost = state.cost * (len(found.effects) - 1)
@@ -232,7 +233,7 @@ def _off(state: State, found: Posterior, held: HeldOut) -> str:
     fitted = settle(state.every, found.fitted.model, found.fitted.u[None])
     left = assess(state.every, fitted, [], state.rng, unlisted=False)
     if left.p_value < SURPRISE:
-        return f"with the held-out data, what is left is not noise ({left.statistic})"
+        return f"with the held-out data, what is left is not noise (test for {left.statistic})"
     if outliers_together(state.every, left.residual, state.rng) < LEFT_ALARM:
         return "outliers lie side by side, and so are not noise"
     return ""

@@ -471,7 +471,7 @@ def _noise(data: Sample, left: Adequacy, moot: bool) -> dict[str, float | str]:
     sentences = []
     size = rms(left.residual)
     if grid.declared and size < FAR_SMALLER:
-        sentences.append(f"it is {size:.1g} times what was expected")
+        sentences.append(f"it is {size:.1g} times as large as the errors that were used")
     elif out["shape"] != "gaussian":
         # errors of two sizes, one a quantity, are no tails
         even = left.residual / np.sqrt(np.maximum(_by_kind(data, left.residual**2), 1e-300))
@@ -479,7 +479,8 @@ def _noise(data: Sample, left: Adequacy, moot: bool) -> dict[str, float | str]:
         if odd and logs[~normal].max() > logs[normal].max() + CLEARLY:
             sentences.append("its tails are heavier than a normal distribution's")
     elif grid.declared and not 0.8 < float(out["scale"]) < 1.15 and this > others[0] + CLEARLY:
-        sentences.append(f"it is {float(out['scale']):.2g} times what was expected")
+        times = float(out["scale"])
+        sentences.append(f"it is {times:.2g} times as large as the errors that were used")
     if out["correlation"] and odd:
         sentences.append("neighbours in order are correlated")
     return {**out, "finding": "; ".join(sentences)}

@@ -374,6 +374,13 @@ def test_noise_that_is_hardly_likelier_than_a_normal_one_is_not_told_of(seed):
     assert told == ""
 
 
+def test_noise_that_is_small_is_told_of_beside_the_errors_that_were_used():
+    problem, _ = toys.problem(4, drops=48)
+    mean = problem.notes["mean"]
+    _, told = told_of_noise(replace(problem, values=mean + 0.3 * (problem.values - mean)))
+    assert told.startswith("it is 0.3 times as large as the errors that were used")
+
+
 def test_errors_of_two_sizes_are_no_heavy_tails():
     """Contact times whose sigma is declared three times too large, beside heights."""
     problem, _ = toys.problem(4, drops=48)
@@ -494,6 +501,14 @@ def test_error_on_held_out_drops_falls():
     held = find(toys.problem(5, {"adhesion": 14.0})[0], seed=5).held_out
     assert held.rms_after < held.rms_before
     assert 0 < held.reduction_low < held.reduction_high < 1
+
+
+def test_what_refuses_an_effect_is_told_as_a_test():
+    """Some tests have the names of effects: (adhesion, p = 0.01) alone would say that it is one."""
+    found = find(toys.problem(5, {"wear": 14.0})[0], seed=5)
+    refused = [each.why_not for each in found.evidences if "is not noise" in each.why_not]
+    assert refused
+    assert all("is not noise (test for " in each for each in refused)
 
 
 def test_effects_alike_are_ambiguous_and_an_experiment_is_named():
