@@ -10,11 +10,13 @@ import numpy as np
 from ...solver.arrays import Array
 from ...solver.errors import BristleError
 from ..loop.finding import Finding
-from ..loop.heldout import rms
+from ..loop.heldout import HeldOut, rms
 from ..loop.noise import Ints
 
 LEFT_OUT = "left out on request (--no-3d)"
 NOTHING_HELD = "too few groups to hold any out"
+# Times the error of the fitted model beyond which the 3-D model is of another opinion.
+FAR = 3.0
 
 
 @dataclass(frozen=True)
@@ -53,6 +55,16 @@ class Confirmation:
             "confirmed_in_3d": {**errors, "unit": self.solid.unit},
             "confirmed_in_3d_why": None,
         }
+
+    def doubts(self, held: HeldOut | None) -> list[str]:
+        """That the 3-D model predicts the ``held`` data far worse than the fitted one, in words."""
+        if self.solid is None or held is None or self.solid.rms_after <= FAR * held.rms_after:
+            return []
+        times = self.solid.rms_after / held.rms_after
+        return [
+            f"the 3-D model predicts the held-out data {times:.2g} times worse than the model that "
+            "was fitted; check the sizes and the material that are declared for the body"
+        ]
 
 
 def confirm(finding: Finding) -> Confirmation:

@@ -44,4 +44,5 @@ def headline(closed: Closed) -> list[str]:
     few = few_data(found, closed.problem, kind)
     shown = would_have_shown(found, closed.problem) if few is None else []
     told = {"opening": opening(found), "shown": shown, "few": few, "names": names_of_groups(kind)}
-    return prose.text("headline", finding=found, solid=closed.confirmation.solid, **told)
+    solid, warnings = closed.confirmation.solid, closed.warnings
+    return prose.text("headline", finding=found, solid=solid, warnings=warnings, **told)

@@ -32,6 +32,12 @@ class Closed:
         """The data as they were fitted: their errors need not be those that were declared."""
         return self.finding.problem
 
+    @property
+    def warnings(self) -> list[str]:
+        """All that deserves doubt, in sentences."""
+        held = self.finding.held_out
+        return [*self.finding.all_warnings(), *self.confirmation.doubts(held)]
+
 
 @dataclass(frozen=True)
 class Covariate:

@@ -222,6 +222,7 @@ def verdict(closed: Closed) -> dict[str, Any]:
         "schema": SCHEMA,
         "version": __version__,
         **finding.verdict_json(),
+        "warnings": closed.warnings,
         "in_words": opening(finding),
         "would_have_shown": would_have_shown(finding, problem),
         "few_data": few_data(finding, problem, closed.manifest.kind),

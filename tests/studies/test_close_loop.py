@@ -23,6 +23,7 @@ from bristle.solver.effects.library import EFFECTS
 from bristle.solver.errors import ComputationError
 from bristle.studies.cli import main
 from bristle.studies.close_loop import run as close_loop_study
+from bristle.studies.close_loop.confirm import Confirmation, Solid
 from bristle.studies.close_loop.directions import directions
 from bristle.studies.data import datasets
 from bristle.studies.loop.finding import Verdict
@@ -201,12 +202,26 @@ def test_data_that_lack_nothing_are_adequate_and_confirmed_by_the_solid(quick, t
     assert solid["rms_before"] == pytest.approx(held["rms_before"], rel=0.1)
     assert solid["rms_after"] == solid["rms_before"]
     assert solid["rms_after"] < 2.0 * SIGMA_MM
+    assert not any("3-D model" in each for each in content["warnings"])
     said = capsys.readouterr()
     assert "adequate" in said.out
     noise = content["held_out"]["noise"]
     (error,) = [line for line in said.out.splitlines() if line.startswith("held-out error")]
     assert error.split(maxsplit=2)[2] == f"{held['rms_after']:.3g} mm; noise {noise:.3g}"
     assert "report.html" in said.out
+
+
+def test_a_solid_that_predicts_far_worse_is_doubted(quick, tmp_path, monkeypatch):
+    dataset = write_drops(tmp_path / "data")
+    far = np.full(3, 20.0 * SIGMA_MM)
+    solid = Solid("mm", np.arange(3), np.zeros(3), far, far)
+    monkeypatch.setattr(close_loop_study, "confirm", lambda finding: Confirmation(solid))
+    content = closed(dataset, tmp_path / "out")
+    assert content["verdict"] == "adequate"
+    times = 20.0 * SIGMA_MM / content["held_out"]["rms_after"]
+    (doubt,) = [each for each in content["warnings"] if each.startswith("the 3-D model")]
+    assert f" {times:.2g} times worse than the model that was fitted" in doubt
+    assert doubt in (tmp_path / "out" / "report.html").read_text()
 
 
 def test_the_solid_follows_the_beam_with_effects_in_it(quick, tmp_path):
