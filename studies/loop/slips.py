@@ -24,7 +24,7 @@ FEWEST = 8
 REACH = 1.2
 
 
-def are_too_many(found: int, read: int) -> bool:
+def are_too_many(found: float, read: int) -> bool:
     """Whether so many slips among what was ``read`` are more than people make."""
     return bool(poisson.sf(found - 1, (SLIP + ANYTHING) * read) < TOO_MANY)
 

@@ -333,3 +333,16 @@ def test_of_the_measured_falls_nothing_but_their_first_part_is_left_aside(measur
     assert len(measured.left_aside) == 1
     assert not measured.warnings
     assert len(measured.numbers) == 22
+
+
+def test_nodes_between_others_are_interpolated(tmp_path):
+    """With half of the scatter, a node lies where one of twice the deviation did."""
+    rows = made_rows(np.random.default_rng(6), spread=0.2, per_height=2)
+    problem = fall_problem(read_falls(write(tmp_path, rows)))
+    model = problem.combine(("air_drag", "drag_scatter"))
+    half, whole = np.array([BIAS, DRAG, 0.2]), np.array([BIAS, DRAG, 0.4])
+    finer = model.finer(2)
+    assert finer.weights.sum() == pytest.approx(1.0)
+    np.testing.assert_allclose(finer.predict(whole)[::2], model.predict(whole), atol=1e-9)
+    # of nodes from -3 to 3 every one from -1.5 to 1.5, at twice the deviation
+    np.testing.assert_allclose(finer.predict(whole)[20:61], model.predict(half), atol=1e-4)

@@ -26,6 +26,8 @@ from .mesh import Mesh, mesh_of
 
 # Nodes of chance, ends and how many: stiffness by its normal deviate, slope by its size; and the
 # slope's direction.
+# Of nodes in two dimensions, which cost its square.
+MOST_CLOSER = 3
 DEVIATES = (-3.25, 3.25, 53)
 SIZES = (0.1, 3.5, 18)
 # Share of a height by which slopes over it are found.
@@ -170,8 +172,10 @@ class BounceModel:
         size_weights: Array = np.ones(1)
         stiffer = any(EFFECTS[name].computed and EFFECTS[name].random for name in self.effects)
         slopes = "surface_slope" in self.effects
-        # nodes in two dimensions lie between each other: every third of either is enough
-        closer, every = (1, 3) if stiffer and slopes else (self.closer, 1)
+        # nodes in two dimensions lie between each other: every third of either is enough, unless
+        # one of both effects is small
+        two = stiffer and slopes
+        closer, every = (min(self.closer, MOST_CLOSER), 3) if two else (self.closer, 1)
         if stiffer:
             stiff = _nodes(*DEVIATES, closer)[every // 2 :: every]
             stiff_weights = np.exp(-0.5 * stiff**2)

@@ -59,10 +59,15 @@ class Table:
     predict: Callable[[Array], Array]
 
 
-def misread(table: Table) -> list[Entry]:
-    """What the table has wrong, by row; of repeated rows the first is as it should be."""
+def misread(table: Table, before: float = 0) -> tuple[list[Entry], float]:
+    """What the table has wrong, by row, and how many numbers are wrong then; of repeated rows the
+    first is as it should be.
+
+    ``before`` is how many were found before in rows that are gone. Infinitely many are more than
+    people make; nothing but repeated rows is wrong then.
+    """
     if len(table.y0_m) < FEWEST:
-        return []
+        return [], before
     found = _repeated(table)
     again = [drop for entry in found for drop in entry.drops[1:]]
     smooth = Smooth.of(table)
@@ -75,17 +80,19 @@ def misread(table: Table) -> list[Entry]:
     ]
     pairs = _exchanged(smooth, noise, suspects)
     alone = [row for row in suspects if row not in itertools.chain(*pairs)]
-    slips = {row: why for row in alone if (why := _slip(smooth, z, noise, row))}
+    slips = {row: slip for row in alone if (slip := _slip(smooth, z, noise, row))}
     rows = [*itertools.chain(*pairs), *slips]
+    wrong = before + 2 * len(pairs) + sum(count for _, count in slips.values())
     read = int(np.isfinite(table.values).sum())
-    if are_too_many(len(rows), read) or _in_a_pattern(table, rows):
-        return found
+    if are_too_many(wrong, read) or _in_a_pattern(table, rows):
+        return found, math.inf
     number = [int(each) for each in table.number]
     found += [
         Entry("exchanged", (number[i], number[j]), "their y1_mm would fit each other's y0_mm")
         for i, j in pairs
     ]
-    return found + [Entry("slip", (number[row],), why) for row, why in slips.items()]
+    found += [Entry("slip", (number[row],), why) for row, (why, _) in slips.items()]
+    return found, wrong
 
 
 def _in_a_pattern(table: Table, rows: list[int]) -> bool:
@@ -215,27 +222,30 @@ def _noise(smooth: Smooth, z: Array) -> Array:
     return np.where(there, logsumexp(shapes + weight, axis=0), 0.0)
 
 
-def _slip(smooth: Smooth, z: Array, noise: Array, row: int) -> str:
-    """Why a row is taken for a slip; empty where it is not."""
+def _slip(smooth: Smooth, z: Array, noise: Array, row: int) -> tuple[str, int] | None:
+    """Why a row is taken for a slip, and how many of its numbers are wrong then: one, and what it
+    leaves far off. None where it is not."""
     table, usual = smooth.table, float(noise[row].sum())
     y0_m, own = table.y0_m[row], table.values[row]
-    told = [(usual + math.log1p(-SLIP - ANYTHING), "")]
+    told = [(usual + math.log1p(-SLIP - ANYTHING), "", 0)]
 
-    def add(words: str, others: float, share: Array, off: Array) -> None:
+    def add(words: str, others: float, share: Array, off: Array, left: Array) -> None:
         logs = others + _normal(off) + np.log(SLIP * share / KINDS)
-        told.append((float(logsumexp(logs)), words))
+        told.append((float(logsumexp(logs)), words, int(np.sum(np.abs(left) > SUSPECT))))
 
     for q in np.flatnonzero(np.isfinite(own)):
+        left = np.delete(z[row], q)
         shown = f"{table.columns[q]} of {own[q] * table.unit[q]:.6g}"
         others = usual - float(noise[row, q])
         size = f"{shown} is {abs(z[row, q]):.2g} standard deviations off"
-        told.append((others + math.log(ANYTHING) + float(smooth.anywhere[row, q]), size))
+        anything = others + math.log(ANYTHING) + float(smooth.anywhere[row, q])
+        told.append((anything, size, int(np.sum(np.abs(left) > SUSPECT))))
         written, share, how = meant(float(own[q] * table.unit[q]))
         values = np.tile(own, (written.size, 1))
         values[:, q] = written / table.unit[q]
         off = smooth.off(np.full(written.size, row), np.full(written.size, y0_m), values)[:, [q]]
         best = int(np.argmax(_normal(off) + np.log(share)))
-        add(f"{shown}: {how[best]}, {written[best]:.6g} would fit", others, share, off)
+        add(f"{shown}: {how[best]}, {written[best]:.6g} would fit", others, share, off, left)
     written, share, how = meant(1e3 * float(y0_m))
     others_m = np.delete(table.y0_m, row)
     meant_m = 1e-3 * written
@@ -246,13 +256,18 @@ def _slip(smooth: Smooth, z: Array, noise: Array, row: int) -> str:
         logs = np.where(there, _normal(off) + np.log(share), -np.inf)
         best = int(np.argmax(logs))
         words = f"y0_mm of {1e3 * y0_m:.6g}: {how[best]}, {written[best]:.6g} would fit"
-        add(words, 0.0, share[there], off[there])
+        add(words, 0.0, share[there], off[there], off[best])
     if own[0] > 0.0:
         exchanged = np.concatenate([[y0_m], own[1:]])[None]
         off = smooth.off(np.array([row]), own[:1], exchanged)
-        add("y0_mm and y1_mm have changed places", 0.0, np.ones(1), off)
-    logs = log_softmax([log for log, _ in told])
-    return told[1 + int(np.argmax(logs[1:]))][1] if -math.expm1(logs[0]) > SURE else ""
+        add("y0_mm and y1_mm have changed places", 0.0, np.ones(1), off, off)
+    logs = log_softmax([log for log, *_ in told])
+    _, words, also = told[1 + int(np.argmax(logs[1:]))]
+    if -math.expm1(logs[0]) <= SURE:
+        return None
+    if also:
+        words += ", and other numbers of this drop are far off as well"
+    return words, 1 + also
 
 
 def _exchanged(smooth: Smooth, noise: Array, suspects: list[int]) -> list[tuple[int, int]]:

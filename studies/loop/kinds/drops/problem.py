@@ -89,14 +89,21 @@ def drops_problem(data: datasets.Drops, wrong: tuple[Entry, ...] = ()) -> Proble
 
     Raises InputError where it cannot be one.
     """
-    every = data
-    data = every.of(np.isfinite(every.y0_m))
-    bare, values, notes = _bare(data)
-    start = _start(bare, values, bare.errors.sigma)
-    entries = _misread(data, bare, start, values)
-    if entries:
-        aside = [n for each in entries for n in each.drops[each.kind == "repeated" :]]
-        return drops_problem(every.of(~np.isin(every.drop, aside)), (*wrong, *entries))
+    whole = every = data
+    aside, numbers = wrong, 0.0
+    while True:
+        data = every.of(np.isfinite(every.y0_m))
+        bare, values, notes = _bare(data)
+        start = _start(bare, values, bare.errors.sigma)
+        entries, found = _misread(data, bare, start, values, numbers)
+        if found == math.inf > numbers:  # then those that are gone are not wrong either
+            every, aside, numbers = whole, wrong, math.inf
+            continue
+        if not entries:
+            break
+        aside, numbers = (*aside, *entries), found
+        rows = [n for each in entries for n in each.drops[each.kind == "repeated" :]]
+        every = every.of(~np.isin(every.drop, rows))
     seen = _seen(bare, start, values)
     session, partings, near = sessions(data, seen.left)
     bare = replace(bare, drops=replace(bare.drops, session=session, partings=partings))
@@ -145,9 +152,9 @@ def drops_problem(data: datasets.Drops, wrong: tuple[Entry, ...] = ()) -> Proble
         lead=data.doubt,
         left_aside=(f"drops without y0_mm: {listed}",) if listed else (),
         remarks={"session": _second(data, session, near)} if partings else {},
-        bookkeeping=wrong,
+        bookkeeping=aside,
         with_sigma=lambda times: drops_problem(
-            every.with_sigma(*(times.get(name, 1.0) for name in NAMES)), wrong
+            every.with_sigma(*(times.get(name, 1.0) for name in NAMES)), aside
         ),
     )
 
@@ -230,8 +237,10 @@ def _proposed(bare: DropModel, start: Array, ratios: Mapping[int, Legendre]) -> 
     return build
 
 
-def _misread(data: datasets.Drops, bare: DropModel, start: Array, values: Array) -> list[Entry]:
-    """What the table has wrong."""
+def _misread(
+    data: datasets.Drops, bare: DropModel, start: Array, values: Array, before: float
+) -> tuple[list[Entry], float]:
+    """What the table has wrong, and how many numbers with those ``before``."""
 
     def predict(y0_m: Array) -> Array:
         others = replace(bare.drops, y0_m=y0_m, order=np.zeros(len(y0_m)))
@@ -249,7 +258,7 @@ def _misread(data: datasets.Drops, bare: DropModel, start: Array, values: Array)
         unit=tuple(IN_TABLE[q] for q in quantities),
         predict=predict,
     )
-    return misread(table)
+    return misread(table, before)
 
 
 def _covariates(

@@ -15,11 +15,12 @@ drag that turns with the falling body, are not in it, on purpose.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 
 import numpy as np
+from scipy.interpolate import CubicSpline
 
 from .....solver.arrays import Array
 from .....solver.effects.base import Parameter
@@ -54,12 +55,18 @@ class FallModel:
     """The reading, with effects in it; a `Model`.
 
     With ``drag_scatter`` the logarithm of the drag is normal from fall to fall, with that
-    deviation. Its nodes are evenly spaced and many, since a fall's own rows tell its drag to a few
-    per cent: Gauss's few would leave gaps between them. Else there is one node.
+    deviation. Its nodes are evenly spaced and lie ``closer`` so many times, since a fall's own rows
+    tell its drag to a few per cent: Gauss's few would leave gaps between them. Readings at nodes
+    between those of `NODES` are interpolated. Else there is one node.
     """
 
     bins: Bins
     effects: tuple[str, ...] = ()
+    closer: int = 1
+
+    def finer(self, by: int) -> FallModel:
+        """The model with nodes that lie ``by`` times as close."""
+        return replace(self, closer=by)
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
@@ -70,8 +77,14 @@ class FallModel:
     def _nodes(self) -> tuple[Array, Array]:
         if "drag_scatter" not in self.effects:
             return np.zeros(1), np.ones(1)
-        weights = np.exp(-0.5 * NODES**2)
-        return NODES, weights / weights.sum()
+        nodes = np.linspace(NODES[0], NODES[-1], (NODES.size - 1) * self.closer + 1)
+        weights = np.exp(-0.5 * nodes**2)
+        return nodes, weights / weights.sum()
+
+    @cached_property
+    def _between(self) -> Array:
+        """What readings at `NODES` make of those at all nodes (nodes, `NODES`), by splines."""
+        return np.asarray(CubicSpline(NODES, np.eye(NODES.size))(self._nodes[0]))
 
     @property
     def weights(self) -> Array:
@@ -81,7 +94,7 @@ class FallModel:
         """Mean readings (..., nodes, bins) in m/s² for parameters (..., p)."""
         theta = np.asarray(theta, dtype=float)
         at = {each.name: theta[..., i, None] for i, each in enumerate(self.parameters)}
-        nodes = self._nodes[0]
+        nodes = NODES if "drag_scatter" in self.effects else np.zeros(1)
         factor = np.exp(at.get("scatter", 0.0) * nodes)
         each = at["bias_m_s2"], at.get("k_1_m", 0.0) * factor, at.get("c_1_s", 0.0) * factor
         shape = (*theta.shape[:-1], len(nodes))
@@ -99,7 +112,8 @@ class FallModel:
             bins.begins,
             out,
         )
-        return out.reshape(*shape, -1)
+        readings = out.reshape(*shape, -1)
+        return self._between @ readings if self.closer > 1 else readings
 
     def predict(self, theta: Array) -> Array:
         """Whitened predictions (..., nodes, rows) for parameters (..., p)."""
