@@ -1,1 +1,1 @@
-"""How a tip pushes back: contact laws, and the ways of enforcing them."""
+"""Contact of the tip with the ground: contact laws, friction, and methods of enforcing them."""

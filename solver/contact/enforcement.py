@@ -1,27 +1,25 @@
-"""How a contact law is enforced over a step: penalty, augmented Lagrangian, Nitsche.
+"""Enforcement of a contact law over a step: penalty, augmented Lagrangian, Nitsche.
 
-All three meet the body through one vector per contact point, the *approach* (the augmented gap with
-its sign turned)
+All three act on one vector per contact point, the *approach* (minus the augmented gap)
 
-    d = τ t̂(u, v) - D u,
+    d = τ t̂(u, v) - D u.
 
-with the point's displacement D u, the section area times the body's own traction there t̂ = T u
-(viscous part included) and a compliance τ. Along the plane's normal, less the gap, it is the
-penetration that the law sees; along the tangents it strains the spring of friction. The force per
-area share follows through τ in series, and acts along Q = D - θ τ T:
+D u is the point's displacement. t̂ = T u is the section area times the body's own traction there,
+viscous part included, and τ is a compliance. The normal component, less the gap, is the penetration
+in the law; the tangential components strain the spring of friction. The law acts in series with τ,
+and its force per area share acts along Q = D - θ τ T:
 
 - penalty: τ = 0; the law acts on the gap alone.
 - Nitsche: τ = 1 / (γ₀ C), C the constant of the inverse inequality Σ w t̂² ≤ C uᵀ K u (of the
-  order of E A over the length of the tip's cell), the Robin form of Juntunen and Stenberg (Math.
-  Comp. 78, 2009), which turns into penalty where 1/Kn ≫ τ and into Nitsche's method for Signorini's
-  condition where Kn → ∞; θ = 1, 0, -1 are the symmetric, incomplete and skew variants of Chouly,
-  Hild and Renard (SIAM J. Numer. Anal. 51, 2013), with friction as in Chouly (J. Math. Anal. Appl.
-  411, 2014). θ ≠ 0 adds -θ τ Tᵀ w T to the stiffness.
+  order of E A over the length of the tip's cell). It is the Robin form of Juntunen and Stenberg
+  (Math. Comp. 78, 2009): penalty where 1/Kn ≫ τ, and Nitsche's method for Signorini's condition
+  where Kn → ∞. θ = 1, 0, -1 are the symmetric, incomplete and skew variants of Chouly, Hild and
+  Renard (SIAM J. Numer. Anal. 51, 2013), with friction as in Chouly (J. Math. Anal. Appl. 411,
+  2014). θ ≠ 0 adds -θ τ Tᵀ w T to the stiffness.
 - augmented Lagrangian: τ = 0 and a multiplier per point, updated until the law holds exactly
   (proximal form of Rockafellar, Math. Oper. Res. 1, 1976); Kn = ∞ is Signorini's condition.
 
-What a step does with it is in contact.step, how its forces are found in contact.section and
-contact.solve.
+The forces of a step are in contact.step; contact.section and contact.solve find them.
 """
 
 from __future__ import annotations
@@ -45,13 +43,15 @@ from .section import NEWTON_LIMIT, Section
 from .solve import AUGMENTATION_LIMIT, solve_step
 from .step import Taken, let_go, spring_energy, take
 
-# Patterns of force that a body answers less than this share of the softest count as rigid.
+# Force patterns to which a body is stiffer than this share of the softest count as rigid.
 STIFFEST = 1e-2
 SHIFT = 1e-4
 GAMMA0, GAMMA0_RIGID = 10.0, 2.0
 
 
 class Enforcement(StrEnum):
+    """Method of enforcing the contact law."""
+
     PENALTY = "penalty"
     AUGMENTED = "augmented"
     NITSCHE = "nitsche"
@@ -60,9 +60,9 @@ class Enforcement(StrEnum):
 def inverse_constant_N_m(body: Body) -> float:
     """The smallest C with Σ w t̂(u)² ≤ C uᵀ K u for every motion u of the body.
 
-    It is the largest eigenvalue of T K⁻¹ Tᵀ weighted by w. Rigid motions have no pressure, so a
-    shift of K by a little of M, far below the tip's own frequency, makes K invertible and changes
-    C by about as little.
+    It is the largest eigenvalue of T K⁻¹ Tᵀ weighted by w. Rigid motions make K singular but have
+    no traction. So K is shifted by a small multiple of M, far below the tip's own frequency, which
+    changes C by about as little.
     """
     points = body.contact
     rows = dense_of(points.traction)
@@ -76,15 +76,15 @@ def inverse_constant_N_m(body: Body) -> float:
 
 @dataclass(frozen=True)
 class ContactMethod:
-    """A law with its friction, the way it is enforced, and that way's constants.
+    """A contact law with friction, its enforcement, and the constants of that method.
 
-    ``theta`` (1, 0 or -1) and ``gamma0`` belong to Nitsche. The symmetric form (θ = 1) alone has a
-    potential, so it alone conserves energy; the others can gain it from a rigid plane. At γ₀ = 1
-    it stops being positive; larger values are closer to the law, and make a rigid contact chatter,
-    so None stands for `GAMMA0` where Kn is finite and for `GAMMA0_RIGID` where it is not.
-    ``augmentation`` belongs to the augmented Lagrangian: its parameter in units of what the body
-    itself resists with over a step, so that an update of the multiplier leaves about one part in
-    ``augmentation`` of the error, whatever the mesh and the ITS.
+    ``theta`` (1, 0 or -1) and ``gamma0`` belong to Nitsche. Only the symmetric form (θ = 1) has a
+    potential and conserves energy; the others can gain energy from a rigid plane. At γ₀ = 1 the
+    symmetric form stops being positive. Larger values are closer to the law but make a rigid
+    contact chatter. None stands for `GAMMA0` at finite Kn and `GAMMA0_RIGID` on a rigid plane.
+    ``augmentation`` belongs to the augmented Lagrangian: its parameter in units of the body's own
+    resistance over a step. An update of the multiplier then leaves about 1/``augmentation`` of the
+    error, whatever the mesh and the ITS.
     """
 
     law: ContactLaw
@@ -121,26 +121,26 @@ class ContactMethod:
 
     @property
     def stabilisation(self) -> float:
-        """Nitsche's γ₀, as given or by default; infinite for the other two."""
+        """Nitsche's γ₀, given or default; infinite for the other methods."""
         if self.enforcement is not Enforcement.NITSCHE:
             return math.inf
         return self.gamma0 or (GAMMA0_RIGID if math.isinf(self.law.kn_N_m) else GAMMA0)
 
     def compliance_m_N(self, body: Body) -> float:
-        """τ (m/N)."""
+        """Nitsche's compliance τ in m/N; zero for the other methods."""
         gamma0 = self.stabilisation
         return 0.0 if math.isinf(gamma0) else 1.0 / (gamma0 * inverse_constant_N_m(body))
 
 
 @dataclass
 class StepContact:
-    """Solves for the contact forces of one step, given how the approaches answer to them.
+    """Solver for the contact forces of one step, given the compliance of the contact points.
 
-    The ``section`` says how; with Nitsche its coordinates are the points' own approaches.
+    The compliance is in ``section``; with Nitsche its coordinates are the points' own approaches.
     ``compliance_m_N`` is Nitsche's τ, ``scale`` (n,) each point's stiffness over the law's.
-    ``end_weight`` is None for the discrete gradient, else the weight of the end of the step.
-    ``multiplier`` (n, 3) belongs to the augmented Lagrangian, ``memory`` (n, 3) to friction and the
-    law, ``last`` (1,) is the mean normal force of the step before, in N.
+    ``end_weight`` is the weight of the end of the step, or None for the discrete gradient.
+    ``multiplier`` (n, 3) is the augmented Lagrangian's, ``memory`` (n, 3) the state of friction and
+    the law, ``last`` (1,) the mean normal force of the step before, in N.
     """
 
     method: ContactMethod
@@ -172,7 +172,7 @@ class StepContact:
         self.reset()
 
     def _proximal_m_N(self) -> float:
-        """The proximal compliance: what the body answers with itself, or less."""
+        """The proximal compliance: at most the body's own, over ``augmentation``."""
         section, n = self.section, len(self.weights)
         rows = np.zeros((n, len(section.compliance)))
         for i in range(n):
@@ -181,14 +181,14 @@ class StepContact:
         return float(max(own.min(), STIFFEST * own.max()) / self.method.augmentation)
 
     def reset(self) -> None:
-        """Forget what earlier contact left: multipliers, friction's springs, the law's memory."""
+        """Clear the state of earlier contact: multipliers, friction's springs, the law's memory."""
         n = len(self.weights)
         self.multiplier: Array = np.zeros((n, 3))
         self.memory: Array = np.zeros((n, 3))
         self.last: Array = np.zeros(1)
 
     def kept(self) -> dict[str, NDArray[Any]]:
-        """What the next step needs of the steps before, as arrays by name."""
+        """The state that the next step needs, as arrays by name."""
         section = self.section
         return {
             "multiplier": self.multiplier,
@@ -200,7 +200,7 @@ class StepContact:
         }
 
     def recall(self, arrays: Mapping[str, Array]) -> None:
-        """Go on from what `kept` gave."""
+        """Restore the state that `kept` returned."""
         for name, own in self.kept().items():
             own[...] = arrays[name]
 
@@ -208,11 +208,11 @@ class StepContact:
         return Trial(start, free, self.end, force, self.memory, self.multiplier)
 
     def solve(self, start: Array, free: Array) -> Array:
-        """Forces per area share (n, 3) in N that act over the step, along the local frames.
+        """Contact forces per area share (n, 3) in N over the step, along the local frames.
 
-        ``start`` and ``free`` (n, 3) are the approaches at its start, and at its end without
-        contact forces; those with them are left in ``end``. Raises ComputationError where Newton's
-        or the multiplier's iteration does not converge.
+        ``start`` is the approach (n, 3) at the start of the step, ``free`` that at its end without
+        contact forces. The approach at the end with them is left in ``end``. Raises
+        ComputationError if Newton's method or the updates of the multiplier do not converge.
         """
         force = np.zeros_like(free)
         clear = max(start[:, 0].max(), free[:, 0].max()) <= 0.0 and not self.multiplier.any()
@@ -234,19 +234,19 @@ class StepContact:
         return force
 
     def commit(self, start: Array, force: Array) -> Taken:
-        """Let friction's springs and the law's memory follow the step that was solved."""
+        """Update friction's springs and the law's memory after a solved step."""
         taken = take(self.points, self._trial(start, self.end, force), self.last[0])
         self.last[0] = taken.mean_N
         return taken
 
     def holds(self) -> bool:
-        """Whether adhesion holds a point."""
+        """Whether adhesion holds any point."""
         return bool(holds(self.points, self.memory))
 
     def spring_energy_J(self) -> float:
-        """What the springs of friction hold."""
+        """Energy stored in friction's springs."""
         return float(spring_energy(self.points, self.memory))
 
     def let_go(self) -> float:
-        """Have the springs of friction hold nothing; returns what they held, in J."""
+        """Release friction's springs; returns the energy that they stored, in J."""
         return float(let_go(self.points, self.memory))

@@ -1,16 +1,15 @@
 """Coulomb friction at one point behind an elastic tangential spring: stick and slip over a step.
 
-The spring elongates with the tangential approach and gives way at μ N (return mapping, Wriggers,
-Computational Contact Mechanics, 2006, Sec. 9.1). Schemes with an ``end_weight`` ask the law at the
-end of the step.
+The spring elongates with the tangential approach and slides at μ N (return mapping, Wriggers,
+Computational Contact Mechanics, 2006, Sec. 9.1). Schemes with an ``end_weight`` evaluate the law at
+the end of the step.
 
-The conserving scheme asks it at mid-step: the force over a step is that of the spring elongated by
-half the slip, at most μ times the mean normal force. At the end of the step the spring is on the
-yield surface or within: it keeps what was put into it, at most what μ times the normal force at the
-end holds. So a step never gains (what went in is the work and what was stored, what remains is no
-more), and what it takes is the work less the change of what is stored. The discrete gradient alone,
-an elongation whose mean over the step makes the force, would take μ N times the slip, and from the
-first step of sliding on swing about the yield surface for ever.
+The conserving scheme evaluates it at mid-step: the spring is elongated by half the slip, and its
+force is at most μ times the mean normal force. At the end of the step the spring keeps the energy
+that was put into it, but no more than μ times the normal force at the end allows. So friction never
+adds energy, and its loss is the work less the change of the stored energy. The plain discrete
+gradient, an elongation whose mean over the step gives the force, would dissipate μ N times the slip
+and, from the first step of sliding on, oscillate about the yield surface for ever.
 """
 
 from __future__ import annotations
@@ -26,8 +25,8 @@ TINY = 1e-300
 
 @inlined
 def tangential_stiffness(points: Points, i: int) -> float:
-    """Point ``i``'s tangential spring in series with Nitsche's compliance; infinite where both
-    allow."""
+    """Stiffness of point ``i``'s tangential spring in series with Nitsche's compliance; infinite if
+    both are rigid."""
     stiffness = points.scale[i] * points.kt
     return 1.0 / (1.0 / stiffness + points.compliance) if points.compliance > 0.0 else stiffness
 
@@ -36,9 +35,9 @@ def tangential_stiffness(points: Points, i: int) -> float:
 def friction_force(
     points: Points, trial: Trial, i: int, limit: float, part: float
 ) -> tuple[float, float, float, bool]:
-    """Friction (2,) by return mapping, d T / d slip while it sticks, and whether it slides.
+    """Friction (2,) by return mapping, its stiffness d T / d slip, and whether the point slides.
 
-    ``part`` is the share of the step after which the law is asked (½ or 1), ``limit`` is μ N.
+    ``part`` is the share of the step at which the law is evaluated (½ or 1), ``limit`` is μ N.
     """
     stiffness, proximal = tangential_stiffness(points, i), points.proximal
     compliance = part * proximal
@@ -58,9 +57,9 @@ def friction_force(
 def elongated(points: Points, trial: Trial, i: int) -> tuple[float, float]:
     """Elongation (2,) of point ``i``'s spring after a step of the conserving scheme.
 
-    Where it slides its direction is that of a path with a constant limit to second order in the
-    slip, and the path's own where the slip is long (see the tractrix: tan φ/2 falls as exp(-s/R),
-    with φ the angle to the slip s and R the elongation at the limit).
+    While the point slides, the direction is that of a path with a constant limit. It is accurate to
+    second order in the slip, and exact for long slips (tractrix: tan φ/2 falls as exp(-s/R), with φ
+    the angle to the slip s and R the elongation at the limit).
     """
     normal, t0, t1 = trial.force[i, 0], trial.force[i, 1], trial.force[i, 2]
     stiffness, e0, e1 = tangential_stiffness(points, i), trial.memory[i, 0], trial.memory[i, 1]

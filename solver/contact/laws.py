@@ -1,6 +1,6 @@
-"""Which force a penetration and a slip make: contact laws and friction, with their potentials.
+"""Contact laws and Coulomb friction: force from penetration and slip, with potentials.
 
-The classes carry numbers and speak numpy; what they do at a point is compiled, in contact.normal.
+The classes hold parameters and work on NumPy arrays; the compiled laws are in contact.normal.
 """
 
 from __future__ import annotations
@@ -21,44 +21,44 @@ from .points import Kind
 Each = Array | float
 """A number for each point, or one for all."""
 
-# Where a stiffening law has the secant stiffness Kn: a penetration of the paper's drops.
+# Penetration of the paper's drops, at which a stiffening law has the secant stiffness Kn.
 REFERENCE_M = 2e-5
 # Cells of the compiled table of a tabulated law.
 CELLS = 256
 
 
 class ContactLaw:
-    """A law of the force over the penetration, with damping beside it: the base of all.
+    """Base of contact laws: normal force over penetration, with damping.
 
-    A law is a dataclass whose fields are its numbers, ``kn_N_m`` first, and the `Kind` of law that
-    computes with them (docs/effects.md shows one of one's own). Per unit of area share, ``force``
-    is what a total force would be were the whole face like this point. ``approach`` (m) is the
-    penetration that the point would have without the compliance ``compliance_m_N``: penetration =
-    approach - compliance × force. So a law serves penalty (none), Nitsche (its stabilisation) and
-    the augmented Lagrangian (1/r) alike. ``scale`` (n,) is each point's stiffness over the law's,
-    ``memory`` (n,) what a law with memory remembers of it: zero, where it has not been touched.
+    A law is a dataclass. Its fields are its parameters, ``kn_N_m`` first, and its `Kind` computes
+    with them (docs/effects.md shows how to write one). ``force`` is per unit of area share: the
+    total force if the whole face were like this point. ``approach`` (m) is the penetration that the
+    point would have without the compliance ``compliance_m_N``: penetration = approach - compliance
+    × force. So one law serves penalty (no compliance), Nitsche (its stabilisation) and the
+    augmented Lagrangian (1/r). ``scale`` (n,) is each point's stiffness over the law's. ``memory``
+    (n,) is the internal variable of a law that has one, zero before the first touch.
     """
 
-    # Stiffness in N/m that the law is called by; infinite on a rigid plane.
+    # The law's reference stiffness in N/m; infinite on a rigid plane.
     kn_N_m: float
     kind: ClassVar[Kind]
-    # Whether it is stated for the conserving scheme and no compliance in series alone.
+    # Whether it needs the conserving scheme and no compliance in series.
     conserving_only: ClassVar[bool] = True
 
     @property
     def parameters(self) -> Array:
-        """What its `Kind` reads: Kn, then its other numbers."""
+        """The numbers that its `Kind` reads: Kn first."""
         return np.array([getattr(self, each.name) for each in fields(cast(Any, self))], dtype=float)
 
     @property
     def damping(self) -> float:
-        """What multiplies the speed of penetration: N s/m of a dashpot, s/m of Hunt and Crossley's
-        law. Contact with damping never pulls."""
+        """Factor of the speed of penetration: in N s/m for a dashpot, in s/m for Hunt and
+        Crossley's law. Contact with damping never pulls."""
         return 0.0
 
     @property
     def pulls(self) -> bool:
-        """Whether its force may pull, and so end with a jump."""
+        """Whether its force can be tensile, and so end with a jump."""
         return self.kind.pulls
 
     def _at_points(
@@ -84,9 +84,9 @@ class ContactLaw:
     def potential(
         self, approach: Array, compliance_m_N: float, scale: Each = 1.0, memory: Each = 0.0
     ) -> Array:
-        """What is stored (n,) in J: the antiderivative of ``force`` in ``approach``, zero out of
-        contact. Beyond yield it holds what flowed too, beyond pull-off what was let go, until
-        ``memory`` says that these have happened."""
+        """Stored energy (n,) in J: the antiderivative of ``force`` in ``approach``, zero out of
+        contact. Beyond yield or pull-off it still includes what was dissipated there, until
+        ``memory`` records it."""
         return self._at_points(2, approach, compliance_m_N, scale, memory)
 
 
@@ -113,7 +113,7 @@ class Linear(ContactLaw):
 
 @dataclass(frozen=True)
 class Damped(Linear):
-    """A spring Kn and a dashpot beside it (Kelvin and Voigt): loss that lies in the contact."""
+    """A spring Kn with a dashpot in parallel (Kelvin and Voigt): energy loss in the contact."""
 
     c_N_s_m: float = 0.0
 
@@ -128,10 +128,11 @@ class Damped(Linear):
 
 @dataclass(frozen=True)
 class Stiffening(ContactLaw):
-    """Force = Kn δref (δ/δref)^p: grows faster than the penetration δ, and gives all of it back.
+    """Force = Kn δref (δ/δref)^p: grows faster than the penetration δ, without loss.
 
-    p = 1 is `Linear`, 3/2 Hertz's sphere (J. reine angew. Math. 92, 1882), up to about 3 asperities
-    that touch one after another. Kn is the secant stiffness at the penetration ``reference_m``.
+    p = 1 is `Linear`, 3/2 Hertz's sphere (J. reine angew. Math. 92, 1882); asperities that touch
+    one after another have up to about 3. Kn is the secant stiffness at the penetration
+    ``reference_m``.
     """
 
     kn_N_m: float
@@ -150,13 +151,13 @@ class Stiffening(ContactLaw):
 
 @dataclass(frozen=True)
 class Tabulated(ContactLaw):
-    """Force = Kn × what a table over penetration has, all of it given back: as measured by
-    indentation, or as a law of one's own has it (`Tabulated.of`).
+    """Force = Kn × a table over penetration, without loss: measured by indentation, or computed
+    from a function (`Tabulated.of`).
 
-    Monotone cubics run through the points (Fritsch and Carlson, SIAM J. Numer. Anal. 17, 1980), a
-    straight line beyond the last; compiled they are a table of ``CELLS`` equal cells, which smooths
-    points that lie closer. ``penetration_m`` and ``force_over_kn_m`` (n,), tuples or arrays, begin
-    with zero and increase.
+    ``penetration_m`` and ``force_over_kn_m`` (n,), tuples or arrays, start at zero and increase.
+    Monotone cubics interpolate the points (Fritsch and Carlson, SIAM J. Numer. Anal. 17, 1980); the
+    last continues as a straight line. Compiled code uses ``CELLS`` equal cells, which smooths
+    points that lie closer.
     """
 
     kn_N_m: float
@@ -168,7 +169,7 @@ class Tabulated(ContactLaw):
     def __post_init__(self) -> None:
         _check("Kn of a tabulated contact", self.kn_N_m)
         for what, name in (("penetrations", "penetration_m"), ("forces", "force_over_kn_m")):
-            # arrays do not compare as one value, as laws do
+            # laws are compared by value, which arrays do not support
             row = tuple(map(float, getattr(self, name)))
             object.__setattr__(self, name, row)
             steps = np.diff(row)
@@ -181,7 +182,7 @@ class Tabulated(ContactLaw):
     def of(
         cls, kn_N_m: float, force_over_kn: Callable[[Array], Array], reach_m: float
     ) -> Tabulated:
-        """The law whose force over Kn (n,) in m is given at penetrations (n,) in m up to
+        """The law whose force over Kn (n,) in m is a function of penetrations (n,) in m up to
         ``reach_m``."""
         depth = np.linspace(0.0, reach_m, CELLS + 1)
         return cls(kn_N_m, tuple(depth), tuple(force_over_kn(depth)))
@@ -203,10 +204,10 @@ class Tabulated(ContactLaw):
 
 @dataclass(frozen=True)
 class HuntCrossley(ContactLaw):
-    """Force = Kn δ (1 + λ dδ/dt), never pulling: loss that grows with the penetration δ.
+    """Force = Kn δ (1 + λ dδ/dt), never tensile: loss that grows with the penetration δ.
 
-    Hunt and Crossley, J. Appl. Mech. 42 (1975), with the power one: unlike a dashpot's, its force
-    begins and ends at zero. For small λ a mass that comes with v goes with v (1 - ⅔ λ v).
+    Hunt and Crossley, J. Appl. Mech. 42 (1975), with exponent one. Unlike a dashpot's, its force
+    starts and ends at zero. For small λ a mass that arrives at speed v leaves at v (1 - ⅔ λ v).
     """
 
     kn_N_m: float
@@ -225,16 +226,15 @@ class HuntCrossley(ContactLaw):
 
 @dataclass(frozen=True)
 class Plastic(ContactLaw):
-    """Elastic and plastic along the normal: perfectly (Johnson, Contact Mechanics, 1985, Ch. 6), or
-    with ``hardening``.
+    """Elastic-plastic normal contact: perfectly plastic (Johnson, Contact Mechanics, 1985, Ch. 6),
+    or with ``hardening``.
 
-    The force grows with Kn up to ``yield_N``; from there on by ``hardening`` times Kn, and the
-    place is indented for good: it unloads, and loads again, by ``unloading`` times Kn (O. R. Walton
-    and R. L. Braun, J. Rheol. 30 (1986) 949, beyond yield). ``yield_N`` is the force at which the
-    whole face yields; each point yields at the same traction, however stiff its place. The
-    indentation is remembered through one impact, however often the tip touches in it: micro-touches
-    some 100 µs apart are one indentation. The next impact meets a fresh place, since a bristle that
-    bounced does not come down on the same microns.
+    The force grows with Kn up to ``yield_N``, then with ``hardening`` times Kn, which leaves a
+    permanent indentation. Unloading and reloading have ``unloading`` times Kn (O. R. Walton and R.
+    L. Braun, J. Rheol. 30 (1986) 949, beyond yield). ``yield_N`` is the force at which the whole
+    face yields; every point yields at the same traction, whatever its stiffness. The indentation
+    lasts through one impact: micro-touches some 100 µs apart share it. The next impact meets a
+    fresh place, since a bristle that bounced does not land on the same microns.
     """
 
     kn_N_m: float
@@ -254,12 +254,12 @@ class Plastic(ContactLaw):
 
 @dataclass(frozen=True)
 class Adhesive(ContactLaw):
-    """A spring Kn that, once touched, also holds: it pulls with up to ``pull_off_N``, then lets go.
+    """A spring Kn that, once touched, also pulls with up to ``pull_off_N``, then lets go.
 
     The pull-off force is that of Johnson, Kendall and Roberts (Proc. R. Soc. A 324, 1971) in its
     simplest form: touching costs nothing, letting go takes the spring's energy F²/(2 Kn).
-    ``pull_off_N`` is the force at which the whole face lets go; each point does at the same
-    traction, however stiff its place. A touch ends when no point is held.
+    ``pull_off_N`` is the force at which the whole face lets go; every point does so at the same
+    traction, whatever its stiffness. A touch ends when no point is held.
     """
 
     kn_N_m: float
@@ -273,7 +273,7 @@ class Adhesive(ContactLaw):
 
 
 def check_compiled(law: ContactLaw) -> None:
-    """TypeError where a law has a force of its own beside its kind's, which would be ignored."""
+    """TypeError if a law overrides the force of its kind, which compiled code would ignore."""
     for name in ("force", "tangent", "potential"):
         if getattr(type(law), name) is not getattr(ContactLaw, name):
             raise TypeError(f"{type(law).__name__}.{name} is ignored: a law's `kind` has its force")
@@ -282,17 +282,17 @@ def check_compiled(law: ContactLaw) -> None:
 def mindlin_ratio(poisson: float) -> float:
     """Tangential over normal stiffness of an elastic contact that sticks: 2(1-ν)/(2-ν).
 
-    Mindlin, J. Appl. Mech. 16 (1949); the same for every contour that is nearly round.
+    Mindlin, J. Appl. Mech. 16 (1949); the same for every nearly round contour.
     """
     return 2.0 * (1.0 - poisson) / (2.0 - poisson)
 
 
 @dataclass(frozen=True)
 class Coulomb:
-    """Coulomb friction behind an elastic tangential spring: true stick, no creep.
+    """Coulomb friction behind an elastic tangential spring: sticking without creep.
 
     Friction is at most ``mu`` times the normal force. The spring's stiffness is ``kt_over_kn``
-    times Kn, by default Mindlin's ratio for the paper's steel; a rigid plane has a rigid spring.
+    times Kn, by default Mindlin's ratio for the paper's steel; it is rigid on a rigid plane.
     """
 
     mu: float = 0.0

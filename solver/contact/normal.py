@@ -1,17 +1,16 @@
-"""Contact laws at one point: normal force at an instant and over a step, and internal variables.
+"""Compiled contact laws at one point: normal force, potential and internal variable.
 
-Compiled, for the loops over points and steps. ``law`` holds a law's numbers, its stiffness Kn, then
-its others, in the order of the fields of its class in contact.laws; ``scale`` is the point's own
-stiffness over the law's; ``approach`` and ``compliance`` as in `laws.Law`. Forces such as a yield
-force do not scale: they are per unit of area share as all forces of contact are.
+``law`` holds the law's parameters in the order of the fields of its class in contact.laws, Kn
+first. ``scale`` is the point's stiffness over the law's; ``approach`` and ``compliance`` are as in
+`laws.ContactLaw`. Forces such as the yield force do not scale: like all contact forces they are per
+unit of area share.
 
-Within a step, along which the approach runs one way, every law is an elastic one: plastic contact
-is a spring from the place where the step before has left the surface, and a softer one, if any,
-from yield on; adhesion one that holds as far as it can, and no force beyond. What tells these is
-the point's internal variable ``memory``, a number that is renewed at the end of a step: the
-permanent indentation in m, or one where the point is held. So the mean force over a step, ∫ F dδ
-over the change, is the discrete gradient of one potential, and what a step took is its work less
-the change of what is stored.
+The approach is monotone within a step, so every law is elastic there. Plastic contact is a spring
+from the indentation of the steps before, softer beyond yield; adhesion is a spring that pulls up to
+its limit and then has no force. The state is in ``memory``, updated at the end of a step: the
+permanent indentation in m, or one where the point is held. The mean force over a step, ∫ F dδ over
+the change, is therefore the discrete gradient of one potential, and the loss of a step is its work
+less the change of the stored energy.
 """
 
 from __future__ import annotations
@@ -24,11 +23,11 @@ from ..arrays import Array
 from ..compiled import inlined, njit
 from .points import CONSERVING, Kind, Points, Trial
 
-# Memory of a point that adhesion holds; for one step, of one that is held without limit, and of one
-# that is sure to let go.
+# Memory of a point that adhesion holds. For one step only: a point held without limit, and one that
+# must let go.
 HELD, HELD_FAST, LETTING_GO = 1.0, 2.0, 3.0
 SCALAR_LIMIT = 200
-# Over steps shorter than this share of the approach the mean force is that of the middle.
+# Over changes smaller than this share of the approach the mean force is that of the middle.
 SHORT = 1e-5
 
 
@@ -36,7 +35,7 @@ SHORT = 1e-5
 def elastic_at(
     kind: Kind, law: Array, scale: Array, approach: Array, compliance: float, memory: Array
 ) -> Array:
-    """Force in N, tangent in N/m and potential in J (3, n) of points, all arrays (n,)."""
+    """Force in N, tangent in N/m and potential in J (3, n) at points; all arrays are (n,)."""
     out = np.empty((3, len(approach)))
     for i in range(len(approach)):
         out[:, i] = kind.elastic(law, scale[i], approach[i], compliance, memory[i])
@@ -46,7 +45,7 @@ def elastic_at(
 def _linear(
     law: Array, scale: float, approach: float, compliance: float, memory: float
 ) -> tuple[float, float, float]:
-    """A spring that pushes."""
+    """Linear spring in compression."""
     if approach <= 0.0:
         return 0.0, 0.0, 0.0
     stiffness = scale * law[0]
@@ -58,7 +57,7 @@ def _linear(
 def _stiffening(
     law: Array, scale: float, approach: float, compliance: float, memory: float
 ) -> tuple[float, float, float]:
-    """A power of the penetration, which a compliance in series takes part of the approach from."""
+    """Power law of the penetration, with a compliance in series."""
     if approach <= 0.0:
         return 0.0, 0.0, 0.0
     exponent, reference = law[1], law[2]
@@ -66,7 +65,8 @@ def _stiffening(
     depth = approach
     force = size * (depth / reference) ** exponent
     if compliance > 0.0:
-        # convex and from above, so Newton's method comes down without overshooting
+        # the function is convex and the start is above the root, so Newton's method does not
+        # overshoot
         for _ in range(SCALAR_LIMIT):
             change = (depth + compliance * force - approach) / (
                 1.0 + compliance * exponent * force / depth
@@ -83,9 +83,9 @@ def _stiffening(
 def _tabulated(
     law: Array, scale: float, approach: float, compliance: float, memory: float
 ) -> tuple[float, float, float]:
-    """Cubics over equal cells, and straight on beyond them.
+    """Cubics over equal cells, continued as a straight line.
 
-    After Kn stand the cells' width, then force, slope and potential over Kn at every node.
+    ``law`` holds Kn, the width of a cell, then force, slope and potential over Kn at every node.
     """
     if approach <= 0.0:
         return 0.0, 0.0, 0.0
@@ -108,8 +108,7 @@ def _tabulated(
 def _plastic(
     law: Array, scale: float, approach: float, compliance: float, indented: float
 ) -> tuple[float, float, float]:
-    """A spring from the indentation on, and from yield on a softer one; its potential along the way
-    in."""
+    """Spring from the indentation on, softer beyond yield; the potential is that of loading."""
     depth = approach - indented
     if depth <= 0.0:
         return 0.0, 0.0, 0.0
@@ -123,7 +122,8 @@ def _plastic(
 
 @njit
 def _until_yield(law: Array, scale: float, indented: float) -> tuple[float, float, float]:
-    """Stiffness before and beyond yield in N/m, and how far yield is from the indentation in m."""
+    """Stiffness before and beyond yield in N/m, and the approach in m from the indentation to
+    yield."""
     kn, hardening = scale * law[0], law[2]
     stiffness = law[3] * kn if indented > 0.0 else kn
     slope = hardening * kn
@@ -134,7 +134,8 @@ def _until_yield(law: Array, scale: float, indented: float) -> tuple[float, floa
 def _adhesive(
     law: Array, scale: float, approach: float, compliance: float, held: float
 ) -> tuple[float, float, float]:
-    """A spring that also pulls where it is held, as far as it can; its potential on the way out."""
+    """Spring that also pulls, up to its limit, where the point is held; the potential is that of
+    unloading."""
     stiffness, most = scale * law[0], law[1]
     if approach <= 0.0 and held == 0.0:
         return 0.0, 0.0, 0.0
@@ -144,6 +145,7 @@ def _adhesive(
 
 
 def _indented(law: Array, scale: float, approach: float, memory: float) -> float:
+    """The indentation in m after a step that ends at ``approach``."""
     stiffness, slope, reach = _until_yield(law, scale, memory)
     over = approach - memory - reach
     if over <= 0.0:
@@ -176,7 +178,7 @@ ADHESIVE = Kind.of(_adhesive, _held, _at_pull_off, pulls=True)
 
 @njit
 def holds(points: Points, memory: Array) -> bool:
-    """Whether adhesion holds a point."""
+    """Whether adhesion holds any point."""
     return points.kind.pulls and memory[:, 2].max() > 0.0
 
 
@@ -184,8 +186,7 @@ def holds(points: Points, memory: Array) -> bool:
 def _mean_elastic(
     points: Points, i: int, start: float, end: float, memory: float
 ) -> tuple[float, float]:
-    """The mean over a step of the force without damping, and its derivative by the approach at the
-    end."""
+    """Mean over a step of the undamped force, and its derivative by the approach at the end."""
     kind, law, scale, compliance = points.kind, points.law, points.scale[i], points.compliance
     weight, change = points.end_weight, end - start
     if kind.pulls and memory > 0.0:
@@ -193,7 +194,7 @@ def _mean_elastic(
         reach = law[1] / stiffness
         lets_go = end <= -reach or memory == LETTING_GO
         if change < 0.0 and lets_go and memory != HELD_FAST:
-            # the force ends on the way, be that ever so short
+            # the force ends within the step, however short that is
             mean = 0.5 * stiffness * (start - reach) * (start + reach) / -change
             return mean, mean / -change
     force1, slope1, energy1 = kind.elastic(law, scale, end, compliance, memory)
@@ -213,8 +214,8 @@ def _mean_normal(
 ) -> tuple[float, float]:
     """Normal force over a step and its derivative by the approach at the end.
 
-    A dashpot's force is the damping over the step times the change of penetration, Hunt and
-    Crossley's that times the spring's mean force; together with the spring both push or do nothing.
+    A dashpot's force is ``points.dashpot`` times the change of penetration. Hunt and Crossley's is
+    that times the spring's mean force. The sum with the spring is never tensile.
     """
     mean, slope = _mean_elastic(points, i, start, end, memory)
     if points.dashpot != 0.0 and (start > 0.0 or end > 0.0):
@@ -233,13 +234,13 @@ def _mean_normal(
 
 @inlined
 def normal_force(points: Points, trial: Trial, i: int) -> tuple[float, float]:
-    """Normal force of point ``i`` over a step and its derivative by the approach at the end, the
+    """Normal force of point ``i`` over a step and its derivative by the approach at the end,
     multiplier included."""
     proximal, start, end = points.proximal, trial.start[i, 0], trial.end[i, 0]
     multiplier, memory = trial.multiplier[i, 0], trial.memory[i, 2]
     if proximal == 0.0:
         return _mean_normal(points, i, start, end, memory)
-    if math.isinf(points.law[0]):  # Signorini's condition holds at the end of the step
+    if math.isinf(points.law[0]):  # Signorini's condition at the end of the step
         augmented, compliance = end + proximal * multiplier, points.compliance + proximal
         law, scale = points.law, points.scale[i]
         force, slope, _ = points.kind.elastic(law, scale, augmented, compliance, memory)
@@ -258,7 +259,7 @@ def normal_force(points: Points, trial: Trial, i: int) -> tuple[float, float]:
 
 @inlined
 def elastic_at_end(points: Points, trial: Trial, i: int) -> tuple[float, float]:
-    """Normal force of point ``i`` at the end of a step, without damping, and its tangent."""
+    """Undamped normal force of point ``i`` at the end of a step, and its tangent."""
     law, scale, end, memory = points.law, points.scale[i], trial.end[i, 0], trial.memory[i, 2]
     force, slope, _ = points.kind.elastic(law, scale, end, points.compliance, memory)
     return force, slope
@@ -266,7 +267,7 @@ def elastic_at_end(points: Points, trial: Trial, i: int) -> tuple[float, float]:
 
 @inlined
 def normal_at_end(points: Points, trial: Trial, i: int) -> float:
-    """Normal force of point ``i`` at the end of a step, with damping at the step's mean speed."""
+    """Normal force of point ``i`` at the end of a step, damped at the step's mean speed."""
     start, end = trial.start[i, 0], trial.end[i, 0]
     force, _ = elastic_at_end(points, trial, i)
     if points.dashpot != 0.0 and end > 0.0:

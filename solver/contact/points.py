@@ -1,10 +1,10 @@
-"""Records of contact over one step: the law at the points, and their arrays.
+"""Records of contact over one step: the law at the contact points, and their arrays.
 
-Every point has a local frame: its plane's normal, then two tangents. Its *approach* is minus the
-displacement along these axes, the gap taken off the first, plus Nitsche's share of the body's
-traction: the augmented gap with its sign turned. The first component is the penetration that the
-law sees, the others grow as the point slides backwards. The force on the body along the same axes
-is (N, T).
+Every point has a local frame: the normal of its plane, then two tangents. Its *approach* is minus
+the augmented gap along these axes: minus the displacement, less the gap along the normal, plus
+Nitsche's share of the body's traction. The normal component is the penetration in the law. The
+tangential ones grow as the point slides backwards. The force on the body, along the same axes, is
+(N, T).
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ import numba
 from ..arrays import Array
 from ..compiled import Pointer, njit
 
-# The ``end_weight`` that asks for the discrete gradient of the potential.
+# The ``end_weight`` that stands for the discrete gradient of the potential.
 CONSERVING = 0.0
 
 _float, _row = numba.float64, numba.float64[::1]
@@ -27,15 +27,15 @@ CLEAR_AT = _float(_row, _float, _float)
 
 
 class Kind(NamedTuple):
-    """A kind of contact law at one point: its functions, each of the law's own numbers (k,), Kn
-    first, and of the point's stiffness over the law's, ``scale``.
+    """The compiled functions of a kind of contact law. Their ``numbers`` (k,) are the law's
+    parameters, Kn first, and ``scale`` is the point's stiffness over the law's.
 
-    ``elastic`` (numbers, scale, approach, compliance, memory) has the force in N, the tangent in
-    N/m and the potential in J; of a law that ``remembers``, ``remembered`` (numbers, scale,
-    approach, memory) has the internal variable after a step that ends at the approach, and
-    ``clear_at`` (numbers, scale, memory) the approach in m down to which a point in contact has a
-    force. A law ``pulls`` where it holds up to its second number in N, then lets go;
-    ``damps_spring`` says that its damping multiplies its spring's force.
+    ``elastic`` (numbers, scale, approach, compliance, memory) returns the force in N, the tangent
+    in N/m and the potential in J. A law that ``remembers`` has two more: ``remembered`` (numbers,
+    scale, approach, memory) returns the internal variable after a step that ends at the approach,
+    ``clear_at`` (numbers, scale, memory) the approach in m at which contact ends. A law that
+    ``pulls`` is tensile up to its second number in N, then lets go. ``damps_spring`` says that its
+    damping multiplies the spring's force.
     """
 
     elastic: Pointer
@@ -55,7 +55,7 @@ class Kind(NamedTuple):
         pulls: bool = False,
         damps_spring: bool = False,
     ) -> Self:
-        """The kind with these functions, which Numba compiles; without the last two it has no
+        """The kind with these functions, compiled by Numba; without the last two it has no
         memory."""
         return cls(
             Pointer(elastic, ELASTIC),
@@ -76,12 +76,12 @@ def _at_touch(numbers: Array, scale: float, memory: float) -> float:
 
 
 class Points(NamedTuple):
-    """The law at the contact points over one step: what all of a step's functions read.
+    """The law at the contact points over one step.
 
-    ``law`` (k,) are the numbers of a law of this ``kind``, ``kt`` and ``mu`` are friction's,
-    ``scale`` (n,) the points' stiffness over the law's, ``compliance`` Nitsche's (in series with
-    the law), ``proximal`` that of the augmented Lagrangian, ``dashpot`` the law's damping over the
-    time step. ``end_weight`` is `CONSERVING` or the weight of the end of the step.
+    ``law`` (k,) are the parameters of a law of this ``kind``, ``kt`` and ``mu`` friction's.
+    ``scale`` (n,) is the points' stiffness over the law's. ``compliance`` is Nitsche's, in series
+    with the law, ``proximal`` the augmented Lagrangian's, ``dashpot`` the law's damping over the
+    time step. ``end_weight`` is the weight of the end of the step, or `CONSERVING`.
     """
 
     kind: Kind
@@ -106,7 +106,7 @@ def changed(
     proximal: float,
     dashpot: float,
 ) -> Points:
-    """The points under other numbers of their law and friction, or another proximal compliance."""
+    """The points with other parameters of law and friction, or another proximal compliance."""
     return Points(
         kind=points.kind,
         law=law,
@@ -122,11 +122,11 @@ def changed(
 
 
 class Trial(NamedTuple):
-    """The arrays (n, 3) of one step: approach at the ``start``, at the end without contact forces
-    (``free``) and with them (``end``), the ``force`` over the step per area share, the augmented
-    Lagrangian's ``multiplier``, and what changes from step to step: ``memory`` has the elongation
-    in m of friction's springs along both tangents, then the internal variable of the law
-    (contact.normal), zero where the law has none."""
+    """Arrays (n, 3) of one step: the approach at the ``start``, at the end without contact
+    forces (``free``) and with them (``end``), the ``force`` over the step per area share, and
+    the augmented Lagrangian's ``multiplier``. ``memory`` is the state: the elongation in m of
+    friction's springs along both tangents, then the law's internal variable, zero if it has
+    none."""
 
     start: Array
     free: Array
@@ -137,7 +137,7 @@ class Trial(NamedTuple):
 
 
 class PointForce(NamedTuple):
-    """Force of one point over a step and its derivatives by the approach at the end: dN/ds,
+    """Force of one point over a step, and its derivatives by the approach at the end: dN/ds,
     dT0/d0, dT1/d1, dT0/d1 = dT1/d0, dT0/ds, dT1/ds."""
 
     n: float

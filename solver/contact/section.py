@@ -1,8 +1,8 @@
-"""Newton's method for the contact forces of a step, on the coordinates of the end section.
+"""Newton's method for the contact forces of a step, in the coordinates of the end section.
 
-The approach of the points changes by what few coordinates z of the section move them by, and these
-answer to the points' forces by a compliance: z = C g(f(z)), with g the forces gathered along the
-rows that move the points.
+The points' approach depends on few coordinates z of the section. These respond to the points'
+forces by a compliance C: z = C g(f(z)), with g the forces gathered along the rows that move the
+points.
 """
 
 from __future__ import annotations
@@ -20,23 +20,24 @@ from .step import point_force
 
 NEWTON_LIMIT = 200
 TOLERANCE = 1e-11
-# A step that does not lessen the residual is halved down to this share of it.
+# A step that does not reduce the residual is halved, down to this share of it.
 SHORTEST = 0.1
-# After so many iterations, as many as no smooth step needs, Newton's method may be jumping to and
-# fro across a kink of the law: from then on it goes this share of its way, but all of it where the
-# step before left no more than `STRAIGHT` of the residual, so that it met no kink.
+# Beyond `JUMPING` iterations, more than a smooth step needs, Newton's method may be alternating
+# across a kink of the law. From then on its steps are shortened to `EASED`, except where the last
+# one left at most `STRAIGHT` of the residual and so met no kink.
 JUMPING, EASED, STRAIGHT = 50, 0.3, 0.75
-# Without friction the energy's slope along a step is then brought to this share of what it was.
+# Without friction the line search reduces the energy's slope along a step to this share.
 NEARLY, BISECTIONS = 0.1, 40
-# The inverse of Newton's matrix is renewed where an iteration leaves more than this share of the
-# residual; of so few coordinates, as a rigid section has, the matrix is solved with each time.
+# The inverse of Newton's matrix is updated where an iteration leaves more than `SLOW` of the
+# residual. With at most `FEW` coordinates, as of a rigid section, the system is solved anew each
+# time.
 SLOW, FEW = 0.2, 8
 
 
 class Room(NamedTuple):
-    """Where a solution is worked out, so that no step makes arrays: coordinates, their last values,
-    a step of Newton's method, the residual and gathered forces (r,), the points' slopes (n, 6), the
-    contact's stiffness and Newton's matrix (r, r), which is empty beyond `FEW` coordinates."""
+    """Work space of a solution, so that steps allocate nothing: coordinates, their last values,
+    Newton's step, residual and gathered forces (r,), the points' slopes (n, 6), the contact's
+    stiffness and Newton's matrix (r, r), which is empty beyond `FEW` coordinates."""
 
     z: Array
     old: Array
@@ -49,14 +50,14 @@ class Room(NamedTuple):
 
 
 class Section(NamedTuple):
-    """How contact points move with the coordinates z (r,) of the section, and these with force.
+    """Kinematics and compliance of the contact points in the section's coordinates z (r,).
 
     The approach of point i changes by -``values[i]`` (3, s) times the entries ``support[i]`` (s,)
-    of z, and z answers by ``compliance`` (r, r) to the points' forces gathered along the same rows.
-    ``inverse`` (r, r) of Newton's matrix is used from step to step while it serves; ``factored``
-    (1,) says whether there is one. ``reach`` (r,) is how far a unit of each moves any point.
-    ``predictor`` (2, r) holds z after the step before and how that changed it, from which the
-    iteration starts.
+    of z. z is ``compliance`` (r, r) times the points' forces gathered along the same rows.
+    ``inverse`` (r, r) is a cached inverse of Newton's matrix, valid where ``factored`` (1,).
+    ``reach`` (r,) is the largest displacement of a point by a unit of each coordinate.
+    ``predictor`` (2, r) holds z after the last step and its change, from which the iteration
+    starts.
     """
 
     support: NDArray[np.int64]
@@ -94,7 +95,7 @@ def new_section(support: NDArray[np.int64], values: Array, compliance: Array) ->
 
 @inlined
 def moved_approach(section: Section, z: Array, i: int, axis: int, free: float) -> float:
-    """The approach of point ``i`` along an axis of its frame where ``z`` moves it from ``free``."""
+    """Approach of point ``i`` along an axis of its frame: ``free`` changed by ``z``."""
     for a in range(section.support.shape[1]):
         free -= section.values[i, axis, a] * z[section.support[i, a]]
     return free
@@ -117,10 +118,10 @@ def gather(section: Section, weights: Array, force: Array, gathered: Array) -> N
 
 @njit
 def _write_forces(points: Points, section: Section, trial: Trial, z: Array, slopes: Array) -> None:
-    """Write the points' approach at the end and force at ``z``, with the ``slopes`` (n, 6) of the
+    """Write the points' approach at the end and force at ``z``, and the ``slopes`` (n, 6) of the
     force.
 
-    Points that do not touch cost one product.
+    Points out of contact cost one product.
     """
     start, free, end, force = trial.start, trial.free, trial.end, trial.force
     for i in range(len(points.weights)):
@@ -143,7 +144,7 @@ def _write_forces(points: Points, section: Section, trial: Trial, z: Array, slop
 
 @njit
 def _tangent(section: Section, weights: Array, slopes: Array, stiff: Array) -> None:
-    """Write how gathered forces change with z (r, r) where points push back with ``slopes``."""
+    """Write the derivative (r, r) of the gathered forces by z, for points with these ``slopes``."""
     n, s = section.support.shape
     support, values = section.support, section.values
     stiff[:, :] = 0.0
@@ -176,7 +177,7 @@ def _tangent(section: Section, weights: Array, slopes: Array, stiff: Array) -> N
 
 @njit
 def _invert(section: Section, stiff: Array) -> None:
-    """Write the inverse of Newton's matrix 1 + C ``stiff``, by way of the rows that are pushed."""
+    """Write the inverse of Newton's matrix 1 + C ``stiff``, using only the rows that are loaded."""
     pushed = np.zeros(len(stiff), dtype=np.bool_)
     for a in range(len(stiff)):
         for b in range(len(stiff)):
@@ -193,9 +194,9 @@ def _invert(section: Section, stiff: Array) -> None:
 
 @njit
 def _eliminate(matrix: Array, right: Array, x: Array) -> None:
-    """Solve ``matrix`` x = ``right`` by Gauss's elimination with pivots; the matrix is used up.
+    """Solve ``matrix`` x = ``right`` by Gaussian elimination with pivoting; overwrites the matrix.
 
-    For a handful of unknowns, where LAPACK's overhead is most of a step.
+    For a handful of unknowns LAPACK's overhead would be most of a step.
     """
     n = len(right)
     x[:] = right
@@ -235,7 +236,7 @@ def _jacobian(compliance: Array, stiff: Array, jacobian: Array) -> None:
 
 @njit
 def _residual(section: Section, z: Array, gathered: Array, residual: Array) -> float:
-    """Write z - C g, and how far it moves any point at most."""
+    """Write z - C g; returns the largest displacement of a point by it."""
     r, largest = len(z), 0.0
     for a in range(r):
         total = z[a]
@@ -250,9 +251,9 @@ def _residual(section: Section, z: Array, gathered: Array, residual: Array) -> f
 def _descend(points: Points, section: Section, trial: Trial, z: Array, least: float) -> None:
     """Newton's method for ``z`` (r,) without friction, down to a residual of ``least``.
 
-    The residual is then the compliance times the gradient of a convex energy, that of the section
-    and of contact. The slope of the energy along each step is searched for its zero, so the energy
-    falls with every step, and the iteration cannot jump to and fro (J. Nocedal and S. J. Wright,
+    The residual is then the compliance times the gradient of a convex energy of section and
+    contact. A line search finds the zero of the energy's slope along each step. So the energy
+    decreases with every step, and the iteration cannot alternate (J. Nocedal and S. J. Wright,
     Numerical Optimization (2006), §3.1).
     """
     n, r = len(points.weights), len(z)
@@ -283,9 +284,9 @@ def _descend(points: Points, section: Section, trial: Trial, z: Array, least: fl
 
 @njit
 def solve_section(points: Points, section: Section, trial: Trial) -> int:
-    """Write the ``trial``'s force, and its approach at the end; the number of iterations.
+    """Write the ``trial``'s force, and its approach at the end; returns the number of iterations.
 
-    Minus one where they do not converge.
+    Returns minus one if they do not converge.
     """
     n, r = len(points.weights), len(section.compliance)
     start, free, predictor = trial.start, trial.free, section.predictor
@@ -340,8 +341,8 @@ def solve_section(points: Points, section: Section, trial: Trial) -> int:
 
 @njit
 def contact_stiffness(points: Points, section: Section, trial: Trial) -> Array:
-    """The contact's stiffness (r, r) in series with the section's compliance, about the last
-    solution: what the gathered forces lose for each unit by which the free section moves."""
+    """The contact's stiffness (r, r) in series with the section's compliance, at the last solution:
+    minus the derivative of the gathered forces by the coordinates of the free section."""
     n, r = len(points.weights), len(section.compliance)
     slopes, stiff = np.empty((n, 6)), np.empty((r, r))
     _write_forces(points, section, trial, section.predictor[0], slopes)

@@ -1,4 +1,4 @@
-"""Contact forces of one step: Newton's method, and what is tried where it fails."""
+"""Contact forces of one step: Newton's method, and the fallbacks where it fails."""
 
 from __future__ import annotations
 
@@ -11,22 +11,22 @@ from .normal import HELD, HELD_FAST, LETTING_GO, holds
 from .points import Points, Trial, changed
 from .section import Section, solve_section
 
-# Stages, and the factor between them, of `_solve_by_stiffening`.
+# Number of stages in `_solve_by_stiffening`, and the factor between them.
 STIFFENING_STAGES, STIFFENING = 8, 3.0
 AUGMENTATION_LIMIT = 200
 MULTIPLIER_TOLERANCE = 1e-9
-# An update that leaves more than this share of the one before is slow. The proximal compliance then
-# shrinks by the factor, down to this part of itself: rounding of an approach, over the proximal
-# compliance, must stay below what Newton's method resolves.
+# An update of the multiplier that leaves more than `SLOW_UPDATE` of the last change is slow. The
+# proximal compliance then shrinks by `SHRUNK`, down to `SMALLEST` of itself: rounding of an
+# approach, over the proximal compliance, must stay below what Newton's method resolves.
 SLOW_UPDATE, SHRUNK, SMALLEST = 0.5, 0.25, 1.0 / 64.0
 
 
 @njit
 def _solve_by_stiffening(points: Points, section: Section, trial: Trial) -> int:
-    """As `solve_section`, friction's springs brought to their stiffness in stages.
+    """As `solve_section`, with friction's springs stiffened in stages.
 
-    A stiff spring has so narrow a zone between sticking and sliding either way that Newton's method
-    may jump across it for ever; each stage starts where a softer one ended.
+    The range between sliding one way and the other is so narrow for a stiff spring that Newton's
+    method may jump across it for ever. Each stage starts from the solution with a softer spring.
     """
     total = 0
     for stage in range(STIFFENING_STAGES, -1, -1):
@@ -44,10 +44,10 @@ def _solve_by_stiffening(points: Points, section: Section, trial: Trial) -> int:
 
 @njit
 def _solve_held(points: Points, section: Section, trial: Trial) -> int:
-    """As `solve_section`, adhesion first holding without limit; then what it cannot hold lets go.
+    """As `solve_section`, with adhesion first unlimited; overloaded points then let go.
 
-    Letting go makes the force fall as the approach goes on, so a step may have several answers and
-    Newton's method jump between them. Which points let go is decided here, once for each.
+    Letting go reduces the force as the approach goes on. So a step may have several solutions, and
+    Newton's method may jump between them. Here each point lets go at most once.
     """
     n = len(points.weights)
     memory = trial.memory
@@ -78,15 +78,15 @@ def _solve_held(points: Points, section: Section, trial: Trial) -> int:
 
 @njit
 def solve_step(points: Points, section: Section, trial: Trial) -> int:
-    """Write the ``trial``'s force and its approach at the end; returns the iterations.
+    """Write the ``trial``'s force and its approach at the end; returns the number of iterations.
 
-    Under an augmented Lagrangian its multiplier is updated until it is the force itself. An update
-    changes forces, and leaves approaches as far from the law as the proximal compliance times that
-    change. It is the last where no force changes by more than `MULTIPLIER_TOLERANCE` of the
-    largest, or no approach is farther off than that share of how far the points would move without
-    contact: either way the work of the step is right to that share. The second is for patterns of
-    force to which the body hardly answers, as it does to some on a fine section. Minus one where
-    Newton's method fails, minus two where the updates take too long.
+    The augmented Lagrangian's multiplier is updated until it equals the force. An update changes
+    the forces, and leaves an error of the approaches equal to the proximal compliance times that
+    change. Updates stop at the share `MULTIPLIER_TOLERANCE`: either no force changes by more than
+    it times the largest, or no approach errs by more than it times the points' motion without
+    contact. Either way the work of the step is accurate to that share. The second criterion serves
+    force patterns to which the body hardly responds, as on a fine section. Returns minus one if
+    Newton's method fails, minus two if the updates do not converge.
     """
     total, axes = 0, 3 if points.mu > 0.0 else 1
     force, multiplier = trial.force, trial.multiplier

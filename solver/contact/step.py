@@ -1,12 +1,12 @@
-"""Contact over one step at the points: forces with their tangents, losses, and what is stored.
+"""Contact over one step at the points: forces with their tangents, losses, and stored energy.
 
-Over a step of the conserving scheme the normal force N is the discrete gradient of the law's
-potential and friction T that of its spring's (Gonzalez, J. Nonlinear Sci. 6, 1996): elastic contact
-does no net work, and friction never gives any (contact.friction). Schemes with an
-``end_weight`` take the law at the end of the step and interpolate.
+In the conserving scheme the normal force N is the discrete gradient of the law's potential
+(Gonzalez, J. Nonlinear Sci. 6, 1996), and friction T that of its spring's. So elastic contact does
+no net work, and friction never adds energy (contact.friction). Schemes with an ``end_weight``
+evaluate the law at the end of the step and interpolate.
 
-The proximal compliance is that of an augmented Lagrangian in its proximal form: forces then see the
-approach plus the compliance × (multiplier - force).
+The augmented Lagrangian is in proximal form: its forces are evaluated at the approach plus the
+proximal compliance × (multiplier - force).
 """
 
 from __future__ import annotations
@@ -22,10 +22,10 @@ from .points import CONSERVING, PointForce, Points, Trial
 
 
 class Taken(NamedTuple):
-    """What contact did in a step: its mean and its final normal force in N, the ``share`` of the
-    step after which it has ended, and what friction and the law took in J.
+    """Contact over a step: its mean and final normal force in N, the ``share`` of the step at which
+    it ended, and the energy lost to friction and to the law, in J.
 
-    The final force is that of the law without damping; on a rigid plane it is the mean one.
+    The final force is that of the law without damping; on a rigid plane it is the mean force.
     """
 
     mean_N: float
@@ -78,8 +78,8 @@ def point_force(points: Points, trial: Trial, i: int) -> PointForce:
 
 @njit
 def take(points: Points, trial: Trial, last: float) -> Taken:
-    """Let friction's springs and the law's memory follow a step; ``last`` is the mean normal force
-    of the step before, in N."""
+    """Update friction's springs and the law's memory after a step; ``last`` is the mean normal
+    force of the step before, in N."""
     weights, end = points.weights, trial.end
     rigid = math.isinf(points.law[0]) and points.proximal > 0.0
     mean = final = 0.0
@@ -99,9 +99,9 @@ def take(points: Points, trial: Trial, last: float) -> Taken:
 
 @inlined
 def commit(points: Points, trial: Trial) -> float:
-    """Let friction's springs in the memory follow a step; returns what it took, in J.
+    """Update friction's springs in the memory after a step; returns the energy lost, in J.
 
-    Where the normal force has ended, what is left in the spring is lost.
+    Where the normal force has ended, the energy left in the spring is lost.
     """
     taken = 0.0
     if points.mu == 0.0:
@@ -137,9 +137,9 @@ def commit(points: Points, trial: Trial) -> float:
 
 @inlined
 def settle(points: Points, trial: Trial) -> float:
-    """Let the law's internal variables follow a step; returns what the law took, in J.
+    """Update the law's internal variables after a step; returns the energy lost, in J.
 
-    That is the work done on it less the change of what it stores.
+    That is the work done on the law less the change of its stored energy.
     """
     taken = 0.0
     kind, law, remembers = points.kind, points.law, points.kind.remembers
@@ -161,10 +161,10 @@ def settle(points: Points, trial: Trial) -> float:
 
 @inlined
 def _share_in_contact(points: Points, trial: Trial) -> float:
-    """The share of a step after which its forces have ended: one, or less where contact ends in it.
+    """Share of a step at which its contact forces end: one, or less if contact ends within it.
 
-    A point's force ends where it is clear, or before that, where a dashpot pulls as hard as the
-    spring pushes. To be asked before `settle`.
+    A point's force ends where it is clear, or before, where a dashpot pulls as hard as the spring
+    pushes. Call it before `settle`.
     """
     share, remembers = 0.0, points.kind.remembers
     pulls = points.dashpot != 0.0 and not points.kind.damps_spring
@@ -191,11 +191,11 @@ def _share_in_contact(points: Points, trial: Trial) -> float:
 
 @njit
 def _share_under_damping(before: float, total: float) -> float:
-    """The share of a step after which a force that a dashpot ends in compression has ended.
+    """Share of a step at which a force ends that a dashpot ends in compression.
 
-    ``before`` and ``total`` are the mean forces of the step before and of this one, in N: the force
-    goes on as straight as it came down. Up to half a step more than the step, since the next one
-    has a mean of nothing.
+    ``before`` and ``total`` are the mean forces of the last step and of this one, in N; the force
+    is extrapolated linearly. The result may exceed one by up to a half, since the mean force of the
+    next step is zero.
     """
     falling = before - total
     return 0.5 + min(total / falling, 1.0) if falling > 0.0 else 1.0
@@ -203,7 +203,7 @@ def _share_under_damping(before: float, total: float) -> float:
 
 @njit
 def spring_energy(points: Points, memory: Array) -> float:
-    """What the springs of friction hold, in J."""
+    """Energy stored in friction's springs, in J."""
     held = 0.0
     if points.mu == 0.0 or math.isinf(points.kt):
         return held
@@ -215,8 +215,8 @@ def spring_energy(points: Points, memory: Array) -> float:
 
 @njit
 def let_go(points: Points, memory: Array) -> float:
-    """Have friction's springs hold nothing, as they do once a touch has ended; returns what they
-    held, in J, which is lost with it."""
+    """Release friction's springs at the end of a touch; returns the energy that they stored, in J,
+    which is lost."""
     held = spring_energy(points, memory)
     memory[:, :2] = 0.0
     return held
