@@ -1,14 +1,14 @@
-"""The mechanics of a solid that meets a plane, in UFL: strain, stress, inertia, damping, contact.
+"""UFL forms of a solid in contact with a plane: strain, stress, inertia, damping, contact.
 
-One step of length h takes the displacement u by d; the velocity goes from v to 2 d/h - v. The
-balance of momentum is taken at mid-step (Simo and Tarnow, ZAMP 43, 1992), where it conserves
-linear and angular momentum, and energy where nothing is damped. With ``finite`` strain and rotation
-the stress is St. Venant and Kirchhoff's, S = C : E of Green and Lagrange's strain, carried by the
-deformation gradient F = 1 + grad u half way; else F = 1 and E = sym grad u, linear elasticity.
+A step of length h adds the increment d to the displacement u; the velocity changes from v to 2 d/h
+- v. The balance of momentum is taken at mid-step (Simo and Tarnow, ZAMP 43, 1992). It conserves
+linear and angular momentum, and without damping also energy. At ``finite`` strain the stress is St.
+Venant and Kirchhoff's, S = C : E with the Green-Lagrange strain E, and the deformation gradient F =
+1 + grad u at mid-step carries it. At small strain F = 1 and E = sym grad u: linear elasticity.
 Damping is Rayleigh's: αM, and the stress β C : dE/dt.
 
-Contact is an integral over the tip's facets (`StepForms.contact`). Its trial state, the augmented
-gap τ t - x less the plane, is that of solver.contact.enforcement, as is everything named after it.
+Contact is an integral over the tip's facets (`StepForms.contact`). Its augmented gap, τ t - x less
+the plane, and its symbols are those of solver.contact.enforcement.
 """
 
 from __future__ import annotations
@@ -29,9 +29,9 @@ Expr = Any  # of UFL, which has no types of its own
 
 @dataclass(frozen=True)
 class Elasticity:
-    """St. Venant and Kirchhoff's material, or Hooke's where strain is not ``finite``.
+    """St. Venant-Kirchhoff material, or Hooke's where strain is not ``finite``.
 
-    Its numbers are data of the forms, not part of them: one compiled form serves all materials.
+    The Lamé constants are data of the forms, so one compiled form serves all materials.
     """
 
     lam: fem.Constant
@@ -40,41 +40,45 @@ class Elasticity:
 
     @classmethod
     def of(cls, material: Material, domain: mesh.Mesh, *, finite: bool = False) -> Elasticity:
-        """Of a ``material`` on a mesh."""
+        """The elasticity of a ``material`` on a mesh."""
         lam, mu = (fem.Constant(domain, PETSc.ScalarType(value)) for value in material.lame_Pa)
         return cls(lam, mu, finite)
 
     def deformation(self, u: Expr) -> Expr:
-        """What carries the stress: F."""
+        """The deformation gradient F; the identity at small strain."""
         return ufl.Identity(3) + ufl.grad(u) if self.finite else ufl.Identity(3)
 
     def strain(self, u: Expr) -> Expr:
-        """E, free of the cancellation in FᵀF - 1."""
+        """The strain E, without the cancellation in FᵀF - 1."""
         gradient = ufl.grad(u)
         linear = ufl.sym(gradient)
         return linear + 0.5 * gradient.T * gradient if self.finite else linear
 
     def strain_change(self, at: Expr, w: Expr) -> Expr:
-        """The derivative of E at a displacement ``at`` along ``w``; about the middle of a step it
-        is the change of E over the step to the last digit."""
+        """Derivative of E at displacement ``at`` in direction ``w``.
+
+        At the middle of a step, with its increment, this is exactly the step's change of E.
+        """
         return ufl.sym(self.deformation(at).T * ufl.grad(w))
 
     def stress(self, strain: Expr) -> Expr:
-        """S = C : E, along the body's own axes."""
+        """S = C : E, along the body's own axes, in Pa."""
         return self.lam * ufl.tr(strain) * ufl.Identity(3) + 2.0 * self.mu * strain
 
     def energy_density(self, u: Expr) -> Expr:
-        """½ E : C : E."""
+        """Strain energy per volume, ½ E : C : E."""
         strain = self.strain(u)
         return 0.5 * ufl.inner(self.stress(strain), strain)
 
     def traction(self, u: Expr, normal: Expr) -> Expr:
-        """Force per undeformed area F S N across a surface with the unit ``normal`` N."""
+        """Force per undeformed area, F S N, on a surface with the unit ``normal`` N."""
         return self.deformation(u) * self.stress(self.strain(u)) * normal
 
     def traction_change(self, before: Expr, after: Expr, w: Expr, normal: Expr) -> Expr:
-        """What ``w`` adds to the traction between two states; with w their difference, all of it
-        to the last digit."""
+        """Change of the traction in direction ``w`` between two states.
+
+        With w the difference of the states, it is exactly the change between them.
+        """
         middle = 0.5 * (before + after)
         change = self.deformation(middle) * self.stress(self.strain_change(middle, w))
         if self.finite:
@@ -84,10 +88,10 @@ class Elasticity:
 
 
 def cells_of(space: fem.FunctionSpace) -> ufl.Measure:
-    """The measure for products of ``space``'s shape functions or of their gradients.
+    """The cell measure for products of ``space``'s shape functions or of their gradients.
 
-    They reach twice the degree along each axis, and the geometry's Jacobian adds to that on curved
-    cells only. Small and finite strain share it, so that one is the other's limit on any mesh.
+    Its degree is twice that of the shape functions along each axis; curved cells add that of the
+    Jacobian. Small and finite strain share it, so that one is the limit of the other on any mesh.
     """
     domain = space.mesh
     degree = 2 * space.element.basix_element.degree + 2 * (domain.geometry.cmap.degree - 1)
@@ -96,9 +100,9 @@ def cells_of(space: fem.FunctionSpace) -> ufl.Measure:
 
 @dataclass(frozen=True)
 class TipMeasure:
-    """The tip's facets with the quadrature rules whose points are the contact points.
+    """Measures on the tip's facets, whose quadrature points are the contact points.
 
-    ``parts`` are measures that add up to the tip, ``area_m2`` is its area.
+    ``parts`` add up to the tip, ``area_m2`` is its area.
     """
 
     parts: tuple[ufl.Measure, ...]
@@ -106,10 +110,10 @@ class TipMeasure:
 
 
 class StepForms:
-    """The forms of one step of a solid on ``space``, and the data they hold.
+    """The forms of one time step of a solid on ``space``, and their coefficients.
 
-    ``u``, ``v`` and ``d`` are displacement and velocity at the start of the step, and its
-    increment; ``pull`` is gravity's vector (3,) in m/s².
+    ``u`` and ``v`` are displacement and velocity at the start of the step, ``d`` is its increment
+    of displacement. ``pull`` is the vector (3,) of gravity in m/s².
     """
 
     def __init__(self, space: fem.FunctionSpace, material: Material, *, finite: bool) -> None:
@@ -123,14 +127,14 @@ class StepForms:
             for value in (1.0, material.density_kg_m3, material.alpha_1_s, material.beta_s)
         )
         self.pull = fem.Constant(domain, np.zeros(3, dtype=real))
-        # strain and stress are conserved point by point, so a degree below that of finite strain's
-        # polynomials costs no conservation
+        # conservation holds at each quadrature point, so integrating finite strain's polynomials
+        # below their full degree costs none
         self._dx = cells_of(space)
         self.normal = ufl.FacetNormal(domain)
 
     @property
     def middle(self) -> Expr:
-        """The displacement half way."""
+        """The displacement at mid-step."""
         return self.u + self.d / 2
 
     @property
@@ -146,13 +150,13 @@ class StepForms:
         return ufl.inner(body.deformation(self.middle) * stress, ufl.grad(self.test)) * self._dx
 
     def inertia(self) -> Expr:
-        """Virtual work of inertia, damping in proportion to mass, and gravity."""
+        """Virtual work of inertia, mass-proportional damping and gravity."""
         acceleration = 2.0 / self.its * (self.d / self.its - self.v)
         rest = acceleration + self.alpha / self.its * self.d - self.pull
         return self.density * ufl.inner(rest, self.test) * self._dx
 
     def tangent(self) -> Expr:
-        """Derivative of `internal` and `inertia` by the increment."""
+        """Derivative of `internal` and `inertia` by the increment ``d``."""
         inertia = self.density * (2.0 / self.its + self.alpha) / self.its
         return (
             ufl.derivative(self.internal(), self.d, self.trial)
@@ -160,63 +164,65 @@ class StepForms:
         )
 
     def strain_energy(self) -> Expr:
-        """Of the displacement ``u``, in J."""
+        """Strain energy of the displacement ``u``, in J."""
         return self.elasticity.energy_density(self.u) * self._dx
 
     def stress_load(self) -> Expr:
-        """Virtual work of the stress of ``u`` on small strains."""
+        """Virtual work of the stress of ``u`` on small strains of the test function."""
         body = self.elasticity
         return ufl.inner(body.stress(body.strain(self.u)), ufl.grad(self.test)) * self._dx
 
     def stress_rate_load(self) -> Expr:
-        """Virtual work of the stress' rate, at ``u`` and ``v``, on small strains."""
+        """Virtual work of the stress rate, at ``u`` and ``v``, on small strains of the test
+        function."""
         body = self.elasticity
         rate = body.stress(body.strain_change(self.u, self.v))
         return ufl.inner(rate, ufl.grad(self.test)) * self._dx
 
     def stress_loss(self) -> Expr:
-        """What β takes over the step, in J."""
+        """Energy dissipated over the step by stiffness-proportional damping (β), in J."""
         increase = self.elasticity.strain_change(self.middle, self.d)
         rate = self.beta / self.its
         return rate * ufl.inner(self.elasticity.stress(increase), increase) * self._dx
 
     def _traction(self, u: Expr, v: Expr) -> Expr:
-        """The traction at a displacement and a velocity, its viscous part included."""
+        """Traction for a displacement and a velocity, viscous part included."""
         body = self.elasticity
         viscous = body.stress(self.beta * body.strain_change(u, v))
         return body.traction(u, self.normal) + body.deformation(u) * viscous * self.normal
 
     def start_traction(self) -> Expr:
-        """The traction at the start of the step, its viscous part included."""
+        """Traction at the start of the step, viscous part included."""
         return self._traction(self.u, self.v)
 
     def end_traction(self) -> Expr:
-        """The traction at the end of the step, its viscous part included."""
+        """Traction at the end of the step, viscous part included."""
         return self._traction(self.u + self.d, self.end_velocity)
 
     def viscous_traction(self) -> Expr:
-        """The viscous part of the traction half way."""
+        """Viscous part of the traction at mid-step."""
         body = self.elasticity
         viscous = body.stress(self.beta / self.its * body.strain_change(self.middle, self.d))
         return body.deformation(self.middle) * viscous * self.normal
 
     def mean_traction(self) -> Expr:
-        """The mean of the tractions at both ends, and the viscous one half way."""
+        """Mean of the elastic tractions at both ends of the step, plus the viscous one at
+        mid-step."""
         body, end = self.elasticity, self.u + self.d
         elastic = 0.5 * (body.traction(self.u, self.normal) + body.traction(end, self.normal))
         return elastic + self.viscous_traction()
 
     def traction_change(self, w: Expr) -> Expr:
-        """What ``w`` adds to the traction, see `Elasticity.traction_change`."""
+        """Change of the traction in direction ``w``, see `Elasticity.traction_change`."""
         return self.elasticity.traction_change(self.u, self.u + self.d, w, self.normal)
 
     def contact(self, tip: TipMeasure, plane: PlaneData) -> Expr:
         """Virtual work of contact with a plane: penalty (τ = 0) or Nitsche's method with θ.
 
-        The force on the tip, per share of its area, is p = N n + T. The normal force N is the
-        discrete gradient over the step (Gonzalez, J. Nonlinear Sci. 6, 1996) of the potential
-        ½ k ⟨s⟩² of the augmented gap s, k being Kn in series with 1/τ; friction T is drawn back to
-        μ N from what a spring that follows the slip would push with at mid-step.
+        The force on the tip, per share of its area, is N n + T. The normal force N is the discrete
+        gradient over the step (Gonzalez, J. Nonlinear Sci. 6, 1996) of the potential ½ k ⟨s⟩² of
+        the augmented gap s, with k the stiffness of Kn in series with 1/τ. Friction T is the force
+        of a spring that follows the slip, at mid-step, limited to μ N by return mapping.
         """
         total = 0.0
         x = ufl.SpatialCoordinate(self.domain)
@@ -245,11 +251,11 @@ class StepForms:
 
 @dataclass(frozen=True)
 class PlaneData:
-    """A rigid plane and how it is enforced, as the forms read them.
+    """Coefficients of a rigid plane and of its enforcement in the forms.
 
-    The plane is n · x = offset; ``stiffness`` is that of contact with Nitsche's compliance ``tau``
-    in series, ``kt`` friction's. ``elongation`` (m) is what friction's springs hold at the start of
-    the step.
+    The plane is n · x = offset. ``stiffness`` is Kn in series with Nitsche's compliance ``tau``,
+    ``kt`` friction's stiffness, ``elongation`` (m) that of friction's springs at the start of the
+    step.
     """
 
     normal: fem.Constant
@@ -263,14 +269,14 @@ class PlaneData:
 
 
 def _mean_force(stiffness: Expr, before: Expr, after: Expr) -> Expr:
-    """(V(s1) - V(s0)) / (s1 - s0) of V = ½ k ⟨s⟩², by cases so that nothing cancels."""
+    """(V(s1) - V(s0)) / (s1 - s0) of V = ½ k ⟨s⟩², case by case to avoid cancellation."""
     a, b = ufl.max_value(before, 0.0), ufl.max_value(after, 0.0)
     through = (a + b) ** 2 / abs(after - before)
     return 0.5 * stiffness * ufl.conditional(ufl.lt(before * after, 0.0), through, a + b)
 
 
 def rigid_plane(space: fem.FunctionSpace) -> PlaneData:
-    """A plane whose numbers are still to be set."""
+    """A plane whose coefficients are still to be set."""
     real, domain = PETSc.ScalarType, space.mesh
     offset, stiffness, kt, mu, tau, theta = (fem.Constant(domain, real(0.0)) for _ in range(6))
     normal = fem.Constant(domain, np.array([0.0, 0.0, 1.0], dtype=real))
@@ -278,6 +284,6 @@ def rigid_plane(space: fem.FunctionSpace) -> PlaneData:
 
 
 def own_values(function: fem.Function, values: Array) -> None:
-    """Give ``function`` this rank's ``values``, and those of other ranks."""
+    """Set this rank's ``values`` of ``function`` and update its ghosts."""
     function.x.array[: len(values)] = values
     function.x.scatter_forward()

@@ -1,4 +1,4 @@
-"""Displacement, velocity and stress of a marched solid as functions of dolfinx.
+"""Displacement, velocity and stress of a solid in contact as functions of dolfinx.
 
 recorder = FieldRecorder(solid, marcher)
 simulate(frame, plan, marcher, observer=recorder)
@@ -27,7 +27,7 @@ from .time.finite import FiniteMarcher
 from .time.march import ContactMarch, Moving
 
 MOST_FRAMES = 400
-# Where each component of a symmetric tensor (3, 3) stands in Voigt's order.
+# Index in Voigt's order of each component of a symmetric tensor (3, 3).
 TENSOR = [
     next(k for k, pair in enumerate(VOIGT) if set(pair) == {i, j})
     for i in range(3)
@@ -36,8 +36,10 @@ TENSOR = [
 
 
 def carried(solid: SolidBody, u: Array, pose: Pose, origin_m: Array) -> Array:
-    """Displacement (3 n,) of the upright mesh to where the body stands, ``u`` on top of it; the
-    world's origin is at ``origin_m`` (3,)."""
+    """Displacement (3 n,) in m from the upright mesh to the body's deformed position in the world.
+
+    ``u`` is the displacement relative to the ``pose``; the world's origin is at ``origin_m`` (3,).
+    """
     nodes = solid.places_m
     arm = nodes - solid.centre_m + u.reshape(-1, 3)
     place = arm @ pose.rotation.T + (pose.position_m - origin_m)
@@ -45,13 +47,14 @@ def carried(solid: SolidBody, u: Array, pose: Pose, origin_m: Array) -> Array:
 
 
 def turned(vectors: Array, pose: Pose) -> Array:
-    """Vectors (3 n,) along the body's axes, along those of the world."""
+    """Vectors (3 n,) rotated from the body's axes to those of the world."""
     return np.asarray(vectors.reshape(-1, 3) @ pose.rotation.T).ravel()
 
 
 @dataclass(frozen=True)
 class Series:
-    """A field over time: ``series[i]`` is a new Function, at the i-th instant. Collective."""
+    """A field over time: ``series[i]`` is a new Function, the field at the i-th instant.
+    Collective."""
 
     times_s: Array
     make: Callable[[int], fem.Function]
@@ -85,14 +88,14 @@ class Series:
 
 @dataclass(frozen=True)
 class SolidFields:
-    """Fields of a solid in contact, at the marched instants.
+    """Fields of a solid during contact, at the recorded time steps.
 
-    ``mesh`` is the upright mesh, with the tip at z = 0, on the communicator that computed it, and
-    ``facet_tags`` mark its boundary by `bristle.meshes.geometry.Tag`.
-    ``displacement`` (m) carries it to where the body is, rotation included; ``velocity`` is in
-    m/s. Both stand along the axes of the world, whose origin is where the tip first touches and
-    whose z points up. ``stress`` (3, 3) in Pa stands along the body's own axes; at finite strain
-    it is the second Piola-Kirchhoff stress. All are Lagrange functions of the solid's order.
+    ``mesh`` is the upright mesh with the tip at z = 0, on the communicator of the computation.
+    ``facet_tags`` mark its boundary by `bristle.meshes.geometry.Tag`. ``displacement`` (m) leads
+    from the upright mesh to the body's present position, rigid rotation included; ``velocity`` is
+    in m/s. Both are along the world's axes: z points up, and the origin is where the tip first
+    touches. ``stress`` (3, 3) in Pa is along the body's own axes; at finite strain it is the second
+    Piola-Kirchhoff stress. All are Lagrange functions of the solid's order.
     """
 
     mesh: Mesh
@@ -116,10 +119,10 @@ class _Instant:
 
 
 class FieldRecorder:
-    """Keeps the marched states of a solid: an observer of ``simulate``.
+    """Records the states of a solid during contact: an observer of ``simulate``.
 
-    Every ``every``-th step of contact is kept, the first among them. Where that becomes more than
-    ``most``, every second one goes, and twice the steps lie between those that follow.
+    It records the first step of contact and every ``every``-th after it. Beyond ``most`` records it
+    drops every second one and doubles ``every``.
     """
 
     def __init__(
@@ -143,21 +146,21 @@ class FieldRecorder:
         self._seen += 1
 
     def memory(self) -> dict[str, Array]:
-        """Nothing: a march that goes on is recorded from there."""
+        """Nothing: after a restart, recording begins anew."""
         return {}
 
     def recall(self, mark: Mark, state: Moving) -> None:
-        """Nothing to go on from."""
+        """Nothing to restore."""
 
     def fields(self) -> SolidFields:
-        """What was kept, as functions; they are made when they are asked for."""
+        """The recorded fields; each Function is made when it is asked for."""
         solid, kept = self.solid, self._kept
         origin = self._origin_m
         times_s = np.array([each.t_s for each in kept])
         body = fem.Function(solid.space)
         tensors = fem.functionspace(solid.domain, ("Lagrange", solid.order, (3, 3)))
         finite = isinstance(self._marcher, FiniteMarcher)
-        stress_of: list[NodalStress] = []  # compiled when it is first needed
+        stress_of: list[NodalStress] = []  # compiled on first use
 
         def displacement(i: int) -> fem.Function:
             assert origin is not None
