@@ -1,4 +1,4 @@
-"""A rod's elements and nodes, and the block-tridiagonal system that they make.
+"""Elements and nodes of a rod, and its block-tridiagonal system.
 
 Node 0 is clamped. Its row is kept for the reaction; the system is that of the other nodes.
 """
@@ -16,11 +16,12 @@ from .section import RodSection
 
 
 class Chain(NamedTuple):
-    """One rod: ``length`` (e,) in m of its elements, their stiffness (e, 6) and strains at rest.
+    """One rod: ``length`` (e,) in m of its elements, their ``stiffness`` (e, 6) and strains at
+    ``rest``.
 
-    Strains are those of `element.measure`. Inertia is lumped in the nodes: ``mass`` (e + 1,) in kg
-    and ``inertia`` (e + 1, 3) in kg m² about the section's axes. ``beta`` and ``alpha`` are the
-    damping's.
+    Strains are those of `element.measure`. Inertia is lumped at the nodes: ``mass`` (e + 1,) in kg
+    and ``inertia`` (e + 1, 3) in kg m² about the section's axes. ``beta`` and ``alpha`` are
+    Rayleigh's damping.
     """
 
     length: Array
@@ -35,9 +36,9 @@ class Chain(NamedTuple):
 def uniform_chain(section: RodSection, length_m: float, elements: int) -> Chain:
     """A rod of equal elements.
 
-    Shear's stiffness has the residual bending flexibility in series, 1/GA + l²/(12 EI): it makes
-    two nodes with one point of integration exact under end loads while rotations are small
-    (MacNeal, Comput. Struct. 8 (1978) 175), and keeps a thin rod from locking.
+    Shear stiffness has the residual bending flexibility in series, 1/GA + l²/(12 EI). With it, two
+    nodes and one integration point are exact under end loads at small rotation (MacNeal, Comput.
+    Struct. 8 (1978) 175), and a thin rod does not lock.
     """
     length = length_m / elements
     shear_1 = 1.0 / (1.0 / section.GA1_N + length**2 / (12.0 * section.EI2_Nm2))
@@ -58,7 +59,7 @@ def uniform_chain(section: RodSection, length_m: float, elements: int) -> Chain:
 
 
 def at_rest(chain: Chain, position_m: Array, rotation: Array) -> tuple[Array, Array]:
-    """Centre line (e + 1, 3) and quaternions (e + 1, 4) of a rod without strain, from its clamp's
+    """Centre line (e + 1, 3) and quaternions (e + 1, 4) of an unstrained rod, from its clamp's
     position (3,) and rotation (3, 3)."""
     from scipy.spatial.transform import Rotation
 
@@ -75,14 +76,14 @@ def at_rest(chain: Chain, position_m: Array, rotation: Array) -> tuple[Array, Ar
 
 
 def stacked(chains: Sequence[Chain]) -> Chain:
-    """Chains of as many elements each, stacked along a first axis, numbers too; see
+    """Chains of equal numbers of elements, stacked along a first axis, scalars too; see
     `compiled.nth`."""
     return Chain._make(np.array(each) for each in zip(*chains, strict=True))
 
 
 @njit
 def total_length(chain: Chain) -> float:
-    """In m."""
+    """Length of the rod in m."""
     total = 0.0
     for e in range(len(chain.length)):
         total += chain.length[e]
@@ -90,11 +91,11 @@ def total_length(chain: Chain) -> float:
 
 
 class System(NamedTuple):
-    """Newton's system of one rod: blocks (n, 6, 6) of the diagonal, above and below it, residual
-    (n, 6), and room for its solution (n, 6).
+    """Newton's system of one rod: blocks (n, 6, 6) on the diagonal, above and below it, the
+    residual (n, 6) and the solution (n, 6).
 
-    Of a node's six rows and unknowns the first three are forces and displacements in world axes,
-    the others moments and rotations about world axes.
+    The first three rows and unknowns of a node are forces and displacements, the others moments and
+    rotations, all in world axes.
     """
 
     diagonal: Array
@@ -105,17 +106,17 @@ class System(NamedTuple):
 
 
 def new_system(n: int) -> System:
-    """Room for a rod of ``n`` nodes."""
+    """An empty system of a rod with ``n`` nodes."""
     return zeros(System, (n, 6, 6), (n, 6, 6), (n, 6, 6), (n, 6), (n, 6))
 
 
 @njit
 def solve_columns(system: System, columns: Array) -> bool:
-    """Solve for ``columns`` (n, 6, m) of loads in place: block Gauss and Jordan, with pivots.
+    """Solve in place for the loads ``columns`` (n, 6, m); False if the matrix is singular.
 
-    The clamped node does not move. Blocks of six are eliminated by hand: LAPACK's overhead on them
-    is several times the arithmetic. The blocks ``above`` are used up. Returns False where the
-    matrix is singular.
+    Block Gauss-Jordan elimination with pivoting. The clamped node does not move. Blocks of six are
+    eliminated in explicit loops, since LAPACK's overhead on them is several times the arithmetic.
+    The blocks ``above`` are overwritten.
     """
     diagonal, above, below = system.diagonal, system.above, system.below
     n, many, room = columns.shape[0], columns.shape[2], np.empty((6, 12))
@@ -126,7 +127,7 @@ def solve_columns(system: System, columns: Array) -> bool:
             for c in range(6):
                 room[r, c], room[r, 6 + c] = diagonal[i, r, c], above[i, r, c]
             if i > 1:
-                # a tuple has no other name, so that loops over it run on vector units
+                # tuples cannot alias, so loops over them are vectorised
                 row = _six(below[i, r], 0)
                 for c in range(6):
                     value = room[r, c]

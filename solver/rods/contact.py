@@ -1,13 +1,12 @@
 """Contact of a rod's sections with a plane, and friction with a static and a kinetic coefficient.
 
-Every node but the clamped one has a section whose points on the rim can touch. A point's normal
-force is its share of Kn times its penetration. Friction is a return map behind a tangential spring,
-at the end of the step, as in `solver.contact.friction` (Wriggers, Computational Contact Mechanics,
-2006, Sec. 9.1). Three things differ from there: rods turn far, so the spring's elongation is kept
-in world axes; the limit falls with the speed of sliding; and a point knows whether it slides.
-That law does not serve here as it is: it keeps the elongation in the body's axes, which is exact
-for a body that turns little, and its conserving scheme asks for forces at mid-step, whereas rods
-ask at the end. What both have in common, a force limited to μ N, is a line.
+Every node but the clamped one has a section with contact points on its rim. A point's normal force
+is its share of Kn times its penetration. Friction is a return mapping behind a tangential spring at
+the end of the step, as in `solver.contact.friction` (Wriggers, Computational Contact Mechanics,
+2006, Sec. 9.1). That module cannot be used here: it keeps the spring's elongation in body axes,
+which is exact for small rotation, and its conserving scheme evaluates forces at mid-step. Rods turn
+far, so here the elongation is in world axes. Forces are evaluated at the end of the step, the limit
+falls with the sliding speed, and a point's state says whether it slides.
 """
 
 from __future__ import annotations
@@ -26,7 +25,7 @@ from .rotation import cross, dot
 from .section import RodSection
 
 FREE, STICKS, SLIDES = 0, 1, 2
-# The speed in m/s of a point that slides where there is no time, as in statics.
+# Sliding speed in m/s in statics, where there is no time.
 SLOW_M_S = 1e-300
 
 
@@ -39,14 +38,17 @@ class Friction(NamedTuple):
 
 
 def friction_of(contact: Contact) -> Friction:
-    """That of a ``contact``."""
+    """Friction of a ``contact``."""
     return Friction(contact.friction_static, contact.friction_kinetic, contact.stribeck_speed_m_s)
 
 
 class Obstacle(NamedTuple):
-    """The surface and its law, for compiled code: ``kn`` and ``kt`` in N/m of one point of the rim,
-    ``rim`` (k, 2) in m and at which height of the axis over the plane it may touch, whether there
-    is a surface at all, and its relief."""
+    """The surface and its contact law, for compiled code.
+
+    ``there`` says whether there is a surface. ``kn`` and ``kt`` are the stiffness in N/m of one
+    point of the rim, ``rim`` (k, 2) the points in m. ``reach`` is the height in m of the axis below
+    which a section may touch.
+    """
 
     there: bool
     point: Array
@@ -60,7 +62,8 @@ class Obstacle(NamedTuple):
 
 
 def obstacle_of(ground: Ground | None, section: RodSection) -> Obstacle:
-    """The surface as a section meets it: Kn shared equally among the points of its rim."""
+    """The surface as contact law of one section: Kn is shared equally among the points of its
+    rim."""
     there = ground is not None
     ground = ground or Ground()
     rim = np.ascontiguousarray(section.rim_m)
@@ -80,9 +83,9 @@ def obstacle_of(ground: Ground | None, section: RodSection) -> Obstacle:
 
 
 class Touch(NamedTuple):
-    """What the points (nodes, k) of one rod remember of the surface: the elongation (…, 3) in m of
-    their tangential springs, whether they stick or slide, their speed of sliding in m/s, and their
-    normal and tangential force in N. A free point has the speed along the surface of its own."""
+    """State of contact of one rod's points (nodes, k): the elongation (…, 3) in m of their
+    tangential springs, free, sticking or sliding, the sliding speed in m/s, and normal and
+    tangential force in N. A free point has its own speed along the surface."""
 
     elongation: Array
     state: Array
@@ -92,14 +95,14 @@ class Touch(NamedTuple):
 
 
 def no_touch(*shape: int) -> Touch:
-    """Points (…, nodes, k) that are free."""
+    """The state of free points (…, nodes, k)."""
     return Touch(np.zeros((*shape, 3)), np.zeros(shape, np.int8), *np.zeros((3, *shape)))
 
 
 class TouchStep(NamedTuple):
-    """A step as points see it: what they remember ``before`` and ``now``, at its end, its length
-    ``h`` in s, zero in statics, and whether this is an ``early`` one of Newton's iterations, in
-    which points that stuck before have the tangent of sticking even if they slide."""
+    """A step as contact points see it: their state ``before`` and ``now``, at its end, and its
+    length ``h`` in s, zero in statics. In ``early`` Newton iterations a point that stuck before has
+    the tangent of sticking, even if it slides."""
 
     before: Touch
     now: Touch
@@ -108,7 +111,7 @@ class TouchStep(NamedTuple):
 
 
 class SectionPose(NamedTuple):
-    """Where a section is: its middle ``x`` (3,) and its axes ``matrix`` (3, 3)."""
+    """Pose of a section: its middle ``x`` (3,) and its axes ``matrix`` (3, 3)."""
 
     x: Array
     matrix: Array
@@ -124,17 +127,17 @@ def _make_free(touch: Touch, node: int, k: int) -> None:
 
 @njit
 def release(touch: Touch, node: int) -> None:
-    """Make the points of a section free."""
+    """Set the points of a section free."""
     for k in range(touch.normal.shape[1]):
         _make_free(touch, node, k)
 
 
 @inlined
 def coefficient(law: Friction, speed: float) -> float:
-    """The coefficient of friction at a sliding speed in m/s, which is zero at a point that sticks.
+    """Coefficient of friction at a sliding speed in m/s, which is zero for a sticking point.
 
-    A step takes the speed of sliding at the end of the step before. With its own speed the law
-    would fall, over a short step, faster than the tangential spring holds, and a step would have
+    A step uses the sliding speed at the end of the step before. With its own speed friction would
+    fall, over a short step, faster than the tangential spring resists; a step would then have
     several solutions or none.
     """
     if speed == 0.0:
@@ -145,7 +148,7 @@ def coefficient(law: Friction, speed: float) -> float:
 
 @inlined
 def height(surface: Obstacle, place: Array) -> float:
-    """How far in m a place is above the plane."""
+    """Height in m of a place above the plane."""
     above = 0.0
     for c in range(3):
         above += surface.normal[c] * (place[c] - surface.point[c])
@@ -154,10 +157,11 @@ def height(surface: Obstacle, place: Array) -> float:
 
 @njit
 def place_gap(surface: Obstacle, place: Array, normal: Array, grows: Array) -> tuple[float, float]:
-    """Write the surface's ``normal`` (3,) under a place (3,), and how the factor of the contact
-    stiffness ``grows`` (3,) per m; the gap in m along the normal, and that factor.
+    """Gap in m at a place (3,) along the surface's normal, and the local factor of the contact
+    stiffness.
 
-    Over a relief the gap is that to the plane that touches it below the place.
+    Writes the ``normal`` (3,) and the factor's gradient ``grows`` (3,) per m. Over a relief the gap
+    is that to the tangent plane below the place.
     """
     if surface.relief.there:
         above, factor = look(surface.relief, place[0], place[1], normal, grows)
@@ -169,7 +173,7 @@ def place_gap(surface: Obstacle, place: Array, normal: Array, grows: Array) -> t
 
 @njit
 def point_gap(surface: Obstacle, k: int, section: SectionPose) -> float:
-    """The gap in m of one of a section's points over the surface, as `place_gap`."""
+    """Gap in m of one of a section's points, as `place_gap`."""
     place, (x, matrix) = np.empty(3), section
     for c in range(3):
         place[c] = x[c] + matrix[c, 0] * surface.rim[k, 0] + matrix[c, 1] * surface.rim[k, 1]
@@ -180,7 +184,7 @@ def point_gap(surface: Obstacle, k: int, section: SectionPose) -> float:
 
 @njit
 def lowest(surface: Obstacle, section: SectionPose) -> float:
-    """The least gap in m of a section's points over the surface."""
+    """The least gap in m of a section's points."""
     least = math.inf
     for k in range(len(surface.rim)):
         least = min(least, point_gap(surface, k, section))
@@ -188,9 +192,9 @@ def lowest(surface: Obstacle, section: SectionPose) -> float:
 
 
 class Springs(NamedTuple):
-    """The springs of a point: their stiffness ``kn`` and ``kt`` in N/m, the ``gap`` in m over a
-    plane of ``normal`` (3,), and ``pull`` (3,) in m, the elongation of the tangential one if the
-    point stuck."""
+    """The springs of a point: stiffness ``kn`` and ``kt`` in N/m, the ``gap`` in m over a plane
+    of ``normal`` (3,), and ``pull`` (3,) in m, the tangential spring's elongation if the point
+    stuck."""
 
     kn: float
     kt: float
@@ -203,10 +207,11 @@ class Springs(NamedTuple):
 def touch_point(
     law: Friction, springs: Springs, step: TouchStep, node: int, k: int, push: Array, stiff: Array
 ) -> tuple[float, float]:
-    """Write the force ``push`` (3,) in N on a point that is below a plane, its loss ``stiff``
-    (3, 3) by the point's displacement, and what the point remembers at the end of the step.
+    """Contact force and new state of a point below a plane.
 
-    Returns how much friction dissipated over the step and what contact holds at its end, in J.
+    Writes the force ``push`` (3,) in N and ``stiff`` (3, 3), minus its derivative by the point's
+    displacement. Returns the energy dissipated by friction over the step and that stored in contact
+    at its end, in J.
     """
     (kn, kt, gap, n, pull), before, now = springs, step.before, step.now
     mu = coefficient(law, before.speed[node, k])
@@ -239,8 +244,8 @@ def touch_point(
 
 @njit
 def lose_hold(step: TouchStep, node: int, k: int) -> float:
-    """Make a point free at the end of the step; what its tangential spring held, in J, which it
-    loses to friction."""
+    """Set a point free at the end of the step; returns the energy in J of its tangential spring,
+    which is lost to friction."""
     square = 0.0
     for c in range(3):
         square += step.before.elongation[node, k, c] ** 2
@@ -257,10 +262,10 @@ def touch_section(
     step: TouchStep,
     system: System,
 ) -> tuple[float, float]:
-    """Take the forces of a section's points off the residual, add their tangent to the diagonal
-    block, and write what the points remember at the end of the step.
+    """Subtract the contact forces of a section from the residual, add their tangent to the diagonal
+    block, and write the points' state.
 
-    The section is where it is ``now``, at the end of the step, and ``was`` before. Returns as
+    The section's pose is ``now`` at the end of the step and ``was`` before it. Returns energies as
     `touch_point`.
     """
     n, grows = np.empty(3), np.empty(3)
@@ -292,7 +297,7 @@ def touch_section(
         lost += took
         held += holds
         for c in range(3):
-            # the contact holds kn gap² / 2, and is pushed to where it is softer
+            # the stored energy kn gap² / 2 pushes the point to where the surface is softer
             push[c] -= 0.5 * surface.kn * grows[c] * gap * gap
         _add_point(arm, push, stiff, turned, system, node)
     return lost, held
@@ -302,7 +307,8 @@ def touch_section(
 def _add_point(
     arm: Array, push: Array, stiff: Array, turned: Array, system: System, node: int
 ) -> None:
-    """A force ``push`` on a point at ``arm``, whose loss by its displacement is ``stiff``."""
+    """Subtract the force ``push`` on a point at ``arm``; ``stiff`` is minus its derivative by the
+    point's displacement."""
     block, residual = system.diagonal[node], system.residual[node]
     along, moment = dot(arm, push), cross(arm, push)
     for i in range(3):

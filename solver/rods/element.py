@@ -1,14 +1,13 @@
-"""The two-node element of a geometrically exact rod: strains, forces and their tangent.
+"""Two-node element of a geometrically exact rod: strains, forces and tangent.
 
-Simo, Comput. Methods Appl. Mech. Engng 49 (1985) 55, and Reissner. Rotation runs between the nodes
-along the shortest way at a constant rate, so the strains do not depend on the path of loading and
-do not change with a rigid motion (Crisfield and Jelenić, Proc. R. Soc. A 455 (1999) 1125). With the
-rotation R of the middle and the rotation vector φ from the first node to the second, over the
-length l,
+Simo, Comput. Methods Appl. Mech. Engng 49 (1985) 55, and Reissner. The rotation between the nodes
+follows the shortest way at a constant rate. So the strains are independent of the path of loading
+and invariant under rigid motion (Crisfield and Jelenić, Proc. R. Soc. A 455 (1999) 1125). With the
+rotation R of the middle, the rotation vector φ from the first node to the second, and the length l,
 
     Γ = Rᵀ (x₂ - x₁) / l,    K = φ / l,
 
-one point of integration. Let a and b be the nodes' spins in the axes of the middle. Then, exactly,
+at one integration point. Let a and b be the nodes' spins in the axes of the middle. Then, exactly,
 
     δφ = S (b - a),    spin of the middle = (a + b)/2 - g × (b - a),
 
@@ -27,13 +26,13 @@ from ..compiled import inlined, njit
 from .chain import Chain, System
 from .rotation import Vector, between, cross, dot, vector_factor, write_middle
 
-# Below this angle between nodes, in rad, coefficients are their series.
+# Angle between nodes in rad below which the coefficients are series.
 SMALL_RAD = 0.05
 
 
 @inlined
 def coefficients(square: float) -> tuple[float, float, float, float, float, float]:
-    """s, σ, τ and their derivatives by ½φ², of the squared angle between nodes."""
+    """s, σ, τ and their derivatives by ½φ², from the squared angle between the nodes."""
     if square < SMALL_RAD * SMALL_RAD:
         s = 1.0 + square * (1.0 / 24.0 + square * (7.0 / 5760.0 + square * 31.0 / 967680.0))
         sigma = -(1.0 / 24.0 + square * (7.0 / 5760.0 + square * 31.0 / 967680.0))
@@ -75,8 +74,8 @@ def strains(chain: Chain, x: Array, q: Array, out: Array) -> None:
 
 @njit
 def _turned_back(middle: Array, solution: Array, e: int, c: int) -> Vector:
-    """A component, in the middle's axes, of the displacement of an element's second node over its
-    first's, of their mean spin, and of the spin of the second over the first's."""
+    """Component ``c``, in the middle's axes, of three vectors of an element: the second node's
+    displacement minus the first's, the mean spin, and the second's spin minus the first's."""
     moved = mean = apart = 0.0
     for k in range(3):
         moved += middle[k, c] * (solution[e + 1, k] - solution[e, k])
@@ -87,7 +86,7 @@ def _turned_back(middle: Array, solution: Array, e: int, c: int) -> Vector:
 
 @njit
 def strain_energy(chain: Chain, strain: Array) -> float:
-    """In J, of strains (e, 6)."""
+    """Strain energy in J at strains (e, 6)."""
     energy = 0.0
     for e in range(len(chain.length)):
         for c in range(6):
@@ -98,7 +97,7 @@ def strain_energy(chain: Chain, strain: Array) -> float:
 
 @inlined
 def _three(a: Vector, begin: int, factor: float) -> Vector:
-    """So many times three entries of an array from ``begin`` on."""
+    """Three entries of an array from ``begin`` on, times ``factor``."""
     return factor * a[begin], factor * a[begin + 1], factor * a[begin + 2]
 
 
@@ -109,7 +108,7 @@ def _row(a: Array, i: int) -> Vector:
 
 @inlined
 def _skew(v: Vector, i: int, j: int) -> float:
-    """An entry of the matrix of v ×."""
+    """Entry i, j of the matrix [v]×."""
     if i == j:
         return 0.0
     other = v[3 - i - j]
@@ -123,10 +122,8 @@ def _turned(matrix: Array, v: Vector) -> Vector:
 
 @njit
 def _forces(chain: Chain, e: int, strain: Array, before: Array, rate: float, out: Array) -> None:
-    """Write N and M (6,) in the middle's axes, damping by the strains ``before`` included.
-
-    ``rate`` is β over the time step.
-    """
+    """Write N and M (6,) in the middle's axes; damping is the difference to the strains ``before``
+    times ``rate``, β over the time step."""
     for c in range(6):
         change = strain[c] - chain.rest[e, c] + rate * (strain[c] - before[c])
         out[c] = chain.stiffness[e, c] * change
@@ -146,9 +143,9 @@ def _moments(d: Vector, f: Vector, force: Vector, moment: Vector) -> tuple[Vecto
 
 
 class Elements(NamedTuple):
-    """The elements of one rod as last assembled: ``middle`` (e, 3, 3), ``strain`` and ``load``
-    (e, 6) in the middle's axes, forces and moments ``ends`` (e, 2, 6) in world axes, the first of
-    an element's two at its first node, and room for matrices (6, 3, 3)."""
+    """The elements of one rod as last assembled: ``middle`` (e, 3, 3), ``strain`` and ``load`` (e,
+    6) in the middle's axes, forces and moments ``ends`` (e, 2, 6) at both nodes in world axes, and
+    work space for matrices (6, 3, 3)."""
 
     middle: Array
     strain: Array
@@ -158,7 +155,7 @@ class Elements(NamedTuple):
 
 
 def new_elements(n: int) -> Elements:
-    """Room for so many."""
+    """Empty arrays for ``n`` elements."""
     return zeros(Elements, (n, 3, 3), (n, 6), (n, 6), (n, 2, 6), (6, 3, 3))
 
 
@@ -166,7 +163,7 @@ def new_elements(n: int) -> Elements:
 def load_elements(
     chain: Chain, x: Array, q: Array, before: Array, rate: float, elements: Elements
 ) -> None:
-    """Write the strains of elements, and the loads that make them.
+    """Write the strains and the resulting loads of all elements.
 
     See `_forces` for ``before`` and ``rate``.
     """
@@ -197,7 +194,7 @@ def assemble_forces(
     system: System,
     elements: Elements,
 ) -> None:
-    """Write the elements' forces into the residual, and zero into the diagonal blocks.
+    """Write the elements' forces into the residual, and zero the diagonal blocks.
 
     See `_forces` for ``before`` and ``rate``.
     """
@@ -215,8 +212,8 @@ def assemble_forces(
 
 @njit
 def foresee(chain: Chain, elements: Elements, solution: Array, out: Array) -> None:
-    """Write Γ of the elements (e, 3) into the first of two arrays, and into the second what nodes'
-    displacements and spins (n, 6) add to it, to first order."""
+    """Write Γ of the elements (e, 3) to ``out[0]``, and to ``out[1]`` its first-order change by the
+    nodes' displacements and spins ``solution`` (n, 6)."""
     for e in range(len(chain.length)):
         length, middle, strain = chain.length[e], elements.middle[e], elements.strain[e]
         f = _three(strain, 3, length)
@@ -224,7 +221,7 @@ def foresee(chain: Chain, elements: Elements, solution: Array, out: Array) -> No
         m0, a0, b0 = _turned_back(middle, solution, e, 0)
         m1, a1, b1 = _turned_back(middle, solution, e, 1)
         m2, a2, b2 = _turned_back(middle, solution, e, 2)
-        # the spin of the middle, of which a half is from either node
+        # spin of the middle, half from each node
         t0, t1, t2 = cross(_three(f, 0, tau), (b0, b1, b2))
         turned = cross(_three(strain, 0, 1.0), (a0 - t0, a1 - t1, a2 - t2))
         for c, moved in enumerate((m0, m1, m2)):
@@ -233,7 +230,7 @@ def foresee(chain: Chain, elements: Elements, solution: Array, out: Array) -> No
 
 @inlined
 def _in_world(matrix: Array, own: Array, factor: float, begin: int, out: Array) -> None:
-    """Write in world axes (3, 3) a matrix whose diagonal is three entries of ``own``."""
+    """Write, in world axes, the matrix (3, 3) whose diagonal is three entries of ``own``."""
     for i in range(3):
         for j in range(i + 1):
             value = 0.0
@@ -244,11 +241,12 @@ def _in_world(matrix: Array, own: Array, factor: float, begin: int, out: Array) 
 
 @njit
 def _tangent(chain: Chain, e: int, rate: float, system: System, elements: Elements) -> None:
-    """Add an element's tangent to the diagonal blocks of its nodes, and write those between them.
+    """Add an element's tangent to the diagonal blocks of its nodes, and write the off-diagonal
+    ones.
 
-    Everything is in world axes, changes as seen from the middle, which turns by w. With
-    d = x₂ - x₁, the force N on the second node, the stiffness C_N of stretch and shear, and
-    V = [N]× - [d]× C_N,
+    Everything is in world axes; changes are relative to the middle, which turns by w. With d = x₂ -
+    x₁, the force N on the second node, the stiffness C_N of stretch and shear, and V = [N]× - [d]×
+    C_N,
 
         dN = C_N dd + Vᵀ w,    d(N × d) = V (dd + d × w),    w = (½ + [g]×) a + (½ - [g]×) b,
 
@@ -270,7 +268,7 @@ def _tangent(chain: Chain, e: int, rate: float, system: System, elements: Elemen
     stiff = (1.0 + rate) / length
     _in_world(middle, stiffness, stiff, 0, stretch)
     _in_world(middle, stiffness, stiff, 3, bend)
-    # how S M - c × g at fixed c changes with φ, then through dφ = S (b - a)
+    # derivative of S M - c × g by φ at fixed c, then through dφ = S (b - a)
     product, bent = dot(f, m), _turned(bend, f)
     across = cross(c, f)
     for i in range(3):
@@ -284,10 +282,10 @@ def _tangent(chain: Chain, e: int, rate: float, system: System, elements: Elemen
         for j in range(3):
             bend[i, j] = s * turns[i, j] + along * f[j]
     for i in range(3):
-        crossed = cross(d, _row(stretch, i))  # of [d]× C_N a column, as C_N is symmetric
+        crossed = cross(d, _row(stretch, i))  # column of [d]× C_N, as C_N is symmetric
         for j in range(3):
             couple[j, i] = _skew(force, j, i) - crossed[j]
-    # V [d]×, and Vᵀ [g]× beside Vᵀ / 2: how the force changes with the two spins
+    # V [d]×, and Vᵀ [g]× beside Vᵀ / 2: derivatives of the force by the two spins
     for i in range(3):
         crossed = cross(_row(couple, i), d)
         for j in range(3):
@@ -335,7 +333,7 @@ def _tangent(chain: Chain, e: int, rate: float, system: System, elements: Elemen
 
 @njit
 def assemble_tangent(chain: Chain, rate: float, system: System, elements: Elements) -> None:
-    """Add the exact tangent of the forces that `assemble_forces` has just written to the diagonal
-    blocks, and write the others."""
+    """Add the exact tangent of the forces that `assemble_forces` wrote to the diagonal blocks, and
+    write the off-diagonal ones."""
     for e in range(len(chain.length)):
         _tangent(chain, e, rate, system, elements)

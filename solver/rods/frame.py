@@ -1,4 +1,4 @@
-"""What is shown of rods at one instant, and over the time before it."""
+"""State and forces of all rods at one output time, and means over the time before it."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from .tally import Means
 
 
 class TipState(IntEnum):
-    """How a bristle meets the surface; `SLIP` where most of its normal force slides."""
+    """State of a bristle's contact; `SLIP` if most of its normal force is on sliding points."""
 
     FREE = 0
     STICK = 1
@@ -19,11 +19,11 @@ class TipState(IntEnum):
 
 @dataclass(frozen=True)
 class RodEnergy:
-    """Energy of all rods in J: what they hold, what went in, and what was lost since the start.
+    """Energy balance of all rods in J: stored energy, work done, and losses since the start.
 
-    ``initial_J`` is what they held at the start, kinetic, strain and contact energy together;
-    ``potential_J`` counts from there. ``contact_J`` includes the tangential springs. What went in
-    and neither remains nor was dissipated by physics is ``numerical_J``.
+    ``initial_J`` is the kinetic, strain and contact energy at the start; ``potential_J`` counts
+    from there. ``contact_J`` includes the tangential springs. ``numerical_J`` is the part of the
+    work that is neither stored nor dissipated by physics.
     """
 
     initial_J: float
@@ -43,7 +43,7 @@ class RodEnergy:
 
     @property
     def closure_relative(self) -> float:
-        """|``numerical_J``| over the most of: work of the hub, energy held, energy lost."""
+        """|``numerical_J``| over the largest of the hub's work, the stored and the lost energy."""
         held = self.kinetic_J + self.strain_J + abs(self.potential_J) + self.contact_J
         lost = self.material_loss_J + self.friction_loss_J
         most = max(self.initial_J, abs(self.hub_work_J), held, lost)
@@ -57,19 +57,19 @@ class Frame:
     Parameters
     ----------
     t_s : the time
-    force_N, torque_Nm : (3,), what the bristles do to the hub, the torque about the hub's origin
+    force_N, torque_Nm : (3,), of the bristles on the hub; the torque is about the hub's origin
     tip_m : (n, 3), the middle of each end section
-    tip_normal_N, tip_friction_N : (n,), what the surface does to each bristle, over its length
+    tip_normal_N, tip_friction_N : (n,), of the surface on each bristle, over its length
     between_N : (n,), sum of the normal forces of other bristles on each
     state : (n,) int8, see `TipState`
     centre_m : (n, nodes, 3), the rods' centre lines, from the clamp to the tip
     rotation : (n, nodes, 4), unit quaternions of the sections' axes
     bending_stress_Pa : (n, nodes), the greatest over each section
     greatest_stress_Pa : (n,), the greatest bending stress in each bristle, over all time steps
-        since the frame before
+        since the last frame
     energy : the sum over all bristles
     steps : time steps of all bristles so far
-    means : over the time since the frame before
+    means : over the time since the last frame
     """
 
     t_s: float

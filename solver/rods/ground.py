@@ -1,4 +1,4 @@
-"""What rods meet, each other or a plane: how stiff the contact is, and its friction."""
+"""Contact law of rods with a plane or with each other: stiffness and friction."""
 
 from __future__ import annotations
 
@@ -19,16 +19,15 @@ from .relief import RoughPlane
 class Contact:
     """The law of a contact.
 
-    ``kn_N_m`` is its normal stiffness: on a plane that of an end section that lies flat, shared
-    among its points, and every other section that touches has the same; between two rods that of
-    two which cross at right angles with their wide sides on each other. The coefficient of friction
-    falls from the static one to the kinetic one over the sliding speed: μ(v) = μk + (μs - μk)
-    exp(-(v/vs)²) (Stribeck's transition; Olsson et al., Eur. J. Control 4 (1998) 176). With
-    ``stribeck_speed_m_s`` zero it falls at once: a point that slides has the kinetic coefficient
-    until it sticks again. ``kt_over_kn`` is the stiffness of the tangential spring that a point
-    sticks by.
+    ``kn_N_m`` is the normal stiffness. On a plane it is that of an end section that lies flat,
+    shared among its points; every other section has the same. Between two rods it is that of a
+    crossing at right angles, wide side on wide side. Friction falls from the static to the kinetic
+    coefficient with the sliding speed: μ(v) = μk + (μs - μk) exp(-(v/vs)²) (Stribeck's transition;
+    Olsson et al., Eur. J. Control 4 (1998) 176). If ``stribeck_speed_m_s`` is zero it falls at
+    once: a sliding point has the kinetic coefficient until it sticks again. ``kt_over_kn`` is the
+    tangential spring's stiffness over the normal one.
 
-    Raises InputError where a number is out of its range.
+    Raises InputError if a number is out of range.
     """
 
     kn_N_m: float = paper.KN_CHOSEN_N_M
@@ -55,7 +54,7 @@ class Contact:
 class Ground(Contact):
     """A plane through ``point_m`` (3,) with an outward ``normal`` (3,), and its contact.
 
-    With ``rough`` it has heights, and Kn is the mean over it. It is z = 0 then.
+    A ``rough`` plane has heights over z = 0, and Kn is the mean stiffness over it.
     """
 
     point_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
@@ -72,7 +71,7 @@ class Ground(Contact):
 
     @property
     def unit_normal(self) -> Array:
-        """(3,)"""
+        """The normal as unit vector (3,)."""
         return np.asarray(self.normal, dtype=float) / np.linalg.norm(self.normal)
 
     def gaps_m(self, points_m: Array) -> Array:

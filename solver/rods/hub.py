@@ -1,4 +1,4 @@
-"""The hub: where bristles are clamped in it, and how it moves."""
+"""The hub: where bristles are clamped, and its prescribed motion."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from ..errors import InputError
 from ..rigid import matrix_of, turn
 from .rotation import spin_of
 
-# Rows of a table that ask for a faster hub than this do not describe a motion but a jump.
+# A table whose rows imply a faster hub describes a jump, not a motion.
 FASTEST_M_S, FASTEST_RAD_S = 100.0, 1e4
 ORDER = 6
 
 
 @dataclass(frozen=True)
 class Clamps:
-    """Where bristles are clamped, in the hub's axes.
+    """Positions and directions of the clamped bristles, in the hub's axes.
 
     Parameters
     ----------
@@ -30,9 +30,8 @@ class Clamps:
         points away from the hub
     length_m : (n,), free length of each bristle
 
-    Raises
-    ------
-    InputError : shapes do not match, a rotation is none, or a length is not positive
+    Raises ------ InputError : shapes differ, a matrix is not a rotation, or a length is not
+    positive
     """
 
     position_m: Array
@@ -61,8 +60,8 @@ class Clamps:
 
 
 class HubPose(NamedTuple):
-    """Where the hub is at one instant: its origin (3,), its axes in the world's (3, 3), and their
-    velocity and angular velocity (3,), all in world axes."""
+    """Pose of the hub at one instant: its origin (3,), its axes (3, 3), velocity and angular
+    velocity (3,), all in world axes."""
 
     position_m: Array
     rotation: Array
@@ -72,9 +71,9 @@ class HubPose(NamedTuple):
 
 @njit
 def hub_coordinates(breaks: Array, coefficients: Array, t_s: float, out: Array) -> None:
-    """Write the hub's six coordinates and their rates (2, 6) at a time into ``out``.
+    """Write the hub's six coordinates and their rates (2, 6) at time ``t_s``.
 
-    The first segment holds before the first break, the last one after the last break.
+    The first segment extends to times before the first break, the last one beyond the last.
     """
     segment = 0
     while segment < len(breaks) - 2 and breaks[segment + 1] <= t_s:
@@ -90,12 +89,11 @@ def hub_coordinates(breaks: Array, coefficients: Array, t_s: float, out: Array) 
 
 @dataclass(frozen=True)
 class HubPath:
-    """A prescribed motion: a polynomial in each of six coordinates over each of some segments.
+    """A prescribed motion: piecewise polynomials in six coordinates, position and rotation vector.
 
-    The coordinates are the hub's position and its rotation vector. ``breaks`` (m + 1,) in s
-    separate segments; ``coefficients`` (`ORDER`, m, 6) are of falling powers of the time since a
-    segment's begin, as those of scipy's PPoly. Compiled code evaluates them. InputError where the
-    motion jumps from one segment to the next.
+    ``breaks`` (m + 1,) in s separate the segments. ``coefficients`` (`ORDER`, m, 6) are those of
+    scipy's PPoly: of falling powers of the time since the segment's start. Compiled code evaluates
+    them. Raises InputError if the motion jumps between segments.
     """
 
     breaks: Array
@@ -114,7 +112,7 @@ class HubPath:
             raise InputError(f"the hub's path jumps at {at:g} s")
 
     def pose(self, t_s: float) -> HubPose:
-        """The pose at a time."""
+        """The hub's pose at time ``t_s``."""
         out = np.empty((2, 6))
         hub_coordinates(self.breaks, self.coefficients, float(t_s), out)
         turned = out[0, 3:]
@@ -127,21 +125,22 @@ class HubPath:
 
     @classmethod
     def still(cls) -> Self:
-        """At rest with its axes along the world's, its origin in the world's."""
+        """A hub at rest, with its origin and axes those of the world."""
         return cls(np.array([0.0, 1.0]), np.zeros((ORDER, 1, 6)))
 
     @classmethod
     def table(cls, t_s: Array, pose: Array) -> Self:
-        """Through rows of a table: ``t_s`` (m,), position in m and rotation vector in rad (m, 6).
+        """A motion through rows of a table: ``t_s`` (m,), position in m and rotation vector in rad
+        (m, 6).
 
-        The interpolation is Akima's (modified; scipy's ``makima``): its first derivative is
-        continuous, and a hub that rests over three rows does not overshoot. The hub rests before
-        the first row and after the last.
+        The interpolation is modified Akima (scipy's ``makima``): its first derivative is
+        continuous, and a hub at rest over three rows does not overshoot. The hub rests before the
+        first row and after the last.
 
         Raises
         ------
         InputError : fewer than two rows, times that do not increase, values that are not finite,
-            or rows between which the hub would be faster than 100 m/s or 1e4 rad/s
+            or rows that imply a hub faster than 100 m/s or 1e4 rad/s
         """
         t, rows = np.asarray(t_s, dtype=float), np.asarray(pose, dtype=float)
         if rows.shape != (len(t), 6) or len(t) < 2:

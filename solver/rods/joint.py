@@ -1,15 +1,15 @@
-"""One time step of one rod, or of several that touch each other and share it.
+"""One implicit time step of one rod, or of several rods in contact.
 
-Newton's matrix has a block-tridiagonal block for each rod and, for each point between two rods,
-three more rows: with A the rods by themselves, B the displacements of one side of the points over
-the other and K what their forces lose by them, (A + Bᵀ K B) u = -r. The rods are solved one by one,
-for -r and for unit forces at their points, which gives the compliance C = B A⁻¹ Bᵀ of the points.
-What is left is of the points alone, (1 + K C) z = -K B A⁻¹ r, and u = -A⁻¹ (r + Bᵀ z). This is
-exact, so it converges as Newton's method does for one rod, but for the turning of normals and
-arms, which the tangent leaves out, and for the first iterations, see `EARLY`.
+Newton's matrix has one block-tridiagonal block per rod and three more rows per contact point
+between rods. Let A be the matrix of the rods alone, B the relative displacements at the points, and
+K minus the derivative of their forces by these: (A + Bᵀ K B) u = -r. Each rod is solved alone, for
+-r and for unit forces at its points. This gives the points' compliance C = B A⁻¹ Bᵀ. What remains
+is a system of the points alone, (1 + K C) z = -K B A⁻¹ r, and u = -A⁻¹ (r + Bᵀ z). The elimination
+is exact, so convergence is that of Newton's method for one rod, except that the tangent omits the
+rotation of normals and arms, and for the first iterations (`EARLY`).
 
-Rods that touch each other now, directly or through others, are a cluster. Each cluster iterates by
-itself: it rests where its residual counts as none, and goes on if another runs into it.
+A cluster is a set of rods in contact, directly or through others. Each cluster iterates by itself:
+it stops when its residual is below the tolerance, and resumes if another rod runs into it.
 """
 
 from __future__ import annotations
@@ -48,32 +48,33 @@ from .step import (
     shortfall,
 )
 
-# Newton's iterations of one step, of a lone rod and of several; one that needs more is halved
-# instead. Of two in a dense cup 5 % need more than 24, most of which do not converge in 40.
+# Limits of Newton iterations per step, for a lone rod and for several; a step that needs more is
+# halved. In a dense cup 5 % of the steps of two rods need more than 24, and most of those do not
+# converge in 40.
 ITERATION_LIMIT, LIMIT_OF_SEVERAL = 40, 24
-# In so many first iterations a point that stuck before the step has the tangent of one that sticks.
-# A first guess that slides may still come to stick. With the tangent of sliding, which holds
-# nothing, Newton's method would throw the section off the surface.
+# In the first `EARLY` iterations a point that stuck before the step has the tangent of sticking. A
+# first guess that slides may still come to stick. The tangent of sliding has no resistance, and
+# Newton's method would throw the section off the surface.
 EARLY = 3
-# After so many iterations a step that does not lessen the residual is halved, down to this part.
+# After `PATIENT` iterations a Newton step that does not reduce the residual is halved, down to
+# `SHORTEST_PART`.
 PATIENT, SHORTEST_PART = 6, 0.1
-# The part of a step that just closes a contact is found in so many trials.
+# Number of trials to find the part of a step that just closes a contact.
 SHORTER = 12
-# What a rod does next: nothing, as its cluster is in equilibrium, a step of Newton's, or back by a
-# half of its last one.
+# What a rod does next: nothing, since its cluster is in equilibrium; a Newton step; or half of its
+# last one back.
 RESTS, GOES, RETURNS = range(3)
-# A cluster whose residual is not yet none after so many iterations rests where it is no more than
-# so many times that, a tenth of the error that the step may have: where a contact passes from one
-# face to another its force has a jump.
+# After `FEW` iterations a cluster also stops at `FAIR` times the tolerance, a tenth of the error
+# allowed in a step: its force jumps where a contact passes from one face to another.
 FEW, FAIR = 3, 10.0
-# So many unknowns of a cluster's points are solved as a full matrix, more as a sparse one.
+# Up to this many unknowns of a cluster's points the matrix is dense, beyond it sparse.
 FULL = 240
-# Instead of the number of iterations, where they do not converge.
+# Returned in place of the number of iterations if they do not converge.
 FAILED = -1
 
 
 class Brush(NamedTuple):
-    """All rods: the law that they have in common, what each is, and its state, both stacked."""
+    """All rods: the law that they share, their properties and their state, both stacked."""
 
     law: Law
     rods: ClampedRod
@@ -81,9 +82,9 @@ class Brush(NamedTuple):
 
 
 class Group(NamedTuple):
-    """Rods that take their steps together: their numbers ``members`` in the brush, the ``pairs``
-    (p, 4) of elements that may touch, see `pairs.Points`, their rods counted among the members, and
-    what the points of pairs remember."""
+    """Rods that share their time steps: their numbers ``members`` in the brush, the ``pairs`` (p,
+    4) of elements that may touch (see `pairs.Points`; rods are numbered among the members), and the
+    state of the pairs' contact points."""
 
     members: Integers
     pairs: Integers
@@ -91,14 +92,14 @@ class Group(NamedTuple):
 
     @classmethod
     def apart(cls, members: Integers) -> Self:
-        """Of rods that touch no other."""
+        """A group of rods that touch no other."""
         return cls(members, np.zeros((0, 4), np.int64), no_touch(0, 2))
 
 
 class Progress(NamedTuple):
-    """How far Newton's method is with each rod: its cluster, what it does next, its cluster's
-    greatest residual with the others over what counts as none, the last such residual from which it
-    took a step, how much of that step it took, and how much it ought to."""
+    """State of Newton's method per rod: its cluster, what it does next, its cluster's residual over
+    the tolerance (greatest, contacts included), the last such residual from which it took a step,
+    the part of that step that it took, and the part that it should take."""
 
     cluster: Integers
     doing: Integers
@@ -109,8 +110,8 @@ class Progress(NamedTuple):
 
 
 class Room(NamedTuple):
-    """Room for a step of several rods: their next state and their scratch, stacked, how far they
-    are, what the points of pairs remember at the end, and the points."""
+    """Work space for a step of several rods: next state and scratch, both stacked, their progress,
+    the state of the pairs' contact points at the end, and the points."""
 
     new: Motion
     scratches: Scratch
@@ -120,15 +121,15 @@ class Room(NamedTuple):
 
 
 def _stacked(one: Any, count: int) -> Any:
-    """A record of arrays, each ``count`` times along a first axis."""
+    """A record of arrays, each repeated ``count`` times along a first axis."""
     if isinstance(one, tuple):
         return type(one)(*(_stacked(each, count) for each in one))
     return np.zeros((count, *one.shape), dtype=one.dtype)
 
 
 def room_for(nodes: int, rim: int, rods: int, pairs: int) -> Room:
-    """Room for so many rods of so many ``nodes`` with ``rim`` points to a section, and for so many
-    pairs of elements at most."""
+    """Work space for this many rods of ``nodes`` nodes with ``rim`` points per section, and for at
+    most this many pairs of elements."""
     return Room(
         motion_of(rods, nodes, rim),
         cast(Scratch, _stacked(new_scratch(nodes), rods)),
@@ -140,14 +141,14 @@ def room_for(nodes: int, rim: int, rods: int, pairs: int) -> Room:
 
 @inlined
 def _step(brush: Brush, group: Group, h: float, room: Room, k: int) -> Step:
-    """That of the group's k-th rod."""
+    """The step of the group's k-th rod."""
     rod, old = nth(brush.rods, group.members[k]), nth(brush.stack, group.members[k])
     return Step(rod, old, nth(room.new, k), h, nth(room.scratches, k))
 
 
 @inlined
 def _sides(brush: Brush, group: Group, room: Room, p: int) -> tuple[Side, Side]:
-    """Those of the group's p-th pair."""
+    """The two sides of the group's p-th pair."""
     a, e, b, f = group.pairs[p, 0], group.pairs[p, 1], group.pairs[p, 2], group.pairs[p, 3]
     old_a, old_b = pose_of(brush.stack, group.members[a]), pose_of(brush.stack, group.members[b])
     return Side(a, e, pose_of(room.new, a), old_a), Side(b, f, pose_of(room.new, b), old_b)
@@ -155,8 +156,10 @@ def _sides(brush: Brush, group: Group, room: Room, p: int) -> tuple[Side, Side]:
 
 @within
 def _assemble_all(brush: Brush, group: Group, h: float, early: bool, room: Room) -> int:
-    """Write residuals, of rods by themselves only where they moved, and points; how many points
-    touch."""
+    """Write the contact points and all residuals; returns the number of points in contact.
+
+    A rod's own residual is written only if it moved.
+    """
     law, residual, works = brush.law, room.scratches.system.residual, room.scratches.works
     for k in range(len(group.members)):
         step = _step(brush, group, h, room, k)
@@ -187,7 +190,7 @@ def _assemble_all(brush: Brush, group: Group, h: float, early: bool, room: Room)
 
 @njit
 def _first_of(cluster: Integers, k: int) -> int:
-    """The rod that stands for a cluster, from any of its rods."""
+    """The rod that represents a cluster, from any of its rods."""
     while cluster[k] != k:
         k = cluster[k]
     return k
@@ -195,7 +198,7 @@ def _first_of(cluster: Integers, k: int) -> int:
 
 @within
 def _gather(room: Room, count: int) -> None:
-    """Find the clusters that the points make, and the greatest residual of each."""
+    """Find the clusters formed by the contact points, and the greatest residual of each."""
     cluster, _, worst, last, part, _ = room.progress
     for k in range(len(cluster)):
         cluster[k] = k
@@ -204,7 +207,7 @@ def _gather(room: Room, count: int) -> None:
         b = _first_of(cluster, room.points.whole[p, ROD_B])
         cluster[max(a, b)] = min(a, b)
     for k in range(len(cluster)):
-        # the first of a cluster has the lowest number, so that it comes first
+        # the representative has the lowest number, so it comes first
         c = cluster[k] = cluster[cluster[k]]
         worst[c], last[c] = max(worst[c], worst[k]), max(last[c], last[k])
         part[c] = min(part[c], part[k])
@@ -215,8 +218,10 @@ def _gather(room: Room, count: int) -> None:
 
 @within
 def _decide(progress: Progress, iteration: int, fair: float) -> tuple[bool, bool]:
-    """Decide what every rod does next, with ``fair`` as `FAIR`; whether any moves, and whether
-    steps can mend it."""
+    """Decide what every rod does next; returns whether any moves, and whether steps can help.
+
+    ``fair`` is as `FAIR`.
+    """
     _, doing, worst, last, part, _ = progress
     moves = False
     for k in range(len(doing)):
@@ -227,7 +232,7 @@ def _decide(progress: Progress, iteration: int, fair: float) -> tuple[bool, bool
         moves, stalls = True, iteration > PATIENT and worst[k] >= last[k]
         if stalls and part[k] > SHORTEST_PART:
             part[k] *= 0.5
-            # one that rested has no step to take back, but its cluster does
+            # a rod that rested has no step to take back, but its cluster does
             doing[k] = RETURNS if moved else RESTS
         elif not math.isfinite(worst[k]):
             return True, False
@@ -238,7 +243,7 @@ def _decide(progress: Progress, iteration: int, fair: float) -> tuple[bool, bool
 
 @njit
 def _push(points: Points, p: int, side: int, residual: Array) -> None:
-    """Take a point's force on one side off the residual (rods, n, 6)."""
+    """Subtract a point's force on one side from the residual (rods, n, 6)."""
     sign = 1.0 if side == 0 else -1.0
     r, e = points.whole[p, 2 * side], points.whole[p, 2 * side + 1]
     push = points.push[p]
@@ -252,7 +257,7 @@ def _push(points: Points, p: int, side: int, residual: Array) -> None:
 
 @njit
 def _load(points: Points, p: int, side: int, loads: Array, j: int) -> None:
-    """Add a unit force along each axis, at one side of a point, to three columns from ``j`` on of
+    """Add unit forces along each axis, on one side of a point, to three columns from ``j`` on of
     its rod's loads (n, 6, m)."""
     sign, e, arm = 1.0 if side == 0 else -1.0, points.whole[p, 2 * side + 1], points.arm[p, side]
     for node in range(2):
@@ -267,8 +272,8 @@ def _load(points: Points, p: int, side: int, loads: Array, j: int) -> None:
 
 @njit
 def _displacement(points: Points, p: int, side: int, moved: Array, j: int, out: Array) -> None:
-    """Write the displacement (3,) of one side of a point, over the other's, by column ``j`` of its
-    rod's (n, 6, m)."""
+    """Write the displacement (3,) of one side of a point relative to the other, from column ``j``
+    of its rod's (n, 6, m)."""
     sign, e, arm = 1.0 if side == 0 else -1.0, points.whole[p, 2 * side + 1], points.arm[p, side]
     for c in range(3):
         a, b = (c + 1) % 3, (c + 2) % 3
@@ -282,8 +287,8 @@ def _displacement(points: Points, p: int, side: int, moved: Array, j: int, out: 
 
 @njit
 def _grouped(owner: Integers, many: int) -> tuple[Integers, Integers]:
-    """The order that puts what has one of so ``many`` owners together, otherwise as it is, and
-    where that of each begins (many + 1,)."""
+    """A stable order that sorts entries by ``owner``, and where those of each owner begin (many +
+    1,)."""
     begins, order = np.zeros(many + 1, np.int64), np.empty(len(owner), np.int64)
     for each in owner:
         begins[each] += 1
@@ -296,10 +301,12 @@ def _grouped(owner: Integers, many: int) -> tuple[Integers, Integers]:
 
 
 class Links(NamedTuple):
-    """The points of rods that take a step: which those are, those of a cluster one after another,
-    and where each cluster's begin. Then their sides, those of a rod one after another, where 2 k is
-    the first side of the k-th of these points and 2 k + 1 its second, and where each rod's begin
-    (rods + 1,)."""
+    """Contact points of the rods that take a Newton step.
+
+    ``chosen`` are the points, sorted by cluster, and ``clusters`` is where each cluster begins.
+    ``sides`` are their sides, sorted by rod, and ``begins`` (rods + 1,) is where each rod begins.
+    Side 2 k is the first side of the k-th of these points, 2 k + 1 its second.
+    """
 
     chosen: Integers
     clusters: Integers
@@ -311,7 +318,7 @@ class Links(NamedTuple):
 def _links(room: Room, count: int) -> Links:
     whole, progress, rods = room.points.whole, room.progress, len(room.progress.cluster)
     cluster = np.empty(count, np.int64)
-    # points of rods that take none have a cluster of their own, which comes last
+    # points of rods that take no step form a cluster of their own, which comes last
     for p in range(count):
         first = whole[p, ROD_A]
         cluster[p] = progress.cluster[first] if progress.doing[first] == GOES else rods
@@ -326,7 +333,8 @@ def _links(room: Room, count: int) -> Links:
 
 @njit
 def _of_rod(columns: Array, nodes: int, begins: Integers, k: int) -> Array:
-    """A rod's part (nodes, 6, m) of all columns: one, and three for each of its points' sides."""
+    """A rod's part (nodes, 6, m) of all columns: one for its residual and three for each side of a
+    point."""
     first, last = k + 3 * begins[k], k + 1 + 3 * begins[k + 1]
     return columns[6 * nodes * first : 6 * nodes * last].reshape(nodes, 6, -1)
 
@@ -335,8 +343,8 @@ def _of_rod(columns: Array, nodes: int, begins: Integers, k: int) -> Array:
 def _respond(
     brush: Brush, group: Group, h: float, room: Room, links: Links, k: int, moved: Array
 ) -> bool:
-    """Write how the k-th rod moves (n, 6, m) by its residual, then by unit forces at its points;
-    False where its matrix is singular."""
+    """Write the response (n, 6, m) of the k-th rod to its residual and to unit forces at its
+    points; False if its matrix is singular."""
     chain, scratch = nth(brush.rods.chain, group.members[k]), nth(room.scratches, k)
     system, first = scratch.system, links.begins[k]
     assemble_tangent(chain, damping_rate(brush.law, chain, h), system, scratch.elements)
@@ -351,10 +359,10 @@ def _respond(
 
 @within
 def _newton_steps(brush: Brush, group: Group, h: float, room: Room, count: int) -> bool:
-    """Write Newton's step of every rod that takes one to its system's solution, and keep where it
-    is; False where a matrix is singular.
+    """Solve for Newton's step of every rod that takes one, and save where it is; False if a matrix
+    is singular.
 
-    Unknowns are the forces at points, three each, those of a cluster one after another.
+    Unknowns are the forces at the points, three each, sorted by cluster.
     """
     points, doing, links = room.points, room.progress.doing, _links(room, count)
     chosen, _, sides, begins = links
@@ -362,7 +370,7 @@ def _newton_steps(brush: Brush, group: Group, h: float, room: Room, count: int) 
     entries = 3 * count
     for k in range(rods):
         entries += (3 * (begins[k + 1] - begins[k])) ** 2
-    # of 1 + K C, and the right-hand side
+    # entries of 1 + K C, and the right-hand side
     values, places, at = np.ones(entries), np.empty((2, entries), np.int32), 3 * count
     for d in range(3 * count):
         places[0, d] = places[1, d] = d
@@ -406,7 +414,8 @@ def _newton_steps(brush: Brush, group: Group, h: float, room: Room, count: int) 
 
 @within
 def _superpose(moved: Array, sides: Integers, forces: Array, solution: Array) -> None:
-    """Write how a rod moves (n, 6) by its residual and by the forces at its points' sides."""
+    """Write a rod's Newton step (n, 6): its response to the residual plus those to the points'
+    forces."""
     for i in range(len(moved)):
         for r in range(6):
             solution[i, r] = moved[i, r, 0]
@@ -416,7 +425,7 @@ def _superpose(moved: Array, sides: Integers, forces: Array, solution: Array) ->
 
 
 def _sparse_solution(values: Array, places: Integers, right: Array) -> Array:
-    """Of a sparse matrix by its entries; no numbers where it is singular."""
+    """Solution with a sparse matrix given by its entries; NaN if it is singular."""
     try:
         return np.asarray(splu(csc_array((values, tuple(places)))).solve(right))
     except RuntimeError:  # singular
@@ -432,8 +441,10 @@ def _by_scipy(values: Array, places: Integers, right: Array) -> Array:
 
 @njit
 def _point_forces(values: Array, places: Integers, right: Array, begins: Integers) -> Array:
-    """The forces at points, by the entries (m,) of a matrix and their rows and columns (2, m);
-    those of a cluster begin at ``begins`` (clusters + 1,), and are no numbers if it is singular."""
+    """Forces at the points, by the matrix' entries (m,) and their rows and columns (2, m).
+
+    ``begins`` (clusters + 1,) is where each cluster's forces begin. They are NaN if it is singular.
+    """
     forces, sizes = right.copy(), np.diff(begins)
     if sizes.max() > FULL:
         return _by_scipy(values, places, right)
@@ -446,18 +457,18 @@ def _point_forces(values: Array, places: Integers, right: Array, begins: Integer
             low, high = begins[c], begins[c + 1]
             try:
                 forces[low:high] = np.linalg.solve(matrices[low:high, : sizes[c]], right[low:high])
-            except Exception:  # singular, which compiled code tells by no class of its own
+            except Exception:  # singular; compiled code cannot name the class
                 forces[low:high] = np.nan
     return forces
 
 
 @within
 def _advance_all(brush: Brush, group: Group, h: float, room: Room) -> None:
-    """Move rods by Newton's step, or by so much of it that what comes together just touches; those
-    that return, back by a half.
+    """Move each rod by its Newton step, shortened so that new contacts just close; rods that return
+    take half a step back.
 
-    Without this a rod that bends far would fall deep into a stiff surface, which throws it out
-    again, for ever.
+    Otherwise a rod that bends far would penetrate a stiff surface deeply and be thrown out again,
+    for ever.
     """
     law, rods = brush.law, len(group.members)
     cluster, doing, worst, last, part, short = room.progress
@@ -470,7 +481,7 @@ def _advance_all(brush: Brush, group: Group, h: float, room: Room) -> None:
     chain = nth(brush.rods.chain, group.members[0])
     stiffest = law.surface.kn if law.surface.there else 0.0
     if len(group.pairs):
-        # of a point at the end of a whole element, or of one where two cross
+        # stiffness of a point at the end of a whole element, or where two cross
         along = 0.5 * law.between.stiffness * chain.length.max()
         stiffest = max(stiffest, crossing_kn(law.between), along)
     trials = 0 if inert(chain, law.scheme, stiffest, h) else SHORTER
@@ -494,8 +505,8 @@ def _advance_all(brush: Brush, group: Group, h: float, room: Room) -> None:
 
 @within
 def _look(brush: Brush, group: Group, room: Room) -> None:
-    """Write of every cluster, where its first rod stands, how much of its step it ought to take if
-    it has just moved and takes a step; one for others."""
+    """Write, at the first rod of every cluster that just moved and takes a step, the part of the
+    step that it should take; one for others."""
     law, cluster, short = brush.law, room.progress.cluster, room.progress.short
     moved = short < 1.0
     for k in range(len(moved)):
@@ -520,8 +531,8 @@ def _look(brush: Brush, group: Group, room: Room) -> None:
 
 @njit
 def joint_step(brush: Brush, group: Group, h: float, room: Room) -> int:
-    """Write the group's rods after a step of ``h`` seconds into the room; Newton's iterations, or
-    `FAILED`."""
+    """Write the group's rods after a step of ``h`` seconds into ``room``; returns the number of
+    Newton iterations, or `FAILED`."""
     scheme, linked = brush.law.scheme, len(group.pairs) > 0
     for k in range(len(group.members)):
         begin(brush.law, _step(brush, group, h, room, k), linked)

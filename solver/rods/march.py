@@ -1,8 +1,8 @@
-"""March of rods with steps that adapt to their error and to contact.
+"""Time integration of rods with steps that adapt to their error and to contact.
 
-A step that ends deep in the surface takes the force at its end for its whole length, and one that
-starts there and ends far above loses what the springs held. Either changes the energy, by about
-what the point's spring holds at the end that touches. A step that ends where the point crosses the
+A step that ends deep in the surface applies the force at its end over its whole length. One that
+starts there and ends far above loses the springs' energy. Either changes the energy by about what
+the point's spring stores at the end in contact. A step that ends where the point crosses the
 surface does not.
 """
 
@@ -22,23 +22,27 @@ from .observe import greatest_stress
 from .rotation import write_matrix
 from .tally import Windows, add_step
 
-# A step changes by these factors at most, aims at this share of the error it may have, and is
-# taken again where it has so many times that.
+# Bounds on the change of a step, the share of the allowed error that it aims at, and the multiple
+# beyond which it is repeated.
 LEAST_CHANGE, MOST_CHANGE, AIM, TOO_MUCH = 0.2, 1.6, 0.8, 2.0
 SHORTEST_S = 1e-9
-# A step is taken again up to where contact begins or ends if that is before this share of it.
+# A step is repeated up to where contact begins or ends, if that is before this share of it.
 NEARLY = 0.9
-# It goes so much beyond the crossing, and is never shorter than this share of itself.
+# The repeated step goes beyond the crossing by `BEYOND`, and is at least this share of the first
+# one.
 BEYOND, LEAST_SHARE = 1.02, 0.02
-# An iteration count from which on steps do not grow.
+# From this iteration count on steps do not grow.
 MANY = 8
 
 
 @njit
 def error_of(scheme: Scheme, half: Array, old: Motion, new: Motion, h: float) -> float:
-    """The greatest local error in m of a node's place, and of what twist moves the rim of its
-    section of half sides ``half`` (2,) by: (β - 1/6) h³ times the acceleration's rate (Zienkiewicz
-    and Xie, Earthquake Engng Struct. Dyn. 20 (1991) 871)."""
+    """The greatest local error in m of a node's position, and of the rim's motion by twist for a
+    section of half sides ``half`` (2,).
+
+    It is (β - 1/6) h³ times the rate of the acceleration (Zienkiewicz and Xie, Earthquake Engng
+    Struct. Dyn. 20 (1991) 871).
+    """
     most = 0.0
     for i in range(1, len(new.x)):
         square = (half[1] * (new.auxiliary[i, 5] - old.auxiliary[i, 5])) ** 2
@@ -50,7 +54,7 @@ def error_of(scheme: Scheme, half: Array, old: Motion, new: Motion, h: float) ->
 
 @njit
 def next_end(hub: Hub, t_s: float, end_s: float) -> float:
-    """The hub's next break, or the end where that comes first or all but at once."""
+    """The hub's next break, or the end if that is earlier or nearly so."""
     for at in hub.breaks:
         if t_s + SHORTEST_S < at < end_s - SHORTEST_S:
             return at
@@ -59,14 +63,15 @@ def next_end(hub: Hub, t_s: float, end_s: float) -> float:
 
 @njit
 def equal_part(left_s: float, wanted_s: float) -> float:
-    """The longest step in s, up to the wanted one, of which a whole number fill what is left."""
+    """The longest step in s, at most the wanted one, that divides the time left into equal
+    parts."""
     return left_s / math.ceil(left_s / wanted_s * (1.0 - 1e-9))
 
 
 @njit
 def judge(scheme: Scheme, error: float, iterations: int, h: float, wanted: float) -> float:
-    """The next step after one of ``h`` seconds with such an error; negative where this one is to be
-    taken again, with as many seconds."""
+    """Length in s of the step after one of ``h`` seconds with this error; negative if the step must
+    be repeated with that length."""
     change = MOST_CHANGE
     if error > 0.0:
         change = AIM * (scheme.error_m / error) ** (1.0 / 3.0)
@@ -75,22 +80,24 @@ def judge(scheme: Scheme, error: float, iterations: int, h: float, wanted: float
         return -h * min(change, 0.5)
     if iterations > MANY:
         change = min(change, 1.0)
-    # a step that was shortened to end in time tells less of the next one's length
+    # a step shortened to meet an end says little about the next one's length
     return h * change if change < 1.0 else max(wanted, h * change)
 
 
 @njit
 def allowed_J(chain: Chain, scheme: Scheme) -> float:
-    """The energy that contact may hold at the end of a step in which it begins, or at the begin of
-    one in which it ends: the work of a force EI/L² over the error that a step may have."""
+    """The energy that contact may store at the end of a step in which it begins, or at the start of
+    one in which it ends: the work of a force EI/L² over the allowed error of a step."""
     bending = min(chain.stiffness[0, 3], chain.stiffness[0, 4])
     return scheme.error_m * bending / total_length(chain) ** 2
 
 
 @njit
 def first_crossing(surface: Obstacle, old: Motion, new: Motion, allowed: float) -> float:
-    """The share of a step, at most 1, after which a point has just crossed the surface: the
-    first one whose spring holds more than is ``allowed``, in J, at the end that touches."""
+    """Share of a step, at most 1, at which the first point crosses the surface.
+
+    Only points whose spring stores more than ``allowed`` J at the end in contact count.
+    """
     least = 1.0
     if not surface.there:
         return least
@@ -112,7 +119,8 @@ def first_crossing(surface: Obstacle, old: Motion, new: Motion, allowed: float) 
 
 @within
 def _look_at_all(brush: Brush, group: Group, new: Motion, h: float) -> tuple[float, float]:
-    """The greatest error, and at which share of the step the first point crosses the surface."""
+    """The greatest error, and the share of the step at which the first point crosses the
+    surface."""
     scheme, most, share = brush.law.scheme, 0.0, 1.0
     for k in range(len(group.members)):
         old, now = nth(brush.stack, group.members[k]), nth(new, k)
@@ -126,11 +134,11 @@ def _look_at_all(brush: Brush, group: Group, new: Motion, h: float) -> tuple[flo
 def march(
     brush: Brush, rods: Group, together: int, end_s: float, windows: Windows, room: Room
 ) -> int:
-    """March ``rods`` to ``end_s``, so many ``together`` with steps in common; -1, or one of those
-    where a step fails however short.
+    """March ``rods`` to ``end_s``, ``together`` of them at a time with common steps.
 
-    Pairs are between rods that march together, by their numbers there. The room is for as many
-    rods, and as many pairs or more. Steps end at the hub's breaks.
+    Returns -1, or the number of a rod whose step fails however short it is. Pairs are between rods
+    that march together, by their numbers there. ``room`` is for that many rods, and at least that
+    many pairs. Steps end at the hub's breaks.
     """
     brush, rods, room = unowned((brush, rods, room))
     law, stack = brush.law, brush.stack
@@ -158,7 +166,7 @@ def march(
                 wanted = -following
                 continue
             if share < NEARLY and not lands:
-                # the next one ends where contact begins or ends
+                # the repeated step ends where contact begins or ends
                 wanted, lands = h * share, True
                 continue
             lands, wanted = False, following
@@ -169,7 +177,7 @@ def march(
                 write(new, now)
                 now.totals[TIME], now.totals[STEP] = t, wanted
                 chain, scratch = nth(brush.rods.chain, members[k]), nth(room.scratches, k)
-                # where the rod was in Newton's method is of no more use
+                # Newton's method no longer needs the saved pose
                 stress = greatest_stress(law.between, chain, now, scratch.elements, scratch.x)
                 now.totals[STRESS] = max(now.totals[STRESS], stress)
             write(room.touch, group.touch)

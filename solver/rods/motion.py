@@ -1,4 +1,4 @@
-"""State of rods in motion, and the clamped node that the hub moves."""
+"""State of moving rods, and the clamped node that follows the hub."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ from .rotation import exponential, multiply, spin_of, write_matrix
 
 
 class Scheme(NamedTuple):
-    """Generalised-alpha's constants (see `solver.time.scheme`), the greatest error in m of a step,
-    and whether there is inertia at all: without it every step ends in equilibrium."""
+    """Constants of generalised-alpha (see `solver.time.scheme`), the allowed error of a step in m,
+    and whether there is inertia; without it every step ends in static equilibrium."""
 
     alpha_m: float
     alpha_f: float
@@ -42,8 +42,8 @@ class Hub(NamedTuple):
 
 
 class ClampedRod(NamedTuple):
-    """A rod in the hub, and what acts on it alone: dead ``loads`` (n, 6), forces and moments at the
-    nodes in world axes, and the clamp's ``place`` (3,) and ``attitude`` (4,) in the hub's axes."""
+    """A rod in the hub and its own loads: dead ``loads`` (n, 6), forces and moments at the nodes in
+    world axes, and the clamp's ``place`` (3,) and ``attitude`` (4,) in the hub's axes."""
 
     chain: Chain
     loads: Array
@@ -57,15 +57,15 @@ TOTALS = 10
 
 
 class Motion(NamedTuple):
-    """One rod at one instant, or the next.
+    """State of one rod at one instant.
 
-    ``x`` (n, 3) and ``q`` (n, 4) are its nodes' places and axes. ``velocity`` (n, 6) is linear in
-    world axes, then angular about the section's own, and so are ``acceleration`` and the scheme's
-    ``auxiliary``. ``strain`` (e, 6) see `element.measure`. ``holding`` and ``reaction`` (6,) are
-    what the clamp does to the rod, without and with its own half element's inertia. ``totals``
-    (`TOTALS`,) are the time, the next step, sums over time, counts, the step that ``auxiliary``
-    belongs to, see `fit_to_step`, and the greatest bending stress at the end of any step since the
-    last frame.
+    ``x`` (n, 3) and ``q`` (n, 4) are the nodes' positions and quaternions. ``velocity`` (n, 6) is
+    linear in world axes, then angular in the section's; so are ``acceleration`` and the scheme's
+    ``auxiliary``. ``strain`` (e, 6) is that of `element.measure`. ``holding`` and ``reaction`` (6,)
+    are the clamp's load on the rod, without and with the inertia of its own half element.
+    ``totals`` (`TOTALS`,) are the time, the next step, sums over time, counts, the step that
+    ``auxiliary`` belongs to (see `fit_to_step`), and the greatest bending stress at the end of any
+    step since the last frame.
     """
 
     x: Array
@@ -81,7 +81,7 @@ class Motion(NamedTuple):
 
 
 def motion_of(rods: int, nodes: int, points: int) -> Motion:
-    """Room for so many rods, stacked along a first axis."""
+    """Empty states of this many rods, stacked along a first axis."""
     record = partial(Motion, touch=no_touch(rods, nodes, points))
     places, axes, strain = (rods, nodes, 3), (rods, nodes, 4), (rods, nodes - 1, 6)
     rows, ends, totals = (rods, nodes, 6), (rods, 6), (rods, TOTALS)
@@ -89,7 +89,7 @@ def motion_of(rods: int, nodes: int, points: int) -> Motion:
 
 
 class Pose(NamedTuple):
-    """Where the nodes of one rod are: their places ``x`` (n, 3) and axes ``q`` (n, 4).
+    """Nodes of one rod: their positions ``x`` (n, 3) and quaternions ``q`` (n, 4).
 
     Compiled code passes it faster than the whole of a `Motion`.
     """
@@ -100,22 +100,22 @@ class Pose(NamedTuple):
 
 @inlined
 def pose_of(stack: Motion, i: int) -> Pose:
-    """A view of one of the stacked rods' nodes."""
+    """A view of the nodes of stacked rod ``i``."""
     return Pose(stack.x[i], stack.q[i])
 
 
-# Times that a step's accelerations are stretched by at most.
+# Largest ratio of steps by which auxiliary accelerations are extrapolated.
 STEEPEST = 2.0
 
 
 @njit
 def fit_to_step(now: Motion, h: float) -> None:
-    """Make the scheme's auxiliary accelerations those of a step of ``h`` seconds.
+    """Convert the scheme's auxiliary accelerations to a step of ``h`` seconds.
 
-    They are accelerations a little later than the present, by a share of the step. Without this
-    the scheme is of first order where steps change their length (Brüls and Arnold, J. Comput.
-    Nonlinear Dyn. 3 (2008) 041007). Steps that alternate by a factor of four diverge with it, so
-    a step that is far longer than the last one takes less.
+    They are accelerations a share of the step later than the present. Without the conversion the
+    scheme is of first order where steps change their length (Brüls and Arnold, J. Comput. Nonlinear
+    Dyn. 3 (2008) 041007). With it, steps that alternate by a factor of four diverge, so the
+    extrapolation to a far longer step is limited.
     """
     last = now.totals[LAST]
     now.totals[LAST] = h
@@ -130,7 +130,8 @@ def fit_to_step(now: Motion, h: float) -> None:
 
 @njit
 def clamp(hub: Hub, rod: ClampedRod, t_s: float, x: Array, q: Array, velocity: Array) -> None:
-    """Write the place (3,), attitude (4,) and velocity (6,) of the clamped node at a time."""
+    """Write the position (3,), attitude (4,) and velocity (6,) of the clamped node at time
+    ``t_s``."""
     pose, turned, matrix = np.empty((2, 6)), np.empty(4), np.empty((3, 3))
     hub_coordinates(hub.breaks, hub.coefficients, t_s, pose)
     r, rate = pose[0, 3:], pose[1, 3:]
@@ -153,7 +154,7 @@ def clamp(hub: Hub, rod: ClampedRod, t_s: float, x: Array, q: Array, velocity: A
 
 @njit
 def energies(chain: Chain, now: Motion, gravity: Array) -> tuple[float, float, float]:
-    """Kinetic, strain and potential energy in J; the last is zero in the world's origin."""
+    """Kinetic, strain and potential energy in J; the last is zero at the world's origin."""
     kinetic = potential = 0.0
     for i in range(len(now.x)):
         for c in range(3):

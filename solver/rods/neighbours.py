@@ -1,9 +1,9 @@
-"""Which bristles may touch each other: pairs of elements, and groups that share their time steps.
+"""Neighbour search: pairs of elements that may touch, and groups of rods that share time steps.
 
-Over a short span of time only those pairs count that touch, or would touch at their present speed
-of approach. Rods that these pairs connect are a group, and march together. All others march by
-themselves. Then the gaps and their speeds at both ends of the span tell which others may have met
-meanwhile. They count too, and the rods concerned march the span once more.
+For a short span of time only those pairs are active that touch, or would touch at their present
+speed of approach. Rods connected by active pairs form a group and march together; all others march
+alone. Afterwards the gaps and their rates at both ends of the span tell which other pairs may have
+met. These become active too, and their rods repeat the span.
 """
 
 from __future__ import annotations
@@ -26,19 +26,20 @@ from .motion import Motion
 from .pairs import ROD_A, ROD_B, Between, approach, candidates, near, new_meeting
 from .rotation import cross
 
-# How far rods move in a span at most, over the wide side.
+# Largest motion of a rod in a span, over the wide side.
 MOVED = 0.125
-# By how many times its speed a node may move in a span, and one at rest by how much of the above.
+# Margin for the motion of a node in a span: a factor on its speed and, at rest, a share of the
+# above.
 FASTER, KICKED = 2.0, 0.5
-# A list of pairs is made for nodes that move so many times as far as in the span to come.
+# The list of pairs is made for this many times the motion expected in the next span.
 LASTS = 4.0
-# What counts as near, over the thin side.
+# Distance that counts as near, over the thin side.
 NEAR = 0.001
-# Faces that are no deeper in each other just touch.
+# Faces with less penetration just touch.
 TOUCHING_M = 1e-9
-# A rod in a group costs so many times what one does on average.
+# Cost of a rod in a group over the average.
 GROUPED = 5.0
-# Instants of a span at which gaps are looked at.
+# Number of instants in a span at which gaps are evaluated.
 LOOKS = 9
 
 
@@ -50,16 +51,14 @@ class Linked(NamedTuple):
 
 
 class Neighbours:
-    """The pairs of elements that may touch, and what their points remember.
+    """The pairs of elements that may touch, and the state of their contact points.
 
-    Each rank has a list of pairs that may meet soon, and looks at those alone (Verlet, Phys. Rev.
-    159 (1967) 98). It makes the list anew when a node has moved farther than the list was made for.
-    What is found does not depend on when that was.
+    Each rank evaluates only a list of pairs that may meet soon (Verlet, Phys. Rev. 159 (1967) 98).
+    It renews the list when a node has moved farther than the list allows for. Results do not depend
+    on when that happens.
 
-    Parameters
-    ----------
-    law : between two bristles
-    comm : ranks that share out the search; each of them knows where all bristles are
+    Parameters ---------- law : between two bristles comm : ranks that share the search; each knows
+    the positions of all bristles
     """
 
     def __init__(self, law: Between, comm: MPI.Intracomm = MPI.COMM_SELF) -> None:
@@ -72,7 +71,7 @@ class Neighbours:
         self._listed = self.pairs
         self._listed_within: Array = np.zeros(0)
         self._listed_at: Array = np.zeros(0)
-        # of the span that has begun
+        # of the current span
         self._possible = self.pairs
         self._gaps: Array = np.zeros(0)
         self._closing: Array = np.zeros(0)
@@ -80,8 +79,8 @@ class Neighbours:
         self._reach: Array = np.zeros(0)
 
     def search(self, stack: Motion, pose: HubPose, longest_s: float) -> None:
-        """Make the list of pairs that count over the next span of time, and say how long that is,
-        up to ``longest_s``; collective."""
+        """Find the active pairs and the length of the next span, up to ``longest_s``;
+        collective."""
         self._placed, speeds = _in_hub(stack, pose)
         most = MOVED * 2.0 * float(self.law.half[1])
         self.span_s = min(most / max(float(speeds.max()), 1e-12), longest_s)
@@ -94,22 +93,21 @@ class Neighbours:
         self._take(_joined(held, *self._comm.allgather(self._possible[soon])))
 
     def begun_in_each_other(self) -> Integers:
-        """The pairs (p, 4) that are deeper in each other than rounding as the span begins;
+        """The pairs (p, 4) that penetrate each other beyond rounding at the start of the span;
         collective."""
         return _joined(*self._comm.allgather(self._possible[self._gaps < -TOUCHING_M]))
 
     def outran(self, stack: Motion, pose: HubPose) -> bool:
-        """Whether a rod has moved farther in the span than `search` thought."""
+        """Whether a rod has moved farther in the span than `search` allowed for."""
         placed, _ = _in_hub(stack, pose)
         return _moved_beyond(self._placed, placed, self._reach)
 
     def missed(self, stack: Motion, span_s: float) -> Integers:
-        """The pairs (p, 4) beyond the list that may have met in the span of time which ends now;
-        collective.
+        """The inactive pairs (p, 4) that may have met in the span that ends now; collective.
 
-        Gaps over time are cubic, by their values and speeds at both ends. Where elements are beside
-        each other at one end only they are linear. Of the speeds of an element's nodes the one
-        counts that makes the gap less: the greatest at the begin, the least at the end.
+        Gaps over time are cubic, from values and rates at both ends; they are linear if the
+        elements are beside each other at one end only. Of the rates of an element's nodes the one
+        with the smaller gap counts: the fastest closing at the start, the slowest at the end.
         """
         gaps, (closing, _) = self._approach(stack)
         was, closed = self._gaps.copy(), self._closing.copy()
@@ -126,9 +124,9 @@ class Neighbours:
         return _joined(*self._comm.allgather(met[_places(self.pairs, met) < 0]))
 
     def add(self, pairs: Integers, before: Mapping[str, Any], rods: int) -> Flags:
-        """Put more pairs on the list; which rods (rods,) march the span once more for them.
+        """Add active pairs; returns which rods (rods,) must repeat the span for them.
 
-        Their points remember again what they did at the `checkpoint` ``before``.
+        Their points return to their state at the `checkpoint` ``before``.
         """
         marched, touch = self.pairs, self.touch
         self.restore(before)
@@ -141,14 +139,14 @@ class Neighbours:
         return np.asarray(again)
 
     def _list(self, stack: Motion) -> None:
-        """Make this rank's list of pairs anew if it no longer has all that may meet in the span;
-        boxes are slim along the axes of the elements' directions."""
+        """Renew this rank's list of pairs if it may miss some in the span; the boxes' axes follow
+        the elements' directions, which keeps them slim."""
         axes, (rank, ranks) = None, (self._comm.rank, self._comm.size)
         left = self._listed_within - self._reach if len(self._listed_at) else None
         if left is None or _moved_beyond(self._listed_at, self._placed, left):
             sides = (stack.x[:, 1:] - stack.x[:, :-1]).reshape(-1, 3)
             axes = np.linalg.eigh(sides.T @ sides)[1]
-        # ranks of different machines may round otherwise, and find axes of other signs
+        # different machines may round differently and find axes of other signs
         axes = self._comm.bcast(axes)
         if axes is None:
             return
@@ -161,14 +159,14 @@ class Neighbours:
         self._listed = room[:count]
 
     def _approach(self, stack: Motion) -> tuple[Array, Array]:
-        """Gaps (p,) of all pairs that may meet, and their least and greatest closing speeds
-        (2, p)."""
+        """Gaps (p,) of all pairs on the list, and their least and greatest closing speeds (2,
+        p)."""
         gaps, closing = np.empty(len(self._possible)), np.empty((len(self._possible), 2))
         approach(self.law, self._possible, stack, self._reach, self._room, gaps, closing)
         return gaps, closing.T
 
     def _take(self, pairs: Integers) -> None:
-        """Another list of pairs; what points remember goes along."""
+        """Replace the list of active pairs; the state of their points is kept."""
         before, touch = self.pairs, self.touch
         self.pairs, self.touch = pairs, no_touch(len(pairs), 2)
         held = np.flatnonzero((touch.state != FREE).any(axis=1))
@@ -176,7 +174,7 @@ class Neighbours:
         put(self.touch, at[at >= 0], [each[held[at >= 0]] for each in touch])
 
     def group(self, linked: Linked) -> Group:
-        """Rods that march together, and what the points between them remember, for compiled
+        """Rods that march together, with the state of the points between them, for compiled
         code."""
         pairs = self.pairs[linked.rows]
         for column in (ROD_A, ROD_B):
@@ -184,8 +182,8 @@ class Neighbours:
         return Group(linked.members, pairs, Touch(*(each[linked.rows] for each in self.touch)))
 
     def groups(self, rods: int) -> tuple[list[Linked], Integers]:
-        """The groups that the list of pairs makes, and each rod's group (n,) by its number, or by
-        one of its own."""
+        """The groups formed by the active pairs, and each rod's group (n,); a lone rod has a number
+        of its own."""
         ends = self.pairs[:, [0, 2]]
         graph = coo_array((np.ones(len(ends)), (ends[:, 0], ends[:, 1])), shape=(rods, rods))
         _, of = connected_components(graph, directed=False)
@@ -199,32 +197,33 @@ class Neighbours:
         return found, of
 
     def normal_N(self, rods: int) -> Array:
-        """The sum of the normal forces of other rods on each (rods,)."""
+        """Sum of the normal forces of other rods on each (rods,), in N."""
         each = self.touch.normal.sum(axis=1)
         sides = (np.bincount(self.pairs[:, side], each, rods) for side in (ROD_A, ROD_B))
-        # of no pairs numpy counts in integers
+        # without pairs numpy would return integers
         return np.sum([*sides], axis=0, dtype=float)
 
     def checkpoint(self) -> dict[str, Any]:
-        """What the next search needs of the past: the points that touch."""
+        """The state that the next search needs: the points in contact."""
         held = (self.touch.state != FREE).any(axis=1)
         kept = {f"pair_{name}": each[held] for name, each in self.touch._asdict().items()}
         return kept | {"pairs": self.pairs[held]}
 
     def restore(self, kept: Mapping[str, Any]) -> None:
-        """Go back to a `checkpoint`."""
+        """Return to a `checkpoint`."""
         self.pairs = kept["pairs"]
         self.touch = Touch(*(kept[f"pair_{name}"] for name in Touch._fields))
 
 
 def _joined(*pairs: Integers) -> Integers:
-    """All lists, in order, each pair once."""
+    """The union of the lists, sorted."""
     return np.unique(np.concatenate(pairs), axis=0)
 
 
 @njit
 def _in_hub(stack: Motion, pose: HubPose) -> tuple[Array, Array]:
-    """Where nodes (rods, n, 3) are in the hub's axes, and how fast (rods, n) they move in them."""
+    """Positions of nodes (rods, n, 3) in the hub's axes, and their speeds (rods, n) relative to
+    it."""
     stack = unowned(stack)
     rods, nodes, _ = stack.x.shape
     placed, speeds, arm = np.empty((rods, nodes, 3)), np.empty((rods, nodes)), np.empty(3)
@@ -245,20 +244,20 @@ def _in_hub(stack: Motion, pose: HubPose) -> tuple[Array, Array]:
 
 @njit
 def _moved_beyond(before: Array, now: Array, reach: Array) -> bool:
-    """Whether a node (rods, n) has moved farther than its reach."""
+    """Whether any node (rods, n) has moved farther than its reach."""
     for i in range(reach.shape[0]):
         for k in range(reach.shape[1]):
             square = 0.0
             for c in range(3):
                 square += (now[i, k, c] - before[i, k, c]) ** 2
-            # a negative reach has been left already
+            # a negative reach is always exceeded
             if not math.sqrt(square) <= reach[i, k]:
                 return True
     return False
 
 
 def _places(pairs: Integers, wanted: Integers) -> Integers:
-    """Where the ``wanted`` pairs (m, 4) are among sorted ``pairs``, or -1."""
+    """Indices of the ``wanted`` pairs (m, 4) among sorted ``pairs``, or -1."""
     if not len(pairs):
         return np.full(len(wanted), -1)
     top = 1 + max(int(pairs.max()), int(wanted.max(initial=0)))
@@ -270,7 +269,7 @@ def _places(pairs: Integers, wanted: Integers) -> Integers:
 
 
 def put(arrays: Sequence[Any], those: Integers | Flags, values: Sequence[Any]) -> None:
-    """Write the values of ``those`` rows into each of the arrays."""
+    """Write ``values`` to rows ``those`` of each of the arrays."""
     for array, value in zip(arrays, values, strict=True):
         array[those] = value
 
@@ -284,13 +283,13 @@ def alone(groups: list[Linked], rods: int) -> Flags:
 
 
 def shared_out(groups: list[Linked], holder: Integers, cost: Array, ranks: int) -> Integers:
-    """The rank (n,) that marches each rod, with the members of a group all by one.
+    """The rank (n,) that marches each rod; the members of a group share one.
 
-    The largest group goes first. Each goes to the ``holder`` (n,) of the most of its members,
-    unless that has its share of all groups already; then to the rank with the least to do. So does
-    each lone rod after them, by its ``cost`` (n,), zero if it does not march, and its share of the
-    whole. What a group did cost tells little of what it will: steps that do not converge take the
-    longest. So groups count by their members.
+    The largest group comes first. A group goes to the ``holder`` (n,) of most of its members,
+    unless that rank already has its share of all groups, and otherwise to the rank with the least
+    work. Lone rods follow in the same way, weighted by their ``cost`` (n,), zero if a rod does not
+    march. Groups count by their members, since their past cost predicts little: steps that do not
+    converge take the longest.
     """
     load, who, left = np.zeros(ranks), holder.copy(), list[int]()
     lone, marches = alone(groups, len(holder)), cost > 0.0

@@ -1,4 +1,4 @@
-"""A rod in Newton's method: how much its residual is, and how nodes move by a step.
+"""Newton's method for a rod: size of the residual, and motion of the nodes by a step.
 
 The iteration is `joint.joint_step`.
 """
@@ -12,18 +12,18 @@ from ..compiled import njit
 from .chain import Chain
 from .rotation import exponential, multiply, normalise, write_middle
 
-# Newton's step turns no node by more, in rad.
+# Largest rotation of a node in a Newton step, in rad.
 FURTHEST_RAD = 0.5
 
 
 @njit
 def excess(residual: Array, force: float, moment: float) -> float:
-    """The greatest force or moment on nodes that are free, over those in N and in N m that count as
-    none."""
+    """The greatest force or moment on free nodes, over the tolerances ``force`` in N and ``moment``
+    in N m."""
     most_force = most_moment = 0.0
     for i in range(1, len(residual)):
         for c in range(3):
-            # one that is no number is not lost in a maximum
+            # NaN does not pass this comparison
             if not abs(residual[i, c]) <= most_force:
                 most_force = abs(residual[i, c])
             if not abs(residual[i, 3 + c]) <= most_moment:
@@ -35,9 +35,11 @@ def excess(residual: Array, force: float, moment: float) -> float:
 def place_nodes(
     chain: Chain, x: Array, q: Array, stretch: Array, change: Array, part: float
 ) -> None:
-    """Write the places ``x`` (n, 3) of free nodes by which elements have ``stretch`` (e, 3 or more)
-    along the rod and in shear, Γ of `element.measure`, and ``part`` of its ``change``, from the
-    clamp on."""
+    """Write the positions ``x`` (n, 3) of free nodes, from the clamp on, for given strains.
+
+    Each element has Γ of `element.measure` equal to ``stretch`` (e, 3 or more) plus ``part`` of its
+    ``change``.
+    """
     middle = np.empty((3, 3))
     for e in range(len(chain.length)):
         write_middle(q, e, middle)
@@ -50,12 +52,12 @@ def place_nodes(
 
 @njit
 def move(chain: Chain, x: Array, q: Array, solution: Array, part: float, foreseen: Array) -> None:
-    """Move free nodes by ``part`` of Newton's step, or less: none turns by more than 0.5 rad.
+    """Move free nodes by ``part`` of Newton's step, limited to a rotation of 0.5 rad.
 
-    Rotations take the step as it is. Positions are then those that give every element the stretch
-    and the shear ``foreseen`` (2, e, 3), see `element.foresee`: straight displacements would
-    stretch an element that turns, by the square of its angle, and set off its stiffest springs.
-    Both agree to first order.
+    Rotations follow the step. Positions are then those that give every element the stretch and
+    shear ``foreseen`` (2, e, 3), see `element.foresee`. Straight displacements would stretch a
+    turning element by the square of its angle, and so load its stiffest springs. Both agree to
+    first order.
     """
     most = 0.0
     for i in range(1, len(x)):

@@ -1,4 +1,4 @@
-"""What is to be seen of rods: forces, moments, energy."""
+"""Output quantities of rods: forces, moments, stress, energy."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from .rotation import write_matrix
 
 @njit
 def clearance(surface: Obstacle, now: Motion) -> float:
-    """The gap in m of a rod's lowest section but the clamped one; infinite without a surface."""
+    """Gap in m of a rod's lowest free section; infinite without a surface."""
     least, matrix = np.inf, np.empty((3, 3))
     for k in range(1, len(now.x)):
         if surface.there:
@@ -28,15 +28,19 @@ def clearance(surface: Obstacle, now: Motion) -> float:
     return least
 
 
-# The column of `Seen.energy` that has no zero of its own.
+# The column of `Seen.energy` whose zero is arbitrary.
 POTENTIAL = 3
 
 
 class Seen(NamedTuple):
-    """Of n rods: nodes ``x`` (n, nodes, 3) and ``q`` (n, nodes, 4), bending ``moment`` at them
-    about the section's axes (n, nodes, 3), the clamp's ``reaction`` (n, 6) on the rod, ``surface``
-    (n, 3): normal force, friction, state; ``energy`` (n, 8): that of `frame.RodEnergy` but for
-    the first, and steps; and ``stress`` (n,), the greatest bending stress since the last frame."""
+    """Output of n rods.
+
+    ``x`` (n, nodes, 3) and ``q`` (n, nodes, 4) are the nodes' positions and quaternions, ``moment``
+    (n, nodes, 3) the bending moments there about the section's axes. ``reaction`` (n, 6) is the
+    clamp's load on the rod. ``surface`` (n, 3) holds normal force, friction and state, ``energy``
+    (n, 8) the fields of `frame.RodEnergy` without the first, and the number of steps. ``stress``
+    (n,) is the greatest bending stress since the last frame.
+    """
 
     x: Array
     q: Array
@@ -50,7 +54,7 @@ class Seen(NamedTuple):
 @njit
 def write_moments(chain: Chain, now: Motion, elements: Elements, moment: Array) -> None:
     """Write the bending moments (n, 3) at a rod's nodes about the section's axes; ``elements`` is
-    room."""
+    work space."""
     load_elements(chain, now.x, now.q, now.strain, 0.0, elements)
     matrix = np.empty((3, 3))
     for k in range(len(now.x)):
@@ -58,7 +62,7 @@ def write_moments(chain: Chain, now: Motion, elements: Elements, moment: Array) 
         for c in range(3):
             moment[k, c] = 0.0
             for d in range(3):
-                # what the element after the clamp, and before every other node, bears there
+                # load of the element after the clamp, or of the one before any other node
                 load = -elements.ends[0, 0, 3 + d] if k == 0 else elements.ends[k - 1, 1, 3 + d]
                 moment[k, c] += matrix[d, c] * load
 
@@ -67,8 +71,8 @@ def write_moments(chain: Chain, now: Motion, elements: Elements, moment: Array) 
 def greatest_stress(
     law: Between, chain: Chain, now: Motion, elements: Elements, moment: Array
 ) -> float:
-    """The greatest bending stress in Pa of a rod, as `section.RodSection.bending_stress_Pa`; room
-    is as for `write_moments`."""
+    """Greatest bending stress in Pa of a rod, as `section.RodSection.bending_stress_Pa`; work space
+    as for `write_moments`."""
     write_moments(chain, now, elements, moment)
     thin, wide = law.half
     most = 0.0
@@ -84,7 +88,7 @@ def greatest_stress(
 
 @njit
 def observe(chains: Chain, gravity: Array, stack: Motion, members: Integers) -> Seen:
-    """What is to be seen of some of the stacked rods, by their numbers ``members`` (n,)."""
+    """Output of the stacked rods with the numbers ``members`` (n,)."""
     rods, nodes = len(members), stack.x.shape[1]
     moment, met = np.zeros((rods, nodes, 3)), np.zeros((rods, 3))
     energy, e = np.zeros((rods, 8)), nodes - 1

@@ -1,28 +1,31 @@
-"""Contact of bristle against bristle: the gap of two elements, forces, and friction, compiled.
+"""Contact of bristle against bristle: gap of two elements, contact force and friction, compiled.
 
-An element is a straight prism of the rod's section. Two meet over the stretch of the first that
-lies beside the second: short where they cross, as long as both where they are parallel. Where they
-cross, the gap is along the normal that both axes have in common. It is the same all over the
-stretch and is met where the axes are closest, be it a little beyond an element's end, though never
-beyond a tip. Round wires are met so at any angle, at the closest place of the stretch. Where they
-are nearly parallel that normal means little, and where bristles bend side by side in one plane it
-points along their wide sides, deep into either. A tip may end before it is where the axes are
-closest, or may run into the other with its end. There the gap is along the one of several normals
-by which contact holds the least energy, or the prisms are farthest apart, and is met at both ends
-of the stretch. Such normals are those of the second's faces, and those that its axis has in common
-with the first's edges: of a prism that ends, beside one that goes on, these and the common normal
-of the axes are all separating axes (Gottschalk, Lin and Manocha, OBBTree, SIGGRAPH 1996). So one of
-them shows no depth where the two begin to touch, and the energy has no jump.
+An element is a straight prism with the rod's cross-section. Two elements meet over a *stretch*: the
+part of the first that lies beside the second. It is short where they cross, and as long as both
+where they are parallel. The direction of the gap depends on the angle:
+
+- Where they cross, it is the common normal of both axes. The gap is constant over the stretch and
+  is evaluated at the closest points of the axes. These may lie a little beyond an element's end,
+  but not beyond a tip. Round wires meet so at any angle, at the closest point of the stretch.
+- Elsewhere the gap is evaluated at both ends of the stretch, along one of several normals: those of
+  the second element's faces, and cross products of its axis with edges of the first. The one with
+  the least contact energy is taken or, without contact, the one with the largest gap. This serves
+  nearly parallel elements, whose common normal is ill-defined and may point along the wide sides,
+  and a tip that ends before the closest point or meets the other bristle end-on.
+
+For a prism that ends beside one that goes on, these normals and the common one are all separating
+axes (Gottschalk, Lin and Manocha, OBBTree, SIGGRAPH 1996). So where two prisms begin to touch, one
+of them has no penetration, and the energy does not jump.
 
 Contact at closest points alone fails at small angles (Meier, Popp and Wall, Comput. Methods Appl.
 Mech. Engng 308 (2016) 377). Contact at fixed points of an element misses prisms that cross between
-them. Planes through nodes, across both neighbours alike, bound the stretches, so each place of a
-bent rod belongs to one element.
+them. The stretches end at planes through the nodes, shared by both neighbouring elements, so each
+place of a bent rod belongs to one element.
 
-The normal force grows with the square of the approach at first, as that of rough faces does, and in
-proportion to it beyond (Meier, Popp and Wall, Sec. 4). Without that, the corners of the polygons
-that stand for bent rods would decide which of several elements touches. Friction is that of a
-point on a plane, `contact.touch_point`.
+The normal force grows at first with the square of the penetration, like that of rough faces, and
+then linearly (Meier, Popp and Wall, Sec. 4). Otherwise the corners of the polygons that represent
+bent rods would decide which of several elements touches. Friction is that of a point on a plane,
+`contact.touch_point`.
 """
 
 from __future__ import annotations
@@ -41,32 +44,33 @@ from .motion import Motion, Pose, pose_of
 from .rotation import cross, dot, write_middle
 from .section import RodSection
 
-# Directions whose square is below this are no axis.
+# A vector with a smaller square has no direction.
 NO_AXIS = 1e-16
-# Below this angle in rad two axes have no closest points.
+# Axes at a smaller angle in rad have no unique closest points.
 NO_ANGLE = 1e-4
-# Elements cross where the sine of the angle between them is more; below, they lie side by side.
+# Elements cross if the sine of their angle is larger; otherwise they lie side by side.
 CROSSING = 0.25
-# Edges are round over an angle of so many rad, or flush faces would turn each other to and fro.
+# Edges are rounded over this angle in rad. Sharp ones would make flush faces turn back and forth.
 CORNER = 0.02
 WHOLE = math.sqrt(1.0 + CORNER * CORNER)
-# The approach in m over which contact becomes as stiff as it is.
+# Penetration in m from which the force grows linearly.
 ROUGH_M = 1e-6
-# Where the normal of a contact comes from: both axes have it in common, it is of one of the second
-# element's faces, that one's axis has it in common with an edge of the first's, or it is the
-# shortest way.
+# Kinds of contact normal: the common normal of both axes, a face normal of the second element, the
+# cross product of the second's axis with an edge of the first, the shortest connection of the axes.
 COMMON, OTHER, OWN, SHORTEST = 0, 1, 3, 5
-# A face is taken over one before it where its contact holds less energy by this share. Faces that
-# are flush hold nearly the same, and Newton's method would go to and fro between them.
+# A candidate normal replaces an earlier one only if its energy is lower by this share. Flush faces
+# have nearly equal energies, and Newton's method would alternate between them.
 LESS = 1e-3
-# Columns of `Points.whole`: the rods and their elements.
+# Columns of `Points.whole`: rod and element of either side.
 ROD_A, ELEMENT_A, ROD_B, ELEMENT_B = range(4)
 
 
 class Between(NamedTuple):
-    """The law between two bristles, for compiled code: the sides' halves (2,) in m, whether the
-    section is round, ``stiffness`` in N/m per m of the stretch, that of the tangential spring
-    over it, and the friction."""
+    """Law of contact between two bristles, for compiled code.
+
+    ``half`` (2,) are the half sides of the cross-section in m, and ``round`` says whether it is
+    round. ``stiffness`` is in N/m per m of the stretch, ``ratio`` the tangential stiffness over it.
+    """
 
     half: Array
     round: bool
@@ -76,7 +80,8 @@ class Between(NamedTuple):
 
 
 def between_of(contact: Contact, section: RodSection) -> Between:
-    """The law of a ``contact``: two that cross at right angles meet over their width."""
+    """The law of a ``contact``. Its Kn is that of two bristles that cross at right angles, where
+    the stretch is the section's width."""
     return Between(
         np.array([section.half_thin_m, section.half_wide_m]),
         section.is_round,
@@ -88,15 +93,19 @@ def between_of(contact: Contact, section: RodSection) -> Between:
 
 @inlined
 def crossing_kn(law: Between) -> float:
-    """The stiffness in N/m of two that cross at right angles, wide side on wide side."""
+    """Stiffness in N/m of two bristles that cross at right angles, wide side on wide side."""
     return 2.0 * law.half[1] * law.stiffness
 
 
 class Meeting(NamedTuple):
-    """Room for the stretch of one element along another: the first's centre line at its ends, and
-    the second's beside it (2, 3), their shares (2,) of the elements' lengths, gaps (2,), normal
-    (3,), the axes of both elements (3, 3), from either centre line the arms (2, 3) of the points
-    that meet, and vectors (9, 3) in between."""
+    """Work space for one pair of elements: the stretch of the first along the second.
+
+    ``first`` and ``second`` (2, 3) are points of the two centre lines at the ends of the stretch.
+    ``share_a`` and ``share_b`` (2,) locate them along the elements. ``gap`` (2,) is the gap there,
+    ``normal`` (3,) its direction, ``axes_a`` and ``axes_b`` (3, 3) the elements' axes. ``arm_a``
+    and ``arm_b`` (2, 3) lead from the centre lines to the contact points. ``room`` (9, 3) and
+    ``was`` hold intermediate vectors.
+    """
 
     first: Array
     second: Array
@@ -113,17 +122,20 @@ class Meeting(NamedTuple):
 
 
 def new_meeting() -> Meeting:
-    """Room."""
+    """Empty work space."""
     ends, pair, axes = (2, 3), 2, (3, 3)
     return zeros(Meeting, ends, ends, pair, pair, pair, 3, axes, axes, ends, ends, (9, 3), axes)
 
 
 class Points(NamedTuple):
-    """The points in contact, as last found: ``whole`` (m, 4) rod and element of either side,
-    ``share`` (m, 2, 2) of the first and the second node in each, ``arm`` (m, 2, 3) from each centre
-    line, ``push`` (m, 3) on the first side, and its loss ``stiff`` (m, 3, 3) by its displacement
-    over the second's. The arms turn with the elements' middles. Then the ``gaps`` (p, 2) of all
-    pairs of elements, and room for one pair."""
+    """The current contact points, then the gaps of all pairs and the work space for one.
+
+    ``whole`` (m, 4) are rod and element of either side, ``share`` (m, 2, 2) the weights of the
+    first and second node in each, ``arm`` (m, 2, 3) the vectors from the centre lines, which turn
+    with the elements' middles. ``push`` (m, 3) is the force on the first side, ``stiff`` (m, 3, 3)
+    minus its derivative by the first side's displacement relative to the second's. ``gaps`` is (p,
+    2).
+    """
 
     whole: Integers
     share: Array
@@ -135,15 +147,15 @@ class Points(NamedTuple):
 
 
 def room_for_points(pairs: int) -> Points:
-    """Room for all points of so many pairs of elements."""
+    """Arrays for the contact points of this many pairs of elements."""
     m = 2 * pairs
     record = partial(Points, np.zeros((m, 4), np.int64), meeting=new_meeting())
     return zeros(record, (m, 2, 2), (m, 2, 3), (m, 3), (m, 3, 3), (pairs, 2))
 
 
 class Side(NamedTuple):
-    """One side of a pair: the rod, by its number in a group, the element, and where the rod's nodes
-    are ``now``, at the end of a step, and ``old``, before it."""
+    """One side of a pair: the rod's number in its group, the element, and the rod's nodes at the
+    end of a step (``now``) and before it (``old``)."""
 
     rod: int
     element: int
@@ -159,7 +171,7 @@ def _size(s: float) -> float:
 
 @inlined
 def _reach(law: Between, axes: Array, n: Array) -> float:
-    """How far a section reaches from its centre along a unit vector."""
+    """Half the extent of a section along the unit vector n: its support function."""
     one = n[0] * axes[0, 0] + n[1] * axes[1, 0] + n[2] * axes[2, 0]
     two = n[0] * axes[0, 1] + n[1] * axes[1, 1] + n[2] * axes[2, 1]
     if law.round:
@@ -169,8 +181,8 @@ def _reach(law: Between, axes: Array, n: Array) -> float:
 
 @njit
 def _farthest(law: Between, axes: Array, n: Array, sign: float, out: Array) -> None:
-    """Write the point (3,) of a section, from its centre, that reaches farthest along ``sign`` n:
-    how `_reach` changes with n."""
+    """Write the point (3,) of a section, from its centre, that is farthest along ``sign`` n: the
+    gradient of `_reach` by n."""
     if law.round:
         for c in range(3):
             out[c] = sign * law.half[0] * n[c]
@@ -187,7 +199,7 @@ def _farthest(law: Between, axes: Array, n: Array, sign: float, out: Array) -> N
 
 @inlined
 def _rough(kn: float, approach: float) -> tuple[float, float, float]:
-    """Slope in N/m, force in N, and energy in J of a contact that came so near."""
+    """Stiffness in N/m, force in N and energy in J at a penetration of ``approach``."""
     if approach <= 0.0:
         return 0.0, 0.0, 0.0
     if approach < ROUGH_M:
@@ -200,8 +212,7 @@ def _rough(kn: float, approach: float) -> tuple[float, float, float]:
 
 @inlined
 def _clip(low: float, high: float, a: float, b: float) -> tuple[float, float]:
-    """The part of an interval on which a + b s is not negative; its end is below its begin where
-    there is none."""
+    """The part of an interval on which a + b s ≥ 0; its end is below its begin if there is none."""
     if b > 0.0:
         return max(low, -a / b), high
     if b < 0.0:
@@ -219,10 +230,10 @@ def _across(q: Array, node: int, out: Array) -> None:
 
 @njit
 def meet(law: Between, a: Pose, e: int, b: Pose, f: int, out: Meeting) -> float:
-    """Write how element ``e`` of one rod meets element ``f`` of another; the length in m whose half
-    either point has, zero where they are nowhere beside each other.
+    """Write how element ``e`` of one rod meets element ``f`` of another, in ``out``.
 
-    The normal points from the second to the first.
+    Returns a length in m, half of which either of its two points stands for. It is zero where the
+    elements are nowhere beside each other. The normal points from the second to the first.
     """
     (xa, qa), (xb, qb) = a, b
     ta, tb, apart = out.room[0], out.room[1], out.room[2]
@@ -241,7 +252,7 @@ def meet(law: Between, a: Pose, e: int, b: Pose, f: int, out: Meeting) -> float:
     for c in range(3):
         ta[c] /= la
         tb[c] /= lb
-    # the stretch between the planes through the second's nodes
+    # the stretch ends at the planes through the second's nodes
     low, high = 0.0, la
     _across(qb, f, plane)
     low, high = _clip(low, high, dot(apart, plane), dot(ta, plane))
@@ -256,13 +267,13 @@ def meet(law: Between, a: Pose, e: int, b: Pose, f: int, out: Meeting) -> float:
     tip, cosine = e == len(xa) - 2, dot(ta, tb)
     sine_2, along = 1.0 - cosine * cosine, dot(apart, tb)
     crosses, chosen, ends, longest = sine_2 > CROSSING * CROSSING, -1, False, math.inf
-    # where the axes are closest, along the first
+    # position along the first at which the axes are closest
     nearest = 0.5 * (low + high)
     if sine_2 > NO_ANGLE * NO_ANGLE:
         nearest = (cosine * along - dot(apart, ta)) / sine_2
     first, last = (COMMON if crosses else OTHER), SHORTEST - 1
     if law.round:
-        # within the stretch the gap is stationary there, or at its end
+        # the least gap is there, or at an end of the stretch
         nearest, first, last = min(max(nearest, low), high), SHORTEST, SHORTEST
     for kind in range(first, last + 1):
         if kind == OTHER and best > -law.half[0] and not ends:
@@ -304,11 +315,11 @@ def meet(law: Between, a: Pose, e: int, b: Pose, f: int, out: Meeting) -> float:
         at_end -= reaches
         least, met = min(at_begin, at_end), end - begin
         if kind == COMMON:
-            # only there does it matter that a prism ends
+            # only with this normal does the end of a prism matter
             ends = tip and abs(offset + slope * la) <= wide
             longest = max(met, 2.0 * law.half[1])
         elif crosses:
-            # an end meets with its section, however long its element
+            # an end meets with its section, whatever the element's length
             met = min(met, longest)
         held = met * (_rough(1.0, -at_begin)[2] + _rough(1.0, -at_end)[2])
         if held < (1.0 - LESS) * least_held or (held == 0.0 and least > best):
@@ -321,7 +332,7 @@ def meet(law: Between, a: Pose, e: int, b: Pose, f: int, out: Meeting) -> float:
         return 0.0
     at_nearest = chosen in (COMMON, SHORTEST)
     if at_nearest:
-        # there alone the gap is stationary as the normal turns; a tip has nothing beyond its end
+        # only there is the gap stationary as the normal turns; a tip has nothing beyond its end
         out.share_a[0] = min(nearest, la) / la if tip else nearest / la
         out.gap[0], out.gap[1] = best, math.inf
         length *= 2.0
@@ -336,8 +347,8 @@ def meet(law: Between, a: Pose, e: int, b: Pose, f: int, out: Meeting) -> float:
         for c in range(3):
             out.first[k, c] = xa[e, c] + s * ta[c]
             out.second[k, c] = xb[f, c] + z * tb[c]
-        # a face's normal turns with its own rod, so it is met by the other's edge; with the normal
-        # in common either has its own edge
+        # a face normal turns with its own rod, so the contact point is on the other's edge; with a
+        # common normal each has its own edge
         _farthest(law, out.axes_a, out.normal, -1.0, out.arm_a[k])
         _farthest(law, out.axes_b, out.normal, 1.0, out.arm_b[k])
         for c in range(3):
@@ -350,8 +361,8 @@ def meet(law: Between, a: Pose, e: int, b: Pose, f: int, out: Meeting) -> float:
 
 @njit
 def _moved(side: Side, share: float, arm: Array, axes: Array, was: Array, out: Array) -> None:
-    """Write how far a point of an element has moved in the step, given its ``arm`` now; ``was``
-    (3, 3) is room."""
+    """Write the displacement (3,) in the step of an element's point whose present ``arm`` is given;
+    ``was`` (3, 3) is work space."""
     e, now, old = side.element, side.now, side.old
     write_middle(old.q, e, was)
     for i in range(3):
@@ -367,11 +378,10 @@ def _moved(side: Side, share: float, arm: Array, axes: Array, was: Array, out: A
 def meet_pair(
     law: Between, pair: int, a: Side, b: Side, step: TouchStep, points: Points, count: int
 ) -> tuple[int, float, float]:
-    """Add the points in contact of one pair of elements to ``points``, which hold ``count``, and
-    write what they remember and the pair's gaps.
+    """Append the contact points of one pair of elements to the first ``count`` of ``points``.
 
-    Returns how many points there are then, and as `touch_point` what friction took and contact
-    holds.
+    Also writes friction's state and the pair's gaps. Returns the new count and, as `touch_point`,
+    the energy in J that friction dissipated and that contact stores.
     """
     room, gaps = points.meeting, points.gaps[pair]
     length = meet(law, a.now, a.element, b.now, b.element, room)
@@ -380,7 +390,7 @@ def meet_pair(
     moved_a, moved_b, pull, n = room.room[6], room.room[7], room.room[8], room.normal
     kn, tip = 0.5 * length * law.stiffness, len(a.now.x) - 2
     if a.element == tip and b.element == tip:
-        kn *= 0.5  # two tips are met from both sides
+        kn *= 0.5  # the list of pairs has two tips in both orders
     kt, matrix = law.ratio * kn, room.was
     lost = held = 0.0
     for k in range(2):
@@ -398,7 +408,7 @@ def meet_pair(
         for c in range(3):
             pull[c] = pull[c] + (spring[c] - along * n[c]) - turned * n[c]
         slope, normal, holds = _rough(kn, -gap)
-        gap = -normal / slope  # of a linear law of the same force and slope
+        gap = -normal / slope  # of the linear law with this force and slope
         springs, push, stiff = Springs(slope, kt, gap, n, pull), points.push[count], points.stiff
         took, stored = touch_point(law.friction, springs, step, pair, k, push, stiff[count])
         holds += stored - 0.5 * slope * gap * gap
@@ -417,10 +427,10 @@ def meet_pair(
 
 @njit
 def shortfall(law: Between, pair: int, a: Side, b: Side, allowed: float, points: Points) -> float:
-    """The part of a step after which a pair that it closes is about half of ``allowed`` deep.
+    """Share of a step after which a newly closed pair has penetrated about half of ``allowed`` (m).
 
-    Its gaps in ``points`` are those before the step. One where the pair is no deeper than
-    ``allowed``, or was closed before.
+    The gaps in ``points`` are those before the step. Returns one if the pair is no deeper than
+    ``allowed`` or was already closed.
     """
     room, gaps = points.meeting, points.gaps[pair]
     if gaps[0] < 0.0 or gaps[1] < 0.0:
@@ -430,7 +440,7 @@ def shortfall(law: Between, pair: int, a: Side, b: Side, allowed: float, points:
     least = 1.0
     for k in range(2):
         if room.gap[k] < -allowed:
-            # how far apart they were is not known of elements that were not beside each other
+            # elements that were not beside each other have no earlier gap
             part = 0.5
             if gaps[k] < math.inf:
                 part = (gaps[k] + 0.5 * allowed) / (gaps[k] - room.gap[k])
@@ -440,7 +450,7 @@ def shortfall(law: Between, pair: int, a: Side, b: Side, allowed: float, points:
 
 @inlined
 def _farther(reach: Array, i: int, e: int) -> float:
-    """What an element's nodes reach, by the one that reaches farther."""
+    """The larger of the two reaches of an element's nodes."""
     return max(reach[i, e], reach[i, e + 1])
 
 
@@ -454,13 +464,13 @@ def approach(
     gaps: Array,
     closing: Array,
 ) -> None:
-    """Write the least gap in m of every pair (p, 4), and the least and the greatest speed (p, 2) in
-    m/s at which two of its nodes close it.
+    """Write each pair's least gap in m, and the range (p, 2) of speeds in m/s at which its nodes
+    close it.
 
-    Nodes may move by ``reach`` (rods, n) before elements count as beside each other; others have an
-    infinite gap. Of sections that are so much wider, the gap is that of the sections as they are,
-    along the normal by which the wider ones meet: they cannot be nearer than that. Where they meet
-    as they are, it is the smaller of both.
+    ``pairs`` is (p, 4). Nodes may move by ``reach`` (rods, n) before elements count as beside each
+    other; other pairs have an infinite gap. The gap is a lower bound: sections widened by the reach
+    are used to find the normal, and the gap of the true sections is taken along it. If the true
+    sections meet as they are, the smaller of both gaps counts.
     """
     pairs, stack, reach, gaps, closing = unowned((pairs, stack, reach, gaps, closing))
     room = unowned(room)
@@ -494,8 +504,8 @@ def approach(
 
 @njit
 def axes_apart(x_a: Array, e: int, x_b: Array, f: int) -> float:
-    """The distance in m of the axes of two elements (Ericson, Real-Time Collision Detection, 2005,
-    Sec. 5.1.9)."""
+    """Distance in m of two elements' axes (Ericson, Real-Time Collision Detection, 2005, Sec.
+    5.1.9)."""
     aa = ab = bb = ac = bc = 0.0
     for k in range(3):
         a, b = x_a[e + 1, k] - x_a[e, k], x_b[f + 1, k] - x_b[f, k]
@@ -517,8 +527,8 @@ def axes_apart(x_a: Array, e: int, x_b: Array, f: int) -> float:
 
 @njit
 def near(law: Between, pairs: Integers, x: Array, reach: Array) -> Integers:
-    """Those of the pairs (p, 4) that may meet while nodes ``x`` (rods, n, 3) move by ``reach``
-    (rods, n): whose axes are no farther apart than that and their sections."""
+    """The pairs (of (p, 4)) that may meet while nodes ``x`` (rods, n, 3) move by up to ``reach``
+    (rods, n): their axes are no farther apart than the reaches plus the section's diagonal."""
     x, reach = unowned((x, reach))
     sections, count = 2.0 * math.hypot(law.half[0], law.half[1]), 0
     found = np.empty(pairs.shape, np.int64)
@@ -535,11 +545,11 @@ def near(law: Between, pairs: Integers, x: Array, reach: Array) -> Integers:
 def candidates(
     law: Between, x: Array, turned: Array, reach: Array, rank: int, ranks: int, out: Integers
 ) -> int:
-    """Write the pairs of elements (p, 4) of rods with nodes ``x`` (rods, n, 3) that are `near`
-    within ``reach`` (rods, n); how many there are, written or not. Each of so many ``ranks`` finds
-    a part of them.
+    """Write the pairs of elements (p, 4) that are `near` each other; returns their number.
 
-    Boxes along the axes ``turned`` (3, 3) are sorted into cells as large as the largest of them.
+    The number counts pairs that did not fit in ``out`` too. Nodes are ``x`` (rods, n, 3), which may
+    move by ``reach`` (rods, n). Each of the ``ranks`` finds its own part of the pairs. The search
+    sorts boxes along the axes ``turned`` (3, 3) into a grid with cells as large as the largest box.
     """
     x, reach = unowned((x, reach))
     rods, elements = x.shape[0], x.shape[1] - 1
@@ -555,7 +565,7 @@ def candidates(
                 begin += turned[k, c] * x[r, e, k]
                 end += turned[k, c] * x[r, e + 1, k]
             low[i, c], high[i, c] = min(begin, end) - beyond, max(begin, end) + beyond
-    # boxes that meet have their middles in one cell, or in two beside each other
+    # overlapping boxes have their centres in the same cell or in neighbouring ones
     cell, cells = np.empty((rods * elements, 3), np.int64), np.empty(3, np.int64)
     for c in range(3):
         least, side = low[:, c].min(), (high[:, c] - low[:, c]).max()
@@ -566,7 +576,7 @@ def candidates(
     keys = (cell[:, 0] * cells[1] + cell[:, 1]) * cells[2] + cell[:, 2]
     order, count = np.argsort(keys), 0
     keys, low, high = keys[order], low[order], high[order]
-    # columns of cells that come after a cell's own, and which boxes are in three cells of each
+    # columns of cells that follow a cell's own, and the range of boxes in three cells of each
     columns = np.array([0, 1, cells[1] - 1, cells[1], cells[1] + 1]) * cells[2]
     begins, ends = np.zeros(5, np.int64), np.zeros(5, np.int64)
     for first in range(len(order) * rank // ranks, len(order) * (rank + 1) // ranks):
@@ -591,11 +601,11 @@ def candidates(
                 within = 2.0 * section + _farther(reach, a, e) + _farther(reach, b, f)
                 if axes_apart(x[a], e, x[b], f) > within:
                     continue
-                # the element with a tip is the first, else the rod of the lower number
+                # an element with a tip comes first, otherwise the rod with the lower number
                 tip_a, tip_b = e == elements - 1, f == elements - 1
                 if (tip_b and not tip_a) or (tip_a == tip_b and b < a):
                     a, e, b, f = b, f, a, e
-                # two tips are met from both sides: either may run into the other end-on
+                # two tips make two pairs: either may run into the other end-on
                 for side in range(2 if tip_a and tip_b else 1):
                     if count < len(out):
                         pair = out[count]

@@ -1,4 +1,4 @@
-"""A rough surface under rods: heights over the plane z = 0, and how stiff each place of it is."""
+"""A rough surface under rods: heights over the plane z = 0, and local contact stiffness."""
 
 from __future__ import annotations
 
@@ -13,14 +13,17 @@ from ..arrays import Array
 from ..compiled import njit
 from ..errors import InputError
 
-# Nodes along each side, at least: a cubic spline spans four.
+# Least number of nodes along each side: a cubic spline spans four.
 FEWEST = 4
 
 
 class Relief(NamedTuple):
-    """Heights for compiled code: whether there are any, the ``coefficients`` (ny, nx) in m of a
-    periodic bicubic spline on a grid, the grid's ``spacing`` in m, and the ``factor`` (ny, nx) of
-    the contact stiffness at each node."""
+    """Heights for compiled code.
+
+    ``there`` says whether there are any. ``coefficients`` (ny, nx) in m are those of a periodic
+    bicubic spline on a grid of ``spacing`` m, ``factor`` (ny, nx) is the contact stiffness at each
+    node over Kn.
+    """
 
     there: bool
     coefficients: Array
@@ -30,15 +33,12 @@ class Relief(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class RoughPlane:
-    """A periodic field of heights over z = 0, and how stiff it is.
+    """A periodic field of heights over z = 0, with local contact stiffness.
 
-    Node (j, i) is at x = i spacing, y = j spacing, and the tile repeats without end.
+    Node (j, i) is at x = i spacing, y = j spacing; the tile repeats without end.
 
-    Parameters
-    ----------
-    heights_m : (ny, nx), in m; 4 or more along each side
-    spacing_m : of the grid in x and y
-    factor : (ny, nx), contact stiffness at each node over Kn
+    Parameters ---------- heights_m : (ny, nx), in m; 4 or more along each side spacing_m : of the
+    grid in x and y factor : (ny, nx), contact stiffness at each node over Kn
 
     Raises
     ------
@@ -67,19 +67,19 @@ class RoughPlane:
 
 
 def no_relief() -> Relief:
-    """Of a plane."""
+    """The relief of a smooth plane."""
     return Relief(False, np.zeros((1, 1)), 1.0, np.ones((1, 1)))
 
 
 def highest_m(relief: Relief) -> float:
-    """A bound on the heights: a spline lies between the least and the greatest coefficient."""
+    """An upper bound on the heights: a spline lies between its least and greatest coefficients."""
     return float(relief.coefficients.max())
 
 
 @njit
 def _weights(t: float, value: Array, slope: Array) -> None:
-    """Write the values and the slopes (4,) of the cubic B-splines that reach to a place at ``t``,
-    between 0 and 1, after the second one's node."""
+    """Write values and slopes (4,) of the cubic B-splines that are nonzero at ``t`` in [0, 1],
+    counted from the second one's node."""
     u = 1.0 - t
     value[0], value[3] = u * u * u / 6.0, t * t * t / 6.0
     value[1] = (4.0 - 6.0 * t * t + 3.0 * t * t * t) / 6.0
@@ -91,9 +91,11 @@ def _weights(t: float, value: Array, slope: Array) -> None:
 
 @njit
 def look(relief: Relief, x: float, y: float, normal: Array, grows: Array) -> tuple[float, float]:
-    """Write the unit ``normal`` (3,) of the surface at a place, and how the factor of the contact
-    stiffness ``grows`` (3,) per m; the height in m, and the factor, which is linear between
-    nodes."""
+    """Height in m of the surface at a place, and the factor of the contact stiffness, linear
+    between nodes.
+
+    Writes the unit ``normal`` (3,) and the factor's gradient ``grows`` (3,) per m.
+    """
     rows, columns = relief.coefficients.shape
     across, along = x / relief.spacing, y / relief.spacing
     i, j = math.floor(across), math.floor(along)

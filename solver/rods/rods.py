@@ -1,4 +1,4 @@
-"""Bristles clamped in a moving hub over a plane, which may touch each other, on many ranks."""
+"""Bristles clamped in a moving hub over a plane, with mutual contact, on many ranks."""
 
 from __future__ import annotations
 
@@ -35,49 +35,47 @@ from .settle import settle
 from .step import Law
 from .tally import COLUMNS, Means, Windows
 
-# The spectral radius of generalised-alpha at infinite frequency.
+# Spectral radius of generalised-alpha at infinite frequency.
 RHO_INFINITY = 0.6
-# The greatest error of a step over a bristle's length.
+# Allowed error of a step over a bristle's length.
 TOLERANCE = 1e-6
 FIRST_STEP_S = 1e-5
-# A wire is no straighter than this; a perfect one would be compressed for ever instead of buckling.
+# No wire is straighter than this. A perfect one would be compressed instead of buckling.
 BOW_RAD = 1e-4
-# Instants at which a march looks ahead whether the hub takes a clamp into the surface.
+# Number of instants at which a march checks in advance whether the hub takes a clamp into the
+# surface.
 LOOKS = 500
 # Forces are averaged over windows of time no longer than this.
 WINDOW_S = 1e-3
-# For how long rods march at most before pairs are looked for again, and at least.
+# Longest and shortest span of time between searches for pairs.
 LONGEST_S, SHORTEST_S = 1e-3, 1e-7
-# A tip may lie this share of its length below the surface at the start: it hangs by its weight.
+# A tip may start this share of its length below the surface: it hangs by its weight.
 TOUCHING = 1e-6
 
 
 class Rods:
-    """Bristles of one section, clamped in a hub that moves, over a plane.
+    """Bristles of one section, clamped in a moving hub, over a plane.
 
-    A bristle that meets no other marches with steps of its own. Those that may touch each other
-    share their steps. Every rank knows where all bristles are and marches some of them, so the
-    result depends on no number of ranks.
+    A bristle that touches no other has time steps of its own; those that may touch each other share
+    their steps. Every rank knows the positions of all bristles and marches some of them. The result
+    does not depend on the number of ranks.
 
     Parameters
     ----------
-    section, clamps : what the bristles are, and where they are clamped
-    motion : the hub's; at its begin the bristles move with it, hanging in equilibrium
+    section, clamps : the bristles' properties, and where they are clamped
+    motion : the hub's; at its start the bristles move with it, hanging in equilibrium
     ground : the plane, or None
-    between : the contact of bristles with each other, or None where they pass through each other
+    between : the contact of bristles with each other, or None if they pass through each other
     elements : of each bristle
-    bow_rad : how far the tip of an unloaded bristle points off its axis, toward its thin side; one
-        that is pressed upright buckles by it
+    bow_rad : angle by which the tip of an unloaded bristle points off its axis, toward its thin
+        side; with it a bristle that is pressed upright buckles
     gravity_m_s2 : downward
-    tolerance : the greatest error of a time step over a bristle's length
-    rho_infinity : the share of a wave that a step far too long for it leaves, 0 to 1
-    comm : ranks that share out the bristles
+    tolerance : the allowed error of a time step over a bristle's length
+    rho_infinity : the share of a wave that remains after a step far too long for it, 0 to 1
+    comm : ranks that share the bristles
 
-    Raises
-    ------
-    InputError : a number is out of its range, a bristle begins below the surface, or two in each
-        other
-    ComputationError : a bristle finds no equilibrium under its own weight
+    Raises ------ InputError : a number is out of range, or a bristle starts below the surface or
+    inside another ComputationError : a bristle finds no equilibrium under its own weight
     """
 
     def __init__(
@@ -104,7 +102,7 @@ class Rods:
         self.section, self.clamps, self.motion, self.ground = section, clamps, motion, ground
         self.comm, self.elements = comm, elements
         # Which rank marched each rod last, and how many steps and iterations its last span took.
-        # Neighbours, which touch down together, begin on different ranks.
+        # Neighbours touch down together, so they start on different ranks.
         self._holder = np.arange(len(clamps)) % comm.size
         self._cost: Array = np.ones(len(clamps))
         self._gravity = np.array([0.0, 0.0, -gravity_m_s2])
@@ -116,7 +114,7 @@ class Rods:
             between_of(between or Contact(), section),
         )
         self._neighbours = Neighbours(law.between, comm) if between is not None else None
-        # groups of as many rods come back every few spans
+        # groups of the same size recur every few spans
         self._room_for = lru_cache(maxsize=16)(partial(room_for, elements + 1, len(section.rim_m)))
         self._now = motion_of(len(clamps), elements + 1, len(section.rim_m))
         self._brush, self._t_s = Brush(law, self._clamped(bow_rad), self._now), 0.0
@@ -128,7 +126,7 @@ class Rods:
             except BristleError as error:
                 wrong = error
                 break
-        # the first rank's error is everyone's
+        # all ranks raise the first rank's error
         for found in comm.allgather(wrong):
             if found is not None:
                 raise found
@@ -144,16 +142,14 @@ class Rods:
 
     @property
     def t_s(self) -> float:
-        """The time of the latest frame."""
+        """Time of the latest frame in s."""
         return self._t_s
 
     def march(self, until_s: float, every_s: float) -> Iterator[Frame]:
         """Frames at multiples of ``every_s`` up to ``until_s``, after the present one; collective.
 
-        Raises
-        ------
-        InputError : a number is not positive, or the hub takes a clamp below the surface
-        ComputationError : a bristle's step fails however short it is
+        Raises ------ InputError : a number is not positive, or the hub takes a clamp below the
+        surface ComputationError : a bristle's step fails however short it is
         """
         positive("the end of the march", until_s)
         positive("the time between frames", every_s)
@@ -166,8 +162,8 @@ class Rods:
             count += 1
 
     def advance(self, end_s: float, windows: int = 1) -> None:
-        """March every bristle to ``end_s``, and take means over so many ``windows`` until there;
-        collective. Raises ComputationError as `march`."""
+        """March every bristle to ``end_s``, with means over this many ``windows``; collective.
+        Raises ComputationError as `march`."""
         begin_s, sums = self.t_s, np.zeros((len(self.clamps), windows, COLUMNS))
         self._now.totals[:, rows.STRESS] = 0.0
         width_s = (end_s - begin_s) / windows
@@ -177,7 +173,7 @@ class Rods:
         self._means = Means.of(begin_s, end_s, sums.sum(axis=0), len(self.clamps))
 
     def _advance(self, end_s: float, windows: Windows) -> None:
-        """March every bristle to ``end_s``, or as far as lists of neighbours hold."""
+        """March every bristle to ``end_s``, or as far as the list of neighbours is valid."""
         near = self._neighbours
         if near is None:
             self._refuse_failure(self._march_apart(self._held(), end_s, windows))
@@ -215,7 +211,8 @@ class Rods:
         return np.asarray(self._now.totals[:, [rows.STEPS, rows.ITERATIONS]].sum(axis=1))
 
     def _march_span(self, until: float, windows: Windows, those: Flags) -> None:
-        """March ``those`` rods (rods,) to the end of a span, and groups of which they are whole."""
+        """March the rods ``those`` (rods,), and groups that consist of them, to the end of a
+        span."""
         now, near = self._now, self._neighbours
         assert near is not None
         groups, _ = near.groups(len(self.clamps))
@@ -232,7 +229,7 @@ class Rods:
                 if failed < 0:
                     failed = self._march_group(group, until, windows)
                 touched.append(group.rows)
-        # What the next search needs. The rest is sent by `_bring`, `_tell_all` and `_observed`.
+        # Only the next search's data; `_bring`, `_tell_all` and `_observed` send the rest.
         moved = now.x, now.q, now.velocity, now.totals
         self._tell((moved, np.flatnonzero(mine)), (near.touch, np.concatenate(touched)))
         self._holder[those] = who[those]
@@ -245,14 +242,14 @@ class Rods:
     def _march_group(self, linked: Linked, end_s: float, windows: Windows) -> int:
         assert self._neighbours is not None
         group, count = self._neighbours.group(linked), len(linked.members)
-        # a power of two, so that few rooms do for all
+        # a power of two, so that few work spaces serve all
         room = self._room_for(count, 1 << (len(group.pairs) - 1).bit_length())
         failed = march(self._brush, group, count, end_s, windows, room)
         put(self._neighbours.touch, linked.rows, group.touch)
         return failed
 
     def _refuse_failure(self, failed: int) -> None:
-        """ComputationError, on every rank, where a bristle of one failed."""
+        """Raise ComputationError on every rank if a bristle of any rank failed."""
         message = ""
         if failed >= 0:
             at, step = self._now.totals[failed, [rows.TIME, rows.STEP]]
@@ -264,8 +261,8 @@ class Rods:
         require(self.comm, failed < 0, message)
 
     def _bring(self, who: Integers, sums: Array) -> None:
-        """Send each rod's whole state and ``sums`` to the rank ``who`` (rods,) that is about to
-        march it, -1 where none is; collective."""
+        """Send each rod's whole state and ``sums`` to the rank ``who`` (rods,) that will march it,
+        -1 for none; collective."""
         moves = (who >= 0) & (who != self._holder)
         if not moves.any():
             return
@@ -276,7 +273,7 @@ class Rods:
             put(arrays, those, values)
 
     def _tell_all(self) -> None:
-        """Let every rank know the whole state of all rods; collective."""
+        """Send the whole state of all rods to every rank; collective."""
         self._tell((_arrays(self._now), self._held()))
 
     def _held(self) -> Integers:
@@ -284,7 +281,7 @@ class Rods:
         return np.flatnonzero(self._holder == self.comm.rank)
 
     def _tell(self, *parts: tuple[Sequence[Array], Integers]) -> None:
-        """Let every rank know the rows of arrays that this one has, of several; collective."""
+        """Send this rank's rows of arrays to every rank; collective."""
         if self.comm.size > 1:
             mine = [(those, [array[those] for array in arrays]) for arrays, those in parts]
             for theirs in self.comm.allgather(mine):
@@ -292,7 +289,7 @@ class Rods:
                     put(arrays, those, values)
 
     def frame(self) -> Frame:
-        """All bristles as they are now; collective."""
+        """The present state of all bristles; collective."""
         seen, near = self._observed(), self._neighbours
         pose = self.motion.pose(self.t_s)
         force = -seen.reaction[:, :3]
@@ -320,7 +317,7 @@ class Rods:
         )
 
     def checkpoint(self) -> dict[str, Array]:
-        """Everything that the next step needs, of all bristles, on every rank; collective."""
+        """The state of all bristles that the next step needs, on every rank; collective."""
         self._tell_all()
         kept = dict(zip(NAMES, _arrays(self._now), strict=True))
         kept["energy_at_start_J"] = np.array([self._initial_J, self._datum_J])
@@ -328,9 +325,9 @@ class Rods:
         return kept | (self._neighbours.checkpoint() if self._neighbours is not None else {})
 
     def restore(self, kept: Mapping[str, Array]) -> None:
-        """Go back to a `checkpoint`, to the bit, on any number of ranks.
+        """Return to a `checkpoint`, bit for bit, on any number of ranks.
 
-        Raises InputError where it is not one of as many bristles and elements.
+        Raises InputError if it does not hold as many bristles and elements.
         """
         for name, mine in zip(NAMES, _arrays(self._now), strict=True):
             if name not in kept or kept[name].shape != mine.shape:
@@ -347,7 +344,7 @@ class Rods:
     # --- start ------------------------------------------------------------------------------------
 
     def _clamped(self, bow_rad: float) -> ClampedRod:
-        """All bristles, stacked, with their weight."""
+        """All bristles with their weight, stacked."""
         from scipy.spatial.transform import Rotation
 
         chains = stacked(
@@ -363,8 +360,10 @@ class Rods:
         return ClampedRod(chains, loads, self.clamps.position_m, attitude)
 
     def _begin(self, i: int) -> None:
-        """The bristle ``i`` in equilibrium under its weight, moving with the hub; InputError where
-        it begins in the surface as it is without strain."""
+        """Bring bristle ``i`` into equilibrium under its weight, moving with the hub.
+
+        Raises InputError if it starts in the surface when unstrained.
+        """
         chain, now = nth(self._brush.rods.chain, i), nth(self._now, i)
         pose = self.motion.pose(0.0)
         place = pose.position_m + pose.rotation @ self.clamps.position_m[i]
@@ -399,7 +398,7 @@ class Rods:
                 )
 
     def _observed(self) -> Seen:
-        """What is to be seen of all rods; each rank looks at those that it holds; collective."""
+        """Output of all rods, gathered from the ranks that hold them; collective."""
         mine = self._held()
         seen = observe(self._brush.rods.chain, self._gravity, self._now, mine)
         whole = Seen(*(np.empty((len(self.clamps), *each.shape[1:])) for each in seen))
@@ -408,16 +407,16 @@ class Rods:
         return whole
 
 
-# The names of the arrays of a state, those of its points last.
+# Names of a state's arrays, those of its contact points last.
 NAMES = (*Motion._fields[:-1], *Touch._fields)
 
 
 def _arrays(state: Motion) -> list[Array]:
-    """The arrays of a state by `NAMES`."""
+    """The arrays of a state, ordered as `NAMES`."""
     return [*state[:-1], *state.touch]
 
 
 def _bowed(section: RodSection, curvature_1_m: float) -> RodSection:
-    """With so much more natural curvature about the wide side."""
+    """The section with this natural curvature about the wide side added."""
     about_1, about_2, twist = section.curvature_1_m
     return replace(section, curvature_1_m=(about_1, about_2 + curvature_1_m, twist))

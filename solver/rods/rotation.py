@@ -1,7 +1,7 @@
 """Rotations in compiled code: vectors, quaternions and matrices written into arrays.
 
-`solver.rigid` has the same maps with results in new arrays; these are for loops in which a new
-array costs more than the arithmetic. Quaternions are (w, x, y, z), rotation vectors in rad.
+`solver.rigid` has the same maps with results in new arrays; these are for loops in which allocation
+costs more than the arithmetic. Quaternions are (w, x, y, z), rotation vectors in rad.
 """
 
 from __future__ import annotations
@@ -18,13 +18,13 @@ type Vector = Array | tuple[float, float, float]
 
 @inlined
 def dot(a: Vector, b: Vector) -> float:
-    """Of two vectors (3,)."""
+    """Dot product of two vectors (3,)."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
 @inlined
 def cross(a: Vector, b: Vector) -> tuple[float, float, float]:
-    """Of two vectors (3,)."""
+    """Cross product of two vectors (3,)."""
     return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
 
 
@@ -59,7 +59,7 @@ def between(p: Array, q: Array) -> tuple[float, float, float, float]:
 
 @inlined
 def vector_factor(w: float, x: float, y: float, z: float) -> float:
-    """What a unit quaternion's vector part is multiplied by to make its rotation vector."""
+    """Rotation vector over vector part of a unit quaternion."""
     size = math.sqrt(x * x + y * y + z * z)
     return 2.0 if size < 1e-9 else 2.0 * math.atan2(size, w) / size
 
@@ -100,7 +100,7 @@ def write_middle(q: Array, e: int, out: Array) -> None:
 
 @inlined
 def normalise(q: Array) -> None:
-    """Take the rounding off a unit quaternion."""
+    """Remove rounding from a unit quaternion."""
     size = math.sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3])
     for k in range(4):
         q[k] /= size
@@ -108,7 +108,8 @@ def normalise(q: Array) -> None:
 
 @njit
 def spin_of(vector: Array, rate: Array) -> Array:
-    """Angular velocity (3,) in fixed axes of a body whose rotation vector changes at a rate (3,).
+    """Angular velocity (3,) in fixed axes of a body whose rotation vector changes at a ``rate``
+    (3,).
 
     Its tangent operator: Ibrahimbegovic, Frey and Kozar, Int. J. Numer. Meth. Engng 38 (1995).
     """

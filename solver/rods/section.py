@@ -1,4 +1,4 @@
-"""Section of a rod: its stiffnesses, inertia, damping, and the points of it that can touch."""
+"""Cross-section of a rod: stiffness, inertia, damping, and its contact points."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from ..errors import InputError
 
 # Points on the rim of a round section.
 RIM_POINTS = 8
-# Of a rigid contact: the stiffness of one point of the rim over that of an element along the axis.
+# For a rigid contact: stiffness of one contact point over that of an element along the axis.
 RIGID = 2.5
 
 
 def half_sides_m(section: Section) -> tuple[float, float]:
-    """Half of the thin and of the wide side, or the radius twice."""
+    """Half of the thin and of the wide side; for a round section the radius, twice."""
     if isinstance(section, Rectangle):
         return 0.5 * section.thickness_m, 0.5 * section.width_m
     return 0.5 * section.diameter_m, 0.5 * section.diameter_m
@@ -118,7 +118,7 @@ class RodSection:
 
     @property
     def rim_m(self) -> Array:
-        """The points (k, 2) of a section that can touch: the corners, or points on the rim."""
+        """The contact points (k, 2) of a section: its corners, or points on the rim."""
         if self.is_round:
             angle = np.arange(RIM_POINTS) * (2.0 * math.pi / RIM_POINTS)
             return self.half_thin_m * np.stack([np.cos(angle), np.sin(angle)], -1)
@@ -126,10 +126,10 @@ class RodSection:
         return signs * (self.half_thin_m, self.half_wide_m)
 
     def rigid_N_m(self, element_m: float) -> float:
-        """Kn of a contact that stands for a rigid one, for elements of this length.
+        """Kn that stands for a rigid contact, with elements of this length.
 
-        Each point that touches is then `RIGID` times as stiff as an element along the axis, where a
-        rod gives way least. More would ask for shorter steps, and hardly change a force.
+        Each contact point is then `RIGID` times as stiff as an element along the axis, where a rod
+        is softest. A stiffer contact would need shorter steps and hardly change a force.
         """
         return RIGID * len(self.rim_m) * self.EA_N / element_m
 

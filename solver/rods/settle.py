@@ -1,4 +1,4 @@
-"""Equilibrium of a rod with its weight and a smooth surface, from which a march begins."""
+"""Static equilibrium of a rod under its weight on a smooth surface, the start of a march."""
 
 from __future__ import annotations
 
@@ -14,18 +14,18 @@ from .element import strains
 from .joint import Brush, Group, Room, joint_step
 from .motion import CONTACT
 
-# The most steps that a rod's weight comes on in.
+# Largest number of load steps for a rod's weight.
 MOST_PARTS = 256
-# The surface is at first so many times EI/L³ stiff, and then stiffer by so much at a time.
+# First stiffness of the surface over EI/L³, and factor of its later increases.
 SOFT, STIFFER = 1e3, 10.0
 
 
 def settle(brush: Brush, i: int, room: Room) -> bool:
-    """Bring rod ``i`` of a brush into equilibrium with its loads and the surface without friction.
+    """Bring rod ``i`` of a brush into equilibrium with its loads and the surface, without friction.
 
-    The loads come on in equal steps over a soft surface, as few as will do, which is then made as
-    stiff as it is. False where even many steps do not do. Friction at rest can be anything below
-    its limit, so a rod begins with none, and what touches sticks. ``room`` is for one rod.
+    The loads are applied in equal steps, as few as possible, over a soft surface, which is then
+    stiffened. Returns False if even many steps fail. Static friction can be anything below its
+    limit, so a rod starts with none, and its contact points stick. ``room`` is for one rod.
     """
     (law, rods, stack), parts = brush, 1
     still = law._replace(scheme=law.scheme._replace(inertia=False))
@@ -58,8 +58,8 @@ def settle(brush: Brush, i: int, room: Room) -> bool:
 
 
 def _loading(chain: Chain, surface: Obstacle, parts: int) -> Iterator[tuple[float, Obstacle]]:
-    """Shares of the load, each with the surface as it is then: of one stiffness all over, until
-    it is stiff and the differences move the rod no longer."""
+    """Shares of the load, each with its surface. The surface has one stiffness everywhere until it
+    is so stiff that local differences no longer move the rod."""
     bending = float(chain.stiffness[0, 3:5].min())
     soft = min(surface.kn, SOFT * bending / float(total_length(chain)) ** 3)
     even = surface.relief._replace(factor=np.ones_like(surface.relief.factor))

@@ -1,12 +1,12 @@
-"""What one rod adds to a time step, compiled: its first guess, its residual, its sums at the end.
+"""One rod's part of a time step, compiled: prediction, residual, and update at the end.
 
 Generalised-alpha on the rotation group (Arnold and Brüls, Multibody Syst. Dyn. 18 (2007) 185;
-Brüls, Cardona and Arnold, Mech. Mach. Theory 48 (2012) 121). It asks for equilibrium at
-the end of every step and averages accelerations, not strains, so contact and friction are met where
-the step ends, and a rod that turns is not stretched by the scheme. It damps what a step does not
-resolve: the axial and the shear waves of an element, and what contact sets off as it closes.
-Damping by β takes strain rates as differences over the step, which adds to generalised-alpha's
-second order an error of first order in β times the step, βhω²/2 of the elastic force.
+Brüls, Cardona and Arnold, Mech. Mach. Theory 48 (2012) 121). It satisfies equilibrium at the end of
+every step and averages accelerations, not strains. So contact and friction hold at the end of the
+step, and the scheme does not stretch a rotating rod. It damps what a step does not resolve: axial
+and shear waves within an element, and vibration from closing contact. Damping by β uses differences
+of strain over the step. To the scheme's second-order error this adds one of first order in β times
+the step, βhω²/2 of the elastic force.
 """
 
 from __future__ import annotations
@@ -49,22 +49,21 @@ from .newton import move, place_nodes
 from .pairs import Between, crossing_kn
 from .rotation import between, exponential, multiply, normalise, vector_factor, write_matrix
 
-# A residual counts as none below this share of EI/L², or where it is the rounding of coordinates
-# that the stiffest springs of an element feel.
+# Tolerance of the residual as a share of EI/L², and relative rounding of coordinates, which an
+# element's stiffest springs amplify.
 NEAR, ROUNDING = 1e-8, 2e-15
-# Where there is inertia, a residual counts as none if the displacement that it would make in the
-# step is below this share of the error that the step may have (0.01 to 0.1 in Hairer and Wanner,
-# Solving Ordinary Differential Equations II, 1996, Sec. IV.8).
+# With inertia the residual may also cause a displacement in the step of this share of the allowed
+# error (0.01 to 0.1 in Hairer and Wanner, Solving Ordinary Differential Equations II, 1996, Sec.
+# IV.8).
 NEWTON = 0.01
-# A section that comes down in one of Newton's steps goes in by a force of so many EI/L² at most.
+# Largest contact force, over EI/L², of a section that enters the surface in one Newton step.
 DEEPEST = 10.0
-# By how many times more than its middle the corner of a free prism's section yields.
+# Compliance of a corner of a free prism's section over that of its middle.
 CORNER_YIELDS = 7.0
 
 
 class Law(NamedTuple):
-    """What all rods have in common: the time scheme, the hub, the surface, and the law between two
-    rods."""
+    """What all rods share: time scheme, hub, surface, and the contact law between rods."""
 
     scheme: Scheme
     hub: Hub
@@ -73,11 +72,11 @@ class Law(NamedTuple):
 
 
 class Scratch(NamedTuple):
-    """Room for a step of one rod, and what Newton's method knows of it: its system, its elements,
-    and what Newton's step makes of them (2, e, 3), see `element.foresee`; where it was before that
-    step, (n, 3) and (n, 4); axes (3, 3) of two sections; the gaps (n,) in m; the force and the
-    moment (2,) that count as none; what friction took and contact holds (2,), by itself and with
-    the others; and its residual (n, 6) by itself."""
+    """Work space of one rod's step, and its state in Newton's method: the system, the elements, and
+    their ``foreseen`` strains (2, e, 3), see `element.foresee`; positions and quaternions before
+    the Newton step; axes (3, 3) of two sections; gaps (n,) in m; tolerances (2,) of force and
+    moment; friction's loss and contact's energy (2,), of the rod alone and with the others; and the
+    rod's own residual (n, 6)."""
 
     system: System
     elements: Elements
@@ -94,14 +93,14 @@ class Scratch(NamedTuple):
 
 
 def new_scratch(n: int) -> Scratch:
-    """Room for a rod of ``n`` nodes."""
+    """Work space for a rod of ``n`` nodes."""
     record = partial(Scratch, new_system(n), new_elements(n - 1))
     axes = 3, 3
     return zeros(record, (2, n - 1, 3), (n, 3), (n, 4), axes, axes, n, 2, 2, 2, (n, 6))
 
 
 class Step(NamedTuple):
-    """A step of ``h`` seconds of one rod: the rod, its state before and after, and room."""
+    """A step of ``h`` seconds of one rod: the rod, its states before and after, and work space."""
 
     rod: ClampedRod
     old: Motion
@@ -112,8 +111,8 @@ class Step(NamedTuple):
 
 @within
 def _predict(step: Step, h: float) -> None:
-    """Where free nodes would be after ``h`` seconds: they turn on, and elements keep their stretch
-    and shear."""
+    """Predict the free nodes after ``h`` seconds: rotation goes on, elements keep stretch and
+    shear."""
     old, new, turn = step.old, step.new, np.empty(4)
     for i in range(1, len(new.x)):
         w, a = old.velocity[i], old.auxiliary[i]
@@ -132,7 +131,7 @@ def _predict(step: Step, h: float) -> None:
 def _rates(
     scheme: Scheme, h: float, moved: float, velocity: float, auxiliary: float, acceleration: float
 ) -> tuple[float, float, float]:
-    """Velocity, acceleration and auxiliary at the end of a step that moved by so much."""
+    """Velocity, acceleration and auxiliary at the end of a step with the displacement ``moved``."""
     new = (moved / (h * h) - velocity / h - (0.5 - scheme.beta) * auxiliary) / scheme.beta
     speed = velocity + h * ((1.0 - scheme.gamma) * auxiliary + scheme.gamma * new)
     mean = (1.0 - scheme.alpha_m) * new + scheme.alpha_m * auxiliary
@@ -143,8 +142,8 @@ def _rates(
 def _inertia(scheme: Scheme, step: Step, i: int) -> None:
     """Add a free node's inertia and α-damping to the residual and the diagonal block.
 
-    The tangent leaves out how a step's rotation vector differs from the spin, and gyroscopic
-    moments: both are of the order of the angle of a step.
+    The tangent omits gyroscopic moments and the difference between a step's rotation vector and the
+    spin. Both are of the order of the rotation in a step.
     """
     chain, old, new, h = step.rod.chain, step.old, step.new, step.h
     system, matrix = step.scratch.system, step.scratch.matrix
@@ -188,21 +187,21 @@ def _inertial_moment(chain: Chain, i: int, now: Motion) -> tuple[float, float, f
 
 @inlined
 def damping_rate(law: Law, chain: Chain, h: float) -> float:
-    """β over the step of ``h`` seconds, by which damping stiffens a rod."""
+    """β over the step of ``h`` seconds: the relative stiffening of a rod by damping."""
     return chain.beta / h if law.scheme.inertia else 0.0
 
 
 @inlined
 def deepest(chain: Chain, stiffness: float) -> float:
-    """How deep in m what comes down in one of Newton's steps may go, by ``stiffness`` in N/m."""
+    """Allowed penetration in m of a Newton step, at a contact stiffness in N/m."""
     bending = min(chain.stiffness[0, 3], chain.stiffness[0, 4])
     return DEEPEST * bending / total_length(chain) ** 2 / stiffness
 
 
 @inlined
 def inert(chain: Chain, scheme: Scheme, stiffness: float, h: float) -> bool:
-    """Whether a step of ``h`` seconds is so short that a contact of such a ``stiffness`` in N/m
-    throws a section back by no more than it went in, since it is so heavy.
+    """Whether a step of ``h`` seconds is so short that inertia limits the rebound: a contact of
+    this ``stiffness`` in N/m throws a section back by no more than it penetrated.
 
     Its corner yields by β h² (1/m + Σ a²/J), with J = m a²/3 about each axis of a prism.
     """
@@ -211,8 +210,7 @@ def inert(chain: Chain, scheme: Scheme, stiffness: float, h: float) -> bool:
 
 @within
 def shortfall(chain: Chain, surface: Obstacle, new: Motion, scratch: Scratch) -> float:
-    """The part of the last step after which sections that it takes into the surface just touch it;
-    one where none goes deeper than it may."""
+    """Part of the last Newton step after which new contacts just close; one if none is too deep."""
     allowed, least = deepest(chain, surface.kn), 1.0
     gaps, matrix = scratch.gaps, scratch.matrix
     for i in range(1, len(gaps)):
@@ -226,7 +224,7 @@ def shortfall(chain: Chain, surface: Obstacle, new: Motion, scratch: Scratch) ->
 
 @within
 def finish(scheme: Scheme, step: Step, iterations: int) -> None:
-    """Write strains, reactions and sums at the end of a step that took so many ``iterations``."""
+    """Write strains, reactions and sums at the end of a step of this many ``iterations``."""
     chain, loads, system = step.rod.chain, step.rod.loads, step.scratch.system
     old, new, h = step.old, step.new, step.h
     write(step.scratch.elements.strain, new.strain)
@@ -239,7 +237,7 @@ def finish(scheme: Scheme, step: Step, iterations: int) -> None:
     matrix, turned, spin = np.empty((3, 3)), np.empty(3), (factor * v0, factor * v1, factor * v2)
     write_matrix(old.q[0], matrix)
     for c in range(3):
-        # a rotation vector is the same in the axes before and after it
+        # a rotation vector has the same components before and after its rotation
         turned[c] = matrix[c, 0] * spin[0] + matrix[c, 1] * spin[1] + matrix[c, 2] * spin[2]
         if scheme.inertia:
             new.acceleration[0, c] = (new.velocity[0, c] - old.velocity[0, c]) / h
@@ -270,7 +268,7 @@ def finish(scheme: Scheme, step: Step, iterations: int) -> None:
 
 @within
 def _damped(step: Step) -> float:
-    """What material damping took over a step, in J."""
+    """Energy dissipated by material damping over a step, in J."""
     chain, old, new, h = step.rod.chain, step.old, step.new, step.h
     taken = 0.0
     for e in range(len(chain.length)):
@@ -289,8 +287,10 @@ def _damped(step: Step) -> float:
 
 @within
 def begin(law: Law, step: Step, linked: bool) -> None:
-    """Write a first guess of the rod at the end of the step, and the residuals that count as none;
-    ``linked`` is whether it may touch others."""
+    """Write the prediction of the rod at the end of the step, and the tolerances of its residual.
+
+    ``linked`` says whether the rod may touch others.
+    """
     rod, old, new, gaps = step.rod, step.old, step.new, step.scratch.gaps
     write(old.x, new.x)
     write(old.q, new.q)
@@ -303,7 +303,7 @@ def begin(law: Law, step: Step, linked: bool) -> None:
 
 @within
 def _write_none(law: Law, step: Step, linked: bool) -> None:
-    """Write the force in N and the moment in N m that are nothing to a rod in this step."""
+    """Write the tolerances of force in N and moment in N m for this step."""
     chain, x, scheme, none = step.rod.chain, step.new.x, law.scheme, step.scratch.none
     square, total = scheme.beta * step.h * step.h, total_length(chain)
     stiffest = heaviest = farthest = 0.0
@@ -332,8 +332,8 @@ def _write_none(law: Law, step: Step, linked: bool) -> None:
 
 @njit
 def _stiffness(chain: Chain, square: float) -> tuple[float, float]:
-    """The least force in N that moves a node by a metre in a step, and the least moment in N m that
-    turns one so far that its elements' other ends would move by a metre.
+    """The least force in N that moves a node by a metre in a step, and the least moment in N m
+    whose rotation moves the elements' other ends by a metre.
 
     ``square`` in s² is β of the scheme times the square of the step.
     """
@@ -348,10 +348,10 @@ def _stiffness(chain: Chain, square: float) -> tuple[float, float]:
 
 @within
 def assemble(law: Law, step: Step, early: bool) -> tuple[float, float]:
-    """Write the residual, and into the diagonal blocks what inertia and the surface add to them.
+    """Write the residual, and add inertia and the surface to the diagonal blocks.
 
-    ``early`` is whether this is one of the first iterations, see `joint.EARLY`. Returns as
-    `contact.touch_section` what friction took and contact holds.
+    ``early`` marks the first iterations, see `joint.EARLY`. Returns the energies of
+    `contact.touch_section`: friction's loss and contact's energy.
     """
     surface, old, new, scratch = law.surface, step.old, step.new, step.scratch
     gaps, system = scratch.gaps, scratch.system
@@ -385,7 +385,7 @@ def assemble(law: Law, step: Step, early: bool) -> tuple[float, float]:
 
 @within
 def keep(chain: Chain, new: Motion, scratch: Scratch) -> None:
-    """Keep where the rod is, and what Newton's step makes of its elements."""
+    """Save the rod's pose, and what Newton's step adds to its elements' strains."""
     write(new.x, scratch.x)
     write(new.q, scratch.q)
     foresee(chain, scratch.elements, scratch.system.solution, scratch.foreseen)
@@ -393,7 +393,7 @@ def keep(chain: Chain, new: Motion, scratch: Scratch) -> None:
 
 @within
 def go(chain: Chain, new: Motion, part: float, scratch: Scratch) -> None:
-    """Move the rod by a ``part`` of Newton's step from where it was kept."""
+    """Move the rod by a ``part`` of Newton's step from the saved pose."""
     write(scratch.x, new.x)
     write(scratch.q, new.q)
     move(chain, new.x, new.q, scratch.system.solution, part, scratch.foreseen)

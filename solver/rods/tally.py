@@ -1,9 +1,9 @@
-"""Force and torque of rods on their hub, and shares of rods that touch, as means over windows.
+"""Means over time windows: force and torque of rods on their hub, and shares of rods in contact.
 
-A window is a short span of time, the same for all rods. Every rod has time steps of its own. Each
-adds the integral over its steps, in which forces are taken as linear; what falls into a window over
-the window's width is the mean there. Means are additive, so those of all rods are the sum. An
-instant's force is not: between two instants a tip may bounce.
+A window is a short span of time, the same for all rods. Each rod has time steps of its own and adds
+the integral over its steps, with forces linear within a step. The integral over a window, divided
+by its width, is the mean. Means of single rods add up to that of all. Forces at an instant would
+not do: between two instants a tip may bounce.
 """
 
 from __future__ import annotations
@@ -26,13 +26,11 @@ COLUMNS, STATE = 9, 6
 
 @dataclass(frozen=True)
 class Means:
-    """Means over windows of time that follow each other, the first from ``begin_s`` on.
+    """Means over consecutive windows of time, the first from ``begin_s`` on.
 
-    Parameters
-    ----------
-    begin_s, end_s : (w,), when each begins and ends
-    force_N, torque_Nm : (w, 3), what the bristles do to the hub, the torque about the hub's origin
-    share : (w, 3), of bristles that touch the surface, stick, slip; over time and bristles
+    Parameters ---------- begin_s, end_s : (w,), begin and end of each window force_N, torque_Nm :
+    (w, 3), of the bristles on the hub; the torque is about the hub's origin share : (w, 3), of
+    bristles that touch the surface, stick, slip; over time and bristles
     """
 
     begin_s: Array
@@ -43,20 +41,20 @@ class Means:
 
     @classmethod
     def of(cls, begin_s: float, end_s: float, sums: Array, rods: int) -> Means:
-        """Of the ``sums`` (w, `COLUMNS`) that `add_step` gathered, over so many rods."""
+        """Means from the ``sums`` (w, `COLUMNS`) that `add_step` gathered over this many rods."""
         ends = np.linspace(begin_s, end_s, len(sums) + 1)
         mean = sums / np.diff(ends)[:, None]
         return cls(ends[:-1], ends[1:], mean[:, :3], mean[:, 3:STATE], mean[:, STATE:] / rods)
 
     @classmethod
     def none(cls) -> Means:
-        """Of no window."""
+        """Means over no window."""
         return cls.of(0.0, 0.0, np.zeros((0, COLUMNS)), 1)
 
 
 @njit
 def _write_row(hub: Hub, now: Motion, row: Array) -> None:
-    """Write what a rod gives to the columns of a tally at one instant."""
+    """Write a rod's contribution at one instant to the columns of a tally."""
     pose, met = np.empty((2, 6)), np.zeros(3)
     hub_coordinates(hub.breaks, hub.coefficients, now.totals[TIME], pose)
     for c in range(6):
@@ -72,7 +70,8 @@ def _write_row(hub: Hub, now: Motion, row: Array) -> None:
 
 
 class Windows(NamedTuple):
-    """Where means go: the first window's begin, their width in s, and sums (rods, w, `COLUMNS`)."""
+    """Windows of the means: the first one's begin and their width in s, and sums (rods, w,
+    `COLUMNS`)."""
 
     begin_s: float
     width_s: float
