@@ -1,19 +1,19 @@
-"""The axis of a slender body: how axial force and slope act on each other.
+"""Second-order coupling of axial force and bending in a slender body.
 
-A bristle that leans is hit by a force far above the load at which it would buckle slowly, so the
-moment of that force about the deflected axis matters even within one impact. To second order in the
-slope the axial strain is u' + ½ (w_x'² + w_y'²) (von Kármán's), which couples bending with the
-axial motion; the strain energy beyond the linear one is
+The force on a leaning bristle is far above its static buckling load. So its moment about the
+deflected axis matters even within one impact. To second order in the slope the axial strain is von
+Kármán's, u' + ½ (w_x'² + w_y'²), which couples bending with axial motion. The strain energy beyond
+the linear one is
 
     ½ Σ E A Δz ((e + q)² - e²),    e = u',  q = ½ (w_x'² + w_y'²).
 
-Damping by β acts on the rate of that strain, so it takes β Σ E A Δz ((ė + q̇)² - ė²) beyond what it
-takes of the linear body: nothing of an axis that shortens as it bends freely.
+Damping by β acts on the rate of that strain. Beyond the linear body it dissipates β Σ E A Δz ((ė +
+q̇)² - ė²), which is nothing in an axis that shortens as it bends freely.
 
-A loss factor η damps modes, so its law is not one of strains at points. What strains the body is u
-less the axis' static answer to the strain -q, which is -K⁻¹ Eᵀ b with E the rows of e and
-b = EAΔz q. A loss factor damps the rate of that by its matrix C, which is η ω in modes. With
-R = E K⁻¹ C and H = R K⁻¹ Eᵀ it takes 2 (R u̇) · ḃ + ḃ · H ḃ beyond what it takes of the linear body.
+A loss factor η damps modes, so it cannot act on strains at points. The strained part of u is u less
+the axis' static response to the strain -q, which is -K⁻¹ Eᵀ b with E the rows of e and b = EAΔz q.
+The loss factor damps its rate by the matrix C, which is η ω in modes. With R = E K⁻¹ C and H = R
+K⁻¹ Eᵀ it dissipates 2 (R u̇) · ḃ + ḃ · H ḃ beyond the linear body.
 """
 
 from __future__ import annotations
@@ -30,7 +30,8 @@ from ..compiled import njit
 @dataclass(frozen=True)
 class Axis:
     """Rows over a body's unknowns at points of its axis: axial ``strain``, ``slope_x`` and
-    ``slope_y`` (g, dofs), and ``weights_N_m`` (g,): E A times the length each point stands for."""
+    ``slope_y`` (g, dofs), and ``weights_N_m`` (g,), E A times the length that each point
+    represents."""
 
     strain: Array
     slope_x: Array
@@ -38,16 +39,16 @@ class Axis:
     weights_N_m: Array
 
     def in_modes(self, modes: Array) -> Axis:
-        """Seen by the coordinates of ``modes`` (dofs, m)."""
+        """The rows over the coordinates of ``modes`` (dofs, m)."""
         return Axis(
             self.strain @ modes, self.slope_x @ modes, self.slope_y @ modes, self.weights_N_m
         )
 
 
 class Shortening(NamedTuple):
-    """What compiled code reads of an axis: the rows stacked (3 g, modes), with a loss factor those
-    of R beneath them (4 g, modes); 1/ω² (modes,), zero for rigid modes; β in s; H (g, g). No rows
-    where the body is linear."""
+    """The axis for compiled code: the rows stacked (3 g, modes), with a loss factor those of R
+    below them (4 g, modes); 1/ω² (modes,), zero for rigid modes; β in s; H (g, g). A linear body
+    has no rows."""
 
     rows: Array
     weights: Array
@@ -77,8 +78,8 @@ def shortening(
 
 @njit
 def _lossy(axis: Shortening, before: Array, after: Array, its: float) -> tuple[Array, Array]:
-    """What bending strains the axis by over a step, in N m (g,), and the axial force in N m (g,) by
-    which a loss factor answers."""
+    """Strain of the axis by bending over a step, in N m (g,), and the axial force in N m (g,) of
+    the loss factor."""
     g = len(axis.weights)
     bent = np.zeros(g)
     if len(before) == 3 * g:
@@ -94,8 +95,8 @@ def _lossy(axis: Shortening, before: Array, after: Array, its: float) -> tuple[A
 def _mean_strain(
     axis: Shortening, before: Array, after: Array, its: float, i: int
 ) -> tuple[float, float, float, float]:
-    """Of point ``i`` over a step of ``its`` s, with the rates that damping sees: the linear part of
-    the strain, the part of bending, and the slopes half way."""
+    """At point ``i`` over a step of ``its`` s, with the rates for damping: the linear part of the
+    strain, the part of bending, and the slopes at mid-step."""
     g, viscous = len(axis.weights), axis.beta_s / its
     x0, y0, x1, y1 = before[g + i], before[2 * g + i], after[g + i], after[2 * g + i]
     x, y = 0.5 * (x0 + x1), 0.5 * (y0 + y1)
@@ -107,11 +108,12 @@ def _mean_strain(
 
 @njit
 def second_order_force(axis: Shortening, before: Array, after: Array, its: float) -> Array:
-    """Force (modes,) over a step of ``its`` s, of what the energy holds beyond the linear one and
-    of its damping.
+    """Force (modes,) over a step of ``its`` s, from the second-order part of the energy and its
+    damping.
 
-    ``before`` and ``after`` (3 g,) are rows @ u at its ends. The discrete gradient of the energy
-    (Simo and Tarnow, ZAMP 43, 1992: mean strain, slope at mid-step), so that the step conserves it.
+    ``before`` and ``after`` (3 g,) are rows @ u at its ends. It is the discrete gradient of the
+    energy (Simo and Tarnow, ZAMP 43, 1992: mean strain, slope at mid-step), so the step conserves
+    energy.
     """
     g = len(axis.weights)
     pull = np.empty(len(before))
@@ -160,7 +162,7 @@ def second_order_tangent(axis: Shortening, before: Array, after: Array, its: flo
 
 @njit
 def second_order_loss(axis: Shortening, before: Array, after: Array, its: float) -> float:
-    """What damping takes over a step beyond what it takes of the linear body, in J."""
+    """Energy dissipated over a step beyond the linear body's, in J."""
     g, total = len(axis.weights), 0.0
     for i in range(g):
         x0, y0, x1, y1 = before[g + i], before[2 * g + i], after[g + i], after[2 * g + i]
@@ -177,10 +179,10 @@ def second_order_loss(axis: Shortening, before: Array, after: Array, its: float)
 
 @njit
 def shortened(axis: Shortening, u: Array, v: Array) -> tuple[Array, Array]:
-    """How much (u, v) must change for slopes to shorten the axis that they do not strain.
+    """Change of (u, v) that shortens the axis by its slopes without straining it.
 
-    A linear body's slopes leave its length as it is; one of second order that bends freely draws
-    its ends together by ∫ q. The change is the static answer of the axis to the strain -q.
+    Slopes leave the length of a linear body unchanged; one of second order that bends freely
+    shortens by ∫ q. The change is the static response of the axis to the strain -q.
     """
     g = len(axis.weights)
     values, speed = axis.rows @ u, axis.rows @ v

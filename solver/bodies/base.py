@@ -1,4 +1,4 @@
-"""What a body must offer to the stepper, and where and how it can touch."""
+"""Interface of a body to the time stepper, and its contact points."""
 
 from __future__ import annotations
 
@@ -21,15 +21,15 @@ SparseOrDense = Any  # a NumPy array or a SciPy sparse matrix; both know `@` and
 
 @dataclass(frozen=True)
 class ContactPoints:
-    """The points of the end section that can touch, as operators on a body's unknowns.
+    """Contact points of the end section, as operators on a body's unknowns.
 
-    The section moves with few coordinates: ``coordinates`` (r, dofs) of the unknowns that this rank
-    owns, a tip node's displacements and rotations, or the displacements of the nodes of a face.
-    Point i is displaced by ``shapes[i]`` (3, s), along body axes, times the entries ``support[i]``
-    (s,) of them. Row 3 i + k of ``traction`` (3 n, dofs) gives the section area times the traction
-    that the body's own stress asks for along axis k (a force on the body in N). ``weights`` (n,)
-    are the points' shares of the area and sum to 1; ``places_m`` (n, 3) are where they stand, from
-    the centre of mass, in body axes.
+    ``coordinates`` (r, dofs) are rows over this rank's unknowns for the few coordinates that move
+    the section: a tip node's displacements and rotations, or the displacements of a face's nodes.
+    The displacement of point i, along body axes, is ``shapes[i]`` (3, s) times their entries
+    ``support[i]`` (s,). Row 3 i + k of ``traction`` (3 n, dofs) is the section area times the
+    traction of the body's stress along axis k (a force on the body in N). ``weights`` (n,) are the
+    points' shares of the area and sum to 1. ``places_m`` (n, 3) are their positions from the centre
+    of mass, in body axes.
     """
 
     coordinates: SparseOrDense
@@ -42,7 +42,7 @@ class ContactPoints:
 
     @cached_property
     def rows(self) -> Array:
-        """Displacement of every point along every axis by the coordinates (3 n, r)."""
+        """Displacement of every point along every axis, as rows (3 n, r) over the coordinates."""
         n, s = self.support.shape
         dense = np.zeros((3 * n, self.coordinates.shape[0]))
         for i in range(n):
@@ -52,15 +52,16 @@ class ContactPoints:
 
     @cached_property
     def displacement(self) -> SparseOrDense:
-        """Displacement of every point along every axis by this rank's unknowns (3 n, dofs)."""
+        """Displacement of every point along every axis, as rows (3 n, dofs) over this rank's
+        unknowns."""
         return self.rows @ dense_of(self.coordinates)
 
     def moved(self, u: Array) -> Array:
-        """The section's coordinates (r,), of columns (r, m), the same on every rank."""
+        """The section's coordinates (r,), or (r, m) for columns, the same on every rank."""
         return np.asarray(summed(self.comm, self.coordinates @ u))
 
     def displacements(self, u: Array) -> Array:
-        """Displacement of every point (n, 3), of columns (n, 3, m), the same on every rank."""
+        """Displacement of every point (n, 3), or (n, 3, m) for columns, the same on every rank."""
         moved = self.rows @ self.moved(u)
         return np.asarray(moved).reshape(len(self.weights), 3, *u.shape[1:])
 
@@ -71,14 +72,14 @@ class ContactPoints:
 
     @property
     def xy_m(self) -> Array:
-        """Places on the section (n, 2)."""
+        """Positions on the section (n, 2)."""
         return self.places_m[:, :2]
 
 
 def with_offsets(contact: ContactPoints, offsets_m: Array) -> ContactPoints:
     """The points moved up the axis by ``offsets_m`` (n,), for an end face that is not flat.
 
-    Only where they stand changes, not how the body moves them or resists there.
+    Only their positions change, not the body's displacement or traction there.
     """
     places = contact.places_m.copy()
     places[:, 2] += offsets_m
@@ -86,8 +87,8 @@ def with_offsets(contact: ContactPoints, offsets_m: Array) -> ContactPoints:
 
 
 def axial_point(moved: Array, place_m: Array) -> ContactPoints:
-    """One point at ``place_m`` (3,) that unknowns move by ``moved`` (dofs,), along the axis alone,
-    and that has no traction."""
+    """One point at ``place_m`` (3,) that the unknowns displace by ``moved`` (dofs,) along the axis
+    alone, without traction."""
     return ContactPoints(
         coordinates=np.ascontiguousarray(moved[None]),
         support=np.zeros((1, 1), dtype=np.int64),

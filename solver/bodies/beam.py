@@ -73,7 +73,8 @@ def beam_matrices(
 def beam_contact(
     bristle: Bristle, n_elements: int, *, face: bool, points: int = CONTACT_POINTS
 ) -> ContactPoints:
-    """The end section's ``points`` across each side (``face``), or the one on the axis."""
+    """The contact points of the end section: ``points`` across each side (``face``), or one on the
+    axis."""
     section, material = bristle.section, bristle.material
     if face:
         xy, weights = section.contact_points(points)
@@ -86,7 +87,7 @@ def beam_contact(
     shapes[:, [0, 1, 2], [UX, UY, UZ]] = 1.0
     shapes[:, 0, RZ], shapes[:, 1, RZ] = -y, x
     shapes[:, 2, RY], shapes[:, 2, RX] = -x, y
-    # the stress of the tip's strains; that of torsion is spread so that its moment is right
+    # stress from the tip's strains; that of torsion is distributed to give the right moment
     slope = shape(-1.0)[1] / (0.5 * bristle.length_m / n_elements)
     shear = section.shear_coefficient(material.poisson) * material.shear_modulus_Pa
     polar = section.second_moment_x_m4 + section.second_moment_y_m4
@@ -136,8 +137,8 @@ def beam_body(
     """The free beam of ``n_elements`` in all its modes (Vanegas-Useche et al. use sixteen).
 
     It touches with ``points`` across each side of its end section (``face``), or, as in the paper,
-    with the node on the axis. ``second_order`` see bodies.axis,
-    ``lateral_inertia`` see `beam_matrices`.
+    with the node on the axis. For ``second_order`` see bodies.axis, for ``lateral_inertia``
+    `beam_matrices`.
     """
     mass, stiffness = beam_matrices(bristle, n_elements, lateral_inertia)
     rigid = rigid_motions(bristle, n_elements)

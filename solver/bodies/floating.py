@@ -1,4 +1,4 @@
-"""A solid at finite rotation as it flies: a frame that floats with it, and small motion in it."""
+"""A solid in flight at finite rotation: a floating frame, with small motion relative to it."""
 
 from __future__ import annotations
 
@@ -16,28 +16,30 @@ from ..rigid import Pose, matrix_of, product, turn
 from .base import summed
 from .reduced import ReducedModel, slowest_1_s2
 
-# Turns of the frame, and corrections of a strain, until the next is rounding.
+# Iteration limits: rotations of the frame, and corrections of a strain; and the rotation that ends
+# them.
 TURNS, STILL_RAD = 20, 1e-13
-# In the energy norm. What the change between small and finite strain itself leaves out is of second
-# order in the slopes of the bending, 1e-4 and more.
+# Tolerance in the energy norm. The change between small and finite strain itself has an error of
+# second order in the slopes of the bending, 1e-4 and more.
 CORRECTIONS, SETTLED = 30, 1e-8
-RUNAWAY = 1e6  # off by this much in the energy norm, corrections only grow
-SMALLEST = float(np.finfo(float).tiny)  # an energy, where there is none
+RUNAWAY = 1e6  # beyond this relative error in the energy norm the corrections diverge
+SMALLEST = float(np.finfo(float).tiny)  # stands for an energy of zero
 
 
 @dataclass(frozen=True)
 class FloatingModel(ReducedModel):
-    """The reduced model of a solid that has turned by more than is small.
+    """The reduced model of a solid at finite rotation.
 
-    The frame is where the displacement from the unstrained body has neither translation nor
-    rotation, weighted by mass (Tisserand's mean axes). The modes in it have the stress of the solid
-    as nearly as they can, measured by energy. Their displacement is not the solid's: a section that
-    has turned by θ has moved by -½ θ² without strain, where small strain would see one.
+    Relative to the frame the displacement from the unstrained body has neither translation nor
+    rotation, weighted by mass (Tisserand's mean axes). The modes have the closest stress to the
+    solid's, measured by energy. Their displacement differs from the solid's: a section rotated by θ
+    moves by -½ θ² without strain, where small strain would see one.
     """
 
     @cached_property
     def _motions(self) -> tuple[Array, Array, Array]:
-        """Places from the centre (nodes, 3), M times the rigid motions (n_local, 6), their sums."""
+        """Positions from the centre (nodes, 3), M times the rigid motions (n_local, 6), their
+        sums."""
         solid = self.body
         motions = solid.rigid_motions()
         image = solid.mass(np.asfortranarray(motions))
@@ -80,11 +82,11 @@ class FloatingModel(ReducedModel):
         return start, stress, rigid + rate
 
     def landed(self, q: Array, qv: Array) -> tuple[Array, Array]:
-        """As `solver.drop.FlightFrame`: the motion whose stress, and its rate, do on small strains
-        what those of the modes do.
+        """As `solver.drop.FlightFrame`: the motion whose stress, and its rate, do the same work on
+        small strains as those of the modes.
 
-        Each correction is one of the modes, and then what these cannot see under a shift. What is
-        left of it shrinks by the slopes of the bending. Raises ComputationError where it does not.
+        Each correction combines one in the modes with one outside them, under a shift. The error
+        shrinks by the slopes of the bending. Raises ComputationError if it does not.
         """
         solid, omega2 = self.body, self.modal.omega2
         modal = np.column_stack([q, np.where(omega2 > 0.0, qv, 0.0)])
@@ -118,7 +120,7 @@ class FloatingModel(ReducedModel):
         return float(stored) + 0.5 * self.body.dot(v, self.body.mass(v))
 
     def _stress_loads(self, u: Array, v: Array) -> tuple[Array, Array]:
-        """What the stress, and its rate, do on small strains (n_local,)."""
+        """Work of the stress, and of its rate, on small strains (n_local,)."""
         forms, *loads, _ = self._forms
         own_values(forms.u, u)
         own_values(forms.v, v)

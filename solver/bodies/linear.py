@@ -1,13 +1,13 @@
-"""Linear solvers of a solid, by PETSc: its effective matrix c_M M + c_K K, and its tangent.
+"""Linear solvers of a solid, by PETSc: effective matrix c_M M + c_K K, and tangent.
 
-A march solves with one matrix hundreds of times, so it is factored wherever the factor fits into
-memory; beyond `LARGEST_FACTOR` conjugate gradients take over. A tangent of finite strain, which
-needs pivots, is MUMPS' to factor.
+A march solves with one matrix hundreds of times, so it is factored if the factor fits into memory.
+Beyond `LARGEST_FACTOR` conjugate gradients take over. The tangent at finite strain needs pivoting,
+and MUMPS factors it.
 
-Cholesky's factor is CHOLMOD's on one rank and MUMPS' on several. A solve of 54 675 unknowns of a
-bristle takes CHOLMOD 13 ms, MUMPS 18, a block factorisation along its axis written for the purpose
-7, and LAPACK's banded Cholesky of 15 255 unknowns 4.0 ms where CHOLMOD takes 1.9: none makes a
-whole drop or sweep 1.5 times faster than these two.
+The Cholesky factor is CHOLMOD's on one rank and MUMPS' on several. A solve of 54 675 unknowns of a
+bristle takes CHOLMOD 13 ms, MUMPS 18, and a purpose-written block factorisation along its axis 7.
+Banded Cholesky by LAPACK of 15 255 unknowns takes 4.0 ms, CHOLMOD 1.9. None makes a whole drop or
+sweep 1.5 times faster than these two.
 """
 
 from __future__ import annotations
@@ -21,26 +21,27 @@ from petsc4py import PETSc
 from ..arrays import Array
 from ..errors import ComputationError
 
-# Numbers in a factor. A leaning bristle keeps three, which then take 8 GB.
+# Largest number of entries in a factor. A leaning bristle keeps three factors, which then take 8
+# GB.
 LARGEST_FACTOR = 330_000_000
-# Nested dissection of a compact body of n unknowns leaves about this times n^(4/3) (measured on
-# cubes of second order under MUMPS; the exponent is George's, SIAM J. Numer. Anal. 10, 1973).
+# Entries in a factor by nested dissection of a compact body, over n^(4/3) for n unknowns (measured
+# on cubes of second order under MUMPS; the exponent is George's, SIAM J. Numer. Anal. 10, 1973).
 COMPACT = 24.0
-# Of a slender one it leaves about this times w^0.7 per unknown, w being the unknowns of so many
-# layers of nodes as 1 + order / 2 (measured on bars of second order of 2 to 10 cells' depth, within
-# a tenth; length does not matter).
+# The same per unknown of a slender body, over w^0.7 with w the unknowns in 1 + order / 2 layers of
+# nodes (measured within a tenth on bars of second order, 2 to 10 cells deep; length does not
+# matter).
 SLENDER = 3.0
-# Largest c_K K_ii / c_M M_ii up to which the diagonal alone is the better preconditioner: it then
-# needs no more than a hundred iterations, each a fifth of one under multigrid.
+# Largest c_K K_ii / c_M M_ii at which the diagonal alone is the better preconditioner: up to a
+# hundred iterations, each a fifth of one with multigrid.
 DIAGONAL = 100.0
-# Of the energy norm. A residual r changes the energy norm of a step by at most h/√2 √(rᵀA⁻¹r), so
-# a thousand steps stay within 1e-6, to which budgets are held to close.
+# Tolerance in the energy norm. A residual r changes a step's energy norm by at most h/√2 √(rᵀA⁻¹r),
+# so a thousand steps stay within 1e-6, the tolerance of energy budgets.
 TOLERANCE = 1e-9
 ITERATIONS = 5000
 
 
 class Solver(StrEnum):
-    """What a user can ask for; ``AUTO`` is direct up to `LARGEST_FACTOR`."""
+    """Choices for the user; ``AUTO`` is direct up to `LARGEST_FACTOR`."""
 
     AUTO = "auto"
     DIRECT = "direct"
@@ -48,7 +49,8 @@ class Solver(StrEnum):
 
 
 def choose(solver: Solver, unknowns: int, layers: int, order: int) -> Solver:
-    """What serves a body of ``unknowns`` on ``layers`` of nodes along its axis, never ``AUTO``."""
+    """The solver for a body of ``unknowns`` on ``layers`` of nodes along its axis, never
+    ``AUTO``."""
     if solver is not Solver.AUTO:
         return solver
     compact = COMPACT * unknowns ** (4.0 / 3.0)
@@ -57,7 +59,7 @@ def choose(solver: Solver, unknowns: int, layers: int, order: int) -> Solver:
 
 
 class Solid(Protocol):
-    """What a solver wants to know of a solid."""
+    """Interface of a solid to its solvers."""
 
     @property
     def stiffest_1_s2(self) -> float:
@@ -65,10 +67,10 @@ class Solid(Protocol):
 
     @property
     def places_m(self) -> Array:
-        """Where this rank's nodes are (n, 3)."""
+        """Positions of this rank's nodes (n, 3)."""
 
     def effective_matrix(self, c_mass: float, c_stiffness: float) -> PETSc.Mat:
-        """c_mass M + c_stiffness K as a matrix of its own."""
+        """A new matrix c_mass M + c_stiffness K."""
 
 
 def make_solver(
@@ -85,7 +87,7 @@ def make_solver(
 
 
 class Cholesky:
-    """Cholesky factor of a positive definite matrix, which itself is not needed afterwards."""
+    """Cholesky factor of a positive definite matrix, which may be destroyed afterwards."""
 
     def __init__(self, matrix: PETSc.Mat) -> None:
         self.comm = matrix.comm
@@ -102,7 +104,7 @@ class Cholesky:
 
     @property
     def entries(self) -> int:
-        """Numbers in the factor; MUMPS counts in millions where there are many (INFOG(29))."""
+        """Number of entries in the factor; MUMPS counts large ones in millions (INFOG(29))."""
         if self.comm.size == 1:
             return int(self._factor.getInfo()["nz_used"])
         count = self._factor.getMumpsInfog(29)
@@ -123,14 +125,14 @@ class Cholesky:
 
 
 def take_direct(solver: PETSc.KSP, kind: PETSc.PC.Type, package: str = "mumps") -> None:
-    """Have ``solver`` do with a factor of this kind by this package, and nothing else."""
+    """Set ``solver`` to a direct solve with a factor of this kind by this package."""
     solver.setType(PETSc.KSP.Type.PREONLY)
     solver.getPC().setType(kind)
     solver.getPC().setFactorSolverType(package)
 
 
 def factor(solver: PETSc.KSP, what: str) -> None:
-    """Make the factor; ComputationError that says of ``what``, where that fails."""
+    """Compute the factor; ComputationError that names ``what`` if that fails."""
     preconditioner = solver.getPC()
     package = preconditioner.getFactorSolverType()
     try:
@@ -157,8 +159,8 @@ def solve_columns(solver: PETSc.KSP | PETSc.Mat, b: Array) -> Array:
 class Iterative:
     """Conjugate gradients to `TOLERANCE` in the energy norm.
 
-    The preconditioner is the diagonal where inertia rules; where the matrix is ``stiff``, smoothed
-    aggregation that is told the rigid motions (Vaněk, Mandel and Brezina, Computing 56, 1996).
+    The preconditioner is the diagonal if inertia dominates. For a ``stiff`` matrix it is smoothed
+    aggregation with the rigid motions (Vaněk, Mandel and Brezina, Computing 56, 1996).
     """
 
     def __init__(self, matrix: PETSc.Mat, solid: Solid, *, stiff: bool) -> None:
@@ -181,11 +183,11 @@ class Iterative:
 
     @property
     def iterations(self) -> int:
-        """Of the last solve."""
+        """Number of iterations of the last solve."""
         return int(self.solver.getIterationNumber())
 
     def solve(self, b: Array) -> Array:
-        """x for (n,) or (n, m); ComputationError where the iteration does not arrive."""
+        """x for (n,) or (n, m); ComputationError if the iteration does not converge."""
         if b.ndim == 2:
             x = np.empty(b.shape, order="F")
             for k in range(b.shape[1]):

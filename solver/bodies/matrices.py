@@ -1,7 +1,7 @@
 """Assembly of a solid's stiffness and mass matrices.
 
-A vector mass matrix is the scalar one for each direction alike. Only that is assembled: a ninth of
-the numbers, read once for all three directions.
+A vector mass matrix repeats the scalar one for each direction. Only the scalar one is assembled: a
+ninth of the numbers, read once for all three directions.
 """
 
 from __future__ import annotations
@@ -25,8 +25,8 @@ Rows = tuple[NDArray[np.integer], NDArray[np.integer], Array]
 
 
 def assembled_rows(energy: fem.Form) -> tuple[Rows, IndexMap]:
-    """This rank's rows of the matrix of the form ``energy``, and what numbers their columns: its
-    own unknowns, and then those of other ranks that they couple to. Collective."""
+    """This rank's rows of the matrix of the form ``energy``, and the index map of their columns:
+    its own unknowns, then those of other ranks that they couple to. Collective."""
     own = fem.assemble_matrix(energy, block_mode=la.BlockMode.expanded)
     own.scatter_reverse()
     first = own.indptr[: own.index_map(0).size_local + 1].astype(PETSc.IntType)
@@ -34,7 +34,7 @@ def assembled_rows(energy: fem.Form) -> tuple[Rows, IndexMap]:
 
 
 def petsc_matrix(rows: Rows, columns: IndexMap, comm: MPI.Intracomm) -> PETSc.Mat:
-    """`assembled_rows` over vectors as PETSc has them; on one rank they share memory."""
+    """`assembled_rows` of a vector space as a PETSc matrix; on one rank they share memory."""
     n = len(rows[0]) - 1
     if comm.size == 1:
         return PETSc.Mat().createAIJWithArrays(((n, n), (n, n)), rows, bsize=3, comm=comm)
@@ -44,10 +44,10 @@ def petsc_matrix(rows: Rows, columns: IndexMap, comm: MPI.Intracomm) -> PETSc.Ma
 
 
 class NodeMass:
-    """The mass matrix of a vector ``space`` by its nodes.
+    """The mass matrix of a vector ``space``, stored by nodes.
 
     ``rows`` are offsets (m + 1,), columns and values of this rank's rows; columns count its own
-    nodes, and then those of other ranks that it couples to. Collective.
+    nodes, then those of other ranks that they couple to. Collective.
     """
 
     def __init__(self, space: fem.FunctionSpace, density_kg_m3: float) -> None:
@@ -71,7 +71,7 @@ class NodeMass:
         return y
 
     def with_others(self, x: Array) -> Array:
-        """``x`` (n,) and what rows need of other ranks' unknowns."""
+        """``x`` (n,) extended by the unknowns of other ranks that the rows need."""
         if self.comm.size == 1:
             return np.ascontiguousarray(x)
         self._moved.array[: len(x)] = x
@@ -79,7 +79,7 @@ class NodeMass:
         return np.asarray(self._moved.array)
 
     def vector_matrix(self) -> PETSc.Mat:
-        """The matrix over vectors, as PETSc has it."""
+        """The matrix over vectors, as PETSc matrix."""
         first, column, value = self.rows
         nodes = self.columns.local_to_global(column)
         n = self.columns.size_global
@@ -96,7 +96,7 @@ def _times(
 ) -> None:
     for i in range(len(first) - 1):
         a = b = c = 0.0
-        # without a sign, so that no index is looked at for being negative: twice as fast
+        # unsigned, which skips the check for negative indices: twice as fast
         for k in range(np.uint64(first[i]), np.uint64(first[i + 1])):
             j, m = np.uint64(column[k]), value[k]
             a += m * x[j, 0]

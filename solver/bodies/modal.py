@@ -1,4 +1,4 @@
-"""A body in modal coordinates: every system is diagonal, free flight has a closed form."""
+"""A body in modal coordinates: diagonal matrices, and free flight in closed form."""
 
 from __future__ import annotations
 
@@ -17,18 +17,18 @@ from ..bristle import RigidMass
 from .axis import Axis
 from .base import ContactPoints, axial_point, dense_of
 
-# What a body holds beside numbers.
+# Types of a body's fields that are not numbers.
 NO_NUMBERS = (ContactPoints, Axis, type(ALONE), type(None))
 
 
 @dataclass(frozen=True)
 class ModalBody:
-    """Modes (mass-normalised) with squared angular frequencies ``omega2`` (n,); zero is rigid.
+    """Mass-normalised modes with squared angular frequencies ``omega2`` (n,), zero for rigid ones.
 
-    ``contact`` and the rigid motions are expressed in modal coordinates: ``translation`` (n, 3) by
-    1 m along body axes, ``rotation`` (n, 3) by 1 rad about them through the centre of mass; a
-    motion that the body does not have is zero. With an ``axis`` contact is marched to second order
-    in slope. ``loss_factor`` η damps every elastic mode by η ω beside Rayleigh's damping.
+    ``contact`` and the rigid motions are in modal coordinates: ``translation`` (n, 3) by 1 m along
+    body axes, ``rotation`` (n, 3) by 1 rad about them through the centre of mass. A motion that the
+    body does not have is zero. With an ``axis`` contact is computed to second order in slope.
+    ``loss_factor`` η damps every elastic mode by η ω, in addition to Rayleigh's damping.
     """
 
     name: str
@@ -83,13 +83,13 @@ def modal_form(
     beta_s: float,
     axis: Axis | None = None,
 ) -> ModalBody:
-    """All modes of dense M, K (n, n), given for the physical unknowns as are ``contact``'s rows.
+    """All modes of dense M, K (n, n), given like ``contact``'s rows for the physical unknowns.
 
     ``rigid`` (n, 6) are translations along and rotations about body axes through the centre of
-    mass, of frequency zero; a column of zeros is a motion that the body does not have. Unknowns
-    that do not act on each other (axial motion, torsion, the two bendings) are solved apart, so
-    that the rounding of fast ones does not reach slow ones. Raises ValueError where ``rigid``
-    strains the body, or rounding hides the lowest elastic mode.
+    mass; a column of zeros is a motion that the body does not have. Uncoupled unknowns (axial
+    motion, torsion, the two bendings) are solved separately, so that rounding of fast modes does
+    not affect slow ones. Raises ValueError if ``rigid`` strains the body, or rounding hides the
+    lowest elastic mode.
     """
     n_groups, group = connected_components((mass != 0.0) | (stiffness != 0.0), directed=False)
     omega2: Array = np.zeros(len(mass))
@@ -118,9 +118,9 @@ def body_in_modes(
     beta_s: float,
     axis: Axis | None,
 ) -> ModalBody:
-    """The body seen by ``modes`` (n, m) of squared frequencies ``omega2`` (m,).
+    """The body in the coordinates of ``modes`` (n, m) with squared frequencies ``omega2`` (m,).
 
-    ``held`` (n, 6) is M times the rigid motions; the rest see `modal_form`.
+    ``held`` (n, 6) is M times the rigid motions; for the rest see `modal_form`.
     """
     still = modes.T @ held
     still[omega2 > 0.0] = 0.0
@@ -137,7 +137,7 @@ def body_in_modes(
 
 
 def in_modes(contact: ContactPoints, modes: Array) -> ContactPoints:
-    """The contact points seen by the coordinates of ``modes`` (n_local, m), on every rank."""
+    """The contact points in the coordinates of ``modes`` (n_local, m), on every rank."""
     traction = contact.tractions(modes).reshape(3 * len(contact.weights), -1)
     return replace(
         contact,
@@ -150,8 +150,8 @@ def in_modes(contact: ContactPoints, modes: Array) -> ContactPoints:
 def _modes_of_group(name: str, mass: Array, stiffness: Array, rigid: Array) -> tuple[Array, Array]:
     """Squared frequencies (n,) and modes (n, n), rigid motions first and exact.
 
-    The eigenvalues of (K, M) are good to rounding of the greatest: slow modes drown. Those of
-    (M, K) are their inverses, good for the slow ones. Each serves for its half of the decades.
+    Eigenvalues of (K, M) are accurate to rounding of the greatest, so slow modes are lost in it.
+    Those of (M, K) are their inverses, accurate for the slow ones. Each serves half of the decades.
     """
     still = orth(rigid) if rigid.any() else np.zeros((len(mass), 0))
     if np.abs(stiffness @ still).max(initial=0.0) > 1e-9 * np.abs(stiffness).max():
@@ -175,10 +175,10 @@ def _modes_of_group(name: str, mass: Array, stiffness: Array, rigid: Array) -> t
 
 
 def rigid_body(mass: RigidMass) -> ModalBody:
-    """A ball or any compact body in modes: its only one is the vertical translation.
+    """A ball or any compact body in modes: vertical translation is its only one.
 
-    It touches at a point, does not turn, slide or bend, and loses nothing by itself, so it serves
-    for upright drops onto level ground: all that happens is the contact law's.
+    It touches at a point, does not rotate, slide or bend, and has no losses of its own. So it
+    serves upright drops onto level ground, governed by the contact law alone.
     """
     return ModalBody(
         name="rigid",
@@ -192,7 +192,7 @@ def rigid_body(mass: RigidMass) -> ModalBody:
 
 
 def to_arrays(bodies: Sequence[ModalBody]) -> dict[str, Array]:
-    """Every number of the ``bodies`` by its name, those of a part by the part's name and theirs."""
+    """All numbers of the ``bodies`` by name; those of a part have the part's name as prefix."""
     return {
         f"{i}.{part}.{each.name}": dense_of(value)
         for i, body in enumerate(bodies)
@@ -204,7 +204,7 @@ def to_arrays(bodies: Sequence[ModalBody]) -> dict[str, Array]:
 
 
 def from_arrays(arrays: Mapping[str, Array]) -> tuple[ModalBody, ...]:
-    """The bodies that `to_arrays` took apart, to the bit."""
+    """The bodies that `to_arrays` took apart, bit for bit."""
     found: dict[int, dict[str, dict[str, Any]]] = {}
     for key, value in arrays.items():
         number, part, name = key.split(".")

@@ -1,12 +1,12 @@
-"""The solid in a few modes: Krylov vectors from its contact loads, in nested sets.
+"""Reduced model of the solid: Krylov vectors from its contact loads, in nested sets.
 
-The first vectors are the solid's responses to loads on its tip, each further one the response
-(K + s M)⁻¹ M of an earlier (Nour-Omid and Clough, Earthquake Eng. Struct. Dyn. 12, 1984). With s
-the shift of the time scheme's own effective matrix, the full order's march from a rigid fall stays
-in exactly this space, so the basis is right for the motion it is asked for. An upright bristle is
-loaded by a pressure alone. A leaning one is loaded by forces and moments about all axes, and rings
-in bending afterwards, far below s: its space is a rational one (Ruhe, Linear Algebra Appl. 58,
-1984), with shifts down to the slowest bending.
+The first vectors are the solid's responses to loads on its tip. Each further one is the response (K
++ s M)⁻¹ M of an earlier one (Nour-Omid and Clough, Earthquake Eng. Struct. Dyn. 12, 1984). The
+shift s is that of the time scheme's effective matrix, so after a rigid fall the full-order solution
+stays in exactly this space. An upright bristle is loaded by a pressure alone. A leaning one is
+loaded by forces and moments about all axes and then vibrates in bending, far below s. Its Krylov
+space is therefore rational (Ruhe, Linear Algebra Appl. 58, 1984), with shifts down to the slowest
+bending.
 """
 
 from __future__ import annotations
@@ -36,28 +36,28 @@ from .modal import ModalBody, body_in_modes, from_arrays, in_modes, to_arrays
 from .solid import SolidBody
 
 DEFLATED = 1e-10
-# Of a leaning body: Krylov vectors of each load at the time scheme's shift, as a share of those
-# asked for; and shifts of its slow motion, in units of its slowest bending's squared frequency,
-# each with how many vectors of a load. Long impacts (soft contact) live on these.
+# For a leaning body: Krylov vectors per load at the time scheme's shift, as a share of those
+# requested; and further shifts, in units of the squared frequency of the slowest bending, each with
+# its number of vectors per load. Long impacts (soft contact) need the latter.
 SHARE = 0.3
 SLOW = ((1.0, 16), (1e4, 16))
-# Of a body that only flies, so that less than 1e-4 of an impact's energy lies beyond its vectors.
-# At 2 to 5 degrees, with Kn 1e8 N/m, 3e-5 does (5e-4 with four vectors at the upper shift, 6e-5
-# with eight at the lower one alone), with Kn 2e6 N/m 1e-7.
+# As `SLOW`, for a body in flight: less than 1e-4 of an impact's energy is outside the vectors. At 2
+# to 5 degrees it is 3e-5 with Kn 1e8 N/m (5e-4 with four vectors at the upper shift, 6e-5 with
+# eight at the lower one alone), and 1e-7 with Kn 2e6 N/m.
 FLYING_SLOW = ((1.0, 4), (1e4, 8))
 # Uniform and linear tractions along and about three axes.
 RESULTANTS = 6
 # Slices along a solid of second order, with two points of its axis in each.
 AXIS_SLICES = 64
-# Numbers in a block of vectors that are worked on together.
+# Numbers in a block of vectors that are processed together.
 BLOCK = 1 << 25
-# Krylov vectors of a load unless asked otherwise, and the shares of them that coarser bodies have.
+# Default number of Krylov vectors per load, and the shares of it in the coarser models.
 USUAL = 40
 LEVELS = (0.25, 0.5, 1.0)
 
 
 class Basis:
-    """M-orthonormal vectors (n_local, count) that grow."""
+    """A growing set of M-orthonormal vectors (n_local, count)."""
 
     def __init__(self, solid: SolidBody, capacity: int) -> None:
         self.solid, self.count = solid, 0
@@ -68,13 +68,14 @@ class Basis:
         return self._vectors[:, : self.count]
 
     def amounts(self, images: Array) -> Array:
-        """How much of each vector is in what M times is ``images`` (n_local,) or (n_local, m)."""
+        """Coefficients of the vectors in x, given ``images`` = M x, (n_local,) or (n_local, m)."""
         return summed(self.solid.comm, self.vectors.T @ images)
 
     def extend(self, vectors: Array) -> Array:
-        """Add what ``vectors`` (n_local, m) hold beyond the basis; returns M times what came in.
+        """Add the part of ``vectors`` (n_local, m) outside the basis; returns M times the new
+        vectors.
 
-        Twice, since what is left of nearly dependent vectors is mostly rounding the first time.
+        Orthogonalises twice: of nearly dependent vectors mostly rounding remains the first time.
         """
         solid = self.solid
         image = solid.mass(vectors)
@@ -96,11 +97,11 @@ class Basis:
 
 @dataclass(frozen=True)
 class ReducedModel:
-    """The reduced body, and the way between it and the solid.
+    """The reduced body, and the maps between it and the solid.
 
     Its modes are the M-orthonormal ``vectors`` (n_local, k) times ``turn`` (k, k). ``coarser`` are
-    the bodies of the first vectors alone, from few on: how far their motion is from each other's,
-    and from the body's own, tells how far that is from the solid's.
+    the bodies of the first few vectors alone, in ascending order. The differences between their
+    motion and the body's own give an estimate of its error against the solid.
     """
 
     body: SolidBody
@@ -113,7 +114,7 @@ class ReducedModel:
         return self.seen(self.body.mass(x))
 
     def from_modal(self, q: Array) -> Array:
-        """The displacement of ``q`` (k,), or those of columns (k, m)."""
+        """The solid's displacement for modal coordinates ``q`` (k,), or columns (k, m)."""
         return np.asarray(self.vectors @ (self.turn @ q))
 
     @property
@@ -123,13 +124,15 @@ class ReducedModel:
         return np.divide(1.0, omega2, out=np.zeros_like(omega2), where=omega2 > 0.0)
 
     def seen(self, load: Array) -> Array:
-        """A load (n_local,) as the modes see it."""
+        """A load (n_local,) in modal coordinates."""
         return np.asarray(self.turn.T @ summed(self.body.comm, self.vectors.T @ load))
 
     def launched(self, pose: Pose, u: Array, v: Array) -> tuple[Pose, Array, Array]:
-        """As `solver.drop.FlightFrame`: small motion stays on top of the pose that it began in.
+        """As `solver.drop.FlightFrame`: small motion is relative to the pose at the start of
+        contact.
 
-        What strains is the nearest by energy, so that no flight has more of it than the body had.
+        The strained part is the closest in energy, so a flight never has more strain energy than
+        the body.
         """
         still = np.where(self.modal.omega2 > 0.0, 0.0, self.to_modal(u))
         strained = self.flexibility * self.seen(self.body.stiffness(u))
@@ -154,14 +157,15 @@ def krylov_basis(
     tractions: bool = False,
     flying: bool = False,
 ) -> tuple[Basis, list[int]]:
-    """The basis of the reduced body, and how many of its vectors make the coarser ones.
+    """The basis of the reduced body, and the numbers of its vectors in the coarser models.
 
-    Rigid motions; the response to a force at each node of the face (along all axes where it leans),
-    without which an uneven pressure would meet a tip too stiff, and with ``tractions`` to the rows
-    of the traction, along which Nitsche's method pushes too; ``n_krylov`` Krylov vectors of a
-    uniform pressure on the tip or, for a ``leaning`` body, `SHARE` as many of each resultant of its
-    tractions, and of slow motion. A body that is only ``flying`` needs neither the tip's responses
-    nor the coarser ones. Directions that carry nothing new are dropped.
+    It holds the rigid motions and the response to a force at each node of the face (along all axes
+    if leaning), without which the tip would be too stiff against an uneven pressure. With
+    ``tractions`` it also holds responses to the rows of the traction, along which Nitsche's method
+    applies forces. Then come ``n_krylov`` Krylov vectors of a uniform pressure on the tip. A
+    ``leaning`` body has instead `SHARE` as many of each resultant of its tractions, and vectors of
+    slow motion. A body that is only ``flying`` needs neither the tip's responses nor coarser
+    models. Linearly dependent directions are dropped.
     """
     loads = _resultants(solid.contact) if leaning else _resultants(solid.contact)[:, 2:3]
     own = _loads(solid.contact, leaning=leaning, tractions=tractions)
@@ -180,7 +184,7 @@ def krylov_basis(
     for share in LEVELS[-1:] if flying else LEVELS:
         for sequence in sequences:
             sequence.extend(basis, math.ceil(share * sequence.depth))
-        if not counts:  # after the first of each sequence, which these would leave nothing of
+        if not counts:  # after the first of each sequence, of which these would leave nothing
             for part in _blocks(solid, own.shape[1]):
                 basis.extend(solve(own[:, part].toarray(order="F")))
         counts.append(basis.count)
@@ -188,7 +192,7 @@ def krylov_basis(
 
 
 def krylov_vectors(n_krylov: int, *, leaning: bool) -> int:
-    """How many Krylov vectors `krylov_basis` makes at most."""
+    """Largest number of Krylov vectors that `krylov_basis` makes."""
     return (RESULTANTS if leaning else 1) * sum(_depths(n_krylov, SLOW if leaning else None))
 
 
@@ -201,9 +205,9 @@ def _depths(n_krylov: int, slow: tuple[tuple[float, int], ...] | None) -> list[i
 
 
 class KrylovSequence:
-    """Krylov vectors of some ``loads`` (n_local, m), at most ``depth`` of each.
+    """Krylov vectors of the ``loads`` (n_local, m), at most ``depth`` of each.
 
-    Each follows from the ones before it in the sequence, not from what a basis lacked of them.
+    Each vector follows from earlier ones of the sequence, not from their part outside a basis.
     """
 
     def __init__(
@@ -213,7 +217,7 @@ class KrylovSequence:
         self._own = Basis(solid, loads.shape[1] * depth)
 
     def extend(self, basis: Basis, depth: int) -> None:
-        """Have ``basis`` hold the first ``depth`` of each load."""
+        """Add the first ``depth`` vectors of each load to ``basis``."""
         while self._done < depth and self._loads.size:
             before = self._own.count
             self._loads = self._own.extend(self._solve(self._loads))
@@ -223,14 +227,14 @@ class KrylovSequence:
 
 
 def _blocks(solid: SolidBody, count: int) -> Iterator[slice]:
-    """``count`` vectors in blocks, the same on every rank."""
+    """Slices that divide ``count`` vectors into blocks, the same on every rank."""
     width = max(BLOCK * solid.comm.size // solid.n_dofs, 1)
     for first in range(0, count, width):
         yield slice(first, min(first + width, count))
 
 
 def _resultants(contact: ContactPoints) -> Array:
-    """Loads (n_local, 6) of uniform traction along x, y, z and of linear ones about x, y, z."""
+    """Loads (n_local, 6): uniform tractions along x, y, z and linear ones about x, y, z."""
     x, y = contact.xy_m.T / np.abs(contact.xy_m).max()
     forces = np.zeros((RESULTANTS, len(contact.weights), 3))
     forces[range(3), :, range(3)] = 1.0
@@ -241,20 +245,20 @@ def _resultants(contact: ContactPoints) -> Array:
 
 
 def slowest_1_s2(solid: SolidBody) -> float:
-    """The squared frequency of the slowest bending of a thin bar of this mass and stiffness."""
+    """Squared frequency of the slowest bending of a thin bar with this mass and stiffness."""
     rigid = solid.rigid_motions()
     turned = np.asfortranarray(rigid[:, 3:])
     moments = summed(solid.comm, np.einsum("ij,ij->j", turned, solid.mass(turned)))
     inertia, twist = moments[:2], moments[2]
     length = np.sqrt(12.0 * inertia.max() / solid.mass_kg)
     axial = (np.pi / length) ** 2 * solid.material.youngs_Pa / solid.material.density_kg_m3
-    # the radius of gyration of the section from how bending and torsion inertia compare
+    # the section's radius of gyration follows from the inertia in bending and in torsion
     return float(axial * (twist / inertia.max()))
 
 
 def _loads(contact: ContactPoints, *, leaning: bool, tractions: bool) -> csc_matrix:
-    """The forces (n_local, m) that contact can put on the solid: node by node of the face, and
-    along the rows of the traction point by point."""
+    """The possible contact forces (n_local, m): at each node of the face, and along the rows of the
+    traction at each point."""
     rows = vstack([contact.coordinates, *([contact.traction] if tractions else [])], format="csr")
     return (rows if leaning else rows[2::3]).T.tocsc()
 
@@ -269,12 +273,11 @@ def reduce_solid(
     second_order: bool = False,
     flying: bool = False,
 ) -> ReducedModel:
-    """The solid in rigid motions, ``n_krylov`` Krylov vectors a load and its tip's own responses.
+    """The solid in rigid motions, ``n_krylov`` Krylov vectors per load and responses of its tip.
 
-    ``shift_1_s2`` is s above; ``leaning`` is for bristles that touch other than upright,
-    ``tractions`` for Nitsche's method, ``flying`` for what meets no ground, see `krylov_basis`;
-    ``second_order`` see bodies.axis. Raises ComputationError where the reduced stiffness is not
-    positive semidefinite.
+    ``shift_1_s2`` is s above. ``leaning`` is for bristles that do not touch upright, ``tractions``
+    for Nitsche's method, ``flying`` for flight alone, see `krylov_basis`; for ``second_order`` see
+    bodies.axis. Raises ComputationError if the reduced stiffness is not positive semidefinite.
     """
     how = {"leaning": leaning, "tractions": tractions, "flying": flying}
     grown, counts = krylov_basis(solid, shift_1_s2, n_krylov, **how)
@@ -309,9 +312,9 @@ def reduce_solid(
 def flying_solid(
     solid: SolidBody, shift_1_s2: float, n_krylov: int = USUAL, *, leaning: bool = False
 ) -> ReducedModel:
-    """The solid and the modes that it flies in, from the cache where an earlier run made them.
+    """The solid with the modes that it flies in, from the cache if an earlier run made them.
 
-    Each rank keeps its own part. Arguments and errors are those of `reduce_solid`.
+    Each rank stores its own part. Arguments and errors are those of `reduce_solid`.
     """
     comm, how = solid.comm, (shift_1_s2, n_krylov, leaning)
     made_of = solid.digest(), solid.material, solid.contact.places_m.tobytes(), solid.method
@@ -329,9 +332,9 @@ def flying_solid(
 def solid_axis(solid: SolidBody, vectors: Array) -> Axis:
     """Axial strain and slopes of ``vectors`` (n_local, k) at two heights in every slice.
 
-    There the straight line that fits the gradients in the slice best has its values. They are
-    integrals over the slice, so a load on one is a smooth stress that stretches the solid as it
-    does a bar; a load between means of displacements does not, at the ends.
+    They are values of the straight line that best fits the gradients in the slice, and so integrals
+    over it. A load on one is therefore a smooth stress, which stretches the solid like a bar. A
+    load on differences of mean displacements would not, at the ends.
     """
     domain, comm = solid.domain, solid.comm
     cells = fem.functionspace(domain, ("Discontinuous Lagrange", 0))
@@ -368,11 +371,11 @@ def solid_axis(solid: SolidBody, vectors: Array) -> Axis:
 
 
 def _eigenvectors(comm: MPI.Intracomm, matrix: Array) -> tuple[Array, Array]:
-    """Eigenvalues and eigenvectors as rank 0 finds them: how many vectors a basis takes, and their
-    signs, may hang on rounding, which is another on another kind of node."""
+    """Eigenvalues and eigenvectors computed on rank 0: a basis' size and the vectors' signs may
+    depend on rounding, which differs between kinds of machines."""
     return run_on_one_rank(comm, lambda: eigh(matrix))
 
 
 def _combined(vectors: Array, amounts: Array) -> Array:
-    """Vectors (n_local, k) times amounts (k, m), in Fortran's order as they are."""
+    """Vectors (n_local, k) times amounts (k, m), in Fortran order like the vectors."""
     return np.asarray((amounts.T @ vectors.T).T)

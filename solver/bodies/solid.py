@@ -22,19 +22,18 @@ from .linear import Cholesky, Iterative, Solver, choose, make_solver
 from .matrices import NodeMass, assembled_rows, petsc_matrix
 from .tip import tip_contact
 
-# Of a height in m up to which nodes stand on one layer.
+# Decimals of a height in m to which nodes of one layer agree.
 DECIMALS = 9
-# Vectors that share one reading of the stiffness.
+# Vectors that are multiplied together, so that the stiffness is read once.
 TOGETHER = 16
 
 
 class SolidBody:
     """Linear elastic solid of hexahedra or tetrahedra, its axis along z, its tip facets tagged.
 
-    ``order`` is the polynomial degree, 1 or 2; ``points`` see `tip_contact`; ``solver`` see
+    ``order`` is the polynomial degree, 1 or 2; for ``points`` see `tip_contact`, for ``solver``
     `linear.choose`. Matrices are distributed over the mesh's communicator; vectors are this rank's
-    owned unknowns. ``factorisations`` counts what `factor` had to make. ``close`` frees what PETSc
-    holds.
+    unknowns. ``factorisations`` counts the factors made. ``close`` frees what PETSc holds.
     """
 
     name = "solid"
@@ -117,13 +116,13 @@ class SolidBody:
 
     @cached_property
     def layers_m(self) -> Array:
-        """The heights at which there are nodes, of all ranks, to `DECIMALS`."""
+        """Heights in m of the layers of nodes on all ranks, to `DECIMALS`."""
         own = np.unique(np.round(self.places_m[:, 2], DECIMALS))
         return np.unique(np.concatenate(self.comm.allgather(own)))
 
     @cached_property
     def method(self) -> Solver:
-        """How effective matrices are solved with."""
+        """The solver for effective matrices."""
         return choose(self.solver, self.n_dofs, len(self.layers_m), self.order)
 
     @cached_property
@@ -133,10 +132,10 @@ class SolidBody:
         return float(self.comm.allreduce(ratio.max(initial=0.0), MPI.MAX))
 
     def factor(self, c_mass: float, c_stiffness: float) -> Callable[[Array], Array]:
-        """What solves (c_mass M + c_stiffness K) x = b for (n,) or (n, m), see `linear`.
+        """A solver of (c_mass M + c_stiffness K) x = b for (n,) or (n, m), see `linear`.
 
         Pairs with the same ratio share one factor, kept until ``release_factors``. Raises
-        ComputationError where it cannot be made.
+        ComputationError if it cannot be made.
         """
         stiff = c_stiffness > 0.0
         ratio, scale = (c_mass / c_stiffness, c_stiffness) if stiff else (1.0, c_mass)
@@ -154,7 +153,7 @@ class SolidBody:
         return solve
 
     def effective_matrix(self, c_mass: float, c_stiffness: float) -> PETSc.Mat:
-        """c_mass M + c_stiffness K as a matrix of its own."""
+        """A new matrix c_mass M + c_stiffness K."""
         matrix = self.stiffness_matrix.copy()
         matrix.scale(c_stiffness)
         mass = self.node_mass.vector_matrix()
@@ -177,7 +176,7 @@ class SolidBody:
                 self.__dict__.pop(name).destroy()
 
     def digest(self) -> str:
-        """What tells this rank's part of the mesh from others."""
+        """Digest that identifies this rank's part of the mesh."""
         found = hashlib.sha256(f"order {self.order}".encode())
         for part in (self.domain.geometry.x, self.space.dofmap.list):
             found.update(np.ascontiguousarray(part).tobytes())
@@ -198,9 +197,9 @@ class SolidBody:
 
     @property
     def places_m(self) -> Array:
-        """Where this rank's nodes are in the unstrained body (n_local / 3, 3)."""
+        """Positions of this rank's nodes in the unstrained body (n_local / 3, 3)."""
         return np.asarray(self.space.tabulate_dof_coordinates()[: self.n_local // 3])
 
     def _centre(self, weight: Array) -> Array:
-        """Centre of mass (3,), the nodes' shares of the mass being ``weight``."""
+        """Centre of mass (3,), with ``weight`` the nodes' shares of the mass."""
         return np.asarray(self.comm.allreduce(weight @ self.places_m)) / self.mass_kg

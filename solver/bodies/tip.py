@@ -1,4 +1,4 @@
-"""Where a solid's tip can touch: quadrature points of its facets, as rows over the unknowns."""
+"""Contact points of a solid's tip: quadrature points of its facets, as rows over the unknowns."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ from .base import ContactPoints
 
 SAME_POINT_M = 1e-9
 ALIGNED = 1e-9
-# Patterns of traction that a motion brings about less than this share of the strongest's are left
-# out of a tangent.
+# Singular values of a change of traction below this share of the largest are omitted from a
+# tangent.
 FAINT = 1e-6
 
 Index = NDArray[np.int64]
@@ -33,7 +33,7 @@ Index = NDArray[np.int64]
 
 @dataclass(frozen=True)
 class Rule:
-    """A quadrature rule on the reference facet and this rank's facets of the tip that take it.
+    """A quadrature rule on the reference facet, and this rank's facets of the tip that use it.
 
     ``points`` (m, 2), ``weights`` (m,) that sum to the reference facet's area; ``entities`` (2 k,)
     are cell and local facet of each of the facets.
@@ -46,10 +46,10 @@ class Rule:
 
     @property
     def metadata(self) -> dict[str, object]:
-        """As a measure of UFL has it."""
+        """The rule as metadata of a UFL measure."""
         return {
             "quadrature_rule": "custom",
-            "called": self.name,  # UFL tells long lists apart by their ends alone
+            "called": self.name,  # UFL distinguishes long lists by their ends alone
             "quadrature_points": self.points,
             "quadrature_weights": self.weights,
         }
@@ -59,9 +59,9 @@ class Rule:
 class FacetPoints:
     """A rank's contact points, facet by facet.
 
-    Each has a place (p, 3) and an area (p,), the ``nodes`` (p, a) of its facet with their
+    Each has a position (p, 3) and an area (p,), the ``nodes`` (p, a) of its facet with their
     ``shares`` (p, a) of its displacement, and rows ``traction_Pa`` (p, 3, c) over the unknowns
-    ``columns`` (p, c) of its cell; nodes and unknowns as all ranks number them.
+    ``columns`` (p, c) of its cell. Nodes and unknowns have global numbers.
     """
 
     places_m: Array
@@ -73,7 +73,7 @@ class FacetPoints:
 
     @classmethod
     def joined(cls, parts: list[FacetPoints]) -> FacetPoints:
-        """All of them, one after the other."""
+        """The ``parts`` concatenated."""
         names = cls.__dataclass_fields__
         return cls(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
 
@@ -82,8 +82,8 @@ class FacetPoints:
 class TipFacets:
     """The tip's facets with the rules whose quadrature points are its contact points.
 
-    This rank's p points, facet by facet and rule by rule, are contact points ``index`` (p,) by
-    their ``shares`` (p,), which add up to one at each.
+    Point p of this rank, facet by facet and rule by rule, belongs to contact point ``index`` (p,)
+    with the weight ``shares`` (p,); the weights at a contact point sum to one.
     """
 
     rules: list[Rule]
@@ -103,9 +103,9 @@ def tip_contact(
 
     On quadrilaterals they are Gauss-Lobatto points, on triangles the corners of equal small
     triangles: at least ``points`` across each side of the section, edges and corners of the face
-    included. Points that facets share are merged, their traction the mean weighted by area.
+    included. Points that facets share are merged, their traction being the mean weighted by area.
     ``traction`` gives the force per area for a displacement; ``centre_m`` (3,) is the centre of
-    mass. Collective; raises ComputationError where no rank has a facet of the tip.
+    mass. Collective; raises ComputationError if no rank has a facet of the tip.
     """
     rules, comm = tip_rules(space, facets, points), space.mesh.comm
     own = FacetPoints.joined([_facet_points(space, rule, traction) for rule in rules])
@@ -134,7 +134,7 @@ def tip_contact(
 
 
 def tip_rules(space: fem.FunctionSpace, facets: NDArray[np.int32], points: int) -> list[Rule]:
-    """The rules that facets of the tip take, the same on all ranks, with this rank's facets."""
+    """The rules of the tip's facets, the same on all ranks, with this rank's facets."""
     domain, tdim = space.mesh, space.mesh.topology.dim
     domain.topology.create_connectivity(tdim - 1, tdim)
     domain.topology.create_connectivity(tdim, tdim - 1)
@@ -156,15 +156,16 @@ def tip_rules(space: fem.FunctionSpace, facets: NDArray[np.int32], points: int) 
 
 
 def _square_rule(along: int, across: int) -> tuple[Array, Array]:
-    """Gauss and Lobatto's rule on the unit square, so many points along its axes."""
+    """Gauss-Lobatto rule on the unit square, with ``along`` and ``across`` points along its
+    axes."""
     (p, wp), (q, wq) = gauss_lobatto(along), gauss_lobatto(across)
     points = 0.5 * (np.stack(np.meshgrid(p, q, indexing="ij"), -1).reshape(-1, 2) + 1.0)
     return points, 0.25 * np.outer(wp, wq).ravel()
 
 
 def _triangle_rule(divisions: int) -> tuple[Array, Array]:
-    """The corners of small triangles, each side being cut in so many; exact for functions that
-    are linear on each of them."""
+    """The corners of small triangles, with each side divided into ``divisions``; exact for
+    functions that are linear on each of them."""
     lattice = [(i, j) for i in range(divisions + 1) for j in range(divisions + 1 - i)]
     number = {corner: k for k, corner in enumerate(lattice)}
     weights = np.zeros(len(lattice))
@@ -176,7 +177,7 @@ def _triangle_rule(divisions: int) -> tuple[Array, Array]:
 
 
 def _on_cell(domain: mesh.Mesh, local: int, points: Array) -> tuple[Array, Array]:
-    """Places (m, 3) on the reference cell of ``points`` (m, 2) on a facet, and its tangents."""
+    """Positions (m, 3) on the reference cell of ``points`` (m, 2) on a facet, and its tangents."""
     kind = basix.CellType[domain.topology.cell_type.name]
     corners = np.asarray(basix.geometry(kind))[basix.topology(kind)[2][local]]
     tangents = corners[1:3] - corners[0]
@@ -184,7 +185,8 @@ def _on_cell(domain: mesh.Mesh, local: int, points: Array) -> tuple[Array, Array
 
 
 def _divisions(domain: mesh.Mesh, own: int, degree: int, points: int) -> list[tuple[int, ...]]:
-    """Into how many a side of each triangle is cut: the face's nodes are among the corners."""
+    """Number of divisions of each triangle's sides, such that the face's nodes are among the
+    corners."""
     across = np.sqrt(0.5 * domain.comm.allreduce(own))
     wanted = int(np.ceil((points - 1) / max(across, 1.0) - 1e-9))
     return [(max(degree, -(-wanted // degree) * degree),)] * own
@@ -193,9 +195,9 @@ def _divisions(domain: mesh.Mesh, own: int, degree: int, points: int) -> list[tu
 def _points_along(
     domain: mesh.Mesh, entities: NDArray[np.int32], degree: int, points: int
 ) -> list[tuple[int, ...]]:
-    """How many points each quadrilateral gets along its sides: odd, so that nodes are among them.
+    """Number of points along each quadrilateral's sides: odd, so that nodes are among them.
 
-    On a grid of equal facets each direction is served by itself; other faces take the root of the
+    On a grid of equal facets each direction has its own number. Other faces take the root of the
     number of facets as the number across.
     """
     comm, geometry = domain.comm, domain.geometry
@@ -280,13 +282,13 @@ def _local_columns(space: fem.FunctionSpace) -> tuple[int, int]:
 
 
 def _as_all_number(space: fem.FunctionSpace, nodes: NDArray[np.int32]) -> Index:
-    """This rank's ``nodes`` as all ranks number them."""
+    """Global numbers of this rank's ``nodes``."""
     whole = space.dofmap.index_map.local_to_global(nodes.ravel())
     return np.asarray(whole.reshape(nodes.shape))
 
 
 def _unknowns(nodes: NDArray[np.integer]) -> Index:
-    """The unknowns (k, 3 a) of ``nodes`` (k, a), numbered alike; k may be none."""
+    """The unknowns (k, 3 a) of ``nodes`` (k, a), in the same numbering; k may be zero."""
     return (3 * nodes[..., None] + np.arange(3)).reshape(len(nodes), 3 * nodes.shape[1])
 
 
@@ -310,8 +312,8 @@ def _traction_rows(
 def _own_columns(
     space: fem.FunctionSpace, value: Array, row: Index, column: Index, n_rows: int
 ) -> csr_matrix:
-    """The rows that have these values in these columns, as far as these are unknowns of this
-    rank; what falls together adds up."""
+    """Matrix with these values in these rows and columns, as far as the columns are unknowns of
+    this rank; duplicates add up."""
     first, last = _local_columns(space)
     keep = (column >= first) & (column < last) & (value != 0.0)
     return csr_matrix((value[keep], (row[keep], column[keep] - first)), (n_rows, last - first))
@@ -350,15 +352,15 @@ class TipTractions:
         self._owned_local = self._columns[self._owned] - first
 
     def start(self) -> Array:
-        """At the start of the step (n, 3), its viscous part included."""
+        """At the start of the step (n, 3), viscous part included."""
         return self._at_points("start")
 
     def end(self) -> Array:
-        """At the end of the step (n, 3), its viscous part included."""
+        """At the end of the step (n, 3), viscous part included."""
         return self._at_points("end")
 
     def mean(self) -> Array:
-        """What does work over the step (n, 3)."""
+        """The tractions that do the work over the step (n, 3)."""
         return self._at_points("mean")
 
     def viscous(self) -> Array:
@@ -366,8 +368,8 @@ class TipTractions:
         return self._at_points("viscous")
 
     def pushed(self, force: Array) -> Array:
-        """Loads (n_local,) whose work on a motion is that of ``force`` (n, 3) on what the motion
-        adds to the traction."""
+        """Loads (n_local,) that do the same work on a motion as ``force`` (n, 3) on its change of
+        traction."""
         tip = self._tip
         own = tip.measure.area_m2 * tip.shares[:, None] * force[tip.index]
         self._load.array[:] = 0.0
@@ -376,15 +378,15 @@ class TipTractions:
         return np.array(self._load.array[: self._own])
 
     def compressed(self) -> tuple[Array, Array]:
-        """``left`` (3 n, r) and ``right`` (r, n_local) whose product is nearly how the tractions
-        change with the motion: but for patterns fainter than `FAINT`."""
+        """``left`` (3 n, r) and ``right`` (r, n_local), whose product approximates the derivative
+        of the tractions by the motion, without singular values below `FAINT`."""
         tip = self._tip
         rows: Array = np.zeros((self._n, 3, len(self._columns)))
         scaled = tip.measure.area_m2 * tip.shares[:, None, None] * self._changes()
         index = (tip.index[:, None, None], np.arange(3)[:, None], self._place[:, None])
         np.add.at(rows, index, scaled)
         rows = self._comm.allreduce(rows).reshape(3 * self._n, -1)
-        # how many are significant may hang on rounding, which is another on another kind of node
+        # the number of significant ones may depend on rounding, which differs between machines
         left, size, right = run_on_one_rank(
             self._comm, lambda: tuple(np.linalg.svd(rows, full_matrices=False))
         )
@@ -394,7 +396,7 @@ class TipTractions:
         return left[:, significant] * size[significant], own
 
     def _changes(self) -> Array:
-        """Rows (p, 3, unknowns of a cell) of how the tractions of this rank's points change."""
+        """Rows (p, 3, unknowns of a cell): derivative of the tractions of this rank's points."""
         return self._eval("change").reshape(len(self._place), 3, self._place.shape[1])
 
     def _at_points(self, name: str) -> Array:
@@ -404,7 +406,7 @@ class TipTractions:
         return np.asarray(tip.measure.area_m2 * self._comm.allreduce(total))
 
     def _eval(self, name: str) -> Array:
-        """Rule by rule, facet by facet, flat."""
+        """Values rule by rule, facet by facet, flat."""
         return np.concatenate(
             [
                 table.eval(self._domain, rule.entities).ravel()
