@@ -1,7 +1,7 @@
-"""Many drops of one body at once, in compiled code: what `drop.simulate` does, without histories.
+"""Many drops of one body in compiled code: as `drop.simulate`, without histories.
 
-Bodies in modes under the conserving scheme and a law that acts on gaps. Each drop has its own lean,
-height, ground, stiffness and friction.
+For bodies in modes under the conserving scheme and a law that acts on gaps. Each drop has its own
+lean, height, ground, stiffness and friction.
 """
 
 from __future__ import annotations
@@ -33,11 +33,11 @@ from .time.modal_march import MarchLimits, Modes, Touching, march
 from .time.motion import Flyer, Stance, centre, flyer, landing, turned
 
 TOO_MANY, FALLEN, GAINED, OFF_BUDGET = 5, 6, 7, 8
-# Contact in an impact that lasts longer, in seconds and in radians of the mass on its spring, is
-# taken not to end. A bristle that leans by more than 6 degrees slides on, for up to a period of its
-# slowest bending. Contact by one that pulls, and by a linear spring with friction, is taken to go
-# on for good after the radians of the spring or of the slowest axial wave with the tip held,
-# whichever is later.
+# Contact that lasts longer than this, in s and in radians of the mass on its spring, counts as
+# permanent. A bristle that leans by more than 6 degrees slides on for up to a period of its slowest
+# bending. Contact with a law that pulls, and with a linear spring and friction, counts as permanent
+# after the radians of the spring or of the slowest axial wave with the tip held, whichever is
+# later.
 LONGEST_S, LONGEST_RAD = 0.004, 20.0
 FAILURES = {
     modal_march.NOT_CONVERGED: "the contact forces did not converge; shorten the ITS",
@@ -51,27 +51,25 @@ FAILURES = {
 }
 
 
-# Parts of the ITS that are tried where contact forces do not converge.
+# Shares of the ITS that are tried if contact forces do not converge.
 SHORTER = (0.5, 0.2)
-# Motion below this share of the largest is rounding.
+# Relative size of a motion that counts as rounding.
 ROUNDING = 1e-12
-# Axes along which the ground can push all points of an end section alike: along the bristle where
-# it is upright on a level surface, and in one of its planes of symmetry where it leans, or the
-# surface slopes, in that plane.
+# Axes along which the ground can push all points of an end section alike: along an upright bristle
+# on a level surface, or in the plane of symmetry in which the bristle leans or the surface slopes.
 COLUMN, PLANES = (2,), ((0, 2), (1, 2))
 
 
 @dataclass(frozen=True)
 class Drops:
-    """What differs between drops, arrays of one entry (or row) a drop.
+    """The inputs in which drops differ, with one entry (or row) per drop.
 
     ``normals`` (drops, points, 3) and ``rises_m`` (drops, points) are the ground's planes under the
-    tip: each passes through the place over or under its point of the end section where the ground
-    is ``rises_m`` above its mean (so for a slope these are the slope's own heights); the ground as
-    a whole is moved until the first point touches. ``scale`` (drops, points) is the stiffness there
-    over ``kn_N_m``. ``laws`` (drops, parameters), where they are given, have the other numbers of
-    the contact law too, in the order of `ContactLaw.parameters`, and ``damping`` (drops,) has its
-    `ContactLaw.damping`.
+    tip. Each passes through the place over or under its point of the end section where the ground
+    is ``rises_m`` above its mean; for a slope these are the slope's own heights. The ground is then
+    moved until the first point touches. ``scale`` (drops, points) is the local stiffness over
+    ``kn_N_m``. ``laws`` (drops, parameters), if given, holds the contact law's other parameters in
+    the order of `ContactLaw.parameters`, ``damping`` (drops,) its `ContactLaw.damping`.
     """
 
     height_m: Array
@@ -95,7 +93,8 @@ class Drops:
         return self.chosen(which)
 
     def chosen(self, which: NDArray[np.bool_], points: NDArray[np.int64] | None = None) -> Drops:
-        """The drops ``which`` (drops,) says, with all their points or those of these numbers."""
+        """The drops ``which`` (drops,) with all their points, or with the ``points`` of these
+        numbers."""
         some = np.arange(self.scale.shape[1]) if points is None else points
         return Drops(
             self.height_m[which],
@@ -111,8 +110,8 @@ class Drops:
         )
 
     def confined_to(self, part: SymmetricPart) -> NDArray[np.bool_]:
-        """Which drops (drops,) push a section along the axes of a ``part`` alone, and alike where
-        it has one point for several."""
+        """Which drops (drops,) load a section along the axes of a ``part`` alone, and equally where
+        one point represents several."""
         across = [axis for axis in (0, 1) if axis not in part.axes]
         tilts = np.stack([self.tilt_deg, self.tilt_wide_deg], axis=1)
         still = (tilts[:, across] == 0.0).all(axis=1)
@@ -133,7 +132,7 @@ class Drops:
         tilt_wide_deg: Array | float = 0.0,
         mu: Array | float = 0.0,
     ) -> Drops:
-        """Drops onto a horizontal plane; numbers serve all, arrays (drops,) are taken in turn."""
+        """Drops onto a horizontal plane; numbers apply to all, arrays (drops,) to one drop each."""
         values = np.broadcast_arrays(height_m, tilt_deg, tilt_wide_deg, kn_N_m, mu)
         columns = [np.array(value, dtype=float).reshape(-1) for value in values]
         n = len(columns[0])
@@ -145,10 +144,11 @@ class Drops:
 
 
 class Outcome(NamedTuple):
-    """What one drop gave, or arrays of it: names and units as in `drop.DropResult` and its energy.
+    """Result of one drop, or arrays of results: names and units as in `drop.DropResult` and its
+    energy.
 
     Losses are those up to the last release of the first impact, as with `DropPlan.impact_only`: the
-    flight that follows is not in them.
+    flight that follows is not included.
     """
 
     rebound_height_m: Array
@@ -169,7 +169,7 @@ class Outcome(NamedTuple):
 
 
 class Common(NamedTuple):
-    """What all drops share; any contact is followed for ``followed_s`` or longer."""
+    """What all drops share; any contact is followed for at least ``followed_s``."""
 
     modes: Modes
     flyer: Flyer
@@ -180,7 +180,7 @@ class Common(NamedTuple):
 
 
 class Columns(NamedTuple):
-    """What differs, a row a drop: see `Drops`."""
+    """The inputs in which drops differ, one row per drop: see `Drops`."""
 
     laws: Array
     damping: Array
@@ -195,14 +195,15 @@ class Columns(NamedTuple):
 
 @njit
 def one_drop(common: Common, points: Points, columns: Columns, which: int, out: Array) -> int:
-    """Write what drop ``which`` gives to ``out``, in the order of `Outcome`; the march's status."""
+    """Write the result of drop ``which`` to ``out``, ordered as `Outcome`; returns the march's
+    status."""
     modes, flyer, sky = common.modes, common.flyer, common.sky
     places, gravity, height = flyer.points.places, sky.gravity, columns.height[which]
     normals, rises = columns.normals[which], columns.rises[which]
     attitude = leaning(columns.tilt[which], columns.tilt_wide[which])
     pose = Stance(np.zeros(3), attitude, np.zeros(0), np.zeros(0))
     rotation = matrix_of(pose.attitude)
-    # the plane under a point lies where a flat ground would, raised
+    # the plane under a point is that of a flat ground, raised
     offsets: Array = np.empty(len(places))
     for i in range(len(places)):
         at = rotation @ places[i]
@@ -265,7 +266,7 @@ def one_drop(common: Common, points: Points, columns: Columns, which: int, out: 
 
 @njit
 def many_drops(common: Common, columns: Columns, out: Array, status: NDArray[np.int64]) -> None:
-    """`one_drop` for every row, ``out`` (drops, …) and ``status`` (drops,) written."""
+    """`one_drop` for every row; writes ``out`` (drops, …) and ``status`` (drops,)."""
     common, columns = unowned(common), unowned(columns)
     points = common.points
     for i in range(len(columns.height)):
@@ -276,11 +277,10 @@ def many_drops(common: Common, columns: Columns, out: Array, status: NDArray[np.
 
 
 def drop_many(marcher: Marcher, drops: Drops) -> Outcome:
-    """Every drop, of ``marcher``'s body at its ITS; arrays (drops,) in `Outcome`.
+    """Simulate all ``drops`` of the ``marcher``'s body at its ITS; arrays (drops,) in `Outcome`.
 
-    The marcher's law gives all that ``drops`` does not, its friction all but μ. Raises
-    ComputationError where the marcher's method is not one for compiled code, or a drop fails, which
-    it names.
+    The marcher's law and friction provide what ``drops`` does not. Raises ComputationError if the
+    marcher's method cannot be compiled, or a drop fails, which it names.
     """
     out, status = _dropped(marcher, drops)
     failed = np.flatnonzero(status != modal_march.RELEASED)
@@ -290,9 +290,11 @@ def drop_many(marcher: Marcher, drops: Drops) -> Outcome:
 
 
 def drop_each(marcher_at: Callable[[float], Marcher], drops: Drops, its_s: float) -> Outcome:
-    """As `drop_many`, at the marcher's ITS ``its_s`` or, drop by drop, at the longest part of it
-    that serves; NaN where none does, or where a bristle falls over, stays in contact for good or
-    slides for longer than one that bounces is in contact.
+    """As `drop_many`, at the ITS ``its_s`` or, drop by drop, at the longest share of it that
+    converges.
+
+    The result is NaN if none does, or if a bristle falls over, stays in contact, or slides for
+    longer than one that bounces is in contact.
     """
     out, status = _dropped(marcher_at(its_s), drops, slides=False)
     for part in SHORTER:
@@ -309,7 +311,7 @@ def drop_each(marcher_at: Callable[[float], Marcher], drops: Drops, its_s: float
 def _dropped(
     marcher: Marcher, drops: Drops, *, slides: bool = True
 ) -> tuple[Array, NDArray[np.int64]]:
-    """What `drop_many` and `drop_each` give, (drops, fields), and how each drop ended."""
+    """Results (drops, fields) of `drop_many` and `drop_each`, and the status of each drop."""
     if not compiled(marcher):
         raise ComputationError(
             "many drops at once need a body in modes, the conserving scheme, and penalty or the "
@@ -336,12 +338,15 @@ def _dropped(
 
 
 def _followed_s(marcher: Marcher, column: SymmetricPart | None, rubs: bool, slides: bool) -> float:
-    """How long contact, which ``rubs`` where there is friction, is followed at least, in s; where
-    the bristle ``slides`` on, that is to its end. Upright drops see its ``column``."""
+    """Least time in s for which contact is followed.
+
+    ``rubs`` says whether there is friction. If the bristle ``slides`` on, contact is followed to
+    its end. ``column`` is the part of the body that upright drops move.
+    """
     assert isinstance(marcher.body, ModalBody)
     points, longest = marcher.tables()[1].points, LONGEST_S
     if column is not None and (points.kind.pulls or (rubs and len(points.law) == 1)):
-        # with its tip held, its slowest wave takes twice as long as if free
+        # with the tip held, the slowest wave takes twice as long as free
         longest = LONGEST_RAD * slowest_period_s(column.body) / math.pi
     return max(longest, slowest_period_s(marcher.body)) if slides else longest
 
@@ -349,9 +354,9 @@ def _followed_s(marcher: Marcher, column: SymmetricPart | None, rubs: bool, slid
 def _drop(
     marcher: Marcher, drops: Drops, method: Marcher, followed_s: float
 ) -> tuple[Array, NDArray[np.int64]]:
-    """As `_dropped`, of ``drops`` that share their contact points.
+    """As `_dropped`, for ``drops`` that share their contact points.
 
-    Contact's constants are those of ``method``, which ``marcher`` may see through fewer points.
+    Contact's constants are those of ``method``; ``marcher`` may have fewer contact points.
     """
     assert isinstance(marcher.body, ModalBody)
     assert isinstance(method.body, ModalBody)
@@ -399,10 +404,10 @@ def _drop(
 
 @dataclass(frozen=True)
 class SymmetricPart:
-    """What moves of a ``body`` whose end section is pushed along ``axes`` alone.
+    """The part of a ``body`` that moves when its end section is loaded along ``axes`` alone.
 
-    ``points`` (k,) are those that stand for all of the section's, and ``group`` (n,) says which of
-    them for which; ``size_m`` is the section's greatest extent.
+    ``points`` (k,) represent all of the section's points, ``group`` (n,) says which one represents
+    each. ``size_m`` is the section's greatest extent.
     """
 
     axes: tuple[int, ...]
@@ -413,10 +418,10 @@ class SymmetricPart:
 
 
 def symmetric_part(body: ModalBody, axes: tuple[int, ...]) -> SymmetricPart | None:
-    """What moves of a body whose end section is pushed along ``axes`` alone; None where points that
-    lie at the same place along these do not move alike.
+    """The part of a body that moves when its end section is loaded along ``axes`` alone.
 
-    Such points are one, and only the modes that they load move.
+    Points at the same place along these axes are merged, and only the modes that they load are
+    kept. None if such points do not move alike.
     """
     every = body.contact
     n, along = len(every.weights), list(axes)

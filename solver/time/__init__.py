@@ -1,1 +1,1 @@
-"""How time passes: marching through an impact, and exact free flight between impacts."""
+"""Time integration: implicit steps through an impact, and exact free flight between impacts."""

@@ -1,6 +1,6 @@
-"""Whole vectors of a time step, each read and written once.
+"""Vector operations of a time step in one pass each.
 
-Plain array expressions would read them forty times, which costs as much as the solve.
+Plain array expressions would read the vectors forty times, which costs as much as the solve.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ def balance(
 def newmark(
     x: Array, v: Array, a: Array, after: Array, h: float, beta: float, gamma: float
 ) -> tuple[Array, Array]:
-    """Newmark's formulas: x and v a step later, with the acceleration ``after`` at its end."""
+    """Newmark's formulas: x and v after a step, with the acceleration ``after`` at its end."""
     later, faster = np.empty_like(x), np.empty_like(x)
     for i in range(len(x)):
         early = a[i]
@@ -43,7 +43,8 @@ def newmark(
 
 @njit
 def combine(x: Array, columns: Array, amounts: Array) -> None:
-    """Add the ``columns`` (n, r), in Fortran's order, by their ``amounts`` (r,); zeros are free."""
+    """Add to x the ``columns`` (n, r), in Fortran order, times ``amounts`` (r,); zeros are
+    skipped."""
     used = np.flatnonzero(amounts)
     k = 0
     while k + 4 <= len(used):

@@ -1,15 +1,16 @@
-"""One time step of a solid at finite strain and rotation: PETSc's SNES about an exact contact.
+"""One time step of a solid at finite strain and rotation: PETSc's SNES around an exact contact
+solve.
 
-The increment d of a step solves its balance of momentum at mid-step (solver.forms). SNES looks
-for the fixed point of d = G(d), where G linearises the body with a tangent factored some steps ago
-and solves the contact law with no approximation on that linear body, through the compliance of its
-contact points. So neither opening nor slipping asks for a new factor, only a body that has turned
-or bent since: of a drop of 40 steps at 54 675 unknowns one to five are made, where Newton's method
-on the assembled form (tests/reference/assembled.py) makes three a step.
+The increment d of a step solves the balance of momentum at mid-step (solver.forms). SNES looks for
+the fixed point d = G(d). G linearises the body with a tangent factored some steps ago, and solves
+the contact law exactly on that linear body, through the compliance of its contact points. So
+opening and slipping need no new factor, only further rotation or bending of the body does. A drop
+of 40 steps at 54 675 unknowns needs one to five factors; Newton's method on the assembled form
+(tests/reference/assembled.py) makes three a step.
 
-The tangent's age leaves a few directions, those of the steepest bending, that converge slowly;
-SNES' Anderson mixing (Walker and Ni, SIAM J. Numer. Anal. 49, 2011) removes them. PETSc's options
-with the prefix ``bristle_`` reach it: ``-bristle_snes_type ngmres``, ``-bristle_snes_monitor``.
+With an old tangent a few directions, those of the steepest bending, converge slowly. SNES' Anderson
+mixing (Walker and Ni, SIAM J. Numer. Anal. 49, 2011) removes them. PETSc options have the prefix
+``bristle_``: ``-bristle_snes_type ngmres``, ``-bristle_snes_monitor``.
 """
 
 from __future__ import annotations
@@ -36,23 +37,24 @@ from .scheme import TimeScheme
 from .tangent import Tangent, Tangents
 
 PREFIX = "bristle_"
-# PETSc takes several inner products at once by BLAS where the vectors lie evenly in memory. Then
-# rounding would depend on the heap, and a restart would not be to the bit.
+# PETSc computes several inner products by one BLAS call if the vectors are evenly spaced in memory.
+# Rounding would then depend on the heap, and a restart would not agree bit for bit.
 BY_BLAS = "vec_mdot_use_gemv"
-# Of the increment's own size.
+# Tolerance of the increment, relative to its size.
 PRECISION = 1e-10
-# Of the contact forces, which an increment that is mostly rigid motion does not tell of. All steps
-# of an impact together do work of a few times its energy, so that budgets, held to close to 1e-6,
-# lose a hundredth of that. Rounding of what the step's momentum would push with is no change.
+# Tolerance of the contact forces, which an increment that is mostly rigid motion does not resolve.
+# The steps of an impact together do work of a few times its energy, so budgets, which must close to
+# 1e-6, lose a hundredth of that. A change within rounding of the force that would balance the
+# step's momentum counts as none.
 FORCE_PRECISION, ROUNDED = 1e-8, 1e-13
-# A factor is made anew where an iteration leaves more than this of what the one before left, or
-# where so many were not enough: it costs as much as some thirty.
+# The tangent is factored again if an iteration leaves more than `SLOW` of the last error, or after
+# `PATIENCE` iterations: a factor costs as much as some thirty.
 SLOW, PATIENCE = 0.7, 15
 FACTORS = 6
 
 
 class FiniteMarcher(ContactMarch):
-    """Marches a solid at finite strain and rotation over the ground, conserving energy.
+    """Time stepper of a solid at finite strain and rotation over the ground; conserves energy.
 
     Raises ComputationError for a time scheme other than the conserving one.
     """
@@ -94,7 +96,7 @@ class FiniteMarcher(ContactMarch):
     # --- the state ------------------------------------------------------------------------------
 
     def start(self, t_s: float, u: Array, v: Array) -> Moving:
-        """The state for displacement ``u`` and velocity ``v``; contact begins anew."""
+        """The state for displacement ``u`` and velocity ``v``; contact starts anew."""
         self.contact.reset()
         moved = -self.body.contact.displacements(u)
         if self._surface is not None:
@@ -135,7 +137,7 @@ class FiniteMarcher(ContactMarch):
         return other
 
     def memory(self) -> dict[str, Array]:
-        """Where the tangent in use was made."""
+        """The state at which the present tangent was made."""
         return {} if self._tangent is None else {"u": self._tangent.u, "d": self._tangent.d}
 
     def recall(self, arrays: Mapping[str, Array]) -> None:
@@ -145,18 +147,18 @@ class FiniteMarcher(ContactMarch):
     # --- the step -------------------------------------------------------------------------------
 
     def step(self, now: Moving) -> Step:
-        """The next state and how contact brought it about; collective.
+        """The next state and the contact forces; collective.
 
-        Raises ComputationError, with time and residual, where the iteration does not converge.
+        Raises ComputationError, with time and residual, if the iteration does not converge.
         """
         h = self.its_s
         constant = 2.0 / h * now.mv + self._weight
         self._set(now.u, now.v, np.zeros_like(now.u))
         d: Array = h * now.v
         if self._tangent is None:
-            # not at the guess, whose straight paths stretch a turning body
+            # not at the guess: its straight paths stretch a rotating body
             self._linearise(now.u, np.zeros_like(d))
-        elif not self.tangents.has(self._tangent):  # another march has one by now
+        elif not self.tangents.has(self._tangent):  # another march has replaced it
             self._linearise(self._tangent.u, self._tangent.d)
         force = np.zeros_like(now.approach)
         for _ in range(FACTORS):
@@ -172,7 +174,7 @@ class FiniteMarcher(ContactMarch):
         return self._arrived(now, iteration.image, iteration.force)
 
     def _arrived(self, now: Moving, d: Array, force: Array) -> Step:
-        """The step whose increment and contact forces are these."""
+        """The step with this increment and these contact forces."""
         h, moved = self.its_s, self.body.mass(d)
         later = Moving(
             t_s=now.t_s + h,
@@ -192,9 +194,11 @@ class FiniteMarcher(ContactMarch):
         )
 
     def linear_response(self, now: Moving, d: Array, constant: Array, force: Array) -> Array:
-        """The increment of the body linearised at ``d`` under the contact forces that belong to it.
+        """The increment of the body linearised at ``d``, under the contact forces that belong to
+        it.
 
-        ``force`` (n, 3) along the local frames holds those of the iterate before, and then those.
+        ``force`` (n, 3), along the local frames, holds the forces of the last iterate and is
+        overwritten.
         """
         self._set(now.u, now.v, d)
         rest = self._inertia * self.body.mass(d) - constant + self._internal_force()
@@ -223,13 +227,13 @@ class FiniteMarcher(ContactMarch):
         return free
 
     def _linearise(self, u: Array, d: Array) -> None:
-        """Take the tangent at ``d``, and how the contact points answer with it."""
+        """Make the tangent at ``d``, and the compliance of the contact points from it."""
         self._tangent = self.tangents.at(u, d)
         self._compliance = self._tangent.compliance
         self.contact.section = self._section()
 
     def _internal_force(self) -> Array:
-        """At mid-step with its damping, in N (n_local,)."""
+        """Internal force at mid-step with damping, in N (n_local,)."""
         assemble(self._force, self._internal)
         return self._force.array.copy()
 
@@ -241,17 +245,17 @@ class FiniteMarcher(ContactMarch):
         return float(self.solid.comm.allreduce(fem.assemble_scalar(energy)))
 
     def vector(self) -> PETSc.Vec:
-        """One of the body's unknowns, the caller's own."""
+        """A new vector of the body's unknowns, owned by the caller."""
         return self._force.duplicate()
 
     def close(self) -> None:
-        """Free what PETSc holds; neither this march nor those that `with_law` gave can go on."""
+        """Free what PETSc holds; this march and those from `with_law` cannot be used afterwards."""
         self.tangents.close()
         self._force.destroy()
 
 
 def assemble(vector: PETSc.Vec, load: fem.Form) -> None:
-    """Write the ``load`` of all ranks into the ``vector``."""
+    """Assemble the ``load`` of all ranks into ``vector``."""
     with vector.localForm() as local:
         local.set(0.0)
     fem_petsc.assemble_vector(vector, load)
@@ -259,10 +263,11 @@ def assemble(vector: PETSc.Vec, load: fem.Form) -> None:
 
 
 class Iteration:
-    """SNES' search for one step's increment with the tangent that there is.
+    """SNES' iteration for one step's increment with the present tangent.
 
-    ``image`` and ``force`` are G of the last argument and the contact forces with it, ``change``
-    is what it differs by, as a share of it, ``force_change`` what the forces do from those before.
+    ``image`` is G of the last argument and ``force`` its contact forces. ``change`` is the relative
+    difference between image and argument, ``force_change`` that between the forces and the last
+    ones.
     """
 
     def __init__(self, march: FiniteMarcher, now: Moving, constant: Array, force: Array) -> None:
@@ -276,7 +281,7 @@ class Iteration:
         self._failure: ComputationError | None = None
 
     def run(self, d: Array) -> bool:
-        """Start from ``d``; whether the iteration ended at a fixed point."""
+        """Iterate from ``d``; whether it ended at a fixed point."""
         x = self._march.vector()
         rest = x.duplicate()
         snes = PETSc.SNES().create(self._march.solid.comm)
@@ -302,7 +307,7 @@ class Iteration:
         march, d, before = self._march, x.getArray(readonly=True).copy(), self.force.copy()
         try:
             self.image = march.linear_response(self._now, d, self._constant, self.force)
-        except ComputationError as error:  # all ranks have it, and SNES ends
+        except ComputationError as error:  # all ranks raise it, and SNES ends
             self._failure, self.change = error, np.nan
             return
         out.array[:] = d - self.image
@@ -317,7 +322,7 @@ class Iteration:
             )
 
     def _test(self, snes: PETSc.SNES, count: int, _: tuple[float, float, float]) -> int:
-        """PETSc's reason to end, as rank 0 finds it."""
+        """PETSc's reason to stop, decided on rank 0."""
         reasons = PETSc.SNES.ConvergedReason
         last, self._last = self._last, self.change
         arrived = self.change <= PRECISION

@@ -1,9 +1,9 @@
-"""Anderson's acceleration of a fixed point that is sought in every step of a march.
+"""Anderson acceleration of a fixed-point problem that recurs in every time step.
 
-What is sought is a value x with G(x) = x. Every move of x and the change of the residual
-r = G(x) - x is a secant of the map; the next move is the one after which, by these secants, the
-residual would be least (Walker and Ni, SIAM J. Numer. Anal. 49, 2011). Secants of the steps before
-serve too, since the map changes little (Degroote, Bathe and Vierendeels, Comput. Struct. 87, 2009).
+The problem is G(x) = x. Every move of x, with the change of the residual r = G(x) - x, is a secant
+of the map. The next move minimises the residual predicted by these secants (Walker and Ni, SIAM J.
+Numer. Anal. 49, 2011). The map changes little between steps, so secants of earlier steps are kept
+(Degroote, Bathe and Vierendeels, Comput. Struct. 87, 2009).
 """
 
 from __future__ import annotations
@@ -18,13 +18,13 @@ from ..arrays import Array
 from ..compiled import fast, njit
 
 MOST_SECANTS = 16
-# A secant of which no more than this share, squared, is not seen in later ones tells rounding.
+# A secant whose part outside later ones is below this share, squared, is mostly rounding.
 NEW_SHARE = 1e-8
 
 
 class Secants(NamedTuple):
-    """The latest moves (MOST_SECANTS, n), by how much each changed the residual, the products of
-    these changes under ``weights`` (n,), and how many there have been, (1,)."""
+    """The latest moves (MOST_SECANTS, n), the changes of the residual by them, the products of
+    these changes under ``weights`` (n,), and the number of secants so far (1,)."""
 
     moves: Array
     changes: Array
@@ -35,7 +35,7 @@ class Secants(NamedTuple):
 
 @njit
 def new_secants(weights: Array) -> Secants:
-    """None yet; a residual is measured by the sum of its squares times ``weights`` (n,)."""
+    """No secants yet; the norm of a residual is the sum of its squares times ``weights`` (n,)."""
     return Secants(
         moves=np.zeros((MOST_SECANTS, len(weights))),
         changes=np.zeros((MOST_SECANTS, len(weights))),
@@ -55,7 +55,8 @@ def _product(weights: Array, one: Array, other: Array) -> float:
 
 @njit
 def remember(secants: Secants, move: Array, change: Array) -> None:
-    """Keep that ``move`` (n,) changed the residual by ``change`` (n,), in place of the oldest."""
+    """Store that ``move`` (n,) changed the residual by ``change`` (n,), in place of the oldest
+    secant."""
     at = secants.total[0] % MOST_SECANTS
     secants.total[0] += 1
     secants.moves[at] = move
@@ -67,10 +68,10 @@ def remember(secants: Secants, move: Array, change: Array) -> None:
 
 @njit
 def next_move(secants: Secants, residual: Array) -> Array:
-    """The move (n,) of x at a ``residual`` (n,).
+    """The move (n,) of x for a ``residual`` (n,).
 
-    Least squares by Cholesky's factor of the normal equations, built from the latest secant on and
-    without those that tell nothing new.
+    Least squares by Cholesky factorisation of the normal equations, from the latest secant on;
+    linearly dependent ones are skipped.
     """
     n = min(secants.total[0], MOST_SECANTS)
     chosen = np.empty(n, dtype=np.int64)

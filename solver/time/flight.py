@@ -1,4 +1,4 @@
-"""The flight of a modal body from a release to its next touch."""
+"""Flight of a modal body from a release to its next touch."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ from .search import after_release, apex, top_of_centre, trace
 
 
 class Energies(NamedTuple):
-    """Energy in flight in J: kinetic, strain and potential, the last zero where the tip first
-    touches, and all these; ``elastic`` is what rings, of the first two."""
+    """Energy in flight in J: kinetic, strain, potential (zero where the tip first touches), their
+    total, and the ``elastic`` part of the first two, which is vibration."""
 
     kinetic: float
     strain: float
@@ -27,8 +27,9 @@ class Energies(NamedTuple):
 
 
 class Sky(NamedTuple):
-    """What flights of a body have in common: ``gravity``, quadratic ``drag`` over mass (1/m), the
-    period ``slowest`` of its slowest mode, and the time ``soon`` in which a touch is marched to."""
+    """What flights of a body share: ``gravity``, quadratic ``drag`` over mass (1/m), the
+    ``slowest`` mode's period, and the time ``soon`` within which a touch is reached by time
+    steps."""
 
     gravity: float
     drag: float
@@ -37,12 +38,12 @@ class Sky(NamedTuple):
 
 
 class Flown(NamedTuple):
-    """A flight and how it ends: times in s from its start.
+    """A flight and its end; times in s from its start.
 
-    The next touch comes after ``next``, or cannot be missed any more; the impact is ``over`` by
-    then, or the touch comes ``soon``. The middle of the tip is highest at ``tip_s``, the centre of
-    mass at ``centre_s``, of flights that are not soon at their end. One that starts with more than
-    the allowed energy is ``astray`` and not followed.
+    ``next`` is the time of the next touch, or one by which it must have come. ``over`` says that
+    the impact has ended by then, ``soon`` that the touch is close. The middle of the tip is highest
+    at ``tip_s``, the centre of mass at ``centre_s``; neither is computed if ``soon``. A flight that
+    starts with more than the allowed energy is ``astray`` and not followed.
     """
 
     motion: Motion
@@ -58,7 +59,7 @@ class Flown(NamedTuple):
 
 @njit
 def energies(motion: Motion, t: float) -> Energies:
-    """The energy at ``t``."""
+    """The energies at ``t``."""
     flyer = motion.flyer
     position, _, u, v = landing(motion, t)
     kinetic = strain = elastic = mass = 0.0
@@ -75,10 +76,10 @@ def energies(motion: Motion, t: float) -> Energies:
 def fly(
     flyer: Flyer, normals: Array, offsets: Array, start: Stance, sky: Sky, most_J: float
 ) -> Flown:
-    """What follows a release over the planes ``normals`` (n, 3) · x = ``offsets`` (n,).
+    """The flight after a release over the planes ``normals`` (n, 3) · x = ``offsets`` (n,).
 
-    What has more energy than ``most_J`` went astray, and might have no next touch that is ever
-    found.
+    With more energy than ``most_J`` it is not followed, since it might have no next touch that a
+    search could find.
     """
     motion = launch(flyer, start, sky.gravity, sky.drag)
     if not energies(motion, 0.0).total <= most_J:
@@ -92,10 +93,10 @@ def fly(
 
 
 class Flight:
-    """Motion of a modal body from a state (u, v) in ``pose`` at ``t0_s``, gravity alone acting.
+    """Motion of a modal body from a state (u, v) in ``pose`` at ``t0_s``, under gravity alone.
 
-    The rigid part of (u, v) moves the pose. Times are absolute, in s. ``known`` is what `flyer`
-    gives of the body, where that is there already.
+    The rigid part of (u, v) moves the pose. Times are absolute, in s. ``known`` is the body's
+    `flyer` if it is already available.
     """
 
     def __init__(
@@ -127,15 +128,15 @@ class Flight:
         return turned(self.motion, t_s - self.t0_s)
 
     def state(self, t_s: float) -> tuple[Pose, Array, Array]:
-        """The pose, and the displacement and velocity (modes,) on top of it.
+        """The pose, and the displacement and velocity (modes,) relative to it.
 
-        The displacement is elastic alone; the velocity has the rigid one too.
+        The displacement is only elastic; the velocity includes the rigid one.
         """
         position, attitude, u, v = landing(self.motion, t_s - self.t0_s)
         return Pose(position, attitude), u, v
 
     def energies(self, t_s: float) -> Energies:
-        """The energy at ``t_s``."""
+        """The energies at ``t_s``."""
         return energies(self.motion, t_s - self.t0_s)
 
     def trace(self, ground: Ground, t_s: Array) -> Array:
@@ -144,12 +145,12 @@ class Flight:
         return np.asarray(trace(self.motion, ground.normals, ground.offsets_m, times))
 
     def apex(self, until_s: float) -> tuple[float, float]:
-        """Time and height of the highest place of the tip's middle in [t0, ``until_s``]."""
+        """Time and greatest height of the tip's middle in [t0, ``until_s``]."""
         after, height = apex(self.motion, until_s - self.t0_s)
         return self.t0_s + after, height
 
 
 def stance(pose: Pose, u: Array, v: Array) -> Stance:
-    """A body with displacement and velocity (modes,) on top of a pose."""
+    """A body with displacement and velocity (modes,) relative to a pose."""
     position = np.asarray(pose.position_m, dtype=float)
     return Stance(position, pose.attitude, np.ascontiguousarray(u), np.ascontiguousarray(v))

@@ -26,17 +26,17 @@ from .advance import balance, combine, newmark
 from .modal_march import Modes, Touching
 from .scheme import TimeScheme
 
-# Loads of contact whose responses are kept. A step in contact reads them all; where there are more
-# it is quicker, and takes less memory, to solve once more.
+# Largest number of contact loads whose responses are stored. A step in contact reads them all;
+# beyond this a second solve is faster and takes less memory.
 MOST_KEPT = 400
 AT_ONCE = 32
 
 
 @dataclass
 class Moving:
-    """Motion at one instant, with the momenta that heights and energies need.
+    """State of motion at one instant, with the momenta for heights and energies.
 
-    All arrays hold this rank's unknowns. ``approach`` (n contact points, 3) see
+    All arrays hold this rank's unknowns. For ``approach`` (n contact points, 3) see
     contact.enforcement.
     """
 
@@ -50,10 +50,9 @@ class Moving:
 
 @dataclass
 class State(Moving):
-    """Motion of a linear body, with the products that its next step needs.
+    """State of a linear body, with the products that its next step needs.
 
-    ``ku`` and its like are with the stiffness that the scheme sees (Nitsche's symmetric term
-    included).
+    ``ku`` and the like use the scheme's stiffness, Nitsche's symmetric term included.
     """
 
     a: Array
@@ -64,8 +63,8 @@ class State(Moving):
 
 
 class Step(NamedTuple):
-    """What a step gave: the state after it, the contact forces per area share over it (n, 3) in N
-    along the points' local frames, and what contact did (`contact.step.Taken`)."""
+    """Result of a step: the state after it, the contact forces over it per area share (n, 3) in N
+    along the points' local frames, and forces and losses of contact (`contact.step.Taken`)."""
 
     state: Any
     force: Array
@@ -77,11 +76,12 @@ class Step(NamedTuple):
 
 
 class ContactMarch:
-    """What every march of a body in contact with the ground at constant ``its_s`` shares.
+    """Common part of all time steppers in contact with the ground at a constant time step
+    ``its_s``.
 
-    Where the body stands over which ground is said by ``place``; at first it is upright on a
-    horizontal plane, unstrained points just touching. The contact force on the body is Qᵀ (w P)
-    with P the force per area share.
+    ``place`` sets the body's pose and the ground. Initially it stands upright on a horizontal
+    plane, unstrained, its points just touching. The contact force on the body is Qᵀ (w P) with P
+    the force per area share.
     """
 
     state_type: ClassVar[type] = Moving
@@ -102,7 +102,7 @@ class ContactMarch:
         self._compliance: Array = np.zeros((0, 0))
 
     def place(self, placement: Placement) -> None:
-        """Say where the body stands over which ground; contact begins anew.
+        """Set the body's pose and the ground; contact starts anew.
 
         Raises ComputationError for a bristle that fell over: only its lower end can touch.
         """
@@ -122,15 +122,16 @@ class ContactMarch:
 
     @property
     def rigid_multiplier(self) -> bool:
-        """Whether contact is a multiplier on a rigid plane: no energy in it, its approach zero."""
+        """Whether contact is a multiplier on a rigid plane: it stores no energy, and its approach
+        is zero."""
         return math.isinf(self.method.law.kn_N_m) and self.tau == 0.0
 
     def with_law(self, law: ContactLaw, friction: Coulomb | None = None) -> Self:
-        """The same march, where it stands, under another law and friction.
+        """The same stepper, with the same placement, under another law and friction.
 
-        The body's factor and compliance are shared, so whoever closes one march has closed both.
-        Raises ValueError where Nitsche's compliance τ would not be the same: its γ₀, unless it is
-        given, is another one on a rigid plane.
+        Both share the body's factor and compliance, so closing one closes both. Raises ValueError
+        if Nitsche's compliance τ would differ: unless γ₀ is given, it has another value on a rigid
+        plane.
         """
         method = replace(
             self.method, law=law, friction=self.method.friction if friction is None else friction
@@ -146,11 +147,11 @@ class ContactMarch:
         return other
 
     def _section(self) -> Section:
-        """How the points answer to forces over a step.
+        """Compliance of the contact points over a step.
 
-        ``_compliance`` is that of the section's coordinates to loads along them (r, r); with
-        Nitsche that of the approaches along body axes to the points' forces (3 n, 3 n), and the
-        section a unit one, whose coordinates are the points' own approaches along local frames.
+        ``_compliance`` (r, r) is that of the section's coordinates. With Nitsche it is that of the
+        approaches along body axes to the points' forces (3 n, 3 n), and the coordinates of the
+        section are the points' own approaches along local frames.
         """
         points, frames = self.body.contact, self.ground.frames
         n = len(points.weights)
@@ -181,17 +182,17 @@ class ContactMarch:
         return self.ground.gaps(self.body.contact.displacements(u))
 
     def in_frames(self, moved: Array) -> Array:
-        """The approach (n, 3) along the points' local frames of ``moved`` (n, 3) along body
+        """The approach (n, 3) along the points' local frames for ``moved`` (n, 3) along body
         axes."""
         approach = np.einsum("iax,ix->ia", self.ground.frames, moved)
         approach[:, 0] -= self.ground.gaps_m
         return np.asarray(approach)
 
     def pushed(self, before: Array, free: Array) -> Array:
-        """The forces of `StepContact.solve`, as rank 0 finds them; collective.
+        """The forces of `StepContact.solve`, computed on rank 0; collective.
 
-        Rounding is another on another kind of node, and what the ranks do together hangs on whether
-        there is a force.
+        Rounding differs between kinds of machines, and what the ranks do together depends on
+        whether there is a force.
         """
 
         def solved() -> tuple[Array, Array]:
@@ -201,7 +202,7 @@ class ContactMarch:
         return force
 
     def taken(self, before: Array, force: Array) -> Taken:
-        """What `StepContact.commit` gives, as rank 0 finds it; collective."""
+        """The result of `StepContact.commit`, computed on rank 0; collective."""
         contact = self.contact
 
         def committed() -> tuple[Taken, Array, Array]:
@@ -213,7 +214,7 @@ class ContactMarch:
     def heights(self, state: Moving, moved: Array | None = None) -> tuple[float, float]:
         """Heights in m of the middle of the end section and of the centre of mass.
 
-        ``moved`` (n, 3) is how the points are displaced, where that is known.
+        ``moved`` (n, 3) is the points' displacement, if already available.
         """
         body, up = self.body, self.ground.up
         if moved is None:
@@ -223,15 +224,15 @@ class ContactMarch:
         return self.ground.tip_m + float(tip), self.ground.centre_m + raised
 
     def along_axes(self, force: Array) -> Array:
-        """Forces (n, 3) that stand along the points' local frames, along body axes."""
+        """Forces (n, 3) along the points' local frames, rotated to body axes."""
         return np.einsum("iax,ia->ix", self.ground.frames, force)
 
     def start(self, t_s: float, u: Array, v: Array) -> Any:
-        """The state for displacement ``u`` and velocity ``v``; contact begins anew."""
+        """The state for displacement ``u`` and velocity ``v``; contact starts anew."""
         raise NotImplementedError
 
     def step(self, now: Any) -> Step:
-        """The next state and how contact brought it about; ComputationError where there is none."""
+        """The next state and the contact forces; ComputationError if there is none."""
         raise NotImplementedError
 
     def tractions(self, state: Any) -> Array:
@@ -239,33 +240,34 @@ class ContactMarch:
         raise NotImplementedError
 
     def strain_energy_J(self, state: Any) -> float:
-        """Of the body alone, without Nitsche's boundary term."""
+        """Strain energy of the body, without Nitsche's boundary term."""
         raise NotImplementedError
 
     def damping_loss_J(self, before: Any, after: Any, force: Array) -> float:
-        """What Rayleigh damping took in a step with the contact ``force`` (n, 3), in J."""
+        """Energy dissipated by Rayleigh damping in a step with the contact ``force`` (n, 3), in
+        J."""
         raise NotImplementedError
 
     def memory(self) -> dict[str, Array]:
-        """What a march needs to go on from here to the bit, beside state and contact."""
+        """The data, beside state and contact, needed to restart from here bit for bit."""
         return {}
 
     def recall(self, arrays: Mapping[str, Array]) -> None:
-        """Go on from what `memory` gave."""
+        """Restore the data that `memory` returned."""
 
     def normal_force(self, approach: Array) -> Array:
-        """Normal forces per area share (n,) in N that the law asks for at approaches (n, 3), after
-        all that has been marched."""
+        """Normal forces per area share (n,) in N of the law at approaches (n, 3), with its present
+        memory."""
         memory = self.contact.memory[:, 2]
         return self.method.law.force(approach[:, 0], self.tau, self.ground.scale, memory)
 
 
 class Marcher(ContactMarch):
-    """Marches a linear body.
+    """Time stepper of a linear body.
 
-    The effective matrix c_M M + c_K K is factored once; a step costs one solve (two in contact
-    where the section has more coordinates than `MOST_KEPT`), one product with M, and a small
-    problem for the contact forces through the compliance of the contact points.
+    The effective matrix c_M M + c_K K is factored once. A step costs one solve (two in contact if
+    the section has more coordinates than `MOST_KEPT`), one product with M, and a small problem for
+    the contact forces through the compliance of the contact points.
     """
 
     state_type = State
@@ -290,7 +292,7 @@ class Marcher(ContactMarch):
         self.place(Placement.upright(body.contact))
 
     def _load_columns(self) -> SparseOrDense:
-        """What contact pushes along: columns over this rank's unknowns, sparse where rows are."""
+        """Columns of the contact loads over this rank's unknowns, sparse if the rows are."""
         points = self.body.contact
         rows = [points.coordinates, points.traction] if self._symmetric else [points.coordinates]
         if all(issparse(part) for part in rows):
@@ -298,7 +300,7 @@ class Marcher(ContactMarch):
         return np.ascontiguousarray(np.vstack([dense_of(part) for part in rows]).T)
 
     def _factor(self) -> Callable[[Array], Array]:
-        """Solver of the effective matrix, Nitsche's low-rank term by Woodbury's identity."""
+        """Solver of the effective matrix; Nitsche's low-rank term by Woodbury's identity."""
         body, scheme = self.body, self.scheme
         solve = body.factor(self._c_mass, self._c_stiffness)
         if isinstance(body, ModalBody) and body.loss_factor:
@@ -322,9 +324,9 @@ class Marcher(ContactMarch):
         return corrected
 
     def _section_compliance(self) -> Array:
-        """How the section's coordinates answer to loads along them at the end of a step (r, r).
+        """Compliance (r, r) of the section's coordinates at the end of a step.
 
-        With Nitsche, how the approaches along body axes answer to the points' forces (3 n, 3 n).
+        With Nitsche, that of the approaches along body axes to the points' forces (3 n, 3 n).
         """
         points, h, scheme = self.body.contact, self.its_s, self.scheme
         du, dv = scheme.beta * h * h, scheme.gamma * h
@@ -343,14 +345,14 @@ class Marcher(ContactMarch):
         return np.ascontiguousarray(compliance.reshape(n, -1) @ pushes)
 
     def _loads(self, force: Array) -> Array:
-        """Forces (n, 3) along body axes per area share, as amounts of the columns that force."""
+        """Forces (n, 3) along body axes per area share, as amounts of the load columns."""
         points = self.body.contact
         weighted = (points.weights[:, None] * force).ravel()
         loads = points.rows.T @ weighted
         return np.concatenate([loads, -self._symmetric * weighted]) if self._symmetric else loads
 
     def stiffness(self, x: Array) -> Array:
-        """K x with Nitsche's symmetric term."""
+        """K x, Nitsche's symmetric term included."""
         kx = self.body.stiffness(x)
         if self._symmetric == 0.0:
             return kx
@@ -367,11 +369,11 @@ class Marcher(ContactMarch):
         return self.in_frames(moved)
 
     def start(self, t_s: float, u: Array, v: Array) -> State:
-        """State for displacement ``u`` and velocity ``v``, its acceleration from equilibrium.
+        """State for displacement ``u`` and velocity ``v``, with the acceleration of equilibrium.
 
-        The conserving scheme does not depend on the initial acceleration and takes free fall.
-        Raises ComputationError for a body with a loss factor, which a step does not know: the
-        factor has it for the compiled march (time.modal_march) alone.
+        The conserving scheme does not depend on the initial acceleration and uses free fall. Raises
+        ComputationError for a body with a loss factor, which only the compiled march
+        (time.modal_march) supports.
         """
         body = self.body
         if isinstance(body, ModalBody) and body.loss_factor:
@@ -394,9 +396,9 @@ class Marcher(ContactMarch):
         return State(t_s, u, v, mu, mv, approach, a, ma, ku, kv, self.stiffness(a))
 
     def step(self, now: State) -> Step:
-        """The next state and how contact brought it about.
+        """The next state and the contact forces.
 
-        Raises ComputationError where the contact forces do not converge.
+        Raises ComputationError if the contact forces do not converge.
         """
         body, scheme, h = self.body, self.scheme, self.its_s
         part = 1.0 - scheme.alpha_f
@@ -442,12 +444,11 @@ class Marcher(ContactMarch):
         return strain
 
     def damping_loss_J(self, before: State, after: State, force: Array) -> float:
-        """What Rayleigh damping took in a step with the contact ``force`` (n, 3), in J.
+        """Energy dissipated by Rayleigh damping in a step with the contact ``force`` (n, 3), in J.
 
-        By the midpoint rule of the scheme. With Nitsche's method the damping's own traction moves
-        the augmented gap, and the contact force does work on that. It belongs to the material: over
-        a touch, with it the loss is that of penalty, without it it is not. A step of it has either
-        sign.
+        Computed by the scheme's midpoint rule. In Nitsche's method the damping traction moves the
+        augmented gap, so the contact force does work on it. That work counts as material loss; over
+        a touch the loss then equals that of penalty. In a single step it has either sign.
         """
         body = self.body
         v = 0.5 * (before.v + after.v)
@@ -462,7 +463,7 @@ class Marcher(ContactMarch):
         return loss
 
     def tables(self) -> tuple[Modes, Touching]:
-        """What the compiled march reads, for a modal body under the conserving scheme."""
+        """The data of the compiled march, for a modal body under the conserving scheme."""
         body, contact, ground, h = self.body, self.contact, self.ground, self.its_s
         assert isinstance(body, ModalBody)
         if self._modes is None:

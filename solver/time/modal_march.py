@@ -1,7 +1,7 @@
-"""One touch of a modal body under the conserving scheme, marched in compiled code.
+"""One touch of a modal body under the conserving scheme, in compiled code.
 
-The implicit midpoint rule per mode, with the contact forces of contact.solve: what `Marcher` does
-for any body and scheme, for the one case that most drops are.
+The implicit midpoint rule per mode, with the contact forces of contact.solve: the same as `Marcher`
+for the most common case.
 """
 
 from __future__ import annotations
@@ -34,20 +34,20 @@ from ..contact.solve import solve_step
 from ..contact.step import Taken, let_go, take
 from .fixed_point import Secants, new_secants, next_move, remember
 
-# The second-order force of a step is found by Anderson's acceleration, to this share of itself.
-# Contact that opens or closes may lead it astray: after so many turns it starts again from its
-# best, preconditioned by Newton's matrix, and so after every few. A step that asks for more is too
-# long to be right.
+# Anderson acceleration finds the second-order force of a step to the relative tolerance `COUPLED`.
+# Contact that opens or closes may mislead it. After `PLAIN_TURNS` iterations it restarts from its
+# best, preconditioned by Newton's matrix, and again every `RESTART_EVERY`. A step that needs more
+# than the limit is too long to be accurate.
 COUPLED, PLAIN_TURNS, RESTART_EVERY, COUPLING_LIMIT = 1e-9, 25, 10, 65
 RELEASED, UNTIL, TOO_LONG, NOT_CONVERGED, NOT_FINITE = 0, 1, 2, 3, 4
 
 
 class Modes(NamedTuple):
-    """A body's modes and contact points, and how they answer over a step of ``its`` s.
+    """A body's modes and contact points, and their compliance over a step of ``its`` s.
 
     ``along`` (r, modes) are the section's coordinates, ``support`` and ``shapes`` as in
     ContactPoints; ``tip`` (3, modes) is the section's mean displacement. ``compliance`` is
-    Marcher's, ``axis`` bodies.axis'. ``admittance`` (modes,) = 1/(1 + ½ h c + ¼ h² ω²).
+    Marcher's, ``axis`` that of bodies.axis. ``admittance`` (modes,) = 1/(1 + ½ h c + ¼ h² ω²).
     """
 
     its: float
@@ -66,7 +66,7 @@ class Modes(NamedTuple):
 
 
 class Touching(NamedTuple):
-    """The contact law at the points, and where the body stands: see Marcher and Placement."""
+    """The contact law at the points, and the body's placement: see Marcher and Placement."""
 
     points: Points
     frames: Array
@@ -78,8 +78,8 @@ class Touching(NamedTuple):
 
 
 class MarchLimits(NamedTuple):
-    """Until when to march: all points clear after ``wait`` s, or past ``until`` s, in at most
-    ``limit`` steps. ``history`` says whether to keep it."""
+    """End of a march: all points clear after ``wait`` s, or ``until`` s, or ``limit`` steps.
+    ``history`` says whether to record it."""
 
     wait: float
     until: float
@@ -88,11 +88,11 @@ class MarchLimits(NamedTuple):
 
 
 class Marched(NamedTuple):
-    """What a march gave.
+    """Result of a march.
 
-    ``push`` (3,) is the impulse along body axes, ``approach`` (n, 3) the last one, ``memory``
-    (n, 3) that of `Trial`; ``history`` (steps + 1, 4) has heights of tip and centre, force and
-    penetration, where it was asked for.
+    ``push`` (3,) is the impulse along body axes, ``approach`` (n, 3) the last one, ``memory`` (n,
+    3) that of `Trial`. ``history`` (steps + 1, 4), if recorded, has heights of tip and centre,
+    force and penetration.
     """
 
     status: int
@@ -113,11 +113,10 @@ class Marched(NamedTuple):
 
 class Work(NamedTuple):
     """Arrays (modes,) of one step: the state (u, v) before it, the displacement ``later``, the mean
-    acceleration ``a`` with contact and ``free`` without, gravity's ``pull``; the ``loads`` of
-    contact on the section (r,) and, ``pushed``, on modes; of a body of second order its force
-    ``bend``, what its axis sees ``before`` and ``after``, ``secants``, the ``best`` force so far,
-    and the inverse of Newton's matrix (modes, modes) as a ``preconditioner``, if one has been
-    ``made`` (1,)."""
+    acceleration ``a`` with contact and ``free`` without, gravity's ``pull``; the contact ``loads``
+    on the section (r,) and, ``pushed``, on modes. For a second-order body also its force ``bend``,
+    the axis' rows times u ``before`` and ``after``, ``secants``, the ``best`` force so far, and the
+    inverse of Newton's matrix (modes, modes) as ``preconditioner``, valid if ``made`` (1,)."""
 
     u: Array
     v: Array
@@ -142,7 +141,7 @@ def approaches(
 ) -> float:
     """Write the approach of every point along the first ``axes`` of its local frame (n, 3).
 
-    Returns the greatest along the normal.
+    Returns the greatest one along the normal.
     """
     z, most = section.room.z, -math.inf
     np.dot(along, u, z)
@@ -155,7 +154,7 @@ def approaches(
 
 @njit
 def _new_work(modes: Modes, touching: Touching, u: Array, v: Array) -> Work:
-    """The arrays of a first step; a body of second order sees its own shortening in (u, v)."""
+    """The arrays of a first step; in a second-order body (u, v) include its shortening."""
     m = len(u)
     bent = m if len(modes.axis.weights) else 0
     if bent:
@@ -186,7 +185,8 @@ def _new_work(modes: Modes, touching: Touching, u: Array, v: Array) -> Work:
 def _solve(
     modes: Modes, touching: Touching, section: Section, trial: Trial, work: Work, deepest: float
 ) -> tuple[bool, bool]:
-    """Find the step's force and acceleration; whether they converged, and whether contact acts.
+    """Find the step's force and acceleration; returns whether they converged, and whether contact
+    acts.
 
     ``deepest`` is the greatest approach at its start.
     """
@@ -197,7 +197,7 @@ def _solve(
         elastic_pull = modes.omega2[j] * u[j]
         damped = (modes.damping[j] + 0.5 * h * modes.omega2[j]) * v[j]
         work.free[j] = admittance[j] * (work.pull[j] - elastic_pull - damped)
-    # without friction nobody asks for tangential approaches
+    # without friction no tangential approaches are needed
     axes = 3 if points.mu > 0.0 else 1
     loads, pushed, touches, before, move = work.loads, work.pushed, False, bend, bend
     least, restarted = math.inf, False
@@ -267,7 +267,7 @@ def _newton_matrix(
 
 @njit
 def _damp(modes: Modes, work: Work, fast: Array) -> float:
-    """Write the velocity ``fast`` at the end of a step; returns what damping took in it."""
+    """Write the velocity ``fast`` at the end of a step; returns the energy lost to damping."""
     loss = 0.0
     if len(modes.axis.weights):
         loss = second_order_loss(modes.axis, work.before, work.after, modes.its)
@@ -280,7 +280,7 @@ def _damp(modes: Modes, work: Work, fast: Array) -> float:
 
 @njit
 def _longer(rows: Array, count: int) -> Array:
-    """The ``rows``, or twice as many where ``count`` do not fit."""
+    """The ``rows``, or a copy with twice as many if ``count`` do not fit."""
     return rows if count <= len(rows) else np.concatenate((rows, np.zeros_like(rows)))
 
 
@@ -288,7 +288,7 @@ def _longer(rows: Array, count: int) -> Array:
 def march(
     modes: Modes, touching: Touching, u: Array, v: Array, memory: Array, limits: MarchLimits
 ) -> Marched:
-    """March from the state (u, v), the law remembering ``memory`` (n,).
+    """March from the state (u, v), with the law's ``memory`` (n,).
 
     Times count from the start.
     """
@@ -303,7 +303,7 @@ def march(
     none = np.zeros((n, 3))
     trial = Trial(none.copy(), none.copy(), none.copy(), none.copy(), none.copy(), none.copy())
     trial.memory[:, 2] = memory
-    owned = (section, trial, work)  # until the end, whoever looks at them
+    owned = (section, trial, work)  # keeps the arrays alive while views of them are used
     section, trial, work = unowned(section), unowned(trial), unowned(work)
     axes = 3 if points.mu > 0.0 else 1
     deepest = approaches(modes.along, section, touching.gaps, work.u, axes, trial.start)

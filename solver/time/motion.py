@@ -1,8 +1,8 @@
-"""Motion of a modal body in flight: rigid motion exactly, ringing in closed form on top. Compiled.
+"""Free flight of a modal body: exact rigid motion with vibration in closed form, compiled.
 
-The frame of the body floats with its rigid motion; the ringing is small against it, and what the
-frame's rotation does to the ringing (Coriolis and centrifugal forces, of the order of the angular
-velocity over the frequency of bending) is left out.
+The body's frame floats with its rigid motion, and the vibration is small relative to it. Coriolis
+and centrifugal effects of the frame's rotation on the vibration are neglected; they are of the
+order of the angular velocity over the frequency of bending.
 """
 
 from __future__ import annotations
@@ -19,19 +19,20 @@ from ..compiled import njit
 from ..rigid import fallen, free_rotation, matrix_of, product, turn
 
 Complex = NDArray[np.complex128]
-# Splits of a critically damped mode's two roots, and motion beyond a rigid one, that are rounding.
+# Relative split of a critically damped mode's roots, and displacement beyond a rigid one, that
+# count as rounding.
 SPLIT, ROUNDING = 1e-12, 1e-12
 
 
 class Seen(NamedTuple):
-    """Some points of the end section, as a flight looks at them.
+    """Some points of the end section, for searches along a flight.
 
-    Point i stands at ``places[i]`` (3,) and is displaced by three ``rows`` (3 n, k) times the
-    section's coordinates (by the coordinates themselves where there are no rows). Elastic motion by
-    exponential j moves these by ``along[j]`` (k,) times its displacement and by ``quick[j]`` times
-    its speed (no columns where speed moves nothing). A unit of it moves no point by more than
-    ``reach[j]``, along the axis by ``reach_up[j]``; what the coordinates leave out is at most
-    ``rest[j]``. ``far`` and ``wide`` are the greatest distances along and from the axis, in m.
+    The unstrained position of point i is ``places[i]`` (3,). Its displacement is its three ``rows``
+    (3 n, k) times the section's coordinates, or the coordinates themselves if there are no rows.
+    Exponential j changes these by ``along[j]`` (k,) times its displacement and ``quick[j]`` times
+    its speed (no columns if speed has no effect). A unit of it moves no point by more than
+    ``reach[j]``, along the axis ``reach_up[j]``; what the coordinates omit is at most ``rest[j]``.
+    ``far`` and ``wide`` are the greatest distances along and from the axis, in m.
     """
 
     places: Array
@@ -46,12 +47,12 @@ class Seen(NamedTuple):
 
 
 class Flyer(NamedTuple):
-    """What flight needs to know of a body, see ModalBody; the same for all its flights.
+    """Data of a body for all its flights, see ModalBody.
 
     Elastic mode i moves by u_i(t) = Re Σ amount exp(power t) over the exponentials (e,) with
-    ``modes`` = i, an amount being ``by_u`` u_i(0) + ``by_v`` v_i(0); they are ordered by the size
-    of their ``powers``. Searches see the end section as ``rigid``, or all its ``points``; ``tip``
-    is its middle. ``alpha`` damps rigid motion.
+    ``modes`` = i. An amount is ``by_u`` u_i(0) + ``by_v`` v_i(0). The exponentials are ordered by
+    the size of their ``powers``. Searches use the end section as ``rigid`` or all its ``points``;
+    ``tip`` is its middle. ``alpha`` damps rigid motion.
     """
 
     omega2: Array
@@ -69,8 +70,8 @@ class Flyer(NamedTuple):
 
 
 class Stance(NamedTuple):
-    """A body where it is: position (3,) and attitude (4,), and displacement and velocity (modes,)
-    on top of these."""
+    """State of a body: position (3,) and attitude (4,), and displacement and velocity (modes,)
+    relative to them."""
 
     position: Array
     attitude: Array
@@ -79,13 +80,13 @@ class Stance(NamedTuple):
 
 
 class Motion(NamedTuple):
-    """A body in flight at its start, in the world's axes; its ringing as ``amounts`` (e,) of the
-    flyer's exponentials, of the sizes ``loud`` (e,).
+    """A flight, by its initial state in the world's axes. Its vibration has the ``amounts`` (e,) of
+    the flyer's exponentials, with absolute values ``loud`` (e,).
 
-    Quadratic drag ``drag`` (1/m, over mass) acts on vertical motion. However the body turns, its
-    angular velocity stays below ``tumbling`` across the axis and ``twirling`` about it, its angular
-    acceleration below ``swerving``, and no place on the axis 1 m from the centre is accelerated by
-    more than ``swinging``.
+    Quadratic drag ``drag`` (1/m, over mass) acts on vertical motion. The others are bounds: on
+    angular velocity across the axis (``tumbling``) and about it (``twirling``), on angular
+    acceleration (``swerving``), and on the acceleration of a place on the axis 1 m from the centre
+    (``swinging``).
     """
 
     position: Array
@@ -104,7 +105,7 @@ class Motion(NamedTuple):
 
 
 def flyer(body: ModalBody, tau_m_N: float = 0.0) -> Flyer:
-    """A body as flight sees it: its contact points, or with ``tau_m_N`` minus their approach
+    """Data of a body for flight: its contact points, or with ``tau_m_N`` minus their approach
     (contact.enforcement)."""
     points = body.contact
     places = np.ascontiguousarray(points.places_m, dtype=float)
@@ -118,7 +119,7 @@ def flyer(body: ModalBody, tau_m_N: float = 0.0) -> Flyer:
         places: Array, rows: Array, along: Array, moved: Array, speed: tuple[Array, Array] | None
     ) -> Seen:
         """Of points that modes move by ``moved`` (3 n, modes), and by ``speed``, coordinates and
-        points, where their rates count too."""
+        points, if their rates matter too."""
         quick: Array = np.zeros((len(powers), 0))
         reach, reach_up = _greatest(moved)[modes], _greatest(moved, 2)[modes]
         rest = _beyond(moved, rows, along)[modes]
@@ -173,12 +174,13 @@ def _exponentials(
     elastic = np.flatnonzero(omega2 > 0.0)
     w2, c = omega2[elastic], damping[elastic]
     inside = c * c - 4.0 * w2
-    # critically damped modes have no second exponential; split roots err by the split squared
+    # critically damped modes have no second exponential; with split roots the error is the split
+    # squared
     inside = np.where(np.abs(inside) < SPLIT * c * c, SPLIT * c * c, inside)
     rings, root = inside < 0.0, np.sqrt(np.abs(inside))
     ringing = -0.5 * c[rings] + 0.5j * root[rings]
     fast = -0.5 * (c + root)[~rings] + 0.0j
-    slow = w2[~rings] / fast  # free of cancellation
+    slow = w2[~rings] / fast  # without cancellation
     powers = np.concatenate([ringing, fast, slow])
     by_u = np.concatenate(
         [1.0 + 1j * ringing.real / ringing.imag, -slow / (fast - slow), fast / (fast - slow)]
@@ -203,14 +205,14 @@ def _greatest(moved: Array, first: int = 0) -> Array:
 
 
 def _beyond(moved: Array, rows: Array, along: Array) -> Array:
-    """Greatest displacement (modes,) beyond what coordinates have; zero where it is rounding."""
+    """Greatest displacement (modes,) outside the coordinates; zero if it is rounding."""
     left = _greatest(moved - (rows @ along if rows.size else along))
     return np.where(left > ROUNDING * _greatest(moved), left, 0.0)
 
 
 @njit
 def rigid_part(flyer: Flyer, x: Array) -> tuple[Array, Array]:
-    """Translation and rotation (3,) in body axes that modal coordinates ``x`` hold."""
+    """Translation and rotation (3,) in body axes contained in modal coordinates ``x``."""
     shift, angle = flyer.translation.T @ x, flyer.rotation.T @ x
     for k in range(3):
         size = (flyer.translation[:, k] ** 2).sum()
@@ -226,11 +228,11 @@ def _over(value: float, by: float) -> float:
 
 @njit
 def turning_bounds(inertia: Array, spin: Array) -> tuple[float, float, float, float]:
-    """The bounds of a `Motion` on turning, from energy and angular momentum, which stay.
+    """The bounds of a `Motion` on rotation, from the conserved energy and angular momentum.
 
-    With 2 E = Σ I w² and L² = Σ I² w²: 2 E bounds the spin across the axis, and
-    2 E I_x - L² = I_y (I_x - I_y) w_y² + I_z (I_x - I_z) w_z², with I_x the greater of the moments
-    across it, the spin about it.
+    With 2 E = Σ I w² and L² = Σ I² w²: 2 E bounds the spin across the axis, and 2 E I_x - L² = I_y
+    (I_x - I_y) w_y² + I_z (I_x - I_z) w_z², with I_x the greater of the moments across it, the spin
+    about it.
     """
     x, y, z = inertia[0], inertia[1], inertia[2]
     twice_energy = (inertia * spin**2).sum()
@@ -247,15 +249,15 @@ def turning_bounds(inertia: Array, spin: Array) -> tuple[float, float, float, fl
         + (_over(abs(z - x), y) * both) ** 2
         + (0.5 * _over(abs(x - y), z) * twice) ** 2
     )
-    # on the axis what a spin about it does to the tumbling nearly cancels what it does to a point
-    # that tumbles
+    # for a point on the axis the effect of a spin about it on the tumbling nearly cancels that on
+    # the point
     left_over = max(_over(abs(z - x + y), y), _over(abs(y - z - x), x))
     return tumbling, twirling, swerving, math.hypot(left_over * both, twice)
 
 
 @njit
 def launch(flyer: Flyer, start: Stance, gravity: float, drag: float) -> Motion:
-    """The flight from a ``start``, the rigid part of whose state moves its pose."""
+    """The flight from a ``start``; the rigid part of its state moves its pose."""
     position, attitude, u, v = start
     shift, angle = rigid_part(flyer, u)
     speed, spin = rigid_part(flyer, v)
@@ -299,9 +301,9 @@ def turned(motion: Motion, t: float) -> tuple[Array, Array]:
 
 @njit
 def landing(motion: Motion, t: float) -> Stance:
-    """Where the body is at ``t``.
+    """State of the body at ``t``.
 
-    The displacement is elastic alone; the velocity has the rigid one too.
+    The displacement is only elastic; the velocity includes the rigid one.
     """
     flyer = motion.flyer
     position, velocity = centre(motion, t)

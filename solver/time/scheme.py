@@ -1,4 +1,4 @@
-"""Which time scheme: the generalised-alpha family, Newmark's among it."""
+"""Time schemes of the generalised-alpha family, Newmark's among them."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ from dataclasses import dataclass
 class TimeScheme:
     """Constants of generalised-alpha (Chung and Hulbert, J. Appl. Mech. 60, 1993, Eqs. 2 to 6).
 
-    Equilibrium M a(1-αm) + C v(1-αf) + K u(1-αf) = f(1-αf), Newmark's formulas with β and γ for u
-    and v. ``conserving`` takes the contact force as the discrete gradient of its potential; it
-    asks for equilibrium at mid-step with γ = ½, β = ¼, where a linear body conserves energy too.
+    Equilibrium is M a(1-αm) + C v(1-αf) + K u(1-αf) = f(1-αf), with Newmark's formulas (β, γ) for u
+    and v. ``conserving`` takes the contact force as the discrete gradient of its potential. It
+    requires equilibrium at mid-step with γ = ½, β = ¼, where a linear body conserves energy too.
     """
 
     name: str
@@ -31,7 +31,7 @@ class TimeScheme:
             raise ValueError("generalised-alpha is stable for alpha_m <= alpha_f <= 1/2 only")
 
     def effective(self, its_s: float, alpha_1_s: float, beta_s: float) -> tuple[float, float]:
-        """c_M and c_K (s²) of the effective matrix c_M M + c_K K that a step solves with.
+        """c_M and c_K (s²) of a step's effective matrix c_M M + c_K K.
 
         Their ratio c_M / c_K (1/s²) is the shift of a Krylov basis made for this march.
         """
@@ -45,14 +45,14 @@ class TimeScheme:
     def average(cls) -> TimeScheme:
         """Average acceleration with equilibrium at mid-step: the default; conserves energy.
 
-        For a linear body it is Newmark's average acceleration; contact enters by its discrete
-        gradient, so a changing contact set makes no energy.
+        For a linear body it is Newmark's average acceleration. Contact enters by its discrete
+        gradient, so a changing contact set does not create energy.
         """
         return cls("average", 0.5, 0.5, 0.25, 0.5, conserving=True)
 
     @classmethod
     def newmark(cls) -> TimeScheme:
-        """Newmark's average acceleration as most codes have it: contact at the end of the step."""
+        """Newmark's average acceleration as in most codes: contact at the end of the step."""
         return cls("newmark", 0.0, 0.0, 0.25, 0.5)
 
     @classmethod

@@ -1,11 +1,11 @@
-"""The next touch of a body in flight, and the greatest height of its tip. Compiled.
+"""Search for the next touch of a body in flight, and for the greatest height of its tip; compiled.
 
-An instant with clearance c, rate c' and a bound M on the second derivative is followed by a time in
-which c + c' t - ½ M t² stays positive (conservative advancement: Mirtich, PhD thesis, Berkeley
-1996). Near the ground that time goes to zero, and the shortest step is one in which nothing can dip
-below by more than `TOUCH_SEARCH_M`: between two instants at which the clearance is above zero, w
-apart, it is less than M w²/8 below it. So the search passes over no touch deeper than that and what
-ringing it leaves out, and takes no more than √(M/8 `TOUCH_SEARCH_M`) steps a second.
+At an instant with clearance c, rate c' and a bound M on the second derivative, the search advances
+by a time in which c + c' t - ½ M t² stays positive (conservative advancement: Mirtich, PhD thesis,
+Berkeley 1996). That time vanishes near the ground, so a shortest step is set. Between two instants
+w apart with positive clearance, the clearance is at least -M w²/8; the shortest step keeps this
+within `TOUCH_SEARCH_M`. So the search misses no touch deeper than that plus the vibration it omits,
+and takes at most √(M/8 `TOUCH_SEARCH_M`) steps a second.
 """
 
 from __future__ import annotations
@@ -20,29 +20,31 @@ from ..compiled import njit
 from ..rigid import free_rotation, matrix_of
 from .motion import Motion, Seen, centre, swung
 
-# What ringing a search may leave out, and dips between its steps; roots and maxima are refined with
+# Vibration that a search may omit, and dips between its steps; roots and maxima are refined with
 # all but rounding.
 TOUCH_SEARCH_M, APEX_SEARCH_M, ROUNDING_M = 1e-8, 5e-8, 1e-13
-# Exponents below which an exponential is nothing.
+# Exponent below which an exponential counts as zero.
 GONE = -80.0
-# Ringing stays out of sight while it is less than this share of the clearance.
+# Vibration is omitted while it is less than this share of the clearance.
 OUT_OF_SIGHT = 0.25
-# A step is at most so many times the one before: its bound asks how far the body turns meanwhile.
+# Largest ratio of a step to the last one; its bound depends on the rotation meanwhile.
 LONGER = 8.0
 ROOT_STEPS = 100
-# How far a maximum may rise between two samples that look for it, and how many look first.
+# Rise of a maximum between two samples that a search may miss, and numbers of first samples and of
+# refinements.
 APEX_SAG_M, LOOKS, REFINEMENTS = 1e-7, 8, 8
-# Samples are taken in blocks, of so many each; a block's turning is a quadratic in time to θ³/27.
+# Samples come in `BLOCKS` blocks of `LANES`; the rotation within a block is a quadratic in time to
+# θ³/27.
 BLOCKS, LANES, TURN_RAD = 8, 32, 0.01
-# They are taken after so many steps that were shorter than this times their spacing.
+# Sampling starts after `CROWDED` steps shorter than `SHORT` times the spacing of samples.
 CROWDED, SHORT = 3, 4.0
 
 
 class Look(NamedTuple):
     """The smallest clearance at an instant, its rate, and a time without touch.
 
-    The clearance may be off by ``slack``, and its second derivative is no more than ``bending``
-    either way for as long as the look was to hold.
+    The clearance may be off by ``slack``. The size of its second derivative is at most ``bending``
+    within the horizon of the look.
     """
 
     clear: float
@@ -54,7 +56,8 @@ class Look(NamedTuple):
 
 @njit
 def start_clock(motion: Motion) -> Array:
-    """Time, attitude (4,) and spin (3,) of the latest look, from which the next one turns on."""
+    """Time, attitude (4,) and spin (3,) of the latest look, from which the next continues the
+    rotation."""
     clock = np.zeros(8)
     clock[1:5], clock[5:] = motion.attitude, motion.spin
     return clock
@@ -85,9 +88,9 @@ def look(
     allowed: float,
     horizon: float,
 ) -> Look:
-    """How far points are from the planes ``normals`` (n, 3) · x = ``offsets`` (n,) at ``t``.
+    """Smallest clearance at ``t`` over the planes ``normals`` (n, 3) · x = ``offsets`` (n,).
 
-    Ringing of up to ``allowed`` is left out, the fastest first. The bound on the second derivative
+    Vibration of up to ``allowed`` is omitted, the fastest first. The bound on the second derivative
     holds for the time ``horizon``. ``clock`` is that of `start_clock`.
     """
     flyer = motion.flyer
@@ -140,18 +143,18 @@ def look(
 
 @njit
 def _bending(motion: Motion, seen: Seen, slant: float, swings: float, rushes: float) -> float:
-    """A bound on the clearance's acceleration beyond gravity's and that of ringing in a body that
-    does not turn, from how far the ringing moves and how fast."""
+    """Bound on the clearance's acceleration beyond gravity's and that of vibration in a body
+    without rotation, from the size and speed of the vibration."""
     alpha, gravity, v = motion.flyer.alpha, motion.gravity, motion.velocity
     spin = math.hypot(motion.tumbling, motion.twirling)
     total = seen.far * motion.swinging + seen.wide * (spin * spin + motion.swerving)
-    # what rings across the axis comes along the normal as the axis turns, or the body about it
+    # vibration across the axis gets a normal component as the axis turns, or the body about it
     swept = motion.tumbling + motion.twirling * min(slant, 1.0)
     total += 2.0 * swept * rushes + (swept * spin + motion.swerving) * swings
     if alpha > 0.0:
         total += gravity + alpha * math.sqrt(v[0] ** 2 + v[1] ** 2 + v[2] ** 2)
         total += alpha * spin * (seen.far + seen.wide + swings)
-    if motion.drag > 0.0:  # no faster than at the start, or than it falls in the end
+    if motion.drag > 0.0:  # no faster than at the start or than the final speed of fall
         total += gravity + motion.drag * v[2] * v[2]
     return total
 
@@ -165,9 +168,11 @@ def _nearest(
     rotation: Array,
     ringing: tuple[Array, Array, float, float],
 ) -> tuple[float, float, float]:
-    """The smallest clearance, its rate and the time without touch, of the body at ``rigid``
-    (position, velocity, spin) whose coordinates move by ``ringing`` (displacement, speed, slack,
-    bending)."""
+    """The smallest clearance, its rate and the time without touch.
+
+    The body is at ``rigid`` (position, velocity, spin), and its coordinates move by ``ringing``
+    (displacement, speed, slack, bending).
+    """
     position, velocity, spin = rigid
     moved, speed, slack, bending = ringing
     if seen.rows.size:
@@ -212,9 +217,9 @@ def _closely(
     horizon: float,
     least: float,
 ) -> Look:
-    """A look that leaves out no more than its clearance allows, or ``least``.
+    """A look that omits at most what its clearance allows, or ``least``.
 
-    About ``expected`` is guessed. The first of ``seen`` serves unless it leaves out too much.
+    ``expected`` is a guess of the clearance. The first of ``seen`` serves unless it omits too much.
     """
     which, allowed = seen[0], max(0.5 * least, OUT_OF_SIGHT * expected)
     while True:
@@ -229,10 +234,9 @@ def _closely(
 
 @njit
 def next_touch(motion: Motion, normals: Array, offsets: Array, until: float) -> float:
-    """The first time in (0, ``until``] at which a point comes down through its plane, or infinity.
+    """The first time in (0, ``until``] at which a point crosses its plane downward, or infinity.
 
-    A point that starts below its plane, on its way up, touches when it turns down before it got
-    out.
+    A point that starts below its plane, moving up, touches when it turns down before it got out.
     """
     seen, planes = (motion.flyer.rigid, motion.flyer.points), (normals, offsets)
     t, step, expected, clock = 0.0, 0.0, 0.0, start_clock(motion)
@@ -249,7 +253,7 @@ def next_touch(motion: Motion, normals: Array, offsets: Array, until: float) -> 
             return math.inf
         above, before = above or now.clear > 0.0, now.clear
         shortest = _spacing(now, TOUCH_SEARCH_M, horizon)
-        if now.clear <= 0.0:  # on its way out, until it turns
+        if now.clear <= 0.0:  # moving out, until it turns
             shortest = min(shortest, until / 8.0)
         step = min(max(shortest, now.safe), until - t)
         t = t + step if step < until - t else until
@@ -258,7 +262,7 @@ def next_touch(motion: Motion, normals: Array, offsets: Array, until: float) -> 
 
 @njit
 def _spacing(now: Look, dip: float, horizon: float) -> float:
-    """A time between looks in which no clearance dips by more than ``dip`` below both."""
+    """Time between looks in which no clearance dips by more than ``dip`` below both."""
     return min(math.sqrt(8.0 * dip / now.bending), horizon) if now.bending > 0.0 else horizon
 
 
@@ -266,10 +270,10 @@ def _spacing(now: Look, dip: float, horizon: float) -> float:
 def _root(
     motion: Motion, normals: Array, offsets: Array, clock: Array, left: float, right: float
 ) -> float:
-    """Where the lowest clearance falls through zero about [left, right], or infinity: Newton's
-    method, kept in a bracket.
+    """Time at which the lowest clearance falls through zero about [left, right], or infinity.
 
-    What saw the fall may have left something out, so that the bracket may have to be widened.
+    Bracketed Newton's method. The look that saw the fall may have omitted vibration, so the bracket
+    may have to be widened.
     """
     furthest, at, bracketed = right + (right - left), right, False
     for _ in range(ROOT_STEPS):
@@ -296,17 +300,17 @@ def _root(
 def after_release(
     motion: Motion, normals: Array, offsets: Array, slowest: float
 ) -> tuple[float, bool]:
-    """How long until the next touch, or one cannot be missed any more; and whether the impact is
-    over by then.
+    """Time to the next touch, or a time by which it must have come, and whether the impact has then
+    ended.
 
-    It is over where the centre of mass has turned to fall, or falls on and the body, whose
-    ``slowest`` mode has that period, has had time to ring and not come back. A tip that rings down
+    It has ended if the centre of mass has turned to fall. If the centre was falling already, the
+    body must have stayed clear for one period of its ``slowest`` mode. A tip that vibrates down
     while the centre still rises belongs to the same impact.
     """
     gravity, rising, points = motion.gravity, motion.velocity[2], motion.flyer.points
     ringing = (motion.loud * points.reach).sum()
     longest = 2.0 * max(rising, 0.0) / gravity + math.sqrt(8.0 * ringing / gravity) + 1e-3
-    # as long as turning can keep the tip up
+    # rotation can keep the tip up for this long
     longest += 2.0 * math.sqrt(8.0 * points.far / gravity)
     if motion.drag > 0.0:  # acosh(exp(k h)) <= √(2 k h) + k h
         height = 0.5 * rising * rising / gravity + ringing + 2.0 * points.far
@@ -319,7 +323,7 @@ def after_release(
 
 @njit
 def top_of_centre(motion: Motion, until: float) -> tuple[float, float]:
-    """Time and height of the highest place of the centre of mass in [0, ``until``]."""
+    """Time and greatest height of the centre of mass in [0, ``until``]."""
     speed, gravity, alpha = motion.velocity[2], motion.gravity, motion.flyer.alpha
     rise = 0.0
     if speed > 0.0:
@@ -335,24 +339,24 @@ def top_of_centre(motion: Motion, until: float) -> tuple[float, float]:
 
 @njit
 def _ceiling(height: float) -> tuple[Array, Array]:
-    """The plane at a ``height``, looked at from below."""
+    """The plane at a ``height``, seen from below."""
     return np.array([[0.0, 0.0, -1.0]]), np.array([-height])
 
 
 @njit
 def _below(motion: Motion, clock: Array, t: float, allowed: float) -> Look:
-    """How far the middle of the tip is below the height zero."""
+    """Distance of the tip's middle below the height zero."""
     normals, offsets = _ceiling(0.0)
     return look(motion, motion.flyer.tip, normals, offsets, clock, t, allowed, 0.0)
 
 
 @njit
 def apex(motion: Motion, until: float) -> tuple[float, float]:
-    """Time and height of the highest place of the tip's middle in [0, ``until``].
+    """Time and greatest height of the tip's middle in [0, ``until``].
 
-    It is the touch with a ceiling at the best height so far. Times from which the height could not
-    reach that are stepped over, the others sampled so finely that no maximum rises by more than
-    `APEX_SAG_M` between samples. A coarse look makes the best good from the start.
+    It is the touch with a ceiling at the best height so far. Times from which the tip could not
+    reach that height are skipped. The others are sampled so finely that no maximum between samples
+    rises by more than `APEX_SAG_M`. First, a few coarse samples provide a good best height.
     """
     best, best_t, clock = -math.inf, 0.0, start_clock(motion)
     tip = motion.flyer.tip, motion.flyer.tip
@@ -391,8 +395,8 @@ def apex(motion: Motion, until: float) -> tuple[float, float]:
 
 @njit
 def _rigid_height(motion: Motion, clock: Array, t: float) -> Array:
-    """The world's vertical along body axes, then the height of the centre of mass; beneath them
-    their rates (2, 4)."""
+    """The world's vertical in body axes and the height of the centre of mass, then their rates (2,
+    4)."""
     flyer, out = motion.flyer, np.empty((2, 4))
     attitude, spin = free_rotation(clock[1:5], clock[5:], flyer.inertia, flyer.alpha, clock[0], t)
     clock[0], clock[1:5], clock[5:] = t, attitude, spin
@@ -407,10 +411,10 @@ def _rigid_height(motion: Motion, clock: Array, t: float) -> Array:
 @njit
 def _sampled(motion: Motion, clock: Array, t: float, lasts: float) -> tuple[float, float]:
     """The greatest height of the tip's middle at `BLOCKS` times `LANES` instants from ``t`` on, and
-    when it is.
+    its time.
 
-    An exponential at an instant is that at the start of the block times that of the time since, so
-    that a matrix product has them all. Within a block the attitude is a quadratic in time.
+    An exponential at an instant is its value at the block's start times that of the time since, so
+    a matrix product gives them all. Within a block the attitude is a quadratic in time.
     """
     flyer, tip = motion.flyer, motion.flyer.tip
     lane, block = lasts / (BLOCKS * LANES), lasts / BLOCKS
@@ -451,8 +455,8 @@ def _sampled(motion: Motion, clock: Array, t: float, lasts: float) -> tuple[floa
 
 @njit
 def _highest(motion: Motion, left: float, best: float, right: float) -> tuple[float, float]:
-    """Time and height of the highest place between ``left`` and ``right``, about ``best``: where
-    the rate of rise is zero, by false position."""
+    """Time and greatest height between ``left`` and ``right``, about ``best``: the zero of the rate
+    of rise, by false position."""
     t, top, top_t = best, -math.inf, best
     other, other_fall, clock = best, 0.0, start_clock(motion)
     for step in range(REFINEMENTS):

@@ -1,4 +1,4 @@
-"""Tangent of a finite-strain step: its factor, and how the contact points answer through it."""
+"""Tangent of a finite-strain step: its factor, and the compliance of the contact points."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ class Tangent:
     """A body linearised about an increment ``d`` from a displacement ``u``.
 
     ``compliance`` is that of `ContactMarch`. The columns ``to_points`` (n_local, r) are responses
-    to loads along the section's coordinates, ``to_tractions`` (n_local, 3 n) those of Nitsche's
-    method to forces along what its tractions work on, and ``tractions`` gives how these change
-    (3 n,) with a motion; both are None without that method.
+    to loads along the section's coordinates. For Nitsche's method ``to_tractions`` (n_local, 3 n)
+    are those to forces that work on its tractions, and ``tractions`` gives the tractions' change (3
+    n,) with a motion; else both are None.
     """
 
     u: Array
@@ -37,11 +37,11 @@ class Tangent:
 
 
 class Tangents:
-    """The tangents of all marches of a solid that share forms, time step and Nitsche's constants.
+    """The tangents of all steppers of a solid that share forms, time step and Nitsche's constants.
 
-    None depends on contact law, friction or ground. That of the unstrained body is the effective
-    matrix of small strain: the body has its factor already, and it is kept here with its responses.
-    One more is kept, the latest, in a factor of MUMPS' that is this object's own. ``surface`` has
+    None depends on contact law, friction or ground. The tangent of the unstrained body is the
+    small-strain effective matrix; the body has its factor, and its responses are cached here. Only
+    the latest other tangent is cached, in a MUMPS factor that this object owns. ``surface`` has
     Nitsche's tractions, ``tau`` and ``theta`` its constants. ``close`` frees what PETSc holds.
     """
 
@@ -63,9 +63,9 @@ class Tangents:
         self._latest: Tangent | None = None
 
     def at(self, u: Array, d: Array) -> Tangent:
-        """The tangent at an increment ``d`` from ``u``, which serves until the next; collective.
+        """The tangent at an increment ``d`` from ``u``, valid until the next call; collective.
 
-        Raises ComputationError where the factor cannot be made.
+        Raises ComputationError if the factor cannot be made.
         """
         forms, solid = self._forms, self._solid
         for function, values in ((forms.u, u), (forms.v, 0.0 * u), (forms.d, d)):
@@ -81,7 +81,7 @@ class Tangents:
         return self._latest
 
     def has(self, tangent: Tangent) -> bool:
-        """Whether a ``tangent`` still serves."""
+        """Whether a ``tangent`` is still valid."""
         return tangent in (self._unstrained, self._latest)
 
     def close(self) -> None:
@@ -92,7 +92,7 @@ class Tangents:
         self._owned = ()
 
     def _factor(self) -> None:
-        """Factor the tangent at what the forms hold."""
+        """Factor the tangent at the present data of the forms."""
         if self._solver is None:
             self._matrix = fem_petsc.create_matrix(self._form)
             self._right, self._left = self._matrix.createVecs()
@@ -114,7 +114,7 @@ class Tangents:
         return np.array(self._left.array)
 
     def _made(self, u: Array, d: Array, solve: Callable[[Array], Array]) -> Tangent:
-        """What contact needs of the body, whose factor ``solve`` has."""
+        """The tangent with the responses that contact needs, given its factor's ``solve``."""
         points = self._solid.contact
         loads = points.coordinates.T.toarray(order="F")
         if self._surface is None:
@@ -133,7 +133,7 @@ class Tangents:
     def _with_tractions(
         self, surface: TipTractions, solve: Callable[[Array], Array]
     ) -> tuple[Callable[[Array], Array], Array, Callable[[Array], Array]]:
-        """A solver that knows Nitsche's symmetric term, to the accuracy that the tangent has, and
+        """A solver that includes Nitsche's symmetric term, to the accuracy of the tangent, and
         `Tangent`'s ``to_tractions`` and ``tractions``.
 
         The traction's change is P R with few rows R; the term -κ Rᵀ Pᵀ W P R of the tangent is
